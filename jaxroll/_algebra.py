@@ -1,0 +1,174 @@
+"""Small vectors, planar poses and unrolled small solves whose every component is its own leaf.
+
+XLA fuses a program of scalars into a few loops, and batches it with `vmap` into unit-stride
+vector code; arrays of shape (2,) or (3,) break both. So the inside of the package works on these
+records, and ordinary arrays exist only at the public door.
+
+Matrices are symmetric positive definite and given by their lower triangle as nested tuples.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from ._types import Scalar, Scalars
+
+Triangle = Sequence[Sequence[Scalar]]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, slots=True)
+class Vec2:
+    """A vector of the plane."""
+
+    x: Scalar
+    y: Scalar
+
+    def __add__(self, other: "Vec2") -> "Vec2":
+        return Vec2(self.x + other.x, self.y + other.y)
+
+    def __sub__(self, other: "Vec2") -> "Vec2":
+        return Vec2(self.x - other.x, self.y - other.y)
+
+    def __neg__(self) -> "Vec2":
+        return Vec2(-self.x, -self.y)
+
+    def __mul__(self, factor: Scalar) -> "Vec2":
+        return Vec2(self.x * factor, self.y * factor)
+
+    def __iter__(self) -> Iterator[Scalar]:
+        yield self.x
+        yield self.y
+
+    def dot(self, other: "Vec2") -> Scalar:
+        """Inner product."""
+        return self.x * other.x + self.y * other.y
+
+    def cross(self, other: "Vec2") -> Scalar:
+        """The out-of-plane component of the cross product."""
+        return self.x * other.y - self.y * other.x
+
+    def left(self) -> "Vec2":
+        """This vector turned by +90 degrees."""
+        return Vec2(-self.y, self.x)
+
+    def right(self) -> "Vec2":
+        """This vector turned by -90 degrees."""
+        return Vec2(self.y, -self.x)
+
+    def array(self) -> jax.Array:
+        """Shape (..., 2), for the public door."""
+        return jnp.stack([self.x, self.y], axis=-1)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, slots=True)
+class Twist2:
+    """Velocity of a body: of its frame's origin, and of its angle."""
+
+    velocity: Vec2
+    spin: Scalar
+
+    def __add__(self, other: "Twist2") -> "Twist2":
+        return Twist2(self.velocity + other.velocity, self.spin + other.spin)
+
+    def __mul__(self, factor: Scalar) -> "Twist2":
+        return Twist2(self.velocity * factor, self.spin * factor)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, slots=True)
+class Pose2:
+    """A body frame in the world: its origin, and the cosine and sine of its angle."""
+
+    origin: Vec2
+    cos: Scalar
+    sin: Scalar
+
+    def turn(self, vector: Vec2) -> Vec2:
+        """A body-frame direction in world axes."""
+        return Vec2(
+            self.cos * vector.x - self.sin * vector.y, self.sin * vector.x + self.cos * vector.y
+        )
+
+    def place(self, point: Vec2) -> Vec2:
+        """A body-frame point in world coordinates."""
+        return self.origin + self.turn(point)
+
+    def rate(self, twist: Twist2) -> "Pose2":
+        """Time derivative of this pose under a twist, as a tangent for autodiff."""
+        return Pose2(twist.velocity, -self.sin * twist.spin, self.cos * twist.spin)
+
+
+def sincos(angle: Scalar) -> tuple[Scalar, Scalar]:
+    """Sine and cosine; the one door for trigonometry on the hot path."""
+    return jnp.sin(angle), jnp.cos(angle)
+
+
+def unstack(array: Any) -> Any:
+    """An array as nested tuples of its scalars; a tuple is returned as it is."""
+    if isinstance(array, tuple) or array is None or jnp.ndim(array) == 0:
+        return array
+    return tuple(unstack(array[i]) for i in range(array.shape[0]))
+
+
+def total(terms: Sequence[Any]) -> Any:
+    """Sum of scalars or vectors without a zero to start from."""
+    result = terms[0]
+    for term in terms[1:]:
+        result = result + term
+    return result
+
+
+class Factor(NamedTuple):
+    """LDL^T factorisation of a small symmetric positive definite matrix."""
+
+    lower: tuple[Scalars, ...]  # strictly lower part of the unit triangle
+    inverse_pivots: Scalars
+    smallest_pivot: Scalar  # relative to the diagonal; not positive when singular
+
+
+def factorise(matrix: Triangle) -> Factor:
+    """Unrolled LDL^T; no square roots, and no library call that would break fusion.
+
+    A nonpositive pivot is not an error here: it is reported as `smallest_pivot`, because a batch
+    cannot stop for one lane.
+    """
+    lower: list[Scalars] = []
+    pivots: list[Scalar] = []
+    inverse: list[Scalar] = []
+    relative: list[Scalar] = []
+    for i, row in enumerate(matrix):
+        scaled: list[Scalar] = []  # row of L D, from which both L and the pivot follow
+        for j in range(i):
+            scaled.append(row[j] - _dot(scaled, lower[j]) if j else row[j])
+        unit = tuple(s * d for s, d in zip(scaled, inverse, strict=True))
+        pivot = row[i] - _dot(scaled, unit) if i else row[i]
+        lower.append(unit)
+        pivots.append(pivot)
+        inverse.append(1.0 / pivot)
+        relative.append(pivot / row[i])
+    smallest = relative[0]
+    for value in relative[1:]:
+        smallest = jnp.minimum(smallest, value)
+    return Factor(tuple(lower), tuple(inverse), smallest)
+
+
+def solve(factor: Factor, right: Sequence[Scalar]) -> Scalars:
+    """Solve with a factorised matrix."""
+    forward: list[Scalar] = []
+    for row, value in zip(factor.lower, right, strict=True):
+        forward.append(value - _dot(row, forward) if row else value)
+    backward = [value * d for value, d in zip(forward, factor.inverse_pivots, strict=True)]
+    for i in reversed(range(len(backward))):
+        below = range(i + 1, len(backward))
+        for j in below:
+            backward[i] = backward[i] - factor.lower[j][i] * backward[j]
+    return tuple(backward)
+
+
+def _dot(left: Sequence[Scalar], right: Sequence[Scalar]) -> Scalar:
+    return total([a * b for a, b in zip(left, right, strict=False)])

@@ -1,0 +1,95 @@
+"""The two error channels: host-side argument checks, and run-time result codes.
+
+Bad arguments raise `ValueError` at once, with one sentence that says which argument it is, what it
+must be and what it was. What goes wrong while a compiled program runs is a code of `RESULTS`: it
+survives `vmap`, one code per lane, and never discards what had been computed.
+"""
+
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+
+class RESULTS(diffrax.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
+    """Result codes of `jaxroll.simulate` and `jaxroll.close`; those of diffrax are included."""
+
+    successful = ""
+    singular_contact = (
+        "The rolling contact became singular: the sum of the two curvatures, or the Schur "
+        "complement of the constraints, is no longer positive."
+    )
+    contour_end = "A contact point ran past the end of an open contour."
+    not_finite = "The equations of motion gave a value that is not finite."
+    unreachable = "No pose near the guess closes every contact."
+
+
+def concrete(value: Any) -> np.ndarray | None:
+    """The value as a NumPy array, or None while JAX is tracing (then nothing can be checked)."""
+    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(value)):
+        return None
+    return np.asarray(value)
+
+
+def as_floats(name: str, value: Any, shape: tuple[int | None, ...]) -> jax.Array:
+    """Convert an argument to a floating array of the given shape; `None` matches any length."""
+    array = jnp.asarray(value)
+    if not jnp.issubdtype(array.dtype, jnp.floating):
+        array = array.astype(jnp.result_type(float))
+    matches = array.ndim == len(shape) and all(
+        want is None or want == have for want, have in zip(shape, array.shape, strict=True)
+    )
+    if not matches:
+        wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
+        raise ValueError(f"argument {name} must have shape {wanted}, but had shape {array.shape}")
+    return check_finite(name, array)
+
+
+def check_finite(name: str, value: jax.Array) -> jax.Array:
+    """Raise if a concrete value holds NaN or infinity."""
+    seen = concrete(value)
+    if seen is not None and not np.all(np.isfinite(seen)):
+        raise ValueError(f"argument {name} must be finite, but was {seen.tolist()}")
+    return value
+
+
+def check_positive(name: str, value: jax.Array) -> jax.Array:
+    """Raise if a concrete value is not strictly positive."""
+    seen = concrete(value)
+    if seen is not None and not np.all(seen > 0):
+        raise ValueError(f"argument {name} must be positive, but was {seen.tolist()}")
+    return value
+
+
+def check_between(name: str, value: Any, low: Any, high: Any, *, unit: str = "") -> None:
+    """Raise if a concrete value lies outside a closed interval."""
+    seen, lows, highs = concrete(value), concrete(low), concrete(high)
+    if seen is None or lows is None or highs is None:
+        return
+    if not np.all((lows <= seen) & (seen <= highs)):
+        raise ValueError(
+            f"argument {name} must lie between {lows:g} and {highs:g}{unit}, but was {seen:g}"
+        )
+
+
+def is_failure(result: RESULTS) -> jax.Array:
+    """True where a result code is neither success nor a terminating event."""
+    return ~((result == RESULTS.successful) | (result == RESULTS.event_occurred))
+
+
+def message(result: RESULTS) -> str:
+    """The sentence that belongs to one concrete result code; 'successful' for success."""
+    return RESULTS[result] or "successful"
+
+
+def raise_on_failure(result: RESULTS, values: Any) -> Any:
+    """Return `values`, or raise `RuntimeError` with the code's sentence; also works under `jit`."""
+    if isinstance(result._value, jax.core.Tracer):
+        return result.error_if(values, is_failure(result))
+    if bool(np.any(is_failure(result))):
+        worst = eqx.tree_at(lambda r: r._value, result, np.max(np.asarray(result._value)))
+        raise RuntimeError(message(worst))
+    return values

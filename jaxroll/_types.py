@@ -1,0 +1,22 @@
+"""Array aliases and the axis alphabet shared by every signature in the package.
+
+| letter | axis |
+|---|---|
+| `n` | generalised coordinates (object first, then the fingers in order) |
+| `c` | contacts |
+| `m` | constraint rows |
+| `k` | joints of one finger |
+| `t` | saved times |
+"""
+
+from typing import Any
+
+from jaxtyping import Array, Float
+
+# One leaf of the scalar algebra: a 0-d array, a tracer, or a Python number.
+Scalar = Any
+Scalars = tuple[Any, ...]
+
+Coordinates = Float[Array, " n"]
+Points = Float[Array, "... 2"]
+Times = Float[Array, " t"]

@@ -1,0 +1,13 @@
+"""Two shapes touching: gap, tangency, Pfaffian rows by autodiff, and rolling kinematics."""
+
+from ._rolling import (
+    Contact as Contact,
+    Touch as Touch,
+    gap as gap,
+    gap_bias as gap_bias,
+    gap_rate as gap_rate,
+    pfaffian as pfaffian,
+    rolling_rate as rolling_rate,
+    tangency as tangency,
+    touch as touch,
+)

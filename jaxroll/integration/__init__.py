@@ -1,0 +1,19 @@
+"""From a guess to a trajectory: consistent starts, drift control, and the only door to diffrax.
+
+`_close` finds a consistent state, `_flow` lays the state out as one vector, `_closed_loop` evaluates and
+projects it, `_stepper` makes one step, `_march` runs and differentiates many, `_simulate` is the entry
+point, `_trajectory` its result and `_observe` the chapter's quantities along it.
+"""
+
+from ._close import close as close
+from ._formulation import CSM as CSM, Index1 as Index1
+from ._observe import (
+    Energy as Energy,
+    Multipliers as Multipliers,
+    Residuals as Residuals,
+    energies as energies,
+    multipliers as multipliers,
+    residuals as residuals,
+)
+from ._simulate import simulate as simulate
+from ._trajectory import Stats as Stats, Trajectory as Trajectory

@@ -1,0 +1,171 @@
+"""Quantities along a run, as the chapter defines them, from states alone."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._algebra import total
+from .._types import Scalar
+from ..contact import Touch
+from ..control import as_controller
+from ..mechanics import (
+    Grasp,
+    Leaves,
+    Motion,
+    State,
+    apply_jacobian,
+    bodies,
+    kinetic_energy,
+    poses,
+    residual,
+    to_leaves,
+    touches,
+)
+from ._closed_loop import control_potential, evaluate
+from ._formulation import Formulation, Index1
+
+
+class Residuals(eqx.Module):
+    r"""What the constraints leave over at each saved time, per contact.
+
+    Attributes:
+        normal: $Q$, the gap along the object's normal [m]: (65), (5).
+        tangential: $R$, the gap along the object's tangent [m]: (64), (6).
+        tangency: Sine of the angle between the two tangents [rad].
+    """
+
+    normal: Float[Array, "... c"]
+    tangential: Float[Array, "... c"]
+    tangency: Float[Array, "... c"]
+
+
+class Multipliers(eqx.Module):
+    r"""Contact forces in the chapter's sign and frame.
+
+    Attributes:
+        f: Normal force [N] of each contact, positive when pressing.
+        lam: Tangential force $\lambda$ [N]: the object pushes the fingertip along $-\lambda\, b_0$.
+    """
+
+    f: Float[Array, "... c"]
+    lam: Float[Array, "... c"]
+
+
+class Energy(eqx.Module):
+    r"""Energy balance (20) at each saved time.
+
+    Attributes:
+        kinetic: $K$ [J], (13), (71).
+        potential: Artificial and gravitational potential energy [J], (22).
+        work: Work of all else [J]: minus the dissipation with a built-in controller.
+        residual: $(K + P - W) - (K + P)(t_0)$ [J]; zero in the exact motion.
+    """
+
+    kinetic: Float[Array, "..."]
+    potential: Float[Array, "..."]
+    work: Float[Array, "..."]
+    residual: Float[Array, "..."]
+
+
+def residuals_at(grasp: Grasp, state: State) -> Residuals:
+    """Residuals of a prepared grasp at one state."""
+    leaves = to_leaves(state, grasp.sizes)
+    frames, touching = poses(grasp, leaves.q), touches(grasp, leaves.s)
+    left = residual(grasp, frames, touching)
+    normal, tangential = [], []
+    for gap, t in zip(left.gaps, touching, strict=True):
+        tangent = frames[0].turn(t.object.tangent)
+        normal.append(gap.dot(tangent.right()))
+        tangential.append(gap.dot(tangent))
+    stack = lambda parts: jnp.stack(list(parts))  # noqa: E731
+    return Residuals(stack(normal), stack(tangential), stack(left.tangencies))
+
+
+def worst(residuals: Residuals) -> Array:
+    """Largest absolute residual over contacts, per state: metres and radians together."""
+    parts = [residuals.normal, residuals.tangential, residuals.tangency]
+    return jnp.max(jnp.abs(jnp.stack(parts)), axis=(0, -1))
+
+
+def multipliers_at(
+    grasp: Grasp, t: Scalar, state: State, formulation: Formulation
+) -> Multipliers:
+    """Contact forces of a prepared grasp at one state."""
+    instant = evaluate(grasp, t, to_leaves(state, grasp.sizes), formulation)
+    f, lam = [], []
+    for contact, force, touching in zip(
+        grasp.contacts, instant.forces, instant.touching, strict=True
+    ):
+        tangent = instant.motions[0].pose.turn(touching.object.tangent)
+        f.append(force.dot(tangent.right()))
+        lam.append(-contact.sense * force.dot(tangent))
+    return Multipliers(jnp.stack(f), jnp.stack(lam))
+
+
+def energies_at(grasp: Grasp, state: State) -> tuple[Scalar, Scalar]:
+    """Kinetic and potential energy of a prepared grasp at one state."""
+    leaves = to_leaves(state, grasp.sizes)
+    motions, inertias = bodies(grasp, leaves)
+    tips = [motion.pose for motion in motions[1:]]
+    stored = control_potential(as_controller(grasp.controller), leaves, tips)
+    return kinetic_energy(inertias, leaves.v), stored + _gravity_potential(grasp, leaves)
+
+
+def _gravity_potential(grasp: Grasp, leaves: Leaves) -> Scalar:
+    field = grasp.field()
+    if field is None:
+        return 0.0
+    parts = [grasp.object.gravity_potential(leaves.q[0], field)]
+    for finger, q in zip(grasp.fingers, leaves.q[1:], strict=True):
+        parts.append(finger.gravity_potential(q, field))
+    return total(parts)
+
+
+def closing_rates(grasp: Grasp, leaves: Leaves, instant: object) -> Array:
+    """Largest rate at which a gap opens [m/s]."""
+    rates = apply_jacobian(grasp, instant.line, leaves.v)  # pyright: ignore
+    return jnp.max(jnp.abs(jnp.stack([c for r in rates for c in r])))
+
+
+@eqx.filter_jit
+def residuals(grasp: Grasp, states: State) -> Residuals:
+    """Constraint residuals of one state, or of states with a leading time axis.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> grasp, state = jxr.scenes.pivoted()
+        >>> bool(abs(jxr.residuals(grasp, state).normal[0]) < 1e-15)
+        True
+    """
+    ready = grasp.prepared()
+    return _over_time(lambda state: residuals_at(ready, state), states)
+
+
+@eqx.filter_jit
+def multipliers(
+    grasp: Grasp, ts: Float[Array, "..."], states: State, formulation: Formulation | None = None
+) -> Multipliers:
+    """Contact forces [N] at one time and state, or along a leading time axis.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> grasp, state = jxr.scenes.pivoted()
+        >>> bool(jxr.multipliers(grasp, 0.0, state).f[0] > 0)  # pressing
+        True
+    """
+    ready, way = grasp.prepared(), formulation or Index1()
+    if states.q.ndim == 1:
+        return multipliers_at(ready, ts, states, way)
+    return jax.vmap(lambda t, state: multipliers_at(ready, t, state, way))(ts, states)
+
+
+@eqx.filter_jit
+def energies(grasp: Grasp, states: State) -> tuple[Array, Array]:
+    """Kinetic and potential energy [J] of one state, or of states with a leading time axis."""
+    ready = grasp.prepared()
+    return _over_time(lambda state: energies_at(ready, state), states)
+
+
+def _over_time(function, states: State):
+    return function(states) if states.q.ndim == 1 else jax.vmap(function)(states)

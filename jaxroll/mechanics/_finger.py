@@ -1,0 +1,181 @@
+"""A planar finger: a serial chain of links on revolute joints, with a contour at its end."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+from .._algebra import Pose2, Twist2, Vec2, sincos, total, unstack
+from .._results import as_floats, check_positive, concrete
+from .._types import Scalar, Scalars
+from ..geometry import AbstractContour
+from ._body import Inertia, Motion
+
+_STILL = Vec2(0.0, 0.0)
+
+
+class Finger(eqx.Module):
+    r"""A planar serial chain of $k$ revolute joints.
+
+    The first joint angle is measured from the world's x axis, each other one from the link before;
+    the tip frame sits at the end of the last link, its x axis along that link.
+
+    Args:
+        lengths: Shape (k,), link lengths, in metres.
+        masses: Shape (k,), link masses, in kilograms.
+        tip: Contour of the fingertip in the tip frame.
+        base: Shape (2,), position of the first joint in the world, in metres.
+        centres: Shape (k,), distance of each centre of mass from its joint, in metres. Default: half
+            the length (a uniform slender rod; the chapter does not state it).
+        inertias: Shape (k,), moment of each link about its centre of mass, in kg m^2. Default:
+            $m l^2/12$.
+
+    Raises:
+        ValueError: If a shape does not fit, or a length, mass or inertia is not positive.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> finger = jxr.Finger([0.065, 0.065], [0.045, 0.040], tip=jxr.Circle(0.01))
+        >>> finger.joints
+        2
+    """
+
+    lengths: Float[Array, " k"]
+    masses: Float[Array, " k"]
+    tip: AbstractContour
+    base: Float[Array, "2"]
+    centres: Float[Array, " k"]
+    inertias: Float[Array, " k"]
+
+    def __init__(
+        self,
+        lengths: ArrayLike,
+        masses: ArrayLike,
+        tip: AbstractContour,
+        *,
+        base: ArrayLike = (0.0, 0.0),
+        centres: ArrayLike | None = None,
+        inertias: ArrayLike | None = None,
+    ) -> None:
+        self.lengths = check_positive("lengths", as_floats("lengths", lengths, (None,)))
+        links = self.lengths.shape[0]
+        self.masses = check_positive("masses", as_floats("masses", masses, (links,)))
+        self.base = as_floats("base", base, (2,))
+        if not isinstance(tip, AbstractContour):
+            raise ValueError(f"argument tip must be a contour, but was {tip!r}")
+        self.tip = tip
+        if centres is None:
+            centres = 0.5 * self.lengths
+        self.centres = as_floats("centres", centres, (links,))
+        if inertias is None:
+            inertias = self.masses * self.lengths**2 / 12.0
+        self.inertias = check_positive("inertias", as_floats("inertias", inertias, (links,)))
+
+    @property
+    def joints(self) -> int:
+        """Number of joints."""
+        return len(self.lengths)
+
+    def prepared(self) -> "Finger":
+        """This finger with scalar leaves and a tip contour ready for evaluation."""
+        fields = lambda f: (f.lengths, f.masses, f.base, f.centres, f.inertias, f.tip)  # noqa: E731
+        *arrays, tip = fields(self)
+        return eqx.tree_at(fields, self, (*map(unstack, arrays), tip.prepared()))
+
+    def directions(self, q: Scalars) -> tuple[Vec2, ...]:
+        """Unit vectors along the links: the only trigonometry of a finger."""
+        angle, along = q[0], []
+        for i in range(self.joints):
+            angle = q[0] if i == 0 else angle + q[i]
+            sin, cos = sincos(angle)
+            along.append(Vec2(cos, sin))
+        return tuple(along)
+
+    def joint_positions(self, along: tuple[Vec2, ...]) -> tuple[Vec2, ...]:
+        """Positions of the joints and, last, of the tip frame: k + 1 points."""
+        points = [Vec2(self.base[0], self.base[1])]
+        for length, direction in zip(self.lengths, along, strict=True):
+            points.append(points[-1] + direction * length)
+        return tuple(points)
+
+    def tip_pose(self, q: Scalars) -> Pose2:
+        """The tip frame in the world."""
+        along = self.directions(q)
+        return Pose2(self.joint_positions(along)[-1], along[-1].x, along[-1].y)
+
+    def motion(
+        self, q: Scalars, v: Scalars, gravity: Vec2 | None
+    ) -> tuple[Motion, Inertia]:
+        """Kinematics of the tip frame, mass matrix and bias force at one state."""
+        along = self.directions(q)
+        points = self.joint_positions(along)
+        spins = _running_sums(v)
+        centripetal = [-(w * w) for w in spins]
+        joint_pull = [_STILL]
+        for i, length in enumerate(self.lengths):
+            step = along[i] * (centripetal[i] * length)
+            joint_pull.append(step if i == 0 else joint_pull[i] + step)
+        centres = [p + d * c for p, d, c in zip(points, along, self.centres, strict=False)]
+        pulls = []
+        for i, centre in enumerate(self.centres):
+            pull = along[i] * (centripetal[i] * centre)
+            pull = pull if i == 0 else joint_pull[i] + pull
+            pulls.append(pull if gravity is None else pull - gravity)
+        motion = self._tip_motion(points, along[-1], v, spins[-1], joint_pull[-1])
+        return motion, self._inertia(points, centres, pulls)
+
+    def _tip_motion(
+        self, points: tuple[Vec2, ...], heading: Vec2, v: Scalars, spin: Scalar, pull: Vec2
+    ) -> Motion:
+        tip = points[-1]
+        units = tuple(Twist2((tip - p).left(), jnp.ones_like(spin)) for p in points[:-1])
+        velocity = total([u.velocity * rate for u, rate in zip(units, v, strict=True)])
+        pose = Pose2(tip, heading.x, heading.y)
+        return Motion(pose, units, Twist2(velocity, spin), Twist2(pull, jnp.zeros_like(spin)))
+
+    def _inertia(
+        self, points: tuple[Vec2, ...], centres: list[Vec2], pulls: list[Vec2]
+    ) -> Inertia:
+        """Composite bodies from the tip inwards: one pass for mass matrix and bias."""
+        rows: list[Scalars] = []
+        forces: list[Scalar] = []
+        outer: tuple[Scalar, Vec2, Scalar, Vec2, Scalar] | None = None
+        for i in reversed(range(self.joints)):
+            arm = centres[i] - points[i]
+            mass, moment = self.masses[i], arm * self.masses[i]
+            second = self.masses[i] * arm.dot(arm) + self.inertias[i]
+            force = pulls[i] * self.masses[i]
+            torque = arm.cross(force)
+            if outer is not None:
+                link = points[i + 1] - points[i]
+                m, first, inner, push, twist = outer
+                second = second + inner + 2.0 * link.dot(first) + m * link.dot(link)
+                mass, moment = mass + m, moment + first + link * m
+                torque, force = torque + twist + link.cross(push), force + push
+            outer = (mass, moment, second, force, torque)
+            row = [second + moment.dot(points[i] - points[j]) for j in range(i)]
+            rows.append((*row, second))
+            forces.append(torque)
+        return Inertia(tuple(reversed(rows)), tuple(reversed(forces)))
+
+    def gravity_potential(self, q: Scalars, gravity: Vec2) -> Scalar:
+        """Potential energy of the links in a uniform field."""
+        along = self.directions(q)
+        points = self.joint_positions(along)
+        centres = [p + d * c for p, d, c in zip(points, along, self.centres, strict=False)]
+        return total([-gravity.dot(c) * m for c, m in zip(centres, self.masses, strict=True)])
+
+
+def _running_sums(values: Scalars) -> list[Scalar]:
+    sums = [values[0]]
+    for value in values[1:]:
+        sums.append(sums[-1] + value)
+    return sums
+
+
+def check_joint_count(finger: Finger, angles: ArrayLike, name: str) -> None:
+    """Raise unless there is one angle for each joint."""
+    seen = concrete(angles)
+    if seen is not None and seen.shape != (finger.joints,):
+        raise ValueError(
+            f"argument {name} must have shape ({finger.joints},), but had shape {seen.shape}"
+        )

@@ -1,0 +1,178 @@
+"""The grasped object: free in the plane, or pivoted at a fixed point."""
+
+import abc
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+from .._algebra import Pose2, Twist2, Vec2, sincos, unstack
+from .._results import as_floats, check_positive
+from .._types import Scalar, Scalars
+from ..geometry import AbstractContour
+from ._body import Inertia, Motion
+
+Contours = tuple[AbstractContour, ...]
+
+
+def _as_contours(contours: AbstractContour | Sequence[AbstractContour]) -> Contours:
+    listed = (contours,) if isinstance(contours, AbstractContour) else tuple(contours)
+    if not listed or not all(isinstance(c, AbstractContour) for c in listed):
+        raise ValueError(f"argument contours must be one or more contours, but was {contours!r}")
+    return listed
+
+
+class AbstractObject(eqx.Module):
+    """A rigid object with one or more contours (faces) in its body frame."""
+
+    contours: eqx.AbstractVar[Contours]
+
+    @property
+    @abc.abstractmethod
+    def freedoms(self) -> int:
+        """Number of generalised coordinates."""
+
+    @abc.abstractmethod
+    def prepared(self) -> "AbstractObject":
+        """This object with scalar leaves and contours ready for evaluation."""
+
+    @abc.abstractmethod
+    def pose(self, q: Scalars) -> Pose2:
+        """The body frame in the world."""
+
+    @abc.abstractmethod
+    def motion(
+        self, q: Scalars, v: Scalars, gravity: Vec2 | None
+    ) -> tuple[Motion, Inertia]:
+        """Kinematics of the body frame, mass matrix and bias force at one state."""
+
+    @abc.abstractmethod
+    def gravity_potential(self, q: Scalars, gravity: Vec2) -> Scalar:
+        """Potential energy in a uniform field."""
+
+
+class PivotedObject(AbstractObject):
+    r"""An object that turns about a fixed point $O_m$, the origin of its frame (Part 2, Fig. 4).
+
+    Its one coordinate is the angle $\theta$.
+
+    Args:
+        contours: One contour or several, in the body frame.
+        inertia: Moment about the pivot, in kg m^2.
+        pivot: Shape (2,), position of the pivot in the world, in metres.
+        mass: In kilograms; used by gravity alone, with `centre`. Default: no weight.
+        centre: Shape (2,), centre of mass in the body frame, in metres.
+    """
+
+    contours: Contours
+    inertia: Float[Array, ""]
+    pivot: Float[Array, "2"]
+    weight_moment: Float[Array, "2"] | None
+
+    def __init__(
+        self,
+        contours: AbstractContour | Sequence[AbstractContour],
+        inertia: ArrayLike,
+        *,
+        pivot: ArrayLike = (0.0, 0.0),
+        mass: ArrayLike | None = None,
+        centre: ArrayLike = (0.0, 0.0),
+    ) -> None:
+        self.contours = _as_contours(contours)
+        self.inertia = check_positive("inertia", as_floats("inertia", inertia, ()))
+        self.pivot = as_floats("pivot", pivot, (2,))
+        self.weight_moment = None
+        if mass is not None:
+            weight = check_positive("mass", as_floats("mass", mass, ()))
+            self.weight_moment = weight * as_floats("centre", centre, (2,))
+
+    @property
+    def freedoms(self) -> int:
+        return 1
+
+    def prepared(self) -> "PivotedObject":
+        fields = lambda o: (o.pivot, o.weight_moment, o.contours)  # noqa: E731
+        contours = tuple(c.prepared() for c in self.contours)
+        ready = (unstack(self.pivot), unstack(self.weight_moment), contours)
+        return eqx.tree_at(fields, self, ready, is_leaf=lambda x: x is None)
+
+    def pose(self, q: Scalars) -> Pose2:
+        sin, cos = sincos(q[0])
+        return Pose2(Vec2(self.pivot[0], self.pivot[1]), cos, sin)
+
+    def motion(
+        self, q: Scalars, v: Scalars, gravity: Vec2 | None
+    ) -> tuple[Motion, Inertia]:
+        pose, zero = self.pose(q), jnp.zeros_like(q[0])
+        still = Vec2(zero, zero)
+        unit = Twist2(still, jnp.ones_like(zero))
+        motion = Motion(pose, (unit,), Twist2(still, v[0]), Twist2(still, zero))
+        force = zero
+        if gravity is not None and self.weight_moment is not None:
+            force = gravity.cross(pose.turn(Vec2(*self.weight_moment)))
+        return motion, Inertia(((self.inertia,),), (force,))
+
+    def gravity_potential(self, q: Scalars, gravity: Vec2) -> Scalar:
+        if self.weight_moment is None:
+            return jnp.zeros_like(q[0])
+        pose = self.pose(q)
+        return -gravity.dot(pose.turn(Vec2(*self.weight_moment)))
+
+
+class FreeObject(AbstractObject):
+    r"""An object free in the plane; its frame sits at the centre of mass $O_m$ (Part 1, Fig. 1).
+
+    Its coordinates are $(x, y, \theta)$, as in (12).
+
+    Args:
+        contours: One contour or several, in the body frame.
+        mass: In kilograms.
+        inertia: Moment about the centre of mass, in kg m^2.
+    """
+
+    contours: Contours
+    mass: Float[Array, ""]
+    inertia: Float[Array, ""]
+
+    def __init__(
+        self,
+        contours: AbstractContour | Sequence[AbstractContour],
+        mass: ArrayLike,
+        inertia: ArrayLike,
+    ) -> None:
+        self.contours = _as_contours(contours)
+        self.mass = check_positive("mass", as_floats("mass", mass, ()))
+        self.inertia = check_positive("inertia", as_floats("inertia", inertia, ()))
+
+    @property
+    def freedoms(self) -> int:
+        return 3
+
+    def prepared(self) -> "FreeObject":
+        return eqx.tree_at(
+            lambda o: o.contours, self, tuple(c.prepared() for c in self.contours)
+        )
+
+    def pose(self, q: Scalars) -> Pose2:
+        sin, cos = sincos(q[2])
+        return Pose2(Vec2(q[0], q[1]), cos, sin)
+
+    def motion(
+        self, q: Scalars, v: Scalars, gravity: Vec2 | None
+    ) -> tuple[Motion, Inertia]:
+        zero, one = jnp.zeros_like(q[2]), jnp.ones_like(q[2])
+        units = (
+            Twist2(Vec2(one, zero), zero),
+            Twist2(Vec2(zero, one), zero),
+            Twist2(Vec2(zero, zero), one),
+        )
+        twist = Twist2(Vec2(v[0], v[1]), v[2])
+        motion = Motion(self.pose(q), units, twist, Twist2(Vec2(zero, zero), zero))
+        mass = ((self.mass,), (zero, self.mass), (zero, zero, self.inertia))
+        if gravity is None:
+            return motion, Inertia(mass, (zero, zero, zero))
+        return motion, Inertia(mass, (-self.mass * gravity.x, -self.mass * gravity.y, zero))
+
+    def gravity_potential(self, q: Scalars, gravity: Vec2) -> Scalar:
+        return -self.mass * gravity.dot(Vec2(q[0], q[1]))

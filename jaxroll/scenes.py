@@ -21,7 +21,7 @@ OBJECT_SHIFT = 3.363e-3
 
 def pivoted(
     *,
-    s: ArrayLike = -0.006,
+    s: ArrayLike = 0.003,
     base: ArrayLike = (0.0, 0.0),
     pivot: ArrayLike = (0.055, 0.085),
     gravity: ArrayLike | None = None,
@@ -35,8 +35,8 @@ def pivoted(
     say. The chapter states neither base, pivot nor starting contact; the defaults are ours.
 
     Args:
-        s: Chapter's arclength at the starting contact [m]. The default starts the object 0.5 rad from
-            its equilibrium.
+        s: Chapter's arclength at the starting contact [m]. By default the object turns by
+            0.83 rad on its way to equilibrium, near s = -4.79 mm.
         base: Shape (2,), position of the first joint [m].
         pivot: Shape (2,), position of the object's pivot $O_m$ [m].
         gravity: Shape (2,) [m/s^2]; the chapter's plane is horizontal, so there is none by default.
@@ -64,5 +64,5 @@ def pivoted(
         controller=Press(FORCE, RADIUS, DAMPING, target=pivot),
         gravity=gravity,
     )
-    guess = State(jnp.array([0.0, 0.9, 0.7]), jnp.zeros(3), jnp.zeros(1))
+    guess = State(jnp.array([0.5, 0.3, 1.9]), jnp.zeros(3), jnp.zeros(1))
     return close(grasp, guess)

@@ -57,10 +57,15 @@ class Path(eqx.Module):
 
 
 class StopAt(diffrax.AbstractAdaptiveStepSizeController):
-    """A step-size controller that ends steps at the save times, where a step is most accurate."""
+    """A step-size controller that ends steps at the save times, where a step is most accurate.
+
+    The first step has no length: it works out the derivative that the flow vector carries, and so
+    spares the program a copy of the equations of motion.
+    """
 
     inner: diffrax.AbstractStepSizeController
     ts: Times
+    dt0: Float[Array, ""]
 
     @property
     def rtol(self) -> Any:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -75,15 +80,19 @@ class StopAt(diffrax.AbstractAdaptiveStepSizeController):
         return getattr(self.inner, "norm", None)
 
     def wrap(self, direction: Scalar) -> "StopAt":
-        return StopAt(self.inner.wrap(direction), self.ts * direction)
+        return StopAt(self.inner.wrap(direction), self.ts * direction, self.dt0)
 
     def init(self, terms: Any, t0: Scalar, t1: Scalar, *rest: Any) -> tuple[Scalar, Any]:
-        end, memory = self.inner.init(terms, t0, t1, *rest)
-        return self._clip(t0, end), memory
+        _, memory = self.inner.init(terms, t0, t1, *rest)
+        return t0, memory
 
-    def adapt_step_size(self, *step: Any) -> tuple:
-        keep, t0, t1, jumped, memory, code = self.inner.adapt_step_size(*step)
-        return keep, t0, self._clip(t0, t1), jumped, memory, code
+    def adapt_step_size(self, t0: Scalar, t1: Scalar, *rest: Any) -> tuple:
+        keep, start, end, jumped, memory, code = self.inner.adapt_step_size(t0, t1, *rest)
+        first = t0 == t1
+        old = rest[-1]
+        memory = jax.tree.map(lambda new, was: jnp.where(first, was, new), memory, old)
+        end = self._clip(start, jnp.where(first, start + self.dt0, end))
+        return keep | first, jnp.where(first, t1, start), end, jumped, memory, code
 
     def _clip(self, t0: Scalar, t1: Scalar) -> Scalar:
         return jnp.minimum(t1, jnp.min(jnp.where(self.ts > t0, self.ts, jnp.inf)))
@@ -105,7 +114,7 @@ def _solve(grasp: Grasp, y0: Flow, plan: Plan, record: bool) -> tuple[Path, Any]
         y0,
         args=grasp,
         saveat=diffrax.SaveAt(subs=subs),
-        stepsize_controller=StopAt(plan.controller, plan.ts),
+        stepsize_controller=StopAt(plan.controller, plan.ts, plan.dt0),
         adjoint=diffrax.ForwardMode(),
         progress_meter=plan.progress,
         max_steps=plan.max_steps,

@@ -16,7 +16,7 @@ from ._flow import Layout, layout, states_of, vector_of
 from ._formulation import CSM, Formulation, Index1
 from ._march import Path, Plan, march
 from ._observe import Energy, energies_at, multipliers_at, residuals_at, worst
-from ._stepper import RollingStep, start
+from ._stepper import RollingStep
 from ._trajectory import Stats, Trajectory
 
 _RECORDS = ("multipliers", "energy")
@@ -172,40 +172,41 @@ def _run(
 ) -> tuple[Trajectory, Array]:
     ready = grasp.prepared()
     x0 = vector_of(state, lay.audited)
-    off = worst(residuals_at(ready, state))
-    y0 = start(ready, plan.t0, x0, plan.stepper.formulation, lay)
+    y0 = jnp.concatenate([x0, jnp.zeros(lay.width + 1, x0.dtype)])
     path = march(ready, y0, plan)
-    return _trajectory(ready, path, plan, lay, record, off), off
+    return _trajectory(ready, state, path, plan, record)
 
 
 _run_compiled = eqx.filter_jit(_run)
 
 
 def _trajectory(
-    grasp: Grasp, path: Path, plan: Plan, lay: Layout, record: tuple[str, ...], off: Array
-) -> Trajectory:
-    got = jnp.isfinite(path.saved[:, :1])
-    saved = jnp.where(got, path.saved, jnp.nan)
+    grasp: Grasp, state: State, path: Path, plan: Plan, record: tuple[str, ...]
+) -> tuple[Trajectory, Array]:
+    lay, way = plan.stepper.lay, plan.stepper.formulation
+    saved = jnp.where(jnp.isfinite(path.saved[:, :1]), path.saved, jnp.nan)
     states = states_of(lay, saved)
-    on_constraints = isinstance(plan.stepper.formulation, CSM) | (off <= REACHED)
-    result = RESULTS.where(on_constraints, path.result, RESULTS.unreachable)
+    both = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), state, states)
+    left = jax.vmap(lambda s: residuals_at(grasp, s))(both)
+    off = worst(jax.tree.map(lambda a: a[0], left))
+    on_constraints = isinstance(way, CSM) | (off <= REACHED)
     forces = energy = None
     if "multipliers" in record:
-        way = plan.stepper.formulation
         forces = jax.vmap(lambda t, s: multipliers_at(grasp, t, s, way))(plan.ts, states)
     if "energy" in record:
         energy = _energy(grasp, states, saved[:, lay.width - 1])
     attempted, accepted, rejected = path.steps
-    return Trajectory(
+    trajectory = Trajectory(
         plan.ts,
         states,
         states_of(lay, path.last),
-        jax.vmap(lambda s: residuals_at(grasp, s))(states),
-        result,
+        jax.tree.map(lambda a: a[1:], left),
+        RESULTS.where(on_constraints, path.result, RESULTS.unreachable),
         Stats(attempted, accepted, rejected, path.t_last),
         forces,
         energy,
     )
+    return trajectory, off
 
 
 def _energy(grasp: Grasp, states: State, work: Array) -> Energy:

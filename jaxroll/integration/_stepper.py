@@ -22,8 +22,6 @@ from ._flow import Flow, Layout, pack, unpack
 from ._formulation import Formulation, Index1
 from ._regime import regime
 
-_HIGHEST = jax.lax.Precision.HIGHEST
-
 
 class HermiteInterpolation(diffrax.AbstractLocalInterpolation):
     """Cubic Hermite over one step, from the derivative that the flow vector carries.
@@ -74,7 +72,7 @@ class RollingStep(diffrax.AbstractAdaptiveSolver):
         return self.method.error_order(terms)
 
     def func(self, terms: Any, t0: Scalar, y0: Flow, args: Grasp) -> Flow:
-        return start(args, t0, y0[: self.lay.width], self.formulation, self.lay)
+        raise NotImplementedError("the first step size is given, never estimated")
 
     def init(self, terms: Any, t0: Scalar, t1: Scalar, y0: Flow, args: Grasp) -> None:
         return None
@@ -95,6 +93,7 @@ class RollingStep(diffrax.AbstractAdaptiveSolver):
         )
         return y1, error, {"y0": y0, "y1": y1}, None, ended
 
+    @eqx.filter_jit  # traced once, however often diffrax traces its loop
     def advance(self, grasp: Grasp, t0: Scalar, t1: Scalar, y0: Flow) -> tuple[Flow, Flow]:
         """One step as a pure map: the new vector and its error estimate."""
         hold = holder(t0)
@@ -115,22 +114,27 @@ class RollingStep(diffrax.AbstractAdaptiveSolver):
     ) -> tuple[Array, Array, Array, Instant]:
         tableau = self.method.tableau
         dt, width = t1 - t0, self.lay.width
-        # The last stage of a stiffly ordered method is the step's end, and is shared with it.
+        # The last stage of such a method is the step's end, and is shared with it.
         shared = bool(tableau.fsal and tableau.ssal)
         looped = tableau.num_stages - int(shared)
         rows, times, ends = _tables(tableau, looped, y0.dtype)
-        x0 = y0[:width]
-        stages = jnp.zeros((width, looped), y0.dtype).at[:, 0].set(y0[width:-1])
+        x0, k0 = y0[:width], y0[width:-1]
+        cuts = _small_cuts(width, looped)
+        blocks = [jnp.zeros((c.stop - c.start, looped), y0.dtype).at[:, 0].set(k0[c]) for c in cuts]
 
-        def stage(i: Scalar, stages: Array) -> Array:
-            x = hold(x0 + dt * jnp.dot(stages, rows[i], precision=_HIGHEST))
+        def mix(blocks: list[Array], weights: Array) -> Array:
+            return jnp.concatenate([jnp.sum(block * weights, axis=1) for block in blocks])
+
+        def stage(i: Scalar, blocks: list[Array]) -> list[Array]:
+            weights = jnp.concatenate([columns[i] for columns in rows])
+            x = hold(x0 + dt * mix(blocks, weights))
             rates, _ = rates_at(grasp, t0 + times[i] * dt, x, self.formulation, self.lay)
-            return stages.at[:, i].set(rates)
+            return [b.at[:, i].set(rates[c]) for b, c in zip(blocks, cuts, strict=True)]
 
-        stages = jax.lax.fori_loop(1, looped, stage, stages)
-        raw = hold(x0 + dt * jnp.dot(stages, ends[0], precision=_HIGHEST))
+        blocks = jax.lax.fori_loop(1, looped, stage, blocks)
+        raw = hold(x0 + dt * mix(blocks, ends[0]))
         rates, instant = rates_at(grasp, t1, raw, self.formulation, self.lay)
-        error = jnp.dot(stages, ends[1], precision=_HIGHEST)
+        error = mix(blocks, ends[1])
         if shared:
             error = error + float(tableau.b_error[-1]) * rates
         return raw, rates, dt * error, instant
@@ -162,12 +166,6 @@ def rates_at(
     return pack(instant.rates, gained), instant
 
 
-def start(grasp: Grasp, t: Scalar, x: Array, formulation: Formulation, lay: Layout) -> Flow:
-    """The flow vector [x, x', 0] at the start of a run."""
-    rates, _ = rates_at(grasp, t, x, formulation, lay)
-    return jnp.concatenate([x, rates, jnp.zeros(1, x.dtype)])
-
-
 def holder(t: Scalar) -> Callable[[Any], Any]:
     """A function that makes XLA compute its argument once.
 
@@ -178,17 +176,25 @@ def holder(t: Scalar) -> Callable[[Any], Any]:
     return lambda tree: jax.tree.map(lambda leaf: leaf / one, tree)
 
 
+# XLA's CPU runtime hands a loop to its thread pool, at some 20 us a turn, as soon as one buffer in it is
+# larger than this; a stage costs 1 us.
+_SMALL_BUFFER = 512
+
+
+def _small_cuts(size: int, length: int) -> list[slice]:
+    """Cut `size` rows of `length` doubles into blocks that stay small."""
+    most = max(1, _SMALL_BUFFER // (8 * length))
+    return [slice(i, min(i + most, size)) for i in range(0, size, most)]
+
+
 def _tables(
     tableau: diffrax.ButcherTableau, looped: int, dtype: Any
-) -> tuple[Array, Array, Array]:
-    """Stage rows, stage times, and the two rows (solution, error) that end the step."""
+) -> tuple[list[Array], Array, Array]:
+    """Stage rows in blocks of columns, stage times, and the rows for solution and error."""
     full = np.zeros((tableau.num_stages, tableau.num_stages))
     for i, row in enumerate(tableau.a_lower):
         full[i + 1, : i + 1] = row
     times = np.concatenate([[0.0], tableau.c])
     ends = np.stack([tableau.b_sol[:looped], tableau.b_error[:looped]])
-    return (
-        jnp.asarray(full[:looped, :looped], dtype),
-        jnp.asarray(times, dtype),
-        jnp.asarray(ends, dtype),
-    )
+    rows = [full[:looped, cut] for cut in _small_cuts(looped, looped)]
+    return [jnp.asarray(r, dtype) for r in rows], jnp.asarray(times, dtype), jnp.asarray(ends, dtype)

@@ -17,6 +17,7 @@ from .integration import (
     close as close,
     energies as energies,
     multipliers as multipliers,
+    press_balance as press_balance,
     residuals as residuals,
     simulate as simulate,
 )

@@ -15,5 +15,6 @@ from ._observe import (
     multipliers as multipliers,
     residuals as residuals,
 )
+from ._press import PressBalance as PressBalance, press_balance as press_balance
 from ._simulate import simulate as simulate
 from ._trajectory import Stats as Stats, Trajectory as Trajectory

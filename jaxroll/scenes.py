@@ -55,12 +55,12 @@ def pivoted(
     """
     reach = (-0.03, 0.03)
     tip = Catenary(1.0 / 40.0, reach).moved((0.01, 0.0))
-    face = Catenary(1.0 / 100.0, reach).moved((-0.02, 0.0), np.pi)
+    face = Catenary(1.0 / 100.0, reach).moved((-0.02, 0.0), np.pi, origin=OBJECT_SHIFT)
     s = jnp.asarray(s, float)
     grasp = Grasp(
         PivotedObject(face, INERTIA, pivot=pivot),
         Finger(LENGTHS, MASSES, Moved(tip, (0.0, 0.0), -np.pi / 2), base=base),
-        Contact(s_tip=-s, s_object=s - OBJECT_SHIFT),
+        Contact(s_tip=-s, s_object=s),
         controller=Press(FORCE, RADIUS, DAMPING, target=pivot),
         gravity=gravity,
     )

@@ -93,20 +93,21 @@ class AbstractContour(eqx.Module):
         s = jnp.asarray(s, float)
         return jnp.broadcast_to(self.prepared().frame(s).curvature, s.shape)
 
-    def moved(self, offset: ArrayLike = (0.0, 0.0), angle: ArrayLike = 0.0) -> "Moved":
-        """This contour turned by `angle` [rad] about its origin, then shifted by `offset` [m]."""
-        return Moved(self, offset, angle)
+    def moved(
+        self, offset: ArrayLike = (0.0, 0.0), angle: ArrayLike = 0.0, *, origin: ArrayLike = 0.0
+    ) -> "Moved":
+        """This contour turned by `angle` [rad], shifted by `offset` [m], its s = 0 put at `origin`."""
+        return Moved(self, offset, angle, origin=origin)
 
 
 class Moved(AbstractContour):
     """A contour placed in its body's frame: turned by `angle`, then shifted by `offset`.
 
-    Arclength and curvature are those of the contour that is moved.
-
     Args:
         contour: The contour to place.
-        offset: Where its origin goes, shape (2,), in metres.
+        offset: Where its body's origin goes, shape (2,), in metres.
         angle: Counter-clockwise turn in radians.
+        origin: Arclength [m] at which the placed contour has the point that `contour` has at zero.
 
     Example:
         >>> import jaxroll as jxr
@@ -118,12 +119,23 @@ class Moved(AbstractContour):
     contour: AbstractContour
     offset: Float[Array, "2"]
     angle: Float[Array, ""]
+    origin: Float[Array, ""]
     pose: Pose2 | None
 
-    def __init__(self, contour: AbstractContour, offset: ArrayLike, angle: ArrayLike) -> None:
+    def __init__(
+        self,
+        contour: AbstractContour,
+        offset: ArrayLike = (0.0, 0.0),
+        angle: ArrayLike = 0.0,
+        *,
+        origin: ArrayLike = 0.0,
+    ) -> None:
+        if not isinstance(contour, AbstractContour):
+            raise ValueError(f"argument contour must be a contour, but was {contour!r}")
         self.contour = contour
         self.offset = as_floats("offset", offset, (2,))
         self.angle = as_floats("angle", angle, ())
+        self.origin = as_floats("origin", origin, ())
         self.pose = None
 
     @property
@@ -142,10 +154,10 @@ class Moved(AbstractContour):
         return Pose2(Vec2(*unstack(self.offset)), cos, sin)
 
     def curve(self, s: Scalar) -> Vec2:
-        return self.placed().place(self.contour.curve(s))
+        return self.placed().place(self.contour.curve(s - self.origin))
 
     def frame(self, s: Scalar) -> Frenet2:
-        pose, local = self.placed(), self.contour.frame(s)
+        pose, local = self.placed(), self.contour.frame(s - self.origin)
         return Frenet2(pose.place(local.point), pose.turn(local.tangent), local.curvature)
 
     def prepared(self) -> "Moved":
@@ -155,4 +167,5 @@ class Moved(AbstractContour):
         )
 
     def domain(self) -> tuple[Scalar, Scalar] | None:
-        return self.contour.domain()
+        ends = self.contour.domain()
+        return None if ends is None else (ends[0] + self.origin, ends[1] + self.origin)

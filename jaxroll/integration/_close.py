@@ -119,15 +119,10 @@ def _close(grasp: Grasp, guess: State, hold: bool) -> tuple[State, Array]:
         return args[2] @ (z - origin) + pull(pressure)[0], left
 
     near = jax.lax.stop_gradient(_restore(lambda z: rows(z, args), start, args[2]))
-    solution = optx.root_find(
-        optimality,
-        optx.Newton(rtol=1e-12, atol=1e-12),
-        (near, jnp.zeros(3 * contacts, start.dtype)),
-        args=args,
-        max_steps=32,
-        throw=False,
-    )
-    z = solution.value[0]
+    if start.shape[0] == 3 * contacts:  # nothing left to minimise
+        z = _root(rows, near, args)
+    else:
+        z, _ = _root(optimality, (near, jnp.zeros(3 * contacts, start.dtype)), args)
     q, s = z[:n], guess.s if hold else z[n:]
     return State(q, _compatible(ready, q, guess.v, s), s), _rows(ready, q, s, contacts)
 
@@ -161,33 +156,45 @@ def _metric(grasp: Grasp, guess: State, size: int) -> Array:
     return scaled + jnp.diag(jnp.where(jnp.arange(size) < at, 0.0, 1e-3))
 
 
+def _root(function: Callable, start: Any, args: Any) -> Any:
+    """Newton's method from a point close by; differentiated by the implicit function theorem."""
+    newton = optx.Newton(rtol=1e-12, atol=1e-12)
+    return optx.root_find(function, newton, start, args, max_steps=32, throw=False).value
+
+
 def _restore(rows: Callable[[Array], Array], start: Array, metric: Array) -> Array:
-    """Gauss-Newton in the mass metric, with the best of a few step lengths each time."""
-    lengths = jnp.asarray([1.0, 0.5, 0.2, 0.05, 0.01], start.dtype)
+    """Gauss-Newton in the mass metric; a step that does not help is shortened."""
 
-    def size(z: Array) -> Array:
-        return jnp.max(jnp.abs(rows(z)))
-
-    def improve(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        z, before, i = carry
-        jacobian = jax.jacfwd(rows)(z)
+    def newton_step(jacobian: Array, left: Array) -> Array:
         weighted = jnp.linalg.solve(metric, jacobian.T)
-        # Redundant rows (an over-determined pose) make the Schur matrix singular: least squares.
-        pressure = jnp.linalg.lstsq(jacobian @ weighted, rows(z))[0]
-        trials = z - lengths[:, None] * (weighted @ pressure)
-        sizes = jax.vmap(size)(trials)
-        best = jnp.nanargmin(jnp.where(jnp.isfinite(sizes), sizes, jnp.inf))
-        stuck = ~(sizes[best] < before)
+        schur = jacobian @ weighted
+        # Redundant rows (an over-determined pose) make it singular: a ridge far below rounding's reach.
+        ridge = 1e-14 * jnp.trace(schur) * jnp.eye(left.shape[0], dtype=left.dtype)
+        return weighted @ jnp.linalg.solve(schur + ridge, left)
+
+    def improve(carry: tuple[Array, ...]) -> tuple[Array, ...]:
+        best, smallest, step, scale, i = carry
+        trial = best - scale * step
+        left, push = jax.linearize(rows, trial)
+        jacobian = jax.vmap(push, out_axes=-1)(jnp.eye(trial.shape[0], dtype=trial.dtype))
+        size = jnp.max(jnp.abs(left))
+        better = size < smallest
+        keep = lambda new, old: jnp.where(better, new, old)  # noqa: E731
         return (
-            jnp.where(stuck, z, trials[best]),
-            jnp.where(stuck, before, sizes[best]),
-            jnp.where(stuck, _RESTORE_STEPS, i + 1),
+            keep(trial, best),
+            keep(size, smallest),
+            keep(newton_step(jacobian, left), step),
+            keep(jnp.ones_like(scale), 0.25 * scale),
+            i + 1,
         )
 
-    def more(carry: tuple[Array, Array, Array]) -> Array:
-        return (carry[1] > 1e-13) & (carry[2] < _RESTORE_STEPS)
+    def more(carry: tuple[Array, ...]) -> Array:
+        _, smallest, _, scale, i = carry
+        return (smallest > 1e-13) & (scale > 1e-6) & (i < _RESTORE_STEPS)
 
-    return jax.lax.while_loop(more, improve, (start, size(start), jnp.array(0)))[0]
+    one = jnp.ones((), start.dtype)
+    first = (start, jnp.inf * one, jnp.zeros_like(start), one, jnp.array(0))
+    return jax.lax.while_loop(more, improve, first)[0]
 
 
 def _compatible(grasp: Grasp, q: Array, v: Array, s: Array) -> Array:

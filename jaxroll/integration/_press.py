@@ -17,7 +17,7 @@ class PressBalance(eqx.Module):
     r"""Quantities (60)-(63), (76)-(79) of every contact, under `control.Press`.
 
     Attributes:
-        s: Chapter's arclength at the contact, up to its origin: on the object's contour [m].
+        s: Arclength at the contact on the object's contour [m]: the chapter's s in `scenes.pivoted`.
         delta_f: $\Delta f = f + (f_d/r) Q_1$ [N], (78).
         delta_lam: $\Delta\lambda = \lambda + (f_d/r) R_1$ [N], (78).
         n1: $N_1 = l_{n0} l_{b1} - l_{b0} l_{n1}$ [m^2], (78): zero when the line from the tip frame to the

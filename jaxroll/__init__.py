@@ -27,6 +27,16 @@ from .mechanics import (
     Grasp as Grasp,
     PivotedObject as PivotedObject,
     State as State,
+    equation_terms as equation_terms,
 )
 
 __version__ = "0.1.0"
+
+
+def __getattr__(name: str):
+    # matplotlib is imported with the first figure, not with the package.
+    if name == "plotting":
+        import importlib
+
+        return importlib.import_module(".plotting", __name__)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

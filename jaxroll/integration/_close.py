@@ -21,6 +21,7 @@ from ..mechanics import (
     combine,
     join,
     linearise,
+    mass_matrix,
     poses,
     residual,
     respond,
@@ -145,15 +146,12 @@ def _rows(grasp: Grasp, q: Array, s: Array, contacts: int) -> Array:
 def _metric(grasp: Grasp, guess: State, size: int) -> Array:
     """Mass matrix at the guess, scaled to unit mean; free contact coordinates weigh next to nothing."""
     _, inertias = bodies(grasp, to_leaves(guess, grasp.sizes))
-    metric, at = jnp.zeros((size, size), guess.q.dtype), 0
-    for inertia in inertias:
-        for i, row in enumerate(inertia.mass):
-            for j, entry in enumerate(row):
-                metric = metric.at[at + i, at + j].set(entry)
-                metric = metric.at[at + j, at + i].set(entry)
-        at += len(inertia.mass)
-    scaled = metric / (jnp.trace(metric) / at)
-    return scaled + jnp.diag(jnp.where(jnp.arange(size) < at, 0.0, 1e-3))
+    n = grasp.coordinates
+    mass = mass_matrix([inertia.mass for inertia in inertias], n)
+    metric = jnp.zeros((size, size), guess.q.dtype).at[:n, :n].set(mass * (n / jnp.trace(mass)))
+    free = jnp.where(jnp.arange(size) < n, 0.0, 1e-3)
+    return metric + jnp.diag(free.astype(metric.dtype))
+
 
 
 def _root(function: Callable, start: Any, args: Any) -> Any:

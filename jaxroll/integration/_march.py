@@ -15,6 +15,7 @@ import equinox as eqx
 import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
 from .._results import RESULTS
@@ -221,19 +222,27 @@ class _Steps(eqx.Module):
 def linear_map(apply: Callable, transpose: Callable, x: Any) -> Any:
     """Apply a linear map whose transpose is given, so that both modes of autodiff can use it.
 
-    JAX knows no other primitive that takes a transpose from the caller and also survives `vmap`:
-    a linear solve with the identity, whose "solver" hands (x, b) to (x, apply(x) + b).
+    JAX has no other primitive that takes a transpose from the caller and also survives `vmap`: a
+    linear solve with the identity, whose "solver" takes (x, b) to (x, apply(x) + b). Everything
+    travels as one vector, since JAX wants all of a right-hand side perturbed or none of it.
     """
-    add = lambda a, b: jax.tree.map(jnp.add, a, b)  # noqa: E731
-    zeros = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(apply, x))
+    flat, unravel = ravel_pytree(x)
+    shape = jax.eval_shape(apply, x)
+    zeros, unravel_out = ravel_pytree(jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shape))
+    n = flat.shape[0]
 
-    def solve(_: Callable, b: Any) -> Any:
-        return b[0], add(apply(b[0]), b[1])
+    def solve(_: Callable, b: Array) -> Array:
+        image, _ = ravel_pytree(apply(unravel(b[:n])))
+        return jnp.concatenate([b[:n], image + b[n:]])
 
-    def transpose_solve(_: Callable, c: Any) -> Any:
-        return add(c[0], transpose(c[1])), c[1]
+    def transpose_solve(_: Callable, c: Array) -> Array:
+        image, _ = ravel_pytree(transpose(unravel_out(c[n:])))
+        return jnp.concatenate([c[:n] + image, c[n:]])
 
-    return jax.lax.custom_linear_solve(lambda z: z, (x, zeros), solve, transpose_solve)[1]
+    padded = jnp.pad(flat, (0, zeros.shape[0]))
+    return unravel_out(
+        jax.lax.custom_linear_solve(lambda z: z, padded, solve, transpose_solve)[n:]
+    )
 
 
 def _fill(value: Array, tangent: Array | None) -> Array:

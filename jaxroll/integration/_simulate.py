@@ -84,8 +84,7 @@ def simulate(
     """
     check_state(grasp, state)
     plan, lay = _plan(grasp, state, (t0, t1, ts), formulation, solver, rtol, record, options)
-    runner = _run if concrete((state, grasp)) is None else _run_compiled
-    trajectory, off = runner(grasp, state, plan, lay, tuple(record))
+    trajectory, off = _run(grasp, state, plan, lay, tuple(record))
     return _checked(trajectory, off, throw)
 
 
@@ -167,6 +166,7 @@ def _check_precision(dtype: Any, rtol: float) -> None:
         )
 
 
+@eqx.filter_jit
 def _run(
     grasp: Grasp, state: State, plan: Plan, lay: Layout, record: tuple[str, ...]
 ) -> tuple[Trajectory, Array]:
@@ -175,9 +175,6 @@ def _run(
     y0 = jnp.concatenate([x0, jnp.zeros(lay.width + 1, x0.dtype)])
     path = march(ready, y0, plan)
     return _trajectory(ready, state, path, plan, record)
-
-
-_run_compiled = eqx.filter_jit(_run)
 
 
 def _trajectory(

@@ -4,6 +4,11 @@
 `_constraints` linearises the rolling contacts, `_dynamics` solves for accelerations and forces.
 """
 
+from ._arrays import (
+    EquationTerms as EquationTerms,
+    equation_terms as equation_terms,
+    mass_matrix as mass_matrix,
+)
 from ._body import Inertia as Inertia, Motion as Motion
 from ._constraints import (
     Linearisation as Linearisation,

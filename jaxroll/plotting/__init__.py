@@ -1,0 +1,10 @@
+"""Figures: the chapter's responses, poses and contours, and animations.
+
+The only door to matplotlib; `import jaxroll` does not open it. `_shapes` works out where things are,
+`_artists` draws one instant of it, and the other modules make figures. No function touches pyplot.
+"""
+
+from ._animate import animate as animate
+from ._contours import contours as contours
+from ._pose import pose as pose, poses as poses
+from ._responses import responses as responses

@@ -1,0 +1,147 @@
+"""Animations of a run, written frame by frame through Pillow."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import jax
+import numpy as np
+from matplotlib.animation import PillowWriter
+
+from ..integration import Trajectory, multipliers
+from ..mechanics import Grasp
+from ._artists import Drawing, limits
+from ._shapes import Views, single, views
+from ._style import FORCE, Picture, tidy
+
+# Length of the longest force arrow, as a share of the picture's diagonal.
+_ARROW = 0.16
+
+
+def animate(
+    grasp: Grasp,
+    trajectory: Trajectory,
+    path: str | Path = "motion.gif",
+    *,
+    fps: float = 25.0,
+    speed: float = 1.0,
+    forces: bool = True,
+    width: float = 5.0,
+    progress: Callable[[int, int], None] | None = None,
+) -> Path:
+    """Write a run as an animated GIF with true contours, to scale.
+
+    Shows the contact force on the object and, as thick stretches of equal length, what has rolled off
+    each contour. Every frame is the saved state nearest to its time, never a blend of two; save at
+    least `fps / speed` states per second for smooth motion.
+
+    Args:
+        grasp: The grasp that was simulated.
+        trajectory: One run of it.
+        path: The file to write, ending in `.gif`; its folder is made if need be.
+        fps: Frames per second of the file, at most 50: a GIF counts hundredths of a second, so the
+            nearest rate that it can hold is taken.
+        speed: Simulated seconds per second shown: 0.5 plays at half speed.
+        forces: Whether to draw the contact force on the object.
+        width: Width of the picture, in inches of 100 pixels.
+        progress: Called after each frame with the frames done and the frames in all.
+
+    Returns:
+        The path that was written.
+
+    Raises:
+        ValueError: If the trajectory is a batch, `path` is no GIF, or a number is not positive.
+
+    Example:
+        >>> import tempfile
+        >>> import jaxroll as jxr
+        >>> from jaxroll import plotting
+        >>> grasp, state = jxr.scenes.pivoted()
+        >>> run = jxr.simulate(grasp, state, t1=0.1, ts=3)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = plotting.animate(grasp, run, f"{folder}/motion.gif", fps=20, width=3)
+        ...     path.name
+        'motion.gif'
+    """
+    path = _checked(path, fps=fps, speed=speed, width=width)
+    delay = max(2, round(100.0 / fps)) / 100.0
+    ts, picks = _frames(trajectory, delay * speed)
+    states = jax.tree.map(lambda a: np.asarray(a)[picks], trajectory.states)
+    seen = views(grasp, states)
+    arrows, peak = _arrows(grasp, trajectory, picks, seen) if forces else (None, 0.0)
+    figure, drawing, clock = _stage(grasp, seen, (arrows, peak), width, speed)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    writer = PillowWriter(fps=1.0 / delay)
+    with writer.saving(figure, str(path), dpi=100):
+        for i, t in enumerate(ts):
+            drawing.show(i)
+            clock.set_text(f"t = {t:.2f} s")
+            writer.grab_frame()
+            if progress is not None:
+                progress(i + 1, len(ts))
+    return path
+
+
+def _checked(path: str | Path, **positive: float) -> Path:
+    for name, value in positive.items():
+        if not (np.isfinite(value) and value > 0.0):
+            raise ValueError(f"argument {name} must be positive, but was {value:g}")
+    path = Path(path)
+    if path.suffix.lower() != ".gif":
+        raise ValueError(f"argument path must end in .gif, but was {str(path)!r}")
+    return path
+
+
+def _frames(trajectory: Trajectory, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Times and rows of the saved states to show, `step` simulated seconds apart."""
+    ts, reached = single(trajectory)
+    rows = np.flatnonzero(reached)
+    ts = ts[rows]
+    wanted = np.append(np.arange(ts[0], ts[-1] - 0.5 * step, step), ts[-1])
+    nearest = np.argmin(np.abs(ts[:, None] - wanted), axis=0)
+    return ts[nearest], rows[nearest]
+
+
+def _arrows(
+    grasp: Grasp, trajectory: Trajectory, picks: np.ndarray, seen: Views
+) -> tuple[np.ndarray, float]:
+    """Contact forces on the object as arrows [mm] of shape (t, c, 2), and the largest [N]."""
+    found = trajectory.multipliers
+    if found is None:
+        found = multipliers(grasp, trajectory.ts, trajectory.states)
+    senses = np.array([contact.sense for contact in grasp.contacts])
+    f, lam = np.asarray(found.f)[picks, :, None], (np.asarray(found.lam) * senses)[picks, :, None]
+    along = seen.tangents
+    outward = np.stack([along[..., 1], -along[..., 0]], axis=-1)
+    on_object = lam * along - f * outward
+    peak = float(np.linalg.norm(on_object, axis=-1).max())
+    low, high = limits(seen)
+    longest = _ARROW * float(np.linalg.norm(high - low))
+    return on_object * (longest / peak if peak > 0.0 else 0.0), peak
+
+
+def _stage(
+    grasp: Grasp, seen: Views, arrows: tuple[np.ndarray | None, float], width: float, speed: float
+):
+    low, high = limits(seen)
+    shape = (high - low)[1] / (high - low)[0]
+    figure = Picture(width, width * shape + 0.9)
+    ax = figure.subplots()
+    drawing = Drawing(ax, grasp, seen, forces=arrows[0], traced=True)
+    ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+    tidy(ax, xlabel="x [mm]", ylabel="y [mm]")
+    clock = ax.text(0.0, 1.02, "t = 0.00 s", transform=ax.transAxes, fontsize=10)
+    pace = "real time" if speed == 1.0 else f"speed x {speed:g}"
+    ax.text(1.0, 1.02, pace, transform=ax.transAxes, fontsize=8, ha="right", color="#555555")
+    entries = drawing.legend()
+    if arrows[0] is not None:
+        arrow = ax.plot([], [], marker=r"$\rightarrow$", ms=14, ls="none", color=FORCE)[0]
+        entries.append((arrow, f"contact force on the object, up to {arrows[1]:.2g} N"))
+    handles, names = zip(*entries, strict=True)
+    figure.legend(
+        handles, names, loc="outside lower center", ncols=2, fontsize=7, frameon=False
+    )
+    drawing.show(0)
+    # Laid out once: the axes must not move from frame to frame.
+    figure.canvas.draw()
+    figure.set_layout_engine("none")
+    return figure, drawing, clock

@@ -1,0 +1,160 @@
+"""One instant of a grasp as matplotlib artists, which an animation then moves."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.patches import FancyArrowPatch, Patch, Polygon
+
+from ..mechanics import Grasp, PivotedObject
+from ._shapes import Outline, Views, place
+from ._style import CONTACT, FINGER, FORCE, GUIDE, LINK_FILL, OBJECT, OBJECT_FILL, TIP_FILL
+
+_SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+_TURN = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 13)
+
+
+class Drawing:
+    """A grasp on an axes, redrawn by `show`.
+
+    Args:
+        ax: Where to draw, in millimetres.
+        grasp: What is drawn.
+        seen: Its shapes and poses.
+        forces: Shape (t, c, 2), contact forces on the object as arrows in millimetres, or None.
+        traced: Whether to draw the rolled stretch of both contours.
+    """
+
+    def __init__(
+        self,
+        ax: Axes,
+        grasp: Grasp,
+        seen: Views,
+        *,
+        forces: np.ndarray | None = None,
+        traced: bool = False,
+    ) -> None:
+        self.seen, self.forces, self.traced = seen, forces, traced
+        self.pivoted = isinstance(grasp.object, PivotedObject)
+        self.radius = 0.045 * float(np.mean([f.lengths.mean() for f in grasp.fingers])) * 1e3
+        fill = lambda **style: ax.add_patch(Polygon(np.zeros((3, 2)), **style))  # noqa: E731
+        line = lambda *args, **style: ax.plot([], [], *args, **style)[0]  # noqa: E731
+        grey = {"ec": "#8A99A4", "lw": 0.8}
+        self.links = [
+            [fill(fc=LINK_FILL, zorder=2, **grey) for _ in range(j.shape[1] - 1)]
+            for j in seen.joints
+        ]
+        self.pins = [
+            line("o", ms=4.5, mfc="white", mec="#55636E", mew=1.2, zorder=3) for _ in seen.joints
+        ]
+        self.bases = [fill(fc="#55636E", ec="none", zorder=1.5) for _ in seen.joints]
+        self.bodies = [_Body(ax, seen.body, (OBJECT_FILL, OBJECT), 1)]
+        self.bodies += [_Body(ax, tip, (TIP_FILL, FINGER), 4) for tip in seen.tips]
+        thick = {"lw": 3.6, "solid_capstyle": "butt", "zorder": 6, "alpha": 0.75}
+        self.stretches = [
+            (line(color=FINGER, **thick), line(color=CONTACT, **thick)) for _ in seen.rolled
+        ]
+        self.guides = [line("--", color=GUIDE, lw=1.0, zorder=7) for _ in seen.guides]
+        self.centres = line("o", ms=5, mfc="white", mec=GUIDE, mew=1.2, zorder=8)
+        pivot = {"ms": 8, "mfc": "white", "mec": GUIDE, "mew": 1.3}
+        self.origin = line("o" if self.pivoted else "P", zorder=8, **pivot)
+        self.dot = line("o", ms=2.5, color=GUIDE, zorder=8.5)
+        self.points = line("o", ms=5.5, mfc=CONTACT, mec="white", mew=0.8, zorder=9)
+        self.arrows = [] if forces is None else [self._arrow(ax) for _ in seen.owners]
+
+    @staticmethod
+    def _arrow(ax: Axes) -> FancyArrowPatch:
+        style = {"arrowstyle": "-|>", "mutation_scale": 11, "shrinkA": 0, "shrinkB": 0}
+        arrow = FancyArrowPatch((0, 0), (1, 0), color=FORCE, lw=1.8, zorder=8.7, **style)
+        return ax.add_patch(arrow)
+
+    def show(self, i: int) -> None:
+        """Move everything to the instant `i`."""
+        seen = self.seen
+        for body, frames in zip(self.bodies, seen.frames, strict=True):
+            body.show(frames[i])
+        for links, pins, base, joints in zip(
+            self.links, self.pins, self.bases, seen.joints, strict=True
+        ):
+            for link, ends in zip(links, zip(joints[i, :-1], joints[i, 1:], strict=True), strict=True):
+                link.set_xy(_capsule(*ends, self.radius))
+            pins.set_data(*joints[i, :-1].T)
+            base.set_xy(joints[i, 0] + 1.5 * self.radius * _SQUARE)
+        for guide, ends in zip(self.guides, seen.guides, strict=True):
+            guide.set_data(*ends[i].T)
+        self.centres.set_data(*np.array([joints[i, -1] for joints in seen.joints]).T)
+        self.origin.set_data(*seen.frames[0][i, :2, None])
+        if self.pivoted:
+            self.dot.set_data(*seen.frames[0][i, :2, None])
+        self.points.set_data(*seen.points[i].T)
+        if self.traced:
+            self._stretch(i)
+        for k, arrow in enumerate(self.arrows):
+            arrow.set_positions(seen.points[i, k], seen.points[i, k] + self.forces[i, k])
+
+    def _stretch(self, i: int) -> None:
+        for finger, lines, paths in zip(
+            self.seen.owners, self.stretches, self.seen.rolled, strict=True
+        ):
+            for line, path, frame in zip(lines, paths, (1 + finger, 0), strict=True):
+                line.set_data(*place(self.seen.frames[frame][i], path[: i + 1]).T)
+
+    def legend(self) -> list[tuple[Line2D | Patch, str]]:
+        """Handles and names of what is drawn."""
+        entries = [
+            (Patch(fc=TIP_FILL, ec=FINGER, lw=1.4), "fingertip"),
+            (Patch(fc=OBJECT_FILL, ec=OBJECT, lw=1.4), "object"),
+            (self.bases[0], "fixed base"),
+            (self.points, "contact point $P_1$" if len(self.seen.owners) == 1 else "contact points"),
+            (self.centres, "tip frame $O_{01}$" if len(self.seen.tips) == 1 else "tip frames"),
+            (self.origin, "pivot $O_m$" if self.pivoted else "centre of mass $O_m$"),
+        ]
+        if self.guides:
+            entries.append((self.guides[0], self._guide_name()))
+        if self.traced:
+            entries.append((self.stretches[0][0], "rolled so far, on the fingertip"))
+            entries.append((self.stretches[0][1], "the same length, on the object"))
+        return entries
+
+
+    def _guide_name(self) -> str:
+        if len(self.seen.tips) == 1:
+            return "line $O_{01}O_m$: meets $P_1$ at rest"
+        if len(self.seen.guides) == 1:
+            return "line between the tip frames"
+        return "lines to the target"
+
+
+class _Body:
+    def __init__(
+        self, ax: Axes, shape: Outline, colours: tuple[str, str], zorder: float
+    ) -> None:
+        self.shape = shape
+        soft = {"fc": colours[0], "ec": colours[1], "lw": 0.6, "zorder": zorder, "alpha": 0.92}
+        self.fills = [ax.add_patch(Polygon(ring, **soft)) for ring in shape.rings]
+        solid = {"color": colours[1], "lw": 1.8, "zorder": zorder + 0.2}
+        self.edges = [ax.plot([], [], **solid)[0] for _ in shape.faces]
+
+    def show(self, frame: np.ndarray) -> None:
+        for fill, ring in zip(self.fills, self.shape.rings, strict=True):
+            fill.set_xy(place(frame, ring))
+        for edge, face in zip(self.edges, self.shape.faces, strict=True):
+            edge.set_data(*place(frame, face).T)
+
+
+def _capsule(start: np.ndarray, end: np.ndarray, radius: float) -> np.ndarray:
+    along = end - start
+    heading = np.arctan2(along[1], along[0])
+    arc = lambda turn: radius * np.stack([np.cos(turn), np.sin(turn)], axis=-1)  # noqa: E731
+    return np.concatenate([end + arc(heading + _TURN), start + arc(heading + _TURN + np.pi)])
+
+
+def limits(seen: Views, margin: float = 6.0) -> tuple[np.ndarray, np.ndarray]:
+    """Lower left and upper right corner [mm] of all that is drawn at any time."""
+    shapes = (seen.body, *seen.tips)
+    cloud = [joints.reshape(-1, 2) for joints in seen.joints]
+    cloud += [guide.reshape(-1, 2) for guide in seen.guides]
+    for shape, frames in zip(shapes, seen.frames, strict=True):
+        rough = np.concatenate([ring[::6] for ring in shape.rings])
+        cloud += [place(frame, rough) for frame in frames]
+    every = np.concatenate(cloud)
+    return every.min(axis=0) - margin, every.max(axis=0) + margin

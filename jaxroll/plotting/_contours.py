@@ -1,0 +1,127 @@
+"""Contours in their own frames, and their curvature over arclength (Fig. 7)."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ..geometry import AbstractContour
+from ..mechanics import Grasp
+from ._shapes import Outline, Window, contours_of, extents, outlines, starts_of
+from ._style import CONTACT, FINGER, GUIDE, MM, OBJECT, OBJECT_FILL, TIP_FILL, Picture, tidy
+
+_STEPS = np.array([0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500])
+_ARROW = 12.0
+_BESIDE = {"textcoords": "offset points", "ha": "center", "va": "center"}
+
+
+def contours(grasp: Grasp) -> Figure:
+    """Draw every fingertip and the object in their own frames, and curvature over arclength.
+
+    Dots along a contour count its arclength in millimetres, counter-clockwise round the body. A contour
+    without ends is drawn around its starting contact.
+
+    Args:
+        grasp: Whose contours to draw.
+
+    Returns:
+        The figure: one column per body; shapes [mm] above, curvature [1/m] below.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> from jaxroll import plotting
+        >>> grasp, _ = jxr.scenes.pivoted()
+        >>> len(plotting.contours(grasp).axes)
+        4
+    """
+    still = np.zeros((1, len(grasp.contacts)))
+    order = (*range(1, 1 + len(grasp.fingers)), 0)
+    shapes, windows = outlines(grasp, still), extents(grasp, still)
+    starts, bodies = starts_of(grasp), contours_of(grasp)
+    figure = Picture(4.4 * len(order), 6.4)
+    axes = figure.subplots(2, len(order), squeeze=False, height_ratios=(1.3, 1.0))
+    boxes = [_box(shape) for shape in shapes]
+    half = 0.5 * np.max([high - low for low, high in boxes], axis=0)
+    for body, above, below in zip(order, *axes, strict=True):
+        colours = (TIP_FILL, FINGER) if body else (OBJECT_FILL, OBJECT)
+        _shape(above, shapes[body], colours)
+        for contour, window, touched in zip(
+            bodies[body], windows[body], starts[body], strict=True
+        ):
+            at = np.array([s for _, s, _ in touched])
+            _count(above, contour, window)
+            _curvature(below, contour, window, colours[1])
+            above.plot(*MM * np.asarray(contour.point(at)).T, "o", ms=7, color=CONTACT, zorder=5)
+            below.plot(MM * at, contour.curvature(at), "o", ms=6, color=CONTACT, zorder=5)
+        middle = np.mean(boxes[body], axis=0)
+        ends = np.stack([middle - half, middle + half], axis=1)
+        above.set(xlim=ends[0], ylim=ends[1], aspect="equal")
+        _label(above, below, _name(grasp, body), first=body == order[0])
+    top = max(ax.get_ylim()[1] for ax in axes[1])
+    low = min(ax.get_ylim()[0] for ax in axes[1])
+    for ax in axes[1]:
+        ax.set_ylim(low, top)
+    figure.legend(
+        [axes[0, 0].lines[-2], axes[0, 0].lines[-3]],
+        ["starting contact", "arclength s [mm], counter-clockwise round the body"],
+        loc="outside lower center",
+        ncols=2,
+        fontsize=8,
+        frameon=False,
+    )
+    return figure
+
+
+def _box(shape: Outline) -> tuple[np.ndarray, np.ndarray]:
+    """Corners [mm] of a body with its frame's arrows and the numbers along it."""
+    every = np.concatenate([*shape.rings, [[_ARROW, _ARROW]]])
+    return every.min(axis=0) - 6.0, every.max(axis=0) + 6.0
+
+
+def _name(grasp: Grasp, body: int) -> tuple[str, str]:
+    if body == 0:
+        return "Object", "$O_m$"
+    if len(grasp.fingers) == 1:
+        return "Fingertip", "$O_{01}$"
+    return f"Fingertip {body}", f"$O_{{{body}}}$"
+
+
+def _shape(ax: Axes, shape: Outline, colours: tuple[str, str]) -> None:
+    for ring in shape.rings:
+        ax.fill(*ring.T, fc=colours[0], ec=colours[1], lw=0.6)
+    for face in shape.faces:
+        ax.plot(*face.T, color=colours[1], lw=1.8)
+
+
+def _label(above: Axes, below: Axes, name: tuple[str, str], *, first: bool) -> None:
+    arrow = {"arrowstyle": "-|>", "color": GUIDE, "lw": 1.0, "shrinkA": 0, "shrinkB": 0}
+    for tip, letter in (((_ARROW, 0.0), "X"), ((0.0, _ARROW), "Y")):
+        above.annotate("", tip, (0.0, 0.0), arrowprops=arrow, zorder=6)
+        above.annotate(f"${letter}$", tip, np.array(tip) * 0.7, fontsize=9, **_BESIDE)
+    above.plot(0, 0, "o", ms=5, mfc="white", mec=GUIDE, zorder=7)
+    above.annotate(name[1], (0, 0), (-11, -9), fontsize=9, zorder=7, **_BESIDE)
+    ylabels = ("Y [mm]", "curvature [1/m]") if first else ("", "")
+    tidy(above, xlabel="X [mm]", ylabel=ylabels[0], title=f"{name[0]}, in its own frame")
+    tidy(below, xlabel="arclength s [mm]", ylabel=ylabels[1], title=f"Curvature of the {name[0].lower()}")
+    below.axhline(0.0, color="#BBBBBB", lw=0.7, zorder=0)
+
+
+def _count(ax: Axes, contour: AbstractContour, window: Window) -> None:
+    """Dots with the arclength beside them, on the outside."""
+    low, high = MM * window[0], MM * window[1]
+    step = _STEPS[np.argmin(np.abs(_STEPS - (high - low) / 6))]
+    marks = step * np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1)
+    if contour.closed:
+        marks = marks[marks < high - 0.3 * step]
+    points = MM * np.asarray(contour.point(marks / MM))
+    ax.plot(*points.T, "o", ms=3.5, color=GUIDE, zorder=4)
+    for mark, point, normal in zip(
+        marks, points, np.asarray(contour.normal(marks / MM)), strict=True
+    ):
+        text = "$s$ = 0" if mark == 0 else f"{mark:g}".replace("-", "\N{MINUS SIGN}")
+        push = (17 if mark == 0 else 11) * normal
+        ax.annotate(text, point, push, fontsize=7.5, color=GUIDE, **_BESIDE)
+
+
+def _curvature(ax: Axes, contour: AbstractContour, window: Window, colour: str) -> None:
+    s = np.linspace(*window, 241)
+    ax.plot(MM * s, np.asarray(contour.curvature(s)), color=colour, lw=1.6)

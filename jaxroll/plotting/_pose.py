@@ -1,0 +1,103 @@
+"""Poses of hand and object (Fig. 8)."""
+
+from collections.abc import Sequence
+
+import jax
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ..integration import Trajectory
+from ..mechanics import Grasp, State
+from ._artists import Drawing, limits
+from ._shapes import along_time, single, views
+from ._style import Picture, tidy
+
+
+def pose(grasp: Grasp, state: State, *, ax: Axes | None = None) -> Figure:
+    """Draw one pose with its true contours, to scale.
+
+    Open contours are closed by a thin rounded back, which is drawing only. The dashed line joins what
+    must fall in line with the contact at rest: under `control.Press` the tip frame and the target, for
+    two fingers their tip frames.
+
+    Args:
+        grasp: What is drawn.
+        state: One state; its `q` in radians and metres.
+        ax: An axes to draw on, in millimetres. Default: a new figure with a legend.
+
+    Returns:
+        The figure.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> from jaxroll import plotting
+        >>> figure = plotting.pose(*jxr.scenes.pivoted())
+        >>> figure.axes[0].get_xlabel()
+        'x [mm]'
+    """
+    seen = views(grasp, along_time(state))
+    if ax is None:
+        figure = _side_by_side(grasp, seen, [""])
+        return figure
+    _frame(ax, limits(seen), "")
+    Drawing(ax, grasp, seen).show(0)
+    return ax.get_figure(root=True)
+
+
+def poses(
+    grasp: Grasp, trajectory: Trajectory, *, times: Sequence[float] | None = None
+) -> Figure:
+    """Draw the poses at several times side by side, as Fig. 8 does for the first and the last.
+
+    Args:
+        grasp: What is drawn.
+        trajectory: One run of it.
+        times: Times to draw [s]; each shows the saved state nearest to it. Default: first and last.
+
+    Returns:
+        The figure.
+
+    Raises:
+        ValueError: If the trajectory is a batch.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> from jaxroll import plotting
+        >>> grasp, state = jxr.scenes.pivoted()
+        >>> run = jxr.simulate(grasp, state, t1=0.1, ts=3)
+        >>> [ax.get_title(loc="left") for ax in plotting.poses(grasp, run).axes]
+        ['(a)  t = 0 s', '(b)  t = 0.1 s']
+    """
+    ts, reached = single(trajectory)
+    ts, rows = ts[reached], np.flatnonzero(reached)
+    wanted = (ts[0], ts[-1]) if times is None else tuple(times)
+    picks = [int(np.argmin(np.abs(ts - t))) for t in wanted]
+    states = jax.tree.map(lambda a: np.asarray(a)[rows[picks]], trajectory.states)
+    titles = [f"({chr(97 + k)})  t = {ts[i]:.4g} s" for k, i in enumerate(picks)]
+    return _side_by_side(grasp, views(grasp, states), titles)
+
+
+def _side_by_side(grasp: Grasp, seen, titles: list[str]) -> Figure:
+    corners = limits(seen)
+    width, height = corners[1] - corners[0]
+    panel = 4.2
+    figure = Picture(panel * len(titles) + 0.6, panel * height / width + 1.25)
+    axes = figure.subplots(1, len(titles), sharex=True, sharey=True, squeeze=False)[0]
+    for i, (ax, title) in enumerate(zip(axes, titles, strict=True)):
+        drawing = Drawing(ax, grasp, seen)
+        drawing.show(i)
+        _frame(ax, corners, title)
+        if i:
+            ax.set_ylabel("")
+    handles, names = zip(*drawing.legend(), strict=True)
+    figure.legend(
+        handles, names, loc="outside lower center", ncols=4, fontsize=8, frameon=False
+    )
+    return figure
+
+
+def _frame(ax: Axes, corners: tuple[np.ndarray, np.ndarray], title: str) -> None:
+    (left, low), (right, high) = corners
+    ax.set(xlim=(left, right), ylim=(low, high), aspect="equal")
+    tidy(ax, xlabel="x [mm]", ylabel="y [mm]", title=title)

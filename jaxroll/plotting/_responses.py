@@ -1,0 +1,201 @@
+"""Responses over time: the chapter's Figs. 9-18, or what there is of them for another grasp."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ..control import Press
+from ..integration import Trajectory, multipliers, press_balance
+from ..mechanics import Grasp, PivotedObject
+from ._shapes import single
+from ._style import CYCLE, MM, Picture, save, tidy
+
+_COLUMNS = 3
+# Below this a gap [m] or a sine is what floating-point arithmetic leaves over.
+_ROUNDING = 1e-14
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One panel: values of shape (t,) or (t, lines), with a name for each line."""
+
+    title: str
+    label: str
+    values: np.ndarray
+    names: tuple[str, ...] = ()
+
+
+def responses(grasp: Grasp, trajectory: Trajectory, folder: str | Path | None = None) -> Figure:
+    r"""Plot the responses of one run over time.
+
+    For one finger under `control.Press` these are Figs. 9-18 of the chapter, with its numbers and
+    symbols: $\Delta f$ [N], $\Delta\lambda$ [N], $(f_d/r) N_1$ [mN m], $s$ [mm], joint rates and object
+    rate [rad/s], $R$ and $Q$ [m], $U$ [mJ]. For any other grasp: contact forces, rolling coordinates,
+    rates, residuals, and the energy balance if it was recorded.
+
+    Args:
+        grasp: The grasp that was simulated.
+        trajectory: One run of it. Its recorded multipliers are used if there are any.
+        folder: Where to write the figure too, as `responses.png`. Default: nowhere.
+
+    Returns:
+        The figure.
+
+    Raises:
+        ValueError: If the trajectory is a batch.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> from jaxroll import plotting
+        >>> grasp, state = jxr.scenes.pivoted()
+        >>> run = jxr.simulate(grasp, state, t1=0.1, ts=3)
+        >>> plotting.responses(grasp, run).axes[0].get_ylabel()
+        '$\\Delta f$ [N]'
+    """
+    ts, reached = single(trajectory)
+    panels = _panels(grasp, trajectory)
+    rows = -(-len(panels) // _COLUMNS)
+    figure = Picture(10.0, 2.05 * rows + 0.2)
+    axes = figure.subplots(rows, _COLUMNS, sharex=True, squeeze=False).ravel()
+    for i, (ax, panel) in enumerate(zip(axes, panels, strict=False)):
+        _draw(ax, ts[reached], panel, reached)
+        last = i + _COLUMNS >= len(panels)
+        tidy(ax, xlabel="time $t$ [s]" if last else "", ylabel=panel.label, title=panel.title)
+        ax.tick_params(labelbottom=last)
+    for ax in axes[len(panels) :]:
+        ax.remove()
+    figure.align_ylabels()
+    if folder is not None:
+        save(figure, folder, "responses.png")
+    return figure
+
+
+def _draw(ax: Axes, ts: np.ndarray, panel: Panel, reached: np.ndarray) -> None:
+    values = np.reshape(panel.values, (len(reached), -1))[reached]
+    for k, line in enumerate(values.T):
+        name = panel.names[k] if len(panel.names) > 1 else None
+        ax.plot(ts, line, color=CYCLE[k % len(CYCLE)], lw=1.3, label=name)
+    ax.margins(x=0.0, y=0.08)
+    low, high = ax.get_ylim()
+    if low <= 0.0 <= high:
+        ax.axhline(0.0, color="#BBBBBB", lw=0.7, zorder=0)
+    if len(panel.names) > 1:
+        ax.legend(fontsize=7.5, frameon=False, handlelength=1.4, ncols=2, labelspacing=0.3)
+
+
+def _panels(grasp: Grasp, run: Trajectory) -> list[Panel]:
+    pressed = isinstance(grasp.controller, Press)
+    contacts = _numbered("contact", len(grasp.contacts))
+    panels = _press(grasp, run, contacts) if pressed else []
+    if not pressed:
+        title = "Rolling coordinate"
+        panels.append(Panel(title, r"$\sigma$ [mm]", MM * np.asarray(run.states.s), contacts))
+    panels += _joint_rates(grasp, run) + _object_rates(grasp, run)
+    panels += _gaps(run, contacts)
+    if pressed:
+        panels.append(panels.pop(_POTENTIAL))
+    panels += _forces(grasp, run, contacts) + _extra(run, contacts)
+    if not _is_part_2(grasp):
+        return panels
+    return [
+        Panel(f"Fig. {9 + i}: {p.title}" if i < 10 else p.title, p.label, p.values, p.names)
+        for i, p in enumerate(panels)
+    ]
+
+
+# Where `_press` puts U, which the chapter shows last.
+_POTENTIAL = 4
+
+
+def _is_part_2(grasp: Grasp) -> bool:
+    alone = len(grasp.fingers) == 1 and len(grasp.contacts) == 1
+    pressed = isinstance(grasp.controller, Press) and isinstance(grasp.object, PivotedObject)
+    return alone and pressed and grasp.fingers[0].joints == 2
+
+
+def _press(grasp: Grasp, run: Trajectory, contacts: tuple[str, ...]) -> list[Panel]:
+    found = press_balance(grasp, run.ts, run.states)
+    rows = (
+        ("normal force less its final value", r"$\Delta f$ [N]", found.delta_f, 1.0),
+        ("tangential force, likewise", r"$\Delta\lambda$ [N]", found.delta_lam, 1.0),
+        ("moment on the object", r"$(f_d/r)\,N_1$ [mN m]", found.moment, 1e3),
+        ("contact on the object's contour", "$s$ [mm]", found.s, MM),
+        ("artificial potential", "$U$ [mJ]", found.potential, 1e3),
+    )
+    return [Panel(t, label, scale * np.asarray(x), contacts) for t, label, x, scale in rows]
+
+
+def _joint_rates(grasp: Grasp, run: Trajectory) -> list[Panel]:
+    v, at, panels = np.asarray(run.states.v), grasp.sizes[0], []
+    single_finger = len(grasp.fingers) == 1
+    for i, finger in enumerate(grasp.fingers):
+        rates = v[:, at : at + finger.joints]
+        at += finger.joints
+        if single_finger and finger.joints <= 3:
+            panels += [
+                Panel(f"rate of joint {j + 1}", rf"$\dot{{q}}_{{{j + 1}}}$ [rad/s]", rates[:, j])
+                for j in range(finger.joints)
+            ]
+            continue
+        title = "joint rates" if single_finger else f"joint rates of finger {i + 1}"
+        names = tuple(f"joint {j + 1}" for j in range(finger.joints))
+        panels.append(Panel(title, r"$\dot{q}$ [rad/s]", rates, names))
+    return panels
+
+
+def _object_rates(grasp: Grasp, run: Trajectory) -> list[Panel]:
+    v = np.asarray(run.states.v)[:, : grasp.sizes[0]]
+    turning = Panel("rate of the object", r"$\dot{\theta}$ [rad/s]", v[:, -1])
+    if v.shape[1] == 1:
+        return [turning]
+    names = (r"$\dot{x}$", r"$\dot{y}$")
+    return [turning, Panel("velocity of the object", "[mm/s]", MM * v[:, :2], names)]
+
+
+def _gaps(run: Trajectory, contacts: tuple[str, ...]) -> list[Panel]:
+    left = run.residuals
+    return [
+        _residual("tangential gap", "$R$", "m", left.tangential, contacts),
+        _residual("normal gap", "$Q$", "m", left.normal, contacts),
+    ]
+
+
+def _forces(grasp: Grasp, run: Trajectory, contacts: tuple[str, ...]) -> list[Panel]:
+    found = run.multipliers
+    if found is None:
+        found = multipliers(grasp, run.ts, run.states)
+    f, lam = np.asarray(found.f), np.asarray(found.lam)
+    if len(contacts) == 1:
+        both = np.concatenate([f, lam], axis=1)
+        return [Panel("contact force", "[N]", both, ("normal $f$", r"tangential $\lambda$"))]
+    return [
+        Panel("normal force", "$f$ [N]", f, contacts),
+        Panel("tangential force", r"$\lambda$ [N]", lam, contacts),
+    ]
+
+
+def _extra(run: Trajectory, contacts: tuple[str, ...]) -> list[Panel]:
+    if run.energy is None:
+        return [_residual("tangency", "sine", "1", run.residuals.tangency, contacts)]
+    return [_residual("energy balance", "error", "J", run.energy.residual, ())]
+
+
+def _residual(
+    title: str, symbol: str, unit: str, values: object, names: Sequence[str]
+) -> Panel:
+    """A panel in powers of ten, since a residual may sit at rounding level or far above it."""
+    seen = np.asarray(values)
+    peak = float(np.nanmax(np.abs(seen)))
+    power = int(np.floor(np.log10(peak))) if peak > 0.0 else 0
+    if peak < _ROUNDING:
+        title += " (rounding level)"
+    label = f"{symbol} [$10^{{{power}}}$ {unit}]" if power else f"{symbol} [{unit}]"
+    return Panel(title, label, seen / 10.0**power, tuple(names))
+
+
+def _numbered(noun: str, count: int) -> tuple[str, ...]:
+    return tuple(f"{noun} {i + 1}" for i in range(count))

@@ -1,0 +1,218 @@
+"""The numbers behind every drawing, in millimetres: outlines of bodies, and where they are."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..control import Press
+from ..geometry import AbstractContour
+from ..integration import Trajectory
+from ..mechanics import Grasp, State, poses, to_leaves, touches
+from ._style import MM
+
+_SAMPLES = 241
+Window = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Outline:
+    """A body in its own frame: `faces` are true contours, `rings` the closed shapes to fill."""
+
+    faces: tuple[np.ndarray, ...]
+    rings: tuple[np.ndarray, ...]
+
+
+@dataclass(frozen=True)
+class Views:
+    """All that is drawn, for every time.
+
+    Attributes:
+        tips: Outline of each fingertip.
+        body: Outline of the object.
+        frames: The object's frame, then each tip's: shape (t, 4), rows (x, y, cos, sin).
+        joints: Shape (t, k + 1, 2) for each finger; the last point is the tip frame's origin.
+        points: Shape (t, c, 2), contact points.
+        tangents: Shape (t, c, 2), tangents of the object's contour.
+        rolled: For each contact, its path on the fingertip and on the object, each of shape (t, 2).
+        guides: Shape (t, 2, 2) for each line that equilibrium asks for.
+        owners: For each contact, which finger it belongs to.
+    """
+
+    tips: tuple[Outline, ...]
+    body: Outline
+    frames: tuple[np.ndarray, ...]
+    joints: tuple[np.ndarray, ...]
+    points: np.ndarray
+    tangents: np.ndarray
+    rolled: tuple[tuple[np.ndarray, np.ndarray], ...]
+    guides: tuple[np.ndarray, ...]
+    owners: tuple[int, ...]
+
+
+def place(frame: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Body-frame points in the world; `frame` is one row (x, y, cos, sin)."""
+    x, y, cos, sin = frame
+    return points @ np.array([[cos, sin], [-sin, cos]]) + (x, y)
+
+
+def single(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """Times of one run, and which of them were reached.
+
+    Raises:
+        ValueError: If the trajectory is a batch, or holds no state at all.
+    """
+    q = np.asarray(trajectory.states.q)
+    if q.ndim != 2:
+        raise ValueError(
+            f"argument trajectory must be one run, but its states have shape {q.shape}; "
+            "take one lane with jax.tree.map(lambda x: x[i], trajectory)"
+        )
+    reached = np.isfinite(q).all(axis=1)
+    if not reached.any():
+        raise ValueError("argument trajectory must hold at least one state that was reached")
+    return np.asarray(trajectory.ts), reached
+
+
+def along_time(states: State) -> State:
+    """States with a leading time axis, given one state or several."""
+    if states.q.ndim == 1:
+        return jax.tree.map(lambda a: a[None], states)
+    return states
+
+
+def views(grasp: Grasp, states: State) -> Views:
+    """Everything to draw, for states with a leading time axis."""
+    frames, joints, points, tangents = jax.tree.map(np.asarray, _placed(grasp, states))
+    sigmas = np.asarray(states.s)
+    body, *tips = outlines(grasp, sigmas)
+    rolled = []
+    for i, contact in enumerate(grasp.contacts):
+        tip, face = grasp.contours(contact)
+        on_tip = tip.point(contact.s_tip + sigmas[:, i])
+        on_body = face.point(contact.s_object - sigmas[:, i])
+        rolled.append((MM * np.asarray(on_tip), MM * np.asarray(on_body)))
+    scale = np.array([MM, MM, 1.0, 1.0])
+    joints = tuple(MM * j for j in joints)
+    return Views(
+        tuple(tips),
+        body,
+        tuple(frame * scale for frame in frames),
+        joints,
+        MM * points,
+        tangents,
+        tuple(rolled),
+        _guides(grasp, [j[:, -1] for j in joints]),
+        tuple(contact.finger for contact in grasp.contacts),
+    )
+
+
+@eqx.filter_jit
+def _placed(grasp: Grasp, states: State):
+    ready = grasp.prepared()
+
+    def at(state: State):
+        leaves = to_leaves(state, ready.sizes)
+        frames, touching = poses(ready, leaves.q), touches(ready, leaves.s)
+        rows = tuple(jnp.stack([*f.origin, f.cos, f.sin]) for f in frames)
+        joints = tuple(
+            jnp.stack([p.array() for p in finger.joint_positions(finger.directions(q))])
+            for finger, q in zip(ready.fingers, leaves.q[1:], strict=True)
+        )
+        points = jnp.stack([frames[0].place(t.object.point).array() for t in touching])
+        tangents = jnp.stack([frames[0].turn(t.object.tangent).array() for t in touching])
+        return rows, joints, points, tangents
+
+    return jax.vmap(at)(states)
+
+
+def _guides(grasp: Grasp, centres: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
+    if isinstance(grasp.controller, Press):
+        target = MM * np.asarray(grasp.controller.target)
+        return tuple(np.stack([c, np.broadcast_to(target, c.shape)], axis=1) for c in centres)
+    if len(centres) == 2:
+        return (np.stack(centres, axis=1),)
+    return ()
+
+
+def contours_of(grasp: Grasp) -> tuple[tuple[AbstractContour, ...], ...]:
+    """Contours of the object, then of each fingertip."""
+    return (tuple(grasp.object.contours), *((finger.tip,) for finger in grasp.fingers))
+
+
+def starts_of(grasp: Grasp) -> list[list[list[tuple[int, float, int]]]]:
+    """For every body and contour: (contact, starting arclength [m], direction in sigma)."""
+    starts = [[[] for _ in contours] for contours in contours_of(grasp)]
+    for i, contact in enumerate(grasp.contacts):
+        starts[0][contact.contour].append((i, float(contact.s_object), -1))
+        starts[1 + contact.finger][0].append((i, float(contact.s_tip), 1))
+    return starts
+
+
+def extents(grasp: Grasp, sigmas: np.ndarray) -> list[list[Window]]:
+    """Arclengths [m] to draw of every contour of every body: whole, or where it was touched."""
+    margin = 0.3 * float(np.mean([np.mean(np.asarray(f.lengths)) for f in grasp.fingers]))
+    drawn = []
+    for contours, starts in zip(contours_of(grasp), starts_of(grasp), strict=True):
+        rows = []
+        for contour, touched in zip(contours, starts, strict=True):
+            passed = [s + way * sigmas[:, i] for i, s, way in touched] or [np.zeros(1)]
+            low, high = np.min(passed), np.max(passed)
+            ends = contour.domain()
+            rows.append((low - margin, high + margin) if ends is None else tuple(map(float, ends)))
+        drawn.append(rows)
+    return drawn
+
+
+def outlines(grasp: Grasp, sigmas: np.ndarray) -> list[Outline]:
+    """Outline of the object, then of each fingertip, for rolling coordinates of shape (t, c)."""
+    pairs = zip(contours_of(grasp), extents(grasp, sigmas), strict=True)
+    return [_outline(contours, windows) for contours, windows in pairs]
+
+
+def _outline(contours: Sequence[AbstractContour], windows: Sequence[Window]) -> Outline:
+    """The faces of a body, and what to fill: open faces are joined up behind the contour."""
+    faces, rings, open_faces = [], [], []
+    for contour, window in zip(contours, windows, strict=True):
+        s = np.linspace(*window, _SAMPLES)
+        face = MM * np.asarray(contour.point(s))
+        faces.append(face)
+        if contour.closed:
+            rings.append(face)
+        else:
+            open_faces.append((face, np.asarray(contour.tangent(s[[0, -1]]))))
+    if len(open_faces) == 1:
+        rings.append(_backed(*open_faces[0]))
+    elif open_faces:
+        rings.append(_joined([face for face, _ in open_faces]))
+    return Outline(tuple(faces), tuple(rings))
+
+
+def _joined(faces: list[np.ndarray]) -> np.ndarray:
+    middles = np.array([face[_SAMPLES // 2] for face in faces])
+    spokes = middles - middles.mean(axis=0)
+    order = np.argsort(np.arctan2(spokes[:, 1], spokes[:, 0]))
+    return np.concatenate([faces[i] for i in order])
+
+
+def _backed(face: np.ndarray, tangents: np.ndarray) -> np.ndarray:
+    """Close one open face by a rounded back: a Bezier arc on the body's side of its chord."""
+    first, last = face[0], face[-1]
+    chord = np.linalg.norm(last - first)
+    inward = np.array([first[1] - last[1], last[0] - first[0]]) / chord
+    leave, enter = _unit(tangents[1] + inward), _unit(inward - tangents[0])
+    u = np.linspace(0.0, 1.0, 41)[1:-1, None]
+    arc = (
+        (1 - u) ** 3 * last
+        + 3 * u * (1 - u) ** 2 * (last + 0.22 * chord * leave)
+        + 3 * u**2 * (1 - u) * (first + 0.22 * chord * enter)
+        + u**3 * first
+    )
+    return np.concatenate([face, arc])
+
+
+def _unit(vector: np.ndarray) -> np.ndarray:
+    return vector / np.linalg.norm(vector)

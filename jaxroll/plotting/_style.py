@@ -1,0 +1,46 @@
+"""Figures without pyplot state, and the few colours and sizes that all of them share."""
+
+import io
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+# Okabe and Ito's palette: told apart in every common form of colour blindness.
+FINGER, OBJECT, CONTACT, FORCE, GUIDE = "#0072B2", "#E69F00", "#D55E00", "#CC3377", "#333333"
+CYCLE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+LINK_FILL, TIP_FILL, OBJECT_FILL = "#DCE3E8", "#BFDDF0", "#FBE3B4"
+MM = 1e3
+DPI = 150
+
+
+class Picture(Figure):
+    """A figure on the Agg canvas that a notebook shows by itself."""
+
+    def __init__(self, width: float, height: float) -> None:
+        super().__init__(figsize=(width, height), layout="constrained", facecolor="white")
+        FigureCanvasAgg(self)
+
+    def _repr_png_(self) -> bytes:
+        buffer = io.BytesIO()
+        self.savefig(buffer, format="png", dpi=100)
+        return buffer.getvalue()
+
+
+def tidy(ax: Axes, *, xlabel: str = "", ylabel: str = "", title: str = "") -> None:
+    """Labels, and light ticks and frame, set here rather than in matplotlib's global settings."""
+    ax.set_xlabel(xlabel, fontsize=9)
+    ax.set_ylabel(ylabel, fontsize=9)
+    ax.set_title(title, fontsize=9.5, loc="left")
+    ax.tick_params(labelsize=8, length=3, width=0.7, color="#777777", direction="out")
+    ax.spines[["top", "right"]].set_visible(False)
+    ax.spines[["left", "bottom"]].set(linewidth=0.7, color="#777777")
+
+
+def save(figure: Figure, folder: str | Path, name: str) -> Path:
+    """Write a figure as a PNG into a folder, which is made if need be."""
+    path = Path(folder) / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=DPI)
+    return path

@@ -1,0 +1,42 @@
+"""Strict numerics, a persistent compilation cache, and the runs that many tests share."""
+
+import os
+import pathlib
+import tempfile
+
+import jax
+import pytest
+
+CACHE = os.environ.get("JAXROLL_TEST_CACHE", os.path.join(tempfile.gettempdir(), "jaxroll-tests"))
+
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_numpy_rank_promotion", "raise")
+jax.config.update("jax_compilation_cache_dir", str(pathlib.Path(CACHE)))
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+
+import jaxroll as jxr  # noqa: E402
+
+
+def pytest_addoption(parser):
+    parser.addoption("--slow", action="store_true", help="run the slow tests too")
+
+
+def pytest_collection_modifyitems(config, items):
+    if config.getoption("--slow"):
+        return
+    skip = pytest.mark.skip(reason="slow: run with --slow")
+    for item in items:
+        if "slow" in item.keywords:
+            item.add_marker(skip)
+
+
+@pytest.fixture(scope="session")
+def scene():
+    """The pivoted scene: grasp and closed state."""
+    return jxr.scenes.pivoted()
+
+
+@pytest.fixture(scope="session")
+def run(scene):
+    """The pivoted scene at default settings, with everything recorded."""
+    return jxr.simulate(*scene, t1=3.0, record=("multipliers", "energy"))

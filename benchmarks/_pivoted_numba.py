@@ -62,14 +62,14 @@ def _rows(theta, q1, q2, s):
 
 
 @inlined
-def _loads(q2, v1, v2, link1, link2, c_all, c_far):
+def _loads(q2, v1, v2, link1, link2):
     """Torques of (75) less the velocity terms of (74), and the entries of G(q)."""
     cos2, sin2 = cos(q2), sin(q2)
     rx, ry = link1[0] + link2[0] - PIVOT_X, link1[1] + link2[1] - PIVOT_Y
     pull_far = link2[1] * rx - link2[0] * ry
     pull_all = pull_far + link1[1] * rx - link1[0] * ry
-    load1 = -c_all * v1 - STIFFNESS * pull_all + _G_COS * sin2 * (2.0 * v1 + v2) * v2
-    load2 = -c_far * v2 - STIFFNESS * pull_far - _G_COS * sin2 * v1 * v1
+    load1 = -DAMPING * v1 - STIFFNESS * pull_all + _G_COS * sin2 * (2.0 * v1 + v2) * v2
+    load2 = -DAMPING * v2 - STIFFNESS * pull_far - _G_COS * sin2 * v1 * v1
     return load1, load2, _G_11 + 2.0 * _G_COS * cos2, _G_22 + _G_COS * cos2
 
 
@@ -102,7 +102,7 @@ def _biases(vt, v1, v2, link1, link2, frame, lengths):
 def accelerations(theta, q1, q2, vt, v1, v2, s):
     """Accelerations, ds/dt and the multipliers f, lambda of the index-1 equations."""
     cq, cr, link1, link2, frame, lengths = _rows(theta, q1, q2, s)
-    load1, load2, g11, g12 = _loads(q2, v1, v2, link1, link2, DAMPING, DAMPING)
+    load1, load2, g11, g12 = _loads(q2, v1, v2, link1, link2)
     bias_q, bias_r, rate = _biases(vt, v1, v2, link1, link2, frame, lengths)
     det = 1.0 / (g11 * _G_22 - g12 * g12)
     free1, free2 = (_G_22 * load1 - g12 * load2) * det, (g11 * load2 - g12 * load1) * det
@@ -157,7 +157,7 @@ def closure(theta, q1, q2, s):
 def fill_residual_index1(t, y, yp, out):
     """Index-1 equations left implicit: x, then f and lambda, fixed by the accelerations."""
     cq, cr, link1, link2, frame, lengths = _rows(y[0], y[1], y[2], y[6])
-    load1, load2, g11, g12 = _loads(y[2], y[4], y[5], link1, link2, DAMPING, DAMPING)
+    load1, load2, g11, g12 = _loads(y[2], y[4], y[5], link1, link2)
     bias_q, bias_r, rate = _biases(y[3], y[4], y[5], link1, link2, frame, lengths)
     out[0], out[1], out[2] = yp[0] - y[3], yp[1] - y[4], yp[2] - y[5]
     out[3] = INERTIA * yp[3] + cq[0] * y[7] + cr[0] * y[8]
@@ -172,7 +172,7 @@ def fill_residual_index1(t, y, yp, out):
 def fill_residual_index2(t, y, yp, out):
     """Stabilised index-2 equations (Gear, Gupta, Leimkuhler): x, f, lambda, and two position multipliers."""
     cq, cr, link1, link2, _, lengths = _rows(y[0], y[1], y[2], y[6])
-    load1, load2, g11, g12 = _loads(y[2], y[4], y[5], link1, link2, DAMPING, DAMPING)
+    load1, load2, g11, g12 = _loads(y[2], y[4], y[5], link1, link2)
     for i in range(3):
         out[i] = yp[i] - y[3 + i] + cq[i] * y[9] + cr[i] * y[10]
     out[3] = INERTIA * yp[3] + cq[0] * y[7] + cr[0] * y[8]
@@ -184,18 +184,41 @@ def fill_residual_index2(t, y, yp, out):
     out[9], out[10], _ = closure(y[0], y[1], y[2], y[6])
 
 
+@compiled
+def coefficients(theta, q1, q2, s):
+    """Coefficients of f and lambda in (73)-(74): the two constraint rows."""
+    row_q, row_r, _, _, _, _ = _rows(theta, q1, q2, s)
+    return row_q, row_r
+
+
+def _closure_slopes(position):
+    """Central differences of the closure with respect to theta, q1, q2 and s."""
+    steps = 1e-7 * np.eye(4)
+    columns = [
+        (np.array(closure(*(position + h))) - np.array(closure(*(position - h)))) / 2e-7
+        for h in steps
+    ]
+    return np.stack(columns, axis=1)
+
+
 def start(guess=(0.5, 0.3, 1.9)):
     """The pose at rest that closes (64)-(65) and tangency at s = S_START, by Newton's method."""
-    q = np.array(guess)
+    position = np.array([*guess, S_START])
     for _ in range(50):
-        left = np.array(closure(*q, S_START))
-        steps = 1e-7 * np.eye(3)
-        columns = [
-            (np.array(closure(*(q + h), S_START)) - np.array(closure(*(q - h), S_START))) / 2e-7
-            for h in steps
-        ]
-        q -= np.linalg.solve(np.stack(columns, axis=1), left)
-    return np.concatenate([q, np.zeros(3), [S_START]])
+        slopes = _closure_slopes(position)[:, :3]
+        position[:3] -= np.linalg.solve(slopes, np.array(closure(*position)))
+    return np.concatenate([position[:3], np.zeros(3), [S_START]])
+
+
+def onto_constraints(x):
+    """The nearest state that satisfies closure, tangency and both velocity constraints."""
+    position, velocity = x[[0, 1, 2, 6]], x[3:6]
+    for _ in range(3):
+        slopes = _closure_slopes(position)
+        position = position - np.linalg.lstsq(slopes, np.array(closure(*position)))[0]
+    rows = np.array(coefficients(*position))
+    velocity = velocity - np.linalg.lstsq(rows, rows @ velocity)[0]
+    return np.concatenate([position[:3], velocity, position[3:]])
 
 
 def with_multipliers(x):

@@ -1,42 +1,72 @@
-"""Differentiable simulation of grasping under rolling contact, in JAX."""
+"""Differentiable simulation of grasping under rolling contact, in JAX.
 
-from . import contact as contact, control as control, geometry as geometry, scenes as scenes
-from ._results import RESULTS as RESULTS
-from .contact import Contact as Contact
-from .geometry import (
-    AbstractContour as AbstractContour,
-    Catenary as Catenary,
-    Circle as Circle,
-    Ellipse as Ellipse,
-    Line as Line,
-)
-from .integration import (
-    CSM as CSM,
-    Index1 as Index1,
-    Trajectory as Trajectory,
-    close as close,
-    energies as energies,
-    multipliers as multipliers,
-    press_balance as press_balance,
-    residuals as residuals,
-    simulate as simulate,
-)
-from .mechanics import (
-    Finger as Finger,
-    FreeObject as FreeObject,
-    Grasp as Grasp,
-    PivotedObject as PivotedObject,
-    State as State,
-    equation_terms as equation_terms,
-)
+`scenes` has the chapter's scenes ready-made; `Finger`, `FreeObject` or `PivotedObject` and `Contact` make a
+`Grasp`; `close` finds a consistent `State`; `simulate` runs it; `plotting` draws it.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from . import contact, control, geometry
+from ._results import RESULTS
+from .contact import Contact
+from .geometry import AbstractContour, Catenary, Circle, Ellipse, Line
+from .mechanics import Finger, FreeObject, Grasp, PivotedObject, State, equation_terms
+
+if TYPE_CHECKING:
+    from . import plotting, scenes
+    from .integration import (
+        CSM,
+        Index1,
+        Trajectory,
+        close,
+        energies,
+        multipliers,
+        press_balance,
+        residuals,
+        simulate,
+    )
 
 __version__ = "0.1.0"
+__all__ = [
+    "CSM",
+    "RESULTS",
+    "AbstractContour",
+    "Catenary",
+    "Circle",
+    "Contact",
+    "Ellipse",
+    "Finger",
+    "FreeObject",
+    "Grasp",
+    "Index1",
+    "Line",
+    "PivotedObject",
+    "State",
+    "Trajectory",
+    "close",
+    "contact",
+    "control",
+    "energies",
+    "equation_terms",
+    "geometry",
+    "multipliers",
+    "plotting",
+    "press_balance",
+    "residuals",
+    "scenes",
+    "simulate",
+]
 
 
-def __getattr__(name: str):
-    # matplotlib is imported with the first figure, not with the package.
-    if name == "plotting":
-        import importlib
+def __getattr__(name: str) -> Any:
+    # What needs diffrax or matplotlib is imported with its first use: half a second saved.
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if name in ("plotting", "scenes"):
+        return importlib.import_module(f".{name}", __name__)
+    return getattr(importlib.import_module(".integration", __name__), name)
 
-        return importlib.import_module(".plotting", __name__)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

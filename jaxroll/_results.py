@@ -7,24 +7,28 @@ survives `vmap`, one code per lane, and never discards what had been computed.
 
 from typing import Any
 
-import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 
-class RESULTS(diffrax.RESULTS):  # pyright: ignore[reportGeneralTypeIssues]
-    """Result codes of `jaxroll.simulate` and `jaxroll.close`; those of diffrax are included."""
+class RESULTS(eqx.Enumeration):
+    """Result codes of `jaxroll.simulate`: 'successful', or why a run ended early."""
 
     successful = ""
+    max_steps_reached = "The step limit was reached; `max_steps` sets it."
+    step_collapsed = (
+        "The step size fell to the smallest allowed: the motion is singular or not finite there."
+    )
     singular_contact = (
         "The rolling contact became singular: the sum of the two curvatures, or the Schur "
         "complement of the constraints, is no longer positive."
     )
     contour_end = "A contact point ran past the end of an open contour."
     not_finite = "The equations of motion gave a value that is not finite."
-    unreachable = "No pose near the guess closes every contact."
+    unreachable = "The initial state is off the constraints: no pose near the guess closes them."
+    solver_failed = "The solver reported a failure of its own."
 
 
 def concrete(value: Any) -> np.ndarray | None:
@@ -76,8 +80,8 @@ def check_between(name: str, value: Any, low: Any, high: Any, *, unit: str = "")
 
 
 def is_failure(result: RESULTS) -> jax.Array:
-    """True where a result code is neither success nor a terminating event."""
-    return ~((result == RESULTS.successful) | (result == RESULTS.event_occurred))
+    """True where a result code is not success."""
+    return ~(result == RESULTS.successful)
 
 
 def message(result: RESULTS) -> str:

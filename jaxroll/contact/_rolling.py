@@ -109,6 +109,7 @@ def gap_bias(
     poses: tuple[Pose2, Pose2],
     twists: tuple[Twist2, Twist2],
     biases: tuple[Twist2, Twist2],
+    *,
     touch: Touch,
     sigma_rate: Scalar,
 ) -> Vec2:

@@ -70,7 +70,7 @@ def power(grasp: Grasp, t: Scalar, leaves: Leaves, motions: Sequence[Motion]) ->
 
 
 def project(
-    grasp: Grasp, leaves: Leaves, instant: Instant, hold: Hold, sweeps: int = 2
+    grasp: Grasp, leaves: Leaves, instant: Instant, hold: Hold, *, sweeps: int = 2
 ) -> Leaves:
     """Return to the constraints, nearest in the mass metric: positions, contacts, velocities.
 

@@ -129,7 +129,7 @@ def _solve(grasp: Grasp, y0: Flow, plan: Plan, record: bool) -> tuple[Path, Any]
         values["last"][0],
         times["last"][0],
         jnp.stack([jnp.asarray(c) for c in counts]),
-        decode(values["last"][0, -1], RESULTS.promote(solution.result)),
+        decode(values["last"][0, -1], solution.result),
     )
     return path, (times["steps"], values["steps"]) if record else None
 

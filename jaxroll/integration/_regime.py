@@ -1,5 +1,6 @@
 """Checks after every accepted step that end a run with a code instead of a wrong answer."""
 
+import diffrax
 import jax.numpy as jnp
 from jaxtyping import Array
 
@@ -27,9 +28,15 @@ def regime(grasp: Grasp, leaves: Leaves, instant: Instant, x: Array) -> Scalar:
     return jnp.where(jnp.isfinite(jnp.sum(x)), code, 3)
 
 
-def decode(number: Scalar, otherwise: RESULTS) -> RESULTS:
-    """The result code with a number; `otherwise` for 0."""
-    result = otherwise
+def decode(number: Scalar, loop: diffrax.RESULTS) -> RESULTS:
+    """The result code of a run: from the flow vector's number, else from diffrax's loop."""
+    result = RESULTS.where(
+        loop == diffrax.RESULTS.successful, RESULTS.successful, RESULTS.solver_failed
+    )
+    steps = loop == diffrax.RESULTS.max_steps_reached
+    result = RESULTS.where(steps, RESULTS.max_steps_reached, result)
+    collapsed = loop == diffrax.RESULTS.dt_min_reached
+    result = RESULTS.where(collapsed, RESULTS.step_collapsed, result)
     for i, code in enumerate(_CODES[1:], start=1):
         result = RESULTS.where(number == i, code, result)
     return result

@@ -128,42 +128,39 @@ class RollingStep(diffrax.AbstractAdaptiveSolver):
         def stage(i: Scalar, blocks: list[Array]) -> list[Array]:
             weights = jnp.concatenate([columns[i] for columns in rows])
             x = hold(x0 + dt * mix(blocks, weights))
-            rates, _ = rates_at(grasp, t0 + times[i] * dt, x, self.formulation, self.lay)
+            rates, _ = self.rates(grasp, t0 + times[i] * dt, x)
             return [b.at[:, i].set(rates[c]) for b, c in zip(blocks, cuts, strict=True)]
 
         blocks = jax.lax.fori_loop(1, looped, stage, blocks)
         raw = hold(x0 + dt * mix(blocks, ends[0]))
-        rates, instant = rates_at(grasp, t1, raw, self.formulation, self.lay)
+        rates, instant = self.rates(grasp, t1, raw)
         error = mix(blocks, ends[1])
         if shared:
             error = error + float(tableau.b_error[-1]) * rates
         return raw, rates, dt * error, instant
 
+    def rates(self, grasp: Grasp, t: Scalar, x: Array) -> tuple[Array, Instant]:
+        """Time derivative of x, and all else that its evaluation worked out."""
+        leaves, _ = unpack(self.lay, x)
+        instant = evaluate(grasp, t, leaves, self.formulation)
+        gained = power(grasp, t, leaves, instant.motions) if self.lay.audited else None
+        return pack(instant.rates, gained), instant
+
     def _other(
         self, grasp: Grasp, t0: Scalar, t1: Scalar, y0: Flow
     ) -> tuple[Array, Array, Array, Instant]:
         def field(t: Scalar, x: Array, args: Grasp) -> Array:
-            return rates_at(args, t, x, self.formulation, self.lay)[0]
+            return self.rates(args, t, x)[0]
 
         terms = diffrax.ODETerm(field)
         x0 = y0[: self.lay.width]
         memory = self.method.init(terms, t0, t1, x0, grasp)
         raw, error, _, _, code = self.method.step(terms, t0, t1, x0, grasp, memory, True)
-        rates, instant = rates_at(grasp, t1, raw, self.formulation, self.lay)
+        rates, instant = self.rates(grasp, t1, raw)
         if error is None:
             error = jnp.zeros_like(raw)
         error = jnp.where(code == diffrax.RESULTS.successful, error, jnp.inf)
         return raw, rates, error, instant
-
-
-def rates_at(
-    grasp: Grasp, t: Scalar, x: Array, formulation: Formulation, lay: Layout
-) -> tuple[Array, Instant]:
-    """Time derivative of x, and all else that its evaluation worked out."""
-    leaves, _ = unpack(lay, x)
-    instant = evaluate(grasp, t, leaves, formulation)
-    gained = power(grasp, t, leaves, instant.motions) if lay.audited else None
-    return pack(instant.rates, gained), instant
 
 
 def holder(t: Scalar) -> Callable[[Any], Any]:

@@ -93,7 +93,11 @@ def _net(inertia: Inertia, drive: Scalars | None) -> Scalars:
 
 def _bias(tip: Motion, body: Motion, touching: Touch, sigma_rate: Scalar) -> Vec2:
     return gap_bias(
-        (tip.pose, body.pose), (tip.twist, body.twist), (tip.bias, body.bias), touching, sigma_rate
+        (tip.pose, body.pose),
+        (tip.twist, body.twist),
+        (tip.bias, body.bias),
+        touch=touching,
+        sigma_rate=sigma_rate,
     )
 
 

@@ -14,7 +14,7 @@ from ._shapes import Views, single, views
 from ._style import FORCE, Picture, tidy
 
 # Length of the longest force arrow, as a share of the picture's diagonal.
-_ARROW = 0.16
+_ARROW = 0.11
 
 
 def animate(

@@ -7,7 +7,18 @@ from matplotlib.patches import FancyArrowPatch, Patch, Polygon
 
 from ..mechanics import Grasp, PivotedObject
 from ._shapes import Outline, Views, place
-from ._style import CONTACT, FINGER, FORCE, GUIDE, LINK_FILL, OBJECT, OBJECT_FILL, TIP_FILL
+from ._style import (
+    CONTACT,
+    FINGER,
+    FORCE,
+    GUIDE,
+    LINK_FILL,
+    MM,
+    OBJECT,
+    OBJECT_FILL,
+    ROLLED,
+    TIP_FILL,
+)
 
 _SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 _TURN = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 13)
@@ -35,7 +46,7 @@ class Drawing:
     ) -> None:
         self.seen, self.forces, self.traced = seen, forces, traced
         self.pivoted = isinstance(grasp.object, PivotedObject)
-        self.radius = 0.045 * float(np.mean([f.lengths.mean() for f in grasp.fingers])) * 1e3
+        self.radius = 0.045 * MM * float(np.mean([f.lengths.mean() for f in grasp.fingers]))
         fill = lambda **style: ax.add_patch(Polygon(np.zeros((3, 2)), **style))  # noqa: E731
         line = lambda *args, **style: ax.plot([], [], *args, **style)[0]  # noqa: E731
         grey = {"ec": "#8A99A4", "lw": 0.8}
@@ -49,10 +60,8 @@ class Drawing:
         self.bases = [fill(fc="#55636E", ec="none", zorder=1.5) for _ in seen.joints]
         self.bodies = [_Body(ax, seen.body, (OBJECT_FILL, OBJECT), 1)]
         self.bodies += [_Body(ax, tip, (TIP_FILL, FINGER), 4) for tip in seen.tips]
-        thick = {"lw": 3.6, "solid_capstyle": "butt", "zorder": 6, "alpha": 0.75}
-        self.stretches = [
-            (line(color=FINGER, **thick), line(color=CONTACT, **thick)) for _ in seen.rolled
-        ]
+        thick = {"lw": 3.4, "solid_capstyle": "butt", "zorder": 6, "color": ROLLED}
+        self.stretches = [(line(**thick), line(**thick)) for _ in seen.rolled]
         self.guides = [line("--", color=GUIDE, lw=1.0, zorder=7) for _ in seen.guides]
         self.centres = line("o", ms=5, mfc="white", mec=GUIDE, mew=1.2, zorder=8)
         pivot = {"ms": 8, "mfc": "white", "mec": GUIDE, "mew": 1.3}
@@ -111,8 +120,7 @@ class Drawing:
         if self.guides:
             entries.append((self.guides[0], self._guide_name()))
         if self.traced:
-            entries.append((self.stretches[0][0], "rolled so far, on the fingertip"))
-            entries.append((self.stretches[0][1], "the same length, on the object"))
+            entries.append((self.stretches[0][0], "rolled so far: as long on both bodies"))
         return entries
 
 

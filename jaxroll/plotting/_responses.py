@@ -1,7 +1,6 @@
 """Responses over time: the chapter's Figs. 9-18, or what there is of them for another grasp."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +14,8 @@ from ._shapes import single
 from ._style import CYCLE, MM, Picture, save, tidy
 
 _COLUMNS = 3
-# Below this a gap [m] or a sine is what floating-point arithmetic leaves over.
-_ROUNDING = 1e-14
+# Below this share of its scale, a residual is what floating-point arithmetic leaves over.
+_ROUNDING = 1e-13
 
 
 @dataclass(frozen=True)
@@ -27,6 +26,7 @@ class Panel:
     label: str
     values: np.ndarray
     names: tuple[str, ...] = ()
+    width: float = 1.4
 
 
 def responses(grasp: Grasp, trajectory: Trajectory, folder: str | Path | None = None) -> Figure:
@@ -78,7 +78,7 @@ def _draw(ax: Axes, ts: np.ndarray, panel: Panel, reached: np.ndarray) -> None:
     values = np.reshape(panel.values, (len(reached), -1))[reached]
     for k, line in enumerate(values.T):
         name = panel.names[k] if len(panel.names) > 1 else None
-        ax.plot(ts, line, color=CYCLE[k % len(CYCLE)], lw=1.3, label=name)
+        ax.plot(ts, line, color=CYCLE[k % len(CYCLE)], lw=panel.width, label=name)
     ax.margins(x=0.0, y=0.08)
     low, high = ax.get_ylim()
     if low <= 0.0 <= high:
@@ -95,14 +95,14 @@ def _panels(grasp: Grasp, run: Trajectory) -> list[Panel]:
         title = "Rolling coordinate"
         panels.append(Panel(title, r"$\sigma$ [mm]", MM * np.asarray(run.states.s), contacts))
     panels += _joint_rates(grasp, run) + _object_rates(grasp, run)
-    panels += _gaps(run, contacts)
+    panels += _gaps(grasp, run, contacts)
     if pressed:
         panels.append(panels.pop(_POTENTIAL))
     panels += _forces(grasp, run, contacts) + _extra(run, contacts)
     if not _is_part_2(grasp):
         return panels
     return [
-        Panel(f"Fig. {9 + i}: {p.title}" if i < 10 else p.title, p.label, p.values, p.names)
+        replace(p, title=f"Fig. {9 + i}: {p.title}" if i < 10 else p.title)
         for i, p in enumerate(panels)
     ]
 
@@ -120,9 +120,9 @@ def _is_part_2(grasp: Grasp) -> bool:
 def _press(grasp: Grasp, run: Trajectory, contacts: tuple[str, ...]) -> list[Panel]:
     found = press_balance(grasp, run.ts, run.states)
     rows = (
-        ("normal force less its final value", r"$\Delta f$ [N]", found.delta_f, 1.0),
-        ("tangential force, likewise", r"$\Delta\lambda$ [N]", found.delta_lam, 1.0),
-        ("moment on the object", r"$(f_d/r)\,N_1$ [mN m]", found.moment, 1e3),
+        ("unbalanced normal force", r"$\Delta f$ [N]", found.delta_f, 1.0),
+        ("unbalanced tangential force", r"$\Delta\lambda$ [N]", found.delta_lam, 1.0),
+        ("unbalanced moment", r"$(f_d/r)\,N_1$ [mN m]", found.moment, 1e3),
         ("contact on the object's contour", "$s$ [mm]", found.s, MM),
         ("artificial potential", "$U$ [mJ]", found.potential, 1e3),
     )
@@ -156,11 +156,11 @@ def _object_rates(grasp: Grasp, run: Trajectory) -> list[Panel]:
     return [turning, Panel("velocity of the object", "[mm/s]", MM * v[:, :2], names)]
 
 
-def _gaps(run: Trajectory, contacts: tuple[str, ...]) -> list[Panel]:
-    left = run.residuals
+def _gaps(grasp: Grasp, run: Trajectory, contacts: tuple[str, ...]) -> list[Panel]:
+    left, size = run.residuals, float(np.mean(np.asarray(grasp.fingers[0].lengths)))
     return [
-        _residual("tangential gap", "$R$", "m", left.tangential, contacts),
-        _residual("normal gap", "$Q$", "m", left.normal, contacts),
+        _residual("tangential gap", r"$R$ [{}m]", left.tangential, size, contacts),
+        _residual("normal gap", r"$Q$ [{}m]", left.normal, size, contacts),
     ]
 
 
@@ -179,22 +179,24 @@ def _forces(grasp: Grasp, run: Trajectory, contacts: tuple[str, ...]) -> list[Pa
 
 
 def _extra(run: Trajectory, contacts: tuple[str, ...]) -> list[Panel]:
-    if run.energy is None:
-        return [_residual("tangency", "sine", "1", run.residuals.tangency, contacts)]
-    return [_residual("energy balance", "error", "J", run.energy.residual, ())]
+    energy = run.energy
+    if energy is None:
+        return [_residual("tangency", "sine [{}rad]", run.residuals.tangency, 1.0, contacts)]
+    size = float(np.nanmax(np.abs(np.asarray(energy.kinetic + energy.potential))))
+    return [_residual("energy balance", r"$K + P - W$ [{}J]", energy.residual, size, ())]
 
 
 def _residual(
-    title: str, symbol: str, unit: str, values: object, names: Sequence[str]
+    title: str, label: str, values: object, size: float, names: tuple[str, ...]
 ) -> Panel:
     """A panel in powers of ten, since a residual may sit at rounding level or far above it."""
     seen = np.asarray(values)
     peak = float(np.nanmax(np.abs(seen)))
     power = int(np.floor(np.log10(peak))) if peak > 0.0 else 0
-    if peak < _ROUNDING:
+    if peak < _ROUNDING * size:
         title += " (rounding level)"
-    label = f"{symbol} [$10^{{{power}}}$ {unit}]" if power else f"{symbol} [{unit}]"
-    return Panel(title, label, seen / 10.0**power, tuple(names))
+    factor = f"$10^{{{power}}}$ " if power else ""
+    return Panel(title, label.format(factor), seen / 10.0**power, names, 0.8)
 
 
 def _numbered(noun: str, count: int) -> tuple[str, ...]:

@@ -1,0 +1,216 @@
+"""The design as a test: layers, doors, abstract or final, size budget, public names."""
+
+import ast
+import inspect
+import pathlib
+import statistics
+import subprocess
+import sys
+
+import equinox as eqx
+import pytest
+
+import jaxroll as jxr
+from jaxroll import integration, mechanics
+
+ROOT = pathlib.Path(jxr.__file__).parent
+RANKS = {
+    "_types": 0,
+    "_results": 1,
+    "_algebra": 2,
+    "geometry": 3,
+    "contact": 4,
+    "mechanics": 5,
+    "control": 6,
+    "integration": 7,
+    "scenes": 8,
+    "plotting": 9,
+    "__init__": 10,
+    "__main__": 11,
+}
+# One door each.
+DOORS = {
+    "diffrax": {"integration"},
+    "optimistix": {"integration"},
+    "optax": {"design"},
+    "matplotlib": {"plotting"},
+    "scipy": set(),
+    "numba": set(),
+}
+FILES = sorted(ROOT.rglob("*.py"))
+
+
+def unit(path):
+    """The layer a file belongs to."""
+    return path.relative_to(ROOT).parts[0].removesuffix(".py")
+
+
+def module_level(tree):
+    """Import statements that run when the module is imported."""
+    for node in tree.body:
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            yield node
+
+
+def targets(node, path):
+    """Names of the modules that an import statement brings in."""
+    if isinstance(node, ast.Import):
+        return [alias.name for alias in node.names]
+    if node.level == 0:
+        return [node.module]
+    depth = len(path.relative_to(ROOT).parts) - node.level
+    if depth < 0:
+        raise AssertionError(f"{path}: import above the package")
+    inside = path.relative_to(ROOT).parts[:depth]
+    names = [node.module] if node.module else [alias.name for alias in node.names]
+    return ["jaxroll." + ".".join((*inside, name)) for name in names]
+
+
+def violations(path, tree):
+    here, found = unit(path), []
+    for node in module_level(tree):
+        for target in targets(node, path):
+            head, *rest = target.split(".")
+            if head == "jaxroll" and rest:
+                if rest[0] != here and RANKS[rest[0]] >= RANKS[here]:
+                    found.append(f"{path.name}: {here} imports {rest[0]}")
+            elif head in DOORS and here not in DOORS[head]:
+                found.append(f"{path.name}: {here} imports {head}")
+    return found
+
+
+def test_every_import_points_down():
+    found = [v for p in FILES for v in violations(p, ast.parse(p.read_text()))]
+    assert not found
+
+
+def test_the_import_check_sees_a_bad_import():
+    bad = ast.parse("import matplotlib.pyplot\nfrom ..integration import simulate\n")
+    assert len(violations(ROOT / "mechanics" / "_grasp.py", bad)) == 2
+
+
+def cycles_inside(folder):
+    """Import cycles among the private modules of one folder."""
+    graph = {}
+    for path in (ROOT / folder).glob("_*.py"):
+        if path.stem == "__init__":
+            continue
+        nodes = module_level(ast.parse(path.read_text()))
+        graph[path.stem] = {
+            n.module for n in nodes if isinstance(n, ast.ImportFrom) and n.level == 1 and n.module
+        }
+    done = set()
+    while ready := {m for m in graph.keys() - done if graph[m] <= done}:
+        done |= ready
+    return graph.keys() - done
+
+
+@pytest.mark.parametrize("folder", ["geometry", "contact", "mechanics", "integration", "plotting"])
+def test_no_cycles_inside_a_folder(folder):
+    assert not cycles_inside(folder)
+
+
+def modules_of(package):
+    prefix = "jaxroll."
+    return [m for name, m in sys.modules.items() if name.startswith(prefix) and m is not package]
+
+
+def test_classes_are_abstract_or_final():
+    """Nothing concrete is subclassed; abstract names say so."""
+    classes = {
+        c
+        for m in modules_of(None)
+        for c in vars(m).values()
+        if inspect.isclass(c) and c.__module__.startswith("jaxroll") and issubclass(c, eqx.Module)
+    }
+    assert len(classes) > 20
+    for cls in classes:
+        assert inspect.isabstract(cls) == cls.__name__.startswith("Abstract"), cls
+        for base in cls.__mro__[1:]:
+            if base.__module__.startswith("jaxroll"):
+                assert inspect.isabstract(base), f"{cls} subclasses the concrete {base}"
+
+
+def code_lines(node):
+    """Lines of a function without its docstring."""
+    doc = ast.get_docstring(node, clean=False)
+    return node.end_lineno - node.lineno + 1 - (len(doc.splitlines()) if doc else 0)
+
+
+def nesting(node, depth=0):
+    deeper = (ast.For, ast.While, ast.If, ast.With, ast.Try)
+    inner = [
+        nesting(child, depth + isinstance(child, deeper))
+        for child in ast.iter_child_nodes(node)
+        if not isinstance(child, ast.FunctionDef)
+    ]
+    return max([depth, *inner])
+
+
+def functions():
+    for path in FILES:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.FunctionDef):
+                yield path.name, node
+
+
+def test_size_budget():
+    lengths = [len(p.read_text().splitlines()) for p in FILES]
+    assert statistics.median(lengths) <= 200
+    assert max(lengths) <= 500
+    for name, node in functions():
+        where = f"{name}:{node.name}"
+        assert code_lines(node) <= 60, where
+        assert nesting(node) <= 3, where
+
+
+def test_parameter_budget():
+    """At most four by position (self aside) and ten in all; diffrax fixes those of its contracts."""
+    for name, node in functions():
+        if node.name.startswith("_") or node.name in ("step", "init", "adapt_step_size"):
+            continue
+        given = [a for a in node.args.posonlyargs + node.args.args if a.arg not in ("self", "cls")]
+        assert len(given) <= 4, f"{name}:{node.name}"
+        assert len(given) + len(node.args.kwonlyargs) <= 10, f"{name}:{node.name}"
+
+
+PUBLIC = {
+    "AbstractContour", "CSM", "Catenary", "Circle", "Contact", "Ellipse", "Finger", "FreeObject",
+    "Grasp", "Index1", "Line", "PivotedObject", "RESULTS", "State", "Trajectory", "close", "contact",
+    "control", "energies", "equation_terms", "geometry", "multipliers", "plotting", "press_balance",
+    "residuals", "scenes", "simulate",
+}  # fmt: skip
+
+
+def test_public_names():
+    assert set(jxr.__all__) == PUBLIC
+    assert all(getattr(jxr, name) is not None for name in PUBLIC)
+    assert mechanics and integration
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = jxr.nothing
+
+
+def test_public_things_have_docstrings():
+    for name in PUBLIC:
+        assert inspect.getdoc(getattr(jxr, name)), name
+
+
+IMPORT = """
+import time, sys, jax
+start = time.perf_counter()
+import jaxroll
+took = time.perf_counter() - start
+bad = [m for m in ("matplotlib", "scipy", "numba") if m in sys.modules]
+print(took, jax.config.jax_enable_x64, bad)
+"""
+
+
+def test_import_is_quick_quiet_and_without_matplotlib():
+    """At most 0.4 s beyond jax itself (best of five: the machine is shared), and no configuration."""
+    runs = [
+        subprocess.run([sys.executable, "-c", IMPORT], capture_output=True, text=True, check=True)
+        for _ in range(5)
+    ]
+    fields = [r.stdout.split(maxsplit=2) for r in runs]
+    assert all(f[1] == "False" and f[2].strip() == "[]" for f in fields)
+    assert min(float(f[0]) for f in fields) <= 0.4

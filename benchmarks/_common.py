@@ -1,5 +1,6 @@
-"""What every benchmark needs: versions, interleaved timing, tables in a README."""
+"""What every benchmark needs: contenders, versions, interleaved timing, tables in a README."""
 
+import dataclasses
 import importlib.metadata
 import os
 import platform
@@ -7,8 +8,58 @@ import statistics
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 README = Path(__file__).parent / "README.md"
+_SLOW = 0.05
+# The error at which contenders are compared [rad].
+TARGET = 1e-8
+
+
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """One contender at one tolerance and one set of saved times, ready to be timed.
+
+    `call` is timed; `read` turns what it returned into states of shape (t, 7); `count` gives steps
+    and evaluations of the equations of motion, untimed; `bare` is the same run under `jax.jit`.
+    """
+
+    call: Callable[[], Any]
+    read: Callable[[Any], np.ndarray]
+    count: Callable[[], tuple[int | None, int | None]]
+    bare: Callable[[], Any] | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Contender:
+    """A formulation and a solver; `make(tolerance, times)` prepares a run."""
+
+    family: str
+    formulation: str
+    solver: str
+    make: Callable[[float, np.ndarray], Run]
+    tightest: float = 1e-12
+
+
+@dataclasses.dataclass
+class Result:
+    """What one contender did at one tolerance: seconds and largest errors [rad], both ladders."""
+
+    contender: Contender
+    tolerance: float
+    steps: int | None = None
+    evaluations: int | None = None
+    gap: float = float("nan")
+    outcome: str = "ok"
+    errors: dict[str, float] = dataclasses.field(default_factory=dict)
+    times: dict[str, float] = dataclasses.field(default_factory=dict)
+    bare_times: dict[str, float] = dataclasses.field(default_factory=dict)
+
+    def seconds(self, bare: bool) -> dict[str, float]:
+        """Times by public call, or under `jax.jit`."""
+        return self.bare_times if bare else self.times
 
 
 def device() -> str:
@@ -28,14 +79,20 @@ def versions(*packages: str) -> str:
 
 
 def interleaved(calls: Sequence[Callable[[], object]], *, rounds: int) -> list[float]:
-    """Median seconds of each call, all of them once per round; slow ones sit out after five rounds."""
+    """Median seconds of each call, all of them once per round; slow ones sit out after round 5.
+
+    A quick call is repeated once before it is timed, so that what its neighbour left in the caches
+    does not count; every other round runs backwards.
+    """
     times: list[list[float]] = [[] for _ in calls]
     for turn in range(rounds):
-        # Every other round runs backwards, so that no call always follows the same neighbour.
         order = range(len(calls)) if turn % 2 == 0 else reversed(range(len(calls)))
         for i in order:
-            if turn >= 5 and statistics.median(times[i]) > 0.1:
+            usual = statistics.median(times[i]) if times[i] else 0.0
+            if turn >= 5 and usual > _SLOW:
                 continue
+            if usual < _SLOW:
+                calls[i]()
             start = time.perf_counter()
             calls[i]()
             times[i].append(time.perf_counter() - start)
@@ -59,3 +116,32 @@ def write_section(name: str, text: str) -> None:
     else:
         page = f"{page.rstrip()}\n\n{block}\n"
     README.write_text(page)
+
+
+def fastest(results: Sequence[Result], ladder: str, bare: bool = False) -> Result | None:
+    """The fastest ladder point whose error meets the target."""
+    timed = [r for r in results if meets(r, ladder) and ladder in r.seconds(bare)]
+    return min(timed, key=lambda r: r.seconds(bare)[ladder], default=None)
+
+
+def meets(result: Result, ladder: str) -> bool:
+    return result.errors.get(ladder, np.inf) <= TARGET
+
+
+def by_contender(results: Sequence[Result]) -> dict[tuple[str, str], list[Result]]:
+    groups: dict[tuple[str, str], list[Result]] = {}
+    for r in results:
+        groups.setdefault((r.contender.formulation, r.contender.solver), []).append(r)
+    return groups
+
+
+def ms(seconds: float | None) -> str:
+    return "" if seconds is None else f"{1e3 * seconds:.3g}"
+
+
+def size(value: float | None) -> str:
+    return "" if value is None or np.isnan(value) else f"{value:.1e}"
+
+
+def integer(value: int | None) -> str:
+    return "" if value is None else str(value)

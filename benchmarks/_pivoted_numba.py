@@ -1,8 +1,8 @@
 r"""The pivoted scene written by hand from the chapter's closed coefficients, in scalars for Numba.
 
-Shares no code with jaxroll: equations (56)-(75) in the chapter's own mirror image (clockwise angles), the
-errata applied, with state $x = [\theta, q_1, q_2, \dot\theta, \dot q_1, \dot q_2, s]$. Angles and rates are
-those of jaxroll; the chapter's $s$ is jaxroll's $s_0 - \sigma$.
+Shares no code with jaxroll: equations (56)-(75) in the chapter's own mirror image (clockwise
+angles), the errata applied, with state $x = [\theta, q_1, q_2, \dot\theta, \dot q_1, \dot q_2, s]$.
+Angles and rates are those of jaxroll; the chapter's $s$ is jaxroll's $s_0 - \sigma$.
 """
 
 from math import asinh, cos, sin, sqrt
@@ -75,7 +75,7 @@ def _loads(q2, v1, v2, link1, link2):
 
 @inlined
 def _biases(vt, v1, v2, link1, link2, frame, lengths):
-    """Terms of the twice differentiated (64)-(65) that hold no acceleration, and ds/dt from (68)."""
+    """What (64)-(65), differentiated twice, hold besides accelerations; ds/dt from (68)."""
     l_b0, l_n0, l_b1, l_n1, kappa0, kappa1 = lengths
     b_x, b_y = frame
     w = v1 + v2
@@ -170,7 +170,7 @@ def fill_residual_index1(t, y, yp, out):
 
 @compiled
 def fill_residual_index2(t, y, yp, out):
-    """Stabilised index-2 equations (Gear, Gupta, Leimkuhler): x, f, lambda, and two position multipliers."""
+    """Stabilised index-2 equations (Gear, Gupta, Leimkuhler): x, f, lambda and two more."""
     cq, cr, link1, link2, _, lengths = _rows(y[0], y[1], y[2], y[6])
     load1, load2, g11, g12 = _loads(y[2], y[4], y[5], link1, link2)
     for i in range(3):
@@ -222,6 +222,6 @@ def onto_constraints(x):
 
 
 def with_multipliers(x):
-    """x with consistent f and lambda, and its rates, for an implicit solver of the index-1 equations."""
+    """State with consistent f and lambda, and its rates, for an implicit solver."""
     at, a1, a2, rate, f, lam = accelerations(*x)
     return np.array([*x, f, lam]), np.array([*x[3:6], at, a1, a2, rate, 0.0, 0.0])

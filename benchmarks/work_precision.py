@@ -1,11 +1,10 @@
 """Run time against error on the chapter's Part 2 testbed: jaxroll, SciPy and SUNDIALS.
 
-    python -m benchmarks.work_precision            # full run; rewrites README.md and work_precision.png
-    python -m benchmarks.work_precision --quick    # under a minute; prints only
+`python -m benchmarks.work_precision` rewrites its section of README.md and work_precision.png;
+with `--quick` it takes under a minute and only prints.
 """
 
 import argparse
-import dataclasses
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -15,6 +14,7 @@ import diffrax
 import jax
 import jax.numpy as jnp
 import matplotlib
+import matplotlib.pyplot as plt
 import numpy as np
 from scipy.integrate import ode, odeint, solve_ivp
 from sksundae.cvode import CVODE
@@ -24,63 +24,44 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import jaxroll as jxr
 from benchmarks import _pivoted_numba as pivoted
-from benchmarks._common import device, interleaved, table, versions, write_section
+from benchmarks._common import (
+    by_contender,
+    Contender,
+    device,
+    fastest,
+    integer,
+    interleaved,
+    meets,
+    ms,
+    Result,
+    Run,
+    size,
+    table,
+    TARGET,
+    versions,
+    write_section,
+)
 
 matplotlib.use("Agg")
 jax.config.update("jax_enable_x64", True)
 
 END = 3.0
 TIMES = np.array([0.01, 0.03, 0.06, 0.1, 0.2, 0.35, 0.5, 0.75, 1.0, 1.5, 2.0, 2.5, END])
-TARGET = 1e-8
+LADDERS = {"end": "one saved state, error at 3 s", "along": "13 saved states, largest error"}
 FIGURE = Path(__file__).with_name("work_precision.png")
 LADDER = tuple(10.0**-k for k in range(4, 13))
 SHORT_LADDER = (1e-6, 1e-8, 1e-10)
-# s [m] of the peers is controlled a hundred times tighter than angles [rad]: the curvatures add to 140 1/m.
+# Peers control s [m] a hundred times tighter than angles [rad]: the curvatures add to 140 1/m.
 SCALES = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.01])
 MOST_STEPS = 100_000
-
-
-@dataclasses.dataclass(frozen=True)
-class Run:
-    """One contender at one tolerance and one set of saved times, ready to be timed.
-
-    `call` is timed; `read` turns what it returned into states of shape (t, 7); `count` gives steps and
-    evaluations of the equations of motion, untimed; `bare` is the same run with less Python around it.
-    """
-
-    call: Callable[[], Any]
-    read: Callable[[Any], np.ndarray]
-    count: Callable[[], tuple[int | None, int | None]]
-    bare: Callable[[], Any] | None = None
-
-
-@dataclasses.dataclass(frozen=True)
-class Contender:
-    """A formulation and a solver; `make(tolerance, times)` prepares a run."""
-
-    family: str
-    formulation: str
-    solver: str
-    make: Callable[[float, np.ndarray], Run]
-    tightest: float = 1e-12
-
-
-@dataclasses.dataclass
-class Result:
-    """What one contender did at one tolerance: seconds and largest errors [rad], both ladders."""
-
-    contender: Contender
-    tolerance: float
-    steps: int | None = None
-    evaluations: int | None = None
-    gap: float = float("nan")
-    outcome: str = "ok"
-    errors: dict[str, float] = dataclasses.field(default_factory=dict)
-    times: dict[str, float] = dataclasses.field(default_factory=dict)
-    bare_times: dict[str, float] = dataclasses.field(default_factory=dict)
-
-
-# --- jaxroll -----------------------------------------------------------------------------------------
+OURS = "jaxroll index1"
+# Colour map and markers of each family.
+STYLES = {
+    OURS: ("Blues", "os^"),
+    "jaxroll csm": ("Oranges", "os^"),
+    "SciPy": ("Greens", "DvPX*"),
+    "SUNDIALS": ("Purples", "DvPX"),
+}
 
 
 def jaxroll_contender(formulation: Any, solver: diffrax.AbstractERK) -> Contender:
@@ -108,7 +89,8 @@ def jaxroll_contender(formulation: Any, solver: diffrax.AbstractERK) -> Contende
             steps = int(call().stats.steps)
             return steps, 1 + stages * steps
 
-        return Run(call, _from_jaxroll, count, lambda: jax.block_until_ready(bare(grasp, state, rtol)))
+        jitted = lambda: jax.block_until_ready(bare(grasp, state, rtol))  # noqa: E731
+        return Run(call, _from_jaxroll, count, jitted)
 
     name = type(formulation).__name__.lower()
     return Contender(f"jaxroll {name}", name, type(solver).__name__, make)
@@ -119,14 +101,17 @@ def _from_jaxroll(run: jxr.Trajectory) -> np.ndarray:
     return np.concatenate([states.q, states.v, pivoted.S_START - np.asarray(states.s)], axis=1)
 
 
-# --- SciPy -------------------------------------------------------------------------------------------
-
-
 def solve_ivp_contender(x0: np.ndarray, method: str, tightest: float) -> Contender:
     def make(tolerance: float, times: np.ndarray) -> Run:
         def run(**more: Any) -> Any:
             solved = solve_ivp(
-                pivoted.rates, (0.0, END), x0, method, rtol=tolerance, atol=tolerance * SCALES, **more
+                pivoted.rates,
+                (0.0, END),
+                x0,
+                method,
+                rtol=tolerance,
+                atol=tolerance * SCALES,
+                **more,
             )
             if not solved.success:
                 raise RuntimeError(solved.message)
@@ -169,7 +154,7 @@ def odeint_contender(x0: np.ndarray) -> Contender:
 
 
 def compiled_dop853_contender(x0: np.ndarray) -> Contender:
-    """Hairer's DOP853 inside `scipy.integrate.ode`: the loop is compiled, unlike that of `solve_ivp`."""
+    """DOP853 by `scipy.integrate.ode`: its loop is compiled, unlike that of `solve_ivp`."""
 
     def make(tolerance: float, times: np.ndarray) -> Run:
         def run(function: Callable = pivoted.rates, watch: Callable | None = None) -> np.ndarray:
@@ -197,9 +182,6 @@ def compiled_dop853_contender(x0: np.ndarray) -> Contender:
         return Run(run, lambda path: path, count)
 
     return Contender("SciPy", "index-1", "DOP853 (ode)", make)
-
-
-# --- SUNDIALS ----------------------------------------------------------------------------------------
 
 
 def _sundials_run(solver: Any, start: tuple[np.ndarray, ...], times: np.ndarray) -> Run:
@@ -261,9 +243,6 @@ def ida_contender(x0: np.ndarray, index: int) -> Contender:
     return Contender("SUNDIALS", formulation, "IDA", make)
 
 
-# --- the run -----------------------------------------------------------------------------------------
-
-
 def contenders(x0: np.ndarray, quick: bool) -> list[Contender]:
     solvers = (diffrax.Tsit5(), diffrax.Dopri5(), diffrax.Dopri8())
     listed = [
@@ -279,7 +258,7 @@ def contenders(x0: np.ndarray, quick: bool) -> list[Contender]:
 
 
 def reference(x0: np.ndarray, span: float = 0.01) -> np.ndarray:
-    """States at TIMES: DOP853 at 1e-13 on the hand-written equations, put back on the constraints often."""
+    """States at TIMES: DOP853 at 1e-13, put back on the constraints after each `span` [s]."""
     marks = np.union1d(np.arange(1, round(END / span) + 1) * span, TIMES)
     marks = marks[np.concatenate([[True], np.diff(marks) > 1e-9])]
     path, x, t = [], x0, 0.0
@@ -336,7 +315,8 @@ def measure(quick: bool) -> tuple[list[Result], str]:
             if tolerance < 0.99 * contender.tightest:
                 continue
             result = Result(contender, tolerance)
-            runs = {"end": contender.make(tolerance, TIMES[-1:]), "along": contender.make(tolerance, TIMES)}
+            saved = {"end": TIMES[-1:], "along": TIMES}
+            runs = {name: contender.make(tolerance, times) for name, times in saved.items()}
             for ladder, run in first_calls(result, runs, exact).items():
                 calls.append(run.call)
                 slots.append((result.times, ladder))
@@ -351,104 +331,73 @@ def measure(quick: bool) -> tuple[list[Result], str]:
     return results, note
 
 
-# --- report ------------------------------------------------------------------------------------------
-
-
-def fastest(results: Sequence[Result], ladder: str, bare: bool = False) -> Result | None:
-    """The fastest ladder point whose error meets the target."""
-    timed = [r for r in results if r.errors.get(ladder, np.inf) <= TARGET]
-    timed = [r for r in timed if ladder in (r.bare_times if bare else r.times)]
-    return min(timed, key=lambda r: (r.bare_times if bare else r.times)[ladder], default=None)
-
-
-def by_contender(results: Sequence[Result]) -> dict[tuple[str, str], list[Result]]:
-    groups: dict[tuple[str, str], list[Result]] = {}
-    for r in results:
-        groups.setdefault((r.contender.formulation, r.contender.solver), []).append(r)
-    return groups
-
-
-def same_solver_table(results: Sequence[Result], ladder: str) -> str:
-    """(a): `index1` against `csm`, the same solver, each at its fastest point that meets the target."""
-    groups, lines = by_contender(results), []
-    for name in dict.fromkeys(solver for way, solver in groups if way == "csm"):
+def compare_formulations(results: Sequence[Result], ladder: str) -> tuple[str, str]:
+    """(a): `index1` against `csm` with each solver, at the fastest points that meet the target."""
+    groups, lines, ratios = by_contender(results), [], []
+    for name in [solver for way, solver in groups if way == "csm"]:
         pair = [groups["index1", name], groups["csm", name]]
-        one, two = (fastest(group, ladder) for group in pair)
-        bare_one, bare_two = (fastest(group, ladder, bare=True) for group in pair)
-        if not (one and two and bare_one and bare_two):
-            lines.append([name] + ["target not met"] + [""] * 6)
+        if not all(fastest(group, ladder) for group in pair):
+            lines.append([name, "target not met", *[""] * 8])
             continue
-        fewest = [min(r.steps for r in g if r.errors.get(ladder, np.inf) <= TARGET) for g in pair]
-        times = (one.times[ladder], two.times[ladder])
-        bare = (bare_one.bare_times[ladder], bare_two.bare_times[ladder])
-        lines.append(
-            [name, str(fewest[0]), str(fewest[1]), f"**{fewest[1] / fewest[0]:.1f}**"]
-            + [_ms(times[0]), _ms(times[1]), f"**{times[1] / times[0]:.1f}**"]
-            + [_ms(bare[0]), _ms(bare[1]), f"**{bare[1] / bare[0]:.1f}**"]
-        )
-    header = ["solver", "steps `index1`", "steps `csm`", "ratio", "call `index1` [ms]", "call `csm` [ms]"]
-    return table([*header, "ratio", "jitted `index1` [ms]", "jitted `csm` [ms]", "ratio"], lines)
+        costs = [[min(r.steps or 0 for r in group if meets(r, ladder)) for group in pair]]
+        for bare in (False, True):
+            costs.append([fastest(group, ladder, bare).seconds(bare)[ladder] for group in pair])
+        ratios.append([slow / fast for fast, slow in costs])
+        cells = [f(x) for f, cost in zip((str, ms, ms), costs, strict=True) for x in cost]
+        for at, ratio in zip((2, 5, 8), ratios[-1], strict=True):
+            cells.insert(at, f"**{ratio:.1f}**")
+        lines.append([name, *cells])
+    header = ["solver", "steps, index1", "steps, csm", "ratio", "call, index1 [ms]"]
+    header += ["call, csm [ms]", "ratio", "jitted, index1 [ms]", "jitted, csm [ms]", "ratio"]
+    spans = [f"{min(r):.1f} to {max(r):.1f}" for r in zip(*ratios, strict=True)]
+    if len(spans) < 3:
+        return table(header, lines), "No solver met the target in both formulations."
+    return table(header, lines), (
+        f"With the same solver `csm` takes {spans[0]} times the steps of `index1`, {spans[1]} "
+        f"times the time by public calls and {spans[2]} times under `jax.jit`."
+    )
 
 
-def best_table(results: Sequence[Result], ladder: str) -> str:
+def compare_contenders(results: Sequence[Result], ladder: str) -> tuple[str, str]:
     """(b): the fastest point of every contender that meets the target, fastest first."""
     found = []
     for group in by_contender(results).values():
         for bare in (False, True):
             best = fastest(group, ladder, bare)
             if best is not None:
-                time = (best.bare_times if bare else best.times)[ladder]
-                name = f"{best.contender.solver}{', jitted' if bare else ''}"
-                found.append((time, name, best))
+                found.append((best.seconds(bare)[ladder], bare, best))
+    found.sort(key=lambda item: item[0])
     lines = [
-        [best.contender.family, best.contender.formulation, name, f"{best.tolerance:.0e}"]
-        + [_ms(time), f"{best.errors[ladder]:.1e}", _count(best.evaluations)]
-        for time, name, best in sorted(found, key=lambda item: item[0])
+        [r.contender.family, r.contender.formulation, r.contender.solver + ", jitted" * bare]
+        + [f"{r.tolerance:.0e}", ms(time), f"{r.errors[ladder]:.1e}", integer(r.evaluations)]
+        for time, bare, r in found
     ]
-    return table(
-        ["family", "formulation", "solver", "tolerance", "time [ms]", "error [rad]", "evaluations"], lines
-    )
-
-
-def verdict(results: Sequence[Result], ladder: str) -> str:
-    """(b) in one sentence."""
-    ours = [r for r in results if r.contender.family == "jaxroll index1"]
-    peers = [r for r in results if r.contender.family in ("SciPy", "SUNDIALS")]
-    call, bare, peer = fastest(ours, ladder), fastest(ours, ladder, bare=True), fastest(peers, ladder)
-    if not (call and bare and peer):
-        return "The target was not met by all families."
-    ratios = [t / peer.times[ladder] for t in (call.times[ladder], bare.bare_times[ladder])]
-    return (
-        f"jaxroll's best: {_ms(call.times[ladder])} ms per public call ({call.contender.solver}), "
-        f"{_ms(bare.bare_times[ladder])} ms under `jax.jit` ({bare.contender.solver}); best peer: "
-        f"{_ms(peer.times[ladder])} ms ({peer.contender.solver}). jaxroll takes {ratios[0]:.2f} (call) "
-        f"and {ratios[1]:.2f} (jitted) times the best peer's time."
+    header = ["family", "formulation", "solver", "tolerance", "time [ms]", "error [rad]"]
+    ours = [[f for f in found if f[2].contender.family == OURS and f[1] == bare] for bare in (0, 1)]
+    peers = [f for f in found if not f[2].contender.family.startswith("jaxroll")]
+    if not (all(ours) and peers):
+        return table([*header, "evaluations"], lines), "The target was not met by all families."
+    (call, _, one), (bare, _, two), (peer, _, other) = ours[0][0], ours[1][0], peers[0]
+    return table([*header, "evaluations"], lines), (
+        f"jaxroll's best takes {ms(call)} ms by a public call ({one.contender.solver}) and "
+        f"{ms(bare)} ms under `jax.jit` ({two.contender.solver}); the best peer takes {ms(peer)} "
+        f"ms ({other.contender.solver}): {call / peer:.2f} and {bare / peer:.2f} times as long."
     )
 
 
 def full_table(results: Sequence[Result]) -> str:
-    lines = [
-        [r.contender.formulation, r.contender.solver, f"{r.tolerance:.0e}"]
-        + [_count(r.steps), _count(r.evaluations), _ms(r.times.get("end")), _ms(r.bare_times.get("end"))]
-        + [_size(r.errors.get("end")), _size(r.gap), _ms(r.times.get("along"))]
-        + [_ms(r.bare_times.get("along")), _size(r.errors.get("along")), r.outcome]
-        for r in results
-    ]
-    header = ["formulation", "solver", "tolerance", "steps", "evaluations", "call [ms]", "jitted [ms]"]
-    header += ["error at 3 s [rad]", "gap at 3 s [m]", "13 saved: call [ms]", "13 saved: jitted [ms]"]
-    return table([*header, "13 saved: largest error [rad]", "result"], lines)
-
-
-def _ms(seconds: float | None) -> str:
-    return "" if seconds is None else f"{1e3 * seconds:.3g}"
-
-
-def _size(value: float | None) -> str:
-    return "" if value is None or np.isnan(value) else f"{value:.1e}"
-
-
-def _count(value: int | None) -> str:
-    return "" if value is None else str(value)
+    lines = []
+    for r in results:
+        line = [r.contender.formulation, r.contender.solver, f"{r.tolerance:.0e}"]
+        line += [integer(r.steps), integer(r.evaluations)]
+        for ladder in LADDERS:
+            line += [ms(r.times.get(ladder)), ms(r.bare_times.get(ladder))]
+            line.append(size(r.errors.get(ladder)))
+        lines.append([*line, size(r.gap), r.outcome])
+    header = ["formulation", "solver", "tolerance", "steps", "evaluations"]
+    header += ["call [ms]", "jitted [ms]", "error at 3 s [rad]"]
+    header += ["13 saved: call [ms]", "jitted [ms]", "largest error [rad]"]
+    return table([*header, "gap at 3 s [m]", "result"], lines)
 
 
 def footer() -> list[str]:
@@ -457,95 +406,77 @@ def footer() -> list[str]:
 
 
 def report(results: Sequence[Result], note: str) -> str:
-    sections = []
-    names = (("end", "one saved state, error at 3 s"), ("along", "13 saved states, largest error"))
-    for ladder, name in names:
-        sections += [
-            f"### At {TARGET:.0e} rad: {name}",
-            f"(a) `index1` against `csm`, same solver:\n\n{same_solver_table(results, ladder)}",
-            f"(b) One trajectory, warm. {verdict(results, ladder)}\n\n{best_table(results, ladder)}",
-        ]
-    sections.append(f"### Reference\n\nLargest difference from jaxroll: {note}.")
+    first = [compare(results, "end")[1] for compare in (compare_formulations, compare_contenders)]
+    sections = [
+        f"At an error of {TARGET:.0e} rad after 3 s: {' '.join(first)}",
+        f"![Time of one warm run against its error]({FIGURE.name})",
+    ]
+    for ladder, name in LADDERS.items():
+        (one, said), (two, verdict) = (
+            compare(results, ladder) for compare in (compare_formulations, compare_contenders)
+        )
+        sections += [f"### At {TARGET:.0e} rad: {name}", f"(a) {said}", one, f"(b) {verdict}", two]
+    sections.append(f"Reference, largest difference from jaxroll: {note}.")
     details = f"<details><summary>All points</summary>\n\n{full_table(results)}\n\n</details>"
     return "\n\n".join([*sections, details, "  \n".join(footer())])
 
 
-# --- figure ------------------------------------------------------------------------------------------
-
-_SHADES = {"jaxroll index1": "Blues", "jaxroll csm": "Oranges", "SciPy": "Greens", "SUNDIALS": "Purples"}
-_MARKS = {"jaxroll index1": "os^", "jaxroll csm": "os^", "SciPy": "DvPX*", "SUNDIALS": "DvPX"}
-
-
 def draw(results: Sequence[Result]) -> None:
-    import matplotlib.pyplot as plt
-
-    style = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}
-    with plt.rc_context(style):
+    with plt.rc_context({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}):
         figure, panels = plt.subplots(1, 2, figsize=(11.5, 5.2), sharey=True, sharex=True)
-        titles = ("one saved state: error at 3 s", "13 saved states: largest error")
-        for axes, ladder, title in zip(panels, ("end", "along"), titles, strict=True):
-            _draw_panel(axes, results, ladder)
-            axes.set_title(title, fontsize=9.5)
+        for axes, (ladder, name) in zip(panels, LADDERS.items(), strict=True):
+            handles = _draw_panel(axes, results, ladder)
+            axes.set_title(name, fontsize=9.5)
             axes.set_xlabel("error of $q$ [rad]")
         panels[0].set_ylabel("time of one warm run [ms]")
         panels[0].invert_xaxis()
-        figure.suptitle("Work and precision on the pivoted scene (Part 2), 3 s", fontsize=11.5, y=0.98)
-        figure.subplots_adjust(left=0.065, right=0.79, top=0.88, bottom=0.19, wspace=0.06)
-        _draw_legend(figure, panels[0])
-        figure.text(0.065, 0.025, "\n".join(footer()), fontsize=7, color="0.35", va="bottom")
+        title = "Work and precision on the pivoted scene (Part 2), 3 s"
+        figure.suptitle(title, fontsize=11.5, x=0.065, ha="left", y=0.975)
+        figure.subplots_adjust(left=0.065, right=0.785, top=0.87, bottom=0.185, wspace=0.06)
+        _draw_legends(figure, handles)
+        figure.text(0.065, 0.02, "\n".join(footer()), fontsize=7, color="0.35", va="bottom")
         figure.savefig(FIGURE, dpi=160)
         plt.close(figure)
 
 
-def _draw_panel(axes: Any, results: Sequence[Result], ladder: str) -> None:
-    seen: dict[str, int] = {}
-    totals = {f: len({(r.contender.formulation, r.contender.solver) for r in results if r.contender.family == f}) for f in _SHADES}
-    axes.axvline(TARGET, color="0.6", lw=0.8, zorder=0)
-    for (formulation, solver), group in by_contender(results).items():
-        family = group[0].contender.family
-        i = seen[family] = seen.get(family, -1) + 1
-        shade = matplotlib.colormaps[_SHADES[family]](0.45 + 0.5 * i / max(1, totals[family] - 1))
-        mark = _MARKS[family][i]
-        own = family.startswith("jaxroll")
-        label = solver if own or solver != "IDA" else f"IDA, {formulation}"
-        _draw_line(axes, group, ladder, False, color=shade, marker=mark, lw=1.7 if own else 1.2, label=label)
-        if family == "jaxroll index1" and i == totals[family] - 1:
-            _draw_line(
-                axes, group, ladder, True, color=shade, marker=mark, mfc="w", ls="--", label=f"{solver}, jitted"
-            )
+def _draw_panel(axes: Any, results: Sequence[Result], ladder: str) -> dict[str, list[Any]]:
+    axes.axvline(TARGET, color="0.55", lw=0.9, ls=":", zorder=0)
+    handles: dict[str, list[Any]] = {family: [] for family in STYLES}
+    for family, (colours, marks) in STYLES.items():
+        own = [r for r in results if r.contender.family == family]
+        groups = by_contender(own)
+        for i, ((formulation, solver), group) in enumerate(groups.items()):
+            shade = matplotlib.colormaps[colours](0.4 + 0.55 * i / max(1, len(groups) - 1))
+            label = f"{solver}, {formulation}" if solver == "IDA" else solver
+            style = {"color": shade, "marker": marks[i], "lw": 1.5 if "jaxroll" in family else 1.1}
+            handles[family] += _draw_line(axes, group, ladder, False, label=label, **style)
+            if family == OURS and i == len(groups) - 1:
+                style |= {"mfc": "w", "ls": "--", "label": f"{solver}, jitted"}
+                handles[family] += _draw_line(axes, group, ladder, True, **style)
     axes.set_xscale("log")
     axes.set_yscale("log")
-    axes.grid(True, which="major", color="0.9", lw=0.6)
+    axes.grid(True, color="0.9", lw=0.6)
     axes.set_axisbelow(True)
+    return handles
 
 
-def _draw_line(axes: Any, group: Sequence[Result], ladder: str, bare: bool, **style: Any) -> None:
-    points = [
-        (r.errors[ladder], 1e3 * (r.bare_times if bare else r.times)[ladder])
-        for r in group
-        if ladder in r.times
-    ]
-    if points:
-        axes.plot(*zip(*points, strict=True), ms=4.5, **style)
+def _draw_line(
+    axes: Any, group: Sequence[Result], ladder: str, bare: bool, **style: Any
+) -> list[Any]:
+    timed = [r for r in group if ladder in r.seconds(bare)]
+    errors = [r.errors[ladder] for r in timed]
+    times = [1e3 * r.seconds(bare)[ladder] for r in timed]
+    return axes.plot(errors, times, ms=4.5, **style) if timed else []
 
 
-def _draw_legend(figure: Any, axes: Any) -> None:
-    handles, labels = axes.get_legend_handles_labels()
-    top = 0.9
-    starts = {"jaxroll index1": "jaxroll, index1", "jaxroll csm": "jaxroll, csm"}
-    starts |= {"SciPy": "SciPy + Numba", "SUNDIALS": "SUNDIALS + Numba"}
-    for family, title in starts.items():
-        shades = [matplotlib.colormaps[_SHADES[family]](x) for x in np.linspace(0.45, 0.95, 256)]
-        picked = [
-            (h, n)
-            for h, n in zip(handles, labels, strict=True)
-            if any(np.allclose(h.get_color(), s, atol=0.02) for s in shades)
-        ]
+def _draw_legends(figure: Any, handles: dict[str, list[Any]]) -> None:
+    top = 0.885
+    for family, lines in handles.items():
         legend = figure.legend(
-            *zip(*picked, strict=True),
-            title=title,
+            handles=lines,
+            title=family if family.startswith("jaxroll") else f"{family} with Numba",
             loc="upper left",
-            bbox_to_anchor=(0.795, top),
+            bbox_to_anchor=(0.79, top),
             frameon=False,
             fontsize=8,
             title_fontproperties={"weight": "bold", "size": 8.5},
@@ -553,7 +484,7 @@ def _draw_legend(figure: Any, axes: Any) -> None:
             labelspacing=0.25,
         )
         figure.add_artist(legend)
-        top -= 0.055 + 0.0345 * len(picked)
+        top -= 0.06 + 0.0335 * len(lines)
 
 
 def main() -> None:

@@ -1,5 +1,7 @@
 """Oracles and measures shared by the tests; nothing here uses jaxroll's equations."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,6 +17,17 @@ def taylor_remainders(function, point, direction, slope, steps):
     base = function(point)
     move = lambda h: jax.tree.map(lambda a, b: a + h * b, point, direction)  # noqa: E731
     return np.array([float(abs(function(move(h)) - base - h * slope)) for h in steps])
+
+
+def broadcasting(function):
+    """Let an oracle broadcast as NumPy does; the package itself is tested without."""
+
+    @functools.wraps(function)
+    def allowed(*args):
+        with jax.numpy_rank_promotion("allow"):
+            return function(*args)
+
+    return allowed
 
 
 class Chapter:

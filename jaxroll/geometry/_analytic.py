@@ -132,7 +132,7 @@ class Ellipse(AbstractContour):
     cells: int = eqx.field(static=True)
     table: ArclengthTable | None
 
-    def __init__(self, a: ArrayLike, b: ArrayLike, *, cells: int = 512) -> None:
+    def __init__(self, a: ArrayLike, b: ArrayLike, *, cells: int = 1024) -> None:
         self.a = check_positive("a", as_floats("a", a, ()))
         self.b = check_positive("b", as_floats("b", b, ()))
         self.cells = cells

@@ -78,26 +78,33 @@ class AbstractContour(eqx.Module):
 
     def point(self, s: ArrayLike) -> Points:
         """Points at arclengths `s` [m] of shape (...): shape (..., 2), in metres."""
-        return self.prepared().frame(jnp.asarray(s, float)).point.array()
+        return _frame_arrays(self, jnp.asarray(s, float))[0]
 
     def tangent(self, s: ArrayLike) -> Points:
         """Unit tangents at arclengths `s` [m] of shape (...): shape (..., 2)."""
-        return self.prepared().frame(jnp.asarray(s, float)).tangent.array()
+        return _frame_arrays(self, jnp.asarray(s, float))[1]
 
     def normal(self, s: ArrayLike) -> Points:
         """Outward unit normals at arclengths `s` [m] of shape (...): shape (..., 2)."""
-        return self.prepared().frame(jnp.asarray(s, float)).tangent.right().array()
+        tangent = _frame_arrays(self, jnp.asarray(s, float))[1]
+        return jnp.stack([tangent[..., 1], -tangent[..., 0]], axis=-1)
 
     def curvature(self, s: ArrayLike) -> Float[Array, "..."]:
         """Curvatures [1/m] at arclengths `s` [m] of shape (...); positive where convex."""
-        s = jnp.asarray(s, float)
-        return jnp.broadcast_to(self.prepared().frame(s).curvature, s.shape)
+        return _frame_arrays(self, jnp.asarray(s, float))[2]
 
     def moved(
         self, offset: ArrayLike = (0.0, 0.0), angle: ArrayLike = 0.0, *, origin: ArrayLike = 0.0
     ) -> "Moved":
         """This contour turned by `angle` [rad], shifted by `offset` [m], its s = 0 put at `origin`."""
         return Moved(self, offset, angle, origin=origin)
+
+
+@eqx.filter_jit
+def _frame_arrays(contour: AbstractContour, s: Array) -> tuple[Array, Array, Array]:
+    """Points, tangents and curvatures as arrays: the public door."""
+    frame = contour.prepared().frame(s)
+    return frame.point.array(), frame.tangent.array(), jnp.broadcast_to(frame.curvature, s.shape)
 
 
 class Moved(AbstractContour):

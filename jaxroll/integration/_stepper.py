@@ -123,7 +123,7 @@ class RollingStep(diffrax.AbstractAdaptiveSolver):
         blocks = [jnp.zeros((c.stop - c.start, looped), y0.dtype).at[:, 0].set(k0[c]) for c in cuts]
 
         def mix(blocks: list[Array], weights: Array) -> Array:
-            return jnp.concatenate([jnp.sum(block * weights, axis=1) for block in blocks])
+            return jnp.concatenate([jnp.sum(block * weights[None, :], axis=1) for block in blocks])
 
         def stage(i: Scalar, blocks: list[Array]) -> list[Array]:
             weights = jnp.concatenate([columns[i] for columns in rows])

@@ -1,20 +1,25 @@
-"""Animations of a run, written frame by frame through Pillow."""
+"""Animations of a run: what moves is redrawn over a still background, and Pillow writes the GIF."""
 
 from collections.abc import Callable
 from pathlib import Path
 
 import jax
 import numpy as np
-from matplotlib.animation import PillowWriter
+from matplotlib.colors import to_rgb
+from PIL import Image
 
 from ..integration import Trajectory, multipliers
 from ..mechanics import Grasp
 from ._artists import Drawing, limits
 from ._shapes import Views, single, views
-from ._style import FORCE, Picture, tidy
+from ._style import CONTACT, FINGER, FORCE, OBJECT, ROLLED, Picture, tidy
 
 # Length of the longest force arrow, as a share of the picture's diagonal.
 _ARROW = 0.11
+# Colours of small things, which a palette made by counting pixels would merge with others.
+_KEPT = ("white", CONTACT, FORCE, FINGER, OBJECT, ROLLED)
+# How long the last frame stays [ms].
+_HOLD = 1500
 
 
 def animate(
@@ -63,22 +68,36 @@ def animate(
         'motion.gif'
     """
     path = _checked(path, fps=fps, speed=speed, width=width)
-    delay = max(2, round(100.0 / fps)) / 100.0
-    ts, picks = _frames(trajectory, delay * speed)
+    delay = max(2, round(100.0 / fps))
+    ts, picks = _frames(trajectory, 0.01 * delay * speed)
     states = jax.tree.map(lambda a: np.asarray(a)[picks], trajectory.states)
     seen = views(grasp, states)
-    arrows, peak = _arrows(grasp, trajectory, picks, seen) if forces else (None, 0.0)
-    figure, drawing, clock = _stage(grasp, seen, (arrows, peak), width, speed)
+    arrows = _arrows(grasp, trajectory, picks, seen) if forces else None
+    stage = _Stage(grasp, seen, arrows, width=width, speed=speed)
+    frames = []
+    for i, t in enumerate(ts):
+        frames.append(stage.frame(i, t))
+        if progress is not None:
+            progress(i + 1, len(ts))
     path.parent.mkdir(parents=True, exist_ok=True)
-    writer = PillowWriter(fps=1.0 / delay)
-    with writer.saving(figure, str(path), dpi=100):
-        for i, t in enumerate(ts):
-            drawing.show(i)
-            clock.set_text(f"t = {t:.2f} s")
-            writer.grab_frame()
-            if progress is not None:
-                progress(i + 1, len(ts))
+    _write(path, frames, 10 * delay)
     return path
+
+
+def _write(path: Path, frames: list[Image.Image], delay: int) -> None:
+    """Write a looping GIF that holds its last frame; one palette, so that no colour flickers."""
+    width, height = frames[0].size
+    samples = [frames[k * (len(frames) - 1) // 2] for k in range(3)]
+    mosaic = Image.new("RGB", (3 * width, height))
+    for k, sample in enumerate(samples):
+        mosaic.paste(sample, (k * width, 0))
+    palette = mosaic.quantize(256 - len(_KEPT))
+    flat = palette.getpalette()[: 3 * (256 - len(_KEPT))]
+    kept = [round(255 * x) for colour in _KEPT for x in to_rgb(colour)]
+    palette.putpalette(kept + flat)
+    first, *rest = (f.quantize(palette=palette, dither=Image.Dither.NONE) for f in frames)
+    delays = [*[delay] * len(rest), _HOLD]
+    first.save(path, save_all=True, append_images=rest, duration=delays, loop=0)
 
 
 def _checked(path: str | Path, **positive: float) -> Path:
@@ -119,29 +138,55 @@ def _arrows(
     return on_object * (longest / peak if peak > 0.0 else 0.0), peak
 
 
-def _stage(
-    grasp: Grasp, seen: Views, arrows: tuple[np.ndarray | None, float], width: float, speed: float
-):
-    low, high = limits(seen)
-    shape = (high - low)[1] / (high - low)[0]
-    figure = Picture(width, width * shape + 0.9)
-    ax = figure.subplots()
-    drawing = Drawing(ax, grasp, seen, forces=arrows[0], traced=True)
-    ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
-    tidy(ax, xlabel="x [mm]", ylabel="y [mm]")
-    clock = ax.text(0.0, 1.02, "t = 0.00 s", transform=ax.transAxes, fontsize=10)
-    pace = "real time" if speed == 1.0 else f"speed x {speed:g}"
-    ax.text(1.0, 1.02, pace, transform=ax.transAxes, fontsize=8, ha="right", color="#555555")
-    entries = drawing.legend()
-    if arrows[0] is not None:
-        arrow = ax.plot([], [], marker=r"$\rightarrow$", ms=14, ls="none", color=FORCE)[0]
-        entries.append((arrow, f"contact force on the object, up to {arrows[1]:.2g} N"))
-    handles, names = zip(*entries, strict=True)
-    figure.legend(
-        handles, names, loc="outside lower center", ncols=2, fontsize=7, frameon=False
-    )
-    drawing.show(0)
-    # Laid out once: the axes must not move from frame to frame.
-    figure.canvas.draw()
-    figure.set_layout_engine("none")
-    return figure, drawing, clock
+class _Stage:
+    """A still background, and the artists that move over it."""
+
+    def __init__(
+        self,
+        grasp: Grasp,
+        seen: Views,
+        arrows: tuple[np.ndarray, float] | None,
+        *,
+        width: float,
+        speed: float,
+    ) -> None:
+        low, high = limits(seen)
+        shape = (high - low)[1] / (high - low)[0]
+        figure = Picture(width, width * shape + 0.9)
+        figure.set_dpi(100)
+        self.ax = ax = figure.subplots()
+        self.drawing = Drawing(ax, grasp, seen, forces=arrows and arrows[0], traced=True)
+        ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+        tidy(ax, xlabel="x [mm]", ylabel="y [mm]")
+        self.clock = ax.text(0.0, 1.02, "t", transform=ax.transAxes, fontsize=10)
+        pace = "real time" if speed == 1.0 else f"shown at {speed:g} x real time"
+        ax.text(1.0, 1.02, pace, transform=ax.transAxes, fontsize=8, ha="right", color="#555555")
+        moving = sorted([*ax.lines, *ax.patches], key=lambda a: a.get_zorder())
+        self.moving = [*moving, self.clock]
+        entries = self.drawing.legend()
+        if arrows is not None:
+            sign = ax.plot([], [], marker=r"$\rightarrow$", ms=14, ls="none", color=FORCE)[0]
+            entries.append((sign, f"contact force on the object, up to {arrows[1]:.2g} N"))
+        handles, names = zip(*entries, strict=True)
+        figure.legend(
+            handles, names, loc="outside lower center", ncols=2, fontsize=7, frameon=False
+        )
+        self._freeze(figure)
+
+    def _freeze(self, figure: Picture) -> None:
+        for artist in self.moving:
+            artist.set_animated(True)
+        # Laid out once: the axes must not move from frame to frame.
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")
+        figure.canvas.draw()
+        self.canvas = figure.canvas
+        self.background = self.canvas.copy_from_bbox(figure.bbox)
+
+    def frame(self, i: int, t: float) -> Image.Image:
+        self.drawing.show(i)
+        self.clock.set_text(f"t = {t:.2f} s")
+        self.canvas.restore_region(self.background)
+        for artist in self.moving:
+            self.ax.draw_artist(artist)
+        return Image.fromarray(np.asarray(self.canvas.buffer_rgba())[..., :3].copy())

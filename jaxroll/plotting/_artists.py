@@ -1,8 +1,9 @@
 """One instant of a grasp as matplotlib artists, which an animation then moves."""
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.lines import Line2D
 from matplotlib.patches import FancyArrowPatch, Patch, Polygon
 
 from ..mechanics import Grasp, PivotedObject
@@ -107,7 +108,7 @@ class Drawing:
             for line, path, frame in zip(lines, paths, (1 + finger, 0), strict=True):
                 line.set_data(*place(self.seen.frames[frame][i], path[: i + 1]).T)
 
-    def legend(self) -> list[tuple[Line2D | Patch, str]]:
+    def legend(self) -> list[tuple[Any, str]]:
         """Handles and names of what is drawn."""
         entries = [
             (Patch(fc=TIP_FILL, ec=FINGER, lw=1.4), "fingertip"),
@@ -115,7 +116,9 @@ class Drawing:
             (self.bases[0], "fixed base"),
             (self.points, "contact point $P_1$" if len(self.seen.owners) == 1 else "contact points"),
             (self.centres, "tip frame $O_{01}$" if len(self.seen.tips) == 1 else "tip frames"),
-            (self.origin, "pivot $O_m$" if self.pivoted else "centre of mass $O_m$"),
+            ((self.origin, self.dot), "pivot $O_m$")
+            if self.pivoted
+            else (self.origin, "centre of mass $O_m$"),
         ]
         if self.guides:
             entries.append((self.guides[0], self._guide_name()))

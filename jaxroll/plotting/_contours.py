@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 
 from ..geometry import AbstractContour
 from ..mechanics import Grasp
-from ._shapes import Outline, Window, contours_of, extents, outlines, starts_of
+from ._shapes import Outline, Window, contours_of, extents, outlines, sample, starts_of
 from ._style import CONTACT, FINGER, GUIDE, MM, OBJECT, OBJECT_FILL, TIP_FILL, Picture, tidy
 
 _STEPS = np.array([0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500])
@@ -50,8 +50,9 @@ def contours(grasp: Grasp) -> Figure:
             at = np.array([s for _, s, _ in touched])
             _count(above, contour, window)
             _curvature(below, contour, window, colours[1])
-            above.plot(*MM * np.asarray(contour.point(at)).T, "o", ms=7, color=CONTACT, zorder=5)
-            below.plot(MM * at, contour.curvature(at), "o", ms=6, color=CONTACT, zorder=5)
+            start = sample(contour, at)
+            above.plot(*start.points.T, "o", ms=7, color=CONTACT, zorder=5)
+            below.plot(MM * at, start.curvatures, "o", ms=6, color=CONTACT, zorder=5)
         middle = np.mean(boxes[body], axis=0)
         ends = np.stack([middle - half, middle + half], axis=1)
         above.set(xlim=ends[0], ylim=ends[1], aspect="equal")
@@ -112,16 +113,14 @@ def _count(ax: Axes, contour: AbstractContour, window: Window) -> None:
     marks = step * np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1)
     if contour.closed:
         marks = marks[marks < high - 0.3 * step]
-    points = MM * np.asarray(contour.point(marks / MM))
-    ax.plot(*points.T, "o", ms=3.5, color=GUIDE, zorder=4)
-    for mark, point, normal in zip(
-        marks, points, np.asarray(contour.normal(marks / MM)), strict=True
-    ):
+    there = sample(contour, marks / MM)
+    ax.plot(*there.points.T, "o", ms=3.5, color=GUIDE, zorder=4)
+    for mark, point, along in zip(marks, there.points, there.tangents, strict=True):
         text = "$s$ = 0" if mark == 0 else f"{mark:g}".replace("-", "\N{MINUS SIGN}")
-        push = (17 if mark == 0 else 11) * normal
+        push = (17 if mark == 0 else 11) * np.array([along[1], -along[0]])
         ax.annotate(text, point, push, fontsize=7.5, color=GUIDE, **_BESIDE)
 
 
 def _curvature(ax: Axes, contour: AbstractContour, window: Window, colour: str) -> None:
     s = np.linspace(*window, 241)
-    ax.plot(MM * s, np.asarray(contour.curvature(s)), color=colour, lw=1.6)
+    ax.plot(MM * s, sample(contour, s).curvatures, color=colour, lw=1.6)

@@ -84,7 +84,7 @@ def _draw(ax: Axes, ts: np.ndarray, panel: Panel, reached: np.ndarray) -> None:
     if low <= 0.0 <= high:
         ax.axhline(0.0, color="#BBBBBB", lw=0.7, zorder=0)
     if len(panel.names) > 1:
-        ax.legend(fontsize=7.5, frameon=False, handlelength=1.4, ncols=2, labelspacing=0.3)
+        ax.legend(fontsize=7.5, frameon=False, handlelength=1.4, labelspacing=0.3)
 
 
 def _panels(grasp: Grasp, run: Trajectory) -> list[Panel]:
@@ -92,19 +92,22 @@ def _panels(grasp: Grasp, run: Trajectory) -> list[Panel]:
     contacts = _numbered("contact", len(grasp.contacts))
     panels = _press(grasp, run, contacts) if pressed else []
     if not pressed:
-        title = "Rolling coordinate"
+        title = "rolling coordinate"
         panels.append(Panel(title, r"$\sigma$ [mm]", MM * np.asarray(run.states.s), contacts))
     panels += _joint_rates(grasp, run) + _object_rates(grasp, run)
     panels += _gaps(grasp, run, contacts)
     if pressed:
         panels.append(panels.pop(_POTENTIAL))
     panels += _forces(grasp, run, contacts) + _extra(run, contacts)
-    if not _is_part_2(grasp):
-        return panels
+    figures = 10 if _is_part_2(grasp) else 0
     return [
-        replace(p, title=f"Fig. {9 + i}: {p.title}" if i < 10 else p.title)
+        replace(p, title=f"Fig. {9 + i}: {p.title}" if i < figures else _sentence(p.title))
         for i, p in enumerate(panels)
     ]
+
+
+def _sentence(words: str) -> str:
+    return words[0].upper() + words[1:]
 
 
 # Where `_press` puts U, which the chapter shows last.
@@ -153,7 +156,7 @@ def _object_rates(grasp: Grasp, run: Trajectory) -> list[Panel]:
     if v.shape[1] == 1:
         return [turning]
     names = (r"$\dot{x}$", r"$\dot{y}$")
-    return [turning, Panel("velocity of the object", "[mm/s]", MM * v[:, :2], names)]
+    return [turning, Panel("velocity of the object", "velocity [mm/s]", MM * v[:, :2], names)]
 
 
 def _gaps(grasp: Grasp, run: Trajectory, contacts: tuple[str, ...]) -> list[Panel]:
@@ -171,7 +174,7 @@ def _forces(grasp: Grasp, run: Trajectory, contacts: tuple[str, ...]) -> list[Pa
     f, lam = np.asarray(found.f), np.asarray(found.lam)
     if len(contacts) == 1:
         both = np.concatenate([f, lam], axis=1)
-        return [Panel("contact force", "[N]", both, ("normal $f$", r"tangential $\lambda$"))]
+        return [Panel("contact force", "force [N]", both, ("normal $f$", r"tangential $\lambda$"))]
     return [
         Panel("normal force", "$f$ [N]", f, contacts),
         Panel("tangential force", r"$\lambda$ [N]", lam, contacts),
@@ -183,7 +186,7 @@ def _extra(run: Trajectory, contacts: tuple[str, ...]) -> list[Panel]:
     if energy is None:
         return [_residual("tangency", "sine [{}rad]", run.residuals.tangency, 1.0, contacts)]
     size = float(np.nanmax(np.abs(np.asarray(energy.kinetic + energy.potential))))
-    return [_residual("energy balance", r"$K + P - W$ [{}J]", energy.residual, size, ())]
+    return [_residual("energy balance", r"$\Delta(K + P - W)$ [{}J]", energy.residual, size, ())]
 
 
 def _residual(

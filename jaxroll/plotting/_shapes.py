@@ -2,11 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from ..control import Press
 from ..geometry import AbstractContour
@@ -53,6 +55,31 @@ class Views:
     owners: tuple[int, ...]
 
 
+class Samples(NamedTuple):
+    """Points [mm] and unit tangents of shape (n, 2), curvatures [1/m] of shape (n,)."""
+
+    points: np.ndarray
+    tangents: np.ndarray
+    curvatures: np.ndarray
+
+
+def sample(contour: AbstractContour, s: np.ndarray) -> Samples:
+    """A contour at arclengths [m] of shape (n,)."""
+    points, tangents, curvatures = map(np.asarray, _sampled(contour, jnp.asarray(s, float)))
+    return Samples(MM * points, tangents, curvatures)
+
+
+@eqx.filter_jit
+def _sampled(contour: AbstractContour, s: Array):
+    ready = contour.prepared()
+
+    def at(u: Array):
+        frame = ready.frame(u)
+        return frame.point.array(), frame.tangent.array(), jnp.asarray(frame.curvature)
+
+    return jax.vmap(at)(s)
+
+
 def place(frame: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Body-frame points in the world; `frame` is one row (x, y, cos, sin)."""
     x, y, cos, sin = frame
@@ -92,9 +119,9 @@ def views(grasp: Grasp, states: State) -> Views:
     rolled = []
     for i, contact in enumerate(grasp.contacts):
         tip, face = grasp.contours(contact)
-        on_tip = tip.point(contact.s_tip + sigmas[:, i])
-        on_body = face.point(contact.s_object - sigmas[:, i])
-        rolled.append((MM * np.asarray(on_tip), MM * np.asarray(on_body)))
+        on_tip = sample(tip, float(contact.s_tip) + sigmas[:, i])
+        on_body = sample(face, float(contact.s_object) - sigmas[:, i])
+        rolled.append((on_tip.points, on_body.points))
     scale = np.array([MM, MM, 1.0, 1.0])
     joints = tuple(MM * j for j in joints)
     return Views(
@@ -177,13 +204,12 @@ def _outline(contours: Sequence[AbstractContour], windows: Sequence[Window]) -> 
     """The faces of a body, and what to fill: open faces are joined up behind the contour."""
     faces, rings, open_faces = [], [], []
     for contour, window in zip(contours, windows, strict=True):
-        s = np.linspace(*window, _SAMPLES)
-        face = MM * np.asarray(contour.point(s))
-        faces.append(face)
+        face = sample(contour, np.linspace(*window, _SAMPLES))
+        faces.append(face.points)
         if contour.closed:
-            rings.append(face)
+            rings.append(face.points)
         else:
-            open_faces.append((face, np.asarray(contour.tangent(s[[0, -1]]))))
+            open_faces.append((face.points, face.tangents[[0, -1]]))
     if len(open_faces) == 1:
         rings.append(_backed(*open_faces[0]))
     elif open_faces:

@@ -1,0 +1,254 @@
+"""The command line: `jaxroll demo` runs a scene of the chapter and writes its figures."""
+
+import argparse
+import contextlib
+import math
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+# jax and matplotlib are imported where they are needed, so that help and complaints come at once.
+
+_ABOUT = "Differentiable simulation of grasping under rolling contact."
+_DEMO = "Simulate a scene of the chapter, print a report, and write its figures."
+_CACHE = (
+    "Compiled programs are kept in $XDG_CACHE_HOME/jaxroll or ~/.cache/jaxroll, so that the next start "
+    "is quick. The environment variable JAXROLL_CACHE names another folder; 'off' keeps nothing."
+)
+_LONGEST_GIF = 12.0
+_FPS = 25.0
+
+
+@dataclass(frozen=True)
+class Demo:
+    """A scene that the command line can run.
+
+    Attributes:
+        title: What it shows.
+        seconds: Time to simulate by default [s].
+        speed: Simulated seconds per second of animation.
+        names: File names of the contours, the poses and the responses: the chapter's numbers.
+        scene: Lines about a grasp.
+        facts: Lines about a run of it.
+    """
+
+    title: str
+    seconds: float
+    speed: float
+    names: tuple[str, str, str]
+    scene: Callable[[Any], list[str]]
+    facts: Callable[[Any, Any], list[str]]
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose complaint is one sentence."""
+
+    def error(self, message: str) -> Any:
+        self.exit(2, f"{self.prog}: {message}\n")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Args:
+        argv: Arguments after the program's name. Default: those of the process.
+
+    Returns:
+        The exit code: 0 if all went well, 1 if the run failed, 2 for an argument that does not fit.
+
+    Example:
+        >>> main(["demo", "--seconds", "-1"])
+        2
+    """
+    parser = _parser()
+    try:
+        options = parser.parse_args(argv)
+    except SystemExit as stop:
+        return int(stop.code or 0)
+    if options.command is None:
+        parser.print_help()
+        return 0
+    try:
+        folder = Path(options.out or f"jaxroll-{options.scene}")
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        _say(f"jaxroll demo: argument --out must name a folder that can be made, but: {error}")
+        return 2
+    try:
+        _run(options, DEMOS[options.scene], folder)
+    except (ValueError, RuntimeError, OSError) as error:
+        _say(f"jaxroll demo: {error}")
+        return 1
+    return 0
+
+
+def _parser() -> _Parser:
+    parser = _Parser(prog="jaxroll", description=_ABOUT, epilog=_CACHE)
+    commands = parser.add_subparsers(dest="command", title="commands", metavar="COMMAND")
+    demo = commands.add_parser("demo", help=_DEMO, description=_DEMO, epilog=_CACHE)
+    scenes, default = tuple(DEMOS), next(iter(DEMOS))
+    told = "; ".join(f"{name}: {item.title}" for name, item in DEMOS.items())
+    demo.add_argument(
+        "scene", nargs="?", choices=scenes, default=default, help=f"{told} (default: {default})"
+    )
+    demo.add_argument("--out", metavar="FOLDER", help="where to write (default: jaxroll-SCENE)")
+    demo.add_argument(
+        "--seconds", metavar="T", type=_number(1e-3, 1e3), help="time to simulate (default: 3)"
+    )
+    demo.add_argument(
+        "--rtol",
+        metavar="R",
+        type=_number(1e-13, 1e-2),
+        default=1e-8,
+        help="relative tolerance of the solver (default: 1e-8)",
+    )
+    demo.add_argument("--no-animation", action="store_true", help="write no motion.gif")
+    return parser
+
+
+def _number(low: float, high: float) -> Callable[[str], float]:
+    def convert(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"must lie between {low:g} and {high:g}, but was {text}")
+        return value
+
+    return convert
+
+
+def _say(text: str, end: str = "\n") -> None:
+    print(text, end=end, file=sys.stderr, flush=True)
+
+
+@contextlib.contextmanager
+def _timed(doing: str) -> Iterator[dict[str, float]]:
+    """Say what is being done, then how long it took."""
+    _say(f"{doing} ...", end="")
+    start, spent = time.perf_counter(), {}
+    try:
+        yield spent
+    except BaseException:
+        _say("")
+        raise
+    spent["s"] = time.perf_counter() - start
+    _say(f" {spent['s']:.3g} s")
+
+
+def _configure() -> None:
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    home = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
+    cache = os.environ.get("JAXROLL_CACHE") or f"{home}/jaxroll"
+    if cache != "off":
+        jax.config.update("jax_compilation_cache_dir", str(Path(cache).expanduser()))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+
+
+def _run(options: argparse.Namespace, demo: Demo, folder: Path) -> None:
+    with _timed("Loading"):
+        _configure()
+        import jax
+
+        from . import __version__, plotting, scenes, simulate
+    seconds = options.seconds or demo.seconds
+    with _timed("Closing the contact"):
+        grasp, state = getattr(scenes, options.scene)()
+    record, ts = ("multipliers", "energy"), min(max(301, round(100 * seconds) + 1), 3001)
+    settings = {"t1": seconds, "ts": ts, "rtol": options.rtol, "record": record}
+    with _timed(f"Simulating {seconds:g} s, with compilation") as first:
+        run = jax.block_until_ready(simulate(grasp, state, **settings))
+    with _timed("Simulating it again") as again:
+        jax.block_until_ready(simulate(grasp, state, **settings))
+    names = list(demo.names)
+    with _timed("Drawing"):
+        facts = demo.facts(grasp, run)
+        figures = (
+            plotting.contours(grasp),
+            plotting.poses(grasp, run),
+            plotting.responses(grasp, run),
+        )
+        for name, figure in zip(demo.names, figures, strict=True):
+            figure.savefig(folder / name, dpi=150)
+    if not options.no_animation:
+        names.append("motion.gif")
+        speed = max(demo.speed, seconds / _LONGEST_GIF)
+        with _timed("Animating"):
+            plotting.animate(
+                grasp, run, folder / "motion.gif", fps=_FPS, speed=speed, progress=_progress
+            )
+    print(f"\njaxroll {__version__}, {options.scene}: {demo.title}")
+    print("\n".join([*demo.scene(grasp), f"{run}", *facts]))
+    print(f"  wall time   {first['s']:.3g} s with compilation, {again['s']:.3g} s again")
+    print(f"Files in {folder}:")
+    for pair in (names[i : i + 2] for i in range(0, len(names), 2)):
+        print("  " + ", ".join(pair))
+
+
+def _progress(done: int, total: int) -> None:
+    if sys.stderr.isatty():
+        _say(f"\rAnimating ... {done} of {total} frames", end="," if done == total else "")
+
+
+def _pivoted_scene(grasp: Any) -> list[str]:
+    finger, control, body = grasp.fingers[0], grasp.controller, grasp.object
+    row = lambda array: ", ".join(f"{1e3 * float(x):g}" for x in array)  # noqa: E731
+    return [
+        f"  links       {row(finger.lengths)} mm; {row(finger.masses)} g",
+        f"  object      {float(body.inertia):g} kg m^2 about its pivot at ({row(body.pivot)}) mm",
+        f"  control     f_d = {float(control.force):g} N, r = {1e3 * float(control.radius):g} mm, "
+        f"c = {float(control.damping):g} N m s",
+    ]
+
+
+def _pivoted_facts(grasp: Any, run: Any) -> list[str]:
+    import numpy as np
+
+    from . import press_balance
+
+    found = press_balance(grasp, run.ts, run.states)
+    rows = (
+        ("Delta f [N]", found.delta_f, 1.0),
+        ("Delta lambda [N]", found.delta_lam, 1.0),
+        ("(f_d/r) N_1 [N m]", found.moment, 1.0),
+        ("s [mm]", found.s, 1e3),
+        ("U [mJ]", found.potential, 1e3),
+    )
+    lines = [f"{'Chapter, Figs. 9-18':22}{'start':>14}{'end':>14}"]
+    for name, values, scale in rows:
+        start, end = scale * float(values[0, 0]), scale * float(values[-1, 0])
+        lines.append(f"  {name:20}{start:14.5g}{end:14.5g}")
+    peak = lambda array: float(np.nanmax(np.abs(np.asarray(array))))  # noqa: E731
+    left, energy = run.residuals, run.energy
+    lines.append(
+        f"  largest     |Q| {peak(left.normal):.1e} m, |R| {peak(left.tangential):.1e} m, "
+        f"tangency {peak(left.tangency):.1e} rad"
+    )
+    lines.append(
+        f"  energy      {1e3 * -float(energy.work[-1]):.4g} mJ dissipated; "
+        f"balance off by {peak(energy.residual):.1e} J"
+    )
+    return lines
+
+
+DEMOS = {
+    "pivoted": Demo(
+        "a two-joint finger rolls on a pivoted object (Part 2)",
+        seconds=3.0,
+        speed=0.5,
+        names=("fig07_contours.png", "fig08_poses.png", "fig09_18_responses.png"),
+        scene=_pivoted_scene,
+        facts=_pivoted_facts,
+    ),
+}
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,139 @@
+"""Every contour: closed forms against autodiff, Frenet's equations, placement, arclength."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.special import ellipeinc
+
+import jaxroll as jxr
+from jaxroll.geometry import frenet
+
+A, B = 0.02, 0.01
+CONTOURS = {
+    "line": jxr.Line(),
+    "circle": jxr.Circle(0.01),
+    "ellipse": jxr.Ellipse(A, B),
+    "flat ellipse": jxr.Ellipse(0.005, 0.02),
+    "catenary": jxr.Catenary(0.025),
+    "moved": jxr.Catenary(0.025).moved((0.01, -0.02), 0.7, origin=0.003),
+    "moved ellipse": jxr.Ellipse(A, B).moved((0.01, -0.02), -2.0),
+}
+S = np.linspace(-0.07, 0.09, 161)
+
+
+@pytest.fixture(scope="module", params=CONTOURS)
+def contour(request):
+    return CONTOURS[request.param]
+
+
+@jax.jit
+def by_autodiff(contour, s):
+    ready = contour.prepared()
+    return frenet(ready.curve, s), ready.frame(s)
+
+
+def test_closed_form_frame_is_autodiff_of_the_point(contour):
+    auto, closed = by_autodiff(contour, jnp.asarray(S))
+    scale = float(np.max(np.abs(closed.curvature))) + 1.0
+    np.testing.assert_allclose(auto.point.array(), closed.point.array(), atol=1e-14)
+    np.testing.assert_allclose(auto.tangent.array(), closed.tangent.array(), atol=1e-12)
+    np.testing.assert_allclose(auto.curvature / scale, closed.curvature / scale, atol=1e-12)
+
+
+def test_unit_speed_and_orthogonal_outward_normal(contour):
+    t, n = contour.tangent(S), contour.normal(S)
+    np.testing.assert_allclose(np.linalg.norm(t, axis=-1), 1.0, atol=1e-14)
+    np.testing.assert_allclose(np.sum(t * n, axis=-1), 0.0, atol=1e-14)
+    np.testing.assert_allclose(n, np.stack([t[:, 1], -t[:, 0]], -1), atol=0)
+
+
+def test_frenet_equations_as_corrected(contour):
+    """(9)-(10) right: b' = kappa n and n' = -kappa b with n inward, here by differences."""
+    h = 2e-7
+    inward = lambda s: -contour.normal(s)  # noqa: E731
+    kappa = np.asarray(contour.curvature(S))[:, None]
+    slope = lambda f: (np.asarray(f(S + h)) - np.asarray(f(S - h))) / (2 * h)  # noqa: E731
+    size = 1.0 + np.max(np.abs(kappa))
+    np.testing.assert_allclose(slope(contour.tangent) / size, kappa * inward(S) / size, atol=1e-7)
+    np.testing.assert_allclose(slope(inward) / size, -kappa * contour.tangent(S) / size, atol=1e-7)
+
+
+def test_closed_contours_run_counter_clockwise_once(contour):
+    if not contour.closed:
+        pytest.skip("open")
+    low, high = contour.domain()
+    s = np.linspace(float(low), float(high), 2001)
+    points = np.asarray(contour.point(s))
+    np.testing.assert_allclose(points[0], points[-1], atol=1e-14)
+    x, y = (points - points.mean(axis=0)).T
+    assert 0.5 * np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]) > 0
+    turning = np.trapezoid(np.asarray(contour.curvature(s)), s)
+    np.testing.assert_allclose(turning, 2 * np.pi, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("a", "b"), [(A, B), (B, A), (0.02, 0.005), (0.01, 0.01)])
+def test_ellipse_arclength_against_the_elliptic_integral(a, b):
+    """To 1e-12 of the circumference; the integral is SciPy's."""
+    ellipse = jxr.Ellipse(a, b)
+    u = np.linspace(0.0, 2 * np.pi, 97)
+    m = 1.0 - (a / b) ** 2
+    exact = b * ellipeinc(u, m)
+    length = exact[-1]
+    np.testing.assert_allclose(float(ellipse.domain()[1]), length, rtol=1e-13)
+    expected = np.stack([a * np.cos(u), b * np.sin(u)], -1)
+    error = np.abs(np.asarray(ellipse.point(exact)) - expected).max()
+    assert error <= 1e-12 * length
+
+
+def test_ellipse_table_converges_at_sixth_order():
+    exact = jxr.Ellipse(A, B, cells=2048)
+    s = np.linspace(0.0, 0.09, 401)
+    cells = np.array([24, 48, 96])
+    errors = [
+        np.abs(np.asarray(jxr.Ellipse(A, B, cells=int(n)).point(s) - exact.point(s))).max()
+        for n in cells
+    ]
+    assert abs(np.polyfit(np.log(cells), np.log(errors), 1)[0] + 6.0) < 0.5
+
+
+@pytest.mark.parametrize("name", ["a", "b"])
+def test_ellipse_point_is_differentiable_in_its_axes(name):
+    """Against central differences of SciPy's inverse, in both modes."""
+
+    def point(x):
+        axes = {"a": A, "b": B} | {name: x}
+        return jxr.Ellipse(**axes).point(0.013)[0]
+
+    x = {"a": A, "b": B}[name]
+    h = 1e-6 * x
+    slope = (point(x + h) - point(x - h)) / (2 * h)
+    np.testing.assert_allclose(jax.grad(point)(x), slope, rtol=1e-8)
+    np.testing.assert_allclose(jax.jacfwd(point)(x), slope, rtol=1e-8)
+
+
+def test_chapter_contours_are_these_catenaries():
+    """(80)-(83) as corrected, point by point, in the mirrored frame."""
+    from helpers import Chapter
+
+    grasp, _ = jxr.scenes.pivoted()
+    mirror = np.array([1.0, -1.0])
+    s = np.linspace(-0.01, 0.01, 41)
+    printed = np.asarray(jax.vmap(Chapter.object_contour)(jnp.asarray(s)))
+    np.testing.assert_allclose(grasp.object.contours[0].point(s), printed * mirror, atol=1e-15)
+    printed = np.asarray(jax.vmap(Chapter.tip_contour)(jnp.asarray(s)))
+    # The chapter's fingertip frame is left-handed after the mirror, and runs against our arclength.
+    tip = grasp.fingers[0].tip
+    turned = np.stack([-printed[:, 1], -printed[:, 0]], -1)
+    np.testing.assert_allclose(tip.point(-s), turned, atol=1e-15)
+    a, b = 1 / 100, 1 / 40
+    face = grasp.object.contours[0]
+    np.testing.assert_allclose(face.curvature(s), a / (a**2 + (s - 3.363e-3) ** 2), rtol=1e-14)
+    np.testing.assert_allclose(tip.curvature(s), b / (b**2 + s**2), rtol=1e-14)
+
+
+@pytest.mark.parametrize("shape", [(), (3,), (2, 4)])
+def test_public_shapes(contour, shape):
+    s = np.zeros(shape)
+    assert contour.point(s).shape == (*shape, 2)
+    assert contour.curvature(s).shape == shape

@@ -1,0 +1,198 @@
+"""Equations of motion against independent forms: Lagrangian autodiff, dense KKT, the chapter."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import Chapter, broadcasting
+
+import jaxroll as jxr
+from jaxroll.integration import Index1
+from jaxroll.integration._closed_loop import evaluate
+from jaxroll.mechanics import join, to_leaves
+
+GRAVITY = (0.3, -9.81)
+RNG = np.random.default_rng(7)
+
+
+def two_fingers(gravity=None):
+    """A free object between a 3-joint and a 2-joint finger; states need not touch."""
+    left = jxr.Finger(
+        [0.05, 0.04, 0.03], [0.05, 0.04, 0.03], tip=jxr.Circle(0.008), base=(-0.05, 0.0)
+    )
+    right = jxr.Finger(
+        [0.06, 0.05],
+        [0.05, 0.04],
+        tip=jxr.Catenary(0.02).moved((0.004, 0.0), 0.3),
+        base=(0.06, 0.01),
+        centres=[0.02, 0.03],
+        inertias=[2e-5, 1e-5],
+    )
+    body = jxr.FreeObject((jxr.Circle(0.03), jxr.Catenary(0.05)), mass=0.04, inertia=1.2e-5)
+    contacts = (
+        jxr.Contact(0.001, 0.05, finger=0),
+        jxr.Contact(-0.002, 0.002, finger=1, contour=1, sense=-1),
+    )
+    return jxr.Grasp(body, (left, right), contacts, gravity=gravity)
+
+
+def one_finger(gravity=None):
+    finger = jxr.Finger([0.065, 0.065], [0.045, 0.040], tip=jxr.Catenary(0.025))
+    body = jxr.PivotedObject(
+        jxr.Catenary(0.01), 6e-6, pivot=(0.05, 0.08), mass=0.02, centre=(0.004, -0.002)
+    )
+    return jxr.Grasp(body, finger, jxr.Contact(), gravity=gravity)
+
+
+def random_state(grasp, seed):
+    rng = np.random.default_rng(seed)
+    n, c = grasp.coordinates, len(grasp.contacts)
+    draw = lambda k, size: jnp.asarray(rng.uniform(-size, size, k))  # noqa: E731
+    return jxr.State(draw(n, 1.5), draw(n, 3.0), draw(c, 0.004))
+
+
+@broadcasting
+def finger_energy(finger, q, v, gravity):
+    """Kinetic and potential energy, written from positions of the links alone."""
+
+    def centres(q):
+        angles = jnp.cumsum(q)
+        along = jnp.stack([jnp.cos(angles), jnp.sin(angles)], -1)
+        ends = finger.base + jnp.cumsum(along * finger.lengths[:, None], axis=0)
+        return jnp.concatenate([finger.base[None], ends[:-1]]) + along * finger.centres[:, None]
+
+    points, rates = jax.jvp(centres, (q,), (v,))
+    spins = jnp.cumsum(v)
+    kinetic = 0.5 * jnp.sum(finger.masses * jnp.sum(rates**2, -1) + finger.inertias * spins**2)
+    return kinetic, -jnp.sum(finger.masses[:, None] * points * jnp.asarray(gravity))
+
+
+def lagrangian(grasp, q, v, gravity):
+    """L = K - P of the whole grasp without constraints."""
+    free = grasp.object.freedoms == 3
+    if free:
+        body = grasp.object
+        kinetic = 0.5 * (body.mass * (v[0] ** 2 + v[1] ** 2) + body.inertia * v[2] ** 2)
+        potential = -body.mass * (q[:2] @ jnp.asarray(gravity))
+    else:
+        body = grasp.object
+        w = body.weight_moment
+        turned = jnp.array(
+            [jnp.cos(q[0]) * w[0] - jnp.sin(q[0]) * w[1], jnp.sin(q[0]) * w[0] + jnp.cos(q[0]) * w[1]]
+        )
+        kinetic, potential = 0.5 * body.inertia * v[0] ** 2, -turned @ jnp.asarray(gravity)
+    at = grasp.object.freedoms
+    for finger in grasp.fingers:
+        k = finger.joints
+        more, fall = finger_energy(finger, q[at : at + k], v[at : at + k], gravity)
+        kinetic, potential, at = kinetic + more, potential + fall, at + k
+    return kinetic - potential
+
+
+def lagrange_terms(grasp, state, gravity):
+    """M and h of M v' + h = u, by autodiff of the Lagrangian."""
+    L = lambda q, v: lagrangian(grasp, q, v, gravity)  # noqa: E731
+    mass = jax.jacfwd(jax.grad(L, 1), 1)(state.q, state.v)
+    mixed = jax.jacfwd(jax.grad(L, 1), 0)(state.q, state.v)
+    return mass, mixed @ state.v - jax.grad(L, 0)(state.q, state.v)
+
+
+@pytest.mark.parametrize("make", [two_fingers, one_finger])
+@pytest.mark.parametrize("gravity", [None, GRAVITY])
+def test_mass_matrix_and_bias_against_the_lagrangian(make, gravity):
+    grasp = make(gravity)
+    for seed in range(4):
+        state = random_state(grasp, seed)
+        terms = jxr.equation_terms(grasp, state)
+        mass, bias = jax.jit(lambda s: lagrange_terms(grasp, s, gravity or (0.0, 0.0)))(state)
+        np.testing.assert_allclose(terms.mass, mass, rtol=1e-12, atol=1e-18)
+        np.testing.assert_allclose(terms.bias, bias, rtol=1e-11, atol=1e-16)
+
+
+@broadcasting
+def world_gaps(grasp, q, s):
+    """Gap vectors from arrays alone; frozen contact coordinates."""
+    at, tips = grasp.object.freedoms, []
+    for finger in grasp.fingers:
+        angles = jnp.cumsum(q[at : at + finger.joints])
+        along = jnp.stack([jnp.cos(angles), jnp.sin(angles)], -1)
+        tips.append((finger.base + jnp.sum(along * finger.lengths[:, None], 0), angles[-1]))
+        at += finger.joints
+    origin, angle = (q[:2], q[2]) if grasp.object.freedoms == 3 else (grasp.object.pivot, q[0])
+    turn = lambda a: jnp.array([[jnp.cos(a), -jnp.sin(a)], [jnp.sin(a), jnp.cos(a)]])  # noqa: E731
+    gaps = []
+    for i, contact in enumerate(grasp.contacts):
+        tip, face = grasp.contours(contact)
+        r, phi = tips[contact.finger]
+        on_tip = r + turn(phi) @ tip.point(contact.s_tip + s[i])
+        gaps.append(on_tip - origin - turn(angle) @ face.point(contact.s_object - s[i]))
+    return jnp.stack(gaps)
+
+
+def test_accelerations_against_a_dense_kkt_solve():
+    """Rows and bias by autodiff of the gap in q, the saddle-point system by NumPy."""
+    grasp = two_fingers(GRAVITY)
+    ready = grasp.prepared()
+
+    @jax.jit
+    def ours(state):
+        instant = evaluate(ready, 0.0, to_leaves(state, grasp.sizes), Index1())
+        return join(instant.rates.v), jnp.stack(instant.rates.s), instant.forces
+
+    @jax.jit
+    def parts(state, s_rate):
+        gap_rate = lambda q, s: jax.jacfwd(lambda p: world_gaps(grasp, p, s))(q) @ state.v  # noqa: E731
+        rows = jax.jacfwd(lambda p: world_gaps(grasp, p, state.s))(state.q)
+        _, bias = jax.jvp(gap_rate, (state.q, state.s), (state.v, s_rate))
+        return rows.reshape(-1, grasp.coordinates), bias.reshape(-1)
+
+    for seed in range(3):
+        state = random_state(grasp, seed)
+        v_rate, s_rate, forces = ours(state)
+        rows, bias = parts(state, s_rate)
+        mass, h = lagrange_terms(grasp, state, GRAVITY)
+        m = rows.shape[0]
+        kkt = np.block([[np.asarray(mass), -np.asarray(rows).T], [rows, np.zeros((m, m))]])
+        answer = np.linalg.solve(kkt, np.concatenate([-h, -bias]))
+        scale = np.abs(answer[: grasp.coordinates]).max()
+        np.testing.assert_allclose(v_rate / scale, answer[: grasp.coordinates] / scale, atol=1e-11)
+        flat = np.concatenate([np.asarray(f.array()) for f in forces])
+        size = np.abs(flat).max()
+        np.testing.assert_allclose(flat / size, answer[grasp.coordinates :] / size, atol=1e-11)
+
+
+def test_constraint_gradients_are_the_coefficients_of_73_and_74():
+    """Random tangent states, to 1e-12; the chapter's quantities from its own formulas."""
+    grasp, _ = jxr.scenes.pivoted()
+    chapter = Chapter()
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        s, theta, q1 = rng.uniform(-0.01, 0.01), rng.uniform(-2, 2), rng.uniform(-2, 2)
+        theta1, psi0 = chapter.angles(s)
+        phi = float(theta1 - psi0 + np.pi / 2)  # tangency, nothing else
+        q = np.array([theta, q1, phi + theta - q1])
+        start = float(grasp.contacts[0].s_object)
+        state = jxr.State(jnp.asarray(q), jnp.zeros(3), jnp.array([start - s]))
+        terms = jxr.equation_terms(grasp, state)
+        l_b0, l_b1, l_n0, l_n1 = chapter.lengths(s)
+        angle = theta + theta1
+        n1, b1 = np.array([np.cos(angle), -np.sin(angle)]), np.array([np.sin(angle), np.cos(angle)])
+        p = q[1] + q[2]
+        link = lambda a: np.array([-np.sin(a), -np.cos(a)]) * 0.065  # noqa: E731
+        jacobian = np.stack([link(q[1]) + link(p), link(p)], -1)  # clockwise angles
+        normal = np.concatenate([[l_b1], jacobian.T @ n1 + l_b0])
+        tangential = np.concatenate([[-l_n1], jacobian.T @ b1 - l_n0])
+        np.testing.assert_allclose(terms.normal[0], normal, atol=1e-12)
+        np.testing.assert_allclose(terms.tangential[0], tangential, atol=1e-12)
+
+
+def test_object_mass_follows_newton_where_nothing_holds_it():
+    """Equation (1): M x'' = f n0 + lambda b0 + M g, on the free object."""
+    grasp = two_fingers(GRAVITY)
+    state = random_state(grasp, 3)
+    ready = grasp.prepared()
+    instant = evaluate(ready, 0.0, to_leaves(state, grasp.sizes), Index1())
+    force = -sum(np.asarray(f.array()) for f in instant.forces)
+    rates = np.asarray(jnp.stack(instant.rates.v[0][:2]))
+    expected = force / 0.04 + np.asarray(GRAVITY)
+    np.testing.assert_allclose(rates, expected, rtol=1e-9)

@@ -1,0 +1,216 @@
+"""The chapter's Part 2: what it reports, and how exactly we compute it."""
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import Chapter, observed_order
+from scipy.integrate import solve_ivp
+
+import jaxroll as jxr
+
+ELBOW = -1  # branch of the law of cosines that the scene starts on
+
+
+@pytest.fixture(scope="module")
+def reference():
+    """Minimal-coordinate motion by SciPy: times, s and (theta, q1, q2)."""
+    chapter = Chapter()
+    field = chapter.acceleration(ELBOW)
+    ts = np.linspace(0.0, 3.0, 31)
+    answer = solve_ivp(
+        lambda t, y: [y[1], float(field(y[0], y[1]))],
+        (0.0, 3.0),
+        [0.003, 0.0],
+        method="DOP853",
+        rtol=1e-13,
+        atol=1e-15,
+        t_eval=ts,
+    )
+    poses = jax.vmap(lambda s: chapter.pose(s, ELBOW))(jnp.asarray(answer.y[0]))
+    return ts, answer.y[0], np.asarray(poses)
+
+
+def test_trajectory_against_minimal_coordinates(scene, reference):
+    ts, s, poses = reference
+    run = jxr.simulate(*scene, t1=3.0, ts=ts, rtol=1e-11)
+    np.testing.assert_allclose(run.states.q, poses, atol=1e-11)
+    np.testing.assert_allclose(0.003 - run.states.s[:, 0], s, atol=1e-13)
+
+
+def test_default_settings_meet_the_stated_accuracy(run, reference):
+    np.testing.assert_allclose(run.states.q[::10], reference[2], atol=1e-9)
+
+
+def test_rolls_far_enough(run):
+    turned = np.ptp(np.asarray(run.states.q[:, 0]))
+    rolled = np.ptp(np.asarray(run.states.q @ np.array([-1.0, 1.0, 1.0])))
+    assert turned >= 0.3 and rolled >= 0.3
+
+
+def test_constraints_stay_at_rounding_level(run):
+    left = run.residuals
+    assert np.abs(left.normal).max() <= 1e-12
+    assert np.abs(left.tangential).max() <= 1e-12
+    assert np.abs(left.tangency).max() <= 1e-12
+
+
+def test_velocities_stay_on_the_constraints(scene, run):
+    grasp, _ = scene
+    for i in (30, 100, 300):
+        state = jax.tree.map(lambda x, i=i: x[i], run.states)
+        terms = jxr.equation_terms(grasp, state)
+        assert abs(float(terms.normal[0] @ state.v)) <= 1e-12
+        assert abs(float(terms.tangential[0] @ state.v)) <= 1e-12
+
+
+def test_energy_identity(scene):
+    """K + potential + dissipated work, constant to 1e-9 of its size at rtol 1e-9."""
+    run = jxr.simulate(*scene, t1=3.0, rtol=1e-9, record=("energy",))
+    size = float(run.energy.kinetic[0] + run.energy.potential[0])
+    assert np.abs(run.energy.residual).max() <= 1e-9 * size
+    assert float(run.energy.work[-1]) < -0.01 * size  # it does dissipate
+
+
+def test_recorded_energy_is_the_chapters(scene, run):
+    """(71) and U below (83), from the chapter's formulas at every tenth state."""
+    chapter = Chapter()
+    states = jax.tree.map(lambda x: x[::10], run.states)
+    kinetic = jax.vmap(chapter.kinetic)(states.q, states.v)
+    np.testing.assert_allclose(run.energy.kinetic[::10], kinetic, rtol=1e-12, atol=1e-20)
+    potential = jax.vmap(chapter.potential)(0.003 - states.s[:, 0])
+    np.testing.assert_allclose(run.energy.potential[::10], potential, rtol=1e-12)
+
+
+@pytest.mark.slow
+def test_undamped_for_100_s(scene):
+    grasp, state = scene
+    run = jxr.simulate(
+        grasp.with_(damping=0.0), state, 100.0, rtol=1e-9, record=("energy",), max_steps=200_000
+    )
+    left = run.residuals
+    assert max(np.abs(x).max() for x in (left.normal, left.tangential, left.tangency)) <= 1e-12
+    size = float(run.energy.kinetic[0] + run.energy.potential[0])
+    assert np.abs(run.energy.residual).max() <= 1e-6 * size
+    assert np.abs(run.states.v).max() > 1.0  # it keeps moving
+
+
+def test_what_the_chapter_reports(scene, run):
+    """Figs. 9-11 and 18: Delta f, Delta lambda and N_1 tend to zero, U falls to its minimum."""
+    grasp, _ = scene
+    balance = jxr.press_balance(grasp, run.ts, run.states)
+    for series in (balance.delta_f, balance.delta_lam, balance.moment):
+        series = np.abs(np.asarray(series[:, 0]))
+        assert series[0] > 1e-4
+        assert series[-1] <= 1e-6 * series.max()
+    potential = np.asarray(balance.potential[:, 0])
+    tail = potential[50:200]
+    assert np.all(np.diff(tail) < 0) and potential[-1] == pytest.approx(potential.min(), rel=1e-12)
+    chapter = Chapter()
+    slope = jax.grad(chapter.potential)(float(balance.s[-1, 0]))
+    assert abs(slope) < 1e-9  # U is stationary where it ends
+
+
+def test_balance_is_the_chapters_own_quantities(scene, run):
+    """(76)-(79) with (60)-(63) from the printed contours."""
+    grasp, _ = scene
+    chapter = Chapter()
+    balance = jxr.press_balance(grasp, run.ts, run.states)
+    for i in (0, 10, 40):
+        l_b0, l_b1, l_n0, l_n1 = chapter.lengths(float(balance.s[i, 0]))
+        q1, r1 = -l_n0 - l_n1, -(l_b0 + l_b1)
+        assert float(balance.n1[i, 0]) == pytest.approx(float(-l_b0 * l_n1 + l_n0 * l_b1), rel=1e-10)
+        f, lam = run.multipliers.f[i, 0], run.multipliers.lam[i, 0]
+        assert float(balance.delta_f[i, 0]) == pytest.approx(float(f + 50 * q1), abs=1e-12)
+        assert float(balance.delta_lam[i, 0]) == pytest.approx(float(lam + 50 * r1), abs=1e-12)
+
+
+def test_closed_loop_equations_76_and_77_hold_along_the_run(scene, run):
+    """Residuals of the printed form with accelerations by differences of the velocities."""
+    grasp, _ = scene
+    i = 20
+    state = jax.tree.map(lambda x: x[i], run.states)
+    h = 1e-4
+    fine = jxr.simulate(
+        grasp, state, h, ts=jnp.array([0.0, h / 2, h]), rtol=1e-12, record=("multipliers",)
+    )
+    v_rate = (fine.states.v[2] - fine.states.v[0]) / h
+    middle = jax.tree.map(lambda x: x[1], fine.states)
+    terms = jxr.equation_terms(grasp, middle)
+    balance = jxr.press_balance(grasp, 0.0, middle)
+    e = np.array([-1.0, 1.0, 1.0])
+    damping = 0.006 * np.array([0.0, 1.0, 1.0]) * np.asarray(middle.v)
+    left = np.asarray(terms.mass @ v_rate + terms.bias) + damping
+    left += np.asarray(balance.delta_f[0] * terms.normal[0] + balance.delta_lam[0] * terms.tangential[0])
+    left -= np.asarray(balance.moment[0]) * e
+    assert np.abs(left).max() <= 1e-5 * float(np.abs(terms.mass @ v_rate).max())
+
+
+END = {}
+
+
+def end_of_fixed_steps(scene, solver, steps):
+    """theta after 0.08 s in equal steps, projected after each."""
+    h = 0.08 / steps
+    run = jxr.simulate(
+        *scene,
+        t1=0.08,
+        ts=1,
+        solver=solver,
+        stepsize_controller=diffrax.ConstantStepSize(),
+        dt0=h,
+    )
+    assert int(run.stats.accepted) == steps + 1  # the first has no length
+    return np.asarray(run.states.q[-1])
+
+
+@pytest.mark.parametrize(
+    ("solver", "order", "band", "ladder"),
+    [
+        (diffrax.Tsit5(), 5, 0.3, (32, 48, 64, 96)),
+        (diffrax.Dopri8(), 8, 0.5, (8, 10, 12, 16)),
+    ],
+    ids=["Tsit5", "Dopri8"],
+)
+def test_observed_order_with_projection(scene, solver, order, band, ladder):
+    exact = end_of_fixed_steps(scene, diffrax.Dopri8(), 400)
+    errors = [np.abs(end_of_fixed_steps(scene, solver, n) - exact).max() for n in ladder]
+    assert abs(-observed_order(np.array(ladder), errors) - order) <= band
+
+
+@pytest.fixture(scope="module")
+def stabilised(scene):
+    """The chapter's own method at tight tolerance."""
+    return jxr.simulate(
+        *scene, t1=3.0, ts=31, formulation=jxr.CSM(), rtol=1e-9, max_steps=50_000
+    )
+
+
+def test_csm_agrees_with_index1(stabilised, reference):
+    """From a consistent start CSM differs from the exact motion by integration error alone."""
+    np.testing.assert_allclose(stabilised.states.q, reference[2], atol=2e-8)
+    left = stabilised.residuals
+    assert np.abs(left.normal).max() <= 1e-10 and np.abs(left.tangential).max() <= 1e-10
+
+
+def test_csm_takes_ten_times_the_steps(scene, stabilised):
+    projected = jxr.simulate(*scene, t1=3.0, ts=31, rtol=1e-9)
+    assert int(stabilised.stats.accepted) >= 10 * int(projected.stats.accepted)
+
+
+def test_csm_pulls_a_violated_constraint_back(scene):
+    grasp, state = scene
+    off = jxr.State(state.q + jnp.array([1e-5, 0.0, 0.0]), state.v, state.s)
+    run = jxr.simulate(grasp, off, 0.05, ts=2, formulation=jxr.CSM(), throw=False)
+    before, after = (np.hypot(run.residuals.normal, run.residuals.tangential)[i, 0] for i in (0, 1))
+    assert before > 1e-8 and after < 1e-4 * before
+
+
+def test_gravity_holds_energy(scene):
+    """The optional field: same scene in a vertical plane, energy identity again."""
+    grasp, state = jxr.scenes.pivoted(gravity=(0.0, -9.81))
+    run = jxr.simulate(grasp, state, 0.5, ts=11, rtol=1e-10, record=("energy",))
+    size = np.abs(np.asarray(run.energy.potential)).max()
+    assert np.abs(run.energy.residual).max() <= 1e-9 * size
+    assert np.ptp(np.asarray(run.energy.potential)) > 1e-3 * size

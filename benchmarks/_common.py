@@ -28,7 +28,7 @@ class Run:
 
     call: Callable[[], Any]
     read: Callable[[Any], np.ndarray]
-    count: Callable[[], tuple[int | None, int | None]]
+    count: Callable[[], tuple[int, int]]
     bare: Callable[[], Any] | None = None
 
 
@@ -49,8 +49,8 @@ class Result:
 
     contender: Contender
     tolerance: float
-    steps: int | None = None
-    evaluations: int | None = None
+    steps: dict[str, int] = dataclasses.field(default_factory=dict)
+    evaluations: dict[str, int] = dataclasses.field(default_factory=dict)
     gap: float = float("nan")
     outcome: str = "ok"
     errors: dict[str, float] = dataclasses.field(default_factory=dict)
@@ -141,7 +141,3 @@ def ms(seconds: float | None) -> str:
 
 def size(value: float | None) -> str:
     return "" if value is None or np.isnan(value) else f"{value:.1e}"
-
-
-def integer(value: int | None) -> str:
-    return "" if value is None else str(value)

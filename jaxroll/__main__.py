@@ -16,8 +16,9 @@ from typing import Any
 _ABOUT = "Differentiable simulation of grasping under rolling contact."
 _DEMO = "Simulate a scene of the chapter, print a report, and write its figures."
 _CACHE = (
-    "Compiled programs are kept in $XDG_CACHE_HOME/jaxroll or ~/.cache/jaxroll, so that the next start "
-    "is quick. The environment variable JAXROLL_CACHE names another folder; 'off' keeps nothing."
+    "Compiled programs are kept in $XDG_CACHE_HOME/jaxroll or ~/.cache/jaxroll, so that the next "
+    "start is quick. The environment variable JAXROLL_CACHE names another folder; 'off' keeps "
+    "nothing."
 )
 _LONGEST_GIF = 12.0
 _FPS = 25.0
@@ -97,7 +98,7 @@ def _parser() -> _Parser:
     )
     demo.add_argument("--out", metavar="FOLDER", help="where to write (default: jaxroll-SCENE)")
     demo.add_argument(
-        "--seconds", metavar="T", type=_number(1e-3, 1e3), help="time to simulate (default: 3)"
+        "--seconds", metavar="T", type=_number(1e-3, 1e3), help="seconds to simulate (default: 3)"
     )
     demo.add_argument(
         "--rtol",
@@ -117,7 +118,9 @@ def _number(low: float, high: float) -> Callable[[str], float]:
         except ValueError:
             value = math.nan
         if not low <= value <= high:
-            raise argparse.ArgumentTypeError(f"must lie between {low:g} and {high:g}, but was {text}")
+            raise argparse.ArgumentTypeError(
+                f"must lie between {low:g} and {high:g}, but was {text}"
+            )
         return value
 
     return convert
@@ -184,12 +187,11 @@ def _run(options: argparse.Namespace, demo: Demo, folder: Path) -> None:
             plotting.animate(
                 grasp, run, folder / "motion.gif", fps=_FPS, speed=speed, progress=_progress
             )
-    print(f"\njaxroll {__version__}, {options.scene}: {demo.title}")
+    print(f"jaxroll {__version__}, {options.scene}: {demo.title}")
     print("\n".join([*demo.scene(grasp), f"{run}", *facts]))
     print(f"  wall time   {first['s']:.3g} s with compilation, {again['s']:.3g} s again")
     print(f"Files in {folder}:")
-    for pair in (names[i : i + 2] for i in range(0, len(names), 2)):
-        print("  " + ", ".join(pair))
+    print("  " + ", ".join(names))
 
 
 def _progress(done: int, total: int) -> None:

@@ -94,6 +94,6 @@ def raise_on_failure(result: RESULTS, values: Any) -> Any:
     if isinstance(result._value, jax.core.Tracer):
         return result.error_if(values, is_failure(result))
     if bool(np.any(is_failure(result))):
-        worst = eqx.tree_at(lambda r: r._value, result, np.max(np.asarray(result._value)))
+        worst = eqx.tree_at(lambda r: r._value, result, np.asarray(np.max(result._value)))
         raise RuntimeError(message(worst))
     return values

@@ -23,7 +23,7 @@ def pivoted(
     *,
     s: ArrayLike = 0.003,
     base: ArrayLike = (0.0, 0.0),
-    pivot: ArrayLike = (0.055, 0.085),
+    pivot: ArrayLike = (0.03, 0.105),
     gravity: ArrayLike | None = None,
 ) -> tuple[Grasp, State]:
     r"""Part 2: a two-joint finger rolls on an object pivoted at a fixed point (Figs. 4-18).
@@ -64,5 +64,5 @@ def pivoted(
         controller=Press(FORCE, RADIUS, DAMPING, target=pivot),
         gravity=gravity,
     )
-    guess = State(jnp.array([0.5, 0.3, 1.9]), jnp.zeros(3), jnp.zeros(1))
+    guess = State(jnp.array([-0.5, 1.9, -0.7]), jnp.zeros(3), jnp.zeros(1))
     return close(grasp, guess)

@@ -38,7 +38,7 @@ class Chapter:
     closed forms. Misprints are corrected as the errata say.
     """
 
-    def __init__(self, base=(0.0, 0.0), pivot=(0.055, 0.085)):
+    def __init__(self, base=(0.0, 0.0), pivot=(0.03, 0.105)):
         # The mirror y -> -y takes the package's frame to the chapter's.
         self.base = jnp.array([base[0], -base[1]])
         self.pivot = jnp.array([pivot[0], -pivot[1]])
@@ -107,7 +107,8 @@ class Chapter:
         )
         first = span + turned
         q1 = jnp.arctan2(-first[1], first[0])
-        return jnp.array([theta, q1, phi + theta - q1])
+        whole = lambda a: a - 2 * jnp.pi * jnp.round(a / (2 * jnp.pi))  # noqa: E731
+        return jnp.array([whole(theta), q1, whole(phi + theta - q1)])
 
     def potential(self, s):
         """U(s), below (83)."""

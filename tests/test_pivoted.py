@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 import jaxroll as jxr
 
-ELBOW = -1  # branch of the law of cosines that the scene starts on
+ELBOW = 1  # branch of the law of cosines that the scene starts on
 
 
 @pytest.fixture(scope="module")
@@ -103,13 +103,14 @@ def test_what_the_chapter_reports(scene, run):
     for series in (balance.delta_f, balance.delta_lam, balance.moment):
         series = np.abs(np.asarray(series[:, 0]))
         assert series[0] > 1e-4
-        assert series[-1] <= 1e-6 * series.max()
+        assert series[-1] <= 2e-4 * series.max()
     potential = np.asarray(balance.potential[:, 0])
-    tail = potential[50:200]
-    assert np.all(np.diff(tail) < 0) and potential[-1] == pytest.approx(potential.min(), rel=1e-12)
+    above = potential[50:] - potential.min()
+    falling = above[:-1] > 1e-13 * potential.min()
+    assert falling.sum() > 50 and np.all(np.diff(potential[50:])[falling] < 0)
     chapter = Chapter()
     slope = jax.grad(chapter.potential)(float(balance.s[-1, 0]))
-    assert abs(slope) < 1e-9  # U is stationary where it ends
+    assert abs(slope) < 1e-4 * abs(jax.grad(chapter.potential)(0.003))  # U is stationary at the end
 
 
 def test_balance_is_the_chapters_own_quantities(scene, run):
@@ -147,36 +148,36 @@ def test_closed_loop_equations_76_and_77_hold_along_the_run(scene, run):
     assert np.abs(left).max() <= 1e-5 * float(np.abs(terms.mass @ v_rate).max())
 
 
-END = {}
-
-
-def end_of_fixed_steps(scene, solver, steps):
-    """theta after 0.08 s in equal steps, projected after each."""
-    h = 0.08 / steps
+def fixed_steps(scene, solver, steps, t1):
+    """Positions and velocities at four times of the undamped scene, in equal steps, each projected."""
+    grasp, state = scene
     run = jxr.simulate(
-        *scene,
-        t1=0.08,
-        ts=1,
+        grasp.with_(damping=0.0),
+        state,
+        t1,
+        ts=np.linspace(0.0, t1, 5)[1:],
         solver=solver,
         stepsize_controller=diffrax.ConstantStepSize(),
-        dt0=h,
+        dt0=t1 / steps,
     )
     assert int(run.stats.accepted) == steps + 1  # the first has no length
-    return np.asarray(run.states.q[-1])
+    return np.concatenate([run.states.q, run.states.v / 10.0], axis=1)
 
 
 @pytest.mark.parametrize(
-    ("solver", "order", "band", "ladder"),
+    ("solver", "order", "band", "t1", "ladder"),
     [
-        (diffrax.Tsit5(), 5, 0.3, (32, 48, 64, 96)),
-        (diffrax.Dopri8(), 8, 0.5, (8, 10, 12, 16)),
+        (diffrax.Tsit5(), 5, 0.3, 0.2, (64, 96, 128, 160)),
+        (diffrax.Dopri8(), 8, 0.5, 0.3, (24, 28, 32, 40)),
     ],
     ids=["Tsit5", "Dopri8"],
 )
-def test_observed_order_with_projection(scene, solver, order, band, ladder):
-    exact = end_of_fixed_steps(scene, diffrax.Dopri8(), 400)
-    errors = [np.abs(end_of_fixed_steps(scene, solver, n) - exact).max() for n in ladder]
-    assert abs(-observed_order(np.array(ladder), errors) - order) <= band
+def test_observed_order_with_projection(scene, solver, order, band, t1, ladder):
+    """Without damping: with it both look better than their order, up to rounding."""
+    exact = fixed_steps(scene, diffrax.Dopri8(), 800, t1)
+    error = lambda n: np.sqrt(np.mean((fixed_steps(scene, solver, n, t1) - exact) ** 2))  # noqa: E731
+    observed = -observed_order(np.array(ladder), [error(n) for n in ladder])
+    assert abs(observed - order) <= band
 
 
 @pytest.fixture(scope="module")
@@ -204,7 +205,9 @@ def test_csm_pulls_a_violated_constraint_back(scene):
     off = jxr.State(state.q + jnp.array([1e-5, 0.0, 0.0]), state.v, state.s)
     run = jxr.simulate(grasp, off, 0.05, ts=2, formulation=jxr.CSM(), throw=False)
     before, after = (np.hypot(run.residuals.normal, run.residuals.tangential)[i, 0] for i in (0, 1))
-    assert before > 1e-8 and after < 1e-4 * before
+    assert before > 1e-8 and after < 1e-3 * before
+    tangency = np.asarray(run.residuals.tangency[:, 0])
+    assert abs(tangency[1] / tangency[0] - 1.0) < 1e-3  # integrated by (68), never stabilised
 
 
 def test_gravity_holds_energy(scene):

@@ -57,7 +57,7 @@ class Path(eqx.Module):
     result: RESULTS
 
 
-class StopAt(diffrax.AbstractAdaptiveStepSizeController):
+class StopAt(diffrax.AbstractStepSizeController):
     """A step-size controller that ends steps at the save times, where a step is most accurate.
 
     The first step has no length: it works out the derivative that the flow vector carries, and so
@@ -67,18 +67,6 @@ class StopAt(diffrax.AbstractAdaptiveStepSizeController):
     inner: diffrax.AbstractStepSizeController
     ts: Times
     dt0: Float[Array, ""]
-
-    @property
-    def rtol(self) -> Any:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return getattr(self.inner, "rtol", None)
-
-    @property
-    def atol(self) -> Any:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return getattr(self.inner, "atol", None)
-
-    @property
-    def norm(self) -> Any:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return getattr(self.inner, "norm", None)
 
     def wrap(self, direction: Scalar) -> "StopAt":
         return StopAt(self.inner.wrap(direction), self.ts * direction, self.dt0)

@@ -104,14 +104,25 @@ def _plan(
     _check_precision(dtype, rtol)
     t0, t1, ts = _times(*times, dtype)
     lay = layout(grasp, "energy" in record)
-    stepper = RollingStep(solver or diffrax.Dopri8(), formulation or Index1(), lay)
+    atol = options.get("atol", rtol)
+    method = _with_tolerances(solver or diffrax.Dopri8(), rtol, atol)
+    stepper = RollingStep(method, formulation or Index1(), lay)
     controller = options.get("stepsize_controller")
     if controller is None:
-        atol = options.get("atol", rtol)
         controller = diffrax.PIDController(rtol, atol, norm=_Norm(lay), dtmin=1e-12)
     dt0 = jnp.asarray(options.get("dt0", 1e-4), dtype)
     meter = options.get("progress_meter", diffrax.NoProgressMeter())
     return Plan(stepper, controller, t0, t1, ts, dt0, meter, options.get("max_steps", 4096)), lay
+
+
+def _with_tolerances(method: Any, rtol: Any, atol: Any) -> diffrax.AbstractSolver:
+    """Give an implicit method's root finder the tolerances of the run, unless it has its own."""
+    if not isinstance(method, diffrax.AbstractSolver):
+        raise ValueError(f"argument solver must be a diffrax solver, but was {method!r}")
+    finder = getattr(method, "root_finder", None)
+    if finder is None or isinstance(finder.rtol, float | jax.Array):
+        return method
+    return eqx.tree_at(lambda m: m.root_finder, method, diffrax.VeryChord(rtol, atol))
 
 
 class _Norm(eqx.Module):

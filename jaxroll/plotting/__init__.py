@@ -1,7 +1,8 @@
 """Figures: the chapter's responses, poses and contours, and animations.
 
-The only door to matplotlib; `import jaxroll` does not open it. `_shapes` works out where things are,
-`_artists` draws one instant of it, and the other modules make figures. No function touches pyplot.
+The only door to matplotlib; `import jaxroll` does not open it. `_outlines` and `_views` work out
+what is where, `_artists` draws one instant of it, the other modules make figures. None touches
+pyplot.
 """
 
 from ._animate import animate as animate

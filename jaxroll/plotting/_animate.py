@@ -5,17 +5,17 @@ from pathlib import Path
 
 import jax
 import numpy as np
-from matplotlib.colors import to_rgb
+from matplotlib.colors import to_rgba_array
 from PIL import Image
 
-from ..integration import Trajectory, multipliers
+from ..integration import multipliers, Trajectory
 from ..mechanics import Grasp
 from ._artists import Drawing, limits
-from ._shapes import Views, single, views
-from ._style import CONTACT, FINGER, FORCE, OBJECT, ROLLED, Picture, tidy
+from ._style import CONTACT, FINGER, FORCE, OBJECT, Picture, ROLLED, tidy
+from ._views import single, Views, views
 
 # Length of the longest force arrow, as a share of the picture's diagonal.
-_ARROW = 0.11
+_ARROW = 0.1
 # Colours of small things, which a palette made by counting pixels would merge with others.
 _KEPT = ("white", CONTACT, FORCE, FINGER, OBJECT, ROLLED)
 # How long the last frame stays [ms].
@@ -30,14 +30,14 @@ def animate(
     fps: float = 25.0,
     speed: float = 1.0,
     forces: bool = True,
-    width: float = 5.0,
+    size: float = 5.5,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
     """Write a run as an animated GIF with true contours, to scale.
 
-    Shows the contact force on the object and, as thick stretches of equal length, what has rolled off
-    each contour. Every frame is the saved state nearest to its time, never a blend of two; save at
-    least `fps / speed` states per second for smooth motion.
+    Shows the contact force on the object and, as thick stretches of equal length, what has rolled
+    off each contour. Every frame is the saved state nearest to its time, never a blend of two; save
+    at least `fps / speed` states per second for smooth motion.
 
     Args:
         grasp: The grasp that was simulated.
@@ -47,7 +47,7 @@ def animate(
             nearest rate that it can hold is taken.
         speed: Simulated seconds per second shown: 0.5 plays at half speed.
         forces: Whether to draw the contact force on the object.
-        width: Width of the picture, in inches of 100 pixels.
+        size: Longer side of the drawing, without its legend, in inches of 100 pixels.
         progress: Called after each frame with the frames done and the frames in all.
 
     Returns:
@@ -63,17 +63,17 @@ def animate(
         >>> grasp, state = jxr.scenes.pivoted()
         >>> run = jxr.simulate(grasp, state, t1=0.1, ts=3)
         >>> with tempfile.TemporaryDirectory() as folder:
-        ...     path = plotting.animate(grasp, run, f"{folder}/motion.gif", fps=20, width=3)
+        ...     path = plotting.animate(grasp, run, f"{folder}/motion.gif", fps=20, size=3)
         ...     path.name
         'motion.gif'
     """
-    path = _checked(path, fps=fps, speed=speed, width=width)
+    path = _checked(path, fps=fps, speed=speed, size=size)
     delay = max(2, round(100.0 / fps))
     ts, picks = _frames(trajectory, 0.01 * delay * speed)
     states = jax.tree.map(lambda a: np.asarray(a)[picks], trajectory.states)
     seen = views(grasp, states)
     arrows = _arrows(grasp, trajectory, picks, seen) if forces else None
-    stage = _Stage(grasp, seen, arrows, width=width, speed=speed)
+    stage = _Stage(grasp, seen, arrows, size=size, speed=speed)
     frames = []
     for i, t in enumerate(ts):
         frames.append(stage.frame(i, t))
@@ -92,9 +92,10 @@ def _write(path: Path, frames: list[Image.Image], delay: int) -> None:
     for k, sample in enumerate(samples):
         mosaic.paste(sample, (k * width, 0))
     palette = mosaic.quantize(256 - len(_KEPT))
-    flat = palette.getpalette()[: 3 * (256 - len(_KEPT))]
-    kept = [round(255 * x) for colour in _KEPT for x in to_rgb(colour)]
-    palette.putpalette(kept + flat)
+    found = np.reshape(palette.getpalette() or [], (-1, 3))[: 256 - len(_KEPT)]
+    found[found.min(axis=1) > 246] = 255
+    kept = np.round(255 * to_rgba_array(_KEPT)[:, :3]).astype(int)
+    palette.putpalette(np.concatenate([kept, found]).ravel().tolist())
     first, *rest = (f.quantize(palette=palette, dither=Image.Dither.NONE) for f in frames)
     delays = [*[delay] * len(rest), _HOLD]
     first.save(path, save_all=True, append_images=rest, duration=delays, loop=0)
@@ -147,12 +148,12 @@ class _Stage:
         seen: Views,
         arrows: tuple[np.ndarray, float] | None,
         *,
-        width: float,
+        size: float,
         speed: float,
     ) -> None:
         low, high = limits(seen)
-        shape = (high - low)[1] / (high - low)[0]
-        figure = Picture(width, width * shape + 0.9)
+        width, height = size * (high - low) / (high - low).max()
+        figure = Picture(max(width + 0.7, 4.6), height + 1.9)
         figure.set_dpi(100)
         self.ax = ax = figure.subplots()
         self.drawing = Drawing(ax, grasp, seen, forces=arrows and arrows[0], traced=True)
@@ -174,13 +175,14 @@ class _Stage:
         self._freeze(figure)
 
     def _freeze(self, figure: Picture) -> None:
-        for artist in self.moving:
-            artist.set_animated(True)
         # Laid out once: the axes must not move from frame to frame.
         figure.draw_without_rendering()
+        figure.draw_without_rendering()
         figure.set_layout_engine("none")
-        figure.canvas.draw()
-        self.canvas = figure.canvas
+        for artist in self.moving:
+            artist.set_animated(True)
+        self.canvas = figure.agg
+        self.canvas.draw()
         self.background = self.canvas.copy_from_bbox(figure.bbox)
 
     def frame(self, i: int, t: float) -> Image.Image:

@@ -1,5 +1,6 @@
 """One instant of a grasp as matplotlib artists, which an animation then moves."""
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -7,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import FancyArrowPatch, Patch, Polygon
 
 from ..mechanics import Grasp, PivotedObject
-from ._shapes import Outline, Views, place
+from ._outlines import Outline
 from ._style import (
     CONTACT,
     FINGER,
@@ -20,6 +21,7 @@ from ._style import (
     ROLLED,
     TIP_FILL,
 )
+from ._views import place, Views
 
 _SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 _TURN = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 13)
@@ -48,7 +50,7 @@ class Drawing:
         self.seen, self.forces, self.traced = seen, forces, traced
         self.pivoted = isinstance(grasp.object, PivotedObject)
         self.radius = 0.045 * MM * float(np.mean([f.lengths.mean() for f in grasp.fingers]))
-        fill = lambda **style: ax.add_patch(Polygon(np.zeros((3, 2)), **style))  # noqa: E731
+        fill = partial(_polygon, ax, np.zeros((3, 2)))
         line = lambda *args, **style: ax.plot([], [], *args, **style)[0]  # noqa: E731
         grey = {"ec": "#8A99A4", "lw": 0.8}
         self.links = [
@@ -72,7 +74,7 @@ class Drawing:
         self.arrows = [] if forces is None else [self._arrow(ax) for _ in seen.owners]
 
     @staticmethod
-    def _arrow(ax: Axes) -> FancyArrowPatch:
+    def _arrow(ax: Axes) -> Any:
         style = {"arrowstyle": "-|>", "mutation_scale": 11, "shrinkA": 0, "shrinkB": 0}
         arrow = FancyArrowPatch((0, 0), (1, 0), color=FORCE, lw=1.8, zorder=8.7, **style)
         return ax.add_patch(arrow)
@@ -85,7 +87,9 @@ class Drawing:
         for links, pins, base, joints in zip(
             self.links, self.pins, self.bases, seen.joints, strict=True
         ):
-            for link, ends in zip(links, zip(joints[i, :-1], joints[i, 1:], strict=True), strict=True):
+            for link, ends in zip(
+                links, zip(joints[i, :-1], joints[i, 1:], strict=True), strict=True
+            ):
                 link.set_xy(_capsule(*ends, self.radius))
             pins.set_data(*joints[i, :-1].T)
             base.set_xy(joints[i, 0] + 1.5 * self.radius * _SQUARE)
@@ -98,8 +102,11 @@ class Drawing:
         self.points.set_data(*seen.points[i].T)
         if self.traced:
             self._stretch(i)
-        for k, arrow in enumerate(self.arrows):
-            arrow.set_positions(seen.points[i, k], seen.points[i, k] + self.forces[i, k])
+        if self.forces is not None:
+            for arrow, point, force in zip(
+                self.arrows, seen.points[i], self.forces[i], strict=True
+            ):
+                arrow.set_positions(point, point + force)
 
     def _stretch(self, i: int) -> None:
         for finger, lines, paths in zip(
@@ -110,12 +117,16 @@ class Drawing:
 
     def legend(self) -> list[tuple[Any, str]]:
         """Handles and names of what is drawn."""
+        alone = len(self.seen.tips) == 1 and len(self.seen.owners) == 1
         entries = [
             (Patch(fc=TIP_FILL, ec=FINGER, lw=1.4), "fingertip"),
             (Patch(fc=OBJECT_FILL, ec=OBJECT, lw=1.4), "object"),
             (self.bases[0], "fixed base"),
-            (self.points, "contact point $P_1$" if len(self.seen.owners) == 1 else "contact points"),
-            (self.centres, "tip frame $O_{01}$" if len(self.seen.tips) == 1 else "tip frames"),
+            (
+                self.points,
+                "contact point $P_1$" if alone else "contact points",
+            ),
+            (self.centres, "tip frame $O_{01}$" if alone else "tip frames"),
             ((self.origin, self.dot), "pivot $O_m$")
             if self.pivoted
             else (self.origin, "centre of mass $O_m$"),
@@ -126,7 +137,6 @@ class Drawing:
             entries.append((self.stretches[0][0], "rolled so far: as long on both bodies"))
         return entries
 
-
     def _guide_name(self) -> str:
         if len(self.seen.tips) == 1:
             return "line $O_{01}O_m$: meets $P_1$ at rest"
@@ -136,12 +146,10 @@ class Drawing:
 
 
 class _Body:
-    def __init__(
-        self, ax: Axes, shape: Outline, colours: tuple[str, str], zorder: float
-    ) -> None:
+    def __init__(self, ax: Axes, shape: Outline, colours: tuple[str, str], zorder: float) -> None:
         self.shape = shape
         soft = {"fc": colours[0], "ec": colours[1], "lw": 0.6, "zorder": zorder, "alpha": 0.92}
-        self.fills = [ax.add_patch(Polygon(ring, **soft)) for ring in shape.rings]
+        self.fills = [_polygon(ax, ring, **soft) for ring in shape.rings]
         solid = {"color": colours[1], "lw": 1.8, "zorder": zorder + 0.2}
         self.edges = [ax.plot([], [], **solid)[0] for _ in shape.faces]
 
@@ -150,6 +158,12 @@ class _Body:
             fill.set_xy(place(frame, ring))
         for edge, face in zip(self.edges, self.shape.faces, strict=True):
             edge.set_data(*place(frame, face).T)
+
+
+def _polygon(ax: Axes, corners: np.ndarray, **style: Any) -> Polygon:
+    polygon = Polygon(corners, **style)
+    ax.add_patch(polygon)
+    return polygon
 
 
 def _capsule(start: np.ndarray, end: np.ndarray, radius: float) -> np.ndarray:

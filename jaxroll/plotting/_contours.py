@@ -1,24 +1,25 @@
 """Contours in their own frames, and their curvature over arclength (Fig. 7)."""
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ..geometry import AbstractContour
 from ..mechanics import Grasp
-from ._shapes import Outline, Window, contours_of, extents, outlines, sample, starts_of
-from ._style import CONTACT, FINGER, GUIDE, MM, OBJECT, OBJECT_FILL, TIP_FILL, Picture, tidy
+from ._outlines import contours_of, extents, Outline, outlines, sample, starts_of, Window
+from ._style import CONTACT, FINGER, GUIDE, MM, OBJECT, OBJECT_FILL, Picture, tidy, TIP_FILL
 
 _STEPS = np.array([0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500])
-_ARROW = 12.0
-_BESIDE = {"textcoords": "offset points", "ha": "center", "va": "center"}
+_BESIDE: Any = {"textcoords": "offset points", "ha": "center", "va": "center"}
 
 
 def contours(grasp: Grasp) -> Figure:
     """Draw every fingertip and the object in their own frames, and curvature over arclength.
 
-    Dots along a contour count its arclength in millimetres, counter-clockwise round the body. A contour
-    without ends is drawn around its starting contact.
+    Dots along a contour count its arclength in millimetres, counter-clockwise round the body. A
+    contour without ends is drawn around its starting contact.
 
     Args:
         grasp: Whose contours to draw.
@@ -39,14 +40,14 @@ def contours(grasp: Grasp) -> Figure:
     starts, bodies = starts_of(grasp), contours_of(grasp)
     figure = Picture(4.4 * len(order), 6.4)
     axes = figure.subplots(2, len(order), squeeze=False, height_ratios=(1.3, 1.0))
-    boxes = [_box(shape) for shape in shapes]
+    sizes = np.array([np.ptp(np.concatenate(shape.rings), axis=0) for shape in shapes])
+    arrow, margin = 0.3 * float(sizes.min()), 0.2 * float(sizes.max())
+    boxes = [_box(shape, arrow, margin) for shape in shapes]
     half = 0.5 * np.max([high - low for low, high in boxes], axis=0)
     for body, above, below in zip(order, *axes, strict=True):
         colours = (TIP_FILL, FINGER) if body else (OBJECT_FILL, OBJECT)
         _shape(above, shapes[body], colours)
-        for contour, window, touched in zip(
-            bodies[body], windows[body], starts[body], strict=True
-        ):
+        for contour, window, touched in zip(bodies[body], windows[body], starts[body], strict=True):
             at = np.array([s for _, s, _ in touched])
             _count(above, contour, window)
             _curvature(below, contour, window, colours[1])
@@ -56,6 +57,7 @@ def contours(grasp: Grasp) -> Figure:
         middle = np.mean(boxes[body], axis=0)
         ends = np.stack([middle - half, middle + half], axis=1)
         above.set(xlim=ends[0], ylim=ends[1], aspect="equal")
+        _arrows(above, arrow, "$O_m$" if body == 0 else _origin(grasp, body))
         _label(above, below, _name(grasp, body), first=body == order[0])
     top = max(ax.get_ylim()[1] for ax in axes[1])
     low = min(ax.get_ylim()[0] for ax in axes[1])
@@ -72,18 +74,20 @@ def contours(grasp: Grasp) -> Figure:
     return figure
 
 
-def _box(shape: Outline) -> tuple[np.ndarray, np.ndarray]:
+def _box(shape: Outline, arrow: float, margin: float) -> tuple[np.ndarray, np.ndarray]:
     """Corners [mm] of a body with its frame's arrows and the numbers along it."""
-    every = np.concatenate([*shape.rings, [[_ARROW, _ARROW]]])
-    return every.min(axis=0) - 6.0, every.max(axis=0) + 6.0
+    every = np.concatenate([*shape.rings, [[0.0, 0.0], [arrow, arrow]]])
+    return every.min(axis=0) - margin, every.max(axis=0) + margin
 
 
-def _name(grasp: Grasp, body: int) -> tuple[str, str]:
+def _name(grasp: Grasp, body: int) -> str:
     if body == 0:
-        return "Object", "$O_m$"
-    if len(grasp.fingers) == 1:
-        return "Fingertip", "$O_{01}$"
-    return f"Fingertip {body}", f"$O_{{{body}}}$"
+        return "the object"
+    return "the fingertip" if len(grasp.fingers) == 1 else f"fingertip {body}"
+
+
+def _origin(grasp: Grasp, body: int) -> str:
+    return "$O_{01}$" if len(grasp.fingers) == 1 else f"$O_{{{body}}}$"
 
 
 def _shape(ax: Axes, shape: Outline, colours: tuple[str, str]) -> None:
@@ -93,16 +97,20 @@ def _shape(ax: Axes, shape: Outline, colours: tuple[str, str]) -> None:
         ax.plot(*face.T, color=colours[1], lw=1.8)
 
 
-def _label(above: Axes, below: Axes, name: tuple[str, str], *, first: bool) -> None:
+def _arrows(ax: Axes, length: float, origin: str) -> None:
     arrow = {"arrowstyle": "-|>", "color": GUIDE, "lw": 1.0, "shrinkA": 0, "shrinkB": 0}
-    for tip, letter in (((_ARROW, 0.0), "X"), ((0.0, _ARROW), "Y")):
-        above.annotate("", tip, (0.0, 0.0), arrowprops=arrow, zorder=6)
-        above.annotate(f"${letter}$", tip, np.array(tip) * 0.7, fontsize=9, **_BESIDE)
-    above.plot(0, 0, "o", ms=5, mfc="white", mec=GUIDE, zorder=7)
-    above.annotate(name[1], (0, 0), (-11, -9), fontsize=9, zorder=7, **_BESIDE)
-    ylabels = ("Y [mm]", "curvature [1/m]") if first else ("", "")
-    tidy(above, xlabel="X [mm]", ylabel=ylabels[0], title=f"{name[0]}, in its own frame")
-    tidy(below, xlabel="arclength s [mm]", ylabel=ylabels[1], title=f"Curvature of the {name[0].lower()}")
+    for tip, push, letter in (((length, 0.0), (8, 0), "X"), ((0.0, length), (0, 8), "Y")):
+        ax.annotate("", tip, (0.0, 0.0), arrowprops=arrow, zorder=6)
+        ax.annotate(f"${letter}$", tip, push, fontsize=9, zorder=6, **_BESIDE)
+    ax.plot(0, 0, "o", ms=5, mfc="white", mec=GUIDE, zorder=7)
+    ax.annotate(origin, (0, 0), (-11, -9), fontsize=9, zorder=7, **_BESIDE)
+
+
+def _label(above: Axes, below: Axes, name: str, *, first: bool) -> None:
+    shape, bend = ("Y [mm]", "curvature [1/m]") if first else ("", "")
+    title = f"{name[0].upper()}{name[1:]} in its own frame"
+    tidy(above, xlabel="X [mm]", ylabel=shape, title=title)
+    tidy(below, xlabel="arclength s [mm]", ylabel=bend, title=f"Curvature of {name}")
     below.axhline(0.0, color="#BBBBBB", lw=0.7, zorder=0)
 
 
@@ -117,7 +125,8 @@ def _count(ax: Axes, contour: AbstractContour, window: Window) -> None:
     ax.plot(*there.points.T, "o", ms=3.5, color=GUIDE, zorder=4)
     for mark, point, along in zip(marks, there.points, there.tangents, strict=True):
         text = "$s$ = 0" if mark == 0 else f"{mark:g}".replace("-", "\N{MINUS SIGN}")
-        push = (17 if mark == 0 else 11) * np.array([along[1], -along[0]])
+        far = 17.0 if mark == 0 else 11.0
+        push = (far * along[1], -far * along[0])
         ax.annotate(text, point, push, fontsize=7.5, color=GUIDE, **_BESIDE)
 
 

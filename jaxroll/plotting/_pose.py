@@ -10,16 +10,16 @@ from matplotlib.figure import Figure
 from ..integration import Trajectory
 from ..mechanics import Grasp, State
 from ._artists import Drawing, limits
-from ._shapes import along_time, single, views
 from ._style import Picture, tidy
+from ._views import along_time, single, Views, views
 
 
 def pose(grasp: Grasp, state: State, *, ax: Axes | None = None) -> Figure:
     """Draw one pose with its true contours, to scale.
 
-    Open contours are closed by a thin rounded back, which is drawing only. The dashed line joins what
-    must fall in line with the contact at rest: under `control.Press` the tip frame and the target, for
-    two fingers their tip frames.
+    Open contours are closed by a thin rounded back, which is drawing only. The dashed line joins
+    what must fall in line with the contact at rest: under `control.Press` the tip frame and the
+    target, for two fingers their tip frames.
 
     Args:
         grasp: What is drawn.
@@ -38,16 +38,15 @@ def pose(grasp: Grasp, state: State, *, ax: Axes | None = None) -> Figure:
     """
     seen = views(grasp, along_time(state))
     if ax is None:
-        figure = _side_by_side(grasp, seen, [""])
-        return figure
+        return _side_by_side(grasp, seen, [""])
     _frame(ax, limits(seen), "")
     Drawing(ax, grasp, seen).show(0)
-    return ax.get_figure(root=True)
+    figure = ax.get_figure(root=True)
+    assert figure is not None
+    return figure
 
 
-def poses(
-    grasp: Grasp, trajectory: Trajectory, *, times: Sequence[float] | None = None
-) -> Figure:
+def poses(grasp: Grasp, trajectory: Trajectory, *, times: Sequence[float] | None = None) -> Figure:
     """Draw the poses at several times side by side, as Fig. 8 does for the first and the last.
 
     Args:
@@ -78,11 +77,14 @@ def poses(
     return _side_by_side(grasp, views(grasp, states), titles)
 
 
-def _side_by_side(grasp: Grasp, seen, titles: list[str]) -> Figure:
+def _side_by_side(grasp: Grasp, seen: Views, titles: list[str]) -> Figure:
     corners = limits(seen)
     width, height = corners[1] - corners[0]
-    panel = 4.2
-    figure = Picture(panel * len(titles) + 0.6, panel * height / width + 1.25)
+    columns = 4 if len(titles) > 1 else 2
+    panel = max(2.9, min(4.2, 5.6 * width / height))
+    below = 1.9 - 0.16 * columns
+    whole = max(panel * len(titles) + 0.6, 1.7 * columns)
+    figure = Picture(whole, panel * height / width + below)
     axes = figure.subplots(1, len(titles), sharex=True, sharey=True, squeeze=False)[0]
     for i, (ax, title) in enumerate(zip(axes, titles, strict=True)):
         drawing = Drawing(ax, grasp, seen)
@@ -92,7 +94,7 @@ def _side_by_side(grasp: Grasp, seen, titles: list[str]) -> Figure:
             ax.set_ylabel("")
     handles, names = zip(*drawing.legend(), strict=True)
     figure.legend(
-        handles, names, loc="outside lower center", ncols=4, fontsize=8, frameon=False
+        handles, names, loc="outside lower center", ncols=columns, fontsize=8, frameon=False
     )
     return figure
 

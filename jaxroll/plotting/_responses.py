@@ -8,14 +8,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ..control import Press
-from ..integration import Trajectory, multipliers, press_balance
+from ..integration import multipliers, press_balance, Trajectory
 from ..mechanics import Grasp, PivotedObject
-from ._shapes import single
 from ._style import CYCLE, MM, Picture, save, tidy
+from ._views import single
 
 _COLUMNS = 3
 # Below this share of its scale, a residual is what floating-point arithmetic leaves over.
 _ROUNDING = 1e-13
+_SMALL = 1e-3
 
 
 @dataclass(frozen=True)
@@ -33,9 +34,9 @@ def responses(grasp: Grasp, trajectory: Trajectory, folder: str | Path | None = 
     r"""Plot the responses of one run over time.
 
     For one finger under `control.Press` these are Figs. 9-18 of the chapter, with its numbers and
-    symbols: $\Delta f$ [N], $\Delta\lambda$ [N], $(f_d/r) N_1$ [mN m], $s$ [mm], joint rates and object
-    rate [rad/s], $R$ and $Q$ [m], $U$ [mJ]. For any other grasp: contact forces, rolling coordinates,
-    rates, residuals, and the energy balance if it was recorded.
+    symbols: $\Delta f$ [N], $\Delta\lambda$ [N], $(f_d/r) N_1$ [mN m], $s$ [mm], joint rates and
+    object rate [rad/s], $R$ and $Q$ [m], $U$ [mJ]. For any other grasp: contact forces, rolling
+    coordinates, rates, residuals, and the energy balance if it was recorded.
 
     Args:
         grasp: The grasp that was simulated.
@@ -76,15 +77,21 @@ def responses(grasp: Grasp, trajectory: Trajectory, folder: str | Path | None = 
 
 def _draw(ax: Axes, ts: np.ndarray, panel: Panel, reached: np.ndarray) -> None:
     values = np.reshape(panel.values, (len(reached), -1))[reached]
+    peak = float(np.max(np.abs(values)))
     for k, line in enumerate(values.T):
         name = panel.names[k] if len(panel.names) > 1 else None
         ax.plot(ts, line, color=CYCLE[k % len(CYCLE)], lw=panel.width, label=name)
     ax.margins(x=0.0, y=0.08)
     low, high = ax.get_ylim()
+    if high - low < 1e-4 * peak:
+        middle = 0.5 * (low + high)
+        low, high = ax.set_ylim(middle - 0.1 * peak, middle + 0.1 * peak)
     if low <= 0.0 <= high:
         ax.axhline(0.0, color="#BBBBBB", lw=0.7, zorder=0)
     if len(panel.names) > 1:
-        ax.legend(fontsize=7.5, frameon=False, handlelength=1.4, labelspacing=0.3)
+        ax.legend(
+            fontsize=7.5, framealpha=0.8, edgecolor="none", handlelength=1.4, labelspacing=0.3
+        )
 
 
 def _panels(grasp: Grasp, run: Trajectory) -> list[Panel]:
@@ -101,9 +108,21 @@ def _panels(grasp: Grasp, run: Trajectory) -> list[Panel]:
     panels += _forces(grasp, run, contacts) + _extra(run, contacts)
     figures = 10 if _is_part_2(grasp) else 0
     return [
-        replace(p, title=f"Fig. {9 + i}: {p.title}" if i < figures else _sentence(p.title))
+        replace(
+            _in_powers(p), title=f"Fig. {9 + i}: {p.title}" if i < figures else _sentence(p.title)
+        )
         for i, p in enumerate(panels)
     ]
+
+
+def _in_powers(panel: Panel) -> Panel:
+    """Small values in a power of ten that the axis label states."""
+    peak = float(np.nanmax(np.abs(panel.values)))
+    if not 0.0 < peak < _SMALL:
+        return panel
+    power = int(np.floor(np.log10(peak)))
+    label = panel.label.replace("[", f"[$10^{{{power}}}$ ")
+    return replace(panel, label=label, values=panel.values / 10.0**power)
 
 
 def _sentence(words: str) -> str:
@@ -162,8 +181,8 @@ def _object_rates(grasp: Grasp, run: Trajectory) -> list[Panel]:
 def _gaps(grasp: Grasp, run: Trajectory, contacts: tuple[str, ...]) -> list[Panel]:
     left, size = run.residuals, float(np.mean(np.asarray(grasp.fingers[0].lengths)))
     return [
-        _residual("tangential gap", r"$R$ [{}m]", left.tangential, size, contacts),
-        _residual("normal gap", r"$Q$ [{}m]", left.normal, size, contacts),
+        _residual("tangential gap", r"$R$ [m]", left.tangential, size, contacts),
+        _residual("normal gap", r"$Q$ [m]", left.normal, size, contacts),
     ]
 
 
@@ -184,22 +203,17 @@ def _forces(grasp: Grasp, run: Trajectory, contacts: tuple[str, ...]) -> list[Pa
 def _extra(run: Trajectory, contacts: tuple[str, ...]) -> list[Panel]:
     energy = run.energy
     if energy is None:
-        return [_residual("tangency", "sine [{}rad]", run.residuals.tangency, 1.0, contacts)]
+        return [_residual("tangency", "sine [rad]", run.residuals.tangency, 1.0, contacts)]
     size = float(np.nanmax(np.abs(np.asarray(energy.kinetic + energy.potential))))
-    return [_residual("energy balance", r"$\Delta(K + P - W)$ [{}J]", energy.residual, size, ())]
+    return [_residual("energy balance", r"$\Delta(K + P - W)$ [J]", energy.residual, size, ())]
 
 
-def _residual(
-    title: str, label: str, values: object, size: float, names: tuple[str, ...]
-) -> Panel:
-    """A panel in powers of ten, since a residual may sit at rounding level or far above it."""
+def _residual(title: str, label: str, values: object, size: float, names: tuple[str, ...]) -> Panel:
+    """A panel of what should be zero, in a thin line that shows scatter."""
     seen = np.asarray(values)
-    peak = float(np.nanmax(np.abs(seen)))
-    power = int(np.floor(np.log10(peak))) if peak > 0.0 else 0
-    if peak < _ROUNDING * size:
+    if np.nanmax(np.abs(seen)) < _ROUNDING * size:
         title += " (rounding level)"
-    factor = f"$10^{{{power}}}$ " if power else ""
-    return Panel(title, label.format(factor), seen / 10.0**power, names, 0.8)
+    return Panel(title, label, seen, names, 0.8)
 
 
 def _numbered(noun: str, count: int) -> tuple[str, ...]:

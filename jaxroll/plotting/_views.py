@@ -1,0 +1,127 @@
+"""Where everything is at every time, in millimetres."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..control import Press
+from ..integration import Trajectory
+from ..mechanics import Grasp, poses, State, to_leaves, touches
+from ._outlines import Outline, outlines, sample
+from ._style import MM
+
+
+@dataclass(frozen=True)
+class Views:
+    """All that is drawn, for every time.
+
+    Attributes:
+        tips: Outline of each fingertip.
+        body: Outline of the object.
+        frames: The object's frame, then each tip's: shape (t, 4), rows (x, y, cos, sin).
+        joints: Shape (t, k + 1, 2) for each finger; the last point is the tip frame's origin.
+        points: Shape (t, c, 2), contact points.
+        tangents: Shape (t, c, 2), tangents of the object's contour.
+        rolled: For each contact, its path on the fingertip and on the object, each of shape (t, 2).
+        guides: Shape (t, 2, 2) for each line that equilibrium asks for.
+        owners: For each contact, which finger it belongs to.
+    """
+
+    tips: tuple[Outline, ...]
+    body: Outline
+    frames: tuple[np.ndarray, ...]
+    joints: tuple[np.ndarray, ...]
+    points: np.ndarray
+    tangents: np.ndarray
+    rolled: tuple[tuple[np.ndarray, np.ndarray], ...]
+    guides: tuple[np.ndarray, ...]
+    owners: tuple[int, ...]
+
+
+def place(frame: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Body-frame points in the world; `frame` is one row (x, y, cos, sin)."""
+    x, y, cos, sin = frame
+    return points @ np.array([[cos, sin], [-sin, cos]]) + (x, y)
+
+
+def single(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """Times of one run, and which of them were reached.
+
+    Raises:
+        ValueError: If the trajectory is a batch, or holds no state at all.
+    """
+    q = np.asarray(trajectory.states.q)
+    if q.ndim != 2:
+        raise ValueError(
+            f"argument trajectory must be one run, but its states have shape {q.shape}; "
+            "take one lane with jax.tree.map(lambda x: x[i], trajectory)"
+        )
+    reached = np.isfinite(q).all(axis=1)
+    if not reached.any():
+        raise ValueError("argument trajectory must hold at least one state that was reached")
+    return np.asarray(trajectory.ts), np.asarray(reached)
+
+
+def along_time(states: State) -> State:
+    """States with a leading time axis, given one state or several."""
+    if states.q.ndim == 1:
+        return jax.tree.map(lambda a: a[None], states)
+    return states
+
+
+def views(grasp: Grasp, states: State) -> Views:
+    """Everything to draw, for states with a leading time axis."""
+    frames, joints, points, tangents = jax.tree.map(np.asarray, _placed(grasp, states))
+    sigmas = np.asarray(states.s)
+    body, *tips = outlines(grasp, sigmas)
+    rolled = []
+    for i, contact in enumerate(grasp.contacts):
+        tip, face = grasp.contours(contact)
+        on_tip = sample(tip, float(contact.s_tip) + sigmas[:, i])
+        on_body = sample(face, float(contact.s_object) - sigmas[:, i])
+        rolled.append((on_tip.points, on_body.points))
+    scale = np.array([MM, MM, 1.0, 1.0])
+    joints = tuple(MM * j for j in joints)
+    return Views(
+        tuple(tips),
+        body,
+        tuple(frame * scale for frame in frames),
+        joints,
+        MM * points,
+        tangents,
+        tuple(rolled),
+        _guides(grasp, [j[:, -1] for j in joints]),
+        tuple(contact.finger for contact in grasp.contacts),
+    )
+
+
+@eqx.filter_jit
+def _placed(grasp: Grasp, states: State):
+    ready = grasp.prepared()
+
+    def at(state: State):
+        leaves = to_leaves(state, ready.sizes)
+        frames, touching = poses(ready, leaves.q), touches(ready, leaves.s)
+        rows = tuple(jnp.stack([*f.origin, f.cos, f.sin]) for f in frames)
+        joints = tuple(
+            jnp.stack([p.array() for p in finger.joint_positions(finger.directions(q))])
+            for finger, q in zip(ready.fingers, leaves.q[1:], strict=True)
+        )
+        points = jnp.stack([frames[0].place(t.object.point).array() for t in touching])
+        tangents = jnp.stack([frames[0].turn(t.object.tangent).array() for t in touching])
+        return rows, joints, points, tangents
+
+    return jax.vmap(at)(states)
+
+
+def _guides(grasp: Grasp, centres: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
+    if isinstance(grasp.controller, Press):
+        target = MM * np.asarray(grasp.controller.target)
+        return tuple(np.stack([c, np.broadcast_to(target, c.shape)], axis=1) for c in centres)
+    if len(centres) == 2:
+        return (np.stack(centres, axis=1),)
+    return ()

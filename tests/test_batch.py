@@ -1,0 +1,125 @@
+"""vmap over anything: lanes equal single runs, and a failing lane changes no other."""
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxroll as jxr
+
+LANES = 1024
+
+
+def make(x):
+    """A grasp whose gains, masses, contours and starting contact all depend on x, shape (6,)."""
+    grasp, state = jxr.scenes.pivoted()
+    scale = 1.0 + x
+    contact = grasp.contacts[0]
+    grasp = eqx.tree_at(
+        lambda g: (
+            g.controller.damping,
+            g.controller.force,
+            g.fingers[0].masses,
+            g.fingers[0].tip.contour.contour.a,
+            g.object.contours[0].contour.a,
+            g.contacts[0].s_tip,
+            g.contacts[0].s_object,
+        ),
+        grasp,
+        (
+            grasp.controller.damping * scale[0],
+            grasp.controller.force * scale[1],
+            grasp.fingers[0].masses * scale[2],
+            grasp.fingers[0].tip.contour.contour.a * scale[3],
+            grasp.object.contours[0].contour.a * scale[4],
+            contact.s_tip - 1e-2 * x[5],
+            contact.s_object + 1e-2 * x[5],
+        ),
+    )
+    return jxr.close(grasp, state)
+
+
+@pytest.fixture(scope="module")
+def draws():
+    return jnp.asarray(np.random.default_rng(1).uniform(-0.2, 0.2, (LANES, 6)))
+
+
+def adaptive(x):
+    return jxr.simulate(*make(x), t1=0.2, ts=1, rtol=1e-8)
+
+
+def fixed(x):
+    controller = diffrax.ConstantStepSize()
+    return jxr.simulate(*make(x), t1=0.05, ts=1, stepsize_controller=controller, dt0=2e-3)
+
+
+@pytest.fixture(scope="module")
+def batch(draws):
+    return jax.jit(jax.vmap(adaptive))(draws)
+
+
+def test_every_lane_succeeds_with_its_own_code(batch):
+    assert batch.result._value.shape == (LANES,)
+    assert bool(jnp.all(batch.result == jxr.RESULTS.successful))
+    assert len(np.unique(np.asarray(batch.stats.steps))) > 3  # they do differ
+    assert np.isfinite(np.asarray(batch.states.q)).all()
+    assert np.abs(batch.residuals.normal).max() <= 1e-12
+    assert str(LANES) in str(batch)
+
+
+def test_adaptive_lanes_equal_single_runs_to_tolerance(batch, draws):
+    single = jax.jit(adaptive)
+    for i in range(0, LANES, 128):
+        np.testing.assert_allclose(batch.states.q[i], single(draws[i]).states.q, atol=1e-8)
+
+
+def test_fixed_step_lanes_equal_single_runs_to_1e_12(draws):
+    lanes, single = jax.jit(jax.vmap(fixed))(draws), jax.jit(fixed)
+    for i in range(0, LANES, 128):
+        one = single(draws[i])
+        np.testing.assert_allclose(lanes.states.q[i], one.states.q, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(lanes.states.s[i], one.states.s, rtol=0, atol=1e-12)
+
+
+def test_a_failing_lane_leaves_the_others_bit_identical(draws):
+    """Three lanes fail, each in its own way; same program, same other lanes."""
+    grasp, state = jxr.scenes.pivoted()
+
+    @jax.jit
+    @jax.vmap
+    def run(damping, force, shift):
+        moved = jxr.State(state.q + shift, state.v, state.s)
+        changed = grasp.with_(damping=damping, force=force)
+        return jxr.simulate(changed, moved, 0.2, ts=3, max_steps=400)
+
+    n = 8
+    damping = jnp.linspace(0.004, 0.008, n)
+    force, shift = jnp.full(n, 0.5), jnp.zeros(n)
+    good = run(damping, force, shift)
+    bad = run(damping.at[1].set(jnp.nan), force.at[3].set(1e9), shift.at[6].set(0.1))
+    codes = [int(c) for c in bad.result._value]
+    failed = [1, 3, 6]
+    for i in range(n):
+        assert (codes[i] != 0) == (i in failed)
+        if i not in failed:
+            np.testing.assert_array_equal(bad.states.q[i], good.states.q[i])
+            np.testing.assert_array_equal(bad.states.v[i], good.states.v[i])
+    assert codes[6] == int(jxr.RESULTS.unreachable._value)
+    assert bool(jnp.all(jnp.isfinite(good.states.q)))
+
+
+def test_new_numbers_do_not_recompile(scene):
+    """One trace per shape."""
+    grasp, state = scene
+    traces = []
+
+    @eqx.filter_jit
+    def run(c):
+        traces.append(1)
+        return jxr.simulate(grasp.with_(damping=c), state, 0.02, ts=1).states.q
+
+    for c in (0.004, 0.006, 0.008):
+        run(jnp.asarray(c))
+    assert len(traces) == 1

@@ -1,0 +1,159 @@
+"""Taylor tests of both modes, through close and simulate, for every kind of parameter."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import taylor_remainders
+
+import jaxroll as jxr
+
+# Steps are fixed by the recorded times, so that a perturbed run takes the steps of the base run.
+TS = jnp.linspace(0.0, 0.05, 26)
+
+
+def final(grasp, state):
+    """A scalar of the whole motion: positions, velocities and rolling at two times."""
+    run = jxr.simulate(grasp, state, TS[-1], ts=TS, rtol=1e-7, dt0=2e-3)
+    weights = jnp.array([1.0, -0.7, 0.4])
+    ends = run.states.q[-1] + 0.1 * run.states.v[-1] + 0.5 * run.states.q[12]
+    return ends @ weights + 100.0 * run.states.s[-1, 0]
+
+
+def with_leaf(where):
+    """Scale one array of the closed scene by 1 + x and close it again."""
+
+    def changed(scene, x):
+        grasp, state = scene
+        moved = eqx.tree_at(where, grasp, replace_fn=lambda a: a * (1.0 + x))
+        return jxr.close(moved, state)
+
+    return changed
+
+
+def moved_start(scene, x):
+    """Start 1 mm x further along both contours."""
+    grasp, state = scene
+    contact = grasp.contacts[0]
+    grasp = eqx.tree_at(
+        lambda g: (g.contacts[0].s_tip, g.contacts[0].s_object),
+        grasp,
+        (contact.s_tip - 1e-3 * x, contact.s_object + 1e-3 * x),
+    )
+    return jxr.close(grasp, state)
+
+
+def pushed(scene, x):
+    """Start with a velocity, which close makes compatible."""
+    grasp, state = scene
+    return jxr.close(grasp, jxr.State(state.q, state.v + x, state.s))
+
+
+CASES = {
+    "damping": with_leaf(lambda g: g.controller.damping),
+    "force": with_leaf(lambda g: g.controller.force),
+    "masses": with_leaf(lambda g: g.fingers[0].masses),
+    "link inertias": with_leaf(lambda g: g.fingers[0].inertias),
+    "object inertia": with_leaf(lambda g: g.object.inertia),
+    "tip contour": with_leaf(lambda g: g.fingers[0].tip.contour.contour.a),
+    "object contour": with_leaf(lambda g: g.object.contours[0].contour.a),
+    "pad angle": with_leaf(lambda g: g.fingers[0].tip.angle),
+    "initial contact": moved_start,
+    "initial velocity": pushed,
+}
+
+
+def evaluator():
+    """One compiled program for every case: the closed pair is the argument."""
+    value = eqx.filter_jit(final)
+
+    @eqx.filter_jit
+    def forward(pair, pair_dot):
+        dynamic, static = eqx.partition(pair, eqx.is_inexact_array)
+        return jax.jvp(lambda p: final(*eqx.combine(p, static)), (dynamic,), (pair_dot,))[1]
+
+    reverse = eqx.filter_jit(eqx.filter_grad(lambda pair: final(*pair)))
+    return value, forward, reverse
+
+
+VALUE, FORWARD, REVERSE = evaluator()
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_taylor_remainder_in_both_modes(scene, case):
+    """Falls 100 times for each 10 times smaller step, with the slope of either mode."""
+
+    def pair_of(x):
+        return CASES[case](scene, jnp.asarray(x))
+
+    dynamic = lambda x: eqx.filter(pair_of(x), eqx.is_inexact_array)  # noqa: E731
+    pair, pair_dot = jax.jvp(dynamic, (0.0,), (1.0,))
+    pair = pair_of(0.0)
+    forward = float(FORWARD(pair, pair_dot))
+    bars = REVERSE(pair)
+    products = jax.tree.map(lambda a, b: jnp.sum(a * b), bars, pair_dot)
+    reverse = float(sum(jax.tree.leaves(products)))
+    assert reverse == pytest.approx(forward, rel=1e-9, abs=1e-12)
+
+    steps = np.array([1e-1, 1e-2, 1e-3]) * (0.1 if case == "pad angle" else 1.0)
+    values = lambda x: VALUE(*pair_of(x))  # noqa: E731
+    left = taylor_remainders(values, 0.0, 1.0, forward, steps)
+    if left[0] < 1e-9:
+        pytest.skip("linear to rounding: a remainder says nothing")
+    ratios = left[:-1] / left[1:]
+    assert np.all((ratios > 70.0) & (ratios < 140.0)), (forward, left)
+
+
+def test_leaving_out_the_closing_is_wrong(scene):
+    """Gradients flow through the consistent initial state: without it they are another number."""
+    grasp, state = scene
+    where = lambda g: g.fingers[0].tip.contour.contour.a  # noqa: E731
+
+    def through(x, closed):
+        moved = eqx.tree_at(where, grasp, replace_fn=lambda a: a * (1.0 + x))
+        return final(*jxr.close(moved, state)) if closed else final(moved, state)
+
+    full = jax.jit(jax.grad(through), static_argnums=1)
+    assert abs(full(0.0, True) - full(0.0, False)) > 0.1 * abs(full(0.0, True))
+
+
+def test_jit_and_transforms_in_any_order(scene):
+    grasp, state = scene
+
+    def f(c):
+        return final(grasp.with_(damping=c), state)
+
+    c = jnp.asarray(0.006)
+    slope = jax.jit(jax.grad(f))(c)
+    for other in (jax.grad(jax.jit(f)), jax.jit(jax.jacfwd(f)), jax.jacfwd(jax.jit(f))):
+        np.testing.assert_allclose(other(c), slope, rtol=1e-9)
+    batch = jnp.array([0.005, 0.006])
+    np.testing.assert_allclose(jax.jit(jax.vmap(jax.grad(f)))(batch)[1], slope, rtol=1e-9)
+
+
+def test_second_derivatives_are_refused_not_wrong(scene):
+    grasp, state = scene
+    with pytest.raises(RuntimeError, match="second derivatives"):
+        jax.hessian(lambda c: final(grasp.with_(damping=c), state))(0.006)
+
+
+def test_close_is_differentiated_by_the_implicit_function_theorem(scene):
+    """Against central differences, in both modes, held and rolling; also an under-determined pose."""
+    grasp, state = scene
+    guess = jxr.State(state.q + jnp.array([0.02, -0.01, 0.03]), state.v, state.s)
+
+    def pose(x, hold):
+        moved = eqx.tree_at(
+            lambda g: g.object.contours[0].contour.a, grasp, replace_fn=lambda a: a * (1 + x)
+        )
+        closed = jxr.close(moved, guess, hold_contacts=hold)[1]
+        return jnp.concatenate([closed.q, closed.s])
+
+    pose = jax.jit(pose, static_argnums=1)
+    for hold in (True, False):
+        h = 1e-5
+        slope = (pose(h, hold) - pose(-h, hold)) / (2 * h)
+        forward = jax.jacfwd(pose)(0.0, hold)
+        np.testing.assert_allclose(forward, slope, atol=1e-8)
+        np.testing.assert_allclose(jax.jacrev(pose)(0.0, hold), forward, atol=1e-12)

@@ -197,8 +197,7 @@ def _closure_slopes(position):
     """Central differences of the closure with respect to theta, q1, q2 and s."""
     steps = 1e-7 * np.eye(4)
     columns = [
-        (np.array(closure(*(position + h))) - np.array(closure(*(position - h)))) / 2e-7
-        for h in steps
+        (np.array(closure(*(position + h))) - np.array(closure(*(position - h)))) / 2e-7 for h in steps
     ]
     return np.stack(columns, axis=1)
 

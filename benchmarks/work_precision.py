@@ -80,9 +80,7 @@ def jaxroll_contender(formulation: Any, solver: diffrax.AbstractERK) -> Contende
         )
 
         def call() -> jxr.Trajectory:
-            return jax.block_until_ready(
-                jxr.simulate(grasp, state, END, ts=ts, rtol=rtol, **options)
-            )
+            return jax.block_until_ready(jxr.simulate(grasp, state, END, ts=ts, rtol=rtol, **options))
 
         def count() -> tuple[int, int]:
             steps = int(call().stats.steps)
@@ -157,9 +155,7 @@ def compiled_dop853_contender(x0: np.ndarray) -> Contender:
 
     def make(tolerance: float, times: np.ndarray) -> Run:
         def run(function: Callable = pivoted.rates, watch: Callable | None = None) -> np.ndarray:
-            solver = ode(function).set_integrator(
-                "dop853", rtol=tolerance, atol=tolerance, nsteps=MOST_STEPS
-            )
+            solver = ode(function).set_integrator("dop853", rtol=tolerance, atol=tolerance, nsteps=MOST_STEPS)
             if watch is not None:
                 solver.set_solout(watch)
             solver.set_initial_value(x0, 0.0)
@@ -457,9 +453,7 @@ def _draw_panel(axes: Any, results: Sequence[Result], ladder: str) -> dict[str, 
     return handles
 
 
-def _draw_line(
-    axes: Any, group: Sequence[Result], ladder: str, bare: bool, **style: Any
-) -> list[Any]:
+def _draw_line(axes: Any, group: Sequence[Result], ladder: str, bare: bool, **style: Any) -> list[Any]:
     timed = [r for r in group if ladder in r.seconds(bare)]
     errors = [r.errors[ladder] for r in timed]
     times = [1e3 * r.seconds(bare)[ladder] for r in timed]

@@ -5,26 +5,26 @@
 """
 
 import importlib
-from typing import TYPE_CHECKING, Any
+from typing import Any, TYPE_CHECKING
 
 from . import contact, control, geometry
 from ._results import RESULTS
 from .contact import Contact
 from .geometry import AbstractContour, Catenary, Circle, Ellipse, Line
-from .mechanics import Finger, FreeObject, Grasp, PivotedObject, State, equation_terms
+from .mechanics import equation_terms, Finger, FreeObject, Grasp, PivotedObject, State
 
 if TYPE_CHECKING:
     from . import plotting, scenes
     from .integration import (
-        CSM,
-        Index1,
-        Trajectory,
         close,
+        CSM,
         energies,
+        Index1,
         multipliers,
         press_balance,
         residuals,
         simulate,
+        Trajectory,
     )
 
 __version__ = "0.1.0"

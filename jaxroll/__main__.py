@@ -118,9 +118,7 @@ def _number(low: float, high: float) -> Callable[[str], float]:
         except ValueError:
             value = math.nan
         if not low <= value <= high:
-            raise argparse.ArgumentTypeError(
-                f"must lie between {low:g} and {high:g}, but was {text}"
-            )
+            raise argparse.ArgumentTypeError(f"must lie between {low:g} and {high:g}, but was {text}")
         return value
 
     return convert
@@ -184,9 +182,7 @@ def _run(options: argparse.Namespace, demo: Demo, folder: Path) -> None:
         names.append("motion.gif")
         speed = max(demo.speed, seconds / _LONGEST_GIF)
         with _timed("Animating"):
-            plotting.animate(
-                grasp, run, folder / "motion.gif", fps=_FPS, speed=speed, progress=_progress
-            )
+            plotting.animate(grasp, run, folder / "motion.gif", fps=_FPS, speed=speed, progress=_progress)
     print(f"jaxroll {__version__}, {options.scene}: {demo.title}")
     print("\n".join([*demo.scene(grasp), f"{run}", *facts]))
     print(f"  wall time   {first['s']:.3g} s with compilation, {again['s']:.3g} s again")

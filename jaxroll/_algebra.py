@@ -90,9 +90,7 @@ class Pose2:
 
     def turn(self, vector: Vec2) -> Vec2:
         """A body-frame direction in world axes."""
-        return Vec2(
-            self.cos * vector.x - self.sin * vector.y, self.sin * vector.x + self.cos * vector.y
-        )
+        return Vec2(self.cos * vector.x - self.sin * vector.y, self.sin * vector.x + self.cos * vector.y)
 
     def place(self, point: Vec2) -> Vec2:
         """A body-frame point in world coordinates."""

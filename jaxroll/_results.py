@@ -18,9 +18,7 @@ class RESULTS(eqx.Enumeration):
 
     successful = ""
     max_steps_reached = "The step limit was reached; `max_steps` sets it."
-    step_collapsed = (
-        "The step size fell to the smallest allowed: the motion is singular or not finite there."
-    )
+    step_collapsed = "The step size fell to the smallest allowed: the motion is singular or not finite there."
     singular_contact = (
         "The rolling contact became singular: the sum of the two curvatures, or the Schur "
         "complement of the constraints, is no longer positive."
@@ -74,26 +72,9 @@ def check_between(name: str, value: Any, low: Any, high: Any, *, unit: str = "")
     if seen is None or lows is None or highs is None:
         return
     if not np.all((lows <= seen) & (seen <= highs)):
-        raise ValueError(
-            f"argument {name} must lie between {lows:g} and {highs:g}{unit}, but was {seen:g}"
-        )
-
-
-def is_failure(result: RESULTS) -> jax.Array:
-    """True where a result code is not success."""
-    return ~(result == RESULTS.successful)
+        raise ValueError(f"argument {name} must lie between {lows:g} and {highs:g}{unit}, but was {seen:g}")
 
 
 def message(result: RESULTS) -> str:
     """The sentence that belongs to one concrete result code; 'successful' for success."""
     return RESULTS[result] or "successful"
-
-
-def raise_on_failure(result: RESULTS, values: Any) -> Any:
-    """Return `values`, or raise `RuntimeError` with the code's sentence; also works under `jit`."""
-    if isinstance(result._value, jax.core.Tracer):
-        return result.error_if(values, is_failure(result))
-    if bool(np.any(is_failure(result))):
-        worst = eqx.tree_at(lambda r: r._value, result, np.asarray(np.max(result._value)))
-        raise RuntimeError(message(worst))
-    return values

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from ._algebra import Twist2, Vec2, total
+from ._algebra import total, Twist2, Vec2
 from ._results import as_floats, check_finite
 from ._types import Scalar, Scalars
 from .mechanics import Motion
@@ -97,9 +97,7 @@ class Press(AbstractController):
     damping: Float[Array, ""]
     target: Float[Array, "2"]
 
-    def __init__(
-        self, force: ArrayLike, radius: ArrayLike, damping: ArrayLike, *, target: ArrayLike
-    ) -> None:
+    def __init__(self, force: ArrayLike, radius: ArrayLike, damping: ArrayLike, *, target: ArrayLike) -> None:
         self.force = check_finite("force", as_floats("force", force, ()))
         self.radius = as_floats("radius", radius, ())
         self.damping = as_floats("damping", damping, ())

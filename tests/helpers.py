@@ -122,11 +122,7 @@ class Chapter:
         g22 = self.m2 * r2**2 + i2
         g12 = g22 + self.m2 * self.l1 * r2 * jnp.cos(q[2])
         g11 = self.m1 * (self.l1 / 2) ** 2 + i1 + self.m2 * self.l1**2 + 2 * g12 - g22
-        return (
-            0.5 * (g11 * v[1] ** 2 + g22 * v[2] ** 2)
-            + g12 * v[1] * v[2]
-            + 0.5 * self.inertia * v[0] ** 2
-        )
+        return 0.5 * (g11 * v[1] ** 2 + g22 * v[2] ** 2) + g12 * v[1] * v[2] + 0.5 * self.inertia * v[0] ** 2
 
     def acceleration(self, branch):
         """s'' = f(s, s') of the closed loop, as a compiled function."""

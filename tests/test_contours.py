@@ -91,8 +91,7 @@ def test_ellipse_table_converges_at_sixth_order():
     s = np.linspace(0.0, 0.09, 401)
     cells = np.array([24, 48, 96])
     errors = [
-        np.abs(np.asarray(jxr.Ellipse(A, B, cells=int(n)).point(s) - exact.point(s))).max()
-        for n in cells
+        np.abs(np.asarray(jxr.Ellipse(A, B, cells=int(n)).point(s) - exact.point(s))).max() for n in cells
     ]
     assert abs(np.polyfit(np.log(cells), np.log(errors), 1)[0] + 6.0) < 0.5
 

@@ -35,7 +35,10 @@ BAD = {
     "negative axis": (lambda: jxr.Ellipse(0.1, -1), "argument b must be positive, but was -1"),
     "reversed domain": (lambda: jxr.Line((1, 0)), "argument domain must be increasing"),
     "no contours": (lambda: jxr.PivotedObject((), 1e-5), "argument contours must be one or more"),
-    "negative inertia": (lambda: jxr.FreeObject(CIRCLE, 1, -1), "argument inertia must be positive"),
+    "negative inertia": (
+        lambda: jxr.FreeObject(CIRCLE, 1, -1),
+        "argument inertia must be positive",
+    ),
     "3-vector base": (lambda: finger(base=(0, 0, 0)), r"argument base must have shape \(2\)"),
     "sense": (lambda: jxr.Contact(sense=0), "argument sense must be 1 or -1, but was 0"),
     "contour out of range": (
@@ -73,9 +76,15 @@ def bad_runs(grasp, state):
     single = jax.tree.map(lambda x: x.astype(jnp.float32), (grasp, state))
     sim = jxr.simulate
     return [
-        (lambda: sim(grasp, wrong, 1.0), r"argument state.q must have shape \(3,\), but had \(2,\)"),
+        (
+            lambda: sim(grasp, wrong, 1.0),
+            r"argument state.q must have shape \(3,\), but had \(2,\)",
+        ),
         (lambda: sim(grasp, unset, 1.0), "argument state.v must be finite"),
-        (lambda: sim(grasp, off, 0.01, ts=1), "must be on the constraints to 1e-09, but its worst row"),
+        (
+            lambda: sim(grasp, off, 0.01, ts=1),
+            "must be on the constraints to 1e-09, but its worst row",
+        ),
         (lambda: sim(grasp, state, 0.0), "argument t1 must be above t0 = 0, but was 0"),
         (lambda: sim(grasp, state, 1.0, ts=[0.5, 0.2]), "argument ts must rise strictly"),
         (lambda: sim(grasp, state, 1.0, ts=[0.5, 2.0]), r"argument ts must lie within \[0, 1\]"),

@@ -144,9 +144,7 @@ def test_close_is_differentiated_by_the_implicit_function_theorem(scene):
     guess = jxr.State(state.q + jnp.array([0.02, -0.01, 0.03]), state.v, state.s)
 
     def pose(x, hold):
-        moved = eqx.tree_at(
-            lambda g: g.object.contours[0].contour.a, grasp, replace_fn=lambda a: a * (1 + x)
-        )
+        moved = eqx.tree_at(lambda g: g.object.contours[0].contour.a, grasp, replace_fn=lambda a: a * (1 + x))
         closed = jxr.close(moved, guess, hold_contacts=hold)[1]
         return jnp.concatenate([closed.q, closed.s])
 

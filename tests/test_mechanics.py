@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import Chapter, broadcasting
+from helpers import broadcasting, Chapter
 
 import jaxroll as jxr
 from jaxroll.integration import Index1
@@ -17,9 +17,7 @@ RNG = np.random.default_rng(7)
 
 def two_fingers(gravity=None):
     """A free object between a 3-joint and a 2-joint finger; states need not touch."""
-    left = jxr.Finger(
-        [0.05, 0.04, 0.03], [0.05, 0.04, 0.03], tip=jxr.Circle(0.008), base=(-0.05, 0.0)
-    )
+    left = jxr.Finger([0.05, 0.04, 0.03], [0.05, 0.04, 0.03], tip=jxr.Circle(0.008), base=(-0.05, 0.0))
     right = jxr.Finger(
         [0.06, 0.05],
         [0.05, 0.04],
@@ -38,9 +36,7 @@ def two_fingers(gravity=None):
 
 def one_finger(gravity=None):
     finger = jxr.Finger([0.065, 0.065], [0.045, 0.040], tip=jxr.Catenary(0.025))
-    body = jxr.PivotedObject(
-        jxr.Catenary(0.01), 6e-6, pivot=(0.05, 0.08), mass=0.02, centre=(0.004, -0.002)
-    )
+    body = jxr.PivotedObject(jxr.Catenary(0.01), 6e-6, pivot=(0.05, 0.08), mass=0.02, centre=(0.004, -0.002))
     return jxr.Grasp(body, finger, jxr.Contact(), gravity=gravity)
 
 
@@ -78,7 +74,10 @@ def lagrangian(grasp, q, v, gravity):
         body = grasp.object
         w = body.weight_moment
         turned = jnp.array(
-            [jnp.cos(q[0]) * w[0] - jnp.sin(q[0]) * w[1], jnp.sin(q[0]) * w[0] + jnp.cos(q[0]) * w[1]]
+            [
+                jnp.cos(q[0]) * w[0] - jnp.sin(q[0]) * w[1],
+                jnp.sin(q[0]) * w[0] + jnp.cos(q[0]) * w[1],
+            ]
         )
         kinetic, potential = 0.5 * body.inertia * v[0] ** 2, -turned @ jnp.asarray(gravity)
     at = grasp.object.freedoms

@@ -133,9 +133,7 @@ def test_closed_loop_equations_76_and_77_hold_along_the_run(scene, run):
     i = 20
     state = jax.tree.map(lambda x: x[i], run.states)
     h = 1e-4
-    fine = jxr.simulate(
-        grasp, state, h, ts=jnp.array([0.0, h / 2, h]), rtol=1e-12, record=("multipliers",)
-    )
+    fine = jxr.simulate(grasp, state, h, ts=jnp.array([0.0, h / 2, h]), rtol=1e-12, record=("multipliers",))
     v_rate = (fine.states.v[2] - fine.states.v[0]) / h
     middle = jax.tree.map(lambda x: x[1], fine.states)
     terms = jxr.equation_terms(grasp, middle)
@@ -183,9 +181,7 @@ def test_observed_order_with_projection(scene, solver, order, band, t1, ladder):
 @pytest.fixture(scope="module")
 def stabilised(scene):
     """The chapter's own method at tight tolerance."""
-    return jxr.simulate(
-        *scene, t1=3.0, ts=31, formulation=jxr.CSM(), rtol=1e-9, max_steps=50_000
-    )
+    return jxr.simulate(*scene, t1=3.0, ts=31, formulation=jxr.CSM(), rtol=1e-9, max_steps=50_000)
 
 
 def test_csm_agrees_with_index1(stabilised, reference):

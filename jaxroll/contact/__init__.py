@@ -2,12 +2,12 @@
 
 from ._rolling import (
     Contact as Contact,
-    Touch as Touch,
     gap as gap,
     gap_bias as gap_bias,
     gap_rate as gap_rate,
     pfaffian as pfaffian,
     rolling_rate as rolling_rate,
     tangency as tangency,
+    Touch as Touch,
     touch as touch,
 )

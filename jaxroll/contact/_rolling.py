@@ -68,9 +68,7 @@ class Touch:
         return self.tip.point, self.object.point
 
 
-def touch(
-    contact: Contact, tip: AbstractContour, object_: AbstractContour, sigma: Scalar
-) -> Touch:
+def touch(contact: Contact, tip: AbstractContour, object_: AbstractContour, sigma: Scalar) -> Touch:
     """Evaluate both contours at the rolling coordinate `sigma`."""
     return Touch(tip.frame(contact.s_tip + sigma), object_.frame(contact.s_object - sigma))
 
@@ -80,9 +78,7 @@ def gap(tip: Pose2, object_: Pose2, points: tuple[Vec2, Vec2]) -> Vec2:
     return tip.place(points[0]) - object_.place(points[1])
 
 
-def gap_rate(
-    poses: tuple[Pose2, Pose2], twists: tuple[Twist2, Twist2], points: tuple[Vec2, Vec2]
-) -> Vec2:
+def gap_rate(poses: tuple[Pose2, Pose2], twists: tuple[Twist2, Twist2], points: tuple[Vec2, Vec2]) -> Vec2:
     """Rate of the gap under the twists of both bodies, at frozen contact coordinates."""
     rates = (poses[0].rate(twists[0]), poses[1].rate(twists[1]))
     return jax.jvp(lambda a, b: gap(a, b, points), poses, rates)[1]

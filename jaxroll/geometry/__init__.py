@@ -7,7 +7,7 @@ with closed forms, `_arclength` the table for curves that are not given by arcle
 from ._analytic import Catenary as Catenary, Circle as Circle, Ellipse as Ellipse, Line as Line
 from ._contour import (
     AbstractContour as AbstractContour,
+    frenet as frenet,
     Frenet2 as Frenet2,
     Moved as Moved,
-    frenet as frenet,
 )

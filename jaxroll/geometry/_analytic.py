@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from .._algebra import Vec2, sincos, unstack
+from .._algebra import sincos, unstack, Vec2
 from .._results import as_floats, check_positive, concrete
 from .._types import Scalar, Scalars
 from ._arclength import ArclengthTable, invert, tabulate
@@ -165,14 +165,10 @@ class Ellipse(AbstractContour):
         sin, cos = sincos(self.angle(s))
         direction = Vec2(-self.a * sin, self.b * cos)
         rate = 1.0 / jnp.sqrt(direction.dot(direction))
-        return Frenet2(
-            Vec2(self.a * cos, self.b * sin), direction * rate, self.a * self.b * rate**3
-        )
+        return Frenet2(Vec2(self.a * cos, self.b * sin), direction * rate, self.a * self.b * rate**3)
 
     def prepared(self) -> "Ellipse":
-        return eqx.tree_at(
-            lambda e: e.table, self, self.arclengths(), is_leaf=lambda x: x is None
-        )
+        return eqx.tree_at(lambda e: e.table, self, self.arclengths(), is_leaf=lambda x: x is None)
 
     def domain(self) -> tuple[Scalar, Scalar]:
         return 0.0, self.arclengths().length

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from .._algebra import Pose2, Vec2, sincos, unstack
+from .._algebra import Pose2, sincos, unstack, Vec2
 from .._results import as_floats
 from .._types import Points, Scalar
 
@@ -169,9 +169,7 @@ class Moved(AbstractContour):
 
     def prepared(self) -> "Moved":
         ready = (self.contour.prepared(), self.placed())
-        return eqx.tree_at(
-            lambda m: (m.contour, m.pose), self, ready, is_leaf=lambda x: x is None
-        )
+        return eqx.tree_at(lambda m: (m.contour, m.pose), self, ready, is_leaf=lambda x: x is None)
 
     def domain(self) -> tuple[Scalar, Scalar] | None:
         ends = self.contour.domain()

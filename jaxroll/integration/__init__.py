@@ -8,13 +8,13 @@ point, `_trajectory` its result and `_observe` the chapter's quantities along it
 from ._close import close as close
 from ._formulation import CSM as CSM, Index1 as Index1
 from ._observe import (
+    energies as energies,
     Energy as Energy,
     Multipliers as Multipliers,
-    Residuals as Residuals,
-    energies as energies,
     multipliers as multipliers,
+    Residuals as Residuals,
     residuals as residuals,
 )
-from ._press import PressBalance as PressBalance, press_balance as press_balance
+from ._press import press_balance as press_balance, PressBalance as PressBalance
 from ._simulate import simulate as simulate
 from ._trajectory import Stats as Stats, Trajectory as Trajectory

@@ -13,12 +13,11 @@ from jaxtyping import Array
 from .._algebra import factorise
 from .._results import concrete
 from ..mechanics import (
-    Grasp,
-    State,
     apply_jacobian,
     balance,
     bodies,
     combine,
+    Grasp,
     join,
     linearise,
     mass_matrix,
@@ -26,6 +25,7 @@ from ..mechanics import (
     residual,
     respond,
     split,
+    State,
     to_leaves,
     touches,
 )
@@ -89,9 +89,7 @@ def check_state(grasp: Grasp, state: State) -> None:
     n, contacts = grasp.coordinates, len(grasp.contacts)
     for name, value, size in (("q", state.q, n), ("v", state.v, n), ("s", state.s, contacts)):
         if jnp.shape(value) != (size,):
-            raise ValueError(
-                f"argument state.{name} must have shape ({size},), but had {jnp.shape(value)}"
-            )
+            raise ValueError(f"argument state.{name} must have shape ({size},), but had {jnp.shape(value)}")
         seen = concrete(value)
         if seen is not None and not np.all(np.isfinite(seen)):
             raise ValueError(f"argument state.{name} must be finite, but was {seen.tolist()}")
@@ -134,9 +132,7 @@ def _rows(grasp: Grasp, q: Array, s: Array, contacts: int) -> Array:
     frames, touching = poses(grasp, blocks), touches(grasp, tuple(s[i] for i in range(contacts)))
     left = residual(grasp, frames, touching)
     rows = []
-    for contact, gap, sine, t in zip(
-        grasp.contacts, left.gaps, left.tangencies, touching, strict=True
-    ):
+    for contact, gap, sine, t in zip(grasp.contacts, left.gaps, left.tangencies, touching, strict=True):
         tip, face = frames[1 + contact.finger], frames[0]
         cosine = -tip.turn(t.tip.tangent).dot(face.turn(t.object.tangent))
         rows += [gap.x, gap.y, jnp.arctan2(sine, cosine)]
@@ -151,7 +147,6 @@ def _metric(grasp: Grasp, guess: State, size: int) -> Array:
     metric = jnp.zeros((size, size), guess.q.dtype).at[:n, :n].set(mass * (n / jnp.trace(mass)))
     free = jnp.where(jnp.arange(size) < n, 0.0, 1e-3)
     return metric + jnp.diag(free.astype(metric.dtype))
-
 
 
 def _root(function: Callable, start: Any, args: Any) -> Any:

@@ -7,16 +7,16 @@ import jax
 from .._algebra import total
 from .._types import Scalar, Scalars
 from ..contact import Touch
-from ..control import AbstractController, Sensed, as_controller, sense
+from ..control import AbstractController, as_controller, sense, Sensed
 from ..mechanics import (
-    Grasp,
-    Instant,
-    Leaves,
-    Motion,
     accelerate,
     apply_jacobian,
     balance,
     combine,
+    Grasp,
+    Instant,
+    Leaves,
+    Motion,
     poses,
     residual,
     respond,
@@ -38,9 +38,7 @@ def evaluate(grasp: Grasp, t: Scalar, leaves: Leaves, formulation: Formulation) 
 
 def sensed(leaves: Leaves, motions: Sequence[Motion]) -> list[Sensed]:
     """What every finger's controller may know."""
-    return [
-        sense(m, q, v) for m, q, v in zip(motions[1:], leaves.q[1:], leaves.v[1:], strict=True)
-    ]
+    return [sense(m, q, v) for m, q, v in zip(motions[1:], leaves.q[1:], leaves.v[1:], strict=True)]
 
 
 def control_potential(controller: AbstractController, leaves: Leaves, tips: Sequence) -> Scalar:
@@ -69,9 +67,7 @@ def power(grasp: Grasp, t: Scalar, leaves: Leaves, motions: Sequence[Motion]) ->
     return drive + stored
 
 
-def project(
-    grasp: Grasp, leaves: Leaves, instant: Instant, hold: Hold, *, sweeps: int = 2
-) -> Leaves:
+def project(grasp: Grasp, leaves: Leaves, instant: Instant, hold: Hold, *, sweeps: int = 2) -> Leaves:
     """Return to the constraints, nearest in the mass metric: positions, contacts, velocities.
 
     Simplified Newton with the factorisation of `instant`, which must belong to `leaves`: the gap g

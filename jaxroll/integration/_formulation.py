@@ -5,7 +5,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from .._algebra import Vec2
 from .._results import as_floats, check_positive
-from ..contact import Touch, gap
+from ..contact import gap, Touch
 from ..mechanics import Grasp, Motion, Stabiliser
 
 
@@ -51,12 +51,8 @@ class CSM(eqx.Module):
     ) -> None:
         self.gamma_f = check_positive("gamma_f", as_floats("gamma_f", gamma_f, ()))
         self.omega_f = check_positive("omega_f", as_floats("omega_f", omega_f, ()))
-        self.gamma_lambda = check_positive(
-            "gamma_lambda", as_floats("gamma_lambda", gamma_lambda, ())
-        )
-        self.omega_lambda = check_positive(
-            "omega_lambda", as_floats("omega_lambda", omega_lambda, ())
-        )
+        self.gamma_lambda = check_positive("gamma_lambda", as_floats("gamma_lambda", gamma_lambda, ()))
+        self.omega_lambda = check_positive("omega_lambda", as_floats("omega_lambda", omega_lambda, ()))
 
     def stabiliser(self, grasp: Grasp) -> Stabiliser | None:
         """The restoring gap accelerations in the object's contact frames."""

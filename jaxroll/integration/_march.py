@@ -20,8 +20,7 @@ from jaxtyping import Array, Float, Int
 
 from .._results import RESULTS
 from .._types import Scalar, Times
-from ..mechanics import Grasp
-from ._flow import Flow
+from ._flow import Bundle, Flow
 from ._regime import decode
 from ._stepper import RollingStep
 
@@ -57,91 +56,152 @@ class Path(eqx.Module):
     result: RESULTS
 
 
+class Pace(eqx.Module):
+    """What the step-size control remembers between steps, and between the legs of a run."""
+
+    inner: Any
+    length: Float[Array, ""]  # of the next step, before it is cut short by a stop
+    t: Float[Array, ""]
+    attempted: Int[Array, ""]
+    accepted: Int[Array, ""]
+
+
 class StopAt(diffrax.AbstractStepSizeController):
-    """A step-size controller that ends steps at the save times, where a step is most accurate.
+    """Step-size control that ends steps at given times, where a step is most accurate.
 
     The first step has no length: it works out the derivative that the flow vector carries, and so
     spares the program a copy of the equations of motion.
     """
 
     inner: diffrax.AbstractStepSizeController
-    ts: Times
+    pace: Pace
     dt0: Float[Array, ""]
+    stops: Times | None
+    max_steps: int = eqx.field(static=True)
 
     def wrap(self, direction: Scalar) -> "StopAt":
-        return StopAt(self.inner.wrap(direction), self.ts * direction, self.dt0)
+        return self
 
-    def init(self, terms: Any, t0: Scalar, t1: Scalar, *rest: Any) -> tuple[Scalar, Any]:
-        _, memory = self.inner.init(terms, t0, t1, *rest)
-        return t0, memory
+    def init(self, terms: Any, t0: Scalar, t1: Scalar, *rest: Any) -> tuple[Scalar, Pace]:
+        return self._clip(t0, t0 + self.pace.length), self.pace
 
     def adapt_step_size(self, t0: Scalar, t1: Scalar, *rest: Any) -> tuple:
-        keep, start, end, jumped, memory, code = self.inner.adapt_step_size(t0, t1, *rest)
+        pace = rest[-1]
+        keep, start, end, jumped, inner, code = self.inner.adapt_step_size(t0, t1, *rest[:-1], pace.inner)
         first = t0 == t1
-        old = rest[-1]
-        memory = jax.tree.map(lambda new, was: jnp.where(first, was, new), memory, old)
-        end = self._clip(start, jnp.where(first, start + self.dt0, end))
-        return keep | first, jnp.where(first, t1, start), end, jumped, memory, code
+        inner = jax.tree.map(lambda new, old: jnp.where(first, old, new), inner, pace.inner)
+        keep, start = keep | first, jnp.where(first, t1, start)
+        length = jnp.where(first, self.dt0, end - start)
+        pace = Pace(inner, length, start, pace.attempted + 1, pace.accepted + jnp.where(keep, 1, 0))
+        over = pace.attempted > self.max_steps
+        code = diffrax.RESULTS.where(over, diffrax.RESULTS.max_steps_reached, code)
+        return keep, start, self._clip(start, start + length), jumped, pace, code
 
     def _clip(self, t0: Scalar, t1: Scalar) -> Scalar:
-        return jnp.minimum(t1, jnp.min(jnp.where(self.ts > t0, self.ts, jnp.inf)))
+        if self.stops is None:
+            return t1
+        return jnp.minimum(t1, jnp.min(jnp.where(self.stops > t0, self.stops, jnp.inf)))
 
 
-def _solve(grasp: Grasp, y0: Flow, plan: Plan, record: bool) -> tuple[Path, Any]:
-    subs = {
-        "saved": diffrax.SubSaveAt(ts=plan.ts),
-        "last": diffrax.SubSaveAt(t1=True),
-    }
-    if record:
-        subs["steps"] = diffrax.SubSaveAt(t0=True, steps=True)
-    solution = diffrax.diffeqsolve(
+def _at_rest(plan: Plan, grasp: Bundle, y0: Flow) -> Pace:
+    """The pace before the first step."""
+    order = plan.stepper.error_order(None)
+    _, inner = plan.controller.init(None, plan.t0, plan.t1, y0, plan.dt0, grasp, plan.stepper.func, order)
+    inner = jax.tree.map(jnp.asarray, inner)
+    none = jnp.array(0)
+    return Pace(inner, jnp.zeros_like(plan.dt0), plan.t0, none, none)
+
+
+def _integrate(
+    grasp: Bundle, y0: Flow, span: tuple[Scalar, Scalar], control: StopAt, **options: Any
+) -> diffrax.Solution:
+    return diffrax.diffeqsolve(
         diffrax.ODETerm(lambda t, y, args: jnp.zeros_like(y)),  # the stepper knows the field
-        plan.stepper,
-        plan.t0,
-        plan.t1,
-        plan.dt0,
+        options.pop("stepper"),
+        *span,
+        None,
         y0,
         args=grasp,
-        saveat=diffrax.SaveAt(subs=subs),
-        stepsize_controller=StopAt(plan.controller, plan.ts, plan.dt0),
+        stepsize_controller=control,
         adjoint=diffrax.ForwardMode(),
-        progress_meter=plan.progress,
-        max_steps=plan.max_steps,
         throw=False,
+        **options,
     )
-    times, values, stats = solution.ts, solution.ys, solution.stats
-    assert times is not None and values is not None
-    counts = [stats[k] for k in ("num_steps", "num_accepted_steps", "num_rejected_steps")]
-    path = Path(
-        values["saved"],
-        values["last"][0],
-        times["last"][0],
-        jnp.stack([jnp.asarray(c) for c in counts]),
-        decode(values["last"][0, -1], solution.result),
+
+
+def _legs(grasp: Bundle, y0: Flow, plan: Plan) -> Path:
+    """Leg by leg from one save time to the next: nothing that grows with them is in the inner loop."""
+    fine = jax.tree.map(jnp.asarray, diffrax.RESULTS.successful)
+
+    def leg(carry: tuple, stop: Scalar) -> tuple[tuple, Flow]:
+        y, pace, loop, meter = carry
+        alive = (loop == diffrax.RESULTS.successful) & (y[-1] == 0)
+        control = StopAt(plan.controller, pace, plan.dt0, None, plan.max_steps)
+        solution = _integrate(
+            grasp,
+            y,
+            (pace.t, jnp.where(alive, stop, pace.t)),
+            control,
+            stepper=plan.stepper,
+            saveat=diffrax.SaveAt(t1=True, controller_state=True),
+            max_steps=None,
+        )
+        y, pace = solution.ys[-1], solution.controller_state  # pyright: ignore
+        loop = diffrax.RESULTS.where(alive, solution.result, loop)
+        meter = plan.progress.step(meter, (pace.t - plan.t0) / (plan.t1 - plan.t0))
+        reached = alive & (y[-1] == 0) & (pace.t == stop)
+        return (y, pace, loop, meter), jnp.where(reached, y, jnp.nan)
+
+    stops = jnp.concatenate([plan.ts, plan.t1[None]])
+    start = (y0, _at_rest(plan, grasp, y0), fine, plan.progress.init())
+    (y, pace, loop, meter), saved = jax.lax.scan(leg, start, stops)
+    plan.progress.close(meter)
+    return _path(saved[:-1], y, pace, loop)
+
+
+def _recorded(grasp: Bundle, y0: Flow, plan: Plan) -> tuple[Path, Times, Array]:
+    """The same run in one piece, with every accepted step recorded."""
+    pace = _at_rest(plan, grasp, y0)
+    solution = _integrate(
+        grasp,
+        y0,
+        (plan.t0, plan.t1),
+        StopAt(plan.controller, pace, plan.dt0, plan.ts, plan.max_steps),
+        stepper=plan.stepper,
+        saveat=diffrax.SaveAt(t0=True, steps=True, controller_state=True),
+        max_steps=plan.max_steps,
     )
-    return path, (times["steps"], values["steps"]) if record else None
+    ts, ys, pace = solution.ts, solution.ys, solution.controller_state
+    assert ts is not None and ys is not None and pace is not None
+    index = jnp.minimum(jnp.searchsorted(ts, plan.ts), pace.accepted)
+    reached = (ts[index] == plan.ts) & (ys[index, -1] == 0)
+    saved = jnp.where(reached[:, None], ys[index], jnp.nan)
+    return _path(saved, ys[pace.accepted], pace, solution.result), ts, ys
+
+
+def _path(saved: Array, last: Flow, pace: Pace, loop: diffrax.RESULTS) -> Path:
+    steps = jnp.stack([pace.attempted, pace.accepted, pace.attempted - pace.accepted])
+    return Path(saved, last, pace.t, steps, decode(last[-1], loop))
 
 
 @eqx.filter_custom_jvp
-def march(grasp: Grasp, y0: Flow, plan: Plan) -> Path:
-    """Integrate the flow vector `y0` of a prepared grasp; differentiable in both modes, once."""
-    return _solve(grasp, y0, plan, record=False)[0]
+def march(grasp: Bundle, y0: Flow, plan: Plan) -> Path:
+    """Integrate the flow vector `y0` of a bundled grasp; differentiable in both modes, once."""
+    return _legs(grasp, y0, plan)
 
 
 @march.def_jvp
 def _march_jvp(primals: Any, tangents: Any) -> tuple[Path, Path]:
     grasp, y0, plan = primals
     grasp_dot, y0_dot, _ = tangents
-    path, (step_ts, step_ys) = _solve(grasp, y0, plan, record=True)
+    path, step_ts, step_ys = _recorded(grasp, y0, plan)
     moving, still = eqx.partition(grasp, eqx.is_inexact_array)
     fixed = eqxi.nondifferentiable(
         (moving, plan, step_ts, step_ys), name="the state of a run (second derivatives)"
     )
     steps = _Steps(*fixed, path.steps[1], still)
     moving_dot = jax.tree.map(_fill, moving, grasp_dot)
-    saved_dot, last_dot = linear_map(
-        steps.tangents, steps.cotangents, (moving_dot, _fill(y0, y0_dot))
-    )
+    saved_dot, last_dot = linear_map(steps.tangents, steps.cotangents, (moving_dot, _fill(y0, y0_dot)))
     no_tangents = jax.tree.map(lambda _: None, path)
     return path, eqx.tree_at(
         lambda p: (p.saved, p.last), no_tangents, (saved_dot, last_dot), is_leaf=lambda x: x is None
@@ -151,14 +211,14 @@ def _march_jvp(primals: Any, tangents: Any) -> tuple[Path, Path]:
 class _Steps(eqx.Module):
     """The recorded steps of a run, as a linear map between perturbations of its ends."""
 
-    moving: Grasp
+    moving: Bundle
     plan: Plan
     ts: Float[Array, " steps"]
     ys: Float[Array, "steps flow"]
     count: Int[Array, ""]
-    still: Grasp
+    still: Bundle
 
-    def _advance(self, moving: Grasp, y: Flow, k: Scalar) -> Flow:
+    def _advance(self, moving: Bundle, y: Flow, k: Scalar) -> Flow:
         grasp = eqx.combine(moving, self.still)
         t1 = jnp.where(k < self.count, self.ts[k + 1], self.ts[k])
         return self.plan.stepper.advance(grasp, self.ts[k], t1, y)[0]
@@ -168,7 +228,7 @@ class _Steps(eqx.Module):
         index = jnp.searchsorted(self.ts, self.plan.ts)
         return jnp.minimum(index, self.count), index <= self.count
 
-    def tangents(self, start: tuple[Grasp, Flow]) -> tuple[Array, Array]:
+    def tangents(self, start: tuple[Bundle, Flow]) -> tuple[Array, Array]:
         moving_dot, y_dot = start
         track = jnp.zeros_like(self.ys).at[0].set(y_dot)
 
@@ -184,7 +244,7 @@ class _Steps(eqx.Module):
         index, reached = self._saved_at()
         return jnp.where(reached[:, None], track[index], 0.0), track[self.count]
 
-    def cotangents(self, ends: tuple[Array, Array]) -> tuple[Grasp, Flow]:
+    def cotangents(self, ends: tuple[Array, Array]) -> tuple[Bundle, Flow]:
         saved_bar, last_bar = ends
         index, reached = self._saved_at()
         track = jnp.zeros_like(self.ys)
@@ -192,7 +252,7 @@ class _Steps(eqx.Module):
         track = track.at[self.count].add(last_bar)
         longest = eqxi.unvmap_max(self.count)
 
-        def step(i: Scalar, carry: tuple[Grasp, Array]) -> tuple[Grasp, Array]:
+        def step(i: Scalar, carry: tuple[Bundle, Array]) -> tuple[Bundle, Array]:
             moving_bar, track = carry
             k = longest - 1 - i
             _, pull = jax.vjp(lambda m, y: self._advance(m, y, k), self.moving, self.ys[k])
@@ -228,9 +288,7 @@ def linear_map(apply: Callable, transpose: Callable, x: Any) -> Any:
         return jnp.concatenate([c[:n] + image, c[n:]])
 
     padded = jnp.pad(flat, (0, zeros.shape[0]))
-    return unravel_out(
-        jax.lax.custom_linear_solve(lambda z: z, padded, solve, transpose_solve)[n:]
-    )
+    return unravel_out(jax.lax.custom_linear_solve(lambda z: z, padded, solve, transpose_solve)[n:])
 
 
 def _fill(value: Array, tangent: Array | None) -> Array:

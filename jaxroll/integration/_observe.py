@@ -7,18 +7,16 @@ from jaxtyping import Array, Float
 
 from .._algebra import total
 from .._types import Scalar
-from ..contact import Touch
 from ..control import as_controller
 from ..mechanics import (
-    Grasp,
-    Leaves,
-    Motion,
-    State,
     apply_jacobian,
     bodies,
+    Grasp,
     kinetic_energy,
+    Leaves,
     poses,
     residual,
+    State,
     to_leaves,
     touches,
 )
@@ -88,15 +86,11 @@ def worst(residuals: Residuals) -> Array:
     return jnp.max(jnp.abs(jnp.stack(parts)), axis=(0, -1))
 
 
-def multipliers_at(
-    grasp: Grasp, t: Scalar, state: State, formulation: Formulation
-) -> Multipliers:
+def multipliers_at(grasp: Grasp, t: Scalar, state: State, formulation: Formulation) -> Multipliers:
     """Contact forces of a prepared grasp at one state."""
     instant = evaluate(grasp, t, to_leaves(state, grasp.sizes), formulation)
     f, lam = [], []
-    for contact, force, touching in zip(
-        grasp.contacts, instant.forces, instant.touching, strict=True
-    ):
+    for contact, force, touching in zip(grasp.contacts, instant.forces, instant.touching, strict=True):
         tangent = instant.motions[0].pose.turn(touching.object.tangent)
         f.append(force.dot(tangent.right()))
         lam.append(-contact.sense * force.dot(tangent))

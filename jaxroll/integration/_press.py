@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 from .._algebra import Vec2
 from .._types import Scalar
 from ..control import Press
-from ..mechanics import Grasp, State, poses, to_leaves, touches
+from ..mechanics import Grasp, poses, State, to_leaves, touches
 from ._formulation import Index1
 from ._observe import multipliers_at
 
@@ -52,9 +52,7 @@ def press_balance(grasp: Grasp, ts: Float[Array, "..."], states: State) -> Press
         True
     """
     if not isinstance(grasp.controller, Press):
-        raise ValueError(
-            f"argument grasp must be driven by control.Press, but was by {grasp.controller!r}"
-        )
+        raise ValueError(f"argument grasp must be driven by control.Press, but was by {grasp.controller!r}")
     ready = grasp.prepared()
     if states.q.ndim == 1:
         return _balance_at(ready, ts, states)

@@ -30,9 +30,7 @@ def regime(grasp: Grasp, leaves: Leaves, instant: Instant, x: Array) -> Scalar:
 
 def decode(number: Scalar, loop: diffrax.RESULTS) -> RESULTS:
     """The result code of a run: from the flow vector's number, else from diffrax's loop."""
-    result = RESULTS.where(
-        loop == diffrax.RESULTS.successful, RESULTS.successful, RESULTS.solver_failed
-    )
+    result = RESULTS.where(loop == diffrax.RESULTS.successful, RESULTS.successful, RESULTS.solver_failed)
     steps = loop == diffrax.RESULTS.max_steps_reached
     result = RESULTS.where(steps, RESULTS.max_steps_reached, result)
     collapsed = loop == diffrax.RESULTS.dt_min_reached
@@ -63,4 +61,3 @@ def _singular(grasp: Grasp, instant: Instant) -> Scalar:
 
 def _rolls(tip: Scalar, face: Scalar) -> Scalar:
     return tip + face > _SINGULAR * (jnp.abs(tip) + jnp.abs(face))
-

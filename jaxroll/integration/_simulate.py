@@ -1,6 +1,6 @@
-"""`simulate`: the entry point of the package, and with `_march` the only door to diffrax's loop."""
+"""`simulate`: the entry point of the package."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -9,20 +9,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 
-from .._results import RESULTS, concrete, raise_on_failure
+from .._results import concrete, message, RESULTS
 from ..mechanics import Grasp, State
-from ._close import REACHED, check_state
-from ._flow import Layout, layout, states_of, vector_of
+from ._arguments import as_number, check_choices, check_precision, OPTIONS, RECORDS, save_times
+from ._close import check_state, REACHED
+from ._flow import Layout, bundle, layout, states_of, vector_of
 from ._formulation import CSM, Formulation, Index1
-from ._march import Path, Plan, march
-from ._observe import Energy, energies_at, multipliers_at, residuals_at, worst
+from ._march import march, Path, Plan
+from ._observe import energies_at, Energy, multipliers_at, residuals_at, worst
 from ._stepper import RollingStep
 from ._trajectory import Stats, Trajectory
-
-_RECORDS = ("multipliers", "energy")
-_OPTIONS = ("atol", "dt0", "max_steps", "stepsize_controller", "progress_meter")
-# Below this relative tolerance single precision cannot deliver: steps collapse.
-_FLOAT32_FLOOR = 1e-5
 
 
 def simulate(
@@ -79,46 +75,91 @@ def simulate(
         >>> import jaxroll as jxr
         >>> grasp, state = jxr.scenes.pivoted()
         >>> run = jxr.simulate(grasp, state, t1=3.0)
-        >>> f"{run.states.q[-1, 0] - run.states.q[0, 0]:.3f} rad"
-        '0.000 rad'
+        >>> f"{run.states.q[-1, 0] - run.states.q[0, 0]:.3f} rad"  # the object turned by
+        '0.772 rad'
     """
     check_state(grasp, state)
-    plan, lay = _plan(grasp, state, (t0, t1, ts), formulation, solver, rtol, record, options)
-    trajectory, off = _run(grasp, state, plan, lay, tuple(record))
-    return _checked(trajectory, off, throw)
+    check_choices("record", record, RECORDS)
+    check_choices("options", tuple(options), OPTIONS)
+    dtype = np.dtype(state.q.dtype)
+    check_precision(dtype, rtol)
+    start, end, saves = save_times(t0, t1, ts, dtype)
+    atol, dt0 = options.get("atol", rtol), options.get("dt0", 1e-4)
+    numbers = Numbers(start, end, saves, *(as_number(x, dtype) for x in (dt0, rtol, atol)))
+    setup = Setup(
+        _solver(solver),
+        options.get("stepsize_controller"),
+        options.get("progress_meter"),
+        options.get("max_steps", 4096),
+        tuple(record),
+    )
+    run = _run_plain if _is_plain(grasp, setup) else _run_any
+    trajectory, off = run(grasp, state, formulation or Index1(), numbers, setup)
+    return _checked(trajectory, off) if throw else trajectory
 
 
-def _plan(
-    grasp: Grasp,
-    state: State,
-    times: tuple[Any, Any, Any],
-    formulation: Formulation | None,
-    solver: diffrax.AbstractSolver | None,
-    rtol: float,
-    record: tuple[str, ...],
-    options: dict[str, Any],
-) -> tuple[Plan, Layout]:
-    _check_choices("record", record, _RECORDS)
-    _check_choices("options", tuple(options), _OPTIONS)
-    dtype = state.q.dtype
-    _check_precision(dtype, rtol)
-    t0, t1, ts = _times(*times, dtype)
-    lay = layout(grasp, "energy" in record)
-    atol = options.get("atol", rtol)
-    method = _with_tolerances(solver or diffrax.Dopri8(), rtol, atol)
-    stepper = RollingStep(method, formulation or Index1(), lay)
-    controller = options.get("stepsize_controller")
+class Numbers(NamedTuple):
+    """What may change from run to run without recompiling."""
+
+    t0: Any
+    t1: Any
+    ts: Any
+    dt0: Any
+    rtol: Any
+    atol: Any
+
+
+class Setup(NamedTuple):
+    """What is compiled in."""
+
+    solver: diffrax.AbstractSolver
+    controller: diffrax.AbstractStepSizeController | None
+    progress: diffrax.AbstractProgressMeter | None
+    max_steps: int
+    record: tuple[str, ...]
+
+
+def _solver(solver: diffrax.AbstractSolver | None) -> diffrax.AbstractSolver:
+    if solver is not None and not isinstance(solver, diffrax.AbstractSolver):
+        raise ValueError(f"argument solver must be a diffrax solver, but was {solver!r}")
+    return diffrax.Dopri8() if solver is None else solver
+
+
+def _is_plain(grasp: Grasp, setup: Setup) -> bool:
+    """Whether arrays are all there is in the arguments: then `jax.jit` serves, in half the time."""
+    if setup.controller is not None or setup.progress is not None:
+        return False
+    return not jax.tree.leaves(setup.solver) and all(map(eqx.is_array, jax.tree.leaves(grasp)))
+
+
+def _run(
+    grasp: Grasp, state: State, formulation: Formulation, numbers: Numbers, setup: Setup
+) -> tuple[Trajectory, Array]:
+    ready = grasp.prepared()
+    plan = _plan(grasp, formulation, Numbers(*map(jnp.asarray, numbers)), setup)
+    lay = plan.stepper.lay
+    x0 = vector_of(state, lay.audited)
+    y0 = jnp.concatenate([x0, jnp.zeros(lay.width + 1, x0.dtype)])
+    return _trajectory(ready, state, march(bundle(ready), y0, plan), plan, setup.record)
+
+
+_run_plain = jax.jit(_run, static_argnames="setup")
+_run_any = eqx.filter_jit(_run)
+
+
+def _plan(grasp: Grasp, formulation: Formulation, numbers: Numbers, setup: Setup) -> Plan:
+    t0, t1, ts, dt0, rtol, atol = numbers
+    lay = layout(grasp, "energy" in setup.record)
+    controller = setup.controller
     if controller is None:
         controller = diffrax.PIDController(rtol, atol, norm=_Norm(lay), dtmin=1e-12)
-    dt0 = jnp.asarray(options.get("dt0", 1e-4), dtype)
-    meter = options.get("progress_meter", diffrax.NoProgressMeter())
-    return Plan(stepper, controller, t0, t1, ts, dt0, meter, options.get("max_steps", 4096)), lay
+    stepper = RollingStep(_with_tolerances(setup.solver, rtol, atol), formulation, lay)
+    meter = setup.progress or diffrax.NoProgressMeter()
+    return Plan(stepper, controller, t0, t1, ts, dt0, meter, setup.max_steps)
 
 
-def _with_tolerances(method: Any, rtol: Any, atol: Any) -> diffrax.AbstractSolver:
+def _with_tolerances(method: Any, rtol: Array, atol: Array) -> diffrax.AbstractSolver:
     """Give an implicit method's root finder the tolerances of the run, unless it has its own."""
-    if not isinstance(method, diffrax.AbstractSolver):
-        raise ValueError(f"argument solver must be a diffrax solver, but was {method!r}")
     finder = getattr(method, "root_finder", None)
     if finder is None or isinstance(finder.rtol, float | jax.Array):
         return method
@@ -135,65 +176,11 @@ class _Norm(eqx.Module):
         return jnp.sqrt(jnp.mean(seen * seen))
 
 
-def _times(t0: Any, t1: Any, ts: Any, dtype: Any) -> tuple[Array, Array, Array]:
-    start_, end = jnp.asarray(t0, dtype), jnp.asarray(t1, dtype)
-    if isinstance(ts, int):
-        if ts < 1:
-            raise ValueError(f"argument ts must be at least 1 time, but was {ts}")
-        count = np.linspace(0.0, 1.0, ts) if ts > 1 else np.ones(1)
-        saved = start_ + (end - start_) * jnp.asarray(count, dtype)
-        saved = saved.at[-1].set(end)
-    else:
-        saved = jnp.asarray(ts, dtype)
-    seen, bounds = concrete(saved), concrete((start_, end))
-    if bounds is not None and not bounds[1] > bounds[0]:
-        raise ValueError(f"argument t1 must be above t0 = {bounds[0]:g}, but was {bounds[1]:g}")
-    if saved.ndim != 1:
-        raise ValueError(f"argument ts must have shape (t,), but had shape {saved.shape}")
-    if seen is not None and not (np.all(np.diff(seen) > 0) and np.all(np.isfinite(seen))):
-        raise ValueError(f"argument ts must rise strictly, but was {seen.tolist()}")
-    if seen is not None and bounds is not None and (seen[0] < bounds[0] or seen[-1] > bounds[1]):
-        raise ValueError(
-            f"argument ts must lie within [{bounds[0]:g}, {bounds[1]:g}], "
-            f"but ran from {seen[0]:g} to {seen[-1]:g}"
-        )
-    return start_, end, saved
-
-
-def _check_choices(name: str, given: tuple[str, ...], known: tuple[str, ...]) -> None:
-    unknown = [item for item in given if item not in known]
-    if isinstance(given, str) or unknown:
-        raise ValueError(f"argument {name} must be among {known}, but was {given!r}")
-
-
-def _check_precision(dtype: Any, rtol: float) -> None:
-    seen = concrete(rtol)
-    if seen is not None and not seen > 0:
-        raise ValueError(f"argument rtol must be positive, but was {seen:g}")
-    if dtype == jnp.float32 and seen is not None and seen < _FLOAT32_FLOOR:
-        raise ValueError(
-            f"argument rtol must be at least {_FLOAT32_FLOOR:g} in single precision, but was {seen:g}; "
-            "for double precision put jax.config.update('jax_enable_x64', True) first"
-        )
-
-
-@eqx.filter_jit
-def _run(
-    grasp: Grasp, state: State, plan: Plan, lay: Layout, record: tuple[str, ...]
-) -> tuple[Trajectory, Array]:
-    ready = grasp.prepared()
-    x0 = vector_of(state, lay.audited)
-    y0 = jnp.concatenate([x0, jnp.zeros(lay.width + 1, x0.dtype)])
-    path = march(ready, y0, plan)
-    return _trajectory(ready, state, path, plan, record)
-
-
 def _trajectory(
     grasp: Grasp, state: State, path: Path, plan: Plan, record: tuple[str, ...]
 ) -> tuple[Trajectory, Array]:
     lay, way = plan.stepper.lay, plan.stepper.formulation
-    saved = jnp.where(jnp.isfinite(path.saved[:, :1]), path.saved, jnp.nan)
-    states = states_of(lay, saved)
+    states = states_of(lay, path.saved)
     both = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), state, states)
     left = jax.vmap(lambda s: residuals_at(grasp, s))(both)
     off = worst(jax.tree.map(lambda a: a[0], left))
@@ -202,7 +189,7 @@ def _trajectory(
     if "multipliers" in record:
         forces = jax.vmap(lambda t, s: multipliers_at(grasp, t, s, way))(plan.ts, states)
     if "energy" in record:
-        energy = _energy(grasp, states, saved[:, lay.width - 1])
+        energy = _energy(grasp, states, path.saved[:, lay.width - 1])
     attempted, accepted, rejected = path.steps
     trajectory = Trajectory(
         plan.ts,
@@ -223,17 +210,14 @@ def _energy(grasp: Grasp, states: State, work: Array) -> Energy:
     return Energy(kinetic, potential, work, balance - balance[0])
 
 
-def _checked(trajectory: Trajectory, off: Array, throw: bool) -> Trajectory:
-    seen = concrete(off)
-    if throw and seen is not None and seen.ndim == 0 and _is(trajectory.result, "unreachable"):
+def _checked(trajectory: Trajectory, off: Array) -> Trajectory:
+    """Raise for a run that failed; while JAX traces, its code says so instead."""
+    codes = concrete(trajectory.result._value)
+    if codes is None or not codes.any():
+        return trajectory
+    if codes == RESULTS.unreachable._value:
         raise ValueError(
             f"argument state must be on the constraints to {REACHED:g}, but its worst row is "
-            f"{seen:.3g} m or rad off; jaxroll.close makes it consistent"
+            f"{float(off):.3g} m or rad off; jaxroll.close makes it consistent"
         )
-    if not throw or concrete(trajectory.result._value) is None:
-        return trajectory
-    return raise_on_failure(trajectory.result, trajectory)
-
-
-def _is(result: RESULTS, name: str) -> bool:
-    return bool(np.all(np.asarray(result._value) == np.asarray(getattr(RESULTS, name)._value)))
+    raise RuntimeError(message(trajectory.result))

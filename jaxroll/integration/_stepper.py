@@ -18,7 +18,7 @@ from jaxtyping import Array
 from .._types import Scalar
 from ..mechanics import Grasp, Instant
 from ._closed_loop import evaluate, power, project
-from ._flow import Flow, Layout, pack, unpack
+from ._flow import Bundle, Flow, Layout, pack, unpack
 from ._formulation import Formulation, Index1
 from ._regime import regime
 
@@ -49,7 +49,7 @@ class HermiteInterpolation(diffrax.AbstractLocalInterpolation):
 
 
 class RollingStep(diffrax.AbstractAdaptiveSolver):
-    """A diffrax solver for the flow vector of a grasp; `args` is the prepared grasp.
+    """A diffrax solver for the flow vector of a grasp; `args` is the bundled grasp.
 
     Attributes:
         method: The diffrax method: explicit Runge-Kutta ones are run on their tableau, any
@@ -71,10 +71,10 @@ class RollingStep(diffrax.AbstractAdaptiveSolver):
     def error_order(self, terms: Any) -> Any:
         return self.method.error_order(terms)
 
-    def func(self, terms: Any, t0: Scalar, y0: Flow, args: Grasp) -> Flow:
+    def func(self, terms: Any, t0: Scalar, y0: Flow, args: Bundle) -> Flow:
         raise NotImplementedError("the first step size is given, never estimated")
 
-    def init(self, terms: Any, t0: Scalar, t1: Scalar, y0: Flow, args: Grasp) -> None:
+    def init(self, terms: Any, t0: Scalar, t1: Scalar, y0: Flow, args: Bundle) -> None:
         return None
 
     def step(
@@ -83,22 +83,20 @@ class RollingStep(diffrax.AbstractAdaptiveSolver):
         t0: Scalar,
         t1: Scalar,
         y0: Flow,
-        args: Grasp,
+        args: Bundle,
         solver_state: None,
         made_jump: Any,
     ) -> tuple[Flow, Flow, dict[str, Flow], None, diffrax.RESULTS]:
         y1, error = self.advance(args, t0, t1, y0)
-        ended = diffrax.RESULTS.where(
-            y1[-1] == 0, diffrax.RESULTS.successful, diffrax.RESULTS.event_occurred
-        )
+        ended = diffrax.RESULTS.where(y1[-1] == 0, diffrax.RESULTS.successful, diffrax.RESULTS.event_occurred)
         return y1, error, {"y0": y0, "y1": y1}, None, ended
 
     @eqx.filter_jit  # traced once, however often diffrax traces its loop
-    def advance(self, grasp: Grasp, t0: Scalar, t1: Scalar, y0: Flow) -> tuple[Flow, Flow]:
+    def advance(self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow) -> tuple[Flow, Flow]:
         """One step as a pure map: the new vector and its error estimate."""
-        hold = holder(t0)
+        hold, grasp = holder(t0), bundle()
         if isinstance(self.method, diffrax.AbstractERK):
-            raw, rates, error, instant = self._explicit(grasp, t0, t1, y0, hold)
+            raw, rates, error, instant = self._explicit(bundle, t0, t1, y0, hold)
         else:
             raw, rates, error, instant = self._other(grasp, t0, t1, y0)
         leaves, work = unpack(self.lay, raw)
@@ -110,7 +108,7 @@ class RollingStep(diffrax.AbstractAdaptiveSolver):
         return y1, jnp.concatenate([error, jnp.zeros(self.lay.width + 1, error.dtype)])
 
     def _explicit(
-        self, grasp: Grasp, t0: Scalar, t1: Scalar, y0: Flow, hold: Callable
+        self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow, hold: Callable
     ) -> tuple[Array, Array, Array, Instant]:
         tableau = self.method.tableau
         dt, width = t1 - t0, self.lay.width
@@ -128,12 +126,12 @@ class RollingStep(diffrax.AbstractAdaptiveSolver):
         def stage(i: Scalar, blocks: list[Array]) -> list[Array]:
             weights = jnp.concatenate([columns[i] for columns in rows])
             x = hold(x0 + dt * mix(blocks, weights))
-            rates, _ = self.rates(grasp, t0 + times[i] * dt, x)
+            rates, _ = self.rates(bundle(), t0 + times[i] * dt, x)
             return [b.at[:, i].set(rates[c]) for b, c in zip(blocks, cuts, strict=True)]
 
         blocks = jax.lax.fori_loop(1, looped, stage, blocks)
         raw = hold(x0 + dt * mix(blocks, ends[0]))
-        rates, instant = self.rates(grasp, t1, raw)
+        rates, instant = self.rates(bundle(), t1, raw)
         error = mix(blocks, ends[1])
         if shared:
             error = error + float(tableau.b_error[-1]) * rates
@@ -146,9 +144,7 @@ class RollingStep(diffrax.AbstractAdaptiveSolver):
         gained = power(grasp, t, leaves, instant.motions) if self.lay.audited else None
         return pack(instant.rates, gained), instant
 
-    def _other(
-        self, grasp: Grasp, t0: Scalar, t1: Scalar, y0: Flow
-    ) -> tuple[Array, Array, Array, Instant]:
+    def _other(self, grasp: Grasp, t0: Scalar, t1: Scalar, y0: Flow) -> tuple[Array, Array, Array, Instant]:
         def field(t: Scalar, x: Array, args: Grasp) -> Array:
             return self.rates(args, t, x)[0]
 
@@ -184,9 +180,7 @@ def _small_cuts(size: int, length: int) -> list[slice]:
     return [slice(i, min(i + most, size)) for i in range(0, size, most)]
 
 
-def _tables(
-    tableau: diffrax.ButcherTableau, looped: int, dtype: Any
-) -> tuple[list[Array], Array, Array]:
+def _tables(tableau: diffrax.ButcherTableau, looped: int, dtype: Any) -> tuple[list[Array], Array, Array]:
     """Stage rows in blocks of columns, stage times, and the rows for solution and error."""
     full = np.zeros((tableau.num_stages, tableau.num_stages))
     for i, row in enumerate(tableau.a_lower):
@@ -194,4 +188,8 @@ def _tables(
     times = np.concatenate([[0.0], tableau.c])
     ends = np.stack([tableau.b_sol[:looped], tableau.b_error[:looped]])
     rows = [full[:looped, cut] for cut in _small_cuts(looped, looped)]
-    return [jnp.asarray(r, dtype) for r in rows], jnp.asarray(times, dtype), jnp.asarray(ends, dtype)
+    return (
+        [jnp.asarray(r, dtype) for r in rows],
+        jnp.asarray(times, dtype),
+        jnp.asarray(ends, dtype),
+    )

@@ -4,7 +4,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._results import RESULTS, concrete, message
+from .._results import concrete, message, RESULTS
 from .._types import Times
 from ..mechanics import State
 from ._observe import Energy, Multipliers, Residuals
@@ -63,6 +63,8 @@ class Trajectory(eqx.Module):
 def _report(run: Trajectory) -> str:
     stats, left = run.stats, run.residuals
     saved = np.isfinite(np.asarray(run.states.q)).all(axis=-1)
+    if not saved.any():
+        return f"Trajectory: {message(run.result)}\n  nothing saved; ended at {float(stats.t_end):.6g} s"
     ts = np.asarray(run.ts)[saved]
     lines = [
         f"Trajectory: {message(run.result)}",
@@ -96,7 +98,7 @@ def _batch_report(runs: Trajectory) -> str:
 
 
 def _span(ts: np.ndarray) -> str:
-    return f"{ts[0]:g} to {ts[-1]:g}" if ts.size else "nothing saved:"
+    return f"{ts[0]:g} to {ts[-1]:g}"
 
 
 def _peak(*arrays: Array) -> float:

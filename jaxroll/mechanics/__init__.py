@@ -5,40 +5,43 @@
 """
 
 from ._arrays import (
-    EquationTerms as EquationTerms,
     equation_terms as equation_terms,
+    EquationTerms as EquationTerms,
     mass_matrix as mass_matrix,
 )
 from ._body import Inertia as Inertia, Motion as Motion
 from ._constraints import (
-    Linearisation as Linearisation,
-    Residual as Residual,
     apply_jacobian as apply_jacobian,
     balance as balance,
     bodies as bodies,
     combine as combine,
+    Linearisation as Linearisation,
     linearise as linearise,
     poses as poses,
+    Residual as Residual,
     residual as residual,
     respond as respond,
     touches as touches,
 )
 from ._dynamics import (
-    Instant as Instant,
-    Stabiliser as Stabiliser,
     accelerate as accelerate,
+    Instant as Instant,
     kinetic_energy as kinetic_energy,
+    Stabiliser as Stabiliser,
 )
 from ._finger import Finger as Finger
 from ._grasp import Grasp as Grasp
-from ._object import AbstractObject as AbstractObject, FreeObject as FreeObject
-from ._object import PivotedObject as PivotedObject
+from ._object import (
+    AbstractObject as AbstractObject,
+    FreeObject as FreeObject,
+    PivotedObject as PivotedObject,
+)
 from ._state import (
     Blocks as Blocks,
-    Leaves as Leaves,
-    State as State,
     join as join,
+    Leaves as Leaves,
     split as split,
+    State as State,
     to_leaves as to_leaves,
     to_state as to_state,
 )

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import jax
 
-from .._algebra import Factor, Pose2, Vec2, factorise, solve, total
+from .._algebra import Factor, factorise, Pose2, solve, total, Vec2
 from .._types import Scalar, Scalars
-from ..contact import Touch, gap, pfaffian, tangency, touch
+from ..contact import gap, pfaffian, tangency, Touch, touch
 from ._body import Inertia, Motion
 from ._grasp import Grasp
 from ._state import Blocks, Leaves
@@ -58,9 +58,7 @@ def touches(grasp: Grasp, s: Scalars) -> tuple[Touch, ...]:
     )
 
 
-def residual(
-    grasp: Grasp, frames: Sequence[Pose2], touching: Sequence[Touch]
-) -> Residual:
+def residual(grasp: Grasp, frames: Sequence[Pose2], touching: Sequence[Touch]) -> Residual:
     """Gap and tangency of every contact."""
     pairs = [(frames[1 + c.finger], frames[0]) for c in grasp.contacts]
     return Residual(
@@ -79,9 +77,7 @@ def linearise(
     jacobian, weighted = [], []
     for contact, t in zip(grasp.contacts, touching, strict=True):
         tip, body = motions[1 + contact.finger], motions[0]
-        columns = pfaffian(
-            (tip.pose, body.pose), (tip.unit_twists, body.unit_twists), t.points
-        )
+        columns = pfaffian((tip.pose, body.pose), (tip.unit_twists, body.unit_twists), t.points)
         jacobian.append(columns)
         weighted.append((_solve(masses[1 + contact.finger], columns[0]), _solve(masses[0], columns[1])))
     rows = []
@@ -90,9 +86,7 @@ def linearise(
             row = []
             for j in range(i + 1):
                 shared = contact.finger == grasp.contacts[j].finger
-                row += [
-                    _schur_entry(columns, axis, weighted[j], other, shared) for other in (0, 1)
-                ]
+                row += [_schur_entry(columns, axis, weighted[j], other, shared) for other in (0, 1)]
             rows.append(tuple(row[: 2 * i + axis + 1]))
     return Linearisation(tuple(jacobian), tuple(weighted), factorise(rows))
 
@@ -147,9 +141,7 @@ def respond(grasp: Grasp, line: Linearisation, forces: Sequence[Vec2]) -> Blocks
     object_terms = []
     finger_terms: dict[int, list[tuple[Scalar, ...]]] = {}
     for contact, pair, force in zip(grasp.contacts, line.weighted, forces, strict=True):
-        tip, body = (
-            tuple(x * force.x + y * force.y for x, y in zip(*rows, strict=True)) for rows in pair
-        )
+        tip, body = (tuple(x * force.x + y * force.y for x, y in zip(*rows, strict=True)) for rows in pair)
         finger_terms.setdefault(contact.finger, []).append(tip)
         object_terms.append(body)
     gains = [_sum_blocks(object_terms)]

@@ -9,16 +9,16 @@ from dataclasses import dataclass
 
 import jax
 
-from .._algebra import Vec2, factorise, solve, total
+from .._algebra import factorise, solve, total, Vec2
 from .._types import Scalar, Scalars
-from ..contact import Touch, gap_bias, rolling_rate
+from ..contact import gap_bias, rolling_rate, Touch
 from ._body import Inertia, Motion
 from ._constraints import (
-    Linearisation,
     apply_jacobian,
     balance,
     bodies,
     combine,
+    Linearisation,
     linearise,
     respond,
     touches,

@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from .._algebra import Pose2, Twist2, Vec2, sincos, total, unstack
+from .._algebra import Pose2, sincos, total, Twist2, unstack, Vec2
 from .._results import as_floats, check_positive, concrete
 from .._types import Scalar, Scalars
 from ..geometry import AbstractContour
@@ -102,9 +102,7 @@ class Finger(eqx.Module):
         along = self.directions(q)
         return Pose2(self.joint_positions(along)[-1], along[-1].x, along[-1].y)
 
-    def motion(
-        self, q: Scalars, v: Scalars, gravity: Vec2 | None
-    ) -> tuple[Motion, Inertia]:
+    def motion(self, q: Scalars, v: Scalars, gravity: Vec2 | None) -> tuple[Motion, Inertia]:
         """Kinematics of the tip frame, mass matrix and bias force at one state."""
         along = self.directions(q)
         points = self.joint_positions(along)
@@ -132,9 +130,7 @@ class Finger(eqx.Module):
         pose = Pose2(tip, heading.x, heading.y)
         return Motion(pose, units, Twist2(velocity, spin), Twist2(pull, jnp.zeros_like(spin)))
 
-    def _inertia(
-        self, points: tuple[Vec2, ...], centres: list[Vec2], pulls: list[Vec2]
-    ) -> Inertia:
+    def _inertia(self, points: tuple[Vec2, ...], centres: list[Vec2], pulls: list[Vec2]) -> Inertia:
         """Composite bodies from the tip inwards: one pass for mass matrix and bias."""
         rows: list[Scalars] = []
         forces: list[Scalar] = []
@@ -176,6 +172,4 @@ def check_joint_count(finger: Finger, angles: ArrayLike, name: str) -> None:
     """Raise unless there is one angle for each joint."""
     seen = concrete(angles)
     if seen is not None and seen.shape != (finger.joints,):
-        raise ValueError(
-            f"argument {name} must have shape ({finger.joints},), but had shape {seen.shape}"
-        )
+        raise ValueError(f"argument {name} must have shape ({finger.joints},), but had shape {seen.shape}")

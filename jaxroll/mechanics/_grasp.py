@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 from jaxtyping import Array, ArrayLike, Float
 
-from .._algebra import Vec2, unstack
+from .._algebra import unstack, Vec2
 from .._results import as_floats, check_between
 from ..contact import Contact
 from ..geometry import AbstractContour

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from .._algebra import Pose2, Twist2, Vec2, sincos, unstack
+from .._algebra import Pose2, sincos, Twist2, unstack, Vec2
 from .._results import as_floats, check_positive
 from .._types import Scalar, Scalars
 from ..geometry import AbstractContour
@@ -42,9 +42,7 @@ class AbstractObject(eqx.Module):
         """The body frame in the world."""
 
     @abc.abstractmethod
-    def motion(
-        self, q: Scalars, v: Scalars, gravity: Vec2 | None
-    ) -> tuple[Motion, Inertia]:
+    def motion(self, q: Scalars, v: Scalars, gravity: Vec2 | None) -> tuple[Motion, Inertia]:
         """Kinematics of the body frame, mass matrix and bias force at one state."""
 
     @abc.abstractmethod
@@ -101,9 +99,7 @@ class PivotedObject(AbstractObject):
         sin, cos = sincos(q[0])
         return Pose2(Vec2(self.pivot[0], self.pivot[1]), cos, sin)
 
-    def motion(
-        self, q: Scalars, v: Scalars, gravity: Vec2 | None
-    ) -> tuple[Motion, Inertia]:
+    def motion(self, q: Scalars, v: Scalars, gravity: Vec2 | None) -> tuple[Motion, Inertia]:
         pose, zero = self.pose(q), jnp.zeros_like(q[0])
         still = Vec2(zero, zero)
         unit = Twist2(still, jnp.ones_like(zero))
@@ -150,17 +146,13 @@ class FreeObject(AbstractObject):
         return 3
 
     def prepared(self) -> "FreeObject":
-        return eqx.tree_at(
-            lambda o: o.contours, self, tuple(c.prepared() for c in self.contours)
-        )
+        return eqx.tree_at(lambda o: o.contours, self, tuple(c.prepared() for c in self.contours))
 
     def pose(self, q: Scalars) -> Pose2:
         sin, cos = sincos(q[2])
         return Pose2(Vec2(q[0], q[1]), cos, sin)
 
-    def motion(
-        self, q: Scalars, v: Scalars, gravity: Vec2 | None
-    ) -> tuple[Motion, Inertia]:
+    def motion(self, q: Scalars, v: Scalars, gravity: Vec2 | None) -> tuple[Motion, Inertia]:
         zero, one = jnp.zeros_like(q[2]), jnp.ones_like(q[2])
         units = (
             Twist2(Vec2(one, zero), zero),

@@ -41,9 +41,7 @@ class Leaves:
 def to_leaves(state: State, sizes: tuple[int, ...]) -> Leaves:
     """Arrays to scalars, on entry."""
     contacts = state.s.shape[0]
-    return Leaves(
-        split(state.q, sizes), split(state.v, sizes), tuple(state.s[i] for i in range(contacts))
-    )
+    return Leaves(split(state.q, sizes), split(state.v, sizes), tuple(state.s[i] for i in range(contacts)))
 
 
 def to_state(leaves: Leaves) -> State:

@@ -121,9 +121,7 @@ def _frames(trajectory: Trajectory, step: float) -> tuple[np.ndarray, np.ndarray
     return ts[nearest], rows[nearest]
 
 
-def _arrows(
-    grasp: Grasp, trajectory: Trajectory, picks: np.ndarray, seen: Views
-) -> tuple[np.ndarray, float]:
+def _arrows(grasp: Grasp, trajectory: Trajectory, picks: np.ndarray, seen: Views) -> tuple[np.ndarray, float]:
     """Contact forces on the object as arrows [mm] of shape (t, c, 2), and the largest [N]."""
     found = trajectory.multipliers
     if found is None:
@@ -169,9 +167,7 @@ class _Stage:
             sign = ax.plot([], [], marker=r"$\rightarrow$", ms=14, ls="none", color=FORCE)[0]
             entries.append((sign, f"contact force on the object, up to {arrows[1]:.2g} N"))
         handles, names = zip(*entries, strict=True)
-        figure.legend(
-            handles, names, loc="outside lower center", ncols=2, fontsize=7, frameon=False
-        )
+        figure.legend(handles, names, loc="outside lower center", ncols=2, fontsize=7, frameon=False)
         self._freeze(figure)
 
     def _freeze(self, figure: Picture) -> None:

@@ -54,12 +54,9 @@ class Drawing:
         line = lambda *args, **style: ax.plot([], [], *args, **style)[0]  # noqa: E731
         grey = {"ec": "#8A99A4", "lw": 0.8}
         self.links = [
-            [fill(fc=LINK_FILL, zorder=2, **grey) for _ in range(j.shape[1] - 1)]
-            for j in seen.joints
+            [fill(fc=LINK_FILL, zorder=2, **grey) for _ in range(j.shape[1] - 1)] for j in seen.joints
         ]
-        self.pins = [
-            line("o", ms=4.5, mfc="white", mec="#55636E", mew=1.2, zorder=3) for _ in seen.joints
-        ]
+        self.pins = [line("o", ms=4.5, mfc="white", mec="#55636E", mew=1.2, zorder=3) for _ in seen.joints]
         self.bases = [fill(fc="#55636E", ec="none", zorder=1.5) for _ in seen.joints]
         self.bodies = [_Body(ax, seen.body, (OBJECT_FILL, OBJECT), 1)]
         self.bodies += [_Body(ax, tip, (TIP_FILL, FINGER), 4) for tip in seen.tips]
@@ -84,12 +81,8 @@ class Drawing:
         seen = self.seen
         for body, frames in zip(self.bodies, seen.frames, strict=True):
             body.show(frames[i])
-        for links, pins, base, joints in zip(
-            self.links, self.pins, self.bases, seen.joints, strict=True
-        ):
-            for link, ends in zip(
-                links, zip(joints[i, :-1], joints[i, 1:], strict=True), strict=True
-            ):
+        for links, pins, base, joints in zip(self.links, self.pins, self.bases, seen.joints, strict=True):
+            for link, ends in zip(links, zip(joints[i, :-1], joints[i, 1:], strict=True), strict=True):
                 link.set_xy(_capsule(*ends, self.radius))
             pins.set_data(*joints[i, :-1].T)
             base.set_xy(joints[i, 0] + 1.5 * self.radius * _SQUARE)
@@ -103,15 +96,11 @@ class Drawing:
         if self.traced:
             self._stretch(i)
         if self.forces is not None:
-            for arrow, point, force in zip(
-                self.arrows, seen.points[i], self.forces[i], strict=True
-            ):
+            for arrow, point, force in zip(self.arrows, seen.points[i], self.forces[i], strict=True):
                 arrow.set_positions(point, point + force)
 
     def _stretch(self, i: int) -> None:
-        for finger, lines, paths in zip(
-            self.seen.owners, self.stretches, self.seen.rolled, strict=True
-        ):
+        for finger, lines, paths in zip(self.seen.owners, self.stretches, self.seen.rolled, strict=True):
             for line, path, frame in zip(lines, paths, (1 + finger, 0), strict=True):
                 line.set_data(*place(self.seen.frames[frame][i], path[: i + 1]).T)
 

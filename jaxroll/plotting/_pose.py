@@ -93,9 +93,7 @@ def _side_by_side(grasp: Grasp, seen: Views, titles: list[str]) -> Figure:
         if i:
             ax.set_ylabel("")
     handles, names = zip(*drawing.legend(), strict=True)
-    figure.legend(
-        handles, names, loc="outside lower center", ncols=columns, fontsize=8, frameon=False
-    )
+    figure.legend(handles, names, loc="outside lower center", ncols=columns, fontsize=8, frameon=False)
     return figure
 
 

@@ -89,9 +89,7 @@ def _draw(ax: Axes, ts: np.ndarray, panel: Panel, reached: np.ndarray) -> None:
     if low <= 0.0 <= high:
         ax.axhline(0.0, color="#BBBBBB", lw=0.7, zorder=0)
     if len(panel.names) > 1:
-        ax.legend(
-            fontsize=7.5, framealpha=0.8, edgecolor="none", handlelength=1.4, labelspacing=0.3
-        )
+        ax.legend(fontsize=7.5, framealpha=0.8, edgecolor="none", handlelength=1.4, labelspacing=0.3)
 
 
 def _panels(grasp: Grasp, run: Trajectory) -> list[Panel]:
@@ -108,9 +106,7 @@ def _panels(grasp: Grasp, run: Trajectory) -> list[Panel]:
     panels += _forces(grasp, run, contacts) + _extra(run, contacts)
     figures = 10 if _is_part_2(grasp) else 0
     return [
-        replace(
-            _in_powers(p), title=f"Fig. {9 + i}: {p.title}" if i < figures else _sentence(p.title)
-        )
+        replace(_in_powers(p), title=f"Fig. {9 + i}: {p.title}" if i < figures else _sentence(p.title))
         for i, p in enumerate(panels)
     ]
 

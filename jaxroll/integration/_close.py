@@ -30,8 +30,6 @@ from ..mechanics import (
     touches,
 )
 
-# A start whose worst row is larger than this [m or rad] is not on the constraints.
-REACHED = 1e-9
 _RESTORE_STEPS = 60
 
 
@@ -76,12 +74,17 @@ def close(
     seen = concrete(rows)
     if throw and seen is not None:
         worst = int(np.nanargmax(np.where(np.isnan(seen), np.inf, np.abs(seen))))
-        if not abs(seen[worst]) <= REACHED:
+        if not abs(seen[worst]) <= reach(guess.q.dtype):
             raise ValueError(
                 f"argument guess must be near a pose that closes every contact, but the best "
                 f"found leaves {row_name(worst)} at {abs(seen[worst]):.3g}"
             )
     return grasp, state
+
+
+def reach(dtype: Any) -> float:
+    """Size of the worst row [m or rad] above which a state is not on the constraints."""
+    return 1e-9 if np.dtype(dtype) == np.float64 else 1e-5
 
 
 def check_state(grasp: Grasp, state: State) -> None:

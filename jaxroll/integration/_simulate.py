@@ -12,8 +12,8 @@ from jaxtyping import Array, ArrayLike
 from .._results import concrete, message, RESULTS
 from ..mechanics import Grasp, State
 from ._arguments import as_number, check_choices, check_precision, OPTIONS, RECORDS, save_times
-from ._close import check_state, REACHED
-from ._flow import Layout, bundle, layout, states_of, vector_of
+from ._close import check_state, reach
+from ._flow import bundle, Layout, layout, states_of, vector_of
 from ._formulation import CSM, Formulation, Index1
 from ._march import march, Path, Plan
 from ._observe import energies_at, Energy, multipliers_at, residuals_at, worst
@@ -184,7 +184,7 @@ def _trajectory(
     both = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), state, states)
     left = jax.vmap(lambda s: residuals_at(grasp, s))(both)
     off = worst(jax.tree.map(lambda a: a[0], left))
-    on_constraints = isinstance(way, CSM) | (off <= REACHED)
+    on_constraints = isinstance(way, CSM) | (off <= reach(state.q.dtype))
     forces = energy = None
     if "multipliers" in record:
         forces = jax.vmap(lambda t, s: multipliers_at(grasp, t, s, way))(plan.ts, states)
@@ -217,7 +217,7 @@ def _checked(trajectory: Trajectory, off: Array) -> Trajectory:
         return trajectory
     if codes == RESULTS.unreachable._value:
         raise ValueError(
-            f"argument state must be on the constraints to {REACHED:g}, but its worst row is "
+            f"argument state must be on the constraints to {reach(off.dtype):g}, but its worst row is "
             f"{float(off):.3g} m or rad off; jaxroll.close makes it consistent"
         )
     raise RuntimeError(message(trajectory.result))

@@ -29,9 +29,9 @@ class Motion:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, slots=True)
 class Inertia:
-    """Mass matrix (lower triangle) and bias force of one body's own coordinates.
+    r"""Mass matrix (lower triangle) and bias force of one body's own coordinates.
 
-    `force` is $(\\dot G/2 + S) v$ of (3) less the generalised force of gravity.
+    `force` is $(\dot G/2 + S) v$ of (3) less the generalised force of gravity.
     """
 
     mass: Triangle

@@ -1,20 +1,18 @@
 """Differentiable simulation of grasping under rolling contact, in JAX.
 
-`scenes` has the chapter's scenes ready-made; `Finger`, `FreeObject` or `PivotedObject` and `Contact` make a
-`Grasp`; `close` finds a consistent `State`; `simulate` runs it; `plotting` draws it.
+`scenes` has the chapter's scenes ready-made; `Finger`, `FreeObject` or `PivotedObject` and `Contact`
+make a `Grasp`; `close` finds a consistent `State`; `simulate` runs it; `plotting` draws it.
 """
 
 import importlib
 from typing import Any, TYPE_CHECKING
 
-from . import contact, control, geometry
-from ._results import RESULTS
-from .contact import Contact
-from .geometry import AbstractContour, Catenary, Circle, Ellipse, Line
-from .mechanics import equation_terms, Finger, FreeObject, Grasp, PivotedObject, State
-
 if TYPE_CHECKING:
-    from . import plotting, scenes
+    from . import contact, control, geometry, plotting, scenes
+    from ._backend import fuse_small_loops
+    from ._results import RESULTS
+    from .contact import Contact
+    from .geometry import AbstractContour, Catenary, Circle, Ellipse, Line
     from .integration import (
         close,
         CSM,
@@ -26,9 +24,43 @@ if TYPE_CHECKING:
         simulate,
         Trajectory,
     )
+    from .mechanics import equation_terms, Finger, FreeObject, Grasp, PivotedObject, State
 
 __version__ = "0.1.0"
-__all__ = [
+
+# Where each public name lives; None for a submodule. Names are imported with their first use, so that
+# `import jaxroll` is immediate and the command line answers `--help` without loading JAX.
+_HOMES: dict[str, str | None] = {
+    "contact": None,
+    "control": None,
+    "geometry": None,
+    "plotting": None,
+    "scenes": None,
+    "fuse_small_loops": "_backend",
+    "RESULTS": "_results",
+    "Contact": "contact",
+    "AbstractContour": "geometry",
+    "Catenary": "geometry",
+    "Circle": "geometry",
+    "Ellipse": "geometry",
+    "Line": "geometry",
+    "CSM": "integration",
+    "Index1": "integration",
+    "Trajectory": "integration",
+    "close": "integration",
+    "energies": "integration",
+    "multipliers": "integration",
+    "press_balance": "integration",
+    "residuals": "integration",
+    "simulate": "integration",
+    "Finger": "mechanics",
+    "FreeObject": "mechanics",
+    "Grasp": "mechanics",
+    "PivotedObject": "mechanics",
+    "State": "mechanics",
+    "equation_terms": "mechanics",
+}
+__all__ = [  # noqa: PLE0604
     "CSM",
     "RESULTS",
     "AbstractContour",
@@ -49,6 +81,7 @@ __all__ = [
     "control",
     "energies",
     "equation_terms",
+    "fuse_small_loops",
     "geometry",
     "multipliers",
     "plotting",
@@ -60,12 +93,14 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    # What needs diffrax or matplotlib is imported with its first use: half a second saved.
-    if name not in __all__:
+    if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    if name in ("plotting", "scenes"):
-        return importlib.import_module(f".{name}", __name__)
-    return getattr(importlib.import_module(".integration", __name__), name)
+    home = _HOMES[name]
+    value = importlib.import_module(f".{home or name}", __name__)
+    if home is not None:
+        value = getattr(value, name)
+    globals()[name] = value
+    return value
 
 
 def __dir__() -> list[str]:

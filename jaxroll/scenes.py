@@ -36,7 +36,7 @@ def pivoted(
 
     Args:
         s: Chapter's arclength at the starting contact [m]. By default the object turns by
-            0.83 rad on its way to equilibrium, near s = -4.79 mm.
+            0.77 rad on its way to equilibrium, near s = -4.79 mm.
         base: Shape (2,), position of the first joint [m].
         pivot: Shape (2,), position of the object's pivot $O_m$ [m].
         gravity: Shape (2,) [m/s^2]; the chapter's plane is horizontal, so there is none by default.

@@ -16,6 +16,7 @@ from jaxroll import integration, mechanics
 ROOT = pathlib.Path(jxr.__file__).parent
 RANKS = {
     "_types": 0,
+    "_backend": 0,
     "_results": 1,
     "_algebra": 2,
     "geometry": 3,
@@ -177,7 +178,7 @@ def test_parameter_budget():
 PUBLIC = {
     "AbstractContour", "CSM", "Catenary", "Circle", "Contact", "Ellipse", "Finger", "FreeObject",
     "Grasp", "Index1", "Line", "PivotedObject", "RESULTS", "State", "Trajectory", "close", "contact",
-    "control", "energies", "equation_terms", "geometry", "multipliers", "plotting", "press_balance",
+    "control", "energies", "equation_terms", "fuse_small_loops", "geometry", "multipliers", "plotting", "press_balance",
     "residuals", "scenes", "simulate",
 }  # fmt: skip
 

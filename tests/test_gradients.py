@@ -118,6 +118,7 @@ def test_leaving_out_the_closing_is_wrong(scene):
     assert abs(full(0.0, True) - full(0.0, False)) > 0.1 * abs(full(0.0, True))
 
 
+@pytest.mark.slow
 def test_jit_and_transforms_in_any_order(scene):
     grasp, state = scene
 

@@ -32,8 +32,8 @@ class Line(AbstractContour):
 
     Example:
         >>> import jaxroll as jxr
-        >>> jxr.Line().normal(0.3).tolist()
-        [1.0, 0.0]
+        >>> jxr.Line().point(0.3).tolist()
+        [0.0, 0.3]
     """
 
     ends: Float[Array, "2"] | None

@@ -1,0 +1,119 @@
+"""Everything shown is executed: docstrings, README, notebooks, the command line."""
+
+import contextlib
+import doctest
+import importlib
+import io
+import json
+import os
+import pathlib
+import pkgutil
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import jaxroll as jxr
+
+ROOT = pathlib.Path(__file__).parent.parent
+MODULES = [
+    name
+    for _, name, _ in pkgutil.walk_packages(jxr.__path__, "jaxroll.")
+    if name != "jaxroll.__main__"
+]
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_docstring_examples(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    module = importlib.import_module(name)
+    result = doctest.testmod(module, optionflags=doctest.NORMALIZE_WHITESPACE)
+    assert result.failed == 0
+
+
+def test_there_are_docstring_examples():
+    finder = doctest.DocTestFinder()
+    tests = [t for n in MODULES for t in finder.find(importlib.import_module(n)) if t.examples]
+    assert len(tests) >= 12
+
+
+def readme_example():
+    """The README's Python block and the output printed below it."""
+    text = (ROOT / "README.md").read_text()
+    code, printed = re.search(r"```python\n(.*?)```\n+```text\n(.*?)```", text, flags=re.S).groups()
+    return code, printed
+
+
+def numbers_blurred(text):
+    """Figures that depend on the machine's rounding, reduced to their size."""
+    return re.sub(r"\d\.\de-(1[3-9]|2\d)", "tiny", text)
+
+
+def test_readme_example_prints_what_it_says():
+    code, printed = readme_example()
+    assert len(code.strip().splitlines()) <= 18
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out):
+        exec(compile(code, "README.md", "exec"), {})
+    assert numbers_blurred(out.getvalue()) == numbers_blurred(printed)
+
+
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_notebook_runs_and_is_stored_without_outputs(path):
+    import nbformat
+    from nbclient import NotebookClient
+
+    stored = json.loads(path.read_text())
+    cells = [c for c in stored["cells"] if c["cell_type"] == "code"]
+    assert all(not c["outputs"] and c["execution_count"] is None for c in cells)
+    book = nbformat.read(path, as_version=4)
+    NotebookClient(book, timeout=300, kernel_name="python3").execute()
+    images = [o for c in book.cells if c.cell_type == "code" for o in c.outputs if "image/png" in o.get("data", {})]
+    assert len(images) >= 3
+
+
+def run_cli(*args, cwd):
+    env = os.environ | {"JAXROLL_CACHE": os.environ.get("JAXROLL_TEST_CACHE", str(cwd / "cache"))}
+    return subprocess.run(
+        [sys.executable, "-m", "jaxroll", *args], cwd=cwd, env=env, capture_output=True, text=True, check=False
+    )
+
+
+def test_demo_writes_its_figures_and_a_report(tmp_path):
+    done = run_cli("demo", "--seconds", "0.5", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    folder = tmp_path / "jaxroll-pivoted"
+    files = {p.name: p.stat().st_size for p in folder.iterdir()}
+    assert {"fig07_contours.png", "fig08_poses.png", "fig09_18_responses.png", "motion.gif"} <= files.keys()
+    assert all(size > 5_000 for size in files.values())
+    assert "jaxroll-pivoted" in done.stdout and "successful" in done.stdout
+    assert len(done.stdout.splitlines()) <= 30 and max(map(len, done.stdout.splitlines())) <= 100
+
+
+@pytest.mark.parametrize("args", [("demo", "nothing"), ("demo", "--seconds", "-1"), ("dem",)])
+def test_bad_command_lines_get_one_sentence(args, tmp_path):
+    done = run_cli(*args, cwd=tmp_path)
+    assert done.returncode == 2 and "Traceback" not in done.stderr
+    assert not list(tmp_path.glob("jaxroll-*"))
+
+
+def test_figures_are_drawn_for_grasps_that_are_not_the_chapters(tmp_path):
+    """Two fingers on a free disc, no Press control: what is there is drawn."""
+    left = jxr.Finger([0.05, 0.05], [0.05, 0.04], tip=jxr.Circle(0.01), base=(-0.08, 0.0))
+    right = jxr.Finger([0.05, 0.05], [0.05, 0.04], tip=jxr.Circle(0.01), base=(0.08, 0.0))
+    disc = jxr.FreeObject(jxr.Circle(0.02), mass=0.05, inertia=1e-5)
+    contacts = (
+        jxr.Contact(0.0, 0.02 * np.pi, finger=0),
+        jxr.Contact(0.01 * np.pi, 0.0, finger=1, sense=-1),
+    )
+    grasp = jxr.Grasp(disc, (left, right), contacts)
+    guess = jxr.State(np.array([0.0, 0.08, 0.0, 1.6, -1.2, 1.5, 1.3]), np.zeros(7), np.zeros(2))
+    grasp, state = jxr.close(grasp, guess, hold_contacts=False)
+    run = jxr.simulate(grasp, state, 0.02, ts=5, throw=False)
+    figure = jxr.plotting.responses(grasp, run, folder=tmp_path)
+    assert figure.axes and list(tmp_path.glob("*.png"))

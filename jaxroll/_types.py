@@ -9,13 +9,17 @@
 | `t` | saved times |
 """
 
+from collections.abc import Sequence
 from typing import Any
 
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 # One leaf of the scalar algebra: a 0-d array, a tracer, or a Python number.
 Scalar = Any
 Scalars = tuple[Any, ...]
+
+# What a caller may give where an array is meant.
+Given = ArrayLike | Sequence[Any]
 
 Coordinates = Float[Array, " n"]
 Points = Float[Array, "... 2"]

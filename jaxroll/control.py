@@ -13,11 +13,11 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
 from ._algebra import total, Twist2, Vec2
 from ._results import as_floats, check_finite
-from ._types import Scalar, Scalars
+from ._types import Given, Scalar, Scalars
 from .mechanics import Motion
 
 Torques = tuple[Scalars, ...]
@@ -97,7 +97,7 @@ class Press(AbstractController):
     damping: Float[Array, ""]
     target: Float[Array, "2"]
 
-    def __init__(self, force: ArrayLike, radius: ArrayLike, damping: ArrayLike, *, target: ArrayLike) -> None:
+    def __init__(self, force: Given, radius: Given, damping: Given, *, target: Given) -> None:
         self.force = check_finite("force", as_floats("force", force, ()))
         self.radius = as_floats("radius", radius, ())
         self.damping = as_floats("damping", damping, ())

@@ -2,8 +2,8 @@
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike
 
+from ._types import Given
 from .contact import Contact
 from .control import Press
 from .geometry import Catenary, Moved
@@ -21,10 +21,10 @@ OBJECT_SHIFT = 3.363e-3
 
 def pivoted(
     *,
-    s: ArrayLike = 0.003,
-    base: ArrayLike = (0.0, 0.0),
-    pivot: ArrayLike = (0.03, 0.105),
-    gravity: ArrayLike | None = None,
+    s: Given = 0.003,
+    base: Given = (0.0, 0.0),
+    pivot: Given = (0.03, 0.105),
+    gravity: Given | None = None,
 ) -> tuple[Grasp, State]:
     r"""Part 2: a two-joint finger rolls on an object pivoted at a fixed point (Figs. 4-18).
 

@@ -178,7 +178,8 @@ def test_parameter_budget():
 PUBLIC = {
     "AbstractContour", "CSM", "Catenary", "Circle", "Contact", "Ellipse", "Finger", "FreeObject",
     "Grasp", "Index1", "Line", "PivotedObject", "RESULTS", "State", "Trajectory", "close", "contact",
-    "control", "energies", "equation_terms", "fuse_small_loops", "geometry", "multipliers", "plotting", "press_balance",
+    "control", "energies", "equation_terms", "fuse_small_loops", "geometry", "multipliers",
+    "plotting", "press_balance",
     "residuals", "scenes", "simulate",
 }  # fmt: skip
 

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import equinox as eqx
 import jax
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
 from .._algebra import Pose2, Twist2, Vec2
 from .._results import as_floats
-from .._types import Scalar
+from .._types import Given, Scalar
 from ..geometry import AbstractContour, Frenet2
 
 
@@ -40,8 +40,8 @@ class Contact(eqx.Module):
 
     def __init__(
         self,
-        s_tip: ArrayLike = 0.0,
-        s_object: ArrayLike = 0.0,
+        s_tip: Given = 0.0,
+        s_object: Given = 0.0,
         *,
         finger: int = 0,
         contour: int = 0,

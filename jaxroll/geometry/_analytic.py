@@ -3,11 +3,11 @@
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
 from .._algebra import sincos, unstack, Vec2
 from .._results import as_floats, check_positive, concrete
-from .._types import Scalar, Scalars
+from .._types import Given, Scalar, Scalars
 from ._arclength import ArclengthTable, invert, tabulate
 from ._contour import AbstractContour, Frenet2
 
@@ -77,7 +77,7 @@ class Circle(AbstractContour):
 
     radius: Float[Array, ""]
 
-    def __init__(self, radius: ArrayLike) -> None:
+    def __init__(self, radius: Given) -> None:
         self.radius = check_positive("radius", as_floats("radius", radius, ()))
 
     @property
@@ -132,7 +132,7 @@ class Ellipse(AbstractContour):
     cells: int = eqx.field(static=True)
     table: ArclengthTable | None
 
-    def __init__(self, a: ArrayLike, b: ArrayLike, *, cells: int = 1024) -> None:
+    def __init__(self, a: Given, b: Given, *, cells: int = 1024) -> None:
         self.a = check_positive("a", as_floats("a", a, ()))
         self.b = check_positive("b", as_floats("b", b, ()))
         self.cells = cells
@@ -194,7 +194,7 @@ class Catenary(AbstractContour):
     a: Float[Array, ""]
     ends: Float[Array, "2"] | None
 
-    def __init__(self, a: ArrayLike, domain: Domain = None) -> None:
+    def __init__(self, a: Given, domain: Domain = None) -> None:
         self.a = check_positive("a", as_floats("a", a, ()))
         self.ends = _as_domain(domain)
 

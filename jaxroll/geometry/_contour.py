@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
 from .._algebra import Pose2, sincos, unstack, Vec2
 from .._results import as_floats
-from .._types import Points, Scalar
+from .._types import Given, Points, Scalar
 
 
 @jax.tree_util.register_dataclass
@@ -76,26 +76,24 @@ class AbstractContour(eqx.Module):
     def domain(self) -> tuple[Scalar, Scalar] | None:
         """First and last arclength; None for an open contour without ends."""
 
-    def point(self, s: ArrayLike) -> Points:
+    def point(self, s: Given) -> Points:
         """Points at arclengths `s` [m] of shape (...): shape (..., 2), in metres."""
         return _frame_arrays(self, jnp.asarray(s, float))[0]
 
-    def tangent(self, s: ArrayLike) -> Points:
+    def tangent(self, s: Given) -> Points:
         """Unit tangents at arclengths `s` [m] of shape (...): shape (..., 2)."""
         return _frame_arrays(self, jnp.asarray(s, float))[1]
 
-    def normal(self, s: ArrayLike) -> Points:
+    def normal(self, s: Given) -> Points:
         """Outward unit normals at arclengths `s` [m] of shape (...): shape (..., 2)."""
         tangent = _frame_arrays(self, jnp.asarray(s, float))[1]
         return jnp.stack([tangent[..., 1], -tangent[..., 0]], axis=-1)
 
-    def curvature(self, s: ArrayLike) -> Float[Array, "..."]:
+    def curvature(self, s: Given) -> Float[Array, "..."]:
         """Curvatures [1/m] at arclengths `s` [m] of shape (...); positive where convex."""
         return _frame_arrays(self, jnp.asarray(s, float))[2]
 
-    def moved(
-        self, offset: ArrayLike = (0.0, 0.0), angle: ArrayLike = 0.0, *, origin: ArrayLike = 0.0
-    ) -> "Moved":
+    def moved(self, offset: Given = (0.0, 0.0), angle: Given = 0.0, *, origin: Given = 0.0) -> "Moved":
         """This contour turned by `angle` [rad], shifted by `offset` [m], its s = 0 put at `origin`."""
         return Moved(self, offset, angle, origin=origin)
 
@@ -132,10 +130,10 @@ class Moved(AbstractContour):
     def __init__(
         self,
         contour: AbstractContour,
-        offset: ArrayLike = (0.0, 0.0),
-        angle: ArrayLike = 0.0,
+        offset: Given = (0.0, 0.0),
+        angle: Given = 0.0,
         *,
-        origin: ArrayLike = 0.0,
+        origin: Given = 0.0,
     ) -> None:
         if not isinstance(contour, AbstractContour):
             raise ValueError(f"argument contour must be a contour, but was {contour!r}")

@@ -1,6 +1,7 @@
 """The closed loop: the equations of motion under the grasp's controller, and the projection."""
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import jax
 
@@ -24,7 +25,7 @@ from ..mechanics import (
 )
 from ._formulation import Formulation
 
-Hold = Callable[[object], object]
+Hold = Callable[[Any], Any]
 
 
 def evaluate(grasp: Grasp, t: Scalar, leaves: Leaves, formulation: Formulation) -> Instant:

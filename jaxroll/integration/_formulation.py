@@ -1,10 +1,13 @@
 """How the constraints are kept while time runs: projection, or the chapter's stabilisation."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
 from .._algebra import Vec2
 from .._results import as_floats, check_positive
+from .._types import Given
 from ..contact import gap, Touch
 from ..mechanics import Grasp, Motion, Stabiliser
 
@@ -44,10 +47,10 @@ class CSM(eqx.Module):
 
     def __init__(
         self,
-        gamma_f: ArrayLike = 1500.0,
-        omega_f: ArrayLike = 225.0e4,
-        gamma_lambda: ArrayLike = 3000.0,
-        omega_lambda: ArrayLike = 900.0e4,
+        gamma_f: Given = 1500.0,
+        omega_f: Given = 225.0e4,
+        gamma_lambda: Given = 3000.0,
+        omega_lambda: Given = 900.0e4,
     ) -> None:
         self.gamma_f = check_positive("gamma_f", as_floats("gamma_f", gamma_f, ()))
         self.omega_f = check_positive("omega_f", as_floats("omega_f", omega_f, ()))
@@ -58,7 +61,7 @@ class CSM(eqx.Module):
         """The restoring gap accelerations in the object's contact frames."""
 
         def restoring(
-            motions: tuple[Motion, ...], touching: tuple[Touch, ...], closing: tuple[Vec2, ...]
+            motions: Sequence[Motion], touching: Sequence[Touch], closing: tuple[Vec2, ...]
         ) -> tuple[Vec2, ...]:
             return tuple(
                 self._at_contact(motions[1 + c.finger], motions[0], t, rate)

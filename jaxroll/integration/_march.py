@@ -87,7 +87,8 @@ class StopAt(diffrax.AbstractStepSizeController):
 
     def adapt_step_size(self, t0: Scalar, t1: Scalar, *rest: Any) -> tuple:
         pace = rest[-1]
-        keep, start, end, jumped, inner, code = self.inner.adapt_step_size(t0, t1, *rest[:-1], pace.inner)
+        step = (t0, t1, *rest[:-1], pace.inner)
+        keep, start, end, jumped, inner, code = self.inner.adapt_step_size(*step)  # pyright: ignore
         first = t0 == t1
         inner = jax.tree.map(lambda new, old: jnp.where(first, old, new), inner, pace.inner)
         keep, start = keep | first, jnp.where(first, t1, start)
@@ -146,7 +147,8 @@ def _legs(grasp: Bundle, y0: Flow, plan: Plan) -> Path:
             saveat=diffrax.SaveAt(t1=True, controller_state=True),
             max_steps=None,
         )
-        y, pace = solution.ys[-1], solution.controller_state  # pyright: ignore
+        assert solution.ys is not None and solution.controller_state is not None
+        y, pace = solution.ys[-1], solution.controller_state
         loop = diffrax.RESULTS.where(alive, solution.result, loop)
         meter = plan.progress.step(meter, (pace.t - plan.t0) / (plan.t1 - plan.t0))
         reached = alive & (y[-1] == 0) & (pace.t == stop)
@@ -196,10 +198,10 @@ def _march_jvp(primals: Any, tangents: Any) -> tuple[Path, Path]:
     grasp_dot, y0_dot, _ = tangents
     path, step_ts, step_ys = _recorded(grasp, y0, plan)
     moving, still = eqx.partition(grasp, eqx.is_inexact_array)
-    fixed = eqxi.nondifferentiable(
+    numbers, plan, step_ts, step_ys = eqxi.nondifferentiable(
         (moving, plan, step_ts, step_ys), name="the state of a run (second derivatives)"
     )
-    steps = _Steps(*fixed, path.steps[1], still)
+    steps = _Steps(numbers, plan, step_ts, step_ys, path.steps[1], still)
     moving_dot = jax.tree.map(_fill, moving, grasp_dot)
     saved_dot, last_dot = linear_map(steps.tangents, steps.cotangents, (moving_dot, _fill(y0, y0_dot)))
     no_tangents = jax.tree.map(lambda _: None, path)

@@ -7,9 +7,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike
+from jaxtyping import Array
 
 from .._results import concrete, message, RESULTS
+from .._types import Given
 from ..mechanics import Grasp, State
 from ._arguments import as_number, check_choices, check_precision, OPTIONS, RECORDS, save_times
 from ._close import check_state, reach
@@ -24,10 +25,10 @@ from ._trajectory import Stats, Trajectory
 def simulate(
     grasp: Grasp,
     state: State,
-    t1: ArrayLike,
+    t1: Given,
     *,
-    t0: ArrayLike = 0.0,
-    ts: ArrayLike | int = 301,
+    t0: Given = 0.0,
+    ts: Given | int = 301,
     formulation: Formulation | None = None,
     solver: diffrax.AbstractSolver | None = None,
     rtol: float = 1e-8,
@@ -152,7 +153,7 @@ def _plan(grasp: Grasp, formulation: Formulation, numbers: Numbers, setup: Setup
     lay = layout(grasp, "energy" in setup.record)
     controller = setup.controller
     if controller is None:
-        controller = diffrax.PIDController(rtol, atol, norm=_Norm(lay), dtmin=1e-12)
+        controller = diffrax.PIDController(rtol=rtol, atol=atol, norm=_Norm(lay), dtmin=1e-12)
     stepper = RollingStep(_with_tolerances(setup.solver, rtol, atol), formulation, lay)
     meter = setup.progress or diffrax.NoProgressMeter()
     return Plan(stepper, controller, t0, t1, ts, dt0, meter, setup.max_steps)
@@ -163,7 +164,7 @@ def _with_tolerances(method: Any, rtol: Array, atol: Array) -> diffrax.AbstractS
     finder = getattr(method, "root_finder", None)
     if finder is None or isinstance(finder.rtol, float | jax.Array):
         return method
-    return eqx.tree_at(lambda m: m.root_finder, method, diffrax.VeryChord(rtol, atol))
+    return eqx.tree_at(lambda m: m.root_finder, method, diffrax.VeryChord(rtol, atol))  # pyright: ignore
 
 
 class _Norm(eqx.Module):

@@ -65,7 +65,7 @@ class RollingStep(diffrax.AbstractAdaptiveSolver):
     term_structure: ClassVar[Any] = diffrax.ODETerm
     interpolation_cls: ClassVar[Callable[..., HermiteInterpolation]] = HermiteInterpolation
 
-    def order(self, terms: Any) -> int:
+    def order(self, terms: Any) -> int | None:
         return self.method.order(terms)
 
     def error_order(self, terms: Any) -> Any:
@@ -110,7 +110,7 @@ class RollingStep(diffrax.AbstractAdaptiveSolver):
     def _explicit(
         self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow, hold: Callable
     ) -> tuple[Array, Array, Array, Instant]:
-        tableau = self.method.tableau
+        tableau = self.method.tableau  # pyright: ignore[reportAttributeAccessIssue]
         dt, width = t1 - t0, self.lay.width
         # The last stage of such a method is the step's end, and is shared with it.
         shared = bool(tableau.fsal and tableau.ssal)

@@ -2,11 +2,11 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
 from .._algebra import Pose2, sincos, total, Twist2, unstack, Vec2
 from .._results import as_floats, check_positive, concrete
-from .._types import Scalar, Scalars
+from .._types import Given, Scalar, Scalars
 from ..geometry import AbstractContour
 from ._body import Inertia, Motion
 
@@ -48,13 +48,13 @@ class Finger(eqx.Module):
 
     def __init__(
         self,
-        lengths: ArrayLike,
-        masses: ArrayLike,
+        lengths: Given,
+        masses: Given,
         tip: AbstractContour,
         *,
-        base: ArrayLike = (0.0, 0.0),
-        centres: ArrayLike | None = None,
-        inertias: ArrayLike | None = None,
+        base: Given = (0.0, 0.0),
+        centres: Given | None = None,
+        inertias: Given | None = None,
     ) -> None:
         self.lengths = check_positive("lengths", as_floats("lengths", lengths, (None,)))
         links = self.lengths.shape[0]
@@ -168,7 +168,7 @@ def _running_sums(values: Scalars) -> list[Scalar]:
     return sums
 
 
-def check_joint_count(finger: Finger, angles: ArrayLike, name: str) -> None:
+def check_joint_count(finger: Finger, angles: Given, name: str) -> None:
     """Raise unless there is one angle for each joint."""
     seen = concrete(angles)
     if seen is not None and seen.shape != (finger.joints,):

@@ -5,10 +5,11 @@ from typing import Any
 
 import equinox as eqx
 import jax
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
 from .._algebra import unstack, Vec2
 from .._results import as_floats, check_between
+from .._types import Given
 from ..contact import Contact
 from ..geometry import AbstractContour
 from ._finger import Finger
@@ -56,7 +57,7 @@ class Grasp(eqx.Module):
         contacts: Contact | Sequence[Contact],
         *,
         controller: Any = None,
-        gravity: ArrayLike | None = None,
+        gravity: Given | None = None,
     ) -> None:
         self.object = object
         self.fingers = (fingers,) if isinstance(fingers, Finger) else tuple(fingers)

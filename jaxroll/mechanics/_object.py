@@ -5,11 +5,11 @@ from collections.abc import Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
 from .._algebra import Pose2, sincos, Twist2, unstack, Vec2
 from .._results import as_floats, check_positive
-from .._types import Scalar, Scalars
+from .._types import Given, Scalar, Scalars
 from ..geometry import AbstractContour
 from ._body import Inertia, Motion
 
@@ -71,11 +71,11 @@ class PivotedObject(AbstractObject):
     def __init__(
         self,
         contours: AbstractContour | Sequence[AbstractContour],
-        inertia: ArrayLike,
+        inertia: Given,
         *,
-        pivot: ArrayLike = (0.0, 0.0),
-        mass: ArrayLike | None = None,
-        centre: ArrayLike = (0.0, 0.0),
+        pivot: Given = (0.0, 0.0),
+        mass: Given | None = None,
+        centre: Given = (0.0, 0.0),
     ) -> None:
         self.contours = _as_contours(contours)
         self.inertia = check_positive("inertia", as_floats("inertia", inertia, ()))
@@ -134,8 +134,8 @@ class FreeObject(AbstractObject):
     def __init__(
         self,
         contours: AbstractContour | Sequence[AbstractContour],
-        mass: ArrayLike,
-        inertia: ArrayLike,
+        mass: Given,
+        inertia: Given,
     ) -> None:
         self.contours = _as_contours(contours)
         self.mass = check_positive("mass", as_floats("mass", mass, ()))

@@ -1,0 +1,119 @@
+"""Grasps beyond the chapter's Part 2: a user's controller, free objects, several fingers."""
+
+import os
+import subprocess
+import sys
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxroll as jxr
+
+
+class Opposing(eqx.Module):
+    """A user's controller after (16): damping, and tips that pull towards their common centre."""
+
+    beta: float
+    damping: float
+
+    def __call__(self, t, angles, rates, tips):
+        centre = sum(tip.position for tip in tips) / len(tips)
+        pull = [self.beta * tip.jacobian.T @ (tip.position - centre) for tip in tips]
+        return tuple(-self.damping * w - p for w, p in zip(rates, pull, strict=True))
+
+
+def around(count, tip, contour, controller, gravity=None):
+    """Fingers evenly round a free object at the origin, tips on its rim, elbows out."""
+    fingers, contacts, guess = [], [], [np.zeros(3)]
+    length = 0.02 * 2 * np.pi if isinstance(contour, jxr.Circle) else float(contour.domain()[1])
+    for i in range(count):
+        angle = 2 * np.pi * i / count
+        out = np.array([np.cos(angle), np.sin(angle)])
+        fingers.append(jxr.Finger([0.05, 0.05], [0.05, 0.04], tip, base=0.1 * out + 0.02 * out[::-1]))
+        s_tip = 0.01 * np.pi - 0.01 * angle  # the side of the tip that faces the object
+        contacts.append(jxr.Contact(s_tip, length * i / count, finger=i))
+        guess.append(np.array([angle + 2.5, 1.2]))
+    body = jxr.FreeObject(contour, mass=0.05, inertia=1.2e-5)
+    grasp = jxr.Grasp(body, fingers, contacts, controller=controller, gravity=gravity)
+    q = np.concatenate(guess)
+    start = jxr.State(jnp.asarray(q), jnp.zeros(q.size), jnp.zeros(count))
+    return jxr.close(grasp, start, hold_contacts=False)
+
+
+def test_a_users_controller_equals_the_built_in_one(scene):
+    """(75) written by a user, against control.Press."""
+    grasp, state = scene
+    target = grasp.controller.target
+
+    def press(t, angles, rates, tips):
+        return (-0.006 * rates[0] - 50.0 * tips[0].jacobian.T @ (tips[0].position - target),)
+
+    user = jxr.simulate(grasp.with_(controller=press), state, 0.5, ts=6, rtol=1e-11, record=("energy",))
+    built_in = jxr.simulate(grasp, state, 0.5, ts=6, rtol=1e-11)
+    np.testing.assert_allclose(user.states.q, built_in.states.q, atol=1e-11)
+    # Its potential is unknown, so all its power counts as work; the balance closes all the same.
+    assert np.abs(user.energy.residual).max() <= 1e-9 * np.abs(user.energy.work).max()
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_free_objects_between_fingers(count):
+    """Rows at rounding level, energy in balance, and the object in Newton's hands, with gravity."""
+    contour = jxr.Circle(0.02) if count == 2 else jxr.Ellipse(0.024, 0.018)
+    grasp, state = around(count, jxr.Circle(0.01), contour, Opposing(20.0, 0.004), (0.0, -0.5))
+    run = jxr.simulate(grasp, state, 0.3, ts=31, rtol=1e-10, record=("multipliers", "energy"))
+    left = run.residuals
+    assert max(np.abs(x).max() for x in (left.normal, left.tangential, left.tangency)) <= 1e-12
+    size = np.abs(np.asarray(run.energy.kinetic)).max() + np.abs(np.asarray(run.energy.work)).max()
+    assert np.abs(run.energy.residual).max() <= 1e-8 * size
+    assert np.ptp(np.asarray(run.states.s), axis=0).min() > 1e-5  # every contact rolls
+    assert np.asarray(run.multipliers.f).min() > 0  # and presses
+
+
+def test_ellipse_and_its_circle_agree():
+    """A circular object as Circle and as Ellipse with a table: the same motion."""
+    control = Opposing(20.0, 0.004)
+    runs = []
+    for contour in (jxr.Circle(0.02), jxr.Ellipse(0.02, 0.02)):
+        grasp, state = around(2, jxr.Circle(0.01), contour, control, (0.0, -0.5))
+        runs.append(jxr.simulate(grasp, state, 0.2, ts=3, rtol=1e-10).states.q)
+    np.testing.assert_allclose(runs[0], runs[1], atol=1e-11)
+
+
+def test_features_that_are_off_cost_nothing():
+    """Operation count of the lowered right-hand side: no gravity is no larger than some."""
+    import jax
+
+    from jaxroll.integration import Index1
+    from jaxroll.integration._closed_loop import evaluate
+    from jaxroll.mechanics import to_leaves
+
+    def lines(gravity):
+        grasp, state = jxr.scenes.pivoted(gravity=gravity)
+
+        def rates(grasp, state):
+            ready = grasp.prepared()
+            return evaluate(ready, 0.0, to_leaves(state, grasp.sizes), Index1()).rates
+
+        return len(jax.jit(rates).lower(grasp, state).as_text().splitlines())
+
+    assert lines(None) < lines((0.0, -9.81))
+
+
+SWITCH = """
+import os, jaxroll as jxr
+assert "XLA_FLAGS" not in os.environ
+assert jxr.fuse_small_loops()
+import jax
+jax.config.update("jax_enable_x64", True)
+run = jxr.simulate(*jxr.scenes.pivoted(), 0.2, ts=2, rtol=1e-11)
+print(repr(float(run.states.q[-1, 0])))
+"""
+
+
+def test_small_loop_switch_changes_no_result(scene):
+    env = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
+    done = subprocess.run([sys.executable, "-c", SWITCH], capture_output=True, text=True, check=True, env=env)
+    here = jxr.simulate(*scene, 0.2, ts=2, rtol=1e-11).states.q[-1, 0]
+    assert abs(float(done.stdout) - float(here)) <= 1e-11

@@ -30,11 +30,14 @@ class RESULTS(eqx.Enumeration):
     solver_failed = "The solver reported a failure of its own."
 
 
+def traced(value: Any) -> bool:
+    """Whether JAX is tracing some array in a value; then its numbers cannot be checked."""
+    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(value))
+
+
 def concrete(value: Any) -> np.ndarray | None:
-    """The value as a NumPy array, or None while JAX is tracing (then nothing can be checked)."""
-    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(value)):
-        return None
-    return np.asarray(value)
+    """The value as a NumPy array, or None while JAX is tracing."""
+    return None if traced(value) else np.asarray(value)
 
 
 def as_floats(name: str, value: Any, shape: tuple[int | None, ...]) -> jax.Array:

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 import jaxroll as jxr
+from jaxroll._algebra import Vec2
+from jaxroll.geometry import frenet
 
 CIRCLE = jxr.Circle(0.01)
 
@@ -16,6 +18,25 @@ CIRCLE = jxr.Circle(0.01)
 def finger(**changes):
     given = {"lengths": [0.1, 0.1], "masses": [0.1, 0.1], "tip": CIRCLE} | changes
     return jxr.Finger(**given)
+
+
+class Parabola(jxr.AbstractContour):
+    """A user's contour whose parameter is not its arclength."""
+
+    closed = False
+    smoothness = float("inf")
+
+    def curve(self, s):
+        return Vec2(-50.0 * s * s, s)
+
+    def frame(self, s):
+        return frenet(self.curve, s)
+
+    def prepared(self):
+        return self
+
+    def domain(self):
+        return None
 
 
 BODY = jxr.PivotedObject(jxr.Catenary(0.01, (-0.01, 0.01)), 1e-5)
@@ -52,6 +73,10 @@ BAD = {
     "no such contour": (
         lambda: jxr.Grasp(BODY, finger(), jxr.Contact(contour=2)),
         r"argument contacts\[0\].contour must be below 1, but was 2",
+    ),
+    "not by arclength": (
+        lambda: jxr.Grasp(BODY, finger(tip=Parabola()), jxr.Contact(0.01, 0.0)),
+        r"argument contacts\[0\].s_tip must lie on a contour given by arclength .* Parabola there was 1.41",
     ),
     "gravity": (
         lambda: jxr.Grasp(BODY, finger(), jxr.Contact(), gravity=9.81),

@@ -105,6 +105,7 @@ def test_taylor_remainder_in_both_modes(scene, case):
     assert np.all((ratios > 70.0) & (ratios < 140.0)), (forward, left)
 
 
+@pytest.mark.slow
 def test_leaving_out_the_closing_is_wrong(scene):
     """Gradients flow through the consistent initial state: without it they are another number."""
     grasp, state = scene

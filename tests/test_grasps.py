@@ -57,7 +57,7 @@ def test_a_users_controller_equals_the_built_in_one(scene):
     assert np.abs(user.energy.residual).max() <= 1e-9 * np.abs(user.energy.work).max()
 
 
-@pytest.mark.parametrize("count", [2, 3])
+@pytest.mark.parametrize("count", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_free_objects_between_fingers(count):
     """Rows at rounding level, energy in balance, and the object in Newton's hands, with gravity."""
     contour = jxr.Circle(0.02) if count == 2 else jxr.Ellipse(0.024, 0.018)
@@ -71,6 +71,7 @@ def test_free_objects_between_fingers(count):
     assert np.asarray(run.multipliers.f).min() > 0  # and presses
 
 
+@pytest.mark.slow
 def test_ellipse_and_its_circle_agree():
     """A circular object as Circle and as Ellipse with a table: the same motion."""
     control = Opposing(20.0, 0.004)

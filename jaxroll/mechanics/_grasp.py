@@ -5,13 +5,14 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._algebra import unstack, Vec2
-from .._results import as_floats, check_between
+from .._results import as_floats, check_between, traced
 from .._types import Given
 from ..contact import Contact
-from ..geometry import AbstractContour
+from ..geometry import AbstractContour, frenet
 from ._finger import Finger
 from ._object import AbstractObject
 
@@ -162,11 +163,26 @@ class Grasp(eqx.Module):
         )
 
 
+def check_unit_speed(name: str, s: jax.Array, contour: AbstractContour) -> None:
+    """Raise if a caller's own contour does not advance by its arclength where the contact starts."""
+    if traced((s, contour)):
+        return
+    tangent = frenet(contour.prepared().curve, s).tangent
+    speed = float(jnp.hypot(tangent.x, tangent.y))
+    if not abs(speed - 1.0) <= 1e-9:
+        raise ValueError(
+            f"argument {name} must lie on a contour given by arclength (unit speed), "
+            f"but the speed of {type(contour).__name__} there was {speed:g}"
+        )
+
+
 def _has_field(owner: Any, name: str) -> bool:
     return name in getattr(type(owner), "__dataclass_fields__", {})
 
 
 def _check_start(name: str, s: jax.Array, contour: AbstractContour) -> None:
+    if not type(contour).__module__.startswith("jaxroll."):
+        check_unit_speed(name, s, contour)
     if contour.closed:
         return
     domain = contour.domain()

@@ -165,7 +165,7 @@ def holder(t: Scalar) -> Callable[[Any], Any]:
     It divides by a one that the compiler cannot see through. XLA's fusion copies cheap producers into
     each consumer, but never a division: without this, projection was 4 times slower in a batch.
     """
-    one = jnp.where(jax.lax.stop_gradient(t) > 1e300, 2.0, 1.0).astype(jnp.result_type(t))
+    one = jnp.where(jnp.isinf(jax.lax.stop_gradient(t)), 2.0, 1.0).astype(jnp.result_type(t))
     return lambda tree: jax.tree.map(lambda leaf: leaf / one, tree)
 
 

@@ -21,6 +21,5 @@ Scalars = tuple[Any, ...]
 # What a caller may give where an array is meant.
 Given = ArrayLike | Sequence[Any]
 
-Coordinates = Float[Array, " n"]
 Points = Float[Array, "... 2"]
 Times = Float[Array, " t"]

@@ -9,7 +9,6 @@ from .._algebra import total
 from .._types import Scalar
 from ..control import as_controller
 from ..mechanics import (
-    apply_jacobian,
     bodies,
     Grasp,
     kinetic_energy,
@@ -114,12 +113,6 @@ def _gravity_potential(grasp: Grasp, leaves: Leaves) -> Scalar:
     for finger, q in zip(grasp.fingers, leaves.q[1:], strict=True):
         parts.append(finger.gravity_potential(q, field))
     return total(parts)
-
-
-def closing_rates(grasp: Grasp, leaves: Leaves, instant: object) -> Array:
-    """Largest rate at which a gap opens [m/s]."""
-    rates = apply_jacobian(grasp, instant.line, leaves.v)  # pyright: ignore
-    return jnp.max(jnp.abs(jnp.stack([c for r in rates for c in r])))
 
 
 @eqx.filter_jit

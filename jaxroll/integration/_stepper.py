@@ -23,31 +23,6 @@ from ._formulation import Formulation, Index1
 from ._regime import regime
 
 
-class HermiteInterpolation(diffrax.AbstractLocalInterpolation):
-    """Cubic Hermite over one step, from the derivative that the flow vector carries.
-
-    Save times are step ends, where it is exact; it serves only times a caller asks for beyond those.
-    """
-
-    t0: Array
-    t1: Array
-    y0: Flow
-    y1: Flow
-
-    def evaluate(self, t0: Array, t1: Array | None = None, left: bool = True) -> Flow:
-        if t1 is not None:
-            return self.evaluate(t1) - self.evaluate(t0)
-        step = self.t1 - self.t0
-        w = jnp.where(t0 == self.t1, 1.0, (t0 - self.t0) / jnp.where(step == 0.0, 1.0, step))
-        half = self.y0.shape[-1] // 2
-        (x0, k0), (x1, k1) = ((y[:half], y[half:-1]) for y in (self.y0, self.y1))
-        rise = x1 - x0
-        a, b = step * k0 - rise, rise - step * k1
-        x = x0 + w * rise + w * (1.0 - w) * ((1.0 - w) * a + w * b)
-        inside = jnp.concatenate([x, k0 + w * (k1 - k0), self.y0[-1:]])
-        return jnp.where(t0 == self.t1, self.y1, inside)
-
-
 class RollingStep(diffrax.AbstractAdaptiveSolver):
     """A diffrax solver for the flow vector of a grasp; `args` is the bundled grasp.
 
@@ -63,7 +38,8 @@ class RollingStep(diffrax.AbstractAdaptiveSolver):
     lay: Layout = eqx.field(static=True)
 
     term_structure: ClassVar[Any] = diffrax.ODETerm
-    interpolation_cls: ClassVar[Callable[..., HermiteInterpolation]] = HermiteInterpolation
+    # Required by diffrax, never evaluated: save times are step ends.
+    interpolation_cls: ClassVar[Any] = diffrax.LocalLinearInterpolation
 
     def order(self, terms: Any) -> int | None:
         return self.method.order(terms)

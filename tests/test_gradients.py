@@ -140,6 +140,11 @@ def test_second_derivatives_are_refused_not_wrong(scene):
         jax.hessian(lambda c: final(grasp.with_(damping=c), state))(0.006)
 
 
+def test_derivatives_in_times_are_refused_not_zero(scene):
+    with pytest.raises(RuntimeError, match="times, tolerances and gains"):
+        jax.grad(lambda t1: jxr.simulate(*scene, t1, ts=1).states.q[-1, 0])(0.05)
+
+
 def test_close_is_differentiated_by_the_implicit_function_theorem(scene):
     """Against central differences, in both modes, held and rolling; also an under-determined pose."""
     grasp, state = scene

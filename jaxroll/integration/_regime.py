@@ -11,7 +11,6 @@ from ..mechanics import Grasp, Instant, Leaves
 # Relative size below which a pivot, or a sum of curvatures, counts as zero.
 _SINGULAR = 1e-9
 
-
 # Codes by number, as the flow vector carries them: diffrax's loop takes none but its own.
 _CODES = (
     RESULTS.successful,

@@ -4,6 +4,7 @@ from typing import Any, NamedTuple
 
 import diffrax
 import equinox as eqx
+import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -68,7 +69,8 @@ def simulate(
 
     Batching: `vmap` over any array; each lane has its own code, and no lane changes another.
     Gradients: forward and reverse mode, of the discrete solution at frozen step sizes, with respect to
-    `grasp` and `state`; not to times, and not twice. A derivative records `max_steps` states.
+    `grasp` and `state`; in times or gains of the formulation, and twice, they are refused. A derivative
+    records `max_steps` states.
     Accuracy: with default settings about 1e-8 rad over the chapter's 3 s; constraint rows below 1e-14 m.
     Single precision: allowed from rtol 1e-5 up.
 
@@ -141,6 +143,8 @@ def _run(
     lay = plan.stepper.lay
     x0 = vector_of(state, lay.audited)
     y0 = jnp.concatenate([x0, jnp.zeros(lay.width + 1, x0.dtype)])
+    # A derivative in a time or a gain of the formulation would be a silent zero: refuse it instead.
+    plan = eqxi.nondifferentiable(plan, name="times, tolerances and gains of the formulation")
     return _trajectory(ready, state, march(bundle(ready), y0, plan), plan, setup.record)
 
 

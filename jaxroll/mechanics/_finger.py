@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._algebra import Pose2, sincos, total, Twist2, unstack, Vec2
-from .._results import as_floats, check_positive, concrete
+from .._results import as_floats, check_positive
 from .._types import Given, Scalar, Scalars
 from ..geometry import AbstractContour
 from ._body import Inertia, Motion
@@ -166,10 +166,3 @@ def _running_sums(values: Scalars) -> list[Scalar]:
     for value in values[1:]:
         sums.append(sums[-1] + value)
     return sums
-
-
-def check_joint_count(finger: Finger, angles: Given, name: str) -> None:
-    """Raise unless there is one angle for each joint."""
-    seen = concrete(angles)
-    if seen is not None and seen.shape != (finger.joints,):
-        raise ValueError(f"argument {name} must have shape ({finger.joints},), but had shape {seen.shape}")

@@ -8,7 +8,7 @@ import importlib
 from typing import Any, TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from . import contact, control, geometry, plotting, scenes
+    from . import contact, control, geometry, plotting, scenes, stability
     from ._backend import fuse_small_loops
     from ._results import RESULTS
     from .contact import Contact
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
         energies,
         Index1,
         multipliers,
+        pinch_balance,
         press_balance,
         residuals,
         simulate,
@@ -36,6 +37,7 @@ _HOMES: dict[str, str | None] = {
     "geometry": None,
     "plotting": None,
     "scenes": None,
+    "stability": None,
     "fuse_small_loops": "_backend",
     "RESULTS": "_results",
     "Contact": "contact",
@@ -50,6 +52,7 @@ _HOMES: dict[str, str | None] = {
     "close": "integration",
     "energies": "integration",
     "multipliers": "integration",
+    "pinch_balance": "integration",
     "press_balance": "integration",
     "residuals": "integration",
     "simulate": "integration",
@@ -84,11 +87,13 @@ __all__ = [  # noqa: PLE0604
     "fuse_small_loops",
     "geometry",
     "multipliers",
+    "pinch_balance",
     "plotting",
     "press_balance",
     "residuals",
     "scenes",
     "simulate",
+    "stability",
 ]
 
 

@@ -25,6 +25,9 @@ class RESULTS(eqx.Enumeration):
         "complement of the constraints, is no longer positive."
     )
     contour_end = "A contact point ran past the end of an open contour."
+    contact_lost = "A contact no longer presses: its normal force fell below zero."
+    slipping = "A contact needs more friction than there is: its force left the friction cone."
+    penetration = "A fingertip and the object overlap away from their contact."
     not_finite = "The equations of motion gave a value that is not finite."
     unreachable = "The initial state is off the constraints: no pose near the guess closes them."
     solver_failed = "The solver reported a failure of its own."

@@ -13,12 +13,13 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ._algebra import total, Twist2, Vec2
 from ._results import as_floats, check_finite
 from ._types import Given, Scalar, Scalars
-from .mechanics import Motion
+from .mechanics import Grasp, Motion, split, State
 
 Torques = tuple[Scalars, ...]
 
@@ -121,6 +122,89 @@ class Press(AbstractController):
     def potential(self, tips: Sequence[Vec2], angles: Sequence[Scalars]) -> Scalar:
         arms = [tip - Vec2(self.target[0], self.target[1]) for tip in tips]
         return 0.5 * self.stiffness * total([arm.dot(arm) for arm in arms])
+
+
+class Opposition(AbstractController):
+    r"""Fingers-thumb opposition with joint damping: control (16)-(17).
+
+    $u_i = -c_i \dot q_i + (-1)^i \beta J_i^T (r_1 - r_2) - \alpha_i \hat N_i e_i$ with
+    $\hat N_i = p_i - p_i(0)$, $p_i = e_i^T q_i$: tips attract each other, and each last link keeps its
+    orientation. For more than two fingers every pair attracts. It derives from the potential (22),
+    $P = \frac\beta2 \sum_{i<j} \|r_i - r_j\|^2 + \sum_i \frac{\alpha_i}{2} \hat N_i^2$.
+
+    Args:
+        beta: $\beta$ [N/m].
+        damping: $c_i$ [N m s], one for all or shape (fingers,).
+        alpha: $\alpha_i$ [N m/rad], one for all or shape (fingers,). With zero the grasp comes to
+            rest where $O_1, P_1, P_2, O_2$ are collinear; otherwise a little off.
+        start: $p_i(0)$ [rad], shape (fingers,): sums of each finger's joint angles (`orientations`).
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> control = jxr.control.Opposition(20.0, 0.006, 0.001, start=(1.5, 1.7))
+        >>> control.damping.tolist()
+        [0.006, 0.006]
+    """
+
+    beta: Float[Array, ""]
+    damping: Float[Array, " m"]
+    alpha: Float[Array, " m"]
+    start: Float[Array, " m"]
+
+    def __init__(self, beta: Given, damping: Given, alpha: Given = 0.0, *, start: Given) -> None:
+        self.beta = as_floats("beta", beta, ())
+        self.start = as_floats("start", start, (None,))
+        self.damping = _for_each("damping", damping, self.start)
+        self.alpha = _for_each("alpha", alpha, self.start)
+
+    def torques(self, t: Scalar, fingers: Sequence[Sensed]) -> Torques:
+        self._check(len(fingers))
+        tips = [finger.tip for finger in fingers]
+        return tuple(self._finger(i, finger, self._pull(i, tips)) for i, finger in enumerate(fingers))
+
+    def _pull(self, i: int, tips: Sequence[Vec2]) -> Vec2:
+        """Gradient of the first term of P with respect to tip i."""
+        return total([tips[i] - tip for j, tip in enumerate(tips) if j != i]) * self.beta
+
+    def _finger(self, i: int, finger: Sensed, pull: Vec2) -> Scalars:
+        turn = self.alpha[i] * (total(finger.angles) - self.start[i])
+        return tuple(
+            -self.damping[i] * rate - unit.velocity.dot(pull) - turn
+            for rate, unit in zip(finger.rates, finger.unit_twists, strict=True)
+        )
+
+    def potential(self, tips: Sequence[Vec2], angles: Sequence[Scalars]) -> Scalar:
+        pairs = [b - a for i, a in enumerate(tips) for b in tips[i + 1 :]]
+        turns = [total(q) - self.start[i] for i, q in enumerate(angles)]
+        kept = total([0.5 * self.alpha[i] * turn * turn for i, turn in enumerate(turns)])
+        return 0.5 * self.beta * total([arm.dot(arm) for arm in pairs]) + kept
+
+    def _check(self, fingers: int) -> None:
+        if not 2 <= fingers == self.start.shape[0]:
+            raise ValueError(
+                f"argument start must have one angle for each of two fingers or more, but had "
+                f"{self.start.shape[0]} for {fingers}"
+            )
+
+
+def _for_each(name: str, value: Given, start: Array) -> Array:
+    """One number for all fingers, or one for each."""
+    if np.ndim(value) == 0:
+        return jnp.full(start.shape, as_floats(name, value, ()))
+    return as_floats(name, value, start.shape)
+
+
+def orientations(grasp: Grasp, state: State) -> Float[Array, " m"]:
+    r"""Orientation $p_i = e_i^T q_i$ [rad] of each finger's last link: $p_i(0)$ of (17) at the start.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> grasp, state = jxr.scenes.pinch()
+        >>> same = jxr.control.orientations(grasp, state) == grasp.controller.start
+        >>> bool(same.all())
+        True
+    """
+    return jnp.stack([total(block) for block in split(state.q, grasp.sizes)[1:]])
 
 
 class UserController(AbstractController):

@@ -1,14 +1,16 @@
 """The chapter's scenes, ready to run."""
 
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 
 from ._types import Given
 from .contact import Contact
-from .control import Press
-from .geometry import Catenary, Moved
+from .control import Opposition, orientations, Press
+from .geometry import AbstractContour, Catenary, Circle, Ellipse, Line, Moved
 from .integration import close
-from .mechanics import Finger, Grasp, PivotedObject, State
+from .mechanics import Finger, FreeObject, Grasp, PivotedObject, State
 
 # Tables 1 and 2.
 LENGTHS = (0.065, 0.065)
@@ -17,6 +19,11 @@ INERTIA = 6.6178e-6
 FORCE, RADIUS, DAMPING = 0.500, 0.010, 0.006
 # (80)-(83): vertex of the object's contour at s = 3.363 mm, of the fingertip's at s = 0.
 OBJECT_SHIFT = 3.363e-3
+# Part 1 has no numbers of its own: sizes of Table 1, the third link as light as its shape asks.
+LINKS = ((0.065, 0.039, 0.026), (0.065, 0.065))
+LINK_MASSES = ((0.045, 0.025, 0.015), (0.045, 0.040))
+BASES = ((0.0, 0.0), (0.055, 0.0))
+_POSE = (0.0275, 0.115, 0.0, 2.2, -0.9, 0.3, 0.95, 0.85)
 
 
 def pivoted(
@@ -66,3 +73,213 @@ def pivoted(
     )
     guess = State(jnp.array([-0.5, 1.9, -0.7]), jnp.zeros(3), jnp.zeros(1))
     return close(grasp, guess)
+
+
+def rectangle(width: Given = 0.03, height: Given = 0.05, mass: Given = 0.02) -> FreeObject:
+    """A uniform rectangular object with its left and its right face as contours 0 and 1 (Fig. 3).
+
+    Args:
+        width: Distance of the faces, $l_w$ [m].
+        height: Length of the faces [m].
+        mass: In kilograms.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> len(jxr.scenes.rectangle().contours)
+        2
+    """
+    width, height, mass = (jnp.asarray(x, float) for x in (width, height, mass))
+    face = Line(jnp.stack([-0.5 * height, 0.5 * height]))
+    zero = jnp.zeros_like(width)
+    left = face.moved(jnp.stack([-0.5 * width, zero]), np.pi)
+    right = face.moved(jnp.stack([0.5 * width, zero]))
+    return FreeObject((left, right), mass, mass * (width**2 + height**2) / 12.0)
+
+
+def pinch(
+    *,
+    s: Given = (0.004, -0.003),
+    tips: AbstractContour | tuple[AbstractContour, AbstractContour] | None = None,
+    object: FreeObject | None = None,
+    beta: Given = 20.0,
+    alpha: Given = 1e-3,
+    damping: Given = 0.006,
+    friction: Given | None = None,
+    gravity: Given | None = None,
+) -> tuple[Grasp, State]:
+    r"""Part 1: a three-joint and a two-joint finger pinch a free object (Figs. 1 and 3).
+
+    The control is (16)-(17), "blind": it knows the fingers' joints alone. The chapter gives no numbers
+    for this scene; sizes are those of Table 1.
+
+    Args:
+        s: Shape (2,), the chapter's $s_i$ at the starting contacts [m]: distance from the middle of
+            either face, both in the direction of $b_{01}$ (down); the fingertips touch at the same $s_i$.
+        tips: Contour of both fingertips or one for each, about $O_i$, facing +x at its s = 0; the scene
+            turns them to face each other. Default: the chapter's (82)-(83), which satisfies (41).
+        object: With two contours: its left and its right face, each with s = 0 in the middle. With one
+            closed contour: it is held where it faces left and right. Default: `rectangle()`.
+        beta: $\beta$ of (16) [N/m].
+        alpha: $\alpha_i$ of (16) [N m/rad], one or two. With 0 the grasp ends with $O_1, P_1, P_2, O_2$
+            collinear.
+        damping: $c_i$ of (16) [N m s], one or two.
+        friction: Coefficient of friction of both contacts; then a run that needs more of it ends.
+        gravity: Shape (2,) [m/s^2]; the plane is horizontal by default.
+
+    Returns:
+        The grasp, and a state at rest with both contacts closed.
+
+    Raises:
+        ValueError: If the fingers cannot reach those contacts.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> grasp, state = jxr.scenes.pinch()
+        >>> grasp.sizes  # object, three-joint finger, two-joint finger
+        (3, 3, 2)
+    """
+    body = rectangle() if object is None else object
+    shapes = Catenary(1.0 / 40.0, (-0.03, 0.03)).moved((0.01, 0.0)) if tips is None else tips
+    pair = shapes if isinstance(shapes, tuple) else (shapes, shapes)
+    fingers = [
+        Finger(lengths, masses, Moved(tip, (0.0, 0.0), side * np.pi / 2), base=base)
+        for lengths, masses, tip, base, side in zip(LINKS, LINK_MASSES, pair, BASES, (-1, 1), strict=True)
+    ]
+    start, contacts = jnp.asarray(s, float), []
+    for i, (sense, middle) in enumerate(zip((1, -1), _middles(body), strict=True)):
+        face = i if len(body.contours) > 1 else 0
+        along = sense * start[i]
+        contacts.append(
+            Contact(-along, middle + along, finger=i, contour=face, sense=sense, friction=friction)
+        )
+    guess = State(jnp.array(_POSE), jnp.zeros(8), jnp.zeros(2))
+    control: dict[str, Any] = {"damping": damping, "alpha": alpha}
+    return _opposed(body, fingers, contacts, guess, beta, control, gravity)
+
+
+def ball_plate(radius: Given = 0.01, **options: Any) -> tuple[Grasp, State]:
+    """Part 1's simple case: hemispherical fingertips centred at O_i pinch a plate; neutral in (41).
+
+    Args:
+        radius: Of both fingertips [m].
+        **options: Those of `pinch`, but for `tips`.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> grasp, state = jxr.scenes.ball_plate()
+        >>> float(grasp.fingers[0].tip.curvature(0.0))
+        100.0
+    """
+    return pinch(tips=Circle(radius), **options)
+
+
+def pinch_ellipse(
+    a: Given = 0.015, b: Given = 0.025, mass: Given = 0.02, **options: Any
+) -> tuple[Grasp, State]:
+    """Part 1 with an elliptic object, uniform, of half axes `a` (across) and `b` [m].
+
+    Args:
+        a: Half axis between the fingers [m].
+        b: The other half axis [m].
+        mass: In kilograms.
+        **options: Those of `pinch`, but for `object`.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> grasp, state = jxr.scenes.pinch_ellipse(0.015, 0.02)
+        >>> state.s.shape
+        (2,)
+    """
+    a, b, mass = (jnp.asarray(x, float) for x in (a, b, mass))
+    body = FreeObject(Ellipse(a, b), mass, 0.25 * mass * (a**2 + b**2))
+    return pinch(object=body, **options)
+
+
+def ring(
+    count: int = 3,
+    *,
+    object: FreeObject | None = None,
+    tip: AbstractContour | None = None,
+    beta: Given = 10.0,
+    alpha: Given = 1e-3,
+    damping: Given = 0.004,
+    gravity: Given | None = None,
+) -> tuple[Grasp, State]:
+    r"""Two-joint fingers evenly round one free object, under control (16)-(17) for every pair.
+
+    Args:
+        count: How many fingers, at least 2.
+        object: With one closed contour about its origin. Default: a disc of 20 mm radius, 50 g.
+        tip: Closed contour of every fingertip about $O_i$. Default: a circle of 10 mm radius.
+        beta: $\beta$ of (16) [N/m].
+        alpha: $\alpha_i$ of (16) [N m/rad], one or one for each.
+        damping: $c_i$ of (16) [N m s], one or one for each.
+        gravity: Shape (2,) [m/s^2].
+
+    Returns:
+        The grasp, and a state at rest with every contact closed.
+
+    Raises:
+        ValueError: If `count` is below 2, or the fingers cannot reach the object.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> grasp, state = jxr.scenes.ring(3)
+        >>> grasp.coordinates, state.s.shape[0]
+        (9, 3)
+    """
+    if count < 2:
+        raise ValueError(f"argument count must be at least 2, but was {count}")
+    body = FreeObject(Circle(0.02), mass=0.05, inertia=1e-5) if object is None else object
+    shape = Circle(0.01) if tip is None else tip
+    fingers, contacts, guess = [], [], [np.zeros(3)]
+    for i in range(count):
+        angle = 2.0 * np.pi * i / count
+        out = np.array([np.cos(angle), np.sin(angle)])
+        rim = _facing(body.contours[0], angle)
+        inward = _facing(shape, np.pi)
+        base = 0.1 * out + 0.02 * np.array([-out[1], out[0]])
+        # The last link points at the object, so the side of the tip that its x axis meets touches.
+        fingers.append(Finger((0.05, 0.05), (0.05, 0.04), shape.moved(angle=np.pi), base=base))
+        contacts.append(Contact(inward, rim, finger=i))
+        guess.append(np.array([angle + 2.4, 1.1]))
+    start = State(jnp.asarray(np.concatenate(guess)), jnp.zeros(3 + 2 * count), jnp.zeros(count))
+    control = {"damping": damping, "alpha": alpha}
+    return _opposed(body, fingers, contacts, start, beta, control, gravity, hold_contacts=False)
+
+
+def _opposed(
+    body: FreeObject,
+    fingers: list[Finger],
+    contacts: list[Contact],
+    guess: State,
+    beta: Given,
+    control: dict[str, Any],
+    gravity: Given | None,
+    *,
+    hold_contacts: bool = True,
+) -> tuple[Grasp, State]:
+    """Close the contacts, then start the control (16)-(17) from there."""
+    grasp, state = close(Grasp(body, fingers, contacts, gravity=gravity), guess, hold_contacts=hold_contacts)
+    opposition = Opposition(beta, **control, start=orientations(grasp, state))
+    return Grasp(body, fingers, contacts, controller=opposition, gravity=gravity), state
+
+
+def _middles(body: FreeObject) -> tuple[Any, Any]:
+    """Arclength of the middle of the left and of the right face."""
+    if len(body.contours) != 1:
+        return 0.0, 0.0
+    return _facing(body.contours[0], np.pi), _facing(body.contours[0], 0.0)
+
+
+def _facing(contour: AbstractContour, angle: float) -> Any:
+    """Arclength at which a closed contour reaches farthest in a direction [rad]."""
+    ends = contour.domain()
+    if not contour.closed or ends is None:
+        raise ValueError(f"argument object must have two faces or one closed contour, but had {contour!r}")
+    along = jnp.array([np.cos(angle), np.sin(angle)])
+    s = ends[0] + (ends[1] - ends[0]) * jnp.linspace(0.0, 1.0, 257)
+    s = s[jnp.argmax(contour.point(s) @ along)]
+    for _ in range(6):  # Newton on the slope: tangent across, curvature times normal along
+        s = s + (contour.tangent(s) @ along) / (contour.curvature(s) * (contour.normal(s) @ along))
+    return s

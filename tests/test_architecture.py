@@ -24,10 +24,11 @@ RANKS = {
     "mechanics": 5,
     "control": 6,
     "integration": 7,
-    "scenes": 8,
-    "plotting": 9,
-    "__init__": 10,
-    "__main__": 11,
+    "stability": 8,
+    "scenes": 9,
+    "plotting": 10,
+    "__init__": 11,
+    "__main__": 12,
 }
 # One door each.
 DOORS = {
@@ -106,7 +107,9 @@ def cycles_inside(folder):
     return graph.keys() - done
 
 
-@pytest.mark.parametrize("folder", ["geometry", "contact", "mechanics", "integration", "plotting"])
+@pytest.mark.parametrize(
+    "folder", ["geometry", "contact", "mechanics", "integration", "stability", "plotting"]
+)
 def test_no_cycles_inside_a_folder(folder):
     assert not cycles_inside(folder)
 
@@ -179,8 +182,8 @@ PUBLIC = {
     "AbstractContour", "CSM", "Catenary", "Circle", "Contact", "Ellipse", "Finger", "FreeObject",
     "Grasp", "Index1", "Line", "PivotedObject", "RESULTS", "State", "Trajectory", "close", "contact",
     "control", "energies", "equation_terms", "fuse_small_loops", "geometry", "multipliers",
-    "plotting", "press_balance",
-    "residuals", "scenes", "simulate",
+    "pinch_balance", "plotting", "press_balance",
+    "residuals", "scenes", "simulate", "stability",
 }  # fmt: skip
 
 

@@ -1,5 +1,6 @@
 """Two shapes touching: gap, tangency, Pfaffian rows by autodiff, and rolling kinematics."""
 
+from ._clearance import clearance as clearance, TOLERANCE as TOLERANCE
 from ._rolling import (
     Contact as Contact,
     gap as gap,

@@ -14,13 +14,13 @@ import jax
 from jaxtyping import Array, Float
 
 from .._algebra import Pose2, Twist2, Vec2
-from .._results import as_floats
+from .._results import as_floats, check_positive
 from .._types import Given, Scalar
 from ..geometry import AbstractContour, Frenet2
 
 
 class Contact(eqx.Module):
-    """Where a fingertip starts touching the object.
+    r"""Where a fingertip starts touching the object.
 
     Args:
         s_tip: Arclength on the fingertip's contour at the start, in metres.
@@ -30,6 +30,7 @@ class Contact(eqx.Module):
         sense: +1 where the chapter's $s_i$ and $b_{0i}$ run along the object's contour, -1 where
             they run against it (its second finger). It decides only the sign in which `s` and the
             tangential multiplier are reported. Static.
+        friction: Coefficient $\mu$: a run ends where $|\lambda| > \mu f$. Default: no limit, no cost.
     """
 
     s_tip: Float[Array, ""]
@@ -37,6 +38,7 @@ class Contact(eqx.Module):
     finger: int = eqx.field(static=True)
     contour: int = eqx.field(static=True)
     sense: int = eqx.field(static=True)
+    friction: Float[Array, ""] | None
 
     def __init__(
         self,
@@ -46,12 +48,16 @@ class Contact(eqx.Module):
         finger: int = 0,
         contour: int = 0,
         sense: int = 1,
+        friction: Given | None = None,
     ) -> None:
         if sense not in (1, -1):
             raise ValueError(f"argument sense must be 1 or -1, but was {sense}")
         self.s_tip = as_floats("s_tip", s_tip, ())
         self.s_object = as_floats("s_object", s_object, ())
         self.finger, self.contour, self.sense = finger, contour, sense
+        self.friction = None
+        if friction is not None:
+            self.friction = check_positive("friction", as_floats("friction", friction, ()))
 
 
 @jax.tree_util.register_dataclass

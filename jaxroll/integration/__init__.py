@@ -5,7 +5,8 @@ projects it, `_stepper` makes one step, `_march` runs and differentiates many, `
 point, `_trajectory` its result and `_observe` the chapter's quantities along it.
 """
 
-from ._close import close as close
+from ._close import close as close, constraint_rows as constraint_rows
+from ._closed_loop import generalised_force as generalised_force
 from ._formulation import CSM as CSM, Index1 as Index1
 from ._observe import (
     energies as energies,
@@ -15,6 +16,7 @@ from ._observe import (
     Residuals as Residuals,
     residuals as residuals,
 )
+from ._pinch import check_pinch as check_pinch, pinch_balance as pinch_balance, PinchBalance as PinchBalance
 from ._press import press_balance as press_balance, PressBalance as PressBalance
 from ._simulate import simulate as simulate
 from ._trajectory import Stats as Stats, Trajectory as Trajectory

@@ -8,7 +8,7 @@ import numpy as np
 from .._results import concrete
 
 RECORDS = ("multipliers", "energy")
-OPTIONS = ("atol", "dt0", "max_steps", "stepsize_controller", "progress_meter")
+OPTIONS = ("atol", "dt0", "max_steps", "stepsize_controller", "progress_meter", "events")
 # Below this relative tolerance single precision cannot deliver: steps collapse.
 _FLOAT32_FLOOR = 1e-5
 

@@ -112,7 +112,7 @@ def _close(grasp: Grasp, guess: State, hold: bool) -> tuple[State, Array]:
     args = (ready, guess, _metric(ready, guess, start.shape[0]))
 
     def rows(z: Array, args: Any) -> Array:
-        return _rows(args[0], z[:n], args[1].s if hold else z[n:], contacts)
+        return constraint_rows(args[0], z[:n], args[1].s if hold else z[n:])
 
     def optimality(unknown: tuple[Array, Array], args: Any) -> tuple[Array, Array]:
         z, pressure = unknown
@@ -126,13 +126,13 @@ def _close(grasp: Grasp, guess: State, hold: bool) -> tuple[State, Array]:
     else:
         z, _ = _root(optimality, (near, jnp.zeros(3 * contacts, start.dtype)), args)
     q, s = z[:n], guess.s if hold else z[n:]
-    return State(q, _compatible(ready, q, guess.v, s), s), _rows(ready, q, s, contacts)
+    return State(q, _compatible(ready, q, guess.v, s), s), constraint_rows(ready, q, s)
 
 
-def _rows(grasp: Grasp, q: Array, s: Array, contacts: int) -> Array:
-    """Gap [m] and tangency [rad] of every contact: shape (3c,)."""
+def constraint_rows(grasp: Grasp, q: Array, s: Array) -> Array:
+    """Gap [m] and tangency [rad] of every contact of a prepared grasp: shape (3c,)."""
     blocks = split(q, grasp.sizes)
-    frames, touching = poses(grasp, blocks), touches(grasp, tuple(s[i] for i in range(contacts)))
+    frames, touching = poses(grasp, blocks), touches(grasp, tuple(s[i] for i in range(s.shape[0])))
     left = residual(grasp, frames, touching)
     rows = []
     for contact, gap, sine, t in zip(grasp.contacts, left.gaps, left.tangencies, touching, strict=True):

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
+from jaxtyping import Array
 
 from .._algebra import total
 from .._types import Scalar, Scalars
@@ -13,14 +14,19 @@ from ..mechanics import (
     accelerate,
     apply_jacobian,
     balance,
+    bodies,
     combine,
     Grasp,
     Instant,
+    join,
     Leaves,
     Motion,
+    net_force,
     poses,
     residual,
     respond,
+    State,
+    to_leaves,
     touches,
 )
 from ._formulation import Formulation
@@ -40,6 +46,14 @@ def evaluate(grasp: Grasp, t: Scalar, leaves: Leaves, formulation: Formulation) 
 def sensed(leaves: Leaves, motions: Sequence[Motion]) -> list[Sensed]:
     """What every finger's controller may know."""
     return [sense(m, q, v) for m, q, v in zip(motions[1:], leaves.q[1:], leaves.v[1:], strict=True)]
+
+
+def generalised_force(grasp: Grasp, t: Scalar, state: State) -> Array:
+    """Torques and gravity less velocity terms: shape (n,), all that is not inertia or contact."""
+    leaves = to_leaves(state, grasp.sizes)
+    motions, inertias = bodies(grasp, leaves)
+    drives = (None, *as_controller(grasp.controller).torques(t, sensed(leaves, motions)))
+    return join(tuple(net_force(i, u) for i, u in zip(inertias, drives, strict=True)))
 
 
 def control_potential(controller: AbstractController, leaves: Leaves, tips: Sequence) -> Scalar:

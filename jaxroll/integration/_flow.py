@@ -1,10 +1,10 @@
 """What the solver integrates: one vector that holds the state and its own derivative.
 
-`y = [x, x', code]`, with `x = [q, v, s]` and, when energy is audited, the work done; `code` is
-zero until a run leaves the model (see `_regime`). Carrying the derivative makes one step a pure map
-from `y` to `y`, first-same-as-last included, which is what the differentiation of recorded steps in
-`_march` needs. One vector, not a tuple of scalars, because every leaf of a loop's state costs XLA a
-kernel per step (measured: 34 against 9 us); for the same reason the grasp's numbers are bundled.
+`y = [x, x', margin, code]`, with `x = [q, v, s]` and, when energy is audited, the work done; `margin` says
+how far the model still holds and `code` is zero until it ends (see `_regime`). Carrying the derivative makes
+one step a pure map from `y` to `y`, first-same-as-last included, which is what the differentiation of
+recorded steps in `_march` needs. One vector, not a tuple of scalars, because every leaf of a loop's state
+costs XLA a kernel per step (measured: 34 against 9 us); for the same reason the grasp's numbers are bundled.
 """
 
 from typing import Any, NamedTuple
@@ -36,6 +36,11 @@ class Layout(NamedTuple):
     def width(self) -> int:
         """Length of `x`."""
         return 2 * self.n + self.contacts + int(self.audited)
+
+    @property
+    def margin(self) -> int:
+        """Where the margin is in `y`."""
+        return 2 * self.width
 
     def controlled(self, error: Array) -> Array:
         """The part of `x` that error control looks at: q, v and work.
@@ -81,12 +86,10 @@ def states_of(lay: Layout, y: Array) -> State:
     return State(y[..., :n], y[..., n : 2 * n], y[..., 2 * n : 2 * n + lay.contacts])
 
 
-def vector_of(state: State, audited: bool) -> Array:
-    """The vector x of a public state, with no work done yet."""
-    parts = [state.q, state.v, state.s]
-    if audited:
-        parts.append(jnp.zeros(1, state.q.dtype))
-    return jnp.concatenate(parts)
+def vector_of(lay: Layout, state: State) -> Array:
+    """The vector y of a public state: no work done, no derivative known yet."""
+    unknown = int(lay.audited) + lay.width + 2
+    return jnp.concatenate([state.q, state.v, state.s, jnp.zeros(unknown, state.q.dtype)])
 
 
 class Bundle(eqx.Module):

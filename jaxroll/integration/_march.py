@@ -21,6 +21,7 @@ from jaxtyping import Array, Float, Int
 from .._results import RESULTS
 from .._types import Scalar, Times
 from ._flow import Bundle, Flow
+from ._pace import at_rest, Pace, StopAt
 from ._regime import decode
 from ._stepper import RollingStep
 
@@ -56,61 +57,15 @@ class Path(eqx.Module):
     result: RESULTS
 
 
-class Pace(eqx.Module):
-    """What the step-size control remembers between steps, and between the legs of a run."""
-
-    inner: Any
-    length: Float[Array, ""]  # of the next step, before it is cut short by a stop
-    t: Float[Array, ""]
-    attempted: Int[Array, ""]
-    accepted: Int[Array, ""]
-
-
-class StopAt(diffrax.AbstractStepSizeController):
-    """Step-size control that ends steps at given times, where a step is most accurate.
-
-    The first step has no length: it works out the derivative that the flow vector carries, and so
-    spares the program a copy of the equations of motion.
-    """
-
-    inner: diffrax.AbstractStepSizeController
-    pace: Pace
-    dt0: Float[Array, ""]
-    stops: Times | None
-    max_steps: int = eqx.field(static=True)
-
-    def wrap(self, direction: Scalar) -> "StopAt":
-        return self
-
-    def init(self, terms: Any, t0: Scalar, t1: Scalar, *rest: Any) -> tuple[Scalar, Pace]:
-        return self._clip(t0, t0 + self.pace.length), self.pace
-
-    def adapt_step_size(self, t0: Scalar, t1: Scalar, *rest: Any) -> tuple:
-        pace = rest[-1]
-        step = (t0, t1, *rest[:-1], pace.inner)
-        keep, start, end, jumped, inner, code = self.inner.adapt_step_size(*step)  # pyright: ignore
-        first = t0 == t1
-        inner = jax.tree.map(lambda new, old: jnp.where(first, old, new), inner, pace.inner)
-        keep, start = keep | first, jnp.where(first, t1, start)
-        length = jnp.where(first, self.dt0, end - start)
-        pace = Pace(inner, length, start, pace.attempted + 1, pace.accepted + jnp.where(keep, 1, 0))
-        over = pace.attempted > self.max_steps
-        code = diffrax.RESULTS.where(over, diffrax.RESULTS.max_steps_reached, code)
-        return keep, start, self._clip(start, start + length), jumped, pace, code
-
-    def _clip(self, t0: Scalar, t1: Scalar) -> Scalar:
-        if self.stops is None:
-            return t1
-        return jnp.minimum(t1, jnp.min(jnp.where(self.stops > t0, self.stops, jnp.inf)))
-
-
 def _at_rest(plan: Plan, grasp: Bundle, y0: Flow) -> Pace:
     """The pace before the first step."""
     order = plan.stepper.error_order(None)
     _, inner = plan.controller.init(None, plan.t0, plan.t1, y0, plan.dt0, grasp, plan.stepper.func, order)
-    inner = jax.tree.map(jnp.asarray, inner)
-    none = jnp.array(0)
-    return Pace(inner, jnp.zeros_like(plan.dt0), plan.t0, none, none)
+    return at_rest(jax.tree.map(jnp.asarray, inner), plan.t0)
+
+
+def _control(plan: Plan, pace: Pace, stops: Times | None) -> StopAt:
+    return StopAt(plan.controller, pace, plan.dt0, stops, plan.max_steps, plan.stepper.lay.margin)
 
 
 def _integrate(
@@ -137,12 +92,11 @@ def _legs(grasp: Bundle, y0: Flow, plan: Plan) -> Path:
     def leg(carry: tuple, stop: Scalar) -> tuple[tuple, Flow]:
         y, pace, loop, meter = carry
         alive = (loop == diffrax.RESULTS.successful) & (y[-1] == 0)
-        control = StopAt(plan.controller, pace, plan.dt0, None, plan.max_steps)
         solution = _integrate(
             grasp,
             y,
             (pace.t, jnp.where(alive, stop, pace.t)),
-            control,
+            _control(plan, pace, None),
             stepper=plan.stepper,
             saveat=diffrax.SaveAt(t1=True, controller_state=True),
             max_steps=None,
@@ -168,7 +122,7 @@ def _recorded(grasp: Bundle, y0: Flow, plan: Plan) -> tuple[Path, Times, Array]:
         grasp,
         y0,
         (plan.t0, plan.t1),
-        StopAt(plan.controller, pace, plan.dt0, plan.ts, plan.max_steps),
+        _control(plan, pace, plan.ts),
         stepper=plan.stepper,
         saveat=diffrax.SaveAt(t0=True, steps=True, controller_state=True),
         max_steps=plan.max_steps,
@@ -201,17 +155,30 @@ def _march_jvp(primals: Any, tangents: Any) -> tuple[Path, Path]:
     numbers, plan, step_ts, step_ys = eqxi.nondifferentiable(
         (moving, plan, step_ts, step_ys), name="the state of a run (second derivatives)"
     )
-    steps = _Steps(numbers, plan, step_ts, step_ys, path.steps[1], still)
+    steps = _steps(numbers, plan, (step_ts, step_ys, path.steps[1]), still)
     moving_dot = jax.tree.map(_fill, moving, grasp_dot)
-    saved_dot, last_dot = linear_map(steps.tangents, steps.cotangents, (moving_dot, _fill(y0, y0_dot)))
+    dots = linear_map(steps.tangents, steps.cotangents, (moving_dot, _fill(y0, y0_dot)))
     no_tangents = jax.tree.map(lambda _: None, path)
     return path, eqx.tree_at(
-        lambda p: (p.saved, p.last), no_tangents, (saved_dot, last_dot), is_leaf=lambda x: x is None
+        lambda p: (p.saved, p.last, p.t_last), no_tangents, dots, is_leaf=lambda x: x is None
     )
 
 
+def _steps(moving: Bundle, plan: Plan, record: tuple[Array, Array, Array], still: Bundle) -> "_Steps":
+    ts, ys, count = record
+    margin, last = plan.stepper.lay.margin, ys[count]
+    drift = plan.stepper.drift(eqx.combine(moving, still), ts[count], last)
+    ended = (last[margin + 1] != 0) & jnp.isfinite(drift[margin]) & (drift[margin] != 0)
+    delay = jnp.where(ended, -1.0 / jnp.where(ended, drift[margin], 1.0), 0.0)
+    return _Steps(moving, plan, ts, ys, count, still, jnp.where(ended, drift, 0.0), delay)
+
+
 class _Steps(eqx.Module):
-    """The recorded steps of a run, as a linear map between perturbations of its ends."""
+    """The recorded steps of a run, as a linear map between perturbations of its ends.
+
+    A run that an event ended moves its end: time by `delay` per change of the margin at fixed time, and the
+    flow vector with it by `drift`.
+    """
 
     moving: Bundle
     plan: Plan
@@ -219,6 +186,8 @@ class _Steps(eqx.Module):
     ys: Float[Array, "steps flow"]
     count: Int[Array, ""]
     still: Bundle
+    drift: Flow
+    delay: Float[Array, ""]
 
     def _advance(self, moving: Bundle, y: Flow, k: Scalar) -> Flow:
         grasp = eqx.combine(moving, self.still)
@@ -230,7 +199,7 @@ class _Steps(eqx.Module):
         index = jnp.searchsorted(self.ts, self.plan.ts)
         return jnp.minimum(index, self.count), index <= self.count
 
-    def tangents(self, start: tuple[Bundle, Flow]) -> tuple[Array, Array]:
+    def tangents(self, start: tuple[Bundle, Flow]) -> tuple[Array, Array, Array]:
         moving_dot, y_dot = start
         track = jnp.zeros_like(self.ys).at[0].set(y_dot)
 
@@ -244,10 +213,19 @@ class _Steps(eqx.Module):
 
         track = jax.lax.fori_loop(0, eqxi.unvmap_max(self.count), step, track)
         index, reached = self._saved_at()
-        return jnp.where(reached[:, None], track[index], 0.0), track[self.count]
+        last = track[self.count]
+        later = self.delay * last[self._margin]
+        moved = last + self.drift * later
+        return jnp.where(reached[:, None], track[index], 0.0), moved, later
 
-    def cotangents(self, ends: tuple[Array, Array]) -> tuple[Bundle, Flow]:
-        saved_bar, last_bar = ends
+    @property
+    def _margin(self) -> int:
+        return self.plan.stepper.lay.margin
+
+    def cotangents(self, ends: tuple[Array, Array, Array]) -> tuple[Bundle, Flow]:
+        saved_bar, last_bar, later_bar = ends
+        later_bar = later_bar + jnp.sum(self.drift * last_bar)
+        last_bar = last_bar.at[self._margin].add(self.delay * later_bar)
         index, reached = self._saved_at()
         track = jnp.zeros_like(self.ys)
         track = track.at[index].add(jnp.where(reached[:, None], saved_bar, 0.0))

@@ -13,6 +13,7 @@ from ..mechanics import (
     Grasp,
     kinetic_energy,
     Leaves,
+    normal_and_tangential,
     poses,
     residual,
     State,
@@ -88,11 +89,8 @@ def worst(residuals: Residuals) -> Array:
 def multipliers_at(grasp: Grasp, t: Scalar, state: State, formulation: Formulation) -> Multipliers:
     """Contact forces of a prepared grasp at one state."""
     instant = evaluate(grasp, t, to_leaves(state, grasp.sizes), formulation)
-    f, lam = [], []
-    for contact, force, touching in zip(grasp.contacts, instant.forces, instant.touching, strict=True):
-        tangent = instant.motions[0].pose.turn(touching.object.tangent)
-        f.append(force.dot(tangent.right()))
-        lam.append(-contact.sense * force.dot(tangent))
+    pairs = [normal_and_tangential(grasp, instant, i) for i in range(len(grasp.contacts))]
+    f, lam = zip(*pairs, strict=True)
     return Multipliers(jnp.stack(f), jnp.stack(lam))
 
 

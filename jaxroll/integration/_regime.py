@@ -1,4 +1,8 @@
-"""Checks after every accepted step that end a run with a code instead of a wrong answer."""
+"""Where the model ends: margins after every step, and the code of the one that ran out.
+
+A margin is positive while the model holds and passes through zero where it ends, so that the step-size
+control can find the time of the event (see `_march`), and autodiff its derivative.
+"""
 
 import diffrax
 import jax.numpy as jnp
@@ -6,25 +10,52 @@ from jaxtyping import Array
 
 from .._results import RESULTS
 from .._types import Scalar
-from ..mechanics import Grasp, Instant, Leaves
+from ..contact import clearance, TOLERANCE
+from ..mechanics import Grasp, Instant, Leaves, normal_and_tangential, poses
 
 # Relative size below which a pivot, or a sum of curvatures, counts as zero.
 _SINGULAR = 1e-9
+# Points on each contour in the audit of penetration.
+_SAMPLES = 64
 
 # Codes by number, as the flow vector carries them: diffrax's loop takes none but its own.
 _CODES = (
     RESULTS.successful,
-    RESULTS.contour_end,
-    RESULTS.singular_contact,
     RESULTS.not_finite,
+    RESULTS.singular_contact,
+    RESULTS.contour_end,
+    RESULTS.contact_lost,
+    RESULTS.slipping,
+    RESULTS.penetration,
 )
+_NOT_FINITE, _SINGULAR_CONTACT, _CONTOUR_END, _LOST, _SLIPPING, _PENETRATION = range(1, 7)
+EVENTS = ("lift", "friction", "penetration")
 
 
-def regime(grasp: Grasp, leaves: Leaves, instant: Instant, x: Array) -> Scalar:
-    """Number of the code at one step's end: 0, or why the model no longer holds there."""
-    code = jnp.where(_ended(grasp, leaves), 1, 0)
-    code = jnp.where(_singular(grasp, instant), 2, code)
-    return jnp.where(jnp.isfinite(jnp.sum(x)), code, 3)
+def regime(grasp: Grasp, leaves: Leaves, instant: Instant, events: tuple[str, ...]) -> tuple[Scalar, Scalar]:
+    """Smallest margin at one state, and the number of its code: 0 while it is not negative.
+
+    Contour ends and singular contacts are always watched, what `events` names besides; a friction
+    cone only where its contact has a coefficient.
+    """
+    margins = [(m, _CONTOUR_END) for m in _contour_ends(grasp, leaves)]
+    margins += [(m, _SINGULAR_CONTACT) for m in _curvature_sums(instant)]
+    margins.append((instant.line.schur.smallest_pivot - _SINGULAR, _SINGULAR_CONTACT))
+    if "lift" in events or "friction" in events:
+        margins += _forces(grasp, instant, events)
+    if "penetration" in events:
+        margins += [(m, _PENETRATION) for m in _clearances(grasp, leaves)]
+    least, number = margins[0][0], jnp.asarray(margins[0][1])
+    for margin, code in margins[1:]:
+        number = jnp.where(margin < least, code, number)
+        least = jnp.minimum(margin, least)
+    return least, jnp.where(least < 0, number, 0)
+
+
+def coded(x: Array, margin: Scalar, number: Scalar) -> Array:
+    """Margin and code as the flow vector carries them; values that are not finite come first."""
+    number = jnp.where(jnp.isfinite(jnp.sum(x)), number, _NOT_FINITE)
+    return jnp.stack([margin, number.astype(x.dtype)])
 
 
 def decode(number: Scalar, loop: diffrax.RESULTS) -> RESULTS:
@@ -39,24 +70,46 @@ def decode(number: Scalar, loop: diffrax.RESULTS) -> RESULTS:
     return result
 
 
-def _ended(grasp: Grasp, leaves: Leaves) -> Scalar:
-    """Whether a contact point left an open contour; nothing is computed where no contour has ends."""
-    ended: Scalar = jnp.array(False)
+def _contour_ends(grasp: Grasp, leaves: Leaves) -> list[Scalar]:
+    """Distances [m] of the contact points from the ends of open contours; none where there are none."""
+    margins = []
     for contact, sigma in zip(grasp.contacts, leaves.s, strict=True):
         tip, face = grasp.contours(contact)
         for contour, s in ((tip, contact.s_tip + sigma), (face, contact.s_object - sigma)):
             ends = None if contour.closed else contour.domain()
             if ends is not None:
-                ended = ended | (s < ends[0]) | (s > ends[1])
-    return ended
+                margins += [s - ends[0], ends[1] - s]
+    return margins
 
 
-def _singular(grasp: Grasp, instant: Instant) -> Scalar:
-    singular = instant.line.schur.smallest_pivot < _SINGULAR
+def _curvature_sums(instant: Instant) -> list[Scalar]:
+    """Relative sums of curvatures: a contact rolls while its own is positive."""
+    margins = []
     for touching in instant.touching:
-        singular = singular | ~_rolls(touching.tip.curvature, touching.object.curvature)
-    return singular
+        tip, face = touching.tip.curvature, touching.object.curvature
+        size = jnp.abs(tip) + jnp.abs(face)
+        margins.append((tip + face) / jnp.where(size > 0, size, 1.0) - _SINGULAR)
+    return margins
 
 
-def _rolls(tip: Scalar, face: Scalar) -> Scalar:
-    return tip + face > _SINGULAR * (jnp.abs(tip) + jnp.abs(face))
+def _forces(grasp: Grasp, instant: Instant, events: tuple[str, ...]) -> list[tuple[Scalar, int]]:
+    """Normal forces, and distances to the sides of the friction cones [N]."""
+    margins = []
+    for i, contact in enumerate(grasp.contacts):
+        f, lam = normal_and_tangential(grasp, instant, i)
+        if "lift" in events:
+            margins.append((f, _LOST))
+        if "friction" in events and contact.friction is not None:
+            cone = contact.friction * f
+            margins += [(cone - lam, _SLIPPING), (cone + lam, _SLIPPING)]
+    return margins
+
+
+def _clearances(grasp: Grasp, leaves: Leaves) -> list[Scalar]:
+    """How far every fingertip stays clear of the object [m]."""
+    body, *tips = poses(grasp, leaves.q)
+    faces = grasp.object.contours
+    return [
+        clearance((pose, body), finger.tip, faces, samples=_SAMPLES) + TOLERANCE
+        for pose, finger in zip(tips, grasp.fingers, strict=True)
+    ]

@@ -19,6 +19,7 @@ from ._flow import bundle, Layout, layout, states_of, vector_of
 from ._formulation import CSM, Formulation, Index1
 from ._march import march, Path, Plan
 from ._observe import energies_at, Energy, multipliers_at, residuals_at, worst
+from ._regime import EVENTS
 from ._stepper import RollingStep
 from ._trajectory import Stats, Trajectory
 
@@ -84,6 +85,8 @@ def simulate(
     check_state(grasp, state)
     check_choices("record", record, RECORDS)
     check_choices("options", tuple(options), OPTIONS)
+    events = options.get("events", ("lift", "friction"))
+    check_choices("events", events, EVENTS)
     dtype = np.dtype(state.q.dtype)
     check_precision(dtype, rtol)
     start, end, saves = save_times(t0, t1, ts, dtype)
@@ -95,6 +98,7 @@ def simulate(
         options.get("progress_meter"),
         options.get("max_steps", 4096),
         tuple(record),
+        tuple(events),
     )
     run = _run_plain if _is_plain(grasp, setup) else _run_any
     trajectory, off = run(grasp, state, formulation or Index1(), numbers, setup)
@@ -120,6 +124,7 @@ class Setup(NamedTuple):
     progress: diffrax.AbstractProgressMeter | None
     max_steps: int
     record: tuple[str, ...]
+    events: tuple[str, ...]
 
 
 def _solver(solver: diffrax.AbstractSolver | None) -> diffrax.AbstractSolver:
@@ -141,8 +146,7 @@ def _run(
     ready = grasp.prepared()
     plan = _plan(grasp, formulation, Numbers(*map(jnp.asarray, numbers)), setup)
     lay = plan.stepper.lay
-    x0 = vector_of(state, lay.audited)
-    y0 = jnp.concatenate([x0, jnp.zeros(lay.width + 1, x0.dtype)])
+    y0 = vector_of(lay, state)
     # A derivative in a time or a gain of the formulation would be a silent zero: refuse it instead.
     plan = eqxi.nondifferentiable(plan, name="times, tolerances and gains of the formulation")
     return _trajectory(ready, state, march(bundle(ready), y0, plan), plan, setup.record)
@@ -158,7 +162,7 @@ def _plan(grasp: Grasp, formulation: Formulation, numbers: Numbers, setup: Setup
     controller = setup.controller
     if controller is None:
         controller = diffrax.PIDController(rtol=rtol, atol=atol, norm=_Norm(lay), dtmin=1e-12)
-    stepper = RollingStep(_with_tolerances(setup.solver, rtol, atol), formulation, lay)
+    stepper = RollingStep(_with_tolerances(setup.solver, rtol, atol), formulation, lay, setup.events)
     meter = setup.progress or diffrax.NoProgressMeter()
     return Plan(stepper, controller, t0, t1, ts, dt0, meter, setup.max_steps)
 

@@ -20,7 +20,7 @@ from ..mechanics import Grasp, Instant
 from ._closed_loop import evaluate, power, project
 from ._flow import Bundle, Flow, Layout, pack, unpack
 from ._formulation import Formulation, Index1
-from ._regime import regime
+from ._regime import coded, regime
 
 
 class RollingStep(diffrax.AbstractAdaptiveSolver):
@@ -31,11 +31,13 @@ class RollingStep(diffrax.AbstractAdaptiveSolver):
             other one by its own `step`.
         formulation: Projection or stabilisation.
         lay: Layout of the flow vector.
+        events: What ends a run, besides the ends of contours and singular contacts.
     """
 
     method: diffrax.AbstractSolver
     formulation: Formulation
     lay: Layout = eqx.field(static=True)
+    events: tuple[str, ...] = eqx.field(static=True)
 
     term_structure: ClassVar[Any] = diffrax.ODETerm
     # Required by diffrax, never evaluated: save times are step ends.
@@ -64,8 +66,7 @@ class RollingStep(diffrax.AbstractAdaptiveSolver):
         made_jump: Any,
     ) -> tuple[Flow, Flow, dict[str, Flow], None, diffrax.RESULTS]:
         y1, error = self.advance(args, t0, t1, y0)
-        ended = diffrax.RESULTS.where(y1[-1] == 0, diffrax.RESULTS.successful, diffrax.RESULTS.event_occurred)
-        return y1, error, {"y0": y0, "y1": y1}, None, ended
+        return y1, error, {"y0": y0, "y1": y1}, None, diffrax.RESULTS.successful
 
     @eqx.filter_jit  # traced once, however often diffrax traces its loop
     def advance(self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow) -> tuple[Flow, Flow]:
@@ -79,9 +80,21 @@ class RollingStep(diffrax.AbstractAdaptiveSolver):
         if isinstance(self.formulation, Index1):
             leaves = project(grasp, leaves, instant, hold)
         x1 = pack(leaves, work)
-        code = regime(grasp, leaves, instant, x1)
-        y1 = jnp.concatenate([x1, rates, code.astype(x1.dtype)[None]])
-        return y1, jnp.concatenate([error, jnp.zeros(self.lay.width + 1, error.dtype)])
+        end = coded(x1, *regime(grasp, leaves, instant, self.events))
+        y1 = jnp.concatenate([x1, rates, end])
+        return y1, jnp.concatenate([error, jnp.zeros(self.lay.width + 2, error.dtype)])
+
+    @eqx.filter_jit
+    def drift(self, bundle: Bundle, t: Scalar, y: Flow) -> Flow:
+        """Time derivative of the whole flow vector, margin included: what an event's time needs."""
+        width = self.lay.width
+
+        def ahead(t: Scalar, x: Array) -> Array:
+            grasp, (leaves, _) = bundle(), unpack(self.lay, x)
+            rates, instant = self.rates(grasp, t, x)
+            return jnp.concatenate([x, rates, coded(x, *regime(grasp, leaves, instant, self.events))])
+
+        return jax.jvp(ahead, (t, y[:width]), (jnp.ones_like(t), y[width : 2 * width]))[1]
 
     def _explicit(
         self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow, hold: Callable
@@ -92,7 +105,7 @@ class RollingStep(diffrax.AbstractAdaptiveSolver):
         shared = bool(tableau.fsal and tableau.ssal)
         looped = tableau.num_stages - int(shared)
         rows, times, ends = _tables(tableau, looped, y0.dtype)
-        x0, k0 = y0[:width], y0[width:-1]
+        x0, k0 = y0[:width], y0[width : 2 * width]
         cuts = _small_cuts(width, looped)
         blocks = [jnp.zeros((c.stop - c.start, looped), y0.dtype).at[:, 0].set(k0[c]) for c in cuts]
 

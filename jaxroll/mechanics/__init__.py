@@ -27,6 +27,8 @@ from ._dynamics import (
     accelerate as accelerate,
     Instant as Instant,
     kinetic_energy as kinetic_energy,
+    net_force as net_force,
+    normal_and_tangential as normal_and_tangential,
     Stabiliser as Stabiliser,
 )
 from ._finger import Finger as Finger

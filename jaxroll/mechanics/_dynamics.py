@@ -63,7 +63,7 @@ def accelerate(
     line = linearise(grasp, motions, masses, touching)
     drives = (None, *torques(motions))
     free = tuple(
-        solve(mass, _net(inertia, drive))
+        solve(mass, net_force(inertia, drive))
         for mass, inertia, drive in zip(masses, inertias, drives, strict=True)
     )
     sigma_rates = tuple(
@@ -85,7 +85,15 @@ def accelerate(
     return Instant(rates, forces, motions, touching, line)
 
 
-def _net(inertia: Inertia, drive: Scalars | None) -> Scalars:
+def normal_and_tangential(grasp: Grasp, instant: Instant, contact: int) -> tuple[Scalar, Scalar]:
+    r"""Multipliers $f$ (positive when pressing) and $\lambda$ of one contact [N], in the chapter's sign."""
+    tangent = instant.motions[0].pose.turn(instant.touching[contact].object.tangent)
+    force = instant.forces[contact]
+    return force.dot(tangent.right()), -grasp.contacts[contact].sense * force.dot(tangent)
+
+
+def net_force(inertia: Inertia, drive: Scalars | None) -> Scalars:
+    """Generalised force of one body's coordinates: its drive less its bias force."""
     if drive is None:
         return tuple(-h for h in inertia.force)
     return tuple(u - h for u, h in zip(drive, inertia.force, strict=True))

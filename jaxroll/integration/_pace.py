@@ -1,0 +1,132 @@
+"""Step-size control: steps end at save times, and at the moment when the model stops holding.
+
+An event needs no dense output and no second copy of the step: a step that would carry the run past it is
+taken back and tried shorter, by the Illinois method on the margin that the flow vector carries, until it
+lands on the event to rounding.
+"""
+
+from typing import Any, NamedTuple
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from .._types import Scalar, Times
+
+
+class Hunt(NamedTuple):
+    """A bracket round an event ahead.
+
+    Attributes:
+        beyond: How far ahead the model is known not to hold [s]; infinite while there is no event.
+        low: Margin here, as the Illinois method weighs it.
+        high: Minus the margin there, weighed likewise.
+        side: Which end moved last: -1 this one, 1 that one, 0 neither.
+    """
+
+    beyond: Scalar
+    low: Scalar
+    high: Scalar
+    side: Scalar
+
+
+class Pace(eqx.Module):
+    """What the step-size control remembers between steps, and between the legs of a run."""
+
+    inner: Any
+    length: Float[Array, ""]  # of the next step, before it is cut short by a stop or an event
+    t: Float[Array, ""]
+    attempted: Int[Array, ""]
+    accepted: Int[Array, ""]
+    hunt: Hunt
+
+
+def resolution(t: Scalar) -> Scalar:
+    """Shortest step that still moves time."""
+    return 8.0 * jnp.finfo(jnp.result_type(t)).eps * jnp.maximum(jnp.abs(t), 1e-3)
+
+
+def at_rest(inner: Any, t0: Scalar) -> Pace:
+    """The pace before the first step."""
+    none, zero = jnp.array(0), jnp.zeros_like(t0)
+    return Pace(inner, zero, t0, none, none, Hunt(zero + jnp.inf, zero, zero, zero))
+
+
+class StopAt(diffrax.AbstractStepSizeController):
+    """Step-size control that ends steps at given times and at events, where a step is most accurate.
+
+    The first step has no length: it works out the derivative that the flow vector carries, and so
+    spares the program a copy of the equations of motion.
+
+    Attributes:
+        inner: The control of the error.
+        pace: Where to go on from.
+        dt0: Length of the first real step.
+        stops: Times where steps end; None where the solve itself ends at them.
+        max_steps: Steps to attempt at most.
+        margin: Where the flow vector carries the margin; its code is next.
+    """
+
+    inner: diffrax.AbstractStepSizeController
+    pace: Pace
+    dt0: Float[Array, ""]
+    stops: Times | None
+    max_steps: int = eqx.field(static=True)
+    margin: int = eqx.field(static=True)
+
+    def wrap(self, direction: Scalar) -> "StopAt":
+        return self
+
+    def init(self, terms: Any, t0: Scalar, t1: Scalar, *rest: Any) -> tuple[Scalar, Pace]:
+        return self._ahead(t0, self.pace), self.pace
+
+    def adapt_step_size(self, t0: Scalar, t1: Scalar, y0: Array, y1: Array, *rest: Any) -> tuple:
+        pace = rest[-1]
+        step = (t0, t1, y0, y1, *rest[:-1], pace.inner)
+        keep, start, end, jumped, inner, code = self.inner.adapt_step_size(*step)  # pyright: ignore
+        first, hunting = t0 == t1, jnp.isfinite(pace.hunt.beyond)
+        past = y1[self.margin + 1] != 0
+        ends = past & (first | keep & (t1 - t0 <= 2.0 * resolution(t1)))
+        back = past & keep & ~ends
+        keep = first | keep & ~back
+        # The error control never sees the short steps of a hunt: it goes on at its pace afterwards.
+        aside = first | back | hunting & keep
+        settled = lambda new, old: jnp.where(aside, old, new)  # noqa: E731
+        inner = jax.tree.map(settled, inner, pace.inner)
+        length = jnp.where(first, self.dt0, settled(end - start, pace.length))
+        start = jnp.where(keep, t1, t0)
+        hunt = _narrowed(pace.hunt, t1 - t0, (y0[self.margin], y1[self.margin]), (back, keep & hunting))
+        count = pace.accepted + jnp.where(keep, 1, 0)
+        pace = Pace(inner, length, start, pace.attempted + 1, count, hunt)
+        code = diffrax.RESULTS.where(aside, diffrax.RESULTS.successful, code)
+        over = pace.attempted > self.max_steps
+        code = diffrax.RESULTS.where(over, diffrax.RESULTS.max_steps_reached, code)
+        code = diffrax.RESULTS.where(ends, diffrax.RESULTS.event_occurred, code)
+        return keep, start, self._ahead(start, pace), jumped, pace, code
+
+    def _ahead(self, t0: Scalar, pace: Pace) -> Scalar:
+        """Where the next step ends."""
+        hunt, least = pace.hunt, resolution(t0)
+        guess = hunt.beyond * hunt.low / (hunt.low + hunt.high)
+        guess = jnp.clip(guess, least, jnp.maximum(hunt.beyond - least, least))
+        t1 = t0 + jnp.where(jnp.isfinite(hunt.beyond), jnp.minimum(guess, pace.length), pace.length)
+        if self.stops is None:
+            return t1
+        return jnp.minimum(t1, jnp.min(jnp.where(self.stops > t0, self.stops, jnp.inf)))
+
+
+def _narrowed(hunt: Hunt, spent: Scalar, margins: tuple[Scalar, Scalar], moved: tuple) -> Hunt:
+    """The bracket after a step that was taken back (`moved[0]`) or kept (`moved[1]`) in a hunt."""
+    back, kept = moved
+    before, after = margins
+    # A value that is not finite says nothing of how far: bisect.
+    high = jnp.where(jnp.isfinite(after), -after, before)
+    low = jnp.where(hunt.side > 0, 0.5 * hunt.low, before)
+    taken_back = Hunt(spent, low, high, jnp.ones_like(spent))
+    weighed = jnp.where(hunt.side < 0, 0.5 * hunt.high, hunt.high)
+    gone_on = Hunt(hunt.beyond - spent, after, weighed, -jnp.ones_like(spent))
+    pick = lambda new, old: jnp.where(back, new, old)  # noqa: E731
+    rest = jax.tree.map(lambda new, old: jnp.where(kept, new, old), gone_on, hunt)
+    return jax.tree.map(pick, taken_back, rest)

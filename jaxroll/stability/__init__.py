@@ -1,0 +1,14 @@
+"""When a grasp comes to rest, and whether it stays: statics of a pinch, equilibria, verdicts.
+
+`_statics` has the chapter's static quantities (25)-(41), `_equilibrium` finds where forces balance, and
+`_verdict` says what happens near there.
+"""
+
+from ._equilibrium import Equilibrium as Equilibrium, equilibrium as equilibrium
+from ._statics import (
+    margin as margin,
+    pinch_statics as pinch_statics,
+    PinchStatics as PinchStatics,
+    rectangle_hessian as rectangle_hessian,
+)
+from ._verdict import assess as assess, Stability as Stability, VERDICTS as VERDICTS

@@ -1,0 +1,156 @@
+"""Statics of a two-finger pinch: the chapter's (25)-(41), for any contours."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._algebra import Vec2
+from .._types import Given, Scalar
+from ..geometry import AbstractContour
+from ..integration import check_pinch
+from ..mechanics import Grasp
+
+
+class PinchStatics(eqx.Module):
+    r"""The opposition potential as a function of where two fingertips touch.
+
+    Attributes:
+        d: $(r_1 - r_2) \cdot b_{01}$ [m], (28) on parallel faces.
+        l: $(r_1 - r_2) \cdot n_{01}$ [m], (29) on parallel faces; negative in a pinch.
+        potential: $U = \frac\beta2 (d^2 + l^2)$ [J], (27).
+        gradient: Shape (2,), $\partial U / \partial s_i$ [N].
+        hessian: Shape (2, 2), $\partial^2 U / \partial s_i \partial s_j$ [N/m], by autodiff.
+    """
+
+    d: Float[Array, "..."]
+    l: Float[Array, "..."]  # noqa: E741
+    potential: Float[Array, "..."]
+    gradient: Float[Array, "... 2"]
+    hessian: Float[Array, "... 2 2"]
+
+
+@eqx.filter_jit
+def pinch_statics(grasp: Grasp, s: Given) -> PinchStatics:
+    r"""$U(s_1, s_2)$, d, l, gradient and Hessian of a pinch under control (16): (25)-(29), (32), (39)-(40).
+
+    The distance of the two finger centres depends only on where both fingertips touch, since tangency
+    fixes their orientations relative to the object. Its stationary points are where $O_1, P_1, P_2, O_2$ are
+    collinear (on parallel faces $d = 0$ and $b_i \cdot \gamma_i = 0$); the chapter's (37) is not
+    sufficient. With $\alpha_i = 0$ they are the equilibria of the grasp.
+
+    Args:
+        grasp: Two fingers, one contact each, driven by `control.Opposition`.
+        s: Shape (..., 2), the chapter's $s_i$ [m]: arclength along the object in the direction of $b_{0i}$,
+            which is the contact's `sense` times the object contour's own.
+
+    Raises:
+        ValueError: If the grasp is not a two-finger pinch under `control.Opposition`.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> import jaxroll as jxr
+        >>> grasp, _ = jxr.scenes.pinch()
+        >>> rest = jxr.stability.pinch_statics(grasp, jnp.zeros(2))
+        >>> f"d = {rest.d:.3f} m, l = {rest.l:.3f} m"
+        'd = 0.000 m, l = -0.050 m'
+    """
+    check_pinch(grasp)
+    ready = grasp.prepared()
+    s = jnp.asarray(s, float)
+
+    def at(s: Array) -> PinchStatics:
+        d, l_ = _separation(ready, s)
+        energy = lambda s: _potential(ready, s)  # noqa: E731
+        return PinchStatics(d, l_, energy(s), jax.grad(energy)(s), jax.hessian(energy)(s))
+
+    many = at
+    for _ in range(s.ndim - 1):
+        many = jax.vmap(many)
+    return many(s)
+
+
+def _separation(grasp: Grasp, s: Array) -> tuple[Scalar, Scalar]:
+    """Components d and l: $r_1 - r_2$ in the object's frame, along $b_{01}$ and $n_{01}$, (25)-(29)."""
+    centres, tangents = [], []
+    for i in (0, 1):
+        contact = grasp.contacts[i]
+        tip, face = grasp.contours(contact)
+        at = face.frame(contact.sense * s[i])
+        on_tip = tip.frame(contact.s_tip + contact.s_object - contact.sense * s[i])
+        # Tangency turns the fingertip so that its tangent opposes the object's.
+        along, across = on_tip.point.dot(on_tip.tangent), on_tip.point.cross(on_tip.tangent)
+        centres.append(at.point + at.tangent * along + at.tangent.right() * across)
+        tangents.append(at.tangent * contact.sense)
+    arm = centres[0] - centres[1]
+    inward = tangents[0].left() * grasp.contacts[0].sense
+    return arm.dot(tangents[0]), arm.dot(inward)
+
+
+def _potential(grasp: Grasp, s: Array) -> Scalar:
+    d, l_ = _separation(grasp, s)
+    return 0.5 * grasp.controller.beta * (d * d + l_ * l_)
+
+
+@eqx.filter_jit
+def rectangle_hessian(grasp: Grasp, s: Given) -> Float[Array, "2 2"]:
+    r"""Closed form of the Hessian of U at an equilibrium on parallel faces: (39)-(40), corrected.
+
+    $H = \beta \nabla d\, \nabla d^T + \beta\, \mathrm{diag}(-l \kappa_i^2 (1/\kappa_i + n_i \cdot \gamma_i))$
+    with $\nabla d = (-\kappa_1 n_1 \cdot \gamma_1,\ \kappa_2 n_2 \cdot \gamma_2)$ [N/m]. The chapter prints
+    it without the first term, which is why (41) for both fingers is sufficient and not necessary.
+
+    Args:
+        grasp: A pinch of two parallel flat faces, as `pinch_statics` takes it.
+        s: Shape (2,), the chapter's $s_i$ [m] at an equilibrium.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> import jaxroll as jxr
+        >>> grasp, _ = jxr.scenes.pinch()
+        >>> bool(jnp.all(jnp.linalg.eigvalsh(jxr.stability.rectangle_hessian(grasp, jnp.zeros(2))) > 0))
+        True
+    """
+    check_pinch(grasp)
+    ready, s = grasp.prepared(), jnp.asarray(s, float)
+    _, l_ = _separation(ready, s)
+    slopes, terms = [], []
+    for i, sign in ((0, -1.0), (1, 1.0)):
+        contact = ready.contacts[i]
+        on_tip = ready.contours(contact)[0].frame(contact.s_tip + contact.s_object - contact.sense * s[i])
+        kappa, reach = on_tip.curvature, inward_reach(on_tip.point, on_tip.tangent)
+        slopes.append(sign * kappa * reach)
+        terms.append(-l_ * kappa**2 * (1.0 / kappa + reach))
+    slope = jnp.stack(slopes)
+    return ready.controller.beta * (jnp.outer(slope, slope) + jnp.diag(jnp.stack(terms)))
+
+
+def inward_reach(point: Vec2, tangent: Vec2) -> Scalar:
+    r"""$n \cdot \gamma$ with $n$ the inward normal: minus the support function about the frame's origin."""
+    return point.dot(tangent.left())
+
+
+def margin(contour: AbstractContour, s: Given) -> Float[Array, "..."]:
+    r"""Margin of condition (41), $1/\kappa + n \cdot \gamma$ [m], of a fingertip at arclengths `s`.
+
+    $\gamma$ runs from the finger centre $O_i$, the contour's origin, and $n$ points inwards, so
+    $-n \cdot \gamma$ is the support function h and the margin is $h''$: positive where the contour is
+    blunter than the circle about $O_i$ through its tangent line.
+
+    Positive on both fingertips it makes a pinch of parallel flat faces stable: **sufficient, not
+    necessary**, for the true Hessian has another term (`rectangle_hessian`); on other objects it decides
+    nothing. `assess` gives the verdict.
+
+    Args:
+        contour: A fingertip's contour about $O_i$, in the tip frame.
+        s: Arclengths [m], shape (...).
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> tip = jxr.Circle(0.010).moved((-0.002, 0.0))  # centre 2 mm behind O: h = 8 mm at the front
+        >>> f"{jxr.stability.margin(tip, 0.0):.3f} m"
+        '0.002 m'
+    """
+    s = jnp.asarray(s, float)
+    reach = jnp.sum(contour.normal(s) * contour.point(s), axis=-1)
+    return 1.0 / contour.curvature(s) - reach

@@ -1,0 +1,156 @@
+"""What happens near an equilibrium: reduced Hessian, linearised closed loop, verdict."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Complex, Float, Int
+
+from .._results import as_floats
+from .._types import Given
+from ..integration import constraint_rows, generalised_force
+from ..mechanics import bodies, Grasp, mass_matrix, State, to_leaves
+from ._equilibrium import contact_force, Equilibrium, equilibrium
+
+
+class VERDICTS(eqx.Enumeration):
+    """What `assess` says of an equilibrium."""
+
+    asymptotically_stable = "Every small disturbance dies out."
+    neutral = "Stable, but a family of equilibria: disturbances along it stay."
+    unstable = "Some small disturbance grows."
+    undamped = "No disturbance grows, but some never dies out."
+    not_found = "No equilibrium was found near the state."
+
+
+class Stability(eqx.Module):
+    r"""Stability of a grasp at an equilibrium; m = n - 2c directions are left free by the contacts.
+
+    Attributes:
+        verdict: One of `VERDICTS`.
+        neutral: Number of neutral directions: redundant joints, and rolling that costs no energy.
+        equilibrium: Where it rests.
+        hessian: Shape (m, m), second derivative of P on the constraint manifold [1/s^2], in the
+            directions of `tangent`; not symmetric for a user's controller without potential.
+        tangent: Shape (n, m), directions that keep every contact rolling, orthonormal in the mass metric.
+        curvatures: Shape (m,), eigenvalues of the (symmetric part of the) Hessian, rising.
+        modes: Shape (n, m), the coordinates' part in each of them.
+        rates: Shape (2m,), eigenvalues of the linearised closed loop [1/s], by rising real part.
+    """
+
+    verdict: VERDICTS
+    neutral: Int[Array, ""]
+    equilibrium: Equilibrium
+    hessian: Float[Array, "m m"]
+    tangent: Float[Array, "n m"]
+    curvatures: Float[Array, " m"]
+    modes: Float[Array, "n m"]
+    rates: Complex[Array, " 2m"]
+
+
+def assess(grasp: Grasp, state: State, *, t: Given = 0.0, tolerance: float = 1e-7) -> Stability:
+    r"""Stability of a grasp near a state: find its equilibrium and linearise the closed loop there.
+
+    On the manifold of closed, rolling contacts, with tangent directions N, $N^T M N = 1$:
+    $\ddot\xi + D \dot\xi + H \xi = 0$, where $H = -N^T \frac{d}{d\xi}(F + A^T \mu)$ at fixed contact
+    forces is the Hessian of the potential (22) on the manifold, and $D = -N^T \partial F/\partial v\, N$.
+    On flat parallel faces $H$ is the Hessian of $U(s_1, s_2)$, (39)-(40) corrected, in other
+    coordinates, plus what $\alpha_i$ adds; unlike (41) it decides, and on any contours.
+
+    Neutral directions are told by their curvature, below `tolerance` of the largest. Along them
+    the verdict is that of the linearisation; a term of higher order could still move the grasp.
+
+    Args:
+        grasp: The grasp.
+        state: Where to look: a start or the end of a run.
+        t: Time [s] at which a time-dependent controller is held.
+        tolerance: Relative size of curvatures and rates that count as zero.
+
+    Returns:
+        A `Stability`. Works under `jit`, `vmap` and differentiation; the eigenvalues' derivatives need
+        them to be distinct.
+
+    Raises:
+        ValueError: If `tolerance` is not a number.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> grasp, state = jxr.scenes.pivoted()
+        >>> jxr.stability.assess(grasp, state).verdict == jxr.stability.VERDICTS.asymptotically_stable
+        Array(True, dtype=bool)
+    """
+    return _assess(grasp, state, t, as_floats("tolerance", tolerance, ()))
+
+
+@eqx.filter_jit
+def _assess(grasp: Grasp, state: State, t: Given, tolerance: Array) -> Stability:
+    rest = equilibrium(grasp, state, t=t)
+    ready = grasp.prepared()
+    tangent, rolling = _tangent(ready, rest.state)
+    hessian = -tangent.T @ _along(ready, rest, t, tangent, rolling)
+    damping = -tangent.T @ _damping(ready, rest, t) @ tangent
+    symmetric = 0.5 * (hessian + hessian.T)
+    curvatures, vectors = jnp.linalg.eigh(symmetric)
+    rates = _rates(hessian, damping)
+    size = jnp.max(jnp.abs(curvatures))
+    neutral = jnp.sum(jnp.linalg.svd(jax.lax.stop_gradient(hessian), compute_uv=False) <= tolerance * size)
+    verdict = _verdict(rates, curvatures / size, neutral, tolerance)
+    verdict = VERDICTS.where(rest.found, verdict, VERDICTS.not_found)
+    modes = tangent @ vectors
+    return Stability(verdict, neutral, rest, hessian, tangent, curvatures, modes, rates)
+
+
+def _verdict(rates: Array, curvatures: Array, neutral: Array, tolerance: Array) -> VERDICTS:
+    fastest = jnp.max(jnp.abs(rates))
+    growing = jnp.max(rates.real) > tolerance * fastest
+    decaying = jnp.sum(rates.real < -tolerance * fastest) >= rates.shape[0] - neutral
+    verdict = VERDICTS.where(neutral > 0, VERDICTS.neutral, VERDICTS.asymptotically_stable)
+    verdict = VERDICTS.where(decaying, verdict, VERDICTS.undamped)
+    return VERDICTS.where(growing | (curvatures[0] < -tolerance), VERDICTS.unstable, verdict)
+
+
+def _tangent(grasp: Grasp, state: State) -> tuple[Array, Array]:
+    """Directions of rolling motion, orthonormal in the mass metric, and how contacts roll along them."""
+    n, contacts = grasp.coordinates, len(grasp.contacts)
+    by_q, by_s = jax.jacfwd(lambda q, s: constraint_rows(grasp, q, s), argnums=(0, 1))(state.q, state.s)
+    by_q, by_s = by_q.reshape(contacts, 3, n), by_s.reshape(contacts, 3, contacts)
+    jacobian = by_q[:, :2].reshape(2 * contacts, n)
+    _, inertias = bodies(grasp, to_leaves(state, grasp.sizes))
+    mass = mass_matrix([inertia.mass for inertia in inertias], n)
+    # A basis by SVD has no smooth derivative: take it as fixed, then make it exact smoothly.
+    basis = jax.lax.stop_gradient(jnp.linalg.svd(jacobian)[2][2 * contacts :].T)
+    weighted = jnp.linalg.solve(mass, jacobian.T)
+    basis = basis - weighted @ jnp.linalg.solve(jacobian @ weighted, jacobian @ basis)
+    lower = jnp.linalg.cholesky(basis.T @ mass @ basis)
+    tangent = jax.scipy.linalg.solve_triangular(lower, basis.T, lower=True).T
+    return tangent, -jnp.linalg.solve(by_s[:, 2], by_q[:, 2] @ tangent)
+
+
+def _along(grasp: Grasp, rest: Equilibrium, t: Given, tangent: Array, rolling: Array) -> Array:
+    """Change of the forces along the tangent directions, contact forces held."""
+    zero = jnp.zeros_like(rest.state.q)
+
+    def force(q: Array, s: Array) -> Array:
+        drive = generalised_force(grasp, jnp.asarray(t, q.dtype), State(q, zero, s))
+        return drive + contact_force(grasp, q, s, rest.push)
+
+    def change(dq: Array, ds: Array) -> Array:
+        return jax.jvp(force, (rest.state.q, rest.state.s), (dq, ds))[1]
+
+    return jax.vmap(change, in_axes=1, out_axes=1)(tangent, rolling)
+
+
+def _damping(grasp: Grasp, rest: Equilibrium, t: Given) -> Array:
+    """Derivative of the forces with respect to velocity, at rest."""
+
+    def force(v: Array) -> Array:
+        return generalised_force(grasp, jnp.asarray(t, v.dtype), State(rest.state.q, v, rest.state.s))
+
+    return jax.jacfwd(force)(rest.state.v)
+
+
+def _rates(hessian: Array, damping: Array) -> Any:
+    zero, one = jnp.zeros_like(hessian), jnp.eye(hessian.shape[0], dtype=hessian.dtype)
+    rates = jnp.linalg.eigvals(jnp.block([[zero, one], [-hessian, -damping]]))
+    return rates[jnp.argsort(rates.real)]

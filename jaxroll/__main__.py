@@ -32,17 +32,20 @@ class Demo:
         title: What it shows.
         seconds: Time to simulate by default [s].
         speed: Simulated seconds per second of animation.
-        names: File names of the contours, the poses and the responses: the chapter's numbers.
-        scene: Lines about a grasp.
+        figures: File name of each figure, with the chapter's number if it has one, and how
+            `plotting` draws it from the grasp and its run.
+        scene: Lines about a grasp and its start.
         facts: Lines about a run of it.
+        shown: The first seconds, which are animated and saved densely. Default: the whole run.
     """
 
     title: str
     seconds: float
     speed: float
-    names: tuple[str, str, str]
-    scene: Callable[[Any], list[str]]
+    figures: dict[str, Callable[[Any, Any, Any], Any]]
+    scene: Callable[[Any, Any], list[str]]
     facts: Callable[[Any, Any], list[str]]
+    shown: float = math.inf
 
 
 class _Parser(argparse.ArgumentParser):
@@ -93,12 +96,16 @@ def _parser() -> _Parser:
     demo = commands.add_parser("demo", help=_DEMO, description=_DEMO, epilog=_CACHE)
     scenes, default = tuple(DEMOS), next(iter(DEMOS))
     told = "; ".join(f"{name}: {item.title}" for name, item in DEMOS.items())
+    lengths = ", ".join(f"{item.seconds:g} for {name}" for name, item in DEMOS.items())
     demo.add_argument(
         "scene", nargs="?", choices=scenes, default=default, help=f"{told} (default: {default})"
     )
     demo.add_argument("--out", metavar="FOLDER", help="where to write (default: jaxroll-SCENE)")
     demo.add_argument(
-        "--seconds", metavar="T", type=_number(1e-3, 1e3), help="seconds to simulate (default: 3)"
+        "--seconds",
+        metavar="T",
+        type=_number(1e-3, 1e3),
+        help=f"seconds to simulate (default: {lengths})",
     )
     demo.add_argument(
         "--rtol",
@@ -163,34 +170,43 @@ def _run(options: argparse.Namespace, demo: Demo, folder: Path) -> None:
 
         from . import __version__, plotting, scenes, simulate
     seconds = options.seconds or demo.seconds
-    with _timed("Closing the contact"):
+    with _timed("Closing the contacts"):
         grasp, state = getattr(scenes, options.scene)()
-    record, ts = ("multipliers", "energy"), min(max(301, round(100 * seconds) + 1), 3001)
+    with _timed("Describing the scene"):
+        scene = demo.scene(grasp, state)
+    record, ts = ("multipliers", "energy"), _save_times(demo, seconds)
     settings = {"t1": seconds, "ts": ts, "rtol": options.rtol, "record": record}
     with _timed(f"Simulating {seconds:g} s, with compilation") as first:
         run = jax.block_until_ready(simulate(grasp, state, **settings))
     with _timed("Simulating it again") as again:
         jax.block_until_ready(simulate(grasp, state, **settings))
-    names = list(demo.names)
+    names = list(demo.figures)
     with _timed("Drawing"):
         facts = demo.facts(grasp, run)
-        figures = (
-            plotting.contours(grasp),
-            plotting.poses(grasp, run),
-            plotting.responses(grasp, run),
-        )
-        for name, figure in zip(demo.names, figures, strict=True):
-            figure.savefig(folder / name, dpi=150)
+        for name, draw in demo.figures.items():
+            draw(plotting, grasp, run).savefig(folder / name, dpi=150)
     if not options.no_animation:
         names.append("motion.gif")
-        speed = max(demo.speed, seconds / _LONGEST_GIF)
+        until = min(seconds, demo.shown)
+        speed = max(demo.speed, until / _LONGEST_GIF)
+        pace = {"fps": _FPS, "speed": speed, "until": until}
         with _timed("Animating"):
-            plotting.animate(grasp, run, folder / "motion.gif", fps=_FPS, speed=speed, progress=_progress)
+            plotting.animate(grasp, run, folder / "motion.gif", progress=_progress, **pace)
     print(f"jaxroll {__version__}, {options.scene}: {demo.title}")
-    print("\n".join([*demo.scene(grasp), f"{run}", *facts]))
+    print("\n".join([*scene, f"{run}", *facts]))
     print(f"  wall time   {first['s']:.3g} s with compilation, {again['s']:.3g} s again")
     print(f"Files in {folder}:")
     print("  " + ", ".join(names))
+
+
+def _save_times(demo: Demo, seconds: float) -> Any:
+    """How many times to save, or which: every frame of the animation, then fewer."""
+    if seconds <= demo.shown:
+        return min(max(301, round(100 * seconds) + 1), 3001)
+    import numpy as np
+
+    frames = np.arange(0.0, demo.shown, demo.speed / _FPS)
+    return np.concatenate([frames, np.linspace(demo.shown, seconds, 301)])
 
 
 def _progress(done: int, total: int) -> None:
@@ -198,20 +214,26 @@ def _progress(done: int, total: int) -> None:
         _say(f"\rAnimating ... {done} of {total} frames", end="," if done == total else "")
 
 
-def _pivoted_scene(grasp: Any) -> list[str]:
-    finger, control, body = grasp.fingers[0], grasp.controller, grasp.object
-    row = lambda array: ", ".join(f"{1e3 * float(x):g}" for x in array)  # noqa: E731
+def _row(array: Any) -> str:
+    """Lengths or masses in thousandths of their unit."""
+    return ", ".join(f"{1e3 * float(x):g}" for x in array)
+
+
+def _finger(finger: Any) -> str:
+    return f"{_row(finger.lengths)} mm; {_row(finger.masses)} g"
+
+
+def _pivoted_scene(grasp: Any, state: Any) -> list[str]:
+    control, body = grasp.controller, grasp.object
     return [
-        f"  links       {row(finger.lengths)} mm; {row(finger.masses)} g",
-        f"  object      {float(body.inertia):g} kg m^2 about its pivot at ({row(body.pivot)}) mm",
+        f"  links       {_finger(grasp.fingers[0])}",
+        f"  object      {float(body.inertia):g} kg m^2 about its pivot at ({_row(body.pivot)}) mm",
         f"  control     f_d = {float(control.force):g} N, r = {1e3 * float(control.radius):g} mm, "
         f"c = {float(control.damping):g} N m s",
     ]
 
 
 def _pivoted_facts(grasp: Any, run: Any) -> list[str]:
-    import numpy as np
-
     from . import press_balance
 
     found = press_balance(grasp, run.ts, run.states)
@@ -226,17 +248,71 @@ def _pivoted_facts(grasp: Any, run: Any) -> list[str]:
     for name, values, scale in rows:
         start, end = scale * float(values[0, 0]), scale * float(values[-1, 0])
         lines.append(f"  {name:20}{start:14.5g}{end:14.5g}")
+    return lines + _checks(run)
+
+
+def _pinch_scene(grasp: Any, state: Any) -> list[str]:
+    control, body = grasp.controller, grasp.object
+    return [
+        *(f"  finger {i}    {_finger(finger)}" for i, finger in enumerate(grasp.fingers, 1)),
+        f"  object      {1e3 * float(body.mass):g} g, {float(body.inertia):.4g} kg m^2",
+        f"  control     beta = {float(control.beta):g} N/m, alpha = {float(control.alpha[0]):g} N m/rad, "
+        f"c = {float(control.damping[0]):g} N m s",
+        *_verdict(grasp, state),
+    ]
+
+
+def _verdict(grasp: Any, state: Any) -> list[str]:
+    """What linearisation at the equilibrium says, before anything is simulated."""
+    import numpy as np
+
+    from . import stability
+
+    found = stability.assess(grasp, state)
+    neutral, rates = int(found.neutral), np.asarray(found.rates)
+    moving = rates[np.argsort(np.abs(rates))][neutral:]
+    return [
+        f"  verdict     {stability.VERDICTS[found.verdict]}",
+        f"              neutral directions: {neutral}; slowest rate of the others: "
+        f"{float(np.max(np.real(moving))):.3g} 1/s",
+    ]
+
+
+def _pinch_facts(grasp: Any, run: Any) -> list[str]:
+    import numpy as np
+
+    from . import pinch_balance
+
+    found = pinch_balance(grasp, run.ts, run.states)
+    rows = (
+        ("s_i [mm]", found.s, 1e3),
+        ("Delta f_i [N]", found.delta_f, 1.0),
+        ("Delta lambda_i [N]", found.delta_lam, 1.0),
+        ("Delta N_i [mN m]", found.delta_n, 1e3),
+        ("S_N [mN m]", found.s_n, 1e3),
+        ("U [mJ]", found.potential, 1e3),
+        ("lean of O_iP_i [rad]", found.lean, 1.0),
+    )
+    lines = [f"{'Chapter, Part 1':24}{'start: i = 1':>15}{'2':>12}{'end: i = 1':>15}{'2':>12}"]
+    for name, values, scale in rows:
+        ends = scale * np.reshape(np.asarray(values)[[0, -1]], (2, -1))
+        cells = [f"{end[0]:15.5g}" + (f"{end[1]:12.5g}" if end.size > 1 else " " * 12) for end in ends]
+        lines.append(f"  {name:22}" + "".join(cells).rstrip())
+    return lines + _checks(run)
+
+
+def _checks(run: Any) -> list[str]:
+    """Largest residuals, and the energy balance."""
+    import numpy as np
+
     peak = lambda array: float(np.nanmax(np.abs(np.asarray(array))))  # noqa: E731
     left, energy = run.residuals, run.energy
-    lines.append(
+    return [
         f"  largest     |Q| {peak(left.normal):.1e} m, |R| {peak(left.tangential):.1e} m, "
-        f"tangency {peak(left.tangency):.1e} rad"
-    )
-    lines.append(
+        f"tangency {peak(left.tangency):.1e} rad",
         f"  energy      {1e3 * -float(energy.work[-1]):.4g} mJ dissipated; "
-        f"balance off by {peak(energy.residual):.1e} J"
-    )
-    return lines
+        f"balance off by {peak(energy.residual):.1e} J",
+    ]
 
 
 DEMOS = {
@@ -244,9 +320,27 @@ DEMOS = {
         "a two-joint finger rolls on a pivoted object (Part 2)",
         seconds=3.0,
         speed=0.5,
-        names=("fig07_contours.png", "fig08_poses.png", "fig09_18_responses.png"),
+        figures={
+            "fig07_contours.png": lambda plotting, grasp, run: plotting.contours(grasp),
+            "fig08_poses.png": lambda plotting, grasp, run: plotting.poses(grasp, run),
+            "fig09_18_responses.png": lambda plotting, grasp, run: plotting.responses(grasp, run),
+        },
         scene=_pivoted_scene,
         facts=_pivoted_facts,
+    ),
+    "pinch": Demo(
+        "a three-joint and a two-joint finger pinch a free rectangle (Part 1)",
+        seconds=10.0,
+        speed=0.1,
+        figures={
+            "contours.png": lambda plotting, grasp, run: plotting.contours(grasp),
+            "fig01_poses.png": lambda plotting, grasp, run: plotting.poses(grasp, run, forces=True),
+            "responses.png": lambda plotting, grasp, run: plotting.responses(grasp, run),
+            "phase.png": lambda plotting, grasp, run: plotting.phase(grasp, run),
+        },
+        scene=_pinch_scene,
+        facts=_pinch_facts,
+        shown=0.6,
     ),
 }
 

@@ -7,6 +7,7 @@ records, and ordinary arrays exist only at the public door.
 Matrices are symmetric positive definite and given by their lower triangle as nested tuples.
 """
 
+import functools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -126,7 +127,7 @@ class Factor(NamedTuple):
 
     lower: tuple[Scalars, ...]  # strictly lower part of the unit triangle
     inverse_pivots: Scalars
-    smallest_pivot: Scalar  # relative to the diagonal; not positive when singular
+    smallest_pivot: Scalar  # relative to the largest diagonal entry; not positive when singular
 
 
 def factorise(matrix: Triangle) -> Factor:
@@ -138,7 +139,6 @@ def factorise(matrix: Triangle) -> Factor:
     lower: list[Scalars] = []
     pivots: list[Scalar] = []
     inverse: list[Scalar] = []
-    relative: list[Scalar] = []
     for i, row in enumerate(matrix):
         scaled: list[Scalar] = []  # row of L D, from which both L and the pivot follow
         for j in range(i):
@@ -148,11 +148,8 @@ def factorise(matrix: Triangle) -> Factor:
         lower.append(unit)
         pivots.append(pivot)
         inverse.append(1.0 / pivot)
-        relative.append(pivot / row[i])
-    smallest = relative[0]
-    for value in relative[1:]:
-        smallest = jnp.minimum(smallest, value)
-    return Factor(tuple(lower), tuple(inverse), smallest)
+    largest = functools.reduce(jnp.maximum, [row[i] for i, row in enumerate(matrix)])
+    return Factor(tuple(lower), tuple(inverse), functools.reduce(jnp.minimum, pivots) / largest)
 
 
 def solve(factor: Factor, right: Sequence[Scalar]) -> Scalars:

@@ -201,7 +201,7 @@ def ring(
     object: FreeObject | None = None,
     tip: AbstractContour | None = None,
     beta: Given = 10.0,
-    alpha: Given = 1e-3,
+    alpha: Given = 4e-3,
     damping: Given = 0.004,
     gravity: Given | None = None,
 ) -> tuple[Grasp, State]:

@@ -35,7 +35,19 @@ def clearance(
     points = tip.frame(_spread(tip, samples)).point
     local = _into(poses[1], poses[0].place(points))
     outside = [_signed_distance(face, _spread(face, samples), local) for face in faces]
-    return jnp.min(jnp.max(jnp.stack(outside), axis=0))
+    return _least(jnp.max(jnp.stack(outside), axis=0), tip.closed)
+
+
+def _least(values: Array, closed: bool) -> Scalar:
+    """Smallest of sampled values, by the parabola through it and its neighbours."""
+    last = values.shape[0] - 1  # on a closed contour the first sample again
+    i = jnp.argmin(values)
+    before = values[(i - 1) % last if closed else jnp.maximum(i - 1, 0)]
+    after = values[(i + 1) % last if closed else jnp.minimum(i + 1, last)]
+    bend = before + after - 2.0 * values[i]
+    inside = closed | ((i > 0) & (i < last))
+    drop = (after - before) ** 2 / (8.0 * jnp.where(bend > 0, bend, 1.0))
+    return values[i] - jnp.where(inside & (bend > 0), drop, 0.0)
 
 
 def _spread(contour: AbstractContour, count: int) -> Float[Array, " samples"]:

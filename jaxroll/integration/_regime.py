@@ -41,8 +41,7 @@ def regime(grasp: Grasp, leaves: Leaves, instant: Instant, events: tuple[str, ..
     margins = [(m, _CONTOUR_END) for m in _contour_ends(grasp, leaves)]
     margins += [(m, _SINGULAR_CONTACT) for m in _curvature_sums(instant)]
     margins.append((instant.line.schur.smallest_pivot - _SINGULAR, _SINGULAR_CONTACT))
-    if "lift" in events or "friction" in events:
-        margins += _forces(grasp, instant, events)
+    margins += _forces(grasp, instant, events)
     if "penetration" in events:
         margins += [(m, _PENETRATION) for m in _clearances(grasp, leaves)]
     least, number = margins[0][0], jnp.asarray(margins[0][1])
@@ -96,10 +95,13 @@ def _forces(grasp: Grasp, instant: Instant, events: tuple[str, ...]) -> list[tup
     """Normal forces, and distances to the sides of the friction cones [N]."""
     margins = []
     for i, contact in enumerate(grasp.contacts):
+        lift, rubs = "lift" in events, "friction" in events and contact.friction is not None
+        if not lift and not rubs:
+            continue
         f, lam = normal_and_tangential(grasp, instant, i)
-        if "lift" in events:
+        if lift:
             margins.append((f, _LOST))
-        if "friction" in events and contact.friction is not None:
+        if rubs:
             cone = contact.friction * f
             margins += [(cone - lam, _SLIPPING), (cone + lam, _SLIPPING)]
     return margins

@@ -7,5 +7,6 @@ pyplot.
 
 from ._animate import animate as animate
 from ._contours import contours as contours
+from ._phase import phase as phase
 from ._pose import pose as pose, poses as poses
 from ._responses import responses as responses

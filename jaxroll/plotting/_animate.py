@@ -8,14 +8,13 @@ import numpy as np
 from matplotlib.colors import to_rgba_array
 from PIL import Image
 
-from ..integration import multipliers, Trajectory
+from ..integration import Trajectory
 from ..mechanics import Grasp
 from ._artists import Drawing, limits
+from ._forces import Arrows, arrows, key
 from ._style import CONTACT, FINGER, FORCE, OBJECT, Picture, ROLLED, tidy
 from ._views import single, Views, views
 
-# Length of the longest force arrow, as a share of the picture's diagonal.
-_ARROW = 0.1
 # Colours of small things, which a palette made by counting pixels would merge with others.
 _KEPT = ("white", CONTACT, FORCE, FINGER, OBJECT, ROLLED)
 # How long the last frame stays [ms].
@@ -29,15 +28,16 @@ def animate(
     *,
     fps: float = 25.0,
     speed: float = 1.0,
-    forces: bool = True,
+    until: float | None = None,
+    forces: bool | None = None,
     size: float = 5.5,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
     """Write a run as an animated GIF with true contours, to scale.
 
-    Shows the contact force on the object and, as thick stretches of equal length, what has rolled
-    off each contour. Every frame is the saved state nearest to its time, never a blend of two; save
-    at least `fps / speed` states per second for smooth motion.
+    Shows, as thick stretches of equal length, what has rolled off each contour and, if recorded, the
+    contact forces on the object. Every frame is the saved state nearest to its time, never a blend
+    of two; save at least `fps / speed` states per second for smooth motion.
 
     Args:
         grasp: The grasp that was simulated.
@@ -46,7 +46,9 @@ def animate(
         fps: Frames per second of the file, at most 50: a GIF counts hundredths of a second, so the
             nearest rate that it can hold is taken.
         speed: Simulated seconds per second shown: 0.5 plays at half speed.
-        forces: Whether to draw the contact force on the object.
+        until: Last time shown [s]. Default: the end of the run.
+        forces: Whether to draw the contact forces on the object, with their scale; they must have been
+            recorded. Default: if they were.
         size: Longer side of the drawing, without its legend, in inches of 100 pixels.
         progress: Called after each frame with the frames done and the frames in all.
 
@@ -54,7 +56,8 @@ def animate(
         The path that was written.
 
     Raises:
-        ValueError: If the trajectory is a batch, `path` is no GIF, or a number is not positive.
+        ValueError: If the trajectory is a batch, `path` is no GIF, a number is not positive, or
+            `forces` is True and the run was not simulated with `record=("multipliers",)`.
 
     Example:
         >>> import tempfile
@@ -69,11 +72,13 @@ def animate(
     """
     path = _checked(path, fps=fps, speed=speed, size=size)
     delay = max(2, round(100.0 / fps))
-    ts, picks = _frames(trajectory, 0.01 * delay * speed)
+    ts, picks = _frames(trajectory, 0.01 * delay * speed, until)
     states = jax.tree.map(lambda a: np.asarray(a)[picks], trajectory.states)
     seen = views(grasp, states)
-    arrows = _arrows(grasp, trajectory, picks, seen) if forces else None
-    stage = _Stage(grasp, seen, arrows, size=size, speed=speed)
+    drawn = trajectory.multipliers is not None if forces is None else forces
+    corners = limits(seen, above=0.05 * drawn)
+    shafts = arrows(grasp, trajectory, picks, seen, corners=corners) if drawn else None
+    stage = _Stage(grasp, seen, shafts, corners=corners, size=size, speed=speed)
     frames = []
     for i, t in enumerate(ts):
         frames.append(stage.frame(i, t))
@@ -111,30 +116,18 @@ def _checked(path: str | Path, **positive: float) -> Path:
     return path
 
 
-def _frames(trajectory: Trajectory, step: float) -> tuple[np.ndarray, np.ndarray]:
+def _frames(trajectory: Trajectory, step: float, until: float | None) -> tuple[np.ndarray, np.ndarray]:
     """Times and rows of the saved states to show, `step` simulated seconds apart."""
     ts, reached = single(trajectory)
+    if until is not None:
+        reached = reached & (ts <= until)
+        if not reached.any():
+            raise ValueError(f"argument until must be at least the first saved time, but was {until:g}")
     rows = np.flatnonzero(reached)
     ts = ts[rows]
     wanted = np.append(np.arange(ts[0], ts[-1] - 0.5 * step, step), ts[-1])
     nearest = np.argmin(np.abs(ts[:, None] - wanted), axis=0)
     return ts[nearest], rows[nearest]
-
-
-def _arrows(grasp: Grasp, trajectory: Trajectory, picks: np.ndarray, seen: Views) -> tuple[np.ndarray, float]:
-    """Contact forces on the object as arrows [mm] of shape (t, c, 2), and the largest [N]."""
-    found = trajectory.multipliers
-    if found is None:
-        found = multipliers(grasp, trajectory.ts, trajectory.states)
-    senses = np.array([contact.sense for contact in grasp.contacts])
-    f, lam = np.asarray(found.f)[picks, :, None], (np.asarray(found.lam) * senses)[picks, :, None]
-    along = seen.tangents
-    outward = np.stack([along[..., 1], -along[..., 0]], axis=-1)
-    on_object = lam * along - f * outward
-    peak = float(np.linalg.norm(on_object, axis=-1).max())
-    low, high = limits(seen)
-    longest = _ARROW * float(np.linalg.norm(high - low))
-    return on_object * (longest / peak if peak > 0.0 else 0.0), peak
 
 
 class _Stage:
@@ -144,17 +137,18 @@ class _Stage:
         self,
         grasp: Grasp,
         seen: Views,
-        arrows: tuple[np.ndarray, float] | None,
+        forces: Arrows | None,
         *,
+        corners: np.ndarray,
         size: float,
         speed: float,
     ) -> None:
-        low, high = limits(seen)
+        low, high = corners
         width, height = size * (high - low) / (high - low).max()
         figure = Picture(max(width + 0.7, 4.6), height + 1.9)
         figure.set_dpi(100)
         self.ax = ax = figure.subplots()
-        self.drawing = Drawing(ax, grasp, seen, forces=arrows and arrows[0], traced=True)
+        self.drawing = Drawing(ax, grasp, seen, forces=forces, traced=True)
         ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
         tidy(ax, xlabel="x [mm]", ylabel="y [mm]")
         self.clock = ax.text(0.0, 1.02, "t", transform=ax.transAxes, fontsize=10)
@@ -162,11 +156,9 @@ class _Stage:
         ax.text(1.0, 1.02, pace, transform=ax.transAxes, fontsize=8, ha="right", color="#555555")
         moving = sorted([*ax.lines, *ax.patches], key=lambda a: a.get_zorder())
         self.moving = [*moving, self.clock]
-        entries = self.drawing.legend()
-        if arrows is not None:
-            sign = ax.plot([], [], marker=r"$\rightarrow$", ms=14, ls="none", color=FORCE)[0]
-            entries.append((sign, f"contact force on the object, up to {arrows[1]:.2g} N"))
-        handles, names = zip(*entries, strict=True)
+        if forces is not None:
+            key(ax, forces)
+        handles, names = zip(*self.drawing.legend(), strict=True)
         figure.legend(handles, names, loc="outside lower center", ncols=2, fontsize=7, frameon=False)
         self._freeze(figure)
 

@@ -5,9 +5,11 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.patches import FancyArrowPatch, Patch, Polygon
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Polygon
 
 from ..mechanics import Grasp, PivotedObject
+from ._forces import arrow, Arrows
 from ._outlines import Outline
 from ._style import (
     CONTACT,
@@ -34,7 +36,7 @@ class Drawing:
         ax: Where to draw, in millimetres.
         grasp: What is drawn.
         seen: Its shapes and poses.
-        forces: Shape (t, c, 2), contact forces on the object as arrows in millimetres, or None.
+        forces: Contact forces to draw at the contacts, or None.
         traced: Whether to draw the rolled stretch of both contours.
     """
 
@@ -44,7 +46,7 @@ class Drawing:
         grasp: Grasp,
         seen: Views,
         *,
-        forces: np.ndarray | None = None,
+        forces: Arrows | None = None,
         traced: bool = False,
     ) -> None:
         self.seen, self.forces, self.traced = seen, forces, traced
@@ -68,13 +70,7 @@ class Drawing:
         self.origin = line("o" if self.pivoted else "P", zorder=8, **pivot)
         self.dot = line("o", ms=2.5, color=GUIDE, zorder=8.5)
         self.points = line("o", ms=5.5, mfc=CONTACT, mec="white", mew=0.8, zorder=9)
-        self.arrows = [] if forces is None else [self._arrow(ax) for _ in seen.owners]
-
-    @staticmethod
-    def _arrow(ax: Axes) -> Any:
-        style = {"arrowstyle": "-|>", "mutation_scale": 11, "shrinkA": 0, "shrinkB": 0}
-        arrow = FancyArrowPatch((0, 0), (1, 0), color=FORCE, lw=1.8, zorder=8.7, **style)
-        return ax.add_patch(arrow)
+        self.arrows = [] if forces is None else [arrow(ax, (0, 0), (1, 0)) for _ in seen.owners]
 
     def show(self, i: int) -> None:
         """Move everything to the instant `i`."""
@@ -96,8 +92,9 @@ class Drawing:
         if self.traced:
             self._stretch(i)
         if self.forces is not None:
-            for arrow, point, force in zip(self.arrows, seen.points[i], self.forces[i], strict=True):
-                arrow.set_positions(point, point + force)
+            vectors = self.forces.vectors[i]
+            for shaft, point, vector in zip(self.arrows, seen.points[i], vectors, strict=True):
+                shaft.set_positions(point, point + vector)
 
     def _stretch(self, i: int) -> None:
         for finger, lines, paths in zip(self.seen.owners, self.stretches, self.seen.rolled, strict=True):
@@ -111,11 +108,8 @@ class Drawing:
             (Patch(fc=TIP_FILL, ec=FINGER, lw=1.4), "fingertip"),
             (Patch(fc=OBJECT_FILL, ec=OBJECT, lw=1.4), "object"),
             (self.bases[0], "fixed base"),
-            (
-                self.points,
-                "contact point $P_1$" if alone else "contact points",
-            ),
-            (self.centres, "tip frame $O_{01}$" if alone else "tip frames"),
+            (self.points, _point_name(len(self.seen.owners))),
+            (self.centres, _centre_name(len(self.seen.tips), alone)),
             ((self.origin, self.dot), "pivot $O_m$")
             if self.pivoted
             else (self.origin, "centre of mass $O_m$"),
@@ -124,14 +118,29 @@ class Drawing:
             entries.append((self.guides[0], self._guide_name()))
         if self.traced:
             entries.append((self.stretches[0][0], "rolled so far: as long on both bodies"))
+        if self.forces is not None:
+            sign = Line2D([], [], marker=r"$\rightarrow$", ms=14, ls="none", color=FORCE)
+            entries.append((sign, "contact force on the object"))
         return entries
 
     def _guide_name(self) -> str:
         if len(self.seen.tips) == 1:
             return "line $O_{01}O_m$: meets $P_1$ at rest"
         if len(self.seen.guides) == 1:
-            return "line between the tip frames"
+            return "line $O_1O_2$"
         return "lines to the target"
+
+
+def _point_name(contacts: int) -> str:
+    return ("contact point $P_1$", "contact points $P_1$, $P_2$", "contact points $P_i$")[
+        min(contacts, 3) - 1
+    ]
+
+
+def _centre_name(tips: int, alone: bool) -> str:
+    if alone:
+        return "tip frame $O_{01}$"
+    return "finger centres $O_1$, $O_2$" if tips == 2 else "finger centres $O_i$"
 
 
 class _Body:
@@ -162,8 +171,11 @@ def _capsule(start: np.ndarray, end: np.ndarray, radius: float) -> np.ndarray:
     return np.concatenate([end + arc(heading + _TURN), start + arc(heading + _TURN + np.pi)])
 
 
-def limits(seen: Views, margin: float = 6.0) -> tuple[np.ndarray, np.ndarray]:
-    """Lower left and upper right corner [mm] of all that is drawn at any time."""
+def limits(seen: Views, margin: float = 6.0, *, above: float = 0.0) -> np.ndarray:
+    """Lower left and upper right corner [mm] of all that is drawn at any time, shape (2, 2).
+
+    `above` is a strip to leave free at the top, as a share of the height.
+    """
     shapes = (seen.body, *seen.tips)
     cloud = [joints.reshape(-1, 2) for joints in seen.joints]
     cloud += [guide.reshape(-1, 2) for guide in seen.guides]
@@ -171,4 +183,5 @@ def limits(seen: Views, margin: float = 6.0) -> tuple[np.ndarray, np.ndarray]:
         rough = np.concatenate([ring[::6] for ring in shape.rings])
         cloud += [place(frame, rough) for frame in frames]
     every = np.concatenate(cloud)
-    return every.min(axis=0) - margin, every.max(axis=0) + margin
+    low, high = every.min(axis=0) - margin, every.max(axis=0) + margin
+    return np.stack([low, high + np.array([0.0, above * (high[1] - low[1])])])

@@ -54,6 +54,8 @@ def contours(grasp: Grasp) -> Figure:
             start = sample(contour, at)
             above.plot(*start.points.T, "o", ms=7, color=CONTACT, zorder=5)
             below.plot(MM * at, start.curvatures, "o", ms=6, color=CONTACT, zorder=5)
+        if body == 0 and len(grasp.contacts) > 1:
+            _name_contacts(above, below, grasp)
         middle = np.mean(boxes[body], axis=0)
         ends = np.stack([middle - half, middle + half], axis=1)
         above.set(xlim=ends[0], ylim=ends[1], aspect="equal")
@@ -99,7 +101,7 @@ def _shape(ax: Axes, shape: Outline, colours: tuple[str, str]) -> None:
 
 def _arrows(ax: Axes, length: float, origin: str) -> None:
     arrow = {"arrowstyle": "-|>", "color": GUIDE, "lw": 1.0, "shrinkA": 0, "shrinkB": 0}
-    for tip, push, letter in (((length, 0.0), (8, 0), "X"), ((0.0, length), (0, 8), "Y")):
+    for tip, push, letter in (((length, 0.0), (0, -8), "X"), ((0.0, length), (-8, 0), "Y")):
         ax.annotate("", tip, (0.0, 0.0), arrowprops=arrow, zorder=6)
         ax.annotate(f"${letter}$", tip, push, fontsize=9, zorder=6, **_BESIDE)
     ax.plot(0, 0, "o", ms=5, mfc="white", mec=GUIDE, zorder=7)
@@ -128,6 +130,19 @@ def _count(ax: Axes, contour: AbstractContour, window: Window) -> None:
         far = 17.0 if mark == 0 else 11.0
         push = (far * along[1], -far * along[0])
         ax.annotate(text, point, push, fontsize=7.5, color=GUIDE, **_BESIDE)
+
+
+def _name_contacts(above: Axes, below: Axes, grasp: Grasp) -> None:
+    """$P_i$ beside the contacts: inside the object, and over its curvature on the outer side."""
+    starts = np.array([float(contact.s_object) for contact in grasp.contacts])
+    style = {"fontsize": 9, "color": CONTACT, **_BESIDE}
+    crowded = MM * float(np.diff(np.sort(starts)).min()) < 0.1 * float(np.ptp(below.get_xlim()))
+    for i, contact in enumerate(grasp.contacts):
+        there = sample(grasp.contours(contact)[1], starts[i : i + 1])
+        along, name = there.tangents[0], f"$P_{{{i + 1}}}$"
+        above.annotate(name, there.points[0], (-14 * along[1], 14 * along[0]), **style)
+        side = (8 if starts[i] >= starts.mean() else -8) if crowded else 0
+        below.annotate(name, (MM * starts[i], there.curvatures[0]), (side, 11), **style)
 
 
 def _curvature(ax: Axes, contour: AbstractContour, window: Window, colour: str) -> None:

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from ..integration import Trajectory
 from ..mechanics import Grasp, State
 from ._artists import Drawing, limits
+from ._forces import Arrows, arrows, key
 from ._style import Picture, tidy
 from ._views import along_time, single, Views, views
 
@@ -46,19 +47,23 @@ def pose(grasp: Grasp, state: State, *, ax: Axes | None = None) -> Figure:
     return figure
 
 
-def poses(grasp: Grasp, trajectory: Trajectory, *, times: Sequence[float] | None = None) -> Figure:
+def poses(
+    grasp: Grasp, trajectory: Trajectory, *, times: Sequence[float] | None = None, forces: bool = False
+) -> Figure:
     """Draw the poses at several times side by side, as Fig. 8 does for the first and the last.
 
     Args:
         grasp: What is drawn.
         trajectory: One run of it.
         times: Times to draw [s]; each shows the saved state nearest to it. Default: first and last.
+        forces: Whether to draw the contact forces on the object, with their scale.
 
     Returns:
         The figure.
 
     Raises:
-        ValueError: If the trajectory is a batch.
+        ValueError: If the trajectory is a batch, or `forces` is True and the run was not simulated
+            with `record=("multipliers",)`.
 
     Example:
         >>> import jaxroll as jxr
@@ -74,11 +79,15 @@ def poses(grasp: Grasp, trajectory: Trajectory, *, times: Sequence[float] | None
     picks = [int(np.argmin(np.abs(ts - t))) for t in wanted]
     states = jax.tree.map(lambda a: np.asarray(a)[rows[picks]], trajectory.states)
     titles = [f"({chr(97 + k)})  t = {ts[i]:.4g} s" for k, i in enumerate(picks)]
-    return _side_by_side(grasp, views(grasp, states), titles)
+    seen = views(grasp, states)
+    if not forces:
+        return _side_by_side(grasp, seen, titles)
+    corners = limits(seen, above=0.05)
+    return _side_by_side(grasp, seen, titles, arrows(grasp, trajectory, rows[picks], seen, corners=corners))
 
 
-def _side_by_side(grasp: Grasp, seen: Views, titles: list[str]) -> Figure:
-    corners = limits(seen)
+def _side_by_side(grasp: Grasp, seen: Views, titles: list[str], forces: Arrows | None = None) -> Figure:
+    corners = limits(seen, above=0.0 if forces is None else 0.05)
     width, height = corners[1] - corners[0]
     columns = 4 if len(titles) > 1 else 2
     panel = max(2.9, min(4.2, 5.6 * width / height))
@@ -87,9 +96,11 @@ def _side_by_side(grasp: Grasp, seen: Views, titles: list[str]) -> Figure:
     figure = Picture(whole, panel * height / width + below)
     axes = figure.subplots(1, len(titles), sharex=True, sharey=True, squeeze=False)[0]
     for i, (ax, title) in enumerate(zip(axes, titles, strict=True)):
-        drawing = Drawing(ax, grasp, seen)
+        drawing = Drawing(ax, grasp, seen, forces=forces)
         drawing.show(i)
         _frame(ax, corners, title)
+        if forces is not None:
+            key(ax, forces)
         if i:
             ax.set_ylabel("")
     handles, names = zip(*drawing.legend(), strict=True)
@@ -97,7 +108,7 @@ def _side_by_side(grasp: Grasp, seen: Views, titles: list[str]) -> Figure:
     return figure
 
 
-def _frame(ax: Axes, corners: tuple[np.ndarray, np.ndarray], title: str) -> None:
+def _frame(ax: Axes, corners: np.ndarray, title: str) -> None:
     (left, low), (right, high) = corners
     ax.set(xlim=(left, right), ylim=(low, high), aspect="equal")
     tidy(ax, xlabel="x [mm]", ylabel="y [mm]", title=title)

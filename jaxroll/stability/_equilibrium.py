@@ -1,5 +1,6 @@
 """Equilibria: configurations where joint torques, gravity and contact forces balance."""
 
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -43,8 +44,8 @@ def equilibrium(grasp: Grasp, state: State, *, t: Given = 0.0) -> Equilibrium:
     Solves $F(q) + A^T \mu = 0$ with gap and tangency closed, for configuration, contact coordinates and
     contact forces together; $F$ are joint torques at rest and gravity. With a built-in controller these are
     the stationary points of the potential (22) on the constraint manifold, stable or not. Where neutral
-    directions make a whole family of equilibria, the one found is near: every step is the shortest that
-    Newton's equations allow.
+    directions make a whole family of equilibria, the one returned is the nearest to `state` in the
+    coordinates (lengths measured in mean link lengths).
 
     Args:
         grasp: The grasp.
@@ -55,7 +56,7 @@ def equilibrium(grasp: Grasp, state: State, *, t: Given = 0.0) -> Equilibrium:
         An `Equilibrium`; `found` is False where none was reached.
 
     Accuracy: residuals at rounding level. Derivatives, in both modes, are those of the implicit function
-    theorem, with the shortest change along a family.
+    theorem, along a family too.
 
     Example:
         >>> import jaxroll as jxr
@@ -75,13 +76,17 @@ def equilibrium(grasp: Grasp, state: State, *, t: Given = 0.0) -> Equilibrium:
 
 def locate(grasp: Grasp, state: State, t: Given) -> tuple[tuple[Array, Array, Array], Array]:
     """Configuration, contact coordinates and forces at rest, differentiable, and what is left over."""
-    fixed = jax.tree.map(lambda x: jax.lax.stop_gradient(x) if eqx.is_array(x) else x, grasp)
-    start, scale = jax.lax.stop_gradient(_start(fixed, state, t))
-    z, inverse = _newton(fixed, start, scale, t)
-    left = _balance(grasp, z * scale.unknowns, t) / scale.equations
-    z = (z - inverse @ left) * scale.unknowns  # one more step, which carries the derivative
+    fixed, still = jax.tree.map(
+        lambda x: jax.lax.stop_gradient(x) if eqx.is_array(x) else x, (grasp, state)
+    )
+    start, scale = _start(fixed, still, t)
+    z = _newton(lambda z: _balance(fixed, z, scale, t), start, grasp.coordinates + len(grasp.contacts))
+    pair, inverse = _settle(lambda pair: _nearest(fixed, still, pair, scale, t), z)
+    size = start.shape[0]
+    left = _nearest(grasp, state, pair, scale, t)
+    z = (pair - inverse @ left)[:size] * scale.unknowns  # one more step, which carries the derivative
     n, contacts = grasp.coordinates, len(grasp.contacts)
-    return (z[:n], z[n : n + contacts], z[n + contacts :].reshape(contacts, 2)), left
+    return (z[:n], z[n : n + contacts], z[n + contacts :].reshape(contacts, 2)), left[size:]
 
 
 class _Scale(eqx.Module):
@@ -95,9 +100,7 @@ def _start(grasp: Grasp, state: State, t: Given) -> tuple[Array, _Scale]:
     """The first guess, without contact forces, and the sizes of everything."""
     n, contacts = grasp.coordinates, len(grasp.contacts)
     drive = _drive(grasp, state.q, state.s, t)
-    length = sum(jnp.mean(jnp.stack(f.lengths)) for f in grasp.fingers) / len(grasp.fingers)
-    one = jnp.ones((), state.q.dtype)
-    coordinates = jnp.stack([length if grasp.object.freedoms == 3 and i < 2 else one for i in range(n)])
+    one, (length, coordinates) = jnp.ones((), state.q.dtype), _sizes(grasp)
     force = jnp.maximum(jnp.max(jnp.abs(drive * coordinates)) / length, 1e-6)
     ones = jnp.ones(contacts, state.q.dtype)
     unknowns = jnp.concatenate([coordinates, ones * length, jnp.tile(ones, 2) * force])
@@ -105,6 +108,14 @@ def _start(grasp: Grasp, state: State, t: Given) -> tuple[Array, _Scale]:
     equations = jnp.concatenate([force * length / coordinates, rows])
     start = jnp.concatenate([state.q, state.s, jnp.zeros(2 * contacts, state.q.dtype)])
     return start / unknowns, _Scale(unknowns, equations)
+
+
+def _sizes(grasp: Grasp) -> tuple[Scalar, Array]:
+    """Mean link length, and what makes each coordinate comparable with an angle."""
+    length = sum(jnp.mean(jnp.stack(f.lengths)) for f in grasp.fingers) / len(grasp.fingers)
+    free = grasp.object.freedoms == 3
+    one = jnp.ones_like(length)
+    return length, jnp.stack([length if free and i < 2 else one for i in range(grasp.coordinates)])
 
 
 def _drive(grasp: Grasp, q: Array, s: Array, t: Given) -> Array:
@@ -128,38 +139,66 @@ def contact_force(grasp: Grasp, q: Array, s: Array, push: Array) -> Array:
     return jax.grad(done)(q)
 
 
-def _balance(grasp: Grasp, z: Array, t: Given) -> Array:
+def _balance(grasp: Grasp, z: Array, scale: _Scale, t: Given) -> Array:
+    """Balance of forces and constraint rows, scaled."""
     n, contacts = grasp.coordinates, len(grasp.contacts)
+    z = z * scale.unknowns
     q, s, push = z[:n], z[n : n + contacts], z[n + contacts :]
     force = _drive(grasp, q, s, t) + contact_force(grasp, q, s, push)
-    return jnp.concatenate([force, constraint_rows(grasp, q, s)])
+    return jnp.concatenate([force, constraint_rows(grasp, q, s)]) / scale.equations
 
 
-def _newton(grasp: Grasp, start: Array, scale: _Scale, t: Given) -> tuple[Array, Array]:
-    """Newton's method with shortest, bounded steps; also the pseudoinverse of the last Jacobian."""
+def _nearest(grasp: Grasp, state: State, pair: Array, scale: _Scale, t: Given) -> Array:
+    """Conditions of the equilibrium nearest to a state; `pair` holds it and their multipliers."""
+    z, pressure = jnp.split(pair, 2)
+    left, pull = jax.vjp(lambda z: _balance(grasp, z, scale, t), z)
+    n = grasp.coordinates
+    away = (z[:n] * scale.unknowns[:n] - state.q) / _sizes(grasp)[1] ** 2 * scale.unknowns[:n]
+    return jnp.concatenate([pull(pressure)[0].at[:n].add(away), left])
+
+
+def _newton(equations: Callable[[Array], Array], start: Array, moving: int) -> Array:
+    """Newton's method with shortest, bounded steps of the first `moving` unknowns."""
     basis = jnp.eye(start.shape[0], dtype=start.dtype)
-    moving = grasp.coordinates + len(grasp.contacts)
-    only_forces = jnp.where(jnp.arange(start.shape[0]) < moving, 0.0, 1.0).astype(start.dtype)
+    only_forces = jnp.arange(start.shape[0])[None, :] >= moving
 
     def improve(carry: tuple[Any, ...]) -> tuple[Any, ...]:
-        z, _, _, i = carry
-        equations = lambda z: _balance(grasp, z * scale.unknowns, t) / scale.equations  # noqa: E731
+        z, _, i = carry
         left, push = jax.linearize(equations, z)
         jacobian = jax.vmap(push, out_axes=1)(basis)
         # The first iteration sets the contact forces alone: without them the curvature would be wrong.
-        inverse = jnp.linalg.pinv(jnp.where(i == 0, jacobian * only_forces, jacobian), rtol=_RANK)
+        inverse = jnp.linalg.pinv(jnp.where((i > 0) | only_forces, jacobian, 0.0), rtol=_RANK)
         step = inverse @ left
         share = jnp.minimum(1.0, _LONGEST / jnp.max(jnp.abs(step[:moving]) + 1e-300))
-        return z - step * share, inverse, jnp.max(jnp.abs(step)), i + 1
+        return z - step * share, jnp.max(jnp.abs(step)), i + 1
+
+    def more(carry: tuple[Any, ...]) -> Scalar:
+        _, moved, i = carry
+        return (moved > 1e-12) & (i < _STEPS)
+
+    first = (start, jnp.inf * jnp.ones((), start.dtype), jnp.array(0))
+    return jax.lax.while_loop(more, improve, first)[0]
+
+
+def _settle(equations: Callable[[Array], Array], z: Array) -> tuple[Array, Array]:
+    """Newton from an equilibrium to the nearest one; also the pseudoinverse of the last Jacobian."""
+    basis = jnp.eye(2 * z.shape[0], dtype=z.dtype)
+
+    def improve(carry: tuple[Any, ...]) -> tuple[Any, ...]:
+        pair, _, _, i = carry
+        left, push = jax.linearize(equations, pair)
+        inverse = jnp.linalg.pinv(jax.vmap(push, out_axes=1)(basis), rtol=_RANK)
+        step = inverse @ left
+        return pair - step, inverse, jnp.max(jnp.abs(step[: z.shape[0]])), i + 1
 
     def more(carry: tuple[Any, ...]) -> Scalar:
         _, _, moved, i = carry
-        return (moved > 1e-12) & (i < _STEPS)
+        return (moved > 1e-12) & (i < _STEPS // 4)
 
-    one = jnp.ones((), start.dtype)
-    first = (start, jnp.zeros_like(basis), jnp.inf * one, jnp.array(0))
-    z, inverse, _, _ = jax.lax.while_loop(more, improve, first)
-    return z, inverse
+    start = jnp.concatenate([z, jnp.zeros_like(z)])
+    first = (start, jnp.zeros_like(basis), jnp.inf * jnp.ones((), z.dtype), jnp.array(0))
+    pair, inverse, _, _ = jax.lax.while_loop(more, improve, first)
+    return pair, inverse
 
 
 def _multipliers(grasp: Grasp, q: Array, s: Array, push: Array) -> Multipliers:

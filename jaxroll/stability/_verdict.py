@@ -94,7 +94,7 @@ def _assess(grasp: Grasp, state: State, t: Given, tolerance: Array) -> Stability
     curvatures, vectors = jnp.linalg.eigh(symmetric)
     rates = _rates(hessian, damping)
     size = jnp.max(jnp.abs(curvatures))
-    neutral = jnp.sum(jnp.linalg.svd(jax.lax.stop_gradient(hessian), compute_uv=False) <= tolerance * size)
+    neutral = jnp.sum(jnp.linalg.svdvals(jax.lax.stop_gradient(hessian)) <= tolerance * size)
     verdict = _verdict(rates, curvatures / size, neutral, tolerance)
     verdict = VERDICTS.where(rest.found, verdict, VERDICTS.not_found)
     modes = tangent @ vectors
@@ -119,7 +119,7 @@ def _tangent(grasp: Grasp, state: State) -> tuple[Array, Array]:
     _, inertias = bodies(grasp, to_leaves(state, grasp.sizes))
     mass = mass_matrix([inertia.mass for inertia in inertias], n)
     # A basis by SVD has no smooth derivative: take it as fixed, then make it exact smoothly.
-    basis = jax.lax.stop_gradient(jnp.linalg.svd(jacobian)[2][2 * contacts :].T)
+    basis = jnp.linalg.svd(jax.lax.stop_gradient(jacobian))[2][2 * contacts :].T
     weighted = jnp.linalg.solve(mass, jacobian.T)
     basis = basis - weighted @ jnp.linalg.solve(jacobian @ weighted, jacobian @ basis)
     lower = jnp.linalg.cholesky(basis.T @ mass @ basis)

@@ -1,0 +1,80 @@
+"""Contact forces as arrows, and the key that gives their scale."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import FancyArrowPatch
+
+from ..integration import Trajectory
+from ..mechanics import Grasp
+from ._style import FORCE, GUIDE
+from ._views import Views
+
+# Length of the longest arrow, as a share of the picture's diagonal.
+_LONGEST = 0.07
+_ROUND = np.array([1.0, 2.0, 5.0])
+
+
+@dataclass(frozen=True)
+class Arrows:
+    """Contact forces on the object, drawn to one scale.
+
+    Attributes:
+        vectors: Shape (t, c, 2), arrows [mm].
+        scale: Millimetres for one newton; zero if there is no force.
+        peak: The largest force [N].
+    """
+
+    vectors: np.ndarray
+    scale: float
+    peak: float
+
+
+def arrows(
+    grasp: Grasp, trajectory: Trajectory, picks: np.ndarray, seen: Views, *, corners: np.ndarray
+) -> Arrows:
+    """Recorded forces at the saved states `picks`, scaled to a picture with these corners [mm].
+
+    Raises:
+        ValueError: If the run has no recorded multipliers.
+    """
+    found = trajectory.multipliers
+    if found is None:
+        raise ValueError(
+            "argument trajectory must hold contact forces if they are to be drawn: "
+            "simulate with record=('multipliers',)"
+        )
+    senses = np.array([contact.sense for contact in grasp.contacts])
+    f, lam = np.asarray(found.f)[picks, :, None], (np.asarray(found.lam) * senses)[picks, :, None]
+    along = seen.tangents
+    outward = np.stack([along[..., 1], -along[..., 0]], axis=-1)
+    on_object = lam * along - f * outward
+    peak = float(np.linalg.norm(on_object, axis=-1).max())
+    longest = _LONGEST * float(np.linalg.norm(corners[1] - corners[0]))
+    scale = longest / peak if peak > 0.0 else 0.0
+    return Arrows(scale * on_object, scale, peak)
+
+
+def arrow(ax: Axes, start: tuple[float, float], end: tuple[float, float]) -> FancyArrowPatch:
+    """One arrow on an axes."""
+    shape = {"arrowstyle": "-|>", "mutation_scale": 11, "shrinkA": 0, "shrinkB": 0}
+    patch = FancyArrowPatch(start, end, color=FORCE, lw=1.8, zorder=8.7, **shape)
+    ax.add_patch(patch)
+    return patch
+
+
+def key(ax: Axes, forces: Arrows) -> FancyArrowPatch | None:
+    """An arrow of a round force in the upper left corner, with its value beside it."""
+    if forces.scale == 0.0:
+        return None
+    size = 10.0 ** np.floor(np.log10(forces.peak))
+    newtons = float(size * _ROUND[_ROUND * size <= forces.peak][-1])
+    (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
+    x, y = left + 0.03 * (right - left), high - 0.025 * (high - low)
+    patch = arrow(ax, (x, y), (x + forces.scale * newtons, y))
+    beside = {"xytext": (5, 0), "textcoords": "offset points", "va": "center"}
+    ax.annotate(
+        f"{newtons:g} N", (x + forces.scale * newtons, y), fontsize=8, color=GUIDE, zorder=9, **beside
+    )
+    return patch

@@ -1,0 +1,215 @@
+"""What there is to plot over time: one panel for each quantity of the chapter."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..control import Press
+from ..integration import check_pinch, multipliers, pinch_balance, press_balance, Trajectory
+from ..mechanics import Grasp, PivotedObject
+from ._style import MM
+
+# Below this share of its scale, a residual is what floating-point arithmetic leaves over.
+_ROUNDING = 1e-13
+_SMALL = 1e-3
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One panel: values of shape (t,) or (t, lines), with a name for each line."""
+
+    title: str
+    label: str
+    values: np.ndarray
+    names: tuple[str, ...] = ()
+    width: float = 1.4
+
+
+def panels(grasp: Grasp, run: Trajectory) -> list[Panel]:
+    """All panels of a run, in the order in which the figure shows them."""
+    contacts, figures = _numbered("contact", len(grasp.contacts)), 0
+    if is_pinch(grasp):
+        found = _pinch(grasp, run)
+    elif isinstance(grasp.controller, Press):
+        *first, potential = _press(grasp, run, contacts)
+        found = [*first, *_motion(grasp, run, contacts), potential, *_forces(grasp, run, contacts)]
+        figures = 10 if _is_part_2(grasp) else 0
+    else:
+        rolled = Panel("rolling coordinate", r"$\sigma$ [mm]", MM * np.asarray(run.states.s), contacts)
+        found = [rolled, *_motion(grasp, run, contacts), *_forces(grasp, run, contacts)]
+    found.append(_last(run, contacts))
+    return [
+        replace(_in_powers(p), title=f"Fig. {9 + i}: {p.title}" if i < figures else _sentence(p.title))
+        for i, p in enumerate(found)
+    ]
+
+
+def is_pinch(grasp: Grasp) -> bool:
+    """Whether the quantities of the chapter's Part 1 are defined."""
+    try:
+        check_pinch(grasp)
+    except ValueError:
+        return False
+    return True
+
+
+def _motion(grasp: Grasp, run: Trajectory, contacts: tuple[str, ...]) -> list[Panel]:
+    normal, tangential = _gaps(grasp, run, contacts, contacts)
+    return [*_joint_rates(grasp, run), *_object_rates(grasp, run), tangential, normal]
+
+
+def _in_powers(panel: Panel) -> Panel:
+    """Small values in a power of ten that the axis label states."""
+    peak = float(np.nanmax(np.abs(panel.values)))
+    if not 0.0 < peak < _SMALL:
+        return panel
+    power = int(np.floor(np.log10(peak)))
+    label = panel.label.replace("[", f"[$10^{{{power}}}$ ")
+    return replace(panel, label=label, values=panel.values / 10.0**power)
+
+
+def _sentence(words: str) -> str:
+    return words[0].upper() + words[1:]
+
+
+def _is_part_2(grasp: Grasp) -> bool:
+    alone = len(grasp.fingers) == 1 and len(grasp.contacts) == 1
+    pressed = isinstance(grasp.controller, Press) and isinstance(grasp.object, PivotedObject)
+    return alone and pressed and grasp.fingers[0].joints == 2
+
+
+def _press(grasp: Grasp, run: Trajectory, contacts: tuple[str, ...]) -> list[Panel]:
+    found = press_balance(grasp, run.ts, run.states)
+    rows = (
+        ("unbalanced normal force", r"$\Delta f$ [N]", found.delta_f, 1.0),
+        ("unbalanced tangential force", r"$\Delta\lambda$ [N]", found.delta_lam, 1.0),
+        ("unbalanced moment", r"$(f_d/r)\,N_1$ [mN m]", found.moment, 1e3),
+        ("contact on the object's contour", "$s$ [mm]", found.s, MM),
+        ("artificial potential", "$U$ [mJ]", found.potential, 1e3),
+    )
+    return [Panel(t, label, scale * np.asarray(x), contacts) for t, label, x, scale in rows]
+
+
+def _pinch(grasp: Grasp, run: Trajectory) -> list[Panel]:
+    found, (f, lam) = pinch_balance(grasp, run.ts, run.states), _multipliers(grasp, run)
+    moments = np.concatenate([found.delta_n, np.asarray(found.s_n)[:, None]], axis=1)
+    return [
+        Panel("normal forces", "$f_i$ [N]", f, _both("f")),
+        Panel("tangential forces", r"$\lambda_i$ [N]", lam, _both(r"\lambda")),
+        _contacts(MM * np.asarray(found.s)),
+        Panel("unbalanced normal forces", r"$\Delta f_i$ [N]", np.asarray(found.delta_f), _both(r"\Delta f")),
+        Panel(
+            "unbalanced tangential forces",
+            r"$\Delta\lambda_i$ [N]",
+            np.asarray(found.delta_lam),
+            _both(r"\Delta\lambda"),
+        ),
+        Panel("unbalanced moments", "moment [mN m]", 1e3 * moments, (*_both(r"\Delta N"), "$S_N$")),
+        Panel("artificial potential", "$U$ [mJ]", 1e3 * np.asarray(found.potential)),
+        Panel("off the line $O_1O_2$", "angle [rad]", np.asarray(found.lean), ("$O_1P_1$", "$O_2P_2$")),
+        *_moved(grasp, run),
+        *_gaps(grasp, run, _both("Q"), _both("R")),
+    ]
+
+
+def _both(symbol: str) -> tuple[str, str]:
+    return f"${symbol}_1$", f"${symbol}_2$"
+
+
+def _contacts(s: np.ndarray) -> Panel:
+    """Both contacts [mm]; since the start, where that is too far apart for one scale."""
+    title, reached = "contacts on the object's contour", s[np.isfinite(s).all(axis=1)]
+    if 0.0 < 4.0 * np.ptp(reached, axis=0).max() < np.ptp(reached):
+        return Panel(title, "$s_i - s_i(0)$ [mm]", s - reached[0], _both("s"))
+    return Panel(title, "$s_i$ [mm]", s, _both("s"))
+
+
+def _moved(grasp: Grasp, run: Trajectory) -> list[Panel]:
+    """How far object and joints have moved since the first state."""
+    q = np.asarray(run.states.q)
+    start = q[np.flatnonzero(np.isfinite(q).all(axis=1))[0]]
+    moved, at = q - start, grasp.sizes[0]
+    turned = Panel("rotation of the object", r"$\theta - \theta(0)$ [rad]", moved[:, at - 1])
+    found = [turned]
+    if at > 1:
+        names = ("$x - x(0)$", "$y - y(0)$")
+        found.append(Panel("path of the object", "moved [mm]", MM * moved[:, :2], names))
+    for i, finger in enumerate(grasp.fingers):
+        mine = slice(at, at + finger.joints)
+        at += finger.joints
+        names = tuple(f"$q_{{{i + 1}{j + 1}}}$" for j in range(finger.joints))
+        found.append(Panel(f"joint angles of finger {i + 1}", "$q - q(0)$ [rad]", moved[:, mine], names))
+    return found
+
+
+def _joint_rates(grasp: Grasp, run: Trajectory) -> list[Panel]:
+    v, at, panels = np.asarray(run.states.v), grasp.sizes[0], []
+    single_finger = len(grasp.fingers) == 1
+    for i, finger in enumerate(grasp.fingers):
+        rates = v[:, at : at + finger.joints]
+        at += finger.joints
+        if single_finger and finger.joints <= 3:
+            panels += [
+                Panel(f"rate of joint {j + 1}", rf"$\dot{{q}}_{{{j + 1}}}$ [rad/s]", rates[:, j])
+                for j in range(finger.joints)
+            ]
+            continue
+        title = "joint rates" if single_finger else f"joint rates of finger {i + 1}"
+        names = tuple(f"joint {j + 1}" for j in range(finger.joints))
+        panels.append(Panel(title, r"$\dot{q}$ [rad/s]", rates, names))
+    return panels
+
+
+def _object_rates(grasp: Grasp, run: Trajectory) -> list[Panel]:
+    v = np.asarray(run.states.v)[:, : grasp.sizes[0]]
+    turning = Panel("rate of the object", r"$\dot{\theta}$ [rad/s]", v[:, -1])
+    if v.shape[1] == 1:
+        return [turning]
+    names = (r"$\dot{x}$", r"$\dot{y}$")
+    return [turning, Panel("velocity of the object", "velocity [mm/s]", MM * v[:, :2], names)]
+
+
+def _gaps(grasp: Grasp, run: Trajectory, normal: tuple[str, ...], tangential: tuple[str, ...]) -> list[Panel]:
+    left, size = run.residuals, float(np.mean(np.asarray(grasp.fingers[0].lengths)))
+    return [
+        _residual("normal gap", r"$Q$ [m]", left.normal, size, normal),
+        _residual("tangential gap", r"$R$ [m]", left.tangential, size, tangential),
+    ]
+
+
+def _forces(grasp: Grasp, run: Trajectory, contacts: tuple[str, ...]) -> list[Panel]:
+    f, lam = _multipliers(grasp, run)
+    if len(contacts) == 1:
+        both = np.concatenate([f, lam], axis=1)
+        return [Panel("contact force", "force [N]", both, ("normal $f$", r"tangential $\lambda$"))]
+    return [
+        Panel("normal force", "$f$ [N]", f, contacts),
+        Panel("tangential force", r"$\lambda$ [N]", lam, contacts),
+    ]
+
+
+def _multipliers(grasp: Grasp, run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    found = run.multipliers
+    if found is None:
+        found = multipliers(grasp, run.ts, run.states)
+    return np.asarray(found.f), np.asarray(found.lam)
+
+
+def _last(run: Trajectory, contacts: tuple[str, ...]) -> Panel:
+    energy = run.energy
+    if energy is None:
+        return _residual("tangency", "sine [rad]", run.residuals.tangency, 1.0, contacts)
+    size = float(np.nanmax(np.abs(np.asarray(energy.kinetic + energy.potential))))
+    return _residual("energy balance", r"$\Delta(K + P - W)$ [J]", energy.residual, size, ())
+
+
+def _residual(title: str, label: str, values: object, size: float, names: tuple[str, ...]) -> Panel:
+    """A panel of what should be zero, in a thin line that shows scatter."""
+    seen = np.asarray(values)
+    if np.nanmax(np.abs(seen)) < _ROUNDING * size:
+        title += " (rounding level)"
+    return Panel(title, label, seen, names, 0.8)
+
+
+def _numbered(noun: str, count: int) -> tuple[str, ...]:
+    return tuple(f"{noun} {i + 1}" for i in range(count))

@@ -1,0 +1,113 @@
+"""The path of a pinch over the level lines of its potential U(s1, s2)."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ..geometry import AbstractContour
+from ..integration import check_pinch, pinch_balance, Trajectory
+from ..mechanics import Grasp
+from ..stability import equilibrium, pinch_statics
+from ._style import CONTACT, GUIDE, MM, Picture, tidy
+from ._views import single
+
+_GRID = 81
+_LEVELS = 12
+# Free space round the path, and the smallest half width of the picture [m].
+_MARGIN, _LEAST = 0.2, 5e-4
+
+
+def phase(grasp: Grasp, trajectory: Trajectory) -> Figure:
+    r"""Draw the path of $(s_1, s_2)$ over level lines of $U(s_1, s_2)$, (27).
+
+    The grasp rolls downhill; with $\alpha_i = 0$ it ends at a minimum of U, where $O_1, P_1, P_2, O_2$ are
+    collinear, otherwise a little off. White is beyond the end of a contour.
+
+    Args:
+        grasp: A pinch of two fingers under `control.Opposition`.
+        trajectory: One run of it.
+
+    Returns:
+        The figure: $s_i$ in millimetres, U in millijoules; start, end and, where Newton's method finds
+        one from the end, the equilibrium.
+
+    Raises:
+        ValueError: If the grasp is no such pinch, or the trajectory is a batch.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> from jaxroll import plotting
+        >>> grasp, state = jxr.scenes.pinch()
+        >>> run = jxr.simulate(grasp, state, t1=0.02, ts=3)
+        >>> plotting.phase(grasp, run).axes[0].get_xlabel()
+        '$s_1$ [mm]'
+    """
+    check_pinch(grasp)
+    ts, reached = single(trajectory)
+    path = np.asarray(pinch_balance(grasp, trajectory.ts, trajectory.states).s)[reached]
+    rest = _equilibrium(grasp, trajectory)
+    every = path if rest is None else np.concatenate([path, rest[None]])
+    middle = 0.5 * (every.min(axis=0) + every.max(axis=0))
+    half = max((0.5 + _MARGIN) * float(np.ptp(every, axis=0).max()), _LEAST)
+    figure = Picture(6.4, 5.4)
+    ax = figure.subplots()
+    _levels(ax, grasp, middle, half)
+    _path(ax, path, rest, ts[reached])
+    tidy(ax, xlabel="$s_1$ [mm]", ylabel="$s_2$ [mm]", title="Contacts on the object, over the potential $U$")
+    figure.legend(loc="outside lower center", ncols=4, fontsize=8, frameon=False)
+    return figure
+
+
+def _equilibrium(grasp: Grasp, trajectory: Trajectory) -> np.ndarray | None:
+    """The chapter's s at the equilibrium near the end, if there is one."""
+    found = equilibrium(grasp, trajectory.last)
+    if not bool(found.found):
+        return None
+    rolled = np.asarray(found.state.s)
+    return np.array([c.sense * (float(c.s_object) - r) for c, r in zip(grasp.contacts, rolled, strict=True)])
+
+
+def _levels(ax: Axes, grasp: Grasp, middle: np.ndarray, half: float) -> None:
+    line = np.linspace(-half, half, _GRID)
+    s1, s2 = np.meshgrid(middle[0] + line, middle[1] + line)
+    u = 1e3 * np.array(pinch_statics(grasp, np.stack([s1, s2], axis=-1)).potential)
+    u[~(_inside(grasp, 0, s1) & _inside(grasp, 1, s2))] = np.nan
+    # Evenly spaced rings round a minimum, where U is quadratic.
+    low, high = np.nanmin(u), np.nanmax(u)
+    levels = low + max(high - low, 1e-9 * high) * np.linspace(0.0, 1.0, _LEVELS + 1) ** 2
+    filled = ax.contourf(MM * s1, MM * s2, u, levels, cmap="Blues", alpha=0.8)
+    ax.contour(MM * s1, MM * s2, u, levels, colors="white", linewidths=0.8)
+    ax.set_aspect("equal")
+    figure = ax.get_figure(root=True)
+    assert figure is not None
+    bar = figure.colorbar(filled, ax=ax, shrink=0.9, ticks=levels[::2])
+    digits = int(np.clip(1.0 - np.floor(np.log10(levels[2] - low)), 0.0, 9.0))
+    bar.ax.set_yticklabels([f"{level:.{digits}f}" for level in levels[::2]])
+    bar.set_label("$U$ [mJ]", fontsize=9)
+    bar.ax.tick_params(labelsize=8, length=3, width=0.7, color="#777777")
+    bar.outline.set(linewidth=0.7, edgecolor="#777777")  # pyright: ignore
+
+
+def _inside(grasp: Grasp, i: int, s: np.ndarray) -> np.ndarray:
+    """Where the chapter's $s_i$ lies on both contours of contact i."""
+    contact = grasp.contacts[i]
+    tip, face = grasp.contours(contact)
+    on_face = contact.sense * s
+    on_tip = float(contact.s_tip) + float(contact.s_object) - on_face
+    return _on(tip, on_tip) & _on(face, on_face)
+
+
+def _on(contour: AbstractContour, s: np.ndarray) -> np.ndarray:
+    ends = contour.domain()
+    if contour.closed or ends is None:
+        return np.ones(s.shape, bool)
+    return (s >= float(ends[0])) & (s <= float(ends[1]))
+
+
+def _path(ax: Axes, path: np.ndarray, rest: np.ndarray | None, ts: np.ndarray) -> None:
+    ax.plot(*(MM * path.T), color=CONTACT, lw=1.4, label="path", zorder=3)
+    dot = {"ls": "none", "marker": "o", "mec": CONTACT, "mew": 1.4, "zorder": 5}
+    ax.plot(*(MM * path[:1].T), **dot, ms=7, mfc="white", label=f"start, {ts[0]:.3g} s")
+    ax.plot(*(MM * path[-1:].T), **dot, ms=7, mfc=CONTACT, label=f"end, {ts[-1]:.3g} s")
+    if rest is not None:
+        ax.plot(*(MM * rest[:, None]), "+", color=GUIDE, ms=13, mew=1.5, zorder=6, label="equilibrium")

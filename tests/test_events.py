@@ -1,0 +1,215 @@
+"""The model's ends: each has its code, and its time is a root, with the right derivative."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+from scipy.optimize import brentq
+
+import jaxroll as jxr
+from jaxroll._algebra import Vec2
+from jaxroll.geometry import frenet
+
+RTOL = 1e-10
+
+
+def ends(grasp, state, t1=0.6, **options):
+    """One run to the end of the model, nothing saved on the way."""
+    return jxr.simulate(grasp, state, t1, ts=1, rtol=RTOL, throw=False, **options)
+
+
+def rubbing(grasp, friction):
+    """The same grasp with a friction cone."""
+    contact = grasp.contacts[0]
+    return grasp.with_contacts(jxr.Contact(contact.s_tip, contact.s_object, friction=friction))
+
+
+@pytest.fixture(scope="module")
+def forces(scene):
+    """f(t) and lambda(t) of the pivoted scene without limits, as splines through 601 points."""
+    run = jxr.simulate(*scene, 0.6, ts=601, rtol=RTOL, record=("multipliers",))
+    return (CubicSpline(run.ts, values[:, 0]) for values in (run.multipliers.f, run.multipliers.lam))
+
+
+def test_friction_cone_is_left_when_the_forces_say_so(scene, forces):
+    f, lam = forces
+    when = brentq(lambda t: abs(lam(t)) - 0.12 * f(t), 0.05, 0.6)
+    run = ends(rubbing(scene[0], 0.12), scene[1])
+    assert run.result == jxr.RESULTS.slipping
+    assert abs(float(run.stats.t_end) - when) <= 1e-8
+    at_end = jxr.multipliers(scene[0], run.stats.t_end, run.last)
+    assert abs(abs(at_end.lam[0]) / at_end.f[0] - 0.12) <= 1e-12
+    assert ends(rubbing(scene[0], 0.5), scene[1]).result == jxr.RESULTS.successful
+    assert ends(rubbing(scene[0], 0.12), scene[1], events=()).result == jxr.RESULTS.successful
+
+
+def fading(t, angles, rates, tips):
+    """Control (75) whose force fades and then pulls."""
+    arm = tips[0].position - jnp.array([0.03, 0.105])
+    return (-0.006 * rates[0] - 50.0 * (1.0 - t / 0.3) * tips[0].jacobian.T @ arm,)
+
+
+def test_contact_is_lost_when_its_force_is_zero(scene):
+    grasp, state = scene
+    faded = grasp.with_(controller=fading)
+    run = ends(faded, state)
+    assert run.result == jxr.RESULTS.contact_lost
+    assert 0.1 < float(run.stats.t_end) < 0.35
+    assert abs(jxr.multipliers(faded, run.stats.t_end, run.last).f[0]) <= 1e-12
+    # Where a pull is allowed the same run goes on; its force crosses zero at that time.
+    on = jxr.simulate(
+        faded, state, 0.4, ts=401, rtol=RTOL, events=("friction",), record=("multipliers",)
+    )
+    when = brentq(CubicSpline(on.ts, on.multipliers.f[:, 0]), 0.1, 0.39)
+    assert abs(float(run.stats.t_end) - when) <= 1e-8
+
+
+def test_a_start_beyond_a_limit_ends_at_once(scene):
+    grasp, state = scene
+    run = ends(grasp.with_(force=-0.5), state)
+    assert run.result == jxr.RESULTS.contact_lost and float(run.stats.t_end) == 0.0
+    assert np.isfinite(np.asarray(run.last.q)).all()
+
+
+def shortened(grasp, low):
+    """The pivoted scene on an object contour that ends at arclength `low`."""
+    old = grasp.object.contours[0]
+    domain = jnp.stack([jnp.asarray(low, float), jnp.asarray(0.02)])
+    contour = jxr.Catenary(old.contour.a, domain).moved(old.offset, old.angle, origin=old.origin)
+    return grasp.with_(contours=(contour,))
+
+
+def test_contour_ends_to_rounding(scene):
+    run = ends(shortened(scene[0], -0.0065), scene[1], t1=2.0)
+    assert run.result == jxr.RESULTS.contour_end
+    assert abs(0.003 - run.last.s[0] - (-0.0065 + 3.363e-3)) <= 1e-15
+
+
+def friction_time(grasp, state, mu, damping):
+    return ends(rubbing(grasp.with_(damping=damping), mu), state).stats.t_end
+
+
+def end_time(grasp, state, low, damping):
+    return ends(shortened(grasp.with_(damping=damping), low), state, t1=2.0).stats.t_end
+
+
+@pytest.mark.parametrize(
+    ("time", "first"),
+    [(friction_time, 0.12), pytest.param(end_time, -0.0065, marks=pytest.mark.slow)],
+)
+def test_gradient_of_the_event_time(scene, time, first):
+    """Both modes, in the limit and in a parameter of the motion, against central differences."""
+    grasp, state = scene
+    point = jnp.array([first, 0.006])
+    when = jax.jit(lambda p: time(grasp, state, p[0], p[1]))
+    reverse = jax.jit(jax.grad(when))(point)
+    along = jax.jit(lambda d: jax.jvp(when, (point,), (d,))[1])
+    forward = [along(d) for d in jnp.eye(2)]
+    np.testing.assert_allclose(reverse, forward, rtol=1e-9)
+    for i, step in enumerate((1e-3 * abs(first), 1e-5)):
+        move = jnp.zeros(2).at[i].set(step)
+        # Fourth-order differences: truncation and rounding both below 1e-7.
+        near, far = (when(point + k * move) - when(point - k * move) for k in (1, 2))
+        assert abs((8 * near - far) / (12 * step) / reverse[i] - 1) <= 1e-6
+
+
+def test_state_at_an_event_moves_with_its_time(scene):
+    """The derivative of the last state is total: the event shifts as well."""
+    grasp, state = scene
+    angle = jax.jit(lambda mu: ends(rubbing(grasp, mu), state).last.q[0])
+    step = 1e-4
+    slope = (angle(0.12 + step) - angle(0.12 - step)) / (2 * step)
+    assert abs(jax.jit(jax.jacfwd(angle))(0.12) / slope - 1) <= 1e-5
+
+
+def test_lanes_end_each_on_its_own(scene):
+    grasp, state = scene
+    limits = jnp.array([0.12, 0.5, 0.13])
+    runs = jax.jit(jax.vmap(lambda mu: ends(rubbing(grasp, mu), state)))(limits)
+    codes = [runs.result._value[i] for i in range(3)]
+    wanted = [jxr.RESULTS.slipping, jxr.RESULTS.successful, jxr.RESULTS.slipping]
+    assert codes == [w._value for w in wanted]
+    alone = jax.jit(jax.vmap(lambda mu: ends(rubbing(grasp, mu), state)))(limits.at[0].set(0.6))
+    np.testing.assert_array_equal(runs.last.q[1:], alone.last.q[1:])
+
+
+class Hollow(jxr.AbstractContour):
+    """A user's contour: a concave arc of 30 mm radius."""
+
+    closed = False
+    smoothness = float("inf")
+
+    def curve(self, s):
+        return Vec2(0.03 * (1.0 - jnp.cos(s / 0.03)), 0.03 * jnp.sin(s / 0.03))
+
+    def frame(self, s):
+        return frenet(self.curve, s)
+
+    def prepared(self):
+        return self
+
+    def domain(self):
+        return None
+
+
+def test_curvature_sum_runs_out():
+    """On a concave face the fingertip flattens until it no longer rolls; the run says so."""
+    grasp, state = jxr.scenes.pivoted()
+    old = grasp.object.contours[0]
+    hollow = grasp.with_(contours=(Hollow().moved(old.offset, old.angle, origin=old.origin),))
+    _, start = jxr.close(hollow, jxr.State(state.q, jnp.array([-40.0, 0.0, 0.0]), state.s))
+    run = ends(hollow, start, t1=1.0, events=())
+    assert run.result == jxr.RESULTS.singular_contact
+    tip, face = hollow.contours(hollow.contacts[0])
+    left = tip.curvature(run.last.s[0] - 0.003) + face.curvature(0.003 - run.last.s[0])
+    assert abs(left) < 0.1
+
+
+def test_a_stretched_finger_is_a_singular_grasp():
+    """Neither a straight finger nor a pivoted disc can move along their common line."""
+    disc = jxr.PivotedObject(jxr.Circle(0.02), inertia=1e-5, pivot=(0.0, 0.16))
+    finger = jxr.Finger([0.065, 0.065], [0.045, 0.040], jxr.Circle(0.01))
+    grasp = jxr.Grasp(disc, finger, jxr.Contact())
+    state = jxr.State(jnp.array([-jnp.pi / 2, jnp.pi / 2, 0.0]), jnp.zeros(3), jnp.zeros(1))
+    run = jxr.simulate(grasp, state, 0.1, ts=1, throw=False)
+    assert run.result == jxr.RESULTS.singular_contact
+    assert np.isfinite(np.asarray(run.last.q)).all()
+
+
+def swinging(t, angles, rates, tips):
+    """One finger rests, the other one is driven at the object."""
+    return (-0.006 * rates[0], 2e-4 * jnp.ones(2) - 1e-4 * rates[1])
+
+
+def test_a_finger_that_hits_the_object_elsewhere_is_penetration():
+    disc = jxr.PivotedObject(jxr.Circle(0.02), inertia=1e-5, pivot=(0.03, 0.1))
+    holder = jxr.Finger([0.065, 0.065], [0.045, 0.040], jxr.Circle(0.01))
+    other = jxr.Finger([0.05, 0.05], [0.045, 0.040], jxr.Circle(0.008), base=(0.09, 0.1))
+    grasp = jxr.Grasp(disc, [holder, other], jxr.Contact(0.0, 0.06), controller=swinging)
+    guess = jxr.State(jnp.array([0.0, 1.9, -0.7, 1.2, 1.0]), jnp.zeros(5), jnp.zeros(1))
+    grasp, state = jxr.close(grasp, guess)
+    run = ends(grasp, state, t1=2.0, events=("penetration",))
+    assert run.result == jxr.RESULTS.penetration
+    q = np.asarray(run.last.q[3:])
+    tip = np.array([0.09, 0.1]) + 0.05 * np.array(
+        [np.cos(q[0]) + np.cos(q[0] + q[1]), np.sin(q[0]) + np.sin(q[0] + q[1])]
+    )
+    overlap = 0.028 - np.linalg.norm(tip - np.array([0.03, 0.1]))
+    assert 0 <= overlap <= 2e-7
+    assert ends(grasp, state, t1=2.0, events=()).result == jxr.RESULTS.successful
+
+
+def test_limits_that_are_off_leave_the_program_no_larger(scene):
+    grasp, state = scene
+
+    def lines(grasp, **options):
+        run = jax.jit(lambda g, s: jxr.simulate(g, s, 1.0, ts=3, throw=False, **options))
+        return len(run.lower(grasp, state).as_text().splitlines())
+
+    off = lines(grasp, events=())
+    assert off < lines(grasp) < lines(rubbing(grasp, 0.3))
+    assert off == lines(grasp, events=("friction",))
+    assert off < lines(grasp, events=(), record=("multipliers",))
+    assert off < lines(grasp, events=(), record=("energy",))
+    assert off < lines(jxr.scenes.pivoted(gravity=(0.0, -9.81))[0], events=())

@@ -1,0 +1,237 @@
+"""Statics, equilibria and verdicts of grasps, against differences, closed forms and simulation."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxroll as jxr
+from jaxroll.stability import assess, equilibrium, margin, pinch_statics, rectangle_hessian, VERDICTS
+
+VIOLATING = jxr.Circle(0.005).moved((0.005, 0.0))  # centre ahead of O_i: h = 10 mm, 1/kappa = 5 mm
+BLUNT = jxr.Circle(0.015).moved((-0.005, 0.0))  # centre behind: h = 10 mm, 1/kappa = 15 mm
+SHARP = jxr.Circle(0.0098).moved((0.0002, 0.0))  # just violates (41)
+
+
+@pytest.fixture(scope="module")
+def pinch():
+    """The pinch whose equilibria are those of U alone."""
+    return jxr.scenes.pinch(alpha=0.0)
+
+
+def collinear(grasp, guess):
+    """The chapter's s_i where grad U = 0, by Newton from a guess."""
+    s = jnp.asarray(guess, float)
+    for _ in range(30):
+        at = pinch_statics(grasp, s)
+        s = s - jnp.linalg.solve(at.hessian, at.gradient)
+    return s
+
+
+@pytest.mark.parametrize("tips", [(BLUNT, VIOLATING), None, (jxr.Ellipse(0.012, 0.009), BLUNT)])
+def test_hessian_of_u_is_the_corrected_39_and_40(tips):
+    """At the collinear equilibrium; the chapter's own form lacks the rank-one term."""
+    grasp, _ = jxr.scenes.pinch(tips=tips, s=(0.001, -0.0005))
+    s = collinear(grasp, (0.0002, 0.0001))
+    at, closed = pinch_statics(grasp, s), rectangle_hessian(grasp, s)
+    scale = np.abs(closed).max()
+    assert np.abs(at.gradient).max() <= 1e-12 and abs(at.d) <= 1e-12
+    np.testing.assert_allclose(at.hessian, closed, rtol=0, atol=1e-12 * scale)
+    printed = np.diag(np.diag(closed) - np.array([closed[0, 1] ** 2 / closed[1, 0]] * 2))
+    assert np.abs(printed - closed).max() > 1e-2 * scale
+
+
+def test_hessian_of_u_against_central_differences(pinch):
+    grasp, _ = pinch
+    point, h = jnp.array([0.004, -0.002]), 2e-5
+    at = pinch_statics(grasp, point)
+    potential = lambda s: pinch_statics(grasp, s).potential  # noqa: E731
+    unit = h * jnp.eye(2)
+    slopes = jnp.stack([(potential(point + e) - potential(point - e)) / (2 * h) for e in unit])
+    np.testing.assert_allclose(at.gradient, slopes, rtol=1e-6)
+    gradient = lambda s: pinch_statics(grasp, s).gradient  # noqa: E731
+    second = jnp.stack([(gradient(point + e) - gradient(point - e)) / (2 * h) for e in unit])
+    np.testing.assert_allclose(at.hessian, second, rtol=1e-6)
+
+
+def test_statics_agree_with_the_moving_grasp(pinch):
+    """U(s_1, s_2), d and l from contact coordinates alone, against tip positions along a run."""
+    grasp, state = pinch
+    run = jxr.simulate(grasp, state, 1.0, ts=5)
+    found = jxr.pinch_balance(grasp, run.ts, run.states)
+    at = pinch_statics(grasp, found.s)
+    np.testing.assert_allclose(at.potential, found.potential, rtol=1e-13)
+    np.testing.assert_allclose(at.d, found.d[:, 0], atol=1e-15)
+    np.testing.assert_allclose(at.l, found.l[:, 0], atol=1e-15)
+
+
+def potential(grasp, q):
+    """(22) in plain NumPy."""
+    control, tips, turns, start = grasp.controller, [], [], 3
+    for finger in grasp.fingers:
+        angles = np.cumsum(q[start : start + finger.joints])
+        start += finger.joints
+        links = np.asarray(finger.lengths)
+        reach = [links @ np.cos(angles), links @ np.sin(angles)]
+        tips.append(np.asarray(finger.base) + reach)
+        turns.append(angles[-1])
+    kept = 0.5 * np.asarray(control.alpha) @ (np.array(turns) - control.start) ** 2
+    return 0.5 * float(control.beta) * np.sum((tips[0] - tips[1]) ** 2) + kept
+
+
+def rolled(grasp, state, dq):
+    """The state at q + dq, to first order, with both contacts closed and rolled on: SciPy's root."""
+    from scipy.optimize import root
+
+    n = state.q.shape[0]
+
+    @jax.jit
+    def rows(z):
+        left = jxr.residuals(grasp, jxr.State(z[:n], state.v, z[n:]))
+        return jnp.concatenate([left.normal, left.tangential, left.tangency])
+
+    here = np.concatenate([state.q, state.s])
+    slopes = np.asarray(jax.jacfwd(rows)(here))
+    ds = np.linalg.lstsq(slopes[:, n:], -slopes[:, :n] @ dq, rcond=None)[0]
+    start, normals = here + np.concatenate([dq, ds]), slopes.T  # corrected along the manifold's normals
+    found = root(lambda y: np.asarray(rows(start + normals @ y)), np.zeros(normals.shape[1]), tol=1e-15)
+    return start + normals @ found.x
+
+
+@pytest.mark.parametrize("scene", ["pinch", pytest.param("pinch_ellipse", marks=pytest.mark.slow)])
+def test_reduced_hessian_against_second_differences(scene):
+    """Of P along the constraint manifold, at an equilibrium, in every tangent direction and one mixed."""
+    grasp, state = getattr(jxr.scenes, scene)()
+    found = assess(grasp, state)
+    rest, p0 = found.equilibrium.state, potential(grasp, np.asarray(found.equilibrium.state.q))
+    directions = [*np.eye(4), np.array([0.3, -0.5, 0.7, 0.4])]
+    size = np.abs(found.hessian).max()
+    for xi in directions:
+        step = 2e-3 / np.abs(found.tangent @ xi).max()
+        second = []
+        for h in (step, 2 * step):
+            ends = [potential(grasp, rolled(grasp, rest, k * h * found.tangent @ xi)[:8]) for k in (1, -1)]
+            second.append((sum(ends) - 2 * p0) / h**2)
+        fine = (4 * second[0] - second[1]) / 3
+        assert abs(fine - xi @ found.hessian @ xi) <= 1e-6 * size
+
+
+def test_reduced_hessian_is_that_of_u_on_a_rectangle(pinch):
+    """H = (ds/dxi)^T (39)-(40) (ds/dxi), with ds_i from (7) on flat faces."""
+    found = assess(*pinch)
+    closed = rectangle_hessian(pinch[0], collinear(pinch[0], (0.0, 0.0)))
+    spins = found.tangent[2], found.tangent[3:6].sum(axis=0), found.tangent[6:].sum(axis=0)
+    kappa = 40.0  # both tips touch at the vertex of (82)-(83)
+    slopes = np.stack([-(spins[0] - spins[1]), spins[0] - spins[2]]) / kappa
+    wanted = slopes.T @ closed @ slopes
+    np.testing.assert_allclose(found.hessian, wanted, atol=1e-9 * np.abs(wanted).max())
+
+
+def test_verdicts(pinch):
+    """(41) holds: stable but for the redundant joints; circles about O_i: one more neutral direction."""
+    good, circles = assess(*pinch), assess(*jxr.scenes.ball_plate(alpha=0.0))
+    assert good.verdict == VERDICTS.neutral and int(good.neutral) == 2
+    assert circles.verdict == VERDICTS.neutral and int(circles.neutral) == 3
+    assert np.asarray(good.curvatures[2:]).min() > 1.0
+    # alpha_i holds the rotation of the object: two neutral directions fewer with centred circles.
+    held = assess(*jxr.scenes.ball_plate())
+    assert held.verdict == VERDICTS.neutral and int(held.neutral) == 1
+    assert assess(*jxr.scenes.pivoted()).verdict == VERDICTS.asymptotically_stable
+    assert int(assess(*jxr.scenes.pivoted()).neutral) == 0
+
+
+def test_margin_of_41():
+    for tip, wanted in ((VIOLATING, -0.005), (BLUNT, 0.005), (SHARP, -0.0002), (jxr.Circle(0.01), 0.0)):
+        assert abs(margin(tip, 0.0) - wanted) <= 1e-15
+    # As h'' of the support function about O_i, by differences over the normal's angle.
+    tip = jxr.Ellipse(0.012, 0.009).moved((0.001, 0.0005))
+    s = np.linspace(0.002, 0.012, 5)
+    h = lambda u: np.sum(np.asarray(tip.point(u)) * np.asarray(tip.normal(u)), axis=-1)  # noqa: E731
+    e = 1e-5
+    slope = lambda u: (h(u + e) - h(u - e)) / (2 * e) / np.asarray(tip.curvature(u))  # noqa: E731
+    second = (slope(s + e) - slope(s - e)) / (2 * e) / np.asarray(tip.curvature(s))
+    np.testing.assert_allclose(margin(tip, s), second, rtol=1e-4)
+
+
+def leans(grasp, state, t1, **options):
+    run = jxr.simulate(grasp, state, t1, ts=5, throw=False, **options)
+    found = jxr.pinch_balance(grasp, run.stats.t_end, run.last)
+    return run, np.abs(found.lean).max()
+
+
+@pytest.mark.slow
+def test_grasps_do_what_the_verdict_says(pinch):
+    """(41): to collinear within 1e-6 rad. Indefinite: away. One finger against (41): stable all the same."""
+    run, end = leans(*pinch, 12.0)
+    assert run.result == jxr.RESULTS.successful and end <= 1e-6
+
+    leaving = jxr.scenes.pinch(tips=VIOLATING, alpha=0.0, s=(0.0003, -0.0003))
+    verdict = assess(*leaving)
+    assert verdict.verdict == VERDICTS.unstable and verdict.curvatures[0] < 0
+    first = np.abs(jxr.pinch_balance(leaving[0], 0.0, leaving[1]).lean).max()
+    run, end = leans(*leaving, 12.0)
+    assert end > 5 * first or run.result != jxr.RESULTS.successful
+
+    odd = jxr.scenes.pinch(tips=(SHARP, BLUNT), alpha=0.0, s=(0.001, -0.001))
+    assert margin(SHARP, 0.0) < 0 < margin(BLUNT, 0.0)
+    verdict = assess(*odd)
+    assert verdict.verdict == VERDICTS.neutral and int(verdict.neutral) == 2
+    start = np.abs(jxr.pinch_balance(odd[0], 0.0, odd[1]).lean).max()
+    run, end = leans(*odd, 20.0)
+    assert run.result == jxr.RESULTS.successful and end < 0.5 * start
+
+
+def test_slowest_rate_is_the_decay_of_a_run(pinch):
+    grasp, state = pinch
+    run = jxr.simulate(grasp, state, 10.0, ts=jnp.array([6.0, 9.0]), rtol=1e-10)
+    lean = np.abs(jxr.pinch_balance(grasp, run.ts, run.states).lean[:, 0])
+    rates = np.sort(assess(grasp, run.last).rates.real)
+    slowest = rates[:-2][-1]  # two neutral directions
+    assert abs(np.log(lean[1] / lean[0]) / 3.0 / slowest - 1) <= 1e-3
+
+
+def test_any_contour_any_number_of_fingers():
+    """From the end of a run, an elliptic object: the run comes to rest where Newton says."""
+    grasp, state = jxr.scenes.pinch_ellipse()
+    run = jxr.simulate(grasp, state, 3.0, ts=1)
+    found = assess(grasp, run.last)
+    assert bool(found.equilibrium.found) and found.verdict == VERDICTS.neutral
+    assert np.abs(found.equilibrium.state.s - run.last.s).max() < 2e-4
+    rest = found.equilibrium
+    balance = jxr.multipliers(grasp, 0.0, rest.state)
+    np.testing.assert_allclose(rest.multipliers.f, balance.f, atol=1e-12)
+    np.testing.assert_allclose(rest.multipliers.lam, balance.lam, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_three_fingers():
+    found = assess(*jxr.scenes.ring(3))
+    assert found.verdict == VERDICTS.asymptotically_stable and found.rates.shape == (6,)
+
+
+def test_gradient_and_batch():
+    """The smallest firm curvature over the radius of the tips: forward mode against differences."""
+    tips = lambda radius: jxr.Circle(radius).moved(jnp.stack([0.010 - radius, 0.0 * radius]))  # noqa: E731
+
+    @jax.jit
+    def firmness(radius):
+        grasp, state = base
+        for i, old in enumerate(grasp.fingers):
+            grasp = grasp.with_tip(i, tips(radius).moved(angle=old.tip.angle))
+        return assess(*jxr.close(grasp, state)).curvatures[2]
+
+    base = jxr.scenes.pinch(tips=tips(jnp.array(0.014)), alpha=0.0, s=(0.001, 0.0005))
+    slope = jax.jit(jax.jacfwd(firmness))(0.014)
+    h = 1e-5
+    assert abs((firmness(0.014 + h) - firmness(0.014 - h)) / (2 * h) / slope - 1) <= 1e-6
+    many = jax.vmap(firmness)(jnp.array([0.012, 0.014]))
+    assert abs(many[1] - firmness(0.014)) <= 1e-9 * many[1]
+
+
+def test_what_is_not_found_is_said(pinch):
+    grasp, state = pinch
+    lost = jxr.State(state.q * jnp.nan, state.v, state.s)
+    assert assess(grasp, lost).verdict == VERDICTS.not_found
+    assert not bool(equilibrium(grasp, lost).found)
+    with pytest.raises(ValueError, match="argument grasp must be two fingers with one contact each"):
+        pinch_statics(jxr.scenes.pivoted()[0], jnp.zeros(2))

@@ -1,14 +1,14 @@
 """The closed loop: the equations of motion under the grasp's controller, and the projection."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import jax
 from jaxtyping import Array
 
-from .._algebra import total
+from .._algebra import once, total
 from .._types import Scalar, Scalars
-from ..contact import Touch
 from ..control import AbstractController, as_controller, sense, Sensed
 from ..mechanics import (
     accelerate,
@@ -20,18 +20,36 @@ from ..mechanics import (
     Instant,
     join,
     Leaves,
+    Linearisation,
     Motion,
     net_force,
     poses,
     residual,
     respond,
+    spins,
     State,
     to_leaves,
     touches,
 )
 from ._formulation import Formulation
 
-Hold = Callable[[Any], Any]
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, slots=True)
+class Anchor:
+    """What one evaluation leaves behind for the return to the constraints.
+
+    Attributes:
+        line: Constraint Jacobian and factorised Schur complement.
+        bends: Sum of the two curvatures of each contact.
+    """
+
+    line: Linearisation
+    bends: Scalars
+
+
+def anchor_of(instant: Instant) -> Anchor:
+    """Keep what the projection needs."""
+    return Anchor(instant.line, tuple(t.tip.curvature + t.object.curvature for t in instant.touching))
 
 
 def evaluate(grasp: Grasp, t: Scalar, leaves: Leaves, formulation: Formulation) -> Instant:
@@ -82,33 +100,25 @@ def power(grasp: Grasp, t: Scalar, leaves: Leaves, motions: Sequence[Motion]) ->
     return drive + stored
 
 
-def project(grasp: Grasp, leaves: Leaves, instant: Instant, hold: Hold, *, sweeps: int = 2) -> Leaves:
-    """Return to the constraints, nearest in the mass metric: positions, contacts, velocities.
+def settle(grasp: Grasp, leaves: Leaves, anchor: Anchor) -> Leaves:
+    """One sweep back onto gap and tangency, nearest in the mass metric.
 
-    Simplified Newton with the factorisation of `instant`, which must belong to `leaves`: the gap g
-    falls to order g^2, then g^3. `hold` keeps XLA from recomputing one sweep inside the next.
+    Simplified Newton with the linearisation of `anchor`: a gap g falls to order g^2, then g^3.
     """
-    motions, touching, line = instant.motions, instant.touching, instant.line
-    q, s = leaves.q, leaves.s
-    left = residual(grasp, [m.pose for m in motions], touching)
-    for sweep in range(sweeps):
-        if sweep:
-            left = hold(residual(grasp, poses(grasp, q), touches(grasp, s)))
-        moved = hold(respond(grasp, line, balance(line, left.gaps)))
-        q = combine(q, moved, -1.0)
-        turns = [
-            total([u.spin * d for u, d in zip(m.unit_twists, block, strict=True)])
-            for m, block in zip(motions, moved, strict=True)
-        ]
-        s = tuple(
-            sigma + _roll(t, sine, turns[1 + c.finger], turns[0])
-            for c, t, sine, sigma in zip(grasp.contacts, touching, left.tangencies, s, strict=True)
-        )
-        q, s = hold((q, s))
+    line = anchor.line
+    left = once(residual(grasp, poses(grasp, leaves.q), touches(grasp, leaves.s)))
+    moved = once(respond(grasp, line, balance(line, left.gaps)))
+    body, *tips = spins(grasp, moved)
+    # Tangency is kept when both bodies turn back.
+    s = tuple(
+        sigma + (tips[c.finger] - body - sine) / bend
+        for c, bend, sine, sigma in zip(grasp.contacts, anchor.bends, left.tangencies, leaves.s, strict=True)
+    )
+    return Leaves(combine(leaves.q, moved, -1.0), leaves.v, s)
+
+
+def compatible(grasp: Grasp, leaves: Leaves, anchor: Anchor) -> Leaves:
+    """Velocities back onto $A v = 0$, nearest in the mass metric."""
+    line = anchor.line
     pull = respond(grasp, line, balance(line, apply_jacobian(grasp, line, leaves.v)))
-    return Leaves(q, combine(leaves.v, pull, -1.0), s)
-
-
-def _roll(touching: Touch, sine: Scalar, tip_turn: Scalar, object_turn: Scalar) -> Scalar:
-    """Change of the rolling coordinate that keeps tangency when both bodies turn back."""
-    return (tip_turn - object_turn - sine) / (touching.tip.curvature + touching.object.curvature)
+    return Leaves(leaves.q, combine(leaves.v, pull, -1.0), leaves.s)

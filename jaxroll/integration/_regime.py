@@ -42,13 +42,24 @@ def regime(grasp: Grasp, leaves: Leaves, instant: Instant, events: tuple[str, ..
     margins += [(m, _SINGULAR_CONTACT) for m in _curvature_sums(instant)]
     margins.append((instant.line.schur.smallest_pivot - _SINGULAR, _SINGULAR_CONTACT))
     margins += _forces(grasp, instant, events)
-    if "penetration" in events:
-        margins += [(m, _PENETRATION) for m in _clearances(grasp, leaves)]
     least, number = margins[0][0], jnp.asarray(margins[0][1])
     for margin, code in margins[1:]:
         number = jnp.where(margin < least, code, number)
         least = jnp.minimum(margin, least)
     return least, jnp.where(least < 0, number, 0)
+
+
+def with_clearance(
+    grasp: Grasp, leaves: Leaves, end: tuple[Scalar, Scalar], events: tuple[str, ...]
+) -> tuple[Scalar, Scalar]:
+    """Margin and code with the audit of penetration, where `events` asks for it: once a step."""
+    least, number = end
+    if "penetration" not in events:
+        return end
+    for margin in _clearances(grasp, leaves):
+        number = jnp.where((margin < least) & (margin < 0), _PENETRATION, number)
+        least = jnp.minimum(margin, least)
+    return least, number
 
 
 def coded(x: Array, margin: Scalar, number: Scalar) -> Array:

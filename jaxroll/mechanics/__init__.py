@@ -21,7 +21,9 @@ from ._constraints import (
     Residual as Residual,
     residual as residual,
     respond as respond,
+    spins as spins,
     touches as touches,
+    unknown_line as unknown_line,
 )
 from ._dynamics import (
     accelerate as accelerate,

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import jax
+import jax.numpy as jnp
 
 from .._algebra import Factor, factorise, Pose2, solve, total, Vec2
 from .._types import Scalar, Scalars
@@ -91,6 +92,19 @@ def linearise(
     return Linearisation(tuple(jacobian), tuple(weighted), factorise(rows))
 
 
+def unknown_line(grasp: Grasp) -> Linearisation:
+    """A linearisation full of zeros, as the state of a loop that will fill it."""
+    zero = jnp.zeros(())
+    jacobian, weighted = [], []
+    for contact in grasp.contacts:
+        counts = (grasp.sizes[1 + contact.finger], grasp.sizes[0])
+        jacobian.append(tuple((Vec2(zero, zero),) * k for k in counts))
+        weighted.append(tuple(((zero,) * k, (zero,) * k) for k in counts))
+    m = 2 * len(grasp.contacts)
+    schur = Factor(tuple((zero,) * i for i in range(m)), (zero,) * m, zero)
+    return Linearisation(tuple(jacobian), tuple(weighted), schur)
+
+
 def _solve(mass: Factor, columns: Vectors) -> tuple[Scalars, Scalars]:
     return solve(mass, [c.x for c in columns]), solve(mass, [c.y for c in columns])
 
@@ -114,6 +128,12 @@ def _schur_entry(
             for column, weight in zip(columns[block], weighted[block][other], strict=True)
         ]
     )
+
+
+def spins(grasp: Grasp, rates: Blocks) -> Scalars:
+    """Angular rates of the object and of every fingertip."""
+    tips = (finger.spin(block) for finger, block in zip(grasp.fingers, rates[1:], strict=True))
+    return (grasp.object.spin(rates[0]), *tips)
 
 
 def apply_jacobian(grasp: Grasp, line: Linearisation, rates: Blocks) -> Vectors:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import jax
 
-from .._algebra import factorise, solve, total, Vec2
+from .._algebra import factorise, once, solve, total, Vec2
 from .._types import Scalar, Scalars
 from ..contact import gap_bias, rolling_rate, Touch
 from ._body import Inertia, Motion
@@ -80,8 +80,8 @@ def accelerate(
         closing = apply_jacobian(grasp, line, leaves.v)
         extra = stabiliser(motions, touching, closing)
         wanted = tuple(w - e for w, e in zip(wanted, extra, strict=True))
-    forces = balance(line, wanted)
-    rates = Leaves(leaves.v, combine(free, respond(grasp, line, forces)), sigma_rates)
+    forces = once(balance(line, once(wanted)))
+    rates = Leaves(leaves.v, once(combine(free, respond(grasp, line, forces))), sigma_rates)
     return Instant(rates, forces, motions, touching, line)
 
 

@@ -102,6 +102,10 @@ class Finger(eqx.Module):
         along = self.directions(q)
         return Pose2(self.joint_positions(along)[-1], along[-1].x, along[-1].y)
 
+    def spin(self, rates: Scalars) -> Scalar:
+        """Rate of the tip frame's angle."""
+        return total(rates)
+
     def motion(self, q: Scalars, v: Scalars, gravity: Vec2 | None) -> tuple[Motion, Inertia]:
         """Kinematics of the tip frame, mass matrix and bias force at one state."""
         along = self.directions(q)

@@ -42,6 +42,10 @@ class AbstractObject(eqx.Module):
         """The body frame in the world."""
 
     @abc.abstractmethod
+    def spin(self, rates: Scalars) -> Scalar:
+        """Rate of the body frame's angle."""
+
+    @abc.abstractmethod
     def motion(self, q: Scalars, v: Scalars, gravity: Vec2 | None) -> tuple[Motion, Inertia]:
         """Kinematics of the body frame, mass matrix and bias force at one state."""
 
@@ -99,6 +103,9 @@ class PivotedObject(AbstractObject):
         sin, cos = sincos(q[0])
         return Pose2(Vec2(self.pivot[0], self.pivot[1]), cos, sin)
 
+    def spin(self, rates: Scalars) -> Scalar:
+        return rates[0]
+
     def motion(self, q: Scalars, v: Scalars, gravity: Vec2 | None) -> tuple[Motion, Inertia]:
         pose, zero = self.pose(q), jnp.zeros_like(q[0])
         still = Vec2(zero, zero)
@@ -151,6 +158,9 @@ class FreeObject(AbstractObject):
     def pose(self, q: Scalars) -> Pose2:
         sin, cos = sincos(q[2])
         return Pose2(Vec2(q[0], q[1]), cos, sin)
+
+    def spin(self, rates: Scalars) -> Scalar:
+        return rates[2]
 
     def motion(self, q: Scalars, v: Scalars, gravity: Vec2 | None) -> tuple[Motion, Inertia]:
         zero, one = jnp.zeros_like(q[2]), jnp.ones_like(q[2])

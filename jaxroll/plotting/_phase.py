@@ -5,8 +5,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ..geometry import AbstractContour
-from ..integration import check_pinch, pinch_balance, Trajectory
-from ..mechanics import Grasp
+from ..integration import check_pinch, Trajectory
+from ..mechanics import Grasp, State
 from ..stability import equilibrium, pinch_statics
 from ._style import CONTACT, GUIDE, MM, Picture, tidy
 from ._views import single
@@ -17,7 +17,7 @@ _LEVELS = 12
 _MARGIN, _LEAST = 0.2, 5e-4
 
 
-def phase(grasp: Grasp, trajectory: Trajectory) -> Figure:
+def phase(grasp: Grasp, trajectory: Trajectory, *, rest: State | None = None) -> Figure:
     r"""Draw the path of $(s_1, s_2)$ over level lines of $U(s_1, s_2)$, (27).
 
     The grasp rolls downhill; with $\alpha_i = 0$ it ends at a minimum of U, where $O_1, P_1, P_2, O_2$ are
@@ -26,10 +26,11 @@ def phase(grasp: Grasp, trajectory: Trajectory) -> Figure:
     Args:
         grasp: A pinch of two fingers under `control.Opposition`.
         trajectory: One run of it.
+        rest: The equilibrium to mark, such as `stability.assess(...).equilibrium.state`. Default: the
+            one that `stability.equilibrium` finds from the end of the run, if it finds one.
 
     Returns:
-        The figure: $s_i$ in millimetres, U in millijoules; start, end and, where Newton's method finds
-        one from the end, the equilibrium.
+        The figure: $s_i$ in millimetres, U in millijoules; start, end and equilibrium are marked.
 
     Raises:
         ValueError: If the grasp is no such pinch, or the trajectory is a batch.
@@ -44,27 +45,28 @@ def phase(grasp: Grasp, trajectory: Trajectory) -> Figure:
     """
     check_pinch(grasp)
     ts, reached = single(trajectory)
-    path = np.asarray(pinch_balance(grasp, trajectory.ts, trajectory.states).s)[reached]
-    rest = _equilibrium(grasp, trajectory)
-    every = path if rest is None else np.concatenate([path, rest[None]])
+    path = _chapter_s(grasp, trajectory.states)[reached]
+    if rest is None:
+        found = equilibrium(grasp, trajectory.last)
+        rest = found.state if bool(found.found) else None
+    goal = np.zeros((0, 2)) if rest is None else _chapter_s(grasp, rest)
+    every = np.concatenate([path, goal])
     middle = 0.5 * (every.min(axis=0) + every.max(axis=0))
     half = max((0.5 + _MARGIN) * float(np.ptp(every, axis=0).max()), _LEAST)
     figure = Picture(6.4, 5.4)
     ax = figure.subplots()
     _levels(ax, grasp, middle, half)
-    _path(ax, path, rest, ts[reached])
+    _path(ax, path, goal, ts[reached])
     tidy(ax, xlabel="$s_1$ [mm]", ylabel="$s_2$ [mm]", title="Contacts on the object, over the potential $U$")
     figure.legend(loc="outside lower center", ncols=4, fontsize=8, frameon=False)
     return figure
 
 
-def _equilibrium(grasp: Grasp, trajectory: Trajectory) -> np.ndarray | None:
-    """The chapter's s at the equilibrium near the end, if there is one."""
-    found = equilibrium(grasp, trajectory.last)
-    if not bool(found.found):
-        return None
-    rolled = np.asarray(found.state.s)
-    return np.array([c.sense * (float(c.s_object) - r) for c, r in zip(grasp.contacts, rolled, strict=True)])
+def _chapter_s(grasp: Grasp, states: State) -> np.ndarray:
+    """The chapter's $s_i$ [m] of one state or several, shape (t, 2)."""
+    starts = np.array([float(contact.s_object) for contact in grasp.contacts])
+    senses = np.array([contact.sense for contact in grasp.contacts])
+    return senses * (starts - np.reshape(states.s, (-1, 2)))
 
 
 def _levels(ax: Axes, grasp: Grasp, middle: np.ndarray, half: float) -> None:
@@ -104,10 +106,10 @@ def _on(contour: AbstractContour, s: np.ndarray) -> np.ndarray:
     return (s >= float(ends[0])) & (s <= float(ends[1]))
 
 
-def _path(ax: Axes, path: np.ndarray, rest: np.ndarray | None, ts: np.ndarray) -> None:
+def _path(ax: Axes, path: np.ndarray, goal: np.ndarray, ts: np.ndarray) -> None:
     ax.plot(*(MM * path.T), color=CONTACT, lw=1.4, label="path", zorder=3)
     dot = {"ls": "none", "marker": "o", "mec": CONTACT, "mew": 1.4, "zorder": 5}
     ax.plot(*(MM * path[:1].T), **dot, ms=7, mfc="white", label=f"start, {ts[0]:.3g} s")
     ax.plot(*(MM * path[-1:].T), **dot, ms=7, mfc=CONTACT, label=f"end, {ts[-1]:.3g} s")
-    if rest is not None:
-        ax.plot(*(MM * rest[:, None]), "+", color=GUIDE, ms=13, mew=1.5, zorder=6, label="equilibrium")
+    if goal.size:
+        ax.plot(*(MM * goal.T), "+", color=GUIDE, ms=13, mew=1.5, zorder=6, label="equilibrium")

@@ -120,5 +120,5 @@ def settle(grasp: Grasp, leaves: Leaves, anchor: Anchor) -> Leaves:
 def compatible(grasp: Grasp, leaves: Leaves, anchor: Anchor) -> Leaves:
     """Velocities back onto $A v = 0$, nearest in the mass metric."""
     line = anchor.line
-    pull = respond(grasp, line, balance(line, apply_jacobian(grasp, line, leaves.v)))
-    return Leaves(leaves.q, combine(leaves.v, pull, -1.0), leaves.s)
+    pull = respond(grasp, line, once(balance(line, apply_jacobian(grasp, line, leaves.v))))
+    return once(Leaves(leaves.q, combine(leaves.v, pull, -1.0), leaves.s))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from .._algebra import Factor, factorise, Pose2, solve, total, Vec2
+from .._algebra import Factor, factorise, once, Pose2, solve, total, Vec2
 from .._types import Scalar, Scalars
 from ..contact import gap, pfaffian, tangency, Touch, touch
 from ._body import Inertia, Motion
@@ -78,7 +78,7 @@ def linearise(
     jacobian, weighted = [], []
     for contact, t in zip(grasp.contacts, touching, strict=True):
         tip, body = motions[1 + contact.finger], motions[0]
-        columns = pfaffian((tip.pose, body.pose), (tip.unit_twists, body.unit_twists), t.points)
+        columns = once(pfaffian((tip.pose, body.pose), (tip.unit_twists, body.unit_twists), t.points))
         jacobian.append(columns)
         weighted.append((_solve(masses[1 + contact.finger], columns[0]), _solve(masses[0], columns[1])))
     rows = []

@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._algebra import Pose2, sincos, total, Twist2, unstack, Vec2
+from .._algebra import once, Pose2, sincos, total, Twist2, unstack, Vec2
 from .._results import as_floats, check_positive
 from .._types import Given, Scalar, Scalars
 from ..geometry import AbstractContour
@@ -155,7 +155,7 @@ class Finger(eqx.Module):
             row = [second + moment.dot(points[i] - points[j]) for j in range(i)]
             rows.append((*row, second))
             forces.append(torque)
-        return Inertia(tuple(reversed(rows)), tuple(reversed(forces)))
+        return once(Inertia(tuple(reversed(rows)), tuple(reversed(forces))))
 
     def gravity_potential(self, q: Scalars, gravity: Vec2) -> Scalar:
         """Potential energy of the links in a uniform field."""

@@ -58,9 +58,7 @@ def test_contact_is_lost_when_its_force_is_zero(scene):
     assert 0.1 < float(run.stats.t_end) < 0.35
     assert abs(jxr.multipliers(faded, run.stats.t_end, run.last).f[0]) <= 1e-12
     # Where a pull is allowed the same run goes on; its force crosses zero at that time.
-    on = jxr.simulate(
-        faded, state, 0.4, ts=401, rtol=RTOL, events=("friction",), record=("multipliers",)
-    )
+    on = jxr.simulate(faded, state, 0.4, ts=401, rtol=RTOL, events=("friction",), record=("multipliers",))
     when = brentq(CubicSpline(on.ts, on.multipliers.f[:, 0]), 0.1, 0.39)
     assert abs(float(run.stats.t_end) - when) <= 1e-8
 

@@ -1,8 +1,7 @@
 """The closed loop: the equations of motion under the grasp's controller, and the projection."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 from jaxtyping import Array
@@ -32,6 +31,7 @@ from ..mechanics import (
     touches,
 )
 from ._formulation import Formulation
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, slots=True)

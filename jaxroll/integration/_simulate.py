@@ -57,7 +57,10 @@ def simulate(
         t0: Initial time [s].
         formulation: `Index1()` (default) or `CSM(...)`, the chapter's stabilisation.
         solver: Any diffrax ODE solver. Default: `diffrax.Dopri8()`.
-        **options: `atol` (default: rtol), `dt0` [s], `max_steps` (default 4096),
+        **options: `events`, what ends a run besides contour ends and singular contacts: any of 'lift'
+            (a normal force falls below zero), 'friction' (a contact with a coefficient leaves its friction
+            cone), both by default, and 'penetration' (a fingertip overlaps the object elsewhere, on
+            64 points per contour); `atol` (default: rtol), `dt0` [s], `max_steps` (default 4096),
             `stepsize_controller` and `progress_meter`, as in `diffrax.diffeqsolve`.
 
     Returns:
@@ -69,10 +72,14 @@ def simulate(
             returned with its code.
 
     Batching: `vmap` over any array; each lane has its own code, and no lane changes another.
+    Events: a run ends where its model does, at the root of the force, distance or angle that runs out, to
+    rounding in time; `stats.t_end` and `last` carry the derivative of that time. A limit crossed and
+    recrossed within one step is not seen.
     Gradients: forward and reverse mode, of the discrete solution at frozen step sizes, with respect to
     `grasp` and `state`; in times or gains of the formulation, and twice, they are refused. A derivative
     records `max_steps` states.
-    Accuracy: with default settings about 1e-8 rad over the chapter's 3 s; constraint rows below 1e-14 m.
+    Accuracy: with default settings about 1e-8 rad over the chapter's scenes; constraint rows below 1e-14 m.
+    Recording energy puts the work into error control, and so can change the steps.
     Single precision: allowed from rtol 1e-5 up.
 
     Example:

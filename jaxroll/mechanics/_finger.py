@@ -95,7 +95,7 @@ class Finger(eqx.Module):
         points = [Vec2(self.base[0], self.base[1])]
         for length, direction in zip(self.lengths, along, strict=True):
             points.append(points[-1] + direction * length)
-        return tuple(points)
+        return once(tuple(points))
 
     def tip_pose(self, q: Scalars) -> Pose2:
         """The tip frame in the world."""
@@ -132,6 +132,7 @@ class Finger(eqx.Module):
         units = tuple(Twist2((tip - p).left(), jnp.ones_like(spin)) for p in points[:-1])
         velocity = total([u.velocity * rate for u, rate in zip(units, v, strict=True)])
         pose = Pose2(tip, heading.x, heading.y)
+        velocity, pull = once((velocity, pull))
         return Motion(pose, units, Twist2(velocity, spin), Twist2(pull, jnp.zeros_like(spin)))
 
     def _inertia(self, points: tuple[Vec2, ...], centres: list[Vec2], pulls: list[Vec2]) -> Inertia:

@@ -101,7 +101,7 @@ def _shape(ax: Axes, shape: Outline, colours: tuple[str, str]) -> None:
 
 def _arrows(ax: Axes, length: float, origin: str) -> None:
     arrow = {"arrowstyle": "-|>", "color": GUIDE, "lw": 1.0, "shrinkA": 0, "shrinkB": 0}
-    for tip, push, letter in (((length, 0.0), (0, -8), "X"), ((0.0, length), (-8, 0), "Y")):
+    for tip, push, letter in (((length, 0.0), (-5, -9), "X"), ((0.0, length), (-8, 0), "Y")):
         ax.annotate("", tip, (0.0, 0.0), arrowprops=arrow, zorder=6)
         ax.annotate(f"${letter}$", tip, push, fontsize=9, zorder=6, **_BESIDE)
     ax.plot(0, 0, "o", ms=5, mfc="white", mec=GUIDE, zorder=7)

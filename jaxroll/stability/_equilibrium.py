@@ -76,9 +76,7 @@ def equilibrium(grasp: Grasp, state: State, *, t: Given = 0.0) -> Equilibrium:
 
 def locate(grasp: Grasp, state: State, t: Given) -> tuple[tuple[Array, Array, Array], Array]:
     """Configuration, contact coordinates and forces at rest, differentiable, and what is left over."""
-    fixed, still = jax.tree.map(
-        lambda x: jax.lax.stop_gradient(x) if eqx.is_array(x) else x, (grasp, state)
-    )
+    fixed, still = jax.tree.map(lambda x: jax.lax.stop_gradient(x) if eqx.is_array(x) else x, (grasp, state))
     start, scale = _start(fixed, still, t)
     z = _newton(lambda z: _balance(fixed, z, scale, t), start, grasp.coordinates + len(grasp.contacts))
     pair, inverse = _settle(lambda pair: _nearest(fixed, still, pair, scale, t), z)
@@ -98,7 +96,7 @@ class _Scale(eqx.Module):
 
 def _start(grasp: Grasp, state: State, t: Given) -> tuple[Array, _Scale]:
     """The first guess, without contact forces, and the sizes of everything."""
-    n, contacts = grasp.coordinates, len(grasp.contacts)
+    contacts = len(grasp.contacts)
     drive = _drive(grasp, state.q, state.s, t)
     one, (length, coordinates) = jnp.ones((), state.q.dtype), _sizes(grasp)
     force = jnp.maximum(jnp.max(jnp.abs(drive * coordinates)) / length, 1e-6)

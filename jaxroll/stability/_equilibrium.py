@@ -66,25 +66,42 @@ def equilibrium(grasp: Grasp, state: State, *, t: Given = 0.0) -> Equilibrium:
         (True, '-4.788 mm')
     """
     ready = grasp.prepared()
-    rest, left = locate(ready, state, t)
-    q, s, push = rest
+    found, left = locate(ready, state, t)
+    n, contacts = ready.coordinates, len(ready.contacts)
+    q, s, push = found[:n], found[n : n + contacts], found[n + contacts :].reshape(contacts, 2)
     worst = jnp.max(jnp.abs(left))
     forces = _multipliers(ready, q, s, push)
     at = State(q, jnp.zeros_like(q), s)
     return Equilibrium(at, push, forces, worst, worst < 1e-9)
 
 
-def locate(grasp: Grasp, state: State, t: Given) -> tuple[tuple[Array, Array, Array], Array]:
-    """Configuration, contact coordinates and forces at rest, differentiable, and what is left over."""
-    fixed, still = jax.tree.map(lambda x: jax.lax.stop_gradient(x) if eqx.is_array(x) else x, (grasp, state))
-    start, scale = _start(fixed, still, t)
-    z = _newton(lambda z: _balance(fixed, z, scale, t), start, grasp.coordinates + len(grasp.contacts))
-    pair, inverse = _settle(lambda pair: _nearest(fixed, still, pair, scale, t), z)
-    size = start.shape[0]
-    left = _nearest(grasp, state, pair, scale, t)
-    z = (pair - inverse @ left)[:size] * scale.unknowns  # one more step, which carries the derivative
-    n, contacts = grasp.coordinates, len(grasp.contacts)
-    return (z[:n], z[n : n + contacts], z[n + contacts :].reshape(contacts, 2)), left[size:]
+@eqx.filter_custom_jvp
+def locate(grasp: Grasp, state: State, t: Given) -> tuple[Array, Array]:
+    """Configuration, contact coordinates and forces at rest, in one array, and what is left over."""
+    start, scale = _start(grasp, state, t)
+    moving = grasp.coordinates + len(grasp.contacts)
+    z = _newton(lambda z: _balance(grasp, z, scale, t), start, moving, _weights(grasp, scale))
+    return z * scale.unknowns, _balance(grasp, z, scale, t)
+
+
+@locate.def_jvp
+def _locate_jvp(primals: Any, tangents: Any) -> Any:
+    """Implicit function theorem on the conditions of the equilibrium nearest to the state."""
+    grasp, state, t = primals
+    found, left = locate(grasp, state, t)
+    _, scale = _start(grasp, state, t)
+    z, weights = found / scale.unknowns, _weights(grasp, scale)
+    jacobian = jax.jacfwd(lambda z: _balance(grasp, z, scale, t))(z)
+    away = weights * (z - _at(state, z) / scale.unknowns)
+    pair = jnp.concatenate([z, -jnp.linalg.pinv(jacobian, rtol=_RANK).T @ away])
+    matrix = jax.jacfwd(lambda pair: _nearest(grasp, state, pair, scale, t))(pair)
+    inverse = jnp.linalg.pinv(matrix, rtol=_RANK)
+    moving, still = eqx.partition((grasp, state), eqx.is_inexact_array)
+    moving_dot = jax.tree.map(lambda x, dot: jnp.zeros_like(x) if dot is None else dot, moving, tangents[:2])
+    conditions = lambda m: _nearest(*eqx.combine(m, still), pair, scale, t)  # noqa: E731
+    _, change = jax.jvp(conditions, (moving,), (moving_dot,))
+    found_dot = -(inverse @ change)[: z.shape[0]] * scale.unknowns
+    return (found, left), (found_dot, jnp.zeros_like(left))
 
 
 class _Scale(eqx.Module):
@@ -150,53 +167,51 @@ def _nearest(grasp: Grasp, state: State, pair: Array, scale: _Scale, t: Given) -
     """Conditions of the equilibrium nearest to a state; `pair` holds it and their multipliers."""
     z, pressure = jnp.split(pair, 2)
     left, pull = jax.vjp(lambda z: _balance(grasp, z, scale, t), z)
+    away = _weights(grasp, scale) * (z - _at(state, z) / scale.unknowns)
+    return jnp.concatenate([pull(pressure)[0] + away, left])
+
+
+def _at(state: State, z: Array) -> Array:
+    """The state's coordinates among the unknowns."""
+    return jnp.concatenate([state.q, jnp.zeros(z.shape[0] - state.q.shape[0], z.dtype)])
+
+
+def _weights(grasp: Grasp, scale: _Scale) -> Array:
+    """Squared distance of a configuration: angles in radians, lengths in mean link lengths."""
     n = grasp.coordinates
-    away = (z[:n] * scale.unknowns[:n] - state.q) / _sizes(grasp)[1] ** 2 * scale.unknowns[:n]
-    return jnp.concatenate([pull(pressure)[0].at[:n].add(away), left])
+    squared = (scale.unknowns[:n] / _sizes(grasp)[1]) ** 2
+    return jnp.zeros_like(scale.unknowns).at[:n].set(squared)
 
 
-def _newton(equations: Callable[[Array], Array], start: Array, moving: int) -> Array:
-    """Newton's method with shortest, bounded steps of the first `moving` unknowns."""
-    basis = jnp.eye(start.shape[0], dtype=start.dtype)
-    only_forces = jnp.arange(start.shape[0])[None, :] >= moving
+def _newton(equations: Callable[[Array], Array], start: Array, moving: int, weights: Array) -> Array:
+    """Newton's method with bounded steps, then along a family to its member nearest to the start."""
+    size = start.shape[0]
+    basis, place = jnp.eye(size, dtype=start.dtype), jnp.arange(size)
 
     def improve(carry: tuple[Any, ...]) -> tuple[Any, ...]:
-        z, _, i = carry
+        z, nullity, moved, i = carry
         left, push = jax.linearize(equations, z)
-        jacobian = jax.vmap(push, out_axes=1)(basis)
         # The first iteration sets the contact forces alone: without them the curvature would be wrong.
-        inverse = jnp.linalg.pinv(jnp.where((i > 0) | only_forces, jacobian, 0.0), rtol=_RANK)
-        step = inverse @ left
+        known = (i > 0) | (place[None, :] >= moving)
+        u, sigma, vt = jnp.linalg.svd(jnp.where(known, jax.vmap(push, out_axes=1)(basis), 0.0))
+        firm = sigma > _RANK * sigma[0]
+        # Away from a family its directions are not quite neutral: their number is read off on it.
+        nullity = jnp.where((nullity < 0) & (moved < 1e-9), jnp.sum(~firm), nullity)
+        firm = jnp.where(nullity < 0, firm, place < size - nullity)
+        step = vt.T @ (jnp.where(firm, u.T @ left / jnp.where(firm, sigma, 1.0), 0.0))
+        loose = jnp.where(firm[:, None], 0.0, vt)
+        metric = loose @ (weights[:, None] * loose.T) + jnp.diag(jnp.where(firm, 1.0, 0.0))
+        back = loose.T @ jnp.linalg.solve(metric, loose @ (weights * (z - start)))
+        step = step + jnp.where(nullity > 0, back, 0.0)
         share = jnp.minimum(1.0, _LONGEST / jnp.max(jnp.abs(step[:moving]) + 1e-300))
-        return z - step * share, jnp.max(jnp.abs(step)), i + 1
+        return z - step * share, nullity, jnp.max(jnp.abs(step)), i + 1
 
     def more(carry: tuple[Any, ...]) -> Scalar:
-        _, moved, i = carry
-        return (moved > 1e-12) & (i < _STEPS)
+        _, nullity, moved, i = carry
+        return ((moved > 1e-13) | (nullity < 0)) & (i < _STEPS)
 
-    first = (start, jnp.inf * jnp.ones((), start.dtype), jnp.array(0))
+    first = (start, jnp.array(-1), jnp.inf * jnp.ones((), start.dtype), jnp.array(0))
     return jax.lax.while_loop(more, improve, first)[0]
-
-
-def _settle(equations: Callable[[Array], Array], z: Array) -> tuple[Array, Array]:
-    """Newton from an equilibrium to the nearest one; also the pseudoinverse of the last Jacobian."""
-    basis = jnp.eye(2 * z.shape[0], dtype=z.dtype)
-
-    def improve(carry: tuple[Any, ...]) -> tuple[Any, ...]:
-        pair, _, _, i = carry
-        left, push = jax.linearize(equations, pair)
-        inverse = jnp.linalg.pinv(jax.vmap(push, out_axes=1)(basis), rtol=_RANK)
-        step = inverse @ left
-        return pair - step, inverse, jnp.max(jnp.abs(step[: z.shape[0]])), i + 1
-
-    def more(carry: tuple[Any, ...]) -> Scalar:
-        _, _, moved, i = carry
-        return (moved > 1e-12) & (i < _STEPS // 4)
-
-    start = jnp.concatenate([z, jnp.zeros_like(z)])
-    first = (start, jnp.zeros_like(basis), jnp.inf * jnp.ones((), z.dtype), jnp.array(0))
-    pair, inverse, _, _ = jax.lax.while_loop(more, improve, first)
-    return pair, inverse
 
 
 def _multipliers(grasp: Grasp, q: Array, s: Array, push: Array) -> Multipliers:

@@ -12,6 +12,7 @@ import re
 import subprocess
 import sys
 
+import jax
 import numpy as np
 import pytest
 
@@ -63,10 +64,11 @@ NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
-def test_notebook_runs_and_is_stored_without_outputs(path):
+def test_notebook_runs_and_is_stored_without_outputs(path, monkeypatch):
     import nbformat
     from nbclient import NotebookClient
 
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", jax.config.jax_compilation_cache_dir)
     stored = json.loads(path.read_text())
     cells = [c for c in stored["cells"] if c["cell_type"] == "code"]
     assert all(not c["outputs"] and c["execution_count"] is None for c in cells)
@@ -98,6 +100,18 @@ def test_demo_writes_its_figures_and_a_report(tmp_path):
     assert {"fig07_contours.png", "fig08_poses.png", "fig09_18_responses.png", "motion.gif"} <= files.keys()
     assert all(size > 5_000 for size in files.values())
     assert "jaxroll-pivoted" in done.stdout and "successful" in done.stdout
+    assert len(done.stdout.splitlines()) <= 30 and max(map(len, done.stdout.splitlines())) <= 100
+
+
+@pytest.mark.slow
+def test_pinch_demo_writes_its_figures_and_a_report(tmp_path):
+    done = run_cli("demo", "pinch", "--seconds", "1", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    files = {p.name: p.stat().st_size for p in (tmp_path / "jaxroll-pinch").iterdir()}
+    drawn = {"contours.png", "fig01_poses.png", "responses.png", "phase.png", "motion.gif"}
+    assert drawn == files.keys() and all(size > 5_000 for size in files.values())
+    for words in ("successful", "verdict", "neutral directions: 1", "Delta N_i", "dissipated"):
+        assert words in done.stdout
     assert len(done.stdout.splitlines()) <= 30 and max(map(len, done.stdout.splitlines())) <= 100
 
 

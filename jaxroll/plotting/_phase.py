@@ -39,8 +39,8 @@ def phase(grasp: Grasp, trajectory: Trajectory, *, rest: State | None = None) ->
         >>> import jaxroll as jxr
         >>> from jaxroll import plotting
         >>> grasp, state = jxr.scenes.pinch()
-        >>> run = jxr.simulate(grasp, state, t1=0.02, ts=3)
-        >>> plotting.phase(grasp, run).axes[0].get_xlabel()
+        >>> run = jxr.simulate(grasp, state, t1=0.02)
+        >>> plotting.phase(grasp, run, rest=state).axes[0].get_xlabel()
         '$s_1$ [mm]'
     """
     check_pinch(grasp)
@@ -66,7 +66,7 @@ def _chapter_s(grasp: Grasp, states: State) -> np.ndarray:
     """The chapter's $s_i$ [m] of one state or several, shape (t, 2)."""
     starts = np.array([float(contact.s_object) for contact in grasp.contacts])
     senses = np.array([contact.sense for contact in grasp.contacts])
-    return senses * (starts - np.reshape(states.s, (-1, 2)))
+    return senses * (starts - np.asarray(states.s).reshape(-1, 2))
 
 
 def _levels(ax: Axes, grasp: Grasp, goal: np.ndarray, middle: np.ndarray, half: float) -> None:

@@ -1,0 +1,92 @@
+"""Figures of a pinch: what they show is what was simulated."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import jaxroll as jxr
+from jaxroll.plotting._artists import limits
+from jaxroll.plotting._forces import arrows
+from jaxroll.plotting._views import views
+
+
+@pytest.fixture(scope="module")
+def pinch():
+    """The scene: grasp and closed state."""
+    return jxr.scenes.pinch()
+
+
+@pytest.fixture(scope="module")
+def short(pinch):
+    """The first 50 ms, in which contacts roll and the object is thrown about."""
+    return jxr.simulate(*pinch, t1=0.05, record=("multipliers", "energy"))
+
+
+def test_responses_show_both_contacts_in_the_chapters_symbols(pinch, short):
+    axes = jxr.plotting.responses(pinch[0], short).axes
+    labels = [ax.get_ylabel() for ax in axes]
+    names = [{text.get_text() for text in ax.get_legend().get_texts()} for ax in axes if ax.get_legend()]
+    assert len(axes) == 15
+    wanted = ("$f_i$ [N]", r"$\lambda_i$ [N]", r"$\Delta f_i$ [N]", r"$\Delta\lambda_i$ [N]", "$s_i$ [mm]")
+    assert set(wanted) <= set(labels) and "$U$ [mJ]" in labels
+    for wanted in ({"$f_1$", "$f_2$"}, {r"$\Delta N_1$", r"$\Delta N_2$", "$S_N$"}, {"$Q_1$", "$Q_2$"}):
+        assert wanted in names
+    drawn = np.array([line.get_ydata() for line in axes[labels.index(r"$\Delta f_i$ [N]")].lines[:2]]).T
+    np.testing.assert_array_equal(drawn, jxr.pinch_balance(pinch[0], short.ts, short.states).delta_f)
+
+
+def test_time_is_stretched_only_where_the_rolling_is_over_early(pinch, short):
+    still = dataclasses.replace(short, ts=short.ts.at[-1].set(2.0))
+    scales = [jxr.plotting.responses(pinch[0], run).axes[0].get_xscale() for run in (short, still)]
+    assert scales == ["linear", "function"]
+
+
+def test_forces_drawn_accelerate_the_object(pinch, short):
+    """The arrows, in newtons, add up to mass times acceleration by differences of the velocity."""
+    grasp, _ = pinch
+    seen = views(grasp, short.states)
+    drawn = arrows(grasp, short, np.arange(301), seen, corners=limits(seen))
+    total = drawn.vectors.sum(axis=1) / drawn.scale
+    wanted = float(grasp.object.mass) * np.gradient(short.states.v[:, :2], short.ts, axis=0)
+    far = np.abs(total - wanted)[5:-5].max()
+    assert far < 1e-3 * np.abs(wanted).max()
+    assert np.linalg.norm(drawn.vectors, axis=-1).max() == pytest.approx(drawn.scale * drawn.peak)
+
+
+def test_forces_must_have_been_recorded(pinch, short, tmp_path):
+    bare = dataclasses.replace(short, multipliers=None)
+    for draw in (
+        lambda: jxr.plotting.poses(pinch[0], bare, forces=True),
+        lambda: jxr.plotting.animate(pinch[0], bare, tmp_path / "motion.gif", forces=True),
+    ):
+        with pytest.raises(ValueError, match="record=") as error:
+            draw()
+        assert "\n" not in str(error.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_animation_ends_where_it_is_told(pinch, short, tmp_path):
+    path = jxr.plotting.animate(
+        pinch[0], short, tmp_path / "motion.gif", fps=20, speed=0.1, until=0.025, size=3
+    )
+    with Image.open(path) as image:
+        assert image.n_frames == 6
+    with pytest.raises(ValueError, match="until"):
+        jxr.plotting.animate(pinch[0], short, path, until=-1.0)
+
+
+def test_phase_draws_the_path_and_the_equilibrium(pinch, short):
+    grasp, state = pinch
+    figure = jxr.plotting.phase(grasp, short, rest=state)
+    path, start, end, rest = figure.axes[0].lines
+    s = 1e3 * np.asarray(jxr.pinch_balance(grasp, short.ts, short.states).s)
+    np.testing.assert_allclose(path.get_xydata(), s, atol=1e-12)
+    for mark, point in ((start, s[0]), (end, s[-1]), (rest, (4.0, -3.0))):
+        np.testing.assert_allclose(mark.get_xydata()[0], point, atol=1e-9)
+
+
+def test_phase_refuses_other_grasps(scene, short):
+    with pytest.raises(ValueError, match=r"control\.Opposition"):
+        jxr.plotting.phase(scene[0], short)

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from ._trigonometry import sine_cosine
 from ._types import Scalar, Scalars
 
 Triangle = Sequence[Sequence[Scalar]]
@@ -131,7 +132,7 @@ def once(tree: Any) -> Any:
 
 def sincos(angle: Scalar) -> tuple[Scalar, Scalar]:
     """Sine and cosine; the one door for trigonometry on the hot path."""
-    return once((jnp.sin(angle), jnp.cos(angle)))
+    return once(sine_cosine(angle))
 
 
 def unstack(array: Any) -> Any:

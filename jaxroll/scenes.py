@@ -118,7 +118,8 @@ def pinch(
         tips: Contour of both fingertips or one for each, about $O_i$, facing +x at its s = 0; the scene
             turns them to face each other. Default: the chapter's (82)-(83), which satisfies (41).
         object: With two contours: its left and its right face, each with s = 0 in the middle. With one
-            closed contour: it is held where it faces left and right. Default: `rectangle()`.
+            closed contour: it is held where it faces left and right, and `s` counts from there.
+            Default: `rectangle()`.
         beta: $\beta$ of (16) [N/m].
         alpha: $\alpha_i$ of (16) [N m/rad], one or two. With 0 the grasp ends with $O_1, P_1, P_2, O_2$
             collinear.

@@ -17,6 +17,7 @@ ROOT = pathlib.Path(jxr.__file__).parent
 RANKS = {
     "_types": 0,
     "_backend": 0,
+    "_trigonometry": 1,
     "_results": 1,
     "_algebra": 2,
     "geometry": 3,

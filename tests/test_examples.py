@@ -63,7 +63,10 @@ def test_readme_example_prints_what_it_says():
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+@pytest.mark.parametrize(
+    "path",
+    [pytest.param(p, marks=[pytest.mark.slow] if i else [], id=p.stem) for i, p in enumerate(NOTEBOOKS)],
+)
 def test_notebook_runs_and_is_stored_without_outputs(path, monkeypatch):
     import nbformat
     from nbclient import NotebookClient

@@ -106,7 +106,8 @@ class RollingStep(diffrax.AbstractAdaptiveSolver):
             tail = with_clearance(grasp, leaves, (end.margin, end.number), self.events)
             return jnp.concatenate([x, rates, coded(x, *tail)])
 
-        return jax.jvp(ahead, (t, y[:width]), (jnp.ones_like(t), y[width : 2 * width]))[1]
+        with sharing(t):
+            return jax.jvp(ahead, (t, y[:width]), (jnp.ones_like(t), y[width : 2 * width]))[1]
 
     def _explicit(
         self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow

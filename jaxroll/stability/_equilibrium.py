@@ -98,7 +98,11 @@ def _locate_jvp(primals: Any, tangents: Any) -> Any:
     inverse = jnp.linalg.pinv(matrix, rtol=_RANK)
     moving, still = eqx.partition((grasp, state), eqx.is_inexact_array)
     moving_dot = jax.tree.map(lambda x, dot: jnp.zeros_like(x) if dot is None else dot, moving, tangents[:2])
-    conditions = lambda m: _nearest(*eqx.combine(m, still), pair, scale, t)  # noqa: E731
+
+    def conditions(moving: Any) -> Array:
+        grasp, state = eqx.combine(moving, still)
+        return _nearest(grasp, state, pair, scale, t)
+
     _, change = jax.jvp(conditions, (moving,), (moving_dot,))
     found_dot = -(inverse @ change)[: z.shape[0]] * scale.unknowns
     return (found, left), (found_dot, jnp.zeros_like(left))

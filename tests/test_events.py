@@ -132,6 +132,16 @@ def test_lanes_end_each_on_its_own(scene):
     np.testing.assert_array_equal(runs.last.q[1:], alone.last.q[1:])
 
 
+def test_every_lane_finds_its_event_in_few_steps(scene):
+    """100 ends of the contour, down to where the contact hardly moves: no lane crawls, none misses."""
+    grasp, state = scene
+    lows = jnp.linspace(-0.0080, -0.0005, 100)
+    runs = jax.jit(jax.vmap(lambda low: ends(shortened(grasp, low), state, t1=2.0)))(lows)
+    assert (np.asarray(runs.result._value) == jxr.RESULTS.contour_end._value).all()
+    assert np.asarray(runs.stats.rejected).max() <= 25
+    np.testing.assert_allclose(0.003 - runs.last.s[:, 0], lows + 3.363e-3, rtol=0, atol=1e-15)
+
+
 class Hollow(jxr.AbstractContour):
     """A user's contour: a concave arc of 30 mm radius."""
 

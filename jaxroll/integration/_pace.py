@@ -24,12 +24,21 @@ class Hunt(NamedTuple):
         low: Margin here, as the Illinois method weighs it.
         high: Minus the margin there, weighed likewise.
         side: Which end moved last: -1 this one, 1 that one, 0 neither.
+        leap: Longest step while looking for a bracket anew [s]; infinite otherwise.
+        grain: Shortest step of the hunt, in units of what still moves time.
     """
 
     beyond: Scalar
     low: Scalar
     high: Scalar
     side: Scalar
+    leap: Scalar
+    grain: Scalar
+
+    @property
+    def on(self) -> Scalar:
+        """Whether an event is being approached."""
+        return jnp.isfinite(self.beyond) | jnp.isfinite(self.leap)
 
 
 class Pace(eqx.Module):
@@ -51,7 +60,9 @@ def resolution(t: Scalar) -> Scalar:
 def at_rest(inner: Any, t0: Scalar) -> Pace:
     """The pace before the first step."""
     none, zero = jnp.array(0), jnp.zeros_like(t0)
-    return Pace(inner, zero, t0, none, none, Hunt(zero + jnp.inf, zero, zero, zero))
+    return Pace(
+        inner, zero, t0, none, none, Hunt(zero + jnp.inf, zero, zero, zero, zero + jnp.inf, zero + 1.0)
+    )
 
 
 class StopAt(diffrax.AbstractStepSizeController):
@@ -86,9 +97,9 @@ class StopAt(diffrax.AbstractStepSizeController):
         pace = rest[-1]
         step = (t0, t1, y0, y1, *rest[:-1], pace.inner)
         keep, start, end, jumped, inner, code = self.inner.adapt_step_size(*step)  # pyright: ignore
-        first, hunting = t0 == t1, jnp.isfinite(pace.hunt.beyond)
+        first, hunting = t0 == t1, pace.hunt.on
         past = y1[self.margin + 1] != 0
-        ends = past & (first | keep & (t1 - t0 <= 2.0 * resolution(t1)))
+        ends = past & (first | keep & (t1 - t0 <= 2.0 * pace.hunt.grain * resolution(t1)))
         back = past & keep & ~ends
         keep = first | keep & ~back
         # The error control never sees the short steps of a hunt: it goes on at its pace afterwards.
@@ -97,7 +108,9 @@ class StopAt(diffrax.AbstractStepSizeController):
         inner = jax.tree.map(settled, inner, pace.inner)
         length = jnp.where(first, self.dt0, settled(end - start, pace.length))
         start = jnp.where(keep, t1, t0)
-        hunt = _narrowed(pace.hunt, t1 - t0, (y0[self.margin], y1[self.margin]), (back, keep & hunting))
+        hunt = _narrowed(pace.hunt, (t0, t1), (y0[self.margin], y1[self.margin]), (back, keep & hunting))
+        hunt = hunt._replace(leap=jnp.where(hunt.leap < length, hunt.leap, jnp.inf))
+        hunt = hunt._replace(grain=jnp.where(hunt.on, hunt.grain, 1.0))
         count = pace.accepted + jnp.where(keep, 1, 0)
         pace = Pace(inner, length, start, pace.attempted + 1, count, hunt)
         code = diffrax.RESULTS.where(aside, diffrax.RESULTS.successful, code)
@@ -108,25 +121,33 @@ class StopAt(diffrax.AbstractStepSizeController):
 
     def _ahead(self, t0: Scalar, pace: Pace) -> Scalar:
         """Where the next step ends."""
-        hunt, least = pace.hunt, resolution(t0)
+        hunt, least = pace.hunt, pace.hunt.grain * resolution(t0)
         guess = hunt.beyond * hunt.low / (hunt.low + hunt.high)
         guess = jnp.clip(guess, least, jnp.maximum(hunt.beyond - least, least))
-        t1 = t0 + jnp.where(jnp.isfinite(hunt.beyond), jnp.minimum(guess, pace.length), pace.length)
+        t1 = t0 + jnp.minimum(jnp.where(jnp.isfinite(hunt.beyond), guess, hunt.leap), pace.length)
         if self.stops is None:
             return t1
         return jnp.minimum(t1, jnp.min(jnp.where(self.stops > t0, self.stops, jnp.inf)))
 
 
-def _narrowed(hunt: Hunt, spent: Scalar, margins: tuple[Scalar, Scalar], moved: tuple) -> Hunt:
+def _narrowed(hunt: Hunt, step: tuple[Scalar, Scalar], margins: tuple[Scalar, Scalar], moved: tuple) -> Hunt:
     """The bracket after a step that was taken back (`moved[0]`) or kept (`moved[1]`) in a hunt."""
     back, kept = moved
     before, after = margins
+    spent = step[1] - step[0]
     # A value that is not finite says nothing of how far: bisect.
     high = jnp.where(jnp.isfinite(after), -after, before)
     low = jnp.where(hunt.side > 0, 0.5 * hunt.low, before)
-    taken_back = Hunt(spent, low, high, jnp.ones_like(spent))
+    never = jnp.full_like(spent, jnp.inf)
+    taken_back = Hunt(spent, low, high, jnp.ones_like(spent), never, hunt.grain)
     weighed = jnp.where(hunt.side < 0, 0.5 * hunt.high, hunt.high)
-    gone_on = Hunt(hunt.beyond - spent, after, weighed, -jnp.ones_like(spent))
+    # Short steps end a little elsewhere than the long one did, by its error or by rounding: where the
+    # bracket is used up, look for another one in growing steps, and then more coarsely.
+    left, least = hunt.beyond - spent, hunt.grain * resolution(step[1])
+    used_up = left <= 2.0 * least
+    grain = jnp.where(used_up, 64.0, 1.0) * hunt.grain
+    leap = jnp.where(jnp.isfinite(left), jnp.where(used_up, 8.0 * least, jnp.inf), 8.0 * hunt.leap)
+    gone_on = Hunt(jnp.where(used_up, jnp.inf, left), after, weighed, -jnp.ones_like(spent), leap, grain)
     pick = lambda new, old: jnp.where(back, new, old)  # noqa: E731
     rest = jax.tree.map(lambda new, old: jnp.where(kept, new, old), gone_on, hunt)
     return jax.tree.map(pick, taken_back, rest)

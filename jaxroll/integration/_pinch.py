@@ -57,7 +57,7 @@ def pinch_balance(grasp: Grasp, ts: Float[Array, "..."], states: State) -> Pinch
         >>> grasp, state = jxr.scenes.pinch()
         >>> found = jxr.pinch_balance(grasp, 0.0, state)
         >>> f"l = {1e3 * found.l[0]:.2f} mm"
-        'l = -49.73 mm'
+        'l = -50.30 mm'
     """
     check_pinch(grasp)
     ready = grasp.prepared()

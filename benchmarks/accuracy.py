@@ -62,6 +62,13 @@ def order(grasp, state, solver, t1, ladder):
     return -observed_order(np.array(ladder), errors)
 
 
+def show(table):
+    """Print rows of what, asked and measured as Markdown."""
+    print("| what | asked | measured |\n|---|---|---|")
+    for row in table:
+        print("| " + " | ".join(row) + " |")
+
+
 def main():
     """Measure and print."""
     grasp, state = jxr.scenes.pivoted()
@@ -90,9 +97,7 @@ def main():
          f"{peak(csm.states.q - projected.states.q):.1e} rad, gap {gap:.0e} m"),
         ("first call of simulate, compilation included", "<= 3 s", f"{first:.1f} s"),
     ]  # fmt: skip
-    print("| what | asked | measured |\n|---|---|---|")
-    for row in table:
-        print("| " + " | ".join(row) + " |")
+    show(table)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ jax.config.update("jax_enable_x64", True)
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 
-from benchmarks.accuracy import imbalance, peak, rows_of  # noqa: E402
+from benchmarks.accuracy import imbalance, peak, rows_of, show  # noqa: E402
 from jaxroll.stability import assess, pinch_statics, rectangle_hessian, VERDICTS  # noqa: E402
 from tests.chapter_part1 import Part1  # noqa: E402
 
@@ -109,9 +109,7 @@ def main():
          f"{ratio:.1f} ({each['pinch']:.1f} us, {each['pivoted']:.1f} us)"),
         ("first call of simulate, compilation included", "<= 5 s", f"{first:.1f} s"),
     ]  # fmt: skip
-    print("| what | asked | measured |\n|---|---|---|")
-    for row in table:
-        print("| " + " | ".join(row) + " |")
+    show(table)
 
 
 if __name__ == "__main__":

@@ -13,22 +13,19 @@ from jaxtyping import Array
 from .._algebra import factorise
 from .._results import concrete
 from ..mechanics import (
-    apply_jacobian,
-    balance,
     bodies,
-    combine,
     Grasp,
     join,
     linearise,
     mass_matrix,
     poses,
     residual,
-    respond,
     split,
     State,
     to_leaves,
     touches,
 )
+from ._closed_loop import compatible
 
 _RESTORE_STEPS = 60
 
@@ -199,5 +196,4 @@ def _compatible(grasp: Grasp, q: Array, v: Array, s: Array) -> Array:
     motions, inertias = bodies(grasp, leaves)
     masses = [factorise(inertia.mass) for inertia in inertias]
     line = linearise(grasp, motions, masses, touches(grasp, leaves.s))
-    pull = respond(grasp, line, balance(line, apply_jacobian(grasp, line, leaves.v)))
-    return join(combine(leaves.v, pull, -1.0))
+    return join(compatible(grasp, leaves, line).v)

@@ -117,8 +117,7 @@ def settle(grasp: Grasp, leaves: Leaves, anchor: Anchor) -> Leaves:
     return Leaves(combine(leaves.q, moved, -1.0), leaves.v, s)
 
 
-def compatible(grasp: Grasp, leaves: Leaves, anchor: Anchor) -> Leaves:
+def compatible(grasp: Grasp, leaves: Leaves, line: Linearisation) -> Leaves:
     """Velocities back onto $A v = 0$, nearest in the mass metric."""
-    line = anchor.line
     pull = respond(grasp, line, once(balance(line, apply_jacobian(grasp, line, leaves.v))))
     return once(Leaves(leaves.q, combine(leaves.v, pull, -1.0), leaves.s))

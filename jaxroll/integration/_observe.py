@@ -89,7 +89,8 @@ def worst(residuals: Residuals) -> Array:
 def multipliers_at(grasp: Grasp, t: Scalar, state: State, formulation: Formulation) -> Multipliers:
     """Contact forces of a prepared grasp at one state."""
     instant = evaluate(grasp, t, to_leaves(state, grasp.sizes), formulation)
-    pairs = [normal_and_tangential(grasp, instant, i) for i in range(len(grasp.contacts))]
+    body, each = instant.motions[0].pose, zip(grasp.contacts, instant.touching, instant.forces, strict=True)
+    pairs = [normal_and_tangential(contact, body, t.object, force) for contact, t, force in each]
     f, lam = zip(*pairs, strict=True)
     return Multipliers(jnp.stack(f), jnp.stack(lam))
 

@@ -104,12 +104,12 @@ def _curvature_sums(instant: Instant) -> list[Scalar]:
 
 def _forces(grasp: Grasp, instant: Instant, events: tuple[str, ...]) -> list[tuple[Scalar, int]]:
     """Normal forces, and distances to the sides of the friction cones [N]."""
-    margins = []
-    for i, contact in enumerate(grasp.contacts):
+    margins, body = [], instant.motions[0].pose
+    for contact, touching, force in zip(grasp.contacts, instant.touching, instant.forces, strict=True):
         lift, rubs = "lift" in events, "friction" in events and contact.friction is not None
         if not lift and not rubs:
             continue
-        f, lam = normal_and_tangential(grasp, instant, i)
+        f, lam = normal_and_tangential(contact, body, touching.object, force)
         if lift:
             margins.append((f, _LOST))
         if rubs:

@@ -93,7 +93,7 @@ class RollingStep(diffrax.AbstractAdaptiveSolver):
             return once(pack(settle(grasp, leaves, anchor), work))
 
         leaves, work = unpack(self.lay, jax.lax.fori_loop(0, _SWEEPS, sweep, raw))
-        return pack(compatible(grasp, leaves, anchor), work)
+        return pack(compatible(grasp, leaves, anchor.line), work)
 
     @eqx.filter_jit
     def drift(self, bundle: Bundle, t: Scalar, y: Flow) -> Flow:

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 
 import jax
 
-from .._algebra import factorise, once, solve, total, Vec2
+from .._algebra import factorise, once, Pose2, solve, total, Vec2
 from .._types import Scalar, Scalars
-from ..contact import gap_bias, rolling_rate, Touch
+from ..contact import Contact, gap_bias, rolling_rate, Touch
+from ..geometry import Frenet2
 from ._body import Inertia, Motion
 from ._constraints import (
     apply_jacobian,
@@ -85,11 +86,10 @@ def accelerate(
     return Instant(rates, forces, motions, touching, line)
 
 
-def normal_and_tangential(grasp: Grasp, instant: Instant, contact: int) -> tuple[Scalar, Scalar]:
-    r"""Multipliers $f$ (positive when pressing) and $\lambda$ of one contact [N], in the chapter's sign."""
-    tangent = instant.motions[0].pose.turn(instant.touching[contact].object.tangent)
-    force = instant.forces[contact]
-    return force.dot(tangent.right()), -grasp.contacts[contact].sense * force.dot(tangent)
+def normal_and_tangential(contact: Contact, body: Pose2, face: Frenet2, force: Vec2) -> tuple[Scalar, Scalar]:
+    r"""Multipliers $f$ (positive when pressing) and $\lambda$ [N] of the force on one fingertip."""
+    tangent = body.turn(face.tangent)
+    return force.dot(tangent.right()), -contact.sense * force.dot(tangent)
 
 
 def net_force(inertia: Inertia, drive: Scalars | None) -> Scalars:

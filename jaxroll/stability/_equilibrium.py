@@ -8,9 +8,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from .._algebra import unstack, Vec2
 from .._types import Given, Scalar
+from ..contact import gap
 from ..integration import constraint_rows, generalised_force, Multipliers
-from ..mechanics import Grasp, poses, split, State, touches
+from ..mechanics import Grasp, normal_and_tangential, poses, split, State, touches
 
 _STEPS = 100
 # Singular values below this, relative to the largest, are neutral directions: along them nothing moves.
@@ -149,10 +151,9 @@ def contact_force(grasp: Grasp, q: Array, s: Array, push: Array) -> Array:
     def done(q: Array) -> Scalar:
         body, *tips = poses(grasp, split(q, grasp.sizes))
         work = jnp.zeros((), q.dtype)
-        at = touches(grasp, tuple(s[i] for i in range(s.shape[0])))
-        for contact, touching, force in zip(grasp.contacts, at, pushes, strict=True):
-            gap = tips[contact.finger].place(touching.tip.point) - body.place(touching.object.point)
-            work = work + gap.x * force[0] + gap.y * force[1]
+        each = zip(grasp.contacts, touches(grasp, unstack(s)), pushes, strict=True)
+        for contact, touching, force in each:
+            work = work + gap(tips[contact.finger], body, touching.points).dot(Vec2(*force))
         return work
 
     return jax.grad(done)(q)
@@ -221,10 +222,7 @@ def _newton(equations: Callable[[Array], Array], start: Array, moving: int, weig
 def _multipliers(grasp: Grasp, q: Array, s: Array, push: Array) -> Multipliers:
     """Contact forces in the chapter's sign and frame."""
     body = poses(grasp, split(q, grasp.sizes))[0]
-    f, lam = [], []
-    for i, contact in enumerate(grasp.contacts):
-        face = grasp.contours(contact)[1].frame(contact.s_object - s[i])
-        tangent = body.turn(face.tangent)
-        f.append(push[i, 0] * tangent.y - push[i, 1] * tangent.x)
-        lam.append(-contact.sense * (push[i, 0] * tangent.x + push[i, 1] * tangent.y))
+    each = zip(grasp.contacts, touches(grasp, unstack(s)), push, strict=True)
+    pairs = [normal_and_tangential(contact, body, t.object, Vec2(*force)) for contact, t, force in each]
+    f, lam = zip(*pairs, strict=True)
     return Multipliers(jnp.stack(f), jnp.stack(lam))

@@ -9,7 +9,6 @@ from typing import Any, TYPE_CHECKING
 
 if TYPE_CHECKING:
     from . import contact, control, geometry, plotting, scenes, stability
-    from ._backend import fuse_small_loops
     from ._results import RESULTS
     from .contact import Contact
     from .geometry import AbstractContour, Catenary, Circle, Ellipse, Line
@@ -38,7 +37,6 @@ _HOMES: dict[str, str | None] = {
     "plotting": None,
     "scenes": None,
     "stability": None,
-    "fuse_small_loops": "_backend",
     "RESULTS": "_results",
     "Contact": "contact",
     "AbstractContour": "geometry",
@@ -84,7 +82,6 @@ __all__ = [  # noqa: PLE0604
     "control",
     "energies",
     "equation_terms",
-    "fuse_small_loops",
     "geometry",
     "multipliers",
     "pinch_balance",

@@ -150,9 +150,6 @@ def _timed(doing: str) -> Iterator[dict[str, float]]:
 
 
 def _configure() -> None:
-    from ._backend import fuse_small_loops
-
-    fuse_small_loops()
     import jax
 
     jax.config.update("jax_enable_x64", True)

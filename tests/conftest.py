@@ -11,8 +11,6 @@ import jaxroll as jxr
 
 CACHE = os.environ.get("JAXROLL_TEST_CACHE", os.path.join(tempfile.gettempdir(), "jaxroll-tests"))
 
-# Half the compilation, which is what tests take; one test compares with XLA as it comes.
-jxr.fuse_small_loops()
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_compilation_cache_dir", str(pathlib.Path(CACHE)))

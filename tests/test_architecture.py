@@ -182,7 +182,7 @@ def test_parameter_budget():
 PUBLIC = {
     "AbstractContour", "CSM", "Catenary", "Circle", "Contact", "Ellipse", "Finger", "FreeObject",
     "Grasp", "Index1", "Line", "PivotedObject", "RESULTS", "State", "Trajectory", "close", "contact",
-    "control", "energies", "equation_terms", "fuse_small_loops", "geometry", "multipliers",
+    "control", "energies", "equation_terms", "geometry", "multipliers",
     "pinch_balance", "plotting", "press_balance",
     "residuals", "scenes", "simulate", "stability",
 }  # fmt: skip

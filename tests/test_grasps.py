@@ -1,9 +1,5 @@
 """Grasps beyond the chapter's Part 2: a user's controller, free objects, several fingers."""
 
-import os
-import subprocess
-import sys
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -100,22 +96,3 @@ def test_features_that_are_off_cost_nothing():
         return len(jax.jit(rates).lower(grasp, state).as_text().splitlines())
 
     assert lines(None) < lines((0.0, -9.81))
-
-
-PLAIN = """
-import os, jaxroll as jxr
-assert "XLA_FLAGS" not in os.environ
-import jax
-jax.config.update("jax_enable_x64", True)
-run = jxr.simulate(*jxr.scenes.pivoted(), 0.2, ts=2, rtol=1e-11)
-print(repr(float(run.states.q[-1, 0])))
-"""
-
-
-def test_small_loop_switch_changes_no_result(scene):
-    """The tests run with `fuse_small_loops`; this one compares with XLA as it comes."""
-    assert "small_while" in os.environ["XLA_FLAGS"]
-    env = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
-    done = subprocess.run([sys.executable, "-c", PLAIN], capture_output=True, text=True, check=True, env=env)
-    here = jxr.simulate(*scene, 0.2, ts=2, rtol=1e-11).states.q[-1, 0]
-    assert abs(float(done.stdout) - float(here)) <= 1e-11

@@ -7,6 +7,7 @@ from jaxtyping import Array, Float
 
 from .._algebra import sincos, unstack, Vec2
 from .._results import as_floats, check_positive, concrete
+from .._trigonometry import inverse_sinh
 from .._types import Given, Scalar, Scalars
 from ._arclength import ArclengthTable, invert, tabulate
 from ._contour import AbstractContour, Frenet2
@@ -208,12 +209,12 @@ class Catenary(AbstractContour):
 
     def curve(self, s: Scalar) -> Vec2:
         root = jnp.sqrt(self.a**2 + s**2)
-        return Vec2(self.a - root, self.a * jnp.arcsinh(s / self.a))
+        return Vec2(self.a - root, self.a * inverse_sinh(s / self.a))
 
     def frame(self, s: Scalar) -> Frenet2:
         square = self.a**2 + s**2
         root = jnp.sqrt(square)
-        point = Vec2(self.a - root, self.a * jnp.arcsinh(s / self.a))
+        point = Vec2(self.a - root, self.a * inverse_sinh(s / self.a))
         return Frenet2(point, Vec2(-s / root, self.a / root), self.a / square)
 
     def prepared(self) -> "Catenary":

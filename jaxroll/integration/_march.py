@@ -18,139 +18,46 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
-from .._results import RESULTS
-from .._types import Scalar, Times
+from .._backend import one_kernel
+from .._types import Scalar
+from ._ensemble import Ensemble
 from ._flow import Bundle, Flow
-from ._pace import at_rest, Pace, StopAt
-from ._regime import decode
-from ._stepper import RollingStep
-
-
-class Plan(eqx.Module):
-    """How to run: solver, step sizes, times."""
-
-    stepper: RollingStep
-    controller: diffrax.AbstractStepSizeController
-    t0: Float[Array, ""]
-    t1: Float[Array, ""]
-    ts: Times
-    dt0: Float[Array, ""]
-    progress: diffrax.AbstractProgressMeter
-    max_steps: int = eqx.field(static=True)
-
-
-class Path(eqx.Module):
-    """What a run left behind.
-
-    Attributes:
-        saved: Flow vectors at `ts`; not finite where the run did not get there.
-        last: Flow vector where the run ended.
-        t_last: When it ended.
-        steps: Attempted, accepted and rejected steps.
-        result: Result code.
-    """
-
-    saved: Float[Array, "t flow"]
-    last: Flow
-    t_last: Float[Array, ""]
-    steps: Int[Array, "3"]
-    result: RESULTS
-
-
-def _at_rest(plan: Plan, grasp: Bundle, y0: Flow) -> Pace:
-    """The pace before the first step."""
-    order = plan.stepper.error_order(None)
-    _, inner = plan.controller.init(None, plan.t0, plan.t1, y0, plan.dt0, grasp, plan.stepper.func, order)
-    return at_rest(jax.tree.map(jnp.asarray, inner), plan.t0)
-
-
-def _control(plan: Plan, pace: Pace, stops: Times | None) -> StopAt:
-    return StopAt(plan.controller, pace, plan.dt0, stops, plan.max_steps, plan.stepper.lay.margin)
-
-
-def _integrate(
-    grasp: Bundle, y0: Flow, span: tuple[Scalar, Scalar], control: StopAt, **options: Any
-) -> diffrax.Solution:
-    return diffrax.diffeqsolve(
-        diffrax.ODETerm(lambda t, y, args: jnp.zeros_like(y)),  # the stepper knows the field
-        options.pop("stepper"),
-        *span,
-        None,
-        y0,
-        args=grasp,
-        stepsize_controller=control,
-        adjoint=diffrax.ForwardMode(),
-        throw=False,
-        **options,
-    )
-
-
-def _legs(grasp: Bundle, y0: Flow, plan: Plan) -> Path:
-    """Leg by leg from one save time to the next: nothing that grows with them is in the inner loop."""
-    fine = jax.tree.map(jnp.asarray, diffrax.RESULTS.successful)
-
-    def leg(carry: tuple, stop: Scalar) -> tuple[tuple, Flow]:
-        y, pace, loop, meter = carry
-        alive = (loop == diffrax.RESULTS.successful) & (y[-1] == 0)
-        solution = _integrate(
-            grasp,
-            y,
-            (pace.t, jnp.where(alive, stop, pace.t)),
-            _control(plan, pace, None),
-            stepper=plan.stepper,
-            saveat=diffrax.SaveAt(t1=True, controller_state=True),
-            max_steps=None,
-        )
-        assert solution.ys is not None and solution.controller_state is not None
-        y, pace = solution.ys[-1], solution.controller_state
-        loop = diffrax.RESULTS.where(alive, solution.result, loop)
-        meter = plan.progress.step(meter, (pace.t - plan.t0) / (plan.t1 - plan.t0))
-        reached = alive & (y[-1] == 0) & (pace.t == stop)
-        return (y, pace, loop, meter), jnp.where(reached, y, jnp.nan)
-
-    stops = jnp.concatenate([plan.ts, plan.t1[None]])
-    start = (y0, _at_rest(plan, grasp, y0), fine, plan.progress.init())
-    (y, pace, loop, meter), saved = jax.lax.scan(leg, start, stops)
-    plan.progress.close(meter)
-    return _path(saved[:-1], y, pace, loop)
-
-
-def _recorded(grasp: Bundle, y0: Flow, plan: Plan) -> tuple[Path, Times, Array]:
-    """The same run in one piece, with every accepted step recorded."""
-    pace = _at_rest(plan, grasp, y0)
-    solution = _integrate(
-        grasp,
-        y0,
-        (plan.t0, plan.t1),
-        _control(plan, pace, plan.ts),
-        stepper=plan.stepper,
-        saveat=diffrax.SaveAt(t0=True, steps=True, controller_state=True),
-        max_steps=plan.max_steps,
-    )
-    ts, ys, pace = solution.ts, solution.ys, solution.controller_state
-    assert ts is not None and ys is not None and pace is not None
-    index = jnp.minimum(jnp.searchsorted(ts, plan.ts), pace.accepted)
-    reached = (ts[index] == plan.ts) & (ys[index, -1] == 0)
-    saved = jnp.where(reached[:, None], ys[index], jnp.nan)
-    return _path(saved, ys[pace.accepted], pace, solution.result), ts, ys
-
-
-def _path(saved: Array, last: Flow, pace: Pace, loop: diffrax.RESULTS) -> Path:
-    steps = jnp.stack([pace.attempted, pace.accepted, pace.attempted - pace.accepted])
-    return Path(saved, last, pace.t, steps, decode(last[-1], loop))
+from ._loop import recorded, solo
+from ._plan import Path, Plan
 
 
 @eqx.filter_custom_jvp
 def march(grasp: Bundle, y0: Flow, plan: Plan) -> Path:
     """Integrate the flow vector `y0` of a bundled grasp; differentiable in both modes, once."""
-    return _legs(grasp, y0, plan)
+    arrays, still = eqx.partition((grasp, y0, plan), eqx.is_array)
+
+    @jax.custom_batching.custom_vmap
+    def alone(arrays: Any) -> Path:
+        return one_kernel(solo, *eqx.combine(arrays, still))
+
+    @alone.def_vmap
+    def _(size: int, batched: list[Any], arrays: Any) -> tuple[Path, Any]:
+        paths = _together(size, batched[0], arrays, still)
+        return paths, jax.tree.map(lambda _: True, paths)
+
+    return alone(arrays)
+
+
+def _together(size: int, batched: Any, arrays: Any, still: Any) -> Path:
+    """Many runs: as an ensemble, or one beside the other where the method does not allow it."""
+    plan = eqx.combine(arrays, still)[2]
+    explicit = isinstance(plan.stepper.method, diffrax.AbstractERK)
+    if explicit and isinstance(plan.progress, diffrax.NoProgressMeter):
+        return one_kernel(lambda found: Ensemble(size, batched, found, still).run(), arrays)
+    axes = jax.tree.map(lambda b: 0 if b else None, batched)
+    return jax.vmap(lambda found: solo(*eqx.combine(found, still)), in_axes=(axes,))(arrays)
 
 
 @march.def_jvp
 def _march_jvp(primals: Any, tangents: Any) -> tuple[Path, Path]:
     grasp, y0, plan = primals
     grasp_dot, y0_dot, _ = tangents
-    path, step_ts, step_ys = _recorded(grasp, y0, plan)
+    path, (step_ts, step_ys) = one_kernel(recorded, grasp, y0, plan)
     moving, still = eqx.partition(grasp, eqx.is_inexact_array)
     numbers, plan, step_ts, step_ys = eqxi.nondifferentiable(
         (moving, plan, step_ts, step_ys), name="the state of a run (second derivatives)"
@@ -189,7 +96,7 @@ class _Steps(eqx.Module):
     drift: Flow
     delay: Float[Array, ""]
 
-    def _advance(self, moving: Bundle, y: Flow, k: Scalar) -> Flow:
+    def advance(self, moving: Bundle, y: Flow, k: Scalar) -> Flow:
         grasp = eqx.combine(moving, self.still)
         t1 = jnp.where(k < self.count, self.ts[k + 1], self.ts[k])
         return self.plan.stepper.advance(grasp, self.ts[k], t1, y)[0]
@@ -200,23 +107,10 @@ class _Steps(eqx.Module):
         return jnp.minimum(index, self.count), index <= self.count
 
     def tangents(self, start: tuple[Bundle, Flow]) -> tuple[Array, Array, Array]:
-        moving_dot, y_dot = start
-        track = jnp.zeros_like(self.ys).at[0].set(y_dot)
-
-        def step(k: Scalar, track: Array) -> Array:
-            _, ahead = jax.jvp(
-                lambda m, y: self._advance(m, y, k),
-                (self.moving, self.ys[k]),
-                (moving_dot, track[k]),
-            )
-            return track.at[k + 1].set(jnp.where(k < self.count, ahead, 0.0))
-
-        track = jax.lax.fori_loop(0, eqxi.unvmap_max(self.count), step, track)
         index, reached = self._saved_at()
-        last = track[self.count]
+        saved, last = one_kernel(_pushed, self, index, start)
         later = self.delay * last[self._margin]
-        moved = last + self.drift * later
-        return jnp.where(reached[:, None], track[index], 0.0), moved, later
+        return jnp.where(reached[:, None], saved, 0.0), last + self.drift * later, later
 
     @property
     def _margin(self) -> int:
@@ -230,21 +124,40 @@ class _Steps(eqx.Module):
         track = jnp.zeros_like(self.ys)
         track = track.at[index].add(jnp.where(reached[:, None], saved_bar, 0.0))
         track = track.at[self.count].add(last_bar)
-        longest = eqxi.unvmap_max(self.count)
+        return one_kernel(_pulled, self, track)
 
-        def step(i: Scalar, carry: tuple[Bundle, Array]) -> tuple[Bundle, Array]:
-            moving_bar, track = carry
-            k = longest - 1 - i
-            _, pull = jax.vjp(lambda m, y: self._advance(m, y, k), self.moving, self.ys[k])
-            more, back = pull(track[k + 1])
-            used = k < self.count
-            keep = lambda total, part: total + jnp.where(used, part, 0.0)  # noqa: E731
-            track = track.at[k].add(jnp.where(used, back, 0.0))
-            return jax.tree.map(keep, moving_bar, more), track
 
-        zeros = jax.tree.map(jnp.zeros_like, self.moving)
-        moving_bar, track = jax.lax.fori_loop(0, longest, step, (zeros, track))
-        return moving_bar, track[0]
+def _pushed(steps: _Steps, index: Array, start: tuple[Bundle, Flow]) -> tuple[Array, Array]:
+    """Tangents of the recorded states at some steps and at the last one, forwards from a start's."""
+    moving_dot, y_dot = start
+
+    def step(k: Scalar, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        saved, here = carry
+        _, ahead = jax.jvp(
+            lambda m, y: steps.advance(m, y, k), (steps.moving, steps.ys[k]), (moving_dot, here)
+        )
+        ahead = jnp.where(k < steps.count, ahead, here)
+        return jnp.where((index == k + 1)[:, None], ahead, saved), ahead
+
+    first = jnp.where((index == 0)[:, None], y_dot, jnp.zeros((index.shape[0], y_dot.shape[0])))
+    return jax.lax.fori_loop(0, eqxi.unvmap_max(steps.count), step, (first, y_dot))
+
+
+def _pulled(steps: _Steps, track: Array) -> tuple[Bundle, Array]:
+    """Cotangents of grasp and start, backwards from those of the recorded states."""
+    longest = eqxi.unvmap_max(steps.count)
+
+    def step(i: Scalar, carry: tuple[Bundle, Array]) -> tuple[Bundle, Array]:
+        moving_bar, ahead = carry
+        k = longest - 1 - i
+        _, pull = jax.vjp(lambda m, y: steps.advance(m, y, k), steps.moving, steps.ys[k])
+        more, back = pull(ahead)
+        used = k < steps.count
+        keep = lambda total, part: total + jnp.where(used, part, 0.0)  # noqa: E731
+        return jax.tree.map(keep, moving_bar, more), keep(track[k], back)
+
+    zeros = jax.tree.map(jnp.zeros_like, steps.moving)
+    return jax.lax.fori_loop(0, longest, step, (zeros, track[longest]))
 
 
 def linear_map(apply: Callable, transpose: Callable, x: Any) -> Any:

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .._types import Scalar, Times
+from .._types import Scalar
 
 
 class Hunt(NamedTuple):
@@ -75,7 +75,6 @@ class StopAt(diffrax.AbstractStepSizeController):
         inner: The control of the error.
         pace: Where to go on from.
         dt0: Length of the first real step.
-        stops: Times where steps end; None where the solve itself ends at them.
         max_steps: Steps to attempt at most.
         margin: Where the flow vector carries the margin; its code is next.
     """
@@ -83,7 +82,6 @@ class StopAt(diffrax.AbstractStepSizeController):
     inner: diffrax.AbstractStepSizeController
     pace: Pace
     dt0: Float[Array, ""]
-    stops: Times | None
     max_steps: int = eqx.field(static=True)
     margin: int = eqx.field(static=True)
 
@@ -91,7 +89,7 @@ class StopAt(diffrax.AbstractStepSizeController):
         return self
 
     def init(self, terms: Any, t0: Scalar, t1: Scalar, *rest: Any) -> tuple[Scalar, Pace]:
-        return self._ahead(t0, self.pace), self.pace
+        return self.ahead(t0), self.pace
 
     def adapt_step_size(self, t0: Scalar, t1: Scalar, y0: Array, y1: Array, *rest: Any) -> tuple:
         pace = rest[-1]
@@ -117,17 +115,15 @@ class StopAt(diffrax.AbstractStepSizeController):
         over = pace.attempted > self.max_steps
         code = diffrax.RESULTS.where(over, diffrax.RESULTS.max_steps_reached, code)
         code = diffrax.RESULTS.where(ends, diffrax.RESULTS.event_occurred, code)
-        return keep, start, self._ahead(start, pace), jumped, pace, code
+        return keep, start, start, jumped, pace, code
 
-    def _ahead(self, t0: Scalar, pace: Pace) -> Scalar:
-        """Where the next step ends."""
+    def ahead(self, t0: Scalar) -> Scalar:
+        """Where the next step ends, save times aside."""
+        pace = self.pace
         hunt, least = pace.hunt, pace.hunt.grain * resolution(t0)
         guess = hunt.beyond * hunt.low / (hunt.low + hunt.high)
         guess = jnp.clip(guess, least, jnp.maximum(hunt.beyond - least, least))
-        t1 = t0 + jnp.minimum(jnp.where(jnp.isfinite(hunt.beyond), guess, hunt.leap), pace.length)
-        if self.stops is None:
-            return t1
-        return jnp.minimum(t1, jnp.min(jnp.where(self.stops > t0, self.stops, jnp.inf)))
+        return t0 + jnp.minimum(jnp.where(jnp.isfinite(hunt.beyond), guess, hunt.leap), pace.length)
 
 
 def _narrowed(hunt: Hunt, step: tuple[Scalar, Scalar], margins: tuple[Scalar, Scalar], moved: tuple) -> Hunt:

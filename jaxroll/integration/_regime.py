@@ -64,7 +64,7 @@ def with_clearance(
 
 def coded(x: Array, margin: Scalar, number: Scalar) -> Array:
     """Margin and code as the flow vector carries them; values that are not finite come first."""
-    number = jnp.where(jnp.isfinite(jnp.sum(x)), number, _NOT_FINITE)
+    number = jnp.where(jnp.all(jnp.isfinite(x)), number, _NOT_FINITE)
     return jnp.stack([margin, number.astype(x.dtype)])
 
 

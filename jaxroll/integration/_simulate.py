@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from .._algebra import total
 from .._results import concrete, message, RESULTS
 from .._types import Given
 from ..mechanics import Grasp, State
@@ -17,8 +18,9 @@ from ._arguments import as_number, check_choices, check_precision, OPTIONS, RECO
 from ._close import check_state, reach
 from ._flow import bundle, Layout, layout, states_of, vector_of
 from ._formulation import CSM, Formulation, Index1
-from ._march import march, Path, Plan
+from ._march import march
 from ._observe import energies_at, Energy, multipliers_at, residuals_at, worst
+from ._plan import Path, Plan
 from ._regime import EVENTS
 from ._stepper import RollingStep
 from ._trajectory import Stats, Trajectory
@@ -188,8 +190,9 @@ class _Norm(eqx.Module):
     lay: Layout = eqx.field(static=True)
 
     def __call__(self, error: Array) -> Array:
-        seen = self.lay.controlled(error)
-        return jnp.sqrt(jnp.mean(seen * seen))
+        # Not a reduction: XLA hands the larger ones of a batch to a library, out of its loop.
+        seen = [e * e for e in self.lay.controlled(error)]
+        return jnp.sqrt(total(seen) * (1.0 / len(seen)))
 
 
 def _trajectory(

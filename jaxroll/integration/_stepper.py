@@ -5,7 +5,7 @@ sharing the last stage's factorisation with the projection and stopping XLA from
 one stage inside the next is worth a factor of two in a run and four in a batch.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
 import diffrax
@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from .._algebra import once, sharing
+from .._algebra import once, sharing, total
 from .._types import Scalar
 from ..mechanics import Grasp, Instant, unknown_line
 from ._closed_loop import Anchor, anchor_of, compatible, evaluate, power, settle
@@ -72,18 +72,29 @@ class RollingStep(diffrax.AbstractAdaptiveSolver):
     @eqx.filter_jit  # traced once, however often diffrax traces its loop
     def advance(self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow) -> tuple[Flow, Flow]:
         """One step as a pure map: the new vector and its error estimate."""
-        with sharing(t0):
-            return self._advance(bundle, t0, t1, y0)
+        return self.advance_lanes(bundle, t0, t1, y0, _alone)
 
-    def _advance(self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow) -> tuple[Flow, Flow]:
-        grasp = bundle()
+    def advance_lanes(
+        self, bundle: Bundle, t0: Array, t1: Array, y0: Array, over: Callable[[Callable], Callable]
+    ) -> tuple[Array, Array]:
+        """The same for lanes along the last axis; `over` maps a function of one lane's (bundle, ...)."""
         way = self._explicit if isinstance(self.method, diffrax.AbstractERK) else self._other
-        raw, rates, error, end = way(bundle, t0, t1, y0)
-        x1 = self._return(grasp, raw, end.anchor) if isinstance(self.formulation, Index1) else raw
-        leaves, _ = unpack(self.lay, x1)
-        tail = coded(x1, *with_clearance(grasp, leaves, (end.margin, end.number), self.events))
-        y1 = jnp.concatenate([x1, rates, tail])
-        return y1, jnp.concatenate([error, jnp.zeros(self.lay.width + 2, error.dtype)])
+        raw, rates, error, end = way(bundle, t0, t1, y0, over)
+        y1 = over(self._finish)(bundle, t1, raw, rates, end)
+        unseen = jnp.zeros((self.lay.width + 2, *error.shape[1:]), error.dtype)
+        return y1, jnp.concatenate([error, unseen])
+
+    def _finish(self, bundle: Bundle, t: Scalar, raw: Array, rates: Array, end: Array) -> Flow:
+        """The flow vector at a step's end, back on the constraints."""
+        grasp = bundle()
+        with sharing(t):
+            ending = Ending.unpacked(grasp, end)
+            x1 = raw
+            if isinstance(self.formulation, Index1):
+                x1 = self._return(grasp, raw, ending.anchor)
+            leaves, _ = unpack(self.lay, x1)
+            judged = with_clearance(grasp, leaves, (ending.margin, ending.number), self.events)
+            return jnp.concatenate([x1, rates, coded(x1, *judged)])
 
     def _return(self, grasp: Grasp, raw: Array, anchor: Anchor) -> Array:
         """Back onto the constraints, positions before velocities."""
@@ -102,7 +113,7 @@ class RollingStep(diffrax.AbstractAdaptiveSolver):
 
         def ahead(t: Scalar, x: Array) -> Array:
             grasp, (leaves, _) = bundle(), unpack(self.lay, x)
-            rates, end = self._at(grasp, t, x)
+            rates, end = self._evaluated(grasp, t, x)
             tail = with_clearance(grasp, leaves, (end.margin, end.number), self.events)
             return jnp.concatenate([x, rates, coded(x, *tail)])
 
@@ -110,34 +121,40 @@ class RollingStep(diffrax.AbstractAdaptiveSolver):
             return jax.jvp(ahead, (t, y[:width]), (jnp.ones_like(t), y[width : 2 * width]))[1]
 
     def _explicit(
-        self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow
-    ) -> tuple[Array, Array, Array, "Ending"]:
+        self, bundle: Bundle, t0: Array, t1: Array, y0: Array, over: Callable
+    ) -> tuple[Array, Array, Array, Array]:
         """All stages and the step's end in one loop, so that the equations are compiled once."""
         tableau = self.method.tableau  # pyright: ignore[reportAttributeAccessIssue]
         dt, width = t1 - t0, self.lay.width
         rows, times, weights = _tables(tableau, y0.dtype)
-        count = times.shape[0]
+        count = len(times)
         x0, k0 = y0[:width], y0[width : 2 * width]
-        cuts = _small_cuts(width, count)
-        blocks = [jnp.zeros((c.stop - c.start, count), y0.dtype).at[:, 0].set(k0[c]) for c in cuts]
-        flat, unravel = _flattener(Ending.unknown(bundle()), y0.dtype)
+        slopes = jnp.concatenate([k0[None], jnp.zeros((count - 1, *k0.shape), k0.dtype)])
+        nothing = jnp.zeros((_sizes(bundle), *t0.shape), y0.dtype)
 
-        def mix(blocks: list[Array], weights: Array) -> Array:
-            return jnp.concatenate([jnp.sum(block * weights[None, :], axis=1) for block in blocks])
+        put = _selected if over is _alone else jax.lax.dynamic_update_index_in_dim
 
-        def stage(i: Scalar, carry: tuple) -> tuple:
-            blocks = carry[0]
-            x = once(x0 + dt * mix(blocks, jnp.concatenate([columns[i] for columns in rows])))
-            rates, end = self._at(bundle(), t0 + times[i] * dt, x)
-            blocks = [b.at[:, i].set(rates[c]) for b, c in zip(blocks, cuts, strict=True)]
-            return blocks, x, _flattener(end, y0.dtype)[0]
+        def mix(slopes: Array, row: Sequence[Any]) -> Array:
+            # Not a reduction: XLA hands larger ones to a library, and so breaks up the loop.
+            return total([w * k for w, k in zip(row, slopes, strict=True)])
 
-        blocks, raw, flat = jax.lax.fori_loop(1, count, stage, (blocks, x0, flat))
-        rates = jnp.concatenate([block[:, -1] for block in blocks])
-        return raw, rates, dt * mix(blocks, weights), unravel(flat)
+        def stage(i: Scalar, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+            slopes = carry[0]
+            row = jax.lax.dynamic_index_in_dim(rows, i, keepdims=False)
+            x = x0 + dt[None] * mix(slopes, [row[j] for j in range(count)])
+            rates, end = over(self._at)(bundle, t0 + times[i] * dt, x)
+            return put(slopes, rates, i, 0), x, end
 
-    def _at(self, grasp: Grasp, t: Scalar, x: Array) -> tuple[Array, "Ending"]:
-        """Time derivative of x, and what is needed of it if the step ends there."""
+        slopes, raw, end = jax.lax.fori_loop(1, count, stage, (slopes, x0, nothing))
+        return raw, slopes[-1], dt[None] * mix(slopes, weights), end
+
+    def _at(self, bundle: Bundle, t: Scalar, x: Array) -> tuple[Array, Array]:
+        """Time derivative of x, and what is needed of it if the step ends there, as vectors."""
+        with sharing(t):
+            rates, end = self._evaluated(bundle(), t, once(x))
+            return rates, end.packed(x.dtype)
+
+    def _evaluated(self, grasp: Grasp, t: Scalar, x: Array) -> tuple[Array, "Ending"]:
         rates, instant = self.rates(grasp, t, x)
         leaves, _ = unpack(self.lay, x)
         return rates, Ending(anchor_of(instant), *regime(grasp, leaves, instant, self.events))
@@ -150,16 +167,17 @@ class RollingStep(diffrax.AbstractAdaptiveSolver):
         return pack(instant.rates, gained), instant
 
     def _other(
-        self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow
-    ) -> tuple[Array, Array, Array, "Ending"]:
+        self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow, over: Callable
+    ) -> tuple[Array, Array, Array, Array]:
         def field(t: Scalar, x: Array, args: Grasp) -> Array:
             return self.rates(args, t, x)[0]
 
         terms, grasp = diffrax.ODETerm(field), bundle()
         x0 = y0[: self.lay.width]
-        memory = self.method.init(terms, t0, t1, x0, grasp)
-        raw, error, _, _, code = self.method.step(terms, t0, t1, x0, grasp, memory, True)
-        rates, end = self._at(grasp, t1, raw)
+        with sharing(t0):
+            memory = self.method.init(terms, t0, t1, x0, grasp)
+            raw, error, _, _, code = self.method.step(terms, t0, t1, x0, grasp, memory, True)
+        rates, end = self._at(bundle, t1, raw)
         if error is None:
             error = jnp.zeros_like(raw)
         error = jnp.where(code == diffrax.RESULTS.successful, error, jnp.inf)
@@ -176,38 +194,38 @@ class Ending(eqx.Module):
     @classmethod
     def unknown(cls, grasp: Grasp) -> "Ending":
         """Zeros in the same places."""
-        zero = jnp.zeros(())
-        return cls(Anchor(unknown_line(grasp), (zero,) * len(grasp.contacts)), zero, zero)
+        return cls(Anchor(unknown_line(grasp), (0.0,) * len(grasp.contacts)), 0.0, 0.0)
+
+    def packed(self, dtype: Any) -> Array:
+        """All numbers as one vector: a loop carries it with one copy."""
+        return jnp.stack([jnp.asarray(leaf, dtype) for leaf in jax.tree.leaves(self)])
+
+    @classmethod
+    def unpacked(cls, grasp: Grasp, numbers: Array) -> "Ending":
+        """The way back."""
+        form = jax.tree.structure(cls.unknown(grasp))
+        return jax.tree.unflatten(form, [numbers[i] for i in range(form.num_leaves)])
 
 
-def _flattener(tree: Any, dtype: Any) -> tuple[list[Array], Callable[[list[Array]], Any]]:
-    """Scalars as few small vectors, and the way back."""
-    leaves, form = jax.tree.flatten(tree)
-    numbers = jnp.stack([jnp.asarray(leaf, dtype) for leaf in leaves])
-    cuts = _small_cuts(len(leaves), 1)
+def _alone(function: Callable) -> Callable:
+    return function
 
-    def back(parts: list[Array]) -> Any:
-        whole = jnp.concatenate(parts)
-        return jax.tree.unflatten(form, [whole[i] for i in range(len(leaves))])
 
-    return [numbers[c] for c in cuts], back
+def _selected(array: Array, row: Array, i: Scalar, _: int) -> Array:
+    """Replace row i; under `vmap` JAX would make a scatter of an update in place, which breaks up the loop."""
+    return jnp.where((jnp.arange(array.shape[0]) == i)[:, None], row, array)
+
+
+def _sizes(bundle: Bundle) -> int:
+    return len(jax.tree.leaves(Ending.unknown(bundle.rest)))
 
 
 # Sweeps of the projection: a gap of 1e-6 m is below rounding after two.
 _SWEEPS = 2
-# XLA's CPU runtime hands a loop to its thread pool, at some 20 us a turn, as soon as one buffer in it is
-# larger than this; a stage costs 1 us.
-_SMALL_BUFFER = 512
 
 
-def _small_cuts(size: int, length: int) -> list[slice]:
-    """Cut `size` rows of `length` doubles into blocks that stay small."""
-    most = max(1, _SMALL_BUFFER // (8 * length))
-    return [slice(i, min(i + most, size)) for i in range(0, size, most)]
-
-
-def _tables(tableau: diffrax.ButcherTableau, dtype: Any) -> tuple[list[Array], Array, Array]:
-    """Rows of all stages and of the step's end in blocks of columns, their times, and the error's weights."""
+def _tables(tableau: diffrax.ButcherTableau, dtype: Any) -> tuple[Array, Array, list[float]]:
+    """Rows of all stages and of the step's end, their times, and the error's weights."""
     # The last stage of some methods is the step's end already; the others get one more.
     ends_itself = bool(tableau.fsal and tableau.ssal)
     count = tableau.num_stages + int(not ends_itself)
@@ -216,5 +234,4 @@ def _tables(tableau: diffrax.ButcherTableau, dtype: Any) -> tuple[list[Array], A
         full[i + 1, : len(row)] = row
     times = np.concatenate([[0.0], tableau.c, [1.0]])[:count]
     error[: tableau.num_stages] = tableau.b_error
-    rows = [jnp.asarray(full[:, cut], dtype) for cut in _small_cuts(count, count)]
-    return rows, jnp.asarray(times, dtype), jnp.asarray(error, dtype)
+    return jnp.asarray(full, dtype), jnp.asarray(times, dtype), error.tolist()

@@ -1,0 +1,72 @@
+"""One kernel per run: the attribute is there, changes no result, and stays away from what does not fit."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxroll as jxr
+from jaxroll import _backend
+from jaxroll._backend import one_kernel
+
+MARK = "xla_cpu_small_call"
+
+
+def march(x, y):
+    return jax.lax.fori_loop(0, 50, lambda i, x: x + 1e-2 * jnp.sin(x) * y, x), y
+
+
+def text(function, *args):
+    return jax.jit(lambda *a: one_kernel(function, *a)).lower(*args).as_text()
+
+
+def test_a_run_is_one_kernel_and_so_is_a_batch(scene):
+    grasp, state = scene
+    run = jax.jit(lambda c: jxr.simulate(grasp.with_(damping=c), state, 0.1, ts=2).states.q)
+    assert run.lower(0.006).as_text().count(f'{MARK} = "true"') == 1
+    lanes = jax.jit(jax.vmap(run))
+    assert lanes.lower(jnp.full(3, 0.006)).as_text().count(f'{MARK} = "true"') == 1
+
+
+def test_the_kernel_changes_no_result(scene, monkeypatch):
+    grasp, state = scene
+    marked = jxr.simulate(grasp, state, 0.2, ts=2, rtol=1e-11).states.q
+    monkeypatch.setattr(_backend, "_fits", lambda jaxpr: False)
+    jax.clear_caches()
+    plain = jxr.simulate(grasp, state, 0.2, ts=2, rtol=1e-11).states.q
+    np.testing.assert_allclose(marked, plain, rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("kind", [float, int])
+def test_arguments_of_any_kind_come_through(kind):
+    x, y = jnp.linspace(0.0, 1.0, 3), jnp.asarray(2, kind)
+    assert MARK in text(march, x, y)
+    out, same = jax.jit(lambda x, y: one_kernel(march, x, y))(x, y)
+    np.testing.assert_allclose(out, march(x, y)[0], rtol=1e-14)
+    assert same.dtype == y.dtype and same == 2
+
+
+def test_vmap_maps_inside_the_kernel():
+    x, y = jnp.linspace(0.0, 1.0, 12).reshape(4, 3), jnp.asarray(2.0)
+    mapped = jax.vmap(lambda x: one_kernel(march, x, y)[0])
+    assert MARK in jax.jit(mapped).lower(x).as_text()
+    np.testing.assert_allclose(mapped(x), march(x, y)[0], rtol=1e-14)
+    twice = jax.vmap(jax.vmap(lambda x, y: one_kernel(march, x, y)[0], (0, None)), (None, 0))
+    np.testing.assert_allclose(twice(x, jnp.asarray([2.0, 2.0]))[1], march(x, y)[0], rtol=1e-14)
+
+
+UNFIT = {
+    "factorisation": lambda x: jnp.linalg.cholesky(jnp.eye(3) + 0.0 * x),
+    "sorting": jnp.sort,
+    "scatter": lambda x: x.at[jnp.asarray([0, 2])].add(1.0),
+    "product of matrices": lambda x: jnp.eye(3) @ x,
+    "a large sum": lambda x: x + jnp.sum(jnp.ones((2, 2000)) * x[0]),
+    "callback": lambda x: jax.pure_callback(np.sin, x, x),
+}
+
+
+@pytest.mark.parametrize("kind", UNFIT)
+def test_what_does_not_fit_runs_as_it_always_did(kind):
+    x, function = jnp.linspace(0.1, 1.0, 3), UNFIT[kind]
+    assert MARK not in text(function, x)
+    np.testing.assert_allclose(one_kernel(function, x), function(x))

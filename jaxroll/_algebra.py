@@ -142,6 +142,12 @@ def unstack(array: Any) -> Any:
     return tuple(unstack(array[i]) for i in range(array.shape[0]))
 
 
+def scalars(vector: jax.Array) -> list[jax.Array]:
+    """The entries of a vector, in one operation: the transpose of many slices would be as many sums."""
+    parts = jax.lax.split(vector, (1,) * vector.shape[0])
+    return [jax.lax.squeeze(part, (0,)) for part in parts]
+
+
 def total(terms: Sequence[Any]) -> Any:
     """Sum of scalars or vectors without a zero to start from."""
     result = terms[0]

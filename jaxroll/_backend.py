@@ -15,110 +15,20 @@ from jax.experimental.xla_metadata import set_xla_metadata
 _ATTRIBUTES = {"xla_cpu_small_call": "true", "inlineable": "false"}
 # What that compiler path is known to take: control flow, indexing and arithmetic, but no library calls
 # (linear algebra, sorting, callbacks) and no scatters.
-_STRUCTURE = frozenset(
-    [
-        "add_any",
-        "bitcast_convert_type",
-        "broadcast_in_dim",
-        "closed_call",
-        "concatenate",
-        "cond",
-        "convert_element_type",
-        "copy",
-        "copy_p",
-        "custom_jvp_call",
-        "custom_vjp_call",
-        "custom_vmap_call",
-        "dynamic_slice",
-        "dynamic_update_slice",
-        "gather",
-        "iota",
-        "jit",
-        "nonbatchable",
-        "pad",
-        "pjit",
-        "reshape",
-        "scan",
-        "select_if_vmap",
-        "select_n",
-        "slice",
-        "split",
-        "squeeze",
-        "stack",
-        "stop_gradient",
-        "transpose",
-        "unstack",
-        "unvmap_any",
-        "unvmap_max",
-        "while",
-    ]
-)
-_ARITHMETIC = frozenset(
-    [
-        "abs",
-        "acos",
-        "acosh",
-        "add",
-        "and",
-        "argmax",
-        "argmin",
-        "asin",
-        "asinh",
-        "atan",
-        "atan2",
-        "cbrt",
-        "ceil",
-        "clamp",
-        "cos",
-        "cosh",
-        "div",
-        "eq",
-        "eq_to",
-        "erf",
-        "exp",
-        "exp2",
-        "expm1",
-        "floor",
-        "ge",
-        "gt",
-        "integer_pow",
-        "is_finite",
-        "le",
-        "le_to",
-        "log",
-        "log1p",
-        "logistic",
-        "lt",
-        "lt_to",
-        "max",
-        "min",
-        "mul",
-        "ne",
-        "neg",
-        "nextafter",
-        "not",
-        "or",
-        "pow",
-        "reduce_and",
-        "reduce_or",
-        "rem",
-        "round",
-        "rsqrt",
-        "shift_left",
-        "shift_right_arithmetic",
-        "shift_right_logical",
-        "sign",
-        "sin",
-        "sinh",
-        "sqrt",
-        "square",
-        "sub",
-        "tan",
-        "tanh",
-        "xor",
-    ]
-)
-_REDUCTIONS = frozenset(["reduce_max", "reduce_min", "reduce_sum"])
+_STRUCTURE = """
+add_any bitcast_convert_type broadcast_in_dim closed_call concatenate cond convert_element_type copy copy_p
+custom_jvp_call custom_vjp_call custom_vmap_call dynamic_slice dynamic_update_slice gather iota jit nonbatchable
+optimization_barrier pad pjit remat2 reshape scan select_if_vmap select_n slice split squeeze stack stop_gradient
+transpose unstack unvmap_any unvmap_max while
+"""
+_ARITHMETIC = """
+abs acos acosh add and argmax argmin asin asinh atan atan2 cbrt ceil clamp cos cosh div eq eq_to erf exp exp2
+expm1 floor ge gt integer_pow is_finite le le_to log log1p logistic lt lt_to max min mul ne neg nextafter not or
+pow reduce_and reduce_or rem round rsqrt shift_left shift_right_arithmetic shift_right_logical sign sin sinh sqrt
+square sub tan tanh xor
+"""
+_KNOWN = frozenset((_STRUCTURE + _ARITHMETIC).split())
+_REDUCTIONS = frozenset(("reduce_max", "reduce_min", "reduce_sum"))
 # Larger reductions of numbers are handed to a library.
 _SMALL = 1024
 
@@ -191,7 +101,7 @@ def _fits(jaxpr: jec.Jaxpr) -> bool:
     for equation in jaxpr.eqns:
         name = equation.primitive.name
         small = all(math.prod(getattr(v.aval, "shape", ())) <= _SMALL for v in equation.invars)
-        if name not in _STRUCTURE | _ARITHMETIC and not (name in _REDUCTIONS and small):
+        if name not in _KNOWN and not (name in _REDUCTIONS and small):
             return False
         if not all(map(_fits, _inner(equation.params))):
             return False

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._algebra import scalars
 from .._types import Scalar
 from ..mechanics import Blocks, Grasp, Leaves, State
 
@@ -67,7 +68,7 @@ def pack(leaves: Leaves, work: Scalar | None) -> Array:
 
 def unpack(lay: Layout, x: Array) -> tuple[Leaves, Scalar | None]:
     """The vector x (or y) to scalars."""
-    flat = [jax.lax.index_in_dim(x, i, keepdims=False) for i in range(lay.width)]
+    flat = scalars(x[: lay.width])
 
     def blocks(start: int) -> Blocks:
         out = []
@@ -100,8 +101,7 @@ class Bundle(eqx.Module):
     tree: Any = eqx.field(static=True)
 
     def __call__(self) -> Grasp:
-        leaves = [self.numbers[i] for i in range(self.numbers.shape[0])]
-        return eqx.combine(jax.tree.unflatten(self.tree, leaves), self.rest)
+        return eqx.combine(jax.tree.unflatten(self.tree, scalars(self.numbers)), self.rest)
 
 
 def bundle(grasp: Grasp) -> Bundle:

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from .._algebra import once, sharing, total
+from .._algebra import once, scalars, sharing, total
 from .._types import Scalar
 from ..mechanics import Grasp, Instant, unknown_line
 from ._closed_loop import Anchor, anchor_of, compatible, evaluate, power, settle
@@ -132,7 +132,9 @@ class RollingStep(diffrax.AbstractAdaptiveSolver):
         slopes = jnp.concatenate([k0[None], jnp.zeros((count - 1, *k0.shape), k0.dtype)])
         nothing = jnp.zeros((_sizes(bundle), *t0.shape), y0.dtype)
 
-        put = _selected if over is _alone else jax.lax.dynamic_update_index_in_dim
+        at, put = over(self._at), jax.lax.dynamic_update_index_in_dim
+        if over is _alone:
+            at, put = jax.checkpoint(self._at), _selected
 
         def mix(slopes: Array, row: Sequence[Any]) -> Array:
             # Not a reduction: XLA hands larger ones to a library, and so breaks up the loop.
@@ -142,7 +144,7 @@ class RollingStep(diffrax.AbstractAdaptiveSolver):
             slopes = carry[0]
             row = jax.lax.dynamic_index_in_dim(rows, i, keepdims=False)
             x = x0 + dt[None] * mix(slopes, [row[j] for j in range(count)])
-            rates, end = over(self._at)(bundle, t0 + times[i] * dt, x)
+            rates, end = at(bundle, t0 + times[i] * dt, x)
             return put(slopes, rates, i, 0), x, end
 
         slopes, raw, end = jax.lax.fori_loop(1, count, stage, (slopes, x0, nothing))
@@ -204,7 +206,7 @@ class Ending(eqx.Module):
     def unpacked(cls, grasp: Grasp, numbers: Array) -> "Ending":
         """The way back."""
         form = jax.tree.structure(cls.unknown(grasp))
-        return jax.tree.unflatten(form, [numbers[i] for i in range(form.num_leaves)])
+        return jax.tree.unflatten(form, scalars(numbers))
 
 
 def _alone(function: Callable) -> Callable:

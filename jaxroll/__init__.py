@@ -10,6 +10,7 @@ from typing import Any, TYPE_CHECKING
 if TYPE_CHECKING:
     from . import contact, control, geometry, plotting, scenes, stability
     from ._results import RESULTS
+    from ._sweep import sweep
     from .contact import Contact
     from .geometry import AbstractContour, Catenary, Circle, Ellipse, Line
     from .integration import (
@@ -38,6 +39,7 @@ _HOMES: dict[str, str | None] = {
     "scenes": None,
     "stability": None,
     "RESULTS": "_results",
+    "sweep": "_sweep",
     "Contact": "contact",
     "AbstractContour": "geometry",
     "Catenary": "geometry",
@@ -91,6 +93,7 @@ __all__ = [  # noqa: PLE0604
     "scenes",
     "simulate",
     "stability",
+    "sweep",
 ]
 
 

@@ -1,4 +1,4 @@
-"""Loops over little data as one compiled function each, where XLA's CPU runtime would call every kernel by itself."""
+"""Loops over little data as one compiled function, where XLA would have its CPU runtime call every kernel."""
 
 import math
 from collections.abc import Callable
@@ -17,15 +17,15 @@ _ATTRIBUTES = {"xla_cpu_small_call": "true", "inlineable": "false"}
 # (linear algebra, sorting, callbacks) and no scatters.
 _STRUCTURE = """
 add_any bitcast_convert_type broadcast_in_dim closed_call concatenate cond convert_element_type copy copy_p
-custom_jvp_call custom_vjp_call custom_vmap_call dynamic_slice dynamic_update_slice gather iota jit nonbatchable
-optimization_barrier pad pjit remat2 reshape scan select_if_vmap select_n slice split squeeze stack stop_gradient
-transpose unstack unvmap_any unvmap_max while
+custom_jvp_call custom_vjp_call custom_vmap_call dynamic_slice dynamic_update_slice gather iota jit
+nonbatchable optimization_barrier pad pjit remat2 reshape scan select_if_vmap select_n slice split squeeze
+stack stop_gradient transpose unstack unvmap_any unvmap_max while
 """
 _ARITHMETIC = """
-abs acos acosh add and argmax argmin asin asinh atan atan2 cbrt ceil clamp cos cosh div eq eq_to erf exp exp2
-expm1 floor ge gt integer_pow is_finite le le_to log log1p logistic lt lt_to max min mul ne neg nextafter not or
-pow reduce_and reduce_or rem round rsqrt shift_left shift_right_arithmetic shift_right_logical sign sin sinh sqrt
-square sub tan tanh xor
+abs acos acosh add and argmax argmin asin asinh atan atan2 cbrt ceil clamp cos cosh div eq eq_to erf exp
+exp2 expm1 floor ge gt integer_pow is_finite le le_to log log1p logistic lt lt_to max min mul ne neg
+nextafter not or pow reduce_and reduce_or rem round rsqrt shift_left shift_right_arithmetic
+shift_right_logical sign sin sinh sqrt square sub tan tanh xor
 """
 _KNOWN = frozenset((_STRUCTURE + _ARITHMETIC).split())
 _REDUCTIONS = frozenset(("reduce_max", "reduce_min", "reduce_sum"))

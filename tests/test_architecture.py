@@ -26,6 +26,7 @@ RANKS = {
     "control": 6,
     "integration": 7,
     "stability": 8,
+    "_sweep": 8,
     "scenes": 9,
     "plotting": 10,
     "__init__": 11,
@@ -184,7 +185,7 @@ PUBLIC = {
     "Grasp", "Index1", "Line", "PivotedObject", "RESULTS", "State", "Trajectory", "close", "contact",
     "control", "energies", "equation_terms", "geometry", "multipliers",
     "pinch_balance", "plotting", "press_balance",
-    "residuals", "scenes", "simulate", "stability",
+    "residuals", "scenes", "simulate", "stability", "sweep",
 }  # fmt: skip
 
 

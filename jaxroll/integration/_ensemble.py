@@ -2,7 +2,7 @@
 
 Lanes lie along the last axis, so that every operation is unit-stride vector code; the slots are so few
 that all they need stays in the processor's cache; and since a slot never waits for its neighbours,
-runs of unlike cost waste nothing. The numerics are those of a single run: the same step and step-size control.
+runs of unlike cost waste nothing. The numerics are those of a single run: same step, same control.
 """
 
 from collections.abc import Callable
@@ -15,7 +15,7 @@ from jaxtyping import Array
 
 from .._types import Scalar
 from ._flow import Bundle
-from ._loop import aim, Course, diffrax_code, embark, judge
+from ._loop import aim, Course, embark, judge
 from ._plan import Path, path_of, Plan
 
 # On a processor all that a slot needs, about 2-6 kB, is to fit the second-level cache many times over, and
@@ -110,10 +110,10 @@ class Ensemble:
             return mapped
 
         bundle, _, plan = self.problem(slots.task)
-        t0, t1 = over(lambda slot: aim(self.problem(slot.task)[2], slot.course))(slots)
-        step = plan.stepper.advance_lanes(bundle, t0, t1, slots.course.y, over_bundles)
+        times = over(lambda slot: aim(self.problem(slot.task)[2], slot.course))(slots)
+        step = plan.stepper.advance_lanes(bundle, times, slots.course.y, over_bundles)
         judged = lambda slot, *rest: judge(self.problem(slot.task)[2], slot.course, *rest)  # noqa: E731
-        return slots._replace(course=over(judged)(slots, (t0, t1), step))
+        return slots._replace(course=over(judged)(slots, times, step))
 
     def _ends(self, course: Course) -> Array:
         pace = course.pace
@@ -159,7 +159,5 @@ class Ensemble:
 
     def _paths(self, output: Output, width: int) -> Path:
         ends = output.ends[: self.size]
-        last, (t, attempted, accepted, loop) = ends[:, :width], ends[:, width:].T
-        whole = lambda x: x.astype(int)  # noqa: E731
-        counts = (whole(attempted), whole(accepted))
-        return jax.vmap(path_of)(output.saved[: self.size], last, t, counts, diffrax_code(loop))
+        last, (t, *counts) = ends[:, :width], ends[:, width:].T
+        return jax.vmap(path_of)(output.saved[: self.size], last, t, tuple(counts))

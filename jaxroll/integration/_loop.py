@@ -3,7 +3,6 @@
 from typing import Any, NamedTuple
 
 import diffrax
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
@@ -64,8 +63,8 @@ def judge(plan: Plan, course: Course, times: tuple[Scalar, Scalar], step: tuple[
     over = (saved == count) & (pace.t == plan.t1)
     busy = course.busy & holds & (loop == diffrax.RESULTS.successful._value) & ~over
     pick = lambda new, old: jnp.where(course.busy, new, old)  # noqa: E731
-    moved = jax.tree.map(pick, (y, pace, loop), (course.y, course.pace, course.loop))
-    return Course(*moved, saved, hit, busy)
+    y, pace, loop = jax.tree.map(pick, (y, pace, loop), (course.y, course.pace, course.loop))
+    return Course(y, pace, loop, saved, hit, busy)
 
 
 def _stop(plan: Plan, saved: Scalar) -> Scalar:
@@ -73,11 +72,6 @@ def _stop(plan: Plan, saved: Scalar) -> Scalar:
     last = plan.ts.shape[0] - 1
     ahead = jax.lax.dynamic_index_in_dim(plan.ts, jnp.minimum(saved, last), keepdims=False)
     return jnp.where(saved <= last, ahead, plan.t1)
-
-
-def diffrax_code(number: Array) -> diffrax.RESULTS:
-    """Diffrax's result from its number."""
-    return eqx.tree_at(lambda r: r._value, diffrax.RESULTS.successful, number.astype(jnp.int32))
 
 
 class Record(NamedTuple):
@@ -118,8 +112,8 @@ def _solo(grasp: Bundle, y0: Flow, plan: Plan, record: Record | None) -> tuple[P
     course, saved, record, meter = jax.lax.while_loop(lambda c: c[0].busy, turn, start)
     plan.progress.close(meter)
     pace = course.pace
-    counts = (pace.attempted, pace.accepted)
-    return path_of(saved[:-1], course.y, pace.t, counts, diffrax_code(course.loop)), record
+    counts = (pace.attempted, pace.accepted, course.loop)
+    return path_of(saved[:-1], course.y, pace.t, counts), record
 
 
 def _put(rows: Array, row: Array, i: Scalar | int) -> Array:

@@ -58,8 +58,9 @@ class Path(eqx.Module):
     result: RESULTS
 
 
-def path_of(saved: Array, last: Flow, t_last: Scalar, counts: tuple[Array, Array], loop: Any) -> Path:
-    """Gather what a loop left; `counts` are attempted and accepted steps, `loop` is diffrax's code."""
-    attempted, accepted = counts
+def path_of(saved: Array, last: Flow, t_last: Scalar, counts: tuple[Array, Array, Array]) -> Path:
+    """What a loop left; `counts` are attempted and accepted steps, and the number of diffrax's code."""
+    attempted, accepted, number = (x.astype(int) for x in counts)
     steps = jnp.stack([attempted, accepted, attempted - accepted])
-    return Path(saved, last, t_last, steps, decode(last[-1], loop))
+    code = eqx.tree_at(lambda r: r._value, diffrax.RESULTS.successful, number.astype(jnp.int32))
+    return Path(saved, last, t_last, steps, decode(last[-1], code))

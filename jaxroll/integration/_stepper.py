@@ -72,15 +72,15 @@ class RollingStep(diffrax.AbstractAdaptiveSolver):
     @eqx.filter_jit  # traced once, however often diffrax traces its loop
     def advance(self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow) -> tuple[Flow, Flow]:
         """One step as a pure map: the new vector and its error estimate."""
-        return self.advance_lanes(bundle, t0, t1, y0, _alone)
+        return self.advance_lanes(bundle, (t0, t1), y0, _alone)
 
     def advance_lanes(
-        self, bundle: Bundle, t0: Array, t1: Array, y0: Array, over: Callable[[Callable], Callable]
+        self, bundle: Bundle, times: tuple[Array, Array], y0: Array, over: Callable[[Callable], Callable]
     ) -> tuple[Array, Array]:
         """The same for lanes along the last axis; `over` maps a function of one lane's (bundle, ...)."""
         way = self._explicit if isinstance(self.method, diffrax.AbstractERK) else self._other
-        raw, rates, error, end = way(bundle, t0, t1, y0, over)
-        y1 = over(self._finish)(bundle, t1, raw, rates, end)
+        raw, rates, error, end = way(bundle, *times, y0, over)
+        y1 = over(self._finish)(bundle, times[1], raw, rates, end)
         unseen = jnp.zeros((self.lay.width + 2, *error.shape[1:]), error.dtype)
         return y1, jnp.concatenate([error, unseen])
 
@@ -132,9 +132,10 @@ class RollingStep(diffrax.AbstractAdaptiveSolver):
         slopes = jnp.concatenate([k0[None], jnp.zeros((count - 1, *k0.shape), k0.dtype)])
         nothing = jnp.zeros((_sizes(bundle), *t0.shape), y0.dtype)
 
-        at, put = over(self._at), jax.lax.dynamic_update_index_in_dim
+        at, put = lambda t, x: over(self._at)(bundle, t, x), jax.lax.dynamic_update_index_in_dim
         if over is _alone:
-            at, put = jax.checkpoint(self._at), _selected
+            # Backwards, a stage is worked out again: to keep what it leaves costs more, to compile above all.
+            at, put = jax.checkpoint(at), _selected
 
         def mix(slopes: Array, row: Sequence[Any]) -> Array:
             # Not a reduction: XLA hands larger ones to a library, and so breaks up the loop.
@@ -144,7 +145,7 @@ class RollingStep(diffrax.AbstractAdaptiveSolver):
             slopes = carry[0]
             row = jax.lax.dynamic_index_in_dim(rows, i, keepdims=False)
             x = x0 + dt[None] * mix(slopes, [row[j] for j in range(count)])
-            rates, end = at(bundle, t0 + times[i] * dt, x)
+            rates, end = at(t0 + times[i] * dt, x)
             return put(slopes, rates, i, 0), x, end
 
         slopes, raw, end = jax.lax.fori_loop(1, count, stage, (slopes, x0, nothing))
@@ -214,7 +215,7 @@ def _alone(function: Callable) -> Callable:
 
 
 def _selected(array: Array, row: Array, i: Scalar, _: int) -> Array:
-    """Replace row i; under `vmap` JAX would make a scatter of an update in place, which breaks up the loop."""
+    """Replace row i; of an update in place JAX makes a scatter under `vmap`, which breaks up the loop."""
     return jnp.where((jnp.arange(array.shape[0]) == i)[:, None], row, array)
 
 

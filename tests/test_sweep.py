@@ -1,0 +1,113 @@
+"""Sweeps: chunks, failures, resumption, and lanes that wait for nobody."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxroll as jxr
+from jaxroll.integration import _ensemble
+
+RUNS = 150
+
+
+@pytest.fixture(scope="module")
+def make(scene):
+    grasp, state = scene
+    return lambda c: (grasp.with_(damping=c), state)
+
+
+@pytest.fixture(scope="module")
+def dampings():
+    return jnp.linspace(0.004, 0.008, RUNS)
+
+
+@pytest.fixture(scope="module")
+def whole(make, dampings):
+    return jxr.sweep(make, dampings, 0.2, rtol=1e-7)
+
+
+def test_a_sweep_is_the_mapped_run(make, dampings, whole):
+    lanes = jax.vmap(lambda c: jxr.simulate(*make(c), 0.2, ts=1, rtol=1e-7))(dampings)
+    np.testing.assert_array_equal(whole.last.q, lanes.last.q)
+    assert isinstance(whole, jxr.Trajectory) and str(RUNS) in str(whole)
+
+
+def test_chunks_change_nothing_and_compile_once(make, dampings, whole, capsys):
+    traces = []
+
+    def counted(c):
+        traces.append(1)
+        return make(c)
+
+    ends = jxr.sweep(counted, dampings, 0.2, rtol=1e-7, chunk=64, keep=lambda run: run.last.q, progress=True)
+    np.testing.assert_allclose(ends, whole.last.q, rtol=0, atol=1e-12)
+    assert len(traces) == 1
+    assert f"{RUNS} of {RUNS} runs" in capsys.readouterr().err
+
+
+def test_a_cut_off_sweep_goes_on_where_it_was(make, dampings, whole, tmp_path):
+    keep = eqx.Partial(_last)
+    jxr.sweep(make, dampings, 0.2, rtol=1e-7, chunk=50, keep=keep, resume=tmp_path)
+    files = sorted(tmp_path.glob("*.npz"))
+    assert len(files) == 3
+    files[1].unlink()
+    np.savez(files[0], np.full((50, 3), 7.0))  # what is there is not worked out again
+    ends = jxr.sweep(make, dampings, 0.2, rtol=1e-7, chunk=50, keep=keep, resume=tmp_path)
+    assert (ends[:50] == 7.0).all()
+    np.testing.assert_allclose(ends[50:], whole.last.q[50:], rtol=0, atol=1e-12)
+    with pytest.raises(ValueError, match="argument resume must be a folder of the same sweep"):
+        jxr.sweep(make, 2.0 * dampings, 0.2, rtol=1e-7, chunk=50, keep=keep, resume=tmp_path)
+
+
+def _last(run):
+    return run.last.q
+
+
+def test_runs_that_fail_keep_their_codes(scene, dampings):
+    grasp, state = scene
+
+    def make(c):
+        return grasp.with_(damping=c), state
+
+    table = jxr.sweep(make, dampings.at[70].set(jnp.nan), 0.2, rtol=1e-7)
+    failed = np.asarray(table.result._value) != 0
+    assert failed[70] and failed.sum() == 1
+    assert np.isfinite(np.delete(table.last.q, 70, axis=0)).all()
+
+
+def test_bad_arguments(make, dampings):
+    with pytest.raises(ValueError, match="argument parameters must hold arrays with one common leading axis"):
+        jxr.sweep(lambda p: make(p[0]), (dampings, dampings[:3]), 0.2)
+    with pytest.raises(ValueError, match="argument chunk must be at least 1 run, but was 0"):
+        jxr.sweep(make, dampings, 0.2, chunk=0)
+
+
+def test_slots_waste_little_on_runs_of_unlike_cost(scene, monkeypatch):
+    """Steps that slots take, busy or not, over steps that runs need: at most 1.3 at a tenfold spread."""
+    grasp, state = scene
+    turns = []
+    inner = _ensemble.Ensemble._turn
+
+    def counted(self, carry):
+        jax.debug.callback(lambda: turns.append(self.slots))
+        return inner(self, carry)
+
+    monkeypatch.setattr(_ensemble.Ensemble, "_turn", counted)
+    stiff = jnp.geomspace(1.0, 10.0, 1024)
+    run = lambda k: jxr.simulate(grasp.with_(damping=0.002 * k), state, 0.3, ts=1, rtol=1e-5)  # noqa: E731
+    steps = np.asarray(jax.jit(jax.vmap(run))(stiff).stats.steps)
+    jax.effects_barrier()
+    assert steps.max() > 3 * steps.min()
+    assert sum(turns) / steps.sum() <= 1.3
+
+
+def test_slots_served_all_at_once_give_the_same(make, dampings, whole, monkeypatch):
+    """The way of accelerators, on this machine."""
+    monkeypatch.setattr(_ensemble.Ensemble, "_one_by_one", _ensemble.Ensemble._together)
+    jax.clear_caches()
+    other = jxr.sweep(lambda c: make(c), dampings, 0.2, rtol=1e-7)
+    # Another program rounds otherwise, and a step more or less is an error of the tolerance's order.
+    np.testing.assert_allclose(other.last.q, whole.last.q, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(other.stats.steps, whole.stats.steps, atol=2)

@@ -6,20 +6,16 @@ Run from the repository root: `python -m benchmarks.pinch` (about three minutes;
 import statistics
 import time
 
+import jax
+import jax.numpy as jnp
+import numpy as np
+
 import jaxroll as jxr
-
-jxr.fuse_small_loops()
-
-import jax  # noqa: E402
+from benchmarks.accuracy import imbalance, peak, rows_of, show
+from jaxroll.stability import assess, pinch_statics, rectangle_hessian, VERDICTS
+from tests.chapter_part1 import Part1
 
 jax.config.update("jax_enable_x64", True)
-
-import jax.numpy as jnp  # noqa: E402
-import numpy as np  # noqa: E402
-
-from benchmarks.accuracy import imbalance, peak, rows_of, show  # noqa: E402
-from jaxroll.stability import assess, pinch_statics, rectangle_hessian, VERDICTS  # noqa: E402
-from tests.chapter_part1 import Part1  # noqa: E402
 
 SENSE, START = np.array([1.0, -1.0]), np.array([0.004, -0.003])
 

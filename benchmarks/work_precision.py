@@ -5,8 +5,6 @@ with `--quick` it takes under a minute and only prints.
 """
 
 import argparse
-import os
-import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -414,16 +412,6 @@ def report(results: Sequence[Result], note: str) -> str:
     return "\n\n".join([*sections, details, "  \n".join(footer())])
 
 
-def without_the_switch() -> str:
-    """The verdicts of a short run of this script in which XLA compiles loops as it does by default."""
-    command = [sys.executable, "-m", "benchmarks.work_precision", "--plain", "--quick"]
-    flags = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
-    done = subprocess.run(command, capture_output=True, text=True, check=True, env=flags)
-    said = [line for line in done.stdout.splitlines() if line.startswith(("### At", "(a)", "(b)"))]
-    said = [line.removeprefix("### ").rstrip(":") for line in said]
-    return "### Without `fuse_small_loops` (short ladder)\n\n" + "\n\n".join(said)
-
-
 def draw(results: Sequence[Result]) -> None:
     with plt.rc_context({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}):
         figure, panels = plt.subplots(1, 2, figsize=(11.5, 5.2), sharey=True, sharex=True)
@@ -493,15 +481,12 @@ def _draw_legends(figure: Any, handles: dict[str, list[Any]]) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="under a minute; writes nothing")
-    parser.add_argument("--plain", action="store_true", help="leave XLA's small-loop switch off")
     options = parser.parse_args()
-    if not options.plain:
-        jxr.fuse_small_loops()  # before the first JAX computation
     results, note = measure(options.quick)
     text = report(results, note)
     print(text)
     if not options.quick:
-        write_section("work_precision", f"{text}\n\n{without_the_switch()}")
+        write_section("work_precision", text)
         draw(results)
 
 

@@ -86,7 +86,8 @@ class _Job(eqx.Module):
     @eqx.filter_jit
     def __call__(self, rows: Any, t1: Any) -> Any:
         def one(row: Any) -> Any:
-            run = simulate(*self.make(row), t1, **self.options)
+            grasp, state = self.make(row)
+            run = simulate(grasp, state, t1, **self.options)
             return run if self.keep is None else self.keep(run)
 
         return jax.vmap(one)(rows)

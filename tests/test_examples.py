@@ -38,11 +38,10 @@ def test_there_are_docstring_examples():
     assert len(tests) >= 12
 
 
-def readme_example():
-    """The README's Python block and the output printed below it."""
+def readme_examples():
+    """The README's Python blocks and the output printed below each."""
     text = (ROOT / "README.md").read_text()
-    code, printed = re.search(r"```python\n(.*?)```\n+```text\n(.*?)```", text, flags=re.S).groups()
-    return code, printed
+    return re.findall(r"```python\n(.*?)```\n+```text\n(.*?)```", text, flags=re.S)
 
 
 def numbers_blurred(text):
@@ -51,13 +50,14 @@ def numbers_blurred(text):
     return re.sub(r"\d+ accepted, \d+ rejected", "steps", text)
 
 
-def test_readme_example_prints_what_it_says():
-    code, printed = readme_example()
-    assert len(code.strip().splitlines()) <= 18
-    out = io.StringIO()
-    with contextlib.redirect_stdout(out):
-        exec(compile(code, "README.md", "exec"), {})
-    assert numbers_blurred(out.getvalue()) == numbers_blurred(printed)
+def test_readme_examples_print_what_they_say():
+    names = {}
+    for code, printed in readme_examples():
+        assert len(code.strip().splitlines()) <= 18
+        out = io.StringIO()
+        with contextlib.redirect_stdout(out):
+            exec(compile(code, "README.md", "exec"), names)
+        assert numbers_blurred(out.getvalue()) == numbers_blurred(printed)
 
 
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))

@@ -53,8 +53,9 @@ def aim(plan: Plan, course: Course) -> tuple[Scalar, Scalar]:
 def judge(plan: Plan, course: Course, times: tuple[Scalar, Scalar], step: tuple[Flow, Flow]) -> Course:
     """Take a step, given as its end and its error estimate, or leave it."""
     y1, error = step
-    order = plan.stepper.error_order(None)
-    judged = plan.control(course.pace).adapt_step_size(*times, course.y, y1, None, error, order, course.pace)
+    judged = plan.control(course.pace).adapt_step_size(
+        *times, course.y, y1, None, error, plan.stepper.error_order, course.pace
+    )
     keep, pace, loop = judged[0], judged[4], judged[5]._value
     y = jnp.where(keep, y1, course.y)
     holds, count = y[-1] == 0, plan.ts.shape[0]

@@ -1,4 +1,4 @@
-"""Run diffrax over a grasp, and differentiate the run through its recorded steps.
+"""Run a grasp, alone or among many, and differentiate the run through its recorded steps.
 
 Forwards, the run is a plain adaptive loop. For a derivative the accepted steps are recorded and the
 derivative follows them one by one: forwards for tangents, backwards for cotangents, each with the

@@ -42,7 +42,7 @@ class Hunt(NamedTuple):
 
 
 class Pace(eqx.Module):
-    """What the step-size control remembers between steps, and between the legs of a run."""
+    """What the step-size control remembers between steps."""
 
     inner: Any
     length: Float[Array, ""]  # of the next step, before it is cut short by a stop or an event
@@ -65,7 +65,7 @@ def at_rest(inner: Any, t0: Scalar) -> Pace:
     )
 
 
-class StopAt(diffrax.AbstractStepSizeController):
+class StopAt(eqx.Module):
     """Step-size control that ends steps at given times and at events, where a step is most accurate.
 
     The first step has no length: it works out the derivative that the flow vector carries, and so
@@ -84,12 +84,6 @@ class StopAt(diffrax.AbstractStepSizeController):
     dt0: Float[Array, ""]
     max_steps: int = eqx.field(static=True)
     margin: int = eqx.field(static=True)
-
-    def wrap(self, direction: Scalar) -> "StopAt":
-        return self
-
-    def init(self, terms: Any, t0: Scalar, t1: Scalar, *rest: Any) -> tuple[Scalar, Pace]:
-        return self.ahead(t0), self.pace
 
     def adapt_step_size(self, t0: Scalar, t1: Scalar, y0: Array, y1: Array, *rest: Any) -> tuple:
         pace = rest[-1]

@@ -1,7 +1,5 @@
 """How a run goes, and what it leaves behind."""
 
-from typing import Any
-
 import diffrax
 import equinox as eqx
 import jax
@@ -28,10 +26,9 @@ class Plan(eqx.Module):
     progress: diffrax.AbstractProgressMeter
     max_steps: int = eqx.field(static=True)
 
-    def at_rest(self, y0: Flow, args: Any = None) -> Pace:
+    def at_rest(self, y0: Flow) -> Pace:
         """The pace before the first step."""
-        order = self.stepper.error_order(None)
-        start = (None, self.t0, self.t1, y0, self.dt0, args, self.stepper.func, order)
+        start = (None, self.t0, self.t1, y0, self.dt0, None, None, self.stepper.error_order)
         _, inner = self.controller.init(*start)  # pyright: ignore
         return at_rest(jax.tree.map(jnp.asarray, inner), self.t0)
 

@@ -1,12 +1,12 @@
 """One step of a diffrax Runge-Kutta method on a grasp, and the return to the constraints.
 
-diffrax supplies the tableaus and runs the loop; its own step is not used for explicit methods, because
-sharing the last stage's factorisation with the projection and stopping XLA from recomputing
-one stage inside the next is worth a factor of two in a run and four in a batch.
+diffrax supplies the methods; its own step is not used for explicit ones, because sharing the last stage's
+factorisation with the projection, and stopping XLA from recomputing one stage inside the next, is worth a
+factor of two in a run and four in a batch.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import diffrax
 import equinox as eqx
@@ -24,8 +24,8 @@ from ._formulation import Formulation, Index1
 from ._regime import coded, regime, with_clearance
 
 
-class RollingStep(diffrax.AbstractAdaptiveSolver):
-    """A diffrax solver for the flow vector of a grasp; `args` is the bundled grasp.
+class RollingStep(eqx.Module):
+    """A step of a diffrax method for the flow vector of a grasp.
 
     Attributes:
         method: The diffrax method: explicit Runge-Kutta ones are run on their tableau, any
@@ -40,36 +40,13 @@ class RollingStep(diffrax.AbstractAdaptiveSolver):
     lay: Layout = eqx.field(static=True)
     events: tuple[str, ...] = eqx.field(static=True)
 
-    term_structure: ClassVar[Any] = diffrax.ODETerm
-    # Required by diffrax, never evaluated: save times are step ends.
-    interpolation_cls: ClassVar[Any] = diffrax.LocalLinearInterpolation
+    @property
+    def error_order(self) -> Any:
+        """Order of the error estimate, as step-size controllers want it."""
+        # No method asks the terms for it but those for noise.
+        return self.method.error_order(None)  # pyright: ignore[reportArgumentType]
 
-    def order(self, terms: Any) -> int | None:
-        return self.method.order(terms)
-
-    def error_order(self, terms: Any) -> Any:
-        return self.method.error_order(terms)
-
-    def func(self, terms: Any, t0: Scalar, y0: Flow, args: Bundle) -> Flow:
-        raise NotImplementedError("the first step size is given, never estimated")
-
-    def init(self, terms: Any, t0: Scalar, t1: Scalar, y0: Flow, args: Bundle) -> None:
-        return None
-
-    def step(
-        self,
-        terms: Any,
-        t0: Scalar,
-        t1: Scalar,
-        y0: Flow,
-        args: Bundle,
-        solver_state: None,
-        made_jump: Any,
-    ) -> tuple[Flow, Flow, dict[str, Flow], None, diffrax.RESULTS]:
-        y1, error = self.advance(args, t0, t1, y0)
-        return y1, error, {"y0": y0, "y1": y1}, None, diffrax.RESULTS.successful
-
-    @eqx.filter_jit  # traced once, however often diffrax traces its loop
+    @eqx.filter_jit  # traced once for a run and its derivative
     def advance(self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow) -> tuple[Flow, Flow]:
         """One step as a pure map: the new vector and its error estimate."""
         return self.advance_lanes(bundle, (t0, t1), y0, _alone)

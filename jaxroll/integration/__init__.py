@@ -1,7 +1,7 @@
 """From a guess to a trajectory: consistent starts, drift control, and the only door to diffrax.
 
 `_close` finds a consistent state, `_flow` lays the state out as one vector, `_closed_loop` evaluates and
-projects it, `_stepper` makes one step, `_pace` sets its length, `_loop` makes many, `_ensemble` those of many runs,
+projects it, `_stepper` makes one step, `_pace` sets its length, `_loop` and `_ensemble` make many,
 `_march` differentiates them, `_simulate` is the entry point, `_trajectory` its result and `_observe` the
 chapter's quantities along it.
 """

@@ -85,12 +85,12 @@ def many(loop, starts, setting):
 
 def jaxroll_lanes(tolerance, solver):
     grasp, state = jxr.scenes.pivoted()
-    ends = lambda v: (
-        jxr.simulate(  # noqa: E731
-            grasp, jxr.State(state.q, v, state.s), SPAN, ts=1, rtol=tolerance, solver=solver
-        ).last.q
-    )
-    run = jax.jit(jax.vmap(ends))
+
+    def end(v):
+        start = jxr.State(state.q, v, state.s)
+        return jxr.simulate(grasp, start, SPAN, ts=1, rtol=tolerance, solver=solver).last.q
+
+    run = jax.jit(jax.vmap(end))
     still = jnp.zeros((LANES, 3))
     return lambda: jax.block_until_ready(run(still))
 

@@ -5,6 +5,7 @@ import os
 import sys
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ import numpy as np
 
 from .integration import simulate
 
-_CHUNK = 8192
+_CHUNK = 2048
 
 
 def sweep(
@@ -31,9 +32,9 @@ def sweep(
 ) -> Any:
     """Simulate `make(p)` for every row p of `parameters`, as many as there are.
 
-    Runs go in chunks of fixed size through one compiled program, on every device that JAX has, in turn;
-    inside a chunk each takes its own steps (see `simulate`), so that runs of unlike cost waste little. Memory
-    is bounded by the chunk and by what is kept.
+    Runs go in chunks of fixed size through one compiled program, on every device that JAX has and on every
+    core of a CPU; inside a chunk each takes its own steps (see `simulate`), so that runs of unlike cost waste
+    little. Memory is bounded by the chunks under way and by what is kept.
 
     Args (daily use):
         make: From one row of parameters to a grasp and a state on its constraints, by JAX operations;
@@ -54,8 +55,7 @@ def sweep(
         ValueError: If the arrays of `parameters` have no common leading axis, or `resume` holds a
             different sweep.
 
-    On a CPU, `jax.config.update("jax_num_cpu_devices", 2)` before the first computation makes two
-    devices of two cores. Runs that fail carry their code (`result`), the others are untouched.
+    Runs that fail carry their code (`result`); the others are untouched.
 
     Example:
         >>> import jax.numpy as jnp
@@ -94,35 +94,35 @@ class _Job(eqx.Module):
 
 
 def _pieces(job: _Job, rows: Any, t1: Any, extent: tuple[int, int, Path | None], progress: bool) -> list[Any]:
-    """Results chunk by chunk; one more chunk than there are devices is under way at a time."""
+    """Results chunk by chunk, several under way at a time."""
     count, size, folder = extent
-    starts, devices = range(0, count, size), jax.local_devices()
-    meter = _Meter(count, progress)
-    waiting: list[tuple[int, Any]] = []
-    pieces: list[Any] = []
+    devices, meter = jax.local_devices(), _Meter(count, progress)
+    forms: list[Any] = []
 
-    def collect() -> None:
-        start, piece = waiting.pop(0)
-        piece = jax.tree.map(np.asarray, piece)
-        pieces.append(piece)
-        _store(folder, start, piece)
-        meter(min(start + size, count))
-
-    form = None
-    for i, start in enumerate(starts):
-        known = None
+    def piece_at(start: int) -> Any:
         if folder is not None and (folder / _name(start)).exists():
-            form = form or jax.eval_shape(job, _rows(rows, start, size, count), t1)
-            known = _load(folder / _name(start), form)
-        device = devices[i % len(devices)]
-        if known is None:
-            known = job(jax.device_put(_rows(rows, start, size, count), device), t1)
-        waiting.append((start, known))
-        if len(waiting) > len(devices):
-            collect()
-    while waiting:
-        collect()
+            return _load(folder / _name(start), forms[0])
+        device = devices[start // size % len(devices)]
+        piece = jax.tree.map(np.asarray, job(jax.device_put(_rows(rows, start, size, count), device), t1))
+        _store(folder, start, piece)
+        return piece
+
+    if folder is not None:
+        forms.append(jax.eval_shape(job, _rows(rows, 0, size, count), t1))
+    starts = range(0, count, size)
+    pieces = [piece_at(starts[0])]  # alone, since it compiles
+    meter(min(size, count))
+    with ThreadPoolExecutor(_workers(devices)) as pool:
+        for start, piece in zip(starts[1:], pool.map(piece_at, starts[1:]), strict=True):
+            pieces.append(piece)
+            meter(min(start + size, count))
     return pieces
+
+
+def _workers(devices: list[Any]) -> int:
+    """One thread per device; on a CPU one per core, because a chunk is one kernel on one core."""
+    cores = os.cpu_count() or 1
+    return max(cores, len(devices)) if devices[0].platform == "cpu" else len(devices)
 
 
 def _rows(rows: Any, start: int, size: int, count: int) -> Any:

@@ -34,6 +34,16 @@ def test_a_sweep_is_the_mapped_run(make, dampings, whole):
     assert isinstance(whole, jxr.Trajectory) and str(RUNS) in str(whole)
 
 
+def test_more_runs_than_slots_with_several_save_times(make, dampings):
+    """Every run is served, and every row is its own."""
+    table = jxr.sweep(make, dampings, 0.2, ts=4, rtol=1e-7)
+    for i in (0, 70, RUNS - 1):
+        alone = jxr.simulate(*make(dampings[i]), 0.2, ts=4, rtol=1e-7)
+        np.testing.assert_allclose(table.states.q[i], alone.states.q, rtol=0, atol=1e-8)
+        np.testing.assert_allclose(table.ts[i], alone.ts)
+    assert (np.asarray(table.result._value) == 0).all()
+
+
 def test_chunks_change_nothing_and_compile_once(make, dampings, whole, capsys):
     traces = []
 

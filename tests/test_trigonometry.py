@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxroll._trigonometry import sine_cosine
+from jaxroll._trigonometry import branch_free_inverse_sinh, inverse_sinh, sine_cosine
 
 
 def units(found, exact):
@@ -40,3 +40,16 @@ def test_derivatives_and_single_precision():
         assert abs(jax.vmap(f)(x[None])[0] - f(x)) < 1e-15
     single = sine_cosine(jnp.float32(0.5))
     assert single[0].dtype == jnp.float32 and abs(single[0] - np.sin(0.5)) < 1e-7
+
+
+def test_branch_free_inverse_sinh_is_within_two_ulp():
+    rng = np.random.default_rng(0)
+    x = np.concatenate(
+        [rng.uniform(-3.0, 3.0, 20000), 10.0 ** rng.uniform(-12.0, 12.0, 20000), [0.0, -1e150]]
+    )
+    exact = np.arcsinh(x.astype(np.longdouble))
+    off = np.abs(np.asarray(branch_free_inverse_sinh(jnp.asarray(x))) - exact)
+    assert np.max(off / np.spacing(np.abs(exact).astype(float))) <= 2.0
+    np.testing.assert_allclose(jax.vmap(inverse_sinh)(jnp.asarray(x)), jnp.arcsinh(x), rtol=1e-15)
+    slope = jax.vmap(jax.grad(inverse_sinh))(jnp.asarray(x[:100]))
+    np.testing.assert_allclose(slope, 1.0 / np.sqrt(1.0 + x[:100] ** 2), rtol=1e-15)

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from ._results import RESULTS
     from ._sweep import sweep
     from .contact import Contact
-    from .geometry import AbstractContour, Catenary, Circle, Ellipse, Line
+    from .geometry import AbstractContour, Catenary, Circle, Ellipse, Line, Spline
     from .integration import (
         close,
         CSM,
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
         simulate,
         Trajectory,
     )
-    from .mechanics import equation_terms, Finger, FreeObject, Grasp, PivotedObject, State
+    from .mechanics import equation_terms, Finger, FreeObject, Grasp, Jaw, PivotedObject, State
 
 __version__ = "0.1.0"
 
@@ -46,6 +46,7 @@ _HOMES: dict[str, str | None] = {
     "Circle": "geometry",
     "Ellipse": "geometry",
     "Line": "geometry",
+    "Spline": "geometry",
     "CSM": "integration",
     "Index1": "integration",
     "Trajectory": "integration",
@@ -59,6 +60,7 @@ _HOMES: dict[str, str | None] = {
     "Finger": "mechanics",
     "FreeObject": "mechanics",
     "Grasp": "mechanics",
+    "Jaw": "mechanics",
     "PivotedObject": "mechanics",
     "State": "mechanics",
     "equation_terms": "mechanics",
@@ -75,8 +77,10 @@ __all__ = [  # noqa: PLE0604
     "FreeObject",
     "Grasp",
     "Index1",
+    "Jaw",
     "Line",
     "PivotedObject",
+    "Spline",
     "State",
     "Trajectory",
     "close",

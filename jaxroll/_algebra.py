@@ -148,6 +148,11 @@ def scalars(vector: jax.Array) -> list[jax.Array]:
     return [jax.lax.squeeze(part, (0,)) for part in parts]
 
 
+def stacked(values: Sequence[Scalar]) -> jax.Array:
+    """Scalars as one vector; none of them as an empty one."""
+    return jnp.stack(tuple(values)) if len(values) else jnp.zeros(0)
+
+
 def total(terms: Sequence[Any]) -> Any:
     """Sum of scalars or vectors without a zero to start from."""
     result = terms[0]
@@ -170,6 +175,8 @@ def factorise(matrix: Triangle) -> Factor:
     A nonpositive pivot is not an error here: it is reported as `smallest_pivot`, because a batch
     cannot stop for one lane.
     """
+    if not matrix:
+        return Factor((), (), jnp.ones(()))
     lower: list[Scalars] = []
     pivots: list[Scalar] = []
     inverse: list[Scalar] = []

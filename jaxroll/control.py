@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._algebra import total, Twist2, Vec2
+from ._algebra import stacked, total, Twist2, Vec2
 from ._results import as_floats, check_finite
 from ._types import Given, Scalar, Scalars
 from .mechanics import Grasp, Motion, split, State
@@ -213,8 +213,8 @@ class UserController(AbstractController):
     function: Any
 
     def torques(self, t: Scalar, fingers: Sequence[Sensed]) -> Torques:
-        angles = tuple(jnp.stack(f.angles) for f in fingers)
-        rates = tuple(jnp.stack(f.rates) for f in fingers)
+        angles = tuple(stacked(f.angles) for f in fingers)
+        rates = tuple(stacked(f.rates) for f in fingers)
         given = self.function(t, angles, rates, tuple(_tip(f) for f in fingers))
         wanted = [a.shape for a in angles]
         if not isinstance(given, tuple | list) or [jnp.shape(g) for g in given] != wanted:
@@ -229,7 +229,8 @@ class UserController(AbstractController):
 
 
 def _tip(finger: Sensed) -> Tip:
-    jacobian = jnp.stack([unit.velocity.array() for unit in finger.unit_twists], axis=-1)
+    velocities = [unit.velocity for unit in finger.unit_twists]
+    jacobian = jnp.stack([stacked([v.x for v in velocities]), stacked([v.y for v in velocities])])
     return Tip(finger.tip.array(), jacobian)
 
 

@@ -2,15 +2,18 @@
 
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
+from ._algebra import Vec2
 from ._types import Given
 from .contact import Contact
 from .control import Opposition, orientations, Press
-from .geometry import AbstractContour, Catenary, Circle, Ellipse, Line, Moved
+from .geometry import AbstractContour, Catenary, Circle, Ellipse, Line, Moved, tabled
 from .integration import close
-from .mechanics import Finger, FreeObject, Grasp, PivotedObject, State
+from .mechanics import Finger, FreeObject, Grasp, Jaw, PivotedObject, State
 
 # Tables 1 and 2.
 LENGTHS = (0.065, 0.065)
@@ -275,12 +278,86 @@ def _middles(body: FreeObject) -> tuple[Any, Any]:
 
 def _facing(contour: AbstractContour, angle: float) -> Any:
     """Arclength at which a closed contour reaches farthest in a direction [rad]."""
-    ends = contour.domain()
-    if not contour.closed or ends is None:
+    if not contour.closed:
         raise ValueError(f"argument object must have two faces or one closed contour, but had {contour!r}")
-    along = jnp.array([np.cos(angle), np.sin(angle)])
+    return _farthest(tabled(contour), jnp.array([np.cos(angle), np.sin(angle)]))
+
+
+@eqx.filter_jit
+def _farthest(contour: AbstractContour, along: Array) -> Array:
+    ready = contour.prepared()
+    ends = ready.domain()
+    assert ends is not None  # a closed contour has a length
     s = ends[0] + (ends[1] - ends[0]) * jnp.linspace(0.0, 1.0, 257)
-    s = s[jnp.argmax(contour.point(s) @ along)]
+    s = s[jnp.argmax(ready.frame(s).point.array() @ along)]
     for _ in range(6):  # Newton on the slope: tangent across, curvature times normal along
-        s = s + (contour.tangent(s) @ along) / (contour.curvature(s) * (contour.normal(s) @ along))
+        frame, way = ready.frame(s), Vec2(along[0], along[1])
+        s = s + frame.tangent.dot(way) / (frame.curvature * frame.tangent.right().dot(way))
     return s
+
+
+class Conveyor(eqx.Module):
+    r"""Forces on the upper plate of `roller`: press, and move by $u = \frac{h}{2}(1 - \cos 2\pi t/T)$."""
+
+    force: Float[Array, ""]
+    travel: Float[Array, ""]
+    period: Float[Array, ""]
+    inertia: Float[Array, ""]
+
+    def __call__(self, t: Any, angles: Any, rates: Any, tips: Any) -> tuple[Array, Array]:
+        """Force along and across the plate; the lower plate has no joint."""
+        rate = 2.0 * np.pi / self.period
+        push = self.inertia * 0.5 * self.travel * rate**2 * jnp.cos(rate * t)
+        return jnp.stack([push, -self.force]), jnp.zeros(0)
+
+
+def roller(
+    contour: AbstractContour | None = None,
+    *,
+    force: Given = 5.0,
+    travel: Given = 0.03,
+    period: Given = 3.0,
+    mass: Given = 0.02,
+) -> tuple[Grasp, State]:
+    r"""A roller between two plates; the upper one moves to and fro, and the roller by half as much.
+
+    The test on which other engines creep: without slip a circular roller's centre travels exactly $u/2$.
+
+    Args:
+        contour: The roller's closed contour, round its body's origin. Default: a circle of 10 mm.
+        force: Of the upper plate on the roller [N].
+        travel: $h$, of the upper plate [m].
+        period: $T$ [s]: there and back again.
+        mass: Of the roller [kg], a uniform disc; the plate has ten times as much.
+
+    Returns:
+        The grasp, and a state at rest with both contacts closed. Coordinates: x, y and angle of the
+        roller, then u and height of the plate.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> grasp, state = jxr.scenes.roller()
+        >>> grasp.sizes
+        (3, 2, 0)
+    """
+    shape = Circle(0.01) if contour is None else contour
+    force, travel, period, mass = (jnp.asarray(x, float) for x in (force, travel, period, mass))
+    top, bottom = _facing(shape, 0.5 * np.pi), _facing(shape, -0.5 * np.pi)
+    height = shape.point(top)[1] - shape.point(bottom)[1]
+    radius = 0.5 * height
+    inertia = 0.5 * mass * radius**2
+    above = jnp.stack([0.0 * height, height])
+    plates = (
+        Jaw(Line(), 10.0 * mass, (0.0, 0.5 * np.pi), base=above, angle=-0.5 * np.pi),
+        Jaw(Line(), angle=0.5 * np.pi),
+    )
+    moved = 10.0 * mass + 0.25 * mass + 0.25 * inertia / radius**2
+    grasp = Grasp(
+        FreeObject(shape, mass, inertia),
+        plates,
+        (Contact(0.0, top, finger=0), Contact(0.0, bottom, finger=1)),
+        controller=Conveyor(force, travel, period, moved),
+    )
+    start = jnp.stack([0.0 * radius, -shape.point(bottom)[1], 0.0 * radius, 0.0 * radius, 0.0 * radius])
+    # Parallel plates: with contacts held, both tangencies would ask the same of the one angle.
+    return close(grasp, State(start, jnp.zeros(5), jnp.zeros(2)), hold_contacts=False)

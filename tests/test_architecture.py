@@ -182,8 +182,8 @@ def test_parameter_budget():
 
 PUBLIC = {
     "AbstractContour", "CSM", "Catenary", "Circle", "Contact", "Ellipse", "Finger", "FreeObject",
-    "Grasp", "Index1", "Line", "PivotedObject", "RESULTS", "State", "Trajectory", "close", "contact",
-    "control", "energies", "equation_terms", "geometry", "multipliers",
+    "Grasp", "Index1", "Jaw", "Line", "PivotedObject", "RESULTS", "Spline", "State", "Trajectory", "close",
+    "contact", "control", "energies", "equation_terms", "geometry", "multipliers",
     "pinch_balance", "plotting", "press_balance",
     "residuals", "scenes", "simulate", "stability", "sweep",
 }  # fmt: skip

@@ -30,13 +30,18 @@ class ArclengthTable(eqx.Module):
 
 
 def tabulate(speed: Speed, shape: Any, *, period: float, cells: int) -> ArclengthTable:
-    r"""Table of $u(s)$ for a closed curve with speed $|c'(u)|$ = `speed(shape, u)`.
+    r"""Table of $u(s)$ for a closed curve with speed $|c'(u)|$ = `speed(shape, u)`, uniform in s."""
+    nodes, arcs = spaced(speed, shape, jnp.linspace(0.0, period, cells + 1), cells)
+    return ArclengthTable(_hermite(speed, shape, nodes, arcs[-1] / cells), arcs[-1], period)
 
-    Arclength is integrated by five-point Gauss-Legendre in every cell; the nodes, uniform in arclength,
-    are found by Newton's method. Derivatives with respect to `shape` are those of the converged
-    nodes: the last two Newton steps, which start at a root, carry first and second order.
+
+def spaced(speed: Speed, shape: Any, grid: Array, cells: int) -> tuple[Array, Array]:
+    r"""Parameters at `cells` + 1 uniform arclengths, and the arclength at every point of `grid`.
+
+    Arclength is integrated by five-point Gauss-Legendre between the grid's points; the nodes are found
+    by three steps of Newton's method. Derivatives with respect to `shape` are those of the converged
+    nodes: the last two steps, which start at a root, carry first and second order.
     """
-    grid = jnp.linspace(0.0, period, cells + 1)
 
     def arc(low: Array, high: Array) -> Array:
         half = 0.5 * (high - low)
@@ -44,30 +49,31 @@ def tabulate(speed: Speed, shape: Any, *, period: float, cells: int) -> Arclengt
         return half * (speed(shape, u) @ _WEIGHTS)
 
     arcs = jnp.concatenate([jnp.zeros(1), jnp.cumsum(arc(grid[:-1], grid[1:]))])
-    length = arcs[-1]
-    targets = jnp.linspace(0.0, 1.0, cells + 1) * length
+    targets = jnp.linspace(0.0, 1.0, cells + 1) * arcs[-1]
 
-    def newton(u: Array) -> Array:
-        cell = jnp.clip(jnp.searchsorted(arcs, targets) - 1, 0, cells - 1)
+    def newton(u: Array, _: None) -> tuple[Array, None]:
+        cell = jnp.clip(jnp.searchsorted(arcs, targets) - 1, 0, grid.shape[0] - 2)
         reached = arcs[cell] + arc(grid[cell], u)
-        return u - (reached - targets) / speed(shape, u)
+        return u - (reached - targets) / speed(shape, u), None
 
-    start = jax.lax.stop_gradient(newton(jnp.interp(targets, arcs, grid)))
-    nodes = newton(newton(start))
-    return ArclengthTable(_hermite(speed, shape, nodes, length / cells), length, period)
+    start = jax.lax.stop_gradient(jnp.interp(targets, arcs, grid))
+    return jax.lax.scan(newton, start, length=3)[0], arcs
 
 
 def _hermite(speed: Speed, shape: Any, nodes: Array, step: Array) -> Array:
     value, slope = jax.jvp(lambda u: speed(shape, u), (nodes,), (jnp.ones_like(nodes),))
     first = step / value
     second = -slope * step**2 / value**3
-    p0, p1 = nodes[:-1], nodes[1:]
-    v0, v1 = first[:-1], first[1:]
-    a0, a1 = second[:-1], second[1:]
-    rise, dv0, dv1 = p1 - p0, v0, v1
-    c3 = 10.0 * rise - 6.0 * dv0 - 4.0 * dv1 - 1.5 * a0 + 0.5 * a1
-    c4 = -15.0 * rise + 8.0 * dv0 + 7.0 * dv1 + 1.5 * a0 - a1
-    c5 = 6.0 * rise - 3.0 * (dv0 + dv1) - 0.5 * (a0 - a1)
+    return hermite(nodes, first, second)
+
+
+def hermite(value: Array, first: Array, second: Array) -> Array:
+    """Quintic coefficients from nodal values and derivatives in cell units: (n + 1, ...) to (n, ..., 6)."""
+    p0, v0, a0 = value[:-1], first[:-1], second[:-1]
+    rise, v1, a1 = value[1:] - p0, first[1:], second[1:]
+    c3 = 10.0 * rise - 6.0 * v0 - 4.0 * v1 - 1.5 * a0 + 0.5 * a1
+    c4 = -15.0 * rise + 8.0 * v0 + 7.0 * v1 + 1.5 * a0 - a1
+    c5 = 6.0 * rise - 3.0 * (v0 + v1) - 0.5 * (a0 - a1)
     return jnp.stack([p0, v0, 0.5 * a0, c3, c4, c5], axis=-1)
 
 

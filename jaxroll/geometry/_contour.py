@@ -1,6 +1,7 @@
 """Contours as fields of arclength, and their Frenet frame by automatic differentiation."""
 
 import abc
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -78,24 +79,30 @@ class AbstractContour(eqx.Module):
 
     def point(self, s: Given) -> Points:
         """Points at arclengths `s` [m] of shape (...): shape (..., 2), in metres."""
-        return _frame_arrays(self, jnp.asarray(s, float))[0]
+        return _frame_arrays(tabled(self), jnp.asarray(s, float))[0]
 
     def tangent(self, s: Given) -> Points:
         """Unit tangents at arclengths `s` [m] of shape (...): shape (..., 2)."""
-        return _frame_arrays(self, jnp.asarray(s, float))[1]
+        return _frame_arrays(tabled(self), jnp.asarray(s, float))[1]
 
     def normal(self, s: Given) -> Points:
         """Outward unit normals at arclengths `s` [m] of shape (...): shape (..., 2)."""
-        tangent = _frame_arrays(self, jnp.asarray(s, float))[1]
+        tangent = _frame_arrays(tabled(self), jnp.asarray(s, float))[1]
         return jnp.stack([tangent[..., 1], -tangent[..., 0]], axis=-1)
 
     def curvature(self, s: Given) -> Float[Array, "..."]:
         """Curvatures [1/m] at arclengths `s` [m] of shape (...); positive where convex."""
-        return _frame_arrays(self, jnp.asarray(s, float))[2]
+        return _frame_arrays(tabled(self), jnp.asarray(s, float))[2]
 
     def moved(self, offset: Given = (0.0, 0.0), angle: Given = 0.0, *, origin: Given = 0.0) -> "Moved":
         """This contour turned by `angle` [rad], shifted by `offset` [m], its s = 0 put at `origin`."""
         return Moved(self, offset, angle, origin=origin)
+
+
+@functools.singledispatch
+def tabled(contour: AbstractContour) -> AbstractContour:
+    """A contour with its table built, if it reads one: by a program of its own, which all others share."""
+    return contour
 
 
 @eqx.filter_jit
@@ -172,3 +179,9 @@ class Moved(AbstractContour):
     def domain(self) -> tuple[Scalar, Scalar] | None:
         ends = self.contour.domain()
         return None if ends is None else (ends[0] + self.origin, ends[1] + self.origin)
+
+
+@tabled.register
+def _(contour: Moved) -> Moved:
+    inner = tabled(contour.contour)
+    return contour if inner is contour.contour else eqx.tree_at(lambda m: m.contour, contour, inner)

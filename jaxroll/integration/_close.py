@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,6 +13,7 @@ from .._algebra import factorise
 from .._results import concrete
 from ..mechanics import (
     bodies,
+    compiled,
     Grasp,
     join,
     linearise,
@@ -101,7 +101,7 @@ def row_name(row: int) -> str:
     return f"the {('x gap [m]', 'y gap [m]', 'tangency [rad]')[kind]} of contact {contact}"
 
 
-@eqx.filter_jit
+@compiled
 def _close(grasp: Grasp, guess: State, hold: bool) -> tuple[State, Array]:
     ready = grasp.prepared()
     n, contacts = grasp.coordinates, len(grasp.contacts)

@@ -10,6 +10,7 @@ from .._types import Scalar
 from ..control import as_controller
 from ..mechanics import (
     bodies,
+    compiled,
     Grasp,
     kinetic_energy,
     Leaves,
@@ -114,7 +115,7 @@ def _gravity_potential(grasp: Grasp, leaves: Leaves) -> Scalar:
     return total(parts)
 
 
-@eqx.filter_jit
+@compiled
 def residuals(grasp: Grasp, states: State) -> Residuals:
     """Constraint residuals of one state, or of states with a leading time axis.
 
@@ -128,7 +129,7 @@ def residuals(grasp: Grasp, states: State) -> Residuals:
     return _over_time(lambda state: residuals_at(ready, state), states)
 
 
-@eqx.filter_jit
+@compiled
 def multipliers(
     grasp: Grasp, ts: Float[Array, "..."], states: State, formulation: Formulation | None = None
 ) -> Multipliers:
@@ -146,7 +147,7 @@ def multipliers(
     return jax.vmap(lambda t, state: multipliers_at(ready, t, state, way))(ts, states)
 
 
-@eqx.filter_jit
+@compiled
 def energies(grasp: Grasp, states: State) -> tuple[Array, Array]:
     """Kinetic and potential energy [J] of one state, or of states with a leading time axis."""
     ready = grasp.prepared()

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 from .._algebra import total, Vec2
 from .._types import Scalar
 from ..control import Opposition, orientations
-from ..mechanics import Grasp, poses, State, to_leaves, touches
+from ..mechanics import compiled, Grasp, poses, State, to_leaves, touches
 from ._formulation import Index1
 from ._observe import multipliers_at
 
@@ -45,7 +45,7 @@ class PinchBalance(eqx.Module):
     lean: Float[Array, "... 2"]
 
 
-@eqx.filter_jit
+@compiled
 def pinch_balance(grasp: Grasp, ts: Float[Array, "..."], states: State) -> PinchBalance:
     """Part 1's quantities at one time and state, or along a leading time axis.
 

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 from .._algebra import Vec2
 from .._types import Scalar
 from ..control import Press
-from ..mechanics import Grasp, poses, State, to_leaves, touches
+from ..mechanics import compiled, Grasp, poses, State, to_leaves, touches
 from ._formulation import Index1
 from ._observe import multipliers_at
 
@@ -36,7 +36,7 @@ class PressBalance(eqx.Module):
     potential: Float[Array, "... c"]
 
 
-@eqx.filter_jit
+@compiled
 def press_balance(grasp: Grasp, ts: Float[Array, "..."], states: State) -> PressBalance:
     """Part 2's quantities at one time and state, or along a leading time axis.
 

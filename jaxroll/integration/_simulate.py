@@ -110,7 +110,7 @@ def simulate(
         tuple(events),
     )
     run = _run_plain if _is_plain(grasp, setup) else _run_any
-    trajectory, off = run(grasp, state, formulation or Index1(), numbers, setup)
+    trajectory, off = run(grasp.tabled(), state, formulation or Index1(), numbers, setup)
     return _checked(trajectory, off) if throw else trajectory
 
 

@@ -33,8 +33,9 @@ from ._dynamics import (
     normal_and_tangential as normal_and_tangential,
     Stabiliser as Stabiliser,
 )
-from ._finger import Finger as Finger
-from ._grasp import Grasp as Grasp
+from ._finger import AbstractFinger as AbstractFinger, Finger as Finger
+from ._grasp import compiled as compiled, Grasp as Grasp
+from ._jaw import Jaw as Jaw
 from ._object import (
     AbstractObject as AbstractObject,
     FreeObject as FreeObject,

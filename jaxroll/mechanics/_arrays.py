@@ -6,7 +6,7 @@ from jaxtyping import Array, Float
 
 from .._algebra import factorise
 from ._constraints import bodies, linearise, touches
-from ._grasp import Grasp
+from ._grasp import compiled, Grasp
 from ._state import State, to_leaves
 
 
@@ -26,7 +26,7 @@ class EquationTerms(eqx.Module):
     tangential: Float[Array, "c n"]
 
 
-@eqx.filter_jit
+@compiled
 def equation_terms(grasp: Grasp, state: State) -> EquationTerms:
     r"""Mass matrix, bias force and constraint gradients of one state.
 

@@ -1,5 +1,7 @@
 """A planar finger: a serial chain of links on revolute joints, with a contour at its end."""
 
+import abc
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -13,7 +15,59 @@ from ._body import Inertia, Motion
 _STILL = Vec2(0.0, 0.0)
 
 
-class Finger(eqx.Module):
+class AbstractFinger(eqx.Module):
+    """A driven mechanism that carries one contour in its tip frame."""
+
+    tip: eqx.AbstractVar[AbstractContour]
+
+    @property
+    @abc.abstractmethod
+    def joints(self) -> int:
+        """Number of joints."""
+
+    @property
+    @abc.abstractmethod
+    def size(self) -> Scalar:
+        """A typical length [m], for scaling and drawing."""
+
+    @property
+    @abc.abstractmethod
+    def turns(self) -> bool:
+        """Whether its coordinates are angles; else displacements."""
+
+    @abc.abstractmethod
+    def prepared(self) -> "AbstractFinger":
+        """This mechanism with scalar leaves and a contour ready for evaluation."""
+
+    @abc.abstractmethod
+    def tip_pose(self, q: Scalars) -> Pose2:
+        """The tip frame in the world."""
+
+    @abc.abstractmethod
+    def skeleton(self, q: Scalars) -> tuple[Vec2, ...]:
+        """Points from the base to the tip frame, for drawing."""
+
+    @abc.abstractmethod
+    def spin(self, rates: Scalars) -> Scalar:
+        """Rate of the tip frame's angle."""
+
+    @abc.abstractmethod
+    def motion(self, q: Scalars, v: Scalars, gravity: Vec2 | None) -> tuple[Motion, Inertia]:
+        """Kinematics of the tip frame, mass matrix and bias force at one state."""
+
+    @abc.abstractmethod
+    def gravity_potential(self, q: Scalars, gravity: Vec2) -> Scalar:
+        """Potential energy in a uniform field."""
+
+
+def check_tip(name: str, tip: AbstractContour) -> AbstractContour:
+    """Raise unless an argument is a contour."""
+    if not isinstance(tip, AbstractContour):
+        raise ValueError(f"argument {name} must be a contour, but was {tip!r}")
+    return tip
+
+
+class Finger(AbstractFinger):
     r"""A planar serial chain of $k$ revolute joints.
 
     The first joint angle is measured from the world's x axis, each other one from the link before;
@@ -60,9 +114,7 @@ class Finger(eqx.Module):
         links = self.lengths.shape[0]
         self.masses = check_positive("masses", as_floats("masses", masses, (links,)))
         self.base = as_floats("base", base, (2,))
-        if not isinstance(tip, AbstractContour):
-            raise ValueError(f"argument tip must be a contour, but was {tip!r}")
-        self.tip = tip
+        self.tip = check_tip("tip", tip)
         if centres is None:
             centres = 0.5 * self.lengths
         self.centres = as_floats("centres", centres, (links,))
@@ -72,11 +124,17 @@ class Finger(eqx.Module):
 
     @property
     def joints(self) -> int:
-        """Number of joints."""
         return len(self.lengths)
 
+    @property
+    def size(self) -> Scalar:
+        return total(unstack(self.lengths)) / self.joints
+
+    @property
+    def turns(self) -> bool:
+        return True
+
     def prepared(self) -> "Finger":
-        """This finger with scalar leaves and a tip contour ready for evaluation."""
         fields = lambda f: (f.lengths, f.masses, f.base, f.centres, f.inertias, f.tip)  # noqa: E731
         *arrays, tip = fields(self)
         return eqx.tree_at(fields, self, (*map(unstack, arrays), tip.prepared()))
@@ -97,17 +155,17 @@ class Finger(eqx.Module):
             points.append(points[-1] + direction * length)
         return once(tuple(points))
 
+    def skeleton(self, q: Scalars) -> tuple[Vec2, ...]:
+        return self.joint_positions(self.directions(q))
+
     def tip_pose(self, q: Scalars) -> Pose2:
-        """The tip frame in the world."""
         along = self.directions(q)
         return Pose2(self.joint_positions(along)[-1], along[-1].x, along[-1].y)
 
     def spin(self, rates: Scalars) -> Scalar:
-        """Rate of the tip frame's angle."""
         return total(rates)
 
     def motion(self, q: Scalars, v: Scalars, gravity: Vec2 | None) -> tuple[Motion, Inertia]:
-        """Kinematics of the tip frame, mass matrix and bias force at one state."""
         along = self.directions(q)
         points = self.joint_positions(along)
         spins = _running_sums(v)
@@ -159,7 +217,6 @@ class Finger(eqx.Module):
         return once(Inertia(tuple(reversed(rows)), tuple(reversed(forces))))
 
     def gravity_potential(self, q: Scalars, gravity: Vec2) -> Scalar:
-        """Potential energy of the links in a uniform field."""
         along = self.directions(q)
         points = self.joint_positions(along)
         centres = [p + d * c for p, d, c in zip(points, along, self.centres, strict=False)]

@@ -1,7 +1,9 @@
 """A grasp: fingers, object and contacts, with their controller and gravity."""
 
-from collections.abc import Sequence
-from typing import Any
+import functools
+import operator
+from collections.abc import Callable, Sequence
+from typing import Any, cast, TypeVar
 
 import equinox as eqx
 import jax
@@ -12,9 +14,11 @@ from .._algebra import unstack, Vec2
 from .._results import as_floats, check_between, traced
 from .._types import Given
 from ..contact import Contact
-from ..geometry import AbstractContour, frenet
-from ._finger import Finger
+from ..geometry import AbstractContour, frenet, tabled
+from ._finger import AbstractFinger
 from ._object import AbstractObject
+
+Door = TypeVar("Door", bound=Callable[..., Any])
 
 
 class Grasp(eqx.Module):
@@ -24,7 +28,7 @@ class Grasp(eqx.Module):
 
     Args:
         object: A `FreeObject` or a `PivotedObject`.
-        fingers: One `Finger` or several.
+        fingers: One `Finger` (or `Jaw`) or several.
         contacts: One `Contact` or several: which finger touches which contour, and where at the start.
         controller: Joint torques: a controller of `jaxroll.control`, or any callable pytree
             `f(t, angles, rates, tips)` that returns one array of torques [N m] per finger; `angles`
@@ -46,7 +50,7 @@ class Grasp(eqx.Module):
     """
 
     object: AbstractObject
-    fingers: tuple[Finger, ...]
+    fingers: tuple[AbstractFinger, ...]
     contacts: tuple[Contact, ...]
     controller: Any
     gravity: Float[Array, "2"] | None
@@ -54,14 +58,14 @@ class Grasp(eqx.Module):
     def __init__(
         self,
         object: AbstractObject,
-        fingers: Finger | Sequence[Finger],
+        fingers: AbstractFinger | Sequence[AbstractFinger],
         contacts: Contact | Sequence[Contact],
         *,
         controller: Any = None,
         gravity: Given | None = None,
     ) -> None:
         self.object = object
-        self.fingers = (fingers,) if isinstance(fingers, Finger) else tuple(fingers)
+        self.fingers = (fingers,) if isinstance(fingers, AbstractFinger) else tuple(fingers)
         self.contacts = (contacts,) if isinstance(contacts, Contact) else tuple(contacts)
         self.controller = controller
         self.gravity = None if gravity is None else as_floats("gravity", gravity, (2,))
@@ -107,6 +111,13 @@ class Grasp(eqx.Module):
         """This grasp with scalar leaves and contours ready for evaluation, once per solve."""
         ready = (self.object.prepared(), tuple(finger.prepared() for finger in self.fingers))
         return eqx.tree_at(lambda g: (g.object, g.fingers), self, ready)
+
+    def tabled(self) -> "Grasp":
+        """This grasp with the tables of its contours built, by a program of their own."""
+        where = lambda g: [*g.object.contours, *(f.tip for f in g.fingers)]  # noqa: E731
+        old = where(self)
+        new = [tabled(contour) for contour in old]
+        return self if all(map(operator.is_, old, new)) else eqx.tree_at(where, self, new)
 
     def with_(self, **changes: Any) -> "Grasp":
         """A copy with fields replaced, by name.
@@ -188,3 +199,14 @@ def _check_start(name: str, s: jax.Array, contour: AbstractContour) -> None:
     domain = contour.domain()
     if domain is not None:
         check_between(name, s, *domain, unit=" m")
+
+
+def compiled(function: Door) -> Door:
+    """`equinox.filter_jit` for functions of a grasp, whose tables are built before, once for all of them."""
+    jitted = eqx.filter_jit(function)
+
+    @functools.wraps(function)
+    def door(grasp: Grasp, *args: Any, **options: Any) -> Any:
+        return jitted(grasp.tabled(), *args, **options)
+
+    return cast(Door, door)

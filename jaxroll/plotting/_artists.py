@@ -51,7 +51,7 @@ class Drawing:
     ) -> None:
         self.seen, self.forces, self.traced = seen, forces, traced
         self.pivoted = isinstance(grasp.object, PivotedObject)
-        self.radius = 0.045 * MM * float(np.mean([f.lengths.mean() for f in grasp.fingers]))
+        self.radius = 0.045 * MM * float(np.mean([f.size for f in grasp.fingers]))
         fill = partial(_polygon, ax, np.zeros((3, 2)))
         line = lambda *args, **style: ax.plot([], [], *args, **style)[0]  # noqa: E731
         grey = {"ec": "#8A99A4", "lw": 0.8}

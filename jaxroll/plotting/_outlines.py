@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ..geometry import AbstractContour
+from ..geometry import AbstractContour, tabled
 from ..mechanics import Grasp
 from ._style import MM
 
@@ -36,7 +36,7 @@ class Samples(NamedTuple):
 
 def sample(contour: AbstractContour, s: np.ndarray) -> Samples:
     """A contour at arclengths [m] of shape (n,)."""
-    points, tangents, curvatures = map(np.asarray, _sampled(contour, jnp.asarray(s, float)))
+    points, tangents, curvatures = map(np.asarray, _sampled(tabled(contour), jnp.asarray(s, float)))
     return Samples(MM * points, tangents, curvatures)
 
 
@@ -67,7 +67,7 @@ def starts_of(grasp: Grasp) -> list[list[list[tuple[int, float, int]]]]:
 
 def extents(grasp: Grasp, sigmas: np.ndarray) -> list[list[Window]]:
     """Arclengths [m] to draw of every contour of every body: whole, or where it was touched."""
-    margin = 0.3 * float(np.mean([np.mean(np.asarray(f.lengths)) for f in grasp.fingers]))
+    margin = 0.3 * float(np.mean([f.size for f in grasp.fingers]))
     drawn = []
     for contours, starts in zip(contours_of(grasp), starts_of(grasp), strict=True):
         rows = []

@@ -170,7 +170,7 @@ def _object_rates(grasp: Grasp, run: Trajectory) -> list[Panel]:
 
 
 def _gaps(grasp: Grasp, run: Trajectory, normal: tuple[str, ...], tangential: tuple[str, ...]) -> list[Panel]:
-    left, size = run.residuals, float(np.mean(np.asarray(grasp.fingers[0].lengths)))
+    left, size = run.residuals, float(grasp.fingers[0].size)
     return [
         _residual("normal gap", r"$Q$ [m]", left.normal, size, normal),
         _residual("tangential gap", r"$R$ [m]", left.tangential, size, tangential),

@@ -3,14 +3,13 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..control import Press
 from ..integration import Trajectory
-from ..mechanics import Grasp, poses, State, to_leaves, touches
+from ..mechanics import compiled, Grasp, poses, State, to_leaves, touches
 from ._outlines import Outline, outlines, sample
 from ._style import MM
 
@@ -99,7 +98,7 @@ def views(grasp: Grasp, states: State) -> Views:
     )
 
 
-@eqx.filter_jit
+@compiled
 def _placed(grasp: Grasp, states: State):
     ready = grasp.prepared()
 
@@ -108,7 +107,7 @@ def _placed(grasp: Grasp, states: State):
         frames, touching = poses(ready, leaves.q), touches(ready, leaves.s)
         rows = tuple(jnp.stack([*f.origin, f.cos, f.sin]) for f in frames)
         joints = tuple(
-            jnp.stack([p.array() for p in finger.joint_positions(finger.directions(q))])
+            jnp.stack([p.array() for p in finger.skeleton(q)])
             for finger, q in zip(ready.fingers, leaves.q[1:], strict=True)
         )
         points = jnp.stack([frames[0].place(t.object.point).array() for t in touching])

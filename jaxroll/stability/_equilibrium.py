@@ -12,7 +12,7 @@ from .._algebra import unstack, Vec2
 from .._types import Given, Scalar
 from ..contact import gap
 from ..integration import constraint_rows, generalised_force, Multipliers
-from ..mechanics import Grasp, normal_and_tangential, poses, split, State, touches
+from ..mechanics import compiled, Grasp, normal_and_tangential, poses, split, State, touches
 
 _STEPS = 100
 # Singular values below this, relative to the largest, are neutral directions: along them nothing moves.
@@ -39,7 +39,7 @@ class Equilibrium(eqx.Module):
     found: Bool[Array, ""]
 
 
-@eqx.filter_jit
+@compiled
 def equilibrium(grasp: Grasp, state: State, *, t: Given = 0.0) -> Equilibrium:
     r"""Find an equilibrium of the closed loop near a state: Newton on the constrained problem.
 
@@ -132,11 +132,13 @@ def _start(grasp: Grasp, state: State, t: Given) -> tuple[Array, _Scale]:
 
 
 def _sizes(grasp: Grasp) -> tuple[Scalar, Array]:
-    """Mean link length, and what makes each coordinate comparable with an angle."""
-    length = sum(jnp.mean(jnp.stack(f.lengths)) for f in grasp.fingers) / len(grasp.fingers)
-    free = grasp.object.freedoms == 3
+    """Mean size of the fingers, and what makes each coordinate comparable with an angle."""
+    length = sum(finger.size for finger in grasp.fingers) / len(grasp.fingers)
+    angles = [True] if grasp.object.freedoms == 1 else [False, False, True]
+    for finger in grasp.fingers:
+        angles += [finger.turns] * finger.joints
     one = jnp.ones_like(length)
-    return length, jnp.stack([length if free and i < 2 else one for i in range(grasp.coordinates)])
+    return length, jnp.stack([one if turns else length for turns in angles])
 
 
 def _drive(grasp: Grasp, q: Array, s: Array, t: Given) -> Array:

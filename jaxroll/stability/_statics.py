@@ -9,7 +9,7 @@ from .._algebra import Vec2
 from .._types import Given, Scalar
 from ..geometry import AbstractContour
 from ..integration import check_pinch
-from ..mechanics import Grasp
+from ..mechanics import compiled, Grasp
 
 
 class PinchStatics(eqx.Module):
@@ -30,7 +30,7 @@ class PinchStatics(eqx.Module):
     hessian: Float[Array, "... 2 2"]
 
 
-@eqx.filter_jit
+@compiled
 def pinch_statics(grasp: Grasp, s: Given) -> PinchStatics:
     r"""$U(s_1, s_2)$, d, l, gradient and Hessian of a pinch under control (16): (25)-(29), (32), (39)-(40).
 
@@ -92,7 +92,7 @@ def _potential(grasp: Grasp, s: Array) -> Scalar:
     return 0.5 * grasp.controller.beta * (d * d + l_ * l_)
 
 
-@eqx.filter_jit
+@compiled
 def rectangle_hessian(grasp: Grasp, s: Given) -> Float[Array, "2 2"]:
     r"""Closed form of the Hessian of U at an equilibrium on parallel faces: (39)-(40), corrected.
 

@@ -10,7 +10,7 @@ from jaxtyping import Array, Complex, Float, Int
 from .._results import as_floats
 from .._types import Given
 from ..integration import constraint_rows, generalised_force
-from ..mechanics import bodies, Grasp, mass_matrix, State, to_leaves
+from ..mechanics import bodies, compiled, Grasp, mass_matrix, State, to_leaves
 from ._equilibrium import contact_force, Equilibrium, equilibrium
 
 
@@ -83,7 +83,7 @@ def assess(grasp: Grasp, state: State, *, t: Given = 0.0, tolerance: float = 1e-
     return _assess(grasp, state, t, as_floats("tolerance", tolerance, ()))
 
 
-@eqx.filter_jit
+@compiled
 def _assess(grasp: Grasp, state: State, t: Given, tolerance: Array) -> Stability:
     rest = equilibrium(grasp, state, t=t)
     ready = grasp.prepared()

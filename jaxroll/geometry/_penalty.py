@@ -1,0 +1,82 @@
+"""How much to smooth: the wavelength of a smoothing spline, from the noise level or the data alone."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from .._results import as_floats, concrete
+from .._types import Given
+from ._bspline import Basis
+from ._spline import chords, spline_basis
+
+_TRIALS = 600
+
+
+def smoothing_for(
+    points: Given,
+    *,
+    closed: bool = True,
+    noise: float | None = None,
+    knots: int | None = None,
+    degree: int = 5,
+) -> float:
+    r"""Wavelength [m] for `Spline(points, smoothing=...)`.
+
+    With the noise level $\sigma$, the longest one whose residuals it explains:
+    $\sum_i |r_i|^2 = 2 (n - \mathrm{tr}\,H)\,\sigma^2$, where $H$ maps data to fit. Without, the minimum of
+    generalised cross-validation, $\sum_i |r_i|^2 / (n - \mathrm{tr}\,H)^2$, which takes errors
+    that neighbours share for shape.
+
+    Args:
+        points: Shape (n, 2) [m], in order. Not differentiable: this is set-up.
+        closed: Whether the last point is followed by the first.
+        noise: Standard deviation of each coordinate [m]; 0 gives 0, an interpolating spline.
+        knots: As for the spline.
+        degree: As for the spline.
+
+    Raises:
+        ValueError: If `noise` is negative, or the points are being traced.
+
+    Example:
+        >>> import jaxroll as jxr, numpy as np
+        >>> u = 2 * np.pi * np.arange(200) / 200
+        >>> dots = 0.01 * np.stack([np.cos(u), np.sin(u)], -1)
+        >>> dots += 1e-6 * np.random.default_rng(0).normal(size=dots.shape)
+        >>> disc = jxr.Spline(dots, smoothing=jxr.geometry.smoothing_for(dots, noise=1e-6))
+        >>> bool(abs(disc.curvature(0.0) / 100 - 1) < 0.01)
+        True
+    """
+    if noise is not None and not noise >= 0.0:
+        raise ValueError(f"argument noise must not be negative, but was {noise}")
+    if noise == 0.0:
+        return 0.0
+    given = as_floats("points", points, (None, 2))
+    data = concrete(given)
+    if data is None:
+        raise ValueError(
+            "argument points must be concrete numbers, but was traced: smoothing is set up outside jit"
+        )
+    u = chords(given, closed)
+    functions = spline_basis(u, knots, degree, closed=closed)
+    length = float(u[-1])
+    spectrum, energy, lost = _spectrum(functions, jnp.asarray(u[: len(data)]), data)
+    shortest = 2.0 * length / functions.count
+    waves = np.geomspace(0.5 * shortest, length, _TRIALS)
+    shrunk = 1.0 / (1.0 + ((waves / (2.0 * np.pi)) ** 6 / length)[:, None] * spectrum[None, :])
+    freedom = len(data) - shrunk.sum(axis=1)
+    squares = (1.0 - shrunk) ** 2 @ energy + lost
+    if noise is None:
+        return float(waves[np.argmin(squares / freedom**2)])
+    explained = squares <= 2.0 * freedom * noise**2
+    return float(waves[np.flatnonzero(explained)[-1]]) if explained.any() else float(waves[0])
+
+
+def _spectrum(functions: Basis, u: jnp.ndarray, data: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Roughness of the fit's independent shapes, the data's squared share of each, and of none."""
+    from scipy.linalg import eigh  # set-up only: imported with the first use
+
+    matrix = np.asarray(functions.matrix(u))
+    normal = matrix.T @ matrix / len(data)
+    rough, shapes = eigh(np.asarray(functions.roughness()), normal)
+    share = shapes.T @ (matrix.T @ data) / np.sqrt(len(data))
+    energy = (share**2).sum(axis=1)
+    return np.maximum(rough, 0.0), energy, max(float((data**2).sum() - energy.sum()), 0.0)

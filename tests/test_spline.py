@@ -1,0 +1,213 @@
+"""Splines through points: closed forms, SciPy's splines, noise, gradients, and bad points."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import observed_order
+from scipy.interpolate import BSpline, make_interp_spline
+
+import jaxroll as jxr
+from jaxroll.geometry import frenet, smoothing_for
+from jaxroll.geometry._bspline import basis
+
+A, B = 0.02, 0.014
+RADIUS = 0.01
+
+
+def ellipse(count, shift=0.0):
+    th = 2 * np.pi * (np.arange(count) + shift) / count
+    return np.stack([A * np.cos(th), B * np.sin(th)], -1)
+
+
+def circle(count=200):
+    u = 2 * np.pi * np.arange(count) / count
+    return RADIUS * np.stack([np.cos(u), np.sin(u)], -1)
+
+
+def foot(points):
+    """Eccentric angle of the nearest point of the ellipse, by Newton's method."""
+    x, y = np.asarray(points).T
+    th = np.arctan2(y / B, x / A)
+    for _ in range(20):
+        dx, dy = A * np.cos(th) - x, B * np.sin(th) - y
+        slope = -A * np.sin(th) * dx + B * np.cos(th) * dy
+        bend = (A * np.sin(th)) ** 2 + (B * np.cos(th)) ** 2 - A * np.cos(th) * dx - B * np.sin(th) * dy
+        th = th - slope / bend
+    return th
+
+
+def ellipse_errors(contour):
+    """Largest errors: point over the half axis, tangent, curvature relative."""
+    contour = contour.prepared()
+    s = np.linspace(0.0, float(contour.domain()[1]), 2000)
+    point, tangent = np.asarray(contour.point(s)), np.asarray(contour.tangent(s))
+    th = foot(point)
+    exact = np.stack([A * np.cos(th), B * np.sin(th)], -1)
+    rate = np.stack([-A * np.sin(th), B * np.cos(th)], -1)
+    speed = np.linalg.norm(rate, axis=1)
+    turn = (tangent[:, 0] * rate[:, 1] - tangent[:, 1] * rate[:, 0]) / speed
+    return (
+        np.abs(point - exact).max() / A,
+        np.abs(turn).max(),
+        np.abs(np.asarray(contour.curvature(s)) * speed**3 / (A * B) - 1).max(),
+    )
+
+
+def test_ellipse_from_64_points():
+    """The row of the accuracy table; the order is observed from 48 to 96 points."""
+    counts = np.array([48, 64, 96])
+    errors = np.array([ellipse_errors(jxr.Spline(ellipse(n))) for n in counts])
+    assert np.all(errors[1] <= [1e-9, 1e-8, 1e-6])
+    orders = [-observed_order(counts, e) for e in errors.T]
+    print("ellipse, 64 points:", errors[1], "orders:", orders)
+    assert np.all(np.array(orders) > [5.8, 4.8, 3.8])
+
+
+def test_degree_seven_is_finer():
+    assert np.all(np.array(ellipse_errors(jxr.Spline(ellipse(64), degree=7))) <= [1e-11, 1e-9, 1e-7])
+
+
+@pytest.mark.parametrize(("degree", "closed"), [(3, True), (5, True), (5, False), (7, False)])
+def test_basis_is_scipys(degree, closed):
+    rng = np.random.default_rng(degree)
+    u = np.cumsum(rng.uniform(0.5, 1.5, 15))
+    data = rng.normal(size=(15, 2))
+    if closed:
+        data[-1] = data[0]
+    oracle = make_interp_spline(u, data, k=degree, bc_type="periodic" if closed else None)
+    fine = np.linspace(u[0], u[-1], 200)
+
+    @jax.jit
+    def through(u, data):
+        functions = basis(u, degree, closed=closed)
+        values = functions.matrix(u[: functions.count])
+        pieces = functions.pieces(jnp.linalg.solve(values, data[: functions.count]))
+        return pieces.curve(jnp.asarray(fine)).array()
+
+    np.testing.assert_allclose(through(u, data), oracle(fine), atol=1e-11)
+
+
+def test_roughness_is_the_integral():
+    u = np.cumsum(np.random.default_rng(1).uniform(0.5, 1.5, 12))
+    roughness = np.asarray(jax.jit(lambda u: basis(u, 5, closed=False).roughness())(u))
+    coefficients = np.random.default_rng(2).normal(size=12)
+    interior = u[3:-3]
+    oracle = BSpline(np.r_[[u[0]] * 6, interior, [u[-1]] * 6], coefficients, 5).derivative(3)
+    nodes, weights = np.polynomial.legendre.leggauss(6)
+    breaks = np.r_[u[0], interior, u[-1]]
+    half = 0.5 * np.diff(breaks)
+    at = breaks[:-1, None] + half[:, None] * (1 + nodes)
+    integral = np.sum(half[:, None] * weights * oracle(at) ** 2)
+    np.testing.assert_allclose(coefficients @ roughness @ coefficients, integral, rtol=1e-10)
+
+
+@pytest.mark.parametrize("noise", [1e-6, None])
+def test_noisy_circle(noise):
+    """200 points with 1 um noise on a 10 mm circle: curvature within 1 %."""
+    dots = circle() + 1e-6 * np.random.default_rng(3).normal(size=(200, 2))
+    disc = jxr.Spline(dots, smoothing=smoothing_for(dots, noise=noise)).prepared()
+    s = np.linspace(0, float(disc.domain()[1]), 1000)
+    worst = np.abs(np.asarray(disc.curvature(s)) * RADIUS - 1).max()
+    print("curvature of the noisy circle within", worst)
+    assert worst <= 0.01
+    assert np.abs(np.asarray(jxr.Spline(dots).curvature(s)) * RADIUS - 1).max() > 0.1  # unsmoothed
+
+
+def test_smoothing_halves_its_wavelength():
+    u = 2 * np.pi * np.arange(240) / 240
+    ripple = 1e-6 * np.cos(12 * u)
+    dots = (RADIUS + ripple)[:, None] * np.stack([np.cos(u), np.sin(u)], -1)
+    wave = 2 * np.pi * RADIUS / 12
+    smooth = jxr.Spline(dots, smoothing=wave)
+    s = float(smooth.domain()[1]) * np.arange(240) / 240
+    left = np.linalg.norm(np.asarray(smooth.point(s)), axis=1)
+    amplitude = 2 * np.mean(left * np.cos(12 * u))
+    np.testing.assert_allclose(amplitude, 0.5e-6, rtol=0.02)
+
+
+def test_fewer_knots_than_points():
+    dots = ellipse(400)
+    slim = jxr.Spline(dots, knots=64)
+    assert np.all(np.array(ellipse_errors(slim)) <= [1e-7, 3e-6, 2e-4])
+
+
+def test_open_spline_has_its_origin_and_ends():
+    a = 0.02
+    s = np.linspace(-0.03, 0.03, 65)
+    exact = jxr.Catenary(a)
+    bow = jxr.Spline(exact.point(s), closed=False, origin=32).prepared()
+    start, end = bow.domain()
+    np.testing.assert_allclose([start, end], [-0.03, 0.03], atol=1e-10)
+    at = np.linspace(-0.03, 0.03, 333)
+    np.testing.assert_allclose(bow.point(at), exact.point(at), atol=3e-10)
+    np.testing.assert_allclose(bow.curvature(at[20:-20]), exact.curvature(at[20:-20]), rtol=1e-5)
+    assert not bow.closed and bow.smoothness == 4
+
+
+def test_table_is_by_arclength_and_closes():
+    contour = jxr.Spline(ellipse(32), cells=256).prepared()
+    length = float(contour.domain()[1])
+    s = jnp.linspace(0.0, length, 700)
+    speed = jax.vmap(lambda s: jnp.hypot(*jax.jvp(contour.curve, (s,), (1.0,))[1]))(s)
+    np.testing.assert_allclose(speed, 1.0, atol=1e-9)
+    np.testing.assert_allclose(contour.point(s + length), contour.point(s), atol=1e-15)
+    np.testing.assert_allclose(contour.point(s - 3 * length), contour.point(s), atol=1e-15)
+    auto = jax.vmap(lambda s: frenet(contour.curve, s))(s)
+    given = contour.frame(s)
+    np.testing.assert_allclose(auto.tangent.array(), given.tangent.array(), atol=1e-9)
+    np.testing.assert_allclose(auto.curvature, given.curvature, rtol=1e-6)
+    coarse = jxr.Spline(ellipse(32), cells=128).table_error()
+    fine = contour.table_error()
+    assert coarse.point > 20 * fine.point and coarse.curvature > 6 * fine.curvature
+    reference = jxr.Spline(ellipse(32), cells=4096).prepared()
+    true = np.abs(contour.curvature(s) - reference.curvature(s)).max()
+    assert fine.curvature * 0.5 < true < fine.curvature * 1.2
+
+
+@eqx.filter_jit
+def _curvature(points, s, smoothing, **options):
+    contour = jxr.Spline(points, smoothing=smoothing, **options).prepared()
+    frame = contour.frame(s * contour.domain()[1])
+    return frame.curvature + 10.0 * frame.point.x + frame.tangent.y
+
+
+@pytest.mark.parametrize("smoothing", [0.0, 0.01])
+def test_gradient_with_respect_to_points(smoothing):
+    points = jnp.asarray(ellipse(24, 0.3))
+    options = {"cells": 64, "closed": smoothing == 0.0}
+    rng = np.random.default_rng(0)
+    direction = jnp.asarray(rng.normal(size=points.shape)) * 1e-3
+
+    def cost(p):
+        return _curvature(p, jnp.asarray(0.37), smoothing, **options)
+
+    gradient = jax.jit(jax.grad(cost))(points)
+    along = float(jnp.sum(gradient * direction))
+    forward = float(jax.jit(lambda p: jax.jvp(cost, (p,), (direction,))[1])(points))
+    np.testing.assert_allclose(along, forward, rtol=1e-9)
+    h = 1e-3
+    sides = [float(cost(points + k * h * direction)) for k in (-2, -1, 1, 2)]
+    central = (sides[0] - 8 * sides[1] + 8 * sides[2] - sides[3]) / (12 * h)
+    np.testing.assert_allclose(along, central, rtol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("points", "options", "message"),
+    [
+        (ellipse(5), {}, "at least 6 points"),
+        (ellipse(30)[::-1], {}, "counter-clockwise"),
+        (np.vstack([ellipse(30), ellipse(30)[:1]]), {}, "must not repeat a point"),
+        (np.full((30, 2), np.nan), {}, "must be finite"),
+        (np.zeros((30, 3)), {}, "shape"),
+        (ellipse(30), {"degree": 4}, "degree"),
+        (ellipse(30), {"origin": 30}, "origin"),
+        (ellipse(30), {"knots": 31}, "knots"),
+        (ellipse(30), {"smoothing": -1.0}, "smoothing"),
+    ],
+)
+def test_bad_points(points, options, message):
+    with pytest.raises(ValueError, match=message) as caught:
+        jxr.Spline(points, **options)
+    assert str(caught.value).startswith("argument ")

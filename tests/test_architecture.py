@@ -19,6 +19,7 @@ RANKS = {
     "_backend": 0,
     "_trigonometry": 1,
     "_results": 1,
+    "_once": 2,
     "_algebra": 2,
     "geometry": 3,
     "contact": 4,

@@ -1,33 +1,12 @@
 """Contours given as points alone, all the way through a run: the chapter's scenes, a roller, gradients."""
 
-import functools
-
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from points import bow, circle, HALF, pivoted_from
 
 import jaxroll as jxr
-from jaxroll.scenes import OBJECT_SHIFT
-
-HALF = 64  # intervals on either side of the vertex
-
-
-def bow(a, reach=0.02, count=2 * HALF):
-    """Points of the chapter's catenary (80)-(83), the vertex among them."""
-    s = np.linspace(-reach, reach, count + 1)
-    return np.asarray(jxr.Catenary(a).point(s))
-
-
-def pivoted_from(tip_points, face_points):
-    """Part 2 with the contours of `scenes.pivoted` given by points; their middle one is the vertex."""
-    grasp, state = jxr.scenes.pivoted()
-    spline = functools.partial(jxr.Spline, closed=False, cells=512)
-    tip = spline(tip_points, origin=len(tip_points) // 2).moved((0.01, 0.0)).moved(angle=-np.pi / 2)
-    face = spline(face_points, origin=len(face_points) // 2).moved((-0.02, 0.0), np.pi, origin=OBJECT_SHIFT)
-    grasp = eqx.tree_at(lambda g: (g.fingers[0].tip, g.object.contours), grasp, (tip, (face,)))
-    return grasp, state
 
 
 def test_part_2_from_128_points():
@@ -53,11 +32,6 @@ def test_part_1_from_points():
     apart = np.abs(np.asarray(run.states.q - exact.states.q)).max()
     print(f"Part 1 from 128 points: {apart:.3g} from the analytic trajectory")
     assert apart <= 1e-8
-
-
-def circle(count, radius=0.01):
-    u = 2 * np.pi * np.arange(count) / count
-    return radius * np.stack([np.cos(u), np.sin(u)], -1)
 
 
 def test_roller_between_plates():
@@ -101,7 +75,7 @@ def test_gradient_of_the_whole_chain():
     rng = np.random.default_rng(0)
     direction = [jnp.asarray(1e-3 * rng.normal(size=p.shape)) for p in points]
     slope = sum(float(jnp.sum(g * d)) for g, d in zip(gradient, direction, strict=True))
-    h = 3e-3
+    h = 1e-4
     at = {
         k: float(cost(*[p + k * h * d for p, d in zip(points, direction, strict=True)]))
         for k in (-2, -1, 0, 1, 2)

@@ -6,53 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import observed_order
+from points import circle, ellipse, ellipse_errors, RADIUS
 from scipy.interpolate import BSpline, make_interp_spline
 
 import jaxroll as jxr
-from jaxroll.geometry import frenet, smoothing_for
+from jaxroll.geometry import frenet, smoothing_for, tabled
 from jaxroll.geometry._bspline import basis
-
-A, B = 0.02, 0.014
-RADIUS = 0.01
-
-
-def ellipse(count, shift=0.0):
-    th = 2 * np.pi * (np.arange(count) + shift) / count
-    return np.stack([A * np.cos(th), B * np.sin(th)], -1)
-
-
-def circle(count=200):
-    u = 2 * np.pi * np.arange(count) / count
-    return RADIUS * np.stack([np.cos(u), np.sin(u)], -1)
-
-
-def foot(points):
-    """Eccentric angle of the nearest point of the ellipse, by Newton's method."""
-    x, y = np.asarray(points).T
-    th = np.arctan2(y / B, x / A)
-    for _ in range(20):
-        dx, dy = A * np.cos(th) - x, B * np.sin(th) - y
-        slope = -A * np.sin(th) * dx + B * np.cos(th) * dy
-        bend = (A * np.sin(th)) ** 2 + (B * np.cos(th)) ** 2 - A * np.cos(th) * dx - B * np.sin(th) * dy
-        th = th - slope / bend
-    return th
-
-
-def ellipse_errors(contour):
-    """Largest errors: point over the half axis, tangent, curvature relative."""
-    contour = contour.prepared()
-    s = np.linspace(0.0, float(contour.domain()[1]), 2000)
-    point, tangent = np.asarray(contour.point(s)), np.asarray(contour.tangent(s))
-    th = foot(point)
-    exact = np.stack([A * np.cos(th), B * np.sin(th)], -1)
-    rate = np.stack([-A * np.sin(th), B * np.cos(th)], -1)
-    speed = np.linalg.norm(rate, axis=1)
-    turn = (tangent[:, 0] * rate[:, 1] - tangent[:, 1] * rate[:, 0]) / speed
-    return (
-        np.abs(point - exact).max() / A,
-        np.abs(turn).max(),
-        np.abs(np.asarray(contour.curvature(s)) * speed**3 / (A * B) - 1).max(),
-    )
 
 
 def test_ellipse_from_64_points():
@@ -164,6 +123,15 @@ def test_table_is_by_arclength_and_closes():
     reference = jxr.Spline(ellipse(32), cells=4096).prepared()
     true = np.abs(contour.curvature(s) - reference.curvature(s)).max()
     assert fine.curvature * 0.5 < true < fine.curvature * 1.2
+
+
+def test_a_contours_table_is_built_once():
+    contour = jxr.Spline(ellipse(32), cells=256)
+    placed = contour.moved(angle=0.3)
+    assert tabled(contour).table.coefficients is tabled(placed).contour.table.coefficients
+    assert tabled(contour) is tabled(contour) and tabled(placed) is tabled(placed)
+    ready = contour.prepared()
+    assert tabled(ready) is ready
 
 
 @eqx.filter_jit

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._algebra import Pose2, sincos, unstack, Vec2
+from .._once import remembered
 from .._results import as_floats
 from .._types import Given, Points, Scalar
 
@@ -183,5 +184,9 @@ class Moved(AbstractContour):
 
 @tabled.register
 def _(contour: Moved) -> Moved:
-    inner = tabled(contour.contour)
-    return contour if inner is contour.contour else eqx.tree_at(lambda m: m.contour, contour, inner)
+    return contour if tabled(contour.contour) is contour.contour else _moved_table(contour)
+
+
+@remembered
+def _moved_table(contour: Moved) -> Moved:
+    return eqx.tree_at(lambda m: m.contour, contour, tabled(contour.contour))

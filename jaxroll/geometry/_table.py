@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._algebra import Vec2
+from .._once import remembered
 from .._types import Points, Scalar
 from ._arclength import hermite, spaced
 from ._contour import AbstractContour, Frenet2, tabled
@@ -173,7 +174,14 @@ class AbstractTabulated(AbstractContour):
 
 @tabled.register
 def _(contour: AbstractTabulated) -> AbstractTabulated:
-    return contour if contour.table is not None else contour.prepared()
+    if contour.table is not None:
+        return contour
+    return _prepared(contour)
+
+
+@remembered
+def _prepared(contour: AbstractTabulated) -> AbstractTabulated:
+    return contour.prepared()
 
 
 @eqx.filter_jit

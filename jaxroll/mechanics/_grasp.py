@@ -1,7 +1,6 @@
 """A grasp: fingers, object and contacts, with their controller and gravity."""
 
 import functools
-import operator
 from collections.abc import Callable, Sequence
 from typing import Any, cast, TypeVar
 
@@ -11,6 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._algebra import unstack, Vec2
+from .._once import remembered
 from .._results import as_floats, check_between, traced
 from .._types import Given
 from ..contact import Contact
@@ -114,10 +114,8 @@ class Grasp(eqx.Module):
 
     def tabled(self) -> "Grasp":
         """This grasp with the tables of its contours built, by a program of their own."""
-        where = lambda g: [*g.object.contours, *(f.tip for f in g.fingers)]  # noqa: E731
-        old = where(self)
-        new = [tabled(contour) for contour in old]
-        return self if all(map(operator.is_, old, new)) else eqx.tree_at(where, self, new)
+        contours = _all_contours(self)
+        return self if all(tabled(c) is c for c in contours) else _with_tables(self)
 
     def with_(self, **changes: Any) -> "Grasp":
         """A copy with fields replaced, by name.
@@ -199,6 +197,15 @@ def _check_start(name: str, s: jax.Array, contour: AbstractContour) -> None:
     domain = contour.domain()
     if domain is not None:
         check_between(name, s, *domain, unit=" m")
+
+
+def _all_contours(grasp: Grasp) -> list[AbstractContour]:
+    return [*grasp.object.contours, *(finger.tip for finger in grasp.fingers)]
+
+
+@remembered
+def _with_tables(grasp: Grasp) -> Grasp:
+    return eqx.tree_at(_all_contours, grasp, [tabled(c) for c in _all_contours(grasp)])
 
 
 def compiled(function: Door) -> Door:

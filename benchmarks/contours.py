@@ -1,0 +1,110 @@
+"""Contours from points: each row measured, printed beside what was asked of it.
+
+Run from the repository root: `python -m benchmarks.contours` (about three minutes; needs the `test` extra).
+"""
+
+import sys
+import time
+from pathlib import Path
+
+import jax
+
+jax.config.update("jax_enable_x64", True)
+
+import numpy as np  # noqa: E402
+
+import jaxroll as jxr  # noqa: E402
+from jaxroll.geometry import smoothing_for  # noqa: E402
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+from helpers import observed_order  # noqa: E402
+from points import bow, circle, ellipse, ellipse_errors, HALF, pivoted_from, RADIUS  # noqa: E402
+
+ROUNDS = 200
+
+
+def accuracy():
+    """64 exact points of an ellipse, and the observed order from 48 to 96."""
+    counts = (48, 64, 96)
+    errors = np.array([ellipse_errors(jxr.Spline(ellipse(n))) for n in counts])
+    orders = [-observed_order(np.array(counts), e) for e in errors.T]
+    yield "ellipse, 64 points: point, relative", "<= 1e-9", f"{errors[1, 0]:.1e} (order {orders[0]:.1f})"
+    yield "tangent [rad]", "<= 1e-8", f"{errors[1, 1]:.1e} (order {orders[1]:.1f})"
+    yield "curvature, relative", "<= 1e-6", f"{errors[1, 2]:.1e} (order {orders[2]:.1f})"
+
+
+def noise():
+    """200 points of a 10 mm circle with 1 um noise, twenty times."""
+    worst = {"noise level known": 0.0, "cross-validation": 0.0}
+    for seed in range(20):
+        dots = circle() + 1e-6 * np.random.default_rng(seed).normal(size=(200, 2))
+        for how, level in zip(worst, (1e-6, None), strict=True):
+            disc = jxr.Spline(dots, smoothing=smoothing_for(dots, noise=level)).prepared()
+            s = np.linspace(0, float(disc.domain()[1]), 1000)
+            worst[how] = max(worst[how], np.abs(np.asarray(disc.curvature(s)) * RADIUS - 1).max())
+    for how, error in worst.items():
+        yield f"1 um noise on a 10 mm circle: curvature, {how}", "<= 1 %", f"{100 * error:.2f} %"
+
+
+def chapter():
+    """Part 2 with 128 points per contour, against the closed forms."""
+    ts = np.linspace(0.0, 3.0, 31)
+    exact = jxr.simulate(*jxr.scenes.pivoted(), t1=3.0, ts=ts, rtol=1e-10)
+    given = pivoted_from(*[bow(a)[: 2 * HALF] for a in (1 / 40, 1 / 100)])
+    run = jxr.simulate(*jxr.close(*given), t1=3.0, ts=ts, rtol=1e-10)
+    apart = np.abs(np.asarray(run.states.q - exact.states.q)).max()
+    yield "Part 2, 128 points per contour", "<= 1e-9 rad", f"{apart:.1e} rad"
+
+
+def roller():
+    """A roller of 128 points between plates, top plate 0-30-0 mm in 3 s: error of its travel."""
+    scene = jxr.scenes.roller(jxr.Spline(circle(128)))
+    run = jxr.simulate(*scene, t1=3.0, ts=np.linspace(0.0, 3.0, 1501), rtol=1e-9)
+    x, y, *_ = np.asarray(run.states.q).T
+    half = 0.0075 * (1.0 - np.cos(2 * np.pi * np.asarray(run.ts) / 3.0))
+    error = np.abs(x - half)
+    yield "roller of 128 points: rolling error", "<= 1e-8 m", f"{error.max():.1e} m"
+    yield "its ripple (height of the centre)", "none", f"{np.abs(y - RADIUS).max():.1e} m"
+
+
+def run_time():
+    """Warm runs with fields beside the closed form, interleaved: ratio of medians."""
+    grasp, state = jxr.scenes.pivoted()
+    shape = jxr.Ellipse(0.012, 0.016).moved((0.005, 0.0))
+    fields = {
+        "spline": jxr.Spline(np.asarray(shape.contour.point(_spread(shape.contour, 128)))),
+        "network": _network(shape.contour),
+    }
+    runs = {"closed form": _closed(grasp.with_tip(0, shape), state)}
+    for name, field in fields.items():
+        runs[name] = _closed(grasp.with_tip(0, field.moved((0.005, 0.0))), state)
+    taken = {name: [] for name in runs}
+    for _ in range(ROUNDS):
+        for name, scene in runs.items():
+            start = time.perf_counter()
+            jax.block_until_ready(jxr.simulate(*scene, t1=1.0, ts=11).states.q)
+            taken[name].append(time.perf_counter() - start)
+    base = np.median(taken["closed form"])
+    for name in fields:
+        ratio = np.median(taken[name]) / base
+        yield f"run time, {name} fingertip over closed form", "<= 1.3", f"{ratio:.2f}"
+
+
+def _spread(contour, count):
+    return float(contour.domain()[1]) * np.arange(count) / count
+
+
+def _closed(grasp, state):
+    return jxr.close(grasp, state, hold_contacts=False)
+
+
+def main():
+    """Print the table as it goes."""
+    print("| what | asked | measured |\n|---|---|---|")
+    for part in (accuracy, noise, chapter, roller, run_time):
+        for row in part():
+            print("| " + " | ".join(row) + " |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

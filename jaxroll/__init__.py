@@ -8,11 +8,11 @@ import importlib
 from typing import Any, TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from . import contact, control, geometry, plotting, scenes, stability
+    from . import contact, control, geometry, io, plotting, scenes, stability
     from ._results import RESULTS
     from ._sweep import sweep
     from .contact import Contact
-    from .geometry import AbstractContour, Catenary, Circle, Ellipse, Line, Spline
+    from .geometry import AbstractContour, Catenary, Circle, Ellipse, fit_contour, Line, Spline
     from .integration import (
         close,
         CSM,
@@ -35,6 +35,7 @@ _HOMES: dict[str, str | None] = {
     "contact": None,
     "control": None,
     "geometry": None,
+    "io": None,
     "plotting": None,
     "scenes": None,
     "stability": None,
@@ -47,6 +48,7 @@ _HOMES: dict[str, str | None] = {
     "Ellipse": "geometry",
     "Line": "geometry",
     "Spline": "geometry",
+    "fit_contour": "geometry",
     "CSM": "integration",
     "Index1": "integration",
     "Trajectory": "integration",
@@ -88,7 +90,9 @@ __all__ = [  # noqa: PLE0604
     "control",
     "energies",
     "equation_terms",
+    "fit_contour",
     "geometry",
+    "io",
     "multipliers",
     "pinch_balance",
     "plotting",

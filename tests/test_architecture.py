@@ -29,6 +29,7 @@ RANKS = {
     "stability": 8,
     "_sweep": 8,
     "scenes": 9,
+    "io": 9,
     "plotting": 10,
     "__init__": 11,
     "__main__": 12,
@@ -41,6 +42,14 @@ DOORS = {
     "matplotlib": {"plotting"},
     "scipy": set(),
     "numba": set(),
+}
+# Libraries of the extra `cad`: one file each, imported with the first use.
+LAZY_DOORS = {
+    "svgpathtools": "io/_vector.py",
+    "ezdxf": "io/_vector.py",
+    "trimesh": "io/_mesh.py",
+    "mapbox_earcut": "io/_mesh.py",
+    "skimage": "io/_image.py",
 }
 FILES = sorted(ROOT.rglob("*.py"))
 
@@ -89,6 +98,25 @@ def test_every_import_points_down():
     assert not found
 
 
+def lazy_violations(path, tree):
+    """Libraries imported outside their own file, or as soon as it is imported."""
+    here, early = path.relative_to(ROOT).as_posix(), list(module_level(tree))
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Import | ast.ImportFrom):
+            continue
+        for target in targets(node, path):
+            door = LAZY_DOORS.get((target or "").split(".")[0])
+            if door and (door != here or node in early):
+                yield f"{here} imports {target}"
+
+
+def test_libraries_of_the_extra_have_one_lazy_door_each():
+    trees = {p: ast.parse(p.read_text()) for p in FILES}
+    assert not [v for p, tree in trees.items() for v in lazy_violations(p, tree)]
+    bad = ast.parse("import ezdxf\ndef f():\n    import trimesh\n")
+    assert len(list(lazy_violations(ROOT / "io" / "_vector.py", bad))) == 2
+
+
 def test_the_import_check_sees_a_bad_import():
     bad = ast.parse("import matplotlib.pyplot\nfrom ..integration import simulate\n")
     assert len(violations(ROOT / "mechanics" / "_grasp.py", bad)) == 2
@@ -111,7 +139,7 @@ def cycles_inside(folder):
 
 
 @pytest.mark.parametrize(
-    "folder", ["geometry", "contact", "mechanics", "integration", "stability", "plotting"]
+    "folder", ["geometry", "contact", "mechanics", "integration", "stability", "plotting", "io"]
 )
 def test_no_cycles_inside_a_folder(folder):
     assert not cycles_inside(folder)
@@ -184,7 +212,7 @@ def test_parameter_budget():
 PUBLIC = {
     "AbstractContour", "CSM", "Catenary", "Circle", "Contact", "Ellipse", "Finger", "FreeObject",
     "Grasp", "Index1", "Jaw", "Line", "PivotedObject", "RESULTS", "Spline", "State", "Trajectory", "close",
-    "contact", "control", "energies", "equation_terms", "geometry", "multipliers",
+    "contact", "control", "energies", "equation_terms", "fit_contour", "geometry", "io", "multipliers",
     "pinch_balance", "plotting", "press_balance",
     "residuals", "scenes", "simulate", "stability", "sweep",
 }  # fmt: skip
@@ -208,7 +236,7 @@ import time, sys, jax
 start = time.perf_counter()
 import jaxroll
 took = time.perf_counter() - start
-bad = [m for m in ("matplotlib", "scipy", "numba") if m in sys.modules]
+bad = [m for m in ("matplotlib", "scipy", "numba", "ezdxf", "trimesh", "skimage") if m in sys.modules]
 print(took, jax.config.jax_enable_x64, bad)
 """
 

@@ -2,7 +2,8 @@
 
 `_contour` holds the contract and the frame by automatic differentiation, `_analytic` the curves
 with closed forms, `_arclength` the arclength of curves that are not given by it, `_table` what a run
-reads of any other field, `_spline` contours through points.
+reads of any other field, `_spline` contours through points, `_penalty` how much to smooth them; `_points`,
+`_ordering` and `_crossings` check raw points, `_fit` makes a contour of them, and a report.
 """
 
 from ._analytic import Catenary as Catenary, Circle as Circle, Ellipse as Ellipse, Line as Line
@@ -13,7 +14,15 @@ from ._contour import (
     Moved as Moved,
     tabled as tabled,
 )
+from ._crossings import crossings as crossings
+from ._fit import Fit as Fit, fit_contour as fit_contour, FitReport as FitReport
 from ._penalty import smoothing_for as smoothing_for
+from ._points import (
+    clean_points as clean_points,
+    CleanPoints as CleanPoints,
+    metres_per as metres_per,
+    polygon_area as polygon_area,
+)
 from ._spline import Spline as Spline
 from ._table import (
     AbstractTabulated as AbstractTabulated,

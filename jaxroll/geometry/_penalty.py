@@ -1,14 +1,17 @@
 """How much to smooth: the wavelength of a smoothing spline, from the noise level or the data alone."""
 
-import jax.numpy as jnp
+import functools
+
+import jax
 import numpy as np
+from jaxtyping import Array
 
 from .._results import as_floats, concrete
 from .._types import Given
-from ._bspline import Basis
 from ._spline import chords, spline_basis
 
 _TRIALS = 600
+Spectrum = tuple[np.ndarray, np.ndarray, float]
 
 
 def smoothing_for(
@@ -21,8 +24,9 @@ def smoothing_for(
 ) -> float:
     r"""Wavelength [m] for `Spline(points, smoothing=...)`.
 
-    With the noise level $\sigma$, the longest one whose residuals it explains:
-    $\sum_i |r_i|^2 = 2 (n - \mathrm{tr}\,H)\,\sigma^2$, where $H$ maps data to fit. Without, the minimum of
+    With the noise level $\sigma$, the minimum of Mallows' estimate of the error against the truth,
+    $\sum_i |r_i|^2 + 4\sigma^2\,\mathrm{tr}\,H$, where $H$ maps data to fit. (Taking the longest wavelength
+    whose residuals the noise explains errs two to three times as much.) Without, the minimum of
     generalised cross-validation, $\sum_i |r_i|^2 / (n - \mathrm{tr}\,H)^2$, which takes errors
     that neighbours share for shape.
 
@@ -55,28 +59,32 @@ def smoothing_for(
         raise ValueError(
             "argument points must be concrete numbers, but was traced: smoothing is set up outside jit"
         )
-    u = chords(given, closed)
-    functions = spline_basis(u, knots, degree, closed=closed)
-    length = float(u[-1])
-    spectrum, energy, lost = _spectrum(functions, jnp.asarray(u[: len(data)]), data)
-    shortest = 2.0 * length / functions.count
+    matrix, rough, length = (np.asarray(x) for x in _forms(given, knots, degree, closed))
+    spectrum, energy, lost = _spectrum(matrix, rough, data)
+    shortest = 2.0 * length / matrix.shape[1]
     waves = np.geomspace(0.5 * shortest, length, _TRIALS)
     shrunk = 1.0 / (1.0 + ((waves / (2.0 * np.pi)) ** 6 / length)[:, None] * spectrum[None, :])
     freedom = len(data) - shrunk.sum(axis=1)
     squares = (1.0 - shrunk) ** 2 @ energy + lost
     if noise is None:
         return float(waves[np.argmin(squares / freedom**2)])
-    explained = squares <= 2.0 * freedom * noise**2
-    return float(waves[np.flatnonzero(explained)[-1]]) if explained.any() else float(waves[0])
+    return float(waves[np.argmin(squares - 4.0 * noise**2 * freedom)])
 
 
-def _spectrum(functions: Basis, u: jnp.ndarray, data: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+@functools.partial(jax.jit, static_argnums=(1, 2, 3))
+def _forms(points: Array, knots: int | None, degree: int, closed: bool) -> tuple[Array, Array, Array]:
+    """Values of the basis at the data, its roughness, and the length of the chords: one program."""
+    u = chords(points, closed)
+    functions = spline_basis(u, knots, degree, closed=closed)
+    return functions.matrix(u[: points.shape[0]]), functions.roughness(), u[-1]
+
+
+def _spectrum(matrix: np.ndarray, rough: np.ndarray, data: np.ndarray) -> Spectrum:
     """Roughness of the fit's independent shapes, the data's squared share of each, and of none."""
     from scipy.linalg import eigh  # set-up only: imported with the first use
 
-    matrix = np.asarray(functions.matrix(u))
     normal = matrix.T @ matrix / len(data)
-    rough, shapes = eigh(np.asarray(functions.roughness()), normal)
+    levels, shapes = eigh(rough, normal)
     share = shapes.T @ (matrix.T @ data) / np.sqrt(len(data))
     energy = (share**2).sum(axis=1)
-    return np.maximum(rough, 0.0), energy, max(float((data**2).sum() - energy.sum()), 0.0)
+    return np.maximum(levels, 0.0), energy, max(float((data**2).sum() - energy.sum()), 0.0)

@@ -1,0 +1,268 @@
+"""Order of scattered points along one curve, on the host: nearest neighbours on either side, then repair."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+_BLOCK = 4_000_000  # distances held at a time
+_NEAR = 24  # neighbours among which a point looks for its two
+_REPAIR = 8  # neighbours tried by a repairing move
+
+
+class Order(NamedTuple):
+    """Indices along the curve, and whether its last point was found to be the neighbour of its first."""
+
+    indices: np.ndarray
+    loop: bool
+
+
+def nearest(points: np.ndarray, count: int) -> np.ndarray:
+    """Indices (n, count) of the nearest other points, nearest first; in O(n^2) time and O(n) memory."""
+    n = len(points)
+    count = min(count, n - 1)
+    rows = max(1, _BLOCK // n)
+    found = np.empty((n, count), int)
+    for low in range(0, n, rows):
+        block = points[low : low + rows]
+        squares = np.square(block[:, None, :] - points[None, :, :]).sum(axis=-1)
+        squares[np.arange(len(block)), low + np.arange(len(block))] = np.inf
+        some = np.argpartition(squares, count - 1, axis=1)[:, :count]
+        rank = np.argsort(np.take_along_axis(squares, some, axis=1), axis=1)
+        found[low : low + rows] = np.take_along_axis(some, rank, axis=1)
+    return found
+
+
+def place(point: np.ndarray) -> str:
+    """A point as text for a sentence."""
+    return f"({point[0]:.4g}, {point[1]:.4g}) m"
+
+
+def turnings(points: np.ndarray, *, closed: bool) -> np.ndarray:
+    """Signed turning angle [rad] at every point; zero at the ends of an open polygon."""
+    steps = np.diff(points, axis=0, append=points[:1])
+    before = np.roll(steps, 1, axis=0)
+    cross = before[:, 0] * steps[:, 1] - before[:, 1] * steps[:, 0]
+    angles = np.arctan2(cross, np.sum(before * steps, axis=1))
+    if not closed:
+        angles[[0, -1]] = 0.0
+    return angles
+
+
+def crust(points: np.ndarray, near: np.ndarray) -> Order | None:
+    """The curve on which every point agrees with its two neighbours, or None if there is no such curve.
+
+    A point picks its nearest neighbour, and the nearest one on the other side of itself (Dey and Kumar's
+    NN-crust, 1999): exactly its two neighbours where a smooth curve is sampled finely enough.
+    """
+    first = near[:, 0]
+    away = points[near] - points[:, None, :]
+    behind = np.einsum("nki,ni->nk", away, points[first] - points) < 0.0
+    second = np.where(behind.any(axis=1), near[np.arange(len(near)), behind.argmax(axis=1)], -1)
+    picks = np.stack([first, second], axis=1)
+    mutual = (picks >= 0) & np.any(picks[picks] == np.arange(len(points))[:, None, None], axis=-1)
+    degree = mutual.sum(axis=1)
+    ends = np.flatnonzero(degree == 1)
+    if np.any(degree == 0) or len(ends) not in (0, 2):
+        return None
+    links = np.where(mutual, picks, -1)
+    walked = _walk(links, int(ends[0]) if len(ends) else 0)
+    if len(walked) < len(points):
+        return None
+    found = Order(np.array(walked), loop=not len(ends))
+    return None if zigzags(points[found.indices], closed=found.loop) else found
+
+
+def _walk(links: np.ndarray, start: int) -> list[int]:
+    walked, previous, here = [start], -1, start
+    while True:
+        ahead = [int(i) for i in links[here] if i >= 0 and i != previous]
+        if not ahead or ahead[0] == start:
+            return walked
+        previous, here = here, ahead[0]
+        walked.append(here)
+
+
+def zigzags(points: np.ndarray, *, closed: bool) -> bool:
+    """Whether the polygon turns to and fro by more than 30 degrees at many of its points."""
+    angles = turnings(points, closed=closed)
+    beside = np.roll(angles, -1)
+    to_and_fro = (angles * beside < 0.0) & (np.minimum(np.abs(angles), np.abs(beside)) > np.pi / 6)
+    return bool(np.mean(to_and_fro) > 0.2)
+
+
+def repaired(points: np.ndarray, near: np.ndarray, *, closed: bool) -> Order:
+    """A short curve through all the points: the shortest links first, then moves that shorten it.
+
+    Raises:
+        ValueError: If one of the two points nearest to some point is on a far part of the curve, or the
+            curve zigzags: then more than one order is plausible.
+    """
+    near = near[:, :_REPAIR]
+    tour = _shortened(points, near, _fragments(points, near), closed=closed)
+    if not closed:
+        cut = int(np.flatnonzero(tour == len(points))[0])
+        tour = np.concatenate([tour[cut + 1 :], tour[:cut]])
+    rank = np.empty(len(points), int)
+    rank[tour] = np.arange(len(points))
+    apart = np.abs(rank[:, None] - rank[near[:, :2]])
+    if closed:
+        apart = np.minimum(apart, len(points) - apart)
+    apart = apart.max(axis=1)
+    _in_one_piece(points[tour], closed=closed)
+    worst = int(np.argmax(apart))
+    if apart[worst] > 3 or zigzags(points[tour], closed=closed):
+        raise ValueError(
+            "argument points must be in order, or lie finely enough on one curve to be ordered by nearness, "
+            f"but more than one order is plausible near row {worst} at {place(points[worst])} "
+            "(ordered=True keeps the order given)"
+        )
+    return Order(tour, loop=closed)
+
+
+def _in_one_piece(points: np.ndarray, *, closed: bool) -> None:
+    steps = np.linalg.norm(np.diff(points, axis=0, append=points[:1]), axis=1)
+    steps = np.sort(steps if closed else steps[:-1])
+    pieces = int(np.sum(steps > 10.0 * np.median(steps))) + (0 if closed else 1)
+    if pieces > 1:
+        raise ValueError(
+            f"argument points must lie on one curve, but fall into {pieces} pieces, with gaps of up to "
+            f"{1e3 * steps[-1]:.3g} mm at a typical spacing of {1e3 * np.median(steps):.3g} mm"
+        )
+
+
+def _fragments(points: np.ndarray, near: np.ndarray) -> list[list[int]]:
+    """Open chains made of the shortest links that give no point a third neighbour and close no ring."""
+    n, count = near.shape
+    pairs = np.stack([np.repeat(np.arange(n), count), near.ravel()], axis=1)
+    pairs = np.unique(np.sort(pairs, axis=1), axis=0)
+    lengths = np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
+    chains = {i: [i] for i in range(n)}
+    chain_of = list(range(n))
+    for a, b in pairs[np.argsort(lengths, kind="stable")].tolist():
+        _join(chains, chain_of, a, b)
+    return list(chains.values())
+
+
+def _join(chains: dict[int, list[int]], chain_of: list[int], a: int, b: int) -> None:
+    one, other = chain_of[a], chain_of[b]
+    left, right = chains[one], chains[other]
+    if one == other or a not in (left[0], left[-1]) or b not in (right[0], right[-1]):
+        return
+    left = left if left[-1] == a else left[::-1]
+    right = right if right[0] == b else right[::-1]
+    chains[one] = left + right
+    for i in right:
+        chain_of[i] = one
+    del chains[other]
+
+
+def _shortened(points: np.ndarray, near: np.ndarray, chains: list[list[int]], *, closed: bool) -> np.ndarray:
+    """One tour of all chains, made shorter by reversals and by moving single points.
+
+    The tour of an open curve is closed through an additional point (index n) that is at no distance from
+    any other.
+    """
+    n = len(points)
+    tour = max(chains, key=len)
+    rest = [chain for chain in chains if chain is not tour]
+    while rest:
+        ends = points[[[c[0], c[-1]] for c in rest]]
+        far = np.linalg.norm(ends[:, None] - points[[tour[0], tour[-1]]][None, :, None], axis=-1)
+        which, mine, its = np.unravel_index(np.argmin(far), far.shape)
+        chain = rest.pop(int(which))
+        chain = chain[::-1] if its == mine else chain
+        tour = chain + tour if mine == 0 else tour + chain
+    tour = np.array(tour if closed else [*tour, n])
+    padded = np.concatenate([points, np.full((1, 2), np.nan)])
+
+    def far_apart(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return np.nan_to_num(np.linalg.norm(padded[a] - padded[b], axis=-1), nan=0.0)
+
+    for _ in range(4 * n):
+        better = _best_move(tour, near, far_apart)
+        if better is None:
+            break
+        tour = better
+    return tour
+
+
+def _best_move(tour: np.ndarray, near: np.ndarray, far_apart) -> np.ndarray | None:
+    """The tour after the one reversal or move of a point that shortens it most, or None if none does."""
+    rank = np.empty(len(tour), int)
+    rank[tour] = np.arange(len(tour))
+    after, before = np.empty_like(tour), np.empty_like(tour)
+    after[tour], before[tour] = np.roll(tour, -1), np.roll(tour, 1)
+    one = np.arange(len(near))[:, None]
+    to, ahead = far_apart(one, near), far_apart(one, after[one])
+    flip = to + far_apart(after[one], after[near]) - ahead - far_apart(near, after[near])
+    put = to + far_apart(one, after[near]) - far_apart(near, after[near])
+    put = put + far_apart(before[one], after[one]) - far_apart(before[one], one) - ahead
+    put = np.where((after[near] == one) | (near == after[one]), np.inf, put)
+    slack = -1e-12 * float(np.max(to))
+    if min(flip.min(), put.min()) >= slack:
+        return None
+    if flip.min() <= put.min():
+        a, k = np.unravel_index(np.argmin(flip), flip.shape)
+        low, high = sorted((rank[a], rank[near[a, k]]))
+        return np.concatenate([tour[: low + 1], tour[low + 1 : high + 1][::-1], tour[high + 1 :]])
+    a, k = np.unravel_index(np.argmin(put), put.shape)
+    thinned = tour[tour != a]
+    there = int(np.flatnonzero(thinned == near[a, k])[0])
+    return np.insert(thinned, there + 1, a)
+
+
+def ordered_already(points: np.ndarray, near: np.ndarray, *, closed: bool) -> bool:
+    """Whether points that lie close together also come close together, without jumps."""
+    n = len(points)
+    apart = np.abs(np.arange(n) - near[:, 0])
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    if closed:
+        apart = np.minimum(apart, n - apart)
+    return bool(np.mean(apart <= max(2, n // 20)) >= 0.95 and steps.max() <= 10.0 * np.median(steps))
+
+
+def _length(points: np.ndarray, *, closed: bool) -> float:
+    steps = np.diff(points, axis=0, append=points[:1]) if closed else np.diff(points, axis=0)
+    return float(np.linalg.norm(steps, axis=1).sum())
+
+
+def order_points(points: np.ndarray, *, closed: bool, ordered: bool | None) -> np.ndarray | None:
+    """Indices that put distinct points in order along one curve, or None where they are in order.
+
+    Args:
+        points: Shape (n, 2), distinct.
+        closed: Whether the curve is to close on itself.
+        ordered: True to believe the given order, False to find one, None to find out which.
+
+    Raises:
+        ValueError: If the points are not in order and no order is the only plausible one.
+    """
+    if ordered:
+        return None
+    near = nearest(points, _NEAR)
+    found = crust(points, near)
+    if found is None:
+        if ordered is None and ordered_already(points, near, closed=closed):
+            return None
+        found = repaired(points, near, closed=closed)
+    indices = _started(points, found, closed=closed)
+    given, best = _length(points, closed=closed), _length(points[indices], closed=closed)
+    return None if ordered is None and given <= 1.2 * best else indices
+
+
+def _started(points: np.ndarray, found: Order, *, closed: bool) -> np.ndarray:
+    """Start a loop at the first point given, and an open curve at one of its ends."""
+    indices = found.indices
+    if closed and found.loop:
+        return np.roll(indices, -int(np.flatnonzero(indices == 0)[0]))
+    if found.loop:
+        along = points[indices]
+        steps = np.linalg.norm(np.diff(along, axis=0, append=along[:1]), axis=1)
+        longest = int(np.argmax(steps))
+        if steps[longest] < 2.5 * np.median(steps):
+            raise ValueError(
+                "argument closed must be True for points that go all round, or the points must be in order, "
+                f"but the largest gap is {1e3 * steps[longest]:.3g} mm, no more than the others"
+            )
+        indices = np.roll(indices, -longest - 1)
+    return indices

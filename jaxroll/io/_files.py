@@ -1,0 +1,111 @@
+"""Points from files and outlines to files; the file's ending says which kind it is."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..geometry import AbstractContour, metres_per
+from ._outline import outline, positive
+from ._tables import read_csv, read_npy, write_csv
+from ._vector import read_dxf, read_svg, write_dxf, write_svg
+
+_READ = (".csv", ".txt", ".dat", ".npy", ".svg", ".dxf")
+_WRITE = (".csv", ".npy", ".svg", ".dxf")
+
+
+def read_points(
+    path: str | Path,
+    *,
+    unit: str,
+    pixel: float | None = None,
+    which: int = 0,
+    samples: int = 400,
+    columns: tuple[int, int] = (0, 1),
+) -> np.ndarray:
+    """Points [m] of an outline in a file: CSV, TXT, DAT, NPY, SVG or DXF.
+
+    Paths made of straight pieces give their corners, others `samples` points at equal distances. An SVG's y,
+    which points down, is turned up. A drawing's own unit, where it states one, must agree with `unit`.
+
+    Args:
+        path: The file.
+        unit: Of the numbers in the file: "m", "mm", "um" or "in"; in an SVG also "px", of size `pixel`.
+        pixel: Size of a pixel [m] with `unit` "px"; the standard says 0.0254 / 96.
+        which: SVG and DXF: which outline, counting from the largest.
+        samples: SVG and DXF: number of points along an outline with curved pieces.
+        columns: Tables: the columns of x and y, counting from 0.
+
+    Returns:
+        Shape (n, 2), in metres, in the file's order; a closed outline's first point is not repeated.
+
+    Raises:
+        ValueError: If the file holds no such outline or a number that is not finite, or the units disagree.
+        ImportError: If SVG or DXF is asked for without the extra `cad`.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> path = jxr.io.write_outline(jxr.Circle(0.01), "disc.csv", unit="mm", tolerance=1e-5)
+        >>> points = jxr.io.read_points(path, unit="mm")
+        >>> f"{float(abs(points).max()):.4f} m"
+        '0.0100 m'
+    """
+    path = _known(path, _READ)
+    kind = path.suffix.lower()
+    if (unit == "px") != (pixel is not None) or (unit == "px" and kind != ".svg"):
+        raise ValueError(
+            f"argument pixel must be given with unit 'px' of an SVG and only there, but unit was {unit!r} "
+            f"and pixel was {pixel!r} for {path.name}"
+        )
+    scale = positive("pixel", pixel) if unit == "px" else metres_per(unit)
+    if samples < 6:
+        raise ValueError(f"argument samples must be 6 or more, but was {samples}")
+    if kind == ".svg":
+        return scale * read_svg(path, scale, which, samples)
+    if kind == ".dxf":
+        return scale * read_dxf(path, scale, which, samples)
+    return scale * (read_npy if kind == ".npy" else read_csv)(path, columns)
+
+
+def write_outline(contour: AbstractContour, path: str | Path, *, unit: str, tolerance: float = 1e-6) -> Path:
+    """Write a contour as points or as a drawing: CSV, NPY, SVG or DXF.
+
+    Args:
+        contour: Closed, or open with ends.
+        path: The file; its ending says which kind. Folders are made if need be.
+        unit: Of the numbers written: "m", "mm", "um" or "in". SVG and DXF also state it themselves.
+        tolerance: Largest distance [m] of the outline's straight pieces from the contour.
+
+    Returns:
+        The path.
+
+    Raises:
+        ValueError: If the contour has no ends, or an argument is out of range.
+        ImportError: If DXF is asked for without the extra `cad`.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> path = jxr.io.write_outline(jxr.Ellipse(0.02, 0.014), "ellipse.svg", unit="mm")
+        >>> path.read_text().splitlines()[0][:24]
+        '<svg xmlns="http://www.w'
+    """
+    path, scale = _known(path, _WRITE), metres_per(unit)
+    points = outline(contour, tolerance) / scale
+    path.parent.mkdir(parents=True, exist_ok=True)
+    kind = path.suffix.lower()
+    if kind == ".svg":
+        write_svg(path, points, scale, closed=contour.closed)
+    elif kind == ".dxf":
+        write_dxf(path, points, unit, closed=contour.closed)
+    elif kind == ".npy":
+        np.save(path, points)
+    else:
+        write_csv(path, points, unit)
+    return path
+
+
+def _known(path: Any, kinds: tuple[str, ...]) -> Path:
+    path = Path(path)
+    if path.suffix.lower() not in kinds:
+        raise ValueError(f"argument path must end in {', '.join(kinds)}, but was {str(path)!r}")
+    return path

@@ -1,0 +1,102 @@
+"""Solids as triangle meshes: the only door to trimesh and mapbox_earcut."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..geometry import AbstractContour, metres_per
+from ._extra import missing
+from ._outline import outline, positive
+
+
+def _trimesh() -> Any:
+    try:
+        import trimesh
+    except ImportError:
+        raise missing("trimesh") from None
+    return trimesh
+
+
+def _triangles(points: np.ndarray) -> np.ndarray:
+    """Triangles (m, 3) that fill a polygon."""
+    try:
+        import mapbox_earcut
+    except ImportError:
+        raise missing("mapbox_earcut") from None
+    ring = np.array([len(points)], np.uint32)
+    return np.asarray(mapbox_earcut.triangulate_float64(points, ring), int).reshape(-1, 3)
+
+
+def write_stl(
+    contour: AbstractContour,
+    path: str | Path,
+    *,
+    height: float,
+    unit: str = "mm",
+    tolerance: float = 1e-6,
+) -> Path:
+    """Write the body within a closed contour as a solid of constant height, to print or to mill.
+
+    The mesh is watertight, lies between z = 0 and `height`, and its volume is that of the outline's polygon
+    times the height. STL holds single precision.
+
+    Args:
+        contour: Closed, and without self-intersections.
+        path: A file that ends in .stl. Folders are made if need be.
+        height: Of the solid [m], positive.
+        unit: Of the numbers written; slicers take them for millimetres.
+        tolerance: Largest distance [m] of the outline's straight pieces from the contour.
+
+    Returns:
+        The path.
+
+    Raises:
+        ValueError: If the contour is open or crosses itself, or an argument is out of range.
+        ImportError: Without the extra `cad`.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> jxr.io.write_stl(jxr.Circle(0.01), "disc.stl", height=0.005, tolerance=1e-5).name
+        'disc.stl'
+    """
+    path, scale = Path(path), metres_per(unit)
+    height = positive("height", height)
+    if path.suffix.lower() != ".stl":
+        raise ValueError(f"argument path must end in .stl, but was {str(path)!r}")
+    if not isinstance(contour, AbstractContour) or not contour.closed:
+        raise ValueError(f"argument contour must be closed, but was {contour!r:.80}")
+    trimesh = _trimesh()
+    points = outline(contour, tolerance) / scale
+    solid = trimesh.creation.extrude_triangulation(points, _triangles(points), height / scale)
+    if not solid.is_watertight or solid.volume <= 0.0:
+        raise ValueError("argument contour must not cross itself, but its solid is not watertight")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    solid.export(str(path), file_type="stl")
+    return path
+
+
+def read_mesh(path: str | Path, *, unit: str) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices [m] of shape (n, 3) and faces of shape (m, 3) of a mesh file: STL, OBJ, PLY, OFF.
+
+    Args:
+        path: The file.
+        unit: Of the numbers in the file: "m", "mm", "um" or "in".
+
+    Raises:
+        ValueError: If the file holds no triangles.
+        ImportError: Without the extra `cad`.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> path = jxr.io.write_stl(jxr.Circle(0.01), "disc.stl", height=0.005, tolerance=1e-5)
+        >>> vertices, faces = jxr.io.read_mesh(path, unit="mm")
+        >>> [f"{x:.4f}" for x in vertices.max(axis=0)]
+        ['0.0100', '0.0100', '0.0050']
+    """
+    scale = metres_per(unit)
+    mesh = _trimesh().load_mesh(str(path))
+    faces = np.asarray(getattr(mesh, "faces", np.zeros((0, 3))), int)
+    if not len(faces):
+        raise ValueError(f"argument path must name a file with triangles, but {str(path)!r} has none")
+    return scale * np.asarray(mesh.vertices, float), faces

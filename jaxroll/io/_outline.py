@@ -1,0 +1,108 @@
+"""A contour as a polygon within a tolerance, and polygons with evenly spaced points."""
+
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+
+from ..geometry import AbstractContour, tabled
+
+_FINE = 4096
+_FEWEST = 32
+_MOST = 200_000
+
+
+def outline(contour: AbstractContour, tolerance: float) -> np.ndarray:
+    r"""Points [m] on a contour whose chords stay within a tolerance of it.
+
+    A chord of length $h$ leaves the curve by $|\kappa| h^2/8$, so points stand $\sqrt{8\epsilon/|\kappa|}$
+    apart, at most a 32nd of the length; the middle of every chord is then checked.
+
+    Args:
+        contour: With ends, or closed; a closed one's first point is not repeated.
+        tolerance: Largest distance [m] of a chord from the contour.
+
+    Raises:
+        ValueError: If the contour has no ends, or the tolerance is not positive or needs over 200000 points.
+    """
+    tolerance = positive("tolerance", tolerance)
+    contour = _prepared(tabled(contour)) if isinstance(contour, AbstractContour) else contour
+    domain = contour.domain() if isinstance(contour, AbstractContour) else None
+    if domain is None:
+        raise ValueError(f"argument contour must be closed or have ends, but was {contour!r:.80}")
+    low, high = (float(end) for end in domain)
+    fine = np.linspace(low, high, _FINE + 1)
+    bend = np.abs(np.asarray(contour.curvature(fine)))
+    density = np.maximum(np.sqrt(bend / (8.0 * tolerance)), _FEWEST / (high - low))
+    steps = 0.5 * (density[1:] + density[:-1]) * np.diff(fine)
+    total = np.concatenate([[0.0], np.cumsum(steps)])
+    count = int(np.ceil(1.02 * total[-1]))
+    while count <= _MOST:
+        s = np.interp(np.linspace(0.0, total[-1], 2 * count + 1), total, fine)
+        points = _points(contour, s)
+        ends, middles = points[::2], points[1::2]
+        worst = float(_off_chords(ends, middles).max())
+        if worst <= tolerance:
+            return ends[:-1] if contour.closed else ends
+        count = int(np.ceil(1.05 * np.sqrt(worst / tolerance) * count))
+    raise ValueError(f"argument tolerance must need at most {_MOST} points, but was {tolerance:g} m")
+
+
+def positive(name: str, value: Any) -> float:
+    """The value as a positive number, or the sentence that says it is not."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise ValueError(f"argument {name} must be a positive number, but was {value!r}") from None
+    if not 0.0 < number < np.inf:
+        raise ValueError(f"argument {name} must be a positive number, but was {number:g}")
+    return number
+
+
+@eqx.filter_jit
+def _prepared(contour: AbstractContour) -> AbstractContour:
+    return contour.prepared()
+
+
+def _points(contour: AbstractContour, s: np.ndarray) -> np.ndarray:
+    """Points at any number of arclengths, compiled for few different numbers."""
+    room = 1 << int(np.ceil(np.log2(len(s))))
+    return np.asarray(contour.point(np.pad(s, (0, room - len(s)), mode="edge")))[: len(s)]
+
+
+def _off_chords(ends: np.ndarray, middles: np.ndarray) -> np.ndarray:
+    chord, arm = np.diff(ends, axis=0), middles - ends[:-1]
+    return np.abs(chord[:, 0] * arm[:, 1] - chord[:, 1] * arm[:, 0]) / np.linalg.norm(chord, axis=1)
+
+
+def as_points(name: str, value: Any, width: int) -> np.ndarray:
+    """The value as finite numbers of shape (n, width), or the sentence that says it is not."""
+    array = np.asarray(value, float)
+    if array.ndim != 2 or array.shape[1] != width or not np.all(np.isfinite(array)):
+        raise ValueError(
+            f"argument {name} must be finite numbers of shape (any, {width}), but had shape {array.shape} "
+            f"and {int(np.sum(~np.isfinite(array)))} that are not finite"
+        )
+    return array
+
+
+def even(polygon: np.ndarray, count: int, *, closed: bool) -> np.ndarray:
+    """As many points at equal distances along a polygon; a closed one does not repeat its first point."""
+    around = np.concatenate([polygon, polygon[:1]]) if closed else polygon
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(around, axis=0), axis=1))])
+    at = np.linspace(0.0, along[-1], count + 1)[:-1] if closed else np.linspace(0.0, along[-1], count)
+    return np.stack([np.interp(at, along, column) for column in around.T], axis=1)
+
+
+def chosen(outlines: list[np.ndarray], which: int, what: str) -> np.ndarray:
+    """The outline asked for, counting from the largest.
+
+    Raises:
+        ValueError: If there are not so many.
+    """
+    if not 0 <= which < len(outlines):
+        raise ValueError(
+            f"argument which must be below the number of {what}, {len(outlines)}, but was {which}"
+        )
+    sizes = [-float(np.linalg.norm(np.ptp(o, axis=0))) for o in outlines]
+    return outlines[int(np.argsort(sizes, kind="stable")[which])]

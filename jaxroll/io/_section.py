@@ -1,0 +1,115 @@
+"""Plane sections of closed triangle meshes."""
+
+from typing import Any
+
+import numpy as np
+
+from ..geometry import polygon_area
+from ._outline import as_points
+
+
+def section(vertices: Any, faces: Any, *, origin: Any, normal: Any) -> tuple[np.ndarray, ...]:
+    r"""Outlines in which a plane cuts a closed mesh.
+
+    Coordinates in the plane count from `origin` along $u$ and $v = n \times u$, where $u$ is the coordinate
+    axis least along the normal $n$ (of equals the first), made perpendicular to it: x and y for a cut
+    across z, y and z for one across x. Vertices in the plane count as above it.
+
+    Args:
+        vertices: Shape (n, 3) [m].
+        faces: Shape (m, 3), indices of vertices.
+        origin: Shape (3,), a point of the plane [m].
+        normal: Shape (3,), not zero.
+
+    Returns:
+        Outlines of shape (k, 2) [m], ordered, counter-clockwise seen against the normal, that of the largest
+        area first; holes are among them. Consecutive points may coincide, which `fit_contour` mends.
+
+    Raises:
+        ValueError: If the plane misses the mesh, or the mesh is not closed there.
+
+    Example:
+        >>> import jaxroll as jxr, numpy as np
+        >>> tip = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]) * 0.01
+        >>> faces = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]
+        >>> (outline,) = jxr.io.section(tip, faces, origin=(0, 0, 0.005), normal=(0, 0, 1))
+        >>> [f"{x:.3f}" for x in np.ptp(outline, axis=0)]
+        ['0.005', '0.005']
+    """
+    vertices, normal = as_points("vertices", vertices, 3), _unit(normal)
+    faces = _faces(faces, len(vertices))
+    arms = vertices - as_points("origin", np.reshape(origin, (1, -1)), 3)
+    heights = arms @ normal
+    nodes, links = _cuts(faces, heights >= 0.0)
+    if not len(links):
+        raise ValueError(
+            "argument origin must put the plane through the mesh, but along the normal the mesh lies from "
+            f"{heights.min():.4g} to {heights.max():.4g} m of it"
+        )
+    low, high = heights[nodes].T
+    part = (low / (low - high))[:, None]
+    cut = (1.0 - part) * arms[nodes[:, 0]] + part * arms[nodes[:, 1]]
+    points = cut @ _axes(normal).T
+    outlines = [points[loop] for loop in _loops(links, len(nodes))]
+    outlines = [outline if polygon_area(outline) >= 0.0 else outline[::-1] for outline in outlines]
+    return tuple(sorted(outlines, key=polygon_area, reverse=True))
+
+
+def _unit(normal: Any) -> np.ndarray:
+    normal = np.asarray(normal, float)
+    length = np.linalg.norm(normal)
+    if normal.shape != (3,) or not 0.0 < length < np.inf:
+        raise ValueError(
+            f"argument normal must be a vector of shape (3,), not zero, but was {normal.tolist()}"
+        )
+    return normal / length
+
+
+def _faces(faces: Any, count: int) -> np.ndarray:
+    faces = np.asarray(faces)
+    whole = np.issubdtype(faces.dtype, np.integer)
+    if not whole or faces.ndim != 2 or faces.shape[1] != 3 or faces.min() < 0 or faces.max() >= count:
+        raise ValueError(
+            f"argument faces must be indices of shape (any, 3) below {count}, but were {faces.dtype} of "
+            f"shape {faces.shape}"
+        )
+    return faces.astype(int)
+
+
+def _axes(normal: np.ndarray) -> np.ndarray:
+    first = np.eye(3)[int(np.argmin(np.abs(normal)))]
+    first = first - (first @ normal) * normal
+    first = first / np.linalg.norm(first)
+    return np.stack([first, np.cross(normal, first)])
+
+
+def _cuts(faces: np.ndarray, above: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Edges (k, 2) that the plane cuts, and pairs (m, 2) of them that lie in one face."""
+    edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1)
+    cut = above[edges[..., 0]] != above[edges[..., 1]]
+    touched = cut.any(axis=1)
+    cut_edges = np.sort(edges[touched][cut[touched]].reshape(-1, 2), axis=1)
+    nodes, numbers = np.unique(cut_edges, axis=0, return_inverse=True)
+    return nodes, numbers.reshape(-1, 2)
+
+
+def _loops(links: np.ndarray, count: int) -> list[np.ndarray]:
+    """Rings of nodes, each of which has exactly two links."""
+    degree = np.bincount(links.ravel(), minlength=count)
+    if np.any(degree != 2):
+        raise ValueError(
+            "argument faces must form a closed surface at the plane, but "
+            f"{int(np.sum(degree != 2))} of {count} edges cut there have not two faces"
+        )
+    both = np.concatenate([links, links[:, ::-1]])
+    beside = both[np.argsort(both[:, 0], kind="stable"), 1].reshape(count, 2)
+    fresh, loops = np.ones(count, bool), []
+    for start in range(count):
+        loop, here = [], start
+        while fresh[here]:
+            fresh[here] = False
+            loop.append(here)
+            here = int(beside[here, 0] if fresh[beside[here, 0]] else beside[here, 1])
+        if loop:
+            loops.append(np.array(loop))
+    return loops

@@ -1,0 +1,159 @@
+"""Outlines as drawings, SVG and DXF: the only door to svgpathtools and ezdxf."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ._extra import missing
+from ._outline import chosen, even
+
+_FINE = 64  # points along a curved piece, from which its length is summed
+# Lengths that an SVG may state, in metres, and a DXF's code of each.
+_LENGTHS = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "pt": 0.0254 / 72, "pc": 0.0254 / 6}
+_CODES = {1: 0.0254, 2: 0.3048, 4: 1e-3, 5: 1e-2, 6: 1.0, 8: 2.54e-8, 9: 2.54e-5, 13: 1e-6, 14: 0.1}
+_CODE_OF = {"in": 1, "mm": 4, "m": 6, "um": 13}
+
+
+def read_svg(path: Path, scale: float, which: int, samples: int) -> np.ndarray:
+    """Points of one outline in the drawing's own unit, y up."""
+    try:
+        from svgpathtools import Document
+    except ImportError:
+        raise missing("svgpathtools") from None
+    drawing = Document(str(path))
+    _check_scale(scale, _svg_scale(drawing.tree.getroot()), path)
+    pieces = [piece for whole in drawing.paths() for piece in whole.continuous_subpaths() if len(piece)]
+    outlines = [_along(piece, samples) for piece in pieces]
+    return chosen(outlines, which, f"outlines in {path.name}") * np.array([1.0, -1.0])
+
+
+def _svg_scale(root: Any) -> float | None:
+    """Metres in one unit of the drawing, or None where it states no length."""
+    width, box = root.get("width", ""), root.get("viewBox", "").replace(",", " ").split()
+    size = _LENGTHS.get(width[-2:])
+    if size is None:
+        return None
+    if len(box) != 4:
+        return 0.0254 / 96
+    return float(width[:-2]) * size / float(box[2])
+
+
+def _check_scale(scale: float, stated: float | None, path: Path) -> None:
+    if stated is not None and abs(scale / stated - 1.0) > 1e-3:
+        raise ValueError(
+            f"argument unit must agree with {path.name}, which states that one unit is "
+            f"{1e3 * stated:.6g} mm, but was {1e3 * scale:.6g} mm"
+        )
+
+
+def _along(piece: Any, samples: int) -> np.ndarray:
+    """Corners of a path of straight pieces; of any other, points at equal distances on the curve itself."""
+    closed = bool(piece.isclosed())
+    if all(type(segment).__name__ == "Line" for segment in piece):
+        corners = np.array([segment.start for segment in piece] + ([] if closed else [piece[-1].end]))
+        return np.stack([np.real(corners), np.imag(corners)], axis=1)
+    t = np.linspace(0.0, 1.0, _FINE + 1)
+    fine = np.array([[segment.point(x) for x in t] for segment in piece])
+    steps = np.abs(np.diff(fine, axis=1)).ravel()
+    along = np.concatenate([[0.0], np.cumsum(steps)])
+    at = np.linspace(0.0, along[-1], samples + 1)[:-1] if closed else np.linspace(0.0, along[-1], samples)
+    place = np.interp(at, along, np.arange(len(along)) / _FINE)
+    which = np.minimum(place.astype(int), len(piece) - 1)
+    points = np.array([piece[i].point(x - i) for i, x in zip(which.tolist(), place.tolist(), strict=True)])
+    return np.stack([np.real(points), np.imag(points)], axis=1)
+
+
+def write_svg(path: Path, points: np.ndarray, scale: float, *, closed: bool) -> None:
+    """One path, y turned down, in a drawing whose size is stated in millimetres."""
+    x, y = points.T * np.array([[1.0], [-1.0]])
+    margin = 0.05 * max(np.ptp(x), np.ptp(y))
+    low = np.array([x.min(), y.min()]) - margin
+    width, height = np.array([np.ptp(x), np.ptp(y)]) + 2.0 * margin
+    track = " L ".join(f"{a:.12g},{b:.12g}" for a, b in zip(x.tolist(), y.tolist(), strict=True))
+    millimetres = 1e3 * scale
+    path.write_text(
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width * millimetres:.12g}mm" '
+        f'height="{height * millimetres:.12g}mm" '
+        f'viewBox="{low[0]:.12g} {low[1]:.12g} {width:.12g} {height:.12g}">\n'
+        f'<path d="M {track}{" Z" if closed else ""}" fill="none" stroke="black" '
+        f'stroke-width="{0.2 * margin:.3g}"/>\n</svg>\n',
+        encoding="utf-8",
+    )
+
+
+def _ezdxf() -> Any:
+    try:
+        import ezdxf
+        import ezdxf.path
+    except ImportError:
+        raise missing("ezdxf") from None
+    return ezdxf
+
+
+def read_dxf(path: Path, scale: float, which: int, samples: int) -> np.ndarray:
+    """Points of one outline in the drawing's own unit; pieces that end where others begin are joined."""
+    ezdxf = _ezdxf()
+    drawing = ezdxf.readfile(str(path))
+    _check_scale(scale, _CODES.get(int(drawing.header.get("$INSUNITS", 0))), path)
+    kinds = "LWPOLYLINE POLYLINE SPLINE ARC CIRCLE ELLIPSE LINE"
+    tracks = [ezdxf.path.make_path(e, segments=8, level=8) for e in drawing.modelspace().query(kinds)]
+    tracks = [track for track in tracks if len(track)]
+    if not tracks:
+        raise ValueError(f"argument path must name a drawing with an outline, but {path.name} has none")
+    corners = np.concatenate([[(v.x, v.y) for v in track.control_vertices()] for track in tracks])
+    size = float(np.linalg.norm(np.ptp(corners, axis=0)))
+    joined = _joined([_flat(track, 1e-7 * size) for track in tracks], 1e-6 * size)
+    outlines = []
+    for line, curved in joined:
+        closed = bool(np.linalg.norm(line[0] - line[-1]) <= 1e-6 * size)
+        line = line[:-1] if closed else line
+        outlines.append(even(line, samples, closed=closed) if curved else line)
+    return chosen(outlines, which, f"outlines in {path.name}")
+
+
+def _flat(track: Any, distance: float) -> tuple[np.ndarray, bool]:
+    vertices = track.flattening(distance) if track.has_curves else track.control_vertices()
+    return np.array([(v.x, v.y) for v in vertices]), bool(track.has_curves)
+
+
+def _joined(lines: Sequence[tuple[np.ndarray, bool]], near: float) -> list[tuple[np.ndarray, bool]]:
+    """Lines, each with whether it is curved, put together where their ends meet."""
+    rest, done = list(lines), []
+    while rest:
+        line, curved = rest.pop(0)
+        while (link := _link(line, rest, near)) is not None:
+            other, bent = rest.pop(link[0])
+            line, curved = _together(line, other, link[1]), curved or bent
+        done.append((line, curved))
+    return done
+
+
+def _link(line: np.ndarray, rest: list[tuple[np.ndarray, bool]], near: float) -> tuple[int, int] | None:
+    """Which other line meets this one, and how: 0 end-start, 1 end-end, 2 start-end, 3 start-start."""
+    if np.linalg.norm(line[0] - line[-1]) <= near:
+        return None
+    for i, (other, _) in enumerate(rest):
+        if np.linalg.norm(other[0] - other[-1]) <= near:
+            continue
+        ends = ((line[-1], other[0]), (line[-1], other[-1]), (line[0], other[-1]), (line[0], other[0]))
+        met = [k for k, (a, b) in enumerate(ends) if np.linalg.norm(a - b) <= near]
+        if met:
+            return i, met[0]
+    return None
+
+
+def _together(line: np.ndarray, other: np.ndarray, how: int) -> np.ndarray:
+    other = other[::-1] if how in (1, 3) else other
+    first, second = (line, other) if how < 2 else (other, line)
+    return np.concatenate([first, second[1:]])
+
+
+def write_dxf(path: Path, points: np.ndarray, unit: str, *, closed: bool) -> None:
+    """One polyline, in a drawing that states its unit."""
+    ezdxf = _ezdxf()
+    drawing = ezdxf.new()
+    drawing.header["$INSUNITS"] = _CODE_OF[unit]
+    drawing.modelspace().add_lwpolyline(points.tolist(), close=closed)
+    drawing.saveas(str(path))

@@ -1,0 +1,88 @@
+"""A contour made of points: where it runs, how it bends, how far the points lie from it."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ..geometry import Fit, tabled
+from ._outlines import sample, Samples
+from ._style import CONTACT, FINGER, MM, OBJECT, Picture, tidy, TIP_FILL
+
+_PLACES = 4097
+_TEETH = 150
+
+
+def fit(fit: Fit) -> Figure:
+    """Draw a fitted contour with its points and a comb of its curvature, its curvature, and the residuals.
+
+    The comb's teeth stand on the outside where the contour is convex; their length is the curvature. A
+    residual is positive where the point lies outside.
+
+    Args:
+        fit: From `fit_contour`.
+
+    Returns:
+        The figure: the contour [mm] on the left, curvature [1/m] and residuals [um] over arclength [mm].
+
+    Example:
+        >>> import jaxroll as jxr, numpy as np
+        >>> from jaxroll import plotting
+        >>> u = 2 * np.pi * np.arange(48) / 48
+        >>> disc = jxr.fit_contour(np.stack([20 * np.cos(u), 14 * np.sin(u)], -1), unit="mm", noise=0.0)
+        >>> len(plotting.fit(disc).axes)
+        3
+    """
+    contour, report = tabled(fit.contour), fit.report
+    domain = contour.domain()
+    assert domain is not None, "a contour through points has ends"
+    s = np.linspace(float(domain[0]), float(domain[1]), _PLACES)
+    curve, feet = sample(contour, s), sample(contour, np.asarray(fit.feet))
+    points = MM * np.asarray(fit.points)
+    figure = Picture(10.0, 5.2)
+    grid = figure.add_gridspec(2, 2, width_ratios=(1.25, 1.0))
+    shape = figure.add_subplot(grid[:, 0])
+    bend = figure.add_subplot(grid[0, 1])
+    miss = figure.add_subplot(grid[1, 1], sharex=bend)
+    _shape(shape, curve, points, closed=report.closed)
+    _bend(bend, s, curve, np.asarray(fit.feet), feet)
+    _miss(miss, np.asarray(fit.feet), points - feet.points, feet)
+    kind = f"{'closed' if report.closed else 'open'} {report.field}"
+    tidy(shape, xlabel="x [mm]", ylabel="y [mm]", title=f"Contour ({kind}) with comb of curvature")
+    figure.legend(loc="outside lower center", ncols=3, fontsize=8, frameon=False)
+    return figure
+
+
+def _shape(ax: Axes, curve: Samples, points: np.ndarray, *, closed: bool) -> None:
+    if closed:
+        ax.fill(*curve.points.T, fc=TIP_FILL, ec="none", alpha=0.5)
+    outward = np.stack([curve.tangents[:, 1], -curve.tangents[:, 0]], axis=1)
+    peak = max(float(np.abs(curve.curvatures).max()), 1e-12)
+    length = 0.18 * float(np.ptp(curve.points, axis=0).max()) / peak
+    tips = curve.points + length * curve.curvatures[:, None] * outward
+    ax.plot(*tips.T, color=OBJECT, lw=1.0)
+    teeth = np.linspace(0, len(tips) - 1, _TEETH).astype(int)
+    nothing = np.full((len(teeth), 2), np.nan)
+    comb = np.stack([curve.points[teeth], tips[teeth], nothing], axis=1).reshape(-1, 2)
+    ax.plot(*comb.T, color=OBJECT, lw=0.5, label=f"curvature, {peak:.4g} 1/m at most")
+    ax.plot(*curve.points.T, color=FINGER, lw=1.6, label="contour")
+    size = 3.0 if len(points) < 250 else 1.8
+    ax.plot(*points.T, "o", ms=size, color=CONTACT, mew=0.0, label=f"{len(points)} points", zorder=4)
+    ax.set_aspect("equal")
+
+
+def _bend(ax: Axes, s: np.ndarray, curve: Samples, at: np.ndarray, feet: Samples) -> None:
+    ax.axhline(0.0, color="#BBBBBB", lw=0.7, zorder=0)
+    ax.plot(MM * s, curve.curvatures, color=FINGER, lw=1.4)
+    ax.plot(MM * at, feet.curvatures, "o", ms=1.8, color=CONTACT, mew=0.0)
+    tidy(ax, ylabel="curvature [1/m]", title="Curvature, with the places of the points")
+
+
+def _miss(ax: Axes, at: np.ndarray, off: np.ndarray, feet: Samples) -> None:
+    outward = np.stack([feet.tangents[:, 1], -feet.tangents[:, 0]], axis=1)
+    residuals = MM * np.sum(off * outward, axis=1)
+    ax.axhline(0.0, color="#BBBBBB", lw=0.7, zorder=0)
+    ax.vlines(MM * at, 0.0, residuals, color=CONTACT, lw=0.7)
+    ax.plot(MM * at, residuals, "o", ms=2.2, color=CONTACT, mew=0.0)
+    rms = float(np.sqrt(np.mean(residuals**2)))
+    title = f"Distance of the points, outward: {rms:.2g} \N{MICRO SIGN}m rms"
+    tidy(ax, xlabel="arclength s [mm]", ylabel="distance [\N{MICRO SIGN}m]", title=title)

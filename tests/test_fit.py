@@ -1,0 +1,179 @@
+"""From raw points to a contour: accuracy, the report, and that bad data never gives a wrong contour."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxroll as jxr
+from jaxroll.geometry import tabled
+from jaxroll.geometry._fit import measured
+
+N = 96
+U = 2 * np.pi * np.arange(N) / N
+A, B = 20.0, 14.0  # mm
+ELLIPSE = np.stack([A * np.cos(U), B * np.sin(U)], axis=1)
+NOISE = 0.03  # mm
+NOISY = ELLIPSE + NOISE * np.random.default_rng(0).normal(size=ELLIPSE.shape)
+
+
+def off_ellipse(points):
+    """Distances [m] of points from the ellipse, to first order."""
+    x, y = 1e3 * points.T
+    level = np.hypot(x / A, y / B)
+    return 1e-3 * (level - 1.0) * level / np.hypot(x / A**2, y / B**2)
+
+
+@pytest.fixture(scope="module")
+def exact():
+    """Scattered, clockwise, in millimetres, one point twice; then interpolated."""
+    mixed = np.random.default_rng(1).permutation(np.concatenate([ELLIPSE, ELLIPSE[:1]]))
+    return jxr.fit_contour(mixed, unit="mm", noise=0.0, ordered=False)
+
+
+@pytest.fixture(scope="module")
+def noisy():
+    """Smoothed by the noise level, and by cross-validation."""
+    return [jxr.fit_contour(NOISY, unit="mm", noise=noise) for noise in (1e-3 * NOISE, None)]
+
+
+def everywhere(fit):
+    s = np.linspace(0.0, fit.report.length, 512)
+    contour = tabled(fit.contour)
+    return np.asarray(contour.point(s)), np.asarray(contour.curvature(s))
+
+
+def test_exact_points_give_the_ellipse(exact):
+    report = exact.report
+    assert np.abs(off_ellipse(everywhere(exact)[0])).max() < 1e-9
+    assert report.radius == pytest.approx(1e-3 * B**2 / A, rel=1e-4)
+    assert report.curvature == pytest.approx((1e3 * B / A**2, 1e3 * A / B**2), rel=1e-4)
+    assert report.length == pytest.approx(float(jxr.Ellipse(0.02, 0.014).domain()[1]), rel=1e-8)
+    assert (report.points, report.merged, report.reordered) == (N, 1, True)
+    assert report.largest < 1e-12 and report.smoothing == 0.0 and report.smoothness == 4.0
+    assert report.inflections == 0 and not report.self_intersecting and report.warnings == ()
+
+
+def test_the_contour_starts_at_the_first_point(exact):
+    np.testing.assert_allclose(tabled(exact.contour).point(0.0), exact.points[0], atol=1e-12)
+    np.testing.assert_allclose(exact.feet[0], 0.0, atol=1e-12)
+    assert np.all(np.diff(exact.feet) > 0)
+
+
+def test_noise_is_smoothed_out(noisy):
+    """The contour is nearer to the truth than the points are, in place and by far in curvature."""
+    for fit in noisy:
+        points, curvatures = everywhere(fit)
+        assert np.sqrt(np.mean(off_ellipse(points) ** 2)) < 0.65e-3 * NOISE
+        assert 0.75e-3 * NOISE < fit.report.rms < 1.3e-3 * NOISE
+        assert fit.report.smoothing > 0.005 and fit.report.warnings == ()
+        assert curvatures.min() > 25.0 and curvatures.max() < 120.0
+
+
+def test_interpolated_noise_is_warned_of():
+    report = jxr.fit_contour(NOISY, unit="mm", noise=0.0).report
+    words = " ".join(report.warnings)
+    assert report.inflections > 12 and "errors of the points" in words
+    assert report.largest < 1e-8
+
+
+def test_corners_are_warned_of():
+    t = np.arange(N // 4) / (N // 4)
+    zero, one = 0 * t, 0 * t + 1
+    sides = ((t, zero), (one, t), (1 - t, one), (zero, 1 - t))
+    report = jxr.fit_contour(
+        np.concatenate([np.stack(s, axis=1) for s in sides]), unit="in", noise=0.0
+    ).report
+    words = " ".join(report.warnings)
+    assert "4 corners, of up to 90 degrees" in words and "less than the points' spacing" in words
+
+
+def test_a_contour_that_crosses_itself_is_seen():
+    """Every other point of a thin sickle: the points do not cross, the spline through them does."""
+    u = np.linspace(-1.0, 1.0, N // 2)
+    outer = np.stack([20 * u, 8 * (1 - u**2)], axis=1)
+    inner = np.stack([20 * u, 7.99 * (1 - u**2) - 1e-3], axis=1)[::-1]
+    thin = np.concatenate([outer, inner])
+    report = jxr.fit_contour(thin, unit="mm", noise=0.0, ordered=True).report
+    assert report.self_intersecting and "crosses itself" in " ".join(report.warnings)
+
+
+EIGHT = np.stack([A * np.sin(U), B * np.sin(2 * U)], axis=1)
+CUSP = (1 - np.cos(U))[:, None] * ELLIPSE / A
+BAD = {
+    "NaN": (np.where(np.arange(2 * N).reshape(N, 2) == 7, np.nan, ELLIPSE), {}, "finite, but row 3"),
+    "too few": (ELLIPSE[:5], {}, "6 distinct points or more"),
+    "open": (ELLIPSE[: N // 2], {}, "leave a gap of 40"),
+    "crossing": (EIGHT, {}, "must not cross themselves"),
+    "cusp": (CUSP, {}, r"turn back by 1\d\d degrees \(a cusp\)"),
+    "units": (ELLIPSE * np.where(np.arange(N) < 20, 1e-3, 1.0)[:, None], {}, "in one unit"),
+    "field": (ELLIPSE, {"field": "clay"}, "argument field must be one of 'spline'"),
+    "noise": (ELLIPSE, {"noise": -1.0}, "argument noise must lie between 0 and 0.004 m here, but was -1"),
+    "noise in mm": (ELLIPSE, {"noise": 0.02}, "argument noise must lie between 0 and 0.004 m here"),
+    "noise text": (ELLIPSE, {"noise": "low"}, "argument noise must be a length in metres"),
+    "smoothing": (ELLIPSE, {"smoothing": np.nan}, "argument smoothing must lie between 0"),
+    "both": (ELLIPSE, {"smoothing": 0.01, "noise": 1e-5}, "argument noise must be None where smoothing"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_data_gives_no_contour(case):
+    points, options, sentence = BAD[case]
+    with pytest.raises(ValueError, match=sentence) as error:
+        jxr.fit_contour(points, unit="mm", **options)
+    assert str(error.value).startswith("argument ") and "\n" not in str(error.value)
+
+
+def test_wrong_units_are_warned_of(exact):
+    report = jxr.fit_contour(ELLIPSE, noise=0.0).report
+    assert "check the argument unit" in " ".join(report.warnings)
+    assert report.length == pytest.approx(1e3 * exact.report.length, rel=1e-9)
+
+
+def test_feet_and_distances_are_those_of_offset_points():
+    """Points moved off an ellipse along its normal by a known way come back to where they were."""
+    body = jxr.Ellipse(0.02, 0.014)
+    s = np.linspace(0.001, 0.1, 41)
+    way = np.linspace(-0.005, 0.004, 41)
+    points = np.asarray(body.point(s)) + way[:, None] * np.asarray(body.normal(s))
+    feet, distances, *_ = measured(body, jnp.asarray(points))
+    np.testing.assert_allclose(feet, s, atol=1e-10)
+    np.testing.assert_allclose(distances, np.abs(way), atol=1e-14)
+
+
+def test_an_open_contour_keeps_its_ends_and_its_side():
+    arc = ELLIPSE[8:56]
+    fit = jxr.fit_contour(arc, unit="mm", closed=False, noise=0.0)
+    contour = tabled(fit.contour)
+    np.testing.assert_allclose(
+        contour.point(np.array([0.0, fit.report.length])), 1e-3 * arc[[0, -1]], atol=1e-12
+    )
+    assert not fit.report.closed and fit.report.curvature[0] > 0.0
+    turned = jxr.fit_contour(arc, unit="mm", closed=False, noise=0.0, reverse=True).report
+    assert turned.curvature[1] < 0.0 and turned.length == pytest.approx(fit.report.length, rel=1e-9)
+
+
+def test_a_fit_is_a_tree_of_arrays(exact):
+    doubled = jax.tree.map(lambda x: 2.0 * x, exact)
+    np.testing.assert_allclose(doubled.points, 2.0 * exact.points)
+    assert doubled.report is exact.report
+
+
+def test_the_report_is_a_screenful(exact, noisy):
+    for fit in (exact, *noisy):
+        lines = str(fit.report).splitlines()
+        assert 8 <= len(lines) <= 20 and max(map(len, lines)) <= 100
+    assert "96 used, 1 merged, reordered" in str(exact.report) and "through every point" in str(exact.report)
+
+
+def test_the_picture_shows_points_curvature_and_residuals(noisy):
+    fit = noisy[0]
+    figure = jxr.plotting.fit(fit)
+    shape, bend, miss = figure.axes
+    drawn = [line.get_xydata() for line in shape.lines]
+    assert any(len(d) == N and np.allclose(d, 1e3 * np.asarray(fit.points)) for d in drawn)
+    assert "curvature" in bend.get_ylabel()
+    residuals = miss.lines[-1].get_ydata()
+    assert np.sqrt(np.mean(residuals**2)) == pytest.approx(1e6 * fit.report.rms, rel=1e-6)
+    outside = off_ellipse(np.asarray(fit.points))
+    assert np.corrcoef(residuals, outside)[0, 1] > 0.8

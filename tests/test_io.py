@@ -1,0 +1,272 @@
+"""Files: what is written comes back; units; solids; silhouettes; sections."""
+
+import builtins
+import pathlib
+
+import numpy as np
+import pytest
+
+import jaxroll as jxr
+from jaxroll.geometry import polygon_area
+
+BODY = jxr.Ellipse(0.02, 0.014)
+TOLERANCE = 2e-6
+DATA = pathlib.Path(__file__).parents[2] / "shared" / "data"
+
+
+def off_ellipse(points):
+    """Distances of points from the ellipse, to first order."""
+    x, y = points.T / np.array([[0.02], [0.014]])
+    level = np.hypot(x, y) - 1.0
+    return np.abs(level) / np.hypot(x / 0.02, y / 0.014) * np.hypot(x, y)
+
+
+@pytest.mark.parametrize("kind", ["csv", "npy", "svg", "dxf"])
+@pytest.mark.parametrize("unit", ["mm", "in", "um", "m"])
+def test_an_outline_comes_back(kind, unit, tmp_path):
+    path = jxr.io.write_outline(BODY, tmp_path / "new" / f"body.{kind}", unit=unit, tolerance=TOLERANCE)
+    points = jxr.io.read_points(path, unit=unit)
+    assert off_ellipse(points).max() < 1e-12
+    middles = 0.5 * (points + np.roll(points, -1, axis=0))
+    assert 0.3 * TOLERANCE < off_ellipse(middles).max() <= 1.01 * TOLERANCE
+    assert polygon_area(points) == pytest.approx(np.pi * 0.02 * 0.014, rel=3e-4)
+    np.testing.assert_allclose(points[0], BODY.point(0.0), atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["svg", "dxf", "csv"])
+def test_a_contour_comes_back(kind, tmp_path):
+    """Contour, file, points, contour: within the tolerance everywhere."""
+    path = jxr.io.write_outline(BODY, tmp_path / f"body.{kind}", unit="mm", tolerance=2e-5)
+    fit = jxr.fit_contour(jxr.io.read_points(path, unit="mm"), noise=0.0)
+    s = np.linspace(0.0, fit.report.length, 512)
+    assert off_ellipse(np.asarray(jxr.geometry.tabled(fit.contour).point(s))).max() < 1e-6
+    assert fit.report.length == pytest.approx(float(BODY.domain()[1]), rel=1e-6)
+    assert fit.report.radius == pytest.approx(0.014**2 / 0.02, rel=5e-3)
+
+
+def test_open_outlines(tmp_path):
+    arc = jxr.Catenary(0.01, (-0.01, 0.012))
+    for kind in ("csv", "svg", "dxf"):
+        path = jxr.io.write_outline(arc, tmp_path / f"arc.{kind}", unit="mm")
+        points = jxr.io.read_points(path, unit="mm")
+        np.testing.assert_allclose(points[[0, -1]], arc.point(np.array([-0.01, 0.012])), atol=1e-13)
+    with pytest.raises(ValueError, match="argument contour must be closed or have ends"):
+        jxr.io.write_outline(jxr.Catenary(0.01), tmp_path / "arc.csv", unit="mm")
+
+
+def test_drawings_that_state_another_unit_are_refused(tmp_path):
+    for kind in ("svg", "dxf"):
+        path = jxr.io.write_outline(BODY, tmp_path / f"body.{kind}", unit="mm", tolerance=1e-4)
+        with pytest.raises(
+            ValueError, match="argument unit must agree with body.* one unit is 1 mm, but was 25.4"
+        ):
+            jxr.io.read_points(path, unit="in")
+    with pytest.raises(TypeError, match="unit"):
+        jxr.io.read_points(path)
+
+
+CURVED = """<svg xmlns="http://www.w3.org/2000/svg">
+<g transform="translate(3,4) scale(2)">
+<path d="M 10,0 A 10,10 0 0 1 -10,0 A 10,10 0 0 1 10,0 Z"/>
+<rect x="-2" y="-1" width="4" height="2"/></g></svg>"""
+
+
+def test_svg_curves_groups_and_pixels(tmp_path):
+    path = tmp_path / "curved.svg"
+    path.write_text(CURVED)
+    points = jxr.io.read_points(path, unit="px", pixel=1e-3, samples=64) - [0.003, -0.004]
+    np.testing.assert_allclose(np.linalg.norm(points, axis=1), 0.02, rtol=1e-9)
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    assert len(points) == 64 and np.ptp(steps) < 1e-6
+    small = jxr.io.read_points(path, unit="mm", which=1) * 1e3
+    assert sorted(map(tuple, small.round(9).tolist())) == [
+        (-1.0, -6.0),
+        (-1.0, -2.0),
+        (7.0, -6.0),
+        (7.0, -2.0),
+    ]
+    with pytest.raises(
+        ValueError, match="argument which must be below the number of outlines .* 2, but was 2"
+    ):
+        jxr.io.read_points(path, unit="mm", which=2)
+    with pytest.raises(ValueError, match="argument pixel must be given with unit 'px'"):
+        jxr.io.read_points(path, unit="px")
+
+
+def test_dxf_pieces_are_joined(tmp_path):
+    """A slot of two lines and two arcs, each drawn by itself; and a circle."""
+    import ezdxf
+
+    drawing = ezdxf.new(units=ezdxf.units.MM)
+    space = drawing.modelspace()
+    space.add_line((0, -5), (20, -5))
+    space.add_arc((0, 0), 5, 90, 270)
+    space.add_line((20, 5), (0, 5))
+    space.add_arc((20, 0), 5, -90, 90)
+    space.add_circle((100, 0), 3)
+    drawing.saveas(tmp_path / "slot.dxf")
+    points = jxr.io.read_points(tmp_path / "slot.dxf", unit="mm", samples=500)
+    assert abs(polygon_area(points)) == pytest.approx(1e-6 * (200 + 25 * np.pi), rel=1e-4)
+    x, y = 1e3 * points.T
+    off = np.hypot(x - np.clip(x, 0, 20), y) - 5.0
+    assert np.abs(off).max() < 1e-5
+    hole = 1e3 * jxr.io.read_points(tmp_path / "slot.dxf", unit="mm", which=1)
+    np.testing.assert_allclose(np.hypot(hole[:, 0] - 100.0, hole[:, 1]), 3.0, rtol=3e-5)
+
+
+@pytest.mark.parametrize(
+    ("text", "options"),
+    [
+        ("x,y\n1,2\n3,4\n", {}),
+        ("# made by hand\n1 2 # corner\n\n3\t4\n", {}),
+        ("1,0; 2,0\n3,0; 4,0", {}),
+        ("time,x,y\n0,1,2\n1,3,4", {"columns": (1, 2)}),
+    ],
+)
+def test_tables_of_many_makes(text, options, tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text(text)
+    np.testing.assert_allclose(jxr.io.read_points(path, unit="m", **options), [[1, 2], [3, 4]])
+
+
+def test_bad_files_are_named(tmp_path):
+    path = tmp_path / "table.csv"
+    for text, words in (("1,2\n3,nan\n", "line 2"), ("1,2\n3\n", "line 2"), ("a,b\n", "there was none")):
+        path.write_text(text)
+        with pytest.raises(ValueError, match=words):
+            jxr.io.read_points(path, unit="m")
+    np.save(tmp_path / "table.npy", np.zeros((4, 1)))
+    with pytest.raises(ValueError, match=r"has shape \(4, 1\)"):
+        jxr.io.read_points(tmp_path / "table.npy", unit="m")
+    with pytest.raises(ValueError, match="argument path must end in .csv"):
+        jxr.io.read_points("shape.png", unit="m")
+    with pytest.raises(ValueError, match="argument unit must be one of"):
+        jxr.io.write_outline(BODY, path, unit="furlong")
+    with pytest.raises(ValueError, match="argument tolerance must be a positive number, but was 0"):
+        jxr.io.write_outline(BODY, path, unit="m", tolerance=0.0)
+
+
+def test_a_solid_is_watertight_and_has_its_volume(tmp_path):
+    import trimesh
+
+    path = jxr.io.write_stl(BODY, tmp_path / "body.stl", height=0.01, tolerance=TOLERANCE)
+    solid = trimesh.load_mesh(path)
+    assert solid.is_watertight and solid.is_winding_consistent
+    assert solid.volume == pytest.approx(np.pi * 20 * 14 * 10, rel=3e-4)
+    vertices, faces = jxr.io.read_mesh(path, unit="mm")
+    np.testing.assert_allclose(np.ptp(vertices, axis=0), [0.04, 0.028, 0.01], atol=2e-6)
+    (outline,) = jxr.io.section(vertices, faces, origin=(0.0, 0.0, 0.004), normal=(0, 0, 1))
+    assert off_ellipse(outline).max() < 1.1 * TOLERANCE
+    with pytest.raises(ValueError, match="argument contour must be closed"):
+        jxr.io.write_stl(jxr.Line((0.0, 1.0)), path, height=0.01)
+    with pytest.raises(ValueError, match="argument height must be a positive number, but was -1"):
+        jxr.io.write_stl(BODY, path, height=-1)
+
+
+def torus(n=64, m=48, big=0.03, small=0.01):
+    u, v = np.meshgrid(2 * np.pi * np.arange(n) / n, 2 * np.pi * np.arange(m) / m, indexing="ij")
+    reach = big + small * np.cos(v)
+    vertices = np.stack([reach * np.cos(u), reach * np.sin(u), small * np.sin(v)], axis=-1).reshape(-1, 3)
+    i, j = (index.ravel() for index in np.indices((n, m)))
+    a, b = i * m + j, (i + 1) % n * m + j
+    c, d = i * m + (j + 1) % m, (i + 1) % n * m + (j + 1) % m
+    return vertices, np.concatenate([np.stack([a, b, d], 1), np.stack([a, d, c], 1)])
+
+
+def test_sections_of_a_torus():
+    vertices, faces = torus()
+    ring, hole = jxr.io.section(vertices, faces, origin=(0, 0, 1e-4), normal=(0, 0, 1))
+    np.testing.assert_allclose(np.linalg.norm(ring, axis=1), 0.04, rtol=2e-3)
+    np.testing.assert_allclose(np.linalg.norm(hole, axis=1), 0.02, rtol=4e-3)
+    assert polygon_area(ring) > 0 and polygon_area(hole) > 0
+    pair = jxr.io.section(vertices, faces, origin=(1e-4, 0, 0), normal=(2, 0, 0))
+    assert len(pair) == 2
+    for outline in pair:
+        middle = np.array([np.sign(outline[0, 0]) * 0.03, 0.0])
+        np.testing.assert_allclose(np.linalg.norm(outline - middle, axis=1), 0.01, rtol=1e-2)
+        assert polygon_area(outline) == pytest.approx(np.pi * 1e-4, rel=1e-2)
+    (through,) = jxr.io.section(vertices, faces, origin=(0.035, 0, 0), normal=(1, 0, 0))
+    assert polygon_area(through) > 0
+
+
+def test_sections_through_vertices_and_past_the_mesh():
+    vertices, faces = torus()
+    assert len(jxr.io.section(vertices, faces, origin=(0, 0, 0), normal=(0, 0, 1))) == 2
+    with pytest.raises(ValueError, match="argument origin must put the plane through the mesh"):
+        jxr.io.section(vertices, faces, origin=(0, 0, 1.0), normal=(0, 0, 1))
+    with pytest.raises(ValueError, match="argument faces must form a closed surface"):
+        jxr.io.section(vertices, faces[1:], origin=(0, 0, 1e-4), normal=(0, 0, 1))
+    with pytest.raises(ValueError, match="argument normal must be a vector"):
+        jxr.io.section(vertices, faces, origin=(0, 0, 0), normal=(0, 0, 0))
+    with pytest.raises(ValueError, match="argument vertices must be finite"):
+        jxr.io.section(vertices * np.nan, faces, origin=(0, 0, 0), normal=(0, 0, 1))
+
+
+def disc_image(radius=30.3, centre=(40.2, 52.6), shape=(90, 110)):
+    """Grey values of a blurred disc, bright on dark."""
+    rows, columns = np.indices(shape)
+    return np.clip(0.25 * (radius - np.hypot(rows - centre[0], columns - centre[1])) + 0.5, 0.0, 1.0)
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_a_silhouette_to_a_fraction_of_a_pixel(dark):
+    image = disc_image()
+    points = jxr.io.read_silhouette(1.0 - image if dark else image, pixel=1e-4, threshold=0.5)
+    centre = 1e-4 * np.array([52.6, 89 - 40.2])
+    error = np.linalg.norm(points - centre, axis=1) / 1e-4 - 30.3
+    assert np.abs(error).max() < 0.02 and polygon_area(points) > 0
+    assert np.any(points[0] != points[-1])
+
+
+def test_silhouettes_that_are_not_whole_are_refused():
+    with pytest.raises(ValueError, match="must show the whole shape, but the border cuts"):
+        jxr.io.read_silhouette(disc_image()[:50], pixel=1e-4, threshold=0.5)
+    with pytest.raises(ValueError, match="argument which must be below the number of outlines, 1"):
+        jxr.io.read_silhouette(disc_image(), pixel=1e-4, which=1)
+    with pytest.raises(ValueError, match=r"must be grey values of shape \(rows, columns\)"):
+        jxr.io.read_silhouette(np.zeros((4, 4, 3)), pixel=1e-4)
+
+
+def test_a_coin_in_a_photograph():
+    from skimage import data
+
+    try:
+        image = data.coins()
+    except Exception as error:  # whatever a machine without a network raises
+        pytest.skip(f"no sample image: {error}")
+    coin = jxr.io.read_silhouette(image, pixel=1e-4, threshold=107, which=1)
+    radii = np.linalg.norm(coin - coin.mean(axis=0), axis=1)
+    assert radii.mean() == pytest.approx(28.9e-4, rel=0.01) and np.std(radii) < 0.03 * radii.mean()
+
+
+def test_without_the_extra_one_sentence_says_what_to_install(tmp_path, monkeypatch):
+    svg = jxr.io.write_outline(BODY, tmp_path / "body.svg", unit="mm", tolerance=1e-4)
+    real = builtins.__import__
+
+    def bare(name, *rest, **options):
+        if name.split(".")[0] in ("svgpathtools", "ezdxf", "trimesh", "mapbox_earcut", "skimage"):
+            raise ImportError(name)
+        return real(name, *rest, **options)
+
+    monkeypatch.setattr(builtins, "__import__", bare)
+    for library, call in {
+        "svgpathtools": lambda: jxr.io.read_points(svg, unit="mm"),
+        "ezdxf": lambda: jxr.io.write_outline(BODY, tmp_path / "body.dxf", unit="mm", tolerance=1e-4),
+        "trimesh": lambda: jxr.io.write_stl(BODY, tmp_path / "body.stl", height=0.01),
+        "scikit-image": lambda: jxr.io.read_silhouette(disc_image(), pixel=1e-4),
+    }.items():
+        with pytest.raises(ImportError, match=rf'library {library}: pip install "jaxroll\[cad\]"'):
+            call()
+
+
+def test_a_banana_cut_across():
+    path = DATA / "ycb_011_banana.npz"
+    if not path.exists():
+        pytest.skip("the scan is not here")
+    scan = np.load(path)
+    cuts = jxr.io.section(scan["vertices"], scan["faces"], origin=(0.02, 0.0, 0.0), normal=(1, 0, 0))
+    assert len(cuts) == 1 and len(cuts[0]) > 100
+    report = jxr.fit_contour(cuts[0], smoothing=0.01).report
+    assert report.closed and not report.self_intersecting
+    assert 0.1 < report.length < 0.13 and report.rms < 1e-4
+    assert 0.005 < report.radius < 0.02 and report.inflections <= 4

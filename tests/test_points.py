@@ -1,0 +1,210 @@
+"""Raw points: put in order, turned round, or refused in one sentence."""
+
+import jax
+import numpy as np
+import pytest
+
+from jaxroll.geometry import clean_points, crossings
+
+N = 200
+U = 2 * np.pi * np.arange(N) / N
+RING = 0.03 * np.stack([np.cos(U), np.sin(U)], axis=1)
+
+
+def star(n, lobes=5, depth=0.3, noise=0.0, seed=0):
+    """A non-convex ring; noise in units of the mean spacing."""
+    u = 2 * np.pi * np.arange(n) / n
+    points = (0.03 * (1.0 + depth * np.cos(lobes * u)))[:, None] * np.stack([np.cos(u), np.sin(u)], axis=1)
+    spacing = np.linalg.norm(np.diff(points, axis=0), axis=1).mean()
+    return points + noise * spacing * np.random.default_rng(seed).normal(size=points.shape)
+
+
+def hook(n):
+    """A thick open C whose ends come near each other."""
+    u = np.linspace(0.25, 2 * np.pi - 0.25, n)
+    return 0.02 * np.stack([np.cos(u), np.sin(u)], axis=1)
+
+
+def same_ring(found, wanted):
+    """Whether two rings hold the same points in the same cyclic order."""
+    start = int(np.argmin(np.linalg.norm(wanted - found[0], axis=1)))
+    np.testing.assert_allclose(found, np.roll(wanted, -start, axis=0), atol=1e-15)
+    return True
+
+
+@pytest.mark.parametrize("lobes", [1, 3, 5, 8])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_scattered_points_of_a_smooth_ring_are_put_in_their_order(lobes, seed):
+    ring = star(300, lobes)
+    mixed = np.random.default_rng(seed).permutation(ring)
+    clean = clean_points(mixed)
+    assert clean.reordered and same_ring(clean.points, ring)
+    np.testing.assert_array_equal(clean.points[0], mixed[0])
+
+
+def test_scattered_points_of_an_open_curve_are_put_in_their_order():
+    curve = hook(120)
+    clean = clean_points(np.random.default_rng(2).permutation(curve), closed=False)
+    np.testing.assert_allclose(clean.points, curve, atol=1e-15)
+    assert clean.reordered and "direction of these open points" in " ".join(clean.warnings)
+    turned = clean_points(np.random.default_rng(2).permutation(curve), closed=False, reverse=True)
+    np.testing.assert_allclose(turned.points, curve[::-1], atol=1e-15)
+
+
+def test_scattered_noisy_points_swap_neighbours_at_most():
+    """Noise of 0.2 spacings, too much for two agreeing neighbours everywhere: the repair finds the order."""
+    n = 1000
+    mixed = np.random.default_rng(3).permutation(n)
+    ring = star(n, noise=0.2)
+    clean = clean_points(ring[mixed])
+    rank = np.argmin(np.linalg.norm(clean.points[:, None] - ring[None], axis=-1), axis=1)
+    steps = np.diff(rank, append=rank[:1]) % n
+    assert np.all(np.minimum(steps, n - steps) <= 3) and np.mean(steps == 1) > 0.97
+
+
+def test_points_in_order_stay_as_they_are_even_where_noise_hides_it():
+    for noise in (0.0, 0.5, 2.0):
+        ring = star(400, noise=noise)
+        clean = clean_points(ring)
+        np.testing.assert_array_equal(clean.points, ring)
+        assert not clean.reordered and bool(clean.warnings) == (noise > 0.0)
+        assert noise < 1.0 or "noise is as large as their spacing" in " ".join(clean.warnings)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [RING[np.argsort(RING[:, 0], kind="stable")], np.concatenate([RING[: N // 2], RING[N // 2 :][::-1]])],
+    ids=["by x", "two faces"],
+)
+def test_orders_of_tables_are_seen_to_be_none(given):
+    clean = clean_points(given)
+    assert clean.reordered and same_ring(clean.points, RING)
+
+
+def test_repeated_points_are_merged():
+    closed = clean_points(np.concatenate([RING, RING[:1]]))
+    assert closed.merged == 1 and same_ring(closed.points, RING)
+    doubled = clean_points(np.repeat(RING, 2, axis=0))
+    assert doubled.merged == N and same_ring(doubled.points, RING)
+    twice = clean_points(np.concatenate([RING, RING]))
+    assert twice.merged == N and same_ring(twice.points, RING)
+
+
+def test_closed_points_run_counter_clockwise_from_the_first():
+    clean = clean_points(RING[::-1])
+    assert clean.reversed and same_ring(clean.points, RING)
+    np.testing.assert_array_equal(clean.points[0], RING[-1])
+    arc = RING[:60]
+    np.testing.assert_array_equal(clean_points(arc, closed=False).points, arc)
+    np.testing.assert_array_equal(clean_points(arc, closed=False, reverse=True).points, arc[::-1])
+
+
+@pytest.mark.parametrize(("unit", "size"), [("m", 1.0), ("mm", 1e-3), ("um", 1e-6), ("in", 0.0254)])
+def test_units(unit, size):
+    np.testing.assert_allclose(clean_points(RING / size, unit=unit).points, RING, rtol=1e-14)
+
+
+def square(side=20):
+    t = np.arange(side) / side
+    zero, one = 0 * t, 0 * t + 1
+    sides = ((t, zero), (one, t), (1 - t, one), (zero, 1 - t))
+    return 0.02 * np.concatenate([np.stack(side, axis=1) for side in sides])
+
+
+def changed(rows, factor):
+    points = RING.copy()
+    points[rows] = points[rows] * factor
+    return points
+
+
+EIGHT = 0.03 * np.stack([np.sin(U), np.sin(2 * U)], axis=1)
+CUSP = (0.02 * (1 - np.cos(U)))[:, None] * np.stack([np.cos(U), np.sin(U)], axis=1)
+REFUSED = {
+    "shape": (RING.T, {}, r"must have shape \(any, 2\), but had shape \(2, 200\)"),
+    "text": ([["a", "b"]], {}, "must be numbers of shape"),
+    "NaN": (np.where(np.arange(400).reshape(200, 2) == 33, np.nan, RING), {}, "finite, but row 16 was"),
+    "too few": (RING[:5], {}, "6 distinct points or more, but there were 5"),
+    "too few distinct": (np.repeat(RING[:3], 3, axis=0), {}, "but there were 3"),
+    "unit": (RING, {"unit": "cm"}, "argument unit must be one of 'm', 'mm', 'um', 'in', but was 'cm'"),
+    "rows in mm": (
+        changed(slice(50, 80), 1e3),
+        {},
+        "in one unit, but 170 lie within 0.03 m .* and 30 beyond",
+    ),
+    "one row in mm": (changed([5], 1e3), {}, "in one unit, but 199 lie within"),
+    "one row in km": (changed([50], 1e-3), {"ordered": True}, "in one unit, but the point .* 30 mm from"),
+    "column in mm": (RING * np.array([1.0, 1e3]), {}, "both columns in one unit"),
+    "open": (
+        RING[:120],
+        {},
+        r"leave a gap of 57.3 mm from \(-0.02481, -0.01686\) m to \(0.03, 0\) m .*closed=False",
+    ),
+    "open, scattered": (np.random.default_rng(4).permutation(RING[:120]), {}, "leave a gap of 57.3 mm"),
+    "eight": (EIGHT, {}, "must not cross themselves"),
+    "eight, scattered": (np.random.default_rng(4).permutation(EIGHT), {"ordered": False}, "plausible|pieces"),
+    "cusp": (CUSP, {}, r"turn back by 17\d degrees \(a cusp\)"),
+    "two rings": (np.concatenate([RING, RING + 0.1]), {}, "one curve, but fall into 2 pieces"),
+    "ring as open": (
+        np.random.default_rng(4).permutation(RING),
+        {"closed": False},
+        "argument closed must be True for points that go all round",
+    ),
+    "noise, scattered": (
+        np.random.default_rng(5).permutation(star(200, noise=0.5)),
+        {},
+        "more than one order",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_cannot_be_one_contour_is_refused_in_one_sentence(case):
+    points, options, sentence = REFUSED[case]
+    with pytest.raises(ValueError, match=sentence) as error:
+        clean_points(points, **options)
+    assert str(error.value).startswith("argument ") and "\n" not in str(error.value)
+
+
+def test_traced_points_are_refused():
+    with pytest.raises(ValueError, match="argument points must be concrete numbers, but was traced"):
+        jax.jit(lambda points: clean_points(points).points)(RING)
+
+
+DOUBTED = {
+    "metres that are millimetres": (1e3 * RING, "implausible for something grasped"),
+    "microscopic": (1e-4 * RING, "implausible for something grasped"),
+    "corners": (square(), "4 corners, of up to 90 degrees"),
+    "uneven": (np.delete(RING, np.r_[10:16, 40:46], axis=0), "spacing of the points is uneven"),
+    "noise": (star(200, noise=0.6), "noise is as large as their spacing"),
+}
+
+
+@pytest.mark.parametrize("case", DOUBTED)
+def test_what_is_doubtful_is_said(case):
+    points, words = DOUBTED[case]
+    assert words in " ".join(clean_points(points).warnings)
+    assert clean_points(RING).warnings == ()
+
+
+def by_all_pairs(points, closed):
+    """Proper and touching crossings of sides, pair by pair."""
+    n = len(points) if closed else len(points) - 1
+    found = []
+    for i in range(n):
+        for j in range(i + 2, n - (closed and i == 0)):
+            a, b, c, d = points[i], points[(i + 1) % len(points)], points[j], points[(j + 1) % len(points)]
+            matrix = np.stack([b - a, c - d], axis=1)
+            if abs(np.linalg.det(matrix)) > 1e-14:
+                t = np.linalg.solve(matrix, c - a)
+                if np.all((t >= 0) & (t <= 1)):
+                    found.append((i, j))
+    return found
+
+
+@pytest.mark.parametrize("closed", [True, False])
+def test_crossings_against_every_pair_of_sides(closed):
+    for seed in range(5):
+        points = np.random.default_rng(seed).normal(size=(60, 2))
+        found = [tuple(pair) for pair in crossings(points, closed=closed).tolist()]
+        assert found == by_all_pairs(points, closed) and len(found) > 100
+    assert len(crossings(star(3000), closed=True)) == 0

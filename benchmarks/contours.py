@@ -90,6 +90,11 @@ def run_time():
         yield f"run time, {name} fingertip over closed form", "<= 1.3", f"{ratio:.2f}"
 
 
+def _network(contour):
+    points = contour.point(_spread(contour, 96))
+    return jxr.NeuralSupport.through(points, key=jax.random.key(0))
+
+
 def _spread(contour, count):
     return float(contour.domain()[1]) * np.arange(count) / count
 

@@ -12,7 +12,18 @@ if TYPE_CHECKING:
     from ._results import RESULTS
     from ._sweep import sweep
     from .contact import Contact
-    from .geometry import AbstractContour, Catenary, Circle, Ellipse, fit_contour, Line, Spline
+    from .geometry import (
+        AbstractContour,
+        Catenary,
+        Circle,
+        Ellipse,
+        fit_contour,
+        Line,
+        NeuralCurvature,
+        NeuralSupport,
+        Spline,
+        SupportFunction,
+    )
     from .integration import (
         close,
         CSM,
@@ -47,7 +58,10 @@ _HOMES: dict[str, str | None] = {
     "Circle": "geometry",
     "Ellipse": "geometry",
     "Line": "geometry",
+    "NeuralCurvature": "geometry",
+    "NeuralSupport": "geometry",
     "Spline": "geometry",
+    "SupportFunction": "geometry",
     "fit_contour": "geometry",
     "CSM": "integration",
     "Index1": "integration",
@@ -81,9 +95,12 @@ __all__ = [  # noqa: PLE0604
     "Index1",
     "Jaw",
     "Line",
+    "NeuralCurvature",
+    "NeuralSupport",
     "PivotedObject",
     "Spline",
     "State",
+    "SupportFunction",
     "Trajectory",
     "close",
     "contact",

@@ -29,6 +29,7 @@ class RESULTS(eqx.Enumeration):
     slipping = "A contact needs more friction than there is: its force left the friction cone."
     penetration = "A fingertip and the object overlap away from their contact."
     not_finite = "The equations of motion gave a value that is not finite."
+    too_deep = "Two shapes overlap so deeply that their deepest point has no single nearest point."
     unreachable = "The initial state is off the constraints: no pose near the guess closes them."
     solver_failed = "The solver reported a failure of its own."
 

@@ -177,3 +177,24 @@ def test_the_picture_shows_points_curvature_and_residuals(noisy):
     assert np.sqrt(np.mean(residuals**2)) == pytest.approx(1e6 * fit.report.rms, rel=1e-6)
     outside = off_ellipse(np.asarray(fit.points))
     assert np.corrcoef(residuals, outside)[0, 1] > 0.8
+
+
+def test_support_function_field():
+    """Exact points of an ellipse, and noisy ones, where few terms must do."""
+    u = 2 * np.pi * np.arange(96) / 96
+    dots = np.stack([0.02 * np.cos(u), 0.014 * np.sin(u)], -1)
+    exact = jxr.fit_contour(dots, field="support").report
+    assert exact.largest < 1e-10 and abs(exact.radius - 0.0098) < 1e-8
+    noisy = dots + 1e-5 * np.random.default_rng(0).normal(size=dots.shape)
+    report = jxr.fit_contour(noisy, field="support", noise=1e-5).report
+    assert report.rms < 1.2e-5 and abs(report.radius - 0.0098) < 0.03 * 0.0098
+    with pytest.raises(ValueError, match="are for splines"):
+        jxr.fit_contour(dots, field="support", smoothing=0.01)
+
+
+@pytest.mark.slow
+def test_network_field():
+    u = 2 * np.pi * np.arange(96) / 96
+    dots = np.stack([0.02 * np.cos(u), 0.014 * np.sin(u)], -1)
+    report = jxr.fit_contour(dots, field="support network").report
+    assert report.largest < 1e-6 and abs(report.radius - 0.0098) < 0.02 * 0.0098

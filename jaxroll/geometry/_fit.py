@@ -14,13 +14,17 @@ from jaxtyping import Array
 from .._types import Given
 from ._contour import AbstractContour, tabled
 from ._crossings import crossings
+from ._neural import NeuralSupport
+from ._neural_curvature import NeuralCurvature
 from ._ordering import place
 from ._penalty import smoothing_for
 from ._points import clean_points, CleanPoints
 from ._spline import Spline
+from ._support import SupportFunction
 
 _SAMPLES = 2048
 _DENSE = 512  # points above which a smoothing spline has fewer knots than points
+_TERMS = (3, 4, 6, 8, 11, 15, 20)  # of a support function
 
 
 @dataclass(frozen=True)
@@ -111,6 +115,9 @@ class _Wish:
     knots: int | None
 
 
+Maker = Callable[[np.ndarray, _Wish], tuple[AbstractContour, float]]
+
+
 def _spline(points: np.ndarray, wish: _Wish) -> tuple[AbstractContour, float]:
     smoothing, knots = wish.smoothing, wish.knots
     if smoothing is None and wish.noise == 0.0:
@@ -123,8 +130,32 @@ def _spline(points: np.ndarray, wish: _Wish) -> tuple[AbstractContour, float]:
     return contour, smoothing
 
 
+def _support(points: np.ndarray, wish: _Wish) -> tuple[AbstractContour, float]:
+    """As few terms as the noise explains; without noise all that the points determine, within reason."""
+    most = min(_TERMS[-1], (len(points) - 1) // 3)
+    tried = [terms for terms in _TERMS if terms < most] if wish.noise else []
+    for terms in (*tried, most):
+        contour = SupportFunction.through(points, terms=terms)
+        distances = np.asarray(measured(tabled(contour), jnp.asarray(points))[1])
+        if wish.noise and np.sqrt(np.mean(distances**2)) <= wish.noise:
+            break
+    return contour, 0.0
+
+
+def _network(kind: type[NeuralSupport] | type[NeuralCurvature]) -> Maker:
+    def make(points: np.ndarray, wish: _Wish) -> tuple[AbstractContour, float]:
+        return kind.through(points, key=jax.random.key(0), tolerance=wish.noise or 1e-8), 0.0
+
+    return make
+
+
 # What makes each kind of field: the contour, and its smoothing [m].
-FIELDS: dict[str, Callable[[np.ndarray, _Wish], tuple[AbstractContour, float]]] = {"spline": _spline}
+FIELDS: dict[str, Maker] = {
+    "spline": _spline,
+    "support": _support,
+    "support network": _network(NeuralSupport),
+    "curvature network": _network(NeuralCurvature),
+}
 
 
 def fit_contour(
@@ -149,7 +180,9 @@ def fit_contour(
 
     Args:
         points: Shape (n, 2), n >= 6, in `unit`.
-        field: Kind of contour: "spline".
+        field: Kind of contour: "spline"; "support", the Fourier series of a support function, convex;
+            "support network" (convex) or "curvature network", closed, fitted for some seconds. `noise`
+            bounds what the last three are fitted to.
         closed: Whether the contour closes on itself. An open one has the body on its left.
         ordered: True to believe the given order, False to find one, None to find out which.
         noise: Standard deviation of each coordinate's error [m]: 0 goes through every point; None finds
@@ -181,6 +214,8 @@ def fit_contour(
     _check_length("smoothing", smoothing, 100.0 * size)
     if noise is not None and smoothing is not None:
         raise ValueError(f"argument noise must be None where smoothing is given, but was {noise!r}")
+    if field != "spline" and not (closed and smoothing is None and knots is None):
+        raise ValueError(f"arguments smoothing, knots, closed=False are for splines, but field was {field!r}")
     contour, wavelength = FIELDS[field](clean.points, _Wish(closed, noise, smoothing, knots))
     return _reported(contour, clean, field, wavelength)
 

@@ -9,8 +9,9 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array
 
-from .._algebra import factorise
+from .._algebra import factorise, Pose2
 from .._results import concrete
+from ..contact import locate as locate_contours
 from ..mechanics import (
     bodies,
     compiled,
@@ -31,7 +32,12 @@ _RESTORE_STEPS = 60
 
 
 def close(
-    grasp: Grasp, guess: State, *, hold_contacts: bool = True, throw: bool = True
+    grasp: Grasp,
+    guess: State,
+    *,
+    hold_contacts: bool = True,
+    throw: bool = True,
+    locate: bool = False,
 ) -> tuple[Grasp, State]:
     r"""Move a guess onto the constraints: the nearest consistent state.
 
@@ -46,6 +52,9 @@ def close(
         guess: A state near the one wanted.
         hold_contacts: If True, contacts stay where `guess.s` puts them, and the pose is moved
             until they touch. If False they may roll, and the pose is moved as little as possible.
+        locate: If True, every contact starts from the closest points of its two contours at the
+            guessed pose, found globally by `contact.locate`, whatever the guess says; from there it
+            may roll. The grasp returned has the contacts' new arclengths, and `s` counts from them.
         throw: If False, or while JAX traces, an unreachable pose is returned as it is, and
             `simulate` gives it the code `unreachable`.
 
@@ -54,7 +63,8 @@ def close(
 
     Raises:
         ValueError: If shapes do not fit, or no pose near the guess closes the contacts: the worst row
-            and its size are named.
+            and its size are named. If `locate` is asked for endless contours, or for two contacts of the
+            same contours.
 
     Accuracy: rows below 1e-14 m (rad); derivatives to rounding.
 
@@ -67,7 +77,9 @@ def close(
         True
     """
     check_state(grasp, guess)
-    state, rows = _close(grasp, guess, hold_contacts)
+    if locate:
+        grasp, guess = _at_closest_points(grasp, guess)
+    state, rows = _close(grasp, guess, hold_contacts and not locate)
     seen = concrete(rows)
     if throw and seen is not None:
         worst = int(np.nanargmax(np.where(np.isnan(seen), np.inf, np.abs(seen))))
@@ -77,6 +89,34 @@ def close(
                 f"found leaves {row_name(worst)} at {abs(seen[worst]):.3g}"
             )
     return grasp, state
+
+
+def _at_closest_points(grasp: Grasp, guess: State) -> tuple[Grasp, State]:
+    """The grasp with its contacts at the closest points of their contours at the guessed pose."""
+    pairs = [(contact.finger, contact.contour) for contact in grasp.contacts]
+    if len(set(pairs)) < len(pairs):
+        raise ValueError(
+            f"argument locate must be False if two contacts share contours, but was True: {pairs}"
+        )
+    for i, contact in enumerate(grasp.contacts):
+        if any(contour.domain() is None for contour in grasp.contours(contact)):
+            raise ValueError(
+                f"argument locate must be False for endless contours, as those of contact {i} are"
+            )
+    body, *tips = poses(grasp, split(guess.q, grasp.sizes))
+    found = []
+    for contact in grasp.contacts:
+        tip, face = grasp.contours(contact)
+        pair = locate_contours(tip, face, pose_a=_numbers(tips[contact.finger]), pose_b=_numbers(body))
+        found += [pair.s[0], pair.s[1]]
+    places = lambda g: [s for c in g.contacts for s in (c.s_tip, c.s_object)]  # noqa: E731
+    located = eqx.tree_at(places, grasp, found)
+    return located, State(guess.q, guess.v, jnp.zeros_like(guess.s))
+
+
+def _numbers(pose: Pose2) -> Array:
+    """A pose as position and angle."""
+    return jnp.stack([pose.origin.x, pose.origin.y, jnp.arctan2(pose.sin, pose.cos)])
 
 
 def reach(dtype: Any) -> float:

@@ -1,0 +1,110 @@
+"""Location of contacts: pairs per second, and gaps against 10^4-vertex polygons by brute force.
+
+Run from the repository root: `python -m benchmarks.location` (about two minutes; needs the `test` extra);
+`--full` compares 10^5 pairs instead of 10^3 (about twenty minutes). Contours are prepared before the
+clock starts; batches are handed out by as many threads as there are cores.
+"""
+
+import argparse
+import os
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+import jax
+
+jax.config.update("jax_enable_x64", True)
+
+import numpy as np  # noqa: E402
+
+import jaxroll as jxr  # noqa: E402
+from benchmarks._common import device, table, versions  # noqa: E402
+from jaxroll.contact import locate  # noqa: E402
+from tests.shapes import (  # noqa: E402
+    brute_gap,
+    contour_of,
+    KINDS,
+    locator,
+    placed,
+    placer,
+    points_of,
+    random_pairs,
+)
+
+LANES, ROUNDS, VERTICES = 1024, 8, 10_000
+# Two polygons of so many vertices may be off by this much [m].
+POLYGON = 2e-7
+
+
+def throughput(kinds: tuple[str, str]) -> tuple[float, float]:
+    """Pairs per second of wall time on all cores, and per second of processor time."""
+    shapes, pose_a, pose_b = random_pairs(np.random.default_rng(0), kinds, LANES, placer(kinds))
+    prepare = jax.vmap(lambda s: tuple(contour_of(k, x).prepared() for k, x in zip(kinds, s, strict=True)))
+    contours = jax.block_until_ready(jax.jit(prepare)(shapes))
+    find = jax.jit(jax.vmap(lambda pair, p, q: locate(*pair, pose_a=p, pose_b=q)))
+
+    def batch(_: int) -> None:
+        jax.block_until_ready(find(contours, pose_a, pose_b))
+
+    batch(0)
+    wall = busy = np.inf
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
+        for _ in range(5):
+            start, used = time.perf_counter(), time.process_time()
+            list(threads.map(batch, range(ROUNDS)))
+            wall = min(wall, time.perf_counter() - start)
+            busy = min(busy, time.process_time() - used)
+    return LANES * ROUNDS / wall, LANES * ROUNDS / busy
+
+
+def accuracy(kinds: tuple[str, str], count: int) -> tuple[int, int, float, float]:
+    """Pairs missed, pairs whose code is not 'successful', worst gap error and residual [m]."""
+    place, find, rng = placer(kinds), locator(kinds), np.random.default_rng(1)
+    missed = refused = 0
+    worst = residual = 0.0
+    for start in range(0, count, LANES):
+        shapes, pose_a, pose_b = random_pairs(rng, kinds, LANES, place)
+        found = find(shapes, pose_a, pose_b)
+        gaps, good = np.asarray(found.gap), np.asarray(found.result == jxr.RESULTS.successful)
+        residual = max(residual, float(found.residual.max()))
+        for i in range(min(LANES, count - start)):
+            outlines = [
+                placed(points_of(kind, [x[i] for x in shape], VERTICES), pose[i])
+                for kind, shape, pose in zip(kinds, shapes, (pose_a, pose_b), strict=True)
+            ]
+            error = abs(gaps[i] - brute_gap(*outlines)[0])
+            missed, refused = missed + bool(error > POLYGON), refused + bool(not good[i])
+            worst = max(worst, error)
+    return missed, refused, worst, residual
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--full", action="store_true", help="compare 10^5 pairs")
+    parser.add_argument("--pairs", type=int, help="compare so many pairs")
+    options = parser.parse_args()
+    count = (options.pairs or (100_000 if options.full else 1_000)) // len(KINDS)
+    lines = []
+    for kinds in KINDS:
+        speed = throughput(kinds)
+        missed, refused, worst, residual = accuracy(kinds, count)
+        lines.append(
+            [" and ".join(kinds), *(f"{x:.0f}" for x in speed), str(count), str(missed), str(refused)]
+            + [f"{worst:.1e}", f"{residual:.1e}"]
+        )
+        print(lines[-1], flush=True)
+    heads = [
+        "shapes",
+        "pairs/s",
+        "per core",
+        "compared",
+        "missed",
+        "refused",
+        "worst gap [m]",
+        "residual [m]",
+    ]
+    print(table(heads, lines))
+    print(device(), versions("jax", "jaxlib"), sep="\n")
+
+
+if __name__ == "__main__":
+    main()

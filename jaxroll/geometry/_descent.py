@@ -1,0 +1,159 @@
+"""Nonlinear least squares for a network inside a field (the only door to optax in `geometry`)."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.flatten_util
+import jax.numpy as jnp
+import numpy as np
+
+Progress = bool | Callable[[int, float], None]
+CHUNK = 25
+
+
+class Problem(NamedTuple):
+    """Residuals of a field, by way of its network's values: module-level functions, compiled once.
+
+    Attributes:
+        angles: `angles(data)`, shape (k,): where the network is needed.
+        residuals: `residuals(values, rest, data)`, shape (n,), of the values there and the other parameters.
+        refresh: `refresh(network, rest, data)` brings the data's own unknowns (feet) up to date.
+    """
+
+    angles: Callable[[Any], Any]
+    residuals: Callable[[jax.Array, Any, Any], jax.Array]
+    refresh: Callable[[Any, Any, Any], Any]
+
+
+class Descent(NamedTuple):
+    """The best parameters seen with their data, the steps taken, and the loss before each and at the end."""
+
+    network: Any
+    rest: Any
+    data: Any
+    steps: int
+    history: np.ndarray
+
+
+def descend(
+    problem: Problem,
+    start: tuple[Any, Any],
+    data: Any,
+    *,
+    steps: int,
+    target: float,
+    progress: Progress = False,
+) -> Descent:
+    """Minimise the sum of squared residuals: a chunk of Adam, then Levenberg-Marquardt.
+
+    Adam takes part only where it lowers the loss: it carries a poor start into reach. L-BFGS in place of
+    Levenberg-Marquardt stalls: on 200 points of an ellipse at 0.2 um after 600 steps, where 100 give 0.03 um.
+
+    Args:
+        problem: What to minimise.
+        start: The network and the other parameters, any pytree of floating arrays.
+        data: Any pytree of arrays.
+        steps: At most so many, rounded up to chunks of 25; ends also where a chunk gains less than a fifth.
+        target: Stop once the loss is below this.
+        progress: True prints step and loss after every chunk; a function is called with them.
+    """
+    report = _reporter(progress)
+    data = problem.refresh(start[0], start[1], data)
+    best, least, history, done = start, float(_loss(problem, start, data)), [], 0
+    while done < steps and least > target:
+        before = least
+        data = problem.refresh(best[0], best[1], data)
+        chunk = _marquardt if done else _adam
+        params, losses = chunk(problem, best, data)
+        history.append(np.asarray(losses[:-1]))
+        done, last = done + CHUNK, float(losses[-1])
+        if last < least:
+            best, least = params, last
+        report(done, least)
+        if done > CHUNK and not least < 0.8 * before:
+            break
+    history.append(np.asarray([least]))
+    network, rest = best
+    return Descent(network, rest, problem.refresh(network, rest, data), done, np.concatenate(history))
+
+
+def _reporter(progress: Progress) -> Callable[[int, float], None]:
+    if callable(progress):
+        return progress
+    return _printed if progress else lambda step, loss: None
+
+
+def _printed(step: int, loss: float) -> None:
+    print(f"step {step}: loss {loss:.3e}")
+
+
+def _residuals(problem: Problem, params: tuple[Any, Any], data: Any) -> jax.Array:
+    network, rest = params
+    values = jax.vmap(network)(jnp.asarray(problem.angles(data)))
+    return problem.residuals(values, rest, data)
+
+
+@eqx.filter_jit
+def _loss(problem: Problem, params: tuple[Any, Any], data: Any) -> jax.Array:
+    return jnp.sum(_residuals(problem, params, data) ** 2)
+
+
+@eqx.filter_jit
+def _adam(problem: Problem, params: tuple[Any, Any], data: Any) -> tuple:
+    import optax  # here, because it takes 0.2 s to import
+
+    method = optax.adam(optax.cosine_decay_schedule(1e-3, CHUNK, alpha=0.01))
+
+    def step(carry: tuple, _: None) -> tuple:
+        params, state = carry
+        value, slope = jax.value_and_grad(lambda p: _loss(problem, p, data))(params)
+        update, state = method.update(slope, state)
+        return (optax.apply_updates(params, update), state), value
+
+    (params, _), losses = jax.lax.scan(step, (params, method.init(params)), None, length=CHUNK)
+    return params, jnp.append(losses, _loss(problem, params, data))
+
+
+def _linearised(problem: Problem, params: tuple[Any, Any], data: Any) -> tuple[jax.Array, jax.Array]:
+    """Residuals and their Jacobian: the network's own, one row per angle, then the rest of the chain."""
+    (network, rest), angles = params, jnp.asarray(problem.angles(data))
+
+    def one(angle: jax.Array) -> tuple[jax.Array, jax.Array]:
+        value, slope = jax.value_and_grad(lambda n: n(angle))(network)
+        return value, jax.flatten_util.ravel_pytree(slope)[0]
+
+    values, inner = jax.vmap(one)(angles)
+    right, pull = jax.vjp(lambda v, r: problem.residuals(v, r, data), values, rest)
+    outer, others = jax.vmap(pull)(jnp.eye(right.shape[0]))
+    others = jax.vmap(lambda tree: jax.flatten_util.ravel_pytree(tree)[0])(others)
+    return right, jnp.concatenate([outer @ inner, others], axis=1)
+
+
+@eqx.filter_jit
+def _marquardt(problem: Problem, params: tuple[Any, Any], data: Any) -> tuple:
+    r"""Steps $-J^\top (J J^\top + \mu I)^{-1} r$, or $-(J^\top J + \mu I)^{-1} J^\top r$."""
+    start, unravel = jax.flatten_util.ravel_pytree(params)
+
+    def loss(flat: jax.Array) -> jax.Array:
+        return _loss(problem, unravel(flat), data)
+
+    def step(carry: tuple, _: None) -> tuple:
+        flat, damping = carry
+        right, jacobian = _linearised(problem, unravel(flat), data)
+        wide = jacobian.shape[0] < jacobian.shape[1]
+        gram = jacobian @ jacobian.T if wide else jacobian.T @ jacobian
+        shift = damping * jnp.trace(gram) / gram.shape[0]
+        factor = jax.scipy.linalg.cho_factor(gram + shift * jnp.eye(gram.shape[0]))
+        if wide:
+            move = jacobian.T @ jax.scipy.linalg.cho_solve(factor, right)
+        else:
+            move = jax.scipy.linalg.cho_solve(factor, jacobian.T @ right)
+        value, tried = jnp.sum(right**2), flat - move
+        better = loss(tried) < value  # false where the factorisation failed
+        damping = jnp.clip(jnp.where(better, 0.2 * damping, 10.0 * damping), 1e-13, 1e3)
+        return (jnp.where(better, tried, flat), damping), value
+
+    (flat, _), losses = jax.lax.scan(step, (start, jnp.asarray(1e-5)), None, length=CHUNK)
+    return unravel(flat), jnp.append(losses, loss(flat))

@@ -1,0 +1,245 @@
+"""Closest points of two contours: closed forms, brute force, derivatives, ends, second contacts."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import taylor_remainders
+from scipy.optimize import minimize_scalar
+from shapes import brute_gap, KINDS, locator, placed, placer, points_of, Polar, random_pairs
+
+import jaxroll as jxr
+from jaxroll.contact import locate
+
+SUCCESS = jxr.RESULTS.successful
+# Vertices of the polygons lie on the curves; between them both bend away by this much [m].
+POLYGON = 2e-7
+
+
+def compare(kinds, count, seed):
+    """Locate `count` random pairs and compare every gap with that of 10^4-vertex polygons."""
+    shapes, pose_a, pose_b = random_pairs(np.random.default_rng(seed), kinds, count, placer(kinds))
+    found = locator(kinds)(shapes, pose_a, pose_b)
+    errors = []
+    for i in range(count):
+        outlines = [
+            placed(points_of(kind, [x[i] for x in shape], 10_000), pose[i])
+            for kind, shape, pose in zip(kinds, shapes, (pose_a, pose_b), strict=True)
+        ]
+        errors.append(float(found.gap[i]) - brute_gap(*outlines)[0])
+    return found, np.array(errors)
+
+
+def check_all(found, errors):
+    assert np.all(np.asarray(found.result == SUCCESS))
+    assert np.abs(errors).max() <= POLYGON
+    assert float(found.residual.max()) <= 1e-12
+    gap = np.asarray(found.gap)
+    assert 0.3 < np.mean(gap < -1e-9) < 0.4 and np.mean(gap > 1e-3) > 0.2
+
+
+def test_no_pair_is_missed():
+    check_all(*compare(("polar", "polar"), 240, seed=1))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kinds", KINDS)
+def test_no_pair_is_missed_among_many(kinds):
+    check_all(*compare(kinds, 2500, seed=2))
+
+
+def test_the_search_by_brute_force_sees_a_wrong_gap():
+    """The oracle on two circles, apart and overlapping."""
+    u = np.arange(10_000) * (2 * np.pi / 10_000)
+    circle = np.stack([np.cos(u), np.sin(u)], -1)
+    for distance in (0.05, 0.03, 0.025):
+        gap, vertex = brute_gap(0.01 * circle + np.array([distance, 0.0]), 0.02 * circle)
+        assert abs(gap - (distance - 0.03)) <= 1e-8
+        assert abs(vertex - 5000) <= 1
+
+
+@jax.jit
+def circles(radii, pose_a, pose_b):
+    return locate(jxr.Circle(radii[0]), jxr.Circle(radii[1]), pose_a=pose_a, pose_b=pose_b)
+
+
+@pytest.mark.parametrize("offset", [(0.05, 0.02), (0.018, 0.024), (0.02, -0.01), (0.0, 0.012)])
+def test_two_circles(offset):
+    pose_a, pose_b = np.array([*offset, 0.4]) + np.array([0.1, -0.2, 0.0]), np.array([0.1, -0.2, -2.0])
+    found = circles((0.01, 0.02), pose_a, pose_b)
+    away = np.hypot(*offset)
+    normal = np.asarray(offset) / away
+    assert found.result == SUCCESS and bool(found.unique) and int(found.others.count) == 0
+    np.testing.assert_allclose(float(found.gap), away - 0.03, atol=1e-15)
+    np.testing.assert_allclose(found.normal, normal, atol=1e-13)
+    np.testing.assert_allclose(found.points[0], pose_a[:2] - 0.01 * normal, atol=1e-15)
+    np.testing.assert_allclose(found.points[1], pose_b[:2] + 0.02 * normal, atol=1e-15)
+    assert bool(found.penetrating) == (float(found.gap) < 0.0) and float(found.residual) <= 1e-15
+    angle = np.arctan2(normal[1], normal[0])
+    np.testing.assert_allclose(float(found.s[0]), 0.01 * ((angle + np.pi - 0.4) % (2 * np.pi)), atol=1e-14)
+    np.testing.assert_allclose(float(found.s[1]), 0.02 * ((angle + 2.0) % (2 * np.pi)), atol=1e-14)
+
+
+def test_concentric_circles_are_not_unique():
+    found = circles((0.01, 0.02), np.zeros(3), np.zeros(3))
+    assert not bool(found.unique)
+    np.testing.assert_allclose(float(found.gap), -0.01, atol=1e-15)
+
+
+def test_overlap_without_a_single_nearest_point_is_reported():
+    """A circle about an ellipse's centre: its deepest points lie as near to both of the long sides."""
+    found = locate(jxr.Circle(0.004), jxr.Ellipse(0.03, 0.012, cells=256))
+    assert found.result == jxr.RESULTS.too_deep and not bool(found.unique)
+    exact = -0.012 * np.sqrt(1.0 - 0.004**2 / (0.03**2 - 0.012**2))
+    np.testing.assert_allclose(float(found.gap), exact, atol=2e-4)
+
+
+def test_circle_and_ellipse():
+    """Against the distance of a point from an ellipse by scalar minimisation."""
+    a, b, centre = 0.03, 0.012, np.array([0.025, 0.03])
+    away = lambda u: np.hypot(a * np.cos(u) - centre[0], b * np.sin(u) - centre[1])  # noqa: E731
+    best = minimize_scalar(away, bounds=(0.0, np.pi / 2), method="bounded", options={"xatol": 1e-12})
+    pose = (*centre, 0.3)
+    for radius in (0.01, float(best.fun), 0.024):
+        found = locate(jxr.Circle(radius), jxr.Ellipse(a, b, cells=256), pose_a=pose)
+        np.testing.assert_allclose(float(found.gap), best.fun - radius, atol=1e-14)
+        assert found.result == SUCCESS and bool(found.unique)
+
+
+def test_circle_in_a_notch_touches_twice():
+    """Three lobes; a circle on the axis of a notch is as close to both flanks."""
+    trefoil = Polar(0.02, [0.0, 0.0, 0.25], [0.0, 0.0, 0.0])
+    at = np.pi / 3  # the middle of a notch
+    found = locate(jxr.Circle(0.012), trefoil, pose_a=(0.032 * np.cos(at), 0.032 * np.sin(at), 0.0))
+    assert found.result == SUCCESS and not bool(found.unique) and int(found.others.count) == 1
+    np.testing.assert_allclose(float(found.others.gap[0]), float(found.gap), atol=1e-14)
+    length = float(trefoil.domain()[1])
+    middle = float(found.s[1] + found.others.s[0, 1]) / 2
+    np.testing.assert_allclose(middle, length / 6, atol=1e-12)
+    assert abs(float(found.s[1]) - middle) > 1e-3
+    # Turned a little, one flank is closer.
+    turned = locate(
+        jxr.Circle(0.012), trefoil, pose_a=(0.032 * np.cos(at + 0.02), 0.032 * np.sin(at + 0.02), 0.0)
+    )
+    assert bool(turned.unique) and float(turned.others.gap[0]) > float(turned.gap) + 1e-5
+
+
+LINE = jxr.Line((-0.01, 0.02))
+
+
+@pytest.mark.parametrize(
+    ("pose", "gap", "s"),
+    [
+        ((0.05, 0.0, np.pi), 0.03, 0.0),  # faces the circle
+        ((0.05, 0.05, np.pi), np.hypot(0.05, 0.03) - 0.02, 0.02),  # its last point is closest
+        ((0.05, -0.04, np.pi), np.hypot(0.05, 0.03) - 0.02, -0.01),
+        ((0.015, 0.0, np.pi), -0.005, 0.0),
+    ],
+)
+def test_line_with_ends_and_circle(pose, gap, s):
+    for swapped in (False, True):
+        pair = (jxr.Circle(0.02), LINE) if swapped else (LINE, jxr.Circle(0.02))
+        poses = {"pose_b" if swapped else "pose_a": pose}
+        found = locate(*pair, **poses)
+        np.testing.assert_allclose(float(found.gap), gap, atol=1e-14)
+        np.testing.assert_allclose(float(found.s[int(swapped)]), s, atol=1e-14)
+        assert found.result == SUCCESS and bool(found.unique)
+
+
+def test_two_lines_by_their_ends():
+    other = jxr.Line((-0.01, 0.03))
+    found = locate(LINE, other, pose_a=(0.05, 0.05, np.pi - 0.4))
+    points = [np.array([0.05, 0.05]) + 0.02 * np.array([-np.sin(0.4), -np.cos(0.4)]), np.array([0.0, 0.03])]
+    np.testing.assert_allclose(found.points[0], points[0], atol=1e-15)
+    gap = np.hypot(points[0][0], max(points[0][1] - 0.03, 0.0))
+    np.testing.assert_allclose(float(found.gap), gap, atol=1e-15)
+    np.testing.assert_allclose(np.asarray(found.s), [0.02, min(points[0][1], 0.03)], atol=1e-15)
+
+
+def measure(parameters):
+    """Gap and arclengths as functions of shapes and poses."""
+    sizes, cosines, pose_a, pose_b = parameters
+    a = jxr.Ellipse(sizes[0], sizes[1], cells=128)
+    b = Polar(sizes[2], cosines, jnp.zeros(3), cells=128)
+    found = locate(a, b, pose_a=pose_a, pose_b=pose_b, samples=64)
+    return jnp.stack([1e2 * found.gap, 1e2 * found.s[0], 1e2 * found.s[1], found.normal[1]])
+
+
+@pytest.mark.parametrize("reach", [0.055, 0.037], ids=["apart", "overlapping"])
+def test_derivatives_in_shapes_and_poses(reach):
+    """Taylor remainders of gap, arclengths and normal fall as the square of the step; both modes agree."""
+    point = (
+        jnp.array([0.02, 0.012, 0.02]),
+        jnp.array([0.02, 0.1, 0.12]),
+        jnp.array([reach, 0.012, 0.6]),
+        jnp.array([0.003, -0.002, -0.3]),
+    )
+    rng = np.random.default_rng(0)
+    direction = jax.tree.map(lambda x: jnp.asarray(rng.standard_normal(x.shape)) * 0.02, point)
+    value = jax.jit(measure)
+    assert float(value(point)[0]) * (reach - 0.045) > 0
+    _, slope = jax.jit(lambda p, d: jax.jvp(measure, (p,), (d,)))(point, direction)
+    steps = np.array([1e-1, 1e-2, 1e-3])
+    for i in range(4):
+        left = taylor_remainders(lambda p, i=i: value(p)[i], point, direction, slope[i], steps)
+        np.testing.assert_allclose(np.polyfit(np.log(steps), np.log(left), 1)[0], 2.0, atol=0.15)
+    rows = jax.jit(jax.jacrev(measure))(point)
+    again = sum(
+        jnp.sum(r * d, axis=tuple(range(1, r.ndim)))
+        for r, d in zip(rows, jax.tree.map(lambda x: x[None], direction), strict=True)
+    )
+    np.testing.assert_allclose(again, slope, rtol=1e-10)
+
+
+@pytest.mark.slow
+def test_second_derivative_of_the_gap():
+    """Two circles: the Hessian of the distance of their centres."""
+    gap = lambda p: circles((0.01, 0.02), jnp.array([p[0], p[1], 0.3]), jnp.zeros(3)).gap  # noqa: E731
+    p = jnp.array([0.04, 0.03])
+    away, unit = 0.05, np.array([0.8, 0.6])
+    np.testing.assert_allclose(jax.grad(gap)(p), unit, atol=1e-14)
+    exact = (np.eye(2) - np.outer(unit, unit)) / away
+    np.testing.assert_allclose(jax.hessian(gap)(p), exact, atol=1e-11)
+
+
+def test_derivative_at_an_end():
+    """The end follows its line's domain."""
+
+    def gap(last):
+        line = jxr.Line(jnp.stack([jnp.asarray(-0.01), last]))
+        return locate(jxr.Circle(0.02), line, pose_b=(0.05, 0.05, np.pi)).gap
+
+    np.testing.assert_allclose(jax.grad(gap)(0.02), -0.03 / np.hypot(0.05, 0.03), rtol=1e-12)
+
+
+def test_bad_arguments_raise_one_sentence():
+    circle = jxr.Circle(0.01)
+    with pytest.raises(ValueError, match="argument b must have ends or be closed, but was an endless Line"):
+        locate(circle, jxr.Line())
+    with pytest.raises(ValueError, match="argument pose_a must have shape"):
+        locate(circle, circle, pose_a=(0.0, 1.0))
+    with pytest.raises(ValueError, match="argument samples must be an integer of at least 8"):
+        locate(circle, circle, samples=4)
+    with pytest.raises(ValueError, match="argument a must be a contour"):
+        locate(0.01, circle)
+
+
+def disc_on_finger():
+    finger = jxr.Finger([0.065, 0.065], [0.045, 0.040], tip=jxr.Ellipse(0.012, 0.008, cells=128))
+    disc = jxr.PivotedObject(jxr.Circle(0.02), inertia=1e-5, pivot=(0.03, 0.09))
+    return jxr.Grasp(disc, finger, jxr.Contact())
+
+
+def test_close_locates_the_contacts():
+    """From a guess whose arclengths are far off."""
+    grasp = disc_on_finger()
+    guess = jxr.State(jnp.array([0.3, 0.5, 1.2]), jnp.zeros(3), jnp.array([0.004]))
+    closed, state = jxr.close(grasp, guess, locate=True)
+    left = jxr.residuals(closed, state)
+    for rows in (left.normal, left.tangential, left.tangency):
+        assert float(jnp.abs(rows).max()) <= 1e-13
+    assert float(jnp.abs(state.q - guess.q).max()) < 0.5
+    contact = closed.contacts[0]
+    assert abs(float(contact.s_tip)) > 1e-3 and abs(float(state.s[0])) < 0.02
+    with pytest.raises(ValueError, match="argument locate must be False for endless contours"):
+        jxr.close(grasp.with_tip(0, jxr.Line()), guess, locate=True)

@@ -1,0 +1,325 @@
+"""Support functions and networks: closed forms, closure, arclength, gradients, refusals, fits."""
+
+import functools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import taylor_remainders
+
+import jaxroll as jxr
+from jaxroll.geometry import frenet, PeriodicNetwork
+
+A, B = 0.01, 0.007
+TURN = 2.0 * np.pi
+
+
+def network(amplitude, harmonics=3):
+    return PeriodicNetwork(harmonics, width=6, key=jax.random.key(3), amplitude=amplitude)
+
+
+FIELDS = {
+    "support": jxr.SupportFunction(0.01, [1e-3, 5e-4, 3e-4], [-2e-3, 0.0, 2e-4], cells=512),
+    "neural support": jxr.NeuralSupport(network(0.2), 0.01, (1e-3, -2e-3), cells=512),
+    "neural curvature": jxr.NeuralCurvature(network(40.0), 0.06, 0.3, (1e-3, 2e-3), cells=512),
+}
+
+
+@pytest.fixture(scope="module", params=FIELDS)
+def field(request):
+    return FIELDS[request.param]
+
+
+def ellipse(count, a=A, b=B):
+    u = TURN * np.arange(count) / count
+    return np.stack([a * np.cos(u), b * np.sin(u)], -1)
+
+
+def bean(count):
+    """39 mm long, hollow on one side."""
+    u = TURN * np.arange(count) / count
+    x, y = 0.0195 * np.cos(u), 0.012 * np.sin(u)
+    return np.stack([x, y - 0.006 * np.cos(u) ** 2 + 15 * y * x**2 / 0.12], -1)
+
+
+def height(angle, a=A, b=B):
+    return np.sqrt((a * np.cos(angle)) ** 2 + (b * np.sin(angle)) ** 2)
+
+
+@jax.jit
+def by_autodiff(field, s):
+    ready = field.prepared()
+    return frenet(ready.curve, s), ready.frame(s)
+
+
+def samples(field, count=997):
+    return np.linspace(-0.01, float(field.domain()[1]) + 0.01, count)
+
+
+def test_frame_is_autodiff_of_the_point_at_unit_speed(field):
+    auto, read = by_autodiff(field, jnp.asarray(samples(field)))
+    speed = np.hypot(auto.tangent.x, auto.tangent.y)
+    np.testing.assert_allclose(speed, 1.0, atol=1e-10)
+    np.testing.assert_allclose(auto.tangent.array(), read.tangent.array(), atol=1e-10)
+    np.testing.assert_allclose(auto.curvature, read.curvature, rtol=1e-8, atol=1e-7)
+
+
+def test_closes_and_turns_once_counter_clockwise(field):
+    length = float(field.domain()[1])
+    s = length * np.arange(4000) / 4000
+    points, tangents = np.asarray(field.point(s)), np.asarray(field.tangent(s))
+    np.testing.assert_allclose(field.point(length), points[0], atol=1e-15)
+    np.testing.assert_allclose(field.curvature(s).mean() * length, TURN, rtol=1e-9)
+    np.testing.assert_allclose(tangents.mean(axis=0), 0.0, atol=1e-10)
+    area = 0.5 * length * np.mean(points[:, 0] * tangents[:, 1] - points[:, 1] * tangents[:, 0])
+    assert area > 1e-4
+
+
+def test_table_is_as_good_as_it_says(field):
+    error = field.table_error()
+    assert error.point < 1e-14
+    assert error.tangent < 1e-9
+    assert error.curvature < 1e-4
+
+
+def test_the_run_never_sees_the_network(field):
+    """The frame of a prepared field is one gather and arithmetic: as many operations for each."""
+    program = jax.make_jaxpr(lambda f, s: f.frame(s))(field.prepared(), 0.01)
+    count = [str(program).count(name) for name in ("gather", "tanh", "dot_general", "fft", "while")]
+    assert count == [count[0], 0, 0, 0, 0]
+    assert len(program.eqns) < 160
+
+
+def test_a_constant_support_function_is_the_circle():
+    field, circle = jxr.SupportFunction(0.01), jxr.Circle(0.01)
+    s = samples(field)
+    np.testing.assert_allclose(field.point(s), circle.point(s), atol=1e-16)
+    np.testing.assert_allclose(field.curvature(s), 100.0, rtol=1e-8)
+    assert float(field.margin()) == 0.0
+
+
+def test_first_harmonic_shifts_and_arclength_is_the_integral():
+    """Against the definition: h n + h' n' at the arclength that a quadrature of h + h'' gives."""
+    field = FIELDS["support"]
+    angle = np.linspace(0.0, TURN, 20001)
+    a, b = np.asarray(field.cosines), np.asarray(field.sines)
+    k = np.arange(1, 4)[:, None]
+    h = 0.01 + a @ np.cos(k * angle) + b @ np.sin(k * angle)
+    slope = (b * [1, 2, 3]) @ np.cos(k * angle) - (a * [1, 2, 3]) @ np.sin(k * angle)
+    half = np.linspace(0.0, TURN, 40001)
+    rho = 0.01 + (a * [0, -3, -8]) @ np.cos(k * half) + (b * [0, -3, -8]) @ np.sin(k * half)
+    s = np.concatenate([[0.0], np.cumsum(rho[:-2:2] + 4 * rho[1::2] + rho[2::2])]) * angle[1] / 6
+    rho = rho[::2]
+    n = np.stack([np.cos(angle), np.sin(angle)], -1)
+    t = np.stack([-n[:, 1], n[:, 0]], -1)
+    np.testing.assert_allclose(field.point(s), h[:, None] * n + slope[:, None] * t, atol=1e-14)
+    np.testing.assert_allclose(field.normal(s), n, atol=1e-10)
+    np.testing.assert_allclose(field.curvature(s), 1 / rho, rtol=1e-7)
+    np.testing.assert_allclose(field.support(angle), h, rtol=1e-14)
+    centre = jxr.SupportFunction(0.01, [3e-3], [4e-3]).point(0.0)
+    np.testing.assert_allclose(centre, [0.013, 0.004], atol=1e-16)
+
+
+def test_neural_support_is_the_network_s_own():
+    """Against derivatives of the network by autodiff, which the field itself doesn't take."""
+    field = FIELDS["neural support"]
+
+    def h(angle):
+        across = field.centre[0] * jnp.cos(angle) + field.centre[1] * jnp.sin(angle)
+        return field.radius * (1 + field.network(angle)) + across
+
+    angle = jnp.linspace(0.0, TURN, 4001)
+    value, slope, bend = (jax.jit(jax.vmap(f))(angle) for f in (h, jax.grad(h), jax.grad(jax.grad(h))))
+    rho = np.asarray(value + bend)
+    s = np.concatenate([[0.0], np.cumsum(0.5 * (rho[1:] + rho[:-1]))]) * float(angle[1])
+    n = np.stack([np.cos(angle), np.sin(angle)], -1)
+    t = np.stack([-n[:, 1], n[:, 0]], -1)
+    points = np.asarray(value)[:, None] * n + np.asarray(slope)[:, None] * t
+    np.testing.assert_allclose(field.point(s), points, atol=1e-8)
+    np.testing.assert_allclose(field.curvature(s), 1 / rho, rtol=2e-5)
+    np.testing.assert_allclose(float(field.smallest_radius()), rho.min(), rtol=1e-6)
+    np.testing.assert_allclose(field.domain()[1], s[-1], rtol=1e-9)
+
+
+def test_curvature_is_the_network_where_symmetry_closes_it():
+    """A network of 2 phi alone has half a turn's symmetry: nothing is left to correct."""
+    whole = network(30.0, harmonics=2)
+    first = whole.layers[0].weight.at[:, jnp.array([0, 2])].set(0.0)
+    field = jxr.NeuralCurvature(eqx.tree_at(lambda n: n.layers[0].weight, whole, first), 0.06, cells=512)
+    phase = TURN * np.arange(256) / 256
+    values = np.asarray(field.network.values(phase))
+    assert np.ptp(values) > 1.0
+    expected = (TURN + values - values.mean()) / 0.06
+    np.testing.assert_allclose(field.curvature(0.06 * phase / TURN), expected, rtol=1e-7)
+    assert float(field.closure()) < 1e-16
+
+
+def test_closure_is_exact_for_wild_weights():
+    field = FIELDS["neural curvature"]
+    values = np.asarray(field.network.values(TURN * np.arange(512) / 512))
+    turned = TURN * np.arange(512) / 512 + np.cumsum(values - values.mean()) / 512
+    assert abs(np.mean(np.exp(1j * turned))) > 0.01  # a gap of 0.6 mm without the correction
+    assert float(field.closure()) < 1e-16
+    assert float(np.min(field.curvature(samples(field)))) < 0.0
+
+
+def test_ellipse_converges_spectrally():
+    angle = np.linspace(0.0, TURN, 400)
+    fits = [jxr.SupportFunction.through(ellipse(120), terms=m) for m in (4, 8, 12, 24)]
+    errors = [np.abs(np.asarray(fit.support(angle)) - height(angle)).max() for fit in fits]
+    # A factor of the same size for every four terms, then nothing but rounding.
+    assert errors[0] < 1e-5
+    assert all(low < 0.03 * high for high, low in zip(errors[:2], errors[1:3], strict=True))
+    assert errors[3] < 1e-12
+    s = samples(fits[3])
+    exact = jxr.Ellipse(A, B)
+    np.testing.assert_allclose(fits[3].point(s), exact.point(s), atol=1e-11)
+    np.testing.assert_allclose(fits[3].curvature(s), exact.curvature(s), rtol=1e-6)
+
+
+def test_fit_needs_no_order_and_averages_noise():
+    rng = np.random.default_rng(0)
+    points = rng.permutation(ellipse(400) + (0.05, -0.02)) + 1e-5 * rng.standard_normal((400, 2))
+    fit = jxr.SupportFunction.through(points, terms=6)
+    np.testing.assert_allclose([fit.cosines[0], fit.sines[0]], [0.05, -0.02], atol=5e-6)
+    angle = np.linspace(0.0, TURN, 400)
+    centred = np.asarray(fit.support(angle)) - 0.05 * np.cos(angle) + 0.02 * np.sin(angle)
+    assert np.sqrt(np.mean((centred - height(angle)) ** 2)) < 4e-6
+
+
+@pytest.mark.parametrize("name", ["support", "neural support"])
+def test_margin_is_the_smallest_second_derivative(name):
+    field = FIELDS[name]
+    angle = np.linspace(0.4, 1.9, 1501)
+    step = 1e-3
+    bend = (field.support(angle + step) - 2 * field.support(angle) + field.support(angle - step)) / step**2
+    np.testing.assert_allclose(float(field.margin(0.4, 1.9)), float(bend.min()), atol=1e-7)
+
+
+def test_margin_of_a_shifted_circle_and_its_gradient():
+    """h = r + a cos phi: h'' = -a cos phi, positive on the far side alone."""
+
+    def margin(a):
+        return jxr.SupportFunction(0.01, jnp.reshape(a, 1), [0.0]).margin(2.5, 3.5)
+
+    np.testing.assert_allclose(margin(2e-3), -2e-3 * np.cos(2.5), rtol=1e-12)
+    np.testing.assert_allclose(jax.grad(margin)(2e-3), -np.cos(2.5), rtol=1e-12)
+
+
+WHERE = {
+    "support": (lambda f: f.cosines, lambda x: x.at[1].set(1e-3)),
+    "neural support": (lambda f: f.network.layers[1].weight, lambda x: x.at[2, 3].set(1.0)),
+    "neural curvature": (lambda f: f.network.layers[1].weight, lambda x: x.at[2, 3].set(1.0)),
+}
+
+
+@functools.cache
+def probe(name):
+    field, (where, _) = FIELDS[name], WHERE[name]
+    coarse = eqx.tree_at(
+        lambda f: f.radius if hasattr(f, "radius") else f.length, field, replace_fn=jnp.asarray
+    )
+
+    @jax.jit
+    def value(x):
+        frame = eqx.tree_at(where, coarse, x).tabulate(64).frame(jnp.asarray(0.0137))
+        return frame.point.x / 0.01 + frame.tangent.y + frame.curvature / 100.0
+
+    return value
+
+
+@pytest.mark.parametrize("name", WHERE)
+def test_gradient_through_the_table(name):
+    where, direct = WHERE[name]
+    value, x = probe(name), where(FIELDS[name])
+    direction = direct(jnp.zeros_like(x))
+    _, slope = jax.jvp(value, (x,), (direction,))
+    assert abs(slope) > 1e-4
+    np.testing.assert_allclose(jnp.sum(jax.grad(value)(x) * direction), slope, rtol=1e-10)
+    steps = np.array([1e-1, 1e-2, 1e-3])
+    left = taylor_remainders(value, x, direction, slope, steps)
+    rates = np.log10(left[:-1] / left[1:])
+    np.testing.assert_allclose(rates, 2.0, atol=0.25)
+    central = (value(x + 1e-5 * direction) - value(x - 1e-5 * direction)) / 2e-5
+    np.testing.assert_allclose(slope, central, rtol=1e-6, atol=1e-9)
+
+
+def test_vmap_and_jit_without_wrappers(field):
+    sizes = jnp.array([0.5, 1.0, 2.0])
+
+    @jax.jit
+    def point(size, field):
+        wide = jax.tree.map(lambda leaf: leaf, field)
+        name = "length" if hasattr(field, "length") else "radius"
+        wide = eqx.tree_at(lambda f: getattr(f, name), wide, size * getattr(field, name))
+        return wide.tabulate(64).frame(size * 0.01).point.array()
+
+    many = jax.vmap(point, (0, None))(sizes, field)
+    np.testing.assert_allclose(many[0], point(sizes[0], field), atol=1e-15)
+    assert many.shape == (3, 2)
+
+
+@pytest.mark.parametrize(
+    ("make", "match"),
+    [
+        (
+            lambda: jxr.SupportFunction(0.01, [0.0, 4e-3], [0.0, 0.0]),
+            r"radius of curvature positive, .* -0.002 m",
+        ),
+        (lambda: jxr.SupportFunction(-0.01), "argument radius must be positive"),
+        (lambda: jxr.SupportFunction(0.01, [0.0], [0.0, 0.0]), r"argument sines must have shape \(1\)"),
+        (lambda: jxr.SupportFunction.through(ellipse(9), terms=5), "argument terms must lie between 1 and 4"),
+        (lambda: jxr.SupportFunction.through(bean(200), terms=30), "radius of curvature positive"),
+        (lambda: jxr.NeuralSupport(network(20.0), 0.01), "argument network must keep the radius"),
+        (lambda: jxr.NeuralCurvature(network(1.0), 0.0), "argument length must be positive"),
+        (lambda: PeriodicNetwork(activation="relu", key=jax.random.key(0)), "must be one of .*'relu'"),
+        (lambda: PeriodicNetwork(0, key=jax.random.key(0)), "argument harmonics must be at least 1"),
+        (lambda: jxr.NeuralSupport.through(ellipse(5), key=jax.random.key(0)), "more than 8 rows, but had 5"),
+        (
+            lambda: jxr.NeuralCurvature.through(ellipse(50)[::-1], key=jax.random.key(0)),
+            "must run counter-clockwise",
+        ),
+    ],
+)
+def test_refusals(make, match):
+    with pytest.raises(ValueError, match=match):
+        make()
+
+
+def test_folded_support_function_is_reported_while_tracing():
+    """Under a transformation nothing can be raised: the smallest radius tells."""
+    found = jax.vmap(
+        lambda a: jxr.SupportFunction(0.01, jnp.stack([0.0 * a, a]), [0.0, 0.0]).smallest_radius()
+    )
+    np.testing.assert_allclose(found(jnp.array([1e-3, 4e-3])), [7e-3, -2e-3], rtol=1e-9)
+
+
+def test_neural_support_fits_an_ellipse():
+    seen = []
+    fit = jxr.NeuralSupport.fit(
+        ellipse(100) + (0.03, 0.01), key=jax.random.key(0), steps=75, progress=lambda *at: seen.append(at)
+    )
+    assert fit.rms < 1e-7
+    assert fit.rms <= fit.largest < 5e-7
+    assert [step for step, _ in seen] == [25, 50, 75]
+    assert fit.loss_history.shape == (fit.steps + 1,)
+    angle = np.linspace(0.0, TURN, 500)
+    exact = height(angle) + 0.03 * np.cos(angle) + 0.01 * np.sin(angle)
+    assert np.abs(np.asarray(fit.field.support(angle)) - exact).max() < 5e-7
+    assert "um rms" in str(fit)
+
+
+@pytest.mark.slow
+def test_neural_curvature_fits_an_ellipse_and_a_bean():
+    for points, bound in ((ellipse(150), 1e-6), (bean(150), 1e-6)):
+        fit = jxr.NeuralCurvature.fit(points, key=jax.random.key(0), steps=100)
+        assert fit.rms < bound, fit
+        s = np.linspace(0.0, float(fit.field.length), 4001)
+        far = np.hypot(*(np.asarray(fit.field.point(s))[:, None] - points[None]).transpose(2, 0, 1)).min(
+            axis=0
+        )
+        # Independent of the fit's own feet; the samples are 25 um apart.
+        assert far.max() < 20e-6
+        assert float(fit.field.closure()) < 1e-15

@@ -1,7 +1,8 @@
 """Two shapes touching: gap, tangency, Pfaffian rows by autodiff, and rolling kinematics."""
 
 from ._clearance import clearance as clearance, TOLERANCE as TOLERANCE
-from ._location import LocalMinima as LocalMinima, locate as locate, Location as Location
+from ._closest import LocalMinima as LocalMinima, Location as Location
+from ._location import locate as locate
 from ._rolling import (
     Contact as Contact,
     gap as gap,

@@ -7,13 +7,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array
 
 from .._algebra import Pose2, sincos, unstack, Vec2
 from .._results import as_floats, RESULTS
 from .._types import Given, Scalar
-from ..geometry import AbstractContour, Frenet2
+from ..geometry import AbstractContour, Frenet2, tabled
 from ._candidates import feet, into, lowest, Minima, minima, nearest_blocked, spread, toward
+from ._closest import LocalMinima, Location
 
 _STEPS = 10
 # All relative to the mean radius (perimeter over 2 pi) of both contours.
@@ -23,54 +24,6 @@ _ALIKE = 1e-9  # gaps closer than this are equal
 _FLAT = 1e-9  # second derivatives below this do not single out a point
 _MISSED = 1e-4  # a sample is below a gap by more than this
 _BEND = 0.05  # least distance from a centre of curvature, relative to the radius, in a step
-
-
-class LocalMinima(eqx.Module):
-    """Local minima of the signed distance besides the lowest, lowest first.
-
-    Attributes:
-        gap: Signed distances [m]; infinite where there are no more.
-        s: Arclengths on both contours [m].
-        there: Which entries hold a minimum.
-    """
-
-    gap: Float[Array, " candidates"]
-    s: Float[Array, "candidates 2"]
-    there: Bool[Array, " candidates"]
-
-    @property
-    def count(self) -> Int[Array, ""]:
-        """How many there are."""
-        return jnp.sum(self.there, axis=-1)
-
-
-class Location(eqx.Module):
-    """The closest points of two contours.
-
-    Attributes:
-        gap: Signed distance [m], negative where the contours overlap.
-        s: Arclengths of the closest points on `a` and on `b` [m].
-        points: Both points in the world [m], one row each.
-        normal: Outward normal of `b` at its point, in the world.
-        residual: What is left of the conditions of stationarity [m].
-        unique: Whether no other local minimum has this gap.
-        others: Further local minima: second contacts.
-        result: Code of `jaxroll.RESULTS`.
-    """
-
-    gap: Float[Array, ""]
-    s: Float[Array, "2"]
-    points: Float[Array, "2 2"]
-    normal: Float[Array, "2"]
-    residual: Float[Array, ""]
-    unique: Bool[Array, ""]
-    others: LocalMinima
-    result: RESULTS
-
-    @property
-    def penetrating(self) -> Bool[Array, ""]:
-        """Whether the contours overlap."""
-        return self.gap < 0.0
 
 
 @jax.tree_util.register_dataclass
@@ -162,7 +115,7 @@ def locate(
         if not isinstance(count, int) or count < low:
             raise ValueError(f"argument {name} must be an integer of at least {low}, but was {count!r}")
     poses = (as_floats("pose_a", pose_a, (3,)), as_floats("pose_b", pose_b, (3,)))
-    return _locate(a, b, poses, samples, candidates)
+    return _locate(tabled(a), tabled(b), poses, samples, candidates)
 
 
 @eqx.filter_jit

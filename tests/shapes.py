@@ -150,7 +150,11 @@ def random_outlines(rng, kind, count):
 
 
 def contour_of(kind, numbers):
-    """The contour of one row of `random_outlines`."""
+    """The contour of one row of `random_outlines`; "spline": a polar one by 96 of its points."""
+    if kind == "spline":
+        u = jnp.arange(96) * (2.0 * np.pi / 96)
+        r = _radius(numbers, u)[0]
+        return jxr.Spline(jnp.stack([r * jnp.cos(u), r * jnp.sin(u)], axis=-1), cells=256)
     return jxr.Ellipse(*numbers, cells=256) if kind == "ellipse" else Polar(*numbers)
 
 

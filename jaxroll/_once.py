@@ -10,28 +10,24 @@ Build = TypeVar("Build", bound=Callable[[Any], Any])
 _KEPT = 16
 
 
-class _Same:
-    """A value as a key: equal to itself alone."""
-
-    def __init__(self, value: Any) -> None:
-        self.value = value
-
-    def __hash__(self) -> int:
-        return id(self.value)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Same) and other.value is self.value
-
-
 def remembered(build: Build) -> Build:
     """Keep what a function made of its last few arguments; what JAX is tracing is made anew.
 
     For contours and grasps, which never change: two runs with one of them then share its tables.
     """
-    kept = functools.lru_cache(maxsize=_KEPT)(lambda key: build(key.value))
+    # By identity. The value is kept with what was made of it, so that its number stays its own.
+    kept: dict[int, tuple[Any, Any]] = {}
 
     @functools.wraps(build)
     def door(value: Any) -> Any:
-        return build(value) if traced(value) else kept(_Same(value))
+        found = kept.get(id(value))
+        if found is not None:
+            return found[1]
+        made = build(value)
+        if not traced(value):
+            kept[id(value)] = (value, made)
+            for oldest in list(kept)[:-_KEPT]:
+                kept.pop(oldest, None)
+        return made
 
     return door  # pyright: ignore

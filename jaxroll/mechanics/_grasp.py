@@ -114,8 +114,7 @@ class Grasp(eqx.Module):
 
     def tabled(self) -> "Grasp":
         """This grasp with the tables of its contours built, by a program of their own."""
-        contours = _all_contours(self)
-        return self if all(tabled(c) is c for c in contours) else _with_tables(self)
+        return self if all(tabled(c) is c for c in _all_contours(self)) else _with_tables(self)
 
     def with_(self, **changes: Any) -> "Grasp":
         """A copy with fields replaced, by name.

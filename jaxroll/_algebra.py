@@ -154,7 +154,9 @@ def stacked(values: Sequence[Scalar]) -> jax.Array:
 
 
 def total(terms: Sequence[Any]) -> Any:
-    """Sum of scalars or vectors without a zero to start from."""
+    """Sum of scalars or vectors without a zero to start from; 0.0 where there are none."""
+    if not terms:
+        return 0.0
     result = terms[0]
     for term in terms[1:]:
         result = result + term

@@ -1,0 +1,81 @@
+"""Jaws: prismatic joints by hand, energy, and a parallel gripper that squeezes a roller."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxroll as jxr
+
+
+def gripper(gravity=None):
+    """A disc between a fixed wall and a jaw on two oblique joints."""
+    wall = jxr.Jaw(jxr.Line(), angle=0.5 * np.pi)
+    jaw = jxr.Jaw(
+        jxr.Line(), 0.3, jnp.array([0.2, 1.3]), base=jnp.array([0.01, 0.02]), angle=jnp.asarray(-0.5 * np.pi)
+    )
+    disc = jxr.FreeObject(jxr.Circle(0.01), 0.05, 2.5e-6)
+    quarter = 0.005 * np.pi
+    contacts = (jxr.Contact(0.0, quarter, finger=0), jxr.Contact(0.0, -quarter, finger=1))
+    grasp = jxr.Grasp(disc, (jaw, wall), contacts, gravity=gravity)
+    state = jxr.State(jnp.array([0.0, 0.01, 0.0, 0.0, 0.0]), jnp.zeros(5), jnp.zeros(2))
+    return jxr.close(grasp, state, hold_contacts=False)
+
+
+def test_mass_and_weight_of_oblique_joints():
+    gravity = np.array([0.3, -9.81])
+    terms = jxr.equation_terms(*gripper(gravity))
+    axes = np.stack([np.cos([0.2, 1.3]), np.sin([0.2, 1.3])])
+    np.testing.assert_allclose(terms.mass[3:, 3:], 0.3 * axes.T @ axes, rtol=1e-14)
+    np.testing.assert_allclose(terms.bias[3:], -0.3 * gravity @ axes, rtol=1e-14)
+    assert terms.mass.shape == (5, 5)  # the wall has no coordinate
+
+
+def test_energy_of_a_rolling_plate():
+    """Under its weight the plate presses; a sideways pull of gravity sets the roller going."""
+    grasp, state = gripper(np.array([0.5, -9.81]))
+    run = jxr.simulate(grasp, state, 0.2, ts=21, rtol=1e-10, record=("energy", "multipliers"))
+    size = float(np.abs(run.energy.kinetic).max())
+    assert size > 1e-5 and np.abs(run.energy.residual).max() < 1e-9 * size
+    x, plate = np.asarray(run.states.q[:, 0]), np.asarray(run.states.q[:, 3:])
+    travel = plate @ np.cos([0.2, 1.3])
+    np.testing.assert_allclose(x - x[0], 0.5 * (travel - travel[0]), atol=1e-14)
+    # By hand: the roller's m/4 + I/(4 r^2) rides on the plate's mass; half of its own weight pulls along.
+    moved = 0.3 + 0.25 * 0.05 + 0.25 * 2.5e-6 / 0.01**2
+    pull = 0.5 * (0.3 + 0.5 * 0.05)
+    np.testing.assert_allclose(travel - travel[0], 0.5 * pull / moved * np.asarray(run.ts) ** 2, atol=1e-9)
+    np.testing.assert_allclose(run.multipliers.f[:, 0], 0.3 * 9.81, rtol=1e-6)
+    np.testing.assert_allclose(run.multipliers.f[:, 1], 0.35 * 9.81, rtol=1e-6)
+
+
+def test_disc_on_an_incline():
+    """Nothing but a fixed wall: a disc rolls down with two thirds of the pull."""
+    slope, g = 0.3, 9.81
+    wall = jxr.Jaw(jxr.Line(), angle=0.5 * np.pi)
+    disc = jxr.FreeObject(jxr.Circle(0.01), 0.05, 2.5e-6)
+    down = np.array([g * np.sin(slope), -g * np.cos(slope)])
+    grasp = jxr.Grasp(disc, wall, jxr.Contact(0.0, -0.005 * np.pi), gravity=down)
+    start = jxr.State(jnp.array([0.0, 0.01, 0.0]), jnp.zeros(3), jnp.zeros(1))
+    run = jxr.simulate(*jxr.close(grasp, start), 1.0, ts=11, rtol=1e-10, record=("energy",))
+    exact = 0.5 * (2.0 / 3.0) * g * np.sin(slope) * np.asarray(run.ts) ** 2
+    np.testing.assert_allclose(run.states.q[:, 0], exact, rtol=1e-12, atol=1e-15)
+    assert np.abs(run.energy.residual).max() < 1e-12 * float(run.energy.kinetic[-1])
+
+
+def test_jaws_are_drawn():
+    grasp, state = jxr.scenes.roller()
+    run = jxr.simulate(grasp, state, 1.0, ts=11)
+    figure = jxr.plotting.poses(grasp, run, times=(0.0, 0.5, 1.0))
+    assert len(figure.axes) >= 3
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((jxr.Line(), 0.0), "mass must be positive"),
+        ((jxr.Line(), 1.0, [0.0, 1.0, 2.0]), "at most 2 angles"),
+        (("line",), "contour must be a contour"),
+    ],
+)
+def test_bad_jaws(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        jxr.Jaw(*arguments)

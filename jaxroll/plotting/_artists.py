@@ -50,6 +50,7 @@ class Drawing:
         traced: bool = False,
     ) -> None:
         self.seen, self.forces, self.traced = seen, forces, traced
+        self.jointed = any(joints.shape[1] > 1 for joints in seen.joints)
         self.pivoted = isinstance(grasp.object, PivotedObject)
         self.radius = 0.045 * MM * float(np.mean([f.size for f in grasp.fingers]))
         fill = partial(_polygon, ax, np.zeros((3, 2)))
@@ -82,6 +83,7 @@ class Drawing:
                 link.set_xy(_capsule(*ends, self.radius))
             pins.set_data(*joints[i, :-1].T)
             base.set_xy(joints[i, 0] + 1.5 * self.radius * _SQUARE)
+            base.set_visible(joints.shape[1] > 1)  # a jaw has none to show
         for guide, ends in zip(self.guides, seen.guides, strict=True):
             guide.set_data(*ends[i].T)
         self.centres.set_data(*np.array([joints[i, -1] for joints in seen.joints]).T)
@@ -107,7 +109,7 @@ class Drawing:
         entries = [
             (Patch(fc=TIP_FILL, ec=FINGER, lw=1.4), "fingertip"),
             (Patch(fc=OBJECT_FILL, ec=OBJECT, lw=1.4), "object"),
-            (self.bases[0], "fixed base"),
+            *[(base, "fixed base") for base in self.bases[:1] if self.jointed],
             (self.points, _point_name(len(self.seen.owners))),
             (self.centres, _centre_name(len(self.seen.tips), alone)),
             ((self.origin, self.dot), "pivot $O_m$")

@@ -121,6 +121,6 @@ def _guides(grasp: Grasp, centres: Sequence[np.ndarray]) -> tuple[np.ndarray, ..
     if isinstance(grasp.controller, Press):
         target = MM * np.asarray(grasp.controller.target)
         return tuple(np.stack([c, np.broadcast_to(target, c.shape)], axis=1) for c in centres)
-    if len(centres) == 2:
+    if len(centres) == 2 and all(finger.turns for finger in grasp.fingers):
         return (np.stack(centres, axis=1),)
     return ()

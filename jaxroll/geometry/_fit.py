@@ -72,11 +72,12 @@ class FitReport:
         changes += [word for word in ("reordered", "reversed") if getattr(self, word)]
         low, high = self.curvature
         wave = f"wavelength {1e3 * self.smoothing:.4g} mm" if self.smoothing else "none: through every point"
+        distance = f"{1e6 * self.rms:.3g} um rms, {1e6 * self.largest:.3g} um at most"
         rows = {
             "contour": f"{'closed' if self.closed else 'open'} {self.field}, {1e3 * self.length:.6g} mm long",
             "points": ", ".join([f"{self.points} used", *changes]),
             "smoothing": wave,
-            "distance of points": f"{1e6 * self.rms:.3g} um rms, {1e6 * self.largest:.3g} um at most",
+            "distance of points": "none but rounding" if self.largest < 1e-13 else distance,
             "curvature": f"{low:.4g} to {high:.4g} 1/m, {self.inflections or 'no'} changes of sign",
             "smallest radius": f"{1e3 * self.radius:.4g} mm",
             "smoothness": f"{self.smoothness:g} continuous derivatives",

@@ -8,21 +8,26 @@ import importlib
 from typing import Any, TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from . import contact, control, geometry, io, plotting, scenes, stability
+    from . import contact, control, design, geometry, io, plotting, scenes, stability
     from ._results import RESULTS
     from ._sweep import sweep
     from .contact import Contact
     from .geometry import (
         AbstractContour,
+        AbstractSurface,
         Catenary,
         Circle,
         Ellipse,
+        Ellipsoid,
         fit_contour,
         Line,
         NeuralCurvature,
         NeuralSupport,
+        Plane,
+        Sphere,
         Spline,
         SupportFunction,
+        Torus,
     )
     from .integration import (
         close,
@@ -45,6 +50,7 @@ __version__ = "0.1.0"
 _HOMES: dict[str, str | None] = {
     "contact": None,
     "control": None,
+    "design": None,
     "geometry": None,
     "io": None,
     "plotting": None,
@@ -62,6 +68,11 @@ _HOMES: dict[str, str | None] = {
     "NeuralSupport": "geometry",
     "Spline": "geometry",
     "SupportFunction": "geometry",
+    "AbstractSurface": "geometry",
+    "Ellipsoid": "geometry",
+    "Plane": "geometry",
+    "Sphere": "geometry",
+    "Torus": "geometry",
     "fit_contour": "geometry",
     "CSM": "integration",
     "Index1": "integration",
@@ -85,10 +96,12 @@ __all__ = [  # noqa: PLE0604
     "CSM",
     "RESULTS",
     "AbstractContour",
+    "AbstractSurface",
     "Catenary",
     "Circle",
     "Contact",
     "Ellipse",
+    "Ellipsoid",
     "Finger",
     "FreeObject",
     "Grasp",
@@ -98,13 +111,17 @@ __all__ = [  # noqa: PLE0604
     "NeuralCurvature",
     "NeuralSupport",
     "PivotedObject",
+    "Plane",
+    "Sphere",
     "Spline",
     "State",
     "SupportFunction",
+    "Torus",
     "Trajectory",
     "close",
     "contact",
     "control",
+    "design",
     "energies",
     "equation_terms",
     "fit_contour",

@@ -21,12 +21,14 @@ RANKS = {
     "_results": 1,
     "_once": 2,
     "_algebra": 2,
+    "_spatial": 2,
     "geometry": 3,
     "contact": 4,
     "mechanics": 5,
     "control": 6,
     "integration": 7,
     "stability": 8,
+    "design": 9,
     "_sweep": 8,
     "scenes": 9,
     "io": 9,
@@ -151,7 +153,7 @@ def cycles_inside(folder):
 
 
 @pytest.mark.parametrize(
-    "folder", ["geometry", "contact", "mechanics", "integration", "stability", "plotting", "io"]
+    "folder", ["geometry", "contact", "mechanics", "integration", "stability", "design", "plotting", "io"]
 )
 def test_no_cycles_inside_a_folder(folder):
     assert not cycles_inside(folder)
@@ -222,10 +224,11 @@ def test_parameter_budget():
 
 
 PUBLIC = {
+    "AbstractSurface", "Ellipsoid", "Plane", "Sphere", "Torus",
     "AbstractContour", "CSM", "Catenary", "Circle", "Contact", "Ellipse", "Finger", "FreeObject",
     "Grasp", "Index1", "Jaw", "Line", "NeuralCurvature", "NeuralSupport", "PivotedObject", "RESULTS",
     "Spline", "State", "SupportFunction", "Trajectory", "close", "contact",
-    "control", "energies", "equation_terms", "fit_contour", "geometry", "io", "multipliers",
+    "control", "design", "energies", "equation_terms", "fit_contour", "geometry", "io", "multipliers",
     "pinch_balance", "plotting", "press_balance",
     "residuals", "scenes", "simulate", "stability", "sweep",
 }  # fmt: skip

@@ -1,0 +1,133 @@
+"""What a fingertip must keep to: size, length, radii and smoothness."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._results import as_floats, check_positive
+from .._types import Given, Scalar
+from ..geometry import AbstractContour, Frenet2
+
+_PAD, _WHOLE = 65, 257
+
+
+class Samples(eqx.Module):
+    """Frames on the contact interval and all along the contour, and the arclength between the latter."""
+
+    pad: Frenet2
+    whole: Frenet2
+    step: Scalar
+    length: Scalar
+
+
+def sampled(contour: AbstractContour, interval: Array) -> Samples:
+    """Evaluate a contour on its contact interval and from end to end."""
+    ready = contour.prepared()
+    ends = ready.domain()
+    assert ends is not None  # checked where the contour came in
+    length = ends[1] - ends[0]
+    pad = ready.frame(interval[0] + (interval[1] - interval[0]) * jnp.linspace(0.0, 1.0, _PAD))
+    whole = ready.frame(ends[0] + length * jnp.linspace(0.0, 1.0, _WHOLE))
+    return Samples(pad, whole, length / (_WHOLE - 1), length)
+
+
+class Limits(eqx.Module):
+    r"""Bounds on a fingertip; None leaves one out. All are kept on samples, 257 all round and 65 on the pad.
+
+    Args:
+        size: Largest distance of a point from $O_i$ [m].
+        length: Largest arclength of the whole contour [m].
+        radius: Smallest radius of curvature anywhere, hollow or not [m]: what a nozzle or cutter can make.
+        flat: Largest radius of curvature on the contact interval [m]. Without it the best pad is a flat
+            one, which rolls on its ends alone; the interval is kept convex all the same.
+        steepness: Largest $|d\kappa/ds|$ [1/m^2]: smoothness.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> limits = jxr.design.Limits(size=0.02, radius=0.002, flat=0.05)
+    """
+
+    size: Float[Array, ""] | None
+    length: Float[Array, ""] | None
+    radius: Float[Array, ""] | None
+    flat: Float[Array, ""] | None
+    steepness: Float[Array, ""] | None
+
+    def __init__(
+        self,
+        *,
+        size: Given | None = None,
+        length: Given | None = None,
+        radius: Given | None = None,
+        flat: Given | None = 0.1,
+        steepness: Given | None = None,
+    ) -> None:
+        self.size = _bound("size", size)
+        self.length = _bound("length", length)
+        self.radius = _bound("radius", radius)
+        self.flat = _bound("flat", flat)
+        self.steepness = _bound("steepness", steepness)
+
+    def excess(self, seen: Samples) -> dict[str, Array]:
+        """By how much each bound is passed, relative to it: not positive where it is kept."""
+        found, point, bends = {}, seen.whole.point, seen.whole.curvature
+        if self.size is not None:
+            found["size"] = jnp.sqrt(point.dot(point)) / self.size - 1.0
+        if self.length is not None:
+            found["length"] = jnp.atleast_1d(seen.length / self.length - 1.0)
+        if self.radius is not None:
+            found["radius"] = jnp.concatenate([bends, -bends]) * self.radius - 1.0
+        if self.flat is None:
+            found["convex"] = -seen.pad.curvature * seen.length
+        else:
+            found["flat"] = 1.0 - seen.pad.curvature * self.flat
+        if self.steepness is not None:
+            slope = jnp.diff(bends) / (seen.step * self.steepness)
+            found["steepness"] = jnp.concatenate([slope, -slope]) - 1.0
+        return found
+
+    def all(self, seen: Samples) -> Array:
+        """All of `excess` in one vector."""
+        parts = list(self.excess(seen).values())
+        return jnp.concatenate(parts) if parts else jnp.full(1, -1.0)
+
+
+def _bound(name: str, value: Given | None) -> Array | None:
+    return None if value is None else check_positive(name, as_floats(name, value, ()))
+
+
+def margins(frames: Frenet2, scale: Scalar) -> Array:
+    r"""Margin of (41), $1/\kappa + n \cdot \gamma$ [m], continued through $\kappa = 0$ by a bounded function.
+
+    Below $\kappa_0$ = `1 / (50 scale)` the radius is $(2 - 1/(2 - \kappa/\kappa_0))/\kappa_0$, which is below
+    $2/\kappa_0$ however hollow the contour.
+    """
+    least = 1.0 / (50.0 * scale)
+    bend = frames.curvature
+    hollow = (2.0 - 1.0 / (2.0 - jnp.minimum(bend / least, 1.0))) / least
+    radius = jnp.where(bend > least, 1.0 / jnp.maximum(bend, least), hollow)
+    return radius - frames.tangent.right().dot(frames.point)
+
+
+def soft_least(values: Array, sharpness: float) -> Array:
+    r"""Smooth lower bound of the least of dimensionless values: $-\log\sum_i e^{-k v_i}/k$."""
+    least = jnp.min(values)
+    return least - jnp.log(jnp.sum(jnp.exp(-sharpness * (values - least)))) / sharpness
+
+
+def check_interval(contour: AbstractContour, interval: Given) -> Array:
+    """The contact interval as an array, inside the contour."""
+    ends = as_floats("interval", interval, (2,))
+    low, high = np.asarray(ends)
+    if not low < high:
+        raise ValueError(f"argument interval must be increasing, but was {[float(low), float(high)]}")
+    domain, kind = contour.domain(), type(contour).__name__
+    if domain is None:
+        raise ValueError(f"argument tip must have ends or be closed, but was an endless {kind}")
+    if not contour.closed and not (float(domain[0]) <= low and high <= float(domain[1])):
+        raise ValueError(
+            f"argument interval must lie on the contour, between {float(domain[0]):g} and "
+            f"{float(domain[1]):g} m, but was {[float(low), float(high)]}"
+        )
+    return ends

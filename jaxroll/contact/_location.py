@@ -64,8 +64,8 @@ def locate(
     *,
     pose_a: Given = (0.0, 0.0, 0.0),
     pose_b: Given = (0.0, 0.0, 0.0),
-    samples: int = 112,
-    candidates: int = 6,
+    samples: int = 128,
+    candidates: int = 8,
 ) -> Location:
     r"""Closest points of two contours at given poses, and the signed gap between them.
 

@@ -96,7 +96,8 @@ def locate(
     Accuracy: the residual is at rounding, about 1e-15 of the contours' size. Features finer than the
     spacing of the samples, and overlaps deeper than the radii of curvature, may be missed.
 
-    Batching: `vmap` over anything; prepare contours of constant shape once, outside. Both modes of
+    Batching: `vmap` over anything, 128 pairs or so at a time (`jax.lax.map(..., batch_size=128)`), whose
+    samples stay in a processor's cache; prepare contours of constant shape once, outside. Both modes of
     autodiff give first and second derivatives, by the implicit function theorem.
 
     Example:

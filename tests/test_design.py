@@ -107,6 +107,7 @@ def test_goes_on_from_a_checkpoint(tmp_path):
         (jxr.Catenary(0.025, (-0.004, 0.004)), {}, "interval must lie on the contour"),
         (jxr.Ellipse(0.01, 0.02), {"symmetric": True}, "symmetric must be False"),
         ([jxr.Ellipse(0.01, 0.02), jxr.Circle(0.01)], {}, "contours of one kind"),
+        (jxr.Ellipse(0.01, 0.02).prepared(), {}, "must not be prepared"),
         ("tip", {}, "one contour or several"),
     ],
 )

@@ -16,7 +16,7 @@ from .._types import Given
 from ..geometry import AbstractContour
 from ._limits import check_interval, Limits, margins, sampled, Samples, soft_least
 from ._minimise import KEPT, minimise, Progress
-from ._shape import divided, extent, mirrored, stacked
+from ._shape import check_unprepared, divided, extent, mirrored, stacked
 
 # How sharply the least margin is told from its neighbours, in units of the fingertip's size.
 _SHARPNESS = 200.0
@@ -109,7 +109,8 @@ def optimise_fingertip(
         A `Design`. An infeasible problem ends with that code and the contour that passes the limits least.
 
     Raises:
-        ValueError: If a contour is endless, contours differ in kind or size, or the interval leaves one.
+        ValueError: If a contour is endless or already prepared, contours differ in kind or size, or the
+            interval leaves one.
 
     Example:
         >>> import jaxroll as jxr, numpy as np
@@ -124,6 +125,7 @@ def optimise_fingertip(
     for one in tips:
         if not isinstance(one, AbstractContour):
             raise ValueError(f"argument tip must be one contour or several, but was {one!r}")
+        check_unprepared(one)
     ends = jnp.stack([check_interval(one, interval) for one in tips])[0]
     if symmetric:
         mirrored(tips[0])  # raises where the class has no mirror image

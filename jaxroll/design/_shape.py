@@ -9,7 +9,15 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from ..geometry import AbstractContour, Moved, NeuralSupport, Spline, SupportFunction
+from ..geometry import (
+    AbstractContour,
+    ArclengthTable,
+    Moved,
+    NeuralSupport,
+    Spline,
+    SupportFunction,
+    Table,
+)
 
 
 @functools.singledispatch
@@ -72,6 +80,16 @@ def _(contour: SupportFunction) -> SupportFunction:
 @mirrored.register
 def _(contour: Moved) -> Moved:
     return eqx.tree_at(lambda c: c.contour, contour, mirrored(contour.contour))
+
+
+def check_unprepared(contour: AbstractContour) -> None:
+    """Raise for a contour whose table is built: it would stay while the free numbers move."""
+    table = lambda node: isinstance(node, Table | ArclengthTable)  # noqa: E731
+    if any(map(table, jax.tree.leaves(contour, is_leaf=table))):
+        kind = type(contour).__name__
+        raise ValueError(
+            f"argument tip must not be prepared, as its table would stay, but was a ready {kind}"
+        )
 
 
 def stacked(contours: Sequence[AbstractContour]) -> tuple[Any, Any]:

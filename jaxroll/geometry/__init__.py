@@ -14,6 +14,7 @@ the two ways to give one, by a field of space or by two parameters; `_surface_an
 """
 
 from ._analytic import Catenary as Catenary, Circle as Circle, Ellipse as Ellipse, Line as Line
+from ._arclength import ArclengthTable as ArclengthTable
 from ._contour import (
     AbstractContour as AbstractContour,
     frenet as frenet,

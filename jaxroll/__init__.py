@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from . import contact, control, design, geometry, io, plotting, scenes, stability
     from ._results import RESULTS
     from ._sweep import sweep
-    from .contact import Contact
+    from .contact import Contact, Contact3
     from .geometry import (
         AbstractContour,
         AbstractSurface,
@@ -41,7 +41,19 @@ if TYPE_CHECKING:
         simulate,
         Trajectory,
     )
-    from .mechanics import equation_terms, Finger, FreeObject, Grasp, Jaw, PivotedObject, State
+    from .mechanics import (
+        equation_terms,
+        Finger,
+        Finger3,
+        FreeObject,
+        FreeObject3,
+        Grasp,
+        Jaw,
+        PivotedObject,
+        Stage,
+        State,
+        Turning,
+    )
 
 __version__ = "0.1.0"
 
@@ -59,6 +71,7 @@ _HOMES: dict[str, str | None] = {
     "RESULTS": "_results",
     "sweep": "_sweep",
     "Contact": "contact",
+    "Contact3": "contact",
     "AbstractContour": "geometry",
     "Catenary": "geometry",
     "Circle": "geometry",
@@ -85,11 +98,15 @@ _HOMES: dict[str, str | None] = {
     "residuals": "integration",
     "simulate": "integration",
     "Finger": "mechanics",
+    "Finger3": "mechanics",
     "FreeObject": "mechanics",
+    "FreeObject3": "mechanics",
     "Grasp": "mechanics",
     "Jaw": "mechanics",
     "PivotedObject": "mechanics",
+    "Stage": "mechanics",
     "State": "mechanics",
+    "Turning": "mechanics",
     "equation_terms": "mechanics",
 }
 __all__ = [  # noqa: PLE0604
@@ -100,10 +117,13 @@ __all__ = [  # noqa: PLE0604
     "Catenary",
     "Circle",
     "Contact",
+    "Contact3",
     "Ellipse",
     "Ellipsoid",
     "Finger",
+    "Finger3",
     "FreeObject",
+    "FreeObject3",
     "Grasp",
     "Index1",
     "Jaw",
@@ -114,10 +134,12 @@ __all__ = [  # noqa: PLE0604
     "Plane",
     "Sphere",
     "Spline",
+    "Stage",
     "State",
     "SupportFunction",
     "Torus",
     "Trajectory",
+    "Turning",
     "close",
     "contact",
     "control",

@@ -179,6 +179,20 @@ class Sym3:
     def __iter__(self) -> Iterator[Scalar]:
         yield from (self.xx, self.xy, self.xz, self.yy, self.yz, self.zz)
 
+    def trace(self) -> Scalar:
+        """Sum of the eigenvalues."""
+        return self.xx + self.yy + self.zz
+
+    def minors(self) -> Scalar:
+        """Sum of the products of two eigenvalues; the determinant in a plane whose normal it maps to 0."""
+        first = self.xx * self.yy - self.xy * self.xy
+        return first + self.xx * self.zz - self.xz * self.xz + self.yy * self.zz - self.yz * self.yz
+
+    def squares(self) -> Scalar:
+        """Sum of the squared entries: of the squared eigenvalues."""
+        mixed = self.xy * self.xy + self.xz * self.xz + self.yz * self.yz
+        return self.xx * self.xx + self.yy * self.yy + self.zz * self.zz + 2.0 * mixed
+
     def apply(self, vector: Vec3) -> Vec3:
         """The matrix times a vector."""
         x, y, z = vector

@@ -16,10 +16,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._algebra import stacked, total, Twist2, Vec2
+from ._algebra import stacked, total, unstack
 from ._results import as_floats, check_finite
 from ._types import Given, Scalar, Scalars
-from .mechanics import Grasp, Motion, split, State
+from .mechanics import Blocks, Grasp, Motion, split, State
 
 Torques = tuple[Scalars, ...]
 
@@ -31,20 +31,20 @@ class Sensed:
 
     angles: Scalars
     rates: Scalars
-    tip: Vec2
-    unit_twists: tuple[Twist2, ...]
+    tip: Any  # `Vec2`, or `Vec3` in space
+    unit_twists: tuple[Any, ...]
 
 
 class Tip(eqx.Module):
     """A finger's tip frame as a user's controller sees it.
 
     Attributes:
-        position: Shape (2,), origin of the tip frame in the world, in metres.
-        jacobian: Shape (2, k), its derivative with respect to the joint angles, in metres.
+        position: Shape (2,), in space (3,): origin of the tip frame in the world, in metres.
+        jacobian: Shape (2, k), in space (3, k): its derivative with respect to the joint angles, in metres.
     """
 
-    position: Float[Array, "2"]
-    jacobian: Float[Array, "2 k"]
+    position: Float[Array, "d"]
+    jacobian: Float[Array, "d k"]
 
 
 def sense(motion: Motion, angles: Scalars, rates: Scalars) -> Sensed:
@@ -60,7 +60,7 @@ class AbstractController(eqx.Module):
         """Joint torques [N m] of every finger."""
 
     @abc.abstractmethod
-    def potential(self, tips: Sequence[Vec2], angles: Sequence[Scalars]) -> Scalar:
+    def potential(self, tips: Sequence[Any], angles: Sequence[Scalars]) -> Scalar:
         """Artificial potential energy [J] whose negative gradient is part of the torques."""
 
 
@@ -70,7 +70,7 @@ class Passive(AbstractController):
     def torques(self, t: Scalar, fingers: Sequence[Sensed]) -> Torques:
         return tuple(tuple(jnp.zeros_like(a) for a in f.angles) for f in fingers)
 
-    def potential(self, tips: Sequence[Vec2], angles: Sequence[Scalars]) -> Scalar:
+    def potential(self, tips: Sequence[Any], angles: Sequence[Scalars]) -> Scalar:
         return jnp.zeros_like(tips[0].x)
 
 
@@ -84,7 +84,7 @@ class Press(AbstractController):
         force: Internal force $f_d$, in newtons.
         radius: The constant $r$, in metres, positive.
         damping: Joint damping $c$, in N m s.
-        target: Shape (2,), the fixed point $r_m$ in the world (the object's pivot), in metres.
+        target: Shape (2,), in space (3,): the fixed point $r_m$ in the world (the object's pivot), in metres.
 
     Example:
         >>> import jaxroll as jxr
@@ -96,13 +96,13 @@ class Press(AbstractController):
     force: Float[Array, ""]
     radius: Float[Array, ""]
     damping: Float[Array, ""]
-    target: Float[Array, "2"]
+    target: Float[Array, "d"]
 
     def __init__(self, force: Given, radius: Given, damping: Given, *, target: Given) -> None:
         self.force = check_finite("force", as_floats("force", force, ()))
         self.radius = as_floats("radius", radius, ())
         self.damping = as_floats("damping", damping, ())
-        self.target = as_floats("target", target, (2,))
+        self.target = as_floats("target", target, (None,))
 
     @property
     def stiffness(self) -> Scalar:
@@ -113,15 +113,19 @@ class Press(AbstractController):
         return tuple(self._finger(finger) for finger in fingers)
 
     def _finger(self, finger: Sensed) -> Scalars:
-        pull = (finger.tip - Vec2(self.target[0], self.target[1])) * self.stiffness
+        pull = self._arm(finger.tip) * self.stiffness
         return tuple(
             -self.damping * rate - unit.velocity.dot(pull)
             for rate, unit in zip(finger.rates, finger.unit_twists, strict=True)
         )
 
-    def potential(self, tips: Sequence[Vec2], angles: Sequence[Scalars]) -> Scalar:
-        arms = [tip - Vec2(self.target[0], self.target[1]) for tip in tips]
+    def potential(self, tips: Sequence[Any], angles: Sequence[Scalars]) -> Scalar:
+        arms = [self._arm(tip) for tip in tips]
         return 0.5 * self.stiffness * total([arm.dot(arm) for arm in arms])
+
+    def _arm(self, tip: Any) -> Any:
+        """From the target to a tip."""
+        return tip - type(tip)(*unstack(self.target))
 
 
 class Opposition(AbstractController):
@@ -162,18 +166,18 @@ class Opposition(AbstractController):
         tips = [finger.tip for finger in fingers]
         return tuple(self._finger(i, finger, self._pull(i, tips)) for i, finger in enumerate(fingers))
 
-    def _pull(self, i: int, tips: Sequence[Vec2]) -> Vec2:
+    def _pull(self, i: int, tips: Sequence[Any]) -> Any:
         """Gradient of the first term of P with respect to tip i."""
         return total([tips[i] - tip for j, tip in enumerate(tips) if j != i]) * self.beta
 
-    def _finger(self, i: int, finger: Sensed, pull: Vec2) -> Scalars:
+    def _finger(self, i: int, finger: Sensed, pull: Any) -> Scalars:
         turn = self.alpha[i] * (total(finger.angles) - self.start[i])
         return tuple(
             -self.damping[i] * rate - unit.velocity.dot(pull) - turn
             for rate, unit in zip(finger.rates, finger.unit_twists, strict=True)
         )
 
-    def potential(self, tips: Sequence[Vec2], angles: Sequence[Scalars]) -> Scalar:
+    def potential(self, tips: Sequence[Any], angles: Sequence[Scalars]) -> Scalar:
         pairs = [b - a for i, a in enumerate(tips) for b in tips[i + 1 :]]
         turns = [total(q) - self.start[i] for i, q in enumerate(angles)]
         kept = total([0.5 * self.alpha[i] * turn * turn for i, turn in enumerate(turns)])
@@ -204,7 +208,13 @@ def orientations(grasp: Grasp, state: State) -> Float[Array, " m"]:
         >>> bool(same.all())
         True
     """
-    return jnp.stack([total(block) for block in split(state.q, grasp.sizes)[1:]])
+    angles = joint_angles(grasp, split(state.q, grasp.form.positions))
+    return jnp.stack([jnp.asarray(total(block)) for block in angles])
+
+
+def joint_angles(grasp: Grasp, q: Blocks) -> tuple[Scalars, ...]:
+    """Positions of every finger's joints; what else a body has, such as a clock, is not told."""
+    return tuple(block[: finger.joints] for finger, block in zip(grasp.fingers, q[1:], strict=True))
 
 
 class UserController(AbstractController):
@@ -224,14 +234,14 @@ class UserController(AbstractController):
             )
         return tuple(tuple(torque[i] for i in range(torque.shape[0])) for torque in given)
 
-    def potential(self, tips: Sequence[Vec2], angles: Sequence[Scalars]) -> Scalar:
+    def potential(self, tips: Sequence[Any], angles: Sequence[Scalars]) -> Scalar:
         return jnp.zeros_like(tips[0].x)
 
 
 def _tip(finger: Sensed) -> Tip:
-    velocities = [unit.velocity for unit in finger.unit_twists]
-    jacobian = jnp.stack([stacked([v.x for v in velocities]), stacked([v.y for v in velocities])])
-    return Tip(finger.tip.array(), jacobian)
+    position = finger.tip.array()
+    columns = [unit.velocity.array() for unit in finger.unit_twists]
+    return Tip(position, jnp.stack(columns, axis=-1) if columns else jnp.zeros((*position.shape, 0)))
 
 
 def as_controller(controller: Any) -> AbstractController:

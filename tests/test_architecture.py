@@ -224,7 +224,8 @@ def test_parameter_budget():
 
 
 PUBLIC = {
-    "AbstractSurface", "Ellipsoid", "Plane", "Sphere", "Torus",
+    "AbstractSurface", "Contact3", "Ellipsoid", "Finger3", "FreeObject3", "Plane", "Sphere", "Stage", "Torus",
+    "Turning",
     "AbstractContour", "CSM", "Catenary", "Circle", "Contact", "Ellipse", "Finger", "FreeObject",
     "Grasp", "Index1", "Jaw", "Line", "NeuralCurvature", "NeuralSupport", "PivotedObject", "RESULTS",
     "Spline", "State", "SupportFunction", "Trajectory", "close", "contact",

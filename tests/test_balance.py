@@ -27,7 +27,7 @@ def geometry(grasp, run):
     q, found = np.asarray(run.states.q), []
     tips = [q[:, 3:6].sum(axis=1), q[:, 6:].sum(axis=1)]
     for i, contact in enumerate(grasp.contacts):
-        tip, face = grasp.contours(contact)
+        tip, face = grasp.shapes(contact)
         sigma = np.asarray(run.states.s)[:, i]
         on_tip = turn(tips[i], np.asarray(tip.point(contact.s_tip + sigma)))
         at = contact.s_object - sigma

@@ -169,7 +169,7 @@ def test_curvature_sum_runs_out():
     _, start = jxr.close(hollow, jxr.State(state.q, jnp.array([-40.0, 0.0, 0.0]), state.s))
     run = ends(hollow, start, t1=1.0, events=())
     assert run.result == jxr.RESULTS.singular_contact
-    tip, face = hollow.contours(hollow.contacts[0])
+    tip, face = hollow.shapes(hollow.contacts[0])
     left = tip.curvature(run.last.s[0] - 0.003) + face.curvature(0.003 - run.last.s[0])
     assert abs(left) < 0.1
 

@@ -91,7 +91,7 @@ def test_features_that_are_off_cost_nothing():
 
         def rates(grasp, state):
             ready = grasp.prepared()
-            return evaluate(ready, 0.0, to_leaves(state, grasp.sizes), Index1()).rates
+            return evaluate(ready, 0.0, to_leaves(state, grasp.form), Index1()).rates
 
         return len(jax.jit(rates).lower(grasp, state).as_text().splitlines())
 

@@ -121,7 +121,7 @@ def world_gaps(grasp, q, s):
     turn = lambda a: jnp.array([[jnp.cos(a), -jnp.sin(a)], [jnp.sin(a), jnp.cos(a)]])  # noqa: E731
     gaps = []
     for i, contact in enumerate(grasp.contacts):
-        tip, face = grasp.contours(contact)
+        tip, face = grasp.shapes(contact)
         r, phi = tips[contact.finger]
         on_tip = r + turn(phi) @ tip.point(contact.s_tip + s[i])
         gaps.append(on_tip - origin - turn(angle) @ face.point(contact.s_object - s[i]))
@@ -135,7 +135,7 @@ def test_accelerations_against_a_dense_kkt_solve():
 
     @jax.jit
     def ours(state):
-        instant = evaluate(ready, 0.0, to_leaves(state, grasp.sizes), Index1())
+        instant = evaluate(ready, 0.0, to_leaves(state, grasp.form), Index1())
         return join(instant.rates.v), jnp.stack(instant.rates.s), instant.forces
 
     @jax.jit
@@ -155,7 +155,7 @@ def test_accelerations_against_a_dense_kkt_solve():
         answer = np.linalg.solve(kkt, np.concatenate([-h, -bias]))
         scale = np.abs(answer[: grasp.coordinates]).max()
         np.testing.assert_allclose(v_rate / scale, answer[: grasp.coordinates] / scale, atol=1e-11)
-        flat = np.concatenate([np.asarray(f.array()) for f in forces])
+        flat = np.concatenate([np.asarray(f) for f in forces])
         size = np.abs(flat).max()
         np.testing.assert_allclose(flat / size, answer[grasp.coordinates :] / size, atol=1e-11)
 
@@ -190,8 +190,8 @@ def test_object_mass_follows_newton_where_nothing_holds_it():
     grasp = two_fingers(GRAVITY)
     state = random_state(grasp, 3)
     ready = grasp.prepared()
-    instant = evaluate(ready, 0.0, to_leaves(state, grasp.sizes), Index1())
-    force = -sum(np.asarray(f.array()) for f in instant.forces)
+    instant = evaluate(ready, 0.0, to_leaves(state, grasp.form), Index1())
+    force = -sum(np.asarray(f) for f in instant.forces)
     rates = np.asarray(jnp.stack(instant.rates.v[0][:2]))
     expected = force / 0.04 + np.asarray(GRAVITY)
     np.testing.assert_allclose(rates, expected, rtol=1e-9)

@@ -59,7 +59,7 @@ def as_state(X, v, s):
 def torques(grasp, state):
     """Joint torques of the grasp's controller, shape (5,)."""
     ready = grasp.prepared()
-    leaves = to_leaves(state, ready.sizes)
+    leaves = to_leaves(state, ready.form)
     blocks = ready.controller.torques(0.0, sensed(leaves, bodies(ready, leaves)[0]))
     return jnp.stack([u for block in blocks for u in block])
 
@@ -118,7 +118,7 @@ def test_power_identity_18(pinch, chapter):
     drive = float(torques(grasp, state) @ v[3:])
     assert drive == pytest.approx(-chapter.potential_rate(X, v) - spent, rel=1e-13)
     ready = grasp.prepared()
-    leaves = to_leaves(state, ready.sizes)
+    leaves = to_leaves(state, ready.form)
     assert float(power(ready, 0.0, leaves, bodies(ready, leaves)[0])) == pytest.approx(-spent, rel=1e-13)
 
 

@@ -1,25 +1,43 @@
-r"""Two contours rolling on each other: gap, tangency, Pfaffian rows and the rolling rate.
+r"""Two contours rolling on each other: tangency, rolling rate, and the contact that has them.
 
 A fingertip A and an object B share one rolling coordinate $\sigma$: $s_A = s_{A0} + \sigma$ and
 $s_B = s_{B0} - \sigma$. Both contours run counter-clockwise, so their tangents oppose each other at the
-contact and the terms in $\dot\sigma$ cancel in the time derivative of the gap: its Jacobian is
-autodiff of `gap` with respect to the poses **at frozen contact coordinates**.
+contact, and the points move over both bodies with one velocity (see `_gap`).
 """
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._algebra import Pose2, Twist2, Vec2
-from .._results import as_floats, check_positive
-from .._types import Given, Scalar
-from ..geometry import AbstractContour, Frenet2
+from .._algebra import once, Pose2, Vec2
+from .._results import as_floats, check_between, check_positive, traced
+from .._types import Given, Scalar, Scalars
+from ..geometry import AbstractContour, frenet, Frenet2
+from ._contact import AbstractContact, Motion, row_wise, Rows
+from ._gap import gap, gap_bias, gap_rate, pfaffian
+
+Contours = tuple[AbstractContour, AbstractContour]
 
 
-class Contact(eqx.Module):
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, slots=True)
+class Touch:
+    """The frames of both contours at one contact, each in its own body."""
+
+    tip: Frenet2
+    object: Frenet2
+
+    @property
+    def points(self) -> tuple[Vec2, Vec2]:
+        """Both contact points, each in its own body frame."""
+        return self.tip.point, self.object.point
+
+
+class Contact(AbstractContact):
     r"""Where a fingertip starts touching the object.
 
     Args:
@@ -59,66 +77,112 @@ class Contact(eqx.Module):
         if friction is not None:
             self.friction = check_positive("friction", as_floats("friction", friction, ()))
 
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, slots=True)
-class Touch:
-    """The frames of both contours at one contact, each in its own body."""
-
-    tip: Frenet2
-    object: Frenet2
+    @property
+    def kind(self) -> str:
+        return "contour"
 
     @property
-    def points(self) -> tuple[Vec2, Vec2]:
-        """Both contact points, each in its own body frame."""
-        return self.tip.point, self.object.point
+    def touched(self) -> int:
+        return self.contour
 
+    @property
+    def rows(self) -> int:
+        return 2
 
-def touch(contact: Contact, tip: AbstractContour, object_: AbstractContour, sigma: Scalar) -> Touch:
-    """Evaluate both contours at the rolling coordinate `sigma`."""
-    return Touch(tip.frame(contact.s_tip + sigma), object_.frame(contact.s_object - sigma))
+    @property
+    def slack(self) -> int:
+        return 1
 
+    def check(self, name: str, shapes: Contours) -> None:
+        places = (("s_tip", self.s_tip), ("s_object", self.s_object))
+        for shape, (kind, s) in zip(shapes, places, strict=True):
+            if not isinstance(shape, AbstractContour):
+                raise ValueError(f"argument {name} must be between contours, but one was {shape!r}")
+            _check_start(f"{name}.{kind}", s, shape)
 
-def gap(tip: Pose2, object_: Pose2, points: tuple[Vec2, Vec2]) -> Vec2:
-    """World-frame vector from the object's contact point to the fingertip's; (5)-(6), (64)-(65)."""
-    return tip.place(points[0]) - object_.place(points[1])
+    def form(self, shapes: Contours) -> Scalar:
+        return 0.0
 
+    def touch(self, shapes: Contours, place: Scalar) -> Touch:
+        tip, face = shapes
+        return Touch(tip.frame(self.s_tip + place), face.frame(self.s_object - place))
 
-def gap_rate(poses: tuple[Pose2, Pose2], twists: tuple[Twist2, Twist2], points: tuple[Vec2, Vec2]) -> Vec2:
-    """Rate of the gap under the twists of both bodies, at frozen contact coordinates."""
-    rates = (poses[0].rate(twists[0]), poses[1].rate(twists[1]))
-    return jax.jvp(lambda a, b: gap(a, b, points), poses, rates)[1]
+    def pfaffian(self, bodies: tuple[Motion, Motion], touch: Touch) -> tuple[Rows, Rows]:
+        poses, units = (bodies[0].pose, bodies[1].pose), (bodies[0].unit_twists, bodies[1].unit_twists)
+        tip, face = once(pfaffian(poses, units, touch.points))
+        return row_wise(tip, 2), row_wise(face, 2)
 
+    def closing(self, bodies: tuple[Motion, Motion], touch: Touch) -> Scalars:
+        tip, body = bodies
+        return tuple(gap_rate((tip.pose, body.pose), (tip.twist, body.twist), touch.points))
 
-def pfaffian(
-    poses: tuple[Pose2, Pose2],
-    unit_twists: tuple[Sequence[Twist2], Sequence[Twist2]],
-    points: tuple[Vec2, Vec2],
-) -> tuple[tuple[Vec2, ...], tuple[Vec2, ...]]:
-    """Columns of the gap's Jacobian: for the fingertip's and for the object's unit rates."""
-    tip, object_ = poses
+    def bias(self, bodies: tuple[Motion, Motion], touch: Touch, rolling: Scalar) -> Scalars:
+        drift = (touch.tip.tangent * rolling, touch.object.tangent * -rolling)
+        return tuple(gap_bias(bodies, touch.points, drift))
 
-    def along(vary: Callable[[Pose2], Vec2], pose: Pose2, twist: Twist2) -> Vec2:
-        return jax.jvp(vary, (pose,), (pose.rate(twist),))[1]
+    def rolling(self, bodies: tuple[Motion, Motion], touch: Touch) -> Scalar:
+        return rolling_rate(touch, bodies[0].twist.spin, bodies[1].twist.spin)
 
-    return (
-        tuple(along(lambda p: gap(p, object_, points), tip, u) for u in unit_twists[0]),
-        tuple(along(lambda p: gap(tip, p, points), object_, u) for u in unit_twists[1]),
-    )
+    def place_rate(self, shapes: Contours, place: Scalar, rolling: Scalar) -> Scalar:
+        return rolling
 
+    def bend(self, poses: tuple[Pose2, Pose2], touch: Touch) -> Scalar:
+        return touch.tip.curvature + touch.object.curvature
 
-def gap_bias(
-    poses: tuple[Pose2, Pose2],
-    twists: tuple[Twist2, Twist2],
-    biases: tuple[Twist2, Twist2],
-    *,
-    touch: Touch,
-    sigma_rate: Scalar,
-) -> Vec2:
-    """Second derivative of the gap at zero coordinate accelerations: one jvp of `gap_rate`."""
-    rates = (poses[0].rate(twists[0]), poses[1].rate(twists[1]))
-    drift = (touch.tip.tangent * sigma_rate, touch.object.tangent * -sigma_rate)
-    return jax.jvp(gap_rate, (poses, twists, touch.points), (rates, biases, drift))[1]
+    def unknown_bend(self) -> Scalar:
+        return 0.0
+
+    def opening(self, poses: tuple[Pose2, Pose2], touch: Touch) -> Scalars:
+        return tuple(gap(*poses, touch.points))
+
+    def tangency(self, poses: tuple[Pose2, Pose2], touch: Touch) -> Scalar:
+        return tangency(*poses, touch)
+
+    def onto(self, shapes: Contours, place: Scalar) -> Scalar:
+        return place
+
+    def settled(
+        self, shapes: Contours, place: Scalar, turned: Scalar, misfit: tuple[Any, Scalar, Scalar]
+    ) -> Scalar:
+        _, sine, bend = misfit
+        return place - (turned + sine) / bend
+
+    def shift(self, shapes: Contours, place: Scalar, step: Scalars) -> Scalar:
+        return place + step[0]
+
+    def equations(self, poses: tuple[Pose2, Pose2], touch: Touch) -> Scalars:
+        tip, face = poses
+        cosine = -tip.turn(touch.tip.tangent).dot(face.turn(touch.object.tangent))
+        return (*self.opening(poses, touch), jnp.arctan2(self.tangency(poses, touch), cosine))
+
+    def equation_names(self) -> tuple[str, ...]:
+        return "x gap [m]", "y gap [m]", "tangency [rad]"
+
+    def ends(self, shapes: Contours, place: Scalar) -> list[Scalar]:
+        margins = []
+        for contour, s in zip(shapes, (self.s_tip + place, self.s_object - place), strict=True):
+            ends = None if contour.closed else contour.domain()
+            if ends is not None:
+                margins += [s - ends[0], ends[1] - s]
+        return margins
+
+    def curvature_margin(self, poses: tuple[Pose2, Pose2], touch: Touch) -> Scalar:
+        tip, face = touch.tip.curvature, touch.object.curvature
+        size = jnp.abs(tip) + jnp.abs(face)
+        return (tip + face) / jnp.where(size > 0, size, 1.0)
+
+    def split_force(self, poses: tuple[Pose2, Pose2], touch: Touch, force: Scalars) -> tuple[Scalar, Scalar]:
+        tangent, push = poses[1].turn(touch.object.tangent), Vec2(*force)
+        return push.dot(tangent.right()), -self.sense * push.dot(tangent)
+
+    def split_gap(
+        self, poses: tuple[Pose2, Pose2], touch: Touch, opening: Scalars, tangency: Scalar
+    ) -> tuple[Scalar, Scalar, Scalar]:
+        tangent, gap = poses[1].turn(touch.object.tangent), Vec2(*opening)
+        return gap.dot(tangent.right()), gap.dot(tangent), tangency
+
+    def rubbing(self, tangential: Scalar) -> list[Scalar]:
+        return [tangential, -tangential]
 
 
 def tangency(tip: Pose2, object_: Pose2, touch: Touch) -> Scalar:
@@ -129,3 +193,26 @@ def tangency(tip: Pose2, object_: Pose2, touch: Touch) -> Scalar:
 def rolling_rate(touch: Touch, tip_spin: Scalar, object_spin: Scalar) -> Scalar:
     r"""Rolling rate (7), (68): $(\kappa_A + \kappa_B)\,\dot\sigma = \dot\varphi_B - \dot\varphi_A$."""
     return (object_spin - tip_spin) / (touch.tip.curvature + touch.object.curvature)
+
+
+def _check_start(name: str, s: Array, contour: AbstractContour) -> None:
+    if not type(contour).__module__.startswith("jaxroll."):
+        check_unit_speed(name, s, contour)
+    if contour.closed:
+        return
+    domain = contour.domain()
+    if domain is not None:
+        check_between(name, s, *domain, unit=" m")
+
+
+def check_unit_speed(name: str, s: Array, contour: AbstractContour) -> None:
+    """Raise if a caller's own contour does not advance by its arclength where the contact starts."""
+    if traced((s, contour)):
+        return
+    tangent = frenet(contour.prepared().curve, s).tangent
+    speed = float(jnp.hypot(tangent.x, tangent.y))
+    if not abs(speed - 1.0) <= 1e-9:
+        raise ValueError(
+            f"argument {name} must lie on a contour given by arclength (unit speed), "
+            f"but the speed of {type(contour).__name__} there was {speed:g}"
+        )

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from .._algebra import unstack
 from .._results import as_floats, concrete
 from .._spatial import normalised, pose, Pose3, tangents, Vec3
-from .._types import Given, Scalars
+from .._types import Given, Scalar, Scalars
 from ._gauss import approach, Gauss3, principal
 
 _SEARCH = 32
@@ -62,6 +62,10 @@ class AbstractSurface(eqx.Module):
     @abc.abstractmethod
     def start(self, point: Vec3) -> Scalars:
         """Where the search for the surface's point closest to a point begins."""
+
+    def margins(self, at: Scalars) -> tuple[Scalar, ...]:
+        """Distances [m] of a place from the ends of the surface, positive inside; none without ends."""
+        return ()
 
     @abc.abstractmethod
     def prepared(self) -> "AbstractSurface":

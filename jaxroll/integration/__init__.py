@@ -16,6 +16,7 @@ from ._observe import (
     multipliers as multipliers,
     Residuals as Residuals,
     residuals as residuals,
+    split_forces as split_forces,
 )
 from ._pinch import check_pinch as check_pinch, pinch_balance as pinch_balance, PinchBalance as PinchBalance
 from ._press import press_balance as press_balance, PressBalance as PressBalance

@@ -1,5 +1,6 @@
 """A consistent initial state: every contact closed and tangent, every velocity compatible."""
 
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -10,21 +11,22 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array
 
-from .._algebra import factorise, Pose2
+from .._algebra import factorise, Pose2, unstack
 from .._results import concrete
 from ..contact import locate as locate_contours
 from ..mechanics import (
     bodies,
     compiled,
+    displaced,
     Grasp,
     join,
     linearise,
     mass_matrix,
     poses,
-    residual,
     split,
     State,
     to_leaves,
+    to_places,
     touches,
 )
 from ._closed_loop import compatible
@@ -87,7 +89,7 @@ def close(
         if not abs(seen[worst]) <= reach(guess.q.dtype):
             raise ValueError(
                 f"argument guess must be near a pose that closes every contact, but the best "
-                f"found leaves {row_name(worst)} at {abs(seen[worst]):.3g}"
+                f"found leaves {row_name(grasp, worst)} at {abs(seen[worst]):.3g}"
             )
     return grasp, state
 
@@ -100,14 +102,14 @@ def _at_closest_points(grasp: Grasp, guess: State) -> tuple[Grasp, State]:
             f"argument locate must be False if two contacts share contours, but was True: {pairs}"
         )
     for i, contact in enumerate(grasp.contacts):
-        if any(contour.domain() is None for contour in grasp.contours(contact)):
+        if any(contour.domain() is None for contour in grasp.shapes(contact)):
             raise ValueError(
                 f"argument locate must be False for endless contours, as those of contact {i} are"
             )
-    body, *tips = poses(grasp, split(guess.q, grasp.sizes))
+    body, *tips = poses(grasp, split(guess.q, grasp.form.positions))
     found = []
     for contact in grasp.contacts:
-        tip, face = grasp.contours(contact)
+        tip, face = grasp.shapes(contact)
         pair = locate_contours(tip, face, pose_a=_numbers(tips[contact.finger]), pose_b=_numbers(body))
         found += [pair.s[0], pair.s[1]]
     places = lambda g: [s for c in g.contacts for s in (c.s_tip, c.s_object)]  # noqa: E731
@@ -127,8 +129,8 @@ def reach(dtype: Any) -> float:
 
 def check_state(grasp: Grasp, state: State) -> None:
     """Raise unless a state has the shapes of its grasp and finite numbers."""
-    n, contacts = grasp.coordinates, len(grasp.contacts)
-    for name, value, size in (("q", state.q, n), ("v", state.v, n), ("s", state.s, contacts)):
+    sizes = grasp.form.counts
+    for name, value, size in zip("qvs", (state.q, state.v, state.s), sizes, strict=True):
         if jnp.shape(value) != (size,):
             raise ValueError(f"argument state.{name} must have shape ({size},), but had {jnp.shape(value)}")
         seen = concrete(value)
@@ -136,53 +138,64 @@ def check_state(grasp: Grasp, state: State) -> None:
             raise ValueError(f"argument state.{name} must be finite, but was {seen.tolist()}")
 
 
-def row_name(row: int) -> str:
+def row_name(grasp: Grasp, row: int) -> str:
     """What constraint row this is, for messages."""
-    contact, kind = divmod(row, 3)
-    return f"the {('x gap [m]', 'y gap [m]', 'tangency [rad]')[kind]} of contact {contact}"
+    names = [(name, i) for i, contact in enumerate(grasp.contacts) for name in contact.equation_names()]
+    name, contact = names[row]
+    return f"the {name} of contact {contact}"
 
 
 @compiled
 def _close(grasp: Grasp, guess: State, hold: bool) -> tuple[State, Array]:
     ready = grasp.prepared()
-    n, contacts = grasp.coordinates, len(grasp.contacts)
-    start = guess.q if hold else jnp.concatenate([guess.q, guess.s])
+    start = jnp.zeros(_unknowns(ready, hold), guess.q.dtype)
     args = (ready, guess, _metric(ready, guess, start.shape[0]))
 
-    def rows(z: Array, args: Any) -> Array:
-        return constraint_rows(args[0], z[:n], args[1].s if hold else z[n:])
+    def rows(step: Array, args: Any) -> Array:
+        return constraint_rows(args[0], *moved(args[0], args[1], step))
 
     def optimality(unknown: tuple[Array, Array], args: Any) -> tuple[Array, Array]:
-        z, pressure = unknown
-        origin = args[1].q if hold else jnp.concatenate([args[1].q, args[1].s])
-        left, pull = jax.vjp(lambda z: rows(z, args), z)
-        return args[2] @ (z - origin) + pull(pressure)[0], left
+        step, pressure = unknown
+        left, pull = jax.vjp(lambda step: rows(step, args), step)
+        return args[2] @ step + pull(pressure)[0], left
 
-    near = jax.lax.stop_gradient(_restore(lambda z: rows(z, args), start, args[2]))
-    if start.shape[0] == 3 * contacts:  # nothing left to minimise
-        z = _root(rows, near, args)
+    count = sum(len(contact.equation_names()) for contact in ready.contacts)
+    near = jax.lax.stop_gradient(_restore(lambda step: rows(step, args), start, args[2]))
+    if start.shape[0] == count:  # nothing left to minimise
+        step = _root(rows, near, args)
     else:
-        z, _ = _root(optimality, (near, jnp.zeros(3 * contacts, start.dtype)), args)
-    q, s = z[:n], guess.s if hold else z[n:]
+        step, _ = _root(optimality, (near, jnp.zeros(count, start.dtype)), args)
+    q, s = moved(ready, guess, step)
     return State(q, _compatible(ready, q, guess.v, s), s), constraint_rows(ready, q, s)
 
 
+def _unknowns(grasp: Grasp, hold: bool) -> int:
+    return grasp.coordinates + (0 if hold else sum(contact.slack for contact in grasp.contacts))
+
+
+def moved(grasp: Grasp, guess: State, step: Array) -> tuple[Array, Array]:
+    """Positions and contact coordinates after a step from a guess; the contacts' part may be missing."""
+    leaves, rest = to_leaves(guess, grasp.form), iter(unstack(step))
+    blocks = tuple(tuple(itertools.islice(rest, size)) for size in grasp.sizes)
+    q, places = displaced(grasp, leaves.q, blocks), []
+    for contact, place in zip(grasp.contacts, leaves.s, strict=True):
+        shapes, shift = grasp.shapes(contact), tuple(itertools.islice(rest, contact.slack))
+        place = contact.onto(shapes, place)
+        places.append(contact.shift(shapes, place, shift) if shift else place)
+    return join(q), jnp.stack(jax.tree.leaves(places))
+
+
 def constraint_rows(grasp: Grasp, q: Array, s: Array) -> Array:
-    """Gap [m] and tangency [rad] of every contact of a prepared grasp: shape (3c,)."""
-    blocks = split(q, grasp.sizes)
-    frames, touching = poses(grasp, blocks), touches(grasp, tuple(s[i] for i in range(s.shape[0])))
-    left = residual(grasp, frames, touching)
-    rows = []
-    for contact, gap, sine, t in zip(grasp.contacts, left.gaps, left.tangencies, touching, strict=True):
-        tip, face = frames[1 + contact.finger], frames[0]
-        cosine = -tip.turn(t.tip.tangent).dot(face.turn(t.object.tangent))
-        rows += [gap.x, gap.y, jnp.arctan2(sine, cosine)]
+    """Gap [m] and tangency [rad] of every contact of a prepared grasp: in the plane shape (3c,)."""
+    frames = poses(grasp, split(q, grasp.form.positions))
+    each = zip(grasp.contacts, touches(grasp, to_places(s, grasp.form)), strict=True)
+    rows = [row for c, t in each for row in c.equations((frames[1 + c.finger], frames[0]), t)]
     return jnp.stack(rows)
 
 
 def _metric(grasp: Grasp, guess: State, size: int) -> Array:
     """Mass matrix at the guess, scaled to unit mean; free contact coordinates weigh next to nothing."""
-    _, inertias = bodies(grasp, to_leaves(guess, grasp.sizes))
+    _, inertias = bodies(grasp, to_leaves(guess, grasp.form))
     n = grasp.coordinates
     mass = mass_matrix([inertia.mass for inertia in inertias], n)
     metric = jnp.zeros((size, size), guess.q.dtype).at[:n, :n].set(mass * (n / jnp.trace(mass)))
@@ -233,7 +246,7 @@ def _restore(rows: Callable[[Array], Array], start: Array, metric: Array) -> Arr
 
 def _compatible(grasp: Grasp, q: Array, v: Array, s: Array) -> Array:
     """Project velocities onto $A v = 0$ in the mass metric."""
-    leaves = to_leaves(State(q, v, s), grasp.sizes)
+    leaves = to_leaves(State(q, v, s), grasp.form)
     motions, inertias = bodies(grasp, leaves)
     masses = [factorise(inertia.mass) for inertia in inertias]
     line = linearise(grasp, motions, masses, touches(grasp, leaves.s))

@@ -2,19 +2,22 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 from jaxtyping import Array
 
 from .._algebra import once, total
 from .._types import Scalar, Scalars
-from ..control import AbstractController, as_controller, sense, Sensed
+from ..control import as_controller, joint_angles, sense, Sensed
 from ..mechanics import (
     accelerate,
-    apply_jacobian,
     balance,
+    Blocks,
     bodies,
+    closing,
     combine,
+    displaced,
     Grasp,
     Instant,
     join,
@@ -29,6 +32,7 @@ from ..mechanics import (
     State,
     to_leaves,
     touches,
+    unknown_line,
 )
 from ._formulation import Formulation
 
@@ -40,43 +44,53 @@ class Anchor:
 
     Attributes:
         line: Constraint Jacobian and factorised Schur complement.
-        bends: Sum of the two curvatures of each contact.
+        bends: What each contact's return to tangency needs of its curvatures.
     """
 
     line: Linearisation
-    bends: Scalars
+    bends: tuple[Any, ...]
 
 
-def anchor_of(instant: Instant) -> Anchor:
+def anchor_of(grasp: Grasp, instant: Instant) -> Anchor:
     """Keep what the projection needs."""
-    return Anchor(instant.line, tuple(t.tip.curvature + t.object.curvature for t in instant.touching))
+    frames = [motion.pose for motion in instant.motions]
+    each = zip(grasp.contacts, instant.touching, strict=True)
+    bends = tuple(c.bend((frames[1 + c.finger], frames[0]), t) for c, t in each)
+    return Anchor(instant.line, bends)
+
+
+def unknown_anchor(grasp: Grasp) -> Anchor:
+    """An anchor full of zeros, as the state of a loop that will fill it."""
+    return Anchor(unknown_line(grasp), tuple(c.unknown_bend() for c in grasp.contacts))
 
 
 def evaluate(grasp: Grasp, t: Scalar, leaves: Leaves, formulation: Formulation) -> Instant:
     """Accelerations and contact forces at one instant, under the grasp's controller."""
 
     def torques(motions: Sequence[Motion]) -> tuple[Scalars, ...]:
-        return as_controller(grasp.controller).torques(t, sensed(leaves, motions))
+        return as_controller(grasp.controller).torques(t, sensed(grasp, leaves, motions))
 
     return accelerate(grasp, leaves, torques, formulation.stabiliser(grasp))
 
 
-def sensed(leaves: Leaves, motions: Sequence[Motion]) -> list[Sensed]:
+def sensed(grasp: Grasp, leaves: Leaves, motions: Sequence[Motion]) -> list[Sensed]:
     """What every finger's controller may know."""
-    return [sense(m, q, v) for m, q, v in zip(motions[1:], leaves.q[1:], leaves.v[1:], strict=True)]
+    each = zip(motions[1:], joint_angles(grasp, leaves.q), leaves.v[1:], strict=True)
+    return [sense(motion, angles, rates) for motion, angles, rates in each]
 
 
 def generalised_force(grasp: Grasp, t: Scalar, state: State) -> Array:
     """Torques and gravity less velocity terms: shape (n,), all that is not inertia or contact."""
-    leaves = to_leaves(state, grasp.sizes)
+    leaves = to_leaves(state, grasp.form)
     motions, inertias = bodies(grasp, leaves)
-    drives = (None, *as_controller(grasp.controller).torques(t, sensed(leaves, motions)))
+    drives = (None, *as_controller(grasp.controller).torques(t, sensed(grasp, leaves, motions)))
     return join(tuple(net_force(i, u) for i, u in zip(inertias, drives, strict=True)))
 
 
-def control_potential(controller: AbstractController, leaves: Leaves, tips: Sequence) -> Scalar:
+def control_potential(grasp: Grasp, leaves: Leaves, tips: Sequence[Any]) -> Scalar:
     """The controller's artificial potential energy at a configuration."""
-    return controller.potential([tip.origin for tip in tips], leaves.q[1:])
+    angles = joint_angles(grasp, leaves.q)
+    return as_controller(grasp.controller).potential([tip.origin for tip in tips], angles)
 
 
 def power(grasp: Grasp, t: Scalar, leaves: Leaves, motions: Sequence[Motion]) -> Scalar:
@@ -86,7 +100,7 @@ def power(grasp: Grasp, t: Scalar, leaves: Leaves, motions: Sequence[Motion]) ->
     potential is unknown, it is the whole power of the joint torques.
     """
     controller = as_controller(grasp.controller)
-    torques = controller.torques(t, sensed(leaves, motions))
+    torques = controller.torques(t, sensed(grasp, leaves, motions))
     drive = total(
         [u * w for us, ws in zip(torques, leaves.v[1:], strict=True) for u, w in zip(us, ws, strict=True)]
     )
@@ -94,7 +108,7 @@ def power(grasp: Grasp, t: Scalar, leaves: Leaves, motions: Sequence[Motion]) ->
     moves = [m.twist.velocity for m in motions[1:]]
     _, stored = jax.jvp(
         lambda points, angles: controller.potential(points, angles),
-        (tips, leaves.q[1:]),
+        (tips, joint_angles(grasp, leaves.q)),
         (moves, leaves.v[1:]),
     )
     return drive + stored
@@ -106,18 +120,24 @@ def settle(grasp: Grasp, leaves: Leaves, anchor: Anchor) -> Leaves:
     Simplified Newton with the linearisation of `anchor`: a gap g falls to order g^2, then g^3.
     """
     line = anchor.line
-    left = once(residual(grasp, poses(grasp, leaves.q), touches(grasp, leaves.s)))
-    moved = once(respond(grasp, line, balance(line, left.gaps)))
-    body, *tips = spins(grasp, moved)
-    # Tangency is kept when both bodies turn back.
-    s = tuple(
-        sigma + (tips[c.finger] - body - sine) / bend
-        for c, bend, sine, sigma in zip(grasp.contacts, anchor.bends, left.tangencies, leaves.s, strict=True)
-    )
-    return Leaves(combine(leaves.q, moved, -1.0), leaves.v, s)
+    shapes = [grasp.shapes(c) for c in grasp.contacts]
+    places = [c.onto(*pair) for c, *pair in zip(grasp.contacts, shapes, leaves.s, strict=True)]
+    frames = poses(grasp, leaves.q)
+    left = once(residual(grasp, frames, touches(grasp, places)))
+    back = once(_negative(respond(grasp, line, balance(line, left.gaps))))
+    body, *tips = spins(grasp, leaves.q, back)
+    s = []
+    for i, c in enumerate(grasp.contacts):
+        misfit = ((frames[1 + c.finger], frames[0]), left.tangencies[i], anchor.bends[i])
+        s.append(c.settled(shapes[i], places[i], tips[c.finger] - body, misfit))
+    return Leaves(displaced(grasp, leaves.q, back), leaves.v, tuple(s))
+
+
+def _negative(blocks: Blocks) -> Blocks:
+    return tuple(tuple(-x for x in block) for block in blocks)
 
 
 def compatible(grasp: Grasp, leaves: Leaves, line: Linearisation) -> Leaves:
     """Velocities back onto $A v = 0$, nearest in the mass metric."""
-    pull = respond(grasp, line, once(balance(line, apply_jacobian(grasp, line, leaves.v))))
+    pull = respond(grasp, line, once(balance(line, closing(grasp, line, leaves.v))))
     return once(Leaves(leaves.q, combine(leaves.v, pull, -1.0), leaves.s))

@@ -7,6 +7,7 @@ recorded steps in `_march` needs. One vector, not a tuple of scalars, because ev
 costs XLA a kernel per step (measured: 34 against 9 us); for the same reason the grasp's numbers are bundled.
 """
 
+import itertools
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -16,7 +17,7 @@ from jaxtyping import Array, Float
 
 from .._algebra import scalars
 from .._types import Scalar
-from ..mechanics import Blocks, Grasp, Leaves, State
+from ..mechanics import Blocks, Form, Grasp, Leaves, State
 
 Flow = Float[Array, " flow"]
 
@@ -24,19 +25,13 @@ Flow = Float[Array, " flow"]
 class Layout(NamedTuple):
     """Where everything is in the vector; static."""
 
-    sizes: tuple[int, ...]
-    contacts: int
+    form: Form
     audited: bool
-
-    @property
-    def n(self) -> int:
-        """Generalised coordinates."""
-        return sum(self.sizes)
 
     @property
     def width(self) -> int:
         """Length of `x`."""
-        return 2 * self.n + self.contacts + int(self.audited)
+        return sum(self.form.counts) + int(self.audited)
 
     @property
     def margin(self) -> int:
@@ -48,19 +43,21 @@ class Layout(NamedTuple):
 
         Contact coordinates are slaved to q by tangency, and the derivative is not integrated.
         """
-        parts = [error[: 2 * self.n], error[2 * self.n + self.contacts : self.width]]
+        positions, velocities, places = self.form.counts
+        moving = positions + velocities
+        parts = [error[:moving], error[moving + places : self.width]]
         return jnp.concatenate(parts) if self.audited else parts[0]
 
 
 def layout(grasp: Grasp, audited: bool) -> Layout:
     """The layout of a grasp's flow vector."""
-    return Layout(grasp.sizes, len(grasp.contacts), audited)
+    return Layout(grasp.form, audited)
 
 
 def pack(leaves: Leaves, work: Scalar | None) -> Array:
     """Scalars to the vector x."""
     flat = [leaf for blocks in (leaves.q, leaves.v) for block in blocks for leaf in block]
-    flat += leaves.s
+    flat += jax.tree.leaves(leaves.s)
     if work is not None:
         flat.append(work)
     return jnp.stack(flat)
@@ -68,23 +65,22 @@ def pack(leaves: Leaves, work: Scalar | None) -> Array:
 
 def unpack(lay: Layout, x: Array) -> tuple[Leaves, Scalar | None]:
     """The vector x (or y) to scalars."""
-    flat = scalars(x[: lay.width])
+    rest = iter(scalars(x[: lay.width]))
 
-    def blocks(start: int) -> Blocks:
-        out = []
-        for size in lay.sizes:
-            out.append(tuple(flat[start : start + size]))
-            start += size
-        return tuple(out)
+    def blocks(sizes: tuple[int, ...]) -> Blocks:
+        return tuple(tuple(itertools.islice(rest, size)) for size in sizes)
 
-    s = tuple(flat[2 * lay.n : 2 * lay.n + lay.contacts])
-    return Leaves(blocks(0), blocks(lay.n), s), flat[-1] if lay.audited else None
+    form = lay.form
+    q, v = blocks(form.positions), blocks(form.sizes)
+    s = jax.tree.unflatten(form.places, tuple(itertools.islice(rest, form.places.num_leaves)))
+    return Leaves(q, v, s), next(rest) if lay.audited else None
 
 
 def states_of(lay: Layout, y: Array) -> State:
     """The public state inside a vector, or a stack of them."""
-    n = lay.n
-    return State(y[..., :n], y[..., n : 2 * n], y[..., 2 * n : 2 * n + lay.contacts])
+    positions, velocities, places = lay.form.counts
+    moving = positions + velocities
+    return State(y[..., :positions], y[..., positions:moving], y[..., moving : moving + places])
 
 
 def vector_of(lay: Layout, state: State) -> Array:

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 from .._algebra import Vec2
 from .._results import as_floats, check_positive
 from .._types import Given
-from ..contact import gap, Touch
+from ..contact import gap, Rows, Touch
 from ..mechanics import Grasp, Motion, Stabiliser
 
 
@@ -60,11 +60,9 @@ class CSM(eqx.Module):
     def stabiliser(self, grasp: Grasp) -> Stabiliser | None:
         """The restoring gap accelerations in the object's contact frames."""
 
-        def restoring(
-            motions: Sequence[Motion], touching: Sequence[Touch], closing: tuple[Vec2, ...]
-        ) -> tuple[Vec2, ...]:
+        def restoring(motions: Sequence[Motion], touching: Sequence[Touch], closing: Rows) -> Rows:
             return tuple(
-                self._at_contact(motions[1 + c.finger], motions[0], t, rate)
+                tuple(self._at_contact(motions[1 + c.finger], motions[0], t, Vec2(*rate)))
                 for c, t, rate in zip(grasp.contacts, touching, closing, strict=True)
             )
 

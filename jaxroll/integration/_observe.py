@@ -1,20 +1,23 @@
 """Quantities along a run, as the chapter defines them, from states alone."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._algebra import total
+from .._spatial import Vec3
 from .._types import Scalar
-from ..control import as_controller
+from ..contact import Rows
 from ..mechanics import (
     bodies,
     compiled,
     Grasp,
     kinetic_energy,
     Leaves,
-    normal_and_tangential,
     poses,
     residual,
     State,
@@ -30,13 +33,15 @@ class Residuals(eqx.Module):
 
     Attributes:
         normal: $Q$, the gap along the object's normal [m]: (65), (5).
-        tangential: $R$, the gap along the object's tangent [m]: (64), (6).
-        tangency: Sine of the angle between the two tangents [rad].
+        tangential: $R$, the gap along the object's tangent [m]: (64), (6). In space, shape (..., c, 3): its
+            part in the object's tangent plane, in world axes.
+        tangency: Sine of the angle between the two tangents [rad]. In space, shape (..., c, 3): the sum of
+            the two outward normals, in world axes.
     """
 
     normal: Float[Array, "... c"]
-    tangential: Float[Array, "... c"]
-    tangency: Float[Array, "... c"]
+    tangential: Float[Array, "..."]
+    tangency: Float[Array, "..."]
 
 
 class Multipliers(eqx.Module):
@@ -44,11 +49,12 @@ class Multipliers(eqx.Module):
 
     Attributes:
         f: Normal force [N] of each contact, positive when pressing.
-        lam: Tangential force $\lambda$ [N]: the object pushes the fingertip along $-\lambda\, b_0$.
+        lam: Tangential force $\lambda$ [N]: the object pushes the fingertip along $-\lambda\, b_0$. In
+            space, shape (..., c, 3): the tangential force on the object, in world axes.
     """
 
     f: Float[Array, "... c"]
-    lam: Float[Array, "... c"]
+    lam: Float[Array, "..."]
 
 
 class Energy(eqx.Module):
@@ -69,39 +75,47 @@ class Energy(eqx.Module):
 
 def residuals_at(grasp: Grasp, state: State) -> Residuals:
     """Residuals of a prepared grasp at one state."""
-    leaves = to_leaves(state, grasp.sizes)
+    leaves = to_leaves(state, grasp.form)
     frames, touching = poses(grasp, leaves.q), touches(grasp, leaves.s)
     left = residual(grasp, frames, touching)
-    normal, tangential = [], []
-    for gap, t in zip(left.gaps, touching, strict=True):
-        tangent = frames[0].turn(t.object.tangent)
-        normal.append(gap.dot(tangent.right()))
-        tangential.append(gap.dot(tangent))
-    stack = lambda parts: jnp.stack(list(parts))  # noqa: E731
-    return Residuals(stack(normal), stack(tangential), stack(left.tangencies))
+    each = zip(grasp.contacts, left.gaps, left.tangencies, touching, strict=True)
+    rows = [c.split_gap((frames[1 + c.finger], frames[0]), t, gap, tan) for c, gap, tan, t in each]
+    return Residuals(*(_column(column) for column in zip(*rows, strict=True)))
 
 
 def worst(residuals: Residuals) -> Array:
     """Largest absolute residual over contacts, per state: metres and radians together."""
+    rows = residuals.normal.shape[:-1]
     parts = [residuals.normal, residuals.tangential, residuals.tangency]
-    return jnp.max(jnp.abs(jnp.stack(parts)), axis=(0, -1))
+    flat = jnp.concatenate([part.reshape(*rows, -1) for part in parts], axis=-1)
+    return jnp.max(jnp.abs(flat), axis=-1)
 
 
 def multipliers_at(grasp: Grasp, t: Scalar, state: State, formulation: Formulation) -> Multipliers:
     """Contact forces of a prepared grasp at one state."""
-    instant = evaluate(grasp, t, to_leaves(state, grasp.sizes), formulation)
-    body, each = instant.motions[0].pose, zip(grasp.contacts, instant.touching, instant.forces, strict=True)
-    pairs = [normal_and_tangential(contact, body, t.object, force) for contact, t, force in each]
+    instant = evaluate(grasp, t, to_leaves(state, grasp.form), formulation)
+    return split_forces(grasp, [m.pose for m in instant.motions], instant.touching, instant.forces)
+
+
+def split_forces(grasp: Grasp, frames: Sequence[Any], touching: Sequence[Any], forces: Rows) -> Multipliers:
+    """Forces on the fingertips, by constraint rows, as multipliers."""
+    each = zip(grasp.contacts, touching, forces, strict=True)
+    pairs = [c.split_force((frames[1 + c.finger], frames[0]), t, force) for c, t, force in each]
     f, lam = zip(*pairs, strict=True)
-    return Multipliers(jnp.stack(f), jnp.stack(lam))
+    return Multipliers(_column(f), _column(lam))
+
+
+def _column(values: Sequence[Any]) -> Array:
+    """One number or vector per contact, as an array."""
+    return jnp.stack([x.array() if isinstance(x, Vec3) else jnp.asarray(x) for x in values])
 
 
 def energies_at(grasp: Grasp, state: State) -> tuple[Scalar, Scalar]:
     """Kinetic and potential energy of a prepared grasp at one state."""
-    leaves = to_leaves(state, grasp.sizes)
+    leaves = to_leaves(state, grasp.form)
     motions, inertias = bodies(grasp, leaves)
     tips = [motion.pose for motion in motions[1:]]
-    stored = control_potential(as_controller(grasp.controller), leaves, tips)
+    stored = control_potential(grasp, leaves, tips)
     return kinetic_energy(inertias, leaves.v), stored + _gravity_potential(grasp, leaves)
 
 

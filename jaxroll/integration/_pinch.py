@@ -77,7 +77,7 @@ def check_pinch(grasp: Grasp) -> None:
 
 
 def _balance_at(grasp: Grasp, t: Scalar, state: State) -> PinchBalance:
-    leaves = to_leaves(state, grasp.sizes)
+    leaves = to_leaves(state, grasp.form)
     body, *tips = poses(grasp, leaves.q)
     forces = multipliers_at(grasp, t, state, Index1())
     control, kept = grasp.controller, orientations(grasp, state) - grasp.controller.start

@@ -60,7 +60,7 @@ def press_balance(grasp: Grasp, ts: Float[Array, "..."], states: State) -> Press
 
 
 def _balance_at(grasp: Grasp, t: Scalar, state: State) -> PressBalance:
-    leaves = to_leaves(state, grasp.sizes)
+    leaves = to_leaves(state, grasp.form)
     frames, touching = poses(grasp, leaves.q), touches(grasp, leaves.s)
     forces = multipliers_at(grasp, t, state, Index1())
     stiffness, target = grasp.controller.stiffness, Vec2(*grasp.controller.target)

@@ -4,14 +4,16 @@ A margin is positive while the model holds and passes through zero where it ends
 control can find the time of the event (see `_march`), and autodiff its derivative.
 """
 
+from typing import Any
+
 import diffrax
 import jax.numpy as jnp
 from jaxtyping import Array
 
 from .._results import RESULTS
 from .._types import Scalar
-from ..contact import clearance, TOLERANCE
-from ..mechanics import Grasp, Instant, Leaves, normal_and_tangential, poses
+from ..contact import AbstractContact, clearance, TOLERANCE
+from ..mechanics import Grasp, Instant, Leaves, poses
 
 # Relative size below which a pivot, or a sum of curvatures, counts as zero.
 _SINGULAR = 1e-9
@@ -38,8 +40,9 @@ def regime(grasp: Grasp, leaves: Leaves, instant: Instant, events: tuple[str, ..
     Contour ends and singular contacts are always watched, what `events` names besides; a friction
     cone only where its contact has a coefficient.
     """
-    margins = [(m, _CONTOUR_END) for m in _contour_ends(grasp, leaves)]
-    margins += [(m, _SINGULAR_CONTACT) for m in _curvature_sums(instant)]
+    places = zip(grasp.contacts, leaves.s, strict=True)
+    margins = [(m, _CONTOUR_END) for c, place in places for m in c.ends(grasp.shapes(c), place)]
+    margins += [(m - _SINGULAR, _SINGULAR_CONTACT) for m in _curvature_sums(grasp, instant)]
     margins.append((instant.line.schur.smallest_pivot - _SINGULAR, _SINGULAR_CONTACT))
     margins += _forces(grasp, instant, events)
     least, number = margins[0][0], jnp.asarray(margins[0][1])
@@ -80,41 +83,31 @@ def decode(number: Scalar, loop: diffrax.RESULTS) -> RESULTS:
     return result
 
 
-def _contour_ends(grasp: Grasp, leaves: Leaves) -> list[Scalar]:
-    """Distances [m] of the contact points from the ends of open contours; none where there are none."""
-    margins = []
-    for contact, sigma in zip(grasp.contacts, leaves.s, strict=True):
-        tip, face = grasp.contours(contact)
-        for contour, s in ((tip, contact.s_tip + sigma), (face, contact.s_object - sigma)):
-            ends = None if contour.closed else contour.domain()
-            if ends is not None:
-                margins += [s - ends[0], ends[1] - s]
-    return margins
+def _each_contact(grasp: Grasp, instant: Instant) -> list[tuple[AbstractContact, tuple[Any, Any], Any]]:
+    """Every contact with the poses of its fingertip and of the object, and its frames."""
+    body, *tips = (motion.pose for motion in instant.motions)
+    each = zip(grasp.contacts, instant.touching, strict=True)
+    return [(c, (tips[c.finger], body), touching) for c, touching in each]
 
 
-def _curvature_sums(instant: Instant) -> list[Scalar]:
+def _curvature_sums(grasp: Grasp, instant: Instant) -> list[Scalar]:
     """Relative sums of curvatures: a contact rolls while its own is positive."""
-    margins = []
-    for touching in instant.touching:
-        tip, face = touching.tip.curvature, touching.object.curvature
-        size = jnp.abs(tip) + jnp.abs(face)
-        margins.append((tip + face) / jnp.where(size > 0, size, 1.0) - _SINGULAR)
-    return margins
+    return [c.curvature_margin(pair, t) for c, pair, t in _each_contact(grasp, instant)]
 
 
 def _forces(grasp: Grasp, instant: Instant, events: tuple[str, ...]) -> list[tuple[Scalar, int]]:
     """Normal forces, and distances to the sides of the friction cones [N]."""
-    margins, body = [], instant.motions[0].pose
-    for contact, touching, force in zip(grasp.contacts, instant.touching, instant.forces, strict=True):
+    margins = []
+    for (contact, pair, touching), force in zip(_each_contact(grasp, instant), instant.forces, strict=True):
         lift, rubs = "lift" in events, "friction" in events and contact.friction is not None
         if not lift and not rubs:
             continue
-        f, lam = normal_and_tangential(contact, body, touching.object, force)
+        f, tangential = contact.split_force(pair, touching, force)
         if lift:
             margins.append((f, _LOST))
         if rubs:
             cone = contact.friction * f
-            margins += [(cone - lam, _SLIPPING), (cone + lam, _SLIPPING)]
+            margins += [(cone - rubbing, _SLIPPING) for rubbing in contact.rubbing(tangential)]
     return margins
 
 

@@ -13,7 +13,7 @@ from jaxtyping import Array
 from .._algebra import total
 from .._results import concrete, message, RESULTS
 from .._types import Given
-from ..mechanics import Grasp, State
+from ..mechanics import check_planar, Grasp, State
 from ._arguments import as_number, check_choices, check_precision, OPTIONS, RECORDS, save_times
 from ._close import check_state, reach
 from ._flow import bundle, Layout, layout, states_of, vector_of
@@ -92,10 +92,14 @@ def simulate(
         '0.772 rad'
     """
     check_state(grasp, state)
+    if isinstance(formulation, CSM):
+        check_planar(grasp)
     check_choices("record", record, RECORDS)
     check_choices("options", tuple(options), OPTIONS)
     events = options.get("events", ("lift", "friction"))
     check_choices("events", events, EVENTS)
+    if "penetration" in events:
+        check_planar(grasp)
     dtype = np.dtype(state.q.dtype)
     check_precision(dtype, rtol)
     start, end, saves = save_times(t0, t1, ts, dtype)

@@ -17,8 +17,8 @@ from jaxtyping import Array
 
 from .._algebra import once, scalars, sharing, total
 from .._types import Scalar
-from ..mechanics import Grasp, Instant, unknown_line
-from ._closed_loop import Anchor, anchor_of, compatible, evaluate, power, settle
+from ..mechanics import Grasp, Instant
+from ._closed_loop import Anchor, anchor_of, compatible, evaluate, power, settle, unknown_anchor
 from ._flow import Bundle, Flow, Layout, pack, unpack
 from ._formulation import Formulation, Index1
 from ._regime import coded, regime, with_clearance
@@ -137,7 +137,7 @@ class RollingStep(eqx.Module):
     def _evaluated(self, grasp: Grasp, t: Scalar, x: Array) -> tuple[Array, "Ending"]:
         rates, instant = self.rates(grasp, t, x)
         leaves, _ = unpack(self.lay, x)
-        return rates, Ending(anchor_of(instant), *regime(grasp, leaves, instant, self.events))
+        return rates, Ending(anchor_of(grasp, instant), *regime(grasp, leaves, instant, self.events))
 
     def rates(self, grasp: Grasp, t: Scalar, x: Array) -> tuple[Array, Instant]:
         """Time derivative of x, and all else that its evaluation worked out."""
@@ -174,7 +174,7 @@ class Ending(eqx.Module):
     @classmethod
     def unknown(cls, grasp: Grasp) -> "Ending":
         """Zeros in the same places."""
-        return cls(Anchor(unknown_line(grasp), (0.0,) * len(grasp.contacts)), 0.0, 0.0)
+        return cls(unknown_anchor(grasp), 0.0, 0.0)
 
     def packed(self, dtype: Any) -> Array:
         """All numbers as one vector: a loop carries it with one copy."""

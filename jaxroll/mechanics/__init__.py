@@ -4,17 +4,20 @@
 `_constraints` linearises the rolling contacts, `_dynamics` solves for accelerations and forces.
 """
 
+from ..contact import Motion as Motion
 from ._arrays import (
     equation_terms as equation_terms,
     EquationTerms as EquationTerms,
     mass_matrix as mass_matrix,
 )
-from ._body import Inertia as Inertia, Motion as Motion
+from ._body import AbstractBody as AbstractBody, Inertia as Inertia
 from ._constraints import (
     apply_jacobian as apply_jacobian,
     balance as balance,
     bodies as bodies,
+    closing as closing,
     combine as combine,
+    displaced as displaced,
     Linearisation as Linearisation,
     linearise as linearise,
     poses as poses,
@@ -30,23 +33,27 @@ from ._dynamics import (
     Instant as Instant,
     kinetic_energy as kinetic_energy,
     net_force as net_force,
-    normal_and_tangential as normal_and_tangential,
     Stabiliser as Stabiliser,
 )
 from ._finger import AbstractFinger as AbstractFinger, Finger as Finger
-from ._grasp import compiled as compiled, Grasp as Grasp
+from ._finger3 import Finger3 as Finger3
+from ._grasp import check_planar as check_planar, compiled as compiled, Grasp as Grasp
 from ._jaw import Jaw as Jaw
 from ._object import (
     AbstractObject as AbstractObject,
     FreeObject as FreeObject,
     PivotedObject as PivotedObject,
 )
+from ._object3 import FreeObject3 as FreeObject3
+from ._stage import Stage as Stage, Turning as Turning
 from ._state import (
     Blocks as Blocks,
+    Form as Form,
     join as join,
     Leaves as Leaves,
     split as split,
     State as State,
     to_leaves as to_leaves,
+    to_places as to_places,
     to_state as to_state,
 )

@@ -4,9 +4,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._algebra import factorise
+from .._algebra import factorise, Vec2
 from ._constraints import bodies, linearise, touches
-from ._grasp import compiled, Grasp
+from ._grasp import check_planar, compiled, Grasp
 from ._state import State, to_leaves
 
 
@@ -40,14 +40,16 @@ def equation_terms(grasp: Grasp, state: State) -> EquationTerms:
         >>> jxr.equation_terms(grasp, state).normal.shape
         (1, 3)
     """
+    check_planar(grasp)
     ready = grasp.prepared()
-    leaves = to_leaves(state, ready.sizes)
+    leaves = to_leaves(state, ready.form)
     motions, inertias = bodies(ready, leaves)
     touching = touches(ready, leaves.s)
     line = linearise(ready, motions, [factorise(i.mass) for i in inertias], touching)
     normal, tangential = [], []
-    for contact, (tip, face), t in zip(ready.contacts, line.jacobian, touching, strict=True):
+    for contact, rows, t in zip(ready.contacts, line.jacobian, touching, strict=True):
         b = motions[0].pose.turn(t.object.tangent)
+        tip, face = ([Vec2(*pair) for pair in zip(*block, strict=True)] for block in rows)
         blocks = {0: face, 1 + contact.finger: tip}
         normal.append(_row(ready, {k: [c.dot(b.left()) for c in v] for k, v in blocks.items()}))
         signed = b * contact.sense

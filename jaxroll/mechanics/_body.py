@@ -1,29 +1,15 @@
 """What the dynamics needs to know of a body, whichever body it is."""
 
+import abc
 from dataclasses import dataclass
+from typing import Any
 
+import equinox as eqx
 import jax
 
-from .._algebra import Pose2, Triangle, Twist2
-from .._types import Scalars
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, slots=True)
-class Motion:
-    r"""Kinematics of one body frame: the object's, or a fingertip's.
-
-    Attributes:
-        pose: The frame in the world.
-        unit_twists: Twist per unit rate of each coordinate: the columns of its Jacobian $J$.
-        twist: $J v$.
-        bias: $\dot J v$, the part of the acceleration that the velocities alone cause.
-    """
-
-    pose: Pose2
-    unit_twists: tuple[Twist2, ...]
-    twist: Twist2
-    bias: Twist2
+from .._algebra import Triangle
+from .._types import Scalar, Scalars
+from ..contact import Motion
 
 
 @jax.tree_util.register_dataclass
@@ -36,3 +22,55 @@ class Inertia:
 
     mass: Triangle
     force: Scalars
+
+
+class AbstractBody(eqx.Module):
+    r"""The object, or a driven mechanism with a fingertip: a frame that its own coordinates place.
+
+    Its velocities $v$ need not be rates of its positions $q$: $\dot q = N(q) v$ (plus what is prescribed).
+    Poses, twists, gravity and spins are those of the plane (`Pose2`, `Twist2`, `Vec2`, a number) or of
+    space (`Pose3`, `Twist3`, `Vec3`, `Vec3`).
+    """
+
+    @property
+    @abc.abstractmethod
+    def freedoms(self) -> int:
+        """Number of velocities."""
+
+    @property
+    def positions(self) -> int:
+        """Number of positions."""
+        return self.freedoms
+
+    @property
+    @abc.abstractmethod
+    def shapes(self) -> tuple[Any, ...]:
+        """Contours or surfaces in the body's frame, which contacts touch."""
+
+    @abc.abstractmethod
+    def prepared(self) -> "AbstractBody":
+        """This body with scalar leaves and shapes ready for evaluation."""
+
+    @abc.abstractmethod
+    def pose(self, q: Scalars) -> Any:
+        """The frame in the world."""
+
+    @abc.abstractmethod
+    def spin(self, q: Scalars, v: Scalars) -> Any:
+        """Angular velocity of the frame at these velocities, less what is prescribed."""
+
+    @abc.abstractmethod
+    def motion(self, q: Scalars, v: Scalars, gravity: Any) -> tuple[Motion, Inertia]:
+        """Kinematics of the frame, mass matrix and bias force at one state."""
+
+    @abc.abstractmethod
+    def gravity_potential(self, q: Scalars, gravity: Any) -> Scalar:
+        """Potential energy in a uniform field."""
+
+    def rates(self, q: Scalars, v: Scalars) -> Scalars:
+        r"""$\dot q$ at these velocities."""
+        return v
+
+    def displaced(self, q: Scalars, step: Scalars) -> Scalars:
+        """Positions after a small displacement, given as velocities are."""
+        return tuple(a + b for a, b in zip(q, step, strict=True))

@@ -1,32 +1,34 @@
 """The rolling constraints of a grasp: residuals, and their linearisation with one factorisation.
 
 The Schur complement $A M^{-1} A^T$ that the accelerations need is the one that the projection onto
-positions and velocities needs; both use the `Linearisation` built here.
+positions and velocities needs; both use the `Linearisation` built here. It holds rows of scalars, and so
+does not know whether they are those of the plane or of space.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from .._algebra import Factor, factorise, once, Pose2, solve, total, Vec2
+from .._algebra import Factor, factorise, solve, total
 from .._types import Scalar, Scalars
-from ..contact import gap, pfaffian, tangency, Touch, touch
-from ._body import Inertia, Motion
+from ..contact import Motion, Rows
+from ._body import Inertia
 from ._grasp import Grasp
 from ._state import Blocks, Leaves
 
-Vectors = tuple[Vec2, ...]
+Pair = tuple[Rows, Rows]
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, slots=True)
 class Residual:
-    """What the rolling constraints leave over, per contact: gap vectors and sines of tangency."""
+    """What the rolling constraints leave over, per contact: the rows' gaps, and tangencies."""
 
-    gaps: Vectors
-    tangencies: Scalars
+    gaps: Rows
+    tangencies: tuple[Any, ...]
 
 
 @jax.tree_util.register_dataclass
@@ -35,36 +37,44 @@ class Linearisation:
     r"""Constraint Jacobian $A$, $M^{-1}A^T$ and the factorised Schur complement $A M^{-1} A^T$.
 
     Attributes:
-        jacobian: For each contact: its columns for the finger's and for the object's coordinates.
-        weighted: The same columns solved with the mass matrices, as rows (x, then y) of $A M^{-1}$.
-        schur: Factor of the (2c, 2c) Schur complement.
+        jacobian: For each contact: its rows over the finger's and over the object's coordinates.
+        weighted: The same rows solved with the mass matrices: those of $A M^{-1}$.
+        schur: Factor of the Schur complement.
+        drift: For each contact the rates of its gap that are prescribed; none where nothing is.
     """
 
-    jacobian: tuple[tuple[Vectors, Vectors], ...]
-    weighted: tuple[tuple[tuple[Scalars, Scalars], tuple[Scalars, Scalars]], ...]
+    jacobian: tuple[Pair, ...]
+    weighted: tuple[Pair, ...]
     schur: Factor
+    drift: tuple[Scalars | None, ...]
 
 
-def poses(grasp: Grasp, q: Blocks) -> tuple[Pose2, ...]:
+def poses(grasp: Grasp, q: Blocks) -> tuple[Any, ...]:
     """World poses of the object and of every fingertip."""
-    tips = (finger.tip_pose(angles) for finger, angles in zip(grasp.fingers, q[1:], strict=True))
-    return (grasp.object.pose(q[0]), *tips)
+    return tuple(body.pose(block) for body, block in zip(grasp.bodies, q, strict=True))
 
 
-def touches(grasp: Grasp, s: Scalars) -> tuple[Touch, ...]:
-    """Contact frames at the given rolling coordinates."""
-    return tuple(
-        touch(contact, *grasp.contours(contact), sigma)
-        for contact, sigma in zip(grasp.contacts, s, strict=True)
-    )
+def spins(grasp: Grasp, q: Blocks, rates: Blocks) -> tuple[Any, ...]:
+    """Angular velocities of the object and of every fingertip."""
+    return tuple(body.spin(*pair) for body, *pair in zip(grasp.bodies, q, rates, strict=True))
 
 
-def residual(grasp: Grasp, frames: Sequence[Pose2], touching: Sequence[Touch]) -> Residual:
+def displaced(grasp: Grasp, q: Blocks, step: Blocks) -> Blocks:
+    """Positions after a small displacement, given as velocities are."""
+    return tuple(body.displaced(*pair) for body, *pair in zip(grasp.bodies, q, step, strict=True))
+
+
+def touches(grasp: Grasp, s: Sequence[Any]) -> tuple[Any, ...]:
+    """Contact frames at the given places."""
+    return tuple(c.touch(grasp.shapes(c), place) for c, place in zip(grasp.contacts, s, strict=True))
+
+
+def residual(grasp: Grasp, frames: Sequence[Any], touching: Sequence[Any]) -> Residual:
     """Gap and tangency of every contact."""
-    pairs = [(frames[1 + c.finger], frames[0]) for c in grasp.contacts]
+    each = [(c, (frames[1 + c.finger], frames[0]), t) for c, t in zip(grasp.contacts, touching, strict=True)]
     return Residual(
-        tuple(gap(*pair, t.points) for pair, t in zip(pairs, touching, strict=True)),
-        tuple(tangency(*pair, t) for pair, t in zip(pairs, touching, strict=True)),
+        tuple(c.opening(pair, t) for c, pair, t in each),
+        tuple(c.tangency(pair, t) for c, pair, t in each),
     )
 
 
@@ -72,96 +82,87 @@ def linearise(
     grasp: Grasp,
     motions: Sequence[Motion],
     masses: Sequence[Factor],
-    touching: Sequence[Touch],
+    touching: Sequence[Any],
 ) -> Linearisation:
     """Jacobian by autodiff of the gap, and the factorised Schur complement."""
-    jacobian, weighted = [], []
+    jacobian, weighted, drift = [], [], []
     for contact, t in zip(grasp.contacts, touching, strict=True):
-        tip, body = motions[1 + contact.finger], motions[0]
-        columns = once(pfaffian((tip.pose, body.pose), (tip.unit_twists, body.unit_twists), t.points))
-        jacobian.append(columns)
-        weighted.append((_solve(masses[1 + contact.finger], columns[0]), _solve(masses[0], columns[1])))
+        pair = motions[1 + contact.finger], motions[0]
+        rows = contact.pfaffian(pair, t)
+        jacobian.append(rows)
+        factors = masses[1 + contact.finger], masses[0]
+        weighted.append(tuple(_solve(factor, block) for factor, block in zip(factors, rows, strict=True)))
+        moving = grasp.fingers[contact.finger].prescribed
+        drift.append(contact.closing((pair[0], pair[1].resting()), t) if moving else None)
     rows = []
-    for i, (contact, columns) in enumerate(zip(grasp.contacts, jacobian, strict=True)):
-        for axis in (0, 1):
+    for i, contact in enumerate(grasp.contacts):
+        for axis in range(contact.rows):
             row = []
-            for j in range(i + 1):
-                shared = contact.finger == grasp.contacts[j].finger
-                row += [_schur_entry(columns, axis, weighted[j], other, shared) for other in (0, 1)]
-            rows.append(tuple(row[: 2 * i + axis + 1]))
-    return Linearisation(tuple(jacobian), tuple(weighted), factorise(rows))
+            for j, other in enumerate(grasp.contacts[: i + 1]):
+                blocks = (0, 1) if contact.finger == other.finger else (1,)
+                row += [
+                    total([_dot(jacobian[i][b][axis], weighted[j][b][k]) for b in blocks])
+                    for k in range(other.rows if j < i else axis + 1)
+                ]
+            rows.append(tuple(row))
+    return Linearisation(tuple(jacobian), tuple(weighted), factorise(rows), tuple(drift))
 
 
 def unknown_line(grasp: Grasp) -> Linearisation:
     """A linearisation full of zeros, as the state of a loop that will fill it."""
     zero = jnp.zeros(())
-    jacobian, weighted = [], []
-    for contact in grasp.contacts:
-        counts = (grasp.sizes[1 + contact.finger], grasp.sizes[0])
-        jacobian.append(tuple((Vec2(zero, zero),) * k for k in counts))
-        weighted.append(tuple(((zero,) * k, (zero,) * k) for k in counts))
-    m = 2 * len(grasp.contacts)
+    pairs, drift = [], []
+    for c in grasp.contacts:
+        pairs.append(tuple(((zero,) * k,) * c.rows for k in (grasp.sizes[1 + c.finger], grasp.sizes[0])))
+        drift.append((zero,) * c.rows if grasp.fingers[c.finger].prescribed else None)
+    m = sum(c.rows for c in grasp.contacts)
     schur = Factor(tuple((zero,) * i for i in range(m)), (zero,) * m, zero)
-    return Linearisation(tuple(jacobian), tuple(weighted), schur)
+    return Linearisation(tuple(pairs), tuple(pairs), schur, tuple(drift))
 
 
-def _solve(mass: Factor, columns: Vectors) -> tuple[Scalars, Scalars]:
-    return solve(mass, [c.x for c in columns]), solve(mass, [c.y for c in columns])
+def _solve(mass: Factor, rows: Rows) -> Rows:
+    return tuple(solve(mass, row) for row in rows)
 
 
-def _component(vector: Vec2, axis: int) -> Scalar:
-    return vector.y if axis else vector.x
+def _dot(left: Scalars, right: Scalars) -> Scalar:
+    return total([a * b for a, b in zip(left, right, strict=True)])
 
 
-def _schur_entry(
-    columns: tuple[Vectors, Vectors],
-    axis: int,
-    weighted: tuple[tuple[Scalars, Scalars], tuple[Scalars, Scalars]],
-    other: int,
-    shared: bool,
-) -> Scalar:
-    blocks = (0, 1) if shared else (1,)
-    return total(
-        [
-            _component(column, axis) * weight
-            for block in blocks
-            for column, weight in zip(columns[block], weighted[block][other], strict=True)
-        ]
-    )
+def apply_jacobian(grasp: Grasp, line: Linearisation, rates: Blocks) -> Rows:
+    """$A v$: one tuple per contact."""
+    found = []
+    for c, pair in zip(grasp.contacts, line.jacobian, strict=True):
+        tip, body = rates[1 + c.finger], rates[0]
+        found.append(tuple(_dot((*a, *b), (*tip, *body)) for a, b in zip(*pair, strict=True)))
+    return tuple(found)
 
 
-def spins(grasp: Grasp, rates: Blocks) -> Scalars:
-    """Angular rates of the object and of every fingertip."""
-    tips = (finger.spin(block) for finger, block in zip(grasp.fingers, rates[1:], strict=True))
-    return (grasp.object.spin(rates[0]), *tips)
+def closing(grasp: Grasp, line: Linearisation, v: Blocks) -> Rows:
+    """Rates of the rows' gaps: $A v$ and what is prescribed."""
+    found = zip(apply_jacobian(grasp, line, v), line.drift, strict=True)
+    return tuple(own if given is None else add(own, given) for own, given in found)
 
 
-def apply_jacobian(grasp: Grasp, line: Linearisation, rates: Blocks) -> Vectors:
-    """$A v$: one vector per contact."""
-    return tuple(
-        total(
-            [
-                column * rate
-                for columns, block in zip(pair, (rates[1 + c.finger], rates[0]), strict=True)
-                for column, rate in zip(columns, block, strict=True)
-            ]
-        )
-        for c, pair in zip(grasp.contacts, line.jacobian, strict=True)
-    )
+def add(left: Scalars, right: Scalars) -> Scalars:
+    """Sum, number by number."""
+    return tuple(a + b for a, b in zip(left, right, strict=True))
 
 
-def balance(line: Linearisation, wanted: Sequence[Vec2]) -> Vectors:
+def balance(line: Linearisation, wanted: Rows) -> Rows:
     """Contact forces (impulses) on the fingertips that make $A M^{-1} A^T$ times them `wanted`."""
-    flat = solve(line.schur, [component for vector in wanted for component in vector])
-    return tuple(Vec2(flat[2 * i], flat[2 * i + 1]) for i in range(len(wanted)))
+    flat, found = list(solve(line.schur, [component for rows in wanted for component in rows])), []
+    for rows in wanted:
+        found.append(tuple(flat[: len(rows)]))
+        flat = flat[len(rows) :]
+    return tuple(found)
 
 
-def respond(grasp: Grasp, line: Linearisation, forces: Sequence[Vec2]) -> Blocks:
-    """$M^{-1} A^T$ times contact forces: what each coordinate gains."""
+def respond(grasp: Grasp, line: Linearisation, forces: Rows) -> Blocks:
+    """$M^{-1} A^T$ times contact forces: what each velocity gains."""
     object_terms = []
-    finger_terms: dict[int, list[tuple[Scalar, ...]]] = {}
+    finger_terms: dict[int, list[Scalars]] = {}
     for contact, pair, force in zip(grasp.contacts, line.weighted, forces, strict=True):
-        tip, body = (tuple(x * force.x + y * force.y for x, y in zip(*rows, strict=True)) for rows in pair)
+        tip, body = (tuple(_dot(column, force) for column in zip(*rows, strict=True)) for rows in pair)
         finger_terms.setdefault(contact.finger, []).append(tip)
         object_terms.append(body)
     gains = [_sum_blocks(object_terms)]
@@ -170,8 +171,8 @@ def respond(grasp: Grasp, line: Linearisation, forces: Sequence[Vec2]) -> Blocks
     return tuple(gains)
 
 
-def _sum_blocks(terms: list[tuple[Scalar, ...]]) -> Scalars:
-    return tuple(total(column) for column in zip(*terms, strict=True))
+def _sum_blocks(terms: list[Scalars]) -> Scalars:
+    return tuple(total(list(each)) for each in zip(*terms, strict=True))
 
 
 def combine(left: Blocks, right: Blocks, factor: float = 1.0) -> Blocks:
@@ -185,7 +186,6 @@ def combine(left: Blocks, right: Blocks, factor: float = 1.0) -> Blocks:
 def bodies(grasp: Grasp, leaves: Leaves) -> tuple[tuple[Motion, ...], tuple[Inertia, ...]]:
     """Kinematics and inertia of the object and of every finger."""
     field = grasp.field()
-    pairs = [grasp.object.motion(leaves.q[0], leaves.v[0], field)]
-    for finger, q, v in zip(grasp.fingers, leaves.q[1:], leaves.v[1:], strict=True):
-        pairs.append(finger.motion(q, v, field))
+    each = zip(grasp.bodies, leaves.q, leaves.v, strict=True)
+    pairs = [body.motion(q, v, field) for body, q, v in each]
     return tuple(m for m, _ in pairs), tuple(i for _, i in pairs)

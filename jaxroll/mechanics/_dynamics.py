@@ -6,15 +6,16 @@ $A M^{-1} A^T$. The multiplier $\mu$ of a contact is the force on its fingertip 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 
-from .._algebra import factorise, once, Pose2, solve, total, Vec2
+from .._algebra import factorise, once, solve, total
 from .._types import Scalar, Scalars
-from ..contact import Contact, gap_bias, rolling_rate, Touch
-from ..geometry import Frenet2
-from ._body import Inertia, Motion
+from ..contact import Motion, Rows
+from ._body import Inertia
 from ._constraints import (
+    add,
     apply_jacobian,
     balance,
     bodies,
@@ -28,7 +29,7 @@ from ._grasp import Grasp
 from ._state import Blocks, Leaves
 
 Torques = tuple[Scalars, ...]
-Stabiliser = Callable[[Sequence[Motion], Sequence[Touch], tuple[Vec2, ...]], tuple[Vec2, ...]]
+Stabiliser = Callable[[Sequence[Motion], Sequence[Any], Rows], Rows]
 
 
 @jax.tree_util.register_dataclass
@@ -38,16 +39,17 @@ class Instant:
 
     Attributes:
         rates: Time derivative of the state.
-        forces: Contact force on the fingertip of each contact, in world axes [N].
+        forces: Contact force on the fingertip of each contact [N], by constraint rows: in world axes, then
+            what of a torque there is.
         motions: Kinematics of the object and of every fingertip.
         touching: Contact frames.
         line: Constraint Jacobian and factorised Schur complement.
     """
 
     rates: Leaves
-    forces: tuple[Vec2, ...]
+    forces: Rows
     motions: tuple[Motion, ...]
-    touching: tuple[Touch, ...]
+    touching: tuple[Any, ...]
     line: Linearisation
 
 
@@ -67,29 +69,25 @@ def accelerate(
         solve(mass, net_force(inertia, drive))
         for mass, inertia, drive in zip(masses, inertias, drives, strict=True)
     )
-    sigma_rates = tuple(
-        rolling_rate(t, motions[1 + c.finger].twist.spin, motions[0].twist.spin)
-        for c, t in zip(grasp.contacts, touching, strict=True)
-    )
-    wanted = tuple(
-        -(a + _bias(motions[1 + c.finger], motions[0], t, rate))
-        for c, t, rate, a in zip(
-            grasp.contacts, touching, sigma_rates, apply_jacobian(grasp, line, free), strict=True
-        )
-    )
+    pairs = [(motions[1 + c.finger], motions[0]) for c in grasp.contacts]
+    each = list(zip(grasp.contacts, pairs, touching, strict=True))
+    rollings = once(tuple(c.rolling(pair, t) for c, pair, t in each))
+    biases = [c.bias(pair, t, r) for (c, pair, t), r in zip(each, rollings, strict=True)]
+    wanted = tuple(add(*both) for both in zip(apply_jacobian(grasp, line, free), biases, strict=True))
     if stabiliser is not None:
-        closing = apply_jacobian(grasp, line, leaves.v)
-        extra = stabiliser(motions, touching, closing)
-        wanted = tuple(w - e for w, e in zip(wanted, extra, strict=True))
-    forces = once(balance(line, once(wanted)))
-    rates = Leaves(leaves.v, once(combine(free, respond(grasp, line, forces))), sigma_rates)
+        extra = stabiliser(motions, touching, apply_jacobian(grasp, line, leaves.v))
+        wanted = tuple(add(*both) for both in zip(wanted, extra, strict=True))
+    forces = once(balance(line, once(_negative(wanted))))
+    gained = once(combine(free, respond(grasp, line, forces)))
+    places = zip(grasp.contacts, leaves.s, rollings, strict=True)
+    s_rates = tuple(c.place_rate(grasp.shapes(c), place, rolling) for c, place, rolling in places)
+    moving = zip(grasp.bodies, leaves.q, leaves.v, strict=True)
+    rates = Leaves(tuple(body.rates(q, v) for body, q, v in moving), gained, s_rates)
     return Instant(rates, forces, motions, touching, line)
 
 
-def normal_and_tangential(contact: Contact, body: Pose2, face: Frenet2, force: Vec2) -> tuple[Scalar, Scalar]:
-    r"""Multipliers $f$ (positive when pressing) and $\lambda$ [N] of the force on one fingertip."""
-    tangent = body.turn(face.tangent)
-    return force.dot(tangent.right()), -contact.sense * force.dot(tangent)
+def _negative(rows: Rows) -> Rows:
+    return tuple(tuple(-x for x in row) for row in rows)
 
 
 def net_force(inertia: Inertia, drive: Scalars | None) -> Scalars:
@@ -97,16 +95,6 @@ def net_force(inertia: Inertia, drive: Scalars | None) -> Scalars:
     if drive is None:
         return tuple(-h for h in inertia.force)
     return tuple(u - h for u, h in zip(drive, inertia.force, strict=True))
-
-
-def _bias(tip: Motion, body: Motion, touching: Touch, sigma_rate: Scalar) -> Vec2:
-    return gap_bias(
-        (tip.pose, body.pose),
-        (tip.twist, body.twist),
-        (tip.bias, body.bias),
-        touch=touching,
-        sigma_rate=sigma_rate,
-    )
 
 
 def kinetic_energy(inertias: Sequence[Inertia], rates: Blocks) -> Scalar:

@@ -1,6 +1,7 @@
 """A planar finger: a serial chain of links on revolute joints, with a contour at its end."""
 
 import abc
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,16 +10,17 @@ from jaxtyping import Array, Float
 from .._algebra import once, Pose2, sincos, total, Twist2, unstack, Vec2
 from .._results import as_floats, check_positive
 from .._types import Given, Scalar, Scalars
+from ..contact import Motion
 from ..geometry import AbstractContour
-from ._body import Inertia, Motion
+from ._body import AbstractBody, Inertia
 
 _STILL = Vec2(0.0, 0.0)
 
 
-class AbstractFinger(eqx.Module):
-    """A driven mechanism that carries one contour in its tip frame."""
+class AbstractFinger(AbstractBody):
+    """A driven mechanism that carries one shape in its tip frame."""
 
-    tip: eqx.AbstractVar[AbstractContour]
+    tip: eqx.AbstractVar[Any]
 
     @property
     @abc.abstractmethod
@@ -36,28 +38,21 @@ class AbstractFinger(eqx.Module):
         """Whether its coordinates are angles; else displacements."""
 
     @abc.abstractmethod
-    def prepared(self) -> "AbstractFinger":
-        """This mechanism with scalar leaves and a contour ready for evaluation."""
-
-    @abc.abstractmethod
-    def tip_pose(self, q: Scalars) -> Pose2:
-        """The tip frame in the world."""
-
-    @abc.abstractmethod
-    def skeleton(self, q: Scalars) -> tuple[Vec2, ...]:
+    def skeleton(self, q: Scalars) -> tuple[Any, ...]:
         """Points from the base to the tip frame, for drawing."""
 
-    @abc.abstractmethod
-    def spin(self, rates: Scalars) -> Scalar:
-        """Rate of the tip frame's angle."""
+    @property
+    def prescribed(self) -> bool:
+        """Whether it moves by itself, besides its joints."""
+        return False
 
-    @abc.abstractmethod
-    def motion(self, q: Scalars, v: Scalars, gravity: Vec2 | None) -> tuple[Motion, Inertia]:
-        """Kinematics of the tip frame, mass matrix and bias force at one state."""
+    @property
+    def freedoms(self) -> int:
+        return self.joints
 
-    @abc.abstractmethod
-    def gravity_potential(self, q: Scalars, gravity: Vec2) -> Scalar:
-        """Potential energy in a uniform field."""
+    @property
+    def shapes(self) -> tuple[Any, ...]:
+        return (self.tip,)
 
 
 def check_tip(name: str, tip: AbstractContour) -> AbstractContour:
@@ -158,12 +153,12 @@ class Finger(AbstractFinger):
     def skeleton(self, q: Scalars) -> tuple[Vec2, ...]:
         return self.joint_positions(self.directions(q))
 
-    def tip_pose(self, q: Scalars) -> Pose2:
+    def pose(self, q: Scalars) -> Pose2:
         along = self.directions(q)
         return Pose2(self.joint_positions(along)[-1], along[-1].x, along[-1].y)
 
-    def spin(self, rates: Scalars) -> Scalar:
-        return total(rates)
+    def spin(self, q: Scalars, v: Scalars) -> Scalar:
+        return total(v)
 
     def motion(self, q: Scalars, v: Scalars, gravity: Vec2 | None) -> tuple[Motion, Inertia]:
         along = self.directions(q)

@@ -6,17 +6,18 @@ from typing import Any, cast, TypeVar
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._algebra import unstack, Vec2
 from .._once import remembered
-from .._results import as_floats, check_between, traced
+from .._results import as_floats
+from .._spatial import Vec3
 from .._types import Given
-from ..contact import Contact
-from ..geometry import AbstractContour, frenet, tabled
+from ..contact import AbstractContact, Contact3
+from ..geometry import AbstractContour, AbstractSurface, tabled
+from ._body import AbstractBody
 from ._finger import AbstractFinger
-from ._object import AbstractObject
+from ._state import Form
 
 Door = TypeVar("Door", bound=Callable[..., Any])
 
@@ -27,14 +28,15 @@ class Grasp(eqx.Module):
     Every array inside is a differentiable leaf, and any of them may carry a batch axis under `vmap`.
 
     Args:
-        object: A `FreeObject` or a `PivotedObject`.
-        fingers: One `Finger` (or `Jaw`) or several.
-        contacts: One `Contact` or several: which finger touches which contour, and where at the start.
+        object: A `FreeObject` or a `PivotedObject`; in space a `FreeObject3`.
+        fingers: One `Finger` (or `Jaw`) or several; in space a `Finger3` (or `Stage`).
+        contacts: One `Contact` or several: which finger touches which contour, and where at the start;
+            in space `Contact3`.
         controller: Joint torques: a controller of `jaxroll.control`, or any callable pytree
             `f(t, angles, rates, tips)` that returns one array of torques [N m] per finger; `angles`
             and `rates` hold one array of shape (k,) per finger, `tips` its tip's `position` and
             `jacobian`. Default: no torques.
-        gravity: Shape (2,), in m/s^2. Default: none, and then it costs nothing.
+        gravity: Shape (2,), in space (3,), in m/s^2. Default: none, and then it costs nothing.
 
     Raises:
         ValueError: If a contact names a finger or contour that is not there, or starts past the end
@@ -49,63 +51,83 @@ class Grasp(eqx.Module):
         3
     """
 
-    object: AbstractObject
+    object: Any  # an `AbstractBody`; which one, whoever reads its fields knows
     fingers: tuple[AbstractFinger, ...]
-    contacts: tuple[Contact, ...]
+    contacts: tuple[Any, ...]  # `Contact` in the plane, `Contact3` in space
     controller: Any
-    gravity: Float[Array, "2"] | None
+    gravity: Float[Array, "d"] | None
 
     def __init__(
         self,
-        object: AbstractObject,
+        object: AbstractBody,
         fingers: AbstractFinger | Sequence[AbstractFinger],
-        contacts: Contact | Sequence[Contact],
+        contacts: AbstractContact | Sequence[AbstractContact],
         *,
         controller: Any = None,
         gravity: Given | None = None,
     ) -> None:
         self.object = object
         self.fingers = (fingers,) if isinstance(fingers, AbstractFinger) else tuple(fingers)
-        self.contacts = (contacts,) if isinstance(contacts, Contact) else tuple(contacts)
+        self.contacts = (contacts,) if isinstance(contacts, AbstractContact) else tuple(contacts)
         self.controller = controller
-        self.gravity = None if gravity is None else as_floats("gravity", gravity, (2,))
         self._check()
+        axes = 3 if self.spatial else 2
+        self.gravity = None if gravity is None else as_floats("gravity", gravity, (axes,))
 
     def _check(self) -> None:
         if not self.fingers or not self.contacts:
             raise ValueError("argument fingers and contacts must not be empty")
+        if len({isinstance(contact, Contact3) for contact in self.contacts}) > 1:
+            raise ValueError("argument contacts must be all of the plane or all of space, but were of both")
         for i, contact in enumerate(self.contacts):
             if not 0 <= contact.finger < len(self.fingers):
                 raise ValueError(
                     f"argument contacts[{i}].finger must be below {len(self.fingers)}, "
                     f"but was {contact.finger}"
                 )
-            if not 0 <= contact.contour < len(self.object.contours):
+            if not 0 <= contact.touched < len(self.object.shapes):
                 raise ValueError(
-                    f"argument contacts[{i}].contour must be below {len(self.object.contours)}, "
-                    f"but was {contact.contour}"
+                    f"argument contacts[{i}].{contact.kind} must be below {len(self.object.shapes)}, "
+                    f"but was {contact.touched}"
                 )
-            tip, face = self.contours(contact)
-            _check_start(f"contacts[{i}].s_tip", contact.s_tip, tip)
-            _check_start(f"contacts[{i}].s_object", contact.s_object, face)
+            contact.check(f"contacts[{i}]", self.shapes(contact))
+
+    @property
+    def bodies(self) -> tuple[AbstractBody, ...]:
+        """The object, then every finger."""
+        return (self.object, *self.fingers)
+
+    @property
+    def spatial(self) -> bool:
+        """Whether it lives in space; else in the plane."""
+        return isinstance(self.contacts[0], Contact3)
 
     @property
     def sizes(self) -> tuple[int, ...]:
-        """Number of coordinates of the object, then of each finger."""
-        return (self.object.freedoms, *(finger.joints for finger in self.fingers))
+        """Number of velocities of the object, then of each finger."""
+        return tuple(body.freedoms for body in self.bodies)
 
     @property
     def coordinates(self) -> int:
-        """Number of generalised coordinates, n."""
+        """Number of velocities in all; in the plane that of generalised coordinates, n."""
         return sum(self.sizes)
 
-    def contours(self, contact: Contact) -> tuple[AbstractContour, AbstractContour]:
-        """The fingertip's and the object's contour that meet at a contact."""
-        return self.fingers[contact.finger].tip, self.object.contours[contact.contour]
+    @property
+    def form(self) -> Form:
+        """How many numbers a state has, and where they go."""
+        places = tuple(c.form(self.shapes(c)) for c in self.contacts)
+        return Form(tuple(body.positions for body in self.bodies), self.sizes, jax.tree.structure(places))
 
-    def field(self) -> Vec2 | None:
+    def shapes(self, contact: AbstractContact) -> tuple[Any, Any]:
+        """The fingertip's and the object's contour (surface) that meet at a contact."""
+        return self.fingers[contact.finger].tip, self.object.shapes[contact.touched]
+
+    def field(self) -> Vec2 | Vec3 | None:
         """Gravity as scalars."""
-        return None if self.gravity is None else Vec2(*unstack(self.gravity))
+        if self.gravity is None:
+            return None
+        parts = unstack(self.gravity)
+        return Vec3(*parts) if self.spatial else Vec2(*parts)
 
     def prepared(self) -> "Grasp":
         """This grasp with scalar leaves and contours ready for evaluation, once per solve."""
@@ -114,7 +136,7 @@ class Grasp(eqx.Module):
 
     def tabled(self) -> "Grasp":
         """This grasp with the tables of its contours built, by a program of their own."""
-        return self if all(tabled(c) is c for c in _all_contours(self)) else _with_tables(self)
+        return self if all(tabled(shape) is shape for shape in _all_shapes(self)) else _with_tables(self)
 
     def with_(self, **changes: Any) -> "Grasp":
         """A copy with fields replaced, by name.
@@ -156,11 +178,11 @@ class Grasp(eqx.Module):
             )
         return found[0]
 
-    def with_tip(self, finger: int, tip: AbstractContour) -> "Grasp":
+    def with_tip(self, finger: int, tip: AbstractContour | AbstractSurface) -> "Grasp":
         """A copy in which one finger carries another tip contour."""
         return eqx.tree_at(lambda g: g.fingers[finger].tip, self, tip)
 
-    def with_contacts(self, *contacts: Contact) -> "Grasp":
+    def with_contacts(self, *contacts: AbstractContact) -> "Grasp":
         """A copy with other starting contacts."""
         return Grasp(
             self.object,
@@ -171,40 +193,25 @@ class Grasp(eqx.Module):
         )
 
 
-def check_unit_speed(name: str, s: jax.Array, contour: AbstractContour) -> None:
-    """Raise if a caller's own contour does not advance by its arclength where the contact starts."""
-    if traced((s, contour)):
-        return
-    tangent = frenet(contour.prepared().curve, s).tangent
-    speed = float(jnp.hypot(tangent.x, tangent.y))
-    if not abs(speed - 1.0) <= 1e-9:
-        raise ValueError(
-            f"argument {name} must lie on a contour given by arclength (unit speed), "
-            f"but the speed of {type(contour).__name__} there was {speed:g}"
-        )
-
-
 def _has_field(owner: Any, name: str) -> bool:
     return name in getattr(type(owner), "__dataclass_fields__", {})
 
 
-def _check_start(name: str, s: jax.Array, contour: AbstractContour) -> None:
-    if not type(contour).__module__.startswith("jaxroll."):
-        check_unit_speed(name, s, contour)
-    if contour.closed:
-        return
-    domain = contour.domain()
-    if domain is not None:
-        check_between(name, s, *domain, unit=" m")
-
-
-def _all_contours(grasp: Grasp) -> list[AbstractContour]:
-    return [*grasp.object.contours, *(finger.tip for finger in grasp.fingers)]
+def _all_shapes(grasp: Grasp) -> list[Any]:
+    return [shape for body in grasp.bodies for shape in body.shapes]
 
 
 @remembered
 def _with_tables(grasp: Grasp) -> Grasp:
-    return eqx.tree_at(_all_contours, grasp, [tabled(c) for c in _all_contours(grasp)])
+    new = [i for i, shape in enumerate(_all_shapes(grasp)) if tabled(shape) is not shape]
+    where = lambda g: [_all_shapes(g)[i] for i in new]  # noqa: E731
+    return eqx.tree_at(where, grasp, [tabled(shape) for shape in where(grasp)])
+
+
+def check_planar(grasp: Grasp) -> None:
+    """Raise for a grasp in space, where only the plane has an answer."""
+    if grasp.spatial:
+        raise ValueError("argument grasp must live in the plane, but its contacts are those of space")
 
 
 def compiled(function: Door) -> Door:

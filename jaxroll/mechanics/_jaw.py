@@ -7,8 +7,9 @@ from jaxtyping import Array, Float
 from .._algebra import Pose2, sincos, total, Twist2, unstack, Vec2
 from .._results import as_floats, check_positive
 from .._types import Given, Scalar, Scalars
+from ..contact import Motion
 from ..geometry import AbstractContour
-from ._body import Inertia, Motion
+from ._body import Inertia
 from ._finger import AbstractFinger, check_tip
 
 # Nothing in a jaw says how large it is, and only scaling and drawing ask: a gripper's order of magnitude [m].
@@ -82,15 +83,15 @@ class Jaw(AbstractFinger):
         ready = (unstack(self.directions), unstack(self.base), self.tip.prepared(), self._axes())
         return eqx.tree_at(fields, self, ready, is_leaf=lambda x: x is None)
 
-    def tip_pose(self, q: Scalars) -> Pose2:
+    def pose(self, q: Scalars) -> Pose2:
         heading, *along = self._axes()
         moves = [direction * x for direction, x in zip(along, q, strict=True)]
         return Pose2(total([Vec2(self.base[0], self.base[1]), *moves]), heading.x, heading.y)
 
     def skeleton(self, q: Scalars) -> tuple[Vec2, ...]:
-        return (self.tip_pose(q).origin,)
+        return (self.pose(q).origin,)
 
-    def spin(self, rates: Scalars) -> Scalar:
+    def spin(self, q: Scalars, v: Scalars) -> Scalar:
         return jnp.zeros_like(self.angle)
 
     def motion(self, q: Scalars, v: Scalars, gravity: Vec2 | None) -> tuple[Motion, Inertia]:
@@ -101,10 +102,10 @@ class Jaw(AbstractFinger):
         twist = total([still, *(unit * rate for unit, rate in zip(units, v, strict=True))])
         mass = tuple(tuple(self.mass * a.dot(b) for b in along[: i + 1]) for i, a in enumerate(along))
         force = tuple(zero if gravity is None else -self.mass * gravity.dot(a) for a in along)
-        return Motion(self.tip_pose(q), units, twist, still), Inertia(mass, force)
+        return Motion(self.pose(q), units, twist, still), Inertia(mass, force)
 
     def gravity_potential(self, q: Scalars, gravity: Vec2) -> Scalar:
-        return -self.mass * gravity.dot(self.tip_pose(q).origin)
+        return -self.mass * gravity.dot(self.pose(q).origin)
 
     def _axes(self) -> tuple[Vec2, ...]:
         """Heading of the frame, then of every joint."""

@@ -1,6 +1,5 @@
 """The grasped object: free in the plane, or pivoted at a fixed point."""
 
-import abc
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -10,8 +9,9 @@ from jaxtyping import Array, Float
 from .._algebra import Pose2, sincos, Twist2, unstack, Vec2
 from .._results import as_floats, check_positive
 from .._types import Given, Scalar, Scalars
+from ..contact import Motion
 from ..geometry import AbstractContour
-from ._body import Inertia, Motion
+from ._body import AbstractBody, Inertia
 
 Contours = tuple[AbstractContour, ...]
 
@@ -23,35 +23,14 @@ def _as_contours(contours: AbstractContour | Sequence[AbstractContour]) -> Conto
     return listed
 
 
-class AbstractObject(eqx.Module):
+class AbstractObject(AbstractBody):
     """A rigid object with one or more contours (faces) in its body frame."""
 
     contours: eqx.AbstractVar[Contours]
 
     @property
-    @abc.abstractmethod
-    def freedoms(self) -> int:
-        """Number of generalised coordinates."""
-
-    @abc.abstractmethod
-    def prepared(self) -> "AbstractObject":
-        """This object with scalar leaves and contours ready for evaluation."""
-
-    @abc.abstractmethod
-    def pose(self, q: Scalars) -> Pose2:
-        """The body frame in the world."""
-
-    @abc.abstractmethod
-    def spin(self, rates: Scalars) -> Scalar:
-        """Rate of the body frame's angle."""
-
-    @abc.abstractmethod
-    def motion(self, q: Scalars, v: Scalars, gravity: Vec2 | None) -> tuple[Motion, Inertia]:
-        """Kinematics of the body frame, mass matrix and bias force at one state."""
-
-    @abc.abstractmethod
-    def gravity_potential(self, q: Scalars, gravity: Vec2) -> Scalar:
-        """Potential energy in a uniform field."""
+    def shapes(self) -> Contours:
+        return self.contours
 
 
 class PivotedObject(AbstractObject):
@@ -103,8 +82,8 @@ class PivotedObject(AbstractObject):
         sin, cos = sincos(q[0])
         return Pose2(Vec2(self.pivot[0], self.pivot[1]), cos, sin)
 
-    def spin(self, rates: Scalars) -> Scalar:
-        return rates[0]
+    def spin(self, q: Scalars, v: Scalars) -> Scalar:
+        return v[0]
 
     def motion(self, q: Scalars, v: Scalars, gravity: Vec2 | None) -> tuple[Motion, Inertia]:
         pose, zero = self.pose(q), jnp.zeros_like(q[0])
@@ -159,8 +138,8 @@ class FreeObject(AbstractObject):
         sin, cos = sincos(q[2])
         return Pose2(Vec2(q[0], q[1]), cos, sin)
 
-    def spin(self, rates: Scalars) -> Scalar:
-        return rates[2]
+    def spin(self, q: Scalars, v: Scalars) -> Scalar:
+        return v[2]
 
     def motion(self, q: Scalars, v: Scalars, gravity: Vec2 | None) -> tuple[Motion, Inertia]:
         zero, one = jnp.zeros_like(q[2]), jnp.ones_like(q[2])

@@ -1,6 +1,7 @@
 """The state of a grasp: arrays at the public door, blocks of scalars inside."""
 
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -16,37 +17,60 @@ class State(eqx.Module):
     r"""Configuration, velocity and contact coordinates of a grasp.
 
     Attributes:
-        q: Shape (n,), generalised coordinates: the object's ($\theta$, or $x, y, \theta$), then the
-            joint angles of every finger; radians and metres.
-        v: Shape (n,), their rates.
-        s: Shape (c,), rolling coordinate $\sigma$ of each contact [m], zero at the starting contact:
-            $s_A = s_{A0} + \sigma$ on the fingertip, $s_B = s_{B0} - \sigma$ on the object.
+        q: Shape (n,), positions: the object's ($\theta$, or $x, y, \theta$; in space position and
+            quaternion), then those of every finger; radians and metres.
+        v: Shape (n,), velocities: in the plane the rates of q; in space a `FreeObject3` has the velocity
+            of its centre and its spin in body axes, so that q is longer than v.
+        s: Shape (c,), contact coordinates. In the plane the rolling coordinate $\sigma$ of each contact
+            [m], zero at the starting contact: $s_A = s_{A0} + \sigma$ on the fingertip,
+            $s_B = s_{B0} - \sigma$ on the object. In space, of each contact, its place on the fingertip's
+            surface, then on the object's.
     """
 
     q: Float[Array, " n"]
-    v: Float[Array, " n"]
+    v: Float[Array, " nv"]
     s: Float[Array, " c"]
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, slots=True)
 class Leaves:
-    """A `State` with every number its own leaf; block 0 is the object, then the fingers."""
+    """A `State` with every number its own leaf; block 0 is the object, then the fingers.
+
+    `s` holds the place of each contact: a number in the plane, two tuples of numbers in space.
+    """
 
     q: Blocks
     v: Blocks
-    s: Scalars
+    s: tuple[Any, ...]
 
 
-def to_leaves(state: State, sizes: tuple[int, ...]) -> Leaves:
+class Form(NamedTuple):
+    """How many numbers a state has, and where they go; static."""
+
+    positions: tuple[int, ...]
+    sizes: tuple[int, ...]
+    places: Any  # structure of the contacts' places
+
+    @property
+    def counts(self) -> tuple[int, int, int]:
+        """Lengths of q, v and s."""
+        return sum(self.positions), sum(self.sizes), self.places.num_leaves
+
+
+def to_leaves(state: State, form: Form) -> Leaves:
     """Arrays to scalars, on entry."""
-    contacts = state.s.shape[0]
-    return Leaves(split(state.q, sizes), split(state.v, sizes), tuple(state.s[i] for i in range(contacts)))
+    return Leaves(split(state.q, form.positions), split(state.v, form.sizes), to_places(state.s, form))
+
+
+def to_places(s: Array, form: Form) -> tuple[Any, ...]:
+    """Contact coordinates as the places of the contacts."""
+    return jax.tree.unflatten(form.places, [s[i] for i in range(form.places.num_leaves)])
 
 
 def to_state(leaves: Leaves) -> State:
     """Scalars to arrays, on exit; also for leaves with a leading time axis."""
-    return State(join(leaves.q), join(leaves.v), jnp.stack(leaves.s, axis=-1))
+    return State(join(leaves.q), join(leaves.v), jnp.stack(jax.tree.leaves(leaves.s), axis=-1))
 
 
 def split(array: Array, sizes: tuple[int, ...]) -> Blocks:

@@ -138,7 +138,7 @@ def _name_contacts(above: Axes, below: Axes, grasp: Grasp) -> None:
     style = {"fontsize": 9, "color": CONTACT, **_BESIDE}
     crowded = MM * float(np.diff(np.sort(starts)).min()) < 0.1 * float(np.ptp(below.get_xlim()))
     for i, contact in enumerate(grasp.contacts):
-        there = sample(grasp.contours(contact)[1], starts[i : i + 1])
+        there = sample(grasp.shapes(contact)[1], starts[i : i + 1])
         along, name = there.tangents[0], f"$P_{{{i + 1}}}$"
         above.annotate(name, there.points[0], (-14 * along[1], 14 * along[0]), **style)
         side = (8 if starts[i] >= starts.mean() else -8) if crowded else 0

@@ -99,7 +99,7 @@ def _rings(u: np.ndarray, goal: tuple[np.intp, ...]) -> np.ndarray:
 def _inside(grasp: Grasp, i: int, s: np.ndarray) -> np.ndarray:
     """Where the chapter's $s_i$ lies on both contours of contact i."""
     contact = grasp.contacts[i]
-    tip, face = grasp.contours(contact)
+    tip, face = grasp.shapes(contact)
     on_face = contact.sense * s
     on_tip = float(contact.s_tip) + float(contact.s_object) - on_face
     return _on(tip, on_tip) & _on(face, on_face)

@@ -79,7 +79,7 @@ def views(grasp: Grasp, states: State) -> Views:
     body, *tips = outlines(grasp, sigmas)
     rolled = []
     for i, contact in enumerate(grasp.contacts):
-        tip, face = grasp.contours(contact)
+        tip, face = grasp.shapes(contact)
         on_tip = sample(tip, float(contact.s_tip) + sigmas[:, i])
         on_body = sample(face, float(contact.s_object) - sigmas[:, i])
         rolled.append((on_tip.points, on_body.points))
@@ -103,7 +103,7 @@ def _placed(grasp: Grasp, states: State):
     ready = grasp.prepared()
 
     def at(state: State):
-        leaves = to_leaves(state, ready.sizes)
+        leaves = to_leaves(state, ready.form)
         frames, touching = poses(ready, leaves.q), touches(ready, leaves.s)
         rows = tuple(jnp.stack([*f.origin, f.cos, f.sin]) for f in frames)
         joints = tuple(

@@ -11,8 +11,8 @@ from jaxtyping import Array, Bool, Float
 from .._algebra import unstack, Vec2
 from .._types import Given, Scalar
 from ..contact import gap
-from ..integration import constraint_rows, generalised_force, Multipliers
-from ..mechanics import compiled, Grasp, normal_and_tangential, poses, split, State, touches
+from ..integration import constraint_rows, generalised_force, Multipliers, split_forces
+from ..mechanics import check_planar, compiled, Grasp, poses, split, State, touches
 
 _STEPS = 100
 # Singular values below this, relative to the largest, are neutral directions: along them nothing moves.
@@ -67,6 +67,7 @@ def equilibrium(grasp: Grasp, state: State, *, t: Given = 0.0) -> Equilibrium:
         >>> bool(rest.found), f"{1e3 * (0.003 - rest.state.s[0]):.3f} mm"
         (True, '-4.788 mm')
     """
+    check_planar(grasp)
     ready = grasp.prepared()
     found, left = locate(ready, state, t)
     n, contacts = ready.coordinates, len(ready.contacts)
@@ -223,8 +224,5 @@ def _newton(equations: Callable[[Array], Array], start: Array, moving: int, weig
 
 def _multipliers(grasp: Grasp, q: Array, s: Array, push: Array) -> Multipliers:
     """Contact forces in the chapter's sign and frame."""
-    body = poses(grasp, split(q, grasp.sizes))[0]
-    each = zip(grasp.contacts, touches(grasp, unstack(s)), push, strict=True)
-    pairs = [normal_and_tangential(contact, body, t.object, Vec2(*force)) for contact, t, force in each]
-    f, lam = zip(*pairs, strict=True)
-    return Multipliers(jnp.stack(f), jnp.stack(lam))
+    frames, touching = poses(grasp, split(q, grasp.sizes)), touches(grasp, unstack(s))
+    return split_forces(grasp, frames, touching, unstack(push))

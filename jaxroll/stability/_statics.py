@@ -75,7 +75,7 @@ def _separation(grasp: Grasp, s: Array) -> tuple[Scalar, Scalar]:
     centres, tangents = [], []
     for i in (0, 1):
         contact = grasp.contacts[i]
-        tip, face = grasp.contours(contact)
+        tip, face = grasp.shapes(contact)
         at = face.frame(contact.sense * s[i])
         on_tip = tip.frame(contact.s_tip + contact.s_object - contact.sense * s[i])
         # Tangency turns the fingertip so that its tangent opposes the object's.
@@ -117,7 +117,7 @@ def rectangle_hessian(grasp: Grasp, s: Given) -> Float[Array, "2 2"]:
     slopes, terms = [], []
     for i, sign in ((0, -1.0), (1, 1.0)):
         contact = ready.contacts[i]
-        on_tip = ready.contours(contact)[0].frame(contact.s_tip + contact.s_object - contact.sense * s[i])
+        on_tip = ready.shapes(contact)[0].frame(contact.s_tip + contact.s_object - contact.sense * s[i])
         kappa, reach = on_tip.curvature, inward_reach(on_tip.point, on_tip.tangent)
         slopes.append(sign * kappa * reach)
         terms.append(-l_ * kappa**2 * (1.0 / kappa + reach))

@@ -116,7 +116,7 @@ def _tangent(grasp: Grasp, state: State) -> tuple[Array, Array]:
     by_q, by_s = jax.jacfwd(lambda q, s: constraint_rows(grasp, q, s), argnums=(0, 1))(state.q, state.s)
     by_q, by_s = by_q.reshape(contacts, 3, n), by_s.reshape(contacts, 3, contacts)
     jacobian = by_q[:, :2].reshape(2 * contacts, n)
-    _, inertias = bodies(grasp, to_leaves(state, grasp.sizes))
+    _, inertias = bodies(grasp, to_leaves(state, grasp.form))
     mass = mass_matrix([inertia.mass for inertia in inertias], n)
     # A basis by SVD has no smooth derivative: take it as fixed, then make it exact smoothly.
     basis = jnp.linalg.svd(jax.lax.stop_gradient(jacobian))[2][2 * contacts :].T

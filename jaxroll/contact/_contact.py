@@ -1,0 +1,172 @@
+"""What the dynamics asks of a contact, in the plane or in space."""
+
+import abc
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._types import Scalar, Scalars
+
+Rows = tuple[Scalars, ...]
+Shapes = tuple[Any, Any]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, slots=True)
+class Motion:
+    r"""Motion of one body frame, in the plane or in space.
+
+    Attributes:
+        pose: The frame in the world.
+        unit_twists: Twist per unit rate of each coordinate: the columns of its Jacobian $J$.
+        twist: $J v$, and what is prescribed.
+        bias: $\dot J v$, the part of the acceleration that the velocities alone cause.
+    """
+
+    pose: Any
+    unit_twists: tuple[Any, ...]
+    twist: Any
+    bias: Any
+
+    def resting(self) -> "Motion":
+        """The same pose at zero velocity."""
+        return replace(self, twist=jax.tree.map(jnp.zeros_like, self.twist))
+
+
+class AbstractContact(eqx.Module):
+    r"""Two shapes that roll on each other: a fingertip's, and one of the object's.
+
+    A contact has a *place*, its contact coordinates: whatever pytree of scalars says where on both shapes
+    it is. Everything here works on scalars; poses and twists are those of the plane or of space.
+    """
+
+    finger: eqx.AbstractVar[int]
+    friction: eqx.AbstractVar[Float[Array, ""] | None]
+
+    @property
+    @abc.abstractmethod
+    def kind(self) -> str:
+        """Name of the field that says which shape is touched, for messages."""
+
+    @property
+    @abc.abstractmethod
+    def touched(self) -> int:
+        """Which of the object's shapes is touched."""
+
+    @property
+    @abc.abstractmethod
+    def rows(self) -> int:
+        """How many constraint rows: components of a contact force."""
+
+    @property
+    @abc.abstractmethod
+    def slack(self) -> int:
+        """How many ways the place may move while a start is sought: the length of `shift`'s step."""
+
+    @abc.abstractmethod
+    def check(self, name: str, shapes: Shapes) -> None:
+        """Raise unless it fits these shapes; `name` is the contact's for the message."""
+
+    @abc.abstractmethod
+    def form(self, shapes: Shapes) -> Any:
+        """A place of the right structure."""
+
+    @abc.abstractmethod
+    def touch(self, shapes: Shapes, place: Any) -> Any:
+        """The frames of both shapes at a place, each in its own body."""
+
+    @abc.abstractmethod
+    def pfaffian(self, bodies: tuple[Motion, Motion], touch: Any) -> tuple[Rows, Rows]:
+        """Constraint rows, each over the fingertip's and over the object's coordinates."""
+
+    @abc.abstractmethod
+    def closing(self, bodies: tuple[Motion, Motion], touch: Any) -> Scalars:
+        """What the rows are the rate of: components of the gap's velocity."""
+
+    @abc.abstractmethod
+    def bias(self, bodies: tuple[Motion, Motion], touch: Any, rolling: Any) -> Scalars:
+        """Second derivatives of the rows' quantities at zero coordinate accelerations."""
+
+    @abc.abstractmethod
+    def rolling(self, bodies: tuple[Motion, Motion], touch: Any) -> Any:
+        """How the contact moves over the shapes."""
+
+    @abc.abstractmethod
+    def place_rate(self, shapes: Shapes, place: Any, rolling: Any) -> Any:
+        """Rates of the place under a rolling."""
+
+    @abc.abstractmethod
+    def bend(self, poses: tuple[Any, Any], touch: Any) -> Any:
+        """What of the curvatures the return to tangency needs."""
+
+    @abc.abstractmethod
+    def unknown_bend(self) -> Any:
+        """Zeros of that structure."""
+
+    @abc.abstractmethod
+    def opening(self, poses: tuple[Any, Any], touch: Any) -> Scalars:
+        """The gap as the rows see it; zero where a row has no position of its own."""
+
+    @abc.abstractmethod
+    def tangency(self, poses: tuple[Any, Any], touch: Any) -> Any:
+        """By how much the tangents (planes) differ: zero when they coincide."""
+
+    @abc.abstractmethod
+    def onto(self, shapes: Shapes, place: Any) -> Any:
+        """The place put back onto both shapes, off which integration errors carry it."""
+
+    @abc.abstractmethod
+    def settled(self, shapes: Shapes, place: Any, turned: Any, misfit: tuple[Any, Any, Any]) -> Any:
+        """The place at which tangency holds, to first order.
+
+        Args:
+            shapes: The two shapes.
+            place: Where it is.
+            turned: By how much the fingertip turns against the object.
+            misfit: Poses of both, tangency, and `bend`.
+        """
+
+    @abc.abstractmethod
+    def shift(self, shapes: Shapes, place: Any, step: Scalars) -> Any:
+        """A place moved by a step of `slack` lengths."""
+
+    @abc.abstractmethod
+    def equations(self, poses: tuple[Any, Any], touch: Any) -> Scalars:
+        """Gap [m] and tangency [rad] as independent equations of a start."""
+
+    @abc.abstractmethod
+    def equation_names(self) -> Sequence[str]:
+        """Their names, for messages."""
+
+    @abc.abstractmethod
+    def ends(self, shapes: Shapes, place: Any) -> list[Scalar]:
+        """Distances [m] of the contact from the ends of both shapes; none where there are none."""
+
+    @abc.abstractmethod
+    def curvature_margin(self, poses: tuple[Any, Any], touch: Any) -> Scalar:
+        """Relative sum of the curvatures: the contact rolls while it is positive."""
+
+    @abc.abstractmethod
+    def split_force(self, poses: tuple[Any, Any], touch: Any, force: Scalars) -> tuple[Scalar, Any]:
+        """Normal force [N], positive when pressing, and tangential force, of the force on the fingertip."""
+
+    @abc.abstractmethod
+    def split_gap(
+        self, poses: tuple[Any, Any], touch: Any, opening: Scalars, tangency: Any
+    ) -> tuple[Scalar, Any, Any]:
+        """Normal and tangential part of the gap [m], and the tangency, as they are reported."""
+
+    @abc.abstractmethod
+    def rubbing(self, tangential: Any) -> list[Scalar]:
+        """What must not exceed friction times the normal force [N]."""
+
+
+def row_wise(columns: Sequence[Any], rows: int) -> Rows:
+    """Columns of a Jacobian, each a vector, as its rows."""
+    entries = [tuple(column) for column in columns]
+    return tuple(tuple(entry[i] for entry in entries) for i in range(rows))

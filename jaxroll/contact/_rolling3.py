@@ -1,0 +1,268 @@
+r"""Two surfaces rolling on each other in space: tangency, rolling velocity, and the contact that has them.
+
+The contact points of a fingertip A and an object B move over both with one velocity $s$ (A-1 and A-2: they
+coincide, and so do the tangent planes). With $n$ the object's outward normal and the shape operators
+$L = \mathrm{d}n$ in world axes, $(L_A + L_B)\,s = (\omega_A - \omega_B) \times n$ in the tangent plane:
+Montana's equations without a chart.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._algebra import once
+from .._results import as_floats, check_positive
+from .._spatial import Pose3, square, Sym3, tangents, Twist3, Vec3
+from .._types import Given, Scalar, Scalars
+from ..geometry import AbstractSurface, Gauss3
+from ._contact import AbstractContact, Motion, row_wise, Rows
+from ._gap import gap, gap_bias, gap_rate, pfaffian
+
+Surfaces = tuple[AbstractSurface, AbstractSurface]
+Place = tuple[Scalars, Scalars]
+
+# The row that prevents spin is the rate of an angle; this arm makes it one of a length [m].
+_ARM = 0.01
+# Keeps the size of a tangential force differentiable where there is none [N^2].
+_NO_FORCE = 1e-24
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, slots=True)
+class Touch3:
+    """The Gauss frames of both surfaces at one contact, each in its own body."""
+
+    tip: Gauss3
+    object: Gauss3
+
+    @property
+    def points(self) -> tuple[Vec3, Vec3]:
+        """Both contact points, each in its own body frame."""
+        return self.tip.point, self.object.point
+
+
+def compliance(poses: tuple[Pose3, Pose3], touch: Touch3, line: bool) -> Sym3:
+    r"""Inverse of $L_A + L_B$ in the tangent plane, as a matrix in world axes, zero along the normal.
+
+    Two surfaces that touch along a generator have no curvature in it: with `line`, the inverse across it.
+    """
+    tip, body = poses
+    bend = once(touch.tip.shape.turned(tip) + touch.object.shape.turned(body))
+    trace = bend.trace()
+    if line:
+        return bend * (1.0 / (trace * trace))
+    normal = body.turn(touch.object.normal)
+    plane = Sym3(1.0, 0.0, 0.0, 1.0, 0.0, 1.0) - square(normal)
+    return (plane * trace - bend) * (1.0 / bend.minors())
+
+
+class Contact3(AbstractContact):
+    r"""A fingertip's surface that rolls on one of the object's surfaces.
+
+    Its place is the point on each surface, in the surface's own coordinates (of an implicit surface three,
+    in the body's frame), so that no chart and no pole comes in.
+
+    Args:
+        finger: Which finger touches. Static.
+        surface: Which of the object's surfaces is touched. Static.
+        spin: 'free', or 'prevented': then the bodies do not turn against each other about the common
+            normal, and a torque about it keeps them from it. Static.
+        line: Whether the surfaces touch along a straight line (two parallel cylinders, a cylinder on a
+            plane): the contact is then held at one place of the line and rolls across it. Static.
+        friction: Coefficient $\mu$: a run ends where the tangential force exceeds $\mu f$. Default: no limit,
+            no cost.
+
+    Raises:
+        ValueError: If `spin` is neither.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> jxr.Contact3(spin="prevented").rows
+        4
+    """
+
+    finger: int = eqx.field(static=True)
+    surface: int = eqx.field(static=True)
+    spin: str = eqx.field(static=True)
+    line: bool = eqx.field(static=True)
+    friction: Float[Array, ""] | None
+
+    def __init__(
+        self,
+        finger: int = 0,
+        surface: int = 0,
+        *,
+        spin: Literal["free", "prevented"] = "free",
+        line: bool = False,
+        friction: Given | None = None,
+    ) -> None:
+        if spin not in ("free", "prevented"):
+            raise ValueError(f"argument spin must be 'free' or 'prevented', but was {spin!r}")
+        self.finger, self.surface, self.spin, self.line = finger, surface, spin, bool(line)
+        self.friction = None
+        if friction is not None:
+            self.friction = check_positive("friction", as_floats("friction", friction, ()))
+
+    @property
+    def kind(self) -> str:
+        return "surface"
+
+    @property
+    def touched(self) -> int:
+        return self.surface
+
+    @property
+    def rows(self) -> int:
+        return 3 if self.spin == "free" else 4
+
+    @property
+    def slack(self) -> int:
+        return 4
+
+    def check(self, name: str, shapes: Surfaces) -> None:
+        for shape in shapes:
+            if not isinstance(shape, AbstractSurface):
+                raise ValueError(f"argument {name} must be between surfaces, but one was {shape!r}")
+
+    def form(self, shapes: Surfaces) -> Place:
+        tip, face = shapes
+        return (0.0,) * tip.coordinates, (0.0,) * face.coordinates
+
+    def touch(self, shapes: Surfaces, place: Place) -> Touch3:
+        return Touch3(*(shape.frame(at) for shape, at in zip(shapes, place, strict=True)))
+
+    def pfaffian(self, bodies: tuple[Motion, Motion], touch: Touch3) -> tuple[Rows, Rows]:
+        poses, units = (bodies[0].pose, bodies[1].pose), (bodies[0].unit_twists, bodies[1].unit_twists)
+        columns = pfaffian(poses, units, touch.points)
+        blocks = [row_wise(block, 3) for block in columns]
+        if self.spin == "prevented":
+            normal = poses[1].turn(touch.object.normal) * _ARM
+            for i, sign in enumerate((1.0, -1.0)):
+                blocks[i] += (tuple(normal.dot(unit.spin) * sign for unit in units[i]),)
+        return once((blocks[0], blocks[1]))
+
+    def closing(self, bodies: tuple[Motion, Motion], touch: Touch3) -> Scalars:
+        tip, body = bodies
+        poses, twists = (tip.pose, body.pose), (tip.twist, body.twist)
+        rate = tuple(gap_rate(poses, twists, touch.points))
+        return rate if self.spin == "free" else (*rate, _spin(poses[1], twists, touch.object.normal))
+
+    def bias(self, bodies: tuple[Motion, Motion], touch: Touch3, rolling: tuple[Vec3, Vec3]) -> Scalars:
+        found = tuple(gap_bias(bodies, touch.points, rolling))
+        if self.spin == "free":
+            return found
+        tip, body = bodies
+        at = (body.pose, (tip.twist, body.twist), touch.object.normal)
+        rates = (body.pose.rate(body.twist), (tip.bias, body.bias), touch.object.shape.apply(rolling[1]))
+        return (*found, jax.jvp(_spin, at, rates)[1])
+
+    def rolling(self, bodies: tuple[Motion, Motion], touch: Touch3) -> tuple[Vec3, Vec3]:
+        tip, body = bodies
+        turning = tip.twist.spin - body.twist.spin
+        bend = compliance((tip.pose, body.pose), touch, self.line)
+        velocity = bend.apply(turning.cross(body.pose.turn(touch.object.normal)))
+        return tip.pose.back(velocity), body.pose.back(velocity)
+
+    def place_rate(self, shapes: Surfaces, place: Place, rolling: tuple[Vec3, Vec3]) -> Place:
+        each = zip(shapes, place, rolling, strict=True)
+        tip, face = (shape.rate(at, velocity) for shape, at, velocity in each)
+        return tip, face
+
+    def bend(self, poses: tuple[Pose3, Pose3], touch: Touch3) -> Sym3:
+        return compliance(poses, touch, self.line)
+
+    def unknown_bend(self) -> Sym3:
+        return Sym3(*(0.0,) * 6)
+
+    def opening(self, poses: tuple[Pose3, Pose3], touch: Touch3) -> Scalars:
+        found = tuple(gap(*poses, touch.points))
+        return found if self.spin == "free" else (*found, jnp.zeros_like(found[0]))
+
+    def tangency(self, poses: tuple[Pose3, Pose3], touch: Touch3) -> Vec3:
+        return tangency3(*poses, touch)
+
+    def onto(self, shapes: Surfaces, place: Place) -> Place:
+        tip, face = (shape.settled(at) for shape, at in zip(shapes, place, strict=True))
+        return tip, face
+
+    def settled(
+        self, shapes: Surfaces, place: Place, turned: Vec3, misfit: tuple[tuple[Pose3, Pose3], Vec3, Sym3]
+    ) -> Place:
+        (tip, body), open_, bend = misfit
+        normal = body.turn(shapes[1].frame(place[1]).normal)
+        move = bend.apply(turned.cross(normal) - open_)
+        return self._carried(shapes, place, (tip.back(move), body.back(move)))
+
+    def shift(self, shapes: Surfaces, place: Place, step: Scalars) -> Place:
+        moves = []
+        for shape, at, (along, across) in zip(shapes, place, (step[:2], step[2:]), strict=True):
+            first, second = tangents(shape.frame(at).normal)
+            moves.append(first * along + second * across)
+        return self.onto(shapes, self._carried(shapes, place, (moves[0], moves[1])))
+
+    def _carried(self, shapes: Surfaces, place: Place, moves: tuple[Vec3, Vec3]) -> Place:
+        each = zip(place, self.place_rate(shapes, place, moves), strict=True)
+        tip, face = (tuple(a + b for a, b in zip(at, step, strict=True)) for at, step in each)
+        return tip, face
+
+    def equations(self, poses: tuple[Pose3, Pose3], touch: Touch3) -> Scalars:
+        tip, body = (
+            pose.turn(n) for pose, n in zip(poses, (touch.tip.normal, touch.object.normal), strict=True)
+        )
+        # Twice the tangent of half the angle: it tells normals that oppose each other from alike ones.
+        tilt = (tip + body) * (2.0 / (1.0 - tip.dot(body)))
+        first, second = tangents(body)
+        found = tuple(gap(*poses, touch.points))
+        if not self.line:
+            return (*found, tilt.dot(first), tilt.dot(second))
+        bend = touch.tip.shape.turned(poses[0]) + touch.object.shape.turned(poses[1])
+        one, other = bend.apply(first), bend.apply(second)
+        steep = one.dot(first) > other.dot(second)
+        across = jax.tree.map(lambda a, b: jnp.where(steep, a, b), one, other)
+        return (*found, tilt.dot(across) / across.norm())
+
+    def equation_names(self) -> tuple[str, ...]:
+        gaps = ("x gap [m]", "y gap [m]", "z gap [m]")
+        return (*gaps, "tangency [rad]") if self.line else (*gaps, "tangency [rad]", "tangency [rad]")
+
+    def ends(self, shapes: Surfaces, place: Place) -> list[Scalar]:
+        each = zip(shapes, place, strict=True)
+        return [margin for shape, at in each for margin in shape.margins(at)]
+
+    def curvature_margin(self, poses: tuple[Pose3, Pose3], touch: Touch3) -> Scalar:
+        tip, face = touch.tip.shape.turned(poses[0]), touch.object.shape.turned(poses[1])
+        bend, size = tip + face, tip.squares() + face.squares()
+        size = jnp.where(size > 0, size, 1.0)
+        trace, minors = bend.trace(), bend.minors()
+        if self.line:
+            return trace / jnp.sqrt(size)
+        return jnp.where(trace > 0, minors, -jnp.abs(minors)) / size
+
+    def split_force(self, poses: tuple[Pose3, Pose3], touch: Touch3, force: Scalars) -> tuple[Scalar, Vec3]:
+        normal, push = poses[1].turn(touch.object.normal), Vec3(*force[:3])
+        pressing = push.dot(normal)
+        return pressing, normal * pressing - push
+
+    def split_gap(
+        self, poses: tuple[Pose3, Pose3], touch: Touch3, opening: Scalars, tangency: Vec3
+    ) -> tuple[Scalar, Vec3, Vec3]:
+        normal, open_ = poses[1].turn(touch.object.normal), Vec3(*opening[:3])
+        height = open_.dot(normal)
+        return height, open_ - normal * height, tangency
+
+    def rubbing(self, tangential: Vec3) -> list[Scalar]:
+        return [jnp.sqrt(tangential.dot(tangential) + _NO_FORCE)]
+
+
+def _spin(body: Pose3, twists: tuple[Twist3, Twist3], normal: Vec3) -> Scalar:
+    """Spin of the fingertip against the object about the object's normal, times an arm [m/s]."""
+    return body.turn(normal).dot(twists[0].spin - twists[1].spin) * _ARM
+
+
+def tangency3(tip: Pose3, object_: Pose3, touch: Touch3) -> Vec3:
+    """Sum of the two outward normals in the world: zero where the tangent planes coincide."""
+    return tip.turn(touch.tip.normal) + object_.turn(touch.object.normal)

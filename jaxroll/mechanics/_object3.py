@@ -1,0 +1,144 @@
+"""The grasped object in space."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._algebra import once, unstack
+from .._results import as_floats, check_positive, concrete
+from .._spatial import normalised, pose, Pose3, quaternion_product, Sym3, Twist3, Vec3
+from .._types import Given, Scalar, Scalars
+from ..contact import Motion
+from ..geometry import AbstractSurface
+from ._body import AbstractBody, Inertia
+
+Surfaces = tuple[AbstractSurface, ...]
+
+
+class FreeObject3(AbstractBody):
+    r"""An object free in space; its frame sits at the centre of mass.
+
+    Positions: $(x, y, z)$ of the centre of mass and the unit quaternion (scalar first) that turns body axes
+    into world axes. Velocities: $\dot x, \dot y, \dot z$ in world axes and the spin $\omega$ in **body**
+    axes, $\dot q = \frac12 q\,(0, \omega)$.
+
+    Args:
+        surfaces: One surface or several, in the body frame.
+        mass: In kilograms.
+        inertia: About the centre of mass, in body axes [kg m^2]: one number (a ball), shape (3,) along the
+            axes, or shape (3, 3).
+        outline: Shape (3,), edge lengths of a cuboid about the centre [m], for drawing alone.
+
+    Raises:
+        ValueError: If a shape does not fit, the mass is not positive, or the inertia not positive definite.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> ball = jxr.FreeObject3(jxr.Sphere(0.02), mass=0.05, inertia=8e-6)
+        >>> ball.positions, ball.freedoms
+        (7, 6)
+    """
+
+    surfaces: Surfaces
+    mass: Float[Array, ""]
+    inertia: Float[Array, "3 3"]
+    outline: Float[Array, "3"] | None
+
+    def __init__(
+        self,
+        surfaces: AbstractSurface | Sequence[AbstractSurface],
+        mass: Given,
+        inertia: Given,
+        *,
+        outline: Given | None = None,
+    ) -> None:
+        listed = (surfaces,) if isinstance(surfaces, AbstractSurface) else tuple(surfaces)
+        if not listed or not all(isinstance(s, AbstractSurface) for s in listed):
+            raise ValueError(f"argument surfaces must be one or more surfaces, but was {surfaces!r}")
+        self.surfaces = listed
+        self.mass = check_positive("mass", as_floats("mass", mass, ()))
+        self.inertia = _matrix(inertia)
+        self.outline = None if outline is None else as_floats("outline", outline, (3,))
+
+    @property
+    def shapes(self) -> Surfaces:
+        return self.surfaces
+
+    @property
+    def freedoms(self) -> int:
+        return 6
+
+    @property
+    def positions(self) -> int:
+        return 7
+
+    def prepared(self) -> "FreeObject3":
+        ready = (unstack(self.inertia), tuple(s.prepared() for s in self.surfaces))
+        return eqx.tree_at(lambda o: (o.inertia, o.surfaces), self, ready)
+
+    def pose(self, q: Scalars) -> Pose3:
+        return once(pose(Vec3(*q[:3]), (q[3], q[4], q[5], q[6])))
+
+    def spin(self, q: Scalars, v: Scalars) -> Vec3:
+        return self.pose(q).turn(Vec3(*v[3:]))
+
+    def rates(self, q: Scalars, v: Scalars) -> Scalars:
+        turned = quaternion_product((q[3], q[4], q[5], q[6]), (jnp.zeros_like(v[3]), v[3], v[4], v[5]))
+        return (*v[:3], *(0.5 * x for x in turned))
+
+    def displaced(self, q: Scalars, step: Scalars) -> Scalars:
+        moved = (a + b for a, b in zip(q[:3], step[:3], strict=True))
+        turn = (jnp.ones_like(step[3]), *(0.5 * x for x in step[3:]))
+        return (*moved, *normalised(quaternion_product((q[3], q[4], q[5], q[6]), turn)))
+
+    def motion(self, q: Scalars, v: Scalars, gravity: Vec3 | None) -> tuple[Motion, Inertia]:
+        here, zero, one = self.pose(q), jnp.zeros_like(v[0]), jnp.ones_like(v[0])
+        still, spin = Vec3(zero, zero, zero), Vec3(*v[3:])
+        axes = (Vec3(one, zero, zero), Vec3(zero, one, zero), Vec3(zero, zero, one))
+        units = tuple(Twist3(axis, still) for axis in axes)
+        turns = tuple(Twist3(still, axis) for axis in (here.x, here.y, here.z))
+        twist = once(Twist3(Vec3(*v[:3]), here.turn(spin)))
+        matrix, m = self._tensor(), self.mass
+        torque = spin.cross(matrix.apply(spin))
+        weight = still if gravity is None else gravity * -m
+        mass = (
+            *((m,), (zero, m), (zero, zero, m)),
+            (zero, zero, zero, matrix.xx),
+            (zero, zero, zero, matrix.xy, matrix.yy),
+            (zero, zero, zero, matrix.xz, matrix.yz, matrix.zz),
+        )
+        # With the spin in body axes fixed, that in the world is: no bias.
+        motion = Motion(here, (*units, *turns), twist, Twist3(still, still))
+        return motion, Inertia(mass, (*weight, *torque))
+
+    def gravity_potential(self, q: Scalars, gravity: Vec3) -> Scalar:
+        return -self.mass * gravity.dot(Vec3(*q[:3]))
+
+    def _tensor(self) -> Sym3:
+        m = self.inertia
+        return Sym3(m[0][0], m[0][1], m[0][2], m[1][1], m[1][2], m[2][2])
+
+
+def _matrix(inertia: Given) -> Array:
+    """An inertia given as one number, three or a matrix, as a matrix."""
+    array = jnp.asarray(inertia, float)
+    if array.ndim == 0:
+        array = array * jnp.eye(3, dtype=array.dtype)
+    elif array.ndim == 1:
+        array = jnp.diag(as_floats("inertia", array, (3,)))
+    array = as_floats("inertia", array, (3, 3))
+    return check_inertia("inertia", array)
+
+
+def check_inertia(name: str, tensors: Array) -> Array:
+    """Raise if concrete inertia tensors, shape (..., 3, 3), are not symmetric positive definite."""
+    seen = concrete(tensors)
+    if seen is None:
+        return tensors
+    gaps = abs(seen - seen.swapaxes(-1, -2)).max() if seen.size else 0.0
+    firm = [jnp.linalg.eigvalsh(tensor)[0] > 0 for tensor in seen.reshape(-1, 3, 3)]
+    if gaps > 1e-9 * abs(seen).max(initial=0.0) or not all(firm):
+        raise ValueError(f"argument {name} must be symmetric and positive definite, but was {seen.tolist()}")
+    return tensors

@@ -1,0 +1,179 @@
+"""What an object rolls on by itself: a surface that is fixed in the world, or moves as it is told."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._algebra import sincos, unstack
+from .._results import as_floats, concrete
+from .._spatial import conjugate, normalised, pose, Pose3, Quaternion, quaternion_product, Twist3, Vec3
+from .._types import Given, Scalar, Scalars
+from ..contact import Motion
+from ..geometry import AbstractSurface
+from ._body import Inertia
+from ._finger import AbstractFinger
+
+# Nothing in a stage says how large it is, and only drawing asks: a gripper's order of magnitude [m].
+_SIZE = 0.05
+
+
+class Turning(eqx.Module):
+    r"""A motion for `Stage`: steady rotation about an axis through a point, $\Omega t$ at time t.
+
+    Args:
+        rate: $\Omega$ [rad/s].
+        axis: Shape (3,); scaled to unit length. Default: z.
+        centre: Shape (3,), a point of the axis [m].
+    """
+
+    rate: Float[Array, ""]
+    axis: Float[Array, "3"]
+    centre: Float[Array, "3"]
+
+    def __init__(
+        self, rate: Given, *, axis: Given = (0.0, 0.0, 1.0), centre: Given = (0.0, 0.0, 0.0)
+    ) -> None:
+        self.rate = as_floats("rate", rate, ())
+        self.axis = as_floats("axis", axis, (3,))
+        self.centre = as_floats("centre", centre, (3,))
+        seen = concrete(self.axis)
+        if seen is not None and not seen.any():
+            raise ValueError(f"argument axis must not be zero, but was {seen.tolist()}")
+
+    def __call__(self, t: Scalar) -> tuple[Vec3, Quaternion]:
+        sin, cos = sincos(0.5 * self.rate * t)
+        axis, centre = Vec3(*unstack(self.axis)), Vec3(*unstack(self.centre))
+        axis = axis * (1.0 / axis.norm())
+        turn = (cos, axis.x * sin, axis.y * sin, axis.z * sin)
+        return centre - pose(centre, turn).turn(centre), turn
+
+
+class Stage(AbstractFinger):
+    r"""A surface that is fixed, or moves as prescribed: a table, a turntable, a tube.
+
+    A moving one has one position, its clock [s], and no velocity; start it at the run's `t0`. It takes the
+    place of a finger in a `Grasp`, and does work on the object, which the energy balance counts.
+
+    Args:
+        surface: In the stage's frame.
+        motion: `motion(t)` gives the frame's position [m], three numbers, and its quaternion (scalar first),
+            four numbers, relative to `base` and `rotation`, twice differentiable in t [s]; any callable
+            pytree, `Turning` for one. Default: none, the stage is fixed.
+        base: Shape (3,), position of the frame [m].
+        rotation: Quaternion (scalar first) of the frame's axes; scaled to unit length.
+
+    Raises:
+        ValueError: If `surface` is not a surface, or `motion` cannot be called.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> table = jxr.Stage(jxr.Plane(), jxr.Turning(2.0))
+        >>> table.positions, table.freedoms
+        (1, 0)
+    """
+
+    tip: AbstractSurface
+    motion_of: Callable[[Any], Any] | None
+    base: Float[Array, "3"]
+    rotation: Float[Array, "4"]
+
+    def __init__(
+        self,
+        surface: AbstractSurface,
+        motion: Callable[[Any], Any] | None = None,
+        *,
+        base: Given = (0.0, 0.0, 0.0),
+        rotation: Given = (1.0, 0.0, 0.0, 0.0),
+    ) -> None:
+        if not isinstance(surface, AbstractSurface):
+            raise ValueError(f"argument surface must be a surface, but was {surface!r}")
+        if motion is not None and not callable(motion):
+            raise ValueError(f"argument motion must be a function of time, but was {motion!r}")
+        self.tip = surface
+        plain = motion is not None and jax.tree_util.all_leaves([motion])
+        self.motion_of = jax.tree_util.Partial(motion) if plain else motion
+        self.base = as_floats("base", base, (3,))
+        self.rotation = as_floats("rotation", rotation, (4,))
+        seen = concrete(self.rotation)
+        if seen is not None and not seen.any():
+            raise ValueError(f"argument rotation must be a quaternion, but was {seen.tolist()}")
+
+    @property
+    def joints(self) -> int:
+        return 0
+
+    @property
+    def positions(self) -> int:
+        return 0 if self.motion_of is None else 1
+
+    @property
+    def prescribed(self) -> bool:
+        return self.motion_of is not None
+
+    @property
+    def size(self) -> Scalar:
+        return jnp.full((), _SIZE)
+
+    @property
+    def turns(self) -> bool:
+        return False
+
+    def prepared(self) -> "Stage":
+        ready = (unstack(self.base), unstack(self.rotation), self.tip.prepared())
+        return eqx.tree_at(lambda s: (s.base, s.rotation, s.tip), self, ready)
+
+    def _placed(self, t: Scalar) -> tuple[Vec3, Quaternion]:
+        """Position and unit quaternion in the world."""
+        base, turn = Vec3(*unstack(self.base)), normalised(unstack(self.rotation))
+        if self.motion_of is None:
+            return base, turn
+        given = self.motion_of(t)
+        point, own = Vec3(*_numbers(given[0], 3)), normalised(_numbers(given[1], 4))
+        return pose(base, turn).place(point), quaternion_product(turn, own)
+
+    def _twist(self, t: Scalar) -> Twist3:
+        (_, turn), (velocity, rate) = jax.jvp(self._placed, (t,), (jnp.ones_like(t),))
+        spin = quaternion_product(rate, conjugate(turn))
+        return Twist3(velocity, Vec3(*spin[1:]) * 2.0)
+
+    def pose(self, q: Scalars) -> Pose3:
+        return pose(*self._placed(q[0] if q else jnp.zeros(())))
+
+    def skeleton(self, q: Scalars) -> tuple[Vec3, ...]:
+        return (self.pose(q).origin,)
+
+    def spin(self, q: Scalars, v: Scalars) -> Vec3:
+        zero = jnp.zeros(())
+        return Vec3(zero, zero, zero)
+
+    def rates(self, q: Scalars, v: Scalars) -> Scalars:
+        return tuple(jnp.ones_like(clock) for clock in q)
+
+    def displaced(self, q: Scalars, step: Scalars) -> Scalars:
+        return q
+
+    def motion(self, q: Scalars, v: Scalars, gravity: Vec3 | None) -> tuple[Motion, Inertia]:
+        nothing = Inertia((), ())
+        if not q:
+            zero = jnp.zeros(())
+            still = Twist3(Vec3(zero, zero, zero), Vec3(zero, zero, zero))
+            return Motion(self.pose(q), (), still, still), nothing
+        twist, bias = jax.jvp(self._twist, (q[0],), (jnp.ones_like(q[0]),))
+        return Motion(self.pose(q), (), twist, bias), nothing
+
+    def gravity_potential(self, q: Scalars, gravity: Vec3) -> Scalar:
+        return jnp.zeros(())
+
+
+def _numbers(values: Any, count: int) -> Any:
+    """What a motion returned, an array or a sequence, as scalars."""
+    found = tuple(values) if isinstance(values, tuple | list | Vec3) else unstack(jnp.asarray(values))
+    if len(found) != count:
+        raise ValueError(
+            f"argument motion must return 3 coordinates and 4 of a quaternion, but one had {len(found)}"
+        )
+    return found

@@ -23,6 +23,33 @@ from ._types import Scalar, Scalars
 Triangle = Sequence[Sequence[Scalar]]
 
 
+def times(left: Scalar, right: Scalar) -> Scalar:
+    """Product; nothing is traced where a factor is a plain 0.0 or 1.0, as structure leaves them."""
+    for a, b in ((left, right), (right, left)):
+        if isinstance(a, float) and a == 0.0:
+            return 0.0
+        if isinstance(a, float) and a == 1.0:
+            return b
+    return left * right
+
+
+def plus(left: Scalar, right: Scalar) -> Scalar:
+    """Sum; nothing is traced where a term is a plain 0.0."""
+    if isinstance(left, float) and left == 0.0:
+        return right
+    return left if isinstance(right, float) and right == 0.0 else left + right
+
+
+def minus(left: Scalar, right: Scalar) -> Scalar:
+    """Difference; nothing is traced where the second term is a plain 0.0."""
+    return left if isinstance(right, float) and right == 0.0 else left - right
+
+
+def inner(left: Sequence[Scalar], right: Sequence[Scalar]) -> Scalar:
+    """Sum of products, number by number."""
+    return functools.reduce(plus, [times(a, b) for a, b in zip(left, right, strict=True)], 0.0)
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, slots=True)
 class Vec2:
@@ -82,6 +109,10 @@ class Twist2:
     def __mul__(self, factor: Scalar) -> "Twist2":
         return Twist2(self.velocity * factor, self.spin * factor)
 
+    def at(self, arm: Vec2) -> Vec2:
+        """Velocity of the body's point at the end of an arm from the frame's origin, in world axes."""
+        return self.velocity + arm.left() * self.spin
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, slots=True)
@@ -127,7 +158,7 @@ def sharing(t: Scalar) -> Iterator[None]:
 def once(tree: Any) -> Any:
     """The argument itself; inside `sharing`, computed once however many use it."""
     one = _ONE.get()
-    return tree if one is None else jax.tree.map(lambda leaf: leaf / one, tree)
+    return tree if one is None else jax.tree.map(lambda x: x if isinstance(x, float) else x / one, tree)
 
 
 def sincos(angle: Scalar) -> tuple[Scalar, Scalar]:
@@ -185,9 +216,9 @@ def factorise(matrix: Triangle) -> Factor:
     for i, row in enumerate(matrix):
         scaled: list[Scalar] = []  # row of L D, from which both L and the pivot follow
         for j in range(i):
-            scaled.append(row[j] - _dot(scaled, lower[j]) if j else row[j])
-        unit = once(tuple(s * d for s, d in zip(scaled, inverse, strict=True)))
-        pivot = row[i] - _dot(scaled, unit) if i else row[i]
+            scaled.append(minus(row[j], inner(scaled, lower[j])))
+        unit = once(tuple(times(s, d) for s, d in zip(scaled, inverse, strict=True)))
+        pivot = minus(row[i], inner(scaled, unit))
         lower.append(unit)
         pivots.append(pivot)
         inverse.append(1.0 / pivot)
@@ -199,14 +230,10 @@ def solve(factor: Factor, right: Sequence[Scalar]) -> Scalars:
     """Solve with a factorised matrix."""
     forward: list[Scalar] = []
     for row, value in zip(factor.lower, right, strict=True):
-        forward.append(value - _dot(row, forward) if row else value)
-    backward = [value * d for value, d in zip(forward, factor.inverse_pivots, strict=True)]
+        forward.append(minus(value, inner(row, forward)))
+    backward = [times(value, d) for value, d in zip(forward, factor.inverse_pivots, strict=True)]
     for i in reversed(range(len(backward))):
         below = range(i + 1, len(backward))
         for j in below:
-            backward[i] = backward[i] - factor.lower[j][i] * backward[j]
+            backward[i] = minus(backward[i], times(factor.lower[j][i], backward[j]))
     return tuple(backward)
-
-
-def _dot(left: Sequence[Scalar], right: Sequence[Scalar]) -> Scalar:
-    return total([a * b for a, b in zip(left, right, strict=False)])

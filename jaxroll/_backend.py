@@ -59,6 +59,22 @@ def one_kernel(function: Callable, *args: Any) -> Any:
     return call(arrays)
 
 
+def differentiable_kernel(function: Callable, *args: Any) -> Any:
+    """`one_kernel`, but its derivatives, in both modes, are those of the function compiled as usual."""
+
+    @eqx.filter_custom_jvp
+    def call(args: Any) -> Any:
+        return one_kernel(function, *args)
+
+    @call.def_jvp
+    def _(primals: Any, tangents: Any) -> tuple[Any, Any]:
+        moving, still = eqx.partition(primals[0], eqx.is_inexact_array)
+        full = jax.tree.map(lambda x, dot: jnp.zeros_like(x) if dot is None else dot, moving, tangents[0])
+        return jax.jvp(lambda moving: function(*eqx.combine(moving, still)), (moving,), (full,))
+
+    return call(args)
+
+
 def _marked(function: Callable, arrays: Any) -> Any:
     """The call as one operation, with the attributes if it fits."""
     leaves, form = jax.tree.flatten(arrays)

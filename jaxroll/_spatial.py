@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
+from ._algebra import inner, minus, plus, times, total
 from ._types import Scalar
 
 Quaternion = tuple[Scalar, Scalar, Scalar, Scalar]
@@ -25,16 +26,16 @@ class Vec3:
     z: Scalar
 
     def __add__(self, other: "Vec3") -> "Vec3":
-        return Vec3(self.x + other.x, self.y + other.y, self.z + other.z)
+        return Vec3(plus(self.x, other.x), plus(self.y, other.y), plus(self.z, other.z))
 
     def __sub__(self, other: "Vec3") -> "Vec3":
-        return Vec3(self.x - other.x, self.y - other.y, self.z - other.z)
+        return Vec3(minus(self.x, other.x), minus(self.y, other.y), minus(self.z, other.z))
 
     def __neg__(self) -> "Vec3":
-        return Vec3(-self.x, -self.y, -self.z)
+        return Vec3(*(x if isinstance(x, float) and x == 0.0 else -x for x in self))
 
     def __mul__(self, factor: Scalar) -> "Vec3":
-        return Vec3(self.x * factor, self.y * factor, self.z * factor)
+        return Vec3(times(self.x, factor), times(self.y, factor), times(self.z, factor))
 
     def __iter__(self) -> Iterator[Scalar]:
         yield self.x
@@ -43,14 +44,14 @@ class Vec3:
 
     def dot(self, other: "Vec3") -> Scalar:
         """Inner product."""
-        return self.x * other.x + self.y * other.y + self.z * other.z
+        return inner(tuple(self), tuple(other))
 
     def cross(self, other: "Vec3") -> "Vec3":
         """Cross product."""
         return Vec3(
-            self.y * other.z - self.z * other.y,
-            self.z * other.x - self.x * other.z,
-            self.x * other.y - self.y * other.x,
+            minus(times(self.y, other.z), times(self.z, other.y)),
+            minus(times(self.z, other.x), times(self.x, other.z)),
+            minus(times(self.x, other.y), times(self.y, other.x)),
         )
 
     def norm(self) -> Scalar:
@@ -59,7 +60,7 @@ class Vec3:
 
     def array(self) -> jax.Array:
         """Shape (..., 3), for the public door."""
-        return jnp.stack([self.x, self.y, self.z], axis=-1)
+        return jnp.stack(jnp.broadcast_arrays(self.x, self.y, self.z), axis=-1)
 
 
 @jax.tree_util.register_dataclass
@@ -78,6 +79,10 @@ class Twist3:
 
     def __mul__(self, factor: Scalar) -> "Twist3":
         return Twist3(self.velocity * factor, self.spin * factor)
+
+    def at(self, arm: Vec3) -> Vec3:
+        """Velocity of the body's point at the end of an arm from the frame's origin, in world axes."""
+        return self.velocity + self.spin.cross(arm)
 
 
 @jax.tree_util.register_dataclass
@@ -134,7 +139,7 @@ def quaternion_product(left: Quaternion, right: Quaternion) -> Quaternion:
     """Hamilton's product: the rotation of `left` after that of `right`."""
     a, u = left[0], Vec3(*left[1:])
     b, v = right[0], Vec3(*right[1:])
-    return (a * b - u.dot(v), *(v * a + u * b + u.cross(v)))
+    return (minus(times(a, b), u.dot(v)), *(v * a + u * b + u.cross(v)))
 
 
 def conjugate(q: Quaternion) -> Quaternion:
@@ -168,39 +173,36 @@ class Sym3:
     zz: Scalar
 
     def __add__(self, other: "Sym3") -> "Sym3":
-        return Sym3(*(a + b for a, b in zip(self, other, strict=True)))
+        return Sym3(*map(plus, self, other))
 
     def __sub__(self, other: "Sym3") -> "Sym3":
-        return Sym3(*(a - b for a, b in zip(self, other, strict=True)))
+        return Sym3(*map(minus, self, other))
 
     def __mul__(self, factor: Scalar) -> "Sym3":
-        return Sym3(*(a * factor for a in self))
+        return Sym3(*(times(a, factor) for a in self))
 
     def __iter__(self) -> Iterator[Scalar]:
         yield from (self.xx, self.xy, self.xz, self.yy, self.yz, self.zz)
 
     def trace(self) -> Scalar:
         """Sum of the eigenvalues."""
-        return self.xx + self.yy + self.zz
+        return plus(plus(self.xx, self.yy), self.zz)
 
     def minors(self) -> Scalar:
         """Sum of the products of two eigenvalues; the determinant in a plane whose normal it maps to 0."""
-        first = self.xx * self.yy - self.xy * self.xy
-        return first + self.xx * self.zz - self.xz * self.xz + self.yy * self.zz - self.yz * self.yz
+        pairs = ((self.xx, self.yy), (self.xx, self.zz), (self.yy, self.zz))
+        mixed = (self.xy, self.xz, self.yz)
+        return minus(total([times(*pair) for pair in pairs]), inner(mixed, mixed))
 
     def squares(self) -> Scalar:
         """Sum of the squared entries: of the squared eigenvalues."""
-        mixed = self.xy * self.xy + self.xz * self.xz + self.yz * self.yz
-        return self.xx * self.xx + self.yy * self.yy + self.zz * self.zz + 2.0 * mixed
+        main, mixed = (self.xx, self.yy, self.zz), (self.xy, self.xz, self.yz)
+        return plus(inner(main, main), times(2.0, inner(mixed, mixed)))
 
     def apply(self, vector: Vec3) -> Vec3:
         """The matrix times a vector."""
-        x, y, z = vector
-        return Vec3(
-            self.xx * x + self.xy * y + self.xz * z,
-            self.xy * x + self.yy * y + self.yz * z,
-            self.xz * x + self.yz * y + self.zz * z,
-        )
+        rows = ((self.xx, self.xy, self.xz), (self.xy, self.yy, self.yz), (self.xz, self.yz, self.zz))
+        return Vec3(*(inner(row, tuple(vector)) for row in rows))
 
     def form(self, left: Vec3, right: Vec3) -> Scalar:
         """The bilinear form of two vectors."""

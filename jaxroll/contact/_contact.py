@@ -7,9 +7,9 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._algebra import once
 from .._types import Scalar, Scalars
 
 Rows = tuple[Scalars, ...]
@@ -35,7 +35,12 @@ class Motion:
 
     def resting(self) -> "Motion":
         """The same pose at zero velocity."""
-        return replace(self, twist=jax.tree.map(jnp.zeros_like, self.twist))
+        return replace(self, twist=jax.tree.map(lambda _: 0.0, self.twist))
+
+
+def arms_of(bodies: tuple[Motion, Motion], points: tuple[Any, Any]) -> tuple[Any, Any]:
+    """From the frames' origins to points of the bodies, in world axes."""
+    return once((bodies[0].pose.turn(points[0]), bodies[1].pose.turn(points[1])))
 
 
 class AbstractContact(eqx.Module):
@@ -97,7 +102,7 @@ class AbstractContact(eqx.Module):
         """How the contact moves over the shapes."""
 
     @abc.abstractmethod
-    def place_rate(self, shapes: Shapes, place: Any, rolling: Any) -> Any:
+    def place_rate(self, shapes: Shapes, place: Any, poses: tuple[Any, Any], rolling: Any) -> Any:
         """Rates of the place under a rolling."""
 
     @abc.abstractmethod

@@ -1,11 +1,12 @@
 r"""The gap between two contact points and its derivatives: the same lines in the plane and in space.
 
 The contact points move over both bodies with one velocity, so that the terms in it cancel in the time
-derivative of the gap: its Jacobian is autodiff of `gap` with respect to the poses **at frozen contact
-coordinates**, and so the difference of the material velocities.
+derivative of the gap. Its Jacobian is therefore the derivative of `gap` with respect to the poses **at frozen
+contact coordinates**: the difference of the material velocities, which a twist gives at the end of an arm
+(`Twist2.at`, `Twist3.at`). The arms in world axes are worked out once; the bias is autodiff of these lines.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TypeVar
 
 import jax
@@ -24,38 +25,31 @@ def gap(tip: Pose, object_: Pose, points: tuple[Vec, Vec]) -> Vec:
     return tip.place(points[0]) - object_.place(points[1])  # pyright: ignore
 
 
-def gap_rate(poses: tuple[Pose, Pose], twists: tuple[Twist, Twist], points: tuple[Vec, Vec]) -> Vec:
+def gap_rate(twists: tuple[Twist, Twist], arms: tuple[Vec, Vec]) -> Vec:
     """Rate of the gap under the twists of both bodies, at frozen contact coordinates."""
-    rates = (poses[0].rate(twists[0]), poses[1].rate(twists[1]))  # pyright: ignore
-    return jax.jvp(lambda a, b: gap(a, b, points), poses, rates)[1]
+    return twists[0].at(arms[0]) - twists[1].at(arms[1])  # pyright: ignore
 
 
 def pfaffian(
-    poses: tuple[Pose, Pose],
-    unit_twists: tuple[Sequence[Twist], Sequence[Twist]],
-    points: tuple[Vec, Vec],
+    unit_twists: tuple[Sequence[Twist], Sequence[Twist]], arms: tuple[Vec, Vec]
 ) -> tuple[tuple[Vec, ...], tuple[Vec, ...]]:
     """Columns of the gap's Jacobian: for the fingertip's and for the object's unit rates."""
-    tip, object_ = poses
-
-    def along(vary: Callable[[Pose], Vec], pose: Pose, twist: Twist) -> Vec:
-        return jax.jvp(vary, (pose,), (pose.rate(twist),))[1]  # pyright: ignore
-
-    return (
-        tuple(along(lambda p: gap(p, object_, points), tip, u) for u in unit_twists[0]),
-        tuple(along(lambda p: gap(tip, p, points), object_, u) for u in unit_twists[1]),
-    )
+    tip, object_ = unit_twists
+    return tuple(unit.at(arms[0]) for unit in tip), tuple(-unit.at(arms[1]) for unit in object_)  # pyright: ignore
 
 
-def gap_bias(bodies: tuple[Motion, Motion], points: tuple[Vec, Vec], drift: tuple[Vec, Vec]) -> Vec:
+def gap_bias(bodies: tuple[Motion, Motion], arms: tuple[Vec, Vec], drift: tuple[Vec, Vec]) -> Vec:
     """Second derivative of the gap at zero coordinate accelerations: one jvp of `gap_rate`.
 
     Args:
         bodies: Motions of fingertip and object.
-        points: Contact points, each in its own body frame.
-        drift: Velocities of these points over their bodies, each in its own body frame.
+        arms: From the frames' origins to the contact points, in world axes.
+        drift: Velocities of these points over their bodies, in world axes.
     """
-    tip, body = bodies
-    poses, twists = (tip.pose, body.pose), (tip.twist, body.twist)
-    rates = (tip.pose.rate(tip.twist), body.pose.rate(body.twist))
-    return jax.jvp(gap_rate, (poses, twists, points), (rates, (tip.bias, body.bias), drift))[1]
+    twists, biases = (bodies[0].twist, bodies[1].twist), (bodies[0].bias, bodies[1].bias)
+    still = bodies[0].resting().twist.velocity
+    moves = tuple(
+        type(motion.twist)(still, motion.twist.spin).at(arm) + over
+        for motion, arm, over in zip(bodies, arms, drift, strict=True)
+    )
+    return jax.jvp(gap_rate, (twists, arms), (biases, moves))[1]

@@ -17,7 +17,7 @@ from .._algebra import once, Pose2, Vec2
 from .._results import as_floats, check_between, check_positive, traced
 from .._types import Given, Scalar, Scalars
 from ..geometry import AbstractContour, frenet, Frenet2
-from ._contact import AbstractContact, Motion, row_wise, Rows
+from ._contact import AbstractContact, arms_of, Motion, row_wise, Rows
 from ._gap import gap, gap_bias, gap_rate, pfaffian
 
 Contours = tuple[AbstractContour, AbstractContour]
@@ -108,22 +108,22 @@ class Contact(AbstractContact):
         return Touch(tip.frame(self.s_tip + place), face.frame(self.s_object - place))
 
     def pfaffian(self, bodies: tuple[Motion, Motion], touch: Touch) -> tuple[Rows, Rows]:
-        poses, units = (bodies[0].pose, bodies[1].pose), (bodies[0].unit_twists, bodies[1].unit_twists)
-        tip, face = once(pfaffian(poses, units, touch.points))
+        units = (bodies[0].unit_twists, bodies[1].unit_twists)
+        tip, face = once(pfaffian(units, arms_of(bodies, touch.points)))
         return row_wise(tip, 2), row_wise(face, 2)
 
     def closing(self, bodies: tuple[Motion, Motion], touch: Touch) -> Scalars:
-        tip, body = bodies
-        return tuple(gap_rate((tip.pose, body.pose), (tip.twist, body.twist), touch.points))
+        return tuple(gap_rate((bodies[0].twist, bodies[1].twist), arms_of(bodies, touch.points)))
 
     def bias(self, bodies: tuple[Motion, Motion], touch: Touch, rolling: Scalar) -> Scalars:
-        drift = (touch.tip.tangent * rolling, touch.object.tangent * -rolling)
-        return tuple(gap_bias(bodies, touch.points, drift))
+        tip, body = bodies
+        drift = (tip.pose.turn(touch.tip.tangent) * rolling, body.pose.turn(touch.object.tangent) * -rolling)
+        return tuple(gap_bias(bodies, arms_of(bodies, touch.points), drift))
 
     def rolling(self, bodies: tuple[Motion, Motion], touch: Touch) -> Scalar:
         return rolling_rate(touch, bodies[0].twist.spin, bodies[1].twist.spin)
 
-    def place_rate(self, shapes: Contours, place: Scalar, rolling: Scalar) -> Scalar:
+    def place_rate(self, shapes: Contours, place: Scalar, poses: Any, rolling: Scalar) -> Scalar:
         return rolling
 
     def bend(self, poses: tuple[Pose2, Pose2], touch: Touch) -> Scalar:

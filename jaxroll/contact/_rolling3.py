@@ -19,7 +19,7 @@ from .._results import as_floats, check_positive
 from .._spatial import Pose3, square, Sym3, tangents, Twist3, Vec3
 from .._types import Given, Scalar, Scalars
 from ..geometry import AbstractSurface, Gauss3
-from ._contact import AbstractContact, Motion, row_wise, Rows
+from ._contact import AbstractContact, arms_of, Motion, row_wise, Rows
 from ._gap import gap, gap_bias, gap_rate, pfaffian
 
 Surfaces = tuple[AbstractSurface, AbstractSurface]
@@ -136,41 +136,39 @@ class Contact3(AbstractContact):
         return Touch3(*(shape.frame(at) for shape, at in zip(shapes, place, strict=True)))
 
     def pfaffian(self, bodies: tuple[Motion, Motion], touch: Touch3) -> tuple[Rows, Rows]:
-        poses, units = (bodies[0].pose, bodies[1].pose), (bodies[0].unit_twists, bodies[1].unit_twists)
-        columns = pfaffian(poses, units, touch.points)
+        units = (bodies[0].unit_twists, bodies[1].unit_twists)
+        columns = pfaffian(units, arms_of(bodies, touch.points))
         blocks = [row_wise(block, 3) for block in columns]
         if self.spin == "prevented":
-            normal = poses[1].turn(touch.object.normal) * _ARM
+            normal = bodies[1].pose.turn(touch.object.normal) * _ARM
             for i, sign in enumerate((1.0, -1.0)):
                 blocks[i] += (tuple(normal.dot(unit.spin) * sign for unit in units[i]),)
         return once((blocks[0], blocks[1]))
 
     def closing(self, bodies: tuple[Motion, Motion], touch: Touch3) -> Scalars:
-        tip, body = bodies
-        poses, twists = (tip.pose, body.pose), (tip.twist, body.twist)
-        rate = tuple(gap_rate(poses, twists, touch.points))
-        return rate if self.spin == "free" else (*rate, _spin(poses[1], twists, touch.object.normal))
+        twists = (bodies[0].twist, bodies[1].twist)
+        rate = tuple(gap_rate(twists, arms_of(bodies, touch.points)))
+        normal = bodies[1].pose.turn(touch.object.normal)
+        return rate if self.spin == "free" else (*rate, _spin(twists, normal))
 
-    def bias(self, bodies: tuple[Motion, Motion], touch: Touch3, rolling: tuple[Vec3, Vec3]) -> Scalars:
-        found = tuple(gap_bias(bodies, touch.points, rolling))
+    def bias(self, bodies: tuple[Motion, Motion], touch: Touch3, rolling: Vec3) -> Scalars:
+        found = tuple(gap_bias(bodies, arms_of(bodies, touch.points), (rolling, rolling)))
         if self.spin == "free":
             return found
         tip, body = bodies
-        at = (body.pose, (tip.twist, body.twist), touch.object.normal)
-        rates = (body.pose.rate(body.twist), (tip.bias, body.bias), touch.object.shape.apply(rolling[1]))
-        return (*found, jax.jvp(_spin, at, rates)[1])
+        normal, bend = body.pose.turn(touch.object.normal), touch.object.shape.apply(body.pose.back(rolling))
+        turning = body.twist.spin.cross(normal) + body.pose.turn(bend)
+        twists, biases = (tip.twist, body.twist), (tip.bias, body.bias)
+        return (*found, jax.jvp(_spin, (twists, normal), (biases, turning))[1])
 
-    def rolling(self, bodies: tuple[Motion, Motion], touch: Touch3) -> tuple[Vec3, Vec3]:
+    def rolling(self, bodies: tuple[Motion, Motion], touch: Touch3) -> Vec3:
         tip, body = bodies
         turning = tip.twist.spin - body.twist.spin
         bend = compliance((tip.pose, body.pose), touch, self.line)
-        velocity = bend.apply(turning.cross(body.pose.turn(touch.object.normal)))
-        return tip.pose.back(velocity), body.pose.back(velocity)
+        return bend.apply(turning.cross(body.pose.turn(touch.object.normal)))
 
-    def place_rate(self, shapes: Surfaces, place: Place, rolling: tuple[Vec3, Vec3]) -> Place:
-        each = zip(shapes, place, rolling, strict=True)
-        tip, face = (shape.rate(at, velocity) for shape, at, velocity in each)
-        return tip, face
+    def place_rate(self, shapes: Surfaces, place: Place, poses: tuple[Pose3, Pose3], rolling: Vec3) -> Place:
+        return _carried_rates(shapes, place, (poses[0].back(rolling), poses[1].back(rolling)))
 
     def bend(self, poses: tuple[Pose3, Pose3], touch: Touch3) -> Sym3:
         return compliance(poses, touch, self.line)
@@ -195,19 +193,14 @@ class Contact3(AbstractContact):
         (tip, body), open_, bend = misfit
         normal = body.turn(shapes[1].frame(place[1]).normal)
         move = bend.apply(turned.cross(normal) - open_)
-        return self._carried(shapes, place, (tip.back(move), body.back(move)))
+        return _carried(shapes, place, (tip.back(move), body.back(move)))
 
     def shift(self, shapes: Surfaces, place: Place, step: Scalars) -> Place:
         moves = []
         for shape, at, (along, across) in zip(shapes, place, (step[:2], step[2:]), strict=True):
             first, second = tangents(shape.frame(at).normal)
             moves.append(first * along + second * across)
-        return self.onto(shapes, self._carried(shapes, place, (moves[0], moves[1])))
-
-    def _carried(self, shapes: Surfaces, place: Place, moves: tuple[Vec3, Vec3]) -> Place:
-        each = zip(place, self.place_rate(shapes, place, moves), strict=True)
-        tip, face = (tuple(a + b for a, b in zip(at, step, strict=True)) for at, step in each)
-        return tip, face
+        return self.onto(shapes, _carried(shapes, place, (moves[0], moves[1])))
 
     def equations(self, poses: tuple[Pose3, Pose3], touch: Touch3) -> Scalars:
         tip, body = (
@@ -258,9 +251,21 @@ class Contact3(AbstractContact):
         return [jnp.sqrt(tangential.dot(tangential) + _NO_FORCE)]
 
 
-def _spin(body: Pose3, twists: tuple[Twist3, Twist3], normal: Vec3) -> Scalar:
-    """Spin of the fingertip against the object about the object's normal, times an arm [m/s]."""
-    return body.turn(normal).dot(twists[0].spin - twists[1].spin) * _ARM
+def _spin(twists: tuple[Twist3, Twist3], normal: Vec3) -> Scalar:
+    """Spin of the fingertip against the object about a normal, times an arm [m/s]."""
+    return normal.dot(twists[0].spin - twists[1].spin) * _ARM
+
+
+def _carried_rates(shapes: Surfaces, place: Place, velocities: tuple[Vec3, Vec3]) -> Place:
+    """Rates of the places on both surfaces at tangent velocities in their own bodies."""
+    tip, face = (shape.rate(at, v) for shape, at, v in zip(shapes, place, velocities, strict=True))
+    return tip, face
+
+
+def _carried(shapes: Surfaces, place: Place, moves: tuple[Vec3, Vec3]) -> Place:
+    each = zip(place, _carried_rates(shapes, place, moves), strict=True)
+    tip, face = (tuple(a + b for a, b in zip(at, step, strict=True)) for at, step in each)
+    return tip, face
 
 
 def tangency3(tip: Pose3, object_: Pose3, touch: Touch3) -> Vec3:

@@ -32,8 +32,7 @@ class Plane(AbstractImplicit):
         return Level(point.z, frame.normal, frame.shape)
 
     def frame(self, at: Scalars) -> Gauss3:
-        zero = jnp.zeros_like(at[2])
-        return Gauss3(Vec3(*at), Vec3(zero, zero, jnp.ones_like(zero)), Sym3(*(6 * (zero,))))
+        return Gauss3(Vec3(*at), Vec3(0.0, 0.0, 1.0), Sym3(*(6 * (0.0,))))
 
     def prepared(self) -> "Plane":
         return self

@@ -6,9 +6,10 @@ projects it, `_stepper` makes one step, `_pace` sets its length, `_loop` and `_e
 chapter's quantities along it.
 """
 
-from ._close import close as close, constraint_rows as constraint_rows
+from ._close import close as close
 from ._closed_loop import generalised_force as generalised_force
 from ._formulation import CSM as CSM, Index1 as Index1
+from ._nearest import constraint_rows as constraint_rows
 from ._observe import (
     energies as energies,
     Energy as Energy,

@@ -1,37 +1,30 @@
 """A consistent initial state: every contact closed and tangent, every velocity compatible."""
 
-import itertools
-from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 from jaxtyping import Array
 
-from .._algebra import factorise, Pose2, unstack
+from .._algebra import factorise, Pose2, sharing
+from .._backend import differentiable_kernel
 from .._results import concrete
 from ..contact import locate as locate_contours
 from ..mechanics import (
     bodies,
     compiled,
-    displaced,
     Grasp,
     join,
     linearise,
-    mass_matrix,
     poses,
     split,
     State,
     to_leaves,
-    to_places,
     touches,
 )
 from ._closed_loop import compatible
-
-_RESTORE_STEPS = 60
+from ._nearest import constraint_rows, moved, nearest, on_shapes
 
 
 def close(
@@ -148,106 +141,18 @@ def row_name(grasp: Grasp, row: int) -> str:
 @compiled
 def _close(grasp: Grasp, guess: State, hold: bool) -> tuple[State, Array]:
     ready = grasp.prepared()
-    start = jnp.zeros(_unknowns(ready, hold), guess.q.dtype)
-    args = (ready, guess, _metric(ready, guess, start.shape[0]))
-
-    def rows(step: Array, args: Any) -> Array:
-        return constraint_rows(args[0], *moved(args[0], args[1], step))
-
-    def optimality(unknown: tuple[Array, Array], args: Any) -> tuple[Array, Array]:
-        step, pressure = unknown
-        left, pull = jax.vjp(lambda step: rows(step, args), step)
-        return args[2] @ step + pull(pressure)[0], left
-
-    count = sum(len(contact.equation_names()) for contact in ready.contacts)
-    near = jax.lax.stop_gradient(_restore(lambda step: rows(step, args), start, args[2]))
-    if start.shape[0] == count:  # nothing left to minimise
-        step = _root(rows, near, args)
-    else:
-        step, _ = _root(optimality, (near, jnp.zeros(count, start.dtype)), args)
+    guess = on_shapes(ready, guess)
+    step = nearest(ready, guess, hold)
     q, s = moved(ready, guess, step)
-    return State(q, _compatible(ready, q, guess.v, s), s), constraint_rows(ready, q, s)
+    v, rows = differentiable_kernel(_ending, ready, State(q, guess.v, s))
+    return State(q, v, s), rows
 
 
-def _unknowns(grasp: Grasp, hold: bool) -> int:
-    return grasp.coordinates + (0 if hold else sum(contact.slack for contact in grasp.contacts))
-
-
-def moved(grasp: Grasp, guess: State, step: Array) -> tuple[Array, Array]:
-    """Positions and contact coordinates after a step from a guess; the contacts' part may be missing."""
-    leaves, rest = to_leaves(guess, grasp.form), iter(unstack(step))
-    blocks = tuple(tuple(itertools.islice(rest, size)) for size in grasp.sizes)
-    q, places = displaced(grasp, leaves.q, blocks), []
-    for contact, place in zip(grasp.contacts, leaves.s, strict=True):
-        shapes, shift = grasp.shapes(contact), tuple(itertools.islice(rest, contact.slack))
-        place = contact.onto(shapes, place)
-        places.append(contact.shift(shapes, place, shift) if shift else place)
-    return join(q), jnp.stack(jax.tree.leaves(places))
-
-
-def constraint_rows(grasp: Grasp, q: Array, s: Array) -> Array:
-    """Gap [m] and tangency [rad] of every contact of a prepared grasp: in the plane shape (3c,)."""
-    frames = poses(grasp, split(q, grasp.form.positions))
-    each = zip(grasp.contacts, touches(grasp, to_places(s, grasp.form)), strict=True)
-    rows = [row for c, t in each for row in c.equations((frames[1 + c.finger], frames[0]), t)]
-    return jnp.stack(rows)
-
-
-def _metric(grasp: Grasp, guess: State, size: int) -> Array:
-    """Mass matrix at the guess, scaled to unit mean; free contact coordinates weigh next to nothing."""
-    _, inertias = bodies(grasp, to_leaves(guess, grasp.form))
-    n = grasp.coordinates
-    mass = mass_matrix([inertia.mass for inertia in inertias], n)
-    metric = jnp.zeros((size, size), guess.q.dtype).at[:n, :n].set(mass * (n / jnp.trace(mass)))
-    free = jnp.where(jnp.arange(size) < n, 0.0, 1e-3)
-    return metric + jnp.diag(free.astype(metric.dtype))
-
-
-def _root(function: Callable, start: Any, args: Any) -> Any:
-    """Newton's method from a point close by; differentiated by the implicit function theorem."""
-    newton = optx.Newton(rtol=1e-12, atol=1e-12)
-    return optx.root_find(function, newton, start, args, max_steps=32, throw=False).value
-
-
-def _restore(rows: Callable[[Array], Array], start: Array, metric: Array) -> Array:
-    """Gauss-Newton in the mass metric; a step that does not help is shortened."""
-
-    def newton_step(jacobian: Array, left: Array) -> Array:
-        weighted = jnp.linalg.solve(metric, jacobian.T)
-        schur = jacobian @ weighted
-        # Redundant rows (an over-determined pose) make it singular: a ridge far below rounding's reach.
-        ridge = 1e-14 * jnp.trace(schur) * jnp.eye(left.shape[0], dtype=left.dtype)
-        return weighted @ jnp.linalg.solve(schur + ridge, left)
-
-    def improve(carry: tuple[Array, ...]) -> tuple[Array, ...]:
-        best, smallest, step, scale, i = carry
-        trial = best - scale * step
-        left, push = jax.linearize(rows, trial)
-        jacobian = jax.vmap(push, out_axes=-1)(jnp.eye(trial.shape[0], dtype=trial.dtype))
-        size = jnp.max(jnp.abs(left))
-        better = size < smallest
-        keep = lambda new, old: jnp.where(better, new, old)  # noqa: E731
-        return (
-            keep(trial, best),
-            keep(size, smallest),
-            keep(newton_step(jacobian, left), step),
-            keep(jnp.ones_like(scale), 0.25 * scale),
-            i + 1,
-        )
-
-    def more(carry: tuple[Array, ...]) -> Array:
-        _, smallest, _, scale, i = carry
-        return (smallest > 1e-13) & (scale > 1e-6) & (i < _RESTORE_STEPS)
-
-    one = jnp.ones((), start.dtype)
-    first = (start, jnp.inf * one, jnp.zeros_like(start), one, jnp.array(0))
-    return jax.lax.while_loop(more, improve, first)[0]
-
-
-def _compatible(grasp: Grasp, q: Array, v: Array, s: Array) -> Array:
-    """Project velocities onto $A v = 0$ in the mass metric."""
-    leaves = to_leaves(State(q, v, s), grasp.form)
-    motions, inertias = bodies(grasp, leaves)
-    masses = [factorise(inertia.mass) for inertia in inertias]
-    line = linearise(grasp, motions, masses, touches(grasp, leaves.s))
-    return join(compatible(grasp, leaves, line).v)
+def _ending(grasp: Grasp, state: State) -> tuple[Array, Array]:
+    """Velocities projected onto $A v = 0$ in the mass metric, and what the constraints leave over."""
+    leaves = to_leaves(state, grasp.form)
+    with sharing(state.q[0]):
+        motions, inertias = bodies(grasp, leaves)
+        masses = [factorise(inertia.mass) for inertia in inertias]
+        line = linearise(grasp, motions, masses, touches(grasp, leaves.s))
+        return join(compatible(grasp, leaves, line).v), constraint_rows(grasp, state.q, state.s)

@@ -72,11 +72,11 @@ def _row(grasp: Grasp, blocks: dict[int, list]) -> Array:
 
 def mass_matrix(masses: list, n: int) -> Float[Array, "n n"]:
     """Block-diagonal mass matrix from the lower triangles of the bodies."""
-    matrix, at = jnp.zeros((n, n)), 0
+    entries = [[jnp.zeros(())] * n for _ in range(n)]
+    at = 0
     for mass in masses:
         for i, row in enumerate(mass):
             for j, entry in enumerate(row):
-                matrix = matrix.at[at + i, at + j].set(entry)
-                matrix = matrix.at[at + j, at + i].set(entry)
+                entries[at + i][at + j] = entries[at + j][at + i] = jnp.asarray(entry)
         at += len(mass)
-    return matrix
+    return jnp.stack([jnp.stack(row) for row in entries])

@@ -5,6 +5,7 @@ positions and velocities needs; both use the `Linearisation` built here. It hold
 does not know whether they are those of the plane or of space.
 """
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,8 +13,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from .._algebra import Factor, factorise, solve, total
-from .._types import Scalar, Scalars
+from .._algebra import Factor, factorise, inner, plus, solve, times, total
+from .._types import Scalars
 from ..contact import Motion, Rows
 from ._body import Inertia
 from ._grasp import Grasp
@@ -101,7 +102,7 @@ def linearise(
             for j, other in enumerate(grasp.contacts[: i + 1]):
                 blocks = (0, 1) if contact.finger == other.finger else (1,)
                 row += [
-                    total([_dot(jacobian[i][b][axis], weighted[j][b][k]) for b in blocks])
+                    functools.reduce(plus, [inner(jacobian[i][b][axis], weighted[j][b][k]) for b in blocks])
                     for k in range(other.rows if j < i else axis + 1)
                 ]
             rows.append(tuple(row))
@@ -124,16 +125,12 @@ def _solve(mass: Factor, rows: Rows) -> Rows:
     return tuple(solve(mass, row) for row in rows)
 
 
-def _dot(left: Scalars, right: Scalars) -> Scalar:
-    return total([a * b for a, b in zip(left, right, strict=True)])
-
-
 def apply_jacobian(grasp: Grasp, line: Linearisation, rates: Blocks) -> Rows:
     """$A v$: one tuple per contact."""
     found = []
     for c, pair in zip(grasp.contacts, line.jacobian, strict=True):
         tip, body = rates[1 + c.finger], rates[0]
-        found.append(tuple(_dot((*a, *b), (*tip, *body)) for a, b in zip(*pair, strict=True)))
+        found.append(tuple(inner((*a, *b), (*tip, *body)) for a, b in zip(*pair, strict=True)))
     return tuple(found)
 
 
@@ -145,7 +142,7 @@ def closing(grasp: Grasp, line: Linearisation, v: Blocks) -> Rows:
 
 def add(left: Scalars, right: Scalars) -> Scalars:
     """Sum, number by number."""
-    return tuple(a + b for a, b in zip(left, right, strict=True))
+    return tuple(map(plus, left, right))
 
 
 def balance(line: Linearisation, wanted: Rows) -> Rows:
@@ -162,7 +159,7 @@ def respond(grasp: Grasp, line: Linearisation, forces: Rows) -> Blocks:
     object_terms = []
     finger_terms: dict[int, list[Scalars]] = {}
     for contact, pair, force in zip(grasp.contacts, line.weighted, forces, strict=True):
-        tip, body = (tuple(_dot(column, force) for column in zip(*rows, strict=True)) for rows in pair)
+        tip, body = (tuple(inner(column, force) for column in zip(*rows, strict=True)) for rows in pair)
         finger_terms.setdefault(contact.finger, []).append(tip)
         object_terms.append(body)
     gains = [_sum_blocks(object_terms)]
@@ -178,7 +175,7 @@ def _sum_blocks(terms: list[Scalars]) -> Scalars:
 def combine(left: Blocks, right: Blocks, factor: float = 1.0) -> Blocks:
     """`left + factor * right`, block by block."""
     return tuple(
-        tuple(a + b if factor == 1.0 else a + factor * b for a, b in zip(x, y, strict=True))
+        tuple(plus(a, times(factor, b)) for a, b in zip(x, y, strict=True))
         for x, y in zip(left, right, strict=True)
     )
 

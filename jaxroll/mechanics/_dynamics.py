@@ -79,8 +79,11 @@ def accelerate(
         wanted = tuple(add(*both) for both in zip(wanted, extra, strict=True))
     forces = once(balance(line, once(_negative(wanted))))
     gained = once(combine(free, respond(grasp, line, forces)))
-    places = zip(grasp.contacts, leaves.s, rollings, strict=True)
-    s_rates = tuple(c.place_rate(grasp.shapes(c), place, rolling) for c, place, rolling in places)
+    places = zip(grasp.contacts, leaves.s, pairs, rollings, strict=True)
+    s_rates = tuple(
+        c.place_rate(grasp.shapes(c), place, (tip.pose, body.pose), rolling)
+        for c, place, (tip, body), rolling in places
+    )
     moving = zip(grasp.bodies, leaves.q, leaves.v, strict=True)
     rates = Leaves(tuple(body.rates(q, v) for body, q, v in moving), gained, s_rates)
     return Instant(rates, forces, motions, touching, line)

@@ -161,8 +161,7 @@ class Finger3(AbstractFinger):
 
     def _biases(self, chain: _Chain, v: Scalars) -> tuple[list[Vec3], list[Vec3], list[Vec3]]:
         """Spins of the links, and the accelerations of links, joints and tip that rates alone cause."""
-        zero = jnp.zeros_like(v[0])
-        still = Vec3(zero, zero, zero)
+        still = Vec3(0.0, 0.0, 0.0)
         ends = [*(link.origin for link in chain.links[1:]), chain.tip.origin]
         spins, bends, pulls = [], [], [still]
         for i, (axis, link) in enumerate(zip(chain.axes, chain.links, strict=True)):
@@ -223,16 +222,16 @@ def _centripetal(spin: Vec3, bend: Vec3, arm: Vec3) -> Vec3:
 
 def _about(mass: Scalar, arm: Vec3) -> Sym3:
     """Second moment of a point mass about a point: $m (|r|^2 - r r^T)$."""
-    away, zero = arm.dot(arm), jnp.zeros_like(arm.x)
-    return (Sym3(away, zero, zero, away, zero, away) - square(arm)) * mass
+    away = arm.dot(arm)
+    return (Sym3(away, 0.0, 0.0, away, 0.0, away) - square(arm)) * mass
 
 
 def _joined(own: _Outer, outer: _Outer, step: Vec3) -> _Outer:
     """A link and all outwards of it, about its joint; `step` leads to the next joint."""
     shifted = outer.moment + step * outer.mass
-    both, zero = 2.0 * step.dot(outer.moment), jnp.zeros_like(step.x)
+    both = 2.0 * step.dot(outer.moment)
     mixed = product(step, outer.moment) * -2.0
-    moved = outer.second + Sym3(both, zero, zero, both, zero, both) + mixed + _about(outer.mass, step)
+    moved = outer.second + Sym3(both, 0.0, 0.0, both, 0.0, both) + mixed + _about(outer.mass, step)
     return _Outer(
         own.mass + outer.mass,
         own.moment + shifted,

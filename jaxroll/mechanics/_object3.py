@@ -85,18 +85,17 @@ class FreeObject3(AbstractBody):
         return self.pose(q).turn(Vec3(*v[3:]))
 
     def rates(self, q: Scalars, v: Scalars) -> Scalars:
-        turned = quaternion_product((q[3], q[4], q[5], q[6]), (jnp.zeros_like(v[3]), v[3], v[4], v[5]))
+        turned = quaternion_product((q[3], q[4], q[5], q[6]), (0.0, v[3], v[4], v[5]))
         return (*v[:3], *(0.5 * x for x in turned))
 
     def displaced(self, q: Scalars, step: Scalars) -> Scalars:
         moved = (a + b for a, b in zip(q[:3], step[:3], strict=True))
-        turn = (jnp.ones_like(step[3]), *(0.5 * x for x in step[3:]))
+        turn = (1.0, *(0.5 * x for x in step[3:]))
         return (*moved, *normalised(quaternion_product((q[3], q[4], q[5], q[6]), turn)))
 
     def motion(self, q: Scalars, v: Scalars, gravity: Vec3 | None) -> tuple[Motion, Inertia]:
-        here, zero, one = self.pose(q), jnp.zeros_like(v[0]), jnp.ones_like(v[0])
-        still, spin = Vec3(zero, zero, zero), Vec3(*v[3:])
-        axes = (Vec3(one, zero, zero), Vec3(zero, one, zero), Vec3(zero, zero, one))
+        here, still, spin = self.pose(q), Vec3(0.0, 0.0, 0.0), Vec3(*v[3:])
+        axes = (Vec3(1.0, 0.0, 0.0), Vec3(0.0, 1.0, 0.0), Vec3(0.0, 0.0, 1.0))
         units = tuple(Twist3(axis, still) for axis in axes)
         turns = tuple(Twist3(still, axis) for axis in (here.x, here.y, here.z))
         twist = once(Twist3(Vec3(*v[:3]), here.turn(spin)))
@@ -104,10 +103,10 @@ class FreeObject3(AbstractBody):
         torque = spin.cross(matrix.apply(spin))
         weight = still if gravity is None else gravity * -m
         mass = (
-            *((m,), (zero, m), (zero, zero, m)),
-            (zero, zero, zero, matrix.xx),
-            (zero, zero, zero, matrix.xy, matrix.yy),
-            (zero, zero, zero, matrix.xz, matrix.yz, matrix.zz),
+            *((m,), (0.0, m), (0.0, 0.0, m)),
+            (0.0, 0.0, 0.0, matrix.xx),
+            (0.0, 0.0, 0.0, matrix.xy, matrix.yy),
+            (0.0, 0.0, 0.0, matrix.xz, matrix.yz, matrix.zz),
         )
         # With the spin in body axes fixed, that in the world is: no bias.
         motion = Motion(here, (*units, *turns), twist, Twist3(still, still))

@@ -147,8 +147,7 @@ class Stage(AbstractFinger):
         return (self.pose(q).origin,)
 
     def spin(self, q: Scalars, v: Scalars) -> Vec3:
-        zero = jnp.zeros(())
-        return Vec3(zero, zero, zero)
+        return Vec3(0.0, 0.0, 0.0)
 
     def rates(self, q: Scalars, v: Scalars) -> Scalars:
         return tuple(jnp.ones_like(clock) for clock in q)
@@ -159,8 +158,7 @@ class Stage(AbstractFinger):
     def motion(self, q: Scalars, v: Scalars, gravity: Vec3 | None) -> tuple[Motion, Inertia]:
         nothing = Inertia((), ())
         if not q:
-            zero = jnp.zeros(())
-            still = Twist3(Vec3(zero, zero, zero), Vec3(zero, zero, zero))
+            still = Twist3(Vec3(0.0, 0.0, 0.0), Vec3(0.0, 0.0, 0.0))
             return Motion(self.pose(q), (), still, still), nothing
         twist, bias = jax.jvp(self._twist, (q[0],), (jnp.ones_like(q[0]),))
         return Motion(self.pose(q), (), twist, bias), nothing

@@ -45,13 +45,14 @@ DOORS = {
     "scipy": set(),
     "numba": set(),
 }
-# Libraries of the extra `cad`: one file each, imported with the first use.
+# Libraries of the extras `cad` and `viz`: one file each, imported with the first use.
 LAZY_DOORS = {
     "svgpathtools": "io/_vector.py",
     "ezdxf": "io/_vector.py",
     "trimesh": "io/_mesh.py",
     "mapbox_earcut": "io/_mesh.py",
     "skimage": "io/_image.py",
+    "plotly": "plotting/_page.py",
 }
 FILES = sorted(ROOT.rglob("*.py"))
 
@@ -253,7 +254,8 @@ import time, sys, jax
 start = time.perf_counter()
 import jaxroll
 took = time.perf_counter() - start
-bad = [m for m in ("matplotlib", "scipy", "numba", "ezdxf", "trimesh", "skimage") if m in sys.modules]
+heavy = ("matplotlib", "scipy", "numba", "ezdxf", "trimesh", "skimage", "plotly")
+bad = [m for m in heavy if m in sys.modules]
 print(took, jax.config.jax_enable_x64, bad)
 """
 

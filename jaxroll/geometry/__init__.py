@@ -37,7 +37,7 @@ from ._points import (
 )
 from ._spline import Spline as Spline
 from ._support import AbstractSupport as AbstractSupport, SupportFunction as SupportFunction
-from ._surface import AbstractSurface as AbstractSurface, MovedSurface as MovedSurface
+from ._surface import AbstractSurface as AbstractSurface, Hollow as Hollow, MovedSurface as MovedSurface
 from ._surface_analytic import (
     Cylinder as Cylinder,
     Ellipsoid as Ellipsoid,

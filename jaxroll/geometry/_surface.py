@@ -291,3 +291,55 @@ class MovedSurface(AbstractSurface):
     def prepared(self) -> "MovedSurface":
         ready = (self.surface.prepared(), self.placed())
         return eqx.tree_at(lambda m: (m.surface, m.pose), self, ready, is_leaf=lambda x: x is None)
+
+
+class Hollow(AbstractSurface):
+    """A surface seen from inside: the body is all round it, as the wall of a tube or of a bowl.
+
+    Args:
+        surface: The surface of the hole.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> bowl = jxr.geometry.Hollow(jxr.Sphere(0.1))
+        >>> bowl.principal_curvatures((0.0, 0.0, -0.1))[0].round(9).tolist()
+        [-10.0, -10.0]
+    """
+
+    surface: AbstractSurface
+
+    def __init__(self, surface: AbstractSurface) -> None:
+        if not isinstance(surface, AbstractSurface):
+            raise ValueError(f"argument surface must be a surface, but was {surface!r}")
+        self.surface = surface
+
+    @property
+    def coordinates(self) -> int:
+        return self.surface.coordinates
+
+    @property
+    def smoothness(self) -> float:
+        return self.surface.smoothness
+
+    def frame(self, at: Scalars) -> Gauss3:
+        inner = self.surface.frame(at)
+        return Gauss3(inner.point, -inner.normal, inner.shape * -1.0)
+
+    def rate(self, at: Scalars, velocity: Vec3) -> Scalars:
+        return self.surface.rate(at, velocity)
+
+    def settled(self, at: Scalars) -> Scalars:
+        return self.surface.settled(at)
+
+    def basis(self, at: Scalars) -> tuple[Vec3, Vec3]:
+        first, second = self.surface.basis(at)
+        return second, first
+
+    def start(self, point: Vec3) -> Scalars:
+        return self.surface.start(point)
+
+    def margins(self, at: Scalars) -> tuple[Scalar, ...]:
+        return self.surface.margins(at)
+
+    def prepared(self) -> "Hollow":
+        return Hollow(self.surface.prepared())

@@ -1,9 +1,9 @@
 r"""The nearest configuration in which every contact is closed and tangent.
 
 Minimises $\frac12 d^T M(q_0)\, d$ over displacements $d$ from a guess subject to the constraint rows
-$c(d) = 0$. Steps are $d \to d - M^{-1} A^T S^{-1} c - P d$ with $S = A M^{-1} A^T$ and $P$ the projection along
-$M^{-1} A^T$: where they stop, $c = 0$ and $M d = A^T \mu$, which are the conditions of the minimum. Only first
-derivatives of the rows are compiled for it; the second ones are for the derivative of the minimum alone.
+$c(d) = 0$. Steps are $d \to d - M^{-1} A^T S^{-1} c - P d$ with $S = A M^{-1} A^T$ and $P$ the projection
+along $M^{-1} A^T$: where they stop, $c = 0$ and $M d = A^T \mu$, the conditions of the minimum. Only first
+derivatives of the rows are compiled for it; second ones are for the derivative of the minimum alone.
 """
 
 import itertools

@@ -1,24 +1,19 @@
-"""Animations of a run: what moves is redrawn over a still background, and Pillow writes the GIF."""
+"""Animations of a run: what moves is redrawn over a still background."""
 
 from collections.abc import Callable
 from pathlib import Path
 
 import jax
 import numpy as np
-from matplotlib.colors import to_rgba_array
 from PIL import Image
 
 from ..integration import Trajectory
 from ..mechanics import Grasp
 from ._artists import Drawing, limits
 from ._forces import Arrows, arrows, key
-from ._style import CONTACT, FINGER, FORCE, OBJECT, Picture, ROLLED, tidy
+from ._gif import checked, nearest, write
+from ._style import Picture, tidy
 from ._views import single, Views, views
-
-# Colours of small things, which a palette made by counting pixels would merge with others.
-_KEPT = ("white", CONTACT, FORCE, FINGER, OBJECT, ROLLED)
-# How long the last frame stays [ms].
-_HOLD = 1500
 
 
 def animate(
@@ -70,7 +65,7 @@ def animate(
         ...     path.name
         'motion.gif'
     """
-    path = _checked(path, fps=fps, speed=speed, size=size)
+    path = checked(path, fps=fps, speed=speed, size=size)
     delay = max(2, round(100.0 / fps))
     ts, picks = _frames(trajectory, 0.01 * delay * speed, until)
     states = jax.tree.map(lambda a: np.asarray(a)[picks], trajectory.states)
@@ -84,35 +79,7 @@ def animate(
         frames.append(stage.frame(i, t))
         if progress is not None:
             progress(i + 1, len(ts))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    _write(path, frames, 10 * delay)
-    return path
-
-
-def _write(path: Path, frames: list[Image.Image], delay: int) -> None:
-    """Write a looping GIF that holds its last frame; one palette, so that no colour flickers."""
-    width, height = frames[0].size
-    samples = [frames[k * (len(frames) - 1) // 2] for k in range(3)]
-    mosaic = Image.new("RGB", (3 * width, height))
-    for k, sample in enumerate(samples):
-        mosaic.paste(sample, (k * width, 0))
-    palette = mosaic.quantize(256 - len(_KEPT))
-    found = np.reshape(palette.getpalette() or [], (-1, 3))[: 256 - len(_KEPT)]
-    found[found.min(axis=1) > 246] = 255
-    kept = np.round(255 * to_rgba_array(_KEPT)[:, :3]).astype(int)
-    palette.putpalette(np.concatenate([kept, found]).ravel().tolist())
-    first, *rest = (f.quantize(palette=palette, dither=Image.Dither.NONE) for f in frames)
-    delays = [*[delay] * len(rest), _HOLD]
-    first.save(path, save_all=True, append_images=rest, duration=delays, loop=0)
-
-
-def _checked(path: str | Path, **positive: float) -> Path:
-    for name, value in positive.items():
-        if not (np.isfinite(value) and value > 0.0):
-            raise ValueError(f"argument {name} must be positive, but was {value:g}")
-    path = Path(path)
-    if path.suffix.lower() != ".gif":
-        raise ValueError(f"argument path must end in .gif, but was {str(path)!r}")
+    write(path, frames, 10 * delay)
     return path
 
 
@@ -124,10 +91,8 @@ def _frames(trajectory: Trajectory, step: float, until: float | None) -> tuple[n
         if not reached.any():
             raise ValueError(f"argument until must be at least the first saved time, but was {until:g}")
     rows = np.flatnonzero(reached)
-    ts = ts[rows]
-    wanted = np.append(np.arange(ts[0], ts[-1] - 0.5 * step, step), ts[-1])
-    nearest = np.argmin(np.abs(ts[:, None] - wanted), axis=0)
-    return ts[nearest], rows[nearest]
+    shown = nearest(ts[rows], step)
+    return ts[rows][shown], rows[shown]
 
 
 class _Stage:

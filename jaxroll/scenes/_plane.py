@@ -1,4 +1,4 @@
-"""The chapter's scenes, ready to run."""
+"""Scenes of the plane: Parts 1 and 2 of the chapter, a ring of fingers, a roller between plates."""
 
 from typing import Any
 
@@ -7,13 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._algebra import Vec2
-from ._types import Given
-from .contact import Contact
-from .control import Opposition, orientations, Press
-from .geometry import AbstractContour, Catenary, Circle, Ellipse, Line, Moved, tabled
-from .integration import close
-from .mechanics import Finger, FreeObject, Grasp, Jaw, PivotedObject, State
+from .._algebra import Vec2
+from .._types import Given
+from ..contact import Contact
+from ..control import Opposition, orientations, Press
+from ..geometry import AbstractContour, Catenary, Circle, Ellipse, Line, Moved, tabled
+from ..integration import close
+from ..mechanics import Finger, FreeObject, Grasp, Jaw, PivotedObject, State
 
 # Tables 1 and 2.
 LENGTHS = (0.065, 0.065)

@@ -1,0 +1,212 @@
+"""One instant of a spatial grasp on matplotlib's axes in space."""
+
+from typing import Any
+
+import numpy as np
+from matplotlib.lines import Line2D
+from matplotlib.patches import FancyArrowPatch, Patch
+from mpl_toolkits.mplot3d import proj3d
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+from ._scene3 import Locus, Scene3, Solid
+from ._style import (
+    CONTACT,
+    FINGER,
+    FORCE,
+    GUIDE,
+    JOINT_BODY,
+    LINK_BODY,
+    LOCUS_OBJECT,
+    LOCUS_TIP,
+    OBJECT,
+    OBJECT_BODY,
+    TIP_BODY,
+)
+from ._tubes import ball, camera, checked, lit, tube
+
+# matplotlib has no types for what it draws in space.
+Axes3 = Any
+# How much of what is behind a body is hidden.
+_OPAQUE = 0.86
+_NOTHING = (np.zeros((0, 3, 3)), np.zeros((0, 3)))
+_WHITE = {"color": "white", "solid_capstyle": "round"}
+
+
+class Arrow(FancyArrowPatch):
+    """An arrow in space whose head keeps its size on the page."""
+
+    def __init__(self, **style: Any) -> None:
+        super().__init__((0.0, 0.0), (0.0, 0.0), arrowstyle="-|>", shrinkA=0, shrinkB=0, **style)
+        self.ends = np.zeros((2, 3))
+
+    def do_3d_projection(self, renderer: Any = None) -> float:
+        """Called by the axes before it draws."""
+        ax: Axes3 = self.axes
+        xs, ys, zs = proj3d.proj_transform(*self.ends.T, ax.M)  # pyright: ignore[reportCallIssue]
+        self.set_positions((xs[0], ys[0]), (xs[1], ys[1]))
+        return float(np.min(zs))
+
+
+class Drawing3:
+    """A spatial grasp on an axes, redrawn by `show`.
+
+    Args:
+        ax: Where to draw, in millimetres, in parallel projection.
+        scene: What is drawn.
+        arrows: Forces on the object at the contacts to draw, shape (c, t, 3) [mm], or None.
+    """
+
+    def __init__(self, ax: Axes3, scene: Scene3, *, arrows: np.ndarray | None = None) -> None:
+        self.ax, self.scene, self.arrows = ax, scene, arrows
+        # What of the fingers is behind the object, the object, and what is before it.
+        self.layers = [_layer(ax, zorder) for zorder in (1, 10, 20)]
+        self.lines = [
+            (_Trace(ax, on_tip, LOCUS_TIP), _Trace(ax, on_object, LOCUS_OBJECT))
+            for on_tip, on_object in zip(scene.on_tips, scene.on_object, strict=True)
+        ]
+        (self.points,) = ax.plot([], [], [], "o", ms=6, mfc=CONTACT, mec="white", mew=0.9, zorder=60)
+        self.normals = [_arrow(ax, GUIDE, 1.2, 9, 58) for _ in scene.on_object]
+        self.forces = [] if arrows is None else [_arrow(ax, FORCE, 2.0, 12, 59) for _ in scene.on_object]
+
+    def show(self, i: int) -> None:
+        """Move everything to the instant i, as the camera sees it now."""
+        towards, light = camera(self.ax.elev, self.ax.azim)
+        touching = [locus.at(i) for locus in self.scene.on_object]
+        points, normals = (np.array([pair[k][i] for pair in touching]).reshape(-1, 3) for k in (0, 1))
+        parts = self.parts(i, towards, light)
+        for collection, (corners, colours) in zip(self.layers, parts, strict=True):
+            collection.set_visible(len(corners) > 0)
+            if len(corners):
+                collection.set_verts(list(corners))
+                collection.set_facecolor(colours)
+                collection.set_edgecolor(colours)
+        for pair in self.lines:
+            for trace in pair:
+                trace.show(i, towards)
+        self.points.set_data_3d(*points.T)
+        length = 3.2 * self.scene.thickness
+        for arrow, point, normal in zip(self.normals, points, normals, strict=True):
+            arrow.ends = np.stack([point, point + length * normal])
+        for k, arrow in enumerate(self.forces):
+            force = self.arrows[k, i] if self.arrows is not None else np.zeros(3)
+            # They push on the object: their points are at the contact.
+            arrow.ends = np.stack([points[k] - force, points[k]])
+            arrow.set_visible(bool(np.linalg.norm(force) > 1e-3 * self.scene.thickness))
+
+    def parts(self, i: int, towards: np.ndarray, light: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Triangles, shape (k, 3, 3), and their colours in each of the three layers."""
+        scene = self.scene
+        behind, before = [_NOTHING], [_NOTHING]
+        own = [_faces(solid, i, towards, light) for solid in scene.solids if solid.finger < 0]
+        centre = scene.solids[0].frames[i, :3] @ towards
+        for solid in (s for s in scene.solids if s.finger >= 0):
+            skeleton, faces = scene.skeletons[solid.finger][i], _faces(solid, i, towards, light)
+            nearer = self._nearer(i, solid.finger, towards)
+            (before if nearer else behind).append(faces)
+            reach = np.linalg.norm(faces[0] - skeleton[-1], axis=-1).max(initial=0.0)
+            for corners, colours in _limbs(skeleton, scene.thickness, towards, light):
+                middles = corners.mean(axis=1)
+                within = np.linalg.norm(middles - skeleton[-1], axis=-1) < reach
+                first = np.where(within, nearer, middles @ towards > centre)
+                before.append((corners[first], colours[first]))
+                behind.append((corners[~first], colours[~first]))
+        return [_joined(layer) for layer in (behind, own, before)]
+
+    def _nearer(self, i: int, finger: int, towards: np.ndarray) -> bool:
+        """Whether a tip is before the object: its side of the tangent plane between them tells."""
+        on = [locus for tip, locus in zip(self.scene.on_tips, self.scene.on_object, strict=True)
+              if tip.finger == finger]  # fmt: skip
+        if on:
+            return bool(np.mean([locus.at(i)[1][i] for locus in on], axis=0) @ towards > 0.0)
+        apart = self.scene.skeletons[finger][i, -1] - self.scene.solids[0].frames[i, :3]
+        return bool(apart @ towards > 0.0)
+
+    def legend(self) -> list[tuple[Any, str]]:
+        """Handles and names of what is drawn."""
+        entries = [
+            (Patch(fc=TIP_BODY, ec=FINGER, lw=1.0), "fingertip"),
+            (Patch(fc=OBJECT_BODY, ec=OBJECT, lw=1.0), "object"),
+            (Line2D([], [], color=LOCUS_TIP, lw=2.8), "locus of the contact on the fingertip"),
+            (Line2D([], [], color=LOCUS_OBJECT, lw=2.8), "locus of the contact on the object"),
+            (self.points, "contact point"),
+            (Line2D([], [], marker=r"$\rightarrow$", ms=13, ls="none", color=GUIDE), "normal of the object"),
+        ]
+        if self.forces:
+            sign = Line2D([], [], marker=r"$\rightarrow$", ms=14, ls="none", color=FORCE)
+            entries.append((sign, "contact force on the object"))
+        return entries
+
+
+class _Trace:
+    """A locus on its surface: strong on the near side, faint on the far one."""
+
+    def __init__(self, ax: Axes3, locus: Locus, colour: str) -> None:
+        self.locus = locus
+        self.halo = _line(ax, lw=4.2, zorder=49, alpha=0.75, **_WHITE)
+        self.far = _line(ax, lw=1.8, zorder=50, alpha=0.4, color=colour)
+        self.near = _line(ax, lw=2.6, zorder=51, color=colour, solid_capstyle="round")
+
+    def show(self, i: int, towards: np.ndarray) -> None:
+        points, normals = self.locus.at(i)
+        points, normals = points[: i + 1], normals[: i + 1]
+        before = (normals @ towards > 0.0)[:, None]
+        self.far.set_data_3d(*points.T)
+        for line in (self.near, self.halo):
+            line.set_data_3d(*np.where(before, points, np.nan).T)
+
+
+def _line(ax: Axes3, **style: Any) -> Any:
+    (line,) = ax.plot([], [], [], **style)
+    return line
+
+
+def _arrow(ax: Axes3, colour: str, width: float, head: float, zorder: float) -> Arrow:
+    arrow = Arrow(color=colour, lw=width, mutation_scale=head, zorder=zorder)
+    ax.add_artist(arrow)
+    return arrow
+
+
+def _joined(parts: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+    corners, colours = zip(*parts, strict=True)
+    return np.concatenate(corners), np.concatenate(colours)
+
+
+def _layer(ax: Axes3, zorder: float) -> Poly3DCollection:
+    """A body whose triangles are opaque to each other, and as a whole a little translucent."""
+    collection = Poly3DCollection([np.zeros((3, 3))], linewidths=0.35, zorder=zorder)
+    collection.set_agg_filter(_softened)
+    ax.add_collection3d(collection)
+    return collection
+
+
+def _softened(image: Any, _: float) -> tuple[np.ndarray, int, int]:
+    image[..., 3] *= _OPAQUE
+    return image, 0, 0
+
+
+def _faces(solid: Solid, i: int, towards: np.ndarray, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    corners = solid.at(i)[solid.mesh.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    checks = solid.mesh.checks
+    if solid.mesh.closed:
+        seen = normals @ towards > 0.0
+        corners, normals, checks = corners[seen], normals[seen], checks[seen]
+    else:
+        normals = normals * np.where(normals @ towards > 0.0, 1.0, -1.0)[:, None]
+    colour = OBJECT_BODY if solid.finger < 0 else TIP_BODY
+    return corners, checked(lit(colour, normals, light, towards), checks)
+
+
+def _limbs(
+    joints: np.ndarray, radius: float, towards: np.ndarray, light: np.ndarray
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    if len(joints) < 2:
+        return []
+    parts = [(*tube(a, b, radius), LINK_BODY) for a, b in zip(joints[:-1], joints[1:], strict=True)]
+    parts += [(*ball(joint, 1.45 * radius), JOINT_BODY) for joint in joints[:-1]]
+    found = []
+    for corners, normals, colour in parts:
+        seen = normals @ towards > -0.1
+        found.append((corners[seen], lit(colour, normals[seen], light, towards)))
+    return found

@@ -1,0 +1,49 @@
+"""GIF files: times to show, one palette for all frames, and Pillow that writes them."""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.colors import to_rgba_array
+from PIL import Image
+
+from ._style import CONTACT, FINGER, FORCE, OBJECT, ROLLED
+
+# Colours of small things, which a palette made by counting pixels would merge with others.
+_KEPT = ("white", CONTACT, FORCE, FINGER, OBJECT, ROLLED)
+# How long the last frame stays [ms].
+_HOLD = 1500
+
+
+def write(path: Path, frames: list[Image.Image], delay: int, kept: tuple[str, ...] = _KEPT) -> None:
+    """Write a looping GIF that holds its last frame; one palette, so that no colour flickers."""
+    width, height = frames[0].size
+    samples = [frames[k * (len(frames) - 1) // 2] for k in range(3)]
+    mosaic = Image.new("RGB", (3 * width, height))
+    for k, sample in enumerate(samples):
+        mosaic.paste(sample, (k * width, 0))
+    palette = mosaic.quantize(256 - len(kept))
+    found = np.reshape(palette.getpalette() or [], (-1, 3))[: 256 - len(kept)]
+    found[found.min(axis=1) > 246] = 255
+    fixed = np.round(255 * to_rgba_array(kept)[:, :3]).astype(int)
+    palette.putpalette(np.concatenate([fixed, found]).ravel().tolist())
+    first, *rest = (f.quantize(palette=palette, dither=Image.Dither.NONE) for f in frames)
+    delays = [*[delay] * len(rest), _HOLD]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    first.save(path, save_all=True, append_images=rest, duration=delays, loop=0)
+
+
+def checked(path: str | Path, **positive: float) -> Path:
+    """The path of a GIF, and numbers that must be positive."""
+    for name, value in positive.items():
+        if not (np.isfinite(value) and value > 0.0):
+            raise ValueError(f"argument {name} must be positive, but was {value:g}")
+    path = Path(path)
+    if path.suffix.lower() != ".gif":
+        raise ValueError(f"argument path must end in .gif, but was {str(path)!r}")
+    return path
+
+
+def nearest(ts: np.ndarray, step: float) -> np.ndarray:
+    """Rows of the saved times nearest to times `step` apart, the last among them."""
+    wanted = np.append(np.arange(ts[0], ts[-1] - 0.5 * step, step), ts[-1])
+    return np.argmin(np.abs(ts[:, None] - wanted), axis=0)

@@ -1,0 +1,285 @@
+"""A page to turn a grasp round in a browser: the only door to plotly."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ._gif import nearest
+from ._motion3 import Motion3D, SpatialGrasp, times_of
+from ._scene3 import Locus, looking, Scene3, scene3, Solid
+from ._style import (
+    CONTACT,
+    GUIDE,
+    JOINT_BODY,
+    LINK_BODY,
+    LOCUS_OBJECT,
+    LOCUS_TIP,
+    OBJECT_BODY,
+    TIP_BODY,
+)
+from ._tubes import camera, shades
+
+_LIGHT = {
+    "ambient": 0.66,
+    "diffuse": 0.5,
+    "specular": 0.2,
+    "roughness": 0.45,
+    "fresnel": 0.05,
+    "facenormalsepsilon": 0.0,
+    "vertexnormalsepsilon": 0.0,
+}
+# In the axes of the camera: to the right, up, and away from it.
+_LAMP = {"x": -5e4, "y": 8e4, "z": -1e5}
+# Width and height of the box of the axes as seen, and distance of the camera, as plotly counts.
+_SEEN, _DISTANCE = (2.3, 1.7), 2.2
+# Rows and columns of a mesh: all positions of all vertices are in the file.
+_MESH = (18, 36)
+# How far loci are lifted off their surfaces, over the thickness of a link.
+_LIFT = 0.07
+# Radius of the rings, over the thickness of a link.
+_RING = 1.5
+# A mesh with no more triangles has edges.
+_FEW = 12
+# How many points of a locus are shown at most.
+_POINTS = 160
+_FONT = {"family": "Helvetica, Arial, sans-serif", "color": GUIDE, "size": 13}
+
+
+def _plotly() -> Any:
+    try:
+        import plotly.graph_objects as plotly
+    except ImportError:
+        raise ImportError('this needs the library plotly: pip install "jaxroll[viz]"') from None
+    return plotly
+
+
+def page(
+    grasp: SpatialGrasp,
+    motion: Motion3D,
+    ts: np.ndarray,
+    path: str | Path = "grasp.html",
+    *,
+    title: str = "Rolling contact",
+    frames: int = 40,
+    links: bool = True,
+) -> Path:
+    """Write a run of a spatial grasp as one HTML file, to be turned round and played in a browser.
+
+    The file needs nothing else, no network either: plotly's script is within, 4.8 MB, and each frame adds
+    some 40 kB for an object and two fingertips. Every frame is the state nearest to its time.
+
+    Args:
+        grasp: The grasp that was simulated.
+        motion: Its motion.
+        ts: The times of the motion, shape (t,) [s].
+        path: The file to write, ending in `.html`; its folder is made if need be.
+        title: What stands above the picture.
+        frames: How many instants can be shown, evenly spaced in time.
+        links: Whether to draw the links of the fingers.
+
+    Returns:
+        The path that was written.
+
+    Raises:
+        ValueError: If `path` is no HTML file, the times do not fit the motion, or a surface cannot be drawn.
+        ImportError: Without the extra `viz`.
+
+    Example:
+        >>> import numpy as np
+        >>> from types import SimpleNamespace as Record
+        >>> from jaxroll import geometry, plotting
+        >>> hand = Record(tip=geometry.Plane())
+        >>> ball = Record(surfaces=(geometry.Sphere(0.02),), outline=None)
+        >>> grasp = Record(object=ball, fingers=(hand,), contacts=(Record(finger=0, surface=0),))
+        >>> pose = np.array([[0.0, 0.0, 0.02, 1.0, 0.0, 0.0, 0.0]])
+        >>> rest = np.array([[[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]]])
+        >>> motion = plotting.Motion3D(
+        ...     pose, rest, [np.zeros((1, 1, 3))], np.zeros((1, 1, 3)), np.array([[[0.0, 0.0, -0.02]]])
+        ... )
+        >>> plotting.page(grasp, motion, np.zeros(1), "grasp.html").name
+        'grasp.html'
+    """
+    plotly, path = _plotly(), Path(path)
+    ts = times_of(motion, ts)
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise ValueError(f"argument path must end in .html, but was {str(path)!r}")
+    if frames < 1:
+        raise ValueError(f"argument frames must be at least 1, but was {frames}")
+    motion, reached = motion.reached()
+    ts = ts[reached]
+    scene = scene3(grasp, motion, rows=_MESH[0], columns=_MESH[1], links=links)
+    rows = np.unique(nearest(ts, max(ts[-1] - ts[0], 1e-300) / max(frames - 1, 1)))
+    # Opened where the loci are complete; from the last frame on, play begins at the first.
+    still, start = _still(scene), _moving(scene, int(rows[-1]))
+    kinds = [plotly.Mesh3d if "i" in trace else plotly.Scatter3d for trace in still]
+    shown = [
+        plotly.Frame(
+            data=[kind(moved) for kind, moved in zip(kinds, _moving(scene, int(row)), strict=True)],
+            name=str(k),
+            traces=list(range(len(kinds))),
+        )
+        for k, row in enumerate(rows)
+    ]
+    figure = plotly.Figure(
+        data=[kind(a | b) for kind, a, b in zip(kinds, still, start, strict=True)],
+        layout=_layout(scene, title, ts[rows]),
+        frames=shown,
+    )
+    path.parent.mkdir(parents=True, exist_ok=True)
+    config = {"displaylogo": False, "responsive": True}
+    # A picture as high as the window, without the browser's margins, needs no scroll bar.
+    whole = {"default_height": "calc(100vh - 6px)", "post_script": "document.body.style.margin = '0px';"}
+    figure.write_html(path, include_plotlyjs=True, auto_play=False, config=config, **whole)
+    return path
+
+
+def _still(scene: Scene3) -> list[dict[str, Any]]:
+    """Of each trace what does not change: first the solids, then fingers, loci, contact points."""
+    found = [_solid(solid, k) for k, solid in enumerate(scene.solids)]
+    found += [_limbs(scene, k) for k in range(len(scene.skeletons))]
+    for k in range(len(scene.on_tips)):
+        found += [
+            _trace("locus on the fingertip", LOCUS_TIP, first=k == 0),
+            _trace("locus on the object", LOCUS_OBJECT, first=k == 0),
+        ]
+    line = {"color": CONTACT, "width": 5}
+    found.append({"mode": "lines", "line": line, "name": "contact: ring in the tangent plane"})
+    return found
+
+
+def _moving(scene: Scene3, i: int) -> list[dict[str, Any]]:
+    """The positions of each trace at instant i."""
+    found = [_xyz(solid.at(i)) for solid in scene.solids]
+    found += [_xyz(skeleton[i]) for skeleton in scene.skeletons]
+    for on_tip, on_object in zip(scene.on_tips, scene.on_object, strict=True):
+        found += [_xyz(_path(scene, locus, i)) for locus in (on_tip, on_object)]
+    rings = [_ring(scene, locus, i) for locus in scene.on_object]
+    found.append(_xyz(np.reshape(rings, (-1, 3))))
+    return found
+
+
+def _ring(scene: Scene3, locus: Locus, i: int) -> np.ndarray:
+    """A circle about the contact in the tangent plane, which no convex body hides; it ends with a gap."""
+    points, normals = locus.at(i)
+    first = np.cross(normals[i], np.eye(3)[np.argmin(np.abs(normals[i]))])
+    first /= np.linalg.norm(first)
+    angle = np.linspace(0.0, 2.0 * np.pi, 37)[:, None]
+    along = np.cos(angle) * first + np.sin(angle) * np.cross(normals[i], first)
+    return np.append(points[i] + _RING * scene.thickness * along, np.full((1, 3), np.nan), axis=0)
+
+
+def _path(scene: Scene3, locus: Locus, i: int) -> np.ndarray:
+    """A locus up to an instant, lifted off its surface so that it is not sunk in the flat triangles."""
+    some = np.unique(np.linspace(0, i, min(i, _POINTS) + 1).astype(int))
+    return locus.at(i, _LIFT * scene.thickness)[0][some]
+
+
+def _xyz(points: np.ndarray) -> dict[str, np.ndarray]:
+    return {axis: points[:, k].astype(np.float32) for k, axis in enumerate("xyz")}
+
+
+def _solid(solid: Solid, k: int) -> dict[str, Any]:
+    tip = solid.finger >= 0
+    name, colour = ("fingertip", TIP_BODY) if tip else ("object", OBJECT_BODY)
+    corners = solid.mesh.faces.astype(np.int32)
+    return {
+        **{name: corners[:, c] for c, name in enumerate("ijk")},
+        "facecolor": shades(colour, solid.mesh.checks),
+        "opacity": 0.6 if _flat(solid) else 1.0,
+        "flatshading": len(solid.mesh.faces) <= _FEW,
+        "lighting": _LIGHT,
+        "lightposition": _LAMP,
+        "name": name,
+        "color": colour,
+        "legendgroup": name,
+        "showlegend": k == 0 or solid.finger == 0,
+        "hoverinfo": "skip",
+    }
+
+
+def _flat(solid: Solid) -> bool:
+    """Whether it is a plane, to be seen through from below."""
+    areas = solid.mesh.areas
+    return bool(np.linalg.norm(areas.sum(axis=0)) > 0.999 * np.linalg.norm(areas, axis=1).sum())
+
+
+def _limbs(scene: Scene3, finger: int) -> dict[str, Any]:
+    drawn = scene.skeletons[finger].shape[1] > 1
+    return {
+        "mode": "lines+markers" if drawn else "markers",
+        "line": {"color": LINK_BODY, "width": 14},
+        "marker": {"size": 9 if drawn else 0.1, "color": JOINT_BODY},
+        "name": "links",
+        "legendgroup": "links",
+        "showlegend": drawn and not any(s.shape[1] > 1 for s in scene.skeletons[:finger]),
+        "hoverinfo": "skip",
+    }
+
+
+def _trace(name: str, colour: str, *, first: bool) -> dict[str, Any]:
+    line = {"color": colour, "width": 6}
+    return {"mode": "lines", "line": line, "name": name, "legendgroup": name, "showlegend": first}
+
+
+def _layout(scene: Scene3, title: str, ts: np.ndarray) -> dict[str, Any]:
+    low, high = scene.corners + np.array([[-1.5], [1.5]]) * scene.thickness
+    axes = {
+        f"{axis}axis": {
+            # The empty line keeps the title clear of the numbers.
+            "title": {"text": f"<br>{axis} [mm]", "font": {"size": 13}},
+            "tickfont": {"size": 11},
+            "nticks": 6,
+            "range": [float(low[k]), float(high[k])],
+            "backgroundcolor": "#F6F7F8",
+            "gridcolor": "#DDE1E4",
+            "showbackground": True,
+            "zeroline": False,
+            "showspikes": False,
+        }
+        for k, axis in enumerate("xyz")
+    }
+    towards, _ = camera(*looking(scene))
+    right = np.cross([0.0, 0.0, 1.0], towards)
+    right /= np.linalg.norm(right)
+    # What is seen of the box of the axes from there fits into the window.
+    seen = [(high - low) @ np.abs(axis) for axis in (right, np.cross(towards, right))]
+    spans = (high - low) * min(most / whole for most, whole in zip(_SEEN, seen, strict=True))
+    eye = {"eye": _point(_DISTANCE * towards), "projection": {"type": "orthographic"}}
+    return {
+        "title": {"text": title, "x": 0.5, "xanchor": "center", "font": {"size": 18}},
+        "font": _FONT,
+        "paper_bgcolor": "white",
+        "margin": {"l": 10, "r": 10, "t": 60, "b": 10},
+        "scene": axes | {"aspectmode": "manual", "aspectratio": _point(spans), "camera": eye},
+        "legend": {"x": 0.01, "y": 0.98, "bgcolor": "rgba(255,255,255,0.8)", "itemsizing": "constant"},
+        "uirevision": "kept",
+        **_controls(ts),
+    }
+
+
+def _point(values: np.ndarray) -> dict[str, float]:
+    return dict(zip("xyz", values.tolist(), strict=True))
+
+
+def _controls(ts: np.ndarray) -> dict[str, Any]:
+    """A button that plays, one that stops, and a slider over time."""
+    at_once = {"mode": "immediate", "fromcurrent": True, "transition": {"duration": 0}}
+    play = at_once | {"frame": {"duration": 60, "redraw": True}}
+    show = at_once | {"frame": {"duration": 0, "redraw": True}}
+    buttons = [
+        {"label": "\u25b6 play", "method": "animate", "args": [None, play]},
+        {"label": "\u275a\u275a stop", "method": "animate", "args": [[None], show]},
+    ]
+    steps = [{"label": f"{t:.3g}", "method": "animate", "args": [[str(k)], show]} for k, t in enumerate(ts)]
+    menu = {"type": "buttons", "direction": "left", "x": 0.02, "y": 0.0, "xanchor": "left", "yanchor": "top"}
+    pad = {"t": 38, "b": 10}
+    slider = {
+        "steps": steps,
+        "active": len(steps) - 1,
+        "x": 0.2,
+        "len": 0.76,
+        "pad": pad,
+        "currentvalue": {"prefix": "t = ", "suffix": " s"},
+    }
+    return {"updatemenus": [menu | {"buttons": buttons, "pad": pad}], "sliders": [slider]}

@@ -1,0 +1,158 @@
+"""The page for a browser: it runs in one, shows the bodies, and moves them."""
+
+import html
+import json
+import re
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import space
+from matplotlib.colors import to_rgb
+from PIL import Image
+
+from jaxroll import plotting
+from jaxroll.plotting._scene3 import scene3
+from jaxroll.plotting._style import LOCUS_OBJECT, LOCUS_TIP, OBJECT_BODY, TIP_BODY
+
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+FRAMES = 9
+# Goes to the first frame, notes where the object's first vertex is, and returns to the last.
+PROBE = """
+<script>
+const errors = [];
+window.addEventListener("error", (e) => errors.push(e.message));
+window.addEventListener("unhandledrejection", (e) => errors.push(String(e.reason)));
+window.addEventListener("load", () => setTimeout(async () => {
+  const plot = document.querySelector(".plotly-graph-div");
+  const show = {mode: "immediate", frame: {duration: 0, redraw: true}, transition: {duration: 0}};
+  const vertex = () => ["x", "y", "z"].map((axis) => plot._fullData[0][axis][7]);
+  const found = {frames: plot._transitionData._frames.length, last: vertex()};
+  await Plotly.animate(plot, ["0"], show);
+  found.first = vertex();
+  await Plotly.animate(plot, [String(found.frames - 1)], show);
+  found.again = vertex();
+  found.canvases = document.querySelectorAll("canvas").length;
+  found.errors = errors;
+  const note = document.createElement("pre");
+  note.id = "probe";
+  note.style.display = "none";
+  note.textContent = JSON.stringify(found);
+  document.body.appendChild(note);
+}, 1000));
+</script>
+"""
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """The page of the stand-in."""
+    pytest.importorskip("plotly")
+    folder = tmp_path_factory.mktemp("page")
+    return plotting.page(*space.scene(), folder / "sub" / "grasp.html", title="A test", frames=FRAMES)
+
+
+def browse(path, folder):
+    """What a browser makes of a file: its DOM, a screenshot, and what it says."""
+    shot = folder / "shot.png"
+    flags = (
+        "--headless --no-sandbox --disable-dev-shm-usage --use-gl=angle --use-angle=swiftshader "
+        "--enable-unsafe-swiftshader --disable-background-networking --disable-component-update "
+        "--disable-sync --no-first-run --hide-scrollbars --enable-logging=stderr --dump-dom"
+    )
+    done = subprocess.run(
+        [
+            BROWSER,
+            *flags.split(),
+            f"--user-data-dir={folder / 'profile'}",
+            "--window-size=1000,800",
+            "--virtual-time-budget=20000",
+            f"--screenshot={shot}",
+            path.as_uri(),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=180,
+        check=True,
+    )
+    console = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+    with Image.open(shot) as image:
+        return done.stdout, np.asarray(image.convert("RGB")) / 255.0, console
+
+
+@pytest.fixture(scope="module")
+def browsed(written, tmp_path_factory):
+    """The page in a browser, asked what it shows."""
+    if BROWSER is None:
+        pytest.skip("no browser on PATH")
+    folder = tmp_path_factory.mktemp("browser")
+    probed = folder / "probed.html"
+    probed.write_text(written.read_text().replace("</head>", PROBE + "</head>", 1))
+    dom, shot, console = browse(probed, folder)
+    note = re.search(r'<pre id="probe"[^>]*>(.*?)</pre>', dom)
+    assert note, f"the page's scripts did not run to their end: {console}"
+    return json.loads(html.unescape(note[1])), shot, console
+
+
+def test_a_page_is_one_small_file_that_needs_no_network(written):
+    text = written.read_text()
+    assert 3e6 < written.stat().st_size < 1e7
+    assert not re.search(r"<(script|link)[^>]+(src|href)=", text)
+    assert "A test" in text
+
+
+def test_a_page_runs_without_errors(browsed):
+    found, _, console = browsed
+    assert found["errors"] == [] and found["canvases"] >= 1 and found["frames"] == FRAMES
+    assert not [line for line in console if "Uncaught" in line or "ERROR" in line or "WARN" in line]
+
+
+def test_the_slider_moves_the_bodies(browsed):
+    found, _, _ = browsed
+    grasp, motion, _ = space.scene()
+    body = scene3(grasp, motion, rows=18, columns=36).solids[0]
+    np.testing.assert_allclose(found["last"], body.at(60)[7], atol=1e-3)
+    np.testing.assert_allclose(found["first"], body.at(0)[7], atol=1e-3)
+    np.testing.assert_allclose(found["again"], found["last"])
+
+
+def near(shot, colour, *, tone):
+    """How many pixels have a colour, or with `tone` any shade of it."""
+    wanted, seen = np.array(to_rgb(colour)), shot
+    if tone:
+        bright = shot.max(axis=-1, keepdims=True)
+        seen, wanted = np.where(bright > 0.3, shot / np.maximum(bright, 0.3), 0.0), wanted / wanted.max()
+    return int((np.abs(seen - wanted).max(axis=-1) < 0.05).sum())
+
+
+def test_a_page_shows_the_bodies_and_the_loci(browsed):
+    _, shot, _ = browsed
+    assert len(np.unique(np.round(255 * shot).reshape(-1, 3), axis=0)) > 500
+    drawing = shot[:, 330:]  # beside the legend
+    assert near(drawing, OBJECT_BODY, tone=True) > 2000 and near(drawing, TIP_BODY, tone=True) > 800
+    assert near(drawing, LOCUS_OBJECT, tone=False) > 30 and near(drawing, LOCUS_TIP, tone=False) > 15
+
+
+def test_a_page_without_plotly_says_what_to_install(monkeypatch, tmp_path):
+    for name in [name for name in sys.modules if name.split(".")[0] == "plotly"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "plotly", None)
+    with pytest.raises(ImportError, match=r"pip install \"jaxroll\[viz\]\""):
+        plotting.page(*space.scene(5), tmp_path / "grasp.html")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"path": "grasp.gif"}, "end in .html"),
+        ({"frames": 0}, "argument frames must be at least 1, but was 0"),
+        ({"ts": np.zeros(3)}, "argument ts must have shape"),
+    ],
+)
+def test_bad_arguments_of_a_page(change, words):
+    pytest.importorskip("plotly")
+    grasp, motion, ts = space.scene(5)
+    with pytest.raises(ValueError, match=words):
+        plotting.page(grasp, motion, **({"ts": ts, "path": "grasp.html"} | change))

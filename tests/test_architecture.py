@@ -226,7 +226,7 @@ def test_parameter_budget():
 
 PUBLIC = {
     "AbstractSurface", "Contact3", "Ellipsoid", "Finger3", "FreeObject3", "Plane", "Sphere", "Stage", "Torus",
-    "Turning",
+    "Turning", "loci",
     "AbstractContour", "CSM", "Catenary", "Circle", "Contact", "Ellipse", "Finger", "FreeObject",
     "Grasp", "Index1", "Jaw", "Line", "NeuralCurvature", "NeuralSupport", "PivotedObject", "RESULTS",
     "Spline", "State", "SupportFunction", "Trajectory", "close", "contact",

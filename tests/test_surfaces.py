@@ -14,6 +14,7 @@ from jaxroll.geometry import (
     Chart,
     Cylinder,
     Ellipsoid,
+    Extruded,
     Implicit,
     Patch,
     Plane,
@@ -59,6 +60,8 @@ def wavy_field(n=12):
 
 
 RING_CHART = Chart(ring, domain=((0, 2 * np.pi), (0, 2 * np.pi)))
+WAVE = 2 * np.pi * np.arange(24) / 24
+BAR = (0.02 + 0.002 * np.cos(3 * WAVE))[:, None] * np.stack([np.cos(WAVE), 0.7 * np.sin(WAVE)], -1)
 SURFACES = {
     "plane": Plane(),
     "sphere": Sphere(B),
@@ -71,6 +74,8 @@ SURFACES = {
     "field": wavy_field(),
     "chart": RING_CHART,
     "patch": Patch(sphere_piece(12)),
+    "extruded": Extruded(jxr.Ellipse(A, B)),
+    "bar": Extruded(jxr.Spline(BAR)).moved((0.01, -0.02, 0.03), TURN),
     "moved": Ellipsoid(A, B, C).moved((0.01, -0.02, 0.03), TURN),
     "moved chart": RING_CHART.moved((0.01, -0.02, 0.03), TURN),
 }

@@ -1,7 +1,12 @@
 """Two shapes touching: gap, tangency, Pfaffian rows by autodiff, and rolling kinematics."""
 
 from ._clearance import clearance as clearance, TOLERANCE as TOLERANCE
-from ._closest import LocalMinima as LocalMinima, Location as Location
+from ._closest import (
+    LocalMinima as LocalMinima,
+    Location as Location,
+    SurfaceLocation as SurfaceLocation,
+    SurfaceMinima as SurfaceMinima,
+)
 from ._contact import AbstractContact as AbstractContact, Motion as Motion, Rows as Rows
 from ._gap import (
     gap as gap,
@@ -10,6 +15,7 @@ from ._gap import (
     pfaffian as pfaffian,
 )
 from ._location import locate as locate
+from ._location3 import locate_surfaces as locate_surfaces
 from ._rolling import (
     check_unit_speed as check_unit_speed,
     Contact as Contact,

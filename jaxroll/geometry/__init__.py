@@ -9,6 +9,7 @@ convex contours by their support function, `_neural` and `_neural_curvature` tho
 
 Of surfaces, `_surface` holds the contract and `_gauss` the frame; `_surface_implicit` and `_surface_chart`
 the two ways to give one, by a field of space or by two parameters; `_surface_analytic` closed forms,
+`_surface_extruded` cylinders over contours, `_surface_spread` places spread evenly over a surface,
 `_surface_patch` a chart through a grid of points and `_surface_spline` a field, both of the B-splines of
 `_tensor`; `_surface_fit` makes such a field of a cloud of points (`_surface_normals`, `_field_fit`).
 """
@@ -24,7 +25,7 @@ from ._contour import (
 )
 from ._crossings import crossings as crossings
 from ._fit import Fit as Fit, fit_contour as fit_contour, FitReport as FitReport
-from ._gauss import Gauss3 as Gauss3, Principal as Principal, principal as principal
+from ._gauss import approach as approach, Gauss3 as Gauss3, Principal as Principal, principal as principal
 from ._network import NetworkFit as NetworkFit, PeriodicNetwork as PeriodicNetwork
 from ._neural import NeuralSupport as NeuralSupport
 from ._neural_curvature import NeuralCurvature as NeuralCurvature
@@ -37,7 +38,7 @@ from ._points import (
 )
 from ._spline import Spline as Spline
 from ._support import AbstractSupport as AbstractSupport, SupportFunction as SupportFunction
-from ._surface import AbstractSurface as AbstractSurface, Hollow as Hollow, MovedSurface as MovedSurface
+from ._surface import AbstractSurface as AbstractSurface
 from ._surface_analytic import (
     Cylinder as Cylinder,
     Ellipsoid as Ellipsoid,
@@ -47,6 +48,7 @@ from ._surface_analytic import (
     Torus as Torus,
 )
 from ._surface_chart import AbstractChart as AbstractChart, Chart as Chart, Jet as Jet, jet as jet
+from ._surface_extruded import Extruded as Extruded
 from ._surface_fit import fit_surface as fit_surface, SurfaceFit as SurfaceFit, SurfaceReport as SurfaceReport
 from ._surface_implicit import (
     AbstractImplicit as AbstractImplicit,
@@ -54,7 +56,9 @@ from ._surface_implicit import (
     Implicit as Implicit,
     Level as Level,
     level_frame as level_frame,
+    spread_in_box as spread_in_box,
 )
+from ._surface_moved import Hollow as Hollow, MovedSurface as MovedSurface
 from ._surface_patch import Patch as Patch
 from ._surface_spline import SplineSurface as SplineSurface
 from ._table import (

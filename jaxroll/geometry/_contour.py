@@ -4,6 +4,7 @@ import abc
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -101,9 +102,9 @@ class AbstractContour(eqx.Module):
 
 
 @functools.singledispatch
-def tabled(contour: AbstractContour) -> AbstractContour:
-    """A contour with its table built, if it reads one: by a program of its own, which all others share."""
-    return contour
+def tabled(shape: Any) -> Any:
+    """A contour or surface with its table built, if it reads one: by a program that all others share."""
+    return shape
 
 
 @eqx.filter_jit

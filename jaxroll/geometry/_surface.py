@@ -10,9 +10,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._algebra import unstack
-from .._results import as_floats, concrete
-from .._spatial import normalised, pose, Pose3, tangents, Vec3
-from .._types import Given, Scalar, Scalars
+from .._results import as_floats
+from .._spatial import tangents, Vec3
+from .._types import Given, Scalars
+from ._contour import tabled
 from ._gauss import approach, Gauss3, principal
 
 _SEARCH = 32
@@ -63,13 +64,27 @@ class AbstractSurface(eqx.Module):
     def start(self, point: Vec3) -> Scalars:
         """Where the search for the surface's point closest to a point begins."""
 
-    def margins(self, at: Scalars) -> tuple[Scalar, ...]:
-        """Distances [m] of a place from the ends of the surface, positive inside; none without ends."""
-        return ()
-
     @abc.abstractmethod
     def prepared(self) -> "AbstractSurface":
         """This surface with all that does not depend on the place worked out, once per solve."""
+
+    def spread(self, count: int) -> Scalars | None:
+        """Coordinates of `count` places spread evenly over the whole surface, shape (count,) each.
+
+        None where the surface has no bounds, or none are known. Places may repeat.
+        """
+        return None
+
+    def margins(self, at: Scalars) -> Scalars:
+        """Distances [m] of a place from the ends of the surface, positive inside; none where it has no ends.
+
+        To first order in the distance.
+        """
+        return ()
+
+    def within(self, at: Scalars) -> Scalars:
+        """Coordinates brought into the domain: round its periods, and back to its ends."""
+        return at
 
     def closest(self, point: Vec3, at: Scalars) -> Scalars:
         r"""Coordinates of the surface's point closest to `point`, from a guess: Newton's method, as scalars.
@@ -94,51 +109,56 @@ class AbstractSurface(eqx.Module):
         """
         points = _last("point", point, 3)
         if guess is None:
-            return _near(self, points, None)
-        return _near(self, points, _last("guess", guess, self.coordinates))
+            return _near(tabled(self), points, None)
+        return _near(tabled(self), points, _last("guess", guess, self.coordinates))
 
     def point(self, at: Given) -> Float[Array, "... 3"]:
         """Points [m] at coordinates `at` of shape (..., coordinates)."""
-        return _frames(self, self._at(at)).point.array()
+        return self._frames(at).point.array()
 
     def normal(self, at: Given) -> Float[Array, "... 3"]:
         """Outward unit normals."""
-        return _frames(self, self._at(at)).normal.array()
+        return self._frames(at).normal.array()
 
     def tangents(self, at: Given) -> Float[Array, "... 2 3"]:
         r"""Orthonormal tangents, $t_1 \times t_2 = n$; they jump where $n_z = -1/2$ and nowhere else."""
-        return _tangents(_frames(self, self._at(at)))
+        return _tangents(self._frames(at))
 
     def shape_operator(self, at: Given) -> Float[Array, "... 3 3"]:
         """The shape operator [1/m] as a symmetric matrix in the body's axes, zero along the normal."""
-        return _frames(self, self._at(at)).shape.array()
+        return self._frames(at).shape.array()
 
     def principal_curvatures(self, at: Given) -> tuple[Float[Array, "... 2"], Float[Array, "... 2 3"]]:
         """Principal curvatures [1/m], the smaller first, and their directions; positive where convex.
 
         Where both are the same the directions are any two, and the derivatives those of the mean.
         """
-        return _principal(_frames(self, self._at(at)))
+        return _principal(self._frames(at))
 
     def normal_curvature(self, at: Given, direction: Given) -> Float[Array, "..."]:
         r"""Curvature [1/m] of the normal section along `direction`, shape (..., 3): $v \cdot L v / |v|^2$.
 
         What `direction` has along the normal is left out.
         """
-        return _normal_curvature(_frames(self, self._at(at)), _last("direction", direction, 3))
+        return _normal_curvature(self._frames(at), _last("direction", direction, 3))
 
     def forms(self, at: Given) -> tuple[Float[Array, "... 2 2"], Float[Array, "... 2 2"]]:
         """First and second fundamental form, in the chart's own tangents or else in `tangents`.
 
         Units follow the tangents: none and 1/m where these are unit vectors.
         """
-        return _forms(_frames(self, self._at(at)), _bases(self, self._at(at)))
+        return _forms(self._frames(at), _bases(tabled(self), self._at(at)))
 
     def moved(
         self, offset: Given = (0.0, 0.0, 0.0), rotation: Given = (1.0, 0.0, 0.0, 0.0)
-    ) -> "MovedSurface":
+    ) -> "AbstractSurface":
         """This surface turned by a unit quaternion (scalar first), then shifted by `offset` [m]."""
+        from ._surface_moved import MovedSurface  # which subclasses this
+
         return MovedSurface(self, offset, rotation)
+
+    def _frames(self, at: Given) -> Gauss3:
+        return _frames(tabled(self), self._at(at))
 
     def _at(self, at: Given) -> Array:
         return _last("at", at, self.coordinates)
@@ -216,130 +236,3 @@ def _near(surface: AbstractSurface, points: Array, guess: Array | None) -> Array
         return jnp.stack(ready.closest(target, *(given or (ready.start(target),))))
 
     return _mapped(search, points) if guess is None else _mapped(search, points, guess)
-
-
-class MovedSurface(AbstractSurface):
-    """A surface placed in its body's frame: turned by a rotation, then shifted by `offset`.
-
-    Its coordinates are those of the surface it places: of an implicit one the point before the move. `near`
-    finds them.
-
-    Args:
-        surface: The surface to place.
-        offset: Where its body's origin goes, shape (3,), in metres.
-        rotation: Quaternion, scalar first, shape (4,); it is scaled to unit length.
-
-    Example:
-        >>> import jaxroll as jxr
-        >>> tip = jxr.geometry.Sphere(0.01).moved(offset=(0.02, 0.0, 0.0))
-        >>> tip.point(tip.near((0.05, 0.0, 0.0))).round(12).tolist()
-        [0.03, 0.0, 0.0]
-    """
-
-    surface: AbstractSurface
-    offset: Float[Array, "3"]
-    rotation: Float[Array, "4"]
-    pose: Pose3 | None
-
-    def __init__(
-        self,
-        surface: AbstractSurface,
-        offset: Given = (0.0, 0.0, 0.0),
-        rotation: Given = (1.0, 0.0, 0.0, 0.0),
-    ) -> None:
-        if not isinstance(surface, AbstractSurface):
-            raise ValueError(f"argument surface must be a surface, but was {surface!r}")
-        self.surface = surface
-        self.offset = as_floats("offset", offset, (3,))
-        self.rotation = as_floats("rotation", rotation, (4,))
-        seen = concrete(self.rotation)
-        if seen is not None and not seen.any():
-            raise ValueError(f"argument rotation must be a quaternion, but was {seen.tolist()}")
-        self.pose = None
-
-    @property
-    def coordinates(self) -> int:
-        return self.surface.coordinates
-
-    @property
-    def smoothness(self) -> float:
-        return self.surface.smoothness
-
-    def placed(self) -> Pose3:
-        """The placement as a pose."""
-        if self.pose is not None:
-            return self.pose
-        return pose(Vec3(*unstack(self.offset)), normalised(unstack(self.rotation)))
-
-    def frame(self, at: Scalars) -> Gauss3:
-        return self.surface.frame(at).placed(self.placed())
-
-    def rate(self, at: Scalars, velocity: Vec3) -> Scalars:
-        return self.surface.rate(at, self.placed().back(velocity))
-
-    def settled(self, at: Scalars) -> Scalars:
-        return self.surface.settled(at)
-
-    def basis(self, at: Scalars) -> tuple[Vec3, Vec3]:
-        first, second = self.surface.basis(at)
-        place = self.placed()
-        return place.turn(first), place.turn(second)
-
-    def start(self, point: Vec3) -> Scalars:
-        return self.surface.start(self.placed().local(point))
-
-    def prepared(self) -> "MovedSurface":
-        ready = (self.surface.prepared(), self.placed())
-        return eqx.tree_at(lambda m: (m.surface, m.pose), self, ready, is_leaf=lambda x: x is None)
-
-
-class Hollow(AbstractSurface):
-    """A surface seen from inside: the body is all round it, as the wall of a tube or of a bowl.
-
-    Args:
-        surface: The surface of the hole.
-
-    Example:
-        >>> import jaxroll as jxr
-        >>> bowl = jxr.geometry.Hollow(jxr.Sphere(0.1))
-        >>> bowl.principal_curvatures((0.0, 0.0, -0.1))[0].round(9).tolist()
-        [-10.0, -10.0]
-    """
-
-    surface: AbstractSurface
-
-    def __init__(self, surface: AbstractSurface) -> None:
-        if not isinstance(surface, AbstractSurface):
-            raise ValueError(f"argument surface must be a surface, but was {surface!r}")
-        self.surface = surface
-
-    @property
-    def coordinates(self) -> int:
-        return self.surface.coordinates
-
-    @property
-    def smoothness(self) -> float:
-        return self.surface.smoothness
-
-    def frame(self, at: Scalars) -> Gauss3:
-        inner = self.surface.frame(at)
-        return Gauss3(inner.point, -inner.normal, inner.shape * -1.0)
-
-    def rate(self, at: Scalars, velocity: Vec3) -> Scalars:
-        return self.surface.rate(at, velocity)
-
-    def settled(self, at: Scalars) -> Scalars:
-        return self.surface.settled(at)
-
-    def basis(self, at: Scalars) -> tuple[Vec3, Vec3]:
-        first, second = self.surface.basis(at)
-        return second, first
-
-    def start(self, point: Vec3) -> Scalars:
-        return self.surface.start(point)
-
-    def margins(self, at: Scalars) -> tuple[Scalar, ...]:
-        return self.surface.margins(at)
-
-    def prepared(self) -> "Hollow":
-        return Hollow(self.surface.prepared())

@@ -4,6 +4,7 @@ import math
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._algebra import once
@@ -12,6 +13,7 @@ from .._spatial import square, Sym3, Vec3
 from .._types import Given, Scalar, Scalars
 from ._gauss import Gauss3
 from ._surface_implicit import AbstractImplicit, Level, level_frame
+from ._surface_spread import directions, lattice, SEEDS, thinned
 
 
 class Plane(AbstractImplicit):
@@ -65,6 +67,9 @@ class Sphere(AbstractImplicit):
 
     def frame(self, at: Scalars) -> Gauss3:
         return _round(Vec3(*at))[1]
+
+    def spread(self, count: int) -> Scalars:
+        return _outwards(directions(count), (self.radius, self.radius, self.radius))
 
     def prepared(self) -> "Sphere":
         return self
@@ -137,6 +142,12 @@ class Torus(AbstractImplicit):
     def frame(self, at: Scalars) -> Gauss3:
         return self._around(Vec3(*at))[1]
 
+    def spread(self, count: int) -> Scalars:
+        turn, roll = 2.0 * np.pi * lattice(SEEDS * count, 2).T
+        out = self.major + self.minor * np.cos(roll)
+        points = (out * np.cos(turn), out * np.sin(turn), self.minor * np.sin(roll))
+        return _thinned(points, count)
+
     def prepared(self) -> "Torus":
         return self
 
@@ -191,6 +202,9 @@ class Ellipsoid(AbstractImplicit):
     def frame(self, at: Scalars) -> Gauss3:
         point = Vec3(*at)
         return level_frame(point, self.derivatives(point))
+
+    def spread(self, count: int) -> Scalars:
+        return _thinned(_outwards(directions(SEEDS * count), (self.a, self.b, self.c)), count)
 
     def prepared(self) -> "Ellipsoid":
         return self
@@ -249,8 +263,23 @@ class Superellipsoid(AbstractImplicit):
         point = Vec3(*at)
         return level_frame(point, self.derivatives(point))
 
+    def spread(self, count: int) -> Scalars:
+        rays, p = directions(SEEDS * count), self.exponent
+        rays = rays / np.sum(np.abs(rays) ** p, axis=-1, keepdims=True) ** (1.0 / p)
+        return _thinned(_outwards(rays, (self.a, self.b, self.c)), count)
+
     def prepared(self) -> "Superellipsoid":
         return self
+
+
+def _outwards(rays: np.ndarray, axes: Scalars) -> Scalars:
+    """Points along rays of the unit body, stretched by the axes."""
+    return tuple(axis * rays[:, i] for i, axis in enumerate(axes))
+
+
+def _thinned(points: Scalars, count: int) -> Scalars:
+    kept = thinned(Vec3(*points), jnp.ones(points[0].shape, bool), count)
+    return tuple(x[kept] for x in points)
 
 
 def _length(name: str, value: Given) -> Array:

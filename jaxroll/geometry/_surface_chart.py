@@ -17,6 +17,7 @@ from .._types import Given, Scalar, Scalars
 from ._gauss import Gauss3
 from ._surface import AbstractSurface
 from ._surface_implicit import as_tree
+from ._surface_spread import lattice, SEEDS, thinned
 
 _SEEDS = 16
 
@@ -55,8 +56,10 @@ class AbstractChart(AbstractSurface):
     $P_u \times P_v = 0$, as at the poles of a sphere.
 
     To add one, subclass this and give `derivatives` (`jet` where no closed form is at hand), `domain`,
-    `smoothness` and `prepared`.
+    `periodic` (of u and of v), `smoothness` and `prepared`.
     """
+
+    periodic: eqx.AbstractVar[tuple[bool, bool]]
 
     @abc.abstractmethod
     def derivatives(self, at: Scalars) -> Jet:
@@ -95,6 +98,25 @@ class AbstractChart(AbstractSurface):
         here = self.derivatives(at)
         return here.u, here.v
 
+    def spread(self, count: int) -> Scalars:
+        share = lattice(SEEDS * count, 2)
+        u, v = (low + (high - low) * share[:, i] for i, (low, high) in enumerate(self.domain()))
+        points = jax.vmap(lambda *at: self.derivatives(at).point)(jnp.asarray(u), jnp.asarray(v))
+        kept = thinned(points, jnp.ones(points.x.shape, bool), count)
+        return jnp.asarray(u)[kept], jnp.asarray(v)[kept]
+
+    def margins(self, at: Scalars) -> Scalars:
+        found: list[Scalar] = []
+        for x, along, (low, high), loop in zip(at, self.basis(at), self.domain(), self.periodic, strict=True):
+            if not loop:
+                speed = along.norm()
+                found += [(x - low) * speed, (high - x) * speed]
+        return tuple(found)
+
+    def within(self, at: Scalars) -> Scalars:
+        ends = zip(at, self.domain(), self.periodic, strict=True)
+        return tuple(bounded(x, end, loop) for x, end, loop in ends)
+
     def start(self, point: Vec3) -> Scalars:
         (u0, u1), (v0, v1) = self.domain()
         share = (np.arange(_SEEDS) + 0.5) / _SEEDS
@@ -103,6 +125,15 @@ class AbstractChart(AbstractSurface):
         away = jax.vmap(lambda *at: self.derivatives(at).point - point)(u, v)
         best = jnp.argmin(away.dot(away))
         return u[best], v[best]
+
+
+def bounded(x: Scalar, ends: tuple[Scalar, Scalar], periodic: bool) -> Scalar:
+    """A parameter brought into its domain: round a period, or back to an end."""
+    low, high = ends
+    if not periodic:
+        return jnp.clip(x, low, high)
+    turns = jnp.floor(jax.lax.stop_gradient((x - low) / (high - low)))
+    return x - turns * (high - low)
 
 
 Ends = tuple[tuple[float, float], tuple[float, float]]
@@ -117,7 +148,8 @@ class Chart(AbstractChart):
     Args:
         function: `function(u, v)` gives the three coordinates of the point [m].
         domain: Ends of u and of v, shape (2, 2); of a periodic one, the ends of a period. `near` begins its
-            search within; nothing else is bound to it.
+            search within, but is not bound to it.
+        periodic: Whether u and v are periodic: then they have no ends. Static.
         smoothness: Its continuous derivatives.
 
     Raises:
@@ -132,13 +164,20 @@ class Chart(AbstractChart):
 
     function: Callable[[Scalar, Scalar], Any]
     ends: Float[Array, "2 2"]
+    periodic: tuple[bool, bool] = eqx.field(static=True)
     order: float = eqx.field(static=True)
 
     def __init__(
-        self, function: Callable[..., Any], *, domain: Given | Ends, smoothness: float = float("inf")
+        self,
+        function: Callable[..., Any],
+        *,
+        domain: Given | Ends,
+        periodic: tuple[bool, bool] = (False, False),
+        smoothness: float = float("inf"),
     ) -> None:
         self.function = as_tree("function", function)
         self.ends = as_floats("domain", domain, (2, 2))
+        self.periodic = (bool(periodic[0]), bool(periodic[1]))
         self.order = float(smoothness)
 
     @property

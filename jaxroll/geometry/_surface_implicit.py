@@ -7,13 +7,18 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from .._algebra import once
+from .._results import as_floats, check_positive
 from .._spatial import outer, square, Sym3, tangents, Vec3
-from .._types import Scalar, Scalars
+from .._types import Given, Scalar, Scalars
 from ._surface import AbstractSurface, Gauss3
+from ._surface_spread import lattice, SEEDS, thinned
 
 _STEPS = 8
+# A seed whose distance from the surface is below this, relative to the box, has come to it.
+_ARRIVED = 1e-6
 
 
 class Level(NamedTuple):
@@ -56,7 +61,8 @@ class AbstractImplicit(AbstractSurface):
     r"""The surface $F(x, y, z) = 0$ of a body where $F < 0$; `at` is the point itself, in the body's frame.
 
     To add one, subclass this and give `derivatives` (`differentiated` where no closed form is at hand),
-    `frame` (`level_frame` of them, or a closed form), `smoothness` and `prepared`.
+    `frame` (`level_frame` of them, or a closed form), `smoothness` and `prepared`; `spread`
+    (`spread_in_box` where no closed form is at hand) if it is bounded.
     """
 
     @abc.abstractmethod
@@ -88,6 +94,24 @@ class AbstractImplicit(AbstractSurface):
         return point - level.gradient * (level.value / level.gradient.dot(level.gradient))
 
 
+def spread_in_box(surface: AbstractImplicit, low: Vec3, high: Vec3, count: int) -> Scalars:
+    """Places spread evenly over the part of a surface in a box: points of the box brought to it by Newton."""
+    share, size = jnp.asarray(lattice(2 * SEEDS * count, 3)), high - low
+    seeds = Vec3(*(x + width * share[:, i] for i, (x, width) in enumerate(zip(low, size, strict=True))))
+
+    def fall(seed: Vec3) -> tuple[Vec3, Array]:
+        point = Vec3(*surface.start(Vec3(*surface.start(seed))))
+        level = surface.derivatives(point)
+        arrived = jnp.abs(level.value) <= _ARRIVED * size.norm() * level.gradient.norm()
+        for x, least, most in zip(point, low, high, strict=True):
+            arrived = arrived & (x >= least) & (x <= most)
+        return Vec3(*(jnp.where(arrived, x, 0.0) for x in point)), arrived
+
+    points, fair = jax.vmap(fall)(seeds)
+    kept = thinned(points, fair, count)
+    return tuple(x[kept] for x in points)
+
+
 class Implicit(AbstractImplicit):
     r"""The surface $F(x, y, z) = 0$ of any smooth function, negative inside the body.
 
@@ -98,10 +122,12 @@ class Implicit(AbstractImplicit):
     Args:
         function: `function(x, y, z)` [m], of nonzero gradient on the surface. Best about as long as the
             distance near it: `settled` and `near` take Newton steps on it.
+        radius: Of a ball about the body's origin that holds the whole surface [m]; None: the surface counts
+            as unbounded, and locating contacts samples the other one.
         smoothness: Its continuous derivatives.
 
     Raises:
-        ValueError: If `function` cannot be called.
+        ValueError: If `function` cannot be called, or `radius` is not positive.
 
     Example:
         >>> import jaxroll as jxr
@@ -111,10 +137,18 @@ class Implicit(AbstractImplicit):
     """
 
     function: Callable[[Scalar, Scalar, Scalar], Scalar]
+    radius: Float[Array, ""] | None
     order: float = eqx.field(static=True)
 
-    def __init__(self, function: Callable[..., Any], *, smoothness: float = float("inf")) -> None:
+    def __init__(
+        self,
+        function: Callable[..., Any],
+        *,
+        radius: Given | None = None,
+        smoothness: float = float("inf"),
+    ) -> None:
         self.function = as_tree("function", function)
+        self.radius = None if radius is None else check_positive("radius", as_floats("radius", radius, ()))
         self.order = float(smoothness)
 
     @property
@@ -127,6 +161,12 @@ class Implicit(AbstractImplicit):
     def frame(self, at: Scalars) -> Gauss3:
         point = Vec3(*at)
         return level_frame(point, self.derivatives(point))
+
+    def spread(self, count: int) -> Scalars | None:
+        if self.radius is None:
+            return None
+        corner = Vec3(self.radius, self.radius, self.radius)
+        return spread_in_box(self, -corner, corner, count)
 
     def prepared(self) -> "Implicit":
         return self

@@ -7,7 +7,7 @@ from .._results import as_floats, check_positive
 from .._spatial import Sym3, Vec3
 from .._types import Given, Scalars
 from ._gauss import Gauss3
-from ._surface_implicit import AbstractImplicit, Level, level_frame
+from ._surface_implicit import AbstractImplicit, Level, level_frame, spread_in_box
 from ._tensor import block, contracted, ORDER, uniform
 
 
@@ -68,6 +68,20 @@ class SplineSurface(AbstractImplicit):
     def frame(self, at: Scalars) -> Gauss3:
         point = Vec3(*at)
         return level_frame(point, self.derivatives(point))
+
+    def spread(self, count: int) -> Scalars:
+        return spread_in_box(self, *self._corners(), count)
+
+    def margins(self, at: Scalars) -> Scalars:
+        """Distances [m] from the faces of the grid, beyond which the field is not known."""
+        low, high = self._corners()
+        return (*(Vec3(*at) - low), *(high - Vec3(*at)))
+
+    def _corners(self) -> tuple[Vec3, Vec3]:
+        """First and last corner of the grid."""
+        low = Vec3(*unstack(self.origin))
+        cells = (count - (ORDER - 1.0) for count in self.coefficients.shape)
+        return low, low + Vec3(*(self.step * count for count in cells))
 
     def prepared(self) -> "SplineSurface":
         return self

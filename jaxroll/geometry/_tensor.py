@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._algebra import once, total
 from .._types import Scalar
 from ._bspline import basis
 
@@ -94,12 +95,12 @@ def powers(polynomials: Float[Array, "6 6"], x: Scalar, rate: Scalar) -> Float[A
 def contracted(block: Array, weights: tuple[Float[Array, "3 6"], ...]) -> Array:
     """A block of coefficients summed over its leading axes with these weights: one axis of derivatives each.
 
-    Sums of products, not `dot`: they stay in the fused program, also under `vmap`.
+    Products added one by one, neither `dot` nor a reduction: a batch of any size stays in one kernel.
     """
     for k, table in enumerate(weights):
-        rest = block.shape[k + 1 :]
-        factor = table.reshape((1,) * k + (3, ORDER) + (1,) * len(rest))
-        block = jnp.sum(jnp.expand_dims(block, k) * factor, axis=k + 1)
+        wide = (1,) * k + (3,) + (1,) * (block.ndim - k - 1)
+        slices = (jax.lax.slice_in_dim(block, i, i + 1, axis=k) for i in range(ORDER))
+        block = once(total([x * table[:, i].reshape(wide) for i, x in enumerate(slices)]))
     return block
 
 

@@ -1,6 +1,6 @@
 """Loci of contact on both surfaces: conditions A-1 and A-2 of Part 3, looked at as curves."""
 
-from typing import Any
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -11,7 +11,7 @@ from .._algebra import sharing
 from .._backend import one_kernel
 from .._spatial import Vec3
 from .._types import Scalar, Times
-from ..mechanics import bodies, compiled, Grasp, State, touches
+from ..mechanics import bodies, compiled, Grasp, Leaves, State, touches
 from ._closed_loop import evaluate
 from ._flow import layout, pack, unpack
 from ._formulation import Index1
@@ -19,7 +19,7 @@ from ._trajectory import Trajectory
 
 
 class Locus(eqx.Module):
-    r"""The curve of contact points on one surface, in its body's frame, with Darboux frame $(t, n \times t, n)$.
+    r"""The curve of contact points on one surface, in its body's axes; Darboux frame $(t, n \times t, n)$.
 
     Every quantity has shape (c, times): one row per contact. Where the contact rests, curvatures are not
     finite.
@@ -60,10 +60,12 @@ class Loci(eqx.Module):
 
 
 class _Jet(eqx.Module):
-    """One curve at one time: point, three derivatives in time, normal, and $L$ times the first."""
+    """Curves at one time, all of shape (c, 3): three derivatives in time, normals, $L$ times velocity."""
 
     point: Array
-    rates: tuple[Array, Array, Array]
+    velocity: Array
+    acceleration: Array
+    jerk: Array
     normal: Array
     bend: Array
 
@@ -106,14 +108,76 @@ def _loci(grasp: Grasp, ts: Array, states: State) -> Loci:
 
 
 def _jets(grasp: Grasp, t: Scalar, state: State) -> tuple[_Jet, _Jet]:
-    """Curves on fingertips and object, stacked over the contacts."""
+    """The curves on the fingertips and on the object at one state."""
     lay = layout(grasp, audited=False)
     x = jnp.concatenate([state.q, state.v, state.s])
+
+    def rates(t: Scalar, x: Array) -> Array:
+        return pack(evaluate(grasp, t, unpack(lay, x)[0], Index1()).rates, None)
+
+    def along(function: Callable[..., Array], t: Scalar, x: Array) -> Array:
+        return jax.jvp(function, (t, x), (jnp.ones_like(t), rates(t, x)))[1]
+
+    def acceleration(t: Scalar, x: Array) -> Array:
+        return along(lambda t, x: _velocities(grasp, unpack(lay, x)[0]), t, x)
+
     with sharing(t):
-        rates = lambda t, x: _rates(grasp, lay, t, x)  # noqa: E731
-        first = lambda t, x: _velocities(grasp, unpack(lay, x)[0])  # noqa: E731
-        second = _along(first, rates)
-        (velocity, acceleration), (_, jerk) = _both(first, second, _along(second, rates), t, x)
-        points, normals, bends = _frames(grasp, unpack(lay, x)[0], velocity)
-    parts = [_Jet(points[:, i], _column((velocity, acceleration, jerk), i), normals[:, i], bends[:, i]) for i in (0, 1)]
-    return parts[0], parts[1]
+        leaves = unpack(lay, x)[0]
+        velocity = _velocities(grasp, leaves)
+        derivatives = (acceleration(t, x), along(acceleration, t, x))
+        points, normals, bends = _frames(grasp, leaves, velocity)
+        parts = (points, velocity, *derivatives, normals, bends)
+    tip, face = (_Jet(*(part[:, i] for part in parts)) for i in (0, 1))  # pyright: ignore
+    return tip, face
+
+
+def _velocities(grasp: Grasp, leaves: Leaves) -> Array:
+    """Velocities of the contact points over their surfaces, in the bodies' axes: shape (c, 2, 3)."""
+    motions, _ = bodies(grasp, leaves)
+    rows = []
+    for contact, touching in zip(grasp.contacts, touches(grasp, leaves.s), strict=True):
+        pair = motions[1 + contact.finger], motions[0]
+        velocity = contact.rolling(pair, touching)
+        rows.append(jnp.stack([motion.pose.back(velocity).array() for motion in pair]))
+    return jnp.stack(rows)
+
+
+def _frames(grasp: Grasp, leaves: Leaves, velocity: Array) -> tuple[Array, Array, Array]:
+    """Points, normals and $L v$, in the bodies' axes: shape (c, 2, 3) each."""
+    found = []
+    for touching, pair in zip(touches(grasp, leaves.s), velocity, strict=True):
+        frames = (touching.tip, touching.object)
+        bends = [frame.shape.apply(Vec3(*v)) for frame, v in zip(frames, pair, strict=True)]
+        parts = ([f.point for f in frames], [f.normal for f in frames], bends)
+        found.append([jnp.stack([vector.array() for vector in part]) for part in parts])
+    points, normals, bends = (jnp.stack(part) for part in zip(*found, strict=True))
+    return points, normals, bends
+
+
+def _locus(ts: Array, jet: _Jet) -> Locus:
+    """Curvatures from derivatives in time; contacts first."""
+    jet = jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), jet)
+    dot = lambda a, b: jnp.sum(a * b, axis=-1)  # noqa: E731
+    v, a = jet.velocity, jet.acceleration
+    speed = jnp.sqrt(dot(v, v))
+    side = jnp.cross(jet.normal, v)
+    normal, geodesic = dot(v, jet.bend) / speed**2, dot(a, side) / speed**3
+    binormal = jnp.cross(v, a)
+    hastening = jnp.where(speed > 0, dot(v, a) / speed, jnp.sqrt(dot(a, a)))
+    return Locus(
+        jet.point,
+        _integrated(ts, speed, hastening),
+        speed,
+        normal,
+        geodesic,
+        -dot(side, jet.bend) / speed**2,
+        jnp.hypot(normal, geodesic),
+        dot(binormal, jet.jerk) / dot(binormal, binormal),
+    )
+
+
+def _integrated(ts: Array, rate: Array, slope: Array) -> Array:
+    """Integral of a rate from its values and slopes, over the last axis: Hermite's rule."""
+    h = jnp.diff(ts)
+    parts = 0.5 * h * (rate[:, :-1] + rate[:, 1:]) + h**2 / 12.0 * (slope[:, :-1] - slope[:, 1:])
+    return jnp.pad(jnp.cumsum(parts, axis=-1), ((0, 0), (1, 0)))

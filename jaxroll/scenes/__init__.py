@@ -1,4 +1,4 @@
-"""The chapter's scenes, ready to run: Parts 1 and 2 in `_plane`, Part 3 in `_space`; bodies that roll alone."""
+"""The chapter's scenes, ready to run: Parts 1 and 2 in `_plane`, Part 3 in `_space`; bodies rolling alone."""
 
 from ._plane import (
     ball_plate as ball_plate,

@@ -217,7 +217,7 @@ def rattleback(
     """
     half, skew = 0.5 * jnp.asarray(tilt, float), jnp.asarray(skew, float)
     low, zero = jnp.asarray(lowered, float), jnp.zeros(())
-    shape = Ellipsoid(axes).moved(jnp.stack([zero, zero, low]))
+    shape = Ellipsoid(*jnp.asarray(axes, float)).moved(jnp.stack([zero, zero, low]))
     sin, cos = jnp.sin(skew), jnp.cos(skew)
     turn = jnp.stack([jnp.stack([cos, -sin, zero]), jnp.stack([sin, cos, zero]), jnp.array([0.0, 0.0, 1.0])])
     tensor = turn @ jnp.diag(jnp.asarray(inertia, float)) @ turn.T
@@ -228,11 +228,13 @@ def rattleback(
     place = shape.near(jnp.stack([zero, zero, low - 2.0 * height]))
     guess = State(q, jnp.zeros(6), jnp.concatenate([jnp.zeros(3), place]))
     grasp, state = close(grasp, guess, hold_contacts=False)
-    return grasp, State(state.q, rolling_velocity(grasp, state, jnp.stack([zero, zero, spin])), state.s)
+    return grasp, State(
+        state.q, rolling_velocity(grasp, state, jnp.stack([zero, zero, jnp.asarray(spin, float)])), state.s
+    )
 
 
 def rolling_velocity(grasp: Grasp, state: State, spin: Array) -> Array:
-    r"""Velocity of a body that rolls on a fixed stage, with this spin in body axes: $v = -\omega \times r$."""
+    r"""Velocity of a body rolling on a fixed stage with this spin in body axes: $v = -\omega \times r$."""
     ready = grasp.prepared()
     pose = ready.object.pose(tuple(state.q[:7]))
     at = ready.object.surfaces[0].frame(tuple(state.s[-3:])).point

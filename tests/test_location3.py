@@ -1,0 +1,353 @@
+"""Closest points of two surfaces: closed forms, SciPy on support functions, derivatives, second contacts."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import taylor_remainders
+from scipy.optimize import minimize
+from scipy.spatial.transform import Rotation
+
+import jaxroll as jxr
+from jaxroll import _spatial as sp
+from jaxroll.contact import locate_surfaces
+from jaxroll.contact._pair3 import Scene3
+from jaxroll.geometry import (
+    Cylinder,
+    Ellipsoid,
+    Extruded,
+    Implicit,
+    Patch,
+    Plane,
+    Sphere,
+    SplineSurface,
+    Superellipsoid,
+    Torus,
+)
+
+SUCCESS = jxr.RESULTS.successful
+STILL = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+TURN = np.array([0.5, -0.1, 0.7, 0.3])
+
+
+def posed(position, quaternion=TURN):
+    return np.concatenate([position, quaternion])
+
+
+def matrix(pose):
+    return Rotation.from_quat(np.roll(pose[3:], -1)).as_matrix()
+
+
+@jax.jit
+def spheres(radii, pose_a, pose_b):
+    return locate_surfaces(Sphere(radii[0]), Sphere(radii[1]), pose_a=pose_a, pose_b=pose_b)
+
+
+@pytest.mark.parametrize("offset", [(0.05, 0.02, -0.01), (0.018, 0.024, 0.0), (0.02, -0.01, 0.005)])
+def test_two_spheres(offset):
+    base = np.array([0.1, -0.2, 0.3])
+    away = np.linalg.norm(offset)
+    normal = np.asarray(offset) / away
+    found = spheres((0.01, 0.02), posed(base + offset), posed(base, TURN[::-1]))
+    assert found.result == SUCCESS and bool(found.unique) and int(found.others.count) == 0
+    np.testing.assert_allclose(float(found.gap), away - 0.03, atol=2e-16)
+    np.testing.assert_allclose(found.normal, normal, atol=1e-14)
+    np.testing.assert_allclose(found.points[0], base + offset - 0.01 * normal, atol=1e-15)
+    np.testing.assert_allclose(found.points[1], base + 0.02 * normal, atol=1e-15)
+    np.testing.assert_allclose(matrix(posed(base)) @ np.asarray(found.at_a), -0.01 * normal, atol=1e-15)
+    assert bool(found.penetrating) == (float(found.gap) < 0.0) and float(found.residual) <= 1e-14
+
+
+def test_a_grain_on_a_boulder():
+    """The grain's samples find the place; inside, the grain has a deepest point and the boulder has none."""
+    normal = np.array([0.48, -0.6, 0.64])
+    for radii in ((1.0, 0.001), (0.001, 1.0)):
+        found = spheres(radii, STILL, posed((1.001 + 1e-4) * normal))
+        assert found.result == SUCCESS and bool(found.unique)
+        np.testing.assert_allclose(float(found.gap), 1e-4, atol=1e-15)
+
+    inside = spheres((0.001, 1.0), STILL, posed(0.99 * normal))
+    assert inside.result == SUCCESS and abs(float(inside.gap) + 0.011) <= 1e-15
+    assert spheres((1.0, 0.001), STILL, posed(0.99 * normal)).result == jxr.RESULTS.too_deep
+
+
+def test_concentric_spheres_are_not_unique():
+    found = spheres((0.01, 0.02), STILL, STILL)
+    assert not bool(found.unique)
+    np.testing.assert_allclose(float(found.gap), -0.01, atol=1e-15)
+
+
+@pytest.mark.parametrize("height", [0.03, 0.01, 0.004, -0.02])
+def test_sphere_and_plane_either_way(height):
+    """At any depth, since it is the sphere that is walked."""
+    ball, floor = posed((0.2, 0.1, height)), STILL
+    for swapped in (False, True):
+        pair, poses = (Sphere(0.01), Plane()), (ball, floor)
+        if swapped:
+            pair, poses = pair[::-1], poses[::-1]
+        found = locate_surfaces(*pair, pose_a=poses[0], pose_b=poses[1])
+        assert found.result == SUCCESS and bool(found.unique)
+        np.testing.assert_allclose(float(found.gap), height - 0.01, atol=1e-15)
+        expected = np.array([[0.2, 0.1, height - 0.01], [0.2, 0.1, 0.0]])
+        np.testing.assert_allclose(found.points, expected[::-1] if swapped else expected, atol=1e-15)
+        np.testing.assert_allclose(found.normal, [0.0, 0.0, -1.0 if swapped else 1.0], atol=1e-14)
+        np.testing.assert_allclose(found.at_a if swapped else found.at_b, [0.2, 0.1, 0.0], atol=1e-15)
+
+
+@functools.cache
+def ellipsoids():
+    """Forty pairs placed at chosen directions, apart, touching, and overlapping a little."""
+    rng = np.random.default_rng(1)
+    axes = rng.uniform(0.01, 0.03, size=(2, 40, 3))
+    poses = np.concatenate([rng.normal(size=(2, 40, 3)) * 0.1, rng.normal(size=(2, 40, 4))], axis=-1)
+    gaps = np.concatenate([rng.uniform(0.0, 0.03, 16), np.zeros(8), -rng.uniform(0.0, 5e-4, 16)])
+    normal = rng.normal(size=(40, 3))
+    normal /= np.linalg.norm(normal, axis=-1)[:, None]
+    for i in range(40):
+        reach = support(axes[0, i], poses[0, i], -normal[i])[1] - poses[0, i, :3]
+        poses[0, i, :3] = support(axes[1, i], poses[1, i], normal[i])[1] + gaps[i] * normal[i] - reach
+    return axes, poses, gaps
+
+
+def support(axes, pose, n):
+    """How far an ellipsoid reaches along a direction, and its farthest point."""
+    turn = matrix(pose)
+    local = axes * (turn.T @ n)
+    size = np.linalg.norm(local)
+    return pose[:3] @ n + size, pose[:3] + turn @ (axes * local / size)
+
+
+def widest(axes, poses, starts):
+    """The largest separation by a plane, by SciPy from many starts."""
+
+    def overlap(v):
+        n = v / np.linalg.norm(v)
+        return 1e3 * (support(axes[0], poses[0], -n)[0] + support(axes[1], poses[1], n)[0])
+
+    options = {"xatol": 1e-13, "fatol": 1e-13, "maxiter": 4000, "maxfev": 4000}
+    found = [minimize(overlap, v, method="BFGS", options={"gtol": 1e-9}) for v in starts]
+    best = min(found, key=lambda f: f.fun)
+    best = minimize(overlap, best.x / np.linalg.norm(best.x), method="Nelder-Mead", options=options)
+    return -1e-3 * best.fun
+
+
+def test_two_ellipsoids_against_scipy():
+    axes, poses, gaps = ellipsoids()
+    many = jax.jit(
+        jax.vmap(lambda x, y, p, q: locate_surfaces(Ellipsoid(*x), Ellipsoid(*y), pose_a=p, pose_b=q))
+    )
+    found = many(axes[0], axes[1], poses[0], poses[1])
+    assert np.all(np.asarray(found.result == SUCCESS)) and np.all(np.asarray(found.unique))
+    assert float(found.residual.max()) <= 1e-12
+    np.testing.assert_allclose(found.gap, gaps, atol=1e-15)
+    starts = np.random.default_rng(2).normal(size=(12, 3))
+    for i in range(0, 40, 2):
+        gap = widest(axes[:, i], poses[:, i], starts)
+        np.testing.assert_allclose(float(found.gap[i]), gap, atol=1e-12)
+
+
+@jax.jit
+def crossed(turn, height):
+    """A rod across a ring, tilted a little."""
+    rod = Ellipsoid(0.05, 0.006, 0.008)
+    pose = jnp.stack([0.002, 0.0, height, jnp.cos(turn), 0.0, jnp.sin(turn), 0.0])
+    return locate_surfaces(rod, Torus(0.03, 0.011), pose_a=pose)
+
+
+def test_a_rod_on_a_ring_touches_twice():
+    found = crossed(0.02, 0.021)
+    assert found.result == SUCCESS and bool(found.unique) and int(found.others.count) == 1
+    assert float(found.residual) <= 1e-12
+    sides = np.array([found.points[1, 0], found.others.at_b[0, 0]])
+    assert sides.min() < -0.025 and sides.max() > 0.025
+    level = crossed(0.0, 0.021)
+    assert int(level.others.count) == 1
+    # Exchanged, the same two contacts.
+    rod, ring = Ellipsoid(0.05, 0.006, 0.008), Torus(0.03, 0.011)
+    pose = np.array([0.002, 0.0, 0.021, np.cos(0.02), 0.0, np.sin(0.02), 0.0])
+    other = locate_surfaces(ring, rod, pose_b=pose)
+    np.testing.assert_allclose(float(other.gap), float(found.gap), atol=1e-15)
+    np.testing.assert_allclose(float(other.others.gap[0]), float(found.others.gap[0]), atol=1e-15)
+    np.testing.assert_allclose(other.others.at_b[0], found.others.at_a[0], atol=1e-12)
+
+
+@pytest.mark.parametrize("centre", [(0.06, 0.01, 0.02), (0.004, 0.003, 0.001), (0.0, 0.024, 0.019)])
+def test_sphere_and_torus(centre):
+    """The distance of a point from a circle; also from inside the hole, and overlapping."""
+    found = locate_surfaces(Sphere(0.012), Torus(0.03, 0.011), pose_a=posed(centre))
+    x, y, z = centre
+    np.testing.assert_allclose(float(found.gap), np.hypot(np.hypot(x, y) - 0.03, z) - 0.023, atol=1e-15)
+    assert found.result == SUCCESS and bool(found.unique)
+
+
+def test_exchanged_scene_is_the_same():
+    """Where a place of `a` is in the frame of `b`, it is back in its own by the exchanged pose."""
+    pose = sp.pose(sp.Vec3(0.1, -0.2, 0.3), sp.normalised(tuple(TURN)))
+    scene = Scene3(Sphere(0.01), Torus(0.03, 0.011), pose, 0.02)
+    other = scene.reversed()
+    assert (other.a, other.b) == (scene.b, scene.a)
+    point = sp.Vec3(0.03, 0.05, -0.02)
+    np.testing.assert_allclose(other.pose.place(pose.place(point)).array(), point.array(), atol=1e-16)
+
+
+FORM = Implicit(lambda x, y, z: 0.01 * ((x / 0.03) ** 2 + (y / 0.02) ** 2 + (z / 0.012) ** 2 - 1.0))
+MET = {
+    "field of unknown size": FORM,
+    "field of known size": Implicit(FORM.function, radius=0.031),
+    "superellipsoid": Superellipsoid(0.03, 0.02, 0.012, exponent=4),
+    "moved": Ellipsoid(0.03, 0.02, 0.012).moved((0.01, 0.02, 0.0), TURN),
+    "extruded": Extruded(jxr.Ellipse(0.03, 0.02)),
+}
+
+
+@pytest.mark.parametrize("name", MET)
+def test_sphere_placed_along_a_normal(name):
+    """4 mm above a place of a convex surface, and 1 mm below it."""
+    shape = MET[name]
+    at = shape.near((0.02, 0.018, 0.008))
+    point, normal = np.asarray(shape.point(at)), np.asarray(shape.normal(at))
+    body = posed((0.1, 0.2, -0.1))
+    for gap in (0.004, -0.001):
+        ball = posed(body[:3] + matrix(body) @ (point + (0.01 + gap) * normal))
+        found = locate_surfaces(shape, Sphere(0.01), pose_a=body, pose_b=ball)
+        assert found.result == SUCCESS and bool(found.unique) and float(found.residual) <= 1e-12
+        np.testing.assert_allclose(float(found.gap), gap, atol=1e-15)
+        np.testing.assert_allclose(found.at_a, at, atol=1e-12)
+        np.testing.assert_allclose(found.normal, -matrix(body) @ normal, atol=1e-12)
+
+
+def test_overlap_without_a_single_nearest_point_is_reported():
+    found = locate_surfaces(Sphere(0.004), Ellipsoid(0.03, 0.03, 0.012))
+    assert found.result == jxr.RESULTS.too_deep and not bool(found.unique)
+
+
+def sphere_piece(n, radius):
+    u, v = np.meshgrid(np.linspace(-0.6, 0.6, n), np.linspace(-0.5, 0.5, n), indexing="ij")
+    return radius * np.stack([np.cos(u) * np.cos(v), np.sin(u) * np.cos(v), np.sin(v)], -1)
+
+
+@functools.cache
+def wall():
+    """The plane x = 0 as a field on a grid of 30 mm."""
+    slope = np.broadcast_to(0.01 * (np.arange(8) - 3.0)[:, None, None], (8, 8, 8))
+    return SplineSurface(slope, (-0.01, -0.01, -0.01), 0.01)
+
+
+@pytest.mark.parametrize("name", ["patch", "field"])
+def test_small_piece_and_a_sphere(name):
+    """A piece of a sphere by points, one of a plane by a field; past their ends there is no pair."""
+    ball, pose = Sphere(0.01), posed((0.04, 0.01, -0.008))
+    if name == "patch":
+        pair, place, past = (Patch(sphere_piece(16, 0.02)), ball), "pose_b", (0.0, 0.05, 0.0)
+        gap = np.linalg.norm(pose[:3]) - 0.03
+    else:
+        pair, place, past, gap = (ball, wall()), "pose_a", (0.04, 0.05, 0.0), 0.03
+    found = locate_surfaces(*pair, **{place: pose})
+    assert found.result == SUCCESS and float(found.residual) <= 1e-12
+    np.testing.assert_allclose(float(found.gap), gap, atol=1e-9)
+    assert locate_surfaces(*pair, **{place: posed(past)}).result == jxr.RESULTS.contour_end
+
+
+@jax.jit
+def meet(sizes, pose_a, pose_b):
+    shapes = Ellipsoid(sizes[0], sizes[1], sizes[2]), Torus(sizes[3], sizes[4])
+    return locate_surfaces(*shapes, pose_a=pose_a, pose_b=pose_b, samples=64, candidates=2)
+
+
+SIZES = np.array([0.03, 0.02, 0.012, 0.03, 0.011])
+PLACES = {"apart": 0.066, "overlapping": 0.0505}
+
+
+def case(name):
+    return SIZES, posed((PLACES[name], 0.012, 0.01)), posed((0.003, -0.002, 0.001), TURN[::-1])
+
+
+def measure(point):
+    found = meet(*point)
+    return 1e2 * jnp.concatenate([found.gap[None], found.at_a, found.at_b, 1e-2 * found.normal])
+
+
+VALUE, FORWARD, REVERSE = (jax.jit(f) for f in (measure, jax.jacfwd(measure), jax.jacrev(measure)))
+
+
+@pytest.mark.parametrize("name", PLACES)
+def test_gradient_of_the_gap_is_the_relative_velocity_along_the_normal(name):
+    r"""$\dot g = n \cdot (v_a + \omega_a \times r_a - v_b - \omega_b \times r_b)$."""
+    sizes, *poses = case(name)
+    found = meet(sizes, *poses)
+    assert found.result == SUCCESS and (float(found.gap) < 0.0) == (name == "overlapping")
+    rows = [1e-2 * np.asarray(row[0]) for row in REVERSE(case(name))[1:]]
+    n = np.asarray(found.normal)
+    for row, pose, point, sign in zip(rows, poses, found.points, (1.0, -1.0), strict=True):
+        np.testing.assert_allclose(row[:3], sign * n, atol=1e-12)
+        w, vector = pose[3], pose[4:]
+        for spin in np.eye(3):
+            rate = 0.5 * np.concatenate([[-spin @ vector], spin * w + np.cross(spin, vector)])
+            velocity = np.cross(spin, np.asarray(point) - pose[:3])
+            np.testing.assert_allclose(row[3:] @ rate, sign * n @ velocity, atol=1e-13)
+
+
+@pytest.mark.parametrize("name", PLACES)
+def test_derivatives_in_shapes_and_poses(name):
+    """Taylor remainders of gap, coordinates and normal fall as the square of the step; both modes agree."""
+    point, rng = case(name), np.random.default_rng(0)
+    direction = tuple(0.01 * rng.standard_normal(x.shape) for x in point)
+    forward, reverse = (
+        sum(np.asarray(row) @ d for row, d in zip(rows(point), direction, strict=True))
+        for rows in (FORWARD, REVERSE)
+    )
+    np.testing.assert_allclose(reverse, forward, rtol=1e-9, atol=1e-12)
+    steps = np.array([1e-1, 1e-2, 1e-3])
+    for i, slope in enumerate(forward):
+        left = taylor_remainders(lambda p, i=i: VALUE(p)[i], point, direction, slope, steps)
+        assert np.polyfit(np.log(steps), np.log(left), 1)[0] > 1.85, (i, left)
+
+
+@pytest.mark.parametrize("name", PLACES)
+def test_coordinates_against_central_differences(name):
+    sizes, pose_a, pose_b = case(name)
+    slope = np.asarray(FORWARD(case(name))[1])[1:7]
+    for i, step in enumerate([1e-6] * 3 + [1e-5] * 4):
+        move = step * np.eye(7)[i]
+        ends = [np.asarray(VALUE((sizes, pose_a + s * move, pose_b)))[1:7] for s in (1.0, -1.0)]
+        np.testing.assert_allclose(slope[:, i], (ends[0] - ends[1]) / (2.0 * step), rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_second_derivative_of_the_gap():
+    """Two spheres: the Hessian of the distance of their centres."""
+    gap = lambda p: spheres((0.01, 0.02), jnp.concatenate([p, jnp.asarray(TURN)]), STILL).gap  # noqa: E731
+    p = np.array([0.04, 0.03, 0.02])
+    away = np.linalg.norm(p)
+    exact = (np.eye(3) - np.outer(p, p) / away**2) / away
+    np.testing.assert_allclose(jax.hessian(gap)(jnp.asarray(p)), exact, atol=1e-10)
+
+
+def test_vmap_is_a_loop():
+    poses = np.stack([case(name)[1] for name in PLACES])
+    sizes, _, pose_b = case("apart")
+    many = jax.vmap(lambda p: meet(sizes, p, pose_b))(poses)
+    for i, pose in enumerate(poses):
+        one = meet(sizes, pose, pose_b)
+        assert one.result == SUCCESS and bool((many.result == SUCCESS)[i])
+        np.testing.assert_allclose(many.gap[i], one.gap, atol=1e-16)
+        np.testing.assert_allclose(many.at_a[i], one.at_a, atol=1e-14)
+        np.testing.assert_allclose(many.at_b[i], one.at_b, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("pair", "options", "words"),
+    [
+        ((Plane(), Cylinder(0.01)), {}, "a or b must be a bounded surface, but they were Plane and Cyl"),
+        ((Sphere(0.01), 0.01), {}, "argument b must be a surface"),
+        ((Sphere(0.01), Plane()), {"pose_a": (0.0, 1.0)}, r"argument pose_a must have shape \(7\)"),
+        ((Sphere(0.01), Plane()), {"pose_b": np.zeros(7)}, "argument pose_b must end with a quaternion"),
+        ((Sphere(0.01), Plane()), {"samples": 4}, "argument samples must be an integer of at least 16"),
+        ((Sphere(0.01), Plane()), {"candidates": 0}, "argument candidates must be an integer of at least 1"),
+    ],
+)  # fmt: skip
+def test_bad_arguments_say_what_they_must_be(pair, options, words):
+    with pytest.raises(ValueError, match=words):
+        locate_surfaces(*pair, **options)

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
         pinch_balance,
         press_balance,
         residuals,
+        roll,
         simulate,
         Trajectory,
     )
@@ -98,6 +99,7 @@ _HOMES: dict[str, str | None] = {
     "pinch_balance": "integration",
     "press_balance": "integration",
     "residuals": "integration",
+    "roll": "integration",
     "simulate": "integration",
     "Finger": "mechanics",
     "Finger3": "mechanics",
@@ -157,6 +159,7 @@ __all__ = [  # noqa: PLE0604
     "plotting",
     "press_balance",
     "residuals",
+    "roll",
     "scenes",
     "simulate",
     "stability",

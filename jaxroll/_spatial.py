@@ -135,6 +135,35 @@ def pose(origin: Vec3, q: Quaternion) -> Pose3:
     return Pose3(origin, *rotation(q))
 
 
+def quaternion_of(frame: Pose3) -> Quaternion:
+    """The unit quaternion, scalar first, of a frame's axes; its scalar part is not negative.
+
+    Of the four ways to read it off, the one whose largest part is largest, and so well-conditioned.
+    """
+    x, y, z = frame.x, frame.y, frame.z
+    sums = (
+        1.0 + x.x + y.y + z.z,
+        1.0 + x.x - y.y - z.z,
+        1.0 - x.x + y.y - z.z,
+        1.0 - x.x - y.y + z.z,
+    )
+    turned, mixed = (y.z - z.y, z.x - x.z, x.y - y.x), (x.y + y.x, z.x + x.z, y.z + z.y)
+    rows = (
+        (sums[0], *turned),
+        (turned[0], sums[1], mixed[0], mixed[1]),
+        (turned[1], mixed[0], sums[2], mixed[2]),
+        (turned[2], mixed[1], mixed[2], sums[3]),
+    )
+    table, largest = jnp.stack([jnp.stack(row) for row in rows]), jnp.argmax(jnp.stack(sums))
+    found = jnp.where(table[largest, 0] < 0, -1.0, 1.0) * table[largest]
+    return normalised((found[0], found[1], found[2], found[3]))
+
+
+def seven(frame: Pose3) -> jax.Array:
+    """A pose at the public door: position and unit quaternion, shape (7,)."""
+    return jnp.stack([*frame.origin, *quaternion_of(frame)])
+
+
 def quaternion_product(left: Quaternion, right: Quaternion) -> Quaternion:
     """Hamilton's product: the rotation of `left` after that of `right`."""
     a, u = left[0], Vec3(*left[1:])

@@ -11,7 +11,8 @@ from chapter_part1 import Part1
 
 import jaxroll as jxr
 from jaxroll.control import Sensed
-from jaxroll.integration._closed_loop import power, sensed
+from jaxroll.integration import Index1
+from jaxroll.integration._closed_loop import evaluate, power, sensed
 from jaxroll.mechanics import bodies, to_leaves
 
 SENSE = np.array([1.0, -1.0])
@@ -60,7 +61,7 @@ def torques(grasp, state):
     """Joint torques of the grasp's controller, shape (5,)."""
     ready = grasp.prepared()
     leaves = to_leaves(state, ready.form)
-    blocks = ready.controller.torques(0.0, sensed(leaves, bodies(ready, leaves)[0]))
+    blocks = ready.controller.torques(0.0, sensed(ready, leaves, bodies(ready, leaves)[0]))
     return jnp.stack([u for block in blocks for u in block])
 
 
@@ -119,7 +120,9 @@ def test_power_identity_18(pinch, chapter):
     assert drive == pytest.approx(-chapter.potential_rate(X, v) - spent, rel=1e-13)
     ready = grasp.prepared()
     leaves = to_leaves(state, ready.form)
-    assert float(power(ready, 0.0, leaves, bodies(ready, leaves)[0])) == pytest.approx(-spent, rel=1e-13)
+    assert float(power(ready, 0.0, leaves, evaluate(ready, 0.0, leaves, Index1()))) == pytest.approx(
+        -spent, rel=1e-13
+    )
 
 
 def test_control_is_blind(pinch, chapter):

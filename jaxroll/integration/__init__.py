@@ -22,5 +22,6 @@ from ._observe import (
 )
 from ._pinch import check_pinch as check_pinch, pinch_balance as pinch_balance, PinchBalance as PinchBalance
 from ._press import press_balance as press_balance, PressBalance as PressBalance
+from ._roll import roll as roll, Rolled as Rolled
 from ._simulate import simulate as simulate
 from ._trajectory import Stats as Stats, Trajectory as Trajectory

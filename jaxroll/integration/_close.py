@@ -10,7 +10,8 @@ from jaxtyping import Array
 from .._algebra import factorise, Pose2, sharing
 from .._backend import differentiable_kernel
 from .._results import concrete
-from ..contact import locate as locate_contours
+from .._spatial import Pose3, seven
+from ..contact import locate as locate_contours, locate_surfaces
 from ..mechanics import (
     bodies,
     compiled,
@@ -88,26 +89,40 @@ def close(
 
 
 def _at_closest_points(grasp: Grasp, guess: State) -> tuple[Grasp, State]:
-    """The grasp with its contacts at the closest points of their contours at the guessed pose."""
-    pairs = [(contact.finger, contact.contour) for contact in grasp.contacts]
+    """The grasp with its contacts at the closest points of their shapes at the guessed pose."""
+    pairs = [(contact.finger, contact.touched) for contact in grasp.contacts]
     if len(set(pairs)) < len(pairs):
         raise ValueError(
             f"argument locate must be False if two contacts share contours, but was True: {pairs}"
         )
+    frames = poses(grasp, split(guess.q, grasp.form.positions))
+    if grasp.spatial:
+        return grasp, State(guess.q, guess.v, _closest_places(grasp, frames))
     for i, contact in enumerate(grasp.contacts):
         if any(contour.domain() is None for contour in grasp.shapes(contact)):
             raise ValueError(
                 f"argument locate must be False for endless contours, as those of contact {i} are"
             )
-    body, *tips = poses(grasp, split(guess.q, grasp.form.positions))
     found = []
     for contact in grasp.contacts:
         tip, face = grasp.shapes(contact)
-        pair = locate_contours(tip, face, pose_a=_numbers(tips[contact.finger]), pose_b=_numbers(body))
+        at = {"pose_a": _numbers(frames[1 + contact.finger]), "pose_b": _numbers(frames[0])}
+        pair = locate_contours(tip, face, **at)
         found += [pair.s[0], pair.s[1]]
     places = lambda g: [s for c in g.contacts for s in (c.s_tip, c.s_object)]  # noqa: E731
     located = eqx.tree_at(places, grasp, found)
     return located, State(guess.q, guess.v, jnp.zeros_like(guess.s))
+
+
+def _closest_places(grasp: Grasp, frames: tuple[Pose3, ...]) -> Array:
+    """Contact coordinates of the closest points of both surfaces of every contact."""
+    places = []
+    for contact in grasp.contacts:
+        tip, face = grasp.shapes(contact)
+        at = {"pose_a": seven(frames[1 + contact.finger]), "pose_b": seven(frames[0])}
+        found = locate_surfaces(tip, face, **at)
+        places += [found.at_a, found.at_b]
+    return jnp.concatenate(places)
 
 
 def _numbers(pose: Pose2) -> Array:

@@ -7,7 +7,7 @@ from typing import Any
 import jax
 from jaxtyping import Array
 
-from .._algebra import once, total
+from .._algebra import inner, once, total
 from .._types import Scalar, Scalars
 from ..control import as_controller, joint_angles, sense, Sensed
 from ..mechanics import (
@@ -93,12 +93,14 @@ def control_potential(grasp: Grasp, leaves: Leaves, tips: Sequence[Any]) -> Scal
     return as_controller(grasp.controller).potential([tip.origin for tip in tips], angles)
 
 
-def power(grasp: Grasp, t: Scalar, leaves: Leaves, motions: Sequence[Motion]) -> Scalar:
+def power(grasp: Grasp, t: Scalar, leaves: Leaves, instant: Instant) -> Scalar:
     r"""Power [W] that changes $K + P$: $\sum u \cdot \dot q + \dot P$, (18) and (20).
 
     With the built-in controllers it is minus the dissipation; with a user's controller, whose
-    potential is unknown, it is the whole power of the joint torques.
+    potential is unknown, it is the whole power of the joint torques. Bodies that move as prescribed do
+    work too: $-\mu \cdot b$ at a contact whose gap they close at the rate b.
     """
+    motions = instant.motions
     controller = as_controller(grasp.controller)
     torques = controller.torques(t, sensed(grasp, leaves, motions))
     drive = total(
@@ -111,7 +113,12 @@ def power(grasp: Grasp, t: Scalar, leaves: Leaves, motions: Sequence[Motion]) ->
         (tips, joint_angles(grasp, leaves.q)),
         (moves, leaves.v[1:]),
     )
-    return drive + stored
+    pushed = [
+        inner(force, given)
+        for force, given in zip(instant.forces, instant.line.drift, strict=True)
+        if given is not None
+    ]
+    return drive + stored - total(pushed)
 
 
 def settle(grasp: Grasp, leaves: Leaves, anchor: Anchor) -> Leaves:

@@ -178,6 +178,6 @@ def _locus(ts: Array, jet: _Jet) -> Locus:
 
 def _integrated(ts: Array, rate: Array, slope: Array) -> Array:
     """Integral of a rate from its values and slopes, over the last axis: Hermite's rule."""
-    h = jnp.diff(ts)
+    h = jnp.diff(ts)[None]
     parts = 0.5 * h * (rate[:, :-1] + rate[:, 1:]) + h**2 / 12.0 * (slope[:, :-1] - slope[:, 1:])
     return jnp.pad(jnp.cumsum(parts, axis=-1), ((0, 0), (1, 0)))

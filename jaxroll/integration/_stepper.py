@@ -143,7 +143,7 @@ class RollingStep(eqx.Module):
         """Time derivative of x, and all else that its evaluation worked out."""
         leaves, _ = unpack(self.lay, x)
         instant = evaluate(grasp, t, leaves, self.formulation)
-        gained = power(grasp, t, leaves, instant.motions) if self.lay.audited else None
+        gained = power(grasp, t, leaves, instant) if self.lay.audited else None
         return pack(instant.rates, gained), instant
 
     def _other(

@@ -54,7 +54,7 @@ class FreeObject3(AbstractBody):
         *,
         outline: Given | None = None,
     ) -> None:
-        listed = (surfaces,) if isinstance(surfaces, AbstractSurface) else tuple(surfaces)
+        listed = tuple(surfaces) if isinstance(surfaces, Sequence) else (surfaces,)
         if not listed or not all(isinstance(s, AbstractSurface) for s in listed):
             raise ValueError(f"argument surfaces must be one or more surfaces, but was {surfaces!r}")
         self.surfaces = listed

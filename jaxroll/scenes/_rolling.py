@@ -3,10 +3,10 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._spatial import pose, Vec3
 from .._types import Given
 from ..contact import Contact3
 from ..geometry import Cylinder, Ellipsoid, Hollow, Plane, Sphere, Torus
-from ..integration import close
 from ..mechanics import FreeObject3, Grasp, Stage, State, Turning
 
 _SOLID = 0.4  # k in the inertia k m r^2 of a solid ball
@@ -223,20 +223,14 @@ def rattleback(
     tensor = turn @ jnp.diag(jnp.asarray(inertia, float)) @ turn.T
     body = FreeObject3(shape, mass, 0.5 * (tensor + tensor.T))
     grasp = Grasp(body, Stage(Plane()), Contact3(), gravity=_down(gravity))
-    height = jnp.asarray(axes, float)[2]
-    q = jnp.stack([zero, zero, height - low, jnp.cos(half), jnp.sin(half), zero, zero])
-    place = shape.near(jnp.stack([zero, zero, low - 2.0 * height]))
-    guess = State(q, jnp.zeros(6), jnp.concatenate([jnp.zeros(3), place]))
-    grasp, state = close(grasp, guess, hold_contacts=False)
-    return grasp, State(
-        state.q, rolling_velocity(grasp, state, jnp.stack([zero, zero, jnp.asarray(spin, float)])), state.s
-    )
-
-
-def rolling_velocity(grasp: Grasp, state: State, spin: Array) -> Array:
-    r"""Velocity of a body rolling on a fixed stage with this spin in body axes: $v = -\omega \times r$."""
-    ready = grasp.prepared()
-    pose = ready.object.pose(tuple(state.q[:7]))
-    at = ready.object.surfaces[0].frame(tuple(state.s[-3:])).point
-    arm, turning = pose.turn(at).array(), pose.turn(type(at)(*spin)).array()
-    return jnp.concatenate([-jnp.cross(turning, arm), spin])
+    # The lowest point of an ellipsoid, from its support function at the vertical in body axes.
+    up = jnp.stack([zero, 2.0 * jnp.sin(half) * jnp.cos(half), jnp.cos(2.0 * half)])
+    squares = jnp.asarray(axes, float) ** 2
+    lowest = -squares * up / jnp.sqrt(jnp.sum(squares * up**2))
+    arm = lowest + jnp.stack([zero, zero, low])
+    q = jnp.stack([zero, zero, -arm @ up, jnp.cos(half), jnp.sin(half), zero, zero])
+    about = jnp.stack([zero, zero, jnp.asarray(spin, float)])
+    tilted = pose(Vec3(zero, zero, zero), (q[3], q[4], zero, zero))
+    there, across = tilted.turn(Vec3(*arm)), tilted.turn(Vec3(*about).cross(Vec3(*arm)))
+    place = jnp.stack([there.x, there.y, zero, *lowest])
+    return grasp, State(q, jnp.concatenate([-across.array(), about]), place)

@@ -27,6 +27,8 @@ Place = tuple[Scalars, Scalars]
 
 # The row that prevents spin is the rate of an angle; this arm makes it one of a length [m].
 _ARM = 0.01
+# Returns to the surfaces after a step while a start is sought.
+_RETURNS = 4
 # Keeps the size of a tangential force differentiable where there is none [N^2].
 _NO_FORCE = 1e-24
 
@@ -200,7 +202,9 @@ class Contact3(AbstractContact):
         for shape, at, (along, across) in zip(shapes, place, (step[:2], step[2:]), strict=True):
             first, second = tangents(shape.frame(at).normal)
             moves.append(first * along + second * across)
-        return self.onto(shapes, _carried(shapes, place, (moves[0], moves[1])))
+        carried = jax.tree.map(jnp.asarray, _carried(shapes, place, (moves[0], moves[1])))
+        # A step may be long, and leave the surfaces by more than one return brings back to rounding.
+        return jax.lax.fori_loop(0, _RETURNS, lambda _, place: self.onto(shapes, place), carried)
 
     def equations(self, poses: tuple[Pose3, Pose3], touch: Touch3) -> Scalars:
         tip, body = (

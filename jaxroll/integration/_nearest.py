@@ -60,6 +60,12 @@ class _Problem(eqx.Module):
             left, pull = jax.vjp(self.rows, step)
             return jnp.concatenate([self.metric @ step + pull(pressure)[0], left])
 
+    def slopes(self, z: Array) -> Array:
+        """Jacobian of the conditions, one column after the other: side by side compiles thrice as long."""
+        unit = lambda i: jnp.where(jnp.arange(z.shape[0]) == i, 1.0, 0.0).astype(z.dtype)  # noqa: E731
+        column = lambda i: jax.jvp(self.conditions, (z,), (unit(i),))[1]  # noqa: E731
+        return jax.lax.map(column, jnp.arange(z.shape[0])).T
+
 
 def nearest(grasp: Grasp, guess: State, hold: bool) -> Array:
     """Displacement from a guess, as `moved` takes it, to the nearest closed configuration.
@@ -89,7 +95,7 @@ def _nearest_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
     left, jacobian = one_kernel(_Problem.linearised, problem, step)
     pressure = -_pressure(jacobian, problem.metric, jacobian @ step)
     z = jnp.concatenate([step, pressure])
-    matrix = one_kernel(lambda p, z: jax.jacfwd(p.conditions)(z), problem, z)
+    matrix = one_kernel(_Problem.slopes, problem, z)
     if step.shape[0] == left.shape[0]:  # nothing left to minimise: the rows alone
         matrix, start = jacobian, step.shape[0]
     else:
@@ -100,11 +106,14 @@ def _nearest_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
 
 
 def _pressure(jacobian: Array, metric: Array, right: Array) -> Array:
-    """Solve with $A M^{-1} A^T$."""
+    """Solve with $A M^{-1} A^T$, its rows scaled to unit diagonal."""
     schur = jacobian @ jnp.linalg.solve(metric, jacobian.T)
-    # Redundant rows (an over-determined pose) make it singular: a ridge far below rounding's reach.
-    ridge = 1e-14 * jnp.trace(schur) * jnp.eye(right.shape[0], dtype=right.dtype)
-    return jnp.linalg.solve(schur + ridge, right)
+    scale = 1.0 / jnp.sqrt(jnp.diag(schur))
+    unit = schur * jnp.outer(scale, scale)
+    # Redundant rows (an over-determined pose) make it singular: a ridge; a second pass takes its error back.
+    firm = unit + 1e-13 * jnp.eye(right.shape[0], dtype=right.dtype)
+    first = jnp.linalg.solve(firm, right * scale)
+    return scale * (first + jnp.linalg.solve(firm, right * scale - unit @ first))
 
 
 def _normal(jacobian: Array, metric: Array, right: Array) -> Array:

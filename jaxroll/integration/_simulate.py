@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array
 
 from .._algebra import total
+from .._backend import differentiable_kernel
 from .._results import concrete, message, RESULTS
 from .._types import Given
 from ..mechanics import check_planar, Grasp, State
@@ -205,7 +206,7 @@ def _trajectory(
     lay, way = plan.stepper.lay, plan.stepper.formulation
     states = states_of(lay, path.saved)
     both = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), state, states)
-    left = jax.vmap(lambda s: residuals_at(grasp, s))(both)
+    left = differentiable_kernel(jax.vmap(residuals_at, in_axes=(None, 0)), grasp, both)
     off = worst(jax.tree.map(lambda a: a[0], left))
     on_constraints = isinstance(way, CSM) | (off <= reach(state.q.dtype))
     forces = energy = None

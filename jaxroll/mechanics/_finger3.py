@@ -260,7 +260,7 @@ def _cylinders(masses: Array, offsets: Array) -> Array:
     square_ = jnp.sum(offsets**2, axis=-1)
     radius = _THICKNESS * jnp.mean(jnp.sqrt(square_))
     along = offsets[:, :, None] * offsets[:, None, :]
-    eye = jnp.eye(3, dtype=offsets.dtype)
+    eye = jnp.eye(3, dtype=offsets.dtype)[None]
     rod = (square_[:, None, None] * eye - along) / 12.0
     unit = along / jnp.where(square_ > 0, square_, 1.0)[:, None, None]
     return masses[:, None, None] * (rod + radius**2 * (eye + unit) / 4.0)

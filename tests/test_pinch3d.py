@@ -1,0 +1,226 @@
+"""Part 3: a pinch in space against a second formulation, its rows, its planar case and its gradients."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import reference3d as reference
+
+import jaxroll as jxr
+
+TS = np.linspace(0.0, 1.0, 11)
+
+
+def shape(surface):
+    """A tip or an object's surface for the reference."""
+    if isinstance(surface, jxr.Sphere):
+        return reference.sphere(float(surface.radius))
+    if isinstance(surface, jxr.Ellipsoid):
+        return reference.Ellipsoid(tuple(float(x) for x in (surface.a, surface.b, surface.c)))
+    at = surface.near(np.zeros(3))
+    return reference.Plane(tuple(np.asarray(surface.point(at))), tuple(np.asarray(surface.normal(at))))
+
+
+def judge(grasp, **options):
+    """The same grasp in the reference: numbers alone are shared."""
+    fingers = []
+    for f in grasp.fingers:
+        numbers = (np.asarray(x) for x in (f.base, f.axes, f.offsets, f.masses, f.centres, f.inertias))
+        fingers.append(reference.Chain(*numbers, shape(f.tip)))
+    body = grasp.object
+    inner = reference.Body(float(body.mass), np.asarray(body.inertia), tuple(map(shape, body.surfaces)))
+    scene, _ = reference.pinch3d()
+    contacts = tuple((c.finger, c.surface) for c in grasp.contacts)
+    return replace(scene, fingers=tuple(fingers), body=inner, contacts=contacts, **options)
+
+
+def egg():
+    """An ellipsoid of 20 g to be pinched."""
+    axes, mass = np.array([0.015, 0.025, 0.020]), 0.02
+    return jxr.FreeObject3(jxr.Ellipsoid(*axes), mass, mass / 5 * (np.sum(axes**2) - axes**2))
+
+
+KINDS = {
+    "cuboid": {},
+    "ellipsoids": {"object": egg(), "tips": jxr.Ellipsoid(0.010, 0.008, 0.009)},
+    "spin prevented": {"spin": "prevented"},
+    "gravity": {"gravity": (0.3, -1.0, 0.5)},
+}
+AS_TOLD = {"spin prevented": {"no_spin": True}, "gravity": {"gravity": (0.3, -1.0, 0.5)}}
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def case(request):
+    scene = jxr.scenes.pinch3d(**KINDS[request.param])
+    run = jxr.simulate(*scene, t1=1.0, ts=TS, record=("multipliers", "energy"), rtol=1e-11)
+    return request.param, scene, run
+
+
+def test_motion_and_forces_against_a_second_formulation(case):
+    """Located contacts, null space and SciPy; neither rows nor integration are shared."""
+    kind, (grasp, state), run = case
+    scene = judge(grasp, **AS_TOLD.get(kind, {}))
+    q, v = reference.simulate(scene, np.asarray(state.q), np.asarray(state.v), TS)
+    assert np.abs(run.states.q - q).max() <= 1e-8
+    assert np.abs(run.states.v - v).max() <= 1e-8
+    assert np.abs(q[-1] - q[0]).max() > 1e-2  # it moves
+    for i in (0, 10):
+        normal, tangential, spin = reference.forces(scene, q[i], v[i])
+        np.testing.assert_allclose(run.multipliers.f[i], normal, atol=1e-7)
+        np.testing.assert_allclose(run.multipliers.lam[i], -np.asarray(tangential), atol=1e-7)
+
+
+def test_rows_and_energy(case):
+    _, _, run = case
+    left = run.residuals
+    for part in (left.normal, left.tangential, left.tangency):
+        assert np.abs(part).max() <= 1e-12
+    size = np.abs(run.energy.kinetic + run.energy.potential).max()
+    assert np.abs(run.energy.residual).max() <= 1e-9 * size
+    np.testing.assert_allclose(np.linalg.norm(run.states.q[:, 3:7], axis=-1), 1.0, atol=1e-15)
+
+
+def test_contact_points_stay_on_their_surfaces(case):
+    kind, (grasp, _), run = case
+    if kind != "ellipsoids":
+        pytest.skip("the ellipsoids' is the hard case")
+    tip, body = grasp.fingers[0].tip, grasp.object.surfaces[0]
+    for surface, at in ((tip, run.states.s[:, :3]), (body, run.states.s[:, 3:6])):
+        axes = np.array([float(surface.a), float(surface.b), float(surface.c)])
+        assert np.abs(np.sum((np.asarray(at) / axes) ** 2, axis=-1) - 1.0).max() <= 1e-14
+
+
+def test_default_settings_are_within_a_micrometre():
+    grasp, state = jxr.scenes.pinch3d()
+    runs = [jxr.simulate(grasp, state, t1=1.0, ts=TS, rtol=rtol).states.q for rtol in (1e-8, 1e-11)]
+    assert np.abs(runs[0] - runs[1]).max() <= 1e-8
+
+
+def flat(spatial):
+    """A planar pinch with round tips, and the same in space: cylinders, a cuboid, joints about z."""
+    grasp, state = jxr.scenes.ball_plate(alpha=0.0)
+    if not spatial:
+        return grasp, state
+    fingers = []
+    for finger in grasp.fingers:
+        k = finger.joints
+        along = lambda x, k=k: np.stack([np.asarray(x), np.zeros(k), np.zeros(k)], axis=-1)  # noqa: E731
+        turning = np.zeros((k, 3, 3)) + 1e-9 * np.eye(3)
+        turning[:, 2, 2] = finger.inertias
+        options = {"base": np.append(finger.base, 0.0), "centres": along(finger.centres), "inertias": turning}
+        axes = np.tile([0.0, 0.0, 1.0], (k, 1))
+        fingers.append(
+            jxr.Finger3(axes, along(finger.lengths), finger.masses, jxr.geometry.Cylinder(0.01), **options)
+        )
+    body = jxr.scenes.cuboid(0.03, 0.05, 0.05, 0.02)
+    inertia = np.asarray(body.inertia).copy()
+    inertia[2, 2] = float(grasp.object.inertia)
+    body = jxr.FreeObject3(body.surfaces, 0.02, inertia)
+    contacts = [jxr.Contact3(i, i, line=True) for i in range(2)]
+    control = jxr.control.Opposition(20.0, 0.006, start=jnp.zeros(2))
+    x, y, turn = np.asarray(state.q[:3])
+    q = np.concatenate([[x, y, 0, np.cos(turn / 2), 0, 0, np.sin(turn / 2)], state.q[3:]])
+    return jxr.Grasp(body, fingers, contacts, controller=control), q
+
+
+def test_planar_scene_in_space_is_the_planar_one():
+    grasp, state = flat(False)
+    spatial, q = flat(True)
+    body, tips = spatial.object, spatial.fingers
+    places = []
+    for i, finger in enumerate(spatial.fingers):
+        pose = finger.prepared().pose(tuple(jnp.asarray(q[7 + 3 * i : 7 + 3 * i + finger.joints])))
+        reach = body.surfaces[i].near(_in(q, np.asarray(pose.origin.array())))
+        there = _out(q, np.asarray(body.surfaces[i].point(reach)))
+        local = jnp.stack(list(pose.local(type(pose.origin)(*there))))
+        places += [tips[i].tip.near(local), reach]
+    start = jxr.State(jnp.asarray(q), jnp.zeros(11), jnp.concatenate(places))
+    _, start = jxr.close(spatial, start)
+    np.testing.assert_allclose(start.q, q, atol=1e-12)
+    flat_run = jxr.simulate(grasp, state, t1=1.0, ts=TS, rtol=1e-11, record=("multipliers",))
+    run = jxr.simulate(spatial, start, t1=1.0, ts=TS, rtol=1e-11, record=("multipliers",))
+    turn = 2 * np.arctan2(run.states.q[:, 6], run.states.q[:, 3])
+    found = np.concatenate([run.states.q[:, :2], turn[:, None], run.states.q[:, 7:]], axis=-1)
+    assert np.abs(found - flat_run.states.q).max() <= 1e-9
+    assert np.abs(run.multipliers.f - flat_run.multipliers.f).max() <= 1e-9
+    assert np.abs(run.states.q[:, 2]).max() <= 1e-12  # it stays in the plane
+
+
+def _in(q, point):
+    """A world point in the object's axes."""
+    return reference.matrix(q[3:7]).T @ (point - q[:3])
+
+
+def _out(q, point):
+    return q[:3] + reference.matrix(q[3:7]) @ point
+
+
+def final(axes):
+    """Where the object is after 0.3 s, fingertips and object of these semi-axes."""
+    options = {"object": egg(), "tips": jxr.Ellipsoid(0.010, 0.008, 0.009)}
+    grasp, state = jxr.scenes.pinch3d(**options)
+    tip = jxr.Ellipsoid(*axes[:3])
+    moved = grasp.with_tip(0, tip).with_tip(1, tip).with_(surfaces=(jxr.Ellipsoid(*axes[3:]),))
+    closed = jxr.close(moved, state, hold_contacts=False)
+    return jxr.simulate(*closed, t1=0.3, ts=2, rtol=1e-11).last.q[:7]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mode", ["forward", "reverse"])
+def test_gradient_in_surface_parameters_through_close_and_simulate(mode):
+    """Semi-axes of both tips and of the object, against central differences of fourth order."""
+    axes = jnp.array([0.010, 0.008, 0.009, 0.015, 0.025, 0.020])
+    way = jnp.array([1.0, -0.5, 0.7, 0.4, -1.0, 0.8])
+    weights = jnp.array([1.0, 2.0, -1.0, 0.5, 0.3, -0.7, 1.5])
+    cost = lambda axes: final(axes) @ weights  # noqa: E731
+    forward = mode == "forward"
+    slope = jax.jvp(cost, (axes,), (way,))[1] if forward else jax.grad(cost)(axes) @ way
+    h = 2e-5
+    samples = [float(cost(axes + k * h * way)) for k in (-2, -1, 1, 2)]
+    central = (samples[0] - 8 * samples[1] + 8 * samples[2] - samples[3]) / (12 * h)
+    assert float(slope) == pytest.approx(central, rel=1e-6)
+
+
+def test_close_from_located_contacts():
+    """`locate=True` finds the contacts of a displaced pose by itself."""
+    grasp, state = jxr.scenes.pinch3d(object=egg(), tips=jxr.Sphere(0.01))
+    rng = np.random.default_rng(1)
+    moved = state.q.at[:3].add(1e-3 * rng.normal(size=3)).at[7:].add(0.02 * rng.normal(size=6))
+    lost = jxr.State(moved, state.v, jnp.ones_like(state.s) * 0.004)
+    _, found = jxr.close(grasp, lost, locate=True)
+    left = jxr.residuals(grasp, found)
+    for part in (left.normal, left.tangential, left.tangency):
+        assert np.abs(part).max() <= 1e-14
+
+
+def test_close_out_of_reach_names_the_worst_row():
+    grasp, state = jxr.scenes.pinch3d()
+    far = jxr.State(state.q.at[0].add(1.0), state.v, state.s)
+    with pytest.raises(ValueError, match="argument guess must be near a pose that closes every contact"):
+        jxr.close(grasp.with_(mass=1e9), far)
+
+
+def test_batch_of_grasps_is_the_grasps():
+    grasp, state = jxr.scenes.pinch3d()
+    betas = jnp.array([15.0, 20.0, 25.0])
+
+    def end(beta):
+        return jxr.simulate(grasp.with_(beta=beta), state, t1=0.3, ts=2, throw=False).last.q
+
+    np.testing.assert_allclose(jax.vmap(end)(betas), [end(beta) for beta in betas], atol=1e-10)
+
+
+def test_blind_control_sees_tips_in_space():
+    """A user's controller gets positions and Jacobians of shape (3,) and (3, k)."""
+
+    def push(t, angles, rates, tips):
+        pulls = (tips[0].position - tips[1].position, tips[1].position - tips[0].position)
+        each = zip(rates, tips, pulls, strict=True)
+        return tuple(-0.006 * rate - 20.0 * tip.jacobian.T @ pull for rate, tip, pull in each)
+
+    grasp, state = jxr.scenes.pinch3d()
+    own = jxr.simulate(grasp.with_(controller=push), state, t1=0.2, ts=2)
+    known = jxr.simulate(grasp, state, t1=0.2, ts=2)
+    np.testing.assert_allclose(own.states.q, known.states.q, atol=1e-11)

@@ -37,6 +37,8 @@ class Demo:
         scene: Lines about a grasp and its start.
         facts: Lines about a run of it.
         shown: The first seconds, which are animated and saved densely. Default: the whole run.
+        animated: What else `plotting.animate` is told.
+        page: Whether there is a page for a browser too.
     """
 
     title: str
@@ -46,6 +48,8 @@ class Demo:
     scene: Callable[[Any, Any], list[str]]
     facts: Callable[[Any, Any], list[str]]
     shown: float = math.inf
+    animated: Callable[[Any], dict[str, Any]] = lambda plotting: {}
+    page: bool = False
 
 
 class _Parser(argparse.ArgumentParser):
@@ -186,14 +190,27 @@ def _run(options: argparse.Namespace, demo: Demo, folder: Path) -> None:
         names.append("motion.gif")
         until = min(seconds, demo.shown)
         speed = max(demo.speed, until / _LONGEST_GIF)
-        pace = {"fps": _FPS, "speed": speed, "until": until}
+        pace = {"fps": _FPS, "speed": speed, "until": until} | demo.animated(plotting)
         with _timed("Animating"):
             plotting.animate(grasp, run, folder / "motion.gif", progress=_progress, **pace)
+    missing = _page(demo, folder, names, (plotting, grasp, run)) if demo.page else []
     print(f"jaxroll {__version__}, {options.scene}: {demo.title}")
     print("\n".join([*scene, f"{run}", *facts]))
     print(f"  wall time   {first['s']:.3g} s with compilation, {again['s']:.3g} s again")
     print(f"Files in {folder}:")
-    print("  " + ", ".join(names))
+    print("\n".join(["  " + ", ".join(names), *missing]))
+
+
+def _page(demo: Demo, folder: Path, names: list[str], drawn: tuple[Any, Any, Any]) -> list[str]:
+    """Write page.html, or say what that needs."""
+    plotting, grasp, run = drawn
+    try:
+        with _timed("Writing the page"):
+            plotting.page(grasp, run, folder / "page.html", title=demo.title)
+    except ImportError as error:
+        return [f"  no page.html: {error}"]
+    names.append("page.html")
+    return []
 
 
 def _save_times(demo: Demo, seconds: float) -> Any:
@@ -312,6 +329,44 @@ def _checks(run: Any) -> list[str]:
     ]
 
 
+def _pinch3d_scene(grasp: Any, state: Any) -> list[str]:
+    import numpy as np
+
+    control, body = grasp.controller, grasp.object
+    links = [np.linalg.norm(np.asarray(finger.offsets), axis=1) for finger in grasp.fingers]
+    return [
+        *(
+            f"  finger {i}    {_row(lengths)} mm; {_row(finger.masses)} g"
+            for i, (lengths, finger) in enumerate(zip(links, grasp.fingers, strict=True), 1)
+        ),
+        f"  object      {_row(body.outline)} mm, {1e3 * float(body.mass):g} g",
+        f"  control     beta = {float(control.beta):g} N/m, c = {float(control.damping[0]):g} N m s",
+    ]
+
+
+def _pinch3d_facts(grasp: Any, run: Any) -> list[str]:
+    import numpy as np
+
+    from . import loci
+
+    found, f = loci(grasp, run), np.asarray(run.multipliers.f)
+    aside = np.linalg.norm(np.asarray(run.multipliers.lam), axis=-1)
+    last = np.flatnonzero(np.isfinite(f).all(axis=1))[-1]
+    rows = (
+        ("f_i [N]", f),
+        ("|lambda_i| [N]", aside),
+        ("|lambda_i| / f_i", aside / f),
+        ("s_i on the tip [mm]", 1e3 * np.asarray(found.tip.arclength).T),
+        ("s_i on the object [mm]", 1e3 * np.asarray(found.object.arclength).T),
+    )
+    lines = [f"{'Chapter, Part 3':24}{'start: i = 1':>15}{'2':>12}{'end: i = 1':>15}{'2':>12}"]
+    for name, values in rows:
+        cells = [f"{end[0]:15.5g}{end[1]:12.5g}" for end in values[[0, last]]]
+        lines.append(f"  {name:22}" + "".join(cells))
+    off = np.nanmax(np.abs(np.asarray(found.tip.arclength - found.object.arclength)))
+    return [*lines, f"  A-2         arclengths of both loci differ by {off:.1e} m", *_checks(run)]
+
+
 DEMOS = {
     "pivoted": Demo(
         "a two-joint finger rolls on a pivoted object (Part 2)",
@@ -338,6 +393,25 @@ DEMOS = {
         scene=_pinch_scene,
         facts=_pinch_facts,
         shown=0.6,
+    ),
+    "pinch3d": Demo(
+        "two three-joint fingers pinch a cuboid in space (Part 3)",
+        seconds=2.0,
+        speed=0.1,
+        figures={
+            "pose.png": lambda plotting, grasp, run: plotting.poses(grasp, run, forces=True),
+            "loci.png": lambda plotting, grasp, run: plotting.loci(grasp, run),
+            "responses.png": lambda plotting, grasp, run: plotting.responses(grasp, run),
+        },
+        scene=_pinch3d_scene,
+        facts=_pinch3d_facts,
+        shown=0.6,
+        animated=lambda plotting: {
+            "view": plotting.View(elevation=14.0, azimuth=-72.0, links=False),
+            "forces": False,
+            "size": 6.5,
+        },
+        page=True,
     ),
 }
 

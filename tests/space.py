@@ -4,8 +4,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from jaxroll import geometry, plotting
-from jaxroll.plotting._motion3 import matrices
+from jaxroll import geometry
+from jaxroll.plotting._motion3 import matrices, Motion3D
 
 AXES = np.array([0.030, 0.022, 0.018])
 RADII = (0.012, 0.010)
@@ -82,7 +82,9 @@ def scene(times=61):
         on_tip.append(tip_point[::8])
         on_object.append(point[::8])
     pose = np.concatenate([body, heading], axis=-1)[::8]
-    motion = plotting.Motion3D(pose, np.array(tips), arms, np.array(on_tip), np.array(on_object))
+    on_tip, on_object = np.array(on_tip), np.array(on_object)
+    out = [x / np.linalg.norm(x, axis=-1, keepdims=True) for x in (on_tip, on_object / AXES**2)]
+    motion = Motion3D(pose, np.array(tips), arms, on_tip, on_object, *out)
     grasp = SimpleNamespace(
         object=SimpleNamespace(surfaces=(geometry.Ellipsoid(*AXES),), outline=None),
         fingers=tuple(SimpleNamespace(tip=geometry.Sphere(radius)) for radius in RADII),

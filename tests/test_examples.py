@@ -15,8 +15,13 @@ import sys
 import jax
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
+from PIL import Image
 
 import jaxroll as jxr
+from jaxroll.__main__ import _page, DEMOS
+from jaxroll.plotting import _page as _page_module
+from jaxroll.plotting._style import LOCUS_OBJECT, LOCUS_TIP
 
 ROOT = pathlib.Path(__file__).parent.parent
 MODULES = [
@@ -116,6 +121,38 @@ def test_pinch_demo_writes_its_figures_and_a_report(tmp_path):
     for words in ("successful", "verdict", "neutral directions: 1", "Delta N_i", "dissipated"):
         assert words in done.stdout
     assert len(done.stdout.splitlines()) <= 30 and max(map(len, done.stdout.splitlines())) <= 100
+
+
+@pytest.mark.slow
+def test_pinch3d_demo_writes_its_figures_and_a_report(tmp_path):
+    done = run_cli("demo", "pinch3d", "--seconds", "0.3", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    files = {p.name: p.stat().st_size for p in (tmp_path / "jaxroll-pinch3d").iterdir()}
+    drawn = {"responses.png", "loci.png", "pose.png", "motion.gif"}
+    assert drawn == files.keys() - {"page.html"} and all(size > 5_000 for size in files.values())
+    assert ("page.html" in files) != ("no page.html" in done.stdout)
+    for words in ("successful", "|lambda_i| / f_i", "A-2", "dissipated"):
+        assert words in done.stdout
+    assert len(done.stdout.splitlines()) <= 30 and max(map(len, done.stdout.splitlines())) <= 100
+    with Image.open(tmp_path / "jaxroll-pinch3d" / "motion.gif") as image:
+        image.seek(image.n_frames - 1)
+        last = np.asarray(image.convert("RGB"), int)
+    for colour in (LOCUS_TIP, LOCUS_OBJECT):  # in the picture, above the legend
+        seen = np.abs(last - 255 * np.array(to_rgb(colour))).max(axis=-1) < 6
+        assert seen[: len(last) * 3 // 4].sum() > 20
+
+
+def test_the_command_line_says_how_to_get_a_page(monkeypatch, tmp_path):
+    monkeypatch.setattr(_page_module, "_plotly", _no_plotly)
+    grasp, state = jxr.scenes.incline()
+    run = jxr.simulate(grasp, state, t1=0.1, ts=3)
+    names = []
+    told = _page(DEMOS["pinch3d"], tmp_path, names, (jxr.plotting, grasp, run))
+    assert told == ["  no page.html: this needs plotly"] and not names and not list(tmp_path.iterdir())
+
+
+def _no_plotly():
+    raise ImportError("this needs plotly")
 
 
 @pytest.mark.parametrize("args", [("demo", "nothing"), ("demo", "--seconds", "-1"), ("dem",)])

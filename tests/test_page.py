@@ -13,7 +13,7 @@ import space
 from matplotlib.colors import to_rgb
 from PIL import Image
 
-from jaxroll import plotting
+from jaxroll.plotting._page import write_page
 from jaxroll.plotting._scene3 import scene3
 from jaxroll.plotting._style import LOCUS_OBJECT, LOCUS_TIP, OBJECT_BODY, TIP_BODY
 
@@ -51,7 +51,7 @@ def written(tmp_path_factory):
     """The page of the stand-in."""
     pytest.importorskip("plotly")
     folder = tmp_path_factory.mktemp("page")
-    return plotting.page(*space.scene(), folder / "sub" / "grasp.html", title="A test", frames=FRAMES)
+    return write_page(*space.scene(), folder / "sub" / "grasp.html", title="A test", frames=FRAMES)
 
 
 def browse(path, folder):
@@ -140,7 +140,7 @@ def test_a_page_without_plotly_says_what_to_install(monkeypatch, tmp_path):
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "plotly", None)
     with pytest.raises(ImportError, match=r"pip install \"jaxroll\[viz\]\""):
-        plotting.page(*space.scene(5), tmp_path / "grasp.html")
+        write_page(*space.scene(5), tmp_path / "grasp.html")
 
 
 @pytest.mark.parametrize(
@@ -155,4 +155,4 @@ def test_bad_arguments_of_a_page(change, words):
     pytest.importorskip("plotly")
     grasp, motion, ts = space.scene(5)
     with pytest.raises(ValueError, match=words):
-        plotting.page(grasp, motion, **({"ts": ts, "path": "grasp.html"} | change))
+        write_page(grasp, motion, **({"ts": ts, "path": "grasp.html"} | change))

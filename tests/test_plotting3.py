@@ -12,12 +12,12 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from jaxroll import geometry, plotting
-from jaxroll.plotting._animate3 import _paced
+from jaxroll.plotting._animate3 import _paced, animate3
 from jaxroll.plotting._drawing3 import Drawing3
-from jaxroll.plotting._meshes import cuboid
+from jaxroll.plotting._meshes import cuboid, mesh
 from jaxroll.plotting._motion3 import matrices, rotation_vectors
 from jaxroll.plotting._scene3 import looking, scene3
-from jaxroll.plotting._space import stage
+from jaxroll.plotting._space import snapshots3, stage
 from jaxroll.plotting._style import LOCUS_OBJECT, LOCUS_TIP
 from jaxroll.plotting._tubes import camera
 
@@ -67,6 +67,7 @@ SURFACES = {
     "chart": (geometry.Chart(ring, domain=WHOLE), 2 * np.pi**2 * 0.03 * 0.01**2),
     "patch": (tube(), None),
     "cylinder": (geometry.Cylinder(0.01), None),
+    "hollow": (geometry.Hollow(geometry.Sphere(0.02)), -BALL * 0.02**3),
     "plane": (geometry.Plane().moved((0.0, 0.0, 0.1), TURN), None),
 }
 
@@ -75,7 +76,7 @@ SURFACES = {
 def test_a_mesh_lies_on_its_surface_and_faces_outwards(name):
     surface, volume = SURFACES[name]
     about = np.array([0.02, 0.01, 0.03])
-    found = plotting.mesh(surface, rows=48, columns=96, extent=0.02, about=about)
+    found = mesh(surface, rows=48, columns=96, extent=0.02, about=about)
     nearest = np.asarray(surface.point(surface.near(found.vertices)))
     assert np.abs(nearest - found.vertices).max() < 1e-9
     middles = found.vertices[found.faces].mean(axis=1)
@@ -91,15 +92,15 @@ def test_a_mesh_lies_on_its_surface_and_faces_outwards(name):
 def test_endless_surfaces_are_drawn_about_a_point():
     plane = geometry.Plane().moved((0.0, 0.0, 0.1), TURN)
     about = np.asarray(plane.point(plane.near((0.3, 0.2, 0.0))))
-    found = plotting.mesh(plane, extent=0.02, about=about)
+    found = mesh(plane, extent=0.02, about=about)
     np.testing.assert_allclose(found.vertices.mean(axis=0), about, atol=1e-12)
     assert np.linalg.norm(found.areas, axis=1).sum() / 2 == pytest.approx(0.04**2)
     with pytest.raises(ValueError, match="argument extent"):
-        plotting.mesh(plane)
+        mesh(plane)
 
 
 def test_a_mesh_with_a_hole_or_a_turned_triangle_is_not_closed():
-    found = plotting.mesh(geometry.Sphere(0.02), rows=6, columns=8)
+    found = mesh(geometry.Sphere(0.02), rows=6, columns=8)
     turned = found.faces.copy()
     turned[5] = turned[5, ::-1]
     assert found.closed
@@ -123,7 +124,7 @@ def test_a_box_is_closed_and_has_its_volume():
 )
 def test_implicit_surfaces_that_cannot_be_drawn_say_so(function, words):
     with pytest.raises(ValueError, match=f"argument surface must .*{words}"):
-        plotting.mesh(geometry.Implicit(function))
+        mesh(geometry.Implicit(function))
 
 
 def test_rotations_agree_with_scipy():
@@ -168,7 +169,7 @@ def drawn(figure, colour):
 @pytest.mark.parametrize("at", [-1, 30])
 def test_both_loci_are_drawn_on_their_bodies_and_meet(scene, at):
     grasp, motion, _ = scene
-    figure = plotting.snapshot3(grasp, motion, at)
+    figure = snapshots3(grasp, motion, [at])
     row = at % motion.times
     on_tips, on_object = drawn(figure, LOCUS_TIP), drawn(figure, LOCUS_OBJECT)
     assert len(on_tips) == len(on_object) == 2
@@ -184,8 +185,8 @@ def test_both_loci_are_drawn_on_their_bodies_and_meet(scene, at):
 
 def test_a_picture_has_equal_scales_and_room_for_its_labels(scene, tmp_path):
     grasp, motion, _ = scene
-    for k, (links, view) in enumerate(itertools.product((True, False), (None, (5.0, 10.0), (70.0, 120.0)))):
-        figure = plotting.snapshot3(grasp, motion, links=links, view=view, title="at rest")
+    for k, (links, view) in enumerate(itertools.product((True, False), ((), (5.0, 10.0), (70.0, 120.0)))):
+        figure = snapshots3(grasp, motion, titles=["at rest"], view=plotting.View(*view, links=links))
         ax = figure.axes[0]
         spans = np.ptp([ax.get_xlim(), ax.get_ylim(), ax.get_zlim()], axis=1)
         shares = np.asarray(ax._box_aspect) / spans
@@ -205,7 +206,7 @@ def test_what_is_nearer_to_the_camera_is_drawn_last(scene):
     skeletons = [motion.skeletons[0].copy(), motion.skeletons[1]]
     skeletons[0][:, :2, 1] *= -1.0  # the finger whose tip is at +y stands at -y
     drawn = scene3(grasp, dataclasses.replace(motion, skeletons=skeletons))
-    _, ax = stage(drawn, (10.0, 90.0), 5.0)
+    _, (ax,) = stage(drawn, (10.0, 90.0), 5.0)
     tip, base = drawn.solids[1].frames[0, :3], drawn.skeletons[0][0, 0]
     for azimuth, (tip_in, base_in) in ((90.0, (2, 0)), (-90.0, (0, 2))):
         layers = [corners.mean(axis=1) for corners, _ in Drawing3(ax, drawn).parts(0, *camera(10.0, azimuth))]
@@ -226,7 +227,7 @@ def test_forces_are_drawn_to_one_scale_onto_the_contacts(scene):
     grasp, motion, _ = scene
     forces = np.zeros((2, motion.times, 3))
     forces[0, :, 1], forces[1, :, 1] = -2.0, 1.0
-    figure = plotting.snapshot3(grasp, motion, forces=forces)
+    figure = snapshots3(grasp, motion, forces=forces)
     arrows = [a.ends for a in figure.axes[0].artists + figure.axes[0].patches if hasattr(a, "ends")][2:]
     pushes = [ends[1] - ends[0] for ends in arrows]
     np.testing.assert_allclose(pushes[0], -2.0 * pushes[1])
@@ -234,7 +235,7 @@ def test_forces_are_drawn_to_one_scale_onto_the_contacts(scene):
     for k, ends in enumerate(arrows):
         np.testing.assert_allclose(ends[1], world(motion.body[-1], motion.on_object[k, -1:])[0])
     with pytest.raises(ValueError, match="argument forces must have shape"):
-        plotting.snapshot3(grasp, motion, forces=forces[:, 1:])
+        snapshots3(grasp, motion, forces=forces[:, 1:])
 
 
 def test_a_box_stands_for_its_faces(scene):
@@ -249,8 +250,8 @@ def test_a_box_stands_for_its_faces(scene):
 
 def test_an_animation_has_its_frames(scene, tmp_path):
     seen = []
-    path = plotting.animate3(
-        *scene, tmp_path / "sub" / "roll.gif", fps=10, speed=3.0, view=(20.0, -40.0, 30.0),
+    path = animate3(
+        *scene, tmp_path / "sub" / "roll.gif", fps=10, speed=3.0, view=plotting.View(20.0, -40.0, 30.0),
         progress=lambda done, total: seen.append((done, total)),
     )  # fmt: skip
     with Image.open(path) as image:
@@ -280,16 +281,16 @@ def test_long_animations_have_few_frames():
 def test_bad_arguments_of_an_animation(scene, change, words):
     grasp, motion, ts = scene
     with pytest.raises(ValueError, match=words):
-        plotting.animate3(grasp, motion, **({"ts": ts, "path": "roll.gif"} | change))
+        animate3(grasp, motion, **({"ts": ts, "path": "roll.gif"} | change))
 
 
 def test_grasp_and_motion_must_belong_together(scene):
     grasp, motion, _ = scene
     with pytest.raises(ValueError, match="argument at must be the number of one of 61 times, but was 61"):
-        plotting.snapshot3(grasp, motion, 61)
+        snapshots3(grasp, motion, [61])
     fewer = dataclasses.replace(motion, tips=motion.tips[:1], skeletons=motion.skeletons[:1])
     with pytest.raises(ValueError, match="argument motion must have 2 tips, but had 1"):
-        plotting.snapshot3(grasp, fewer)
+        snapshots3(grasp, fewer)
     with pytest.raises(ValueError, match="argument on_tip must have shape"):
         dataclasses.replace(motion, on_tip=motion.on_tip[:, 1:])
 
@@ -300,63 +301,13 @@ def test_a_run_that_ended_early_is_drawn_as_far_as_it_came(scene, tmp_path):
     broken["tips"][1, 31:], broken["on_tip"][:, 41:] = np.nan, np.nan
     cut = dataclasses.replace(motion, **broken)
     for wanted, found in zip(
-        drawn(plotting.snapshot3(grasp, motion, 30), LOCUS_TIP),
-        drawn(plotting.snapshot3(grasp, cut), LOCUS_TIP),
+        drawn(snapshots3(grasp, motion, [30]), LOCUS_TIP),
+        drawn(snapshots3(grasp, cut), LOCUS_TIP),
         strict=True,
     ):
         np.testing.assert_array_equal(wanted, found)
-    with Image.open(plotting.animate3(grasp, cut, ts, tmp_path / "cut.gif", fps=4)) as image:
+    with Image.open(animate3(grasp, cut, ts, tmp_path / "cut.gif", fps=4)) as image:
         assert image.n_frames == 4
     broken["body"][:] = np.nan
     with pytest.raises(ValueError, match="at least one time that was reached"):
-        plotting.snapshot3(grasp, dataclasses.replace(motion, **broken))
-
-
-@pytest.fixture
-def record():
-    """Made-up loci of two contacts."""
-    rng = np.random.default_rng(0)
-    kinds = ("arclength", "normal_curvature", "geodesic_curvature", "torsion")
-    arrays = {f"{kind}_{body}": rng.normal(size=(2, 9)) for kind in kinds for body in ("tip", "object")}
-    arrays["arclength_tip"] = arrays["arclength_object"] + 2e-7 * np.linspace(0.0, 1.0, 9)
-    return SimpleNamespace(ts=np.linspace(0.0, 1.0, 9), **arrays)
-
-
-def test_loci_are_plotted_per_millimetre_and_contact(record, tmp_path):
-    axes = np.reshape(plotting.loci(record, tmp_path).axes, (4, 2))
-    rows = ("geodesic_curvature", "normal_curvature", "torsion")
-    for (row, name), c in itertools.product(enumerate(rows), (0, 1)):
-        for line, body in zip(axes[row, c].lines, ("tip", "object"), strict=False):
-            np.testing.assert_allclose(line.get_ydata(), 1e-3 * getattr(record, f"{name}_{body}")[c])
-    assert axes[3, 0].get_ylabel().endswith("[$10^{-7}$ m]")
-    np.testing.assert_allclose(axes[3, 1].lines[0].get_ydata(), np.linspace(0.0, 2.0, 9), atol=1e-7)
-    assert (tmp_path / "loci.png").stat().st_size > 10_000
-    record.torsion_tip = record.torsion_tip[:1]
-    with pytest.raises(ValueError, match="torsion_tip of shape"):
-        plotting.loci(record)
-
-
-def test_responses_show_motion_since_the_start_and_forces(scene, tmp_path):
-    _, motion, ts = scene
-    angles, forces = np.stack([ts, ts**2], axis=-1), np.ones((2, len(ts), 3))
-    forces[1] = 2.0, 3.0, 4.0
-    figure = plotting.responses3(
-        ts,
-        position=motion.body[:, :3],
-        orientation=motion.body[:, 3:],
-        joints=[angles, np.zeros((len(ts), 0))],
-        forces=forces,
-        folder=tmp_path,
-    )
-    place, turn, joints, normal, along, ratio = figure.axes
-    moved = np.array([line.get_ydata() for line in place.lines[:3]]).T
-    np.testing.assert_allclose(moved, 1e3 * (motion.body[:, :3] - motion.body[0, :3]))
-    turned = Rotation.from_rotvec(np.array([line.get_ydata() for line in turn.lines[:3]]).T)
-    start, end = (Rotation.from_quat(motion.body[k, [4, 5, 6, 3]]) for k in (0, -1))
-    assert (turned[-1] * start * end.inv()).magnitude() < 1e-12
-    np.testing.assert_allclose(joints.lines[1].get_ydata(), ts**2)
-    ends = [ax.lines[1].get_ydata()[-1] for ax in (normal, along, ratio)]
-    assert ends == [2.0, 5.0, 2.5]
-    assert (tmp_path / "responses3.png").stat().st_size > 10_000
-    with pytest.raises(ValueError, match="argument orientation must have shape"):
-        plotting.responses3(ts, position=motion.body[:, :3], orientation=motion.body[:, :3])
+        snapshots3(grasp, dataclasses.replace(motion, **broken))

@@ -106,8 +106,8 @@ def _at_closest_points(grasp: Grasp, guess: State) -> tuple[Grasp, State]:
     found = []
     for contact in grasp.contacts:
         tip, face = grasp.shapes(contact)
-        at = {"pose_a": _numbers(frames[1 + contact.finger]), "pose_b": _numbers(frames[0])}
-        pair = locate_contours(tip, face, **at)
+        own, body = _numbers(frames[1 + contact.finger]), _numbers(frames[0])
+        pair = locate_contours(tip, face, pose_a=own, pose_b=body)
         found += [pair.s[0], pair.s[1]]
     places = lambda g: [s for c in g.contacts for s in (c.s_tip, c.s_object)]  # noqa: E731
     located = eqx.tree_at(places, grasp, found)
@@ -119,8 +119,8 @@ def _closest_places(grasp: Grasp, frames: tuple[Pose3, ...]) -> Array:
     places = []
     for contact in grasp.contacts:
         tip, face = grasp.shapes(contact)
-        at = {"pose_a": seven(frames[1 + contact.finger]), "pose_b": seven(frames[0])}
-        found = locate_surfaces(tip, face, **at)
+        own, body = seven(frames[1 + contact.finger]), seven(frames[0])
+        found = locate_surfaces(tip, face, pose_a=own, pose_b=body)
         places += [found.at_a, found.at_b]
     return jnp.concatenate(places)
 

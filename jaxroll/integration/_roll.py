@@ -159,7 +159,7 @@ def _roll(
     start: tuple[Array, ...],
     rtol: float,
 ) -> Rolled:
-    rolling = _Rolling(*(surface.prepared() for surface in surfaces), *given)
+    rolling = _Rolling(surfaces[0].prepared(), surfaces[1].prepared(), *given)
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(rolling.rates),
         diffrax.Dopri8(),

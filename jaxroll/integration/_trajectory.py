@@ -73,11 +73,11 @@ def _report(run: Trajectory) -> str:
         f"  steps     {int(stats.accepted)} accepted, {int(stats.rejected)} rejected",
         f"  residuals gap {_peak(left.normal, left.tangential):.1e} m"
         f", tangency {_peak(left.tangency):.1e} rad",
-        f"  rolled    {_range(run.states.s)} mm",
-        f"  turned    {_turns(run.states.q)} rad",
+        *(_motion3(run.states.q) if left.tangential.ndim > left.normal.ndim else _motion(run.states)),
     ]
     if run.multipliers is not None:
         f, lam = np.asarray(run.multipliers.f), np.asarray(run.multipliers.lam)
+        lam = np.linalg.norm(lam, axis=-1) if lam.ndim > f.ndim else lam
         lines.append(
             f"  forces    normal {np.nanmin(f):.4g} to {np.nanmax(f):.4g} N"
             f", tangential {np.nanmin(lam):.4g} to {np.nanmax(lam):.4g} N"
@@ -103,6 +103,24 @@ def _span(ts: np.ndarray) -> str:
 
 def _peak(*arrays: Array) -> float:
     return max(float(np.nanmax(np.abs(np.asarray(a)))) for a in arrays)
+
+
+def _motion(states: State) -> list[str]:
+    return [f"  rolled    {_range(states.s)} mm", f"  turned    {_turns(states.q)} rad"]
+
+
+def _motion3(q: Array) -> list[str]:
+    """In space: way of the object, and the angle between its first and its last orientation."""
+    seen = np.asarray(q)[np.isfinite(np.asarray(q)).all(axis=-1)][[0, -1]]
+    moved = ", ".join(f"{x:+.3f}" for x in np.round(1e3 * (seen[1, :3] - seen[0, :3]), 3) + 0.0)
+    start, end = seen[:, 3:7] / np.linalg.norm(seen[:, 3:7], axis=1, keepdims=True)
+    half = np.arctan2(np.linalg.norm(_turn_between(start, end)), abs(start @ end))
+    return [f"  object    moved {moved} mm, turned by {2.0 * half:.4f} rad"]
+
+
+def _turn_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Vector part of the quaternion from one orientation to another."""
+    return start[0] * end[1:] - end[0] * start[1:] - np.cross(end[1:], start[1:])
 
 
 def _range(s: Array) -> str:

@@ -37,7 +37,12 @@ from ._dynamics import (
 )
 from ._finger import AbstractFinger as AbstractFinger, Finger as Finger
 from ._finger3 import Finger3 as Finger3
-from ._grasp import check_planar as check_planar, compiled as compiled, Grasp as Grasp
+from ._grasp import (
+    check_planar as check_planar,
+    check_spatial as check_spatial,
+    compiled as compiled,
+    Grasp as Grasp,
+)
 from ._jaw import Jaw as Jaw
 from ._object import (
     AbstractObject as AbstractObject,

@@ -214,6 +214,12 @@ def check_planar(grasp: Grasp) -> None:
         raise ValueError("argument grasp must live in the plane, but its contacts are those of space")
 
 
+def check_spatial(grasp: Grasp) -> None:
+    """Raise for a grasp in the plane, where only space has an answer."""
+    if not grasp.spatial:
+        raise ValueError("argument grasp must live in space, but its contacts are those of the plane")
+
+
 def compiled(function: Door) -> Door:
     """`equinox.filter_jit` for functions of a grasp, whose tables are built before, once for all of them."""
     jitted = eqx.filter_jit(function)

@@ -9,11 +9,13 @@ from PIL import Image
 
 from ..integration import Trajectory
 from ..mechanics import Grasp
+from ._animate3 import animate3
 from ._artists import Drawing, limits
 from ._forces import Arrows, arrows, key
 from ._gif import checked, nearest, write
 from ._style import Picture, tidy
 from ._views import single, Views, views
+from ._views3 import check_options, pushes, scene_motion, View
 
 
 def animate(
@@ -26,13 +28,16 @@ def animate(
     until: float | None = None,
     forces: bool | None = None,
     size: float = 5.5,
+    view: View | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Write a run as an animated GIF with true contours, to scale.
+    """Write a run as an animated GIF with true contours or surfaces, to scale.
 
-    Shows, as thick stretches of equal length, what has rolled off each contour and, if recorded, the
-    contact forces on the object. Every frame is the saved state nearest to its time, never a blend
-    of two; save at least `fps / speed` states per second for smooth motion.
+    Shows, as thick stretches of equal length, what has rolled off each contour, in space the loci of the
+    contacts on both surfaces and, if recorded, the contact forces on the object. Every frame is the saved
+    state nearest to its time, never a blend of two; save at least `fps / speed` states per second for
+    smooth motion. In space a frame is some 0.3 s of work, and there are at most 60: for more time than these
+    last, the file has fewer frames per second.
 
     Args:
         grasp: The grasp that was simulated.
@@ -44,15 +49,17 @@ def animate(
         until: Last time shown [s]. Default: the end of the run.
         forces: Whether to draw the contact forces on the object, with their scale; they must have been
             recorded. Default: if they were.
-        size: Longer side of the drawing, without its legend, in inches of 100 pixels.
+        size: Longer side of the drawing, without its legend, in inches of 100 pixels; in space its width.
+        view: How to look at a grasp in space.
         progress: Called after each frame with the frames done and the frames in all.
 
     Returns:
         The path that was written.
 
     Raises:
-        ValueError: If the trajectory is a batch, `path` is no GIF, a number is not positive, or
-            `forces` is True and the run was not simulated with `record=("multipliers",)`.
+        ValueError: If the trajectory is a batch, `path` is no GIF, a number is not positive, `view` is given
+            for a grasp in the plane, or `forces` is True and the run was not simulated with
+            `record=("multipliers",)`.
 
     Example:
         >>> import tempfile
@@ -66,11 +73,19 @@ def animate(
         'motion.gif'
     """
     path = checked(path, fps=fps, speed=speed, size=size)
+    drawn = trajectory.multipliers is not None if forces is None else forces
+    ts, rows = _shown(trajectory, until)
+    if grasp.spatial:
+        motion = scene_motion(grasp, trajectory.states)
+        pushed = pushes(trajectory, motion)[:, rows] if drawn else None
+        pace = {"fps": fps, "speed": speed, "progress": progress}
+        return animate3(grasp, motion.at(rows), ts, path, forces=pushed, size=size, view=view, **pace)
+    check_options(grasp, view=view)
     delay = max(2, round(100.0 / fps))
-    ts, picks = _frames(trajectory, 0.01 * delay * speed, until)
+    seen_at = nearest(ts, 0.01 * delay * speed)
+    ts, picks = ts[seen_at], rows[seen_at]
     states = jax.tree.map(lambda a: np.asarray(a)[picks], trajectory.states)
     seen = views(grasp, states)
-    drawn = trajectory.multipliers is not None if forces is None else forces
     corners = limits(seen, above=0.05 * drawn)
     shafts = arrows(grasp, trajectory, picks, seen, corners=corners) if drawn else None
     stage = _Stage(grasp, seen, shafts, corners=corners, size=size, speed=speed)
@@ -83,16 +98,14 @@ def animate(
     return path
 
 
-def _frames(trajectory: Trajectory, step: float, until: float | None) -> tuple[np.ndarray, np.ndarray]:
-    """Times and rows of the saved states to show, `step` simulated seconds apart."""
+def _shown(trajectory: Trajectory, until: float | None) -> tuple[np.ndarray, np.ndarray]:
+    """Times and rows of the saved states that were reached, up to a time."""
     ts, reached = single(trajectory)
     if until is not None:
         reached = reached & (ts <= until)
         if not reached.any():
             raise ValueError(f"argument until must be at least the first saved time, but was {until:g}")
-    rows = np.flatnonzero(reached)
-    shown = nearest(ts[rows], step)
-    return ts[rows][shown], rows[shown]
+    return ts[reached], np.flatnonzero(reached)
 
 
 class _Stage:

@@ -6,12 +6,14 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from ..mechanics import Grasp
 from . import _gif
 from ._drawing3 import Drawing3
-from ._motion3 import Motion3D, SpatialGrasp, times_of
-from ._scene3 import looking, scene3
-from ._space import finish, heading, scaled, stage
+from ._motion3 import Motion3D, times_of
+from ._scene3 import scene3
+from ._space import facing, heading, legend, scaled, stage
 from ._style import CONTACT, FINGER, FORCE, GUIDE, LOCUS_OBJECT, LOCUS_TIP, OBJECT
+from ._views3 import View
 
 # Each frame is drawn afresh, some 0.3 s: no more of them than this.
 _MOST = 60
@@ -19,84 +21,54 @@ _KEPT = ("white", CONTACT, FINGER, FORCE, GUIDE, LOCUS_OBJECT, LOCUS_TIP, OBJECT
 
 
 def animate3(
-    grasp: SpatialGrasp,
+    grasp: Grasp,
     motion: Motion3D,
     ts: np.ndarray,
-    path: str | Path = "motion.gif",
+    path: str | Path,
     *,
-    fps: float = 20.0,
+    fps: float = 25.0,
     speed: float = 1.0,
     forces: np.ndarray | None = None,
-    links: bool = True,
-    view: tuple[float, float, float] | None = None,
+    size: float = 5.5,
+    view: View | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Write a run of a spatial grasp as an animated GIF, to scale.
-
-    Shows the loci of the contacts grow on both surfaces. Every frame is the state nearest to its time, never
-    a blend of two. There are at most 60 frames, some 0.3 s of work each: for more time than these last, the
-    file has fewer frames per second.
+    """Write a motion of a spatial grasp as an animated GIF, to scale.
 
     Args:
         grasp: The grasp that was simulated.
         motion: Its motion.
         ts: The times of the motion, shape (t,) [s].
-        path: The file to write, ending in `.gif`; its folder is made if need be.
-        fps: Frames per second of the file, at most 50.
-        speed: Simulated seconds per second shown: 0.5 plays at half speed.
+        path: The file to write.
+        fps: Frames per second of the file.
+        speed: Simulated seconds per second shown.
         forces: Contact forces on the object in world axes to draw, shape (c, t, 3) [N].
-        links: Whether to draw the links of the fingers.
-        view: Elevation and azimuth of the camera, and by how much it goes round, in degrees. Default: it
-            stands still, and sees the first contact from the side.
+        size: Width of the picture in inches of 100 pixels.
+        view: How to look at it.
         progress: Called after each frame with the frames done and the frames in all.
-
-    Returns:
-        The path that was written.
 
     Raises:
         ValueError: If `path` is no GIF, a number is not positive, times or forces do not fit the motion, or
             a surface cannot be drawn.
-
-    Example:
-        >>> import tempfile
-        >>> import numpy as np
-        >>> from types import SimpleNamespace as Record
-        >>> from jaxroll import geometry, plotting
-        >>> hand = Record(tip=geometry.Plane())
-        >>> ball = Record(surfaces=(geometry.Sphere(0.02),), outline=None)
-        >>> grasp = Record(object=ball, fingers=(hand,), contacts=(Record(finger=0, surface=0),))
-        >>> turn, zero = np.linspace(0.0, 1.0, 3), np.zeros(3)  # a ball rolls on the palm
-        >>> columns = [0.02 * turn, zero, zero + 0.02, np.cos(turn / 2), zero, np.sin(turn / 2), zero]
-        >>> palm = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (3, 1))
-        >>> motion = plotting.Motion3D(
-        ...     np.stack(columns, -1),
-        ...     palm[None],
-        ...     [palm[:, None, :3]],
-        ...     np.stack([0.02 * turn, zero, zero], -1)[None],
-        ...     0.02 * np.stack([np.sin(turn), zero, -np.cos(turn)], -1)[None],
-        ... )
-        >>> with tempfile.TemporaryDirectory() as folder:
-        ...     plotting.animate3(grasp, motion, np.linspace(0, 0.1, 3), f"{folder}/roll.gif").name
-        'roll.gif'
     """
-    path = _gif.checked(path, fps=fps, speed=speed)
+    path, view = _gif.checked(path, fps=fps, speed=speed, size=size), View() if view is None else view
     ts = times_of(motion, ts)
     motion, reached = motion.reached()
     ts = ts[reached]
     rows, delay = _paced(ts, fps, speed)
-    scene = scene3(grasp, motion, links=links)
-    elevation, azimuth, turn = (*looking(scene), 0.0) if view is None else view
-    azimuths = azimuth + turn * (ts[rows] - ts[0]) / max(ts[-1] - ts[0], 1e-300)
-    figure, ax = stage(scene, (elevation, azimuth), 5.6, azimuths)
+    scene = scene3(grasp, motion, links=view.links)
+    elevation, azimuth = facing(scene, view)
+    azimuths = azimuth + view.turn * (ts[rows] - ts[0]) / max(ts[-1] - ts[0], 1e-300)
+    figure, (ax,) = stage(scene, (elevation, azimuth), size, azimuths)
     figure.set_dpi(100)
     drawing = Drawing3(ax, scene, arrows=None if forces is None else scaled(scene, forces, reached))
-    finish(figure, drawing, "")
+    legend(figure, drawing)
     clock = heading(figure, "", 0.04, ha="left")
     pace = "real time" if speed == 1.0 else f"shown at {speed:g} x real time"
     heading(figure, pace, 0.96, ha="right", fontsize=8.5, color="#555555")
     frames = []
-    for done, (row, azimuth) in enumerate(zip(rows, azimuths, strict=True), 1):
-        ax.view_init(elevation, azimuth)
+    for done, (row, turn) in enumerate(zip(rows, azimuths, strict=True), 1):
+        ax.view_init(elevation, turn)
         drawing.show(int(row))
         clock.set_text(f"t = {ts[row]:.2f} s")
         figure.agg.draw()

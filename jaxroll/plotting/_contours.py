@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ..geometry import AbstractContour
-from ..mechanics import Grasp
+from ..mechanics import check_planar, Grasp
 from ._outlines import contours_of, extents, Outline, outlines, sample, starts_of, Window
 from ._style import CONTACT, FINGER, GUIDE, MM, OBJECT, OBJECT_FILL, Picture, tidy, TIP_FILL
 
@@ -27,6 +27,9 @@ def contours(grasp: Grasp) -> Figure:
     Returns:
         The figure: one column per body; shapes [mm] above, curvature [1/m] below.
 
+    Raises:
+        ValueError: If the grasp lives in space.
+
     Example:
         >>> import jaxroll as jxr
         >>> from jaxroll import plotting
@@ -34,6 +37,7 @@ def contours(grasp: Grasp) -> Figure:
         >>> len(plotting.contours(grasp).axes)
         4
     """
+    check_planar(grasp)
     still = np.zeros((1, len(grasp.contacts)))
     order = (*range(1, 1 + len(grasp.fingers)), 0)
     shapes, windows = outlines(grasp, still), extents(grasp, still)

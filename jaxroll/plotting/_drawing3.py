@@ -123,10 +123,11 @@ class Drawing3:
 
     def legend(self) -> list[tuple[Any, str]]:
         """Handles and names of what is drawn."""
+        tip = self.scene.tip_name
         entries = [
-            (Patch(fc=TIP_BODY, ec=FINGER, lw=1.0), "fingertip"),
+            (Patch(fc=TIP_BODY, ec=FINGER, lw=1.0), tip),
             (Patch(fc=OBJECT_BODY, ec=OBJECT, lw=1.0), "object"),
-            (Line2D([], [], color=LOCUS_TIP, lw=2.8), "locus of the contact on the fingertip"),
+            (Line2D([], [], color=LOCUS_TIP, lw=2.8), f"locus of the contact on the {tip}"),
             (Line2D([], [], color=LOCUS_OBJECT, lw=2.8), "locus of the contact on the object"),
             (self.points, "contact point"),
             (Line2D([], [], marker=r"$\rightarrow$", ms=13, ls="none", color=GUIDE), "normal of the object"),
@@ -138,12 +139,12 @@ class Drawing3:
 
 
 class _Trace:
-    """A locus on its surface: strong on the near side, faint on the far one."""
+    """A locus on its surface: strong on the near side, faint and dotted on the far one."""
 
     def __init__(self, ax: Axes3, locus: Locus, colour: str) -> None:
         self.locus = locus
         self.halo = _line(ax, lw=4.2, zorder=49, alpha=0.75, **_WHITE)
-        self.far = _line(ax, lw=1.8, zorder=50, alpha=0.4, color=colour)
+        self.far = _line(ax, lw=2.0, zorder=50, alpha=0.6, color=colour, ls=(0, (2, 0.8)))
         self.near = _line(ax, lw=2.6, zorder=51, color=colour, solid_capstyle="round")
 
     def show(self, i: int, towards: np.ndarray) -> None:

@@ -1,4 +1,4 @@
-"""The curves that contacts trace on two surfaces, over time."""
+"""The curves that contacts trace on two surfaces (Fig. 20)."""
 
 from pathlib import Path
 
@@ -6,64 +6,75 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ._motion3 import LociRecord
-from ._style import LOCUS_OBJECT, LOCUS_TIP, MM, Picture, save, tidy
+from ..integration import Loci, loci as loci_of, Trajectory
+from ..mechanics import check_spatial, Grasp
+from ._scene3 import tip_name
+from ._style import CYCLE, LOCUS_OBJECT, LOCUS_TIP, MM, Picture, save, tidy
+from ._views import single
 
 _ROWS = (
-    ("Geodesic curvature", r"$\kappa_g$ [1/mm]", "geodesic_curvature"),
     ("Normal curvature", r"$\kappa_n$ [1/mm]", "normal_curvature"),
-    ("Geodesic torsion", r"$\tau_g$ [1/mm]", "torsion"),
+    ("Geodesic curvature", r"$\kappa_g$ [1/mm]", "geodesic_curvature"),
+    ("Geodesic torsion", r"$\tau_g$ [1/mm]", "geodesic_torsion"),
+    ("Torsion", r"$\tau$ [1/mm]", "torsion"),
 )
-_WIDTH, _HEIGHT = 3.9, 1.75
+_WIDTH, _HEIGHT = 4.2, 1.7
+# Below this share of a contact's greatest speed it all but rests, and its locus has no curvature.
+_SLOW = 0.02
+# Share of a locus whose values must be seen, and how far the picture goes beyond them, over their range:
+# towards a turning point curvature and torsion grow beyond all bounds.
+_SEEN, _BEYOND = 0.85, 0.35
+# A locus that bends by less than this angle is straight.
+_STRAIGHT = 1e-3
+# Below this share of the arclength, a difference is what floating-point arithmetic leaves over.
+_ROUNDING = 1e-13
+_SMALL = 1e-3
 
 
-def loci(found: LociRecord, folder: str | Path | None = None) -> Figure:
-    r"""Plot geodesic curvature, normal curvature, torsion and arclength of the loci of all contacts.
+def loci(grasp: Grasp, trajectory: Trajectory, folder: str | Path | None = None) -> Figure:
+    r"""Plot the loci of all contacts on both surfaces as curves: a column for each contact.
 
-    A column for each contact, with the fingertip's locus and the object's. Under rolling without spin about
-    the normal both loci have the same geodesic curvature, up to sign; under any rolling the same arclength,
-    so that the last row shows the error of a run.
+    Above, arclengths over time, and their difference, which A-2 says is zero: the error of a run. Below, over
+    the arclength, normal and geodesic curvature, geodesic torsion, and the torsion of the curve in space.
+    The outward normals of the bodies oppose each other, so that under rolling without spin about the normal
+    the geodesic curvatures are opposite numbers. Where a contact turns back its locus has a tip, and
+    curvatures are not finite; they are left out where its speed is below 2 % of its greatest.
 
     Args:
-        found: The loci, over time.
+        grasp: The grasp that was simulated, in space.
+        trajectory: One run of it.
         folder: Where to write the figure too, as `loci.png`. Default: nowhere.
 
     Returns:
         The figure.
 
     Raises:
-        ValueError: If an array has not the shape (c, t).
+        ValueError: If the grasp lives in the plane, or the trajectory is a batch.
 
     Example:
-        >>> import numpy as np
-        >>> from types import SimpleNamespace
+        >>> import jaxroll as jxr
         >>> from jaxroll import plotting
-        >>> names = ("arclength", "normal_curvature", "geodesic_curvature", "torsion")
-        >>> both = {f"{name}_{body}": np.ones((1, 3)) for name in names for body in ("tip", "object")}
-        >>> figure = plotting.loci(SimpleNamespace(ts=np.arange(3.0), **both))
-        >>> figure.axes[0].get_ylabel()
-        '$\\kappa_g$ [1/mm]'
+        >>> grasp, state = jxr.scenes.turntable()
+        >>> run = jxr.simulate(grasp, state, t1=0.2, ts=5)
+        >>> plotting.loci(grasp, run).axes[2].get_ylabel()
+        '$\\kappa_n$ [1/mm]'
     """
-    ts = np.asarray(found.ts, float)
-    contacts = len(np.asarray(found.arclength_tip))
-    figure = Picture(0.5 + _WIDTH * contacts, 0.4 + _HEIGHT * (1 + len(_ROWS)))
-    axes = figure.subplots(1 + len(_ROWS), contacts, sharex=True, squeeze=False)
-    for row, (title, label, name) in zip(axes, _ROWS, strict=False):
-        pair = [_array(found, f"{name}_{body}", (contacts, len(ts))) / MM for body in ("tip", "object")]
-        for c, ax in enumerate(row):
-            _draw(ax, ts, [values[c] for values in pair])
-            tidy(ax, ylabel="" if c else label, title=_title(title, c, contacts))
-    tips, bodies = (_array(found, f"arclength_{body}", (contacts, len(ts))) for body in ("tip", "object"))
-    off, unit = _in_powers(tips - bodies)
-    for c, ax in enumerate(axes[-1]):
-        ax.plot(ts, off[c], color="#555555", lw=1.0)
-        ax.axhline(0.0, color="#BBBBBB", lw=0.7, zorder=0)
-        ax.margins(x=0.0)
-        label = "" if c else rf"$s_\mathrm{{tip}} - s_\mathrm{{obj}}$ [{unit}]"
-        length = MM * float(np.nanmax(np.abs(bodies[c])))
-        tidy(ax, xlabel="time $t$ [s]", ylabel=label, title=f"Arclengths' difference, of {length:.3g} mm")
+    check_spatial(grasp)
+    _, reached = single(trajectory)
+    found, contacts = loci_of(grasp, trajectory), len(grasp.contacts)
+    figure = Picture(0.6 + _WIDTH * contacts, 0.4 + _HEIGHT * (2 + len(_ROWS)))
+    axes = figure.subplots(2 + len(_ROWS), contacts, squeeze=False)
+    for c, column in enumerate(axes.T):
+        _lengths(column[:2], found, c, reached)
+        _curves(column[2:], found, c)
+        for ax in column:
+            ax.margins(x=0.0)
+            ax.set_title(_title(ax.get_title(loc="left"), c, contacts), fontsize=9.5, loc="left")
+            if c:
+                ax.set_ylabel("")
+    tip = tip_name(grasp)
+    names = (f"locus on the {tip}", "locus on the object")
     handles = axes[0, 0].get_lines()[:2]
-    names = ("locus on the fingertip", "locus on the object")
     figure.legend(handles, names, loc="outside lower center", ncols=2, fontsize=8.5, frameon=False)
     figure.align_ylabels()
     if folder is not None:
@@ -71,11 +82,69 @@ def loci(found: LociRecord, folder: str | Path | None = None) -> Figure:
     return figure
 
 
-def _array(found: LociRecord, name: str, shape: tuple[int, int]) -> np.ndarray:
-    values = np.asarray(getattr(found, name), float)
-    if values.shape != shape:
-        raise ValueError(f"argument found must have {name} of shape {shape}, but had shape {values.shape}")
-    return values
+def _lengths(axes: np.ndarray, found: Loci, c: int, reached: np.ndarray) -> None:
+    """Arclengths and their difference over time."""
+    above, below = axes
+    ts = np.asarray(found.ts)[reached]
+    tip, body = (np.asarray(locus.arclength)[c, reached] for locus in (found.tip, found.object))
+    _pair(above, (ts, ts), (MM * tip, MM * body))
+    tidy(above, ylabel="arclength [mm]", title="Arclengths")
+    above.tick_params(labelbottom=False)
+    off, unit = _in_powers(tip - body)
+    below.plot(ts, off, color=CYCLE[1], lw=0.8)
+    below.axhline(0.0, color="#BBBBBB", lw=0.7, zorder=0)
+    label = rf"$s_\mathrm{{tip}} - s_\mathrm{{obj}}$ [{unit}]"
+    rounding = np.abs(tip - body).max() < _ROUNDING * body.max()
+    title = "Their difference (rounding level)" if rounding else "Their difference"
+    tidy(below, xlabel="time $t$ [s]", ylabel=label, title=title)
+
+
+def _curves(axes: np.ndarray, found: Loci, c: int) -> None:
+    """Curvatures and torsions over the arclength."""
+    pair = found.tip, found.object
+    whole = MM * max(float(np.nanmax(np.asarray(locus.arclength)[c])) for locus in pair)
+    speed = np.asarray(found.object.speed)[c]
+    moving = _moving(speed)
+    for ax, (title, label, name) in zip(axes, _ROWS, strict=True):
+        values = [np.where(moving, np.asarray(getattr(locus, name))[c] / MM, np.nan) for locus in pair]
+        limits = _limits(np.concatenate(values), np.tile(speed, 2), _STRAIGHT / max(whole, 1e-300))
+        scale, label = _powers(max(-limits[0], limits[1]), label)
+        _pair(ax, [MM * np.asarray(locus.arclength)[c] for locus in pair], [scale * v for v in values])
+        ax.set_ylim(*(scale * limits))
+        ax.axhline(0.0, color="#BBBBBB", lw=0.7, zorder=0)
+        last = name == _ROWS[-1][-1]
+        tidy(ax, xlabel="arclength [mm]" if last else "", ylabel=label, title=title)
+        ax.set_xlim(0.0, whole or 1.0)
+        ax.tick_params(labelbottom=last)
+
+
+def _moving(speed: np.ndarray) -> np.ndarray:
+    """Where a contact does not all but rest."""
+    return np.isfinite(speed) & (speed > _SLOW * float(np.nanmax(speed, initial=0.0)))
+
+
+def _pair(ax: Axes, xs, ys) -> None:
+    # The curves may coincide: both must be seen.
+    ax.plot(xs[0], ys[0], color=LOCUS_TIP, lw=3.6, alpha=0.4)
+    ax.plot(xs[1], ys[1], color=LOCUS_OBJECT, lw=1.5, ls=(0, (5, 2)))
+
+
+def _powers(size: float, label: str) -> tuple[float, str]:
+    """Small values in a power of ten that the label states."""
+    power = 0 if size >= _SMALL else int(np.floor(np.log10(size)))
+    return 10.0**-power, label.replace("[1", f"[$10^{{{power}}}$") if power else label
+
+
+def _limits(values: np.ndarray, weights: np.ndarray, least: float) -> np.ndarray:
+    """What to show: the values on most of the way, and zero; those far below `least` are zero."""
+    order = np.argsort(values)[: np.isfinite(values).sum()]
+    values, share = np.append(values[order], 0.0), np.cumsum(weights[order])
+    ends = 0.5 + np.array([-0.5, 0.5]) * _SEEN
+    found = values[np.searchsorted(share, ends * share[-1])] if len(order) else np.zeros(2)
+    low, high = min(found[0], 0.0), max(found[1], 0.0)
+    margin = max(_BEYOND * (high - low), least)
+    ends = max(low - margin, values.min() - 0.3 * margin), min(high + margin, values.max() + 0.3 * margin)
+    return np.array(ends)
 
 
 def _in_powers(values: np.ndarray) -> tuple[np.ndarray, str]:
@@ -89,17 +158,3 @@ def _in_powers(values: np.ndarray) -> tuple[np.ndarray, str]:
 
 def _title(title: str, c: int, contacts: int) -> str:
     return title if contacts == 1 else f"{title}, contact {c + 1}"
-
-
-def _draw(ax: Axes, ts: np.ndarray, pair: list[np.ndarray]) -> None:
-    # The curves may coincide: both must be seen.
-    ax.plot(ts, pair[0], color=LOCUS_TIP, lw=3.6, alpha=0.4)
-    ax.plot(ts, pair[1], color=LOCUS_OBJECT, lw=1.5, ls=(0, (5, 2)))
-    ax.margins(x=0.0, y=0.1)
-    low, high = ax.get_ylim()
-    peak = float(np.nanmax(np.abs(pair)))
-    if high - low < 1e-4 * peak:
-        middle = 0.5 * (low + high)
-        low, high = ax.set_ylim(middle - 0.1 * peak, middle + 0.1 * peak)
-    if low <= 0.0 <= high:
-        ax.axhline(0.0, color="#BBBBBB", lw=0.7, zorder=0)

@@ -11,6 +11,7 @@ from ..geometry import (
     AbstractSurface,
     Cylinder,
     Ellipsoid,
+    Hollow,
     MovedSurface,
     Plane,
     Sphere,
@@ -79,7 +80,7 @@ def mesh(
 
     Example:
         >>> import jaxroll as jxr
-        >>> from jaxroll.plotting import mesh
+        >>> from jaxroll.plotting._meshes import mesh
         >>> ball = mesh(jxr.geometry.Sphere(0.01), rows=4, columns=8)
         >>> ball.vertices.shape, ball.faces.shape, ball.closed
         ((26, 3), (48, 3), True)
@@ -98,8 +99,9 @@ def cuboid(edges: np.ndarray) -> Mesh:
 
 def endless(surface: AbstractSurface) -> bool:
     """Whether a surface needs an extent to be drawn."""
-    bare = surface.surface if isinstance(surface, MovedSurface) else surface
-    return endless(bare) if isinstance(bare, MovedSurface) else isinstance(bare, Plane | Cylinder)
+    if isinstance(surface, MovedSurface | Hollow):
+        return endless(surface.surface)
+    return isinstance(surface, Plane | Cylinder)
 
 
 @singledispatch
@@ -114,6 +116,12 @@ def _(surface: MovedSurface, counts, extent, about):
     offset = np.asarray(surface.offset, float)
     found = _mesh(surface.surface, counts, extent, (about - offset) @ turn)
     return replace(found, vertices=found.vertices @ turn.T + offset)
+
+
+@_mesh.register
+def _(surface: Hollow, counts, extent, about):
+    found = _mesh(surface.surface, counts, extent, about)
+    return replace(found, faces=found.faces[:, ::-1])
 
 
 @_mesh.register

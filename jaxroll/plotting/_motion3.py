@@ -2,61 +2,10 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
 
 import numpy as np
 
-
-class SpatialGrasp(Protocol):
-    """What the pictures ask of a spatial grasp.
-
-    Attributes:
-        object: Has `surfaces`, a tuple of `AbstractSurface` in the object's frame, and `outline`: None, or
-            the three edge lengths [m] of the box whose faces the surfaces are.
-        fingers: Each has `tip`, an `AbstractSurface` in the tip's frame.
-        contacts: Each has `finger` and `surface`: which tip meets which of the object's surfaces.
-    """
-
-    @property
-    def object(self) -> Any:
-        """The body that is grasped."""
-        ...
-
-    @property
-    def fingers(self) -> Sequence[Any]:
-        """Whatever touches it."""
-        ...
-
-    @property
-    def contacts(self) -> Sequence[Any]:
-        """Which of them meet."""
-        ...
-
-
-class LociRecord(Protocol):
-    """Curves traced by the contacts on both surfaces; all arrays but `ts` have shape (c, t).
-
-    Attributes:
-        ts: Shape (t,) [s].
-        arclength_tip: Arclength of the locus on the fingertip [m].
-        arclength_object: On the object.
-        normal_curvature_tip: Normal curvature of the locus [1/m].
-        normal_curvature_object: On the object.
-        geodesic_curvature_tip: Geodesic curvature of the locus [1/m].
-        geodesic_curvature_object: On the object.
-        torsion_tip: Geodesic torsion of the locus [1/m].
-        torsion_object: On the object.
-    """
-
-    ts: Any
-    arclength_tip: Any
-    arclength_object: Any
-    normal_curvature_tip: Any
-    normal_curvature_object: Any
-    geodesic_curvature_tip: Any
-    geodesic_curvature_object: Any
-    torsion_tip: Any
-    torsion_object: Any
+_AT_CONTACTS = ("on_tip", "on_object", "out_of_tip", "out_of_object")
 
 
 @dataclass(frozen=True)
@@ -71,19 +20,13 @@ class Motion3D:
         skeletons: For each finger the points from its base to its tip frame, shape (t, points, 3) [m].
         on_tip: Contact points in the tip's frame, shape (c, t, 3) [m].
         on_object: Contact points in the object's frame, shape (c, t, 3) [m].
+        out_of_tip: Outward unit normals of the fingertips there, shape (c, t, 3).
+        out_of_object: Outward unit normals of the object.
 
     Times that a run did not reach are NaN; they are left out of the pictures.
 
     Raises:
         ValueError: If the shapes do not agree.
-
-    Example:
-        >>> import numpy as np
-        >>> from jaxroll import plotting
-        >>> rest = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (5, 1))
-        >>> point = np.zeros((1, 5, 3))
-        >>> plotting.Motion3D(rest, rest[None], [point[0][:, None]], point, point).times
-        5
     """
 
     body: np.ndarray
@@ -91,17 +34,18 @@ class Motion3D:
     skeletons: Sequence[np.ndarray]
     on_tip: np.ndarray
     on_object: np.ndarray
+    out_of_tip: np.ndarray
+    out_of_object: np.ndarray
 
     def __post_init__(self) -> None:
-        for name in ("body", "tips", "on_tip", "on_object"):
+        for name in ("body", "tips", *_AT_CONTACTS):
             object.__setattr__(self, name, np.asarray(getattr(self, name), float))
         object.__setattr__(self, "skeletons", tuple(np.asarray(s, float) for s in self.skeletons))
         times, fingers = len(self.body), len(self.tips)
-        contacts = len(self.on_tip)
         _shaped("body", self.body, (times, 7))
         _shaped("tips", self.tips, (fingers, times, 7))
-        _shaped("on_tip", self.on_tip, (contacts, times, 3))
-        _shaped("on_object", self.on_object, (contacts, times, 3))
+        for name in _AT_CONTACTS:
+            _shaped(name, getattr(self, name), (len(self.on_tip), times, 3))
         if len(self.skeletons) != fingers:
             raise ValueError(
                 f"argument skeletons must have one entry for each of {fingers} fingers, "
@@ -115,6 +59,12 @@ class Motion3D:
         """How many times there are."""
         return len(self.body)
 
+    def at(self, rows: np.ndarray) -> "Motion3D":
+        """The same at some of its times."""
+        skeletons = [skeleton[rows] for skeleton in self.skeletons]
+        at_contacts = [getattr(self, name)[:, rows] for name in _AT_CONTACTS]
+        return Motion3D(self.body[rows], self.tips[:, rows], skeletons, *at_contacts)
+
     def reached(self) -> tuple["Motion3D", np.ndarray]:
         """What there is before a run ended, if it ended early, and the rows of these times.
 
@@ -126,9 +76,7 @@ class Motion3D:
         rows = np.flatnonzero(np.all(finite, axis=0))
         if not len(rows):
             raise ValueError("argument motion must hold at least one time that was reached, but held none")
-        skeletons = [skeleton[rows] for skeleton in self.skeletons]
-        kept = (self.tips[:, rows], skeletons, self.on_tip[:, rows], self.on_object[:, rows])
-        return Motion3D(self.body[rows], *kept), rows
+        return self.at(rows), rows
 
 
 def _shaped(name: str, array: np.ndarray, shape: tuple[int, ...]) -> None:

@@ -5,9 +5,12 @@ from typing import Any
 
 import numpy as np
 
+from ..integration import Trajectory
+from ..mechanics import check_spatial, Grasp
 from ._gif import nearest
-from ._motion3 import Motion3D, SpatialGrasp, times_of
-from ._scene3 import Locus, looking, Scene3, scene3, Solid
+from ._motion3 import Motion3D, times_of
+from ._scene3 import Locus, Scene3, scene3, Solid
+from ._space import facing
 from ._style import (
     CONTACT,
     GUIDE,
@@ -19,6 +22,8 @@ from ._style import (
     TIP_BODY,
 )
 from ._tubes import camera, shades
+from ._views import single
+from ._views3 import scene_motion, View
 
 _LIGHT = {
     "ambient": 0.66,
@@ -55,52 +60,61 @@ def _plotly() -> Any:
 
 
 def page(
-    grasp: SpatialGrasp,
-    motion: Motion3D,
-    ts: np.ndarray,
+    grasp: Grasp,
+    trajectory: Trajectory,
     path: str | Path = "grasp.html",
     *,
     title: str = "Rolling contact",
     frames: int = 40,
-    links: bool = True,
+    view: View | None = None,
 ) -> Path:
-    """Write a run of a spatial grasp as one HTML file, to be turned round and played in a browser.
+    """Write a run of a grasp in space as one HTML file, to be turned round and played in a browser.
 
     The file needs nothing else, no network either: plotly's script is within, 4.8 MB, and each frame adds
-    some 40 kB for an object and two fingertips. Every frame is the state nearest to its time.
+    some 40 kB for an object and two fingertips. Every frame is the saved state nearest to its time.
 
     Args:
         grasp: The grasp that was simulated.
-        motion: Its motion.
-        ts: The times of the motion, shape (t,) [s].
+        trajectory: One run of it.
         path: The file to write, ending in `.html`; its folder is made if need be.
         title: What stands above the picture.
         frames: How many instants can be shown, evenly spaced in time.
-        links: Whether to draw the links of the fingers.
+        view: How to look at it at first.
 
     Returns:
         The path that was written.
 
     Raises:
-        ValueError: If `path` is no HTML file, the times do not fit the motion, or a surface cannot be drawn.
+        ValueError: If the grasp lives in the plane, the trajectory is a batch, `path` is no HTML file, or a
+            surface cannot be drawn.
         ImportError: Without the extra `viz`.
 
     Example:
-        >>> import numpy as np
-        >>> from types import SimpleNamespace as Record
-        >>> from jaxroll import geometry, plotting
-        >>> hand = Record(tip=geometry.Plane())
-        >>> ball = Record(surfaces=(geometry.Sphere(0.02),), outline=None)
-        >>> grasp = Record(object=ball, fingers=(hand,), contacts=(Record(finger=0, surface=0),))
-        >>> pose = np.array([[0.0, 0.0, 0.02, 1.0, 0.0, 0.0, 0.0]])
-        >>> rest = np.array([[[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]]])
-        >>> motion = plotting.Motion3D(
-        ...     pose, rest, [np.zeros((1, 1, 3))], np.zeros((1, 1, 3)), np.array([[[0.0, 0.0, -0.02]]])
-        ... )
-        >>> plotting.page(grasp, motion, np.zeros(1), "grasp.html").name
+        >>> import jaxroll as jxr
+        >>> from jaxroll import plotting
+        >>> grasp, state = jxr.scenes.turntable()
+        >>> run = jxr.simulate(grasp, state, t1=0.2, ts=5)
+        >>> plotting.page(grasp, run, "grasp.html").name
         'grasp.html'
     """
-    plotly, path = _plotly(), Path(path)
+    check_spatial(grasp)
+    ts, _ = single(trajectory)
+    motion = scene_motion(grasp, trajectory.states)
+    return write_page(grasp, motion, ts, path, title=title, frames=frames, view=view)
+
+
+def write_page(
+    grasp: Grasp,
+    motion: Motion3D,
+    ts: np.ndarray,
+    path: str | Path,
+    *,
+    title: str = "Rolling contact",
+    frames: int = 40,
+    view: View | None = None,
+) -> Path:
+    """Write a motion at the times `ts`, as `page` does."""
+    plotly, path, view = _plotly(), Path(path), View() if view is None else view
     ts = times_of(motion, ts)
     if path.suffix.lower() not in (".html", ".htm"):
         raise ValueError(f"argument path must end in .html, but was {str(path)!r}")
@@ -108,7 +122,7 @@ def page(
         raise ValueError(f"argument frames must be at least 1, but was {frames}")
     motion, reached = motion.reached()
     ts = ts[reached]
-    scene = scene3(grasp, motion, rows=_MESH[0], columns=_MESH[1], links=links)
+    scene = scene3(grasp, motion, rows=_MESH[0], columns=_MESH[1], links=view.links)
     rows = np.unique(nearest(ts, max(ts[-1] - ts[0], 1e-300) / max(frames - 1, 1)))
     # Opened where the loci are complete; from the last frame on, play begins at the first.
     still, start = _still(scene), _moving(scene, int(rows[-1]))
@@ -123,7 +137,7 @@ def page(
     ]
     figure = plotly.Figure(
         data=[kind(a | b) for kind, a, b in zip(kinds, still, start, strict=True)],
-        layout=_layout(scene, title, ts[rows]),
+        layout=_layout(scene, title, ts[rows], facing(scene, view)),
         frames=shown,
     )
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -136,11 +150,14 @@ def page(
 
 def _still(scene: Scene3) -> list[dict[str, Any]]:
     """Of each trace what does not change: first the solids, then fingers, loci, contact points."""
-    found = [_solid(solid, k) for k, solid in enumerate(scene.solids)]
+    found = [
+        _solid(solid, scene.tip_name if solid.finger >= 0 else "object", k)
+        for k, solid in enumerate(scene.solids)
+    ]
     found += [_limbs(scene, k) for k in range(len(scene.skeletons))]
     for k in range(len(scene.on_tips)):
         found += [
-            _trace("locus on the fingertip", LOCUS_TIP, first=k == 0),
+            _trace(f"locus on the {scene.tip_name}", LOCUS_TIP, first=k == 0),
             _trace("locus on the object", LOCUS_OBJECT, first=k == 0),
         ]
     line = {"color": CONTACT, "width": 5}
@@ -179,9 +196,8 @@ def _xyz(points: np.ndarray) -> dict[str, np.ndarray]:
     return {axis: points[:, k].astype(np.float32) for k, axis in enumerate("xyz")}
 
 
-def _solid(solid: Solid, k: int) -> dict[str, Any]:
-    tip = solid.finger >= 0
-    name, colour = ("fingertip", TIP_BODY) if tip else ("object", OBJECT_BODY)
+def _solid(solid: Solid, name: str, k: int) -> dict[str, Any]:
+    colour = OBJECT_BODY if solid.finger < 0 else TIP_BODY
     corners = solid.mesh.faces.astype(np.int32)
     return {
         **{name: corners[:, c] for c, name in enumerate("ijk")},
@@ -222,7 +238,7 @@ def _trace(name: str, colour: str, *, first: bool) -> dict[str, Any]:
     return {"mode": "lines", "line": line, "name": name, "legendgroup": name, "showlegend": first}
 
 
-def _layout(scene: Scene3, title: str, ts: np.ndarray) -> dict[str, Any]:
+def _layout(scene: Scene3, title: str, ts: np.ndarray, angles: tuple[float, float]) -> dict[str, Any]:
     low, high = scene.corners + np.array([[-1.5], [1.5]]) * scene.thickness
     axes = {
         f"{axis}axis": {
@@ -239,7 +255,7 @@ def _layout(scene: Scene3, title: str, ts: np.ndarray) -> dict[str, Any]:
         }
         for k, axis in enumerate("xyz")
     }
-    towards, _ = camera(*looking(scene))
+    towards, _ = camera(*angles)
     right = np.cross([0.0, 0.0, 1.0], towards)
     right /= np.linalg.norm(right)
     # What is seen of the box of the axes from there fits into the window.

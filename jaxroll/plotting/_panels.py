@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..control import Press
-from ..integration import check_pinch, multipliers, pinch_balance, press_balance, Trajectory
+from ..integration import check_pinch, Energy, multipliers, pinch_balance, press_balance, Trajectory
 from ..mechanics import Grasp, PivotedObject
 from ._style import MM
 
@@ -27,7 +27,7 @@ class Panel:
 
 def panels(grasp: Grasp, run: Trajectory) -> list[Panel]:
     """All panels of a run, in the order in which the figure shows them."""
-    contacts, figures = _numbered("contact", len(grasp.contacts)), 0
+    contacts, figures = numbered("contact", len(grasp.contacts)), 0
     if is_pinch(grasp):
         found = _pinch(grasp, run)
     elif isinstance(grasp.controller, Press):
@@ -39,7 +39,7 @@ def panels(grasp: Grasp, run: Trajectory) -> list[Panel]:
         found = [rolled, *_motion(grasp, run, contacts), *_forces(grasp, run, contacts)]
     found.append(_last(run, contacts))
     return [
-        replace(_in_powers(p), title=f"Fig. {9 + i}: {p.title}" if i < figures else _sentence(p.title))
+        replace(in_powers(p), title=f"Fig. {9 + i}: {p.title}" if i < figures else sentence(p.title))
         for i, p in enumerate(found)
     ]
 
@@ -58,7 +58,7 @@ def _motion(grasp: Grasp, run: Trajectory, contacts: tuple[str, ...]) -> list[Pa
     return [*_joint_rates(grasp, run), *_object_rates(grasp, run), tangential, normal]
 
 
-def _in_powers(panel: Panel) -> Panel:
+def in_powers(panel: Panel) -> Panel:
     """Small values in a power of ten that the axis label states."""
     peak = float(np.nanmax(np.abs(panel.values)))
     if not 0.0 < peak < _SMALL:
@@ -68,7 +68,8 @@ def _in_powers(panel: Panel) -> Panel:
     return replace(panel, label=label, values=panel.values / 10.0**power)
 
 
-def _sentence(words: str) -> str:
+def sentence(words: str) -> str:
+    """With a capital first letter."""
     return words[0].upper() + words[1:]
 
 
@@ -91,7 +92,7 @@ def _press(grasp: Grasp, run: Trajectory, contacts: tuple[str, ...]) -> list[Pan
 
 
 def _pinch(grasp: Grasp, run: Trajectory) -> list[Panel]:
-    found, (f, lam) = pinch_balance(grasp, run.ts, run.states), _multipliers(grasp, run)
+    found, (f, lam) = pinch_balance(grasp, run.ts, run.states), forces_of(grasp, run)
     moments = np.concatenate([found.delta_n, np.asarray(found.s_n)[:, None]], axis=1)
     return [
         Panel("normal forces", "$f_i$ [N]", f, _both("f")),
@@ -172,13 +173,13 @@ def _object_rates(grasp: Grasp, run: Trajectory) -> list[Panel]:
 def _gaps(grasp: Grasp, run: Trajectory, normal: tuple[str, ...], tangential: tuple[str, ...]) -> list[Panel]:
     left, size = run.residuals, float(grasp.fingers[0].size)
     return [
-        _residual("normal gap", r"$Q$ [m]", left.normal, size, normal),
-        _residual("tangential gap", r"$R$ [m]", left.tangential, size, tangential),
+        residual("normal gap", r"$Q$ [m]", left.normal, size=size, names=normal),
+        residual("tangential gap", r"$R$ [m]", left.tangential, size=size, names=tangential),
     ]
 
 
 def _forces(grasp: Grasp, run: Trajectory, contacts: tuple[str, ...]) -> list[Panel]:
-    f, lam = _multipliers(grasp, run)
+    f, lam = forces_of(grasp, run)
     if len(contacts) == 1:
         both = np.concatenate([f, lam], axis=1)
         return [Panel("contact force", "force [N]", both, ("normal $f$", r"tangential $\lambda$"))]
@@ -188,7 +189,8 @@ def _forces(grasp: Grasp, run: Trajectory, contacts: tuple[str, ...]) -> list[Pa
     ]
 
 
-def _multipliers(grasp: Grasp, run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+def forces_of(grasp: Grasp, run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """Normal and tangential forces, recorded or not."""
     found = run.multipliers
     if found is None:
         found = multipliers(grasp, run.ts, run.states)
@@ -198,12 +200,17 @@ def _multipliers(grasp: Grasp, run: Trajectory) -> tuple[np.ndarray, np.ndarray]
 def _last(run: Trajectory, contacts: tuple[str, ...]) -> Panel:
     energy = run.energy
     if energy is None:
-        return _residual("tangency", "sine [rad]", run.residuals.tangency, 1.0, contacts)
+        return residual("tangency", "sine [rad]", run.residuals.tangency, size=1.0, names=contacts)
+    return balance(energy)
+
+
+def balance(energy: Energy) -> Panel:
+    """The energy balance."""
     size = float(np.nanmax(np.abs(np.asarray(energy.kinetic + energy.potential))))
-    return _residual("energy balance", r"$\Delta(K + P - W)$ [J]", energy.residual, size, ())
+    return residual("energy balance", r"$\Delta(K + P - W)$ [J]", energy.residual, size=size)
 
 
-def _residual(title: str, label: str, values: object, size: float, names: tuple[str, ...]) -> Panel:
+def residual(title: str, label: str, values: object, *, size: float, names: tuple[str, ...] = ()) -> Panel:
     """A panel of what should be zero, in a thin line that shows scatter."""
     seen = np.asarray(values)
     if np.nanmax(np.abs(seen)) < _ROUNDING * size:
@@ -211,5 +218,6 @@ def _residual(title: str, label: str, values: object, size: float, names: tuple[
     return Panel(title, label, seen, names, 0.8)
 
 
-def _numbered(noun: str, count: int) -> tuple[str, ...]:
+def numbered(noun: str, count: int) -> tuple[str, ...]:
+    """A name for each."""
     return tuple(f"{noun} {i + 1}" for i in range(count))

@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 
 from ..geometry import AbstractContour
 from ..integration import check_pinch, Trajectory
-from ..mechanics import Grasp, State
+from ..mechanics import check_planar, Grasp, State
 from ..stability import equilibrium, pinch_statics
 from ._style import CONTACT, GUIDE, MM, Picture, tidy
 from ._views import single
@@ -33,7 +33,7 @@ def phase(grasp: Grasp, trajectory: Trajectory, *, rest: State | None = None) ->
         The figure: $s_i$ in millimetres, U in millijoules; start, end and equilibrium are marked.
 
     Raises:
-        ValueError: If the grasp is no such pinch, or the trajectory is a batch.
+        ValueError: If the grasp is no such pinch, or lives in space, or the trajectory is a batch.
 
     Example:
         >>> import jaxroll as jxr
@@ -43,6 +43,7 @@ def phase(grasp: Grasp, trajectory: Trajectory, *, rest: State | None = None) ->
         >>> plotting.phase(grasp, run, rest=state).axes[0].get_xlabel()
         '$s_1$ [mm]'
     """
+    check_planar(grasp)
     check_pinch(grasp)
     ts, reached = single(trajectory)
     path = _chapter_s(grasp, trajectory.states)[reached]

@@ -1,4 +1,4 @@
-"""Poses of hand and object (Fig. 8)."""
+"""Poses of hand and object (Fig. 8; in space Figs. 19 and 20)."""
 
 from collections.abc import Sequence
 
@@ -11,24 +11,33 @@ from ..integration import Trajectory
 from ..mechanics import Grasp, State
 from ._artists import Drawing, limits
 from ._forces import Arrows, arrows, key
+from ._space import snapshots3
 from ._style import Picture, tidy
 from ._views import along_time, single, Views, views
+from ._views3 import check_options, pushes, scene_motion, View
 
 
-def pose(grasp: Grasp, state: State, *, ax: Axes | None = None) -> Figure:
-    """Draw one pose with its true contours, to scale.
+def pose(grasp: Grasp, state: State, *, ax: Axes | None = None, view: View | None = None) -> Figure:
+    """Draw one pose with its true contours or surfaces, to scale.
 
     Open contours are closed by a thin rounded back, which is drawing only. The dashed line joins
     what must fall in line with the contact at rest: under `control.Press` the tip frame and the
     target, for two fingers their tip frames.
 
+    In space, surfaces have a pattern of patches that shows how they turn; those without end are drawn about
+    the contact.
+
     Args:
         grasp: What is drawn.
         state: One state; its `q` in radians and metres.
-        ax: An axes to draw on, in millimetres. Default: a new figure with a legend.
+        ax: An axes to draw on, in millimetres; in the plane alone. Default: a new figure with a legend.
+        view: How to look at a grasp in space.
 
     Returns:
         The figure.
+
+    Raises:
+        ValueError: If `ax` is given in space or `view` in the plane, or a surface cannot be drawn.
 
     Example:
         >>> import jaxroll as jxr
@@ -37,6 +46,10 @@ def pose(grasp: Grasp, state: State, *, ax: Axes | None = None) -> Figure:
         >>> figure.axes[0].get_xlabel()
         'x [mm]'
     """
+    if grasp.spatial:
+        check_options(grasp, ax=ax)
+        return snapshots3(grasp, scene_motion(grasp, state), view=view)
+    check_options(grasp, view=view)
     seen = views(grasp, along_time(state))
     if ax is None:
         return _side_by_side(grasp, seen, [""])
@@ -48,22 +61,32 @@ def pose(grasp: Grasp, state: State, *, ax: Axes | None = None) -> Figure:
 
 
 def poses(
-    grasp: Grasp, trajectory: Trajectory, *, times: Sequence[float] | None = None, forces: bool = False
+    grasp: Grasp,
+    trajectory: Trajectory,
+    *,
+    times: Sequence[float] | None = None,
+    forces: bool = False,
+    view: View | None = None,
 ) -> Figure:
     """Draw the poses at several times side by side, as Fig. 8 does for the first and the last.
+
+    In space each has the loci of the contacts up to its time (Fig. 20): each on its own body, where that body
+    is then. Rolling makes the two touch with a common tangent at the contact. What of a locus is on the far
+    side of its body is dotted.
 
     Args:
         grasp: What is drawn.
         trajectory: One run of it.
         times: Times to draw [s]; each shows the saved state nearest to it. Default: first and last.
-        forces: Whether to draw the contact forces on the object, with their scale.
+        forces: Whether to draw the contact forces on the object, in the plane with their scale.
+        view: How to look at a grasp in space.
 
     Returns:
         The figure.
 
     Raises:
-        ValueError: If the trajectory is a batch, or `forces` is True and the run was not simulated
-            with `record=("multipliers",)`.
+        ValueError: If the trajectory is a batch, `view` is given in the plane, a surface cannot be drawn, or
+            `forces` is True and the run was not simulated with `record=("multipliers",)`.
 
     Example:
         >>> import jaxroll as jxr
@@ -77,8 +100,13 @@ def poses(
     ts, rows = ts[reached], np.flatnonzero(reached)
     wanted = (ts[0], ts[-1]) if times is None else tuple(times)
     picks = [int(np.argmin(np.abs(ts - t))) for t in wanted]
-    states = jax.tree.map(lambda a: np.asarray(a)[rows[picks]], trajectory.states)
     titles = [f"({chr(97 + k)})  t = {ts[i]:.4g} s" for k, i in enumerate(picks)]
+    if grasp.spatial:
+        motion = scene_motion(grasp, trajectory.states)
+        pushed = pushes(trajectory, motion) if forces else None
+        return snapshots3(grasp, motion, picks, titles=titles, forces=pushed, view=view)
+    check_options(grasp, view=view)
+    states = jax.tree.map(lambda a: np.asarray(a)[rows[picks]], trajectory.states)
     seen = views(grasp, states)
     if not forces:
         return _side_by_side(grasp, seen, titles)

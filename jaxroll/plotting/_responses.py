@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from ..integration import Trajectory
 from ..mechanics import Grasp
 from ._panels import Panel, panels
+from ._panels3 import panels3
 from ._style import CYCLE, Picture, save, tidy
 from ._views import single
 
@@ -29,6 +30,11 @@ def responses(grasp: Grasp, trajectory: Trajectory, folder: str | Path | None = 
     between $O_i P_i$ and $O_1 O_2$, motion of object and joints since the start, $Q_i$ and $R_i$ [m].
     For any other grasp: contact forces, rolling coordinates, rates, residuals. The energy balance
     is added if it was recorded.
+
+    In space: position of the object, its orientation as the vector $\theta a$ of axis and angle in world
+    axes, and joint angles, all since the start; of each contact the normal force $f$, the size of the
+    tangential one $|\lambda|$ and their ratio, the friction that rolling needs; velocity and spin of the
+    object, joint rates, $Q$ and $|R|$.
 
     Where the contacts are nearly through with their motion in a tenth of the time, the time axis is
     stretched: linear at first, then logarithmic.
@@ -53,7 +59,7 @@ def responses(grasp: Grasp, trajectory: Trajectory, folder: str | Path | None = 
         '$\\Delta f$ [N]'
     """
     ts, reached = single(trajectory)
-    shown = panels(grasp, trajectory)
+    shown = panels3(grasp, trajectory) if grasp.spatial else panels(grasp, trajectory)
     rows = -(-len(shown) // _COLUMNS)
     figure = Picture(10.0, 2.05 * rows + 0.2)
     axes = figure.subplots(rows, _COLUMNS, sharex=True, squeeze=False).ravel()

@@ -5,8 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..geometry import AbstractSurface
+from ..mechanics import Grasp, Stage
 from ._meshes import cuboid, endless, Mesh, mesh
-from ._motion3 import Motion3D, placed, SpatialGrasp, turned
+from ._motion3 import Motion3D, placed, turned
 from ._style import MM
 
 # Half the width of an endless surface, over the size of what is bounded.
@@ -70,6 +71,7 @@ class Scene3:
         on_object: For each contact its locus on the object.
         thickness: Radius of the links [mm].
         corners: Least and largest coordinates at any time, shape (2, 3) [mm].
+        tip_name: What the object touches is called: a fingertip or a stage.
     """
 
     solids: tuple[Solid, ...]
@@ -78,6 +80,7 @@ class Scene3:
     on_object: tuple[Locus, ...]
     thickness: float
     corners: np.ndarray
+    tip_name: str
 
     @property
     def times(self) -> int:
@@ -86,7 +89,7 @@ class Scene3:
 
 
 def scene3(
-    grasp: SpatialGrasp, motion: Motion3D, *, rows: int = 24, columns: int = 48, links: bool = True
+    grasp: Grasp, motion: Motion3D, *, rows: int = 24, columns: int = 48, links: bool = True
 ) -> Scene3:
     """Meshes, frames and loci; without `links` a skeleton is its last point.
 
@@ -99,16 +102,21 @@ def scene3(
     frames = [(body, -1)] * (len(shapes) - len(tips)) + [(tip, i) for i, tip in enumerate(tips)]
     solids = tuple(Solid(shape, *frame) for shape, frame in zip(shapes, frames, strict=True))
     on_tips, on_object = [], []
-    for contact, on_tip, on_body in zip(grasp.contacts, motion.on_tip, motion.on_object, strict=True):
-        tip, face = grasp.fingers[contact.finger].tip, grasp.object.surfaces[contact.surface]
-        on_tips.append(Locus(MM * on_tip, _normals(tip, on_tip), tips[contact.finger], contact.finger))
-        on_object.append(Locus(MM * on_body, _normals(face, on_body), body, -1))
+    for k, contact in enumerate(grasp.contacts):
+        tip = contact.finger
+        on_tips.append(Locus(MM * motion.on_tip[k], motion.out_of_tip[k], tips[tip], tip))
+        on_object.append(Locus(MM * motion.on_object[k], motion.out_of_object[k], body, -1))
     first = 0 if links else -1
     skeletons = tuple(MM * skeleton[:, first:] for skeleton in motion.skeletons)
     sizes = [_size(s.mesh) for s in solids if s.finger >= 0 and s.mesh.closed] or [MM * _DEFAULT_SIZE]
     thickness = _SLIM * min(sizes)
     corners = _corners(solids, skeletons, thickness)
-    return Scene3(solids, skeletons, tuple(on_tips), tuple(on_object), thickness, corners)
+    return Scene3(solids, skeletons, tuple(on_tips), tuple(on_object), thickness, corners, tip_name(grasp))
+
+
+def tip_name(grasp: Grasp) -> str:
+    """What the object touches is called: a fingertip or a stage."""
+    return "stage" if all(isinstance(finger, Stage) for finger in grasp.fingers) else "fingertip"
 
 
 def looking(scene: Scene3) -> tuple[float, float]:
@@ -122,7 +130,7 @@ def looking(scene: Scene3) -> tuple[float, float]:
     return _VIEW[0], float((choices[np.argmin(off)] + 180.0) % 360.0 - 180.0)
 
 
-def _matched(grasp: SpatialGrasp, motion: Motion3D) -> None:
+def _matched(grasp: Grasp, motion: Motion3D) -> None:
     fingers, contacts = len(grasp.fingers), len(grasp.contacts)
     if len(motion.tips) != fingers:
         raise ValueError(f"argument motion must have {fingers} tips, but had {len(motion.tips)}")
@@ -136,7 +144,7 @@ def _scaled(frames: np.ndarray) -> np.ndarray:
     return frames * np.array([MM, MM, MM, 1.0, 1.0, 1.0, 1.0])
 
 
-def _shapes(grasp: SpatialGrasp, motion: Motion3D, counts: tuple[int, int]) -> list[Mesh]:
+def _shapes(grasp: Grasp, motion: Motion3D, counts: tuple[int, int]) -> list[Mesh]:
     """Meshes [mm] of the object, one for each surface or the box alone, then of the tips."""
     rows, columns = counts
     drawn: list[AbstractSurface | Mesh] = list(grasp.object.surfaces)
@@ -169,10 +177,6 @@ def _places(keys: list[tuple[int, int]], points: np.ndarray) -> dict[tuple[int, 
     return {
         key: np.concatenate([p for k, p in zip(keys, points, strict=True) if k == key]) for key in set(keys)
     }
-
-
-def _normals(surface: AbstractSurface, points: np.ndarray) -> np.ndarray:
-    return np.asarray(surface.normal(surface.near(points)))
 
 
 def _size(shape: Mesh) -> float:

@@ -1,0 +1,98 @@
+"""Where everything of a grasp in space is at every time, and from where it is seen."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .._spatial import seven
+from ..integration import Trajectory
+from ..mechanics import compiled, Grasp, poses, State, to_leaves, touches
+from ._motion3 import Motion3D, turned
+from ._views import along_time
+
+
+@dataclass(frozen=True)
+class View:
+    """How a grasp in space is looked at.
+
+    Args:
+        elevation: Of the camera above the x-y plane, in degrees. Default: 22, in most cases.
+        azimuth: Of the camera about z, in degrees, as matplotlib counts. Default: it sees the first contact
+            from the side.
+        turn: By how much the camera goes round during an animation, in degrees.
+        links: Whether to draw the links of the fingers; without them the bodies in contact, and what has
+            rolled, fill the picture.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> from jaxroll import plotting
+        >>> view = plotting.View(azimuth=-70.0, links=False)
+        >>> plotting.pose(*jxr.scenes.turntable(), view=view).axes[0].azim
+        -70.0
+    """
+
+    elevation: float | None = None
+    azimuth: float | None = None
+    turn: float = 0.0
+    links: bool = True
+
+
+def scene_motion(grasp: Grasp, states: State) -> Motion3D:
+    """Motion of a spatial grasp at states with a leading time axis, or at one state."""
+    return Motion3D(*jax.tree.map(np.array, _placed(grasp, along_time(states))))
+
+
+@compiled
+def _placed(grasp: Grasp, states: State):
+    ready = grasp.prepared()
+
+    def at(state: State):
+        leaves = to_leaves(state, ready.form)
+        body, *tips = (seven(frame) for frame in poses(ready, leaves.q))
+        skeletons = tuple(
+            jnp.stack([p.array() for p in finger.skeleton(q)])
+            for finger, q in zip(ready.fingers, leaves.q[1:], strict=True)
+        )
+        touching = touches(ready, leaves.s)
+        pairs = (
+            [t.tip.point for t in touching],
+            [t.object.point for t in touching],
+            [t.tip.normal for t in touching],
+            [t.object.normal for t in touching],
+        )
+        at_contacts = [jnp.stack([vector.array() for vector in vectors]) for vectors in pairs]
+        return body, jnp.stack(tips), skeletons, *at_contacts
+
+    body, tips, skeletons, *at_contacts = jax.vmap(at)(states)
+    return body, jnp.swapaxes(tips, 0, 1), skeletons, *(jnp.swapaxes(a, 0, 1) for a in at_contacts)
+
+
+def pushes(trajectory: Trajectory, motion: Motion3D) -> np.ndarray:
+    """Recorded contact forces on the object in world axes, shape (c, t, 3) [N].
+
+    Raises:
+        ValueError: If the run has no recorded multipliers.
+    """
+    found = trajectory.multipliers
+    if found is None:
+        raise ValueError(
+            "argument trajectory must hold contact forces if they are to be drawn: "
+            "simulate with record=('multipliers',)"
+        )
+    out = np.stack([turned_each(motion.body, normals) for normals in motion.out_of_object])
+    return np.swapaxes(np.asarray(found.lam), 0, 1) - np.asarray(found.f).T[..., None] * out
+
+
+def turned_each(poses: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Body-frame directions in world axes, a pose for each; shapes (t, 7) and (t, 3)."""
+    return np.stack([turned(pose, vector) for pose, vector in zip(poses, vectors, strict=True)])
+
+
+def check_options(grasp: Grasp, **given: object) -> None:
+    """Raise where an argument has no meaning for this kind of grasp: all must be None."""
+    kind = "in space" if grasp.spatial else "in the plane"
+    for name, value in given.items():
+        if value is not None:
+            raise ValueError(f"argument {name} must be None for a grasp {kind}, but was {value!r:.80}")

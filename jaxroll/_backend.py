@@ -75,6 +75,18 @@ def differentiable_kernel(function: Callable, *args: Any) -> Any:
     return call(args)
 
 
+def in_turn(function: Callable, shared: Any, *rows: Any) -> Any:
+    """`function(shared, *row)` for all rows of some arrays, in turn and in one kernel; differentiable.
+
+    Side by side the rows of a long function would take many times as long to compile.
+    """
+
+    def each(shared: Any, *rows: Any) -> Any:
+        return jax.lax.map(lambda row: function(shared, *row), rows)
+
+    return differentiable_kernel(each, shared, *rows)
+
+
 def _marked(function: Callable, arrays: Any) -> Any:
     """The call as one operation, with the attributes if it fits."""
     leaves, form = jax.tree.flatten(arrays)

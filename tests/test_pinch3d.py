@@ -51,7 +51,10 @@ KINDS = {
 AS_TOLD = {"spin prevented": {"no_spin": True}, "gravity": {"gravity": (0.3, -1.0, 0.5)}}
 
 
-@pytest.fixture(scope="module", params=KINDS)
+HARD = [pytest.param(kind, marks=[] if kind == "cuboid" else [pytest.mark.slow]) for kind in KINDS]
+
+
+@pytest.fixture(scope="module", params=HARD)
 def case(request):
     scene = jxr.scenes.pinch3d(**KINDS[request.param])
     run = jxr.simulate(*scene, t1=1.0, ts=TS, record=("multipliers", "energy"), rtol=1e-11)
@@ -191,7 +194,7 @@ def rocked(axes):
     return jxr.simulate(moved, closed, t1=0.3, ts=2, rtol=1e-11).last.q
 
 
-@pytest.mark.parametrize("mode", ["forward", "reverse"])
+@pytest.mark.parametrize("mode", [pytest.param("forward", marks=pytest.mark.slow), "reverse"])
 def test_gradient_in_surface_parameters_of_a_rolling_body(mode):
     axes, way = jnp.array([0.05, 0.03, 0.04]), jnp.array([1.0, -0.6, 0.8])
     cost = lambda axes: rocked(axes) @ jnp.array([1.0, 2.0, -1.0, 0.5, 0.3, -0.7, 1.5])  # noqa: E731
@@ -219,6 +222,7 @@ def test_close_out_of_reach_names_the_worst_row():
         jxr.close(grasp.with_(mass=1e9), far)
 
 
+@pytest.mark.slow
 def test_batch_of_grasps_is_the_grasps():
     grasp, state = jxr.scenes.pinch3d()
     betas = jnp.array([15.0, 20.0, 25.0])
@@ -229,6 +233,7 @@ def test_batch_of_grasps_is_the_grasps():
     np.testing.assert_allclose(jax.vmap(end)(betas), [end(beta) for beta in betas], atol=1e-10)
 
 
+@pytest.mark.slow
 def test_blind_control_sees_tips_in_space():
     """A user's controller gets positions and Jacobians of shape (3,) and (3, k)."""
 

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from .._algebra import total
-from .._backend import differentiable_kernel
+from .._algebra import sharing, total
+from .._backend import in_turn
 from .._results import concrete, message, RESULTS
 from .._types import Given
 from ..mechanics import check_planar, Grasp, State
@@ -20,7 +20,7 @@ from ._close import check_state, reach
 from ._flow import bundle, Layout, layout, states_of, vector_of
 from ._formulation import CSM, Formulation, Index1
 from ._march import march
-from ._observe import energies_at, Energy, multipliers_at, residuals_at, worst
+from ._observe import energies_at, Energy, Multipliers, multipliers_at, residuals_at, worst
 from ._plan import Path, Plan
 from ._regime import EVENTS
 from ._stepper import RollingStep
@@ -206,12 +206,12 @@ def _trajectory(
     lay, way = plan.stepper.lay, plan.stepper.formulation
     states = states_of(lay, path.saved)
     both = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), state, states)
-    left = differentiable_kernel(jax.vmap(residuals_at, in_axes=(None, 0)), grasp, both)
+    left = in_turn(residuals_at, grasp, both)
     off = worst(jax.tree.map(lambda a: a[0], left))
     on_constraints = isinstance(way, CSM) | (off <= reach(state.q.dtype))
     forces = energy = None
     if "multipliers" in record:
-        forces = jax.vmap(lambda t, s: multipliers_at(grasp, t, s, way))(plan.ts, states)
+        forces = in_turn(_forces_at, (grasp, way), plan.ts, states)
     if "energy" in record:
         energy = _energy(grasp, states, path.saved[:, lay.width - 1])
     attempted, accepted, rejected = path.steps
@@ -228,8 +228,19 @@ def _trajectory(
     return trajectory, off
 
 
+def _forces_at(given: tuple[Grasp, Formulation], t: Array, state: State) -> Multipliers:
+    with sharing(t):
+        return multipliers_at(given[0], t, state, given[1])
+
+
+def _energies_at(grasp: Grasp, state: State) -> tuple[Array, Array]:
+    with sharing(state.q[0]):
+        kinetic, potential = energies_at(grasp, state)
+    return jnp.asarray(kinetic), jnp.asarray(potential)
+
+
 def _energy(grasp: Grasp, states: State, work: Array) -> Energy:
-    kinetic, potential = jax.vmap(lambda s: energies_at(grasp, s))(states)
+    kinetic, potential = in_turn(_energies_at, grasp, states)
     balance = kinetic + potential - work
     return Energy(kinetic, potential, work, balance - balance[0])
 

@@ -15,6 +15,8 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_compilation_cache_dir", str(pathlib.Path(CACHE)))
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+# A bound makes JAX lock the cache: without it one process may read what another is still writing, and crash.
+jax.config.update("jax_compilation_cache_max_size", 16 * 2**30)
 
 
 def pytest_addoption(parser):

@@ -156,6 +156,28 @@ def test_holonomy_of_a_closed_path(path):
     np.testing.assert_allclose(rolled.at_object[-1], at, atol=1e-13)
 
 
+def test_spin_about_the_normal_is_counter_clockwise():
+    options = {"at_tip": (0.0, 0.0, -0.1), "at_object": (0.0, 0.0, 0.0), "spin": lambda t: 0.7}
+    rolled = jxr.roll(
+        jxr.Sphere(0.1), jxr.Plane(), lambda t: (0.0, 0.0, 0.0), jnp.array([0.0, 1.0]), **options
+    )
+    half = np.array([np.cos(0.35), 0.0, 0.0, np.sin(0.35)])
+    np.testing.assert_allclose(rolled.pose[-1, 3:], half, atol=1e-12)
+
+
+def test_torsion_is_geodesic_torsion_and_the_turning_of_the_normal():
+    r"""$\tau = \tau_g + d\alpha/ds$, with the angle of the principal normal in the Darboux frame."""
+    scene = jxr.scenes.rattleback(spin=2.0, tilt=0.3, axes=(0.05, 0.03, 0.04))
+    run = run_of(scene, 0.5, ts=401, rtol=1e-11)
+    locus = jxr.loci(scene[0], run).object
+    angle = np.unwrap(np.arctan2(-locus.normal_curvature[0], locus.geodesic_curvature[0]))
+    rate = make_interp_spline(run.ts, angle, k=7)(run.ts, 1) / np.asarray(locus.speed[0])
+    middle = slice(40, -40)
+    twist = np.asarray(locus.geodesic_torsion[0] + rate)[middle]
+    assert np.abs(locus.geodesic_torsion[0]).max() > 1.0  # or its sign would not matter
+    np.testing.assert_allclose(np.asarray(locus.torsion[0])[middle], twist, rtol=1e-4, atol=1e-3)
+
+
 def test_rolled_body_touches_where_it_says():
     egg, bump = jxr.Ellipsoid(0.03, 0.02, 0.015), jxr.Sphere(0.05)
     rolled = jxr.roll(

@@ -15,8 +15,13 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_compilation_cache_dir", str(pathlib.Path(CACHE)))
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
-# A bound makes JAX lock the cache: without it one process may read what another is still writing, and crash.
-jax.config.update("jax_compilation_cache_max_size", 16 * 2**30)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _forgotten():
+    """Forget a file's programs when it is done: some thousands of them exhaust the maps of a process."""
+    yield
+    jax.clear_caches()
 
 
 def pytest_addoption(parser):

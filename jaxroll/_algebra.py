@@ -131,10 +131,6 @@ class Pose2:
         """A body-frame point in world coordinates."""
         return self.origin + self.turn(point)
 
-    def rate(self, twist: Twist2) -> "Pose2":
-        """Time derivative of this pose under a twist, as a tangent for autodiff."""
-        return Pose2(twist.velocity, -self.sin * twist.spin, self.cos * twist.spin)
-
 
 _ONE: contextvars.ContextVar[Scalar | None] = contextvars.ContextVar("one", default=None)
 

@@ -59,6 +59,11 @@ def one_kernel(function: Callable, *args: Any) -> Any:
     return call(arrays)
 
 
+def filled(values: Any, tangents: Any) -> Any:
+    """Tangents of arrays, zero where `equinox.filter_custom_jvp` gives none."""
+    return jax.tree.map(lambda x, dot: jnp.zeros_like(x) if dot is None else dot, values, tangents)
+
+
 def differentiable_kernel(function: Callable, *args: Any) -> Any:
     """`one_kernel`, but its derivatives, in both modes, are those of the function compiled as usual."""
 
@@ -69,8 +74,8 @@ def differentiable_kernel(function: Callable, *args: Any) -> Any:
     @call.def_jvp
     def _(primals: Any, tangents: Any) -> tuple[Any, Any]:
         moving, still = eqx.partition(primals[0], eqx.is_inexact_array)
-        full = jax.tree.map(lambda x, dot: jnp.zeros_like(x) if dot is None else dot, moving, tangents[0])
-        return jax.jvp(lambda moving: function(*eqx.combine(moving, still)), (moving,), (full,))
+        dots = filled(moving, tangents[0])
+        return jax.jvp(lambda moving: function(*eqx.combine(moving, still)), (moving,), (dots,))
 
     return call(args)
 

@@ -161,10 +161,8 @@ class AbstractContact(eqx.Module):
         """Normal force [N], positive when pressing, and tangential force, of the force on the fingertip."""
 
     @abc.abstractmethod
-    def split_gap(
-        self, poses: tuple[Any, Any], touch: Any, opening: Scalars, tangency: Any
-    ) -> tuple[Scalar, Any, Any]:
-        """Normal and tangential part of the gap [m], and the tangency, as they are reported."""
+    def split_gap(self, poses: tuple[Any, Any], touch: Any, opening: Scalars) -> tuple[Scalar, Any]:
+        """Normal and tangential part of the gap [m], as they are reported."""
 
     @abc.abstractmethod
     def rubbing(self, tangential: Any) -> list[Scalar]:

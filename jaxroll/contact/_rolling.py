@@ -175,11 +175,9 @@ class Contact(AbstractContact):
         tangent, push = poses[1].turn(touch.object.tangent), Vec2(*force)
         return push.dot(tangent.right()), -self.sense * push.dot(tangent)
 
-    def split_gap(
-        self, poses: tuple[Pose2, Pose2], touch: Touch, opening: Scalars, tangency: Scalar
-    ) -> tuple[Scalar, Scalar, Scalar]:
+    def split_gap(self, poses: tuple[Pose2, Pose2], touch: Touch, opening: Scalars) -> tuple[Scalar, Scalar]:
         tangent, gap = poses[1].turn(touch.object.tangent), Vec2(*opening)
-        return gap.dot(tangent.right()), gap.dot(tangent), tangency
+        return gap.dot(tangent.right()), gap.dot(tangent)
 
     def rubbing(self, tangential: Scalar) -> list[Scalar]:
         return [tangential, -tangential]

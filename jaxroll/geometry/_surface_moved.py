@@ -13,7 +13,33 @@ from ._gauss import Gauss3
 from ._surface import AbstractSurface
 
 
-class MovedSurface(AbstractSurface):
+class AbstractSurfaceOf(AbstractSurface):
+    """A surface made of another one, with that one's coordinates."""
+
+    surface: eqx.AbstractVar[AbstractSurface]
+
+    @property
+    def coordinates(self) -> int:
+        return self.surface.coordinates
+
+    @property
+    def smoothness(self) -> float:
+        return self.surface.smoothness
+
+    def settled(self, at: Scalars) -> Scalars:
+        return self.surface.settled(at)
+
+    def spread(self, count: int) -> Scalars | None:
+        return self.surface.spread(count)
+
+    def margins(self, at: Scalars) -> Scalars:
+        return self.surface.margins(at)
+
+    def within(self, at: Scalars) -> Scalars:
+        return self.surface.within(at)
+
+
+class MovedSurface(AbstractSurfaceOf):
     """A surface placed in its body's frame: turned by a rotation, then shifted by `offset`.
 
     Its coordinates are those of the surface it places: of an implicit one the point before the move. `near`
@@ -52,14 +78,6 @@ class MovedSurface(AbstractSurface):
             raise ValueError(f"argument rotation must be a quaternion, but was {seen.tolist()}")
         self.pose = None
 
-    @property
-    def coordinates(self) -> int:
-        return self.surface.coordinates
-
-    @property
-    def smoothness(self) -> float:
-        return self.surface.smoothness
-
     def placed(self) -> Pose3:
         """The placement as a pose."""
         if self.pose is not None:
@@ -72,9 +90,6 @@ class MovedSurface(AbstractSurface):
     def rate(self, at: Scalars, velocity: Vec3) -> Scalars:
         return self.surface.rate(at, self.placed().back(velocity))
 
-    def settled(self, at: Scalars) -> Scalars:
-        return self.surface.settled(at)
-
     def basis(self, at: Scalars) -> tuple[Vec3, Vec3]:
         first, second = self.surface.basis(at)
         place = self.placed()
@@ -83,21 +98,12 @@ class MovedSurface(AbstractSurface):
     def start(self, point: Vec3) -> Scalars:
         return self.surface.start(self.placed().local(point))
 
-    def spread(self, count: int) -> Scalars | None:
-        return self.surface.spread(count)
-
-    def margins(self, at: Scalars) -> Scalars:
-        return self.surface.margins(at)
-
-    def within(self, at: Scalars) -> Scalars:
-        return self.surface.within(at)
-
     def prepared(self) -> "MovedSurface":
         ready = (self.surface.prepared(), self.placed())
         return eqx.tree_at(lambda m: (m.surface, m.pose), self, ready, is_leaf=lambda x: x is None)
 
 
-class Hollow(AbstractSurface):
+class Hollow(AbstractSurfaceOf):
     """A surface seen from inside: the body is all round it, as the wall of a tube or of a bowl.
 
     Args:
@@ -117,23 +123,12 @@ class Hollow(AbstractSurface):
             raise ValueError(f"argument surface must be a surface, but was {surface!r}")
         self.surface = surface
 
-    @property
-    def coordinates(self) -> int:
-        return self.surface.coordinates
-
-    @property
-    def smoothness(self) -> float:
-        return self.surface.smoothness
-
     def frame(self, at: Scalars) -> Gauss3:
         inner = self.surface.frame(at)
         return Gauss3(inner.point, -inner.normal, inner.shape * -1.0)
 
     def rate(self, at: Scalars, velocity: Vec3) -> Scalars:
         return self.surface.rate(at, velocity)
-
-    def settled(self, at: Scalars) -> Scalars:
-        return self.surface.settled(at)
 
     def basis(self, at: Scalars) -> tuple[Vec3, Vec3]:
         first, second = self.surface.basis(at)
@@ -142,24 +137,15 @@ class Hollow(AbstractSurface):
     def start(self, point: Vec3) -> Scalars:
         return self.surface.start(point)
 
-    def margins(self, at: Scalars) -> Scalars:
-        return self.surface.margins(at)
-
-    def spread(self, count: int) -> Scalars | None:
-        return self.surface.spread(count)
-
-    def within(self, at: Scalars) -> Scalars:
-        return self.surface.within(at)
-
     def prepared(self) -> "Hollow":
         return Hollow(self.surface.prepared())
 
 
 @tabled.register
-def _(surface: MovedSurface | Hollow) -> MovedSurface | Hollow:
+def _(surface: AbstractSurfaceOf) -> AbstractSurfaceOf:
     return surface if tabled(surface.surface) is surface.surface else _with_table(surface)
 
 
 @remembered
-def _with_table(surface: MovedSurface | Hollow) -> MovedSurface | Hollow:
+def _with_table(surface: AbstractSurfaceOf) -> AbstractSurfaceOf:
     return eqx.tree_at(lambda m: m.surface, surface, tabled(surface.surface))

@@ -13,7 +13,6 @@ from ..control import as_controller, joint_angles, sense, Sensed
 from ..mechanics import (
     accelerate,
     balance,
-    Blocks,
     bodies,
     closing,
     combine,
@@ -24,6 +23,7 @@ from ..mechanics import (
     Leaves,
     Linearisation,
     Motion,
+    negative,
     net_force,
     poses,
     residual,
@@ -131,17 +131,13 @@ def settle(grasp: Grasp, leaves: Leaves, anchor: Anchor) -> Leaves:
     places = [c.onto(*pair) for c, *pair in zip(grasp.contacts, shapes, leaves.s, strict=True)]
     frames = poses(grasp, leaves.q)
     left = once(residual(grasp, frames, touches(grasp, places)))
-    back = once(_negative(respond(grasp, line, balance(line, left.gaps))))
+    back = once(negative(respond(grasp, line, balance(line, left.gaps))))
     body, *tips = spins(grasp, leaves.q, back)
     s = []
     for i, c in enumerate(grasp.contacts):
         misfit = ((frames[1 + c.finger], frames[0]), left.tangencies[i], anchor.bends[i])
         s.append(c.settled(shapes[i], places[i], tips[c.finger] - body, misfit))
     return Leaves(displaced(grasp, leaves.q, back), leaves.v, tuple(s))
-
-
-def _negative(blocks: Blocks) -> Blocks:
-    return tuple(tuple(-x for x in block) for block in blocks)
 
 
 def compatible(grasp: Grasp, leaves: Leaves, line: Linearisation) -> Leaves:

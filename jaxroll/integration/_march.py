@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
-from .._backend import one_kernel
+from .._backend import filled, one_kernel
 from .._types import Scalar
 from ._ensemble import Ensemble
 from ._flow import Bundle, Flow
@@ -63,8 +63,8 @@ def _march_jvp(primals: Any, tangents: Any) -> tuple[Path, Path]:
         (moving, plan, step_ts, step_ys), name="the state of a run (second derivatives)"
     )
     steps = _steps(numbers, plan, (step_ts, step_ys, path.steps[1]), still)
-    moving_dot = jax.tree.map(_fill, moving, grasp_dot)
-    dots = linear_map(steps.tangents, steps.cotangents, (moving_dot, _fill(y0, y0_dot)))
+    start_dot = filled((moving, y0), (grasp_dot, y0_dot))
+    dots = linear_map(steps.tangents, steps.cotangents, start_dot)
     no_tangents = jax.tree.map(lambda _: None, path)
     return path, eqx.tree_at(
         lambda p: (p.saved, p.last, p.t_last), no_tangents, dots, is_leaf=lambda x: x is None
@@ -182,7 +182,3 @@ def linear_map(apply: Callable, transpose: Callable, x: Any) -> Any:
 
     padded = jnp.pad(flat, (0, zeros.shape[0]))
     return unravel_out(jax.lax.custom_linear_solve(lambda z: z, padded, solve, transpose_solve)[n:])
-
-
-def _fill(value: Array, tangent: Array | None) -> Array:
-    return jnp.zeros_like(value) if tangent is None else tangent

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from .._algebra import sharing, unstack
-from .._backend import differentiable_kernel, one_kernel
+from .._backend import differentiable_kernel, filled, one_kernel
 from ..mechanics import (
     bodies,
     displaced,
@@ -95,14 +95,11 @@ def _nearest_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
     left, jacobian = one_kernel(_Problem.linearised, problem, step)
     pressure = -_pressure(jacobian, problem.metric, jacobian @ step)
     z = jnp.concatenate([step, pressure])
-    matrix = one_kernel(_Problem.slopes, problem, z)
-    if step.shape[0] == left.shape[0]:  # nothing left to minimise: the rows alone
-        matrix, start = jacobian, step.shape[0]
-    else:
-        start = 0
-    full = jax.tree.map(lambda x, dot: jnp.zeros_like(x) if dot is None else dot, moving, dots)
-    _, change = jax.jvp(lambda m: eqx.combine(m, still).conditions(z), (moving,), (full,))
-    return step, -jnp.linalg.solve(matrix, change[start:])[: step.shape[0]]
+    n = step.shape[0]
+    _, change = jax.jvp(lambda m: eqx.combine(m, still).conditions(z), (moving,), (filled(moving, dots),))
+    if n == left.shape[0]:  # nothing left to minimise: the rows alone
+        return step, -jnp.linalg.solve(jacobian, change[n:])
+    return step, -jnp.linalg.solve(one_kernel(_Problem.slopes, problem, z), change)[:n]
 
 
 def _pressure(jacobian: Array, metric: Array, right: Array) -> Array:

@@ -78,9 +78,10 @@ def residuals_at(grasp: Grasp, state: State) -> Residuals:
     leaves = to_leaves(state, grasp.form)
     frames, touching = poses(grasp, leaves.q), touches(grasp, leaves.s)
     left = residual(grasp, frames, touching)
-    each = zip(grasp.contacts, left.gaps, left.tangencies, touching, strict=True)
-    rows = [c.split_gap((frames[1 + c.finger], frames[0]), t, gap, tan) for c, gap, tan, t in each]
-    return Residuals(*(_column(column) for column in zip(*rows, strict=True)))
+    each = zip(grasp.contacts, left.gaps, touching, strict=True)
+    rows = [c.split_gap((frames[1 + c.finger], frames[0]), t, gap) for c, gap, t in each]
+    normal, tangential = zip(*rows, strict=True)
+    return Residuals(_column(normal), _column(tangential), _column(left.tangencies))
 
 
 def worst(residuals: Residuals) -> Array:

@@ -20,6 +20,7 @@ from ._constraints import (
     displaced as displaced,
     Linearisation as Linearisation,
     linearise as linearise,
+    negative as negative,
     poses as poses,
     Residual as Residual,
     residual as residual,

@@ -180,6 +180,11 @@ def combine(left: Blocks, right: Blocks, factor: float = 1.0) -> Blocks:
     )
 
 
+def negative(blocks: Blocks) -> Blocks:
+    """Blocks, or rows, with the other sign."""
+    return tuple(tuple(-x for x in block) for block in blocks)
+
+
 def bodies(grasp: Grasp, leaves: Leaves) -> tuple[tuple[Motion, ...], tuple[Inertia, ...]]:
     """Kinematics and inertia of the object and of every finger."""
     field = grasp.field()

@@ -22,6 +22,7 @@ from ._constraints import (
     combine,
     Linearisation,
     linearise,
+    negative,
     respond,
     touches,
 )
@@ -77,7 +78,7 @@ def accelerate(
     if stabiliser is not None:
         extra = stabiliser(motions, touching, apply_jacobian(grasp, line, leaves.v))
         wanted = tuple(add(*both) for both in zip(wanted, extra, strict=True))
-    forces = once(balance(line, once(_negative(wanted))))
+    forces = once(balance(line, once(negative(wanted))))
     gained = once(combine(free, respond(grasp, line, forces)))
     places = zip(grasp.contacts, leaves.s, pairs, rollings, strict=True)
     s_rates = tuple(
@@ -87,10 +88,6 @@ def accelerate(
     moving = zip(grasp.bodies, leaves.q, leaves.v, strict=True)
     rates = Leaves(tuple(body.rates(q, v) for body, q, v in moving), gained, s_rates)
     return Instant(rates, forces, motions, touching, line)
-
-
-def _negative(rows: Rows) -> Rows:
-    return tuple(tuple(-x for x in row) for row in rows)
 
 
 def net_force(inertia: Inertia, drive: Scalars | None) -> Scalars:

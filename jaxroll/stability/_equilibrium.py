@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from .._algebra import unstack, Vec2
+from .._backend import filled
 from .._types import Given, Scalar
 from ..contact import gap
 from ..integration import constraint_rows, generalised_force, Multipliers, split_forces
@@ -100,7 +101,7 @@ def _locate_jvp(primals: Any, tangents: Any) -> Any:
     matrix = jax.jacfwd(lambda pair: _nearest(grasp, state, pair, scale, t))(pair)
     inverse = jnp.linalg.pinv(matrix, rtol=_RANK)
     moving, still = eqx.partition((grasp, state), eqx.is_inexact_array)
-    moving_dot = jax.tree.map(lambda x, dot: jnp.zeros_like(x) if dot is None else dot, moving, tangents[:2])
+    moving_dot = filled(moving, tangents[:2])
 
     def conditions(moving: Any) -> Array:
         grasp, state = eqx.combine(moving, still)

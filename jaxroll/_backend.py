@@ -1,5 +1,6 @@
 """Loops over little data as one compiled function, where XLA would have its CPU runtime call every kernel."""
 
+import functools
 import math
 from collections.abc import Callable
 from typing import Any
@@ -75,9 +76,20 @@ def differentiable_kernel(function: Callable, *args: Any) -> Any:
     def _(primals: Any, tangents: Any) -> tuple[Any, Any]:
         moving, still = eqx.partition(primals[0], eqx.is_inexact_array)
         dots = filled(moving, tangents[0])
-        return jax.jvp(lambda moving: function(*eqx.combine(moving, still)), (moving,), (dots,))
+        out, out_dots = jax.jvp(lambda moving: function(*eqx.combine(moving, still)), (moving,), (dots,))
+        return _mapped_as(out, primals[0]), out_dots
 
     return call(args)
+
+
+def _mapped_as(out: Any, args: Any) -> Any:
+    """The same numbers, mapped under `vmap` if any argument is, as the kernel's are: both must agree."""
+    firsts = [jnp.ravel(leaf)[0] for leaf in jax.tree.leaves(args) if eqx.is_array(leaf) and leaf.size]
+    never, kind = jnp.asarray(False), jnp.result_type(*firsts)
+    any_of_them = functools.reduce(
+        lambda a, b: jnp.where(never, b.astype(kind), a), firsts, jnp.zeros((), kind)
+    )
+    return jax.tree.map(lambda x: jnp.where(never, any_of_them.astype(x.dtype), x), out)
 
 
 def in_turn(function: Callable, shared: Any, *rows: Any) -> Any:

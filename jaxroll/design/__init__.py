@@ -1,8 +1,22 @@
 """Fingertips by gradient: contours that hold a grasp, within limits of size and making.
 
-`_shape` says which numbers of a contour are free, `_limits` what it must keep to, `_minimise` is the loop
-over optax (the only door to it here), `_fingertip` the problem of condition (41).
+`_fingertip` has the entry point and `_design` its result. `_shape` says which numbers of a contour are free,
+`_limits` what it must keep to. What is wanted is a goal of `_goals`: the margin of condition (41); runs of
+the closed loop (`_closed_loop`, by the `_measures` of a run); stability at rest (`_firmness`). `_minimise` is
+the loop over starts and limits, `_descent` the steps in it, `_gradient` the mode of differentiation.
 """
 
-from ._fingertip import Design as Design, optimise_fingertip as optimise_fingertip
+from ._closed_loop import ClosedLoop as ClosedLoop
+from ._design import Design as Design
+from ._fingertip import optimise_fingertip as optimise_fingertip
+from ._firmness import Firmness as Firmness
+from ._goals import Margin as Margin
+from ._gradient import value_and_grad as value_and_grad
 from ._limits import Limits as Limits
+from ._measures import (
+    friction_demand as friction_demand,
+    overshoot as overshoot,
+    peak_force as peak_force,
+    settling_time as settling_time,
+    tracking_error as tracking_error,
+)

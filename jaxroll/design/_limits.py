@@ -39,6 +39,8 @@ class Limits(eqx.Module):
         size: Largest distance of a point from $O_i$ [m].
         length: Largest arclength of the whole contour [m].
         radius: Smallest radius of curvature anywhere, hollow or not [m]: what a nozzle or cutter can make.
+        ahead: Least distance of the pad in front of $O_i$ [m], $-n \cdot \gamma$ on the contact interval:
+            the last link ends behind it. Both (41) and stiffness want it small.
         flat: Largest radius of curvature on the contact interval [m]. Without it the best pad is a flat
             one, which rolls on its ends alone; the interval is kept convex all the same.
         steepness: Largest $|d\kappa/ds|$ [1/m^2]: smoothness.
@@ -51,6 +53,7 @@ class Limits(eqx.Module):
     size: Float[Array, ""] | None
     length: Float[Array, ""] | None
     radius: Float[Array, ""] | None
+    ahead: Float[Array, ""] | None
     flat: Float[Array, ""] | None
     steepness: Float[Array, ""] | None
 
@@ -60,12 +63,14 @@ class Limits(eqx.Module):
         size: Given | None = None,
         length: Given | None = None,
         radius: Given | None = None,
+        ahead: Given | None = None,
         flat: Given | None = 0.1,
         steepness: Given | None = None,
     ) -> None:
         self.size = _bound("size", size)
         self.length = _bound("length", length)
         self.radius = _bound("radius", radius)
+        self.ahead = _bound("ahead", ahead)
         self.flat = _bound("flat", flat)
         self.steepness = _bound("steepness", steepness)
 
@@ -78,6 +83,8 @@ class Limits(eqx.Module):
             found["length"] = jnp.atleast_1d(seen.length / self.length - 1.0)
         if self.radius is not None:
             found["radius"] = jnp.concatenate([bends, -bends]) * self.radius - 1.0
+        if self.ahead is not None:
+            found["ahead"] = 1.0 - seen.pad.tangent.right().dot(seen.pad.point) / self.ahead
         if self.flat is None:
             found["convex"] = -seen.pad.curvature * seen.length
         else:

@@ -1,4 +1,4 @@
-"""Minimisation within limits: any optax optimiser inside an augmented Lagrangian, many starts at once."""
+"""Minimisation within limits: an augmented Lagrangian, many starts at once, one compiled program."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -11,50 +11,63 @@ import numpy as np
 import optax
 from jaxtyping import Array, Bool, Float, Int
 
+from ._descent import AbstractDescent, descent, Walk
+from ._gradient import Mode, value_and_grad
+
 CHUNK = 10
 # Violations below this count as kept, relative to the bound.
 KEPT = 1e-7
 # A start is done when its value changes by less in a chunk, within its limits.
 _SETTLED = 1e-9
 _FIRST_WEIGHT, _LAST_WEIGHT = 10.0, 1e5
+_DULL = 0.05
+# Multipliers do by themselves where a chunk brings the worst excess to this share of what it was.
+_BETTER = 0.5
 
 Progress = bool | Callable[[int, float, float], None]
 
 
-# `problem(x, data)`: the objective over a vector, and the excess, every entry of which is to be <= 0.
-Problem = Callable[[Array, Any], tuple[Array, Array]]
+# `problem(x, data, sharpness)`: objective over a vector, and excess, every entry of which is to be <= 0.
+# Sharpness rises to one: a least value that is smoothed starts out smoother.
+Problem = Callable[[Array, Any, Array], tuple[Array, Array]]
 
 
 class Search(eqx.Module):
     r"""State of one start.
 
     Attributes:
-        x: Where it is; shape (n,).
-        memory: State of the optimiser.
+        walk: Where it is, and where it looks next.
+        value: Objective at the last point taken.
+        excess: What the limits ask there.
         multipliers: Of the limits, $\lambda \ge 0$.
         weight: $\mu$ of the augmented Lagrangian.
+        sharpness: Of the objective.
         best: The best point seen: the lowest value among those within limits, else the least violation.
-        value: Objective there.
+        lowest: Objective there.
         violation: Largest excess there, at least zero.
         last: Objective at the end of the last chunk.
-        calm: For how many chunks it has hardly changed.
+        passed: Largest excess at the end of the last chunk, at least zero.
+        calm: For how many chunks the objective has hardly changed.
         done: Whether it has settled within the limits.
     """
 
-    x: Float[Array, " n"]
-    memory: Any
+    walk: Walk
+    value: Float[Array, ""]
+    excess: Float[Array, " k"]
     multipliers: Float[Array, " k"]
     weight: Float[Array, ""]
+    sharpness: Float[Array, ""]
     best: Float[Array, " n"]
-    value: Float[Array, ""]
+    lowest: Float[Array, ""]
     violation: Float[Array, ""]
     last: Float[Array, ""]
+    passed: Float[Array, ""]
     calm: Int[Array, ""]
     done: Bool[Array, ""]
 
 
 class Found(NamedTuple):
-    """Where all starts ended, the steps taken, and the objective before each; shape (starts, steps)."""
+    """Where all starts ended, the steps taken, and the objective after each; shape (starts, steps)."""
 
     search: Search
     steps: int
@@ -66,8 +79,10 @@ def minimise(
     start: Float[Array, "starts n"],
     data: Any,
     *,
-    optimiser: optax.GradientTransformation,
+    optimiser: optax.GradientTransformation | None = None,
     steps: int,
+    mode: Mode = "auto",
+    in_turn: bool = False,
     progress: Progress = False,
     checkpoint: str | Path | None = None,
 ) -> Found:
@@ -75,18 +90,21 @@ def minimise(
 
     The augmented Lagrangian $f + \frac{1}{2\mu} \sum_i (\max(0, \lambda_i + \mu g_i)^2 - \lambda_i^2)$ is
     descended for a chunk of ten steps; then $\lambda_i \leftarrow \max(0, \lambda_i + \mu g_i)$, and $\mu$
-    grows threefold where a limit is still passed.
+    grows threefold where that alone does not halve what limits are passed by. A step is one evaluation with
+    its gradient.
 
     Args:
         problem: Objective and excess, compiled once for each function and shape.
         start: One row per start.
         data: Any pytree that the functions need, with a leading axis of starts.
-        optimiser: Any of optax; its learning rate is in units of `start`.
+        optimiser: Any of optax; its learning rate is in units of `start`. Default: `Bfgs`.
         steps: At most so many, rounded up to tens; ends also when every start has settled.
+        mode: How to differentiate, as `value_and_grad` takes it.
+        in_turn: Whether starts are taken one after the other instead of side by side.
         progress: True prints; a function is called with step, best value and violation after every chunk.
         checkpoint: A file that is written after every chunk, and read to begin with where it exists.
     """
-    method = optax.with_extra_args_support(optimiser)
+    method = descent(optimiser)
     search = _begin(problem, method, start, data)
     done, history = 0, []
     path = None if checkpoint is None else Path(checkpoint)
@@ -94,13 +112,13 @@ def minimise(
         search, done, history = _restored(path, search)
     report = progress if callable(progress) else (_printed if progress else None)
     while done < steps and not bool(jnp.all(search.done)):
-        search, values = _advance(problem, method, search, data)
+        search, values = _advance(problem, method, (mode, in_turn), search, data)
         history.append(np.asarray(values))
         done += CHUNK
         if path is not None:
             _saved(path, search, done, history)
         if report is not None:
-            report(done, float(jnp.min(search.value)), float(jnp.min(search.violation)))
+            report(done, float(jnp.min(search.lowest)), float(jnp.min(search.violation)))
     rows = np.concatenate(history, axis=1) if history else np.zeros((start.shape[0], 0))
     return Found(search, done, rows)
 
@@ -109,88 +127,84 @@ def _printed(step: int, value: float, violation: float) -> None:
     print(f"step {step}: objective {value:.6g}, limits passed by {violation:.1e}")
 
 
-def _lagrangian(problem: Problem, search: Search, data: Any) -> Callable[[Array], tuple[Array, Any]]:
-    """Cost; beside it the objective and the excess."""
+def _begin(problem: Problem, method: AbstractDescent, start: Array, data: Any) -> Search:
+    """Before anything is evaluated."""
+    one = jax.tree.map(lambda a: a[0], (start, data))
+    _, excess = jax.eval_shape(problem, *one, jnp.ones((), start.dtype))
 
-    def function(x: Array) -> tuple[Array, Any]:
-        value, excess = problem(x, data)
-        pushed = jnp.maximum(0.0, search.multipliers + search.weight * excess)
-        cost = value + jnp.sum(pushed**2 - search.multipliers**2) / (2.0 * search.weight)
-        return cost, (value, excess)
+    def each(x: Array) -> Search:
+        far, zeros = jnp.full((), jnp.inf, x.dtype), jnp.zeros(excess.shape, x.dtype)
+        weight, dull = jnp.full((), _FIRST_WEIGHT, x.dtype), jnp.full((), _DULL, x.dtype)
+        walk, none, off = method.begin(x), jnp.array(0), jnp.array(False)
+        return Search(walk, far, zeros, zeros, weight, dull, x, far, far, far, far, none, off)
 
-    return function
-
-
-@eqx.filter_jit
-def _begin(problem: Problem, method: Any, start: Array, data: Any) -> Search:
-    def one(x: Array, data: Any) -> Search:
-        value, excess = problem(x, data)
-        worst = jnp.maximum(jnp.max(excess), 0.0)
-        zero = jnp.zeros_like(excess)
-        weight = jnp.full_like(value, _FIRST_WEIGHT)
-        return Search(
-            x,
-            method.init(x),
-            zero,
-            weight,
-            x,
-            value,
-            worst,
-            jnp.full_like(value, jnp.inf),
-            jnp.array(0),
-            jnp.array(False),
-        )
-
-    return jax.vmap(one)(start, data)
+    return jax.vmap(each)(start)
 
 
 @eqx.filter_jit
-def _advance(problem: Problem, method: Any, search: Search, data: Any) -> tuple[Search, Array]:
-    return jax.vmap(lambda one, data: _chunk(problem, method, one, data))(search, data)
+def _advance(
+    problem: Problem, method: AbstractDescent, how: tuple[Mode, bool], search: Search, data: Any
+) -> tuple[Search, Array]:
+    mode, in_turn = how
+    one = lambda search, data: _chunk(problem, method, mode, search, data)  # noqa: E731
+    if in_turn:
+        return jax.lax.map(lambda pair: one(*pair), (search, data))
+    return jax.vmap(one)(search, data)
 
 
-def _chunk(problem: Problem, method: Any, search: Search, data: Any) -> tuple[Search, Array]:
-    lagrangian = _lagrangian(problem, search, data)
-    cost = lambda x: lagrangian(x)[0]  # noqa: E731
+def _chunk(
+    problem: Problem, method: AbstractDescent, mode: Mode, search: Search, data: Any
+) -> tuple[Search, Array]:
+    multipliers, weight, sharpness = search.multipliers, search.weight, search.sharpness
+
+    def lagrangian(x: Array) -> tuple[Array, Any]:
+        value, excess = problem(x, data, sharpness)
+        pushed = jnp.maximum(0.0, multipliers + weight * excess)
+        return value + jnp.sum(pushed**2 - multipliers**2) / (2.0 * weight), (value, excess)
 
     def step(now: Search, _: None) -> tuple[Search, Array]:
-        (value, seen), slope = jax.value_and_grad(lagrangian, has_aux=True)(now.x)
+        (cost, seen), slope = value_and_grad(lagrangian, mode, has_aux=True)(now.walk.trial)
         now = _kept(now, *seen)
-        update, memory = method.update(slope, now.memory, now.x, value=value, grad=slope, value_fn=cost)
-        moved = jnp.asarray(optax.apply_updates(now.x, update))
-        # A step into nowhere is not taken; the next one starts afresh from the best point.
-        sound = jnp.all(jnp.isfinite(jnp.append(moved, value)))
-        x = jnp.where(sound, moved, now.best)
-        fresh = jax.tree.map(lambda a, b: jnp.where(sound, a, b), memory, method.init(now.best))
-        return eqx.tree_at(lambda s: (s.x, s.memory), now, (x, fresh)), seen[0]
+        walk, taken = method.ahead(now.walk, cost, slope, lambda x: lagrangian(x)[0])
+        value, excess = (jnp.where(taken, a, b) for a, b in zip(seen, (now.value, now.excess), strict=True))
+        now = eqx.tree_at(lambda s: (s.walk, s.value, s.excess), now, (walk, value, excess))
+        return now, value
 
+    search = eqx.tree_at(lambda s: s.walk, search, method.again(search.walk))
     search, values = jax.lax.scan(step, search, None, length=CHUNK)
-    value, excess = lagrangian(search.x)[1]
-    search = _kept(search, value, excess)
+    return _judged(method, search), values
+
+
+def _judged(method: AbstractDescent, search: Search) -> Search:
+    """After a chunk: new multipliers and weight, and whether the start has settled."""
+    excess, value, weight = search.excess, search.value, search.weight
     worst = jnp.maximum(jnp.max(excess), 0.0)
-    multipliers = jnp.maximum(0.0, search.multipliers + search.weight * excess)
+    multipliers = jnp.maximum(0.0, search.multipliers + weight * excess)
     multipliers = jnp.where(jnp.isfinite(multipliers), multipliers, 0.0)
-    weight = jnp.where(worst > KEPT, jnp.minimum(3.0 * search.weight, _LAST_WEIGHT), search.weight)
+    heavier = (worst > KEPT) & (worst > _BETTER * search.passed)
+    weight = jnp.where(heavier, jnp.minimum(3.0 * weight, _LAST_WEIGHT), weight)
     still = jnp.abs(value - search.last) <= _SETTLED * (1.0 + jnp.abs(value))
     calm = jnp.where(still, search.calm + 1, 0)
-    # The multipliers have moved on: an optimiser that stands still may be held by what it remembers.
-    memory = jax.tree.map(lambda a, b: jnp.where(still, a, b), method.init(search.x), search.memory)
-    settled = (search.violation <= KEPT) & (worst <= KEPT) & (calm >= 2)
-    where = lambda s: (s.multipliers, s.weight, s.last, s.calm, s.memory, s.done)  # noqa: E731
-    news = (multipliers, weight, value, calm, memory, search.done | settled)
-    return eqx.tree_at(where, search, news), values
+    # The multipliers have moved on: a method that stands still may be held by what it remembers.
+    fresh, memory = method.fresh(search.walk.x), search.walk.memory
+    memory = jax.tree.map(lambda a, b: jnp.where(still, a, b), fresh, memory)
+    settled = (search.violation <= KEPT) & (worst <= KEPT) & (calm >= 2) & (search.sharpness == 1.0)
+    sharper = jnp.minimum(2.0 * search.sharpness, 1.0)
+    where = lambda s: (s.multipliers, s.weight, s.sharpness, s.last, s.passed, s.calm, s.walk.memory, s.done)  # noqa: E731
+    news = (multipliers, weight, sharper, value, worst, calm, memory, search.done | settled)
+    return eqx.tree_at(where, search, news)
 
 
 def _kept(search: Search, value: Array, excess: Array) -> Search:
-    """Take the present point as the best where it is better: within limits first, then by value."""
+    """Take the point just seen as the best where it is better: within limits first, then by value."""
     violation = jnp.maximum(jnp.max(excess), 0.0)
     inside, was = violation <= KEPT, search.violation <= KEPT
-    better = jnp.where(inside & was, value < search.value, violation < search.violation)
+    better = jnp.where(inside & was, value < search.lowest, violation < search.violation)
     better = (better | (inside & ~was)) & jnp.isfinite(value)
-    new = (search.x, value, violation)
-    old = (search.best, search.value, search.violation)
+    new = (search.walk.trial, value, violation)
+    old = (search.best, search.lowest, search.violation)
     best = jax.tree.map(lambda a, b: jnp.where(better, a, b), new, old)
-    return eqx.tree_at(lambda s: (s.best, s.value, s.violation), search, best)
+    return eqx.tree_at(lambda s: (s.best, s.lowest, s.violation), search, best)
 
 
 def _saved(path: Path, search: Search, steps: int, history: list[np.ndarray]) -> None:

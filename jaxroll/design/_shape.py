@@ -7,6 +7,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
 from ..geometry import (
@@ -17,6 +18,7 @@ from ..geometry import (
     Spline,
     SupportFunction,
     Table,
+    tabled,
 )
 
 
@@ -106,10 +108,103 @@ def stacked(contours: Sequence[AbstractContour]) -> tuple[Any, Any]:
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *arrays), parts[0][1]
 
 
-def extent(contour: AbstractContour) -> Array:
-    """Root mean square distance of a contour from its body's origin [m]: the unit of its free numbers."""
-    ready = contour.prepared()
-    ends = ready.domain()
-    assert ends is not None  # checked where the contour came in
-    point = ready.frame(ends[0] + (ends[1] - ends[0]) * jnp.linspace(0.0, 1.0, 65)).point
-    return jnp.sqrt(jnp.mean(point.dot(point)))
+@eqx.filter_jit
+def extents(arrays: Any, rest: Any) -> tuple[Array, Array]:
+    """Of every contour of a batch, root mean square and largest distance from its body's origin [m].
+
+    The first is the unit of its free numbers.
+    """
+
+    def one(arrays: Any) -> tuple[Array, Array]:
+        ready = tabled(eqx.combine(arrays, rest)).prepared()
+        ends = ready.domain()
+        assert ends is not None  # checked where the contour came in
+        point = ready.frame(ends[0] + (ends[1] - ends[0]) * jnp.linspace(0.0, 1.0, 257)).point
+        squared = point.dot(point)
+        return jnp.sqrt(jnp.mean(squared)), jnp.sqrt(jnp.max(squared))
+
+    return jax.vmap(one)(arrays)
+
+
+@functools.singledispatch
+def smoothing(contour: AbstractContour) -> np.ndarray:
+    """Matrix from unknowns to free numbers, under which all unknowns bend a contour about equally.
+
+    The k-th wave along a contour bends it as k squared: searched point by point, curvature is stiff.
+    """
+    return np.eye(_count(contour))
+
+
+@smoothing.register
+def _(contour: Spline) -> np.ndarray:
+    points, ends = contour.points.shape[0], 0 if contour.closed else contour.points.shape[0] - 1
+    # An open contour is seen as there and back again, so that its ends are not joined.
+    whole = points + max(ends - 1, 0)
+    wave = np.abs(np.fft.fftfreq(whole) * whole) / (2.0 if ends else 1.0)
+    kernel = np.real(np.fft.ifft(2.0 / (1.0 + wave**2)))
+    near = np.arange(points)[:, None] - np.arange(points)[None, :]
+    matrix = kernel[near % whole]
+    if ends:
+        matrix = matrix + kernel[(np.arange(points)[:, None] + np.arange(points)[None, :]) % whole]
+    return np.kron(matrix, np.eye(2))
+
+
+@smoothing.register
+def _(contour: SupportFunction) -> np.ndarray:
+    terms = np.arange(1, 1 + contour.cosines.shape[0])
+    each = 2.0 / (1.0 + terms**2)
+    return np.diag(np.concatenate([[1.0], each, each]))
+
+
+@smoothing.register
+def _(contour: Moved) -> np.ndarray:
+    return smoothing(contour.contour)
+
+
+def _count(contour: AbstractContour) -> int:
+    return sum(np.size(leaf) for leaf in jax.tree.leaves(divided(contour)[0]))
+
+
+# Size of a variation, as a share of the contour's own numbers.
+_VARIED = 0.15
+
+
+def varied(contours: Sequence[AbstractContour], count: int, seed: int) -> list[AbstractContour]:
+    """The contours given, and smooth variations of them until there are `count`."""
+    rng = np.random.default_rng(seed)
+    more = [variation(contours[i % len(contours)], rng) for i in range(count - len(contours))]
+    return [*contours, *more]
+
+
+@functools.singledispatch
+def variation(contour: AbstractContour, rng: np.random.Generator) -> AbstractContour:
+    """A contour like a given one: every free number changed by some 15 %."""
+    free, fixed = divided(contour)
+    spread = lambda x: x * (1.0 + _VARIED * rng.standard_normal(np.shape(x)))  # noqa: E731
+    return eqx.combine(jax.tree.map(spread, free), fixed)
+
+
+@variation.register
+def _(contour: Spline, rng: np.random.Generator) -> Spline:
+    """Points moved by the first few waves along the contour."""
+    points = np.asarray(contour.points)
+    u = 2.0 * np.pi * np.arange(len(points)) / len(points)
+    waves = [np.ones_like(u), *(f(k * u) / k for k in (1, 2, 3) for f in (np.cos, np.sin))]
+    size = 0.5 * _VARIED * np.sqrt(np.mean(np.sum(points**2, axis=1)))
+    shift = size * np.stack(waves, axis=1) @ rng.standard_normal((len(waves), 2))
+    return eqx.tree_at(lambda c: c.points, contour, jnp.asarray(points + shift))
+
+
+@variation.register
+def _(contour: SupportFunction, rng: np.random.Generator) -> SupportFunction:
+    """Terms of the series changed by less and less, so that it stays convex."""
+    order = np.arange(1, 1 + contour.cosines.shape[0])
+    size = _VARIED * float(contour.radius) / order**3
+    wave = lambda: jnp.asarray(size * rng.standard_normal(len(order)))  # noqa: E731
+    where = lambda c: (c.cosines, c.sines)  # noqa: E731
+    return eqx.tree_at(where, contour, (contour.cosines + wave(), contour.sines + wave()))
+
+
+@variation.register
+def _(contour: Moved, rng: np.random.Generator) -> Moved:
+    return eqx.tree_at(lambda c: c.contour, contour, variation(contour.contour, rng))

@@ -34,6 +34,8 @@ from ..mechanics import (
 _STEPS = 300
 # Rows below this are close enough to the constraints to follow them [m or rad].
 _NEAR = 1e-6
+# Closed to this share of the way left along them is enough to go on: sooner, one step undoes the other.
+_CLOSED = 0.01
 
 
 class _Problem(eqx.Module):
@@ -126,8 +128,9 @@ class _Search(NamedTuple):
         size: Largest of its rows.
         move: Where to go from there, downwards being minus.
         scale: How much of it is tried.
-        length: Of its part along the constraints, in the metric.
+        length: Of its part along the constraints, in the metric, where they were last closed.
         share: How much of that part is taken.
+        rolling: Whether any of it is in this move.
         count: Evaluations so far.
     """
 
@@ -137,6 +140,7 @@ class _Search(NamedTuple):
     scale: Array
     length: Array
     share: Array
+    rolling: Array
     count: Array
 
 
@@ -144,7 +148,7 @@ def _searched(problem: _Problem) -> Array:
     """The loop: Gauss-Newton back onto the constraints, and along them to the minimum."""
     one = jnp.ones((), problem.metric.dtype)
     start = jnp.zeros(problem.metric.shape[0], problem.metric.dtype)
-    first = _Search(start, jnp.inf * one, start, one, jnp.inf * one, one, jnp.array(0))
+    first = _Search(start, jnp.inf * one, start, one, jnp.inf * one, one, jnp.array(False), jnp.array(0))
 
     def more(search: _Search) -> Array:
         tiny = 4.0 * jnp.finfo(start.dtype).eps * _length(problem, search.step)
@@ -158,16 +162,18 @@ def _improved(problem: _Problem, search: _Search) -> _Search:
     trial = search.step - search.scale * search.move
     left, jacobian = one_kernel(_Problem.linearised, problem, trial)
     size = jnp.max(jnp.abs(left))
-    # Near the constraints rows may grow a little on the way along them; far off, a step has to help.
-    near = size < _NEAR
     normal = _normal(jacobian, problem.metric, left)
     along = trial - _normal(jacobian, problem.metric, jacobian @ trial)
     length = _length(problem, along)
-    share = jnp.where(near & (length > 0.9 * search.length), 0.5 * search.share, search.share)
+    # A step along the constraints opens them a little, and is taken all the same; others have to help.
+    closed = (size < _NEAR) | (size < _CLOSED * length)
+    better = closed | (size < search.size) | (search.rolling & (size < search.length))
+    share = jnp.where(closed & (length > 0.9 * search.length), 0.5 * search.share, search.share)
+    move = normal + jnp.where(closed, share, 0.0) * along
     one, count = jnp.ones_like(size), search.count + 1
-    taken = _Search(trial, size, normal + share * along, one, length, share, count)
+    known = jnp.where(closed, length, search.length)
+    taken = _Search(trial, size, move, one, known, share, closed, count)
     left_alone = search._replace(scale=0.25 * search.scale, count=count)
-    better = near | (size < search.size)
     return jax.tree.map(lambda new, old: jnp.where(better, new, old), taken, left_alone)
 
 

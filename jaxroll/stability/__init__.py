@@ -7,6 +7,7 @@
 from ._equilibrium import Equilibrium as Equilibrium, equilibrium as equilibrium
 from ._statics import (
     margin as margin,
+    pinch_rest as pinch_rest,
     pinch_statics as pinch_statics,
     PinchStatics as PinchStatics,
     rectangle_hessian as rectangle_hessian,

@@ -9,7 +9,7 @@ from .._algebra import Vec2
 from .._types import Given, Scalar
 from ..geometry import AbstractContour
 from ..integration import check_pinch
-from ..mechanics import compiled, Grasp
+from ..mechanics import compiled, Grasp, State
 
 
 class PinchStatics(eqx.Module):
@@ -20,7 +20,9 @@ class PinchStatics(eqx.Module):
         l: $(r_1 - r_2) \cdot n_{01}$ [m], (29) on parallel faces; negative in a pinch.
         potential: $U = \frac\beta2 (d^2 + l^2)$ [J], (27).
         gradient: Shape (2,), $\partial U / \partial s_i$ [N].
-        hessian: Shape (2, 2), $\partial^2 U / \partial s_i \partial s_j$ [N/m], by autodiff.
+        hessian: Shape (2, 2), $\partial^2 U / \partial s_i \partial s_j$ [N/m].
+        turning: Shape (2,), by how much fingertip i turns against the object: $\kappa_i + \kappa_{0i}$
+            [rad/m].
     """
 
     d: Float[Array, "..."]
@@ -28,6 +30,7 @@ class PinchStatics(eqx.Module):
     potential: Float[Array, "..."]
     gradient: Float[Array, "... 2"]
     hessian: Float[Array, "... 2 2"]
+    turning: Float[Array, "... 2"]
 
 
 @compiled
@@ -61,8 +64,8 @@ def pinch_statics(grasp: Grasp, s: Given) -> PinchStatics:
 
     def at(s: Array) -> PinchStatics:
         d, l_ = _separation(ready, s)
-        energy = lambda s: _potential(ready, s)  # noqa: E731
-        return PinchStatics(d, l_, energy(s), jax.grad(energy)(s), jax.hessian(energy)(s))
+        energy, turning = lambda s: _potential(ready, s), _rolled(ready, s).turning  # noqa: E731
+        return PinchStatics(d, l_, energy(s), jax.grad(energy)(s), jax.hessian(energy)(s), turning)
 
     many = at
     for _ in range(s.ndim - 1):
@@ -90,6 +93,112 @@ def _separation(grasp: Grasp, s: Array) -> tuple[Scalar, Scalar]:
 def _potential(grasp: Grasp, s: Array) -> Scalar:
     d, l_ = _separation(grasp, s)
     return 0.5 * grasp.controller.beta * (d * d + l_ * l_)
+
+
+@compiled
+def pinch_rest(grasp: Grasp, state: State, *, damping: float = 0.0) -> tuple[Float[Array, "2"], PinchStatics]:
+    r"""Where a pinch comes to rest under control (16), and the statics there: $\partial U/\partial s_i = 0$.
+
+    Newton's method on the two contact places alone: no pose, no masses, so that it costs next to nothing
+    beside `equilibrium`. It holds without gravity and with $\alpha_i = 0$. The stationary point
+    found near the start need not be a minimum: the eigenvalues of its Hessian tell.
+
+    Args:
+        grasp: A pinch, as `pinch_statics` takes it.
+        state: Where to start; only its contact coordinates count.
+        damping: Share of its size below which an eigenvalue of the Hessian counts as none in the
+            derivative: where the place at rest is neutral, it is not differentiable. By default exact.
+
+    Returns:
+        The chapter's $s_i$ at rest [m], as `pinch_statics` takes them and NaN where none was found, and the
+        statics there. Derivatives, in both
+        modes, are those of the implicit function theorem.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> import jaxroll as jxr
+        >>> s, rest = jxr.stability.pinch_rest(*jxr.scenes.pinch_ellipse())
+        >>> bool(jnp.all(jnp.linalg.eigvalsh(rest.hessian) > 0))
+        True
+    """
+    check_pinch(grasp)
+    ready, pairs = grasp.prepared(), zip(grasp.contacts, state.s, strict=True)
+    start = jnp.stack([c.sense * (c.s_object - sigma) for c, sigma in pairs])
+    still = jax.lax.stop_gradient(ready)
+    found = _stationary(still, jax.lax.stop_gradient(start))
+    # At a stationary point one more Newton step changes nothing but the derivative.
+    bend = _rolled(still, found).hessian
+    slope = _rolled(ready, found).gradient
+    rest = found - (_solved(bend, slope) if damping == 0.0 else _damped(bend, slope, damping))
+    statics = _rolled(ready, rest)
+    size = jnp.sqrt(2.0 * still.controller.beta * statics.potential)
+    firm = jnp.max(jnp.abs(_rolled(still, found).gradient)) <= _AT_REST * size
+    return jax.tree.map(lambda x: jnp.where(firm, x, jnp.nan), (rest, statics))
+
+
+# Slope of U at rest, relative to the pull of the fingers on each other.
+_AT_REST = 1e-9
+_STEPS = 60
+
+
+def _rolled(grasp: Grasp, s: Array) -> PinchStatics:
+    r"""U and its derivatives from the frames alone; the Hessian is right where the gradient vanishes.
+
+    Rolling turns fingertip i about its contact point, by $\kappa_A + \kappa_B$ per arclength. In the second
+    derivative of its centre the derivatives of the curvatures are left out: they act across
+    $O_i P_i$, which at rest lies along $O_1 O_2$.
+    """
+    centres, firsts, seconds, axes, bends = [], [], [], [], []
+    for i in (0, 1):
+        contact = grasp.contacts[i]
+        tip, face = grasp.shapes(contact)
+        at = face.frame(contact.sense * s[i])
+        on_tip = tip.frame(contact.s_tip + contact.s_object - contact.sense * s[i])
+        along, across = on_tip.point.dot(on_tip.tangent), on_tip.point.cross(on_tip.tangent)
+        arm = at.tangent * along + at.tangent.right() * across
+        bend = at.curvature + on_tip.curvature
+        centres.append(at.point + arm)
+        firsts.append(arm.left() * (bend * contact.sense))
+        seconds.append(-(arm * bend + at.tangent.left()) * bend)
+        axes.append(at.tangent * contact.sense)
+        bends.append(bend)
+    apart, beta = centres[0] - centres[1], grasp.controller.beta
+    gradient = jnp.stack([apart.dot(firsts[0]), -apart.dot(firsts[1])])
+    mixed = -firsts[0].dot(firsts[1])
+    own = [first.dot(first) for first in firsts]
+    twice = [own[0] + apart.dot(seconds[0]), own[1] - apart.dot(seconds[1])]
+    hessian = jnp.stack([jnp.stack([twice[0], mixed]), jnp.stack([mixed, twice[1]])])
+    inward = axes[0].left() * grasp.contacts[0].sense
+    d, l_, potential = apart.dot(axes[0]), apart.dot(inward), 0.5 * beta * apart.dot(apart)
+    return PinchStatics(d, l_, potential, beta * gradient, beta * hessian, jnp.stack(bends))
+
+
+def _solved(matrix: Array, right: Array) -> Array:
+    (a, b), (_, c) = matrix
+    return jnp.stack([c * right[0] - b * right[1], a * right[1] - b * right[0]]) / (a * c - b * b)
+
+
+def _damped(matrix: Array, right: Array, share: float) -> Array:
+    """The same with eigenvalues x of the matrix replaced by x + e^2/x, e a share of its size."""
+    square = matrix @ matrix
+    return matrix @ _solved(square + share**2 * jnp.trace(square) * jnp.eye(2, dtype=matrix.dtype), right)
+
+
+def _stationary(grasp: Grasp, start: Array) -> Array:
+    """Newton's method on the slope of U, no farther in a step than a tenth of the fingers' distance."""
+
+    def improve(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        s, _, i = carry
+        here = _rolled(grasp, s)
+        step = _solved(here.hessian, here.gradient)
+        longest = 0.1 * jnp.sqrt(2.0 * here.potential / grasp.controller.beta)
+        step = step * jnp.minimum(1.0, longest / (jnp.max(jnp.abs(step)) + 1e-300))
+        return s - step, jnp.max(jnp.abs(step)) / longest, i + 1
+
+    def more(carry: tuple[Array, Array, Array]) -> Array:
+        return (carry[1] > 1e-13) & (carry[2] < _STEPS)
+
+    return jax.lax.while_loop(more, improve, (start, jnp.full((), jnp.inf, start.dtype), jnp.array(0)))[0]
 
 
 @compiled

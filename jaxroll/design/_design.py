@@ -1,0 +1,62 @@
+"""A fingertip that was optimised, and what there is to say of it."""
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from .._results import RESULTS
+from ..geometry import AbstractContour
+from ._minimise import KEPT
+
+
+class Design(eqx.Module):
+    r"""A fingertip that was optimised.
+
+    Attributes:
+        tip: The best contour of all starts.
+        start: The contour that it began as.
+        tips: The best of every start, with a leading axis on every array.
+        before: Shape (starts,), figure of merit at the start: with `Margin`, the worst margin of (41) [m].
+        after: Shape (starts,), that of the best contours.
+        violation: Shape (starts,), by how much the most violated limit is passed, relative to it.
+        holds: Shape (starts,), which starts ended within the limits with a fingertip that holds.
+        chosen: Which start `tip` comes from.
+        history: Shape (starts, steps), cost after each step, smoothed, without dimension.
+        result: `successful`, `max_steps_reached`, or `infeasible` where no start came within the limits; the
+            contour is then the one that passes them least.
+        figures: What the goal reports of `start` and of `tip`, by name with unit.
+        parts: By how much `tip` keeps each limit (negative) or passes it, relative to the limit.
+        interval: First and last arclength of the contact interval [m].
+    """
+
+    tip: AbstractContour
+    start: AbstractContour
+    tips: AbstractContour
+    before: Float[Array, " starts"]
+    after: Float[Array, " starts"]
+    violation: Float[Array, " starts"]
+    holds: Bool[Array, " starts"]
+    chosen: int = eqx.field(static=True)
+    history: Float[Array, "starts steps"]
+    result: RESULTS
+    figures: dict[str, tuple[float, float]] = eqx.field(static=True)
+    parts: dict[str, float] = eqx.field(static=True)
+    interval: Float[Array, "2"]
+
+    def __str__(self) -> str:
+        lines = [
+            f"Design: {RESULTS[self.result] or 'successful'}",
+            f"  {'':<28}{'before':>12}{'after':>12}",
+            *(f"  {name:<28}{a:>12.4g}{b:>12.4g}" for name, (a, b) in self.figures.items()),
+            f"  steps {self.history.shape[1]}; {int(self.holds.sum())} of {self.after.shape[0]} starts hold",
+        ]
+        lines += [f"  limit on {name:<19}{_kept(excess)}" for name, excess in self.parts.items()]
+        return "\n".join(lines)
+
+
+def _kept(excess: float) -> str:
+    if not np.isfinite(excess):
+        return "not finite"
+    if excess > KEPT:
+        return f"passed by {100 * excess:.3g} %"
+    return "met exactly" if excess > -1e-4 else f"kept, {-100 * excess:.3g} % to spare"

@@ -1,0 +1,162 @@
+"""Stability on any objects, where condition (41) does not apply: the Hessian, or the slowest rate."""
+
+from typing import Any, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from .._results import as_floats, check_positive
+from .._types import Given, Scalar
+from ..geometry import AbstractContour, tabled
+from ..mechanics import Grasp, State
+from ..stability import assess, pinch_rest
+from ._goals import (
+    AbstractGoal,
+    check_cases,
+    check_make,
+    each_case,
+    Make,
+    soft_worst,
+    WORST_MARGIN,
+    worst_margin,
+)
+from ._limits import Samples
+
+Measure = Literal["stiffness", "curvature", "rate"]
+_NAMES = {
+    "stiffness": "least stiffness [N m/rad]",
+    "curvature": "least curvature [1/s^2]",
+    "rate": "slowest decay [1/s]",
+}
+# Curvatures and rates below this share of the largest count as none.
+_NONE = 1e-7
+# Passing from unstable to stable the place at rest is neutral: below this share its change is damped.
+_DAMPED = 0.01
+# Turning per way rolled below which the search sees no more gain [rad/m].
+_FLAT = 2.0
+
+
+class Firmness(AbstractGoal):
+    r"""The grasp at rest as firm as it can be: on any object, and without the detour over (41).
+
+    Maximises, in the worst of all cases, at the equilibrium near the start, one of
+
+    - 'stiffness': the smaller eigenvalue of the Hessian of $U(s_1, s_2)$, (39)-(40) on any contours, over the
+      angles by which the fingertips turn against the object [N m/rad]: for a pinch of two fingers under
+      `control.Opposition` with $\alpha_i = 0$ and without gravity. Seconds to compile
+      (`stability.pinch_rest`). On a rectangle with two like fingertips it is $\beta |l|$ times the margin of
+      (41).
+    - 'curvature': the smallest eigenvalue of the Hessian of the potential on the constraint manifold, per
+      unit of kinetic energy [1/s^2], of any grasp (`stability.assess`). Minutes to compile.
+    - 'rate': the slowest rate at which the linearised closed loop returns [1/s], likewise.
+
+    For the last two, directions that are neutral whatever the fingertip (redundant joints) are left out: as
+    many as at the first start.
+
+    Args:
+        make: From a fingertip, and a case if there are any, to a grasp and a state so near the equilibrium
+            that the search does not leap to another one as the fingertip changes.
+        cases: A pytree of arrays with a leading axis. Default: one case.
+        measure: 'stiffness' (default), 'curvature' or 'rate'.
+        neutral: How many directions are left out. Default: as many as the first start has.
+        scale: What counts as one in the cost, in the measure's unit. Default: the first start's size of it.
+
+    Example:
+        >>> import jaxroll as jxr, jax.numpy as jnp
+        >>> goal = jxr.design.Firmness(
+        ...     lambda tip, a: jxr.scenes.pinch_ellipse(a, 0.02, tips=tip),
+        ...     cases=jnp.linspace(0.012, 0.018, 4),
+        ... )
+    """
+
+    make: Make = eqx.field(static=True)
+    cases: Any
+    measure: Measure = eqx.field(static=True)
+    neutral: int | None = eqx.field(static=True)
+    scale: Float[Array, ""] | None
+
+    def __init__(
+        self,
+        make: Make,
+        *,
+        cases: Any = None,
+        measure: Measure = "stiffness",
+        neutral: int | None = None,
+        scale: Given | None = None,
+    ) -> None:
+        if measure not in _NAMES:
+            raise ValueError(
+                f"argument measure must be 'stiffness', 'curvature' or 'rate', but was {measure!r}"
+            )
+        self.make = check_make(make)
+        self.cases = check_cases(cases)
+        self.measure = measure
+        self.neutral = neutral
+        self.scale = None if scale is None else check_positive("scale", as_floats("scale", scale, ()))
+
+    def aimed(self, tip: AbstractContour) -> "Firmness":
+        """Neutral directions are counted, and values measured against the first case's."""
+        case = jax.tree.map(lambda x: x[:1], self.cases)
+        values, neutral = _first(self.make, case, self.measure, tabled(tip))
+        if not np.all(np.isfinite(values)):
+            raise ValueError("argument tip must have an equilibrium in the first case, but none was found")
+        left_out = int(neutral[0]) if self.neutral is None else self.neutral
+        scale = np.sort(np.abs(values[0]))[left_out] if self.scale is None else self.scale
+        more = {"measure": self.measure, "neutral": left_out, "scale": scale}
+        return Firmness(self.make, cases=self.cases, **more)
+
+    def values(self, tip: AbstractContour, floor: float = 0.0) -> Array:
+        """The measure in every case."""
+        neutral = self.neutral or 0
+
+        def found(grasp: Grasp, state: State) -> Array:
+            return _smallest(_values(self.measure, grasp, state, floor)[0], neutral)
+
+        return each_case(self.make, self.cases, tip, found)
+
+    def cost(self, tip: AbstractContour, seen: Samples, unit: Scalar, sharpness: Scalar) -> Scalar:
+        assert self.scale is not None, "aimed at a start"
+        return soft_worst(-self.values(tip, _FLAT) / self.scale, sharpness)
+
+    def figures(self, tip: AbstractContour, seen: Samples) -> dict[str, Array]:
+        return {_NAMES[self.measure]: jnp.min(self.values(tip)), WORST_MARGIN: worst_margin(seen)}
+
+    def reached(self, figures: dict[str, Array]) -> Bool[Array, "..."]:
+        return figures[_NAMES[self.measure]] > 0.0
+
+
+def _values(measure: Measure, grasp: Grasp, state: State, floor: float = 0.0) -> tuple[Array, Array]:
+    """All values of the measure at rest, NaN without an equilibrium, and how many are neutral."""
+    if measure == "stiffness":
+        return _stiffnesses(grasp, state, floor), jnp.array(0)
+    at = assess(grasp, state)
+    values = at.curvatures if measure == "curvature" else -at.rates.real
+    return jnp.where(at.equilibrium.found, values, jnp.nan), at.neutral
+
+
+def _stiffnesses(grasp: Grasp, state: State, floor: float) -> Array:
+    """Eigenvalues of the Hessian of U at rest, over the angles of the fingertips [N m/rad].
+
+    They are kept finite where flat meets flat, and a fingertip does not turn, by a floor of turning [rad/m].
+    """
+    rest = pinch_rest(grasp, state, damping=_DAMPED)[1]
+    inverse = rest.turning / (rest.turning**2 + floor**2)
+    (a, b), (_, c) = rest.hessian * (inverse[:, None] * inverse[None, :])
+    half, across = 0.5 * (a - c), b * b
+    apart = jnp.sqrt(half * half + across + 1e-30 * (a * a + c * c))
+    return jnp.stack([0.5 * (a + c) - apart, 0.5 * (a + c) + apart])
+
+
+def _smallest(values: Array, neutral: int) -> Array:
+    """The smallest value besides zeros that are always there; continuous where it changes its sign."""
+    rising = jnp.sort(values)
+    least = -_NONE * jnp.max(jnp.abs(values))
+    return jnp.where(rising[0] < least, rising[0], rising[neutral])
+
+
+@eqx.filter_jit
+def _first(make: Make, cases: Any, measure: Measure, tip: AbstractContour) -> tuple[Array, Array]:
+    return each_case(make, cases, tip, lambda grasp, state: _values(measure, grasp, state))

@@ -1,0 +1,122 @@
+"""What a design is after: a cost to minimise, and the figures that are reported of it."""
+
+import abc
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool
+
+from .._types import Scalar
+from ..geometry import AbstractContour
+from ._limits import margins, Samples, soft_least
+
+# How sharply the least margin is told from its neighbours, in units of the fingertip's size.
+_SHARPNESS = 200.0
+# How sharply the worst case is told from the others, relative to it.
+_WORST = 50.0
+
+# From a fingertip, and a case where there are several, to a grasp and its start.
+Make = Callable[..., tuple[Any, Any]]
+
+
+class AbstractGoal(eqx.Module):
+    """What `optimise_fingertip` is to reach."""
+
+    @property
+    def in_turn(self) -> bool:
+        """Whether starts are better taken in turn than side by side."""
+        return False
+
+    @abc.abstractmethod
+    def cost(self, tip: AbstractContour, seen: Samples, unit: Scalar, sharpness: Scalar) -> Scalar:
+        """What is minimised, without dimension and of order one.
+
+        `unit` is the fingertip's size; `sharpness` rises to one in the course of the search.
+        """
+
+    @abc.abstractmethod
+    def figures(self, tip: AbstractContour, seen: Samples) -> dict[str, Array]:
+        """What is reported, in SI units that the names state; the first one is the figure of merit."""
+
+    @abc.abstractmethod
+    def reached(self, figures: dict[str, Array]) -> Bool[Array, "..."]:
+        """Whether a fingertip with these figures holds the grasp."""
+
+    def aimed(self, tip: AbstractContour) -> "AbstractGoal":
+        """This goal with what it takes from the first start, outside of any program."""
+        del tip
+        return self
+
+
+class Margin(AbstractGoal):
+    r"""The least margin $1/\kappa + n \cdot \gamma$ of condition (41) on the contact interval, to be large.
+
+    (41) makes a pinch of parallel flat faces stable; it is sufficient, not necessary. What is maximised is a
+    smooth lower bound of the least margin, $-\frac{1}{k} \log \sum_i e^{-k m_i}$ over 65 points with k = 200
+    over the contour's size; what is reported is the true least one.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> goal = jxr.design.Margin()
+    """
+
+    def cost(self, tip: AbstractContour, seen: Samples, unit: Scalar, sharpness: Scalar) -> Scalar:
+        return -soft_least(margins(seen.pad, unit) / unit, _SHARPNESS * sharpness)
+
+    def figures(self, tip: AbstractContour, seen: Samples) -> dict[str, Array]:
+        return {WORST_MARGIN: worst_margin(seen)}
+
+    def reached(self, figures: dict[str, Array]) -> Bool[Array, "..."]:
+        return figures[WORST_MARGIN] > 0.0
+
+
+WORST_MARGIN = "worst margin [m]"
+
+
+def worst_margin(seen: Samples) -> Array:
+    """Least margin of (41) on the contact interval [m], bounded where the contour is hollow or flat."""
+    return jnp.min(margins(seen.pad, jnp.max(jnp.sqrt(seen.whole.point.dot(seen.whole.point)))))
+
+
+def each_case(
+    make: Make, cases: Any, tip: AbstractContour, found: Callable[[Any, Any], Any], *, in_turn: bool = False
+) -> Any:
+    """`found(grasp, state)` of every case, with a leading axis; of the only one where there are none.
+
+    In turn, a run stays one compiled kernel: side by side, its derivative falls apart into thousands.
+    """
+    if cases is None:
+        return jax.tree.map(lambda x: x[None], found(*make(tip)))
+    each = lambda case: found(*make(tip, case))  # noqa: E731
+    return jax.lax.map(each, cases) if in_turn else jax.vmap(each)(cases)
+
+
+def soft_worst(costs: Array, sharpness: Scalar) -> Scalar:
+    r"""Smooth upper bound of the largest of some costs, $v + \frac{a}{k} \log\sum_i e^{k (v_i - v)/a}$."""
+    worst = jnp.max(costs)
+    size = jax.lax.stop_gradient(jnp.max(jnp.abs(costs)) + 1e-12) / (_WORST * sharpness)
+    return worst + size * jnp.log(jnp.sum(jnp.exp((costs - worst) / size)))
+
+
+def check_make(make: Any) -> Make:
+    """Raise unless it can be called."""
+    if not callable(make):
+        raise ValueError(f"argument make must be a function of a fingertip, but was {make!r}")
+    return make
+
+
+def check_cases(cases: Any) -> Any:
+    """Arrays with a common leading axis, or None."""
+    if cases is None:
+        return None
+    arrays = jax.tree.map(lambda x: jnp.asarray(x, float), cases)
+    lengths = {jnp.shape(x)[:1] for x in jax.tree.leaves(arrays)}
+    if len(lengths) != 1 or lengths == {()} or lengths == {(0,)}:
+        raise ValueError(
+            f"argument cases must hold arrays with one common leading axis, but their leading axes were "
+            f"{sorted(lengths)}"
+        )
+    return arrays

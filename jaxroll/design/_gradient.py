@@ -1,0 +1,68 @@
+"""Value and gradient in whichever mode costs less."""
+
+import functools
+from collections.abc import Callable
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array
+
+Mode = Literal["auto", "forward", "reverse"]
+# Up to so many numbers forward mode costs less (see `value_and_grad`).
+FEW = 4
+
+
+def value_and_grad(function: Callable[[Any], Any], mode: Mode = "auto", *, has_aux: bool = False) -> Callable:
+    r"""Value and gradient of a scalar function of one pytree of floats, forwards or backwards.
+
+    Reverse mode records the steps of a run and goes back over them once, whatever the number of parameters;
+    forward mode sends one tangent per parameter along with it. "auto" is forward mode up to four numbers.
+    Both are the derivative of the same discrete run, to rounding, and in both `close` is differentiated
+    implicitly, not through its iterations.
+
+    Args:
+        function: From a pytree of floating-point arrays to a scalar; with `has_aux`, to a pair.
+        mode: "auto", "forward" or "reverse".
+        has_aux: Whether the function returns (value, more).
+
+    Returns:
+        A function as `jax.value_and_grad` makes it.
+
+    Raises:
+        ValueError: If `mode` is none of the three.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> import jaxroll as jxr
+        >>> value, slope = jxr.design.value_and_grad(lambda x: jnp.sum(x**2))(jnp.array([1.0, 2.0]))
+        >>> slope.tolist()
+        [2.0, 4.0]
+    """
+    if mode not in ("auto", "forward", "reverse"):
+        raise ValueError(f"argument mode must be 'auto', 'forward' or 'reverse', but was {mode!r}")
+
+    @functools.wraps(function)
+    def both(x: Any) -> Any:
+        count = sum(jnp.size(leaf) for leaf in jax.tree.leaves(x))
+        backwards = mode == "reverse" or (mode == "auto" and count > FEW)
+        if backwards:
+            return jax.value_and_grad(function, has_aux=has_aux)(x)
+        return _forward(function, x, has_aux)
+
+    return both
+
+
+def _forward(function: Callable, x: Any, has_aux: bool) -> Any:
+    flat, unravel = ravel_pytree(x)
+
+    def along(direction: Array) -> Any:
+        if has_aux:
+            return jax.jvp(lambda z: function(unravel(z)), (flat,), (direction,), has_aux=True)
+        return (*jax.jvp(lambda z: function(unravel(z)), (flat,), (direction,)), None)
+
+    # Nothing of the run itself depends on the direction: it is worked out once.
+    each = jax.vmap(along, out_axes=(None, 0, None))
+    value, slopes, aux = each(jnp.eye(flat.shape[0], dtype=flat.dtype))
+    return ((value, aux) if has_aux else value), unravel(slopes)

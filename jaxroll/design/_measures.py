@@ -1,0 +1,164 @@
+"""How good a run is: settling time, overshoot, peak force, friction demand; differentiable.
+
+All look at the saved states that the run reached, so that what an event left out does not count; save some
+tens of states over the time of interest.
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._types import Scalar
+from ..integration import Multipliers, Trajectory
+
+Signal = Float[Array, "t k"]
+
+
+def settling_time(run: Trajectory, *, band: float = 0.02, signal: Signal | None = None) -> Scalar:
+    r"""Time [s] after which a signal stays near its last value.
+
+    The last time at which $|y(t) - y(t_1)|$ is above `band` times $|y(t_0) - y(t_1)|$, on straight lines
+    between the saved states. Its derivative is that of this time; it jumps where one more swing leaves the
+    band. Zero for a signal that ends where it began.
+
+    Args:
+        run: One run.
+        band: Share of the way.
+        signal: Shape (t, k). Default: the contact coordinates.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> grasp, state = jxr.scenes.pivoted()
+        >>> run = jxr.simulate(grasp, state, t1=3.0)
+        >>> f"{jxr.design.settling_time(run):.2f} s"
+        '0.74 s'
+    """
+    seen, left, whole = _approach(run, signal)
+    limit = band * whole
+    outside = seen & (left > limit)
+    last = jnp.max(jnp.where(outside, jnp.arange(left.shape[0]), 0))
+    after = jnp.minimum(last + 1, jnp.sum(seen) - 1)
+    drop = left[last] - left[after]
+    share = jnp.where(drop > 0.0, (left[last] - limit) / jnp.where(drop > 0.0, drop, 1.0), 0.0)
+    time = run.ts[last] + (run.ts[after] - run.ts[last]) * share - run.ts[0]
+    return jnp.where(jnp.any(outside), time, 0.0)
+
+
+def overshoot(run: Trajectory, *, signal: Signal | None = None) -> Scalar:
+    r"""By how much a signal goes past its last value, as a share of the way there.
+
+    The largest of $-(y(t) - y_1) \cdot (y_0 - y_1) / |y_0 - y_1|^2$, at least zero.
+
+    Args:
+        run: One run.
+        signal: Shape (t, k). Default: the contact coordinates.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> grasp, state = jxr.scenes.pivoted()
+        >>> run = jxr.simulate(grasp, state, t1=3.0)
+        >>> f"{jxr.design.overshoot(run):.3f}"
+        '0.000'
+    """
+    seen, y = _reached(run, signal)
+    way = y[0] - _last(seen, y)
+    size = jnp.sum(way * way)
+    past = -jnp.sum((y - _last(seen, y)) * way, axis=-1) / jnp.where(size > 0.0, size, 1.0)
+    return jnp.maximum(jnp.max(jnp.where(seen, past, 0.0)), 0.0)
+
+
+def tracking_error(run: Trajectory, *, signal: Signal | None = None) -> Scalar:
+    r"""Mean time to the end [s], $\int |y(t) - y_1| dt / |y_0 - y_1|$: smooth where `settling_time` jumps.
+
+    For a signal that decays as $e^{-t/T}$ it is T.
+
+    Args:
+        run: One run.
+        signal: Shape (t, k). Default: the contact coordinates.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> grasp, state = jxr.scenes.pivoted()
+        >>> run = jxr.simulate(grasp, state, t1=3.0)
+        >>> f"{jxr.design.tracking_error(run):.3f} s"
+        '0.188 s'
+    """
+    seen, left, whole = _approach(run, signal)
+    pairs = 0.5 * (left[1:] + left[:-1]) * jnp.diff(run.ts)
+    return jnp.sum(jnp.where(seen[1:], pairs, 0.0)) / jnp.where(whole > 0.0, whole, 1.0)
+
+
+def peak_force(run: Trajectory) -> Scalar:
+    """Largest normal force of any contact [N]; the run must have recorded its multipliers.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> grasp, state = jxr.scenes.pivoted()
+        >>> run = jxr.simulate(grasp, state, t1=0.5, ts=51, record=("multipliers",))
+        >>> f"{jxr.design.peak_force(run):.3f} N"
+        '1.113 N'
+    """
+    forces, seen = _forces(run)
+    return jnp.max(jnp.where(seen, forces.f, 0.0))
+
+
+def friction_demand(run: Trajectory) -> Scalar:
+    r"""Friction coefficient that rolling needs, $\max |\lambda| / f$; the run must have recorded its forces.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> grasp, state = jxr.scenes.pivoted()
+        >>> run = jxr.simulate(grasp, state, t1=0.5, ts=51, record=("multipliers",))
+        >>> f"{jxr.design.friction_demand(run):.3f}"
+        '0.371'
+    """
+    forces, seen = _forces(run)
+    aside = forces.lam
+    if aside.ndim > forces.f.ndim:  # in space
+        squared = jnp.sum(aside * aside, axis=-1)
+        aside = jnp.sqrt(jnp.where(squared > 0.0, squared, 1.0)) * (squared > 0.0)
+    pressing = seen & (forces.f > 0.0)
+    return jnp.max(jnp.where(pressing, jnp.abs(aside) / jnp.where(pressing, forces.f, 1.0), 0.0))
+
+
+def _forces(run: Trajectory) -> tuple[Multipliers, Array]:
+    """Contact forces, made finite, and where they are known."""
+    if run.multipliers is None:
+        raise ValueError("argument run must have recorded its multipliers, but has none")
+    seen = jnp.isfinite(run.multipliers.f)
+    f = jnp.where(seen, run.multipliers.f, 0.0)
+    lam = run.multipliers.lam
+    known = seen.reshape(*seen.shape, *(1,) * (lam.ndim - f.ndim))
+    lam = jnp.where(known, lam, 0.0)
+    return Multipliers(f, lam), seen
+
+
+def _reached(run: Trajectory, signal: Signal | None) -> tuple[Array, Array]:
+    """Which saved states were reached, and the signal, zero elsewhere."""
+    y = run.states.s if signal is None else signal
+    y = y[:, None] if y.ndim == 1 else y
+    seen = jnp.all(jnp.isfinite(y), axis=-1) & jnp.all(jnp.isfinite(run.states.q), axis=-1)
+    return seen, jnp.where(seen[:, None], y, 0.0)
+
+
+def _last(seen: Array, y: Array) -> Array:
+    return y[jnp.maximum(jnp.sum(seen) - 1, 0)]
+
+
+def _approach(run: Trajectory, signal: Signal | None) -> tuple[Array, Array, Array]:
+    """Which states were reached, distance of the signal from its last value, and that at the start."""
+    seen, y = _reached(run, signal)
+    squared = jnp.sum((y - _last(seen, y)) ** 2, axis=-1)
+    apart = seen & (squared > 0.0)
+    left = jnp.where(apart, jnp.sqrt(jnp.where(apart, squared, 1.0)), 0.0)
+    return seen, left, left[0]
+
+
+MEASURES = {
+    "settling_time": (settling_time, "settling time [s]"),
+    "overshoot": (overshoot, "overshoot"),
+    "tracking_error": (tracking_error, "tracking error [s]"),
+    "peak_force": (peak_force, "peak force [N]"),
+    "friction_demand": (friction_demand, "friction demand"),
+}
+# Those that need the contact forces.
+FORCED = frozenset(("peak_force", "friction_demand"))

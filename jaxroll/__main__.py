@@ -1,4 +1,4 @@
-"""The command line: `jaxroll demo` runs a scene of the chapter and writes its figures."""
+"""The command line: `jaxroll demo` runs a scene of the chapter, `jaxroll design` improves a fingertip."""
 
 import argparse
 import contextlib
@@ -15,6 +15,10 @@ from typing import Any
 
 _ABOUT = "Differentiable simulation of grasping under rolling contact."
 _DEMO = "Simulate a scene of the chapter, print a report, and write its figures."
+_DESIGN = (
+    "Start from a fingertip that loses the grasp of a rectangle, change it within limits until it holds, and "
+    "write figures, animations of both, and the fingertip to draw or to make."
+)
 _CACHE = (
     "Compiled programs are kept in $XDG_CACHE_HOME/jaxroll or ~/.cache/jaxroll, so that the next "
     "start is quick. The environment variable JAXROLL_CACHE names another folder; 'off' keeps "
@@ -80,16 +84,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     if options.command is None:
         parser.print_help()
         return 0
+    name = "design" if options.command == "design" else options.scene
     try:
-        folder = Path(options.out or f"jaxroll-{options.scene}")
+        folder = Path(options.out or f"jaxroll-{name}")
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        _say(f"jaxroll demo: argument --out must name a folder that can be made, but: {error}")
+        _say(f"jaxroll {options.command}: argument --out must name a folder that can be made, but: {error}")
         return 2
     try:
-        _run(options, DEMOS[options.scene], folder)
-    except (ValueError, RuntimeError, OSError) as error:
-        _say(f"jaxroll demo: {error}")
+        if options.command == "design":
+            _design(options, folder)
+        else:
+            _run(options, DEMOS[options.scene], folder)
+    except (ValueError, RuntimeError, OSError, ImportError) as error:
+        _say(f"jaxroll {options.command}: {error}")
         return 1
     return 0
 
@@ -119,7 +127,32 @@ def _parser() -> _Parser:
         help="relative tolerance of the solver (default: 1e-8)",
     )
     demo.add_argument("--no-animation", action="store_true", help="write no motion.gif")
+    _design_parser(commands)
     return parser
+
+
+def _design_parser(commands: Any) -> None:
+    design = commands.add_parser("design", help=_DESIGN, description=_DESIGN, epilog=_CACHE)
+    design.add_argument("--out", metavar="FOLDER", help="where to write (default: jaxroll-design)")
+    design.add_argument(
+        "--goal",
+        choices=("margin", "stiffness", "run"),
+        default="margin",
+        help="margin of condition (41) (default), stiffness at rest, or a run that settles soon with little "
+        "friction; the last takes minutes to compile",
+    )
+    whole = _number(1, 1e5)
+    design.add_argument(
+        "--steps", metavar="N", type=whole, default=200, help="at most so many (default: 200)"
+    )
+    design.add_argument("--starts", metavar="N", type=whole, default=1, help="in one batch (default: 1)")
+    design.add_argument(
+        "--tip",
+        metavar="FILE",
+        help="points of a closed outline about the finger's end, facing +x, to start from",
+    )
+    design.add_argument("--unit", choices=("m", "mm", "um", "in"), default="mm", help="of FILE (default: mm)")
+    design.add_argument("--no-animation", action="store_true", help="write no before.gif and after.gif")
 
 
 def _number(low: float, high: float) -> Callable[[str], float]:
@@ -199,6 +232,15 @@ def _run(options: argparse.Namespace, demo: Demo, folder: Path) -> None:
     print(f"  wall time   {first['s']:.3g} s with compilation, {again['s']:.3g} s again")
     print(f"Files in {folder}:")
     print("\n".join(["  " + ", ".join(names), *missing]))
+
+
+def _design(options: argparse.Namespace, folder: Path) -> None:
+    with _timed("Loading"):
+        _configure()
+        from ._workshop import Order, order
+    counts = {"steps": int(options.steps), "starts": int(options.starts)}
+    source = {"outline": options.tip, "unit": options.unit, "animated": not options.no_animation}
+    print("\n".join(order(Order(options.goal, **counts, **source), folder, _timed)))
 
 
 def _page(demo: Demo, folder: Path, names: list[str], drawn: tuple[Any, Any, Any]) -> list[str]:

@@ -34,7 +34,8 @@ RANKS = {
     "io": 10,
     "plotting": 11,
     "__init__": 12,
-    "__main__": 13,
+    "_workshop": 13,
+    "__main__": 14,
 }
 # One door each.
 DOORS = {

@@ -10,7 +10,7 @@ from ._closed_loop import ClosedLoop as ClosedLoop
 from ._design import Design as Design
 from ._fingertip import optimise_fingertip as optimise_fingertip
 from ._firmness import Firmness as Firmness
-from ._goals import Margin as Margin
+from ._goals import AbstractGoal as AbstractGoal, Margin as Margin
 from ._gradient import value_and_grad as value_and_grad
 from ._limits import Limits as Limits
 from ._measures import (

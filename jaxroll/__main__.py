@@ -237,10 +237,12 @@ def _run(options: argparse.Namespace, demo: Demo, folder: Path) -> None:
 def _design(options: argparse.Namespace, folder: Path) -> None:
     with _timed("Loading"):
         _configure()
+        from . import __version__
         from ._workshop import Order, order
     counts = {"steps": int(options.steps), "starts": int(options.starts)}
     source = {"outline": options.tip, "unit": options.unit, "animated": not options.no_animation}
-    print("\n".join(order(Order(options.goal, **counts, **source), folder, _timed)))
+    lines = order(Order(options.goal, **counts, **source), folder, _timed)
+    print("\n".join([f"jaxroll {__version__}, design: a fingertip that holds a rectangle", *lines]))
 
 
 def _page(demo: Demo, folder: Path, names: list[str], drawn: tuple[Any, Any, Any]) -> list[str]:

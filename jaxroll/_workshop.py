@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from . import __version__, fit_contour, io, plotting, scenes, simulate, Spline
+from . import io, plotting, scenes
 from .design import (
     AbstractGoal,
     ClosedLoop,
@@ -23,6 +23,8 @@ from .design import (
     peak_force,
     settling_time,
 )
+from .geometry import fit_contour, Spline
+from .integration import simulate
 
 # The start: an ellipse that points at the object, sharper in front than the circle about O_i.
 _LONG, _WIDE, _POINTS = 0.018, 0.009, 24
@@ -91,9 +93,9 @@ def order(asked: Order, folder: Path, timed: Callable[[str], AbstractContextMana
     tip = fingertip(asked.outline, asked.unit)
     size = float(np.max(np.hypot(*np.asarray(tip.points).T)))
     limits = Limits(size=size, radius=0.2 * size, ahead=size / 3.0)
-    goal, options = GOALS[asked.goal](), {"steps": asked.steps, "starts": asked.starts}
+    options: dict[str, Any] = {"steps": asked.steps, "starts": asked.starts, "goal": GOALS[asked.goal]()}
     with timed(f"Designing for {asked.goal}, with compilation"):
-        found = optimise_fingertip(tip, _INTERVAL, goal=goal, limits=limits, symmetric=True, **options)
+        found = optimise_fingertip(tip, _INTERVAL, limits=limits, symmetric=True, **options)
     with timed("Simulating both, with compilation"):
         pairs = [make(one) for one in (found.start, found.tip)]
         settings = {"t1": 1.0, "ts": 401, "throw": False, "record": ("multipliers",)}
@@ -108,15 +110,8 @@ def order(asked: Order, folder: Path, timed: Callable[[str], AbstractContextMana
                 plotting.animate(pair[0], run, folder / name, fps=20.0, speed=_SPEED, until=_SHOWN)
                 names.append(name)
     written, missing = _write(found, folder)
-    title = f"jaxroll {__version__}, design: a fingertip that holds a rectangle"
-    return [
-        title,
-        str(found),
-        *_facts(runs),
-        f"Files in {folder}:",
-        "  " + ", ".join(names + written),
-        *missing,
-    ]
+    files = [f"Files in {folder}:", "  " + ", ".join(names + written), *missing]
+    return [str(found), *_facts(runs), *files]
 
 
 def _facts(runs: Sequence[Any]) -> list[str]:

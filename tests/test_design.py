@@ -14,18 +14,40 @@ from jaxroll.design._minimise import minimise
 INTERVAL = (-0.005, 0.005)
 
 
-def half_disc(x, centre):
+def half_disc(x, centre, sharpness):
     """Squared distance from a centre, on the upper half of the unit disc."""
     return jnp.sum((x - centre) ** 2), jnp.stack([jnp.dot(x, x) - 1.0, -x[1]])
 
 
-def test_minimiser_on_a_problem_by_hand():
+@pytest.mark.parametrize("options", [{}, {"in_turn": True}, {"optimiser": optax.lbfgs()}])
+def test_minimiser_on_a_problem_by_hand(options):
     """Nearest points of a half disc: on its rim, in its corner, inside."""
     centres = jnp.array([[3.0, 4.0], [2.0, -1.0], [0.1, 0.2]])
-    found = minimise(half_disc, jnp.full((3, 2), 0.1), centres, optimiser=optax.lbfgs(), steps=200)
+    found = minimise(half_disc, jnp.full((3, 2), 0.1), centres, steps=200, **options)
     nearest = [[0.6, 0.8], [1.0, 0.0], [0.1, 0.2]]
     np.testing.assert_allclose(found.search.best, nearest, atol=2e-7)
     assert bool(found.search.done.all()) and found.steps <= 200
+
+
+def valley(x, data, sharpness):
+    """Rosenbrock's function: a bent valley, with places that bend downwards."""
+    return 100.0 * (x[1] - x[0] ** 2) ** 2 + (1.0 - x[0]) ** 2, -jnp.ones(1)
+
+
+@pytest.mark.parametrize("mode", ["forward", "reverse"])
+def test_descent_follows_a_bent_valley(mode):
+    starts = jnp.array([[-1.2, 1.0], [0.0, 2.0], [3.0, -2.0]])
+    found = minimise(valley, starts, jnp.zeros(3), steps=150, mode=mode)
+    np.testing.assert_allclose(found.search.best, 1.0, atol=1e-6)
+
+
+def test_a_step_into_nowhere_is_taken_back():
+    nowhere = lambda x, data, sharpness: (jnp.sum(x - jnp.log(x)), -jnp.ones(1))  # noqa: E731
+    found = minimise(nowhere, jnp.array([[1e-3, 5.0]]), jnp.zeros(1), steps=60)
+    np.testing.assert_allclose(found.search.best, 1.0, atol=1e-6)
+    rates = optax.adam(optax.exponential_decay(0.5, 20, 0.5))
+    found = minimise(nowhere, jnp.array([[0.1, 3.0]]), jnp.zeros(1), steps=200, optimiser=rates)
+    np.testing.assert_allclose(found.search.best, 1.0, atol=1e-2)
 
 
 def test_ellipse_has_the_analytic_optimum():
@@ -61,7 +83,6 @@ def test_every_violating_start_comes_to_hold():
     """20 seeds in one batch: a positive margin on the whole interval within 200 steps."""
     tips = [jxr.Spline(violating(seed), cells=128) for seed in range(20)]
     design = optimise_fingertip(tips, INTERVAL, steps=200, limits=Limits(size=0.02, radius=0.001, flat=0.1))
-    print(design)
     assert np.all(np.asarray(design.before) < 0.0)
     assert design.history.shape[1] <= 200
     assert bool(design.holds.all())
@@ -88,6 +109,25 @@ def test_support_function_and_symmetry():
     assert np.all(np.asarray(design.tip.sines) == 0.0)
 
 
+def test_starts_that_are_not_given_are_variations():
+    limits = Limits(length=0.1, radius=0.004, flat=None)
+    design = optimise_fingertip(jxr.Ellipse(0.02, 0.01), INTERVAL, limits=limits, starts=4, steps=100)
+    assert design.after.shape == (4,) and len(np.unique(design.before)) == 4
+    assert bool(design.holds[design.chosen])
+    inside = np.asarray(design.violation) <= 1e-7
+    np.testing.assert_allclose(
+        design.after[design.chosen], np.max(np.asarray(design.after)[inside]), rtol=1e-6
+    )
+
+
+def test_a_pad_stays_ahead_of_the_finger():
+    """The best pad is as near to O as it may be, and as flat: both limits are met."""
+    limits = Limits(size=0.03, radius=0.002, ahead=0.008, flat=0.05)
+    design = optimise_fingertip(jxr.Ellipse(0.012, 0.012), (-0.001, 0.001), limits=limits, steps=200)
+    a, b = float(design.tip.a), float(design.tip.b)
+    np.testing.assert_allclose([a, b**2 / a], [0.008, 0.02 / 0.008 * 0.02], rtol=2e-2)
+
+
 def test_goes_on_from_a_checkpoint(tmp_path):
     limits = Limits(length=0.1, radius=0.004, flat=None)
     options = {"limits": limits, "checkpoint": tmp_path / "design.eqx"}
@@ -109,6 +149,9 @@ def test_goes_on_from_a_checkpoint(tmp_path):
         ([jxr.Ellipse(0.01, 0.02), jxr.Circle(0.01)], {}, "contours of one kind"),
         (jxr.Ellipse(0.01, 0.02).prepared(), {}, "must not be prepared"),
         ("tip", {}, "one contour or several"),
+        (jxr.Ellipse(0.01, 0.02), {"starts": 0}, "starts must be at least 1"),
+        (jxr.Ellipse(0.01, 0.02), {"mode": "both"}, "mode must be"),
+        (jxr.Ellipse(0.01, 0.02), {"rate": 0.1}, "options must be any of"),
     ],
 )
 def test_bad_arguments(tip, options, message):

@@ -1,7 +1,6 @@
 """`optimise_fingertip`: from a fingertip to a better one within limits."""
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -9,7 +8,6 @@ import jax
 import jax.flatten_util
 import jax.numpy as jnp
 import numpy as np
-import optax
 from jaxtyping import Array
 
 from .._results import RESULTS
@@ -17,7 +15,6 @@ from .._types import Given
 from ..geometry import AbstractContour, tabled
 from ._design import Design
 from ._goals import AbstractGoal, Margin
-from ._gradient import Mode
 from ._limits import check_interval, Limits, sampled, Samples
 from ._minimise import Found, KEPT, minimise, Progress
 from ._shape import check_unprepared, divided, extents, mirrored, smoothing, stacked, varied
@@ -32,14 +29,10 @@ def optimise_fingertip(
     *,
     goal: AbstractGoal | None = None,
     limits: Limits | None = None,
-    optimiser: optax.GradientTransformation | None = None,
     steps: int = 200,
     symmetric: bool = False,
-    starts: int = 1,
-    seed: int = 0,
-    mode: Mode = "auto",
     progress: Progress = False,
-    checkpoint: str | Path | None = None,
+    **options: Any,
 ) -> Design:
     r"""Change a fingertip until it is as good as it can be.
 
@@ -57,15 +50,14 @@ def optimise_fingertip(
             and a half of it.
         steps: At most so many, rounded up to tens; each is one evaluation with its gradient.
         symmetric: Keep the contour its own mirror image about the x axis.
-        starts: How many starts in all; those not given are smooth variations of the given ones.
         progress: True prints after every ten steps; a function is called with step, cost, violation.
     Args (rarely changed):
-        optimiser: Any of optax, with its schedule. Its unknowns are in units of a twentieth of the contour's
-            size; waves of points and terms of series are divided by about their order squared, so that all
-            bend the contour alike (Sobolev's gradient). Default: BFGS with backtracking, one point a step.
-        seed: Of the variations.
-        mode: How to differentiate: see `value_and_grad`.
-        checkpoint: A file to write after every ten steps, and to go on from where it exists.
+        **options: `starts`, how many in all: those not given are smooth variations of the given ones, by the
+            numpy `seed`. `optimiser`, any of optax with its schedule; its unknowns are in units of a
+            twentieth of the contour's size, and waves of points and terms of series are divided by about
+            their order squared, so that all bend the contour alike (Sobolev's gradient). By default
+            BFGS with backtracking, one point a step. `mode`, how to differentiate: see `value_and_grad`.
+            `checkpoint`, a file to write after every ten steps, and to go on from where it exists.
 
     Returns:
         A `Design`. An infeasible problem ends with that code and the contour that passes the limits least.
@@ -88,12 +80,11 @@ def optimise_fingertip(
         if not isinstance(one, AbstractContour):
             raise ValueError(f"argument tip must be one contour or several, but was {one!r}")
         check_unprepared(one)
-    if starts < 1:
-        raise ValueError(f"argument starts must be at least 1, but was {starts}")
+    count, seed = _more(options), options.get("seed", 0)
     ends = jnp.stack([check_interval(one, interval) for one in tips])[0]
     if symmetric:
         mirrored(tips[0])  # raises where the class has no mirror image
-    arrays, rest = stacked(varied(tips, max(starts, len(tips)), seed))
+    arrays, rest = stacked(varied(tips, max(count, len(tips)), seed))
     units, reaches = extents(arrays, rest)
     if limits is None:
         size = float(reaches[0])
@@ -102,14 +93,24 @@ def optimise_fingertip(
     waves = jnp.asarray(smoothing(tips[0]))
     data, problem = (arrays, units), _Problem(rest, waves, ends, limits, wanted, symmetric)
     start = jax.vmap(lambda a, unit: problem.unknowns(eqx.combine(a, rest), unit))(*data)
-    options: dict[str, Any] = {
-        "optimiser": optimiser,
-        "steps": steps,
-        "mode": mode,
-        "in_turn": wanted.in_turn,
-    }
-    found = minimise(problem, start, data, progress=progress, checkpoint=checkpoint, **options)
+    settings = {name: options[name] for name in ("optimiser", "mode", "checkpoint") if name in options}
+    settings |= {"steps": steps, "in_turn": wanted.in_turn, "progress": progress}
+    found = minimise(problem, start, data, **settings)
     return _design(problem, start, data, found)
+
+
+_OPTIONS = ("starts", "seed", "optimiser", "mode", "checkpoint")
+
+
+def _more(options: dict[str, Any]) -> int:
+    """How many starts; raises for an option that there is not."""
+    unknown = sorted(set(options) - set(_OPTIONS))
+    if unknown:
+        raise ValueError(f"argument options must be any of {', '.join(_OPTIONS)}, but had {unknown}")
+    starts = options.get("starts", 1)
+    if starts < 1:
+        raise ValueError(f"argument starts must be at least 1, but was {starts}")
+    return starts
 
 
 class _Problem(eqx.Module):

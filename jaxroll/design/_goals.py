@@ -101,7 +101,7 @@ def soft_worst(costs: Array, sharpness: Scalar) -> Scalar:
     return worst + size * jnp.log(jnp.sum(jnp.exp((costs - worst) / size)))
 
 
-def check_make(make: Any) -> Make:
+def check_make(make: Any) -> Any:
     """Raise unless it can be called."""
     if not callable(make):
         raise ValueError(f"argument make must be a function of a fingertip, but was {make!r}")

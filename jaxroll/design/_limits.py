@@ -40,7 +40,7 @@ class Limits(eqx.Module):
         length: Largest arclength of the whole contour [m].
         radius: Smallest radius of curvature anywhere, hollow or not [m]: what a nozzle or cutter can make.
         ahead: Least distance of the pad in front of $O_i$ [m], $-n \cdot \gamma$ on the contact interval:
-            the last link ends behind it. Both (41) and stiffness want it small.
+            the last link ends behind it. (41) wants it small.
         flat: Largest radius of curvature on the contact interval [m]. Without it the best pad is a flat
             one, which rolls on its ends alone; the interval is kept convex all the same.
         steepness: Largest $|d\kappa/ds|$ [1/m^2]: smoothness.

@@ -60,7 +60,7 @@ def overshoot(run: Trajectory, *, signal: Signal | None = None) -> Scalar:
         '0.000'
     """
     seen, y = _reached(run, signal)
-    way = y[0] - _last(seen, y)
+    way = y[:1] - _last(seen, y)
     size = jnp.sum(way * way)
     past = -jnp.sum((y - _last(seen, y)) * way, axis=-1) / jnp.where(size > 0.0, size, 1.0)
     return jnp.maximum(jnp.max(jnp.where(seen, past, 0.0)), 0.0)
@@ -141,7 +141,7 @@ def _reached(run: Trajectory, signal: Signal | None) -> tuple[Array, Array]:
 
 
 def _last(seen: Array, y: Array) -> Array:
-    return y[jnp.maximum(jnp.sum(seen) - 1, 0)]
+    return y[jnp.maximum(jnp.sum(seen) - 1, 0)][None]
 
 
 def _approach(run: Trajectory, signal: Signal | None) -> tuple[Array, Array, Array]:

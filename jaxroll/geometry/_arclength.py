@@ -1,5 +1,6 @@
 """Arclength of a regular curve by a differentiable table."""
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -9,10 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._backend import filled
 from .._types import Scalar
 
-Speed = Callable[[Any, Scalar], Scalar]
+# Rate of the arclength at places of a curve's cells: `speed(shape, cell, x)`, x in [0, 1] along each.
+Speed = Callable[[Any, Any, Any], Array]
+Progress = Callable[[Any, Array], tuple[Array, Array]]
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
+_PLACES, _SHARES = 0.5 * (1.0 + _NODES), 0.5 * _WEIGHTS
 
 
 class ArclengthTable(eqx.Module):
@@ -29,42 +34,92 @@ class ArclengthTable(eqx.Module):
     period: float = eqx.field(static=True)
 
 
-def tabulate(speed: Speed, shape: Any, *, period: float, cells: int) -> ArclengthTable:
-    r"""Table of $u(s)$ for a closed curve with speed $|c'(u)|$ = `speed(shape, u)`, uniform in s."""
-    nodes, arcs = spaced(speed, shape, jnp.linspace(0.0, period, cells + 1), cells)
-    return ArclengthTable(_hermite(speed, shape, nodes, arcs[-1] / cells), arcs[-1], period)
+def tabulate(rate: Callable[[Any, Array], Array], shape: Any, *, period: float, cells: int) -> ArclengthTable:
+    r"""Table of $u(s)$ for a closed curve with speed $|c'(u)|$ = `rate(shape, u)`, uniform in s."""
+    width = period / cells
+
+    def speed(shape: Any, cell: Array, x: Array) -> Array:
+        return width * rate(shape, width * (cell + x))
+
+    cell, x, arcs = spaced(speed, shape, cells, cells)
+    nodes, step = width * (cell + x), arcs[-1] / cells
+    value, slope = jax.jvp(lambda u: rate(shape, u), (nodes,), (jnp.ones_like(nodes),))
+    rows = hermite(nodes, step / value, -slope * step**2 / value**3)
+    return ArclengthTable(rows, arcs[-1], period)
 
 
-def spaced(speed: Speed, shape: Any, grid: Array, cells: int) -> tuple[Array, Array]:
-    r"""Parameters at `cells` + 1 uniform arclengths, and the arclength at every point of `grid`.
+def spaced(speed: Speed, shape: Any, parts: int, cells: int) -> tuple[Array, Array, Array]:
+    r"""Where a curve in `parts` cells has reached `cells` + 1 uniform arclengths.
 
-    Arclength is integrated by five-point Gauss-Legendre between the grid's points; the nodes are found
-    by three steps of Newton's method. Derivatives with respect to `shape` are those of the converged
-    nodes: the last two steps, which start at a root, carry first and second order.
+    Returns the cells, the places in them, and the arclength at the beginning of every cell and at the
+    end. Arclength is integrated by five-point Gauss-Legendre over each cell.
     """
+    lengths = speed(shape, np.arange(parts)[:, None], _PLACES[None, :]) @ _SHARES
+    arcs = rising_sums(lengths)
+    targets = arcs[-1] * np.linspace(0.0, 1.0, cells + 1)
+    fixed, sought = jax.lax.stop_gradient((arcs, targets))
+    cell = jnp.clip(jnp.searchsorted(fixed, sought) - 1, 0, parts - 1)
+    start = (sought - fixed[cell]) / jax.lax.stop_gradient(lengths)[cell]
 
-    def arc(low: Array, high: Array) -> Array:
-        half = 0.5 * (high - low)
-        u = low[:, None] + half[:, None] * (1.0 + _NODES)[None, :]
-        return half * (speed(shape, u) @ _WEIGHTS)
+    def progress(shape: tuple[Any, Array], x: Array) -> tuple[Array, Array]:
+        shape, cell = shape
+        speeds = speed(shape, cell[:, None], x[:, None] * np.append(_PLACES, 1.0)[None, :])
+        return x * (speeds[:, :-1] @ _SHARES), speeds[:, -1]
 
-    arcs = jnp.concatenate([jnp.zeros(1), jnp.cumsum(arc(grid[:-1], grid[1:]))])
-    targets = jnp.linspace(0.0, 1.0, cells + 1) * arcs[-1]
-
-    def newton(u: Array, _: None) -> tuple[Array, None]:
-        cell = jnp.clip(jnp.searchsorted(arcs, targets) - 1, 0, grid.shape[0] - 2)
-        reached = arcs[cell] + arc(grid[cell], u)
-        return u - (reached - targets) / speed(shape, u), None
-
-    start = jax.lax.stop_gradient(jnp.interp(targets, arcs, grid))
-    return jax.lax.scan(newton, start, length=3)[0], arcs
+    return cell, placed(progress, (shape, cell), start, targets - arcs[cell]), arcs
 
 
-def _hermite(speed: Speed, shape: Any, nodes: Array, step: Array) -> Array:
-    value, slope = jax.jvp(lambda u: speed(shape, u), (nodes,), (jnp.ones_like(nodes),))
-    first = step / value
-    second = -slope * step**2 / value**3
-    return hermite(nodes, first, second)
+def rising_sums(values: Array) -> Array:
+    """Zero, then the sums of the first one, two, ... values: by blocks, two small products of matrices."""
+    count = values.shape[0]
+    side = math.isqrt(count - 1) + 1
+    blocks = jnp.pad(values, (0, side * side - count)).reshape(side, side)
+    within = blocks @ np.triu(np.ones((side, side)))
+    before = np.tri(side, k=-1) @ within[:, -1:]
+    return jnp.pad((before + within).ravel()[:count], (1, 0))
+
+
+def placed(progress: Progress, shape: Any, start: Array, targets: Array) -> Array:
+    r"""Parameters x at which rising functions reach `targets`: four steps of Newton's method.
+
+    Args:
+        progress: `progress(shape, x)` gives what is reached, and its rate in x.
+        shape: Whatever the functions depend on.
+        start: A first guess.
+        targets: What to reach.
+
+    Derivatives, in both modes and of any order, are those of the implicit function theorem; the iteration
+    is not differentiated.
+    """
+    return _placed((shape, targets), start, progress)
+
+
+@eqx.filter_custom_jvp
+def _placed(given: tuple[Any, Array], start: Array, progress: Progress) -> Array:
+    shape, targets = given
+
+    def newton(_: int, x: Array) -> Array:
+        reached, rate = progress(shape, x)
+        return x - (reached - targets) / rate
+
+    return jax.lax.fori_loop(0, 4, newton, start)
+
+
+@_placed.def_jvp
+def _(primals: Any, tangents: Any) -> tuple[Array, Array]:
+    given, start, progress = primals
+    x = _placed(given, start, progress)
+    moving, still = eqx.partition(given, eqx.is_inexact_array)
+
+    def excess(moving: Any, x: Array) -> Array:
+        shape, targets = eqx.combine(moving, still)
+        return progress(shape, x)[0] - targets
+
+    # By the derivative of what was integrated, not by the rate, which differs by the rule's error.
+    _, rate = jax.jvp(lambda x: excess(moving, x), (x,), (jnp.ones_like(x),))
+    dots = filled(moving, tangents[0])
+    _, change = jax.jvp(lambda moving: excess(moving, x), (moving,), (dots,))
+    return x, -change / rate
 
 
 def hermite(value: Array, first: Array, second: Array) -> Array:
@@ -91,7 +146,7 @@ def _interpolate(table: ArclengthTable, s: Scalar) -> Scalar:
     return value + turns * table.period
 
 
-def invert(speed: Speed, shape: Any, table: ArclengthTable, s: Scalar) -> Scalar:
+def invert(rate: Callable[[Any, Scalar], Scalar], shape: Any, table: ArclengthTable, s: Scalar) -> Scalar:
     r"""The curve's parameter at arclength `s`.
 
     The value is the table's; its derivative in `s` is the exact $1/|c'(u)|$, so that tangent and
@@ -108,6 +163,6 @@ def invert(speed: Speed, shape: Any, table: ArclengthTable, s: Scalar) -> Scalar
         _, table_dot, s_dot = tangents
         u = parameter(shape, table, s)
         _, moved = jax.jvp(lambda tab: _interpolate(tab, s), (table,), (table_dot,))
-        return u, moved + s_dot / speed(shape, u)
+        return u, moved + s_dot / rate(shape, u)
 
     return parameter(shape, table, s)

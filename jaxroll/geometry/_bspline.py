@@ -1,9 +1,11 @@
 """B-splines of any odd degree as polynomials per knot interval: differentiable in knots and data."""
 
+import functools
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._algebra import Vec2
@@ -17,12 +19,41 @@ class Pieces(NamedTuple):
 
     def curve(self, u: Array) -> Vec2:
         """Points at parameters `u` of any shape; beyond the ends, the last polynomial."""
-        index, local = locate(self.breaks, u)
-        rows = self.coefficients[index]
-        x, y = rows[..., -1, 0], rows[..., -1, 1]
-        for power in reversed(range(rows.shape[-2] - 1)):
-            x, y = x * local + rows[..., power, 0], y * local + rows[..., power, 1]
-        return Vec2(x, y)
+        return jet(self.coefficients, *locate(self.breaks, u))[0]
+
+
+def jet(coefficients: Array, index: Array, local: Array) -> tuple[Vec2, Vec2, Vec2]:
+    """Point and two derivatives in the interval's coordinate, at places in intervals: any shape."""
+    weights = powers(local, coefficients.shape[1]) @ derived(coefficients.shape[1])
+    weights = weights.reshape(*local.shape, 3, -1)
+    return _vectors(jnp.einsum("...kp,...pd->...kd", weights, coefficients[index]))
+
+
+def jets(coefficients: Array, local: np.ndarray) -> tuple[Vec2, Vec2, Vec2]:
+    """Point and two derivatives at the same places in every interval: shape (pieces, places)."""
+    order = coefficients.shape[1]
+    weights = (local[:, None] ** np.arange(order)) @ derived(order)
+    return _vectors(jnp.einsum("lkp,ipd->ilkd", weights.reshape(len(local), 3, -1), coefficients))
+
+
+def _vectors(found: Array) -> tuple[Vec2, Vec2, Vec2]:
+    point, rate, bend = (Vec2(found[..., k, 0], found[..., k, 1]) for k in range(3))
+    return point, rate, bend
+
+
+def powers(x: Array, order: int) -> Array:
+    """1, x, x^2, ... along a new last axis."""
+    found = [jnp.ones_like(x), x]
+    for k in range(2, order):
+        found.append(found[k // 2] * found[k - k // 2])
+    return jnp.stack(found, axis=-1)
+
+
+@functools.cache
+def derived(order: int) -> np.ndarray:
+    """From the powers of x to what weighs a polynomial's coefficients in its value and two derivatives."""
+    once = np.diag(np.arange(1.0, order), 1)
+    return np.concatenate([np.eye(order), once, once @ once], axis=1)
 
 
 class Basis(NamedTuple):
@@ -30,31 +61,37 @@ class Basis(NamedTuple):
 
     breaks: Float[Array, " pieces+1"]
     polynomials: Float[Array, "pieces order order"]  # interval, function, power
-    functions: Array  # (pieces, order): which functions these are
+    functions: np.ndarray  # (pieces, order): which functions these are
     count: int
 
     def matrix(self, u: Float[Array, " data"]) -> Float[Array, "data functions"]:
         """Values of every function at parameters `u`."""
         index, local = locate(self.breaks, u)
-        rows = self.polynomials[index]
-        value = rows[..., -1]
-        for power in reversed(range(rows.shape[-1] - 1)):
-            value = value * local[:, None] + rows[..., power]
-        data = jnp.arange(u.shape[0])[:, None]
-        return jnp.zeros((u.shape[0], self.count)).at[data, self.functions[index]].add(value)
+        weights = powers(local, self.polynomials.shape[-1])
+        return self._spread(index, jnp.sum(self.polynomials[index] * weights[:, None, :], axis=-1))
+
+    def at_breaks(self) -> Float[Array, "pieces functions"]:
+        """Values of every function where the intervals begin."""
+        return self._spread(np.arange(self.polynomials.shape[0]), self.polynomials[..., 0])
+
+    def _spread(self, index: Array | np.ndarray, values: Array) -> Array:
+        """Rows of the functions that live on intervals `index`, among all functions."""
+        place = (np.arange(self.count)[None, :] - index[:, None]) % self.count
+        here = place[:, None, :] == np.arange(values.shape[1])[None, :, None]
+        return jnp.sum(jnp.where(here, values[:, :, None], 0.0), axis=1)
 
     def pieces(self, coefficients: Float[Array, "functions 2"]) -> Pieces:
         """The spline with these coefficients."""
-        return Pieces(self.breaks, jnp.einsum("ijp,ijd->ipd", self.polynomials, coefficients[self.functions]))
+        weights = coefficients[self.functions][:, :, None, :]
+        return Pieces(self.breaks, jnp.sum(self.polynomials[..., None] * weights, axis=1))
 
     def roughness(self) -> Float[Array, "functions functions"]:
         r"""The quadratic form $\int |P'''(u)|^2\,du$."""
         order = self.polynomials.shape[-1]
         step = jnp.diff(self.breaks)
-        powers = jnp.arange(order)
-        factor = (powers * (powers - 1) * (powers - 2)).astype(float)
-        third = (self.polynomials * factor[None, None, :])[..., 3:]
-        low = jnp.arange(order - 3)
+        power = np.arange(order)
+        third = (self.polynomials * (power * (power - 1.0) * (power - 2.0))[None, None, :])[..., 3:]
+        low = np.arange(order - 3.0)
         gram = 1.0 / (low[:, None] + low[None, :] + 1.0)
         local = jnp.einsum("iap,pq,ibq->iab", third, gram, third) / step[:, None, None] ** 5
         rows, columns = self.functions[:, :, None], self.functions[:, None, :]
@@ -86,27 +123,39 @@ def basis(nodes: Float[Array, " nodes"], degree: int, *, closed: bool) -> Basis:
         first, last = jnp.repeat(nodes[:1], degree + 1), jnp.repeat(nodes[-1:], degree + 1)
         knots = jnp.concatenate([first, nodes[half:-half], last])
     pieces = knots.shape[0] - 2 * degree - 1
-    functions = (jnp.arange(pieces)[:, None] + jnp.arange(degree + 1)[None, :]) % count
+    functions = (np.arange(pieces)[:, None] + np.arange(degree + 1)) % count
     breaks = knots[degree : degree + pieces + 1]
     return Basis(breaks, _polynomials(knots, degree, pieces), functions, count)
 
 
 def _polynomials(knots: Array, degree: int, pieces: int) -> Array:
-    """The recursion of Cox and de Boor on polynomials in each interval's coordinate."""
-    interval = degree + jnp.arange(pieces)[:, None]
-    left, step = knots[interval], knots[interval + 1] - knots[interval]
-    value = jnp.ones((pieces, 1, 1))
-    for p in range(1, degree + 1):
-        support = interval - (p - 1) + jnp.arange(p)[None, :]
-        width = knots[support + p] - knots[support]
-        at, slope = ((left - knots[support]) / width)[..., None], (step / width)[..., None]
-        rising = _widened(at * value, 0) + _widened(slope * value, 1)
-        falling = _widened(value, 0) - rising
-        none = jnp.zeros((pieces, 1, p + 1))
-        value = jnp.concatenate([falling, none], axis=1) + jnp.concatenate([none, rising], axis=1)
-    return value
+    """The recursion of Cox and de Boor on polynomials in each interval's coordinate.
+
+    Row k holds function k of the `degree` + 1 that end up on an interval, from the first degree on; those
+    that do not live there yet are zero.
+    """
+    function = np.arange(degree + 1)
+    degrees = np.arange(degree + 1)[:, None, None]
+    near = knots[np.arange(pieces)[:, None] + function + degrees]
+    begin, end = near[:1], near[1:]
+    left, right = begin[..., degree:], end[:1, :, degree:]
+    lives = np.arange(degree)[:, None, None] + function >= degree
+    width = jnp.where(lives, end - begin, 1.0)
+    at = jnp.where(lives, (left - begin) / width, 0.0)
+    slope = jnp.where(lives, (right - left) / width, 0.0)
+
+    def raised(value: Array, line: tuple[Array, Array]) -> tuple[Array, None]:
+        at, slope = line
+        rising = at[..., None] * value + slope[..., None] * _shifted(value, 2, 1)
+        return rising + _shifted(value - rising, 1, -1), None
+
+    constant = np.zeros((pieces, degree + 1, degree + 1))
+    constant[:, degree, 0] = 1.0
+    return jax.lax.scan(raised, jnp.asarray(constant, knots.dtype), (at, slope))[0]
 
 
-def _widened(polynomial: Array, shift: int) -> Array:
-    """Room for one more power, times the coordinate to the power `shift`."""
-    return jnp.pad(polynomial, ((0, 0), (0, 0), (shift, 1 - shift)))
+def _shifted(value: Array, axis: int, by: int) -> Array:
+    """Moved along an axis by one place, up or down; a zero comes in."""
+    pad = [(0, 0, 0)] * 3
+    pad[axis] = (by, -by, 0)
+    return jax.lax.pad(value, jnp.zeros((), value.dtype), pad)

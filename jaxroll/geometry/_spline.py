@@ -1,5 +1,7 @@
 """A contour through data points: a spline of odd degree, differentiable with respect to them."""
 
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,7 +11,8 @@ from jaxtyping import Array, Float
 from .._algebra import Vec2
 from .._results import as_floats, check_positive, concrete
 from .._types import Given
-from ._bspline import Basis, basis, Pieces
+from ._arclength import rising_sums
+from ._bspline import Basis, basis, jet, jets, locate, Pieces
 from ._table import AbstractTabulated, Table, tabulated
 
 # Exponents of the curvature in the successive parameters: arclength twice, since chords of uneven length
@@ -98,12 +101,13 @@ class Spline(AbstractTabulated):
 
     def fitted(self) -> tuple[Pieces, Array]:
         """The spline over its own parameter, and the parameters of the data (closed: and the first again)."""
-        interpolates = self.smoothing is None and self.knots is None
-        bends = _BENDS if interpolates else (0.0, 0.0)
+        bends = _BENDS if self._interpolates else (0.0, 0.0)
 
+        # Not recorded for the derivative: recording what is inside takes longest to compile.
+        @functools.partial(jax.checkpoint, prevent_cse=False)
         def again(u: Array, bend: Array) -> tuple[Array, tuple[Pieces, Array]]:
             pieces = self._fit(u)
-            return _reparametrised(pieces, u, bend), (pieces, u)
+            return self._reparametrised(pieces, u, bend), (pieces, u)
 
         # One more round than is used: its parameter is thrown away, but the fit is compiled once.
         rounds = jnp.array((*bends, 0.0))
@@ -112,26 +116,44 @@ class Spline(AbstractTabulated):
 
     def tabulate(self, cells: int) -> Table:
         pieces, u = self.fitted()
-        breaks = pieces.breaks
-        middle = 0.5 * (breaks[:-1] + breaks[1:])
-        grid = jnp.append(jnp.stack([breaks[:-1], middle], axis=-1).ravel(), breaks[-1])
-        table, arcs = tabulated(Pieces.curve, pieces, grid, closed=self.loop, cells=cells)
+        coefficients = pieces.coefficients
+        table, arcs = tabulated(_halves, coefficients, 2 * len(coefficients), closed=self.loop, cells=cells)
         if self.origin == 0:
             return table
-        at = _arclength_at(pieces, grid, arcs, u[self.origin])
-        return eqx.tree_at(lambda t: t.start, table, -at)
+        return eqx.tree_at(lambda t: t.start, table, -_arclength_at(pieces, arcs[::2], u[self.origin]))
+
+    @property
+    def _interpolates(self) -> bool:
+        return self.smoothing is None and self.knots is None
 
     def _fit(self, u: Array) -> Pieces:
         count = self.points.shape[0]
-        data = u[:count]
-        matrix = self._basis(u)
-        values = matrix.matrix(data)
-        if self.smoothing is None and self.knots is None:
-            return matrix.pieces(jnp.linalg.solve(values, self.points))
+        functions = self._basis(u)
+        if self._interpolates:
+            values = functions.at_breaks() if self.loop else functions.matrix(u)
+            return functions.pieces(jnp.linalg.solve(values, self.points))
+        values = functions.matrix(u[:count])
         normal = values.T @ values / count
         if self.smoothing is not None:
-            normal = normal + (self.smoothing / (2.0 * np.pi)) ** 6 / (u[-1] - u[0]) * matrix.roughness()
-        return matrix.pieces(jnp.linalg.solve(normal, values.T @ self.points / count))
+            normal = normal + (self.smoothing / (2.0 * np.pi)) ** 6 / (u[-1] - u[0]) * functions.roughness()
+        return functions.pieces(jnp.linalg.solve(normal, values.T @ self.points / count))
+
+    def _reparametrised(self, pieces: Pieces, u: Array, bend: Array) -> Array:
+        r"""Parameters by $\int (\kappa^2 + \epsilon^2 \bar\kappa^2)^{b/2} ds$; $\bar\kappa$ is a disc's."""
+        places = 0.5 * (1.0 + _NODES)
+        if self.knots is None and self.loop:  # the data's intervals are the pieces
+            _, rate, second = jets(pieces.coefficients, places)
+            share = 1.0
+        else:
+            step = jnp.diff(u)[:, None]
+            index, local = locate(pieces.breaks, u[:-1, None] + step * places[None, :])
+            _, rate, second = jet(pieces.coefficients, index, local)
+            share = step / jnp.diff(pieces.breaks)[index]
+        square = rate.dot(rate)
+        arc = share * jnp.sqrt(square)
+        turns = rate.cross(second) / (square * jnp.sqrt(square)) * (jnp.sum(arc @ _WEIGHTS) / (4.0 * np.pi))
+        density = arc * (_FLAT**2 + turns**2) ** (0.5 * bend)
+        return rising_sums(density @ (0.5 * _WEIGHTS))
 
     def _basis(self, u: Array) -> Basis:
         return spline_basis(u, self.knots, self.degree, closed=self.loop)
@@ -150,32 +172,22 @@ def chords(points: Array, closed: bool) -> Array:
     """Cumulative chord lengths from zero; closed: with the chord back to the first point."""
     around = jnp.concatenate([points, points[:1]]) if closed else points
     chords = jnp.linalg.norm(jnp.diff(around, axis=0), axis=-1)
-    return jnp.concatenate([jnp.zeros(1), jnp.cumsum(chords)])
+    return rising_sums(chords)
 
 
-def _reparametrised(pieces: Pieces, u: Array, bend: Array) -> Array:
-    r"""Parameters by $\int (\kappa^2 + \epsilon^2 \bar\kappa^2)^{b/2} ds$, $\bar\kappa$ that of a disc."""
-    half = 0.5 * jnp.diff(u)
-    at = u[:-1, None] + half[:, None] * (1.0 + _NODES)[None, :]
-
-    def derivatives(v: Array) -> tuple[Vec2, Vec2]:
-        return jax.jvp(pieces.curve, (v,), (jnp.ones_like(v),))
-
-    (_, rate), (_, second) = jax.jvp(derivatives, (at,), (jnp.ones_like(at),))
-    square = rate.dot(rate)
-    speed = jnp.sqrt(square)
-    turns = rate.cross(second) / (square * speed) * (jnp.sum(half * (speed @ _WEIGHTS)) / (2.0 * np.pi))
-    density = speed * (_FLAT**2 + turns**2) ** (0.5 * bend)
-    return jnp.concatenate([jnp.zeros(1), jnp.cumsum(half * (density @ _WEIGHTS))])
+def _arclength_at(pieces: Pieces, arcs: Array, u: Array) -> Array:
+    """Arclength at one parameter, by the arclengths at the breaks."""
+    piece, local = locate(pieces.breaks, u)
+    half = 0.5 * local
+    places = half * (1.0 + _NODES)
+    _, rate, _ = jet(pieces.coefficients, jnp.full(places.shape, piece), places)
+    return arcs[piece] + half * (jnp.sqrt(rate.dot(rate)) @ _WEIGHTS)
 
 
-def _arclength_at(pieces: Pieces, grid: Array, arcs: Array, u: Array) -> Array:
-    """Arclength at one parameter."""
-    cell = jnp.clip(jnp.searchsorted(grid, u, side="right") - 1, 0, grid.shape[0] - 2)
-    half = 0.5 * (u - grid[cell])
-    at = grid[cell] + half * (1.0 + _NODES)
-    _, rate = jax.jvp(pieces.curve, (at,), (jnp.ones_like(at),))
-    return arcs[cell] + half * (jnp.sqrt(rate.dot(rate)) @ _WEIGHTS)
+def _halves(coefficients: Array, half: Array, x: Array) -> tuple[Vec2, Vec2, Vec2]:
+    """Half pieces as the cells of a curve: points and derivatives."""
+    point, rate, bend = jet(coefficients, half // 2, 0.5 * (half % 2 + x))
+    return point, rate * 0.5, bend * 0.25
 
 
 def _check(points: Array, closed: bool, degree: int, origin: int) -> None:

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 from .._algebra import sincos, Vec2
 from .._results import as_floats, check_positive, traced
 from .._types import Given
+from ._arclength import placed
 from ._table import AbstractTabulated, from_frames, Table
 
 # A support function with its first two derivatives, at normal angles of any shape.
@@ -57,16 +58,9 @@ class Series(eqx.Module):
         """Quintic table at uniform arclengths."""
         length = _TURN * self.radius
         targets = length * np.linspace(0.0, 1.0, cells + 1)
-
-        def newton(angle: Array) -> Array:
-            reached, speed = self._progress(angle)
-            return angle - (reached - targets) / speed
-
         grid = jnp.linspace(0.0, _TURN, self.density + 1)
         start = jnp.interp(targets, self._progress(grid)[0], grid)
-        root = jax.lax.stop_gradient(newton(newton(start)))
-        # The last two steps start at the root, and so carry first and second derivatives.
-        angle = newton(newton(root))
+        angle = placed(Series._progress, self, jax.lax.stop_gradient(start), targets)
         height, first, second = self.heights(angle)
         sin, cos = sincos(angle)
         point = Vec2(height * cos - first * sin, height * sin + first * cos)

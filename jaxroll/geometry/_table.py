@@ -16,7 +16,7 @@ from .._types import Points, Scalar
 from ._arclength import hermite, spaced
 from ._contour import AbstractContour, Frenet2, tabled
 
-Curve = Callable[[Any, Array], Vec2]
+Jet = Callable[[Any, Array, Array], tuple[Vec2, Vec2, Vec2]]
 
 
 class Table(eqx.Module):
@@ -92,30 +92,26 @@ def from_frames(
     return Table(jnp.concatenate([rows[:, 0], rows[:, 1]], axis=-1), length, jnp.zeros_like(length), closed)
 
 
-def tabulated(curve: Curve, shape: Any, grid: Array, *, closed: bool, cells: int) -> tuple[Table, Array]:
-    """Table of a regular curve of any parameter, and the arclength at every point of `grid`.
+def tabulated(jet: Jet, shape: Any, parts: int, *, closed: bool, cells: int) -> tuple[Table, Array]:
+    """Table of a regular curve in cells of any parameter, and the arclength at the end of each.
 
     Differentiable with respect to `shape`.
 
     Args:
-        curve: `curve(shape, u)` gives the points at parameters `u` of any shape.
+        jet: `jet(shape, cell, x)` gives points and two derivatives in x at places x in [0, 1] of cells.
         shape: Whatever numbers the curve depends on.
-        grid: Parameters from one end to the other, dense enough that five-point Gauss-Legendre between
-            neighbours integrates the speed; the curve may be less smooth at them.
+        parts: How many cells, so short that five-point Gauss-Legendre integrates the speed over each; the
+            curve may be less smooth where they meet.
         closed: Whether the curve ends where it began.
         cells: Cells of the table.
     """
 
-    def derivatives(shape: Any, u: Array) -> tuple[Vec2, Vec2]:
-        return jax.jvp(lambda v: curve(shape, v), (u,), (jnp.ones_like(u),))
-
-    def speed(shape: Any, u: Array) -> Array:
-        _, rate = derivatives(shape, u)
+    def speed(shape: Any, cell: Array, x: Array) -> Array:
+        _, rate, _ = jet(shape, cell, x)
         return jnp.sqrt(rate.dot(rate))
 
-    nodes, arcs = spaced(speed, shape, grid, cells)
-    one = jnp.ones_like(nodes)
-    (point, rate), (_, bend) = jax.jvp(lambda v: derivatives(shape, v), (nodes,), (one,))
+    cell, x, arcs = spaced(speed, shape, parts, cells)
+    point, rate, bend = jet(shape, cell, x)
     inverse = 1.0 / jnp.sqrt(rate.dot(rate))
     curvature = rate.cross(bend) * inverse**3
     table = from_frames(point.array(), (rate * inverse).array(), curvature, arcs[-1], closed=closed)

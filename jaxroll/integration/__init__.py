@@ -1,9 +1,9 @@
 """From a guess to a trajectory: consistent starts, drift control, and the only door to diffrax.
 
-`_close` finds a consistent state, `_flow` lays the state out as one vector, `_closed_loop` evaluates and
-projects it, `_stepper` makes one step, `_pace` sets its length, `_loop` and `_ensemble` make many,
-`_march` differentiates them, `_simulate` is the entry point, `_trajectory` its result and `_observe` the
-chapter's quantities along it.
+`_close` finds a consistent state (`_nearest` searches, `_settled` differentiates), `_flow` lays the state
+out as one vector, `_closed_loop` evaluates and projects it, `_stepper` makes one step, `_pace` sets its
+length, `_loop` and `_ensemble` make many, `_march` differentiates them, `_simulate` is the entry point,
+`_trajectory` its result and `_observe` the chapter's quantities along it.
 """
 
 from ._close import close as close

@@ -7,25 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from .._algebra import factorise, Pose2, sharing
-from .._backend import differentiable_kernel
+from .._algebra import Pose2
 from .._results import concrete
 from .._spatial import Pose3, seven
 from ..contact import locate as locate_contours, locate_surfaces
-from ..mechanics import (
-    bodies,
-    compiled,
-    Grasp,
-    join,
-    linearise,
-    poses,
-    split,
-    State,
-    to_leaves,
-    touches,
-)
-from ._closed_loop import compatible
-from ._nearest import constraint_rows, moved, nearest, on_shapes
+from ..mechanics import compiled, Grasp, poses, split, State
+from ._nearest import on_shapes
+from ._settled import settled
 
 
 def close(
@@ -156,18 +144,4 @@ def row_name(grasp: Grasp, row: int) -> str:
 @compiled
 def _close(grasp: Grasp, guess: State, hold: bool) -> tuple[State, Array]:
     ready = grasp.prepared()
-    guess = on_shapes(ready, guess)
-    step = nearest(ready, guess, hold)
-    q, s = moved(ready, guess, step)
-    v, rows = differentiable_kernel(_ending, ready, State(q, guess.v, s))
-    return State(q, v, s), rows
-
-
-def _ending(grasp: Grasp, state: State) -> tuple[Array, Array]:
-    """Velocities projected onto $A v = 0$ in the mass metric, and what the constraints leave over."""
-    leaves = to_leaves(state, grasp.form)
-    with sharing(state.q[0]):
-        motions, inertias = bodies(grasp, leaves)
-        masses = [factorise(inertia.mass) for inertia in inertias]
-        line = linearise(grasp, motions, masses, touches(grasp, leaves.s))
-        return join(compatible(grasp, leaves, line).v), constraint_rows(grasp, state.q, state.s)
+    return settled(ready, on_shapes(ready, guess), hold)

@@ -64,7 +64,8 @@ def _march_jvp(primals: Any, tangents: Any) -> tuple[Path, Path]:
     )
     steps = _steps(numbers, plan, (step_ts, step_ys, path.steps[1]), still)
     start_dot = filled((moving, y0), (grasp_dot, y0_dot))
-    dots = linear_map(steps.tangents, steps.cotangents, start_dot)
+    ends = (path.saved, path.last, path.t_last)
+    dots = linear_map(steps.tangents, steps.cotangents, start_dot, ends)
     no_tangents = jax.tree.map(lambda _: None, path)
     return path, eqx.tree_at(
         lambda p: (p.saved, p.last, p.t_last), no_tangents, dots, is_leaf=lambda x: x is None
@@ -160,16 +161,17 @@ def _pulled(steps: _Steps, track: Array) -> tuple[Bundle, Array]:
     return jax.lax.fori_loop(0, longest, step, (zeros, track[longest]))
 
 
-def linear_map(apply: Callable, transpose: Callable, x: Any) -> Any:
+def linear_map(apply: Callable, transpose: Callable, x: Any, like: Any) -> Any:
     """Apply a linear map whose transpose is given, so that both modes of autodiff can use it.
+
+    `like` has the shapes and kinds of what comes out.
 
     JAX has no other primitive that takes a transpose from the caller and also survives `vmap`: a
     linear solve with the identity, whose "solver" takes (x, b) to (x, apply(x) + b). Everything
     travels as one vector, since JAX wants all of a right-hand side perturbed or none of it.
     """
     flat, unravel = ravel_pytree(x)
-    shape = jax.eval_shape(apply, x)
-    zeros, unravel_out = ravel_pytree(jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shape))
+    zeros, unravel_out = ravel_pytree(jax.tree.map(jnp.zeros_like, like))
     n = flat.shape[0]
 
     def solve(_: Callable, b: Array) -> Array:

@@ -7,16 +7,17 @@ derivatives of the rows are compiled for it; second ones are for the derivative 
 """
 
 import itertools
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
-import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.scipy.linalg import lu_factor, lu_solve
 from jaxtyping import Array
 
 from .._algebra import sharing, unstack
-from .._backend import differentiable_kernel, filled, one_kernel
+from .._backend import one_kernel
 from ..mechanics import (
     bodies,
     displaced,
@@ -38,8 +39,14 @@ _NEAR = 1e-6
 _CLOSED = 0.01
 
 
-class _Problem(eqx.Module):
-    """A prepared grasp, the guess, and the metric of displacements."""
+class Problem(eqx.Module):
+    """The search for the closed configuration nearest to a guess.
+
+    Attributes:
+        grasp: A prepared grasp.
+        guess: Where to start, its contacts on their shapes.
+        metric: Of displacements: `metric_at` the guess.
+    """
 
     grasp: Grasp
     guess: State
@@ -55,69 +62,32 @@ class _Problem(eqx.Module):
             left, push = jax.linearize(self.rows, step)
             return left, jax.vmap(push, out_axes=-1)(jnp.eye(step.shape[0], dtype=step.dtype))
 
-    def conditions(self, z: Array) -> Array:
-        """Those of the minimum; `z` holds the step and the multipliers of the rows."""
+    def lagrangian(self, z: Array) -> Array:
+        """What the minimum makes stationary; `z` holds the step and the multipliers of the rows."""
         step, pressure = z[: self.metric.shape[0]], z[self.metric.shape[0] :]
         with sharing(step[0]):
-            left, pull = jax.vjp(self.rows, step)
-            return jnp.concatenate([self.metric @ step + pull(pressure)[0], left])
+            weight = jnp.sum(self.metric * step[None, :], axis=1)
+            return 0.5 * jnp.sum(step * weight) + jnp.sum(pressure * self.rows(step))
 
     def slopes(self, z: Array) -> Array:
-        """Jacobian of the conditions, one column after the other: side by side compiles thrice as long."""
+        """Its second derivative, one column after the other: side by side compiles thrice as long."""
         unit = lambda i: jnp.where(jnp.arange(z.shape[0]) == i, 1.0, 0.0).astype(z.dtype)  # noqa: E731
-        column = lambda i: jax.jvp(self.conditions, (z,), (unit(i),))[1]  # noqa: E731
+        column = lambda i: jax.jvp(jax.grad(self.lagrangian), (z,), (unit(i),))[1]  # noqa: E731
         return jax.lax.map(column, jnp.arange(z.shape[0])).T
 
 
-def nearest(grasp: Grasp, guess: State, hold: bool) -> Array:
-    """Displacement from a guess, as `moved` takes it, to the nearest closed configuration.
-
-    Args:
-        grasp: A prepared grasp.
-        guess: Where to start, its contacts on their shapes.
-        hold: Whether contacts stay where the guess puts them.
-    """
-    size = grasp.coordinates + (0 if hold else sum(contact.slack for contact in grasp.contacts))
-    return _nearest(_Problem(grasp, guess, _metric(differentiable_kernel(_mass, grasp, guess), size)))
-
-
-@eqx.filter_custom_jvp
-def _nearest(problem: _Problem) -> Array:
-    return _searched(problem)
-
-
-@_nearest.def_jvp
-def _nearest_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
-    """Implicit function theorem on the conditions of the minimum."""
-    (problem,), (dots,) = primals, tangents
-    step = _nearest(problem)
-    moving, still = eqx.partition(problem, eqx.is_inexact_array)
-    moving, step = eqxi.nondifferentiable((moving, step), name="a closed state (second derivatives)")
-    problem = eqx.combine(moving, still)
-    left, jacobian = one_kernel(_Problem.linearised, problem, step)
-    pressure = -_pressure(jacobian, problem.metric, jacobian @ step)
-    z = jnp.concatenate([step, pressure])
-    n = step.shape[0]
-    _, change = jax.jvp(lambda m: eqx.combine(m, still).conditions(z), (moving,), (filled(moving, dots),))
-    if n == left.shape[0]:  # nothing left to minimise: the rows alone
-        return step, -jnp.linalg.solve(jacobian, change[n:])
-    return step, -jnp.linalg.solve(one_kernel(_Problem.slopes, problem, z), change)[:n]
-
-
-def _pressure(jacobian: Array, metric: Array, right: Array) -> Array:
-    """Solve with $A M^{-1} A^T$, its rows scaled to unit diagonal."""
-    schur = jacobian @ jnp.linalg.solve(metric, jacobian.T)
+def multipliers(jacobian: Array, metric: Array, right: Array) -> tuple[Array, Array]:
+    r"""Solutions of $A M^{-1} A^T p$ = each column of `right`, and the smallest steps $M^{-1} A^T p$."""
+    weighed = jnp.linalg.solve(metric, jacobian.T)
+    schur = jacobian @ weighed
     scale = 1.0 / jnp.sqrt(jnp.diag(schur))
-    unit = schur * jnp.outer(scale, scale)
+    unit = schur * jnp.outer(scale, scale)  # its rows scaled to unit diagonal
     # Redundant rows (an over-determined pose) make it singular: a ridge; a second pass takes its error back.
-    firm = unit + 1e-13 * jnp.eye(right.shape[0], dtype=right.dtype)
-    first = jnp.linalg.solve(firm, right * scale)
-    return scale * (first + jnp.linalg.solve(firm, right * scale - unit @ first))
-
-
-def _normal(jacobian: Array, metric: Array, right: Array) -> Array:
-    """$M^{-1} A^T S^{-1}$ times a change of the rows: the smallest step that makes it."""
-    return jnp.linalg.solve(metric, jacobian.T @ _pressure(jacobian, metric, right))
+    factors = lu_factor(unit + 1e-13 * np.eye(right.shape[0], dtype=right.dtype))
+    scaled = right * scale[:, None]
+    first = lu_solve(factors, scaled)
+    pressures = scale[:, None] * (first + lu_solve(factors, scaled - unit @ first))
+    return pressures, weighed @ pressures
 
 
 class _Search(NamedTuple):
@@ -125,7 +95,8 @@ class _Search(NamedTuple):
 
     Attributes:
         step: Best displacement so far.
-        size: Largest of its rows.
+        jacobian: Of the rows there.
+        size: Largest of the rows.
         move: Where to go from there, downwards being minus.
         scale: How much of it is tried.
         length: Of its part along the constraints, in the metric, where they were last closed.
@@ -135,6 +106,7 @@ class _Search(NamedTuple):
     """
 
     step: Array
+    jacobian: Array
     size: Array
     move: Array
     scale: Array
@@ -144,26 +116,33 @@ class _Search(NamedTuple):
     count: Array
 
 
-def _searched(problem: _Problem) -> Array:
-    """The loop: Gauss-Newton back onto the constraints, and along them to the minimum."""
+def searched(problem: Problem) -> tuple[Array, Array]:
+    """Displacement, as `moved` takes it, to the nearest closed configuration; the rows' Jacobian there.
+
+    The loop: Gauss-Newton back onto the constraints, and along them to the minimum.
+    """
     one = jnp.ones((), problem.metric.dtype)
     start = jnp.zeros(problem.metric.shape[0], problem.metric.dtype)
-    first = _Search(start, jnp.inf * one, start, one, jnp.inf * one, one, jnp.array(False), jnp.array(0))
+    count = sum(len(contact.equation_names()) for contact in problem.grasp.contacts)
+    nothing, far = jnp.zeros((count, start.shape[0]), start.dtype), jnp.inf * one
+    first = _Search(start, nothing, far, start, one, far, one, jnp.array(False), jnp.array(0))
 
     def more(search: _Search) -> Array:
         tiny = 4.0 * jnp.finfo(start.dtype).eps * _length(problem, search.step)
         done = (search.size < 1e-13) & ((search.length <= tiny) | (search.share < 1e-3))
         return ~done & (search.scale > 1e-6) & (search.count < _STEPS)
 
-    return jax.lax.while_loop(more, lambda search: _improved(problem, search), first).step
+    last = jax.lax.while_loop(more, lambda search: _improved(problem, search), first)
+    return last.step, last.jacobian
 
 
-def _improved(problem: _Problem, search: _Search) -> _Search:
+def _improved(problem: Problem, search: _Search) -> _Search:
     trial = search.step - search.scale * search.move
-    left, jacobian = one_kernel(_Problem.linearised, problem, trial)
+    left, jacobian = one_kernel(Problem.linearised, problem, trial)
     size = jnp.max(jnp.abs(left))
-    normal = _normal(jacobian, problem.metric, left)
-    along = trial - _normal(jacobian, problem.metric, jacobian @ trial)
+    both = jnp.stack([left, jacobian @ trial], axis=-1)
+    normal, across = multipliers(jacobian, problem.metric, both)[1].T
+    along = trial - across
     length = _length(problem, along)
     # A step along the constraints opens them a little, and is taken all the same; others have to help.
     closed = (size < _NEAR) | (size < _CLOSED * length)
@@ -172,12 +151,12 @@ def _improved(problem: _Problem, search: _Search) -> _Search:
     move = normal + jnp.where(closed, share, 0.0) * along
     one, count = jnp.ones_like(size), search.count + 1
     known = jnp.where(closed, length, search.length)
-    taken = _Search(trial, size, move, one, known, share, closed, count)
+    taken = _Search(trial, jacobian, size, move, one, known, share, closed, count)
     left_alone = search._replace(scale=0.25 * search.scale, count=count)
     return jax.tree.map(lambda new, old: jnp.where(better, new, old), taken, left_alone)
 
 
-def _length(problem: _Problem, step: Array) -> Array:
+def _length(problem: Problem, step: Array) -> Array:
     return jnp.sqrt(step @ problem.metric @ step)
 
 
@@ -208,16 +187,12 @@ def constraint_rows(grasp: Grasp, q: Array, s: Array) -> Array:
     return jnp.stack(rows)
 
 
-def _mass(grasp: Grasp, guess: State) -> Array:
-    """Mass matrix at the guess."""
+def metric_at(grasp: Grasp, guess: State, hold: bool) -> Array:
+    """The mass matrix at the guess, scaled to unit mean; free contact coordinates weigh next to nothing."""
     with sharing(guess.q[0]):
         _, inertias = bodies(grasp, to_leaves(guess, grasp.form))
-        return mass_matrix([inertia.mass for inertia in inertias], grasp.coordinates)
-
-
-def _metric(mass: Array, size: int) -> Array:
-    """A mass matrix scaled to unit mean; free contact coordinates weigh next to nothing."""
-    n = mass.shape[0]
+        mass = mass_matrix([inertia.mass for inertia in inertias], grasp.coordinates)
+    n = grasp.coordinates
+    size = n + (0 if hold else sum(contact.slack for contact in grasp.contacts))
     scaled = jnp.pad(mass * (n / jnp.trace(mass)), (0, size - n))
-    free = jnp.where(jnp.arange(size) < n, 0.0, 1e-3)
-    return scaled + jnp.diag(free.astype(scaled.dtype))
+    return scaled + np.diag(np.where(np.arange(size) < n, 0.0, 1e-3).astype(scaled.dtype))

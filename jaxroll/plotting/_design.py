@@ -51,7 +51,7 @@ def design(design: Design, folder: str | Path | None = None) -> Figure:
     tips = [tabled(tip) for tip in (design.start, design.tip)]
     curves = [_curve(tip) for tip in tips]
     ends = np.asarray(design.interval)
-    pads = [sample(tip, np.linspace(*ends, 257)) for tip in tips]
+    pads = [sample(tip, np.linspace(ends[0], ends[1], 257)) for tip in tips]
     peak = max(float(np.abs(curve.curvatures).max()) for curve in curves)
     tooth = 0.25 * max(float(np.ptp(curve.points, axis=0).max()) for curve in curves) / peak
     for ax, curve, pad, name, colour in zip(shapes, curves, pads, _NAMES, _COLOURS, strict=True):
@@ -87,7 +87,7 @@ def _shape(ax: Axes, curve: Samples, pad: Samples, tooth: float, colour: str) ->
 
 
 def _margins(ax: Axes, tips: Sequence[AbstractContour], ends: np.ndarray) -> None:
-    s = np.linspace(*ends, 257)
+    s = np.linspace(ends[0], ends[1], 257)
     values = []
     for tip in tips:
         bends, room = sample(tip, s).curvatures, MM * np.asarray(margin(tip, s))

@@ -1,0 +1,172 @@
+"""The table of fingertip design: each row measured, printed beside what was asked of it.
+
+Run from the repository root: `python -m benchmarks.design` (about five minutes; needs the `test` extra).
+`python -m benchmarks.design --write` puts the table into `benchmarks/README.md`.
+"""
+
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.optimize import brentq
+from scipy.special import ellipe
+
+import jaxroll as jxr
+from benchmarks._common import device, versions, write_section
+from benchmarks.accuracy import show
+from jaxroll.design import ClosedLoop, Firmness, Limits, optimise_fingertip, value_and_grad
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+from test_design import INTERVAL, violating
+from test_design_goals import pinched, reaching
+
+jax.config.update("jax_enable_x64", True)
+
+
+def seeds():
+    """Twenty violating splines in one batch: how many hold, in how many steps, least margin [mm]."""
+    tips = [jxr.Spline(violating(seed), cells=128) for seed in range(20)]
+    limits = Limits(size=0.02, radius=0.001, flat=0.1)
+    design = optimise_fingertip(tips, INTERVAL, steps=200, limits=limits)
+    start = time.perf_counter()
+    optimise_fingertip(tips, INTERVAL, steps=200, limits=limits)
+    worst = 1e3 * float(jnp.min(design.after))
+    return int(design.holds.sum()), design.history.shape[1], worst, time.perf_counter() - start
+
+
+def ellipse():
+    """Largest relative error of both half axes against the closed form."""
+    length, radius = 0.1, 0.004
+    limits = Limits(length=length, radius=radius, flat=None)
+    design = optimise_fingertip(jxr.Ellipse(0.02, 0.01), INTERVAL, limits=limits, steps=300)
+    b = brentq(lambda b: 4 * b * ellipe(1 - radius / b) - length, 0.01, 0.03)
+    known = np.array([np.sqrt(radius * b), b])
+    return float(np.max(np.abs(np.array([design.tip.a, design.tip.b]) / known - 1)))
+
+
+def infeasible():
+    """Result code, and by how much the best point found passes its limits."""
+    limits = Limits(length=0.04, radius=0.008, flat=None)
+    design = optimise_fingertip(jxr.Ellipse(0.01, 0.01), INTERVAL, limits=limits, steps=60)
+    return design.result == jxr.RESULTS.infeasible, float(design.violation[0])
+
+
+def command():
+    """Seconds of `jaxroll design` once its programs are compiled: the second of two processes."""
+    with tempfile.TemporaryDirectory() as folder:
+        env = os.environ | {"JAXROLL_CACHE": f"{folder}/cache"}
+        call = [sys.executable, "-m", "jaxroll", "design", "--out", f"{folder}/out"]
+        for _ in range(2):
+            start = time.perf_counter()
+            told = subprocess.run(call, env=env, capture_output=True, text=True, check=True)
+            spent = time.perf_counter() - start
+        inside = sum(float(line.split()[-2]) for line in told.stderr.splitlines() if line.endswith(" s"))
+    return spent, inside
+
+
+def timed(function, x):
+    """Seconds to compile a function, tracing included, and the program."""
+    start = time.perf_counter()
+    program = jax.jit(function).lower(x).compile()
+    return time.perf_counter() - start, program
+
+
+def ratio(primal, derived, x):
+    """Median seconds of the primal, and how many times as long the derivative takes; interleaved."""
+    spent = [], []
+    for _ in range(25):
+        for program, times in zip((primal, derived), spent, strict=True):
+            start = time.perf_counter()
+            jax.block_until_ready(program(x))
+            times.append(time.perf_counter() - start)
+    first, second = (statistics.median(times) for times in spent)
+    return first, second / first
+
+
+def gradients(make, objective, x):
+    """Error against differences, compile times and run times over the primal, in both modes."""
+    goal = ClosedLoop(make, objective, t1=0.5, ts=51)
+    cost = lambda x: goal.cost(jxr.Ellipse(x[0], x[1]), None, 1.0, 1.0)  # noqa: E731
+    _, primal = timed(cost, x)
+    way, h = jnp.array([0.6, -0.8]), 2e-5
+    ends = [float(primal(x + k * h * way)) for k in (-2, -1, 1, 2)]
+    expected = (ends[0] - 8.0 * ends[1] + 8.0 * ends[2] - ends[3]) / (12.0 * h)
+    found = {}
+    for mode in ("forward", "reverse"):
+        compiling, program = timed(value_and_grad(cost, mode), x)
+        error = abs(float(program(x)[1] @ way) / expected - 1.0)
+        found[mode] = (error, compiling, *ratio(primal, program, x))
+    return found
+
+
+def robust():
+    """64 objects: how often the program is traced in 80 steps beyond the first ten, and seconds of these."""
+    traced = []
+
+    def counted(tip, half):
+        traced.append(0)
+        return pinched(tip, half)
+
+    goal = Firmness(counted, cases=jnp.linspace(0.012, 0.018, 64))
+    limits = Limits(size=0.02, radius=0.004, ahead=0.006)
+    start = jxr.Ellipse(0.012, 0.012)
+    optimise_fingertip(start, INTERVAL, goal=goal, limits=limits, steps=10)
+    before, begun = len(traced), time.perf_counter()
+    design = optimise_fingertip(start, INTERVAL, goal=goal, limits=limits, steps=80)
+    return len(traced) - before, time.perf_counter() - begun, design.figures
+
+
+LIGHT = {"settling_time": 1.0, "tracking_error": 1.0}
+FULL = LIGHT | {"peak_force": 0.2, "friction_demand": 0.5}
+
+
+def main():
+    holds, steps, margin, warm = seeds()
+    code, passed = infeasible()
+    whole, inside = command()
+    again, spent, figures = robust()
+    stiff = figures["least stiffness [N m/rad]"]
+    rows = [
+        (
+            "violating starts, 20 seeds, that reach a positive margin",
+            "20 in <= 200 steps",
+            f"{holds} in {steps}",
+        ),
+        ("their least margin; a second search", "", f"{margin:.1f} mm; {warm:.2g} s"),
+        (
+            "default `jaxroll design` after compilation",
+            "<= 10 s",
+            f"{inside:.1f} s ({whole:.1f} s with Python)",
+        ),
+        ("two-parameter ellipse against its closed form", "<= 1e-6", f"{ellipse():.1e}"),
+        ("64 objects: programs traced after the first steps; 80 steps", "none", f"{again}; {spent:.2g} s"),
+        ("their least stiffness", "", f"{stiff[0]:.4f} to {stiff[1]:.4f} N m/rad"),
+        ("limits that exclude (41)", "a code, the best point", f"infeasible: {code}, passed by {passed:.0%}"),
+    ]
+    x = jnp.array([0.012, 0.02])
+    pinching = lambda tip: pinched(tip)  # noqa: E731
+    for name, make, objective in (
+        ("Part 2, settling", reaching, LIGHT),
+        ("Part 2, settling and forces", reaching, FULL),
+        ("Part 1, settling", pinching, LIGHT),
+    ):
+        for mode, (error, compiling, primal, times) in gradients(make, objective, x).items():
+            told = f"{error:.1e}; {times:.1f} x {1e3 * primal:.2g} ms; {compiling:.1f} s"
+            asked = "<= 1e-6; <= 5 x; <= 8 s"
+            rows.append((f"{name}, {mode}: error; run; value and gradient compiled", asked, told))
+    show(rows)
+    if "--write" in sys.argv:
+        lines = ["| what | asked | measured |", "|---|---|---|", *(f"| {' | '.join(row)} |" for row in rows)]
+        note = f"{device()}; {versions('jax', 'diffrax', 'optax')}."
+        write_section("design", "\n".join([*lines, "", note]))
+
+
+if __name__ == "__main__":
+    main()

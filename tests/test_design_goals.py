@@ -1,0 +1,300 @@
+"""Goals besides condition (41): runs of the closed loop, and stability at rest on any objects."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxroll as jxr
+from jaxroll.design import (
+    ClosedLoop,
+    Firmness,
+    friction_demand,
+    Limits,
+    Margin,
+    optimise_fingertip,
+    overshoot,
+    peak_force,
+    settling_time,
+    tracking_error,
+    value_and_grad,
+)
+
+INTERVAL = (-0.005, 0.005)
+
+
+def with_signal(run, y):
+    """A run whose saved times are fine, for signals given as functions of time."""
+    ts = jnp.linspace(0.0, 4.0, 4001)
+    states = jax.tree.map(lambda a: jnp.zeros((4001, *a.shape[1:])), run.states)
+    return eqx.tree_at(lambda r: (r.ts, r.states), run, (ts, states)), y(ts)
+
+
+def test_measures_of_signals_in_closed_form(run):
+    still, decay = with_signal(run, lambda t: jnp.exp(-t / 0.2))
+    assert abs(float(settling_time(still, signal=decay)) - 0.2 * np.log(50.0)) < 1e-5
+    assert abs(float(tracking_error(still, signal=decay)) - 0.2) < 1e-5
+    assert float(overshoot(still, signal=decay)) == 0.0
+    a, w = 3.0, 12.0
+    still, ringing = with_signal(run, lambda t: jnp.exp(-a * t) * jnp.cos(w * t))
+    turn = np.pi - np.arctan(a / w)  # where its derivative vanishes first
+    last = np.exp(-4.0 * a) * np.cos(4.0 * w)
+    past = (last - np.exp(-a * turn / w) * np.cos(turn)) / (1.0 - last)
+    assert abs(float(overshoot(still, signal=ringing)) - past) < 1e-5
+    ts = np.linspace(0.0, 4.0, 400001)
+    outside = np.abs(np.exp(-a * ts) * np.cos(w * ts)) > 0.02
+    assert abs(float(settling_time(still, signal=ringing)) - ts[outside].max()) < 1e-4
+    constant, flat = with_signal(run, jnp.ones_like)
+    assert float(settling_time(constant, signal=flat)) == 0.0
+    assert float(tracking_error(constant, signal=flat)) == 0.0
+
+
+def test_measures_of_forces(run):
+    f, lam = np.asarray(run.multipliers.f), np.asarray(run.multipliers.lam)
+    assert float(peak_force(run)) == f.max()
+    assert float(friction_demand(run)) == np.abs(lam / f).max()
+    with pytest.raises(ValueError, match="must have recorded its multipliers"):
+        peak_force(eqx.tree_at(lambda r: r.multipliers, run, None, is_leaf=lambda x: x is None))
+
+
+def test_measures_see_only_what_a_run_reached():
+    """A run that slips: rows after its end hold NaN, measures and their derivatives do not."""
+    grasp, start = jxr.scenes.pinch(tips=jxr.Ellipse(0.018, 0.009), alpha=0.0, friction=0.5)
+
+    def all_of(beta):
+        held = grasp.with_(beta=beta)
+        run = jxr.simulate(held, start, t1=1.0, ts=101, throw=False, record=("multipliers",), rtol=1e-6)
+        measures = (settling_time, overshoot, tracking_error, peak_force, friction_demand)
+        return jnp.stack([measure(run) for measure in measures]), run.stats.t_end
+
+    values, end = jax.jit(all_of)(20.0)
+    slopes, _ = jax.jit(jax.jacfwd(all_of))(20.0)
+    assert float(end) < 1.0
+    assert np.all(np.isfinite(values)) and np.all(np.isfinite(slopes))
+    assert 0.4 < float(values[-1]) <= 0.5
+
+
+def reaching(tip):
+    """Part 2 of the chapter with another fingertip."""
+    grasp, state = jxr.scenes.pivoted()
+    return jxr.close(grasp.with_tip(0, tip.moved(angle=-0.5 * np.pi)), state)
+
+
+LOOP = ClosedLoop(
+    reaching,
+    {"settling_time": 1.0, "tracking_error": 1.0, "peak_force": 0.2, "friction_demand": 0.5},
+    t1=0.5,
+    ts=51,
+)
+
+
+def loop_cost(x):
+    tip = jxr.Ellipse(x[0], x[1])
+    return LOOP.cost(tip, None, 1.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    "mode",
+    [pytest.param("reverse", id="reverse"), pytest.param("forward", id="forward", marks=pytest.mark.slow)],
+)
+def test_gradient_of_a_closed_loop_objective(mode):
+    """Central differences of fourth order, through contact, closing and the run."""
+    x, way = jnp.array([0.012, 0.02]), jnp.array([0.6, -0.8])
+    cost, slope = jax.jit(loop_cost), jax.jit(value_and_grad(loop_cost, mode))
+    h = 2e-5
+    ends = [float(cost(x + k * h * way)) for k in (-2, -1, 1, 2)]
+    expected = (ends[0] - 8.0 * ends[1] + 8.0 * ends[2] - ends[3]) / (12.0 * h)
+    value, found = slope(x)
+    assert abs(float(value) - float(cost(x))) < 1e-12
+    assert abs(float(found @ way) - expected) < 1e-6 * abs(expected)
+
+
+def test_forward_and_reverse_are_chosen_by_size():
+    calls = []
+
+    @jax.custom_jvp
+    def seen(x):
+        return jnp.sum(x**3)
+
+    @seen.defjvp
+    def _(primals, tangents):
+        calls.append(isinstance(tangents[0], jax.Array) and jnp.ndim(tangents[0]) == 1)
+        return seen(*primals), jnp.sum(3.0 * primals[0] ** 2 * tangents[0])
+
+    for size in (2, 40):
+        x = {"a": jnp.arange(1.0, 1.0 + size)}
+        for mode in ("auto", "forward", "reverse"):
+            value, slope = value_and_grad(lambda x: seen(x["a"]), mode)(x)
+            np.testing.assert_allclose(slope["a"], 3.0 * x["a"] ** 2)
+            np.testing.assert_allclose(value, jnp.sum(x["a"] ** 3))
+    text = lambda mode, n: str(jax.make_jaxpr(value_and_grad(jnp.prod, mode))(jnp.ones(n)))  # noqa: E731
+    assert text("auto", 2) == text("forward", 2) != text("reverse", 2)
+    assert text("auto", 9) == text("reverse", 9) != text("forward", 9)
+    _, aux = value_and_grad(lambda x: (jnp.sum(x), "more"), "reverse", has_aux=True)(jnp.ones(3))[0]
+    assert aux == "more"
+
+
+def pinched(tip, half=0.015):
+    return jxr.scenes.pinch_ellipse(half, 0.02, tips=tip, s=(0.0005, -0.0005), alpha=0.0)
+
+
+def test_rest_of_a_pinch_is_the_equilibrium_with_the_hessian_of_its_potential():
+    """By contact places alone against Newton on the whole problem, and against autodiff of U."""
+    tip = jxr.Ellipse(0.012, 0.02).moved((0.002, 0.001))
+    grasp, state = pinched(tip)
+    s, rest = jxr.stability.pinch_rest(grasp, state)
+    whole = jxr.stability.equilibrium(grasp, state)
+    places = [c.sense * (c.s_object - x) for c, x in zip(grasp.contacts, whole.state.s, strict=True)]
+    np.testing.assert_allclose(s, jnp.stack(places), atol=1e-11)
+    by_autodiff = jxr.stability.pinch_statics(grasp, s)
+    np.testing.assert_allclose(rest.hessian, by_autodiff.hessian, rtol=1e-11)
+    np.testing.assert_allclose(rest.potential, by_autodiff.potential, rtol=1e-13)
+    np.testing.assert_allclose([rest.d, rest.l], [by_autodiff.d, by_autodiff.l], atol=1e-14)
+
+
+@pytest.mark.slow
+def test_rest_of_a_pinch_answers_changes_of_the_fingertip():
+    def place(x):
+        tip = jxr.Ellipse(x, 0.02).moved((0.002, 0.001))
+        s, rest = jxr.stability.pinch_rest(*pinched(tip))
+        return jnp.concatenate([s, rest.hessian.ravel()])
+
+    run, h = jax.jit(place), 1e-6
+    expected = (run(0.012 + h) - run(0.012 - h)) / (2 * h)
+    np.testing.assert_allclose(jax.jit(jax.jacfwd(place))(0.012), expected, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(jax.jit(jax.jacrev(place))(0.012), expected, rtol=1e-6, atol=1e-6)
+
+
+def test_without_a_place_at_rest_there_is_no_number():
+    """Discs about O on a plate: neutral everywhere, so the Hessian is singular."""
+    grasp, state = jxr.scenes.ball_plate()
+    s, _ = jxr.stability.pinch_rest(grasp, state)
+    assert np.all(np.isnan(s)) or np.all(np.isfinite(s))
+    far = jxr.scenes.pinch(tips=jxr.Circle(0.008).moved((0.006, 0.0)), s=(0.02, -0.02))
+    s, rest = jxr.stability.pinch_rest(*far)
+    assert np.all(np.isnan(s)) == bool(np.isnan(rest.potential))
+
+
+def on_plate(tip):
+    return jxr.scenes.pinch(tips=tip, alpha=0.0, s=(0.0, 0.0))
+
+
+def test_on_a_plate_the_stiffness_is_the_margin_of_41_times_a_force():
+    for tip in (jxr.Circle(0.01).moved((-0.002, 0.0)), jxr.Ellipse(0.01, 0.015), jxr.Ellipse(0.015, 0.01)):
+        found = Firmness(on_plate).aimed(tip).values(tip)
+        depth = 0.03 + 2.0 * float(tip.point(0.0)[0])
+        expected = 20.0 * depth * float(jxr.stability.margin(tip, 0.0))
+        np.testing.assert_allclose(found, expected, rtol=1e-10)
+
+
+@pytest.mark.slow
+def test_firmness_by_stiffness_has_the_analytic_optimum():
+    r"""$\beta (w + 2h)(R - h)$ with R as large as it may be is largest at h = (2R - w)/4."""
+    limits = Limits(size=0.03, ahead=0.008, flat=0.05)
+    design = optimise_fingertip(
+        jxr.Ellipse(0.015, 0.01), (-1e-4, 1e-4), goal=Firmness(on_plate), limits=limits, steps=150
+    )
+    assert float(design.before[0]) < 0.0
+    np.testing.assert_allclose([design.tip.a, design.tip.b**2 / design.tip.a], [0.0175, 0.05], rtol=1e-4)
+    np.testing.assert_allclose(design.after, 20.0 * (0.03 + 0.035) * (0.05 - 0.0175), rtol=1e-5)
+
+
+def one_blunt(tip):
+    """The other fingertip is a flat pad; limits keep this one from (41)."""
+    blunt = jxr.Ellipse(0.004, 0.012)
+    return jxr.scenes.pinch(tips=(tip, blunt), alpha=0.0, s=(0.0, 0.0))
+
+
+@pytest.mark.slow
+def test_a_fingertip_that_violates_41_may_hold_all_the_same():
+    """(41) is sufficient, not necessary: within these limits it cannot hold, and yet the grasp does."""
+    limits = Limits(size=0.02, ahead=0.009, flat=0.0075, radius=0.003)
+    start = jxr.Ellipse(0.013, 0.008)
+    tried = optimise_fingertip(start, (-1e-3, 1e-3), limits=limits, steps=100)
+    assert float(tried.after[0]) < 0.0 and not bool(tried.holds[0])
+    design = optimise_fingertip(start, (-1e-3, 1e-3), goal=Firmness(one_blunt), limits=limits, steps=100)
+    assert bool(design.holds[0]) and float(design.after[0]) > 0.0
+    assert design.figures["worst margin [m]"][1] < 0.0
+    verdict = jxr.stability.assess(*one_blunt(design.tip)).verdict
+    assert verdict == jxr.stability.VERDICTS.neutral  # the redundant joint; nothing grows
+
+
+def compiled(caplog):
+    """Which programs of a design were compiled."""
+    names = ("_advance", "_outcomes", "_first")
+    messages = [record.message for record in caplog.records]
+    return {name for name in names if any(f"Compiling jit({name})" in message for message in messages)}
+
+
+def test_64_objects_in_one_program_that_is_compiled_once(caplog):
+    goal = Firmness(pinched, cases=jnp.linspace(0.012, 0.018, 64))
+    limits = Limits(size=0.02, radius=0.004, ahead=0.006)
+    start = jxr.Ellipse(0.012, 0.012)
+    with jax.log_compiles():
+        few = optimise_fingertip(start, INTERVAL, goal=goal, limits=limits, steps=10)
+        first = compiled(caplog)
+        caplog.clear()
+        many = optimise_fingertip(start, INTERVAL, goal=goal, limits=limits, steps=80)
+    assert first == {"_advance", "_outcomes", "_first"} and not compiled(caplog)
+    assert float(many.after[0]) >= float(few.after[0]) > 0.0
+    each = np.asarray(goal.values(many.tip))
+    assert each.shape == (64,)
+    np.testing.assert_allclose(many.after[0], each.min(), rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_curvature_and_rate_are_those_of_the_verdict():
+    tip = jxr.Ellipse(0.01, 0.016)
+    known = jxr.stability.assess(*pinched(tip))
+    neutral, rates = int(known.neutral), np.sort(-np.asarray(known.rates.real))
+    curvature = Firmness(pinched, measure="curvature").aimed(tip)
+    np.testing.assert_allclose(curvature.values(tip), np.asarray(known.curvatures)[neutral], rtol=1e-8)
+    rate = Firmness(pinched, measure="rate").aimed(tip)
+    np.testing.assert_allclose(rate.values(tip), rates[neutral], rtol=1e-8)
+
+
+@pytest.mark.slow
+def test_a_fingertip_that_loses_its_objects_is_changed_to_hold_them():
+    """Three objects; violating fingertips slip off one of them at least, the last ones hold all."""
+    loses = jxr.Ellipse(0.018, 0.009)
+    make = lambda tip, half: jxr.scenes.pinch_ellipse(half, 0.02, tips=tip, alpha=0.0, friction=0.5)  # noqa: E731
+    goal = ClosedLoop(
+        make,
+        {"tracking_error": 1.0, "friction_demand": 1.0},
+        cases=jnp.array([0.012, 0.015, 0.018]),
+        t1=0.4,
+        ts=41,
+    )
+    limits = Limits(size=0.02, radius=0.004, ahead=0.006)
+    design = optimise_fingertip(loses, INTERVAL, goal=goal, limits=limits, steps=40)
+    lost = design.figures["runs that end early"]
+    assert lost[0] > 0 and lost[1] == 0 and bool(design.holds[0])
+    assert design.figures["worst cost"][1] < design.figures["worst cost"][0]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (lambda: ClosedLoop("make", {"overshoot": 1.0}), "make must be a function"),
+        (lambda: ClosedLoop(reaching, {"speed": 1.0}), "objective must be a function, or weights of"),
+        (lambda: ClosedLoop(reaching, {}), "objective must be"),
+        (lambda: ClosedLoop(reaching, {"overshoot": 1.0}, t1=-1.0), "t1 must be positive"),
+        (
+            lambda: ClosedLoop(reaching, {"overshoot": 1.0}, cases=(jnp.ones(2), jnp.ones(3))),
+            "common leading axis",
+        ),
+        (lambda: Firmness(reaching, measure="force"), "measure must be"),
+        (lambda: value_and_grad(jnp.sum, "sideways"), "mode must be"),
+    ],
+)
+def test_bad_goals(wrong, message):
+    with pytest.raises(ValueError, match=message):
+        wrong()
+
+
+def test_margin_is_the_default_goal():
+    options = {"limits": Limits(length=0.1, radius=0.004, flat=None), "steps": 10}
+    one = optimise_fingertip(jxr.Ellipse(0.02, 0.01), INTERVAL, **options)
+    other = optimise_fingertip(jxr.Ellipse(0.02, 0.01), INTERVAL, goal=Margin(), **options)
+    np.testing.assert_array_equal(one.history, other.history)

@@ -1,0 +1,55 @@
+"""Derivatives of tables over arclength: by the implicit function theorem, against differences."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from points import ellipse
+
+import jaxroll as jxr
+from jaxroll.geometry import tabled
+from jaxroll.geometry._arclength import placed, rising_sums
+
+RING = ellipse(16) * (1.0 + 0.03 * np.random.default_rng(0).normal(size=(16, 1)))
+WAVES = np.array([0.01, 0.0, 3e-4, 1e-4, 0.0, 2e-4, 1e-4])
+SHAPES = {
+    "closed spline": (lambda x: jxr.Spline(x, cells=64), RING),
+    "open spline": (lambda x: jxr.Spline(x, closed=False, origin=5, cells=64), RING),
+    "support function": (lambda x: jxr.SupportFunction(x[0], x[1:4], x[4:], cells=64), WAVES),
+    "ellipse": (lambda x: jxr.Ellipse(x[0], x[1], cells=64).prepared(), np.array([0.012, 0.02])),
+}
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_table_is_differentiated_in_both_modes(name):
+    make, numbers = SHAPES[name]
+    build = jax.jit(lambda x: jnp.ravel(tabled(make(x)).table.coefficients))
+    way = 1e-2 * np.abs(numbers).max() * np.random.default_rng(1).normal(size=numbers.shape)
+    weights = np.random.default_rng(2).normal(size=build(numbers).shape)
+    _, pushed = jax.jit(lambda x: jax.jvp(build, (x,), (way,)))(numbers)
+    at = lambda t: np.asarray(build(numbers + t * way))  # noqa: E731
+    h = 1e-2
+    steps = [(45.0, 1), (-9.0, 2), (1.0, 3)]
+    slope = sum(c * (at(k * h) - at(-k * h)) for c, k in steps) / (60.0 * h)
+    np.testing.assert_allclose(pushed, slope, rtol=0, atol=1e-8 * np.abs(slope).max())
+    pulled = jax.jit(jax.grad(lambda x: weights @ build(x)))(numbers)
+    np.testing.assert_allclose(np.sum(pulled * way), weights @ pushed, rtol=1e-10)
+
+
+def test_root_has_derivatives_of_any_order():
+    """x with a x + x^3 = 2 at a = 1: x = 1, x' = -1/4 and x'' = 1/32."""
+
+    def root(a):
+        progress = lambda a, x: (a * x + x**3, a + 3.0 * x**2)  # noqa: E731
+        return placed(progress, a, jnp.array([0.9]), jnp.array([2.0]))[0]
+
+    first, second = jax.grad(root), jax.jacfwd(jax.grad(root))
+    one = jnp.ones(())
+    np.testing.assert_allclose([root(one), first(one), second(one)], [1.0, -0.25, 0.03125], rtol=1e-12)
+
+
+@pytest.mark.parametrize("count", [1, 2, 16, 17, 1024])
+def test_rising_sums(count):
+    values = np.random.default_rng(count).uniform(size=count)
+    expected = np.concatenate([[0.0], np.cumsum(values)])
+    np.testing.assert_allclose(rising_sums(jnp.asarray(values)), expected, rtol=1e-14)

@@ -155,7 +155,35 @@ def _no_plotly():
     raise ImportError("this needs plotly")
 
 
-@pytest.mark.parametrize("args", [("demo", "nothing"), ("demo", "--seconds", "-1"), ("dem",)])
+@pytest.mark.slow
+def test_design_ends_with_a_fingertip_that_holds(tmp_path):
+    done = run_cli("design", "--steps", "100", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    files = {p.name: p.stat().st_size for p in (tmp_path / "jaxroll-design").iterdir()}
+    drawn = {"design.png", "comparison.png", "before.gif", "after.gif", "fingertip.csv", "fingertip.stl"}
+    assert drawn <= files.keys() and all(size > 5_000 for size in files.values())
+    lines = done.stdout.splitlines()
+    before, after = (
+        next(line for line in lines if line.startswith(f"  {word} ")) for word in ("before", "after")
+    )
+    assert "more friction than there is" in before and after.split() == ["after", "successful"]
+    assert len(lines) <= 30 and max(map(len, lines)) <= 120
+    # Its own outline is a start as good as any.
+    again = run_cli(
+        "design", "--tip", "jaxroll-design/fingertip.csv", "--steps", "10", "--no-animation", cwd=tmp_path
+    )
+    assert again.returncode == 0, again.stderr
+
+
+def test_an_outline_that_is_not_there_gets_one_sentence(tmp_path):
+    done = run_cli("design", "--tip", "nothing.csv", cwd=tmp_path)
+    assert done.returncode == 1 and "Traceback" not in done.stderr
+    assert "nothing.csv" in done.stderr.splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    "args", [("demo", "nothing"), ("demo", "--seconds", "-1"), ("dem",), ("design", "--goal", "luck")]
+)
 def test_bad_command_lines_get_one_sentence(args, tmp_path):
     done = run_cli(*args, cwd=tmp_path)
     assert done.returncode == 2 and "Traceback" not in done.stderr

@@ -30,7 +30,7 @@ def settling_time(run: Trajectory, *, band: float = 0.02, signal: Signal | None 
         >>> grasp, state = jxr.scenes.pivoted()
         >>> run = jxr.simulate(grasp, state, t1=3.0)
         >>> f"{jxr.design.settling_time(run):.2f} s"
-        '0.74 s'
+        '1.60 s'
     """
     seen, left, whole = _approach(run, signal)
     limit = band * whole
@@ -80,7 +80,7 @@ def tracking_error(run: Trajectory, *, signal: Signal | None = None) -> Scalar:
         >>> grasp, state = jxr.scenes.pivoted()
         >>> run = jxr.simulate(grasp, state, t1=3.0)
         >>> f"{jxr.design.tracking_error(run):.3f} s"
-        '0.188 s'
+        '0.626 s'
     """
     seen, left, whole = _approach(run, signal)
     pairs = 0.5 * (left[1:] + left[:-1]) * jnp.diff(run.ts)
@@ -95,7 +95,7 @@ def peak_force(run: Trajectory) -> Scalar:
         >>> grasp, state = jxr.scenes.pivoted()
         >>> run = jxr.simulate(grasp, state, t1=0.5, ts=51, record=("multipliers",))
         >>> f"{jxr.design.peak_force(run):.3f} N"
-        '1.113 N'
+        '1.551 N'
     """
     forces, seen = _forces(run)
     return jnp.max(jnp.where(seen, forces.f, 0.0))
@@ -109,7 +109,7 @@ def friction_demand(run: Trajectory) -> Scalar:
         >>> grasp, state = jxr.scenes.pivoted()
         >>> run = jxr.simulate(grasp, state, t1=0.5, ts=51, record=("multipliers",))
         >>> f"{jxr.design.friction_demand(run):.3f}"
-        '0.371'
+        '0.171'
     """
     forces, seen = _forces(run)
     aside = forces.lam

@@ -62,9 +62,7 @@ class _Minimum(NamedTuple):
 def _found(grasp: Grasp, guess: State, hold: bool) -> tuple[tuple[State, Array], _Minimum]:
     metric = one_kernel(metric_at, grasp, guess, hold)
     step, jacobian = searched(Problem(grasp, guess, metric))
-    state = one_kernel(_ending, grasp, guess, step)
-    rows = one_kernel(constraint_rows, grasp, state.q, state.s)
-    return (state, rows), _Minimum(step, metric, jacobian)
+    return one_kernel(_ended, grasp, guess, step), _Minimum(step, metric, jacobian)
 
 
 class _Question(eqx.Module):
@@ -168,3 +166,9 @@ def _ending(grasp: Grasp, guess: State, step: Array) -> State:
         masses = [factorise(inertia.mass) for inertia in inertias]
         line = linearise(grasp, motions, masses, touches(grasp, leaves.s))
         return State(q, join(compatible(grasp, leaves, line).v), s)
+
+
+def _ended(grasp: Grasp, guess: State, step: Array) -> tuple[State, Array]:
+    """The same with what the constraints leave over: one kernel that feeds another breaks XLA in a batch."""
+    state = _ending(grasp, guess, step)
+    return state, constraint_rows(grasp, state.q, state.s)

@@ -1,5 +1,6 @@
 """Fingertips for condition (41): an analytic optimum, violating starts, limits that exclude it."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
@@ -10,6 +11,7 @@ from scipy.special import ellipe
 import jaxroll as jxr
 from jaxroll.design import Limits, optimise_fingertip
 from jaxroll.design._minimise import minimise
+from jaxroll.geometry import PeriodicNetwork
 
 INTERVAL = (-0.005, 0.005)
 
@@ -157,3 +159,19 @@ def test_goes_on_from_a_checkpoint(tmp_path):
 def test_bad_arguments(tip, options, message):
     with pytest.raises(ValueError, match=message):
         optimise_fingertip(tip, INTERVAL, **options)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["support", "curvature"])
+def test_networks_are_designed_by_their_weights(kind):
+    """A small network that begins near a circle ahead of O, which violates (41)."""
+    size = {"width": 8, "depth": 1, "decay": 1.0, "key": jax.random.key(0)}
+    if kind == "support":
+        start = jxr.NeuralSupport(PeriodicNetwork(4, amplitude=0.05, **size), 0.01, (4e-3, 0.0), cells=256)
+    else:
+        start = jxr.NeuralCurvature(
+            PeriodicNetwork(4, amplitude=10.0, **size), 0.063, centre=(4e-3, 0.0), cells=256
+        )
+    design = optimise_fingertip(start, INTERVAL, limits=Limits(size=0.02, radius=0.002), steps=60)
+    assert float(design.before[0]) < 0.0 < float(design.after[0])
+    assert bool(design.holds[0])

@@ -255,6 +255,16 @@ def test_curvature_and_rate_are_those_of_the_verdict():
 
 
 @pytest.mark.slow
+def test_slowest_rate_answers_changes_of_the_fingertip():
+    goal = Firmness(pinched, measure="rate", neutral=2)
+    value = lambda x: goal.values(jxr.Ellipse(x, 0.016))[0]  # noqa: E731
+    both, h = jax.jit(value_and_grad(value, "forward")), 1e-6
+    expected = (both(0.01 + h)[0] - both(0.01 - h)[0]) / (2 * h)
+    assert abs(expected) > 1.0
+    np.testing.assert_allclose(both(0.01)[1], expected, rtol=1e-5)
+
+
+@pytest.mark.slow
 def test_a_fingertip_that_loses_its_objects_is_changed_to_hold_them():
     """Three objects; violating fingertips slip off one of them at least, the last ones hold all."""
     loses = jxr.Ellipse(0.018, 0.009)
@@ -270,7 +280,8 @@ def test_a_fingertip_that_loses_its_objects_is_changed_to_hold_them():
     design = optimise_fingertip(loses, INTERVAL, goal=goal, limits=limits, steps=40)
     lost = design.figures["runs that end early"]
     assert lost[0] > 0 and lost[1] == 0 and bool(design.holds[0])
-    assert design.figures["worst cost"][1] < design.figures["worst cost"][0]
+    assert design.figures["worst cost"] == (float(design.before[0]), float(design.after[0]))
+    assert float(design.after[0]) < float(design.before[0])
 
 
 @pytest.mark.parametrize(

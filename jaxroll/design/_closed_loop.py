@@ -27,6 +27,7 @@ from ._measures import FORCED, MEASURES
 Objective = Mapping[str, float] | Callable[[Any, Trajectory], Scalar]
 # What a run costs that ends at once: more than any that holds.
 _LOST = 10.0
+_COST, _EARLY = "worst cost", "runs that end early"
 
 
 class ClosedLoop(AbstractGoal):
@@ -109,17 +110,21 @@ class ClosedLoop(AbstractGoal):
         measured, own, lost = self.run(tip, tuple(name for name, _ in weights))
         return measured @ jnp.asarray([weight for _, weight in weights]) + own + _LOST * lost
 
+    @property
+    def merit(self) -> str:
+        return _COST
+
     def figures(self, tip: AbstractContour, seen: Samples) -> dict[str, Array]:
         names = tuple(MEASURES)
         measured, own, lost = self.run(tip, names)
         weights = {} if callable(self.objective) else dict(self.objective)
         costs = measured @ jnp.asarray([weights.get(name, 0.0) for name in names]) + own + _LOST * lost
-        found = {"worst cost": jnp.max(costs), "runs that end early": jnp.sum(lost > 0.0)}
+        found = {_COST: jnp.max(costs), _EARLY: jnp.sum(lost > 0.0)}
         found |= {MEASURES[name][1]: jnp.max(measured[:, i]) for i, name in enumerate(names)}
         return found | {WORST_MARGIN: worst_margin(seen)}
 
     def reached(self, figures: dict[str, Array]) -> Bool[Array, "..."]:
-        return figures["runs that end early"] == 0
+        return figures[_EARLY] == 0
 
 
 def _weights(objective: Any) -> tuple[tuple[str, float], ...]:

@@ -90,7 +90,7 @@ def optimise_fingertip(
         size = float(reaches[0])
         limits = Limits(size=size, radius=0.1 * size, ahead=0.5 * size)
     wanted = (Margin() if goal is None else goal).aimed(tips[0])
-    waves = jnp.asarray(smoothing(tips[0]))
+    waves = jnp.asarray(smoothing(tips[0], float(units[0])))
     data, problem = (arrays, units), _Problem(rest, waves, ends, limits, wanted, symmetric)
     start = jax.vmap(lambda a, unit: problem.unknowns(eqx.combine(a, rest), unit))(*data)
     settings = {name: options[name] for name in ("optimiser", "mode", "checkpoint") if name in options}
@@ -168,8 +168,9 @@ def _design(problem: _Problem, start: Array, data: Any, found: Found) -> Design:
     rank = np.where(inside, search.lowest, np.inf) if inside.any() else np.asarray(search.violation)
     best = int(np.argmin(rank))
     result = RESULTS.successful if bool(search.done[best]) else RESULTS.max_steps_reached
-    merit = next(iter(figures))
-    pairs = {name: (float(figures_before[name][best]), float(figures[name][best])) for name in figures}
+    merit = problem.goal.merit
+    names = [merit, *(name for name in figures if name != merit)]
+    pairs = {name: (float(figures_before[name][best]), float(figures[name][best])) for name in names}
     pick = lambda tree: eqx.combine(jax.tree.map(lambda a: a[best], tree), problem.rest)  # noqa: E731
     return Design(
         tip=pick(arrays),

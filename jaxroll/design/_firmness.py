@@ -121,11 +121,15 @@ class Firmness(AbstractGoal):
         assert self.scale is not None, "aimed at a start"
         return soft_worst(-self.values(tip, _FLAT) / self.scale, sharpness)
 
+    @property
+    def merit(self) -> str:
+        return _NAMES[self.measure]
+
     def figures(self, tip: AbstractContour, seen: Samples) -> dict[str, Array]:
-        return {_NAMES[self.measure]: jnp.min(self.values(tip)), WORST_MARGIN: worst_margin(seen)}
+        return {self.merit: jnp.min(self.values(tip)), WORST_MARGIN: worst_margin(seen)}
 
     def reached(self, figures: dict[str, Array]) -> Bool[Array, "..."]:
-        return figures[_NAMES[self.measure]] > 0.0
+        return figures[self.merit] > 0.0
 
 
 def _values(measure: Measure, grasp: Grasp, state: State, floor: float = 0.0) -> tuple[Array, Array]:

@@ -37,9 +37,14 @@ class AbstractGoal(eqx.Module):
         `unit` is the fingertip's size; `sharpness` rises to one in the course of the search.
         """
 
+    @property
+    @abc.abstractmethod
+    def merit(self) -> str:
+        """Name of the figure of merit."""
+
     @abc.abstractmethod
     def figures(self, tip: AbstractContour, seen: Samples) -> dict[str, Array]:
-        """What is reported, in SI units that the names state; the first one is the figure of merit."""
+        """What is reported, in SI units that the names state, the figure of merit among them."""
 
     @abc.abstractmethod
     def reached(self, figures: dict[str, Array]) -> Bool[Array, "..."]:
@@ -65,6 +70,10 @@ class Margin(AbstractGoal):
 
     def cost(self, tip: AbstractContour, seen: Samples, unit: Scalar, sharpness: Scalar) -> Scalar:
         return -soft_least(margins(seen.pad, unit) / unit, _SHARPNESS * sharpness)
+
+    @property
+    def merit(self) -> str:
+        return WORST_MARGIN
 
     def figures(self, tip: AbstractContour, seen: Samples) -> dict[str, Array]:
         return {WORST_MARGIN: worst_margin(seen)}

@@ -41,7 +41,7 @@ def _(contour: SupportFunction) -> list[Any]:
 @free_numbers.register
 def _(contour: NeuralSupport) -> list[Any]:
     leaves = jax.tree.leaves(contour.network)
-    return [contour.radius, *(leaf for leaf in leaves if eqx.is_inexact_array(leaf))]
+    return [contour.radius, contour.centre, *(leaf for leaf in leaves if eqx.is_inexact_array(leaf))]
 
 
 @free_numbers.register
@@ -127,16 +127,23 @@ def extents(arrays: Any, rest: Any) -> tuple[Array, Array]:
 
 
 @functools.singledispatch
-def smoothing(contour: AbstractContour) -> np.ndarray:
-    """Matrix from unknowns to free numbers, under which all unknowns bend a contour about equally.
+def smoothing(contour: AbstractContour, unit: float) -> np.ndarray:
+    """Matrix from unknowns to free numbers in a unit [m], under which all unknowns change a contour alike.
 
-    The k-th wave along a contour bends it as k squared: searched point by point, curvature is stiff.
+    The k-th wave along a contour bends it as k squared: searched point by point, curvature is stiff. What is
+    no length, such as a network's weights, is measured against its own size.
     """
-    return np.eye(_count(contour))
+    leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(divided(contour)[0])]
+    sizes = [float(np.sqrt(np.mean(leaf**2))) for leaf in leaves]
+    each = [
+        np.full(leaf.size, size / unit if size > 0.0 else 1.0)
+        for leaf, size in zip(leaves, sizes, strict=True)
+    ]
+    return np.diag(np.concatenate(each))
 
 
 @smoothing.register
-def _(contour: Spline) -> np.ndarray:
+def _(contour: Spline, unit: float) -> np.ndarray:
     points, ends = contour.points.shape[0], 0 if contour.closed else contour.points.shape[0] - 1
     # An open contour is seen as there and back again, so that its ends are not joined.
     whole = points + max(ends - 1, 0)
@@ -150,19 +157,15 @@ def _(contour: Spline) -> np.ndarray:
 
 
 @smoothing.register
-def _(contour: SupportFunction) -> np.ndarray:
+def _(contour: SupportFunction, unit: float) -> np.ndarray:
     terms = np.arange(1, 1 + contour.cosines.shape[0])
     each = 2.0 / (1.0 + terms**2)
     return np.diag(np.concatenate([[1.0], each, each]))
 
 
 @smoothing.register
-def _(contour: Moved) -> np.ndarray:
-    return smoothing(contour.contour)
-
-
-def _count(contour: AbstractContour) -> int:
-    return sum(np.size(leaf) for leaf in jax.tree.leaves(divided(contour)[0]))
+def _(contour: Moved, unit: float) -> np.ndarray:
+    return smoothing(contour.contour, unit)
 
 
 # Size of a variation, as a share of the contour's own numbers.

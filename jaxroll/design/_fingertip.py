@@ -21,6 +21,7 @@ from ._shape import check_unprepared, divided, extents, mirrored, smoothing, sta
 
 # Unit of the free numbers, as a share of the fingertip's size: a first step is no longer than one.
 _UNIT = 0.05
+_OPTIONS = ("starts", "seed", "optimiser", "mode", "checkpoint")
 
 
 def optimise_fingertip(
@@ -64,7 +65,7 @@ def optimise_fingertip(
 
     Raises:
         ValueError: If a contour is endless or already prepared, contours differ in kind or size, or the
-            interval leaves one.
+            interval leaves one; for `Firmness`, if the first start has no equilibrium in the first case.
 
     Example:
         >>> import jaxroll as jxr, numpy as np
@@ -97,9 +98,6 @@ def optimise_fingertip(
     settings |= {"steps": steps, "in_turn": wanted.in_turn, "progress": progress}
     found = minimise(problem, start, data, **settings)
     return _design(problem, start, data, found)
-
-
-_OPTIONS = ("starts", "seed", "optimiser", "mode", "checkpoint")
 
 
 def _more(options: dict[str, Any]) -> int:

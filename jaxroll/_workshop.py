@@ -30,7 +30,7 @@ from .integration import simulate
 _LONG, _WIDE, _POINTS = 0.018, 0.009, 24
 _INTERVAL = (-0.006, 0.006)
 _FRICTION = 0.5
-_SHOWN, _SPEED, _THICK = 0.3, 0.05, 0.01
+_SHOWN, _SPEED, _THICK = 0.2, 0.05, 0.01
 _OUT = ("fingertip.csv", "fingertip.svg", "fingertip.dxf")
 
 

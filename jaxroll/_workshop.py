@@ -107,7 +107,7 @@ def order(asked: Order, folder: Path, timed: Callable[[str], AbstractContextMana
     if asked.animated:
         with timed("Animating"):
             for pair, run, name in zip(pairs, runs, ("before.gif", "after.gif"), strict=True):
-                plotting.animate(pair[0], run, folder / name, fps=20.0, speed=_SPEED, until=_SHOWN)
+                plotting.animate(pair[0], run, folder / name, fps=12.5, speed=_SPEED, until=_SHOWN)
                 names.append(name)
     written, missing = _write(found, folder)
     files = [f"Files in {folder}:", "  " + ", ".join(names + written), *missing]

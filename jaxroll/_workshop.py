@@ -30,7 +30,7 @@ from .integration import simulate
 _LONG, _WIDE, _POINTS = 0.018, 0.009, 24
 _INTERVAL = (-0.006, 0.006)
 _FRICTION = 0.5
-_SHOWN, _SPEED, _THICK = 0.2, 0.05, 0.01
+_SHOWN, _SPEED, _THICK = 0.15, 0.05, 0.01
 _OUT = ("fingertip.csv", "fingertip.svg", "fingertip.dxf")
 
 
@@ -107,7 +107,7 @@ def order(asked: Order, folder: Path, timed: Callable[[str], AbstractContextMana
     if asked.animated:
         with timed("Animating"):
             for pair, run, name in zip(pairs, runs, ("before.gif", "after.gif"), strict=True):
-                plotting.animate(pair[0], run, folder / name, fps=12.5, speed=_SPEED, until=_SHOWN)
+                plotting.animate(pair[0], run, folder / name, fps=10.0, speed=_SPEED, until=_SHOWN, size=4.5)
                 names.append(name)
     written, missing = _write(found, folder)
     files = [f"Files in {folder}:", "  " + ", ".join(names + written), *missing]

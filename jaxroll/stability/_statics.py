@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 from .._algebra import Vec2
 from .._types import Given, Scalar
-from ..geometry import AbstractContour
+from ..geometry import AbstractContour, Frenet2
 from ..integration import check_pinch
 from ..mechanics import compiled, Grasp, State
 
@@ -73,21 +73,23 @@ def pinch_statics(grasp: Grasp, s: Given) -> PinchStatics:
     return many(s)
 
 
+def _touching(grasp: Grasp, i: int, s: Scalar) -> tuple[Frenet2, Frenet2, Vec2]:
+    """Frames of object and fingertip where finger i touches, and from there to its centre, on the object."""
+    contact = grasp.contacts[i]
+    tip, face = grasp.shapes(contact)
+    at = face.frame(contact.sense * s)
+    on_tip = tip.frame(contact.s_tip + contact.s_object - contact.sense * s)
+    # Tangency turns the fingertip so that its tangent opposes the object's.
+    along, across = on_tip.point.dot(on_tip.tangent), on_tip.point.cross(on_tip.tangent)
+    return at, on_tip, at.tangent * along + at.tangent.right() * across
+
+
 def _separation(grasp: Grasp, s: Array) -> tuple[Scalar, Scalar]:
     """Components d and l: $r_1 - r_2$ in the object's frame, along $b_{01}$ and $n_{01}$, (25)-(29)."""
-    centres, tangents = [], []
-    for i in (0, 1):
-        contact = grasp.contacts[i]
-        tip, face = grasp.shapes(contact)
-        at = face.frame(contact.sense * s[i])
-        on_tip = tip.frame(contact.s_tip + contact.s_object - contact.sense * s[i])
-        # Tangency turns the fingertip so that its tangent opposes the object's.
-        along, across = on_tip.point.dot(on_tip.tangent), on_tip.point.cross(on_tip.tangent)
-        centres.append(at.point + at.tangent * along + at.tangent.right() * across)
-        tangents.append(at.tangent * contact.sense)
-    arm = centres[0] - centres[1]
-    inward = tangents[0].left() * grasp.contacts[0].sense
-    return arm.dot(tangents[0]), arm.dot(inward)
+    (first, _, one), (second, _, other) = (_touching(grasp, i, s[i]) for i in (0, 1))
+    apart = (first.point + one) - (second.point + other)
+    tangent, sense = first.tangent * grasp.contacts[0].sense, grasp.contacts[0].sense
+    return apart.dot(tangent), apart.dot(tangent.left() * sense)
 
 
 def _potential(grasp: Grasp, s: Array) -> Scalar:
@@ -151,11 +153,7 @@ def _rolled(grasp: Grasp, s: Array) -> PinchStatics:
     centres, firsts, seconds, axes, bends = [], [], [], [], []
     for i in (0, 1):
         contact = grasp.contacts[i]
-        tip, face = grasp.shapes(contact)
-        at = face.frame(contact.sense * s[i])
-        on_tip = tip.frame(contact.s_tip + contact.s_object - contact.sense * s[i])
-        along, across = on_tip.point.dot(on_tip.tangent), on_tip.point.cross(on_tip.tangent)
-        arm = at.tangent * along + at.tangent.right() * across
+        at, on_tip, arm = _touching(grasp, i, s[i])
         bend = at.curvature + on_tip.curvature
         centres.append(at.point + arm)
         firsts.append(arm.left() * (bend * contact.sense))

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
         press_balance,
         residuals,
         roll,
+        Rosenbrock,
         simulate,
         Trajectory,
     )
@@ -91,6 +92,7 @@ _HOMES: dict[str, str | None] = {
     "fit_contour": "geometry",
     "CSM": "integration",
     "Index1": "integration",
+    "Rosenbrock": "integration",
     "Trajectory": "integration",
     "close": "integration",
     "energies": "integration",
@@ -136,6 +138,7 @@ __all__ = [  # noqa: PLE0604
     "NeuralSupport",
     "PivotedObject",
     "Plane",
+    "Rosenbrock",
     "Sphere",
     "Spline",
     "Stage",

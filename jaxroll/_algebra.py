@@ -7,8 +7,6 @@ records, and ordinary arrays exist only at the public door.
 Matrices are symmetric positive definite and given by their lower triangle as nested tuples.
 """
 
-import contextlib
-import contextvars
 import functools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -17,6 +15,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from ._sharing import once
 from ._trigonometry import sine_cosine
 from ._types import Scalar, Scalars
 
@@ -130,31 +129,6 @@ class Pose2:
     def place(self, point: Vec2) -> Vec2:
         """A body-frame point in world coordinates."""
         return self.origin + self.turn(point)
-
-
-_ONE: contextvars.ContextVar[Scalar | None] = contextvars.ContextVar("one", default=None)
-
-
-@contextlib.contextmanager
-def sharing(t: Scalar) -> Iterator[None]:
-    """While tracing inside, `once` makes XLA compute its argument once; `t` is any finite scalar.
-
-    XLA's CPU fusion copies cheap producers into every consumer, and so turns the equations of motion of 1000
-    operations into 10 000. It never copies a division: inside, `once` divides by a one that the compiler
-    cannot see through.
-    """
-    one = jnp.where(jnp.isinf(jax.lax.stop_gradient(t)), 2.0, 1.0).astype(jnp.result_type(t))
-    token = _ONE.set(one)
-    try:
-        yield
-    finally:
-        _ONE.reset(token)
-
-
-def once(tree: Any) -> Any:
-    """The argument itself; inside `sharing`, computed once however many use it."""
-    one = _ONE.get()
-    return tree if one is None else jax.tree.map(lambda x: x if isinstance(x, float) else x / one, tree)
 
 
 def sincos(angle: Scalar) -> tuple[Scalar, Scalar]:

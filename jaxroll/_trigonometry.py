@@ -67,7 +67,7 @@ def _batched(
 
 def branch_free(angle: Scalar) -> tuple[Scalar, Scalar]:
     """Sine and cosine in double precision by range reduction and polynomials."""
-    turns = jnp.round(angle * (2.0 / np.pi))
+    turns = jnp.floor(angle * (2.0 / np.pi) + 0.5)
     r = ((angle - turns * _HALF_PI[0]) - turns * _HALF_PI[1]) - turns * _HALF_PI[2]
     square = r * r
     sine = r + r * square * _polynomial(_SINE, square)

@@ -17,6 +17,7 @@ ROOT = pathlib.Path(jxr.__file__).parent
 RANKS = {
     "_types": 0,
     "_backend": 0,
+    "_sharing": 1,
     "_trigonometry": 1,
     "_results": 1,
     "_once": 2,
@@ -227,7 +228,7 @@ def test_parameter_budget():
 
 PUBLIC = {
     "AbstractSurface", "Contact3", "Ellipsoid", "Finger3", "FreeObject3", "Plane", "Sphere", "Stage", "Torus",
-    "Turning", "loci", "roll",
+    "Turning", "loci", "roll", "Rosenbrock",
     "AbstractContour", "CSM", "Catenary", "Circle", "Contact", "Ellipse", "Finger", "FreeObject",
     "Grasp", "Index1", "Jaw", "Line", "NeuralCurvature", "NeuralSupport", "PivotedObject", "RESULTS",
     "Spline", "State", "SupportFunction", "Trajectory", "close", "contact",

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 from jaxtyping import Array, Float
 
-from .._algebra import once
+from .._sharing import once
 from .._types import Scalar, Scalars
 
 Rows = tuple[Scalars, ...]

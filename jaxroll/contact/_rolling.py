@@ -13,8 +13,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._algebra import once, Pose2, Vec2
+from .._algebra import Pose2, Vec2
 from .._results import as_floats, check_between, check_positive, traced
+from .._sharing import once
 from .._types import Given, Scalar, Scalars
 from ..geometry import AbstractContour, frenet, Frenet2
 from ._contact import AbstractContact, arms_of, Motion, row_wise, Rows

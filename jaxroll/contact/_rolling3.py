@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._algebra import once
 from .._results import as_floats, check_positive
+from .._sharing import once
 from .._spatial import Pose3, square, Sym3, tangents, Twist3, Vec3
 from .._types import Given, Scalar, Scalars
 from ..geometry import AbstractSurface, Gauss3

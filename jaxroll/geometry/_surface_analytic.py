@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._algebra import once
 from .._results import as_floats, check_positive, concrete
+from .._sharing import once
 from .._spatial import square, Sym3, Vec3
 from .._types import Given, Scalar, Scalars
 from ._gauss import Gauss3

@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._algebra import once
 from .._results import as_floats, check_positive
+from .._sharing import once
 from .._spatial import outer, square, Sym3, tangents, Vec3
 from .._types import Given, Scalar, Scalars
 from ._surface import AbstractSurface, Gauss3

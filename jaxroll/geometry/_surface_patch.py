@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._algebra import once
 from .._results import as_floats
+from .._sharing import once
 from .._spatial import Vec3
 from .._types import Given, Scalars
 from ._surface_chart import AbstractChart, Jet

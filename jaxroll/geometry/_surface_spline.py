@@ -2,8 +2,9 @@
 
 from jaxtyping import Array, Float
 
-from .._algebra import once, unstack
+from .._algebra import unstack
 from .._results import as_floats, check_positive
+from .._sharing import once
 from .._spatial import Sym3, Vec3
 from .._types import Given, Scalars
 from ._gauss import Gauss3

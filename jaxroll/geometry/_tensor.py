@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._algebra import once, total
+from .._algebra import total
+from .._sharing import once
 from .._types import Scalar
 from ._bspline import basis
 

@@ -1,9 +1,10 @@
 """From a guess to a trajectory: consistent starts, drift control, and the only door to diffrax.
 
 `_close` finds a consistent state (`_nearest` searches, `_settled` differentiates), `_flow` lays the state
-out as one vector, `_closed_loop` evaluates and projects it, `_stepper` makes one step, `_pace` sets its
-length, `_loop` and `_ensemble` make many, `_march` differentiates them, `_simulate` is the entry point,
-`_trajectory` its result and `_observe` the chapter's quantities along it.
+out as one vector, `_closed_loop` evaluates and projects it, `_stepper` makes one step, `_rosenbrock` a
+linearly implicit one, `_pace` sets its length, `_loop` and `_ensemble` make many, `_march` differentiates
+them, `_simulate` is the entry point, `_trajectory` its result and `_observe` the chapter's quantities along
+it.
 """
 
 from ._close import close as close
@@ -23,5 +24,6 @@ from ._observe import (
 from ._pinch import check_pinch as check_pinch, pinch_balance as pinch_balance, PinchBalance as PinchBalance
 from ._press import press_balance as press_balance, PressBalance as PressBalance
 from ._roll import roll as roll, Rolled as Rolled
+from ._rosenbrock import Rosenbrock as Rosenbrock
 from ._simulate import simulate as simulate
 from ._trajectory import Stats as Stats, Trajectory as Trajectory

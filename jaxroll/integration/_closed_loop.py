@@ -7,7 +7,8 @@ from typing import Any
 import jax
 from jaxtyping import Array
 
-from .._algebra import inner, once, total
+from .._algebra import inner, total
+from .._sharing import once
 from .._types import Scalar, Scalars
 from ..control import as_controller, joint_angles, sense, Sensed
 from ..mechanics import (

@@ -5,8 +5,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._algebra import sharing
 from .._backend import one_kernel
+from .._sharing import sharing
 from .._spatial import Vec3
 from .._types import Scalar, Times
 from ..mechanics import bodies, check_spatial, compiled, Grasp, Leaves, State, touches
@@ -120,7 +120,7 @@ def _jets(grasp: Grasp, t: Scalar, state: State) -> tuple[_Jet, _Jet]:
 
     def moving(t: Scalar, x: Array) -> tuple[Array, Array, Array]:
         """Velocities, their derivatives along the equations of motion, and the rates of all."""
-        with sharing(t):
+        with sharing():
             rates = pack(evaluate(grasp, t, unpack(lay, x)[0], Index1()).rates, None)
             found = jax.jvp(lambda x: _velocities(grasp, unpack(lay, x)[0]), (x,), (rates,))
         return *found, rates

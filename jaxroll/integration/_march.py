@@ -24,6 +24,7 @@ from ._ensemble import Ensemble
 from ._flow import Bundle, Flow
 from ._loop import recorded, solo
 from ._plan import Path, Plan
+from ._rosenbrock import Rosenbrock
 
 
 @eqx.filter_custom_jvp
@@ -46,8 +47,8 @@ def march(grasp: Bundle, y0: Flow, plan: Plan) -> Path:
 def _together(size: int, batched: Any, arrays: Any, still: Any) -> Path:
     """Many runs: as an ensemble, or one beside the other where the method does not allow it."""
     plan = eqx.combine(arrays, still)[2]
-    explicit = isinstance(plan.stepper.method, diffrax.AbstractERK)
-    if explicit and isinstance(plan.progress, diffrax.NoProgressMeter):
+    takes_lanes = isinstance(plan.stepper.method, diffrax.AbstractERK | Rosenbrock)
+    if takes_lanes and isinstance(plan.progress, diffrax.NoProgressMeter):
         return one_kernel(lambda found: Ensemble(size, batched, found, still).run(), arrays)
     axes = jax.tree.map(lambda b: 0 if b else None, batched)
     return jax.vmap(lambda found: solo(*eqx.combine(found, still)), in_axes=(axes,))(arrays)
@@ -62,7 +63,7 @@ def _march_jvp(primals: Any, tangents: Any) -> tuple[Path, Path]:
     numbers, plan, step_ts, step_ys = eqxi.nondifferentiable(
         (moving, plan, step_ts, step_ys), name="the state of a run (second derivatives)"
     )
-    steps = _steps(numbers, plan, (step_ts, step_ys, path.steps[1]), still)
+    steps = _Steps(numbers, plan, step_ts, step_ys, path.steps[1], still)
     start_dot = filled((moving, y0), (grasp_dot, y0_dot))
     ends = (path.saved, path.last, path.t_last)
     dots = linear_map(steps.tangents, steps.cotangents, start_dot, ends)
@@ -72,20 +73,12 @@ def _march_jvp(primals: Any, tangents: Any) -> tuple[Path, Path]:
     )
 
 
-def _steps(moving: Bundle, plan: Plan, record: tuple[Array, Array, Array], still: Bundle) -> "_Steps":
-    ts, ys, count = record
-    margin, last = plan.stepper.lay.margin, ys[count]
-    drift = plan.stepper.drift(eqx.combine(moving, still), ts[count], last)
-    ended = (last[margin + 1] != 0) & jnp.isfinite(drift[margin]) & (drift[margin] != 0)
-    delay = jnp.where(ended, -1.0 / jnp.where(ended, drift[margin], 1.0), 0.0)
-    return _Steps(moving, plan, ts, ys, count, still, jnp.where(ended, drift, 0.0), delay)
-
-
 class _Steps(eqx.Module):
     """The recorded steps of a run, as a linear map between perturbations of its ends.
 
-    A run that an event ended moves its end: time by `delay` per change of the margin at fixed time, and the
-    flow vector with it by `drift`.
+    A run that an event ended moves its end: time by so much per change of the margin at fixed time, and the
+    flow vector with it, by its time derivative. That derivative comes from a step of no length, so that no
+    second derivative program has to be compiled.
     """
 
     moving: Bundle
@@ -94,13 +87,37 @@ class _Steps(eqx.Module):
     ys: Float[Array, "steps flow"]
     count: Int[Array, ""]
     still: Bundle
-    drift: Flow
-    delay: Float[Array, ""]
 
-    def advance(self, moving: Bundle, y: Flow, k: Scalar) -> Flow:
-        grasp = eqx.combine(moving, self.still)
+    def advance(self, moving: Bundle, y: Flow, shift: Scalar, k: Scalar) -> Flow:
+        """Step k, `shift` later; the one after the last has no length."""
+        return self.plan.stepper.advance(*self._given(moving, shift, k), y)[0]
+
+    def retraced(self, moving: Bundle, y: Flow, shift: Scalar, k: Scalar) -> Flow:
+        """The same, to be differentiated backwards."""
+        return self.plan.stepper.retraced(*self._given(moving, shift, k), y)[0]
+
+    def _given(self, moving: Bundle, shift: Scalar, k: Scalar) -> tuple[Bundle, Scalar, Scalar]:
         t1 = jnp.where(k < self.count, self.ts[k + 1], self.ts[k])
-        return self.plan.stepper.advance(grasp, self.ts[k], t1, y)[0]
+        return eqx.combine(moving, self.still), self.ts[k] + shift, t1 + shift
+
+    @property
+    def passing(self) -> Flow:
+        """How the end moves with time, at the entry of a step: x' for x."""
+        width, last = self.plan.stepper.lay.width, self.ys[self.count]
+        return jnp.concatenate([last[width : 2 * width], jnp.zeros_like(last[width:])])
+
+    def postponed(self, drift: Scalar, change: Array) -> Array:
+        """Delay of an event's time per change of the margin, which drifts so much per second, times `change`.
+
+        Zero for a run that no event ended.
+        """
+        ended = (self.ys[self.count, self.margin + 1] != 0) & jnp.isfinite(drift) & (drift != 0)
+        return jnp.where(ended, -change / jnp.where(ended, drift, 1.0), 0.0)
+
+    @property
+    def margin(self) -> int:
+        """Where the margin is in the flow vector."""
+        return self.plan.stepper.lay.margin
 
     def _saved_at(self) -> tuple[Array, Array]:
         """Which step each save time ends, and whether it was reached."""
@@ -109,56 +126,66 @@ class _Steps(eqx.Module):
 
     def tangents(self, start: tuple[Bundle, Flow]) -> tuple[Array, Array, Array]:
         index, reached = self._saved_at()
-        saved, last = one_kernel(_pushed, self, index, start)
-        later = self.delay * last[self._margin]
-        return jnp.where(reached[:, None], saved, 0.0), last + self.drift * later, later
-
-    @property
-    def _margin(self) -> int:
-        return self.plan.stepper.lay.margin
+        saved, last, drift = one_kernel(_pushed, self, index, start)
+        later = self.postponed(drift[self.margin], last[self.margin])
+        moved = self.postponed(drift[self.margin], last[self.margin] * drift)
+        return jnp.where(reached[:, None], saved, 0.0), last + moved, later
 
     def cotangents(self, ends: tuple[Array, Array, Array]) -> tuple[Bundle, Flow]:
         saved_bar, last_bar, later_bar = ends
-        later_bar = later_bar + jnp.sum(self.drift * last_bar)
-        last_bar = last_bar.at[self._margin].add(self.delay * later_bar)
         index, reached = self._saved_at()
         track = jnp.zeros_like(self.ys)
         track = track.at[index].add(jnp.where(reached[:, None], saved_bar, 0.0))
-        track = track.at[self.count].add(last_bar)
-        return one_kernel(_pulled, self, track)
+        return one_kernel(_pulled, self, track, last_bar, later_bar)
 
 
-def _pushed(steps: _Steps, index: Array, start: tuple[Bundle, Flow]) -> tuple[Array, Array]:
-    """Tangents of the recorded states at some steps and at the last one, forwards from a start's."""
+def _pushed(steps: _Steps, index: Array, start: tuple[Bundle, Flow]) -> tuple[Array, Array, Array]:
+    """Tangents of the recorded states at some steps and at the last one, and the drift of that one."""
     moving_dot, y_dot = start
 
-    def step(k: Scalar, carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        saved, here = carry
-        _, ahead = jax.jvp(
-            lambda m, y: steps.advance(m, y, k), (steps.moving, steps.ys[k]), (moving_dot, here)
+    def step(k: Scalar, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        saved, here, drift = carry
+        within = k < steps.count
+        along = (
+            jax.tree.map(lambda dot: jnp.where(within, dot, 0.0), moving_dot),
+            jnp.where(within, here, steps.passing),
+            jnp.where(within, 0.0, 1.0).astype(here.dtype),
         )
-        ahead = jnp.where(k < steps.count, ahead, here)
-        return jnp.where((index == k + 1)[:, None], ahead, saved), ahead
+        here_now = (steps.moving, steps.ys[k], jnp.zeros((), here.dtype))
+        _, ahead = jax.jvp(lambda m, y, shift: steps.advance(m, y, shift, k), here_now, along)
+        drift = jnp.where(k == steps.count, ahead, drift)
+        ahead = jnp.where(within, ahead, here)
+        return jnp.where((index == k + 1)[:, None], ahead, saved), ahead, drift
 
     first = jnp.where((index == 0)[:, None], y_dot, jnp.zeros((index.shape[0], y_dot.shape[0])))
-    return jax.lax.fori_loop(0, eqxi.unvmap_max(steps.count), step, (first, y_dot))
-
-
-def _pulled(steps: _Steps, track: Array) -> tuple[Bundle, Array]:
-    """Cotangents of grasp and start, backwards from those of the recorded states."""
     longest = eqxi.unvmap_max(steps.count)
+    return jax.lax.fori_loop(0, longest + 1, step, (first, y_dot, jnp.zeros_like(y_dot)))
 
-    def step(i: Scalar, carry: tuple[Bundle, Array]) -> tuple[Bundle, Array]:
-        moving_bar, ahead = carry
-        k = longest - 1 - i
-        _, pull = jax.vjp(lambda m, y: steps.advance(m, y, k), steps.moving, steps.ys[k])
-        more, back = pull(ahead)
-        used = k < steps.count
-        keep = lambda total, part: total + jnp.where(used, part, 0.0)  # noqa: E731
-        return jax.tree.map(keep, moving_bar, more), keep(track[k], back)
 
-    zeros = jax.tree.map(jnp.zeros_like, steps.moving)
-    return jax.lax.fori_loop(0, longest, step, (zeros, track[longest]))
+def _pulled(steps: _Steps, track: Array, last_bar: Flow, later_bar: Scalar) -> tuple[Bundle, Flow]:
+    """Cotangents of grasp and start, backwards from those of the recorded states and of the end.
+
+    Two steps of no length come first: for the drift of the margin, and for that of all that is looked at.
+    """
+    longest, end = eqxi.unvmap_max(steps.count), steps.count
+    zero, unit = jnp.zeros((), last_bar.dtype), jnp.arange(last_bar.shape[0]) == steps.margin
+
+    def step(i: Scalar, carry: tuple[Bundle, Flow, Scalar, Scalar]) -> tuple[Bundle, Flow, Scalar, Scalar]:
+        moving_bar, ahead, drift, late = carry
+        k = jnp.where(i < 2, end, longest + 1 - i)
+        _, pull = jax.vjp(lambda m, y, shift: steps.retraced(m, y, shift, k), steps.moving, steps.ys[k], zero)
+        more, back, shift = pull(ahead)
+        along = jnp.sum(back * steps.passing) + shift
+        drift = jnp.where(i == 0, along, drift)
+        late = jnp.where(i == 1, steps.postponed(drift, later_bar + along), late)
+        used, here = (i > 1) & (k < end), jnp.where(i == 1, longest, k)
+        ahead = track[here] + jnp.where(used, back, 0.0)
+        ahead += jnp.where(here == end, last_bar + jnp.where(unit, late, 0.0), 0.0)
+        moving_bar = jax.tree.map(lambda total, part: total + jnp.where(used, part, 0.0), moving_bar, more)
+        return moving_bar, jnp.where(i == 0, last_bar, ahead), drift, late
+
+    start = (jax.tree.map(jnp.zeros_like, steps.moving), unit.astype(last_bar.dtype), zero, zero)
+    return jax.lax.fori_loop(0, longest + 2, step, start)[:2]
 
 
 def linear_map(apply: Callable, transpose: Callable, x: Any, like: Any) -> Any:

@@ -16,8 +16,9 @@ import numpy as np
 from jax.scipy.linalg import lu_factor, lu_solve
 from jaxtyping import Array
 
-from .._algebra import sharing, unstack
+from .._algebra import unstack
 from .._backend import one_kernel
+from .._sharing import sharing
 from ..mechanics import (
     bodies,
     displaced,
@@ -58,14 +59,14 @@ class Problem(eqx.Module):
 
     def linearised(self, step: Array) -> tuple[Array, Array]:
         """The rows and their Jacobian."""
-        with sharing(step[0]):
+        with sharing():
             left, push = jax.linearize(self.rows, step)
             return left, jax.vmap(push, out_axes=-1)(jnp.eye(step.shape[0], dtype=step.dtype))
 
     def lagrangian(self, z: Array) -> Array:
         """What the minimum makes stationary; `z` holds the step and the multipliers of the rows."""
         step, pressure = z[: self.metric.shape[0]], z[self.metric.shape[0] :]
-        with sharing(step[0]):
+        with sharing():
             weight = jnp.sum(self.metric * step[None, :], axis=1)
             return 0.5 * jnp.sum(step * weight) + jnp.sum(pressure * self.rows(step))
 
@@ -189,7 +190,7 @@ def constraint_rows(grasp: Grasp, q: Array, s: Array) -> Array:
 
 def metric_at(grasp: Grasp, guess: State, hold: bool) -> Array:
     """The mass matrix at the guess, scaled to unit mean; free contact coordinates weigh next to nothing."""
-    with sharing(guess.q[0]):
+    with sharing():
         _, inertias = bodies(grasp, to_leaves(guess, grasp.form))
         mass = mass_matrix([inertia.mass for inertia in inertias], grasp.coordinates)
     n = grasp.coordinates

@@ -13,8 +13,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from .._algebra import factorise, sharing
+from .._algebra import factorise
 from .._backend import filled, one_kernel
+from .._sharing import sharing
 from ..mechanics import bodies, Grasp, join, linearise, State, to_leaves, touches
 from ._closed_loop import compatible
 from ._march import linear_map
@@ -159,7 +160,7 @@ def _conditions_pulled(response: _Response, w: Array) -> Any:
 
 def _ending(grasp: Grasp, guess: State, step: Array) -> State:
     """The state after a step, its velocities projected onto $A v = 0$ in the mass metric."""
-    with sharing(step[0]):
+    with sharing():
         q, s = moved(grasp, guess, step)
         leaves = to_leaves(State(q, guess.v, s), grasp.form)
         motions, inertias = bodies(grasp, leaves)

@@ -10,9 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from .._algebra import sharing, total
+from .._algebra import total
 from .._backend import in_turn
 from .._results import concrete, message, RESULTS
+from .._sharing import sharing
 from .._types import Given
 from ..mechanics import check_planar, Grasp, State
 from ._arguments import as_number, check_choices, check_precision, OPTIONS, RECORDS, save_times
@@ -59,7 +60,7 @@ def simulate(
     Args (rarely changed):
         t0: Initial time [s].
         formulation: `Index1()` (default) or `CSM(...)`, the chapter's stabilisation.
-        solver: Any diffrax ODE solver. Default: `diffrax.Dopri8()`.
+        solver: Any diffrax ODE solver. Default: `diffrax.Dopri8()`. For long runs `jaxroll.Rosenbrock()`.
         **options: `events`, what ends a run besides contour ends and singular contacts: any of 'lift'
             (a normal force falls below zero), 'friction' (a contact with a coefficient leaves its friction
             cone), both by default, and 'penetration' (a fingertip overlaps the object elsewhere, on
@@ -229,12 +230,12 @@ def _trajectory(
 
 
 def _forces_at(given: tuple[Grasp, Formulation], t: Array, state: State) -> Multipliers:
-    with sharing(t):
+    with sharing():
         return multipliers_at(given[0], t, state, given[1])
 
 
 def _energies_at(grasp: Grasp, state: State) -> tuple[Array, Array]:
-    with sharing(state.q[0]):
+    with sharing():
         kinetic, potential = energies_at(grasp, state)
     return jnp.asarray(kinetic), jnp.asarray(potential)
 

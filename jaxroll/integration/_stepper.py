@@ -15,21 +15,23 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from .._algebra import once, scalars, sharing, total
+from .._algebra import scalars, total
+from .._sharing import once, shared, sharing
 from .._types import Scalar
 from ..mechanics import Grasp, Instant
 from ._closed_loop import Anchor, anchor_of, compatible, evaluate, power, settle, unknown_anchor
 from ._flow import Bundle, Flow, Layout, pack, unpack
 from ._formulation import Formulation, Index1
 from ._regime import coded, regime, with_clearance
+from ._rosenbrock import advance, in_turn, Rosenbrock, side_by_side
 
 
 class RollingStep(eqx.Module):
     """A step of a diffrax method for the flow vector of a grasp.
 
     Attributes:
-        method: The diffrax method: explicit Runge-Kutta ones are run on their tableau, any
-            other one by its own `step`.
+        method: The diffrax method: explicit Runge-Kutta ones are run on their tableau, Rosenbrock's in
+            one loop too, any other one by its own `step`.
         formulation: Projection or stabilisation.
         lay: Layout of the flow vector.
         events: What ends a run, besides the ends of contours and singular contacts.
@@ -51,20 +53,33 @@ class RollingStep(eqx.Module):
         """One step as a pure map: the new vector and its error estimate."""
         return self.advance_lanes(bundle, (t0, t1), y0, _alone)
 
+    @eqx.filter_jit
+    def retraced(self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow) -> tuple[Flow, Flow]:
+        """The same, to be differentiated backwards.
+
+        A stage is worked out again then: to keep what it leaves costs more, to compile above all.
+        """
+        return self.advance_lanes(bundle, (t0, t1), y0, _retraced)
+
     def advance_lanes(
         self, bundle: Bundle, times: tuple[Array, Array], y0: Array, over: Callable[[Callable], Callable]
     ) -> tuple[Array, Array]:
         """The same for lanes along the last axis; `over` maps a function of one lane's (bundle, ...)."""
-        way = self._explicit if isinstance(self.method, diffrax.AbstractERK) else self._other
-        raw, rates, error, end = way(bundle, *times, y0, over)
+        raw, rates, error, end = self._way(bundle, *times, y0, over)
         y1 = over(self._finish)(bundle, times[1], raw, rates, end)
         unseen = jnp.zeros((self.lay.width + 2, *error.shape[1:]), error.dtype)
         return y1, jnp.concatenate([error, unseen])
 
+    @property
+    def _way(self) -> Callable:
+        if isinstance(self.method, diffrax.AbstractERK):
+            return self._explicit
+        return self._rosenbrock if isinstance(self.method, Rosenbrock) else self._other
+
     def _finish(self, bundle: Bundle, t: Scalar, raw: Array, rates: Array, end: Array) -> Flow:
         """The flow vector at a step's end, back on the constraints."""
         grasp = bundle()
-        with sharing(t):
+        with sharing():
             ending = Ending.unpacked(grasp, end)
             x1 = raw
             if isinstance(self.formulation, Index1):
@@ -80,29 +95,16 @@ class RollingStep(eqx.Module):
             leaves, work = unpack(self.lay, x)
             return once(pack(settle(grasp, leaves, anchor), work))
 
-        leaves, work = unpack(self.lay, jax.lax.fori_loop(0, _SWEEPS, sweep, raw))
+        leaves, work = unpack(self.lay, _repeated(0, _SWEEPS, sweep, raw))
         return pack(compatible(grasp, leaves, anchor.line), work)
-
-    @eqx.filter_jit
-    def drift(self, bundle: Bundle, t: Scalar, y: Flow) -> Flow:
-        """Time derivative of the whole flow vector, margin included: what an event's time needs."""
-        width = self.lay.width
-
-        def ahead(t: Scalar, x: Array) -> Array:
-            grasp, (leaves, _) = bundle(), unpack(self.lay, x)
-            rates, end = self._evaluated(grasp, t, x)
-            tail = with_clearance(grasp, leaves, (end.margin, end.number), self.events)
-            return jnp.concatenate([x, rates, coded(x, *tail)])
-
-        with sharing(t):
-            return jax.jvp(ahead, (t, y[:width]), (jnp.ones_like(t), y[width : 2 * width]))[1]
 
     def _explicit(
         self, bundle: Bundle, t0: Array, t1: Array, y0: Array, over: Callable
     ) -> tuple[Array, Array, Array, Array]:
         """All stages and the step's end in one loop, so that the equations are compiled once."""
         tableau = self.method.tableau  # pyright: ignore[reportAttributeAccessIssue]
-        dt, width = t1 - t0, self.lay.width
+        # Frozen: a step is moved in time as a whole, never stretched.
+        dt, width = jax.lax.stop_gradient(t1 - t0), self.lay.width
         rows, times, weights = _tables(tableau, y0.dtype)
         count = len(times)
         x0, k0 = y0[:width], y0[width : 2 * width]
@@ -110,9 +112,8 @@ class RollingStep(eqx.Module):
         nothing = jnp.zeros((_sizes(bundle), *t0.shape), y0.dtype)
 
         at, put = lambda t, x: over(self._at)(bundle, t, x), jax.lax.dynamic_update_index_in_dim
-        if over is _alone:
-            # Backwards, a stage is worked out again: to keep what it leaves costs more, to compile above all.
-            at, put = jax.checkpoint(at), _selected
+        if over is _alone or over is _retraced:
+            put = _selected
 
         def mix(slopes: Array, row: Sequence[Any]) -> Array:
             # Not a reduction: XLA hands larger ones to a library, and so breaks up the loop.
@@ -125,12 +126,14 @@ class RollingStep(eqx.Module):
             rates, end = at(t0 + times[i] * dt, x)
             return put(slopes, rates, i, 0), x, end
 
-        slopes, raw, end = jax.lax.fori_loop(1, count, stage, (slopes, x0, nothing))
+        # A derivative of all stages side by side would take long to compile.
+        loop = jax.lax.fori_loop if over is _alone or over is _retraced else _repeated
+        slopes, raw, end = loop(1, count, stage, (slopes, x0, nothing))
         return raw, slopes[-1], dt[None] * mix(slopes, weights), end
 
     def _at(self, bundle: Bundle, t: Scalar, x: Array) -> tuple[Array, Array]:
         """Time derivative of x, and what is needed of it if the step ends there, as vectors."""
-        with sharing(t):
+        with sharing():
             rates, end = self._evaluated(bundle(), t, once(x))
             return rates, end.packed(x.dtype)
 
@@ -154,7 +157,7 @@ class RollingStep(eqx.Module):
 
         terms, grasp = diffrax.ODETerm(field), bundle()
         x0 = y0[: self.lay.width]
-        with sharing(t0):
+        with sharing():
             memory = self.method.init(terms, t0, t1, x0, grasp)
             raw, error, _, _, code = self.method.step(terms, t0, t1, x0, grasp, memory, True)
         rates, end = self._at(bundle, t1, raw)
@@ -162,6 +165,14 @@ class RollingStep(eqx.Module):
             error = jnp.zeros_like(raw)
         error = jnp.where(code == diffrax.RESULTS.successful, error, jnp.inf)
         return raw, rates, error, end
+
+    def _rosenbrock(
+        self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow, over: Callable
+    ) -> tuple[Array, Array, Array, Array]:
+        at = lambda t, x: over(self._at)(bundle, t, x)  # noqa: E731
+        sampled = side_by_side if t0.ndim == 0 else in_turn
+        nothing = jnp.zeros((_sizes(bundle), *t0.shape), y0.dtype)
+        return advance(at, (t0, t1), y0[: self.lay.width], nothing, sampled=sampled)
 
 
 class Ending(eqx.Module):
@@ -185,6 +196,31 @@ class Ending(eqx.Module):
         """The way back."""
         form = jax.tree.structure(cls.unknown(grasp))
         return jax.tree.unflatten(form, scalars(numbers))
+
+
+def _repeated(start: int, stop: int, body: Callable, carry: Any) -> Any:
+    """`jax.lax.fori_loop`; unrolled on accelerators, where every turn launches all its kernels anew."""
+    unroll = None if jax.default_backend() == "cpu" else True
+    return jax.lax.fori_loop(start, stop, body, carry, unroll=unroll)
+
+
+def _retraced(function: Callable) -> Callable:
+    """A function that keeps nothing for its cotangents, which share what they use more than once."""
+
+    def mapped(*args: Any) -> Any:
+        moving, still = eqx.partition(args, eqx.is_inexact_array)
+
+        @jax.custom_vjp
+        def call(moving: Any) -> Any:
+            return function(*eqx.combine(moving, still))
+
+        def back(moving: Any, bars: Any) -> tuple[Any]:
+            return (jax.vjp(lambda m: function(*eqx.combine(m, still)), moving)[1](bars)[0],)
+
+        call.defvjp(lambda moving: (call(moving), moving), shared(back))
+        return call(moving)
+
+    return mapped
 
 
 def _alone(function: Callable) -> Callable:

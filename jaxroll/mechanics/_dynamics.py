@@ -10,7 +10,8 @@ from typing import Any
 
 import jax
 
-from .._algebra import factorise, once, solve, total
+from .._algebra import factorise, solve, total
+from .._sharing import once
 from .._types import Scalar, Scalars
 from ..contact import Motion, Rows
 from ._body import Inertia

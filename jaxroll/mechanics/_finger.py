@@ -7,8 +7,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._algebra import once, Pose2, sincos, total, Twist2, unstack, Vec2
+from .._algebra import Pose2, sincos, total, Twist2, unstack, Vec2
 from .._results import as_floats, check_positive
+from .._sharing import once
 from .._types import Given, Scalar, Scalars
 from ..contact import Motion
 from ..geometry import AbstractContour

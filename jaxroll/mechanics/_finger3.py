@@ -8,8 +8,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._algebra import once, sincos, total, unstack
+from .._algebra import sincos, total, unstack
 from .._results import as_floats, check_finite, check_positive, concrete
+from .._sharing import once
 from .._spatial import normalised, outer as product, pose, Pose3, square, Sym3, Twist3, Vec3
 from .._types import Given, Scalar, Scalars
 from ..contact import Motion

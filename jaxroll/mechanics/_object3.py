@@ -6,8 +6,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._algebra import once, unstack
+from .._algebra import unstack
 from .._results import as_floats, check_positive, concrete
+from .._sharing import once
 from .._spatial import normalised, pose, Pose3, quaternion_product, Sym3, Twist3, Vec3
 from .._types import Given, Scalar, Scalars
 from ..contact import Motion

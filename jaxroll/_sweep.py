@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ._backend import WIDE
 from .integration import simulate
 
 _CHUNK = 2048
@@ -83,7 +84,7 @@ class _Job(eqx.Module):
     keep: Callable | None
     options: dict[str, Any]
 
-    @eqx.filter_jit
+    @eqx.filter_jit(compiler_options=WIDE)
     def __call__(self, rows: Any, t1: Any) -> Any:
         def one(row: Any) -> Any:
             grasp, state = self.make(row)

@@ -22,6 +22,13 @@ from ._plan import Path, path_of, Plan
 # its vector unit is to be full: measured flat from 64 to 256. An accelerator wants all it can get.
 _CPU_SLOTS = 64
 _DEVICE_SLOTS = 65536
+_VECTOR = 8
+
+
+def _slots(size: int, most: int) -> int:
+    """How many slots for so many runs: as few as take them in as many rounds, in whole vectors."""
+    rounds = -(-size // most)
+    return min(size, -(-size // (rounds * _VECTOR)) * _VECTOR)
 
 
 class Slots(NamedTuple):
@@ -66,7 +73,7 @@ class Ensemble:
         self.queue = [x for x, b in zip(leaves, self.marks, strict=True) if b]
         self.shared = [x for x, b in zip(leaves, self.marks, strict=True) if not b]
         self.on_cpu = jax.default_backend() == "cpu"
-        self.slots = min(size, _CPU_SLOTS if self.on_cpu else _DEVICE_SLOTS)
+        self.slots = _slots(size, _CPU_SLOTS if self.on_cpu else _DEVICE_SLOTS)
 
     def problem(self, task: list[Array]) -> tuple[Bundle, Array, Plan]:
         """Grasp, start and plan of one run."""

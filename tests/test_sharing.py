@@ -1,0 +1,78 @@
+"""Numbers that several others use: worked out once, and the same."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxroll._sharing import once, shared, sharing
+
+
+@jax.jit
+def wave(x):
+    return jnp.sin(x) * x
+
+
+@jax.custom_jvp
+def cube(x):
+    return x**3
+
+
+cube.defjvp(lambda primals, tangents: (cube(*primals), 3.0 * primals[0] ** 2 * tangents[0]))
+
+
+def chain(given, unused):
+    """Calls, a custom derivative, an array and a whole number among the numbers."""
+    x, many, k = given["x"], given["many"], given["k"]
+    y = wave(x) + cube(x)
+    z = jnp.exp(y) * y + jax.lax.fori_loop(0, 3, lambda i, a: 0.5 * a + y, x)
+    return {"z": z * z, "many": many * z, "k": k + 1}
+
+
+@pytest.fixture
+def given():
+    return {"x": jnp.asarray(0.3), "many": jnp.arange(3.0), "k": jnp.asarray(2)}
+
+
+def test_the_same_comes_out(given):
+    plain, other = chain(given, 1.0), shared(chain)(given, 1.0)
+    assert jax.tree.structure(plain) == jax.tree.structure(other)
+    for a, b in zip(jax.tree.leaves(plain), jax.tree.leaves(other), strict=True):
+        assert a.dtype == b.dtype
+        np.testing.assert_allclose(a, b, rtol=1e-15)
+    assert other["k"] == 3
+
+
+@pytest.mark.parametrize("value", [0.0, -0.0, 1e-310, -jnp.inf, jnp.inf])
+def test_a_number_passes_unchanged(value):
+    with sharing():
+        passed = jax.jit(once)(jnp.asarray(value))
+    np.testing.assert_array_equal(np.asarray(passed).tobytes(), np.float64(value).tobytes())
+
+
+def test_nan_stays_nan():
+    with sharing():
+        assert np.isnan(jax.jit(once)(jnp.nan))
+
+
+def divisions(function, *args):
+    return jax.jit(function).lower(*args).as_text().count("stablehlo.divide")
+
+
+def test_numbers_used_again_get_a_barrier():
+    """Of two sines one is used twice."""
+    both = lambda x: (jnp.sin(x) ** 2 + jnp.sin(x), jnp.sin(2.0 * x))  # noqa: E731
+
+    def reused(x):
+        y = jnp.sin(x)
+        return y * y + jnp.cos(y), jnp.sin(2.0 * x)
+
+    assert divisions(both, 0.3) == 0
+    assert divisions(shared(reused), 0.3) == 1
+
+
+def test_no_barriers_on_an_accelerator(monkeypatch):
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    with sharing():
+        assert divisions(lambda x: once(jnp.sin(x)), 0.3) == 0
+    assert divisions(shared(lambda x: (jnp.sin(x), jnp.sin(x) ** 2)), 0.3) == 0

@@ -5,10 +5,11 @@ angles), the errata applied, with state $x = [\theta, q_1, q_2, \dot\theta, \dot
 Angles and rates are those of jaxroll; the chapter's $s$ is jaxroll's $s_0 - \sigma$.
 """
 
-from math import asinh, cos, sin, sqrt
+from math import cos, log, sin, sqrt
 
 import numpy as np
-from numba import njit
+
+from benchmarks._scalars_numba import compiled, inlined, sincos
 
 # Tables 1 and 2; uniform slender rods.
 L1 = L2 = 0.065
@@ -23,13 +24,14 @@ X_OBJECT, X_TIP = -0.03, 0.035
 PIVOT_X, PIVOT_Y = 0.03, -0.105
 S_START = 0.003
 NEAR_START = (-0.5, 1.9, -0.7)
+# Of the state: all of it, its coordinates, and what error control looks at.
+SIZE, COORDINATES, CONTROLLED = 7, 3, 6
+# Peers control s [m] a hundred times tighter than angles [rad]: the curvatures add to 140 1/m.
+SCALES = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.01])
 
 _G_11 = M1 * L1**2 / 3.0 + M2 * L1**2 + M2 * L2**2 / 3.0
 _G_22 = M2 * L2**2 / 3.0
 _G_COS = M2 * L1 * L2 / 2.0
-
-inlined = njit(inline="always", error_model="numpy")
-compiled = njit(error_model="numpy")
 
 
 @inlined
@@ -39,8 +41,8 @@ def _lengths(s):
     root, root0 = sqrt(A_OBJECT**2 + u * u), sqrt(A_TIP**2 + s * s)
     sin1, cos1 = u / root, A_OBJECT / root
     sin0, cos0 = -s / root0, A_TIP / root0
-    x, y = X_OBJECT + root, A_OBJECT * asinh(u / A_OBJECT)
-    x0, y0 = X_TIP - root0, A_TIP * asinh(s / A_TIP)
+    x, y = X_OBJECT + root, A_OBJECT * log((u + root) / A_OBJECT)
+    x0, y0 = X_TIP - root0, A_TIP * log((s + root0) / A_TIP)
     l_b0, l_n0 = x0 * sin0 + y0 * cos0, x0 * cos0 - y0 * sin0
     l_b1, l_n1 = -x * sin1 - y * cos1, -x * cos1 + y * sin1
     kappa0, kappa1 = A_TIP / (root0 * root0), A_OBJECT / (root * root)
@@ -51,10 +53,12 @@ def _lengths(s):
 def _rows(theta, q1, q2, s):
     """Tip vector r01 - r, link ends, contact frame and the coefficients of (73)-(74)."""
     l_b0, l_n0, l_b1, l_n1, kappa0, kappa1, sin1, cos1 = _lengths(s)
-    sin_t, cos_t = sin(theta), cos(theta)
+    sin_t, cos_t = sincos(theta)
     b_x, b_y = sin_t * cos1 + cos_t * sin1, cos_t * cos1 - sin_t * sin1
-    ax, ay = L1 * cos(q1), -L1 * sin(q1)
-    bx, by = L2 * cos(q1 + q2), -L2 * sin(q1 + q2)
+    sin_1, cos_1 = sincos(q1)
+    sin_2, cos_2 = sincos(q1 + q2)
+    ax, ay = L1 * cos_1, -L1 * sin_1
+    bx, by = L2 * cos_2, -L2 * sin_2
     # Columns of J01 are the link ends turned by -90 degrees; n1 is (b_y, -b_x).
     n_far, b_far = by * b_y + bx * b_x, by * b_x - bx * b_y
     n_all, b_all = n_far + ay * b_y + ax * b_x, b_far + ay * b_x - ax * b_y
@@ -66,7 +70,7 @@ def _rows(theta, q1, q2, s):
 @inlined
 def _loads(q2, v1, v2, link1, link2):
     """Torques of (75) less the velocity terms of (74), and the entries of G(q)."""
-    cos2, sin2 = cos(q2), sin(q2)
+    sin2, cos2 = sincos(q2)
     rx, ry = link1[0] + link2[0] - PIVOT_X, link1[1] + link2[1] - PIVOT_Y
     pull_far = link2[1] * rx - link2[0] * ry
     pull_all = pull_far + link1[1] * rx - link1[0] * ry

@@ -1,6 +1,7 @@
-"""The accuracy table of README.md: each row measured, printed beside what was asked of it.
+"""The accuracy table of the main README: each row measured, beside what was asked of it (about a minute).
 
-Run from the repository root: `python -m benchmarks.accuracy` (about a minute; needs the `test` extra).
+`python -m benchmarks.accuracy --write` rewrites its section of README.md; `--quick` leaves out the observed
+orders. Needs the `test` extra.
 """
 
 import time
@@ -15,6 +16,7 @@ import numpy as np  # noqa: E402
 from scipy.integrate import solve_ivp  # noqa: E402
 
 import jaxroll as jxr  # noqa: E402
+from benchmarks._common import checked, command  # noqa: E402
 from tests.helpers import Chapter, observed_order  # noqa: E402
 
 ELBOW = 1
@@ -62,15 +64,8 @@ def order(grasp, state, solver, t1, ladder):
     return -observed_order(np.array(ladder), errors)
 
 
-def show(table):
-    """Print rows of what, asked and measured as Markdown."""
-    print("| what | asked | measured |\n|---|---|---|")
-    for row in table:
-        print("| " + " | ".join(row) + " |")
-
-
-def main():
-    """Measure and print."""
+def report(quick: bool = False) -> str:
+    """Measure all rows."""
     grasp, state = jxr.scenes.pivoted()
     start = time.perf_counter()
     run = jax.block_until_ready(jxr.simulate(grasp, state, 3.0))
@@ -89,16 +84,25 @@ def main():
         ("energy identity, undamped, 100 s, rtol 1e-9", "<= 1e-6", f"{imbalance(long):.1e}"),
         ("angles against minimal coordinates, default", "", f"{at_default:.1e} rad"),
         ("angles against minimal coordinates, rtol 1e-11", "<= 1e-9 rad", f"{at_tight:.1e} rad"),
-        ("observed order, Tsit5 with projection", "5 +- 0.3",
-         f"{order(grasp, state, diffrax.Tsit5(), 0.2, (64, 96, 128, 160)):.2f}"),
-        ("observed order, Dopri8 with projection", "8 +- 0.5",
-         f"{order(grasp, state, diffrax.Dopri8(), 0.3, (24, 28, 32, 40)):.2f}"),
         ("csm against index1, rtol 1e-9, angles", "integration error",
          f"{peak(csm.states.q - projected.states.q):.1e} rad, gap {gap:.0e} m"),
         ("first call of simulate, compilation included", "<= 3 s", f"{first:.1f} s"),
     ]  # fmt: skip
-    show(table)
+    if not quick:
+        table += orders(grasp, state)
+    about = f"Runs stay within {rows_of(long):.1e} m and rad of the contact over 100 s;"
+    return checked(table, "jax", "diffrax", "scipy", about=about)
+
+
+def orders(grasp, state):
+    """Rows of the observed orders."""
+    low = order(grasp, state, diffrax.Tsit5(), 0.2, (64, 96, 128, 160))
+    high = order(grasp, state, diffrax.Dopri8(), 0.3, (24, 28, 32, 40))
+    return [
+        ("observed order, Tsit5 with projection", "5 +- 0.3", f"{low:.2f}"),
+        ("observed order, Dopri8 with projection", "8 +- 0.5", f"{high:.2f}"),
+    ]
 
 
 if __name__ == "__main__":
-    main()
+    command("accuracy", report)

@@ -1,6 +1,7 @@
-"""Contours from points: each row measured, printed beside what was asked of it.
+"""Contours from points: each row measured, beside what was asked of it (about three minutes).
 
-Run from the repository root: `python -m benchmarks.contours` (about three minutes; needs the `test` extra).
+`python -m benchmarks.contours --write` rewrites its section of README.md; `--quick` leaves out run times.
+Needs the `test` extra.
 """
 
 import sys
@@ -14,6 +15,7 @@ jax.config.update("jax_enable_x64", True)
 import numpy as np  # noqa: E402
 
 import jaxroll as jxr  # noqa: E402
+from benchmarks._common import checked, command  # noqa: E402
 from jaxroll.geometry import smoothing_for  # noqa: E402
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
@@ -97,13 +99,12 @@ def _body(contour):
     return jxr.FreeObject(contour, 0.02, 0.25 * 0.02 * (0.015**2 + 0.02**2))
 
 
-def main():
-    """Print the table as it goes."""
-    print("| what | asked | measured |\n|---|---|---|")
-    for part in (accuracy, noise, chapter, roller, run_time):
-        for row in part():
-            print("| " + " | ".join(row) + " |", flush=True)
+def report(quick: bool = False) -> str:
+    """Measure all rows."""
+    parts = (accuracy, noise, chapter, roller) if quick else (accuracy, noise, chapter, roller, run_time)
+    rows = [row for part in parts for row in part()]
+    return checked(rows, "jax", "diffrax", about="Contours through points behave like closed forms;")
 
 
 if __name__ == "__main__":
-    main()
+    command("contours", report)

@@ -1,7 +1,7 @@
-"""The table of fingertip design: each row measured, printed beside what was asked of it.
+"""Fingertip design: each row measured, beside what was asked of it (about five minutes).
 
-Run from the repository root: `python -m benchmarks.design` (about five minutes; needs the `test` extra).
-`python -m benchmarks.design --write` puts the table into `benchmarks/README.md`.
+`python -m benchmarks.design --write` rewrites its section of README.md; `--quick` leaves out gradients and
+robust searches. Needs the `test` extra.
 """
 
 import logging
@@ -20,8 +20,7 @@ from scipy.optimize import brentq
 from scipy.special import ellipe
 
 import jaxroll as jxr
-from benchmarks._common import device, versions, write_section
-from benchmarks.accuracy import show
+from benchmarks._common import checked, command
 from jaxroll.design import ClosedLoop, Firmness, Limits, optimise_fingertip, value_and_grad
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
@@ -59,7 +58,7 @@ def infeasible():
     return design.result == jxr.RESULTS.infeasible, float(design.violation[0])
 
 
-def command():
+def command_line():
     """Seconds of `jaxroll design` once its programs are compiled: the second of two processes."""
     with tempfile.TemporaryDirectory() as folder:
         env = os.environ | {"JAXROLL_CACHE": f"{folder}/cache"}
@@ -142,31 +141,38 @@ LIGHT = {"settling_time": 1.0, "tracking_error": 1.0}
 FULL = LIGHT | {"peak_force": 0.2, "friction_demand": 0.5}
 
 
-def main():
+def searches():
+    """Rows of searches on the shape alone, and of the command."""
     holds, steps, margin, warm = seeds()
     code, passed = infeasible()
-    whole, inside = command()
-    again, spent, figures = robust()
-    stiff = figures["least stiffness [N m/rad]"]
-    rows = [
-        (
-            "violating starts, 20 seeds, that reach a positive margin",
-            "20 in <= 200 steps",
-            f"{holds} in {steps}",
-        ),
+    whole, inside = command_line()
+    start = "violating starts, 20 seeds, that reach a positive margin"
+    return [
+        (start, "20 in <= 200 steps", f"{holds} in {steps}"),
         ("their least margin; a second search", "", f"{margin:.1f} mm; {warm:.2g} s"),
         (
-            "default `jaxroll design` after compilation",
+            "default `jaxroll design` compiled before",
             "<= 10 s",
             f"{inside:.1f} s ({whole:.1f} s with Python)",
         ),
         ("two-parameter ellipse against its closed form", "<= 1e-6", f"{ellipse():.1e}"),
-        ("64 objects: programs compiled after the first steps; 80 steps", "none", f"{again}; {spent:.2g} s"),
-        ("their least stiffness", "", f"{stiff[0]:.4f} to {stiff[1]:.4f} N m/rad"),
         ("limits that exclude (41)", "a code, the best point", f"infeasible: {code}, passed by {passed:.0%}"),
     ]
-    x = jnp.array([0.012, 0.02])
-    pinching = lambda tip: pinched(tip)  # noqa: E731
+
+
+def robust_rows():
+    """Rows of a search over 64 objects."""
+    again, spent, figures = robust()
+    stiff = figures["least stiffness [N m/rad]"]
+    return [
+        ("64 objects: programs compiled after the first steps; 80 steps", "none", f"{again}; {spent:.2g} s"),
+        ("their least stiffness", "", f"{stiff[0]:.4f} to {stiff[1]:.4f} N m/rad"),
+    ]
+
+
+def gradient_rows():
+    """Rows of gradients through runs, in both modes."""
+    pinching, x, rows = lambda tip: pinched(tip), jnp.array([0.012, 0.02]), []
     for name, make, objective in (
         ("Part 2, settling", reaching, LIGHT),
         ("Part 2, settling and forces", reaching, FULL),
@@ -177,12 +183,15 @@ def main():
             told = f"{error:.1e}; {times:.1f} x {1e3 * primal:.2g} ms; {cost}"
             asked = "<= 1e-6; <= 5 x; <= 8 s"
             rows.append((f"{name}, {mode}: error; run; value and gradient compiled", asked, told))
-    show(rows)
-    if "--write" in sys.argv:
-        lines = ["| what | asked | measured |", "|---|---|---|", *(f"| {' | '.join(row)} |" for row in rows)]
-        note = f"{device()}; {versions('jax', 'diffrax', 'optax')}."
-        write_section("design", "\n".join([*lines, "", note]))
+    return rows
+
+
+def report(quick: bool = False) -> str:
+    """Measure all rows."""
+    rows = searches() if quick else [*searches(), *robust_rows(), *gradient_rows()]
+    about = "Searches end at closed-form optima and gradients are those of differences;"
+    return checked(rows, "jax", "diffrax", "optax", about=about)
 
 
 if __name__ == "__main__":
-    main()
+    command("design", report)

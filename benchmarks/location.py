@@ -1,12 +1,11 @@
-"""Location of contacts: pairs per second, and gaps against 10^4-vertex polygons by brute force.
+"""Location of contacts: pairs per second, and gaps against polygons by brute force (about two minutes).
 
-Run from the repository root: `python -m benchmarks.location` (about two minutes; needs the `test` extra);
-`--full` compares 10^5 pairs instead of 10^3 (a quarter of an hour and more). Contours are prepared before the
-clock starts; batches are handed out by as many threads as there are cores. "spline" is the polar shape by 96
-of its points: what a run reads of any field.
+`python -m benchmarks.location --write` rewrites its section of README.md; `--quick` takes two kinds of pairs,
+`--full` compares 10^5 pairs instead of 10^3 (a quarter of an hour and more). Polygons have 10^4 vertices.
+Contours are prepared before the clock starts; batches are handed out by as many threads as there are cores.
+"spline" is the polar shape by 96 of its points: what a run reads of any field. Needs the `test` extra.
 """
 
-import argparse
 import os
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -19,7 +18,7 @@ import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 
 import jaxroll as jxr  # noqa: E402
-from benchmarks._common import device, table, versions  # noqa: E402
+from benchmarks._common import command, device, table, versions  # noqa: E402
 from jaxroll.contact import locate  # noqa: E402
 from tests.shapes import (  # noqa: E402
     brute_gap,
@@ -88,33 +87,30 @@ def accuracy(kinds: tuple[str, str], count: int) -> tuple[int, int, float, float
     return missed, refused, worst, residual
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--full", action="store_true", help="compare 10^5 pairs")
-    parser.add_argument("--pairs", type=int, help="compare so many pairs")
-    options = parser.parse_args()
-    count = (options.pairs or (100_000 if options.full else 1_000)) // len(KINDS)
-    for kinds in (*KINDS, ("spline", "spline")):
-        wall, core = throughput(kinds)
-        print(f"{' and '.join(kinds)}: {wall:.0f} pairs/s, {core:.0f} per core", flush=True)
-    lines = []
-    for kinds in KINDS:
-        missed, refused, worst, residual = accuracy(kinds, count)
-        lines.append(
-            [" and ".join(kinds), str(count), str(missed), str(refused)] + [f"{worst:.1e}", f"{residual:.1e}"]
-        )
+def report(quick: bool = False, *, full: bool = False) -> str:
+    """Both tables, and what they say."""
+    chosen = KINDS[:2] if quick else KINDS
+    count = (100_000 if full else 1_000) // len(KINDS)
+    rates, lines, found = [], [], []
+    for kinds in chosen if quick else (*chosen, ("spline", "spline")):
+        rates.append(throughput(kinds))
+        lines.append([" and ".join(kinds), *(f"{x:.0f}" for x in rates[-1])])
         print(lines[-1], flush=True)
-    heads = [
-        "shapes",
-        "compared",
-        "missed",
-        "refused",
-        "worst gap [m]",
-        "residual [m]",
+    for kinds in chosen:
+        found.append(accuracy(kinds, count))
+        print(kinds, found[-1], flush=True)
+    compared = [
+        [" and ".join(kinds), str(count), str(missed), str(refused), f"{worst:.1e}", f"{residual:.1e}"]
+        for kinds, (missed, refused, worst, residual) in zip(chosen, found, strict=True)
     ]
-    print(table(heads, lines))
-    print(device(), versions("jax", "jaxlib"), sep="\n")
+    said = (
+        f"**Conclusion.** {sum(f[0] for f in found)} of {count * len(chosen)} pairs are missed (by more than "
+        f"{POLYGON:.0e} m), at {min(core for _, core in rates):.0f} pairs a second and core or more."
+    )
+    speed = table(["shapes", "pairs/s, all cores", "pairs/s of processor time"], lines)
+    heads = ["shapes", "compared", "missed", "refused", "worst gap error [m]", "residual [m]"]
+    return "\n\n".join([said, speed, table(heads, compared), f"{device()}; {versions('jax', 'jaxlib')}."])
 
 
 if __name__ == "__main__":
-    main()
+    command("location", report, full="compare 10^5 pairs")

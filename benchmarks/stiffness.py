@@ -1,13 +1,12 @@
-"""Long runs of Part 1's pinch, whose fast rates (-700 1/s) outlive their use: which solver, at which error?
+"""Solvers for long runs of Part 1's pinch, whose fast rates (-700 1/s) die out early (about five minutes).
 
-Run from the repository root: `python -m benchmarks.stiffness [--write] [--quick]` (`--quick`: 20 s only, and
-without diffrax's implicit methods, which take minutes to compile). Errors are those of angles and positions
+`python -m benchmarks.stiffness --write` rewrites its section of README.md; `--quick`: 20 s only, and without
+diffrax's implicit methods, which take minutes to compile. Errors are those of angles and positions
 at ten saved times against `Dopri8` at 1e-12; times are processor time, medians of interleaved warm runs,
 which other work on the machine moves less than the clock's.
 """
 
 import dataclasses
-import sys
 import time
 
 import diffrax
@@ -15,7 +14,7 @@ import jax
 import numpy as np
 
 import jaxroll as jxr
-from benchmarks._common import device, interleaved, ms, size, table, versions, write_section
+from benchmarks._common import command, device, interleaved, ms, size, table, versions
 from benchmarks._stiff_solvers import RKC
 
 jax.config.update("jax_enable_x64", True)
@@ -149,26 +148,18 @@ def verdict(points, span) -> str:
 def report(quick: bool = False) -> str:
     """The tables and what they say, as Markdown."""
     solvers = {**EXPLICIT, **STABILISED, **OURS, **({} if quick else IMPLICIT)}
-    parts = []
+    said, parts = [], []
     for span in (20.0,) if quick else (20.0, 10.0, 100.0):
         contenders = solvers if span == 20.0 else {**EXPLICIT, **OURS}
         points = Race(span).best(contenders)
-        rows = [point.row() for point in points]
-        parts += [f"{span:g} s:", table(HEADER, rows), verdict(points, span)]
+        said.append(verdict(points, span))
+        parts += [f"{span:g} s:", table(HEADER, [point.row() for point in points])]
     names = list(OURS) + ["Dopri8 (default)", "Bosh3"]
     costs = ", ".join(f"{name} {compiling(solvers[name]):.1f} s" for name in names)
     parts.append(f"First call less a warm one, processor time: {costs}.")
     parts.append(f"{device()}; {versions('jax', 'diffrax')}.")
-    return "\n\n".join(parts)
-
-
-def main() -> None:
-    """Print the report, and write it where asked."""
-    text = report("--quick" in sys.argv)
-    print(text)
-    if "--write" in sys.argv:
-        write_section("stiffness", text)
+    return "\n\n".join(["**Conclusion.**", *said, *parts])
 
 
 if __name__ == "__main__":
-    main()
+    command("stiffness", report)

@@ -111,7 +111,7 @@ def contenders(case: Case) -> Iterator[tuple[str, tuple[float, ...], Lanes, int]
     few = dataclasses.replace(case, lanes=case.lanes // 16)
     yield "Numba, RK4, equal steps", steps, numba_lanes(few, equal), few.lanes
     if case.peer is _pivoted_numba:
-        yield "plain diffrax, Tsit5", TOLERANCES, plain_lanes(few, diffrax.Tsit5()), few.lanes
+        yield "plain diffrax, Tsit5", TOLERANCES, plain_lanes(case, diffrax.Tsit5()), case.lanes
 
 
 def loosest(case: Case) -> Iterator[Entry]:

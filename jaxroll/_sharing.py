@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.extend.core as jec
 import jax.numpy as jnp
@@ -67,6 +68,28 @@ def shared(function: Callable) -> Callable:
         return jax.tree.unflatten(jax.tree.structure(shapes), _run(jaxpr, closed.consts, wanted))
 
     return wrapped
+
+
+def alone(function: Callable) -> Callable:
+    """The function itself."""
+    return function
+
+
+def pulled(function: Callable) -> Callable:
+    """A function whose cotangents share what they use more than once.
+
+    It is worked out again for them: to keep what it leaves costs more, to compile above all.
+    """
+
+    def mapped(*args: Any) -> Any:
+        moving, still = eqx.partition(args, eqx.is_inexact_array)
+        plain = lambda moving: function(*eqx.combine(moving, still))  # noqa: E731
+        call = jax.custom_vjp(plain)
+        back = lambda moving, bars: jax.vjp(plain, moving)[1](bars)  # noqa: E731
+        call.defvjp(lambda moving: (call(moving), moving), shared(back))
+        return call(moving)
+
+    return mapped
 
 
 def _run(jaxpr: jec.Jaxpr, consts: Sequence[Any], args: Sequence[Any]) -> list[Any]:

@@ -84,7 +84,7 @@ class _Job(eqx.Module):
     keep: Callable | None
     options: dict[str, Any]
 
-    @eqx.filter_jit(compiler_options=WIDE)
+    @eqx.filter_jit(compiler_options=WIDE)  # pyright: ignore[reportCallIssue]
     def __call__(self, rows: Any, t1: Any) -> Any:
         def one(row: Any) -> Any:
             grasp, state = self.make(row)

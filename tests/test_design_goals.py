@@ -129,7 +129,8 @@ def test_forward_and_reverse_are_chosen_by_size():
             np.testing.assert_allclose(slope["a"], 3.0 * x["a"] ** 2)
             np.testing.assert_allclose(value, jnp.sum(x["a"] ** 3))
     text = lambda mode, n: str(jax.make_jaxpr(value_and_grad(jnp.prod, mode))(jnp.ones(n)))  # noqa: E731
-    assert text("auto", 2) == text("forward", 2) != text("reverse", 2)
+    assert text("auto", 1) == text("forward", 1) != text("reverse", 1)
+    assert text("auto", 2) == text("reverse", 2) != text("forward", 2)
     assert text("auto", 9) == text("reverse", 9) != text("forward", 9)
     _, aux = value_and_grad(lambda x: (jnp.sum(x), "more"), "reverse", has_aux=True)(jnp.ones(3))[0]
     assert aux == "more"

@@ -11,21 +11,21 @@ from jaxtyping import Array
 
 Mode = Literal["auto", "forward", "reverse"]
 # Up to so many numbers forward mode costs less (see `value_and_grad`).
-FEW = 4
+FEW = 1
 
 
 def value_and_grad(function: Callable[[Any], Any], mode: Mode = "auto", *, has_aux: bool = False) -> Callable:
     r"""Value and gradient of a scalar function of one pytree of floats, forwards or backwards.
 
     Reverse mode records the steps of a run and goes back over them once, whatever the number of parameters;
-    forward mode sends one tangent per parameter along with it. "auto" is forward mode up to four numbers.
+    forward mode sends one tangent per parameter along with it. "auto" is forward mode for one number.
     Both are the derivative of the same discrete run, to rounding, and in both `close` is differentiated
     implicitly, not through its iterations. Backwards, the stages of a step are worked out again; to keep what
     they leave costs more, to compile above all.
 
-    Measured on two cores, over the run itself: Part 2 forward 4.9 times and back 4.7 with four numbers, 7.5
-    and 4.2 with six; Part 1 forward 6.7 times and back 7.7 with four. Many cases are best differentiated in
-    turn (`jax.lax.map`, as `ClosedLoop` does): side by side a run's derivative takes six times as long.
+    Measured on two cores, over the run itself: Part 2 forward 3.6 times and back 3.2 with four numbers, Part 1
+    5.5 and 5.1; back compiles in two thirds of the time, or half. Many cases are best differentiated in turn
+    (`jax.lax.map`, as `ClosedLoop` does): side by side a run's derivative takes six times as long.
 
     Args:
         function: From a pytree of floating-point arrays to a scalar; with `has_aux`, to a pair.

@@ -19,6 +19,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
 from .._backend import filled, one_kernel
+from .._sharing import alone, pulled
 from .._types import Scalar
 from ._ensemble import Ensemble
 from ._flow import Bundle, Flow
@@ -88,17 +89,15 @@ class _Steps(eqx.Module):
     count: Int[Array, ""]
     still: Bundle
 
-    def advance(self, moving: Bundle, y: Flow, shift: Scalar, k: Scalar) -> Flow:
-        """Step k, `shift` later; the one after the last has no length."""
-        return self.plan.stepper.advance(*self._given(moving, shift, k), y)[0]
+    def step(self, k: Scalar, over: Callable) -> Callable[[Bundle, Flow, Scalar], Flow]:
+        """Step k of (moving, y, shift), so much later; the one after the last has no length."""
+        t0, t1 = self.ts[k], jnp.where(k < self.count, self.ts[k + 1], self.ts[k])
 
-    def retraced(self, moving: Bundle, y: Flow, shift: Scalar, k: Scalar) -> Flow:
-        """The same, to be differentiated backwards."""
-        return self.plan.stepper.retraced(*self._given(moving, shift, k), y)[0]
+        def advance(moving: Bundle, y: Flow, shift: Scalar) -> Flow:
+            grasp = eqx.combine(moving, self.still)
+            return self.plan.stepper.advance(grasp, t0 + shift, t1 + shift, y, over=over)[0]
 
-    def _given(self, moving: Bundle, shift: Scalar, k: Scalar) -> tuple[Bundle, Scalar, Scalar]:
-        t1 = jnp.where(k < self.count, self.ts[k + 1], self.ts[k])
-        return eqx.combine(moving, self.still), self.ts[k] + shift, t1 + shift
+        return advance
 
     @property
     def passing(self) -> Flow:
@@ -152,7 +151,7 @@ def _pushed(steps: _Steps, index: Array, start: tuple[Bundle, Flow]) -> tuple[Ar
             jnp.where(within, 0.0, 1.0).astype(here.dtype),
         )
         here_now = (steps.moving, steps.ys[k], jnp.zeros((), here.dtype))
-        _, ahead = jax.jvp(lambda m, y, shift: steps.advance(m, y, shift, k), here_now, along)
+        _, ahead = jax.jvp(steps.step(k, alone), here_now, along)
         drift = jnp.where(k == steps.count, ahead, drift)
         ahead = jnp.where(within, ahead, here)
         return jnp.where((index == k + 1)[:, None], ahead, saved), ahead, drift
@@ -173,7 +172,7 @@ def _pulled(steps: _Steps, track: Array, last_bar: Flow, later_bar: Scalar) -> t
     def step(i: Scalar, carry: tuple[Bundle, Flow, Scalar, Scalar]) -> tuple[Bundle, Flow, Scalar, Scalar]:
         moving_bar, ahead, drift, late = carry
         k = jnp.where(i < 2, end, longest + 1 - i)
-        _, pull = jax.vjp(lambda m, y, shift: steps.retraced(m, y, shift, k), steps.moving, steps.ys[k], zero)
+        _, pull = jax.vjp(steps.step(k, pulled), steps.moving, steps.ys[k], zero)
         more, back, shift = pull(ahead)
         along = jnp.sum(back * steps.passing) + shift
         drift = jnp.where(i == 0, along, drift)

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array
 
 from .._algebra import scalars, total
-from .._sharing import once, shared, sharing
+from .._sharing import alone, once, sharing
 from .._types import Scalar
 from ..mechanics import Grasp, Instant
 from ._closed_loop import Anchor, anchor_of, compatible, evaluate, power, settle, unknown_anchor
@@ -49,17 +49,14 @@ class RollingStep(eqx.Module):
         return self.method.error_order(None)  # pyright: ignore[reportArgumentType]
 
     @eqx.filter_jit  # traced once for a run and its derivative
-    def advance(self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow) -> tuple[Flow, Flow]:
-        """One step as a pure map: the new vector and its error estimate."""
-        return self.advance_lanes(bundle, (t0, t1), y0, _alone)
+    def advance(
+        self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow, *, over: Callable = alone
+    ) -> tuple[Flow, Flow]:
+        """One step as a pure map: the new vector and its error estimate.
 
-    @eqx.filter_jit
-    def retraced(self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow) -> tuple[Flow, Flow]:
-        """The same, to be differentiated backwards.
-
-        A stage is worked out again then: to keep what it leaves costs more, to compile above all.
+        `over` is `pulled` where the step is to be differentiated backwards.
         """
-        return self.advance_lanes(bundle, (t0, t1), y0, _retraced)
+        return self.advance_lanes(bundle, (t0, t1), y0, over)
 
     def advance_lanes(
         self, bundle: Bundle, times: tuple[Array, Array], y0: Array, over: Callable[[Callable], Callable]
@@ -112,7 +109,7 @@ class RollingStep(eqx.Module):
         nothing = jnp.zeros((_sizes(bundle), *t0.shape), y0.dtype)
 
         at, put = lambda t, x: over(self._at)(bundle, t, x), jax.lax.dynamic_update_index_in_dim
-        if over is _alone or over is _retraced:
+        if t0.ndim == 0:
             put = _selected
 
         def mix(slopes: Array, row: Sequence[Any]) -> Array:
@@ -127,7 +124,7 @@ class RollingStep(eqx.Module):
             return put(slopes, rates, i, 0), x, end
 
         # A derivative of all stages side by side would take long to compile.
-        loop = jax.lax.fori_loop if over is _alone or over is _retraced else _repeated
+        loop = jax.lax.fori_loop if t0.ndim == 0 else _repeated
         slopes, raw, end = loop(1, count, stage, (slopes, x0, nothing))
         return raw, slopes[-1], dt[None] * mix(slopes, weights), end
 
@@ -202,29 +199,6 @@ def _repeated(start: int, stop: int, body: Callable, carry: Any) -> Any:
     """`jax.lax.fori_loop`; unrolled on accelerators, where every turn launches all its kernels anew."""
     unroll = None if jax.default_backend() == "cpu" else True
     return jax.lax.fori_loop(start, stop, body, carry, unroll=unroll)
-
-
-def _retraced(function: Callable) -> Callable:
-    """A function that keeps nothing for its cotangents, which share what they use more than once."""
-
-    def mapped(*args: Any) -> Any:
-        moving, still = eqx.partition(args, eqx.is_inexact_array)
-
-        @jax.custom_vjp
-        def call(moving: Any) -> Any:
-            return function(*eqx.combine(moving, still))
-
-        def back(moving: Any, bars: Any) -> tuple[Any]:
-            return (jax.vjp(lambda m: function(*eqx.combine(m, still)), moving)[1](bars)[0],)
-
-        call.defvjp(lambda moving: (call(moving), moving), shared(back))
-        return call(moving)
-
-    return mapped
-
-
-def _alone(function: Callable) -> Callable:
-    return function
 
 
 def _selected(array: Array, row: Array, i: Scalar, _: int) -> Array:

@@ -14,6 +14,7 @@ import equinox as eqx
 import jax
 import jax.extend.core as jec
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jax.interpreters.partial_eval import dce_jaxpr
 
@@ -45,8 +46,10 @@ def once(tree: Any) -> Any:
 def _barred(x: Any) -> jax.Array:
     """The same number, by a division that XLA keeps and LLVM drops: nothing is below -inf."""
     x = jnp.asarray(x)
-    one, two = lax.full_like(x, 1.0), lax.full_like(x, 2.0)
-    return x / lax.select(lax.lt(x, lax.full_like(x, -jnp.inf)), two, one)
+    below, two, one = (np.asarray(c, x.dtype) for c in (-np.inf, 2.0, 1.0))
+    if x.ndim:
+        below, two, one = (lax.full_like(x, c) for c in (below, two, one))
+    return x / lax.select(lax.lt(x, below), two, one)
 
 
 def shared(function: Callable) -> Callable:

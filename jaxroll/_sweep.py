@@ -86,6 +86,11 @@ class _Job(eqx.Module):
 
     @eqx.filter_jit(compiler_options=WIDE)  # pyright: ignore[reportCallIssue]
     def __call__(self, rows: Any, t1: Any) -> Any:
+        return self.runs(rows, t1)
+
+    def runs(self, rows: Any, t1: Any) -> Any:
+        """The runs of these parameters."""
+
         def one(row: Any) -> Any:
             grasp, state = self.make(row)
             run = simulate(grasp, state, t1, **self.options)
@@ -109,7 +114,7 @@ def _pieces(job: _Job, rows: Any, t1: Any, extent: tuple[int, int, Path | None],
         return piece
 
     if folder is not None:
-        forms.append(jax.eval_shape(job, _rows(rows, 0, size, count), t1))
+        forms.append(jax.eval_shape(job.runs, _rows(rows, 0, size, count), t1))
     starts = range(0, count, size)
     pieces = [piece_at(starts[0])]  # alone, since it compiles
     meter(min(size, count))

@@ -32,6 +32,8 @@ _KNOWN = frozenset((_STRUCTURE + _ARITHMETIC).split())
 _REDUCTIONS = frozenset(("reduce_max", "reduce_min", "reduce_sum"))
 # For `jax.jit`: XLA keeps to vectors of 256 bits unless told; of 512 a batch takes a tenth less time.
 WIDE = {"xla_cpu_prefer_vector_width": 512}
+# Numbers of such a vector.
+VECTOR = 8
 # Larger reductions of numbers are handed to a library.
 _SMALL = 1024
 

@@ -21,6 +21,8 @@ from jax.interpreters.partial_eval import dce_jaxpr
 _ON: contextvars.ContextVar[bool] = contextvars.ContextVar("on", default=False)
 # Operations on one number that are as cheap as to read it.
 _FREE = frozenset(("neg", "broadcast_in_dim", "convert_element_type", "squeeze", "reshape", "copy", "div"))
+# Calls whose insides are gone through.
+_CALLS = frozenset(("jit", "custom_jvp_call"))
 
 
 @contextlib.contextmanager
@@ -64,10 +66,9 @@ def shared(function: Callable) -> Callable:
     def wrapped(*args: Any) -> Any:
         if jax.default_backend() != "cpu":
             return function(*args)
-        leaves, form = jax.tree.flatten(args)
-        closed, shapes = jax.make_jaxpr(function, return_shape=True)(*jax.tree.unflatten(form, leaves))
+        closed, shapes = jax.make_jaxpr(function, return_shape=True)(*args)
         jaxpr, used = dce_jaxpr(closed.jaxpr, [True] * len(closed.jaxpr.outvars))
-        wanted = [leaf for leaf, keep in zip(leaves, used, strict=True) if keep]
+        wanted = [leaf for leaf, keep in zip(jax.tree.leaves(args), used, strict=True) if keep]
         return jax.tree.unflatten(jax.tree.structure(shapes), _run(jaxpr, closed.consts, wanted))
 
     return wrapped
@@ -110,7 +111,7 @@ def _run(jaxpr: jec.Jaxpr, consts: Sequence[Any], args: Sequence[Any]) -> list[A
 
 def _called(equation: Any, given: list[Any]) -> list[Any]:
     inner = equation.params.get("jaxpr" if equation.primitive.name == "jit" else "call_jaxpr")
-    if equation.primitive.name in ("jit", "custom_jvp_call"):
+    if equation.primitive.name in _CALLS:
         return _run(inner.jaxpr, inner.consts, given)
     out = equation.primitive.bind(*given, **equation.primitive.get_bind_params(equation.params))
     return list(out) if equation.primitive.multiple_results else [out]
@@ -125,4 +126,4 @@ def _is_number(name: Any) -> bool:
 
 
 def _worth(equation: Any) -> bool:
-    return equation.primitive.name not in _FREE | {"jit", "custom_jvp_call"}
+    return equation.primitive.name not in _FREE and equation.primitive.name not in _CALLS

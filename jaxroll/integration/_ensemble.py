@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from .._backend import VECTOR
 from .._types import Scalar
 from ._flow import Bundle
 from ._loop import aim, Course, embark, judge
@@ -22,13 +23,12 @@ from ._plan import Path, path_of, Plan
 # its vector unit is to be full: measured flat from 64 to 256. An accelerator wants all it can get.
 _CPU_SLOTS = 64
 _DEVICE_SLOTS = 65536
-_VECTOR = 8
 
 
 def _slots(size: int, most: int) -> int:
     """How many slots for so many runs: as few as take them in as many rounds, in whole vectors."""
     rounds = -(-size // most)
-    return min(size, -(-size // (rounds * _VECTOR)) * _VECTOR)
+    return min(size, -(-size // (rounds * VECTOR)) * VECTOR)
 
 
 class Slots(NamedTuple):

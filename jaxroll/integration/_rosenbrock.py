@@ -15,6 +15,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array
 
 from .._algebra import total
+from .._backend import VECTOR
 from .._types import Scalar
 
 # (t, x) to the derivative of x, and whatever else is wanted of a step's last evaluation.
@@ -132,7 +133,7 @@ def advance(
 
 def side_by_side(sample: Callable, nudges: Array) -> Array:
     """All samples of one lane in one evaluation: a vector operation works on eight of them."""
-    idle = -nudges.shape[0] % _VECTOR
+    idle = -nudges.shape[0] % VECTOR
     padded = jnp.pad(nudges, ((0, idle), (0, 0)))
     return jax.vmap(sample, in_axes=1, out_axes=1)(padded.T)[:, : nudges.shape[0]].T
 
@@ -206,8 +207,6 @@ def _put(rows: Array, row: Array, i: Scalar) -> Array:
 
 # Differences are taken over this part of 1 where a component is smaller [m, rad, m/s, rad/s, s].
 _LEAST = 0.1
-# Numbers of a processor's vector.
-_VECTOR = 8
 _GAMMA = 0.21193756319429014
 # Coefficients of the transformed method; row i of _ROWS leads to stage i, the last one to the step's end.
 _A = (

@@ -48,7 +48,7 @@ class RollingStep(eqx.Module):
         # No method asks the terms for it but those for noise.
         return self.method.error_order(None)  # pyright: ignore[reportArgumentType]
 
-    @eqx.filter_jit  # traced once for a run and its derivative
+    @eqx.filter_jit  # traced once for a run and its tangents
     def advance(
         self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow, *, over: Callable = alone
     ) -> tuple[Flow, Flow]:

@@ -121,6 +121,26 @@ def test_state_at_an_event_moves_with_its_time(scene):
     assert abs(jax.jit(jax.jacfwd(angle))(0.12) / slope - 1) <= 1e-5
 
 
+def test_what_a_run_reached_has_a_gradient_though_the_rest_is_nan(scene):
+    """Forces, energies and residuals of a run that slips on its way: backwards as by differences."""
+    grasp, state = scene
+
+    def reached(x):
+        record = ("multipliers", "energy")
+        options = {"ts": 13, "rtol": RTOL, "throw": False, "record": record}
+        run = jxr.simulate(rubbing(grasp.with_(damping=x), 0.12), state, 0.6, **options)
+        seen = jnp.isfinite(run.multipliers.f[:, 0])
+        rows = [run.multipliers.f[:, 0], run.multipliers.lam[:, 0], 1e3 * run.energy.residual]
+        rows += [1e3 * run.energy.kinetic, 1e3 * run.residuals.normal[:, 0]]
+        return jnp.sum(jnp.where(seen, jnp.stack(rows), 0.0)), jnp.sum(seen)
+
+    both = jax.jit(jax.value_and_grad(reached, has_aux=True))
+    (_, seen), slope = both(0.006)
+    near = [float(both(0.006 + k * 1e-5)[0][0]) for k in (-2, -1, 1, 2)]
+    expected = (near[0] - 8 * near[1] + 8 * near[2] - near[3]) / (12 * 1e-5)
+    assert 1 < seen < 13 and abs(slope / expected - 1) <= 1e-6
+
+
 def test_lanes_end_each_on_its_own(scene):
     grasp, state = scene
     limits = jnp.array([0.12, 0.5, 0.13])

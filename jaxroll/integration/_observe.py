@@ -1,6 +1,6 @@
 """Quantities along a run, as the chapter defines them, from states alone."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -130,6 +130,17 @@ def _gravity_potential(grasp: Grasp, leaves: Leaves) -> Scalar:
     return total(parts)
 
 
+def of_reached(function: Callable, states: State, start: State) -> Any:
+    """`function` of states along a leading axis, NaN for those that a run did not reach.
+
+    The start stands in for those: backwards, a cotangent of zero would meet a derivative of NaN.
+    """
+    reached = jnp.all(jnp.isfinite(states.q), axis=-1)
+    where = lambda a, b: jnp.where(reached.reshape(-1, *(1,) * (a.ndim - 1)), a, b)  # noqa: E731
+    found = function(jax.tree.map(where, states, start))
+    return jax.tree.map(lambda a: where(a, jnp.nan), found)
+
+
 @compiled
 def residuals(grasp: Grasp, states: State) -> Residuals:
     """Constraint residuals of one state, or of states with a leading time axis.
@@ -159,7 +170,8 @@ def multipliers(
     ready, way = grasp.prepared(), formulation or Index1()
     if states.q.ndim == 1:
         return multipliers_at(ready, ts, states, way)
-    return jax.vmap(lambda t, state: multipliers_at(ready, t, state, way))(ts, states)
+    each = jax.vmap(lambda t, state: multipliers_at(ready, t, state, way))
+    return of_reached(lambda rows: each(ts, rows), states, jax.tree.map(lambda rows: rows[0], states))
 
 
 @compiled
@@ -169,5 +181,7 @@ def energies(grasp: Grasp, states: State) -> tuple[Array, Array]:
     return _over_time(lambda state: energies_at(ready, state), states)
 
 
-def _over_time(function, states: State):
-    return function(states) if states.q.ndim == 1 else jax.vmap(function)(states)
+def _over_time(function: Callable, states: State) -> Any:
+    if states.q.ndim == 1:
+        return function(states)
+    return of_reached(jax.vmap(function), states, jax.tree.map(lambda rows: rows[0], states))

@@ -21,7 +21,7 @@ from ._close import check_state, reach
 from ._flow import bundle, Layout, layout, states_of, vector_of
 from ._formulation import CSM, Formulation, Index1
 from ._march import march
-from ._observe import energies_at, Energy, Multipliers, multipliers_at, residuals_at, worst
+from ._observe import energies_at, Energy, Multipliers, multipliers_at, of_reached, residuals_at, worst
 from ._plan import Path, Plan
 from ._regime import EVENTS
 from ._stepper import RollingStep
@@ -207,14 +207,14 @@ def _trajectory(
     lay, way = plan.stepper.lay, plan.stepper.formulation
     states = states_of(lay, path.saved)
     both = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), state, states)
-    left = in_turn(residuals_at, grasp, both)
+    left = of_reached(lambda rows: in_turn(residuals_at, grasp, rows), both, state)
     off = worst(jax.tree.map(lambda a: a[0], left))
     on_constraints = isinstance(way, CSM) | (off <= reach(state.q.dtype))
     forces = energy = None
     if "multipliers" in record:
-        forces = in_turn(_forces_at, (grasp, way), plan.ts, states)
+        forces = of_reached(lambda rows: in_turn(_forces_at, (grasp, way), rows, plan.ts), states, state)
     if "energy" in record:
-        energy = _energy(grasp, states, path.saved[:, lay.width - 1])
+        energy = _energy(grasp, state, states, path.saved[:, lay.width - 1])
     attempted, accepted, rejected = path.steps
     trajectory = Trajectory(
         plan.ts,
@@ -229,7 +229,7 @@ def _trajectory(
     return trajectory, off
 
 
-def _forces_at(given: tuple[Grasp, Formulation], t: Array, state: State) -> Multipliers:
+def _forces_at(given: tuple[Grasp, Formulation], state: State, t: Array) -> Multipliers:
     with sharing():
         return multipliers_at(given[0], t, state, given[1])
 
@@ -240,8 +240,8 @@ def _energies_at(grasp: Grasp, state: State) -> tuple[Array, Array]:
     return jnp.asarray(kinetic), jnp.asarray(potential)
 
 
-def _energy(grasp: Grasp, states: State, work: Array) -> Energy:
-    kinetic, potential = in_turn(_energies_at, grasp, states)
+def _energy(grasp: Grasp, start: State, states: State, work: Array) -> Energy:
+    kinetic, potential = of_reached(lambda rows: in_turn(_energies_at, grasp, rows), states, start)
     balance = kinetic + potential - work
     return Energy(kinetic, potential, work, balance - balance[0])
 

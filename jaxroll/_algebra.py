@@ -149,6 +149,16 @@ def scalars(vector: jax.Array) -> list[jax.Array]:
     return [jax.lax.squeeze(part, (0,)) for part in parts]
 
 
+def row(rows: jax.Array, i: Scalar) -> jax.Array:
+    """Row i, which is never below zero: to count from the end would take three operations more."""
+    return jax.lax.dynamic_index_in_dim(rows, i, keepdims=False, allow_negative_indices=False)
+
+
+def with_row(rows: jax.Array, new: jax.Array, i: Scalar) -> jax.Array:
+    """The array with another row i >= 0."""
+    return jax.lax.dynamic_update_index_in_dim(rows, new, i, 0, allow_negative_indices=False)
+
+
 def stacked(values: Sequence[Scalar]) -> jax.Array:
     """Scalars as one vector; none of them as an empty one."""
     return jnp.stack(tuple(values)) if len(values) else jnp.zeros(0)

@@ -14,13 +14,15 @@ import equinox as eqx
 import jax
 import jax.extend.core as jec
 import jax.numpy as jnp
-import numpy as np
-from jax import lax
 from jax.interpreters.partial_eval import dce_jaxpr
+
+from ._primitives import barrier
 
 _ON: contextvars.ContextVar[bool] = contextvars.ContextVar("on", default=False)
 # Operations on one number that are as cheap as to read it.
-_FREE = frozenset(("neg", "broadcast_in_dim", "convert_element_type", "squeeze", "reshape", "copy", "div"))
+_FREE = frozenset(
+    ("neg", "broadcast_in_dim", "convert_element_type", "squeeze", "reshape", "copy", "div", "barrier")
+)
 # Calls whose insides are gone through.
 _CALLS = frozenset(("jit", "custom_jvp_call"))
 
@@ -42,16 +44,7 @@ def once(tree: Any) -> Any:
     """The argument itself; inside `sharing`, computed once however many use it."""
     if not _ON.get():
         return tree
-    return jax.tree.map(lambda x: x if isinstance(x, float) else _barred(x), tree)
-
-
-def _barred(x: Any) -> jax.Array:
-    """The same number, by a division that XLA keeps and LLVM drops: nothing is below -inf."""
-    x = jnp.asarray(x)
-    below, two, one = (np.asarray(c, x.dtype) for c in (-np.inf, 2.0, 1.0))
-    if x.ndim:
-        below, two, one = (lax.full_like(x, c) for c in (below, two, one))
-    return x / lax.select(lax.lt(x, below), two, one)
+    return jax.tree.map(lambda x: x if isinstance(x, float) else barrier(x), tree)
 
 
 def shared(function: Callable) -> Callable:
@@ -105,7 +98,7 @@ def _run(jaxpr: jec.Jaxpr, consts: Sequence[Any], args: Sequence[Any]) -> list[A
         out = _called(equation, [read(v) for v in equation.invars])
         for name, value in zip(equation.outvars, out, strict=True):
             again = uses[name] > 1 and _is_number(name) and _worth(equation)
-            known[name] = _barred(value) if again else value
+            known[name] = barrier(value) if again else value
     return [read(v) for v in jaxpr.outvars]
 
 

@@ -16,7 +16,8 @@ from jaxroll import integration, mechanics
 ROOT = pathlib.Path(jxr.__file__).parent
 RANKS = {
     "_types": 0,
-    "_backend": 0,
+    "_primitives": 0,
+    "_backend": 1,
     "_sharing": 1,
     "_trigonometry": 1,
     "_results": 1,

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from .._algebra import row, with_row
 from .._types import Scalar
 from ._flow import Bundle, Flow
 from ._pace import Pace
@@ -71,7 +72,7 @@ def judge(plan: Plan, course: Course, times: tuple[Scalar, Scalar], step: tuple[
 def _stop(plan: Plan, saved: Scalar) -> Scalar:
     """The next time where a step has to end."""
     last = plan.ts.shape[0] - 1
-    ahead = jax.lax.dynamic_index_in_dim(plan.ts, jnp.minimum(saved, last), keepdims=False)
+    ahead = row(plan.ts, jnp.minimum(saved, last))
     return jnp.where(saved <= last, ahead, plan.t1)
 
 
@@ -91,7 +92,7 @@ def recorded(grasp: Bundle, y0: Flow, plan: Plan) -> tuple[Path, Record]:
     """The same run, with every accepted step recorded."""
     rows = plan.max_steps + 2
     record = Record(jnp.full(rows, jnp.inf, y0.dtype), jnp.zeros((rows, y0.shape[0]), y0.dtype))
-    return _solo(grasp, y0, plan, Record(_put(record.ts, plan.t0, 0), _put(record.ys, y0, 0)))
+    return _solo(grasp, y0, plan, Record(with_row(record.ts, plan.t0, 0), with_row(record.ys, y0, 0)))
 
 
 def _solo(grasp: Bundle, y0: Flow, plan: Plan, record: Record | None) -> tuple[Path, Any]:
@@ -100,11 +101,11 @@ def _solo(grasp: Bundle, y0: Flow, plan: Plan, record: Record | None) -> tuple[P
         times = aim(plan, course)
         step = plan.stepper.advance(grasp, *times, course.y)
         course = judge(plan, course, times, step)
-        row = jnp.where(course.hit, course.saved - 1, plan.ts.shape[0])
-        saved = _put(saved, course.y, row)
+        place = jnp.where(course.hit, course.saved - 1, plan.ts.shape[0])
+        saved = with_row(saved, course.y, place)
         if record is not None:
-            row = course.pace.accepted
-            record = Record(_put(record.ts, course.pace.t, row), _put(record.ys, course.y, row))
+            count = course.pace.accepted
+            record = Record(with_row(record.ts, course.pace.t, count), with_row(record.ys, course.y, count))
         meter = plan.progress.step(meter, (course.pace.t - plan.t0) / (plan.t1 - plan.t0))
         return course, saved, record, meter
 
@@ -115,7 +116,3 @@ def _solo(grasp: Bundle, y0: Flow, plan: Plan, record: Record | None) -> tuple[P
     pace = course.pace
     counts = (pace.attempted, pace.accepted, course.loop)
     return path_of(saved[:-1], course.y, pace.t, counts), record
-
-
-def _put(rows: Array, row: Array, i: Scalar | int) -> Array:
-    return jax.lax.dynamic_update_index_in_dim(rows, row, i, 0)

@@ -15,10 +15,11 @@ import equinox as eqx
 import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
+from .._algebra import row
 from .._backend import filled, one_kernel
+from .._primitives import linear_map
 from .._sharing import alone, pulled
 from .._types import Scalar
 from ._ensemble import Ensemble
@@ -67,7 +68,7 @@ def _march_jvp(primals: Any, tangents: Any) -> tuple[Path, Path]:
     steps = _Steps(numbers, plan, step_ts, step_ys, path.steps[1], still)
     start_dot = filled((moving, y0), (grasp_dot, y0_dot))
     ends = (path.saved, path.last, path.t_last)
-    dots = linear_map(steps.tangents, steps.cotangents, start_dot, ends)
+    dots = linear_map(_Steps.tangents, _Steps.cotangents, steps, start_dot, like=ends)
     no_tangents = jax.tree.map(lambda _: None, path)
     return path, eqx.tree_at(
         lambda p: (p.saved, p.last, p.t_last), no_tangents, dots, is_leaf=lambda x: x is None
@@ -91,7 +92,8 @@ class _Steps(eqx.Module):
 
     def step(self, k: Scalar, over: Callable) -> Callable[[Bundle, Flow, Scalar], Flow]:
         """Step k of (moving, y, shift), so much later; the one after the last has no length."""
-        t0, t1 = self.ts[k], jnp.where(k < self.count, self.ts[k + 1], self.ts[k])
+        t0 = row(self.ts, k)
+        t1 = jnp.where(k < self.count, row(self.ts, k + 1), t0)
 
         def advance(moving: Bundle, y: Flow, shift: Scalar) -> Flow:
             grasp = eqx.combine(moving, self.still)
@@ -102,7 +104,7 @@ class _Steps(eqx.Module):
     @property
     def passing(self) -> Flow:
         """How the end moves with time, at the entry of a step: x' for x."""
-        width, last = self.plan.stepper.lay.width, self.ys[self.count]
+        width, last = self.plan.stepper.lay.width, row(self.ys, self.count)
         return jnp.concatenate([last[width : 2 * width], jnp.zeros_like(last[width:])])
 
     def postponed(self, drift: Scalar, change: Array) -> Array:
@@ -110,7 +112,7 @@ class _Steps(eqx.Module):
 
         Zero for a run that no event ended.
         """
-        ended = (self.ys[self.count, self.margin + 1] != 0) & jnp.isfinite(drift) & (drift != 0)
+        ended = (row(self.ys, self.count)[self.margin + 1] != 0) & jnp.isfinite(drift) & (drift != 0)
         return jnp.where(ended, -change / jnp.where(ended, drift, 1.0), 0.0)
 
     @property
@@ -150,7 +152,7 @@ def _pushed(steps: _Steps, index: Array, start: tuple[Bundle, Flow]) -> tuple[Ar
             jnp.where(within, here, steps.passing),
             jnp.where(within, 0.0, 1.0).astype(here.dtype),
         )
-        here_now = (steps.moving, steps.ys[k], jnp.zeros((), here.dtype))
+        here_now = (steps.moving, row(steps.ys, k), jnp.zeros((), here.dtype))
         _, ahead = jax.jvp(steps.step(k, alone), here_now, along)
         drift = jnp.where(k == steps.count, ahead, drift)
         ahead = jnp.where(within, ahead, here)
@@ -172,41 +174,16 @@ def _pulled(steps: _Steps, track: Array, last_bar: Flow, later_bar: Scalar) -> t
     def step(i: Scalar, carry: tuple[Bundle, Flow, Scalar, Scalar]) -> tuple[Bundle, Flow, Scalar, Scalar]:
         moving_bar, ahead, drift, late = carry
         k = jnp.where(i < 2, end, longest + 1 - i)
-        _, pull = jax.vjp(steps.step(k, pulled), steps.moving, steps.ys[k], zero)
+        _, pull = jax.vjp(steps.step(k, pulled), steps.moving, row(steps.ys, k), zero)
         more, back, shift = pull(ahead)
         along = jnp.sum(back * steps.passing) + shift
         drift = jnp.where(i == 0, along, drift)
         late = jnp.where(i == 1, steps.postponed(drift, later_bar + along), late)
         used, here = (i > 1) & (k < end), jnp.where(i == 1, longest, k)
-        ahead = track[here] + jnp.where(used, back, 0.0)
+        ahead = row(track, here) + jnp.where(used, back, 0.0)
         ahead += jnp.where(here == end, last_bar + jnp.where(unit, late, 0.0), 0.0)
         moving_bar = jax.tree.map(lambda total, part: total + jnp.where(used, part, 0.0), moving_bar, more)
         return moving_bar, jnp.where(i == 0, last_bar, ahead), drift, late
 
     start = (jax.tree.map(jnp.zeros_like, steps.moving), unit.astype(last_bar.dtype), zero, zero)
     return jax.lax.fori_loop(0, longest + 2, step, start)[:2]
-
-
-def linear_map(apply: Callable, transpose: Callable, x: Any, like: Any) -> Any:
-    """Apply a linear map whose transpose is given, so that both modes of autodiff can use it.
-
-    `like` has the shapes and kinds of what comes out.
-
-    JAX has no other primitive that takes a transpose from the caller and also survives `vmap`: a
-    linear solve with the identity, whose "solver" takes (x, b) to (x, apply(x) + b). Everything
-    travels as one vector, since JAX wants all of a right-hand side perturbed or none of it.
-    """
-    flat, unravel = ravel_pytree(x)
-    zeros, unravel_out = ravel_pytree(jax.tree.map(jnp.zeros_like, like))
-    n = flat.shape[0]
-
-    def solve(_: Callable, b: Array) -> Array:
-        image, _ = ravel_pytree(apply(unravel(b[:n])))
-        return jnp.concatenate([b[:n], image + b[n:]])
-
-    def transpose_solve(_: Callable, c: Array) -> Array:
-        image, _ = ravel_pytree(transpose(unravel_out(c[n:])))
-        return jnp.concatenate([c[:n] + image, c[n:]])
-
-    padded = jnp.pad(flat, (0, zeros.shape[0]))
-    return unravel_out(jax.lax.custom_linear_solve(lambda z: z, padded, solve, transpose_solve)[n:])

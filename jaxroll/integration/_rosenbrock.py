@@ -14,7 +14,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array
 
-from .._algebra import total
+from .._algebra import row, total
 from .._backend import VECTOR
 from .._types import Scalar
 
@@ -116,11 +116,11 @@ def advance(
 
     def stage(k: Scalar, carry: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
         u, rates, _, _ = carry
-        right = rates + _mixed(_row(slopes, k), u) / h + h * _row(lags, k) * drift
+        right = rates + _mixed(row(slopes, k), u) / h + h * row(lags, k) * drift
         u = _put(u, _mixed(right[:, None], inverse), k)
         # A step of no length stays where it is, whatever its stages say.
-        x = x0 + jnp.where(moving, _mixed(_row(rows, k + 1), u), 0.0)
-        rates, end = at(t0 + (times[1] - t0) * _row(moments, k + 1), x)
+        x = x0 + jnp.where(moving, _mixed(row(rows, k + 1), u), 0.0)
+        rates, end = at(t0 + (times[1] - t0) * row(moments, k + 1), x)
         return u, rates, end, x
 
     start = (jnp.zeros((len(_ERROR), *x0.shape), x0.dtype), rates, nothing, x0)
@@ -171,9 +171,9 @@ def inverted(matrix: Array) -> Array:
     index = jnp.arange(n).reshape(n, *(1,) * (matrix.ndim - 1))
 
     def eliminate(j: Scalar, a: Array) -> Array:
-        row, column = _row(a, j), jax.lax.dynamic_index_in_dim(a, j, 1, keepdims=False)
+        pivots, column = row(a, j), _column(a, j)
         here, across = index == j, index[:, 0] == j
-        unit = jnp.where(across, 1.0, row) / _row(row, j)[None]
+        unit = jnp.where(across, 1.0, pivots) / row(pivots, j)[None]
         rest = jnp.where(here[:, 0][None], 0.0, a) - column[:, None] * unit[None]
         return jnp.where(here, unit[None], rest)
 
@@ -192,17 +192,19 @@ def _product(left: Array, right: Array) -> Array:
 
 
 def _mixed(weights: Any, rows: Array) -> Array:
-    return total([weights[j] * rows[j] for j in range(rows.shape[0])])
+    parts = jax.lax.split(rows, (1,) * rows.shape[0])
+    each = [w if w.ndim == 0 else w[None] for w in map(jnp.asarray, weights)]
+    return total([w * part for w, part in zip(each, parts, strict=True)])[0]
 
 
-def _row(rows: Array, i: Scalar) -> Array:
-    return jax.lax.dynamic_index_in_dim(rows, i, 0, keepdims=False)
+def _column(matrix: Array, j: Scalar) -> Array:
+    return jax.lax.dynamic_index_in_dim(matrix, j, 1, keepdims=False, allow_negative_indices=False)
 
 
-def _put(rows: Array, row: Array, i: Scalar) -> Array:
+def _put(rows: Array, new: Array, i: Scalar) -> Array:
     # Not in place: under `vmap` JAX makes a scatter of that.
-    index = jnp.arange(rows.shape[0]).reshape(-1, *(1,) * row.ndim)
-    return jnp.where(index == i, row[None], rows)
+    index = jnp.arange(rows.shape[0]).reshape(-1, *(1,) * new.ndim)
+    return jnp.where(index == i, new[None], rows)
 
 
 # Differences are taken over this part of 1 where a component is smaller [m, rad, m/s, rad/s, s].

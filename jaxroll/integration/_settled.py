@@ -15,10 +15,10 @@ from jaxtyping import Array
 
 from .._algebra import factorise
 from .._backend import filled, one_kernel
+from .._primitives import linear_map
 from .._sharing import sharing
 from ..mechanics import bodies, Grasp, join, linearise, State, to_leaves, touches
 from ._closed_loop import compatible
-from ._march import linear_map
 from ._nearest import constraint_rows, metric_at, moved, multipliers, Problem, searched
 
 
@@ -49,7 +49,7 @@ def _settled_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
     out, minimum = _found(grasp, guess, hold)
     response = _response(_Question(still, hold), moving, minimum)
     dots = filled(moving, tangents[:2])
-    return out, (linear_map(response.tangents, response.cotangents, dots, out[0]), None)
+    return out, (linear_map(_Response.tangents, _Response.cotangents, response, dots, like=out[0]), None)
 
 
 class _Minimum(NamedTuple):

@@ -197,8 +197,9 @@ class _Norm(eqx.Module):
 
     def __call__(self, error: Array) -> Array:
         # Not a reduction: XLA hands the larger ones of a batch to a library, out of its loop.
-        seen = [e * e for e in self.lay.controlled(error)]
-        return jnp.sqrt(total(seen) * (1.0 / len(seen)))
+        seen = self.lay.controlled(error)
+        parts = jax.lax.split(seen, (1,) * seen.shape[0])
+        return jnp.sqrt(total([e * e for e in parts]) * (1.0 / len(parts)))[0]
 
 
 def _trajectory(

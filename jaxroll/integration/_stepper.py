@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from .._algebra import scalars, total
+from .._algebra import row, scalars, total, with_row
 from .._sharing import alone, once, sharing
 from .._types import Scalar
 from ..mechanics import Grasp, Instant
@@ -87,12 +87,11 @@ class RollingStep(eqx.Module):
 
     def _return(self, grasp: Grasp, raw: Array, anchor: Anchor) -> Array:
         """Back onto the constraints, positions before velocities."""
-
-        def sweep(_: Scalar, x: Array) -> Array:
+        x = raw
+        for _ in range(_SWEEPS):
             leaves, work = unpack(self.lay, x)
-            return once(pack(settle(grasp, leaves, anchor), work))
-
-        leaves, work = unpack(self.lay, _repeated(0, _SWEEPS, sweep, raw))
+            x = once(pack(settle(grasp, leaves, anchor), work))
+        leaves, work = unpack(self.lay, x)
         return pack(compatible(grasp, leaves, anchor.line), work)
 
     def _explicit(
@@ -108,20 +107,21 @@ class RollingStep(eqx.Module):
         slopes = jnp.concatenate([k0[None], jnp.zeros((count - 1, *k0.shape), k0.dtype)])
         nothing = jnp.zeros((_sizes(bundle), *t0.shape), y0.dtype)
 
-        at, put = lambda t, x: over(self._at)(bundle, t, x), jax.lax.dynamic_update_index_in_dim
+        at, put = lambda t, x: over(self._at)(bundle, t, x), with_row
         if t0.ndim == 0:
             put = _selected
 
         def mix(slopes: Array, row: Sequence[Any]) -> Array:
-            # Not a reduction: XLA hands larger ones to a library, and so breaks up the loop.
-            return total([w * k for w, k in zip(row, slopes, strict=True)])
+            # Not a reduction: XLA hands larger ones to a library, and so breaks up the loop. Squeezed only
+            # at the end: XLA would move that down the sum by one term each time it simplifies all it has.
+            parts = jax.lax.split(slopes, (1,) * count)
+            return total([w * k for w, k in zip(row, parts, strict=True)])[0]
 
         def stage(i: Scalar, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
             slopes = carry[0]
-            row = jax.lax.dynamic_index_in_dim(rows, i, keepdims=False)
-            x = x0 + dt[None] * mix(slopes, [row[j] for j in range(count)])
+            x = x0 + dt[None] * mix(slopes, scalars(row(rows, i)))
             rates, end = at(t0 + times[i] * dt, x)
-            return put(slopes, rates, i, 0), x, end
+            return put(slopes, rates, i), x, end
 
         # A derivative of all stages side by side would take long to compile.
         loop = jax.lax.fori_loop if t0.ndim == 0 else _repeated
@@ -201,16 +201,17 @@ def _repeated(start: int, stop: int, body: Callable, carry: Any) -> Any:
     return jax.lax.fori_loop(start, stop, body, carry, unroll=unroll)
 
 
-def _selected(array: Array, row: Array, i: Scalar, _: int) -> Array:
+def _selected(array: Array, new: Array, i: Scalar) -> Array:
     """Replace row i; of an update in place JAX makes a scatter under `vmap`, which breaks up the loop."""
-    return jnp.where((jnp.arange(array.shape[0]) == i)[:, None], row, array)
+    return jnp.where((jnp.arange(array.shape[0]) == i)[:, None], new, array)
 
 
 def _sizes(bundle: Bundle) -> int:
     return len(jax.tree.leaves(Ending.unknown(bundle.rest)))
 
 
-# Sweeps of the projection: a gap of 1e-6 m is below rounding after two.
+# Sweeps of the projection: a gap of 1e-6 m is below rounding after two. As a loop they would take longer
+# to compile, backwards above all.
 _SWEEPS = 2
 
 
@@ -220,8 +221,8 @@ def _tables(tableau: diffrax.ButcherTableau, dtype: Any) -> tuple[Array, Array, 
     ends_itself = bool(tableau.fsal and tableau.ssal)
     count = tableau.num_stages + int(not ends_itself)
     full, error = np.zeros((count, count)), np.zeros(count)
-    for i, row in enumerate([*tableau.a_lower, tableau.b_sol][: count - 1]):
-        full[i + 1, : len(row)] = row
+    for i, weights in enumerate([*tableau.a_lower, tableau.b_sol][: count - 1]):
+        full[i + 1, : len(weights)] = weights
     times = np.concatenate([[0.0], tableau.c, [1.0]])[:count]
     error[: tableau.num_stages] = tableau.b_error
     return jnp.asarray(full, dtype), jnp.asarray(times, dtype), error.tolist()

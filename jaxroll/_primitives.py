@@ -1,0 +1,117 @@
+"""Two operations of our own for JAX: a barrier, and a linear map with a given transpose.
+
+As primitives they are one entry each of a traced program, and the insides of a map are traced only where
+they are compiled: a gradient in reverse mode does not trace the forward map beside it.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.extend.core as jec
+import jax.numpy as jnp
+import numpy as np
+from jax.core import ShapedArray
+from jax.extend.mlir.dialects import stablehlo
+from jax.interpreters import ad, batching, mlir
+
+_BARRIER, _MAP = jec.Primitive("barrier"), jec.Primitive("linear_map")
+_MAP.multiple_results = True
+
+
+def barrier(x: Any) -> jax.Array:
+    """The same number, by a division that XLA keeps and LLVM drops; tangents and cotangents likewise."""
+    return _BARRIER.bind(jnp.asarray(x))
+
+
+def _divided(context: mlir.LoweringRuleContext, x: Any) -> list[Any]:
+    """A division by one, or by two for what is below -inf."""
+    kind: Any = context.avals_in[0]
+    constants = (np.full(kind.shape, c, kind.dtype) for c in (-np.inf, 2.0, 1.0))
+    below, two, one = map(mlir.ir_constant, constants)
+    less = stablehlo.compare(x, below, stablehlo.ComparisonDirectionAttr.get("LT"))
+    return [stablehlo.divide(x, stablehlo.select(less, two, one))]
+
+
+_BARRIER.def_impl(jax.jit(lambda x: _BARRIER.bind(x)))
+_BARRIER.def_abstract_eval(lambda x: x)
+mlir.register_lowering(_BARRIER, _divided)
+ad.deflinear2(_BARRIER, lambda bar, _: [_BARRIER.bind(bar)])
+batching.defvectorized(_BARRIER)
+
+
+def linear_map(apply: Callable, transpose: Callable, at: Any, x: Any, *, like: Any) -> Any:
+    """`apply(at, x)`, linear in x and differentiable in it, in both modes: `transpose(at, bar)` takes back.
+
+    Args:
+        apply: Of two pytrees of arrays, to one as `like`; it must not close over traced arrays.
+        transpose: From `at` and cotangents of what comes out, to cotangents as x.
+        at: What else the map depends on; its own derivative is refused.
+        x: Floating-point arrays.
+        like: Arrays, of whose shapes and kinds what comes out is.
+    """
+    arrays, still = eqx.partition(at, eqx.is_array)
+    fixed, at_form = jax.tree.flatten(arrays)
+    given, x_form = jax.tree.flatten(x)
+    wanted, out_form = jax.tree.flatten(like)
+    whole = lambda leaves: eqx.combine(jax.tree.unflatten(at_form, leaves), still)  # noqa: E731
+    there = _flattened(apply, whole, x_form, out_form)
+    back = _flattened(transpose, whole, out_form, x_form)
+    kinds = tuple(ShapedArray(jnp.shape(leaf), jnp.result_type(leaf)) for leaf in wanted)
+    out = _MAP.bind(*fixed, *given, there=there, back=back, kinds=kinds, fixed=len(fixed))
+    return jax.tree.unflatten(out_form, out)
+
+
+def _flattened(function: Callable, whole: Callable, x_form: Any, out_form: Any) -> Callable:
+    """A function of lists of arrays."""
+
+    def flat(at: Sequence[Any], x: Sequence[Any]) -> list[Any]:
+        return out_form.flatten_up_to(function(whole(at), jax.tree.unflatten(x_form, x)))
+
+    return flat
+
+
+def _mapped(*args: Any, there: Callable, back: Callable, kinds: tuple, fixed: int) -> list[Any]:
+    return there(args[:fixed], args[fixed:])
+
+
+def _tangents(primals: Sequence[Any], dots: Sequence[Any], **params: Any) -> tuple[Any, Any]:
+    fixed = params["fixed"]
+    if not all(type(dot) is ad.Zero for dot in dots[:fixed]):
+        raise NotImplementedError("a linear map is not differentiated in what it depends on")
+    filled = map(ad.instantiate_zeros, dots[fixed:])
+    return _MAP.bind(*primals, **params), _MAP.bind(*primals[:fixed], *filled, **params)
+
+
+def _cotangents(
+    bars: Sequence[Any], *args: Any, there: Callable, back: Callable, fixed: int, **_: Any
+) -> list:
+    kinds = tuple(x.aval for x in args[fixed:])
+    filled = map(ad.instantiate_zeros, bars)
+    out = _MAP.bind(*args[:fixed], *filled, there=back, back=there, kinds=kinds, fixed=fixed)
+    return [None] * fixed + out
+
+
+def _lanes(
+    args: Sequence[Any], dims: Sequence[Any], *, there: Callable, back: Callable, **params: Any
+) -> tuple:
+    """Every lane has its own x, whatever else they share."""
+    fixed = params["fixed"]
+    size = next(x.shape[d] for x, d in zip(args, dims, strict=True) if d is not None)
+    own = [
+        jnp.moveaxis(x, d, 0) if d is not None else jnp.broadcast_to(x, (size, *jnp.shape(x)))
+        for x, d in zip(args[fixed:], dims[fixed:], strict=True)
+    ]
+    each = [jax.vmap(f, in_axes=(tuple(dims[:fixed]), 0), axis_size=size) for f in (there, back)]
+    kinds = tuple(ShapedArray((size, *kind.shape), kind.dtype) for kind in params["kinds"])
+    out = _MAP.bind(*args[:fixed], *own, there=each[0], back=each[1], kinds=kinds, fixed=fixed)
+    return out, [0] * len(out)
+
+
+_MAP.def_impl(_mapped)
+_MAP.def_abstract_eval(lambda *_, kinds, **__: list(kinds))
+mlir.register_lowering(_MAP, mlir.lower_fun(_mapped, multiple_results=True))
+ad.primitive_jvps[_MAP] = _tangents
+ad.primitive_transposes[_MAP] = _cotangents
+batching.primitive_batchers[_MAP] = _lanes

@@ -5,6 +5,7 @@ import functools
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 
 def observed_order(sizes, errors):
@@ -28,6 +29,12 @@ def broadcasting(function):
             return function(*args)
 
     return allowed
+
+
+def slow_among(names, *slow):
+    """Names as parameters of a test, some of them marked slow."""
+    assert set(slow) <= set(names)
+    return [pytest.param(name, marks=[pytest.mark.slow] * (name in slow)) for name in names]
 
 
 class Chapter:

@@ -111,6 +111,7 @@ def test_support_function_and_symmetry():
     assert np.all(np.asarray(design.tip.sines) == 0.0)
 
 
+@pytest.mark.slow
 def test_starts_that_are_not_given_are_variations():
     limits = Limits(length=0.1, radius=0.004, flat=None)
     design = optimise_fingertip(jxr.Ellipse(0.02, 0.01), INTERVAL, limits=limits, starts=4, steps=100)

@@ -58,6 +58,7 @@ def test_measures_of_forces(run):
         peak_force(eqx.tree_at(lambda r: r.multipliers, run, None, is_leaf=lambda x: x is None))
 
 
+@pytest.mark.slow
 def test_measures_see_only_what_a_run_reached():
     """A run that slips: rows after its end hold NaN, measures and their derivatives do not."""
     grasp, start = jxr.scenes.pinch(tips=jxr.Ellipse(0.018, 0.009), alpha=0.0, friction=0.5)
@@ -69,7 +70,7 @@ def test_measures_see_only_what_a_run_reached():
         return jnp.stack([measure(run) for measure in measures]), run.stats.t_end
 
     values, end = jax.jit(all_of)(20.0)
-    slopes, _ = jax.jit(jax.jacfwd(all_of))(20.0)
+    slopes, _ = jax.jit(jax.jacrev(all_of))(20.0)
     assert float(end) < 1.0
     assert np.all(np.isfinite(values)) and np.all(np.isfinite(slopes))
     assert 0.4 < float(values[-1]) <= 0.5
@@ -94,10 +95,8 @@ def loop_cost(x):
     return LOOP.cost(tip, None, 1.0, 1.0)
 
 
-@pytest.mark.parametrize(
-    "mode",
-    [pytest.param("reverse", id="reverse"), pytest.param("forward", id="forward", marks=pytest.mark.slow)],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("mode", ["reverse", "forward"])
 def test_gradient_of_a_closed_loop_objective(mode):
     """Central differences of fourth order, through contact, closing and the run."""
     x, way = jnp.array([0.012, 0.02]), jnp.array([0.6, -0.8])
@@ -140,6 +139,7 @@ def pinched(tip, half=0.015):
     return jxr.scenes.pinch_ellipse(half, 0.02, tips=tip, s=(0.0005, -0.0005), alpha=0.0)
 
 
+@pytest.mark.slow
 def test_rest_of_a_pinch_is_the_equilibrium_with_the_hessian_of_its_potential():
     """By contact places alone against Newton on the whole problem, and against autodiff of U."""
     tip = jxr.Ellipse(0.012, 0.02).moved((0.002, 0.001))
@@ -228,6 +228,7 @@ def compiled(caplog):
     return {name for name in names if any(f"Compiling jit({name})" in message for message in messages)}
 
 
+@pytest.mark.slow
 def test_64_objects_in_one_program_that_is_compiled_once(caplog):
     goal = Firmness(pinched, cases=jnp.linspace(0.012, 0.018, 64))
     limits = Limits(size=0.02, radius=0.004, ahead=0.006)

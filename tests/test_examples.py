@@ -15,6 +15,7 @@ import sys
 import jax
 import numpy as np
 import pytest
+from helpers import slow_among
 from matplotlib.colors import to_rgb
 from PIL import Image
 
@@ -29,7 +30,18 @@ MODULES = [
 ]
 
 
-@pytest.mark.parametrize("name", MODULES)
+# Examples whose scenes take long to compile; other tests run what is in them.
+LONG = [
+    "jaxroll.design._fingertip",
+    "jaxroll.plotting._design",
+    "jaxroll.plotting._loci",
+    "jaxroll.scenes._plane",
+    "jaxroll.scenes._space",
+    "jaxroll.stability._statics",
+]
+
+
+@pytest.mark.parametrize("name", slow_among(MODULES, *LONG))
 def test_docstring_examples(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     module = importlib.import_module(name)
@@ -56,6 +68,7 @@ def numbers_blurred(text):
     return re.sub(r"\d+ accepted, \d+ rejected", "steps", text)
 
 
+@pytest.mark.slow
 def test_readme_examples_print_what_they_say():
     names = {}
     for code, printed in readme_examples():
@@ -69,10 +82,8 @@ def test_readme_examples_print_what_they_say():
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
 
-@pytest.mark.parametrize(
-    "path",
-    [pytest.param(p, marks=[pytest.mark.slow] if i else [], id=p.stem) for i, p in enumerate(NOTEBOOKS)],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebook_runs_and_is_stored_without_outputs(path, monkeypatch):
     import nbformat
     from nbclient import NotebookClient
@@ -191,6 +202,7 @@ def test_bad_command_lines_get_one_sentence(args, tmp_path):
     assert not list(tmp_path.glob("jaxroll-*"))
 
 
+@pytest.mark.slow
 def test_figures_are_drawn_for_grasps_that_are_not_the_chapters(tmp_path):
     """Two fingers on a free disc, no Press control: what is there is drawn."""
     left = jxr.Finger([0.05, 0.05], [0.05, 0.04], tip=jxr.Circle(0.01), base=(-0.08, 0.0))

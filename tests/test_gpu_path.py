@@ -50,6 +50,7 @@ def agree(run, whole):
         np.testing.assert_allclose(found[good], known[good], rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_ensemble_of_an_accelerator_gives_the_same(lane, whole, dampings, monkeypatch):
     """No kernel calls, no barriers against recomputation, loops unrolled, slots served all at once."""
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")

@@ -12,6 +12,9 @@ from jaxroll.plotting._scene3 import scene3
 from jaxroll.plotting._style import LOCUS_OBJECT, LOCUS_TIP
 from jaxroll.plotting._views3 import pushes, scene_motion
 
+# `pinch3d` takes half a minute to compile.
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def pinch():

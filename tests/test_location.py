@@ -165,6 +165,7 @@ def measure(parameters):
     return jnp.stack([1e2 * found.gap, 1e2 * found.s[0], 1e2 * found.s[1], found.normal[1]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reach", [0.055, 0.037], ids=["apart", "overlapping"])
 def test_derivatives_in_shapes_and_poses(reach):
     """Taylor remainders of gap, arclengths and normal fall as the square of the step; both modes agree."""
@@ -230,6 +231,7 @@ def disc_on_finger():
     return jxr.Grasp(disc, finger, jxr.Contact())
 
 
+@pytest.mark.slow
 def test_close_locates_the_contacts():
     """From a guess whose arclengths are far off."""
     grasp = disc_on_finger()

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import taylor_remainders
+from helpers import slow_among, taylor_remainders
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
@@ -156,6 +156,7 @@ def crossed(turn, height):
     return locate_surfaces(rod, Torus(0.03, 0.011), pose_a=pose)
 
 
+@pytest.mark.slow
 def test_a_rod_on_a_ring_touches_twice():
     found = crossed(0.02, 0.021)
     assert found.result == SUCCESS and bool(found.unique) and int(found.others.count) == 1
@@ -202,7 +203,7 @@ MET = {
 }
 
 
-@pytest.mark.parametrize("name", MET)
+@pytest.mark.parametrize("name", slow_among(MET, *(name for name in MET if name != "field of known size")))
 def test_sphere_placed_along_a_normal(name):
     """4 mm above a place of a convex surface, and 1 mm below it."""
     shape = MET[name]
@@ -235,6 +236,7 @@ def wall():
     return SplineSurface(slope, (-0.01, -0.01, -0.01), 0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["patch", "field"])
 def test_small_piece_and_a_sphere(name):
     """A piece of a sphere by points, one of a plane by a field; past their ends there is no pair."""
@@ -289,6 +291,7 @@ def test_gradient_of_the_gap_is_the_relative_velocity_along_the_normal(name):
             np.testing.assert_allclose(row[3:] @ rate, sign * n @ velocity, atol=1e-13)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PLACES)
 def test_derivatives_in_shapes_and_poses(name):
     """Taylor remainders of gap, coordinates and normal fall as the square of the step; both modes agree."""
@@ -325,6 +328,7 @@ def test_second_derivative_of_the_gap():
     np.testing.assert_allclose(jax.hessian(gap)(jnp.asarray(p)), exact, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_vmap_is_a_loop():
     poses = np.stack([case(name)[1] for name in PLACES])
     sizes, _, pose_b = case("apart")

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import space
+from helpers import slow_among
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
@@ -72,7 +73,7 @@ SURFACES = {
 }
 
 
-@pytest.mark.parametrize("name", SURFACES)
+@pytest.mark.parametrize("name", slow_among(SURFACES, "splines", "patch", "bean"))
 def test_a_mesh_lies_on_its_surface_and_faces_outwards(name):
     surface, volume = SURFACES[name]
     about = np.array([0.02, 0.01, 0.03])

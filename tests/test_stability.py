@@ -190,6 +190,7 @@ def test_slowest_rate_is_the_decay_of_a_run(pinch):
     assert abs(np.log(lean[1] / lean[0]) / 3.0 / slowest - 1) <= 1e-3
 
 
+@pytest.mark.slow
 def test_any_contour_any_number_of_fingers():
     """From the end of a run, an elliptic object: the run comes to rest where Newton says."""
     grasp, state = jxr.scenes.pinch_ellipse()

@@ -87,6 +87,7 @@ def test_noisy_ellipsoid():
     assert "wavelength 22 mm" in str(fit.report)
 
 
+@pytest.mark.slow
 def test_torus_from_points_and_normals():
     """Neither convex nor star-shaped, and no quadric: errors fall with the wavelength."""
     exact = Torus(0.03, 0.011)

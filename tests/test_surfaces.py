@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import observed_order, taylor_remainders
+from helpers import observed_order, slow_among, taylor_remainders
 
 import jaxroll as jxr
 from jaxroll import _spatial as sp
@@ -374,7 +374,7 @@ CURVED = {
 }
 
 
-@pytest.mark.parametrize("name", CURVED)
+@pytest.mark.parametrize("name", slow_among(CURVED, "field", "patch"))
 def test_curvature_is_differentiable_in_the_shape(name):
     """Taylor's remainder falls with the square of the step; forward and reverse agree."""
     make, at = CURVED[name]

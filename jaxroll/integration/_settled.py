@@ -16,7 +16,7 @@ from jaxtyping import Array
 from .._algebra import factorise
 from .._backend import filled, one_kernel
 from .._primitives import linear_map
-from .._sharing import sharing
+from .._sharing import shared, sharing
 from ..mechanics import bodies, Grasp, join, linearise, State, to_leaves, touches
 from ._closed_loop import compatible
 from ._nearest import constraint_rows, metric_at, moved, multipliers, Problem, searched
@@ -143,19 +143,20 @@ def _carried(response: _Response, dots: Any, step: Array) -> State:
 
 def _ending_pulled(response: _Response, bars: State) -> tuple[Any, Array]:
     """Cotangents of all that moves, and of the step, from those of the state."""
-    return jax.vjp(response.question.ending, response.moving, response.step)[1](bars)
+    back = lambda moving, step, bars: jax.vjp(response.question.ending, moving, step)[1](bars)  # noqa: E731
+    return shared(back)(response.moving, response.step, bars)
 
 
 def _conditions_pulled(response: _Response, w: Array) -> Any:
     """Cotangent of all that moves, from that of the conditions of the minimum."""
 
-    def weighed(moving: Any) -> Array:
+    def weighed(moving: Any, z: Array, w: Array) -> Array:
         problem = response.question.problem(moving)
         if response.square:
-            return jnp.sum(w * problem.rows(response.z))
-        return jax.jvp(problem.lagrangian, (response.z,), (w,))[1]
+            return jnp.sum(w * problem.rows(z))
+        return jax.jvp(problem.lagrangian, (z,), (w,))[1]
 
-    return jax.grad(weighed)(response.moving)
+    return shared(jax.grad(weighed))(response.moving, response.z, w)
 
 
 def _ending(grasp: Grasp, guess: State, step: Array) -> State:

@@ -181,6 +181,7 @@ def on_plate(tip):
     return jxr.scenes.pinch(tips=tip, alpha=0.0, s=(0.0, 0.0))
 
 
+@pytest.mark.slow
 def test_on_a_plate_the_stiffness_is_the_margin_of_41_times_a_force():
     for tip in (jxr.Circle(0.01).moved((-0.002, 0.0)), jxr.Ellipse(0.01, 0.015), jxr.Ellipse(0.015, 0.01)):
         found = Firmness(on_plate).aimed(tip).values(tip)

@@ -32,6 +32,9 @@ MODULES = [
 
 # Examples whose scenes take long to compile; other tests run what is in them.
 LONG = [
+    "jaxroll.design._measures",
+    "jaxroll.integration._loci",
+    "jaxroll.integration._rosenbrock",
     "jaxroll.design._fingertip",
     "jaxroll.plotting._design",
     "jaxroll.plotting._loci",

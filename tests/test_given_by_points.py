@@ -23,6 +23,7 @@ def test_part_2_from_128_points():
     assert max(np.abs(x).max() for x in (left.normal, left.tangential, left.tangency)) <= 1e-12
 
 
+@pytest.mark.slow
 def test_part_1_from_points():
     """The pinch with fingertips given by 128 points each."""
     ts = np.linspace(0.0, 1.0, 11)

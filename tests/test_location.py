@@ -38,6 +38,7 @@ def check_all(found, errors):
     assert 0.3 < np.mean(gap < -1e-9) < 0.4 and np.mean(gap > 1e-3) > 0.2
 
 
+@pytest.mark.slow
 def test_no_pair_is_missed():
     check_all(*compare(("polar", "polar"), 240, seed=1))
 

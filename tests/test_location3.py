@@ -308,6 +308,7 @@ def test_derivatives_in_shapes_and_poses(name):
         assert np.polyfit(np.log(steps), np.log(left), 1)[0] > 1.85, (i, left)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PLACES)
 def test_coordinates_against_central_differences(name):
     sizes, pose_a, pose_b = case(name)

@@ -52,7 +52,7 @@ KINDS = {
 AS_TOLD = {"spin prevented": {"no_spin": True}, "gravity": {"gravity": (0.3, -1.0, 0.5)}}
 
 
-HARD = [pytest.param(kind, marks=[] if kind == "cuboid" else [pytest.mark.slow]) for kind in KINDS]
+HARD = [pytest.param(kind, marks=pytest.mark.slow) for kind in KINDS]
 
 
 @pytest.fixture(scope="module", params=HARD)
@@ -220,6 +220,7 @@ def test_close_from_located_contacts():
         assert np.abs(part).max() <= 1e-14
 
 
+@pytest.mark.slow
 def test_close_out_of_reach_names_the_worst_row():
     """Two fingers 10 m apart cannot hold one object, however the search goes."""
     grasp, state = jxr.scenes.pinch3d()

@@ -195,6 +195,7 @@ def test_rolled_body_touches_where_it_says():
         np.testing.assert_allclose(R @ np.asarray(egg.normal(at)), -bump.normal(there), atol=1e-11)
 
 
+@pytest.mark.slow
 def test_loci_share_their_arclength_and_fit_their_points(turning):
     scene, _ = turning
     run = run_of(scene, 3.0, ts=601, rtol=1e-11)

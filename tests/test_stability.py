@@ -54,6 +54,7 @@ def test_hessian_of_u_against_central_differences(pinch):
     np.testing.assert_allclose(at.hessian, second, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_statics_agree_with_the_moving_grasp(pinch):
     """U(s_1, s_2), d and l from contact coordinates alone, against tip positions along a run."""
     grasp, state = pinch

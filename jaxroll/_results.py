@@ -5,6 +5,7 @@ must be and what it was. What goes wrong while a compiled program runs is a code
 survives `vmap`, one code per lane, and never discards what had been computed.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -12,6 +13,11 @@ import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
+
+# Longest quotation of a bad argument in an error's sentence.
+_QUOTED = 80
+# Arrays with more numbers than this are quoted by their shape.
+_FEW = 12
 
 
 class RESULTS(eqx.Enumeration):
@@ -45,11 +51,81 @@ def concrete(value: Any) -> np.ndarray | None:
     return None if traced(value) else np.asarray(value)
 
 
+def shown(value: Any) -> str:
+    """A value as an error's sentence quotes it: short, and on one line."""
+    try:
+        text = _quoted(value)
+    except Exception:  # a caller's own `repr` may fail on what is wrong with it
+        text = f"a {type(value).__name__}"
+    text = " ".join(text.split())
+    return text if len(text) <= _QUOTED else f"{text[: _QUOTED - 4]} ..."
+
+
+def _quoted(value: Any) -> str:
+    if isinstance(value, jax.core.Tracer):
+        return f"a traced array of shape {value.shape}"
+    if not is_array_like(value):
+        return repr(value)
+    seen = np.asarray(value)
+    if seen.size <= _FEW:
+        return str(seen.tolist())
+    return f"an array of shape {seen.shape} that begins with {seen.ravel()[:3].tolist()}"
+
+
+def is_array_like(value: Any) -> bool:
+    """Whether a value is one array already, of NumPy or of JAX."""
+    return isinstance(value, np.ndarray | np.generic | jax.Array)
+
+
+def as_array(name: str, value: Any) -> jax.Array:
+    """The one door from a caller's argument to a floating array; whatever is not real numbers is refused.
+
+    Numbers, nested sequences of them and arrays of NumPy and JAX pass, traced ones included. Text, None,
+    booleans, complex numbers, ragged sequences and other objects raise one sentence.
+    """
+    wanted = f"argument {name} must be a real number or an array of them, but was {{}}"
+    if not is_array_like(value) and not isinstance(value, int | float | list | tuple | range):
+        # Other libraries' arrays and numbers (torch, pandas, fractions) say themselves how they convert.
+        if not (
+            hasattr(value, "__array__") or hasattr(value, "__jax_array__") or hasattr(value, "__float__")
+        ):
+            raise ValueError(wanted.format(shown(value)))
+        if isinstance(value, complex | str | bytes):
+            raise ValueError(wanted.format(shown(value)))
+    try:
+        array = _converted(value)
+    except (TypeError, ValueError, OverflowError) as error:
+        if isinstance(error, jax.errors.JAXTypeError):  # NumPy met a tracer: the caller's own mistake
+            raise
+        raise ValueError(wanted.format(shown(value))) from None
+    if array.dtype == bool or not jnp.issubdtype(array.dtype, jnp.number):
+        raise ValueError(wanted.format(shown(value)))
+    if jnp.issubdtype(array.dtype, jnp.complexfloating):
+        raise ValueError(wanted.format(shown(value)))
+    floating = jnp.issubdtype(array.dtype, jnp.floating)
+    return array if floating else array.astype(jnp.result_type(float))
+
+
+def _converted(value: Any) -> jax.Array:
+    """A JAX array; Python's own booleans among numbers are noticed, which NumPy would take for 0 and 1."""
+    if isinstance(value, bool) or isinstance(value, list | tuple) and _holds_flag(value):
+        raise TypeError("a boolean is no number")
+    if is_array_like(value):
+        return jnp.asarray(value)
+    if isinstance(value, list | tuple | range):
+        return jnp.asarray(value if traced(value) else np.asarray(value))
+    if hasattr(value, "__jax_array__"):
+        return jnp.asarray(value)
+    return jnp.asarray(np.asarray(value) if hasattr(value, "__array__") else float(value))
+
+
+def _holds_flag(values: Any) -> bool:
+    return any(isinstance(x, bool) or (isinstance(x, list | tuple) and _holds_flag(x)) for x in values)
+
+
 def as_floats(name: str, value: Any, shape: tuple[int | None, ...]) -> jax.Array:
-    """Convert an argument to a floating array of the given shape; `None` matches any length."""
-    array = jnp.asarray(value)
-    if not jnp.issubdtype(array.dtype, jnp.floating):
-        array = array.astype(jnp.result_type(float))
+    """Convert an argument to a finite floating array of the given shape; `None` matches any length."""
+    array = as_array(name, value)
     matches = array.ndim == len(shape) and all(
         want is None or want == have for want, have in zip(shape, array.shape, strict=True)
     )
@@ -59,11 +135,51 @@ def as_floats(name: str, value: Any, shape: tuple[int | None, ...]) -> jax.Array
     return check_finite(name, array)
 
 
+def as_count(name: str, value: Any, *, least: int = 1) -> int:
+    """Convert an argument to a Python integer of at least `least`; booleans and fractions are refused."""
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not whole or value < least:
+        raise ValueError(
+            f"argument {name} must be a whole number of at least {least}, but was {shown(value)}"
+        )
+    return int(value)
+
+
+def check_flag(name: str, value: Any) -> bool:
+    """Raise unless an argument is True or False."""
+    if not isinstance(value, bool | np.bool_):
+        raise ValueError(f"argument {name} must be True or False, but was {shown(value)}")
+    return bool(value)
+
+
+def check_choice(name: str, value: Any, known: Sequence[Any]) -> Any:
+    """Raise unless an argument is one of the values known."""
+    if not any(type(value) is type(item) and value == item for item in known):
+        raise ValueError(
+            f"argument {name} must be one of {', '.join(map(repr, known))}, but was {shown(value)}"
+        )
+    return value
+
+
+def check_instance(name: str, value: Any, kinds: type | tuple[type, ...], what: str) -> Any:
+    """Raise unless an argument is of one of these classes; `what` says in words what it must be."""
+    if not isinstance(value, kinds):
+        raise ValueError(f"argument {name} must be {what}, but was {shown(value)}")
+    return value
+
+
+def check_callable(name: str, value: Any, what: str = "a function") -> Any:
+    """Raise unless an argument can be called."""
+    if not callable(value):
+        raise ValueError(f"argument {name} must be {what}, but was {shown(value)}")
+    return value
+
+
 def check_finite(name: str, value: jax.Array) -> jax.Array:
     """Raise if a concrete value holds NaN or infinity."""
     seen = concrete(value)
     if seen is not None and not np.all(np.isfinite(seen)):
-        raise ValueError(f"argument {name} must be finite, but was {seen.tolist()}")
+        raise ValueError(f"argument {name} must be finite, but was {shown(seen)}")
     return value
 
 
@@ -71,7 +187,7 @@ def check_positive(name: str, value: jax.Array) -> jax.Array:
     """Raise if a concrete value is not strictly positive."""
     seen = concrete(value)
     if seen is not None and not np.all(seen > 0):
-        raise ValueError(f"argument {name} must be positive, but was {seen.tolist()}")
+        raise ValueError(f"argument {name} must be positive, but was {shown(seen)}")
     return value
 
 

@@ -51,10 +51,12 @@ def aim(plan: Plan, course: Course) -> tuple[Scalar, Scalar]:
     return pace.t, jnp.where(course.busy, t1, pace.t)
 
 
-def judge(plan: Plan, course: Course, times: tuple[Scalar, Scalar], step: tuple[Flow, Flow]) -> Course:
-    """Take a step, given as its end and its error estimate, or leave it."""
-    y1, error = step
-    judged = plan.control(course.pace).adapt_step_size(
+def judge(
+    plan: Plan, course: Course, times: tuple[Scalar, Scalar], step: tuple[Flow, Flow, Scalar]
+) -> Course:
+    """Take a step, given as its end, its error estimate and where its margin dips, or leave it."""
+    y1, error, dip = step
+    judged = plan.control(course.pace, dip).adapt_step_size(
         *times, course.y, y1, None, error, plan.stepper.error_order, course.pace
     )
     keep, pace, loop = judged[0], judged[4], judged[5]._value

@@ -15,6 +15,9 @@ from jaxtyping import Array, Float, Int
 
 from .._types import Scalar
 
+# Steps shorter than this part of what error control asks for are not searched for dips of the margin.
+_FINEST = 1.0 / 64.0
+
 
 class Hunt(NamedTuple):
     """A bracket round an event ahead.
@@ -75,6 +78,7 @@ class StopAt(eqx.Module):
         inner: The control of the error.
         pace: Where to go on from.
         dt0: Length of the first real step.
+        dip: At what share of the last step its margin dips below zero and comes back (see `_dips`).
         max_steps: Steps to attempt at most.
         margin: Where the flow vector carries the margin; its code is next.
     """
@@ -82,6 +86,7 @@ class StopAt(eqx.Module):
     inner: diffrax.AbstractStepSizeController
     pace: Pace
     dt0: Float[Array, ""]
+    dip: Scalar
     max_steps: int = eqx.field(static=True)
     margin: int = eqx.field(static=True)
 
@@ -93,14 +98,21 @@ class StopAt(eqx.Module):
         past = y1[self.margin + 1] != 0
         ends = past & (first | keep & (t1 - t0 <= 2.0 * pace.hunt.grain * resolution(t1)))
         back = past & keep & ~ends
-        keep = first | keep & ~back
+        near = self.dip * (t1 - t0)
+        # Where the margin dips, a shorter step is to end. Below a part of the usual length it is not asked
+        # any more: there all is smooth, and what dips is rounding.
+        dips = keep & ~past & ~first & (self.dip < 1.0) & (near > _FINEST * pace.length)
+        keep = first | keep & ~back & ~dips
         # The error control never sees the short steps of a hunt: it goes on at its pace afterwards.
-        aside = first | back | hunting & keep
+        aside = first | back | dips | hunting & keep
         settled = lambda new, old: jnp.where(aside, old, new)  # noqa: E731
         inner = jax.tree.map(settled, inner, pace.inner)
         length = jnp.where(first, self.dt0, settled(end - start, pace.length))
         start = jnp.where(keep, t1, t0)
         hunt = _narrowed(pace.hunt, (t0, t1), (y0[self.margin], y1[self.margin]), (back, keep & hunting))
+        hunt = hunt._replace(
+            beyond=jnp.where(dips, jnp.inf, hunt.beyond), leap=jnp.where(dips, near, hunt.leap)
+        )
         hunt = hunt._replace(leap=jnp.where(hunt.leap < length, hunt.leap, jnp.inf))
         hunt = hunt._replace(grain=jnp.where(hunt.on, hunt.grain, 1.0))
         count = pace.accepted + jnp.where(keep, 1, 0)

@@ -32,9 +32,9 @@ class Plan(eqx.Module):
         _, inner = self.controller.init(*start)  # pyright: ignore
         return at_rest(jax.tree.map(jnp.asarray, inner), self.t0)
 
-    def control(self, pace: Pace) -> StopAt:
-        """Step-size control that goes on at a pace."""
-        return StopAt(self.controller, pace, self.dt0, self.max_steps, self.stepper.lay.margin)
+    def control(self, pace: Pace, dip: Scalar = jnp.inf) -> StopAt:
+        """Step-size control that goes on at a pace; `dip` is where the margin of the last step dips."""
+        return StopAt(self.controller, pace, self.dt0, dip, self.max_steps, self.stepper.lay.margin)
 
 
 class Path(eqx.Module):

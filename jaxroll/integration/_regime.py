@@ -4,7 +4,9 @@ A margin is positive while the model holds and passes through zero where it ends
 control can find the time of the event (see `_march`), and autodiff its derivative.
 """
 
-from typing import Any
+import functools
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import diffrax
 import jax.numpy as jnp
@@ -31,25 +33,48 @@ _CODES = (
     RESULTS.penetration,
 )
 _NOT_FINITE, _SINGULAR_CONTACT, _CONTOUR_END, _LOST, _SLIPPING, _PENETRATION = range(1, 7)
+# Numbers of codes, in steps of which the contact is counted on.
+_KINDS = 16
 EVENTS = ("lift", "friction", "penetration")
 
 
+class Limit(NamedTuple):
+    """One limit of the model at one state.
+
+    Attributes:
+        margin: How far away it is; negative beyond it.
+        number: Its code, and which contact it is of (see `_numbered`).
+    """
+
+    margin: Scalar
+    number: Any
+
+
 def regime(grasp: Grasp, leaves: Leaves, instant: Instant, events: tuple[str, ...]) -> tuple[Scalar, Scalar]:
-    """Smallest margin at one state, and the number of its code: 0 while it is not negative.
+    """Smallest margin at one state, and the number of its limit: 0 while it is not negative.
 
     Contour ends and singular contacts are always watched, what `events` names besides; a friction
     cone only where its contact has a coefficient.
+
+    Limits of the geometry come before those of the forces. Where the sum of curvatures passes through zero
+    the forces have a pole: they are large on one side and have the other sign on the other one, where
+    nothing rolls and no force means anything. The cause is the geometry.
     """
-    places = zip(grasp.contacts, leaves.s, strict=True)
-    margins = [(m, _CONTOUR_END) for c, place in places for m in c.ends(grasp.shapes(c), place)]
-    margins += [(m - _SINGULAR, _SINGULAR_CONTACT) for m in _curvature_sums(grasp, instant)]
-    margins.append((instant.line.schur.smallest_pivot - _SINGULAR, _SINGULAR_CONTACT))
-    margins += _forces(grasp, instant, events)
-    least, number = margins[0][0], jnp.asarray(margins[0][1])
-    for margin, code in margins[1:]:
-        number = jnp.where(margin < least, code, number)
-        least = jnp.minimum(margin, least)
+    shape = _nearest(_geometry(grasp, leaves, instant))
+    forces = _forces(grasp, instant, events)
+    limit = shape if not forces else _nearest([shape, *forces])
+    holds = shape.margin >= 0
+    least, number = (jnp.where(holds, a, b) for a, b in zip(limit, shape, strict=True))
     return least, jnp.where(least < 0, number, 0)
+
+
+def _nearest(limits: Sequence[Limit]) -> Limit:
+    """The limit with the smallest margin."""
+    least, number = limits[0].margin, jnp.asarray(limits[0].number)
+    for limit in limits[1:]:
+        number = jnp.where(limit.margin < least, limit.number, number)
+        least = jnp.minimum(limit.margin, least)
+    return Limit(least, number)
 
 
 def with_clearance(
@@ -59,10 +84,15 @@ def with_clearance(
     least, number = end
     if "penetration" not in events:
         return end
-    for margin in _clearances(grasp, leaves):
-        number = jnp.where((margin < least) & (margin < 0), _PENETRATION, number)
+    for i, margin in enumerate(_clearances(grasp, leaves)):
+        number = jnp.where((number == 0) & (margin < 0), _numbered(_PENETRATION, i), number)
         least = jnp.minimum(margin, least)
     return least, number
+
+
+def smallest_clearance(grasp: Grasp, leaves: Leaves) -> Scalar:
+    """How far the nearest fingertip stays clear of the object [m]; negative where one overlaps it."""
+    return functools.reduce(jnp.minimum, _clearances(grasp, leaves))
 
 
 def coded(x: Array, margin: Scalar, number: Scalar) -> Array:
@@ -79,8 +109,33 @@ def decode(number: Scalar, loop: diffrax.RESULTS) -> RESULTS:
     collapsed = loop == diffrax.RESULTS.dt_min_reached
     result = RESULTS.where(collapsed, RESULTS.step_collapsed, result)
     for i, code in enumerate(_CODES[1:], start=1):
-        result = RESULTS.where(number == i, code, result)
+        result = RESULTS.where(number % _KINDS == i, code, result)
     return result
+
+
+def _numbered(code: int, which: int | None) -> int:
+    """One number for a code and for the contact, or in an audit the finger, that it is of; None for all."""
+    return code if which is None else code + _KINDS * (which + 1)
+
+
+def whose(number: Scalar) -> Scalar:
+    """The contact or finger of a limit that ended a run; -1 where there is none."""
+    return (number // _KINDS).astype(int) - 1
+
+
+def _geometry(grasp: Grasp, leaves: Leaves, instant: Instant) -> list[Limit]:
+    """Ends of contours, sums of curvatures, and the smallest pivot of the constraints."""
+    each = enumerate(zip(grasp.contacts, leaves.s, strict=True))
+    limits = [
+        Limit(margin, _numbered(_CONTOUR_END, i))
+        for i, (contact, place) in each
+        for margin in contact.ends(grasp.shapes(contact), place)
+    ]
+    bends = [c.curvature_margin(pair, t) for c, pair, t in _each_contact(grasp, instant)]
+    limits += [Limit(m - _SINGULAR, _numbered(_SINGULAR_CONTACT, i)) for i, m in enumerate(bends)]
+    # The pivot belongs to all contacts together.
+    pivot = instant.line.schur.smallest_pivot - _SINGULAR
+    return [*limits, Limit(pivot, _numbered(_SINGULAR_CONTACT, None))]
 
 
 def _each_contact(grasp: Grasp, instant: Instant) -> list[tuple[AbstractContact, tuple[Any, Any], Any]]:
@@ -90,25 +145,22 @@ def _each_contact(grasp: Grasp, instant: Instant) -> list[tuple[AbstractContact,
     return [(c, (tips[c.finger], body), touching) for c, touching in each]
 
 
-def _curvature_sums(grasp: Grasp, instant: Instant) -> list[Scalar]:
-    """Relative sums of curvatures: a contact rolls while its own is positive."""
-    return [c.curvature_margin(pair, t) for c, pair, t in _each_contact(grasp, instant)]
-
-
-def _forces(grasp: Grasp, instant: Instant, events: tuple[str, ...]) -> list[tuple[Scalar, int]]:
+def _forces(grasp: Grasp, instant: Instant, events: tuple[str, ...]) -> list[Limit]:
     """Normal forces, and distances to the sides of the friction cones [N]."""
-    margins = []
-    for (contact, pair, touching), force in zip(_each_contact(grasp, instant), instant.forces, strict=True):
+    limits = []
+    each = zip(_each_contact(grasp, instant), instant.forces, strict=True)
+    for i, ((contact, pair, touching), force) in enumerate(each):
         lift, rubs = "lift" in events, "friction" in events and contact.friction is not None
         if not lift and not rubs:
             continue
         f, tangential = contact.split_force(pair, touching, force)
         if lift:
-            margins.append((f, _LOST))
+            limits.append(Limit(f, _numbered(_LOST, i)))
         if rubs:
             cone = contact.friction * f
-            margins += [(cone - rubbing, _SLIPPING) for rubbing in contact.rubbing(tangential)]
-    return margins
+            slips = _numbered(_SLIPPING, i)
+            limits += [Limit(cone - rubbing, slips) for rubbing in contact.rubbing(tangential)]
+    return limits
 
 
 def _clearances(grasp: Grasp, leaves: Leaves) -> list[Scalar]:

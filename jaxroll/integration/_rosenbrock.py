@@ -87,7 +87,7 @@ class Rosenbrock(diffrax.AbstractAdaptiveSolver):
         x0, back = ravel_pytree(y0)
         nothing = jnp.zeros(0, x0.dtype)
         field = lambda t, x: (ravel_pytree(terms.vf(t, back(x), args))[0], nothing)  # noqa: E731
-        x1, _, error, _ = advance(
+        x1, _, error, _, _ = advance(
             field, (jnp.asarray(t0), jnp.asarray(t1)), x0, nothing, sampled=side_by_side
         )
         y1 = back(x1)
@@ -95,9 +95,17 @@ class Rosenbrock(diffrax.AbstractAdaptiveSolver):
 
 
 def advance(
-    at: Field, times: tuple[Array, Array], x0: Array, nothing: Array, *, sampled: Callable
-) -> tuple[Array, Array, Array, Array]:
+    at: Field,
+    times: tuple[Array, Array],
+    x0: Array,
+    nothing: Array,
+    *,
+    sampled: Callable,
+    kept: slice = slice(0),
+) -> tuple[Array, Array, Array, Array, Array]:
     """One step: its end, the derivative there, the error estimate, and what else the last evaluation gave.
+
+    Last of all comes a part of that, of all stages, shape (8, ...).
 
     Lanes, if any, lie along the last axis of everything.
 
@@ -107,28 +115,30 @@ def advance(
         x0: State at the start, shape (n,) or (n, lanes).
         nothing: Of the shape of what `at` gives besides the derivative.
         sampled: `side_by_side` or `in_turn`, how the samples for the differences are taken.
+        kept: Which part of what `at` gives besides the derivative is wanted of all stages.
     """
     t0, h = times[0], times[1] - times[0]
     moving = h != 0
     h, moving = jnp.where(moving, h, 1.0)[None], moving[None]
     rates, inverse, drift = _linearised(at, t0, x0, h, sampled)
-    rows, slopes, lags, moments = (jnp.asarray(x, x0.dtype) for x in (_ROWS, _SLOPES, _LAGS, _TIMES))
+    rows, slopes, lags, moments = (jnp.asarray(x, x0.dtype) for x in (_ROWS, _SLOPES, _LAGS, STAGE_TIMES))
 
-    def stage(k: Scalar, carry: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
-        u, rates, _, _ = carry
+    def stage(k: Scalar, carry: tuple[Array, ...]) -> tuple[Array, ...]:
+        u, rates, _, parts, _ = carry
         right = rates + _mixed(row(slopes, k), u) / h + h * row(lags, k) * drift
         u = _put(u, _mixed(right[:, None], inverse), k)
         # A step of no length stays where it is, whatever its stages say.
         x = x0 + jnp.where(moving, _mixed(row(rows, k + 1), u), 0.0)
         rates, end = at(t0 + (times[1] - t0) * row(moments, k + 1), x)
-        return u, rates, end, x
+        return u, rates, end, _put(parts, end[kept], k), x
 
-    start = (jnp.zeros((len(_ERROR), *x0.shape), x0.dtype), rates, nothing, x0)
-    u, rates, end, x1 = jax.lax.fori_loop(0, len(_ERROR), stage, start)
+    parts = jnp.zeros((len(_ERROR), *nothing[kept].shape), nothing.dtype)
+    start = (jnp.zeros((len(_ERROR), *x0.shape), x0.dtype), rates, nothing, parts, x0)
+    u, rates, end, parts, x1 = jax.lax.fori_loop(0, len(_ERROR), stage, start)
     error = _mixed(_ERROR, u)
     # A matrix that is singular at this length shows here: a shorter step has another one.
     error = jnp.where(jnp.isfinite(error), error, jnp.inf)
-    return x1, rates, jnp.where(moving, error, 0.0), end
+    return x1, rates, jnp.where(moving, error, 0.0), end, parts
 
 
 def side_by_side(sample: Callable, nudges: Array) -> Array:
@@ -232,7 +242,8 @@ _C = (
 _ENDS = (_A[-1] + (1.0,), _A[-1] + (1.0, 1.0), _A[-1] + (1.0, 1.0, 1.0))
 _ROWS = np.array([row + (0.0,) * (8 - len(row)) for row in ((), *_A, *_ENDS)])
 _SLOPES = np.array([row + (0.0,) * (8 - len(row)) for row in ((), *_C)])
-_TIMES = np.array(
+# When the stages are evaluated, as a share of the step; the first is its start.
+STAGE_TIMES = np.array(
     [0.0, 0.6358126895828704, 0.4095798393397535, 0.9769306725060716, 0.4288403609558664, 1.0, 1.0, 1.0, 1.0]
 )
 _LAGS = np.array(

@@ -20,10 +20,11 @@ from .._sharing import alone, once, sharing
 from .._types import Scalar
 from ..mechanics import Grasp, Instant
 from ._closed_loop import Anchor, anchor_of, compatible, evaluate, power, settle, unknown_anchor
+from ._dips import first_dip, watched
 from ._flow import Bundle, Flow, Layout, pack, unpack
 from ._formulation import Formulation, Index1
-from ._regime import coded, regime, with_clearance
-from ._rosenbrock import advance, in_turn, Rosenbrock, side_by_side
+from ._regime import coded, regime, smallest_clearance, with_clearance
+from ._rosenbrock import advance, in_turn, Rosenbrock, side_by_side, STAGE_TIMES
 
 
 class RollingStep(eqx.Module):
@@ -51,8 +52,8 @@ class RollingStep(eqx.Module):
     @eqx.filter_jit  # traced once for a run and its tangents
     def advance(
         self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow, *, over: Callable = alone
-    ) -> tuple[Flow, Flow]:
-        """One step as a pure map: the new vector and its error estimate.
+    ) -> tuple[Flow, Flow, Scalar]:
+        """One step as a pure map: the new vector, its error estimate, and where its margin dips (`_dips`).
 
         `over` is `pulled` where the step is to be differentiated backwards.
         """
@@ -60,12 +61,14 @@ class RollingStep(eqx.Module):
 
     def advance_lanes(
         self, bundle: Bundle, times: tuple[Array, Array], y0: Array, over: Callable[[Callable], Callable]
-    ) -> tuple[Array, Array]:
+    ) -> tuple[Array, Array, Array]:
         """The same for lanes along the last axis; `over` maps a function of one lane's (bundle, ...)."""
-        raw, rates, error, end = self._way(bundle, *times, y0, over)
+        raw, rates, error, end, dip = self._way(bundle, *times, y0, over)
         y1 = over(self._finish)(bundle, times[1], raw, rates, end)
+        if "penetration" in self.events:
+            dip = jnp.minimum(dip, over(self._clearance_dip)(bundle, *times, y0, y1))
         unseen = jnp.zeros((self.lay.width + 2, *error.shape[1:]), error.dtype)
-        return y1, jnp.concatenate([error, unseen])
+        return y1, jnp.concatenate([error, unseen]), dip
 
     @property
     def _way(self) -> Callable:
@@ -94,16 +97,36 @@ class RollingStep(eqx.Module):
         leaves, work = unpack(self.lay, x)
         return pack(compatible(grasp, leaves, anchor.line), work)
 
+    def _within(self, t0: Scalar, t1: Scalar, y0: Flow, y1: Flow, share: Scalar) -> Array:
+        """The vector x at a share of a step, by the cubic through both ends and their derivatives."""
+        width = self.lay.width
+        (x0, k0), (x1, k1) = ((y[:width], (t1 - t0) * y[width : 2 * width]) for y in (y0, y1))
+        rise, rest = x1 - x0, 1.0 - share
+        bent = rest * (k0 - rise) - share * (k1 - rise)
+        return x0 + share * (rise + rest * bent)
+
+    def _clearance_dip(self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow, y1: Flow) -> Scalar:
+        """Where a fingertip overlaps the object within a step: the audit at some places of it."""
+        grasp, shares = bundle(), jnp.asarray(_AUDITED, y0.dtype)
+
+        def audited(i: Scalar, margins: Array) -> Array:
+            leaves, _ = unpack(self.lay, self._within(t0, t1, y0, y1, row(shares, i)))
+            return jnp.where(jnp.arange(len(_AUDITED)) == i, smallest_clearance(grasp, leaves), margins)
+
+        margins = jax.lax.fori_loop(0, len(_AUDITED), audited, jnp.zeros(len(_AUDITED), y0.dtype))
+        return first_dip(_AUDITED, list(margins))
+
     def _explicit(
         self, bundle: Bundle, t0: Array, t1: Array, y0: Array, over: Callable
-    ) -> tuple[Array, Array, Array, Array]:
+    ) -> tuple[Array, Array, Array, Array, Array]:
         """All stages and the step's end in one loop, so that the equations are compiled once."""
         tableau = self.method.tableau  # pyright: ignore[reportAttributeAccessIssue]
         # Frozen: a step is moved in time as a whole, never stretched.
         dt, width = jax.lax.stop_gradient(t1 - t0), self.lay.width
-        rows, times, weights = _tables(tableau, y0.dtype)
-        count = len(times)
-        x0, k0 = y0[:width], y0[width : 2 * width]
+        rows, shares, weights = _tables(tableau, y0.dtype)
+        times, count = jnp.asarray(shares, y0.dtype), len(shares)
+        # A column more than x has takes the margins of all stages along: what is mixed of it is not read.
+        x0, k0 = y0[: width + 1], y0[width : 2 * width + 1]
         slopes = jnp.concatenate([k0[None], jnp.zeros((count - 1, *k0.shape), k0.dtype)])
         nothing = jnp.zeros((_sizes(bundle), *t0.shape), y0.dtype)
 
@@ -121,12 +144,16 @@ class RollingStep(eqx.Module):
             slopes = carry[0]
             x = x0 + dt[None] * mix(slopes, scalars(row(rows, i)))
             rates, end = at(t0 + times[i] * dt, x)
-            return put(slopes, rates, i), x, end
+            return put(slopes, jnp.concatenate([rates, end[_MARGIN][None]]), i), x, end
 
         # A derivative of all stages side by side would take long to compile.
         loop = jax.lax.fori_loop if t0.ndim == 0 else _repeated
         slopes, raw, end = loop(1, count, stage, (slopes, x0, nothing))
-        return raw, slopes[-1], dt[None] * mix(slopes, weights), end
+        raw, error, rates = raw[:width], dt[None] * mix(slopes, weights)[:width], slopes[-1, :width]
+        seen = watched(shares)
+        if len(seen) > 2:
+            return raw, rates, error, end, first_dip(shares[seen], [slopes[i, width] for i in seen])
+        return raw, rates, error, end, self._dip_between(at, (t0, t1), y0, (raw, rates, end))
 
     def _at(self, bundle: Bundle, t: Scalar, x: Array) -> tuple[Array, Array]:
         """Time derivative of x, and what is needed of it if the step ends there, as vectors."""
@@ -148,7 +175,7 @@ class RollingStep(eqx.Module):
 
     def _other(
         self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow, over: Callable
-    ) -> tuple[Array, Array, Array, Array]:
+    ) -> tuple[Array, Array, Array, Array, Array]:
         def field(t: Scalar, x: Array, args: Grasp) -> Array:
             return self.rates(args, t, x)[0]
 
@@ -161,15 +188,33 @@ class RollingStep(eqx.Module):
         if error is None:
             error = jnp.zeros_like(raw)
         error = jnp.where(code == diffrax.RESULTS.successful, error, jnp.inf)
-        return raw, rates, error, end
+        at = lambda t, x: self._at(bundle, t, x)  # noqa: E731
+        return raw, rates, error, end, self._dip_between(at, (t0, t1), y0, (raw, rates, end))
+
+    def _dip_between(
+        self, at: Callable, times: tuple[Scalar, Scalar], y0: Flow, after: tuple[Array, Array, Array]
+    ) -> Scalar:
+        """Where the margin dips within a step whose stages are not at hand: by evaluations of its own."""
+        raw, rates, end = after
+        y1, inner = jnp.concatenate([raw, rates]), jnp.asarray(_AUDITED[1:-1], y0.dtype)
+
+        def margin(share: Scalar) -> Scalar:
+            x = self._within(*times, y0, y1, share)
+            return at(times[0] + share * (times[1] - times[0]), x)[1][_MARGIN]
+
+        return first_dip(_AUDITED, [y0[self.lay.margin], *jax.lax.map(margin, inner), end[_MARGIN]])
 
     def _rosenbrock(
         self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow, over: Callable
-    ) -> tuple[Array, Array, Array, Array]:
+    ) -> tuple[Array, Array, Array, Array, Array]:
         at = lambda t, x: over(self._at)(bundle, t, x)  # noqa: E731
         sampled = side_by_side if t0.ndim == 0 else in_turn
         nothing = jnp.zeros((_sizes(bundle), *t0.shape), y0.dtype)
-        return advance(at, (t0, t1), y0[: self.lay.width], nothing, sampled=sampled)
+        x0, margin = y0[: self.lay.width], y0[self.lay.margin]
+        kept = slice(_MARGIN, _MARGIN + 1)
+        *step, inner = advance(at, (t0, t1), x0, nothing, sampled=sampled, kept=kept)
+        margins, seen = [margin, *inner[:, 0]], watched(STAGE_TIMES)
+        return (*step, first_dip(STAGE_TIMES[seen], [margins[i] for i in seen]))
 
 
 class Ending(eqx.Module):
@@ -210,12 +255,16 @@ def _sizes(bundle: Bundle) -> int:
     return len(jax.tree.leaves(Ending.unknown(bundle.rest)))
 
 
+# Where the packed `Ending` has the margin: before the number of its limit.
+_MARGIN = -2
+# Where a step is looked at if no stages serve, as shares of it.
+_AUDITED = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
 # Sweeps of the projection: a gap of 1e-6 m is below rounding after two. As a loop they would take longer
 # to compile, backwards above all.
 _SWEEPS = 2
 
 
-def _tables(tableau: diffrax.ButcherTableau, dtype: Any) -> tuple[Array, Array, list[float]]:
+def _tables(tableau: diffrax.ButcherTableau, dtype: Any) -> tuple[Array, np.ndarray, list[float]]:
     """Rows of all stages and of the step's end, their times, and the error's weights."""
     # The last stage of some methods is the step's end already; the others get one more.
     ends_itself = bool(tableau.fsal and tableau.ssal)
@@ -225,4 +274,4 @@ def _tables(tableau: diffrax.ButcherTableau, dtype: Any) -> tuple[Array, Array, 
         full[i + 1, : len(weights)] = weights
     times = np.concatenate([[0.0], tableau.c, [1.0]])[:count]
     error[: tableau.num_stages] = tableau.b_error
-    return jnp.asarray(full, dtype), jnp.asarray(times, dtype), error.tolist()
+    return jnp.asarray(full, dtype), times, error.tolist()

@@ -1,5 +1,7 @@
 """The model's ends: each has its code, and its time is a root, with the right derivative."""
 
+import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +12,7 @@ from scipy.optimize import brentq
 import jaxroll as jxr
 from jaxroll._algebra import Vec2
 from jaxroll.geometry import frenet
+from jaxroll.integration._dips import first_dip
 
 RTOL = 1e-10
 
@@ -192,6 +195,122 @@ def test_curvature_sum_runs_out():
     tip, face = hollow.shapes(hollow.contacts[0])
     left = tip.curvature(run.last.s[0] - 0.003) + face.curvature(0.003 - run.last.s[0])
     assert abs(left) < 0.1
+
+
+def rolled_into_a_hollow(grasp, state, numbers):
+    """Code, time, and at the end: relative sum of curvatures, normal force, distance to the cone's sides."""
+    spin, damping, force = numbers
+    old, friction = grasp.object.contours[0], 0.5
+    face = Hollow().moved(old.offset, old.angle, origin=old.origin)
+    scene = rubbing(grasp.with_(contours=(face,), damping=damping, force=force), friction)
+    scene, start = jxr.close(scene, jxr.State(state.q, spin * jnp.array([1.0, 0.0, 0.0]), state.s))
+    run = ends(scene, start, t1=1.0)
+    (tip, hollow), contact, s = scene.shapes(scene.contacts[0]), scene.contacts[0], run.last.s[0]
+    bends = [tip.curvature(contact.s_tip + s), hollow.curvature(contact.s_object - s)]
+    at_end = jxr.multipliers(scene, run.stats.t_end, run.last)
+    f, lam = at_end.f[0], at_end.lam[0]
+    left = sum(bends) / (abs(bends[0]) + abs(bends[1]))
+    return run.result._value, run.stats.t_end, left, f, friction * f - abs(lam)
+
+
+def test_every_end_is_at_the_limit_that_its_code_names(scene):
+    """Where the sum of curvatures runs out, forces have a pole: that is no lost contact, and no slip."""
+    draw = np.random.default_rng(0).uniform
+    numbers = (draw(-60.0, 60.0, 64), 10.0 ** draw(-4.0, -2.0, 64), 10.0 ** draw(-1.0, 1.0, 64))
+    batch = jax.jit(jax.vmap(lambda *row: rolled_into_a_hollow(*scene, row)))
+    codes, when, left, f, cone = map(np.asarray, batch(*map(jnp.asarray, numbers)))
+    singular = codes == jxr.RESULTS.singular_contact._value
+    slips = codes == jxr.RESULTS.slipping._value
+    fine = codes == jxr.RESULTS.successful._value
+    assert (singular | slips | fine).all() and min(singular.sum(), slips.sum(), fine.sum()) >= 5
+    assert (left[singular] < 1e-3).all() and (left[~singular] > 1e-3).all()
+    later = slips & (when > 0)
+    assert later.sum() >= 5 and (abs(cone[later]) <= 1e-8 * abs(f[later])).all()
+
+
+class Tug(eqx.Module):
+    """Control (75) whose force is pulled back for a moment."""
+
+    depth: jax.Array
+    when: jax.Array
+
+    def __call__(self, t, angles, rates, tips):
+        arm = tips[0].position - jnp.array([0.03, 0.105])
+        left = 1.0 - self.depth * jnp.exp(-(((t - self.when) / 0.01) ** 2))
+        return (-0.006 * rates[0] - 50.0 * left * tips[0].jacobian.T @ arm,)
+
+
+def pulled(scene, depth, when, **options):
+    """A run under one pull."""
+    return jxr.simulate(scene[0].with_(controller=Tug(depth, when)), scene[1], 0.4, throw=False, **options)
+
+
+@pytest.fixture(scope="module")
+def pulls(scene):
+    """48 pulls, some deep enough to lose the contact, some not quite, and the lowest of 500 forces of each."""
+    draw = np.random.default_rng(1).uniform
+    given = jnp.asarray(draw(0.9, 1.1, 48)), jnp.asarray(draw(0.1, 0.35, 48))
+
+    def lowest(depth, when):
+        options = {"ts": 500, "events": (), "record": ("multipliers",)}
+        return jnp.min(pulled(scene, depth, when, **options).multipliers.f)
+
+    return given, np.asarray(jax.jit(jax.vmap(lowest))(*given))
+
+
+@pytest.mark.parametrize(
+    ("solver", "rtol"),
+    [
+        (None, 1e-8),
+        pytest.param(jxr.Rosenbrock(), 1e-6, marks=pytest.mark.slow),
+        pytest.param(diffrax.Heun(), 1e-4, marks=pytest.mark.slow),
+        pytest.param(diffrax.Tsit5(), 1e-6, marks=pytest.mark.slow),
+    ],
+)
+def test_a_force_that_falls_below_zero_and_rises_within_a_step_is_seen(scene, pulls, solver, rtol):
+    """Against forces at many times of runs that nothing ends."""
+    given, force = pulls
+    run = lambda *pull: pulled(scene, *pull, ts=1, solver=solver, rtol=rtol).result._value  # noqa: E731
+    lost = np.asarray(jax.jit(jax.vmap(run))(*given)) == jxr.RESULTS.contact_lost._value
+    sure = abs(force) > 1e-3
+    assert 10 <= lost.sum() <= 38 and sure.sum() >= 40
+    np.testing.assert_array_equal(lost[sure], force[sure] < 0)
+
+
+def passing(t, angles, rates, tips):
+    """The first finger is damped, the other one swings free."""
+    return (-0.006 * rates[0], 0.0 * rates[1])
+
+
+def test_a_finger_that_passes_through_the_object_within_a_step_is_penetration():
+    """It overlaps by half a millimetre for four milliseconds; one that keeps clear by that does not."""
+    disc = jxr.PivotedObject(jxr.Circle(0.02), inertia=1e-5, pivot=(0.03, 0.1))
+    holder = jxr.Finger([0.065, 0.065], [0.045, 0.040], jxr.Circle(0.01))
+    contact = jxr.Contact(0.0, 0.06)
+
+    @jax.jit
+    def pass_by(base):
+        other = jxr.Finger([0.05], [0.045], jxr.Circle(0.008), base=base)
+        grasp = jxr.Grasp(disc, [holder, other], contact, controller=passing)
+        rates = jnp.zeros(4).at[3].set(40.0)
+        start = jxr.close(grasp, jxr.State(jnp.array([0.0, 1.9, -0.7, jnp.pi - 0.6]), rates, jnp.zeros(1)))
+        return ends(*start, t1=0.03, events=("penetration",))
+
+    through = pass_by(jnp.array([0.03 + 0.0275 + 0.05, 0.1]))
+    assert through.result == jxr.RESULTS.penetration
+    # The tip's centre is where both circles touch.
+    angle = float(through.last.q[3])
+    tip = np.array([0.1075, 0.1]) + 0.05 * np.array([np.cos(angle), np.sin(angle)])
+    assert abs(np.linalg.norm(tip - np.array([0.03, 0.1])) - 0.028) <= 2e-7
+    assert pass_by(jnp.array([0.03 + 0.0285 + 0.05, 0.1])).result == jxr.RESULTS.successful
+
+
+def test_the_lowest_place_of_a_parabola_is_found_from_its_samples():
+    times, draw = np.array([0.0, 0.15, 0.4, 0.65, 0.92, 1.0]), np.random.default_rng(0).uniform
+    for place, depth in zip(draw(0.1, 0.95, 40), draw(-0.1, 0.1, 40), strict=True):
+        values = [jnp.asarray(depth + 3.0 * (t - place) ** 2) for t in times]
+        found = float(first_dip(times, values))
+        assert found == np.inf if depth > 0 else abs(found - place) <= 1e-12
 
 
 def test_a_stretched_finger_is_a_singular_grasp():

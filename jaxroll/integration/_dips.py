@@ -2,7 +2,7 @@
 
 A step is judged at its end. A force that falls below zero and rises again before the step ends would pass
 unseen; but the stages of a method evaluate the equations, and with them the margin of the model (see
-`_regime`), inside the step anyway. Between neighbouring stages the margin is taken as a parabola; where one
+`_regime`), inside the step anyway. About the lowest of these margins goes a parabola; where that
 falls below zero, `StopAt` takes the step back and ends a shorter one there.
 """
 
@@ -34,8 +34,8 @@ def watched(times: np.ndarray) -> np.ndarray:
 def first_dip(times: np.ndarray, margins: Sequence[Array]) -> Array:
     r"""Share of a step at which its margin is lowest, if it is below zero there; else infinity.
 
-    Through the lowest value inside the step and its two neighbours goes the parabola $m + b x + a x^2$ about the
-    middle one. It dips below zero if $m < 0$, or if $4 a m < b^2$ and its lowest place $-b / 2a$ lies
+    Through the lowest value inside the step and its two neighbours goes the parabola $m + b x + a x^2$ about
+    the middle one. It dips below zero if $m < 0$, or if $4 a m < b^2$ and its lowest place $-b / 2a$ lies
     within these three. The ends of the step are judged by themselves.
 
     Args:

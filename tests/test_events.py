@@ -247,7 +247,7 @@ def pulled(scene, depth, when, **options):
 
 @pytest.fixture(scope="module")
 def pulls(scene):
-    """48 pulls, some deep enough to lose the contact, some not quite, and the lowest of 500 forces of each."""
+    """48 pulls, some deep enough to lose the contact, some not, and the lowest of 500 forces of each."""
     draw = np.random.default_rng(1).uniform
     given = jnp.asarray(draw(0.9, 1.1, 48)), jnp.asarray(draw(0.1, 0.35, 48))
 

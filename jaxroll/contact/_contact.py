@@ -162,7 +162,7 @@ class AbstractContact(eqx.Module):
 
     @abc.abstractmethod
     def split_gap(self, poses: tuple[Any, Any], touch: Any, opening: Scalars) -> tuple[Scalar, Any]:
-        """Normal and tangential part of the gap [m], as they are reported."""
+        """Chapter's $Q$ and $R$ [m]: the gap along the object's inward normal, and along its tangent."""
 
     @abc.abstractmethod
     def rubbing(self, tangential: Any) -> list[Scalar]:

@@ -29,8 +29,11 @@ class CSM(eqx.Module):
 
     $\ddot Q + \gamma_f \dot Q + \omega_f Q = 0$ along the object's normal, and
     $\ddot R + \gamma_\lambda \dot R + \omega_\lambda R = 0$ along its tangent. Tangency is only
-    integrated through (68), never stabilised: an error at the start stays. Products of the gap with
-    the rotation of the contact frame are left out; they vanish on the constraint. The gains add rates of
+    integrated through (68), never stabilised: an error at the start stays. The gap is differentiated in
+    world axes, and only then taken along normal and tangent: products of the gap with the rotation of the
+    contact frame, which $\ddot Q$ and $\ddot R$ of (64)-(65) have, are left out. So this is the chapter's
+    equation on the constraint manifold, and off it at first order, where the frame rests; a gap $\epsilon$ in a
+    frame that turns at $\omega$ is pulled back with errors of order $\omega \epsilon$ in its rate. The gains add rates of
     $-750 \pm 1299i$ and $-1500 \pm 2598i$ 1/s, so explicit solvers take about ten times more steps.
 
     Args:

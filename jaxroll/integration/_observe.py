@@ -32,9 +32,10 @@ class Residuals(eqx.Module):
     r"""What the constraints leave over at each saved time, per contact.
 
     Attributes:
-        normal: $Q$, the gap along the object's normal [m]: (65), (5).
-        tangential: $R$, the gap along the object's tangent [m]: (64), (6). In space, shape (..., c, 3): its
-            part in the object's tangent plane, in world axes.
+        normal: $Q$, the gap along the object's inward normal [m], positive where the shapes overlap: (65), and
+            $Q_{ni}$ of (5)-(6). The gap runs from the object's contact point to the fingertip's.
+        tangential: $R$, the gap along the object's tangent $b_1$, $b_{0i}$ [m]: (64), and $Q_{bi}$ of
+            (5)-(6). In space, shape (..., c, 3): its part in the object's tangent plane, in world axes.
         tangency: Sine of the angle between the two tangents [rad]. In space, shape (..., c, 3): the sum of
             the two outward normals, in world axes.
     """

@@ -29,7 +29,8 @@ class PinchBalance(eqx.Module):
         lean: Angle [rad] between $O_i P_i$ and the line through both centres: zero when
             $O_1, P_1, P_2, O_2$ are collinear.
 
-    On contours that are not parallel faces each finger has its own d and l, and (44)-(48) and (51)-(55) hold
+    Angles ($p_i$, `lean`) count counter-clockwise where $b_{01}$ runs along the object's contour and $b_{02}$
+    against it (`sense` 1 and -1), clockwise in the mirror image. On contours that are not parallel faces each finger has its own d and l, and (44)-(48) and (51)-(55) hold
     with them; the last form of (49) is that of a rectangle.
     """
 
@@ -87,6 +88,8 @@ def _balance_at(grasp: Grasp, t: Scalar, state: State) -> PinchBalance:
         odd = -1.0 if i == 0 else 1.0  # (-1)^i as the chapter counts
         b = body.turn(at.object.tangent) * contact.sense
         n = body.turn(at.object.tangent).left()
+        # Which way the chapter counts angles: so that its n_01 is +90 degrees from b_01, its n_02 -90 from b_02.
+        way = -odd * contact.sense
         on_tip, on_body = tips[i].turn(at.tip.point), body.turn(at.object.point)
         d, l_ = arm.dot(b), -odd * arm.dot(n)
         n_i = odd * on_tip.dot(b) * l_ + on_tip.dot(n) * d
@@ -99,8 +102,8 @@ def _balance_at(grasp: Grasp, t: Scalar, state: State) -> PinchBalance:
                 forces.f[i] + control.beta * l_,
                 forces.lam[i] - odd * control.beta * d,
                 n_i,
-                control.beta * n_i + control.alpha[i] * kept[i],
-                _angle(arm * odd, on_tip),
+                control.beta * n_i + control.alpha[i] * way * kept[i],
+                way * _angle(arm * odd, on_tip),
             )
         )
     each = zip(*columns, strict=True)

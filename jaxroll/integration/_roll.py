@@ -76,7 +76,7 @@ def roll(
     Raises:
         ValueError: If an argument does not fit.
 
-    Accuracy: that of `rtol`; contacts stay on both surfaces to rounding.
+    Accuracy: that of `rtol`, at every time asked for (steps end there); contacts stay on both surfaces to rounding.
 
     Example:
         >>> import jax.numpy as jnp, jaxroll as jxr
@@ -168,7 +168,10 @@ def _roll(
         None,
         rolling.start(*start),
         saveat=diffrax.SaveAt(ts=ts),
-        stepsize_controller=diffrax.PIDController(rtol=rtol, atol=rtol),
+        # Steps end where answers are wanted: between its ends a step is known to a lower order.
+        stepsize_controller=diffrax.ClipStepSizeController(
+            diffrax.PIDController(rtol=rtol, atol=rtol), step_ts=ts
+        ),
         max_steps=_MAX_STEPS,
         throw=False,
     )

@@ -101,9 +101,7 @@ def test_residuals_are_5_and_6():
 
 def test_overlap_is_a_positive_residual_in_space_too():
     """A ball pushed 10 um into its table, and 20 um aside."""
-    grasp = jxr.Grasp(
-        jxr.FreeObject3(jxr.Sphere(0.02), 0.05, 8e-6), jxr.Stage(jxr.Plane()), jxr.Contact3()
-    )
+    grasp = jxr.Grasp(jxr.FreeObject3(jxr.Sphere(0.02), 0.05, 8e-6), jxr.Stage(jxr.Plane()), jxr.Contact3())
     q, places = jnp.array([2e-5, 0.0, 0.02 - 1e-5, 1.0, 0.0, 0.0, 0.0]), jnp.array([0, 0, 0, 0, 0, -0.02])
     left = jxr.residuals(grasp, jxr.State(q, jnp.zeros(6), places))
     assert float(left.normal[0]) == pytest.approx(1e-5, rel=1e-9)
@@ -140,10 +138,9 @@ def test_roll_is_as_accurate_between_the_ends_as_at_the_end():
     """A ball led round: what is saved on the way agrees with runs that end there."""
     ball, table = jxr.Sphere(0.1), jxr.Plane()
     path = lambda t: (0.3 * jnp.cos(3.0 * t), 0.2 * jnp.sin(5.0 * t), 0.0)  # noqa: E731
-    start = {"at_tip": (0.0, 0.0, -0.1), "at_object": (0.0, 0.0, 0.0), "rtol": 1e-8}
-    ts = np.array([0.0, 0.33, 0.71, 1.6])
+    start = {"at_tip": (0.0, 0.0, -0.1), "at_object": (0.0, 0.0, 0.0), "rtol": 1e-10}
+    ts = np.array([0.0, 0.33, 0.71, 0.93, 1.13, 1.6])
     whole = jxr.roll(ball, table, path, ts, **start)
     fine = jxr.roll(ball, table, path, ts, **start | {"rtol": 1e-13})
     off = np.abs(np.asarray(whole.pose - fine.pose)).max(axis=1)
     assert off[-1] > 0 and off[1:-1].max() <= 3.0 * off[-1]
-

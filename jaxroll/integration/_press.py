@@ -1,11 +1,14 @@
 """The chapter's Part 2 quantities: what tends to zero when a pressed object comes to rest."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._algebra import Vec2
+from .._printing import listed
 from .._types import Scalar
 from ..control import Press
 from ..mechanics import compiled, Grasp, poses, State, to_leaves, touches
@@ -29,6 +32,16 @@ class PressBalance(eqx.Module):
 
     With $R_1 = -(l_{b0} + l_{b1})$; the chapter prints (79) with the other sign.
     """
+
+    __repr__ = listed
+    UNITS: ClassVar[dict[str, str]] = {
+        "s": "m",
+        "delta_f": "N",
+        "delta_lam": "N",
+        "n1": "m^2",
+        "moment": "N m",
+        "potential": "J",
+    }
 
     s: Float[Array, "... c"]
     delta_f: Float[Array, "... c"]

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from . import contact, control, design, geometry, io, plotting, scenes, stability
     from ._results import RESULTS
     from ._sweep import sweep
+    from ._why import why
     from .contact import Contact, Contact3
     from .geometry import (
         AbstractContour,
@@ -73,6 +74,7 @@ _HOMES: dict[str, str | None] = {
     "stability": None,
     "RESULTS": "_results",
     "sweep": "_sweep",
+    "why": "_why",
     "Contact": "contact",
     "Contact3": "contact",
     "AbstractContour": "geometry",
@@ -167,6 +169,7 @@ __all__ = [  # noqa: PLE0604
     "simulate",
     "stability",
     "sweep",
+    "why",
 ]
 
 

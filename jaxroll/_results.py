@@ -14,17 +14,23 @@ import jax.core
 import jax.numpy as jnp
 import numpy as np
 
+from ._printing import named
+
 # Longest quotation of a bad argument in an error's sentence.
 _QUOTED = 80
 # Arrays with more numbers than this are quoted by their shape.
 _FEW = 12
 
 
+@named
 class RESULTS(eqx.Enumeration):
-    """Result codes of `jaxroll.simulate`: 'successful', or why a run ended early."""
+    """Result codes of `jaxroll.simulate`: 'successful', or why a run ended early.
+
+    A code prints as its name; `RESULTS[code]` is the sentence.
+    """
 
     successful = ""
-    max_steps_reached = "The step limit was reached; `max_steps` sets it."
+    max_steps_reached = "The step limit was reached."
     step_collapsed = "The step size fell to the smallest allowed: the motion is singular or not finite there."
     singular_contact = (
         "The rolling contact became singular: the sum of the two curvatures, or the Schur "

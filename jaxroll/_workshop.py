@@ -10,6 +10,8 @@ import jax
 import numpy as np
 
 from . import io, plotting, scenes
+from ._printing import code_name
+from ._results import RESULTS
 from .design import (
     AbstractGoal,
     ClosedLoop,
@@ -24,7 +26,7 @@ from .design import (
     settling_time,
 )
 from .geometry import fit_contour, Spline
-from .integration import simulate
+from .integration import cause, simulate
 
 # The start: an ellipse that points at the object, sharper in front than the circle about O_i.
 _LONG, _WIDE, _POINTS = 0.018, 0.009, 24
@@ -111,7 +113,7 @@ def order(asked: Order, folder: Path, timed: Callable[[str], AbstractContextMana
                 names.append(name)
     written, missing = _write(found, folder)
     files = [f"Files in {folder}:", "  " + ", ".join(names + written), *missing]
-    return [str(found), *_facts(runs), *files]
+    return [found.report("--steps"), *_facts(runs), *files]
 
 
 def _facts(runs: Sequence[Any]) -> list[str]:
@@ -133,7 +135,8 @@ def _facts(runs: Sequence[Any]) -> list[str]:
 
 
 def _outcome(run: Any) -> str:
-    return str(run).splitlines()[0].removeprefix("Trajectory: ")
+    """How a run ended, in one line."""
+    return code_name(run.result) if run.result == RESULTS.successful else cause(run)
 
 
 def _write(found: Design, folder: Path) -> tuple[list[str], list[str]]:

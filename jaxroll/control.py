@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ._algebra import stacked, total, unstack
+from ._printing import listed
 from ._results import as_floats, check_finite
 from ._types import Given, Scalar, Scalars
 from .mechanics import Blocks, Grasp, Motion, split, State
@@ -43,6 +44,8 @@ class Tip(eqx.Module):
         jacobian: Shape (2, k), in space (3, k): its derivative with respect to the joint angles, in metres.
     """
 
+    __repr__ = listed
+
     position: Float[Array, "d"]
     jacobian: Float[Array, "d k"]
 
@@ -54,6 +57,8 @@ def sense(motion: Motion, angles: Scalars, rates: Scalars) -> Sensed:
 
 class AbstractController(eqx.Module):
     """A built-in controller: torques on scalars, and the potential they derive from."""
+
+    __repr__ = listed
 
     @abc.abstractmethod
     def torques(self, t: Scalar, fingers: Sequence[Sensed]) -> Torques:

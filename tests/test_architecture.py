@@ -17,6 +17,7 @@ ROOT = pathlib.Path(jxr.__file__).parent
 RANKS = {
     "_types": 0,
     "_primitives": 0,
+    "_printing": 0,
     "_backend": 1,
     "_sharing": 1,
     "_trigonometry": 1,
@@ -30,6 +31,7 @@ RANKS = {
     "control": 7,
     "integration": 8,
     "stability": 9,
+    "_why": 10,
     "design": 10,
     "_sweep": 9,
     "scenes": 10,
@@ -229,7 +231,7 @@ def test_parameter_budget():
 
 PUBLIC = {
     "AbstractSurface", "Contact3", "Ellipsoid", "Finger3", "FreeObject3", "Plane", "Sphere", "Stage", "Torus",
-    "Turning", "loci", "roll", "Rosenbrock",
+    "Turning", "loci", "roll", "Rosenbrock", "why",
     "AbstractContour", "CSM", "Catenary", "Circle", "Contact", "Ellipse", "Finger", "FreeObject",
     "Grasp", "Index1", "Jaw", "Line", "NeuralCurvature", "NeuralSupport", "PivotedObject", "RESULTS",
     "Spline", "State", "SupportFunction", "Trajectory", "close", "contact",

@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from .._printing import listed
 from .._results import RESULTS
 
 
@@ -15,6 +16,8 @@ class LocalMinima(eqx.Module):
         s: Arclengths on both contours [m].
         there: Which entries hold a minimum.
     """
+
+    __repr__ = listed
 
     gap: Float[Array, " candidates"]
     s: Float[Array, "candidates 2"]
@@ -40,6 +43,8 @@ class Location(eqx.Module):
         result: Code of `jaxroll.RESULTS`.
     """
 
+    __repr__ = listed
+
     gap: Float[Array, ""]
     s: Float[Array, "2"]
     points: Float[Array, "2 2"]
@@ -64,6 +69,8 @@ class SurfaceMinima(eqx.Module):
         at_b: Coordinates on `b`.
         there: Which entries hold a minimum.
     """
+
+    __repr__ = listed
 
     gap: Float[Array, " candidates"]
     at_a: Float[Array, "candidates coordinates_a"]
@@ -91,6 +98,8 @@ class SurfaceLocation(eqx.Module):
         others: Further local minima: second contacts.
         result: Code of `jaxroll.RESULTS`.
     """
+
+    __repr__ = listed
 
     gap: Float[Array, ""]
     at_a: Float[Array, " coordinates_a"]

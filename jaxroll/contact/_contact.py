@@ -3,12 +3,13 @@
 import abc
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
 from jaxtyping import Array, Float
 
+from .._printing import listed
 from .._sharing import once
 from .._types import Scalar, Scalars
 
@@ -49,6 +50,9 @@ class AbstractContact(eqx.Module):
     A contact has a *place*, its contact coordinates: whatever pytree of scalars says where on both shapes
     it is. Everything here works on scalars; poses and twists are those of the plane or of space.
     """
+
+    __repr__ = listed
+    UNITS: ClassVar[dict[str, str]] = {"s_tip": "m", "s_object": "m"}
 
     finger: eqx.AbstractVar[int]
     friction: eqx.AbstractVar[Float[Array, ""] | None]
@@ -162,7 +166,7 @@ class AbstractContact(eqx.Module):
 
     @abc.abstractmethod
     def split_gap(self, poses: tuple[Any, Any], touch: Any, opening: Scalars) -> tuple[Scalar, Any]:
-        """Normal and tangential part of the gap [m], as they are reported."""
+        """Chapter's $Q$ and $R$ [m]: the gap along the object's inward normal, and along its tangent."""
 
     @abc.abstractmethod
     def rubbing(self, tangential: Any) -> list[Scalar]:

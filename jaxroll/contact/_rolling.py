@@ -47,8 +47,9 @@ class Contact(AbstractContact):
         finger: Which finger touches. Static.
         contour: Which of the object's contours is touched. Static.
         sense: +1 where the chapter's $s_i$ and $b_{0i}$ run along the object's contour, -1 where
-            they run against it (its second finger). It decides only the sign in which `s` and the
-            tangential multiplier are reported. Static.
+            they run against it (its second finger). It decides only the signs in which the chapter's
+            quantities are reported, of `multipliers`, `residuals`, `press_balance` and the like: a grasp and
+            its mirror image with the other `sense` have the same. Static.
         friction: Coefficient $\mu$: a run ends where $|\lambda| > \mu f$. Default: no limit, no cost.
     """
 
@@ -178,7 +179,7 @@ class Contact(AbstractContact):
 
     def split_gap(self, poses: tuple[Pose2, Pose2], touch: Touch, opening: Scalars) -> tuple[Scalar, Scalar]:
         tangent, gap = poses[1].turn(touch.object.tangent), Vec2(*opening)
-        return gap.dot(tangent.right()), gap.dot(tangent)
+        return gap.dot(tangent.left()), self.sense * gap.dot(tangent)
 
     def rubbing(self, tangential: Scalar) -> list[Scalar]:
         return [tangential, -tangential]

@@ -247,7 +247,7 @@ class Contact3(AbstractContact):
     def split_gap(self, poses: tuple[Pose3, Pose3], touch: Touch3, opening: Scalars) -> tuple[Scalar, Vec3]:
         normal, open_ = poses[1].turn(touch.object.normal), Vec3(*opening[:3])
         height = open_.dot(normal)
-        return height, open_ - normal * height
+        return -height, open_ - normal * height
 
     def rubbing(self, tangential: Vec3) -> list[Scalar]:
         return [jnp.sqrt(tangential.dot(tangential) + _NO_FORCE)]

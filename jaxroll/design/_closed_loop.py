@@ -22,7 +22,7 @@ from ._goals import (
     worst_margin,
 )
 from ._limits import Samples
-from ._measures import FORCED, MEASURES
+from ._measures import FORCED, MEASURES, PARTIAL, SETTLED
 
 Objective = Mapping[str, float] | Callable[[Any, Trajectory], Scalar]
 # What a run costs that ends at once: more than any that holds.
@@ -35,7 +35,9 @@ class ClosedLoop(AbstractGoal):
 
     Every case is simulated, all in one program, and the worst one counts: a smooth upper bound of the
     largest cost, within $\log n / 50$ of it. A run that ends before `t1` costs $10\,(1 - t_{end}/t_1)$ more,
-    so that fingertips which lose the grasp are changed to hold it for longer.
+    so that fingertips which lose the grasp are changed to hold it for longer; its measures are those of the
+    part that was reached, and where an objective of your own is not a number there, it costs nothing besides.
+    The figures that are reported (`Design.figures`) are not a number where one of the cases has none.
 
     Args:
         make: From a fingertip, and a case if there are any, to a grasp and a state on its constraints, by JAX
@@ -94,10 +96,11 @@ class ClosedLoop(AbstractGoal):
             forced = ("multipliers",) if FORCED & set(names) or callable(self.objective) else ()
             settings = {"record": forced, "rtol": 1e-6, **dict(self.options), "throw": False}
             run = simulate(grasp, state, self.t1, ts=self.ts, **settings)
-            measured = [MEASURES[name][0](run) for name in names]
+            measured = [PARTIAL[name](run) for name in names]
             own = self.objective(grasp, run) if callable(self.objective) else jnp.zeros_like(self.t1)
             closed = run.result != RESULTS.unreachable
             lost = jnp.where(closed, 1.0 - run.stats.t_end / self.t1, 1.0)
+            own = jnp.where((lost > 0.0) & jnp.isnan(own), 0.0, own)
             return jnp.stack(measured) if measured else jnp.zeros(0), own, lost
 
         return each_case(self.make, self.cases, tip, found, in_turn=True)
@@ -120,7 +123,9 @@ class ClosedLoop(AbstractGoal):
         weights = {} if callable(self.objective) else dict(self.objective)
         costs = measured @ jnp.asarray([weights.get(name, 0.0) for name in names]) + own + _LOST * lost
         found = {_COST: jnp.max(costs), _EARLY: jnp.sum(lost > 0.0)}
-        found |= {MEASURES[name][1]: jnp.max(measured[:, i]) for i, name in enumerate(names)}
+        for i, name in enumerate(names):
+            lacking = (lost > 0.0) if name in SETTLED else jnp.zeros_like(lost, bool)
+            found[MEASURES[name][1]] = jnp.max(jnp.where(lacking, jnp.nan, measured[:, i]))
         return found | {WORST_MARGIN: worst_margin(seen)}
 
     def reached(self, figures: dict[str, Array]) -> Bool[Array, "..."]:

@@ -4,7 +4,8 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from .._results import RESULTS
+from .._printing import code_name
+from .._results import concrete, RESULTS
 from ..geometry import AbstractContour
 from ._minimise import KEPT
 
@@ -43,15 +44,34 @@ class Design(eqx.Module):
     parts: dict[str, float] = eqx.field(static=True)
     interval: Float[Array, "2"]
 
+    def __repr__(self) -> str:
+        return f"Design({code_name(self.result)}; {type(self.tip).__name__})"
+
     def __str__(self) -> str:
+        return self.report()
+
+    def report(self, steps: str = "`steps`") -> str:
+        """What is printed; `steps` is what the caller calls the number of steps allowed."""
         lines = [
-            f"Design: {RESULTS[self.result] or 'successful'}",
+            f"Design: {code_name(self.result)}",
+            *self._remedy(steps),
             f"  {'':<28}{'before':>12}{'after':>12}",
             *(f"  {name:<28}{a:>12.4g}{b:>12.4g}" for name, (a, b) in self.figures.items()),
             f"  steps {self.history.shape[1]}; {int(self.holds.sum())} of {self.after.shape[0]} starts hold",
         ]
         lines += [f"  limit on {name:<19}{_kept(excess)}" for name, excess in self.parts.items()]
         return "\n".join(lines)
+
+    def _remedy(self, steps: str) -> list[str]:
+        """Why it is not a success, and what helps."""
+        if concrete(self.result._value) is None:
+            return []
+        told = {
+            "max_steps_reached": f"all {self.history.shape[1]} steps were taken; {steps} allows more",
+            "infeasible": "no point keeps every limit: widen those passed below, or begin with another tip",
+        }
+        text = told.get(code_name(self.result), RESULTS[self.result])
+        return [f"  ended     {text}"] if text else []
 
 
 def _kept(excess: float) -> str:

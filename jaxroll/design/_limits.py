@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._printing import listed
 from .._results import as_floats, check_positive
 from .._types import Given, Scalar
 from ..geometry import AbstractContour, Frenet2
@@ -49,6 +50,8 @@ class Limits(eqx.Module):
         >>> import jaxroll as jxr
         >>> limits = jxr.design.Limits(size=0.02, radius=0.002, flat=0.05)
     """
+
+    __repr__ = listed
 
     size: Float[Array, ""] | None
     length: Float[Array, ""] | None

@@ -1,12 +1,14 @@
 """How good a run is: settling time, overshoot, peak force, friction demand; differentiable.
 
-All look at the saved states that the run reached, so that what an event left out does not count; save some
-tens of states over the time of interest.
+All look at the saved states that the run reached; save some tens of states over the time of interest. A run
+that ended early has come to rest nowhere: what is measured against its last value is not a number then.
+Designs need a finite cost of such runs, and use the measures in `PARTIAL`, of the part that was reached.
 """
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._results import RESULTS
 from .._types import Scalar
 from ..integration import Multipliers, Trajectory
 
@@ -18,7 +20,7 @@ def settling_time(run: Trajectory, *, band: float = 0.02, signal: Signal | None 
 
     The last time at which $|y(t) - y(t_1)|$ is above `band` times $|y(t_0) - y(t_1)|$, on straight lines
     between the saved states. Its derivative is that of this time; it jumps where one more swing leaves the
-    band. Zero for a signal that ends where it began.
+    band. Zero for a signal that ends where it began; not a number for a run that ended early.
 
     Args:
         run: One run.
@@ -32,6 +34,10 @@ def settling_time(run: Trajectory, *, band: float = 0.02, signal: Signal | None 
         >>> f"{jxr.design.settling_time(run):.2f} s"
         '1.60 s'
     """
+    return _of_whole(run, _settling(run, signal, band))
+
+
+def _settling(run: Trajectory, signal: Signal | None = None, band: float = 0.02) -> Scalar:
     seen, left, whole = _approach(run, signal)
     limit = band * whole
     outside = seen & (left > limit)
@@ -46,7 +52,8 @@ def settling_time(run: Trajectory, *, band: float = 0.02, signal: Signal | None 
 def overshoot(run: Trajectory, *, signal: Signal | None = None) -> Scalar:
     r"""By how much a signal goes past its last value, as a share of the way there.
 
-    The largest of $-(y(t) - y_1) \cdot (y_0 - y_1) / |y_0 - y_1|^2$, at least zero.
+    The largest of $-(y(t) - y_1) \cdot (y_0 - y_1) / |y_0 - y_1|^2$, at least zero; not a number for a run
+    that ended early.
 
     Args:
         run: One run.
@@ -59,6 +66,10 @@ def overshoot(run: Trajectory, *, signal: Signal | None = None) -> Scalar:
         >>> f"{jxr.design.overshoot(run):.3f}"
         '0.000'
     """
+    return _of_whole(run, _overshoot(run, signal))
+
+
+def _overshoot(run: Trajectory, signal: Signal | None = None) -> Scalar:
     seen, y = _reached(run, signal)
     way = y[:1] - _last(seen, y)
     size = jnp.sum(way * way)
@@ -69,7 +80,7 @@ def overshoot(run: Trajectory, *, signal: Signal | None = None) -> Scalar:
 def tracking_error(run: Trajectory, *, signal: Signal | None = None) -> Scalar:
     r"""Mean time to the end [s], $\int |y(t) - y_1| dt / |y_0 - y_1|$: smooth where `settling_time` jumps.
 
-    For a signal that decays as $e^{-t/T}$ it is T.
+    For a signal that decays as $e^{-t/T}$ it is T; not a number for a run that ended early.
 
     Args:
         run: One run.
@@ -82,6 +93,10 @@ def tracking_error(run: Trajectory, *, signal: Signal | None = None) -> Scalar:
         >>> f"{jxr.design.tracking_error(run):.3f} s"
         '0.626 s'
     """
+    return _of_whole(run, _tracking(run, signal))
+
+
+def _tracking(run: Trajectory, signal: Signal | None = None) -> Scalar:
     seen, left, whole = _approach(run, signal)
     pairs = 0.5 * (left[1:] + left[:-1]) * jnp.diff(run.ts)
     return jnp.sum(jnp.where(seen[1:], pairs, 0.0)) / jnp.where(whole > 0.0, whole, 1.0)
@@ -118,6 +133,11 @@ def friction_demand(run: Trajectory) -> Scalar:
         aside = jnp.sqrt(jnp.where(squared > 0.0, squared, 1.0)) * (squared > 0.0)
     pressing = seen & (forces.f > 0.0)
     return jnp.max(jnp.where(pressing, jnp.abs(aside) / jnp.where(pressing, forces.f, 1.0), 0.0))
+
+
+def _of_whole(run: Trajectory, measure: Scalar) -> Scalar:
+    """A measure of a run that reached its end; else not a number, with a derivative of zero."""
+    return jnp.where(run.result == RESULTS.successful, measure, jnp.nan)
 
 
 def _forces(run: Trajectory) -> tuple[Multipliers, Array]:
@@ -160,5 +180,15 @@ MEASURES = {
     "peak_force": (peak_force, "peak force [N]"),
     "friction_demand": (friction_demand, "friction demand"),
 }
+# What they are of the part of a run that was reached, finite however it ended: what a search can go by.
+PARTIAL = {
+    "settling_time": _settling,
+    "overshoot": _overshoot,
+    "tracking_error": _tracking,
+    "peak_force": peak_force,
+    "friction_demand": friction_demand,
+}
+# Those against the last value, which a run that ended early has not.
+SETTLED = frozenset(("settling_time", "overshoot", "tracking_error"))
 # Those that need the contact forces.
 FORCED = frozenset(("peak_force", "friction_demand"))

@@ -1,11 +1,13 @@
 """How the constraints are kept while time runs: projection, or the chapter's stabilisation."""
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 import equinox as eqx
 from jaxtyping import Array, Float
 
 from .._algebra import Vec2
+from .._printing import listed
 from .._results import as_floats, check_positive
 from .._types import Given
 from ..contact import gap, Rows, Touch
@@ -19,6 +21,8 @@ class Index1(eqx.Module):
     point in the mass metric and uses the factorisation of the step's last evaluation.
     """
 
+    __repr__ = listed
+
     def stabiliser(self, grasp: Grasp) -> Stabiliser | None:
         """None: the equations are integrated as they are."""
         return None
@@ -29,9 +33,12 @@ class CSM(eqx.Module):
 
     $\ddot Q + \gamma_f \dot Q + \omega_f Q = 0$ along the object's normal, and
     $\ddot R + \gamma_\lambda \dot R + \omega_\lambda R = 0$ along its tangent. Tangency is only
-    integrated through (68), never stabilised: an error at the start stays. Products of the gap with
-    the rotation of the contact frame are left out; they vanish on the constraint. The gains add rates of
-    $-750 \pm 1299i$ and $-1500 \pm 2598i$ 1/s, so explicit solvers take about ten times more steps.
+    integrated through (68), never stabilised: an error at the start stays. The gap is differentiated in
+    world axes and only then taken along normal and tangent: products of the gap with the rotation of the
+    contact frame, which $\ddot Q$ and $\ddot R$ of (64)-(65) have, are left out. So this is the chapter's
+    equation on the constraint manifold, and off it where the frame rests; a gap $\epsilon$ in a frame that
+    turns at $\omega$ is pulled back with errors of order $\omega \epsilon$ in its rate. The gains add rates
+    of $-750 \pm 1299i$ and $-1500 \pm 2598i$ 1/s, so explicit solvers take about ten times more steps.
 
     Args:
         gamma_f: $\gamma_{f1}$, in 1/s.
@@ -39,6 +46,14 @@ class CSM(eqx.Module):
         gamma_lambda: $\gamma_{\lambda 1}$, in 1/s.
         omega_lambda: $\omega_{\lambda 1}$, in 1/s^2.
     """
+
+    __repr__ = listed
+    UNITS: ClassVar[dict[str, str]] = {
+        "gamma_f": "1/s",
+        "omega_f": "1/s^2",
+        "gamma_lambda": "1/s",
+        "omega_lambda": "1/s^2",
+    }
 
     gamma_f: Float[Array, ""]
     omega_f: Float[Array, ""]

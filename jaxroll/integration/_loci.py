@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._backend import one_kernel
+from .._printing import listed
 from .._sharing import sharing
 from .._spatial import Vec3
 from .._types import Scalar, Times
@@ -36,6 +37,8 @@ class Locus(eqx.Module):
         torsion: Of the curve in space [1/m]; not finite where it is straight.
     """
 
+    __repr__ = listed
+
     point: Float[Array, "c t 3"]
     arclength: Float[Array, "c t"]
     speed: Float[Array, "c t"]
@@ -54,6 +57,8 @@ class Loci(eqx.Module):
         tip: On the fingertips.
         object: On the object.
     """
+
+    __repr__ = listed
 
     ts: Times
     tip: Locus

@@ -1,7 +1,7 @@
 """Quantities along a run, as the chapter defines them, from states alone."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._algebra import total
+from .._printing import listed
 from .._spatial import Vec3
 from .._types import Scalar
 from ..contact import Rows
@@ -32,12 +33,16 @@ class Residuals(eqx.Module):
     r"""What the constraints leave over at each saved time, per contact.
 
     Attributes:
-        normal: $Q$, the gap along the object's normal [m]: (65), (5).
-        tangential: $R$, the gap along the object's tangent [m]: (64), (6). In space, shape (..., c, 3): its
-            part in the object's tangent plane, in world axes.
+        normal: $Q$, the gap along the object's inward normal [m], positive where the shapes overlap: (65),
+            and $Q_{ni}$ of (5)-(6). The gap runs from the object's contact point to the fingertip's.
+        tangential: $R$, the gap along the object's tangent $b_1$, $b_{0i}$ [m]: (64), and $Q_{bi}$ of
+            (5)-(6). In space, shape (..., c, 3): its part in the object's tangent plane, in world axes.
         tangency: Sine of the angle between the two tangents [rad]. In space, shape (..., c, 3): the sum of
             the two outward normals, in world axes.
     """
+
+    __repr__ = listed
+    UNITS: ClassVar[dict[str, str]] = {"normal": "m", "tangential": "m"}
 
     normal: Float[Array, "... c"]
     tangential: Float[Array, "..."]
@@ -53,6 +58,9 @@ class Multipliers(eqx.Module):
             space, shape (..., c, 3): the tangential force on the object, in world axes.
     """
 
+    __repr__ = listed
+    UNITS: ClassVar[dict[str, str]] = {"f": "N", "lam": "N"}
+
     f: Float[Array, "... c"]
     lam: Float[Array, "..."]
 
@@ -66,6 +74,9 @@ class Energy(eqx.Module):
         work: Work of all else [J]: minus the dissipation with a built-in controller.
         residual: $(K + P - W) - (K + P)(t_0)$ [J]; zero in the exact motion.
     """
+
+    __repr__ = listed
+    UNITS: ClassVar[dict[str, str]] = {"kinetic": "J", "potential": "J", "work": "J", "residual": "J"}
 
     kinetic: Float[Array, "..."]
     potential: Float[Array, "..."]

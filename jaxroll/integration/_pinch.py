@@ -1,11 +1,14 @@
 """The chapter's Part 1 quantities: how far a pinch is from balance, and the wrenches that drive it."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._algebra import total, Vec2
+from .._printing import listed
 from .._types import Scalar
 from ..control import Opposition, orientations
 from ..mechanics import compiled, Grasp, poses, State, to_leaves, touches
@@ -29,9 +32,25 @@ class PinchBalance(eqx.Module):
         lean: Angle [rad] between $O_i P_i$ and the line through both centres: zero when
             $O_1, P_1, P_2, O_2$ are collinear.
 
-    On contours that are not parallel faces each finger has its own d and l, and (44)-(48) and (51)-(55) hold
-    with them; the last form of (49) is that of a rectangle.
+    Angles ($p_i$, `lean`) count counter-clockwise where $b_{01}$ runs along the object's contour and $b_{02}$
+    against it (`sense` 1 and -1), clockwise in the mirror image. On contours that are not parallel faces each
+    finger has its own d and l, and (44)-(48) and (51)-(55) hold with them; the last form of (49) is that of a
+    rectangle.
     """
+
+    __repr__ = listed
+    UNITS: ClassVar[dict[str, str]] = {
+        "s": "m",
+        "d": "m",
+        "l": "m",
+        "delta_f": "N",
+        "delta_lam": "N",
+        "n": "m^2",
+        "delta_n": "N m",
+        "s_n": "N m",
+        "potential": "J",
+        "lean": "rad",
+    }
 
     s: Float[Array, "... 2"]
     d: Float[Array, "... 2"]
@@ -87,6 +106,8 @@ def _balance_at(grasp: Grasp, t: Scalar, state: State) -> PinchBalance:
         odd = -1.0 if i == 0 else 1.0  # (-1)^i as the chapter counts
         b = body.turn(at.object.tangent) * contact.sense
         n = body.turn(at.object.tangent).left()
+        # Which way the chapter counts angles: its n_01 is +90 degrees from b_01, its n_02 -90 from b_02.
+        way = -odd * contact.sense
         on_tip, on_body = tips[i].turn(at.tip.point), body.turn(at.object.point)
         d, l_ = arm.dot(b), -odd * arm.dot(n)
         n_i = odd * on_tip.dot(b) * l_ + on_tip.dot(n) * d
@@ -99,8 +120,8 @@ def _balance_at(grasp: Grasp, t: Scalar, state: State) -> PinchBalance:
                 forces.f[i] + control.beta * l_,
                 forces.lam[i] - odd * control.beta * d,
                 n_i,
-                control.beta * n_i + control.alpha[i] * kept[i],
-                _angle(arm * odd, on_tip),
+                control.beta * n_i + control.alpha[i] * way * kept[i],
+                way * _angle(arm * odd, on_tip),
             )
         )
     each = zip(*columns, strict=True)

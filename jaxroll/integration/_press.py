@@ -1,11 +1,14 @@
 """The chapter's Part 2 quantities: what tends to zero when a pressed object comes to rest."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._algebra import Vec2
+from .._printing import listed
 from .._types import Scalar
 from ..control import Press
 from ..mechanics import compiled, Grasp, poses, State, to_leaves, touches
@@ -17,16 +20,28 @@ class PressBalance(eqx.Module):
     r"""Quantities (60)-(63), (76)-(79) of every contact, under `control.Press`.
 
     Attributes:
-        s: Arclength at the contact on the object's contour [m]: the chapter's s in `scenes.pivoted`.
+        s: Chapter's s [m]: arclength of the contact on the object, in the direction of $b_1$.
         delta_f: $\Delta f = f + (f_d/r) Q_1$ [N], (78).
         delta_lam: $\Delta\lambda = \lambda + (f_d/r) R_1$ [N], (78).
         n1: $N_1 = l_{n0} l_{b1} - l_{b0} l_{n1}$ [m^2], (78): zero when the line from the tip frame to the
             target passes through the contact.
-        moment: $(f_d/r) N_1$ [N m], the moment of Fig. 11.
+        moment: $(f_d/r) N_1$ [N m], the moment of Fig. 11; it drives $\theta$ and the $q_i$ of (76)-(77),
+            which run clockwise where $n_1$ lies clockwise of $b_1$: in the chapter's figures, and, in the
+            mirror image that `scenes.pivoted` is, counter-clockwise.
         potential: $U = \frac{f_d}{2r}(Q_1^2 + R_1^2)$ [J] (Fig. 18).
 
     With $R_1 = -(l_{b0} + l_{b1})$; the chapter prints (79) with the other sign.
     """
+
+    __repr__ = listed
+    UNITS: ClassVar[dict[str, str]] = {
+        "s": "m",
+        "delta_f": "N",
+        "delta_lam": "N",
+        "n1": "m^2",
+        "moment": "N m",
+        "potential": "J",
+    }
 
     s: Float[Array, "... c"]
     delta_f: Float[Array, "... c"]
@@ -67,8 +82,9 @@ def _balance_at(grasp: Grasp, t: Scalar, state: State) -> PressBalance:
     columns = []
     for i, (contact, at) in enumerate(zip(grasp.contacts, touching, strict=True)):
         tip, body = frames[1 + contact.finger], frames[0]
-        b = body.turn(at.object.tangent)
-        n = b.left()
+        tangent = body.turn(at.object.tangent)
+        # The chapter's b_1 and n_1: the normal points into the object whichever way b_1 runs.
+        b, n = tangent * contact.sense, tangent.left()
         on_tip, on_body = tip.turn(at.tip.point), body.turn(at.object.point)
         l_b0, l_b1 = on_tip.dot(b), -on_body.dot(b)
         l_n0, l_n1 = on_tip.dot(n), -on_body.dot(n)
@@ -77,9 +93,9 @@ def _balance_at(grasp: Grasp, t: Scalar, state: State) -> PressBalance:
         n1 = l_n0 * l_b1 - l_b0 * l_n1
         columns.append(
             (
-                contact.s_object - leaves.s[i],
+                contact.sense * (contact.s_object - leaves.s[i]),
                 forces.f[i] + stiffness * q1,
-                forces.lam[i] + contact.sense * stiffness * r1,
+                forces.lam[i] + stiffness * r1,
                 n1,
                 stiffness * n1,
                 0.5 * stiffness * (q1 * q1 + r1 * r1),

@@ -1,7 +1,7 @@
 """Rolling kinematics alone: one surface rolled over another along a given path, without forces."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import diffrax
 import equinox as eqx
@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._algebra import unstack
+from .._printing import listed
 from .._results import as_floats, RESULTS
 from .._spatial import normalised, pose, Pose3, quaternion_product, quaternion_rate, tangents, Vec3
 from .._types import Given, Scalar, Scalars, Times
@@ -29,6 +30,9 @@ class Rolled(eqx.Module):
         arclength: Shape (t,), of both loci [m].
         result: Code of `jaxroll.RESULTS`.
     """
+
+    __repr__ = listed
+    UNITS: ClassVar[dict[str, str]] = {"arclength": "m"}
 
     ts: Times
     pose: Float[Array, "t 7"]
@@ -76,7 +80,8 @@ def roll(
     Raises:
         ValueError: If an argument does not fit.
 
-    Accuracy: that of `rtol`; contacts stay on both surfaces to rounding.
+    Accuracy: that of `rtol` at every time asked for, since steps end there; contacts stay on both surfaces to
+    rounding.
 
     Example:
         >>> import jax.numpy as jnp, jaxroll as jxr
@@ -168,7 +173,10 @@ def _roll(
         None,
         rolling.start(*start),
         saveat=diffrax.SaveAt(ts=ts),
-        stepsize_controller=diffrax.PIDController(rtol=rtol, atol=rtol),
+        # Steps end where answers are wanted: between its ends a step is known to a lower order.
+        stepsize_controller=diffrax.ClipStepSizeController(
+            diffrax.PIDController(rtol=rtol, atol=rtol), step_ts=ts
+        ),
         max_steps=_MAX_STEPS,
         throw=False,
     )

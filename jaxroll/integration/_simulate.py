@@ -12,7 +12,7 @@ from jaxtyping import Array
 
 from .._algebra import total
 from .._backend import in_turn
-from .._results import concrete, message, RESULTS
+from .._results import concrete, RESULTS
 from .._sharing import sharing
 from .._types import Given
 from ..mechanics import check_planar, Grasp, State
@@ -24,6 +24,7 @@ from ._march import march
 from ._observe import energies_at, Energy, Multipliers, multipliers_at, of_reached, residuals_at, worst
 from ._plan import Path, Plan
 from ._regime import EVENTS
+from ._report import complaint
 from ._stepper import RollingStep
 from ._trajectory import Stats, Trajectory
 
@@ -223,9 +224,10 @@ def _trajectory(
         states_of(lay, path.last),
         jax.tree.map(lambda a: a[1:], left),
         RESULTS.where(on_constraints, path.result, RESULTS.unreachable),
-        Stats(attempted, accepted, rejected, path.t_last),
+        Stats(attempted, accepted, rejected, path.t_last, jnp.array(-1), jnp.full_like(path.t_last, jnp.nan)),
         forces,
         energy,
+        grasp.labels,
     )
     return trajectory, off
 
@@ -257,4 +259,4 @@ def _checked(trajectory: Trajectory, off: Array) -> Trajectory:
             f"argument state must be on the constraints to {reach(off.dtype):g}, but its worst row is "
             f"{float(off):.3g} m or rad off; jaxroll.close makes it consistent"
         )
-    raise RuntimeError(message(trajectory.result))
+    raise RuntimeError(complaint(trajectory))

@@ -10,7 +10,12 @@ from ._arrays import (
     EquationTerms as EquationTerms,
     mass_matrix as mass_matrix,
 )
-from ._body import AbstractBody as AbstractBody, Inertia as Inertia
+from ._body import (
+    AbstractBody as AbstractBody,
+    Coordinate as Coordinate,
+    Inertia as Inertia,
+    QUATERNION as QUATERNION,
+)
 from ._constraints import (
     apply_jacobian as apply_jacobian,
     balance as balance,
@@ -43,6 +48,7 @@ from ._grasp import (
     check_spatial as check_spatial,
     compiled as compiled,
     Grasp as Grasp,
+    Labels as Labels,
 )
 from ._jaw import Jaw as Jaw
 from ._object import (

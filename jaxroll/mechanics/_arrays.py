@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._algebra import factorise, Vec2
+from .._printing import listed
 from ._constraints import bodies, linearise, touches
 from ._grasp import check_planar, compiled, Grasp
 from ._state import State, to_leaves
@@ -19,6 +20,8 @@ class EquationTerms(eqx.Module):
         normal: Shape (c, n), $\nabla Q_i$: coefficients of $f_i$ in (1)-(3), (73)-(74).
         tangential: Shape (c, n), $\nabla R_i$: coefficients of $\lambda_i$.
     """
+
+    __repr__ = listed
 
     mass: Float[Array, "n n"]
     bias: Float[Array, " n"]

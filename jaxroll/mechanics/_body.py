@@ -2,12 +2,13 @@
 
 import abc
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 
 from .._algebra import Triangle
+from .._printing import listed
 from .._types import Scalar, Scalars
 from ..contact import Motion
 
@@ -24,6 +25,17 @@ class Inertia:
     force: Scalars
 
 
+class Coordinate(NamedTuple):
+    """What one position of a body is called, and its unit: 'm', 'rad', 's', or '' where it has none."""
+
+    name: str
+    unit: str
+
+
+# Names of the four numbers of an orientation in space, scalar first.
+QUATERNION = ("qw", "qx", "qy", "qz")
+
+
 class AbstractBody(eqx.Module):
     r"""The object, or a driven mechanism with a fingertip: a frame that its own coordinates place.
 
@@ -31,6 +43,8 @@ class AbstractBody(eqx.Module):
     Poses, twists, gravity and spins are those of the plane (`Pose2`, `Twist2`, `Vec2`, a number) or of
     space (`Pose3`, `Twist3`, `Vec3`, `Vec3`).
     """
+
+    __repr__ = listed
 
     @property
     @abc.abstractmethod
@@ -41,6 +55,11 @@ class AbstractBody(eqx.Module):
     def positions(self) -> int:
         """Number of positions."""
         return self.freedoms
+
+    @property
+    def labels(self) -> tuple[Coordinate, ...]:
+        """Name and unit of each position, in order: what reports call them. By default without units."""
+        return tuple(Coordinate(f"q[{i}]", "") for i in range(self.positions))
 
     @property
     @abc.abstractmethod

@@ -13,7 +13,7 @@ from .._sharing import once
 from .._types import Given, Scalar, Scalars
 from ..contact import Motion
 from ..geometry import AbstractContour
-from ._body import AbstractBody, Inertia
+from ._body import AbstractBody, Coordinate, Inertia
 
 _STILL = Vec2(0.0, 0.0)
 
@@ -50,6 +50,11 @@ class AbstractFinger(AbstractBody):
     @property
     def freedoms(self) -> int:
         return self.joints
+
+    @property
+    def labels(self) -> tuple[Coordinate, ...]:
+        unit = "" if self.positions != self.joints else "rad" if self.turns else "m"
+        return tuple(Coordinate(f"q[{i}]", unit) for i in range(self.positions))
 
     @property
     def shapes(self) -> tuple[Any, ...]:

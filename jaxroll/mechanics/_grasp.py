@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Callable, Sequence
-from typing import Any, cast, TypeVar
+from typing import Any, cast, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -10,16 +10,34 @@ from jaxtyping import Array, Float
 
 from .._algebra import unstack, Vec2
 from .._once import remembered
+from .._printing import shown_value
 from .._results import as_floats
 from .._spatial import Vec3
 from .._types import Given
 from ..contact import AbstractContact, Contact3
 from ..geometry import AbstractContour, AbstractSurface, tabled
-from ._body import AbstractBody
+from ._body import AbstractBody, Coordinate
 from ._finger import AbstractFinger
 from ._state import Form
 
 Door = TypeVar("Door", bound=Callable[..., Any])
+
+
+class Labels(NamedTuple):
+    """What reports call the parts of a grasp; static, so that a run can carry it.
+
+    Attributes:
+        bodies: The object, then every finger: what it is called, and name and unit of its positions.
+        contacts: What each contact is called, by the numbers that a `Contact` is made with.
+    """
+
+    bodies: tuple[tuple[str, tuple[Coordinate, ...]], ...]
+    contacts: tuple[str, ...]
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Name of every position, with its body's."""
+        return tuple(f"{body} {each.name}" for body, labels in self.bodies for each in labels)
 
 
 class Grasp(eqx.Module):
@@ -111,6 +129,32 @@ class Grasp(eqx.Module):
     def coordinates(self) -> int:
         """Number of velocities in all; in the plane that of generalised coordinates, n."""
         return sum(self.sizes)
+
+    @property
+    def labels(self) -> Labels:
+        """What reports call its bodies, their positions, and its contacts."""
+        names = ("object", *(f"finger {i}" for i in range(len(self.fingers))))
+        bodies = tuple((name, body.labels) for name, body in zip(names, self.bodies, strict=True))
+        contacts = (
+            f"contact {i} (finger {c.finger} on {c.kind} {c.touched})" for i, c in enumerate(self.contacts)
+        )
+        return Labels(bodies, tuple(contacts))
+
+    def __repr__(self) -> str:
+        kinds = ", ".join(type(body).__name__ for body in self.bodies)
+        control = "no controller" if self.controller is None else type(self.controller).__name__
+        count = len(self.contacts)
+        return f"Grasp({kinds}; {count} contact{'s' * (count != 1)}; {control})"
+
+    def __str__(self) -> str:
+        lines = [f"Grasp {'in space' if self.spatial else 'in the plane'}"]
+        for (name, labels), body in zip(self.labels.bodies, self.bodies, strict=True):
+            moves = ", ".join(f"{each.name} [{each.unit}]" if each.unit else each.name for each in labels)
+            lines.append(f"  {name:<10}{type(body).__name__}: {moves or 'fixed'}")
+        lines += [f"  contact {i} {contact}" for i, contact in enumerate(self.contacts)]
+        lines.append(f"  control   {shown_value(self.controller)}")
+        lines.append(f"  gravity   {shown_value(self.gravity, 'm/s^2')}")
+        return "\n".join(lines)
 
     @property
     def form(self) -> Form:

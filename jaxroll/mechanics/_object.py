@@ -11,7 +11,7 @@ from .._results import as_floats, check_positive
 from .._types import Given, Scalar, Scalars
 from ..contact import Motion
 from ..geometry import AbstractContour
-from ._body import AbstractBody, Inertia
+from ._body import AbstractBody, Coordinate, Inertia
 
 Contours = tuple[AbstractContour, ...]
 
@@ -72,6 +72,10 @@ class PivotedObject(AbstractObject):
     def freedoms(self) -> int:
         return 1
 
+    @property
+    def labels(self) -> tuple[Coordinate, ...]:
+        return (Coordinate("theta", "rad"),)
+
     def prepared(self) -> "PivotedObject":
         fields = lambda o: (o.pivot, o.weight_moment, o.contours)  # noqa: E731
         contours = tuple(c.prepared() for c in self.contours)
@@ -130,6 +134,10 @@ class FreeObject(AbstractObject):
     @property
     def freedoms(self) -> int:
         return 3
+
+    @property
+    def labels(self) -> tuple[Coordinate, ...]:
+        return Coordinate("x", "m"), Coordinate("y", "m"), Coordinate("theta", "rad")
 
     def prepared(self) -> "FreeObject":
         return eqx.tree_at(lambda o: o.contours, self, tuple(c.prepared() for c in self.contours))

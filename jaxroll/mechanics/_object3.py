@@ -13,7 +13,7 @@ from .._spatial import normalised, pose, Pose3, quaternion_product, Sym3, Twist3
 from .._types import Given, Scalar, Scalars
 from ..contact import Motion
 from ..geometry import AbstractSurface
-from ._body import AbstractBody, Inertia
+from ._body import AbstractBody, Coordinate, Inertia, QUATERNION
 
 Surfaces = tuple[AbstractSurface, ...]
 
@@ -74,6 +74,10 @@ class FreeObject3(AbstractBody):
     @property
     def positions(self) -> int:
         return 7
+
+    @property
+    def labels(self) -> tuple[Coordinate, ...]:
+        return *(Coordinate(axis, "m") for axis in "xyz"), *(Coordinate(part, "") for part in QUATERNION)
 
     def prepared(self) -> "FreeObject3":
         ready = (unstack(self.inertia), tuple(s.prepared() for s in self.surfaces))

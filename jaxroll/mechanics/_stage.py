@@ -1,7 +1,7 @@
 """What an object rolls on by itself: a surface that is fixed in the world, or moves as it is told."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -9,12 +9,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._algebra import sincos, unstack
+from .._printing import listed
 from .._results import as_floats, concrete
 from .._spatial import conjugate, normalised, pose, Pose3, Quaternion, quaternion_product, Twist3, Vec3
 from .._types import Given, Scalar, Scalars
 from ..contact import Motion
 from ..geometry import AbstractSurface
-from ._body import Inertia
+from ._body import Coordinate, Inertia
 from ._finger import AbstractFinger
 
 # Nothing in a stage says how large it is, and only drawing asks: a gripper's order of magnitude [m].
@@ -29,6 +30,9 @@ class Turning(eqx.Module):
         axis: Shape (3,); scaled to unit length. Default: z.
         centre: Shape (3,), a point of the axis [m].
     """
+
+    __repr__ = listed
+    UNITS: ClassVar[dict[str, str]] = {"rate": "rad/s", "centre": "m"}
 
     rate: Float[Array, ""]
     axis: Float[Array, "3"]
@@ -109,6 +113,10 @@ class Stage(AbstractFinger):
     @property
     def positions(self) -> int:
         return 0 if self.motion_of is None else 1
+
+    @property
+    def labels(self) -> tuple[Coordinate, ...]:
+        return (Coordinate("clock", "s"),) * self.positions
 
     @property
     def prescribed(self) -> bool:

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._printing import listed
 from .._types import Scalars
 
 Blocks = tuple[Scalars, ...]
@@ -26,6 +27,8 @@ class State(eqx.Module):
             $s_B = s_{B0} - \sigma$ on the object. In space, of each contact, its place on the fingertip's
             surface, then on the object's.
     """
+
+    __repr__ = listed
 
     q: Float[Array, " n"]
     v: Float[Array, " nv"]

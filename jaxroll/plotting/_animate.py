@@ -14,7 +14,7 @@ from ._artists import Drawing, limits
 from ._forces import Arrows, arrows, key
 from ._gif import checked, nearest, write
 from ._style import Picture, tidy
-from ._views import single, Views, views
+from ._views import single, Views, views, visible
 from ._views3 import check_options, pushes, scene_motion, View
 
 
@@ -36,8 +36,9 @@ def animate(
     Shows, as thick stretches of equal length, what has rolled off each contour, in space the loci of the
     contacts on both surfaces and, if recorded, the contact forces on the object. Every frame is the saved
     state nearest to its time, never a blend of two; save at least `fps / speed` states per second for
-    smooth motion. In space a frame is some 0.3 s of work, and there are at most 60: for more time than these
-    last, the file has fewer frames per second.
+    smooth motion. A run that ended before a state was saved is one frame: where it ended. In space a frame is
+    some 0.3 s of work, and there are at most 60: for more time than these last, the file has fewer frames per
+    second.
 
     Args:
         grasp: The grasp that was simulated.
@@ -73,6 +74,7 @@ def animate(
         'motion.gif'
     """
     path = checked(path, fps=fps, speed=speed, size=size)
+    trajectory = visible(grasp, trajectory)
     drawn = trajectory.multipliers is not None if forces is None else forces
     ts, rows = _shown(trajectory, until)
     if grasp.spatial:

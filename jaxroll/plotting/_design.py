@@ -159,6 +159,12 @@ def comparison(
     return figure
 
 
+def _angle_of_object(run: Trajectory) -> int:
+    """Which coordinate is the object's angle in the plane: the last of its own."""
+    labels = run.labels.bodies[0][1] if run.labels is not None else ()
+    return next((i for i, each in enumerate(labels) if each.unit == "rad"), 0)
+
+
 def _responses(axes: np.ndarray, run: Trajectory, name: str, colour: str) -> None:
     ts, reached = single(run)
     if run.multipliers is None:
@@ -169,7 +175,7 @@ def _responses(axes: np.ndarray, run: Trajectory, name: str, colour: str) -> Non
     if lam.ndim > f.ndim:
         moved, rolled = MM * np.linalg.norm(q[:, :3] - q[0, :3], axis=1), np.linalg.norm(s - s[0], axis=1)
     else:
-        turned = q[:, 2] if f.shape[1] > 1 else q[:, 0]
+        turned = q[:, _angle_of_object(run)]
         moved, rolled = turned - turned[0], s - s[0]
     end = float(run.stats.t_end)
     for ax, values in zip(axes, (MM * rolled, moved, f, aside / f), strict=True):

@@ -61,6 +61,8 @@ def loci(grasp: Grasp, trajectory: Trajectory, folder: str | Path | None = None)
     """
     check_spatial(grasp)
     _, reached = single(trajectory)
+    if reached.sum() < 2:
+        raise ValueError("argument trajectory must hold two states or more for a locus, but held one")
     found, contacts = loci_of(grasp, trajectory), len(grasp.contacts)
     figure = Picture(0.6 + _WIDTH * contacts, 0.4 + _HEIGHT * (2 + len(_ROWS)))
     axes = figure.subplots(2 + len(_ROWS), contacts, squeeze=False)

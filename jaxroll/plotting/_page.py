@@ -22,7 +22,7 @@ from ._style import (
     TIP_BODY,
 )
 from ._tubes import camera, shades
-from ._views import single
+from ._views import single, visible
 from ._views3 import scene_motion, View
 
 _LIGHT = {
@@ -98,6 +98,7 @@ def page(
         'grasp.html'
     """
     check_spatial(grasp)
+    trajectory = visible(grasp, trajectory)
     ts, _ = single(trajectory)
     motion = scene_motion(grasp, trajectory.states)
     return write_page(grasp, motion, ts, path, title=title, frames=frames, view=view)

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..control import Press
 from ..integration import check_pinch, Energy, multipliers, pinch_balance, press_balance, Trajectory
-from ..mechanics import Grasp, PivotedObject
+from ..mechanics import AbstractFinger, Grasp, PivotedObject
 from ._style import MM
 
 # Below this share of its scale, a residual is what floating-point arithmetic leaves over.
@@ -139,25 +139,36 @@ def _moved(grasp: Grasp, run: Trajectory) -> list[Panel]:
         mine = slice(at, at + finger.joints)
         at += finger.joints
         names = tuple(f"$q_{{{i + 1}{j + 1}}}$" for j in range(finger.joints))
-        found.append(Panel(f"joint angles of finger {i + 1}", "$q - q(0)$ [rad]", moved[:, mine], names))
+        what, unit, scale = _joint_words(finger)
+        title = f"joint {what} of finger {i + 1}"
+        found.append(Panel(title, f"$q - q(0)$ [{unit}]", scale * moved[:, mine], names))
     return found
+
+
+def _joint_words(finger: AbstractFinger) -> tuple[str, str, float]:
+    """What a finger's coordinates are called, and the unit to show them in with its scale."""
+    units = {each.unit for each in finger.labels}
+    return ("displacements", "mm", MM) if units == {"m"} else ("angles", "rad", 1.0)
 
 
 def _joint_rates(grasp: Grasp, run: Trajectory) -> list[Panel]:
     v, at, panels = np.asarray(run.states.v), grasp.sizes[0], []
     single_finger = len(grasp.fingers) == 1
     for i, finger in enumerate(grasp.fingers):
-        rates = v[:, at : at + finger.joints]
+        _, unit, scale = _joint_words(finger)
+        label, rates = rf"$\dot{{q}}$ [{unit}/s]", scale * v[:, at : at + finger.joints]
         at += finger.joints
+        if not finger.joints:
+            continue
         if single_finger and finger.joints <= 3:
             panels += [
-                Panel(f"rate of joint {j + 1}", rf"$\dot{{q}}_{{{j + 1}}}$ [rad/s]", rates[:, j])
+                Panel(f"rate of joint {j + 1}", rf"$\dot{{q}}_{{{j + 1}}}$ [{unit}/s]", rates[:, j])
                 for j in range(finger.joints)
             ]
             continue
         title = "joint rates" if single_finger else f"joint rates of finger {i + 1}"
         names = tuple(f"joint {j + 1}" for j in range(finger.joints))
-        panels.append(Panel(title, r"$\dot{q}$ [rad/s]", rates, names))
+        panels.append(Panel(title, label, rates, names))
     return panels
 
 

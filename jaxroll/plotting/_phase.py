@@ -9,7 +9,7 @@ from ..integration import check_pinch, Trajectory
 from ..mechanics import check_planar, Grasp, State
 from ..stability import equilibrium, pinch_statics
 from ._style import CONTACT, GUIDE, MM, Picture, tidy
-from ._views import single
+from ._views import single, visible
 
 _GRID = 81
 _LEVELS = 12
@@ -45,6 +45,7 @@ def phase(grasp: Grasp, trajectory: Trajectory, *, rest: State | None = None) ->
     """
     check_planar(grasp)
     check_pinch(grasp)
+    trajectory = visible(grasp, trajectory)
     ts, reached = single(trajectory)
     path = _chapter_s(grasp, trajectory.states)[reached]
     if rest is None:

@@ -13,7 +13,7 @@ from ._artists import Drawing, limits
 from ._forces import Arrows, arrows, key
 from ._space import snapshots3
 from ._style import Picture, tidy
-from ._views import along_time, single, Views, views
+from ._views import along_time, how_it_ended, single, Views, views, visible
 from ._views3 import check_options, pushes, scene_motion, View
 
 
@@ -77,7 +77,8 @@ def poses(
     Args:
         grasp: What is drawn.
         trajectory: One run of it.
-        times: Times to draw [s]; each shows the saved state nearest to it. Default: first and last.
+        times: Times to draw [s]; each shows the saved state nearest to it. Default: first and last; of a run
+            that ended before a state was saved, the state where it ended.
         forces: Whether to draw the contact forces on the object, in the plane with their scale.
         view: How to look at a grasp in space.
 
@@ -96,11 +97,15 @@ def poses(
         >>> [ax.get_title(loc="left") for ax in plotting.poses(grasp, run).axes]
         ['(a)  t = 0 s', '(b)  t = 0.1 s']
     """
+    trajectory = visible(grasp, trajectory)
     ts, reached = single(trajectory)
     ts, rows = ts[reached], np.flatnonzero(reached)
-    wanted = (ts[0], ts[-1]) if times is None else tuple(times)
+    ends = (ts[0], ts[-1]) if len(ts) > 1 else (ts[0],)
+    wanted = ends if times is None else tuple(times)
     picks = [int(np.argmin(np.abs(ts - t))) for t in wanted]
-    titles = [f"({chr(97 + k)})  t = {ts[i]:.4g} s" for k, i in enumerate(picks)]
+    titles = [
+        f"({chr(97 + k)})  t = {ts[i]:.4g} s{how_it_ended(trajectory, ts[i])}" for k, i in enumerate(picks)
+    ]
     if grasp.spatial:
         motion = scene_motion(grasp, trajectory.states)
         pushed = pushes(trajectory, motion) if forces else None

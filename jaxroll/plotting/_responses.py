@@ -11,7 +11,7 @@ from ..mechanics import Grasp
 from ._panels import Panel, panels
 from ._panels3 import panels3
 from ._style import CYCLE, Picture, save, tidy
-from ._views import single
+from ._views import how_it_ended, single, visible
 
 _COLUMNS = 3
 # A run whose contacts are through with this share of their way in a tenth of the time gets a
@@ -37,7 +37,8 @@ def responses(grasp: Grasp, trajectory: Trajectory, folder: str | Path | None = 
     object, joint rates, $Q$ and $|R|$.
 
     Where the contacts are nearly through with their motion in a tenth of the time, the time axis is
-    stretched: linear at first, then logarithmic.
+    stretched: linear at first, then logarithmic. Where only one state was saved, or none and the run has but
+    the one where it ended, that is a dot; a run that ended early says when, and its code.
 
     Args:
         grasp: The grasp that was simulated.
@@ -58,6 +59,7 @@ def responses(grasp: Grasp, trajectory: Trajectory, folder: str | Path | None = 
         >>> plotting.responses(grasp, run).axes[0].get_ylabel()
         '$\\Delta f$ [N]'
     """
+    trajectory = visible(grasp, trajectory)
     ts, reached = single(trajectory)
     shown = panels3(grasp, trajectory) if grasp.spatial else panels(grasp, trajectory)
     rows = -(-len(shown) // _COLUMNS)
@@ -68,6 +70,8 @@ def responses(grasp: Grasp, trajectory: Trajectory, folder: str | Path | None = 
         last = i + _COLUMNS >= len(shown)
         tidy(ax, xlabel="time $t$ [s]" if last else "", ylabel=panel.label, title=panel.title)
         ax.tick_params(labelbottom=last)
+    if told := how_it_ended(trajectory, float(trajectory.stats.t_end)):
+        figure.suptitle(f"ended at t = {float(trajectory.stats.t_end):.4g} s{told}", fontsize=10)
     for ax in axes[len(shown) :]:
         ax.remove()
     _stretch(axes[0], ts[reached], np.asarray(trajectory.states.s)[reached])
@@ -82,7 +86,8 @@ def _draw(ax: Axes, ts: np.ndarray, panel: Panel, reached: np.ndarray) -> None:
     peak = float(np.max(np.abs(values)))
     for k, line in enumerate(values.T):
         name = panel.names[k] if len(panel.names) > 1 else None
-        ax.plot(ts, line, color=CYCLE[k % len(CYCLE)], lw=panel.width, label=name)
+        mark = "o" if len(ts) == 1 else ""
+        ax.plot(ts, line, mark, ls="-", color=CYCLE[k % len(CYCLE)], lw=panel.width, label=name)
     ax.margins(x=0.0, y=0.14 if len(panel.names) > 1 else 0.08)
     low, high = ax.get_ylim()
     if high - low < 1e-4 * peak:

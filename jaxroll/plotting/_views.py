@@ -3,12 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .._printing import code_name
 from ..control import Press
-from ..integration import Trajectory
+from ..integration import multipliers, residuals, Trajectory
 from ..mechanics import compiled, Grasp, poses, State, to_leaves, touches
 from ._outlines import Outline, outlines, sample
 from ._style import MM
@@ -61,8 +63,29 @@ def single(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
         )
     reached = np.isfinite(q).all(axis=1)
     if not reached.any():
-        raise ValueError("argument trajectory must hold at least one state that was reached")
+        raise ValueError(
+            f"argument trajectory must hold at least one state that was reached, but its run ended at "
+            f"t = {float(trajectory.stats.t_end):.4g} s ({code_name(trajectory.result)}) before the first"
+        )
     return np.asarray(trajectory.ts), np.asarray(reached)
+
+
+def visible(grasp: Grasp, trajectory: Trajectory) -> Trajectory:
+    """The run; of one that ended before a state was saved, the one state that it has: where it ended."""
+    q = np.asarray(trajectory.states.q)
+    if q.ndim != 2 or np.isfinite(q).all(axis=1).any() or not np.isfinite(trajectory.last.q).all():
+        return trajectory
+    ts, states = np.asarray(trajectory.stats.t_end)[None], along_time(trajectory.last)
+    forces = None if trajectory.multipliers is None else multipliers(grasp, jnp.asarray(ts), states)
+    parts = (ts, states, residuals(grasp, states), forces, None)
+    where = lambda run: (run.ts, run.states, run.residuals, run.multipliers, run.energy)  # noqa: E731
+    return eqx.tree_at(where, trajectory, parts, is_leaf=lambda x: x is None)
+
+
+def how_it_ended(trajectory: Trajectory, t: float) -> str:
+    """What a title says besides the time: nothing but where a run ended early, at that time."""
+    early = int(np.asarray(trajectory.result._value)) != 0 and t >= float(trajectory.stats.t_end)
+    return f": {code_name(trajectory.result)}" if early else ""
 
 
 def along_time(states: State) -> State:

@@ -41,8 +41,10 @@ def pivoted(
     Masses, lengths, inertia and gains are those of Tables 1 and 2; the contours are (80)-(83) with their
     misprints repaired, which makes both catenaries. Links are uniform slender rods. Angles are
     counter-clockwise; the chapter's Part 2 counts them clockwise, and a mirror $y \to -y$ maps one to the
-    other with the same numbers. The pad of the fingertip faces to the right of the last link, as (58)-(59)
-    say. The chapter states neither base, pivot nor starting contact; the defaults are ours.
+    other with the same numbers. The pad of the fingertip faces to the right of the last link: (58)-(59) fix
+    how the fingertip's frame turns with $q_1 + q_2$, but not the direction from which that angle counts;
+    here, as usual, the link lies along the x axis where it is zero. The chapter states neither base, pivot
+    nor starting contact; the defaults are ours.
 
     Args:
         s: Chapter's arclength at the starting contact [m]. By default the object turns by

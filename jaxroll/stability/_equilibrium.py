@@ -1,7 +1,7 @@
 """Equilibria: configurations where joint torques, gravity and contact forces balance."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float
 
 from .._algebra import unstack, Vec2
 from .._backend import filled
+from .._printing import listed
 from .._types import Given, Scalar
 from ..contact import gap
 from ..integration import constraint_rows, generalised_force, Multipliers, split_forces
@@ -32,6 +33,9 @@ class Equilibrium(eqx.Module):
         imbalance: Largest scaled residual of force balance and constraints; about 1e-15 when found.
         found: Whether Newton's method converged.
     """
+
+    __repr__ = listed
+    UNITS: ClassVar[dict[str, str]] = {"push": "N"}
 
     state: State
     push: Float[Array, "c 2"]

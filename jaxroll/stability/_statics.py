@@ -1,11 +1,14 @@
 """Statics of a two-finger pinch: the chapter's (25)-(41), for any contours."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._algebra import Vec2
+from .._printing import listed
 from .._types import Given, Scalar
 from ..geometry import AbstractContour, Frenet2
 from ..integration import check_pinch
@@ -24,6 +27,16 @@ class PinchStatics(eqx.Module):
         turning: Shape (2,), by how much fingertip i turns against the object: $\kappa_i + \kappa_{0i}$
             [rad/m].
     """
+
+    __repr__ = listed
+    UNITS: ClassVar[dict[str, str]] = {
+        "d": "m",
+        "l": "m",
+        "potential": "J",
+        "gradient": "N",
+        "hessian": "N/m",
+        "turning": "rad/m",
+    }
 
     d: Float[Array, "..."]
     l: Float[Array, "..."]  # noqa: E741

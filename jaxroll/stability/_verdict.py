@@ -1,12 +1,13 @@
 """What happens near an equilibrium: reduced Hessian, linearised closed loop, verdict."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float, Int
 
+from .._printing import listed, named
 from .._results import as_floats
 from .._types import Given
 from ..integration import constraint_rows, generalised_force
@@ -14,8 +15,12 @@ from ..mechanics import bodies, compiled, Grasp, mass_matrix, State, to_leaves
 from ._equilibrium import contact_force, Equilibrium, equilibrium
 
 
+@named
 class VERDICTS(eqx.Enumeration):
-    """What `assess` says of an equilibrium."""
+    """What `assess` says of an equilibrium.
+
+    A verdict prints as its name; `VERDICTS[verdict]` is the sentence.
+    """
 
     asymptotically_stable = "Every small disturbance dies out."
     neutral = "Stable, but a family of equilibria: disturbances along it stay."
@@ -38,6 +43,9 @@ class Stability(eqx.Module):
         modes: Shape (n, m), the coordinates' part in each of them.
         rates: Shape (2m,), eigenvalues of the linearised closed loop [1/s], by rising real part.
     """
+
+    __repr__ = listed
+    UNITS: ClassVar[dict[str, str]] = {"hessian": "1/s^2", "curvatures": "1/s^2", "rates": "1/s"}
 
     verdict: VERDICTS
     neutral: Int[Array, ""]

@@ -1,0 +1,111 @@
+"""How results print: codes by their short names, records as one line of names and values."""
+
+import dataclasses
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax
+import numpy as np
+
+Codes = TypeVar("Codes", bound=type[eqx.Enumeration])
+# Arrays with more numbers than this print as their shape and range.
+_FEW = 12
+
+
+class _Probe(eqx.Enumeration):
+    one = ""
+
+
+class _Code(type(_Probe.one)):  # pyright: ignore
+    """A code that prints as its short name; `CODES[code]` has its sentence."""
+
+    def __repr__(self) -> str:
+        return code_name(self)
+
+
+def named(codes: Codes) -> Codes:
+    """Let the codes of an enumeration, and what `where` makes of them, print as their names."""
+    items = codes._name_to_item  # pyright: ignore
+    for name, item in tuple(items.items()):
+        items[name] = _Code(item._value, codes)
+
+    def where(cls: Any, pred: Any, a: Any, b: Any) -> Any:
+        found = eqx.Enumeration.where.__func__(cls, pred, a, b)  # pyright: ignore
+        return found if isinstance(found, _Code) else _Code(found._value, cls)
+
+    codes.where = classmethod(where)  # pyright: ignore
+    return codes
+
+
+def code_name(code: Any) -> str:
+    """Short name of a code; of many codes each, or how often each occurs."""
+    kind = code._enumeration
+    if not _known(code._value):
+        return f"{kind.__name__} ({shown_value(code._value)})"
+    names = {int(item._value): name for name, item in kind._name_to_item.items()}
+    found = np.asarray(code._value)
+    if found.ndim == 0:
+        return names[int(found)]
+    if found.size <= _FEW:
+        return f"[{', '.join(names[int(i)] for i in found.ravel())}]"
+    return ", ".join(f"{int(np.sum(found == i))} {names[int(i)]}" for i in np.unique(found))
+
+
+def listed(record: Any) -> str:
+    """A record as one line: its class, and its fields with their values and units.
+
+    Units are those of the class variable `UNITS`, by field. It works on what is traced, batched, or a
+    structure without numbers.
+    """
+    units = getattr(type(record), "UNITS", {})
+    parts = [
+        f"{f.name}={shown_value(getattr(record, f.name, None), units.get(f.name, ''))}"
+        for f in dataclasses.fields(record)
+    ]
+    return f"{type(record).__name__}({', '.join(parts)})"
+
+
+def shown_value(value: Any, unit: str = "") -> str:
+    """A value, short: numbers to six digits, larger arrays by shape and range."""
+    if value is None or isinstance(value, str | bool | int):
+        return f"{value}"
+    if isinstance(value, tuple | list):
+        return f"({', '.join(shown_value(part) for part in value)})"
+    if not hasattr(value, "shape") or not hasattr(value, "dtype"):
+        plain = isinstance(value, eqx.Module) and type(value).__repr__ is eqx.Module.__repr__
+        return type(value).__name__ if plain else f"{value:.6g}" if isinstance(value, float) else repr(value)
+    if not _known(value):
+        kind = "traced" if isinstance(value, jax.core.Tracer) else "unknown"
+        return f"{kind} {np.dtype(value.dtype).name}{list(value.shape)}"
+    text = _numbers(np.asarray(value))
+    return f"{text} {unit}" if unit else text
+
+
+def _known(value: Any) -> bool:
+    return isinstance(value, np.ndarray | np.generic | int) or (
+        isinstance(value, jax.Array) and not isinstance(value, jax.core.Tracer)
+    )
+
+
+def _numbers(array: np.ndarray) -> str:
+    if array.size <= _FEW:
+        return _nested(array)
+    seen = array[np.isfinite(array)] if array.dtype.kind in "fc" else array
+    shape = " x ".join(map(str, array.shape))
+    if array.dtype.kind == "b":
+        return f"{shape}, {int(array.sum())} true"
+    if not seen.size:
+        return f"{shape}, none finite"
+    holes = array.size - seen.size
+    spread = f"up to {np.abs(seen).max():.6g}" if array.dtype.kind == "c" else _range(seen)
+    return f"{shape}, {spread}" + (f", {holes} not finite" if holes else "")
+
+
+def _range(array: np.ndarray) -> str:
+    return f"{array.min():.6g} to {array.max():.6g}"
+
+
+def _nested(array: np.ndarray) -> str:
+    if array.ndim:
+        return f"[{', '.join(_nested(part) for part in array)}]"
+    return f"{array}" if array.dtype.kind == "b" else f"{array[()]:.6g}"

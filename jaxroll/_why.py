@@ -1,0 +1,346 @@
+"""`why`: one page on why a grasp fails, or that it holds."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import numpy as np
+
+from ._printing import code_name
+from ._results import check_instance, traced
+from .integration import (
+    amount,
+    Bearing,
+    bearing,
+    cause,
+    check_state,
+    close,
+    contact_name,
+    reach,
+    REMEDIES,
+    residuals,
+    simulate,
+    Trajectory,
+    worst,
+)
+from .mechanics import Grasp, State
+from .stability import assess, Stability, VERDICTS
+
+# Relative size below which a sum of curvatures or a pivot counts as zero, as runs do.
+_SINGULAR = 1e-9
+# Parts of a direction that are smaller than this share of its largest are left out.
+_SLIGHT = 0.02
+_MEND = {
+    "open": "a guess nearer to contact, or `close` with `hold_contacts=False` or `locate=True`, which let "
+    "the contacts move",
+    "pulls": "a push that presses there (force or beta of the controller, gravity), or contacts elsewhere",
+    "slips": "a larger `friction` of that contact, or contacts where the push is nearer to the normal",
+    "unstable": "fingertips that are blunter there: `stability.margin` is the chapter's measure, and "
+    "`design.optimise_fingertip` finds them",
+    "not_found": "another start, or a controller whose forces balance somewhere near it",
+}
+
+
+@dataclass(frozen=True)
+class Why:
+    """Why a grasp fails. Printed, it is one page.
+
+    Attributes:
+        summary: What comes first, in one sentence; 'holds' where nothing was found.
+        closed: Whether the contacts close.
+        gap: Largest residual of the start looked at [m or rad]; where they do not close, of the guess.
+        state: The start looked at, on the constraints where it closes.
+        start: How the grasp bears there: curvatures, pivot, forces; None where it does not close.
+        run: The run from there; None where there was nothing to run.
+        end: How it bears where the run ended.
+        contact: Which contact failed; -1 where none did.
+        ended: Which contact ended the run, when and by how much; empty if it reached its end.
+        stability: Equilibrium and verdict, in the plane; None in space and where no direction is free.
+        direction: In which direction it falls, by coordinate; empty where none does.
+        remedy: What helps, in the words of this package's arguments; empty where nothing is needed.
+        grasp: The grasp.
+    """
+
+    summary: str
+    closed: bool
+    gap: float
+    state: State
+    start: Bearing | None
+    run: Trajectory | None
+    end: Bearing | None
+    contact: int
+    ended: str
+    stability: Stability | None
+    direction: str
+    remedy: str
+    grasp: Grasp
+
+    def __repr__(self) -> str:
+        return f"Why({self.summary})"
+
+    def __str__(self) -> str:
+        lines = [f"Why: {self.summary}", f"  closed    {self._closing()}"]
+        if self.start is not None:
+            lines.append(f"  singular  {_singular(self.grasp, self.start)}")
+            lines += _block("start", _forces(self.grasp, self.start))
+        if self.run is not None:
+            lines.append(f"  run       {self.ended or f'to t = {float(self.run.stats.t_end):.6g} s'}")
+            lines += _block("its end", _forces(self.grasp, self.end) if self.end is not None else [])
+        lines += _block("rest", self._rest())
+        if self.direction:
+            lines.append(f"  falls     {self.direction}")
+        if self.remedy:
+            lines.append(f"  remedy    {self.remedy}")
+        return "\n".join(lines)
+
+    def _closing(self) -> str:
+        unit = f"worst row {self.gap:.1e} m or rad"
+        return f"yes, {unit}" if self.closed else f"no, {unit} at the guess"
+
+    def _rest(self) -> list[str]:
+        found = self.stability
+        if found is None:
+            told = "not asked in space" if self.grasp.spatial else "no direction is free to move"
+            return [told] if self.closed else []
+        verdict = f"{code_name(found.verdict)}: {VERDICTS[found.verdict]}"
+        if not bool(found.equilibrium.found):
+            return [verdict]
+        forces = found.equilibrium.multipliers
+        return [verdict, *(_force(self.grasp, i, *pair) for i, pair in enumerate(_pairs(forces)))]
+
+
+def why(grasp: Grasp, state: State | Trajectory, *, t1: float = 1.0, **options: Any) -> Why:
+    r"""Say why a grasp fails: close, run, assess, and one page.
+
+    Answers, in this order: do the contacts close; is one of them, or an arm, singular; which forces press and
+    which friction they need; what ends a run, where, when and by how much; in the plane, whether there is an
+    equilibrium near, what its verdict is and which direction falls; and what helps.
+
+    Args:
+        grasp: The grasp.
+        state: A state or a guess of one; or a run of this grasp, and then no other one is made.
+        t1: Length of the run that is made [s].
+        **options: Those of `simulate` for it. With the same ones as yours it costs no new compilation.
+
+    Returns:
+        A `Why`; print it.
+
+    Raises:
+        ValueError: If a state does not fit the grasp, a run is a batch, or anything is being traced.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> grasp, state = jxr.scenes.pivoted()
+        >>> jxr.why(grasp.with_(force=-0.5), state).summary  # a finger that pulls
+        'fails at the start: contact 0 (finger 0 on contour 0) pulls with 1.55 N'
+    """
+    check_instance("grasp", grasp, Grasp, "a Grasp")
+    check_instance("state", state, (State, Trajectory), "a State, or a run of the grasp")
+    if traced((grasp, state)):
+        raise ValueError("argument state must be known numbers for a report, but was being traced")
+    run = state if isinstance(state, Trajectory) else None
+    begin = state if run is None else _start(run)
+    check_state(grasp, begin)
+    gap = float(worst(residuals(grasp, begin)))
+    closed = begin if gap <= reach(begin.q.dtype) else _closed(grasp, begin)
+    if isinstance(closed, str):
+        told = f"the contacts do not close: {closed}"
+        none = {"start": None, "run": None, "end": None, "stability": None}
+        rest = {"contact": -1, "ended": "", "direction": "", "remedy": _MEND["open"]}
+        return Why(told, False, gap, begin, grasp=grasp, **none, **rest)
+    if run is None:
+        run = simulate(grasp, closed, t1, throw=False, **options)
+    return _judged(grasp, closed, run)
+
+
+def _start(run: Trajectory) -> State:
+    """The first state that a run saved; else where it ended."""
+    if np.ndim(run.states.q) != 2:
+        raise ValueError(
+            f"argument state must be one run, but its states have shape {np.shape(run.states.q)}; "
+            "take one lane with jax.tree.map(lambda x: x[i], run)"
+        )
+    saved = np.isfinite(np.asarray(run.states.q)).all(axis=1)
+    return jax.tree.map(lambda x: x[int(np.argmax(saved))], run.states) if saved.any() else run.last
+
+
+def _closed(grasp: Grasp, guess: State) -> State | str:
+    """The closed state near a guess, or why there is none."""
+    try:
+        return close(grasp, guess)[1]
+    except ValueError as error:
+        return str(error).partition("but ")[2] or str(error)
+
+
+def _judged(grasp: Grasp, state: State, run: Trajectory) -> Why:
+    """All that is said of a grasp that closes, from a start and its run."""
+    start, t = bearing(grasp, 0.0, state), run.stats.t_end
+    finite = bool(np.isfinite(run.last.q).all())
+    end = bearing(grasp, t, run.last) if finite else None
+    code = code_name(run.result)
+    failed = code != "successful"
+    found = _assessed(grasp, run.last if finite and not failed else state)
+    contact = _culprit(grasp, run, end)
+    ended = _ending(grasp, run, contact) if failed else ""
+    direction = _direction(grasp, found, state, run)
+    early, verdict = _early(grasp, start), "" if found is None else code_name(found.verdict)
+    if early is not None:
+        summary, remedy, contact = early
+    elif failed:
+        summary, remedy = f"fails: {ended}", REMEDIES.get(code, "")
+        if verdict == "unstable":
+            summary = f"{summary}; its equilibrium is unstable"
+            remedy = f"{_MEND[verdict]}; against the end alone, {remedy}"
+    elif found is not None and verdict in _MEND:
+        told = _lower(VERDICTS[found.verdict])
+        summary, remedy = f"holds until t = {float(t):.4g} s, but {told}", _MEND[verdict]
+    else:
+        summary, remedy = "holds", ""
+    gap = float(worst(residuals(grasp, state)))
+    return Why(
+        summary=summary,
+        closed=True,
+        gap=gap,
+        state=state,
+        start=start,
+        run=run,
+        end=end,
+        contact=contact,
+        ended=ended,
+        stability=found,
+        direction=direction,
+        remedy=remedy,
+        grasp=grasp,
+    )
+
+
+def _assessed(grasp: Grasp, state: State) -> Stability | None:
+    """Equilibrium and verdict, where there are any to ask for."""
+    free = grasp.coordinates - sum(contact.rows for contact in grasp.contacts)
+    return None if grasp.spatial or free < 1 else assess(grasp, state)
+
+
+def _early(grasp: Grasp, start: Bearing) -> tuple[str, str, int] | None:
+    """What is wrong at the start already: the sentence, what helps, and which contact."""
+    curvature, f = np.asarray(start.curvature), np.asarray(start.multipliers.f)
+    if not np.all(curvature > _SINGULAR):
+        at = int(np.argmin(curvature))
+        name = contact_name(grasp.labels, at)
+        told = f"fails at the start: {name} is singular, the sum of its curvatures is not positive"
+        return told, REMEDIES["singular_contact"], at
+    if not float(start.pivot) > _SINGULAR:
+        told = (
+            "fails at the start: contacts are redundant or an arm is straight, so that forces have no answer"
+        )
+        return told, REMEDIES["singular_contact"], -1
+    if not np.all(f > 0.0):
+        at = int(np.argmin(f))
+        name = contact_name(grasp.labels, at)
+        return f"fails at the start: {name} pulls with {-f[at]:.3g} N", _MEND["pulls"], at
+    for i, (pressing, aside) in enumerate(_pairs(start.multipliers)):
+        limit = _friction(grasp, i)
+        if limit is not None and aside > limit * pressing:
+            name = contact_name(grasp.labels, i)
+            told = f"fails at the start: {name} needs friction {aside / pressing:.3g}, but has {limit:.3g}"
+            return told, _MEND["slips"], i
+    return None
+
+
+def _culprit(grasp: Grasp, run: Trajectory, end: Bearing | None) -> int:
+    """Which contact ended a run: what the run says, else the one with the least margin there."""
+    contact, code = int(run.stats.contact), code_name(run.result)
+    if contact >= 0 or end is None:
+        return contact
+    if code == "contact_lost":
+        return int(np.argmin(end.multipliers.f))
+    if code == "contour_end":
+        return int(np.argmin(end.ends))
+    if code == "singular_contact" and not np.min(end.curvature) > float(end.pivot):
+        return int(np.argmin(end.curvature))
+    if code == "slipping":
+        limits = [_friction(grasp, i) for i in range(len(grasp.contacts))]
+        over = [
+            -np.inf if limit is None else aside - limit * pressing
+            for limit, (pressing, aside) in zip(limits, _pairs(end.multipliers), strict=True)
+        ]
+        return int(np.argmax(over))
+    return -1
+
+
+def _ending(grasp: Grasp, run: Trajectory, contact: int) -> str:
+    """Cause of the end of a run, with the contact's name."""
+    told = cause(run)
+    if int(run.stats.contact) < 0 <= contact:
+        told = told.replace("a contact", contact_name(grasp.labels, contact), 1)
+    return told
+
+
+def _friction(grasp: Grasp, contact: int) -> float | None:
+    limit = grasp.contacts[contact].friction
+    return None if limit is None else float(limit)
+
+
+def _pairs(forces: Any) -> list[tuple[float, float]]:
+    """Normal force and size of the tangential one, of each contact [N]."""
+    f, lam = np.asarray(forces.f), np.asarray(forces.lam)
+    aside = np.linalg.norm(lam, axis=-1) if lam.ndim > f.ndim else np.abs(lam)
+    return [(float(a), float(b)) for a, b in zip(f, aside, strict=True)]
+
+
+def _singular(grasp: Grasp, at: Bearing) -> str:
+    curvature, pivot = np.asarray(at.curvature), float(at.pivot)
+    least = int(np.argmin(curvature))
+    fine = curvature[least] > _SINGULAR and pivot > _SINGULAR
+    told = f"curvatures add up to {curvature[least]:.3g} of their size (contact {least}, the least)"
+    return f"{'no' if fine else 'yes'}, {told}; smallest pivot {pivot:.3g}"
+
+
+def _forces(grasp: Grasp, at: Bearing) -> list[str]:
+    return [_force(grasp, i, *pair) for i, pair in enumerate(_pairs(at.multipliers))]
+
+
+def _force(grasp: Grasp, contact: int, pressing: float, aside: float) -> str:
+    name, limit = contact_name(grasp.labels, contact), _friction(grasp, contact)
+    has = "no limit was given" if limit is None else f"it has {limit:.3g}"
+    if not pressing > 0.0:
+        return f"{name} pulls with {-pressing:.4g} N: no friction would do"
+    return f"{name} presses with {pressing:.4g} N and needs friction {round(aside / pressing, 9):.4g}; {has}"
+
+
+def _direction(grasp: Grasp, found: Stability | None, start: State, run: Trajectory) -> str:
+    """The direction that falls: of an unstable equilibrium, else of a run that failed."""
+    if found is not None and code_name(found.verdict) == "unstable":
+        told = _named(grasp, np.asarray(found.modes)[:, 0])
+        return f"along {told}, where the potential bends down" if found.curvatures[0] < 0 else _growing(found)
+    way = np.asarray(run.last.q) - np.asarray(start.q)
+    if code_name(run.result) == "successful" or not np.any(way) or not np.isfinite(way).all():
+        return ""
+    return f"it went along {_named(grasp, way)}"
+
+
+def _growing(found: Stability) -> str:
+    rate = found.rates[-1]
+    return f"along a swing that grows at {float(rate.real):.3g} 1/s, {abs(float(rate.imag)):.3g} rad/s"
+
+
+def _named(grasp: Grasp, way: np.ndarray) -> str:
+    """A direction by coordinates, scaled so that its largest part is one radian, or one link's length."""
+    size, parts, at = float(np.mean([float(f.size) for f in grasp.fingers])), [], 0
+    units = [each.unit for _, labels in grasp.labels.bodies for each in labels]
+    scales = np.array([size if unit == "m" else 1.0 for unit in units])
+    largest = np.argmax(np.abs(way / scales))
+    way = way / (way[largest] / scales[largest])
+    for body, labels in grasp.labels.bodies:
+        seen = [(each, way[i]) for i, each in enumerate(labels, at) if abs(way[i]) > _SLIGHT * scales[i]]
+        at += len(labels)
+        told = ", ".join(f"{each.name} {amount(float(x), each.unit, signed=True)}" for each, x in seen)
+        parts += [f"{body}: {told}"] if told else []
+    return "; ".join(parts)
+
+
+def _lower(sentence: str) -> str:
+    return f"{sentence[0].lower()}{sentence[1:].rstrip('.')}"
+
+
+def _block(title: str, lines: list[str]) -> list[str]:
+    return [f"  {title if i == 0 else '':<10}{line}" for i, line in enumerate(lines)]

@@ -53,6 +53,7 @@ from ._object import (
 from ._object3 import FreeObject3 as FreeObject3
 from ._stage import Stage as Stage, Turning as Turning
 from ._state import (
+    as_state as as_state,
     Blocks as Blocks,
     Form as Form,
     join as join,

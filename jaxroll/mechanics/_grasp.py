@@ -1,6 +1,7 @@
 """A grasp: fingers, object and contacts, with their controller and gravity."""
 
 import functools
+import inspect
 from collections.abc import Callable, Sequence
 from typing import Any, cast, TypeVar
 
@@ -10,14 +11,14 @@ from jaxtyping import Array, Float
 
 from .._algebra import unstack, Vec2
 from .._once import remembered
-from .._results import as_floats
+from .._results import as_floats, check_instance
 from .._spatial import Vec3
 from .._types import Given
 from ..contact import AbstractContact, Contact3
 from ..geometry import AbstractContour, AbstractSurface, tabled
 from ._body import AbstractBody
 from ._finger import AbstractFinger
-from ._state import Form
+from ._state import as_state, Form
 
 Door = TypeVar("Door", bound=Callable[..., Any])
 
@@ -221,11 +222,29 @@ def check_spatial(grasp: Grasp) -> None:
 
 
 def compiled(function: Door) -> Door:
-    """`equinox.filter_jit` for functions of a grasp, whose tables are built before, once for all of them."""
-    jitted = eqx.filter_jit(function)
+    """`equinox.filter_jit` for functions of a grasp, whose tables are built once for all of them.
+
+    The door checks arguments by their names: `grasp` must be one, `state` (or `guess`) must have the sizes
+    of that grasp's states, and so must `states`, which may have a leading axis of times.
+    """
+    jitted, names = eqx.filter_jit(function), tuple(inspect.signature(function).parameters)
 
     @functools.wraps(function)
     def door(grasp: Grasp, *args: Any, **options: Any) -> Any:
-        return jitted(grasp.tabled(), *args, **options)
+        check_instance("grasp", grasp, Grasp, "a jaxroll.Grasp")
+        given = [_as_argument(grasp, *pair) for pair in zip(names[1:], args, strict=False)]
+        given += args[len(given) :]
+        named = {name: _as_argument(grasp, name, value) for name, value in options.items()}
+        return jitted(grasp.tabled(), *given, **named)
 
     return cast(Door, door)
+
+
+# How many leading axes an argument may have that holds a state.
+_STATES = {"state": 0, "guess": 0, "states": 1}
+
+
+def _as_argument(grasp: Grasp, name: str, value: Any) -> Any:
+    if name not in _STATES:
+        return value
+    return as_state(name, value, grasp.form, axes=_STATES[name])

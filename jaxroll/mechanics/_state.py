@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._results import as_array, check_instance
 from .._types import Scalars
 
 Blocks = tuple[Scalars, ...]
@@ -56,6 +57,39 @@ class Form(NamedTuple):
     def counts(self) -> tuple[int, int, int]:
         """Lengths of q, v and s."""
         return sum(self.positions), sum(self.sizes), self.places.num_leaves
+
+
+def as_state(name: str, value: Any, form: Form, *, axes: int = 0) -> State:
+    """A state as arrays of the sizes that its grasp wants, or one sentence; unchanged where it is that.
+
+    The one place that notices a state of another grasp, from sizes: where two grasps have the same ones,
+    only `residuals` can tell. `axes` is how many leading axes it may have.
+    """
+    check_instance(name, value, State, "a jaxroll.State")
+    given = {part: getattr(value, part) for part in "qvs"}
+    parts = {part: _as_part(f"{name}.{part}", array) for part, array in given.items()}
+    q, v, s = (jnp.shape(array) for array in parts.values())
+    lead = q[:-1]
+    for part, shape, size in zip("qvs", (q, v, s), form.counts, strict=True):
+        if shape != (*lead, size) or len(lead) > axes:
+            wanted = f"({size},)" if not axes else f"({size},) or (t, {size})"
+            raise ValueError(f"argument {name}.{part} must have shape {wanted}, but had {shape}")
+    if len({array.dtype for array in parts.values()}) > 1:
+        kinds = [str(array.dtype) for array in parts.values()]
+        raise ValueError(f"argument {name} must have q, v and s of one precision, but had {', '.join(kinds)}")
+    if all(parts[part] is array for part, array in given.items()):
+        return value
+    return State(**parts)
+
+
+def _as_part(name: str, value: Any) -> Array:
+    """An array of single or double precision."""
+    array = value
+    if not (isinstance(value, jax.Array) and value.dtype.kind == "f"):
+        array = as_array(name, value)
+    if array.dtype.itemsize < 4:
+        raise ValueError(f"argument {name} must be of single or double precision, but was {array.dtype}")
+    return array
 
 
 def to_leaves(state: State, form: Form) -> Leaves:

@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Array
 
 from .._algebra import Pose2
-from .._results import check_finite, check_flag, check_instance, concrete
+from .._results import check_finite, check_flag, concrete
 from .._spatial import Pose3, seven
 from ..contact import locate as locate_contours, locate_surfaces
-from ..mechanics import as_state, compiled, Grasp, poses, split, State
+from ..mechanics import check_states, compiled, Grasp, poses, split, State
 from ._nearest import on_shapes
 from ._settled import settled
 
@@ -61,8 +61,7 @@ def close(
         >>> bool(abs(jxr.residuals(moved, start).tangential[0]) < 1e-14)
         True
     """
-    check_instance("grasp", grasp, Grasp, "a jaxroll.Grasp")
-    guess = finite_state("guess", guess, grasp)
+    check_state(grasp, guess, "guess")
     for name, flag in (("hold_contacts", hold_contacts), ("throw", throw), ("locate", locate)):
         check_flag(name, flag)
     if locate:
@@ -126,12 +125,11 @@ def reach(dtype: Any) -> float:
     return 1e-9 if np.dtype(dtype) == np.float64 else 1e-5
 
 
-def finite_state(name: str, state: State, grasp: Grasp) -> State:
-    """A state as arrays of the sizes that its grasp wants, or one sentence; its numbers must be finite."""
-    state = as_state(name, state, grasp.form)
+def check_state(grasp: Grasp, state: State, name: str = "state") -> None:
+    """Raise unless a state has the shapes of its grasp and finite numbers."""
+    check_states(grasp, state, name)
     for part, value in (("q", state.q), ("v", state.v), ("s", state.s)):
         check_finite(f"{name}.{part}", value)
-    return state
 
 
 def row_name(grasp: Grasp, row: int) -> str:

@@ -12,7 +12,7 @@ from jaxtyping import Array
 
 from .._algebra import total
 from .._backend import in_turn
-from .._results import check_flag, check_instance, concrete, message, RESULTS
+from .._results import check_flag, concrete, message, RESULTS
 from .._sharing import sharing
 from .._types import Given
 from ..mechanics import check_planar, Grasp, State
@@ -28,9 +28,9 @@ from ._arguments import (
     RTOL,
     step_limit,
 )
-from ._close import finite_state, reach
+from ._close import check_state, reach
 from ._flow import bundle, Layout, layout, states_of, vector_of
-from ._formulation import CSM, Formulation, Index1
+from ._formulation import as_formulation, CSM, Formulation
 from ._march import march
 from ._methods import check_method, Seeing, Steady, with_tolerances
 from ._observe import energies_at, Energy, Multipliers, multipliers_at, of_reached, residuals_at, worst
@@ -105,10 +105,9 @@ def simulate(
         >>> f"{run.states.q[-1, 0] - run.states.q[0, 0]:.3f} rad"  # the object turned by
         '0.772 rad'
     """
-    check_instance("grasp", grasp, Grasp, "a jaxroll.Grasp")
-    state = finite_state("state", state, grasp)
+    check_state(grasp, state)
     check_flag("throw", throw)
-    way = _formulation(grasp, formulation)
+    way = as_formulation(grasp, formulation)
     check_choices("options", tuple(options), OPTIONS)
     numbers = run_numbers((t0, t1, ts), rtol, options, np.dtype(state.q.dtype))
     setup = Setup(
@@ -135,15 +134,6 @@ class Setup(NamedTuple):
     max_steps: int
     record: tuple[str, ...]
     events: tuple[str, ...]
-
-
-def _formulation(grasp: Grasp, given: Any) -> Formulation:
-    if given is None:
-        return Index1()
-    check_instance("formulation", given, (Index1, CSM), "jaxroll.Index1() or jaxroll.CSM(...)")
-    if isinstance(given, CSM):
-        check_planar(grasp)
-    return given
 
 
 def _is_plain(grasp: Grasp, setup: Setup) -> bool:

@@ -29,6 +29,7 @@ from ._constraints import (
     touches as touches,
     unknown_line as unknown_line,
 )
+from ._controller import AbstractController as AbstractController, as_drive as as_drive
 from ._dynamics import (
     accelerate as accelerate,
     Instant as Instant,
@@ -41,6 +42,7 @@ from ._finger3 import Finger3 as Finger3
 from ._grasp import (
     check_planar as check_planar,
     check_spatial as check_spatial,
+    check_states as check_states,
     compiled as compiled,
     Grasp as Grasp,
 )
@@ -53,7 +55,6 @@ from ._object import (
 from ._object3 import FreeObject3 as FreeObject3
 from ._stage import Stage as Stage, Turning as Turning
 from ._state import (
-    as_state as as_state,
     Blocks as Blocks,
     Form as Form,
     join as join,

@@ -83,7 +83,7 @@ def save_times(t0: Any, t1: Any, ts: Any, dtype: np.dtype) -> tuple[Any, Any, An
         raise ValueError(f"argument t1 must be above t0 = {bounds[0]:g}, but was {bounds[1]:g}")
     if not isinstance(ts, int | np.integer) or isinstance(ts, bool):
         saved = as_number("ts", ts, dtype)
-        _check_times(saved, bounds)
+        check_times(saved, bounds)
         return start, end, saved
     if ts < 1:
         raise ValueError(f"argument ts must be at least 1 time, but was {ts}")
@@ -91,7 +91,8 @@ def save_times(t0: Any, t1: Any, ts: Any, dtype: np.dtype) -> tuple[Any, Any, An
     return start, end, start * (1 - share) + end * share
 
 
-def _check_times(saved: Any, bounds: np.ndarray | None) -> None:
+def check_times(saved: Any, bounds: np.ndarray | None = None) -> None:
+    """Raise unless save times are one or more, rise and lie within these bounds."""
     if np.ndim(saved) != 1 or not np.size(saved):
         raise ValueError(
             f"argument ts must be a number of times, or times of shape (t,), but had shape {np.shape(saved)}"
@@ -119,12 +120,12 @@ def check_choices(name: str, given: Any, known: tuple[str, ...]) -> tuple[str, .
 def _tolerances(rtol: Any, options: Mapping[str, Any], dtype: np.dtype) -> tuple[Any, Any]:
     """Both tolerances, which are those of a step-size control that has its own."""
     control = check_control(options.get("stepsize_controller"))
-    relative = _tolerance("rtol", rtol, dtype)
-    absolute = _tolerance("atol", options.get("atol", rtol), dtype)
+    relative = tolerance("rtol", rtol, dtype)
+    absolute = tolerance("atol", options.get("atol", rtol), dtype)
     if not isinstance(control, diffrax.AbstractAdaptiveStepSizeController):
         return relative, absolute
     inside = "stepsize_controller.{}".format
-    own = [_tolerance(inside(name), getattr(control, name), dtype) for name in ("rtol", "atol")]
+    own = [tolerance(inside(name), getattr(control, name), dtype) for name in ("rtol", "atol")]
     left = type(rtol) is float and rtol == RTOL
     given = (None if left else relative, absolute if "atol" in options else None)
     for name, asked, has in zip(("rtol", "atol"), given, own, strict=True):
@@ -137,7 +138,7 @@ def _tolerances(rtol: Any, options: Mapping[str, Any], dtype: np.dtype) -> tuple
     return own[0], own[1]
 
 
-def _tolerance(name: str, value: Any, dtype: np.dtype) -> Any:
+def tolerance(name: str, value: Any, dtype: np.dtype) -> Any:
     """A tolerance, positive, below one where it is relative, and one that the precision can meet."""
     number = _scalar(name, value, dtype)
     _check_positive(name, number)

@@ -5,7 +5,8 @@ must be and what it was. What goes wrong while a compiled program runs is a code
 survives `vmap`, one code per lane, and never discards what had been computed.
 """
 
-from collections.abc import Sequence
+import inspect
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -174,11 +175,47 @@ def check_instance(name: str, value: Any, kinds: type | tuple[type, ...], what: 
     return value
 
 
-def check_callable(name: str, value: Any, what: str = "a function") -> Any:
-    """Raise unless an argument can be called."""
-    if not callable(value):
+def as_several(name: str, value: Any, kind: type, what: str) -> tuple[Any, ...]:
+    """Convert one instance of a class, or a collection of them, to a tuple of one or more."""
+    if isinstance(value, kind):
+        return (value,)
+    listed = tuple(value) if isinstance(value, list | tuple | Iterator) else ()
+    if not listed or not all(isinstance(item, kind) for item in listed):
+        raise ValueError(f"argument {name} must be one or more {what}, but was {shown(value)}")
+    return listed
+
+
+def check_callable(name: str, value: Any, what: str = "a function", *, takes: int | None = None) -> Any:
+    """Raise unless an argument can be called, by position with as many arguments as `takes` says.
+
+    A class is no function: whoever gives one forgot to make an instance.
+    """
+    if not callable(value) or isinstance(value, type) or not (takes is None or _takes(value, takes)):
         raise ValueError(f"argument {name} must be {what}, but was {shown(value)}")
     return value
+
+
+def _takes(function: Callable[..., Any], count: int) -> bool:
+    """Whether a function can be called with `count` arguments; True where its signature is not known."""
+    try:
+        signature = inspect.signature(function)
+    except (TypeError, ValueError):
+        return True
+    try:
+        signature.bind(*(None,) * count)
+    except TypeError:
+        return False
+    return True
+
+
+def as_share(name: str, value: Any) -> float:
+    """Convert an argument that a program is compiled for to a Python number from 0 to 1."""
+    array = as_array(name, value)
+    if traced(value):
+        raise ValueError(f"argument {name} must be known before tracing, but was {shown(value)}")
+    if array.ndim or not 0.0 <= float(value) <= 1.0:
+        raise ValueError(f"argument {name} must be a number from 0 to 1, but was {shown(value)}")
+    return float(value)
 
 
 def check_finite(name: str, value: jax.Array) -> jax.Array:
@@ -195,6 +232,26 @@ def check_positive(name: str, value: jax.Array) -> jax.Array:
     if seen is not None and not np.all(seen > 0):
         raise ValueError(f"argument {name} must be positive, but was {shown(seen)}")
     return value
+
+
+def check_not_negative(name: str, value: jax.Array) -> jax.Array:
+    """Raise if a concrete value is below zero."""
+    seen = concrete(value)
+    if seen is not None and not np.all(seen >= 0):
+        raise ValueError(f"argument {name} must not be negative, but was {shown(seen)}")
+    return value
+
+
+def check_direction(name: str, vectors: jax.Array) -> jax.Array:
+    """Raise if a concrete vector of the last axis has no direction: its length is zero, or overflows."""
+    seen = concrete(vectors)
+    if seen is None:
+        return vectors
+    with np.errstate(over="ignore"):
+        lengths = np.sqrt(np.sum(seen * seen, axis=-1))
+    if not np.all((lengths > 0) & np.isfinite(lengths)):
+        raise ValueError(f"argument {name} must not be zero, but was {shown(seen)}")
+    return vectors
 
 
 def check_between(name: str, value: Any, low: Any, high: Any, *, unit: str = "") -> None:

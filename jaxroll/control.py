@@ -5,7 +5,6 @@ never sees the object. Built-in controllers work on scalars and know their poten
 callable pytree `f(t, angles, rates, tips)` works too (see `Grasp`).
 """
 
-import abc
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,14 +12,23 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from ._algebra import stacked, total, unstack
+from ._fields import each, real, taken
 from ._printing import listed
-from ._results import as_floats, check_finite
+from ._results import as_array, check_positive, shown
 from ._types import Given, Scalar, Scalars
-from .mechanics import Blocks, Grasp, Motion, split, State
+from .mechanics import (
+    AbstractController as AbstractController,
+    as_drive,
+    Blocks,
+    check_states,
+    Grasp,
+    Motion,
+    split,
+    State,
+)
 
 Torques = tuple[Scalars, ...]
 
@@ -55,20 +63,6 @@ def sense(motion: Motion, angles: Scalars, rates: Scalars) -> Sensed:
     return Sensed(angles, rates, motion.pose.origin, motion.unit_twists)
 
 
-class AbstractController(eqx.Module):
-    """A built-in controller: torques on scalars, and the potential they derive from."""
-
-    __repr__ = listed
-
-    @abc.abstractmethod
-    def torques(self, t: Scalar, fingers: Sequence[Sensed]) -> Torques:
-        """Joint torques [N m] of every finger."""
-
-    @abc.abstractmethod
-    def potential(self, tips: Sequence[Any], angles: Sequence[Scalars]) -> Scalar:
-        """Artificial potential energy [J] whose negative gradient is part of the torques."""
-
-
 class Passive(AbstractController):
     """No torques at all."""
 
@@ -79,6 +73,12 @@ class Passive(AbstractController):
         return jnp.zeros_like(tips[0].x)
 
 
+def _as_point(name: str, point: Array) -> Array:
+    if point.shape[0] not in (2, 3):
+        raise ValueError(f"argument {name} must have shape (2) or (3), but had shape {point.shape}")
+    return point
+
+
 class Press(AbstractController):
     r"""Press the fingertip towards a fixed point: control (75) with joint damping.
 
@@ -86,10 +86,13 @@ class Press(AbstractController):
     $U = \frac{f_d}{2r} \|r_{01} - r_m\|^2$, for every finger.
 
     Args:
-        force: Internal force $f_d$, in newtons.
+        force: Internal force $f_d$, in newtons; a negative one pushes the fingertip away.
         radius: The constant $r$, in metres, positive.
-        damping: Joint damping $c$, in N m s.
+        damping: Joint damping $c$, in N m s; a negative one feeds energy in.
         target: Shape (2,), in space (3,): the fixed point $r_m$ in the world (the object's pivot), in metres.
+
+    Raises:
+        ValueError: If a number is not finite, a shape does not fit, or the radius is not positive.
 
     Example:
         >>> import jaxroll as jxr
@@ -98,16 +101,24 @@ class Press(AbstractController):
         '50 N/m'
     """
 
-    force: Float[Array, ""]
-    radius: Float[Array, ""]
-    damping: Float[Array, ""]
-    target: Float[Array, "d"]
+    force: Float[Array, ""] = real()
+    radius: Float[Array, ""] = real(check=check_positive)
+    damping: Float[Array, ""] = real()
+    target: Float[Array, "d"] = real(None, check=_as_point)
 
     def __init__(self, force: Given, radius: Given, damping: Given, *, target: Given) -> None:
-        self.force = check_finite("force", as_floats("force", force, ()))
-        self.radius = as_floats("radius", radius, ())
-        self.damping = as_floats("damping", damping, ())
-        self.target = as_floats("target", target, (None,))
+        self.force = taken(self, "force", force)
+        self.radius = taken(self, "radius", radius)
+        self.damping = taken(self, "damping", damping)
+        self.target = taken(self, "target", target)
+
+    def check(self, fingers: int, axes: int) -> None:
+        del fingers
+        if self.target.shape[-1] != axes:
+            raise ValueError(
+                f"argument target must have shape ({axes}), as the grasp's points have, "
+                f"but had shape {self.target.shape}"
+            )
 
     @property
     def stiffness(self) -> Scalar:
@@ -133,6 +144,14 @@ class Press(AbstractController):
         return tip - type(tip)(*unstack(self.target))
 
 
+def _as_start(name: str, start: Array) -> Array:
+    if start.shape[0] < 2:
+        raise ValueError(
+            f"argument {name} must have one angle for each of two fingers or more, but had {start.shape[0]}"
+        )
+    return start
+
+
 class Opposition(AbstractController):
     r"""Fingers-thumb opposition with joint damping: control (16)-(17).
 
@@ -148,6 +167,11 @@ class Opposition(AbstractController):
             rest where $O_1, P_1, P_2, O_2$ are collinear; otherwise a little off.
         start: $p_i(0)$ [rad], shape (fingers,): sums of each finger's joint angles (`orientations`).
 
+    Gains may have any sign: negative ones push the tips apart, feed energy in, or turn the last link away.
+
+    Raises:
+        ValueError: If a number is not finite, there are fewer than two fingers, or a count does not fit.
+
     Example:
         >>> import jaxroll as jxr
         >>> control = jxr.control.Opposition(20.0, 0.006, 0.001, start=(1.5, 1.7))
@@ -155,19 +179,18 @@ class Opposition(AbstractController):
         [0.006, 0.006]
     """
 
-    beta: Float[Array, ""]
-    damping: Float[Array, " m"]
-    alpha: Float[Array, " m"]
-    start: Float[Array, " m"]
+    beta: Float[Array, ""] = real()
+    damping: Float[Array, " m"] = each()
+    alpha: Float[Array, " m"] = each()
+    start: Float[Array, " m"] = real(None, check=_as_start)
 
     def __init__(self, beta: Given, damping: Given, alpha: Given = 0.0, *, start: Given) -> None:
-        self.beta = as_floats("beta", beta, ())
-        self.start = as_floats("start", start, (None,))
-        self.damping = _for_each("damping", damping, self.start)
-        self.alpha = _for_each("alpha", alpha, self.start)
+        self.beta = taken(self, "beta", beta)
+        self.start = taken(self, "start", start)
+        self.damping = taken(self, "damping", damping, shape=self.start.shape)
+        self.alpha = taken(self, "alpha", alpha, shape=self.start.shape)
 
     def torques(self, t: Scalar, fingers: Sequence[Sensed]) -> Torques:
-        self._check(len(fingers))
         tips = [finger.tip for finger in fingers]
         return tuple(self._finger(i, finger, self._pull(i, tips)) for i, finger in enumerate(fingers))
 
@@ -188,19 +211,13 @@ class Opposition(AbstractController):
         kept = total([0.5 * self.alpha[i] * turn * turn for i, turn in enumerate(turns)])
         return 0.5 * self.beta * total([arm.dot(arm) for arm in pairs]) + kept
 
-    def _check(self, fingers: int) -> None:
-        if not 2 <= fingers == self.start.shape[0]:
+    def check(self, fingers: int, axes: int) -> None:
+        del axes
+        if not 2 <= fingers == self.start.shape[-1]:
             raise ValueError(
                 f"argument start must have one angle for each of two fingers or more, but had "
-                f"{self.start.shape[0]} for {fingers}"
+                f"{self.start.shape[-1]} for {fingers}"
             )
-
-
-def _for_each(name: str, value: Given, start: Array) -> Array:
-    """One number for all fingers, or one for each."""
-    if np.ndim(value) == 0:
-        return jnp.full(start.shape, as_floats(name, value, ()))
-    return as_floats(name, value, start.shape)
 
 
 def orientations(grasp: Grasp, state: State) -> Float[Array, " m"]:
@@ -213,6 +230,7 @@ def orientations(grasp: Grasp, state: State) -> Float[Array, " m"]:
         >>> bool(same.all())
         True
     """
+    check_states(grasp, state)
     angles = joint_angles(grasp, split(state.q, grasp.form.positions))
     return jnp.stack([jnp.asarray(total(block)) for block in angles])
 
@@ -232,12 +250,14 @@ class UserController(AbstractController):
         rates = tuple(stacked(f.rates) for f in fingers)
         given = self.function(t, angles, rates, tuple(_tip(f) for f in fingers))
         wanted = [a.shape for a in angles]
-        if not isinstance(given, tuple | list) or [jnp.shape(g) for g in given] != wanted:
-            raise ValueError(
-                f"argument controller must return one torque array per finger, of shapes {wanted}, "
-                f"but returned {jax.tree.map(jnp.shape, given)}"
-            )
-        return tuple(tuple(torque[i] for i in range(torque.shape[0])) for torque in given)
+        what = f"argument controller must return one torque array per finger, of shapes {wanted}, but {{}}"
+        if not isinstance(given, tuple | list) or len(given) != len(wanted):
+            raise ValueError(what.format(f"returned {shown(given)}"))
+        name = "controller, in what it returns,"
+        torques = [as_array(name, torque).astype(a.dtype) for torque, a in zip(given, angles, strict=True)]
+        if (shapes := [torque.shape for torque in torques]) != wanted:
+            raise ValueError(what.format(f"returned {shapes}"))
+        return tuple(tuple(torque[i] for i in range(torque.shape[0])) for torque in torques)
 
     def potential(self, tips: Sequence[Any], angles: Sequence[Scalars]) -> Scalar:
         return jnp.zeros_like(tips[0].x)
@@ -255,6 +275,4 @@ def as_controller(controller: Any) -> AbstractController:
         return Passive()
     if isinstance(controller, AbstractController):
         return controller
-    if not callable(controller):
-        raise ValueError(f"argument controller must be callable, but was {controller!r}")
-    return UserController(controller)
+    return UserController(as_drive("controller", controller))

@@ -23,6 +23,7 @@ RANKS = {
     "_trigonometry": 1,
     "_results": 1,
     "_once": 2,
+    "_fields": 2,
     "_algebra": 2,
     "_spatial": 3,
     "geometry": 4,

@@ -10,6 +10,7 @@ import jax
 from jaxtyping import Array, Float
 
 from .._printing import listed
+from .._results import as_count
 from .._sharing import once
 from .._types import Scalar, Scalars
 
@@ -37,6 +38,11 @@ class Motion:
     def resting(self) -> "Motion":
         """The same pose at zero velocity."""
         return replace(self, twist=jax.tree.map(lambda _: 0.0, self.twist))
+
+
+def as_index(name: str, value: Any) -> int:
+    """Which of several: a whole number from 0 up."""
+    return as_count(name, value, least=0)
 
 
 def arms_of(bodies: tuple[Motion, Motion], points: tuple[Any, Any]) -> tuple[Any, Any]:

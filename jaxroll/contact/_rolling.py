@@ -8,17 +8,18 @@ contact, and the points move over both bodies with one velocity (see `_gap`).
 from dataclasses import dataclass
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._algebra import Pose2, Vec2
-from .._results import as_floats, check_between, check_positive, traced
+from .._fields import real, taken, through
+from .._results import check_between, check_positive, shown, traced
 from .._sharing import once
 from .._types import Given, Scalar, Scalars
 from ..geometry import AbstractContour, frenet, Frenet2
-from ._contact import AbstractContact, arms_of, Motion, row_wise, Rows
+from ._contact import AbstractContact, arms_of, as_index, Motion, row_wise, Rows
 from ._gap import gap, gap_bias, gap_rate, pfaffian
 
 Contours = tuple[AbstractContour, AbstractContour]
@@ -38,6 +39,13 @@ class Touch:
         return self.tip.point, self.object.point
 
 
+def _as_sense(name: str, sense: Any) -> int:
+    whole = isinstance(sense, int | np.integer) and not isinstance(sense, bool)
+    if not whole or sense not in (1, -1):
+        raise ValueError(f"argument {name} must be 1 or -1, but was {shown(sense)}")
+    return int(sense)
+
+
 class Contact(AbstractContact):
     r"""Where a fingertip starts touching the object.
 
@@ -51,14 +59,18 @@ class Contact(AbstractContact):
             quantities are reported, of `multipliers`, `residuals`, `press_balance` and the like: a grasp and
             its mirror image with the other `sense` have the same. Static.
         friction: Coefficient $\mu$: a run ends where $|\lambda| > \mu f$. Default: no limit, no cost.
+
+    Raises:
+        ValueError: If an arclength is not one finite number, `finger` or `contour` is not a whole number from
+            0 up, `sense` is neither, or `friction` is not positive.
     """
 
-    s_tip: Float[Array, ""]
-    s_object: Float[Array, ""]
-    finger: int = eqx.field(static=True)
-    contour: int = eqx.field(static=True)
-    sense: int = eqx.field(static=True)
-    friction: Float[Array, ""] | None
+    s_tip: Float[Array, ""] = real()
+    s_object: Float[Array, ""] = real()
+    finger: int = through(as_index, static=True)
+    contour: int = through(as_index, static=True)
+    sense: int = through(_as_sense, static=True)
+    friction: Float[Array, ""] | None = real(check=check_positive, optional=True)
 
     def __init__(
         self,
@@ -70,14 +82,12 @@ class Contact(AbstractContact):
         sense: int = 1,
         friction: Given | None = None,
     ) -> None:
-        if sense not in (1, -1):
-            raise ValueError(f"argument sense must be 1 or -1, but was {sense}")
-        self.s_tip = as_floats("s_tip", s_tip, ())
-        self.s_object = as_floats("s_object", s_object, ())
-        self.finger, self.contour, self.sense = finger, contour, sense
-        self.friction = None
-        if friction is not None:
-            self.friction = check_positive("friction", as_floats("friction", friction, ()))
+        self.s_tip = taken(self, "s_tip", s_tip)
+        self.s_object = taken(self, "s_object", s_object)
+        self.finger = taken(self, "finger", finger)
+        self.contour = taken(self, "contour", contour)
+        self.sense = taken(self, "sense", sense)
+        self.friction = taken(self, "friction", friction)
 
     @property
     def kind(self) -> str:
@@ -99,7 +109,7 @@ class Contact(AbstractContact):
         places = (("s_tip", self.s_tip), ("s_object", self.s_object))
         for shape, (kind, s) in zip(shapes, places, strict=True):
             if not isinstance(shape, AbstractContour):
-                raise ValueError(f"argument {name} must be between contours, but one was {shape!r}")
+                raise ValueError(f"argument {name} must be between contours, but one was {shown(shape)}")
             _check_start(f"{name}.{kind}", s, shape)
 
     def form(self, shapes: Contours) -> Scalar:

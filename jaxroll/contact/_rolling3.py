@@ -7,19 +7,19 @@ Montana's equations without a chart.
 """
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._results import as_floats, check_positive
+from .._fields import real, taken, through
+from .._results import check_flag, check_positive, shown
 from .._sharing import once
 from .._spatial import Pose3, square, Sym3, tangents, Twist3, Vec3
 from .._types import Given, Scalar, Scalars
 from ..geometry import AbstractSurface, Gauss3
-from ._contact import AbstractContact, arms_of, Motion, row_wise, Rows
+from ._contact import AbstractContact, arms_of, as_index, Motion, row_wise, Rows
 from ._gap import gap, gap_bias, gap_rate, pfaffian
 
 Surfaces = tuple[AbstractSurface, AbstractSurface]
@@ -62,6 +62,12 @@ def compliance(poses: tuple[Pose3, Pose3], touch: Touch3, line: bool) -> Sym3:
     return (plane * trace - bend) * (1.0 / bend.minors())
 
 
+def _as_spin(name: str, spin: Any) -> str:
+    if not isinstance(spin, str) or spin not in ("free", "prevented"):
+        raise ValueError(f"argument {name} must be 'free' or 'prevented', but was {shown(spin)}")
+    return spin
+
+
 class Contact3(AbstractContact):
     r"""A fingertip's surface that rolls on one of the object's surfaces.
 
@@ -79,7 +85,8 @@ class Contact3(AbstractContact):
             no cost.
 
     Raises:
-        ValueError: If `spin` is neither.
+        ValueError: If `finger` or `surface` is not a whole number from 0 up, `spin` is neither, `line` is not
+            True or False, or `friction` is not positive.
 
     Example:
         >>> import jaxroll as jxr
@@ -87,11 +94,11 @@ class Contact3(AbstractContact):
         4
     """
 
-    finger: int = eqx.field(static=True)
-    surface: int = eqx.field(static=True)
-    spin: str = eqx.field(static=True)
-    line: bool = eqx.field(static=True)
-    friction: Float[Array, ""] | None
+    finger: int = through(as_index, static=True)
+    surface: int = through(as_index, static=True)
+    spin: str = through(_as_spin, static=True)
+    line: bool = through(check_flag, static=True)
+    friction: Float[Array, ""] | None = real(check=check_positive, optional=True)
 
     def __init__(
         self,
@@ -102,12 +109,11 @@ class Contact3(AbstractContact):
         line: bool = False,
         friction: Given | None = None,
     ) -> None:
-        if spin not in ("free", "prevented"):
-            raise ValueError(f"argument spin must be 'free' or 'prevented', but was {spin!r}")
-        self.finger, self.surface, self.spin, self.line = finger, surface, spin, bool(line)
-        self.friction = None
-        if friction is not None:
-            self.friction = check_positive("friction", as_floats("friction", friction, ()))
+        self.finger = taken(self, "finger", finger)
+        self.surface = taken(self, "surface", surface)
+        self.spin = taken(self, "spin", spin)
+        self.line = taken(self, "line", line)
+        self.friction = taken(self, "friction", friction)
 
     @property
     def kind(self) -> str:
@@ -128,7 +134,7 @@ class Contact3(AbstractContact):
     def check(self, name: str, shapes: Surfaces) -> None:
         for shape in shapes:
             if not isinstance(shape, AbstractSurface):
-                raise ValueError(f"argument {name} must be between surfaces, but one was {shape!r}")
+                raise ValueError(f"argument {name} must be between surfaces, but one was {shown(shape)}")
 
     def form(self, shapes: Surfaces) -> Place:
         tip, face = shapes

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .._results import as_floats, check_positive, RESULTS
+from .._results import as_count, as_floats, check_callable, check_positive, RESULTS, shown
 from .._types import Given, Scalar
 from ..geometry import AbstractContour
 from ..integration import simulate, Trajectory
@@ -25,6 +25,11 @@ from ._limits import Samples
 from ._measures import FORCED, MEASURES, PARTIAL, SETTLED
 
 Objective = Mapping[str, float] | Callable[[Any, Trajectory], Scalar]
+# Options of `simulate` that a goal passes on.
+_OPTIONS = (
+    *("t0", "formulation", "solver", "rtol", "record", "events"),
+    *("atol", "dt0", "max_steps", "stepsize_controller", "progress_meter"),
+)
 # What a run costs that ends at once: more than any that holds.
 _LOST = 10.0
 _COST, _EARLY = "worst cost", "runs that end early"
@@ -47,8 +52,13 @@ class ClosedLoop(AbstractGoal):
             the grasp and its run.
         cases: A pytree of arrays with a leading axis: objects, poses, gains. Default: one case.
         t1: Length of the runs [s].
-        ts: How many states are saved, evenly spaced.
-        **options: Those of `simulate`.
+        ts: How many states are saved, evenly spaced; at least two.
+        **options: Those of `simulate`; `throw` is False.
+
+    Raises:
+        ValueError: If `make` cannot be called so, `objective` is neither a function nor finite weights of
+            these names, `cases` have no common leading axis, `t1` is not positive, `ts` is not a whole number
+            from 2 up, or an option is unknown.
 
     Example:
         >>> import jaxroll as jxr, jax.numpy as jnp
@@ -77,11 +87,15 @@ class ClosedLoop(AbstractGoal):
         ts: int = 101,
         **options: Any,
     ) -> None:
-        self.make = check_make(make)
-        self.objective = objective if callable(objective) else _weights(objective)
+        self.make = check_make(make, cases)
+        self.objective = _as_objective(objective)
         self.cases = check_cases(cases)
         self.t1 = check_positive("t1", as_floats("t1", t1, ()))
-        self.ts = ts
+        self.ts = as_count("ts", ts, least=2)
+        if unknown := sorted(set(options) - set(_OPTIONS)):
+            raise ValueError(
+                f"argument options must be among {', '.join(_OPTIONS)}, but had {shown(unknown)}"
+            )
         self.options = tuple(sorted(options.items()))
 
     @property
@@ -132,10 +146,14 @@ class ClosedLoop(AbstractGoal):
         return figures[_EARLY] == 0
 
 
-def _weights(objective: Any) -> tuple[tuple[str, float], ...]:
+def _as_objective(objective: Any) -> tuple[tuple[str, float], ...] | Callable:
+    """A function of a grasp and its run, or weights by name."""
+    if callable(objective):
+        return check_callable("objective", objective, "a function of a grasp and its run", takes=2)
     if not isinstance(objective, Mapping) or not objective or set(objective) - set(MEASURES):
         raise ValueError(
             f"argument objective must be a function, or weights of {', '.join(MEASURES)}, "
-            f"but was {objective!r}"
+            f"but was {shown(objective)}"
         )
-    return tuple((name, float(weight)) for name, weight in objective.items())
+    weights = {name: as_floats(f"objective['{name}']", weight, ()) for name, weight in objective.items()}
+    return tuple((name, float(weight)) for name, weight in weights.items())

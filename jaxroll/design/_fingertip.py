@@ -8,15 +8,25 @@ import jax
 import jax.flatten_util
 import jax.numpy as jnp
 import numpy as np
+import optax
 from jaxtyping import Array
 
-from .._results import RESULTS
+from .._results import (
+    as_count,
+    as_several,
+    check_callable,
+    check_choice,
+    check_flag,
+    check_instance,
+    RESULTS,
+    shown,
+)
 from .._types import Given
 from ..geometry import AbstractContour, tabled
 from ._design import Design
 from ._goals import AbstractGoal, Margin
 from ._limits import check_interval, Limits, sampled, Samples
-from ._minimise import Found, KEPT, minimise, Progress
+from ._minimise import check_checkpoint, Found, KEPT, minimise, Progress
 from ._shape import check_unprepared, divided, extents, mirrored, smoothing, stacked, varied
 
 # Unit of the free numbers, as a share of the fingertip's size: a first step is no longer than one.
@@ -65,7 +75,8 @@ def optimise_fingertip(
 
     Raises:
         ValueError: If a contour is endless or already prepared, contours differ in kind or size, or the
-            interval leaves one; for `Firmness`, if the first start has no equilibrium in the first case.
+            interval leaves one; if another argument is not what it must be, or `checkpoint` cannot be written
+            or holds another search; for `Firmness`, if the first start has no equilibrium in the first case.
 
     Example:
         >>> import jaxroll as jxr, numpy as np
@@ -76,12 +87,17 @@ def optimise_fingertip(
         >>> float(design.before[0]) < 0 < float(design.after[0])
         True
     """
-    tips = list(tip) if isinstance(tip, Sequence) else [tip]
+    tips = list(as_several("tip", tip, AbstractContour, "contours"))
     for one in tips:
-        if not isinstance(one, AbstractContour):
-            raise ValueError(f"argument tip must be one contour or several, but was {one!r}")
         check_unprepared(one)
-    count, seed = _more(options), options.get("seed", 0)
+    if goal is not None:
+        check_instance("goal", goal, AbstractGoal, "a goal, such as design.Margin()")
+    if limits is not None:
+        check_instance("limits", limits, Limits, "design.Limits(...)")
+    steps, symmetric = as_count("steps", steps), check_flag("symmetric", symmetric)
+    if not isinstance(progress, bool):
+        check_callable("progress", progress, "True, False or a function of step, cost and violation", takes=3)
+    count, seed = _checked(options)
     ends = jnp.stack([check_interval(one, interval) for one in tips])[0]
     if symmetric:
         mirrored(tips[0])  # raises where the class has no mirror image
@@ -100,15 +116,17 @@ def optimise_fingertip(
     return _design(problem, start, data, found)
 
 
-def _more(options: dict[str, Any]) -> int:
-    """How many starts; raises for an option that there is not."""
+def _checked(options: dict[str, Any]) -> tuple[int, int]:
+    """How many starts, and the seed; raises for an option that there is not, or of no use."""
     unknown = sorted(set(options) - set(_OPTIONS))
     if unknown:
-        raise ValueError(f"argument options must be any of {', '.join(_OPTIONS)}, but had {unknown}")
-    starts = options.get("starts", 1)
-    if starts < 1:
-        raise ValueError(f"argument starts must be at least 1, but was {starts}")
-    return starts
+        raise ValueError(f"argument options must be any of {', '.join(_OPTIONS)}, but had {shown(unknown)}")
+    if (optimiser := options.get("optimiser")) is not None:
+        check_instance("optimiser", optimiser, optax.GradientTransformation, "one of optax")
+    check_choice("mode", options.get("mode", "auto"), ("auto", "forward", "reverse"))
+    if (checkpoint := options.get("checkpoint")) is not None:
+        check_checkpoint(checkpoint)
+    return as_count("starts", options.get("starts", 1)), as_count("seed", options.get("seed", 0), least=0)
 
 
 class _Problem(eqx.Module):

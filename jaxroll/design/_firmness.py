@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from .._results import as_floats, check_positive
+from .._results import as_count, as_floats, check_choice, check_positive
 from .._types import Given, Scalar
 from ..geometry import AbstractContour, tabled
 from ..mechanics import Grasp, State
@@ -64,6 +64,10 @@ class Firmness(AbstractGoal):
         neutral: How many directions are left out. Default: as many as the first start has.
         scale: What counts as one in the cost, in the measure's unit. Default: the first start's size of it.
 
+    Raises:
+        ValueError: If `make` cannot be called so, `cases` have no common leading axis, `measure` is none of
+            the three, `neutral` is not a whole number from 0 up, or `scale` is not positive.
+
     Example:
         >>> import jaxroll as jxr, jax.numpy as jnp
         >>> goal = jxr.design.Firmness(
@@ -87,14 +91,10 @@ class Firmness(AbstractGoal):
         neutral: int | None = None,
         scale: Given | None = None,
     ) -> None:
-        if measure not in _NAMES:
-            raise ValueError(
-                f"argument measure must be 'stiffness', 'curvature' or 'rate', but was {measure!r}"
-            )
-        self.make = check_make(make)
+        self.make = check_make(make, cases)
         self.cases = check_cases(cases)
-        self.measure = measure
-        self.neutral = neutral
+        self.measure = check_choice("measure", measure, tuple(_NAMES))
+        self.neutral = None if neutral is None else as_count("neutral", neutral, least=0)
         self.scale = None if scale is None else check_positive("scale", as_floats("scale", scale, ()))
 
     def aimed(self, tip: AbstractContour) -> "Firmness":

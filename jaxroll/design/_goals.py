@@ -9,8 +9,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
+from .._results import as_array, check_callable, check_finite, shown
 from .._types import Scalar
 from ..geometry import AbstractContour
+from ..mechanics import Grasp, State
 from ._limits import margins, Samples, soft_least
 
 # How sharply the least margin is told from its neighbours, in units of the fingertip's size.
@@ -98,9 +100,17 @@ def each_case(
     In turn, a run stays one compiled kernel: side by side, its derivative falls apart into thousands.
     """
     if cases is None:
-        return jax.tree.map(lambda x: x[None], found(*make(tip)))
-    each = lambda case: found(*make(tip, case))  # noqa: E731
+        return jax.tree.map(lambda x: x[None], found(*_made(make(tip))))
+    each = lambda case: found(*_made(make(tip, case)))  # noqa: E731
     return jax.lax.map(each, cases) if in_turn else jax.vmap(each)(cases)
+
+
+def _made(given: Any) -> tuple[Grasp, State]:
+    """What a caller's `make` returned."""
+    pair = given if isinstance(given, tuple | list) else ()
+    if len(pair) != 2 or not isinstance(pair[0], Grasp) or not isinstance(pair[1], State):
+        raise ValueError(f"argument make must return a Grasp and a State, but returned {shown(given)}")
+    return pair[0], pair[1]
 
 
 def soft_worst(costs: Array, sharpness: Scalar) -> Scalar:
@@ -110,22 +120,22 @@ def soft_worst(costs: Array, sharpness: Scalar) -> Scalar:
     return worst + size * jnp.log(jnp.sum(jnp.exp((costs - worst) / size)))
 
 
-def check_make(make: Any) -> Any:
-    """Raise unless it can be called."""
-    if not callable(make):
-        raise ValueError(f"argument make must be a function of a fingertip, but was {make!r}")
-    return make
+def check_make(make: Any, cases: Any) -> Any:
+    """Raise unless it can be called with a fingertip, and with a case if there are any."""
+    if cases is None:
+        return check_callable("make", make, "a function of a fingertip", takes=1)
+    return check_callable("make", make, "a function of a fingertip and a case", takes=2)
 
 
 def check_cases(cases: Any) -> Any:
     """Arrays with a common leading axis, or None."""
     if cases is None:
         return None
-    arrays = jax.tree.map(lambda x: jnp.asarray(x, float), cases)
+    arrays = jax.tree.map(lambda x: jnp.asarray(check_finite("cases", as_array("cases", x)), float), cases)
     lengths = {jnp.shape(x)[:1] for x in jax.tree.leaves(arrays)}
     if len(lengths) != 1 or lengths == {()} or lengths == {(0,)}:
         raise ValueError(
             f"argument cases must hold arrays with one common leading axis, but their leading axes were "
-            f"{sorted(lengths)}"
+            f"{shown(sorted(lengths))}"
         )
     return arrays

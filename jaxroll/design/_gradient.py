@@ -9,6 +9,8 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array
 
+from .._results import as_array, check_callable, check_choice, check_flag, shown
+
 Mode = Literal["auto", "forward", "reverse"]
 # Up to so many numbers forward mode costs less (see `value_and_grad`).
 FEW = 1
@@ -36,7 +38,8 @@ def value_and_grad(function: Callable[[Any], Any], mode: Mode = "auto", *, has_a
         A function as `jax.value_and_grad` makes it.
 
     Raises:
-        ValueError: If `mode` is none of the three.
+        ValueError: If `mode` is none of the three or `function` no function; by what is returned, if it is
+            given anything but floating-point arrays or the function returns no scalar.
 
     Example:
         >>> import jax.numpy as jnp
@@ -45,18 +48,38 @@ def value_and_grad(function: Callable[[Any], Any], mode: Mode = "auto", *, has_a
         >>> slope.tolist()
         [2.0, 4.0]
     """
-    if mode not in ("auto", "forward", "reverse"):
-        raise ValueError(f"argument mode must be 'auto', 'forward' or 'reverse', but was {mode!r}")
+    check_callable("function", function, takes=1)
+    check_choice("mode", mode, ("auto", "forward", "reverse"))
+    check_flag("has_aux", has_aux)
+    wanted = _scalar(function, has_aux)
 
     @functools.wraps(function)
     def both(x: Any) -> Any:
+        x = jax.tree.map(lambda leaf: as_array("x", leaf), x)
         count = sum(jnp.size(leaf) for leaf in jax.tree.leaves(x))
         backwards = mode == "reverse" or (mode == "auto" and count > FEW)
         if backwards:
-            return jax.value_and_grad(function, has_aux=has_aux)(x)
-        return _forward(function, x, has_aux)
+            return jax.value_and_grad(wanted, has_aux=has_aux)(x)
+        return _forward(wanted, x, has_aux)
 
     return both
+
+
+def _scalar(function: Callable, has_aux: bool) -> Callable:
+    """The function, with a sentence where it does not return one real number (and more)."""
+
+    def checked(x: Any) -> Any:
+        given = function(x)
+        if has_aux and not (isinstance(given, tuple) and len(given) == 2):
+            raise ValueError(
+                f"argument function must return a pair (value, more), but returned {shown(given)}"
+            )
+        value = as_array("function, in what it returns,", given[0] if has_aux else given)
+        if value.ndim:
+            raise ValueError(f"argument function must return one number, but returned shape {value.shape}")
+        return (value, given[1]) if has_aux else value
+
+    return checked
 
 
 def _forward(function: Callable, x: Any, has_aux: bool) -> Any:

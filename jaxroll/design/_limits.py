@@ -5,8 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._fields import real, taken
 from .._printing import listed
-from .._results import as_floats, check_positive
+from .._results import as_floats, check_positive, traced
 from .._types import Given, Scalar
 from ..geometry import AbstractContour, Frenet2
 
@@ -46,6 +47,9 @@ class Limits(eqx.Module):
             one, which rolls on its ends alone; the interval is kept convex all the same.
         steepness: Largest $|d\kappa/ds|$ [1/m^2]: smoothness.
 
+    Raises:
+        ValueError: If a bound is not one positive number, or None.
+
     Example:
         >>> import jaxroll as jxr
         >>> limits = jxr.design.Limits(size=0.02, radius=0.002, flat=0.05)
@@ -53,12 +57,12 @@ class Limits(eqx.Module):
 
     __repr__ = listed
 
-    size: Float[Array, ""] | None
-    length: Float[Array, ""] | None
-    radius: Float[Array, ""] | None
-    ahead: Float[Array, ""] | None
-    flat: Float[Array, ""] | None
-    steepness: Float[Array, ""] | None
+    size: Float[Array, ""] | None = real(check=check_positive, optional=True)
+    length: Float[Array, ""] | None = real(check=check_positive, optional=True)
+    radius: Float[Array, ""] | None = real(check=check_positive, optional=True)
+    ahead: Float[Array, ""] | None = real(check=check_positive, optional=True)
+    flat: Float[Array, ""] | None = real(check=check_positive, optional=True)
+    steepness: Float[Array, ""] | None = real(check=check_positive, optional=True)
 
     def __init__(
         self,
@@ -70,12 +74,12 @@ class Limits(eqx.Module):
         flat: Given | None = 0.1,
         steepness: Given | None = None,
     ) -> None:
-        self.size = _bound("size", size)
-        self.length = _bound("length", length)
-        self.radius = _bound("radius", radius)
-        self.ahead = _bound("ahead", ahead)
-        self.flat = _bound("flat", flat)
-        self.steepness = _bound("steepness", steepness)
+        self.size = taken(self, "size", size)
+        self.length = taken(self, "length", length)
+        self.radius = taken(self, "radius", radius)
+        self.ahead = taken(self, "ahead", ahead)
+        self.flat = taken(self, "flat", flat)
+        self.steepness = taken(self, "steepness", steepness)
 
     def excess(self, seen: Samples) -> dict[str, Array]:
         """By how much each bound is passed, relative to it: not positive where it is kept."""
@@ -103,10 +107,6 @@ class Limits(eqx.Module):
         return jnp.concatenate(parts) if parts else jnp.full(1, -1.0)
 
 
-def _bound(name: str, value: Given | None) -> Array | None:
-    return None if value is None else check_positive(name, as_floats(name, value, ()))
-
-
 def margins(frames: Frenet2, scale: Scalar) -> Array:
     r"""Margin of (41), $1/\kappa + n \cdot \gamma$ [m], continued through $\kappa = 0$ by a bounded function.
 
@@ -129,6 +129,8 @@ def soft_least(values: Array, sharpness: float) -> Array:
 def check_interval(contour: AbstractContour, interval: Given) -> Array:
     """The contact interval as an array, inside the contour."""
     ends = as_floats("interval", interval, (2,))
+    if traced(ends):
+        raise ValueError("argument interval must be known before tracing, but was traced")
     low, high = np.asarray(ends)
     if not low < high:
         raise ValueError(f"argument interval must be increasing, but was {[float(low), float(high)]}")

@@ -5,10 +5,12 @@ that ended early has come to rest nowhere: what is measured against its last val
 Designs need a finite cost of such runs, and use the measures in `PARTIAL`, of the part that was reached.
 """
 
+from typing import Any
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._results import RESULTS
+from .._results import as_array, as_floats, check_instance, check_positive, RESULTS
 from .._types import Scalar
 from ..integration import Multipliers, Trajectory
 
@@ -39,7 +41,7 @@ def settling_time(run: Trajectory, *, band: float = 0.02, signal: Signal | None 
 
 def _settling(run: Trajectory, signal: Signal | None = None, band: float = 0.02) -> Scalar:
     seen, left, whole = _approach(run, signal)
-    limit = band * whole
+    limit = check_positive("band", as_floats("band", band, ())) * whole
     outside = seen & (left > limit)
     last = jnp.max(jnp.where(outside, jnp.arange(left.shape[0]), 0))
     after = jnp.minimum(last + 1, jnp.sum(seen) - 1)
@@ -142,6 +144,7 @@ def _of_whole(run: Trajectory, measure: Scalar) -> Scalar:
 
 def _forces(run: Trajectory) -> tuple[Multipliers, Array]:
     """Contact forces, made finite, and where they are known."""
+    _check_run(run)
     if run.multipliers is None:
         raise ValueError("argument run must have recorded its multipliers, but has none")
     seen = jnp.isfinite(run.multipliers.f)
@@ -152,9 +155,21 @@ def _forces(run: Trajectory) -> tuple[Multipliers, Array]:
     return Multipliers(f, lam), seen
 
 
+def _check_run(run: Any) -> None:
+    """Raise unless it is one run, not a batch."""
+    check_instance("run", run, Trajectory, "a Trajectory")
+    if run.ts.ndim != 1:
+        raise ValueError(f"argument run must be one run, but was a batch of shape {run.ts.shape[:-1]}")
+
+
 def _reached(run: Trajectory, signal: Signal | None) -> tuple[Array, Array]:
     """Which saved states were reached, and the signal, zero elsewhere."""
-    y = run.states.s if signal is None else signal
+    _check_run(run)
+    y = run.states.s if signal is None else as_array("signal", signal)
+    if y.ndim not in (1, 2) or y.shape[0] != run.states.q.shape[0]:
+        raise ValueError(
+            f"argument signal must have shape ({run.states.q.shape[0]}, any), but had shape {y.shape}"
+        )
     y = y[:, None] if y.ndim == 1 else y
     seen = jnp.all(jnp.isfinite(y), axis=-1) & jnp.all(jnp.isfinite(run.states.q), axis=-1)
     return seen, jnp.where(seen[:, None], y, 0.0)

@@ -1,5 +1,6 @@
 """Minimisation within limits: an augmented Lagrangian, many starts at once, one compiled program."""
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,6 +12,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Bool, Float, Int
 
+from .._results import check_instance, shown
 from ._descent import AbstractDescent, descent, Walk
 from ._gradient import Mode, value_and_grad
 
@@ -216,7 +218,20 @@ def _saved(path: Path, search: Search, steps: int, history: list[np.ndarray]) ->
     part.replace(path)  # a run cut off here leaves the last whole one
 
 
+def check_checkpoint(path: Any) -> None:
+    """Raise unless a checkpoint could be written there, before hours of work are to be saved."""
+    check_instance("checkpoint", path, (str, Path), "the path of a file")
+    folder = Path(path).parent
+    if Path(path).is_dir() or not os.access(folder, os.W_OK) or not folder.is_dir():
+        raise ValueError(f"argument checkpoint must be a file in a folder to write to, but was {shown(path)}")
+
+
 def _restored(path: Path, like: Search) -> tuple[Search, int, list[np.ndarray]]:
-    with path.open("rb") as file:
-        steps, history = int(np.load(file)), np.load(file)
-        return eqx.tree_deserialise_leaves(file, like), steps, [history]
+    try:
+        with path.open("rb") as file:
+            steps, history = int(np.load(file)), np.load(file)
+            return eqx.tree_deserialise_leaves(file, like), steps, [history]
+    except Exception as error:  # whatever NumPy and equinox make of bytes that are not theirs
+        raise ValueError(
+            f"argument checkpoint must be a new file, or of a search like this one, but was {shown(path)}"
+        ) from error

@@ -1,33 +1,89 @@
 """Checks of the arguments of `simulate`, and their conversion on the host."""
 
-from typing import Any
+from collections.abc import Collection, Mapping
+from typing import Any, NamedTuple
 
+import diffrax
+import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .._results import concrete
+from .._results import as_array, as_count, check_instance, concrete, shown
 
 RECORDS = ("multipliers", "energy")
 OPTIONS = ("atol", "dt0", "max_steps", "stepsize_controller", "progress_meter", "events")
+# The relative tolerance where none is given.
+RTOL = 1e-8
 # Below this relative tolerance single precision cannot deliver: steps collapse.
 _FLOAT32_FLOOR = 1e-5
+# Steps are counted in 32 bits where JAX is.
+_MOST_STEPS = 2**31 - 2
 
 
-def as_number(value: Any, dtype: np.dtype) -> Any:
-    """A number as an array, on the host where that is possible: a jnp operation costs 20 us."""
-    seen = concrete(value)
-    return jnp.asarray(value, dtype) if seen is None else np.asarray(seen, dtype)
+class Numbers(NamedTuple):
+    """What may change from run to run without recompiling."""
+
+    t0: Any
+    t1: Any
+    ts: Any
+    dt0: Any
+    rtol: Any
+    atol: Any
+
+
+def numbers(times: tuple[Any, Any, Any], rtol: Any, options: Mapping[str, Any], dtype: np.dtype) -> Numbers:
+    """Times, tolerances and first step, checked; `times` are `t0`, `t1` and `ts`."""
+    t0, t1, ts = save_times(*times, dtype)
+    relative, absolute = _tolerances(rtol, options, dtype)
+    dt0 = _scalar("dt0", options.get("dt0", 1e-4), dtype)
+    _check_positive("dt0", dt0)
+    seen = concrete((t0, dt0))
+    if seen is not None and not seen[0] + seen[1] > seen[0]:
+        raise ValueError(f"argument dt0 must be long enough to move time from {t0:g} s, but was {dt0:g}")
+    return Numbers(t0, t1, ts, dt0, relative, absolute)
+
+
+def _plain(value: Any) -> bool:
+    """Whether a value is one of Python's own numbers, of ordinary size."""
+    return type(value) is float or type(value) is int and abs(value) < 2**53
+
+
+def as_number(name: str, value: Any, dtype: np.dtype) -> Any:
+    """Numbers as an array, on the host where that is possible: a jnp operation costs 20 us."""
+    listed = type(value) in (list, tuple) and all(map(_plain, value))
+    known = isinstance(value, np.ndarray | np.generic) and value.dtype.kind in "fiu"
+    if _plain(value) or listed or known:
+        return np.asarray(value, dtype)
+    array = as_array(name, value)
+    return jnp.asarray(array, dtype) if isinstance(array, jax.core.Tracer) else np.asarray(array, dtype)
+
+
+def _scalar(name: str, value: Any, dtype: np.dtype) -> Any:
+    """One finite number."""
+    number = as_number(name, value, dtype)
+    if np.ndim(number):
+        raise ValueError(f"argument {name} must be one number, but had shape {np.shape(number)}")
+    seen = concrete(number)
+    if seen is not None and not np.isfinite(seen):
+        raise ValueError(f"argument {name} must be finite, but was {shown(value)}")
+    return number
+
+
+def _check_positive(name: str, number: Any) -> None:
+    seen = concrete(number)
+    if seen is not None and not seen > 0:
+        raise ValueError(f"argument {name} must be positive, but was {seen:g}")
 
 
 def save_times(t0: Any, t1: Any, ts: Any, dtype: np.dtype) -> tuple[Any, Any, Any]:
     """Start, end and save times, checked; `ts` may be their number."""
-    start, end = as_number(t0, dtype), as_number(t1, dtype)
+    start, end = _scalar("t0", t0, dtype), _scalar("t1", t1, dtype)
     bounds = concrete((start, end))
     if bounds is not None and not bounds[1] > bounds[0]:
         raise ValueError(f"argument t1 must be above t0 = {bounds[0]:g}, but was {bounds[1]:g}")
-    if not isinstance(ts, int):
-        saved = as_number(ts, dtype)
-        _check_times(saved, bounds)
+    if not isinstance(ts, int | np.integer) or isinstance(ts, bool):
+        saved = as_number("ts", ts, dtype)
+        check_times(saved, bounds)
         return start, end, saved
     if ts < 1:
         raise ValueError(f"argument ts must be at least 1 time, but was {ts}")
@@ -35,14 +91,17 @@ def save_times(t0: Any, t1: Any, ts: Any, dtype: np.dtype) -> tuple[Any, Any, An
     return start, end, start * (1 - share) + end * share
 
 
-def _check_times(saved: Any, bounds: np.ndarray | None) -> None:
-    if np.ndim(saved) != 1:
-        raise ValueError(f"argument ts must have shape (t,), but had shape {np.shape(saved)}")
+def check_times(saved: Any, bounds: np.ndarray | None = None) -> None:
+    """Raise unless save times are one or more, rise and lie within these bounds."""
+    if np.ndim(saved) != 1 or not np.size(saved):
+        raise ValueError(
+            f"argument ts must be a number of times, or times of shape (t,), but had shape {np.shape(saved)}"
+        )
     seen = concrete(saved)
     if seen is None:
         return
     if not (np.all(np.diff(seen) > 0) and np.all(np.isfinite(seen))):
-        raise ValueError(f"argument ts must rise strictly, but was {seen.tolist()}")
+        raise ValueError(f"argument ts must rise strictly, but was {shown(seen)}")
     if bounds is not None and (seen[0] < bounds[0] or seen[-1] > bounds[1]):
         raise ValueError(
             f"argument ts must lie within [{bounds[0]:g}, {bounds[1]:g}], "
@@ -50,20 +109,86 @@ def _check_times(saved: Any, bounds: np.ndarray | None) -> None:
         )
 
 
-def check_choices(name: str, given: tuple[str, ...], known: tuple[str, ...]) -> None:
+def check_choices(name: str, given: Any, known: tuple[str, ...]) -> tuple[str, ...]:
     """Raise unless every name given is known."""
-    unknown = [item for item in given if item not in known]
-    if isinstance(given, str) or unknown:
-        raise ValueError(f"argument {name} must be among {known}, but was {given!r}")
+    several = isinstance(given, Collection) and not isinstance(given, str | bytes | np.ndarray | jax.Array)
+    if not several or any(not isinstance(item, str) or item not in known for item in given):
+        raise ValueError(f"argument {name} must be among {known}, but was {shown(given)}")
+    return tuple(given)
 
 
-def check_precision(dtype: Any, rtol: float) -> None:
-    """Raise for a tolerance that is not positive, or that the precision cannot meet."""
-    seen = concrete(rtol)
-    if seen is not None and not seen > 0:
-        raise ValueError(f"argument rtol must be positive, but was {seen:g}")
-    if dtype == np.float32 and seen is not None and seen < _FLOAT32_FLOOR:
+def _tolerances(rtol: Any, options: Mapping[str, Any], dtype: np.dtype) -> tuple[Any, Any]:
+    """Both tolerances, which are those of a step-size control that has its own."""
+    control = check_control(options.get("stepsize_controller"))
+    relative = tolerance("rtol", rtol, dtype)
+    absolute = tolerance("atol", options.get("atol", rtol), dtype)
+    if not isinstance(control, diffrax.AbstractAdaptiveStepSizeController):
+        return relative, absolute
+    inside = "stepsize_controller.{}".format
+    own = [tolerance(inside(name), getattr(control, name), dtype) for name in ("rtol", "atol")]
+    left = type(rtol) is float and rtol == RTOL
+    given = (None if left else relative, absolute if "atol" in options else None)
+    for name, asked, has in zip(("rtol", "atol"), given, own, strict=True):
+        seen = None if asked is None else concrete((asked, has))
+        if seen is not None and seen[0] != seen[1]:
+            raise ValueError(
+                f"argument {name} must be left to the stepsize_controller, whose own is {seen[1]:g}, "
+                f"but was {seen[0]:g}"
+            )
+    return own[0], own[1]
+
+
+def tolerance(name: str, value: Any, dtype: np.dtype) -> Any:
+    """A tolerance, positive, below one where it is relative, and one that the precision can meet."""
+    number = _scalar(name, value, dtype)
+    _check_positive(name, number)
+    seen = concrete(number)
+    if seen is None or name.endswith("atol"):
+        return number
+    if not seen < 1:
+        raise ValueError(f"argument {name} must be below 1, but was {seen:g}")
+    if dtype == np.float32 and seen < np.float32(_FLOAT32_FLOOR):
         raise ValueError(
-            f"argument rtol must be at least {_FLOAT32_FLOOR:g} in single precision, but was {seen:g}; "
+            f"argument {name} must be at least {_FLOAT32_FLOOR:g} in single precision, but was {seen:g}; "
             "for double precision put jax.config.update('jax_enable_x64', True) first"
         )
+    return number
+
+
+def check_control(control: Any) -> Any:
+    """Raise unless a step-size control is one whose steps may be cut short at save times and events."""
+    name, constant = "stepsize_controller", diffrax.ConstantStepSize
+    if control is None or type(control) is constant:
+        return control
+    kinds = diffrax.AbstractAdaptiveStepSizeController
+    check_instance(name, control, kinds, "diffrax.ConstantStepSize() or an adaptive one, for ts holds times")
+    if isinstance(control, diffrax.ClipStepSizeController):
+        raise ValueError(f"argument {name} must leave times to ts, where steps end, but was {shown(control)}")
+    if isinstance(control, diffrax.PIDController) and control.dtmin is not None:
+        raise ValueError(
+            f"argument {name} must have no dtmin, which takes steps whatever their error, "
+            f"but its dtmin was {shown(control.dtmin)}"
+        )
+    return control
+
+
+def check_meter(meter: Any) -> Any:
+    """Raise unless a progress meter is one of diffrax's kind."""
+    if meter is not None:
+        check_instance("progress_meter", meter, diffrax.AbstractProgressMeter, "a diffrax progress meter")
+    return meter
+
+
+def check_solver(solver: Any) -> diffrax.AbstractSolver:
+    """The default, or what was given if it is a diffrax solver at all."""
+    if solver is None:
+        return diffrax.Dopri8()
+    return check_instance("solver", solver, diffrax.AbstractSolver, "a diffrax solver")
+
+
+def step_limit(value: Any) -> int:
+    """How many steps to attempt at most."""
+    count = as_count("max_steps", value)
+    if count > _MOST_STEPS:
+        raise ValueError(f"argument max_steps must be at most {_MOST_STEPS}, but was {count}")
+    return count

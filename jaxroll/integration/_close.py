@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Array
 
 from .._algebra import Pose2
-from .._results import concrete
+from .._results import check_finite, check_flag, concrete
 from .._spatial import Pose3, seven
 from ..contact import locate as locate_contours, locate_surfaces
-from ..mechanics import compiled, Grasp, poses, split, State
+from ..mechanics import check_states, compiled, Grasp, poses, split, State
 from ._nearest import on_shapes
 from ._settled import settled
 
@@ -61,7 +61,9 @@ def close(
         >>> bool(abs(jxr.residuals(moved, start).tangential[0]) < 1e-14)
         True
     """
-    check_state(grasp, guess)
+    check_state(grasp, guess, "guess")
+    for name, flag in (("hold_contacts", hold_contacts), ("throw", throw), ("locate", locate)):
+        check_flag(name, flag)
     if locate:
         grasp, guess = _at_closest_points(grasp, guess)
     state, rows = _close(grasp, guess, hold_contacts and not locate)
@@ -123,15 +125,11 @@ def reach(dtype: Any) -> float:
     return 1e-9 if np.dtype(dtype) == np.float64 else 1e-5
 
 
-def check_state(grasp: Grasp, state: State) -> None:
+def check_state(grasp: Grasp, state: State, name: str = "state") -> None:
     """Raise unless a state has the shapes of its grasp and finite numbers."""
-    sizes = grasp.form.counts
-    for name, value, size in zip("qvs", (state.q, state.v, state.s), sizes, strict=True):
-        if jnp.shape(value) != (size,):
-            raise ValueError(f"argument state.{name} must have shape ({size},), but had {jnp.shape(value)}")
-        seen = concrete(value)
-        if seen is not None and not np.all(np.isfinite(seen)):
-            raise ValueError(f"argument state.{name} must be finite, but was {seen.tolist()}")
+    check_states(grasp, state, name)
+    for part, value in (("q", state.q), ("v", state.v), ("s", state.s)):
+        check_finite(f"{name}.{part}", value)
 
 
 def row_name(grasp: Grasp, row: int) -> str:

@@ -1,17 +1,17 @@
 """How the constraints are kept while time runs: projection, or the chapter's stabilisation."""
 
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 from jaxtyping import Array, Float
 
 from .._algebra import Vec2
 from .._printing import listed
-from .._results import as_floats, check_positive
+from .._results import as_floats, check_instance, check_positive
 from .._types import Given
 from ..contact import gap, Rows, Touch
-from ..mechanics import Grasp, Motion, Stabiliser
+from ..mechanics import check_planar, Grasp, Motion, Stabiliser
 
 
 class Index1(eqx.Module):
@@ -93,3 +93,13 @@ class CSM(eqx.Module):
 
 
 Formulation = Index1 | CSM
+
+
+def as_formulation(grasp: Grasp, given: Any) -> Formulation:
+    """The formulation asked for, by default `Index1`; raise for what is none, or not for such a grasp."""
+    if given is None:
+        return Index1()
+    check_instance("formulation", given, (Index1, CSM), "jaxroll.Index1() or jaxroll.CSM(...)")
+    if isinstance(given, CSM):
+        check_planar(grasp)
+    return given

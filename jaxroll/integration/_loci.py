@@ -7,10 +7,11 @@ from jaxtyping import Array, Float
 
 from .._backend import one_kernel
 from .._printing import listed
+from .._results import check_instance
 from .._sharing import sharing
 from .._spatial import Vec3
 from .._types import Scalar, Times
-from ..mechanics import bodies, check_spatial, compiled, Grasp, Leaves, State, touches
+from ..mechanics import bodies, check_spatial, check_states, compiled, Grasp, Leaves, State, touches
 from ._closed_loop import evaluate
 from ._flow import layout, pack, unpack
 from ._formulation import Index1
@@ -101,9 +102,21 @@ def loci(grasp: Grasp, trajectory: Trajectory) -> Loci:
         True
     """
     check_spatial(grasp)
-    if jnp.ndim(trajectory.ts) != 1 or jnp.ndim(trajectory.states.q) != 2:
-        raise ValueError(f"argument trajectory must be one run, but had shape {trajectory.states.q.shape}")
+    check_run(grasp, trajectory)
     return _loci(grasp, trajectory.ts, trajectory.states)
+
+
+def check_run(grasp: Grasp, trajectory: Trajectory) -> None:
+    """Raise unless a trajectory is one run, and one that could be of this grasp."""
+    check_instance("grasp", grasp, Grasp, "a Grasp")
+    check_instance("trajectory", trajectory, Trajectory, "a Trajectory")
+    shape = jnp.shape(trajectory.states.q)
+    if jnp.ndim(trajectory.ts) != 1 or len(shape) != 2:
+        raise ValueError(
+            f"argument trajectory must be one run, but its states have shape {shape}; "
+            "take one lane with jax.tree.map(lambda x: x[i], trajectory)"
+        )
+    check_states(grasp, trajectory.states, "trajectory.states", axes=1)
 
 
 @compiled

@@ -25,8 +25,8 @@ from .._types import Scalar
 from ._ensemble import Ensemble
 from ._flow import Bundle, Flow
 from ._loop import recorded, solo
+from ._methods import is_rosenbrock, on_tableau
 from ._plan import Path, Plan
-from ._rosenbrock import Rosenbrock
 
 
 @eqx.filter_custom_jvp
@@ -49,7 +49,7 @@ def march(grasp: Bundle, y0: Flow, plan: Plan) -> Path:
 def _together(size: int, batched: Any, arrays: Any, still: Any) -> Path:
     """Many runs: as an ensemble, or one beside the other where the method does not allow it."""
     plan = eqx.combine(arrays, still)[2]
-    takes_lanes = isinstance(plan.stepper.method, diffrax.AbstractERK | Rosenbrock)
+    takes_lanes = on_tableau(plan.stepper.method) or is_rosenbrock(plan.stepper.method)
     if takes_lanes and isinstance(plan.progress, diffrax.NoProgressMeter):
         return one_kernel(lambda found: Ensemble(size, batched, found, still).run(), arrays)
     axes = jax.tree.map(lambda b: 0 if b else None, batched)

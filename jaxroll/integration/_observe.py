@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from .._algebra import total
 from .._printing import listed
+from .._results import as_array
 from .._spatial import Vec3
 from .._types import Scalar
 from ..contact import Rows
@@ -26,7 +27,7 @@ from ..mechanics import (
     touches,
 )
 from ._closed_loop import control_potential, evaluate
-from ._formulation import Formulation, Index1
+from ._formulation import as_formulation, Formulation
 
 
 class Residuals(eqx.Module):
@@ -178,7 +179,7 @@ def multipliers(
         >>> bool(jxr.multipliers(grasp, 0.0, state).f[0] > 0)  # pressing
         True
     """
-    ready, way = grasp.prepared(), formulation or Index1()
+    ready, way, ts = grasp.prepared(), as_formulation(grasp, formulation), as_times(ts, states)
     if states.q.ndim == 1:
         return multipliers_at(ready, ts, states, way)
     each = jax.vmap(lambda t, state: multipliers_at(ready, t, state, way))
@@ -190,6 +191,14 @@ def energies(grasp: Grasp, states: State) -> tuple[Array, Array]:
     """Kinetic and potential energy [J] of one state, or of states with a leading time axis."""
     ready = grasp.prepared()
     return _over_time(lambda state: energies_at(ready, state), states)
+
+
+def as_times(ts: Any, states: State) -> Array:
+    """Times [s] as an array: one for every state."""
+    times, wanted = as_array("ts", ts), states.q.shape[:-1]
+    if times.shape != wanted:
+        raise ValueError(f"argument ts must have shape {wanted}, as states have, but had {times.shape}")
+    return times
 
 
 def _over_time(function: Callable, states: State) -> Any:

@@ -13,7 +13,7 @@ from .._types import Scalar
 from ..control import Opposition, orientations
 from ..mechanics import compiled, Grasp, poses, State, to_leaves, touches
 from ._formulation import Index1
-from ._observe import multipliers_at
+from ._observe import as_times, multipliers_at
 
 
 class PinchBalance(eqx.Module):
@@ -79,7 +79,7 @@ def pinch_balance(grasp: Grasp, ts: Float[Array, "..."], states: State) -> Pinch
         'l = -50.30 mm'
     """
     check_pinch(grasp)
-    ready = grasp.prepared()
+    ready, ts = grasp.prepared(), as_times(ts, states)
     if states.q.ndim == 1:
         return _balance_at(ready, ts, states)
     return jax.vmap(lambda t, state: _balance_at(ready, t, state))(ts, states)

@@ -13,7 +13,7 @@ from .._types import Scalar
 from ..control import Press
 from ..mechanics import compiled, Grasp, poses, State, to_leaves, touches
 from ._formulation import Index1
-from ._observe import multipliers_at
+from ._observe import as_times, multipliers_at
 
 
 class PressBalance(eqx.Module):
@@ -68,7 +68,7 @@ def press_balance(grasp: Grasp, ts: Float[Array, "..."], states: State) -> Press
     """
     if not isinstance(grasp.controller, Press):
         raise ValueError(f"argument grasp must be driven by control.Press, but was by {grasp.controller!r}")
-    ready = grasp.prepared()
+    ready, ts = grasp.prepared(), as_times(ts, states)
     if states.q.ndim == 1:
         return _balance_at(ready, ts, states)
     return jax.vmap(lambda t, state: _balance_at(ready, t, state))(ts, states)

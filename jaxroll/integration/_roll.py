@@ -7,14 +7,16 @@ import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._algebra import unstack
 from .._printing import listed
-from .._results import as_floats, RESULTS
+from .._results import as_floats, check_callable, check_instance, concrete, RESULTS, shown
 from .._spatial import normalised, pose, Pose3, quaternion_product, quaternion_rate, tangents, Vec3
 from .._types import Given, Scalar, Scalars, Times
 from ..geometry import AbstractSurface, Gauss3
+from ._arguments import check_times, tolerance
 
 _MAX_STEPS = 65536
 
@@ -94,17 +96,20 @@ def roll(
         True
     """
     for name, surface in (("tip", tip), ("object", object)):
-        if not isinstance(surface, AbstractSurface):
-            raise ValueError(f"argument {name} must be a surface, but was {surface!r}")
+        check_instance(name, surface, AbstractSurface, "a surface")
     for name, function in (("velocity", velocity), ("spin", spin)):
-        if function is not None and not callable(function):
-            raise ValueError(f"argument {name} must be a function of t, but was {function!r}")
+        if name == "velocity" or function is not None:
+            check_callable(name, function, "a function of t")
     places = (
         as_floats("at_tip", at_tip, (tip.coordinates,)),
         as_floats("at_object", at_object, (object.coordinates,)),
     )
-    turn = as_floats("rotation", rotation, (4,))
-    return _roll((tip, object), (velocity, spin), as_floats("ts", ts, (None,)), (turn, *places), rtol)
+    turn, times = as_floats("rotation", rotation, (4,)), as_floats("ts", ts, (None,))
+    if concrete(turn) is not None and not np.any(turn):
+        raise ValueError(f"argument rotation must be a quaternion with a direction, but was {shown(turn)}")
+    check_times(times)
+    limit = tolerance("rtol", rtol, np.dtype(times.dtype))
+    return _roll((tip, object), (velocity, spin), times, (turn, *places), limit)
 
 
 class _Rolling(eqx.Module):
@@ -125,12 +130,12 @@ class _Rolling(eqx.Module):
     def rates(self, t: Scalar, y: Array, args: Any) -> Array:
         """Rates of everything in `y`."""
         axes, (at_tip, at_object), (tip, face) = self.frames(y)
-        given = Vec3(*(jnp.asarray(x, y.dtype) for x in unstack(_three(self.velocity(t)))))
+        given = Vec3(*unstack(as_floats("velocity(t)", self.velocity(t), (3,)).astype(y.dtype)))
         velocity = given - face.normal * given.dot(face.normal)
         bend = tip.shape.turned(axes) + face.shape
         turning = face.normal.cross(bend.apply(velocity))
         if self.spin is not None:
-            turning = turning + face.normal * jnp.asarray(self.spin(t), y.dtype)
+            turning = turning + face.normal * as_floats("spin(t)", self.spin(t), ()).astype(y.dtype)
         turned = quaternion_rate(normalised(unstack(y[:4])), turning)
         places = (*self.tip.rate(at_tip, axes.back(velocity)), *self.object.rate(at_object, velocity))
         return jnp.stack([*turned, *places, velocity.norm()])
@@ -162,7 +167,7 @@ def _roll(
     given: tuple[Any, Any],
     ts: Array,
     start: tuple[Array, ...],
-    rtol: float,
+    rtol: Any,
 ) -> Rolled:
     rolling = _Rolling(surfaces[0].prepared(), surfaces[1].prepared(), *given)
     solution = diffrax.diffeqsolve(
@@ -185,9 +190,3 @@ def _roll(
     ys = jnp.asarray(solution.ys)
     at, at_tip, at_object = jax.vmap(rolling.answer)(ys)
     return Rolled(ts, at, at_tip, at_object, ys[:, -1], result)
-
-
-def _three(value: Any) -> Array:
-    return (
-        jnp.stack([jnp.asarray(x) for x in value]) if isinstance(value, tuple | list) else jnp.asarray(value)
-    )

@@ -12,15 +12,27 @@ from jaxtyping import Array
 
 from .._algebra import total
 from .._backend import in_turn
-from .._results import concrete, RESULTS
+from .._results import check_flag, concrete, RESULTS
 from .._sharing import sharing
 from .._types import Given
 from ..mechanics import check_planar, Grasp, State
-from ._arguments import as_number, check_choices, check_precision, OPTIONS, RECORDS, save_times
+from ._arguments import (
+    check_choices,
+    check_control,
+    check_meter,
+    check_solver,
+    Numbers,
+    numbers as run_numbers,
+    OPTIONS,
+    RECORDS,
+    RTOL,
+    step_limit,
+)
 from ._close import check_state, reach
 from ._flow import bundle, Layout, layout, states_of, vector_of
-from ._formulation import CSM, Formulation, Index1
+from ._formulation import as_formulation, CSM, Formulation
 from ._march import march
+from ._methods import check_method, Seeing, Steady, with_tolerances
 from ._observe import energies_at, Energy, Multipliers, multipliers_at, of_reached, residuals_at, worst
 from ._plan import Path, Plan
 from ._regime import EVENTS
@@ -38,7 +50,7 @@ def simulate(
     ts: Given | int = 301,
     formulation: Formulation | None = None,
     solver: diffrax.AbstractSolver | None = None,
-    rtol: float = 1e-8,
+    rtol: float = RTOL,
     record: tuple[str, ...] = (),
     throw: bool = True,
     **options: Any,
@@ -95,41 +107,23 @@ def simulate(
         '0.772 rad'
     """
     check_state(grasp, state)
-    if isinstance(formulation, CSM):
-        check_planar(grasp)
-    check_choices("record", record, RECORDS)
+    check_flag("throw", throw)
+    way = as_formulation(grasp, formulation)
     check_choices("options", tuple(options), OPTIONS)
-    events = options.get("events", ("lift", "friction"))
-    check_choices("events", events, EVENTS)
-    if "penetration" in events:
-        check_planar(grasp)
-    dtype = np.dtype(state.q.dtype)
-    check_precision(dtype, rtol)
-    start, end, saves = save_times(t0, t1, ts, dtype)
-    atol, dt0 = options.get("atol", rtol), options.get("dt0", 1e-4)
-    numbers = Numbers(start, end, saves, *(as_number(x, dtype) for x in (dt0, rtol, atol)))
+    numbers = run_numbers((t0, t1, ts), rtol, options, np.dtype(state.q.dtype))
     setup = Setup(
-        _solver(solver),
-        options.get("stepsize_controller"),
-        options.get("progress_meter"),
-        options.get("max_steps", 4096),
-        tuple(record),
-        tuple(events),
+        check_solver(solver),
+        check_control(options.get("stepsize_controller")),
+        check_meter(options.get("progress_meter")),
+        step_limit(options.get("max_steps", 4096)),
+        check_choices("record", record, RECORDS),
+        check_choices("events", options.get("events", ("lift", "friction")), EVENTS),
     )
+    if "penetration" in setup.events:
+        check_planar(grasp)
     run = _run_plain if _is_plain(grasp, setup) else _run_any
-    trajectory, off = run(grasp.tabled(), state, formulation or Index1(), numbers, setup)
+    trajectory, off = run(grasp.tabled(), state, way, numbers, setup)
     return _checked(trajectory, off) if throw else trajectory
-
-
-class Numbers(NamedTuple):
-    """What may change from run to run without recompiling."""
-
-    t0: Any
-    t1: Any
-    ts: Any
-    dt0: Any
-    rtol: Any
-    atol: Any
 
 
 class Setup(NamedTuple):
@@ -143,12 +137,6 @@ class Setup(NamedTuple):
     events: tuple[str, ...]
 
 
-def _solver(solver: diffrax.AbstractSolver | None) -> diffrax.AbstractSolver:
-    if solver is not None and not isinstance(solver, diffrax.AbstractSolver):
-        raise ValueError(f"argument solver must be a diffrax solver, but was {solver!r}")
-    return diffrax.Dopri8() if solver is None else solver
-
-
 def _is_plain(grasp: Grasp, setup: Setup) -> bool:
     """Whether arrays are all there is in the arguments: then `jax.jit` serves, in half the time."""
     if setup.controller is not None or setup.progress is not None:
@@ -159,10 +147,11 @@ def _is_plain(grasp: Grasp, setup: Setup) -> bool:
 def _run(
     grasp: Grasp, state: State, formulation: Formulation, numbers: Numbers, setup: Setup
 ) -> tuple[Trajectory, Array]:
-    ready = grasp.prepared()
-    plan = _plan(grasp, formulation, Numbers(*map(jnp.asarray, numbers)), setup)
-    lay = plan.stepper.lay
+    check_precision(grasp, state)
+    ready, lay = grasp.prepared(), layout(grasp, "energy" in setup.record)
     y0 = vector_of(lay, state)
+    stepper = RollingStep(setup.solver, formulation, lay, setup.events)
+    plan = _plan(stepper, y0, Numbers(*map(jnp.asarray, numbers)), setup)
     # A derivative in a time or a gain of the formulation would be a silent zero: refuse it instead.
     plan = eqxi.nondifferentiable(plan, name="times, tolerances and gains of the formulation")
     return _trajectory(ready, state, march(bundle(ready), y0, plan), plan, setup.record)
@@ -172,23 +161,22 @@ _run_plain = jax.jit(_run, static_argnames="setup")
 _run_any = eqx.filter_jit(_run)
 
 
-def _plan(grasp: Grasp, formulation: Formulation, numbers: Numbers, setup: Setup) -> Plan:
+def _plan(stepper: RollingStep, y0: Array, numbers: Numbers, setup: Setup) -> Plan:
     t0, t1, ts, dt0, rtol, atol = numbers
-    lay = layout(grasp, "energy" in setup.record)
-    controller = setup.controller
-    if controller is None:
+    lay, given = stepper.lay, setup.controller
+    controller: diffrax.AbstractStepSizeController = Steady()
+    if given is None:
         controller = diffrax.PIDController(rtol=rtol, atol=atol, norm=_Norm(lay), dtmin=1e-12)
-    stepper = RollingStep(_with_tolerances(setup.solver, rtol, atol), formulation, lay, setup.events)
+    elif not isinstance(given, diffrax.ConstantStepSize):
+        controller = Seeing(given, lay).wrap(1)
+        # A control may have its own say in the first step.
+        first, _ = controller.init(None, t0, t1, y0, dt0, None, None, stepper.error_order)
+        dt0 = first - t0
+    method = with_tolerances(setup.solver, rtol, atol)
+    check_method(method, controller, y0[: lay.width])
+    stepper = RollingStep(method, stepper.formulation, lay, stepper.events)
     meter = setup.progress or diffrax.NoProgressMeter()
     return Plan(stepper, controller, t0, t1, ts, dt0, meter, setup.max_steps)
-
-
-def _with_tolerances(method: Any, rtol: Array, atol: Array) -> diffrax.AbstractSolver:
-    """Give an implicit method's root finder the tolerances of the run, unless it has its own."""
-    finder = getattr(method, "root_finder", None)
-    if finder is None or isinstance(finder.rtol, float | jax.Array):
-        return method
-    return eqx.tree_at(lambda m: m.root_finder, method, diffrax.VeryChord(rtol, atol))  # pyright: ignore
 
 
 class _Norm(eqx.Module):
@@ -201,6 +189,14 @@ class _Norm(eqx.Module):
         seen = self.lay.controlled(error)
         parts = jax.lax.split(seen, (1,) * seen.shape[0])
         return jnp.sqrt(total([e * e for e in parts]) * (1.0 / len(parts)))[0]
+
+
+def check_precision(grasp: Grasp, state: State) -> None:
+    """Raise for a state of less precision than its grasp has: a run would go on in that of the grasp."""
+    wanted = jnp.result_type(*filter(eqx.is_inexact_array, jax.tree.leaves(grasp)))
+    has = state.q.dtype
+    if jnp.promote_types(wanted, has) != has:
+        raise ValueError(f"argument state must be of its grasp's {wanted}, but was of {has}")
 
 
 def _trajectory(

@@ -23,8 +23,9 @@ from ._closed_loop import Anchor, anchor_of, compatible, evaluate, power, settle
 from ._dips import first_dip, watched
 from ._flow import Bundle, Flow, Layout, pack, unpack
 from ._formulation import Formulation, Index1
+from ._methods import is_rosenbrock, on_tableau
 from ._regime import coded, regime, smallest_clearance, with_clearance
-from ._rosenbrock import advance, in_turn, Rosenbrock, side_by_side, STAGE_TIMES
+from ._rosenbrock import advance, in_turn, side_by_side, STAGE_TIMES
 
 
 class RollingStep(eqx.Module):
@@ -46,8 +47,8 @@ class RollingStep(eqx.Module):
     @property
     def error_order(self) -> Any:
         """Order of the error estimate, as step-size controllers want it."""
-        # No method asks the terms for it but those for noise.
-        return self.method.error_order(None)  # pyright: ignore[reportArgumentType]
+        # Methods ask the terms only whether there is noise in them.
+        return self.method.error_order(diffrax.ODETerm(lambda t, x, args: x))
 
     @eqx.filter_jit  # traced once for a run and its tangents
     def advance(
@@ -72,9 +73,9 @@ class RollingStep(eqx.Module):
 
     @property
     def _way(self) -> Callable:
-        if isinstance(self.method, diffrax.AbstractERK):
+        if on_tableau(self.method):
             return self._explicit
-        return self._rosenbrock if isinstance(self.method, Rosenbrock) else self._other
+        return self._rosenbrock if is_rosenbrock(self.method) else self._other
 
     def _finish(self, bundle: Bundle, t: Scalar, raw: Array, rates: Array, end: Array) -> Flow:
         """The flow vector at a step's end, back on the constraints."""

@@ -34,6 +34,7 @@ from ._constraints import (
     touches as touches,
     unknown_line as unknown_line,
 )
+from ._controller import AbstractController as AbstractController, as_drive as as_drive
 from ._dynamics import (
     accelerate as accelerate,
     Instant as Instant,
@@ -46,6 +47,7 @@ from ._finger3 import Finger3 as Finger3
 from ._grasp import (
     check_planar as check_planar,
     check_spatial as check_spatial,
+    check_states as check_states,
     compiled as compiled,
     Grasp as Grasp,
     Labels as Labels,

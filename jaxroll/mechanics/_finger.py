@@ -8,7 +8,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._algebra import Pose2, sincos, total, Twist2, unstack, Vec2
-from .._results import as_floats, check_positive
+from .._fields import real, taken, through
+from .._results import check_instance, check_positive
 from .._sharing import once
 from .._types import Given, Scalar, Scalars
 from ..contact import Motion
@@ -61,11 +62,20 @@ class AbstractFinger(AbstractBody):
         return (self.tip,)
 
 
-def check_tip(name: str, tip: AbstractContour) -> AbstractContour:
+def as_tip(name: str, tip: Any) -> AbstractContour:
     """Raise unless an argument is a contour."""
-    if not isinstance(tip, AbstractContour):
-        raise ValueError(f"argument {name} must be a contour, but was {tip!r}")
-    return tip
+    return check_instance(name, tip, AbstractContour, "a contour")
+
+
+def check_links(name: str, array: Array) -> Array:
+    """Raise for a chain without links."""
+    if not array.shape[0]:
+        raise ValueError(f"argument {name} must hold one link or more, but had none")
+    return array
+
+
+def _as_lengths(name: str, lengths: Array) -> Array:
+    return check_positive(name, check_links(name, lengths))
 
 
 class Finger(AbstractFinger):
@@ -85,7 +95,7 @@ class Finger(AbstractFinger):
             $m l^2/12$.
 
     Raises:
-        ValueError: If a shape does not fit, or a length, mass or inertia is not positive.
+        ValueError: If a shape does not fit, there is no link, or a length, mass or inertia is not positive.
 
     Example:
         >>> import jaxroll as jxr
@@ -94,12 +104,12 @@ class Finger(AbstractFinger):
         2
     """
 
-    lengths: Float[Array, " k"]
-    masses: Float[Array, " k"]
-    tip: AbstractContour
-    base: Float[Array, "2"]
-    centres: Float[Array, " k"]
-    inertias: Float[Array, " k"]
+    lengths: Float[Array, " k"] = real(None, check=_as_lengths)
+    masses: Float[Array, " k"] = real(None, check=check_positive)
+    tip: AbstractContour = through(as_tip)
+    base: Float[Array, "2"] = real(2)
+    centres: Float[Array, " k"] = real(None)
+    inertias: Float[Array, " k"] = real(None, check=check_positive)
 
     def __init__(
         self,
@@ -111,17 +121,17 @@ class Finger(AbstractFinger):
         centres: Given | None = None,
         inertias: Given | None = None,
     ) -> None:
-        self.lengths = check_positive("lengths", as_floats("lengths", lengths, (None,)))
-        links = self.lengths.shape[0]
-        self.masses = check_positive("masses", as_floats("masses", masses, (links,)))
-        self.base = as_floats("base", base, (2,))
-        self.tip = check_tip("tip", tip)
+        self.lengths = taken(self, "lengths", lengths)
+        links = self.lengths.shape
+        self.masses = taken(self, "masses", masses, shape=links)
+        self.base = taken(self, "base", base)
+        self.tip = taken(self, "tip", tip)
         if centres is None:
             centres = 0.5 * self.lengths
-        self.centres = as_floats("centres", centres, (links,))
+        self.centres = taken(self, "centres", centres, shape=links)
         if inertias is None:
             inertias = self.masses * self.lengths**2 / 12.0
-        self.inertias = check_positive("inertias", as_floats("inertias", inertias, (links,)))
+        self.inertias = taken(self, "inertias", inertias, shape=links)
 
     @property
     def joints(self) -> int:

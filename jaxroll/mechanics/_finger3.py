@@ -9,14 +9,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._algebra import sincos, total, unstack
-from .._results import as_floats, check_finite, check_positive, concrete
+from .._fields import real, taken, through
+from .._results import check_direction, check_instance, check_positive
 from .._sharing import once
 from .._spatial import normalised, outer as product, pose, Pose3, square, Sym3, Twist3, Vec3
 from .._types import Given, Scalar, Scalars
 from ..contact import Motion
 from ..geometry import AbstractSurface
 from ._body import Inertia
-from ._finger import AbstractFinger
+from ._finger import AbstractFinger, check_links
 from ._object3 import check_inertia
 
 # Radius of the solid cylinders that links are taken for, relative to the mean length of a link.
@@ -43,6 +44,21 @@ class _Outer:
     torque: Vec3
 
 
+def as_surface(name: str, surface: Any) -> AbstractSurface:
+    """Raise unless an argument is a surface."""
+    return check_instance(name, surface, AbstractSurface, "a surface")
+
+
+def as_direction(name: str, vectors: Array) -> Array:
+    """Vectors scaled to unit length."""
+    check_direction(name, vectors)
+    return vectors / jnp.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def _as_axes(name: str, axes: Array) -> Array:
+    return as_direction(name, check_links(name, axes))
+
+
 class Finger3(AbstractFinger):
     r"""A chain of $k$ revolute joints in space.
 
@@ -58,8 +74,9 @@ class Finger3(AbstractFinger):
         base: Shape (3,), position of the first joint [m].
         rotation: Quaternion (scalar first) of the base's axes; scaled to unit length.
         centres: Shape (k, 3), centres of mass from the joints [m]. Default: half the offsets.
-        inertias: Shape (k, 3, 3), about the centres of mass, in the links' axes [kg m^2]. Default: those of
-            solid cylinders along the offsets, of a tenth of their mean length in radius.
+        inertias: Shape (k, 3, 3), about the centres of mass, in the links' axes [kg m^2]: symmetric and
+            positive definite. Default: those of solid cylinders along the offsets, of a tenth of their mean
+            length in radius.
 
     Raises:
         ValueError: If a shape does not fit, a mass is not positive, an axis has no length, or an inertia is
@@ -73,14 +90,14 @@ class Finger3(AbstractFinger):
         2
     """
 
-    axes: Float[Array, "k 3"]
-    offsets: Float[Array, "k 3"]
-    masses: Float[Array, " k"]
-    tip: AbstractSurface
-    base: Float[Array, "3"]
-    rotation: Float[Array, "4"]
-    centres: Float[Array, "k 3"]
-    inertias: Float[Array, "k 3 3"]
+    axes: Float[Array, "k 3"] = real(None, 3, check=_as_axes)
+    offsets: Float[Array, "k 3"] = real(None, 3)
+    masses: Float[Array, " k"] = real(None, check=check_positive)
+    tip: AbstractSurface = through(as_surface)
+    base: Float[Array, "3"] = real(3)
+    rotation: Float[Array, "4"] = real(4, check=as_direction)
+    centres: Float[Array, "k 3"] = real(None, 3)
+    inertias: Float[Array, "k 3 3"] = real(None, 3, 3, check=check_inertia)
 
     def __init__(
         self,
@@ -94,19 +111,17 @@ class Finger3(AbstractFinger):
         centres: Given | None = None,
         inertias: Given | None = None,
     ) -> None:
-        if not isinstance(tip, AbstractSurface):
-            raise ValueError(f"argument tip must be a surface, but was {tip!r}")
-        self.axes = _directions("axes", as_floats("axes", axes, (None, 3)))
+        self.tip = taken(self, "tip", tip)
+        self.axes = taken(self, "axes", axes)
         links = self.axes.shape[0]
-        self.offsets = as_floats("offsets", offsets, (links, 3))
-        self.masses = check_positive("masses", as_floats("masses", masses, (links,)))
-        self.tip = tip
-        self.base = as_floats("base", base, (3,))
-        self.rotation = _directions("rotation", as_floats("rotation", rotation, (4,)))
+        self.offsets = taken(self, "offsets", offsets, shape=(links, 3))
+        self.masses = taken(self, "masses", masses, shape=(links,))
+        self.base = taken(self, "base", base)
+        self.rotation = taken(self, "rotation", rotation)
         centres = 0.5 * self.offsets if centres is None else centres
-        self.centres = as_floats("centres", centres, (links, 3))
+        self.centres = taken(self, "centres", centres, shape=(links, 3))
         inertias = _cylinders(self.masses, self.offsets) if inertias is None else inertias
-        self.inertias = check_inertia("inertias", as_floats("inertias", inertias, (links, 3, 3)))
+        self.inertias = taken(self, "inertias", inertias, shape=(links, 3, 3))
 
     @property
     def joints(self) -> int:
@@ -245,15 +260,6 @@ def _joined(own: _Outer, outer: _Outer, step: Vec3) -> _Outer:
 def _symmetric(matrix: Any) -> Sym3:
     rows = unstack(matrix)
     return Sym3(rows[0][0], rows[0][1], rows[0][2], rows[1][1], rows[1][2], rows[2][2])
-
-
-def _directions(name: str, vectors: Array) -> Array:
-    """Vectors scaled to unit length."""
-    lengths = jnp.linalg.norm(vectors, axis=-1, keepdims=True)
-    seen = concrete(lengths)
-    if seen is not None and not (seen > 0).all():
-        raise ValueError(f"argument {name} must not be zero, but was {vectors.tolist()}")
-    return check_finite(name, vectors / lengths)
 
 
 def _cylinders(masses: Array, offsets: Array) -> Array:

@@ -1,6 +1,7 @@
 """A grasp: fingers, object and contacts, with their controller and gravity."""
 
 import functools
+import inspect
 from collections.abc import Callable, Sequence
 from typing import Any, cast, NamedTuple, TypeVar
 
@@ -9,16 +10,18 @@ import jax
 from jaxtyping import Array, Float
 
 from .._algebra import unstack, Vec2
+from .._fields import door_of, real, taken, through
 from .._once import remembered
 from .._printing import shown_value
-from .._results import as_floats
+from .._results import as_count, as_floats, as_several, check_instance, shown
 from .._spatial import Vec3
 from .._types import Given
 from ..contact import AbstractContact, Contact3
 from ..geometry import AbstractContour, AbstractSurface, tabled
 from ._body import AbstractBody, Coordinate
+from ._controller import AbstractController, as_drive
 from ._finger import AbstractFinger
-from ._state import Form
+from ._state import check_shapes, Form, State
 
 Door = TypeVar("Door", bound=Callable[..., Any])
 
@@ -40,6 +43,29 @@ class Labels(NamedTuple):
         return tuple(f"{body} {each.name}" for body, labels in self.bodies for each in labels)
 
 
+# What a contact's start lies on: with one of these changed it is looked at again.
+_PARTS = frozenset(("object", "fingers", "contacts", "contours", "surfaces"))
+# Names under which functions of a grasp take its states, and how many axes may lead: that of time.
+_STATES = {"state": 0, "guess": 0, "states": 1}
+
+
+def _as_object(name: str, value: Any) -> AbstractBody:
+    if not isinstance(value, AbstractBody) or isinstance(value, AbstractFinger):
+        raise ValueError(f"argument {name} must be an object, such as a FreeObject, but was {shown(value)}")
+    return value
+
+
+def _as_fingers(name: str, value: Any) -> tuple[AbstractFinger, ...]:
+    return as_several(name, value, AbstractFinger, "fingers")
+
+
+def _as_contacts(name: str, value: Any) -> tuple[Any, ...]:
+    contacts = as_several(name, value, AbstractContact, "contacts")
+    if len({isinstance(contact, Contact3) for contact in contacts}) > 1:
+        raise ValueError(f"argument {name} must be all of the plane or all of space, but were of both")
+    return contacts
+
+
 class Grasp(eqx.Module):
     r"""Fingers holding an object by rolling contacts, and what drives the fingers.
 
@@ -57,8 +83,9 @@ class Grasp(eqx.Module):
         gravity: Shape (2,), in space (3,), in m/s^2. Default: none, and then it costs nothing.
 
     Raises:
-        ValueError: If a contact names a finger or contour that is not there, or starts past the end
-            of an open contour.
+        ValueError: If a part is not what it must be, parts of the plane and of space are mixed, a contact
+            names a finger or contour that is not there or starts past the end of an open contour, or the
+            controller is for another number of fingers.
 
     Example:
         >>> import jaxroll as jxr
@@ -69,11 +96,11 @@ class Grasp(eqx.Module):
         3
     """
 
-    object: Any  # an `AbstractBody`; which one, whoever reads its fields knows
-    fingers: tuple[AbstractFinger, ...]
-    contacts: tuple[Any, ...]  # `Contact` in the plane, `Contact3` in space
-    controller: Any
-    gravity: Float[Array, "d"] | None
+    object: Any = through(_as_object)  # an `AbstractBody`; which one, whoever reads its fields knows
+    fingers: tuple[AbstractFinger, ...] = through(_as_fingers)
+    contacts: tuple[Any, ...] = through(_as_contacts)  # `Contact` in the plane, `Contact3` in space
+    controller: Any = through(as_drive)
+    gravity: Float[Array, "d"] | None = real(None, optional=True)
 
     def __init__(
         self,
@@ -84,31 +111,33 @@ class Grasp(eqx.Module):
         controller: Any = None,
         gravity: Given | None = None,
     ) -> None:
-        self.object = object
-        self.fingers = (fingers,) if isinstance(fingers, AbstractFinger) else tuple(fingers)
-        self.contacts = (contacts,) if isinstance(contacts, AbstractContact) else tuple(contacts)
-        self.controller = controller
-        self._check()
-        axes = 3 if self.spatial else 2
-        self.gravity = None if gravity is None else as_floats("gravity", gravity, (axes,))
+        self.object = taken(self, "object", object)
+        self.fingers = taken(self, "fingers", fingers)
+        self.contacts = taken(self, "contacts", contacts)
+        self.controller = taken(self, "controller", controller)
+        self._check_parts()
+        self._check_controller()
+        self.gravity = taken(self, "gravity", gravity, shape=(self._axes,))
 
-    def _check(self) -> None:
-        if not self.fingers or not self.contacts:
-            raise ValueError("argument fingers and contacts must not be empty")
-        if len({isinstance(contact, Contact3) for contact in self.contacts}) > 1:
-            raise ValueError("argument contacts must be all of the plane or all of space, but were of both")
+    def _check_parts(self) -> None:
+        """Raise unless every contact finds its shapes, and all bodies live where the contacts do."""
         for i, contact in enumerate(self.contacts):
-            if not 0 <= contact.finger < len(self.fingers):
-                raise ValueError(
-                    f"argument contacts[{i}].finger must be below {len(self.fingers)}, "
-                    f"but was {contact.finger}"
-                )
-            if not 0 <= contact.touched < len(self.object.shapes):
-                raise ValueError(
-                    f"argument contacts[{i}].{contact.kind} must be below {len(self.object.shapes)}, "
-                    f"but was {contact.touched}"
-                )
+            counts = ("finger", contact.finger, len(self.fingers))
+            for kind, index, count in (counts, (contact.kind, contact.touched, len(self.object.shapes))):
+                if not 0 <= index < count:
+                    raise ValueError(f"argument contacts[{i}].{kind} must be below {count}, but was {index}")
             contact.check(f"contacts[{i}]", self.shapes(contact))
+        wanted, words = (AbstractSurface, "space") if self.spatial else (AbstractContour, "the plane")
+        for i, body in enumerate(self.bodies):
+            name = f"fingers[{i - 1}]" if i else "object"
+            if not all(isinstance(shape, wanted) for shape in body.shapes):
+                raise ValueError(
+                    f"argument {name} must live in {words}, as contacts do, but was a {type(body).__name__}"
+                )
+
+    def _check_controller(self) -> None:
+        if isinstance(self.controller, AbstractController):
+            self.controller.check(len(self.fingers), self._axes)
 
     @property
     def bodies(self) -> tuple[AbstractBody, ...]:
@@ -119,6 +148,11 @@ class Grasp(eqx.Module):
     def spatial(self) -> bool:
         """Whether it lives in space; else in the plane."""
         return isinstance(self.contacts[0], Contact3)
+
+    @property
+    def _axes(self) -> int:
+        """How many axes its world has."""
+        return 3 if self.spatial else 2
 
     @property
     def sizes(self) -> tuple[int, ...]:
@@ -188,6 +222,9 @@ class Grasp(eqx.Module):
         A name may belong to the grasp (`controller`, `gravity`), to its controller (`damping`,
         `force`, ...) or to its object (`inertia`, `pivot`, ...); it must belong to just one of them.
 
+        Raises:
+            ValueError: For a name that there is not, and for whatever the constructors refuse.
+
         Example:
             >>> import jaxroll as jxr
             >>> grasp, _ = jxr.scenes.pivoted()
@@ -197,15 +234,18 @@ class Grasp(eqx.Module):
         grasp = self
         for name, value in changes.items():
             owner = grasp._owner(name)
-            old = getattr(owner(grasp), name)
-            if eqx.is_array(old):
-                value = as_floats(name, value, old.shape)
+            value = _taken_by(owner(grasp), name, value, grasp._axes)
             grasp = eqx.tree_at(
                 lambda g, o=owner, n=name: getattr(o(g), n),
                 grasp,
                 value,
                 is_leaf=lambda x: x is None,
             )
+            _check_again(owner(grasp))
+        if _PARTS & set(changes):
+            grasp._check_parts()
+        if {"controller", "fingers", "contacts"} & set(changes):
+            grasp._check_controller()
         return grasp
 
     def _owner(self, name: str) -> Any:
@@ -223,18 +263,46 @@ class Grasp(eqx.Module):
         return found[0]
 
     def with_tip(self, finger: int, tip: AbstractContour | AbstractSurface) -> "Grasp":
-        """A copy in which one finger carries another tip contour."""
-        return eqx.tree_at(lambda g: g.fingers[finger].tip, self, tip)
+        """A copy in which one finger carries another tip contour.
+
+        Raises:
+            ValueError: If there is no such finger, or the tip is not what the finger's constructor takes, or
+                ends before the place where a contact starts.
+        """
+        index = as_count("finger", finger, least=0)
+        if index >= len(self.fingers):
+            raise ValueError(f"argument finger must be below {len(self.fingers)}, but was {index}")
+        tip = taken(self.fingers[index], "tip", tip)
+        changed = eqx.tree_at(lambda g: g.fingers[index].tip, self, tip)
+        changed._check_parts()
+        return changed
 
     def with_contacts(self, *contacts: AbstractContact) -> "Grasp":
-        """A copy with other starting contacts."""
-        return Grasp(
-            self.object,
-            self.fingers,
-            contacts,
-            controller=self.controller,
-            gravity=self.gravity,
-        )
+        """A copy with other starting contacts.
+
+        Raises:
+            ValueError: If one is not a contact, or does not fit the grasp.
+        """
+        return self.with_(contacts=contacts)
+
+
+def _taken_by(owner: Any, name: str, value: Any, axes: int) -> Any:
+    """What is given for a field of a grasp, its object or its controller, as the constructor takes it."""
+    old = getattr(owner, name)
+    shape = old.shape if eqx.is_array(old) else None
+    if name == "gravity" and shape is None:
+        shape = (axes,)
+    if door_of(owner, name) is not None:
+        return taken(owner, name, value, shape=shape)
+    # A caller's own class: an array stays an array of its shape.
+    return value if shape is None else as_floats(name, value, shape)
+
+
+def _check_again(owner: Any) -> None:
+    """The checks of a caller's own class, which equinox runs after its constructor alone."""
+    for kind in type(owner).__mro__:
+        if "__check_init__" in vars(kind):
+            vars(kind)["__check_init__"](owner)
 
 
 def _has_field(owner: Any, name: str) -> bool:
@@ -254,22 +322,41 @@ def _with_tables(grasp: Grasp) -> Grasp:
 
 def check_planar(grasp: Grasp) -> None:
     """Raise for a grasp in space, where only the plane has an answer."""
+    check_instance("grasp", grasp, Grasp, "a Grasp")
     if grasp.spatial:
         raise ValueError("argument grasp must live in the plane, but its contacts are those of space")
 
 
 def check_spatial(grasp: Grasp) -> None:
     """Raise for a grasp in the plane, where only space has an answer."""
+    check_instance("grasp", grasp, Grasp, "a Grasp")
     if not grasp.spatial:
         raise ValueError("argument grasp must live in space, but its contacts are those of the plane")
 
 
+def check_states(grasp: Any, states: Any, name: str = "state", *, axes: int = 0) -> None:
+    """Raise unless a grasp is given, and a state, or states with leading axes, that could be its own."""
+    check_instance("grasp", grasp, Grasp, "a Grasp")
+    check_instance(name, states, State, "a State")
+    check_shapes(states, grasp.form, name, axes)
+
+
 def compiled(function: Door) -> Door:
-    """`equinox.filter_jit` for functions of a grasp, whose tables are built before, once for all of them."""
+    """`equinox.filter_jit` for functions of a grasp, whose tables are built before, once for all of them.
+
+    Before anything is traced it refuses what is no grasp, and states that are not of this grasp.
+    """
     jitted = eqx.filter_jit(function)
+    names = tuple(inspect.signature(function).parameters)
+    places = [(names.index(name) - 1, name) for name in _STATES if name in names]
 
     @functools.wraps(function)
     def door(grasp: Grasp, *args: Any, **options: Any) -> Any:
+        check_instance("grasp", grasp, Grasp, "a Grasp")
+        for at, name in places:
+            if at < len(args) or name in options:
+                given = options[name] if name in options else args[at]
+                check_states(grasp, given, name, axes=_STATES[name])
         return jitted(grasp.tabled(), *args, **options)
 
     return cast(Door, door)

@@ -2,18 +2,34 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._algebra import Pose2, sincos, total, Twist2, unstack, Vec2
-from .._results import as_floats, check_positive
+from .._fields import real, taken, through
+from .._results import check_positive, concrete, shown
 from .._types import Given, Scalar, Scalars
 from ..contact import Motion
 from ..geometry import AbstractContour
 from ._body import Inertia
-from ._finger import AbstractFinger, check_tip
+from ._finger import AbstractFinger, as_tip
 
 # Nothing in a jaw says how large it is, and only scaling and drawing ask: a gripper's order of magnitude [m].
 _SIZE = 0.05
+
+
+# Two joints whose axes differ by less [rad] are one.
+_APART = 1e-6
+
+
+def _as_directions(name: str, angles: Array) -> Array:
+    """Raise for more axes than the plane has, or for two along one line: their mass matrix is singular."""
+    if angles.shape[0] > 2:
+        raise ValueError(f"argument {name} must be at most 2 angles, but were {angles.shape[0]}")
+    seen = concrete(angles)
+    if seen is not None and len(seen) == 2 and abs(np.sin(seen[1] - seen[0])) < _APART:
+        raise ValueError(f"argument {name} must not be parallel, but was {shown(seen)}")
+    return angles
 
 
 class Jaw(AbstractFinger):
@@ -30,7 +46,7 @@ class Jaw(AbstractFinger):
         angle: Constant angle of the frame [rad].
 
     Raises:
-        ValueError: If there are more than two directions, or the mass is not positive.
+        ValueError: If there are more than two directions or they are parallel, or the mass is not positive.
 
     Example:
         >>> import jaxroll as jxr
@@ -39,12 +55,12 @@ class Jaw(AbstractFinger):
         2
     """
 
-    tip: AbstractContour
-    mass: Float[Array, ""]
-    directions: Float[Array, " k"]
-    base: Float[Array, "2"]
-    angle: Float[Array, ""]
-    axes: tuple[Vec2, ...] | None
+    tip: AbstractContour = through(as_tip)
+    mass: Float[Array, ""] = real(check=check_positive)
+    directions: Float[Array, " k"] = real(None, check=_as_directions)
+    base: Float[Array, "2"] = real(2)
+    angle: Float[Array, ""] = real()
+    axes: tuple[Vec2, ...] | None = None
 
     def __init__(
         self,
@@ -55,16 +71,11 @@ class Jaw(AbstractFinger):
         base: Given = (0.0, 0.0),
         angle: Given = 0.0,
     ) -> None:
-        self.tip = check_tip("contour", contour)
-        self.mass = check_positive("mass", as_floats("mass", mass, ()))
-        self.directions = as_floats("directions", directions, (None,))
-        if self.directions.shape[0] > 2:
-            raise ValueError(
-                f"argument directions must be at most 2 angles, but were {self.directions.shape[0]}"
-            )
-        self.base = as_floats("base", base, (2,))
-        self.angle = as_floats("angle", angle, ())
-        self.axes = None
+        self.tip = taken(self, "tip", contour, name="contour")
+        self.mass = taken(self, "mass", mass)
+        self.directions = taken(self, "directions", directions)
+        self.base = taken(self, "base", base)
+        self.angle = taken(self, "angle", angle)
 
     @property
     def joints(self) -> int:

@@ -1,13 +1,15 @@
 """The grasped object: free in the plane, or pivoted at a fixed point."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._algebra import Pose2, sincos, Twist2, unstack, Vec2
-from .._results import as_floats, check_positive
+from .._fields import real, taken, through
+from .._results import as_floats, as_several, check_positive
 from .._types import Given, Scalar, Scalars
 from ..contact import Motion
 from ..geometry import AbstractContour
@@ -16,11 +18,8 @@ from ._body import AbstractBody, Coordinate, Inertia
 Contours = tuple[AbstractContour, ...]
 
 
-def _as_contours(contours: AbstractContour | Sequence[AbstractContour]) -> Contours:
-    listed = (contours,) if isinstance(contours, AbstractContour) else tuple(contours)
-    if not listed or not all(isinstance(c, AbstractContour) for c in listed):
-        raise ValueError(f"argument contours must be one or more contours, but was {contours!r}")
-    return listed
+def _as_contours(name: str, contours: Any) -> Contours:
+    return as_several(name, contours, AbstractContour, "contours")
 
 
 class AbstractObject(AbstractBody):
@@ -46,10 +45,10 @@ class PivotedObject(AbstractObject):
         centre: Shape (2,), centre of mass in the body frame, in metres.
     """
 
-    contours: Contours
-    inertia: Float[Array, ""]
-    pivot: Float[Array, "2"]
-    weight_moment: Float[Array, "2"] | None
+    contours: Contours = through(_as_contours)
+    inertia: Float[Array, ""] = real(check=check_positive)
+    pivot: Float[Array, "2"] = real(2)
+    weight_moment: Float[Array, "2"] | None = real(2, optional=True)
 
     def __init__(
         self,
@@ -60,13 +59,13 @@ class PivotedObject(AbstractObject):
         mass: Given | None = None,
         centre: Given = (0.0, 0.0),
     ) -> None:
-        self.contours = _as_contours(contours)
-        self.inertia = check_positive("inertia", as_floats("inertia", inertia, ()))
-        self.pivot = as_floats("pivot", pivot, (2,))
+        self.contours = taken(self, "contours", contours)
+        self.inertia = taken(self, "inertia", inertia)
+        self.pivot = taken(self, "pivot", pivot)
+        middle = as_floats("centre", centre, (2,))
         self.weight_moment = None
         if mass is not None:
-            weight = check_positive("mass", as_floats("mass", mass, ()))
-            self.weight_moment = weight * as_floats("centre", centre, (2,))
+            self.weight_moment = check_positive("mass", as_floats("mass", mass, ())) * middle
 
     @property
     def freedoms(self) -> int:
@@ -117,9 +116,9 @@ class FreeObject(AbstractObject):
         inertia: Moment about the centre of mass, in kg m^2.
     """
 
-    contours: Contours
-    mass: Float[Array, ""]
-    inertia: Float[Array, ""]
+    contours: Contours = through(_as_contours)
+    mass: Float[Array, ""] = real(check=check_positive)
+    inertia: Float[Array, ""] = real(check=check_positive)
 
     def __init__(
         self,
@@ -127,9 +126,9 @@ class FreeObject(AbstractObject):
         mass: Given,
         inertia: Given,
     ) -> None:
-        self.contours = _as_contours(contours)
-        self.mass = check_positive("mass", as_floats("mass", mass, ()))
-        self.inertia = check_positive("inertia", as_floats("inertia", inertia, ()))
+        self.contours = taken(self, "contours", contours)
+        self.mass = taken(self, "mass", mass)
+        self.inertia = taken(self, "inertia", inertia)
 
     @property
     def freedoms(self) -> int:

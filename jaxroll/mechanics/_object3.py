@@ -1,13 +1,16 @@
 """The grasped object in space."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._algebra import unstack
-from .._results import as_floats, check_positive, concrete
+from .._fields import real, taken, through
+from .._results import as_array, as_floats, as_several, check_positive, concrete, shown
 from .._sharing import once
 from .._spatial import normalised, pose, Pose3, quaternion_product, Sym3, Twist3, Vec3
 from .._types import Given, Scalar, Scalars
@@ -16,6 +19,31 @@ from ..geometry import AbstractSurface
 from ._body import AbstractBody, Coordinate, Inertia, QUATERNION
 
 Surfaces = tuple[AbstractSurface, ...]
+
+
+def _as_surfaces(name: str, surfaces: Any) -> Surfaces:
+    return as_several(name, surfaces, AbstractSurface, "surfaces")
+
+
+def _as_inertia(name: str, inertia: Any) -> Array:
+    """An inertia given as one number, three or a matrix, as a matrix."""
+    array = as_array(name, inertia)
+    if array.ndim == 0:
+        array = array * jnp.eye(3, dtype=array.dtype)
+    elif array.ndim == 1:
+        array = jnp.diag(as_floats(name, array, (3,)))
+    return check_inertia(name, as_floats(name, array, (3, 3)))
+
+
+def check_inertia(name: str, tensors: Array) -> Array:
+    """Raise if concrete inertia tensors, shape (..., 3, 3), are not symmetric positive definite."""
+    seen = concrete(tensors)
+    if seen is None:
+        return tensors
+    gaps = abs(seen - seen.swapaxes(-1, -2)).max(initial=0.0)
+    if gaps > 1e-9 * abs(seen).max(initial=0.0) or not np.all(np.linalg.eigvalsh(seen) > 0):
+        raise ValueError(f"argument {name} must be symmetric and positive definite, but was {shown(seen)}")
+    return tensors
 
 
 class FreeObject3(AbstractBody):
@@ -29,7 +57,8 @@ class FreeObject3(AbstractBody):
         surfaces: One surface or several, in the body frame.
         mass: In kilograms.
         inertia: About the centre of mass, in body axes [kg m^2]: one number (a ball), shape (3,) along the
-            axes, or shape (3, 3).
+            axes, or shape (3, 3). Any that is symmetric and positive definite: of a real body each principal
+            moment is at most the sum of the other two, but the equations do not need it.
         outline: Shape (3,), edge lengths of a cuboid about the centre [m], for drawing alone.
 
     Raises:
@@ -42,10 +71,10 @@ class FreeObject3(AbstractBody):
         (7, 6)
     """
 
-    surfaces: Surfaces
-    mass: Float[Array, ""]
-    inertia: Float[Array, "3 3"]
-    outline: Float[Array, "3"] | None
+    surfaces: Surfaces = through(_as_surfaces)
+    mass: Float[Array, ""] = real(check=check_positive)
+    inertia: Float[Array, "3 3"] = through(_as_inertia)
+    outline: Float[Array, "3"] | None = real(3, check=check_positive, optional=True)
 
     def __init__(
         self,
@@ -55,13 +84,10 @@ class FreeObject3(AbstractBody):
         *,
         outline: Given | None = None,
     ) -> None:
-        listed = tuple(surfaces) if isinstance(surfaces, Sequence) else (surfaces,)
-        if not listed or not all(isinstance(s, AbstractSurface) for s in listed):
-            raise ValueError(f"argument surfaces must be one or more surfaces, but was {surfaces!r}")
-        self.surfaces = listed
-        self.mass = check_positive("mass", as_floats("mass", mass, ()))
-        self.inertia = _matrix(inertia)
-        self.outline = None if outline is None else as_floats("outline", outline, (3,))
+        self.surfaces = taken(self, "surfaces", surfaces)
+        self.mass = taken(self, "mass", mass)
+        self.inertia = taken(self, "inertia", inertia)
+        self.outline = taken(self, "outline", outline)
 
     @property
     def shapes(self) -> Surfaces:
@@ -123,26 +149,3 @@ class FreeObject3(AbstractBody):
     def _tensor(self) -> Sym3:
         m = self.inertia
         return Sym3(m[0][0], m[0][1], m[0][2], m[1][1], m[1][2], m[2][2])
-
-
-def _matrix(inertia: Given) -> Array:
-    """An inertia given as one number, three or a matrix, as a matrix."""
-    array = jnp.asarray(inertia, float)
-    if array.ndim == 0:
-        array = array * jnp.eye(3, dtype=array.dtype)
-    elif array.ndim == 1:
-        array = jnp.diag(as_floats("inertia", array, (3,)))
-    array = as_floats("inertia", array, (3, 3))
-    return check_inertia("inertia", array)
-
-
-def check_inertia(name: str, tensors: Array) -> Array:
-    """Raise if concrete inertia tensors, shape (..., 3, 3), are not symmetric positive definite."""
-    seen = concrete(tensors)
-    if seen is None:
-        return tensors
-    gaps = abs(seen - seen.swapaxes(-1, -2)).max() if seen.size else 0.0
-    firm = [jnp.linalg.eigvalsh(tensor)[0] > 0 for tensor in seen.reshape(-1, 3, 3)]
-    if gaps > 1e-9 * abs(seen).max(initial=0.0) or not all(firm):
-        raise ValueError(f"argument {name} must be symmetric and positive definite, but was {seen.tolist()}")
-    return tensors

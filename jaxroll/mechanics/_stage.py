@@ -9,14 +9,16 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._algebra import sincos, unstack
+from .._fields import real, taken, through
 from .._printing import listed
-from .._results import as_floats, concrete
+from .._results import as_array, check_callable, check_direction, shown
 from .._spatial import conjugate, normalised, pose, Pose3, Quaternion, quaternion_product, Twist3, Vec3
 from .._types import Given, Scalar, Scalars
 from ..contact import Motion
 from ..geometry import AbstractSurface
 from ._body import Coordinate, Inertia
 from ._finger import AbstractFinger
+from ._finger3 import as_surface
 
 # Nothing in a stage says how large it is, and only drawing asks: a gripper's order of magnitude [m].
 _SIZE = 0.05
@@ -34,19 +36,16 @@ class Turning(eqx.Module):
     __repr__ = listed
     UNITS: ClassVar[dict[str, str]] = {"rate": "rad/s", "centre": "m"}
 
-    rate: Float[Array, ""]
-    axis: Float[Array, "3"]
-    centre: Float[Array, "3"]
+    rate: Float[Array, ""] = real()
+    axis: Float[Array, "3"] = real(3, check=check_direction)
+    centre: Float[Array, "3"] = real(3)
 
     def __init__(
         self, rate: Given, *, axis: Given = (0.0, 0.0, 1.0), centre: Given = (0.0, 0.0, 0.0)
     ) -> None:
-        self.rate = as_floats("rate", rate, ())
-        self.axis = as_floats("axis", axis, (3,))
-        self.centre = as_floats("centre", centre, (3,))
-        seen = concrete(self.axis)
-        if seen is not None and not seen.any():
-            raise ValueError(f"argument axis must not be zero, but was {seen.tolist()}")
+        self.rate = taken(self, "rate", rate)
+        self.axis = taken(self, "axis", axis)
+        self.centre = taken(self, "centre", centre)
 
     def __call__(self, t: Scalar) -> tuple[Vec3, Quaternion]:
         sin, cos = sincos(0.5 * self.rate * t)
@@ -54,6 +53,14 @@ class Turning(eqx.Module):
         axis = axis * (1.0 / axis.norm())
         turn = (cos, axis.x * sin, axis.y * sin, axis.z * sin)
         return centre - pose(centre, turn).turn(centre), turn
+
+
+def _as_motion(name: str, motion: Any) -> Any:
+    """A function of time as a pytree, or None."""
+    if motion is None:
+        return None
+    check_callable(name, motion, "a function of time", takes=1)
+    return jax.tree_util.Partial(motion) if jax.tree_util.all_leaves([motion]) else motion
 
 
 class Stage(AbstractFinger):
@@ -71,7 +78,8 @@ class Stage(AbstractFinger):
         rotation: Quaternion (scalar first) of the frame's axes; scaled to unit length.
 
     Raises:
-        ValueError: If `surface` is not a surface, or `motion` cannot be called.
+        ValueError: If `surface` is not a surface, `motion` cannot be called with a time, or `rotation` has no
+            length.
 
     Example:
         >>> import jaxroll as jxr
@@ -80,10 +88,10 @@ class Stage(AbstractFinger):
         (1, 0)
     """
 
-    tip: AbstractSurface
-    motion_of: Callable[[Any], Any] | None
-    base: Float[Array, "3"]
-    rotation: Float[Array, "4"]
+    tip: AbstractSurface = through(as_surface)
+    motion_of: Callable[[Any], Any] | None = through(_as_motion)
+    base: Float[Array, "3"] = real(3)
+    rotation: Float[Array, "4"] = real(4, check=check_direction)
 
     def __init__(
         self,
@@ -93,18 +101,10 @@ class Stage(AbstractFinger):
         base: Given = (0.0, 0.0, 0.0),
         rotation: Given = (1.0, 0.0, 0.0, 0.0),
     ) -> None:
-        if not isinstance(surface, AbstractSurface):
-            raise ValueError(f"argument surface must be a surface, but was {surface!r}")
-        if motion is not None and not callable(motion):
-            raise ValueError(f"argument motion must be a function of time, but was {motion!r}")
-        self.tip = surface
-        plain = motion is not None and jax.tree_util.all_leaves([motion])
-        self.motion_of = jax.tree_util.Partial(motion) if plain else motion
-        self.base = as_floats("base", base, (3,))
-        self.rotation = as_floats("rotation", rotation, (4,))
-        seen = concrete(self.rotation)
-        if seen is not None and not seen.any():
-            raise ValueError(f"argument rotation must be a quaternion, but was {seen.tolist()}")
+        self.tip = taken(self, "tip", surface, name="surface")
+        self.motion_of = taken(self, "motion_of", motion, name="motion")
+        self.base = taken(self, "base", base)
+        self.rotation = taken(self, "rotation", rotation)
 
     @property
     def joints(self) -> int:
@@ -140,6 +140,10 @@ class Stage(AbstractFinger):
         if self.motion_of is None:
             return base, turn
         given = self.motion_of(t)
+        if not isinstance(given, tuple | list) or len(given) != 2:
+            raise ValueError(
+                f"argument motion must return a position and a quaternion, but returned {shown(given)}"
+            )
         point, own = Vec3(*_numbers(given[0], 3)), normalised(_numbers(given[1], 4))
         return pose(base, turn).place(point), quaternion_product(turn, own)
 
@@ -177,9 +181,17 @@ class Stage(AbstractFinger):
 
 def _numbers(values: Any, count: int) -> Any:
     """What a motion returned, an array or a sequence, as scalars."""
-    found = tuple(values) if isinstance(values, tuple | list | Vec3) else unstack(jnp.asarray(values))
-    if len(found) != count:
+    if isinstance(values, tuple | list | Vec3):
+        found = tuple(map(_number, values))
+    else:
+        found = tuple(unstack(jnp.atleast_1d(_number(values))))
+    if len(found) != count or any(jnp.shape(number) for number in found):
         raise ValueError(
-            f"argument motion must return 3 coordinates and 4 of a quaternion, but one had {len(found)}"
+            f"argument motion must return 3 coordinates and 4 of a quaternion, but returned {shown(values)}"
         )
     return found
+
+
+def _number(value: Any) -> Any:
+    """A real number or array of them that a motion returned; Python's own floats stay what they are."""
+    return value if isinstance(value, float) else as_array("motion, in what it returns,", value)

@@ -9,7 +9,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._printing import listed
-from .._types import Scalars
+from .._results import as_array, shown
+from .._types import Given, Scalars
 
 Blocks = tuple[Scalars, ...]
 
@@ -26,6 +27,17 @@ class State(eqx.Module):
             [m], zero at the starting contact: $s_A = s_{A0} + \sigma$ on the fingertip,
             $s_B = s_{B0} - \sigma$ on the object. In space, of each contact, its place on the fingertip's
             surface, then on the object's.
+
+    Lists and whole numbers become floating arrays, all three of one precision. Leading axes are those of a
+    batch or of time; what is not finite may stand, as saved states that a run did not reach are.
+
+    Raises:
+        ValueError: If one of them is not an array of real numbers with at least one axis.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> jxr.State([0, 1, 2], [0, 0, 0], [0]).q.dtype.kind
+        'f'
     """
 
     __repr__ = listed
@@ -33,6 +45,41 @@ class State(eqx.Module):
     q: Float[Array, " n"]
     v: Float[Array, " nv"]
     s: Float[Array, " c"]
+
+    def __init__(self, q: Given, v: Given, s: Given) -> None:
+        parts = [_as_row(name, value) for name, value in (("q", q), ("v", v), ("s", s))]
+        if len({part.dtype for part in parts}) > 1:
+            parts = [part.astype(jnp.result_type(*parts)) for part in parts]
+        self.q, self.v, self.s = parts
+
+
+def _as_row(name: str, value: Any) -> Array:
+    # States are made where runs are traced and saved: nothing is done to what is an array already.
+    ready = isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jnp.floating)
+    row = value if ready else as_array(name, value)
+    if not row.ndim:
+        raise ValueError(f"argument {name} must have one axis or more, but was {shown(value)}")
+    return row
+
+
+def check_shapes(states: State, form: "Form", name: str, axes: int) -> None:
+    """Raise unless states have the lengths of a grasp's, one precision, and at most `axes` leading axes.
+
+    The one place that notices a state of another grasp, and by these lengths alone: where two grasps have the
+    same ones, only `residuals` can tell.
+    """
+    lead, kinds = jnp.shape(states.q)[:-1], set()
+    for part, value, size in zip("qvs", (states.q, states.v, states.s), form.counts, strict=True):
+        shape = jnp.shape(value)
+        if shape != (*lead, size) or len(lead) > axes:
+            wanted = f"({size},) or (t, {size})" if axes else f"({size},)"
+            raise ValueError(f"argument {name}.{part} must have shape {wanted}, but had {shape}")
+        kinds.add(str(jnp.result_type(value)))
+    if len(kinds) > 1 or not kinds <= {"float32", "float64"}:
+        raise ValueError(
+            f"argument {name} must be of single or double precision throughout, "
+            f"but was of {', '.join(sorted(kinds))}"
+        )
 
 
 @jax.tree_util.register_dataclass

@@ -11,6 +11,7 @@ from ..integration import Trajectory
 from ..mechanics import Grasp
 from ._animate3 import animate3
 from ._artists import Drawing, limits
+from ._doors import of_grasp
 from ._forces import Arrows, arrows, key
 from ._gif import checked, nearest, write
 from ._style import Picture, tidy
@@ -18,6 +19,7 @@ from ._views import single, Views, views, visible
 from ._views3 import check_options, pushes, scene_motion, View
 
 
+@of_grasp
 def animate(
     grasp: Grasp,
     trajectory: Trajectory,

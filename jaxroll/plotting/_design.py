@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from .._results import check_instance
 from ..design import Design
 from ..geometry import AbstractContour, tabled
 from ..integration import Trajectory
@@ -140,6 +141,9 @@ def comparison(
         >>> len(plotting.comparison([run, run]).axes)
         4
     """
+    check_instance("runs", runs, Sequence, "several runs")
+    for i, run in enumerate(runs):
+        check_instance(f"runs[{i}]", run, Trajectory, "a Trajectory")
     if len(runs) != len(names):
         raise ValueError(f"argument names must have one for each of {len(runs)} runs, but had {len(names)}")
     figure = Picture(10.0, 5.6)

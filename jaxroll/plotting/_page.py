@@ -7,6 +7,7 @@ import numpy as np
 
 from ..integration import Trajectory
 from ..mechanics import check_spatial, Grasp
+from ._doors import of_grasp
 from ._gif import nearest
 from ._motion3 import Motion3D, times_of
 from ._scene3 import Locus, Scene3, scene3, Solid
@@ -59,6 +60,7 @@ def _plotly() -> Any:
     return plotly
 
 
+@of_grasp
 def page(
     grasp: Grasp,
     trajectory: Trajectory,

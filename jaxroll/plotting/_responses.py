@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from ..integration import Trajectory
 from ..mechanics import Grasp
+from ._doors import of_grasp
 from ._panels import Panel, panels
 from ._panels3 import panels3
 from ._style import CYCLE, Picture, save, tidy
@@ -19,6 +20,7 @@ _COLUMNS = 3
 _SHARE = 0.9
 
 
+@of_grasp
 def responses(grasp: Grasp, trajectory: Trajectory, folder: str | Path | None = None) -> Figure:
     r"""Plot the responses of one run over time.
 

@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float
 from .._algebra import unstack, Vec2
 from .._backend import filled
 from .._printing import listed
+from .._results import as_floats
 from .._types import Given, Scalar
 from ..contact import gap
 from ..integration import constraint_rows, generalised_force, Multipliers, split_forces
@@ -44,7 +45,6 @@ class Equilibrium(eqx.Module):
     found: Bool[Array, ""]
 
 
-@compiled
 def equilibrium(grasp: Grasp, state: State, *, t: Given = 0.0) -> Equilibrium:
     r"""Find an equilibrium of the closed loop near a state: Newton on the constrained problem.
 
@@ -62,6 +62,9 @@ def equilibrium(grasp: Grasp, state: State, *, t: Given = 0.0) -> Equilibrium:
     Returns:
         An `Equilibrium`; `found` is False where none was reached.
 
+    Raises:
+        ValueError: If the grasp lives in space, the state is not one of it, or `t` is not a finite number.
+
     Accuracy: residuals at rounding level. Derivatives, in both modes, are those of the implicit function
     theorem, along a family too.
 
@@ -72,6 +75,11 @@ def equilibrium(grasp: Grasp, state: State, *, t: Given = 0.0) -> Equilibrium:
         >>> bool(rest.found), f"{1e3 * (0.003 - rest.state.s[0]):.3f} mm"
         (True, '-4.788 mm')
     """
+    return _equilibrium(grasp, state, as_floats("t", t, ()))
+
+
+@compiled
+def _equilibrium(grasp: Grasp, state: State, t: Array) -> Equilibrium:
     check_planar(grasp)
     ready = grasp.prepared()
     found, left = locate(ready, state, t)

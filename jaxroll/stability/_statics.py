@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 
 from .._algebra import Vec2
 from .._printing import listed
+from .._results import as_array, as_share, check_finite, check_instance
 from .._types import Given, Scalar
 from ..geometry import AbstractContour, Frenet2
 from ..integration import check_pinch
@@ -46,7 +47,6 @@ class PinchStatics(eqx.Module):
     turning: Float[Array, "... 2"]
 
 
-@compiled
 def pinch_statics(grasp: Grasp, s: Given) -> PinchStatics:
     r"""$U(s_1, s_2)$, d, l, gradient and Hessian of a pinch under control (16): (25)-(29), (32), (39)-(40).
 
@@ -61,7 +61,8 @@ def pinch_statics(grasp: Grasp, s: Given) -> PinchStatics:
             which is the contact's `sense` times the object contour's own.
 
     Raises:
-        ValueError: If the grasp is not a two-finger pinch under `control.Opposition`.
+        ValueError: If the grasp is not a two-finger pinch under `control.Opposition`, or `s` not pairs of
+            finite numbers.
 
     Example:
         >>> import jax.numpy as jnp
@@ -71,9 +72,21 @@ def pinch_statics(grasp: Grasp, s: Given) -> PinchStatics:
         >>> f"d = {rest.d:.3f} m, l = {rest.l:.3f} m"
         'd = 0.000 m, l = -0.050 m'
     """
+    return _pinch_statics(grasp, _as_places(s))
+
+
+def _as_places(s: Given) -> Array:
+    """Two arclengths, or many pairs."""
+    places = check_finite("s", as_array("s", s))
+    if places.shape[-1:] != (2,):
+        raise ValueError(f"argument s must have shape (..., 2), but had shape {places.shape}")
+    return jnp.asarray(places, float)
+
+
+@compiled
+def _pinch_statics(grasp: Grasp, s: Array) -> PinchStatics:
     check_pinch(grasp)
     ready = grasp.prepared()
-    s = jnp.asarray(s, float)
 
     def at(s: Array) -> PinchStatics:
         d, l_ = _separation(ready, s)
@@ -110,7 +123,6 @@ def _potential(grasp: Grasp, s: Array) -> Scalar:
     return 0.5 * grasp.controller.beta * (d * d + l_ * l_)
 
 
-@compiled
 def pinch_rest(grasp: Grasp, state: State, *, damping: float = 0.0) -> tuple[Float[Array, "2"], PinchStatics]:
     r"""Where a pinch comes to rest under control (16), and the statics there: $\partial U/\partial s_i = 0$.
 
@@ -121,13 +133,16 @@ def pinch_rest(grasp: Grasp, state: State, *, damping: float = 0.0) -> tuple[Flo
     Args:
         grasp: A pinch, as `pinch_statics` takes it.
         state: Where to start; only its contact coordinates count.
-        damping: Share of its size below which an eigenvalue of the Hessian counts as none in the
-            derivative: where the place at rest is neutral, it is not differentiable. By default exact.
+        damping: Share of its size, from 0 to 1, below which an eigenvalue of the Hessian counts as none in
+            the derivative: where the place at rest is neutral, it is not differentiable. By default exact.
 
     Returns:
         The chapter's $s_i$ at rest [m], as `pinch_statics` takes them and NaN where none was found, and the
         statics there. Derivatives, in both
         modes, are those of the implicit function theorem.
+
+    Raises:
+        ValueError: If the grasp is not such a pinch, the state is not one of it, or `damping` is no share.
 
     Example:
         >>> import jax.numpy as jnp
@@ -136,6 +151,11 @@ def pinch_rest(grasp: Grasp, state: State, *, damping: float = 0.0) -> tuple[Flo
         >>> bool(jnp.all(jnp.linalg.eigvalsh(rest.hessian) > 0))
         True
     """
+    return _pinch_rest(grasp, state, as_share("damping", damping))
+
+
+@compiled
+def _pinch_rest(grasp: Grasp, state: State, damping: float) -> tuple[Array, PinchStatics]:
     check_pinch(grasp)
     ready, pairs = grasp.prepared(), zip(grasp.contacts, state.s, strict=True)
     start = jnp.stack([c.sense * (c.s_object - sigma) for c, sigma in pairs])
@@ -212,7 +232,6 @@ def _stationary(grasp: Grasp, start: Array) -> Array:
     return jax.lax.while_loop(more, improve, (start, jnp.full((), jnp.inf, start.dtype), jnp.array(0)))[0]
 
 
-@compiled
 def rectangle_hessian(grasp: Grasp, s: Given) -> Float[Array, "2 2"]:
     r"""Closed form of the Hessian of U at an equilibrium on parallel faces: (39)-(40), corrected.
 
@@ -231,8 +250,16 @@ def rectangle_hessian(grasp: Grasp, s: Given) -> Float[Array, "2 2"]:
         >>> bool(jnp.all(jnp.linalg.eigvalsh(jxr.stability.rectangle_hessian(grasp, jnp.zeros(2))) > 0))
         True
     """
+    places = _as_places(s)
+    if places.ndim != 1:
+        raise ValueError(f"argument s must have shape (2,), but had shape {places.shape}")
+    return _rectangle_hessian(grasp, places)
+
+
+@compiled
+def _rectangle_hessian(grasp: Grasp, s: Array) -> Array:
     check_pinch(grasp)
-    ready, s = grasp.prepared(), jnp.asarray(s, float)
+    ready = grasp.prepared()
     _, l_ = _separation(ready, s)
     slopes, terms = [], []
     for i, sign in ((0, -1.0), (1, 1.0)):
@@ -271,6 +298,7 @@ def margin(contour: AbstractContour, s: Given) -> Float[Array, "..."]:
         >>> f"{jxr.stability.margin(tip, 0.0):.3f} m"
         '0.002 m'
     """
-    s = jnp.asarray(s, float)
+    check_instance("contour", contour, AbstractContour, "a contour")
+    s = jnp.asarray(check_finite("s", as_array("s", s)), float)
     reach = jnp.sum(contour.normal(s) * contour.point(s), axis=-1)
     return 1.0 / contour.curvature(s) - reach

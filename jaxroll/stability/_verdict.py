@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float, Int
 
 from .._printing import listed, named
-from .._results import as_floats
+from .._results import as_floats, check_between
 from .._types import Given
 from ..integration import constraint_rows, generalised_force
 from ..mechanics import bodies, compiled, Grasp, mass_matrix, State, to_leaves
@@ -80,7 +80,8 @@ def assess(grasp: Grasp, state: State, *, t: Given = 0.0, tolerance: float = 1e-
         them to be distinct.
 
     Raises:
-        ValueError: If `tolerance` is not a number.
+        ValueError: If the grasp lives in space, the state is not one of it, `t` is not a finite number, or
+            `tolerance` not a number from 0 to 1.
 
     Example:
         >>> import jaxroll as jxr
@@ -88,7 +89,9 @@ def assess(grasp: Grasp, state: State, *, t: Given = 0.0, tolerance: float = 1e-
         >>> jxr.stability.assess(grasp, state).verdict == jxr.stability.VERDICTS.asymptotically_stable
         Array(True, dtype=bool)
     """
-    return _assess(grasp, state, t, as_floats("tolerance", tolerance, ()))
+    share = as_floats("tolerance", tolerance, ())
+    check_between("tolerance", share, 0.0, 1.0)
+    return _assess(grasp, state, as_floats("t", t, ()), share)
 
 
 @compiled

@@ -1,0 +1,77 @@
+"""Fields with a door: what is given for one is converted and checked in one place.
+
+A class says at its fields what may be there; its constructor and `Grasp.with_` both take values through
+`taken`, so that neither lets in what the other refuses.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from ._results import as_array, as_floats
+
+Check = Callable[[str, jax.Array], jax.Array]
+Shape = tuple[int | None, ...]
+# From the argument's name, the value and the shape wanted to what is kept.
+Door = Callable[[str, Any, Shape | None], Any]
+
+_DOOR = "door"
+
+
+def real(*shape: int | None, check: Check | None = None, optional: bool = False) -> Any:
+    """A field for finite real numbers of a shape, where None matches any length.
+
+    Args:
+        *shape: Lengths of the axes; none for one number.
+        check: What must hold besides, such as `check_positive`.
+        optional: Whether None may stand for an array.
+    """
+
+    def door(name: str, value: Any, wanted: Shape | None) -> Any:
+        if value is None and optional:
+            return None
+        array = as_floats(name, value, shape if wanted is None else wanted)
+        return array if check is None else check(name, array)
+
+    return eqx.field(metadata={_DOOR: door})
+
+
+def each(check: Check | None = None) -> Any:
+    """A field for one finite real number per finger, or one number that stands for all."""
+
+    def door(name: str, value: Any, wanted: Shape | None) -> Any:
+        array = as_array(name, value)
+        if array.ndim == 0 and wanted is not None:
+            array = jnp.full(wanted, array)
+        array = as_floats(name, array, (None,) if wanted is None else wanted)
+        return array if check is None else check(name, array)
+
+    return eqx.field(metadata={_DOOR: door})
+
+
+def through(convert: Callable[[str, Any], Any], *, static: bool = False) -> Any:
+    """A field whose values a function of name and value converts, or refuses."""
+    return eqx.field(static=static, metadata={_DOOR: lambda name, value, wanted: convert(name, value)})
+
+
+def door_of(owner: Any, name: str) -> Door | None:
+    """The door of a field; None if its class, perhaps a caller's own, has not given it one."""
+    return type(owner).__dataclass_fields__[name].metadata.get(_DOOR)
+
+
+def taken(owner: Any, field: str, value: Any, *, shape: Shape | None = None, name: str | None = None) -> Any:
+    """What is given for a field of a module, converted and checked.
+
+    Args:
+        owner: The module, finished or not.
+        field: The field's name.
+        value: What the caller gave.
+        shape: Shape wanted, where the field's own leaves it open.
+        name: What the caller calls the argument. Default: as the field.
+    """
+    door = door_of(owner, field)
+    assert door is not None, f"{type(owner).__name__}.{field} has no door"
+    return door(name or field, value, shape)

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._fields import real, taken, through
-from .._results import check_flag, check_positive, shown, shown
+from .._results import check_flag, check_positive, shown
 from .._sharing import once
 from .._spatial import Pose3, square, Sym3, tangents, Twist3, Vec3
 from .._types import Given, Scalar, Scalars

@@ -123,7 +123,7 @@ def soft_worst(costs: Array, sharpness: Scalar) -> Scalar:
 def check_make(make: Any, cases: Any) -> Any:
     """Raise unless it can be called with a fingertip, and with a case if there are any."""
     if cases is None:
-        return check_callable("make", make, "a function of a fingertip", takes=1)
+        return check_callable("make", make, "a function of a fingertip alone", takes=1)
     return check_callable("make", make, "a function of a fingertip and a case", takes=2)
 
 

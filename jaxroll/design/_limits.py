@@ -1,5 +1,7 @@
 """What a fingertip must keep to: size, length, radii and smoothness."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -29,9 +31,15 @@ def sampled(contour: AbstractContour, interval: Array) -> Samples:
     ends = ready.domain()
     assert ends is not None  # checked where the contour came in
     length = ends[1] - ends[0]
-    pad = ready.frame(interval[0] + (interval[1] - interval[0]) * jnp.linspace(0.0, 1.0, _PAD))
-    whole = ready.frame(ends[0] + length * jnp.linspace(0.0, 1.0, _WHOLE))
+    pad = _frames(ready, interval[0] + (interval[1] - interval[0]) * jnp.linspace(0.0, 1.0, _PAD))
+    whole = _frames(ready, ends[0] + length * jnp.linspace(0.0, 1.0, _WHOLE))
     return Samples(pad, whole, length / (_WHOLE - 1), length)
+
+
+def _frames(contour: AbstractContour, s: Array) -> Frenet2:
+    """Frames with one curvature for each arclength, of a circle too, which has one for all."""
+    frames = contour.frame(s)
+    return replace(frames, curvature=jnp.broadcast_to(frames.curvature, s.shape))
 
 
 class Limits(eqx.Module):

@@ -76,6 +76,7 @@ class Jaw(AbstractFinger):
         self.directions = taken(self, "directions", directions)
         self.base = taken(self, "base", base)
         self.angle = taken(self, "angle", angle)
+        self.axes = None  # one's own: `tree_at` does not see a class's default
 
     @property
     def joints(self) -> int:

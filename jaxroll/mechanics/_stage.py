@@ -183,9 +183,11 @@ def _numbers(values: Any, count: int) -> Any:
     """What a motion returned, an array or a sequence, as scalars."""
     if isinstance(values, tuple | list | Vec3):
         found = tuple(map(_number, values))
+        fits = all(jnp.ndim(number) == 0 for number in found)
     else:
-        found = tuple(unstack(jnp.atleast_1d(_number(values))))
-    if len(found) != count or any(jnp.shape(number) for number in found):
+        array = jnp.asarray(_number(values))
+        found, fits = unstack(array), array.ndim == 1
+    if not fits or len(found) != count:
         raise ValueError(
             f"argument motion must return 3 coordinates and 4 of a quaternion, but returned {shown(values)}"
         )

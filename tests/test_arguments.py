@@ -1,0 +1,657 @@
+"""Every argument of every public class and function of bodies, contacts, control, stability and design.
+
+A table has one valid call of each; every argument in turn is replaced by every member of a list of bad
+values, and must be refused in one sentence unless the table says that the value means something.
+"""
+
+import functools
+import inspect
+import re
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxroll as jxr
+from jaxroll import control, design, stability
+from jaxroll.control import Sensed, UserController
+from jaxroll.design._limits import sampled
+from jaxroll.design._minimise import _restored
+from jaxroll.mechanics import AbstractController
+
+TIP, BALL = jxr.Circle(0.01), jxr.Sphere(0.01)
+FINGER = jxr.Finger([0.06, 0.06], [0.04, 0.04], TIP)
+CONTOUR = jxr.Catenary(0.01, (-0.01, 0.01))
+BODY = jxr.PivotedObject(CONTOUR, 1e-5)
+CHAIN = [(0, 0.06, 0), (0, 0.06, 0)]
+FINGER3 = jxr.Finger3([(1, 0, 0), (0, 0, 1)], CHAIN, [0.04, 0.04], BALL)
+BALL3 = jxr.FreeObject3(BALL, 0.05, 8e-6)
+OPPOSITION = {"beta": 20.0, "damping": 0.006, "alpha": 0.001, "start": (1.5, 1.7)}
+PLANE = jxr.Grasp(BODY, FINGER, jxr.Contact(), controller=control.Press(0.5, 0.01, 0.006, target=(0, 0.1)))
+PINCH = jxr.Grasp(
+    jxr.FreeObject([jxr.Line(), jxr.Line()], 0.02, 1e-5),
+    [FINGER, FINGER],
+    [jxr.Contact(finger=0), jxr.Contact(finger=1, contour=1, sense=-1)],
+    controller=control.Opposition(**OPPOSITION),
+    gravity=(0, -9.81),
+)
+SPACE = jxr.Grasp(
+    BALL3,
+    [FINGER3, FINGER3],
+    [jxr.Contact3(finger=i) for i in (0, 1)],
+    controller=control.Opposition(**OPPOSITION),
+)
+STATE = jxr.State([0.1, 1.0, 0.5], [0, 0, 0], [0])
+PINCHED = jxr.State(np.zeros(7), np.zeros(7), np.zeros(2))
+
+BAD = {
+    "text": "0.1",
+    "bytes": b"0.1",
+    "nothing": None,
+    "ragged": [1.0, [2.0]],
+    "complex": 1j,
+    "complex array": jnp.array([1j, 1j]),
+    "true": True,
+    "flags": [True, False],
+    "nan": np.nan,
+    "inf": np.inf,
+    "nan array": [np.nan, 1.0],
+    "wrong shape": np.ones((5, 7)),
+    "empty": [],
+    "object": object(),
+    "dict": {"a": 1.0},
+    "set": {1.0},
+    "texts": ["a", "b"],
+    "nones": (None, None),
+    "class": jxr.Circle,
+    "contour": TIP,
+    "surface": BALL,
+    "finger": FINGER,
+    "grasp": PLANE,
+    "state": STATE,
+    "module": np,
+    "function of nothing": lambda: 0.0,
+}
+ONE_NUMBER = {"number": 0.5}
+NOT_POSITIVE = {"zero": 0.0, "negative": -1e-3}
+
+
+def functions_of(count):
+    """A function of so many arguments, which nothing calls."""
+    return (lambda a: a, lambda a, b: a, lambda a, b, c: a, lambda a, b, c, d: (a,))[count - 1]
+
+
+# Of each class: a valid call, what may be given of the bad values, and what more must be refused.
+CLASSES = {
+    jxr.Finger: (
+        {"lengths": [0.1, 0.1], "masses": [0.1, 0.1], "tip": TIP, "base": (0, 0), "centres": (0, 0)}
+        | {"inertias": [1e-4, 1e-4]},
+        {"tip": {"contour"}, "centres": {"nothing"}, "inertias": {"nothing"}},
+        {
+            name: {"not positive": [0.1, -0.1], "zero": [0.0, 0.1]}
+            for name in ("lengths", "masses", "inertias")
+        },
+    ),
+    jxr.Finger3: (
+        {"axes": [(1, 0, 0), (0, 0, 1)], "offsets": CHAIN, "masses": [0.1, 0.1], "tip": BALL}
+        | {"base": (0, 0, 0), "rotation": (1, 0, 0, 0), "centres": CHAIN, "inertias": [np.eye(3), np.eye(3)]},
+        {"tip": {"surface"}, "centres": {"nothing"}, "inertias": {"nothing"}},
+        {
+            "axes": {"no length": [(1, 0, 0), (0, 0, 0)], "too long": [(1e200, 0, 0), (0, 0, 1)]},
+            "rotation": {"no length": (0, 0, 0, 0)},
+            "masses": {"zero": [0.1, 0.0]},
+            "inertias": {
+                "not symmetric": [np.eye(3), np.eye(3) + np.eye(3, k=1)],
+                "not definite": [np.eye(3), np.diag([1.0, 1.0, -1.0])],
+                "singular": [np.eye(3), np.zeros((3, 3))],
+            },
+        },
+    ),
+    jxr.Jaw: (
+        {"contour": TIP, "mass": 0.1, "directions": (0.0, 1.0), "base": (0, 0), "angle": 0.0},
+        {"contour": {"contour"}, "directions": {"empty"}},
+        {"mass": NOT_POSITIVE, "directions": {"three": (0, 1, 2), "parallel": (0.3, 0.3 + np.pi)}},
+    ),
+    jxr.Stage: (
+        {"surface": BALL, "motion": jxr.Turning(1.0), "base": (0, 0, 0), "rotation": (1, 0, 0, 0)},
+        {"surface": {"surface"}, "motion": {"nothing"}},
+        {"rotation": {"no length": (0, 0, 0, 0)}, "motion": {"of two": functions_of(2)}},
+    ),
+    jxr.Turning: (
+        {"rate": 1.0, "axis": (0, 0, 1), "centre": (0, 0, 0)},
+        {},
+        {"axis": {"no length": (0, 0, 0), "too long": (1e200, 0, 0)}},
+    ),
+    jxr.PivotedObject: (
+        {"contours": [CONTOUR, TIP], "inertia": 1e-5, "pivot": (0, 0), "mass": 0.1, "centre": (0, 0)},
+        {"contours": {"contour"}, "mass": {"nothing"}},
+        {"inertia": NOT_POSITIVE, "mass": NOT_POSITIVE, "contours": {"mixed": [TIP, BALL]}},
+    ),
+    jxr.FreeObject: (
+        {"contours": CONTOUR, "mass": 0.1, "inertia": 1e-5},
+        {"contours": {"contour"}},
+        {"inertia": NOT_POSITIVE, "mass": NOT_POSITIVE},
+    ),
+    jxr.FreeObject3: (
+        {"surfaces": BALL, "mass": 0.1, "inertia": (1.0, 2.0, 3.0), "outline": (1, 1, 1)},
+        {"surfaces": {"surface"}, "outline": {"nothing"}},
+        {
+            "mass": NOT_POSITIVE,
+            "inertia": NOT_POSITIVE | {"not symmetric": np.eye(3) + np.eye(3, k=1), "one": (1.0, -1.0, 1.0)},
+            "outline": {"negative": (1, -1, 1)},
+        },
+    ),
+    jxr.Grasp: (
+        {"object": BODY, "fingers": [FINGER], "contacts": [jxr.Contact()], "controller": PLANE.controller}
+        | {"gravity": (0, -9.81)},
+        {"fingers": {"finger"}, "controller": {"nothing"}, "gravity": {"nothing"}},
+        {
+            "object": {"of space": BALL3},
+            "fingers": {"of space": [FINGER3], "one of space": [FINGER, FINGER3]},
+            "contacts": {
+                "of space": [jxr.Contact3()],
+                "both": [jxr.Contact(), jxr.Contact3()],
+                "no such finger": [jxr.Contact(finger=1)],
+                "no such contour": [jxr.Contact(contour=1)],
+                "past the end": [jxr.Contact(s_object=0.02)],
+            },
+            "controller": {
+                "class": control.Press,
+                "of three": functions_of(3),
+                "of two fingers": control.Opposition(**OPPOSITION),
+                "of space": control.Press(1.0, 1.0, 1.0, target=(0, 0, 0)),
+                "number": 1.0,
+            },
+            "gravity": ONE_NUMBER | {"of space": (0, 0, -9.81)},
+        },
+    ),
+    jxr.State: (
+        {"q": [0, 1, 2], "v": np.zeros(3), "s": jnp.zeros(1)},
+        {name: {"nan array", "wrong shape", "empty"} for name in "qvs"},
+        {name: ONE_NUMBER for name in "qvs"},
+    ),
+    jxr.Contact: (
+        {"s_tip": 0.0, "s_object": 0.0, "finger": 0, "contour": 0, "sense": -1, "friction": 0.5},
+        {"friction": {"nothing"}},
+        {
+            "finger": {"fraction": 0.5, "float": 0.0, "negative": -1},
+            "contour": {"fraction": 0.5, "float": 0.0, "negative": -1},
+            "sense": {"zero": 0, "float": 1.0, "two": 2},
+            "friction": NOT_POSITIVE,
+        },
+    ),
+    jxr.Contact3: (
+        {"finger": 0, "surface": 0, "spin": "free", "line": False, "friction": 0.5},
+        {"friction": {"nothing"}, "line": {"true"}},
+        {
+            "finger": {"fraction": 0.5, "float": 0.0, "negative": -1},
+            "surface": {"fraction": 0.5, "float": 0.0, "negative": -1},
+            "line": {"one": 1},
+            "friction": NOT_POSITIVE,
+        },
+    ),
+    control.Passive: ({}, {}, {}),
+    control.Press: (
+        {"force": 0.5, "radius": 0.01, "damping": 0.006, "target": (0, 0.1)},
+        {},
+        {"radius": NOT_POSITIVE, "target": {"of one axis": (0.1,), "of four": (0, 0, 0, 0)}},
+    ),
+    control.Opposition: (
+        OPPOSITION,
+        {},
+        {
+            "start": {"one": (1.5,)},
+            "damping": {"three": (1, 2, 3)},
+            "alpha": {"three": (1, 2, 3)},
+        },
+    ),
+    design.Margin: ({}, {}, {}),
+    design.Limits: (
+        dict.fromkeys(("size", "length", "radius", "ahead", "flat", "steepness"), 0.01),
+        dict.fromkeys(("size", "length", "radius", "ahead", "flat", "steepness"), {"nothing"}),
+        dict.fromkeys(("size", "length", "radius", "ahead", "flat", "steepness"), NOT_POSITIVE),
+    ),
+    design.Firmness: (
+        {"make": functions_of(2), "cases": np.ones(3), "measure": "rate", "neutral": 1, "scale": 1.0},
+        {"cases": {"wrong shape"}, "neutral": {"nothing"}, "scale": {"nothing"}},
+        {
+            "make": {"of one": functions_of(1)},
+            "neutral": {"float": 1.0, "negative": -1},
+            "scale": NOT_POSITIVE,
+        },
+    ),
+    design.ClosedLoop: (
+        {"make": functions_of(2), "objective": {"overshoot": 1.0}, "cases": np.ones(3), "t1": 1.0, "ts": 11},
+        {"cases": {"wrong shape"}},
+        {
+            "make": {"of one": functions_of(1)},
+            "objective": {"of one": functions_of(1), "unknown": {"speed": 1.0}}
+            | {f"weight {name}": {"overshoot": BAD[name]} for name in ("text", "nothing", "nan", "complex")},
+            "t1": NOT_POSITIVE,
+            "ts": {"float": 11.0, "one": 1},
+        },
+    ),
+}
+# Classes that the package makes and hands back, and what callers subclass.
+MADE = {
+    *("Tip", "Sensed", "UserController", "Touch", "Touch3", "Motion"),
+    *("Location", "LocalMinima", "SurfaceLocation", "SurfaceMinima"),
+    *("Equilibrium", "PinchStatics", "Stability", "VERDICTS", "Design"),
+}
+HOMES = ("jaxroll.mechanics", "jaxroll.control", "jaxroll.contact", "jaxroll.stability", "jaxroll.design")
+
+
+def public(kind):
+    """Public classes or functions of these modules, by name."""
+    spaces = (jxr, jxr.control, jxr.contact, jxr.stability, jxr.design)
+    names = [(space, name) for space in spaces for name in getattr(space, "__all__", vars(space))]
+    given = {name: getattr(space, name) for space, name in names if not name.startswith("_")}
+    mine = {
+        name: thing for name, thing in given.items() if getattr(thing, "__module__", "").startswith(HOMES)
+    }
+    return {name: thing for name, thing in mine.items() if kind(thing)}
+
+
+def test_every_public_class_is_in_the_table():
+    classes = public(inspect.isclass)
+    abstract = {name for name in classes if name.startswith("Abstract")}
+    assert set(classes) - abstract - MADE == {cls.__name__ for cls in CLASSES}
+
+
+def refusal(call):
+    """The sentence that refuses a call; None if it goes through."""
+    try:
+        call()
+    except ValueError as error:
+        return str(error)
+    return None
+
+
+# Where arguments do not fit each other, the sentence may name the other one.
+FIT = {
+    "object": "contacts",
+    "fingers": "contacts",
+    "cases": "argument make",
+    "controller": "of two fingers or more, but|as the grasp's",
+}
+
+
+def check_sentence(sentence, name):
+    assert sentence is not None and sentence.startswith("argument "), sentence
+    assert re.search(f"{name}|{FIT.get(name, name)}" if name.isidentifier() else re.escape(name), sentence)
+    assert "\n" not in sentence and len(sentence) <= 300 and "Tracer" not in sentence, sentence
+
+
+def bad_values(own, name, more):
+    """Names and values that an argument must refuse."""
+    allowed = own.get(name, set())
+    return {key: BAD[key] for key in BAD if key not in allowed} | more.get(name, {})
+
+
+@pytest.mark.parametrize("cls", CLASSES, ids=lambda cls: cls.__name__)
+def test_constructors_refuse_in_one_sentence(cls):
+    valid, own, more = CLASSES[cls]
+    given = set(inspect.signature(cls).parameters) - {"options"}
+    assert given == set(valid), "an argument is missing from the table"
+    cls(**valid)
+    for name in valid:
+        for key in own.get(name, ()):
+            cls(**valid | {name: BAD[key]})
+        for key, value in bad_values(own, name, more).items():
+            sentence = refusal(lambda: cls(**valid | {name: value}))  # noqa: B023
+            assert sentence is not None, f"{cls.__name__}({name}={key}) went through"
+            check_sentence(sentence, name)
+
+
+def test_unknown_options_are_refused():
+    sentence = refusal(lambda: design.ClosedLoop(functions_of(1), {"overshoot": 1.0}, tol=1))
+    check_sentence(sentence, "options")
+
+
+# --- changed copies
+
+
+def owners(grasp):
+    return [grasp, grasp.controller, grasp.object]
+
+
+def fields(owner):
+    """Arguments of a constructor that are fields, and so can be changed."""
+    return [name for name in CLASSES[type(owner)][0] if name in type(owner).__dataclass_fields__]
+
+
+@pytest.mark.parametrize("grasp", [PLANE, PINCH, SPACE], ids=("plane", "pinch", "space"))
+def test_with_refuses_what_the_constructor_refuses(grasp):
+    for owner in owners(grasp):
+        _, own, more = CLASSES[type(owner)]
+        whole = {name: getattr(owner, name) for name in fields(owner)}
+        more = {} if owner is grasp and grasp is not PLANE else more
+        for name in whole:
+            for key, value in bad_values(own, name, more).items():
+                wanted = refusal(functools.partial(type(owner), **whole | {name: value}))
+                found = refusal(functools.partial(grasp.with_, **{name: value}))
+                assert found is not None and wanted is not None, (name, key, found, wanted)
+                check_sentence(found, name)
+                assert found == wanted or "shape" in found, (found, wanted)
+
+
+def test_with_takes_what_the_constructor_takes():
+    assert PINCH.with_(damping=0.01).controller.damping.tolist() == [0.01, 0.01]
+    assert PINCH.with_(gravity=None).gravity is None
+    assert PLANE.with_(gravity=(0, -9.81)).gravity.dtype == jnp.float64
+    assert PLANE.with_(controller=None).controller is None
+    assert PLANE.with_(weight_moment=(0, 1)).object.weight_moment.tolist() == [0.0, 1.0]
+    assert SPACE.with_(inertia=2.0).object.inertia.tolist() == (2.0 * np.eye(3)).tolist()
+    assert SPACE.with_(surfaces=BALL).object.surfaces == (BALL,)
+    assert PLANE.with_(fingers=FINGER, contacts=jxr.Contact(0.001)).fingers == (FINGER,)
+    assert PLANE.with_(force=-0.5).controller.stiffness == -50.0  # a push away is a force
+
+
+@pytest.mark.parametrize("index", [-1, 1, 0.0, True, None, "0", [0], 10**9])
+def test_with_tip_refuses_a_finger_that_is_not_there(index):
+    check_sentence(refusal(lambda: PLANE.with_tip(index, TIP)), "finger")
+
+
+@pytest.mark.parametrize("key", [key for key in BAD if key != "contour"])
+def test_with_tip_refuses_what_is_no_contour(key):
+    check_sentence(refusal(lambda: PLANE.with_tip(0, BAD[key])), "tip")
+
+
+def test_contacts_are_looked_at_again():
+    """A start that was on the old contour, and is past the end of the new one."""
+    short = jxr.Catenary(0.01, (0.002, 0.01))
+    for name, change in {
+        "contacts[0].s_tip": lambda: PLANE.with_tip(0, short),
+        "contacts[0].s_object": lambda: PLANE.with_(contours=short),
+        "contacts[0].finger": lambda: PINCH.with_contacts(jxr.Contact(finger=2)),
+        "contacts[1].contour": lambda: PINCH.with_(contours=(CONTOUR,)),
+        "start": lambda: PINCH.with_(fingers=(FINGER, FINGER, FINGER)),
+        "tip": lambda: PLANE.with_tip(0, BALL),
+        "contacts": lambda: PLANE.with_contacts(),
+    }.items():
+        check_sentence(refusal(change), name)
+    moved = PLANE.with_(contours=short, contacts=jxr.Contact(0.0, 0.003))
+    assert float(moved.contacts[0].s_object) == 0.003
+
+
+class Own(eqx.Module):
+    """A caller's own controller, with checks of its own."""
+
+    gain: jax.Array
+
+    def __check_init__(self):
+        if not isinstance(self.gain, jax.core.Tracer) and self.gain < 0:
+            raise ValueError("argument gain must not be negative")
+
+    def __call__(self, t, angles, rates, tips):
+        return (-self.gain * rates[0],)
+
+
+def test_with_runs_a_callers_own_checks():
+    grasp = PLANE.with_(controller=Own(jnp.array(1.0)))
+    assert grasp.with_(gain=2.0).controller.gain == 2.0
+    check_sentence(refusal(lambda: grasp.with_(gain=-1.0)), "gain")
+    check_sentence(refusal(lambda: grasp.with_(gain=[1.0, 2.0])), "gain")
+
+
+def test_nothing_is_checked_while_jax_traces():
+    """Values that no constructor takes pass as tracers, by every transformation; shapes are seen."""
+    radius = lambda x: PLANE.with_(radius=x, inertia=x).controller.radius ** 2  # noqa: E731
+    assert jax.grad(radius)(-3.0) == -6.0
+    assert jax.vmap(radius)(jnp.array([-1.0, 2.0])).tolist() == [1.0, 4.0]
+    assert jax.jvp(radius, (-3.0,), (1.0,))[1] == -6.0
+    tip = lambda r: PLANE.with_tip(0, jxr.Circle(r)).fingers[0].tip.radius  # noqa: E731
+    assert jax.eval_shape(tip, jax.ShapeDtypeStruct((), float)).shape == ()
+    contact = lambda s: PLANE.with_contacts(jxr.Contact(s_object=s)).contacts[0].s_object  # noqa: E731
+    assert jax.vmap(contact)(jnp.array([0.0, 9.0])).tolist() == [0.0, 9.0]
+    with pytest.raises(ValueError, match="argument radius must have shape"):
+        jax.eval_shape(radius, jax.ShapeDtypeStruct((2,), float))
+
+
+def test_a_leaf_with_a_batch_axis_does_not_hinder_other_changes():
+    batched = eqx.tree_at(lambda g: g.controller.damping, PLANE, jnp.ones(3))
+    assert batched.with_(force=1.0, inertia=1.0).controller.damping.shape == (3,)
+    assert batched.with_(damping=(1, 2, 3)).controller.damping.tolist() == [1.0, 2.0, 3.0]
+
+
+# --- states
+
+
+def test_states_become_floating_arrays_of_one_precision():
+    state = jxr.State([0, 1, 2], np.zeros(3, np.float32), jnp.zeros(1, int))
+    assert [x.dtype for x in (state.q, state.v, state.s)] == [jnp.float64] * 3
+    q = jnp.zeros(3)
+    assert jxr.State(q, q, q).q is q
+    lost = jax.tree.map(lambda x: None, state)
+    assert (lost.q, lost.v, lost.s) == (None, None, None)
+    traced = jax.eval_shape(lambda q: jxr.State(q, q, q), jax.ShapeDtypeStruct((3,), jnp.float32))
+    assert traced.q.dtype == jnp.float32
+
+
+GIVEN_STATES = {
+    "residuals": lambda state: jxr.residuals(PLANE, state),
+    "multipliers": lambda state: jxr.multipliers(PLANE, 0.0, state),
+    "energies": lambda state: jxr.energies(PLANE, states=state),
+    "equation_terms": lambda state: jxr.equation_terms(PLANE, state),
+    "press_balance": lambda state: jxr.press_balance(PLANE, 0.0, state),
+    "equilibrium": lambda state: stability.equilibrium(PLANE, state),
+    "assess": lambda state: stability.assess(PLANE, state),
+    "orientations": lambda state: control.orientations(PLANE, state),
+    "pinch_rest": lambda state: stability.pinch_rest(PINCH, STATE if state is PINCHED else state),
+    "pinch_balance": lambda state: jxr.pinch_balance(PINCH, 0.0, STATE if state is PINCHED else state),
+}
+FOREIGN = {
+    "of another grasp": PINCHED,
+    "mixed axes": jxr.State(np.zeros((2, 3)), np.zeros(3), np.zeros(1)),
+    "too few contacts": jxr.State(np.zeros(3), np.zeros(3), np.zeros(0)),
+    "array": np.zeros(3),
+    "nothing": None,
+    "tuple": (1, 2, 3),
+    "class": jxr.State,
+}
+
+
+@pytest.mark.parametrize("name", GIVEN_STATES)
+def test_states_of_another_grasp_are_refused(name):
+    for state in FOREIGN.values():
+        check_sentence(refusal(lambda: GIVEN_STATES[name](state)), "state")  # noqa: B023
+
+
+# --- functions
+
+
+def run_of(shape=()):
+    """A run that nobody made: shapes are all that a check sees."""
+    states = jxr.State(np.zeros((*shape, 4, 3)), np.zeros((*shape, 4, 3)), np.zeros((*shape, 4, 1)))
+    nothing = dict.fromkeys(jxr.Trajectory.__dataclass_fields__)
+    run = object.__new__(jxr.Trajectory)
+    for name, value in (nothing | {"ts": jnp.zeros((*shape, 4)), "states": states}).items():
+        object.__setattr__(run, name, value)
+    return run
+
+
+GRASP, AT = {"array": np.zeros(3)}, {"array": np.zeros(3), "of another": PINCHED}
+PAIR = {"three": (1, 2, 3), "number": 1.0}
+RUN = {"batch": run_of((2,))}
+# Of each function: a call, which nothing is made of, values that mean something, and what more is refused.
+FUNCTIONS = {
+    jxr.equation_terms: ({"grasp": PLANE, "state": STATE}, {}, {"grasp": GRASP, "state": AT}),
+    control.orientations: ({"grasp": PLANE, "state": STATE}, {}, {"grasp": GRASP, "state": AT}),
+    stability.equilibrium: ({"grasp": PLANE, "state": STATE, "t": 0.0}, {}, {"grasp": GRASP, "state": AT}),
+    stability.assess: (
+        {"grasp": PLANE, "state": STATE, "t": 0.0, "tolerance": 1e-7},
+        {},
+        {"grasp": GRASP, "state": AT, "tolerance": {"negative": -1.0, "large": 2.0}},
+    ),
+    stability.pinch_statics: ({"grasp": PINCH, "s": (0, 0)}, {}, {"grasp": GRASP, "s": PAIR}),
+    stability.rectangle_hessian: (
+        {"grasp": PINCH, "s": (0, 0)},
+        {},
+        {"grasp": GRASP, "s": PAIR | {"many": np.zeros((3, 2))}},
+    ),
+    stability.pinch_rest: (
+        {"grasp": PINCH, "state": PINCHED, "damping": 0.0},
+        {},
+        {"grasp": GRASP, "damping": {"negative": -0.1, "large": 1.5, "two": (0.1, 0.1)}},
+    ),
+    stability.margin: (
+        {"contour": TIP, "s": 0.0},
+        {"contour": {"contour"}, "s": {"wrong shape", "empty"}},
+        {"s": {"inf": [0.0, np.inf]}},
+    ),
+    design.value_and_grad: (
+        {"function": functions_of(1), "mode": "auto", "has_aux": False},
+        {"has_aux": {"true"}},
+        {"function": {"of two": functions_of(2)}, "has_aux": {"one": 1}},
+    ),
+    design.settling_time: (
+        {"run": run_of(), "band": 0.02, "signal": np.zeros((4, 1))},
+        {"signal": {"nothing"}},
+        {"run": RUN, "band": NOT_POSITIVE, "signal": {"too long": np.zeros(5)}},
+    ),
+    design.overshoot: (
+        {"run": run_of(), "signal": np.zeros((4, 1))},
+        {"signal": {"nothing"}},
+        {"run": RUN, "signal": {"too long": np.zeros(5)}},
+    ),
+    design.tracking_error: (
+        {"run": run_of(), "signal": np.zeros((4, 1))},
+        {"signal": {"nothing"}},
+        {"run": RUN, "signal": {"too long": np.zeros(5)}},
+    ),
+    design.peak_force: ({"run": run_of()}, {}, {"run": RUN | {"without forces": run_of()}}),
+    design.friction_demand: ({"run": run_of()}, {}, {"run": RUN | {"without forces": run_of()}}),
+    design.optimise_fingertip: (
+        {"tip": TIP, "interval": (-0.01, 0.01), "goal": design.Margin(), "limits": design.Limits()}
+        | {"steps": 10, "symmetric": False, "progress": False, "starts": 1, "seed": 0, "optimiser": None}
+        | {"mode": "auto", "checkpoint": None},
+        {"tip": {"contour"}, "goal": {"nothing"}, "limits": {"nothing"}, "symmetric": {"true"}}
+        | {"progress": {"true"}, "optimiser": {"nothing"}, "checkpoint": {"nothing", "text"}},
+        {
+            "tip": {"endless": jxr.Line(), "mixed": [TIP, BALL], "two kinds": [TIP, CONTOUR]},
+            "interval": {"falling": (0.01, -0.01)},
+            "goal": {"class": design.Margin},
+            "limits": {"class": design.Limits},
+            "steps": {"zero": 0, "float": 10.0},
+            "progress": {"one": 1, "of one": functions_of(1)},
+            "starts": {"zero": 0, "float": 2.0},
+            "seed": {"negative": -1, "float": 1.0},
+            "mode": {"other": "sideways"},
+            "checkpoint": {"folder": "/", "nowhere": "/no/such/folder/file"},
+        },
+    ),
+}
+# Formulas on frames, poses and twists that are for the package's own programs, and checks.
+INNER = {
+    *("clearance", "gap", "gap_bias", "gap_rate", "pfaffian", "rolling_rate", "tangency", "tangency3"),
+    *("check_unit_speed", "sense", "joint_angles", "as_controller", "as_drive", "check_states", "split"),
+}
+# Searches for the closest points of two shapes have tests of their own.
+SEARCHES = {"locate", "locate_surfaces"}
+
+
+def test_every_public_function_is_in_the_table():
+    given = public(lambda thing: inspect.isfunction(thing) and not inspect.isclass(thing))
+    assert set(given) - INNER - SEARCHES == {function.__name__ for function in FUNCTIONS}
+
+
+@pytest.mark.parametrize("function", FUNCTIONS, ids=lambda function: function.__name__)
+def test_functions_refuse_in_one_sentence(function):
+    valid, own, more = FUNCTIONS[function]
+    named = set(inspect.signature(function).parameters) - {"options"}
+    assert named <= set(valid), "an argument is missing from the table"
+    for name in valid:
+        right = {"grasp": {"grasp"}, "state": {"state"}}.get(name, set())
+        for key, value in bad_values({name: own.get(name, set()) | right}, name, more).items():
+            sentence = refusal(functools.partial(function, **valid | {name: value}))
+            assert sentence is not None, f"{function.__name__}({name}={key}) went through"
+            check_sentence(sentence, name)
+
+
+def test_a_checkpoint_of_other_bytes_is_refused(tmp_path):
+    path = tmp_path / "search.npy"
+    for content in (b"", b"not a search", bytes(1000)):
+        path.write_bytes(content)
+        check_sentence(refusal(lambda: _restored(path, jnp.zeros(3))), "checkpoint")
+
+
+def test_a_contour_of_one_curvature_has_as_many_samples_as_any():
+    seen = jax.eval_shape(lambda ends: sampled(TIP, ends), jnp.zeros(2))
+    assert seen.whole.curvature.shape == seen.whole.point.x.shape and seen.pad.curvature.ndim == 1
+
+
+# --- what callers' functions return
+
+
+SENSED = [Sensed((jnp.zeros(()), jnp.zeros(())), (jnp.zeros(()),) * 2, None, ())]
+RETURNED = {
+    "nothing": None,
+    "one array": jnp.zeros(2),
+    "too many": (jnp.zeros(2), jnp.zeros(2)),
+    "wrong shape": (jnp.zeros(3),),
+    "complex": (jnp.zeros(2) * 1j,),
+    "flags": (jnp.zeros(2) > 0,),
+    "texts": (["a", "b"],),
+    "none": (None,),
+    "ragged": ([1.0, [2.0]],),
+    "dict": {"torque": jnp.zeros(2)},
+}
+
+
+@pytest.fixture
+def blind(monkeypatch):
+    """Controllers that are told no tips: what they return is what counts."""
+    monkeypatch.setattr(control, "_tip", lambda finger: None)
+
+
+@pytest.mark.parametrize("key", RETURNED)
+def test_controllers_that_return_something_else_are_refused(blind, key):
+    user = UserController(lambda t, angles, rates, tips: RETURNED[key])
+    check_sentence(refusal(lambda: user.torques(jnp.zeros(()), SENSED)), "controller")
+
+
+def test_controllers_may_return_lists_and_whole_numbers(blind):
+    user = UserController(lambda t, angles, rates, tips: [[1, 2]])
+    (torques,) = user.torques(jnp.zeros(()), SENSED)
+    assert [float(x) for x in torques] == [1.0, 2.0] and torques[0].dtype == jnp.float64
+
+
+UNIT = (1.0, 0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [None, 1.0, (1, 2, 3), ((0, 0), UNIT), ((0, 0, 0), (0, 0, 0)), ("abc", UNIT), ((1j, 0, 0), UNIT)]
+    + [(None, UNIT), (0.0, UNIT), (jnp.zeros((3, 1)), UNIT), ((0, 0, jnp.zeros(2)), UNIT)],
+)
+def test_motions_that_return_something_else_are_refused(given):
+    stage = jxr.Stage(jxr.Plane(), lambda t: given)
+    check_sentence(refusal(lambda: stage.pose((jnp.zeros(()),))), "motion")
+
+
+def test_functions_without_one_number_have_no_gradient():
+    for function in (lambda x: x, lambda x: None, lambda x: "a", lambda x: x[0] * 1j):
+        for mode in ("forward", "reverse"):
+            both = design.value_and_grad(function, mode)
+            check_sentence(refusal(lambda: both(jnp.ones(2))), "function")  # noqa: B023
+    check_sentence(refusal(lambda: design.value_and_grad(jnp.sum, has_aux=True)(jnp.ones(2))), "function")
+    check_sentence(refusal(lambda: design.value_and_grad(jnp.sum)("abc")), "x")
+
+
+def test_goals_refuse_a_make_that_makes_no_grasp():
+    for given in (None, PLANE, (PLANE,), (PLANE, None), (STATE, PLANE), (PLANE, STATE, 1)):
+        goal = design.Firmness(lambda tip: given)  # noqa: B023
+        check_sentence(refusal(lambda: goal.values(TIP)), "make")  # noqa: B023
+
+
+def test_built_in_controllers_say_which_grasps_they_drive():
+    class Silent(AbstractController):
+        def torques(self, t, fingers):
+            return ()
+
+        def potential(self, tips, angles):
+            return 0.0
+
+    assert PLANE.with_(controller=Silent()).controller == Silent()

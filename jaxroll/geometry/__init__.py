@@ -2,7 +2,8 @@
 
 `_contour` holds the contract and the frame by automatic differentiation, `_analytic` the curves
 with closed forms, `_arclength` the arclength of curves that are not given by it, `_table` what a run
-reads of any other field, `_spline` contours through points, `_penalty` how much to smooth them; `_points`,
+reads of any other field, `_contract` the check of a caller's own, `_spline` contours through points, `_penalty`
+how much to smooth them; `_points`,
 `_ordering` and `_crossings` check raw points, `_fit` makes a contour of them, and a report. `_support` has
 convex contours by their support function, `_neural` and `_neural_curvature` those of a small network
 (`_network`), fitted to points by `_descent`.
@@ -22,6 +23,11 @@ from ._contour import (
     Frenet2 as Frenet2,
     Moved as Moved,
     tabled as tabled,
+)
+from ._contract import (
+    check_contour as check_contour,
+    check_shape as check_shape,
+    check_surface as check_surface,
 )
 from ._crossings import crossings as crossings
 from ._fit import Fit as Fit, fit_contour as fit_contour, FitReport as FitReport

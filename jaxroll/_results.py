@@ -16,6 +16,8 @@ import numpy as np
 
 # Longest quotation of a bad argument in an error's sentence.
 _QUOTED = 80
+# Lengths [m] that a shape may have.
+_LENGTHS = (1e-12, 1e9)
 # Arrays with more numbers than this are quoted by their shape.
 _FEW = 12
 
@@ -189,6 +191,13 @@ def check_positive(name: str, value: jax.Array) -> jax.Array:
     if seen is not None and not np.all(seen > 0):
         raise ValueError(f"argument {name} must be positive, but was {shown(seen)}")
     return value
+
+
+def as_length(name: str, value: Any) -> jax.Array:
+    """Convert an argument to a length [m] of a shape; beyond these bounds its square would lose digits."""
+    length = check_positive(name, as_floats(name, value, ()))
+    check_between(name, length, *_LENGTHS, unit=" m")
+    return length
 
 
 def check_between(name: str, value: Any, low: Any, high: Any, *, unit: str = "") -> None:

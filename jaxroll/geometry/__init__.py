@@ -2,11 +2,10 @@
 
 `_contour` holds the contract and the frame by automatic differentiation, `_analytic` the curves
 with closed forms, `_arclength` the arclength of curves that are not given by it, `_table` what a run
-reads of any other field, `_contract` the check of a caller's own, `_spline` contours through points, `_penalty`
-how much to smooth them; `_points`,
-`_ordering` and `_crossings` check raw points, `_fit` makes a contour of them, and a report. `_support` has
-convex contours by their support function, `_neural` and `_neural_curvature` those of a small network
-(`_network`), fitted to points by `_descent`.
+reads of any other field, `_contract` the check of a caller's own, `_spline` contours through points,
+`_penalty` how much to smooth them; `_points`, `_ordering` and `_crossings` check raw points, `_fit` makes a
+contour of them, and a report. `_support` has convex contours by their support function, `_neural` and
+`_neural_curvature` those of a small network (`_network`), fitted to points by `_descent`.
 
 Of surfaces, `_surface` holds the contract and `_gauss` the frame; `_surface_implicit` and `_surface_chart`
 the two ways to give one, by a field of space or by two parameters; `_surface_analytic` closed forms,

@@ -20,6 +20,7 @@ from ._contour import AbstractContour, Frenet2, tabled
 Jet = Callable[[Any, Array, Array], tuple[Vec2, Vec2, Vec2]]
 # By how much the speed of a table may differ from one; a run that reads it errs by about that much.
 _UNEVEN = 1e-3
+FEWEST_CELLS = 8
 _BETWEEN = np.array([0.25, 0.5, 0.75])
 
 
@@ -202,13 +203,22 @@ def _(contour: AbstractTabulated) -> AbstractTabulated:
 @remembered
 def _prepared(contour: AbstractTabulated) -> AbstractTabulated:
     ready = contour.prepared()
-    length = concrete(ready.read().length)
-    if length is not None and not np.isfinite(length):
-        raise ValueError(
-            f"argument cells must be more than {contour.cells} for a contour that bends so sharply (or folds), "
-            f"since the speed along the table of this {type(contour).__name__} is over {_UNEVEN:g} off one"
-        )
+    _check_table(contour, ready.read())
     return ready
+
+
+def _check_table(contour: AbstractTabulated, table: Table) -> None:
+    """Raise if a concrete table does not give its contour."""
+    length, coefficients = concrete(table.length), concrete(table.coefficients)
+    if length is None or coefficients is None or np.isfinite(length):
+        return
+    kind = type(contour).__name__
+    if not np.all(np.isfinite(coefficients)):
+        raise ValueError(f"argument contour must have finite points, but the table of this {kind} was not")
+    raise ValueError(
+        f"argument cells must be more than {contour.cells} for a contour that bends so sharply (or folds), "
+        f"since the speed along the table of this {kind} is more than {_UNEVEN:g} off one"
+    )
 
 
 @eqx.filter_jit

@@ -19,6 +19,8 @@ from ._printing import named
 
 # Longest quotation of a bad argument in an error's sentence.
 _QUOTED = 80
+# Lengths [m] that a shape may have.
+_LENGTHS = (1e-12, 1e9)
 # Arrays with more numbers than this are quoted by their shape.
 _FEW = 12
 
@@ -252,6 +254,13 @@ def check_direction(name: str, vectors: jax.Array) -> jax.Array:
     if not np.all((lengths > 0) & np.isfinite(lengths)):
         raise ValueError(f"argument {name} must not be zero, but was {shown(seen)}")
     return vectors
+
+
+def as_length(name: str, value: Any) -> jax.Array:
+    """Convert an argument to a length [m] of a shape; beyond these bounds its square would lose digits."""
+    length = check_positive(name, as_floats(name, value, ()))
+    check_between(name, length, *_LENGTHS, unit=" m")
+    return length
 
 
 def check_between(name: str, value: Any, low: Any, high: Any, *, unit: str = "") -> None:

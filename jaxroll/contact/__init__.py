@@ -17,7 +17,6 @@ from ._gap import (
 from ._location import locate as locate
 from ._location3 import locate_surfaces as locate_surfaces
 from ._rolling import (
-    check_unit_speed as check_unit_speed,
     Contact as Contact,
     rolling_rate as rolling_rate,
     tangency as tangency,

@@ -88,6 +88,10 @@ class AbstractContact(eqx.Module):
         """Raise unless it fits these shapes; `name` is the contact's for the message."""
 
     @abc.abstractmethod
+    def check_shapes(self, name: str, shapes: Shapes) -> None:
+        """Raise unless a caller's own shapes keep the contract of a contour or surface."""
+
+    @abc.abstractmethod
     def form(self, shapes: Shapes) -> Any:
         """A place of the right structure."""
 

@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Array
 
 from .._algebra import Pose2, sincos, unstack, Vec2
-from .._results import as_floats, RESULTS
+from .._results import as_floats, check_instance, RESULTS, shown
 from .._types import Given, Scalar
-from ..geometry import AbstractContour, Frenet2, tabled
+from ..geometry import AbstractContour, check_contour, Frenet2, tabled
 from ._candidates import feet, into, lowest, Minima, minima, nearest_blocked, spread, toward
 from ._closest import LocalMinima, Location
 
@@ -106,17 +106,22 @@ def locate(
         >>> f"{found.gap:.3f} m"
         '0.020 m'
     """
-    for name, contour in (("a", a), ("b", b)):
-        if not isinstance(contour, AbstractContour):
-            raise ValueError(f"argument {name} must be a contour, but was {contour!r}")
-        if contour.domain() is None:
-            kind = type(contour).__name__
-            raise ValueError(f"argument {name} must have ends or be closed, but was an endless {kind}")
+    a, b = (_with_ends(name, contour) for name, contour in (("a", a), ("b", b)))
     for name, count, low in (("samples", samples, 8), ("candidates", candidates, 1)):
-        if not isinstance(count, int) or count < low:
-            raise ValueError(f"argument {name} must be an integer of at least {low}, but was {count!r}")
+        if not isinstance(count, int) or isinstance(count, bool) or count < low:
+            raise ValueError(f"argument {name} must be an integer of at least {low}, but was {shown(count)}")
     poses = (as_floats("pose_a", pose_a, (3,)), as_floats("pose_b", pose_b, (3,)))
-    return _locate(tabled(a), tabled(b), poses, samples, candidates)
+    return _locate(a, b, poses, samples, candidates)
+
+
+def _with_ends(name: str, contour: AbstractContour) -> AbstractContour:
+    """A contour with its table, or the sentence that says why it cannot be located on."""
+    contour = tabled(check_instance(name, contour, AbstractContour, "a contour"))
+    if contour.domain() is None:
+        kind = type(contour).__name__
+        raise ValueError(f"argument {name} must have ends or be closed, but was an endless {kind}")
+    check_contour(name, contour)
+    return contour
 
 
 @eqx.filter_jit

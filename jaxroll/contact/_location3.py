@@ -8,10 +8,10 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from .._algebra import unstack
-from .._results import as_floats, concrete, RESULTS
+from .._results import as_floats, check_instance, concrete, RESULTS, shown
 from .._spatial import normalised, pose as posed, Pose3, Vec3
 from .._types import Given, Scalar
-from ..geometry import AbstractSurface, tabled
+from ..geometry import AbstractSurface, check_surface, tabled
 from ._candidates import lowest
 from ._closest import SurfaceLocation, SurfaceMinima
 from ._pair3 import constant, Form, linear, moved, Places, Plane2, polished, Scene3
@@ -97,11 +97,10 @@ def locate_surfaces(
         '0.020 m'
     """
     for name, surface in (("a", a), ("b", b)):
-        if not isinstance(surface, AbstractSurface):
-            raise ValueError(f"argument {name} must be a surface, but was {surface!r}")
+        check_surface(name, check_instance(name, surface, AbstractSurface, "a surface"))
     for name, count, low in (("samples", samples, 16), ("candidates", candidates, 1)):
-        if not isinstance(count, int) or count < low:
-            raise ValueError(f"argument {name} must be an integer of at least {low}, but was {count!r}")
+        if not isinstance(count, int) or isinstance(count, bool) or count < low:
+            raise ValueError(f"argument {name} must be an integer of at least {low}, but was {shown(count)}")
     poses = (_checked("pose_a", pose_a), _checked("pose_b", pose_b))
     return _locate(tabled(a), tabled(b), poses, samples, candidates)
 

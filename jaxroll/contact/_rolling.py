@@ -15,10 +15,10 @@ from jaxtyping import Array, Float
 
 from .._algebra import Pose2, Vec2
 from .._fields import real, taken, through
-from .._results import check_between, check_positive, shown, traced
+from .._results import check_between, check_positive, shown
 from .._sharing import once
 from .._types import Given, Scalar, Scalars
-from ..geometry import AbstractContour, frenet, Frenet2
+from ..geometry import AbstractContour, check_contour, Frenet2
 from ._contact import AbstractContact, arms_of, as_index, Motion, row_wise, Rows
 from ._gap import gap, gap_bias, gap_rate, pfaffian
 
@@ -106,11 +106,21 @@ class Contact(AbstractContact):
         return 1
 
     def check(self, name: str, shapes: Contours) -> None:
-        places = (("s_tip", self.s_tip), ("s_object", self.s_object))
-        for shape, (kind, s) in zip(shapes, places, strict=True):
+        for shape in shapes:
             if not isinstance(shape, AbstractContour):
                 raise ValueError(f"argument {name} must be between contours, but one was {shown(shape)}")
-            _check_start(f"{name}.{kind}", s, shape)
+        self.check_shapes(name, shapes)
+        for shape, (kind, s) in zip(shapes, self._starts(), strict=True):
+            domain = None if shape.closed else shape.domain()
+            if domain is not None:
+                check_between(f"{name}.{kind}", s, *domain, unit=" m")
+
+    def check_shapes(self, name: str, shapes: Contours) -> None:
+        for shape, (kind, s) in zip(shapes, self._starts(), strict=True):
+            check_contour(f"{name}.{kind}", shape, start=s)
+
+    def _starts(self) -> tuple[tuple[str, Array], ...]:
+        return ("s_tip", self.s_tip), ("s_object", self.s_object)
 
     def form(self, shapes: Contours) -> Scalar:
         return 0.0
@@ -203,26 +213,3 @@ def tangency(tip: Pose2, object_: Pose2, touch: Touch) -> Scalar:
 def rolling_rate(touch: Touch, tip_spin: Scalar, object_spin: Scalar) -> Scalar:
     r"""Rolling rate (7), (68): $(\kappa_A + \kappa_B)\,\dot\sigma = \dot\varphi_B - \dot\varphi_A$."""
     return (object_spin - tip_spin) / (touch.tip.curvature + touch.object.curvature)
-
-
-def _check_start(name: str, s: Array, contour: AbstractContour) -> None:
-    if not type(contour).__module__.startswith("jaxroll."):
-        check_unit_speed(name, s, contour)
-    if contour.closed:
-        return
-    domain = contour.domain()
-    if domain is not None:
-        check_between(name, s, *domain, unit=" m")
-
-
-def check_unit_speed(name: str, s: Array, contour: AbstractContour) -> None:
-    """Raise if a caller's own contour does not advance by its arclength where the contact starts."""
-    if traced((s, contour)):
-        return
-    tangent = frenet(contour.prepared().curve, s).tangent
-    speed = float(jnp.hypot(tangent.x, tangent.y))
-    if not abs(speed - 1.0) <= 1e-9:
-        raise ValueError(
-            f"argument {name} must lie on a contour given by arclength (unit speed), "
-            f"but the speed of {type(contour).__name__} there was {speed:g}"
-        )

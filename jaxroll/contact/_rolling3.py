@@ -18,7 +18,7 @@ from .._results import check_flag, check_positive, shown
 from .._sharing import once
 from .._spatial import Pose3, square, Sym3, tangents, Twist3, Vec3
 from .._types import Given, Scalar, Scalars
-from ..geometry import AbstractSurface, Gauss3
+from ..geometry import AbstractSurface, check_surface, Gauss3
 from ._contact import AbstractContact, arms_of, as_index, Motion, row_wise, Rows
 from ._gap import gap, gap_bias, gap_rate, pfaffian
 
@@ -135,6 +135,11 @@ class Contact3(AbstractContact):
         for shape in shapes:
             if not isinstance(shape, AbstractSurface):
                 raise ValueError(f"argument {name} must be between surfaces, but one was {shown(shape)}")
+        self.check_shapes(name, shapes)
+
+    def check_shapes(self, name: str, shapes: Surfaces) -> None:
+        for kind, shape in zip(("tip", "object"), shapes, strict=True):
+            check_surface(f"{name}'s surface of the {kind}", shape)
 
     def form(self, shapes: Surfaces) -> Place:
         tip, face = shapes

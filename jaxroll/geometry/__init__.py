@@ -2,10 +2,10 @@
 
 `_contour` holds the contract and the frame by automatic differentiation, `_analytic` the curves
 with closed forms, `_arclength` the arclength of curves that are not given by it, `_table` what a run
-reads of any other field, `_spline` contours through points, `_penalty` how much to smooth them; `_points`,
-`_ordering` and `_crossings` check raw points, `_fit` makes a contour of them, and a report. `_support` has
-convex contours by their support function, `_neural` and `_neural_curvature` those of a small network
-(`_network`), fitted to points by `_descent`.
+reads of any other field, `_contract` the check of a caller's own, `_spline` contours through points,
+`_penalty` how much to smooth them; `_points`, `_ordering` and `_crossings` check raw points, `_fit` makes a
+contour of them, and a report. `_support` has convex contours by their support function, `_neural` and
+`_neural_curvature` those of a small network (`_network`), fitted to points by `_descent`.
 
 Of surfaces, `_surface` holds the contract and `_gauss` the frame; `_surface_implicit` and `_surface_chart`
 the two ways to give one, by a field of space or by two parameters; `_surface_analytic` closed forms,
@@ -22,6 +22,11 @@ from ._contour import (
     Frenet2 as Frenet2,
     Moved as Moved,
     tabled as tabled,
+)
+from ._contract import (
+    check_contour as check_contour,
+    check_shape as check_shape,
+    check_surface as check_surface,
 )
 from ._crossings import crossings as crossings
 from ._fit import Fit as Fit, fit_contour as fit_contour, FitReport as FitReport

@@ -1,12 +1,14 @@
 """Contours in closed form: line, circle, ellipse, catenary."""
 
+import math
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from .._algebra import sincos, unstack, Vec2
-from .._results import as_floats, check_positive, concrete
+from .._results import as_count, as_floats, as_length, check_between, concrete, shown
 from .._trigonometry import inverse_sinh
 from .._types import Given, Scalar, Scalars
 from ._arclength import ArclengthTable, invert, tabulate
@@ -21,7 +23,7 @@ def _as_domain(domain: Domain) -> Array | None:
     ends = as_floats("domain", domain, (2,))
     seen = concrete(ends)
     if seen is not None and not seen[0] < seen[1]:
-        raise ValueError(f"argument domain must be increasing, but was {seen.tolist()}")
+        raise ValueError(f"argument domain must be increasing, but was {shown(seen)}")
     return ends
 
 
@@ -79,7 +81,7 @@ class Circle(AbstractContour):
     radius: Float[Array, ""]
 
     def __init__(self, radius: Given) -> None:
-        self.radius = check_positive("radius", as_floats("radius", radius, ()))
+        self.radius = as_length("radius", radius)
 
     @property
     def closed(self) -> bool:
@@ -105,6 +107,12 @@ class Circle(AbstractContour):
         return 0.0, 2.0 * np.pi * self.radius
 
 
+# Cells per square of the ratio of the axes: an end's radius of curvature then holds so many. For 1e-9 of the
+# circumference, and the fewest allowed (2e-5).
+_ACCURATE, _RESOLVED = 20.0, 4
+_USUAL, _FEWEST, _MOST, _FLATTEST = 1024, 16, 1 << 20, 100.0
+
+
 def _ellipse_speed(axes: tuple[Scalar, Scalar], u: Scalar) -> Scalar:
     sin, cos = sincos(u)
     return jnp.sqrt((axes[0] * sin) ** 2 + (axes[1] * cos) ** 2)
@@ -113,14 +121,20 @@ def _ellipse_speed(axes: tuple[Scalar, Scalar], u: Scalar) -> Scalar:
 class Ellipse(AbstractContour):
     r"""An ellipse about the body's origin; s = 0 lies on the +x axis.
 
-    Its angle as a function of arclength comes from a differentiable table, built once per solve:
-    within 1e-12 of the circumference up to an aspect ratio of 4 with the default number of cells
-    (the error falls as `cells`$^{-6}$). Tangent and curvature are exact at the point returned.
+    Its angle as a function of arclength comes from a differentiable table, built once per solve; tangent and
+    curvature are exact at the point returned.
 
     Args:
         a: Half axis along x, in metres, positive.
-        b: Half axis along y, in metres, positive.
-        cells: Cells of the table. Static: changing it recompiles.
+        b: Half axis along y, in metres, positive; at most 100 times `a`, and a hundredth of it at least.
+        cells: Cells of the table. Static: changing it recompiles. Default: as many as keep points within 1e-9
+            of the circumference, 1024 for axes of a ratio up to 7 (for 4 they are within 1e-12), and 262144
+            for 100. Own cells are at least 4 times the square of the ratio, where the error is 2e-5; it falls
+            as `cells`$^{-6}$.
+
+    Raises:
+        ValueError: If an axis is not a length, or the cells are too few. Axes that JAX traces get 1024 cells
+            by default, and a table of NaN beyond a ratio of 16: no run with it is successful.
 
     Example:
         >>> import jaxroll as jxr
@@ -133,11 +147,31 @@ class Ellipse(AbstractContour):
     cells: int = eqx.field(static=True)
     table: ArclengthTable | None
 
-    def __init__(self, a: Given, b: Given, *, cells: int = 1024) -> None:
-        self.a = check_positive("a", as_floats("a", a, ()))
-        self.b = check_positive("b", as_floats("b", b, ()))
-        self.cells = cells
+    def __init__(self, a: Given, b: Given, *, cells: int | None = None) -> None:
+        self.a, self.b = as_length("a", a), as_length("b", b)
+        self.cells = self._enough(cells)
         self.table = None
+
+    def _enough(self, cells: int | None) -> int:
+        """Cells of the table, as given or as the axes ask; while JAX traces the axes, the default."""
+        given = None if cells is None else as_count("cells", cells, least=_FEWEST)
+        if given is not None and given > _MOST:
+            raise ValueError(f"argument cells must be at most {_MOST}, but was {given}")
+        seen = concrete(self.a), concrete(self.b)
+        if seen[0] is None or seen[1] is None:
+            return _USUAL if given is None else given
+        square = float(max(seen) / min(seen)) ** 2
+        if given is None and square > _FLATTEST**2 * (1.0 + 1e-12):
+            raise ValueError(
+                f"argument b must lie between a / {_FLATTEST:g} and {_FLATTEST:g} a for the arclength to be "
+                f"accurate, but a was {seen[0]:g} m and b {seen[1]:g} m"
+            )
+        if given is not None and given < _RESOLVED * square:
+            raise ValueError(
+                f"argument cells must be at least {_RESOLVED} times the square of the ratio of the axes, "
+                f"{_RESOLVED * square:.4g}, but was {given}"
+            )
+        return given or max(_USUAL, 1 << math.ceil(math.log2(_ACCURATE * square)))
 
     def angle(self, s: Scalar) -> Scalar:
         """The eccentric angle at arclength `s`."""
@@ -148,7 +182,11 @@ class Ellipse(AbstractContour):
         """The table of the eccentric angle over arclength."""
         if self.table is not None:
             return self.table
-        return tabulate(_ellipse_speed, (self.a, self.b), period=2.0 * np.pi, cells=self.cells)
+        table = tabulate(_ellipse_speed, (self.a, self.b), period=2.0 * np.pi, cells=self.cells)
+        # Axes that were traced when the cells were chosen, or came later: no number rather than a wrong one.
+        longer, shorter = jnp.maximum(self.a, self.b), jnp.minimum(self.a, self.b)
+        fine = _RESOLVED * longer * longer <= self.cells * (1.0 + 1e-6) * shorter * shorter
+        return eqx.tree_at(lambda t: t.length, table, jnp.where(fine, table.length, jnp.nan))
 
     @property
     def closed(self) -> bool:
@@ -183,7 +221,8 @@ class Catenary(AbstractContour):
     and $s$ in (82) as $s^2$ (unit speed needs both).
 
     Args:
-        a: Radius of curvature at the vertex, in metres, positive.
+        a: Radius of curvature at the vertex, in metres, positive; at most 1000 m, since points are rounded as
+            `a` is.
         domain: First and last arclength [m]; None for a curve without ends.
 
     Example:
@@ -196,7 +235,8 @@ class Catenary(AbstractContour):
     ends: Float[Array, "2"] | None
 
     def __init__(self, a: Given, domain: Domain = None) -> None:
-        self.a = check_positive("a", as_floats("a", a, ()))
+        self.a = as_length("a", a)
+        check_between("a", self.a, 1e-12, 1e3, unit=" m")
         self.ends = _as_domain(domain)
 
     @property

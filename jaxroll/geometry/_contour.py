@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from .._algebra import Pose2, sincos, unstack, Vec2
 from .._once import remembered
-from .._results import as_floats
+from .._results import as_array, as_floats, shown
 from .._types import Given, Points, Scalar
 
 
@@ -81,20 +81,20 @@ class AbstractContour(eqx.Module):
 
     def point(self, s: Given) -> Points:
         """Points at arclengths `s` [m] of shape (...): shape (..., 2), in metres."""
-        return _frame_arrays(tabled(self), jnp.asarray(s, float))[0]
+        return _frame_arrays(tabled(self), as_array("s", s))[0]
 
     def tangent(self, s: Given) -> Points:
         """Unit tangents at arclengths `s` [m] of shape (...): shape (..., 2)."""
-        return _frame_arrays(tabled(self), jnp.asarray(s, float))[1]
+        return _frame_arrays(tabled(self), as_array("s", s))[1]
 
     def normal(self, s: Given) -> Points:
         """Outward unit normals at arclengths `s` [m] of shape (...): shape (..., 2)."""
-        tangent = _frame_arrays(tabled(self), jnp.asarray(s, float))[1]
+        tangent = _frame_arrays(tabled(self), as_array("s", s))[1]
         return jnp.stack([tangent[..., 1], -tangent[..., 0]], axis=-1)
 
     def curvature(self, s: Given) -> Float[Array, "..."]:
         """Curvatures [1/m] at arclengths `s` [m] of shape (...); positive where convex."""
-        return _frame_arrays(tabled(self), jnp.asarray(s, float))[2]
+        return _frame_arrays(tabled(self), as_array("s", s))[2]
 
     def moved(self, offset: Given = (0.0, 0.0), angle: Given = 0.0, *, origin: Given = 0.0) -> "Moved":
         """This contour turned by `angle` [rad], shifted by `offset` [m], its s = 0 put at `origin`."""
@@ -145,7 +145,7 @@ class Moved(AbstractContour):
         origin: Given = 0.0,
     ) -> None:
         if not isinstance(contour, AbstractContour):
-            raise ValueError(f"argument contour must be a contour, but was {contour!r}")
+            raise ValueError(f"argument contour must be a contour, but was {shown(contour)}")
         self.contour = contour
         self.offset = as_floats("offset", offset, (2,))
         self.angle = as_floats("angle", angle, ())

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from .._results import as_floats, shown
 from .._types import Given
 from ._contour import AbstractContour, tabled
 from ._crossings import crossings
@@ -23,6 +24,7 @@ from ._spline import Spline
 from ._support import SupportFunction
 
 _SAMPLES = 2048
+_CELLS = (4096, 16384, 65536)  # where the usual number does not do
 _DENSE = 512  # points above which a smoothing spline has fewer knots than points
 _TERMS = (3, 4, 6, 8, 11, 15, 20)  # of a support function
 
@@ -207,8 +209,10 @@ def fit_contour(
         >>> f"{1e3 * fit.report.radius:.2f} mm"  # exact: b**2 / a = 9.8
         '9.80 mm'
     """
-    if field not in FIELDS:
-        raise ValueError(f"argument field must be one of {', '.join(map(repr, FIELDS))}, but was {field!r}")
+    if not isinstance(field, str) or field not in FIELDS:
+        raise ValueError(
+            f"argument field must be one of {', '.join(map(repr, FIELDS))}, but was {shown(field)}"
+        )
     clean = clean_points(points, closed=closed, ordered=ordered, unit=unit, reverse=reverse)
     size = float(np.ptp(clean.points, axis=0).max())
     _check_length("noise", noise, 0.1 * size)
@@ -218,16 +222,37 @@ def fit_contour(
     if field != "spline" and not (closed and smoothing is None and knots is None):
         raise ValueError(f"arguments smoothing, knots, closed=False are for splines, but field was {field!r}")
     contour, wavelength = FIELDS[field](clean.points, _Wish(closed, noise, smoothing, knots))
-    return _reported(contour, clean, field, wavelength)
+    return _reported(_resolved(contour), clean, field, wavelength)
+
+
+def _resolved(contour: AbstractContour) -> AbstractContour:
+    """The contour with as many cells as its table needs, up to a hundredfold the usual number."""
+    for cells in _CELLS:
+        try:
+            tabled(contour)
+        except ValueError as error:
+            if not str(error).startswith("argument cells") or not isinstance(contour, Spline):
+                break
+            options = {"closed": contour.closed, "knots": contour.knots, "cells": cells}
+            contour = Spline(contour.points, smoothing=contour.wavelength, **options)
+        else:
+            return contour
+    raise ValueError(
+        "argument points must determine a contour, but the fit to them bends more sharply than its table can "
+        "follow: state the noise, or thin out the points"
+    )
 
 
 def _check_length(name: str, value: Any, most: float) -> None:
     if value is None:
         return
     try:
-        seen = float(value)
-    except (TypeError, ValueError):
-        raise ValueError(f"argument {name} must be a length in metres, but was {value!r}") from None
+        seen = float(as_floats(name, value, ()))
+    except ValueError as error:
+        if "finite" in str(error):  # the bounds say it better
+            seen = float(value)
+        else:
+            raise ValueError(f"argument {name} must be a length in metres, but was {shown(value)}") from None
     if not 0.0 <= seen <= most:
         raise ValueError(f"argument {name} must lie between 0 and {most:.3g} m here, but was {seen:g}")
 

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._results import as_floats, is_array_like, shown
 from .._types import Scalar
 
 # Infinitely often differentiable, or the contour would not be.
@@ -18,6 +19,16 @@ _ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
     "softplus": jax.nn.softplus,
     "sine": jnp.sin,
 }
+
+
+def check_key(name: str, key: Any) -> None:
+    """Raise unless an argument is one random key of JAX."""
+    old = is_array_like(key) and key.dtype == np.uint32 and key.shape[-1:] in ((2,), (4,)) and key.ndim == 1
+    new = isinstance(key, jax.Array) and jnp.issubdtype(key.dtype, jax.dtypes.prng_key) and key.ndim == 0
+    if not (old or new):
+        raise ValueError(
+            f"argument {name} must be a random key, as jax.random.key gives, but was {shown(key)}"
+        )
 
 
 class PeriodicNetwork(eqx.Module):
@@ -61,10 +72,14 @@ class PeriodicNetwork(eqx.Module):
         amplitude: float = 1.0,
     ) -> None:
         for name, count in (("harmonics", harmonics), ("width", width), ("depth", depth)):
-            if count < 1:
-                raise ValueError(f"argument {name} must be at least 1, but was {count}")
+            if not isinstance(count, int | np.integer) or isinstance(count, bool) or count < 1:
+                raise ValueError(f"argument {name} must be at least 1, but was {shown(count)}")
         if activation not in _ACTIVATIONS:
-            raise ValueError(f"argument activation must be one of {[*_ACTIVATIONS]}, but was {activation!r}")
+            raise ValueError(
+                f"argument activation must be one of {[*_ACTIVATIONS]}, but was {shown(activation)}"
+            )
+        decay, amplitude = as_floats("decay", decay, ()), as_floats("amplitude", amplitude, ())
+        check_key("key", key)
         sizes = [2 * harmonics, *[width] * depth, 1]
         keys = jax.random.split(key, depth + 1)
         layers = [eqx.nn.Linear(a, b, key=k) for a, b, k in zip(sizes[:-1], sizes[1:], keys, strict=True)]

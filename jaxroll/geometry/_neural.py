@@ -8,12 +8,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._algebra import sincos
-from .._results import as_floats, check_positive
+from .._results import as_count, as_floats, as_length, check_instance
 from .._types import Given
 from ._descent import descend, Problem, Progress
 from ._network import network_fit, NetworkFit, PeriodicNetwork, with_readout
+from ._points import numbers
 from ._support import AbstractSupport, check_convex, fit_series, Series
-from ._table import Table
+from ._table import FEWEST_CELLS, Table
 
 
 class NeuralSupport(AbstractSupport):
@@ -51,10 +52,10 @@ class NeuralSupport(AbstractSupport):
     def __init__(
         self, network: PeriodicNetwork, radius: Given, centre: Given = (0.0, 0.0), *, cells: int = 1024
     ) -> None:
-        self.network = network
-        self.radius = check_positive("radius", as_floats("radius", radius, ()))
+        self.network = check_instance("network", network, PeriodicNetwork, "a PeriodicNetwork")
+        self.radius = as_length("radius", radius)
         self.centre = as_floats("centre", centre, (2,))
-        self.cells = cells
+        self.cells = as_count("cells", cells, least=FEWEST_CELLS)
         self.table = None
         check_convex("network", self)
 
@@ -102,7 +103,7 @@ class NeuralSupport(AbstractSupport):
         204 1/m.
         `SupportFunction.through` does better on so smooth a shape, in a hundredth of the time.
         """
-        data = np.asarray(as_floats("points", points, (None, 2)), np.float64)
+        data = numbers("points", points, 2)
         if len(data) <= 8:
             raise ValueError(f"argument points must have more than 8 rows, but had {len(data)}")
         centre = data.mean(axis=0)

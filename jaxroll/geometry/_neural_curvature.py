@@ -9,11 +9,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._algebra import Vec2
-from .._results import as_floats, check_positive
+from .._results import as_count, as_floats, as_length, check_instance
 from .._types import Given
 from ._descent import descend, Problem, Progress
 from ._network import network_fit, NetworkFit, PeriodicNetwork, with_readout
-from ._table import AbstractTabulated, from_frames, Table
+from ._points import numbers
+from ._table import AbstractTabulated, FEWEST_CELLS, from_frames, Table
 
 _TURN = 2.0 * np.pi
 # Cells of the table that a fit works with.
@@ -65,11 +66,13 @@ class NeuralCurvature(AbstractTabulated):
         *,
         cells: int = 1024,
     ) -> None:
-        self.network = network
-        self.length = check_positive("length", as_floats("length", length, ()))
+        self.network = check_instance("network", network, PeriodicNetwork, "a PeriodicNetwork")
+        self.length = as_length("length", length)
         self.angle = as_floats("angle", angle, ())
         self.centre = as_floats("centre", centre, (2,))
-        self.cells = cells
+        self.cells = as_count("cells", cells, least=FEWEST_CELLS)
+        if self.cells % 2:
+            raise ValueError(f"argument cells must be even, but was {self.cells}")
         self.table = None
 
     @classmethod
@@ -112,7 +115,7 @@ class NeuralCurvature(AbstractTabulated):
         Accuracy: 200 exact points of a 20 mm x 14 mm ellipse: 0.02 um rms, curvature within 0.8 1/m of up to
         204 1/m; a bean 39 mm long: 0.4 um. A sharp dent (-360 1/m) takes `harmonics` 16 and `width` 32.
         """
-        data = np.asarray(as_floats("points", points, (None, 2)), np.float64)
+        data = numbers("points", points, 2)
         if len(data) <= 8:
             raise ValueError(f"argument points must have more than 8 rows, but had {len(data)}")
         centre = data.mean(axis=0)

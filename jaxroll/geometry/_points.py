@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from .._results import traced
+from .._results import as_array, check_flag, shown, traced
 from ._crossings import crossings
 from ._ordering import order_points, place, turnings
 
@@ -46,7 +46,7 @@ def metres_per(unit: Any) -> float:
         0.0254
     """
     if not isinstance(unit, str) or unit not in UNITS:
-        raise ValueError(f"argument unit must be one of {', '.join(map(repr, UNITS))}, but was {unit!r}")
+        raise ValueError(f"argument unit must be one of {', '.join(map(repr, UNITS))}, but was {shown(unit)}")
     return UNITS[unit]
 
 
@@ -84,6 +84,9 @@ def clean_points(
         >>> clean_points(np.stack([np.cos(u), np.sin(u)], axis=1), unit="mm").reversed
         True
     """
+    check_flag("closed", closed), check_flag("reverse", reverse)
+    if ordered is not None:
+        check_flag("ordered", ordered)
     given = _checked(points) * metres_per(unit)
     _check_one_unit(given, closed=closed)
     kept = given[_distinct(given, closed=closed, anywhere=ordered is False)]
@@ -102,20 +105,35 @@ def clean_points(
 
 
 def _checked(points: Any) -> np.ndarray:
-    if traced(points):
-        raise ValueError("argument points must be concrete numbers, but was traced: fit outside jit and grad")
-    try:
-        array = np.asarray(points, dtype=np.float64)
-    except (TypeError, ValueError):
+    array = numbers("points", points, 2)
+    _check_number(array)
+    return array
+
+
+def numbers(name: str, value: Any, width: int) -> np.ndarray:
+    """An argument as finite concrete numbers of shape (any, width), in double precision on the host.
+
+    Raises:
+        ValueError: If it is traced, no numbers, of another shape, or not finite.
+    """
+    if traced(value):
         raise ValueError(
-            f"argument points must be numbers of shape (any, 2), but was {points!r:.50}"
+            f"argument {name} must be concrete numbers, but was traced: fit outside jit and grad"
+        )
+    try:
+        as_array(name, value)
+    except ValueError:
+        raise ValueError(
+            f"argument {name} must be numbers of shape (any, {width}), but was {shown(value)}"
         ) from None
-    if array.ndim != 2 or array.shape[1] != 2:
-        raise ValueError(f"argument points must have shape (any, 2), but had shape {array.shape}")
+    array = np.asarray(value, dtype=np.float64)
+    if array.ndim != 2 or array.shape[1] != width:
+        raise ValueError(f"argument {name} must have shape (any, {width}), but had shape {array.shape}")
     bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
     if len(bad):
-        raise ValueError(f"argument points must be finite, but row {bad[0]} was {array[bad[0]].tolist()}")
-    _check_number(array)
+        raise ValueError(f"argument {name} must be finite, but row {bad[0]} was {array[bad[0]].tolist()}")
+    if len(array) > 1 and np.all(array == array[0]):
+        raise ValueError(f"argument {name} must not be one point again and again, but was {place(array[0])}")
     return array
 
 

@@ -1,6 +1,8 @@
 """A contour through data points: a spline of odd degree, differentiable with respect to them."""
 
 import functools
+import math
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -9,17 +11,19 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._algebra import Vec2
-from .._results import as_floats, check_positive, concrete
+from .._results import as_count, as_floats, check_flag, check_positive, concrete, shown
 from .._types import Given
 from ._arclength import rising_sums
 from ._bspline import Basis, basis, jet, jets, locate, Pieces
-from ._table import AbstractTabulated, Table, tabulated
+from ._table import AbstractTabulated, FEWEST_CELLS, Table, tabulated
 
 # Exponents of the curvature in the successive parameters: arclength twice, since chords of uneven length
 # spoil the first fit's curvature, then nearly affine arclength.
 _BENDS = (0.0, 0.0, 1.0 / 3.0)
 # Share of a disc's curvature below which a contour counts as straight in that parameter.
 _FLAT = 0.1
+# Entries of the matrix of values: with six functions to a point, some hundred megabytes.
+_LARGEST = 1 << 24
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 
@@ -84,11 +88,12 @@ class Spline(AbstractTabulated):
         cells: int = 1024,
     ) -> None:
         self.points = as_floats("points", points, (None, 2))
-        _check(self.points, closed, degree, origin)
-        self.loop, self.degree = closed, degree
+        self.loop = check_flag("closed", closed)
+        _check(self.points, self.loop, degree, origin)
+        self.degree, self.origin = int(degree), int(origin)
         self.smoothing = _length(smoothing)
         self.knots = _knot_count(knots, self.points.shape[0], degree)
-        self.origin, self.cells = origin, cells
+        self.cells = as_count("cells", cells, least=FEWEST_CELLS)
         self.table = None
 
     @property
@@ -121,6 +126,11 @@ class Spline(AbstractTabulated):
         if self.origin == 0:
             return table
         return eqx.tree_at(lambda t: t.start, table, -_arclength_at(pieces, arcs[::2], u[self.origin]))
+
+    @property
+    def wavelength(self) -> Any:
+        """Wavelength of `smoothing` [m]; 0 where it interpolates."""
+        return 0.0 if self.smoothing is None else self.smoothing
 
     @property
     def _interpolates(self) -> bool:
@@ -191,15 +201,18 @@ def _halves(coefficients: Array, half: Array, x: Array) -> tuple[Vec2, Vec2, Vec
 
 
 def _check(points: Array, closed: bool, degree: int, origin: int) -> None:
-    if degree not in (3, 5, 7, 9):
-        raise ValueError(f"argument degree must be 3, 5, 7 or 9, but was {degree!r}")
+    if isinstance(degree, float) or degree not in (3, 5, 7, 9):
+        raise ValueError(f"argument degree must be 3, 5, 7 or 9, but was {shown(degree)}")
     count = points.shape[0]
     if count < degree + 1:
         raise ValueError(
             f"argument points must have at least {degree + 1} points for degree {degree}, but had {count}"
         )
-    if not 0 <= origin < count:
-        raise ValueError(f"argument origin must be the number of a point, below {count}, but was {origin}")
+    whole = isinstance(origin, int | np.integer) and not isinstance(origin, bool)
+    if not whole or not 0 <= origin < count:
+        raise ValueError(
+            f"argument origin must be the number of a point, below {count}, but was {shown(origin)}"
+        )
     seen = concrete(points)
     if seen is None:
         return
@@ -225,10 +238,21 @@ def _length(smoothing: Given) -> Array | None:
 
 
 def _knot_count(knots: int | None, count: int, degree: int) -> int | None:
+    if count * (count if knots is None else 1) > _LARGEST:
+        raise ValueError(
+            f"argument points must be at most {math.isqrt(_LARGEST)} where each has a knot, "
+            f"but were {count}; `knots=512` smooths more"
+        )
     if knots is None:
         return None
-    if not degree + 1 <= knots <= count:
+    whole = isinstance(knots, int | np.integer) and not isinstance(knots, bool)
+    if not whole or not degree + 1 <= knots <= count:
         raise ValueError(
-            f"argument knots must lie between {degree + 1} and the number of points, {count}, but was {knots}"
+            f"argument knots must lie between {degree + 1} and the number of points, {count}, "
+            f"but was {shown(knots)}"
         )
-    return knots
+    if count * knots > _LARGEST:
+        raise ValueError(
+            f"argument knots must be at most {_LARGEST // count} for {count} points, but was {knots}"
+        )
+    return int(knots)

@@ -10,10 +10,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._algebra import sincos, Vec2
-from .._results import as_floats, check_positive, traced
+from .._results import as_array, as_count, as_floats, as_length, traced
 from .._types import Given
 from ._arclength import placed
-from ._table import AbstractTabulated, from_frames, Table
+from ._points import numbers
+from ._table import AbstractTabulated, FEWEST_CELLS, from_frames, Table
 
 # A support function with its first two derivatives, at normal angles of any shape.
 Heights = tuple[Array, Array, Array]
@@ -117,7 +118,7 @@ class AbstractSupport(AbstractTabulated):
 
     def support(self, angle: Given) -> Float[Array, "..."]:
         """Support function $h$ [m] at normal angles [rad] of shape (...)."""
-        angle = jnp.asarray(angle, float)
+        angle = as_array("angle", angle)
         return _heights(self, angle.ravel())[0].reshape(angle.shape)
 
     def smallest_radius(self) -> Float[Array, ""]:
@@ -168,10 +169,11 @@ class SupportFunction(AbstractSupport):
         radius: Mean radius $r$ [m], positive.
         cosines: $a_1 \dots a_m$, shape (m,), in metres.
         sines: $b_1 \dots b_m$, shape (m,), in metres.
-        cells: Cells of the table over arclength that its frame is read from. Static.
+        cells: Cells of the table over arclength that its frame is read from, 4 or more to a wave. Static.
 
     Raises:
-        ValueError: If the shapes differ, or the contour folds: $\rho \le 0$ somewhere.
+        ValueError: If the shapes differ, the cells do not resolve the contour, or it folds: $\rho \le 0$
+            somewhere.
 
     Accuracy: the table's, see `table_error`: point 1e-17 m, tangent 5e-13, curvature 5e-8 1/m for an
     ellipse of 20 mm x 14 mm.
@@ -192,10 +194,11 @@ class SupportFunction(AbstractSupport):
     def __init__(
         self, radius: Given, cosines: Given = (0.0,), sines: Given = (0.0,), *, cells: int = 1024
     ) -> None:
-        self.radius = check_positive("radius", as_floats("radius", radius, ()))
+        self.radius = as_length("radius", radius)
         self.cosines = as_floats("cosines", cosines, (None,))
         self.sines = as_floats("sines", sines, self.cosines.shape)
-        self.cells = cells
+        waves = self.cosines.shape[0]
+        self.cells = as_count("cells", cells, least=max(FEWEST_CELLS, 4 * waves))
         self.table = None
         check_convex("cosines", self)
 
@@ -220,7 +223,7 @@ class SupportFunction(AbstractSupport):
             >>> f"{tip.radius:.4f} m"
             '0.0100 m'
         """
-        data = np.asarray(as_floats("points", points, (None, 2)), np.float64)
+        data, terms = numbers("points", points, 2), as_count("terms", terms)
         if not 0 < 2 * terms < len(data):
             most = (len(data) - 1) // 2
             raise ValueError(f"argument terms must lie between 1 and {most} (by the points), but was {terms}")
@@ -235,7 +238,8 @@ def check_convex(name: str, contour: AbstractSupport) -> None:
     """Raise if a concrete support function folds."""
     if traced(contour):
         return
-    worst = float(contour.smallest_radius())
+    with jax.ensure_compile_time_eval():
+        worst = float(contour.smallest_radius())
     if not worst > 0:
         raise ValueError(
             f"argument {name} must keep the radius of curvature positive, but its smallest was {worst:.3g} m"

@@ -10,13 +10,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._algebra import unstack
-from .._results import as_floats
+from .._results import as_array, as_floats
 from .._spatial import tangents, Vec3
 from .._types import Given, Scalars
 from ._contour import tabled
 from ._gauss import approach, Gauss3, principal
 
 _SEARCH = 32
+_NEAR = 1e-6  # relative to the distances: a search that ends farther off has not arrived
 
 
 class AbstractSurface(eqx.Module):
@@ -106,6 +107,10 @@ class AbstractSurface(eqx.Module):
         Args:
             point: Shape (..., 3) [m], nearer to the surface than its centres of curvature.
             guess: Coordinates to begin with, shape (..., coordinates); None: from a start of its own.
+
+        Returns:
+            Shape (..., coordinates); NaN where the search does not arrive at a point of the surface whose
+            normal goes through the point, as it may not for surfaces far from round.
         """
         points = _last("point", point, 3)
         if guess is None:
@@ -201,7 +206,7 @@ def _square(a: Array, b: Array, c: Array) -> Array:
 
 def _last(name: str, value: Given, size: int) -> Array:
     """An array of the default floating type whose last axis has this length."""
-    array = jnp.asarray(value, float)
+    array = as_array(name, value)
     if array.ndim == 0 or array.shape[-1] != size:
         raise ValueError(f"argument {name} must have shape (..., {size}), but had shape {array.shape}")
     return as_floats(name, array, (None,) * array.ndim)
@@ -233,6 +238,17 @@ def _near(surface: AbstractSurface, points: Array, guess: Array | None) -> Array
 
     def search(point: Scalars, *given: Scalars) -> Array:
         target = Vec3(*point)
-        return jnp.stack(ready.closest(target, *(given or (ready.start(target),))))
+        at = ready.closest(target, *(given or (ready.start(target),)))
+        return jnp.where(_arrived(ready, target, at), jnp.stack(at), jnp.nan)
 
     return _mapped(search, points) if guess is None else _mapped(search, points, guess)
+
+
+def _arrived(surface: AbstractSurface, target: Vec3, at: Scalars) -> Array:
+    """Whether a place is on the surface, and the arm from it to the target along the normal."""
+    frame, back = surface.frame(at), surface.frame(surface.settled(at))
+    arm = target - frame.point
+    aside = arm - frame.normal * arm.dot(frame.normal)
+    size = jnp.sqrt(frame.point.dot(frame.point) + arm.dot(arm))
+    off = jnp.sqrt(jnp.maximum(aside.dot(aside), (back.point - frame.point).dot(back.point - frame.point)))
+    return jax.lax.stop_gradient(off <= _NEAR * size)

@@ -7,13 +7,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._results import as_floats, check_positive, concrete
+from .._results import as_length, concrete, shown
 from .._sharing import once
 from .._spatial import square, Sym3, Vec3
 from .._types import Given, Scalar, Scalars
 from ._gauss import Gauss3
 from ._surface_implicit import AbstractImplicit, Level, level_frame
 from ._surface_spread import directions, lattice, SEEDS, thinned
+
+# Exponent of a superellipsoid above which the search for its points no longer arrives from afar.
+_SHARPEST = 32.0
 
 
 class Plane(AbstractImplicit):
@@ -55,7 +58,7 @@ class Sphere(AbstractImplicit):
     radius: Float[Array, ""]
 
     def __init__(self, radius: Given) -> None:
-        self.radius = _length("radius", radius)
+        self.radius = as_length("radius", radius)
 
     @property
     def smoothness(self) -> float:
@@ -90,7 +93,7 @@ class Cylinder(AbstractImplicit):
     radius: Float[Array, ""]
 
     def __init__(self, radius: Given) -> None:
-        self.radius = _length("radius", radius)
+        self.radius = as_length("radius", radius)
 
     @property
     def smoothness(self) -> float:
@@ -126,7 +129,7 @@ class Torus(AbstractImplicit):
     minor: Float[Array, ""]
 
     def __init__(self, major: Given, minor: Given) -> None:
-        self.major, self.minor = _length("major", major), _length("minor", minor)
+        self.major, self.minor = as_length("major", major), as_length("minor", minor)
         seen = concrete(self.major), concrete(self.minor)
         if seen[0] is not None and seen[1] is not None and not seen[0] > seen[1]:
             raise ValueError(f"argument major must be larger than minor, {seen[1]:g}, but was {seen[0]:g}")
@@ -186,7 +189,7 @@ class Ellipsoid(AbstractImplicit):
     c: Float[Array, ""]
 
     def __init__(self, a: Given, b: Given, c: Given) -> None:
-        self.a, self.b, self.c = _length("a", a), _length("b", b), _length("c", c)
+        self.a, self.b, self.c = as_length("a", a), as_length("b", b), as_length("c", c)
 
     @property
     def smoothness(self) -> float:
@@ -219,7 +222,7 @@ class Superellipsoid(AbstractImplicit):
         a: Half axis along x, in metres, positive.
         b: Half axis along y.
         c: Half axis along z.
-        exponent: $p \ge 2$. An even number gives an analytic surface; others a surface with
+        exponent: $p$, 2 to 32. An even number gives an analytic surface; others a surface with
             $\lceil p \rceil - 1$ continuous derivatives, on the planes of symmetry. Static.
 
     Raises:
@@ -238,10 +241,13 @@ class Superellipsoid(AbstractImplicit):
     exponent: float = eqx.field(static=True)
 
     def __init__(self, a: Given, b: Given, c: Given, exponent: float = 4.0) -> None:
-        self.a, self.b, self.c = _length("a", a), _length("b", b), _length("c", c)
+        self.a, self.b, self.c = as_length("a", a), as_length("b", b), as_length("c", c)
+        number = isinstance(exponent, int | float | np.number) and not isinstance(exponent, bool)
+        if not number or not 2.0 <= exponent <= _SHARPEST:
+            raise ValueError(
+                f"argument exponent must be at least 2 and at most {_SHARPEST:g}, but was {shown(exponent)}"
+            )
         self.exponent = float(exponent)
-        if not 2.0 <= self.exponent < math.inf:
-            raise ValueError(f"argument exponent must be at least 2, but was {exponent}")
 
     @property
     def smoothness(self) -> float:
@@ -280,10 +286,6 @@ def _outwards(rays: np.ndarray, axes: Scalars) -> Scalars:
 def _thinned(points: Scalars, count: int) -> Scalars:
     kept = thinned(Vec3(*points), jnp.ones(points[0].shape, bool), count)
     return tuple(x[kept] for x in points)
-
-
-def _length(name: str, value: Given) -> Array:
-    return check_positive(name, as_floats(name, value, ()))
 
 
 def _round(point: Vec3) -> tuple[Scalar, Gauss3]:

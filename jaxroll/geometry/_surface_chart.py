@@ -10,13 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._results import as_floats
+from .._results import as_floats, concrete, shown
 from .._sharing import once
 from .._spatial import outer, square, Vec3
 from .._types import Given, Scalar, Scalars
 from ._gauss import Gauss3
 from ._surface import AbstractSurface
-from ._surface_implicit import as_tree
+from ._surface_implicit import as_order, as_tree
 from ._surface_spread import lattice, SEEDS, thinned
 
 _SEEDS = 16
@@ -127,6 +127,14 @@ class AbstractChart(AbstractSurface):
         return u[best], v[best]
 
 
+def as_flags(periodic: Any) -> tuple[bool, bool]:
+    """Which of both parameters are periodic."""
+    pair = isinstance(periodic, tuple | list) and len(periodic) == 2
+    if not pair or not all(isinstance(flag, bool | np.bool_) for flag in periodic):
+        raise ValueError(f"argument periodic must be two of True and False, but was {shown(periodic)}")
+    return bool(periodic[0]), bool(periodic[1])
+
+
 def bounded(x: Scalar, ends: tuple[Scalar, Scalar], periodic: bool) -> Scalar:
     """A parameter brought into its domain: round a period, or back to an end."""
     low, high = ends
@@ -177,8 +185,11 @@ class Chart(AbstractChart):
     ) -> None:
         self.function = as_tree("function", function)
         self.ends = as_floats("domain", domain, (2, 2))
-        self.periodic = (bool(periodic[0]), bool(periodic[1]))
-        self.order = float(smoothness)
+        seen = concrete(self.ends)
+        if seen is not None and not np.all(seen[:, 0] < seen[:, 1]):
+            raise ValueError(f"argument domain must rise along u and along v, but was {shown(seen)}")
+        self.periodic = as_flags(periodic)
+        self.order = as_order(smoothness)
 
     @property
     def smoothness(self) -> float:

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._once import remembered
+from .._results import shown
 from .._spatial import square, Vec3
 from .._types import Scalars
 from ._contour import AbstractContour, tabled
@@ -42,7 +43,7 @@ class Extruded(AbstractSurface):
 
     def __init__(self, contour: AbstractContour) -> None:
         if not isinstance(contour, AbstractContour):
-            raise ValueError(f"argument contour must be a contour, but was {contour!r}")
+            raise ValueError(f"argument contour must be a contour, but was {shown(contour)}")
         self.contour = contour
 
     @property

@@ -7,9 +7,10 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from .._results import as_floats, check_positive
+from .._results import as_length, shown
 from .._sharing import once
 from .._spatial import outer, square, Sym3, tangents, Vec3
 from .._types import Given, Scalar, Scalars
@@ -148,8 +149,8 @@ class Implicit(AbstractImplicit):
         smoothness: float = float("inf"),
     ) -> None:
         self.function = as_tree("function", function)
-        self.radius = None if radius is None else check_positive("radius", as_floats("radius", radius, ()))
-        self.order = float(smoothness)
+        self.radius = None if radius is None else as_length("radius", radius)
+        self.order = as_order(smoothness)
 
     @property
     def smoothness(self) -> float:
@@ -172,8 +173,18 @@ class Implicit(AbstractImplicit):
         return self
 
 
+def as_order(smoothness: Any) -> float:
+    """A number of continuous derivatives, infinity among them."""
+    number = isinstance(smoothness, int | float | np.number) and not isinstance(smoothness, bool)
+    if not number or not smoothness >= 0:
+        raise ValueError(
+            f"argument smoothness must be a number of derivatives or infinity, but was {shown(smoothness)}"
+        )
+    return float(smoothness)
+
+
 def as_tree(name: str, function: Any) -> Callable[..., Any]:
     """A callable as a pytree: itself if it is one, a plain function as structure."""
     if not callable(function):
-        raise ValueError(f"argument {name} must be a function, but was {function!r}")
+        raise ValueError(f"argument {name} must be a function, but was {shown(function)}")
     return jax.tree_util.Partial(function) if jax.tree_util.all_leaves([function]) else function

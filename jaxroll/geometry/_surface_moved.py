@@ -5,7 +5,7 @@ from jaxtyping import Array, Float
 
 from .._algebra import unstack
 from .._once import remembered
-from .._results import as_floats, concrete
+from .._results import as_floats, concrete, shown
 from .._spatial import normalised, pose, Pose3, Vec3
 from .._types import Given, Scalars
 from ._contour import tabled
@@ -69,7 +69,7 @@ class MovedSurface(AbstractSurfaceOf):
         rotation: Given = (1.0, 0.0, 0.0, 0.0),
     ) -> None:
         if not isinstance(surface, AbstractSurface):
-            raise ValueError(f"argument surface must be a surface, but was {surface!r}")
+            raise ValueError(f"argument surface must be a surface, but was {shown(surface)}")
         self.surface = surface
         self.offset = as_floats("offset", offset, (3,))
         self.rotation = as_floats("rotation", rotation, (4,))
@@ -120,7 +120,7 @@ class Hollow(AbstractSurfaceOf):
 
     def __init__(self, surface: AbstractSurface) -> None:
         if not isinstance(surface, AbstractSurface):
-            raise ValueError(f"argument surface must be a surface, but was {surface!r}")
+            raise ValueError(f"argument surface must be a surface, but was {shown(surface)}")
         self.surface = surface
 
     def frame(self, at: Scalars) -> Gauss3:

@@ -9,7 +9,7 @@ from .._results import as_floats
 from .._sharing import once
 from .._spatial import Vec3
 from .._types import Given, Scalars
-from ._surface_chart import AbstractChart, Jet
+from ._surface_chart import AbstractChart, as_flags, Jet
 from ._tensor import Axis, axis, block, contracted, ORDER
 
 
@@ -52,7 +52,7 @@ class Patch(AbstractChart):
                 f"argument points must have at least {ORDER} along both axes, "
                 f"but had shape {self.points.shape}"
             )
-        self.periodic = (bool(periodic[0]), bool(periodic[1]))
+        self.periodic = as_flags(periodic)
         self.coefficients = None
 
     @property

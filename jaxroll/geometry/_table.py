@@ -12,11 +12,16 @@ from jaxtyping import Array, Float
 
 from .._algebra import Vec2
 from .._once import remembered
+from .._results import concrete
 from .._types import Points, Scalar
 from ._arclength import hermite, spaced
 from ._contour import AbstractContour, Frenet2, tabled
 
 Jet = Callable[[Any, Array, Array], tuple[Vec2, Vec2, Vec2]]
+# By how much the speed of a table may differ from one; a run that reads it errs by about that much.
+_UNEVEN = 1e-3
+FEWEST_CELLS = 8
+_BETWEEN = np.array([0.25, 0.5, 0.75])
 
 
 class Table(eqx.Module):
@@ -85,11 +90,31 @@ def from_frames(
         curvatures: Shape (cells + 1,) [1/m].
         length: Total arclength [m].
         closed: Whether the last point is the first.
+
+    A contour that the cells do not resolve, or whose frames contradict each other, gets a length of NaN: then
+    no run that reads the table succeeds. `tabled` says so in words.
     """
     step = length / (points.shape[0] - 1)
     inward = jnp.stack([-tangents[:, 1], tangents[:, 0]], axis=-1)
     rows = hermite(points, tangents * step, inward * (curvatures * step**2)[:, None])
-    return Table(jnp.concatenate([rows[:, 0], rows[:, 1]], axis=-1), length, jnp.zeros_like(length), closed)
+    coefficients = jnp.concatenate([rows[:, 0], rows[:, 1]], axis=-1)
+    seen, size = jax.lax.stop_gradient((coefficients, length))
+    length = jnp.where(_unevenness(seen, size) <= _UNEVEN, length, jnp.nan)
+    return Table(coefficients, length, jnp.zeros_like(length), closed)
+
+
+def _unevenness(coefficients: Any, length: Any) -> Any:
+    """Largest difference of a table's speed from one, at the quarters of its cells; of NumPy's or JAX's."""
+    power = np.arange(1.0, 6.0)
+    weights = (power[:, None] * _BETWEEN[None, :] ** (power[:, None] - 1.0)).astype(coefficients.dtype)
+    x, y = coefficients[:, 1:6] @ weights, coefficients[:, 7:12] @ weights
+    return abs((x * x + y * y) ** 0.5 * (coefficients.shape[0] / length) - 1.0).max()
+
+
+def unevenness(table: Table) -> float:
+    """Largest difference of a table's speed from one; zero while JAX traces it."""
+    seen = concrete(table.coefficients), concrete(table.length)
+    return 0.0 if seen[0] is None or seen[1] is None else float(_unevenness(*seen))
 
 
 def tabulated(jet: Jet, shape: Any, parts: int, *, closed: bool, cells: int) -> tuple[Table, Array]:
@@ -177,7 +202,23 @@ def _(contour: AbstractTabulated) -> AbstractTabulated:
 
 @remembered
 def _prepared(contour: AbstractTabulated) -> AbstractTabulated:
-    return contour.prepared()
+    ready = contour.prepared()
+    _check_table(contour, ready.read())
+    return ready
+
+
+def _check_table(contour: AbstractTabulated, table: Table) -> None:
+    """Raise if a concrete table does not give its contour."""
+    length, coefficients = concrete(table.length), concrete(table.coefficients)
+    if length is None or coefficients is None or np.isfinite(length):
+        return
+    kind = type(contour).__name__
+    if not np.all(np.isfinite(coefficients)):
+        raise ValueError(f"argument contour must have finite points, but the table of this {kind} was not")
+    raise ValueError(
+        f"argument cells must be more than {contour.cells} for a contour that bends so sharply (or folds), "
+        f"since the speed along the table of this {kind} is more than {_UNEVEN:g} off one"
+    )
 
 
 @eqx.filter_jit

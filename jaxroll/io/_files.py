@@ -5,8 +5,10 @@ from typing import Any
 
 import numpy as np
 
+from .._results import as_count, shown
 from ..geometry import AbstractContour, metres_per
 from ._outline import outline, positive
+from ._paths import as_path, readable, writable
 from ._tables import read_csv, read_npy, write_csv
 from ._vector import read_dxf, read_svg, write_dxf, write_svg
 
@@ -50,16 +52,16 @@ def read_points(
         >>> f"{float(abs(points).max()):.4f} m"
         '0.0100 m'
     """
-    path = _known(path, _READ)
+    path = readable(as_path(path, _READ))
     kind = path.suffix.lower()
     if (unit == "px") != (pixel is not None) or (unit == "px" and kind != ".svg"):
         raise ValueError(
-            f"argument pixel must be given with unit 'px' of an SVG and only there, but unit was {unit!r} "
-            f"and pixel was {pixel!r} for {path.name}"
+            f"argument pixel must be given with unit 'px' of an SVG and only there, but unit was "
+            f"{shown(unit)} and pixel was {shown(pixel)} for {path.name}"
         )
     scale = positive("pixel", pixel) if unit == "px" else metres_per(unit)
-    if samples < 6:
-        raise ValueError(f"argument samples must be 6 or more, but was {samples}")
+    samples, which = as_count("samples", samples, least=6), as_count("which", which, least=0)
+    columns = _columns(columns)
     if kind == ".svg":
         return scale * read_svg(path, scale, which, samples)
     if kind == ".dxf":
@@ -89,9 +91,9 @@ def write_outline(contour: AbstractContour, path: str | Path, *, unit: str, tole
         >>> path.read_text().splitlines()[0][:24]
         '<svg xmlns="http://www.w'
     """
-    path, scale = _known(path, _WRITE), metres_per(unit)
+    path, scale = as_path(path, _WRITE), metres_per(unit)
+    writable(path)
     points = outline(contour, tolerance) / scale
-    path.parent.mkdir(parents=True, exist_ok=True)
     kind = path.suffix.lower()
     if kind == ".svg":
         write_svg(path, points, scale, closed=contour.closed)
@@ -104,8 +106,8 @@ def write_outline(contour: AbstractContour, path: str | Path, *, unit: str, tole
     return path
 
 
-def _known(path: Any, kinds: tuple[str, ...]) -> Path:
-    path = Path(path)
-    if path.suffix.lower() not in kinds:
-        raise ValueError(f"argument path must end in {', '.join(kinds)}, but was {str(path)!r}")
-    return path
+def _columns(columns: Any) -> tuple[int, int]:
+    pair = isinstance(columns, tuple | list) and len(columns) == 2
+    if not pair or not all(isinstance(i, int) and not isinstance(i, bool) and i >= 0 for i in columns):
+        raise ValueError(f"argument columns must be two numbers from 0 on, but was {shown(columns)}")
+    return columns[0], columns[1]

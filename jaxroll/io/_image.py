@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from .._results import as_count, as_floats, shown
 from ..geometry import polygon_area
 from ._extra import missing
 from ._outline import positive
@@ -38,7 +39,10 @@ def read_silhouette(
         >>> f"{0.5 * np.ptp(points[:, 0]):.4f} m"
         '0.0100 m'
     """
-    grey = np.asarray(image)
+    try:
+        grey = np.asarray(image)
+    except ValueError:
+        raise ValueError(f"argument image must be grey values of one shape, but was {shown(image)}") from None
     if grey.ndim != 2 or min(grey.shape) < 2 or grey.dtype.kind not in "buif":
         raise ValueError(
             f"argument image must be grey values of shape (rows, columns), but was {grey.dtype} of "
@@ -47,7 +51,9 @@ def read_silhouette(
     grey = grey.astype(float)
     if not np.all(np.isfinite(grey)):
         raise ValueError("argument image must be finite, but had a value that is not")
-    pixel = positive("pixel", pixel)
+    pixel, which = positive("pixel", pixel), as_count("which", which, least=0)
+    if threshold is not None:
+        threshold = float(as_floats("threshold", threshold, ()))
     found = sorted(_outlines(grey, threshold), key=lambda points: -abs(polygon_area(points)))
     if not 0 <= which < len(found):
         raise ValueError(
@@ -70,5 +76,5 @@ def _outlines(grey: np.ndarray, threshold: float | None) -> list[np.ndarray]:
         from skimage.measure import find_contours
     except ImportError:
         raise missing("scikit-image") from None
-    level = float(threshold_otsu(grey)) if threshold is None else float(threshold)
+    level = float(threshold_otsu(grey)) if threshold is None else threshold
     return find_contours(grey, level)

@@ -5,9 +5,13 @@ from typing import Any
 
 import numpy as np
 
+from .._results import shown
 from ..geometry import AbstractContour, metres_per
 from ._extra import missing
 from ._outline import outline, positive
+from ._paths import as_path, readable, writable
+
+_KINDS = (".stl", ".obj", ".ply", ".off")
 
 
 def _trimesh() -> Any:
@@ -60,18 +64,15 @@ def write_stl(
         >>> jxr.io.write_stl(jxr.Circle(0.01), "disc.stl", height=0.005, tolerance=1e-5).name
         'disc.stl'
     """
-    path, scale = Path(path), metres_per(unit)
+    path, scale = as_path(path, (".stl",)), metres_per(unit)
     height = positive("height", height)
-    if path.suffix.lower() != ".stl":
-        raise ValueError(f"argument path must end in .stl, but was {str(path)!r}")
     if not isinstance(contour, AbstractContour) or not contour.closed:
-        raise ValueError(f"argument contour must be closed, but was {contour!r:.80}")
-    trimesh = _trimesh()
+        raise ValueError(f"argument contour must be closed, but was {shown(contour)}")
+    trimesh, path = _trimesh(), writable(path)
     points = outline(contour, tolerance) / scale
     solid = trimesh.creation.extrude_triangulation(points, _triangles(points), height / scale)
     if not solid.is_watertight or solid.volume <= 0.0:
         raise ValueError("argument contour must not cross itself, but its solid is not watertight")
-    path.parent.mkdir(parents=True, exist_ok=True)
     solid.export(str(path), file_type="stl")
     return path
 
@@ -94,9 +95,18 @@ def read_mesh(path: str | Path, *, unit: str) -> tuple[np.ndarray, np.ndarray]:
         >>> [f"{x:.4f}" for x in vertices.max(axis=0)]
         ['0.0100', '0.0100', '0.0050']
     """
-    scale = metres_per(unit)
-    mesh = _trimesh().load_mesh(str(path))
-    faces = np.asarray(getattr(mesh, "faces", np.zeros((0, 3))), int)
+    scale, path = metres_per(unit), as_path(path, _KINDS)
+    trimesh, path = _trimesh(), readable(path)
+    try:
+        mesh = trimesh.load_mesh(str(path))
+        vertices = np.asarray(getattr(mesh, "vertices", np.zeros((0, 3))), float)
+        faces = np.asarray(getattr(mesh, "faces", np.zeros((0, 3))), int)
+    except Exception as error:  # whatever the library raises on what it cannot read
+        raise ValueError(
+            f"argument path must name a mesh, but {path.name} could not be read: {shown(str(error))}"
+        ) from None
     if not len(faces):
-        raise ValueError(f"argument path must name a file with triangles, but {str(path)!r} has none")
-    return scale * np.asarray(mesh.vertices, float), faces
+        raise ValueError(f"argument path must name a file with triangles, but {path.name} has none")
+    if not np.all(np.isfinite(vertices)):
+        raise ValueError(f"argument path must name a mesh of finite vertices, but {path.name} has others")
+    return scale * vertices, faces

@@ -5,6 +5,7 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
+from .._results import as_array, check_instance, shown
 from ..geometry import AbstractContour, tabled
 
 _FINE = 4096
@@ -26,10 +27,10 @@ def outline(contour: AbstractContour, tolerance: float) -> np.ndarray:
         ValueError: If the contour has no ends, or the tolerance is not positive or needs over 200000 points.
     """
     tolerance = positive("tolerance", tolerance)
-    contour = _prepared(tabled(contour)) if isinstance(contour, AbstractContour) else contour
-    domain = contour.domain() if isinstance(contour, AbstractContour) else None
+    contour = _prepared(tabled(check_instance("contour", contour, AbstractContour, "a contour")))
+    domain = contour.domain()
     if domain is None:
-        raise ValueError(f"argument contour must be closed or have ends, but was {contour!r:.80}")
+        raise ValueError(f"argument contour must be closed or have ends, but was {shown(contour)}")
     low, high = (float(end) for end in domain)
     fine = np.linspace(low, high, _FINE + 1)
     bend = np.abs(np.asarray(contour.curvature(fine)))
@@ -50,12 +51,13 @@ def outline(contour: AbstractContour, tolerance: float) -> np.ndarray:
 
 def positive(name: str, value: Any) -> float:
     """The value as a positive number, or the sentence that says it is not."""
+    wanted = f"argument {name} must be a positive number, but was {{}}"
     try:
-        number = float(value)
+        number = float(as_array(name, value))
     except (TypeError, ValueError):
-        raise ValueError(f"argument {name} must be a positive number, but was {value!r}") from None
+        raise ValueError(wanted.format(shown(value))) from None
     if not 0.0 < number < np.inf:
-        raise ValueError(f"argument {name} must be a positive number, but was {number:g}")
+        raise ValueError(wanted.format(f"{number:g}"))
     return number
 
 
@@ -77,6 +79,7 @@ def _off_chords(ends: np.ndarray, middles: np.ndarray) -> np.ndarray:
 
 def as_points(name: str, value: Any, width: int) -> np.ndarray:
     """The value as finite numbers of shape (n, width), or the sentence that says it is not."""
+    as_array(name, value)
     array = np.asarray(value, float)
     if array.ndim != 2 or array.shape[1] != width or not np.all(np.isfinite(array)):
         raise ValueError(

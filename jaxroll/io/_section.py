@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from .._results import as_array, as_floats, shown
 from ..geometry import polygon_area
 from ._outline import as_points
 
@@ -38,7 +39,7 @@ def section(vertices: Any, faces: Any, *, origin: Any, normal: Any) -> tuple[np.
     """
     vertices, normal = as_points("vertices", vertices, 3), _unit(normal)
     faces = _faces(faces, len(vertices))
-    arms = vertices - as_points("origin", np.reshape(origin, (1, -1)), 3)
+    arms = vertices - np.asarray(as_floats("origin", origin, (3,)), float)
     heights = arms @ normal
     nodes, links = _cuts(faces, heights >= 0.0)
     if not len(links):
@@ -56,6 +57,7 @@ def section(vertices: Any, faces: Any, *, origin: Any, normal: Any) -> tuple[np.
 
 
 def _unit(normal: Any) -> np.ndarray:
+    as_array("normal", normal)
     normal = np.asarray(normal, float)
     length = np.linalg.norm(normal)
     if normal.shape != (3,) or not 0.0 < length < np.inf:
@@ -66,9 +68,19 @@ def _unit(normal: Any) -> np.ndarray:
 
 
 def _faces(faces: Any, count: int) -> np.ndarray:
-    faces = np.asarray(faces)
+    try:
+        faces = np.asarray(faces)
+    except ValueError:
+        raise ValueError(f"argument faces must be of shape (any, 3), but was {shown(faces)}") from None
     whole = np.issubdtype(faces.dtype, np.integer)
-    if not whole or faces.ndim != 2 or faces.shape[1] != 3 or faces.min() < 0 or faces.max() >= count:
+    if (
+        not whole
+        or faces.ndim != 2
+        or faces.shape[1] != 3
+        or not faces.size
+        or faces.min() < 0
+        or faces.max() >= count
+    ):
         raise ValueError(
             f"argument faces must be indices of shape (any, 3) below {count}, but were {faces.dtype} of "
             f"shape {faces.shape}"

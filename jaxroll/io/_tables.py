@@ -5,49 +5,84 @@ from pathlib import Path
 
 import numpy as np
 
+from .._results import shown
+
 
 def read_csv(path: Path, columns: tuple[int, int]) -> np.ndarray:
-    """Two columns of a text table; lines above the first numbers and after '#' are passed over.
+    """Two columns of a text table; what is after '#' is passed over, and so are lines of words at its head.
 
     Fields are parted by commas, semicolons (then a comma may be the decimal point), tabs or blanks.
 
     Raises:
-        ValueError: If a line is not numbers, or has too few; its number is named.
+        ValueError: If a line is not finite numbers, or has too few; its number is named. A line of words is
+            one of whose fields none is a number, a NaN or an infinity.
     """
     rows = []
-    for number, line in enumerate(path.read_text(encoding="utf-8-sig").splitlines(), start=1):
+    for number, line in enumerate(_text(path).splitlines(), start=1):
         fields = _fields(line.split("#")[0])
         if not fields:
             continue
         row = _numbers(fields, columns)
-        if row is None and rows:
+        if row is None and (rows or any(_number(field) is not None for field in fields)):
             raise ValueError(
                 f"argument path must name a table of finite numbers, but line {number} of {path.name} "
-                f"was {line!r:.60}"
+                f"was {shown(line)}"
             )
         if row is not None:
             rows.append(row)
     return _table(np.array(rows).reshape(-1, 2), path)
 
 
+def _text(path: Path) -> str:
+    """A file's text, in whatever of the usual encodings it is; what has zero bytes is no text."""
+    content = path.read_bytes()
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return content.decode("utf-16", errors="replace")
+    if b"\0" in content:
+        raise ValueError(f"argument path must name a table of numbers, but {path.name} is no text")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return content.decode("latin-1")
+
+
 def _fields(line: str) -> list[str]:
+    """The fields of a line; an empty one between two separators stays one."""
     line = line.strip()
+    if not line:
+        return []
     if ";" in line:
         return [field.strip().replace(",", ".") for field in line.split(";")]
-    return [field for field in re.split(r"\s*,\s*|\s+", line) if field] if line else []
+    if "," in line and re.fullmatch(r"[^,\s]*,[^,\s]*(\s+[^,\s]*,[^,\s]*)+", line):
+        # Blanks between, and one comma in each: decimal commas, as no table has two separators.
+        return [field.replace(",", ".") for field in line.split()]
+    return [field.strip() for field in line.split(",")] if "," in line else line.split()
+
+
+def _number(field: str) -> float | None:
+    try:
+        return float(field)
+    except ValueError:
+        return None
 
 
 def _numbers(fields: list[str], columns: tuple[int, int]) -> list[float] | None:
-    try:
-        row = [float(fields[i]) for i in columns]
-    except (ValueError, IndexError):
-        return None
-    return row if np.all(np.isfinite(row)) else None
+    row = [_number(fields[i]) for i in columns if i < len(fields)]
+    found = [x for x in row if x is not None and np.isfinite(x)]
+    return found if len(found) == len(columns) else None
 
 
 def read_npy(path: Path, columns: tuple[int, int]) -> np.ndarray:
     """Two columns of an array of shape (n, 2 or more)."""
-    array = np.load(path, allow_pickle=False)
+    try:
+        array = np.load(path, allow_pickle=False)
+    except (ValueError, EOFError, OSError) as error:
+        raise ValueError(
+            f"argument path must name an array of numbers, but {path.name} was none: {shown(str(error))}"
+        ) from None
+    if not isinstance(array, np.ndarray) or array.dtype.kind not in "iuf":
+        what = array.dtype if isinstance(array, np.ndarray) else "several arrays"
+        raise ValueError(f"argument path must name an array of real numbers, but {path.name} has {what}")
     if array.ndim != 2 or array.shape[1] <= max(columns):
         raise ValueError(
             f"argument path must name an array with columns {columns}, but {path.name} has "

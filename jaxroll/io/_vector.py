@@ -1,11 +1,13 @@
 """Outlines as drawings, SVG and DXF: the only door to svgpathtools and ezdxf."""
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from .._results import shown
 from ._extra import missing
 from ._outline import chosen, even
 
@@ -22,22 +24,35 @@ def read_svg(path: Path, scale: float, which: int, samples: int) -> np.ndarray:
         from svgpathtools import Document
     except ImportError:
         raise missing("svgpathtools") from None
-    drawing = Document(str(path))
-    _check_scale(scale, _svg_scale(drawing.tree.getroot()), path)
-    pieces = [piece for whole in drawing.paths() for piece in whole.continuous_subpaths() if len(piece)]
+    with _read(path):
+        drawing = Document(str(path))
+        pieces = [piece for whole in drawing.paths() for piece in whole.continuous_subpaths() if len(piece)]
+    _check_scale(scale, _svg_scale(drawing.tree.getroot(), path), path)
     outlines = [_along(piece, samples) for piece in pieces]
-    return chosen(outlines, which, f"outlines in {path.name}") * np.array([1.0, -1.0])
+    return _finite(chosen(outlines, which, f"outlines in {path.name}"), path) * np.array([1.0, -1.0])
 
 
-def _svg_scale(root: Any) -> float | None:
+@contextlib.contextmanager
+def _read(path: Path) -> Iterator[None]:
+    """One sentence of whatever a library raises on a file that it cannot read."""
+    try:
+        yield
+    except Exception as error:
+        raise ValueError(
+            f"argument path must name a drawing, but {path.name} could not be read: {shown(str(error))}"
+        ) from None
+
+
+def _svg_scale(root: Any, path: Path) -> float | None:
     """Metres in one unit of the drawing, or None where it states no length."""
-    width, box = root.get("width", ""), root.get("viewBox", "").replace(",", " ").split()
+    width, box = root.get("width", "").strip(), root.get("viewBox", "").replace(",", " ").split()
     size = _LENGTHS.get(width[-2:])
     if size is None:
         return None
     if len(box) != 4:
         return 0.0254 / 96
-    return float(width[:-2]) * size / float(box[2])
+    with _read(path):
+        return float(width[:-2]) * size / float(box[2])
 
 
 def _check_scale(scale: float, stated: float | None, path: Path) -> None:
@@ -95,10 +110,12 @@ def _ezdxf() -> Any:
 def read_dxf(path: Path, scale: float, which: int, samples: int) -> np.ndarray:
     """Points of one outline in the drawing's own unit; pieces that end where others begin are joined."""
     ezdxf = _ezdxf()
-    drawing = ezdxf.readfile(str(path))
-    _check_scale(scale, _CODES.get(int(drawing.header.get("$INSUNITS", 0))), path)
     kinds = "LWPOLYLINE POLYLINE SPLINE ARC CIRCLE ELLIPSE LINE"
-    tracks = [ezdxf.path.make_path(e, segments=8, level=8) for e in drawing.modelspace().query(kinds)]
+    with _read(path):
+        drawing = ezdxf.readfile(str(path))
+        unit = int(drawing.header.get("$INSUNITS", 0))
+        tracks = [ezdxf.path.make_path(e, segments=8, level=8) for e in drawing.modelspace().query(kinds)]
+    _check_scale(scale, _CODES.get(unit), path)
     tracks = [track for track in tracks if len(track)]
     if not tracks:
         raise ValueError(f"argument path must name a drawing with an outline, but {path.name} has none")
@@ -110,7 +127,15 @@ def read_dxf(path: Path, scale: float, which: int, samples: int) -> np.ndarray:
         closed = bool(np.linalg.norm(line[0] - line[-1]) <= 1e-6 * size)
         line = line[:-1] if closed else line
         outlines.append(even(line, samples, closed=closed) if curved else line)
-    return chosen(outlines, which, f"outlines in {path.name}")
+    return _finite(chosen(outlines, which, f"outlines in {path.name}"), path)
+
+
+def _finite(points: np.ndarray, path: Path) -> np.ndarray:
+    if not np.all(np.isfinite(points)):
+        raise ValueError(
+            f"argument path must name an outline of finite points, but that of {path.name} is not"
+        )
+    return points
 
 
 def _flat(track: Any, distance: float) -> tuple[np.ndarray, bool]:

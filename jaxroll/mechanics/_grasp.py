@@ -17,7 +17,7 @@ from .._results import as_count, as_floats, as_several, check_instance, shown
 from .._spatial import Vec3
 from .._types import Given
 from ..contact import AbstractContact, Contact3
-from ..geometry import AbstractContour, AbstractSurface, tabled
+from ..geometry import AbstractContour, AbstractSurface, check_shape, tabled
 from ._body import AbstractBody, Coordinate
 from ._controller import AbstractController, as_drive
 from ._finger import AbstractFinger
@@ -213,7 +213,8 @@ class Grasp(eqx.Module):
         return eqx.tree_at(lambda g: (g.object, g.fingers), self, ready)
 
     def tabled(self) -> "Grasp":
-        """This grasp with the tables of its contours built, by a program of their own."""
+        """This grasp, its shapes checked, with the tables of its contours built by a program of their own."""
+        _check_shapes(self)
         return self if all(tabled(shape) is shape for shape in _all_shapes(self)) else _with_tables(self)
 
     def with_(self, **changes: Any) -> "Grasp":
@@ -311,6 +312,15 @@ def _has_field(owner: Any, name: str) -> bool:
 
 def _all_shapes(grasp: Grasp) -> list[Any]:
     return [shape for body in grasp.bodies for shape in body.shapes]
+
+
+@remembered
+def _check_shapes(grasp: Grasp) -> None:
+    """Raise unless a caller's own contours and surfaces keep their contract, however they came in."""
+    for i, contact in enumerate(grasp.contacts):
+        contact.check_shapes(f"contacts[{i}]", grasp.shapes(contact))
+    for shape in _all_shapes(grasp):
+        check_shape("grasp", shape)
 
 
 @remembered

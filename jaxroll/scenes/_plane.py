@@ -1,5 +1,6 @@
 """Scenes of the plane: Parts 1 and 2 of the chapter, a ring of fingers, a roller between plates."""
 
+import inspect
 from typing import Any
 
 import equinox as eqx
@@ -8,12 +9,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._algebra import Vec2
+from .._results import as_floats, as_length, check_instance, shown
 from .._types import Given
 from ..contact import Contact
 from ..control import Opposition, orientations, Press
-from ..geometry import AbstractContour, Catenary, Circle, Ellipse, Line, Moved, tabled
+from ..geometry import AbstractContour, Catenary, check_contour, Circle, Ellipse, Line, Moved, tabled
 from ..integration import close
 from ..mechanics import Finger, FreeObject, Grasp, Jaw, PivotedObject, State
+from ._arguments import as_pair, as_positive
 
 # Tables 1 and 2.
 LENGTHS = (0.065, 0.065)
@@ -26,6 +29,8 @@ OBJECT_SHIFT = 3.363e-3
 LINKS = ((0.065, 0.039, 0.026), (0.065, 0.065))
 LINK_MASSES = ((0.045, 0.025, 0.015), (0.045, 0.040))
 BASES = ((0.0, 0.0), (0.055, 0.0))
+# Fingers of a ring that XLA compiles within minutes.
+_MOST_FINGERS = 16
 _POSE = (0.0275, 0.115, 0.0, 2.2, -0.9, 0.3, 0.95, 0.85)
 
 
@@ -68,7 +73,7 @@ def pivoted(
     reach = (-0.03, 0.03)
     tip = Catenary(1.0 / 40.0, reach).moved((0.01, 0.0))
     face = Catenary(1.0 / 100.0, reach).moved((-0.02, 0.0), np.pi, origin=OBJECT_SHIFT)
-    s = jnp.asarray(s, float)
+    s = as_floats("s", s, ())
     grasp = Grasp(
         PivotedObject(face, INERTIA, pivot=pivot),
         Finger(LENGTHS, MASSES, Moved(tip, (0.0, 0.0), -np.pi / 2), base=base),
@@ -93,7 +98,7 @@ def rectangle(width: Given = 0.03, height: Given = 0.05, mass: Given = 0.02) -> 
         >>> len(jxr.scenes.rectangle().contours)
         2
     """
-    width, height, mass = (jnp.asarray(x, float) for x in (width, height, mass))
+    width, height, mass = as_length("width", width), as_length("height", height), as_positive("mass", mass)
     face = Line(jnp.stack([-0.5 * height, 0.5 * height]))
     zero = jnp.zeros_like(width)
     left = face.moved(jnp.stack([-0.5 * width, zero]), np.pi)
@@ -144,14 +149,14 @@ def pinch(
         >>> grasp.sizes  # object, three-joint finger, two-joint finger
         (3, 3, 2)
     """
-    body = rectangle() if object is None else object
+    body = rectangle() if object is None else _free(object)
     shapes = Catenary(1.0 / 40.0, (-0.03, 0.03)).moved((0.01, 0.0)) if tips is None else tips
-    pair = shapes if isinstance(shapes, tuple) else (shapes, shapes)
+    pair = as_pair("tips", shapes, AbstractContour, "a contour or a pair of them")
     fingers = [
         Finger(lengths, masses, Moved(tip, (0.0, 0.0), side * np.pi / 2), base=base)
         for lengths, masses, tip, base, side in zip(LINKS, LINK_MASSES, pair, BASES, (-1, 1), strict=True)
     ]
-    start, contacts = jnp.asarray(s, float), []
+    start, contacts = as_floats("s", s, (2,)), []
     for i, (sense, middle) in enumerate(zip((1, -1), _middles(body), strict=True)):
         face = i if len(body.contours) > 1 else 0
         along = sense * start[i]
@@ -176,7 +181,7 @@ def ball_plate(radius: Given = 0.01, **options: Any) -> tuple[Grasp, State]:
         >>> float(grasp.fingers[0].tip.curvature(0.0))
         100.0
     """
-    return pinch(tips=Circle(radius), **options)
+    return pinch(tips=Circle(radius), **_options(options, "tips"))
 
 
 def pinch_ellipse(
@@ -196,9 +201,18 @@ def pinch_ellipse(
         >>> state.s.shape
         (2,)
     """
-    a, b, mass = (jnp.asarray(x, float) for x in (a, b, mass))
+    a, b, mass = as_length("a", a), as_length("b", b), as_positive("mass", mass)
     body = FreeObject(Ellipse(a, b), mass, 0.25 * mass * (a**2 + b**2))
-    return pinch(object=body, **options)
+    return pinch(object=body, **_options(options, "object"))
+
+
+def _options(given: dict[str, Any], fixed: str) -> dict[str, Any]:
+    """What is passed on to `pinch`, all of it known there but what is fixed here."""
+    known = tuple(name for name in inspect.signature(pinch).parameters if name != fixed)
+    unknown = [name for name in given if name not in known]
+    if unknown:
+        raise ValueError(f"argument options must be any of {', '.join(known)}, but was {unknown[0]!r}")
+    return given
 
 
 def ring(
@@ -214,7 +228,7 @@ def ring(
     r"""Two-joint fingers evenly round one free object, under control (16)-(17) for every pair.
 
     Args:
-        count: How many fingers, at least 2.
+        count: How many fingers, 2 to 16: the program grows with their square, and XLA's time with more.
         object: With one closed contour about its origin. Default: a disc of 20 mm radius, 50 g.
         tip: Closed contour of every fingertip about $O_i$. Default: a circle of 10 mm radius.
         beta: $\beta$ of (16) [N/m].
@@ -226,7 +240,7 @@ def ring(
         The grasp, and a state at rest with every contact closed.
 
     Raises:
-        ValueError: If `count` is below 2, or the fingers cannot reach the object.
+        ValueError: If `count` is out of range, or the fingers cannot reach the object.
 
     Example:
         >>> import jaxroll as jxr
@@ -234,16 +248,22 @@ def ring(
         >>> grasp.coordinates, state.s.shape[0]
         (9, 3)
     """
-    if count < 2:
-        raise ValueError(f"argument count must be at least 2, but was {count}")
-    body = FreeObject(Circle(0.02), mass=0.05, inertia=1e-5) if object is None else object
-    shape = Circle(0.01) if tip is None else tip
+    whole = isinstance(count, int | np.integer) and not isinstance(count, bool)
+    if not whole or count < 2:
+        raise ValueError(f"argument count must be at least 2, but was {shown(count)}")
+    if count > _MOST_FINGERS:
+        raise ValueError(
+            f"argument count must be at most {_MOST_FINGERS}, since more fingers take hours to compile, "
+            f"but was {count}"
+        )
+    body = FreeObject(Circle(0.02), mass=0.05, inertia=1e-5) if object is None else _free(object)
+    shape = Circle(0.01) if tip is None else check_instance("tip", tip, AbstractContour, "a contour")
     fingers, contacts, guess = [], [], [np.zeros(3)]
     for i in range(count):
         angle = 2.0 * np.pi * i / count
         out = np.array([np.cos(angle), np.sin(angle)])
-        rim = _facing(body.contours[0], angle)
-        inward = _facing(shape, np.pi)
+        rim = _facing("object", body.contours[0], angle)
+        inward = _facing("tip", shape, np.pi)
         base = 0.1 * out + 0.02 * np.array([-out[1], out[0]])
         # The last link points at the object, so the side of the tip that its x axis meets touches.
         fingers.append(Finger((0.05, 0.05), (0.05, 0.04), shape.moved(angle=np.pi), base=base))
@@ -275,13 +295,19 @@ def _middles(body: FreeObject) -> tuple[Any, Any]:
     """Arclength of the middle of the left and of the right face."""
     if len(body.contours) != 1:
         return 0.0, 0.0
-    return _facing(body.contours[0], np.pi), _facing(body.contours[0], 0.0)
+    return _facing("object", body.contours[0], np.pi), _facing("object", body.contours[0], 0.0)
 
 
-def _facing(contour: AbstractContour, angle: float) -> Any:
+def _free(body: FreeObject) -> FreeObject:
+    return check_instance("object", body, FreeObject, "a FreeObject")
+
+
+def _facing(name: str, contour: AbstractContour, angle: float) -> Any:
     """Arclength at which a closed contour reaches farthest in a direction [rad]."""
     if not contour.closed:
-        raise ValueError(f"argument object must have two faces or one closed contour, but had {contour!r}")
+        what = "have two faces or one closed contour" if name == "object" else "be a closed contour"
+        raise ValueError(f"argument {name} must {what}, but had {shown(contour)}")
+    check_contour(name, contour)
     return _farthest(tabled(contour), jnp.array([np.cos(angle), np.sin(angle)]))
 
 
@@ -342,9 +368,12 @@ def roller(
         >>> grasp.sizes
         (3, 2, 0)
     """
-    shape = Circle(0.01) if contour is None else contour
-    force, travel, period, mass = (jnp.asarray(x, float) for x in (force, travel, period, mass))
-    top, bottom = _facing(shape, 0.5 * np.pi), _facing(shape, -0.5 * np.pi)
+    shape = (
+        Circle(0.01) if contour is None else check_instance("contour", contour, AbstractContour, "a contour")
+    )
+    force, travel = as_floats("force", force, ()), as_floats("travel", travel, ())
+    period, mass = as_positive("period", period), as_positive("mass", mass)
+    top, bottom = _facing("contour", shape, 0.5 * np.pi), _facing("contour", shape, -0.5 * np.pi)
     height = shape.point(top)[1] - shape.point(bottom)[1]
     radius = 0.5 * height
     inertia = 0.5 * mass * radius**2

@@ -1,23 +1,26 @@
 """Single bodies that roll on a fixed or a moving surface: the textbooks' cases, with their closed forms."""
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
+from .._results import as_floats, as_length, check_between, check_positive, concrete
 from .._spatial import pose, Vec3
 from .._types import Given
 from ..contact import Contact3
 from ..geometry import Cylinder, Ellipsoid, Hollow, Plane, Sphere, Torus
 from ..mechanics import FreeObject3, Grasp, Stage, State, Turning
+from ._arguments import as_positive, check_below
 
 _SOLID = 0.4  # k in the inertia k m r^2 of a solid ball
 
 
 def _down(gravity: Given) -> Float[Array, "3"]:
-    return jnp.stack([jnp.zeros(()), jnp.zeros(()), -jnp.asarray(gravity, float)])
+    return jnp.stack([jnp.zeros(()), jnp.zeros(()), -as_floats("gravity", gravity, ())])
 
 
 def _ball(radius: Array, mass: Given) -> FreeObject3:
-    mass = jnp.asarray(mass, float)
+    mass = as_positive("mass", mass)
     return FreeObject3(Sphere(radius), mass, _SOLID * mass * radius**2)
 
 
@@ -58,12 +61,12 @@ def turntable(
         >>> state.q.shape
         (8,)
     """
-    x, y = jnp.asarray(position, float)
-    vx, vy = jnp.asarray(velocity, float)
-    r, zero = jnp.asarray(radius, float), jnp.zeros(())
-    omega = jnp.asarray(rate, float)
+    x, y = as_floats("position", position, (2,))
+    vx, vy = as_floats("velocity", velocity, (2,))
+    r, zero = as_length("radius", radius), jnp.zeros(())
+    omega, spin = as_floats("rate", rate, ()), as_floats("spin", spin, ())
     # No slip: v - r w x z = Omega z x X.
-    w = jnp.stack([-(vy - omega * x) / r, (vx + omega * y) / r, jnp.asarray(spin, float)])
+    w = jnp.stack([-(vy - omega * x) / r, (vx + omega * y) / r, spin])
     grasp = Grasp(_ball(r, mass), Stage(Plane(), Turning(omega)), Contact3(), gravity=_down(gravity))
     places = jnp.stack([x, y, zero, zero, zero, -r])
     return grasp, _start(jnp.stack([x, y, r]), jnp.stack([vx, vy, zero]), w, places, clock=True)
@@ -96,9 +99,10 @@ def tube(
         >>> round(float(state.q[0]), 9)  # the centre's distance from the axis
         0.15
     """
-    r, out, n = jnp.asarray(radius, float), jnp.asarray(bore, float), jnp.asarray(rate, float)
-    zero, climb = jnp.zeros(()), jnp.asarray(climb, float)
-    w = jnp.stack([jnp.asarray(spin, float), climb / r, -(out - r) * n / r])
+    r, out, n = as_length("radius", radius), as_length("bore", bore), as_floats("rate", rate, ())
+    check_below("radius", r, "bore", out)
+    zero, climb = jnp.zeros(()), as_floats("climb", climb, ())
+    w = jnp.stack([as_floats("spin", spin, ()), climb / r, -(out - r) * n / r])
     wall = Stage(Hollow(Cylinder(out)))
     grasp = Grasp(_ball(r, mass), wall, Contact3(), gravity=_down(gravity))
     places = jnp.stack([out, zero, zero, r, zero, zero])
@@ -122,7 +126,7 @@ def incline(
         >>> state.s.shape
         (6,)
     """
-    r, alpha, zero = jnp.asarray(radius, float), jnp.asarray(slope, float), jnp.zeros(())
+    r, alpha, zero = as_length("radius", radius), as_floats("slope", slope, ()), jnp.zeros(())
     normal = jnp.stack([jnp.sin(alpha), zero, jnp.cos(alpha)])
     turn = jnp.stack([jnp.cos(0.5 * alpha), zero, jnp.sin(0.5 * alpha), zero])
     floor = Stage(Plane(), rotation=turn)
@@ -162,9 +166,13 @@ def wheel(
         >>> state.v.shape
         (6,)
     """
-    theta, turn, a, rho, m, g = (
-        jnp.asarray(x, float) for x in (inclination, precession, radius, tube, mass, gravity)
-    )
+    theta, turn = as_floats("inclination", inclination, ()), as_floats("precession", precession, ())
+    check_between("inclination", theta, 1e-6, np.pi - 1e-6, unit=" rad")
+    if (seen := concrete(turn)) is not None and seen == 0.0:
+        raise ValueError("argument precession must not be zero, but was 0.0")
+    a, rho = as_length("radius", radius), as_length("tube", tube)
+    check_below("tube", rho, "radius", a)
+    m, g = as_positive("mass", mass), as_floats("gravity", gravity, ())
     sin, cos, zero = jnp.sin(theta), jnp.cos(theta), jnp.zeros(())
     across, about = 0.25 * m * a**2, 0.5 * m * a**2
     lever = a * sin + rho
@@ -215,21 +223,22 @@ def rattleback(
         >>> float(state.v[5])
         -5.0
     """
-    half, skew = 0.5 * jnp.asarray(tilt, float), jnp.asarray(skew, float)
-    low, zero = jnp.asarray(lowered, float), jnp.zeros(())
-    shape = Ellipsoid(*jnp.asarray(axes, float)).moved(jnp.stack([zero, zero, low]))
+    half, skew = 0.5 * as_floats("tilt", tilt, ()), as_floats("skew", skew, ())
+    low, zero = as_floats("lowered", lowered, ()), jnp.zeros(())
+    lengths, moments = as_floats("axes", axes, (3,)), as_floats("inertia", inertia, (3,))
+    shape = Ellipsoid(*check_positive("axes", lengths)).moved(jnp.stack([zero, zero, low]))
     sin, cos = jnp.sin(skew), jnp.cos(skew)
     turn = jnp.stack([jnp.stack([cos, -sin, zero]), jnp.stack([sin, cos, zero]), jnp.array([0.0, 0.0, 1.0])])
-    tensor = turn @ jnp.diag(jnp.asarray(inertia, float)) @ turn.T
+    tensor = turn @ jnp.diag(check_positive("inertia", moments)) @ turn.T
     body = FreeObject3(shape, mass, 0.5 * (tensor + tensor.T))
     grasp = Grasp(body, Stage(Plane()), Contact3(), gravity=_down(gravity))
     # The lowest point of an ellipsoid, from its support function at the vertical in body axes.
     up = jnp.stack([zero, 2.0 * jnp.sin(half) * jnp.cos(half), jnp.cos(2.0 * half)])
-    squares = jnp.asarray(axes, float) ** 2
+    squares = lengths**2
     lowest = -squares * up / jnp.sqrt(jnp.sum(squares * up**2))
     arm = lowest + jnp.stack([zero, zero, low])
     q = jnp.stack([zero, zero, -arm @ up, jnp.cos(half), jnp.sin(half), zero, zero])
-    about = jnp.stack([zero, zero, jnp.asarray(spin, float)])
+    about = jnp.stack([zero, zero, as_floats("spin", spin, ())])
     tilted = pose(Vec3(zero, zero, zero), (q[3], q[4], zero, zero))
     there, across = tilted.turn(Vec3(*arm)), tilted.turn(Vec3(*about).cross(Vec3(*arm)))
     place = jnp.stack([there.x, there.y, zero, *lowest])

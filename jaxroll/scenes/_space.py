@@ -5,12 +5,14 @@ from typing import Literal
 import jax.numpy as jnp
 import numpy as np
 
+from .._results import as_length, check_instance
 from .._types import Given
 from ..contact import Contact3
 from ..control import Opposition
 from ..geometry import AbstractSurface, Plane, Sphere
 from ..integration import close
 from ..mechanics import Finger3, FreeObject3, Grasp, State
+from ._arguments import as_pair, as_positive
 
 # The chapter gives no numbers: the links of Table 1 on a short first one that swings out of the plane.
 _AXES = ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 1.0))
@@ -36,8 +38,8 @@ def cuboid(width: Given = 0.03, height: Given = 0.05, depth: Given = 0.05, mass:
         >>> len(jxr.scenes.cuboid().surfaces)
         2
     """
-    edges = jnp.stack([jnp.asarray(x, float) for x in (width, height, depth)])
-    mass = jnp.asarray(mass, float)
+    given = {"width": width, "height": height, "depth": depth}
+    edges, mass = jnp.stack([as_length(*item) for item in given.items()]), as_positive("mass", mass)
     half, zero, turn = 0.5 * edges[0], jnp.zeros_like(edges[0]), np.sqrt(0.5)
     left = Plane().moved(jnp.stack([-half, zero, zero]), (turn, 0.0, -turn, 0.0))
     right = Plane().moved(jnp.stack([half, zero, zero]), (turn, 0.0, turn, 0.0))
@@ -84,8 +86,9 @@ def pinch3d(
         >>> grasp.sizes  # object, two fingers
         (6, 3, 3)
     """
-    body = cuboid() if object is None else object
-    pair = tips if isinstance(tips, tuple) else (Sphere(0.01) if tips is None else tips,) * 2
+    body = cuboid() if object is None else check_instance("object", object, FreeObject3, "a FreeObject3")
+    shapes = Sphere(0.01) if tips is None else tips
+    pair = as_pair("tips", shapes, AbstractSurface, "a surface or a pair of them")
     fingers = [
         Finger3(_AXES, _LINKS, _MASSES, tip, base=(side * _SPAN, 0.0, 0.0))
         for tip, side in zip(pair, (-1.0, 1.0), strict=True)

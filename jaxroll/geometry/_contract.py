@@ -1,0 +1,356 @@
+"""What the equations of motion take for granted of a contour or surface, checked where a caller made it.
+
+Closed forms of the package keep the contract by construction. A class of a caller's own, wherever it hides
+in wrappers, is evaluated once, along its whole domain, before a grasp or a search for contacts uses it. While
+JAX traces its numbers nothing can be checked; the next use with concrete numbers is.
+"""
+
+from collections.abc import Iterator
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from .._algebra import Vec2
+from .._once import remembered
+from .._results import shown, traced
+from .._spatial import tangents, Vec3
+from .._types import Given, Scalars
+from ._contour import AbstractContour, frenet, Frenet2, tabled
+from ._gauss import Gauss3
+from ._surface import AbstractSurface
+from ._surface_chart import AbstractChart, Chart
+from ._surface_implicit import AbstractImplicit
+from ._surface_spread import lattice
+from ._table import AbstractTabulated, Table, unevenness
+
+_PLACES = 1024  # along a contour
+_TURNS = 9  # places at which a closed one is compared with itself a turn later
+# An endless contour is looked at within this of the start [m]: about the length of a finger.
+_RANGE = 0.1
+_NEAREST = 1e-6
+_SPREAD = 48  # places on a surface
+# Relative errors allowed in double and in single precision: of first derivatives, and of second ones.
+_ALLOWED = {np.dtype(np.float64): (1e-9, 1e-6), np.dtype(np.float32): (1e-4, 1e-2)}
+_SURFACE = {np.dtype(np.float64): 1e-6, np.dtype(np.float32): 1e-2}
+
+
+def check_contour(name: str, contour: AbstractContour, *, start: Given | None = None) -> None:
+    """Raise unless a caller's own contour advances by its arclength and has the frame of its curve.
+
+    Args:
+        name: Of the argument, for the message.
+        contour: One of the package passes unseen, unless there is a caller's in it.
+        start: Arclength [m] at which a contact starts; an endless contour is looked at about there.
+
+    Raises:
+        ValueError: If speed, frame, ends or closedness are not those of a contour given by arclength.
+    """
+    kind = next((type(c).__name__ for c in _members(contour) if _foreign(c)), None)
+    if kind is None or traced(contour):
+        return
+    fault = _fault(contour)
+    if fault is None and not traced(start) and start is not None:
+        fault = _about(contour, start)
+    if fault is not None:
+        verb = "be" if start is None else "lie on"
+        raise ValueError(f"argument {name} must {verb} a contour {fault.format(kind=kind)}")
+
+
+def check_surface(name: str, surface: AbstractSurface) -> None:
+    """Raise unless a caller's own surface has a unit normal, and its derivative as shape operator.
+
+    Args:
+        name: Of the argument, for the message.
+        surface: One of the package passes unseen, unless there is a caller's surface or contour in it.
+
+    Raises:
+        ValueError: If point, rates, normal or shape operator do not belong together.
+    """
+    for part in _members(surface):
+        if isinstance(part, AbstractContour):
+            check_contour(name, part)
+        elif _foreign(part) or (isinstance(part, Chart) and any(part.periodic)):
+            fault = None if traced(part) else _surface_fault(part)
+            if fault is not None:
+                raise ValueError(
+                    f"argument {name} must be a surface {fault.format(kind=type(part).__name__)}"
+                )
+
+
+def check_shape(name: str, shape: Any) -> None:
+    """`check_contour` or `check_surface`, whichever it is."""
+    if isinstance(shape, AbstractContour):
+        check_contour(name, shape)
+    elif isinstance(shape, AbstractSurface):
+        check_surface(name, shape)
+
+
+def _foreign(shape: Any) -> bool:
+    """Whether a contour's or surface's class is a caller's own."""
+    return not type(shape).__module__.startswith("jaxroll.")
+
+
+def _members(value: Any) -> Iterator[Any]:
+    """A contour or surface, and those inside it; what is in a foreign one is its own affair."""
+    if isinstance(value, AbstractContour | AbstractSurface):
+        yield value
+        if _foreign(value):
+            return
+    for part in _parts(value):
+        yield from _members(part)
+
+
+def _parts(value: Any) -> list[Any]:
+    if isinstance(value, tuple | list):
+        return list(value)
+    if not isinstance(value, AbstractContour | AbstractSurface):
+        return []
+    return [getattr(value, field, None) for field in getattr(value, "__dataclass_fields__", {})]
+
+
+def _tables(value: Any) -> Iterator[Table]:
+    """Tables that a contour reads, at any depth: they are not of unit speed to rounding."""
+    if isinstance(value, AbstractTabulated):
+        yield value.read()
+    elif isinstance(value, Table):
+        yield value
+    elif isinstance(value, eqx.Module | tuple | list):
+        parts = _parts(value) if isinstance(value, tuple | list) else vars(value).values()
+        for part in parts:
+            yield from _tables(part)
+
+
+@remembered
+def _fault(contour: AbstractContour) -> str | None:
+    """What is wrong with a contour along its domain, or None; of an endless one nothing is looked at."""
+    with jax.ensure_compile_time_eval():
+        ready = _ready(tabled(contour))
+        domain = ready.domain()
+        if domain is None:
+            return "with ends, as {kind} claims to be closed" if contour.closed else None
+        ends = np.asarray([np.asarray(end, float) for end in domain])
+        if not (ends.shape == (2,) and np.all(np.isfinite(ends)) and ends[0] < ends[1]):
+            return f"whose domain rises, but that of {{kind}} was {shown(ends)}"
+        share = (np.arange(_PLACES) + 0.5) / _PLACES
+        fault = _along(ready, ends[0] + (ends[1] - ends[0]) * share)
+        return fault or (_open(ready, ends) if contour.closed else None)
+
+
+def _about(contour: AbstractContour, start: Given) -> str | None:
+    """What is wrong with a contour at a contact's start, and near it if it has no ends."""
+    with jax.ensure_compile_time_eval():
+        here = float(np.asarray(start))
+        if contour.domain() is not None:
+            return _along(_ready(tabled(contour)), np.full(_PLACES, here), there=True)
+        steps = np.geomspace(_NEAREST, _RANGE, _PLACES // 2 - 1)
+        places = np.concatenate([[here, here], here + steps, here - steps])
+        return _along(_ready(tabled(contour)), places, there=True)
+
+
+def _along(contour: AbstractContour, places: np.ndarray, *, there: bool = False) -> str | None:
+    """The first thing that is wrong at these places; `there`: the first of them is the one in question."""
+    found = [np.asarray(x) for x in _measured(contour, jnp.asarray(places))]
+    point, rate, tangent, own, curvature = found
+    slack = 4.0 * max((unevenness(table) for table in _tables(contour)), default=0.0)
+    first, second = (allowed + slack for allowed in _ALLOWED[point.dtype])
+
+    def at(errors: np.ndarray, allowed: float) -> tuple[int, str]:
+        i = 0 if there and not errors[0] <= allowed else int(np.argmax(errors))
+        return i, "there" if there and i == 0 else f"at s = {places[i]:.4g} m"
+
+    finite = np.all([np.isfinite(x).reshape(len(places), -1).all(axis=1) for x in found], axis=0)
+    if not finite.all():
+        return (
+            f"with finite points and derivatives, but those of {{kind}} {at(1.0 - finite, 0.5)[1]} were not"
+        )
+    speed = np.hypot(*rate.T)
+    if (off := np.abs(speed - 1.0)).max() > first:
+        i, where = at(off, first)
+        return f"given by arclength (unit speed), but the speed of {{kind}} {where} was {speed[i]:.7g}"
+    if (off := np.abs(tangent - rate).max(axis=1)).max() > 10.0 * first:
+        i, where = at(off, 10.0 * first)
+        return (
+            f"whose frame is that of its curve, but the tangent of {{kind}} {where} was "
+            f"{shown(tangent[i])} where the curve's is {shown(rate[i])}"
+        )
+    scale = max(np.abs(curvature).max(), np.abs(own).max(), 1.0 / max(np.ptp(places), _NEAREST))
+    if (off := np.abs(own - curvature) / scale).max() > 10.0 * second:
+        i, where = at(off, 10.0 * second)
+        return (
+            f"whose frame is that of its curve, but the curvature of {{kind}} {where} was {own[i]:.6g} 1/m "
+            f"where the curve's is {curvature[i]:.6g} 1/m"
+        )
+    return None
+
+
+def _open(contour: AbstractContour, ends: np.ndarray) -> str | None:
+    """By how much a contour that claims to be closed fails to come back to itself."""
+    length = float(ends[1] - ends[0])
+    places = ends[0] + length * ((np.arange(_TURNS) * 0.6180339887498949) % 1.0)
+    here, later, before = (
+        np.asarray(_frames(contour, jnp.asarray(places + k * length))) for k in (0.0, 1.0, -1.0)
+    )
+    first, second = _ALLOWED[here.dtype]
+    size = np.abs(here[:2]).max() + length
+    allowed = np.array([size, size, 1.0, 1.0, 10.0 * second / first * (np.abs(here[4]).max() + 1.0 / length)])
+    off = np.maximum(np.abs(later - here), np.abs(before - here)) > 100.0 * first * allowed[:, None]
+    if not off.any():
+        return None
+    worst = int(np.argmax(off.any(axis=0)))
+    return (
+        f"that comes back to itself where it claims to be closed, but the point of {{kind}} at "
+        f"s = {places[worst]:.4g} m was {shown(here[:2, worst])}, and {shown(later[:2, worst])} a length of "
+        f"{length:.6g} m later"
+    )
+
+
+@remembered
+def _ready(contour: AbstractContour) -> AbstractContour:
+    return _prepared(contour)
+
+
+@eqx.filter_jit
+def _prepared(contour: AbstractContour) -> AbstractContour:
+    return contour.prepared()
+
+
+@eqx.filter_jit
+def _measured(contour: AbstractContour, places: Array) -> tuple[Array, ...]:
+    """Points, derivatives of the curve, tangents, curvatures of the frame, and those of the curve."""
+
+    def one(s: Array) -> tuple[Array, ...]:
+        frame, curve = _frame(contour, s), frenet(contour.curve, s)
+        gap = frame.point.array() - curve.point.array()
+        # A frame that is elsewhere shows as a point that is not finite.
+        away = jnp.max(jnp.abs(gap)) > 1e-6 * (jnp.max(jnp.abs(curve.point.array())) + _NEAREST)
+        point = jnp.where(away, jnp.nan, frame.point.array())
+        own = jnp.asarray(frame.curvature, point.dtype)
+        return point, curve.tangent.array(), frame.tangent.array(), own, curve.curvature
+
+    return jax.vmap(one)(places)
+
+
+@eqx.filter_jit
+def _frames(contour: AbstractContour, places: Array) -> Array:
+    """Points, tangents and curvatures, shape (5, n)."""
+
+    def one(s: Array) -> Array:
+        frame = _frame(contour, s)
+        parts = (*frame.point, *frame.tangent, frame.curvature)
+        return jnp.stack([jnp.asarray(x, s.dtype) for x in parts])
+
+    return jax.vmap(one)(places).T
+
+
+def _frame(contour: AbstractContour, s: Array) -> Frenet2:
+    frame = contour.frame(s)
+    if not isinstance(frame, Frenet2) or not isinstance(contour.curve(s), Vec2):
+        kind = type(contour).__name__
+        raise ValueError(
+            f"argument contour must give a Vec2 by `curve` and a Frenet2 by `frame`, but {kind} gave "
+            f"a {type(contour.curve(s)).__name__} and a {type(frame).__name__}"
+        )
+    return frame
+
+
+@remembered
+def _surface_fault(surface: AbstractSurface) -> str | None:
+    """What is wrong with a surface at places all over it, or None."""
+    with jax.ensure_compile_time_eval():
+        off = {name: np.asarray(value) for name, value in _inconsistency(surface).items()}
+    allowed = _SURFACE[off["there"].dtype]
+    seam = float(off.pop("seam"))
+    if not seam <= 10.0 * allowed:
+        return (
+            "that comes back to itself where it claims to be periodic, but the ends of {kind}'s period are "
+            f"{seam:.3g} of its size apart"
+        )
+    finite = np.all([np.isfinite(x) for x in off.values()], axis=0) & (off.pop("there") > 0)
+    if not finite.any():
+        return "with finite points, normals and derivatives, but {kind} had none"
+    for what, values in off.items():
+        worst = float(values[finite].max())
+        if worst > allowed:
+            return f"whose {what}, but that of {{kind}} was {worst:.3g} off, relative to its size"
+    return None
+
+
+@eqx.filter_jit
+def _inconsistency(surface: AbstractSurface) -> dict[str, Array]:
+    """Relative errors of what must belong together, at places all over a surface."""
+    ready = surface.prepared()
+    at = _all_over(ready)
+    found = jax.vmap(lambda *one: _errors(ready, one))(*at)
+    seam = _seam(ready, at) if isinstance(ready, AbstractChart) else jnp.zeros(())
+    return {**found, "seam": seam}
+
+
+def _all_over(surface: AbstractSurface) -> Scalars:
+    at = surface.spread(_SPREAD)
+    if at is None:
+        seeds = jnp.asarray((lattice(_SPREAD, 3) - 0.5) * (2.0 * _RANGE))
+        at = jax.vmap(lambda p: surface.settled(surface.start(Vec3(p[0], p[1], p[2]))))(seeds)
+    kind = jnp.result_type(float)
+    return tuple(jnp.broadcast_to(jnp.asarray(x, kind), (_SPREAD,)) for x in at)
+
+
+def _errors(surface: AbstractSurface, at: Scalars) -> dict[str, Array]:
+    frame = surface.frame(at)
+    if not isinstance(frame, Gauss3):
+        raise ValueError(
+            f"argument surface must give a Gauss3 by `frame`, but {type(surface).__name__} gave "
+            f"{shown(frame)}"
+        )
+    normal, length = frame.normal, frame.normal.norm()
+    moved, turned = [], []
+    size = jnp.sqrt(frame.shape.squares()) + 1.0 / (frame.point.norm() + _NEAREST)
+    for way in tangents(normal * (1.0 / length)):
+        rates = tuple(jnp.asarray(x, length.dtype) for x in surface.rate(at, way))
+        _, change = jax.jvp(lambda at: jax.tree.map(jnp.asarray, surface.frame(at)), (at,), (rates,))
+        moved.append((Vec3(*change.point) - way).norm())
+        turned.append((Vec3(*change.normal) - frame.shape.apply(way)).norm() / size)
+    found = {
+        "normal has length one": jnp.abs(length - 1.0),
+        "coordinates move as `rate` says": jnp.maximum(*moved),
+        "shape operator is the derivative of its normal": jnp.maximum(*turned),
+        "shape operator is zero along its normal": frame.shape.apply(normal).norm() / size,
+        "there": jnp.ones_like(length),
+    }
+    return found | (_field_errors(surface, at, normal) if isinstance(surface, AbstractImplicit) else {})
+
+
+def _field_errors(surface: AbstractImplicit, at: Scalars, normal: Vec3) -> dict[str, Array]:
+    """Whether gradient and second derivatives are those of the field, and the normal along the gradient."""
+    level = surface.derivatives(Vec3(*at))
+    rates, bends = [], []
+    for i in range(3):
+        way = tuple(jnp.full_like(x, float(i == k)) for k, x in enumerate(at))
+        _, change = jax.jvp(lambda *p: jax.tree.map(jnp.asarray, surface.derivatives(Vec3(*p))), at, way)
+        rates.append(change.value)
+        bends.append(Vec3(*change.gradient) - level.hessian.apply(Vec3(*way)))
+    slope = Vec3(*rates)
+    steep = slope.norm()
+    size = jnp.sqrt(level.hessian.squares()) + steep / (Vec3(*at).norm() + _NEAREST)
+    arrived = jnp.abs(level.value) <= 1e-6 * steep * (Vec3(*at).norm() + _NEAREST)
+    return {
+        "gradient is that of its field": (level.gradient - slope).norm() / steep,
+        "second derivatives are those of its field": jnp.max(jnp.stack([b.norm() for b in bends])) / size,
+        "normal is along its field's gradient": (normal * steep - slope).norm() / steep,
+        "there": jnp.where(arrived, 1.0, 0.0).astype(steep.dtype),
+    }
+
+
+def _seam(chart: AbstractChart, at: Scalars) -> Array:
+    """Largest distance of points a period apart, relative to the size."""
+    points = lambda *one: chart.derivatives(one).point  # noqa: E731
+    here, off = jax.vmap(points)(*at), [jnp.zeros(())]
+    size = jnp.max(here.norm())
+    for k, ((low, high), loop) in enumerate(zip(chart.domain(), chart.periodic, strict=True)):
+        if loop:
+            later = tuple(x + (high - low) if i == k else x for i, x in enumerate(at))
+            off.append(jnp.max((jax.vmap(points)(*later) - here).norm()) / size)
+    return jnp.max(jnp.stack(off))

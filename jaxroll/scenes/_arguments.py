@@ -1,0 +1,30 @@
+"""What the scenes' functions ask of their arguments."""
+
+from typing import Any
+
+from jaxtyping import Array, Float
+
+from .._results import as_floats, check_instance, check_positive, concrete, shown
+from .._types import Given
+
+
+def as_positive(name: str, value: Given) -> Float[Array, ""]:
+    """A positive number."""
+    return check_positive(name, as_floats(name, value, ()))
+
+
+def as_pair(name: str, value: Any, kind: type, what: str) -> tuple[Any, Any]:
+    """Two shapes, or one that serves twice."""
+    pair = tuple(value) if isinstance(value, tuple | list) else (value, value)
+    if len(pair) != 2:
+        raise ValueError(f"argument {name} must be {what}, but was {shown(value)}")
+    for one in pair:
+        check_instance(name, one, kind, what)
+    return pair[0], pair[1]
+
+
+def check_below(name: str, value: Array, other: str, bound: Array) -> None:
+    """Raise unless a concrete value is smaller than another argument."""
+    seen, most = concrete(value), concrete(bound)
+    if seen is not None and most is not None and not seen < most:
+        raise ValueError(f"argument {name} must be smaller than {other}, {most:g}, but was {seen:g}")

@@ -546,7 +546,7 @@ FUNCTIONS = {
 # Formulas on frames, poses and twists that are for the package's own programs, and checks.
 INNER = {
     *("clearance", "gap", "gap_bias", "gap_rate", "pfaffian", "rolling_rate", "tangency", "tangency3"),
-    *("check_unit_speed", "sense", "joint_angles", "as_controller", "as_drive", "check_states", "split"),
+    *("sense", "joint_angles", "as_controller", "as_drive", "check_states", "split"),
 }
 # Searches for the closest points of two shapes have tests of their own.
 SEARCHES = {"locate", "locate_surfaces"}

@@ -1,5 +1,6 @@
 """Fingertips for condition (41): an analytic optimum, violating starts, limits that exclude it."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,9 +10,11 @@ from scipy.optimize import brentq
 from scipy.special import ellipe
 
 import jaxroll as jxr
+from jaxroll._algebra import Vec2
 from jaxroll.design import Limits, optimise_fingertip
+from jaxroll.design._limits import sampled
 from jaxroll.design._minimise import minimise
-from jaxroll.geometry import PeriodicNetwork
+from jaxroll.geometry import Frenet2, PeriodicNetwork
 
 INTERVAL = (-0.005, 0.005)
 
@@ -50,6 +53,50 @@ def test_a_step_into_nowhere_is_taken_back():
     rates = optax.adam(optax.exponential_decay(0.5, 20, 0.5))
     found = minimise(nowhere, jnp.array([[0.1, 3.0]]), jnp.zeros(1), steps=200, optimiser=rates)
     np.testing.assert_allclose(found.search.best, 1.0, atol=1e-2)
+
+
+class Clothoid(jxr.AbstractContour):
+    """A contour whose curvature is linear in arclength."""
+
+    bend: jax.Array
+    slope: jax.Array
+    ends: jax.Array
+    closed: bool = eqx.field(default=False, static=True)
+    smoothness: float = eqx.field(default=float("inf"), static=True)
+
+    def frame(self, s):
+        angle = self.bend * s + 0.5 * self.slope * s * s
+        # Where it passes does not matter here: every point is put at s along the x axis.
+        zero = jnp.zeros_like(angle)
+        return Frenet2(Vec2(zero + s, zero), Vec2(jnp.cos(angle), jnp.sin(angle)), self.bend + self.slope * s)
+
+    def curve(self, s):
+        return self.frame(s).point
+
+    def prepared(self):
+        return self
+
+    def domain(self):
+        return self.ends
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_limits_look_at_either_side(side):
+    """Each bound on a contour with known curvatures, bent outwards and hollow, rising and falling."""
+    ends, pad = (-0.01, 0.03), jnp.array([0.0, 0.02])
+    contour = Clothoid(*map(jnp.asarray, (side * 50.0, side * 2e3, ends)))
+    most = max(abs(50.0 + 2e3 * s) for s in ends)
+    limits = Limits(size=0.02, length=0.05, radius=0.004, flat=0.05, steepness=500.0)
+    found = limits.excess(sampled(contour, pad))
+    assert sorted(found) == ["flat", "length", "radius", "size", "steepness"]
+    assert float(found["size"].max()) == pytest.approx(0.03 / 0.02 - 1.0)
+    assert float(found["length"].max()) == pytest.approx(0.04 / 0.05 - 1.0)
+    assert float(found["radius"].max()) == pytest.approx(most * 0.004 - 1.0)
+    assert float(found["steepness"].max()) == pytest.approx(2e3 / 500.0 - 1.0)
+    least = min(side * (50.0 + 2e3 * s) for s in (0.0, 0.02))
+    assert float(found["flat"].max()) == pytest.approx(1.0 - least * 0.05)
+    convex = Limits(flat=None).excess(sampled(contour, pad))["convex"]
+    assert float(convex.max()) == pytest.approx(-least * 0.04)
 
 
 def test_ellipse_has_the_analytic_optimum():

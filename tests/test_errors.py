@@ -98,6 +98,8 @@ def bad_runs(grasp, state):
     wrong = jxr.State(state.q[:2], state.v, state.s)
     unset = jxr.State(state.q, state.v.at[0].set(jnp.nan), state.s)
     off = jxr.State(state.q + 0.01, state.v, state.s)
+    # Both contact points move alike: the gap stays below 1e-12 m, the tangents part by 1e-5 rad.
+    tilted = jxr.State(state.q, state.v, state.s + 1e-7)
     single = jax.tree.map(lambda x: x.astype(jnp.float32), (grasp, state))
     sim = jxr.simulate
     return [
@@ -109,6 +111,10 @@ def bad_runs(grasp, state):
         (
             lambda: sim(grasp, off, 0.01, ts=1),
             "must be on the constraints to 1e-09, but its worst row",
+        ),
+        (
+            lambda: sim(grasp, tilted, 0.01, ts=1),
+            r"must be on the constraints to 1e-09, but its worst row is 1\.\d+e-05 m or rad off",
         ),
         (lambda: sim(grasp, state, 0.0), "argument t1 must be above t0 = 0, but was 0"),
         (lambda: sim(grasp, state, 1.0, ts=[0.5, 0.2]), "argument ts must rise strictly"),
@@ -122,7 +128,7 @@ def bad_runs(grasp, state):
     ]
 
 
-@pytest.mark.parametrize("index", range(12))
+@pytest.mark.parametrize("index", range(13))
 def test_bad_runs(scene, index):
     call, sentence = bad_runs(*scene)[index]
     with pytest.raises(ValueError, match=sentence):
@@ -191,6 +197,7 @@ def test_end_of_an_open_contour_is_a_code(scene):
         jxr.simulate(grasp, state, 3.0, ts=31)
 
 
+@pytest.mark.xfail(strict=True, reason="what comes of dividing by the sum is reported instead of its cause")
 def test_vanishing_curvature_sum_is_a_code():
     """A flat fingertip on a flat face cannot roll."""
     grasp, state = jxr.scenes.pivoted()
@@ -199,14 +206,15 @@ def test_vanishing_curvature_sum_is_a_code():
     flat = flat.with_contacts(jxr.Contact(0.0, 0.0))
     _, start = jxr.close(flat, state, throw=False)
     run = jxr.simulate(flat, start, 0.1, ts=3, throw=False)
-    assert run.result != jxr.RESULTS.successful
-    assert not np.isnan(np.asarray(run.last.q)).any() or run.result == jxr.RESULTS.not_finite
+    assert run.result == jxr.RESULTS.singular_contact and float(run.stats.t_end) == 0.0
 
 
+@pytest.mark.xfail(strict=True, reason="the steps run out before the code is set")
 def test_no_nan_under_a_success_code(scene):
     grasp, state = scene
     run = jxr.simulate(grasp.with_(controller=nan_torque), state, 0.1, ts=3, throw=False)
-    assert run.result != jxr.RESULTS.successful
+    assert run.result == jxr.RESULTS.not_finite
+    assert float(run.stats.t_end) == pytest.approx(0.05, abs=1e-6)
 
 
 def nan_torque(t, angles, rates, tips):

@@ -65,6 +65,49 @@ def test_drawings_that_state_another_unit_are_refused(tmp_path):
         jxr.io.read_points(path)
 
 
+PLAIN = """<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="9" viewBox="0 0 {units} 60">
+<rect x="10" y="20" width="40" height="30"/></svg>"""
+
+
+@pytest.mark.parametrize(
+    ("width", "millimetres"),
+    [("120mm", 1.0), ("12cm", 1.0), ("60in", 12.7), ("72pt", 25.4 / 120), ("6pc", 25.4 / 120)],
+)
+def test_lengths_that_an_svg_states(width, millimetres, tmp_path):
+    """Its width over its viewBox's: the unit that is asked for must be that, to a thousandth."""
+    path = tmp_path / "plain.svg"
+    path.write_text(PLAIN.format(width=width, units=120))
+    points = jxr.io.read_points(path, unit="px", pixel=1e-3 * millimetres)
+    assert sorted(map(tuple, (points / (1e-3 * millimetres)).round(9).tolist())) == [
+        (10.0, -50.0),
+        (10.0, -20.0),
+        (50.0, -50.0),
+        (50.0, -20.0),
+    ]
+    for off in (0.998, 1.002):
+        with pytest.raises(ValueError, match=f"one unit is {millimetres:.6g} mm, but was") as error:
+            jxr.io.read_points(path, unit="px", pixel=1e-3 * millimetres * off)
+        assert str(error.value).startswith("argument unit must agree with plain.svg")
+    assert len(jxr.io.read_points(path, unit="px", pixel=1e-3 * millimetres * 1.0005)) == 4
+
+
+def test_lengths_that_a_dxf_states(tmp_path):
+    """Every code that a drawing may give its unit by; ezdxf's own factors are the oracle."""
+    import ezdxf
+
+    path = tmp_path / "plain.dxf"
+    for code in (1, 2, 4, 5, 6, 13, 14):
+        drawing = ezdxf.new(units=code)
+        drawing.modelspace().add_lwpolyline([(0, 0), (3, 0), (0, 4)], close=True)
+        drawing.saveas(path)
+        millimetres = 1e3 * ezdxf.units.conversion_factor(code, ezdxf.units.M)
+        if code == 6:
+            assert np.abs(jxr.io.read_points(path, unit="m")).max() == 4.0
+            continue
+        with pytest.raises(ValueError, match=rf"one unit is {millimetres:.6g} mm, but was 1000 mm"):
+            jxr.io.read_points(path, unit="m")
+
+
 CURVED = """<svg xmlns="http://www.w3.org/2000/svg">
 <g transform="translate(3,4) scale(2)">
 <path d="M 10,0 A 10,10 0 0 1 -10,0 A 10,10 0 0 1 10,0 Z"/>
@@ -119,7 +162,7 @@ def test_dxf_pieces_are_joined(tmp_path):
     [
         ("x,y\n1,2\n3,4\n", {}),
         ("# made by hand\n1 2 # corner\n\n3\t4\n", {}),
-        ("1,0; 2,0\n3,0; 4,0", {}),
+        ("1,000; 2,0\n3,0; 4,0", {}),
         ("time,x,y\n0,1,2\n1,3,4", {"columns": (1, 2)}),
     ],
 )
@@ -127,6 +170,17 @@ def test_tables_of_many_makes(text, options, tmp_path):
     path = tmp_path / "table.csv"
     path.write_text(text)
     np.testing.assert_allclose(jxr.io.read_points(path, unit="m", **options), [[1, 2], [3, 4]])
+
+
+def test_decimal_commas_part_whole_from_fraction(tmp_path):
+    """Where semicolons part the fields; elsewhere a comma parts them itself."""
+    path = tmp_path / "table.csv"
+    path.write_text("x [m]; y [m]\n1,25; -2,5\n-0,0625;4,75e-2\n")
+    np.testing.assert_array_equal(jxr.io.read_points(path, unit="m"), [[1.25, -2.5], [-0.0625, 0.0475]])
+    path.write_text("1.25; 2.5\n3.125; 4.75\n")
+    np.testing.assert_array_equal(jxr.io.read_points(path, unit="m"), [[1.25, 2.5], [3.125, 4.75]])
+    path.write_text("1.25, 2.5\n3.125,4.75\n")
+    np.testing.assert_array_equal(jxr.io.read_points(path, unit="m"), [[1.25, 2.5], [3.125, 4.75]])
 
 
 def test_bad_files_are_named(tmp_path):

@@ -1,6 +1,7 @@
 """The chapter's Part 2: what it reports, and how exactly we compute it."""
 
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -204,6 +205,26 @@ def test_csm_pulls_a_violated_constraint_back(scene):
     assert before > 1e-8 and after < 1e-3 * before
     tangency = np.asarray(run.residuals.tangency[:, 0])
     assert abs(tangency[1] / tangency[0] - 1.0) < 1e-3  # integrated by (68), never stabilised
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_csm_closes_either_gap_at_its_own_rate(scene, which):
+    """A small gap dies out as its gains say, critically damped: g(t) = g(0) (1 + w t) exp(-w t)."""
+    grasp, state = scene
+    rates = np.array([900.0, 1400.0])  # of the normal and of the tangential gap [1/s]
+    gains = jxr.CSM(2 * rates[0], rates[0] ** 2, 2 * rates[1], rates[1] ** 2)
+    # The finger moves off by 1 nm along the normal or the tangent; its velocity is zero.
+    face = grasp.object.contours[0]
+    angle = float(state.q[0])
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    along = turn @ np.asarray((face.normal, face.tangent)[which](0.003))
+    base = grasp.fingers[0].base + 1e-9 * along
+    moved = eqx.tree_at(lambda g: g.fingers[0].base, grasp, base)
+    run = jxr.simulate(moved, state, 2e-3, ts=5, formulation=gains, throw=False, rtol=1e-10)
+    left = np.stack([run.residuals.normal[:, 0], run.residuals.tangential[:, 0]])
+    decay = np.exp(-np.outer(rates, run.ts)) * (1.0 + np.outer(rates, run.ts))
+    np.testing.assert_allclose(np.abs(left[which]), 1e-9 * decay[which], rtol=1e-3, atol=1e-14)
+    assert np.abs(left[1 - which]).max() <= 2e-11
 
 
 def test_gravity_holds_energy(scene):

@@ -139,6 +139,10 @@ def test_verdicts(pinch):
     assert held.verdict == VERDICTS.neutral and int(held.neutral) == 1
     assert assess(*jxr.scenes.pivoted()).verdict == VERDICTS.asymptotically_stable
     assert int(assess(*jxr.scenes.pivoted()).neutral) == 0
+    grasp, state = jxr.scenes.pivoted()
+    swinging = assess(grasp.with_(damping=0.0), state)
+    assert swinging.verdict == VERDICTS.undamped and int(swinging.neutral) == 0
+    assert np.abs(swinging.rates.real).max() < 1e-9 < 1.0 < np.abs(swinging.rates.imag).min()
 
 
 def test_margin_of_41():

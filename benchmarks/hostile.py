@@ -1,0 +1,234 @@
+"""Hostile arguments to every public name: each call ends in a result, a result code or one sentence.
+
+`python -m benchmarks.hostile --examples 10000` draws examples with hypothesis, of every public name alike:
+one argument of a valid call (sometimes two) is replaced by a hostile value. It prints how they ended, and
+each kind of offence with an example: *silent*, where a value that can mean nothing there was taken; *raw*,
+any error but `ValueError` with one sentence that names an argument; *slow*, no answer within a minute. The
+same `--seed` draws the same examples; `--only Circle close` tries those names alone. The tests run 200.
+"""
+
+import argparse
+import collections
+import contextlib
+import dataclasses
+import io
+import re
+import signal
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from hypothesis import given, HealthCheck, Phase, seed, settings, strategies as st
+
+import jaxroll as jxr
+from benchmarks._hostile_calls import Call, calls
+from benchmarks._hostile_values import made, names_for, sensible
+
+# Longest sentence that is still one.
+LONGEST = 300
+_PATIENCE = 60
+_SENTENCE = re.compile(r"argument[s]? \S+.*")
+_GOOD = ("result", "sentence", "code")
+
+
+@dataclasses.dataclass(frozen=True)
+class Example:
+    """One call: a public name, and for each argument that is replaced the name of its value."""
+
+    name: str
+    values: tuple[tuple[str, str], ...]
+
+    def __str__(self) -> str:
+        return f"{self.name}({', '.join(f'{parameter} = {value}' for parameter, value in self.values)})"
+
+
+@dataclasses.dataclass(frozen=True)
+class Outcome:
+    """How a call ended: 'result', 'sentence', 'code', or an offence; where, and what was said."""
+
+    kind: str
+    where: str = ""
+    words: str = ""
+
+    @property
+    def good(self) -> bool:
+        return self.kind in _GOOD
+
+
+def examples(names: Sequence[str] | None = None, *, refused: bool = False) -> st.SearchStrategy[Example]:
+    """Calls of public names with one or two arguments replaced.
+
+    Args:
+        names: Public names; None: all.
+        refused: Whether to leave out values that slow calls may take, so that few programs are compiled.
+    """
+    known = [call for call in calls().values() if call.arguments and (names is None or call.name in names)]
+
+    def value(call: Call, parameter: str) -> st.SearchStrategy[tuple[str, str]]:
+        argument = call.arguments[parameter]
+        tried = [
+            name
+            for name in names_for(argument.kind)
+            if not (refused and call.slow and name in argument.taken)
+        ]
+        return st.sampled_from(tried).map(lambda name: (parameter, name))
+
+    def replaced(call: Call) -> st.SearchStrategy[Example]:
+        some = st.lists(st.sampled_from(sorted(call.arguments)), min_size=1, max_size=2, unique=True)
+        both = some.flatmap(lambda chosen: st.tuples(*(value(call, parameter) for parameter in chosen)))
+        return both.map(lambda values: Example(call.name, values))
+
+    return st.sampled_from(known).flatmap(replaced)
+
+
+def outcome(example: Example) -> Outcome:
+    """Make the call and judge how it ends."""
+    call = calls()[example.name]
+    arguments = {name: call.arguments[name].valid() for name in call.needed}
+    odd = []
+    for parameter, name in example.values:
+        argument = call.arguments[parameter]
+        valid = argument.valid()
+        try:
+            value = made(argument.kind, name, valid)
+        except (
+            TypeError,
+            ValueError,
+            IndexError,
+            StopIteration,
+            OverflowError,
+        ):  # the valid value cannot be spoilt in this way
+            continue
+        arguments[parameter] = value
+        if name not in argument.also and not sensible(argument.kind, name, value, valid):
+            odd.append(parameter)
+    with _patience():
+        return _judged(call, arguments, odd)
+
+
+def _judged(call: Call, arguments: dict[str, Any], odd: list[str]) -> Outcome:
+    try:
+        with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
+            warnings.simplefilter("ignore")
+            answer = call.function(**arguments)
+            jax.block_until_ready([leaf for leaf in jax.tree.leaves(answer) if isinstance(leaf, jax.Array)])
+    except ValueError as error:
+        return Outcome("sentence") if is_one_sentence(str(error)) else _raw(error)
+    except TimeoutError:
+        return Outcome("slow", call.name, f"no answer within {_PATIENCE} s")
+    except RuntimeError as error:
+        told = any(str(error) == jxr.RESULTS[code] for code in _codes())
+        return Outcome("code") if told else _raw(error)
+    except Exception as error:  # whatever else it is, it is raw
+        return _raw(error)
+    if isinstance(answer, jxr.Trajectory) and not _true(answer):
+        return Outcome("silent", call.name, "a run with values that are not finite is called successful")
+    if not odd:
+        return Outcome("result")
+    return Outcome("silent", f"{call.name} {' and '.join(odd)}", "taken as if it meant something")
+
+
+def is_one_sentence(text: str) -> bool:
+    """Whether an error's text is one line of at most 300 characters that begins with the argument's name."""
+    return "\n" not in text and len(text) <= LONGEST and _SENTENCE.fullmatch(text) is not None
+
+
+def _codes() -> list[Any]:
+    return [getattr(jxr.RESULTS, name) for name in dir(jxr.RESULTS) if not name.startswith("_")]
+
+
+def _true(run: jxr.Trajectory) -> bool:
+    good = np.asarray(run.result == jxr.RESULTS.successful)
+    return not good.any() or bool(jnp.all(jnp.isfinite(run.last.q)))
+
+
+def _raw(error: BaseException) -> Outcome:
+    """An error that should not have come through, with the last place of jaxroll on its way."""
+    frames = [f for f in traceback.extract_tb(error.__traceback__) if "/jaxroll/" in f.filename]
+    where = (
+        f"{frames[-1].filename.rpartition('/jaxroll/')[2]}:{frames[-1].lineno}" if frames else "at the door"
+    )
+    try:
+        text = " ".join(str(error).split())[:120]
+    except Exception:
+        text = "an error that cannot be printed"
+    return Outcome("raw", where, f"{type(error).__name__}: {text}")
+
+
+@contextlib.contextmanager
+def _patience() -> Iterator[None]:
+    """Raise `TimeoutError` in whatever takes longer than a minute."""
+
+    def late(*_: Any) -> None:
+        raise TimeoutError
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.alarm(_PATIENCE)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def run(count: int, number: int, names: Sequence[str] | None) -> list[tuple[Example, Outcome]]:
+    """That many examples, by seed, and how each ended."""
+    seen: list[tuple[Example, Outcome]] = []
+    start = time.perf_counter()
+
+    @seed(number)
+    @settings(
+        max_examples=count,
+        phases=[Phase.generate],
+        database=None,
+        deadline=None,
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(examples(names))
+    def tried(example: Example) -> None:
+        seen.append((example, outcome(example)))
+        if len(seen) % 500 == 0:
+            print(f"{len(seen)} examples, {time.perf_counter() - start:.0f} s", file=sys.stderr, flush=True)
+            jax.clear_caches()
+
+    tried()
+    return seen
+
+
+def report(seen: Sequence[tuple[Example, Outcome]]) -> str:
+    """Counts, then the offences, place by place, with how often each was met and one example."""
+    counts = collections.Counter(outcome.kind for _, outcome in seen)
+    kinds = [*_GOOD, "silent", "raw", "slow"]
+    lines = [f"{len(seen)} examples: " + ", ".join(f"{kind} {counts[kind]}" for kind in kinds)]
+    offences: dict[tuple[str, str], list[tuple[Example, Outcome]]] = {}
+    for example, ended in seen:
+        if not ended.good:
+            offences.setdefault((ended.kind, ended.where), []).append((example, ended))
+    for (kind, where), met in sorted(offences.items()):
+        example, ended = min(met, key=lambda pair: len(pair[0].values))
+        lines.append(f"{kind}  {len(met)}x  {where}  {example}: {ended.words}")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser("python -m benchmarks.hostile", description=__doc__)
+    parser.add_argument("--examples", type=int, default=10_000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="public names; default: all")
+    options = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    with tempfile.TemporaryDirectory() as place, contextlib.chdir(place):
+        seen = run(options.examples, options.seed, options.only)
+    print(report(seen))
+    sys.exit(any(not ended.good for _, ended in seen))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,30 @@
+"""Any arguments to any public name: a result, a result code or one sentence (see benchmarks/hostile.py)."""
+
+from hypothesis import given, HealthCheck, settings
+
+from benchmarks import hostile
+from benchmarks._hostile_calls import calls
+
+
+@settings(
+    max_examples=200,
+    derandomize=True,
+    database=None,
+    deadline=None,
+    suppress_health_check=list(HealthCheck),
+)
+@given(hostile.examples(refused=True))
+def test_hostile_arguments_are_answered_or_refused(example):
+    ended = hostile.outcome(example)
+    assert ended.good, f"{example}: {ended.kind} at {ended.where}: {ended.words}"
+
+
+def test_every_public_name_has_an_example():
+    """`calls` raises where a name or one of its parameters has none."""
+    assert len(calls()) > 100
+
+
+def test_the_judge_knows_offences():
+    assert hostile.is_one_sentence("argument radius must be positive, but was -1.0")
+    for page in ("argument radius\nmust be positive", "argument radius must be " + 300 * "x", "bad radius"):
+        assert not hostile.is_one_sentence(page)

@@ -35,7 +35,7 @@ from ._march import march
 from ._methods import check_method, Seeing, Steady, with_tolerances
 from ._observe import energies_at, Energy, Multipliers, multipliers_at, of_reached, residuals_at, worst
 from ._plan import Path, Plan
-from ._regime import EVENTS
+from ._regime import EVENTS, whose
 from ._report import complaint
 from ._stepper import RollingStep
 from ._trajectory import Stats, Trajectory
@@ -90,8 +90,10 @@ def simulate(
 
     Batching: `vmap` over any array; each lane has its own code, and no lane changes another.
     Events: a run ends where its model does, at the root of the force, distance or angle that runs out, to
-    rounding in time; `stats.t_end` and `last` carry the derivative of that time. A limit crossed and
-    recrossed within one step is not seen.
+    rounding in time; `stats.t_end` and `last` carry the derivative of that time. A limit that is crossed and
+    recrossed within one step is seen from the step's stages, as far as the solver sees it: a push of your own
+    controller that is shorter than a step and falls between its stages is no part of the run. Limits of the
+    geometry come before those of the forces, which have a pole where a sum of curvatures is zero.
     Gradients: forward and reverse mode, of the discrete solution at frozen step sizes, with respect to
     `grasp` and `state`; in times or gains of the formulation, and twice, they are refused. A derivative
     records `max_steps` states.
@@ -214,13 +216,15 @@ def _trajectory(
     if "energy" in record:
         energy = _energy(grasp, state, states, path.saved[:, lay.width - 1])
     attempted, accepted, rejected = path.steps
+    number = jax.lax.stop_gradient(path.last[-1])
+    margin = jnp.where(number > 0, path.last[lay.margin], jnp.nan)
     trajectory = Trajectory(
         plan.ts,
         states,
         states_of(lay, path.last),
         jax.tree.map(lambda a: a[1:], left),
         RESULTS.where(on_constraints, path.result, RESULTS.unreachable),
-        Stats(attempted, accepted, rejected, path.t_last, jnp.array(-1), jnp.full_like(path.t_last, jnp.nan)),
+        Stats(attempted, accepted, rejected, path.t_last, whose(number), margin),
         forces,
         energy,
         grasp.labels,

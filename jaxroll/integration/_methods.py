@@ -58,13 +58,13 @@ class Steady(diffrax.AbstractStepSizeController):
         y_error: Array,
         error_order: Any,
         controller_state: Scalar,
-    ) -> tuple[bool, Scalar, Scalar, bool, Scalar, diffrax.RESULTS]:
-        """Every step is taken; one whose equations were not solved ends the run."""
+    ) -> tuple[Scalar, Scalar, Scalar, bool, Scalar, diffrax.RESULTS]:
+        """Every step is taken but one whose equations were not solved, which ends the run."""
         parts = jax.lax.split(y_error, (1,) * y_error.shape[0])
         solved = jnp.isfinite(total(parts))[0]
         results = diffrax.RESULTS
         code = results.where(solved, results.successful, results.nonlinear_divergence)
-        return True, t1, t1 + controller_state, False, controller_state, code
+        return solved, t1, t1 + controller_state, False, controller_state, code
 
 
 class Seeing(diffrax.AbstractStepSizeController):

@@ -571,7 +571,7 @@ def test_functions_refuse_in_one_sentence(function):
 
 
 def test_quantities_of_the_plane_are_refused_in_space():
-    at = jxr.State(np.zeros(11), np.zeros(10), np.zeros(8))
+    at = jxr.State(*map(np.zeros, SPACE.form.counts))
     for call in (
         lambda: stability.pinch_statics(SPACE, (0, 0)),
         lambda: stability.rectangle_hessian(SPACE, (0, 0)),

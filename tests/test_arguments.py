@@ -570,6 +570,21 @@ def test_functions_refuse_in_one_sentence(function):
             check_sentence(sentence, name)
 
 
+def test_quantities_of_the_plane_are_refused_in_space():
+    at = jxr.State(*map(np.zeros, SPACE.form.counts))
+    for call in (
+        lambda: stability.pinch_statics(SPACE, (0, 0)),
+        lambda: stability.rectangle_hessian(SPACE, (0, 0)),
+        lambda: stability.pinch_rest(SPACE, at),
+        lambda: stability.equilibrium(SPACE, at),
+        lambda: stability.assess(SPACE, at),
+        lambda: jxr.pinch_balance(SPACE, 0.0, at),
+        lambda: jxr.press_balance(SPACE, 0.0, at),
+        lambda: jxr.equation_terms(SPACE, at),
+    ):
+        check_sentence(refusal(call), "grasp must live in the plane")
+
+
 def test_a_checkpoint_of_other_bytes_is_refused(tmp_path):
     path = tmp_path / "search.npy"
     for content in (b"", b"not a search", bytes(1000)):

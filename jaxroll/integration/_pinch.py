@@ -11,7 +11,7 @@ from .._algebra import total, Vec2
 from .._printing import listed
 from .._types import Scalar
 from ..control import Opposition, orientations
-from ..mechanics import compiled, Grasp, poses, State, to_leaves, touches
+from ..mechanics import check_planar, compiled, Grasp, poses, State, to_leaves, touches
 from ._formulation import Index1
 from ._observe import as_times, multipliers_at
 
@@ -87,6 +87,7 @@ def pinch_balance(grasp: Grasp, ts: Float[Array, "..."], states: State) -> Pinch
 
 def check_pinch(grasp: Grasp) -> None:
     """Raise unless two fingers, with one contact each, are driven by `control.Opposition`."""
+    check_planar(grasp)
     touched = [contact.finger for contact in grasp.contacts]
     if len(grasp.fingers) != 2 or touched != [0, 1] or not isinstance(grasp.controller, Opposition):
         raise ValueError(

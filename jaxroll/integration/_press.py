@@ -11,7 +11,7 @@ from .._algebra import Vec2
 from .._printing import listed
 from .._types import Scalar
 from ..control import Press
-from ..mechanics import compiled, Grasp, poses, State, to_leaves, touches
+from ..mechanics import check_planar, compiled, Grasp, poses, State, to_leaves, touches
 from ._formulation import Index1
 from ._observe import as_times, multipliers_at
 
@@ -66,6 +66,7 @@ def press_balance(grasp: Grasp, ts: Float[Array, "..."], states: State) -> Press
         >>> bool(abs(balance.n1[-1, 0]) < 1e-3 * abs(balance.n1[0, 0]))
         True
     """
+    check_planar(grasp)
     if not isinstance(grasp.controller, Press):
         raise ValueError(f"argument grasp must be driven by control.Press, but was by {grasp.controller!r}")
     ready, ts = grasp.prepared(), as_times(ts, states)

@@ -55,7 +55,7 @@ class State(eqx.Module):
 
 def _as_row(name: str, value: Any) -> Array:
     # States are made where runs are traced and saved: nothing is done to what is an array already.
-    ready = isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jnp.floating)
+    ready = isinstance(value, jax.Array) and value.dtype.kind == "f"
     row = value if ready else as_array(name, value)
     if not row.ndim:
         raise ValueError(f"argument {name} must have one axis or more, but was {shown(value)}")

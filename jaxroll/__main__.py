@@ -5,6 +5,7 @@ import contextlib
 import math
 import os
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -84,22 +85,49 @@ def main(argv: Sequence[str] | None = None) -> int:
     if options.command is None:
         parser.print_help()
         return 0
-    name = "design" if options.command == "design" else options.scene
     try:
-        folder = Path(options.out or f"jaxroll-{name}")
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        _say(f"jaxroll {options.command}: argument --out must name a folder that can be made, but: {error}")
-        return 2
-    try:
+        folder = _folder(options)
+        _check_tip(options)
         if options.command == "design":
             _design(options, folder)
         else:
             _run(options, DEMOS[options.scene], folder)
-    except (ValueError, RuntimeError, OSError, ImportError) as error:
+    except (_Unfit, ValueError) as error:
         _say(f"jaxroll {options.command}: {error}")
+        return 2
+    except KeyboardInterrupt:
+        _say(f"jaxroll {options.command}: interrupted")
+        return 130
+    except Exception as error:  # whatever went wrong, the command line answers in one line
+        _say(f"jaxroll {options.command}: {' '.join(str(error).split()) or type(error).__name__}")
         return 1
     return 0
+
+
+class _Unfit(Exception):
+    """An argument of the command line that does not fit."""
+
+
+def _folder(options: argparse.Namespace) -> Path:
+    """The folder to write to, made and tried before any work is done."""
+    name = "design" if options.command == "design" else options.scene
+    given = f"jaxroll-{name}" if options.out is None else options.out
+    try:
+        if not given.strip():
+            raise ValueError("it was empty")
+        folder = Path(given)
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except (OSError, ValueError) as error:
+        raise _Unfit(f"argument --out must name a folder that can be written to, but: {error}") from None
+    return folder
+
+
+def _check_tip(options: argparse.Namespace) -> None:
+    """Raise at once for a file that is not there: to load the libraries takes a while."""
+    tip = getattr(options, "tip", None)
+    if tip is not None and not Path(tip).is_file():
+        raise _Unfit(f"argument --tip must name a file, but there is none called {tip!r}")
 
 
 def _parser() -> _Parser:
@@ -141,11 +169,12 @@ def _design_parser(commands: Any) -> None:
         help="margin of condition (41) (default), stiffness at rest, or a run that settles soon with little "
         "friction; the last takes minutes to compile",
     )
-    whole = _number(1, 1e5)
     design.add_argument(
-        "--steps", metavar="N", type=whole, default=200, help="at most so many (default: 200)"
+        "--steps", metavar="N", type=_whole(1, 100_000), default=200, help="at most so many (default: 200)"
     )
-    design.add_argument("--starts", metavar="N", type=whole, default=1, help="in one batch (default: 1)")
+    design.add_argument(
+        "--starts", metavar="N", type=_whole(1, 1000), default=1, help="in one batch (default: 1)"
+    )
     design.add_argument(
         "--tip",
         metavar="FILE",
@@ -163,6 +192,18 @@ def _number(low: float, high: float) -> Callable[[str], float]:
             value = math.nan
         if not low <= value <= high:
             raise argparse.ArgumentTypeError(f"must lie between {low:g} and {high:g}, but was {text}")
+        return value
+
+    return convert
+
+
+def _whole(low: int, high: int) -> Callable[[str], int]:
+    def convert(text: str) -> int:
+        value = int(text) if text.strip().isdecimal() else 0
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(
+                f"must be a whole number between {low} and {high}, but was {text}"
+            )
         return value
 
     return convert
@@ -193,7 +234,12 @@ def _configure() -> None:
     home = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
     cache = os.environ.get("JAXROLL_CACHE") or f"{home}/jaxroll"
     if cache != "off":
-        jax.config.update("jax_compilation_cache_dir", str(Path(cache).expanduser()))
+        place = Path(cache).expanduser()
+        try:
+            place.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise _Unfit(f"environment variable JAXROLL_CACHE must name a folder, but: {error}") from None
+        jax.config.update("jax_compilation_cache_dir", str(place))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
@@ -238,10 +284,15 @@ def _design(options: argparse.Namespace, folder: Path) -> None:
     with _timed("Loading"):
         _configure()
         from . import __version__
-        from ._workshop import Order, order
-    counts = {"steps": int(options.steps), "starts": int(options.starts)}
-    source = {"outline": options.tip, "unit": options.unit, "animated": not options.no_animation}
-    lines = order(Order(options.goal, **counts, **source), folder, _timed)
+        from ._workshop import fingertip, Order, order
+    try:
+        tip = fingertip(options.tip, options.unit)
+    except (ValueError, OSError, ImportError) as error:
+        raise _Unfit(
+            f"argument --tip must be a file with the points of a closed outline, but: {error}"
+        ) from None
+    asked = Order(options.goal, tip, options.steps, options.starts, animated=not options.no_animation)
+    lines = order(asked, folder, _timed)
     print("\n".join([f"jaxroll {__version__}, design: a fingertip that holds a rectangle", *lines]))
 
 

@@ -42,18 +42,16 @@ class Order:
 
     Attributes:
         goal: Name of the goal: 'margin', 'stiffness' or 'run'.
+        tip: The fingertip to begin with.
         steps: At most so many.
         starts: In one batch.
-        outline: A file with points of the fingertip to begin with, or None for the built-in one.
-        unit: Of the numbers in that file.
         animated: Whether to write animations.
     """
 
     goal: str
+    tip: Spline
     steps: int
     starts: int
-    outline: str | None
-    unit: str
     animated: bool
 
 
@@ -92,7 +90,7 @@ def fingertip(path: str | None, unit: str) -> Spline:
 
 def order(asked: Order, folder: Path, timed: Callable[[str], AbstractContextManager]) -> list[str]:
     """Design, simulate, draw and write; returns the report's lines."""
-    tip = fingertip(asked.outline, asked.unit)
+    tip = asked.tip
     size = float(np.max(np.hypot(*np.asarray(tip.points).T)))
     limits = Limits(size=size, radius=0.2 * size, ahead=size / 3.0)
     options: dict[str, Any] = {"steps": asked.steps, "starts": asked.starts, "goal": GOALS[asked.goal]()}

@@ -25,6 +25,12 @@ _CACHE = (
     "start is quick. The environment variable JAXROLL_CACHE names another folder; 'off' keeps "
     "nothing."
 )
+# What helps a demo whose run ends early, in the words of this command line.
+_REMEDIES = {
+    "max_steps_reached": "a larger --rtol or fewer --seconds",
+    "step_collapsed": "a larger --rtol",
+    "not_finite": "fewer --seconds",
+}
 _LONGEST_GIF = 12.0
 _FPS = 25.0
 
@@ -248,16 +254,19 @@ def _run(options: argparse.Namespace, demo: Demo, folder: Path) -> None:
         _configure()
         import jax
 
-        from . import __version__, plotting, scenes, simulate
+        from . import __version__, plotting, RESULTS, scenes, simulate
+        from .integration import complaint
     seconds = options.seconds or demo.seconds
     with _timed("Closing the contacts"):
         grasp, state = getattr(scenes, options.scene)()
     with _timed("Describing the scene"):
         scene = demo.scene(grasp, state)
     record, ts = ("multipliers", "energy"), _save_times(demo, seconds)
-    settings = {"t1": seconds, "ts": ts, "rtol": options.rtol, "record": record}
+    settings = {"t1": seconds, "ts": ts, "rtol": options.rtol, "record": record, "throw": False}
     with _timed(f"Simulating {seconds:g} s, with compilation") as first:
         run = jax.block_until_ready(simulate(grasp, state, **settings))
+        if run.result != RESULTS.successful:
+            raise RuntimeError(complaint(run, _REMEDIES))
     with _timed("Simulating it again") as again:
         jax.block_until_ready(simulate(grasp, state, **settings))
     names = list(demo.figures)

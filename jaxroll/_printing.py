@@ -1,6 +1,8 @@
 """How results print: codes by their short names, records as one line of names and values."""
 
 import dataclasses
+import textwrap
+from collections.abc import Sequence
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -21,6 +23,12 @@ class _Code(type(_Probe.one)):  # pyright: ignore
 
     def __repr__(self) -> str:
         return code_name(self)
+
+
+def entry(title: str, lines: Sequence[str], *, width: int = 100) -> list[str]:
+    """An entry of a report: a title, and beside it lines that are broken where they are too long."""
+    broken = [part for line in lines for part in textwrap.wrap(line, width - 12) or [""]]
+    return [f"  {title if i == 0 else '':<10}{line}" for i, line in enumerate(broken)]
 
 
 def named(codes: Codes) -> Codes:

@@ -1,12 +1,13 @@
 """`why`: one page on why a grasp fails, or that it holds."""
 
+import textwrap
 from dataclasses import dataclass
 from typing import Any
 
 import jax
 import numpy as np
 
-from ._printing import code_name
+from ._printing import code_name, entry
 from ._results import check_instance, traced
 from .integration import (
     amount,
@@ -79,18 +80,17 @@ class Why:
         return f"Why({self.summary})"
 
     def __str__(self) -> str:
-        lines = [f"Why: {self.summary}", f"  closed    {self._closing()}"]
+        first, *more = textwrap.wrap(f"Why: {self.summary}", 100, subsequent_indent="     ")
+        lines = [first, *more, *entry("closed", [self._closing()])]
         if self.start is not None:
-            lines.append(f"  singular  {_singular(self.grasp, self.start)}")
-            lines += _block("start", _forces(self.grasp, self.start))
+            lines += entry("singular", [_singular(self.grasp, self.start)])
+            lines += entry("start", _forces(self.grasp, self.start))
         if self.run is not None:
-            lines.append(f"  run       {self.ended or f'to t = {float(self.run.stats.t_end):.6g} s'}")
-            lines += _block("its end", _forces(self.grasp, self.end) if self.end is not None else [])
-        lines += _block("rest", self._rest())
-        if self.direction:
-            lines.append(f"  falls     {self.direction}")
-        if self.remedy:
-            lines.append(f"  remedy    {self.remedy}")
+            lines += entry("run", [self.ended or f"to t = {float(self.run.stats.t_end):.6g} s"])
+            lines += entry("its end", _forces(self.grasp, self.end) if self.end is not None else [])
+        lines += entry("rest", self._rest())
+        lines += entry("falls", [self.direction] if self.direction else [])
+        lines += entry("remedy", [self.remedy] if self.remedy else [])
         return "\n".join(lines)
 
     def _closing(self) -> str:
@@ -340,7 +340,3 @@ def _named(grasp: Grasp, way: np.ndarray) -> str:
 
 def _lower(sentence: str) -> str:
     return f"{sentence[0].lower()}{sentence[1:].rstrip('.')}"
-
-
-def _block(title: str, lines: list[str]) -> list[str]:
-    return [f"  {title if i == 0 else '':<10}{line}" for i, line in enumerate(lines)]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from .._printing import code_name
+from .._printing import code_name, entry
 from .._results import concrete, message
 from ..mechanics import Coordinate, Labels, QUATERNION
 
@@ -48,8 +48,8 @@ def report(run: Any) -> str:
     """One run in some lines."""
     lines = [f"Trajectory: {code_name(run.result)}"]
     if _code(run):
-        lines.append(f"  ended     {cause(run)}")
-        lines.append(f"  remedy    {REMEDIES.get(code_name(run.result), 'none known')}")
+        lines += entry("ended", [cause(run)])
+        lines += entry("remedy", [REMEDIES.get(code_name(run.result), "none known")])
     saved = _reached(run.states.q)
     stats, end = run.stats, f"ended at {float(run.stats.t_end):.6g} s"
     if saved.any():
@@ -159,7 +159,7 @@ def _motion(run: Any, saved: np.ndarray) -> list[str]:
         here = slice(at, at := at + len(coordinates))
         if coordinates:
             lines.append(f"{body}: {_moved(coordinates, start[here], end[here])}")
-    return _block("moved", lines)
+    return entry("moved", lines)
 
 
 def _moved(coordinates: Sequence[Coordinate], start: np.ndarray, end: np.ndarray) -> str:
@@ -207,11 +207,7 @@ def _at_the_end(labels: Labels | None, q: np.ndarray, title: str) -> list[str]:
             parts.append(f"{each.name} {whole}")
         at += len(coordinates)
         lines += [f"{body}: {', '.join(parts)}"] if parts else []
-    return _block(title, lines)
-
-
-def _block(title: str, lines: Sequence[str]) -> list[str]:
-    return [f"  {title if i == 0 else '':<10}{line}" for i, line in enumerate(lines)]
+    return entry(title, lines)
 
 
 def _labels(labels: Labels | None, positions: int) -> Labels:
@@ -245,7 +241,8 @@ def _demand(run: Any, f: np.ndarray, aside: np.ndarray) -> str:
         row, contact = np.unravel_index(np.argmax(pulls), f.shape)
         first = float(np.asarray(run.ts)[row])
         return f"! {contact_name(run.labels, int(contact))} pulls at t = {first:.4g} s: no friction would do"
-    row, contact = np.unravel_index(np.argmax(need), need.shape)
+    # Of equal ones the first, whatever rounding says.
+    row, contact = np.unravel_index(np.argmax(need >= need.max() * (1.0 - 1e-9)), need.shape)
     most, t = float(need[row, contact]), float(np.asarray(run.ts)[row])
     warning = "; ! above 1: few materials give that" if most > 1.0 else ""
     return f"demand up to {most:.4g}, of contact {contact} at t = {t:.4g} s{warning}"

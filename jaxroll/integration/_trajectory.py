@@ -73,5 +73,5 @@ class Trajectory(eqx.Module):
         return batch_report(self) if np.ndim(self.stats.steps) else report(self)
 
     def __repr__(self) -> str:
-        shape = " x ".join(map(str, self.states.q.shape[:-1])) if hasattr(self.states.q, "shape") else "no"
-        return f"Trajectory({code_name(self.result)}; {shape} states)"
+        shape = getattr(getattr(self.states, "q", None), "shape", ())
+        return f"Trajectory({code_name(self.result)}; {' x '.join(map(str, shape[:-1])) or 'no'} states)"

@@ -1,0 +1,421 @@
+"""Reports that are true: names and units, causes and remedies, friction, pictures of what failed, `why`."""
+
+import dataclasses
+import inspect
+import pickle
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from matplotlib import pyplot
+
+import jaxroll as jxr
+from jaxroll import plotting
+from jaxroll._printing import listed
+from jaxroll.design import ClosedLoop, Design, overshoot, settling_time, tracking_error
+from jaxroll.design._measures import MEASURES, PARTIAL
+from jaxroll.integration import cause, complaint, Multipliers, REMEDIES, Residuals
+from jaxroll.integration._trajectory import Stats
+from jaxroll.mechanics import AbstractBody, AbstractFinger
+from jaxroll.plotting._panels import panels
+
+RUNNING = set(REMEDIES)  # codes that a run can end with
+TURNED = np.array([np.cos(0.2), 0.0, 0.0, np.sin(0.2)])  # a quaternion: 0.4 rad about z
+
+
+def ended(run, code, *, contact=-1, margin=np.nan, t=0.5):
+    """A run as if it had ended with a code."""
+    where = lambda r: (r.result, r.stats.contact, r.stats.margin, r.stats.t_end)  # noqa: E731
+    parts = (jxr.RESULTS._name_to_item[code], np.array(contact), np.array(margin), np.array(t))
+    return eqx.tree_at(where, run, parts)
+
+
+def moved(grasp, start, end, *, forces=None):
+    """A run made by hand: two saved states of a grasp."""
+    q = jnp.array([start, end], float)
+    n, c = sum(body.positions for body in grasp.bodies), len(grasp.contacts)
+    assert q.shape == (2, n)
+    places = 6 * c if grasp.spatial else c
+    states = jxr.State(q, jnp.zeros((2, grasp.coordinates)), jnp.zeros((2, places)))
+    aside = jnp.zeros((2, c, 3) if grasp.spatial else (2, c))
+    left = Residuals(jnp.zeros((2, c)), aside, aside)
+    stats = Stats(*(np.array(k) for k in (3, 3, 0)), np.array(1.0), np.array(-1), np.array(np.nan))
+    last = jax.tree.map(lambda x: x[-1], states)
+    given = (jnp.array([0.0, 1.0]), states, last, left, jxr.RESULTS.successful, stats, forces)
+    return jxr.Trajectory(*given, labels=grasp.labels)
+
+
+def on_a_plate(*directions):
+    """A free disc on a plate with prismatic joints."""
+    plate = jxr.Jaw(jxr.Line(), 0.1, directions)
+    return jxr.Grasp(jxr.FreeObject(jxr.Circle(0.02), 0.05, 1e-5), plate, jxr.Contact())
+
+
+def on_a_turntable():
+    body = jxr.FreeObject3(jxr.Sphere(0.02), 0.05, 8e-6)
+    return jxr.Grasp(body, jxr.Stage(jxr.Plane(), jxr.Turning(2.0)), jxr.Contact3())
+
+
+def test_every_body_names_its_coordinates(scene):
+    hinge = jxr.Finger3([(1, 0, 0)], [(0, 0.06, 0)], [0.04], jxr.Sphere(0.01))
+    one = {
+        jxr.PivotedObject: (scene[0].object, "theta [rad]"),
+        jxr.FreeObject: (on_a_plate().object, "x [m] y [m] theta [rad]"),
+        jxr.FreeObject3: (on_a_turntable().object, "x [m] y [m] z [m] qw [] qx [] qy [] qz []"),
+        jxr.Finger: (scene[0].fingers[0], "q[0] [rad] q[1] [rad]"),
+        jxr.Finger3: (hinge, "q[0] [rad]"),
+        jxr.Jaw: (on_a_plate(0.0, 1.5).fingers[0], "q[0] [m] q[1] [m]"),
+        jxr.Stage: (on_a_turntable().fingers[0], "clock [s]"),
+    }
+    known, found = set(one), {AbstractBody}
+    for kind in [*found]:
+        found |= {c for c in subclasses(kind) if c.__module__.startswith("jaxroll")}
+    assert {c for c in found if not inspect.isabstract(c)} == known  # a new body comes with its names
+    for body, names in one.values():
+        assert len(body.labels) == body.positions
+        assert " ".join(f"{each.name} [{each.unit}]" for each in body.labels) == names
+
+
+def subclasses(kind):
+    return {kind}.union(*(subclasses(c) for c in kind.__subclasses__()))
+
+
+def test_a_printed_run_has_each_bodys_own_names_and_units(run):
+    text = str(moved(on_a_plate(0.0), [0, 0, 0, 0.01], [2e-3, -1e-3, 0.5, 0.013]))
+    assert "object: x +2.000, y -1.000 mm, theta +0.5000 rad" in text
+    assert "finger 0: q[0] +3.000 mm" in text and "finger 0: q[0] +3.000 rad" not in text
+    start, end = [0, 0, 0.02, 1, 0, 0, 0, 0.0], [1e-3, 0, 0.02, *TURNED, 1.0]
+    text = str(moved(on_a_turntable(), start, end))
+    assert "object: x +1.000, y +0.000, z +0.000 mm, turned by 0.4000 rad" in text
+    assert "finger 0: clock +1.0000 s" in text
+    q = np.asarray(run.states.q)
+    assert f"object: theta {q[-1, 0] - q[0, 0]:+.4f} rad" in str(run)
+    assert "finger 0: q[0] +0.2444, q[1] -0.4291 rad" in str(run)
+
+
+def test_a_body_without_names_has_no_units():
+    """A finger of one's own whose positions are not its joints, and a run that was made by hand."""
+
+    class Own(AbstractFinger):
+        tip: object = None
+        joints = property(lambda self: 1)
+        positions = property(lambda self: 2)
+        turns = property(lambda self: True)
+        size = property(lambda self: 1.0)
+        skeleton = prepared = pose = spin = motion = gravity_potential = lambda self, *args: None
+
+    assert [each.unit for each in Own().labels] == ["", ""]
+    bare = eqx.tree_at(lambda r: r.states, moved(on_a_plate(), [0, 0, 0], [1, 2, 3]), None)
+    assert "Trajectory(successful" in repr(bare)
+    labels = jxr.Trajectory(*(getattr(moved(on_a_plate(), [0.0] * 3, [1, 2, 3]), f) for f in FIRST))
+    assert "state: q[0] +1.0000, q[1] +2.0000, q[2] +3.0000" in str(labels)
+
+
+FIRST = ("ts", "states", "last", "residuals", "result", "stats")
+
+
+def test_batches_print_names_units_and_which_contacts(run):
+    both = [ended(run, "contact_lost", contact=0, t=0.2), ended(run, "contact_lost", contact=0, t=0.3), run]
+    lanes = jax.tree.map(lambda *x: jnp.stack(x), *both)
+    text = str(lanes)
+    assert text.splitlines()[0].startswith("Trajectory of 3 lanes")
+    assert "1 lanes: successful" in text
+    assert "2 lanes: contact_lost at t = 0.2 to 0.3 s (contact 0: 2)" in text
+    assert "object: theta 0.2841 rad" in text and repr(lanes.result).count("contact_lost") == 2
+    assert "traced" in repr(lanes) or "3 x 301 states" in repr(lanes)
+
+
+@pytest.mark.parametrize("code", sorted(RUNNING))
+def test_an_ended_run_says_which_contact_when_by_how_much_and_what_helps(run, code):
+    lost = ended(run, code, contact=0, margin=-0.25, t=0.5)
+    text = str(lost)
+    assert text.startswith(f"Trajectory: {code}\n  ended     ")
+    assert "t = 0.5 s" in cause(lost)
+    assert " ".join(REMEDIES[code].split()[:4]) in " ".join(text.split())
+    assert complaint(lost).startswith(cause(lost)[0].upper()) and REMEDIES[code] in complaint(lost)
+    assert complaint(lost, {}).count(";") == 0  # a caller who has no remedy names none
+    if code in ("contact_lost", "slipping", "contour_end", "singular_contact", "penetration"):
+        assert "contact 0 (finger 0 on contour 0)" in cause(lost) and "-0.25" in cause(lost)
+    assert max(map(len, text.splitlines())) <= 100
+
+
+def test_every_code_of_a_run_has_a_remedy():
+    others = {"successful", "too_deep", "infeasible"}  # of other functions
+    assert set(jxr.RESULTS._name_to_item) - others == RUNNING
+
+
+def test_an_unknown_contact_is_not_invented(run):
+    for code in RUNNING:
+        assert "contact 0" not in cause(ended(run, code)) and "nan" not in cause(ended(run, code))
+
+
+def test_a_run_with_one_state_or_none_says_where_it_is(run):
+    none = eqx.tree_at(lambda r: r.states.q, run, jnp.full_like(run.states.q, jnp.nan))
+    text = str(ended(none, "contact_lost", contact=0, margin=-1.5, t=0.0))
+    assert "none of 301 states saved" in text and "start     object: theta 0.2841 rad" in text
+    assert "rolled" not in text and "moved" not in text and "residuals" not in text
+    one = jax.tree.map(lambda x: x[-1:], (run.ts, run.states, run.residuals, run.multipliers, run.energy))
+    where = lambda r: (r.ts, r.states, r.residuals, r.multipliers, r.energy)  # noqa: E731
+    text = str(eqx.tree_at(where, run, one))
+    assert "at end    object: theta 0.2841 rad" in text and "rolled" not in text and "moved" not in text
+
+
+def test_the_friction_demand_is_stated_and_warned_of(run):
+    f, lam = np.asarray(run.multipliers.f), np.asarray(run.multipliers.lam)
+    i = int(np.argmax(np.abs(lam / f)))
+    assert f"demand up to {abs(lam / f)[i, 0]:.4g}, of contact 0 at t = {run.ts[i]:.4g} s" in str(run)
+    assert "above 1" not in str(run)
+    steep = eqx.tree_at(lambda r: r.multipliers.lam, run, jnp.where(jnp.arange(301)[:, None] == 7, -4.0, lam))
+    assert f"demand up to {4.0 / f[7, 0]:.4g}, of contact 0 at t = 0.07 s; ! above 1" in str(steep)
+    pulled = eqx.tree_at(lambda r: r.multipliers.f, run, jnp.where(jnp.arange(301)[:, None] == 7, -1.0, f))
+    assert "contact 0 (finger 0 on contour 0) pulls at t = 0.07 s" in str(pulled)
+    bare = eqx.tree_at(lambda r: r.multipliers, run, None)
+    assert "not recorded" in str(bare) and "demand" not in str(bare)
+    forces = Multipliers(jnp.array([[2.0], [4.0]]), jnp.array([[[0.3, 0.4, 0.0]], [[0.0, 0.0, -3.0]]]))
+    text = str(
+        moved(on_a_turntable(), [0, 0, 0.02, 1, 0, 0, 0, 0], [0, 0, 0.02, 1, 0, 0, 0, 1], forces=forces)
+    )
+    assert "demand up to 0.75, of contact 0 at t = 1 s" in text
+
+
+CODES = [jxr.RESULTS, jxr.stability.VERDICTS]
+
+
+@pytest.mark.parametrize("codes", CODES, ids=lambda codes: codes.__name__)
+def test_codes_print_their_names_everywhere(codes):
+    names = list(codes._name_to_item)
+    items = [getattr(codes, name) for name in names]
+    for name, item in zip(names, items, strict=True):
+        assert str(item) == repr(item) == f"{item!r:}" == name
+        assert pickle.loads(pickle.dumps(item)) == item and codes[item] == codes[getattr(codes, name)]
+        assert isinstance(item, codes)
+    chosen = jax.jit(lambda x: codes.where(x, items[1], items[0]))(True)
+    assert repr(chosen) == names[1] and codes[chosen] == codes[items[1]]
+    stacked = jax.tree.map(lambda *x: jnp.stack(x), *items[:2])
+    assert repr(stacked) == f"[{names[0]}, {names[1]}]"
+    many = jax.tree.map(lambda *x: jnp.stack(x), *[items[1]] * 20, items[0])
+    assert repr(many) == f"1 {names[0]}, 20 {names[1]}"
+    seen = []
+    jax.jit(lambda x: seen.append(repr(codes.where(x, *items[:2]))) or x)(True)
+    assert "traced" in seen[0] and codes.__name__ in seen[0]
+
+
+def records():
+    """Every class of the package that holds results as fields, but for the internal ones."""
+    public = [jxr, jxr.contact, jxr.control, jxr.design, jxr.integration, jxr.mechanics, jxr.stability]
+    found = {jxr.State, Stats, Multipliers, Residuals, jxr.stability.Stability}
+    for module in public:
+        for value in [getattr(module, name) for name in dir(module) if not name.startswith("_")]:
+            if inspect.isclass(value) and issubclass(value, eqx.Module) and value.__repr__ is listed:
+                found.add(value)
+    return sorted((c for c in found if not inspect.isabstract(c)), key=lambda c: c.__name__)
+
+
+@pytest.mark.parametrize("record", records(), ids=lambda c: c.__name__)
+def test_records_print_as_one_line_concrete_batched_traced_and_abstract(record):
+    names = [f.name for f in dataclasses.fields(record)]
+
+    def filled(value):
+        made = object.__new__(record)
+        for name in names:
+            object.__setattr__(made, name, value)
+        return made
+
+    for value in (jnp.ones(()), jnp.ones(3), jnp.ones((7, 3)).at[0].set(jnp.nan), None, True, 3):
+        text = repr(filled(value))
+        assert text.startswith(f"{record.__name__}(") and "\n" not in text and len(text) < 900
+        assert all(f"{name}=" in text for name in names)
+    seen = []
+    jax.jit(lambda x: seen.append(repr(filled(x))) or x)(jnp.ones(3))
+    assert "traced float64[3]" in seen[0] or not names
+    assert "unknown float64[3]" in repr(filled(jax.ShapeDtypeStruct((3,), np.float64))) or not names
+
+
+def test_values_and_units_of_records(run):
+    assert repr(run.stats).startswith(f"Stats(steps={int(run.stats.steps)}, accepted=")
+    assert "t_end=3 s" in repr(run.stats)
+    state = jxr.State(jnp.array([-0.4874871, 2.0]), jnp.zeros(2), jnp.array([1e-3]))
+    assert repr(state) == "State(q=[-0.487487, 2], v=[0, 0], s=[0.001])"
+    assert "f=301 x 1, 1.41138 to 1.5507 N" in repr(run.multipliers)
+    assert len(repr(run)) < 60 and "301 states" in repr(run)
+
+
+def test_grasps_print_their_parts(scene):
+    grasp, _ = scene
+    assert repr(grasp) == "Grasp(PivotedObject, Finger; 1 contact; Press)"
+    lines = str(grasp).splitlines()
+    assert lines[:3] == [
+        "Grasp in the plane",
+        "  object    PivotedObject: theta [rad]",
+        "  finger 0  Finger: q[0] [rad], q[1] [rad]",
+    ]
+    assert "Contact(s_tip=-0.003 m, s_object=0.003 m" in lines[3] and "force=0.5" in lines[4]
+    assert "Jaw: fixed" in str(on_a_plate()) and "FreeObject: x [m], y [m], theta [rad]" in str(on_a_plate())
+    assert "in space" in str(on_a_turntable()) and "clock [s]" in str(on_a_turntable())
+    for one in (grasp, grasp.prepared(), on_a_turntable().prepared()):
+        assert str(one) and "\n" not in repr(one)
+    seen = []
+    jax.eval_shape(lambda g: seen.append(f"{g} {g!r}") or 0.0, grasp)
+    assert "theta [rad]" in seen[0]
+
+
+def test_a_run_knows_its_labels_under_transformations(scene, run):
+    grasp, _ = scene
+    assert run.labels == grasp.labels and run.labels.coordinates[1] == "finger 0 q[0]"
+    assert jax.tree.map(lambda x: x, run).labels == grasp.labels
+    both = jax.tree.map(lambda *x: np.concatenate([a[None] for a in x]), run, run)
+    assert both.labels == grasp.labels
+    assert {hash(run.labels), hash(both.labels)} == {hash(grasp.labels)}
+
+
+SETTLED = (settling_time, overshoot, tracking_error)
+
+
+def test_what_never_came_to_rest_has_no_settling_time(run):
+    lost = ended(run, "contact_lost", contact=0, t=2.9)
+
+    @jax.jit
+    def measured(run):
+        of_s = lambda s: settling_time(eqx.tree_at(lambda r: r.states.s, run, s))  # noqa: E731
+        whole = {name: measure(run) for name, (measure, _) in MEASURES.items()}
+        return whole, {name: partial(run) for name, partial in PARTIAL.items()}, jax.grad(of_s)(run.states.s)
+
+    held, _, slope = measured(run)
+    assert all(map(np.isfinite, held.values())) and np.abs(slope).max() > 0
+    whole, partial, slope = measured(lost)
+    assert partial == held  # what searches go by stays finite, and is the same measure
+    for name, (measure, _) in MEASURES.items():
+        assert np.isnan(whole[name]) == (measure in SETTLED), name
+    assert np.all(np.asarray(slope) == 0.0)
+
+
+def test_a_design_reports_no_settling_time_of_lost_runs(monkeypatch):
+    """Of two cases, one lost: the cost stays finite, the figures against the last value are none."""
+    goal = ClosedLoop(lambda tip, case: None, {"settling_time": 1.0}, cases=jnp.arange(2.0))
+    measured, own = jnp.arange(10.0).reshape(2, 5), jnp.zeros(2)
+    monkeypatch.setattr("jaxroll.design._closed_loop.worst_margin", lambda seen: jnp.zeros(()))
+    for lost in (jnp.array([0.0, 0.4]), jnp.zeros(2)):
+        monkeypatch.setattr(ClosedLoop, "run", lambda self, tip, names, lost=lost: (measured, own, lost))
+        found = goal.figures(None, None)
+        early = bool(lost.any())
+        assert np.isfinite(found["worst cost"])
+        for name, (_, title) in MEASURES.items():
+            assert np.isnan(found[title]) == (early and MEASURES[name][0] in SETTLED), name
+
+
+def design_of(code):
+    tip, numbers = jxr.Ellipse(0.02, 0.01), jnp.zeros(1)
+    arrays = {"before": numbers, "after": numbers, "violation": numbers, "holds": jnp.array([True])}
+    rest = {"chosen": 0, "history": jnp.zeros((1, 30)), "interval": jnp.zeros(2)}
+    figures, parts = {"worst margin [m]": (-0.1, 0.2)}, {"size": 0.1}
+    return Design(tip=tip, start=tip, tips=tip, **arrays, **rest, result=code, figures=figures, parts=parts)
+
+
+def test_a_design_names_the_callers_own_option():
+    text = str(design_of(jxr.RESULTS.max_steps_reached))
+    assert "all 30 steps were taken; `steps` allows more" in text and "max_steps`" not in text
+    assert "--steps allows more" in design_of(jxr.RESULTS.max_steps_reached).report("--steps")
+    assert str(design_of(jxr.RESULTS.successful)).splitlines()[0] == "Design: successful"
+    assert "ended" not in str(design_of(jxr.RESULTS.successful))
+    assert "widen" in str(design_of(jxr.RESULTS.infeasible))
+    assert repr(design_of(jxr.RESULTS.infeasible)) == "Design(infeasible; Ellipse)"
+
+
+@pytest.fixture(scope="module")
+def pulling(scene):
+    """The pivoted scene with a finger that pulls: it is lost at once."""
+    grasp, state = scene
+    grasp = grasp.with_(force=-0.5)
+    record = ("multipliers", "energy")
+    return grasp, state, jxr.simulate(grasp, state, 3.0, record=record, throw=False)
+
+
+def test_a_run_lost_at_once_keeps_its_start_and_can_be_drawn(pulling, tmp_path):
+    grasp, state, run = pulling
+    assert run.result == jxr.RESULTS.contact_lost and float(run.stats.t_end) == 0.0
+    np.testing.assert_allclose(run.last.q, state.q, atol=1e-12)
+    assert "start     object: theta -0.4875 rad" in str(run)
+    figure = plotting.poses(grasp, run)
+    assert [ax.get_title(loc="left") for ax in figure.axes] == ["(a)  t = 0 s: contact_lost"]
+    figure = plotting.responses(grasp, run)
+    assert figure._suptitle.get_text() == "ended at t = 0 s: contact_lost"
+    assert figure.axes[0].get_lines()[0].get_marker() == "o"
+    assert plotting.animate(grasp, run, tmp_path / "one.gif", fps=20, size=3).exists()
+    assert plotting.pose(grasp, run.last).axes
+    nowhere = eqx.tree_at(lambda r: r.last.q, run, jnp.full_like(run.last.q, jnp.nan))
+    for draw in (plotting.poses, plotting.responses):
+        with pytest.raises(ValueError, match=r"ended at t = 0 s \(contact_lost\) before the first$"):
+            draw(grasp, nowhere)
+    pyplot.close("all")
+
+
+def test_plots_of_jaws_are_in_millimetres():
+    grasp = on_a_plate(0.0)
+    forces = Multipliers(jnp.ones((2, 1)), jnp.zeros((2, 1)))
+    run = moved(grasp, [0, 0, 0, 0.0], [0, 0, 0, 1e-3], forces=forces)
+    labels = {p.title: p.label for p in panels(grasp, run)}
+    assert labels["Rate of joint 1"].endswith("[mm/s]")
+
+
+def test_why_a_grasp_is_lost_at_once(pulling):
+    grasp, state, run = pulling
+    found = jxr.why(grasp, run)
+    assert found.summary == "fails at the start: contact 0 (finger 0 on contour 0) pulls with 1.55 N"
+    assert found.contact == 0 and found.closed and found.run is run
+    assert float(found.start.multipliers.f[0]) == pytest.approx(-1.5507, rel=1e-3)
+    assert repr(found.stability.verdict) == "unstable" and "object: theta +1.0000 rad" in found.direction
+    # The direction is the mode that falls: the scene's one freedom.
+    mode = np.asarray(found.stability.modes[:, 0])
+    assert f"q[0] {mode[1] / mode[0]:+.4f} rad" in found.direction
+    text = str(found)
+    for words in ("closed    yes", "singular  no", "pulls with", "no longer presses at t = 0 s", "remedy"):
+        assert words in text
+    assert len(text.splitlines()) <= 30 and max(map(len, text.splitlines())) <= 100
+
+
+def test_why_a_grasp_holds(scene, run):
+    found = jxr.why(scene[0], run)
+    assert found.summary == "holds" and not found.remedy and not found.direction and found.contact == -1
+    assert repr(found) == "Why(holds)"
+    assert "asymptotically_stable" in str(found) and "to t = 3 s" in str(found)
+
+
+def test_why_names_the_contact_that_slips_and_by_how_much(scene, run, monkeypatch):
+    """The scene's run with a friction that it needs more than: judged where it stands."""
+    monkeypatch.setattr("jaxroll._why.assess", lambda grasp, state: jxr.stability.assess(scene[0], state))
+    contact = jxr.Contact(-0.003, 0.003, friction=0.1)
+    grasp = scene[0].with_contacts(contact)
+    demand = np.abs(np.asarray(run.multipliers.lam / run.multipliers.f))[:, 0]
+    i = int(np.argmax(demand > 0.1))
+    last = jax.tree.map(lambda x: x[i], run.states)
+    slipped = eqx.tree_at(lambda r: r.last, ended(run, "slipping", t=float(run.ts[i])), last)
+    found = jxr.why(grasp, slipped)
+    assert found.contact == 0 and "contact 0 (finger 0 on contour 0) needs more friction" in found.summary
+    assert f"needs friction {demand[i]:.4g}; it has 0.1" in " ".join(str(found).split())
+    assert "it went along object: theta +1.0000 rad" in found.direction
+    assert "`friction`" in found.remedy
+
+
+def test_why_a_guess_does_not_close(scene):
+    grasp, state = scene
+    far = grasp.with_(pivot=(3.0, 3.0))
+    found = jxr.why(far, state)
+    assert not found.closed and found.run is None and found.start is None
+    assert "do not close" in found.summary and "gap [m] of contact 0 at" in found.summary
+    assert "hold_contacts" in found.remedy and str(found).count("\n") < 10
+
+
+def test_why_says_what_it_cannot_judge(scene, run):
+    grasp, state = scene
+    with pytest.raises(ValueError, match="argument state must be a State, or a run of the grasp"):
+        jxr.why(grasp, 3.0)
+    with pytest.raises(ValueError, match="argument grasp must be a Grasp"):
+        jxr.why(state, grasp)
+    with pytest.raises(ValueError, match="argument state must be one run"):
+        jxr.why(grasp, jax.tree.map(lambda x: jnp.stack([x, x]), run))
+    with pytest.raises(ValueError, match="being traced"):
+        jax.jit(lambda s: jxr.why(grasp, s).gap)(state)
+    with pytest.raises(ValueError, match=r"argument state\.q must have shape"):
+        jxr.why(grasp, jxr.State(state.q[:2], state.v, state.s))

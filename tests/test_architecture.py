@@ -160,7 +160,8 @@ def cycles_inside(folder):
 
 
 @pytest.mark.parametrize(
-    "folder", ["geometry", "contact", "mechanics", "integration", "stability", "design", "plotting", "io"]
+    "folder",
+    ["geometry", "contact", "mechanics", "integration", "stability", "design", "plotting", "io", "_sweep"],
 )
 def test_no_cycles_inside_a_folder(folder):
     assert not cycles_inside(folder)

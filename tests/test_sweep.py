@@ -8,6 +8,7 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll._backend import WIDE
+from jaxroll._sweep import _program, _sweep
 from jaxroll.integration import _ensemble
 
 RUNS = 150
@@ -62,17 +63,43 @@ def test_chunks_change_nothing_and_compile_once(make, dampings, whole, capsys):
 
 
 def test_a_cut_off_sweep_goes_on_where_it_was(make, dampings, whole, tmp_path):
-    keep = eqx.Partial(_last)
-    jxr.sweep(make, dampings, 0.2, rtol=1e-7, chunk=50, keep=keep, resume=tmp_path)
+    settings = {"rtol": 1e-7, "chunk": 50, "keep": eqx.Partial(_last), "resume": tmp_path}
+    first = jxr.sweep(make, dampings, 0.2, **settings)
+    np.testing.assert_allclose(first, whole.last.q, rtol=0, atol=1e-12)
     files = sorted(tmp_path.glob("*.npz"))
     assert len(files) == 3
     files[1].unlink()
-    np.savez(files[0], np.full((50, 3), 7.0))  # what is there is not worked out again
-    ends = jxr.sweep(make, dampings, 0.2, rtol=1e-7, chunk=50, keep=keep, resume=tmp_path)
-    assert (ends[:50] == 7.0).all()
-    np.testing.assert_allclose(ends[50:], whole.last.q[50:], rtol=0, atol=1e-12)
+    written = [files[i].stat().st_mtime_ns for i in (0, 2)]
+    ends = jxr.sweep(make, dampings, 0.2, **settings)
+    np.testing.assert_array_equal(ends, first)
+    assert written == [files[i].stat().st_mtime_ns for i in (0, 2)] and files[1].exists()
     with pytest.raises(ValueError, match="argument resume must be a folder of the same sweep"):
-        jxr.sweep(make, 2.0 * dampings, 0.2, rtol=1e-7, chunk=50, keep=keep, resume=tmp_path)
+        jxr.sweep(make, 2.0 * dampings, 0.2, **settings)
+
+
+def test_what_make_closes_over_is_seen_as_it_is_now(scene, monkeypatch):
+    """A notebook's variable changes and the same function is swept again: the numbers are the new ones."""
+    grasp, state = scene
+    factor, table = 1.0, np.array([1.0, 2.0])
+
+    def make(c):
+        return grasp.with_(damping=c * factor * table[1]), state
+
+    settings = {"keep": eqx.Partial(_last), "rtol": 1e-7, "chunk": 50}
+    sweep = lambda: jxr.sweep(make, np.linspace(0.002, 0.004, 50), 0.2, **settings)  # noqa: E731
+    programs = lambda: len(_program._KEPT)  # noqa: E731
+    monkeypatch.setattr(_program, "_KEPT", type(_program._KEPT)())
+    monkeypatch.setattr(_program.Program, "__call__", lambda self, rows: self.call)  # compiles nothing
+    monkeypatch.setattr(_sweep, "_pieces", lambda run, *_: [np.array([run.call])])
+    first = sweep()[0]
+    assert sweep()[0] is first and programs() == 1
+    factor = 2.0
+    second = sweep()[0]
+    assert second is not first and programs() == 2
+    table[1] = 3.0
+    assert sweep()[0] not in (first, second) and programs() == 3
+    factor, table[1] = 1.0, 2.0
+    assert sweep()[0] is first and programs() == 3
 
 
 def _last(run):
@@ -94,7 +121,7 @@ def test_runs_that_fail_keep_their_codes(scene, dampings):
 def test_bad_arguments(make, dampings):
     with pytest.raises(ValueError, match="argument parameters must hold arrays with one common leading axis"):
         jxr.sweep(lambda p: make(p[0]), (dampings, dampings[:3]), 0.2)
-    with pytest.raises(ValueError, match="argument chunk must be at least 1 run, but was 0"):
+    with pytest.raises(ValueError, match="argument chunk must be a whole number of at least 1, but was 0"):
         jxr.sweep(make, dampings, 0.2, chunk=0)
 
 

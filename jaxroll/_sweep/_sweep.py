@@ -1,0 +1,241 @@
+"""Many runs: in chunks, on every device, with progress, resumed where they were cut off."""
+
+import os
+import sys
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .._results import as_array, as_count, check_callable, check_flag, shown, traced
+from ._folder import Folder
+from ._identity import identity, Mark
+from ._program import calls_back, Job, of_keep, of_make, Program, program
+
+_CHUNK = 2048
+
+
+def sweep(
+    make: Callable[[Any], tuple[Any, Any]],
+    parameters: Any,
+    t1: Any,
+    *,
+    keep: Callable[[Any], Any] | None = None,
+    chunk: int = _CHUNK,
+    progress: bool = False,
+    resume: str | os.PathLike | None = None,
+    **options: Any,
+) -> Any:
+    """Simulate `make(p)` for every row p of `parameters`, as many as there are.
+
+    Runs go in chunks of fixed size through one compiled program, on every device that JAX has and on every
+    core of a CPU; inside a chunk each takes its own steps (see `simulate`), so that runs of unlike cost waste
+    little. Memory is bounded by the chunks under way and by what is kept.
+
+    Args (daily use):
+        make: From one row of parameters to a grasp and a state on its constraints, by JAX operations;
+            `close` may be inside. Every sweep traces it anew, in milliseconds, and so sees what it closes
+            over as that is now; what has been compiled is used again for whatever is the same program.
+        parameters: A pytree of arrays with a leading axis n.
+        t1: Final time [s].
+        keep: What to keep of every `Trajectory`, as a pytree of arrays. Default: all of it.
+    Args (rarely changed):
+        chunk: Runs per program call.
+        progress: Whether to report chunks, speed and time left on standard error.
+        resume: A folder where finished chunks are written, and looked for first (see below).
+        **options: Those of `simulate`; `ts` is 1 by default, the final state alone.
+
+    Returns:
+        What is kept, as NumPy arrays with the leading axis n: by default a `Trajectory` of n lanes.
+
+    Raises:
+        ValueError: If an argument does not fit, the arrays of `parameters` have no common leading axis, or
+            `resume` holds a different sweep.
+
+    Runs that fail carry their code (`result`); the others are untouched.
+    Resuming: the folder's `sweep.json` says which sweep it is of: lowered programs and constants of `make`
+    and `keep`, options, `t1`, parameters, size of chunks, versions, precision and processor. If any of these
+    is another the sweep is refused, and the sentence names it. A chunk that is damaged or not of this sweep
+    is worked out again, with a warning that names the file. A process may be killed at any moment; several
+    processes with one folder share the work. Before anything is compiled a resumed sweep lowers its program
+    once more to know it, which takes some tenths of a second; other sweeps pay nothing for that.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> import jaxroll as jxr
+        >>> grasp, state = jxr.scenes.pivoted()
+        >>> table = jxr.sweep(lambda c: (grasp.with_(damping=c), state), jnp.array([0.004, 0.006]), t1=0.1)
+        >>> table.last.q.shape
+        (2, 3)
+    """
+    check_callable("make", make, "a function of one row of parameters")
+    if keep is not None:
+        check_callable("keep", keep, "a function of a trajectory")
+    if "throw" in options:
+        raise ValueError("argument throw is of simulate alone: the runs of a sweep carry their codes")
+    check_flag("progress", progress)
+    rows, t1 = _rows_of(parameters), _time(t1)
+    count = len(jax.tree.leaves(rows)[0])
+    extent = Extent(count, min(as_count("chunk", chunk), count))
+    job = Job(make, keep, t1, {"ts": 1, **options, "throw": False})
+    first = extent.chunk(rows, 0)
+    if resume is None:
+        folder, run = None, program(job, first)
+    else:
+        folder, run = _resumed(Folder(resume), job, rows, extent)
+    pieces = _pieces(run, rows, extent, folder, _Meter(count, progress))
+    return jax.tree.map(lambda *parts: np.concatenate(parts)[:count], *pieces)
+
+
+class Extent(NamedTuple):
+    """How many runs there are, and how many a chunk has."""
+
+    count: int
+    size: int
+
+    @property
+    def starts(self) -> range:
+        """The first run of every chunk."""
+        return range(0, self.count, self.size)
+
+    def chunk(self, rows: Any, start: int) -> Any:
+        """One chunk of the parameters; the last one is filled up with its last row."""
+        index = np.minimum(np.arange(start, start + self.size), self.count - 1)
+        return jax.tree.map(lambda x: jnp.asarray(x[index]), rows)
+
+
+def _resumed(folder: Folder, job: Job, rows: Any, extent: Extent) -> tuple[Folder, Program]:
+    """The folder and the program of a sweep, once they are known to be of the same; nothing is compiled.
+
+    What costs least is compared first.
+    """
+    here = identity(rows, job.t1, extent.size, job.options)
+    row = jax.tree.map(lambda x: jnp.asarray(x[0]), rows)
+    here["make"] = Mark(of_make(job.make, row), "make")
+    folder.check(here)
+    run = program(job, extent.chunk(rows, 0))
+    if "progress_meter" not in job.options and calls_back(run.traced.jaxpr):
+        raise ValueError(
+            "argument make must not take numbers from Python while it runs (jax.pure_callback) where resume "
+            "is given, since a folder cannot tell what is called; nor must keep, options or what they hold"
+        )
+    here["keep"] = Mark(of_keep(job.keep, run.trajectory), "keep")
+    here["program"] = Mark(run.fingerprint(), "program")
+    folder.open(here)
+    return folder, run
+
+
+def _pieces(run: Program, rows: Any, extent: Extent, folder: Folder | None, meter: "_Meter") -> list[Any]:
+    """Results chunk by chunk, several under way at a time."""
+    devices, forms = jax.local_devices(), jax.tree.leaves(run.results)
+    found: dict[int, Any] = {}
+
+    def computed(start: int) -> Any:
+        device = devices[start // extent.size % len(devices)]
+        return run(jax.device_put(extent.chunk(rows, start), device))
+
+    def piece_at(start: int, *, wait: bool) -> Any:
+        """A chunk's results; None if another process is at it and this one is not to wait."""
+        if folder is None:
+            return computed(start)
+        with folder.work_on(start, wait=wait) as mine:
+            if not mine:
+                return None
+            piece = folder.load(start, forms, quiet=True)
+            if piece is None:
+                piece = jax.tree.leaves(computed(start))
+                folder.store(start, piece)
+        return jax.tree.unflatten(jax.tree.structure(run.results), piece)
+
+    def note(start: int, piece: Any) -> bool:
+        if piece is not None:
+            found[start] = piece
+            meter(min(len(found) * extent.size, extent.count))
+        return piece is not None
+
+    def work(*, wait: bool) -> None:
+        left = [start for start in extent.starts if start not in found]
+        todo = iter(left)
+        # The first one alone, since it compiles.
+        any(note(start, piece_at(start, wait=wait)) for start in todo)
+        rest = list(todo)
+        for start, piece in zip(rest, pool.map(partial(piece_at, wait=wait), rest), strict=True):
+            note(start, piece)
+
+    if folder is not None:
+        for start in extent.starts:
+            piece = folder.load(start, forms)
+            if piece is not None:
+                found[start] = jax.tree.unflatten(jax.tree.structure(run.results), piece)
+        meter.known(min(len(found) * extent.size, extent.count))
+    with ThreadPoolExecutor(_workers(devices)) as pool:
+        work(wait=False)
+        work(wait=True)
+    return [found[start] for start in extent.starts]
+
+
+def _workers(devices: list[Any]) -> int:
+    """One thread per device; on a CPU one per core, because a chunk is one kernel on one core."""
+    cores = os.cpu_count() or 1
+    return max(cores, len(devices)) if devices[0].platform == "cpu" else len(devices)
+
+
+def _rows_of(parameters: Any) -> Any:
+    """The parameters as NumPy arrays with one common leading axis."""
+    rows = jax.tree.map(_row_array, parameters)
+    lengths = {x.shape[:1] for x in jax.tree.leaves(rows)}
+    if len(lengths) != 1 or lengths == {()} or lengths == {(0,)}:
+        raise ValueError(
+            f"argument parameters must hold arrays with one common leading axis, but their leading axes were "
+            f"{shown(sorted(lengths))}"
+        )
+    return rows
+
+
+def _row_array(leaf: Any) -> np.ndarray:
+    wanted = f"argument parameters must hold arrays of numbers, but one of them was {shown(leaf)}"
+    if traced(leaf):
+        raise ValueError(f"{wanted}: a sweep is no part of what JAX traces")
+    try:
+        array = np.asarray(leaf)
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(wanted) from None
+    if not (jnp.issubdtype(array.dtype, np.number) or array.dtype == bool):
+        raise ValueError(wanted)
+    return array
+
+
+def _time(t1: Any) -> Any:
+    """The final time, if it is one number."""
+    seen = as_array("t1", t1)
+    if seen.shape != ():
+        raise ValueError(f"argument t1 must be one number, but had shape {seen.shape}")
+    return t1
+
+
+class _Meter:
+    """Progress on standard error."""
+
+    def __init__(self, count: int, on: bool) -> None:
+        self.count, self.on, self.start, self.found = count, on, time.perf_counter(), 0
+
+    def known(self, found: int) -> None:
+        """How many runs there were already."""
+        self.found = found
+        if found and self.on:
+            print(f"{found} of {self.count} runs are there already", file=sys.stderr, flush=True)
+
+    def __call__(self, done: int) -> None:
+        if not self.on:
+            return
+        speed = (done - self.found) / (time.perf_counter() - self.start)
+        print(
+            f"{done} of {self.count} runs, {speed:.3g} runs/s, {(self.count - done) / speed:.0f} s left",
+            file=sys.stderr,
+            flush=True,
+        )

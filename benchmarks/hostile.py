@@ -124,7 +124,7 @@ def _judged(call: Call, arguments: dict[str, Any], odd: list[str]) -> Outcome:
     except TimeoutError:
         return Outcome("slow", call.name, f"no answer within {_PATIENCE} s")
     except RuntimeError as error:
-        told = any(str(error) == jxr.RESULTS[code] for code in _codes())
+        told = str(error) in _codes()
         return Outcome("code") if told else _raw(error)
     except Exception as error:  # whatever else it is, it is raw
         return _raw(error)
@@ -140,8 +140,9 @@ def is_one_sentence(text: str) -> bool:
     return "\n" not in text and len(text) <= LONGEST and _SENTENCE.fullmatch(text) is not None
 
 
-def _codes() -> list[Any]:
-    return [getattr(jxr.RESULTS, name) for name in dir(jxr.RESULTS) if not name.startswith("_")]
+def _codes() -> list[str]:
+    """The sentences of all result codes."""
+    return [jxr.RESULTS[item] for item in vars(jxr.RESULTS)["_name_to_item"].values()]
 
 
 def _true(run: jxr.Trajectory) -> bool:

@@ -1,0 +1,242 @@
+"""Broken formulas: how many of 100 small changes to the code do the default tests notice?
+
+`python -m benchmarks.mutants` draws changes from the syntax tree by seed, over all folders of jaxroll,
+applies each in a copy of the checkout and runs the test files that cover the changed function, those first
+that are nearest to it and quickest, until one fails. What runs where is measured once (`--coverage`, as long
+as the default tests) and kept in the folder `--data`, as are results: a run that was cut off goes on. It
+prints the survivors, and the share noticed of those that are not equivalent (`EQUIVALENT`, with reasons).
+"""
+
+import argparse
+import ast
+import concurrent.futures
+import dataclasses
+import json
+import os
+import queue
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from benchmarks._mutations import drawn, Mutation, mutations
+
+ROOT = Path(__file__).parents[1]
+_COPIED = ("jaxroll", "tests", "benchmarks", "notebooks", "pyproject.toml", "README.md", "CHANGELOG.md")
+# Tests of figures and of what a machine has, which say nothing of formulas, or start many processes.
+_SKIPPED = {"test_examples.py", "test_backend.py", "test_properties.py"}
+_LONGEST = 900  # seconds for one test file of a mutant, which may loop for ever
+# Changes that no test can notice, by hand: (file, function, before, after) and why.
+EQUIVALENT: dict[tuple[str, str, str, str], str] = {}
+
+
+@dataclasses.dataclass(frozen=True)
+class Coverage:
+    """Seconds that each test file takes, and which of them run each function: by "file:function"."""
+
+    seconds: dict[str, float]
+    tests: dict[str, list[str]]
+
+    def ordered(self, mutation: Mutation) -> list[str]:
+        """The test files that run what is changed: the nearest by name and the quickest first."""
+        place = f"{mutation.file}:{mutation.place}"
+        known = self.tests.get(place)
+        if known is None:  # module level, or a class's body: whatever runs something of that file
+            known = sorted(
+                {t for key, names in self.tests.items() if key.startswith(mutation.file) for t in names}
+            )
+        return sorted(known, key=lambda test: self._cost(test, mutation))
+
+    def _cost(self, test: str, mutation: Mutation) -> float:
+        words = set(re.split(r"[_/.]", mutation.file.removesuffix(".py"))) - {"jaxroll", ""}
+        near = len({_stem(w) for w in words} & {_stem(w) for w in test.removesuffix(".py").split("_")})
+        return self.seconds[test] / (1.0 + 4.0 * near)
+
+
+def _stem(word: str) -> str:
+    return word.rstrip("s0123456789")[:6]
+
+
+def _environment(tree: Path) -> dict[str, str]:
+    threads = {"XLA_FLAGS": os.environ.get("XLA_FLAGS", ""), "OMP_NUM_THREADS": "1"}
+    return {**os.environ, **threads, "PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"}
+
+
+def _pytest(tree: Path, test: str, *, prefix: tuple[str, ...] = ()) -> int:
+    """Exit code of one test file in a copy of the checkout; 1 where it took too long."""
+    call = [sys.executable, *prefix, "-m", "pytest", "-n", "0", "-q", "-x", "-p", "no:cacheprovider"]
+    try:
+        done = subprocess.run(
+            [*call, f"tests/{test}"],
+            cwd=tree,
+            env=_environment(tree),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            timeout=_LONGEST,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return 1
+    return done.returncode
+
+
+def _copied(place: Path) -> Path:
+    for name in _COPIED:
+        source = ROOT / name
+        if source.is_dir():
+            shutil.copytree(source, place / name, ignore=shutil.ignore_patterns("__pycache__", "*.png"))
+        elif source.exists():
+            shutil.copy(source, place / name)
+    return place
+
+
+def covered(data: Path) -> Coverage:
+    """What the default tests run, file by file; measured once and kept."""
+    for test in sorted(path.name for path in (ROOT / "tests").glob("test_*.py")):
+        kept = data / f"{test}.json"
+        if test in _SKIPPED or kept.exists():
+            continue
+        start = time.perf_counter()
+        with tempfile.TemporaryDirectory() as place:
+            tree, raw = _copied(Path(place)), Path(place) / "coverage"
+            prefix = ("-m", "coverage", "run", f"--data-file={raw}", "--source=jaxroll")
+            code = _pytest(tree, test, prefix=prefix)
+            lines = _lines(tree, raw)
+        spent = time.perf_counter() - start
+        kept.write_text(json.dumps({"seconds": spent, "code": code, "functions": lines}))
+        print(f"{test}: {spent:.0f} s, exit code {code}", file=sys.stderr, flush=True)
+    return _read(data)
+
+
+def _read(data: Path) -> Coverage:
+    seconds, tests = {}, {}
+    for path in sorted(data.glob("test_*.json")):
+        seen = json.loads(path.read_text())
+        test = path.name.removesuffix(".json")
+        seconds[test] = seen["seconds"]
+        for place in seen["functions"]:
+            tests.setdefault(place, []).append(test)
+    return Coverage(seconds, tests)
+
+
+def _lines(tree: Path, raw: Path) -> list[str]:
+    """The functions that ran, by "file:function": a line of their bodies is among the lines that did."""
+    import coverage
+
+    data = coverage.CoverageData(str(raw))
+    data.read()
+    ran = []
+    for file in data.measured_files():
+        path = Path(file)
+        lines = set(data.lines(file) or ())
+        waiting: list[tuple[ast.AST, str]] = [(ast.parse(path.read_text()), "")]
+        while waiting:
+            node, place = waiting.pop()
+            for child in ast.iter_child_nodes(node):
+                inside = place
+                if isinstance(child, ast.FunctionDef | ast.ClassDef):
+                    inside = f"{place}.{child.name}".strip(".")
+                if isinstance(child, ast.FunctionDef):
+                    body = range(child.body[0].lineno, (child.end_lineno or 0) + 1)
+                    if lines & set(body):
+                        ran.append(f"{path.relative_to(tree).as_posix()}:{inside}")
+                waiting.append((child, inside))
+    return sorted(set(ran))
+
+
+def tried(tree: Path, mutation: Mutation, tests: list[str], budget: float) -> dict[str, object]:
+    """Apply a mutation in a copy of the checkout, run tests until one fails, and take it back."""
+    path, start, ran = tree / mutation.file, time.perf_counter(), []
+    source = path.read_text()
+    path.write_text(mutation.applied(source))
+    by = None
+    try:
+        for test in tests:
+            if time.perf_counter() - start > budget:
+                break
+            ran.append(test)
+            if _pytest(tree, test) != 0:
+                by = test
+                break
+    finally:
+        path.write_text(source)
+    whole = by is not None or len(ran) == len(tests)
+    spent = round(time.perf_counter() - start, 1)
+    return {"noticed": by, "ran": ran, "whole": whole, "seconds": spent, **dataclasses.asdict(mutation)}
+
+
+def run(chosen: list[Mutation], data: Path, jobs: int, budget: float) -> dict[str, dict[str, object]]:
+    """Every mutation's fate; those already known are not tried again."""
+    reach, kept = covered(data), data / "results.json"
+    results: dict[str, dict[str, object]] = json.loads(kept.read_text()) if kept.exists() else {}
+    trees: queue.Queue[Path] = queue.Queue()
+
+    def one(mutation: Mutation) -> tuple[str, dict[str, object]]:
+        tree = trees.get()
+        try:
+            return mutation.name, tried(tree, mutation, reach.ordered(mutation), budget)
+        finally:
+            trees.put(tree)
+
+    with tempfile.TemporaryDirectory() as place, concurrent.futures.ThreadPoolExecutor(jobs) as pool:
+        for i in range(jobs):
+            (Path(place) / str(i)).mkdir()
+            trees.put(_copied(Path(place) / str(i)))
+        left = [m for m in chosen if m.name not in results and reason(m) is None]
+        for name, found in pool.map(one, left):
+            results[name] = found
+            part = kept.with_suffix(".part")
+            part.write_text(json.dumps(results, indent=1))
+            part.rename(kept)
+            print(told(found), file=sys.stderr, flush=True)
+    return {m.name: results[m.name] for m in chosen if m.name in results}
+
+
+def reason(mutation: Mutation) -> str | None:
+    """Why a mutation changes nothing, if it does not."""
+    return EQUIVALENT.get((mutation.file, mutation.place, mutation.before, mutation.after))
+
+
+def told(found: dict[str, object]) -> str:
+    """One line about a mutation's fate."""
+    fate = f"noticed by {found['noticed']}" if found["noticed"] else "SURVIVED"
+    if not found["whole"]:
+        fate += " as far as the time went"
+    change = " ".join(f"{found['before']}  ->  {found['after']}".split())
+    return f"{fate} ({found['seconds']} s)  {found['file']}:{found['line']} {found['place']}: {change:.200}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser("python -m benchmarks.mutants", description=__doc__)
+    parser.add_argument("--count", type=int, default=100)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--budget", type=float, default=600.0, help="seconds of tests for one mutant")
+    parser.add_argument("--data", type=Path, default=Path(tempfile.gettempdir()) / "jaxroll-mutants")
+    parser.add_argument("--coverage", action="store_true", help="only measure which tests run what")
+    parser.add_argument("--list", action="store_true", help="only print what is drawn")
+    options = parser.parse_args()
+    options.data.mkdir(parents=True, exist_ok=True)
+    chosen = drawn(ROOT, options.count, options.seed)
+    if options.list:
+        print("\n".join(f"{m.file}:{m.line} {m.place}: {m.before!r:.80} -> {m.after!r:.80}" for m in chosen))
+        print(f"{sum(len(mutations(ROOT, f)) for f in (ROOT / 'jaxroll').rglob('*.py'))} in all")
+        return
+    if options.coverage:
+        covered(options.data)
+        return
+    found = run(chosen, options.data, options.jobs, options.budget)
+    lived = [one for one in found.values() if not one["noticed"]]
+    same = [m for m in chosen if reason(m) is not None]
+    print("\n".join(told(one) for one in lived))
+    for m in same:
+        print(f"equivalent  {m.file}:{m.line} {m.place}: {m.before} -> {m.after}: {reason(m)}")
+    share = 100.0 * (len(found) - len(lived)) / max(len(found), 1)
+    print(f"{len(found) - len(lived)} of {len(found)} noticed ({share:.0f} %), {len(same)} equivalent")
+
+
+if __name__ == "__main__":
+    main()

@@ -83,7 +83,7 @@ def test_what_make_closes_over_is_seen_as_it_is_now(scene, monkeypatch):
     factor, table = 1.0, np.array([1.0, 2.0])
 
     def make(c):
-        return grasp.with_(damping=c * factor * table[1]), state
+        return grasp.with_(damping=c * factor * jnp.asarray(table)[1]), state
 
     settings = {"keep": eqx.Partial(_last), "rtol": 1e-7, "chunk": 50}
     sweep = lambda: jxr.sweep(make, np.linspace(0.002, 0.004, 50), 0.2, **settings)  # noqa: E731

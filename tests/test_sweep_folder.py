@@ -404,7 +404,7 @@ def test_killed_at_any_moment_a_sweep_goes_on(moment, sweep, calls, tmp_path):
 def test_killed_ten_times_and_ended_by_two_at_once_a_sweep_is_the_same(scene, tmp_path):
     """Real runs, to the last bit those of a sweep without a folder."""
     moments = ("compilation", "write", "between chunks")
-    cache = str(jax.config.read("jax_compilation_cache_dir"))
+    cache = str(jax.config.jax_compilation_cache_dir)
     for k in range(10):
         killed = child(moments[k % 3], tmp_path, cache)
         _, said = killed.communicate(timeout=600)

@@ -12,7 +12,7 @@ import hashlib
 import re
 import sys
 import types
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -39,6 +39,15 @@ _LIBRARIES = sys.stdlib_module_names | {
 _ADDRESS = re.compile(r"\b0x[0-9a-f]+")
 _PLAIN = (type(None), type(...), bool, int, float, complex, str, bytes, np.dtype)
 _NOTHING = object()
+# What is inside of things that hold others.
+_HOLDERS: tuple[tuple[Any, Callable], ...] = (
+    (tuple | list | set | frozenset, list),
+    (dict, lambda value: list(value.items())),
+    (types.MethodType, lambda value: (value.__self__, value.__func__)),
+    (functools.partial, lambda value: (value.func, value.args, value.keywords)),
+    (jax.tree_util.PyTreeDef, lambda value: (value.node_data(), value.children())),
+)
+_UNORDERED = (dict, set, frozenset)
 # Parameters of operations that say how they would be mapped or differentiated, and what they are called.
 _LATER = {
     "rule",
@@ -152,19 +161,12 @@ class _Reader:
     def holder(self, value: Any) -> Iterator[bytes | str]:
         """Containers and objects: their class, and what they hold."""
         yield self.read(type(value))
-        if isinstance(value, tuple | list):
-            yield from map(self.read, value)
-        elif isinstance(value, dict):
-            yield from sorted(self.read(k) + self.read(v) for k, v in value.items())
-        elif isinstance(value, set | frozenset):
-            yield from sorted(map(self.read, value))
-        elif isinstance(value, types.MethodType):
-            yield from (self.read(value.__self__), self.read(value.__func__))
-        elif isinstance(value, functools.partial):
-            yield from map(self.read, (value.func, value.args, value.keywords))
-        elif isinstance(value, jax.tree_util.PyTreeDef):
-            yield from (self.read(value.node_data()), self.read(value.children()))
-        elif dataclasses.is_dataclass(value):
+        for kinds, inside in _HOLDERS:
+            if isinstance(value, kinds):
+                found = [self.read(part) for part in inside(value)]
+                yield from sorted(found) if isinstance(value, _UNORDERED) else found
+                return
+        if dataclasses.is_dataclass(value):
             names = [field.name for field in dataclasses.fields(value)]
             yield from (self.read((name, getattr(value, name, _NOTHING))) for name in names)
         else:

@@ -10,6 +10,8 @@ import sys
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
+import numpy as np
 
 from .._results import shown
 from ..integration import simulate
@@ -42,7 +44,7 @@ def identity(rows: Any, t1: Any, chunk: int, options: dict[str, Any]) -> Identit
     marks["version of python"] = _text(f"{sys.version_info.major}.{sys.version_info.minor}")
     marks["processor"] = _text(_processor())
     marks["XLA_FLAGS"] = _text(_flags())
-    marks["precision"] = _text("double" if jax.config.read("jax_enable_x64") else "single")
+    marks["precision"] = _text("double" if jnp.result_type(float) == np.float64 else "single")
     marks["parameters"] = Mark(fingerprint(rows), _form(rows))
     marks["chunk"] = _text(f"{chunk} runs")
     marks["t1"] = _value(t1)

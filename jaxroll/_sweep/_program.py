@@ -133,7 +133,7 @@ def _traced(function: Callable, *args: Any) -> Any:
 
 def _compiled(closed: jec.ClosedJaxpr) -> Callable:
     """A function compiled of a traced program: the one kept, if it is the same."""
-    key = fingerprint(closed), jax.config.read("jax_enable_x64")
+    key = fingerprint(closed), jnp.result_type(float)
     found = _KEPT.get(key)
     if found is None:
         # Of the operations and not of the caller's function, which may mean something else next time.

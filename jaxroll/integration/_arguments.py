@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import diffrax
 import jax
+import jax.core
 import jax.numpy as jnp
 import numpy as np
 

@@ -63,7 +63,8 @@ class Steady(diffrax.AbstractStepSizeController):
         parts = jax.lax.split(y_error, (1,) * y_error.shape[0])
         solved = jnp.isfinite(total(parts))[0]
         results = diffrax.RESULTS
-        code = results.where(solved, results.successful, results.nonlinear_divergence)
+        failed: Any = results.nonlinear_divergence
+        code = results.where(solved, results.successful, failed)
         return solved, t1, t1 + controller_state, False, controller_state, code
 
 
@@ -108,9 +109,8 @@ class Seeing(diffrax.AbstractStepSizeController):
         controller_state: Any,
     ) -> tuple:
         """As the control itself has it."""
-        seen = (self.lay.controlled(y) for y in (y0, y1_candidate))
-        error = self.lay.controlled(y_error)
-        return self.inner.adapt_step_size(t0, t1, *seen, args, error, error_order, controller_state)
+        before, after, error = (self.lay.controlled(y) for y in (y0, y1_candidate, y_error))
+        return self.inner.adapt_step_size(t0, t1, before, after, args, error, error_order, controller_state)
 
 
 def on_tableau(method: Method) -> bool:

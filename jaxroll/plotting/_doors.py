@@ -18,7 +18,7 @@ def of_grasp(figure: Door) -> Door:
     @functools.wraps(figure)
     def door(*args: Any, **options: Any) -> Any:
         given = dict(zip(names, args, strict=False)) | options
-        grasp = given.get("grasp")
+        grasp: Any = given.get("grasp")
         if "trajectory" in given:
             check_run(grasp, given["trajectory"])
         if "state" in given:

@@ -175,7 +175,7 @@ def ways_in(grasp, state):
     bad, disc = PARABOLA.moved((0.0, -0.01), -np.pi / 2), jxr.Circle(0.01)
     short = Curve(parabola, (-0.01, 0.01))
     finger = jxr.Finger([0.1], [0.1], bad)
-    body, both = jxr.FreeObject(disc, 0.1, 1e-5), jxr.FreeObject([disc, bad], 0.1, 1e-5)
+    body = jxr.FreeObject(disc, 0.1, 1e-5)
     return {
         "tip": lambda: jxr.Grasp(body, finger, jxr.Contact()),
         "tip moved twice": lambda: jxr.Grasp(body, jxr.Finger([0.1], [0.1], bad.moved()), jxr.Contact()),

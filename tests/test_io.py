@@ -324,3 +324,93 @@ def test_a_banana_cut_across():
     assert report.closed and not report.self_intersecting
     assert 0.1 < report.length < 0.13 and report.rms < 1e-4
     assert 0.005 < report.radius < 0.02 and report.inflections <= 4
+
+
+BAD_TABLES = {
+    "NaN in the first row": ("nan,2\n3,4\n5,6\n", "line 1 of bad.csv was 'nan,2'"),
+    "infinity in the first row": ("1,inf\n3,4\n", "line 1 of bad.csv was '1,inf'"),
+    "half a row of numbers first": ("1,\n3,4\n", "line 1 of bad.csv was '1,'"),
+    "NaN below a header": ("x,y\nnan,nan\n3,4\n", "line 2 of bad.csv was 'nan,nan'"),
+    "an empty field": ("1,2\n,4\n", "line 2 of bad.csv was ',4'"),
+    "decimal commas that part fields too": ("1,5\t2\n3,5\t4\n", "line 1 of bad.csv"),
+    "words alone": ("x,y\n", "in bad.csv there was none"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_TABLES)
+def test_tables_that_hold_no_points_name_the_line(case, tmp_path):
+    text, words = BAD_TABLES[case]
+    path = tmp_path / "bad.csv"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=words) as caught:
+        jxr.io.read_points(path, unit="m")
+    assert str(caught.value).startswith("argument path must name a table of finite numbers, but ")
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [("1,5; 2,5\n3; 4\n", [[1.5, 2.5], [3, 4]]), ("1,5\t2,5\n3,0\t4,0\n", [[1.5, 2.5], [3, 4]])],
+)
+def test_decimal_commas(text, expected, tmp_path):
+    path = tmp_path / "table.txt"
+    path.write_text(text)
+    np.testing.assert_array_equal(jxr.io.read_points(path, unit="m"), expected)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "latin-1"])
+def test_tables_in_other_encodings(encoding, tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_bytes("Länge,Höhe\n1,2\n3,4\n".encode(encoding))
+    np.testing.assert_array_equal(jxr.io.read_points(path, unit="m"), [[1, 2], [3, 4]])
+
+
+def test_files_that_are_not_what_their_ending_says(tmp_path):
+    """Nothing, noise, and the wrong thing, under every ending that is read."""
+    noise = bytes(np.random.default_rng(0).integers(0, 256, 400, dtype=np.uint8).tobytes())
+    for kind in ("csv", "txt", "dat", "npy", "svg", "dxf", "stl", "obj", "ply", "off"):
+        mesh = kind in ("stl", "obj", "ply", "off")
+        read = jxr.io.read_mesh if mesh else jxr.io.read_points
+        path = tmp_path / f"bad.{kind}"
+        for content in (None, b"", noise, b"\0" * 100, b"no such thing\n"):
+            if content is not None:
+                path.write_bytes(content)
+            with pytest.raises(ValueError, match=r"^argument path must name a[^\n]*$"):
+                read(path, unit="mm")
+        path.unlink()
+        path.mkdir()
+        with pytest.raises(ValueError, match="argument path must name a file, but .* is a folder"):
+            read(path, unit="mm")
+    np.save(tmp_path / "words.npy", np.array([["a", "b"]]))
+    with pytest.raises(ValueError, match="must name an array of real numbers, but words.npy has <U1"):
+        jxr.io.read_points(tmp_path / "words.npy", unit="m")
+
+
+@pytest.mark.parametrize(
+    ("size", "unit", "fits"), [("72pt", "in", True), ("6pc", "in", True), ("72pt", "mm", False)]
+)
+def test_an_svg_that_states_points_and_picas(size, unit, fits, tmp_path):
+    """A drawing of one unit's width, 72 pt or 6 pc: an inch."""
+    path = tmp_path / "drawing.svg"
+    path.write_text(
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{size}" height="{size}" viewBox="0 0 1 1">'
+        '<path d="M 0,0 L 1,0 L 1,1 Z"/></svg>'
+    )
+    if fits:
+        assert jxr.io.read_points(path, unit=unit).max() == pytest.approx(0.0254)
+    else:
+        with pytest.raises(ValueError, match="states that one unit is 25.4 mm, but was 1 mm"):
+            jxr.io.read_points(path, unit=unit)
+
+
+def test_a_file_that_cannot_be_written_is_said_before_the_work(tmp_path, monkeypatch):
+    """No point of the contour is evaluated."""
+    (tmp_path / "file").write_text("in the way")
+    monkeypatch.setattr(jxr.Circle, "frame", lambda self, s: pytest.fail("evaluated"))
+    for write, options in (
+        (jxr.io.write_outline, {"unit": "mm"}),
+        (jxr.io.write_stl, {"height": 0.01}),
+    ):
+        kind = "stl" if "height" in options else "csv"
+        for path in (tmp_path / "file" / f"out.{kind}", f"/dev/null/out.{kind}"):
+            with pytest.raises(ValueError, match="argument path must name a file that can be written, but: "):
+                write(jxr.Circle(0.01), path, **options)

@@ -2,6 +2,9 @@
 
 import numpy as np
 
+from .._results import check_flag
+from ._numbers import numbers
+
 _BLOCK = 2_000_000  # pairs of sides looked at together
 
 
@@ -10,6 +13,7 @@ def crossings(points: np.ndarray, *, closed: bool) -> np.ndarray:
 
     Only sides whose extents along x overlap are compared: O(n log n) and the number of those pairs.
     """
+    points, closed = numbers("points", points, 2), check_flag("closed", closed)
     starts = points if closed else points[:-1]
     ends = np.roll(points, -1, axis=0) if closed else points[1:]
     low, high = np.minimum(starts, ends), np.maximum(starts, ends)

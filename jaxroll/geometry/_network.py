@@ -74,7 +74,7 @@ class PeriodicNetwork(eqx.Module):
         for name, count in (("harmonics", harmonics), ("width", width), ("depth", depth)):
             if not isinstance(count, int | np.integer) or isinstance(count, bool) or count < 1:
                 raise ValueError(f"argument {name} must be at least 1, but was {shown(count)}")
-        if activation not in _ACTIVATIONS:
+        if not isinstance(activation, str) or activation not in _ACTIVATIONS:
             raise ValueError(
                 f"argument activation must be one of {[*_ACTIVATIONS]}, but was {shown(activation)}"
             )

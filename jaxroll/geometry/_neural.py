@@ -12,7 +12,7 @@ from .._results import as_count, as_floats, as_length, check_instance
 from .._types import Given
 from ._descent import descend, Problem, Progress
 from ._network import network_fit, NetworkFit, PeriodicNetwork, with_readout
-from ._points import numbers
+from ._numbers import numbers
 from ._support import AbstractSupport, check_convex, fit_series, Series
 from ._table import FEWEST_CELLS, Table
 

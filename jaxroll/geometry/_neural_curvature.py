@@ -13,7 +13,7 @@ from .._results import as_count, as_floats, as_length, check_instance
 from .._types import Given
 from ._descent import descend, Problem, Progress
 from ._network import network_fit, NetworkFit, PeriodicNetwork, with_readout
-from ._points import numbers
+from ._numbers import numbers
 from ._table import AbstractTabulated, FEWEST_CELLS, from_frames, Table
 
 _TURN = 2.0 * np.pi

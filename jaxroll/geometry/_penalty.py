@@ -6,9 +6,9 @@ import jax
 import numpy as np
 from jaxtyping import Array
 
-from .._results import as_floats, concrete
+from .._results import as_floats, check_choice, check_flag, concrete
 from .._types import Given
-from ._spline import chords, spline_basis
+from ._spline import chords, knot_count, spline_basis
 
 _TRIALS = 600
 Spectrum = tuple[np.ndarray, np.ndarray, float]
@@ -49,8 +49,11 @@ def smoothing_for(
         >>> bool(abs(disc.curvature(0.0) / 100 - 1) < 0.01)
         True
     """
-    if noise is not None and not noise >= 0.0:
-        raise ValueError(f"argument noise must not be negative, but was {noise}")
+    level = None if noise is None else concrete(as_floats("noise", noise, ()))
+    if level is not None and not level >= 0.0:
+        raise ValueError(f"argument noise must not be negative, but was {level:g}")
+    if level is not None and level > 1e9:
+        raise ValueError(f"argument noise must be a length in metres, but was {level:g}")
     if noise == 0.0:
         return 0.0
     given = as_floats("points", points, (None, 2))
@@ -59,6 +62,8 @@ def smoothing_for(
         raise ValueError(
             "argument points must be concrete numbers, but was traced: smoothing is set up outside jit"
         )
+    closed, degree = check_flag("closed", closed), check_choice("degree", degree, (3, 5, 7, 9))
+    knots = knot_count(knots, len(data), degree)
     matrix, rough, length = (np.asarray(x) for x in _forms(given, knots, degree, closed))
     spectrum, energy, lost = _spectrum(matrix, rough, data)
     shortest = 2.0 * length / matrix.shape[1]

@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from .._results import as_array, check_flag, shown, traced
+from .._results import check_flag, shown
 from ._crossings import crossings
+from ._numbers import numbers
 from ._ordering import order_points, place, turnings
 
 UNITS = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
@@ -110,33 +111,6 @@ def _checked(points: Any) -> np.ndarray:
     return array
 
 
-def numbers(name: str, value: Any, width: int) -> np.ndarray:
-    """An argument as finite concrete numbers of shape (any, width), in double precision on the host.
-
-    Raises:
-        ValueError: If it is traced, no numbers, of another shape, or not finite.
-    """
-    if traced(value):
-        raise ValueError(
-            f"argument {name} must be concrete numbers, but was traced: fit outside jit and grad"
-        )
-    try:
-        as_array(name, value)
-    except ValueError:
-        raise ValueError(
-            f"argument {name} must be numbers of shape (any, {width}), but was {shown(value)}"
-        ) from None
-    array = np.asarray(value, dtype=np.float64)
-    if array.ndim != 2 or array.shape[1] != width:
-        raise ValueError(f"argument {name} must have shape (any, {width}), but had shape {array.shape}")
-    bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
-    if len(bad):
-        raise ValueError(f"argument {name} must be finite, but row {bad[0]} was {array[bad[0]].tolist()}")
-    if len(array) > 1 and np.all(array == array[0]):
-        raise ValueError(f"argument {name} must not be one point again and again, but was {place(array[0])}")
-    return array
-
-
 def _check_number(points: np.ndarray) -> None:
     if len(points) < _FEWEST:
         raise ValueError(
@@ -189,6 +163,7 @@ def _order(points: np.ndarray, *, closed: bool, ordered: bool | None) -> np.ndar
 
 def polygon_area(points: np.ndarray) -> float:
     """Signed area of a polygon; positive where it runs counter-clockwise."""
+    points = numbers("points", points, 2)
     x, y = (points - points.mean(axis=0)).T
     return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 

@@ -92,7 +92,7 @@ class Spline(AbstractTabulated):
         _check(self.points, self.loop, degree, origin)
         self.degree, self.origin = int(degree), int(origin)
         self.smoothing = _length(smoothing)
-        self.knots = _knot_count(knots, self.points.shape[0], degree)
+        self.knots = knot_count(knots, self.points.shape[0], degree)
         self.cells = as_count("cells", cells, least=FEWEST_CELLS)
         self.table = None
 
@@ -201,7 +201,7 @@ def _halves(coefficients: Array, half: Array, x: Array) -> tuple[Vec2, Vec2, Vec
 
 
 def _check(points: Array, closed: bool, degree: int, origin: int) -> None:
-    if isinstance(degree, float) or degree not in (3, 5, 7, 9):
+    if not isinstance(degree, int | np.integer) or degree not in (3, 5, 7, 9):
         raise ValueError(f"argument degree must be 3, 5, 7 or 9, but was {shown(degree)}")
     count = points.shape[0]
     if count < degree + 1:
@@ -231,13 +231,13 @@ def _check(points: Array, closed: bool, degree: int, origin: int) -> None:
 
 
 def _length(smoothing: Given) -> Array | None:
-    seen = concrete(smoothing)
-    if seen is not None and seen.ndim == 0 and seen == 0:
-        return None
-    return check_positive("smoothing", as_floats("smoothing", smoothing, ()))
+    wavelength = as_floats("smoothing", smoothing, ())
+    seen = concrete(wavelength)
+    return None if seen is not None and seen == 0 else check_positive("smoothing", wavelength)
 
 
-def _knot_count(knots: int | None, count: int, degree: int) -> int | None:
+def knot_count(knots: int | None, count: int, degree: int) -> int | None:
+    """The number of knots asked for, checked; None for one at every point."""
     if count * (count if knots is None else 1) > _LARGEST:
         raise ValueError(
             f"argument points must be at most {math.isqrt(_LARGEST)} where each has a knot, "

@@ -10,10 +10,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._algebra import sincos, Vec2
-from .._results import as_array, as_count, as_floats, as_length, traced
+from .._results import as_array, as_count, as_floats, as_length, concrete, traced
 from .._types import Given
 from ._arclength import placed
-from ._points import numbers
+from ._numbers import numbers
 from ._table import AbstractTabulated, FEWEST_CELLS, from_frames, Table
 
 # A support function with its first two derivatives, at normal angles of any shape.
@@ -132,7 +132,13 @@ class AbstractSupport(AbstractTabulated):
         is zero, so only on an interval can the margin be positive. The origin is the contour's own: for a
         `moved` contour, not the body's.
         """
-        return _margin(self, as_floats("low", low, ()), as_floats("high", high, ()))
+        ends = as_floats("low", low, ()), as_floats("high", high, ())
+        seen = concrete(ends[0]), concrete(ends[1])
+        if seen[0] is not None and seen[1] is not None and not seen[0] <= seen[1] <= seen[0] + 1.001 * _TURN:
+            raise ValueError(
+                f"argument high must be at most a turn above low, {seen[0]:g} rad, but was {seen[1]:g} rad"
+            )
+        return _margin(self, *ends)
 
     def tabulate(self, cells: int) -> Table:
         return self.series(max(64, cells // 8)).table(cells)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from .._results import as_count, shown
+from .._results import as_count, check_instance, shown
 from ..geometry import AbstractContour, metres_per
 from ._outline import outline, positive
 from ._paths import as_path, readable, writable
@@ -54,6 +54,7 @@ def read_points(
     """
     path = readable(as_path(path, _READ))
     kind = path.suffix.lower()
+    unit = check_instance("unit", unit, str, "the name of a unit")
     if (unit == "px") != (pixel is not None) or (unit == "px" and kind != ".svg"):
         raise ValueError(
             f"argument pixel must be given with unit 'px' of an SVG and only there, but unit was "

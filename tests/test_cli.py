@@ -1,0 +1,58 @@
+"""The command line: what does not fit is one line on stderr and exit code 2, before any work is done."""
+
+import re
+
+import pytest
+
+from jaxroll.__main__ import main
+
+BAD = {
+    "no such command": (["dance"], "invalid choice: 'dance'"),
+    "no such scene": (["demo", "dance"], "invalid choice: 'dance'"),
+    "seconds of NaN": (["demo", "--seconds", "nan"], "must lie between 0.001 and 1000, but was nan"),
+    "seconds of words": (["demo", "--seconds", "long"], "must lie between 0.001 and 1000, but was long"),
+    "negative seconds": (["demo", "--seconds", "-1"], "but was -1"),
+    "infinite tolerance": (["demo", "--rtol", "inf"], "must lie between 1e-13 and 0.01, but was inf"),
+    "half a step": (["design", "--steps", "2.5"], "must be a whole number between 1 and 100000, but was 2.5"),
+    "no starts": (["design", "--starts", "0"], "must be a whole number between 1 and 1000, but was 0"),
+    "goal": (["design", "--goal", "best"], "invalid choice: 'best'"),
+    "unit": (["design", "--unit", "furlong"], "invalid choice: 'furlong'"),
+    "empty folder": (
+        ["demo", "--out", ""],
+        "argument --out must name a folder that can be written to",
+    ),
+    "folder that is a file": (["design", "--out", "file"], "argument --out must name a folder that can be"),
+    "folder in a file": (["demo", "--out", "file/new"], "argument --out must name a folder that can be"),
+    "no such fingertip": (
+        ["design", "--tip", "none.csv"],
+        "argument --tip must name a file, but there is",
+    ),
+    "fingertip that is a folder": (["design", "--tip", "."], "argument --tip must name a file"),
+    "fingertip without points": (
+        ["design", "--tip", "empty.csv"],
+        "--tip must .*empty.csv.* is empty",
+    ),
+    "fingertip with a NaN": (["design", "--tip", "nan.csv"], "argument --tip must .* line 1 of nan.csv was"),
+    "fingertip of another kind": (["design", "--tip", "file"], "argument --tip must .* must end in .csv"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_what_does_not_fit_is_one_line(case, tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("JAXROLL_CACHE", "off")
+    (tmp_path / "file").write_text("in the way")
+    (tmp_path / "empty.csv").write_text("")
+    (tmp_path / "nan.csv").write_text("nan,1\n2,3\n")
+    arguments, words = BAD[case]
+    assert main(arguments) == 2
+    out, complaint = capfd.readouterr()
+    lines = [line for line in complaint.splitlines() if not line.startswith("Loading")]
+    assert out == "" and len(lines) == 1 and lines[0].startswith("jaxroll")
+    assert re.search(words, lines[0])
+    assert not [path for path in tmp_path.rglob("*") if path.suffix in (".png", ".gif")]
+
+
+def test_help_and_nothing_at_all(capfd):
+    assert main([]) == 0 and main(["demo", "--help"]) == 0 and main(["design", "--help"]) == 0
+    assert "usage: jaxroll" in capfd.readouterr().out

@@ -36,8 +36,8 @@ class RESULTS(eqx.Enumeration):
     max_steps_reached = "The step limit was reached."
     step_collapsed = "The step size fell to the smallest allowed: the motion is singular or not finite there."
     singular_contact = (
-        "The rolling contact became singular: the sum of the two curvatures, or the Schur "
-        "complement of the constraints, is no longer positive."
+        "The rolling contact became singular: the sum of the two curvatures vanishes beside their size, or "
+        "the Schur complement of the constraints is no longer positive."
     )
     contour_end = "A contact point ran past the end of an open contour."
     contact_lost = "A contact no longer presses: its normal force fell below zero."

@@ -61,7 +61,7 @@ def judge(
     )
     keep, pace, loop = judged[0], judged[4], judged[5]._value
     y = jnp.where(keep, y1, course.y)
-    holds, count = y[-1] == 0, plan.ts.shape[0]
+    holds, count = y[-1] <= 0, plan.ts.shape[0]
     hit = course.busy & keep & holds & (course.saved < count) & (pace.t == _stop(plan, course.saved))
     saved = course.saved + jnp.where(hit, 1, 0)
     over = (saved == count) & (pace.t == plan.t1)

@@ -112,7 +112,7 @@ class _Steps(eqx.Module):
 
         Zero for a run that no event ended.
         """
-        ended = (row(self.ys, self.count)[self.margin + 1] != 0) & jnp.isfinite(drift) & (drift != 0)
+        ended = (row(self.ys, self.count)[self.margin + 1] > 0) & jnp.isfinite(drift) & (drift != 0)
         return jnp.where(ended, -change / jnp.where(ended, drift, 1.0), 0.0)
 
     @property

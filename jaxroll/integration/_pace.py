@@ -95,7 +95,7 @@ class StopAt(eqx.Module):
         step = (t0, t1, y0, y1, *rest[:-1], pace.inner)
         keep, start, end, jumped, inner, code = self.inner.adapt_step_size(*step)  # pyright: ignore
         first, hunting = t0 == t1, pace.hunt.on
-        past = y1[self.margin + 1] != 0
+        past = y1[self.margin + 1] > 0
         ends = past & (first | keep & (t1 - t0 <= 2.0 * pace.hunt.grain * resolution(t1)))
         back = past & keep & ~ends
         near = self.dip * (t1 - t0)

@@ -17,8 +17,12 @@ from .._types import Scalar
 from ..contact import AbstractContact, clearance, TOLERANCE
 from ..mechanics import Grasp, Instant, Leaves, poses
 
-# Relative size below which a pivot, or a sum of curvatures, counts as zero.
+# Relative size below which a pivot counts as zero.
 _SINGULAR = 1e-9
+# Relative size below which a sum of curvatures counts as zero. While it runs out a contact rolls as fast as
+# its inverse, so that it falls as the square root of the time that is left: from this size on that is some
+# 1e-10 s, enough for steps to end there, while a smaller one would fall within the shortest step.
+_FLAT = 1e-4
 # Points on each contour in the audit of penetration.
 _SAMPLES = 64
 
@@ -33,6 +37,8 @@ _CODES = (
     RESULTS.penetration,
 )
 _NOT_FINITE, _SINGULAR_CONTACT, _CONTOUR_END, _LOST, _SLIPPING, _PENETRATION = range(1, 7)
+# Margin of a singular contact below which steps that get too short are its doing.
+_NEARLY = 1e-2
 # Numbers of codes, in steps of which the contact is counted on.
 _KINDS = 16
 EVENTS = ("lift", "friction", "penetration")
@@ -51,7 +57,7 @@ class Limit(NamedTuple):
 
 
 def regime(grasp: Grasp, leaves: Leaves, instant: Instant, events: tuple[str, ...]) -> tuple[Scalar, Scalar]:
-    """Smallest margin at one state, and the number of its limit: 0 while it is not negative.
+    """Smallest margin at one state, and the number of its limit: with a minus while it is not negative.
 
     Contour ends and singular contacts are always watched, what `events` names besides; a friction
     cone only where its contact has a coefficient.
@@ -65,7 +71,7 @@ def regime(grasp: Grasp, leaves: Leaves, instant: Instant, events: tuple[str, ..
     limit = shape if not forces else _nearest([shape, *forces])
     holds = shape.margin >= 0
     least, number = (jnp.where(holds, a, b) for a, b in zip(limit, shape, strict=True))
-    return least, jnp.where(least < 0, number, 0)
+    return least, jnp.where(least < 0, number, -number)
 
 
 def _nearest(limits: Sequence[Limit]) -> Limit:
@@ -85,7 +91,7 @@ def with_clearance(
     if "penetration" not in events:
         return end
     for i, margin in enumerate(_clearances(grasp, leaves)):
-        number = jnp.where((number == 0) & (margin < 0), _numbered(_PENETRATION, i), number)
+        number = jnp.where((number <= 0) & (margin < 0), _numbered(_PENETRATION, i), number)
         least = jnp.minimum(margin, least)
     return least, number
 
@@ -101,15 +107,20 @@ def coded(x: Array, margin: Scalar, number: Scalar) -> Array:
     return jnp.stack([margin, number.astype(x.dtype)])
 
 
-def decode(number: Scalar, loop: diffrax.RESULTS) -> RESULTS:
-    """The result code of a run: from the flow vector's number, else from diffrax's loop."""
+def decode(margin: Scalar, number: Scalar, loop: diffrax.RESULTS) -> RESULTS:
+    """The result code of a run: from the flow vector's margin and number, else from diffrax's loop.
+
+    Steps that collapse, or are used up, just before a contact becomes singular did so because of it.
+    """
     result = RESULTS.where(loop == diffrax.RESULTS.successful, RESULTS.successful, RESULTS.solver_failed)
     steps = loop == diffrax.RESULTS.max_steps_reached
     result = RESULTS.where(steps, RESULTS.max_steps_reached, result)
     collapsed = loop == diffrax.RESULTS.dt_min_reached
     result = RESULTS.where(collapsed, RESULTS.step_collapsed, result)
+    short = (steps | collapsed) & (-number % _KINDS == _SINGULAR_CONTACT) & (margin < _NEARLY)
+    result = RESULTS.where(short, RESULTS.singular_contact, result)
     for i, code in enumerate(_CODES[1:], start=1):
-        result = RESULTS.where(number % _KINDS == i, code, result)
+        result = RESULTS.where((number > 0) & (number % _KINDS == i), code, result)
     return result
 
 
@@ -120,7 +131,7 @@ def _numbered(code: int, which: int | None) -> int:
 
 def whose(number: Scalar) -> Scalar:
     """The contact or finger of a limit that ended a run; -1 where there is none."""
-    return (number // _KINDS).astype(int) - 1
+    return (jnp.maximum(number, 0.0) // _KINDS).astype(int) - 1
 
 
 def _geometry(grasp: Grasp, leaves: Leaves, instant: Instant) -> list[Limit]:
@@ -132,7 +143,7 @@ def _geometry(grasp: Grasp, leaves: Leaves, instant: Instant) -> list[Limit]:
         for margin in contact.ends(grasp.shapes(contact), place)
     ]
     bends = [c.curvature_margin(pair, t) for c, pair, t in _each_contact(grasp, instant)]
-    limits += [Limit(m - _SINGULAR, _numbered(_SINGULAR_CONTACT, i)) for i, m in enumerate(bends)]
+    limits += [Limit(m - _FLAT, _numbered(_SINGULAR_CONTACT, i)) for i, m in enumerate(bends)]
     # The pivot belongs to all contacts together.
     pivot = instant.line.schur.smallest_pivot - _SINGULAR
     return [*limits, Limit(pivot, _numbered(_SINGULAR_CONTACT, None))]

@@ -17,14 +17,14 @@ _TOLD = {
     "contact_lost": "{who} no longer presses{when}{by}",
     "slipping": "{who} needs more friction than there is{when}{by}",
     "contour_end": "{who} ran past the end of an open contour{when}{by}",
-    "singular_contact": "{who} became singular{when}: the sum of the curvatures is no longer positive{by}",
+    "singular_contact": "{who} became singular{when}: the sum of the curvatures vanishes beside their size{by}",
     "penetration": "{who} overlaps the object away from its contact{when}{by}",
 }
 _BY = {
     "contact_lost": ": its normal force is {:.3g} N",
     "slipping": ": its force is {:.3g} N inside the friction cone",
     "contour_end": ": it is {:.3g} m before that end",
-    "singular_contact": " ({:.3g} of their size)",
+    "singular_contact": "",
     "penetration": ": it is {:.3g} m clear of it",
 }
 # What to do about each, in the words of `simulate`; other callers put theirs in place of these.

@@ -1,8 +1,8 @@
 """What the solver integrates: one vector that holds the state and its own derivative.
 
 `y = [x, x', margin, code]`, with `x = [q, v, s]` and, when energy is audited, the work done; `margin` says
-how far the model still holds and `code` is positive once it does not (see `_regime`). Carrying the derivative makes
-one step a pure map from `y` to `y`, first-same-as-last included, which is what the differentiation of
+how far the model still holds and `code` is positive once it does not (see `_regime`). Carrying the derivative
+makes one step a pure map from `y` to `y`, first-same-as-last included, which is what the differentiation of
 recorded steps in `_march` needs. One vector, not a tuple of scalars, because every leaf of a loop's state
 costs XLA a kernel per step (measured: 34 against 9 us); for the same reason the grasp's numbers are bundled.
 """

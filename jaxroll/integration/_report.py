@@ -17,7 +17,7 @@ _TOLD = {
     "contact_lost": "{who} no longer presses{when}{by}",
     "slipping": "{who} needs more friction than there is{when}{by}",
     "contour_end": "{who} ran past the end of an open contour{when}{by}",
-    "singular_contact": "{who} became singular{when}: the sum of the curvatures vanishes beside their size{by}",
+    "singular_contact": "{who} became singular{when}: its curvatures cancel, their sum is below 1e-4 of them{by}",
     "penetration": "{who} overlaps the object away from its contact{when}{by}",
 }
 _BY = {

@@ -24,7 +24,8 @@ class Stats(eqx.Module):
         t_end: Time that the run reached [s].
         contact: Which contact ended it, or in case of 'penetration' which finger; -1 where none did.
         margin: What ran out there, at the end: normal force or distance to the friction cone [N], distance to
-            the end of a contour or to the object [m], or what the relative sum of curvatures has beyond 1e-4; NaN where nothing did.
+            the end of a contour or to the object [m], or what the relative sum of curvatures has beyond 1e-4;
+            NaN where nothing did.
     """
 
     __repr__ = listed

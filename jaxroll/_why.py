@@ -139,7 +139,7 @@ def why(grasp: Grasp, state: State | Trajectory, *, t1: float = 1.0, **options: 
     if traced((grasp, state)):
         raise ValueError("argument state must be known numbers for a report, but was being traced")
     run = state if isinstance(state, Trajectory) else None
-    begin = state if run is None else _start(run)
+    begin = _start(state) if isinstance(state, Trajectory) else state
     check_state(grasp, begin)
     gap = float(worst(residuals(grasp, begin)))
     closed = begin if gap <= reach(begin.q.dtype) else _closed(grasp, begin)

@@ -105,8 +105,9 @@ def complaint(run: Any, remedies: Mapping[str, str] = REMEDIES) -> str:
 
 def contact_name(labels: Labels | None, contact: int) -> str:
     """What a contact is called."""
-    known = labels is not None and contact < len(labels.contacts)
-    return labels.contacts[contact] if known else f"contact {contact}"
+    if labels is None or contact >= len(labels.contacts):
+        return f"contact {contact}"
+    return labels.contacts[contact]
 
 
 def amount(value: float, unit: str, *, signed: bool = False) -> str:
@@ -125,7 +126,7 @@ def _lower(sentence: str) -> str:
 
 
 def _reached(q: Any) -> np.ndarray:
-    return np.isfinite(np.asarray(q)).all(axis=-1)
+    return np.asarray(np.isfinite(np.asarray(q)).all(axis=-1))
 
 
 def peak(*arrays: Any) -> float:

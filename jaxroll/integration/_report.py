@@ -20,12 +20,13 @@ _TOLD = {
     "singular_contact": "{who} became singular{when}: the sum of the curvatures is no longer positive{by}",
     "penetration": "{who} overlaps the object away from its contact{when}{by}",
 }
+# By how much it passed zero: by rounding where an event was hit in time, by more at a start that is off.
 _BY = {
-    "contact_lost": ": its normal force is {:.3g} N",
-    "slipping": ": its force is {:.3g} N inside the friction cone",
-    "contour_end": ": it is {:.3g} m before that end",
-    "singular_contact": " ({:.3g} of their size)",
-    "penetration": ": it is {:.3g} m clear of it",
+    "contact_lost": ": it pulls with {:.3g} N",
+    "slipping": ": its force is {:.3g} N outside the friction cone",
+    "contour_end": ": by {:.3g} m",
+    "singular_contact": ", by {:.3g} of their size",
+    "penetration": ": by {:.3g} m",
 }
 # What to do about each, in the words of `simulate`; other callers put theirs in place of these.
 REMEDIES = {
@@ -93,7 +94,7 @@ def cause(run: Any) -> str:
     if name not in _TOLD or (contact < 0 and name == "singular_contact"):
         return f"{_lower(message(run.result))}{when}"
     who = "a contact" if contact < 0 else contact_name(run.labels, contact)
-    by = _BY[name].format(margin) if np.isfinite(margin) else ""
+    by = _BY[name].format(0.0 - margin) if np.isfinite(margin) else ""
     return _TOLD[name].format(who=who, when=when, by=by)
 
 

@@ -29,6 +29,8 @@ from .stability import assess, Stability, VERDICTS
 
 # Relative size below which a sum of curvatures or a pivot counts as zero, as runs do.
 _SINGULAR = 1e-9
+# A run that moved no coordinate by more than this [m or rad] has no direction.
+_STILL = 1e-9
 # Parts of a direction that are smaller than this share of its largest are left out.
 _SLIGHT = 0.02
 _MEND = {
@@ -313,7 +315,7 @@ def _direction(grasp: Grasp, found: Stability | None, start: State, run: Traject
         told = _named(grasp, np.asarray(found.modes)[:, 0])
         return f"along {told}, where the potential bends down" if found.curvatures[0] < 0 else _growing(found)
     way = np.asarray(run.last.q) - np.asarray(start.q)
-    if code_name(run.result) == "successful" or not np.any(way) or not np.isfinite(way).all():
+    if code_name(run.result) == "successful" or not np.isfinite(way).all() or np.abs(way).max() < _STILL:
         return ""
     return f"it went along {_named(grasp, way)}"
 

@@ -3,10 +3,11 @@
 import dataclasses
 import textwrap
 from collections.abc import Sequence
-from typing import Any, TypeVar
+from typing import Any, cast, TypeVar
 
 import equinox as eqx
 import jax
+import jax.core
 import numpy as np
 
 Codes = TypeVar("Codes", bound=type[eqx.Enumeration])
@@ -33,13 +34,13 @@ def entry(title: str, lines: Sequence[str], *, width: int = 100) -> list[str]:
 
 def named(codes: Codes) -> Codes:
     """Let the codes of an enumeration, and what `where` makes of them, print as their names."""
-    items = codes._name_to_item  # pyright: ignore
+    items, make = codes._name_to_item, cast(Any, _Code)  # pyright: ignore
     for name, item in tuple(items.items()):
-        items[name] = _Code(item._value, codes)
+        items[name] = make(item._value, codes)
 
     def where(cls: Any, pred: Any, a: Any, b: Any) -> Any:
         found = eqx.Enumeration.where.__func__(cls, pred, a, b)  # pyright: ignore
-        return found if isinstance(found, _Code) else _Code(found._value, cls)
+        return found if isinstance(found, _Code) else make(found._value, cls)
 
     codes.where = classmethod(where)  # pyright: ignore
     return codes
@@ -59,18 +60,18 @@ def code_name(code: Any) -> str:
     return ", ".join(f"{int(np.sum(found == i))} {names[int(i)]}" for i in np.unique(found))
 
 
-def listed(record: Any) -> str:
+def listed(self: Any) -> str:
     """A record as one line: its class, and its fields with their values and units.
 
     Units are those of the class variable `UNITS`, by field. It works on what is traced, batched, or a
     structure without numbers.
     """
-    units = getattr(type(record), "UNITS", {})
+    units = getattr(type(self), "UNITS", {})
     parts = [
-        f"{f.name}={shown_value(getattr(record, f.name, None), units.get(f.name, ''))}"
-        for f in dataclasses.fields(record)
+        f"{f.name}={shown_value(getattr(self, f.name, None), units.get(f.name, ''))}"
+        for f in dataclasses.fields(self)
     ]
-    return f"{type(record).__name__}({', '.join(parts)})"
+    return f"{type(self).__name__}({', '.join(parts)})"
 
 
 def shown_value(value: Any, unit: str = "") -> str:

@@ -29,6 +29,8 @@ from .stability import assess, Stability, VERDICTS
 
 # Relative size below which a sum of curvatures or a pivot counts as zero, as runs do.
 _SINGULAR = 1e-9
+# A run that moved no coordinate by more than this [m or rad] has no direction.
+_STILL = 1e-9
 # Parts of a direction that are smaller than this share of its largest are left out.
 _SLIGHT = 0.02
 _MEND = {
@@ -139,7 +141,7 @@ def why(grasp: Grasp, state: State | Trajectory, *, t1: float = 1.0, **options: 
     if traced((grasp, state)):
         raise ValueError("argument state must be known numbers for a report, but was being traced")
     run = state if isinstance(state, Trajectory) else None
-    begin = state if run is None else _start(run)
+    begin = _start(state) if isinstance(state, Trajectory) else state
     check_state(grasp, begin)
     gap = float(worst(residuals(grasp, begin)))
     closed = begin if gap <= reach(begin.q.dtype) else _closed(grasp, begin)
@@ -313,7 +315,7 @@ def _direction(grasp: Grasp, found: Stability | None, start: State, run: Traject
         told = _named(grasp, np.asarray(found.modes)[:, 0])
         return f"along {told}, where the potential bends down" if found.curvatures[0] < 0 else _growing(found)
     way = np.asarray(run.last.q) - np.asarray(start.q)
-    if code_name(run.result) == "successful" or not np.any(way) or not np.isfinite(way).all():
+    if code_name(run.result) == "successful" or not np.isfinite(way).all() or np.abs(way).max() < _STILL:
         return ""
     return f"it went along {_named(grasp, way)}"
 

@@ -17,15 +17,16 @@ _TOLD = {
     "contact_lost": "{who} no longer presses{when}{by}",
     "slipping": "{who} needs more friction than there is{when}{by}",
     "contour_end": "{who} ran past the end of an open contour{when}{by}",
-    "singular_contact": "{who} became singular{when}: its curvatures cancel, their sum is below 1e-4 of them{by}",
+    "singular_contact": "{who} became singular{when}: its curvatures cancel, to 1e-4 of their size{by}",
     "penetration": "{who} overlaps the object away from its contact{when}{by}",
 }
+# By how much it passed zero: by rounding where an event was hit in time, by more at a start that is off.
 _BY = {
-    "contact_lost": ": its normal force is {:.3g} N",
-    "slipping": ": its force is {:.3g} N inside the friction cone",
-    "contour_end": ": it is {:.3g} m before that end",
+    "contact_lost": ": it pulls with {:.3g} N",
+    "slipping": ": its force is {:.3g} N outside the friction cone",
+    "contour_end": ": by {:.3g} m",
     "singular_contact": "",
-    "penetration": ": it is {:.3g} m clear of it",
+    "penetration": ": by {:.3g} m",
 }
 # What to do about each, in the words of `simulate`; other callers put theirs in place of these.
 REMEDIES = {
@@ -93,9 +94,7 @@ def cause(run: Any) -> str:
     if name not in _TOLD or (contact < 0 and name == "singular_contact"):
         return f"{_lower(message(run.result))}{when}"
     who = "a contact" if contact < 0 else contact_name(run.labels, contact)
-    if name == "penetration":  # an audit looks at fingers, whether they have a contact or not
-        who = f"finger {contact}"
-    by = _BY[name].format(margin) if np.isfinite(margin) else ""
+    by = _BY[name].format(0.0 - margin) if np.isfinite(margin) else ""
     return _TOLD[name].format(who=who, when=when, by=by)
 
 
@@ -107,8 +106,9 @@ def complaint(run: Any, remedies: Mapping[str, str] = REMEDIES) -> str:
 
 def contact_name(labels: Labels | None, contact: int) -> str:
     """What a contact is called."""
-    known = labels is not None and contact < len(labels.contacts)
-    return labels.contacts[contact] if known else f"contact {contact}"
+    if labels is None or contact >= len(labels.contacts):
+        return f"contact {contact}"
+    return labels.contacts[contact]
 
 
 def amount(value: float, unit: str, *, signed: bool = False) -> str:
@@ -127,7 +127,7 @@ def _lower(sentence: str) -> str:
 
 
 def _reached(q: Any) -> np.ndarray:
-    return np.isfinite(np.asarray(q)).all(axis=-1)
+    return np.asarray(np.isfinite(np.asarray(q)).all(axis=-1))
 
 
 def peak(*arrays: Any) -> float:

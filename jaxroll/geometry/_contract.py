@@ -73,12 +73,12 @@ def check_surface(name: str, surface: AbstractSurface) -> None:
     for part in _members(surface):
         if isinstance(part, AbstractContour):
             check_contour(name, part)
-        elif _foreign(part) or (isinstance(part, Chart) and any(part.periodic)):
-            fault = None if traced(part) else _surface_fault(part)
-            if fault is not None:
-                raise ValueError(
-                    f"argument {name} must be a surface {fault.format(kind=type(part).__name__)}"
-                )
+            continue
+        given = _foreign(part) or (isinstance(part, Chart) and any(part.periodic))
+        fault = _surface_fault(part) if given and not traced(part) else None
+        if fault is not None:
+            kind = type(part).__name__
+            raise ValueError(f"argument {name} must be a surface {fault.format(kind=kind)}")
 
 
 def check_shape(name: str, shape: Any) -> None:

@@ -114,14 +114,12 @@ def _parts(value: Any) -> list[Any]:
 
 def _tables(value: Any) -> Iterator[Table]:
     """Tables that a contour reads, at any depth: they are not of unit speed to rounding."""
-    if isinstance(value, AbstractTabulated):
-        yield value.read()
-    elif isinstance(value, Table):
-        yield value
-    elif isinstance(value, eqx.Module | tuple | list):
-        parts = _parts(value) if isinstance(value, tuple | list) else vars(value).values()
-        for part in parts:
-            yield from _tables(part)
+    if isinstance(value, AbstractTabulated | Table):
+        yield value if isinstance(value, Table) else value.read()
+        return
+    held = value if isinstance(value, tuple | list) else ()
+    for part in vars(value).values() if isinstance(value, eqx.Module) else held:
+        yield from _tables(part)
 
 
 @remembered

@@ -93,7 +93,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     try:
         folder = _folder(options)
-        _check_tip(options)
         if options.command == "design":
             _design(options, folder)
         else:
@@ -115,7 +114,10 @@ class _Unfit(Exception):
 
 
 def _folder(options: argparse.Namespace) -> Path:
-    """The folder to write to, made and tried before any work is done."""
+    """The folder to write to, made and tried before any work is done; and a fingertip's file is there."""
+    tip = getattr(options, "tip", None)
+    if tip is not None and not Path(tip).is_file():
+        raise _Unfit(f"argument --tip must name a file, but there is none called {tip!r}")
     name = "design" if options.command == "design" else options.scene
     given = f"jaxroll-{name}" if options.out is None else options.out
     try:
@@ -127,13 +129,6 @@ def _folder(options: argparse.Namespace) -> Path:
     except (OSError, ValueError) as error:
         raise _Unfit(f"argument --out must name a folder that can be written to, but: {error}") from None
     return folder
-
-
-def _check_tip(options: argparse.Namespace) -> None:
-    """Raise at once for a file that is not there: to load the libraries takes a while."""
-    tip = getattr(options, "tip", None)
-    if tip is not None and not Path(tip).is_file():
-        raise _Unfit(f"argument --tip must name a file, but there is none called {tip!r}")
 
 
 def _parser() -> _Parser:
@@ -175,12 +170,9 @@ def _design_parser(commands: Any) -> None:
         help="margin of condition (41) (default), stiffness at rest, or a run that settles soon with little "
         "friction; the last takes minutes to compile",
     )
-    design.add_argument(
-        "--steps", metavar="N", type=_whole(1, 100_000), default=200, help="at most so many (default: 200)"
-    )
-    design.add_argument(
-        "--starts", metavar="N", type=_whole(1, 1000), default=1, help="in one batch (default: 1)"
-    )
+    most, batch = _number(1, 100_000, int), _number(1, 1000, int)
+    design.add_argument("--steps", metavar="N", type=most, default=200, help="at most (default: 200)")
+    design.add_argument("--starts", metavar="N", type=batch, default=1, help="in one batch (default: 1)")
     design.add_argument(
         "--tip",
         metavar="FILE",
@@ -190,26 +182,16 @@ def _design_parser(commands: Any) -> None:
     design.add_argument("--no-animation", action="store_true", help="write no before.gif and after.gif")
 
 
-def _number(low: float, high: float) -> Callable[[str], float]:
-    def convert(text: str) -> float:
+def _number(low: float, high: float, kind: type = float) -> Callable[[str], Any]:
+    what = "lie" if kind is float else "be a whole number"
+
+    def convert(text: str) -> Any:
         try:
-            value = float(text)
+            value = kind(text)
         except ValueError:
             value = math.nan
         if not low <= value <= high:
-            raise argparse.ArgumentTypeError(f"must lie between {low:g} and {high:g}, but was {text}")
-        return value
-
-    return convert
-
-
-def _whole(low: int, high: int) -> Callable[[str], int]:
-    def convert(text: str) -> int:
-        value = int(text) if text.strip().isdecimal() else 0
-        if not low <= value <= high:
-            raise argparse.ArgumentTypeError(
-                f"must be a whole number between {low} and {high}, but was {text}"
-            )
+            raise argparse.ArgumentTypeError(f"must {what} between {low:.6g} and {high:.6g}, but was {text}")
         return value
 
     return convert

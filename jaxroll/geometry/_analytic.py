@@ -157,14 +157,14 @@ class Ellipse(AbstractContour):
         given = None if cells is None else as_count("cells", cells, least=_FEWEST)
         if given is not None and given > _MOST:
             raise ValueError(f"argument cells must be at most {_MOST}, but was {given}")
-        seen = concrete(self.a), concrete(self.b)
-        if seen[0] is None or seen[1] is None:
+        a, b = concrete(self.a), concrete(self.b)
+        if a is None or b is None:
             return _USUAL if given is None else given
-        square = float(max(seen) / min(seen)) ** 2
+        square = float(max(a / b, b / a)) ** 2
         if given is None and square > _FLATTEST**2 * (1.0 + 1e-12):
             raise ValueError(
                 f"argument b must lie between a / {_FLATTEST:g} and {_FLATTEST:g} a for the arclength to be "
-                f"accurate, but a was {seen[0]:g} m and b {seen[1]:g} m"
+                f"accurate, but a was {a:g} m and b {b:g} m"
             )
         if given is not None and given < _RESOLVED * square:
             raise ValueError(

@@ -73,12 +73,12 @@ def check_surface(name: str, surface: AbstractSurface) -> None:
     for part in _members(surface):
         if isinstance(part, AbstractContour):
             check_contour(name, part)
-        elif _foreign(part) or (isinstance(part, Chart) and any(part.periodic)):
-            fault = None if traced(part) else _surface_fault(part)
-            if fault is not None:
-                raise ValueError(
-                    f"argument {name} must be a surface {fault.format(kind=type(part).__name__)}"
-                )
+            continue
+        given = _foreign(part) or (isinstance(part, Chart) and any(part.periodic))
+        fault = _surface_fault(part) if given and not traced(part) else None
+        if fault is not None:
+            kind = type(part).__name__
+            raise ValueError(f"argument {name} must be a surface {fault.format(kind=kind)}")
 
 
 def check_shape(name: str, shape: Any) -> None:
@@ -114,14 +114,12 @@ def _parts(value: Any) -> list[Any]:
 
 def _tables(value: Any) -> Iterator[Table]:
     """Tables that a contour reads, at any depth: they are not of unit speed to rounding."""
-    if isinstance(value, AbstractTabulated):
-        yield value.read()
-    elif isinstance(value, Table):
-        yield value
-    elif isinstance(value, eqx.Module | tuple | list):
-        parts = _parts(value) if isinstance(value, tuple | list) else vars(value).values()
-        for part in parts:
-            yield from _tables(part)
+    if isinstance(value, AbstractTabulated | Table):
+        yield value if isinstance(value, Table) else value.read()
+        return
+    held = value if isinstance(value, tuple | list) else ()
+    for part in vars(value).values() if isinstance(value, eqx.Module) else held:
+        yield from _tables(part)
 
 
 @remembered

@@ -51,6 +51,30 @@ _WORDS |= {
     "text",
 }
 _REPORTS = {"__repr__", "__str__", "__hash__", "__dir__"}
+# Arguments that say what a figure or a report looks like.
+_LOOKS = set(
+    [
+        "fontsize",
+        "linewidth",
+        "lw",
+        "alpha",
+        "zorder",
+        "color",
+        "ncols",
+        "frameon",
+        "dpi",
+        "figsize",
+        "pad",
+        "linestyle",
+        "markersize",
+        "rotation",
+        "labelpad",
+        "edgecolor",
+        "facecolor",
+        "help",
+        "constrained",
+    ]
+)
 # Functions whose order of two arguments does not matter.
 _SYMMETRIC = {"minimum", "maximum", "min", "max", "isinstance", "getattr", "hasattr", "plus", "hypot", "dot"}
 
@@ -166,6 +190,8 @@ def _visited(tree: ast.Module) -> Iterator[tuple[ast.AST, str]]:
 def _inner(node: ast.AST) -> Iterator[ast.AST]:
     """What is inside a node, without annotations."""
     for name, value in ast.iter_fields(node):
+        if name == "keywords":
+            value = [word for word in value if word.arg not in _LOOKS]
         if name in ("annotation", "returns", "decorator_list", "type_comment"):
             continue
         for child in value if isinstance(value, list) else [value]:

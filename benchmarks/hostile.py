@@ -142,7 +142,8 @@ def is_one_sentence(text: str) -> bool:
 
 def _codes() -> list[str]:
     """The sentences of all result codes."""
-    return [jxr.RESULTS[item] for item in vars(jxr.RESULTS)["_name_to_item"].values()]
+    items = vars(jxr.RESULTS)["_name_to_item"].values()
+    return [words for words in (jxr.RESULTS[item] for item in items) if words]
 
 
 def _true(run: jxr.Trajectory) -> bool:
@@ -182,6 +183,7 @@ def _patience() -> Iterator[None]:
 def run(count: int, number: int, names: Sequence[str] | None) -> list[tuple[Example, Outcome]]:
     """That many examples, by seed, and how each ended."""
     seen: list[tuple[Example, Outcome]] = []
+    met: set[tuple[str, str]] = set()
     start = time.perf_counter()
 
     @seed(number)
@@ -195,6 +197,10 @@ def run(count: int, number: int, names: Sequence[str] | None) -> list[tuple[Exam
     @given(examples(names))
     def tried(example: Example) -> None:
         seen.append((example, outcome(example)))
+        ended = seen[-1][1]
+        if not ended.good and (ended.kind, ended.where) not in met:
+            met.add((ended.kind, ended.where))
+            print(f"{ended.kind}  {ended.where}  {example}: {ended.words}", file=sys.stderr, flush=True)
         if len(seen) % 500 == 0:
             print(f"{len(seen)} examples, {time.perf_counter() - start:.0f} s", file=sys.stderr, flush=True)
             jax.clear_caches()

@@ -128,11 +128,23 @@ def _judged(call: Call, arguments: dict[str, Any], odd: list[str]) -> Outcome:
         return Outcome("code") if told else _raw(error)
     except Exception as error:  # whatever else it is, it is raw
         return _raw(error)
+    if told_by_code(answer):
+        return Outcome("code")
     if isinstance(answer, jxr.Trajectory) and not _true(answer):
         return Outcome("silent", call.name, "a run with values that are not finite is called successful")
     if not odd:
         return Outcome("result")
     return Outcome("silent", f"{call.name} {' and '.join(odd)}", "taken as if it meant something")
+
+
+def told_by_code(answer: Any) -> bool:
+    """Whether an answer says itself that there is none: a run that failed, a verdict or a place not found."""
+    last = answer[-1] if isinstance(answer, tuple) and answer else answer
+    if isinstance(last, jxr.Trajectory | jxr.design.Design):
+        return not bool(np.any(np.asarray(last.result == jxr.RESULTS.successful)))
+    if isinstance(last, jxr.stability.Stability):
+        return bool(last.verdict == jxr.stability.VERDICTS.not_found)
+    return isinstance(last, jxr.stability.Equilibrium) and not bool(np.any(last.found))
 
 
 def is_one_sentence(text: str) -> bool:

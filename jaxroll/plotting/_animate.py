@@ -11,7 +11,7 @@ from ..integration import Trajectory
 from ..mechanics import Grasp
 from ._animate3 import animate3
 from ._artists import Drawing, limits
-from ._doors import of_grasp
+from ._doors import check_frames, guarded
 from ._forces import Arrows, arrows, key
 from ._gif import checked, nearest, write
 from ._style import Picture, tidy
@@ -19,7 +19,7 @@ from ._views import single, Views, views, visible
 from ._views3 import check_options, pushes, scene_motion, View
 
 
-@of_grasp
+@guarded
 def animate(
     grasp: Grasp,
     trajectory: Trajectory,
@@ -86,6 +86,7 @@ def animate(
         return animate3(grasp, motion.at(rows), ts, path, forces=pushed, size=size, view=view, **pace)
     check_options(grasp, view=view)
     delay = max(2, round(100.0 / fps))
+    check_frames("speed", (ts[-1] - ts[0]) / (0.01 * delay * speed))
     seen_at = nearest(ts, 0.01 * delay * speed)
     ts, picks = ts[seen_at], rows[seen_at]
     states = jax.tree.map(lambda a: np.asarray(a)[picks], trajectory.states)

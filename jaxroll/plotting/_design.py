@@ -12,6 +12,7 @@ from ..design import Design
 from ..geometry import AbstractContour, tabled
 from ..integration import Trajectory
 from ..stability import margin
+from ._doors import guarded
 from ._outlines import sample, Samples
 from ._style import CYCLE, GUIDE, MM, Picture, save, tidy, TIP_FILL
 from ._views import single
@@ -23,6 +24,7 @@ _COLOURS = (CYCLE[4], CYCLE[0])
 _FAR = 6.0
 
 
+@guarded
 def design(design: Design, folder: str | Path | None = None) -> Figure:
     r"""Draw a design before and after: contours with combs of curvature, condition (41), the search.
 
@@ -113,6 +115,7 @@ def _search(ax: Axes, history: np.ndarray, chosen: int) -> None:
     tidy(ax, xlabel="step", ylabel="cost", title=f"Search{starts}")
 
 
+@guarded
 def comparison(
     runs: Sequence[Trajectory], names: Sequence[str] = _NAMES, folder: str | Path | None = None
 ) -> Figure:
@@ -141,10 +144,13 @@ def comparison(
         >>> len(plotting.comparison([run, run]).axes)
         4
     """
-    check_instance("runs", runs, Sequence, "several runs")
+    check_instance("runs", runs, list | tuple, "several runs")  # pyright: ignore
+    check_instance("names", names, list | tuple, "several names")  # pyright: ignore
     for i, run in enumerate(runs):
         check_instance(f"runs[{i}]", run, Trajectory, "a Trajectory")
-    if len(runs) != len(names):
+    for i, name in enumerate(names):
+        check_instance(f"names[{i}]", name, str, "text")
+    if not runs or len(runs) != len(names):
         raise ValueError(f"argument names must have one for each of {len(runs)} runs, but had {len(names)}")
     figure = Picture(10.0, 5.6)
     axes = figure.subplots(2, 2, sharex=True)

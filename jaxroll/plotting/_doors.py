@@ -1,18 +1,28 @@
-"""What every figure of a grasp asks of its arguments: a run, or states, that could be of this grasp."""
+"""What every figure asks of its arguments: a run, or states, of its grasp, and a sensible look."""
 
 import functools
 import inspect
+import os
 from collections.abc import Callable
 from typing import Any, cast, TypeVar
 
+from matplotlib.axes import Axes
+
+from .._results import as_count, as_floats, check_callable, check_flag, check_instance, check_positive, shown
+from ..design import Design
+from ..geometry import Fit
 from ..integration import check_run
 from ..mechanics import check_states
+from ._views3 import View
 
 Door = TypeVar("Door", bound=Callable[..., Any])
+# Largest side of a drawing [inch]: ten thousand pixels are beyond any screen.
+_LARGEST = 100.0
+_MOST = 5000
 
 
-def of_grasp(figure: Door) -> Door:
-    """Check a figure's `grasp`, and its `trajectory`, `state` and `rest` against it, before it is drawn."""
+def guarded(figure: Door) -> Door:
+    """Check a figure's arguments, by their names, before it is drawn: one that is None was not given."""
     names = tuple(inspect.signature(figure).parameters)
 
     @functools.wraps(figure)
@@ -25,6 +35,58 @@ def of_grasp(figure: Door) -> Door:
             check_states(grasp, given["state"], axes=1)
         if given.get("rest") is not None:
             check_states(grasp, given["rest"], "rest")
+        for name, check in _CHECKS.items():
+            if given.get(name) is not None:
+                check(name, given[name])
         return figure(*args, **options)
 
     return cast(Door, door)
+
+
+def _positive(name: str, value: Any) -> None:
+    check_positive(name, as_floats(name, value, ()))
+
+
+def _size(name: str, value: Any) -> None:
+    size = as_floats(name, value, ())
+    if not 0.0 < float(size) <= _LARGEST:
+        raise ValueError(f"argument {name} must be positive and at most {_LARGEST:g}, but was {shown(size)}")
+
+
+def _times(name: str, value: Any) -> None:
+    if as_floats(name, value, (None,)).shape[0] == 0:
+        raise ValueError(f"argument {name} must be one time or more, but there was none")
+
+
+def _text(name: str, value: Any) -> None:
+    check_instance(name, value, str, "text")
+
+
+def _place(name: str, value: Any) -> None:
+    if not isinstance(value, str | os.PathLike) or not str(value) or "\0" in str(value):
+        raise ValueError(f"argument {name} must be the name of a file or folder, but was {shown(value)}")
+
+
+_CHECKS: dict[str, Callable[[str, Any], Any]] = {
+    "design": lambda name, value: check_instance(name, value, Design, "a Design"),
+    "fit": lambda name, value: check_instance(name, value, Fit, "a Fit"),
+    "ax": lambda name, value: check_instance(name, value, Axes, "an axes of matplotlib"),
+    "view": lambda name, value: check_instance(name, value, View, "a View"),
+    "forces": check_flag,
+    "fps": _positive,
+    "speed": _positive,
+    "until": lambda name, value: as_floats(name, value, ()),
+    "size": _size,
+    "times": _times,
+    "title": _text,
+    "frames": as_count,
+    "progress": lambda name, value: check_callable(name, value, takes=2),
+    "path": _place,
+    "folder": _place,
+}
+
+
+def check_frames(name: str, count: float) -> None:
+    """Raise where an argument asks for more frames than anyone looks at."""
+    if not count <= _MOST:
+        raise ValueError(f"argument {name} must leave at most {_MOST} frames, but asks for {count:.3g}")

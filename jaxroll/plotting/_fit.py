@@ -5,6 +5,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ..geometry import Fit, tabled
+from ._doors import guarded
 from ._outlines import sample, Samples
 from ._style import CONTACT, FINGER, MM, OBJECT, Picture, tidy, TIP_FILL
 
@@ -12,6 +13,7 @@ _PLACES = 4097
 _TEETH = 150
 
 
+@guarded
 def fit(fit: Fit) -> Figure:
     """Draw a fitted contour with its points and a comb of its curvature, its curvature, and the residuals.
 

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from ..integration import Loci, loci as loci_of, Trajectory
 from ..mechanics import check_spatial, Grasp
-from ._doors import of_grasp
+from ._doors import guarded
 from ._scene3 import tip_name
 from ._style import CYCLE, LOCUS_OBJECT, LOCUS_TIP, MM, Picture, save, tidy
 from ._views import single
@@ -32,7 +32,7 @@ _ROUNDING = 1e-13
 _SMALL = 1e-3
 
 
-@of_grasp
+@guarded
 def loci(grasp: Grasp, trajectory: Trajectory, folder: str | Path | None = None) -> Figure:
     r"""Plot the loci of all contacts on both surfaces as curves: a column for each contact.
 

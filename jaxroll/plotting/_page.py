@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 
+from .._results import as_count
 from ..integration import Trajectory
 from ..mechanics import check_spatial, Grasp
-from ._doors import of_grasp
+from ._doors import check_frames, guarded
 from ._gif import nearest
 from ._motion3 import Motion3D, times_of
 from ._scene3 import Locus, Scene3, scene3, Solid
@@ -60,7 +61,7 @@ def _plotly() -> Any:
     return plotly
 
 
-@of_grasp
+@guarded
 def page(
     grasp: Grasp,
     trajectory: Trajectory,
@@ -121,8 +122,7 @@ def write_page(
     ts = times_of(motion, ts)
     if path.suffix.lower() not in (".html", ".htm"):
         raise ValueError(f"argument path must end in .html, but was {str(path)!r}")
-    if frames < 1:
-        raise ValueError(f"argument frames must be at least 1, but was {frames}")
+    check_frames("frames", as_count("frames", frames))
     motion, reached = motion.reached()
     ts = ts[reached]
     scene = scene3(grasp, motion, rows=_MESH[0], columns=_MESH[1], links=view.links)

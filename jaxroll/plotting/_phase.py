@@ -8,7 +8,7 @@ from ..geometry import AbstractContour
 from ..integration import check_pinch, Trajectory
 from ..mechanics import check_planar, Grasp, State
 from ..stability import equilibrium, pinch_statics
-from ._doors import of_grasp
+from ._doors import guarded
 from ._style import CONTACT, GUIDE, MM, Picture, tidy
 from ._views import single, visible
 
@@ -18,7 +18,7 @@ _LEVELS = 12
 _MARGIN, _LEAST = 0.2, 5e-4
 
 
-@of_grasp
+@guarded
 def phase(grasp: Grasp, trajectory: Trajectory, *, rest: State | None = None) -> Figure:
     r"""Draw the path of $(s_1, s_2)$ over level lines of $U(s_1, s_2)$, (27).
 

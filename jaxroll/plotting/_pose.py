@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from ..integration import Trajectory
 from ..mechanics import Grasp, State
 from ._artists import Drawing, limits
-from ._doors import of_grasp
+from ._doors import guarded
 from ._forces import Arrows, arrows, key
 from ._space import snapshots3
 from ._style import Picture, tidy
@@ -18,7 +18,7 @@ from ._views import along_time, how_it_ended, single, Views, views, visible
 from ._views3 import check_options, pushes, scene_motion, View
 
 
-@of_grasp
+@guarded
 def pose(grasp: Grasp, state: State, *, ax: Axes | None = None, view: View | None = None) -> Figure:
     """Draw one pose with its true contours or surfaces, to scale.
 
@@ -62,7 +62,7 @@ def pose(grasp: Grasp, state: State, *, ax: Axes | None = None, view: View | Non
     return figure
 
 
-@of_grasp
+@guarded
 def poses(
     grasp: Grasp,
     trajectory: Trajectory,

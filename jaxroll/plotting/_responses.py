@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from ..integration import Trajectory
 from ..mechanics import Grasp
-from ._doors import of_grasp
+from ._doors import guarded
 from ._panels import Panel, panels
 from ._panels3 import panels3
 from ._style import CYCLE, Picture, save, tidy
@@ -20,7 +20,7 @@ _COLUMNS = 3
 _SHARE = 0.9
 
 
-@of_grasp
+@guarded
 def responses(grasp: Grasp, trajectory: Trajectory, folder: str | Path | None = None) -> Figure:
     r"""Plot the responses of one run over time.
 

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .._results import as_floats, check_flag
 from .._spatial import seven
 from ..integration import Trajectory
 from ..mechanics import compiled, Grasp, poses, State, to_leaves, touches
@@ -37,6 +38,13 @@ class View:
     azimuth: float | None = None
     turn: float = 0.0
     links: bool = True
+
+    def __post_init__(self) -> None:
+        for name in ("elevation", "azimuth", "turn"):
+            value = getattr(self, name)
+            if value is not None or name == "turn":
+                as_floats(name, value, ())
+        check_flag("links", self.links)
 
 
 def scene_motion(grasp: Grasp, states: State) -> Motion3D:

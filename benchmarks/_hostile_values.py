@@ -228,7 +228,7 @@ def _sized(*more: str) -> frozenset[str]:
 
 NEGATIVE = frozenset({"minus three", "minus one"})
 ZERO = frozenset({"zero", "minus zero", "whole zero"})
-WRITINGS = frozenset(WRITTEN)
+WRITINGS = frozenset({*WRITTEN, "itself as bits"})
 # Too large for a float.
 _OVERFLOW = frozenset({"10^400"})
 _REAL = frozenset(SIZES) - _OVERFLOW

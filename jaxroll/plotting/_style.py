@@ -7,6 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from .._results import shown
+
 # Okabe and Ito's palette: told apart in every common form of colour blindness.
 FINGER, OBJECT, CONTACT, FORCE, GUIDE = "#0072B2", "#E69F00", "#D55E00", "#CC3377", "#333333"
 CYCLE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
@@ -45,6 +47,12 @@ def tidy(ax: Axes, *, xlabel: str = "", ylabel: str = "", title: str = "") -> No
 def save(figure: Figure, folder: str | Path, name: str) -> Path:
     """Write a figure as a PNG into a folder, which is made if need be."""
     path = Path(folder) / name
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=DPI)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path, dpi=DPI)
+    except OSError as error:
+        why = error.strerror or type(error).__name__
+        raise ValueError(
+            f"argument folder must be one that can be written to, but was {shown(str(folder))}: {why}"
+        ) from None
     return path

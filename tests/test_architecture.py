@@ -39,6 +39,7 @@ RANKS = {
     "io": 10,
     "plotting": 11,
     "__init__": 12,
+    "_facts": 13,
     "_workshop": 13,
     "__main__": 14,
 }

@@ -73,12 +73,17 @@ def simulate(
     Args (rarely changed):
         t0: Initial time [s].
         formulation: `Index1()` (default) or `CSM(...)`, the chapter's stabilisation.
-        solver: Any diffrax ODE solver. Default: `diffrax.Dopri8()`. For long runs `jaxroll.Rosenbrock()`.
+        solver: An explicit or implicit Runge-Kutta method of diffrax, or `diffrax.HalfSolver` of one.
+            Default: `diffrax.Dopri8()`. For long runs `jaxroll.Rosenbrock()`. A method without an error
+            estimate, as `diffrax.Euler()`, takes constant steps only; methods that keep a memory between steps,
+            split the equations or integrate noise are refused.
         **options: `events`, what ends a run besides contour ends and singular contacts: any of 'lift'
             (a normal force falls below zero), 'friction' (a contact with a coefficient leaves its friction
             cone), both by default, and 'penetration' (a fingertip overlaps the object elsewhere, on
             64 points per contour); `atol` (default: rtol), `dt0` [s], `max_steps` (default 4096),
-            `stepsize_controller` and `progress_meter`, as in `diffrax.diffeqsolve`.
+            `stepsize_controller` and `progress_meter`, as in `diffrax.diffeqsolve`. A controller is a
+            `diffrax.PIDController` without `dtmin`, one of your own that adapts, or
+            `diffrax.ConstantStepSize()`, whose steps have the length `dt0` but where a save time cuts them.
 
     Returns:
         A `Trajectory`.

@@ -79,7 +79,8 @@ class Grasp(eqx.Module):
         controller: Joint torques: a controller of `jaxroll.control`, or any callable pytree
             `f(t, angles, rates, tips)` that returns one array of torques [N m] per finger; `angles`
             and `rates` hold one array of shape (k,) per finger, `tips` its tip's `position` and
-            `jacobian`. Default: no torques.
+            `jacobian`. Default: no torques. As under `jax.jit`, numbers that a plain function takes from
+            outside itself are those of its first run; numbers that change are fields of an `equinox.Module`.
         gravity: Shape (2,), in space (3,), in m/s^2. Default: none, and then it costs nothing.
 
     Raises:

@@ -75,7 +75,7 @@ def simulate(
         formulation: `Index1()` (default) or `CSM(...)`, the chapter's stabilisation.
         solver: An explicit or implicit Runge-Kutta method of diffrax, or `diffrax.HalfSolver` of one.
             Default: `diffrax.Dopri8()`. For long runs `jaxroll.Rosenbrock()`. A method without an error
-            estimate, as `diffrax.Euler()`, takes constant steps only; methods that keep a memory between steps,
+            estimate, as `diffrax.Euler()`, takes constant steps only; methods that remember earlier steps,
             split the equations or integrate noise are refused.
         **options: `events`, what ends a run besides contour ends and singular contacts: any of 'lift'
             (a normal force falls below zero), 'friction' (a contact with a coefficient leaves its friction

@@ -31,7 +31,7 @@ from benchmarks._hostile_things import (
     tube,
     written,
 )
-from benchmarks._hostile_values import KINDS, planar, planar_run, spatial, spatial_run
+from benchmarks._hostile_values import KINDS, NUMERIC, planar, planar_run, spatial, spatial_run
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,7 +45,12 @@ class Argument:
     @property
     def taken(self) -> frozenset[str]:
         """Names of the values that may be taken whatever the valid one is."""
-        return self.also | KINDS[self.kind].sensible
+        return self.also | KINDS[self.kind].sensible | {"itself"}
+
+    def needs_valid(self, name: str) -> bool:
+        """Whether the value of this name is made of the valid one, or compared with it."""
+        spoilt = any(name in spoils for spoils in KINDS[self.kind].spoils)
+        return spoilt or self.kind in NUMERIC
 
 
 def _is(kind: str, valid: Any, *also: str) -> Argument:
@@ -181,7 +186,6 @@ _PATH = {"path": _made("path", lambda: folder() / "new" / "shape.csv"), "contour
 EXCEPTIONS: dict[str, dict[str, Argument]] = {
     **_family("Ellipse NeuralSupport NeuralCurvature SupportFunction", cells=_is("count", 64)),
     **_family("pinch ring pinch_ellipse ball_plate", gravity=_is("array", (0.0, -9.81))),
-    **_family("incline rattleback tube turntable wheel", gravity=_is("not negative", 9.81)),
     **_family("MovedSurface", offset=_is("array", (0.01, 0.0, 0.0)), surface=_BALL),
     **_family("Hollow", surface=_BALL),
     **_family("loci", **_SPATIAL),
@@ -343,15 +347,24 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
     "ring": {"count": _is("count", 3)},
     "pivoted": {"s": _is("number", 0.003)},
     "roller": {"contour": _BODY, "force": _is("number", 5.0), "period": _is("positive", 3.0)},
-    "incline": {"slope": _is("number", 0.3)},
-    "rattleback": {"spin": _is("number", -5.0), "inertia": _is("array", (2e-4, 1.6e-3, 1.7e-3))},
-    "tube": {"spin": _is("number", 4.0), "bore": _is("positive", 0.2)},
+    "incline": {"gravity": _is("not negative", 9.81), "slope": _is("number", 0.3)},
+    "rattleback": {
+        "gravity": _is("not negative", 9.81),
+        "spin": _is("number", -5.0),
+        "inertia": _is("array", (2e-4, 1.6e-3, 1.7e-3)),
+    },
+    "tube": {"gravity": _is("not negative", 9.81), "spin": _is("number", 4.0), "bore": _is("positive", 0.2)},
     "turntable": {
+        "gravity": _is("not negative", 9.81),
         "position": _is("array", (0.3, 0.1)),
         "velocity": _is("array", (0.2, -0.4)),
         "spin": _is("number", 0.7),
     },
-    "wheel": {"tube": _is("positive", 0.005), "radius": _is("positive", 0.1)},
+    "wheel": {
+        "gravity": _is("not negative", 9.81),
+        "tube": _is("positive", 0.005),
+        "radius": _is("positive", 0.1),
+    },
     "pinch3d": {
         "tips": _made("surface", lambda: jxr.Sphere(0.01)),
         "object": _made("part", lambda: jxr.scenes.cuboid(), "object in space"),
@@ -372,7 +385,7 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         s=_is("array", (0.0, 0.0)),
     ),
     "pinch_rest": {"grasp": _made("grasp", lambda: pinch()[0]), "state": _made("state", pinch_state)},
-    "assess": {"tolerance": _is("positive", 1e-7)},
+    "assess": {"tolerance": _is("not negative", 1e-7)},
 }
 
 # What `**options` takes.

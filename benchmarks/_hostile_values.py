@@ -242,6 +242,8 @@ class Kind:
     spoils: tuple[dict[str, Callable[[Any], Any]], ...] = ()
 
 
+# Kinds whose values are numbers, which may come in the valid one's shape.
+NUMERIC = ("array", "number", "positive", "not negative", "any array")
 _COUNTED = frozenset({"one", "int8", "10^15"})
 KINDS = {
     "number": Kind(_REAL | WRITINGS, (SPOILT, WRITTEN)),
@@ -269,8 +271,9 @@ KINDS = {
     "grasp in space": Kind(frozenset({"grasp in space"}), (TREES,)),
     "state": Kind(frozenset({"state in the plane"}), (TREES,)),
     "state in space": Kind(frozenset({"state in space"}), (TREES,)),
-    "run": Kind(frozenset({"run in the plane"}), (TREES,)),
-    "run in space": Kind(frozenset({"run in space"}), (TREES,)),
+    # A run holds NaN where it did not come to a time.
+    "run": Kind(frozenset({"run in the plane", "NaN in it", "NaN in all of it"}), (TREES,)),
+    "run in space": Kind(frozenset({"run in space", "NaN in it", "NaN in all of it"}), (TREES,)),
     "part": Kind(frozenset()),
 }
 COMMON = {**SIZES, **NOT_NUMBERS, **ARRAYS, **NOT_ARRAYS, **PARTS}
@@ -293,9 +296,6 @@ def sensible(kind: str, name: str, value: Any, valid: Any) -> bool:
     """Whether an argument of this kind may take the value: numbers of the valid one's own shape may, too."""
     if name in KINDS[kind].sensible:
         return True
-    if kind not in ("array", "number", "positive", "not negative", "any array") or name not in {
-        *ARRAYS,
-        *_REAL,
-    }:
+    if kind not in NUMERIC or name not in _REAL | frozenset(ARRAYS):
         return False
     return np.shape(value) == np.shape(valid) and (kind != "positive" or bool(np.all(np.asarray(value) > 0)))

@@ -90,24 +90,19 @@ def examples(names: Sequence[str] | None = None, *, refused: bool = False) -> st
 
 def outcome(example: Example) -> Outcome:
     """Make the call and judge how it ends."""
-    call = calls()[example.name]
-    arguments = {name: call.arguments[name].valid() for name in call.needed}
-    odd = []
-    for parameter, name in example.values:
+    call, odd = calls()[example.name], []
+    replaced = dict(example.values)
+    arguments = {name: call.arguments[name].valid() for name in call.needed if name not in replaced}
+    for parameter, name in replaced.items():
         argument = call.arguments[parameter]
-        valid = argument.valid()
+        # Scenes and runs are not worked out where nothing is made of them.
+        valid = argument.valid() if argument.needs_valid(name) else None
         try:
             value = made(argument.kind, name, valid)
-        except (
-            TypeError,
-            ValueError,
-            IndexError,
-            StopIteration,
-            OverflowError,
-        ):  # the valid value cannot be spoilt in this way
-            continue
+        except (TypeError, ValueError, IndexError, StopIteration, OverflowError):
+            value, name = argument.valid(), "itself"  # the valid value cannot be spoilt in this way
         arguments[parameter] = value
-        if name not in argument.also and not sensible(argument.kind, name, value, valid):
+        if name not in argument.taken and not sensible(argument.kind, name, value, valid):
             odd.append(parameter)
     with _patience():
         return _judged(call, arguments, odd)

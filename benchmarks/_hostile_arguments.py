@@ -88,7 +88,7 @@ PARAMETERS: dict[str, Argument] = {
     "cases": _made("any array", lambda: np.array([0.1, 0.2])),
     "climb": _is("number", 0.3),
     "closed": _is("flag", True),
-    "coefficients": _made("array", slope),
+    "coefficients": _made("array", slope, "its last twice", "its last left out"),
     "contacts": _made("contact", lambda: planar()[0].contacts),
     "contours": _made("contours", lambda: jxr.Circle(0.02)),
     "controller": _is("function", None),
@@ -147,7 +147,8 @@ PARAMETERS: dict[str, Argument] = {
     "spin": _is("choice", "free"),
     "start": _is("array", (1.5, 1.7)),
     "state": _made("state", lambda: planar()[1]),
-    "states": _made("state", lambda: planar()[1]),
+    # Of a time that a run did not reach the states are NaN, and so is what is worked out of them.
+    "states": _made("state", lambda: planar()[1], "NaN in it", "NaN in all of it"),
     "surfaces": _made("surface", lambda: jxr.Sphere(0.02)),
     "s_object": _is("number", 0.001),
     "s_tip": _is("number", 0.001),
@@ -220,15 +221,15 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
     },
     "Stage": {"surface": _BALL, "base": _is("array", (0.0, 0.0, 0.0), "three numbers")},
     "SupportFunction": {
-        "cosines": _is("array", (0.0, 1e-4), "empty list", "empty tuple"),
-        "sines": _is("array", (0.0, 1e-4)),
+        "cosines": _is("array", (0.0, 1e-4), "empty list", "empty tuple", "its last left out"),
+        "sines": _is("array", (0.0, 1e-4), "its last left out"),
     },
     "Turning": {"centre": _is("array", (0.0, 0.0, 0.0), "three numbers")},
     "multipliers": {"ts": _is("number", 0.0), "formulation": _made("part", jxr.CSM, "method")},
     "pinch_balance": {
         "ts": _is("number", 0.0),
         "grasp": _made("grasp", lambda: pinch()[0]),
-        "states": _made("state", pinch_state),
+        "states": _made("state", pinch_state, "NaN in it", "NaN in all of it"),
     },
     "press_balance": {"ts": _is("number", 0.0)},
     "roll": {
@@ -372,11 +373,11 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
     },
     "with_tip": {"finger": _is("count", 0, "whole zero"), "tip": _ROUND},
     "with_contacts": {"contacts": _made("contact", jxr.Contact)},
-    "on_contour": {"s": _is("any array", 0.001)},
+    "on_contour": {"s": _is("any array", 0.001, "NaN", "NaN among numbers", "itself and NaN")},
     "on_surface": {"at": _is("array", (0.0, 0.0, 0.01), "three numbers", "square")},
     "near_surface": {
         "point": _is("array", (0.0, 0.01, 0.02), "three numbers", "square"),
-        "guess": _is("array", (0.0, 0.01, 0.02), "three numbers"),
+        "guess": _is("array", (0.0, 0.01, 0.02), "three numbers", "square"),
     },
     "margin": {"contour": _ROUND, "s": _is("any array", 0.001)},
     **_family(

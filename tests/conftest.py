@@ -17,6 +17,25 @@ jax.config.update("jax_compilation_cache_dir", str(pathlib.Path(CACHE)))
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 
+_raises = pytest.raises
+
+
+def raises(expected, *args, **options):
+    """`pytest.raises`, which also wants a `ValueError` to be one sentence, whatever its words."""
+    if expected is ValueError and not args:
+        options.setdefault("check", is_one_sentence)
+    return _raises(expected, *args, **options)
+
+
+def is_one_sentence(error):
+    """One line that begins with the argument's name and is no longer than anyone reads."""
+    text = str(error)
+    return text.startswith("argument") and "\n" not in text and len(text) <= 300
+
+
+pytest.raises = raises
+
+
 @pytest.fixture(scope="module", autouse=True)
 def _forgotten():
     """Forget a file's programs when it is done: some thousands of them exhaust the maps of a process."""

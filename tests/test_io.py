@@ -91,6 +91,18 @@ def test_lengths_that_an_svg_states(width, millimetres, tmp_path):
     assert len(jxr.io.read_points(path, unit="px", pixel=1e-3 * millimetres * 1.0005)) == 4
 
 
+def test_an_svg_has_a_margin_all_round(tmp_path):
+    """A twentieth of the longer side, so that the line's own width is inside the picture."""
+    path = jxr.io.write_outline(BODY, tmp_path / "body.svg", unit="mm", tolerance=1e-4)
+    head = path.read_text().splitlines()[0]
+    left, top, width, height = map(float, head.split('viewBox="')[1].split('"')[0].split())
+    points = 1e3 * jxr.io.read_points(path, unit="mm") * [1.0, -1.0]
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = 0.05 * (high - low).max()
+    np.testing.assert_allclose([left, top], low - margin, atol=1e-9)
+    np.testing.assert_allclose([left + width, top + height], high + margin, atol=1e-9)
+
+
 def test_lengths_that_a_dxf_states(tmp_path):
     """Every code that a drawing may give its unit by; ezdxf's own factors are the oracle."""
     import ezdxf
@@ -181,6 +193,14 @@ def test_decimal_commas_part_whole_from_fraction(tmp_path):
     np.testing.assert_array_equal(jxr.io.read_points(path, unit="m"), [[1.25, 2.5], [3.125, 4.75]])
     path.write_text("1.25, 2.5\n3.125,4.75\n")
     np.testing.assert_array_equal(jxr.io.read_points(path, unit="m"), [[1.25, 2.5], [3.125, 4.75]])
+
+
+@pytest.mark.parametrize("columns", [3, "01", (0,), (0, 1, 2), (0, -1), (0, 1.0), (True, 0), None])
+def test_columns_are_two_whole_numbers(columns, tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text("1,2,3\n4,5,6\n")
+    with pytest.raises(ValueError, match="argument columns must be"):
+        jxr.io.read_points(path, unit="m", columns=columns)
 
 
 def test_bad_files_are_named(tmp_path):

@@ -197,7 +197,6 @@ def test_end_of_an_open_contour_is_a_code(scene):
         jxr.simulate(grasp, state, 3.0, ts=31)
 
 
-@pytest.mark.xfail(strict=True, reason="what comes of dividing by the sum is reported instead of its cause")
 def test_vanishing_curvature_sum_is_a_code():
     """A flat fingertip on a flat face cannot roll."""
     grasp, state = jxr.scenes.pivoted()
@@ -209,7 +208,6 @@ def test_vanishing_curvature_sum_is_a_code():
     assert run.result == jxr.RESULTS.singular_contact and float(run.stats.t_end) == 0.0
 
 
-@pytest.mark.xfail(strict=True, reason="the steps run out before the code is set")
 def test_no_nan_under_a_success_code(scene):
     grasp, state = scene
     run = jxr.simulate(grasp.with_(controller=nan_torque), state, 0.1, ts=3, throw=False)

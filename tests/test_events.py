@@ -84,6 +84,8 @@ def test_a_start_beyond_a_limit_ends_at_once(scene):
     run = ends(grasp.with_(force=-0.5), state)
     assert run.result == jxr.RESULTS.contact_lost and float(run.stats.t_end) == 0.0
     assert np.isfinite(np.asarray(run.last.q)).all()
+    assert int(run.stats.contact) == 0 and float(run.stats.margin) < -1.0
+    assert ends(grasp.with_(force=-0.5), state, t1=1e-11).result == jxr.RESULTS.contact_lost
 
 
 def shortened(grasp, low):

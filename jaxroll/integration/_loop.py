@@ -47,7 +47,8 @@ def aim(plan: Plan, course: Course) -> tuple[Scalar, Scalar]:
     """Start and end of the next step; a run that is over stays where it is."""
     pace, stop = course.pace, _stop(plan, course.saved)
     ahead = plan.control(pace).ahead(pace.t)
-    t1 = jnp.where(ahead > stop - _SAME_TIME, stop, ahead)
+    # The first step has no length, however near the first stop is.
+    t1 = jnp.where((ahead > stop - _SAME_TIME) & (pace.length > 0), stop, ahead)
     return pace.t, jnp.where(course.busy, t1, pace.t)
 
 
@@ -60,7 +61,9 @@ def judge(
         *times, course.y, y1, None, error, plan.stepper.error_order, course.pace
     )
     keep, pace, loop = judged[0], judged[4], judged[5]._value
-    y = jnp.where(keep, y1, course.y)
+    # A run that ends where something is not finite keeps the state before, and the code.
+    whole = ~jnp.isnan(y1[-2]) | (jnp.arange(y1.shape[0]) == y1.shape[0] - 1)
+    y = jnp.where(keep & whole, y1, course.y)
     holds, count = y[-1] <= 0, plan.ts.shape[0]
     hit = course.busy & keep & holds & (course.saved < count) & (pace.t == _stop(plan, course.saved))
     saved = course.saved + jnp.where(hit, 1, 0)

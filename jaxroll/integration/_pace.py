@@ -96,13 +96,15 @@ class StopAt(eqx.Module):
         keep, start, end, jumped, inner, code = self.inner.adapt_step_size(*step)  # pyright: ignore
         first, hunting = t0 == t1, pace.hunt.on
         past = y1[self.margin + 1] > 0
-        ends = past & (first | keep & (t1 - t0 <= 2.0 * pace.hunt.grain * resolution(t1)))
-        back = past & keep & ~ends
+        # What is not finite has no error to be judged by: such a step is taken back and halved.
+        judged = keep | jnp.isnan(y1[self.margin])
+        ends = past & (first | judged & (t1 - t0 <= 2.0 * pace.hunt.grain * resolution(t1)))
+        back = past & judged & ~ends
         near = self.dip * (t1 - t0)
         # Where the margin dips, a shorter step is to end. Below a part of the usual length it is not asked
         # any more: there all is smooth, and what dips is rounding.
         dips = keep & ~past & ~first & (self.dip < 1.0) & (near > _FINEST * pace.length)
-        keep = first | keep & ~back & ~dips
+        keep = first | ends | keep & ~back & ~dips
         # The error control never sees the short steps of a hunt: it goes on at its pace afterwards.
         aside = first | back | dips | hunting & keep
         settled = lambda new, old: jnp.where(aside, old, new)  # noqa: E731
@@ -127,7 +129,8 @@ class StopAt(eqx.Module):
         """Where the next step ends, save times aside."""
         pace = self.pace
         hunt, least = pace.hunt, pace.hunt.grain * resolution(t0)
-        guess = hunt.beyond * hunt.low / (hunt.low + hunt.high)
+        weight = hunt.low + hunt.high  # zero where a margin is, and what lies ahead says nothing: bisect
+        guess = hunt.beyond * jnp.where(weight > 0, hunt.low / jnp.where(weight > 0, weight, 1.0), 0.5)
         guess = jnp.clip(guess, least, jnp.maximum(hunt.beyond - least, least))
         return t0 + jnp.minimum(jnp.where(jnp.isfinite(hunt.beyond), guess, hunt.leap), pace.length)
 

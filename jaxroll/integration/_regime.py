@@ -75,11 +75,12 @@ def regime(grasp: Grasp, leaves: Leaves, instant: Instant, events: tuple[str, ..
 
 
 def _nearest(limits: Sequence[Limit]) -> Limit:
-    """The limit with the smallest margin."""
-    least, number = limits[0].margin, jnp.asarray(limits[0].number)
-    for limit in limits[1:]:
-        number = jnp.where(limit.margin < least, limit.number, number)
-        least = jnp.minimum(limit.margin, least)
+    """The limit with the smallest margin; one that is not a number hides no other."""
+    least, number = jnp.inf, jnp.asarray(0)
+    for limit in limits:
+        lower = limit.margin < least
+        number = jnp.where(lower, limit.number, number)
+        least = jnp.where(lower, limit.margin, least)
     return Limit(least, number)
 
 
@@ -102,9 +103,13 @@ def smallest_clearance(grasp: Grasp, leaves: Leaves) -> Scalar:
 
 
 def coded(x: Array, margin: Scalar, number: Scalar) -> Array:
-    """Margin and code as the flow vector carries them; values that are not finite come first."""
-    number = jnp.where(jnp.all(jnp.isfinite(x)), number, _NOT_FINITE)
-    return jnp.stack([margin, number.astype(x.dtype)])
+    """Margin and code as the flow vector carries them: the margin is NaN where some value is not finite.
+
+    A limit that is passed there is the cause of that, such as the pole of a contact that does not roll.
+    """
+    finite = jnp.all(jnp.isfinite(x))
+    number = jnp.where(finite | (number > 0), number, _NOT_FINITE)
+    return jnp.stack([jnp.where(finite, margin, jnp.nan), number.astype(x.dtype)])
 
 
 def decode(margin: Scalar, number: Scalar, loop: diffrax.RESULTS) -> RESULTS:

@@ -73,6 +73,12 @@ def _catenary(contour: Contour, s: np.ndarray) -> Place:
     return Place(a - root + 1j * a * np.arcsinh(s / a), (1j * a - s) / root, a / root**2)
 
 
+def _bowl(contour: Contour, s: np.ndarray) -> Place:
+    """A catenary seen from its other side: hollow, and most so at its vertex."""
+    own = _catenary(contour, s)
+    return Place(-np.conj(own.point), -np.conj(own.tangent), -own.curvature)
+
+
 def _ellipse(contour: Contour, s: np.ndarray) -> Place:
     a, b = (np.broadcast_to(contour[name][:, None], s.shape) for name in ("a", "b"))
     around = length(contour)[:, None]
@@ -211,6 +217,7 @@ _KINDS = {
     "line": _line,
     "circle": _circle,
     "catenary": _catenary,
+    "bowl": _bowl,
     "ellipse": _ellipse,
     "support": _support,
     "neural_support": _neural_support,

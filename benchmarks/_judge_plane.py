@@ -60,7 +60,7 @@ class Instant:
         loss: Power taken out by dampers [W].
         momentum: Mass matrix times velocities.
         inertial: Mass matrix times accelerations.
-        """
+    """
 
     gap: np.ndarray
     tangency: np.ndarray
@@ -223,7 +223,10 @@ class Plane:
             angles, rates = q[..., block], v[..., block]
             if control["kind"] == "press":
                 pull = (tip.origin - _point(control["target"])) * _col(control["force"] / control["radius"])
-                gains, stored = _col(control["damping"]), stored + 0.5 * _dot(pull, tip.origin - _point(control["target"]))
+                gains, stored = (
+                    _col(control["damping"]),
+                    stored + 0.5 * _dot(pull, tip.origin - _point(control["target"])),
+                )
                 torque = [-_dot(move, pull) for move in tip.moves]
             elif control["kind"] == "opposition":
                 others = [other.origin for j, other in enumerate(tips) if j != i]
@@ -231,7 +234,9 @@ class Plane:
                 turn = np.sum(angles, axis=-1) - _col(control["start"][:, i])
                 alpha, gains = _col(control["alpha"][:, i]), _col(control["damping"][:, i])
                 # Every pair is met twice.
-                stored = stored + 0.25 * sum(np.abs(tip.origin - o) ** 2 for o in others) * _col(control["beta"])
+                stored = stored + 0.25 * sum(np.abs(tip.origin - o) ** 2 for o in others) * _col(
+                    control["beta"]
+                )
                 stored = stored + 0.5 * alpha * turn**2
                 torque = [-_dot(move, pull) - alpha * turn for move in tip.moves]
             elif control["kind"] == "servo":
@@ -257,7 +262,10 @@ class Plane:
         tangents = [np.exp(1j * b.angle) * p.tangent for b, p in ((tip, own), (body, face))]
         rolling = (body.spin - tip.spin) / (own.curvature + face.curvature)
         columns = np.zeros((self.width, *sigma.shape), complex)
-        for frame, arm, number, sign in ((tip, arms[0], 1 + contact["finger"], 1.0), (body, arms[1], 0, -1.0)):
+        for frame, arm, number, sign in (
+            (tip, arms[0], 1 + contact["finger"], 1.0),
+            (body, arms[1], 0, -1.0),
+        ):
             for k, (move, turn) in enumerate(zip(frame.moves, frame.turns, strict=True)):
                 columns[self.blocks[number].start + k] += sign * (move + 1j * turn * arm)
         # The contact's points move over both bodies: their arms change by more than a turn.

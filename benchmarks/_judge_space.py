@@ -188,7 +188,10 @@ class Space:
     def _chain(self, finger: Scene, q: Any, v: Any, part: Any, energy: list) -> Frame:
         mass, bias = part
         zero = np.zeros((*q.shape[:2], 3))
-        at, axes = zero + _lane(finger["base"]), turned(_lane(finger["rotation"]) + np.zeros((*q.shape[:2], 4)))
+        at, axes = (
+            zero + _lane(finger["base"]),
+            turned(_lane(finger["rotation"]) + np.zeros((*q.shape[:2], 4))),
+        )
         velocity = spin = pull = bend = zero
         joints, hinges = [], []
         for i in range(finger["joints"]):
@@ -219,7 +222,10 @@ class Space:
 
     def _stage(self, stage: Scene, q: Any, v: Any, part: Any, energy: list) -> Frame:
         zero = np.zeros((*q.shape[:2], 3))
-        base, axes = zero + _lane(stage["base"]), turned(_lane(stage["rotation"]) + np.zeros((*q.shape[:2], 4)))
+        base, axes = (
+            zero + _lane(stage["base"]),
+            turned(_lane(stage["rotation"]) + np.zeros((*q.shape[:2], 4))),
+        )
         turning = stage.get("turning")
         if turning is None:
             return Frame(base, axes, zero, zero, zero, zero, [])
@@ -273,7 +279,10 @@ class Space:
         whole = own + size[..., None, None] * square
         rolling = _safe_solve(whole, np.cross(turning, normal))
         rows = np.zeros((*s.shape[:2], 3 + (contact["spin"] == "prevented"), self.width))
-        for frame, arm, block, sign in ((tip, arm_a, self.blocks[number], 1), (body, arm_b, self.blocks[0], -1)):
+        for frame, arm, block, sign in (
+            (tip, arm_a, self.blocks[number], 1),
+            (body, arm_b, self.blocks[0], -1),
+        ):
             for k, (velocity, spin) in enumerate(frame.columns):
                 rows[..., :3, block.start + k] += sign * (velocity + np.cross(spin, arm))
                 if contact["spin"] == "prevented":

@@ -32,6 +32,41 @@ class Servo(eqx.Module):
         return tuple(p - self.gain * (a - w) - self.damping * r for a, r, w, p in each)
 
 
+class Bowl(jxr.AbstractContour):
+    """A caller's own contour: a catenary seen from its other side, hollow, and most so at its vertex."""
+
+    a: Any
+    limits: Any
+
+    @property
+    def closed(self) -> bool:
+        """It has ends."""
+        return False
+
+    @property
+    def smoothness(self) -> float:
+        """It is analytic."""
+        return float("inf")
+
+    def curve(self, s: Any) -> Any:
+        """The mirror image of a catenary's point."""
+        return self.frame(s).point
+
+    def frame(self, s: Any) -> Any:
+        """Point, tangent and curvature."""
+        own = jxr.Catenary(self.a).frame(s)
+        point, tangent = (type(v)(-v.x, v.y) for v in (own.point, own.tangent))
+        return type(own)(point, tangent, -own.curvature)
+
+    def prepared(self) -> "Bowl":
+        """Nothing to work out."""
+        return self
+
+    def domain(self) -> Any:
+        """Both ends."""
+        return self.limits[0], self.limits[1]
+
+
 def contour(shape: dict[str, Any]) -> Any:
     """A contour of the engine from plain numbers."""
     kind = shape["kind"]
@@ -41,6 +76,8 @@ def contour(shape: dict[str, Any]) -> Any:
         own = jxr.Circle(shape["radius"])
     elif kind == "catenary":
         own = jxr.Catenary(shape["a"], shape["ends"])
+    elif kind == "bowl":
+        own = Bowl(shape["a"], shape["ends"])
     elif kind == "ellipse":
         own = jxr.Ellipse(shape["a"], shape["b"])
     elif kind == "support":

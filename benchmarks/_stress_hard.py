@@ -6,6 +6,7 @@ Each function changes the numbers of scenes that `_stress_plane` drew, or draws 
 from typing import Any
 
 import numpy as np
+from scipy.special import ellipeinc
 
 from benchmarks._judge_contours import along, length, TURN
 from benchmarks._stress_plane import Rng, spread
@@ -46,7 +47,9 @@ def grazing(rng: Rng, lanes: int, kind: str, *, friction: bool) -> dict[str, Any
     need = np.max(np.where(reached, need, 0.0), axis=1)
     with np.errstate(all="ignore"):
         lap = np.mean(TURN / np.sqrt(np.where(reached, square, np.nan)), axis=1)
-        slow = np.nansum(np.where(reached, TURN / len(turn) / np.sqrt(np.maximum(square, 1e-12)), 0.0), axis=1)
+        slow = np.nansum(
+            np.where(reached, TURN / len(turn) / np.sqrt(np.maximum(square, 1e-12)), 0.0), axis=1
+        )
     span = np.where(np.isfinite(lap), lap, 2.0 * slow)
     body |= {"gravity": gravity, "start": turn[start], "rate": rate, "span": span}
     body["friction"] = need * (1.0 + away) if friction else None
@@ -54,17 +57,17 @@ def grazing(rng: Rng, lanes: int, kind: str, *, friction: bool) -> dict[str, Any
 
 
 class _Around:
-    """Heights of the centre of mass, and their derivatives, at normals turned by angles in the body."""
+    """Heights of the centre of mass over the line, and their derivatives, at normals of given angles."""
 
     def __init__(self, contour: dict[str, Any], turn: np.ndarray) -> None:
-        self.step = turn[1] - turn[0]
-        self.s = _places(contour, turn)
-        place = along(contour, self.s)
-        out = -1j * place.tangent
-        self.h = (np.conj(out) * place.point).real
-        # The foot runs beside the normal by h', and the radius of curvature is h + h''.
-        self.first = (np.conj(place.tangent) * place.point).real
-        self.second = 1.0 / place.curvature - self.h
+        a, b = _half_axes(contour)
+        own = turn - contour["angle"][:, None]
+        aside = (contour["offset"][:, 0] + 1j * contour["offset"][:, 1])[:, None] * np.exp(-1j * turn)
+        square = (a * np.cos(own)) ** 2 + (b * np.sin(own)) ** 2
+        height = np.sqrt(square)
+        self.h = height + aside.real
+        self.first = (b**2 - a**2) * np.sin(own) * np.cos(own) / height + aside.imag
+        self.second = (a * b) ** 2 / height**3 - self.h
 
     def forces(self, mass: Any, inertia: Any, gravity: Any) -> tuple[Any, Any, Any]:
         """Normal and tangential force as (constant, factor of energy), and 1/J."""
@@ -81,18 +84,17 @@ class _Around:
         return f, lam, 1.0 / j
 
 
+def _half_axes(contour: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+    pair = ("radius", "radius") if contour["kind"] == "circle" else ("a", "b")
+    return contour[pair[0]][:, None], contour[pair[1]][:, None]
+
+
 def _places(contour: dict[str, Any], turn: np.ndarray) -> np.ndarray:
-    """Arclengths at which the outward normal has turned by given angles, by bisection."""
-    lanes, around = len(contour["angle"]), length(contour)[:, None]
-    first = along(contour, contour["origin"][:, None]).tangent
-    low = np.zeros((lanes, len(turn)))
-    high = low + around
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        now = np.angle(along(contour, contour["origin"][:, None] + middle).tangent / first) % TURN
-        over = now > turn
-        low, high = np.where(over, low, middle), np.where(over, middle, high)
-    return contour["origin"][:, None] + 0.5 * (low + high)
+    """Arclengths at which the outward normal has an angle; shape (lanes, 1)."""
+    a, b = _half_axes(contour)
+    own = turn - contour["angle"][:, None]
+    u = np.arctan2(b * np.sin(own), a * np.cos(own))
+    return contour["origin"][:, None] + b * ellipeinc(u, 1.0 - (a / b) ** 2)
 
 
 def _reached(open_: np.ndarray, start: np.ndarray) -> np.ndarray:
@@ -134,7 +136,13 @@ def _on_line(body: dict[str, Any], rng: Rng) -> dict[str, Any]:
     line = {"kind": "line", "ends": np.stack([-far, far], axis=1), "offset": np.zeros((lanes, 2))}
     line |= {"angle": np.zeros(lanes), "origin": np.zeros(lanes)}
     base = np.stack([arm.real, 0.0 * angle], axis=1)
-    jaw = {"kind": "jaw", "joints": 0, "mass": np.ones(lanes), "directions": np.zeros((lanes, 0)), "tip": line}
+    jaw = {
+        "kind": "jaw",
+        "joints": 0,
+        "mass": np.ones(lanes),
+        "directions": np.zeros((lanes, 0)),
+        "tip": line,
+    }
     jaw |= {"base": base, "angle": np.full(lanes, 0.5 * np.pi)}
     contact = {"finger": 0, "face": 0, "s_tip": np.zeros(lanes), "s_object": s[:, 0], "sense": 1}
     down = np.stack([0.0 * angle, -body["gravity"]], axis=1)

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks._judge_plane import Motion, Plane
 from benchmarks._judge_contours import along, length, network, SAMPLES, TURN
+from benchmarks._judge_plane import Motion, Plane
 
 Rng = np.random.Generator
 
@@ -30,6 +30,8 @@ class Structure:
         gravity: Whether there is any.
         friction: Whether contacts have coefficients.
         twist: Name of the adversarial change to the numbers, if any.
+        lanes: In one batch.
+        chunks: Batches in all.
         options: Further options of the run.
     """
 
@@ -43,7 +45,8 @@ class Structure:
     gravity: bool = False
     friction: bool = False
     twist: str = ""
-    share: int = 1
+    lanes: int = 384
+    chunks: int = 6
     options: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -123,7 +126,9 @@ def _neural_support(rng: Rng, lanes: int, size: np.ndarray) -> dict[str, Any]:
     scale = np.minimum(scale, 1.0)
     weights[-1] *= scale[:, None, None]
     # The mean belongs to the radius.
-    biases[-1] = -np.mean(network({"weights": weights, "biases": [*biases[:-1], 0 * biases[-1]]}, angle), axis=1)[:, None]
+    biases[-1] = -np.mean(
+        network({"weights": weights, "biases": [*biases[:-1], 0 * biases[-1]]}, angle), axis=1
+    )[:, None]
     return {**shape, "radius": size, "centre": 0.1 * size[:, None] * rng.normal(size=(lanes, 2))}
 
 
@@ -140,7 +145,9 @@ def _spline(rng: Rng, lanes: int, size: np.ndarray) -> dict[str, Any]:
     u = TURN * (np.arange(32) + 0.2 * rng.uniform(-1, 1, (lanes, 32))) / 32
     radius = np.ones((lanes, 32))
     for k in range(2, 5):
-        radius += 0.25 * rng.uniform(0, 1, (lanes, 1)) / k**2 * np.cos(k * u + rng.uniform(0, TURN, (lanes, 1)))
+        radius += (
+            0.25 * rng.uniform(0, 1, (lanes, 1)) / k**2 * np.cos(k * u + rng.uniform(0, TURN, (lanes, 1)))
+        )
     points = size[:, None] * radius * np.exp(1j * u)
     return {"points": np.stack([points.real, points.imag], axis=-1)}
 
@@ -149,6 +156,7 @@ _OWN = {
     "line": _line,
     "circle": _circle,
     "catenary": _catenary,
+    "bowl": _catenary,
     "ellipse": _ellipse,
     "support": _support,
     "neural_support": _neural_support,
@@ -249,12 +257,27 @@ class _Arranged:
             contact = {
                 "finger": finger,
                 "face": face,
-                "s_object": _facing(self.scene["faces"][face], where, rng),
+                "s_object": self._suited(finger, face, _facing(self.scene["faces"][face], where, rng)),
                 "s_tip": _facing(self.tips[finger], rng.uniform(0, TURN, lanes), rng),
                 "sense": int(rng.choice([1, -1])) if False else (1 if k % 2 == 0 else -1),
                 "friction": spread(rng, 0.05, 5.0, lanes) if self.structure.friction else None,
             }
             self.scene["contacts"].append(contact)
+
+    def _suited(self, finger: int, face: int, s: np.ndarray) -> np.ndarray:
+        """The place on a face, where the adversary wants one; the fingertip's size, likewise."""
+        shape, tip = self.scene["faces"][face], self.tips[finger]
+        if self.structure.twist == "cancel":
+            # The bowl's curvature reaches the fingertip's on the way to its vertex.
+            away = (s - shape["origin"]) * (1.0 - spread(self.rng, 1e-3, 1.0, self.lanes))
+            tip["radius"] = (shape["a"] ** 2 + away**2) / shape["a"]
+        if self.structure.twist == "ends":
+            low, high = shape["ends"].T
+            left = (high - low) * spread(self.rng, 1e-13, 1e-1, self.lanes)
+            return shape["origin"] + np.where(
+                self.rng.uniform(size=self.lanes) < 0.5, low + left, high - left
+            )
+        return s
 
     def _finger(self, i: int, tip: dict, at: np.ndarray, turn: np.ndarray) -> tuple[dict, np.ndarray]:
         rng, lanes, kind = self.rng, self.lanes, self.structure.joints[i]
@@ -293,11 +316,19 @@ class _Arranged:
             control |= {"force": gain, "radius": np.full(lanes, arm), "damping": damping, "target": target}
         elif self.structure.control == "opposition":
             several = damping[:, None] * np.ones(count)
-            control |= {"beta": gain / arm, "damping": several, "start": np.stack([b.sum(axis=1) for b in q[1:]], 1)}
+            control |= {
+                "beta": gain / arm,
+                "damping": several,
+                "start": np.stack([b.sum(axis=1) for b in q[1:]], 1),
+            }
             control["alpha"] = (gain * arm * spread(rng, 1e-4, 1e-1, lanes))[:, None] * np.ones(count)
         elif self.structure.control == "servo":
             wanted = [b + 0.1 * rng.normal(size=b.shape) for b in q[1:]]
-            control |= {"gain": gain * arm * spread(rng, 1e-2, 1.0, lanes), "damping": damping, "wanted": wanted}
+            control |= {
+                "gain": gain * arm * spread(rng, 1e-2, 1.0, lanes),
+                "damping": damping,
+                "wanted": wanted,
+            }
             control["push"] = [self._pushes(i, gain) for i in range(count)]
         scene["controller"] = control
         self.heavy, self.arm = heavy, arm
@@ -333,7 +364,23 @@ class _Arranged:
         if self.structure.free:
             scene["v"][:, :2] *= self.arm
         scene["rtol"] = np.full(lanes, 1e-8)
+        if self.structure.twist == "tolerance":
+            scene["rtol"] = spread(rng, 1e-13, 1e-3, lanes)
+        if self.structure.twist == "single":
+            scene["rtol"] = spread(rng, 1e-4, 1e-3, lanes)
+        if self.structure.twist == "long":
+            self._long()
         scene["s"] = np.zeros((lanes, len(scene["contacts"])))
+
+    def _long(self) -> None:
+        """A thousand seconds without damping, of periods about a third of one."""
+        scene = self.scene
+        scene["t1"], scene["rtol"] = np.full(self.lanes, 1e3), np.full(self.lanes, 1e-9)
+        scene["controller"]["damping"] = np.zeros(self.lanes)
+        scene["controller"]["force"] = scene["controller"]["force"] * (scene["period"] / 0.05) ** 2
+        scene["push"], scene["period"] = scene["controller"]["force"], np.full(self.lanes, 0.05)
+        scene["v"] = 0.01 / 0.05 * self.rng.normal(size=scene["q"].shape)
+        scene["max_steps"] = 4_000_000
 
 
 def _unit(angle: np.ndarray) -> np.ndarray:

@@ -25,6 +25,8 @@ class Spatial:
         hollow: Whether the fingertips' surfaces are turned inside out.
         spin: "free" or "prevented".
         friction: Whether contacts have coefficients.
+        lanes: In one batch.
+        chunks: Batches in all.
         options: Further options of the run.
     """
 
@@ -35,8 +37,9 @@ class Spatial:
     hollow: bool = False
     spin: str = "free"
     friction: bool = False
-    share: int = 1
     twist: str = ""
+    lanes: int = 384
+    chunks: int = 6
     options: dict[str, Any] = field(default_factory=dict)
 
 
@@ -80,7 +83,9 @@ def _place(shape: dict[str, Any], rng: Rng, lanes: int) -> np.ndarray:
 def draw_space(structure: Spatial, rng: Rng, lanes: int) -> dict[str, Any]:
     """Scenes of a structure: plain numbers, lanes in front."""
     size = spread(rng, 0.005, 0.05, lanes)
-    surfaces = [_surface(kind, rng, lanes, size * rng.uniform(0.7, 1.3, lanes)) for kind in structure.surfaces]
+    surfaces = [
+        _surface(kind, rng, lanes, size * rng.uniform(0.7, 1.3, lanes)) for kind in structure.surfaces
+    ]
     reach = 4.0 * size if structure.hollow else size * spread(rng, 0.5, 3.0, lanes)
     tips = [_surface(kind, rng, lanes, reach) for kind in structure.tips]
     mass = 0.03 * spread(rng, 1e-3, 1e3, lanes)
@@ -170,7 +175,9 @@ def _finger(
     hinges = rng.normal(size=(lanes, joints, 3))
     hinges /= np.linalg.norm(hinges, axis=2, keepdims=True)
     ways = rng.normal(size=(lanes, joints, 3))
-    offsets = spread(rng, 0.02, 0.1, lanes, joints)[..., None] * ways / np.linalg.norm(ways, axis=2, keepdims=True)
+    offsets = (
+        spread(rng, 0.02, 0.1, lanes, joints)[..., None] * ways / np.linalg.norm(ways, axis=2, keepdims=True)
+    )
     masses = 0.03 * spread(rng, 1e-3, 1e3, lanes, 1) * spread(rng, 0.3, 3.0, lanes, joints)
     q = rng.uniform(-1.5, 1.5, (lanes, joints))
     at, turn = np.zeros((lanes, 3)), np.broadcast_to(np.eye(3), (lanes, 3, 3))
@@ -191,7 +198,9 @@ def _driven(structure: Spatial, scene: dict[str, Any], rng: Rng, lanes: int, q: 
     size, arm = scene["object"]["size"], 0.05
     if max(structure.joints) > 0:
         gain = spread(rng, 1e-2, 1e2, lanes)
-        heavy = np.maximum(scene["object"]["mass"], np.max([f["masses"].max(axis=1) for f in scene["fingers"]], axis=0))
+        heavy = np.maximum(
+            scene["object"]["mass"], np.max([f["masses"].max(axis=1) for f in scene["fingers"]], axis=0)
+        )
         quiet = np.where(rng.uniform(size=lanes) < 0.4, 0.0, 1.0)
         damping = quiet * np.sqrt(gain / arm * heavy) * arm**2 * spread(rng, 1e-3, 1.0, lanes)
         pair = np.ones(len(scene["fingers"]))

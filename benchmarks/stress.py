@@ -1,137 +1,167 @@
-"""Random scenes of many structures, judged by code that shares nothing with the engine."""
+"""10^5 random scenes, judged by code that shares nothing with the engine (three quarters of an hour).
+
+`--structure NAME --seed N --lane K` runs one lane's batch again and prints all that was measured of that
+lane; `--structure NAME ...` alone those structures. Each structure runs in a process of its own.
+"""
 
 import argparse
+import json
+import os
+import subprocess
 import sys
+import tempfile
 import time
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any
 
-import equinox as eqx
-import jax
 import numpy as np
 
-import jaxroll as jxr
-from benchmarks import _stress_engine as engine
-from benchmarks._judge import Judge, Run
-from benchmarks._judge_plane import Motion, Plane
-from benchmarks._judge_space import Space
-from benchmarks._stress_hard import grazing
-from benchmarks._stress_plane import draw, Structure
-from benchmarks._stress_space import draw_space, Spatial
+from benchmarks._common import device, table, uncached, versions, write_section
 
-_RUN_KEYS = ("q", "v", "s", "t1", "rtol", "period", "push")
-
-CODES = (
-    "successful", "max_steps_reached", "step_collapsed", "singular_contact", "contour_end", "contact_lost",
-    "slipping", "penetration", "not_finite", "unreachable", "solver_failed",
-)
-S = Structure
-STRUCTURES = (
-    S("pinch-circle", ("circle",), ("circle", "circle"), (2, 2), touch=((0, 0), (1, 0))),
-    S("pinch-ellipse", ("ellipse",), ("ellipse", "circle"), (2, 3), touch=((0, 0), (1, 0))),
-    S("faces-catenary", ("line", "line"), ("catenary", "catenary"), (3, 2), friction=True, gravity=True),
-    S("pivot-catenary", ("catenary",), ("catenary",), (2,), free=False, control="press"),
-    S("pivot-support", ("support",), ("ellipse",), (3,), free=False, control="servo", gravity=True, friction=True),
-    S("roll-line", ("ellipse",), ("line",), ("jaw0",), control="none", gravity=True),
-    S("ring-support", ("support",), ("circle", "support", "circle"), (2, 2, 2), touch=((0, 0), (1, 0), (2, 0)), friction=True),
-    S("spline-pinch", ("spline",), ("circle", "circle"), (2, 2), touch=((0, 0), (1, 0)), friction=True),
-    S("neural-press", ("neural_support",), ("neural_support",), (2,), free=False, control="press", friction=True),
-    Spatial("egg-table", ("ellipsoid",), ("plane",), (0,)),
-    Spatial("pinch-space", ("ellipsoid",), ("sphere", "ellipsoid"), (3, 2)),
-    S("graze-lift", ("ellipse",), ("line",), ("jaw0",), control="none", gravity=True, twist="graze"),
-    S("graze-slip", ("circle",), ("line",), ("jaw0",), control="none", gravity=True, friction=True, twist="graze"),
-    S("neural-curve", ("neural_curvature",), ("circle",), ("jaw2",), control="servo", gravity=True),
-)
+_SHOWN = ("gap", "tangency", "creep", "force", "energy", "defect", "agreement")
+# Structures of the short form, one batch of each.
+_QUICK = ("pivot-catenary", "graze-lift", "cancel-free")
 
 
-def names(run: Any) -> np.ndarray:
-    """Codes of a batch as words."""
-    table = {int(getattr(jxr.RESULTS, name)._value): name for name in CODES}
-    return np.array([table[int(x)] for x in np.asarray(run.result._value)])
+def outcome(name: str, seed: int, chunks: int | None) -> dict[str, Any]:
+    """What became of the lanes of one structure: codes, worst measures and their lanes, what is wrong."""
+    from benchmarks._stress_batch import Batches
+    from benchmarks._stress_structures import STRUCTURES
+
+    structure = STRUCTURES[name]
+    batches, codes, start = Batches(structure), Counter(), time.perf_counter()
+    worst: dict[str, tuple[float, int]] = {}
+    wrong: list[tuple[int, str, list[str]]] = []
+    first = 0.0
+    for chunk in range(structure.chunks if chunks is None else min(chunks, structure.chunks)):
+        found = batches(seed, chunk)
+        first = first or time.perf_counter() - start
+        codes.update(found.code.tolist())
+        for measure in _SHOWN:
+            values = np.where(np.isfinite(found.measures[measure]), found.measures[measure], -np.inf)
+            i = int(np.argmax(values))
+            here = (float(values[i]), chunk * structure.lanes + i)
+            worst[measure] = max(worst.get(measure, (-np.inf, 0)), here)
+        for i, words in enumerate(found.wrong):
+            if words:
+                wrong.append((chunk * structure.lanes + i, str(found.code[i]), words))
+    seconds = time.perf_counter() - start
+    return {"name": name, "codes": codes, "worst": worst, "wrong": wrong, "seconds": seconds, "first": first}
 
 
-def _motion(state: Any, one: bool = False) -> Motion:
-    parts = [np.asarray(x, np.float64) for x in (state.q, state.v, state.s)]
-    return Motion(*(x[:, None] if one else x for x in parts))
+def one_lane(name: str, seed: int, lane: int) -> str:
+    """All that was measured of one lane."""
+    from benchmarks._stress_batch import Batches
+    from benchmarks._stress_structures import STRUCTURES
+
+    structure = STRUCTURES[name]
+    chunk, i = divmod(lane, structure.lanes)
+    found = Batches(structure)(seed, chunk)
+    lines = [
+        f"{name}, seed {seed}, lane {lane}: {found.code[i]}; wrong: {'; '.join(found.wrong[i]) or 'nothing'}"
+    ]
+    lines += [f"  {what:14} {values[i]}" for what, values in found.measures.items()]
+    return "\n".join(lines)
 
 
-def plain(run: Any) -> Run:
-    """A run of the engine as plain arrays."""
-    forces = [None, None]
-    if run.multipliers is not None:
-        forces = [np.asarray(run.multipliers.f), np.asarray(run.multipliers.lam)]
-    return Run(
-        np.asarray(run.ts), _motion(run.states), _motion(run.last, one=True), names(run),
-        np.asarray(run.stats.t_end), np.asarray(run.stats.accepted), *forces,
+def _fresh(name: str, seed: int, quick: bool) -> dict[str, Any]:
+    """The outcome of a structure, worked out in a process of its own."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "outcome.json"
+        call = [sys.executable, "-m", "benchmarks.stress", "--structure", name, "--seed", str(seed)]
+        call += ["--json", str(file), *(["--quick"] if quick else [])]
+        done = subprocess.run(call, env=uncached() | _CACHE, capture_output=True, text=True, check=False)
+        if done.returncode:
+            last = done.stderr.strip().splitlines()[-1:]
+            return {"name": name, "codes": {}, "worst": {}, "wrong": [(-1, "none", last)], "seconds": 0.0}
+        return json.loads(file.read_text())
+
+
+# Programs are kept between the processes of one machine where the caller says where.
+_CACHE = {k: v for k, v in os.environ.items() if k.startswith("JAX_COMPILATION_CACHE")}
+
+
+def report(names: list[str], seed: int, quick: bool, workers: int) -> str:
+    """Run structures, some at a time, and say what came of them."""
+    start = time.perf_counter()
+    with ThreadPoolExecutor(workers) as pool:
+        found = []
+        for result in pool.map(lambda name: _fresh(name, seed, quick), names):
+            print(
+                f"{result['name']}: {result['seconds']:.0f} s, {len(result['wrong'])} wrong", file=sys.stderr
+            )
+            found.append(result)
+    rows = [_row(result) for result in found]
+    lanes = sum(sum(result["codes"].values()) for result in found)
+    wrong = sum(len(result["wrong"]) for result in found)
+    clean = sum(not result["wrong"] for result in found)
+    codes = Counter()
+    for result in found:
+        codes.update(result["codes"])
+    said = ", ".join(f"{count} {code}" for code, count in codes.most_common())
+    head = f"**Conclusion.** Of {lanes} scenes of {len(found)} structures {wrong} are wrong"
+    head += f"; {clean} structures have none." if wrong else "."
+    header = ["structure", "scenes", "ends", *_SHOWN, "wrong"]
+    parts = [head, f"Ends: {said}.", table(header, rows), *_offences(found)]
+    took = f"{(time.perf_counter() - start) / 60:.0f} minutes, {workers} processes"
+    return "\n\n".join(
+        [*parts, f"Seed {seed}; {took}; {device()}; {versions('jax', 'jaxlib', 'diffrax', 'numpy')}."]
     )
 
 
-def judged(structure: Structure, programs: dict, seed: int, lanes: int) -> tuple[Any, Any]:
-    """Draw, run and judge one batch."""
-    rng = np.random.default_rng([seed, *structure.name.encode()])
-    space = isinstance(structure, Spatial)
-    if not space and structure.twist.startswith("graze"):
-        scene = grazing(rng, lanes, structure.faces[0], friction=structure.friction)
-    else:
-        scene = draw_space(structure, rng, lanes) if space else draw(structure, rng, lanes, engine.sampled)
-    numbers = {k: v for k, v in scene.items() if k not in _RUN_KEYS}
-    numbers, still = eqx.partition(numbers, engine.is_number)
-    if structure.name not in programs:
-        programs[structure.name] = engine.Programs(still, structure.options)
-    run = programs[structure.name]
-    start = run.start(numbers, scene["q"], scene["v"], scene["s"])
-    aside = scene["q"] + 1e-10 * rng.normal(size=scene["q"].shape)
-    shifted = run.start(numbers, aside, scene["v"], scene["s"])
-    t1, rtol = scene["t1"], scene["rtol"]
-    late = t1[:, None] * engine.LATE
-    base = run.run(numbers, start, t1, rtol, late)
-    t_end = np.asarray(base.stats.t_end)
-    until = np.where(t_end > 0, t_end, t1)
-    whole = run.run(numbers, start, t1, rtol, until[:, None] * engine.SHARES)
-    tight = run.run(numbers, start, t1, 0.1 * rtol, late)
-    moved = run.run(numbers, shifted, t1, rtol, late)
-    judge = Judge(Space(scene) if space else Plane(scene), scene)
-    runs = (plain(r) for r in (base, whole, tight, moved))
-    return scene, judge(*runs, _motion(start, one=True), _motion(shifted, one=True))
+def _row(result: dict[str, Any]) -> list[str]:
+    codes, worst = Counter(result["codes"]), result["worst"]
+    ends = ", ".join(f"{code} {count}" for code, count in codes.most_common())
+    cells = [
+        f"{worst[m][0]:.0e} ({worst[m][1]})" if m in worst and np.isfinite(worst[m][0]) else ""
+        for m in _SHOWN
+    ]
+    return [f"`{result['name']}`", str(sum(codes.values())), ends, *cells, str(len(result["wrong"]))]
+
+
+def _offences(found: list[dict[str, Any]]) -> list[str]:
+    """The first wrong lanes of every structure, in words."""
+    lines = [
+        f"- `--structure {result['name']} --lane {lane}`: {code}; {'; '.join(words)}"
+        for result in found
+        for lane, code, words in result["wrong"][:5]
+    ]
+    return ["\n".join(lines)] if lines else []
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--structure", nargs="*")
+    parser = argparse.ArgumentParser("python -m benchmarks.stress", description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="one batch of each of a few structures")
+    parser.add_argument("--write", action="store_true", help="rewrite the section of README.md")
+    parser.add_argument("--structure", nargs="+", metavar="NAME", help="these structures alone")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--lanes", type=int, default=256)
-    parser.add_argument("--lane", type=int)
+    parser.add_argument("--lane", type=int, help="one lane of one structure, in detail")
+    parser.add_argument("--workers", type=int, default=2, help="structures at a time")
+    parser.add_argument("--json", help=argparse.SUPPRESS)
     options = parser.parse_args()
-    for structure in STRUCTURES:
-        if options.structure and structure.name not in options.structure:
-            continue
-        start = time.perf_counter()
-        try:
-            _, verdicts = judged(structure, {}, options.seed, options.lanes)
-        except Exception as error:
-            import traceback; traceback.print_exc()
-            print(f"== {structure.name}: {type(error).__name__}: {str(error)[:300]}", flush=True)
-            continue
-        m = verdicts.measures
-        print(f"== {structure.name}: {time.perf_counter() - start:.0f} s; {dict(Counter(verdicts.code.tolist()))}")
-        for name in ("gap", "tangency", "creep", "force", "energy", "energy_units", "defect", "agreement", "growth"):
-            v = m[name][np.isfinite(m[name])]
-            if len(v):
-                print(f"   {name:12s} median {np.median(v):.1e} 99% {np.quantile(v, 0.99):.1e} max {v.max():.1e} ({len(v)})")
-        kinds = Counter(w.split(" ")[0] + " " + (w.split(" ")[1] if ":" in w else "") for ws in verdicts.wrong for w in ws)
-        print("   wrong:", sum(map(bool, verdicts.wrong)), dict(kinds))
-        shown = [i for i, w in enumerate(verdicts.wrong) if w]
-        for i in shown[:8]:
-            print(f"     lane {i} {verdicts.code[i]} t {m['t_end'][i]:.4g}/{m['t1'][i]:.4g} steps {m['steps'][i]}: {'; '.join(verdicts.wrong[i])}")
-        if options.lane is not None:
-            i = options.lane
-            print({k: v[i] for k, v in m.items()}, verdicts.code[i], verdicts.wrong[i])
-        sys.stdout.flush()
+    if options.json is None and options.lane is None:
+        from benchmarks._stress_structures import STRUCTURES
+
+        names = options.structure or (_QUICK if options.quick else STRUCTURES)
+        text = report(list(names), options.seed, options.quick, options.workers)
+        print(text)
+        if options.write:
+            write_section("stress", text)
+        return
+    import jax
+
+    name = options.structure[0]
+    # Single precision is a process without the other one.
+    jax.config.update("jax_enable_x64", name != "single")
+    if options.lane is not None:
+        print(one_lane(name, options.seed, options.lane))
+        return
+    found = outcome(name, options.seed, 1 if options.quick else None)
+    Path(options.json).write_text(json.dumps(found))
 
 
 if __name__ == "__main__":
-    jax.config.update("jax_enable_x64", True)
-    import os
-    jax.config.update("jax_compilation_cache_dir", os.environ.get("STRESS_CACHE", "/tmp/w/jaxcache/stress"))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    np.seterr(all="ignore")
     main()

@@ -4,6 +4,7 @@ It gets a scene as plain numbers, arrays of four runs of it (as asked for; with 
 of the tolerance; from a start moved by 1e-10), and names of codes. Nothing here imports the engine.
 """
 
+import warnings
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -81,7 +82,8 @@ class Judge:
         self, base: Run, whole: Run, tight: Run, moved: Run, start: Motion, shifted: Motion
     ) -> Verdicts:
         """Everything about every lane."""
-        with np.errstate(all="ignore"):
+        with np.errstate(all="ignore"), warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # of lanes that did not start
             return self._judged(base, whole, tight, moved, start, shifted)
 
     def _judged(
@@ -301,6 +303,8 @@ def _cause(code: str, m: dict[str, Any], slack: float) -> list[str]:
     }
     if code in near:
         name, limit = near[code][0], slack * near[code][1]
+        if f"end_{name}" not in m:
+            return ["cause: nothing limits that"]
         value, drift = m[f"end_{name}"], m[f"drift_{name}"]
         at_start = m["t_end"] == 0.0
         if value > limit or (value < -limit and not at_start):

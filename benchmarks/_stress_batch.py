@@ -99,7 +99,7 @@ def plainly(run: Any) -> Run:
         np.asarray(run.ts, np.float64),
         motion(run.states),
         motion(run.last, one=True),
-        np.array([table[int(x)] for x in np.asarray(run.result._value)]),
+        np.array([table[int(x)] for x in np.asarray(run.result._value)], "U20"),
         np.asarray(run.stats.t_end, np.float64),
         np.asarray(run.stats.steps),
         *forces,

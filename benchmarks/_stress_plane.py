@@ -182,10 +182,12 @@ def draw(structure: Structure, rng: Rng, lanes: int, sample: Any) -> dict[str, A
     order = np.argsort(~presses, kind="stable")
     kept = order[: lanes - lanes // 8]
     kept = np.concatenate([kept, rng.permutation(order[len(kept) :])[: lanes - len(kept)]])
+    # Some never slip: they may lose contact.
+    ample = np.where(rng.uniform(size=3 * lanes) < 0.4, 1e3, 1.0)
     for k, contact in enumerate(scene["contacts"]):
         if contact["friction"] is not None:
             need = np.abs(seen.lam[:, 0, k]) / np.maximum(np.abs(seen.f[:, 0, k]), 1e-12)
-            contact["friction"] = np.clip(need, 0.01, 1e3) * spread(rng, 0.95, 10.0, 3 * lanes)
+            contact["friction"] = np.clip(need, 0.01, 1e3) * ample * spread(rng, 0.95, 10.0, 3 * lanes)
     return picked(scene, kept)
 
 

@@ -89,9 +89,9 @@ def report(names: list[str], seed: int, quick: bool, workers: int) -> str:
     with ThreadPoolExecutor(workers) as pool:
         found = []
         for result in pool.map(lambda name: _fresh(name, seed, quick), names):
-            print(
-                f"{result['name']}: {result['seconds']:.0f} s, {len(result['wrong'])} wrong", file=sys.stderr
-            )
+            codes = ", ".join(f"{code} {count}" for code, count in Counter(result["codes"]).most_common())
+            said = f"{result['name']}: {result['seconds']:.0f} s; {codes}; {len(result['wrong'])} wrong"
+            print("\n".join([said, *_offences([result])]), file=sys.stderr, flush=True)
             found.append(result)
     rows = [_row(result) for result in found]
     lanes = sum(sum(result["codes"].values()) for result in found)

@@ -20,6 +20,10 @@ _ZERO, _SINGULAR, _NEARLY = 1e-6, 1e-6, 1e-3
 # What a start may be off by [m, rad].
 REACH = 1e-9
 _DENSE = 513
+# Steps of the judge's own beyond an end.
+_AHEAD = 60
+# What each code says has run out.
+_LIMITS = {"contact_lost": "force", "slipping": "cone", "contour_end": "room"}
 
 
 @dataclass
@@ -75,7 +79,9 @@ class Judge:
         # The engine reads these from tables, whose own error it states; the judge does not.
         tabled = any(shape["kind"] in ("support", "neural_support") for shape in shapes)
         self.slack = _Slack(100.0, 100.0) if tabled else _Slack(1.0, 1.0)
-        if scene["rtol"].dtype == np.float32:
+        single = scene["rtol"].dtype == np.float32
+        self.precision = 100.0 * float(np.finfo(np.float32 if single else np.float64).eps)
+        if single:
             self.slack = _Slack(1e5, 1e4)
 
     def __call__(
@@ -91,6 +97,9 @@ class Judge:
     ) -> Verdicts:
         rows = _followed_by(whole)
         seen, end = self.equations.at(rows.saved), self.equations.at(base.last)
+        self.size = self._size(seen)
+        last = self._size(end)
+        self.size = np.maximum(self.size, np.where(np.isfinite(last), last, 0.0))
         self.reached = np.isfinite(rows.saved.q).all(axis=-1)
         tol = self.scene["rtol"][:, None]
         m: dict[str, np.ndarray] = {"steps": base.steps}
@@ -98,7 +107,7 @@ class Judge:
         m |= {"start_gap": _worst(np.abs(at_start.gap)), "start_tangency": _worst(np.abs(at_start.tangency))}
         m |= self._rows(seen, rows.saved)
         if whole.f is not None and whole.lam is not None:
-            size = self._size(seen)[:, None, None]
+            size = self.size[:, None, None]
             count = whole.f.shape[1]
             m["force"] = _worst(
                 np.abs(seen.f - whole.f) / size,
@@ -116,17 +125,19 @@ class Judge:
             if values.shape[-1]
         }
         m |= self._beyond(base.last, end)
+        m["depth"] = self._depths(base, whole)
         m["whole"], m["tight"] = whole.code, tight.code
         m["most_steps"] = np.full(len(base.steps), self.scene.get("max_steps", 4096))
         m["t_end"], m["t1"] = base.t_end, self.scene["t1"]
         m["t_whole"], m["t_tight"] = whole.t_end, tight.t_end
+        m["rtol"] = self.scene["rtol"]
         m["finite"] = np.isfinite(base.last.q).all(axis=(1, 2)) & np.isfinite(base.last.v).all(axis=(1, 2))
         verdicts = Verdicts(base.code, m)
         verdicts.wrong = [self._words(verdicts, i) for i in range(len(base.code))]
         return verdicts
 
     def _size(self, seen: Instant) -> np.ndarray:
-        """Largest contact force of each lane [N]."""
+        """Largest contact force of each lane at some times [N]."""
         return _worst(np.abs(seen.f), np.abs(seen.lam)) + 1e-300
 
     def _rows(self, seen: Instant, saved: Motion) -> dict[str, np.ndarray]:
@@ -194,7 +205,7 @@ class Judge:
 
     def _margins(self, seen: Instant) -> dict[str, np.ndarray]:
         """What has to stay positive, over what it is measured by: (lanes, times, any)."""
-        size = self._size(seen)[:, None, None]
+        size = self.size[:, None, None]
         cones = [
             mu[:, None] * seen.f[..., k] - rubbing(seen)[..., k]
             for k, mu in enumerate(self.friction)
@@ -220,8 +231,7 @@ class Judge:
 
     def _beyond(self, last: Motion, end: Instant) -> dict[str, np.ndarray]:
         """How force, cone and room change through the end, by the judge's own equations of motion."""
-        pace = np.sqrt(np.nansum(last.v**2, axis=-1)) + np.sqrt(np.sqrt(np.nansum(end.rates**2, axis=-1)))
-        step = 1e-4 / (pace + 1e-3)
+        step = self._step(last, end)
         sides = [self._margins(self.equations.at(self._carried(last, sign * step))) for sign in (-1.0, 1.0)]
         found = {}
         for name in ("force", "cone", "room", "bend"):
@@ -231,6 +241,37 @@ class Judge:
                 before, after = (side[name][np.arange(len(which)), 0, which] for side in sides)
                 found[f"drift_{name}"] = after - before
         return found
+
+    def _depths(self, base: Run, whole: Run) -> np.ndarray:
+        """How far a limit is passed that ended the run with many saved times, and not the other one.
+
+        From that end on, by the judge's own equations, in growing steps. Zero where there is none; infinite
+        where the equations end too.
+        """
+        depth = np.zeros(len(base.code))
+        early = (whole.t_end < base.t_end) & np.isin(whole.code, list(_LIMITS))
+        depth[(whole.t_end < base.t_end) & (whole.code == "singular_contact")] = np.inf
+        lanes = np.flatnonzero(early)
+        if not lanes.size:
+            return depth
+        scene = picked(self.scene, lanes)
+        other = Judge(type(self.equations)(scene), scene)
+        other.size = self.size[lanes]
+        at = Motion(*(part[lanes] for part in (whole.last.q, whole.last.v, whole.last.s)))
+        step = 0.1 * self._step(at, other.equations.at(at))
+        for _ in range(_AHEAD):
+            at, step = other._carried(at, step), 1.15 * step
+            margins = other._margins(other.equations.at(at))
+            for i, lane in enumerate(lanes):
+                least = np.min(margins[_LIMITS[str(whole.code[lane])]][i], initial=np.inf)
+                depth[lane] = max(depth[lane], -least)
+        return depth
+
+    @staticmethod
+    def _step(at: Motion, seen: Instant) -> np.ndarray:
+        """A short time for a motion [s]."""
+        pace = np.sqrt(np.nansum(at.v**2, axis=-1)) + np.sqrt(np.sqrt(np.nansum(seen.rates**2, axis=-1)))
+        return 1e-4 / (pace + 1e-3)
 
     def _carried(self, motion: Motion, step: np.ndarray) -> Motion:
         """A motion carried on by a short time, by Runge and Kutta's method."""
@@ -258,7 +299,9 @@ class Judge:
             return [] if max(m["start_gap"], m["start_tangency"]) > REACH else ["cause: the start is closed"]
         if not m["finite"] and code != "not_finite":
             wrong.append("not finite")
-        rows, forces = self.slack.rows, self.slack.forces
+        # Forces are known no better than the precision and the conditioning let them be.
+        noise = self.precision / max(m["least_firmness"], 1e-12) ** 2
+        rows, forces = self.slack.rows, max(self.slack.forces, noise / FORCE)
         limits = {
             "gap": rows * GAP,
             "tangency": rows * TANGENCY,
@@ -274,19 +317,33 @@ class Judge:
             wrong.append(f"defect {m['defect']:.1e} tolerances")
         if m["agreement"] > AGREEMENT:
             wrong.append(f"agreement {m['agreement']:.1e}")
-        return [*wrong, *self._missed(code, m), *_cause(code, m, self.slack.forces)]
+        return [*wrong, *_missed(code, m, forces), *_cause(code, m, forces)]
 
-    def _missed(self, code: str, m: dict[str, Any]) -> list[str]:
-        """Limits that were crossed while the run went on."""
-        found = []
-        for name, limit in (("force", 1e-6), ("cone", 1e-6), ("room", 1e-9), ("bend", 0.0)):
-            if m[f"least_{name}"] < -limit * self.slack.forces:
-                found.append(f"missed: {name} fell to {m[f'least_{name}']:.1e}")
-        if code == "successful" and m["t_end"] != m["t1"]:
-            found.append("ended early")
-        if code == "successful" and m["whole"] != code:
-            found.append(f"missed: many saved times end {m['whole']} at {m['t_whole']:.6g}")
-        return found
+
+def _missed(code: str, m: dict[str, Any], slack: float) -> list[str]:
+    """Limits that were crossed while the run went on."""
+    found = []
+    for name, limit in (("force", 1e-6), ("cone", 1e-6), ("room", 1e-9), ("bend", 0.0)):
+        if m[f"least_{name}"] < -limit * slack:
+            found.append(f"missed: {name} fell to {m[f'least_{name}']:.1e}")
+    if code == "successful" and m["t_end"] != m["t1"]:
+        found.append("ended early")
+    growth = m["growth"] if m["growth"] > 1.0 else 1.0
+    known = max(1e-6 * slack, 100.0 * m["rtol"] * growth)
+    if m["depth"] > known:
+        found.append(
+            f"missed: many saved times end {m['whole']} at {m['t_whole']:.6g}, {m['depth']:.0e} deep"
+        )
+    return found
+
+
+def picked(scene: Any, lanes: np.ndarray) -> Any:
+    """Some lanes of a scene."""
+    if isinstance(scene, dict):
+        return {name: picked(value, lanes) for name, value in scene.items()}
+    if isinstance(scene, list | tuple):
+        return type(scene)(picked(value, lanes) for value in scene)
+    return scene[lanes] if isinstance(scene, np.ndarray) else scene
 
 
 def rubbing(seen: Instant) -> np.ndarray:
@@ -296,13 +353,9 @@ def rubbing(seen: Instant) -> np.ndarray:
 
 def _cause(code: str, m: dict[str, Any], slack: float) -> list[str]:
     """Why a code is not the cause, if so."""
-    near = {
-        "contact_lost": ("force", _ZERO),
-        "slipping": ("cone", _ZERO),
-        "contour_end": ("room", 1e-9),
-    }
-    if code in near:
-        name, limit = near[code][0], slack * near[code][1]
+    if code in _LIMITS:
+        name = _LIMITS[code]
+        limit = slack * (1e-9 if name == "room" else _ZERO)
         if f"end_{name}" not in m:
             return ["cause: nothing limits that"]
         value, drift = m[f"end_{name}"], m[f"drift_{name}"]

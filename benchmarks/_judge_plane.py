@@ -18,7 +18,7 @@ Scene = dict[str, Any]
 
 @dataclass
 class Motion:
-    """Positions, velocities and rolling coordinates: shapes (lanes, times, n), the same, (lanes, times, c)."""
+    """Positions, velocities, rolling coordinates: shapes (lanes, times, n), the same, (lanes, times, c)."""
 
     q: np.ndarray
     v: np.ndarray

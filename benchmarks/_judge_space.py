@@ -18,7 +18,7 @@ _EYE = np.eye(3)
 class Frame:
     """A rigid frame: origin, axes (columns), spin; accelerations at zero accelerations of joints; columns.
 
-    `velocity` is prescribed motion and joints together; `columns` are pairs of velocity and spin per unit rate.
+    `velocity` is prescribed motion and joints together; `columns` are velocity and spin per unit rate.
     """
 
     origin: np.ndarray

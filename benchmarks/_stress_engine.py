@@ -14,7 +14,7 @@ from benchmarks._judge_contours import SAMPLES
 # Saved times of the run that is judged: nodes of Clenshaw and Curtis' quadrature.
 NODES = 65
 SHARES = 0.5 * (1.0 - np.cos(np.pi * np.arange(NODES) / (NODES - 1)))
-# Of the runs that save nothing on their way: the same program is to serve, so that they save at their very end.
+# Of the runs that save nothing on their way: the same program is to serve, so they save at their very end.
 LATE = 1.0 - 1e-6 * np.linspace(1.0, 0.0, NODES)
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks._judge import picked
 from benchmarks._judge_contours import along, length, network, SAMPLES, TURN
 from benchmarks._judge_plane import Motion, Plane
 
@@ -189,15 +190,6 @@ def draw(structure: Structure, rng: Rng, lanes: int, sample: Any) -> dict[str, A
             need = np.abs(seen.lam[:, 0, k]) / np.maximum(np.abs(seen.f[:, 0, k]), 1e-12)
             contact["friction"] = np.clip(need, 0.01, 1e3) * ample * spread(rng, 0.95, 10.0, 3 * lanes)
     return picked(scene, kept)
-
-
-def picked(scene: Any, lanes: np.ndarray) -> Any:
-    """Some lanes of a scene."""
-    if isinstance(scene, dict):
-        return {name: picked(value, lanes) for name, value in scene.items()}
-    if isinstance(scene, list | tuple):
-        return type(scene)(picked(value, lanes) for value in scene)
-    return scene[lanes] if isinstance(scene, np.ndarray) else scene
 
 
 def _drawn(structure: Structure, rng: Rng, lanes: int, sample: Any) -> dict[str, Any]:

@@ -125,7 +125,7 @@ class Judge:
             if values.shape[-1]
         }
         m |= self._beyond(base.last, end)
-        m["depth"] = self._depths(base, whole)
+        m["depth"] = self._depths(base, whole, tight)
         m["whole"], m["tight"] = whole.code, tight.code
         m["most_steps"] = np.full(len(base.steps), self.scene.get("max_steps", 4096))
         m["t_end"], m["t1"] = base.t_end, self.scene["t1"]
@@ -242,16 +242,18 @@ class Judge:
                 found[f"drift_{name}"] = after - before
         return found
 
-    def _depths(self, base: Run, whole: Run) -> np.ndarray:
+    def _depths(self, base: Run, whole: Run, tight: Run) -> np.ndarray:
         """How far a limit is passed that ended the run with many saved times, and not the other one.
 
         From that end on, by the judge's own equations, in growing steps. Zero where there is none; infinite
         where the equations end too.
         """
         depth = np.zeros(len(base.code))
-        early = (whole.t_end < base.t_end) & np.isin(whole.code, list(_LIMITS))
-        depth[(whole.t_end < base.t_end) & (whole.code == "singular_contact")] = np.inf
-        lanes = np.flatnonzero(early)
+        # One event has as many times as there are runs of it, by their errors.
+        same = np.where(tight.code == base.code, 10.0 * np.abs(tight.t_end - base.t_end), 0.0)
+        early = base.t_end - whole.t_end > np.maximum(1e-5 * base.t_end, same)
+        depth[early & (whole.code == "singular_contact")] = np.inf
+        lanes = np.flatnonzero(early & np.isin(whole.code, list(_LIMITS)))
         if not lanes.size:
             return depth
         scene = picked(self.scene, lanes)
@@ -311,7 +313,8 @@ class Judge:
         for name, limit in limits.items():
             if not (m[name] <= limit or np.isnan(m[name])):
                 wrong.append(f"{name} {m[name]:.1e}")
-        if m["energy_units"] > ENERGY and m["energy"] > 1e-12:
+        # The errors of many steps add up.
+        if m["energy_units"] > ENERGY + 0.01 * m["steps"] and m["energy"] > 1e-12:
             wrong.append(f"energy {m['energy']:.1e}, {m['energy_units']:.1e} tolerances")
         if m["defect"] > DEFECT:
             wrong.append(f"defect {m['defect']:.1e} tolerances")

@@ -1,4 +1,4 @@
-"""All benchmarks in order, each in a fresh process (about an hour and a half; quick forms: a quarter of one).
+"""All benchmarks in order, each in a fresh process (about two and a half hours; quick forms: a third of one).
 
 `python -m benchmarks` rewrites the sections and plots of README.md; `--quick` runs the short forms and only
 prints; `--only accuracy roller` runs those two. One that fails does not stop the others.
@@ -32,6 +32,7 @@ NAMES = (
     "first_calls",
     "design",
     "gpu",
+    "stress",
 )
 
 

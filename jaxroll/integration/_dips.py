@@ -16,6 +16,9 @@ from jaxtyping import Array
 # higher order, and a difference of near neighbours would magnify what is wrong with the earlier one.
 _APART = 0.07
 
+# A margin that falls to this part of its neighbours' is close to zero.
+_CLOSE = 0.05
+
 
 def watched(times: np.ndarray) -> np.ndarray:
     """Which stages of a method to look at: their numbers, in order of time; the last one is the step's end.
@@ -32,11 +35,12 @@ def watched(times: np.ndarray) -> np.ndarray:
 
 
 def first_dip(times: np.ndarray, margins: Sequence[Array]) -> Array:
-    r"""Share of a step at which its margin is lowest, if it is below zero there; else infinity.
+    r"""Share of a step at which its margin is lowest, if that is below zero or close to it; else infinity.
 
     Through the lowest value inside the step and its two neighbours goes the parabola $m + b x + a x^2$ about
     the middle one. It dips below zero if $m < 0$, or if $4 a m < b^2$ and its lowest place $-b / 2a$ lies
-    within these three. The ends of the step are judged by themselves.
+    within these three. What comes close beside these neighbours is looked at from nearby as well: there the
+    parabola may err by more than what is left. The ends of the step are judged by themselves.
 
     Args:
         times: Shape (n,), rising shares of the step, the start and the end included.
@@ -53,7 +57,8 @@ def first_dip(times: np.ndarray, margins: Sequence[Array]) -> Array:
     down, up = (here - before) * ahead, (after - here) * back
     a, b = up - down, up * back + down * ahead
     size = back * ahead * (back + ahead)
+    close = here - _CLOSE * jnp.maximum(before, after)
     between = (a > 0) & (b < 2.0 * back * a) & (b > -2.0 * ahead * a)
-    dips = (here < 0) | between & (4.0 * a * here * size < b * b)
+    dips = (here < 0) | between & (4.0 * a * close * size < b * b)
     lowest = middle + jnp.where(between, -0.5 * b / jnp.where(between, a, 1.0), 0.0)
     return jnp.where(dips, lowest, jnp.inf)

@@ -68,8 +68,21 @@ class RollingStep(eqx.Module):
         y1 = over(self._finish)(bundle, times[1], raw, rates, end)
         if "penetration" in self.events:
             dip = jnp.minimum(dip, over(self._clearance_dip)(bundle, *times, y0, y1))
+        error = jnp.where(self._leapt(y0, raw, y1), jnp.inf, error)
         unseen = jnp.zeros((self.lay.width + 2, *error.shape[1:]), error.dtype)
         return y1, jnp.concatenate([error, unseen]), dip
+
+    def _leapt(self, y0: Array, raw: Array, y1: Array) -> Array:
+        """Whether the projection carried a contact elsewhere than the step had: such a step is too long.
+
+        Where a sum of curvatures runs out, tangency has no solution any more, and its Newton steps end
+        somewhere else on the shapes. Error control does not see that: it looks at q and v alone.
+        """
+        positions, velocities, places = self.lay.form.counts
+        start, stop = positions + velocities, positions + velocities + places
+        at = [y[start:stop] for y in (y0, raw, y1)]
+        carried, moved = jnp.abs(at[2] - at[1]), jnp.abs(at[1] - at[0])
+        return jnp.any(carried > 0.5 * moved + _NEAR, axis=0)
 
     @property
     def _way(self) -> Callable:
@@ -256,6 +269,8 @@ def _sizes(bundle: Bundle) -> int:
     return len(jax.tree.leaves(Ending.unknown(bundle.rest)))
 
 
+# How far the projection may carry a contact at any rate [m].
+_NEAR = 1e-6
 # Where the packed `Ending` has the margin: before the number of its limit.
 _MARGIN = -2
 # Where a step is looked at if no stages serve, as shares of it.

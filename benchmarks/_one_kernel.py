@@ -114,7 +114,7 @@ def _ends(form: Form, x: Array, t: Array, counts: Array) -> Ends:
     last = State(x[:positions], x[positions:moving], x[moving:])
     attempted, accepted, number, code = (counts[i] for i in range(4))
     loop = eqx.tree_at(lambda r: r._value, diffrax.RESULTS.successful, code)
-    return Ends(last, t, jnp.stack([attempted, accepted]), decode(number, loop))
+    return Ends(last, t, jnp.stack([attempted, accepted]), decode(jnp.inf, number, loop))
 
 
 class _Vector(tuple):
@@ -313,7 +313,7 @@ def _judged(
     length = jnp.where(first, goal.dt0, jnp.maximum(length, _SHORTEST)).astype(course.t.dtype)
     keep = (first | small) & course.busy
     over = course.busy & (course.attempted > goal.max_steps)
-    ended = keep & ((number != 0) | (t1 == goal.t1))
+    ended = keep & ((number > 0) | (t1 == goal.t1))
     pick = lambda new, old: tuple(jnp.where(keep, a, b) for a, b in zip(new, old, strict=True))  # noqa: E731
     return _Course(
         pick(x, course.x),

@@ -297,7 +297,7 @@ def test_a_fingertip_that_loses_its_objects_is_changed_to_hold_them():
         (lambda: ClosedLoop(reaching, {}), "objective must be"),
         (lambda: ClosedLoop(reaching, {"overshoot": 1.0}, t1=-1.0), "t1 must be positive"),
         (
-            lambda: ClosedLoop(reaching, {"overshoot": 1.0}, cases=(jnp.ones(2), jnp.ones(3))),
+            lambda: ClosedLoop(lambda tip, _: reaching(tip), max, cases=(jnp.ones(2), jnp.ones(3))),
             "common leading axis",
         ),
         (lambda: Firmness(reaching, measure="force"), "measure must be"),

@@ -192,7 +192,7 @@ def test_design_ends_with_a_fingertip_that_holds(tmp_path):
 
 def test_an_outline_that_is_not_there_gets_one_sentence(tmp_path):
     done = run_cli("design", "--tip", "nothing.csv", cwd=tmp_path)
-    assert done.returncode == 1 and "Traceback" not in done.stderr
+    assert done.returncode == 2 and "Traceback" not in done.stderr
     assert "nothing.csv" in done.stderr.splitlines()[-1]
 
 

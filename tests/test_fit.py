@@ -90,12 +90,17 @@ def test_corners_are_warned_of():
 
 def test_a_contour_that_crosses_itself_is_seen():
     """Every other point of a thin sickle: the points do not cross, the spline through them does."""
-    u = np.linspace(-1.0, 1.0, N // 2)
-    outer = np.stack([20 * u, 8 * (1 - u**2)], axis=1)
-    inner = np.stack([20 * u, 7.99 * (1 - u**2) - 1e-3], axis=1)[::-1]
-    thin = np.concatenate([outer, inner])
-    report = jxr.fit_contour(thin, unit="mm", noise=0.0, ordered=True).report
+    u = np.linspace(-1.0, 1.0, 20)
+
+    def sickle(height):
+        outer = np.stack([20 * u, height * (1 - u**2)], axis=1)
+        inner = np.stack([20 * u, (height - 0.01) * (1 - u**2) - 1e-3], axis=1)[::-1]
+        return np.concatenate([outer, inner])
+
+    report = jxr.fit_contour(sickle(2.0), unit="mm", noise=0.0, ordered=True).report
     assert report.self_intersecting and "crosses itself" in " ".join(report.warnings)
+    with pytest.raises(ValueError, match="argument points .* bends more sharply than its table can follow"):
+        jxr.fit_contour(sickle(8.0), unit="mm", noise=0.0, ordered=True)
 
 
 EIGHT = np.stack([A * np.sin(U), B * np.sin(2 * U)], axis=1)

@@ -271,7 +271,7 @@ def test_vmap_and_jit_without_wrappers(field):
         (lambda: jxr.SupportFunction(-0.01), "argument radius must be positive"),
         (lambda: jxr.SupportFunction(0.01, [0.0], [0.0, 0.0]), r"argument sines must have shape \(1\)"),
         (lambda: jxr.SupportFunction.through(ellipse(9), terms=5), "argument terms must lie between 1 and 4"),
-        (lambda: jxr.SupportFunction.through(bean(200), terms=30), "radius of curvature positive"),
+        (lambda: jxr.SupportFunction.through(bean(200), terms=30), "argument radius must lie between"),
         (lambda: jxr.NeuralSupport(network(20.0), 0.01), "argument network must keep the radius"),
         (lambda: jxr.NeuralCurvature(network(1.0), 0.0), "argument length must be positive"),
         (lambda: PeriodicNetwork(activation="relu", key=jax.random.key(0)), "must be one of .*'relu'"),

@@ -147,7 +147,7 @@ def test_a_page_without_plotly_says_what_to_install(monkeypatch, tmp_path):
     ("change", "words"),
     [
         ({"path": "grasp.gif"}, "end in .html"),
-        ({"frames": 0}, "argument frames must be at least 1, but was 0"),
+        ({"frames": 0}, "argument frames must be a whole number of at least 1, but was 0"),
         ({"ts": np.zeros(3)}, "argument ts must have shape"),
     ],
 )

@@ -88,5 +88,7 @@ def test_phase_draws_the_path_and_the_equilibrium(pinch, short):
 
 
 def test_phase_refuses_other_grasps(scene, short):
-    with pytest.raises(ValueError, match=r"control\.Opposition"):
+    with pytest.raises(ValueError, match=r"argument trajectory.states.q must have shape \(3,\)"):
         jxr.plotting.phase(scene[0], short)
+    with pytest.raises(ValueError, match=r"control\.Opposition"):
+        jxr.plotting.phase(scene[0], jxr.simulate(*scene, 0.1, ts=3))

@@ -46,10 +46,11 @@ def first_dip(times: np.ndarray, margins: Sequence[Array]) -> Array:
         times: Shape (n,), rising shares of the step, the start and the end included.
         margins: The margins there.
     """
-    low = (margins[0], margins[1], margins[2], *times[:3])
-    for i in range(2, len(times) - 1):
+    shares = times.tolist()  # plain numbers, which leave single precision as it is
+    low = (margins[0], margins[1], margins[2], *shares[:3])
+    for i in range(2, len(shares) - 1):
         lower = margins[i] < low[1]
-        new = (*margins[i - 1 : i + 2], *times[i - 1 : i + 2])
+        new = (*margins[i - 1 : i + 2], *shares[i - 1 : i + 2])
         low = tuple(jnp.where(lower, a, b) for a, b in zip(new, low, strict=True))
     before, here, after, start, middle, end = low
     back, ahead = middle - start, end - middle

@@ -94,6 +94,8 @@ def cause(run: Any) -> str:
     if name not in _TOLD or (contact < 0 and name == "singular_contact"):
         return f"{_lower(message(run.result))}{when}"
     who = "a contact" if contact < 0 else contact_name(run.labels, contact)
+    if name == "penetration":  # an audit looks at fingers, whether they have a contact or not
+        who = f"finger {contact}"
     by = _BY[name].format(0.0 - margin) if np.isfinite(margin) else ""
     return _TOLD[name].format(who=who, when=when, by=by)
 

@@ -160,8 +160,9 @@ def _lanes(
     shared = jnp.stack([x for x, b in each if not b] or [jnp.zeros((), dtype)])
     # The last block is filled up with the last lane.
     fill = lambda x: jnp.pad(x, ((0, 0), (0, filled - lanes)), mode="edge")  # noqa: E731
-    rows, stages, weights = _tables(_tableau(setup.solver), dtype)
-    table = jnp.concatenate([rows, stages[:, None], jnp.asarray(weights, dtype)[:, None]], axis=1)
+    rows, shares, weights = _tables(_tableau(setup.solver), dtype)
+    columns = [jnp.asarray(x, dtype)[:, None] for x in (shares, weights)]
+    table = jnp.concatenate([rows, *columns], axis=1)
     order = setup.solver.error_order(None)  # pyright: ignore[reportArgumentType]
     by_lane = lambda rows: pl.BlockSpec((rows, block), lambda i: (0, i))  # noqa: E731
     whole = lambda x: pl.BlockSpec(x.shape, lambda _: (0,) * x.ndim)  # noqa: E731

@@ -270,7 +270,7 @@ def _sizes(bundle: Bundle) -> int:
 
 
 # How far the projection may carry a contact at any rate [m].
-_NEAR = 1e-6
+_NEAR = 1e-4
 # Where the packed `Ending` has the margin: before the number of its limit.
 _MARGIN = -2
 # Where a step is looked at if no stages serve, as shares of it.

@@ -24,6 +24,7 @@ REACH = 1e-9
 _DENSE = 513
 # Steps of the judge's own beyond an end.
 _AHEAD = 60
+_TABLED = ("support", "neural_support", "spline", "neural_curvature")
 # What each code says has run out.
 _LIMITS = {"contact_lost": "force", "slipping": "cone", "contour_end": "room"}
 
@@ -79,7 +80,7 @@ class Judge:
         self.friction = [c["friction"] for c in scene["contacts"]]
         shapes = scene.get("faces", []) + [finger["tip"] for finger in scene["fingers"]]
         # The engine reads these from tables, whose own error it states; the judge does not.
-        tabled = any(shape["kind"] in ("support", "neural_support") for shape in shapes)
+        tabled = any(shape["kind"] in _TABLED for shape in shapes)
         self.slack = _Slack(100.0, 100.0) if tabled else _Slack(1.0, 1.0)
         single = scene["rtol"].dtype == np.float32
         self.precision = 100.0 * float(np.finfo(np.float32 if single else np.float64).eps)
@@ -209,7 +210,7 @@ class Judge:
         """What has to stay positive, over what it is measured by: (lanes, times, any)."""
         size = self.size[:, None, None]
         cones = [
-            mu[:, None] * seen.f[..., k] - rubbing(seen)[..., k]
+            (mu[:, None] * seen.f[..., k] - rubbing(seen)[..., k]) / (1.0 + mu[:, None])
             for k, mu in enumerate(self.friction)
             if mu is not None
         ]
@@ -309,7 +310,8 @@ class Judge:
         limits = {
             "gap": rows * GAP,
             "tangency": rows * TANGENCY,
-            "creep": rows * CREEP,
+            # Velocities are put back with the rows of where the step ended, before positions were.
+            "creep": rows * max(CREEP, 1e-3 * m["rtol"]),
             "force": forces * FORCE,
         }
         for name, limit in limits.items():
@@ -334,7 +336,8 @@ def _missed(code: str, m: dict[str, Any], slack: float) -> list[str]:
     if code == "successful" and m["t_end"] != m["t1"]:
         found.append("ended early")
     growth = m["growth"] if m["growth"] > 1.0 else 1.0
-    known = max(1e-6 * slack, 100.0 * m["rtol"] * growth)
+    # Forces are relative, distances from an end in metres.
+    known = max(1e-6 * slack, 100.0 * m["rtol"] * growth) * (1e-2 if m["whole"] == "contour_end" else 1.0)
     if m["depth"] > known:
         found.append(
             f"missed: many saved times end {m['whole']} at {m['t_whole']:.6g}, {m['depth']:.0e} deep"

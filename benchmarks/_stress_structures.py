@@ -42,8 +42,8 @@ _RANDOM = (
         gravity=True,
         **_SERVO,
     ),
-    Structure("pivot-catenary", ("catenary",), ("catenary",), (2,), **_HELD),
-    Structure("pivot-circle", ("circle",), ("circle",), (2,), gravity=True, friction=True, **_HELD),
+    Structure("pivot-catenary", ("catenary",), ("catenary",), (2,), chunks=7, **_HELD),
+    Structure("pivot-circle", ("circle",), ("circle",), (2,), gravity=True, friction=True, chunks=7, **_HELD),
     Structure("pivot-ellipse", ("ellipse",), ("circle",), (4,), **_PIVOT),
     Structure("pivot-support", ("support",), ("ellipse",), (3,), gravity=True, friction=True, **_PIVOT),
     Structure("pivot-spline", ("spline",), ("spline",), (2,), friction=True, chunks=3, **_HELD),
@@ -53,7 +53,7 @@ _RANDOM = (
     Structure("pivot-curvature", ("neural_curvature",), ("circle",), (3,), chunks=3, **_PIVOT),
     Structure("pivot-two", ("ellipse",), ("circle", "circle"), (2, 2), touch=_TWO, friction=True, **_PIVOT),
     Structure("pivot-three", ("circle",), ("circle", "line", "circle"), (2, 3, 2), touch=_THREE, **_HELD),
-    Structure("roll-ellipse", ("ellipse",), ("line",), ("jaw0",), **_FLAT),
+    Structure("roll-ellipse", ("ellipse",), ("line",), ("jaw0",), chunks=7, **_FLAT),
     Structure("roll-support", ("support",), ("line",), ("jaw0",), friction=True, **_FLAT),
     Structure("roll-spline", ("spline",), ("circle",), ("jaw0",), friction=True, chunks=3, **_FLAT),
     Structure("roll-bowl", ("circle",), ("bowl",), ("jaw0",), **_FLAT),
@@ -79,14 +79,16 @@ _RANDOM = (
 
 # Scenes made for a purpose.
 _HARD = (
-    Structure("cancel", ("bowl",), ("circle",), (3,), friction=True, twist="cancel", **_PIVOT),
-    Structure("cancel-free", ("bowl",), ("circle",), ("jaw2",), twist="cancel", **_SERVO),
+    Structure("cancel", ("bowl",), ("circle",), (3,), friction=True, twist="cancel", chunks=7, **_PIVOT),
+    Structure("cancel-free", ("bowl",), ("circle",), ("jaw2",), twist="cancel", chunks=7, **_SERVO),
     Structure("straight", ("circle",), ("circle",), (3,), twist="straight", **_HELD),
     Structure("straight-pinch", ("circle",), ("circle", "circle"), (3, 2), touch=_TWO, twist="straight"),
     Structure("ends", ("catenary",), ("circle",), (2,), twist="ends", **_HELD),
     Structure("ends-faces", ("line", "line"), ("circle", "circle"), (2, 2), twist="ends"),
-    Structure("graze-lift", ("ellipse",), ("line",), ("jaw0",), twist="graze", **_FLAT),
-    Structure("graze-slip", ("circle",), ("line",), ("jaw0",), friction=True, twist="graze", **_FLAT),
+    Structure("graze-lift", ("ellipse",), ("line",), ("jaw0",), twist="graze", chunks=7, **_FLAT),
+    Structure(
+        "graze-slip", ("circle",), ("line",), ("jaw0",), friction=True, twist="graze", chunks=7, **_FLAT
+    ),
     Structure("tolerance", ("catenary",), ("circle",), (2,), twist="tolerance", **_PIVOT),
     Structure("tolerance-pinch", ("ellipse",), ("circle", "circle"), (2, 2), touch=_TWO, twist="tolerance"),
     Structure("single", ("circle",), ("catenary",), (2,), twist="single", **_HELD),

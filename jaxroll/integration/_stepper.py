@@ -81,7 +81,8 @@ class RollingStep(eqx.Module):
         positions, velocities, places = self.lay.form.counts
         start, stop = positions + velocities, positions + velocities + places
         at = [y[start:stop] for y in (y0, raw, y1)]
-        carried, moved = jnp.abs(at[2] - at[1]), jnp.abs(at[1] - at[0])
+        carried = jnp.abs(at[2] - at[1])
+        moved = jnp.minimum(jnp.abs(at[1] - at[0]), jnp.abs(at[2] - at[0]))
         return jnp.any(carried > 0.5 * moved + _NEAR, axis=0)
 
     @property

@@ -104,10 +104,8 @@ def _checks(run: Any) -> list[str]:
     peak = lambda array: float(np.nanmax(np.abs(np.asarray(array))))  # noqa: E731
     left, energy = run.residuals, run.energy
     return [
-        f"  largest     |Q| {peak(left.normal):.1e} m, |R| {peak(left.tangential):.1e} m, "
-        f"tangency {peak(left.tangency):.1e} rad",
-        f"  energy      {1e3 * -float(energy.work[-1]):.4g} mJ dissipated; "
-        f"balance off by {peak(energy.residual):.1e} J",
+        f"  energy      {1e3 * -float(energy.work[-1]):.4g} mJ dissipated; balance off by "
+        f"{peak(energy.residual):.1e} J; |Q| {peak(left.normal):.1e} m, |R| {peak(left.tangential):.1e} m",
     ]
 
 

@@ -133,8 +133,8 @@ def _facts(runs: Sequence[Any]) -> list[str]:
 
 
 def _outcome(run: Any) -> str:
-    """How a run ended, in one line."""
-    return code_name(run.result) if run.result == RESULTS.successful else cause(run)
+    """How a run ended, in one line: which contact and when; by how much is zero at an event."""
+    return code_name(run.result) if run.result == RESULTS.successful else cause(run).split(": ")[0]
 
 
 def _write(found: Design, folder: Path) -> tuple[list[str], list[str]]:

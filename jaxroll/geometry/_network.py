@@ -78,13 +78,13 @@ class PeriodicNetwork(eqx.Module):
             raise ValueError(
                 f"argument activation must be one of {[*_ACTIVATIONS]}, but was {shown(activation)}"
             )
-        decay, amplitude = as_floats("decay", decay, ()), as_floats("amplitude", amplitude, ())
+        fading, size = as_floats("decay", decay, ()), as_floats("amplitude", amplitude, ())
         check_key("key", key)
         sizes = [2 * harmonics, *[width] * depth, 1]
         keys = jax.random.split(key, depth + 1)
         layers = [eqx.nn.Linear(a, b, key=k) for a, b, k in zip(sizes[:-1], sizes[1:], keys, strict=True)]
-        self.layers = (*layers[:-1], jax.tree.map(lambda leaf: amplitude * leaf, layers[-1]))
-        self.harmonics, self.decay, self.activation = harmonics, float(decay), activation
+        self.layers = (*layers[:-1], jax.tree.map(lambda leaf: size * leaf, layers[-1]))
+        self.harmonics, self.decay, self.activation = harmonics, float(fading), activation
 
     def __call__(self, angle: Scalar) -> Scalar:
         """The network's value at one angle [rad]."""

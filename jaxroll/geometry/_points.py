@@ -85,7 +85,8 @@ def clean_points(
         >>> clean_points(np.stack([np.cos(u), np.sin(u)], axis=1), unit="mm").reversed
         True
     """
-    check_flag("closed", closed), check_flag("reverse", reverse)
+    check_flag("closed", closed)
+    check_flag("reverse", reverse)
     if ordered is not None:
         check_flag("ordered", ordered)
     given = _checked(points) * metres_per(unit)

@@ -227,9 +227,9 @@ class RollingStep(eqx.Module):
         nothing = jnp.zeros((_sizes(bundle), *t0.shape), y0.dtype)
         x0, margin = y0[: self.lay.width], y0[self.lay.margin]
         kept = slice(_MARGIN, _MARGIN + 1)
-        *step, inner = advance(at, (t0, t1), x0, nothing, sampled=sampled, kept=kept)
+        raw, rates, error, end, inner = advance(at, (t0, t1), x0, nothing, sampled=sampled, kept=kept)
         margins, seen = [margin, *inner[:, 0]], watched(STAGE_TIMES)
-        return (*step, first_dip(STAGE_TIMES[seen], [margins[i] for i in seen]))
+        return raw, rates, error, end, first_dip(STAGE_TIMES[seen], [margins[i] for i in seen])
 
 
 class Ending(eqx.Module):

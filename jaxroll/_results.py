@@ -236,14 +236,6 @@ def check_positive(name: str, value: jax.Array) -> jax.Array:
     return value
 
 
-def check_not_negative(name: str, value: jax.Array) -> jax.Array:
-    """Raise if a concrete value is below zero."""
-    seen = concrete(value)
-    if seen is not None and not np.all(seen >= 0):
-        raise ValueError(f"argument {name} must not be negative, but was {shown(seen)}")
-    return value
-
-
 def check_direction(name: str, vectors: jax.Array) -> jax.Array:
     """Raise if a concrete vector of the last axis has no direction: its length is zero, or overflows."""
     seen = concrete(vectors)

@@ -24,6 +24,8 @@ _INSTRUCTIONS = ("sse", "ssse", "avx", "amx", "fma", "f16c", "bmi", "asimd", "ne
 _SILENT = ("--xla_dump", "--xla_force_host_platform_device_count")
 # What other differences bring with them: named only where there is no other cause.
 _EFFECTS = ("make", "keep", "program")
+# How many differences a sentence names.
+_NAMED = 2
 _WORDS = {"program": "the program of the runs (a function that make or an option holds)"}
 
 
@@ -69,7 +71,9 @@ def differences(there: Identity, here: Identity) -> str:
     if "parameters" in causes and there["parameters"].words != here["parameters"].words:
         effects = []
     effects = effects[:1] if "make" in effects or not causes else []
-    return ", ".join(_difference(n, there.get(n), here.get(n)) for n in (*causes, *effects))
+    found = [_difference(n, there.get(n), here.get(n)) for n in (*causes, *effects)]
+    rest = len(found) - _NAMED
+    return ", ".join(found[:_NAMED]) + (f" and {rest} more" if rest > 0 else "")
 
 
 def total(marks: Identity) -> str:

@@ -218,9 +218,11 @@ def fit_contour(
     _check_length("noise", noise, 0.1 * size)
     _check_length("smoothing", smoothing, 100.0 * size)
     if noise is not None and smoothing is not None:
-        raise ValueError(f"argument noise must be None where smoothing is given, but was {noise!r}")
+        raise ValueError(f"argument noise must be None where smoothing is given, but was {shown(noise)}")
     if field != "spline" and not (closed and smoothing is None and knots is None):
-        raise ValueError(f"arguments smoothing, knots, closed=False are for splines, but field was {field!r}")
+        raise ValueError(
+            f"arguments smoothing, knots, closed=False are for splines, but field was {shown(field)}"
+        )
     contour, wavelength = FIELDS[field](clean.points, _Wish(closed, noise, smoothing, knots))
     return _reported(_resolved(contour), clean, field, wavelength)
 

@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 
 from .._algebra import Vec2
 from .._printing import listed
+from .._results import shown
 from .._types import Scalar
 from ..control import Press
 from ..mechanics import check_planar, compiled, Grasp, poses, State, to_leaves, touches
@@ -68,7 +69,9 @@ def press_balance(grasp: Grasp, ts: Float[Array, "..."], states: State) -> Press
     """
     check_planar(grasp)
     if not isinstance(grasp.controller, Press):
-        raise ValueError(f"argument grasp must be driven by control.Press, but was by {grasp.controller!r}")
+        raise ValueError(
+            f"argument grasp must be driven by control.Press, but was by {shown(grasp.controller)}"
+        )
     ready, ts = grasp.prepared(), as_times(ts, states)
     if states.q.ndim == 1:
         return _balance_at(ready, ts, states)

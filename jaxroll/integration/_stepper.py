@@ -115,7 +115,7 @@ class RollingStep(eqx.Module):
     def _within(self, t0: Scalar, t1: Scalar, y0: Flow, y1: Flow, share: Scalar) -> Array:
         """The vector x at a share of a step, by the cubic through both ends and their derivatives."""
         width = self.lay.width
-        (x0, k0), (x1, k1) = ((y[:width], (t1 - t0) * y[width : 2 * width]) for y in (y0, y1))
+        (x0, k0), (x1, k1) = ((y[:width], (t1 - t0)[None] * y[width : 2 * width]) for y in (y0, y1))
         rise, rest = x1 - x0, 1.0 - share
         bent = rest * (k0 - rise) - share * (k1 - rise)
         return x0 + share * (rise + rest * bent)

@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.colors import to_rgba_array
 from PIL import Image
 
+from .._results import shown
 from ._style import CONTACT, FINGER, FORCE, OBJECT, ROLLED
 
 # Colours of small things, which a palette made by counting pixels would merge with others.
@@ -39,7 +40,7 @@ def checked(path: str | Path, **positive: float) -> Path:
             raise ValueError(f"argument {name} must be positive, but was {value:g}")
     path = Path(path)
     if path.suffix.lower() != ".gif":
-        raise ValueError(f"argument path must end in .gif, but was {str(path)!r}")
+        raise ValueError(f"argument path must end in .gif, but was {shown(str(path))}")
     return path
 
 

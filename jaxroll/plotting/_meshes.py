@@ -5,6 +5,7 @@ from functools import singledispatch
 
 import numpy as np
 
+from .._results import shown
 from ..geometry import (
     AbstractChart,
     AbstractImplicit,
@@ -106,7 +107,7 @@ def endless(surface: AbstractSurface) -> bool:
 
 @singledispatch
 def _mesh(surface: AbstractSurface, counts: tuple[int, int], extent: float | None, about: np.ndarray) -> Mesh:
-    raise ValueError(f"argument surface must be a surface that can be drawn, but was {surface!r:.80}")
+    raise ValueError(f"argument surface must be a surface that can be drawn, but was {shown(surface)}")
 
 
 @_mesh.register

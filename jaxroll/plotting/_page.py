@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from .._results import as_count
+from .._results import as_count, shown
 from ..integration import Trajectory
 from ..mechanics import check_spatial, Grasp
 from ._doors import check_frames, guarded
@@ -121,7 +121,7 @@ def write_page(
     plotly, path, view = _plotly(), Path(path), View() if view is None else view
     ts = times_of(motion, ts)
     if path.suffix.lower() not in (".html", ".htm"):
-        raise ValueError(f"argument path must end in .html, but was {str(path)!r}")
+        raise ValueError(f"argument path must end in .html, but was {shown(str(path))}")
     check_frames("frames", as_count("frames", frames))
     motion, reached = motion.reached()
     ts = ts[reached]
@@ -130,7 +130,7 @@ def write_page(
     # Opened where the loci are complete; from the last frame on, play begins at the first.
     still, start = _still(scene), _moving(scene, int(rows[-1]))
     kinds = [plotly.Mesh3d if "i" in trace else plotly.Scatter3d for trace in still]
-    shown = [
+    seen = [
         plotly.Frame(
             data=[kind(moved) for kind, moved in zip(kinds, _moving(scene, int(row)), strict=True)],
             name=str(k),
@@ -141,7 +141,7 @@ def write_page(
     figure = plotly.Figure(
         data=[kind(a | b) for kind, a, b in zip(kinds, still, start, strict=True)],
         layout=_layout(scene, title, ts[rows], facing(scene, view)),
-        frames=shown,
+        frames=seen,
     )
     path.parent.mkdir(parents=True, exist_ok=True)
     config = {"displaylogo": False, "responsive": True}

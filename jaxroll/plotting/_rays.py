@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .._results import shown
 from .._spatial import Vec3
 from .._types import Scalar
 from ..geometry import AbstractImplicit, SplineSurface
@@ -28,7 +29,7 @@ def inside(surface: AbstractImplicit) -> np.ndarray:
     values = np.asarray(_values(surface, jnp.asarray(tried)))
     within = np.flatnonzero(values < 0.0)
     if not len(within):
-        raise ValueError(f"argument surface must have an inside to be drawn, but was {surface!r:.80}")
+        raise ValueError(f"argument surface must have an inside to be drawn, but was {shown(surface)}")
     # The first two are middles: rays from there meet the surface most evenly.
     return tried[within[0] if within[0] < 2 else within[np.argmin(values[within])]]
 

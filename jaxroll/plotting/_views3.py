@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .._results import as_floats, check_flag
+from .._results import as_floats, check_flag, shown
 from .._spatial import seven
 from ..integration import Trajectory
 from ..mechanics import compiled, Grasp, poses, State, to_leaves, touches
@@ -103,4 +103,4 @@ def check_options(grasp: Grasp, **given: object) -> None:
     kind = "in space" if grasp.spatial else "in the plane"
     for name, value in given.items():
         if value is not None:
-            raise ValueError(f"argument {name} must be None for a grasp {kind}, but was {value!r:.80}")
+            raise ValueError(f"argument {name} must be None for a grasp {kind}, but was {shown(value)}")

@@ -22,6 +22,10 @@ _FLAT = 1e-4 + 1e-7
 # What a start may be off by [m, rad].
 REACH = 1e-9
 _DENSE = 513
+# How well the time is known at which a sum of curvatures runs out [s]: `_FLAT` falls that long before it.
+_POLE = 1e-9
+# How often a step beside a pole is quartered.
+_QUARTERS = 12
 # Steps of the judge's own beyond an end.
 _AHEAD = 60
 _TABLED = ("support", "neural_support", "spline", "neural_curvature")
@@ -235,8 +239,17 @@ class Judge:
     def _beyond(self, last: Motion, end: Instant) -> dict[str, np.ndarray]:
         """How force, cone and room change through the end, by the judge's own equations of motion."""
         step = self._step(last, end)
-        sides = [self._margins(self.equations.at(self._carried(last, sign * step))) for sign in (-1.0, 1.0)]
-        found = {}
+        bend, found = np.min(self._margins(end)["bend"][:, 0], axis=-1), {}
+        for _ in range(_QUARTERS):
+            sides = [
+                self._margins(self.equations.at(self._carried(last, sign * step))) for sign in (-1.0, 1.0)
+            ]
+            # Beside a pole all that is asked for is what changes before it.
+            change = sides[1]["bend"][:, 0] - sides[0]["bend"][:, 0]
+            far = ~(np.max(np.abs(change), axis=-1, initial=0.0) < 0.5 * np.abs(bend))
+            if not far.any():
+                break
+            step = np.where(far[:, None], 0.25 * step, step)
         for name in ("force", "cone", "room", "bend"):
             if sides[0][name].shape[-1]:
                 here = self._margins(end)[name][:, 0]
@@ -254,8 +267,9 @@ class Judge:
         depth = np.zeros(len(base.code))
         # One event has as many times as there are runs of it, by their errors.
         same = np.where(tight.code == base.code, 10.0 * np.abs(tight.t_end - base.t_end), 0.0)
-        early = base.t_end - whole.t_end > np.maximum(1e-5 * base.t_end, same)
-        depth[early & (whole.code == "singular_contact")] = np.inf
+        sooner = base.t_end - whole.t_end
+        early = sooner > np.maximum(1e-5 * base.t_end, same)
+        depth[early & (whole.code == "singular_contact") & (sooner > _POLE)] = np.inf
         lanes = np.flatnonzero(early & np.isin(whole.code, list(_LIMITS)))
         if not lanes.size:
             return depth
@@ -310,8 +324,9 @@ class Judge:
         limits = {
             "gap": rows * GAP,
             "tangency": rows * TANGENCY,
-            # Velocities are put back with the rows of where the step ended, before positions were.
-            "creep": rows * max(CREEP, 1e-3 * m["rtol"]),
+            # Velocities are put back with the rows of where the step ended, before positions were: what
+            # these moved by, some part of the tolerance, turns the rows.
+            "creep": rows * max(CREEP, 1e-2 * m["rtol"]),
             "force": forces * FORCE,
         }
         for name, limit in limits.items():

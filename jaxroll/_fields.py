@@ -4,14 +4,16 @@ A class says at its fields what may be there; its constructor and `Grasp.with_` 
 `taken`, so that neither lets in what the other refuses.
 """
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from ._results import as_array, as_floats
+from ._results import as_array, as_floats, is_array_like, shown
 
 Check = Callable[[str, jax.Array], jax.Array]
 Shape = tuple[int | None, ...]
@@ -75,3 +77,36 @@ def taken(owner: Any, field: str, value: Any, *, shape: Shape | None = None, nam
     door = door_of(owner, field)
     assert door is not None, f"{type(owner).__name__}.{field} has no door"
     return door(name or field, value, shape)
+
+
+def check_module(name: str, module: eqx.Module) -> None:
+    """Raise for what went past the doors into a module, as `equinox.tree_at` lets it.
+
+    Fields with a door are taken through it once more. Of the others in classes of jaxroll, such as contours,
+    it is known that arrays are real and hold numbers; of a caller's own classes nothing.
+    """
+    own = type(module).__module__.partition(".")[0] == __package__
+    for field in dataclasses.fields(module):
+        value, place = getattr(module, field.name), f"{name}.{field.name}"
+        if door_of(module, field.name) is not None:
+            taken(module, field.name, value, name=place)
+        elif own and not field.metadata.get("static"):
+            _check_leaves(place, value)
+        several = isinstance(value, tuple)
+        for i, part in enumerate(value if several else (value,)):
+            if isinstance(part, eqx.Module):
+                check_module(f"{place}[{i}]" if several else place, part)
+
+
+def _check_leaves(name: str, tree: Any) -> None:
+    """Raise for arrays that are not real or hold NaN; modules inside answer for themselves."""
+    for leaf in jax.tree.leaves(tree, is_leaf=lambda x: isinstance(x, eqx.Module)):
+        odd = isinstance(leaf, str | bytes | complex)
+        if is_array_like(leaf):
+            odd = leaf.dtype.kind not in "iufV" or leaf.dtype.kind == "f" and not _is_known(leaf)
+        if odd:
+            raise ValueError(f"argument {name} must be real numbers, but was {shown(leaf)}")
+
+
+def _is_known(array: Any) -> bool:
+    return isinstance(array, jax.core.Tracer) or not np.isnan(np.asarray(array)).any()

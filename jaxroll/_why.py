@@ -24,7 +24,7 @@ from .integration import (
     Trajectory,
     worst,
 )
-from .mechanics import Grasp, State
+from .mechanics import check_grasp, Grasp, State
 from .stability import assess, Stability, VERDICTS
 
 # Relative size below which a sum of curvatures or a pivot counts as zero, as runs do.
@@ -136,7 +136,7 @@ def why(grasp: Grasp, state: State | Trajectory, *, t1: float = 1.0, **options: 
         >>> jxr.why(grasp.with_(force=-0.5), state).summary  # a finger that pulls
         'fails at the start: contact 0 (finger 0 on contour 0) pulls with 1.55 N'
     """
-    check_instance("grasp", grasp, Grasp, "a Grasp")
+    check_grasp(grasp)
     check_instance("state", state, (State, Trajectory), "a State, or a run of the grasp")
     if traced((grasp, state)):
         raise ValueError("argument state must be known numbers for a report, but was being traced")

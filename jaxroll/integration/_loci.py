@@ -108,7 +108,6 @@ def loci(grasp: Grasp, trajectory: Trajectory) -> Loci:
 
 def check_run(grasp: Grasp, trajectory: Trajectory) -> None:
     """Raise unless a trajectory is one run, and one that could be of this grasp."""
-    check_instance("grasp", grasp, Grasp, "a Grasp")
     check_instance("trajectory", trajectory, Trajectory, "a Trajectory")
     shape = jnp.shape(trajectory.states.q)
     if jnp.ndim(trajectory.ts) != 1 or len(shape) != 2:

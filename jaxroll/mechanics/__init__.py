@@ -45,6 +45,7 @@ from ._dynamics import (
 from ._finger import AbstractFinger as AbstractFinger, Finger as Finger
 from ._finger3 import Finger3 as Finger3
 from ._grasp import (
+    check_grasp as check_grasp,
     check_planar as check_planar,
     check_spatial as check_spatial,
     check_states as check_states,

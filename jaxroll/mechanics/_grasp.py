@@ -10,7 +10,7 @@ import jax
 from jaxtyping import Array, Float
 
 from .._algebra import unstack, Vec2
-from .._fields import door_of, real, taken, through
+from .._fields import check_module, door_of, real, taken, through
 from .._once import remembered
 from .._printing import shown_value
 from .._results import as_count, as_floats, as_several, check_instance, shown
@@ -194,8 +194,7 @@ class Grasp(eqx.Module):
     @property
     def form(self) -> Form:
         """How many numbers a state has, and where they go."""
-        places = tuple(c.form(self.shapes(c)) for c in self.contacts)
-        return Form(tuple(body.positions for body in self.bodies), self.sizes, jax.tree.structure(places))
+        return _form(self)
 
     def shapes(self, contact: AbstractContact) -> tuple[Any, Any]:
         """The fingertip's and the object's contour (surface) that meet at a contact."""
@@ -316,6 +315,12 @@ def _all_shapes(grasp: Grasp) -> list[Any]:
 
 
 @remembered
+def _form(grasp: Grasp) -> Form:
+    places = tuple(c.form(grasp.shapes(c)) for c in grasp.contacts)
+    return Form(tuple(body.positions for body in grasp.bodies), grasp.sizes, jax.tree.structure(places))
+
+
+@remembered
 def _check_shapes(grasp: Grasp) -> None:
     """Raise unless a caller's own contours and surfaces keep their contract, however they came in."""
     for i, contact in enumerate(grasp.contacts):
@@ -331,23 +336,35 @@ def _with_tables(grasp: Grasp) -> Grasp:
     return eqx.tree_at(where, grasp, [tabled(shape) for shape in where(grasp)])
 
 
+def check_grasp(grasp: Any) -> None:
+    """Raise unless a grasp is given, and one whose fields its constructors would have taken."""
+    check_instance("grasp", grasp, Grasp, "a Grasp")
+    _check_fields(grasp)
+
+
+@remembered
+def _check_fields(grasp: Grasp) -> None:
+    check_module("grasp", grasp)
+    taken(grasp, "gravity", grasp.gravity, shape=(grasp._axes,), name="grasp.gravity")
+
+
 def check_planar(grasp: Grasp) -> None:
     """Raise for a grasp in space, where only the plane has an answer."""
-    check_instance("grasp", grasp, Grasp, "a Grasp")
+    check_grasp(grasp)
     if grasp.spatial:
         raise ValueError("argument grasp must live in the plane, but its contacts are those of space")
 
 
 def check_spatial(grasp: Grasp) -> None:
     """Raise for a grasp in the plane, where only space has an answer."""
-    check_instance("grasp", grasp, Grasp, "a Grasp")
+    check_grasp(grasp)
     if not grasp.spatial:
         raise ValueError("argument grasp must live in space, but its contacts are those of the plane")
 
 
 def check_states(grasp: Any, states: Any, name: str = "state", *, axes: int = 0) -> None:
     """Raise unless a grasp is given, and a state, or states with leading axes, that could be its own."""
-    check_instance("grasp", grasp, Grasp, "a Grasp")
+    check_grasp(grasp)
     check_instance(name, states, State, "a State")
     check_shapes(states, grasp.form, name, axes)
 
@@ -363,7 +380,7 @@ def compiled(function: Door) -> Door:
 
     @functools.wraps(function)
     def door(grasp: Grasp, *args: Any, **options: Any) -> Any:
-        check_instance("grasp", grasp, Grasp, "a Grasp")
+        check_grasp(grasp)
         for at, name in places:
             if at < len(args) or name in options:
                 given = options[name] if name in options else args[at]

@@ -261,8 +261,8 @@ class Judge:
     def _depths(self, base: Run, whole: Run, tight: Run) -> np.ndarray:
         """How far a limit is passed that ended the run with many saved times, and not the other one.
 
-        From that end on, by the judge's own equations, in growing steps. Zero where there is none; infinite
-        where the equations end too.
+        From that end on, as far as the other one went, by the judge's own equations, in growing steps. Zero
+        where there is none; infinite where the equations end too.
         """
         depth = np.zeros(len(base.code))
         # One event has as many times as there are runs of it, by their errors.
@@ -278,12 +278,13 @@ class Judge:
         other.size = self.size[lanes]
         at = Motion(*(part[lanes] for part in (whole.last.q, whole.last.v, whole.last.s)))
         step = 0.1 * self._step(at, other.equations.at(at))
+        left = sooner[lanes]
         for _ in range(_AHEAD):
-            at, step = other._carried(at, step), 1.15 * step
+            at, left, step = other._carried(at, step), left - step[:, 0], 1.15 * step
             margins = other._margins(other.equations.at(at))
-            for i, lane in enumerate(lanes):
-                least = np.min(margins[_LIMITS[str(whole.code[lane])]][i], initial=np.inf)
-                depth[lane] = max(depth[lane], -least)
+            for i in np.flatnonzero(left > 0.0):
+                least = np.min(margins[_LIMITS[str(whole.code[lanes[i]])]][i], initial=np.inf)
+                depth[lanes[i]] = max(depth[lanes[i]], -least)
         return depth
 
     @staticmethod

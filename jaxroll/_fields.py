@@ -6,7 +6,7 @@ A class says at its fields what may be there; its constructor and `Grasp.with_` 
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any
+from typing import Any, get_args
 
 import equinox as eqx
 import jax
@@ -92,6 +92,7 @@ def check_module(name: str, module: eqx.Module) -> None:
             taken(module, field.name, value, name=place)
         elif own and not field.metadata.get("static"):
             _check_leaves(place, value)
+            _check_shape(place, value, field.type)
         several = isinstance(value, tuple)
         for i, part in enumerate(value if several else (value,)):
             if isinstance(part, eqx.Module):
@@ -110,3 +111,11 @@ def _check_leaves(name: str, tree: Any) -> None:
 
 def _is_known(array: Any) -> bool:
     return isinstance(array, jax.core.Tracer) or not np.isnan(np.asarray(array)).any()
+
+
+def _check_shape(name: str, value: Any, wanted: Any) -> None:
+    """Raise unless a value is of the class and shape that its field is annotated with, or a plain number."""
+    kinds = get_args(wanted) or (wanted,)
+    plain = isinstance(value, int | float) and not isinstance(value, bool)
+    if not plain and all(isinstance(kind, type) for kind in kinds) and not isinstance(value, kinds):
+        raise ValueError(f"argument {name} must be of the shape its class declares, but was {shown(value)}")

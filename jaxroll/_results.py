@@ -5,6 +5,7 @@ must be and what it was. What goes wrong while a compiled program runs is a code
 survives `vmap`, one code per lane, and never discards what had been computed.
 """
 
+import contextlib
 import inspect
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
@@ -102,7 +103,11 @@ def as_array(name: str, value: Any) -> jax.Array:
         if isinstance(value, complex | str | bytes):
             raise ValueError(wanted.format(shown(value)))
     try:
-        array = _converted(value)
+        # Numbers that are known stay known where something else is being traced: they can be checked there.
+        with contextlib.nullcontext() if traced(value) else jax.ensure_compile_time_eval():
+            array = _converted(value)
+            if jnp.issubdtype(array.dtype, jnp.integer):
+                array = array.astype(jnp.result_type(float))
     except (TypeError, ValueError, OverflowError) as error:
         if isinstance(error, jax.errors.JAXTypeError):  # NumPy met a tracer: the caller's own mistake
             raise
@@ -111,8 +116,7 @@ def as_array(name: str, value: Any) -> jax.Array:
         raise ValueError(wanted.format(shown(value)))
     if jnp.issubdtype(array.dtype, jnp.complexfloating):
         raise ValueError(wanted.format(shown(value)))
-    floating = jnp.issubdtype(array.dtype, jnp.floating)
-    return array if floating else array.astype(jnp.result_type(float))
+    return array
 
 
 def _converted(value: Any) -> jax.Array:

@@ -7,10 +7,19 @@ Designs need a finite cost of such runs, and use the measures in `PARTIAL`, of t
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._results import as_array, as_floats, check_instance, check_positive, RESULTS
+from .._results import (
+    as_array,
+    as_floats,
+    check_instance,
+    check_positive,
+    is_array_like,
+    RESULTS,
+    shown,
+)
 from .._types import Scalar
 from ..integration import Multipliers, Trajectory
 
@@ -158,6 +167,11 @@ def _forces(run: Trajectory) -> tuple[Multipliers, Array]:
 def _check_run(run: Any) -> None:
     """Raise unless it is one run, not a batch."""
     check_instance("run", run, Trajectory, "a Trajectory")
+    # None of these is optional; a place that was not reached holds NaN.
+    wanted = [run.ts, *(getattr(run.states, part) for part in "qvs"), *jax.tree.leaves(run.multipliers)]
+    for value in wanted:
+        if not is_array_like(value) or value.dtype.kind != "f":
+            raise ValueError(f"argument run must hold real numbers throughout, but one was {shown(value)}")
     if run.ts.ndim != 1:
         raise ValueError(f"argument run must be one run, but was a batch of shape {run.ts.shape[:-1]}")
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._results import as_floats, is_array_like, shown
+from .._results import as_floats, is_array_like, shown, traced
 from .._types import Scalar
 
 # Infinitely often differentiable, or the contour would not be.
@@ -78,13 +78,16 @@ class PeriodicNetwork(eqx.Module):
             raise ValueError(
                 f"argument activation must be one of {[*_ACTIVATIONS]}, but was {shown(activation)}"
             )
-        fading, size = as_floats("decay", decay, ()), as_floats("amplitude", amplitude, ())
+        as_floats("decay", decay, ())
+        if traced(decay):
+            raise ValueError(f"argument decay must be known before tracing, but was {shown(decay)}")
+        size = as_floats("amplitude", amplitude, ())
         check_key("key", key)
         sizes = [2 * harmonics, *[width] * depth, 1]
         keys = jax.random.split(key, depth + 1)
         layers = [eqx.nn.Linear(a, b, key=k) for a, b, k in zip(sizes[:-1], sizes[1:], keys, strict=True)]
         self.layers = (*layers[:-1], jax.tree.map(lambda leaf: size * leaf, layers[-1]))
-        self.harmonics, self.decay, self.activation = harmonics, float(fading), activation
+        self.harmonics, self.decay, self.activation = harmonics, float(decay), activation
 
     def __call__(self, angle: Scalar) -> Scalar:
         """The network's value at one angle [rad]."""

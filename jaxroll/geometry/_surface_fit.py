@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from .._results import as_floats, concrete
+from .._results import as_floats, as_length, check_direction, concrete, shown
 from .._spatial import Vec3
 from .._types import Given
 from ._field_fit import AXES, Grid, grid_around, normal_band, offsets, roughness_band, Rows, rows
@@ -113,7 +113,8 @@ def fit_surface(
     without bias; elsewhere details shorter than $\ell$ are lost.
 
     Raises:
-        ValueError: If the points are not finite, too few or in parts, or the grid is too fine for the memory.
+        ValueError: If the points are not finite, too few or in parts, a normal is zero, `smoothing` is no
+            length, `noise` is negative, or the grid is too fine for the memory.
 
     Example:
         >>> import jaxroll as jxr, numpy as np
@@ -126,15 +127,17 @@ def fit_surface(
     given = None if normals is None else _cloud("normals", normals)
     if given is not None and given.shape != cloud.shape:
         raise ValueError(f"argument normals must have shape {cloud.shape}, but had shape {given.shape}")
+    deviation = None if noise is None else _deviation(noise)
     neighbours, areas = spread(cloud)
     if given is None:
         directions = outward(cloud, estimated(cloud, neighbours), areas)
     else:
+        check_direction("normals", jnp.asarray(given))
         directions = given / np.linalg.norm(given, axis=1, keepdims=True)
     problem = _Problem(cloud, directions, areas)
-    wavelength = smoothing if smoothing is not None else _chosen(problem, noise)
-    if not wavelength > 0.0:
-        raise ValueError(f"argument smoothing must be positive, but was {wavelength}")
+    wavelength = (
+        _chosen(problem, deviation) if smoothing is None else float(as_length("smoothing", smoothing))
+    )
     surface = problem.solved(wavelength, np.zeros((0, len(cloud))))[0]
     return _reported(surface, problem, wavelength, given is not None)
 
@@ -205,6 +208,13 @@ def _chosen(problem: _Problem, noise: float | None) -> float:
             break
         best, chosen = score, wavelength
     return float(chosen)
+
+
+def _deviation(noise: Given) -> float:
+    seen = concrete(as_floats("noise", noise, ()))
+    if seen is None or seen < 0.0:
+        raise ValueError(f"argument noise must be a known number from 0 up, but was {shown(noise)}")
+    return float(seen)
 
 
 def _cloud(name: str, value: Given) -> np.ndarray:

@@ -16,7 +16,10 @@ from jaxtyping import Array, Float, Int
 from .._types import Scalar
 
 # Steps shorter than this part of what error control asks for are not searched for dips of the margin.
-_FINEST = 1.0 / 64.0
+_FINEST = 1.0 / 1024.0
+# A start whose margin is smaller is left by a step shorter by this factor: where a limit is passed and met
+# again at once, another one, further away, may be the nearest at all stages of a long step.
+_CLOSE, _CAREFUL = 1e-6, 1e-3
 
 
 class Hunt(NamedTuple):
@@ -109,7 +112,9 @@ class StopAt(eqx.Module):
         aside = first | back | dips | hunting & keep
         settled = lambda new, old: jnp.where(aside, old, new)  # noqa: E731
         inner = jax.tree.map(settled, inner, pace.inner)
-        length = jnp.where(first, self.dt0, settled(end - start, pace.length))
+        close = y1[self.margin] < _CLOSE
+        opening = jnp.where(close, _CAREFUL * self.dt0, self.dt0)
+        length = jnp.where(first, opening, settled(end - start, pace.length))
         start = jnp.where(keep, t1, t0)
         hunt = _narrowed(pace.hunt, (t0, t1), (y0[self.margin], y1[self.margin]), (back, keep & hunting))
         hunt = hunt._replace(

@@ -115,14 +115,15 @@ def coded(x: Array, margin: Scalar, number: Scalar) -> Array:
 def decode(margin: Scalar, number: Scalar, loop: diffrax.RESULTS) -> RESULTS:
     """The result code of a run: from the flow vector's margin and number, else from diffrax's loop.
 
-    Steps that collapse, or are used up, just before a contact becomes singular did so because of it.
+    Steps that collapse just before a contact becomes singular did so because of it. Of steps that are used up
+    there that is not known: a stiff run far from any pole uses them up as well.
     """
     result = RESULTS.where(loop == diffrax.RESULTS.successful, RESULTS.successful, RESULTS.solver_failed)
     steps = loop == diffrax.RESULTS.max_steps_reached
     result = RESULTS.where(steps, RESULTS.max_steps_reached, result)
     collapsed = loop == diffrax.RESULTS.dt_min_reached
     result = RESULTS.where(collapsed, RESULTS.step_collapsed, result)
-    short = (steps | collapsed) & (-number % _KINDS == _SINGULAR_CONTACT) & (margin < _NEARLY)
+    short = collapsed & (-number % _KINDS == _SINGULAR_CONTACT) & (margin < _NEARLY)
     result = RESULTS.where(short, RESULTS.singular_contact, result)
     for i, code in enumerate(_CODES[1:], start=1):
         result = RESULTS.where((number > 0) & (number % _KINDS == i), code, result)

@@ -210,7 +210,7 @@ TREES: dict[str, Callable[[Any], Any]] = {
     "None in it": _one_array(lambda x: None),
     "complex": _one_array(lambda x: x + 1j),
     "flags in it": _one_array(lambda x: x > 0),
-    "a list in it": _one_array(lambda x: x.tolist()),
+    "a list in it": _one_array(lambda x: np.atleast_1d(x).tolist()),
     "longer": _one_array(lambda x: jnp.concatenate([jnp.atleast_1d(x)] * 2)),
     "empty": _one_array(lambda x: jnp.zeros((0,))),
 }

@@ -119,7 +119,7 @@ def _judged(call: Call, arguments: dict[str, Any], odd: list[str]) -> Outcome:
     except TimeoutError:
         return Outcome("slow", call.name, f"no answer within {_PATIENCE} s")
     except RuntimeError as error:
-        told = str(error) in _codes()
+        told = str(error) in _codes() or _frames(error)[-1:] == ["_checked"] and "\n" not in str(error)
         return Outcome("code") if told else _raw(error)
     except Exception as error:  # whatever else it is, it is raw
         return _raw(error)
@@ -151,6 +151,11 @@ def _codes() -> list[str]:
     """The sentences of all result codes."""
     items = vars(jxr.RESULTS)["_name_to_item"].values()
     return [words for words in (jxr.RESULTS[item] for item in items) if words]
+
+
+def _frames(error: BaseException) -> list[str]:
+    """The functions of jaxroll on an error's way; a run that failed is told of by `_checked`."""
+    return [f.name for f in traceback.extract_tb(error.__traceback__) if "/jaxroll/" in f.filename]
 
 
 def _true(run: jxr.Trajectory) -> bool:

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ._results import as_array, as_floats, is_array_like, shown
+from ._results import as_array, as_floats, is_array_like, shown, traced
 
 Check = Callable[[str, jax.Array], jax.Array]
 Shape = tuple[int | None, ...]
@@ -110,7 +110,7 @@ def _check_leaves(name: str, tree: Any) -> None:
 
 
 def _is_known(array: Any) -> bool:
-    return isinstance(array, jax.core.Tracer) or not np.isnan(np.asarray(array)).any()
+    return traced(array) or not np.isnan(np.asarray(array)).any()
 
 
 def _check_shape(name: str, value: Any, wanted: Any) -> None:

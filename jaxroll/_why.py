@@ -14,7 +14,6 @@ from .integration import (
     Bearing,
     bearing,
     cause,
-    check_state,
     close,
     contact_name,
     reach,
@@ -24,7 +23,7 @@ from .integration import (
     Trajectory,
     worst,
 )
-from .mechanics import check_grasp, Grasp, State
+from .mechanics import check_grasp, check_states, Grasp, State
 from .stability import assess, Stability, VERDICTS
 
 # Relative size below which a sum of curvatures or a pivot counts as zero, as runs do.
@@ -142,7 +141,7 @@ def why(grasp: Grasp, state: State | Trajectory, *, t1: float = 1.0, **options: 
         raise ValueError("argument state must be known numbers for a report, but was being traced")
     run = state if isinstance(state, Trajectory) else None
     begin = _start(state) if isinstance(state, Trajectory) else state
-    check_state(grasp, begin)
+    check_states(grasp, begin)
     gap = float(worst(residuals(grasp, begin)))
     closed = begin if gap <= reach(begin.q.dtype) else _closed(grasp, begin)
     if isinstance(closed, str):

@@ -275,7 +275,7 @@ def test_vmap_and_jit_without_wrappers(field):
         (lambda: jxr.NeuralSupport(network(20.0), 0.01), "argument network must keep the radius"),
         (lambda: jxr.NeuralCurvature(network(1.0), 0.0), "argument length must be positive"),
         (lambda: PeriodicNetwork(activation="relu", key=jax.random.key(0)), "must be one of .*'relu'"),
-        (lambda: PeriodicNetwork(0, key=jax.random.key(0)), "argument harmonics must be at least 1"),
+        (lambda: PeriodicNetwork(0, key=jax.random.key(0)), "argument harmonics must be from 1 to 4096"),
         (lambda: jxr.NeuralSupport.through(ellipse(5), key=jax.random.key(0)), "more than 8 rows, but had 5"),
         (
             lambda: jxr.NeuralCurvature.through(ellipse(50)[::-1], key=jax.random.key(0)),

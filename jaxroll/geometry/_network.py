@@ -13,6 +13,8 @@ from jaxtyping import Array, Float
 from .._results import as_floats, is_array_like, shown, traced
 from .._types import Scalar
 
+# Most harmonics, units of a layer, and layers: far more than a contour can use.
+_MOST = 4096
 # Infinitely often differentiable, or the contour would not be.
 _ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
     "tanh": jnp.tanh,
@@ -46,7 +48,7 @@ class PeriodicNetwork(eqx.Module):
         amplitude: Factor on the last layer's first weights; 0 makes the network zero.
 
     Raises:
-        ValueError: If a count is below one, or the activation is not one of the three.
+        ValueError: If a count is below one or above 4096, or the activation is not one of the three.
 
     Example:
         >>> import jax, jaxroll as jxr
@@ -72,8 +74,8 @@ class PeriodicNetwork(eqx.Module):
         amplitude: float = 1.0,
     ) -> None:
         for name, count in (("harmonics", harmonics), ("width", width), ("depth", depth)):
-            if not isinstance(count, int | np.integer) or isinstance(count, bool) or count < 1:
-                raise ValueError(f"argument {name} must be at least 1, but was {shown(count)}")
+            if not isinstance(count, int | np.integer) or isinstance(count, bool) or not 1 <= count <= _MOST:
+                raise ValueError(f"argument {name} must be from 1 to {_MOST}, but was {shown(count)}")
         if not isinstance(activation, str) or activation not in _ACTIVATIONS:
             raise ValueError(
                 f"argument activation must be one of {[*_ACTIVATIONS]}, but was {shown(activation)}"

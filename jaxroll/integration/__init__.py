@@ -8,7 +8,7 @@ the chapter's quantities along it.
 """
 
 from ._bearing import Bearing as Bearing, bearing as bearing
-from ._close import check_state as check_state, close as close, reach as reach
+from ._close import close as close, reach as reach
 from ._closed_loop import generalised_force as generalised_force
 from ._formulation import CSM as CSM, Index1 as Index1
 from ._loci import check_run as check_run, Loci as Loci, loci as loci, Locus as Locus

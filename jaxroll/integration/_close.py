@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array
 
 from .._algebra import Pose2
-from .._results import check_finite, check_flag, concrete
+from .._results import check_flag, concrete
 from .._spatial import Pose3, seven
 from ..contact import locate as locate_contours, locate_surfaces
 from ..mechanics import check_states, compiled, Grasp, poses, split, State
@@ -61,7 +61,7 @@ def close(
         >>> bool(abs(jxr.residuals(moved, start).tangential[0]) < 1e-14)
         True
     """
-    check_state(grasp, guess, "guess")
+    check_states(grasp, guess, "guess")
     for name, flag in (("hold_contacts", hold_contacts), ("throw", throw), ("locate", locate)):
         check_flag(name, flag)
     if locate:
@@ -123,13 +123,6 @@ def _numbers(pose: Pose2) -> Array:
 def reach(dtype: Any) -> float:
     """Size of the worst row [m or rad] above which a state is not on the constraints."""
     return 1e-9 if np.dtype(dtype) == np.float64 else 1e-5
-
-
-def check_state(grasp: Grasp, state: State, name: str = "state") -> None:
-    """Raise unless a state has the shapes of its grasp and finite numbers."""
-    check_states(grasp, state, name)
-    for part, value in (("q", state.q), ("v", state.v), ("s", state.s)):
-        check_finite(f"{name}.{part}", value)
 
 
 def row_name(grasp: Grasp, row: int) -> str:

@@ -15,7 +15,7 @@ from .._backend import in_turn
 from .._results import check_flag, concrete, RESULTS
 from .._sharing import sharing
 from .._types import Given
-from ..mechanics import check_planar, Grasp, State
+from ..mechanics import check_planar, check_states, Grasp, State
 from ._arguments import (
     check_choices,
     check_control,
@@ -28,7 +28,7 @@ from ._arguments import (
     RTOL,
     step_limit,
 )
-from ._close import check_state, reach
+from ._close import reach
 from ._flow import bundle, Layout, layout, states_of, vector_of
 from ._formulation import as_formulation, CSM, Formulation
 from ._march import march
@@ -113,7 +113,7 @@ def simulate(
         >>> f"{run.states.q[-1, 0] - run.states.q[0, 0]:.3f} rad"  # the object turned by
         '0.772 rad'
     """
-    check_state(grasp, state)
+    check_states(grasp, state)
     check_flag("throw", throw)
     way = as_formulation(grasp, formulation)
     check_choices("options", tuple(options), OPTIONS)

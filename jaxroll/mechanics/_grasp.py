@@ -13,7 +13,7 @@ from .._algebra import unstack, Vec2
 from .._fields import check_module, door_of, real, taken, through
 from .._once import remembered
 from .._printing import shown_value
-from .._results import as_count, as_floats, as_several, check_instance, shown
+from .._results import as_count, as_floats, as_several, check_finite, check_instance, shown
 from .._spatial import Vec3
 from .._types import Given
 from ..contact import AbstractContact, Contact3
@@ -363,10 +363,13 @@ def check_spatial(grasp: Grasp) -> None:
 
 
 def check_states(grasp: Any, states: Any, name: str = "state", *, axes: int = 0) -> None:
-    """Raise unless a grasp is given, and a state, or states with leading axes, that could be its own."""
+    """Raise unless a grasp is given, and a finite state, or several along leading axes, that fit it."""
     check_grasp(grasp)
     check_instance(name, states, State, "a State")
     check_shapes(states, grasp.form, name, axes)
+    if not axes:  # of several, some may be times that a run did not reach
+        for part in "qvs":
+            check_finite(f"{name}.{part}", getattr(states, part))
 
 
 def compiled(function: Door) -> Door:

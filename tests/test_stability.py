@@ -237,8 +237,15 @@ def test_gradient_and_batch():
 
 def test_what_is_not_found_is_said(pinch):
     grasp, state = pinch
-    lost = jxr.State(state.q * jnp.nan, state.v, state.s)
-    assert assess(grasp, lost).verdict == VERDICTS.not_found
-    assert not bool(equilibrium(grasp, lost).found)
+    with pytest.raises(ValueError, match="argument state.q must be finite"):
+        assess(grasp, jxr.State(state.q * jnp.nan, state.v, state.s))
+
+    @jax.jit
+    def looked_for(q):
+        lost = jxr.State(q, state.v, state.s)
+        return assess(grasp, lost).verdict == VERDICTS.not_found, equilibrium(grasp, lost).found
+
+    said, found = looked_for(state.q * jnp.nan)
+    assert said and not found
     with pytest.raises(ValueError, match="argument grasp must be two fingers with one contact each"):
         pinch_statics(jxr.scenes.pivoted()[0], jnp.zeros(2))

@@ -1,4 +1,4 @@
-"""Two shapes touching: gap, tangency, Pfaffian rows from twists, their bias by autodiff, and rolling kinematics."""
+"""Two shapes touching: gap, tangency, Pfaffian rows and their bias, and rolling kinematics."""
 
 from ._clearance import clearance as clearance, TOLERANCE as TOLERANCE
 from ._closest import (

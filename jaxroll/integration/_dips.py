@@ -4,6 +4,9 @@ A step is judged at its end. A force that falls below zero and rises again befor
 unseen; but the stages of a method evaluate the equations, and with them the margin of the model (see
 `_regime`), inside the step anyway. About the lowest of these margins goes a parabola; where that
 falls below zero, `StopAt` takes the step back and ends a shorter one there.
+
+It costs some 6 % of a batch of the pivoted scene with Tsit5 (`python -m benchmarks.batch`, with `first_dip`
+returning infinity beside), nothing that can be measured with `Rosenbrock`.
 """
 
 from collections.abc import Sequence

@@ -26,6 +26,8 @@ _DENSE = 513
 _POLE = 1e-9
 # How often a step beside a pole is quartered.
 _QUARTERS = 12
+# Rounding of a length [m].
+_ROUNDED = 1e-16
 # Steps of the judge's own beyond an end.
 _AHEAD = 60
 _TABLED = ("support", "neural_support", "spline", "neural_curvature")
@@ -174,7 +176,9 @@ class Judge:
         unit += np.nanmax(np.sum(np.abs(seen.inertial), axis=-1) * tol, axis=1)
         judged = whole & sharp
         worst = np.where(judged, np.max(off, axis=1), np.nan)
-        return {"energy": worst / (scale + 1e-300), "energy_units": worst / (unit + 1e-300)}
+        # Where nothing can move, energies are those of forces over lengths at rounding.
+        none = _ROUNDED * self.size
+        return {"energy": worst / (scale + none), "energy_units": worst / (unit + none)}
 
     def _defect(self, seen: Instant, run: Run, tol: np.ndarray) -> dict[str, np.ndarray]:
         """Does the motion satisfy the judge's own equations, integrated over the run?"""

@@ -119,7 +119,8 @@ def _judged(call: Call, arguments: dict[str, Any], odd: list[str]) -> Outcome:
     except TimeoutError:
         return Outcome("slow", call.name, f"no answer within {_PATIENCE} s")
     except RuntimeError as error:
-        told = str(error) in _codes() or _frames(error)[-1:] == ["_checked"] and "\n" not in str(error)
+        by = [frame.name for frame in _frames(error)[-1:]]
+        told = str(error) in _codes() or by == ["_checked"] and "\n" not in str(error)
         return Outcome("code") if told else _raw(error)
     except Exception as error:  # whatever else it is, it is raw
         return _raw(error)
@@ -153,9 +154,9 @@ def _codes() -> list[str]:
     return [words for words in (jxr.RESULTS[item] for item in items) if words]
 
 
-def _frames(error: BaseException) -> list[str]:
-    """The functions of jaxroll on an error's way; a run that failed is told of by `_checked`."""
-    return [f.name for f in traceback.extract_tb(error.__traceback__) if "/jaxroll/" in f.filename]
+def _frames(error: BaseException) -> list[traceback.FrameSummary]:
+    """The places of jaxroll on an error's way; of a run that failed `_checked` is the last."""
+    return [f for f in traceback.extract_tb(error.__traceback__) if "/jaxroll/" in f.filename]
 
 
 def _true(run: jxr.Trajectory) -> bool:
@@ -165,7 +166,7 @@ def _true(run: jxr.Trajectory) -> bool:
 
 def _raw(error: BaseException) -> Outcome:
     """An error that should not have come through, with the last place of jaxroll on its way."""
-    frames = [f for f in traceback.extract_tb(error.__traceback__) if "/jaxroll/" in f.filename]
+    frames = _frames(error)
     where = (
         f"{frames[-1].filename.rpartition('/jaxroll/')[2]}:{frames[-1].lineno}" if frames else "at the door"
     )

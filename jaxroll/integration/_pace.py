@@ -19,7 +19,7 @@ from .._types import Scalar
 _FINEST = 1.0 / 1024.0
 # A start whose margin is smaller is left by a step shorter by this factor: where a limit is passed and met
 # again at once, another one, further away, may be the nearest at all stages of a long step.
-_CLOSE, _CAREFUL = 1e-6, 1e-3
+_BESIDE, _CAREFUL = 1e-6, 1e-3
 
 
 class Hunt(NamedTuple):
@@ -112,8 +112,8 @@ class StopAt(eqx.Module):
         aside = first | back | dips | hunting & keep
         settled = lambda new, old: jnp.where(aside, old, new)  # noqa: E731
         inner = jax.tree.map(settled, inner, pace.inner)
-        close = y1[self.margin] < _CLOSE
-        opening = jnp.where(close, _CAREFUL * self.dt0, self.dt0)
+        beside = y1[self.margin] < _BESIDE
+        opening = jnp.where(beside, _CAREFUL * self.dt0, self.dt0)
         length = jnp.where(first, opening, settled(end - start, pace.length))
         start = jnp.where(keep, t1, t0)
         hunt = _narrowed(pace.hunt, (t0, t1), (y0[self.margin], y1[self.margin]), (back, keep & hunting))

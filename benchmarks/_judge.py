@@ -168,7 +168,7 @@ class Judge:
             np.abs(seen.potential - seen.potential[:, :1]), axis=1
         )
         whole = np.isfinite(total).all(axis=1)
-        sharp = _tail(spectrum, seen.loss) * np.nanmax(lost, axis=1, initial=0.0) < 1e-9 * (scale + 1e-300)
+        sharp = _tail(spectrum, seen.loss) * np.nanmax(np.abs(lost), axis=1, initial=0.0) < 1e-9 * (scale + 1e-300)
         # What a tolerance of every velocity and position is worth.
         unit = np.nanmax(
             np.sum(np.abs(seen.momentum) * tol[..., None] * (1 + np.abs(run.saved.v)), axis=-1), axis=1
@@ -176,8 +176,9 @@ class Judge:
         unit += np.nanmax(np.sum(np.abs(seen.inertial), axis=-1) * tol, axis=1)
         judged = whole & sharp
         worst = np.where(judged, np.max(off, axis=1), np.nan)
-        # Where nothing can move, energies are those of forces over lengths at rounding.
-        none = _ROUNDED * self.size
+        # Where nothing can move, energies are those of forces over lengths at rounding: a gap at rounding
+        # leaves positions open by as much more as the rows are less firm.
+        none = _ROUNDED * self.size / np.nanmin(seen.firmness, axis=1)
         return {"energy": worst / (scale + none), "energy_units": worst / (unit + none)}
 
     def _defect(self, seen: Instant, run: Run, tol: np.ndarray) -> dict[str, np.ndarray]:
@@ -243,14 +244,15 @@ class Judge:
     def _beyond(self, last: Motion, end: Instant) -> dict[str, np.ndarray]:
         """How force, cone and room change through the end, by the judge's own equations of motion."""
         step = self._step(last, end)
-        bend, found = np.min(self._margins(end)["bend"][:, 0], axis=-1), {}
+        bend, found = self._margins(end)["bend"][:, 0], {}
         for _ in range(_QUARTERS):
             sides = [
                 self._margins(self.equations.at(self._carried(last, sign * step))) for sign in (-1.0, 1.0)
             ]
-            # Beside a pole all that is asked for is what changes before it.
-            change = sides[1]["bend"][:, 0] - sides[0]["bend"][:, 0]
-            far = ~(np.max(np.abs(change), axis=-1, initial=0.0) < 0.5 * np.abs(bend))
+            # Beside a pole all that is asked for is what changes before it. Each side is compared with the
+            # end: a step across the pole is thrown anywhere, back to the other side's value too.
+            change = np.max(np.abs([side["bend"][:, 0] - bend for side in sides]), axis=0)
+            far = ~np.all(change < 0.25 * np.abs(bend), axis=-1)
             if not far.any():
                 break
             step = np.where(far[:, None], 0.25 * step, step)

@@ -68,6 +68,8 @@ _POSITIVE = """
 _COUNTS = """
     cells samples candidates knots degree steps frames count harmonics finger contour surface
 """
+_VECTORS = ("two numbers", "three numbers", "seven numbers", "whole numbers", "numbers of float32")
+_VECTORS += ("its last twice", "its last left out")
 # By name of the parameter, unless a call says otherwise.
 PARAMETERS: dict[str, Argument] = {
     **{name: _is("positive", 0.01) for name in _POSITIVE.split()},
@@ -139,13 +141,15 @@ PARAMETERS: dict[str, Argument] = {
     "s": _is("number", 0.003),
     "sense": _is("count", 1),
     "shape": _made("contour", lambda: jxr.Circle(0.01)),
-    "signal": _made("array", lambda: np.linspace(0.0, 0.1, 4)[:, None]),
+    # NaN says that a signal is not known there.
+    "signal": _made("array", lambda: np.linspace(0.0, 0.1, 4)[:, None], "itself and NaN"),
     "skew": _is("number", 0.03),
     "smoothing": _is("not negative", 1e-3),
-    "smoothness": _is("positive", 4.0, "infinity"),
+    "smoothness": _is("not negative", 4.0, "infinity"),
     "solver": _is("part", None),
     "spin": _is("choice", "free"),
-    "start": _is("array", (1.5, 1.7)),
+    # As many as the finger has joints, which the controller alone does not know.
+    "start": _is("array", (1.5, 1.7), *_VECTORS),
     "state": _made("state", lambda: planar()[1]),
     # Of a time that a run did not reach the states are NaN, and so is what is worked out of them.
     "states": _made("state", lambda: planar()[1], "NaN in it", "NaN in all of it"),
@@ -183,6 +187,10 @@ _SPATIAL = {
     "trajectory": _made("run in space", spatial_run),
 }
 _PATH = {"path": _made("path", lambda: folder() / "new" / "shape.csv"), "contour": _BODY}
+# One number, or one for each of two fingers.
+_EACH = _is("not negative", 0.006, "two numbers", "numbers of float32", "whole numbers", "its last twice")
+# What is optional by itself: None is sensible where it is not the default, too.
+_NO_FLAT = _is("positive", 0.1, "None")
 # Where a parameter means something else than its name says elsewhere, or has another shape.
 EXCEPTIONS: dict[str, dict[str, Argument]] = {
     **_family("Ellipse NeuralSupport NeuralCurvature SupportFunction", cells=_is("count", 64)),
@@ -266,8 +274,9 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         "pose_b": _is("array", (0, 0.05, 0, 1.0, 0, 0, 0)),
         "samples": _is("count", 32),
     },
+    "Limits": {"flat": _NO_FLAT},
     "Press": {"radius": _is("positive", 0.01)},
-    "Opposition": {"damping": _is("not negative", 0.006), "alpha": _is("not negative", 1e-3)},
+    "Opposition": {"damping": _EACH, "alpha": _EACH},
     "ClosedLoop": {
         "make": _made("function", lambda: lifted),
         "objective": _is("function", {"overshoot": 1.0}),
@@ -325,7 +334,7 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         "origin": _is("array", (0.0, 0.0, 0.005), "three numbers"),
     },
     "animate": {
-        **{"path": _made("path", lambda: folder() / "new.gif"), "until": _is("positive", 0.01)},
+        **{"path": _made("path", lambda: folder() / "new.gif"), "until": _is("not negative", 0.01)},
         **{"forces": _is("flag", False), "size": _is("positive", 2.0)},
         "progress": _is("function", None),
     },
@@ -344,7 +353,7 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
     "phase": {"rest": _made("state", lambda: planar()[1])},
     "poses": {"times": _is("array", (0.0, 0.01)), "forces": _is("flag", False)},
     "responses": {"folder": _made("folder", lambda: folder() / "plots")},
-    "pinch": {"s": _is("array", (0.004, -0.003)), "damping": _is("not negative", 0.006)},
+    "pinch": {"s": _is("array", (0.004, -0.003)), "damping": _EACH},
     "ring": {"count": _is("count", 3)},
     "pivoted": {"s": _is("number", 0.003)},
     "roller": {"contour": _BODY, "force": _is("number", 5.0), "period": _is("positive", 3.0)},
@@ -370,6 +379,7 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         "tips": _made("surface", lambda: jxr.Sphere(0.01)),
         "object": _made("part", lambda: jxr.scenes.cuboid(), "object in space"),
         "gravity": _is("array", (0.0, 0.0, -9.81), "three numbers"),
+        "damping": _EACH,
     },
     "with_tip": {"finger": _is("count", 0, "whole zero"), "tip": _ROUND},
     "with_contacts": {"contacts": _made("contact", jxr.Contact)},
@@ -377,13 +387,13 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
     "on_surface": {"at": _is("array", (0.0, 0.0, 0.01), "three numbers", "square")},
     "near_surface": {
         "point": _is("array", (0.0, 0.01, 0.02), "three numbers", "square"),
-        "guess": _is("array", (0.0, 0.01, 0.02), "three numbers", "square"),
+        "guess": _is("array", (0.0, 0.01, 0.02), "three numbers", "square", "itself, one axis more"),
     },
     "margin": {"contour": _ROUND, "s": _is("any array", 0.001)},
     **_family(
         "pinch_statics rectangle_hessian",
         grasp=_made("grasp", lambda: pinch()[0]),
-        s=_is("array", (0.0, 0.0)),
+        s=_is("array", (0.0, 0.0), "empty rows"),
     ),
     "pinch_rest": {"grasp": _made("grasp", lambda: pinch()[0]), "state": _made("state", pinch_state)},
     "assess": {"tolerance": _is("not negative", 1e-7)},

@@ -250,7 +250,9 @@ KINDS = {
     "positive": Kind(_REAL - NEGATIVE - ZERO | WRITINGS, (SPOILT, WRITTEN)),
     "not negative": Kind(_REAL - NEGATIVE | WRITINGS, (SPOILT, WRITTEN)),
     "array": Kind(WRITINGS, (SPOILT, WRITTEN)),
-    "any array": Kind(_REAL | WRITINGS | frozenset(ARRAYS) | {"itself, one axis more"}, (SPOILT, WRITTEN)),
+    "any array": Kind(
+        _REAL | WRITINGS | frozenset(ARRAYS) | {"itself, one axis more", "its last twice"}, (SPOILT, WRITTEN)
+    ),
     "count": Kind(_COUNTED | {"itself"}, ({"itself": lambda x: x, "itself and a half": lambda x: x + 0.5},)),
     "flag": Kind(frozenset({"True", "False", "NumPy's True"})),
     "choice": Kind(frozenset({"itself"}), ({"itself": lambda x: x, "in capitals": lambda x: x.swapcase()},)),

@@ -168,7 +168,8 @@ class Judge:
             np.abs(seen.potential - seen.potential[:, :1]), axis=1
         )
         whole = np.isfinite(total).all(axis=1)
-        sharp = _tail(spectrum, seen.loss) * np.nanmax(np.abs(lost), axis=1, initial=0.0) < 1e-9 * (scale + 1e-300)
+        most = np.nanmax(np.abs(lost), axis=1, initial=0.0)
+        sharp = _tail(spectrum, seen.loss) * most < 1e-9 * (scale + 1e-300)
         # What a tolerance of every velocity and position is worth.
         unit = np.nanmax(
             np.sum(np.abs(seen.momentum) * tol[..., None] * (1 + np.abs(run.saved.v)), axis=-1), axis=1

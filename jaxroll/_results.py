@@ -148,13 +148,18 @@ def as_floats(name: str, value: Any, shape: tuple[int | None, ...]) -> jax.Array
     return check_finite(name, array)
 
 
-def as_count(name: str, value: Any, *, least: int = 1) -> int:
-    """Convert an argument to a Python integer of at least `least`; booleans and fractions are refused."""
+def as_count(name: str, value: Any, *, least: int = 1, most: int = 10**6) -> int:
+    """Convert an argument to a Python integer; booleans and fractions are refused.
+
+    What is counted is mostly made at once, as an array: `most` keeps it within a machine's memory.
+    """
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not whole or value < least:
         raise ValueError(
             f"argument {name} must be a whole number of at least {least}, but was {shown(value)}"
         )
+    if value > most:
+        raise ValueError(f"argument {name} must be at most {most}, but was {shown(value)}")
     return int(value)
 
 

@@ -81,7 +81,7 @@ def sweep(
     check_flag("progress", progress)
     rows, t1 = _rows_of(parameters), _time(t1)
     count = len(jax.tree.leaves(rows)[0])
-    extent = Extent(count, min(as_count("chunk", chunk), count))
+    extent = Extent(count, min(as_count("chunk", chunk, most=sys.maxsize), count))
     job = Job(make, keep, t1, {"ts": 1, **options, "throw": False})
     first = extent.chunk(rows, 0)
     if resume is None:

@@ -12,6 +12,8 @@ from ..geometry import AbstractContour, Frenet2
 
 # Samples compared before best and index go back to memory.
 _BLOCK = 16
+# Most samples on a contour or surface, whose pairs are compared.
+MOST_SAMPLES = 2**14
 
 
 @jax.tree_util.register_dataclass

@@ -10,10 +10,10 @@ import numpy as np
 from jaxtyping import Array
 
 from .._algebra import Pose2, sincos, unstack, Vec2
-from .._results import as_floats, check_instance, RESULTS, shown
+from .._results import as_count, as_floats, check_instance, RESULTS
 from .._types import Given, Scalar
 from ..geometry import AbstractContour, check_contour, Frenet2, tabled
-from ._candidates import feet, into, lowest, Minima, minima, nearest_blocked, spread, toward
+from ._candidates import feet, into, lowest, Minima, minima, MOST_SAMPLES, nearest_blocked, spread, toward
 from ._closest import LocalMinima, Location
 
 _STEPS = 10
@@ -107,9 +107,8 @@ def locate(
         '0.020 m'
     """
     a, b = (_with_ends(name, contour) for name, contour in (("a", a), ("b", b)))
-    for name, count, low in (("samples", samples, 8), ("candidates", candidates, 1)):
-        if not isinstance(count, int) or isinstance(count, bool) or count < low:
-            raise ValueError(f"argument {name} must be an integer of at least {low}, but was {shown(count)}")
+    samples = as_count("samples", samples, least=8, most=MOST_SAMPLES)
+    candidates = as_count("candidates", candidates, most=samples)
     poses = (as_floats("pose_a", pose_a, (3,)), as_floats("pose_b", pose_b, (3,)))
     return _locate(a, b, poses, samples, candidates)
 

@@ -8,11 +8,11 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from .._algebra import unstack
-from .._results import as_floats, check_instance, concrete, RESULTS, shown
+from .._results import as_count, as_floats, check_instance, concrete, RESULTS
 from .._spatial import normalised, pose as posed, Pose3, Vec3
 from .._types import Given, Scalar
 from ..geometry import AbstractSurface, check_surface, tabled
-from ._candidates import lowest
+from ._candidates import lowest, MOST_SAMPLES
 from ._closest import SurfaceLocation, SurfaceMinima
 from ._pair3 import constant, Form, linear, moved, Places, Plane2, polished, Scene3
 from ._samples3 import Cover, cover, distance, ended, feet, footed, Starts, starts
@@ -98,9 +98,8 @@ def locate_surfaces(
     """
     for name, surface in (("a", a), ("b", b)):
         check_surface(name, check_instance(name, surface, AbstractSurface, "a surface"))
-    for name, count, low in (("samples", samples, 16), ("candidates", candidates, 1)):
-        if not isinstance(count, int) or isinstance(count, bool) or count < low:
-            raise ValueError(f"argument {name} must be an integer of at least {low}, but was {shown(count)}")
+    samples = as_count("samples", samples, least=16, most=MOST_SAMPLES)
+    candidates = as_count("candidates", candidates, most=samples)
     poses = (_checked("pose_a", pose_a), _checked("pose_b", pose_b))
     return _locate(tabled(a), tabled(b), poses, samples, candidates)
 

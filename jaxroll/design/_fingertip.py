@@ -126,7 +126,8 @@ def _checked(options: dict[str, Any]) -> tuple[int, int]:
     check_choice("mode", options.get("mode", "auto"), ("auto", "forward", "reverse"))
     if (checkpoint := options.get("checkpoint")) is not None:
         check_checkpoint(checkpoint)
-    return as_count("starts", options.get("starts", 1)), as_count("seed", options.get("seed", 0), least=0)
+    starts = as_count("starts", options.get("starts", 1), most=10_000)
+    return starts, as_count("seed", options.get("seed", 0), least=0, most=2**63 - 1)
 
 
 class _Problem(eqx.Module):

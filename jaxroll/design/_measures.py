@@ -19,6 +19,7 @@ from .._results import (
     is_array_like,
     RESULTS,
     shown,
+    traced,
 )
 from .._types import Scalar
 from ..integration import Multipliers, Trajectory
@@ -36,7 +37,7 @@ def settling_time(run: Trajectory, *, band: float = 0.02, signal: Signal | None 
     Args:
         run: One run.
         band: Share of the way.
-        signal: Shape (t, k). Default: the contact coordinates.
+        signal: Shape (t, k), NaN where it is not known. Default: the contact coordinates.
 
     Example:
         >>> import jaxroll as jxr
@@ -68,7 +69,7 @@ def overshoot(run: Trajectory, *, signal: Signal | None = None) -> Scalar:
 
     Args:
         run: One run.
-        signal: Shape (t, k). Default: the contact coordinates.
+        signal: Shape (t, k), NaN where it is not known. Default: the contact coordinates.
 
     Example:
         >>> import jaxroll as jxr
@@ -95,7 +96,7 @@ def tracking_error(run: Trajectory, *, signal: Signal | None = None) -> Scalar:
 
     Args:
         run: One run.
-        signal: Shape (t, k). Default: the contact coordinates.
+        signal: Shape (t, k), NaN where it is not known. Default: the contact coordinates.
 
     Example:
         >>> import jaxroll as jxr
@@ -174,6 +175,11 @@ def _check_run(run: Any) -> None:
             raise ValueError(f"argument run must hold real numbers throughout, but one was {shown(value)}")
     if run.ts.ndim != 1:
         raise ValueError(f"argument run must be one run, but was a batch of shape {run.ts.shape[:-1]}")
+    if {len(value) if value.ndim else 0 for value in wanted} != {len(run.ts)} or not len(run.ts):
+        raise ValueError(
+            "argument run must hold a state and forces for each of its times, one or more, but was of shapes "
+            f"{shown([value.shape for value in wanted])}"
+        )
 
 
 def _reached(run: Trajectory, signal: Signal | None) -> tuple[Array, Array]:
@@ -184,6 +190,8 @@ def _reached(run: Trajectory, signal: Signal | None) -> tuple[Array, Array]:
         raise ValueError(
             f"argument signal must have shape ({run.states.q.shape[0]}, any), but had shape {y.shape}"
         )
+    if not traced(y) and jnp.any(jnp.isinf(y)):
+        raise ValueError(f"argument signal must hold numbers, NaN where there is none, but was {shown(y)}")
     y = y[:, None] if y.ndim == 1 else y
     seen = jnp.all(jnp.isfinite(y), axis=-1) & jnp.all(jnp.isfinite(run.states.q), axis=-1)
     return seen, jnp.where(seen[:, None], y, 0.0)

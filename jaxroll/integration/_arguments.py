@@ -19,6 +19,8 @@ RTOL = 1e-8
 _FLOAT32_FLOOR = 1e-5
 # Steps are counted in 32 bits where JAX is.
 _MOST_STEPS = 2**31 - 2
+# Save times that are made here.
+_MOST_TIMES = 10**7
 
 
 class Numbers(NamedTuple):
@@ -86,8 +88,7 @@ def save_times(t0: Any, t1: Any, ts: Any, dtype: np.dtype) -> tuple[Any, Any, An
         saved = as_number("ts", ts, dtype)
         check_times(saved, bounds)
         return start, end, saved
-    if ts < 1:
-        raise ValueError(f"argument ts must be at least 1 time, but was {ts}")
+    ts = as_count("ts", ts, most=_MOST_TIMES)
     share = np.linspace(0.0, 1.0, ts, dtype=dtype) if ts > 1 else np.ones(1, dtype)
     return start, end, start * (1 - share) + end * share
 
@@ -189,7 +190,4 @@ def check_solver(solver: Any) -> diffrax.AbstractSolver:
 
 def step_limit(value: Any) -> int:
     """How many steps to attempt at most."""
-    count = as_count("max_steps", value)
-    if count > _MOST_STEPS:
-        raise ValueError(f"argument max_steps must be at most {_MOST_STEPS}, but was {count}")
-    return count
+    return as_count("max_steps", value, most=_MOST_STEPS)

@@ -167,7 +167,6 @@ def residuals(grasp: Grasp, states: State) -> Residuals:
     return _over_time(lambda state: residuals_at(ready, state), states)
 
 
-@compiled
 def multipliers(
     grasp: Grasp, ts: Float[Array, "..."], states: State, formulation: Formulation | None = None
 ) -> Multipliers:
@@ -179,10 +178,17 @@ def multipliers(
         >>> bool(jxr.multipliers(grasp, 0.0, state).f[0] > 0)  # pressing
         True
     """
-    ready, way, ts = grasp.prepared(), as_formulation(grasp, formulation), as_times(ts, states)
+    return _multipliers(grasp, ts, states, as_formulation(grasp, formulation))
+
+
+@compiled
+def _multipliers(
+    grasp: Grasp, ts: Float[Array, "..."], states: State, formulation: Formulation
+) -> Multipliers:
+    ready, ts = grasp.prepared(), as_times(ts, states)
     if states.q.ndim == 1:
-        return multipliers_at(ready, ts, states, way)
-    each = jax.vmap(lambda t, state: multipliers_at(ready, t, state, way))
+        return multipliers_at(ready, ts, states, formulation)
+    each = jax.vmap(lambda t, state: multipliers_at(ready, t, state, formulation))
     return of_reached(lambda rows: each(ts, rows), states, jax.tree.map(lambda rows: rows[0], states))
 
 

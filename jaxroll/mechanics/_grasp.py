@@ -13,7 +13,7 @@ from .._algebra import unstack, Vec2
 from .._fields import check_module, door_of, real, taken, through
 from .._once import remembered
 from .._printing import shown_value
-from .._results import as_count, as_floats, as_several, check_finite, check_instance, shown
+from .._results import as_array, as_count, as_floats, as_several, check_finite, check_instance, shown
 from .._spatial import Vec3
 from .._types import Given
 from ..contact import AbstractContact, Contact3
@@ -372,10 +372,16 @@ def check_states(grasp: Any, states: Any, name: str = "state", *, axes: int = 0)
             check_finite(f"{name}.{part}", getattr(states, part))
 
 
+def _finite_times(name: str, value: Any) -> Any:
+    """Argument `ts` as an array of finite times; another argument as it is."""
+    return check_finite("ts", as_array("ts", value)) if name == "ts" else value
+
+
 def compiled(function: Door) -> Door:
     """`equinox.filter_jit` for functions of a grasp, whose tables are built before, once for all of them.
 
-    Before anything is traced it refuses what is no grasp, and states that are not of this grasp.
+    Before anything is traced it refuses what is no grasp, states that are not of this grasp, and times `ts`
+    that are not finite numbers.
     """
     jitted = eqx.filter_jit(function)
     names = tuple(inspect.signature(function).parameters)
@@ -388,6 +394,8 @@ def compiled(function: Door) -> Door:
             if at < len(args) or name in options:
                 given = options[name] if name in options else args[at]
                 check_states(grasp, given, name, axes=_STATES[name])
+        args = tuple(_finite_times(name, x) for name, x in zip(names[1:], args, strict=False))
+        options = {name: _finite_times(name, x) for name, x in options.items()}
         return jitted(grasp.tabled(), *args, **options)
 
     return cast(Door, door)

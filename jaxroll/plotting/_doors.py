@@ -22,8 +22,10 @@ _MOST = 5000
 
 
 def guarded(figure: Door) -> Door:
-    """Check a figure's arguments, by their names, before it is drawn: one that is None was not given."""
-    names = tuple(inspect.signature(figure).parameters)
+    """Check a figure's arguments, by their names, before it is drawn; None only where it is the default."""
+    parameters = inspect.signature(figure).parameters
+    names = tuple(parameters)
+    optional = {name for name, parameter in parameters.items() if parameter.default is None}
 
     @functools.wraps(figure)
     def door(*args: Any, **options: Any) -> Any:
@@ -33,10 +35,11 @@ def guarded(figure: Door) -> Door:
             check_run(grasp, given["trajectory"])
         if "state" in given:
             check_states(grasp, given["state"], axes=1)
-        if given.get("rest") is not None:
+        left_out = {name for name in optional if given.get(name) is None}
+        if "rest" in given and "rest" not in left_out:
             check_states(grasp, given["rest"], "rest")
         for name, check in _CHECKS.items():
-            if given.get(name) is not None:
+            if name in given and name not in left_out:
                 check(name, given[name])
         return figure(*args, **options)
 

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from .._sharing import once, sharing
 from .._types import Scalar
 
 # Steps shorter than this part of what error control asks for are not searched for dips of the margin.
@@ -20,6 +21,9 @@ _FINEST = 1.0 / 1024.0
 # A start whose margin is smaller is left by a step shorter by this factor: where a limit is passed and met
 # again at once, another one, further away, may be the nearest at all stages of a long step.
 _BESIDE, _CAREFUL = 1e-6, 1e-3
+# What becomes of a step: left for its error, taken back from beyond an event or before a dip; kept, or the
+# last one.
+_LEFT, _BACK, _DIPS, _KEPT, _ENDS = range(5)
 
 
 class Hunt(NamedTuple):
@@ -108,6 +112,11 @@ class StopAt(eqx.Module):
         # any more: there all is smooth, and what dips is rounding.
         dips = keep & ~past & ~first & (self.dip < 1.0) & (near > _FINEST * pace.length)
         keep = first | ends | keep & ~back & ~dips
+        # All that follows asks which it was: as numbers that is worked out once.
+        fates = jnp.where(back, _BACK, jnp.where(dips, _DIPS, jnp.where(keep, _KEPT, _LEFT)))
+        with sharing():
+            fate = once(jnp.where(ends, _ENDS, fates).astype(t1.dtype))
+        back, dips, ends, keep = fate == _BACK, fate == _DIPS, fate == _ENDS, fate >= _KEPT
         # The error control never sees the short steps of a hunt: it goes on at its pace afterwards.
         aside = first | back | dips | hunting & keep
         settled = lambda new, old: jnp.where(aside, old, new)  # noqa: E731
@@ -120,7 +129,8 @@ class StopAt(eqx.Module):
         hunt = hunt._replace(
             beyond=jnp.where(dips, jnp.inf, hunt.beyond), leap=jnp.where(dips, near, hunt.leap)
         )
-        hunt = hunt._replace(leap=jnp.where(hunt.leap < length, hunt.leap, jnp.inf))
+        with sharing():
+            hunt = once(hunt._replace(leap=jnp.where(hunt.leap < length, hunt.leap, jnp.inf)))
         hunt = hunt._replace(grain=jnp.where(hunt.on, hunt.grain, 1.0))
         count = pace.accepted + jnp.where(keep, 1, 0)
         pace = Pace(inner, length, start, pace.attempted + 1, count, hunt)
@@ -153,7 +163,8 @@ def _narrowed(hunt: Hunt, step: tuple[Scalar, Scalar], margins: tuple[Scalar, Sc
     weighed = jnp.where(hunt.side < 0, 0.5 * hunt.high, hunt.high)
     # Short steps end a little elsewhere than the long one did, by its error or by rounding: where the
     # bracket is used up, look for another one in growing steps, and then more coarsely.
-    left, least = hunt.beyond - spent, hunt.grain * resolution(step[1])
+    with sharing():
+        left, least = once((hunt.beyond - spent, hunt.grain * resolution(step[1])))
     used_up = left <= 2.0 * least
     grain = jnp.where(used_up, 64.0, 1.0) * hunt.grain
     leap = jnp.where(jnp.isfinite(left), jnp.where(used_up, 8.0 * least, jnp.inf), 8.0 * hunt.leap)

@@ -68,6 +68,9 @@ _POSITIVE = """
 _COUNTS = """
     cells samples candidates knots degree steps frames count harmonics finger contour surface
 """
+# Places that there are not: what is asked of them is not finite either.
+_NOWHERE = ("NaN", "NaN among numbers", "itself and NaN", "infinity", "minus infinity")
+_NOWHERE += ("infinity among numbers", "itself and infinity")
 _VECTORS = ("two numbers", "three numbers", "seven numbers", "whole numbers", "numbers of float32")
 _VECTORS += ("its last twice", "its last left out")
 # By name of the parameter, unless a call says otherwise.
@@ -142,7 +145,7 @@ PARAMETERS: dict[str, Argument] = {
     "sense": _is("count", 1),
     "shape": _made("contour", lambda: jxr.Circle(0.01)),
     # NaN says that a signal is not known there.
-    "signal": _made("array", lambda: np.linspace(0.0, 0.1, 4)[:, None], "itself and NaN"),
+    "signal": _made("array", lambda: np.linspace(0.0, 0.1, 4)[:, None], "itself and NaN", "its last twice"),
     "skew": _is("number", 0.03),
     "smoothing": _is("not negative", 1e-3),
     "smoothness": _is("not negative", 4.0, "infinity"),
@@ -191,6 +194,8 @@ _PATH = {"path": _made("path", lambda: folder() / "new" / "shape.csv"), "contour
 _EACH = _is("not negative", 0.006, "two numbers", "numbers of float32", "whole numbers", "its last twice")
 # What is optional by itself: None is sensible where it is not the default, too.
 _NO_FLAT = _is("positive", 0.1, "None")
+# Its first numbers are the ends of a line, which may have none.
+_PINCH = _made("grasp", lambda: pinch()[0], "None in it")
 # Where a parameter means something else than its name says elsewhere, or has another shape.
 EXCEPTIONS: dict[str, dict[str, Argument]] = {
     **_family("Ellipse NeuralSupport NeuralCurvature SupportFunction", cells=_is("count", 64)),
@@ -201,7 +206,12 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
     **_family("contours phase pose poses responses animate", trajectory=_RUN),
     **_family("friction_demand overshoot peak_force settling_time tracking_error", run=_RUN),
     **_family("fit_surface", points=_CLOUD, smoothing=_is("not negative", 0.02)),
-    "Finger": {"tip": _ROUND},
+    # With masses, of three links.
+    "Finger": {
+        "tip": _ROUND,
+        "lengths": _is("array", (0.065, 0.065), "its last twice"),
+        "masses": _is("array", (0.045, 0.04), "its last twice"),
+    },
     "Contact3": {"finger": _is("count", 0, "whole zero"), "surface": _is("count", 0, "whole zero")},
     "Contact": {"finger": _is("count", 0, "whole zero"), "contour": _is("count", 0, "whole zero")},
     "Finger3": {
@@ -236,7 +246,7 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
     "multipliers": {"ts": _is("number", 0.0), "formulation": _made("part", jxr.CSM, "method")},
     "pinch_balance": {
         "ts": _is("number", 0.0),
-        "grasp": _made("grasp", lambda: pinch()[0]),
+        "grasp": _PINCH,
         "states": _made("state", pinch_state, "NaN in it", "NaN in all of it"),
     },
     "press_balance": {"ts": _is("number", 0.0)},
@@ -383,8 +393,8 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
     },
     "with_tip": {"finger": _is("count", 0, "whole zero"), "tip": _ROUND},
     "with_contacts": {"contacts": _made("contact", jxr.Contact)},
-    "on_contour": {"s": _is("any array", 0.001, "NaN", "NaN among numbers", "itself and NaN")},
-    "on_surface": {"at": _is("array", (0.0, 0.0, 0.01), "three numbers", "square")},
+    "on_contour": {"s": _is("any array", 0.001, *_NOWHERE)},
+    "on_surface": {"at": _is("array", (0.0, 0.0, 0.01), "three numbers", "square", "itself, one axis more")},
     "near_surface": {
         "point": _is("array", (0.0, 0.01, 0.02), "three numbers", "square"),
         "guess": _is("array", (0.0, 0.01, 0.02), "three numbers", "square", "itself, one axis more"),
@@ -392,10 +402,10 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
     "margin": {"contour": _ROUND, "s": _is("any array", 0.001)},
     **_family(
         "pinch_statics rectangle_hessian",
-        grasp=_made("grasp", lambda: pinch()[0]),
+        grasp=_PINCH,
         s=_is("array", (0.0, 0.0), "empty rows"),
     ),
-    "pinch_rest": {"grasp": _made("grasp", lambda: pinch()[0]), "state": _made("state", pinch_state)},
+    "pinch_rest": {"grasp": _PINCH, "state": _made("state", pinch_state)},
     "assess": {"tolerance": _is("not negative", 1e-7)},
 }
 

@@ -232,6 +232,7 @@ WRITINGS = frozenset({*WRITTEN, "itself as bits"})
 # Too large for a float.
 _OVERFLOW = frozenset({"10^400"})
 _REAL = frozenset(SIZES) - _OVERFLOW
+_SHAPED = frozenset({"itself, one axis more", "its last twice", "its last left out"})
 
 
 @dataclasses.dataclass(frozen=True)
@@ -251,7 +252,11 @@ KINDS = {
     "not negative": Kind(_REAL - NEGATIVE | WRITINGS, (SPOILT, WRITTEN)),
     "array": Kind(WRITINGS, (SPOILT, WRITTEN)),
     "any array": Kind(
-        _REAL | WRITINGS | frozenset(ARRAYS) | {"itself, one axis more", "its last twice"}, (SPOILT, WRITTEN)
+        _REAL
+        | WRITINGS
+        | frozenset(ARRAYS)
+        | {"itself, one axis more", "its last twice", "its last left out"},
+        (SPOILT, WRITTEN),
     ),
     "count": Kind(_COUNTED | {"itself"}, ({"itself": lambda x: x, "itself and a half": lambda x: x + 0.5},)),
     "flag": Kind(frozenset({"True", "False", "NumPy's True"})),

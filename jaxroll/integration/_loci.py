@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 from .._backend import one_kernel
 from .._printing import listed
-from .._results import check_instance
+from .._results import check_instance, is_array_like, shown
 from .._sharing import sharing
 from .._spatial import Vec3
 from .._types import Scalar, Times
@@ -109,6 +109,8 @@ def loci(grasp: Grasp, trajectory: Trajectory) -> Loci:
 def check_run(grasp: Grasp, trajectory: Trajectory) -> None:
     """Raise unless a trajectory is one run, and one that could be of this grasp."""
     check_instance("trajectory", trajectory, Trajectory, "a Trajectory")
+    if not is_array_like(trajectory.ts) or trajectory.ts.dtype.kind != "f":
+        raise ValueError(f"argument trajectory must hold real numbers as ts, but had {shown(trajectory.ts)}")
     shape = jnp.shape(trajectory.states.q)
     if jnp.ndim(trajectory.ts) != 1 or len(shape) != 2:
         raise ValueError(

@@ -260,6 +260,7 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         "spin": _is("function", None),
     },
     "simulate": {
+        "ts": _is("count", 4, "two numbers", "numbers of float32"),
         "t1": _is("positive", 0.02),
         "formulation": _made("part", jxr.Index1),
         "record": _is("part", ()),

@@ -68,7 +68,7 @@ class RollingStep(eqx.Module):
         y1 = over(self._finish)(bundle, times[1], raw, rates, end)
         if "penetration" in self.events:
             dip = jnp.minimum(dip, over(self._clearance_dip)(bundle, *times, y0, y1))
-        # XLA would work both out again in everything that looks at them (`benchmarks.batch`: 15 % more).
+        # XLA would work both out again in everything that looks at them (see `_dips`).
         with sharing():
             dip, leapt = once((dip, self._leapt(y0, raw, y1).astype(error.dtype)))
         error = jnp.where(leapt > 0, jnp.inf, error)

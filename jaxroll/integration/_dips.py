@@ -5,9 +5,9 @@ unseen; but the stages of a method evaluate the equations, and with them the mar
 `_regime`), inside the step anyway. About the lowest of these margins goes a parabola; where that
 falls below zero, `StopAt` takes the step back and ends a shorter one there.
 
-What it costs cannot be measured (below 1 % of a batch of the pivoted scene with Tsit5, `python -m
-benchmarks.batch`, with `first_dip` returning infinity beside) as long as it is worked out once a step: left to
-itself XLA works it out again in every number of the pace, and a batch takes 15 % longer.
+What it costs cannot be measured (below 1 % of a batch of the pivoted scene with Tsit5, by `python -m
+benchmarks.batch` with `first_dip` returning infinity beside), as long as it is worked out once a step: left
+to itself XLA works it out again in every number of the pace, and a batch takes 15 % longer.
 """
 
 from collections.abc import Sequence

@@ -28,7 +28,8 @@ ROOT = Path(__file__).parents[1]
 _COPIED = ("jaxroll", "tests", "benchmarks", "notebooks", "pyproject.toml", "README.md", "CHANGELOG.md")
 # Tests of layers and timings, and of what a machine has, which say nothing of formulas.
 _SKIPPED = {"test_architecture.py", "test_examples.py", "test_backend.py", "test_properties.py"}
-_LONGEST = 900  # seconds for one test file of a mutant, which may loop for ever
+# A mutant may loop for ever: it is noticed where a test file takes this many seconds, and times as long.
+_LONGEST = (60.0, 5.0)
 # Changes that no test can notice, by hand: (file, function, before, after) and why.
 EQUIVALENT: dict[tuple[str, str, str, str], str] = {}
 
@@ -67,7 +68,12 @@ def _environment(tree: Path) -> dict[str, str]:
 
 
 def _pytest(
-    tree: Path, test: str, *, prefix: tuple[str, ...] = (), options: tuple[str, ...] = ("-x",)
+    tree: Path,
+    test: str,
+    *,
+    longest: float | None = None,
+    prefix: tuple[str, ...] = (),
+    options: tuple[str, ...] = ("-x",),
 ) -> int:
     """Exit code of one test file in a copy of the checkout; 1 where it took too long."""
     call = [sys.executable, *prefix, "-m", "pytest", "-n", "0", "-q", *options, "-p", "no:cacheprovider"]
@@ -78,7 +84,7 @@ def _pytest(
             env=_environment(tree),
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
-            timeout=_LONGEST,
+            timeout=longest,
             check=False,
         )
     except subprocess.TimeoutExpired:
@@ -152,8 +158,9 @@ def _lines(tree: Path, raw: Path) -> list[str]:
     return sorted(set(ran))
 
 
-def tried(tree: Path, mutation: Mutation, tests: list[str], budget: float) -> dict[str, object]:
+def tried(tree: Path, mutation: Mutation, reach: Coverage, budget: float) -> dict[str, object]:
     """Apply a mutation in a copy of the checkout, run tests until one fails, and take it back."""
+    tests = reach.ordered(mutation)
     path, start, ran = tree / mutation.file, time.perf_counter(), []
     source = path.read_text()
     path.write_text(mutation.applied(source))
@@ -163,7 +170,7 @@ def tried(tree: Path, mutation: Mutation, tests: list[str], budget: float) -> di
             if time.perf_counter() - start > budget:
                 break
             ran.append(test)
-            if _pytest(tree, test) != 0:
+            if _pytest(tree, test, longest=_LONGEST[0] + _LONGEST[1] * reach.seconds[test]) != 0:
                 by = test
                 break
     finally:
@@ -182,7 +189,7 @@ def run(chosen: list[Mutation], data: Path, jobs: int, budget: float) -> dict[st
     def one(mutation: Mutation) -> tuple[str, dict[str, object]]:
         tree = trees.get()
         try:
-            return mutation.name, tried(tree, mutation, reach.ordered(mutation), budget)
+            return mutation.name, tried(tree, mutation, reach, budget)
         finally:
             trees.put(tree)
 

@@ -41,7 +41,7 @@ def read_silhouette(
     """
     try:
         grey = np.asarray(image)
-    except ValueError:
+    except (TypeError, ValueError):
         raise ValueError(f"argument image must be grey values of one shape, but was {shown(image)}") from None
     if grey.ndim != 2 or min(grey.shape) < 2 or grey.dtype.kind not in "buif":
         raise ValueError(

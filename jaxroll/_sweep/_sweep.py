@@ -205,7 +205,8 @@ def _row_array(leaf: Any) -> np.ndarray:
         array = np.asarray(leaf)
     except (TypeError, ValueError, OverflowError):
         raise ValueError(wanted) from None
-    if not (jnp.issubdtype(array.dtype, np.number) or array.dtype == bool):
+    masked = isinstance(leaf, np.ma.MaskedArray)
+    if masked or not (jnp.issubdtype(array.dtype, np.number) or array.dtype == bool):
         raise ValueError(wanted)
     return array
 

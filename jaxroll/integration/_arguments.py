@@ -54,7 +54,8 @@ def _plain(value: Any) -> bool:
 def as_number(name: str, value: Any, dtype: np.dtype) -> Any:
     """Numbers as an array, on the host where that is possible: a jnp operation costs 20 us."""
     listed = type(value) in (list, tuple) and all(map(_plain, value))
-    known = isinstance(value, np.ndarray | np.generic) and value.dtype.kind in "fiu"
+    # Masked arrays and the like are for the door to refuse.
+    known = type(value) is np.ndarray and value.dtype.kind in "fiu"
     if _plain(value) or listed or known:
         return np.asarray(value, dtype)
     array = as_array(name, value)

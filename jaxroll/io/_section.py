@@ -70,7 +70,7 @@ def _unit(normal: Any) -> np.ndarray:
 def _faces(faces: Any, count: int) -> np.ndarray:
     try:
         faces = np.asarray(faces)
-    except ValueError:
+    except (TypeError, ValueError):
         raise ValueError(f"argument faces must be of shape (any, 3), but was {shown(faces)}") from None
     whole = np.issubdtype(faces.dtype, np.integer)
     if (

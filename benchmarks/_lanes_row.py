@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxroll as jxr
-from jaxroll.integration import _ensemble
+from jaxroll._integration import _batch
 
 jax.config.update("jax_enable_x64", True)
 
@@ -102,14 +102,14 @@ def waste(case: Case, lanes: int, name: str) -> dict[str, Any]:
     the loop itself. The number is spread evenly in its logarithm, in random order.
     """
     factors = 10.0 ** np.random.default_rng(0).uniform(-0.5, 0.5, lanes)
-    turns, step = [], _ensemble.Ensemble._turn
+    turns, step = [], _batch.Ensemble._turn
 
     def counted(self: Any, carry: tuple) -> tuple:
         jax.debug.callback(lambda: turns.append(self.slots))
         return step(self, carry)
 
     make, settings = scaled(case, name), {"rtol": case.rtol, "solver": case.solver}
-    with mock.patch.object(_ensemble.Ensemble, "_turn", counted):
+    with mock.patch.object(_batch.Ensemble, "_turn", counted):
         _, codes, steps = jxr.sweep(make, factors, case.seconds, keep=kept, chunk=lanes, **settings)
         jax.effects_barrier()
     need = float(steps.sum())

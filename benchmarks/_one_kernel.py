@@ -21,13 +21,13 @@ from jax.experimental import pallas as pl
 from jax.experimental.pallas import triton as plgpu
 from jaxtyping import Array, Float, Int
 
-from jaxroll._algebra import total
+from jaxroll._integration._events import decode, regime
+from jaxroll._integration._step import _SWEEPS, _tables
+from jaxroll._linalg._plane import total
+from jaxroll._mechanics import Form, Grasp, Leaves, State
+from jaxroll._motion._equations import anchor_of, compatible, evaluate, settle
+from jaxroll._motion._formulation import Index1
 from jaxroll._results import RESULTS
-from jaxroll.integration._closed_loop import anchor_of, compatible, evaluate, settle
-from jaxroll.integration._formulation import Index1
-from jaxroll.integration._regime import decode, regime
-from jaxroll.integration._stepper import _SWEEPS, _tables
-from jaxroll.mechanics import Form, Grasp, Leaves, State
 
 # One lane per thread: a lane's state fills a thread's registers.
 BLOCK = 128

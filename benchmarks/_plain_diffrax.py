@@ -24,7 +24,7 @@ from benchmarks._pivoted_numba import (
     X_OBJECT,
     X_TIP,
 )
-from jaxroll._backend import WIDE
+from jaxroll._xla._one_kernel import WIDE
 
 
 def _tangent(s, a):

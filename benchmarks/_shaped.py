@@ -9,7 +9,7 @@ import numpy as np
 
 import jaxroll as jxr
 from jaxroll.geometry import AbstractContour
-from jaxroll.geometry._support import fit_series
+from jaxroll.geometry.contours._support import fit_series
 
 SECONDS = {"pivoted": 3.0, "pinch": 2.0}
 _WEIGHTS = {3: (1.0, -0.7, 0.4), 8: (20.0, -10.0, 1.0, 1.0, -0.7, 0.4, 0.8, -0.5)}

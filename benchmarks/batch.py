@@ -21,7 +21,7 @@ import jaxroll as jxr
 from benchmarks import _pinch_numba, _pivoted_numba, _plain_diffrax
 from benchmarks._common import command, device, table, versions
 from benchmarks._loops_numba import adaptive, many, rk4
-from jaxroll._backend import WIDE
+from jaxroll._xla._one_kernel import WIDE
 
 jax.config.update("jax_enable_x64", True)
 

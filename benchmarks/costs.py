@@ -19,9 +19,9 @@ from jax.interpreters.partial_eval import dce_jaxpr
 
 import jaxroll as jxr
 from benchmarks._common import command, device, interleaved, table, versions
-from jaxroll._backend import WIDE
-from jaxroll.integration._flow import bundle, layout, vector_of
-from jaxroll.integration._stepper import RollingStep
+from jaxroll._integration._state_vector import bundle, layout, vector_of
+from jaxroll._integration._step import RollingStep
+from jaxroll._xla._one_kernel import WIDE
 
 jax.config.update("jax_enable_x64", True)
 

@@ -20,7 +20,7 @@ import numpy as np
 import jaxroll as jxr
 from benchmarks._common import command, device, table, versions
 from benchmarks._one_kernel import integrate
-from jaxroll.integration import _ensemble
+from jaxroll._integration import _batch
 
 jax.config.update("jax_enable_x64", True)
 
@@ -240,7 +240,7 @@ def _kernels(bodies: dict[str, list[str]], name: str) -> int:
 def bounds(run: Measured, kind: str) -> list[str]:
     """What one batch would take at least by each of its limits [ms], and what it took."""
     most, total = run.attempted
-    turns = max(most, -(-total // min(run.lanes, _ensemble._DEVICE_SLOTS)))
+    turns = max(most, -(-total // min(run.lanes, _batch._DEVICE_SLOTS)))
     kernels = launches(run.text)
     peak = next((p for name, p in PEAKS.items() if all(part in kind for part in name.split())), None)
     flops, moved = run.cost.get("flops"), run.cost.get("bytes accessed")
@@ -260,13 +260,13 @@ BOUNDS = ["scene", "precision", "lanes", "turns", "kernels per turn", "arithmeti
 
 def tuned(case: Case, rtol: float, exact: np.ndarray, lanes: int) -> str:
     """The ordinary batch at other numbers of slots."""
-    rows, usual = [], _ensemble._DEVICE_SLOTS
+    rows, usual = [], _batch._DEVICE_SLOTS
     for slots in (2**14, 2**16, 2**18, 2**20):
-        _ensemble._DEVICE_SLOTS = slots
+        _batch._DEVICE_SLOTS = slots
         jax.clear_caches()
         run = measured(case, "batch", rtol, lanes, exact)
         rows.append([f"{slots}", f"{lanes / run.seconds:.3g}"])
-    _ensemble._DEVICE_SLOTS = usual
+    _batch._DEVICE_SLOTS = usual
     jax.clear_caches()
     title = f"Runs stepped together, {case.scene}, {case.precision}, {lanes} lanes (the package has {usual}):"
     return f"{title}\n\n{table(['slots', 'runs/s'], rows)}"

@@ -1,8 +1,9 @@
 """Is a change of the code one of words alone? Fingerprints of the programs that JAX hands to XLA.
 
-`python -m benchmarks.lowered --keep before.json` keeps the fingerprints of all scenes' programs: runs, a batch,
-a gradient, starts and what is observed. After a move or a renaming `python -m benchmarks.lowered --compare
-before.json` says which of them differ; symbols are numbered in order, so that names of functions do not count.
+`python -m benchmarks.lowered --keep before.json` keeps the fingerprints of all scenes' programs: runs, a
+batch, a gradient, starts and what is observed. After a move or a renaming `python -m benchmarks.lowered
+--compare before.json` says which of them differ; symbols are numbered in order, so that names of functions
+do not count.
 """
 
 import argparse

@@ -9,6 +9,23 @@ from typing import Any, TYPE_CHECKING
 
 if TYPE_CHECKING:
     from . import contact, control, design, geometry, io, plotting, scenes, stability
+    from ._analysis import loci, pinch_balance, press_balance, roll
+    from ._closing import close
+    from ._integration import Rosenbrock, simulate, Trajectory
+    from ._mechanics import (
+        equation_terms,
+        Finger,
+        Finger3,
+        FreeObject,
+        FreeObject3,
+        Grasp,
+        Jaw,
+        PivotedObject,
+        Stage,
+        State,
+        Turning,
+    )
+    from ._motion import CSM, energies, Index1, multipliers, residuals
     from ._results import RESULTS
     from ._sweep import sweep
     from ._why import why
@@ -29,34 +46,6 @@ if TYPE_CHECKING:
         Spline,
         SupportFunction,
         Torus,
-    )
-    from .integration import (
-        close,
-        CSM,
-        energies,
-        Index1,
-        loci,
-        multipliers,
-        pinch_balance,
-        press_balance,
-        residuals,
-        roll,
-        Rosenbrock,
-        simulate,
-        Trajectory,
-    )
-    from .mechanics import (
-        equation_terms,
-        Finger,
-        Finger3,
-        FreeObject,
-        FreeObject3,
-        Grasp,
-        Jaw,
-        PivotedObject,
-        Stage,
-        State,
-        Turning,
     )
 
 __version__ = "0.1.0"
@@ -92,30 +81,30 @@ _HOMES: dict[str, str | None] = {
     "Sphere": "geometry",
     "Torus": "geometry",
     "fit_contour": "geometry",
-    "CSM": "integration",
-    "Index1": "integration",
-    "Rosenbrock": "integration",
-    "Trajectory": "integration",
-    "close": "integration",
-    "energies": "integration",
-    "loci": "integration",
-    "multipliers": "integration",
-    "pinch_balance": "integration",
-    "press_balance": "integration",
-    "residuals": "integration",
-    "roll": "integration",
-    "simulate": "integration",
-    "Finger": "mechanics",
-    "Finger3": "mechanics",
-    "FreeObject": "mechanics",
-    "FreeObject3": "mechanics",
-    "Grasp": "mechanics",
-    "Jaw": "mechanics",
-    "PivotedObject": "mechanics",
-    "Stage": "mechanics",
-    "State": "mechanics",
-    "Turning": "mechanics",
-    "equation_terms": "mechanics",
+    "CSM": "_motion",
+    "Index1": "_motion",
+    "Rosenbrock": "_integration",
+    "Trajectory": "_integration",
+    "close": "_closing",
+    "energies": "_motion",
+    "loci": "_analysis",
+    "multipliers": "_motion",
+    "pinch_balance": "_analysis",
+    "press_balance": "_analysis",
+    "residuals": "_motion",
+    "roll": "_analysis",
+    "simulate": "_integration",
+    "Finger": "_mechanics",
+    "Finger3": "_mechanics",
+    "FreeObject": "_mechanics",
+    "FreeObject3": "_mechanics",
+    "Grasp": "_mechanics",
+    "Jaw": "_mechanics",
+    "PivotedObject": "_mechanics",
+    "Stage": "_mechanics",
+    "State": "_mechanics",
+    "Turning": "_mechanics",
+    "equation_terms": "_mechanics",
 }
 __all__ = [  # noqa: PLE0604
     "CSM",

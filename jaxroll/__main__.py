@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ._facts import pinch3d_facts, pinch3d_scene, pinch_facts, pinch_scene, pivoted_facts, pivoted_scene
+from ._cli import pinch3d_facts, pinch3d_scene, pinch_facts, pinch_scene, pivoted_facts, pivoted_scene
 
 # jax and matplotlib are imported where they are needed, so that help and complaints come at once.
 
@@ -238,8 +238,9 @@ def _run(options: argparse.Namespace, demo: Demo, folder: Path) -> None:
         _configure()
         import jax
 
-        from . import __version__, plotting, RESULTS, scenes, simulate
-        from .integration import complaint
+        from . import __version__, plotting, scenes
+        from ._integration import complaint, simulate
+        from ._results import RESULTS
     seconds = options.seconds or demo.seconds
     with _timed("Closing the contacts"):
         grasp, state = getattr(scenes, options.scene)()
@@ -277,7 +278,7 @@ def _design(options: argparse.Namespace, folder: Path) -> None:
     with _timed("Loading"):
         _configure()
         from . import __version__
-        from ._workshop import fingertip, Order, order
+        from ._cli import fingertip, Order, order
     try:
         tip = fingertip(options.tip, options.unit)
     except (ValueError, OSError, ImportError) as error:

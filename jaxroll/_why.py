@@ -7,23 +7,13 @@ from typing import Any
 import jax
 import numpy as np
 
+from ._analysis import Bearing, bearing
+from ._closing import close, reach
+from ._integration import amount, cause, contact_name, REMEDIES, simulate, Trajectory
+from ._mechanics import check_grasp, check_states, Grasp, State
+from ._motion import residuals, worst
 from ._printing import code_name, entry
 from ._results import check_instance, traced
-from .integration import (
-    amount,
-    Bearing,
-    bearing,
-    cause,
-    close,
-    contact_name,
-    reach,
-    REMEDIES,
-    residuals,
-    simulate,
-    Trajectory,
-    worst,
-)
-from .mechanics import check_grasp, check_states, Grasp, State
 from .stability import assess, Stability, VERDICTS
 
 # Relative size below which a sum of curvatures or a pivot counts as zero, as runs do.

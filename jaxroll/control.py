@@ -14,21 +14,21 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ._algebra import stacked, total, unstack
 from ._fields import each, real, taken
-from ._printing import listed
-from ._results import as_array, check_positive, shown
-from ._types import Given, Scalar, Scalars
-from .mechanics import (
+from ._linalg import stacked, total, unstack
+from ._mechanics import (
     AbstractController as AbstractController,
     as_drive,
     Blocks,
     check_states,
     Grasp,
-    Motion,
     split,
     State,
 )
+from ._printing import listed
+from ._results import as_array, check_positive, shown
+from ._types import Given, Scalar, Scalars
+from .contact import Motion
 
 Torques = tuple[Scalars, ...]
 

@@ -7,9 +7,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 import jaxroll as jxr
-from jaxroll._algebra import sincos, Vec2
+from jaxroll._linalg._plane import sincos, Vec2
 from jaxroll.geometry import AbstractContour, Frenet2
-from jaxroll.geometry._arclength import ArclengthTable, invert, tabulate
+from jaxroll.geometry.contours._arclength import ArclengthTable, invert, tabulate
 
 
 def _radius(shape, u):

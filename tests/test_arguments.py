@@ -16,10 +16,10 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll import control, design, stability
+from jaxroll._mechanics import AbstractController
 from jaxroll.control import Sensed, UserController
 from jaxroll.design._limits import sampled
 from jaxroll.design._minimise import _restored
-from jaxroll.mechanics import AbstractController
 
 TIP, BALL = jxr.Circle(0.01), jxr.Sphere(0.01)
 FINGER = jxr.Finger([0.06, 0.06], [0.04, 0.04], TIP)
@@ -240,7 +240,7 @@ MADE = {
     *("Location", "LocalMinima", "SurfaceLocation", "SurfaceMinima"),
     *("Equilibrium", "PinchStatics", "Stability", "VERDICTS", "Design"),
 }
-HOMES = ("jaxroll.mechanics", "jaxroll.control", "jaxroll.contact", "jaxroll.stability", "jaxroll.design")
+HOMES = ("jaxroll._mechanics", "jaxroll.control", "jaxroll.contact", "jaxroll.stability", "jaxroll.design")
 
 
 def public(kind):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import jaxroll as jxr
-from jaxroll import _backend
-from jaxroll._backend import one_kernel
+from jaxroll._xla import _one_kernel
+from jaxroll._xla._one_kernel import one_kernel
 
 MARK = "xla_cpu_small_call"
 
@@ -31,7 +31,7 @@ def test_a_run_is_one_kernel_and_so_is_a_batch(scene):
 def test_the_kernel_changes_no_result(scene, monkeypatch):
     grasp, state = scene
     marked = jxr.simulate(grasp, state, 0.2, ts=2, rtol=1e-11).states.q
-    monkeypatch.setattr(_backend, "_fits", lambda jaxpr: False)
+    monkeypatch.setattr(_one_kernel, "_fits", lambda jaxpr: False)
     jax.clear_caches()
     plain = jxr.simulate(grasp, state, 0.2, ts=2, rtol=1e-11).states.q
     np.testing.assert_allclose(marked, plain, rtol=0, atol=1e-11)

@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 from scipy.special import ellipe
 
 import jaxroll as jxr
-from jaxroll._algebra import Vec2
+from jaxroll._linalg._plane import Vec2
 from jaxroll.design import Limits, optimise_fingertip
 from jaxroll.design._limits import sampled
 from jaxroll.design._minimise import minimise

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jaxroll as jxr
-from jaxroll._algebra import Vec2
+from jaxroll._linalg._plane import Vec2
 from jaxroll.geometry import frenet
 
 CIRCLE = jxr.Circle(0.01)

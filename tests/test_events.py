@@ -10,9 +10,9 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
 import jaxroll as jxr
-from jaxroll._algebra import Vec2
+from jaxroll._integration._dips import first_dip
+from jaxroll._linalg._plane import Vec2
 from jaxroll.geometry import frenet
-from jaxroll.integration._dips import first_dip
 
 RTOL = 1e-10
 SHIFT = 3.363e-3  # arclength of the object's contour at its vertex (80)-(81)

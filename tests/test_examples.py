@@ -33,13 +33,13 @@ MODULES = [
 # Examples whose scenes take long to compile; other tests run what is in them.
 LONG = [
     "jaxroll.design._measures",
-    "jaxroll.integration._loci",
-    "jaxroll.integration._rosenbrock",
+    "jaxroll._analysis._loci",
+    "jaxroll._integration._rosenbrock",
     "jaxroll.design._fingertip",
-    "jaxroll.plotting._design",
-    "jaxroll.plotting._loci",
-    "jaxroll.scenes._plane",
-    "jaxroll.scenes._space",
+    "jaxroll.plotting._design_figure",
+    "jaxroll.plotting._loci_figure",
+    "jaxroll.scenes._plane_scenes",
+    "jaxroll.scenes._space_scenes",
     "jaxroll.stability._statics",
 ]
 

@@ -7,7 +7,7 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll.geometry import tabled
-from jaxroll.geometry._fit import measured
+from jaxroll.geometry.fitting._contour_fit import measured
 
 N = 96
 U = 2 * np.pi * np.arange(N) / N

@@ -82,9 +82,9 @@ def test_features_that_are_off_cost_nothing():
     """Operation count of the lowered right-hand side: no gravity is no larger than some."""
     import jax
 
-    from jaxroll.integration import Index1
-    from jaxroll.integration._closed_loop import evaluate
-    from jaxroll.mechanics import to_leaves
+    from jaxroll._mechanics import to_leaves
+    from jaxroll._motion import Index1
+    from jaxroll._motion._equations import evaluate
 
     def lines(gravity):
         grasp, state = jxr.scenes.pivoted(gravity=gravity)

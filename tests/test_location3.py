@@ -11,9 +11,9 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 import jaxroll as jxr
-from jaxroll import _spatial as sp
+from jaxroll._linalg import _space as sp
 from jaxroll.contact import locate_surfaces
-from jaxroll.contact._pair3 import Scene3
+from jaxroll.contact.locating._pair3 import Scene3
 from jaxroll.geometry import (
     Cylinder,
     Ellipsoid,

@@ -7,9 +7,9 @@ import pytest
 from helpers import broadcasting, Chapter
 
 import jaxroll as jxr
-from jaxroll.integration import Index1
-from jaxroll.integration._closed_loop import evaluate
-from jaxroll.mechanics import join, to_leaves
+from jaxroll._mechanics import join, to_leaves
+from jaxroll._motion import Index1
+from jaxroll._motion._equations import evaluate
 
 GRAVITY = (0.3, -9.81)
 RNG = np.random.default_rng(7)

@@ -10,10 +10,10 @@ import pytest
 from chapter_part1 import Part1
 
 import jaxroll as jxr
+from jaxroll._mechanics import bodies, to_leaves
+from jaxroll._motion import Index1
+from jaxroll._motion._equations import evaluate, power, sensed
 from jaxroll.control import Sensed
-from jaxroll.integration import Index1
-from jaxroll.integration._closed_loop import evaluate, power, sensed
-from jaxroll.mechanics import bodies, to_leaves
 
 SENSE = np.array([1.0, -1.0])
 START = np.array([0.004, -0.003])  # the chapter's s_i at the start

@@ -17,8 +17,8 @@ from jaxroll.plotting._animate3 import _paced, animate3
 from jaxroll.plotting._drawing3 import Drawing3
 from jaxroll.plotting._meshes import cuboid, mesh
 from jaxroll.plotting._motion3 import matrices, rotation_vectors
+from jaxroll.plotting._poses3 import snapshots3, stage
 from jaxroll.plotting._scene3 import looking, scene3
-from jaxroll.plotting._space import snapshots3, stage
 from jaxroll.plotting._style import LOCUS_OBJECT, LOCUS_TIP
 from jaxroll.plotting._tubes import camera
 

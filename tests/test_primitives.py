@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxroll._backend import in_turn
-from jaxroll._primitives import barrier, linear_map
+from jaxroll._xla._one_kernel import in_turn
+from jaxroll._xla._primitives import barrier, linear_map
 
 MATRIX = jnp.asarray([[1.0, -2.0, 0.5], [0.3, 4.0, -1.0]])
 X = {"a": jnp.asarray([0.2, 1.0]), "b": jnp.asarray(-0.7)}

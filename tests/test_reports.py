@@ -13,12 +13,13 @@ from matplotlib import pyplot
 
 import jaxroll as jxr
 from jaxroll import plotting
+from jaxroll._integration import cause, complaint, REMEDIES
+from jaxroll._integration._trajectory import Stats
+from jaxroll._mechanics import AbstractBody, AbstractFinger
+from jaxroll._motion import Multipliers, Residuals
 from jaxroll._printing import listed
 from jaxroll.design import ClosedLoop, Design, overshoot, settling_time, tracking_error
 from jaxroll.design._measures import MEASURES, PARTIAL
-from jaxroll.integration import cause, complaint, Multipliers, REMEDIES, Residuals
-from jaxroll.integration._trajectory import Stats
-from jaxroll.mechanics import AbstractBody, AbstractFinger
 from jaxroll.plotting._panels import panels
 
 RUNNING = set(REMEDIES)  # codes that a run can end with
@@ -297,7 +298,7 @@ def test_a_design_reports_no_settling_time_of_lost_runs(monkeypatch):
     """Of two cases, one lost: the cost stays finite, the figures against the last value are none."""
     goal = ClosedLoop(lambda tip, case: None, {"settling_time": 1.0}, cases=jnp.arange(2.0))
     measured, own = jnp.arange(10.0).reshape(2, 5), jnp.zeros(2)
-    monkeypatch.setattr("jaxroll.design._closed_loop.worst_margin", lambda seen: jnp.zeros(()))
+    monkeypatch.setattr("jaxroll.design._closed_loop_goal.worst_margin", lambda seen: jnp.zeros(()))
     for lost in (jnp.array([0.0, 0.4]), jnp.zeros(2)):
         monkeypatch.setattr(ClosedLoop, "run", lambda self, tip, names, lost=lost: (measured, own, lost))
         found = goal.figures(None, None)

@@ -8,7 +8,7 @@ import pytest
 from helpers import observed_order
 
 import jaxroll as jxr
-from jaxroll.integration._rosenbrock import _GAMMA, inverted
+from jaxroll._integration._rosenbrock import _GAMMA, inverted
 
 STIFF = jxr.Rosenbrock()
 

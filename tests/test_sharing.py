@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxroll._sharing import once, shared, sharing
+from jaxroll._xla._compute_once import once, shared, sharing
 
 
 @jax.jit

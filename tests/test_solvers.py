@@ -14,7 +14,7 @@ import pytest
 from helpers import observed_order
 
 import jaxroll as jxr
-from jaxroll.integration._methods import check_method, on_tableau, Steady, with_tolerances
+from jaxroll._integration._methods import check_method, on_tableau, Steady, with_tolerances
 
 T1 = 0.02
 SPLIT = "must take one ordinary differential equation, neither split into parts nor driven by noise"

@@ -11,7 +11,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 
 import jaxroll as jxr
 from jaxroll.geometry import frenet, smoothing_for, tabled
-from jaxroll.geometry._bspline import basis
+from jaxroll.geometry.contours._bspline import basis
 
 
 def test_ellipse_from_64_points():

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import jaxroll as jxr
-from jaxroll._backend import one_kernel
-from jaxroll._spatial import Vec3
+from jaxroll._linalg._space import Vec3
+from jaxroll._xla._one_kernel import one_kernel
 from jaxroll.geometry import (
     Chart,
     Cylinder,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxroll.geometry import Ellipsoid, fit_surface, Torus
-from jaxroll.geometry._field_fit import grid_around, normal_band, offsets, roughness_band, rows
+from jaxroll.geometry.fitting._field_fit import grid_around, normal_band, offsets, roughness_band, rows
 
 AXES = np.array([0.02, 0.014, 0.01])
 NOISE = 1e-4

@@ -9,7 +9,7 @@ import pytest
 from helpers import observed_order, slow_among, taylor_remainders
 
 import jaxroll as jxr
-from jaxroll import _spatial as sp
+from jaxroll._linalg import _space as sp
 from jaxroll.geometry import (
     Chart,
     Cylinder,
@@ -23,8 +23,8 @@ from jaxroll.geometry import (
     Superellipsoid,
     Torus,
 )
-from jaxroll.geometry._bspline import basis
-from jaxroll.geometry._tensor import UNIFORM
+from jaxroll.geometry.contours._bspline import basis
+from jaxroll.geometry.surfaces._tensor_bspline import UNIFORM
 
 A, B, C = 0.03, 0.02, 0.012
 MAJOR, MINOR = 0.03, 0.011

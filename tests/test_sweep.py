@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import jaxroll as jxr
-from jaxroll._backend import WIDE
+from jaxroll._integration import _batch
 from jaxroll._sweep import _program, _sweep
-from jaxroll.integration import _ensemble
+from jaxroll._xla._one_kernel import WIDE
 
 RUNS = 150
 
@@ -129,13 +129,13 @@ def test_slots_waste_little_on_runs_of_unlike_cost(scene, monkeypatch):
     """Steps that slots take, busy or not, over steps that runs need: at most 1.3 at a tenfold spread."""
     grasp, state = scene
     turns = []
-    inner = _ensemble.Ensemble._turn
+    inner = _batch.Ensemble._turn
 
     def counted(self, carry):
         jax.debug.callback(lambda: turns.append(self.slots))
         return inner(self, carry)
 
-    monkeypatch.setattr(_ensemble.Ensemble, "_turn", counted)
+    monkeypatch.setattr(_batch.Ensemble, "_turn", counted)
     stiff = jnp.geomspace(1.0, 10.0, 1024)
     run = lambda k: jxr.simulate(grasp.with_(damping=0.002 * k), state, 0.3, ts=1, rtol=1e-5)  # noqa: E731
     steps = np.asarray(jax.jit(jax.vmap(run))(stiff).stats.steps)
@@ -146,7 +146,7 @@ def test_slots_waste_little_on_runs_of_unlike_cost(scene, monkeypatch):
 
 def test_slots_served_all_at_once_give_the_same(make, dampings, whole, monkeypatch):
     """The way of accelerators, on this machine."""
-    monkeypatch.setattr(_ensemble.Ensemble, "_one_by_one", _ensemble.Ensemble._together)
+    monkeypatch.setattr(_batch.Ensemble, "_one_by_one", _batch.Ensemble._together)
     jax.clear_caches()
     other = jxr.sweep(lambda c: make(c), dampings, 0.2, rtol=1e-7)
     # Another program rounds otherwise, and a step more or less is an error of the tolerance's order.

@@ -8,7 +8,7 @@ from points import ellipse
 
 import jaxroll as jxr
 from jaxroll.geometry import tabled
-from jaxroll.geometry._arclength import placed, rising_sums
+from jaxroll.geometry.contours._arclength import placed, rising_sums
 
 RING = ellipse(16) * (1.0 + 0.03 * np.random.default_rng(0).normal(size=(16, 1)))
 WAVES = np.array([0.01, 0.0, 3e-4, 1e-4, 0.0, 2e-4, 1e-4])

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxroll._trigonometry import branch_free_inverse_sinh, inverse_sinh, sine_cosine
+from jaxroll._xla._trigonometry import branch_free_inverse_sinh, inverse_sinh, sine_cosine
 
 
 def units(found, exact):

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import jaxroll as jxr
-from jaxroll._algebra import Vec2
-from jaxroll._spatial import Sym3, Vec3
+from jaxroll._linalg._plane import Vec2
+from jaxroll._linalg._space import Sym3, Vec3
 from jaxroll.geometry import (
     AbstractChart,
     AbstractImplicit,

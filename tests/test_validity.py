@@ -7,7 +7,7 @@ import pytest
 from scipy.special import ellipeinc
 
 import jaxroll as jxr
-from jaxroll._trigonometry import branch_free, inverse_sinh
+from jaxroll._xla._trigonometry import branch_free, inverse_sinh
 from jaxroll.geometry import Ellipsoid, Superellipsoid, tabled
 
 

@@ -13,8 +13,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .._integration import simulate
 from .._results import shown
-from ..integration import simulate
 from ._fingerprint import fingerprint
 
 _PACKAGES = ("jaxroll", "jax", "jaxlib", "diffrax", "equinox", "optimistix", "lineax", "numpy")

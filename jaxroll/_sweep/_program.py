@@ -10,10 +10,10 @@ import jax.extend.core as jec
 import jax.numpy as jnp
 import numpy as np
 
-from .._backend import WIDE
+from .._integration import simulate
+from .._mechanics import Grasp, State
 from .._results import shown
-from ..integration import simulate
-from ..mechanics import Grasp, State
+from .._xla import WIDE
 from ._fingerprint import fingerprint, of_lowered
 
 # Programs kept for the next sweep, by fingerprint.

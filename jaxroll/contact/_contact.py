@@ -11,8 +11,8 @@ from jaxtyping import Array, Float
 
 from .._printing import listed
 from .._results import as_count
-from .._sharing import once
 from .._types import Scalar, Scalars
+from .._xla import once
 
 Rows = tuple[Scalars, ...]
 Shapes = tuple[Any, Any]

@@ -11,8 +11,7 @@ from typing import TypeVar
 
 import jax
 
-from .._algebra import Pose2, Twist2, Vec2
-from .._spatial import Pose3, Twist3, Vec3
+from .._linalg import Pose2, Pose3, Twist2, Twist3, Vec2, Vec3
 from ._contact import Motion
 
 Vec = TypeVar("Vec", Vec2, Vec3)

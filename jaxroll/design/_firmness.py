@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from .._mechanics import Grasp, State
 from .._results import as_count, as_floats, check_choice, check_positive
 from .._types import Given, Scalar
 from ..geometry import AbstractContour, tabled
-from ..mechanics import Grasp, State
 from ..stability import assess, pinch_rest
 from ._goals import (
     AbstractGoal,

@@ -9,10 +9,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
+from .._mechanics import Grasp, State
 from .._results import as_array, check_callable, check_finite, shown
 from .._types import Scalar
 from ..geometry import AbstractContour
-from ..mechanics import Grasp, State
 from ._limits import margins, Samples, soft_least
 
 # How sharply the least margin is told from its neighbours, in units of the fingertip's size.

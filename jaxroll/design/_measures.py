@@ -11,6 +11,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._integration import Trajectory
+from .._motion import Multipliers
 from .._results import (
     as_array,
     as_floats,
@@ -22,7 +24,6 @@ from .._results import (
     traced,
 )
 from .._types import Scalar
-from ..integration import Multipliers, Trajectory
 
 Signal = Float[Array, "t k"]
 

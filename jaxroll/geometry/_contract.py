@@ -14,18 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from .._algebra import Vec2
-from .._once import remembered
+from .._linalg import tangents, Vec2, Vec3
 from .._results import shown, traced
-from .._spatial import tangents, Vec3
 from .._types import Given, Scalars
-from ._contour import AbstractContour, frenet, Frenet2, tabled
-from ._gauss import Gauss3
-from ._surface import AbstractSurface
-from ._surface_chart import AbstractChart, Chart
-from ._surface_implicit import AbstractImplicit
-from ._surface_spread import lattice
-from ._table import AbstractTabulated, Table, unevenness
+from .._xla import remembered
+from .contours import AbstractContour, AbstractTabulated, frenet, Frenet2, Table, tabled, unevenness
+from .surfaces import AbstractChart, AbstractImplicit, AbstractSurface, Chart, Gauss3, lattice
 
 _PLACES = 1024  # along a contour
 _TURNS = 9  # places at which a closed one is compared with itself a turn later

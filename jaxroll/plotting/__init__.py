@@ -13,9 +13,9 @@ only door to plotly, a page for a browser) one in space, `contours` and `phase` 
 
 from ._animate import animate as animate
 from ._contours import contours as contours
-from ._design import comparison as comparison, design as design
-from ._fit import fit as fit
-from ._loci import loci as loci
+from ._design_figure import comparison as comparison, design as design
+from ._fit_figure import fit as fit
+from ._loci_figure import loci as loci
 from ._page import page as page
 from ._phase import phase as phase
 from ._pose import pose as pose, poses as poses

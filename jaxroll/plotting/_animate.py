@@ -7,8 +7,8 @@ import jax
 import numpy as np
 from PIL import Image
 
-from ..integration import Trajectory
-from ..mechanics import Grasp
+from .._integration import Trajectory
+from .._mechanics import Grasp
 from ._animate3 import animate3
 from ._artists import Drawing, limits
 from ._doors import check_frames, guarded

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from ..mechanics import Grasp
+from .._mechanics import Grasp
 from . import _gif
 from ._drawing3 import Drawing3
 from ._motion3 import Motion3D, times_of
+from ._poses3 import facing, heading, legend, scaled, stage
 from ._scene3 import scene3
-from ._space import facing, heading, legend, scaled, stage
 from ._style import CONTACT, FINGER, FORCE, GUIDE, LOCUS_OBJECT, LOCUS_TIP, OBJECT
 from ._views3 import View
 

@@ -8,21 +8,10 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
 
-from ..mechanics import Grasp, PivotedObject
+from .._mechanics import Grasp, PivotedObject
 from ._forces import arrow, Arrows
 from ._outlines import Outline
-from ._style import (
-    CONTACT,
-    FINGER,
-    FORCE,
-    GUIDE,
-    LINK_FILL,
-    MM,
-    OBJECT,
-    OBJECT_FILL,
-    ROLLED,
-    TIP_FILL,
-)
+from ._style import CONTACT, FINGER, FORCE, GUIDE, LINK_FILL, MM, OBJECT, OBJECT_FILL, ROLLED, TIP_FILL
 from ._views import place, Views
 
 _SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])

@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from .._mechanics import check_planar, Grasp
 from ..geometry import AbstractContour
-from ..mechanics import check_planar, Grasp
 from ._outlines import contours_of, extents, Outline, outlines, sample, starts_of, Window
 from ._style import CONTACT, FINGER, GUIDE, MM, OBJECT, OBJECT_FILL, Picture, tidy, TIP_FILL
 

@@ -8,11 +8,11 @@ from typing import Any, cast, TypeVar
 
 from matplotlib.axes import Axes
 
+from .._analysis import check_run
+from .._mechanics import check_states
 from .._results import as_count, as_floats, check_callable, check_flag, check_instance, check_positive, shown
 from ..design import Design
 from ..geometry import Fit
-from ..integration import check_run
-from ..mechanics import check_states
 from ._views3 import View
 
 Door = TypeVar("Door", bound=Callable[..., Any])

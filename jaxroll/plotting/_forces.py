@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import FancyArrowPatch
 
-from ..integration import Trajectory
-from ..mechanics import Grasp
+from .._integration import Trajectory
+from .._mechanics import Grasp
 from ._style import FORCE, GUIDE
 from ._views import Views
 

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from .._mechanics import Grasp
 from ..geometry import AbstractContour, tabled
-from ..mechanics import Grasp
 from ._style import MM
 
 _SAMPLES = 241

@@ -5,24 +5,15 @@ from typing import Any
 
 import numpy as np
 
+from .._integration import Trajectory
+from .._mechanics import check_spatial, Grasp
 from .._results import as_count, shown
-from ..integration import Trajectory
-from ..mechanics import check_spatial, Grasp
 from ._doors import check_frames, guarded
 from ._gif import nearest
 from ._motion3 import Motion3D, times_of
+from ._poses3 import facing
 from ._scene3 import Locus, Scene3, scene3, Solid
-from ._space import facing
-from ._style import (
-    CONTACT,
-    GUIDE,
-    JOINT_BODY,
-    LINK_BODY,
-    LOCUS_OBJECT,
-    LOCUS_TIP,
-    OBJECT_BODY,
-    TIP_BODY,
-)
+from ._style import CONTACT, GUIDE, JOINT_BODY, LINK_BODY, LOCUS_OBJECT, LOCUS_TIP, OBJECT_BODY, TIP_BODY
 from ._tubes import camera, shades
 from ._views import single, visible
 from ._views3 import scene_motion, View

@@ -4,9 +4,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .._analysis import check_pinch, pinch_balance, press_balance
+from .._integration import Trajectory
+from .._mechanics import AbstractFinger, Grasp, PivotedObject
+from .._motion import Energy, multipliers
 from ..control import Press
-from ..integration import check_pinch, Energy, multipliers, pinch_balance, press_balance, Trajectory
-from ..mechanics import AbstractFinger, Grasp, PivotedObject
 from ._style import MM
 
 # Below this share of its scale, a residual is what floating-point arithmetic leaves over.

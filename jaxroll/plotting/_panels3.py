@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..integration import Trajectory
-from ..mechanics import Grasp
+from .._integration import Trajectory
+from .._mechanics import Grasp
 from ._motion3 import rotation_vectors
 from ._panels import balance, forces_of, in_powers, numbered, Panel, residual, sentence
 from ._style import MM

@@ -4,9 +4,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from .._analysis import check_pinch
+from .._integration import Trajectory
+from .._mechanics import check_planar, Grasp, State
 from ..geometry import AbstractContour
-from ..integration import check_pinch, Trajectory
-from ..mechanics import check_planar, Grasp, State
 from ..stability import equilibrium, pinch_statics
 from ._doors import guarded
 from ._style import CONTACT, GUIDE, MM, Picture, tidy

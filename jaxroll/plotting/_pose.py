@@ -7,12 +7,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ..integration import Trajectory
-from ..mechanics import Grasp, State
+from .._integration import Trajectory
+from .._mechanics import Grasp, State
 from ._artists import Drawing, limits
 from ._doors import guarded
 from ._forces import Arrows, arrows, key
-from ._space import snapshots3
+from ._poses3 import snapshots3
 from ._style import Picture, tidy
 from ._views import along_time, how_it_ended, single, Views, views, visible
 from ._views3 import check_options, pushes, scene_motion, View

@@ -5,8 +5,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .._linalg import Vec3
 from .._results import shown
-from .._spatial import Vec3
 from .._types import Scalar
 from ..geometry import AbstractImplicit, SplineSurface
 

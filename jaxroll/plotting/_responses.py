@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ..integration import Trajectory
-from ..mechanics import Grasp
+from .._integration import Trajectory
+from .._mechanics import Grasp
 from ._doors import guarded
 from ._panels import Panel, panels
 from ._panels3 import panels3

@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .._mechanics import Grasp, Stage
 from ..geometry import AbstractSurface
-from ..mechanics import Grasp, Stage
 from ._meshes import cuboid, endless, Mesh, mesh
 from ._motion3 import Motion3D, placed, turned
 from ._style import MM

@@ -8,10 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .._integration import Trajectory
+from .._mechanics import compiled, Grasp, poses, State, to_leaves, touches
+from .._motion import multipliers, residuals
 from .._printing import code_name
 from ..control import Press
-from ..integration import multipliers, residuals, Trajectory
-from ..mechanics import compiled, Grasp, poses, State, to_leaves, touches
 from ._outlines import Outline, outlines, sample
 from ._style import MM
 

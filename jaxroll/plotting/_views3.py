@@ -6,10 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .._integration import Trajectory
+from .._linalg import seven
+from .._mechanics import compiled, Grasp, poses, State, to_leaves, touches
 from .._results import as_floats, check_flag, shown
-from .._spatial import seven
-from ..integration import Trajectory
-from ..mechanics import compiled, Grasp, poses, State, to_leaves, touches
 from ._motion3 import Motion3D, turned
 from ._views import along_time
 

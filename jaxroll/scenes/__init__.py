@@ -1,6 +1,9 @@
-"""The chapter's scenes, ready to run: Parts 1 and 2 in `_plane`, Part 3 in `_space`; bodies rolling alone."""
+"""The chapter's scenes, ready to run, and bodies that roll alone.
 
-from ._plane import (
+`_plane_scenes` has those of Parts 1 and 2, `_space_scenes` that of Part 3, `_rolling_bodies` single bodies.
+"""
+
+from ._plane_scenes import (
     ball_plate as ball_plate,
     OBJECT_SHIFT as OBJECT_SHIFT,
     pinch as pinch,
@@ -10,11 +13,11 @@ from ._plane import (
     ring as ring,
     roller as roller,
 )
-from ._rolling import (
+from ._rolling_bodies import (
     incline as incline,
     rattleback as rattleback,
     tube as tube,
     turntable as turntable,
     wheel as wheel,
 )
-from ._space import cuboid as cuboid, pinch3d as pinch3d
+from ._space_scenes import cuboid as cuboid, pinch3d as pinch3d

@@ -8,14 +8,15 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .._algebra import unstack, Vec2
-from .._backend import filled
+from .._closing import constraint_rows
+from .._linalg import unstack, Vec2
+from .._mechanics import check_planar, compiled, Grasp, poses, split, State, touches
+from .._motion import generalised_force, Multipliers, split_forces
 from .._printing import listed
 from .._results import as_floats
 from .._types import Given, Scalar
+from .._xla import filled
 from ..contact import gap
-from ..integration import constraint_rows, generalised_force, Multipliers, split_forces
-from ..mechanics import check_planar, compiled, Grasp, poses, split, State, touches
 
 _STEPS = 100
 # Singular values below this, relative to the largest, are neutral directions: along them nothing moves.

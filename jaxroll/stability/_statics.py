@@ -7,13 +7,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._algebra import Vec2
+from .._analysis import check_pinch
+from .._linalg import Vec2
+from .._mechanics import compiled, Grasp, State
 from .._printing import listed
 from .._results import as_array, as_share, check_finite, check_instance
 from .._types import Given, Scalar
 from ..geometry import AbstractContour, Frenet2
-from ..integration import check_pinch
-from ..mechanics import compiled, Grasp, State
 
 
 class PinchStatics(eqx.Module):

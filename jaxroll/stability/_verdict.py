@@ -7,11 +7,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float, Int
 
+from .._closing import constraint_rows
+from .._mechanics import bodies, compiled, Grasp, mass_matrix, State, to_leaves
+from .._motion import generalised_force
 from .._printing import listed, named
 from .._results import as_floats, check_between
 from .._types import Given
-from ..integration import constraint_rows, generalised_force
-from ..mechanics import bodies, compiled, Grasp, mass_matrix, State, to_leaves
 from ._equilibrium import contact_force, Equilibrium, equilibrium
 
 

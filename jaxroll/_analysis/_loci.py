@@ -1,0 +1,205 @@
+"""Loci of contact on both surfaces: conditions A-1 and A-2 of Part 3, looked at as curves."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._integration import layout, pack, Trajectory, unpack
+from .._linalg import Vec3
+from .._mechanics import bodies, check_spatial, check_states, compiled, Grasp, Leaves, State, touches
+from .._motion import evaluate, Index1
+from .._printing import listed
+from .._results import check_instance, is_array_like, shown
+from .._types import Scalar, Times
+from .._xla import one_kernel, sharing
+
+# Between accelerations whose difference is the jerk [s].
+_STEP = 1e-4
+
+
+class Locus(eqx.Module):
+    r"""The curve of contact points on one surface, in its body's axes; Darboux frame $(t, n \times t, n)$.
+
+    Every quantity has shape (c, times): one row per contact. Where the contact rests, curvatures are not
+    finite.
+
+    Attributes:
+        point: Shape (c, times, 3) [m].
+        arclength: From the first saved time [m].
+        speed: Rate of the arclength [m/s].
+        normal_curvature: $\kappa_n = t \cdot L t$ [1/m], positive where the body is convex.
+        geodesic_curvature: $\kappa_g = t' \cdot (n \times t)$ [1/m].
+        geodesic_torsion: $\tau_g = -(n \times t) \cdot L t$ [1/m].
+        curvature: $\sqrt{\kappa_n^2 + \kappa_g^2}$, of the curve in space [1/m].
+        torsion: Of the curve in space [1/m]; not finite where it is straight.
+    """
+
+    __repr__ = listed
+
+    point: Float[Array, "c t 3"]
+    arclength: Float[Array, "c t"]
+    speed: Float[Array, "c t"]
+    normal_curvature: Float[Array, "c t"]
+    geodesic_curvature: Float[Array, "c t"]
+    geodesic_torsion: Float[Array, "c t"]
+    curvature: Float[Array, "c t"]
+    torsion: Float[Array, "c t"]
+
+
+class Loci(eqx.Module):
+    """Loci of all contacts over a run.
+
+    Attributes:
+        ts: Saved times [s].
+        tip: On the fingertips.
+        object: On the object.
+    """
+
+    __repr__ = listed
+
+    ts: Times
+    tip: Locus
+    object: Locus
+
+
+class _Jet(eqx.Module):
+    """Curves at one time, all of shape (c, 3): three derivatives in time, normals, $L$ times velocity."""
+
+    point: Array
+    velocity: Array
+    acceleration: Array
+    jerk: Array
+    normal: Array
+    bend: Array
+
+
+def loci(grasp: Grasp, trajectory: Trajectory) -> Loci:
+    r"""Loci of contact on both surfaces along a run in space (Fig. 20).
+
+    Velocity and acceleration of the contact points over their surfaces are those of the equations of motion,
+    not differences of states; the jerk, which the torsion alone needs, is a difference of fourth order of
+    accelerations along the motion, over 0.4 ms. The arclength is integrated from speed and its
+    rate at the saved times by Hermite's rule, whose error is of fourth order in their distance; both
+    surfaces' arclengths come from their own points, so that A-2 can be seen to hold.
+
+    Args:
+        grasp: The grasp that was simulated, in space.
+        trajectory: One run of it.
+
+    Raises:
+        ValueError: If the grasp lives in the plane, or the trajectory is a batch.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> grasp, state = jxr.scenes.incline()
+        >>> run = jxr.simulate(grasp, state, t1=1.0, ts=11)
+        >>> found = jxr.loci(grasp, run)
+        >>> bool(abs(found.tip.arclength[0, -1] - found.object.arclength[0, -1]) < 1e-12)
+        True
+    """
+    check_spatial(grasp)
+    check_run(grasp, trajectory)
+    return _loci(grasp, trajectory.ts, trajectory.states)
+
+
+def check_run(grasp: Grasp, trajectory: Trajectory) -> None:
+    """Raise unless a trajectory is one run, and one that could be of this grasp."""
+    check_instance("trajectory", trajectory, Trajectory, "a Trajectory")
+    if not is_array_like(trajectory.ts) or trajectory.ts.dtype.kind != "f":
+        raise ValueError(f"argument trajectory must hold real numbers as ts, but had {shown(trajectory.ts)}")
+    shape = jnp.shape(trajectory.states.q)
+    if jnp.ndim(trajectory.ts) != 1 or len(shape) != 2:
+        raise ValueError(
+            f"argument trajectory must be one run, but its states have shape {shape}; "
+            "take one lane with jax.tree.map(lambda x: x[i], trajectory)"
+        )
+    check_states(grasp, trajectory.states, "trajectory.states", axes=1)
+
+
+@compiled
+def _loci(grasp: Grasp, ts: Array, states: State) -> Loci:
+    ready = grasp.prepared()
+    tip, face = one_kernel(_history, ready, ts, states)
+    return Loci(ts, _locus(ts, tip), _locus(ts, face))
+
+
+def _history(grasp: Grasp, ts: Array, states: State) -> tuple[_Jet, _Jet]:
+    """The curves at one state after the other: side by side they take ten times as long to compile."""
+    return jax.lax.map(lambda at: _jets(grasp, *at), (ts, states))
+
+
+def _jets(grasp: Grasp, t: Scalar, state: State) -> tuple[_Jet, _Jet]:
+    """The curves on the fingertips and on the object at one state."""
+    lay = layout(grasp, audited=False)
+    x = jnp.concatenate([state.q, state.v, state.s])
+
+    def moving(t: Scalar, x: Array) -> tuple[Array, Array, Array]:
+        """Velocities, their derivatives along the equations of motion, and the rates of all."""
+        with sharing():
+            rates = pack(evaluate(grasp, t, unpack(lay, x)[0], Index1()).rates, None)
+            found = jax.jvp(lambda x: _velocities(grasp, unpack(lay, x)[0]), (x,), (rates,))
+        return *found, rates
+
+    def later(step: Scalar) -> Array:
+        return moving(t + step, x + step * rates)[1]
+
+    velocity, acceleration, rates = moving(t, x)
+    near = jax.lax.map(later, _STEP * jnp.array([-2.0, -1.0, 1.0, 2.0]))
+    jerk = (near[0] - 8.0 * near[1] + 8.0 * near[2] - near[3]) / (12.0 * _STEP)
+    points, normals, bends = _frames(grasp, unpack(lay, x)[0], velocity)
+    parts = (points, velocity, acceleration, jerk, normals, bends)
+    tip, face = (_Jet(*(part[:, i] for part in parts)) for i in (0, 1))  # pyright: ignore
+    return tip, face
+
+
+def _velocities(grasp: Grasp, leaves: Leaves) -> Array:
+    """Velocities of the contact points over their surfaces, in the bodies' axes: shape (c, 2, 3)."""
+    motions, _ = bodies(grasp, leaves)
+    rows = []
+    for contact, touching in zip(grasp.contacts, touches(grasp, leaves.s), strict=True):
+        pair = motions[1 + contact.finger], motions[0]
+        velocity = contact.rolling(pair, touching)
+        rows.append(jnp.stack([motion.pose.back(velocity).array() for motion in pair]))
+    return jnp.stack(rows)
+
+
+def _frames(grasp: Grasp, leaves: Leaves, velocity: Array) -> tuple[Array, Array, Array]:
+    """Points, normals and $L v$, in the bodies' axes: shape (c, 2, 3) each."""
+    found = []
+    for touching, pair in zip(touches(grasp, leaves.s), velocity, strict=True):
+        frames = (touching.tip, touching.object)
+        bends = [frame.shape.apply(Vec3(*v)) for frame, v in zip(frames, pair, strict=True)]
+        parts = ([f.point for f in frames], [f.normal for f in frames], bends)
+        found.append([jnp.stack([vector.array() for vector in part]) for part in parts])
+    points, normals, bends = (jnp.stack(part) for part in zip(*found, strict=True))
+    return points, normals, bends
+
+
+def _locus(ts: Array, jet: _Jet) -> Locus:
+    """Curvatures from derivatives in time; contacts first."""
+    jet = jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), jet)
+    dot = lambda a, b: jnp.sum(a * b, axis=-1)  # noqa: E731
+    v, a = jet.velocity, jet.acceleration
+    speed = jnp.sqrt(dot(v, v))
+    side = jnp.cross(jet.normal, v)
+    normal, geodesic = dot(v, jet.bend) / speed**2, dot(a, side) / speed**3
+    binormal = jnp.cross(v, a)
+    hastening = jnp.where(speed > 0, dot(v, a) / speed, jnp.sqrt(dot(a, a)))
+    return Locus(
+        jet.point,
+        _integrated(ts, speed, hastening),
+        speed,
+        normal,
+        geodesic,
+        -dot(side, jet.bend) / speed**2,
+        jnp.hypot(normal, geodesic),
+        dot(binormal, jet.jerk) / dot(binormal, binormal),
+    )
+
+
+def _integrated(ts: Array, rate: Array, slope: Array) -> Array:
+    """Integral of a rate from its values and slopes, over the last axis: Hermite's rule."""
+    h = jnp.diff(ts)[None]
+    parts = 0.5 * h * (rate[:, :-1] + rate[:, 1:]) + h**2 / 12.0 * (slope[:, :-1] - slope[:, 1:])
+    return jnp.pad(jnp.cumsum(parts, axis=-1), ((0, 0), (1, 0)))

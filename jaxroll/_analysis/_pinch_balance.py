@@ -1,0 +1,134 @@
+"""The chapter's Part 1 quantities: how far a pinch is from balance, and the wrenches that drive it."""
+
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._linalg import total, Vec2
+from .._mechanics import check_planar, compiled, Grasp, poses, State, to_leaves, touches
+from .._motion import as_times, Index1, multipliers_at
+from .._printing import listed
+from .._types import Scalar
+from ..control import Opposition, orientations
+
+
+class PinchBalance(eqx.Module):
+    r"""Quantities (25)-(29), (42)-(49) and (51)-(55) of a pinch, per finger i = 1, 2.
+
+    Attributes:
+        s: Chapter's $s_i$ [m]: arclength of the contact on the object, in the direction of $b_{0i}$.
+        d: $(r_1 - r_2) \cdot b_{0i}$ [m], (28); the same for both on parallel faces.
+        l: $-(-1)^i (r_1 - r_2) \cdot n_{0i}$ [m], (29); the same for both on parallel faces.
+        delta_f: $\Delta f_i = f_i + \beta l_i$ [N], (42).
+        delta_lam: $\Delta\lambda_i = \lambda_i - (-1)^i \beta d_i$ [N], (43).
+        n: $N_i = (-1)^i (b_i \cdot \gamma_i) l_i - (n_i \cdot \gamma_i) d_i$ [m^2], (53).
+        delta_n: $\Delta N_i = \beta N_i + \alpha_i (p_i - p_i(0))$ [N m], (46).
+        s_n: $S_N$ [N m], the moment on the object in (48)-(49).
+        potential: $U = \frac\beta2 \|r_1 - r_2\|^2$ [J], (27).
+        lean: Angle [rad] between $O_i P_i$ and the line through both centres: zero when
+            $O_1, P_1, P_2, O_2$ are collinear.
+
+    Angles ($p_i$, `lean`) count counter-clockwise where $b_{01}$ runs along the object's contour and $b_{02}$
+    against it (`sense` 1 and -1), clockwise in the mirror image. On contours that are not parallel faces each
+    finger has its own d and l, and (44)-(48) and (51)-(55) hold with them; the last form of (49) is that of a
+    rectangle.
+    """
+
+    __repr__ = listed
+    UNITS: ClassVar[dict[str, str]] = {
+        "s": "m",
+        "d": "m",
+        "l": "m",
+        "delta_f": "N",
+        "delta_lam": "N",
+        "n": "m^2",
+        "delta_n": "N m",
+        "s_n": "N m",
+        "potential": "J",
+        "lean": "rad",
+    }
+
+    s: Float[Array, "... 2"]
+    d: Float[Array, "... 2"]
+    l: Float[Array, "... 2"]  # noqa: E741
+    delta_f: Float[Array, "... 2"]
+    delta_lam: Float[Array, "... 2"]
+    n: Float[Array, "... 2"]
+    delta_n: Float[Array, "... 2"]
+    s_n: Float[Array, "..."]
+    potential: Float[Array, "..."]
+    lean: Float[Array, "... 2"]
+
+
+@compiled
+def pinch_balance(grasp: Grasp, ts: Float[Array, "..."], states: State) -> PinchBalance:
+    """Part 1's quantities at one time and state, or along a leading time axis.
+
+    Raises:
+        ValueError: If the grasp is not two fingers, one contact each, under `control.Opposition`.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> grasp, state = jxr.scenes.pinch()
+        >>> found = jxr.pinch_balance(grasp, 0.0, state)
+        >>> f"l = {1e3 * found.l[0]:.2f} mm"
+        'l = -50.30 mm'
+    """
+    check_pinch(grasp)
+    ready, ts = grasp.prepared(), as_times(ts, states)
+    if states.q.ndim == 1:
+        return _balance_at(ready, ts, states)
+    return jax.vmap(lambda t, state: _balance_at(ready, t, state))(ts, states)
+
+
+def check_pinch(grasp: Grasp) -> None:
+    """Raise unless two fingers, with one contact each, are driven by `control.Opposition`."""
+    check_planar(grasp)
+    touched = [contact.finger for contact in grasp.contacts]
+    if len(grasp.fingers) != 2 or touched != [0, 1] or not isinstance(grasp.controller, Opposition):
+        raise ValueError(
+            f"argument grasp must be two fingers with one contact each, in order, under control.Opposition, "
+            f"but was {len(grasp.fingers)} with contacts on {touched} under {type(grasp.controller).__name__}"
+        )
+
+
+def _balance_at(grasp: Grasp, t: Scalar, state: State) -> PinchBalance:
+    leaves = to_leaves(state, grasp.form)
+    body, *tips = poses(grasp, leaves.q)
+    forces = multipliers_at(grasp, t, state, Index1())
+    control, kept = grasp.controller, orientations(grasp, state) - grasp.controller.start
+    arm = tips[0].origin - tips[1].origin
+    columns, moment = [], []
+    for i, (contact, at) in enumerate(zip(grasp.contacts, touches(grasp, leaves.s), strict=True)):
+        odd = -1.0 if i == 0 else 1.0  # (-1)^i as the chapter counts
+        b = body.turn(at.object.tangent) * contact.sense
+        n = body.turn(at.object.tangent).left()
+        # Which way the chapter counts angles: its n_01 is +90 degrees from b_01, its n_02 -90 from b_02.
+        way = -odd * contact.sense
+        on_tip, on_body = tips[i].turn(at.tip.point), body.turn(at.object.point)
+        d, l_ = arm.dot(b), -odd * arm.dot(n)
+        n_i = odd * on_tip.dot(b) * l_ + on_tip.dot(n) * d
+        moment.append(-odd * l_ * on_body.dot(b) - d * on_body.dot(n))
+        columns.append(
+            (
+                contact.sense * (contact.s_object - leaves.s[i]),
+                d,
+                l_,
+                forces.f[i] + control.beta * l_,
+                forces.lam[i] - odd * control.beta * d,
+                n_i,
+                control.beta * n_i + control.alpha[i] * way * kept[i],
+                way * _angle(arm * odd, on_tip),
+            )
+        )
+    each = zip(*columns, strict=True)
+    s, d, l_, delta_f, delta_lam, n, delta_n, lean = (jnp.stack(column) for column in each)
+    s_n, potential = control.beta * total(moment), 0.5 * control.beta * arm.dot(arm)
+    return PinchBalance(s, d, l_, delta_f, delta_lam, n, delta_n, s_n, potential, lean)
+
+
+def _angle(first: Vec2, second: Vec2) -> Scalar:
+    return jnp.arctan2(first.cross(second), first.dot(second))

@@ -1,0 +1,191 @@
+"""Rolling kinematics alone: one surface rolled over another along a given path, without forces."""
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._integration import check_times, tolerance
+from .._linalg import normalised, pose, Pose3, quaternion_product, quaternion_rate, tangents, unstack, Vec3
+from .._printing import listed
+from .._results import as_floats, check_callable, check_instance, concrete, RESULTS, shown
+from .._types import Given, Scalar, Scalars, Times
+from ..geometry import AbstractSurface, Gauss3
+
+_MAX_STEPS = 65536
+
+
+class Rolled(eqx.Module):
+    """A surface rolled over another: everything in the frame of the one that lies still.
+
+    Attributes:
+        ts: Shape (t,), parameter of the path.
+        pose: Shape (t, 7), position [m] and unit quaternion (scalar first) of the rolling body.
+        at_tip: Shape (t, coordinates), the contact on the rolling surface.
+        at_object: The contact on the still one.
+        arclength: Shape (t,), of both loci [m].
+        result: Code of `jaxroll.RESULTS`.
+    """
+
+    __repr__ = listed
+    UNITS: ClassVar[dict[str, str]] = {"arclength": "m"}
+
+    ts: Times
+    pose: Float[Array, "t 7"]
+    at_tip: Float[Array, "t a"]
+    at_object: Float[Array, "t b"]
+    arclength: Float[Array, " t"]
+    result: RESULTS
+
+
+def roll(
+    tip: AbstractSurface,
+    object: AbstractSurface,
+    velocity: Callable[[Any], Any],
+    ts: Given,
+    *,
+    at_tip: Given,
+    at_object: Given,
+    rotation: Given = (1.0, 0.0, 0.0, 0.0),
+    spin: Callable[[Any], Any] | None = None,
+    rtol: float = 1e-12,
+) -> Rolled:
+    r"""Roll one surface over another that lies still, its contact led along a path.
+
+    Montana's equations in orthonormal frames: with the contact's velocity $s$ over either surface, the
+    object's normal $n$ and the shape operators in common axes, the rolling body turns at
+    $\omega = n \times (L_A + L_B)\,s + \omega_n n$. With $\omega_n = 0$ it does not spin about the normal,
+    and a closed path leaves a rotation behind: its holonomy.
+
+    Args:
+        tip: The rolling surface.
+        object: The one that lies still.
+        velocity: `velocity(t)` [m per unit of t], three numbers in the object's axes; what it has along the
+            normal is left out.
+        ts: Shape (t,), rising: where the answer is wanted; the first is the start.
+        at_tip: Coordinates of the starting contact on the rolling surface.
+        at_object: The same on the still one.
+        rotation: Starting quaternion (scalar first) of the rolling body; it is turned by the smallest angle
+            that makes the surfaces tangent.
+        spin: `spin(t)` gives $\omega_n$ [rad per unit of t]. Default: none.
+        rtol: Relative tolerance of the integration (Dopri8).
+
+    Returns:
+        A `Rolled`. Its code is `solver_failed` where the integration did not reach the end.
+
+    Raises:
+        ValueError: If an argument does not fit.
+
+    Accuracy: that of `rtol` at every time asked for, since steps end there; contacts stay on both surfaces to
+    rounding.
+
+    Example:
+        >>> import jax.numpy as jnp, jaxroll as jxr
+        >>> ball, table = jxr.Sphere(0.1), jxr.Plane()
+        >>> once = jxr.roll(
+        ...     ball, table, lambda t: (0.1, 0.0, 0.0), jnp.linspace(0, 2 * jnp.pi, 3),
+        ...     at_tip=(0.0, 0.0, -0.1), at_object=(0.0, 0.0, 0.0),
+        ... )
+        >>> bool(abs(abs(once.pose[-1, 3]) - 1) < 1e-12)  # all the way round
+        True
+    """
+    for name, surface in (("tip", tip), ("object", object)):
+        check_instance(name, surface, AbstractSurface, "a surface")
+    for name, function in (("velocity", velocity), ("spin", spin)):
+        if name == "velocity" or function is not None:
+            check_callable(name, function, "a function of t")
+    places = (
+        as_floats("at_tip", at_tip, (tip.coordinates,)),
+        as_floats("at_object", at_object, (object.coordinates,)),
+    )
+    turn, times = as_floats("rotation", rotation, (4,)), as_floats("ts", ts, (None,))
+    if concrete(turn) is not None and not np.any(turn):
+        raise ValueError(f"argument rotation must be a quaternion with a direction, but was {shown(turn)}")
+    check_times(times)
+    limit = tolerance("rtol", rtol, np.dtype(times.dtype))
+    return _roll((tip, object), (velocity, spin), times, (turn, *places), limit)
+
+
+class _Rolling(eqx.Module):
+    """The equations; `y` holds quaternion, both places and the arclength."""
+
+    tip: AbstractSurface
+    object: AbstractSurface
+    velocity: Any
+    spin: Any
+
+    def frames(self, y: Array) -> tuple[Pose3, tuple[Scalars, Scalars], tuple[Gauss3, Gauss3]]:
+        """Axes of the rolling body, both places and their Gauss frames."""
+        flat, n = unstack(y), 4 + self.tip.coordinates
+        places = (self.tip.settled(flat[4:n]), self.object.settled(flat[n:-1]))
+        axes = pose(Vec3(0.0, 0.0, 0.0), normalised(flat[:4]))
+        return axes, places, (self.tip.frame(places[0]), self.object.frame(places[1]))
+
+    def rates(self, t: Scalar, y: Array, args: Any) -> Array:
+        """Rates of everything in `y`."""
+        axes, (at_tip, at_object), (tip, face) = self.frames(y)
+        given = Vec3(*unstack(as_floats("velocity(t)", self.velocity(t), (3,)).astype(y.dtype)))
+        velocity = given - face.normal * given.dot(face.normal)
+        bend = tip.shape.turned(axes) + face.shape
+        turning = face.normal.cross(bend.apply(velocity))
+        if self.spin is not None:
+            turning = turning + face.normal * as_floats("spin(t)", self.spin(t), ()).astype(y.dtype)
+        turned = quaternion_rate(normalised(unstack(y[:4])), turning)
+        places = (*self.tip.rate(at_tip, axes.back(velocity)), *self.object.rate(at_object, velocity))
+        return jnp.stack([*turned, *places, velocity.norm()])
+
+    def answer(self, y: Array) -> tuple[Array, Array, Array]:
+        """Pose of the rolling body and both places: its contact point lies on the other's."""
+        axes, places, (tip, face) = self.frames(y)
+        origin = face.point - axes.turn(tip.point)
+        at = jnp.concatenate([origin.array(), jnp.stack(normalised(unstack(y[:4])))])
+        return at, jnp.stack(places[0]), jnp.stack(places[1])
+
+    def start(self, rotation: Array, at_tip: Array, at_object: Array) -> Array:
+        """`y` with the body turned by the smallest angle that makes the surfaces tangent."""
+        turn = normalised(unstack(rotation))
+        y = jnp.concatenate([jnp.stack(turn), at_tip, at_object, jnp.zeros(1)])
+        axes, _, (tip, face) = self.frames(y)
+        own, wanted = axes.turn(tip.normal), -face.normal
+        cosine, axis = own.dot(wanted), own.cross(wanted)
+        # Right about: any axis in the tangent plane will do.
+        about = cosine < -1.0 + 1e-12
+        half = Vec3(*(jnp.where(about, a, b) for a, b in zip(tangents(own)[0], axis, strict=True)))
+        bring = normalised((jnp.where(about, 0.0, 1.0 + cosine), *half))
+        return y.at[:4].set(jnp.stack(quaternion_product(bring, turn)))
+
+
+@eqx.filter_jit
+def _roll(
+    surfaces: tuple[AbstractSurface, AbstractSurface],
+    given: tuple[Any, Any],
+    ts: Array,
+    start: tuple[Array, ...],
+    rtol: Any,
+) -> Rolled:
+    rolling = _Rolling(surfaces[0].prepared(), surfaces[1].prepared(), *given)
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(rolling.rates),
+        diffrax.Dopri8(),
+        ts[0],
+        ts[-1],
+        None,
+        rolling.start(*start),
+        saveat=diffrax.SaveAt(ts=ts),
+        # Steps end where answers are wanted: between its ends a step is known to a lower order.
+        stepsize_controller=diffrax.ClipStepSizeController(
+            diffrax.PIDController(rtol=rtol, atol=rtol), step_ts=ts
+        ),
+        max_steps=_MAX_STEPS,
+        throw=False,
+    )
+    fine = solution.result == diffrax.RESULTS.successful
+    result = RESULTS.where(fine, RESULTS.successful, RESULTS.solver_failed)
+    ys = jnp.asarray(solution.ys)
+    at, at_tip, at_object = jax.vmap(rolling.answer)(ys)
+    return Rolled(ts, at, at_tip, at_object, ys[:, -1], result)

@@ -1,0 +1,11 @@
+"""What `jaxroll demo` and `jaxroll design` do and say."""
+
+from ._design_command import fingertip as fingertip, Order as Order, order as order
+from ._facts import (
+    pinch3d_facts as pinch3d_facts,
+    pinch3d_scene as pinch3d_scene,
+    pinch_facts as pinch_facts,
+    pinch_scene as pinch_scene,
+    pivoted_facts as pivoted_facts,
+    pivoted_scene as pivoted_scene,
+)

@@ -1,0 +1,152 @@
+"""What `jaxroll design` does: a fingertip that loses a grasp, a better one, and runs with both."""
+
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from .. import io, plotting, scenes
+from .._integration import cause, simulate
+from .._printing import code_name
+from .._results import RESULTS
+from ..design import (
+    AbstractGoal,
+    ClosedLoop,
+    Design,
+    Firmness,
+    friction_demand,
+    Limits,
+    Margin,
+    optimise_fingertip,
+    overshoot,
+    peak_force,
+    settling_time,
+)
+from ..geometry import fit_contour, Spline
+
+# The start: an ellipse that points at the object, sharper in front than the circle about O_i.
+_LONG, _WIDE, _POINTS = 0.018, 0.009, 24
+_INTERVAL = (-0.006, 0.006)
+_FRICTION = 0.5
+_SHOWN, _SPEED, _THICK = 0.15, 0.05, 0.01
+_OUT = ("fingertip.csv", "fingertip.svg", "fingertip.dxf")
+
+
+@dataclass(frozen=True)
+class Order:
+    """What to design.
+
+    Attributes:
+        goal: Name of the goal: 'margin', 'stiffness' or 'run'.
+        tip: The fingertip to begin with.
+        steps: At most so many.
+        starts: In one batch.
+        animated: Whether to write animations.
+    """
+
+    goal: str
+    tip: Spline
+    steps: int
+    starts: int
+    animated: bool
+
+
+def make(tip: Any, s: Sequence[float] = (0.004, -0.003)) -> tuple[Any, Any]:
+    """The pinch of a rectangle, with orientation left to the fingertips and limited friction."""
+    return scenes.pinch(tips=tip, s=s, alpha=0.0, friction=_FRICTION)
+
+
+def _at_rest(tip: Any) -> tuple[Any, Any]:
+    """The same from its equilibrium, where the search for a firmer one begins."""
+    return make(tip, (0.0, 0.0))
+
+
+GOALS: dict[str, Callable[[], AbstractGoal]] = {
+    "margin": Margin,
+    "stiffness": lambda: Firmness(_at_rest),
+    "run": lambda: ClosedLoop(make, {"tracking_error": 2.0, "friction_demand": 1.0}, t1=0.5, ts=51),
+}
+
+
+def fingertip(path: str | None, unit: str) -> Spline:
+    """The fingertip to begin with, about $O_i$ and facing +x: built in, or through points of a file."""
+    u = 2.0 * np.pi * np.arange(_POINTS) / _POINTS
+    if path is None:
+        return Spline(np.stack([_LONG * np.cos(u), _WIDE * np.sin(u)], axis=-1), cells=128)
+    contour = fit_contour(io.read_points(path, unit=unit), unit="m").contour
+    if not contour.closed:
+        raise ValueError(f"argument --tip must be a closed outline, but {path} is open")
+    ends = contour.domain()
+    assert ends is not None  # a closed contour has a length
+    s = np.linspace(float(ends[0]), float(ends[1]), 1 + 40 * _POINTS)[:-1]
+    # Its foremost point is where s = 0.
+    start = s[np.argmax(np.asarray(contour.point(s))[:, 0])]
+    return Spline(contour.point(start + (s[-1] + s[1] - 2 * s[0]) * u / (2.0 * np.pi)), cells=128)
+
+
+def order(asked: Order, folder: Path, timed: Callable[[str], AbstractContextManager]) -> list[str]:
+    """Design, simulate, draw and write; returns the report's lines."""
+    tip = asked.tip
+    size = float(np.max(np.hypot(*np.asarray(tip.points).T)))
+    limits = Limits(size=size, radius=0.2 * size, ahead=size / 3.0)
+    options: dict[str, Any] = {"steps": asked.steps, "starts": asked.starts, "goal": GOALS[asked.goal]()}
+    with timed(f"Designing for {asked.goal}, with compilation"):
+        found = optimise_fingertip(tip, _INTERVAL, limits=limits, symmetric=True, **options)
+    with timed("Simulating both, with compilation"):
+        pairs = [make(one) for one in (found.start, found.tip)]
+        settings = {"t1": 1.0, "ts": 401, "throw": False, "record": ("multipliers",)}
+        runs = [jax.block_until_ready(simulate(*pair, **settings)) for pair in pairs]
+    names = ["design.png", "comparison.png"]
+    with timed("Drawing"):
+        plotting.design(found, folder)
+        plotting.comparison(runs, folder=folder)
+    if asked.animated:
+        with timed("Animating"):
+            for pair, run, name in zip(pairs, runs, ("before.gif", "after.gif"), strict=True):
+                plotting.animate(pair[0], run, folder / name, fps=10.0, speed=_SPEED, until=_SHOWN, size=4.5)
+                names.append(name)
+    written, missing = _write(found, folder)
+    files = [f"Files in {folder}:", "  " + ", ".join(names + written), *missing]
+    return [found.report("--steps"), *_facts(runs), *files]
+
+
+def _facts(runs: Sequence[Any]) -> list[str]:
+    """Both runs side by side."""
+    rows = (
+        ("held until [s]", lambda run: run.stats.t_end),
+        ("settling time [s]", settling_time),
+        ("overshoot", overshoot),
+        ("peak force [N]", peak_force),
+        ("friction demand", friction_demand),
+    )
+    lines = [f"Runs of 1 s with friction {_FRICTION:g}"]
+    for name, measure in rows:
+        before, after = (float(measure(run)) for run in runs)
+        lines.append(f"  {name:<28}{before:>12.4g}{after:>12.4g}")
+    return lines + [
+        f"  {name:<8}{_outcome(run)}" for name, run in zip(("before", "after"), runs, strict=True)
+    ]
+
+
+def _outcome(run: Any) -> str:
+    """How a run ended, in one line: which contact and when; by how much is zero at an event."""
+    return code_name(run.result) if run.result == RESULTS.successful else cause(run).split(": ")[0]
+
+
+def _write(found: Design, folder: Path) -> tuple[list[str], list[str]]:
+    """The fingertip as files, to draw or to make; and what an extra is wanted for."""
+    names, missing = [], []
+    jobs = [(name, lambda path: io.write_outline(found.tip, path, unit="mm")) for name in _OUT]
+    jobs.append(("fingertip.stl", lambda path: io.write_stl(found.tip, path, height=_THICK)))
+    for name, write in jobs:
+        try:
+            write(folder / name)
+        except ImportError as error:
+            missing.append(f"  no {name}: {error}")
+        else:
+            names.append(name)
+    return names, missing

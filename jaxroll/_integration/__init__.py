@@ -1,0 +1,21 @@
+"""From a closed state to a trajectory: steps, their lengths, events, batches and derivatives.
+
+`_simulate` is the entry point. `_state_vector` lays a state out as one vector, `_step` makes one step of a
+method of diffrax on it (`_rosenbrock` a linearly implicit one), `_step_size` sets its length, `_events`
+says where the model ends and `_dips` whether it did within a step. `_run` takes steps until a run is over,
+`_batch` those of many runs together, `_derivative` differentiates the recorded steps. `_trajectory` is the
+result, `_report` what is printed of it. The equations that are stepped are those of `_motion`.
+"""
+
+from ._arguments import check_times as check_times, tolerance as tolerance
+from ._report import (
+    amount as amount,
+    cause as cause,
+    complaint as complaint,
+    contact_name as contact_name,
+    REMEDIES as REMEDIES,
+)
+from ._rosenbrock import Rosenbrock as Rosenbrock
+from ._simulate import simulate as simulate
+from ._state_vector import layout as layout, pack as pack, unpack as unpack
+from ._trajectory import Trajectory as Trajectory

@@ -1,0 +1,187 @@
+"""Run a grasp, alone or among many, and differentiate the run through its recorded steps.
+
+Forwards, the run is a plain adaptive loop. For a derivative the accepted steps are recorded and the
+derivative follows them one by one: forwards for tangents, backwards for cotangents, each with the
+derivative of a single step. Both modes work from the same public call, no step-size controller is
+differentiated, and the program that is compiled holds one step, not a checkpointed loop. The derivative
+is that of the discrete solution at frozen step sizes.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import equinox.internal as eqxi
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from .._linalg import row
+from .._types import Scalar
+from .._xla import alone, filled, linear_map, one_kernel, pulled
+from ._batch import Ensemble
+from ._methods import is_rosenbrock, on_tableau
+from ._plan import Path, Plan
+from ._run import recorded, solo
+from ._state_vector import Bundle, Flow
+
+
+@eqx.filter_custom_jvp
+def march(grasp: Bundle, y0: Flow, plan: Plan) -> Path:
+    """Integrate the flow vector `y0` of a bundled grasp; differentiable in both modes, once."""
+    arrays, still = eqx.partition((grasp, y0, plan), eqx.is_array)
+
+    @jax.custom_batching.custom_vmap
+    def alone(arrays: Any) -> Path:
+        return one_kernel(solo, *eqx.combine(arrays, still))
+
+    @alone.def_vmap
+    def _(size: int, batched: list[Any], arrays: Any) -> tuple[Path, Any]:
+        paths = _together(size, batched[0], arrays, still)
+        return paths, jax.tree.map(lambda _: True, paths)
+
+    return alone(arrays)
+
+
+def _together(size: int, batched: Any, arrays: Any, still: Any) -> Path:
+    """Many runs: as an ensemble, or one beside the other where the method does not allow it."""
+    plan = eqx.combine(arrays, still)[2]
+    takes_lanes = on_tableau(plan.stepper.method) or is_rosenbrock(plan.stepper.method)
+    if takes_lanes and isinstance(plan.progress, diffrax.NoProgressMeter):
+        return one_kernel(lambda found: Ensemble(size, batched, found, still).run(), arrays)
+    axes = jax.tree.map(lambda b: 0 if b else None, batched)
+    return jax.vmap(lambda found: solo(*eqx.combine(found, still)), in_axes=(axes,))(arrays)
+
+
+@march.def_jvp
+def _march_jvp(primals: Any, tangents: Any) -> tuple[Path, Path]:
+    grasp, y0, plan = primals
+    grasp_dot, y0_dot, _ = tangents
+    path, (step_ts, step_ys) = one_kernel(recorded, grasp, y0, plan)
+    moving, still = eqx.partition(grasp, eqx.is_inexact_array)
+    numbers, plan, step_ts, step_ys = eqxi.nondifferentiable(
+        (moving, plan, step_ts, step_ys), name="the state of a run (second derivatives)"
+    )
+    steps = _Steps(numbers, plan, step_ts, step_ys, path.steps[1], still)
+    start_dot = filled((moving, y0), (grasp_dot, y0_dot))
+    ends = (path.saved, path.last, path.t_last)
+    dots = linear_map(_Steps.tangents, _Steps.cotangents, steps, start_dot, like=ends)
+    no_tangents = jax.tree.map(lambda _: None, path)
+    return path, eqx.tree_at(
+        lambda p: (p.saved, p.last, p.t_last), no_tangents, dots, is_leaf=lambda x: x is None
+    )
+
+
+class _Steps(eqx.Module):
+    """The recorded steps of a run, as a linear map between perturbations of its ends.
+
+    A run that an event ended moves its end: time by so much per change of the margin at fixed time, and the
+    flow vector with it, by its time derivative. That derivative comes from a step of no length, so that no
+    second derivative program has to be compiled.
+    """
+
+    moving: Bundle
+    plan: Plan
+    ts: Float[Array, " steps"]
+    ys: Float[Array, "steps flow"]
+    count: Int[Array, ""]
+    still: Bundle
+
+    def step(self, k: Scalar, over: Callable) -> Callable[[Bundle, Flow, Scalar], Flow]:
+        """Step k of (moving, y, shift), so much later; the one after the last has no length."""
+        t0 = row(self.ts, k)
+        t1 = jnp.where(k < self.count, row(self.ts, k + 1), t0)
+
+        def advance(moving: Bundle, y: Flow, shift: Scalar) -> Flow:
+            grasp = eqx.combine(moving, self.still)
+            return self.plan.stepper.advance(grasp, t0 + shift, t1 + shift, y, over=over)[0]
+
+        return advance
+
+    @property
+    def passing(self) -> Flow:
+        """How the end moves with time, at the entry of a step: x' for x."""
+        width, last = self.plan.stepper.lay.width, row(self.ys, self.count)
+        return jnp.concatenate([last[width : 2 * width], jnp.zeros_like(last[width:])])
+
+    def postponed(self, drift: Scalar, change: Array) -> Array:
+        """Delay of an event's time per change of the margin, which drifts so much per second, times `change`.
+
+        Zero for a run that no event ended.
+        """
+        ended = (row(self.ys, self.count)[self.margin + 1] > 0) & jnp.isfinite(drift) & (drift != 0)
+        return jnp.where(ended, -change / jnp.where(ended, drift, 1.0), 0.0)
+
+    @property
+    def margin(self) -> int:
+        """Where the margin is in the flow vector."""
+        return self.plan.stepper.lay.margin
+
+    def _saved_at(self) -> tuple[Array, Array]:
+        """Which step each save time ends, and whether it was reached."""
+        index = jnp.searchsorted(self.ts, self.plan.ts)
+        return jnp.minimum(index, self.count), index <= self.count
+
+    def tangents(self, start: tuple[Bundle, Flow]) -> tuple[Array, Array, Array]:
+        index, reached = self._saved_at()
+        saved, last, drift = one_kernel(_pushed, self, index, start)
+        later = self.postponed(drift[self.margin], last[self.margin])
+        moved = self.postponed(drift[self.margin], last[self.margin] * drift)
+        return jnp.where(reached[:, None], saved, 0.0), last + moved, later
+
+    def cotangents(self, ends: tuple[Array, Array, Array]) -> tuple[Bundle, Flow]:
+        saved_bar, last_bar, later_bar = ends
+        index, reached = self._saved_at()
+        track = jnp.zeros_like(self.ys)
+        track = track.at[index].add(jnp.where(reached[:, None], saved_bar, 0.0))
+        return one_kernel(_pulled, self, track, last_bar, later_bar)
+
+
+def _pushed(steps: _Steps, index: Array, start: tuple[Bundle, Flow]) -> tuple[Array, Array, Array]:
+    """Tangents of the recorded states at some steps and at the last one, and the drift of that one."""
+    moving_dot, y_dot = start
+
+    def step(k: Scalar, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        saved, here, drift = carry
+        within = k < steps.count
+        along = (
+            jax.tree.map(lambda dot: jnp.where(within, dot, 0.0), moving_dot),
+            jnp.where(within, here, steps.passing),
+            jnp.where(within, 0.0, 1.0).astype(here.dtype),
+        )
+        here_now = (steps.moving, row(steps.ys, k), jnp.zeros((), here.dtype))
+        _, ahead = jax.jvp(steps.step(k, alone), here_now, along)
+        drift = jnp.where(k == steps.count, ahead, drift)
+        ahead = jnp.where(within, ahead, here)
+        return jnp.where((index == k + 1)[:, None], ahead, saved), ahead, drift
+
+    first = jnp.where((index == 0)[:, None], y_dot, jnp.zeros((index.shape[0], y_dot.shape[0])))
+    longest = eqxi.unvmap_max(steps.count)
+    return jax.lax.fori_loop(0, longest + 1, step, (first, y_dot, jnp.zeros_like(y_dot)))
+
+
+def _pulled(steps: _Steps, track: Array, last_bar: Flow, later_bar: Scalar) -> tuple[Bundle, Flow]:
+    """Cotangents of grasp and start, backwards from those of the recorded states and of the end.
+
+    Two steps of no length come first: for the drift of the margin, and for that of all that is looked at.
+    """
+    longest, end = eqxi.unvmap_max(steps.count), steps.count
+    zero, unit = jnp.zeros((), last_bar.dtype), jnp.arange(last_bar.shape[0]) == steps.margin
+
+    def step(i: Scalar, carry: tuple[Bundle, Flow, Scalar, Scalar]) -> tuple[Bundle, Flow, Scalar, Scalar]:
+        moving_bar, ahead, drift, late = carry
+        k = jnp.where(i < 2, end, longest + 1 - i)
+        _, pull = jax.vjp(steps.step(k, pulled), steps.moving, row(steps.ys, k), zero)
+        more, back, shift = pull(ahead)
+        along = jnp.sum(back * steps.passing) + shift
+        drift = jnp.where(i == 0, along, drift)
+        late = jnp.where(i == 1, steps.postponed(drift, later_bar + along), late)
+        used, here = (i > 1) & (k < end), jnp.where(i == 1, longest, k)
+        ahead = row(track, here) + jnp.where(used, back, 0.0)
+        ahead += jnp.where(here == end, last_bar + jnp.where(unit, late, 0.0), 0.0)
+        moving_bar = jax.tree.map(lambda total, part: total + jnp.where(used, part, 0.0), moving_bar, more)
+        return moving_bar, jnp.where(i == 0, last_bar, ahead), drift, late
+
+    start = (jax.tree.map(jnp.zeros_like, steps.moving), unit.astype(last_bar.dtype), zero, zero)
+    return jax.lax.fori_loop(0, longest + 2, step, start)[:2]

@@ -1,0 +1,190 @@
+"""Where the model ends: margins after every step, and the code of the one that ran out.
+
+A margin is positive while the model holds and passes through zero where it ends, so that the step-size
+control can find the time of the event (see `_derivative`), and autodiff its derivative.
+"""
+
+import functools
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import diffrax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from .._mechanics import Grasp, Instant, Leaves, poses
+from .._results import RESULTS
+from .._types import Scalar
+from ..contact import AbstractContact, clearance, TOLERANCE
+
+# Relative size below which a pivot counts as zero.
+_SINGULAR = 1e-9
+# Relative size below which a sum of curvatures counts as zero. While it runs out a contact rolls as fast as
+# its inverse, so that it falls as the square root of the time that is left: from this size on that is some
+# 1e-10 s, enough for steps to end there, while a smaller one would fall within the shortest step.
+_FLAT = 1e-4
+# Points on each contour in the audit of penetration.
+_SAMPLES = 64
+
+# Codes by number, as the flow vector carries them: diffrax's loop takes none but its own.
+_CODES = (
+    RESULTS.successful,
+    RESULTS.not_finite,
+    RESULTS.singular_contact,
+    RESULTS.contour_end,
+    RESULTS.contact_lost,
+    RESULTS.slipping,
+    RESULTS.penetration,
+)
+_NOT_FINITE, _SINGULAR_CONTACT, _CONTOUR_END, _LOST, _SLIPPING, _PENETRATION = range(1, 7)
+# Margin of a singular contact below which steps that get too short are its doing.
+_NEARLY = 1e-2
+# Numbers of codes, in steps of which the contact is counted on.
+_KINDS = 16
+EVENTS = ("lift", "friction", "penetration")
+
+
+class Limit(NamedTuple):
+    """One limit of the model at one state.
+
+    Attributes:
+        margin: How far away it is; negative beyond it.
+        number: Its code, and which contact it is of (see `_numbered`).
+    """
+
+    margin: Scalar
+    number: Any
+
+
+def regime(grasp: Grasp, leaves: Leaves, instant: Instant, events: tuple[str, ...]) -> tuple[Scalar, Scalar]:
+    """Smallest margin at one state, and the number of its limit: with a minus while it is not negative.
+
+    Contour ends and singular contacts are always watched, what `events` names besides; a friction
+    cone only where its contact has a coefficient.
+
+    Limits of the geometry come before those of the forces. Where the sum of curvatures passes through zero
+    the forces have a pole: they are large on one side and have the other sign on the other one, where
+    nothing rolls and no force means anything. The cause is the geometry.
+    """
+    shape = _nearest(_geometry(grasp, leaves, instant))
+    forces = _forces(grasp, instant, events)
+    limit = shape if not forces else _nearest([shape, *forces])
+    holds = shape.margin >= 0
+    least, number = (jnp.where(holds, a, b) for a, b in zip(limit, shape, strict=True))
+    return least, jnp.where(least < 0, number, -number)
+
+
+def _nearest(limits: Sequence[Limit]) -> Limit:
+    """The limit with the smallest margin; one that is not a number hides no other."""
+    least, number = jnp.inf, jnp.asarray(0)
+    for limit in limits:
+        lower = limit.margin < least
+        number = jnp.where(lower, limit.number, number)
+        least = jnp.where(lower, limit.margin, least)
+    return Limit(least, number)
+
+
+def with_clearance(
+    grasp: Grasp, leaves: Leaves, end: tuple[Scalar, Scalar], events: tuple[str, ...]
+) -> tuple[Scalar, Scalar]:
+    """Margin and code with the audit of penetration, where `events` asks for it: once a step."""
+    least, number = end
+    if "penetration" not in events:
+        return end
+    for i, margin in enumerate(_clearances(grasp, leaves)):
+        number = jnp.where((number <= 0) & (margin < 0), _numbered(_PENETRATION, i), number)
+        least = jnp.minimum(margin, least)
+    return least, number
+
+
+def smallest_clearance(grasp: Grasp, leaves: Leaves) -> Scalar:
+    """How far the nearest fingertip stays clear of the object [m]; negative where one overlaps it."""
+    return functools.reduce(jnp.minimum, _clearances(grasp, leaves))
+
+
+def coded(x: Array, margin: Scalar, number: Scalar) -> Array:
+    """Margin and code as the flow vector carries them: the margin is NaN where some value is not finite.
+
+    A limit that is passed there is the cause of that, such as the pole of a contact that does not roll.
+    """
+    finite = jnp.all(jnp.isfinite(x))
+    number = jnp.where(finite | (number > 0), number, _NOT_FINITE)
+    return jnp.stack([jnp.where(finite, margin, jnp.nan), number.astype(x.dtype)])
+
+
+def decode(margin: Scalar, number: Scalar, loop: diffrax.RESULTS) -> RESULTS:
+    """The result code of a run: from the flow vector's margin and number, else from diffrax's loop.
+
+    Steps that collapse just before a contact becomes singular did so because of it. Of steps that are used up
+    there that is not known: a stiff run far from any pole uses them up as well.
+    """
+    result = RESULTS.where(loop == diffrax.RESULTS.successful, RESULTS.successful, RESULTS.solver_failed)
+    steps = loop == diffrax.RESULTS.max_steps_reached
+    result = RESULTS.where(steps, RESULTS.max_steps_reached, result)
+    collapsed = loop == diffrax.RESULTS.dt_min_reached
+    result = RESULTS.where(collapsed, RESULTS.step_collapsed, result)
+    short = collapsed & (-number % _KINDS == _SINGULAR_CONTACT) & (margin < _NEARLY)
+    result = RESULTS.where(short, RESULTS.singular_contact, result)
+    for i, code in enumerate(_CODES[1:], start=1):
+        result = RESULTS.where((number > 0) & (number % _KINDS == i), code, result)
+    return result
+
+
+def _numbered(code: int, which: int | None) -> int:
+    """One number for a code and for the contact, or in an audit the finger, that it is of; None for all."""
+    return code if which is None else code + _KINDS * (which + 1)
+
+
+def whose(number: Scalar) -> Scalar:
+    """The contact or finger of a limit that ended a run; -1 where there is none."""
+    return (jnp.maximum(number, 0.0) // _KINDS).astype(int) - 1
+
+
+def _geometry(grasp: Grasp, leaves: Leaves, instant: Instant) -> list[Limit]:
+    """Ends of contours, sums of curvatures, and the smallest pivot of the constraints."""
+    each = enumerate(zip(grasp.contacts, leaves.s, strict=True))
+    limits = [
+        Limit(margin, _numbered(_CONTOUR_END, i))
+        for i, (contact, place) in each
+        for margin in contact.ends(grasp.shapes(contact), place)
+    ]
+    bends = [c.curvature_margin(pair, t) for c, pair, t in _each_contact(grasp, instant)]
+    limits += [Limit(m - _FLAT, _numbered(_SINGULAR_CONTACT, i)) for i, m in enumerate(bends)]
+    # The pivot belongs to all contacts together.
+    pivot = instant.line.schur.smallest_pivot - _SINGULAR
+    return [*limits, Limit(pivot, _numbered(_SINGULAR_CONTACT, None))]
+
+
+def _each_contact(grasp: Grasp, instant: Instant) -> list[tuple[AbstractContact, tuple[Any, Any], Any]]:
+    """Every contact with the poses of its fingertip and of the object, and its frames."""
+    body, *tips = (motion.pose for motion in instant.motions)
+    each = zip(grasp.contacts, instant.touching, strict=True)
+    return [(c, (tips[c.finger], body), touching) for c, touching in each]
+
+
+def _forces(grasp: Grasp, instant: Instant, events: tuple[str, ...]) -> list[Limit]:
+    """Normal forces, and distances to the sides of the friction cones [N]."""
+    limits = []
+    each = zip(_each_contact(grasp, instant), instant.forces, strict=True)
+    for i, ((contact, pair, touching), force) in enumerate(each):
+        lift, rubs = "lift" in events, "friction" in events and contact.friction is not None
+        if not lift and not rubs:
+            continue
+        f, tangential = contact.split_force(pair, touching, force)
+        if lift:
+            limits.append(Limit(f, _numbered(_LOST, i)))
+        if rubs:
+            cone = contact.friction * f
+            slips = _numbered(_SLIPPING, i)
+            limits += [Limit(cone - rubbing, slips) for rubbing in contact.rubbing(tangential)]
+    return limits
+
+
+def _clearances(grasp: Grasp, leaves: Leaves) -> list[Scalar]:
+    """How far every fingertip stays clear of the object [m]."""
+    body, *tips = poses(grasp, leaves.q)
+    faces = grasp.object.contours
+    return [
+        clearance((pose, body), finger.tip, faces, samples=_SAMPLES) + TOLERANCE
+        for pose, finger in zip(tips, grasp.fingers, strict=True)
+    ]

@@ -1,0 +1,212 @@
+"""What a run takes of diffrax: methods of one step for one equation, and controls of their error.
+
+Everything of diffrax that a caller may hand in is judged here, by its structure, while a run is traced: it
+works, or is refused in one sentence. Calls of a compiled run pay nothing for it.
+"""
+
+from typing import Any, get_origin
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix
+from jaxtyping import Array
+
+from .._linalg import total
+from .._results import shown
+from .._types import Scalar
+from ._rosenbrock import Rosenbrock
+from ._state_vector import Layout
+
+Method = diffrax.AbstractSolver
+Controller = diffrax.AbstractStepSizeController
+
+
+class Steady(diffrax.AbstractStepSizeController):
+    """Steps of one length, shorter only where they have to end: `diffrax.ConstantStepSize`, among save times.
+
+    diffrax's own counts its steps to spread them over the run, and goes astray where one is cut short.
+    """
+
+    def wrap(self, direction: Any) -> "Steady":
+        """As it is: time runs forwards."""
+        return self
+
+    def init(
+        self,
+        terms: Any,
+        t0: Scalar,
+        t1: Scalar,
+        y0: Array,
+        dt0: Scalar,
+        args: Any,
+        func: Any,
+        error_order: Any,
+    ) -> tuple[Scalar, Scalar]:
+        """End of the first step, and the length of all."""
+        return t0 + dt0, dt0
+
+    def adapt_step_size(
+        self,
+        t0: Scalar,
+        t1: Scalar,
+        y0: Array,
+        y1_candidate: Array,
+        args: Any,
+        y_error: Array,
+        error_order: Any,
+        controller_state: Scalar,
+    ) -> tuple[Scalar, Scalar, Scalar, bool, Scalar, diffrax.RESULTS]:
+        """Every step is taken but one whose equations were not solved, which ends the run."""
+        parts = jax.lax.split(y_error, (1,) * y_error.shape[0])
+        solved = jnp.isfinite(total(parts))[0]
+        results = diffrax.RESULTS
+        failed: Any = results.nonlinear_divergence
+        code = results.where(solved, results.successful, failed)
+        return solved, t1, t1 + controller_state, False, controller_state, code
+
+
+class Seeing(diffrax.AbstractStepSizeController):
+    """A caller's own control of the error; it sees q, v and work, as the default does.
+
+    Attributes:
+        inner: The control.
+        lay: Layout of the flow vector.
+    """
+
+    inner: Controller
+    lay: Layout = eqx.field(static=True)
+
+    def wrap(self, direction: Any) -> "Seeing":
+        """Time runs forwards."""
+        return Seeing(self.inner.wrap(direction), self.lay)
+
+    def init(
+        self,
+        terms: Any,
+        t0: Scalar,
+        t1: Scalar,
+        y0: Array,
+        dt0: Scalar,
+        args: Any,
+        func: Any,
+        error_order: Any,
+    ) -> tuple[Any, Any]:
+        """As the control itself has it."""
+        return self.inner.init(terms, t0, t1, self.lay.controlled(y0), dt0, args, func, error_order)
+
+    def adapt_step_size(
+        self,
+        t0: Scalar,
+        t1: Scalar,
+        y0: Array,
+        y1_candidate: Array,
+        args: Any,
+        y_error: Array,
+        error_order: Any,
+        controller_state: Any,
+    ) -> tuple:
+        """As the control itself has it."""
+        before, after, error = (self.lay.controlled(y) for y in (y0, y1_candidate, y_error))
+        return self.inner.adapt_step_size(t0, t1, before, after, args, error, error_order, controller_state)
+
+
+def on_tableau(method: Method) -> bool:
+    """Whether a method is explicit Runge-Kutta and no more: then its tableau says all.
+
+    By class, not by instance: diffrax's wrappers claim to be instances of what they wrap.
+    """
+    explicit = issubclass(type(method), diffrax.AbstractERK)
+    return explicit and type(method).step is diffrax.AbstractRungeKutta.step
+
+
+def is_rosenbrock(method: Method) -> bool:
+    """Whether a method is `Rosenbrock` itself."""
+    return issubclass(type(method), Rosenbrock) and type(method).step is Rosenbrock.step
+
+
+def with_tolerances(method: Any, rtol: Any, atol: Any) -> Any:
+    """An implicit method's root finder given the tolerances of the run, unless it has its own."""
+    if issubclass(type(method), diffrax.AbstractWrappedSolver):
+        inner = with_tolerances(method.solver, rtol, atol)
+        return eqx.tree_at(lambda m: m.solver, method, inner)
+    finder = getattr(method, "root_finder", None)
+    if finder is None:
+        return method
+    given = {"rtol": rtol, "atol": atol, "norm": optimistix.max_norm}
+    # diffrax marks what is to be taken from elsewhere by an object that is neither number nor function.
+    free = [n for n in given if not _is_set(getattr(finder, n, 0.0))]
+    if not free:
+        return method
+    where = lambda m: [getattr(m.root_finder, n) for n in free]  # noqa: E731
+    return eqx.tree_at(where, method, [given[n] for n in free])
+
+
+def _is_set(value: Any) -> bool:
+    return callable(value) or eqx.is_array_like(value)
+
+
+def check_method(method: Method, controller: Controller, y0: Array) -> None:
+    """Raise unless a method makes one step of y' = f(t, y) and says how wrong it is, if that is asked for."""
+    steady = isinstance(controller, Steady)
+    try:
+        fault = _fault(method, y0, steady)
+    except Exception as error:  # a caller's own method may fail in any way
+        told = " ".join(str(error).split()) or type(error).__name__
+        fault = f"make a step of one ordinary differential equation without a failure ({shown(told)})"
+    if fault:
+        raise ValueError(f"argument solver must {fault}, but was a {type(method).__name__}")
+
+
+def _fault(method: Any, y0: Array, steady: bool) -> str | None:
+    """What is wrong with a method, if anything."""
+    structure = get_origin(method.term_structure) or method.term_structure
+    if not (isinstance(structure, type) and issubclass(diffrax.ODETerm, structure)):
+        return "take one ordinary differential equation, neither split into parts nor driven by noise"
+    if on_tableau(method):
+        table = method.tableau
+        if not isinstance(table, diffrax.ButcherTableau) or table.implicit or table.c1 != 0.0:
+            return "have an explicit tableau that begins at the start of a step"
+        estimates = bool(np.any(table.b_error))
+    else:
+        memory, estimates = _tried(method, y0)
+        if memory:
+            return "remember nothing of earlier steps, each of which ends with a return to the constraints"
+    if steady:
+        return None
+    if not estimates:
+        return (
+            "estimate its error, as diffrax.HalfSolver makes any method do, unless stepsize_controller is "
+            "diffrax.ConstantStepSize()"
+        )
+    order = method.error_order(diffrax.ODETerm(_decay))
+    return None if order is not None else "say of what order its error estimate is"
+
+
+def _tried(method: Any, y0: Array) -> tuple[bool, bool]:
+    """Whether a method remembers earlier steps, and whether it estimates its error: by shapes alone."""
+    terms, base = diffrax.ODETerm(_decay), method
+    while issubclass(type(base), diffrax.AbstractWrappedSolver):
+        base = base.solver
+
+    def step(t0: Array, y0: Array) -> tuple[Any, Any, Array, Any]:
+        memory, own = (m.init(terms, t0, t0 + 1.0, y0, None) for m in (method, base))
+        y1, error, *_ = method.step(terms, t0, t0 + 1.0, y0, None, memory, True)
+        return memory, own, y1, error
+
+    t0 = jax.ShapeDtypeStruct((), y0.dtype)
+    like = jax.ShapeDtypeStruct(y0.shape, y0.dtype)
+    memory, own, y1, error = eqx.filter_eval_shape(step, t0, like)
+    for found in (y1, y1 if error is None else error):
+        if jax.tree.structure(found) != jax.tree.structure(like) or found.shape != like.shape:
+            raise ValueError(f"a step of shape {jax.tree.map(jnp.shape, found)} for {like.shape}")
+    # What a Runge-Kutta method keeps is the last derivative, and a step can do without it.
+    kept = type(base).step is diffrax.AbstractRungeKutta.step
+    forgetful = jax.tree.structure(memory) == jax.tree.structure(own) if kept else not jax.tree.leaves(memory)
+    return not forgetful, error is not None
+
+
+def _decay(t: Any, y: Array, args: Any) -> Array:
+    return -y

@@ -1,0 +1,259 @@
+"""What a run says of itself when it is printed, and why it ended.
+
+Everything here is on the host and reads what the run carries: no program is compiled for a report.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from .._mechanics import Coordinate, Labels, QUATERNION
+from .._printing import code_name, entry
+from .._results import concrete, message
+
+# How a code is told of one contact, of which margin ran out: the force, distance or share that passed zero.
+_TOLD = {
+    "contact_lost": "{who} no longer presses{when}{by}",
+    "slipping": "{who} needs more friction than there is{when}{by}",
+    "contour_end": "{who} ran past the end of an open contour{when}{by}",
+    "singular_contact": "{who} became singular{when}: its curvatures cancel, to 1e-4 of their size{by}",
+    "penetration": "{who} overlaps the object away from its contact{when}{by}",
+}
+# By how much it passed zero: by rounding where an event was hit in time, by more at a start that is off.
+_BY = {
+    "contact_lost": ": it pulls with {:.3g} N",
+    "slipping": ": its force is {:.3g} N outside the friction cone",
+    "contour_end": ": by {:.3g} m",
+    "singular_contact": "",
+    "penetration": ": by {:.3g} m",
+}
+# What to do about each, in the words of `simulate`; other callers put theirs in place of these.
+REMEDIES = {
+    "max_steps_reached": "a larger `max_steps`, a larger `rtol`, or `solver=jaxroll.Rosenbrock()` where fast "
+    "rates that have died out hold the steps short",
+    "step_collapsed": "`jaxroll.why(grasp, run)` says which contact or which arm is singular there",
+    "singular_contact": "shapes whose curvatures add up to more than zero (a hollow flatter than what rolls "
+    "in it), or joints away from a straight arm",
+    "contour_end": "a longer contour there, or an earlier `t1`",
+    "contact_lost": "press harder there, or leave 'lift' out of `events` to let contacts pull",
+    "slipping": "a larger `friction` of that contact, or leave 'friction' out of `events`",
+    "penetration": "shapes that curve away from each other, or leave 'penetration' out of `events`",
+    "not_finite": "look at the last state: a controller or a contour of your own gives NaN near there",
+    "unreachable": "`jaxroll.close(grasp, state)` first",
+    "solver_failed": "another `solver`, or none: the default",
+}
+
+
+def report(run: Any) -> str:
+    """One run in some lines."""
+    lines = [f"Trajectory: {code_name(run.result)}"]
+    if _code(run):
+        lines += entry("ended", [cause(run)])
+        lines += entry("remedy", [REMEDIES.get(code_name(run.result), "none known")])
+    saved = _reached(run.states.q)
+    stats, end = run.stats, f"ended at {float(run.stats.t_end):.6g} s"
+    if saved.any():
+        ts = np.asarray(run.ts)[saved]
+        span = f"{ts[0]:g} to {ts[-1]:g}" if len(ts) > 1 else f"{ts[0]:g}"
+        kept = f"{span} s, {saved.sum()} of {saved.size} states saved"
+    else:
+        kept = f"none of {saved.size} states saved, `last` is where it stopped"
+    lines.append(f"  time      {kept}; {end}")
+    lines.append(f"  steps     {int(stats.accepted)} accepted, {int(stats.rejected)} rejected")
+    if saved.any():
+        lines.append(_left(run.residuals))
+    lines += [*_rolled(run, saved), *_motion(run, saved), *_forces(run, saved)]
+    if run.energy is not None and saved.any():
+        scale = np.nanmax(np.abs(np.asarray(run.energy.kinetic + run.energy.potential)))
+        off = peak(run.energy.residual)
+        told = f"within {off / scale:.1e} of its size" if scale > 0 else f"within {off:.1e} J"
+        lines.append(f"  energy    balance {told}")
+    return "\n".join(lines)
+
+
+def batch_report(runs: Any) -> str:
+    """Many runs: how many ended how, and where they are at the end."""
+    codes, stats = np.asarray(runs.result._value), runs.stats
+    lines = [f"Trajectory of {codes.size} lanes, {int(np.sum(stats.accepted))} accepted steps"]
+    names = {int(code): code_name(type(runs.result)(code, runs.result._enumeration)) for code in codes.flat}
+    for code, name in sorted(names.items()):
+        here = codes == code
+        lines.append(f"  {int(here.sum())} lanes: {name}{_where(runs, here) if code else ''}")
+    lines += _at_the_end(runs.labels, np.asarray(runs.last.q), "at end")
+    return "\n".join(lines)
+
+
+def cause(run: Any) -> str:
+    """Why one run ended early: which contact, when, by how much; one sentence without its full stop."""
+    name, stats = code_name(run.result), run.stats
+    t, contact, margin = float(stats.t_end), int(stats.contact), float(stats.margin)
+    when = f" at t = {t:.6g} s"
+    if name == "max_steps_reached":
+        return f"the step limit was reached{when}, after {int(stats.steps)} steps"
+    if name not in _TOLD or (contact < 0 and name == "singular_contact"):
+        return f"{_lower(message(run.result))}{when}"
+    who = "a contact" if contact < 0 else contact_name(run.labels, contact)
+    if name == "penetration":  # an audit looks at fingers, whether they have a contact or not
+        who = f"finger {contact}"
+    by = _BY[name].format(0.0 - margin) if np.isfinite(margin) else ""
+    return _TOLD[name].format(who=who, when=when, by=by)
+
+
+def complaint(run: Any, remedies: Mapping[str, str] = REMEDIES) -> str:
+    """The sentence that an error says of a run that ended early: cause and remedy."""
+    told, remedy = cause(run), remedies.get(code_name(run.result))
+    return f"{told[0].upper()}{told[1:]}" + (f"; what helps: {remedy}" if remedy else "")
+
+
+def contact_name(labels: Labels | None, contact: int) -> str:
+    """What a contact is called."""
+    if labels is None or contact >= len(labels.contacts):
+        return f"contact {contact}"
+    return labels.contacts[contact]
+
+
+def amount(value: float, unit: str, *, signed: bool = False) -> str:
+    """A coordinate's value: lengths in millimetres, to a micrometre; angles to 1e-4 rad."""
+    scale, digits, shown_unit = (1e3, 3, "mm") if unit == "m" else (1.0, 4, unit)
+    number = f"{round(scale * value, digits) + 0.0:{'+' if signed else ''}.{digits}f}"
+    return f"{number} {shown_unit}".rstrip()
+
+
+def _code(run: Any) -> int:
+    return int(concrete(run.result._value))  # pyright: ignore[reportArgumentType]
+
+
+def _lower(sentence: str) -> str:
+    return f"{sentence[0].lower()}{sentence[1:].rstrip('.')}"
+
+
+def _reached(q: Any) -> np.ndarray:
+    return np.asarray(np.isfinite(np.asarray(q)).all(axis=-1))
+
+
+def peak(*arrays: Any) -> float:
+    """Largest absolute value of what was reached."""
+    return max(float(np.nanmax(np.abs(np.asarray(a)), initial=0.0)) for a in arrays)
+
+
+def _left(left: Any) -> str:
+    gap, tangency = peak(left.normal, left.tangential), peak(left.tangency)
+    return f"  residuals gap {gap:.1e} m, tangency {tangency:.1e} rad"
+
+
+def _rolled(run: Any, saved: np.ndarray) -> list[str]:
+    """In the plane: how far each contact has rolled to and fro."""
+    if run.residuals.tangential.ndim > run.residuals.normal.ndim or saved.sum() < 2:
+        return []
+    travel = 1e3 * np.ptp(np.asarray(run.states.s)[saved], axis=0)
+    return [f"  rolled    {', '.join(f'{x:.3f}' for x in travel)} mm"]
+
+
+def _motion(run: Any, saved: np.ndarray) -> list[str]:
+    """What every body did from the first saved state to the end; with one state, where it is."""
+    end = np.asarray(run.last.q)
+    labels = _labels(run.labels, end.shape[-1])
+    if saved.sum() < 2:
+        return _at_the_end(labels, end[None], "at end" if saved.any() or run.stats.t_end > 0 else "start")
+    start, lines, at = np.asarray(run.states.q)[saved][0], [], 0
+    for body, coordinates in labels.bodies:
+        here = slice(at, at := at + len(coordinates))
+        if coordinates:
+            lines.append(f"{body}: {_moved(coordinates, start[here], end[here])}")
+    return entry("moved", lines)
+
+
+def _moved(coordinates: Sequence[Coordinate], start: np.ndarray, end: np.ndarray) -> str:
+    """Changes, grouped by unit; four numbers of an orientation as the angle between both."""
+    groups: list[list[str]] = []
+    last, turn = None, [i for i, each in enumerate(coordinates) if each.name in QUATERNION]
+    for i, each in enumerate(coordinates):
+        if len(turn) == 4 and i in turn:
+            continue
+        text = f"{each.name} {amount(end[i] - start[i], each.unit, signed=True)}"
+        if last == each.unit:
+            groups[-1] = [*(part.removesuffix(_suffix(each.unit)) for part in groups[-1]), text]
+        else:
+            groups.append([text])
+        last = each.unit
+    parts = [part for group in groups for part in group]
+    if len(turn) == 4:
+        parts.append(f"turned by {_angle(start[turn], end[turn]):.4f} rad")
+    return ", ".join(parts)
+
+
+def _suffix(unit: str) -> str:
+    return f" {'mm' if unit == 'm' else unit}"
+
+
+def _angle(start: np.ndarray, end: np.ndarray) -> float:
+    """Angle between two orientations, given as quaternions."""
+    start, end = start / np.linalg.norm(start), end / np.linalg.norm(end)
+    vector = start[0] * end[1:] - end[0] * start[1:] - np.cross(end[1:], start[1:])
+    return float(2.0 * np.arctan2(np.linalg.norm(vector), abs(start @ end)))
+
+
+def _at_the_end(labels: Labels | None, q: np.ndarray, title: str) -> list[str]:
+    """Where every body is, over all lanes."""
+    rows = q.reshape(-1, q.shape[-1])
+    rows = rows[np.isfinite(rows).all(axis=-1)]
+    if not len(rows):
+        return []
+    lines, at = [], 0
+    for body, coordinates in _labels(labels, q.shape[-1]).bodies:
+        parts = []
+        for i, each in enumerate(coordinates, at):
+            low, high = (amount(f(rows[:, i]), each.unit) for f in (np.min, np.max))
+            whole = low if low == high else f"{low.removesuffix(_suffix(each.unit))} to {high}"
+            parts.append(f"{each.name} {whole}")
+        at += len(coordinates)
+        lines += [f"{body}: {', '.join(parts)}"] if parts else []
+    return entry(title, lines)
+
+
+def _labels(labels: Labels | None, positions: int) -> Labels:
+    """The labels of a run; of one that was made by hand, plain numbers."""
+    if labels is not None and sum(len(each) for _, each in labels.bodies) == positions:
+        return labels
+    return Labels((("state", tuple(Coordinate(f"q[{i}]", "") for i in range(positions))),), ())
+
+
+def _forces(run: Any, saved: np.ndarray) -> list[str]:
+    """Contact forces and the friction that rolling needs, where they were recorded."""
+    if run.multipliers is None:
+        return ["  forces    not recorded (nor the friction they need): record=('multipliers',)"]
+    f, lam = np.asarray(run.multipliers.f), np.asarray(run.multipliers.lam)
+    lam = np.linalg.norm(lam, axis=-1) if lam.ndim > f.ndim else lam
+    if not saved.any():
+        return []
+    lines = [
+        f"  forces    normal {np.nanmin(f):.4g} to {np.nanmax(f):.4g} N"
+        f", tangential {np.nanmin(lam):.4g} to {np.nanmax(lam):.4g} N"
+    ]
+    return [*lines, f"  friction  {_demand(run, f, np.abs(lam))}"]
+
+
+def _demand(run: Any, f: np.ndarray, aside: np.ndarray) -> str:
+    """Largest friction demand, where and when; a contact that pulls has none that would do."""
+    seen = np.isfinite(f) & np.isfinite(aside)
+    pulls = seen & ~(f > 0.0)
+    need = np.where(seen & ~pulls, aside, -np.inf) / np.where(pulls | ~seen, 1.0, f)
+    if pulls.any():
+        row, contact = np.unravel_index(np.argmax(pulls), f.shape)
+        first = float(np.asarray(run.ts)[row])
+        return f"! {contact_name(run.labels, int(contact))} pulls at t = {first:.4g} s: no friction would do"
+    # Of equal ones the first, whatever rounding says.
+    row, contact = np.unravel_index(np.argmax(need >= need.max() * (1.0 - 1e-9)), need.shape)
+    most, t = float(need[row, contact]), float(np.asarray(run.ts)[row])
+    warning = "; ! above 1: few materials give that" if most > 1.0 else ""
+    return f"demand up to {most:.4g}, of contact {contact} at t = {t:.4g} s{warning}"
+
+
+def _where(runs: Any, here: np.ndarray) -> str:
+    """Of the lanes with one code: between which times they ended, and at which contacts."""
+    ends, contacts = np.asarray(runs.stats.t_end)[here], np.asarray(runs.stats.contact)[here]
+    low, high = (f"{f(ends):.4g}" for f in (np.min, np.max))
+    span = f" at t = {low} s" if low == high else f" at t = {low} to {high} s"
+    known = [f"contact {c}: {int(np.sum(contacts == c))}" for c in np.unique(contacts) if c >= 0]
+    return span + (f" ({', '.join(known)})" if known else "")

@@ -1,0 +1,123 @@
+"""One turn of the integration: where the next step goes, and whether it is taken."""
+
+from typing import Any, NamedTuple
+
+import diffrax
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from .._linalg import row, with_row
+from .._types import Scalar
+from ._plan import Path, path_of, Plan
+from ._state_vector import Bundle, Flow
+from ._step_size import Pace
+
+# Save times closer than this are the same [s].
+_SAME_TIME = 1e-10
+
+
+class Course(NamedTuple):
+    """A run in progress.
+
+    Attributes:
+        y: Flow vector.
+        pace: Step-size control.
+        loop: diffrax's code of the run, as a number.
+        saved: How many save times were reached.
+        hit: Whether one was reached in the last step.
+        busy: Whether the run goes on.
+    """
+
+    y: Array
+    pace: Pace
+    loop: Array
+    saved: Array
+    hit: Array
+    busy: Array
+
+
+def embark(plan: Plan, y0: Flow) -> Course:
+    """Before the first step."""
+    fine, none = jnp.asarray(diffrax.RESULTS.successful._value), jnp.asarray(0)
+    return Course(y0, plan.at_rest(y0), fine, none, jnp.asarray(False), jnp.asarray(True))
+
+
+def aim(plan: Plan, course: Course) -> tuple[Scalar, Scalar]:
+    """Start and end of the next step; a run that is over stays where it is."""
+    pace, stop = course.pace, _stop(plan, course.saved)
+    ahead = plan.control(pace).ahead(pace.t)
+    # The first step has no length, however near the first stop is.
+    t1 = jnp.where((ahead > stop - _SAME_TIME) & (pace.length > 0), stop, ahead)
+    return pace.t, jnp.where(course.busy, t1, pace.t)
+
+
+def judge(
+    plan: Plan, course: Course, times: tuple[Scalar, Scalar], step: tuple[Flow, Flow, Scalar]
+) -> Course:
+    """Take a step, given as its end, its error estimate and where its margin dips, or leave it."""
+    y1, error, dip = step
+    judged = plan.control(course.pace, dip).adapt_step_size(
+        *times, course.y, y1, None, error, plan.stepper.error_order, course.pace
+    )
+    keep, pace, loop = judged[0], judged[4], judged[5]._value
+    # A run that ends where something is not finite keeps the state before, and the code.
+    whole = ~jnp.isnan(y1[-2]) | (jnp.arange(y1.shape[0]) == y1.shape[0] - 1)
+    y = jnp.where(keep & whole, y1, course.y)
+    holds, count = y[-1] <= 0, plan.ts.shape[0]
+    hit = course.busy & keep & holds & (course.saved < count) & (pace.t == _stop(plan, course.saved))
+    saved = course.saved + jnp.where(hit, 1, 0)
+    over = (saved == count) & (pace.t == plan.t1)
+    busy = course.busy & holds & (loop == diffrax.RESULTS.successful._value) & ~over
+    pick = lambda new, old: jnp.where(course.busy, new, old)  # noqa: E731
+    y, pace, loop = jax.tree.map(pick, (y, pace, loop), (course.y, course.pace, course.loop))
+    return Course(y, pace, loop, saved, hit, busy)
+
+
+def _stop(plan: Plan, saved: Scalar) -> Scalar:
+    """The next time where a step has to end."""
+    last = plan.ts.shape[0] - 1
+    ahead = row(plan.ts, jnp.minimum(saved, last))
+    return jnp.where(saved <= last, ahead, plan.t1)
+
+
+class Record(NamedTuple):
+    """Times and flow vectors of all accepted steps, the start first."""
+
+    ts: Array
+    ys: Array
+
+
+def solo(grasp: Bundle, y0: Flow, plan: Plan) -> Path:
+    """One run."""
+    return _solo(grasp, y0, plan, None)[0]
+
+
+def recorded(grasp: Bundle, y0: Flow, plan: Plan) -> tuple[Path, Record]:
+    """The same run, with every accepted step recorded."""
+    rows = plan.max_steps + 2
+    record = Record(jnp.full(rows, jnp.inf, y0.dtype), jnp.zeros((rows, y0.shape[0]), y0.dtype))
+    return _solo(grasp, y0, plan, Record(with_row(record.ts, plan.t0, 0), with_row(record.ys, y0, 0)))
+
+
+def _solo(grasp: Bundle, y0: Flow, plan: Plan, record: Record | None) -> tuple[Path, Any]:
+    def turn(carry: tuple) -> tuple:
+        course, saved, record, meter = carry
+        times = aim(plan, course)
+        step = plan.stepper.advance(grasp, *times, course.y)
+        course = judge(plan, course, times, step)
+        place = jnp.where(course.hit, course.saved - 1, plan.ts.shape[0])
+        saved = with_row(saved, course.y, place)
+        if record is not None:
+            count = course.pace.accepted
+            record = Record(with_row(record.ts, course.pace.t, count), with_row(record.ys, course.y, count))
+        meter = plan.progress.step(meter, (course.pace.t - plan.t0) / (plan.t1 - plan.t0))
+        return course, saved, record, meter
+
+    nothing = jnp.full((plan.ts.shape[0] + 1, y0.shape[0]), jnp.nan, y0.dtype)
+    start = (embark(plan, y0), nothing, record, plan.progress.init())
+    course, saved, record, meter = jax.lax.while_loop(lambda c: c[0].busy, turn, start)
+    plan.progress.close(meter)
+    pace = course.pace
+    counts = (pace.attempted, pace.accepted, course.loop)
+    return path_of(saved[:-1], course.y, pace.t, counts), record

@@ -1,0 +1,276 @@
+"""`simulate`: the entry point of the package."""
+
+from typing import Any, NamedTuple
+
+import diffrax
+import equinox as eqx
+import equinox.internal as eqxi
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from .._closing import reach
+from .._linalg import total
+from .._mechanics import check_planar, check_states, Grasp, State
+from .._motion import (
+    as_formulation,
+    CSM,
+    energies_at,
+    Energy,
+    Formulation,
+    Multipliers,
+    multipliers_at,
+    of_reached,
+    residuals_at,
+    worst,
+)
+from .._results import check_flag, concrete, RESULTS
+from .._types import Given
+from .._xla import in_turn, sharing
+from ._arguments import (
+    check_choices,
+    check_control,
+    check_meter,
+    check_solver,
+    Numbers,
+    numbers as run_numbers,
+    OPTIONS,
+    RECORDS,
+    RTOL,
+    step_limit,
+)
+from ._derivative import march
+from ._events import EVENTS, whose
+from ._methods import check_method, Seeing, Steady, with_tolerances
+from ._plan import Path, Plan
+from ._report import complaint
+from ._state_vector import bundle, Layout, layout, states_of, vector_of
+from ._step import RollingStep
+from ._trajectory import Stats, Trajectory
+
+
+def simulate(
+    grasp: Grasp,
+    state: State,
+    t1: Given,
+    *,
+    t0: Given = 0.0,
+    ts: Given | int = 301,
+    formulation: Formulation | None = None,
+    solver: diffrax.AbstractSolver | None = None,
+    rtol: float = RTOL,
+    record: tuple[str, ...] = (),
+    throw: bool = True,
+    **options: Any,
+) -> Trajectory:
+    r"""Simulate a grasp with rolling contacts from a consistent state.
+
+    Solves $M \dot v + h = u + A^T \mu$ with $A v = 0$, (1)-(7), (73)-(74), and the rolling rates
+    (7), (68), in time. By default the index-1 equations are projected back onto positions, tangency and
+    velocities after every accepted step, so that drift stays at rounding level on any time span.
+
+    Args (daily use):
+        grasp: The grasp; every array in it is differentiable.
+        state: A state on the constraints, as `close` returns it.
+        t1: Final time [s].
+        ts: Times to save at, shape (t,), rising, within [t0, t1]; or how many, evenly spaced. Steps
+            end at them, so a saved state is as accurate as the solver.
+        rtol: Relative tolerance of the local error of q and v.
+        record: Any of 'multipliers' and 'energy', worked out at the saved times. Default: neither.
+        throw: If True, raise when the run ends early; if False, or under `vmap`, read `result`.
+    Args (rarely changed):
+        t0: Initial time [s].
+        formulation: `Index1()` (default) or `CSM(...)`, the chapter's stabilisation.
+        solver: An explicit or implicit Runge-Kutta method of diffrax, or `diffrax.HalfSolver` of one.
+            Default: `diffrax.Dopri8()`. For long runs `jaxroll.Rosenbrock()`. A method without an error
+            estimate, as `diffrax.Euler()`, takes constant steps only; methods that remember earlier steps,
+            split the equations or integrate noise are refused.
+        **options: `events`, what ends a run besides contour ends and singular contacts: any of 'lift'
+            (a normal force falls below zero), 'friction' (a contact with a coefficient leaves its friction
+            cone), both by default, and 'penetration' (a fingertip overlaps the object elsewhere, on
+            64 points per contour); `atol` (default: rtol), `dt0` [s], `max_steps` (default 4096),
+            `stepsize_controller` and `progress_meter`, as in `diffrax.diffeqsolve`. A controller is a
+            `diffrax.PIDController` without `dtmin`, one of your own that adapts, or
+            `diffrax.ConstantStepSize()`, whose steps have the length `dt0` but where a save time cuts them.
+
+    Returns:
+        A `Trajectory`.
+
+    Raises:
+        ValueError: If an argument does not fit, or `state` is off the constraints.
+        RuntimeError: If `throw` and the run ended early; with `throw=False` all that was computed is
+            returned with its code.
+
+    Batching: `vmap` over any array; each lane has its own code, and no lane changes another.
+    Events: a run ends where its model does, at the root of the force, distance or angle that runs out, to
+    rounding in time; `stats.t_end` and `last` carry the derivative of that time. A limit that is crossed and
+    recrossed within one step is seen from the step's stages, as far as the solver sees it: a push of your own
+    controller that is shorter than a step and falls between its stages is no part of the run. Limits of the
+    geometry come before those of the forces, which have a pole where a sum of curvatures is zero.
+    Gradients: forward and reverse mode, of the discrete solution at frozen step sizes, with respect to
+    `grasp` and `state`; in times or gains of the formulation, and twice, they are refused. A derivative
+    records `max_steps` states.
+    Accuracy: with default settings about 1e-8 rad over the chapter's scenes; constraint rows below 1e-14 m.
+    Recording energy puts the work into error control, and so can change the steps.
+    Single precision: allowed from rtol 1e-5 up.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> grasp, state = jxr.scenes.pivoted()
+        >>> run = jxr.simulate(grasp, state, t1=3.0)
+        >>> f"{run.states.q[-1, 0] - run.states.q[0, 0]:.3f} rad"  # the object turned by
+        '0.772 rad'
+    """
+    check_states(grasp, state)
+    check_flag("throw", throw)
+    way = as_formulation(grasp, formulation)
+    check_choices("options", tuple(options), OPTIONS)
+    numbers = run_numbers((t0, t1, ts), rtol, options, np.dtype(state.q.dtype))
+    setup = Setup(
+        check_solver(solver),
+        check_control(options.get("stepsize_controller")),
+        check_meter(options.get("progress_meter")),
+        step_limit(options.get("max_steps", 4096)),
+        check_choices("record", record, RECORDS),
+        check_choices("events", options.get("events", ("lift", "friction")), EVENTS),
+    )
+    if "penetration" in setup.events:
+        check_planar(grasp)
+    run = _run_plain if _is_plain(grasp, setup) else _run_any
+    trajectory, off = run(grasp.tabled(), state, way, numbers, setup)
+    return _checked(trajectory, off) if throw else trajectory
+
+
+class Setup(NamedTuple):
+    """What is compiled in."""
+
+    solver: diffrax.AbstractSolver
+    controller: diffrax.AbstractStepSizeController | None
+    progress: diffrax.AbstractProgressMeter | None
+    max_steps: int
+    record: tuple[str, ...]
+    events: tuple[str, ...]
+
+
+def _is_plain(grasp: Grasp, setup: Setup) -> bool:
+    """Whether arrays are all there is in the arguments: then `jax.jit` serves, in half the time."""
+    if setup.controller is not None or setup.progress is not None:
+        return False
+    return not jax.tree.leaves(setup.solver) and all(map(eqx.is_array, jax.tree.leaves(grasp)))
+
+
+def _run(
+    grasp: Grasp, state: State, formulation: Formulation, numbers: Numbers, setup: Setup
+) -> tuple[Trajectory, Array]:
+    check_precision(grasp, state)
+    ready, lay = grasp.prepared(), layout(grasp, "energy" in setup.record)
+    y0 = vector_of(lay, state)
+    stepper = RollingStep(setup.solver, formulation, lay, setup.events)
+    plan = _plan(stepper, y0, Numbers(*map(jnp.asarray, numbers)), setup)
+    # A derivative in a time or a gain of the formulation would be a silent zero: refuse it instead.
+    plan = eqxi.nondifferentiable(plan, name="times, tolerances and gains of the formulation")
+    return _trajectory(ready, state, march(bundle(ready), y0, plan), plan, setup.record)
+
+
+_run_plain = jax.jit(_run, static_argnames="setup")
+_run_any = eqx.filter_jit(_run)
+
+
+def _plan(stepper: RollingStep, y0: Array, numbers: Numbers, setup: Setup) -> Plan:
+    t0, t1, ts, dt0, rtol, atol = numbers
+    lay, given = stepper.lay, setup.controller
+    controller: diffrax.AbstractStepSizeController = Steady()
+    if given is None:
+        controller = diffrax.PIDController(rtol=rtol, atol=atol, norm=_Norm(lay), dtmin=1e-12)
+    elif not isinstance(given, diffrax.ConstantStepSize):
+        controller = Seeing(given, lay).wrap(1)
+        # A control may have its own say in the first step.
+        first, _ = controller.init(None, t0, t1, y0, dt0, None, None, stepper.error_order)
+        dt0 = first - t0
+    method = with_tolerances(setup.solver, rtol, atol)
+    check_method(method, controller, y0[: lay.width])
+    stepper = RollingStep(method, stepper.formulation, lay, stepper.events)
+    meter = setup.progress or diffrax.NoProgressMeter()
+    return Plan(stepper, controller, t0, t1, ts, dt0, meter, setup.max_steps)
+
+
+class _Norm(eqx.Module):
+    """Root mean square of the scaled error over what error control looks at."""
+
+    lay: Layout = eqx.field(static=True)
+
+    def __call__(self, error: Array) -> Array:
+        # Not a reduction: XLA hands the larger ones of a batch to a library, out of its loop.
+        seen = self.lay.controlled(error)
+        parts = jax.lax.split(seen, (1,) * seen.shape[0])
+        return jnp.sqrt(total([e * e for e in parts]) * (1.0 / len(parts)))[0]
+
+
+def check_precision(grasp: Grasp, state: State) -> None:
+    """Raise for a state of less precision than its grasp has: a run would go on in that of the grasp."""
+    wanted = jnp.result_type(*filter(eqx.is_inexact_array, jax.tree.leaves(grasp)))
+    has = state.q.dtype
+    if jnp.promote_types(wanted, has) != has:
+        raise ValueError(f"argument state must be of its grasp's {wanted}, but was of {has}")
+
+
+def _trajectory(
+    grasp: Grasp, state: State, path: Path, plan: Plan, record: tuple[str, ...]
+) -> tuple[Trajectory, Array]:
+    lay, way = plan.stepper.lay, plan.stepper.formulation
+    states = states_of(lay, path.saved)
+    both = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), state, states)
+    left = of_reached(lambda rows: in_turn(residuals_at, grasp, rows), both, state)
+    off = worst(jax.tree.map(lambda a: a[0], left))
+    on_constraints = isinstance(way, CSM) | (off <= reach(state.q.dtype))
+    forces = energy = None
+    if "multipliers" in record:
+        forces = of_reached(lambda rows: in_turn(_forces_at, (grasp, way), rows, plan.ts), states, state)
+    if "energy" in record:
+        energy = _energy(grasp, state, states, path.saved[:, lay.width - 1])
+    attempted, accepted, rejected = path.steps
+    number = jax.lax.stop_gradient(path.last[-1])
+    margin = jnp.where(number > 0, path.last[lay.margin], jnp.nan)
+    trajectory = Trajectory(
+        plan.ts,
+        states,
+        states_of(lay, path.last),
+        jax.tree.map(lambda a: a[1:], left),
+        RESULTS.where(on_constraints, path.result, RESULTS.unreachable),
+        Stats(attempted, accepted, rejected, path.t_last, whose(number), margin),
+        forces,
+        energy,
+        grasp.labels,
+    )
+    return trajectory, off
+
+
+def _forces_at(given: tuple[Grasp, Formulation], state: State, t: Array) -> Multipliers:
+    with sharing():
+        return multipliers_at(given[0], t, state, given[1])
+
+
+def _energies_at(grasp: Grasp, state: State) -> tuple[Array, Array]:
+    with sharing():
+        kinetic, potential = energies_at(grasp, state)
+    return jnp.asarray(kinetic), jnp.asarray(potential)
+
+
+def _energy(grasp: Grasp, start: State, states: State, work: Array) -> Energy:
+    kinetic, potential = of_reached(lambda rows: in_turn(_energies_at, grasp, rows), states, start)
+    balance = kinetic + potential - work
+    return Energy(kinetic, potential, work, balance - balance[0])
+
+
+def _checked(trajectory: Trajectory, off: Array) -> Trajectory:
+    """Raise for a run that failed; while JAX traces, its code says so instead."""
+    codes = concrete(trajectory.result._value)
+    if codes is None or not codes.any():
+        return trajectory
+    if codes == RESULTS.unreachable._value:
+        raise ValueError(
+            f"argument state must be on the constraints to {reach(off.dtype):g}, but its worst row is "
+            f"{float(off):.3g} m or rad off; jaxroll.close makes it consistent"
+        )
+    raise RuntimeError(complaint(trajectory))

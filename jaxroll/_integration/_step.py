@@ -1,0 +1,306 @@
+"""One step of a diffrax Runge-Kutta method on a grasp, and the return to the constraints.
+
+diffrax supplies the methods; its own step is not used for explicit ones, because sharing the last stage's
+factorisation with the projection, and stopping XLA from recomputing one stage inside the next, is worth a
+factor of two in a run and four in a batch.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from .._linalg import row, scalars, total, with_row
+from .._mechanics import Grasp, Instant
+from .._motion import (
+    Anchor,
+    anchor_of,
+    compatible,
+    evaluate,
+    Formulation,
+    Index1,
+    power,
+    settle,
+    unknown_anchor,
+)
+from .._types import Scalar
+from .._xla import alone, once, sharing
+from ._dips import first_dip, watched
+from ._events import coded, regime, smallest_clearance, with_clearance
+from ._methods import is_rosenbrock, on_tableau
+from ._rosenbrock import advance, in_turn, side_by_side, STAGE_TIMES
+from ._state_vector import Bundle, Flow, Layout, pack, unpack
+
+
+class RollingStep(eqx.Module):
+    """A step of a diffrax method for the flow vector of a grasp.
+
+    Attributes:
+        method: The diffrax method: explicit Runge-Kutta ones are run on their tableau, Rosenbrock's in
+            one loop too, any other one by its own `step`.
+        formulation: Projection or stabilisation.
+        lay: Layout of the flow vector.
+        events: What ends a run, besides the ends of contours and singular contacts.
+    """
+
+    method: diffrax.AbstractSolver
+    formulation: Formulation
+    lay: Layout = eqx.field(static=True)
+    events: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def error_order(self) -> Any:
+        """Order of the error estimate, as step-size controllers want it."""
+        # Methods ask the terms only whether there is noise in them.
+        return self.method.error_order(diffrax.ODETerm(lambda t, x, args: x))
+
+    @eqx.filter_jit  # traced once for a run and its tangents
+    def advance(
+        self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow, *, over: Callable = alone
+    ) -> tuple[Flow, Flow, Scalar]:
+        """One step as a pure map: the new vector, its error estimate, and where its margin dips (`_dips`).
+
+        `over` is `pulled` where the step is to be differentiated backwards.
+        """
+        return self.advance_lanes(bundle, (t0, t1), y0, over)
+
+    def advance_lanes(
+        self, bundle: Bundle, times: tuple[Array, Array], y0: Array, over: Callable[[Callable], Callable]
+    ) -> tuple[Array, Array, Array]:
+        """The same for lanes along the last axis; `over` maps a function of one lane's (bundle, ...)."""
+        raw, rates, error, end, dip = self._way(bundle, *times, y0, over)
+        y1 = over(self._finish)(bundle, times[1], raw, rates, end)
+        if "penetration" in self.events:
+            dip = jnp.minimum(dip, over(self._clearance_dip)(bundle, *times, y0, y1))
+        # XLA would work both out again in everything that looks at them (see `_dips`).
+        with sharing():
+            dip, leapt = once((dip, self._leapt(y0, raw, y1).astype(error.dtype)))
+        error = jnp.where(leapt > 0, jnp.inf, error)
+        unseen = jnp.zeros((self.lay.width + 2, *error.shape[1:]), error.dtype)
+        return y1, jnp.concatenate([error, unseen]), dip
+
+    def _leapt(self, y0: Array, raw: Array, y1: Array) -> Array:
+        """Whether the projection carried a contact elsewhere than the step had: such a step is too long.
+
+        Where a sum of curvatures runs out, tangency has no solution any more, and its Newton steps end
+        somewhere else on the shapes. Error control does not see that: it looks at q and v alone.
+        """
+        positions, velocities, places = self.lay.form.counts
+        start, stop = positions + velocities, positions + velocities + places
+        at = [y[start:stop] for y in (y0, raw, y1)]
+        carried = jnp.abs(at[2] - at[1])
+        moved = jnp.minimum(jnp.abs(at[1] - at[0]), jnp.abs(at[2] - at[0]))
+        return jnp.any(carried > 0.5 * moved + _NEAR, axis=0)
+
+    @property
+    def _way(self) -> Callable:
+        if on_tableau(self.method):
+            return self._explicit
+        return self._rosenbrock if is_rosenbrock(self.method) else self._other
+
+    def _finish(self, bundle: Bundle, t: Scalar, raw: Array, rates: Array, end: Array) -> Flow:
+        """The flow vector at a step's end, back on the constraints."""
+        grasp = bundle()
+        with sharing():
+            ending = Ending.unpacked(grasp, end)
+            x1 = raw
+            if isinstance(self.formulation, Index1):
+                x1 = self._return(grasp, raw, ending.anchor)
+            leaves, _ = unpack(self.lay, x1)
+            judged = with_clearance(grasp, leaves, (ending.margin, ending.number), self.events)
+            return jnp.concatenate([x1, rates, coded(x1, *judged)])
+
+    def _return(self, grasp: Grasp, raw: Array, anchor: Anchor) -> Array:
+        """Back onto the constraints, positions before velocities."""
+        x = raw
+        for _ in range(_SWEEPS):
+            leaves, work = unpack(self.lay, x)
+            x = once(pack(settle(grasp, leaves, anchor), work))
+        leaves, work = unpack(self.lay, x)
+        return pack(compatible(grasp, leaves, anchor.line), work)
+
+    def _within(self, t0: Scalar, t1: Scalar, y0: Flow, y1: Flow, share: Scalar) -> Array:
+        """The vector x at a share of a step, by the cubic through both ends and their derivatives."""
+        width = self.lay.width
+        (x0, k0), (x1, k1) = ((y[:width], (t1 - t0)[None] * y[width : 2 * width]) for y in (y0, y1))
+        rise, rest = x1 - x0, 1.0 - share
+        bent = rest * (k0 - rise) - share * (k1 - rise)
+        return x0 + share * (rise + rest * bent)
+
+    def _clearance_dip(self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow, y1: Flow) -> Scalar:
+        """Where a fingertip overlaps the object within a step: the audit at some places of it."""
+        grasp, shares = bundle(), jnp.asarray(_AUDITED, y0.dtype)
+
+        def audited(i: Scalar, margins: Array) -> Array:
+            leaves, _ = unpack(self.lay, self._within(t0, t1, y0, y1, row(shares, i)))
+            return jnp.where(jnp.arange(len(_AUDITED)) == i, smallest_clearance(grasp, leaves), margins)
+
+        margins = jax.lax.fori_loop(0, len(_AUDITED), audited, jnp.zeros(len(_AUDITED), y0.dtype))
+        return first_dip(_AUDITED, list(margins))
+
+    def _explicit(
+        self, bundle: Bundle, t0: Array, t1: Array, y0: Array, over: Callable
+    ) -> tuple[Array, Array, Array, Array, Array]:
+        """All stages and the step's end in one loop, so that the equations are compiled once."""
+        tableau = self.method.tableau  # pyright: ignore[reportAttributeAccessIssue]
+        # Frozen: a step is moved in time as a whole, never stretched.
+        dt, width = jax.lax.stop_gradient(t1 - t0), self.lay.width
+        rows, shares, weights = _tables(tableau, y0.dtype)
+        times, count = jnp.asarray(shares, y0.dtype), len(shares)
+        # A column more than x has takes the margins of all stages along: what is mixed of it is not read.
+        x0, k0 = y0[: width + 1], y0[width : 2 * width + 1]
+        slopes = jnp.concatenate([k0[None], jnp.zeros((count - 1, *k0.shape), k0.dtype)])
+        nothing = jnp.zeros((_sizes(bundle), *t0.shape), y0.dtype)
+
+        at, put = lambda t, x: over(self._at)(bundle, t, x), with_row
+        if t0.ndim == 0:
+            put = _selected
+
+        def mix(slopes: Array, row: Sequence[Any]) -> Array:
+            # Not a reduction: XLA hands larger ones to a library, and so breaks up the loop. Squeezed only
+            # at the end: XLA would move that down the sum by one term each time it simplifies all it has.
+            parts = jax.lax.split(slopes, (1,) * count)
+            return total([w * k for w, k in zip(row, parts, strict=True)])[0]
+
+        def stage(i: Scalar, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+            slopes = carry[0]
+            x = x0 + dt[None] * mix(slopes, scalars(row(rows, i)))
+            rates, end = at(t0 + times[i] * dt, x)
+            return put(slopes, jnp.concatenate([rates, end[_MARGIN][None]]), i), x, end
+
+        # A derivative of all stages side by side would take long to compile.
+        loop = jax.lax.fori_loop if t0.ndim == 0 else _repeated
+        slopes, raw, end = loop(1, count, stage, (slopes, x0, nothing))
+        raw, error, rates = raw[:width], dt[None] * mix(slopes, weights)[:width], slopes[-1, :width]
+        seen = watched(shares)
+        if len(seen) > 2:
+            return raw, rates, error, end, first_dip(shares[seen], [slopes[i, width] for i in seen])
+        return raw, rates, error, end, self._dip_between(at, (t0, t1), y0, (raw, rates, end))
+
+    def _at(self, bundle: Bundle, t: Scalar, x: Array) -> tuple[Array, Array]:
+        """Time derivative of x, and what is needed of it if the step ends there, as vectors."""
+        with sharing():
+            rates, end = self._evaluated(bundle(), t, once(x))
+            return rates, end.packed(x.dtype)
+
+    def _evaluated(self, grasp: Grasp, t: Scalar, x: Array) -> tuple[Array, "Ending"]:
+        rates, instant = self.rates(grasp, t, x)
+        leaves, _ = unpack(self.lay, x)
+        return rates, Ending(anchor_of(grasp, instant), *regime(grasp, leaves, instant, self.events))
+
+    def rates(self, grasp: Grasp, t: Scalar, x: Array) -> tuple[Array, Instant]:
+        """Time derivative of x, and all else that its evaluation worked out."""
+        leaves, _ = unpack(self.lay, x)
+        instant = evaluate(grasp, t, leaves, self.formulation)
+        gained = power(grasp, t, leaves, instant) if self.lay.audited else None
+        return pack(instant.rates, gained), instant
+
+    def _other(
+        self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow, over: Callable
+    ) -> tuple[Array, Array, Array, Array, Array]:
+        def field(t: Scalar, x: Array, args: Grasp) -> Array:
+            return self.rates(args, t, x)[0]
+
+        terms, grasp = diffrax.ODETerm(field), bundle()
+        x0 = y0[: self.lay.width]
+        with sharing():
+            memory = self.method.init(terms, t0, t1, x0, grasp)
+            raw, error, _, _, code = self.method.step(terms, t0, t1, x0, grasp, memory, True)
+        rates, end = self._at(bundle, t1, raw)
+        if error is None:
+            error = jnp.zeros_like(raw)
+        error = jnp.where(code == diffrax.RESULTS.successful, error, jnp.inf)
+        at = lambda t, x: self._at(bundle, t, x)  # noqa: E731
+        return raw, rates, error, end, self._dip_between(at, (t0, t1), y0, (raw, rates, end))
+
+    def _dip_between(
+        self, at: Callable, times: tuple[Scalar, Scalar], y0: Flow, after: tuple[Array, Array, Array]
+    ) -> Scalar:
+        """Where the margin dips within a step whose stages are not at hand: by evaluations of its own."""
+        raw, rates, end = after
+        y1, inner = jnp.concatenate([raw, rates]), jnp.asarray(_AUDITED[1:-1], y0.dtype)
+
+        def margin(share: Scalar) -> Scalar:
+            x = self._within(*times, y0, y1, share)
+            return at(times[0] + share * (times[1] - times[0]), x)[1][_MARGIN]
+
+        return first_dip(_AUDITED, [y0[self.lay.margin], *jax.lax.map(margin, inner), end[_MARGIN]])
+
+    def _rosenbrock(
+        self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow, over: Callable
+    ) -> tuple[Array, Array, Array, Array, Array]:
+        at = lambda t, x: over(self._at)(bundle, t, x)  # noqa: E731
+        sampled = side_by_side if t0.ndim == 0 else in_turn
+        nothing = jnp.zeros((_sizes(bundle), *t0.shape), y0.dtype)
+        x0, margin = y0[: self.lay.width], y0[self.lay.margin]
+        kept = slice(_MARGIN, _MARGIN + 1)
+        raw, rates, error, end, inner = advance(at, (t0, t1), x0, nothing, sampled=sampled, kept=kept)
+        margins, seen = [margin, *inner[:, 0]], watched(STAGE_TIMES)
+        return raw, rates, error, end, first_dip(STAGE_TIMES[seen], [margins[i] for i in seen])
+
+
+class Ending(eqx.Module):
+    """What a step's last evaluation leaves for its end: projection, margin and code."""
+
+    anchor: Anchor
+    margin: Scalar
+    number: Scalar
+
+    @classmethod
+    def unknown(cls, grasp: Grasp) -> "Ending":
+        """Zeros in the same places."""
+        return cls(unknown_anchor(grasp), 0.0, 0.0)
+
+    def packed(self, dtype: Any) -> Array:
+        """All numbers as one vector: a loop carries it with one copy."""
+        return jnp.stack([jnp.asarray(leaf, dtype) for leaf in jax.tree.leaves(self)])
+
+    @classmethod
+    def unpacked(cls, grasp: Grasp, numbers: Array) -> "Ending":
+        """The way back."""
+        form = jax.tree.structure(cls.unknown(grasp))
+        return jax.tree.unflatten(form, scalars(numbers))
+
+
+def _repeated(start: int, stop: int, body: Callable, carry: Any) -> Any:
+    """`jax.lax.fori_loop`; unrolled on accelerators, where every turn launches all its kernels anew."""
+    unroll = None if jax.default_backend() == "cpu" else True
+    return jax.lax.fori_loop(start, stop, body, carry, unroll=unroll)
+
+
+def _selected(array: Array, new: Array, i: Scalar) -> Array:
+    """Replace row i; of an update in place JAX makes a scatter under `vmap`, which breaks up the loop."""
+    return jnp.where((jnp.arange(array.shape[0]) == i)[:, None], new, array)
+
+
+def _sizes(bundle: Bundle) -> int:
+    return len(jax.tree.leaves(Ending.unknown(bundle.rest)))
+
+
+# How far the projection may carry a contact at any rate [m].
+_NEAR = 1e-4
+# Where the packed `Ending` has the margin: before the number of its limit.
+_MARGIN = -2
+# Where a step is looked at if no stages serve, as shares of it.
+_AUDITED = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
+# Sweeps of the projection: a gap of 1e-6 m is below rounding after two. As a loop they would take longer
+# to compile, backwards above all.
+_SWEEPS = 2
+
+
+def _tables(tableau: diffrax.ButcherTableau, dtype: Any) -> tuple[Array, np.ndarray, list[float]]:
+    """Rows of all stages and of the step's end, their times, and the error's weights."""
+    # The last stage of some methods is the step's end already; the others get one more.
+    ends_itself = bool(tableau.fsal and tableau.ssal)
+    count = tableau.num_stages + int(not ends_itself)
+    full, error = np.zeros((count, count)), np.zeros(count)
+    for i, weights in enumerate([*tableau.a_lower, tableau.b_sol][: count - 1]):
+        full[i + 1, : len(weights)] = weights
+    times = np.concatenate([[0.0], tableau.c, [1.0]])[:count]
+    error[: tableau.num_stages] = tableau.b_error
+    return jnp.asarray(full, dtype), times, error.tolist()

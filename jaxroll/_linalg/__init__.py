@@ -1,0 +1,40 @@
+"""Small vectors, poses and solves, as pytrees of scalars: `_plane` in the plane, `_space` in space.
+
+XLA fuses and batches scalars well, and small arrays badly.
+"""
+
+from ._plane import (
+    Factor as Factor,
+    factorise as factorise,
+    inner as inner,
+    plus as plus,
+    Pose2 as Pose2,
+    row as row,
+    scalars as scalars,
+    sincos as sincos,
+    solve as solve,
+    stacked as stacked,
+    times as times,
+    total as total,
+    Triangle as Triangle,
+    Twist2 as Twist2,
+    unstack as unstack,
+    Vec2 as Vec2,
+    with_row as with_row,
+)
+from ._space import (
+    conjugate as conjugate,
+    normalised as normalised,
+    outer as outer,
+    pose as pose,
+    Pose3 as Pose3,
+    Quaternion as Quaternion,
+    quaternion_product as quaternion_product,
+    quaternion_rate as quaternion_rate,
+    seven as seven,
+    square as square,
+    Sym3 as Sym3,
+    tangents as tangents,
+    Twist3 as Twist3,
+    Vec3 as Vec3,
+)

@@ -1,0 +1,218 @@
+"""Small vectors, planar poses and unrolled small solves whose every component is its own leaf.
+
+XLA fuses a program of scalars into a few loops, and batches it with `vmap` into unit-stride
+vector code; arrays of shape (2,) or (3,) break both. So the inside of the package works on these
+records, and ordinary arrays exist only at the public door.
+
+Matrices are symmetric positive definite and given by their lower triangle as nested tuples.
+"""
+
+import functools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from .._types import Scalar, Scalars
+from .._xla import once, sine_cosine
+
+Triangle = Sequence[Sequence[Scalar]]
+
+
+def times(left: Scalar, right: Scalar) -> Scalar:
+    """Product; nothing is traced where a factor is a plain 0.0 or 1.0, as structure leaves them."""
+    for a, b in ((left, right), (right, left)):
+        if isinstance(a, float) and a == 0.0:
+            return 0.0
+        if isinstance(a, float) and a == 1.0:
+            return b
+    return left * right
+
+
+def plus(left: Scalar, right: Scalar) -> Scalar:
+    """Sum; nothing is traced where a term is a plain 0.0."""
+    if isinstance(left, float) and left == 0.0:
+        return right
+    return left if isinstance(right, float) and right == 0.0 else left + right
+
+
+def minus(left: Scalar, right: Scalar) -> Scalar:
+    """Difference; nothing is traced where the second term is a plain 0.0."""
+    return left if isinstance(right, float) and right == 0.0 else left - right
+
+
+def inner(left: Sequence[Scalar], right: Sequence[Scalar]) -> Scalar:
+    """Sum of products, number by number."""
+    return functools.reduce(plus, [times(a, b) for a, b in zip(left, right, strict=True)], 0.0)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, slots=True)
+class Vec2:
+    """A vector of the plane."""
+
+    x: Scalar
+    y: Scalar
+
+    def __add__(self, other: "Vec2") -> "Vec2":
+        return Vec2(self.x + other.x, self.y + other.y)
+
+    def __sub__(self, other: "Vec2") -> "Vec2":
+        return Vec2(self.x - other.x, self.y - other.y)
+
+    def __neg__(self) -> "Vec2":
+        return Vec2(-self.x, -self.y)
+
+    def __mul__(self, factor: Scalar) -> "Vec2":
+        return Vec2(self.x * factor, self.y * factor)
+
+    def __iter__(self) -> Iterator[Scalar]:
+        yield self.x
+        yield self.y
+
+    def dot(self, other: "Vec2") -> Scalar:
+        """Inner product."""
+        return self.x * other.x + self.y * other.y
+
+    def cross(self, other: "Vec2") -> Scalar:
+        """The out-of-plane component of the cross product."""
+        return self.x * other.y - self.y * other.x
+
+    def left(self) -> "Vec2":
+        """This vector turned by +90 degrees."""
+        return Vec2(-self.y, self.x)
+
+    def right(self) -> "Vec2":
+        """This vector turned by -90 degrees."""
+        return Vec2(self.y, -self.x)
+
+    def array(self) -> jax.Array:
+        """Shape (..., 2), for the public door."""
+        return jnp.stack([self.x, self.y], axis=-1)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, slots=True)
+class Twist2:
+    """Velocity of a body: of its frame's origin, and of its angle."""
+
+    velocity: Vec2
+    spin: Scalar
+
+    def __add__(self, other: "Twist2") -> "Twist2":
+        return Twist2(self.velocity + other.velocity, self.spin + other.spin)
+
+    def __mul__(self, factor: Scalar) -> "Twist2":
+        return Twist2(self.velocity * factor, self.spin * factor)
+
+    def at(self, arm: Vec2) -> Vec2:
+        """Velocity of the body's point at the end of an arm from the frame's origin, in world axes."""
+        return self.velocity + arm.left() * self.spin
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, slots=True)
+class Pose2:
+    """A body frame in the world: its origin, and the cosine and sine of its angle."""
+
+    origin: Vec2
+    cos: Scalar
+    sin: Scalar
+
+    def turn(self, vector: Vec2) -> Vec2:
+        """A body-frame direction in world axes."""
+        return Vec2(self.cos * vector.x - self.sin * vector.y, self.sin * vector.x + self.cos * vector.y)
+
+    def place(self, point: Vec2) -> Vec2:
+        """A body-frame point in world coordinates."""
+        return self.origin + self.turn(point)
+
+
+def sincos(angle: Scalar) -> tuple[Scalar, Scalar]:
+    """Sine and cosine; the one door for trigonometry on the hot path."""
+    return once(sine_cosine(angle))
+
+
+def unstack(array: Any) -> Any:
+    """An array as nested tuples of its scalars; a tuple is returned as it is."""
+    if isinstance(array, tuple) or array is None or jnp.ndim(array) == 0:
+        return array
+    return tuple(unstack(array[i]) for i in range(array.shape[0]))
+
+
+def scalars(vector: jax.Array) -> list[jax.Array]:
+    """The entries of a vector, in one operation: the transpose of many slices would be as many sums."""
+    parts = jax.lax.split(vector, (1,) * vector.shape[0])
+    return [jax.lax.squeeze(part, (0,)) for part in parts]
+
+
+def row(rows: jax.Array, i: Scalar) -> jax.Array:
+    """Row i, which is never below zero: to count from the end would take three operations more."""
+    return jax.lax.dynamic_index_in_dim(rows, i, keepdims=False, allow_negative_indices=False)
+
+
+def with_row(rows: jax.Array, new: jax.Array, i: Scalar) -> jax.Array:
+    """The array with another row i >= 0."""
+    return jax.lax.dynamic_update_index_in_dim(rows, new, i, 0, allow_negative_indices=False)
+
+
+def stacked(values: Sequence[Scalar]) -> jax.Array:
+    """Scalars as one vector; none of them as an empty one."""
+    return jnp.stack(tuple(values)) if len(values) else jnp.zeros(0)
+
+
+def total(terms: Sequence[Any]) -> Any:
+    """Sum of scalars or vectors without a zero to start from; 0.0 where there are none."""
+    if not terms:
+        return 0.0
+    result = terms[0]
+    for term in terms[1:]:
+        result = result + term
+    return result
+
+
+class Factor(NamedTuple):
+    """LDL^T factorisation of a small symmetric positive definite matrix."""
+
+    lower: tuple[Scalars, ...]  # strictly lower part of the unit triangle
+    inverse_pivots: Scalars
+    smallest_pivot: Scalar  # relative to the largest diagonal entry; not positive when singular
+
+
+def factorise(matrix: Triangle) -> Factor:
+    """Unrolled LDL^T; no square roots, and no library call that would break fusion.
+
+    A nonpositive pivot is not an error here: it is reported as `smallest_pivot`, because a batch
+    cannot stop for one lane.
+    """
+    if not matrix:
+        return Factor((), (), jnp.ones(()))
+    lower: list[Scalars] = []
+    pivots: list[Scalar] = []
+    inverse: list[Scalar] = []
+    for i, row in enumerate(matrix):
+        scaled: list[Scalar] = []  # row of L D, from which both L and the pivot follow
+        for j in range(i):
+            scaled.append(minus(row[j], inner(scaled, lower[j])))
+        unit = once(tuple(times(s, d) for s, d in zip(scaled, inverse, strict=True)))
+        pivot = minus(row[i], inner(scaled, unit))
+        lower.append(unit)
+        pivots.append(pivot)
+        inverse.append(1.0 / pivot)
+    largest = functools.reduce(jnp.maximum, [row[i] for i, row in enumerate(matrix)])
+    return Factor(tuple(lower), tuple(inverse), functools.reduce(jnp.minimum, pivots) / largest)
+
+
+def solve(factor: Factor, right: Sequence[Scalar]) -> Scalars:
+    """Solve with a factorised matrix."""
+    forward: list[Scalar] = []
+    for row, value in zip(factor.lower, right, strict=True):
+        forward.append(minus(value, inner(row, forward)))
+    backward = [times(value, d) for value, d in zip(forward, factor.inverse_pivots, strict=True)]
+    for i in reversed(range(len(backward))):
+        below = range(i + 1, len(backward))
+        for j in below:
+            backward[i] = minus(backward[i], times(factor.lower[j][i], backward[j]))
+    return tuple(backward)

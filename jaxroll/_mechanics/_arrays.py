@@ -1,0 +1,85 @@
+"""The terms of the equations of motion as ordinary arrays, for users and tests."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._linalg import factorise, Vec2
+from .._printing import listed
+from ._constraints import bodies, linearise, touches
+from ._grasp import check_planar, compiled, Grasp
+from ._state import State, to_leaves
+
+
+class EquationTerms(eqx.Module):
+    r"""$M \dot v + h + \sum_i (f_i \nabla Q_i + \lambda_i \nabla R_i) = u$ at one state.
+
+    Attributes:
+        mass: Shape (n, n), mass matrix $M$: $G(X)$ of (15).
+        bias: Shape (n,), $h = (\frac12 \dot G + S) v$ less the generalised force of gravity.
+        normal: Shape (c, n), $\nabla Q_i$: coefficients of $f_i$ in (1)-(3), (73)-(74).
+        tangential: Shape (c, n), $\nabla R_i$: coefficients of $\lambda_i$.
+    """
+
+    __repr__ = listed
+
+    mass: Float[Array, "n n"]
+    bias: Float[Array, " n"]
+    normal: Float[Array, "c n"]
+    tangential: Float[Array, "c n"]
+
+
+@compiled
+def equation_terms(grasp: Grasp, state: State) -> EquationTerms:
+    r"""Mass matrix, bias force and constraint gradients of one state.
+
+    The gradients are autodiff of the world-frame gap at frozen contact coordinates, projected on the
+    object's inward normal $n_0$ and on $b_0$. The chapter's partial derivative of Q at fixed s (11), (15),
+    (72) would give other coefficients than its own (2)-(3) and (73)-(74), which these are.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> grasp, state = jxr.scenes.pivoted()
+        >>> jxr.equation_terms(grasp, state).normal.shape
+        (1, 3)
+    """
+    check_planar(grasp)
+    ready = grasp.prepared()
+    leaves = to_leaves(state, ready.form)
+    motions, inertias = bodies(ready, leaves)
+    touching = touches(ready, leaves.s)
+    line = linearise(ready, motions, [factorise(i.mass) for i in inertias], touching)
+    normal, tangential = [], []
+    for contact, rows, t in zip(ready.contacts, line.jacobian, touching, strict=True):
+        b = motions[0].pose.turn(t.object.tangent)
+        tip, face = ([Vec2(*pair) for pair in zip(*block, strict=True)] for block in rows)
+        blocks = {0: face, 1 + contact.finger: tip}
+        normal.append(_row(ready, {k: [c.dot(b.left()) for c in v] for k, v in blocks.items()}))
+        signed = b * contact.sense
+        tangential.append(_row(ready, {k: [c.dot(signed) for c in v] for k, v in blocks.items()}))
+    forces = [force for inertia in inertias for force in inertia.force]
+    return EquationTerms(
+        mass_matrix([i.mass for i in inertias], grasp.coordinates),
+        jnp.stack([jnp.asarray(f) for f in forces]),
+        jnp.stack(normal),
+        jnp.stack(tangential),
+    )
+
+
+def _row(grasp: Grasp, blocks: dict[int, list]) -> Array:
+    entries: list = []
+    for i, size in enumerate(grasp.sizes):
+        entries += blocks.get(i, [0.0] * size)
+    return jnp.stack([jnp.asarray(e) for e in entries])
+
+
+def mass_matrix(masses: list, n: int) -> Float[Array, "n n"]:
+    """Block-diagonal mass matrix from the lower triangles of the bodies."""
+    entries = [[jnp.zeros(())] * n for _ in range(n)]
+    at = 0
+    for mass in masses:
+        for i, row in enumerate(mass):
+            for j, entry in enumerate(row):
+                entries[at + i][at + j] = entries[at + j][at + i] = jnp.asarray(entry)
+        at += len(mass)
+    return jnp.stack([jnp.stack(row) for row in entries])

@@ -1,0 +1,241 @@
+"""A planar finger: a serial chain of links on revolute joints, with a contour at its end."""
+
+import abc
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._fields import real, taken, through
+from .._linalg import Pose2, sincos, total, Twist2, unstack, Vec2
+from .._results import check_instance, check_positive
+from .._types import Given, Scalar, Scalars
+from .._xla import once
+from ..contact import Motion
+from ..geometry import AbstractContour
+from ._body import AbstractBody, Coordinate, Inertia
+
+_STILL = Vec2(0.0, 0.0)
+
+
+class AbstractFinger(AbstractBody):
+    """A driven mechanism that carries one shape in its tip frame."""
+
+    tip: eqx.AbstractVar[Any]
+
+    @property
+    @abc.abstractmethod
+    def joints(self) -> int:
+        """Number of joints."""
+
+    @property
+    @abc.abstractmethod
+    def size(self) -> Scalar:
+        """A typical length [m], for scaling and drawing."""
+
+    @property
+    @abc.abstractmethod
+    def turns(self) -> bool:
+        """Whether its coordinates are angles; else displacements."""
+
+    @abc.abstractmethod
+    def skeleton(self, q: Scalars) -> tuple[Any, ...]:
+        """Points from the base to the tip frame, for drawing."""
+
+    @property
+    def prescribed(self) -> bool:
+        """Whether it moves by itself, besides its joints."""
+        return False
+
+    @property
+    def freedoms(self) -> int:
+        return self.joints
+
+    @property
+    def labels(self) -> tuple[Coordinate, ...]:
+        unit = "" if self.positions != self.joints else "rad" if self.turns else "m"
+        return tuple(Coordinate(f"q[{i}]", unit) for i in range(self.positions))
+
+    @property
+    def shapes(self) -> tuple[Any, ...]:
+        return (self.tip,)
+
+
+def as_tip(name: str, tip: Any) -> AbstractContour:
+    """Raise unless an argument is a contour."""
+    return check_instance(name, tip, AbstractContour, "a contour")
+
+
+def check_links(name: str, array: Array) -> Array:
+    """Raise for a chain without links."""
+    if not array.shape[0]:
+        raise ValueError(f"argument {name} must hold one link or more, but had none")
+    return array
+
+
+def _as_lengths(name: str, lengths: Array) -> Array:
+    return check_positive(name, check_links(name, lengths))
+
+
+class Finger(AbstractFinger):
+    r"""A planar serial chain of $k$ revolute joints.
+
+    The first joint angle is measured from the world's x axis, each other one from the link before;
+    the tip frame sits at the end of the last link, its x axis along that link.
+
+    Args:
+        lengths: Shape (k,), link lengths, in metres.
+        masses: Shape (k,), link masses, in kilograms.
+        tip: Contour of the fingertip in the tip frame.
+        base: Shape (2,), position of the first joint in the world, in metres.
+        centres: Shape (k,), distance of each centre of mass from its joint, in metres. Default: half
+            the length (a uniform slender rod; the chapter does not state it).
+        inertias: Shape (k,), moment of each link about its centre of mass, in kg m^2. Default:
+            $m l^2/12$.
+
+    Raises:
+        ValueError: If a shape does not fit, there is no link, or a length, mass or inertia is not positive.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> finger = jxr.Finger([0.065, 0.065], [0.045, 0.040], tip=jxr.Circle(0.01))
+        >>> finger.joints
+        2
+    """
+
+    lengths: Float[Array, " k"] = real(None, check=_as_lengths)
+    masses: Float[Array, " k"] = real(None, check=check_positive)
+    tip: AbstractContour = through(as_tip)
+    base: Float[Array, "2"] = real(2)
+    centres: Float[Array, " k"] = real(None)
+    inertias: Float[Array, " k"] = real(None, check=check_positive)
+
+    def __init__(
+        self,
+        lengths: Given,
+        masses: Given,
+        tip: AbstractContour,
+        *,
+        base: Given = (0.0, 0.0),
+        centres: Given | None = None,
+        inertias: Given | None = None,
+    ) -> None:
+        self.lengths = taken(self, "lengths", lengths)
+        links = self.lengths.shape
+        self.masses = taken(self, "masses", masses, shape=links)
+        self.base = taken(self, "base", base)
+        self.tip = taken(self, "tip", tip)
+        if centres is None:
+            centres = 0.5 * self.lengths
+        self.centres = taken(self, "centres", centres, shape=links)
+        if inertias is None:
+            inertias = self.masses * self.lengths**2 / 12.0
+        self.inertias = taken(self, "inertias", inertias, shape=links)
+
+    @property
+    def joints(self) -> int:
+        return len(self.lengths)
+
+    @property
+    def size(self) -> Scalar:
+        return total(unstack(self.lengths)) / self.joints
+
+    @property
+    def turns(self) -> bool:
+        return True
+
+    def prepared(self) -> "Finger":
+        fields = lambda f: (f.lengths, f.masses, f.base, f.centres, f.inertias, f.tip)  # noqa: E731
+        *arrays, tip = fields(self)
+        return eqx.tree_at(fields, self, (*map(unstack, arrays), tip.prepared()))
+
+    def directions(self, q: Scalars) -> tuple[Vec2, ...]:
+        """Unit vectors along the links: the only trigonometry of a finger."""
+        angle, along = q[0], []
+        for i in range(self.joints):
+            angle = q[0] if i == 0 else angle + q[i]
+            sin, cos = sincos(angle)
+            along.append(Vec2(cos, sin))
+        return tuple(along)
+
+    def joint_positions(self, along: tuple[Vec2, ...]) -> tuple[Vec2, ...]:
+        """Positions of the joints and, last, of the tip frame: k + 1 points."""
+        points = [Vec2(self.base[0], self.base[1])]
+        for length, direction in zip(self.lengths, along, strict=True):
+            points.append(points[-1] + direction * length)
+        return once(tuple(points))
+
+    def skeleton(self, q: Scalars) -> tuple[Vec2, ...]:
+        return self.joint_positions(self.directions(q))
+
+    def pose(self, q: Scalars) -> Pose2:
+        along = self.directions(q)
+        return Pose2(self.joint_positions(along)[-1], along[-1].x, along[-1].y)
+
+    def spin(self, q: Scalars, v: Scalars) -> Scalar:
+        return total(v)
+
+    def motion(self, q: Scalars, v: Scalars, gravity: Vec2 | None) -> tuple[Motion, Inertia]:
+        along = self.directions(q)
+        points = self.joint_positions(along)
+        spins = _running_sums(v)
+        centripetal = [-(w * w) for w in spins]
+        joint_pull = [_STILL]
+        for i, length in enumerate(self.lengths):
+            step = along[i] * (centripetal[i] * length)
+            joint_pull.append(step if i == 0 else joint_pull[i] + step)
+        centres = [p + d * c for p, d, c in zip(points, along, self.centres, strict=False)]
+        pulls = []
+        for i, centre in enumerate(self.centres):
+            pull = along[i] * (centripetal[i] * centre)
+            pull = pull if i == 0 else joint_pull[i] + pull
+            pulls.append(pull if gravity is None else pull - gravity)
+        motion = self._tip_motion(points, along[-1], v, spins[-1], joint_pull[-1])
+        return motion, self._inertia(points, centres, pulls)
+
+    def _tip_motion(
+        self, points: tuple[Vec2, ...], heading: Vec2, v: Scalars, spin: Scalar, pull: Vec2
+    ) -> Motion:
+        tip = points[-1]
+        units = tuple(Twist2((tip - p).left(), jnp.ones_like(spin)) for p in points[:-1])
+        velocity = total([u.velocity * rate for u, rate in zip(units, v, strict=True)])
+        pose = Pose2(tip, heading.x, heading.y)
+        velocity, pull = once((velocity, pull))
+        return Motion(pose, units, Twist2(velocity, spin), Twist2(pull, jnp.zeros_like(spin)))
+
+    def _inertia(self, points: tuple[Vec2, ...], centres: list[Vec2], pulls: list[Vec2]) -> Inertia:
+        """Composite bodies from the tip inwards: one pass for mass matrix and bias."""
+        rows: list[Scalars] = []
+        forces: list[Scalar] = []
+        outer: tuple[Scalar, Vec2, Scalar, Vec2, Scalar] | None = None
+        for i in reversed(range(self.joints)):
+            arm = centres[i] - points[i]
+            mass, moment = self.masses[i], arm * self.masses[i]
+            second = self.masses[i] * arm.dot(arm) + self.inertias[i]
+            force = pulls[i] * self.masses[i]
+            torque = arm.cross(force)
+            if outer is not None:
+                link = points[i + 1] - points[i]
+                m, first, inner, push, twist = outer
+                second = second + inner + 2.0 * link.dot(first) + m * link.dot(link)
+                mass, moment = mass + m, moment + first + link * m
+                torque, force = torque + twist + link.cross(push), force + push
+            outer = (mass, moment, second, force, torque)
+            row = [second + moment.dot(points[i] - points[j]) for j in range(i)]
+            rows.append((*row, second))
+            forces.append(torque)
+        return once(Inertia(tuple(reversed(rows)), tuple(reversed(forces))))
+
+    def gravity_potential(self, q: Scalars, gravity: Vec2) -> Scalar:
+        along = self.directions(q)
+        points = self.joint_positions(along)
+        centres = [p + d * c for p, d, c in zip(points, along, self.centres, strict=False)]
+        return total([-gravity.dot(c) * m for c, m in zip(centres, self.masses, strict=True)])
+
+
+def _running_sums(values: Scalars) -> list[Scalar]:
+    sums = [values[0]]
+    for value in values[1:]:
+        sums.append(sums[-1] + value)
+    return sums

@@ -1,0 +1,284 @@
+"""A spatial finger: a serial chain of links on revolute joints, with a surface at its end."""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._fields import real, taken, through
+from .._linalg import (
+    normalised,
+    outer as product,
+    pose,
+    Pose3,
+    sincos,
+    square,
+    Sym3,
+    total,
+    Twist3,
+    unstack,
+    Vec3,
+)
+from .._results import check_direction, check_instance, check_positive
+from .._types import Given, Scalar, Scalars
+from .._xla import once
+from ..contact import Motion
+from ..geometry import AbstractSurface
+from ._body import Inertia
+from ._finger import AbstractFinger, check_links
+from ._object3 import check_inertia
+
+# Radius of the solid cylinders that links are taken for, relative to the mean length of a link.
+_THICKNESS = 0.1
+
+
+class _Chain(NamedTuple):
+    """A chain at one configuration: link frames (their origins are the joints), joint axes, tip frame."""
+
+    links: tuple[Pose3, ...]
+    axes: tuple[Vec3, ...]
+    tip: Pose3
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, slots=True)
+class _Outer:
+    """Links from one joint outwards as one body, about that joint, and the forces that their motion asks."""
+
+    mass: Scalar
+    moment: Vec3
+    second: Sym3
+    force: Vec3
+    torque: Vec3
+
+
+def as_surface(name: str, surface: Any) -> AbstractSurface:
+    """Raise unless an argument is a surface."""
+    return check_instance(name, surface, AbstractSurface, "a surface")
+
+
+def as_direction(name: str, vectors: Array) -> Array:
+    """Vectors scaled to unit length."""
+    check_direction(name, vectors)
+    return vectors / jnp.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def _as_axes(name: str, axes: Array) -> Array:
+    return as_direction(name, check_links(name, axes))
+
+
+class Finger3(AbstractFinger):
+    r"""A chain of $k$ revolute joints in space.
+
+    With all joint angles zero every link's frame has the axes of the base. Link $i$ turns by $q_i$ about
+    `axes[i]`, given in its own frame (and so in that of the link before); `offsets[i]` leads from its joint
+    to the next one, the last of them to the tip frame, whose axes are the last link's.
+
+    Args:
+        axes: Shape (k, 3), joint axes; scaled to unit length.
+        offsets: Shape (k, 3), in metres.
+        masses: Shape (k,), link masses [kg].
+        tip: Surface of the fingertip in the tip frame.
+        base: Shape (3,), position of the first joint [m].
+        rotation: Quaternion (scalar first) of the base's axes; scaled to unit length.
+        centres: Shape (k, 3), centres of mass from the joints [m]. Default: half the offsets.
+        inertias: Shape (k, 3, 3), about the centres of mass, in the links' axes [kg m^2]: symmetric and
+            positive definite. Default: those of solid cylinders along the offsets, of a tenth of their mean
+            length in radius.
+
+    Raises:
+        ValueError: If a shape does not fit, a mass is not positive, an axis has no length, or an inertia is
+            not positive definite.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> links = [(0, 0.06, 0), (0, 0.06, 0)]
+        >>> finger = jxr.Finger3([(1, 0, 0), (0, 0, 1)], links, [0.04, 0.04], jxr.Sphere(0.01))
+        >>> finger.joints
+        2
+    """
+
+    axes: Float[Array, "k 3"] = real(None, 3, check=_as_axes)
+    offsets: Float[Array, "k 3"] = real(None, 3)
+    masses: Float[Array, " k"] = real(None, check=check_positive)
+    tip: AbstractSurface = through(as_surface)
+    base: Float[Array, "3"] = real(3)
+    rotation: Float[Array, "4"] = real(4, check=as_direction)
+    centres: Float[Array, "k 3"] = real(None, 3)
+    inertias: Float[Array, "k 3 3"] = real(None, 3, 3, check=check_inertia)
+
+    def __init__(
+        self,
+        axes: Given,
+        offsets: Given,
+        masses: Given,
+        tip: AbstractSurface,
+        *,
+        base: Given = (0.0, 0.0, 0.0),
+        rotation: Given = (1.0, 0.0, 0.0, 0.0),
+        centres: Given | None = None,
+        inertias: Given | None = None,
+    ) -> None:
+        self.tip = taken(self, "tip", tip)
+        self.axes = taken(self, "axes", axes)
+        links = self.axes.shape[0]
+        self.offsets = taken(self, "offsets", offsets, shape=(links, 3))
+        self.masses = taken(self, "masses", masses, shape=(links,))
+        self.base = taken(self, "base", base)
+        self.rotation = taken(self, "rotation", rotation)
+        centres = 0.5 * self.offsets if centres is None else centres
+        self.centres = taken(self, "centres", centres, shape=(links, 3))
+        inertias = _cylinders(self.masses, self.offsets) if inertias is None else inertias
+        self.inertias = taken(self, "inertias", inertias, shape=(links, 3, 3))
+
+    @property
+    def joints(self) -> int:
+        return len(self.axes)
+
+    @property
+    def size(self) -> Scalar:
+        lengths = [Vec3(*unstack(offset)).norm() for offset in self.offsets]
+        return total(lengths) / self.joints
+
+    @property
+    def turns(self) -> bool:
+        return True
+
+    def prepared(self) -> "Finger3":
+        fields = lambda f: (f.axes, f.offsets, f.masses, f.base, f.rotation, f.centres, f.inertias, f.tip)  # noqa: E731
+        *arrays, tip = fields(self)
+        return eqx.tree_at(fields, self, (*map(unstack, arrays), tip.prepared()))
+
+    def _chain(self, q: Scalars) -> _Chain:
+        at = pose(Vec3(*unstack(self.base)), normalised(unstack(self.rotation)))
+        links, axes = [], []
+        for i, angle in enumerate(q):
+            axis = Vec3(*unstack(self.axes[i]))
+            axes.append(once(at.turn(axis)))
+            at = once(Pose3(at.origin, *_turned(at, axes[-1], *sincos(angle))))
+            links.append(at)
+            at = Pose3(once(at.place(Vec3(*unstack(self.offsets[i])))), at.x, at.y, at.z)
+        return _Chain(tuple(links), tuple(axes), at)
+
+    def pose(self, q: Scalars) -> Pose3:
+        return self._chain(q).tip
+
+    def skeleton(self, q: Scalars) -> tuple[Vec3, ...]:
+        chain = self._chain(q)
+        return (*(link.origin for link in chain.links), chain.tip.origin)
+
+    def spin(self, q: Scalars, v: Scalars) -> Vec3:
+        return total([axis * rate for axis, rate in zip(self._chain(q).axes, v, strict=True)])
+
+    def motion(self, q: Scalars, v: Scalars, gravity: Vec3 | None) -> tuple[Motion, Inertia]:
+        chain = self._chain(q)
+        spins, bends, pulls = self._biases(chain, v)
+        units = tuple(
+            Twist3(axis.cross(chain.tip.origin - link.origin), axis)
+            for axis, link in zip(chain.axes, chain.links, strict=True)
+        )
+        velocity = total([unit.velocity * rate for unit, rate in zip(units, v, strict=True)])
+        motion = Motion(
+            chain.tip, once(units), once(Twist3(velocity, spins[-1])), Twist3(pulls[-1], bends[-1])
+        )
+        return motion, self._inertia(chain, (spins, bends, pulls), gravity)
+
+    def _biases(self, chain: _Chain, v: Scalars) -> tuple[list[Vec3], list[Vec3], list[Vec3]]:
+        """Spins of the links, and the accelerations of links, joints and tip that rates alone cause."""
+        still = Vec3(0.0, 0.0, 0.0)
+        ends = [*(link.origin for link in chain.links[1:]), chain.tip.origin]
+        spins, bends, pulls = [], [], [still]
+        for i, (axis, link) in enumerate(zip(chain.axes, chain.links, strict=True)):
+            rate = axis * v[i]
+            spins.append(once(spins[-1] + rate) if i else rate)
+            bends.append(once(bends[-1] + spins[i - 1].cross(rate)) if i else still)
+            pulls.append(once(pulls[-1] + _centripetal(spins[i], bends[i], ends[i] - link.origin)))
+        return spins, bends, pulls
+
+    def _inertia(
+        self, chain: _Chain, biases: tuple[list[Vec3], list[Vec3], list[Vec3]], gravity: Vec3 | None
+    ) -> Inertia:
+        """Composite bodies from the tip inwards: one pass for mass matrix and bias."""
+        rows, forces = [], []
+        outer: _Outer | None = None
+        for i in reversed(range(self.joints)):
+            own = self._link(i, chain.links[i], (biases[0][i], biases[1][i], biases[2][i]), gravity)
+            if outer is not None:
+                own = _joined(own, outer, chain.links[i + 1].origin - chain.links[i].origin)
+            outer = own = once(own)
+            push, twist = chain.axes[i].cross(own.moment), own.second.apply(chain.axes[i])
+            row = []
+            for j in range(i + 1):
+                arm = chain.links[i].origin - chain.links[j].origin
+                row.append(chain.axes[j].dot(twist + arm.cross(push)))
+            rows.append(tuple(row))
+            forces.append(chain.axes[i].dot(own.torque))
+        return once(Inertia(tuple(reversed(rows)), tuple(reversed(forces))))
+
+    def _link(self, i: int, link: Pose3, bias: tuple[Vec3, Vec3, Vec3], gravity: Vec3 | None) -> _Outer:
+        """One link about its joint."""
+        spin, bend, pull = bias
+        mass, arm = self.masses[i], once(link.turn(Vec3(*unstack(self.centres[i]))))
+        tensor = once(_symmetric(self.inertias[i]).turned(link))
+        pull = pull + _centripetal(spin, bend, arm)
+        force = (pull if gravity is None else pull - gravity) * mass
+        torque = tensor.apply(bend) + spin.cross(tensor.apply(spin)) + arm.cross(force)
+        return _Outer(mass, arm * mass, tensor + _about(mass, arm), force, torque)
+
+    def gravity_potential(self, q: Scalars, gravity: Vec3) -> Scalar:
+        links = self._chain(q).links
+        centres = [link.place(Vec3(*unstack(c))) for link, c in zip(links, self.centres, strict=True)]
+        return total([-gravity.dot(c) * m for c, m in zip(centres, self.masses, strict=True)])
+
+
+def _turned(frame: Pose3, axis: Vec3, sin: Scalar, cos: Scalar) -> tuple[Vec3, Vec3, Vec3]:
+    """The axes of a frame turned about a unit axis: Rodrigues' formula."""
+    x, y, z = (
+        vector * cos + axis.cross(vector) * sin + axis * (axis.dot(vector) * (1.0 - cos))
+        for vector in (frame.x, frame.y, frame.z)
+    )
+    return x, y, z
+
+
+def _centripetal(spin: Vec3, bend: Vec3, arm: Vec3) -> Vec3:
+    return bend.cross(arm) + spin.cross(spin.cross(arm))
+
+
+def _about(mass: Scalar, arm: Vec3) -> Sym3:
+    """Second moment of a point mass about a point: $m (|r|^2 - r r^T)$."""
+    away = arm.dot(arm)
+    return (Sym3(away, 0.0, 0.0, away, 0.0, away) - square(arm)) * mass
+
+
+def _joined(own: _Outer, outer: _Outer, step: Vec3) -> _Outer:
+    """A link and all outwards of it, about its joint; `step` leads to the next joint."""
+    shifted = outer.moment + step * outer.mass
+    both = 2.0 * step.dot(outer.moment)
+    mixed = product(step, outer.moment) * -2.0
+    moved = outer.second + Sym3(both, 0.0, 0.0, both, 0.0, both) + mixed + _about(outer.mass, step)
+    return _Outer(
+        own.mass + outer.mass,
+        own.moment + shifted,
+        own.second + moved,
+        own.force + outer.force,
+        own.torque + outer.torque + step.cross(outer.force),
+    )
+
+
+def _symmetric(matrix: Any) -> Sym3:
+    rows = unstack(matrix)
+    return Sym3(rows[0][0], rows[0][1], rows[0][2], rows[1][1], rows[1][2], rows[2][2])
+
+
+def _cylinders(masses: Array, offsets: Array) -> Array:
+    """Inertias of solid cylinders along the offsets."""
+    square_ = jnp.sum(offsets**2, axis=-1)
+    radius = _THICKNESS * jnp.mean(jnp.sqrt(square_))
+    along = offsets[:, :, None] * offsets[:, None, :]
+    eye = jnp.eye(3, dtype=offsets.dtype)[None]
+    rod = (square_[:, None, None] * eye - along) / 12.0
+    unit = along / jnp.where(square_ > 0, square_, 1.0)[:, None, None]
+    return masses[:, None, None] * (rod + radius**2 * (eye + unit) / 4.0)

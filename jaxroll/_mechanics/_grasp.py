@@ -1,0 +1,400 @@
+"""A grasp: fingers, object and contacts, with their controller and gravity."""
+
+import functools
+import inspect
+from collections.abc import Callable, Sequence
+from typing import Any, cast, NamedTuple, TypeVar
+
+import equinox as eqx
+import jax
+from jaxtyping import Array, Float
+
+from .._fields import check_module, door_of, real, taken, through
+from .._linalg import unstack, Vec2, Vec3
+from .._printing import shown_value
+from .._results import as_array, as_count, as_floats, as_several, check_finite, check_instance, shown
+from .._types import Given
+from .._xla import remembered
+from ..contact import AbstractContact, Contact3
+from ..geometry import AbstractContour, AbstractSurface, check_shape, tabled
+from ._body import AbstractBody, Coordinate
+from ._controller import AbstractController, as_drive
+from ._finger import AbstractFinger
+from ._state import check_shapes, Form, State
+
+Door = TypeVar("Door", bound=Callable[..., Any])
+
+
+class Labels(NamedTuple):
+    """What reports call the parts of a grasp; static, so that a run can carry it.
+
+    Attributes:
+        bodies: The object, then every finger: what it is called, and name and unit of its positions.
+        contacts: What each contact is called, by the numbers that a `Contact` is made with.
+    """
+
+    bodies: tuple[tuple[str, tuple[Coordinate, ...]], ...]
+    contacts: tuple[str, ...]
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Name of every position, with its body's."""
+        return tuple(f"{body} {each.name}" for body, labels in self.bodies for each in labels)
+
+
+# What a contact's start lies on: with one of these changed it is looked at again.
+_PARTS = frozenset(("object", "fingers", "contacts", "contours", "surfaces"))
+# Names under which functions of a grasp take its states, and how many axes may lead: that of time.
+_STATES = {"state": 0, "guess": 0, "states": 1}
+
+
+def _as_object(name: str, value: Any) -> AbstractBody:
+    if not isinstance(value, AbstractBody) or isinstance(value, AbstractFinger):
+        raise ValueError(f"argument {name} must be an object, such as a FreeObject, but was {shown(value)}")
+    return value
+
+
+def _as_fingers(name: str, value: Any) -> tuple[AbstractFinger, ...]:
+    return as_several(name, value, AbstractFinger, "fingers")
+
+
+def _as_contacts(name: str, value: Any) -> tuple[Any, ...]:
+    contacts = as_several(name, value, AbstractContact, "contacts")
+    if len({isinstance(contact, Contact3) for contact in contacts}) > 1:
+        raise ValueError(f"argument {name} must be all of the plane or all of space, but were of both")
+    return contacts
+
+
+class Grasp(eqx.Module):
+    r"""Fingers holding an object by rolling contacts, and what drives the fingers.
+
+    Every array inside is a differentiable leaf, and any of them may carry a batch axis under `vmap`.
+
+    Args:
+        object: A `FreeObject` or a `PivotedObject`; in space a `FreeObject3`.
+        fingers: One `Finger` (or `Jaw`) or several; in space a `Finger3` (or `Stage`).
+        contacts: One `Contact` or several: which finger touches which contour, and where at the start;
+            in space `Contact3`.
+        controller: Joint torques: a controller of `jaxroll.control`, or any callable pytree
+            `f(t, angles, rates, tips)` that returns one array of torques [N m] per finger; `angles`
+            and `rates` hold one array of shape (k,) per finger, `tips` its tip's `position` and
+            `jacobian`. Default: no torques. As under `jax.jit`, numbers that a plain function takes from
+            outside itself are those of its first run; numbers that change are fields of an `equinox.Module`.
+        gravity: Shape (2,), in space (3,), in m/s^2. Default: none, and then it costs nothing.
+
+    Raises:
+        ValueError: If a part is not what it must be, parts of the plane and of space are mixed, a contact
+            names a finger or contour that is not there or starts past the end of an open contour, or the
+            controller is for another number of fingers.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> finger = jxr.Finger([0.065, 0.065], [0.045, 0.040], tip=jxr.Circle(0.01))
+        >>> disc = jxr.PivotedObject(jxr.Circle(0.02), inertia=1e-5, pivot=(0.03, 0.09))
+        >>> grasp = jxr.Grasp(disc, finger, jxr.Contact())
+        >>> grasp.coordinates
+        3
+    """
+
+    object: Any = through(_as_object)  # an `AbstractBody`; which one, whoever reads its fields knows
+    fingers: tuple[AbstractFinger, ...] = through(_as_fingers)
+    contacts: tuple[Any, ...] = through(_as_contacts)  # `Contact` in the plane, `Contact3` in space
+    controller: Any = through(as_drive)
+    gravity: Float[Array, "d"] | None = real(None, optional=True)
+
+    def __init__(
+        self,
+        object: AbstractBody,
+        fingers: AbstractFinger | Sequence[AbstractFinger],
+        contacts: AbstractContact | Sequence[AbstractContact],
+        *,
+        controller: Any = None,
+        gravity: Given | None = None,
+    ) -> None:
+        self.object = taken(self, "object", object)
+        self.fingers = taken(self, "fingers", fingers)
+        self.contacts = taken(self, "contacts", contacts)
+        self.controller = taken(self, "controller", controller)
+        self._check_parts()
+        self._check_controller()
+        self.gravity = taken(self, "gravity", gravity, shape=(self._axes,))
+
+    def _check_parts(self) -> None:
+        """Raise unless every contact finds its shapes, and all bodies live where the contacts do."""
+        for i, contact in enumerate(self.contacts):
+            counts = ("finger", contact.finger, len(self.fingers))
+            for kind, index, count in (counts, (contact.kind, contact.touched, len(self.object.shapes))):
+                if not 0 <= index < count:
+                    raise ValueError(f"argument contacts[{i}].{kind} must be below {count}, but was {index}")
+            contact.check(f"contacts[{i}]", self.shapes(contact))
+        wanted, words = (AbstractSurface, "space") if self.spatial else (AbstractContour, "the plane")
+        for i, body in enumerate(self.bodies):
+            name = f"fingers[{i - 1}]" if i else "object"
+            if not all(isinstance(shape, wanted) for shape in body.shapes):
+                raise ValueError(
+                    f"argument {name} must live in {words}, as contacts do, but was a {type(body).__name__}"
+                )
+
+    def _check_controller(self) -> None:
+        if isinstance(self.controller, AbstractController):
+            self.controller.check(len(self.fingers), self._axes)
+
+    @property
+    def bodies(self) -> tuple[AbstractBody, ...]:
+        """The object, then every finger."""
+        return (self.object, *self.fingers)
+
+    @property
+    def spatial(self) -> bool:
+        """Whether it lives in space; else in the plane."""
+        return isinstance(self.contacts[0], Contact3)
+
+    @property
+    def _axes(self) -> int:
+        """How many axes its world has."""
+        return 3 if self.spatial else 2
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Number of velocities of the object, then of each finger."""
+        return tuple(body.freedoms for body in self.bodies)
+
+    @property
+    def coordinates(self) -> int:
+        """Number of velocities in all; in the plane that of generalised coordinates, n."""
+        return sum(self.sizes)
+
+    @property
+    def labels(self) -> Labels:
+        """What reports call its bodies, their positions, and its contacts."""
+        names = ("object", *(f"finger {i}" for i in range(len(self.fingers))))
+        bodies = tuple((name, body.labels) for name, body in zip(names, self.bodies, strict=True))
+        contacts = (
+            f"contact {i} (finger {c.finger} on {c.kind} {c.touched})" for i, c in enumerate(self.contacts)
+        )
+        return Labels(bodies, tuple(contacts))
+
+    def __repr__(self) -> str:
+        kinds = ", ".join(type(body).__name__ for body in self.bodies)
+        control = "no controller" if self.controller is None else type(self.controller).__name__
+        count = len(self.contacts)
+        return f"Grasp({kinds}; {count} contact{'s' * (count != 1)}; {control})"
+
+    def __str__(self) -> str:
+        lines = [f"Grasp {'in space' if self.spatial else 'in the plane'}"]
+        for (name, labels), body in zip(self.labels.bodies, self.bodies, strict=True):
+            moves = ", ".join(f"{each.name} [{each.unit}]" if each.unit else each.name for each in labels)
+            lines.append(f"  {name:<10}{type(body).__name__}: {moves or 'fixed'}")
+        lines += [f"  contact {i} {contact}" for i, contact in enumerate(self.contacts)]
+        lines.append(f"  control   {shown_value(self.controller)}")
+        lines.append(f"  gravity   {shown_value(self.gravity, 'm/s^2')}")
+        return "\n".join(lines)
+
+    @property
+    def form(self) -> Form:
+        """How many numbers a state has, and where they go."""
+        return _form(self)
+
+    def shapes(self, contact: AbstractContact) -> tuple[Any, Any]:
+        """The fingertip's and the object's contour (surface) that meet at a contact."""
+        return self.fingers[contact.finger].tip, self.object.shapes[contact.touched]
+
+    def field(self) -> Vec2 | Vec3 | None:
+        """Gravity as scalars."""
+        if self.gravity is None:
+            return None
+        parts = unstack(self.gravity)
+        return Vec3(*parts) if self.spatial else Vec2(*parts)
+
+    def prepared(self) -> "Grasp":
+        """This grasp with scalar leaves and contours ready for evaluation, once per solve."""
+        ready = (self.object.prepared(), tuple(finger.prepared() for finger in self.fingers))
+        return eqx.tree_at(lambda g: (g.object, g.fingers), self, ready)
+
+    def tabled(self) -> "Grasp":
+        """This grasp, its shapes checked, with the tables of its contours built by a program of their own."""
+        _check_shapes(self)
+        return self if all(tabled(shape) is shape for shape in _all_shapes(self)) else _with_tables(self)
+
+    def with_(self, **changes: Any) -> "Grasp":
+        """A copy with fields replaced, by name.
+
+        A name may belong to the grasp (`controller`, `gravity`), to its controller (`damping`,
+        `force`, ...) or to its object (`inertia`, `pivot`, ...); it must belong to just one of them.
+
+        Raises:
+            ValueError: For a name that there is not, and for whatever the constructors refuse.
+
+        Example:
+            >>> import jaxroll as jxr
+            >>> grasp, _ = jxr.scenes.pivoted()
+            >>> float(grasp.with_(damping=0.01).controller.damping)
+            0.01
+        """
+        grasp = self
+        for name, value in changes.items():
+            owner = grasp._owner(name)
+            value = _taken_by(owner(grasp), name, value, grasp._axes)
+            grasp = eqx.tree_at(
+                lambda g, o=owner, n=name: getattr(o(g), n),
+                grasp,
+                value,
+                is_leaf=lambda x: x is None,
+            )
+            _check_again(owner(grasp))
+        if _PARTS & set(changes):
+            grasp._check_parts()
+        if {"controller", "fingers", "contacts"} & set(changes):
+            grasp._check_controller()
+        return grasp
+
+    def _owner(self, name: str) -> Any:
+        places = {
+            "grasp": lambda g: g,
+            "controller": lambda g: g.controller,
+            "object": lambda g: g.object,
+        }
+        found = [place for place in places.values() if _has_field(place(self), name)]
+        if len(found) != 1:
+            raise ValueError(
+                f"argument {name} must name one field of the grasp, its controller or its object, "
+                f"but {len(found)} have it"
+            )
+        return found[0]
+
+    def with_tip(self, finger: int, tip: AbstractContour | AbstractSurface) -> "Grasp":
+        """A copy in which one finger carries another tip contour.
+
+        Raises:
+            ValueError: If there is no such finger, or the tip is not what the finger's constructor takes, or
+                ends before the place where a contact starts.
+        """
+        index = as_count("finger", finger, least=0)
+        if index >= len(self.fingers):
+            raise ValueError(f"argument finger must be below {len(self.fingers)}, but was {index}")
+        tip = taken(self.fingers[index], "tip", tip)
+        changed = eqx.tree_at(lambda g: g.fingers[index].tip, self, tip)
+        changed._check_parts()
+        return changed
+
+    def with_contacts(self, *contacts: AbstractContact) -> "Grasp":
+        """A copy with other starting contacts.
+
+        Raises:
+            ValueError: If one is not a contact, or does not fit the grasp.
+        """
+        return self.with_(contacts=contacts)
+
+
+def _taken_by(owner: Any, name: str, value: Any, axes: int) -> Any:
+    """What is given for a field of a grasp, its object or its controller, as the constructor takes it."""
+    old = getattr(owner, name)
+    shape = old.shape if eqx.is_array(old) else None
+    if name == "gravity" and shape is None:
+        shape = (axes,)
+    if door_of(owner, name) is not None:
+        return taken(owner, name, value, shape=shape)
+    # A caller's own class: an array stays an array of its shape.
+    return value if shape is None else as_floats(name, value, shape)
+
+
+def _check_again(owner: Any) -> None:
+    """The checks of a caller's own class, which equinox runs after its constructor alone."""
+    for kind in type(owner).__mro__:
+        if "__check_init__" in vars(kind):
+            vars(kind)["__check_init__"](owner)
+
+
+def _has_field(owner: Any, name: str) -> bool:
+    return name in getattr(type(owner), "__dataclass_fields__", {})
+
+
+def _all_shapes(grasp: Grasp) -> list[Any]:
+    return [shape for body in grasp.bodies for shape in body.shapes]
+
+
+@remembered
+def _form(grasp: Grasp) -> Form:
+    places = tuple(c.form(grasp.shapes(c)) for c in grasp.contacts)
+    return Form(tuple(body.positions for body in grasp.bodies), grasp.sizes, jax.tree.structure(places))
+
+
+@remembered
+def _check_shapes(grasp: Grasp) -> None:
+    """Raise unless a caller's own contours and surfaces keep their contract, however they came in."""
+    for i, contact in enumerate(grasp.contacts):
+        contact.check_shapes(f"contacts[{i}]", grasp.shapes(contact))
+    for shape in _all_shapes(grasp):
+        check_shape("grasp", shape)
+
+
+@remembered
+def _with_tables(grasp: Grasp) -> Grasp:
+    new = [i for i, shape in enumerate(_all_shapes(grasp)) if tabled(shape) is not shape]
+    where = lambda g: [_all_shapes(g)[i] for i in new]  # noqa: E731
+    return eqx.tree_at(where, grasp, [tabled(shape) for shape in where(grasp)])
+
+
+def check_grasp(grasp: Any) -> None:
+    """Raise unless a grasp is given, and one whose fields its constructors would have taken."""
+    check_instance("grasp", grasp, Grasp, "a Grasp")
+    _check_fields(grasp)
+
+
+@remembered
+def _check_fields(grasp: Grasp) -> None:
+    check_module("grasp", grasp)
+    taken(grasp, "gravity", grasp.gravity, shape=(grasp._axes,), name="grasp.gravity")
+
+
+def check_planar(grasp: Grasp) -> None:
+    """Raise for a grasp in space, where only the plane has an answer."""
+    check_grasp(grasp)
+    if grasp.spatial:
+        raise ValueError("argument grasp must live in the plane, but its contacts are those of space")
+
+
+def check_spatial(grasp: Grasp) -> None:
+    """Raise for a grasp in the plane, where only space has an answer."""
+    check_grasp(grasp)
+    if not grasp.spatial:
+        raise ValueError("argument grasp must live in space, but its contacts are those of the plane")
+
+
+def check_states(grasp: Any, states: Any, name: str = "state", *, axes: int = 0) -> None:
+    """Raise unless a grasp is given, and a finite state, or several along leading axes, that fit it."""
+    check_grasp(grasp)
+    check_instance(name, states, State, "a State")
+    check_shapes(states, grasp.form, name, axes)
+    if not axes:  # of several, some may be times that a run did not reach
+        for part in "qvs":
+            check_finite(f"{name}.{part}", getattr(states, part))
+
+
+def _finite_times(name: str, value: Any) -> Any:
+    """Argument `ts` as an array of finite times; another argument as it is."""
+    return check_finite("ts", as_array("ts", value)) if name == "ts" else value
+
+
+def compiled(function: Door) -> Door:
+    """`equinox.filter_jit` for functions of a grasp, whose tables are built before, once for all of them.
+
+    Before anything is traced it refuses what is no grasp, states that are not of this grasp, and times `ts`
+    that are not finite numbers.
+    """
+    jitted = eqx.filter_jit(function)
+    names = tuple(inspect.signature(function).parameters)
+    places = [(names.index(name) - 1, name) for name in _STATES if name in names]
+
+    @functools.wraps(function)
+    def door(grasp: Grasp, *args: Any, **options: Any) -> Any:
+        check_grasp(grasp)
+        for at, name in places:
+            if at < len(args) or name in options:
+                given = options[name] if name in options else args[at]
+                check_states(grasp, given, name, axes=_STATES[name])
+        args = tuple(_finite_times(name, x) for name, x in zip(names[1:], args, strict=False))
+        options = {name: _finite_times(name, x) for name, x in options.items()}
+        return jitted(grasp.tabled(), *args, **options)
+
+    return cast(Door, door)

@@ -1,0 +1,209 @@
+"""What an object rolls on by itself: a surface that is fixed in the world, or moves as it is told."""
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._fields import real, taken, through
+from .._linalg import (
+    conjugate,
+    normalised,
+    pose,
+    Pose3,
+    Quaternion,
+    quaternion_product,
+    sincos,
+    Twist3,
+    unstack,
+    Vec3,
+)
+from .._printing import listed
+from .._results import as_array, check_callable, check_direction, shown
+from .._types import Given, Scalar, Scalars
+from ..contact import Motion
+from ..geometry import AbstractSurface
+from ._body import Coordinate, Inertia
+from ._finger import AbstractFinger
+from ._finger3 import as_surface
+
+# Nothing in a stage says how large it is, and only drawing asks: a gripper's order of magnitude [m].
+_SIZE = 0.05
+
+
+class Turning(eqx.Module):
+    r"""A motion for `Stage`: steady rotation about an axis through a point, $\Omega t$ at time t.
+
+    Args:
+        rate: $\Omega$ [rad/s].
+        axis: Shape (3,); scaled to unit length. Default: z.
+        centre: Shape (3,), a point of the axis [m].
+    """
+
+    __repr__ = listed
+    UNITS: ClassVar[dict[str, str]] = {"rate": "rad/s", "centre": "m"}
+
+    rate: Float[Array, ""] = real()
+    axis: Float[Array, "3"] = real(3, check=check_direction)
+    centre: Float[Array, "3"] = real(3)
+
+    def __init__(
+        self, rate: Given, *, axis: Given = (0.0, 0.0, 1.0), centre: Given = (0.0, 0.0, 0.0)
+    ) -> None:
+        self.rate = taken(self, "rate", rate)
+        self.axis = taken(self, "axis", axis)
+        self.centre = taken(self, "centre", centre)
+
+    def __call__(self, t: Scalar) -> tuple[Vec3, Quaternion]:
+        sin, cos = sincos(0.5 * self.rate * t)
+        axis, centre = Vec3(*unstack(self.axis)), Vec3(*unstack(self.centre))
+        axis = axis * (1.0 / axis.norm())
+        turn = (cos, axis.x * sin, axis.y * sin, axis.z * sin)
+        return centre - pose(centre, turn).turn(centre), turn
+
+
+def _as_motion(name: str, motion: Any) -> Any:
+    """A function of time as a pytree, or None."""
+    if motion is None:
+        return None
+    check_callable(name, motion, "a function of time", takes=1)
+    return jax.tree_util.Partial(motion) if jax.tree_util.all_leaves([motion]) else motion
+
+
+class Stage(AbstractFinger):
+    r"""A surface that is fixed, or moves as prescribed: a table, a turntable, a tube.
+
+    A moving one has one position, its clock [s], and no velocity; start it at the run's `t0`. It takes the
+    place of a finger in a `Grasp`, and does work on the object, which the energy balance counts.
+
+    Args:
+        surface: In the stage's frame.
+        motion: `motion(t)` gives the frame's position [m], three numbers, and its quaternion (scalar first),
+            four numbers, relative to `base` and `rotation`, twice differentiable in t [s]; any callable
+            pytree, `Turning` for one. Default: none, the stage is fixed.
+        base: Shape (3,), position of the frame [m].
+        rotation: Quaternion (scalar first) of the frame's axes; scaled to unit length.
+
+    Raises:
+        ValueError: If `surface` is not a surface, `motion` cannot be called with a time, or `rotation` has no
+            length.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> table = jxr.Stage(jxr.Plane(), jxr.Turning(2.0))
+        >>> table.positions, table.freedoms
+        (1, 0)
+    """
+
+    tip: AbstractSurface = through(as_surface)
+    motion_of: Callable[[Any], Any] | None = through(_as_motion)
+    base: Float[Array, "3"] = real(3)
+    rotation: Float[Array, "4"] = real(4, check=check_direction)
+
+    def __init__(
+        self,
+        surface: AbstractSurface,
+        motion: Callable[[Any], Any] | None = None,
+        *,
+        base: Given = (0.0, 0.0, 0.0),
+        rotation: Given = (1.0, 0.0, 0.0, 0.0),
+    ) -> None:
+        self.tip = taken(self, "tip", surface, name="surface")
+        self.motion_of = taken(self, "motion_of", motion, name="motion")
+        self.base = taken(self, "base", base)
+        self.rotation = taken(self, "rotation", rotation)
+
+    @property
+    def joints(self) -> int:
+        return 0
+
+    @property
+    def positions(self) -> int:
+        return 0 if self.motion_of is None else 1
+
+    @property
+    def labels(self) -> tuple[Coordinate, ...]:
+        return (Coordinate("clock", "s"),) * self.positions
+
+    @property
+    def prescribed(self) -> bool:
+        return self.motion_of is not None
+
+    @property
+    def size(self) -> Scalar:
+        return jnp.full((), _SIZE)
+
+    @property
+    def turns(self) -> bool:
+        return False
+
+    def prepared(self) -> "Stage":
+        ready = (unstack(self.base), unstack(self.rotation), self.tip.prepared())
+        return eqx.tree_at(lambda s: (s.base, s.rotation, s.tip), self, ready)
+
+    def _placed(self, t: Scalar) -> tuple[Vec3, Quaternion]:
+        """Position and unit quaternion in the world."""
+        base, turn = Vec3(*unstack(self.base)), normalised(unstack(self.rotation))
+        if self.motion_of is None:
+            return base, turn
+        given = self.motion_of(t)
+        if not isinstance(given, tuple | list) or len(given) != 2:
+            raise ValueError(
+                f"argument motion must return a position and a quaternion, but returned {shown(given)}"
+            )
+        point, own = Vec3(*_numbers(given[0], 3)), normalised(_numbers(given[1], 4))
+        return pose(base, turn).place(point), quaternion_product(turn, own)
+
+    def _twist(self, t: Scalar) -> Twist3:
+        (_, turn), (velocity, rate) = jax.jvp(self._placed, (t,), (jnp.ones_like(t),))
+        spin = quaternion_product(rate, conjugate(turn))
+        return Twist3(velocity, Vec3(*spin[1:]) * 2.0)
+
+    def pose(self, q: Scalars) -> Pose3:
+        return pose(*self._placed(q[0] if q else jnp.zeros(())))
+
+    def skeleton(self, q: Scalars) -> tuple[Vec3, ...]:
+        return (self.pose(q).origin,)
+
+    def spin(self, q: Scalars, v: Scalars) -> Vec3:
+        return Vec3(0.0, 0.0, 0.0)
+
+    def rates(self, q: Scalars, v: Scalars) -> Scalars:
+        return tuple(jnp.ones_like(clock) for clock in q)
+
+    def displaced(self, q: Scalars, step: Scalars) -> Scalars:
+        return q
+
+    def motion(self, q: Scalars, v: Scalars, gravity: Vec3 | None) -> tuple[Motion, Inertia]:
+        nothing = Inertia((), ())
+        if not q:
+            still = Twist3(Vec3(0.0, 0.0, 0.0), Vec3(0.0, 0.0, 0.0))
+            return Motion(self.pose(q), (), still, still), nothing
+        twist, bias = jax.jvp(self._twist, (q[0],), (jnp.ones_like(q[0]),))
+        return Motion(self.pose(q), (), twist, bias), nothing
+
+    def gravity_potential(self, q: Scalars, gravity: Vec3) -> Scalar:
+        return jnp.zeros(())
+
+
+def _numbers(values: Any, count: int) -> Any:
+    """What a motion returned, an array or a sequence, as scalars."""
+    if isinstance(values, tuple | list | Vec3):
+        found = tuple(map(_number, values))
+        fits = all(jnp.ndim(number) == 0 for number in found)
+    else:
+        array = jnp.asarray(_number(values))
+        found, fits = unstack(array), array.ndim == 1
+    if not fits or len(found) != count:
+        raise ValueError(
+            f"argument motion must return 3 coordinates and 4 of a quaternion, but returned {shown(values)}"
+        )
+    return found
+
+
+def _number(value: Any) -> Any:
+    """A real number or array of them that a motion returned; Python's own floats stay what they are."""
+    return value if isinstance(value, float) else as_array("motion, in what it returns,", value)

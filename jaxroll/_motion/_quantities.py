@@ -1,0 +1,212 @@
+"""Quantities along a run, as the chapter defines them, from states alone."""
+
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._linalg import total, Vec3
+from .._mechanics import (
+    bodies,
+    compiled,
+    Grasp,
+    kinetic_energy,
+    Leaves,
+    poses,
+    residual,
+    State,
+    to_leaves,
+    touches,
+)
+from .._printing import listed
+from .._results import as_array
+from .._types import Scalar
+from ..contact import Rows
+from ._equations import control_potential, evaluate
+from ._formulation import as_formulation, Formulation
+
+
+class Residuals(eqx.Module):
+    r"""What the constraints leave over at each saved time, per contact.
+
+    Attributes:
+        normal: $Q$, the gap along the object's inward normal [m], positive where the shapes overlap: (65),
+            and $Q_{ni}$ of (5)-(6). The gap runs from the object's contact point to the fingertip's.
+        tangential: $R$, the gap along the object's tangent $b_1$, $b_{0i}$ [m]: (64), and $Q_{bi}$ of
+            (5)-(6). In space, shape (..., c, 3): its part in the object's tangent plane, in world axes.
+        tangency: Sine of the angle between the two tangents [rad]. In space, shape (..., c, 3): the sum of
+            the two outward normals, in world axes.
+    """
+
+    __repr__ = listed
+    UNITS: ClassVar[dict[str, str]] = {"normal": "m", "tangential": "m"}
+
+    normal: Float[Array, "... c"]
+    tangential: Float[Array, "..."]
+    tangency: Float[Array, "..."]
+
+
+class Multipliers(eqx.Module):
+    r"""Contact forces in the chapter's sign and frame.
+
+    Attributes:
+        f: Normal force [N] of each contact, positive when pressing.
+        lam: Tangential force $\lambda$ [N]: the object pushes the fingertip along $-\lambda\, b_0$. In
+            space, shape (..., c, 3): the tangential force on the object, in world axes.
+    """
+
+    __repr__ = listed
+    UNITS: ClassVar[dict[str, str]] = {"f": "N", "lam": "N"}
+
+    f: Float[Array, "... c"]
+    lam: Float[Array, "..."]
+
+
+class Energy(eqx.Module):
+    r"""Energy balance (20) at each saved time.
+
+    Attributes:
+        kinetic: $K$ [J], (13), (71).
+        potential: Artificial and gravitational potential energy [J], (22).
+        work: Work of all else [J]: minus the dissipation with a built-in controller.
+        residual: $(K + P - W) - (K + P)(t_0)$ [J]; zero in the exact motion.
+    """
+
+    __repr__ = listed
+    UNITS: ClassVar[dict[str, str]] = {"kinetic": "J", "potential": "J", "work": "J", "residual": "J"}
+
+    kinetic: Float[Array, "..."]
+    potential: Float[Array, "..."]
+    work: Float[Array, "..."]
+    residual: Float[Array, "..."]
+
+
+def residuals_at(grasp: Grasp, state: State) -> Residuals:
+    """Residuals of a prepared grasp at one state."""
+    leaves = to_leaves(state, grasp.form)
+    frames, touching = poses(grasp, leaves.q), touches(grasp, leaves.s)
+    left = residual(grasp, frames, touching)
+    each = zip(grasp.contacts, left.gaps, touching, strict=True)
+    rows = [c.split_gap((frames[1 + c.finger], frames[0]), t, gap) for c, gap, t in each]
+    normal, tangential = zip(*rows, strict=True)
+    return Residuals(_column(normal), _column(tangential), _column(left.tangencies))
+
+
+def worst(residuals: Residuals) -> Array:
+    """Largest absolute residual over contacts, per state: metres and radians together."""
+    rows = residuals.normal.shape[:-1]
+    parts = [residuals.normal, residuals.tangential, residuals.tangency]
+    flat = jnp.concatenate([part.reshape(*rows, -1) for part in parts], axis=-1)
+    return jnp.max(jnp.abs(flat), axis=-1)
+
+
+def multipliers_at(grasp: Grasp, t: Scalar, state: State, formulation: Formulation) -> Multipliers:
+    """Contact forces of a prepared grasp at one state."""
+    instant = evaluate(grasp, t, to_leaves(state, grasp.form), formulation)
+    return split_forces(grasp, [m.pose for m in instant.motions], instant.touching, instant.forces)
+
+
+def split_forces(grasp: Grasp, frames: Sequence[Any], touching: Sequence[Any], forces: Rows) -> Multipliers:
+    """Forces on the fingertips, by constraint rows, as multipliers."""
+    each = zip(grasp.contacts, touching, forces, strict=True)
+    pairs = [c.split_force((frames[1 + c.finger], frames[0]), t, force) for c, t, force in each]
+    f, lam = zip(*pairs, strict=True)
+    return Multipliers(_column(f), _column(lam))
+
+
+def _column(values: Sequence[Any]) -> Array:
+    """One number or vector per contact, as an array."""
+    return jnp.stack([x.array() if isinstance(x, Vec3) else jnp.asarray(x) for x in values])
+
+
+def energies_at(grasp: Grasp, state: State) -> tuple[Scalar, Scalar]:
+    """Kinetic and potential energy of a prepared grasp at one state."""
+    leaves = to_leaves(state, grasp.form)
+    motions, inertias = bodies(grasp, leaves)
+    tips = [motion.pose for motion in motions[1:]]
+    stored = control_potential(grasp, leaves, tips)
+    return kinetic_energy(inertias, leaves.v), stored + _gravity_potential(grasp, leaves)
+
+
+def _gravity_potential(grasp: Grasp, leaves: Leaves) -> Scalar:
+    field = grasp.field()
+    if field is None:
+        return 0.0
+    parts = [grasp.object.gravity_potential(leaves.q[0], field)]
+    for finger, q in zip(grasp.fingers, leaves.q[1:], strict=True):
+        parts.append(finger.gravity_potential(q, field))
+    return total(parts)
+
+
+def of_reached(function: Callable, states: State, start: State) -> Any:
+    """`function` of states along a leading axis, NaN for those that a run did not reach.
+
+    The start stands in for those: backwards, a cotangent of zero would meet a derivative of NaN.
+    """
+    reached = jnp.all(jnp.isfinite(states.q), axis=-1)
+    where = lambda a, b: jnp.where(reached.reshape(-1, *(1,) * (a.ndim - 1)), a, b)  # noqa: E731
+    found = function(jax.tree.map(where, states, start))
+    return jax.tree.map(lambda a: where(a, jnp.nan), found)
+
+
+@compiled
+def residuals(grasp: Grasp, states: State) -> Residuals:
+    """Constraint residuals of one state, or of states with a leading time axis.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> grasp, state = jxr.scenes.pivoted()
+        >>> bool(abs(jxr.residuals(grasp, state).normal[0]) < 1e-15)
+        True
+    """
+    ready = grasp.prepared()
+    return _over_time(lambda state: residuals_at(ready, state), states)
+
+
+def multipliers(
+    grasp: Grasp, ts: Float[Array, "..."], states: State, formulation: Formulation | None = None
+) -> Multipliers:
+    """Contact forces [N] at one time and state, or along a leading time axis.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> grasp, state = jxr.scenes.pivoted()
+        >>> bool(jxr.multipliers(grasp, 0.0, state).f[0] > 0)  # pressing
+        True
+    """
+    return _multipliers(grasp, ts, states, as_formulation(grasp, formulation))
+
+
+@compiled
+def _multipliers(
+    grasp: Grasp, ts: Float[Array, "..."], states: State, formulation: Formulation
+) -> Multipliers:
+    ready, ts = grasp.prepared(), as_times(ts, states)
+    if states.q.ndim == 1:
+        return multipliers_at(ready, ts, states, formulation)
+    each = jax.vmap(lambda t, state: multipliers_at(ready, t, state, formulation))
+    return of_reached(lambda rows: each(ts, rows), states, jax.tree.map(lambda rows: rows[0], states))
+
+
+@compiled
+def energies(grasp: Grasp, states: State) -> tuple[Array, Array]:
+    """Kinetic and potential energy [J] of one state, or of states with a leading time axis."""
+    ready = grasp.prepared()
+    return _over_time(lambda state: energies_at(ready, state), states)
+
+
+def as_times(ts: Any, states: State) -> Array:
+    """Times [s] as an array: one for every state."""
+    times, wanted = as_array("ts", ts), states.q.shape[:-1]
+    if times.shape != wanted:
+        raise ValueError(f"argument ts must have shape {wanted}, as states have, but had {times.shape}")
+    return times
+
+
+def _over_time(function: Callable, states: State) -> Any:
+    if states.q.ndim == 1:
+        return function(states)
+    return of_reached(jax.vmap(function), states, jax.tree.map(lambda rows: rows[0], states))

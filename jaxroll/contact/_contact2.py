@@ -1,0 +1,215 @@
+r"""Two contours rolling on each other: tangency, rolling rate, and the contact that has them.
+
+A fingertip A and an object B share one rolling coordinate $\sigma$: $s_A = s_{A0} + \sigma$ and
+$s_B = s_{B0} - \sigma$. Both contours run counter-clockwise, so their tangents oppose each other at the
+contact, and the points move over both bodies with one velocity (see `_gap`).
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._fields import real, taken, through
+from .._linalg import Pose2, Vec2
+from .._results import check_between, check_positive, shown
+from .._types import Given, Scalar, Scalars
+from .._xla import once
+from ..geometry import AbstractContour, check_contour, Frenet2
+from ._contact import AbstractContact, arms_of, as_index, Motion, row_wise, Rows
+from ._gap import gap, gap_bias, gap_rate, pfaffian
+
+Contours = tuple[AbstractContour, AbstractContour]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, slots=True)
+class Touch:
+    """The frames of both contours at one contact, each in its own body."""
+
+    tip: Frenet2
+    object: Frenet2
+
+    @property
+    def points(self) -> tuple[Vec2, Vec2]:
+        """Both contact points, each in its own body frame."""
+        return self.tip.point, self.object.point
+
+
+def _as_sense(name: str, sense: Any) -> int:
+    whole = isinstance(sense, int | np.integer) and not isinstance(sense, bool)
+    if not whole or sense not in (1, -1):
+        raise ValueError(f"argument {name} must be 1 or -1, but was {shown(sense)}")
+    return int(sense)
+
+
+class Contact(AbstractContact):
+    r"""Where a fingertip starts touching the object.
+
+    Args:
+        s_tip: Arclength on the fingertip's contour at the start, in metres.
+        s_object: Arclength on the object's contour at the start, in metres.
+        finger: Which finger touches. Static.
+        contour: Which of the object's contours is touched. Static.
+        sense: +1 where the chapter's $s_i$ and $b_{0i}$ run along the object's contour, -1 where
+            they run against it (its second finger). It decides only the signs in which the chapter's
+            quantities are reported, of `multipliers`, `residuals`, `press_balance` and the like: a grasp and
+            its mirror image with the other `sense` have the same. Static.
+        friction: Coefficient $\mu$: a run ends where $|\lambda| > \mu f$. Default: no limit, no cost.
+
+    Raises:
+        ValueError: If an arclength is not one finite number, `finger` or `contour` is not a whole number from
+            0 up, `sense` is neither, or `friction` is not positive.
+    """
+
+    s_tip: Float[Array, ""] = real()
+    s_object: Float[Array, ""] = real()
+    finger: int = through(as_index, static=True)
+    contour: int = through(as_index, static=True)
+    sense: int = through(_as_sense, static=True)
+    friction: Float[Array, ""] | None = real(check=check_positive, optional=True)
+
+    def __init__(
+        self,
+        s_tip: Given = 0.0,
+        s_object: Given = 0.0,
+        *,
+        finger: int = 0,
+        contour: int = 0,
+        sense: int = 1,
+        friction: Given | None = None,
+    ) -> None:
+        self.s_tip = taken(self, "s_tip", s_tip)
+        self.s_object = taken(self, "s_object", s_object)
+        self.finger = taken(self, "finger", finger)
+        self.contour = taken(self, "contour", contour)
+        self.sense = taken(self, "sense", sense)
+        self.friction = taken(self, "friction", friction)
+
+    @property
+    def kind(self) -> str:
+        return "contour"
+
+    @property
+    def touched(self) -> int:
+        return self.contour
+
+    @property
+    def rows(self) -> int:
+        return 2
+
+    @property
+    def slack(self) -> int:
+        return 1
+
+    def check(self, name: str, shapes: Contours) -> None:
+        for shape in shapes:
+            if not isinstance(shape, AbstractContour):
+                raise ValueError(f"argument {name} must be between contours, but one was {shown(shape)}")
+        self.check_shapes(name, shapes)
+        for shape, (kind, s) in zip(shapes, self._starts(), strict=True):
+            domain = None if shape.closed else shape.domain()
+            if domain is not None:
+                check_between(f"{name}.{kind}", s, *domain, unit=" m")
+
+    def check_shapes(self, name: str, shapes: Contours) -> None:
+        for shape, (kind, s) in zip(shapes, self._starts(), strict=True):
+            check_contour(f"{name}.{kind}", shape, start=s)
+
+    def _starts(self) -> tuple[tuple[str, Array], ...]:
+        return ("s_tip", self.s_tip), ("s_object", self.s_object)
+
+    def form(self, shapes: Contours) -> Scalar:
+        return 0.0
+
+    def touch(self, shapes: Contours, place: Scalar) -> Touch:
+        tip, face = shapes
+        return Touch(tip.frame(self.s_tip + place), face.frame(self.s_object - place))
+
+    def pfaffian(self, bodies: tuple[Motion, Motion], touch: Touch) -> tuple[Rows, Rows]:
+        units = (bodies[0].unit_twists, bodies[1].unit_twists)
+        tip, face = once(pfaffian(units, arms_of(bodies, touch.points)))
+        return row_wise(tip, 2), row_wise(face, 2)
+
+    def closing(self, bodies: tuple[Motion, Motion], touch: Touch) -> Scalars:
+        return tuple(gap_rate((bodies[0].twist, bodies[1].twist), arms_of(bodies, touch.points)))
+
+    def bias(self, bodies: tuple[Motion, Motion], touch: Touch, rolling: Scalar) -> Scalars:
+        tip, body = bodies
+        drift = (tip.pose.turn(touch.tip.tangent) * rolling, body.pose.turn(touch.object.tangent) * -rolling)
+        return tuple(gap_bias(bodies, arms_of(bodies, touch.points), drift))
+
+    def rolling(self, bodies: tuple[Motion, Motion], touch: Touch) -> Scalar:
+        return rolling_rate(touch, bodies[0].twist.spin, bodies[1].twist.spin)
+
+    def place_rate(self, shapes: Contours, place: Scalar, poses: Any, rolling: Scalar) -> Scalar:
+        return rolling
+
+    def bend(self, poses: tuple[Pose2, Pose2], touch: Touch) -> Scalar:
+        return touch.tip.curvature + touch.object.curvature
+
+    def unknown_bend(self) -> Scalar:
+        return 0.0
+
+    def opening(self, poses: tuple[Pose2, Pose2], touch: Touch) -> Scalars:
+        return tuple(gap(*poses, touch.points))
+
+    def tangency(self, poses: tuple[Pose2, Pose2], touch: Touch) -> Scalar:
+        return tangency(*poses, touch)
+
+    def onto(self, shapes: Contours, place: Scalar) -> Scalar:
+        return place
+
+    def settled(
+        self, shapes: Contours, place: Scalar, turned: Scalar, misfit: tuple[Any, Scalar, Scalar]
+    ) -> Scalar:
+        _, sine, bend = misfit
+        return place - (turned + sine) / bend
+
+    def shift(self, shapes: Contours, place: Scalar, step: Scalars) -> Scalar:
+        return place + step[0]
+
+    def equations(self, poses: tuple[Pose2, Pose2], touch: Touch) -> Scalars:
+        tip, face = poses
+        cosine = -tip.turn(touch.tip.tangent).dot(face.turn(touch.object.tangent))
+        return (*self.opening(poses, touch), jnp.arctan2(self.tangency(poses, touch), cosine))
+
+    def equation_names(self) -> tuple[str, ...]:
+        return "x gap [m]", "y gap [m]", "tangency [rad]"
+
+    def ends(self, shapes: Contours, place: Scalar) -> list[Scalar]:
+        margins = []
+        for contour, s in zip(shapes, (self.s_tip + place, self.s_object - place), strict=True):
+            ends = None if contour.closed else contour.domain()
+            if ends is not None:
+                margins += [s - ends[0], ends[1] - s]
+        return margins
+
+    def curvature_margin(self, poses: tuple[Pose2, Pose2], touch: Touch) -> Scalar:
+        tip, face = touch.tip.curvature, touch.object.curvature
+        size = jnp.abs(tip) + jnp.abs(face)
+        return (tip + face) / jnp.where(size > 0, size, 1.0)
+
+    def split_force(self, poses: tuple[Pose2, Pose2], touch: Touch, force: Scalars) -> tuple[Scalar, Scalar]:
+        tangent, push = poses[1].turn(touch.object.tangent), Vec2(*force)
+        return push.dot(tangent.right()), -self.sense * push.dot(tangent)
+
+    def split_gap(self, poses: tuple[Pose2, Pose2], touch: Touch, opening: Scalars) -> tuple[Scalar, Scalar]:
+        tangent, gap = poses[1].turn(touch.object.tangent), Vec2(*opening)
+        return gap.dot(tangent.left()), self.sense * gap.dot(tangent)
+
+    def rubbing(self, tangential: Scalar) -> list[Scalar]:
+        return [tangential, -tangential]
+
+
+def tangency(tip: Pose2, object_: Pose2, touch: Touch) -> Scalar:
+    """Sine of the angle by which the fingertip's tangent leads the reversed object tangent."""
+    return tip.turn(touch.tip.tangent).cross(object_.turn(touch.object.tangent))
+
+
+def rolling_rate(touch: Touch, tip_spin: Scalar, object_spin: Scalar) -> Scalar:
+    r"""Rolling rate (7), (68): $(\kappa_A + \kappa_B)\,\dot\sigma = \dot\varphi_B - \dot\varphi_A$."""
+    return (object_spin - tip_spin) / (touch.tip.curvature + touch.object.curvature)

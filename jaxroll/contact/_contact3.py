@@ -1,0 +1,286 @@
+r"""Two surfaces rolling on each other in space: tangency, rolling velocity, and the contact that has them.
+
+The contact points of a fingertip A and an object B move over both with one velocity $s$ (A-1 and A-2: they
+coincide, and so do the tangent planes). With $n$ the object's outward normal and the shape operators
+$L = \mathrm{d}n$ in world axes, $(L_A + L_B)\,s = (\omega_A - \omega_B) \times n$ in the tangent plane:
+Montana's equations without a chart.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._fields import real, taken, through
+from .._linalg import Pose3, square, Sym3, tangents, Twist3, Vec3
+from .._results import check_flag, check_positive, shown
+from .._types import Given, Scalar, Scalars
+from .._xla import once
+from ..geometry import AbstractSurface, check_surface, Gauss3
+from ._contact import AbstractContact, arms_of, as_index, Motion, row_wise, Rows
+from ._gap import gap, gap_bias, gap_rate, pfaffian
+
+Surfaces = tuple[AbstractSurface, AbstractSurface]
+Place = tuple[Scalars, Scalars]
+
+# The row that prevents spin is the rate of an angle; this arm makes it one of a length [m].
+_ARM = 0.01
+# Returns to the surfaces after a step while a start is sought.
+_RETURNS = 4
+# Keeps the size of a tangential force differentiable where there is none [N^2].
+_NO_FORCE = 1e-24
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, slots=True)
+class Touch3:
+    """The Gauss frames of both surfaces at one contact, each in its own body."""
+
+    tip: Gauss3
+    object: Gauss3
+
+    @property
+    def points(self) -> tuple[Vec3, Vec3]:
+        """Both contact points, each in its own body frame."""
+        return self.tip.point, self.object.point
+
+
+def compliance(poses: tuple[Pose3, Pose3], touch: Touch3, line: bool) -> Sym3:
+    r"""Inverse of $L_A + L_B$ in the tangent plane, as a matrix in world axes, zero along the normal.
+
+    Two surfaces that touch along a generator have no curvature in it: with `line`, the inverse across it.
+    """
+    tip, body = poses
+    bend = once(touch.tip.shape.turned(tip) + touch.object.shape.turned(body))
+    trace = bend.trace()
+    if line:
+        return bend * (1.0 / (trace * trace))
+    normal = body.turn(touch.object.normal)
+    plane = Sym3(1.0, 0.0, 0.0, 1.0, 0.0, 1.0) - square(normal)
+    return (plane * trace - bend) * (1.0 / bend.minors())
+
+
+def _as_spin(name: str, spin: Any) -> str:
+    if not isinstance(spin, str) or spin not in ("free", "prevented"):
+        raise ValueError(f"argument {name} must be 'free' or 'prevented', but was {shown(spin)}")
+    return spin
+
+
+class Contact3(AbstractContact):
+    r"""A fingertip's surface that rolls on one of the object's surfaces.
+
+    Its place is the point on each surface, in the surface's own coordinates (of an implicit surface three,
+    in the body's frame), so that no chart and no pole comes in.
+
+    Args:
+        finger: Which finger touches. Static.
+        surface: Which of the object's surfaces is touched. Static.
+        spin: 'free', or 'prevented': then the bodies do not turn against each other about the common
+            normal, and a torque about it keeps them from it. Static.
+        line: Whether the surfaces touch along a straight line (two parallel cylinders, a cylinder on a
+            plane): the contact is then held at one place of the line and rolls across it. Static.
+        friction: Coefficient $\mu$: a run ends where the tangential force exceeds $\mu f$. Default: no limit,
+            no cost.
+
+    Raises:
+        ValueError: If `finger` or `surface` is not a whole number from 0 up, `spin` is neither, `line` is not
+            True or False, or `friction` is not positive.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> jxr.Contact3(spin="prevented").rows
+        4
+    """
+
+    finger: int = through(as_index, static=True)
+    surface: int = through(as_index, static=True)
+    spin: str = through(_as_spin, static=True)
+    line: bool = through(check_flag, static=True)
+    friction: Float[Array, ""] | None = real(check=check_positive, optional=True)
+
+    def __init__(
+        self,
+        finger: int = 0,
+        surface: int = 0,
+        *,
+        spin: Literal["free", "prevented"] = "free",
+        line: bool = False,
+        friction: Given | None = None,
+    ) -> None:
+        self.finger = taken(self, "finger", finger)
+        self.surface = taken(self, "surface", surface)
+        self.spin = taken(self, "spin", spin)
+        self.line = taken(self, "line", line)
+        self.friction = taken(self, "friction", friction)
+
+    @property
+    def kind(self) -> str:
+        return "surface"
+
+    @property
+    def touched(self) -> int:
+        return self.surface
+
+    @property
+    def rows(self) -> int:
+        return 3 if self.spin == "free" else 4
+
+    @property
+    def slack(self) -> int:
+        return 4
+
+    def check(self, name: str, shapes: Surfaces) -> None:
+        for shape in shapes:
+            if not isinstance(shape, AbstractSurface):
+                raise ValueError(f"argument {name} must be between surfaces, but one was {shown(shape)}")
+        self.check_shapes(name, shapes)
+
+    def check_shapes(self, name: str, shapes: Surfaces) -> None:
+        for kind, shape in zip(("tip", "object"), shapes, strict=True):
+            check_surface(f"{name}'s surface of the {kind}", shape)
+
+    def form(self, shapes: Surfaces) -> Place:
+        tip, face = shapes
+        return (0.0,) * tip.coordinates, (0.0,) * face.coordinates
+
+    def touch(self, shapes: Surfaces, place: Place) -> Touch3:
+        return Touch3(*(shape.frame(at) for shape, at in zip(shapes, place, strict=True)))
+
+    def pfaffian(self, bodies: tuple[Motion, Motion], touch: Touch3) -> tuple[Rows, Rows]:
+        units = (bodies[0].unit_twists, bodies[1].unit_twists)
+        columns = pfaffian(units, arms_of(bodies, touch.points))
+        blocks = [row_wise(block, 3) for block in columns]
+        if self.spin == "prevented":
+            normal = bodies[1].pose.turn(touch.object.normal) * _ARM
+            for i, sign in enumerate((1.0, -1.0)):
+                blocks[i] += (tuple(normal.dot(unit.spin) * sign for unit in units[i]),)
+        return once((blocks[0], blocks[1]))
+
+    def closing(self, bodies: tuple[Motion, Motion], touch: Touch3) -> Scalars:
+        twists = (bodies[0].twist, bodies[1].twist)
+        rate = tuple(gap_rate(twists, arms_of(bodies, touch.points)))
+        normal = bodies[1].pose.turn(touch.object.normal)
+        return rate if self.spin == "free" else (*rate, _spin(twists, normal))
+
+    def bias(self, bodies: tuple[Motion, Motion], touch: Touch3, rolling: Vec3) -> Scalars:
+        found = tuple(gap_bias(bodies, arms_of(bodies, touch.points), (rolling, rolling)))
+        if self.spin == "free":
+            return found
+        tip, body = bodies
+        normal, bend = body.pose.turn(touch.object.normal), touch.object.shape.apply(body.pose.back(rolling))
+        turning = body.twist.spin.cross(normal) + body.pose.turn(bend)
+        twists, biases = (tip.twist, body.twist), (tip.bias, body.bias)
+        return (*found, jax.jvp(_spin, (twists, normal), (biases, turning))[1])
+
+    def rolling(self, bodies: tuple[Motion, Motion], touch: Touch3) -> Vec3:
+        tip, body = bodies
+        turning = tip.twist.spin - body.twist.spin
+        bend = compliance((tip.pose, body.pose), touch, self.line)
+        return bend.apply(turning.cross(body.pose.turn(touch.object.normal)))
+
+    def place_rate(self, shapes: Surfaces, place: Place, poses: tuple[Pose3, Pose3], rolling: Vec3) -> Place:
+        return _carried_rates(shapes, place, (poses[0].back(rolling), poses[1].back(rolling)))
+
+    def bend(self, poses: tuple[Pose3, Pose3], touch: Touch3) -> Sym3:
+        return compliance(poses, touch, self.line)
+
+    def unknown_bend(self) -> Sym3:
+        return Sym3(*(0.0,) * 6)
+
+    def opening(self, poses: tuple[Pose3, Pose3], touch: Touch3) -> Scalars:
+        found = tuple(gap(*poses, touch.points))
+        return found if self.spin == "free" else (*found, jnp.zeros_like(found[0]))
+
+    def tangency(self, poses: tuple[Pose3, Pose3], touch: Touch3) -> Vec3:
+        return tangency3(*poses, touch)
+
+    def onto(self, shapes: Surfaces, place: Place) -> Place:
+        tip, face = (shape.settled(at) for shape, at in zip(shapes, place, strict=True))
+        return tip, face
+
+    def settled(
+        self, shapes: Surfaces, place: Place, turned: Vec3, misfit: tuple[tuple[Pose3, Pose3], Vec3, Sym3]
+    ) -> Place:
+        (tip, body), open_, bend = misfit
+        normal = body.turn(shapes[1].frame(place[1]).normal)
+        move = bend.apply(turned.cross(normal) - open_)
+        return _carried(shapes, place, (tip.back(move), body.back(move)))
+
+    def shift(self, shapes: Surfaces, place: Place, step: Scalars) -> Place:
+        moves = []
+        for shape, at, (along, across) in zip(shapes, place, (step[:2], step[2:]), strict=True):
+            first, second = tangents(shape.frame(at).normal)
+            moves.append(first * along + second * across)
+        carried = jax.tree.map(jnp.asarray, _carried(shapes, place, (moves[0], moves[1])))
+        # A step may be long, and leave the surfaces by more than one return brings back to rounding.
+        return jax.lax.fori_loop(0, _RETURNS, lambda _, place: self.onto(shapes, place), carried)
+
+    def equations(self, poses: tuple[Pose3, Pose3], touch: Touch3) -> Scalars:
+        tip, body = (
+            pose.turn(n) for pose, n in zip(poses, (touch.tip.normal, touch.object.normal), strict=True)
+        )
+        # Twice the tangent of half the angle: it tells normals that oppose each other from alike ones.
+        tilt = (tip + body) * (2.0 / (1.0 - tip.dot(body)))
+        first, second = tangents(body)
+        found = tuple(gap(*poses, touch.points))
+        if not self.line:
+            return (*found, tilt.dot(first), tilt.dot(second))
+        bend = touch.tip.shape.turned(poses[0]) + touch.object.shape.turned(poses[1])
+        one, other = bend.apply(first), bend.apply(second)
+        steep = one.dot(first) > other.dot(second)
+        across = jax.tree.map(lambda a, b: jnp.where(steep, a, b), one, other)
+        return (*found, tilt.dot(across) / across.norm())
+
+    def equation_names(self) -> tuple[str, ...]:
+        gaps = ("x gap [m]", "y gap [m]", "z gap [m]")
+        return (*gaps, "tangency [rad]") if self.line else (*gaps, "tangency [rad]", "tangency [rad]")
+
+    def ends(self, shapes: Surfaces, place: Place) -> list[Scalar]:
+        each = zip(shapes, place, strict=True)
+        return [margin for shape, at in each for margin in shape.margins(at)]
+
+    def curvature_margin(self, poses: tuple[Pose3, Pose3], touch: Touch3) -> Scalar:
+        tip, face = touch.tip.shape.turned(poses[0]), touch.object.shape.turned(poses[1])
+        bend, size = tip + face, tip.squares() + face.squares()
+        size = jnp.where(size > 0, size, 1.0)
+        trace, minors = bend.trace(), bend.minors()
+        if self.line:
+            return trace / jnp.sqrt(size)
+        return jnp.where(trace > 0, minors, -jnp.abs(minors)) / size
+
+    def split_force(self, poses: tuple[Pose3, Pose3], touch: Touch3, force: Scalars) -> tuple[Scalar, Vec3]:
+        normal, push = poses[1].turn(touch.object.normal), Vec3(*force[:3])
+        pressing = push.dot(normal)
+        return pressing, normal * pressing - push
+
+    def split_gap(self, poses: tuple[Pose3, Pose3], touch: Touch3, opening: Scalars) -> tuple[Scalar, Vec3]:
+        normal, open_ = poses[1].turn(touch.object.normal), Vec3(*opening[:3])
+        height = open_.dot(normal)
+        return -height, open_ - normal * height
+
+    def rubbing(self, tangential: Vec3) -> list[Scalar]:
+        return [jnp.sqrt(tangential.dot(tangential) + _NO_FORCE)]
+
+
+def _spin(twists: tuple[Twist3, Twist3], normal: Vec3) -> Scalar:
+    """Spin of the fingertip against the object about a normal, times an arm [m/s]."""
+    return normal.dot(twists[0].spin - twists[1].spin) * _ARM
+
+
+def _carried_rates(shapes: Surfaces, place: Place, velocities: tuple[Vec3, Vec3]) -> Place:
+    """Rates of the places on both surfaces at tangent velocities in their own bodies."""
+    tip, face = (shape.rate(at, v) for shape, at, v in zip(shapes, place, velocities, strict=True))
+    return tip, face
+
+
+def _carried(shapes: Surfaces, place: Place, moves: tuple[Vec3, Vec3]) -> Place:
+    each = zip(place, _carried_rates(shapes, place, moves), strict=True)
+    tip, face = (tuple(a + b for a, b in zip(at, step, strict=True)) for at, step in each)
+    return tip, face
+
+
+def tangency3(tip: Pose3, object_: Pose3, touch: Touch3) -> Vec3:
+    """Sum of the two outward normals in the world: zero where the tangent planes coincide."""
+    return tip.turn(touch.tip.normal) + object_.turn(touch.object.normal)

@@ -1,0 +1,16 @@
+"""Where two shapes are nearest: signed gap, closest points, second contacts.
+
+Minima of the sampled distance (`_candidates`, `_samples3`) are refined by Newton's method and checked:
+`_location` in the plane, `_location3` in space (`_pair3` its steps); `_answers` is what both return.
+`_clearance` is the audit of overlap that a run makes.
+"""
+
+from ._answers import (
+    LocalMinima as LocalMinima,
+    Location as Location,
+    SurfaceLocation as SurfaceLocation,
+    SurfaceMinima as SurfaceMinima,
+)
+from ._clearance import clearance as clearance, TOLERANCE as TOLERANCE
+from ._location import locate as locate
+from ._location3 import locate_surfaces as locate_surfaces

@@ -1,0 +1,282 @@
+"""Closest points of two surfaces: local minima of their signed distance, located globally."""
+
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from ..._linalg import normalised, pose as posed, Pose3, unstack, Vec3
+from ..._results import as_count, as_floats, check_instance, concrete, RESULTS
+from ..._types import Given, Scalar
+from ...geometry import AbstractSurface, check_surface, tabled
+from ._answers import SurfaceLocation, SurfaceMinima
+from ._candidates import lowest, MOST_SAMPLES
+from ._pair3 import constant, Form, linear, moved, Places, Plane2, polished, Scene3
+from ._samples3 import Cover, cover, distance, ended, feet, footed, Starts, starts
+
+_STEPS = 24
+_FOLLOW = 2
+_POLISH = 3
+_ORIGIN = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+_SETTLED = 1e-10  # a pair whose residual is below is stationary
+_FLAT = 1e-9  # second derivatives below this, over the scale, do not single out a point
+# The others are relative to the surfaces' size.
+_MERGED = 1e-6  # minima closer than this are one
+_ALIKE = 1e-9  # gaps closer than this are equal
+_MISSED = 1e-4  # a sample is below a gap by more than this
+_END = 1e-9  # a place that is not farther than this from an end is at it
+_SAME = 1e-13  # a step may raise the distance by this
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, slots=True)
+class _Measure:
+    """Of a pair: points, normals, signed distance, residual, and the least second derivative times the scale.
+
+    `fair` tells whether the distance does not fall away from it, it has a foot, and is within the ends.
+    """
+
+    points: tuple[Vec3, Vec3]
+    normals: tuple[Vec3, Vec3]
+    gap: Array
+    residual: Array
+    low: Array
+    fair: Array
+
+
+def locate_surfaces(
+    a: AbstractSurface,
+    b: AbstractSurface,
+    *,
+    pose_a: Given = _ORIGIN,
+    pose_b: Given = _ORIGIN,
+    samples: int = 256,
+    candidates: int = 8,
+) -> SurfaceLocation:
+    r"""Closest points of two surfaces at given poses, and the signed gap between them.
+
+    The gap is the least signed distance of a point of `a` from `b`: their distance where they are apart,
+    minus the depth of the deepest point of `a` inside `b` where they overlap. There the normals are opposite,
+    $n_a + n_b = 0$, and the arm between the points is along them, $P_a - P_b = g\,n_b$.
+
+    Both surfaces are sampled all over, and every sample brought to its foot on the other. From the lowest
+    samples among their neighbours, at most `candidates` a surface, Newton's method in a trusted region goes
+    down; what it finds is checked and merged. An unbounded surface is not sampled.
+
+    Args:
+        a: A surface; of `a` and `b` at least one must be bounded (`spread`).
+        b: The other one.
+        pose_a: Position [m] and quaternion (scalar first, scaled to unit length) of the body of `a`, (7,).
+        pose_b: The same for `b`.
+        samples: Places on each surface. Static.
+        candidates: Local minima that are refined. Static.
+
+    Returns:
+        A `SurfaceLocation`. Its code is `contour_end` where a pair at an end of a surface is closer than any
+        with a common tangent plane, `too_deep` where the deepest point has no single nearest point on `b`,
+        and `solver_failed` where no pair was stationary; the gap is then that of the lowest sample.
+
+    Raises:
+        ValueError: If neither surface is bounded, a pose is not of shape (7,) or has no rotation, or a count
+            is too small.
+
+    Accuracy: the residual is at rounding, about 1e-15. Features finer than the spacing of the samples, and
+    overlaps deeper than the radii of curvature, may be missed.
+
+    Batching: `vmap` over anything. Both modes of autodiff give first and second derivatives, by the implicit
+    function theorem; implicit coordinates follow the surface along its normal.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> ball, floor = jxr.Sphere(0.01), jxr.Plane()
+        >>> found = jxr.contact.locate_surfaces(ball, floor, pose_a=(0.2, 0.1, 0.03, 1.0, 0.0, 0.0, 0.0))
+        >>> f"{found.gap:.3f} m"
+        '0.020 m'
+    """
+    for name, surface in (("a", a), ("b", b)):
+        check_surface(name, check_instance(name, surface, AbstractSurface, "a surface"))
+    samples = as_count("samples", samples, least=16, most=MOST_SAMPLES)
+    candidates = as_count("candidates", candidates, most=samples)
+    poses = (_checked("pose_a", pose_a), _checked("pose_b", pose_b))
+    return _locate(tabled(a), tabled(b), poses, samples, candidates)
+
+
+def _checked(name: str, value: Given) -> Array:
+    numbers = as_floats(name, value, (7,))
+    seen = concrete(numbers)
+    if seen is not None and not seen[3:].any():
+        raise ValueError(f"argument {name} must end with a quaternion, but was {seen.tolist()}")
+    return numbers
+
+
+@eqx.filter_jit
+def _locate(
+    a: AbstractSurface, b: AbstractSurface, poses: tuple[Array, Array], samples: int, candidates: int
+) -> SurfaceLocation:
+    a, b = a.prepared(), b.prepared()
+    covers = (constant(cover(constant(a), samples)), constant(cover(constant(b), samples)))
+    if covers[0] is None and covers[1] is None:
+        kinds = " and ".join(type(surface).__name__ for surface in (a, b))
+        raise ValueError(f"argument a or b must be a bounded surface, but they were {kinds}")
+    swapped = covers[0] is None
+    worlds = (_pose(poses[0]), _pose(poses[1]))
+    if swapped:
+        (a, b), covers, worlds = (b, a), covers[::-1], worlds[::-1]
+    sizes = [found.size() for found in covers if found is not None]
+    scene = Scene3(a, b, _relative(*worlds), sum(sizes) / len(sizes))
+    fixed = constant(scene)
+    start = _starts(fixed, covers, candidates)
+    at = jax.vmap(lambda at, reach: _refine(fixed, at, reach))(start.at, start.reach)
+    at, fair, missed = _sorted(fixed, covers[1], at, start, candidates)
+    first = jnp.arange(candidates) == 0
+    at = jax.tree.map(lambda x, y: jnp.where(missed & first, y, x), at, start.sample)
+    root = fair & ~(missed & first)
+    at = jax.vmap(lambda at, root: polished(scene, at, root, _POLISH))(at, root)
+    return _report(scene, (worlds[1], swapped), (at, fair, missed), start)
+
+
+def _pose(numbers: Array) -> Pose3:
+    x, y, z, *q = unstack(numbers)
+    return posed(Vec3(x, y, z), normalised((q[0], q[1], q[2], q[3])))
+
+
+def _relative(a: Pose3, b: Pose3) -> Pose3:
+    """The pose of `a` in the frame of `b`."""
+    return Pose3(b.local(a.origin), b.back(a.x), b.back(a.y), b.back(a.z))
+
+
+def _starts(scene: Scene3, covers: tuple[Cover | None, Cover | None], count: int) -> Starts:
+    """From the samples of `a`, and from those of `b` if it is bounded: one may be small beside the other."""
+    assert covers[0] is not None  # `_locate` has put the bounded one first
+    first = starts(scene, covers[0], covers[1], count)
+    if covers[1] is None:
+        return first
+    second = starts(scene.reversed(), covers[1], covers[0], count)
+    at = jax.tree.map(lambda x, y: jnp.concatenate([x, y]), first.at, second.at[::-1])
+    there = jnp.concatenate([first.there, second.there])
+    reach = jnp.concatenate([first.reach, second.reach])
+    below = second.distance < first.distance
+    sample = jax.tree.map(lambda x, y: jnp.where(below, y, x), first.sample, second.sample[::-1])
+    return Starts(at, there, reach, sample, jnp.minimum(first.distance, second.distance), first.bound)
+
+
+def _refine(scene: Scene3, at: Places, reach: Scalar) -> Places:
+    """Down the distance along `a`, the foot on `b` following: Newton's method in a trusted region."""
+
+    def height(at: Places) -> tuple[Places, Scalar]:
+        point = scene.pose.place(scene.a.frame(at[0]).point)
+        foot = footed(scene.b, scene.b.within(at[1]), point, _FOLLOW)
+        return (at[0], foot), distance(scene, point, scene.b.frame(foot), foot)
+
+    def improve(carry: tuple[Places, Scalar, Scalar], _: None) -> tuple[tuple[Places, Scalar, Scalar], None]:
+        at, value, trust = carry
+        here = scene.frames(at)
+        equations = linear(*here)
+        slope, aside = equations.conditions(*here)
+        x = _cut(_downhill(equations.rise, slope), trust)
+        ahead = moved(scene, at, equations.basis, (x, _cut(equations.follow(aside, x), 4.0 * trust)))
+        new, found = height((scene.a.within(ahead[0]), ahead[1]))
+        better = found <= value + _SAME * scene.scale
+        kept = jax.tree.map(lambda x, y: jnp.where(better, x, y), (new, found), (at, value))
+        return (*kept, jnp.where(better, jnp.minimum(2.0 * trust, reach), 0.25 * trust)), None
+
+    # What is above all is passed at once.
+    start = (at, jnp.full_like(reach, jnp.inf), reach)
+    return jax.lax.scan(improve, start, None, length=_STEPS)[0][0]
+
+
+def _downhill(rise: Form, slope: Plane2) -> Plane2:
+    low, high = rise.eigenvalues()
+    least = 1e-3 * jnp.maximum(jnp.abs(low), jnp.abs(high))
+    # Not convex: turned to the gradient, as far as that takes.
+    firm = rise.plus(jnp.maximum(0.0, least - low) * jnp.where(low < least, 2.0, 1.0))
+    return firm.solve((-slope[0], -slope[1]))
+
+
+def _cut(step: Plane2, reach: Scalar) -> Plane2:
+    """A step no longer than `reach`."""
+    square = step[0] * step[0] + step[1] * step[1]
+    factor = reach / jnp.maximum(reach, jnp.sqrt(square))
+    return step[0] * factor, step[1] * factor
+
+
+def _measured(scene: Scene3, at: Places) -> _Measure:
+    """What there is to know about a pair."""
+    a, b = scene.frames(at)
+    arm, both = a.point - b.point, a.normal + b.normal
+    gap = arm.dot(b.normal)
+    beside = arm - b.normal * gap
+    size = scene.scale + jnp.abs(gap)
+    square = jax.lax.stop_gradient(jnp.maximum(both.dot(both), beside.dot(beside) / (size * size)))
+    equations = linear(*constant((a, b)))
+    low = equations.rise.eigenvalues()[0] * scene.scale
+    ends = [
+        ended(surface, place, -_END * scene.scale)
+        for surface, place in zip((scene.a, scene.b), at, strict=True)
+    ]
+    fair = (low > -_FLAT) & equations.centred & ~ends[0] & ~ends[1]
+    height = distance(scene, a.point, b, at[1])
+    return _Measure((a.point, b.point), (a.normal, b.normal), height, jnp.sqrt(square), low, fair)
+
+
+def _sorted(
+    scene: Scene3, other: Cover | None, at: Places, start: Starts, count: int
+) -> tuple[Places, Array, Array]:
+    """The lowest local minima, each once; which entries hold one; and whether none is the answer."""
+    found = jax.vmap(lambda at: _measured(scene, at))(at)
+    fair = found.fair & start.there & (found.residual <= _SETTLED)
+    # No other place of `b` may be nearer.
+    point = found.points[0]
+    nearest = jax.vmap(scene.b.frame)(feet(scene, other, point)).point - point
+    fair = fair & (nearest.norm() >= jnp.abs(found.gap) - _MISSED * scene.scale)
+    order = lowest(jnp.where(fair, found.gap, jnp.inf), fair.shape[0])
+    fair = fair[order]
+    close = fair[:, None] & fair[None, :]
+    for cloud in found.points:
+        for x in cloud:
+            close = close & (jnp.abs(x[order][:, None] - x[order][None, :]) < _MERGED * scene.scale)
+    number = jnp.arange(fair.shape[0])
+    again = jnp.any(close & (number[None, :] < number[:, None]), axis=1)
+    fair = fair & ~again & (number < jnp.sum(fair))
+    gap = jnp.where(fair, found.gap[order], jnp.inf)
+    first, there = lowest(gap, count), jnp.arange(count) < jnp.sum(fair)
+    # Whatever lies below the lowest pair was not refined.
+    missed = ~there[0] | (start.bound < jnp.min(gap) - _MISSED * scene.scale)
+    return jax.tree.map(lambda x: x[order[first]], at), there, missed
+
+
+def _report(
+    scene: Scene3, world: tuple[Pose3, bool], pairs: tuple[Places, Array, Array], start: Starts
+) -> SurfaceLocation:
+    at, fair, missed = pairs
+    found = jax.vmap(lambda at: _measured(scene, at))(at)
+    best = jax.tree.map(lambda x: x[0], found)
+    there = jnp.append(fair[1:], False)
+    gaps = jnp.where(there, jnp.roll(found.gap, -1), jnp.inf)
+    alike = jnp.min(gaps) <= best.gap + _ALIKE * scene.scale
+    points, normal = [world[0].place(p).array() for p in best.points], best.normals[1]
+    places = [jnp.stack(x, axis=-1) for x in at]
+    if world[1]:
+        points, places, normal = points[::-1], places[::-1], best.normals[0]
+    others = [jnp.where(there[:, None], jnp.roll(x, -1, axis=0), 0.0) for x in places]
+    return SurfaceLocation(
+        gap=best.gap,
+        at_a=places[0][0],
+        at_b=places[1][0],
+        points=jnp.stack(points),
+        normal=world[0].turn(normal).array(),
+        residual=best.residual,
+        unique=~missed & ~alike & (best.low > _FLAT),
+        others=SurfaceMinima(gaps, others[0], others[1], there),
+        result=RESULTS.where(missed, _reason(scene, start), RESULTS.successful),
+    )
+
+
+def _reason(scene: Scene3, start: Starts) -> RESULTS:
+    """Why no pair is the answer."""
+    at, room = start.sample, jnp.max(start.reach)
+    at_end = ended(scene.a, at[0], room) | ended(scene.b, at[1], room)
+    deep = RESULTS.where(start.distance < 0.0, RESULTS.too_deep, RESULTS.solver_failed)
+    return RESULTS.where(at_end, RESULTS.contour_end, deep)

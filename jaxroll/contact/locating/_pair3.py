@@ -1,0 +1,178 @@
+r"""A pair of places on two surfaces, and Newton's step towards their closest points.
+
+With the normals $n_a, n_b$, the arm $d = P_a - P_b$ and the gap $g = d \cdot n_b$, the pair is closest where
+$n_a + n_b = 0$ and $d = g n_b$: four equations along the tangents. To first order the foot on `b` follows
+$(1 + g L_b)\,y = d + x$ when the point of `a` steps by $x$, which leaves $H x = -s$ on `a`, with the slope
+$s$ of the distance and its second derivative $H = L_a + L_b (1 + g L_b)^{-1}$.
+"""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from ..._linalg import Pose3, tangents, Vec3
+from ..._types import Scalar, Scalars
+from ...geometry import AbstractSurface, Gauss3
+
+Places = tuple[Scalars, Scalars]
+Plane2 = tuple[Scalar, Scalar]
+# Least factor by which lengths may shrink from the foot to a parallel surface in a step.
+_BEND = 0.05
+_SINGULAR = 1e-14
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, slots=True)
+class Scene3:
+    """Both surfaces, prepared, the pose of `a` in the frame of `b`, and a length to compare with [m]."""
+
+    a: AbstractSurface
+    b: AbstractSurface
+    pose: Pose3
+    scale: Scalar
+
+    def frames(self, at: Places) -> tuple[Gauss3, Gauss3]:
+        """Gauss frames of both places, in the frame of `b`."""
+        return self.a.frame(at[0]).placed(self.pose), self.b.frame(at[1])
+
+    def reversed(self) -> "Scene3":
+        """The same with `a` and `b` exchanged."""
+        p = self.pose
+        rows = [Vec3(*axes) for axes in zip(p.x, p.y, p.z, strict=True)]
+        return Scene3(self.b, self.a, Pose3(-p.back(p.origin), *rows), self.scale)
+
+
+class Form(NamedTuple):
+    """A symmetric form on a tangent plane, in an orthonormal basis."""
+
+    xx: Scalar
+    xy: Scalar
+    yy: Scalar
+
+    def apply(self, v: Plane2) -> Plane2:
+        """The form times a vector."""
+        return self.xx * v[0] + self.xy * v[1], self.xy * v[0] + self.yy * v[1]
+
+    def plus(self, size: Scalar) -> "Form":
+        """With a multiple of unity added."""
+        return Form(self.xx + size, self.xy, self.yy + size)
+
+    def determinant(self) -> Scalar:
+        """Product of the eigenvalues."""
+        return self.xx * self.yy - self.xy * self.xy
+
+    def eigenvalues(self) -> Plane2:
+        """The smaller, and the larger."""
+        mean, half = 0.5 * (self.xx + self.yy), 0.5 * (self.xx - self.yy)
+        away = jnp.sqrt(half * half + self.xy * self.xy)
+        return mean - away, mean + away
+
+    def solve(self, v: Plane2) -> Plane2:
+        """The vector that the form takes to this one; zero where the form is singular."""
+        size, det = jnp.abs(self.xx) + jnp.abs(self.xy) + jnp.abs(self.yy), self.determinant()
+        firm = jnp.abs(det) > _SINGULAR * size * size
+        inverse = jnp.where(firm, 1.0 / jnp.where(firm, det, 1.0), 0.0)
+        return (self.yy * v[0] - self.xy * v[1]) * inverse, (self.xx * v[1] - self.xy * v[0]) * inverse
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, slots=True)
+class Linear3:
+    """Newton's linear equations at a pair: tangents of both, and the forms.
+
+    `facing` has the products of the tangents of `b` (rows) with those of `a`; `bend` is $1 + g L_b$, kept
+    positive (`centred`: it was), `rise` is $H$, and `outside` the shape operator of the surface parallel to
+    `b` through the point of `a`.
+    """
+
+    basis: tuple[tuple[Vec3, Vec3], tuple[Vec3, Vec3]]
+    facing: tuple[Plane2, Plane2]
+    bend: Form
+    outside: Form
+    rise: Form
+    centred: Scalar
+
+    def conditions(self, a: Gauss3, b: Gauss3) -> tuple[Plane2, Plane2]:
+        """The slope of the distance along `a`, and the part of the arm beside the normal, along `b`."""
+        arm, both = a.point - b.point, a.normal + b.normal
+        aside = _along(self.basis[1], arm - b.normal * arm.dot(b.normal))
+        pulled, ((p, q), (r, s)) = self.outside.apply(aside), self.facing
+        x, y = _along(self.basis[0], both)
+        return (x + p * pulled[0] + r * pulled[1], y + q * pulled[0] + s * pulled[1]), aside
+
+    def follow(self, aside: Plane2, x: Plane2) -> Plane2:
+        """The step on `b` to the foot of the point of `a`, when this one steps by `x`."""
+        (p, q), (r, s) = self.facing
+        return self.bend.solve((aside[0] + p * x[0] + q * x[1], aside[1] + r * x[0] + s * x[1]))
+
+
+def constant(tree: Any) -> Any:
+    """The same numbers without derivatives."""
+    return jax.tree.map(lambda x: jax.lax.stop_gradient(x) if eqx.is_inexact_array(x) else x, tree)
+
+
+def linear(a: Gauss3, b: Gauss3) -> Linear3:
+    """The linear equations at a pair of frames."""
+    basis = tangents(a.normal), tangents(b.normal)
+    facing = (_along(basis[0], basis[1][0]), _along(basis[0], basis[1][1]))
+    gap, shape = (a.point - b.point).dot(b.normal), _form(b, basis[1])
+    bend = Form(gap * shape.xx, gap * shape.xy, gap * shape.yy).plus(1.0)
+    least = bend.eigenvalues()[0]
+    # Beyond a centre of curvature there is no foot.
+    bend = bend.plus(jnp.maximum(0.0, _BEND - least))
+    # L (1 + g L)^-1, by Cayley and Hamilton.
+    det, inner = bend.determinant(), gap * shape.determinant()
+    outside = Form((shape.xx + inner) / det, shape.xy / det, (shape.yy + inner) / det)
+    (p, q), (r, s) = facing
+    first, second, own = outside.apply((p, r)), outside.apply((q, s)), _form(a, basis[0])
+    rise = Form(
+        own.xx + p * first[0] + r * first[1],
+        own.xy + p * second[0] + r * second[1],
+        own.yy + q * second[0] + s * second[1],
+    )
+    return Linear3(basis, facing, bend, outside, rise, least > 0.0)
+
+
+def moved(scene: Scene3, at: Places, basis: Any, steps: tuple[Plane2, Plane2]) -> Places:
+    """Places after steps along tangents given in the frame of `b`, back on the surfaces."""
+    vectors = [u * x + v * y for (u, v), (x, y) in zip(basis, steps, strict=True)]
+    on_a = scene.a.settled(plus(at[0], scene.a.rate(at[0], scene.pose.back(vectors[0]))))
+    return on_a, scene.b.settled(plus(at[1], scene.b.rate(at[1], vectors[1])))
+
+
+def plus(left: Scalars, right: Scalars) -> Scalars:
+    """The sum of coordinates."""
+    return tuple(a + b for a, b in zip(left, right, strict=True))
+
+
+def polished(scene: Scene3, at: Places, root: Scalar, steps: int) -> Places:
+    """Newton's method from a root, whose linear equations it keeps; what is no root stays.
+
+    Each step gives one more order of derivatives, since the linear equations carry none.
+    """
+    fixed, at = constant(scene), constant(at)
+    equations = constant(linear(*fixed.frames(at)))
+
+    def step(at: Places, _: None) -> tuple[Places, None]:
+        slope, aside = equations.conditions(*scene.frames(at))
+        x = equations.rise.solve((-slope[0], -slope[1]))
+        y = equations.follow(aside, x)
+        x, y = ((jnp.where(root, u, 0.0), jnp.where(root, v, 0.0)) for u, v in (x, y))
+        return moved(scene, at, equations.basis, (x, y)), None
+
+    # Coordinates first follow the surfaces, so that the steps are tangent.
+    at = scene.a.settled(at[0]), scene.b.settled(at[1])
+    return jax.lax.scan(step, at, None, length=steps)[0]
+
+
+def _form(frame: Gauss3, basis: tuple[Vec3, Vec3]) -> Form:
+    u, v = basis
+    first, second = frame.shape.apply(u), frame.shape.apply(v)
+    return Form(u.dot(first), u.dot(second), v.dot(second))
+
+
+def _along(basis: tuple[Vec3, Vec3], vector: Vec3) -> Plane2:
+    return basis[0].dot(vector), basis[1].dot(vector)

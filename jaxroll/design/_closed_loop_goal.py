@@ -1,0 +1,159 @@
+"""Goals of the closed loop: what runs of the grasp are like, in the worst of several cases."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from .._integration import simulate, Trajectory
+from .._results import as_count, as_floats, check_callable, check_positive, RESULTS, shown
+from .._types import Given, Scalar
+from ..geometry import AbstractContour
+from ._goals import (
+    AbstractGoal,
+    check_cases,
+    check_make,
+    each_case,
+    Make,
+    soft_worst,
+    WORST_MARGIN,
+    worst_margin,
+)
+from ._limits import Samples
+from ._measures import FORCED, MEASURES, PARTIAL, SETTLED
+
+Objective = Mapping[str, float] | Callable[[Any, Trajectory], Scalar]
+# Options of `simulate` that a goal passes on.
+_OPTIONS = (
+    *("t0", "formulation", "solver", "rtol", "record", "events"),
+    *("atol", "dt0", "max_steps", "stepsize_controller", "progress_meter"),
+)
+# What a run costs that ends at once: more than any that holds.
+_LOST = 10.0
+_COST, _EARLY = "worst cost", "runs that end early"
+
+
+class ClosedLoop(AbstractGoal):
+    r"""Runs of the grasp as they should be: settled soon, without overshoot, with little force or friction.
+
+    Every case is simulated, all in one program, and the worst one counts: a smooth upper bound of the
+    largest cost, within $\log n / 50$ of it. A run that ends before `t1` costs $10\,(1 - t_{end}/t_1)$ more,
+    so that fingertips which lose the grasp are changed to hold it for longer; its measures are those of the
+    part that was reached, and where an objective of your own is not a number there, it costs nothing besides.
+    The figures that are reported (`Design.figures`) are not a number where one of the cases has none.
+
+    Args:
+        make: From a fingertip, and a case if there are any, to a grasp and a state on its constraints, by JAX
+            operations; a scene or `close` may be inside.
+        objective: Weights by name: 'settling_time', 'overshoot', 'tracking_error', 'peak_force',
+            'friction_demand', each in one over its unit, so that the sum is of order one. Or a function of
+            the grasp and its run.
+        cases: A pytree of arrays with a leading axis: objects, poses, gains. Default: one case.
+        t1: Length of the runs [s].
+        ts: How many states are saved, evenly spaced; at least two.
+        **options: Those of `simulate`; `throw` is False.
+
+    Raises:
+        ValueError: If `make` cannot be called so, `objective` is neither a function nor finite weights of
+            these names, `cases` have no common leading axis, `t1` is not positive, `ts` is not a whole number
+            from 2 up, or an option is unknown.
+
+    Example:
+        >>> import jaxroll as jxr, jax.numpy as jnp
+        >>> goal = jxr.design.ClosedLoop(
+        ...     lambda tip, a: jxr.scenes.pinch_ellipse(a, 0.02, tips=tip),
+        ...     {"settling_time": 1.0, "friction_demand": 0.5},
+        ...     cases=jnp.linspace(0.012, 0.018, 4),
+        ...     t1=1.0,
+        ... )
+    """
+
+    make: Make = eqx.field(static=True)
+    objective: tuple[tuple[str, float], ...] | Callable = eqx.field(static=True)
+    cases: Any
+    t1: Float[Array, ""]
+    ts: int = eqx.field(static=True)
+    options: tuple[tuple[str, Any], ...] = eqx.field(static=True)
+
+    def __init__(
+        self,
+        make: Make,
+        objective: Objective,
+        *,
+        cases: Any = None,
+        t1: Given = 1.0,
+        ts: int = 101,
+        **options: Any,
+    ) -> None:
+        self.make = check_make(make, cases)
+        self.objective = _as_objective(objective)
+        self.cases = check_cases(cases)
+        self.t1 = check_positive("t1", as_floats("t1", t1, ()))
+        self.ts = as_count("ts", ts, least=2)
+        if unknown := sorted(set(options) - set(_OPTIONS)):
+            raise ValueError(
+                f"argument options must be among {', '.join(_OPTIONS)}, but had {shown(unknown)}"
+            )
+        self.options = tuple(sorted(options.items()))
+
+    @property
+    def in_turn(self) -> bool:
+        """True: see `each_case`."""
+        return True
+
+    def run(self, tip: AbstractContour, names: tuple[str, ...]) -> tuple[Array, Array, Array]:
+        """Of every case: the measures by name, shape (n, m), the own objective, and what share was lost."""
+
+        def found(grasp: Any, state: Any) -> tuple[Array, Array, Array]:
+            forced = ("multipliers",) if FORCED & set(names) or callable(self.objective) else ()
+            settings = {"record": forced, "rtol": 1e-6, **dict(self.options), "throw": False}
+            run = simulate(grasp, state, self.t1, ts=self.ts, **settings)
+            measured = [PARTIAL[name](run) for name in names]
+            own = self.objective(grasp, run) if callable(self.objective) else jnp.zeros_like(self.t1)
+            closed = run.result != RESULTS.unreachable
+            lost = jnp.where(closed, 1.0 - run.stats.t_end / self.t1, 1.0)
+            own = jnp.where((lost > 0.0) & jnp.isnan(own), 0.0, own)
+            return jnp.stack(measured) if measured else jnp.zeros(0), own, lost
+
+        return each_case(self.make, self.cases, tip, found, in_turn=True)
+
+    def cost(self, tip: AbstractContour, seen: Samples, unit: Scalar, sharpness: Scalar) -> Scalar:
+        return soft_worst(self._costs(tip), sharpness)
+
+    def _costs(self, tip: AbstractContour) -> Array:
+        weights = () if callable(self.objective) else self.objective
+        measured, own, lost = self.run(tip, tuple(name for name, _ in weights))
+        return measured @ jnp.asarray([weight for _, weight in weights]) + own + _LOST * lost
+
+    @property
+    def merit(self) -> str:
+        return _COST
+
+    def figures(self, tip: AbstractContour, seen: Samples) -> dict[str, Array]:
+        names = tuple(MEASURES)
+        measured, own, lost = self.run(tip, names)
+        weights = {} if callable(self.objective) else dict(self.objective)
+        costs = measured @ jnp.asarray([weights.get(name, 0.0) for name in names]) + own + _LOST * lost
+        found = {_COST: jnp.max(costs), _EARLY: jnp.sum(lost > 0.0)}
+        for i, name in enumerate(names):
+            lacking = (lost > 0.0) if name in SETTLED else jnp.zeros_like(lost, bool)
+            found[MEASURES[name][1]] = jnp.max(jnp.where(lacking, jnp.nan, measured[:, i]))
+        return found | {WORST_MARGIN: worst_margin(seen)}
+
+    def reached(self, figures: dict[str, Array]) -> Bool[Array, "..."]:
+        return figures[_EARLY] == 0
+
+
+def _as_objective(objective: Any) -> tuple[tuple[str, float], ...] | Callable:
+    """A function of a grasp and its run, or weights by name."""
+    if callable(objective):
+        return check_callable("objective", objective, "a function of a grasp and its run", takes=2)
+    if not isinstance(objective, Mapping) or not objective or set(objective) - set(MEASURES):
+        raise ValueError(
+            f"argument objective must be a function, or weights of {', '.join(MEASURES)}, "
+            f"but was {shown(objective)}"
+        )
+    weights = {name: as_floats(f"objective['{name}']", weight, ()) for name, weight in objective.items()}
+    return tuple((name, float(weight)) for name, weight in weights.items())

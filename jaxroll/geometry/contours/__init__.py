@@ -1,0 +1,39 @@
+"""Contours: plane curves by arclength.
+
+`_contour` holds the contract, and the frame by automatic differentiation of the point. `_closed_forms` has
+the curves with closed forms; `_arclength` the arclength of curves that are not given by it; `_table` what a
+run reads of any field without a closed form: `_spline` through points (on the B-splines of `_bspline`),
+`_support` convex contours by the Fourier series of their support function, `_neural_support` and
+`_neural_curvature` those of a small network (`_network`), which `_network_descent` fits to points.
+`_given_points` converts what a caller gives as points.
+"""
+
+from ._arclength import ArclengthTable as ArclengthTable
+from ._bspline import basis as basis
+from ._closed_forms import Catenary as Catenary, Circle as Circle, Ellipse as Ellipse, Line as Line
+from ._contour import (
+    AbstractContour as AbstractContour,
+    frenet as frenet,
+    Frenet2 as Frenet2,
+    Moved as Moved,
+    tabled as tabled,
+)
+from ._given_points import numbers as numbers
+from ._network import NetworkFit as NetworkFit, PeriodicNetwork as PeriodicNetwork
+from ._neural_curvature import NeuralCurvature as NeuralCurvature
+from ._neural_support import NeuralSupport as NeuralSupport
+from ._spline import (
+    chords as chords,
+    knot_count as knot_count,
+    Spline as Spline,
+    spline_basis as spline_basis,
+)
+from ._support import AbstractSupport as AbstractSupport, SupportFunction as SupportFunction
+from ._table import (
+    AbstractTabulated as AbstractTabulated,
+    from_frames as from_frames,
+    Table as Table,
+    TableError as TableError,
+    tabulated as tabulated,
+    unevenness as unevenness,
+)

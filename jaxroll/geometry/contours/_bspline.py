@@ -1,0 +1,161 @@
+"""B-splines of any odd degree as polynomials per knot interval: differentiable in knots and data."""
+
+import functools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..._linalg import Vec2
+
+
+class Pieces(NamedTuple):
+    """A planar spline: per knot interval, a polynomial in the interval's own coordinate in [0, 1]."""
+
+    breaks: Float[Array, " pieces+1"]
+    coefficients: Float[Array, "pieces order 2"]  # rising powers
+
+    def curve(self, u: Array) -> Vec2:
+        """Points at parameters `u` of any shape; beyond the ends, the last polynomial."""
+        return jet(self.coefficients, *locate(self.breaks, u))[0]
+
+
+def jet(coefficients: Array, index: Array, local: Array) -> tuple[Vec2, Vec2, Vec2]:
+    """Point and two derivatives in the interval's coordinate, at places in intervals: any shape."""
+    weights = powers(local, coefficients.shape[1]) @ derived(coefficients.shape[1])
+    weights = weights.reshape(*local.shape, 3, -1)
+    return _vectors(jnp.einsum("...kp,...pd->...kd", weights, coefficients[index]))
+
+
+def jets(coefficients: Array, local: np.ndarray) -> tuple[Vec2, Vec2, Vec2]:
+    """Point and two derivatives at the same places in every interval: shape (pieces, places)."""
+    order = coefficients.shape[1]
+    weights = (local[:, None] ** np.arange(order)) @ derived(order)
+    return _vectors(jnp.einsum("lkp,ipd->ilkd", weights.reshape(len(local), 3, -1), coefficients))
+
+
+def _vectors(found: Array) -> tuple[Vec2, Vec2, Vec2]:
+    point, rate, bend = (Vec2(found[..., k, 0], found[..., k, 1]) for k in range(3))
+    return point, rate, bend
+
+
+def powers(x: Array, order: int) -> Array:
+    """1, x, x^2, ... along a new last axis."""
+    found = [jnp.ones_like(x), x]
+    for k in range(2, order):
+        found.append(found[k // 2] * found[k - k // 2])
+    return jnp.stack(found, axis=-1)
+
+
+@functools.cache
+def derived(order: int) -> np.ndarray:
+    """From the powers of x to what weighs a polynomial's coefficients in its value and two derivatives."""
+    once = np.diag(np.arange(1.0, order), 1)
+    return np.concatenate([np.eye(order), once, once @ once], axis=1)
+
+
+class Basis(NamedTuple):
+    """B-spline basis: on every interval the polynomials of those that live there, and their numbers."""
+
+    breaks: Float[Array, " pieces+1"]
+    polynomials: Float[Array, "pieces order order"]  # interval, function, power
+    functions: np.ndarray  # (pieces, order): which functions these are
+    count: int
+
+    def matrix(self, u: Float[Array, " data"]) -> Float[Array, "data functions"]:
+        """Values of every function at parameters `u`."""
+        index, local = locate(self.breaks, u)
+        weights = powers(local, self.polynomials.shape[-1])
+        return self._spread(index, jnp.sum(self.polynomials[index] * weights[:, None, :], axis=-1))
+
+    def at_breaks(self) -> Float[Array, "pieces functions"]:
+        """Values of every function where the intervals begin."""
+        return self._spread(np.arange(self.polynomials.shape[0]), self.polynomials[..., 0])
+
+    def _spread(self, index: Array | np.ndarray, values: Array) -> Array:
+        """Rows of the functions that live on intervals `index`, among all functions."""
+        place = (np.arange(self.count)[None, :] - index[:, None]) % self.count
+        here = place[:, None, :] == np.arange(values.shape[1])[None, :, None]
+        return jnp.sum(jnp.where(here, values[:, :, None], 0.0), axis=1)
+
+    def pieces(self, coefficients: Float[Array, "functions 2"]) -> Pieces:
+        """The spline with these coefficients."""
+        weights = coefficients[self.functions][:, :, None, :]
+        return Pieces(self.breaks, jnp.sum(self.polynomials[..., None] * weights, axis=1))
+
+    def roughness(self) -> Float[Array, "functions functions"]:
+        r"""The quadratic form $\int |P'''(u)|^2\,du$."""
+        order = self.polynomials.shape[-1]
+        step = jnp.diff(self.breaks)
+        power = np.arange(order)
+        third = (self.polynomials * (power * (power - 1.0) * (power - 2.0))[None, None, :])[..., 3:]
+        low = np.arange(order - 3.0)
+        gram = 1.0 / (low[:, None] + low[None, :] + 1.0)
+        local = jnp.einsum("iap,pq,ibq->iab", third, gram, third) / step[:, None, None] ** 5
+        rows, columns = self.functions[:, :, None], self.functions[:, None, :]
+        return jnp.zeros((self.count, self.count)).at[rows, columns].add(local)
+
+
+def locate(breaks: Array, u: Array) -> tuple[Array, Array]:
+    """Interval of every parameter, and the position in it as a fraction."""
+    # Counting, not bisection: a loop in every evaluation is what took longest to compile.
+    inner = jax.lax.stop_gradient(breaks[1:-1])
+    index = jnp.sum(jax.lax.stop_gradient(u)[..., None] >= inner.reshape((1,) * u.ndim + (-1,)), axis=-1)
+    low = breaks[index]
+    return index, (u - low) / (breaks[index + 1] - low)
+
+
+def basis(nodes: Float[Array, " nodes"], degree: int, *, closed: bool) -> Basis:
+    """B-splines with knots at the nodes: periodic, or open with not-a-knot ends.
+
+    Args:
+        nodes: Increasing. Closed: with the first one repeated a period later.
+        degree: Odd; at least `degree` + 1 functions are needed.
+        closed: Whether the last node is the first.
+    """
+    if closed:
+        period, count = nodes[-1] - nodes[0], nodes.shape[0] - 1
+        knots = jnp.concatenate([nodes[-degree - 1 : -1] - period, nodes, nodes[1 : degree + 1] + period])
+    else:
+        half, count = (degree + 1) // 2, nodes.shape[0]
+        first, last = jnp.repeat(nodes[:1], degree + 1), jnp.repeat(nodes[-1:], degree + 1)
+        knots = jnp.concatenate([first, nodes[half:-half], last])
+    pieces = knots.shape[0] - 2 * degree - 1
+    functions = (np.arange(pieces)[:, None] + np.arange(degree + 1)) % count
+    breaks = knots[degree : degree + pieces + 1]
+    return Basis(breaks, _polynomials(knots, degree, pieces), functions, count)
+
+
+def _polynomials(knots: Array, degree: int, pieces: int) -> Array:
+    """The recursion of Cox and de Boor on polynomials in each interval's coordinate.
+
+    Row k holds function k of the `degree` + 1 that end up on an interval, from the first degree on; those
+    that do not live there yet are zero.
+    """
+    function = np.arange(degree + 1)
+    degrees = np.arange(degree + 1)[:, None, None]
+    near = knots[np.arange(pieces)[:, None] + function + degrees]
+    begin, end = near[:1], near[1:]
+    left, right = begin[..., degree:], end[:1, :, degree:]
+    lives = np.arange(degree)[:, None, None] + function >= degree
+    width = jnp.where(lives, end - begin, 1.0)
+    at = jnp.where(lives, (left - begin) / width, 0.0)
+    slope = jnp.where(lives, (right - left) / width, 0.0)
+
+    def raised(value: Array, line: tuple[Array, Array]) -> tuple[Array, None]:
+        at, slope = line
+        rising = at[..., None] * value + slope[..., None] * _shifted(value, 2, 1)
+        return rising + _shifted(value - rising, 1, -1), None
+
+    constant = np.zeros((pieces, degree + 1, degree + 1))
+    constant[:, degree, 0] = 1.0
+    return jax.lax.scan(raised, jnp.asarray(constant, knots.dtype), (at, slope))[0]
+
+
+def _shifted(value: Array, axis: int, by: int) -> Array:
+    """Moved along an axis by one place, up or down; a zero comes in."""
+    pad = [(0, 0, 0)] * 3
+    pad[axis] = (by, -by, 0)
+    return jax.lax.pad(value, jnp.zeros((), value.dtype), pad)

@@ -1,0 +1,34 @@
+"""What a caller gives as points, as numbers on the host: set-up, never traced."""
+
+from typing import Any
+
+import numpy as np
+
+from ..._results import as_array, shown, traced
+
+
+def numbers(name: str, value: Any, width: int) -> np.ndarray:
+    """An argument as finite concrete numbers of shape (any, width), in double precision on the host.
+
+    Raises:
+        ValueError: If it is traced, no numbers, of another shape, or not finite.
+    """
+    if traced(value):
+        raise ValueError(
+            f"argument {name} must be concrete numbers, but was traced: fit outside jit and grad"
+        )
+    try:
+        as_array(name, value)
+    except ValueError:
+        raise ValueError(
+            f"argument {name} must be numbers of shape (any, {width}), but was {shown(value)}"
+        ) from None
+    array = np.asarray(value, dtype=np.float64)
+    if array.ndim != 2 or array.shape[1] != width:
+        raise ValueError(f"argument {name} must have shape (any, {width}), but had shape {array.shape}")
+    bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
+    if len(bad):
+        raise ValueError(f"argument {name} must be finite, but row {bad[0]} was {array[bad[0]].tolist()}")
+    if len(array) > 1 and np.all(array == array[0]):
+        raise ValueError(f"argument {name} must not be one point again and again, but was {shown(array[0])}")
+    return array

@@ -1,0 +1,197 @@
+"""A closed convex contour whose support function is a small network."""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..._linalg import sincos
+from ..._results import as_count, as_floats, as_length, check_instance
+from ..._types import Given
+from ._given_points import numbers
+from ._network import network_fit, NetworkFit, PeriodicNetwork, with_readout
+from ._network_descent import descend, Problem, Progress
+from ._support import AbstractSupport, check_convex, fit_series, Series
+from ._table import FEWEST_CELLS, Table
+
+
+class NeuralSupport(AbstractSupport):
+    r"""A closed convex contour whose support function is a small periodic network.
+
+    $$h(\varphi) = r\,(1 + N(\varphi)) + c \cdot n(\varphi),$$
+    closed and smooth whatever the weights. As for `SupportFunction`, the point is $h\,n + h'\,n'$, the radius
+    of curvature $\rho = h + h''$, and condition (41) about the body's origin is $h'' > 0$ (`margin`). Weights
+    may fold the contour ($\rho \le 0$): concrete ones that do are refused, and fits keep away from it.
+
+    Args:
+        network: $N$, without dimension.
+        radius: Scale $r$ [m], positive.
+        centre: $c$, shape (2,) [m].
+        cells: Cells of the table over arclength that its frame is read from. Static.
+
+    Raises:
+        ValueError: If the contour folds, or a shape is wrong.
+
+    Accuracy: the table's, see `table_error`; the equations of motion never see the network.
+
+    Example:
+        >>> import jax, jaxroll as jxr
+        >>> network = jxr.geometry.PeriodicNetwork(key=jax.random.key(0), amplitude=0.0)
+        >>> f"{jxr.NeuralSupport(network, 0.01).curvature(0.0):.2f} 1/m"  # N = 0 is a circle
+        '100.00 1/m'
+    """
+
+    network: PeriodicNetwork
+    radius: Float[Array, ""]
+    centre: Float[Array, "2"]
+    cells: int = eqx.field(static=True)
+    table: Table | None
+
+    def __init__(
+        self, network: PeriodicNetwork, radius: Given, centre: Given = (0.0, 0.0), *, cells: int = 1024
+    ) -> None:
+        self.network = check_instance("network", network, PeriodicNetwork, "a PeriodicNetwork")
+        self.radius = as_length("radius", radius)
+        self.centre = as_floats("centre", centre, (2,))
+        self.cells = as_count("cells", cells, least=FEWEST_CELLS)
+        self.table = None
+        check_convex("network", self)
+
+    @classmethod
+    def through(cls, points: Given, *, key: Array, **options: Any) -> "NeuralSupport":
+        """The contour nearest to points: `fit`'s field, with its options."""
+        return cls.fit(points, key=key, **options).field
+
+    @classmethod
+    def fit(
+        cls,
+        points: Given,
+        *,
+        key: Array,
+        harmonics: int = 4,
+        width: int = 16,
+        depth: int = 2,
+        steps: int = 100,
+        tolerance: float = 1e-8,
+        smallest_radius: float | None = None,
+        progress: Progress = False,
+        cells: int = 1024,
+    ) -> NetworkFit:
+        r"""Fit the network to convex points, in least squares of their normal distances.
+
+        The network starts at the best last layer for a Fourier series through the points; then all weights
+        move. Radii of curvature below `smallest_radius` cost as much as distances do.
+
+        Args:
+            points: Shape (n, 2) [m], n > 8, round the body in any order.
+            key: Random key of the first weights.
+            harmonics: As `width` and `depth`, of `PeriodicNetwork`.
+            width: Neurons of each hidden layer.
+            depth: Hidden layers.
+            steps: Steps of descent at most.
+            tolerance: Stop at this root mean square distance [m]: the noise of the points, if known.
+            smallest_radius: In metres; None for a hundredth of the points' mean distance from their mean.
+            progress: True prints step and loss every 25 steps; a function is called with them.
+            cells: As for the class.
+
+        Raises:
+            ValueError: If there are too few points, or the fitted contour folds after all.
+
+        Accuracy: 200 exact points of a 20 mm x 14 mm ellipse: 0.03 um rms, curvature within 0.4 1/m of up to
+        204 1/m.
+        `SupportFunction.through` does better on so smooth a shape, in a hundredth of the time.
+        """
+        data = numbers("points", points, 2)
+        if len(data) <= 8:
+            raise ValueError(f"argument points must have more than 8 rows, but had {len(data)}")
+        centre = data.mean(axis=0)
+        size = float(np.mean(np.hypot(*(data - centre).T)))
+        scaled = (data - centre) / size
+        waves, angles = _start(scaled)
+        network = PeriodicNetwork(harmonics, decay=1.0, width=width, depth=depth, key=key)
+        network = with_readout(network, waves - 1.0, bends=0.1)
+        floor = 0.01 if smallest_radius is None else smallest_radius / size
+        cloud = _Cloud(jnp.asarray(scaled), jnp.asarray(angles), jnp.asarray(floor))
+        rest = (jnp.ones(()), jnp.zeros(2))
+        target = (tolerance / size) ** 2
+        found = descend(_PROBLEM, (network, rest), cloud, steps=steps, target=target, progress=progress)
+        radius, offset = found.rest
+        field = cls(found.network, size * radius, centre + size * offset, cells=cells)
+        return network_fit(field, size * _distances(found.network, found.rest, found.data), found)
+
+    def series(self, terms: int) -> Series:
+        return _series(self.network, self.radius, self.centre, terms)
+
+
+def _series(network: PeriodicNetwork, radius: Array, centre: Array, terms: int) -> Series:
+    """The Fourier series of $h$ from samples; what it leaves of an analytic $h$ falls exponentially."""
+    count = 4 * terms
+    waves = jnp.fft.rfft(network.values(_uniform(count)))[: terms + 1] * (2.0 * radius / count)
+    first = jnp.zeros(terms).at[0].set(1.0)
+    cosines = waves[1:].real + first * centre[0]
+    return Series(radius + 0.5 * waves[0].real, cosines, first * centre[1] - waves[1:].imag)
+
+
+def _uniform(count: int) -> np.ndarray:
+    return 2.0 * np.pi * np.arange(count) / count
+
+
+class _Cloud(eqx.Module):
+    """Points of size one, the normal angles of their feet, and the smallest radius of curvature allowed."""
+
+    points: Float[Array, "n 2"]
+    angles: Float[Array, " n"]
+    floor: Float[Array, ""]
+
+
+def _start(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Samples of a Fourier series near the points that does not fold, and the points' normal angles."""
+    terms = min(12, (len(points) - 1) // 4)
+    while True:
+        series, angles = fit_series(points, terms)
+        phases = np.outer(_uniform(256), np.arange(1, terms + 1))
+        waves = np.concatenate([np.cos(phases), np.sin(phases)], axis=1)
+        bends = np.tile(1.0 - np.arange(1, terms + 1) ** 2, 2)
+        if terms == 1 or np.min(series[0] + waves @ (bends * series[1:])) > 0:
+            return series[0] + waves @ series[1:], angles
+        terms = terms // 2
+
+
+@eqx.filter_jit
+def _refreshed(network: PeriodicNetwork, rest: tuple[Array, Array], cloud: _Cloud) -> _Cloud:
+    """The cloud with the normal angles of the contour's points nearest to it, by Newton's method."""
+    series, angles = _series(network, *rest, 64), cloud.angles
+    for _ in range(3):
+        sin, cos = sincos(angles)
+        out = cloud.points[:, 0] * cos + cloud.points[:, 1] * sin
+        along = cloud.points[:, 1] * cos - cloud.points[:, 0] * sin
+        _, first, second = series.heights(angles)
+        angles = angles + jnp.clip((along - first) / jnp.maximum(out + second, 0.05), -0.3, 0.3)
+    return eqx.tree_at(lambda c: c.angles, cloud, angles)
+
+
+def _angles(cloud: _Cloud) -> Array:
+    return jnp.concatenate([cloud.angles, _uniform(128)])
+
+
+def _residuals(values: Array, rest: tuple[Array, Array], cloud: _Cloud) -> Array:
+    """Distances, which at the points' feet do not depend on the angles to first order; and folding."""
+    (radius, centre), count = rest, cloud.angles.shape[0]
+    sin, cos = sincos(cloud.angles)
+    reach = (cloud.points[:, 0] - centre[0]) * cos + (cloud.points[:, 1] - centre[1]) * sin
+    distance = reach - radius * (1.0 + values[:count])
+    order = np.fft.rfftfreq(128, 1.0 / 128)
+    bends = radius * (1.0 + jnp.fft.irfft(jnp.fft.rfft(values[count:]) * (1.0 - order**2), 128))
+    lack = jnp.maximum(cloud.floor - bends[::2], 0.0)
+    return jnp.concatenate([distance / np.sqrt(count), lack / np.sqrt(64.0)])
+
+
+@eqx.filter_jit
+def _distances(network: PeriodicNetwork, rest: tuple[Array, Array], cloud: _Cloud) -> Array:
+    count = cloud.angles.shape[0]
+    return np.sqrt(count) * _residuals(network.values(_angles(cloud)), rest, cloud)[:count]
+
+
+_PROBLEM = Problem(_angles, _residuals, _refreshed)

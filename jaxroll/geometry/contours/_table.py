@@ -1,0 +1,237 @@
+"""Any contour as a table over arclength: what the equations of motion read, whatever the field."""
+
+import abc
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..._linalg import Vec2
+from ..._results import concrete
+from ..._types import Points, Scalar
+from ..._xla import remembered
+from ._arclength import hermite, spaced
+from ._contour import AbstractContour, Frenet2, tabled
+
+Jet = Callable[[Any, Array, Array], tuple[Vec2, Vec2, Vec2]]
+# By how much the speed of a table may differ from one; a run that reads it errs by about that much.
+_UNEVEN = 1e-3
+FEWEST_CELLS = 8
+_BETWEEN = np.array([0.25, 0.5, 0.75])
+
+
+class Table(eqx.Module):
+    """A contour as one quintic polynomial per cell, the cells uniform in arclength.
+
+    Attributes:
+        coefficients: Shape (cells, 12): of x, then of y [m], rising powers of the position in the cell.
+        length: Total arclength [m].
+        start: Arclength at the first cell's beginning [m].
+        closed: Whether the last cell joins the first.
+    """
+
+    coefficients: Float[Array, "cells 12"]
+    length: Float[Array, ""]
+    start: Float[Array, ""]
+    closed: bool = eqx.field(static=True)
+
+    def frame(self, s: Scalar) -> Frenet2:
+        """Point, unit tangent and curvature: one gather, then arithmetic.
+
+        The tangent is normalised, so that the frame is orthonormal to rounding on the coarsest table.
+        """
+        row, local = self._cell(s)
+        point, first, second = zip(_horner(row[:6], local), _horner(row[6:], local), strict=True)
+        direction, bend = Vec2(*first), Vec2(*second)
+        inverse = 1.0 / jnp.sqrt(direction.dot(direction))
+        curvature = direction.cross(bend) * inverse**3
+        return Frenet2(Vec2(*point), direction * inverse, curvature)
+
+    def point(self, s: Scalar) -> Vec2:
+        """The point alone."""
+        row, local = self._cell(s)
+        return Vec2(_value(row[:6], local), _value(row[6:], local))
+
+    def _cell(self, s: Scalar) -> tuple[list[Scalar], Scalar]:
+        cells = self.coefficients.shape[0]
+        position = (s - self.start) * (cells / self.length)
+        whole = jnp.floor(jax.lax.stop_gradient(position))
+        if self.closed:
+            index = whole - jnp.floor(whole / cells) * cells
+        else:
+            index = whole = jnp.clip(whole, 0.0, cells - 1.0)
+        row = self.coefficients[index.astype(int)]
+        return [row[..., i] for i in range(12)], position - whole
+
+
+def _value(c: list[Scalar], x: Scalar) -> Scalar:
+    return c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * (c[4] + x * c[5]))))
+
+
+def _horner(c: list[Scalar], x: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+    """A quintic and its first two derivatives in the cell's own coordinate."""
+    first = c[1] + x * (2.0 * c[2] + x * (3.0 * c[3] + x * (4.0 * c[4] + x * 5.0 * c[5])))
+    second = 2.0 * c[2] + x * (6.0 * c[3] + x * (12.0 * c[4] + x * 20.0 * c[5]))
+    return _value(c, x), first, second
+
+
+def from_frames(
+    points: Points, tangents: Points, curvatures: Float[Array, " nodes"], length: Array, *, closed: bool
+) -> Table:
+    r"""Quintic Hermite table through exact frames at uniform arclengths, $c'' = \kappa\,n$.
+
+    Args:
+        points: Shape (cells + 1, 2) [m], both ends included.
+        tangents: Shape (cells + 1, 2), unit.
+        curvatures: Shape (cells + 1,) [1/m].
+        length: Total arclength [m].
+        closed: Whether the last point is the first.
+
+    A contour that the cells do not resolve, or whose frames contradict each other, gets a length of NaN: then
+    no run that reads the table succeeds. `tabled` says so in words.
+    """
+    step = length / (points.shape[0] - 1)
+    inward = jnp.stack([-tangents[:, 1], tangents[:, 0]], axis=-1)
+    rows = hermite(points, tangents * step, inward * (curvatures * step**2)[:, None])
+    coefficients = jnp.concatenate([rows[:, 0], rows[:, 1]], axis=-1)
+    seen, size = jax.lax.stop_gradient((coefficients, length))
+    length = jnp.where(_unevenness(seen, size) <= _UNEVEN, length, jnp.nan)
+    return Table(coefficients, length, jnp.zeros_like(length), closed)
+
+
+def _unevenness(coefficients: Any, length: Any) -> Any:
+    """Largest difference of a table's speed from one, at the quarters of its cells; of NumPy's or JAX's."""
+    power = np.arange(1.0, 6.0)
+    weights = (power[:, None] * _BETWEEN[None, :] ** (power[:, None] - 1.0)).astype(coefficients.dtype)
+    x, y = coefficients[:, 1:6] @ weights, coefficients[:, 7:12] @ weights
+    return abs((x * x + y * y) ** 0.5 * (coefficients.shape[0] / length) - 1.0).max()
+
+
+def unevenness(table: Table) -> float:
+    """Largest difference of a table's speed from one; zero while JAX traces it."""
+    seen = concrete(table.coefficients), concrete(table.length)
+    return 0.0 if seen[0] is None or seen[1] is None else float(_unevenness(*seen))
+
+
+def tabulated(jet: Jet, shape: Any, parts: int, *, closed: bool, cells: int) -> tuple[Table, Array]:
+    """Table of a regular curve in cells of any parameter, and the arclength at the end of each.
+
+    Differentiable with respect to `shape`.
+
+    Args:
+        jet: `jet(shape, cell, x)` gives points and two derivatives in x at places x in [0, 1] of cells.
+        shape: Whatever numbers the curve depends on.
+        parts: How many cells, so short that five-point Gauss-Legendre integrates the speed over each; the
+            curve may be less smooth where they meet.
+        closed: Whether the curve ends where it began.
+        cells: Cells of the table.
+    """
+
+    def speed(shape: Any, cell: Array, x: Array) -> Array:
+        _, rate, _ = jet(shape, cell, x)
+        return jnp.sqrt(rate.dot(rate))
+
+    cell, x, arcs = spaced(speed, shape, parts, cells)
+    point, rate, bend = jet(shape, cell, x)
+    inverse = 1.0 / jnp.sqrt(rate.dot(rate))
+    curvature = rate.cross(bend) * inverse**3
+    table = from_frames(point.array(), (rate * inverse).array(), curvature, arcs[-1], closed=closed)
+    return table, arcs
+
+
+class TableError(NamedTuple):
+    """Largest errors of a table: point [m], tangent [rad], curvature [1/m]."""
+
+    point: float
+    tangent: float
+    curvature: float
+
+
+class AbstractTabulated(AbstractContour):
+    """A contour whose frame is read from a table, built once per solve and differentiated through.
+
+    To add one, subclass this with fields `cells: int` (static) and `table: Table | None`, None to begin
+    with, and give `tabulate`, `closed` and `smoothness`.
+    """
+
+    cells: eqx.AbstractVar[int]
+    table: eqx.AbstractVar[Table | None]
+
+    @abc.abstractmethod
+    def tabulate(self, cells: int) -> Table:
+        """Build a table: pure JAX, differentiable in every array of the field."""
+
+    def read(self) -> Table:
+        """The table at hand, or a new one."""
+        return _built(self) if self.table is None else self.table
+
+    def curve(self, s: Scalar) -> Vec2:
+        return self.read().point(s)
+
+    def frame(self, s: Scalar) -> Frenet2:
+        return self.read().frame(s)
+
+    def prepared(self) -> "AbstractTabulated":
+        return eqx.tree_at(lambda c: c.table, self, self.read(), is_leaf=lambda x: x is None)
+
+    def domain(self) -> tuple[Scalar, Scalar]:
+        table = self.read()
+        return table.start, table.start + table.length
+
+    def table_error(self) -> TableError:
+        r"""Error bound of the table: its largest difference from one with twice the cells.
+
+        At the middle and the quarters of every cell. The error falls as cells$^{-6}$ (point), $^{-5}$
+        (tangent) and $^{-4}$ (curvature) where the field has that many derivatives, so the difference
+        bounds it to a few per cent.
+        """
+        worst = _difference(self, self.cells)
+        return TableError(*(float(x) for x in worst))
+
+
+@tabled.register
+def _(contour: AbstractTabulated) -> AbstractTabulated:
+    if contour.table is not None:
+        return contour
+    return _prepared(contour)
+
+
+@remembered
+def _prepared(contour: AbstractTabulated) -> AbstractTabulated:
+    ready = contour.prepared()
+    _check_table(contour, ready.read())
+    return ready
+
+
+def _check_table(contour: AbstractTabulated, table: Table) -> None:
+    """Raise if a concrete table does not give its contour."""
+    length, coefficients = concrete(table.length), concrete(table.coefficients)
+    if length is None or coefficients is None or np.isfinite(length):
+        return
+    kind = type(contour).__name__
+    if not np.all(np.isfinite(coefficients)):
+        raise ValueError(f"argument contour must have finite points, but the table of this {kind} was not")
+    raise ValueError(
+        f"argument cells must be more than {contour.cells} for a contour that bends so sharply (or folds), "
+        f"since the speed along the table of this {kind} is more than {_UNEVEN:g} off one"
+    )
+
+
+@eqx.filter_jit
+def _built(contour: AbstractTabulated) -> Table:
+    return contour.tabulate(contour.cells)
+
+
+@eqx.filter_jit
+def _difference(contour: AbstractTabulated, cells: int) -> tuple[Array, Array, Array]:
+    coarse, fine = contour.tabulate(cells), contour.tabulate(2 * cells)
+    middles = (np.arange(cells)[:, None] + np.array([0.25, 0.5, 0.75])[None, :]).ravel() / cells
+    s = coarse.start + coarse.length * middles
+    a, b = coarse.frame(s), fine.frame(s)
+    gap, turn = a.point - b.point, a.tangent.cross(b.tangent)
+    worst = (jnp.sqrt(gap.dot(gap)), jnp.abs(turn), jnp.abs(a.curvature - b.curvature))
+    return jnp.max(worst[0]), jnp.max(worst[1]), jnp.max(worst[2])

@@ -1,0 +1,68 @@
+"""The Gauss frame of a surface at one place, and what follows from it alone."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+from ..._linalg import Pose3, Sym3, tangents, Vec3
+from ..._types import Scalar
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, slots=True)
+class Gauss3:
+    """Point, outward unit normal and shape operator of a surface at one place, in its body's frame."""
+
+    point: Vec3
+    normal: Vec3
+    shape: Sym3
+
+    def placed(self, pose: Pose3) -> "Gauss3":
+        """The same in another frame."""
+        return Gauss3(pose.place(self.point), pose.turn(self.normal), self.shape.turned(pose))
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, slots=True)
+class Principal:
+    """Principal curvatures, the smaller first, and their unit directions."""
+
+    low: Scalar
+    high: Scalar
+    along_low: Vec3
+    along_high: Vec3
+
+
+def principal(frame: Gauss3) -> Principal:
+    """Principal curvatures and directions; at an umbilic, any two, and derivatives of the mean."""
+    first, second = tangents(frame.normal)
+    a, b, c = (frame.shape.form(*pair) for pair in ((first, first), (first, second), (second, second)))
+    mean, half = 0.5 * (a + c), 0.5 * (a - c)
+    square = half * half + b * b
+    round_ = square == 0.0
+    spread = jnp.where(round_, 0.0, jnp.sqrt(jnp.where(round_, 1.0, square)))
+    angle = 0.5 * jnp.arctan2(jnp.where(round_, 0.0, b), jnp.where(round_, 1.0, half))
+    cos, sin = jnp.cos(angle), jnp.sin(angle)
+    along_high = first * cos + second * sin
+    along_low = first * sin - second * cos
+    return Principal(mean - spread, mean + spread, along_low, along_high)
+
+
+def approach(frame: Gauss3, point: Vec3) -> Vec3:
+    """Newton's tangent step towards the point of the surface closest to `point`."""
+    first, second = tangents(frame.normal)
+    away, form = point - frame.point, frame.shape.form
+    height, x, y = away.dot(frame.normal), away.dot(first), away.dot(second)
+    a, b, c = form(first, first), form(first, second), form(second, second)
+    size = jnp.sqrt(a * a + 2.0 * b * b + c * c)
+    a, b, c = 1.0 + height * a, height * b, 1.0 + height * c
+    convex = (a + c > 0.2) & (a * c - b * b > 0.01)
+    # Beyond a centre of curvature Newton's step may climb; the gradient's does not.
+    damped = 1.0 + jnp.abs(height) * size
+    a, b, c = jnp.where(convex, a, damped), jnp.where(convex, b, 0.0), jnp.where(convex, c, damped)
+    det = a * c - b * b
+    x, y = (c * x - b * y) / det, (a * y - b * x) / det
+    length = jnp.sqrt(jax.lax.stop_gradient(x * x + y * y))
+    shorter = 0.5 / jnp.maximum(0.5, jax.lax.stop_gradient(size) * length)
+    return first * (x * shorter) + second * (y * shorter)

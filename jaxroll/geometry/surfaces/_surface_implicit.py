@@ -1,0 +1,190 @@
+"""Surfaces as zero sets of a field of space: the contact coordinate is the point itself."""
+
+import abc
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..._linalg import outer, square, Sym3, tangents, Vec3
+from ..._results import as_length, shown
+from ..._types import Given, Scalar, Scalars
+from ..._xla import once
+from ._spread import lattice, SEEDS, thinned
+from ._surface import AbstractSurface, Gauss3
+
+_STEPS = 8
+# A seed whose distance from the surface is below this, relative to the box, has come to it.
+_ARRIVED = 1e-6
+
+
+class Level(NamedTuple):
+    """A field at one point: value, gradient, second derivatives."""
+
+    value: Scalar
+    gradient: Vec3
+    hessian: Sym3
+
+
+def level_frame(point: Vec3, level: Level) -> Gauss3:
+    r"""Gauss frame of a level set: $n = \nabla F / |\nabla F|$, $L = P H P / |\nabla F|$, $P = 1 - n n^T$."""
+    inverse = once(1.0 / level.gradient.norm())
+    normal = once(level.gradient * inverse)
+    hessian = level.hessian * inverse
+    along = once(hessian.apply(normal))
+    bent = hessian - outer(normal, along) * 2.0 + square(normal) * normal.dot(along)
+    return Gauss3(point, normal, bent)
+
+
+def differentiated(field: Callable[[Scalar, Scalar, Scalar], Scalar], point: Vec3) -> Level:
+    """Gradient and second derivatives of a field, forward over forward."""
+    place = tuple(jnp.asarray(x) for x in point)
+    zero, one = jnp.zeros_like(place[0]), jnp.ones_like(place[0])
+    axes = ((one, zero, zero), (zero, one, zero), (zero, zero, one))
+
+    def slope(axis: int) -> Callable[..., tuple[Scalar, Scalar]]:
+        return lambda *p: jax.jvp(field, p, axes[axis])
+
+    def second(i: int, j: int) -> tuple[Scalar, Scalar, Scalar]:
+        (value, first), (_, bend) = jax.jvp(slope(i), place, axes[j])
+        return value, first, bend
+
+    value, x, xx = second(0, 0)
+    (_, y, yy), (_, z, zz) = second(1, 1), second(2, 2)
+    return Level(value, Vec3(x, y, z), Sym3(xx, second(0, 1)[2], second(0, 2)[2], yy, second(1, 2)[2], zz))
+
+
+class AbstractImplicit(AbstractSurface):
+    r"""The surface $F(x, y, z) = 0$ of a body where $F < 0$; `at` is the point itself, in the body's frame.
+
+    To add one, subclass this and give `derivatives` (`differentiated` where no closed form is at hand),
+    `frame` (`level_frame` of them, or a closed form), `smoothness` and `prepared`; `spread`
+    (`spread_in_box` where no closed form is at hand) if it is bounded.
+    """
+
+    @abc.abstractmethod
+    def derivatives(self, point: Vec3) -> Level:
+        """The field, its gradient and its second derivatives, as scalars."""
+
+    @property
+    def coordinates(self) -> int:
+        return 3
+
+    def rate(self, at: Scalars, velocity: Vec3) -> Scalars:
+        return tuple(velocity)
+
+    def settled(self, at: Scalars) -> Scalars:
+        return tuple(self._stepped(self._stepped(Vec3(*at))))
+
+    def basis(self, at: Scalars) -> tuple[Vec3, Vec3]:
+        return tangents(self.frame(at).normal)
+
+    def start(self, point: Vec3) -> Scalars:
+        def step(p: Vec3, _: None) -> tuple[Vec3, None]:
+            return self._stepped(p), None
+
+        return tuple(jax.lax.scan(step, jax.tree.map(jnp.asarray, point), None, length=_STEPS)[0])
+
+    def _stepped(self, point: Vec3) -> Vec3:
+        """One step of Newton's method along the gradient."""
+        level = self.derivatives(point)
+        return point - level.gradient * (level.value / level.gradient.dot(level.gradient))
+
+
+def spread_in_box(surface: AbstractImplicit, low: Vec3, high: Vec3, count: int) -> Scalars:
+    """Places spread evenly over the part of a surface in a box: points of the box brought to it by Newton."""
+    share, size = jnp.asarray(lattice(2 * SEEDS * count, 3)), high - low
+    seeds = Vec3(*(x + width * share[:, i] for i, (x, width) in enumerate(zip(low, size, strict=True))))
+
+    def fall(seed: Vec3) -> tuple[Vec3, Array]:
+        point = Vec3(*surface.start(Vec3(*surface.start(seed))))
+        level = surface.derivatives(point)
+        arrived = jnp.abs(level.value) <= _ARRIVED * size.norm() * level.gradient.norm()
+        for x, least, most in zip(point, low, high, strict=True):
+            arrived = arrived & (x >= least) & (x <= most)
+        return Vec3(*(jnp.where(arrived, x, 0.0) for x in point)), arrived
+
+    points, fair = jax.vmap(fall)(seeds)
+    kept = thinned(points, fair, count)
+    return tuple(x[kept] for x in points)
+
+
+class Implicit(AbstractImplicit):
+    r"""The surface $F(x, y, z) = 0$ of any smooth function, negative inside the body.
+
+    The frame is automatic differentiation of the function, which may be a closed form or a network; it is
+    called with three scalars and gives one. Arrays in it (those of an `equinox.Module`, or the bound
+    arguments of a `jax.tree_util.Partial`) are differentiable.
+
+    Args:
+        function: `function(x, y, z)` [m], of nonzero gradient on the surface. Best about as long as the
+            distance near it: `settled` and `near` take Newton steps on it.
+        radius: Of a ball about the body's origin that holds the whole surface [m]; None: the surface counts
+            as unbounded, and locating contacts samples the other one.
+        smoothness: Its continuous derivatives.
+
+    Raises:
+        ValueError: If `function` cannot be called, or `radius` is not positive.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> ball = jxr.geometry.Implicit(lambda x, y, z: x**2 + y**2 + z**2 - 0.01**2)
+        >>> ball.principal_curvatures((0.0, 0.0, 0.01))[0].round(9).tolist()
+        [100.0, 100.0]
+    """
+
+    function: Callable[[Scalar, Scalar, Scalar], Scalar]
+    radius: Float[Array, ""] | None
+    order: float = eqx.field(static=True)
+
+    def __init__(
+        self,
+        function: Callable[..., Any],
+        *,
+        radius: Given | None = None,
+        smoothness: float = float("inf"),
+    ) -> None:
+        self.function = as_tree("function", function)
+        self.radius = None if radius is None else as_length("radius", radius)
+        self.order = as_order(smoothness)
+
+    @property
+    def smoothness(self) -> float:
+        return self.order
+
+    def derivatives(self, point: Vec3) -> Level:
+        return differentiated(self.function, point)
+
+    def frame(self, at: Scalars) -> Gauss3:
+        point = Vec3(*at)
+        return level_frame(point, self.derivatives(point))
+
+    def spread(self, count: int) -> Scalars | None:
+        if self.radius is None:
+            return None
+        corner = Vec3(self.radius, self.radius, self.radius)
+        return spread_in_box(self, -corner, corner, count)
+
+    def prepared(self) -> "Implicit":
+        return self
+
+
+def as_order(smoothness: Any) -> float:
+    """A number of continuous derivatives, infinity among them."""
+    number = isinstance(smoothness, int | float | np.number) and not isinstance(smoothness, bool)
+    if not number or not smoothness >= 0:
+        raise ValueError(
+            f"argument smoothness must be a number of derivatives or infinity, but was {shown(smoothness)}"
+        )
+    return float(smoothness)
+
+
+def as_tree(name: str, function: Any) -> Callable[..., Any]:
+    """A callable as a pytree: itself if it is one, a plain function as structure."""
+    if not callable(function):
+        raise ValueError(f"argument {name} must be a function, but was {shown(function)}")
+    return jax.tree_util.Partial(function) if jax.tree_util.all_leaves([function]) else function

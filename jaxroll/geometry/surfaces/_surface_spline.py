@@ -1,0 +1,87 @@
+"""A surface as the zero set of a field of B-splines on a grid of space."""
+
+from jaxtyping import Array, Float
+
+from ..._linalg import Sym3, unstack, Vec3
+from ..._results import as_floats, check_positive
+from ..._types import Given, Scalars
+from ..._xla import once
+from ._gauss import Gauss3
+from ._surface_implicit import AbstractImplicit, Level, level_frame, spread_in_box
+from ._tensor_bspline import block, contracted, ORDER, uniform
+
+
+class SplineSurface(AbstractImplicit):
+    r"""The zero set of $F = \sum c_{ijk} B_i(x) B_j(y) B_k(z)$, uniform quintic B-splines, $F < 0$ inside.
+
+    Any shape, of any genus, has one chart-free coordinate: the point. `fit_surface` makes one from points.
+    Differentiable with respect to all its arrays. Beyond the grid the last polynomials are continued.
+
+    Args:
+        coefficients: Shape (l, m, n), each at least 6; (l - 5) by (m - 5) by (n - 5) cells.
+        origin: Corner of the first cell, shape (3,) [m].
+        step: Width of the cells [m], positive.
+
+    Raises:
+        ValueError: If there are too few coefficients, or a number is not finite.
+
+    Smoothness: four continuous derivatives; the shape operator has two.
+
+    Example:
+        >>> import jaxroll as jxr, numpy as np
+        >>> x = 0.01 * (np.arange(8) - 3.0)  # where the functions have their centres: the field is x itself
+        >>> slope = np.broadcast_to(x[:, None, None], (8, 8, 8))
+        >>> wall = jxr.geometry.SplineSurface(slope, (-0.01, -0.01, -0.01), 0.01)
+        >>> wall.near((0.003, 0.004, 0.007)).round(12).tolist()
+        [0.0, 0.004, 0.007]
+    """
+
+    coefficients: Float[Array, "l m n"]
+    origin: Float[Array, "3"]
+    step: Float[Array, ""]
+
+    def __init__(self, coefficients: Given, origin: Given, step: Given) -> None:
+        self.coefficients = as_floats("coefficients", coefficients, (None, None, None))
+        self.origin = as_floats("origin", origin, (3,))
+        self.step = check_positive("step", as_floats("step", step, ()))
+        if min(self.coefficients.shape) < ORDER:
+            raise ValueError(
+                f"argument coefficients must have at least {ORDER} along every axis, "
+                f"but had shape {self.coefficients.shape}"
+            )
+
+    @property
+    def smoothness(self) -> float:
+        return float(ORDER - 2)
+
+    def derivatives(self, point: Vec3) -> Level:
+        corner = Vec3(*unstack(self.origin))
+        cells = zip(point - corner, self.coefficients.shape, strict=True)
+        local = [uniform(x / self.step, count, self.step) for x, count in cells]
+        near = block(self.coefficients, tuple(place.first for place in local))
+        found = contracted(near, tuple(place.weights for place in local))
+        gradient = Vec3(found[1, 0, 0], found[0, 1, 0], found[0, 0, 1])
+        mixed = (found[1, 1, 0], found[1, 0, 1], found[0, 1, 1])
+        hessian = Sym3(found[2, 0, 0], mixed[0], mixed[1], found[0, 2, 0], mixed[2], found[0, 0, 2])
+        return once(Level(found[0, 0, 0], gradient, hessian))
+
+    def frame(self, at: Scalars) -> Gauss3:
+        point = Vec3(*at)
+        return level_frame(point, self.derivatives(point))
+
+    def spread(self, count: int) -> Scalars:
+        return spread_in_box(self, *self._corners(), count)
+
+    def margins(self, at: Scalars) -> Scalars:
+        """Distances [m] from the faces of the grid, beyond which the field is not known."""
+        low, high = self._corners()
+        return (*(Vec3(*at) - low), *(high - Vec3(*at)))
+
+    def _corners(self) -> tuple[Vec3, Vec3]:
+        """First and last corner of the grid."""
+        low = Vec3(*unstack(self.origin))
+        cells = (count - (ORDER - 1.0) for count in self.coefficients.shape)
+        return low, low + Vec3(*(self.step * count for count in cells))
+
+    def prepared(self) -> "SplineSurface":
+        return self

@@ -1,0 +1,112 @@
+"""Tensor products of quintic B-splines: the six functions that live at a place, with two derivatives."""
+
+import functools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..._linalg import total
+from ..._types import Scalar
+from ..._xla import once
+from ..contours import basis
+
+ORDER = 6
+# Polynomials of the uniform quintic B-splines on one cell, times 120: function, power.
+UNIFORM = np.array(
+    [
+        [1.0, -5.0, 10.0, -10.0, 5.0, -1.0],
+        [26.0, -50.0, 20.0, 20.0, -20.0, 5.0],
+        [66.0, 0.0, -60.0, 0.0, 30.0, -10.0],
+        [26.0, 50.0, 20.0, -20.0, -20.0, 10.0],
+        [1.0, 5.0, 10.0, 10.0, 5.0, -5.0],
+        [0.0, 0.0, 0.0, 0.0, 0.0, 1.0],
+    ]
+)
+
+
+class Local(NamedTuple):
+    """Where a parameter lies: its first function, and all six with their derivatives there."""
+
+    first: Array
+    weights: Float[Array, "3 6"]
+
+
+class Axis(NamedTuple):
+    """B-splines with knots at the integers, for data there; periodic or open."""
+
+    breaks: np.ndarray  # (pieces + 1,)
+    polynomials: np.ndarray  # (pieces, 6, 6): function, power
+
+    def local(self, u: Scalar, *, closed: bool) -> Local:
+        """The functions at one parameter; beyond the ends, those of the last piece."""
+        pieces = self.breaks.shape[0] - 1
+        if closed:
+            u = u - pieces * jnp.floor(u / pieces)
+        # Open: the knots next to either end are left out, so that the first piece is three nodes long.
+        cell = jnp.floor(u) - (0.0 if closed else 2.0)
+        piece = jnp.clip(cell, 0.0, pieces - 1.0).astype(int)
+        breaks = jnp.asarray(self.breaks, u.dtype)
+        low = breaks[piece]
+        width = breaks[piece + 1] - low
+        polynomials = jnp.asarray(self.polynomials, u.dtype)[piece]
+        return Local(piece, powers(polynomials, (u - low) / width, 1.0 / width))
+
+
+def axis(nodes: int, *, closed: bool) -> tuple[Axis, np.ndarray]:
+    """Functions for data at 0, 1, ..., nodes - 1, and the matrix from data to coefficients.
+
+    Closed: the first datum comes again at `nodes`. Constants, worked out once even while JAX traces.
+    """
+    return _axis(nodes, closed, jnp.result_type(float).name)
+
+
+@functools.cache
+def _axis(nodes: int, closed: bool, dtype: str) -> tuple[Axis, np.ndarray]:
+    with jax.ensure_compile_time_eval():
+        at = jnp.arange(nodes + int(closed), dtype=dtype)
+        breaks, polynomials, values = (np.asarray(x) for x in _tables(at, closed))
+    return Axis(breaks, polynomials), np.linalg.inv(values)
+
+
+@functools.partial(jax.jit, static_argnums=1)
+def _tables(at: Array, closed: bool) -> tuple[Array, Array, Array]:
+    # The nodes come as an argument: XLA would take ten seconds to fold constants.
+    found = basis(at, ORDER - 1, closed=closed)
+    return found.breaks, found.polynomials, found.matrix(at[: found.count])
+
+
+def uniform(u: Scalar, functions: int, step: Scalar) -> Local:
+    """Functions with knots at all integers; the first lives on cells -5 to 0. Derivatives are over `step`."""
+    cell = jnp.clip(jnp.floor(u), 0.0, functions - float(ORDER))
+    return Local(cell.astype(int), powers(jnp.asarray(UNIFORM / 120.0, u.dtype), u - cell, 1.0 / step))
+
+
+def powers(polynomials: Float[Array, "6 6"], x: Scalar, rate: Scalar) -> Float[Array, "3 6"]:
+    """Six quintics at x with two derivatives; `rate` is the derivative of x."""
+    c = [polynomials[:, i] for i in range(ORDER)]
+    value = c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * (c[4] + x * c[5]))))
+    first = c[1] + x * (2.0 * c[2] + x * (3.0 * c[3] + x * (4.0 * c[4] + x * (5.0 * c[5]))))
+    second = 2.0 * c[2] + x * (6.0 * c[3] + x * (12.0 * c[4] + x * (20.0 * c[5])))
+    return jnp.stack([value, first * rate, second * rate * rate])
+
+
+def contracted(block: Array, weights: tuple[Float[Array, "3 6"], ...]) -> Array:
+    """A block of coefficients summed over its leading axes with these weights: one axis of derivatives each.
+
+    Products added one by one, neither `dot` nor a reduction: a batch of any size stays in one kernel.
+    """
+    for k, table in enumerate(weights):
+        wide = (1,) * k + (3,) + (1,) * (block.ndim - k - 1)
+        slices = (jax.lax.slice_in_dim(block, i, i + 1, axis=k) for i in range(ORDER))
+        block = once(total([x * table[:, i].reshape(wide) for i, x in enumerate(slices)]))
+    return block
+
+
+def block(coefficients: Array, first: tuple[Array, ...]) -> Array:
+    """The coefficients of the functions at a place, six along every axis that `first` names."""
+    rest = coefficients.shape[len(first) :]
+    start = (*first, *(jnp.zeros((), int) for _ in rest))
+    return jax.lax.dynamic_slice(coefficients, start, (ORDER,) * len(first) + rest)

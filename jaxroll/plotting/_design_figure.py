@@ -1,0 +1,197 @@
+"""A fingertip that was optimised, before and after: shape, condition (41), and what the grasp does."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from .._integration import Trajectory
+from .._results import check_instance
+from ..design import Design
+from ..geometry import AbstractContour, tabled
+from ..stability import margin
+from ._doors import guarded
+from ._outlines import sample, Samples
+from ._style import CYCLE, GUIDE, MM, Picture, save, tidy, TIP_FILL
+from ._views import single
+
+_PLACES, _TEETH = 2049, 150
+_NAMES = ("before", "after")
+_COLOURS = (CYCLE[4], CYCLE[0])
+# Radii above this share of the picture's range are cut off: a flat place has none.
+_FAR = 6.0
+
+
+@guarded
+def design(design: Design, folder: str | Path | None = None) -> Figure:
+    r"""Draw a design before and after: contours with combs of curvature, condition (41), the search.
+
+    The comb's teeth stand on the outside where the contour is convex, to the same scale for both contours;
+    the contact interval is drawn thick. The margin of (41) is $1/\kappa + n \cdot \gamma$ [mm]; it is cut off
+    where the contour is nearly flat, and has no value where it is hollow.
+
+    Args:
+        design: From `design.optimise_fingertip`.
+        folder: Where to write the figure too, as `design.png`. Default: nowhere.
+
+    Returns:
+        The figure: both contours [mm], margin over arclength [mm], cost over steps of every start.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> from jaxroll import plotting
+        >>> better = jxr.design.optimise_fingertip(jxr.Ellipse(0.02, 0.01), (-0.005, 0.005), steps=10)
+        >>> len(plotting.design(better).axes)
+        4
+    """
+    figure = Picture(11.0, 6.2)
+    grid = figure.add_gridspec(2, 2, width_ratios=(1.5, 1.0))
+    left = grid[:, 0].subgridspec(1, 2)
+    first = figure.add_subplot(left[0])
+    shapes = [first, figure.add_subplot(left[1], sharex=first, sharey=first)]
+    tips = [tabled(tip) for tip in (design.start, design.tip)]
+    curves = [_curve(tip) for tip in tips]
+    ends = np.asarray(design.interval)
+    pads = [sample(tip, np.linspace(ends[0], ends[1], 257)) for tip in tips]
+    peak = max(float(np.abs(curve.curvatures).max()) for curve in curves)
+    tooth = 0.25 * max(float(np.ptp(curve.points, axis=0).max()) for curve in curves) / peak
+    for ax, curve, pad, name, colour in zip(shapes, curves, pads, _NAMES, _COLOURS, strict=True):
+        _shape(ax, curve, pad, tooth, colour)
+        tidy(ax, xlabel="X [mm]", ylabel="Y [mm]" if ax is first else "", title=f"Fingertip {name}")
+    _margins(figure.add_subplot(grid[0, 1]), tips, ends)
+    _search(figure.add_subplot(grid[1, 1]), np.asarray(design.history), design.chosen)
+    if folder is not None:
+        save(figure, folder, "design.png")
+    return figure
+
+
+def _curve(tip: AbstractContour) -> Samples:
+    domain = tip.domain()
+    assert domain is not None, "a designed contour has ends"
+    return sample(tip, np.linspace(float(domain[0]), float(domain[1]), _PLACES))
+
+
+def _shape(ax: Axes, curve: Samples, pad: Samples, tooth: float, colour: str) -> None:
+    outward = np.stack([curve.tangents[:, 1], -curve.tangents[:, 0]], axis=1)
+    tips = curve.points + tooth * curve.curvatures[:, None] * outward
+    teeth = np.linspace(0, len(tips) - 1, _TEETH).astype(int)
+    nothing = np.full((len(teeth), 2), np.nan)
+    comb = np.stack([curve.points[teeth], tips[teeth], nothing], axis=1).reshape(-1, 2)
+    ax.fill(*curve.points.T, fc=TIP_FILL, ec="none", alpha=0.6)
+    ax.plot(*comb.T, color=colour, lw=0.5, alpha=0.7)
+    ax.plot(*tips.T, color=colour, lw=0.8)
+    ax.plot(*curve.points.T, color=GUIDE, lw=1.0)
+    ax.plot(*pad.points.T, color=colour, lw=3.0, solid_capstyle="butt")
+    ax.plot(0, 0, "o", ms=5, mfc="white", mec=GUIDE)
+    ax.annotate("$O_i$", (0, 0), (-11, -9), textcoords="offset points", fontsize=9, ha="center")
+    ax.set_aspect("equal")
+
+
+def _margins(ax: Axes, tips: Sequence[AbstractContour], ends: np.ndarray) -> None:
+    s = np.linspace(ends[0], ends[1], 257)
+    values = []
+    for tip in tips:
+        bends, room = sample(tip, s).curvatures, MM * np.asarray(margin(tip, s))
+        values.append(np.where(bends > 0.0, room, np.nan))
+    reach = _FAR * MM * max(float(np.abs(sample(tip, s).points).max()) for tip in tips)
+    for value, name, colour in zip(values, _NAMES, _COLOURS, strict=True):
+        shown = np.where(np.abs(value) < reach, value, np.nan)
+        ax.plot(MM * s, shown, color=colour, lw=1.8, label=f"{name}, {np.nanmin(value):+.2f} at least")
+    ax.axhline(0.0, color="#BBBBBB", lw=0.9, zorder=0)
+    ax.legend(fontsize=8, frameon=False)
+    title = r"Margin of (41): $1/\kappa + n\cdot\gamma > 0$ holds a plate"
+    tidy(ax, xlabel="arclength s on the contact interval [mm]", ylabel="margin [mm]", title=title)
+
+
+def _search(ax: Axes, history: np.ndarray, chosen: int) -> None:
+    steps = np.arange(1, 1 + history.shape[1])
+    for i, row in enumerate(history):
+        own = i == chosen
+        style = {"color": _COLOURS[1] if own else "#BBBBBB", "lw": 1.6 if own else 0.7, "zorder": 2 + own}
+        ax.plot(steps, np.where(np.isfinite(row), row, np.nan), **style)
+    starts = "" if len(history) == 1 else f" of {len(history)} starts"
+    tidy(ax, xlabel="step", ylabel="cost", title=f"Search{starts}")
+
+
+@guarded
+def comparison(
+    runs: Sequence[Trajectory], names: Sequence[str] = _NAMES, folder: str | Path | None = None
+) -> Figure:
+    r"""Draw the same responses of several runs over each other, say with a fingertip before and after.
+
+    Rolling coordinates [mm]; angle of the object since the start [rad], or distance of the object's place
+    from it [mm] in space; normal forces [N]; $|\lambda| / f$, the friction that rolling needs. A cross marks
+    where a run ended early.
+
+    Args:
+        runs: Single runs that recorded their multipliers.
+        names: One for each.
+        folder: Where to write the figure too, as `comparison.png`. Default: nowhere.
+
+    Returns:
+        The figure.
+
+    Raises:
+        ValueError: If a run is a batch or has no multipliers, or the numbers of runs and names differ.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> from jaxroll import plotting
+        >>> grasp, state = jxr.scenes.pivoted()
+        >>> run = jxr.simulate(grasp, state, t1=0.1, ts=3, record=("multipliers",))
+        >>> len(plotting.comparison([run, run]).axes)
+        4
+    """
+    check_instance("runs", runs, list | tuple, "several runs")  # pyright: ignore
+    check_instance("names", names, list | tuple, "several names")  # pyright: ignore
+    for i, run in enumerate(runs):
+        check_instance(f"runs[{i}]", run, Trajectory, "a Trajectory")
+    for i, name in enumerate(names):
+        check_instance(f"names[{i}]", name, str, "text")
+    if not runs or len(runs) != len(names):
+        raise ValueError(f"argument names must have one for each of {len(runs)} runs, but had {len(names)}")
+    figure = Picture(10.0, 5.6)
+    axes = figure.subplots(2, 2, sharex=True)
+    labels = ("rolled $s_i$ [mm]", "object moved by", "normal force $f_i$ [N]", r"$|\lambda_i| / f_i$")
+    for i, (run, name) in enumerate(zip(runs, names, strict=True)):
+        _responses(axes.ravel(), run, name, CYCLE[4] if i == 0 else CYCLE[(i - 1) % 4])
+    spatial = runs[0].multipliers is not None and runs[0].multipliers.lam.ndim > 2
+    unit = "object moved by [mm]" if spatial else "object turned by [rad]"
+    for ax, label in zip(axes.ravel(), (labels[0], unit, *labels[2:]), strict=True):
+        tidy(ax, xlabel="time $t$ [s]" if ax in axes[1] else "", ylabel=label)
+        ax.axhline(0.0, color="#BBBBBB", lw=0.7, zorder=0)
+    axes[0, 0].legend(fontsize=8, frameon=False)
+    figure.align_ylabels()
+    if folder is not None:
+        save(figure, folder, "comparison.png")
+    return figure
+
+
+def _angle_of_object(run: Trajectory) -> int:
+    """Which coordinate is the object's angle in the plane: the last of its own."""
+    labels = run.labels.bodies[0][1] if run.labels is not None else ()
+    return next((i for i, each in enumerate(labels) if each.unit == "rad"), 0)
+
+
+def _responses(axes: np.ndarray, run: Trajectory, name: str, colour: str) -> None:
+    ts, reached = single(run)
+    if run.multipliers is None:
+        raise ValueError(f"argument runs must have recorded their multipliers, but the run {name!r} has none")
+    f, lam = np.asarray(run.multipliers.f)[reached], np.asarray(run.multipliers.lam)[reached]
+    aside = np.abs(lam) if lam.ndim == f.ndim else np.linalg.norm(lam, axis=-1)
+    q, s = np.asarray(run.states.q)[reached], np.asarray(run.states.s)[reached]
+    if lam.ndim > f.ndim:
+        moved, rolled = MM * np.linalg.norm(q[:, :3] - q[0, :3], axis=1), np.linalg.norm(s - s[0], axis=1)
+    else:
+        turned = q[:, _angle_of_object(run)]
+        moved, rolled = turned - turned[0], s - s[0]
+    end = float(run.stats.t_end)
+    for ax, values in zip(axes, (MM * rolled, moved, f, aside / f), strict=True):
+        columns = np.reshape(values, (len(f), -1)).T
+        for k, column in enumerate(columns):
+            label = name if k == 0 else None
+            ax.plot(ts[reached], column, color=colour, lw=1.5, ls=("-", "--", ":")[k % 3], label=label)
+            if end < float(ts[-1]):
+                ax.plot(ts[reached][-1], column[-1], "x", color=colour, ms=7, mew=1.8)

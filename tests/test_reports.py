@@ -12,7 +12,7 @@ import pytest
 from matplotlib import pyplot
 
 import jaxroll as jxr
-from jaxroll import plotting
+from jaxroll import _analysis, _mechanics, _motion, plotting
 from jaxroll._integration import cause, complaint, REMEDIES
 from jaxroll._integration._trajectory import Stats
 from jaxroll._mechanics import AbstractBody, AbstractFinger
@@ -207,7 +207,7 @@ def test_codes_print_their_names_everywhere(codes):
 
 def records():
     """Every class of the package that holds results as fields, but for the internal ones."""
-    public = [jxr, jxr.contact, jxr.control, jxr.design, jxr.integration, jxr.mechanics, jxr.stability]
+    public = [jxr, jxr.contact, jxr.control, jxr.design, jxr.stability, _analysis, _mechanics, _motion]
     found = {jxr.State, Stats, Multipliers, Residuals, jxr.stability.Stability}
     for module in public:
         for value in [getattr(module, name) for name in dir(module) if not name.startswith("_")]:

@@ -7,7 +7,7 @@ import pytest
 from helpers import broadcasting, Chapter
 
 import jaxroll as jxr
-from jaxroll._mechanics import join, to_leaves
+from jaxroll._mechanics import bodies, join, to_leaves
 from jaxroll._motion import Index1
 from jaxroll._motion._equations import evaluate
 
@@ -195,3 +195,37 @@ def test_object_mass_follows_newton_where_nothing_holds_it():
     rates = np.asarray(jnp.stack(instant.rates.v[0][:2]))
     expected = force / 0.04 + np.asarray(GRAVITY)
     np.testing.assert_allclose(rates, expected, rtol=1e-9)
+
+
+def test_bias_of_a_finger_in_space_is_that_of_its_mass_matrix():
+    r"""Lagrange's: $h = \dot M v - \frac12 \partial_q (v^T M v)$, links with three unlike moments."""
+    rng = np.random.default_rng(4)
+    turns = np.linalg.qr(rng.normal(size=(3, 3, 3)))[0]
+    inertias = np.einsum("kij,j,klj->kil", turns, [1e-5, 4e-5, 6e-5], turns)
+    finger = jxr.Finger3(
+        axes=rng.normal(size=(3, 3)),
+        offsets=0.05 * rng.normal(size=(3, 3)),
+        masses=[0.05, 0.03, 0.02],
+        centres=0.03 * rng.normal(size=(3, 3)),
+        inertias=inertias,
+        tip=jxr.Sphere(0.01),
+    )
+    body = jxr.FreeObject3(jxr.Sphere(0.02), mass=0.05, inertia=1e-5)
+    grasp = jxr.Grasp(body, finger, jxr.Contact3(0, 0))
+    at, rates = jnp.asarray(rng.normal(size=3)), jnp.asarray(rng.normal(size=3))
+
+    def terms(q, v):
+        whole = jnp.concatenate([jnp.zeros(3), jnp.array([1.0, 0, 0, 0]), q])
+        state = jxr.State(whole, jnp.concatenate([jnp.zeros(6), v]), jnp.array([0, 0, -0.01, 0, 0, 0.02]))
+        inertia = bodies(grasp, to_leaves(state, grasp.form))[1][1]
+        lower = [[jnp.asarray(x) for x in row] for row in inertia.mass]
+        mass = jnp.stack([jnp.stack([lower[max(i, j)][min(i, j)] for j in range(3)]) for i in range(3)])
+        return mass, -jnp.stack(inertia.force)
+
+    mass = lambda q: terms(q, rates)[0]  # noqa: E731
+    slope = jax.jacfwd(mass)(at)
+    wanted = jnp.einsum("ijk,k,j->i", slope, rates, rates)
+    wanted -= 0.5 * jax.grad(lambda q: rates @ mass(q) @ rates)(at)
+    bias = terms(at, rates)[1] - terms(at, 0 * rates)[1]
+    np.testing.assert_allclose(np.abs(bias), np.abs(wanted), rtol=1e-10)
+    assert np.abs(wanted).min() > 1e-6

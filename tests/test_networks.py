@@ -323,3 +323,9 @@ def test_neural_curvature_fits_an_ellipse_and_a_bean():
         # Independent of the fit's own feet; the samples are 25 um apart.
         assert far.max() < 20e-6
         assert float(fit.field.closure()) < 1e-15
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.0, 7.0), (1.0, 0.5), (-3.0, 4.0)])
+def test_a_margin_is_asked_for_within_one_turn(low, high):
+    with pytest.raises(ValueError, match=r"argument high must be at most a turn above low, .* rad"):
+        jxr.SupportFunction(0.01, [0.0, 1e-4], [0.0, 0.0]).margin(low, high)

@@ -7,6 +7,7 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll.stability import assess, equilibrium, margin, pinch_statics, rectangle_hessian, VERDICTS
+from jaxroll.stability._verdict import _verdict
 
 VIOLATING = jxr.Circle(0.005).moved((0.005, 0.0))  # centre ahead of O_i: h = 10 mm, 1/kappa = 5 mm
 BLUNT = jxr.Circle(0.015).moved((-0.005, 0.0))  # centre behind: h = 10 mm, 1/kappa = 15 mm
@@ -249,3 +250,31 @@ def test_what_is_not_found_is_said(pinch):
     assert said and not found
     with pytest.raises(ValueError, match="argument grasp must be two fingers with one contact each"):
         pinch_statics(jxr.scenes.pivoted()[0], jnp.zeros(2))
+
+
+def test_hessian_of_u_where_contacts_begin_elsewhere(pinch):
+    """The chapter's s_i count from where both contours were marked: any marks give one Hessian."""
+    grasp, _ = pinch
+    # So that both tips touch with their vertices 2 mm along the faces, opposite each other.
+    first, second = (contact.sense * 0.002 for contact in grasp.contacts)
+    marked = grasp.with_contacts(
+        jxr.Contact(first + 0.001, -0.001, finger=0, contour=0, sense=grasp.contacts[0].sense),
+        jxr.Contact(second - 0.0005, 0.0005, finger=1, contour=1, sense=grasp.contacts[1].sense),
+    )
+    s = collinear(marked, (0.0018, 0.0021))
+    at, closed = pinch_statics(marked, s), rectangle_hessian(marked, s)
+    np.testing.assert_allclose(s, 0.002, atol=1e-12)
+    np.testing.assert_allclose(at.hessian, closed, rtol=0, atol=1e-12 * np.abs(closed).max())
+    unmarked = rectangle_hessian(grasp, collinear(grasp, (0.0, 0.0)))
+    np.testing.assert_allclose(closed, unmarked, rtol=0, atol=1e-12 * np.abs(closed).max())
+
+
+def test_rates_are_slow_beside_the_fastest():
+    """What decays at 1e-8 of the fastest rate is not known to decay, whatever the fastest one is."""
+    for fastest in (1e-3, 1.0, 1e4):
+        for share, verdict in ((1e-8, VERDICTS.undamped), (1e-6, VERDICTS.asymptotically_stable)):
+            rates = fastest * jnp.array([-share, -1.0])
+            found = _verdict(rates, jnp.array([0.5, 1.0]), jnp.asarray(0), jnp.asarray(1e-7))
+            assert found == verdict, (fastest, share)
+            grows = _verdict(-rates, jnp.array([0.5, 1.0]), jnp.asarray(0), jnp.asarray(1e-7))
+            assert grows == VERDICTS.unstable

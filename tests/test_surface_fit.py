@@ -10,7 +10,7 @@ from jaxroll.geometry.fitting._field_fit import grid_around, normal_band, offset
 
 AXES = np.array([0.02, 0.014, 0.01])
 NOISE = 1e-4
-BANANA = pathlib.Path("/work/shared/data/ycb_011_banana.npz")
+BANANA = pathlib.Path(__file__).parents[2] / "shared" / "data" / "ycb_011_banana.npz"
 
 
 def ellipsoid_cloud(count, seed=0):
@@ -151,3 +151,16 @@ def test_a_cloud_in_two_parts_is_refused():
     cloud = ellipsoid_cloud(400)
     with pytest.raises(ValueError, match="argument points must cover one connected surface"):
         fit_surface(np.concatenate([cloud, cloud + 0.2]), smoothing=0.02)
+
+
+def test_points_given_twice_count_once_and_normals_stay_with_their_points():
+    cloud = ellipsoid_cloud(300)
+    once, twice = (
+        fit_surface(points, smoothing=0.02) for points in (cloud, np.concatenate([cloud, cloud[::-1]]))
+    )
+    np.testing.assert_array_equal(once.feet, twice.feet)
+    normals = Ellipsoid(*AXES).normal(cloud)
+    fit = fit_surface(cloud, normals, smoothing=0.02)
+    assert fit.report.normals[1] < np.radians(10.0)  # turned at random they would be 90 degrees off
+    with pytest.raises(ValueError, match="argument"):
+        fit_surface(cloud, normals[:0], smoothing=0.02)

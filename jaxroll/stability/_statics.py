@@ -241,7 +241,7 @@ def rectangle_hessian(grasp: Grasp, s: Given) -> Float[Array, "2 2"]:
 
     Args:
         grasp: A pinch of two parallel flat faces, as `pinch_statics` takes it.
-        s: Shape (2,), the chapter's $s_i$ [m] at an equilibrium.
+        s: Shape (2,), the chapter's $s_i$ [m] at an equilibrium with both arms normal to the faces, $d = 0$.
 
     Example:
         >>> import jax.numpy as jnp

@@ -80,6 +80,7 @@ PARAMETERS: dict[str, Argument] = {
     "a": _is("positive", 0.02),
     "b": _is("positive", 0.014),
     "c": _is("positive", 0.01),
+    "atol": _is("positive", 1e-8),
     "azimuth": _is("number", 10.0),
     "alpha": _is("not negative", 1e-3),
     "angle": _is("number", 0.3),
@@ -100,7 +101,9 @@ PARAMETERS: dict[str, Argument] = {
     "damping": _is("not negative", 0.006),
     "directions": _is("array", (0.0, 1.5), "empty list", "empty tuple", "two numbers"),
     "domain": _is("array", (-0.02, 0.02)),
+    "dt0": _is("positive", 1e-4),
     "elevation": _is("number", 10.0),
+    "events": _is("part", ("lift",), "empty list", "empty tuple"),
     "exponent": _is("number", 4.0),
     "field": _is("choice", "spline"),
     "fingers": _made("finger", lambda: planar()[0].fingers),
@@ -123,6 +126,7 @@ PARAMETERS: dict[str, Argument] = {
     "locate": _is("flag", False),
     "lowered": _is("number", 0.01),
     "masses": _is("array", (0.045, 0.04)),
+    "max_steps": _is("count", 64),
     "motion": _made("function", lambda: jxr.Turning(2.0)),
     "noise": _is("not negative", 1e-6),
     "normal": _is("array", (0.0, 0.0, 1.0), "three numbers"),
@@ -137,6 +141,7 @@ PARAMETERS: dict[str, Argument] = {
     "pose_a": _is("array", (0.05, 0.0, 0.0), "three numbers"),
     "pose_b": _is("array", (0.0, 0.05, 0.0), "three numbers"),
     "precession": _is("number", 3.0),
+    "progress_meter": _is("part", None),
     "progress": _is("flag", False, "function", "class", "class of states"),
     "rate": _is("number", 2.0),
     "reverse": _is("flag", False),
@@ -152,6 +157,7 @@ PARAMETERS: dict[str, Argument] = {
     "solver": _is("part", None),
     "spin": _is("choice", "free"),
     # As many as the finger has joints, which the controller alone does not know.
+    "stepsize_controller": _is("part", None),
     "start": _is("array", (1.5, 1.7), *_VECTORS),
     "state": _made("state", lambda: planar()[1]),
     # Of a time that a run did not reach the states are NaN, and so is what is worked out of them.
@@ -263,9 +269,12 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         "ts": _is("count", 4, "two numbers", "numbers of float32"),
         "t1": _is("positive", 0.02),
         "formulation": _made("part", jxr.Index1),
-        "record": _is("part", ()),
+        "record": _is("part", (), "empty list", "empty tuple"),
     },
     "sweep": {
+        "formulation": _made("part", jxr.Index1),
+        "record": _is("part", (), "empty list", "empty tuple"),
+        "ts": _is("count", 1, "two numbers", "numbers of float32"),
         "make": _made("function", lambda: scene_of),
         "parameters": _made("any array", lambda: np.array([0.004, 0.006]), "empty tuple"),
         "keep": _made("function", lambda: kept),
@@ -412,14 +421,6 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
 
 # What `**options` takes.
 OPTIONS: dict[str, dict[str, Argument]] = {
-    "simulate": {
-        "events": _is("part", ("lift",)),
-        "atol": _is("positive", 1e-8),
-        "dt0": _is("positive", 1e-4),
-        "max_steps": _is("count", 64),
-        "stepsize_controller": _is("part", None, "None"),
-        "progress_meter": _is("part", None, "None"),
-    },
     "optimise_fingertip": {
         "starts": _is("count", 1),
         "seed": _is("count", 1, "whole zero"),

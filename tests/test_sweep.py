@@ -1,5 +1,7 @@
 """Sweeps: chunks, failures, resumption, and lanes that wait for nobody."""
 
+import inspect
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -152,3 +154,13 @@ def test_slots_served_all_at_once_give_the_same(make, dampings, whole, monkeypat
     # Another program rounds otherwise, and a step more or less is an error of the tolerance's order.
     np.testing.assert_allclose(other.last.q, whole.last.q, rtol=0, atol=1e-9)
     np.testing.assert_allclose(other.stats.steps, whole.stats.steps, atol=2)
+
+
+def test_every_option_of_a_run_is_one_of_a_sweep_with_the_same_default():
+    """But for how much is saved, and for raising: the runs of a sweep carry their codes."""
+    one, many = (inspect.signature(f).parameters for f in (jxr.simulate, jxr.sweep))
+    own = {"make", "parameters", "keep", "chunk", "progress", "resume"}
+    assert set(many) - own == set(one) - {"grasp", "state", "throw"}
+    unlike = {name for name in set(one) & set(many) if one[name].default != many[name].default}
+    assert unlike == {"ts"} and many["ts"].default == 1
+    assert not any(p.kind is p.VAR_KEYWORD for p in (*one.values(), *many.values()))

@@ -460,8 +460,6 @@ BAD = {
     "t1": (["text", None, [0.1, 0.2], np.zeros(10), True], "argument t1 must "),
     "chunk": (["text", None, 0, -1, 2.5, True, np.ones(2)], "argument chunk must be a whole number"),
     "progress": (["text", None, 1, lambda n: n], "argument progress must be True or False"),
-    "throw": ([True, False], "argument throw is of simulate alone"),
-    "nonsense": ([1], "argument options must be among"),
 }
 
 

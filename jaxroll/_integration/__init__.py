@@ -7,7 +7,7 @@ says where the model ends and `_dips` whether it did within a step. `_run` takes
 result, `_report` what is printed of it. The equations that are stepped are those of `_motion`.
 """
 
-from ._arguments import check_times as check_times, tolerance as tolerance
+from ._arguments import check_times as check_times, RTOL as RTOL, tolerance as tolerance
 from ._report import (
     amount as amount,
     cause as cause,

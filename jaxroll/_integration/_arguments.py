@@ -1,6 +1,6 @@
 """Checks of the arguments of `simulate`, and their conversion on the host."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from typing import Any, NamedTuple
 
 import diffrax
@@ -12,7 +12,6 @@ import numpy as np
 from .._results import as_array, as_count, check_instance, concrete, shown
 
 RECORDS = ("multipliers", "energy")
-OPTIONS = ("atol", "dt0", "max_steps", "stepsize_controller", "progress_meter", "events")
 # The relative tolerance where none is given.
 RTOL = 1e-8
 # Below this relative tolerance single precision cannot deliver: steps collapse.
@@ -34,11 +33,13 @@ class Numbers(NamedTuple):
     atol: Any
 
 
-def numbers(times: tuple[Any, Any, Any], rtol: Any, options: Mapping[str, Any], dtype: np.dtype) -> Numbers:
-    """Times, tolerances and first step, checked; `times` are `t0`, `t1` and `ts`."""
-    t0, t1, ts = save_times(*times, dtype)
-    relative, absolute = _tolerances(rtol, options, dtype)
-    dt0 = _scalar("dt0", options.get("dt0", 1e-4), dtype)
+def as_numbers(
+    t0: Any, t1: Any, ts: Any, *, dt0: Any, rtol: Any, atol: Any, control: Any, dtype: np.dtype
+) -> Numbers:
+    """Times, first step and tolerances, checked; those of the step-size control where it has its own."""
+    t0, t1, ts = save_times(t0, t1, ts, dtype)
+    relative, absolute = _tolerances(rtol, atol, control, dtype)
+    dt0 = _scalar("dt0", dt0, dtype)
     _check_positive("dt0", dt0)
     seen = concrete((t0, dt0))
     if seen is not None and not seen[0] + seen[1] > seen[0]:
@@ -120,17 +121,16 @@ def check_choices(name: str, given: Any, known: tuple[str, ...]) -> tuple[str, .
     return tuple(given)
 
 
-def _tolerances(rtol: Any, options: Mapping[str, Any], dtype: np.dtype) -> tuple[Any, Any]:
+def _tolerances(rtol: Any, atol: Any, control: Any, dtype: np.dtype) -> tuple[Any, Any]:
     """Both tolerances, which are those of a step-size control that has its own."""
-    control = check_control(options.get("stepsize_controller"))
     relative = tolerance("rtol", rtol, dtype)
-    absolute = tolerance("atol", options.get("atol", rtol), dtype)
+    absolute = tolerance("atol", rtol if atol is None else atol, dtype)
     if not isinstance(control, diffrax.AbstractAdaptiveStepSizeController):
         return relative, absolute
     inside = "stepsize_controller.{}".format
     own = [tolerance(inside(name), getattr(control, name), dtype) for name in ("rtol", "atol")]
     left = type(rtol) is float and rtol == RTOL
-    given = (None if left else relative, absolute if "atol" in options else None)
+    given = (None if left else relative, None if atol is None else absolute)
     for name, asked, has in zip(("rtol", "atol"), given, own, strict=True):
         seen = None if asked is None else concrete((asked, has))
         if seen is not None and seen[0] != seen[1]:

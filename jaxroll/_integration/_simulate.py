@@ -1,6 +1,7 @@
 """`simulate`: the entry point of the package."""
 
-from typing import Any, NamedTuple
+from collections.abc import Collection
+from typing import NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -29,13 +30,12 @@ from .._results import check_flag, concrete, RESULTS
 from .._types import Given
 from .._xla import in_turn, sharing
 from ._arguments import (
+    as_numbers,
     check_choices,
     check_control,
     check_meter,
     check_solver,
     Numbers,
-    numbers as run_numbers,
-    OPTIONS,
     RECORDS,
     RTOL,
     step_limit,
@@ -59,10 +59,15 @@ def simulate(
     ts: Given | int = 301,
     formulation: Formulation | None = None,
     solver: diffrax.AbstractSolver | None = None,
-    rtol: float = RTOL,
-    record: tuple[str, ...] = (),
+    rtol: Given = RTOL,
+    atol: Given | None = None,
+    dt0: Given = 1e-4,
+    max_steps: int = 4096,
+    events: Collection[str] = ("lift", "friction"),
+    stepsize_controller: diffrax.AbstractStepSizeController | None = None,
+    progress_meter: diffrax.AbstractProgressMeter | None = None,
+    record: Collection[str] = (),
     throw: bool = True,
-    **options: Any,
 ) -> Trajectory:
     r"""Simulate a grasp with rolling contacts from a consistent state.
 
@@ -86,13 +91,16 @@ def simulate(
             Default: `diffrax.Dopri8()`. For long runs `jaxroll.Rosenbrock()`. A method without an error
             estimate, as `diffrax.Euler()`, takes constant steps only; methods that remember earlier steps,
             split the equations or integrate noise are refused.
-        **options: `events`, what ends a run besides contour ends and singular contacts: any of 'lift'
-            (a normal force falls below zero), 'friction' (a contact with a coefficient leaves its friction
-            cone), both by default, and 'penetration' (a fingertip overlaps the object elsewhere, on
-            64 points per contour); `atol` (default: rtol), `dt0` [s], `max_steps` (default 4096),
-            `stepsize_controller` and `progress_meter`, as in `diffrax.diffeqsolve`. A controller is a
-            `diffrax.PIDController` without `dtmin`, one of your own that adapts, or
+        atol: Absolute tolerance of the same [m, rad, and these per second]. Default: rtol.
+        dt0: Length of the first step [s], before error control has its say.
+        max_steps: Steps to attempt at most. A derivative records that many states.
+        events: What ends a run besides contour ends and singular contacts: any of 'lift' (a normal force
+            falls below zero), 'friction' (a contact with a coefficient leaves its friction cone), both by
+            default, and 'penetration' (a fingertip overlaps the object elsewhere, on 64 points per contour).
+        stepsize_controller: A `diffrax.PIDController` without `dtmin`, one of your own that adapts, or
             `diffrax.ConstantStepSize()`, whose steps have the length `dt0` but where a save time cuts them.
+            Default: `diffrax.PIDController` with `rtol` and `atol`.
+        progress_meter: As in `diffrax.diffeqsolve`. Default: none.
 
     Returns:
         A `Trajectory`.
@@ -125,15 +133,15 @@ def simulate(
     check_states(grasp, state)
     check_flag("throw", throw)
     way = as_formulation(grasp, formulation)
-    check_choices("options", tuple(options), OPTIONS)
-    numbers = run_numbers((t0, t1, ts), rtol, options, np.dtype(state.q.dtype))
+    control, dtype = check_control(stepsize_controller), np.dtype(state.q.dtype)
+    numbers = as_numbers(t0, t1, ts, dt0=dt0, rtol=rtol, atol=atol, control=control, dtype=dtype)
     setup = Setup(
         check_solver(solver),
-        check_control(options.get("stepsize_controller")),
-        check_meter(options.get("progress_meter")),
-        step_limit(options.get("max_steps", 4096)),
+        control,
+        check_meter(progress_meter),
+        step_limit(max_steps),
         check_choices("record", record, RECORDS),
-        check_choices("events", options.get("events", ("lift", "friction")), EVENTS),
+        check_choices("events", events, EVENTS),
     )
     if "penetration" in setup.events:
         check_planar(grasp)

@@ -3,15 +3,18 @@
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, NamedTuple
 
+import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .._integration import RTOL
+from .._motion import Formulation
 from .._results import as_array, as_count, check_callable, check_flag, shown, traced
 from ._folder import Folder
 from ._identity import identity, Mark
@@ -29,7 +32,18 @@ def sweep(
     chunk: int = _CHUNK,
     progress: bool = False,
     resume: str | os.PathLike | None = None,
-    **options: Any,
+    t0: Any = 0.0,
+    ts: Any = 1,
+    formulation: Formulation | None = None,
+    solver: diffrax.AbstractSolver | None = None,
+    rtol: Any = RTOL,
+    atol: Any = None,
+    dt0: Any = 1e-4,
+    max_steps: int = 4096,
+    events: Collection[str] = ("lift", "friction"),
+    stepsize_controller: diffrax.AbstractStepSizeController | None = None,
+    progress_meter: diffrax.AbstractProgressMeter | None = None,
+    record: Collection[str] = (),
 ) -> Any:
     """Simulate `make(p)` for every row p of `parameters`, as many as there are.
 
@@ -48,7 +62,9 @@ def sweep(
         chunk: Runs per program call.
         progress: Whether to report chunks, speed and time left on standard error.
         resume: A folder where finished chunks are written, and looked for first (see below).
-        **options: Those of `simulate`; `ts` is 1 by default, the final state alone.
+        ts: As for `simulate`. Default: 1, the final state alone.
+        t0, formulation, solver, rtol, atol, dt0, max_steps, events, stepsize_controller, progress_meter,
+            record: As for `simulate`, and with its defaults.
 
     Returns:
         What is kept, as NumPy arrays with the leading axis n: by default a `Trajectory` of n lanes.
@@ -76,13 +92,26 @@ def sweep(
     check_callable("make", make, "a function of one row of parameters")
     if keep is not None:
         check_callable("keep", keep, "a function of a trajectory")
-    if "throw" in options:
-        raise ValueError("argument throw is of simulate alone: the runs of a sweep carry their codes")
     check_flag("progress", progress)
     rows, t1 = _rows_of(parameters), _time(t1)
     count = len(jax.tree.leaves(rows)[0])
     extent = Extent(count, min(as_count("chunk", chunk, most=sys.maxsize), count))
-    job = Job(make, keep, t1, {"ts": 1, **options, "throw": False})
+    options = {
+        "t0": t0,
+        "ts": ts,
+        "formulation": formulation,
+        "solver": solver,
+        "rtol": rtol,
+        "atol": atol,
+        "dt0": dt0,
+        "max_steps": max_steps,
+        "events": events,
+        "stepsize_controller": stepsize_controller,
+        "progress_meter": progress_meter,
+        "record": record,
+        "throw": False,  # the runs carry their codes
+    }
+    job = Job(make, keep, t1, options)
     first = extent.chunk(rows, 0)
     if resume is None:
         folder, run = None, program(job, first)
@@ -119,7 +148,7 @@ def _resumed(folder: Folder, job: Job, rows: Any, extent: Extent) -> tuple[Folde
     here["make"] = Mark(of_make(job.make, row), "make")
     folder.check(here)
     run = program(job, extent.chunk(rows, 0))
-    if "progress_meter" not in job.options and calls_back(run.traced.jaxpr):
+    if job.options["progress_meter"] is None and calls_back(run.traced.jaxpr):
         raise ValueError(
             "argument make must not take numbers from Python while it runs (jax.pure_callback) where resume "
             "is given, since a folder cannot tell what is called; nor must keep, options or what they hold"

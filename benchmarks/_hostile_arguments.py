@@ -307,7 +307,16 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         "neutral": _is("count", 1, "whole zero"),
         "scale": _is("positive", 1.0),
     },
-    "optimise_fingertip": {"tip": _BODY, "steps": _is("count", 10), "symmetric": _is("flag", False)},
+    "optimise_fingertip": {
+        "tip": _BODY,
+        "steps": _is("count", 10),
+        "symmetric": _is("flag", False),
+        "starts": _is("count", 1),
+        "seed": _is("count", 1, "whole zero"),
+        "optimiser": _is("part", None),
+        "mode": _is("choice", "auto"),
+        "checkpoint": _made("path", lambda: folder() / "checkpoint.npz"),
+    },
     "value_and_grad": {
         "function": _made("function", lambda: jnp.sum),
         "mode": _is("choice", "auto"),
@@ -417,15 +426,4 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
     ),
     "pinch_rest": {"grasp": _PINCH, "state": _made("state", pinch_state)},
     "assess": {"tolerance": _is("not negative", 1e-7)},
-}
-
-# What `**options` takes.
-OPTIONS: dict[str, dict[str, Argument]] = {
-    "optimise_fingertip": {
-        "starts": _is("count", 1),
-        "seed": _is("count", 1, "whole zero"),
-        "optimiser": _is("part", None, "None"),
-        "mode": _is("choice", "auto"),
-        "checkpoint": _made("path", lambda: folder() / "checkpoint.npz", "None"),
-    },
 }

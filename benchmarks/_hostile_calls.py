@@ -12,7 +12,7 @@ from types import ModuleType
 from typing import Any
 
 import jaxroll as jxr
-from benchmarks._hostile_arguments import Argument, EXCEPTIONS, OPTIONS, PARAMETERS
+from benchmarks._hostile_arguments import Argument, EXCEPTIONS, PARAMETERS
 from benchmarks._hostile_values import planar
 
 MODULES = ("contact", "control", "design", "geometry", "io", "plotting", "scenes", "stability")
@@ -176,7 +176,7 @@ def calls() -> dict[str, Call]:
 
 def _call(name: str, thing: Callable[..., Any]) -> Call:
     own, needed = EXCEPTIONS.get(name, {}), []
-    arguments = dict(OPTIONS.get(name, {}))
+    arguments: dict[str, Argument] = {}
     for parameter in inspect.signature(thing).parameters.values():
         if parameter.kind is parameter.VAR_KEYWORD:
             continue

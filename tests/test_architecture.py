@@ -240,13 +240,18 @@ def test_size_budget():
         assert nesting(node) <= 3, where
 
 
+CONTRACTS = ("step", "init", "adapt_step_size")
+TOLD = ("simulate", "sweep", "optimise_fingertip")
+
+
 def test_parameter_budget():
     """At most four by position (self aside) and ten in all; diffrax fixes those of its contracts.
 
-    What a run may be told is one keyword each: `simulate`, and `sweep`, which tells it to many.
+    What a run may be told is one keyword each: `simulate`, and `sweep`, which tells it to many; so is what a
+    search for a fingertip may be told.
     """
     for name, node in functions():
-        if node.name.startswith("_") or node.name in ("step", "init", "adapt_step_size", "simulate", "sweep"):
+        if node.name.startswith("_") or node.name in (*CONTRACTS, *TOLD):
             continue
         given = [a for a in node.args.posonlyargs + node.args.args if a.arg not in ("self", "cls")]
         assert len(given) <= 4, f"{name}:{node.name}"

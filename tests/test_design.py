@@ -201,7 +201,6 @@ def test_goes_on_from_a_checkpoint(tmp_path):
         ("tip", {}, "one or more contours"),
         (jxr.Ellipse(0.01, 0.02), {"starts": 0}, "starts must be a whole number of at least 1"),
         (jxr.Ellipse(0.01, 0.02), {"mode": "both"}, "mode must be"),
-        (jxr.Ellipse(0.01, 0.02), {"rate": 0.1}, "options must be any of"),
     ],
 )
 def test_bad_arguments(tip, options, message):

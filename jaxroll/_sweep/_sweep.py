@@ -15,7 +15,7 @@ import numpy as np
 
 from .._integration import RTOL
 from .._motion import Formulation
-from .._results import as_array, as_count, check_callable, check_flag, shown, traced
+from .._results import as_array, as_count, check_callable, check_flag, is_array_like, shown, traced
 from ._folder import Folder
 from ._identity import identity, Mark
 from ._program import calls_back, Job, of_keep, of_make, Program, program
@@ -111,6 +111,9 @@ def sweep(
         "record": record,
         "throw": False,  # the runs carry their codes
     }
+    for name, value in options.items():
+        for leaf in filter(is_array_like, jax.tree.leaves(value)):
+            as_array(name, leaf)
     job = Job(make, keep, t1, options)
     first = extent.chunk(rows, 0)
     if resume is None:

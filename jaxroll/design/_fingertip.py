@@ -1,6 +1,7 @@
 """`optimise_fingertip`: from a fingertip to a better one within limits."""
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -19,19 +20,18 @@ from .._results import (
     check_flag,
     check_instance,
     RESULTS,
-    shown,
 )
 from .._types import Given
 from ..geometry import AbstractContour, tabled
 from ._design import Design
 from ._goals import AbstractGoal, Margin
+from ._gradient import Mode
 from ._limits import check_interval, Limits, sampled, Samples
 from ._minimise import check_checkpoint, Found, KEPT, minimise, Progress
 from ._shape import check_unprepared, divided, extents, mirrored, smoothing, stacked, varied
 
 # Unit of the free numbers, as a share of the fingertip's size: a first step is no longer than one.
 _UNIT = 0.05
-_OPTIONS = ("starts", "seed", "optimiser", "mode", "checkpoint")
 
 
 def optimise_fingertip(
@@ -43,7 +43,11 @@ def optimise_fingertip(
     steps: int = 200,
     symmetric: bool = False,
     progress: Progress = False,
-    **options: Any,
+    starts: int = 1,
+    seed: int = 0,
+    optimiser: optax.GradientTransformation | None = None,
+    mode: Mode = "auto",
+    checkpoint: str | Path | None = None,
 ) -> Design:
     r"""Change a fingertip until it is as good as it can be.
 
@@ -63,12 +67,14 @@ def optimise_fingertip(
         symmetric: Keep the contour its own mirror image about the x axis.
         progress: True prints after every ten steps; a function is called with step, cost, violation.
     Args (rarely changed):
-        **options: `starts`, how many in all: those not given are smooth variations of the given ones, by the
-            numpy `seed`. `optimiser`, any of optax with its schedule; its unknowns are in units of a
-            twentieth of the contour's size, and waves of points and terms of series are divided by about
-            their order squared, so that all bend the contour alike (Sobolev's gradient). By default
-            BFGS with backtracking, one point a step. `mode`, how to differentiate: see `value_and_grad`.
-            `checkpoint`, a file to write after every ten steps, and to go on from where it exists.
+        starts: How many in all: those not given are smooth variations of the given ones.
+        seed: Of NumPy, for these variations.
+        optimiser: Any of optax, with its schedule; its unknowns are in units of a twentieth of the contour's
+            size, and waves of points and terms of series are divided by about their order squared, so that
+            all bend the contour alike (Sobolev's gradient). Default: BFGS with backtracking, one point a
+            step.
+        mode: How to differentiate, 'auto', 'forward' or 'reverse': see `value_and_grad`.
+        checkpoint: A file to write after every ten steps, and to go on from where it exists.
 
     Returns:
         A `Design`. An infeasible problem ends with that code and the contour that passes the limits least.
@@ -97,7 +103,12 @@ def optimise_fingertip(
     steps, symmetric = as_count("steps", steps), check_flag("symmetric", symmetric)
     if not isinstance(progress, bool):
         check_callable("progress", progress, "True, False or a function of step, cost and violation", takes=3)
-    count, seed = _checked(options)
+    if optimiser is not None:
+        check_instance("optimiser", optimiser, optax.GradientTransformation, "one of optax")
+    check_choice("mode", mode, ("auto", "forward", "reverse"))
+    if checkpoint is not None:
+        check_checkpoint(checkpoint)
+    count, seed = as_count("starts", starts, most=10_000), as_count("seed", seed, least=0, most=2**63 - 1)
     ends = jnp.stack([check_interval(one, interval) for one in tips])[0]
     if symmetric:
         mirrored(tips[0])  # raises where the class has no mirror image
@@ -110,24 +121,18 @@ def optimise_fingertip(
     waves = jnp.asarray(smoothing(tips[0], float(units[0])))
     data, problem = (arrays, units), _Problem(rest, waves, ends, limits, wanted, symmetric)
     start = jax.vmap(lambda a, unit: problem.unknowns(eqx.combine(a, rest), unit))(*data)
-    settings = {name: options[name] for name in ("optimiser", "mode", "checkpoint") if name in options}
-    settings |= {"steps": steps, "in_turn": wanted.in_turn, "progress": progress}
-    found = minimise(problem, start, data, **settings)
+    found = minimise(
+        problem,
+        start,
+        data,
+        steps=steps,
+        in_turn=wanted.in_turn,
+        progress=progress,
+        optimiser=optimiser,
+        mode=mode,
+        checkpoint=checkpoint,
+    )
     return _design(problem, start, data, found)
-
-
-def _checked(options: dict[str, Any]) -> tuple[int, int]:
-    """How many starts, and the seed; raises for an option that there is not, or of no use."""
-    unknown = sorted(set(options) - set(_OPTIONS))
-    if unknown:
-        raise ValueError(f"argument options must be any of {', '.join(_OPTIONS)}, but had {shown(unknown)}")
-    if (optimiser := options.get("optimiser")) is not None:
-        check_instance("optimiser", optimiser, optax.GradientTransformation, "one of optax")
-    check_choice("mode", options.get("mode", "auto"), ("auto", "forward", "reverse"))
-    if (checkpoint := options.get("checkpoint")) is not None:
-        check_checkpoint(checkpoint)
-    starts = as_count("starts", options.get("starts", 1), most=10_000)
-    return starts, as_count("seed", options.get("seed", 0), least=0, most=2**63 - 1)
 
 
 class _Problem(eqx.Module):

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from . import contact, control, design, geometry, io, plotting, scenes, stability
     from ._analysis import loci, pinch_balance, press_balance, roll
     from ._closing import close
-    from ._integration import Rosenbrock, simulate, Trajectory
+    from ._integration import Rosenbrock, simulate, Trajectory, vector_field
     from ._mechanics import (
         equation_terms,
         Finger,
@@ -94,6 +94,7 @@ _HOMES: dict[str, str | None] = {
     "residuals": "_motion",
     "roll": "_analysis",
     "simulate": "_integration",
+    "vector_field": "_integration",
     "Finger": "_mechanics",
     "Finger3": "_mechanics",
     "FreeObject": "_mechanics",
@@ -158,6 +159,7 @@ __all__ = [  # noqa: PLE0604
     "simulate",
     "stability",
     "sweep",
+    "vector_field",
     "why",
 ]
 

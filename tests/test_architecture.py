@@ -266,7 +266,7 @@ PUBLIC = {
     "Spline", "State", "SupportFunction", "Trajectory", "close", "contact",
     "control", "design", "energies", "equation_terms", "fit_contour", "geometry", "io", "multipliers",
     "pinch_balance", "plotting", "press_balance",
-    "residuals", "scenes", "simulate", "stability", "sweep",
+    "residuals", "scenes", "simulate", "stability", "sweep", "vector_field",
 }  # fmt: skip
 
 

@@ -19,3 +19,4 @@ from ._rosenbrock import Rosenbrock as Rosenbrock
 from ._simulate import simulate as simulate
 from ._state_vector import layout as layout, pack as pack, unpack as unpack
 from ._trajectory import Trajectory as Trajectory
+from ._vector_field import vector_field as vector_field, VectorField as VectorField

@@ -110,12 +110,12 @@ class RollingStep(eqx.Module):
             ending = Ending.unpacked(grasp, end)
             x1 = raw
             if isinstance(self.formulation, Index1):
-                x1 = self._return(grasp, raw, ending.anchor)
+                x1 = self.returned(grasp, raw, ending.anchor)
             leaves, _ = unpack(self.lay, x1)
             judged = with_clearance(grasp, leaves, (ending.margin, ending.number), self.events)
             return jnp.concatenate([x1, rates, coded(x1, *judged)])
 
-    def _return(self, grasp: Grasp, raw: Array, anchor: Anchor) -> Array:
+    def returned(self, grasp: Grasp, raw: Array, anchor: Anchor) -> Array:
         """Back onto the constraints, positions before velocities."""
         x = raw
         for _ in range(_SWEEPS):

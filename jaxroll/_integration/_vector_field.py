@@ -1,0 +1,220 @@
+r"""A door to diffrax: the equations of motion of a grasp as terms, start and projection for `diffeqsolve`.
+
+`simulate` makes its own loop of the methods of diffrax, because one kernel for a whole run is several times
+as fast. What only `diffeqsolve` has, dense output, `SaveAt` with functions, its adjoints, events of one's
+own, is had here, with the same equations
+
+$$ y' = (\dot q, \dot v, \dot s), \quad M \dot v + h = u + A^T \mu, \quad A \dot v + \dot A v = 0 $$
+
+(`_motion`) and the same return to the constraints after every step, as a method that wraps another one.
+"""
+
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._mechanics import check_grasp, check_states, Grasp, State
+from .._motion import anchor_of, as_formulation, evaluate, Formulation, Index1
+from .._printing import listed
+from .._results import check_instance, shown
+from .._types import Scalar
+from ._arguments import check_choices
+from ._events import EVENTS, regime
+from ._methods import check_method, Steady, with_tolerances
+from ._state_vector import Layout, layout, states_of, unpack
+from ._step import RollingStep
+
+Y = Float[Array, " y"]
+
+
+class VectorField(eqx.Module):
+    r"""The equations of motion of a grasp, for `diffrax.diffeqsolve`; made by `vector_field`.
+
+    What is integrated is one array $y = (q, v, s)$. The field is a pytree: derivatives with respect to the
+    grasp go through `terms`.
+    """
+
+    __repr__ = listed
+
+    grasp: Grasp
+    formulation: Formulation
+    events: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def _lay(self) -> Layout:
+        return layout(self.grasp, False)
+
+    @property
+    def terms(self) -> diffrax.ODETerm:
+        """$y' = f(t, y)$, for `terms` of `diffeqsolve`; its `args` are not looked at."""
+        return diffrax.ODETerm(self)
+
+    def __call__(self, t: Scalar, y: Y, args: Any = None) -> Y:
+        """Time derivative of $y$ [1/s of its units]."""
+        return self._stepper(diffrax.Dopri8()).rates(self.grasp, jnp.asarray(t, y.dtype), y)[0]
+
+    def start(self, state: State) -> Y:
+        """$y$ of a state on the constraints, as `close` returns it: `y0` of `diffeqsolve`."""
+        check_states(self.grasp, state)
+        return jnp.concatenate([state.q, state.v, state.s])
+
+    def states(self, ys: Float[Array, "... y"]) -> State:
+        """The states of solutions $y$ along any leading axes: of `solution.ys`, or of `evaluate(t)`."""
+        return states_of(self._lay, jnp.asarray(ys))
+
+    def project(self, t: Scalar, y: Y) -> Y:
+        """The nearest $y$, in the mass metric, with every gap, tangency and rate of a gap at zero."""
+        if not isinstance(self.formulation, Index1):
+            return y
+        leaves, _ = unpack(self._lay, y)
+        instant = evaluate(self.grasp, jnp.asarray(t, y.dtype), leaves, self.formulation)
+        return self._stepper(diffrax.Dopri8()).returned(self.grasp, y, anchor_of(self.grasp, instant))
+
+    def projected(self, solver: diffrax.AbstractSolver | None = None) -> "Projected":
+        """A method of diffrax that projects after every step; None: `diffrax.Dopri8()`.
+
+        Raises:
+            ValueError: If `solver` does not solve one ordinary differential equation step by step, as methods
+                for stochastic or split equations do not, nor those that remember earlier steps.
+        """
+        solver = diffrax.Dopri8() if solver is None else solver
+        check_instance("solver", solver, diffrax.AbstractSolver, "a diffrax solver")
+        check_method(with_tolerances(solver, 1e-6, 1e-6), Steady(), jnp.zeros(self._lay.width))
+        return Projected(solver, self)
+
+    def margin(self, t: Scalar, y: Y, args: Any = None, **others: Any) -> Scalar:
+        """How far the model still holds, positive while it does: `cond_fn` of `diffrax.Event`.
+
+        The smallest of forces [N], distances to ends [m] and relative curvatures, as for `simulate`.
+        """
+        leaves, _ = unpack(self._lay, y)
+        instant = evaluate(self.grasp, jnp.asarray(t, y.dtype), leaves, self.formulation)
+        return jnp.asarray(regime(self.grasp, leaves, instant, self.events)[0], y.dtype)
+
+    def _stepper(self, method: diffrax.AbstractSolver) -> RollingStep:
+        return RollingStep(method, self.formulation, self._lay, self.events)
+
+
+class Projected(diffrax.AbstractWrappedSolver):
+    """A method of diffrax, and after every step of it the return to the constraints.
+
+    A step begins at the projected end of the one before: what a method keeps of that one's last derivative is
+    worked out anew, one evaluation more in a step.
+    """
+
+    solver: diffrax.AbstractSolver
+    field: VectorField
+
+    @property
+    def term_structure(self) -> Any:
+        return self.solver.term_structure
+
+    @property
+    def scan_kind(self) -> Any:
+        """Which loop goes over the stages: diffrax sets it by the adjoint, in the method itself."""
+        return self.solver.scan_kind  # pyright: ignore
+
+    @property
+    def root_finder(self) -> Any:
+        """An implicit method's, whose tolerances diffrax takes from the control of the error."""
+        return self.solver.root_finder  # pyright: ignore
+
+    @property
+    def interpolation_cls(self) -> Any:
+        return self.solver.interpolation_cls
+
+    def order(self, terms: Any) -> Any:
+        """Order of the method: that of the projection is no lower."""
+        return self.solver.order(terms)
+
+    def strong_order(self, terms: Any) -> Any:
+        """None: there is no noise."""
+        return self.solver.strong_order(terms)
+
+    def error_order(self, terms: Any) -> Any:
+        """Order of the error estimate, which is the method's own."""
+        return self.solver.error_order(terms)
+
+    def init(self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any) -> Any:
+        """What the method itself begins with."""
+        self._check(terms, y0)
+        return self.solver.init(terms, t0, t1, y0, args)
+
+    def step(
+        self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any, solver_state: Any, made_jump: Any
+    ) -> tuple[Any, Any, Any, Any, Any]:
+        """One step of the method, its end projected."""
+        self._check(terms, y0)
+        jumped = jnp.asarray(True)
+        raw, error, dense, memory, code = self.solver.step(terms, t0, t1, y0, args, solver_state, jumped)
+        y1 = self.field.project(t1, raw)
+        between: dict[str, Any] = {**dense}  # pyright: ignore
+        if "y1" in between:  # so that dense output meets the start of the next step
+            between["y1"] = y1
+        return y1, error, between, memory, code
+
+    def func(self, terms: Any, t0: Any, y0: Any, args: Any) -> Any:
+        """The vector field."""
+        return self.solver.func(terms, t0, y0, args)
+
+    def _check(self, terms: Any, y0: Any) -> None:
+        """Raise where what is integrated is not this grasp's motion forwards in time."""
+        if not (isinstance(y0, jax.Array) and y0.shape == (self.field._lay.width,)):
+            raise ValueError(
+                "argument adjoint must be one that differentiates the steps, RecursiveCheckpointAdjoint or "
+                "ForwardMode: BacksolveAdjoint goes back through projections, which it cannot undo"
+            )
+        inner = terms
+        while hasattr(inner, "term"):  # diffrax wraps it, for the direction of time
+            inner = inner.term
+        if not isinstance(inner, diffrax.ODETerm):
+            raise ValueError(
+                f"argument terms must be the vector field's own, without noise, but was {shown(inner)}"
+            )
+
+
+def vector_field(
+    grasp: Grasp, *, formulation: Formulation | None = None, events: tuple[str, ...] = ("lift", "friction")
+) -> VectorField:
+    r"""The equations of motion of a grasp as terms, start and projection for `diffrax.diffeqsolve`.
+
+    For what `simulate` has not: dense output, `SaveAt` with functions and steps, diffrax's adjoints, events
+    and controls of your own. A run costs some times what one of `simulate` does, which is one kernel.
+
+    Args:
+        grasp: The grasp; every array in it is differentiable.
+        formulation: `Index1()` (default), whose steps are to be projected, or `CSM(...)`, whose are not.
+        events: What `margin` watches besides contour ends and singular contacts: 'lift', 'friction'.
+
+    Returns:
+        A `VectorField`: `terms`, `start(state)`, `projected(solver)`, `margin` and `states(ys)`.
+
+    Raises:
+        ValueError: If an argument does not fit.
+
+    Accuracy: that of the method and the tolerances given; constraint rows at rounding after every step, and
+    between steps, in dense output, at the method's error.
+    Gradients: `RecursiveCheckpointAdjoint` and `ForwardMode` go through the steps; `BacksolveAdjoint` fails,
+    with a sentence where the start is differentiated, else with diffrax's own.
+
+    Example:
+        >>> import diffrax
+        >>> import jaxroll as jxr
+        >>> grasp, state = jxr.scenes.pivoted()
+        >>> field = jxr.vector_field(grasp)
+        >>> solution = diffrax.diffeqsolve(
+        ...     field.terms, field.projected(), 0.0, 3.0, 1e-4, field.start(state),
+        ...     stepsize_controller=diffrax.PIDController(rtol=1e-8, atol=1e-8),
+        ...     saveat=diffrax.SaveAt(dense=True),
+        ... )
+        >>> turned = field.states(solution.evaluate(3.0)).q[0] - state.q[0]
+        >>> f"{turned:.3f} rad"
+        '0.772 rad'
+    """
+    check_grasp(grasp)
+    watched = check_choices("events", events, tuple(e for e in EVENTS if e != "penetration"))
+    return VectorField(grasp.tabled().prepared(), as_formulation(grasp, formulation), watched)

@@ -1,0 +1,158 @@
+"""The door to diffrax: `diffeqsolve` with a grasp's terms, start and projection, against `simulate`."""
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix
+import pytest
+
+import jaxroll as jxr
+
+TIGHT = diffrax.PIDController(rtol=1e-10, atol=1e-10)
+T1 = 0.2
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return jxr.scenes.pivoted()
+
+
+@pytest.fixture(scope="module")
+def run(scene):
+    return jxr.simulate(*scene, T1, ts=3, rtol=1e-10)
+
+
+def solved(grasp, state, *, t1=T1, solver=None, **options):
+    field = jxr.vector_field(grasp)
+    options = {"stepsize_controller": TIGHT, "max_steps": 2048} | options
+    found = diffrax.diffeqsolve(
+        field.terms, field.projected(solver), 0.0, t1, 1e-4, field.start(state), **options
+    )
+    return field, found
+
+
+def test_saved_and_dense_states_are_those_of_simulate(scene, run):
+    saveat = diffrax.SaveAt(ts=jnp.array([0.0, 0.5 * T1, T1]), dense=True, steps=False)
+    field, found = solved(*scene, saveat=saveat)
+    states = field.states(found.ys)
+    for part in "qvs":
+        np.testing.assert_allclose(getattr(states, part), getattr(run.states, part), rtol=0, atol=1e-9)
+    between = field.states(found.evaluate(0.5 * T1))
+    np.testing.assert_allclose(between.q, run.states.q[1], rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("solver", [diffrax.Tsit5(), diffrax.Kvaerno5()], ids=lambda s: type(s).__name__)
+def test_other_methods_and_rows_at_rounding_after_every_step(solver, scene, run):
+    field, found = solved(*scene, solver=solver, saveat=diffrax.SaveAt(steps=True, t0=True))
+    reached = np.isfinite(np.asarray(found.ts))
+    states = field.states(found.ys[reached])
+    np.testing.assert_allclose(states.q[-1], run.last.q, rtol=0, atol=1e-8)
+    left = jxr.residuals(scene[0], states)
+    assert max(np.abs(x).max() for x in jax.tree.leaves(left)) < 1e-14
+    assert len(states.q) > 10
+
+
+def test_without_projection_rows_drift(scene):
+    field = jxr.vector_field(scene[0])
+    found = diffrax.diffeqsolve(field.terms, diffrax.Tsit5(), 0.0, T1, 5e-3, field.start(scene[1]))
+    drifted = jxr.residuals(scene[0], field.states(found.ys[0]))
+    assert np.abs(drifted.normal).max() > 1e-12
+    back = field.states(field.project(T1, found.ys[0]))
+    assert np.abs(jxr.residuals(scene[0], back).normal).max() < 1e-16
+
+
+def test_both_adjoints_give_the_derivative_of_simulate(scene):
+    grasp, state = scene
+
+    def turned(damping, adjoint):
+        field, found = solved(grasp.with_(damping=damping), state, t1=0.05, adjoint=adjoint, max_steps=128)
+        return field.states(found.ys[0]).q[0]
+
+    wanted = jax.jacfwd(
+        lambda c: jxr.simulate(grasp.with_(damping=c), state, 0.05, ts=1, rtol=1e-10).last.q[0]
+    )
+    exact = float(wanted(0.006))
+    back = jax.grad(lambda c: turned(c, diffrax.RecursiveCheckpointAdjoint()))(0.006)
+    there = jax.jvp(lambda c: turned(c, diffrax.ForwardMode()), (0.006,), (1.0,))[1]
+    assert abs(exact) > 0.01
+    np.testing.assert_allclose([back, there], exact, rtol=1e-8)
+
+
+def test_the_adjoint_that_integrates_backwards_is_refused(scene):
+    grasp, state = scene
+
+    def turned(shift, damping):
+        moved = jxr.State(state.q, state.v + shift, state.s)
+        adjoint = diffrax.BacksolveAdjoint()
+        field, found = solved(grasp.with_(damping=damping), moved, t1=0.05, adjoint=adjoint, max_steps=128)
+        return field.states(found.ys[0]).q[0]
+
+    with pytest.raises(ValueError, match="argument adjoint must be one that differentiates the steps"):
+        jax.grad(turned)(0.0, 0.006)
+    with pytest.raises(RuntimeError, match="cannot be autodifferentiated"):
+        jax.grad(turned, argnums=1)(0.0, 0.006)
+
+
+def test_an_event_ends_where_simulate_does(scene):
+    """A finger that pulls itself along: it runs off its contour."""
+    grasp, state = scene
+    away = grasp.with_(
+        controller=lambda t, angles, rates, tips: tuple(-(1.0 + 20.0 * t) * jnp.ones_like(q) for q in angles)
+    )
+    wanted = jxr.simulate(away, state, 1.0, ts=1, throw=False, rtol=1e-10)
+    assert wanted.result == jxr.RESULTS.contour_end
+    field = jxr.vector_field(away)
+    event = diffrax.Event(field.margin, optimistix.Newton(1e-12, 1e-12))
+    found = solved(away, state, t1=1.0, event=event)[1]
+    np.testing.assert_allclose(found.ts[-1], wanted.stats.t_end, rtol=0, atol=1e-8)
+
+
+def test_in_space(scene):
+    grasp, state = jxr.scenes.incline()
+    field, found = solved(grasp, state)
+    wanted = jxr.simulate(grasp, state, T1, ts=1, rtol=1e-10).last
+    np.testing.assert_allclose(field.states(found.ys[0]).q, wanted.q, rtol=0, atol=1e-9)
+
+
+def test_stabilised_equations_need_no_projection(scene):
+    way = jxr.CSM()
+    field = jxr.vector_field(scene[0], formulation=way)
+    x = field.start(scene[1])
+    np.testing.assert_array_equal(field.project(0.0, x), x)
+
+
+@pytest.mark.parametrize(
+    "solver",
+    [diffrax.SPaRK(), diffrax.SemiImplicitEuler(), diffrax.KenCarp4(), "Dopri8", diffrax.ReversibleHeun()],
+    ids=lambda s: type(s).__name__,
+)
+def test_methods_that_cannot_work_are_refused(solver, scene):
+    with pytest.raises(ValueError, match="argument solver must"):
+        jxr.vector_field(scene[0]).projected(solver)
+
+
+def test_noise_is_refused(scene):
+    field = jxr.vector_field(scene[0])
+    path = diffrax.VirtualBrownianTree(0.0, 1.0, 1e-3, (7,), jax.random.key(0))
+    noisy = diffrax.MultiTerm(field.terms, diffrax.ControlTerm(lambda t, y, args: jnp.eye(7), path))
+    with pytest.raises(ValueError, match="terms"):
+        diffrax.diffeqsolve(noisy, field.projected(diffrax.Heun()), 0.0, 0.1, 1e-3, field.start(scene[1]))
+
+
+@pytest.mark.parametrize(
+    ("asked", "wanted"),
+    [
+        (lambda grasp, state: jxr.vector_field(state), "argument grasp must be"),
+        (
+            lambda grasp, state: jxr.vector_field(grasp, events=("penetration",)),
+            "argument events must be among",
+        ),
+        (lambda grasp, state: jxr.vector_field(grasp, formulation="csm"), "argument formulation must be"),
+        (lambda grasp, state: jxr.vector_field(grasp).start(grasp), "argument state must be a State"),
+    ],
+)
+def test_bad_arguments_get_one_sentence(asked, wanted, scene):
+    with pytest.raises(ValueError, match=wanted) as caught:
+        asked(*scene)
+    assert "\n" not in str(caught.value)

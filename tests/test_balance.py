@@ -150,7 +150,7 @@ def test_lean_is_zero_on_one_line(moving):
 def test_other_grasps_are_refused():
     with pytest.raises(ValueError, match="argument grasp must be two fingers with one contact each"):
         jxr.pinch_balance(jxr.scenes.pivoted()[0], 0.0, jxr.scenes.pivoted()[1])
-    with pytest.raises(ValueError, match="argument count must be at least 2, but was 1"):
+    with pytest.raises(ValueError, match="argument count must be a whole number of at least 2, but was 1"):
         jxr.scenes.ring(1)
     grasp, _ = jxr.scenes.pinch()
     with pytest.raises(ValueError, match="argument start must have one angle for each"):

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from .._closing import close
 from .._linalg import Vec2
 from .._mechanics import Finger, FreeObject, Grasp, Jaw, PivotedObject, State
-from .._results import as_floats, as_length, check_instance, shown
+from .._results import as_count, as_floats, as_length, check_instance, shown
 from .._types import Given
 from ..contact import Contact
 from ..control import Opposition, orientations, Press
@@ -248,9 +248,7 @@ def ring(
         >>> grasp.coordinates, state.s.shape[0]
         (9, 3)
     """
-    whole = isinstance(count, int | np.integer) and not isinstance(count, bool)
-    if not whole or count < 2:
-        raise ValueError(f"argument count must be at least 2, but was {shown(count)}")
+    count = as_count("count", count, least=2)
     if count > _MOST_FINGERS:
         raise ValueError(
             f"argument count must be at most {_MOST_FINGERS}, since more fingers take hours to compile, "

@@ -1,0 +1,103 @@
+"""What runs in other tests and is not looked at there: found by changes to the code that nothing noticed."""
+
+import html
+import types
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxroll as jxr
+from jaxroll import plotting
+from jaxroll._linalg import pose, unstack, Vec3
+from jaxroll._sweep._fingerprint import fingerprint
+from jaxroll._why import _pairs
+from jaxroll.contact import Touch3
+from jaxroll.geometry.contours._neural_curvature import _Cloud, _residuals, _start
+from jaxroll.plotting import _animate3
+from jaxroll.plotting._views import _placed
+
+STILL = pose(Vec3(0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+
+
+@pytest.fixture(scope="module")
+def ball():
+    """A ball on a slope, with its forces: grasp and run."""
+    grasp, state = jxr.scenes.incline()
+    return grasp, jxr.simulate(grasp, state, 0.1, ts=5, record=("multipliers",))
+
+
+def test_responses_in_space_show_the_forces_of_the_run(ball):
+    grasp, run = ball
+    axes = {ax.get_ylabel(): ax for ax in plotting.responses(grasp, run).axes}
+    along = np.linalg.norm(run.multipliers.lam, axis=-1)
+    drawn = {
+        "$f$ [N]": run.multipliers.f,
+        r"$|\lambda|$ [N]": along,
+        r"$|\lambda| / |f|$": along / run.multipliers.f,
+    }
+    for title, wanted in drawn.items():
+        np.testing.assert_allclose(axes[title].lines[0].get_ydata(), np.asarray(wanted)[:, 0], rtol=1e-12)
+    np.testing.assert_allclose(along / run.multipliers.f, 2.0 / 7.0 * np.tan(0.3), rtol=1e-9)
+
+
+def test_pairs_of_forces_are_those_of_each_contact():
+    forces = types.SimpleNamespace(f=np.array([1.0, 2.0]), lam=np.array([[3.0, 0.0, 4.0], [0.0, 5.0, 12.0]]))
+    assert _pairs(forces) == [(1.0, 5.0), (2.0, 13.0)]
+    plane = types.SimpleNamespace(f=np.array([1.0, 2.0]), lam=np.array([-0.5, 0.25]))
+    assert _pairs(plane) == [(1.0, 0.5), (2.0, 0.25)]
+
+
+def test_flat_on_flat_has_no_curvature_and_is_a_number():
+    flat = jxr.Plane()
+    touch = Touch3(*(flat.frame(flat.settled(tuple(unstack(jnp.zeros(3))))) for _ in range(2)))
+    assert float(jxr.Contact3(0, 0).curvature_margin((STILL, STILL), touch)) == 0.0
+
+
+def test_contact_points_are_drawn_on_the_object():
+    """Where the object was turned and moved, by its pose and its contour."""
+    grasp, state = jxr.scenes.pivoted()
+    run = jxr.simulate(grasp, state, 0.2, ts=3)
+    points = np.asarray(_placed(grasp, run.states)[2])[:, 0]
+    theta, face = np.asarray(run.states.q[:, 0]), grasp.object.contours[0]
+    own = np.asarray(face.point(grasp.contacts[0].s_object - run.states.s[:, 0]))
+    turned = np.stack(
+        [
+            np.cos(theta) * own[:, 0] - np.sin(theta) * own[:, 1],
+            np.sin(theta) * own[:, 0] + np.cos(theta) * own[:, 1],
+        ],
+        axis=-1,
+    )
+    moved = points - turned
+    np.testing.assert_allclose(moved - moved[0], 0.0, atol=1e-14)  # the pivot does not move
+    assert np.abs(np.diff(turned, axis=0)).max() > 1e-4
+
+
+def test_what_has_a_kind_of_numbers_and_none_of_them_is_told_apart_by_its_shape():
+    forms = [jax.ShapeDtypeStruct(shape, np.float64) for shape in ((2,), (3,), (2,))]
+    first, second, third = map(fingerprint, forms)
+    assert first == third != second
+
+
+def test_distances_of_points_from_the_curve_they_were_taken_from_are_small():
+    """The start of a fit follows an ellipse to a thousandth of its size: so do the distances."""
+    u = 2.0 * np.pi * np.arange(64) / 64
+    points = np.stack([0.02 * np.cos(u), 0.014 * np.sin(u)], axis=-1)
+    slope, at, places = _start(points)
+    cloud = _Cloud(points=jnp.asarray(points), places=jnp.asarray(places))
+    assert np.abs(_residuals(jnp.asarray(slope), at, cloud)).max() * 8 < 2e-5
+
+
+def test_an_animation_in_space_says_its_pace_and_its_time(ball, tmp_path, monkeypatch):
+    said, real = [], _animate3.heading
+    monkeypatch.setattr(
+        _animate3, "heading", lambda figure, text, *a, **b: said.append(text) or real(figure, text, *a, **b)
+    )
+    plotting.animate(*ball, tmp_path / "ball.gif", fps=10, speed=0.5)
+    assert "shown at 0.5 x real time" in said
+
+
+def test_a_page_waits_to_be_played(ball, tmp_path):
+    text = html.unescape(plotting.page(*ball, tmp_path / "ball.html", frames=2).read_text())
+    assert '"displaylogo": false' in text

@@ -101,3 +101,17 @@ def test_an_animation_in_space_says_its_pace_and_its_time(ball, tmp_path, monkey
 def test_a_page_waits_to_be_played(ball, tmp_path):
     text = html.unescape(plotting.page(*ball, tmp_path / "ball.html", frames=2).read_text())
     assert '"displaylogo": false' in text
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.7])
+def test_curvatures_of_two_ellipsoids_add_up_as_they_are_turned(angle):
+    """At their poles, principal axes at an angle: the determinant of the sum over its size, by NumPy."""
+    shapes = jxr.Ellipsoid(0.02, 0.01, 0.008), jxr.Ellipsoid(0.03, 0.012, 0.01)
+    tip, body = (shape.frame((0.0, 0.0, z)) for shape, z in zip(shapes, (-0.008, 0.01), strict=True))
+    turned = pose(Vec3(0.0, 0.0, 0.018), (np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)))
+    bends = [np.diag([c / a**2, c / b**2]) for a, b, c in ((0.02, 0.01, 0.008), (0.03, 0.012, 0.01))]
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    whole = turn @ bends[0] @ turn.T + bends[1]
+    wanted = np.linalg.det(whole) / sum(np.sum(bend**2) for bend in bends)
+    found = jxr.Contact3(0, 0).curvature_margin((turned, STILL), Touch3(tip, body))
+    np.testing.assert_allclose(found, wanted, rtol=1e-12)

@@ -18,6 +18,8 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import readme
+
 README = Path(__file__).parent / "README.md"
 _SLOW = 0.05
 # The error at which contenders are compared [rad, or m where lengths are judged].
@@ -198,7 +200,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def write_section(name: str, text: str) -> None:
-    """Replace what stands between this section's markers in the README, or append it."""
+    """Replace what stands between this section's markers on the benchmark page, or append it."""
     begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
     block = f"{begin}\n{text.strip()}\n{end}"
     page = README.read_text() if README.exists() else "# Benchmarks\n"
@@ -208,6 +210,7 @@ def write_section(name: str, text: str) -> None:
     else:
         page = f"{page.rstrip()}\n\n{block}\n"
     README.write_text(page)
+    readme.main()  # which quotes it
 
 
 def warmed(result: Result, runs: dict[str, Run], judge: Callable[[str, np.ndarray], float]) -> dict[str, Run]:

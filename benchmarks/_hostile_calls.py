@@ -36,6 +36,7 @@ RECORDS |= {
     "Gauss3",
 }
 RECORDS |= {"Principal", "NetworkFit", "CleanPoints", "Jet", "SurfaceFit", "SurfaceReport", "Level", "Table"}
+RECORDS |= {"Vec2", "Vec3", "Sym3", "VectorField"}
 RECORDS |= {"TableError", "Equilibrium", "PinchStatics", "Stability"}
 # Written on scalars for use inside compiled programs, by other layers and by a caller's own shapes: nothing
 # is checked there, for every check would be one more on the way of each run.

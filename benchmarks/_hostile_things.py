@@ -118,3 +118,8 @@ def bowl(u: Any, v: Any) -> tuple[Any, Any, Any]:
 
 def ball(x: Any, y: Any, z: Any) -> Any:
     return x**2 + y**2 + z**2 - 1e-4
+
+
+def egg(u: Any) -> Any:
+    """A closed curve by its points."""
+    return 0.01 * jnp.array([(1.2 + 0.2 * jnp.cos(u)) * jnp.cos(u), jnp.sin(u)])

@@ -1,7 +1,7 @@
 """README's tables, taken from the benchmark page: nothing there is typed by hand.
 
-`python -m benchmarks.readme` rewrites what stands between the markers of README.md, as does every
-benchmark that rewrites its section of the page: `table NAME` is a section's table, `conclusions NAME ...` the first
+`python -m benchmarks.readme` rewrites what stands between the markers of README.md, as does every benchmark
+that rewrites its section of the page: `table NAME` is a section's table, `conclusions NAME ...` the first
 sentences of some sections' conclusions. `tests/test_readme.py` compares.
 """
 

@@ -4,6 +4,7 @@
 `_contract` is the check of a caller's own shapes. Nothing here knows of bodies, time or contact.
 """
 
+from .._linalg import Sym3 as Sym3, Vec2 as Vec2, Vec3 as Vec3
 from ._contract import (
     check_contour as check_contour,
     check_shape as check_shape,
@@ -25,6 +26,7 @@ from .contours import (
     NetworkFit as NetworkFit,
     NeuralCurvature as NeuralCurvature,
     NeuralSupport as NeuralSupport,
+    Parametric as Parametric,
     PeriodicNetwork as PeriodicNetwork,
     Spline as Spline,
     SupportFunction as SupportFunction,

@@ -22,6 +22,7 @@ from ._given_points import numbers as numbers
 from ._network import NetworkFit as NetworkFit, PeriodicNetwork as PeriodicNetwork
 from ._neural_curvature import NeuralCurvature as NeuralCurvature
 from ._neural_support import NeuralSupport as NeuralSupport
+from ._parametric import Parametric as Parametric
 from ._spline import (
     chords as chords,
     knot_count as knot_count,

@@ -1,0 +1,168 @@
+r"""A contour from any regular curve $p(u)$, given by its points alone.
+
+The engine wants contours by arclength, with a frame: both follow from the points,
+
+$$ s(u) = \int |p'| \, \mathrm{d}u, \quad b = p' / |p'|, \quad \kappa = p' \times p'' / |p'|^3, $$
+
+by automatic differentiation, and are kept in a table (`_table`). What is its like in space is `Chart`.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..._linalg import Vec2
+from ..._results import as_count, as_floats, check_callable, check_flag, concrete, shown
+from ..._types import Given
+from ._table import AbstractTabulated, FEWEST_CELLS, Table, tabulated
+
+# How far apart the ends of a closed curve may be, relative to its size.
+_CLOSED = 1e-9
+# Places at which a curve is looked at when it is made.
+_LOOKED_AT = 257
+
+
+class Parametric(AbstractTabulated):
+    r"""A contour from a curve of your own, $p(u)$, counter-clockwise round its body.
+
+    Args:
+        function: From a number u to a point, shape (2,), in metres, by JAX operations. Arrays that it is to
+            be differentiated in go in as a pytree: `jax.tree_util.Partial(f, arrays)` or an
+            `equinox.Module`; those that it closes over work too, but each new function is compiled anew.
+        domain: First and last u.
+        closed: Whether the curve ends where it began, as smoothly as it goes on elsewhere.
+        origin: The u at which $s = 0$. Default: the first.
+        smoothness: Continuous derivatives of $p$, two or more.
+        cells: Cells of the table. Static.
+
+    Raises:
+        ValueError: If the function gives no point, one that is not finite, runs clockwise where it is
+            closed, does not close, or another argument does not fit. A curve that stops, or bends more
+            sharply than the cells resolve, is refused where it is first used.
+
+    Accuracy: the table's error falls as cells$^{-6}$ (`table_error`); with 1024 cells an ellipse of 20 by
+    14 mm is met to 1e-16 m in the point and 3e-8 1/m in the curvature.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> import jaxroll as jxr
+        >>> egg = jxr.Parametric(
+        ...     lambda u: 0.01 * jnp.array([(1.2 + 0.2 * jnp.cos(u)) * jnp.cos(u), jnp.sin(u)]),
+        ...     (0.0, 2.0 * jnp.pi),
+        ...     closed=True,
+        ... )
+        >>> f"{egg.domain()[1]:.4f} m round, {egg.curvature(0.0):.0f} 1/m in front"
+        '0.0695 m round, 160 1/m in front'
+    """
+
+    function: Callable[[Any], Any]
+    span: Float[Array, "2"]
+    origin: Float[Array, ""] | None
+    loop: bool = eqx.field(static=True)
+    order: float = eqx.field(static=True)
+    cells: int = eqx.field(static=True)
+    table: Table | None
+
+    def __init__(
+        self,
+        function: Callable[[Any], Any],
+        domain: Given,
+        *,
+        closed: bool = False,
+        origin: Given | None = None,
+        smoothness: float = float("inf"),
+        cells: int = 1024,
+    ) -> None:
+        check_callable("function", function, "a function from a number to a point", takes=1)
+        self.function = jax.tree_util.Partial(function) if jax.tree_util.all_leaves([function]) else function
+        self.span = as_floats("domain", domain, (2,))
+        self.origin = None if origin is None else as_floats("origin", origin, ())
+        self.loop = check_flag("closed", closed)
+        number = isinstance(smoothness, int | float | np.number) and not isinstance(smoothness, bool)
+        if not number or not smoothness >= 2:
+            raise ValueError(
+                "argument smoothness must be a number of derivatives of two or more, or infinity, but was "
+                f"{shown(smoothness)}"
+            )
+        self.order = float(smoothness)
+        self.cells = as_count("cells", cells, least=FEWEST_CELLS)
+        self.table = None
+        _check(self)
+
+    @property
+    def closed(self) -> bool:
+        return self.loop
+
+    @property
+    def smoothness(self) -> float:
+        return self.order
+
+    def tabulate(self, cells: int) -> Table:
+        given = (self.function, self.span)
+        table, arcs = tabulated(_jet(cells), given, cells, closed=self.loop, cells=cells)
+        if self.origin is None:
+            return table
+        # As long as the parameter has gone to the origin: whole cells, and a part of one by Gauss's rule.
+        place = (self.origin - self.span[0]) / (self.span[1] - self.span[0]) * cells
+        cell = jnp.clip(jnp.floor(jax.lax.stop_gradient(place)), 0, cells - 1)
+        nodes, weights = np.polynomial.legendre.leggauss(8)
+        inside = place - cell
+        _, rate, _ = _jet(cells)(given, cell, inside * 0.5 * (1.0 + nodes))
+        part = inside * jnp.sum(jnp.sqrt(rate.dot(rate)) * (0.5 * weights))
+        return eqx.tree_at(lambda t: t.start, table, -(arcs[cell.astype(int)] + part))
+
+
+def _jet(parts: int) -> Callable[[Any, Any, Any], tuple[Vec2, Vec2, Vec2]]:
+    """Points and two derivatives at places x in [0, 1] of `parts` cells of the parameter."""
+
+    def jet(given: Any, cell: Any, x: Any) -> tuple[Vec2, Vec2, Vec2]:
+        function, span = given
+        width = (span[1] - span[0]) / parts
+        u = jnp.asarray(span[0] + width * (cell + x))
+        point = lambda u: jnp.asarray(function(u))  # noqa: E731
+        rate = lambda u: jax.jvp(point, (u,), (jnp.ones_like(u),))  # noqa: E731
+        (at, first), (_, second) = jax.vmap(lambda u: jax.jvp(rate, (u,), (jnp.ones_like(u),)))(u.ravel())
+
+        def vector(a: Array) -> Vec2:
+            return Vec2(a[:, 0].reshape(u.shape), a[:, 1].reshape(u.shape))
+
+        return vector(at), vector(width * first), vector(width**2 * second)
+
+    return jet
+
+
+def _check(contour: Parametric) -> None:
+    """Raise unless a curve that is known gives points, closes if it is to, and runs round its body."""
+    span, origin = concrete(contour.span), None if contour.origin is None else concrete(contour.origin)
+    u = jax.ShapeDtypeStruct((), contour.span.dtype)
+    found = eqx.filter_eval_shape(lambda f, u: jnp.asarray(f(u)), contour.function, u)
+    if found.shape != (2,) or not jnp.issubdtype(found.dtype, jnp.floating):
+        raise ValueError(
+            "argument function must give a point of shape (2,), but gave "
+            f"{found.dtype} of shape {found.shape}"
+        )
+    if span is None:
+        return
+    if not span[1] > span[0]:
+        raise ValueError(f"argument domain must be two numbers that rise, but was {shown(span)}")
+    if origin is not None and not span[0] <= origin <= span[1]:
+        raise ValueError(f"argument origin must lie within {span.tolist()}, but was {origin:g}")
+    places = jnp.linspace(span[0], span[1], _LOOKED_AT)
+    points = concrete(jax.vmap(lambda u: jnp.asarray(contour.function(u)))(places))
+    if points is None:
+        return
+    if not np.all(np.isfinite(points)):
+        raise ValueError("argument function must give finite points all over its domain, but did not")
+    if not contour.loop:
+        return
+    apart, size = np.linalg.norm(points[-1] - points[0]), np.ptp(points, axis=0).max()
+    if apart > _CLOSED * size:
+        raise ValueError(f"argument function must end where it began if closed, but ends {apart:.3g} m away")
+    x, y = points.T
+    if np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]) <= 0:
+        raise ValueError("argument function must run counter-clockwise round its body, but runs clockwise")

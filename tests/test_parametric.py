@@ -1,0 +1,109 @@
+"""A caller's own curve, by its points, against the contours that have closed forms."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import taylor_remainders
+
+import jaxroll as jxr
+
+A, B = 0.02, 0.014
+TURN = 2.0 * np.pi
+
+
+def ellipse(axes, u):
+    return jnp.stack([axes[0] * jnp.cos(u), axes[1] * jnp.sin(u)])
+
+
+def own(a=A, b=B, **options):
+    curve = jax.tree_util.Partial(ellipse, jnp.stack([jnp.asarray(a), jnp.asarray(b)]))
+    return jxr.Parametric(curve, (0.0, TURN), closed=True, **options)
+
+
+def test_frame_of_a_curve_is_that_of_its_closed_form():
+    s = jnp.linspace(-0.01, 0.12, 41)
+    wanted, found = jxr.Ellipse(A, B), own()
+    for name, close in (("point", 1e-12), ("tangent", 1e-11), ("curvature", 1e-6)):
+        np.testing.assert_allclose(getattr(found, name)(s), getattr(wanted, name)(s), rtol=0, atol=close)
+    error = found.table_error()
+    assert error.point < 1e-15 and error.curvature < 1e-7
+    assert found.closed and found.smoothness == np.inf
+
+
+def test_origin_is_where_arclength_begins():
+    turned = jxr.Parametric(lambda u: ellipse((A, B), u), (-3.0, TURN - 3.0), closed=True, origin=0.7)
+    np.testing.assert_allclose(turned.point(0.0), ellipse((A, B), 0.7), rtol=0, atol=1e-15)
+    low, high = turned.domain()
+    np.testing.assert_allclose(high - low, own().domain()[1], rtol=1e-14)
+
+
+def test_an_open_curve_is_the_catenary_that_it_follows():
+    """Part 2's contour by x, which is no arclength: a run with it is that with the chapter's own."""
+    c = 0.025
+
+    def hanging(u):
+        return jnp.stack([-c * (jnp.cosh(u / c) - 1.0), u])
+
+    mine = jxr.Parametric(hanging, (-0.03, 0.03), origin=0.0)
+    s = jnp.linspace(-0.02, 0.02, 9)
+    np.testing.assert_allclose(mine.point(s), jxr.Catenary(c).point(s), rtol=0, atol=1e-15)
+    grasp, state = jxr.scenes.pivoted()
+    tip = grasp.fingers[0].tip
+    chapters = jxr.Catenary(c).moved(*((tip.offset, tip.angle) if hasattr(tip, "offset") else ()))
+    placed = mine.moved(*((tip.offset, tip.angle) if hasattr(tip, "offset") else ()))
+    ends = [
+        jxr.simulate(*jxr.close(grasp.with_tip(0, shape), state), 0.3, ts=1, rtol=1e-10).last.q
+        for shape in (chapters, placed)
+    ]
+    np.testing.assert_allclose(ends[1], ends[0], rtol=0, atol=1e-12)
+
+
+def test_runs_batches_and_gradients_go_through_the_curve():
+    """In its own arrays, through table, closing and run: a Taylor test; a batch is its runs."""
+    grasp, state = jxr.scenes.pivoted()
+
+    def turned(b):
+        tip = own(0.012, b, origin=0.0, cells=256)
+        return jxr.simulate(*jxr.close(grasp.with_tip(0, tip), state), 0.05, ts=1).last.q[0]
+
+    for slope in (jax.grad(turned)(0.01), jax.jvp(turned, (0.01,), (1.0,))[1]):
+        left = taylor_remainders(turned, 0.01, 1.0, float(slope), (2e-4, 1e-4, 5e-5))
+        np.testing.assert_allclose(np.log2(left[:-1] / left[1:]), 2.0, atol=0.1)
+    many = jax.jit(jax.vmap(turned))(jnp.array([0.009, 0.01, 0.011]))
+    np.testing.assert_allclose(many[1], turned(jnp.asarray(0.01)), rtol=0, atol=1e-9)
+    assert np.ptp(many) > 1e-5
+
+
+@pytest.mark.parametrize(
+    ("asked", "wanted"),
+    [
+        (lambda: jxr.Parametric(3.0, (0.0, 1.0)), "argument function must be a function"),
+        (lambda: jxr.Parametric(lambda u: u, (0.0, 1.0)), "argument function must give a point of shape"),
+        (lambda: jxr.Parametric(lambda u: ellipse((A, B), u), (1.0, 0.0)), "argument domain must be two"),
+        (
+            lambda: jxr.Parametric(lambda u: ellipse((A, B), u), (0.0, np.inf)),
+            "argument domain must be finite",
+        ),
+        (lambda: own(origin=9.0), r"argument origin must lie within \[0.0, 6.28"),
+        (lambda: own(smoothness=1), "argument smoothness must be a number of derivatives"),
+        (lambda: own(cells=2), "argument cells must be a whole number of at least"),
+        (lambda: own(b=-B), "argument function must run counter-clockwise"),
+        (
+            lambda: jxr.Parametric(lambda u: ellipse((A, B), u), (0.0, 3.0), closed=True),
+            "argument function must end where it began",
+        ),
+        (
+            lambda: jxr.Parametric(lambda u: jnp.stack([jnp.log(u), u]), (-1.0, 1.0)),
+            "argument function must give finite points",
+        ),
+        (
+            lambda: jxr.Parametric(lambda u: jnp.stack([u**2, u**3]), (-1.0, 1.0)).point(0.0),
+            "argument cells must be more|must have finite points",
+        ),
+    ],
+)
+def test_what_is_no_contour_is_refused_in_a_sentence(asked, wanted):
+    with pytest.raises(ValueError, match=wanted) as caught:
+        asked()
+    assert "\n" not in str(caught.value)

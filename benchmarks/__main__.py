@@ -29,6 +29,7 @@ NAMES = (
     "roller",
     "gradients",
     "costs",
+    "machinery",
     "first_calls",
     "design",
     "gpu",

@@ -1,6 +1,6 @@
-"""README's tables, taken from the benchmark page: nothing there is typed by hand.
+"""READMEs' tables, taken from the benchmark page: nothing there is typed by hand.
 
-`python -m benchmarks.readme` rewrites what stands between the markers of README.md, as does every benchmark
+`python -m benchmarks.readme` rewrites what stands between the markers of the READMEs, as does every benchmark
 that rewrites its section of the page: `table NAME` is a section's table, `conclusions NAME ...` the first
 sentences of some sections' conclusions. `tests/test_readme.py` compares.
 """
@@ -9,6 +9,7 @@ import re
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
+QUOTING = ("README.md", "jaxroll/_xla/README.md")
 _MARK = re.compile(r"<!-- benchmarks: (\w+) ([\w ]+) -->\n.*?<!-- end -->", re.DOTALL)
 # A cell holds sentences up to this length.
 _LONGEST = 420
@@ -64,8 +65,10 @@ def rewritten(readme: str, page: str) -> str:
 
 
 def main() -> None:
-    readme, page = ROOT / "README.md", ROOT / "benchmarks" / "README.md"
-    readme.write_text(rewritten(readme.read_text(), page.read_text()))
+    page = (ROOT / "benchmarks" / "README.md").read_text()
+    for name in QUOTING:
+        path = ROOT / name
+        path.write_text(rewritten(path.read_text(), page))
 
 
 if __name__ == "__main__":

@@ -4,17 +4,17 @@ import pathlib
 
 import pytest
 
-from benchmarks.readme import conclusion_of, rewritten, section, table_of
+from benchmarks.readme import conclusion_of, QUOTING, rewritten, section, table_of
 
 ROOT = pathlib.Path(__file__).parents[1]
 
 
-def test_tables_are_those_of_the_benchmark_page():
+@pytest.mark.parametrize("name", QUOTING)
+def test_tables_are_those_of_the_benchmark_page(name):
     """`python -m benchmarks.readme` rewrites them."""
-    readme, page = (ROOT / name for name in ("README.md", "benchmarks/README.md"))
-    text = readme.read_text()
-    assert text.count("<!-- benchmarks: ") == text.count("<!-- end -->") >= 4
-    assert rewritten(text, page.read_text()) == text
+    text, page = ((ROOT / path).read_text() for path in (name, "benchmarks/README.md"))
+    assert text.count("<!-- benchmarks: ") == text.count("<!-- end -->") >= 1
+    assert rewritten(text, page) == text
 
 
 def test_another_number_on_the_page_is_another_one_in_readme():

@@ -1,0 +1,131 @@
+"""What each piece of `jaxroll/_xla` costs and gains: the same calls with it and without it (five minutes).
+
+Each row is a process of its own in which one piece is replaced by the plain thing that it stands for, before
+anything else of jaxroll is imported. Rows are run in turn, round after round; the smallest times count.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+from benchmarks._common import device, table, uncached, versions, write_section
+
+_ROUNDS = 2
+# By name: what is put in the place of names of `jaxroll._xla`.
+PIECES = {
+    "as it is": "",
+    "without `one_kernel`": "xla.one_kernel = lambda function, *args: function(*args)",
+    "without `once`": "xla.once = lambda tree: tree",
+    "without `shared`": "xla.shared = xla._compute_once.shared = lambda function: function",
+    "with XLA's sine and cosine": "xla.sine_cosine = lambda x: (jnp.sin(x), jnp.cos(x))",
+    "without `remembered`": "xla.remembered = lambda build: build",
+}
+MEASURES = (
+    "first call [s]",
+    "public call [ms]",
+    "run [ms]",
+    "batch [us a run]",
+    "gradient, first [s]",
+    "gradient [ms]",
+)
+
+
+def measured(patch: str) -> dict[str, float]:
+    """Times of the pivoted scene with one piece replaced; in this process."""
+    import jax
+    import jax.numpy as jnp
+
+    jax.config.update("jax_enable_x64", True)
+    import jaxroll._xla as xla
+
+    exec(patch, {"xla": xla, "jnp": jnp})
+    import jaxroll as jxr
+
+    grasp, state = jxr.scenes.pivoted()
+    found: dict[str, float] = {}
+
+    def ended(damping: Any) -> Any:
+        return jxr.simulate(grasp.with_(damping=damping), state, 1.0, ts=1).last.q[0]
+
+    found["first call [s]"] = _seconds(lambda: jxr.simulate(grasp, state, 1.0, ts=1).last.q)
+    found["public call [ms]"] = 1e3 * _best(lambda: jxr.simulate(grasp, state, 1.0, ts=1).last.q, 40)
+    run, many = jax.jit(ended), jax.jit(jax.vmap(ended))
+    dampings = jnp.linspace(0.004, 0.008, 512)
+    found["run [ms]"] = 1e3 * _best(lambda: run(0.006), 40)
+    found["batch [us a run]"] = 1e6 / 512 * _best(lambda: many(dampings), 4)
+    slope = jax.jit(jax.value_and_grad(ended))
+    found["gradient, first [s]"] = _seconds(lambda: slope(0.006))
+    found["gradient [ms]"] = 1e3 * _best(lambda: slope(0.006), 20)
+    return found
+
+
+def _seconds(call: Callable[[], Any]) -> float:
+    import jax
+
+    start = time.perf_counter()
+    jax.block_until_ready(call())
+    return time.perf_counter() - start
+
+
+def _best(call: Callable[[], Any], count: int) -> float:
+    _seconds(call)
+    return min(_seconds(call) for _ in range(count))
+
+
+def _fresh(name: str) -> dict[str, float]:
+    call = [sys.executable, "-m", "benchmarks.machinery", "--piece", name]
+    done = subprocess.run(call, env=uncached(), capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise RuntimeError(f"{name}: {done.stderr.strip().splitlines()[-1]}")
+    return json.loads(done.stdout.strip().splitlines()[-1])
+
+
+def report(rounds: int) -> str:
+    """The table of all pieces, and what comes of it."""
+    best: dict[str, dict[str, float]] = {}
+    for _ in range(rounds):
+        for name in PIECES:
+            for measure, value in _fresh(name).items():
+                mine = best.setdefault(name, {})
+                mine[measure] = min(mine.get(measure, value), value)
+    usual = best["as it is"]
+    rows = [[name, *(_cell(mine[m], usual[m]) for m in MEASURES)] for name, mine in best.items()]
+    pays = {
+        name.removeprefix("without ").removeprefix("with "): max(mine[m] / usual[m] for m in MEASURES)
+        for name, mine in best.items()
+        if name != "as it is"
+    }
+    gains = "; ".join(f"{name} up to {gain:.2g} times" for name, gain in pays.items())
+    head = f"**Conclusion.** Without a piece, or with the plain thing in its place, these calls take: {gains}"
+    return (
+        f"{head}.\n\n{table(['pivoted, 1 s', *MEASURES], rows)}\n\n{device()}; {versions('jax', 'jaxlib')}."
+    )
+
+
+def _cell(value: float, usual: float) -> str:
+    return f"{value:.3g}" if value is usual else f"{value:.3g} ({value / usual:.2f})"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser("python -m benchmarks.machinery", description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="one round")
+    parser.add_argument("--write", action="store_true", help="rewrite the section of the page")
+    parser.add_argument("--piece", choices=PIECES, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.piece:
+        print(json.dumps(measured(PIECES[options.piece])))
+        return
+    text = report(1 if options.quick else _ROUNDS)
+    print(text)
+    if options.write:
+        write_section("machinery", text)
+
+
+if __name__ == "__main__":
+    os.environ.setdefault("JAX_PLATFORMS", "cpu")
+    main()

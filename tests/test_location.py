@@ -220,7 +220,7 @@ def test_bad_arguments_raise_one_sentence():
         locate(circle, jxr.Line())
     with pytest.raises(ValueError, match="argument pose_a must have shape"):
         locate(circle, circle, pose_a=(0.0, 1.0))
-    with pytest.raises(ValueError, match="argument samples must be an integer of at least 8"):
+    with pytest.raises(ValueError, match="argument samples must be a whole number of at least 8"):
         locate(circle, circle, samples=4)
     with pytest.raises(ValueError, match="argument a must be a contour"):
         locate(0.01, circle)

@@ -349,8 +349,8 @@ def test_vmap_is_a_loop():
         ((Sphere(0.01), 0.01), {}, "argument b must be a surface"),
         ((Sphere(0.01), Plane()), {"pose_a": (0.0, 1.0)}, r"argument pose_a must have shape \(7\)"),
         ((Sphere(0.01), Plane()), {"pose_b": np.zeros(7)}, "argument pose_b must end with a quaternion"),
-        ((Sphere(0.01), Plane()), {"samples": 4}, "argument samples must be an integer of at least 16"),
-        ((Sphere(0.01), Plane()), {"candidates": 0}, "argument candidates must be an integer of at least 1"),
+        ((Sphere(0.01), Plane()), {"samples": 4}, "samples must be a whole number of at least 16"),
+        ((Sphere(0.01), Plane()), {"candidates": 0}, "candidates must be a whole number of at least 1"),
     ],
 )  # fmt: skip
 def test_bad_arguments_say_what_they_must_be(pair, options, words):

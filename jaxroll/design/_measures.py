@@ -158,6 +158,11 @@ def _forces(run: Trajectory) -> tuple[Multipliers, Array]:
     _check_run(run)
     if run.multipliers is None:
         raise ValueError("argument run must have recorded its multipliers, but has none")
+    if run.multipliers.f.shape[:1] != run.ts.shape:
+        raise ValueError(
+            f"argument run must hold forces for each of its {len(run.ts)} times, but had "
+            f"{shown(run.multipliers.f.shape)}"
+        )
     seen = jnp.isfinite(run.multipliers.f)
     f = jnp.where(seen, run.multipliers.f, 0.0)
     lam = run.multipliers.lam
@@ -176,10 +181,11 @@ def _check_run(run: Any) -> None:
             raise ValueError(f"argument run must hold real numbers throughout, but one was {shown(value)}")
     if run.ts.ndim != 1:
         raise ValueError(f"argument run must be one run, but was a batch of shape {run.ts.shape[:-1]}")
-    if {len(value) if value.ndim else 0 for value in wanted} != {len(run.ts)} or not len(run.ts):
+    count, states = len(run.ts), [getattr(run.states, part) for part in "qvs"]
+    if not count or any(value.shape[:1] != (count,) for value in states):
         raise ValueError(
-            "argument run must hold a state and forces for each of its times, one or more, but was of shapes "
-            f"{shown([value.shape for value in wanted])}"
+            "argument run must hold a state for each of its times, one or more, but was of shapes "
+            f"{shown([value.shape for value in (run.ts, *states)])}"
         )
 
 

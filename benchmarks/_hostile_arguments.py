@@ -191,6 +191,7 @@ def _family(names: str, **changed: Argument) -> dict[str, dict[str, Argument]]:
 
 _CLOUD, _BALL = _made("array", cloud), _made("surface", lambda: jxr.Sphere(0.02))
 _ROUND = _made("contour", lambda: jxr.Circle(0.01))
+_ANY_RUN = _made("run", planar_run, "run in space")
 _RUN, _BODY = _made("run", planar_run), _made("contour", lambda: jxr.Ellipse(0.02, 0.014))
 _SPATIAL = {
     "grasp": _made("grasp in space", lambda: spatial()[0]),
@@ -211,7 +212,7 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
     **_family("Hollow", surface=_BALL),
     **_family("loci", **_SPATIAL),
     **_family("contours phase pose poses responses animate", trajectory=_RUN),
-    **_family("friction_demand overshoot peak_force settling_time tracking_error", run=_RUN),
+    **_family("friction_demand overshoot peak_force settling_time tracking_error", run=_ANY_RUN),
     **_family("fit_surface", points=_CLOUD, smoothing=_is("not negative", 0.02)),
     # With masses, of three links.
     "Finger": {
@@ -392,7 +393,7 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
     "poses": {"times": _is("array", (0.0, 0.01)), "forces": _is("flag", False)},
     "responses": {"folder": _made("folder", lambda: folder() / "plots")},
     "pinch": {"s": _is("array", (0.004, -0.003)), "damping": _EACH},
-    "ring": {"count": _is("count", 3)},
+    "ring": {"count": _is("count", 3), "damping": _is("not negative", 0.006, "three numbers")},
     "pivoted": {"s": _is("number", 0.003)},
     "roller": {"contour": _BODY, "force": _is("number", 5.0), "period": _is("positive", 3.0)},
     "incline": {"gravity": _is("not negative", 9.81), "slope": _is("number", 0.3)},

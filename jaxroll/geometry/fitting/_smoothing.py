@@ -54,8 +54,6 @@ def smoothing_for(
         raise ValueError(f"argument noise must not be negative, but was {level:g}")
     if level is not None and level > 1e9:
         raise ValueError(f"argument noise must be a length in metres, but was {level:g}")
-    if noise == 0.0:
-        return 0.0
     given = as_floats("points", points, (None, 2))
     data = concrete(given)
     if data is None:
@@ -64,6 +62,8 @@ def smoothing_for(
         )
     closed, degree = check_flag("closed", closed), check_choice("degree", degree, (3, 5, 7, 9))
     knots = knot_count(knots, len(data), degree)
+    if level == 0.0:
+        return 0.0
     matrix, rough, length = (np.asarray(x) for x in _forms(given, knots, degree, closed))
     spectrum, energy, lost = _spectrum(matrix, rough, data)
     shortest = 2.0 * length / matrix.shape[1]

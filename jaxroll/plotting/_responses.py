@@ -88,8 +88,8 @@ def _draw(ax: Axes, ts: np.ndarray, panel: Panel, reached: np.ndarray) -> None:
     peak = float(np.max(np.abs(values)))
     for k, line in enumerate(values.T):
         name = panel.names[k] if len(panel.names) > 1 else None
-        mark = "o" if len(ts) == 1 else ""
-        ax.plot(ts, line, mark, ls="-", color=CYCLE[k % len(CYCLE)], lw=panel.width, label=name)
+        mark, color = "o" if len(ts) == 1 else None, CYCLE[k % len(CYCLE)]
+        ax.plot(ts, line, marker=mark, ls="-", color=color, lw=panel.width, label=name)
     ax.margins(x=0.0, y=0.14 if len(panel.names) > 1 else 0.08)
     low, high = ax.get_ylim()
     if high - low < 1e-4 * peak:

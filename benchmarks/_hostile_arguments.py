@@ -162,7 +162,7 @@ PARAMETERS: dict[str, Argument] = {
     "start": _is("array", (1.5, 1.7), *_VECTORS),
     "state": _made("state", lambda: planar()[1]),
     # Of a time that a run did not reach the states are NaN, and so is what is worked out of them.
-    "states": _made("state", lambda: planar()[1], "NaN in it", "NaN in all of it"),
+    "states": _made("state", lambda: planar()[1], "NaN in it", "NaN in all of it", "one axis more in all"),
     "surfaces": _made("surface", lambda: jxr.Sphere(0.02)),
     "s_object": _is("number", 0.001),
     "s_tip": _is("number", 0.001),

@@ -114,6 +114,11 @@ def check_run(grasp: Grasp, trajectory: Trajectory) -> None:
             f"argument trajectory must be one run, but its states have shape {shape}; "
             "take one lane with jax.tree.map(lambda x: x[i], trajectory)"
         )
+    if shape[0] != trajectory.ts.shape[0]:
+        raise ValueError(
+            f"argument trajectory must have a state for each time, but has {shape[0]} states and "
+            f"{trajectory.ts.shape[0]} times"
+        )
     check_states(grasp, trajectory.states, "trajectory.states", axes=1)
 
 

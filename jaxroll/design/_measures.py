@@ -193,7 +193,7 @@ def _reached(run: Trajectory, signal: Signal | None) -> tuple[Array, Array]:
     """Which saved states were reached, and the signal, zero elsewhere."""
     _check_run(run)
     y = run.states.s if signal is None else as_array("signal", signal)
-    if y.ndim not in (1, 2) or y.shape[0] != run.states.q.shape[0]:
+    if y.ndim not in (1, 2) or y.shape[0] != run.states.q.shape[0] or not y.size:
         raise ValueError(
             f"argument signal must have shape ({run.states.q.shape[0]}, any), but had shape {y.shape}"
         )

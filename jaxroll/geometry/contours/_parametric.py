@@ -83,7 +83,9 @@ class Parametric(AbstractTabulated):
         self.span = as_floats("domain", domain, (2,))
         self.origin = None if origin is None else as_floats("origin", origin, ())
         self.loop = check_flag("closed", closed)
-        number = isinstance(smoothness, int | float | np.number) and not isinstance(smoothness, bool)
+        number = isinstance(smoothness, int | float | np.integer | np.floating) and not isinstance(
+            smoothness, bool
+        )
         if not number or not smoothness >= 2:
             raise ValueError(
                 "argument smoothness must be a number of derivatives of two or more, or infinity, but was "

@@ -175,7 +175,9 @@ class Implicit(AbstractImplicit):
 
 def as_order(smoothness: Any) -> float:
     """A number of continuous derivatives, infinity among them."""
-    number = isinstance(smoothness, int | float | np.number) and not isinstance(smoothness, bool)
+    number = isinstance(smoothness, int | float | np.integer | np.floating) and not isinstance(
+        smoothness, bool
+    )
     if not number or not smoothness >= 0:
         raise ValueError(
             f"argument smoothness must be a number of derivatives or infinity, but was {shown(smoothness)}"

@@ -206,6 +206,25 @@ def check_callable(name: str, value: Any, what: str = "a function", *, takes: in
     return value
 
 
+def as_tree(name: str, function: Any) -> Callable[..., Any]:
+    """A callable as a pytree: itself if it is one, a plain function as structure."""
+    if not callable(function):
+        raise ValueError(f"argument {name} must be a function, but was {shown(function)}")
+    return jax.tree_util.Partial(function) if jax.tree_util.all_leaves([function]) else function
+
+
+def as_order(smoothness: Any, *, least: int = 0) -> float:
+    """Convert argument `smoothness` to a number of continuous derivatives, infinity among them."""
+    real = isinstance(smoothness, int | float | np.integer | np.floating) and not isinstance(smoothness, bool)
+    if not real or not smoothness >= least:
+        few = f" of {least} or more," if least else ""
+        raise ValueError(
+            f"argument smoothness must be a number of derivatives{few} or infinity, but was "
+            f"{shown(smoothness)}"
+        )
+    return float(smoothness)
+
+
 def _takes(function: Callable[..., Any], count: int) -> bool:
     """Whether a function can be called with `count` arguments; True where its signature is not known."""
     try:

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._mechanics import check_grasp, check_states, Grasp, State
+from .._mechanics import check_grasp, check_states, Grasp, Instant, Leaves, State
 from .._motion import anchor_of, as_formulation, evaluate, Formulation, Index1
 from .._printing import listed
 from .._results import check_instance, shown
@@ -55,7 +55,7 @@ class VectorField(eqx.Module):
 
     def __call__(self, t: Scalar, y: Y, args: Any = None) -> Y:
         """Time derivative of $y$ [1/s of its units]."""
-        return self._stepper(diffrax.Dopri8()).rates(self.grasp, jnp.asarray(t, y.dtype), y)[0]
+        return self._step.rates(self.grasp, jnp.asarray(t, y.dtype), y)[0]
 
     def start(self, state: State) -> Y:
         """$y$ of a state on the constraints, as `close` returns it: `y0` of `diffeqsolve`."""
@@ -70,9 +70,8 @@ class VectorField(eqx.Module):
         """The nearest $y$, in the mass metric, with every gap, tangency and rate of a gap at zero."""
         if not isinstance(self.formulation, Index1):
             return y
-        leaves, _ = unpack(self._lay, y)
-        instant = evaluate(self.grasp, jnp.asarray(t, y.dtype), leaves, self.formulation)
-        return self._stepper(diffrax.Dopri8()).returned(self.grasp, y, anchor_of(self.grasp, instant))
+        _, instant = self._at(t, y)
+        return self._step.returned(self.grasp, y, anchor_of(self.grasp, instant))
 
     def projected(self, solver: diffrax.AbstractSolver | None = None) -> "Projected":
         """A method of diffrax that projects after every step; None: `diffrax.Dopri8()`.
@@ -91,12 +90,18 @@ class VectorField(eqx.Module):
 
         The smallest of forces [N], distances to ends [m] and relative curvatures, as for `simulate`.
         """
-        leaves, _ = unpack(self._lay, y)
-        instant = evaluate(self.grasp, jnp.asarray(t, y.dtype), leaves, self.formulation)
+        leaves, instant = self._at(t, y)
         return jnp.asarray(regime(self.grasp, leaves, instant, self.events)[0], y.dtype)
 
-    def _stepper(self, method: diffrax.AbstractSolver) -> RollingStep:
-        return RollingStep(method, self.formulation, self._lay, self.events)
+    @property
+    def _step(self) -> RollingStep:
+        """For what is the same whatever the method: rates, and the return to the constraints."""
+        return RollingStep(diffrax.Dopri8(), self.formulation, self._lay, self.events)
+
+    def _at(self, t: Scalar, y: Y) -> tuple[Leaves, Instant]:
+        """The state as scalars, and the equations of motion evaluated there."""
+        leaves, _ = unpack(self._lay, y)
+        return leaves, evaluate(self.grasp, jnp.asarray(t, y.dtype), leaves, self.formulation)
 
 
 class Projected(diffrax.AbstractWrappedSolver):

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._linalg import Vec2
-from ..._results import as_count, as_floats, check_callable, check_flag, concrete, shown
+from ..._results import as_count, as_floats, as_order, as_tree, check_callable, check_flag, concrete, shown
 from ..._types import Given
 from ._table import AbstractTabulated, FEWEST_CELLS, Table, tabulated
 
@@ -79,19 +79,11 @@ class Parametric(AbstractTabulated):
         cells: int = 1024,
     ) -> None:
         check_callable("function", function, "a function from a number to a point", takes=1)
-        self.function = jax.tree_util.Partial(function) if jax.tree_util.all_leaves([function]) else function
+        self.function = as_tree("function", function)
         self.span = as_floats("domain", domain, (2,))
         self.origin = None if origin is None else as_floats("origin", origin, ())
         self.loop = check_flag("closed", closed)
-        number = isinstance(smoothness, int | float | np.integer | np.floating) and not isinstance(
-            smoothness, bool
-        )
-        if not number or not smoothness >= 2:
-            raise ValueError(
-                "argument smoothness must be a number of derivatives of two or more, or infinity, but was "
-                f"{shown(smoothness)}"
-            )
-        self.order = float(smoothness)
+        self.order = as_order(smoothness, least=2)
         self.cells = as_count("cells", cells, least=FEWEST_CELLS)
         self.table = None
         _check(self)

@@ -11,13 +11,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._linalg import outer, square, Vec3
-from ..._results import as_floats, concrete, shown
+from ..._results import as_floats, as_order, as_tree, concrete, shown
 from ..._types import Given, Scalar, Scalars
 from ..._xla import once
 from ._gauss import Gauss3
 from ._spread import lattice, SEEDS, thinned
 from ._surface import AbstractSurface
-from ._surface_implicit import as_order, as_tree
 
 _SEEDS = 16
 

@@ -7,11 +7,10 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from ..._linalg import outer, square, Sym3, tangents, Vec3
-from ..._results import as_length, shown
+from ..._results import as_length, as_order, as_tree
 from ..._types import Given, Scalar, Scalars
 from ..._xla import once
 from ._spread import lattice, SEEDS, thinned
@@ -171,22 +170,3 @@ class Implicit(AbstractImplicit):
 
     def prepared(self) -> "Implicit":
         return self
-
-
-def as_order(smoothness: Any) -> float:
-    """A number of continuous derivatives, infinity among them."""
-    number = isinstance(smoothness, int | float | np.integer | np.floating) and not isinstance(
-        smoothness, bool
-    )
-    if not number or not smoothness >= 0:
-        raise ValueError(
-            f"argument smoothness must be a number of derivatives or infinity, but was {shown(smoothness)}"
-        )
-    return float(smoothness)
-
-
-def as_tree(name: str, function: Any) -> Callable[..., Any]:
-    """A callable as a pytree: itself if it is one, a plain function as structure."""
-    if not callable(function):
-        raise ValueError(f"argument {name} must be a function, but was {shown(function)}")
-    return jax.tree_util.Partial(function) if jax.tree_util.all_leaves([function]) else function

@@ -278,14 +278,14 @@ def _design(options: argparse.Namespace, folder: Path) -> None:
     with _timed("Loading"):
         _configure()
         from . import __version__
-        from ._cli import fingertip, Order, order
+        from ._cli import DesignOrder, fingertip, order
     try:
         tip = fingertip(options.tip, options.unit)
     except (ValueError, OSError, ImportError) as error:
         raise _Unfit(
             f"argument --tip must be a file with the points of a closed outline, but: {error}"
         ) from None
-    asked = Order(options.goal, tip, options.steps, options.starts, animated=not options.no_animation)
+    asked = DesignOrder(options.goal, tip, options.steps, options.starts, animated=not options.no_animation)
     lines = order(asked, folder, _timed)
     print("\n".join([f"jaxroll {__version__}, design: a fingertip that holds a rectangle", *lines]))
 

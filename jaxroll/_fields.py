@@ -1,4 +1,4 @@
-"""Fields with a door: what is given for one is converted and checked in one place.
+"""Fields with a converter: what is given for one is converted and checked in one place.
 
 A class says at its fields what may be there; its constructor and `Grasp.with_` both take values through
 `taken`, so that neither lets in what the other refuses.
@@ -18,9 +18,10 @@ from ._results import as_array, as_floats, is_array_like, shown, traced
 Check = Callable[[str, jax.Array], jax.Array]
 Shape = tuple[int | None, ...]
 # From the argument's name, the value and the shape wanted to what is kept.
-Door = Callable[[str, Any, Shape | None], Any]
+Converter = Callable[[str, Any, Shape | None], Any]
 
-_DOOR = "door"
+# Equinox keeps "converter" for its own, which knows no names of arguments.
+_CONVERTER = "named converter"
 
 
 def real(*shape: int | None, check: Check | None = None, optional: bool = False) -> Any:
@@ -32,36 +33,36 @@ def real(*shape: int | None, check: Check | None = None, optional: bool = False)
         optional: Whether None may stand for an array.
     """
 
-    def door(name: str, value: Any, wanted: Shape | None) -> Any:
+    def converted(name: str, value: Any, wanted: Shape | None) -> Any:
         if value is None and optional:
             return None
         array = as_floats(name, value, shape if wanted is None else wanted)
         return array if check is None else check(name, array)
 
-    return eqx.field(metadata={_DOOR: door})
+    return eqx.field(metadata={_CONVERTER: converted})
 
 
 def each(check: Check | None = None) -> Any:
     """A field for one finite real number per finger, or one number that stands for all."""
 
-    def door(name: str, value: Any, wanted: Shape | None) -> Any:
+    def converted(name: str, value: Any, wanted: Shape | None) -> Any:
         array = as_array(name, value)
         if array.ndim == 0 and wanted is not None:
             array = jnp.full(wanted, array)
         array = as_floats(name, array, (None,) if wanted is None else wanted)
         return array if check is None else check(name, array)
 
-    return eqx.field(metadata={_DOOR: door})
+    return eqx.field(metadata={_CONVERTER: converted})
 
 
 def through(convert: Callable[[str, Any], Any], *, static: bool = False) -> Any:
     """A field whose values a function of name and value converts, or refuses."""
-    return eqx.field(static=static, metadata={_DOOR: lambda name, value, wanted: convert(name, value)})
+    return eqx.field(static=static, metadata={_CONVERTER: lambda name, value, wanted: convert(name, value)})
 
 
-def door_of(owner: Any, name: str) -> Door | None:
-    """The door of a field; None if its class, perhaps a caller's own, has not given it one."""
-    return type(owner).__dataclass_fields__[name].metadata.get(_DOOR)
+def converter_of(owner: Any, name: str) -> Converter | None:
+    """The converter of a field; None if its class, perhaps a caller's own, has not given it one."""
+    return type(owner).__dataclass_fields__[name].metadata.get(_CONVERTER)
 
 
 def taken(owner: Any, field: str, value: Any, *, shape: Shape | None = None, name: str | None = None) -> Any:
@@ -74,21 +75,21 @@ def taken(owner: Any, field: str, value: Any, *, shape: Shape | None = None, nam
         shape: Shape wanted, where the field's own leaves it open.
         name: What the caller calls the argument. Default: as the field.
     """
-    door = door_of(owner, field)
-    assert door is not None, f"{type(owner).__name__}.{field} has no door"
-    return door(name or field, value, shape)
+    converter = converter_of(owner, field)
+    assert converter is not None, f"{type(owner).__name__}.{field} has no converter"
+    return converter(name or field, value, shape)
 
 
 def check_module(name: str, module: eqx.Module) -> None:
-    """Raise for what went past the doors into a module, as `equinox.tree_at` lets it.
+    """Raise for what went past the converters into a module, as `equinox.tree_at` lets it.
 
-    Fields with a door are taken through it once more. Of the others in classes of jaxroll, such as contours,
+    Fields with a converter are converted once more. Of the others in classes of jaxroll, such as contours,
     it is known that arrays are real and hold numbers; of a caller's own classes nothing.
     """
     own = type(module).__module__.partition(".")[0] == __package__
     for field in dataclasses.fields(module):
         value, place = getattr(module, field.name), f"{name}.{field.name}"
-        if door_of(module, field.name) is not None:
+        if converter_of(module, field.name) is not None:
             taken(module, field.name, value, name=place)
         elif own and not field.metadata.get("static"):
             _check_leaves(place, value)

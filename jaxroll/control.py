@@ -24,13 +24,12 @@ from ._mechanics import (
     Grasp,
     split,
     State,
+    Torques,
 )
 from ._printing import listed
 from ._results import as_array, check_positive, shown
 from ._types import Given, Scalar, Scalars
 from .contact import Motion
-
-Torques = tuple[Scalars, ...]
 
 
 @jax.tree_util.register_dataclass

@@ -1,8 +1,11 @@
 """The design as a test: layers, doors, abstract or final, size budget, public names."""
 
 import ast
+import collections
+import importlib
 import inspect
 import pathlib
+import pkgutil
 import statistics
 import subprocess
 import sys
@@ -186,16 +189,38 @@ def test_no_file_name_is_used_twice():
     assert not {name for name in names if names.count(name) > 1}
 
 
-def modules_of(package):
-    prefix = "jaxroll."
-    return [m for name, m in sys.modules.items() if name.startswith(prefix) and m is not package]
+def defined(tree):
+    """Public names that a module defines at its top level; imported ones are somebody else's."""
+    names = set()
+    for node in tree.body:
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+            names.add(node.name)
+        elif isinstance(node, (ast.Assign, ast.AnnAssign)):
+            wanted = node.targets if isinstance(node, ast.Assign) else [node.target]
+            names |= {leaf.id for one in wanted for leaf in ast.walk(one) if isinstance(leaf, ast.Name)}
+    return {name for name in names if not name.startswith("_")}
+
+
+def test_no_public_name_has_two_homes():
+    """One name, one thing: what two modules define under one name, a reader takes for the other."""
+    homes = collections.defaultdict(list)
+    for path in FILES:
+        for name in defined(ast.parse(path.read_text())):
+            homes[name].append(path.name)
+    assert len(homes) > 500
+    assert not {name: paths for name, paths in homes.items() if len(paths) > 1}
+
+
+def all_modules():
+    found = [m.name for m in pkgutil.walk_packages(jxr.__path__, "jaxroll.") if m.name != "jaxroll.__main__"]
+    return [importlib.import_module(name) for name in found]
 
 
 def test_classes_are_abstract_or_final():
     """Nothing concrete is subclassed; abstract names say so."""
     classes = {
         c
-        for m in modules_of(None)
+        for m in all_modules()
         for c in vars(m).values()
         if inspect.isclass(c) and c.__module__.startswith("jaxroll") and issubclass(c, eqx.Module)
     }

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from jaxroll import geometry, plotting
 from jaxroll.plotting._animate3 import _paced, animate3
 from jaxroll.plotting._drawing3 import Drawing3
-from jaxroll.plotting._meshes import cuboid, mesh
+from jaxroll.plotting._meshes import box_mesh, mesh
 from jaxroll.plotting._motion3 import matrices, rotation_vectors
 from jaxroll.plotting._poses3 import snapshots3, stage
 from jaxroll.plotting._scene3 import looking, scene3
@@ -110,7 +110,7 @@ def test_a_mesh_with_a_hole_or_a_turned_triangle_is_not_closed():
 
 
 def test_a_box_is_closed_and_has_its_volume():
-    box = cuboid(np.array([0.06, 0.04, 0.02]))
+    box = box_mesh(np.array([0.06, 0.04, 0.02]))
     assert box.closed
     np.testing.assert_allclose(np.ptp(box.vertices, axis=0), [0.06, 0.04, 0.02])
     assert np.sum(box.vertices[box.faces[:, 0]] * box.areas) / 6 == pytest.approx(0.06 * 0.04 * 0.02)

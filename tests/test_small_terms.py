@@ -10,7 +10,7 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll import plotting
-from jaxroll._linalg import pose, unstack, Vec3
+from jaxroll._linalg import pose_at, unstack, Vec3
 from jaxroll._sweep._fingerprint import fingerprint
 from jaxroll._why import _pairs
 from jaxroll.contact import Touch3
@@ -18,7 +18,7 @@ from jaxroll.geometry.contours._neural_curvature import _Cloud, _residuals, _sta
 from jaxroll.plotting import _animate3
 from jaxroll.plotting._views import _placed
 
-STILL = pose(Vec3(0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+STILL = pose_at(Vec3(0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +108,7 @@ def test_curvatures_of_two_ellipsoids_add_up_as_they_are_turned(angle):
     """At their poles, principal axes at an angle: the determinant of the sum over its size, by NumPy."""
     shapes = jxr.Ellipsoid(0.02, 0.01, 0.008), jxr.Ellipsoid(0.03, 0.012, 0.01)
     tip, body = (shape.frame((0.0, 0.0, z)) for shape, z in zip(shapes, (-0.008, 0.01), strict=True))
-    turned = pose(Vec3(0.0, 0.0, 0.018), (np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)))
+    turned = pose_at(Vec3(0.0, 0.0, 0.018), (np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)))
     bends = [np.diag([c / a**2, c / b**2]) for a, b, c in ((0.02, 0.01, 0.008), (0.03, 0.012, 0.01))]
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     whole = turn @ bends[0] @ turn.T + bends[1]

@@ -8,7 +8,7 @@ from points import ellipse
 
 import jaxroll as jxr
 from jaxroll.geometry import tabled
-from jaxroll.geometry.contours._arclength import placed, rising_sums
+from jaxroll.geometry.contours._arclength import parameters_reaching, rising_sums
 
 RING = ellipse(16) * (1.0 + 0.03 * np.random.default_rng(0).normal(size=(16, 1)))
 WAVES = np.array([0.01, 0.0, 3e-4, 1e-4, 0.0, 2e-4, 1e-4])
@@ -41,7 +41,7 @@ def test_root_has_derivatives_of_any_order():
 
     def root(a):
         progress = lambda a, x: (a * x + x**3, a + 3.0 * x**2)  # noqa: E731
-        return placed(progress, a, jnp.array([0.9]), jnp.array([2.0]))[0]
+        return parameters_reaching(progress, a, jnp.array([0.9]), jnp.array([2.0]))[0]
 
     first, second = jax.grad(root), jax.jacfwd(jax.grad(root))
     one = jnp.ones(())

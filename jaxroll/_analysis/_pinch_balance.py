@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._linalg import total, Vec2
-from .._mechanics import check_planar, compiled, Grasp, poses, State, to_leaves, touches
+from .._mechanics import check_planar, compiled, Grasp, State, to_leaves, touches, world_poses
 from .._motion import as_times, Index1, multipliers_at
 from .._printing import listed
 from .._types import Scalar
@@ -97,7 +97,7 @@ def check_pinch(grasp: Grasp) -> None:
 
 def _balance_at(grasp: Grasp, t: Scalar, state: State) -> PinchBalance:
     leaves = to_leaves(state, grasp.form)
-    body, *tips = poses(grasp, leaves.q)
+    body, *tips = world_poses(grasp, leaves.q)
     forces = multipliers_at(grasp, t, state, Index1())
     control, kept = grasp.controller, orientations(grasp, state) - grasp.controller.start
     arm = tips[0].origin - tips[1].origin

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._linalg import Vec2
-from .._mechanics import check_planar, compiled, Grasp, poses, State, to_leaves, touches
+from .._mechanics import check_planar, compiled, Grasp, State, to_leaves, touches, world_poses
 from .._motion import as_times, Index1, multipliers_at
 from .._printing import listed
 from .._results import shown
@@ -79,7 +79,7 @@ def press_balance(grasp: Grasp, ts: Float[Array, "..."], states: State) -> Press
 
 def _balance_at(grasp: Grasp, t: Scalar, state: State) -> PressBalance:
     leaves = to_leaves(state, grasp.form)
-    frames, touching = poses(grasp, leaves.q), touches(grasp, leaves.s)
+    frames, touching = world_poses(grasp, leaves.q), touches(grasp, leaves.s)
     forces = multipliers_at(grasp, t, state, Index1())
     stiffness, target = grasp.controller.stiffness, Vec2(*grasp.controller.target)
     columns = []

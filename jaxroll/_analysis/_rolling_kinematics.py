@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._integration import check_times, tolerance
-from .._linalg import normalised, pose, Pose3, quaternion_product, quaternion_rate, tangents, unstack, Vec3
+from .._linalg import normalised, Pose3, pose_at, quaternion_product, quaternion_rate, tangents, unstack, Vec3
 from .._printing import listed
 from .._results import as_floats, check_callable, check_instance, concrete, RESULTS, shown
 from .._types import Given, Scalar, Scalars, Times
@@ -123,7 +123,7 @@ class _Rolling(eqx.Module):
         """Axes of the rolling body, both places and their Gauss frames."""
         flat, n = unstack(y), 4 + self.tip.coordinates
         places = (self.tip.settled(flat[4:n]), self.object.settled(flat[n:-1]))
-        axes = pose(Vec3(0.0, 0.0, 0.0), normalised(flat[:4]))
+        axes = pose_at(Vec3(0.0, 0.0, 0.0), normalised(flat[:4]))
         return axes, places, (self.tip.frame(places[0]), self.object.frame(places[1]))
 
     def rates(self, t: Scalar, y: Array, args: Any) -> Array:

@@ -1,6 +1,6 @@
 """What `jaxroll demo` and `jaxroll design` do and say."""
 
-from ._design_command import fingertip as fingertip, Order as Order, order as order
+from ._design_command import DesignOrder as DesignOrder, fingertip as fingertip, order as order
 from ._facts import (
     pinch3d_facts as pinch3d_facts,
     pinch3d_scene as pinch3d_scene,

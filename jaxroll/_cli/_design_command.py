@@ -37,7 +37,7 @@ _OUT = ("fingertip.csv", "fingertip.svg", "fingertip.dxf")
 
 
 @dataclass(frozen=True)
-class Order:
+class DesignOrder:
     """What to design.
 
     Attributes:
@@ -88,7 +88,7 @@ def fingertip(path: str | None, unit: str) -> Spline:
     return Spline(contour.point(start + (s[-1] + s[1] - 2 * s[0]) * u / (2.0 * np.pi)), cells=128)
 
 
-def order(asked: Order, folder: Path, timed: Callable[[str], AbstractContextManager]) -> list[str]:
+def order(asked: DesignOrder, folder: Path, timed: Callable[[str], AbstractContextManager]) -> list[str]:
     """Design, simulate, draw and write; returns the report's lines."""
     tip = asked.tip
     size = float(np.max(np.hypot(*np.asarray(tip.points).T)))

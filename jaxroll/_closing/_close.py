@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array
 
 from .._linalg import Pose2, Pose3, seven
-from .._mechanics import check_states, compiled, Grasp, poses, split, State
+from .._mechanics import check_states, compiled, Grasp, split, State, world_poses
 from .._results import check_flag, concrete
 from ..contact import locate as locate_contours, locate_surfaces
 from ._implicit_derivative import settled
@@ -84,7 +84,7 @@ def _at_closest_points(grasp: Grasp, guess: State) -> tuple[Grasp, State]:
         raise ValueError(
             f"argument locate must be False if two contacts share contours, but was True: {pairs}"
         )
-    frames = poses(grasp, split(guess.q, grasp.form.positions))
+    frames = world_poses(grasp, split(guess.q, grasp.form.positions))
     if grasp.spatial:
         return grasp, State(guess.q, guess.v, _closest_places(grasp, frames))
     for i, contact in enumerate(grasp.contacts):

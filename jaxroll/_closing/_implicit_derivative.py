@@ -17,7 +17,7 @@ from .._linalg import factorise
 from .._mechanics import bodies, Grasp, join, linearise, State, to_leaves, touches
 from .._motion import compatible
 from .._xla import filled, linear_map, one_kernel, shared, sharing
-from ._search import constraint_rows, metric_at, moved, multipliers, Problem, searched
+from ._search import after_step, ClosingProblem, constraint_rows, metric_at, searched, solve_schur
 
 
 def settled(grasp: Grasp, guess: State, hold: bool) -> tuple[State, Array]:
@@ -60,7 +60,7 @@ class _Minimum(NamedTuple):
 
 def _found(grasp: Grasp, guess: State, hold: bool) -> tuple[tuple[State, Array], _Minimum]:
     metric = one_kernel(metric_at, grasp, guess, hold)
-    step, jacobian = searched(Problem(grasp, guess, metric))
+    step, jacobian = searched(ClosingProblem(grasp, guess, metric))
     return one_kernel(_ended, grasp, guess, step), _Minimum(step, metric, jacobian)
 
 
@@ -70,9 +70,9 @@ class _Question(eqx.Module):
     still: Any
     hold: bool = eqx.field(static=True)
 
-    def problem(self, moving: Any) -> Problem:
+    def problem(self, moving: Any) -> ClosingProblem:
         grasp, guess = eqx.combine(moving, self.still)
-        return Problem(grasp, guess, metric_at(grasp, guess, self.hold))
+        return ClosingProblem(grasp, guess, metric_at(grasp, guess, self.hold))
 
     def ending(self, moving: Any, step: Array) -> State:
         grasp, guess = eqx.combine(moving, self.still)
@@ -118,11 +118,11 @@ def _response(question: _Question, moving: Any, minimum: _Minimum) -> _Response:
     size = step.shape[0]
     if size == jacobian.shape[0]:
         return _Response(question, moving, step, jacobian, size)
-    pressures, _ = multipliers(jacobian, metric, -(jacobian @ step)[:, None])
+    pressures, _ = solve_schur(jacobian, metric, -(jacobian @ step)[:, None])
     z = jnp.concatenate([step, pressures[:, 0]])
     grasp, guess = eqx.combine(moving, question.still)
-    problem = Problem(grasp, guess, metric)
-    return _Response(question, moving, z, one_kernel(Problem.slopes, problem, z), size)
+    problem = ClosingProblem(grasp, guess, metric)
+    return _Response(question, moving, z, one_kernel(ClosingProblem.slopes, problem, z), size)
 
 
 def _misfit(response: _Response, dots: Any) -> Array:
@@ -160,7 +160,7 @@ def _conditions_pulled(response: _Response, w: Array) -> Any:
 def _ending(grasp: Grasp, guess: State, step: Array) -> State:
     """The state after a step, its velocities projected onto $A v = 0$ in the mass metric."""
     with sharing():
-        q, s = moved(grasp, guess, step)
+        q, s = after_step(grasp, guess, step)
         leaves = to_leaves(State(q, guess.v, s), grasp.form)
         motions, inertias = bodies(grasp, leaves)
         masses = [factorise(inertia.mass) for inertia in inertias]

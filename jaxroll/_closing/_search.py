@@ -23,12 +23,12 @@ from .._mechanics import (
     Grasp,
     join,
     mass_matrix,
-    poses,
     split,
     State,
     to_leaves,
     to_places,
     touches,
+    world_poses,
 )
 from .._xla import one_kernel, sharing
 
@@ -39,7 +39,7 @@ _NEAR = 1e-6
 _CLOSED = 0.01
 
 
-class Problem(eqx.Module):
+class ClosingProblem(eqx.Module):
     """The search for the closed configuration nearest to a guess.
 
     Attributes:
@@ -54,7 +54,7 @@ class Problem(eqx.Module):
 
     def rows(self, step: Array) -> Array:
         """What the constraints leave over after a step."""
-        return constraint_rows(self.grasp, *moved(self.grasp, self.guess, step))
+        return constraint_rows(self.grasp, *after_step(self.grasp, self.guess, step))
 
     def linearised(self, step: Array) -> tuple[Array, Array]:
         """The rows and their Jacobian."""
@@ -76,7 +76,7 @@ class Problem(eqx.Module):
         return jax.lax.map(column, jnp.arange(z.shape[0])).T
 
 
-def multipliers(jacobian: Array, metric: Array, right: Array) -> tuple[Array, Array]:
+def solve_schur(jacobian: Array, metric: Array, right: Array) -> tuple[Array, Array]:
     r"""Solutions of $A M^{-1} A^T p$ = each column of `right`, and the smallest steps $M^{-1} A^T p$."""
     weighed = jnp.linalg.solve(metric, jacobian.T)
     schur = jacobian @ weighed
@@ -116,8 +116,8 @@ class _Search(NamedTuple):
     count: Array
 
 
-def searched(problem: Problem) -> tuple[Array, Array]:
-    """Displacement, as `moved` takes it, to the nearest closed configuration; the rows' Jacobian there.
+def searched(problem: ClosingProblem) -> tuple[Array, Array]:
+    """Displacement, as `after_step` takes it, to the nearest closed configuration; the rows' Jacobian there.
 
     The loop: Gauss-Newton back onto the constraints, and along them to the minimum.
     """
@@ -136,12 +136,12 @@ def searched(problem: Problem) -> tuple[Array, Array]:
     return last.step, last.jacobian
 
 
-def _improved(problem: Problem, search: _Search) -> _Search:
+def _improved(problem: ClosingProblem, search: _Search) -> _Search:
     trial = search.step - search.scale * search.move
-    left, jacobian = one_kernel(Problem.linearised, problem, trial)
+    left, jacobian = one_kernel(ClosingProblem.linearised, problem, trial)
     size = jnp.max(jnp.abs(left))
     both = jnp.stack([left, jacobian @ trial], axis=-1)
-    normal, across = multipliers(jacobian, problem.metric, both)[1].T
+    normal, across = solve_schur(jacobian, problem.metric, both)[1].T
     along = trial - across
     length = _length(problem, along)
     # A step along the constraints opens them a little, and is taken all the same; others have to help.
@@ -156,7 +156,7 @@ def _improved(problem: Problem, search: _Search) -> _Search:
     return jax.tree.map(lambda new, old: jnp.where(better, new, old), taken, left_alone)
 
 
-def _length(problem: Problem, step: Array) -> Array:
+def _length(problem: ClosingProblem, step: Array) -> Array:
     return jnp.sqrt(step @ problem.metric @ step)
 
 
@@ -168,7 +168,7 @@ def on_shapes(grasp: Grasp, guess: State) -> State:
     return State(guess.q, guess.v, jnp.stack(jax.tree.leaves(settled)))
 
 
-def moved(grasp: Grasp, guess: State, step: Array) -> tuple[Array, Array]:
+def after_step(grasp: Grasp, guess: State, step: Array) -> tuple[Array, Array]:
     """Positions and contact coordinates after a step from a guess; the contacts' part may be missing."""
     leaves, rest = to_leaves(guess, grasp.form), iter(unstack(step))
     blocks = tuple(tuple(itertools.islice(rest, size)) for size in grasp.sizes)
@@ -181,7 +181,7 @@ def moved(grasp: Grasp, guess: State, step: Array) -> tuple[Array, Array]:
 
 def constraint_rows(grasp: Grasp, q: Array, s: Array) -> Array:
     """Gap [m] and tangency [rad] of every contact of a prepared grasp: in the plane shape (3c,)."""
-    frames = poses(grasp, split(q, grasp.form.positions))
+    frames = world_poses(grasp, split(q, grasp.form.positions))
     each = zip(grasp.contacts, touches(grasp, to_places(s, grasp.form)), strict=True)
     rows = [row for c, t in each for row in c.equations((frames[1 + c.finger], frames[0]), t)]
     return jnp.stack(rows)

@@ -12,7 +12,7 @@ import diffrax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from .._mechanics import Grasp, Instant, Leaves, poses
+from .._mechanics import Grasp, Instant, Leaves, world_poses
 from .._results import RESULTS
 from .._types import Scalar
 from ..contact import AbstractContact, clearance, TOLERANCE
@@ -182,7 +182,7 @@ def _forces(grasp: Grasp, instant: Instant, events: tuple[str, ...]) -> list[Lim
 
 def _clearances(grasp: Grasp, leaves: Leaves) -> list[Scalar]:
     """How far every fingertip stays clear of the object [m]."""
-    body, *tips = poses(grasp, leaves.q)
+    body, *tips = world_poses(grasp, leaves.q)
     faces = grasp.object.contours
     return [
         clearance((pose, body), finger.tip, faces, samples=_SAMPLES) + TOLERANCE

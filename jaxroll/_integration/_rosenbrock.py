@@ -114,7 +114,7 @@ def advance(
         times: Start and end of the step.
         x0: State at the start, shape (n,) or (n, lanes).
         nothing: Of the shape of what `at` gives besides the derivative.
-        sampled: `side_by_side` or `in_turn`, how the samples for the differences are taken.
+        sampled: `side_by_side` or `samples_in_turn`, how the samples for the differences are taken.
         kept: Which part of what `at` gives besides the derivative is wanted of all stages.
     """
     t0, h = times[0], times[1] - times[0]
@@ -148,7 +148,7 @@ def side_by_side(sample: Callable, nudges: Array) -> Array:
     return jax.vmap(sample, in_axes=1, out_axes=1)(padded.T)[:, : nudges.shape[0]].T
 
 
-def in_turn(sample: Callable, nudges: Array) -> Array:
+def samples_in_turn(sample: Callable, nudges: Array) -> Array:
     """One sample after the other, for many lanes."""
     return jax.lax.map(sample, nudges)
 

@@ -33,7 +33,7 @@ from .._xla import alone, once, sharing
 from ._dips import first_dip, watched
 from ._events import coded, regime, smallest_clearance, with_clearance
 from ._methods import is_rosenbrock, on_tableau
-from ._rosenbrock import advance, in_turn, side_by_side, STAGE_TIMES
+from ._rosenbrock import advance, samples_in_turn, side_by_side, STAGE_TIMES
 from ._state_vector import Bundle, Flow, Layout, pack, unpack
 
 
@@ -235,7 +235,7 @@ class RollingStep(eqx.Module):
         self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow, over: Callable
     ) -> tuple[Array, Array, Array, Array, Array]:
         at = lambda t, x: over(self._at)(bundle, t, x)  # noqa: E731
-        sampled = side_by_side if t0.ndim == 0 else in_turn
+        sampled = side_by_side if t0.ndim == 0 else samples_in_turn
         nothing = jnp.zeros((_sizes(bundle), *t0.shape), y0.dtype)
         x0, margin = y0[: self.lay.width], y0[self.lay.margin]
         kept = slice(_MARGIN, _MARGIN + 1)

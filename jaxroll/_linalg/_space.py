@@ -130,7 +130,7 @@ def rotation(q: Quaternion) -> tuple[Vec3, Vec3, Vec3]:
     )
 
 
-def pose(origin: Vec3, q: Quaternion) -> Pose3:
+def pose_at(origin: Vec3, q: Quaternion) -> Pose3:
     """The pose of a frame with this origin and this unit quaternion."""
     return Pose3(origin, *rotation(q))
 

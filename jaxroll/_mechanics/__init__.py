@@ -15,14 +15,14 @@ from ._constraints import (
     Linearisation as Linearisation,
     linearise as linearise,
     negative as negative,
-    poses as poses,
     residual as residual,
     respond as respond,
     spins as spins,
     touches as touches,
     unknown_line as unknown_line,
+    world_poses as world_poses,
 )
-from ._controller import AbstractController as AbstractController, as_drive as as_drive
+from ._controller import AbstractController as AbstractController, as_drive as as_drive, Torques as Torques
 from ._dynamics import (
     accelerate as accelerate,
     Instant as Instant,

@@ -50,7 +50,7 @@ class Linearisation:
     drift: tuple[Scalars | None, ...]
 
 
-def poses(grasp: Grasp, q: Blocks) -> tuple[Any, ...]:
+def world_poses(grasp: Grasp, q: Blocks) -> tuple[Any, ...]:
     """World poses of the object and of every fingertip."""
     return tuple(body.pose(block) for body, block in zip(grasp.bodies, q, strict=True))
 

@@ -10,6 +10,9 @@ from .._printing import listed
 from .._results import check_callable
 from .._types import Scalar, Scalars
 
+# Joint torques [N m] of every finger, joint by joint.
+Torques = tuple[Scalars, ...]
+
 
 class AbstractController(eqx.Module):
     """A built-in controller: torques on scalars, and the potential they derive from."""
@@ -17,7 +20,7 @@ class AbstractController(eqx.Module):
     __repr__ = listed
 
     @abc.abstractmethod
-    def torques(self, t: Scalar, fingers: Sequence[Any]) -> tuple[Scalars, ...]:
+    def torques(self, t: Scalar, fingers: Sequence[Any]) -> Torques:
         """Joint torques [N m] of every finger."""
 
     @abc.abstractmethod

@@ -27,10 +27,10 @@ from ._constraints import (
     respond,
     touches,
 )
+from ._controller import Torques
 from ._grasp import Grasp
 from ._state import Blocks, Leaves
 
-Torques = tuple[Scalars, ...]
 Stabiliser = Callable[[Sequence[Motion], Sequence[Any], Rows], Rows]
 
 

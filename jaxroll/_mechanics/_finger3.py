@@ -12,8 +12,8 @@ from .._fields import real, taken, through
 from .._linalg import (
     normalised,
     outer as product,
-    pose,
     Pose3,
+    pose_at,
     sincos,
     square,
     Sym3,
@@ -153,7 +153,7 @@ class Finger3(AbstractFinger):
         return eqx.tree_at(fields, self, (*map(unstack, arrays), tip.prepared()))
 
     def _chain(self, q: Scalars) -> _Chain:
-        at = pose(Vec3(*unstack(self.base)), normalised(unstack(self.rotation)))
+        at = pose_at(Vec3(*unstack(self.base)), normalised(unstack(self.rotation)))
         links, axes = [], []
         for i, angle in enumerate(q):
             axis = Vec3(*unstack(self.axes[i]))

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 from jaxtyping import Array, Float
 
-from .._fields import check_module, door_of, real, taken, through
+from .._fields import check_module, converter_of, real, taken, through
 from .._linalg import unstack, Vec2, Vec3
 from .._printing import shown_value
 from .._results import as_array, as_count, as_floats, as_several, check_finite, check_instance, shown
@@ -22,7 +22,7 @@ from ._controller import AbstractController, as_drive
 from ._finger import AbstractFinger
 from ._state import check_shapes, Form, State
 
-Door = TypeVar("Door", bound=Callable[..., Any])
+_Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
 class Labels(NamedTuple):
@@ -292,7 +292,7 @@ def _taken_by(owner: Any, name: str, value: Any, axes: int) -> Any:
     shape = old.shape if eqx.is_array(old) else None
     if name == "gravity" and shape is None:
         shape = (axes,)
-    if door_of(owner, name) is not None:
+    if converter_of(owner, name) is not None:
         return taken(owner, name, value, shape=shape)
     # A caller's own class: an array stays an array of its shape.
     return value if shape is None else as_floats(name, value, shape)
@@ -376,7 +376,7 @@ def _finite_times(name: str, value: Any) -> Any:
     return check_finite("ts", as_array("ts", value)) if name == "ts" else value
 
 
-def compiled(function: Door) -> Door:
+def compiled(function: _Function) -> _Function:
     """`equinox.filter_jit` for functions of a grasp, whose tables are built before, once for all of them.
 
     Before anything is traced it refuses what is no grasp, states that are not of this grasp, and times `ts`
@@ -397,4 +397,4 @@ def compiled(function: Door) -> Door:
         options = {name: _finite_times(name, x) for name, x in options.items()}
         return jitted(grasp.tabled(), *args, **options)
 
-    return cast(Door, door)
+    return cast(_Function, door)

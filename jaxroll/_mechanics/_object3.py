@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._fields import real, taken, through
-from .._linalg import normalised, pose, Pose3, quaternion_product, Sym3, Twist3, unstack, Vec3
+from .._linalg import normalised, Pose3, pose_at, quaternion_product, Sym3, Twist3, unstack, Vec3
 from .._results import as_array, as_floats, as_several, check_positive, concrete, shown
 from .._types import Given, Scalar, Scalars
 from .._xla import once
@@ -109,7 +109,7 @@ class FreeObject3(AbstractBody):
         return eqx.tree_at(lambda o: (o.inertia, o.surfaces), self, ready)
 
     def pose(self, q: Scalars) -> Pose3:
-        return once(pose(Vec3(*q[:3]), (q[3], q[4], q[5], q[6])))
+        return once(pose_at(Vec3(*q[:3]), (q[3], q[4], q[5], q[6])))
 
     def spin(self, q: Scalars, v: Scalars) -> Vec3:
         return self.pose(q).turn(Vec3(*v[3:]))

@@ -12,8 +12,8 @@ from .._fields import real, taken, through
 from .._linalg import (
     conjugate,
     normalised,
-    pose,
     Pose3,
+    pose_at,
     Quaternion,
     quaternion_product,
     sincos,
@@ -62,7 +62,7 @@ class Turning(eqx.Module):
         axis, centre = Vec3(*unstack(self.axis)), Vec3(*unstack(self.centre))
         axis = axis * (1.0 / axis.norm())
         turn = (cos, axis.x * sin, axis.y * sin, axis.z * sin)
-        return centre - pose(centre, turn).turn(centre), turn
+        return centre - pose_at(centre, turn).turn(centre), turn
 
 
 def _as_motion(name: str, motion: Any) -> Any:
@@ -155,7 +155,7 @@ class Stage(AbstractFinger):
                 f"argument motion must return a position and a quaternion, but returned {shown(given)}"
             )
         point, own = Vec3(*_numbers(given[0], 3)), normalised(_numbers(given[1], 4))
-        return pose(base, turn).place(point), quaternion_product(turn, own)
+        return pose_at(base, turn).place(point), quaternion_product(turn, own)
 
     def _twist(self, t: Scalar) -> Twist3:
         (_, turn), (velocity, rate) = jax.jvp(self._placed, (t,), (jnp.ones_like(t),))
@@ -163,7 +163,7 @@ class Stage(AbstractFinger):
         return Twist3(velocity, Vec3(*spin[1:]) * 2.0)
 
     def pose(self, q: Scalars) -> Pose3:
-        return pose(*self._placed(q[0] if q else jnp.zeros(())))
+        return pose_at(*self._placed(q[0] if q else jnp.zeros(())))
 
     def skeleton(self, q: Scalars) -> tuple[Vec3, ...]:
         return (self.pose(q).origin,)

@@ -22,7 +22,6 @@ from .._mechanics import (
     Linearisation,
     negative,
     net_force,
-    poses,
     residual,
     respond,
     spins,
@@ -30,6 +29,7 @@ from .._mechanics import (
     to_leaves,
     touches,
     unknown_line,
+    world_poses,
 )
 from .._types import Scalar, Scalars
 from .._xla import once
@@ -130,7 +130,7 @@ def settle(grasp: Grasp, leaves: Leaves, anchor: Anchor) -> Leaves:
     line = anchor.line
     shapes = [grasp.shapes(c) for c in grasp.contacts]
     places = [c.onto(*pair) for c, *pair in zip(grasp.contacts, shapes, leaves.s, strict=True)]
-    frames = poses(grasp, leaves.q)
+    frames = world_poses(grasp, leaves.q)
     left = once(residual(grasp, frames, touches(grasp, places)))
     back = once(negative(respond(grasp, line, balance(line, left.gaps))))
     body, *tips = spins(grasp, leaves.q, back)

@@ -15,11 +15,11 @@ from .._mechanics import (
     Grasp,
     kinetic_energy,
     Leaves,
-    poses,
     residual,
     State,
     to_leaves,
     touches,
+    world_poses,
 )
 from .._printing import listed
 from .._results import as_array
@@ -87,7 +87,7 @@ class Energy(eqx.Module):
 def residuals_at(grasp: Grasp, state: State) -> Residuals:
     """Residuals of a prepared grasp at one state."""
     leaves = to_leaves(state, grasp.form)
-    frames, touching = poses(grasp, leaves.q), touches(grasp, leaves.s)
+    frames, touching = world_poses(grasp, leaves.q), touches(grasp, leaves.s)
     left = residual(grasp, frames, touching)
     each = zip(grasp.contacts, left.gaps, touching, strict=True)
     rows = [c.split_gap((frames[1 + c.finger], frames[0]), t, gap) for c, gap, t in each]

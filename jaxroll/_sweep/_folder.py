@@ -19,7 +19,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from .._results import shown
-from ._identity import differences, Identity, Mark, total
+from ._identity import combined, differences, Identity, Mark
 
 try:
     import fcntl
@@ -52,7 +52,7 @@ class Folder:
 
     def open(self, here: Identity) -> None:
         """Make the folder this sweep's, if it is not yet; raise if it is another's."""
-        self.sweep, there = total(here), self._manifest()
+        self.sweep, there = combined(here), self._manifest()
         if there is not None:
             self._compare(there, here)
             return
@@ -127,7 +127,7 @@ class Folder:
         try:
             held = json.loads(path.read_bytes())
             marks = {name: Mark(*mark) for name, mark in held["identity"].items()}
-            if held["sweep"] == total(marks) and held["format"] == _FORMAT:
+            if held["sweep"] == combined(marks) and held["format"] == _FORMAT:
                 return marks
         except Exception:  # it is not there, or damaged, which may raise anything
             return None

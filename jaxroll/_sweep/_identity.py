@@ -76,7 +76,7 @@ def differences(there: Identity, here: Identity) -> str:
     return ", ".join(found[:_NAMED]) + (f" and {rest} more" if rest > 0 else "")
 
 
-def total(marks: Identity) -> str:
+def combined(marks: Identity) -> str:
     """One fingerprint of all."""
     text = repr(sorted((name, mark.digest) for name, mark in marks.items()))
     return hashlib.sha256(text.encode()).hexdigest()

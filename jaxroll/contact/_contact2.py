@@ -22,7 +22,7 @@ from ..geometry import AbstractContour, check_contour, Frenet2
 from ._contact import AbstractContact, arms_of, as_index, Motion, row_wise, Rows
 from ._gap import gap, gap_bias, gap_rate, pfaffian
 
-Contours = tuple[AbstractContour, AbstractContour]
+ContourPair = tuple[AbstractContour, AbstractContour]
 
 
 @jax.tree_util.register_dataclass
@@ -105,7 +105,7 @@ class Contact(AbstractContact):
     def slack(self) -> int:
         return 1
 
-    def check(self, name: str, shapes: Contours) -> None:
+    def check(self, name: str, shapes: ContourPair) -> None:
         for shape in shapes:
             if not isinstance(shape, AbstractContour):
                 raise ValueError(f"argument {name} must be between contours, but one was {shown(shape)}")
@@ -115,17 +115,17 @@ class Contact(AbstractContact):
             if domain is not None:
                 check_between(f"{name}.{kind}", s, *domain, unit=" m")
 
-    def check_shapes(self, name: str, shapes: Contours) -> None:
+    def check_shapes(self, name: str, shapes: ContourPair) -> None:
         for shape, (kind, s) in zip(shapes, self._starts(), strict=True):
             check_contour(f"{name}.{kind}", shape, start=s)
 
     def _starts(self) -> tuple[tuple[str, Array], ...]:
         return ("s_tip", self.s_tip), ("s_object", self.s_object)
 
-    def form(self, shapes: Contours) -> Scalar:
+    def form(self, shapes: ContourPair) -> Scalar:
         return 0.0
 
-    def touch(self, shapes: Contours, place: Scalar) -> Touch:
+    def touch(self, shapes: ContourPair, place: Scalar) -> Touch:
         tip, face = shapes
         return Touch(tip.frame(self.s_tip + place), face.frame(self.s_object - place))
 
@@ -145,7 +145,7 @@ class Contact(AbstractContact):
     def rolling(self, bodies: tuple[Motion, Motion], touch: Touch) -> Scalar:
         return rolling_rate(touch, bodies[0].twist.spin, bodies[1].twist.spin)
 
-    def place_rate(self, shapes: Contours, place: Scalar, poses: Any, rolling: Scalar) -> Scalar:
+    def place_rate(self, shapes: ContourPair, place: Scalar, poses: Any, rolling: Scalar) -> Scalar:
         return rolling
 
     def bend(self, poses: tuple[Pose2, Pose2], touch: Touch) -> Scalar:
@@ -160,16 +160,16 @@ class Contact(AbstractContact):
     def tangency(self, poses: tuple[Pose2, Pose2], touch: Touch) -> Scalar:
         return tangency(*poses, touch)
 
-    def onto(self, shapes: Contours, place: Scalar) -> Scalar:
+    def onto(self, shapes: ContourPair, place: Scalar) -> Scalar:
         return place
 
     def settled(
-        self, shapes: Contours, place: Scalar, turned: Scalar, misfit: tuple[Any, Scalar, Scalar]
+        self, shapes: ContourPair, place: Scalar, turned: Scalar, misfit: tuple[Any, Scalar, Scalar]
     ) -> Scalar:
         _, sine, bend = misfit
         return place - (turned + sine) / bend
 
-    def shift(self, shapes: Contours, place: Scalar, step: Scalars) -> Scalar:
+    def shift(self, shapes: ContourPair, place: Scalar, step: Scalars) -> Scalar:
         return place + step[0]
 
     def equations(self, poses: tuple[Pose2, Pose2], touch: Touch) -> Scalars:
@@ -180,7 +180,7 @@ class Contact(AbstractContact):
     def equation_names(self) -> tuple[str, ...]:
         return "x gap [m]", "y gap [m]", "tangency [rad]"
 
-    def ends(self, shapes: Contours, place: Scalar) -> list[Scalar]:
+    def ends(self, shapes: ContourPair, place: Scalar) -> list[Scalar]:
         margins = []
         for contour, s in zip(shapes, (self.s_tip + place, self.s_object - place), strict=True):
             ends = None if contour.closed else contour.domain()

@@ -22,7 +22,7 @@ from ..geometry import AbstractSurface, check_surface, Gauss3
 from ._contact import AbstractContact, arms_of, as_index, Motion, row_wise, Rows
 from ._gap import gap, gap_bias, gap_rate, pfaffian
 
-Surfaces = tuple[AbstractSurface, AbstractSurface]
+SurfacePair = tuple[AbstractSurface, AbstractSurface]
 Place = tuple[Scalars, Scalars]
 
 # The row that prevents spin is the rate of an angle; this arm makes it one of a length [m].
@@ -131,21 +131,21 @@ class Contact3(AbstractContact):
     def slack(self) -> int:
         return 4
 
-    def check(self, name: str, shapes: Surfaces) -> None:
+    def check(self, name: str, shapes: SurfacePair) -> None:
         for shape in shapes:
             if not isinstance(shape, AbstractSurface):
                 raise ValueError(f"argument {name} must be between surfaces, but one was {shown(shape)}")
         self.check_shapes(name, shapes)
 
-    def check_shapes(self, name: str, shapes: Surfaces) -> None:
+    def check_shapes(self, name: str, shapes: SurfacePair) -> None:
         for kind, shape in zip(("tip", "object"), shapes, strict=True):
             check_surface(f"{name}'s surface of the {kind}", shape)
 
-    def form(self, shapes: Surfaces) -> Place:
+    def form(self, shapes: SurfacePair) -> Place:
         tip, face = shapes
         return (0.0,) * tip.coordinates, (0.0,) * face.coordinates
 
-    def touch(self, shapes: Surfaces, place: Place) -> Touch3:
+    def touch(self, shapes: SurfacePair, place: Place) -> Touch3:
         return Touch3(*(shape.frame(at) for shape, at in zip(shapes, place, strict=True)))
 
     def pfaffian(self, bodies: tuple[Motion, Motion], touch: Touch3) -> tuple[Rows, Rows]:
@@ -180,7 +180,9 @@ class Contact3(AbstractContact):
         bend = compliance((tip.pose, body.pose), touch, self.line)
         return bend.apply(turning.cross(body.pose.turn(touch.object.normal)))
 
-    def place_rate(self, shapes: Surfaces, place: Place, poses: tuple[Pose3, Pose3], rolling: Vec3) -> Place:
+    def place_rate(
+        self, shapes: SurfacePair, place: Place, poses: tuple[Pose3, Pose3], rolling: Vec3
+    ) -> Place:
         return _carried_rates(shapes, place, (poses[0].back(rolling), poses[1].back(rolling)))
 
     def bend(self, poses: tuple[Pose3, Pose3], touch: Touch3) -> Sym3:
@@ -196,19 +198,19 @@ class Contact3(AbstractContact):
     def tangency(self, poses: tuple[Pose3, Pose3], touch: Touch3) -> Vec3:
         return tangency3(*poses, touch)
 
-    def onto(self, shapes: Surfaces, place: Place) -> Place:
+    def onto(self, shapes: SurfacePair, place: Place) -> Place:
         tip, face = (shape.settled(at) for shape, at in zip(shapes, place, strict=True))
         return tip, face
 
     def settled(
-        self, shapes: Surfaces, place: Place, turned: Vec3, misfit: tuple[tuple[Pose3, Pose3], Vec3, Sym3]
+        self, shapes: SurfacePair, place: Place, turned: Vec3, misfit: tuple[tuple[Pose3, Pose3], Vec3, Sym3]
     ) -> Place:
         (tip, body), open_, bend = misfit
         normal = body.turn(shapes[1].frame(place[1]).normal)
         move = bend.apply(turned.cross(normal) - open_)
         return _carried(shapes, place, (tip.back(move), body.back(move)))
 
-    def shift(self, shapes: Surfaces, place: Place, step: Scalars) -> Place:
+    def shift(self, shapes: SurfacePair, place: Place, step: Scalars) -> Place:
         moves = []
         for shape, at, (along, across) in zip(shapes, place, (step[:2], step[2:]), strict=True):
             first, second = tangents(shape.frame(at).normal)
@@ -237,7 +239,7 @@ class Contact3(AbstractContact):
         gaps = ("x gap [m]", "y gap [m]", "z gap [m]")
         return (*gaps, "tangency [rad]") if self.line else (*gaps, "tangency [rad]", "tangency [rad]")
 
-    def ends(self, shapes: Surfaces, place: Place) -> list[Scalar]:
+    def ends(self, shapes: SurfacePair, place: Place) -> list[Scalar]:
         each = zip(shapes, place, strict=True)
         return [margin for shape, at in each for margin in shape.margins(at)]
 
@@ -269,13 +271,13 @@ def _spin(twists: tuple[Twist3, Twist3], normal: Vec3) -> Scalar:
     return normal.dot(twists[0].spin - twists[1].spin) * _ARM
 
 
-def _carried_rates(shapes: Surfaces, place: Place, velocities: tuple[Vec3, Vec3]) -> Place:
+def _carried_rates(shapes: SurfacePair, place: Place, velocities: tuple[Vec3, Vec3]) -> Place:
     """Rates of the places on both surfaces at tangent velocities in their own bodies."""
     tip, face = (shape.rate(at, v) for shape, at, v in zip(shapes, place, velocities, strict=True))
     return tip, face
 
 
-def _carried(shapes: Surfaces, place: Place, moves: tuple[Vec3, Vec3]) -> Place:
+def _carried(shapes: SurfacePair, place: Place, moves: tuple[Vec3, Vec3]) -> Place:
     each = zip(place, _carried_rates(shapes, place, moves), strict=True)
     tip, face = (tuple(a + b for a, b in zip(at, step, strict=True)) for at, step in each)
     return tip, face

@@ -21,7 +21,7 @@ from ._goals import (
     WORST_MARGIN,
     worst_margin,
 )
-from ._limits import Samples
+from ._limits import ContourSamples
 from ._measures import FORCED, MEASURES, PARTIAL, SETTLED
 
 Objective = Mapping[str, float] | Callable[[Any, Trajectory], Scalar]
@@ -119,7 +119,7 @@ class ClosedLoop(AbstractGoal):
 
         return each_case(self.make, self.cases, tip, found, in_turn=True)
 
-    def cost(self, tip: AbstractContour, seen: Samples, unit: Scalar, sharpness: Scalar) -> Scalar:
+    def cost(self, tip: AbstractContour, seen: ContourSamples, unit: Scalar, sharpness: Scalar) -> Scalar:
         return soft_worst(self._costs(tip), sharpness)
 
     def _costs(self, tip: AbstractContour) -> Array:
@@ -131,7 +131,7 @@ class ClosedLoop(AbstractGoal):
     def merit(self) -> str:
         return _COST
 
-    def figures(self, tip: AbstractContour, seen: Samples) -> dict[str, Array]:
+    def figures(self, tip: AbstractContour, seen: ContourSamples) -> dict[str, Array]:
         names = tuple(MEASURES)
         measured, own, lost = self.run(tip, names)
         weights = {} if callable(self.objective) else dict(self.objective)

@@ -26,9 +26,9 @@ from ..geometry import AbstractContour, tabled
 from ._design import Design
 from ._goals import AbstractGoal, Margin
 from ._gradient import Mode
-from ._limits import check_interval, Limits, sampled, Samples
-from ._minimise import check_checkpoint, Found, KEPT, minimise, Progress
-from ._shape import check_unprepared, divided, extents, mirrored, smoothing, stacked, varied
+from ._limits import check_interval, ContourSamples, Limits, sampled
+from ._minimise import check_checkpoint, DesignProgress, Found, KEPT, minimise
+from ._shape import as_batch, body_radii, check_unprepared, divided, mirrored, smoothing, varied
 
 # Unit of the free numbers, as a share of the fingertip's size: a first step is no longer than one.
 _UNIT = 0.05
@@ -42,7 +42,7 @@ def optimise_fingertip(
     limits: Limits | None = None,
     steps: int = 200,
     symmetric: bool = False,
-    progress: Progress = False,
+    progress: DesignProgress = False,
     starts: int = 1,
     seed: int = 0,
     optimiser: optax.GradientTransformation | None = None,
@@ -112,8 +112,8 @@ def optimise_fingertip(
     ends = jnp.stack([check_interval(one, interval) for one in tips])[0]
     if symmetric:
         mirrored(tips[0])  # raises where the class has no mirror image
-    arrays, rest = stacked(varied(tips, max(count, len(tips)), seed))
-    units, reaches = extents(arrays, rest)
+    arrays, rest = as_batch(varied(tips, max(count, len(tips)), seed))
+    units, reaches = body_radii(arrays, rest)
     if limits is None:
         size = float(reaches[0])
         limits = Limits(size=size, radius=0.1 * size, ahead=0.5 * size)
@@ -157,7 +157,7 @@ class _Problem(eqx.Module):
         flat, _ = jax.flatten_util.ravel_pytree(divided(contour)[0])
         return jnp.linalg.solve(self.waves, flat / (_UNIT * unit))
 
-    def seen(self, x: Array, data: Any) -> tuple[AbstractContour, Samples]:
+    def seen(self, x: Array, data: Any) -> tuple[AbstractContour, ContourSamples]:
         ready = tabled(self.contour(x, data))
         return ready, sampled(ready, self.interval)
 

@@ -23,7 +23,7 @@ from ._goals import (
     WORST_MARGIN,
     worst_margin,
 )
-from ._limits import Samples
+from ._limits import ContourSamples
 
 Measure = Literal["stiffness", "curvature", "rate"]
 _NAMES = {
@@ -117,7 +117,7 @@ class Firmness(AbstractGoal):
 
         return each_case(self.make, self.cases, tip, found)
 
-    def cost(self, tip: AbstractContour, seen: Samples, unit: Scalar, sharpness: Scalar) -> Scalar:
+    def cost(self, tip: AbstractContour, seen: ContourSamples, unit: Scalar, sharpness: Scalar) -> Scalar:
         assert self.scale is not None, "aimed at a start"
         return soft_worst(-self.values(tip, _FLAT) / self.scale, sharpness)
 
@@ -125,7 +125,7 @@ class Firmness(AbstractGoal):
     def merit(self) -> str:
         return _NAMES[self.measure]
 
-    def figures(self, tip: AbstractContour, seen: Samples) -> dict[str, Array]:
+    def figures(self, tip: AbstractContour, seen: ContourSamples) -> dict[str, Array]:
         return {self.merit: jnp.min(self.values(tip)), WORST_MARGIN: worst_margin(seen)}
 
     def reached(self, figures: dict[str, Array]) -> Bool[Array, "..."]:

@@ -13,7 +13,7 @@ from .._mechanics import Grasp, State
 from .._results import as_array, check_callable, check_finite, shown
 from .._types import Scalar
 from ..geometry import AbstractContour
-from ._limits import margins, Samples, soft_least
+from ._limits import ContourSamples, margins, soft_least
 
 # How sharply the least margin is told from its neighbours, in units of the fingertip's size.
 _SHARPNESS = 200.0
@@ -33,7 +33,7 @@ class AbstractGoal(eqx.Module):
         return False
 
     @abc.abstractmethod
-    def cost(self, tip: AbstractContour, seen: Samples, unit: Scalar, sharpness: Scalar) -> Scalar:
+    def cost(self, tip: AbstractContour, seen: ContourSamples, unit: Scalar, sharpness: Scalar) -> Scalar:
         """What is minimised, without dimension and of order one.
 
         `unit` is the fingertip's size; `sharpness` rises to one in the course of the search.
@@ -45,7 +45,7 @@ class AbstractGoal(eqx.Module):
         """Name of the figure of merit."""
 
     @abc.abstractmethod
-    def figures(self, tip: AbstractContour, seen: Samples) -> dict[str, Array]:
+    def figures(self, tip: AbstractContour, seen: ContourSamples) -> dict[str, Array]:
         """What is reported, in SI units that the names state, the figure of merit among them."""
 
     @abc.abstractmethod
@@ -70,14 +70,14 @@ class Margin(AbstractGoal):
         >>> goal = jxr.design.Margin()
     """
 
-    def cost(self, tip: AbstractContour, seen: Samples, unit: Scalar, sharpness: Scalar) -> Scalar:
+    def cost(self, tip: AbstractContour, seen: ContourSamples, unit: Scalar, sharpness: Scalar) -> Scalar:
         return -soft_least(margins(seen.pad, unit) / unit, _SHARPNESS * sharpness)
 
     @property
     def merit(self) -> str:
         return WORST_MARGIN
 
-    def figures(self, tip: AbstractContour, seen: Samples) -> dict[str, Array]:
+    def figures(self, tip: AbstractContour, seen: ContourSamples) -> dict[str, Array]:
         return {WORST_MARGIN: worst_margin(seen)}
 
     def reached(self, figures: dict[str, Array]) -> Bool[Array, "..."]:
@@ -87,7 +87,7 @@ class Margin(AbstractGoal):
 WORST_MARGIN = "worst margin [m]"
 
 
-def worst_margin(seen: Samples) -> Array:
+def worst_margin(seen: ContourSamples) -> Array:
     """Least margin of (41) on the contact interval [m], bounded where the contour is hollow or flat."""
     return jnp.min(margins(seen.pad, jnp.max(jnp.sqrt(seen.whole.point.dot(seen.whole.point)))))
 

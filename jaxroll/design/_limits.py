@@ -16,7 +16,7 @@ from ..geometry import AbstractContour, Frenet2
 _PAD, _WHOLE = 65, 257
 
 
-class Samples(eqx.Module):
+class ContourSamples(eqx.Module):
     """Frames on the contact interval and all along the contour, and the arclength between the latter."""
 
     pad: Frenet2
@@ -25,7 +25,7 @@ class Samples(eqx.Module):
     length: Scalar
 
 
-def sampled(contour: AbstractContour, interval: Array) -> Samples:
+def sampled(contour: AbstractContour, interval: Array) -> ContourSamples:
     """Evaluate a contour on its contact interval and from end to end."""
     ready = contour.prepared()
     ends = ready.domain()
@@ -33,7 +33,7 @@ def sampled(contour: AbstractContour, interval: Array) -> Samples:
     length = ends[1] - ends[0]
     pad = _frames(ready, interval[0] + (interval[1] - interval[0]) * jnp.linspace(0.0, 1.0, _PAD))
     whole = _frames(ready, ends[0] + length * jnp.linspace(0.0, 1.0, _WHOLE))
-    return Samples(pad, whole, length / (_WHOLE - 1), length)
+    return ContourSamples(pad, whole, length / (_WHOLE - 1), length)
 
 
 def _frames(contour: AbstractContour, s: Array) -> Frenet2:
@@ -89,7 +89,7 @@ class Limits(eqx.Module):
         self.flat = taken(self, "flat", flat)
         self.steepness = taken(self, "steepness", steepness)
 
-    def excess(self, seen: Samples) -> dict[str, Array]:
+    def excess(self, seen: ContourSamples) -> dict[str, Array]:
         """By how much each bound is passed, relative to it: not positive where it is kept."""
         found, point, bends = {}, seen.whole.point, seen.whole.curvature
         if self.size is not None:
@@ -109,7 +109,7 @@ class Limits(eqx.Module):
             found["steepness"] = jnp.concatenate([slope, -slope]) - 1.0
         return found
 
-    def all(self, seen: Samples) -> Array:
+    def all(self, seen: ContourSamples) -> Array:
         """All of `excess` in one vector."""
         parts = list(self.excess(seen).values())
         return jnp.concatenate(parts) if parts else jnp.full(1, -1.0)

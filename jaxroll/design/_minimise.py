@@ -16,7 +16,7 @@ from .._results import check_instance, shown
 from ._descent import AbstractDescent, descent, Walk
 from ._gradient import Mode, value_and_grad
 
-CHUNK = 10
+STEPS_PER_CHUNK = 10
 # Violations below this count as kept, relative to the bound.
 KEPT = 1e-7
 # A start is done when its value changes by less in a chunk, within its limits.
@@ -26,12 +26,12 @@ _DULL = 0.05
 # Multipliers do by themselves where a chunk brings the worst excess to this share of what it was.
 _BETTER = 0.5
 
-Progress = bool | Callable[[int, float, float], None]
+DesignProgress = bool | Callable[[int, float, float], None]
 
 
 # `problem(x, data, sharpness)`: objective over a vector, and excess, every entry of which is to be <= 0.
 # Sharpness rises to one: a least value that is smoothed starts out smoother.
-Problem = Callable[[Array, Any, Array], tuple[Array, Array]]
+DesignProblem = Callable[[Array, Any, Array], tuple[Array, Array]]
 
 
 class Search(eqx.Module):
@@ -77,7 +77,7 @@ class Found(NamedTuple):
 
 
 def minimise(
-    problem: Problem,
+    problem: DesignProblem,
     start: Float[Array, "starts n"],
     data: Any,
     *,
@@ -85,7 +85,7 @@ def minimise(
     steps: int,
     mode: Mode = "auto",
     in_turn: bool = False,
-    progress: Progress = False,
+    progress: DesignProgress = False,
     checkpoint: str | Path | None = None,
 ) -> Found:
     r"""Minimise from many starts in one batch.
@@ -116,7 +116,7 @@ def minimise(
     while done < steps and not bool(jnp.all(search.done)):
         search, values = _advance(problem, method, (mode, in_turn), search, data)
         history.append(np.asarray(values))
-        done += CHUNK
+        done += STEPS_PER_CHUNK
         if path is not None:
             _saved(path, search, done, history)
         if report is not None:
@@ -129,7 +129,7 @@ def _printed(step: int, value: float, violation: float) -> None:
     print(f"step {step}: objective {value:.6g}, limits passed by {violation:.1e}")
 
 
-def _begin(problem: Problem, method: AbstractDescent, start: Array, data: Any) -> Search:
+def _begin(problem: DesignProblem, method: AbstractDescent, start: Array, data: Any) -> Search:
     """Before anything is evaluated."""
     one = jax.tree.map(lambda a: a[0], (start, data))
     _, excess = jax.eval_shape(problem, *one, jnp.ones((), start.dtype))
@@ -145,7 +145,7 @@ def _begin(problem: Problem, method: AbstractDescent, start: Array, data: Any) -
 
 @eqx.filter_jit
 def _advance(
-    problem: Problem, method: AbstractDescent, how: tuple[Mode, bool], search: Search, data: Any
+    problem: DesignProblem, method: AbstractDescent, how: tuple[Mode, bool], search: Search, data: Any
 ) -> tuple[Search, Array]:
     mode, in_turn = how
     one = lambda search, data: _chunk(problem, method, mode, search, data)  # noqa: E731
@@ -155,7 +155,7 @@ def _advance(
 
 
 def _chunk(
-    problem: Problem, method: AbstractDescent, mode: Mode, search: Search, data: Any
+    problem: DesignProblem, method: AbstractDescent, mode: Mode, search: Search, data: Any
 ) -> tuple[Search, Array]:
     multipliers, weight, sharpness = search.multipliers, search.weight, search.sharpness
 
@@ -173,7 +173,7 @@ def _chunk(
         return now, value
 
     search = eqx.tree_at(lambda s: s.walk, search, method.again(search.walk))
-    search, values = jax.lax.scan(step, search, None, length=CHUNK)
+    search, values = jax.lax.scan(step, search, None, length=STEPS_PER_CHUNK)
     return _judged(method, search), values
 
 

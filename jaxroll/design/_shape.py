@@ -94,7 +94,7 @@ def check_unprepared(contour: AbstractContour) -> None:
         )
 
 
-def stacked(contours: Sequence[AbstractContour]) -> tuple[Any, Any]:
+def as_batch(contours: Sequence[AbstractContour]) -> tuple[Any, Any]:
     """Contours of one kind with a leading axis on every array, and what they share besides."""
     parts = [eqx.partition(contour, eqx.is_inexact_array) for contour in contours]
     first = jax.tree.structure(parts[0])
@@ -109,7 +109,7 @@ def stacked(contours: Sequence[AbstractContour]) -> tuple[Any, Any]:
 
 
 @eqx.filter_jit
-def extents(arrays: Any, rest: Any) -> tuple[Array, Array]:
+def body_radii(arrays: Any, rest: Any) -> tuple[Array, Array]:
     """Of every contour of a batch, root mean square and largest distance from its body's origin [m].
 
     The first is the unit of its free numbers.

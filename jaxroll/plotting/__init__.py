@@ -15,7 +15,7 @@ from ._animate import animate as animate
 from ._contours import contours as contours
 from ._design_figure import comparison as comparison, design as design
 from ._fit_figure import fit as fit
-from ._loci_figure import loci as loci
+from ._loci_figure import loci_figure as loci  # noqa: F401
 from ._page import page as page
 from ._phase import phase as phase
 from ._pose import pose as pose, poses as poses

@@ -13,7 +13,7 @@ from ._animate3 import animate3
 from ._artists import Drawing, limits
 from ._doors import check_frames, guarded
 from ._forces import Arrows, arrows, key
-from ._gif import checked, nearest, write
+from ._gif import checked_path, nearest_rows, write
 from ._style import Picture, tidy
 from ._views import single, Views, views, visible
 from ._views3 import check_options, pushes, scene_motion, View
@@ -75,7 +75,7 @@ def animate(
         ...     path.name
         'motion.gif'
     """
-    path = checked(path, fps=fps, speed=speed, size=size)
+    path = checked_path(path, fps=fps, speed=speed, size=size)
     trajectory = visible(grasp, trajectory)
     drawn = trajectory.multipliers is not None if forces is None else forces
     ts, rows = _shown(trajectory, until)
@@ -87,7 +87,7 @@ def animate(
     check_options(grasp, view=view)
     delay = max(2, round(100.0 / fps))
     check_frames("speed", (ts[-1] - ts[0]) / (0.01 * delay * speed))
-    seen_at = nearest(ts, 0.01 * delay * speed)
+    seen_at = nearest_rows(ts, 0.01 * delay * speed)
     ts, picks = ts[seen_at], rows[seen_at]
     states = jax.tree.map(lambda a: np.asarray(a)[picks], trajectory.states)
     seen = views(grasp, states)

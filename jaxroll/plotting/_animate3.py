@@ -12,12 +12,12 @@ from ._drawing3 import Drawing3
 from ._motion3 import Motion3D, times_of
 from ._poses3 import facing, heading, legend, scaled, stage
 from ._scene3 import scene3
-from ._style import CONTACT, FINGER, FORCE, GUIDE, LOCUS_OBJECT, LOCUS_TIP, OBJECT
+from ._style import CONTACT, FINGER, FORCE_COLOUR, GUIDE, LOCUS_OBJECT, LOCUS_TIP, OBJECT
 from ._views3 import View
 
 # Each frame is drawn afresh, some 0.3 s: no more of them than this.
 _MOST = 60
-_KEPT = ("white", CONTACT, FINGER, FORCE, GUIDE, LOCUS_OBJECT, LOCUS_TIP, OBJECT)
+_KEPT = ("white", CONTACT, FINGER, FORCE_COLOUR, GUIDE, LOCUS_OBJECT, LOCUS_TIP, OBJECT)
 
 
 def animate3(
@@ -51,7 +51,7 @@ def animate3(
         ValueError: If `path` is no GIF, a number is not positive, times or forces do not fit the motion, or
             a surface cannot be drawn.
     """
-    path, view = _gif.checked(path, fps=fps, speed=speed, size=size), View() if view is None else view
+    path, view = _gif.checked_path(path, fps=fps, speed=speed, size=size), View() if view is None else view
     ts = times_of(motion, ts)
     motion, reached = motion.reached()
     ts = ts[reached]
@@ -85,4 +85,4 @@ def _paced(ts: np.ndarray, fps: float, speed: float) -> tuple[np.ndarray, int]:
     delay = 0.01 * max(2, round(100.0 / fps))
     slowest = (ts[-1] - ts[0]) / speed / (_MOST - 1)
     delay = max(delay, 0.01 * np.ceil(100.0 * slowest - 1e-9))
-    return _gif.nearest(ts, delay * speed), round(1000.0 * delay)
+    return _gif.nearest_rows(ts, delay * speed), round(1000.0 * delay)

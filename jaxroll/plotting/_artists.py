@@ -11,7 +11,7 @@ from matplotlib.patches import Patch, Polygon
 from .._mechanics import Grasp, PivotedObject
 from ._forces import arrow, Arrows
 from ._outlines import Outline
-from ._style import CONTACT, FINGER, FORCE, GUIDE, LINK_FILL, MM, OBJECT, OBJECT_FILL, ROLLED, TIP_FILL
+from ._style import CONTACT, FINGER, FORCE_COLOUR, GUIDE, LINK_FILL, MM, OBJECT, OBJECT_FILL, ROLLED, TIP_FILL
 from ._views import place, Views
 
 _SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
@@ -110,7 +110,7 @@ class Drawing:
         if self.traced:
             entries.append((self.stretches[0][0], "rolled so far: as long on both bodies"))
         if self.forces is not None:
-            sign = Line2D([], [], marker=r"$\rightarrow$", ms=14, ls="none", color=FORCE)
+            sign = Line2D([], [], marker=r"$\rightarrow$", ms=14, ls="none", color=FORCE_COLOUR)
             entries.append((sign, "contact force on the object"))
         return entries
 

@@ -13,7 +13,7 @@ from ..design import Design
 from ..geometry import AbstractContour, tabled
 from ..stability import margin
 from ._doors import guarded
-from ._outlines import sample, Samples
+from ._outlines import OutlineSamples, sample
 from ._style import CYCLE, GUIDE, MM, Picture, save, tidy, TIP_FILL
 from ._views import single
 
@@ -67,13 +67,13 @@ def design(design: Design, folder: str | Path | None = None) -> Figure:
     return figure
 
 
-def _curve(tip: AbstractContour) -> Samples:
+def _curve(tip: AbstractContour) -> OutlineSamples:
     domain = tip.domain()
     assert domain is not None, "a designed contour has ends"
     return sample(tip, np.linspace(float(domain[0]), float(domain[1]), _PLACES))
 
 
-def _shape(ax: Axes, curve: Samples, pad: Samples, tooth: float, colour: str) -> None:
+def _shape(ax: Axes, curve: OutlineSamples, pad: OutlineSamples, tooth: float, colour: str) -> None:
     outward = np.stack([curve.tangents[:, 1], -curve.tangents[:, 0]], axis=1)
     tips = curve.points + tooth * curve.curvatures[:, None] * outward
     teeth = np.linspace(0, len(tips) - 1, _TEETH).astype(int)

@@ -15,13 +15,13 @@ from ..design import Design
 from ..geometry import Fit
 from ._views3 import View
 
-Door = TypeVar("Door", bound=Callable[..., Any])
+_Function = TypeVar("_Function", bound=Callable[..., Any])
 # Largest side of a drawing [inch]: ten thousand pixels are beyond any screen.
 _LARGEST = 100.0
 _MOST = 5000
 
 
-def guarded(figure: Door) -> Door:
+def guarded(figure: _Function) -> _Function:
     """Check a figure's arguments, by their names, before it is drawn; None only where it is the default."""
     parameters = inspect.signature(figure).parameters
     names = tuple(parameters)
@@ -43,7 +43,7 @@ def guarded(figure: Door) -> Door:
                 check(name, given[name])
         return figure(*args, **options)
 
-    return cast(Door, door)
+    return cast(_Function, door)
 
 
 def _positive(name: str, value: Any) -> None:

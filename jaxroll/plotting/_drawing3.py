@@ -8,11 +8,11 @@ from matplotlib.patches import FancyArrowPatch, Patch
 from mpl_toolkits.mplot3d import proj3d
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-from ._scene3 import Locus, Scene3, Solid
+from ._scene3 import DrawnLocus, Scene3, Solid
 from ._style import (
     CONTACT,
     FINGER,
-    FORCE,
+    FORCE_COLOUR,
     GUIDE,
     JOINT_BODY,
     LINK_BODY,
@@ -22,7 +22,7 @@ from ._style import (
     OBJECT_BODY,
     TIP_BODY,
 )
-from ._tubes import ball, camera, checked, lit, tube
+from ._tubes import ball, camera, chequered, lit, tube_mesh
 
 # matplotlib has no types for what it draws in space.
 Axes3 = Any
@@ -66,7 +66,9 @@ class Drawing3:
         ]
         (self.points,) = ax.plot([], [], [], "o", ms=6, mfc=CONTACT, mec="white", mew=0.9, zorder=60)
         self.normals = [_arrow(ax, GUIDE, 1.2, 9, 58) for _ in scene.on_object]
-        self.forces = [] if arrows is None else [_arrow(ax, FORCE, 2.0, 12, 59) for _ in scene.on_object]
+        self.forces = (
+            [] if arrows is None else [_arrow(ax, FORCE_COLOUR, 2.0, 12, 59) for _ in scene.on_object]
+        )
 
     def show(self, i: int) -> None:
         """Move everything to the instant i, as the camera sees it now."""
@@ -133,7 +135,7 @@ class Drawing3:
             (Line2D([], [], marker=r"$\rightarrow$", ms=13, ls="none", color=GUIDE), "normal of the object"),
         ]
         if self.forces:
-            sign = Line2D([], [], marker=r"$\rightarrow$", ms=14, ls="none", color=FORCE)
+            sign = Line2D([], [], marker=r"$\rightarrow$", ms=14, ls="none", color=FORCE_COLOUR)
             entries.append((sign, "contact force on the object"))
         return entries
 
@@ -141,7 +143,7 @@ class Drawing3:
 class _Trace:
     """A locus on its surface: strong on the near side, faint and dotted on the far one."""
 
-    def __init__(self, ax: Axes3, locus: Locus, colour: str) -> None:
+    def __init__(self, ax: Axes3, locus: DrawnLocus, colour: str) -> None:
         self.locus = locus
         self.halo = _line(ax, lw=4.2, zorder=49, alpha=0.75, **_WHITE)
         self.far = _line(ax, lw=2.0, zorder=50, alpha=0.6, color=colour, ls=(0, (2, 0.8)))
@@ -196,7 +198,7 @@ def _faces(solid: Solid, i: int, towards: np.ndarray, light: np.ndarray) -> tupl
     else:
         normals = normals * np.where(normals @ towards > 0.0, 1.0, -1.0)[:, None]
     colour = OBJECT_BODY if solid.finger < 0 else TIP_BODY
-    return corners, checked(lit(colour, normals, light, towards), checks)
+    return corners, chequered(lit(colour, normals, light, towards), checks)
 
 
 def _limbs(
@@ -204,7 +206,7 @@ def _limbs(
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     if len(joints) < 2:
         return []
-    parts = [(*tube(a, b, radius), LINK_BODY) for a, b in zip(joints[:-1], joints[1:], strict=True)]
+    parts = [(*tube_mesh(a, b, radius), LINK_BODY) for a, b in zip(joints[:-1], joints[1:], strict=True)]
     parts += [(*ball(joint, 1.45 * radius), JOINT_BODY) for joint in joints[:-1]]
     found = []
     for corners, normals, colour in parts:

@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 
 from ..geometry import Fit, tabled
 from ._doors import guarded
-from ._outlines import sample, Samples
+from ._outlines import OutlineSamples, sample
 from ._style import CONTACT, FINGER, MM, OBJECT, Picture, tidy, TIP_FILL
 
 _PLACES = 4097
@@ -54,7 +54,7 @@ def fit(fit: Fit) -> Figure:
     return figure
 
 
-def _shape(ax: Axes, curve: Samples, points: np.ndarray, *, closed: bool) -> None:
+def _shape(ax: Axes, curve: OutlineSamples, points: np.ndarray, *, closed: bool) -> None:
     if closed:
         ax.fill(*curve.points.T, fc=TIP_FILL, ec="none", alpha=0.5)
     outward = np.stack([curve.tangents[:, 1], -curve.tangents[:, 0]], axis=1)
@@ -72,14 +72,14 @@ def _shape(ax: Axes, curve: Samples, points: np.ndarray, *, closed: bool) -> Non
     ax.set_aspect("equal")
 
 
-def _bend(ax: Axes, s: np.ndarray, curve: Samples, at: np.ndarray, feet: Samples) -> None:
+def _bend(ax: Axes, s: np.ndarray, curve: OutlineSamples, at: np.ndarray, feet: OutlineSamples) -> None:
     ax.axhline(0.0, color="#BBBBBB", lw=0.7, zorder=0)
     ax.plot(MM * s, curve.curvatures, color=FINGER, lw=1.4)
     ax.plot(MM * at, feet.curvatures, "o", ms=1.8, color=CONTACT, mew=0.0)
     tidy(ax, ylabel="curvature [1/m]", title="Curvature, with the places of the points")
 
 
-def _miss(ax: Axes, at: np.ndarray, off: np.ndarray, feet: Samples) -> None:
+def _miss(ax: Axes, at: np.ndarray, off: np.ndarray, feet: OutlineSamples) -> None:
     outward = np.stack([feet.tangents[:, 1], -feet.tangents[:, 0]], axis=1)
     residuals = MM * np.sum(off * outward, axis=1)
     ax.axhline(0.0, color="#BBBBBB", lw=0.7, zorder=0)

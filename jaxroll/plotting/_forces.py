@@ -8,7 +8,7 @@ from matplotlib.patches import FancyArrowPatch
 
 from .._integration import Trajectory
 from .._mechanics import Grasp
-from ._style import FORCE, GUIDE
+from ._style import FORCE_COLOUR, GUIDE
 from ._views import Views
 
 # Length of the longest arrow, as a share of the picture's diagonal.
@@ -59,7 +59,7 @@ def arrows(
 def arrow(ax: Axes, start: tuple[float, float], end: tuple[float, float]) -> FancyArrowPatch:
     """One arrow on an axes."""
     shape = {"arrowstyle": "-|>", "mutation_scale": 11, "shrinkA": 0, "shrinkB": 0}
-    patch = FancyArrowPatch(start, end, color=FORCE, lw=1.8, zorder=8.7, **shape)
+    patch = FancyArrowPatch(start, end, color=FORCE_COLOUR, lw=1.8, zorder=8.7, **shape)
     ax.add_patch(patch)
     return patch
 

@@ -7,10 +7,10 @@ from matplotlib.colors import to_rgba_array
 from PIL import Image
 
 from .._results import shown
-from ._style import CONTACT, FINGER, FORCE, OBJECT, ROLLED
+from ._style import CONTACT, FINGER, FORCE_COLOUR, OBJECT, ROLLED
 
 # Colours of small things, which a palette made by counting pixels would merge with others.
-_KEPT = ("white", CONTACT, FORCE, FINGER, OBJECT, ROLLED)
+_KEPT = ("white", CONTACT, FORCE_COLOUR, FINGER, OBJECT, ROLLED)
 # How long the last frame stays [ms].
 _HOLD = 1500
 
@@ -33,7 +33,7 @@ def write(path: Path, frames: list[Image.Image], delay: int, kept: tuple[str, ..
     first.save(path, save_all=True, append_images=rest, duration=delays, loop=0)
 
 
-def checked(path: str | Path, **positive: float) -> Path:
+def checked_path(path: str | Path, **positive: float) -> Path:
     """The path of a GIF, and numbers that must be positive."""
     for name, value in positive.items():
         if not (np.isfinite(value) and value > 0.0):
@@ -44,7 +44,7 @@ def checked(path: str | Path, **positive: float) -> Path:
     return path
 
 
-def nearest(ts: np.ndarray, step: float) -> np.ndarray:
+def nearest_rows(ts: np.ndarray, step: float) -> np.ndarray:
     """Rows of the saved times nearest to times `step` apart, the last among them."""
     wanted = np.append(np.arange(ts[0], ts[-1] - 0.5 * step, step), ts[-1])
     return np.argmin(np.abs(ts[:, None] - wanted), axis=0)

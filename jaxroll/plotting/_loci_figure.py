@@ -34,7 +34,7 @@ _SMALL = 1e-3
 
 
 @guarded
-def loci(grasp: Grasp, trajectory: Trajectory, folder: str | Path | None = None) -> Figure:
+def loci_figure(grasp: Grasp, trajectory: Trajectory, folder: str | Path | None = None) -> Figure:
     r"""Plot the loci of all contacts on both surfaces as curves: a column for each contact.
 
     Above, arclengths over time, and their difference, which A-2 says is zero: the error of a run. Below, over

@@ -90,7 +90,7 @@ def mesh(
     return _mesh(surface, (rows, columns), extent, middle)
 
 
-def cuboid(edges: np.ndarray) -> Mesh:
+def box_mesh(edges: np.ndarray) -> Mesh:
     """The box about the origin with these edge lengths, shape (3,) [m]."""
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]

@@ -26,7 +26,7 @@ class Outline:
     rings: tuple[np.ndarray, ...]
 
 
-class Samples(NamedTuple):
+class OutlineSamples(NamedTuple):
     """Points [mm] and unit tangents of shape (n, 2), curvatures [1/m] of shape (n,)."""
 
     points: np.ndarray
@@ -34,10 +34,10 @@ class Samples(NamedTuple):
     curvatures: np.ndarray
 
 
-def sample(contour: AbstractContour, s: np.ndarray) -> Samples:
+def sample(contour: AbstractContour, s: np.ndarray) -> OutlineSamples:
     """A contour at arclengths [m] of shape (n,)."""
     points, tangents, curvatures = map(np.asarray, _sampled(tabled(contour), jnp.asarray(s, float)))
-    return Samples(MM * points, tangents, curvatures)
+    return OutlineSamples(MM * points, tangents, curvatures)
 
 
 @eqx.filter_jit

@@ -9,10 +9,10 @@ from .._integration import Trajectory
 from .._mechanics import check_spatial, Grasp
 from .._results import as_count, shown
 from ._doors import check_frames, guarded
-from ._gif import nearest
+from ._gif import nearest_rows
 from ._motion3 import Motion3D, times_of
 from ._poses3 import facing
-from ._scene3 import Locus, Scene3, scene3, Solid
+from ._scene3 import DrawnLocus, Scene3, scene3, Solid
 from ._style import CONTACT, GUIDE, JOINT_BODY, LINK_BODY, LOCUS_OBJECT, LOCUS_TIP, OBJECT_BODY, TIP_BODY
 from ._tubes import camera, shades
 from ._views import single, visible
@@ -117,7 +117,7 @@ def write_page(
     motion, reached = motion.reached()
     ts = ts[reached]
     scene = scene3(grasp, motion, rows=_MESH[0], columns=_MESH[1], links=view.links)
-    rows = np.unique(nearest(ts, max(ts[-1] - ts[0], 1e-300) / max(frames - 1, 1)))
+    rows = np.unique(nearest_rows(ts, max(ts[-1] - ts[0], 1e-300) / max(frames - 1, 1)))
     # Opened where the loci are complete; from the last frame on, play begins at the first.
     still, start = _still(scene), _moving(scene, int(rows[-1]))
     kinds = [plotly.Mesh3d if "i" in trace else plotly.Scatter3d for trace in still]
@@ -170,7 +170,7 @@ def _moving(scene: Scene3, i: int) -> list[dict[str, Any]]:
     return found
 
 
-def _ring(scene: Scene3, locus: Locus, i: int) -> np.ndarray:
+def _ring(scene: Scene3, locus: DrawnLocus, i: int) -> np.ndarray:
     """A circle about the contact in the tangent plane, which no convex body hides; it ends with a gap."""
     points, normals = locus.at(i)
     first = np.cross(normals[i], np.eye(3)[np.argmin(np.abs(normals[i]))])
@@ -180,7 +180,7 @@ def _ring(scene: Scene3, locus: Locus, i: int) -> np.ndarray:
     return np.append(points[i] + _RING * scene.thickness * along, np.full((1, 3), np.nan), axis=0)
 
 
-def _path(scene: Scene3, locus: Locus, i: int) -> np.ndarray:
+def _path(scene: Scene3, locus: DrawnLocus, i: int) -> np.ndarray:
     """A locus up to an instant, lifted off its surface so that it is not sunk in the flat triangles."""
     some = np.unique(np.linspace(0, i, min(i, _POINTS) + 1).astype(int))
     return locus.at(i, _LIFT * scene.thickness)[0][some]

@@ -186,8 +186,8 @@ def _object_rates(grasp: Grasp, run: Trajectory) -> list[Panel]:
 def _gaps(grasp: Grasp, run: Trajectory, normal: tuple[str, ...], tangential: tuple[str, ...]) -> list[Panel]:
     left, size = run.residuals, float(grasp.fingers[0].size)
     return [
-        residual("normal gap", r"$Q$ [m]", left.normal, size=size, names=normal),
-        residual("tangential gap", r"$R$ [m]", left.tangential, size=size, names=tangential),
+        residual_panel("normal gap", r"$Q$ [m]", left.normal, size=size, names=normal),
+        residual_panel("tangential gap", r"$R$ [m]", left.tangential, size=size, names=tangential),
     ]
 
 
@@ -213,17 +213,19 @@ def forces_of(grasp: Grasp, run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
 def _last(run: Trajectory, contacts: tuple[str, ...]) -> Panel:
     energy = run.energy
     if energy is None:
-        return residual("tangency", "sine [rad]", run.residuals.tangency, size=1.0, names=contacts)
-    return balance(energy)
+        return residual_panel("tangency", "sine [rad]", run.residuals.tangency, size=1.0, names=contacts)
+    return balance_panel(energy)
 
 
-def balance(energy: Energy) -> Panel:
+def balance_panel(energy: Energy) -> Panel:
     """The energy balance."""
     size = float(np.nanmax(np.abs(np.asarray(energy.kinetic + energy.potential))))
-    return residual("energy balance", r"$\Delta(K + P - W)$ [J]", energy.residual, size=size)
+    return residual_panel("energy balance", r"$\Delta(K + P - W)$ [J]", energy.residual, size=size)
 
 
-def residual(title: str, label: str, values: object, *, size: float, names: tuple[str, ...] = ()) -> Panel:
+def residual_panel(
+    title: str, label: str, values: object, *, size: float, names: tuple[str, ...] = ()
+) -> Panel:
     """A panel of what should be zero, in a thin line that shows scatter."""
     seen = np.asarray(values)
     if np.nanmax(np.abs(seen)) < _ROUNDING * size:

@@ -7,7 +7,7 @@ import numpy as np
 from .._integration import Trajectory
 from .._mechanics import Grasp
 from ._motion3 import rotation_vectors
-from ._panels import balance, forces_of, in_powers, numbered, Panel, residual, sentence
+from ._panels import balance_panel, forces_of, in_powers, numbered, Panel, residual_panel, sentence
 from ._style import MM
 
 _AXES = ("$x$", "$y$", "$z$")
@@ -78,8 +78,8 @@ def _left(grasp: Grasp, run: Trajectory, contacts: tuple[str, ...]) -> list[Pane
     left, size = run.residuals, float(grasp.fingers[0].size)
     aside, tilted = (np.linalg.norm(np.asarray(x), axis=-1) for x in (left.tangential, left.tangency))
     return [
-        residual("normal gap", "$Q$ [m]", left.normal, size=size, names=contacts),
-        residual("tangential gap", "$|R|$ [m]", aside, size=size, names=contacts),
-        residual("tangency", "sine [rad]", tilted, size=1.0, names=contacts),
-        *(() if run.energy is None else (balance(run.energy),)),
+        residual_panel("normal gap", "$Q$ [m]", left.normal, size=size, names=contacts),
+        residual_panel("tangential gap", "$|R|$ [m]", aside, size=size, names=contacts),
+        residual_panel("tangency", "sine [rad]", tilted, size=1.0, names=contacts),
+        *(() if run.energy is None else (balance_panel(run.energy),)),
     ]

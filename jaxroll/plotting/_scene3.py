@@ -6,7 +6,7 @@ import numpy as np
 
 from .._mechanics import Grasp, Stage
 from ..geometry import AbstractSurface
-from ._meshes import cuboid, endless, Mesh, mesh
+from ._meshes import box_mesh, endless, Mesh, mesh
 from ._motion3 import Motion3D, placed, turned
 from ._style import MM
 
@@ -39,7 +39,7 @@ class Solid:
 
 
 @dataclass(frozen=True)
-class Locus:
+class DrawnLocus:
     """The contact points on one surface, in its body's frame.
 
     Attributes:
@@ -76,8 +76,8 @@ class Scene3:
 
     solids: tuple[Solid, ...]
     skeletons: tuple[np.ndarray, ...]
-    on_tips: tuple[Locus, ...]
-    on_object: tuple[Locus, ...]
+    on_tips: tuple[DrawnLocus, ...]
+    on_object: tuple[DrawnLocus, ...]
     thickness: float
     corners: np.ndarray
     tip_name: str
@@ -104,8 +104,8 @@ def scene3(
     on_tips, on_object = [], []
     for k, contact in enumerate(grasp.contacts):
         tip = contact.finger
-        on_tips.append(Locus(MM * motion.on_tip[k], motion.out_of_tip[k], tips[tip], tip))
-        on_object.append(Locus(MM * motion.on_object[k], motion.out_of_object[k], body, -1))
+        on_tips.append(DrawnLocus(MM * motion.on_tip[k], motion.out_of_tip[k], tips[tip], tip))
+        on_object.append(DrawnLocus(MM * motion.on_object[k], motion.out_of_object[k], body, -1))
     first = 0 if links else -1
     skeletons = tuple(MM * skeleton[:, first:] for skeleton in motion.skeletons)
     sizes = [_size(s.mesh) for s in solids if s.finger >= 0 and s.mesh.closed] or [MM * _DEFAULT_SIZE]
@@ -152,7 +152,7 @@ def _shapes(grasp: Grasp, motion: Motion3D, counts: tuple[int, int]) -> list[Mes
     places |= _places([(1, c.finger) for c in grasp.contacts], motion.on_tip)
     keys = [(0, k) for k in range(len(drawn))]
     if grasp.object.outline is not None:
-        drawn = [cuboid(grasp.object.outline)]
+        drawn = [box_mesh(grasp.object.outline)]
         keys = [(0, 0)]
     drawn += [finger.tip for finger in grasp.fingers]
     keys += [(1, k) for k in range(len(grasp.fingers))]

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from .._results import shown
 
 # Okabe and Ito's palette: told apart in every common form of colour blindness.
-FINGER, OBJECT, CONTACT, FORCE, GUIDE = "#0072B2", "#E69F00", "#D55E00", "#CC3377", "#333333"
+FINGER, OBJECT, CONTACT, FORCE_COLOUR, GUIDE = "#0072B2", "#E69F00", "#D55E00", "#CC3377", "#333333"
 CYCLE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 ROLLED = "#009E73"
 LINK_FILL, TIP_FILL, OBJECT_FILL = "#DCE3E8", "#BFDDF0", "#FBE3B4"

@@ -11,7 +11,7 @@ _AMBIENT, _DIFFUSE, _GLOSS, _SHARP = 0.66, 0.38, 0.55, 24.0
 _DARKER = 0.93
 
 
-def tube(start: np.ndarray, end: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
+def tube_mesh(start: np.ndarray, end: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
     """Corners of the triangles of a tube between two points, shape (k, 3, 3), and their outward normals."""
     along = end - start
     length = np.linalg.norm(along)
@@ -56,14 +56,14 @@ def lit(colour: str, normals: np.ndarray, light: np.ndarray, towards: np.ndarray
     return np.clip(shaded + gloss[:, None] * (1.0 - shaded), 0.0, 1.0)
 
 
-def checked(colours: np.ndarray, checks: np.ndarray) -> np.ndarray:
+def chequered(colours: np.ndarray, checks: np.ndarray) -> np.ndarray:
     """Colours a little darker where the pattern says so."""
     return colours * np.where(checks, _DARKER, 1.0)[:, None]
 
 
 def shades(colour: str, checks: np.ndarray) -> list[str]:
     """The colour of each triangle before it is lit, in hexadecimal."""
-    plain, darker = (to_hex(checked(np.array([to_rgb(colour)]), np.array([k]))[0]) for k in (0, 1))
+    plain, darker = (to_hex(chequered(np.array([to_rgb(colour)]), np.array([k]))[0]) for k in (0, 1))
     return [darker if check else plain for check in checks]
 
 

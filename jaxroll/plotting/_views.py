@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._integration import Trajectory
-from .._mechanics import compiled, Grasp, poses, State, to_leaves, touches
+from .._mechanics import compiled, Grasp, State, to_leaves, touches, world_poses
 from .._motion import multipliers, residuals
 from .._printing import code_name
 from ..control import Press
@@ -128,7 +128,7 @@ def _placed(grasp: Grasp, states: State):
 
     def at(state: State):
         leaves = to_leaves(state, ready.form)
-        frames, touching = poses(ready, leaves.q), touches(ready, leaves.s)
+        frames, touching = world_poses(ready, leaves.q), touches(ready, leaves.s)
         rows = tuple(jnp.stack([*f.origin, f.cos, f.sin]) for f in frames)
         joints = tuple(
             jnp.stack([p.array() for p in finger.skeleton(q)])

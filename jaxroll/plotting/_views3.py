@@ -8,7 +8,7 @@ import numpy as np
 
 from .._integration import Trajectory
 from .._linalg import seven
-from .._mechanics import compiled, Grasp, poses, State, to_leaves, touches
+from .._mechanics import compiled, Grasp, State, to_leaves, touches, world_poses
 from .._results import as_floats, check_flag, shown
 from ._motion3 import Motion3D, turned
 from ._views import along_time
@@ -58,7 +58,7 @@ def _placed(grasp: Grasp, states: State):
 
     def at(state: State):
         leaves = to_leaves(state, ready.form)
-        body, *tips = (seven(frame) for frame in poses(ready, leaves.q))
+        body, *tips = (seven(frame) for frame in world_poses(ready, leaves.q))
         skeletons = tuple(
             jnp.stack([p.array() for p in finger.skeleton(q)])
             for finger, q in zip(ready.fingers, leaves.q[1:], strict=True)

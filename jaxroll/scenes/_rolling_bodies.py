@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._linalg import pose, Vec3
+from .._linalg import pose_at, Vec3
 from .._mechanics import FreeObject3, Grasp, Stage, State, Turning
 from .._results import as_floats, as_length, check_between, check_positive, concrete
 from .._types import Given
@@ -239,7 +239,7 @@ def rattleback(
     arm = lowest + jnp.stack([zero, zero, low])
     q = jnp.stack([zero, zero, -arm @ up, jnp.cos(half), jnp.sin(half), zero, zero])
     about = jnp.stack([zero, zero, as_floats("spin", spin, ())])
-    tilted = pose(Vec3(zero, zero, zero), (q[3], q[4], zero, zero))
+    tilted = pose_at(Vec3(zero, zero, zero), (q[3], q[4], zero, zero))
     there, across = tilted.turn(Vec3(*arm)), tilted.turn(Vec3(*about).cross(Vec3(*arm)))
     place = jnp.stack([there.x, there.y, zero, *lowest])
     return grasp, State(q, jnp.concatenate([-across.array(), about]), place)

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float
 
 from .._closing import constraint_rows
 from .._linalg import unstack, Vec2
-from .._mechanics import check_planar, compiled, Grasp, poses, split, State, touches
+from .._mechanics import check_planar, compiled, Grasp, split, State, touches, world_poses
 from .._motion import generalised_force, Multipliers, split_forces
 from .._printing import listed
 from .._results import as_floats
@@ -83,7 +83,7 @@ def equilibrium(grasp: Grasp, state: State, *, t: Given = 0.0) -> Equilibrium:
 def _equilibrium(grasp: Grasp, state: State, t: Array) -> Equilibrium:
     check_planar(grasp)
     ready = grasp.prepared()
-    found, left = locate(ready, state, t)
+    found, left = rest_state(ready, state, t)
     n, contacts = ready.coordinates, len(ready.contacts)
     q, s, push = found[:n], found[n : n + contacts], found[n + contacts :].reshape(contacts, 2)
     worst = jnp.max(jnp.abs(left))
@@ -93,7 +93,7 @@ def _equilibrium(grasp: Grasp, state: State, t: Array) -> Equilibrium:
 
 
 @eqx.filter_custom_jvp
-def locate(grasp: Grasp, state: State, t: Given) -> tuple[Array, Array]:
+def rest_state(grasp: Grasp, state: State, t: Given) -> tuple[Array, Array]:
     """Configuration, contact coordinates and forces at rest, in one array, and what is left over."""
     start, scale = _start(grasp, state, t)
     moving = grasp.coordinates + len(grasp.contacts)
@@ -101,11 +101,11 @@ def locate(grasp: Grasp, state: State, t: Given) -> tuple[Array, Array]:
     return z * scale.unknowns, _balance(grasp, z, scale, t)
 
 
-@locate.def_jvp
+@rest_state.def_jvp
 def _locate_jvp(primals: Any, tangents: Any) -> Any:
     """Implicit function theorem on the conditions of the equilibrium nearest to the state."""
     grasp, state, t = primals
-    found, left = locate(grasp, state, t)
+    found, left = rest_state(grasp, state, t)
     _, scale = _start(grasp, state, t)
     z, weights = found / scale.unknowns, _weights(grasp, scale)
     jacobian = jax.jacfwd(lambda z: _balance(grasp, z, scale, t))(z)
@@ -166,7 +166,7 @@ def contact_force(grasp: Grasp, q: Array, s: Array, push: Array) -> Array:
     pushes = push.reshape(-1, 2)
 
     def done(q: Array) -> Scalar:
-        body, *tips = poses(grasp, split(q, grasp.sizes))
+        body, *tips = world_poses(grasp, split(q, grasp.sizes))
         work = jnp.zeros((), q.dtype)
         each = zip(grasp.contacts, touches(grasp, unstack(s)), pushes, strict=True)
         for contact, touching, force in each:
@@ -238,5 +238,5 @@ def _newton(equations: Callable[[Array], Array], start: Array, moving: int, weig
 
 def _multipliers(grasp: Grasp, q: Array, s: Array, push: Array) -> Multipliers:
     """Contact forces in the chapter's sign and frame."""
-    frames, touching = poses(grasp, split(q, grasp.sizes)), touches(grasp, unstack(s))
+    frames, touching = world_poses(grasp, split(q, grasp.sizes)), touches(grasp, unstack(s))
     return split_forces(grasp, frames, touching, unstack(push))

@@ -7,14 +7,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from ..._linalg import normalised, pose as posed, Pose3, unstack, Vec3
+from ..._linalg import normalised, Pose3, pose_at, unstack, Vec3
 from ..._results import as_count, as_floats, check_instance, concrete, RESULTS
 from ..._types import Given, Scalar
 from ...geometry import AbstractSurface, check_surface, tabled
 from ._answers import SurfaceLocation, SurfaceMinima
 from ._candidates import lowest, MOST_SAMPLES
-from ._pair3 import constant, Form, linear, moved, Places, Plane2, polished, Scene3
-from ._samples3 import Cover, cover, distance, ended, feet, footed, Starts, starts
+from ._pair3 import constant, linear, Pair3, Places, Plane2, polished, stepped, TangentForm
+from ._samples3 import Cover, cover, distance, ended, feet3, footed, Starts, starts
 
 _STEPS = 24
 _FOLLOW = 2
@@ -125,21 +125,21 @@ def _locate(
     if swapped:
         (a, b), covers, worlds = (b, a), covers[::-1], worlds[::-1]
     sizes = [found.size() for found in covers if found is not None]
-    scene = Scene3(a, b, _relative(*worlds), sum(sizes) / len(sizes))
-    fixed = constant(scene)
+    pair = Pair3(a, b, _relative(*worlds), sum(sizes) / len(sizes))
+    fixed = constant(pair)
     start = _starts(fixed, covers, candidates)
     at = jax.vmap(lambda at, reach: _refine(fixed, at, reach))(start.at, start.reach)
     at, fair, missed = _sorted(fixed, covers[1], at, start, candidates)
     first = jnp.arange(candidates) == 0
     at = jax.tree.map(lambda x, y: jnp.where(missed & first, y, x), at, start.sample)
     root = fair & ~(missed & first)
-    at = jax.vmap(lambda at, root: polished(scene, at, root, _POLISH))(at, root)
-    return _report(scene, (worlds[1], swapped), (at, fair, missed), start)
+    at = jax.vmap(lambda at, root: polished(pair, at, root, _POLISH))(at, root)
+    return _report(pair, (worlds[1], swapped), (at, fair, missed), start)
 
 
 def _pose(numbers: Array) -> Pose3:
     x, y, z, *q = unstack(numbers)
-    return posed(Vec3(x, y, z), normalised((q[0], q[1], q[2], q[3])))
+    return pose_at(Vec3(x, y, z), normalised((q[0], q[1], q[2], q[3])))
 
 
 def _relative(a: Pose3, b: Pose3) -> Pose3:
@@ -147,13 +147,13 @@ def _relative(a: Pose3, b: Pose3) -> Pose3:
     return Pose3(b.local(a.origin), b.back(a.x), b.back(a.y), b.back(a.z))
 
 
-def _starts(scene: Scene3, covers: tuple[Cover | None, Cover | None], count: int) -> Starts:
+def _starts(pair: Pair3, covers: tuple[Cover | None, Cover | None], count: int) -> Starts:
     """From the samples of `a`, and from those of `b` if it is bounded: one may be small beside the other."""
     assert covers[0] is not None  # `_locate` has put the bounded one first
-    first = starts(scene, covers[0], covers[1], count)
+    first = starts(pair, covers[0], covers[1], count)
     if covers[1] is None:
         return first
-    second = starts(scene.reversed(), covers[1], covers[0], count)
+    second = starts(pair.reversed(), covers[1], covers[0], count)
     at = jax.tree.map(lambda x, y: jnp.concatenate([x, y]), first.at, second.at[::-1])
     there = jnp.concatenate([first.there, second.there])
     reach = jnp.concatenate([first.reach, second.reach])
@@ -162,23 +162,23 @@ def _starts(scene: Scene3, covers: tuple[Cover | None, Cover | None], count: int
     return Starts(at, there, reach, sample, jnp.minimum(first.distance, second.distance), first.bound)
 
 
-def _refine(scene: Scene3, at: Places, reach: Scalar) -> Places:
+def _refine(pair: Pair3, at: Places, reach: Scalar) -> Places:
     """Down the distance along `a`, the foot on `b` following: Newton's method in a trusted region."""
 
     def height(at: Places) -> tuple[Places, Scalar]:
-        point = scene.pose.place(scene.a.frame(at[0]).point)
-        foot = footed(scene.b, scene.b.within(at[1]), point, _FOLLOW)
-        return (at[0], foot), distance(scene, point, scene.b.frame(foot), foot)
+        point = pair.pose.place(pair.a.frame(at[0]).point)
+        foot = footed(pair.b, pair.b.within(at[1]), point, _FOLLOW)
+        return (at[0], foot), distance(pair, point, pair.b.frame(foot), foot)
 
     def improve(carry: tuple[Places, Scalar, Scalar], _: None) -> tuple[tuple[Places, Scalar, Scalar], None]:
         at, value, trust = carry
-        here = scene.frames(at)
+        here = pair.frames(at)
         equations = linear(*here)
         slope, aside = equations.conditions(*here)
         x = _cut(_downhill(equations.rise, slope), trust)
-        ahead = moved(scene, at, equations.basis, (x, _cut(equations.follow(aside, x), 4.0 * trust)))
-        new, found = height((scene.a.within(ahead[0]), ahead[1]))
-        better = found <= value + _SAME * scene.scale
+        ahead = stepped(pair, at, equations.basis, (x, _cut(equations.follow(aside, x), 4.0 * trust)))
+        new, found = height((pair.a.within(ahead[0]), ahead[1]))
+        better = found <= value + _SAME * pair.scale
         kept = jax.tree.map(lambda x, y: jnp.where(better, x, y), (new, found), (at, value))
         return (*kept, jnp.where(better, jnp.minimum(2.0 * trust, reach), 0.25 * trust)), None
 
@@ -187,7 +187,7 @@ def _refine(scene: Scene3, at: Places, reach: Scalar) -> Places:
     return jax.lax.scan(improve, start, None, length=_STEPS)[0][0]
 
 
-def _downhill(rise: Form, slope: Plane2) -> Plane2:
+def _downhill(rise: TangentForm, slope: Plane2) -> Plane2:
     low, high = rise.eigenvalues()
     least = 1e-3 * jnp.maximum(jnp.abs(low), jnp.abs(high))
     # Not convex: turned to the gradient, as far as that takes.
@@ -202,60 +202,59 @@ def _cut(step: Plane2, reach: Scalar) -> Plane2:
     return step[0] * factor, step[1] * factor
 
 
-def _measured(scene: Scene3, at: Places) -> _Measure:
+def _measured(pair: Pair3, at: Places) -> _Measure:
     """What there is to know about a pair."""
-    a, b = scene.frames(at)
+    a, b = pair.frames(at)
     arm, both = a.point - b.point, a.normal + b.normal
     gap = arm.dot(b.normal)
     beside = arm - b.normal * gap
-    size = scene.scale + jnp.abs(gap)
+    size = pair.scale + jnp.abs(gap)
     square = jax.lax.stop_gradient(jnp.maximum(both.dot(both), beside.dot(beside) / (size * size)))
     equations = linear(*constant((a, b)))
-    low = equations.rise.eigenvalues()[0] * scene.scale
+    low = equations.rise.eigenvalues()[0] * pair.scale
     ends = [
-        ended(surface, place, -_END * scene.scale)
-        for surface, place in zip((scene.a, scene.b), at, strict=True)
+        ended(surface, place, -_END * pair.scale) for surface, place in zip((pair.a, pair.b), at, strict=True)
     ]
     fair = (low > -_FLAT) & equations.centred & ~ends[0] & ~ends[1]
-    height = distance(scene, a.point, b, at[1])
+    height = distance(pair, a.point, b, at[1])
     return _Measure((a.point, b.point), (a.normal, b.normal), height, jnp.sqrt(square), low, fair)
 
 
 def _sorted(
-    scene: Scene3, other: Cover | None, at: Places, start: Starts, count: int
+    pair: Pair3, other: Cover | None, at: Places, start: Starts, count: int
 ) -> tuple[Places, Array, Array]:
     """The lowest local minima, each once; which entries hold one; and whether none is the answer."""
-    found = jax.vmap(lambda at: _measured(scene, at))(at)
+    found = jax.vmap(lambda at: _measured(pair, at))(at)
     fair = found.fair & start.there & (found.residual <= _SETTLED)
     # No other place of `b` may be nearer.
     point = found.points[0]
-    nearest = jax.vmap(scene.b.frame)(feet(scene, other, point)).point - point
-    fair = fair & (nearest.norm() >= jnp.abs(found.gap) - _MISSED * scene.scale)
+    nearest = jax.vmap(pair.b.frame)(feet3(pair, other, point)).point - point
+    fair = fair & (nearest.norm() >= jnp.abs(found.gap) - _MISSED * pair.scale)
     order = lowest(jnp.where(fair, found.gap, jnp.inf), fair.shape[0])
     fair = fair[order]
     close = fair[:, None] & fair[None, :]
     for cloud in found.points:
         for x in cloud:
-            close = close & (jnp.abs(x[order][:, None] - x[order][None, :]) < _MERGED * scene.scale)
+            close = close & (jnp.abs(x[order][:, None] - x[order][None, :]) < _MERGED * pair.scale)
     number = jnp.arange(fair.shape[0])
     again = jnp.any(close & (number[None, :] < number[:, None]), axis=1)
     fair = fair & ~again & (number < jnp.sum(fair))
     gap = jnp.where(fair, found.gap[order], jnp.inf)
     first, there = lowest(gap, count), jnp.arange(count) < jnp.sum(fair)
     # Whatever lies below the lowest pair was not refined.
-    missed = ~there[0] | (start.bound < jnp.min(gap) - _MISSED * scene.scale)
+    missed = ~there[0] | (start.bound < jnp.min(gap) - _MISSED * pair.scale)
     return jax.tree.map(lambda x: x[order[first]], at), there, missed
 
 
 def _report(
-    scene: Scene3, world: tuple[Pose3, bool], pairs: tuple[Places, Array, Array], start: Starts
+    pair: Pair3, world: tuple[Pose3, bool], pairs: tuple[Places, Array, Array], start: Starts
 ) -> SurfaceLocation:
     at, fair, missed = pairs
-    found = jax.vmap(lambda at: _measured(scene, at))(at)
+    found = jax.vmap(lambda at: _measured(pair, at))(at)
     best = jax.tree.map(lambda x: x[0], found)
     there = jnp.append(fair[1:], False)
     gaps = jnp.where(there, jnp.roll(found.gap, -1), jnp.inf)
-    alike = jnp.min(gaps) <= best.gap + _ALIKE * scene.scale
+    alike = jnp.min(gaps) <= best.gap + _ALIKE * pair.scale
     points, normal = [world[0].place(p).array() for p in best.points], best.normals[1]
     places = [jnp.stack(x, axis=-1) for x in at]
     if world[1]:
@@ -270,13 +269,13 @@ def _report(
         residual=best.residual,
         unique=~missed & ~alike & (best.low > _FLAT),
         others=SurfaceMinima(gaps, others[0], others[1], there),
-        result=RESULTS.where(missed, _reason(scene, start), RESULTS.successful),
+        result=RESULTS.where(missed, _reason(pair, start), RESULTS.successful),
     )
 
 
-def _reason(scene: Scene3, start: Starts) -> RESULTS:
+def _reason(pair: Pair3, start: Starts) -> RESULTS:
     """Why no pair is the answer."""
     at, room = start.sample, jnp.max(start.reach)
-    at_end = ended(scene.a, at[0], room) | ended(scene.b, at[1], room)
+    at_end = ended(pair.a, at[0], room) | ended(pair.b, at[1], room)
     deep = RESULTS.where(start.distance < 0.0, RESULTS.too_deep, RESULTS.solver_failed)
     return RESULTS.where(at_end, RESULTS.contour_end, deep)

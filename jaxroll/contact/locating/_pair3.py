@@ -26,7 +26,7 @@ _SINGULAR = 1e-14
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, slots=True)
-class Scene3:
+class Pair3:
     """Both surfaces, prepared, the pose of `a` in the frame of `b`, and a length to compare with [m]."""
 
     a: AbstractSurface
@@ -38,14 +38,14 @@ class Scene3:
         """Gauss frames of both places, in the frame of `b`."""
         return self.a.frame(at[0]).placed(self.pose), self.b.frame(at[1])
 
-    def reversed(self) -> "Scene3":
+    def reversed(self) -> "Pair3":
         """The same with `a` and `b` exchanged."""
         p = self.pose
         rows = [Vec3(*axes) for axes in zip(p.x, p.y, p.z, strict=True)]
-        return Scene3(self.b, self.a, Pose3(-p.back(p.origin), *rows), self.scale)
+        return Pair3(self.b, self.a, Pose3(-p.back(p.origin), *rows), self.scale)
 
 
-class Form(NamedTuple):
+class TangentForm(NamedTuple):
     """A symmetric form on a tangent plane, in an orthonormal basis."""
 
     xx: Scalar
@@ -56,9 +56,9 @@ class Form(NamedTuple):
         """The form times a vector."""
         return self.xx * v[0] + self.xy * v[1], self.xy * v[0] + self.yy * v[1]
 
-    def plus(self, size: Scalar) -> "Form":
+    def plus(self, size: Scalar) -> "TangentForm":
         """With a multiple of unity added."""
-        return Form(self.xx + size, self.xy, self.yy + size)
+        return TangentForm(self.xx + size, self.xy, self.yy + size)
 
     def determinant(self) -> Scalar:
         """Product of the eigenvalues."""
@@ -90,9 +90,9 @@ class Linear3:
 
     basis: tuple[tuple[Vec3, Vec3], tuple[Vec3, Vec3]]
     facing: tuple[Plane2, Plane2]
-    bend: Form
-    outside: Form
-    rise: Form
+    bend: TangentForm
+    outside: TangentForm
+    rise: TangentForm
     centred: Scalar
 
     def conditions(self, a: Gauss3, b: Gauss3) -> tuple[Plane2, Plane2]:
@@ -119,16 +119,16 @@ def linear(a: Gauss3, b: Gauss3) -> Linear3:
     basis = tangents(a.normal), tangents(b.normal)
     facing = (_along(basis[0], basis[1][0]), _along(basis[0], basis[1][1]))
     gap, shape = (a.point - b.point).dot(b.normal), _form(b, basis[1])
-    bend = Form(gap * shape.xx, gap * shape.xy, gap * shape.yy).plus(1.0)
+    bend = TangentForm(gap * shape.xx, gap * shape.xy, gap * shape.yy).plus(1.0)
     least = bend.eigenvalues()[0]
     # Beyond a centre of curvature there is no foot.
     bend = bend.plus(jnp.maximum(0.0, _BEND - least))
     # L (1 + g L)^-1, by Cayley and Hamilton.
     det, inner = bend.determinant(), gap * shape.determinant()
-    outside = Form((shape.xx + inner) / det, shape.xy / det, (shape.yy + inner) / det)
+    outside = TangentForm((shape.xx + inner) / det, shape.xy / det, (shape.yy + inner) / det)
     (p, q), (r, s) = facing
     first, second, own = outside.apply((p, r)), outside.apply((q, s)), _form(a, basis[0])
-    rise = Form(
+    rise = TangentForm(
         own.xx + p * first[0] + r * first[1],
         own.xy + p * second[0] + r * second[1],
         own.yy + q * second[0] + s * second[1],
@@ -136,42 +136,42 @@ def linear(a: Gauss3, b: Gauss3) -> Linear3:
     return Linear3(basis, facing, bend, outside, rise, least > 0.0)
 
 
-def moved(scene: Scene3, at: Places, basis: Any, steps: tuple[Plane2, Plane2]) -> Places:
+def stepped(pair: Pair3, at: Places, basis: Any, steps: tuple[Plane2, Plane2]) -> Places:
     """Places after steps along tangents given in the frame of `b`, back on the surfaces."""
     vectors = [u * x + v * y for (u, v), (x, y) in zip(basis, steps, strict=True)]
-    on_a = scene.a.settled(plus(at[0], scene.a.rate(at[0], scene.pose.back(vectors[0]))))
-    return on_a, scene.b.settled(plus(at[1], scene.b.rate(at[1], vectors[1])))
+    on_a = pair.a.settled(summed(at[0], pair.a.rate(at[0], pair.pose.back(vectors[0]))))
+    return on_a, pair.b.settled(summed(at[1], pair.b.rate(at[1], vectors[1])))
 
 
-def plus(left: Scalars, right: Scalars) -> Scalars:
+def summed(left: Scalars, right: Scalars) -> Scalars:
     """The sum of coordinates."""
     return tuple(a + b for a, b in zip(left, right, strict=True))
 
 
-def polished(scene: Scene3, at: Places, root: Scalar, steps: int) -> Places:
+def polished(pair: Pair3, at: Places, root: Scalar, steps: int) -> Places:
     """Newton's method from a root, whose linear equations it keeps; what is no root stays.
 
     Each step gives one more order of derivatives, since the linear equations carry none.
     """
-    fixed, at = constant(scene), constant(at)
+    fixed, at = constant(pair), constant(at)
     equations = constant(linear(*fixed.frames(at)))
 
     def step(at: Places, _: None) -> tuple[Places, None]:
-        slope, aside = equations.conditions(*scene.frames(at))
+        slope, aside = equations.conditions(*pair.frames(at))
         x = equations.rise.solve((-slope[0], -slope[1]))
         y = equations.follow(aside, x)
         x, y = ((jnp.where(root, u, 0.0), jnp.where(root, v, 0.0)) for u, v in (x, y))
-        return moved(scene, at, equations.basis, (x, y)), None
+        return stepped(pair, at, equations.basis, (x, y)), None
 
     # Coordinates first follow the surfaces, so that the steps are tangent.
-    at = scene.a.settled(at[0]), scene.b.settled(at[1])
+    at = pair.a.settled(at[0]), pair.b.settled(at[1])
     return jax.lax.scan(step, at, None, length=steps)[0]
 
 
-def _form(frame: Gauss3, basis: tuple[Vec3, Vec3]) -> Form:
+def _form(frame: Gauss3, basis: tuple[Vec3, Vec3]) -> TangentForm:
     u, v = basis
     first, second = frame.shape.apply(u), frame.shape.apply(v)
-    return Form(u.dot(first), u.dot(second), v.dot(second))
+    return TangentForm(u.dot(first), u.dot(second), v.dot(second))
 
 
 def _along(basis: tuple[Vec3, Vec3], vector: Vec3) -> Plane2:

@@ -10,7 +10,7 @@ from ..._linalg import Vec3
 from ..._types import Scalar, Scalars
 from ...geometry import AbstractSurface, approach, Gauss3
 from ._candidates import lowest
-from ._pair3 import Places, plus, Scene3
+from ._pair3 import Pair3, Places, summed
 
 _FOOT = 6
 # Neighbours of a sample lie within this many times the widest distance between samples that are nearest.
@@ -71,10 +71,10 @@ def ended(surface: AbstractSurface, at: Scalars, room: Scalar) -> Array:
     return at_end
 
 
-def distance(scene: Scene3, a: Vec3, b: Gauss3, at_b: Scalars) -> Scalar:
+def distance(pair: Pair3, a: Vec3, b: Gauss3, at_b: Scalars) -> Scalar:
     """Signed distance of a point from its foot on `b`; from an end, the plain one."""
     arm = a - b.point
-    square, past = arm.dot(arm), ended(scene.b, at_b, _END * scene.scale)
+    square, past = arm.dot(arm), ended(pair.b, at_b, _END * pair.scale)
     return jnp.where(past & (square > 0.0), jnp.sqrt(square), arm.dot(b.normal))
 
 
@@ -83,26 +83,26 @@ def footed(surface: AbstractSurface, at: Scalars, point: Vec3, steps: int) -> Sc
 
     def step(at: Scalars, _: None) -> tuple[Scalars, None]:
         ahead = surface.rate(at, approach(surface.frame(at), point))
-        return surface.within(surface.settled(plus(at, ahead))), None
+        return surface.within(surface.settled(summed(at, ahead))), None
 
     return jax.lax.scan(step, at, None, length=steps)[0]
 
 
-def feet(scene: Scene3, samples: Cover | None, points: Vec3) -> Scalars:
+def feet3(pair: Pair3, samples: Cover | None, points: Vec3) -> Scalars:
     """Coordinates of the feet on `b` of points in its frame: from the nearest samples, if there are any."""
     if samples is None:
-        start = jax.vmap(scene.b.start)(points)
+        start = jax.vmap(pair.b.start)(points)
     else:
         near = jnp.argmin(_apart(points, samples.points), axis=1)
         start = tuple(x[near] for x in samples.at)
-    return jax.vmap(lambda at, point: footed(scene.b, at, point, _FOOT))(start, points)
+    return jax.vmap(lambda at, point: footed(pair.b, at, point, _FOOT))(start, points)
 
 
-def starts(scene: Scene3, walked: Cover, other: Cover | None, count: int) -> Starts:
+def starts(pair: Pair3, walked: Cover, other: Cover | None, count: int) -> Starts:
     """The lowest samples of `a` among their neighbours, and their feet on `b`."""
-    points = jax.vmap(scene.pose.place)(walked.points)
-    at_b = feet(scene, other, points)
-    value = jax.vmap(lambda p, at: distance(scene, p, scene.b.frame(at), at))(points, at_b)
+    points = jax.vmap(pair.pose.place)(walked.points)
+    at_b = feet3(pair, other, points)
+    value = jax.vmap(lambda p, at: distance(pair, p, pair.b.frame(at), at))(points, at_b)
     value = jnp.where(jnp.isfinite(value), value, jnp.inf)
     number = jnp.arange(value.shape[0])
     close = _apart(walked.points, walked.points) <= (_NEIGHBOURS * walked.width) ** 2

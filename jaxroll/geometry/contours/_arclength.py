@@ -15,7 +15,7 @@ from ..._xla import filled
 
 # Rate of the arclength at places of a curve's cells: `speed(shape, cell, x)`, x in [0, 1] along each.
 Speed = Callable[[Any, Any, Any], Array]
-Progress = Callable[[Any, Array], tuple[Array, Array]]
+RisingFunction = Callable[[Any, Array], tuple[Array, Array]]
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 _PLACES, _SHARES = 0.5 * (1.0 + _NODES), 0.5 * _WEIGHTS
 
@@ -66,7 +66,7 @@ def spaced(speed: Speed, shape: Any, parts: int, cells: int) -> tuple[Array, Arr
         speeds = speed(shape, cell[:, None], x[:, None] * np.append(_PLACES, 1.0)[None, :])
         return x * (speeds[:, :-1] @ _SHARES), speeds[:, -1]
 
-    return cell, placed(progress, (shape, cell), start, targets - arcs[cell]), arcs
+    return cell, parameters_reaching(progress, (shape, cell), start, targets - arcs[cell]), arcs
 
 
 def rising_sums(values: Array) -> Array:
@@ -79,7 +79,7 @@ def rising_sums(values: Array) -> Array:
     return jnp.pad((before + within).ravel()[:count], (1, 0))
 
 
-def placed(progress: Progress, shape: Any, start: Array, targets: Array) -> Array:
+def parameters_reaching(progress: RisingFunction, shape: Any, start: Array, targets: Array) -> Array:
     r"""Parameters x at which rising functions reach `targets`: four steps of Newton's method.
 
     Args:
@@ -95,7 +95,7 @@ def placed(progress: Progress, shape: Any, start: Array, targets: Array) -> Arra
 
 
 @eqx.filter_custom_jvp
-def _placed(given: tuple[Any, Array], start: Array, progress: Progress) -> Array:
+def _placed(given: tuple[Any, Array], start: Array, progress: RisingFunction) -> Array:
     shape, targets = given
 
     def newton(_: int, x: Array) -> Array:

@@ -19,10 +19,10 @@ class Pieces(NamedTuple):
 
     def curve(self, u: Array) -> Vec2:
         """Points at parameters `u` of any shape; beyond the ends, the last polynomial."""
-        return jet(self.coefficients, *locate(self.breaks, u))[0]
+        return jet_of_pieces(self.coefficients, *interval_of(self.breaks, u))[0]
 
 
-def jet(coefficients: Array, index: Array, local: Array) -> tuple[Vec2, Vec2, Vec2]:
+def jet_of_pieces(coefficients: Array, index: Array, local: Array) -> tuple[Vec2, Vec2, Vec2]:
     """Point and two derivatives in the interval's coordinate, at places in intervals: any shape."""
     weights = powers(local, coefficients.shape[1]) @ derived(coefficients.shape[1])
     weights = weights.reshape(*local.shape, 3, -1)
@@ -66,7 +66,7 @@ class Basis(NamedTuple):
 
     def matrix(self, u: Float[Array, " data"]) -> Float[Array, "data functions"]:
         """Values of every function at parameters `u`."""
-        index, local = locate(self.breaks, u)
+        index, local = interval_of(self.breaks, u)
         weights = powers(local, self.polynomials.shape[-1])
         return self._spread(index, jnp.sum(self.polynomials[index] * weights[:, None, :], axis=-1))
 
@@ -98,7 +98,7 @@ class Basis(NamedTuple):
         return jnp.zeros((self.count, self.count)).at[rows, columns].add(local)
 
 
-def locate(breaks: Array, u: Array) -> tuple[Array, Array]:
+def interval_of(breaks: Array, u: Array) -> tuple[Array, Array]:
     """Interval of every parameter, and the position in it as a fraction."""
     # Counting, not bisection: a loop in every evaluation is what took longest to compile.
     inner = jax.lax.stop_gradient(breaks[1:-1])

@@ -9,11 +9,11 @@ import jax.flatten_util
 import jax.numpy as jnp
 import numpy as np
 
-Progress = bool | Callable[[int, float], None]
+FitProgress = bool | Callable[[int, float], None]
 CHUNK = 25
 
 
-class Problem(NamedTuple):
+class NetworkProblem(NamedTuple):
     """Residuals of a field, by way of its network's values: module-level functions, compiled once.
 
     Attributes:
@@ -38,13 +38,13 @@ class Descent(NamedTuple):
 
 
 def descend(
-    problem: Problem,
+    problem: NetworkProblem,
     start: tuple[Any, Any],
     data: Any,
     *,
     steps: int,
     target: float,
-    progress: Progress = False,
+    progress: FitProgress = False,
 ) -> Descent:
     """Minimise the sum of squared residuals: a chunk of Adam, then Levenberg-Marquardt.
 
@@ -79,7 +79,7 @@ def descend(
     return Descent(network, rest, problem.refresh(network, rest, data), done, np.concatenate(history))
 
 
-def _reporter(progress: Progress) -> Callable[[int, float], None]:
+def _reporter(progress: FitProgress) -> Callable[[int, float], None]:
     if callable(progress):
         return progress
     return _printed if progress else lambda step, loss: None
@@ -89,19 +89,19 @@ def _printed(step: int, loss: float) -> None:
     print(f"step {step}: loss {loss:.3e}")
 
 
-def _residuals(problem: Problem, params: tuple[Any, Any], data: Any) -> jax.Array:
+def _residuals(problem: NetworkProblem, params: tuple[Any, Any], data: Any) -> jax.Array:
     network, rest = params
     values = jax.vmap(network)(jnp.asarray(problem.angles(data)))
     return problem.residuals(values, rest, data)
 
 
 @eqx.filter_jit
-def _loss(problem: Problem, params: tuple[Any, Any], data: Any) -> jax.Array:
+def _loss(problem: NetworkProblem, params: tuple[Any, Any], data: Any) -> jax.Array:
     return jnp.sum(_residuals(problem, params, data) ** 2)
 
 
 @eqx.filter_jit
-def _adam(problem: Problem, params: tuple[Any, Any], data: Any) -> tuple:
+def _adam(problem: NetworkProblem, params: tuple[Any, Any], data: Any) -> tuple:
     import optax  # here, because it takes 0.2 s to import
 
     method = optax.adam(optax.cosine_decay_schedule(1e-3, CHUNK, alpha=0.01))
@@ -116,7 +116,7 @@ def _adam(problem: Problem, params: tuple[Any, Any], data: Any) -> tuple:
     return params, jnp.append(losses, _loss(problem, params, data))
 
 
-def _linearised(problem: Problem, params: tuple[Any, Any], data: Any) -> tuple[jax.Array, jax.Array]:
+def _linearised(problem: NetworkProblem, params: tuple[Any, Any], data: Any) -> tuple[jax.Array, jax.Array]:
     """Residuals and their Jacobian: the network's own, one row per angle, then the rest of the chain."""
     (network, rest), angles = params, jnp.asarray(problem.angles(data))
 
@@ -132,7 +132,7 @@ def _linearised(problem: Problem, params: tuple[Any, Any], data: Any) -> tuple[j
 
 
 @eqx.filter_jit
-def _marquardt(problem: Problem, params: tuple[Any, Any], data: Any) -> tuple:
+def _marquardt(problem: NetworkProblem, params: tuple[Any, Any], data: Any) -> tuple:
     r"""Steps $-J^\top (J J^\top + \mu I)^{-1} r$, or $-(J^\top J + \mu I)^{-1} J^\top r$."""
     start, unravel = jax.flatten_util.ravel_pytree(params)
 

@@ -13,7 +13,7 @@ from ..._results import as_count, as_floats, as_length, check_instance
 from ..._types import Given
 from ._given_points import numbers
 from ._network import network_fit, NetworkFit, PeriodicNetwork, with_readout
-from ._network_descent import descend, Problem, Progress
+from ._network_descent import descend, FitProgress, NetworkProblem
 from ._table import AbstractTabulated, FEWEST_CELLS, from_frames, Table
 
 _TURN = 2.0 * np.pi
@@ -91,7 +91,7 @@ class NeuralCurvature(AbstractTabulated):
         depth: int = 2,
         steps: int = 100,
         tolerance: float = 1e-8,
-        progress: Progress = False,
+        progress: FitProgress = False,
         cells: int = 1024,
     ) -> NetworkFit:
         """Fit network, length and pose to points, in least squares of their normal distances.
@@ -298,4 +298,4 @@ def _refreshed(network: PeriodicNetwork, pose: _Pose, cloud: _Cloud) -> _Cloud:
     return eqx.tree_at(lambda c: c.places, cloud, jax.lax.fori_loop(0, 4, step, cloud.places))
 
 
-_PROBLEM = Problem(_angles, _residuals, _refreshed)
+_PROBLEM = NetworkProblem(_angles, _residuals, _refreshed)

@@ -12,7 +12,7 @@ from ..._results import as_count, as_floats, as_length, check_instance
 from ..._types import Given
 from ._given_points import numbers
 from ._network import network_fit, NetworkFit, PeriodicNetwork, with_readout
-from ._network_descent import descend, Problem, Progress
+from ._network_descent import descend, FitProgress, NetworkProblem
 from ._support import AbstractSupport, check_convex, fit_series, Series
 from ._table import FEWEST_CELLS, Table
 
@@ -76,7 +76,7 @@ class NeuralSupport(AbstractSupport):
         steps: int = 100,
         tolerance: float = 1e-8,
         smallest_radius: float | None = None,
-        progress: Progress = False,
+        progress: FitProgress = False,
         cells: int = 1024,
     ) -> NetworkFit:
         r"""Fit the network to convex points, in least squares of their normal distances.
@@ -194,4 +194,4 @@ def _distances(network: PeriodicNetwork, rest: tuple[Array, Array], cloud: _Clou
     return np.sqrt(count) * _residuals(network.values(_angles(cloud)), rest, cloud)[:count]
 
 
-_PROBLEM = Problem(_angles, _residuals, _refreshed)
+_PROBLEM = NetworkProblem(_angles, _residuals, _refreshed)

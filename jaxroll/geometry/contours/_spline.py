@@ -14,7 +14,7 @@ from ..._linalg import Vec2
 from ..._results import as_count, as_floats, check_flag, check_positive, concrete, shown
 from ..._types import Given
 from ._arclength import rising_sums
-from ._bspline import Basis, basis, jet, jets, locate, Pieces
+from ._bspline import Basis, basis, interval_of, jet_of_pieces, jets, Pieces
 from ._table import AbstractTabulated, FEWEST_CELLS, Table, tabulated
 
 # Exponents of the curvature in the successive parameters: arclength twice, since chords of uneven length
@@ -156,8 +156,8 @@ class Spline(AbstractTabulated):
             share = 1.0
         else:
             step = jnp.diff(u)[:, None]
-            index, local = locate(pieces.breaks, u[:-1, None] + step * places[None, :])
-            _, rate, second = jet(pieces.coefficients, index, local)
+            index, local = interval_of(pieces.breaks, u[:-1, None] + step * places[None, :])
+            _, rate, second = jet_of_pieces(pieces.coefficients, index, local)
             share = step / jnp.diff(pieces.breaks)[index]
         square = rate.dot(rate)
         arc = share * jnp.sqrt(square)
@@ -187,16 +187,16 @@ def chords(points: Array, closed: bool) -> Array:
 
 def _arclength_at(pieces: Pieces, arcs: Array, u: Array) -> Array:
     """Arclength at one parameter, by the arclengths at the breaks."""
-    piece, local = locate(pieces.breaks, u)
+    piece, local = interval_of(pieces.breaks, u)
     half = 0.5 * local
     places = half * (1.0 + _NODES)
-    _, rate, _ = jet(pieces.coefficients, jnp.full(places.shape, piece), places)
+    _, rate, _ = jet_of_pieces(pieces.coefficients, jnp.full(places.shape, piece), places)
     return arcs[piece] + half * (jnp.sqrt(rate.dot(rate)) @ _WEIGHTS)
 
 
 def _halves(coefficients: Array, half: Array, x: Array) -> tuple[Vec2, Vec2, Vec2]:
     """Half pieces as the cells of a curve: points and derivatives."""
-    point, rate, bend = jet(coefficients, half // 2, 0.5 * (half % 2 + x))
+    point, rate, bend = jet_of_pieces(coefficients, half // 2, 0.5 * (half % 2 + x))
     return point, rate * 0.5, bend * 0.25
 
 

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from ..._linalg import sincos, Vec2
 from ..._results import as_array, as_count, as_floats, as_length, concrete, traced
 from ..._types import Given
-from ._arclength import placed
+from ._arclength import parameters_reaching
 from ._given_points import numbers
 from ._table import AbstractTabulated, FEWEST_CELLS, from_frames, Table
 
@@ -61,7 +61,7 @@ class Series(eqx.Module):
         targets = length * np.linspace(0.0, 1.0, cells + 1)
         grid = jnp.linspace(0.0, _TURN, self.density + 1)
         start = jnp.interp(targets, self._progress(grid)[0], grid)
-        angle = placed(Series._progress, self, jax.lax.stop_gradient(start), targets)
+        angle = parameters_reaching(Series._progress, self, jax.lax.stop_gradient(start), targets)
         height, first, second = self.heights(angle)
         sin, cos = sincos(angle)
         point = Vec2(height * cos - first * sin, height * sin + first * cos)

@@ -17,7 +17,7 @@ from ..._xla import remembered
 from ._arclength import hermite, spaced
 from ._contour import AbstractContour, Frenet2, tabled
 
-Jet = Callable[[Any, Array, Array], tuple[Vec2, Vec2, Vec2]]
+JetFunction = Callable[[Any, Array, Array], tuple[Vec2, Vec2, Vec2]]
 # By how much the speed of a table may differ from one; a run that reads it errs by about that much.
 _UNEVEN = 1e-3
 FEWEST_CELLS = 8
@@ -117,7 +117,7 @@ def unevenness(table: Table) -> float:
     return 0.0 if seen[0] is None or seen[1] is None else float(_unevenness(*seen))
 
 
-def tabulated(jet: Jet, shape: Any, parts: int, *, closed: bool, cells: int) -> tuple[Table, Array]:
+def tabulated(jet: JetFunction, shape: Any, parts: int, *, closed: bool, cells: int) -> tuple[Table, Array]:
     """Table of a regular curve in cells of any parameter, and the arclength at the end of each.
 
     Differentiable with respect to `shape`.

@@ -9,7 +9,7 @@ import numpy as np
 from ..._results import check_flag, shown
 from ..contours import numbers
 from ._crossings import crossings
-from ._ordering import order_points, place, turnings
+from ._ordering import order_points, place_text, turnings
 
 UNITS = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
 _FEWEST = 6  # as many as a quintic has coefficients
@@ -195,12 +195,12 @@ def _check_spacing(points: np.ndarray, *, closed: bool) -> None:
     if beside[lonely] > 20.0 * typical:
         row = lonely if closed else lonely + 1
         raise ValueError(
-            f"argument points must lie on one curve in one unit, but the point {place(points[row])} "
+            f"argument points must lie on one curve in one unit, but the point {place_text(points[row])} "
             f"lies {1e3 * beside[lonely]:.3g} mm from its neighbours, which are {1e3 * typical:.3g} mm apart"
         )
     second = float(np.partition(steps, -2)[-2])
     if closed and steps[longest] > max(5.0 * typical, 2.0 * second):
-        start, end = place(points[longest]), place(points[(longest + 1) % len(points)])
+        start, end = place_text(points[longest]), place_text(points[(longest + 1) % len(points)])
         raise ValueError(
             f"argument points must go all round a closed contour, but leave a gap of "
             f"{1e3 * steps[longest]:.3g} mm from {start} to {end} at a typical spacing of "
@@ -238,7 +238,7 @@ def _bends(points: np.ndarray, *, closed: bool) -> list[str]:
     if sizes[worst] > 0.8 * np.pi:
         raise ValueError(
             f"argument points must follow a smooth contour, but turn back by "
-            f"{np.rad2deg(sizes[worst]):.0f} degrees (a cusp) at {place(points[worst])}"
+            f"{np.rad2deg(sizes[worst]):.0f} degrees (a cusp) at {place_text(points[worst])}"
         )
     pairs = np.abs(angles + np.roll(angles, -1))
     sharp = (sizes > np.pi / 6) & (sizes > 5.0 * usual)
@@ -251,7 +251,7 @@ def _bends(points: np.ndarray, *, closed: bool) -> list[str]:
     count = max(1, int(np.sum((gaps if closed else gaps[:-1]) > 2)) + (0 if closed else 1))
     return [
         f"The points have {count} corner{'s' if count > 1 else ''}, of up to "
-        f"{np.rad2deg(sizes[worst]):.0f} degrees within one spacing near {place(points[worst])}: the "
+        f"{np.rad2deg(sizes[worst]):.0f} degrees within one spacing near {place_text(points[worst])}: the "
         "contour rounds them off as the spacing lets it."
     ]
 
@@ -277,7 +277,7 @@ def _crossed(points: np.ndarray, *, closed: bool) -> list[str]:
         first, second = pairs[worst]
         raise ValueError(
             "argument points must not cross themselves, but the side that begins at "
-            f"{place(points[first])} meets the one that begins at {place(points[second])}"
+            f"{place_text(points[first])} meets the one that begins at {place_text(points[second])}"
         )
     return [
         f"The points cross themselves in {len(pairs)} small loops: their noise is as large as their spacing."

@@ -16,7 +16,7 @@ from ..._types import Given
 from ..contours import AbstractContour, NeuralCurvature, NeuralSupport, Spline, SupportFunction, tabled
 from ._clean_points import clean_points, CleanPoints
 from ._crossings import crossings
-from ._ordering import place
+from ._ordering import place_text
 from ._smoothing import smoothing_for
 
 _SAMPLES = 2048
@@ -310,7 +310,7 @@ def _doubts(report: FitReport, points: np.ndarray, distances: np.ndarray) -> lis
     rms, worst = report.rms, int(np.argmax(distances))
     if distances[worst] > max(5.0 * rms, 1e-3 * spacing):
         doubts.append(
-            f"The point {place(points[worst])} lies {1e3 * distances[worst]:.3g} mm off the contour, "
+            f"The point {place_text(points[worst])} lies {1e3 * distances[worst]:.3g} mm off the contour, "
             f"{distances[worst] / rms:.1f} times the rms distance."
         )
     return doubts

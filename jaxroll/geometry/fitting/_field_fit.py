@@ -57,7 +57,7 @@ def grid_around(points: np.ndarray, step: float, margin: float) -> Grid:
 
 
 @dataclass(frozen=True)
-class Rows:
+class DataRows:
     """What the data ask of the field: per point its cell's first unknown, and six functions an axis."""
 
     base: np.ndarray
@@ -69,7 +69,7 @@ class Rows:
         return np.einsum("ni,nj,nk->nijk", x, y, z).reshape(len(x), ORDER**3)
 
 
-def rows(grid: Grid, points: np.ndarray) -> Rows:
+def rows(grid: Grid, points: np.ndarray) -> DataRows:
     """The functions at points, with lengths in cells."""
     place = (points - grid.origin) / grid.step
     cell = np.clip(np.floor(place).astype(int), 0, np.array(grid.counts) - ORDER)
@@ -77,7 +77,7 @@ def rows(grid: Grid, points: np.ndarray) -> Rows:
     slopes = np.zeros_like(powers)
     slopes[..., 1:] = powers[..., :-1] * np.arange(1, ORDER)
     values = np.stack([powers @ _POLYNOMIALS.T, slopes @ _POLYNOMIALS.T], axis=2)
-    return Rows(cell @ np.array(grid.strides), np.moveaxis(values, 1, 0))
+    return DataRows(cell @ np.array(grid.strides), np.moveaxis(values, 1, 0))
 
 
 def offsets(grid: Grid) -> np.ndarray:
@@ -87,7 +87,7 @@ def offsets(grid: Grid) -> np.ndarray:
     return (x[:, None, None] + y[None, :, None] + z[None, None, :]).ravel()
 
 
-def normal_band(grid: Grid, data: Rows, value: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+def normal_band(grid: Grid, data: DataRows, value: np.ndarray, slopes: np.ndarray) -> np.ndarray:
     r"""Lower band of $\sum_i a_i B_i B_i^T + |G_i \nabla B_i|^2$, functions cell by cell.
 
     Args:

@@ -16,7 +16,7 @@ class Order(NamedTuple):
     loop: bool
 
 
-def nearest(points: np.ndarray, count: int) -> np.ndarray:
+def nearest_points(points: np.ndarray, count: int) -> np.ndarray:
     """Indices (n, count) of the nearest other points, nearest first; in O(n^2) time and O(n) memory."""
     n = len(points)
     count = min(count, n - 1)
@@ -32,7 +32,7 @@ def nearest(points: np.ndarray, count: int) -> np.ndarray:
     return found
 
 
-def place(point: np.ndarray) -> str:
+def place_text(point: np.ndarray) -> str:
     """A point as text for a sentence."""
     return f"({point[0]:.4g}, {point[1]:.4g}) m"
 
@@ -113,7 +113,7 @@ def repaired(points: np.ndarray, near: np.ndarray, *, closed: bool) -> Order:
     if apart[worst] > 3 or zigzags(points[tour], closed=closed):
         raise ValueError(
             "argument points must be in order, or lie finely enough on one curve to be ordered by nearness, "
-            f"but more than one order is plausible near row {worst} at {place(points[worst])} "
+            f"but more than one order is plausible near row {worst} at {place_text(points[worst])} "
             "(ordered=True keeps the order given)"
         )
     return Order(tour, loop=closed)
@@ -239,7 +239,7 @@ def order_points(points: np.ndarray, *, closed: bool, ordered: bool | None) -> n
     """
     if ordered:
         return None
-    near = nearest(points, _NEAR)
+    near = nearest_points(points, _NEAR)
     found = crust(points, near)
     if found is None:
         if ordered is None and ordered_already(points, near, closed=closed):

@@ -13,8 +13,8 @@ from ..._linalg import Vec3
 from ..._results import as_floats, as_length, check_direction, concrete, shown
 from ..._types import Given
 from ..surfaces import principal, SplineSurface
-from ._field_fit import AXES, Grid, grid_around, normal_band, offsets, roughness_band, Rows, rows
-from ._surface_normals import estimated, outward, spread
+from ._field_fit import AXES, DataRows, Grid, grid_around, normal_band, offsets, roughness_band, rows
+from ._surface_normals import estimated, neighbourhoods, outward
 
 _CELLS = 2.5  # per wavelength of smoothing
 _ROOM = 2.0  # cells between the points and the end of the grid
@@ -127,7 +127,7 @@ def fit_surface(
     if given is not None and given.shape != cloud.shape:
         raise ValueError(f"argument normals must have shape {cloud.shape}, but had shape {given.shape}")
     deviation = None if noise is None else _deviation(noise)
-    neighbours, areas = spread(cloud)
+    neighbours, areas = neighbourhoods(cloud)
     if given is None:
         directions = outward(cloud, estimated(cloud, neighbours), areas)
     else:
@@ -187,7 +187,7 @@ def _surface(grid: Grid, found: np.ndarray) -> SplineSurface:
     return SplineSurface(np.transpose(block, np.argsort(order)) * grid.step, grid.origin, grid.step)
 
 
-def _scatter(right: np.ndarray, data: Rows, around: np.ndarray, values: np.ndarray) -> None:
+def _scatter(right: np.ndarray, data: DataRows, around: np.ndarray, values: np.ndarray) -> None:
     places = (data.base[:, None] + around[None, :]).ravel()
     right += np.bincount(places, values.ravel(), minlength=len(right))
 

@@ -6,7 +6,7 @@ _PLANE = 24  # neighbours of a local plane
 _LINKS = 10  # neighbours along which orientation spreads
 
 
-def spread(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def neighbourhoods(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Each point's neighbours, itself first, shape (n, 24), and the area it stands for [m^2]."""
     from scipy.spatial import KDTree
 

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..._linalg import normalised, pose, Pose3, tangents, unstack, Vec3
+from ..._linalg import normalised, Pose3, pose_at, tangents, unstack, Vec3
 from ..._results import as_array, as_floats, concrete, shown
 from ..._types import Given, Scalars
 from ..._xla import remembered
@@ -325,7 +325,7 @@ class MovedSurface(AbstractSurfaceOf):
         """The placement as a pose."""
         if self.pose is not None:
             return self.pose
-        return pose(Vec3(*unstack(self.offset)), normalised(unstack(self.rotation)))
+        return pose_at(Vec3(*unstack(self.offset)), normalised(unstack(self.rotation)))
 
     def frame(self, at: Scalars) -> Gauss3:
         return self.surface.frame(at).placed(self.placed())

@@ -52,7 +52,7 @@ class Axis(NamedTuple):
         low = breaks[piece]
         width = breaks[piece + 1] - low
         polynomials = jnp.asarray(self.polynomials, u.dtype)[piece]
-        return Local(piece, powers(polynomials, (u - low) / width, 1.0 / width))
+        return Local(piece, quintics(polynomials, (u - low) / width, 1.0 / width))
 
 
 def axis(nodes: int, *, closed: bool) -> tuple[Axis, np.ndarray]:
@@ -81,10 +81,10 @@ def _tables(at: Array, closed: bool) -> tuple[Array, Array, Array]:
 def uniform(u: Scalar, functions: int, step: Scalar) -> Local:
     """Functions with knots at all integers; the first lives on cells -5 to 0. Derivatives are over `step`."""
     cell = jnp.clip(jnp.floor(u), 0.0, functions - float(ORDER))
-    return Local(cell.astype(int), powers(jnp.asarray(UNIFORM / 120.0, u.dtype), u - cell, 1.0 / step))
+    return Local(cell.astype(int), quintics(jnp.asarray(UNIFORM / 120.0, u.dtype), u - cell, 1.0 / step))
 
 
-def powers(polynomials: Float[Array, "6 6"], x: Scalar, rate: Scalar) -> Float[Array, "3 6"]:
+def quintics(polynomials: Float[Array, "6 6"], x: Scalar, rate: Scalar) -> Float[Array, "3 6"]:
     """Six quintics at x with two derivatives; `rate` is the derivative of x."""
     c = [polynomials[:, i] for i in range(ORDER)]
     value = c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * (c[4] + x * c[5]))))

@@ -115,7 +115,9 @@ PARAMETERS: dict[str, Argument] = {
     "gravity": _is("array", (0.0, -9.81)),
     "guess": _made("state", lambda: planar()[1]),
     "hold_contacts": _is("flag", True),
-    "image": _made("array", disc_image, "square", "itself as bits", "itself and infinity"),
+    "image": _made(
+        "array", disc_image, "square", "itself as bits", "itself and infinity", "its last left out"
+    ),
     "inclination": _is("number", 1.2),
     "inertias": _is("array", (1e-5, 1e-5)),
     "interval": _is("array", (-0.005, 0.005)),
@@ -200,6 +202,8 @@ _SPATIAL = {
 _PATH = {"path": _made("path", lambda: folder() / "new" / "shape.csv"), "contour": _BODY}
 # One number, or one for each of two fingers.
 _EACH = _is("not negative", 0.006, "two numbers", "numbers of float32", "whole numbers", "its last twice")
+# With three numbers as `start` it is for three fingers.
+_EACH_OF_SOME = dataclasses.replace(_EACH, also=_EACH.also | {"three numbers"})
 # What is optional by itself: None is sensible where it is not the default, too.
 _NO_FLAT = _is("positive", 0.1, "None")
 # Its first numbers are the ends of a line, which may have none.
@@ -298,7 +302,7 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
     },
     "Limits": {"flat": _NO_FLAT},
     "Press": {"radius": _is("positive", 0.01)},
-    "Opposition": {"damping": _EACH, "alpha": _EACH},
+    "Opposition": {"damping": _EACH_OF_SOME, "alpha": _EACH_OF_SOME},
     "ClosedLoop": {
         "make": _made("function", lambda: lifted),
         "objective": _is("function", {"overshoot": 1.0}),
@@ -393,7 +397,11 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
     "poses": {"times": _is("array", (0.0, 0.01)), "forces": _is("flag", False)},
     "responses": {"folder": _made("folder", lambda: folder() / "plots")},
     "pinch": {"s": _is("array", (0.004, -0.003)), "damping": _EACH},
-    "ring": {"count": _is("count", 3), "damping": _is("not negative", 0.006, "three numbers")},
+    "ring": {
+        "count": _is("count", 3),
+        "damping": _is("not negative", 0.006, "three numbers"),
+        "alpha": _is("not negative", 1e-3, "three numbers"),
+    },
     "pivoted": {"s": _is("number", 0.003)},
     "roller": {"contour": _BODY, "force": _is("number", 5.0), "period": _is("positive", 3.0)},
     "incline": {"gravity": _is("not negative", 9.81), "slope": _is("number", 0.3)},

@@ -235,6 +235,9 @@ def test_a_solid_is_watertight_and_has_its_volume(tmp_path):
         jxr.io.write_stl(jxr.Line((0.0, 1.0)), path, height=0.01)
     with pytest.raises(ValueError, match="argument height must be a positive number, but was -1"):
         jxr.io.write_stl(BODY, path, height=-1)
+    for height in (1e-300, 1e300):  # neither is there in single precision
+        with pytest.raises(ValueError, match="argument height must lie between 1e-09 and 1000 m, but was"):
+            jxr.io.write_stl(BODY, path, height=height)
 
 
 def torus(n=64, m=48, big=0.03, small=0.01):

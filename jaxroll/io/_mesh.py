@@ -5,13 +5,15 @@ from typing import Any
 
 import numpy as np
 
-from .._results import shown
+from .._results import check_between, shown
 from ..geometry import AbstractContour, metres_per
 from ._extra import missing
 from ._outline import outline, positive
 from ._paths import as_path, readable, writable
 
 _KINDS = (".stl", ".obj", ".ply", ".off")
+# A file holds numbers of single precision: beyond these heights [m] no solid is left, or no number.
+_HEIGHTS = (1e-9, 1e3)
 
 
 def _trimesh() -> Any:
@@ -48,7 +50,7 @@ def write_stl(
     Args:
         contour: Closed, and without self-intersections.
         path: A file that ends in .stl. Folders are made if need be.
-        height: Of the solid [m], positive.
+        height: Of the solid [m], from 1e-9 to 1e3.
         unit: Of the numbers written; slicers take them for millimetres.
         tolerance: Largest distance [m] of the outline's straight pieces from the contour.
 
@@ -66,6 +68,7 @@ def write_stl(
     """
     path, scale = as_path(path, (".stl",)), metres_per(unit)
     height = positive("height", height)
+    check_between("height", height, *_HEIGHTS, unit=" m")  # before anything is worked out
     if not isinstance(contour, AbstractContour) or not contour.closed:
         raise ValueError(f"argument contour must be closed, but was {shown(contour)}")
     trimesh, path = _trimesh(), writable(path)

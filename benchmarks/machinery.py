@@ -21,7 +21,7 @@ PIECES = {
     "as it is": "",
     "without `one_kernel`": "xla.one_kernel = lambda function, *args: function(*args)",
     "without `once`": "xla.once = lambda tree: tree",
-    "without `shared`": "xla.shared = xla._compute_once.shared = lambda function: function",
+    "without `shared`": "xla.shared = xla._share_cotangents.shared = lambda function: function",
     "with XLA's sine and cosine": "xla.sine_cosine = lambda x: (jnp.sin(x), jnp.cos(x))",
     "without `remembered`": "xla.remembered = lambda build: build",
 }

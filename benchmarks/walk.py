@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 
 import jaxroll as jxr
+from jaxroll._integration._state_vector import layout, slope
 
 ROOT = Path(jxr.__file__).parent
 
@@ -42,14 +43,16 @@ def walked(function: Callable[[], Any]) -> dict[str, int]:
 def calls() -> dict[str, Callable[[], Any]]:
     """An evaluation of the equations of motion, a run, and a gradient of one."""
     grasp, state = jxr.scenes.pivoted()
-    field = jxr.vector_field(grasp)
-    x = field.start(state)
+    ready, lay = grasp.tabled().prepared(), layout(grasp, False)
+    x = jnp.concatenate([state.q, state.v, state.s])
 
     def run(damping: Any) -> Any:
         return jxr.simulate(grasp.with_(damping=damping), state, 0.02, ts=1).last.q[0]
 
     return {
-        "one evaluation of the equations of motion": lambda: jax.make_jaxpr(lambda y: field(0.0, y))(x),
+        "one evaluation of the equations of motion": lambda: jax.make_jaxpr(
+            lambda y: slope(lay, ready, 0.0, y, jxr.Index1())[0]
+        )(x),
         "simulate": lambda: jxr.simulate(grasp, state, 0.01, ts=1),
         "gradient of simulate": lambda: jax.jit(jax.grad(run)).lower(jnp.asarray(0.006)),
     }

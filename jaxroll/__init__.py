@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from ._closing import close
     from ._integration import Rosenbrock, simulate, Trajectory, vector_field
     from ._mechanics import (
-        equation_terms,
         Finger,
         Finger3,
         FreeObject,
@@ -25,7 +24,7 @@ if TYPE_CHECKING:
         State,
         Turning,
     )
-    from ._motion import CSM, energies, Index1, multipliers, residuals
+    from ._motion import CSM, energies, equation_terms, Index1, multipliers, residuals
     from ._results import RESULTS
     from ._sweep import sweep
     from ._why import why
@@ -107,7 +106,7 @@ _HOMES: dict[str, str | None] = {
     "Stage": "_mechanics",
     "State": "_mechanics",
     "Turning": "_mechanics",
-    "equation_terms": "_mechanics",
+    "equation_terms": "_motion",
 }
 __all__ = [  # noqa: PLE0604
     "CSM",

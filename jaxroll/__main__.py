@@ -266,7 +266,7 @@ def _run(options: argparse.Namespace, demo: Demo, folder: Path) -> None:
         pace = {"fps": _FPS, "speed": speed, "until": until} | demo.animated(plotting)
         with _timed("Animating"):
             plotting.animate(grasp, run, folder / "motion.gif", progress=_progress, **pace)
-    missing = _page(demo, folder, names, (plotting, grasp, run)) if demo.page else []
+    missing = _page(demo, folder, names, plotting=plotting, grasp=grasp, run=run) if demo.page else []
     print(f"jaxroll {__version__}, {options.scene}: {demo.title}")
     print("\n".join([*scene, f"{run}", *facts]))
     print(f"  wall time   {first['s']:.3g} s with compilation, {again['s']:.3g} s again")
@@ -290,9 +290,8 @@ def _design(options: argparse.Namespace, folder: Path) -> None:
     print("\n".join([f"jaxroll {__version__}, design: a fingertip that holds a rectangle", *lines]))
 
 
-def _page(demo: Demo, folder: Path, names: list[str], drawn: tuple[Any, Any, Any]) -> list[str]:
+def _page(demo: Demo, folder: Path, names: list[str], *, plotting: Any, grasp: Any, run: Any) -> list[str]:
     """Write page.html, or say what that needs."""
-    plotting, grasp, run = drawn
     try:
         with _timed("Writing the page"):
             plotting.page(grasp, run, folder / "page.html", title=demo.title)

@@ -7,8 +7,8 @@ import pytest
 from helpers import broadcasting, Chapter
 
 import jaxroll as jxr
-from jaxroll._mechanics import bodies, join, to_leaves
-from jaxroll._motion import Index1
+from jaxroll._mechanics import join, to_leaves
+from jaxroll._motion import bodies, Index1
 from jaxroll._motion._equations import evaluate
 
 GRAVITY = (0.3, -9.81)

@@ -10,8 +10,8 @@ import pytest
 from chapter_part1 import Part1
 
 import jaxroll as jxr
-from jaxroll._mechanics import bodies, to_leaves
-from jaxroll._motion import Index1
+from jaxroll._mechanics import to_leaves
+from jaxroll._motion import bodies, Index1
 from jaxroll._motion._equations import evaluate, power, sensed
 from jaxroll.control import Sensed
 

@@ -7,8 +7,8 @@ from jaxtyping import Array, Float
 
 from .._integration import layout, pack, Trajectory, unpack
 from .._linalg import Vec3
-from .._mechanics import bodies, check_spatial, check_states, compiled, Grasp, Leaves, State, touches
-from .._motion import evaluate, Index1
+from .._mechanics import check_spatial, check_states, compiled, Grasp, Leaves, State
+from .._motion import bodies, evaluate, Index1, touches
 from .._printing import listed
 from .._results import check_instance, is_array_like, shown
 from .._types import Scalar, Times

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._linalg import Vec2
-from .._mechanics import check_planar, compiled, Grasp, State, to_leaves, touches, world_poses
-from .._motion import as_times, Index1, multipliers_at
+from .._mechanics import check_planar, compiled, Grasp, State, to_leaves
+from .._motion import as_times, Index1, multipliers_at, touches, world_poses
 from .._printing import listed
 from .._results import shown
 from .._types import Scalar

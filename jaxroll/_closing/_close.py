@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Array
 
 from .._linalg import Pose2, Pose3, seven
-from .._mechanics import check_states, compiled, Grasp, split, State, world_poses
+from .._mechanics import check_states, compiled, Grasp, split, State
+from .._motion import world_poses
 from .._results import check_flag, concrete
 from ..contact import locate as locate_contours, locate_surfaces
 from ._implicit_derivative import settled

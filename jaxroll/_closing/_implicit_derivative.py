@@ -14,8 +14,8 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from .._linalg import factorise
-from .._mechanics import bodies, Grasp, join, linearise, State, to_leaves, touches
-from .._motion import compatible
+from .._mechanics import Grasp, join, State, to_leaves
+from .._motion import bodies, compatible, linearise, touches
 from .._xla import filled, linear_map, one_kernel, shared, sharing
 from ._search import after_step, ClosingProblem, constraint_rows, metric_at, searched, solve_schur
 

@@ -17,19 +17,8 @@ from jax.scipy.linalg import lu_factor, lu_solve
 from jaxtyping import Array
 
 from .._linalg import unstack
-from .._mechanics import (
-    bodies,
-    displaced,
-    Grasp,
-    join,
-    mass_matrix,
-    split,
-    State,
-    to_leaves,
-    to_places,
-    touches,
-    world_poses,
-)
+from .._mechanics import Grasp, join, split, State, to_leaves, to_places
+from .._motion import bodies, displaced, mass_matrix, touches, world_poses
 from .._xla import one_kernel, sharing
 
 _STEPS = 300

@@ -12,7 +12,8 @@ import diffrax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from .._mechanics import Grasp, Instant, Leaves, world_poses
+from .._mechanics import Grasp, Leaves
+from .._motion import Instant, world_poses
 from .._results import RESULTS
 from .._types import Scalar
 from ..contact import AbstractContact, clearance, TOLERANCE

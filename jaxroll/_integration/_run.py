@@ -57,10 +57,10 @@ def judge(
 ) -> Course:
     """Take a step, given as its end, its error estimate and where its margin dips, or leave it."""
     y1, error, dip = step
-    judged = plan.control(course.pace, dip).adapt_step_size(
+    keep, _, _, _, pace, code = plan.control(course.pace, dip).adapt_step_size(
         *times, course.y, y1, None, error, plan.stepper.error_order, course.pace
     )
-    keep, pace, loop = judged[0], judged[4], judged[5]._value
+    loop = code._value
     # A run that ends where something is not finite keeps the state before, and the code.
     whole = ~jnp.isnan(y1[-2]) | (jnp.arange(y1.shape[0]) == y1.shape[0] - 1)
     y = jnp.where(keep & whole, y1, course.y)

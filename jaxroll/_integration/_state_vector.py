@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 
 from .._linalg import scalars
 from .._mechanics import Blocks, Form, Grasp, Leaves, State
+from .._motion import evaluate, Formulation, Instant, power
 from .._types import Scalar
 
 Flow = Float[Array, " flow"]
@@ -28,11 +29,7 @@ class Layout(NamedTuple):
 
     form: Form
     audited: bool
-
-    @property
-    def width(self) -> int:
-        """Length of `x`."""
-        return sum(self.form.counts) + int(self.audited)
+    width: int  # length of `x`
 
     @property
     def margin(self) -> int:
@@ -52,7 +49,7 @@ class Layout(NamedTuple):
 
 def layout(grasp: Grasp, audited: bool) -> Layout:
     """The layout of a grasp's flow vector."""
-    return Layout(grasp.form, audited)
+    return Layout(grasp.form, audited, sum(grasp.form.counts) + int(audited))
 
 
 def pack(leaves: Leaves, work: Scalar | None) -> Array:
@@ -75,6 +72,14 @@ def unpack(lay: Layout, x: Array) -> tuple[Leaves, Scalar | None]:
     q, v = blocks(form.positions), blocks(form.sizes)
     s = jax.tree.unflatten(form.places, tuple(itertools.islice(rest, form.places.num_leaves)))
     return Leaves(q, v, s), next(rest) if lay.audited else None
+
+
+def slope(lay: Layout, grasp: Grasp, t: Scalar, x: Array, formulation: Formulation) -> tuple[Array, Instant]:
+    """Time derivative of x, the right-hand side of a run, and all else that its evaluation worked out."""
+    leaves, _ = unpack(lay, x)
+    instant = evaluate(grasp, t, leaves, formulation)
+    gained = power(grasp, t, leaves, instant) if lay.audited else None
+    return pack(instant.rates, gained), instant
 
 
 def states_of(lay: Layout, y: Array) -> State:

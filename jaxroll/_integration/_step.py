@@ -16,15 +16,13 @@ import numpy as np
 from jaxtyping import Array
 
 from .._linalg import row, scalars, total, with_row
-from .._mechanics import Grasp, Instant
+from .._mechanics import Grasp
 from .._motion import (
     Anchor,
     anchor_of,
     compatible,
-    evaluate,
     Formulation,
     Index1,
-    power,
     settle,
     unknown_anchor,
 )
@@ -34,7 +32,7 @@ from ._dips import first_dip, watched
 from ._events import coded, regime, smallest_clearance, with_clearance
 from ._methods import is_rosenbrock, on_tableau
 from ._rosenbrock import advance, samples_in_turn, side_by_side, STAGE_TIMES
-from ._state_vector import Bundle, Flow, Layout, pack, unpack
+from ._state_vector import Bundle, Flow, Layout, pack, slope, unpack
 
 
 class RollingStep(eqx.Module):
@@ -189,22 +187,15 @@ class RollingStep(eqx.Module):
             return rates, end.packed(x.dtype)
 
     def _evaluated(self, grasp: Grasp, t: Scalar, x: Array) -> tuple[Array, "Ending"]:
-        rates, instant = self.rates(grasp, t, x)
+        rates, instant = slope(self.lay, grasp, t, x, self.formulation)
         leaves, _ = unpack(self.lay, x)
         return rates, Ending(anchor_of(grasp, instant), *regime(grasp, leaves, instant, self.events))
-
-    def rates(self, grasp: Grasp, t: Scalar, x: Array) -> tuple[Array, Instant]:
-        """Time derivative of x, and all else that its evaluation worked out."""
-        leaves, _ = unpack(self.lay, x)
-        instant = evaluate(grasp, t, leaves, self.formulation)
-        gained = power(grasp, t, leaves, instant) if self.lay.audited else None
-        return pack(instant.rates, gained), instant
 
     def _other(
         self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow, over: Callable
     ) -> tuple[Array, Array, Array, Array, Array]:
         def field(t: Scalar, x: Array, args: Grasp) -> Array:
-            return self.rates(args, t, x)[0]
+            return slope(self.lay, args, t, x, self.formulation)[0]
 
         terms, grasp = diffrax.ODETerm(field), bundle()
         x0 = y0[: self.lay.width]

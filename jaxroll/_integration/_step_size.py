@@ -125,7 +125,8 @@ class StopAt(eqx.Module):
         opening = jnp.where(beside, _CAREFUL * self.dt0, self.dt0)
         length = jnp.where(first, opening, settled(end - start, pace.length))
         start = jnp.where(keep, t1, t0)
-        hunt = _narrowed(pace.hunt, (t0, t1), (y0[self.margin], y1[self.margin]), (back, keep & hunting))
+        before, after = y0[self.margin], y1[self.margin]
+        hunt = _narrowed(pace.hunt, t0=t0, t1=t1, before=before, after=after, back=back, kept=keep & hunting)
         hunt = hunt._replace(
             beyond=jnp.where(dips, jnp.inf, hunt.beyond), leap=jnp.where(dips, near, hunt.leap)
         )
@@ -150,11 +151,14 @@ class StopAt(eqx.Module):
         return t0 + jnp.minimum(jnp.where(jnp.isfinite(hunt.beyond), guess, hunt.leap), pace.length)
 
 
-def _narrowed(hunt: Hunt, step: tuple[Scalar, Scalar], margins: tuple[Scalar, Scalar], moved: tuple) -> Hunt:
-    """The bracket after a step that was taken back (`moved[0]`) or kept (`moved[1]`) in a hunt."""
-    back, kept = moved
-    before, after = margins
-    spent = step[1] - step[0]
+def _narrowed(
+    hunt: Hunt, *, t0: Scalar, t1: Scalar, before: Scalar, after: Scalar, back: Scalar, kept: Scalar
+) -> Hunt:
+    """The bracket after a step from `t0` to `t1` that was taken `back`, or `kept` while hunting.
+
+    `before` and `after` are the margins at its ends.
+    """
+    spent = t1 - t0
     # A value that is not finite says nothing of how far: bisect.
     high = jnp.where(jnp.isfinite(after), -after, before)
     low = jnp.where(hunt.side > 0, 0.5 * hunt.low, before)
@@ -164,7 +168,7 @@ def _narrowed(hunt: Hunt, step: tuple[Scalar, Scalar], margins: tuple[Scalar, Sc
     # Short steps end a little elsewhere than the long one did, by its error or by rounding: where the
     # bracket is used up, look for another one in growing steps, and then more coarsely.
     with sharing():
-        left, least = once((hunt.beyond - spent, hunt.grain * resolution(step[1])))
+        left, least = once((hunt.beyond - spent, hunt.grain * resolution(t1)))
     used_up = left <= 2.0 * least
     grain = jnp.where(used_up, 64.0, 1.0) * hunt.grain
     leap = jnp.where(jnp.isfinite(left), jnp.where(used_up, 8.0 * least, jnp.inf), 8.0 * hunt.leap)

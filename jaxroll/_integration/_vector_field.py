@@ -13,19 +13,19 @@ from typing import Any
 
 import diffrax
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._mechanics import check_grasp, check_states, Grasp, Instant, Leaves, State
-from .._motion import anchor_of, as_formulation, evaluate, Formulation, Index1
+from .._mechanics import check_grasp, check_states, Grasp, Leaves, State
+from .._motion import anchor_of, as_formulation, evaluate, Formulation, Index1, Instant
 from .._printing import listed
-from .._results import check_instance, shown
+from .._results import check_instance
 from .._types import Scalar
 from ._arguments import check_choices
 from ._events import EVENTS, regime
 from ._methods import check_method, Steady, with_tolerances
-from ._state_vector import Layout, layout, states_of, unpack
+from ._projected_method import Projected
+from ._state_vector import Layout, layout, slope, states_of, unpack
 from ._step import RollingStep
 
 Y = Float[Array, " y"]
@@ -43,10 +43,7 @@ class VectorField(eqx.Module):
     grasp: Grasp
     formulation: Formulation
     events: tuple[str, ...] = eqx.field(static=True)
-
-    @property
-    def _lay(self) -> Layout:
-        return layout(self.grasp, False)
+    _lay: Layout = eqx.field(static=True)
 
     @property
     def terms(self) -> diffrax.ODETerm:
@@ -55,7 +52,7 @@ class VectorField(eqx.Module):
 
     def __call__(self, t: Scalar, y: Y, args: Any = None) -> Y:
         """Time derivative of $y$ [1/s of its units]."""
-        return self._step.rates(self.grasp, jnp.asarray(t, y.dtype), y)[0]
+        return slope(self._lay, self.grasp, jnp.asarray(t, y.dtype), y, self.formulation)[0]
 
     def start(self, state: State) -> Y:
         """$y$ of a state on the constraints, as `close` returns it: `y0` of `diffeqsolve`."""
@@ -73,7 +70,7 @@ class VectorField(eqx.Module):
         _, instant = self._at(t, y)
         return self._step.returned(self.grasp, y, anchor_of(self.grasp, instant))
 
-    def projected(self, solver: diffrax.AbstractSolver | None = None) -> "Projected":
+    def projected(self, solver: diffrax.AbstractSolver | None = None) -> Projected:
         """A method of diffrax that projects after every step; None: `diffrax.Dopri8()`.
 
         Raises:
@@ -83,7 +80,7 @@ class VectorField(eqx.Module):
         solver = diffrax.Dopri8() if solver is None else solver
         check_instance("solver", solver, diffrax.AbstractSolver, "a diffrax solver")
         check_method(with_tolerances(solver, 1e-6, 1e-6), Steady(), jnp.zeros(self._lay.width))
-        return Projected(solver, self)
+        return Projected(solver, self.project, self._lay.width)
 
     def margin(self, t: Scalar, y: Y, args: Any = None, **others: Any) -> Scalar:
         """How far the model still holds, positive while it does: `cond_fn` of `diffrax.Event`.
@@ -102,84 +99,6 @@ class VectorField(eqx.Module):
         """The state as scalars, and the equations of motion evaluated there."""
         leaves, _ = unpack(self._lay, y)
         return leaves, evaluate(self.grasp, jnp.asarray(t, y.dtype), leaves, self.formulation)
-
-
-class Projected(diffrax.AbstractWrappedSolver):
-    """A method of diffrax, and after every step of it the return to the constraints.
-
-    A step begins at the projected end of the one before: what a method keeps of that one's last derivative is
-    worked out anew, one evaluation more in a step.
-    """
-
-    solver: diffrax.AbstractSolver
-    field: VectorField
-
-    @property
-    def term_structure(self) -> Any:
-        return self.solver.term_structure
-
-    @property
-    def scan_kind(self) -> Any:
-        """Which loop goes over the stages: diffrax sets it by the adjoint, in the method itself."""
-        return self.solver.scan_kind  # pyright: ignore
-
-    @property
-    def root_finder(self) -> Any:
-        """An implicit method's, whose tolerances diffrax takes from the control of the error."""
-        return self.solver.root_finder  # pyright: ignore
-
-    @property
-    def interpolation_cls(self) -> Any:
-        return self.solver.interpolation_cls
-
-    def order(self, terms: Any) -> Any:
-        """Order of the method: that of the projection is no lower."""
-        return self.solver.order(terms)
-
-    def strong_order(self, terms: Any) -> Any:
-        """None: there is no noise."""
-        return self.solver.strong_order(terms)
-
-    def error_order(self, terms: Any) -> Any:
-        """Order of the error estimate, which is the method's own."""
-        return self.solver.error_order(terms)
-
-    def init(self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any) -> Any:
-        """What the method itself begins with."""
-        self._check(terms, y0)
-        return self.solver.init(terms, t0, t1, y0, args)
-
-    def step(
-        self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any, solver_state: Any, made_jump: Any
-    ) -> tuple[Any, Any, Any, Any, Any]:
-        """One step of the method, its end projected."""
-        self._check(terms, y0)
-        jumped = jnp.asarray(True)
-        raw, error, dense, memory, code = self.solver.step(terms, t0, t1, y0, args, solver_state, jumped)
-        y1 = self.field.project(t1, raw)
-        between: dict[str, Any] = {**dense}  # pyright: ignore
-        if "y1" in between:  # so that dense output meets the start of the next step
-            between["y1"] = y1
-        return y1, error, between, memory, code
-
-    def func(self, terms: Any, t0: Any, y0: Any, args: Any) -> Any:
-        """The vector field."""
-        return self.solver.func(terms, t0, y0, args)
-
-    def _check(self, terms: Any, y0: Any) -> None:
-        """Raise where what is integrated is not this grasp's motion forwards in time."""
-        if not (isinstance(y0, jax.Array) and y0.shape == (self.field._lay.width,)):
-            raise ValueError(
-                "argument adjoint must be one that differentiates the steps, RecursiveCheckpointAdjoint or "
-                "ForwardMode: BacksolveAdjoint goes back through projections, which it cannot undo"
-            )
-        inner = terms
-        while hasattr(inner, "term"):  # diffrax wraps it, for the direction of time
-            inner = inner.term
-        if not isinstance(inner, diffrax.ODETerm):
-            raise ValueError(
-                f"argument terms must be the vector field's own, without noise, but was {shown(inner)}"
-            )
 
 
 def vector_field(
@@ -222,4 +141,5 @@ def vector_field(
     """
     check_grasp(grasp)
     watched = check_choices("events", events, tuple(e for e in EVENTS if e != "penetration"))
-    return VectorField(grasp.tabled().prepared(), as_formulation(grasp, formulation), watched)
+    way, ready = as_formulation(grasp, formulation), grasp.tabled().prepared()
+    return VectorField(ready, way, watched, layout(grasp, False))

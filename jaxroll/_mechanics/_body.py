@@ -1,16 +1,28 @@
-"""What the dynamics needs to know of a body, whichever body it is."""
+"""What the equations of motion ask of a body, and the two objects of the plane: pivoted, and free.
+
+A body gives its pose, its kinematics (`Motion`), mass matrix $M$ and bias force $h$ at one state. Fingers are
+bodies too (`_finger`, `_jaw`), and so is whatever lives in space (`_object3`, `_finger3`, `_stage`).
+"""
 
 import abc
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
 
-from .._linalg import Triangle
+from .._fields import real, taken, through
+from .._linalg import Pose2, sincos, Triangle, Twist2, unstack, Vec2
 from .._printing import listed
-from .._types import Scalar, Scalars
+from .._results import as_floats, as_several, check_positive
+from .._types import Given, Scalar, Scalars
 from ..contact import Motion
+from ..geometry import AbstractContour
+
+Contours = tuple[AbstractContour, ...]
 
 
 @jax.tree_util.register_dataclass
@@ -93,3 +105,151 @@ class AbstractBody(eqx.Module):
     def displaced(self, q: Scalars, step: Scalars) -> Scalars:
         """Positions after a small displacement, given as velocities are."""
         return tuple(a + b for a, b in zip(q, step, strict=True))
+
+
+def _as_contours(name: str, contours: Any) -> Contours:
+    return as_several(name, contours, AbstractContour, "contours")
+
+
+class AbstractObject(AbstractBody):
+    """A rigid object with one or more contours (faces) in its body frame."""
+
+    contours: eqx.AbstractVar[Contours]
+
+    @property
+    def shapes(self) -> Contours:
+        return self.contours
+
+
+class PivotedObject(AbstractObject):
+    r"""An object that turns about a fixed point $O_m$, the origin of its frame (Part 2, Fig. 4).
+
+    Its one coordinate is the angle $\theta$.
+
+    Args:
+        contours: One contour or several, in the body frame.
+        inertia: Moment about the pivot, in kg m^2.
+        pivot: Shape (2,), position of the pivot in the world, in metres.
+        mass: In kilograms; used by gravity alone, with `centre`. Default: no weight.
+        centre: Shape (2,), centre of mass in the body frame, in metres.
+    """
+
+    contours: Contours = through(_as_contours)
+    inertia: Float[Array, ""] = real(check=check_positive)
+    pivot: Float[Array, "2"] = real(2)
+    weight_moment: Float[Array, "2"] | None = real(2, optional=True)
+
+    def __init__(
+        self,
+        contours: AbstractContour | Sequence[AbstractContour],
+        inertia: Given,
+        *,
+        pivot: Given = (0.0, 0.0),
+        mass: Given | None = None,
+        centre: Given = (0.0, 0.0),
+    ) -> None:
+        self.contours = taken(self, "contours", contours)
+        self.inertia = taken(self, "inertia", inertia)
+        self.pivot = taken(self, "pivot", pivot)
+        middle = as_floats("centre", centre, (2,))
+        self.weight_moment = None
+        if mass is not None:
+            self.weight_moment = check_positive("mass", as_floats("mass", mass, ())) * middle
+
+    @property
+    def freedoms(self) -> int:
+        return 1
+
+    @property
+    def labels(self) -> tuple[Coordinate, ...]:
+        return (Coordinate("theta", "rad"),)
+
+    def prepared(self) -> "PivotedObject":
+        fields = lambda o: (o.pivot, o.weight_moment, o.contours)  # noqa: E731
+        contours = tuple(c.prepared() for c in self.contours)
+        ready = (unstack(self.pivot), unstack(self.weight_moment), contours)
+        return eqx.tree_at(fields, self, ready, is_leaf=lambda x: x is None)
+
+    def pose(self, q: Scalars) -> Pose2:
+        sin, cos = sincos(q[0])
+        return Pose2(Vec2(self.pivot[0], self.pivot[1]), cos, sin)
+
+    def spin(self, q: Scalars, v: Scalars) -> Scalar:
+        return v[0]
+
+    def motion(self, q: Scalars, v: Scalars, gravity: Vec2 | None) -> tuple[Motion, Inertia]:
+        pose, zero = self.pose(q), jnp.zeros_like(q[0])
+        still = Vec2(zero, zero)
+        unit = Twist2(still, jnp.ones_like(zero))
+        motion = Motion(pose, (unit,), Twist2(still, v[0]), Twist2(still, zero))
+        force = zero
+        if gravity is not None and self.weight_moment is not None:
+            force = gravity.cross(pose.turn(Vec2(*self.weight_moment)))
+        return motion, Inertia(((self.inertia,),), (force,))
+
+    def gravity_potential(self, q: Scalars, gravity: Vec2) -> Scalar:
+        if self.weight_moment is None:
+            return jnp.zeros_like(q[0])
+        pose = self.pose(q)
+        return -gravity.dot(pose.turn(Vec2(*self.weight_moment)))
+
+
+class FreeObject(AbstractObject):
+    r"""An object free in the plane; its frame sits at the centre of mass $O_m$ (Part 1, Fig. 1).
+
+    Its coordinates are $(x, y, \theta)$, as in (12).
+
+    Args:
+        contours: One contour or several, in the body frame.
+        mass: In kilograms.
+        inertia: Moment about the centre of mass, in kg m^2.
+    """
+
+    contours: Contours = through(_as_contours)
+    mass: Float[Array, ""] = real(check=check_positive)
+    inertia: Float[Array, ""] = real(check=check_positive)
+
+    def __init__(
+        self,
+        contours: AbstractContour | Sequence[AbstractContour],
+        mass: Given,
+        inertia: Given,
+    ) -> None:
+        self.contours = taken(self, "contours", contours)
+        self.mass = taken(self, "mass", mass)
+        self.inertia = taken(self, "inertia", inertia)
+
+    @property
+    def freedoms(self) -> int:
+        return 3
+
+    @property
+    def labels(self) -> tuple[Coordinate, ...]:
+        return Coordinate("x", "m"), Coordinate("y", "m"), Coordinate("theta", "rad")
+
+    def prepared(self) -> "FreeObject":
+        return eqx.tree_at(lambda o: o.contours, self, tuple(c.prepared() for c in self.contours))
+
+    def pose(self, q: Scalars) -> Pose2:
+        sin, cos = sincos(q[2])
+        return Pose2(Vec2(q[0], q[1]), cos, sin)
+
+    def spin(self, q: Scalars, v: Scalars) -> Scalar:
+        return v[2]
+
+    def motion(self, q: Scalars, v: Scalars, gravity: Vec2 | None) -> tuple[Motion, Inertia]:
+        zero, one = jnp.zeros_like(q[2]), jnp.ones_like(q[2])
+        units = (
+            Twist2(Vec2(one, zero), zero),
+            Twist2(Vec2(zero, one), zero),
+            Twist2(Vec2(zero, zero), one),
+        )
+        twist = Twist2(Vec2(v[0], v[1]), v[2])
+        motion = Motion(self.pose(q), units, twist, Twist2(Vec2(zero, zero), zero))
+        mass = ((self.mass,), (zero, self.mass), (zero, zero, self.inertia))
+        if gravity is None:
+            return motion, Inertia(mass, (zero, zero, zero))
+        return motion, Inertia(mass, (-self.mass * gravity.x, -self.mass * gravity.y, zero))
+
+    def gravity_potential(self, q: Scalars, gravity: Vec2) -> Scalar:
+        return -self.mass * gravity.dot(Vec2(q[0], q[1]))

@@ -1,28 +1,25 @@
 """A grasp: fingers, object and contacts, with their controller and gravity."""
 
-import functools
-import inspect
-from collections.abc import Callable, Sequence
-from typing import Any, cast, NamedTuple, TypeVar
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 from jaxtyping import Array, Float
 
-from .._fields import check_module, converter_of, real, taken, through
+from .._fields import real, taken, through
 from .._linalg import unstack, Vec2, Vec3
 from .._printing import shown_value
-from .._results import as_array, as_count, as_floats, as_several, check_finite, check_instance, shown
+from .._results import as_count, as_several, shown
 from .._types import Given
 from .._xla import remembered
 from ..contact import AbstractContact, Contact3
 from ..geometry import AbstractContour, AbstractSurface, check_shape, tabled
 from ._body import AbstractBody, Coordinate
+from ._changes import changed
 from ._controller import AbstractController, as_drive
 from ._finger import AbstractFinger
-from ._state import check_shapes, Form, State
-
-_Function = TypeVar("_Function", bound=Callable[..., Any])
+from ._state import Form
 
 
 class Labels(NamedTuple):
@@ -40,12 +37,6 @@ class Labels(NamedTuple):
     def coordinates(self) -> tuple[str, ...]:
         """Name of every position, with its body's."""
         return tuple(f"{body} {each.name}" for body, labels in self.bodies for each in labels)
-
-
-# What a contact's start lies on: with one of these changed it is looked at again.
-_PARTS = frozenset(("object", "fingers", "contacts", "contours", "surfaces"))
-# Names under which functions of a grasp take its states, and how many axes may lead: that of time.
-_STATES = {"state": 0, "guess": 0, "states": 1}
 
 
 def _as_object(name: str, value: Any) -> AbstractBody:
@@ -231,36 +222,7 @@ class Grasp(eqx.Module):
             >>> float(grasp.with_(damping=0.01).controller.damping)
             0.01
         """
-        grasp = self
-        for name, value in changes.items():
-            owner = grasp._owner(name)
-            value = _taken_by(owner(grasp), name, value, grasp._axes)
-            grasp = eqx.tree_at(
-                lambda g, o=owner, n=name: getattr(o(g), n),
-                grasp,
-                value,
-                is_leaf=lambda x: x is None,
-            )
-            _check_again(owner(grasp))
-        if _PARTS & set(changes):
-            grasp._check_parts()
-        if {"controller", "fingers", "contacts"} & set(changes):
-            grasp._check_controller()
-        return grasp
-
-    def _owner(self, name: str) -> Any:
-        places = {
-            "grasp": lambda g: g,
-            "controller": lambda g: g.controller,
-            "object": lambda g: g.object,
-        }
-        found = [place for place in places.values() if _has_field(place(self), name)]
-        if len(found) != 1:
-            raise ValueError(
-                f"argument {name} must name one field of the grasp, its controller or its object, "
-                f"but {len(found)} have it"
-            )
-        return found[0]
+        return changed(self, changes)
 
     def with_tip(self, finger: int, tip: AbstractContour | AbstractSurface) -> "Grasp":
         """A copy in which one finger carries another tip contour.
@@ -284,29 +246,6 @@ class Grasp(eqx.Module):
             ValueError: If one is not a contact, or does not fit the grasp.
         """
         return self.with_(contacts=contacts)
-
-
-def _taken_by(owner: Any, name: str, value: Any, axes: int) -> Any:
-    """What is given for a field of a grasp, its object or its controller, as the constructor takes it."""
-    old = getattr(owner, name)
-    shape = old.shape if eqx.is_array(old) else None
-    if name == "gravity" and shape is None:
-        shape = (axes,)
-    if converter_of(owner, name) is not None:
-        return taken(owner, name, value, shape=shape)
-    # A caller's own class: an array stays an array of its shape.
-    return value if shape is None else as_floats(name, value, shape)
-
-
-def _check_again(owner: Any) -> None:
-    """The checks of a caller's own class, which equinox runs after its constructor alone."""
-    for kind in type(owner).__mro__:
-        if "__check_init__" in vars(kind):
-            vars(kind)["__check_init__"](owner)
-
-
-def _has_field(owner: Any, name: str) -> bool:
-    return name in getattr(type(owner), "__dataclass_fields__", {})
 
 
 def _all_shapes(grasp: Grasp) -> list[Any]:
@@ -333,68 +272,3 @@ def _with_tables(grasp: Grasp) -> Grasp:
     new = [i for i, shape in enumerate(_all_shapes(grasp)) if tabled(shape) is not shape]
     where = lambda g: [_all_shapes(g)[i] for i in new]  # noqa: E731
     return eqx.tree_at(where, grasp, [tabled(shape) for shape in where(grasp)])
-
-
-def check_grasp(grasp: Any) -> None:
-    """Raise unless a grasp is given, and one whose fields its constructors would have taken."""
-    check_instance("grasp", grasp, Grasp, "a Grasp")
-    _check_fields(grasp)
-
-
-@remembered
-def _check_fields(grasp: Grasp) -> None:
-    check_module("grasp", grasp)
-    taken(grasp, "gravity", grasp.gravity, shape=(grasp._axes,), name="grasp.gravity")
-
-
-def check_planar(grasp: Grasp) -> None:
-    """Raise for a grasp in space, where only the plane has an answer."""
-    check_grasp(grasp)
-    if grasp.spatial:
-        raise ValueError("argument grasp must live in the plane, but its contacts are those of space")
-
-
-def check_spatial(grasp: Grasp) -> None:
-    """Raise for a grasp in the plane, where only space has an answer."""
-    check_grasp(grasp)
-    if not grasp.spatial:
-        raise ValueError("argument grasp must live in space, but its contacts are those of the plane")
-
-
-def check_states(grasp: Any, states: Any, name: str = "state", *, axes: int = 0) -> None:
-    """Raise unless a grasp is given, and a finite state, or several along leading axes, that fit it."""
-    check_grasp(grasp)
-    check_instance(name, states, State, "a State")
-    check_shapes(states, grasp.form, name, axes)
-    if not axes:  # of several, some may be times that a run did not reach
-        for part in "qvs":
-            check_finite(f"{name}.{part}", getattr(states, part))
-
-
-def _finite_times(name: str, value: Any) -> Any:
-    """Argument `ts` as an array of finite times; another argument as it is."""
-    return check_finite("ts", as_array("ts", value)) if name == "ts" else value
-
-
-def compiled(function: _Function) -> _Function:
-    """`equinox.filter_jit` for functions of a grasp, whose tables are built before, once for all of them.
-
-    Before anything is traced it refuses what is no grasp, states that are not of this grasp, and times `ts`
-    that are not finite numbers.
-    """
-    jitted = eqx.filter_jit(function)
-    names = tuple(inspect.signature(function).parameters)
-    places = [(names.index(name) - 1, name) for name in _STATES if name in names]
-
-    @functools.wraps(function)
-    def door(grasp: Grasp, *args: Any, **options: Any) -> Any:
-        check_grasp(grasp)
-        for at, name in places:
-            if at < len(args) or name in options:
-                given = options[name] if name in options else args[at]
-                check_states(grasp, given, name, axes=_STATES[name])
-        args = tuple(_finite_times(name, x) for name, x in zip(names[1:], args, strict=False))
-        options = {name: _finite_times(name, x) for name, x in options.items()}
-        return jitted(grasp.tabled(), *args, **options)
-
-    return cast(_Function, door)

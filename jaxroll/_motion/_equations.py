@@ -1,77 +1,99 @@
-"""The closed loop: the equations of motion under the grasp's controller, and the projection."""
+r"""The equations of motion of a grasp under its controller, at one instant.
+
+(1)-(3) and (73)-(74) with the constraints differentiated twice: $M \dot v + h = u + A^T \mu$ and
+$A \dot v + \dot A v = 0$, solved by the Schur complement $A M^{-1} A^T$ of `_linearisation`. The multiplier
+$\mu$ of a contact is the force on its fingertip in world axes. `_projection` brings back what integration
+carries off the constraints.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import jax
-from jaxtyping import Array
 
-from .._linalg import inner, total
-from .._mechanics import (
-    accelerate,
-    balance,
-    bodies,
-    closing,
-    combine,
-    displaced,
-    Grasp,
-    Instant,
-    join,
-    Leaves,
-    Linearisation,
-    negative,
-    net_force,
-    residual,
-    respond,
-    spins,
-    State,
-    to_leaves,
-    touches,
-    unknown_line,
-    world_poses,
-)
+from .._linalg import factorise, solve
+from .._mechanics import Blocks, Grasp, Inertia, Leaves
 from .._types import Scalar, Scalars
 from .._xla import once
-from ..contact import Motion
+from ..contact import Motion, Rows
 from ..control import as_controller, joint_angles, sense, Sensed
-from ._formulation import Formulation
+from ._formulation import CSM, Formulation
+from ._linearisation import add, apply_jacobian, balance, combine, Linearisation, linearise, negative, respond
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, slots=True)
-class Anchor:
-    """What one evaluation leaves behind for the return to the constraints.
+class Instant:
+    """All that one evaluation of the equations of motion works out.
 
     Attributes:
+        rates: Time derivative of the state.
+        forces: Contact force on the fingertip of each contact [N], by constraint rows: in world axes, then
+            what of a torque there is.
+        motions: Kinematics of the object and of every fingertip.
+        touching: Contact frames.
         line: Constraint Jacobian and factorised Schur complement.
-        bends: What each contact's return to tangency needs of its curvatures.
     """
 
+    rates: Leaves
+    forces: Rows
+    motions: tuple[Motion, ...]
+    touching: tuple[Any, ...]
     line: Linearisation
-    bends: tuple[Any, ...]
-
-
-def anchor_of(grasp: Grasp, instant: Instant) -> Anchor:
-    """Keep what the projection needs."""
-    frames = [motion.pose for motion in instant.motions]
-    each = zip(grasp.contacts, instant.touching, strict=True)
-    bends = tuple(c.bend((frames[1 + c.finger], frames[0]), t) for c, t in each)
-    return Anchor(instant.line, bends)
-
-
-def unknown_anchor(grasp: Grasp) -> Anchor:
-    """An anchor full of zeros, as the state of a loop that will fill it."""
-    return Anchor(unknown_line(grasp), tuple(c.unknown_bend() for c in grasp.contacts))
 
 
 def evaluate(grasp: Grasp, t: Scalar, leaves: Leaves, formulation: Formulation) -> Instant:
-    """Accelerations and contact forces at one instant, under the grasp's controller."""
+    """Accelerations and contact forces of a prepared grasp at one instant."""
+    motions, inertias = bodies(grasp, leaves)
+    touching = touches(grasp, leaves.s)
+    masses = [factorise(inertia.mass) for inertia in inertias]
+    line = linearise(grasp, motions, masses, touching)
+    # Accelerations without contact: M^-1 (u - h), body by body.
+    torques = as_controller(grasp.controller).torques(t, sensed(grasp, leaves, motions))
+    free = tuple(
+        solve(mass, net_force(inertia, drive))
+        for mass, inertia, drive in zip(masses, inertias, (None, *torques), strict=True)
+    )
+    # Acceleration of every gap that the forces have to undo: A M^-1 (u - h), and A' v.
+    pairs = [(motions[1 + c.finger], motions[0]) for c in grasp.contacts]
+    each = list(zip(grasp.contacts, pairs, touching, strict=True))
+    rollings = once(tuple(c.rolling(pair, t) for c, pair, t in each))
+    biases = [c.bias(pair, t, r) for (c, pair, t), r in zip(each, rollings, strict=True)]
+    gained = tuple(add(*both) for both in zip(apply_jacobian(grasp, line, free), biases, strict=True))
+    if isinstance(formulation, CSM):
+        pulled = formulation.restoring(grasp, motions, touching, apply_jacobian(grasp, line, leaves.v))
+        gained = tuple(add(*both) for both in zip(gained, pulled, strict=True))
+    # mu = -(A M^-1 A^T)^-1 (...), and what it adds: M^-1 A^T mu.
+    forces = once(balance(line, once(negative(gained))))
+    accelerations = once(combine(free, respond(grasp, line, forces)))
+    # Contact coordinates roll: (7), (68).
+    places = zip(grasp.contacts, leaves.s, pairs, rollings, strict=True)
+    s_rates = tuple(
+        c.place_rate(grasp.shapes(c), place, (tip.pose, body.pose), rolling)
+        for c, place, (tip, body), rolling in places
+    )
+    moving = zip(grasp.bodies, leaves.q, leaves.v, strict=True)
+    rates = Leaves(tuple(body.rates(q, v) for body, q, v in moving), accelerations, s_rates)
+    return Instant(rates, forces, motions, touching, line)
 
-    def torques(motions: Sequence[Motion]) -> tuple[Scalars, ...]:
-        return as_controller(grasp.controller).torques(t, sensed(grasp, leaves, motions))
 
-    return accelerate(grasp, leaves, torques, formulation.stabiliser(grasp))
+def bodies(grasp: Grasp, leaves: Leaves) -> tuple[tuple[Motion, ...], tuple[Inertia, ...]]:
+    """Kinematics and inertia of the object and of every finger."""
+    field = grasp.field()
+    each = zip(grasp.bodies, leaves.q, leaves.v, strict=True)
+    pairs = [body.motion(q, v, field) for body, q, v in each]
+    return tuple(m for m, _ in pairs), tuple(i for _, i in pairs)
+
+
+def touches(grasp: Grasp, s: Sequence[Any]) -> tuple[Any, ...]:
+    """Contact frames at the given places."""
+    return tuple(c.touch(grasp.shapes(c), place) for c, place in zip(grasp.contacts, s, strict=True))
+
+
+def world_poses(grasp: Grasp, q: Blocks) -> tuple[Any, ...]:
+    """World poses of the object and of every fingertip."""
+    return tuple(body.pose(block) for body, block in zip(grasp.bodies, q, strict=True))
 
 
 def sensed(grasp: Grasp, leaves: Leaves, motions: Sequence[Motion]) -> list[Sensed]:
@@ -80,68 +102,8 @@ def sensed(grasp: Grasp, leaves: Leaves, motions: Sequence[Motion]) -> list[Sens
     return [sense(motion, angles, rates) for motion, angles, rates in each]
 
 
-def generalised_force(grasp: Grasp, t: Scalar, state: State) -> Array:
-    """Torques and gravity less velocity terms: shape (n,), all that is not inertia or contact."""
-    leaves = to_leaves(state, grasp.form)
-    motions, inertias = bodies(grasp, leaves)
-    drives = (None, *as_controller(grasp.controller).torques(t, sensed(grasp, leaves, motions)))
-    return join(tuple(net_force(i, u) for i, u in zip(inertias, drives, strict=True)))
-
-
-def control_potential(grasp: Grasp, leaves: Leaves, tips: Sequence[Any]) -> Scalar:
-    """The controller's artificial potential energy at a configuration."""
-    angles = joint_angles(grasp, leaves.q)
-    return as_controller(grasp.controller).potential([tip.origin for tip in tips], angles)
-
-
-def power(grasp: Grasp, t: Scalar, leaves: Leaves, instant: Instant) -> Scalar:
-    r"""Power [W] that changes $K + P$: $\sum u \cdot \dot q + \dot P$, (18) and (20).
-
-    With the built-in controllers it is minus the dissipation; with a user's controller, whose
-    potential is unknown, it is the whole power of the joint torques. Bodies that move as prescribed do
-    work too: $-\mu \cdot b$ at a contact whose gap they close at the rate b.
-    """
-    motions = instant.motions
-    controller = as_controller(grasp.controller)
-    torques = controller.torques(t, sensed(grasp, leaves, motions))
-    drive = total(
-        [u * w for us, ws in zip(torques, leaves.v[1:], strict=True) for u, w in zip(us, ws, strict=True)]
-    )
-    tips = [m.pose.origin for m in motions[1:]]
-    moves = [m.twist.velocity for m in motions[1:]]
-    _, stored = jax.jvp(
-        lambda points, angles: controller.potential(points, angles),
-        (tips, joint_angles(grasp, leaves.q)),
-        (moves, leaves.v[1:]),
-    )
-    pushed = [
-        inner(force, given)
-        for force, given in zip(instant.forces, instant.line.drift, strict=True)
-        if given is not None
-    ]
-    return drive + stored - total(pushed)
-
-
-def settle(grasp: Grasp, leaves: Leaves, anchor: Anchor) -> Leaves:
-    """One sweep back onto gap and tangency, nearest in the mass metric.
-
-    Simplified Newton with the linearisation of `anchor`: a gap g falls to order g^2, then g^3.
-    """
-    line = anchor.line
-    shapes = [grasp.shapes(c) for c in grasp.contacts]
-    places = [c.onto(*pair) for c, *pair in zip(grasp.contacts, shapes, leaves.s, strict=True)]
-    frames = world_poses(grasp, leaves.q)
-    left = once(residual(grasp, frames, touches(grasp, places)))
-    back = once(negative(respond(grasp, line, balance(line, left.gaps))))
-    body, *tips = spins(grasp, leaves.q, back)
-    s = []
-    for i, c in enumerate(grasp.contacts):
-        misfit = ((frames[1 + c.finger], frames[0]), left.tangencies[i], anchor.bends[i])
-        s.append(c.settled(shapes[i], places[i], tips[c.finger] - body, misfit))
-    return Leaves(displaced(grasp, leaves.q, back), leaves.v, tuple(s))
-
-
-def compatible(grasp: Grasp, leaves: Leaves, line: Linearisation) -> Leaves:
-    """Velocities back onto $A v = 0$, nearest in the mass metric."""
-    pull = respond(grasp, line, once(balance(line, closing(grasp, line, leaves.v))))
-    return once(Leaves(leaves.q, combine(leaves.v, pull, -1.0), leaves.s))
+def net_force(inertia: Inertia, drive: Scalars | None) -> Scalars:
+    """$u - h$ of one body's coordinates: its drive, which the object has not, less its bias force."""
+    if drive is None:
+        return tuple(-h for h in inertia.force)
+    return tuple(u - h for u, h in zip(drive, inertia.force, strict=True))

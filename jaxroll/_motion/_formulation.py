@@ -7,7 +7,7 @@ import equinox as eqx
 from jaxtyping import Array, Float
 
 from .._linalg import Vec2
-from .._mechanics import check_planar, Grasp, Stabiliser
+from .._mechanics import check_planar, Grasp
 from .._printing import listed
 from .._results import as_floats, check_instance, check_positive
 from .._types import Given
@@ -22,10 +22,6 @@ class Index1(eqx.Module):
     """
 
     __repr__ = listed
-
-    def stabiliser(self, grasp: Grasp) -> Stabiliser | None:
-        """None: the equations are integrated as they are."""
-        return None
 
 
 class CSM(eqx.Module):
@@ -72,16 +68,14 @@ class CSM(eqx.Module):
         self.gamma_lambda = check_positive("gamma_lambda", as_floats("gamma_lambda", gamma_lambda, ()))
         self.omega_lambda = check_positive("omega_lambda", as_floats("omega_lambda", omega_lambda, ()))
 
-    def stabiliser(self, grasp: Grasp) -> Stabiliser | None:
-        """The restoring gap accelerations in the object's contact frames."""
-
-        def restoring(motions: Sequence[Motion], touching: Sequence[Touch], closing: Rows) -> Rows:
-            return tuple(
-                tuple(self._at_contact(motions[1 + c.finger], motions[0], t, Vec2(*rate)))
-                for c, t, rate in zip(grasp.contacts, touching, closing, strict=True)
-            )
-
-        return restoring
+    def restoring(
+        self, grasp: Grasp, motions: Sequence[Motion], touching: Sequence[Touch], closing: Rows
+    ) -> Rows:
+        """What is added to the accelerations of the gaps, whose rates are `closing`; (64)-(65)."""
+        return tuple(
+            tuple(self._at_contact(motions[1 + c.finger], motions[0], t, Vec2(*rate)))
+            for c, t, rate in zip(grasp.contacts, touching, closing, strict=True)
+        )
 
     def _at_contact(self, tip: Motion, body: Motion, touching: Touch, rate: Vec2) -> Vec2:
         open_ = gap(tip.pose, body.pose, touching.points)

@@ -8,25 +8,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._linalg import total, Vec3
-from .._mechanics import (
-    bodies,
-    compiled,
-    Grasp,
-    kinetic_energy,
-    Leaves,
-    residual,
-    State,
-    to_leaves,
-    touches,
-    world_poses,
-)
+from .._linalg import inner, total, Vec3
+from .._mechanics import Blocks, compiled, Grasp, Inertia, Leaves, State, to_leaves
 from .._printing import listed
 from .._results import as_array
-from .._types import Scalar
+from .._types import Scalar, Scalars
 from ..contact import Rows
-from ._equations import control_potential, evaluate
+from ..control import as_controller, joint_angles
+from ._equations import bodies, evaluate, Instant, sensed, touches, world_poses
 from ._formulation import as_formulation, Formulation
+from ._projection import residual
 
 
 class Residuals(eqx.Module):
@@ -126,9 +117,22 @@ def energies_at(grasp: Grasp, state: State) -> tuple[Scalar, Scalar]:
     """Kinetic and potential energy of a prepared grasp at one state."""
     leaves = to_leaves(state, grasp.form)
     motions, inertias = bodies(grasp, leaves)
-    tips = [motion.pose for motion in motions[1:]]
-    stored = control_potential(grasp, leaves, tips)
-    return kinetic_energy(inertias, leaves.v), stored + _gravity_potential(grasp, leaves)
+    tips, angles = [motion.pose.origin for motion in motions[1:]], joint_angles(grasp, leaves.q)
+    stored = as_controller(grasp.controller).potential(tips, angles)
+    return _kinetic_energy(inertias, leaves.v), stored + _gravity_potential(grasp, leaves)
+
+
+def _kinetic_energy(inertias: Sequence[Inertia], rates: Blocks) -> Scalar:
+    r"""$\frac12 v^T M v$: (13), (71)."""
+    return total([_quadratic(i.mass, v) for i, v in zip(inertias, rates, strict=True)])
+
+
+def _quadratic(mass: Sequence[Sequence[Scalar]], v: Scalars) -> Scalar:
+    terms = []
+    for i, row in enumerate(mass):
+        terms += [row[j] * v[i] * v[j] for j in range(i)]
+        terms.append(0.5 * row[i] * v[i] * v[i])
+    return total(terms)
 
 
 def _gravity_potential(grasp: Grasp, leaves: Leaves) -> Scalar:
@@ -139,6 +143,34 @@ def _gravity_potential(grasp: Grasp, leaves: Leaves) -> Scalar:
     for finger, q in zip(grasp.fingers, leaves.q[1:], strict=True):
         parts.append(finger.gravity_potential(q, field))
     return total(parts)
+
+
+def power(grasp: Grasp, t: Scalar, leaves: Leaves, instant: Instant) -> Scalar:
+    r"""Power [W] that changes $K + P$: $\sum u \cdot \dot q + \dot P$, (18) and (20).
+
+    With the built-in controllers it is minus the dissipation; with a user's controller, whose
+    potential is unknown, it is the whole power of the joint torques. Bodies that move as prescribed do
+    work too: $-\mu \cdot b$ at a contact whose gap they close at the rate b.
+    """
+    motions = instant.motions
+    controller = as_controller(grasp.controller)
+    torques = controller.torques(t, sensed(grasp, leaves, motions))
+    drive = total(
+        [u * w for us, ws in zip(torques, leaves.v[1:], strict=True) for u, w in zip(us, ws, strict=True)]
+    )
+    tips = [m.pose.origin for m in motions[1:]]
+    moves = [m.twist.velocity for m in motions[1:]]
+    _, stored = jax.jvp(
+        lambda points, angles: controller.potential(points, angles),
+        (tips, joint_angles(grasp, leaves.q)),
+        (moves, leaves.v[1:]),
+    )
+    pushed = [
+        inner(force, given)
+        for force, given in zip(instant.forces, instant.line.drift, strict=True)
+        if given is not None
+    ]
+    return drive + stored - total(pushed)
 
 
 def of_reached(function: Callable, states: State, start: State) -> Any:

@@ -1,30 +1,19 @@
 """Values worked out once however many use them: what XLA's CPU fusion has to be told.
 
 It copies cheap producers into every consumer, and so turns the equations of motion of 1000 operations into
-10 000. It never copies a division.
+10 000. It never copies a division. `_share_cotangents` does the same for derivatives.
 """
 
 import contextlib
 import contextvars
-from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any
 
-import equinox as eqx
 import jax
-import jax.extend.core as jec
-import jax.numpy as jnp
-from jax.interpreters.partial_eval import dce_jaxpr
 
 from ._primitives import barrier
 
 _ON: contextvars.ContextVar[bool] = contextvars.ContextVar("on", default=False)
-# Operations on one number that are as cheap as to read it.
-_FREE = frozenset(
-    ("neg", "broadcast_in_dim", "convert_element_type", "squeeze", "reshape", "copy", "div", "barrier")
-)
-# Calls whose insides are gone through.
-_CALLS = frozenset(("jit", "custom_jvp_call"))
 
 
 @contextlib.contextmanager
@@ -45,78 +34,3 @@ def once(tree: Any) -> Any:
     if not _ON.get():
         return tree
     return jax.tree.map(lambda x: x if isinstance(x, float) else barrier(x), tree)
-
-
-def shared(function: Callable) -> Callable:
-    """A function in which every number that several others use is computed once.
-
-    For derivatives, where there is no place to write `once`.
-
-    Args:
-        function: Of pytrees of arrays, to a pytree of arrays. It is not to be differentiated afterwards.
-    """
-
-    def wrapped(*args: Any) -> Any:
-        if jax.default_backend() != "cpu":
-            return function(*args)
-        closed, shapes = jax.make_jaxpr(function, return_shape=True)(*args)
-        jaxpr, used = dce_jaxpr(closed.jaxpr, [True] * len(closed.jaxpr.outvars))
-        wanted = [leaf for leaf, keep in zip(jax.tree.leaves(args), used, strict=True) if keep]
-        return jax.tree.unflatten(jax.tree.structure(shapes), _run(jaxpr, closed.consts, wanted))
-
-    return wrapped
-
-
-def alone(function: Callable) -> Callable:
-    """The function itself."""
-    return function
-
-
-def pulled(function: Callable) -> Callable:
-    """A function whose cotangents share what they use more than once.
-
-    It is worked out again for them: to keep what it leaves costs more, to compile above all.
-    """
-
-    def mapped(*args: Any) -> Any:
-        moving, still = eqx.partition(args, eqx.is_inexact_array)
-        plain = lambda moving: function(*eqx.combine(moving, still))  # noqa: E731
-        call = jax.custom_vjp(plain)
-        back = lambda moving, bars: jax.vjp(plain, moving)[1](bars)  # noqa: E731
-        call.defvjp(lambda moving: (call(moving), moving), shared(back))
-        return call(moving)
-
-    return mapped
-
-
-def _run(jaxpr: jec.Jaxpr, consts: Sequence[Any], args: Sequence[Any]) -> list[Any]:
-    """Evaluate a program, what it calls included, with barriers where a number is used again."""
-    uses = Counter(v for e in jaxpr.eqns for v in {*filter(_is_name, e.invars)})
-    known = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *args], strict=True))
-    read = lambda v: known[v] if _is_name(v) else v.val  # noqa: E731
-    for equation in jaxpr.eqns:
-        out = _called(equation, [read(v) for v in equation.invars])
-        for name, value in zip(equation.outvars, out, strict=True):
-            again = uses[name] > 1 and _is_number(name) and _worth(equation)
-            known[name] = barrier(value) if again else value
-    return [read(v) for v in jaxpr.outvars]
-
-
-def _called(equation: Any, given: list[Any]) -> list[Any]:
-    inner = equation.params.get("jaxpr" if equation.primitive.name == "jit" else "call_jaxpr")
-    if equation.primitive.name in _CALLS:
-        return _run(inner.jaxpr, inner.consts, given)
-    out = equation.primitive.bind(*given, **equation.primitive.get_bind_params(equation.params))
-    return list(out) if equation.primitive.multiple_results else [out]
-
-
-def _is_name(atom: Any) -> bool:
-    return not isinstance(atom, jec.Literal)
-
-
-def _is_number(name: Any) -> bool:
-    return name.aval.shape == () and jnp.issubdtype(name.aval.dtype, jnp.floating)
-
-
-def _worth(equation: Any) -> bool:
-    return equation.primitive.name not in _FREE and equation.primitive.name not in _CALLS

@@ -2,52 +2,22 @@
 
 import abc
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import equinox as eqx
-import jax
 from jaxtyping import Array, Float
 
 from .._printing import listed
 from .._results import as_count
 from .._types import Scalar, Scalars
-from .._xla import once
+from ._gap import Motion, Rows
 
-Rows = tuple[Scalars, ...]
 Shapes = tuple[Any, Any]
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, slots=True)
-class Motion:
-    r"""Motion of one body frame, in the plane or in space.
-
-    Attributes:
-        pose: The frame in the world.
-        unit_twists: Twist per unit rate of each coordinate: the columns of its Jacobian $J$.
-        twist: $J v$, and what is prescribed.
-        bias: $\dot J v$, the part of the acceleration that the velocities alone cause.
-    """
-
-    pose: Any
-    unit_twists: tuple[Any, ...]
-    twist: Any
-    bias: Any
-
-    def resting(self) -> "Motion":
-        """The same pose at zero velocity."""
-        return replace(self, twist=jax.tree.map(lambda _: 0.0, self.twist))
 
 
 def as_index(name: str, value: Any) -> int:
     """Which of several: a whole number from 0 up."""
     return as_count(name, value, least=0)
-
-
-def arms_of(bodies: tuple[Motion, Motion], points: tuple[Any, Any]) -> tuple[Any, Any]:
-    """From the frames' origins to points of the bodies, in world axes."""
-    return once((bodies[0].pose.turn(points[0]), bodies[1].pose.turn(points[1])))
 
 
 class AbstractContact(eqx.Module):
@@ -140,14 +110,18 @@ class AbstractContact(eqx.Module):
         """The place put back onto both shapes, off which integration errors carry it."""
 
     @abc.abstractmethod
-    def settled(self, shapes: Shapes, place: Any, turned: Any, misfit: tuple[Any, Any, Any]) -> Any:
+    def settled(
+        self, shapes: Shapes, place: Any, turned: Any, *, poses: tuple[Any, Any], tangency: Any, bend: Any
+    ) -> Any:
         """The place at which tangency holds, to first order.
 
         Args:
             shapes: The two shapes.
             place: Where it is.
             turned: By how much the fingertip turns against the object.
-            misfit: Poses of both, tangency, and `bend`.
+            poses: Of both bodies.
+            tangency: What is left of it, as `tangency` says.
+            bend: What `bend` said of the curvatures.
         """
 
     @abc.abstractmethod
@@ -181,9 +155,3 @@ class AbstractContact(eqx.Module):
     @abc.abstractmethod
     def rubbing(self, tangential: Any) -> list[Scalar]:
         """What must not exceed friction times the normal force [N]."""
-
-
-def row_wise(columns: Sequence[Any], rows: int) -> Rows:
-    """Columns of a Jacobian, each a vector, as its rows."""
-    entries = [tuple(column) for column in columns]
-    return tuple(tuple(entry[i] for entry in entries) for i in range(rows))

@@ -19,8 +19,8 @@ from .._results import check_between, check_positive, shown
 from .._types import Given, Scalar, Scalars
 from .._xla import once
 from ..geometry import AbstractContour, check_contour, Frenet2
-from ._contact import AbstractContact, arms_of, as_index, Motion, row_wise, Rows
-from ._gap import gap, gap_bias, gap_rate, pfaffian
+from ._contact import AbstractContact, as_index
+from ._gap import arms_of, gap, gap_bias, gap_rate, Motion, pfaffian, row_wise, Rows
 
 ContourPair = tuple[AbstractContour, AbstractContour]
 
@@ -164,10 +164,17 @@ class Contact(AbstractContact):
         return place
 
     def settled(
-        self, shapes: ContourPair, place: Scalar, turned: Scalar, misfit: tuple[Any, Scalar, Scalar]
+        self,
+        shapes: ContourPair,
+        place: Scalar,
+        turned: Scalar,
+        *,
+        poses: tuple[Pose2, Pose2],
+        tangency: Scalar,
+        bend: Scalar,
     ) -> Scalar:
-        _, sine, bend = misfit
-        return place - (turned + sine) / bend
+        # Both tangents turn by their curvature per arclength: (kappa_A + kappa_B) sigma makes up for it.
+        return place - (turned + tangency) / bend
 
     def shift(self, shapes: ContourPair, place: Scalar, step: Scalars) -> Scalar:
         return place + step[0]

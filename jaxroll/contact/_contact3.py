@@ -19,8 +19,8 @@ from .._results import check_flag, check_positive, shown
 from .._types import Given, Scalar, Scalars
 from .._xla import once
 from ..geometry import AbstractSurface, check_surface, Gauss3
-from ._contact import AbstractContact, arms_of, as_index, Motion, row_wise, Rows
-from ._gap import gap, gap_bias, gap_rate, pfaffian
+from ._contact import AbstractContact, as_index
+from ._gap import arms_of, gap, gap_bias, gap_rate, Motion, pfaffian, row_wise, Rows
 
 SurfacePair = tuple[AbstractSurface, AbstractSurface]
 Place = tuple[Scalars, Scalars]
@@ -203,11 +203,19 @@ class Contact3(AbstractContact):
         return tip, face
 
     def settled(
-        self, shapes: SurfacePair, place: Place, turned: Vec3, misfit: tuple[tuple[Pose3, Pose3], Vec3, Sym3]
+        self,
+        shapes: SurfacePair,
+        place: Place,
+        turned: Vec3,
+        *,
+        poses: tuple[Pose3, Pose3],
+        tangency: Vec3,
+        bend: Sym3,
     ) -> Place:
-        (tip, body), open_, bend = misfit
+        tip, body = poses
         normal = body.turn(shapes[1].frame(place[1]).normal)
-        move = bend.apply(turned.cross(normal) - open_)
+        # `bend` is the inverse of the summed shape operators: the step whose turn of the normals is wanted.
+        move = bend.apply(turned.cross(normal) - tangency)
         return _carried(shapes, place, (tip.back(move), body.back(move)))
 
     def shift(self, shapes: SurfacePair, place: Place, step: Scalars) -> Place:

@@ -7,16 +7,41 @@ contact coordinates**: the difference of the material velocities, which a twist 
 """
 
 from collections.abc import Sequence
-from typing import TypeVar
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 import jax
 
 from .._linalg import Pose2, Pose3, Twist2, Twist3, Vec2, Vec3
-from ._contact import Motion
+from .._types import Scalars
+from .._xla import once
 
+Rows = tuple[Scalars, ...]
 Vec = TypeVar("Vec", Vec2, Vec3)
 Pose = TypeVar("Pose", Pose2, Pose3)
 Twist = TypeVar("Twist", Twist2, Twist3)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, slots=True)
+class Motion:
+    r"""Motion of one body frame, in the plane or in space.
+
+    Attributes:
+        pose: The frame in the world.
+        unit_twists: Twist per unit rate of each coordinate: the columns of its Jacobian $J$.
+        twist: $J v$, and what is prescribed.
+        bias: $\dot J v$, the part of the acceleration that the velocities alone cause.
+    """
+
+    pose: Any
+    unit_twists: tuple[Any, ...]
+    twist: Any
+    bias: Any
+
+    def resting(self) -> "Motion":
+        """The same pose at zero velocity."""
+        return replace(self, twist=jax.tree.map(lambda _: 0.0, self.twist))
 
 
 def gap(tip: Pose, object_: Pose, points: tuple[Vec, Vec]) -> Vec:
@@ -52,3 +77,14 @@ def gap_bias(bodies: tuple[Motion, Motion], arms: tuple[Vec, Vec], drift: tuple[
         for motion, arm, over in zip(bodies, arms, drift, strict=True)
     )
     return jax.jvp(gap_rate, (twists, arms), (biases, moves))[1]
+
+
+def arms_of(bodies: tuple[Motion, Motion], points: tuple[Any, Any]) -> tuple[Any, Any]:
+    """From the frames' origins to points of the bodies, in world axes."""
+    return once((bodies[0].pose.turn(points[0]), bodies[1].pose.turn(points[1])))
+
+
+def row_wise(columns: Sequence[Any], rows: int) -> Rows:
+    """Columns of a Jacobian, each a vector, as its rows."""
+    entries = [tuple(column) for column in columns]
+    return tuple(tuple(entry[i] for entry in entries) for i in range(rows))

@@ -114,7 +114,7 @@ def minimise(
         search, done, history = _restored(path, search)
     report = progress if callable(progress) else (_printed if progress else None)
     while done < steps and not bool(jnp.all(search.done)):
-        search, values = _advance(problem, method, (mode, in_turn), search, data)
+        search, values = _advance(problem, method, search, data, mode=mode, in_turn=in_turn)
         history.append(np.asarray(values))
         done += STEPS_PER_CHUNK
         if path is not None:
@@ -145,9 +145,14 @@ def _begin(problem: DesignProblem, method: AbstractDescent, start: Array, data: 
 
 @eqx.filter_jit
 def _advance(
-    problem: DesignProblem, method: AbstractDescent, how: tuple[Mode, bool], search: Search, data: Any
+    problem: DesignProblem,
+    method: AbstractDescent,
+    search: Search,
+    data: Any,
+    *,
+    mode: Mode,
+    in_turn: bool,
 ) -> tuple[Search, Array]:
-    mode, in_turn = how
     one = lambda search, data: _chunk(problem, method, mode, search, data)  # noqa: E731
     if in_turn:
         return jax.lax.map(lambda pair: one(*pair), (search, data))

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._integration import Trajectory
-from .._mechanics import compiled, Grasp, State, to_leaves, touches, world_poses
-from .._motion import multipliers, residuals
+from .._mechanics import compiled, Grasp, State, to_leaves
+from .._motion import multipliers, residuals, touches, world_poses
 from .._printing import code_name
 from ..control import Press
 from ._outlines import Outline, outlines, sample

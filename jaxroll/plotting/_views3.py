@@ -8,7 +8,8 @@ import numpy as np
 
 from .._integration import Trajectory
 from .._linalg import seven
-from .._mechanics import compiled, Grasp, State, to_leaves, touches, world_poses
+from .._mechanics import compiled, Grasp, State, to_leaves
+from .._motion import touches, world_poses
 from .._results import as_floats, check_flag, shown
 from ._motion3 import Motion3D, turned
 from ._views import along_time

@@ -10,8 +10,8 @@ from jaxtyping import Array, Bool, Float
 
 from .._closing import constraint_rows
 from .._linalg import unstack, Vec2
-from .._mechanics import check_planar, compiled, Grasp, split, State, touches, world_poses
-from .._motion import generalised_force, Multipliers, split_forces
+from .._mechanics import check_planar, compiled, Grasp, split, State
+from .._motion import generalised_force, Multipliers, split_forces, touches, world_poses
 from .._printing import listed
 from .._results import as_floats
 from .._types import Given, Scalar

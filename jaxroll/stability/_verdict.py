@@ -8,8 +8,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float, Int
 
 from .._closing import constraint_rows
-from .._mechanics import bodies, compiled, Grasp, mass_matrix, State, to_leaves
-from .._motion import generalised_force
+from .._mechanics import compiled, Grasp, State, to_leaves
+from .._motion import bodies, generalised_force, mass_matrix
 from .._printing import listed, named
 from .._results import as_floats, check_between
 from .._types import Given

@@ -5,10 +5,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._linalg import factorise, Vec2
+from .._mechanics import check_planar, compiled, Grasp, join, State, to_leaves
 from .._printing import listed
-from ._constraints import bodies, linearise, touches
-from ._grasp import check_planar, compiled, Grasp
-from ._state import State, to_leaves
+from .._types import Scalar
+from ..control import as_controller
+from ._equations import bodies, net_force, sensed, touches
+from ._linearisation import linearise
 
 
 class EquationTerms(eqx.Module):
@@ -83,3 +85,11 @@ def mass_matrix(masses: list, n: int) -> Float[Array, "n n"]:
                 entries[at + i][at + j] = entries[at + j][at + i] = jnp.asarray(entry)
         at += len(mass)
     return jnp.stack([jnp.stack(row) for row in entries])
+
+
+def generalised_force(grasp: Grasp, t: Scalar, state: State) -> Array:
+    """Torques and gravity less velocity terms: shape (n,), all that is not inertia or contact."""
+    leaves = to_leaves(state, grasp.form)
+    motions, inertias = bodies(grasp, leaves)
+    drives = (None, *as_controller(grasp.controller).torques(t, sensed(grasp, leaves, motions)))
+    return join(tuple(net_force(i, u) for i, u in zip(inertias, drives, strict=True)))

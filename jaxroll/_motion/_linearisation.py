@@ -1,7 +1,7 @@
-"""The rolling constraints of a grasp: residuals, and their linearisation with one factorisation.
+r"""The rolling constraints of a grasp linearised: $A$, $M^{-1} A^T$, and one factorisation of $A M^{-1} A^T$.
 
-The Schur complement $A M^{-1} A^T$ that the accelerations need is the one that the projection onto
-positions and velocities needs; both use the `Linearisation` built here. It holds rows of scalars, and so
+The Schur complement that the accelerations need is the one that the return to positions and to velocities
+needs: `_equations` and `_projection` share the `Linearisation` built here. It holds rows of scalars, and so
 does not know whether they are those of the plane or of space.
 """
 
@@ -14,22 +14,11 @@ import jax
 import jax.numpy as jnp
 
 from .._linalg import Factor, factorise, inner, plus, solve, times, total
+from .._mechanics import Blocks, Grasp
 from .._types import Scalars
 from ..contact import Motion, Rows
-from ._body import Inertia
-from ._grasp import Grasp
-from ._state import Blocks, Leaves
 
 Pair = tuple[Rows, Rows]
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, slots=True)
-class Residual:
-    """What the rolling constraints leave over, per contact: the rows' gaps, and tangencies."""
-
-    gaps: Rows
-    tangencies: tuple[Any, ...]
 
 
 @jax.tree_util.register_dataclass
@@ -50,51 +39,25 @@ class Linearisation:
     drift: tuple[Scalars | None, ...]
 
 
-def world_poses(grasp: Grasp, q: Blocks) -> tuple[Any, ...]:
-    """World poses of the object and of every fingertip."""
-    return tuple(body.pose(block) for body, block in zip(grasp.bodies, q, strict=True))
-
-
-def spins(grasp: Grasp, q: Blocks, rates: Blocks) -> tuple[Any, ...]:
-    """Angular velocities of the object and of every fingertip."""
-    return tuple(body.spin(*pair) for body, *pair in zip(grasp.bodies, q, rates, strict=True))
-
-
-def displaced(grasp: Grasp, q: Blocks, step: Blocks) -> Blocks:
-    """Positions after a small displacement, given as velocities are."""
-    return tuple(body.displaced(*pair) for body, *pair in zip(grasp.bodies, q, step, strict=True))
-
-
-def touches(grasp: Grasp, s: Sequence[Any]) -> tuple[Any, ...]:
-    """Contact frames at the given places."""
-    return tuple(c.touch(grasp.shapes(c), place) for c, place in zip(grasp.contacts, s, strict=True))
-
-
-def residual(grasp: Grasp, frames: Sequence[Any], touching: Sequence[Any]) -> Residual:
-    """Gap and tangency of every contact."""
-    each = [(c, (frames[1 + c.finger], frames[0]), t) for c, t in zip(grasp.contacts, touching, strict=True)]
-    return Residual(
-        tuple(c.opening(pair, t) for c, pair, t in each),
-        tuple(c.tangency(pair, t) for c, pair, t in each),
-    )
-
-
 def linearise(
     grasp: Grasp,
     motions: Sequence[Motion],
     masses: Sequence[Factor],
     touching: Sequence[Any],
 ) -> Linearisation:
-    """Jacobian by autodiff of the gap, and the factorised Schur complement."""
+    """Rows of every contact from the twists of its two bodies, and the factorised Schur complement."""
     jacobian, weighted, drift = [], [], []
     for contact, t in zip(grasp.contacts, touching, strict=True):
         pair = motions[1 + contact.finger], motions[0]
         rows = contact.pfaffian(pair, t)
         jacobian.append(rows)
+        # The mass matrix is one block per body, so that a row is weighted block by block.
         factors = masses[1 + contact.finger], masses[0]
         weighted.append(tuple(_solve(factor, block) for factor, block in zip(factors, rows, strict=True)))
+        # A jaw, or a stage, moves as prescribed: what its motion alone does to the gap is no part of A v.
         moving = grasp.fingers[contact.finger].prescribed
         drift.append(contact.closing((pair[0], pair[1].resting()), t) if moving else None)
+    # Lower triangle of A M^-1 A^T. Two contacts have the object in common, and the finger if it is the same.
     rows = []
     for i, contact in enumerate(grasp.contacts):
         for axis in range(contact.rows):
@@ -183,11 +146,3 @@ def combine(left: Blocks, right: Blocks, factor: float = 1.0) -> Blocks:
 def negative(blocks: Blocks) -> Blocks:
     """Blocks, or rows, with the other sign."""
     return tuple(tuple(-x for x in block) for block in blocks)
-
-
-def bodies(grasp: Grasp, leaves: Leaves) -> tuple[tuple[Motion, ...], tuple[Inertia, ...]]:
-    """Kinematics and inertia of the object and of every finger."""
-    field = grasp.field()
-    each = zip(grasp.bodies, leaves.q, leaves.v, strict=True)
-    pairs = [body.motion(q, v, field) for body, q, v in each]
-    return tuple(m for m, _ in pairs), tuple(i for _, i in pairs)

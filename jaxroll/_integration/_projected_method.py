@@ -1,0 +1,98 @@
+"""A method of diffrax that returns to the constraints after every step.
+
+What `VectorField.projected` gives to `diffrax.diffeqsolve`; `simulate` has a loop of its own (`_step`).
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from .._results import shown
+
+
+class Projected(diffrax.AbstractWrappedSolver):
+    """A method of diffrax, and after every step of it the return to the constraints.
+
+    A step begins at the projected end of the one before: what a method keeps of that one's last derivative is
+    worked out anew, one evaluation more in a step.
+
+    Attributes:
+        solver: The method.
+        project: From a time and $y$ to the nearest $y$ on the constraints.
+        width: Length of $y$.
+    """
+
+    solver: diffrax.AbstractSolver
+    project: Callable[[Any, Any], Any]
+    width: int = eqx.field(static=True)
+
+    @property
+    def term_structure(self) -> Any:
+        return self.solver.term_structure
+
+    @property
+    def scan_kind(self) -> Any:
+        """Which loop goes over the stages: diffrax sets it by the adjoint, in the method itself."""
+        return self.solver.scan_kind  # pyright: ignore
+
+    @property
+    def root_finder(self) -> Any:
+        """An implicit method's, whose tolerances diffrax takes from the control of the error."""
+        return self.solver.root_finder  # pyright: ignore
+
+    @property
+    def interpolation_cls(self) -> Any:
+        return self.solver.interpolation_cls
+
+    def order(self, terms: Any) -> Any:
+        """Order of the method: that of the projection is no lower."""
+        return self.solver.order(terms)
+
+    def strong_order(self, terms: Any) -> Any:
+        """None: there is no noise."""
+        return self.solver.strong_order(terms)
+
+    def error_order(self, terms: Any) -> Any:
+        """Order of the error estimate, which is the method's own."""
+        return self.solver.error_order(terms)
+
+    def init(self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any) -> Any:
+        """What the method itself begins with."""
+        self._check(terms, y0)
+        return self.solver.init(terms, t0, t1, y0, args)
+
+    def step(
+        self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any, solver_state: Any, made_jump: Any
+    ) -> tuple[Any, Any, Any, Any, Any]:
+        """One step of the method, its end projected."""
+        self._check(terms, y0)
+        jumped = jnp.asarray(True)
+        raw, error, dense, memory, code = self.solver.step(terms, t0, t1, y0, args, solver_state, jumped)
+        y1 = self.project(t1, raw)
+        between: dict[str, Any] = {**dense}  # pyright: ignore
+        if "y1" in between:  # so that dense output meets the start of the next step
+            between["y1"] = y1
+        return y1, error, between, memory, code
+
+    def func(self, terms: Any, t0: Any, y0: Any, args: Any) -> Any:
+        """The vector field."""
+        return self.solver.func(terms, t0, y0, args)
+
+    def _check(self, terms: Any, y0: Any) -> None:
+        """Raise where what is integrated is not this grasp's motion forwards in time."""
+        if not (isinstance(y0, jax.Array) and y0.shape == (self.width,)):
+            raise ValueError(
+                "argument adjoint must be one that differentiates the steps, RecursiveCheckpointAdjoint or "
+                "ForwardMode: BacksolveAdjoint goes back through projections, which it cannot undo"
+            )
+        inner = terms
+        while hasattr(inner, "term"):  # diffrax wraps it, for the direction of time
+            inner = inner.term
+        if not isinstance(inner, diffrax.ODETerm):
+            raise ValueError(
+                f"argument terms must be the vector field's own, without noise, but was {shown(inner)}"
+            )

@@ -1,6 +1,6 @@
 """Rolling bodies with known answers, in plain NumPy and SciPy: closed forms and textbook equations.
 
-Nothing is shared with jaxroll nor with `reference3d`. World z is up, SI units, rotations body to world,
+Nothing is shared with jaxroll nor with `reference_space`. World z is up, SI units, rotations body to world,
 quaternions scalar first. A ball has inertia k m r^2 (k = 2/5 when solid). Sources: Neimark and Fufaev,
 Dynamics of Nonholonomic Systems (1972), and Routh, Advanced Rigid Dynamics (1905) (turntable, cylinder,
 disc; derived here again); Garcia and Hubbard, Proc. R. Soc. A 418 (1988), 165 (rattleback);
@@ -18,28 +18,28 @@ SOLID = 2 / 5
 STEP = 1e-30  # of the complex step
 
 
-def hat(a):
+def cross_matrix(a):
     """The matrix of a x."""
     return np.array([[0, -a[2], a[1]], [a[2], 0, -a[0]], [-a[1], a[0], 0]])
 
 
-def matrix(p):
+def quaternion_matrix(p):
     """Rotation of a unit quaternion."""
-    u = hat(p[1:])
+    u = cross_matrix(p[1:])
     return np.eye(3) + 2 * (p[0] * u + u @ u)
 
 
 def exponential(a):
-    """exp(hat(a)): the rotation about a by |a| [rad]."""
+    """exp(hat(a)), hat(a) the matrix of a x: the rotation about a by |a| [rad]."""
     return Rotation.from_rotvec(a).as_matrix()
 
 
-def angle_of(R):
+def rotation_angle(R):
     """Rotation angle in [0, pi] [rad], exact near 0 as well as near pi."""
     return Rotation.from_matrix(R).magnitude()
 
 
-def turned(angle):
+def rotation_about_vertical(angle):
     """Rotation about the vertical by an angle [rad]."""
     return exponential(angle * UP)
 
@@ -53,7 +53,7 @@ def integrated(rates, y0, ts, rtol=1e-12):
 # --- (a) ball on a turntable
 
 
-def turntable(t, x0, v0, spin, *, Omega, r, k=SOLID):
+def ball_on_turntable(t, x0, v0, spin, *, Omega, r, k=SOLID):
     """Centre (3,) about the axis, its velocity and the angular velocity (world) at time t.
 
     No slip: V - r w x z = Omega z x X. Newton m V' = F and Euler k m r^2 w' = -r z x F, F horizontal,
@@ -64,16 +64,16 @@ def turntable(t, x0, v0, spin, *, Omega, r, k=SOLID):
     """
     c = k / (1 + k) * Omega
     centre = x0 + np.cross(UP, v0) / c
-    x, v = centre + turned(c * t) @ (x0 - centre), turned(c * t) @ v0
+    x, v = centre + rotation_about_vertical(c * t) @ (x0 - centre), rotation_about_vertical(c * t) @ v0
     return x, v, (np.cross(UP, v) + Omega * (x - x @ UP * UP)) / r + spin * UP
 
 
-def turntable_rates(y, *, Omega, r, k=SOLID):
+def ball_on_turntable_rates(y, *, Omega, r, k=SOLID):
     """Newton and Euler with the force as an unknown: y = (X, V, w), mass 1."""
     v, w = y[3:6], y[6:9]
     # Unknowns V', w', F (horizontal): V' = F, k r^2 w' = -r z x F, (V - r w x z - Omega z x X)' = 0.
     E, Z = np.eye(3), np.zeros((3, 3))
-    system = np.block([[E, Z, -E], [Z, k * r**2 * E, r * hat(UP)], [E, r * hat(UP), Z]])
+    system = np.block([[E, Z, -E], [Z, k * r**2 * E, r * cross_matrix(UP)], [E, r * cross_matrix(UP), Z]])
     answer = np.linalg.solve(system, np.concatenate([np.zeros(6), Omega * np.cross(UP, v)]))
     return np.concatenate([v, answer[:6]]), w
 
@@ -81,7 +81,7 @@ def turntable_rates(y, *, Omega, r, k=SOLID):
 # --- (b) ball in a vertical cylinder
 
 
-def cylinder(t, z0, vz0, rate, spin, *, R, r, g, k=SOLID):
+def ball_in_cylinder(t, z0, vz0, rate, spin, *, R, r, g, k=SOLID):
     """Centre's angle, height, z', and spin (radial, azimuthal, vertical) of a ball inside a cylinder.
 
     The centre is at R - r from the axis, the contact at r e_r from it: V + w x r e_r = 0 gives
@@ -99,14 +99,14 @@ def cylinder(t, z0, vz0, rate, spin, *, R, r, g, k=SOLID):
     return n * t, z, vz, np.array([n * (z - highest) / r, vz / r, -(R - r) * n / r + 0 * t])
 
 
-def cylinder_rates(y, *, r, g, k=SOLID):
+def ball_in_cylinder_rates(y, *, r, g, k=SOLID):
     """Newton and Euler with the force as an unknown, world axes: y = (X, V, w), mass 1."""
     x, v, w = np.split(y, 3)
     rho = np.hypot(x[0], x[1])
     e = np.array([x[0], x[1], 0]) / rho
     turning = (v - v @ UP * UP - v @ e * e) / rho  # e'
     E, Z = np.eye(3), np.zeros((3, 3))
-    system = np.block([[E, Z, -E], [Z, k * r**2 * E, -r * hat(e)], [E, -r * hat(e), Z]])
+    system = np.block([[E, Z, -E], [Z, k * r**2 * E, -r * cross_matrix(e)], [E, -r * cross_matrix(e), Z]])
     right = np.concatenate([-g * UP, np.zeros(3), -r * np.cross(w, turning)])
     answer = np.linalg.solve(system, right)
     return np.concatenate([v, answer[:6]])
@@ -115,12 +115,12 @@ def cylinder_rates(y, *, r, g, k=SOLID):
 # --- (d) ball on an incline
 
 
-def incline(alpha, g, k=SOLID):
+def incline_acceleration(alpha, g, k=SOLID):
     """Acceleration down a slope [m/s^2]: m a = m g sin(alpha) - F, k m r^2 (a/r) = r F; 5/7 g sin(alpha)."""
     return g * np.sin(alpha) / (1 + k)
 
 
-def on_sphere_rates(y, *, R, r, g, k=SOLID):
+def ball_on_sphere_rates(y, *, R, r, g, k=SOLID):
     """Ball of radius r rolling down the outside of a fixed ball of radius R in a vertical plane.
 
     y = (phi, phi'), phi the angle of the line of centres from the vertical:
@@ -132,12 +132,12 @@ def on_sphere_rates(y, *, R, r, g, k=SOLID):
 # --- (e) holonomy of a ball rolled without spin about the normal
 
 
-def rolled_line(way, r):
+def rotation_along_line(way, r):
     """Rotation of a ball rolled along a straight `way` (3,) [m]: w = z x V / r."""
     return exponential(np.cross(UP, way) / r)
 
 
-def rolled_arc(heading, radius, angle, r):
+def rotation_along_arc(heading, radius, angle, r):
     """Rotation of a ball rolled along a circular arc that turns left by `angle`, from a unit `heading`.
 
     w = z x V / r = -(radius/r) phi' e_r. In the frame that turns with e_r this is constant, less the
@@ -146,29 +146,29 @@ def rolled_arc(heading, radius, angle, r):
     arctan(radius/r); for radius << r it is -pi (radius/r)^2 about z: less the area over r^2.
     """
     outward = np.cross(heading, UP)
-    return turned(angle) @ exponential(-angle * (radius / r * outward + UP))
+    return rotation_about_vertical(angle) @ exponential(-angle * (radius / r * outward + UP))
 
 
-def rounded_square(side, radius, r):
+def rotation_along_rounded_square(side, radius, r):
     """Net rotation after a square with straight sides `side` and corners of `radius`, to the left."""
     R, heading = np.eye(3), np.array([1.0, 0.0, 0.0])
     for _ in range(4):
-        R = rolled_arc(heading, radius, np.pi / 2, r) @ rolled_line(side * heading, r) @ R
-        heading = turned(np.pi / 2) @ heading
+        R = rotation_along_arc(heading, radius, np.pi / 2, r) @ rotation_along_line(side * heading, r) @ R
+        heading = rotation_about_vertical(np.pi / 2) @ heading
     return R
 
 
-def rolled_curve(velocity, ends, r):
+def rotation_along_curve(velocity, ends, r):
     """Net rotation by integrating R' = hat(z x V / r) R; `velocity` (3,) of time, smooth on `ends`."""
 
     def rates(t, y):
-        return (hat(np.cross(UP, velocity(t)) / r) @ y.reshape(3, 3)).ravel()
+        return (cross_matrix(np.cross(UP, velocity(t)) / r) @ y.reshape(3, 3)).ravel()
 
     return integrated(rates, np.eye(3).ravel(), np.array(ends, dtype=float))[-1].reshape(3, 3)
 
 
-def rolled_smooth(t):
-    """Velocity along a smooth closed path of period 2 pi, no circle: used with `rolled_curve`."""
+def smooth_loop_velocity(t):
+    """Velocity along a smooth closed path of period 2 pi, no circle: used with `rotation_along_curve`."""
     return np.array([-0.03 * np.sin(t) + 0.012 * np.cos(2 * t), 0.02 * np.cos(t) - 0.009 * np.sin(3 * t), 0])
 
 
@@ -191,15 +191,15 @@ class Roller:
 
     def parts(self, p, w):
         """G, d and d'."""
-        G = matrix(p)[2]
-        moving = self.contact(G + 1j * STEP * (hat(G) @ w))
+        G = quaternion_matrix(p)[2]
+        moving = self.contact(G + 1j * STEP * (cross_matrix(G) @ w))
         return G, moving.real, moving.imag / STEP
 
     def spin_up(self, p, w):
         """W' in body axes, and V' + w x V + g G."""
         G, d, rate = self.parts(p, w)
-        D, turning = hat(d), hat(w)
-        known = hat(rate) @ w + turning @ (D @ w) + self.gravity * G
+        D, turning = cross_matrix(d), cross_matrix(w)
+        known = cross_matrix(rate) @ w + turning @ (D @ w) + self.gravity * G
         right = self.mass * D @ known - turning @ (self.inertia @ w)
         up = np.linalg.solve(self.inertia - self.mass * D @ D, right)
         return up, D @ up + known
@@ -208,8 +208,8 @@ class Roller:
         """Of y = (quaternion, centre of mass, w)."""
         p, w = y[:4] / np.linalg.norm(y[:4]), y[7:]
         _, d, _ = self.parts(p, w)
-        turning = np.concatenate([[-p[1:] @ w], p[0] * w + hat(p[1:]) @ w]) / 2
-        return np.concatenate([turning, matrix(p) @ (hat(d) @ w), self.spin_up(p, w)[0]])
+        turning = np.concatenate([[-p[1:] @ w], p[0] * w + cross_matrix(p[1:]) @ w]) / 2
+        return np.concatenate([turning, quaternion_matrix(p) @ (cross_matrix(d) @ w), self.spin_up(p, w)[0]])
 
     def simulate(self, p, w, ts, place=(0.0, 0.0)):
         """Quaternions, centres of mass and w (body axes) at `ts`, from a quaternion and w."""
@@ -235,7 +235,7 @@ class Roller:
 
     def force(self, p, w):
         """Contact force on the body, in the world [N]."""
-        return self.mass * matrix(p) @ self.spin_up(p, w)[1]
+        return self.mass * quaternion_matrix(p) @ self.spin_up(p, w)[1]
 
 
 def ellipsoid_contact(semi_axes, lowered=0.0):
@@ -306,14 +306,14 @@ class Wheel:
         return Roller(self.mass, inertia, self.gravity, torus_contact(self.a, self.rho))
 
 
-def wheel(rho):
+def example_wheel(rho):
     """0.5 kg, 0.1 m from the centre to the circle of centres."""
     return Wheel(mass=0.5, A=0.5 * 0.1**2 / 4, C=0.5 * 0.1**2 / 2, a=0.1, rho=rho, gravity=9.81)
 
 
 def turned_inertia(principal, delta):
     """Inertia whose principal axes are turned by delta [rad] about e_3 from the shape's."""
-    R = turned(delta)
+    R = rotation_about_vertical(delta)
     return R @ np.diag(principal) @ R.T
 
 

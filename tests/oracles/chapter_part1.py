@@ -13,13 +13,13 @@ SIGNS = np.array([-1.0, 1.0])  # (-1)^i
 JOINTS = slice(3, 6), slice(6, 8)  # where q1 and q2 stand in X
 
 
-def turn(angle):
+def planar_rotation(angle):
     """Rotation by an angle [rad]."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s], [s, c]])
 
 
-def left(a):
+def turned_left(a):
     """A vector turned by +90 degrees."""
     return np.array([-a[1], a[0]])
 
@@ -78,12 +78,12 @@ class Part1:
         root = np.sqrt(self.a**2 + s**2)
         gamma = np.array([0.01 + self.a - root, SIGNS[i] * self.a * np.arcsinh(s / self.a)])
         b = np.array([-s / root, SIGNS[i] * self.a / root])
-        return gamma, b, SIGNS[i] * left(b), self.a / root**2
+        return gamma, b, SIGNS[i] * turned_left(b), self.a / root**2
 
     def face(self, i, s):
         """gamma_0i [m], b_0i, n_0i and kappa_0i [1/m]."""
         b = np.array([0.0, -1.0])
-        return np.array([SIGNS[i] * self.width / 2, -s]), b, -SIGNS[i] * left(b), 0.0
+        return np.array([SIGNS[i] * self.width / 2, -s]), b, -SIGNS[i] * turned_left(b), 0.0
 
     def orientations(self, X):
         """p_i = e_i . q_i [rad]."""
@@ -101,13 +101,13 @@ class Part1:
         apart = []
         for i, p in enumerate(self.orientations(X)):
             b, b0 = self.tip(i, s[i])[1], self.face(i, s[i])[1]
-            apart.append(turn(p + SIGNS[i] * np.pi / 2) @ b - turn(X[2]) @ b0)
+            apart.append(planar_rotation(p + SIGNS[i] * np.pi / 2) @ b - planar_rotation(X[2]) @ b0)
         return np.array(apart)
 
     def rows(self, X, s, places):
         """Coefficients of f_1, f_2, lambda_1, lambda_2 in (1)-(3), shape (4, 8)."""
         rows = np.zeros((4, 8), dtype=np.result_type(X, s))
-        turned = turn(X[2])
+        turned = planar_rotation(X[2])
         for i, at in enumerate(JOINTS):
             gamma, b, n, _ = self.tip(i, s[i])
             gamma0, b0, n0, _ = self.face(i, s[i])
@@ -128,7 +128,7 @@ class Part1:
         for i, (r, _, _) in enumerate(self.places(X)):
             gamma, b, n, _ = self.tip(i, s[i])
             gamma0, b0, n0, _ = self.face(i, s[i])
-            arm = turn(X[2]).T @ (r - X[:2])
+            arm = planar_rotation(X[2]).T @ (r - X[:2])
             Q[i] = arm @ n0 - n @ gamma - n0 @ gamma0
             Q[2 + i] = arm @ b0 + b @ gamma - b0 @ gamma0
         return Q

@@ -1,30 +1,24 @@
 """Points of known curves, and how far a contour through them is from the curve."""
 
-import functools
-
-import equinox as eqx
 import numpy as np
-
-import jaxroll as jxr
-from jaxroll.scenes import OBJECT_SHIFT
 
 A, B = 0.02, 0.014
 RADIUS = 0.01
 
 
-def ellipse(count, shift=0.0):
+def ellipse_points(count, shift=0.0):
     """Points of an ellipse at equal eccentric angles."""
     th = 2 * np.pi * (np.arange(count) + shift) / count
     return np.stack([A * np.cos(th), B * np.sin(th)], -1)
 
 
-def circle(count=200):
+def circle_points(count=200):
     """Points of a circle of 10 mm."""
     u = 2 * np.pi * np.arange(count) / count
     return RADIUS * np.stack([np.cos(u), np.sin(u)], -1)
 
 
-def foot(points):
+def nearest_angle(points):
     """Eccentric angle of the nearest point of the ellipse, by Newton's method."""
     x, y = np.asarray(points).T
     th = np.arctan2(y / B, x / A)
@@ -41,7 +35,7 @@ def ellipse_errors(contour):
     contour = contour.prepared()
     s = np.linspace(0.0, float(contour.domain()[1]), 2000)
     point, tangent = np.asarray(contour.point(s)), np.asarray(contour.tangent(s))
-    th = foot(point)
+    th = nearest_angle(point)
     exact = np.stack([A * np.cos(th), B * np.sin(th)], -1)
     rate = np.stack([-A * np.sin(th), B * np.cos(th)], -1)
     speed = np.linalg.norm(rate, axis=1)
@@ -51,22 +45,3 @@ def ellipse_errors(contour):
         np.abs(turn).max(),
         np.abs(np.asarray(contour.curvature(s)) * speed**3 / (A * B) - 1).max(),
     )
-
-
-HALF = 64  # intervals on either side of the vertex
-
-
-def bow(a, reach=0.02, count=2 * HALF):
-    """Points of the chapter's catenary (80)-(83), the vertex among them."""
-    s = np.linspace(-reach, reach, count + 1)
-    return np.asarray(jxr.Catenary(a).point(s))
-
-
-def pivoted_from(tip_points, face_points):
-    """Part 2 with the contours of `scenes.pivoted` given by points; their middle one is the vertex."""
-    grasp, state = jxr.scenes.pivoted()
-    spline = functools.partial(jxr.Spline, closed=False, cells=512)
-    tip = spline(tip_points, origin=len(tip_points) // 2).moved((0.01, 0.0)).moved(angle=-np.pi / 2)
-    face = spline(face_points, origin=len(face_points) // 2).moved((-0.02, 0.0), np.pi, origin=OBJECT_SHIFT)
-    grasp = eqx.tree_at(lambda g: (g.fingers[0].tip, g.object.contours), grasp, (tip, (face,)))
-    return grasp, state

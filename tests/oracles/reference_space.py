@@ -25,7 +25,7 @@ from scipy.optimize import least_squares
 STEP = 1e-30  # of the complex step
 
 
-def cross(a):
+def cross_matrix(a):
     """The matrix of a x."""
     x, y, z = a
     return np.array([[0 * x, -z, y], [z, 0 * x, -x], [-y, x, 0 * x]])
@@ -33,17 +33,17 @@ def cross(a):
 
 def rotation(axis, angle):
     """Rotation about a unit axis by an angle [rad]."""
-    K = cross(axis)
+    K = cross_matrix(axis)
     return np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * (K @ K)
 
 
-def matrix(p):
+def quaternion_matrix(p):
     """Rotation of a quaternion; of any length, so that rounding of the length does no harm."""
     w, u = p[0], p[1:]
-    return np.eye(3) + 2 / (p @ p) * (w * cross(u) + cross(u) @ cross(u))
+    return np.eye(3) + 2 / (p @ p) * (w * cross_matrix(u) + cross_matrix(u) @ cross_matrix(u))
 
 
-def cylinder(mass, offset, radius):
+def cylinder_inertia(mass, offset, radius):
     """Inertia of a solid cylinder along `offset`, about its centre [kg m^2]."""
     length = np.linalg.norm(offset)
     along = np.outer(offset, offset) / length**2
@@ -110,7 +110,7 @@ class Chain:
         p, _, axes, _ = placed
         J = np.zeros((2, 3, k), dtype=complex)
         for j in range(link + 1):
-            J[0, :, j] = cross(axes[j]) @ (point - p[j])
+            J[0, :, j] = cross_matrix(axes[j]) @ (point - p[j])
             J[1, :, j] = axes[j]
         return J
 
@@ -147,14 +147,14 @@ class Scene:
         return [q[at.start + 1 : at.stop + 1] for at in self.joints]
 
 
-def rate(q, v):
+def coordinate_rates(q, v):
     """Time derivative of q."""
     w, u = q[3], q[4:7]
-    turning = np.concatenate([[-u @ v[3:6]], w * v[3:6] + cross(u) @ v[3:6]]) / 2
+    turning = np.concatenate([[-u @ v[3:6]], w * v[3:6] + cross_matrix(u) @ v[3:6]]) / 2
     return np.concatenate([v[:3], turning, v[6:]])
 
 
-def touch(tip, tip_pose, surface, body_pose, n=None):
+def contact_points(tip, tip_pose, surface, body_pose, n=None):
     """Contact point on the tip, on the object, common normal (out of the object) and gap.
 
     A plane gives the normal, and the other's contact point is in closed form; else Newton from `n`.
@@ -207,7 +207,7 @@ def _newton_step(tip, tip_pose, surface, body_pose, n, gap):
 
 
 @dataclass
-class Places:
+class Configuration:
     """Everything that q alone decides; complex when q is."""
 
     chains: list  # Chain.place of each finger
@@ -216,9 +216,9 @@ class Places:
     rows: np.ndarray  # A
 
 
-def places(scene, q, normals=None):
+def configuration(scene, q, normals=None):
     """Poses, contacts and constraint rows at q; `normals` start Newton's method."""
-    x, R = q[:3], matrix(q[3:7])
+    x, R = q[:3], quaternion_matrix(q[3:7])
     chains = [f.place(a) for f, a in zip(scene.fingers, scene.angles(q), strict=True)]
     touches, rows = [], []
     for c, (i, j) in enumerate(scene.contacts):
@@ -226,32 +226,32 @@ def places(scene, q, normals=None):
         finger, at = scene.fingers[i], scene.joints[i]
         pose = p[-1], turned[-1] if turned else np.eye(3)
         start = None if normals is None else normals[c]
-        P, P0, n, gap = touch(finger.tip, pose, scene.body.surfaces[j], (x, R), start)
+        P, P0, n, gap = contact_points(finger.tip, pose, scene.body.surfaces[j], (x, R), start)
         k = len(finger.masses)
         J = Chain.jacobians(chains[i], P, k - 1, k)
         block = np.zeros((4 if scene.no_spin else 3, scene.joints[-1].stop), dtype=complex)
-        block[:3, :3], block[:3, 3:6] = -np.eye(3), cross(P0 - x) @ R
+        block[:3, :3], block[:3, 3:6] = -np.eye(3), cross_matrix(P0 - x) @ R
         block[:3, at] = J[0]
         if scene.no_spin:
             block[3, 3:6], block[3, at] = -n @ R, n @ J[1]
         touches.append((P, P0, n, gap))
         rows.append(block)
-    return Places(chains, R, touches, np.concatenate(rows))
+    return Configuration(chains, R, touches, np.concatenate(rows))
 
 
-def locate(scene, q, normals=None):
+def located_contacts(scene, q, normals=None):
     """Contact points on the tips and on the object, normals out of the object and gaps, stacked."""
-    found = places(scene, np.asarray(q, dtype=complex), normals).touches
+    found = configuration(scene, np.asarray(q, dtype=complex), normals).touches
     return tuple(np.array([t[k] for t in found]).real for k in range(4))
 
 
-def tangency(scene, q):
+def normal_mismatch(scene, q):
     """How far the normals of the two shapes at the contact points are from opposite, per contact.
 
     Found from the points alone, by the gradients of the shapes' implicit equations.
     """
-    P, P0, _, _ = locate(scene, q)
-    here = places(scene, np.asarray(q, dtype=complex))
+    P, P0, _, _ = located_contacts(scene, q)
+    here = configuration(scene, np.asarray(q, dtype=complex))
     wrong = []
     for (i, j), point, point0 in zip(scene.contacts, P, P0, strict=True):
         p, turned, _, _ = here.chains[i]
@@ -271,12 +271,12 @@ def _outward(shape, turned, at):
 
 
 def equations(scene, q, v, normals=None):
-    """M, h, F, A, A' v and `Places` (complex): M v' + h = F + A^T multipliers, A v' = -A' v."""
-    here = places(scene, q + 1j * STEP * rate(q, v), normals)
+    """M, h, F, A, A' v and `Configuration` (complex): M v' + h = F + A^T multipliers, A v' = -A' v."""
+    here = configuration(scene, q + 1j * STEP * coordinate_rates(q, v), normals)
     size, body, g = len(v), scene.body, np.asarray(scene.gravity)
     M, h, F = np.zeros((size, size)), np.zeros(size), np.zeros(size)
     M[:3, :3], M[3:6, 3:6] = body.mass * np.eye(3), body.inertia
-    h[3:6] = cross(v[3:6]) @ (body.inertia @ v[3:6])
+    h[3:6] = cross_matrix(v[3:6]) @ (body.inertia @ v[3:6])
     F[:3] = body.mass * g
     tips = [placed[0][-1].real for placed in here.chains]
     for i, (finger, placed, at) in enumerate(zip(scene.fingers, here.chains, scene.joints, strict=True)):
@@ -288,7 +288,7 @@ def equations(scene, q, v, normals=None):
             turned = R @ finger.inertias[link] @ R.T
             w = Jw @ v[at]
             M[at, at] += m * Jv.T @ Jv + Jw.T @ turned @ Jw
-            h[at] += m * Jv.T @ bias[0] + Jw.T @ (turned @ bias[1] + cross(w) @ (turned @ w))
+            h[at] += m * Jv.T @ bias[0] + Jw.T @ (turned @ bias[1] + cross_matrix(w) @ (turned @ w))
             F[at] += m * Jv.T @ g
         J = Chain.jacobians(placed, placed[0][-1], k - 1, k)[0].real
         F[at] += scene.beta * J.T @ (sum(tips) - len(tips) * tips[i]) - scene.damping * v[at]
@@ -343,14 +343,14 @@ def energy(scene, q, v):
 def simulate(scene, q0, v0, ts, *, audit=False, rtol=1e-12):
     """q and v at the times `ts` [s], rows; nothing is projected. With `audit` also the energy lost [J]."""
     size, joints = len(q0), slice(6, None)
-    normals = list(locate(scene, q0)[2])
+    normals = list(located_contacts(scene, q0)[2])
 
     def rates(_, y):
         q, v = y[:size], y[size:-1]
         *terms, here = equations(scene, q, v, normals)
         normals[:] = [t[2].real for t in here.touches]
         lost = scene.damping * v[joints] @ v[joints]
-        return np.concatenate([rate(q, v), _accelerations(*terms), [lost]])
+        return np.concatenate([coordinate_rates(q, v), _accelerations(*terms), [lost]])
 
     y0 = np.concatenate([q0, v0, [0.0]])
     answer = solve_ivp(rates, (ts[0], ts[-1]), y0, method="DOP853", rtol=rtol, atol=1e-13, t_eval=ts)
@@ -360,29 +360,29 @@ def simulate(scene, q0, v0, ts, *, audit=False, rtol=1e-12):
     return (q, v, lost[:, 0]) if audit else (q, v)
 
 
-def moved(q, step):
+def displaced(q, step):
     """Q after the small displacement `step`, in the coordinates of v."""
     angle = np.linalg.norm(step[3:6])
     w, u = np.cos(angle / 2), np.sinc(angle / 2 / np.pi) / 2 * step[3:6]
-    turned = np.concatenate([[q[3] * w - q[4:7] @ u], q[3] * u + w * q[4:7] + cross(q[4:7]) @ u])
+    turned = np.concatenate([[q[3] * w - q[4:7] @ u], q[3] * u + w * q[4:7] + cross_matrix(q[4:7]) @ u])
     return np.concatenate([q[:3] + step[:3], turned / np.linalg.norm(turned), q[7:] + step[6:]])
 
 
-def consistent(scene, q, weights=None):
+def closed_coordinates(scene, q, weights=None):
     """The nearest q with all gaps closed: Gauss-Newton; `weights` (size of v) say what may move."""
     weights = np.ones(len(q) - 1) if weights is None else weights
     for _ in range(30):
-        here = places(scene, np.asarray(q, dtype=complex))
+        here = configuration(scene, np.asarray(q, dtype=complex))
         gaps = np.array([t[3].real for t in here.touches])
         per = len(here.rows) // len(gaps)
         rows = [t[2].real @ here.rows.real[per * c : per * c + 3] for c, t in enumerate(here.touches)]
-        q = moved(q, weights * (np.linalg.pinv(np.array(rows) * weights) @ -gaps))
+        q = displaced(q, weights * (np.linalg.pinv(np.array(rows) * weights) @ -gaps))
         if np.abs(gaps).max() < 1e-16:
             break
     return q
 
 
-def rolling(scene, q, v):
+def rolling_velocity(scene, q, v):
     """The nearest v, by kinetic energy, that rolls: A v = 0."""
     M, _, _, A, _, _ = equations(scene, q, v)
     inverse = np.linalg.inv(np.linalg.cholesky(M))
@@ -390,16 +390,16 @@ def rolling(scene, q, v):
     return v - inverse.T @ (np.linalg.pinv(B, rcond=1e-10) @ (A @ v))
 
 
-def reach(finger, target, start):
+def joints_reaching(finger, target, start):
     """Joint angles near `start` that bring the tip's origin to `target`."""
     return least_squares(lambda q: finger.place(q)[0][-1] - target, start, xtol=1e-15, gtol=1e-15).x
 
 
-def finger3(base, tip):
+def three_joint_finger(base, tip):
     """The three-joint finger of `pinch3d`."""
     offsets = np.array([(0, 0.010, 0), (0, 0.065, 0), (0, 0.065, 0)])
     masses = np.array([0.015, 0.045, 0.040])
-    inertias = [cylinder(m, o, 0.0065) for m, o in zip(masses, offsets, strict=True)]
+    inertias = [cylinder_inertia(m, o, 0.0065) for m, o in zip(masses, offsets, strict=True)]
     axes = np.array([(1.0, 0, 0), (0, 0, 1.0), (0, 0, 1.0)])
     return Chain(np.array(base), axes, offsets, masses, offsets / 2, np.array(inertias), tip)
 
@@ -409,7 +409,10 @@ def pinch3d(**changes):
 
     The fingertips are spheres of 10 mm; z differs by 8 mm between them, so the motion is truly spatial.
     """
-    fingers = finger3((-0.0275, 0.0, 0.0), sphere(0.010)), finger3((0.0275, 0.0, 0.0), sphere(0.010))
+    fingers = (
+        three_joint_finger((-0.0275, 0.0, 0.0), sphere(0.010)),
+        three_joint_finger((0.0275, 0.0, 0.0), sphere(0.010)),
+    )
     mass, sides = 0.020, np.array([0.030, 0.050, 0.050])
     inertia = mass / 12 * np.diag(np.sum(sides**2) - sides**2)
     faces = Plane((-0.015, 0, 0), (-1.0, 0, 0)), Plane((0.015, 0, 0), (1.0, 0, 0))
@@ -421,7 +424,7 @@ def pinch3d(**changes):
 def pinch3d_ellipsoids(**changes):
     """As `pinch3d`, object an ellipsoid of semi-axes 15, 25, 20 mm, fingertips of 10, 8, 9 mm."""
     tip, axes = Ellipsoid((0.010, 0.008, 0.009)), np.array([0.015, 0.025, 0.020])
-    fingers = finger3((-0.0275, 0.0, 0.0), tip), finger3((0.0275, 0.0, 0.0), tip)
+    fingers = three_joint_finger((-0.0275, 0.0, 0.0), tip), three_joint_finger((0.0275, 0.0, 0.0), tip)
     mass = 0.020
     inertia = mass / 5 * np.diag(np.sum(axes**2) - axes**2)
     body = Body(mass, inertia, (Ellipsoid(tuple(axes)),))
@@ -434,14 +437,14 @@ def tripod3d(**changes):
     """Three such fingers round the y axis, 120 degrees apart, hold the ellipsoid of `pinch3d_ellipsoids`."""
     pair, _ = pinch3d_ellipsoids()
     first = pair.fingers[0]
-    q = reach(first, np.array([-0.025, 0.113, 0.004]), np.array([0.0, 0.5, -1.0]))
-    fingers = [turned(first, rotation((0, 1, 0), turn)) for turn in (0, 2 * np.pi / 3, 4 * np.pi / 3)]
+    q = joints_reaching(first, np.array([-0.025, 0.113, 0.004]), np.array([0.0, 0.5, -1.0]))
+    fingers = [turned_finger(first, rotation((0, 1, 0), turn)) for turn in (0, 2 * np.pi / 3, 4 * np.pi / 3)]
     scene = replace(pair, fingers=tuple(fingers), contacts=((0, 0), (1, 0), (2, 0)), **changes)
     weights = np.concatenate([np.zeros(6), np.ones(9)])
-    return scene, consistent(scene, np.concatenate([[0, 0.115, 0, 1, 0, 0, 0], q, q, q]), weights)
+    return scene, closed_coordinates(scene, np.concatenate([[0, 0.115, 0, 1, 0, 0, 0], q, q, q]), weights)
 
 
-def turned(finger, R):
+def turned_finger(finger, R):
     """The finger turned as a whole about the world's origin."""
     moved = {name: getattr(finger, name) @ R.T for name in ("base", "axes", "offsets", "centres")}
     tip = replace(finger.tip, centre=R @ finger.tip.centre, turn=R @ finger.tip.turn)
@@ -453,6 +456,6 @@ def _closed(scene):
     q = [np.array([0.0, 0.115, 0.0, 1.0, 0.0, 0.0, 0.0])]
     for finger, side in zip(scene.fingers, (-1.0, 1.0), strict=True):
         target = np.array([side * 0.025, 0.113, -side * 0.004])
-        q.append(reach(finger, target, np.array([0.0, -side * 0.5, side * 1.0])))
+        q.append(joints_reaching(finger, target, np.array([0.0, -side * 0.5, side * 1.0])))
     weights = np.concatenate([np.zeros(6), np.ones(6)])
-    return consistent(scene, np.concatenate(q), weights)
+    return closed_coordinates(scene, np.concatenate(q), weights)

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import jaxroll as jxr
-from benchmarks import _disc_exudyn as exudyn, _disc_numba as by_hand
-from benchmarks._peers import Problem
+from benchmarks.contenders import disc_exudyn as exudyn, disc_numba as by_hand
+from benchmarks.contenders.solver_libraries import Problem
 from tests.oracles import closed_forms_space as closed
 
 END, SAVES = 3.0, 12

@@ -8,7 +8,7 @@ import pytest
 
 import jaxroll as jxr
 from benchmarks import gpu
-from benchmarks._one_kernel import integrate
+from benchmarks.contenders.one_kernel import integrate
 
 LANES = 6
 SPAN, RTOL = 0.1, 1e-7

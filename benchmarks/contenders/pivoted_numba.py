@@ -9,7 +9,7 @@ from math import cos, log, sin, sqrt
 
 import numpy as np
 
-from benchmarks._scalars_numba import compiled, inlined, sincos
+from benchmarks.contenders.scalars_numba import compiled, inlined, sincos
 
 # Tables 1 and 2; uniform slender rods.
 L1 = L2 = 0.065

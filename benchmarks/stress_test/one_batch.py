@@ -7,13 +7,13 @@ import jax
 import numpy as np
 
 import jaxroll as jxr
-from benchmarks import _stress_engine as engine
-from benchmarks._judge import Judge, Run, Verdicts
-from benchmarks._judge_plane import Motion, Plane
-from benchmarks._judge_space import Space
-from benchmarks._stress_hard import grazing
-from benchmarks._stress_plane import draw, Structure
-from benchmarks._stress_space import draw_space, Spatial
+from benchmarks.stress_test import engine_runs as engine
+from benchmarks.stress_test.hard_scenes import grazing
+from benchmarks.stress_test.judge import Judge, Run, Verdicts
+from benchmarks.stress_test.judge_plane import Motion, Plane
+from benchmarks.stress_test.judge_space import Space
+from benchmarks.stress_test.planar_scenes import draw, Structure
+from benchmarks.stress_test.spatial_scenes import draw_space, Spatial
 
 # What of a scene is not the grasp's.
 _NOT_GRASP = ("q", "v", "s", "t1", "rtol", "period", "push", "max_steps")

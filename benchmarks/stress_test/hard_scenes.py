@@ -1,6 +1,6 @@
 """Adversarial planar scenes: what random numbers would hardly ever hit.
 
-Each function changes the numbers of scenes that `_stress_plane` drew, or draws its own.
+Each function changes the numbers of scenes that `planar_scenes` drew, or draws its own.
 """
 
 from typing import Any
@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from scipy.special import ellipeinc
 
-from benchmarks._judge_contours import along, length, TURN
-from benchmarks._stress_plane import Rng, spread
+from benchmarks.stress_test.judge_contours import along, length, TURN
+from benchmarks.stress_test.planar_scenes import Rng, spread
 
 
 def grazing(rng: Rng, lanes: int, kind: str, *, friction: bool) -> dict[str, Any]:

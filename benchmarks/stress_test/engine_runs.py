@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxroll as jxr
-from benchmarks._judge_contours import SAMPLES
+from benchmarks.stress_test.judge_contours import SAMPLES
 
 # Saved times of the run that is judged: nodes of Clenshaw and Curtis' quadrature.
 NODES = 65

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxroll as jxr
-from benchmarks._hostile_values import planar
+from benchmarks.hostile_calls.values import planar
 
 
 @functools.cache

@@ -12,8 +12,8 @@ from types import ModuleType
 from typing import Any
 
 import jaxroll as jxr
-from benchmarks._hostile_arguments import Argument, EXCEPTIONS, PARAMETERS
-from benchmarks._hostile_values import planar
+from benchmarks.hostile_calls.arguments import Argument, EXCEPTIONS, PARAMETERS
+from benchmarks.hostile_calls.values import planar
 
 MODULES = ("contact", "control", "design", "geometry", "io", "plotting", "scenes", "stability")
 

@@ -1,6 +1,6 @@
 """The pivoted scene as a JAX user would write it: arrays of shape (3,), `@`, `solve`, `diffeqsolve`.
 
-The same index-1 equations (56)-(75) as `_pivoted_numba`, in the same clockwise angles; no code shared
+The same index-1 equations (56)-(75) as `pivoted_numba`, in the same clockwise angles; no code shared
 with jaxroll.
 """
 
@@ -8,7 +8,7 @@ import diffrax
 import jax
 import jax.numpy as jnp
 
-from benchmarks._pivoted_numba import (
+from benchmarks.contenders.pivoted_numba import (
     A_OBJECT,
     A_TIP,
     DAMPING,

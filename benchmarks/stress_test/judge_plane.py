@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks._judge_contours import along, ends, Place
+from benchmarks.stress_test.judge_contours import along, ends, Place
 
 Scene = dict[str, Any]
 

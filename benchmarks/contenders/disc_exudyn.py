@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks._common import Contender, Run
-from benchmarks._disc_numba import ABOUT, ACROSS, GRAVITY, MASS, RADIUS
+from benchmarks.contenders.disc_numba import ABOUT, ACROSS, GRAVITY, MASS, RADIUS
 
 # The linear solver (Exudyn's own, dense) and how often to take a Jacobian were chosen by trial. The tolerance
 # is Newton's; at Exudyn's 1e-8 the error stops falling at some ten thousand steps.

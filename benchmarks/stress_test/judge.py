@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from benchmarks._judge_plane import Instant, Motion
+from benchmarks.stress_test.judge_plane import Instant, Motion
 
 # Limits of the verdicts; what each is relative to stands where it is used.
 GAP, TANGENCY, CREEP, FORCE = 1e-11, 1e-8, 1e-7, 1e-6

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxroll as jxr
-from benchmarks._hostile_things import (
+from benchmarks.hostile_calls.things import (
     ball,
     bowl,
     cloud,
@@ -32,7 +32,7 @@ from benchmarks._hostile_things import (
     tube,
     written,
 )
-from benchmarks._hostile_values import KINDS, NUMERIC, planar, planar_run, spatial, spatial_run
+from benchmarks.hostile_calls.values import KINDS, NUMERIC, planar, planar_run, spatial, spatial_run
 
 
 @dataclasses.dataclass(frozen=True)

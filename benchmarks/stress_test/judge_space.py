@@ -1,6 +1,6 @@
 """Grasps in space for the judge of the stress test, in NumPy alone.
 
-The same as `_judge_plane` with vectors of three numbers: arrays of shape (lanes, times, 3), rotations as
+The same as `judge_plane` with vectors of three numbers: arrays of shape (lanes, times, 3), rotations as
 matrices. Surfaces are level sets with gradient and Hessian written out. Nothing here imports the engine.
 """
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks._judge_plane import Instant, Motion, Scene, solved
+from benchmarks.stress_test.judge_plane import Instant, Motion, Scene, solved
 
 _EYE = np.eye(3)
 

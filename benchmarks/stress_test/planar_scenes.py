@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks._judge import picked
-from benchmarks._judge_contours import along, length, network, SAMPLES, TURN
-from benchmarks._judge_plane import Motion, Plane
+from benchmarks.stress_test.judge import picked
+from benchmarks.stress_test.judge_contours import along, length, network, SAMPLES, TURN
+from benchmarks.stress_test.judge_plane import Motion, Plane
 
 Rng = np.random.Generator
 

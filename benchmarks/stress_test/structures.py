@@ -5,8 +5,8 @@ from typing import Any
 import diffrax
 
 import jaxroll as jxr
-from benchmarks._stress_plane import Structure
-from benchmarks._stress_space import Spatial
+from benchmarks.stress_test.planar_scenes import Structure
+from benchmarks.stress_test.spatial_scenes import Spatial
 
 _TWO, _THREE = ((0, 0), (1, 0)), ((0, 0), (1, 0), (2, 0))
 _FLAT: dict[str, Any] = {"control": "none", "gravity": True}

@@ -1,4 +1,4 @@
-r"""The pinch's numbers, its closure and its start, in plain NumPy for `_pinch_numba`.
+r"""The pinch's numbers, its closure and its start, in plain NumPy for `pinch_numba`.
 
 Shares no code with jaxroll. State $x = [X, \dot X, s_1, s_2]$, $X = (x, y, \theta, q_1, q_2)$, in the
 chapter's signs; its $s_i$ are $s_{0i} \mp \sigma_i$ of jaxroll.

@@ -1,4 +1,4 @@
-"""Random scenes in space as plain numbers; see `_stress_plane`, whose ways these follow.
+"""Random scenes in space as plain numbers; see `planar_scenes`, whose ways these follow.
 
 Only NumPy, SciPy's rotations and the judge's surfaces are used.
 """
@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from benchmarks._judge_space import about, level, turned
-from benchmarks._stress_plane import Rng, spread
+from benchmarks.stress_test.judge_space import about, level, turned
+from benchmarks.stress_test.planar_scenes import Rng, spread
 
 
 @dataclass(frozen=True)

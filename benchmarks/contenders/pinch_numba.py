@@ -12,7 +12,7 @@ from math import log, sqrt
 
 import numpy as np
 
-from benchmarks._pinch_geometry import (
+from benchmarks.contenders.pinch_geometry import (
     A,
     AHEAD,
     ALPHA,
@@ -44,7 +44,7 @@ from benchmarks._pinch_geometry import (
     SIZE,
     start,
 )
-from benchmarks._scalars_numba import compiled, dot2, dot3, inlined, sincos, solved2, solved3
+from benchmarks.contenders.scalars_numba import compiled, dot2, dot3, inlined, sincos, solved2, solved3
 
 __all__ = [
     "accelerations",

@@ -13,7 +13,7 @@ from scipy.integrate import ode, odeint, solve_ivp
 
 import jaxroll as jxr
 from benchmarks._common import Contender, Run
-from benchmarks._loops_numba import adaptive
+from benchmarks.contenders.loops_numba import adaptive
 
 MOST_STEPS = 100_000
 

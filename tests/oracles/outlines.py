@@ -75,4 +75,4 @@ def random_outlines(rng, kind, count):
 
 def points_of(kind, numbers, count):
     """Points of the same shape, by NumPy."""
-    return (ellipse_points if kind == "ellipse" else polar_points)(*numbers, count)
+    return (points_of_ellipse if kind == "ellipse" else points_of_polar)(*numbers, count)

@@ -2,20 +2,15 @@
 
 import dataclasses
 import functools
-import sys
-from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 from scipy.integrate import solve_ivp
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-
-import closed_forms3d as closed
-
 import jaxroll as jxr
-from benchmarks import _disc_exudyn as exudyn, _disc_numba as by_hand
-from benchmarks._peers import Problem
+from benchmarks.contenders import disc_exudyn as exudyn, disc_numba as by_hand
+from benchmarks.contenders.solver_libraries import Problem
+from tests.oracles import closed_forms_space as closed
 
 END, SAVES = 3.0, 12
 TIMES = np.arange(1, SAVES + 1) * (END / SAVES)
@@ -71,7 +66,7 @@ class Case:
     def in_exudyn(self) -> exudyn.Start:
         """Exudyn's disc has no rim radius."""
         turned, spin, place = self.start()
-        axes = closed.matrix(turned)
+        axes = closed.quaternion_matrix(turned)
         arm = by_hand.RADIUS * axes[:, 1]
         there = np.array([*place, arm[2]])
         return exudyn.Start(axes, there, np.cross(axes @ spin, arm), axes @ spin)

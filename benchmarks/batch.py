@@ -18,9 +18,9 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import jaxroll as jxr
-from benchmarks import _pinch_numba, _pivoted_numba, _plain_diffrax
 from benchmarks._common import command, device, table, versions
-from benchmarks._loops_numba import adaptive, many, rk4
+from benchmarks.contenders import pinch_numba, pivoted_numba, plain_diffrax
+from benchmarks.contenders.loops_numba import adaptive, many, rk4
 from jaxroll._xla._one_kernel import WIDE
 
 jax.config.update("jax_enable_x64", True)
@@ -92,7 +92,7 @@ def plain_lanes(case: Case, solver: diffrax.AbstractSolver) -> Lanes:
     starts = jnp.tile(start, (case.lanes, 1))
 
     def call(tolerance: float) -> tuple[Any, Any]:
-        run = _plain_diffrax.lanes(starts, case.span, tolerance, solver)
+        run = plain_diffrax.lanes(starts, case.span, tolerance, solver)
         return jax.block_until_ready(run)[:, : case.peer.COORDINATES], None
 
     return call
@@ -110,7 +110,7 @@ def contenders(case: Case) -> Iterator[tuple[str, tuple[float, ...], Lanes, int]
     equal = rk4(case.peer.fill_rates, case.peer.SIZE)
     few = dataclasses.replace(case, lanes=case.lanes // 16)
     yield "Numba, RK4, equal steps", steps, numba_lanes(few, equal), few.lanes
-    if case.peer is _pivoted_numba:
+    if case.peer is pivoted_numba:
         yield "plain diffrax, Tsit5", TOLERANCES, plain_lanes(case, diffrax.Tsit5()), case.lanes
 
 
@@ -166,8 +166,8 @@ def report(quick: bool = False) -> str:
     """Markdown: one table for both scenes and a sentence computed from it."""
     lanes, rounds, found, lines = (256, 2, {}, []) if quick else (4096, 4, {}, [])
     for case in (
-        Case("pivoted", jxr.scenes.pivoted, _pivoted_numba, 3.0, lanes),
-        Case("pinch", jxr.scenes.pinch, _pinch_numba, 2.0, lanes),
+        Case("pivoted", jxr.scenes.pivoted, pivoted_numba, 3.0, lanes),
+        Case("pinch", jxr.scenes.pinch, pinch_numba, 2.0, lanes),
     ):
         entries = found[case.name] = measure(case, rounds)
         peer = best(entries, "Numba").rate()

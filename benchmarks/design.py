@@ -11,7 +11,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -22,17 +21,14 @@ from scipy.special import ellipe
 import jaxroll as jxr
 from benchmarks._common import checked, command
 from jaxroll.design import ClosedLoop, Firmness, Limits, optimise_fingertip, value_and_grad
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-from test_design import INTERVAL, violating
-from test_design_goals import pinched, reaching
+from tests.subjects.fingertips import ellipse_pinched_by, INTERVAL, pivoted_with_tip, violating_points
 
 jax.config.update("jax_enable_x64", True)
 
 
 def seeds():
     """Twenty violating splines in one batch: how many hold, in how many steps, least margin [mm]."""
-    tips = [jxr.Spline(violating(seed), cells=128) for seed in range(20)]
+    tips = [jxr.Spline(violating_points(seed), cells=128) for seed in range(20)]
     limits = Limits(size=0.02, radius=0.001, flat=0.1)
     design = optimise_fingertip(tips, INTERVAL, steps=200, limits=limits)
     start = time.perf_counter()
@@ -121,7 +117,7 @@ class Messages(logging.Handler):
 
 def robust():
     """64 objects: programs of the search compiled in 80 steps after the first ten, seconds, figures."""
-    goal = Firmness(pinched, cases=jnp.linspace(0.012, 0.018, 64))
+    goal = Firmness(ellipse_pinched_by, cases=jnp.linspace(0.012, 0.018, 64))
     limits = Limits(size=0.02, radius=0.004, ahead=0.006)
     start = jxr.Ellipse(0.012, 0.012)
     optimise_fingertip(start, INTERVAL, goal=goal, limits=limits, steps=10)
@@ -172,10 +168,10 @@ def robust_rows():
 
 def gradient_rows():
     """Rows of gradients through runs, in both modes."""
-    pinching, x, rows = lambda tip: pinched(tip), jnp.array([0.012, 0.02]), []
+    pinching, x, rows = lambda tip: ellipse_pinched_by(tip), jnp.array([0.012, 0.02]), []
     for name, make, objective in (
-        ("Part 2, settling", reaching, LIGHT),
-        ("Part 2, settling and forces", reaching, FULL),
+        ("Part 2, settling", pivoted_with_tip, LIGHT),
+        ("Part 2, settling and forces", pivoted_with_tip, FULL),
         ("Part 1, way to rest", pinching, {"tracking_error": 1.0}),
     ):
         for mode, (error, compiling, primal, times) in gradients(make, objective, x).items():

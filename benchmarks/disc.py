@@ -14,7 +14,6 @@ import jax
 import matplotlib
 import matplotlib.pyplot as plt
 
-from benchmarks import _disc_exudyn as exudyn
 from benchmarks._common import (
     by_contender,
     command,
@@ -48,14 +47,15 @@ from benchmarks._disc_cases import (
     TIMES,
     TINY,
 )
-from benchmarks._peers import (
+from benchmarks._plot import footnote, headline, legends, panel
+from benchmarks.contenders import disc_exudyn as exudyn
+from benchmarks.contenders.solver_libraries import (
     compiled_dop853_contender,
     cvode_contender,
     jaxroll_contender,
     loop_contender,
     odeint_contender,
 )
-from benchmarks._plot import footnote, headline, legends, panel
 
 matplotlib.use("Agg")
 jax.config.update("jax_enable_x64", True)

@@ -19,7 +19,7 @@ import numpy as np
 
 import jaxroll as jxr
 from benchmarks._common import command, device, table, versions
-from benchmarks._one_kernel import integrate
+from benchmarks.contenders.one_kernel import integrate
 from jaxroll._integration import _batch
 
 jax.config.update("jax_enable_x64", True)

@@ -28,8 +28,8 @@ import numpy as np
 from hypothesis import given, HealthCheck, Phase, seed, settings, strategies as st
 
 import jaxroll as jxr
-from benchmarks._hostile_calls import Call, calls
-from benchmarks._hostile_values import made, names_for, sensible
+from benchmarks.hostile_calls.valid_calls import Call, calls
+from benchmarks.hostile_calls.values import made, names_for, sensible
 
 # Longest sentence that is still one.
 LONGEST = 300

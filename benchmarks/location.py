@@ -20,16 +20,8 @@ import numpy as np  # noqa: E402
 import jaxroll as jxr  # noqa: E402
 from benchmarks._common import command, device, table, versions  # noqa: E402
 from jaxroll.contact import locate  # noqa: E402
-from tests.shapes import (  # noqa: E402
-    brute_gap,
-    contour_of,
-    KINDS,
-    locator,
-    placed,
-    placer,
-    points_of,
-    random_pairs,
-)
+from tests.oracles.outlines import gap_by_brute_force, KINDS, placed_points, points_of  # noqa: E402
+from tests.subjects.polar_contours import compiled_location, compiled_placement, contour_of, random_pairs  # noqa: E402
 
 LANES, VERTICES = 1024, 10_000
 # Pairs in one batch of the timing: its samples stay in the cache; 1024 at once take half as long again.
@@ -41,7 +33,7 @@ POLYGON = 2e-7
 def throughput(kinds: tuple[str, str]) -> tuple[float, float]:
     """Pairs per second of wall time on all cores, and per second of processor time."""
     exact = tuple(kind.replace("spline", "polar") for kind in kinds)
-    shapes, pose_a, pose_b = random_pairs(np.random.default_rng(0), exact, LANES, placer(exact))
+    shapes, pose_a, pose_b = random_pairs(np.random.default_rng(0), exact, LANES, compiled_placement(exact))
     prepare = jax.vmap(lambda s: tuple(contour_of(k, x).prepared() for k, x in zip(kinds, s, strict=True)))
     contours = jax.block_until_ready(jax.jit(prepare)(jax.tree.map(jnp.asarray, shapes)))
     find = jax.jit(jax.vmap(lambda pair, p, q: locate(*pair, pose_a=p, pose_b=q)))
@@ -68,7 +60,7 @@ def throughput(kinds: tuple[str, str]) -> tuple[float, float]:
 
 def accuracy(kinds: tuple[str, str], count: int) -> tuple[int, int, float, float]:
     """Pairs missed, pairs whose code is not 'successful', worst gap error and residual [m]."""
-    place, find, rng = placer(kinds), locator(kinds), np.random.default_rng(1)
+    place, find, rng = compiled_placement(kinds), compiled_location(kinds), np.random.default_rng(1)
     missed = refused = 0
     worst = residual = 0.0
     for start in range(0, count, LANES):
@@ -78,10 +70,10 @@ def accuracy(kinds: tuple[str, str], count: int) -> tuple[int, int, float, float
         residual = max(residual, float(found.residual.max()))
         for i in range(min(LANES, count - start)):
             outlines = [
-                placed(points_of(kind, [x[i] for x in shape], VERTICES), pose[i])
+                placed_points(points_of(kind, [x[i] for x in shape], VERTICES), pose[i])
                 for kind, shape, pose in zip(kinds, shapes, (pose_a, pose_b), strict=True)
             ]
-            error = abs(gaps[i] - brute_gap(*outlines)[0])
+            error = abs(gaps[i] - gap_by_brute_force(*outlines)[0])
             missed, refused = missed + bool(error > POLYGON), refused + bool(not good[i])
             worst = max(worst, error)
     return missed, refused, worst, residual

@@ -15,7 +15,6 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import jaxroll as jxr
-from benchmarks import _pinch_numba as pinch
 from benchmarks._common import (
     command,
     Contender,
@@ -30,7 +29,8 @@ from benchmarks._common import (
     versions,
     warmed,
 )
-from benchmarks._peers import (
+from benchmarks.contenders import pinch_numba as pinch
+from benchmarks.contenders.solver_libraries import (
     compiled_dop853_contender,
     cvode_contender,
     formulation_contender,
@@ -93,7 +93,7 @@ def measure(quick: bool) -> Found:
     """Time, whether under `jax.jit`, and result of every contender that meets the target, fastest first."""
     problem = planar(pinch, pinch.start(), END)
     if np.abs(problem.x0[: pinch.COORDINATES] - jxr.scenes.pinch()[1].q).max() > 1e-12:
-        raise RuntimeError("benchmarks/_pinch_numba.py is not the scene of jxr.scenes.pinch")
+        raise RuntimeError("benchmarks/contenders/pinch_numba.py is not the scene of jxr.scenes.pinch")
     exact, prepared = reference(problem), []
     judge = lambda _, path: float(np.abs(path[-1, : exact.size] - exact).max())  # noqa: E731
     for contender in contenders(problem, quick):

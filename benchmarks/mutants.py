@@ -26,8 +26,14 @@ from benchmarks._mutations import drawn, Mutation, mutations
 
 ROOT = Path(__file__).parents[1]
 _COPIED = ("jaxroll", "tests", "benchmarks", "notebooks", "pyproject.toml", "README.md", "CHANGELOG.md")
-# Tests of layers and timings, and of what a machine has, which say nothing of formulas.
-_SKIPPED = {"test_architecture.py", "test_examples.py", "test_backend.py", "test_properties.py"}
+# Tests of layers, imports and timings, and of what a machine has, which say nothing of formulas.
+_SKIPPED = {
+    "test_architecture.py",
+    "test_examples.py",
+    "test_backend.py",
+    "test_oracles.py",
+    "test_properties.py",
+}
 # A mutant may loop for ever: it is noticed where a test file takes this many seconds, and times as long.
 _LONGEST = (60.0, 5.0)
 # Changes that no test can notice, by hand: (file, function, before, after) and why.

@@ -15,7 +15,7 @@ import jaxroll as jxr
 from benchmarks._common import checked, command
 from benchmarks.accuracy import imbalance, peak, rows_of
 from jaxroll.stability import assess, pinch_statics, rectangle_hessian, VERDICTS
-from tests.chapter_part1 import Part1
+from tests.oracles.chapter_part1 import Part1
 
 jax.config.update("jax_enable_x64", True)
 

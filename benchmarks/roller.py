@@ -114,7 +114,7 @@ def peer_cases() -> tuple[list[Case], list[str]]:
         if importlib.util.find_spec(package) is None:
             missing.append(name)
         else:
-            found += importlib.import_module(f"benchmarks._roller_{name.lower()}").cases()
+            found += importlib.import_module(f"benchmarks.contenders.roller_{name.lower()}").cases()
     return found, missing
 
 

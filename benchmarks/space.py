@@ -6,24 +6,20 @@ fitted to clouds by `pytest --slow tests/test_surface_fit.py`. Needs the `test` 
 """
 
 import statistics
-import sys
 import time
-from pathlib import Path
 
 import jax
-import jax.numpy as jnp
-import numpy as np
-
-import jaxroll as jxr
-from benchmarks._common import checked, command
-from benchmarks.accuracy import imbalance, peak
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-import closed_forms3d as closed
-import reference3d as reference
-import test_pinch3d as pinches
 
 jax.config.update("jax_enable_x64", True)
+
+import jax.numpy as jnp  # noqa: E402
+import numpy as np  # noqa: E402
+
+import jaxroll as jxr  # noqa: E402
+from benchmarks._common import checked, command  # noqa: E402
+from benchmarks.accuracy import imbalance, peak  # noqa: E402
+from tests.oracles import closed_forms_space as closed, reference_space as reference  # noqa: E402
+from tests.subjects.pinches_in_space import PINCHES, same_in_reference  # noqa: E402
 
 
 def run_of(scene, t1, *, ts=101, rtol=1e-12, **options):
@@ -40,7 +36,7 @@ def turntable():
     """Ten turns of 2/7 Omega: centre and velocity."""
     run = run_of(jxr.scenes.turntable(), 10 * 2 * np.pi / (2 / 7 * 2.0))
     start = (np.array([0.3, 0.1, 0.0]), np.array([0.2, -0.4, 0.0]))
-    known = [closed.turntable(t, *start, 0.7, Omega=2.0, r=0.05) for t in np.asarray(run.ts)]
+    known = [closed.ball_on_turntable(t, *start, 0.7, Omega=2.0, r=0.05) for t in np.asarray(run.ts)]
     x, v = (np.array([k[i][:2] for k in known]) for i in (0, 1))
     return max(relative(run.states.q[:, :2], x), relative(run.states.v[:, :2], v))
 
@@ -48,14 +44,14 @@ def turntable():
 def tube():
     """Height and place round the axis for 10 s."""
     run = run_of(jxr.scenes.tube(), 10.0)
-    angle, z, _, _ = closed.cylinder(np.asarray(run.ts), 0.0, 0.3, 6.0, 4.0, R=0.2, r=0.05, g=9.81)
+    angle, z, _, _ = closed.ball_in_cylinder(np.asarray(run.ts), 0.0, 0.3, 6.0, 4.0, R=0.2, r=0.05, g=9.81)
     return max(relative(run.states.q[:, 2], z), relative(run.states.q[:, 0], 0.15 * np.cos(angle)))
 
 
 def incline():
     """Way down a slope, 3 s."""
     run = run_of(jxr.scenes.incline(), 3.0)
-    way = 0.5 * closed.incline(0.3, 9.81) * np.asarray(run.ts) ** 2
+    way = 0.5 * closed.incline_acceleration(0.3, 9.81) * np.asarray(run.ts) ** 2
     return relative(run.states.q[:, 0], 0.05 * np.sin(0.3) + way * np.cos(0.3))
 
 
@@ -72,9 +68,9 @@ def holonomy():
     path = lambda t: (-0.07 * jnp.sin(t), 0.07 * jnp.cos(t), 0.0)  # noqa: E731
     at = {"at_tip": (0.0, 0.0, -0.1), "at_object": (0.07, 0.0, 0.0)}
     rolled = jxr.roll(jxr.Sphere(0.1), jxr.Plane(), path, jnp.linspace(0, 2 * np.pi, 2), **at)
-    known = closed.rolled_arc(np.array([0.0, 1.0, 0.0]), 0.07, 2 * np.pi, 0.1)
-    found = closed.matrix(np.asarray(rolled.pose[-1, 3:]))
-    return abs(closed.angle_of(found) - closed.angle_of(known))
+    known = closed.rotation_along_arc(np.array([0.0, 1.0, 0.0]), 0.07, 2 * np.pi, 0.1)
+    found = closed.quaternion_matrix(np.asarray(rolled.pose[-1, 3:]))
+    return abs(closed.rotation_angle(found) - closed.rotation_angle(known))
 
 
 def arclengths():
@@ -82,7 +78,7 @@ def arclengths():
     worst = 0.0
     for scene, t1 in (
         (jxr.scenes.turntable(), 3.0),
-        (jxr.scenes.pinch3d(**pinches.KINDS["ellipsoids"]), 1.0),
+        (jxr.scenes.pinch3d(**PINCHES["ellipsoids"]), 1.0),
     ):
         found = jxr.loci(scene[0], run_of(scene, t1, ts=301, rtol=1e-10))
         worst = max(worst, peak(found.tip.arclength - found.object.arclength))
@@ -128,7 +124,7 @@ def pinched():
     """Rows of the pinch between two fingertips, at default settings for 1 s."""
     scene, start = jxr.scenes.pinch3d(), time.perf_counter()
     run = jxr.simulate(*scene, t1=1.0, ts=11, rtol=1e-8, record=("energy",))
-    first, left, judge = time.perf_counter() - start, run.residuals, pinches.judge(scene[0])
+    first, left, judge = time.perf_counter() - start, run.residuals, same_in_reference(scene[0])
     q, _ = reference.simulate(judge, np.asarray(scene[1].q), np.asarray(scene[1].v), np.asarray(run.ts))
     gap = max(peak(x) for x in (left.normal, left.tangential, left.tangency))
     cost, _ = warm(scene, 1.0, 1e-8)

@@ -15,7 +15,7 @@ import numpy as np
 
 import jaxroll as jxr
 from benchmarks._common import command, device, interleaved, ms, size, table, versions
-from benchmarks._stiff_solvers import RKC
+from benchmarks.contenders.stiff_solvers import RKC
 
 jax.config.update("jax_enable_x64", True)
 

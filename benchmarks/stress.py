@@ -27,8 +27,8 @@ _QUICK = ("pivot-catenary", "graze-lift", "cancel-free")
 
 def outcome(name: str, seed: int, chunks: int | None) -> dict[str, Any]:
     """What became of the lanes of one structure: codes, worst measures and their lanes, what is wrong."""
-    from benchmarks._stress_batch import Batches
-    from benchmarks._stress_structures import STRUCTURES
+    from benchmarks.stress_test.one_batch import Batches
+    from benchmarks.stress_test.structures import STRUCTURES
 
     structure = STRUCTURES[name]
     batches, codes, start = Batches(structure), Counter(), time.perf_counter()
@@ -53,8 +53,8 @@ def outcome(name: str, seed: int, chunks: int | None) -> dict[str, Any]:
 
 def one_lane(name: str, seed: int, lane: int) -> str:
     """All that was measured of one lane."""
-    from benchmarks._stress_batch import Batches
-    from benchmarks._stress_structures import STRUCTURES
+    from benchmarks.stress_test.one_batch import Batches
+    from benchmarks.stress_test.structures import STRUCTURES
 
     structure = STRUCTURES[name]
     chunk, i = divmod(lane, structure.lanes)
@@ -142,7 +142,7 @@ def main() -> None:
     parser.add_argument("--json", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.json is None and options.lane is None:
-        from benchmarks._stress_structures import STRUCTURES
+        from benchmarks.stress_test.structures import STRUCTURES
 
         names = options.structure or (_QUICK if options.quick else STRUCTURES)
         text = report(list(names), options.seed, options.quick, options.workers)

@@ -17,7 +17,6 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import jaxroll as jxr
-from benchmarks import _pivoted_numba as pivoted
 from benchmarks._common import (
     by_contender,
     command,
@@ -37,7 +36,9 @@ from benchmarks._common import (
     versions,
     warmed,
 )
-from benchmarks._peers import (
+from benchmarks._plot import footnote, headline, legends, panel
+from benchmarks.contenders import pivoted_numba as pivoted
+from benchmarks.contenders.solver_libraries import (
     compiled_dop853_contender,
     cvode_contender,
     formulation_contender,
@@ -47,7 +48,6 @@ from benchmarks._peers import (
     planar,
     solve_ivp_contender,
 )
-from benchmarks._plot import footnote, headline, legends, panel
 
 matplotlib.use("Agg")
 jax.config.update("jax_enable_x64", True)
@@ -128,7 +128,7 @@ def measure(quick: bool) -> tuple[list[Result], str]:
     x0 = np.concatenate([state.q, state.v, [pivoted.S_START]])
     start_error = np.max(np.abs(pivoted.start() - x0))
     if start_error > 1e-12:
-        raise RuntimeError("benchmarks/_pivoted_numba.py is not the scene of jxr.scenes.pivoted")
+        raise RuntimeError("benchmarks/contenders/pivoted_numba.py is not the scene of jxr.scenes.pivoted")
     exact = reference(x0)
     note = f"starting pose: {start_error:.0e} rad; {agreement(exact)}"
     print(f"reference against jaxroll: {note}", flush=True)

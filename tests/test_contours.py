@@ -113,14 +113,14 @@ def test_ellipse_point_is_differentiable_in_its_axes(name):
 
 def test_chapter_contours_are_these_catenaries():
     """(80)-(83) as corrected, point by point, in the mirrored frame."""
-    from helpers import Chapter
+    from tests.oracles.chapter_part2 import Part2
 
     grasp, _ = jxr.scenes.pivoted()
     mirror = np.array([1.0, -1.0])
     s = np.linspace(-0.01, 0.01, 41)
-    printed = np.asarray(jax.vmap(Chapter.object_contour)(jnp.asarray(s)))
+    printed = np.asarray(jax.vmap(Part2.object_contour)(jnp.asarray(s)))
     np.testing.assert_allclose(grasp.object.contours[0].point(s), printed * mirror, atol=1e-15)
-    printed = np.asarray(jax.vmap(Chapter.tip_contour)(jnp.asarray(s)))
+    printed = np.asarray(jax.vmap(Part2.tip_contour)(jnp.asarray(s)))
     # The chapter's fingertip frame is left-handed after the mirror, and runs against our arclength.
     tip = grasp.fingers[0].tip
     turned = np.stack([-printed[:, 1], -printed[:, 0]], -1)

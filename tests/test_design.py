@@ -15,8 +15,7 @@ from jaxroll.design import Limits, optimise_fingertip
 from jaxroll.design._limits import sampled
 from jaxroll.design._minimise import minimise
 from jaxroll.geometry import Frenet2, PeriodicNetwork
-
-INTERVAL = (-0.005, 0.005)
+from tests.subjects.fingertips import INTERVAL, violating_points
 
 
 def half_disc(x, centre, sharpness):
@@ -113,24 +112,10 @@ def test_ellipse_has_the_analytic_optimum():
     assert design.result == jxr.RESULTS.successful and bool(design.holds[0])
 
 
-def violating(seed, count=24):
-    """A fingertip that violates (41) in front: a circle ahead of O, a flat ellipse, a random one."""
-    rng = np.random.default_rng(seed)
-    u = 2 * np.pi * np.arange(count) / count
-    if seed % 3 == 0:
-        radius, ahead = rng.uniform(0.007, 0.012), rng.uniform(0.003, 0.006)
-        return np.stack([ahead + radius * np.cos(u), radius * np.sin(u)], -1)
-    if seed % 3 == 1:
-        return np.stack([rng.uniform(0.013, 0.017) * np.cos(u), rng.uniform(0.008, 0.011) * np.sin(u)], -1)
-    waves = sum(rng.normal(scale=0.03 / k) * np.cos(k * u + rng.uniform(0, 6)) for k in (2, 3, 4))
-    radius = 0.01 * (1.0 + waves)
-    return np.stack([0.004 + radius * np.cos(u), radius * np.sin(u)], -1)
-
-
 @pytest.mark.slow
 def test_every_violating_start_comes_to_hold():
     """20 seeds in one batch: a positive margin on the whole interval within 200 steps."""
-    tips = [jxr.Spline(violating(seed), cells=128) for seed in range(20)]
+    tips = [jxr.Spline(violating_points(seed), cells=128) for seed in range(20)]
     design = optimise_fingertip(tips, INTERVAL, steps=200, limits=Limits(size=0.02, radius=0.001, flat=0.1))
     assert np.all(np.asarray(design.before) < 0.0)
     assert design.history.shape[1] <= 200

@@ -21,8 +21,7 @@ from jaxroll.design import (
     value_and_grad,
 )
 from jaxroll.design._measures import PARTIAL
-
-INTERVAL = (-0.005, 0.005)
+from tests.subjects.fingertips import ellipse_pinched_by, INTERVAL, pivoted_with_tip
 
 
 def with_signal(run, y):
@@ -78,14 +77,8 @@ def test_measures_see_only_what_a_run_reached():
     assert np.all(np.isnan(settled))  # it came to rest nowhere
 
 
-def reaching(tip):
-    """Part 2 of the chapter with another fingertip."""
-    grasp, state = jxr.scenes.pivoted()
-    return jxr.close(grasp.with_tip(0, tip.moved(angle=-0.5 * np.pi)), state)
-
-
 LOOP = ClosedLoop(
-    reaching,
+    pivoted_with_tip,
     {"settling_time": 1.0, "tracking_error": 1.0, "peak_force": 0.2, "friction_demand": 0.5},
     t1=0.5,
     ts=51,
@@ -137,15 +130,11 @@ def test_forward_and_reverse_are_chosen_by_size():
     assert aux == "more"
 
 
-def pinched(tip, half=0.015):
-    return jxr.scenes.pinch_ellipse(half, 0.02, tips=tip, s=(0.0005, -0.0005), alpha=0.0)
-
-
 @pytest.mark.slow
 def test_rest_of_a_pinch_is_the_equilibrium_with_the_hessian_of_its_potential():
     """By contact places alone against Newton on the whole problem, and against autodiff of U."""
     tip = jxr.Ellipse(0.012, 0.02).moved((0.002, 0.001))
-    grasp, state = pinched(tip)
+    grasp, state = ellipse_pinched_by(tip)
     s, rest = jxr.stability.pinch_rest(grasp, state)
     whole = jxr.stability.equilibrium(grasp, state)
     places = [c.sense * (c.s_object - x) for c, x in zip(grasp.contacts, whole.state.s, strict=True)]
@@ -160,7 +149,7 @@ def test_rest_of_a_pinch_is_the_equilibrium_with_the_hessian_of_its_potential():
 def test_rest_of_a_pinch_answers_changes_of_the_fingertip():
     def place(x):
         tip = jxr.Ellipse(x, 0.02).moved((0.002, 0.001))
-        s, rest = jxr.stability.pinch_rest(*pinched(tip))
+        s, rest = jxr.stability.pinch_rest(*ellipse_pinched_by(tip))
         return jnp.concatenate([s, rest.hessian.ravel()])
 
     run, h = jax.jit(place), 1e-6
@@ -233,7 +222,7 @@ def compiled(caplog):
 
 @pytest.mark.slow
 def test_64_objects_in_one_program_that_is_compiled_once(caplog):
-    goal = Firmness(pinched, cases=jnp.linspace(0.012, 0.018, 64))
+    goal = Firmness(ellipse_pinched_by, cases=jnp.linspace(0.012, 0.018, 64))
     limits = Limits(size=0.02, radius=0.004, ahead=0.006)
     start = jxr.Ellipse(0.012, 0.012)
     with jax.log_compiles():
@@ -251,17 +240,17 @@ def test_64_objects_in_one_program_that_is_compiled_once(caplog):
 @pytest.mark.slow
 def test_curvature_and_rate_are_those_of_the_verdict():
     tip = jxr.Ellipse(0.01, 0.016)
-    known = jxr.stability.assess(*pinched(tip))
+    known = jxr.stability.assess(*ellipse_pinched_by(tip))
     neutral, rates = int(known.neutral), np.sort(-np.asarray(known.rates.real))
-    curvature = Firmness(pinched, measure="curvature").aimed(tip)
+    curvature = Firmness(ellipse_pinched_by, measure="curvature").aimed(tip)
     np.testing.assert_allclose(curvature.values(tip), np.asarray(known.curvatures)[neutral], rtol=1e-8)
-    rate = Firmness(pinched, measure="rate").aimed(tip)
+    rate = Firmness(ellipse_pinched_by, measure="rate").aimed(tip)
     np.testing.assert_allclose(rate.values(tip), rates[neutral], rtol=1e-8)
 
 
 @pytest.mark.slow
 def test_slowest_rate_answers_changes_of_the_fingertip():
-    goal = Firmness(pinched, measure="rate", neutral=2)
+    goal = Firmness(ellipse_pinched_by, measure="rate", neutral=2)
     value = lambda x: goal.values(jxr.Ellipse(x, 0.016))[0]  # noqa: E731
     both, h = jax.jit(value_and_grad(value, "forward")), 1e-6
     expected = (both(0.01 + h)[0] - both(0.01 - h)[0]) / (2 * h)
@@ -293,14 +282,14 @@ def test_a_fingertip_that_loses_its_objects_is_changed_to_hold_them():
     ("wrong", "message"),
     [
         (lambda: ClosedLoop("make", {"overshoot": 1.0}), "make must be a function"),
-        (lambda: ClosedLoop(reaching, {"speed": 1.0}), "objective must be a function, or weights of"),
-        (lambda: ClosedLoop(reaching, {}), "objective must be"),
-        (lambda: ClosedLoop(reaching, {"overshoot": 1.0}, t1=-1.0), "t1 must be positive"),
+        (lambda: ClosedLoop(pivoted_with_tip, {"speed": 1.0}), "objective must be a function, or weights of"),
+        (lambda: ClosedLoop(pivoted_with_tip, {}), "objective must be"),
+        (lambda: ClosedLoop(pivoted_with_tip, {"overshoot": 1.0}, t1=-1.0), "t1 must be positive"),
         (
-            lambda: ClosedLoop(lambda tip, _: reaching(tip), max, cases=(jnp.ones(2), jnp.ones(3))),
+            lambda: ClosedLoop(lambda tip, _: pivoted_with_tip(tip), max, cases=(jnp.ones(2), jnp.ones(3))),
             "common leading axis",
         ),
-        (lambda: Firmness(reaching, measure="force"), "measure must be"),
+        (lambda: Firmness(pivoted_with_tip, measure="force"), "measure must be"),
         (lambda: value_and_grad(jnp.sum, "sideways"), "mode must be"),
     ],
 )

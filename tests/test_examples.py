@@ -15,7 +15,6 @@ import sys
 import jax
 import numpy as np
 import pytest
-from helpers import slow_among
 from matplotlib.colors import to_rgb
 from PIL import Image
 
@@ -23,6 +22,7 @@ import jaxroll as jxr
 from jaxroll.__main__ import _page, DEMOS
 from jaxroll.plotting import _page as _page_module
 from jaxroll.plotting._style import LOCUS_OBJECT, LOCUS_TIP
+from tests.helpers import slow_among
 
 ROOT = pathlib.Path(__file__).parent.parent
 MODULES = [

@@ -4,18 +4,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from points import bow, circle, HALF, pivoted_from
 
 import jaxroll as jxr
+from tests.oracles.known_curves import circle_points
+from tests.subjects.pivoted_by_points import catenary_points, HALF, pivoted_by_points
 
 
 def test_part_2_from_128_points():
     """Within 1e-9 rad of the analytic trajectory, with nothing but 128 points per contour."""
-    points = [bow(a)[:-1] for a in (1 / 40, 1 / 100)]
+    points = [catenary_points(a)[:-1] for a in (1 / 40, 1 / 100)]
     assert all(len(p) == 128 for p in points)
     ts = np.linspace(0.0, 3.0, 31)
     exact = jxr.simulate(*jxr.scenes.pivoted(), t1=3.0, ts=ts, rtol=1e-10)
-    run = jxr.simulate(*jxr.close(*pivoted_from(*points)), t1=3.0, ts=ts, rtol=1e-10)
+    run = jxr.simulate(*jxr.close(*pivoted_by_points(*points)), t1=3.0, ts=ts, rtol=1e-10)
     apart = np.abs(np.asarray(run.states.q - exact.states.q)).max()
     print(f"Part 2 from 128 points: {apart:.3g} rad from the analytic trajectory")
     assert apart <= 1e-9
@@ -27,7 +28,7 @@ def test_part_2_from_128_points():
 def test_part_1_from_points():
     """The pinch with fingertips given by 128 points each."""
     ts = np.linspace(0.0, 1.0, 11)
-    tip = jxr.Spline(bow(1 / 40)[:-1], closed=False, origin=HALF, cells=512).moved((0.01, 0.0))
+    tip = jxr.Spline(catenary_points(1 / 40)[:-1], closed=False, origin=HALF, cells=512).moved((0.01, 0.0))
     exact = jxr.simulate(*jxr.scenes.pinch(), t1=1.0, ts=ts, rtol=1e-9)
     run = jxr.simulate(*jxr.scenes.pinch(tips=tip), t1=1.0, ts=ts, rtol=1e-9)
     apart = np.abs(np.asarray(run.states.q - exact.states.q)).max()
@@ -38,7 +39,7 @@ def test_part_1_from_points():
 def test_roller_between_plates():
     """A roller of 128 points: half the upper plate's travel to 1e-8 m, and no ripple of its spacing."""
     run = jxr.simulate(
-        *jxr.scenes.roller(jxr.Spline(circle(128))), t1=3.0, ts=np.linspace(0.0, 3.0, 1501), rtol=1e-9
+        *jxr.scenes.roller(jxr.Spline(circle_points(128))), t1=3.0, ts=np.linspace(0.0, 3.0, 1501), rtol=1e-9
     )
     x, y, _, u, _ = np.asarray(run.states.q).T
     prescribed = 0.015 * (1.0 - np.cos(2 * np.pi * np.asarray(run.ts) / 3.0))
@@ -63,12 +64,12 @@ def test_roller_circle_is_exact():
 @pytest.mark.slow
 def test_gradient_of_the_whole_chain():
     """Points to field to pose to run to cost: reverse mode against central differences."""
-    points = [jnp.asarray(bow(a, count=32)) for a in (1 / 40, 1 / 100)]
+    points = [jnp.asarray(catenary_points(a, count=32)) for a in (1 / 40, 1 / 100)]
     ts = jnp.array([0.0, 0.15, 0.3])
 
     @jax.jit
     def cost(tip, face):
-        grasp, state = jxr.close(*pivoted_from(tip, face))
+        grasp, state = jxr.close(*pivoted_by_points(tip, face))
         run = jxr.simulate(grasp, state, t1=0.3, ts=ts, rtol=1e-9, max_steps=256)
         return jnp.sum(run.states.q[-1] ** 2) + jnp.sum(run.states.q[1] * run.states.v[1])
 

@@ -1,8 +1,5 @@
 """What a GPU runs, as far as a processor can tell: the ensemble's way there, and the run of one kernel."""
 
-import sys
-from pathlib import Path
-
 import diffrax
 import jax
 import jax.numpy as jnp
@@ -10,10 +7,8 @@ import numpy as np
 import pytest
 
 import jaxroll as jxr
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 from benchmarks import gpu
-from benchmarks._one_kernel import integrate
+from benchmarks.contenders.one_kernel import integrate
 
 LANES = 6
 SPAN, RTOL = 0.1, 1e-7

@@ -5,9 +5,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import taylor_remainders
 
 import jaxroll as jxr
+from tests.measures import taylor_remainders
 
 # Steps are fixed by the recorded times, so that a perturbed run takes the steps of the base run.
 TS = jnp.linspace(0.0, 0.05, 26)

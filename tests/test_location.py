@@ -4,12 +4,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import taylor_remainders
 from scipy.optimize import minimize_scalar
-from shapes import brute_gap, KINDS, locator, placed, placer, points_of, Polar, random_pairs
 
 import jaxroll as jxr
 from jaxroll.contact import locate
+from tests.measures import taylor_remainders
+from tests.oracles.outlines import gap_by_brute_force, KINDS, placed_points, points_of
+from tests.subjects.polar_contours import compiled_location, compiled_placement, Polar, random_pairs
 
 SUCCESS = jxr.RESULTS.successful
 # Vertices of the polygons lie on the curves; between them both bend away by this much [m].
@@ -18,15 +19,17 @@ POLYGON = 2e-7
 
 def compare(kinds, count, seed):
     """Locate `count` random pairs and compare every gap with that of 10^4-vertex polygons."""
-    shapes, pose_a, pose_b = random_pairs(np.random.default_rng(seed), kinds, count, placer(kinds))
-    found = locator(kinds)(shapes, pose_a, pose_b)
+    shapes, pose_a, pose_b = random_pairs(
+        np.random.default_rng(seed), kinds, count, compiled_placement(kinds)
+    )
+    found = compiled_location(kinds)(shapes, pose_a, pose_b)
     errors = []
     for i in range(count):
         outlines = [
-            placed(points_of(kind, [x[i] for x in shape], 10_000), pose[i])
+            placed_points(points_of(kind, [x[i] for x in shape], 10_000), pose[i])
             for kind, shape, pose in zip(kinds, shapes, (pose_a, pose_b), strict=True)
         ]
-        errors.append(float(found.gap[i]) - brute_gap(*outlines)[0])
+        errors.append(float(found.gap[i]) - gap_by_brute_force(*outlines)[0])
     return found, np.array(errors)
 
 
@@ -54,7 +57,7 @@ def test_the_search_by_brute_force_sees_a_wrong_gap():
     u = np.arange(10_000) * (2 * np.pi / 10_000)
     circle = np.stack([np.cos(u), np.sin(u)], -1)
     for distance in (0.05, 0.03, 0.025):
-        gap, vertex = brute_gap(0.01 * circle + np.array([distance, 0.0]), 0.02 * circle)
+        gap, vertex = gap_by_brute_force(0.01 * circle + np.array([distance, 0.0]), 0.02 * circle)
         assert abs(gap - (distance - 0.03)) <= 1e-8
         assert abs(vertex - 5000) <= 1
 

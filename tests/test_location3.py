@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import slow_among, taylor_remainders
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
@@ -26,6 +25,8 @@ from jaxroll.geometry import (
     Superellipsoid,
     Torus,
 )
+from tests.helpers import slow_among
+from tests.measures import taylor_remainders
 
 SUCCESS = jxr.RESULTS.successful
 STILL = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])

@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import taylor_remainders
 
 import jaxroll as jxr
 from jaxroll.geometry import frenet, PeriodicNetwork
+from tests.measures import taylor_remainders
 
 A, B = 0.01, 0.007
 TURN = 2.0 * np.pi

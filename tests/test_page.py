@@ -9,13 +9,13 @@ import sys
 
 import numpy as np
 import pytest
-import space
 from matplotlib.colors import to_rgb
 from PIL import Image
 
 from jaxroll.plotting._page import write_page
 from jaxroll.plotting._scene3 import scene3
 from jaxroll.plotting._style import LOCUS_OBJECT, LOCUS_TIP, OBJECT_BODY, TIP_BODY
+from tests.subjects import stand_in_grasp
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 FRAMES = 9
@@ -51,7 +51,9 @@ def written(tmp_path_factory):
     """The page of the stand-in."""
     pytest.importorskip("plotly")
     folder = tmp_path_factory.mktemp("page")
-    return write_page(*space.scene(), folder / "sub" / "grasp.html", title="A test", frames=FRAMES)
+    return write_page(
+        *stand_in_grasp.stand_in(), folder / "sub" / "grasp.html", title="A test", frames=FRAMES
+    )
 
 
 def browse(path, folder, budget):
@@ -115,7 +117,7 @@ def test_a_page_runs_without_errors(browsed):
 
 def test_the_slider_moves_the_bodies(browsed):
     found, _, _ = browsed
-    grasp, motion, _ = space.scene()
+    grasp, motion, _ = stand_in_grasp.stand_in()
     body = scene3(grasp, motion, rows=18, columns=36).solids[0]
     np.testing.assert_allclose(found["last"], body.at(60)[7], atol=1e-3)
     np.testing.assert_allclose(found["first"], body.at(0)[7], atol=1e-3)
@@ -144,7 +146,7 @@ def test_a_page_without_plotly_says_what_to_install(monkeypatch, tmp_path):
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "plotly", None)
     with pytest.raises(ImportError, match=r"pip install \"jaxroll\[viz\]\""):
-        write_page(*space.scene(5), tmp_path / "grasp.html")
+        write_page(*stand_in_grasp.stand_in(5), tmp_path / "grasp.html")
 
 
 @pytest.mark.parametrize(
@@ -157,6 +159,6 @@ def test_a_page_without_plotly_says_what_to_install(monkeypatch, tmp_path):
 )
 def test_bad_arguments_of_a_page(change, words):
     pytest.importorskip("plotly")
-    grasp, motion, ts = space.scene(5)
+    grasp, motion, ts = stand_in_grasp.stand_in(5)
     with pytest.raises(ValueError, match=words):
         write_page(grasp, motion, **({"ts": ts, "path": "grasp.html"} | change))

@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import taylor_remainders
 
 import jaxroll as jxr
+from tests.measures import taylor_remainders
 
 A, B = 0.02, 0.014
 TURN = 2.0 * np.pi

@@ -7,13 +7,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from chapter_part1 import Part1
 
 import jaxroll as jxr
 from jaxroll._mechanics import to_leaves
 from jaxroll._motion import bodies, Index1
 from jaxroll._motion._equations import evaluate, power, sensed
 from jaxroll.control import Sensed
+from tests.oracles.chapter_part1 import Part1
 
 SENSE = np.array([1.0, -1.0])
 START = np.array([0.004, -0.003])  # the chapter's s_i at the start

@@ -1,63 +1,24 @@
 """Part 3: a pinch in space against a second formulation, its rows, its planar case and its gradients."""
 
-from dataclasses import replace
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import reference3d as reference
 
 import jaxroll as jxr
+from tests.oracles import reference_space as reference
+from tests.subjects.pinches_in_space import AS_TOLD, egg, PINCHES, same_in_reference
 
 TS = np.linspace(0.0, 1.0, 11)
 
 
-def shape(surface):
-    """A tip or an object's surface for the reference."""
-    if isinstance(surface, jxr.Sphere):
-        return reference.sphere(float(surface.radius))
-    if isinstance(surface, jxr.Ellipsoid):
-        return reference.Ellipsoid(tuple(float(x) for x in (surface.a, surface.b, surface.c)))
-    at = surface.near(np.zeros(3))
-    return reference.Plane(tuple(np.asarray(surface.point(at))), tuple(np.asarray(surface.normal(at))))
-
-
-def judge(grasp, **options):
-    """The same grasp in the reference: numbers alone are shared."""
-    fingers = []
-    for f in grasp.fingers:
-        numbers = (np.asarray(x) for x in (f.base, f.axes, f.offsets, f.masses, f.centres, f.inertias))
-        fingers.append(reference.Chain(*numbers, shape(f.tip)))
-    body = grasp.object
-    inner = reference.Body(float(body.mass), np.asarray(body.inertia), tuple(map(shape, body.surfaces)))
-    scene, _ = reference.pinch3d()
-    contacts = tuple((c.finger, c.surface) for c in grasp.contacts)
-    return replace(scene, fingers=tuple(fingers), body=inner, contacts=contacts, **options)
-
-
-def egg():
-    """An ellipsoid of 20 g to be pinched."""
-    axes, mass = np.array([0.015, 0.025, 0.020]), 0.02
-    return jxr.FreeObject3(jxr.Ellipsoid(*axes), mass, mass / 5 * (np.sum(axes**2) - axes**2))
-
-
-KINDS = {
-    "cuboid": {},
-    "ellipsoids": {"object": egg(), "tips": jxr.Ellipsoid(0.010, 0.008, 0.009)},
-    "spin prevented": {"spin": "prevented"},
-    "gravity": {"gravity": (0.3, -1.0, 0.5)},
-}
-AS_TOLD = {"spin prevented": {"no_spin": True}, "gravity": {"gravity": (0.3, -1.0, 0.5)}}
-
-
-HARD = [pytest.param(kind, marks=pytest.mark.slow) for kind in KINDS]
+HARD = [pytest.param(kind, marks=pytest.mark.slow) for kind in PINCHES]
 
 
 @pytest.fixture(scope="module", params=HARD)
 def case(request):
-    scene = jxr.scenes.pinch3d(**KINDS[request.param])
+    scene = jxr.scenes.pinch3d(**PINCHES[request.param])
     run = jxr.simulate(*scene, t1=1.0, ts=TS, record=("multipliers", "energy"), rtol=1e-11)
     return request.param, scene, run
 
@@ -65,7 +26,7 @@ def case(request):
 def test_motion_and_forces_against_a_second_formulation(case):
     """Located contacts, null space and SciPy; neither rows nor integration are shared."""
     kind, (grasp, state), run = case
-    scene = judge(grasp, **AS_TOLD.get(kind, {}))
+    scene = same_in_reference(grasp, **AS_TOLD.get(kind, {}))
     q, v = reference.simulate(scene, np.asarray(state.q), np.asarray(state.v), TS)
     assert np.abs(run.states.q - q).max() <= 1e-8
     assert np.abs(run.states.v - v).max() <= 1e-8
@@ -156,11 +117,11 @@ def test_planar_scene_in_space_is_the_planar_one():
 
 def _in(q, point):
     """A world point in the object's axes."""
-    return reference.matrix(q[3:7]).T @ (point - q[:3])
+    return reference.quaternion_matrix(q[3:7]).T @ (point - q[:3])
 
 
 def _out(q, point):
-    return q[:3] + reference.matrix(q[3:7]) @ point
+    return q[:3] + reference.quaternion_matrix(q[3:7]) @ point
 
 
 def final(axes):

@@ -6,10 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import Chapter, observed_order
 from scipy.integrate import solve_ivp
 
 import jaxroll as jxr
+from tests.measures import observed_order
+from tests.oracles.chapter_part2 import Part2
 
 ELBOW = 1  # branch of the law of cosines that the scene starts on
 
@@ -17,7 +18,7 @@ ELBOW = 1  # branch of the law of cosines that the scene starts on
 @pytest.fixture(scope="module")
 def reference():
     """Minimal-coordinate motion by SciPy: times, s and (theta, q1, q2)."""
-    chapter = Chapter()
+    chapter = Part2()
     field = chapter.acceleration(ELBOW)
     ts = np.linspace(0.0, 3.0, 31)
     answer = solve_ivp(
@@ -76,7 +77,7 @@ def test_energy_identity(scene):
 
 def test_recorded_energy_is_the_chapters(scene, run):
     """(71) and U below (83), from the chapter's formulas at every tenth state."""
-    chapter = Chapter()
+    chapter = Part2()
     states = jax.tree.map(lambda x: x[::10], run.states)
     kinetic = jax.vmap(chapter.kinetic)(states.q, states.v)
     np.testing.assert_allclose(run.energy.kinetic[::10], kinetic, rtol=1e-12, atol=1e-20)
@@ -109,7 +110,7 @@ def test_what_the_chapter_reports(scene, run):
     above = potential[50:] - potential.min()
     falling = above[:-1] > 1e-13 * potential.min()
     assert falling.sum() > 50 and np.all(np.diff(potential[50:])[falling] < 0)
-    chapter = Chapter()
+    chapter = Part2()
     slope = jax.grad(chapter.potential)(float(balance.s[-1, 0]))
     assert abs(slope) < 1e-4 * abs(jax.grad(chapter.potential)(0.003))  # U is stationary at the end
 
@@ -117,7 +118,7 @@ def test_what_the_chapter_reports(scene, run):
 def test_balance_is_the_chapters_own_quantities(scene, run):
     """(76)-(79) with (60)-(63) from the printed contours."""
     grasp, _ = scene
-    chapter = Chapter()
+    chapter = Part2()
     balance = jxr.press_balance(grasp, run.ts, run.states)
     for i in (0, 10, 40):
         l_b0, l_b1, l_n0, l_n1 = chapter.lengths(float(balance.s[i, 0]))

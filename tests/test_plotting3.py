@@ -7,8 +7,6 @@ from types import SimpleNamespace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import space
-from helpers import slow_among
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
@@ -21,6 +19,8 @@ from jaxroll.plotting._poses3 import snapshots3, stage
 from jaxroll.plotting._scene3 import looking, scene3
 from jaxroll.plotting._style import LOCUS_OBJECT, LOCUS_TIP
 from jaxroll.plotting._tubes import camera
+from tests.helpers import slow_among
+from tests.subjects import stand_in_grasp
 
 TURN = np.array([0.8, 0.2, -0.4, 0.4])
 
@@ -143,7 +143,7 @@ def test_rotations_agree_with_scipy():
 
 def test_rotation_vectors_go_on_beyond_half_a_turn():
     angles = np.linspace(0.0, 6.0, 60)
-    path = space.turn((0.0, 0.6, 0.8), angles)
+    path = stand_in_grasp.quaternion_about((0.0, 0.6, 0.8), angles)
     path[40:] *= -1.0
     np.testing.assert_allclose(
         rotation_vectors(path), angles[:, None] * np.array([0.0, 0.6, 0.8]), atol=1e-12
@@ -153,7 +153,7 @@ def test_rotation_vectors_go_on_beyond_half_a_turn():
 @pytest.fixture(scope="module")
 def scene():
     """The stand-in: grasp, motion, times."""
-    return space.scene()
+    return stand_in_grasp.stand_in()
 
 
 def world(pose, points):

@@ -3,7 +3,7 @@
 from hypothesis import given, HealthCheck, Phase, settings
 
 from benchmarks import hostile
-from benchmarks._hostile_calls import calls
+from benchmarks.hostile_calls.valid_calls import calls
 
 
 def test_hostile_arguments_are_answered_or_refused(tmp_path, monkeypatch):

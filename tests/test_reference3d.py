@@ -2,12 +2,12 @@
 
 from dataclasses import replace
 
-import closed_forms3d as cf
 import numpy as np
 import pytest
-import reference3d as ref
-from chapter_part1 import Links, Part1, SIGNS, turn
 from scipy.optimize import minimize
+
+from tests.oracles import closed_forms_space as cf, reference_space as ref
+from tests.oracles.chapter_part1 import Links, Part1, planar_rotation, SIGNS
 
 G = 9.81
 SPREAD = np.random.default_rng(0).normal(size=(4000, 3))  # directions
@@ -19,14 +19,16 @@ pinches = pytest.mark.parametrize("pinch", PINCHES.values(), ids=PINCHES)
 def moving(scene, q, seed=0):
     """A rolling velocity with every direction in it, about 0.1 m/s and 1 rad/s."""
     v = np.random.default_rng(seed).normal(size=len(q) - 1)
-    return ref.rolling(scene, q, v * np.concatenate([np.full(3, 0.1), np.ones(len(q) - 4)]))
+    return ref.rolling_velocity(scene, q, v * np.concatenate([np.full(3, 0.1), np.ones(len(q) - 4)]))
 
 
 def turned(pinch, **changes):
     """Scene and closed q with the object turned by 20 degrees, so that no frame is another one."""
     scene, q = pinch(**changes)
     step = np.concatenate([[1e-3, -2e-3, 1e-3, 0.2, -0.15, 0.25], np.zeros(6)])
-    return scene, ref.consistent(scene, ref.moved(q, step), np.concatenate([np.zeros(6), np.ones(6)]))
+    return scene, ref.closed_coordinates(
+        scene, ref.displaced(q, step), np.concatenate([np.zeros(6), np.ones(6)])
+    )
 
 
 def table(tip, base=(0.0, 0.0, 0.0)):
@@ -51,7 +53,7 @@ def test_located_points_are_the_closest(seed):
     body = ref.Ellipsoid((0.015, 0.025, 0.020))
     tip_pose = 0.05 * (n := rng.normal(size=3)) / np.linalg.norm(n), cf.exponential(rng.normal(size=3))
     pose = np.zeros(3), cf.exponential(rng.normal(size=3))
-    P, P0, n, gap = (a.real for a in ref.touch(tip, tip_pose, body, pose))
+    P, P0, n, gap = (a.real for a in ref.contact_points(tip, tip_pose, body, pose))
 
     def apart(a):
         a = a / np.array([0.010, 0.008, 0.009, 0.015, 0.025, 0.020])
@@ -70,8 +72,8 @@ def test_located_points_are_the_closest(seed):
 def test_scenes_are_closed_and_tangent(pinch):
     scene, q = pinch()
     for state in (q, turned(pinch)[1]):
-        assert np.abs(ref.locate(scene, state)[3]).max() < 1e-16
-        assert ref.tangency(scene, state).max() < 1e-14
+        assert np.abs(ref.located_contacts(scene, state)[3]).max() < 1e-16
+        assert ref.normal_mismatch(scene, state).max() < 1e-14
         assert ref.forces(scene, state, np.zeros(12))[0].min() > 0.5
 
 
@@ -81,7 +83,7 @@ def test_points_on_a_plane_and_over_it(flat_tip):
     poses = [(a, cf.exponential(10 * a)) for a in np.array([[0.1, 0.05, 0.02], [-0.03, 0.01, 0.07]])]
     shapes, order = (egg, plane), slice(None, None, -1 if flat_tip else 1)
     (shape, pose), (shape0, pose0) = zip(shapes[order], poses[order], strict=True)
-    P, P0, n, gap = ref.touch(shape, pose, shape0, pose0)
+    P, P0, n, gap = ref.contact_points(shape, pose, shape0, pose0)
     on_egg, on_plane = (P, P0)[order]
     (r, Q), (x, R) = poses
     assert np.abs(P - P0 - gap * n).max() < 1e-16
@@ -96,13 +98,13 @@ def test_rows_are_material_velocities(pinch):
     """A v against the motion, by differences, of the points of both bodies that are in contact."""
     scene, q = turned(pinch, no_spin=True)
     v, d = np.random.default_rng(4).normal(size=12), 1e-3
-    P, P0, n, _ = ref.locate(scene, q)
-    here = ref.places(scene, q.astype(complex))
+    P, P0, n, _ = ref.located_contacts(scene, q)
+    here = ref.configuration(scene, q.astype(complex))
     poses = [(c[0][-1].real, c[1][-1].real) for c in here.chains] + [(q[:3], here.turned.real)]
 
     def after(t):
-        there = q + t * ref.rate(q, v)
-        found = ref.places(scene, there.astype(complex))
+        there = q + t * ref.coordinate_rates(q, v)
+        found = ref.configuration(scene, there.astype(complex))
         return [(c[0][-1].real, c[1][-1].real) for c in found.chains] + [(there[:3], found.turned.real)]
 
     moved = [after(k * d) for k in (-2, -1, 1, 2)]
@@ -127,12 +129,12 @@ def test_rows_are_followed_along_the_motion(pinch, no_spin):
     scene, q = turned(pinch, no_spin=no_spin)
     v = moving(scene, q)
     d, ways, weights = 2e-4, (-2, -1, 1, 2), np.array([1, -8, 8, -1]) / 12
-    here = [ref.places(scene, (q + k * d * ref.rate(q, v)).astype(complex)) for k in ways]
+    here = [ref.configuration(scene, (q + k * d * ref.coordinate_rates(q, v)).astype(complex)) for k in ways]
     rows = np.einsum("k,kij->ij", weights, [p.rows.real for p in here]) / d
     assert np.abs(rows @ v - ref.equations(scene, q, v)[4]).max() < 2e-11
     away = np.random.default_rng(2).normal(size=12) * 0.1
-    gaps = [ref.locate(scene, q + k * d * ref.rate(q, away))[3] for k in ways]
-    A, n = ref.equations(scene, q, v)[3], ref.locate(scene, q)[2]
+    gaps = [ref.located_contacts(scene, q + k * d * ref.coordinate_rates(q, away))[3] for k in ways]
+    A, n = ref.equations(scene, q, v)[3], ref.located_contacts(scene, q)[2]
     per = len(A) // 2
     rates = [n[c] @ A[per * c : per * c + 3] @ away for c in (0, 1)]
     assert np.abs(weights @ gaps / d - rates).max() < 1e-9
@@ -148,7 +150,7 @@ def test_velocity_terms_follow_from_lagrange():
     at, weights = slice(6, 12), {-2: 1 / 12, -1: -8 / 12, 1: 8 / 12, 2: -1 / 12}
 
     def mass(step):
-        return ref.equations(scene, ref.moved(q, step), v)[0][at, at]
+        return ref.equations(scene, ref.displaced(q, step), v)[0][at, at]
 
     slopes = [sum(w * mass(k * d * e) for k, w in weights.items()) / d for e in np.eye(12)[at]]
     u = v[at]
@@ -164,7 +166,7 @@ def energy_and_drift(pinch, no_spin, ts):
     energy = [ref.energy(scene, *state) for state in zip(qs, vs, strict=True)]
     assert np.abs(energy + lost - energy[0]).max() < 1e-13
     assert lost[-1] > 3e-4
-    assert max(np.abs(ref.locate(scene, a)[3]).max() for a in qs) < 1e-14
+    assert max(np.abs(ref.located_contacts(scene, a)[3]).max() for a in qs) < 1e-14
     assert max(np.abs(ref.equations(scene, a, b)[3] @ b).max() for a, b in zip(qs, vs, strict=True)) < 1e-13
     assert np.abs(np.linalg.norm(qs[:, 3:7], axis=1) - 1).max() < 1e-13
 
@@ -187,11 +189,11 @@ def test_forces_move_the_object(pinch, no_spin):
     scene, q = turned(pinch, no_spin=no_spin, gravity=(0.3, -2.0, 1.0))
     v = moving(scene, q)
     normal, tangential, moment = ref.forces(scene, q, v)
-    _, P0, n, _ = ref.locate(scene, q)
+    _, P0, n, _ = ref.located_contacts(scene, q)
     push = -(normal[:, None] * n + tangential)
     up, body = ref.accelerations(scene, q, v), scene.body
     assert np.abs(push.sum(0) + body.mass * np.array(scene.gravity) - body.mass * up[:3]).max() < 1e-13
-    R, w = ref.matrix(q[3:7]), v[3:6]
+    R, w = ref.quaternion_matrix(q[3:7]), v[3:6]
     about = np.cross(P0 - q[:3], push).sum(0) - moment @ n
     turning = body.inertia @ up[3:6] + np.cross(w, body.inertia @ w)
     assert np.abs(R.T @ about - turning).max() < 1e-15
@@ -204,7 +206,7 @@ def test_no_direction_is_special(pinch):
     """Everything turned as one moves turned."""
     scene, q = pinch()
     v, T, ts = moving(scene, q), cf.exponential(np.array([0.3, -0.5, 0.8])), np.array([0.0, 0.2])
-    other = replace(scene, fingers=tuple(ref.turned(f, T) for f in scene.fingers))
+    other = replace(scene, fingers=tuple(ref.turned_finger(f, T) for f in scene.fingers))
     half = np.array([0.3, -0.5, 0.8]) / 2
     angle = np.linalg.norm(half)
     p = np.concatenate([[np.cos(angle)], np.sin(angle) / angle * half])
@@ -212,7 +214,7 @@ def test_no_direction_is_special(pinch):
     ends = ref.simulate(scene, q, v, ts), ref.simulate(other, start, np.append(T @ v[:3], v[3:]), ts)
     (q1, v1), (q2, v2) = [(a[-1], b[-1]) for a, b in ends]
     assert np.abs(T @ q1[:3] - q2[:3]).max() < 1e-12
-    assert np.abs(T @ ref.matrix(q1[3:7]) - ref.matrix(q2[3:7])).max() < 1e-11
+    assert np.abs(T @ ref.quaternion_matrix(q1[3:7]) - ref.quaternion_matrix(q2[3:7])).max() < 1e-11
     assert np.abs(q1[7:] - q2[7:]).max() < 1e-11
     assert np.abs(v1[3:] - v2[3:]).max() < 1e-10
 
@@ -250,15 +252,17 @@ def test_the_chapters_pinch_with_round_tips():
     inertia = 0.02 / 12 * np.diag([0.05**2 + 0.05**2, 0.03**2 + 0.05**2, 0.03**2 + 0.05**2])
     scene = ref.Scene(fingers, ref.Body(0.02, inertia, faces), ((0, 0), (1, 1)), beta=20.0, damping=0.006)
     theta = 0.05
-    first = ref.reach(fingers[0], np.array([0.0025, 0.104, 0]), np.array([2.0, -0.5, -1.0]))
-    second = ref.reach(fingers[1], np.array([0.0525, 0.098, 0]), np.array([0.9, 1.2]))
+    first = ref.joints_reaching(fingers[0], np.array([0.0025, 0.104, 0]), np.array([2.0, -0.5, -1.0]))
+    second = ref.joints_reaching(fingers[1], np.array([0.0525, 0.098, 0]), np.array([0.9, 1.2]))
     start = [[0.0275, 0.10, 0, np.cos(theta / 2), 0, 0, np.sin(theta / 2)], first, second]
-    q = ref.consistent(scene, np.concatenate(start), np.concatenate([np.zeros(6), np.ones(5)]))
+    q = ref.closed_coordinates(scene, np.concatenate(start), np.concatenate([np.zeros(6), np.ones(5)]))
     ts = np.linspace(0, 0.3, 4)
     qs, vs = ref.simulate(scene, q, np.zeros(11), ts)
 
     def arclengths(q):
-        return np.array([-(ref.matrix(q[3:7]).T @ (p - q[:3]))[1] for p in ref.locate(scene, q)[1]])
+        return np.array(
+            [-(ref.quaternion_matrix(q[3:7]).T @ (p - q[:3]))[1] for p in ref.located_contacts(scene, q)[1]]
+        )
 
     X, V, s, forces = Round(np.zeros(2)).simulate(np.append([0.0275, 0.10, theta], q[7:]), arclengths(q), ts)
     angles = 2 * np.arctan2(qs[:, 6], qs[:, 3])
@@ -268,7 +272,7 @@ def test_the_chapters_pinch_with_round_tips():
     for a, b, x, pull in zip(qs, vs, X, forces, strict=True):
         normal, tangential, _ = ref.forces(scene, a, b)
         assert np.abs(normal - pull[:2]).max() < 1e-9
-        b_bar = np.append(turn(x[2]) @ [0.0, -1.0], 0)
+        b_bar = np.append(planar_rotation(x[2]) @ [0.0, -1.0], 0)
         assert np.abs(tangential + pull[2:, None] * b_bar).max() < 1e-9
     assert np.ptp(X, axis=0).max() > 0.05
 
@@ -285,13 +289,13 @@ def test_ball_on_a_turntable():
     ball = ref.Body(0.1, 0.4 * 0.1 * r**2 * np.eye(3), (ref.sphere(r),))
     scene, ts = on_table(ball, chain), np.linspace(0, 2, 6)
     x0, v0 = np.array([0.1, -0.05, r]), np.array([0.07, 0.2, 0.0])
-    expected = [cf.turntable(t, x0, v0, 1.5, Omega=Omega, r=r) for t in ts]
+    expected = [cf.ball_on_turntable(t, x0, v0, 1.5, Omega=Omega, r=r) for t in ts]
     q0 = np.concatenate([x0, [1, 0, 0, 0], [0]])
     qs, vs = ref.simulate(scene, q0, np.concatenate([v0, expected[0][2], [Omega]]), ts)
     for q, v, (x, speed, spin) in zip(qs, vs, expected, strict=True):
         assert np.abs(q[:3] - x).max() < 1e-11
         assert np.abs(v[:3] - speed).max() < 1e-11
-        assert np.abs(ref.matrix(q[3:7]) @ v[3:6] - spin).max() < 1e-9
+        assert np.abs(ref.quaternion_matrix(q[3:7]) @ v[3:6] - spin).max() < 1e-9
 
 
 def test_ball_on_an_incline_and_on_a_ball():
@@ -300,10 +304,10 @@ def test_ball_on_an_incline_and_on_a_ball():
     tilted = on_table(ball, table(ref.Plane((0, 0, 0), (np.sin(alpha), 0, np.cos(alpha)))))
     q = np.array([r * np.sin(alpha), 0, r * np.cos(alpha), 1, 0, 0, 0])
     up = ref.accelerations(tilted, q, np.zeros(6))
-    assert np.linalg.norm(up[:3]) == pytest.approx(cf.incline(alpha, G), rel=1e-14)
+    assert np.linalg.norm(up[:3]) == pytest.approx(cf.incline_acceleration(alpha, G), rel=1e-14)
     R, ts = 0.1, np.linspace(0, 0.3, 4)
     start = np.array([0.2, 1.0])
-    y = cf.integrated(lambda _, y: cf.on_sphere_rates(y, R=R, r=r, g=G), start, ts)
+    y = cf.integrated(lambda _, y: cf.ball_on_sphere_rates(y, R=R, r=r, g=G), start, ts)
     s, c = np.sin(start[0]), np.cos(start[0])
     q0 = np.array([(R + r) * s, 0, (R + r) * c, 1, 0, 0, 0])
     v0 = start[1] * np.array([(R + r) * c, 0, -(R + r) * s, 0, (R + r) / r, 0])
@@ -319,7 +323,7 @@ def test_rattleback():
     shape = ref.Ellipsoid((0.20, 0.03, 0.02), (0, 0, 0.01))
     plane = table(ref.Plane((0, 0, 0), (0, 0, 1.0)))
     scene = on_table(ref.Body(body.mass, body.inertia, (shape,)), plane)
-    speed = cf.matrix(p) @ np.cross(body.parts(p, w)[1], w)
+    speed = cf.quaternion_matrix(p) @ np.cross(body.parts(p, w)[1], w)
     qs, vs = ref.simulate(scene, np.concatenate([x[0], p]), np.concatenate([speed, w]), ts)
     assert np.abs(qs - np.column_stack([x, P])).max() < 1e-11
     assert np.abs(vs[:, 3:] - W).max() < 1e-9

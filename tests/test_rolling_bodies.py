@@ -1,6 +1,5 @@
 """Single bodies that roll in space, against the closed forms of the textbooks."""
 
-import closed_forms3d as closed
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,6 +7,7 @@ import pytest
 from scipy.interpolate import make_interp_spline
 
 import jaxroll as jxr
+from tests.oracles import closed_forms_space as closed
 
 
 def run_of(scene, t1, *, ts=61, rtol=1e-12, **options):
@@ -29,11 +29,13 @@ def turning():
 def test_ball_on_a_turntable_for_ten_turns(turning):
     _, run = turning
     start = (np.array([0.3, 0.1, 0.0]), np.array([0.2, -0.4, 0.0]))
-    known = [closed.turntable(t, *start, 0.7, Omega=2.0, r=0.05) for t in np.asarray(run.ts)]
+    known = [closed.ball_on_turntable(t, *start, 0.7, Omega=2.0, r=0.05) for t in np.asarray(run.ts)]
     x, v = np.array([k[0] for k in known]), np.array([k[1] for k in known])
     assert np.abs(run.states.q[:, :2] - x[:, :2]).max() <= 1e-9 * np.abs(x).max()
     assert np.abs(run.states.v[:, :2] - v[:, :2]).max() <= 1e-9 * np.abs(v).max()
-    spins = [closed.matrix(q[3:7]) @ w[3:] for q, w in zip(run.states.q, run.states.v, strict=True)]
+    spins = [
+        closed.quaternion_matrix(q[3:7]) @ w[3:] for q, w in zip(run.states.q, run.states.v, strict=True)
+    ]
     assert np.abs(np.array(spins) - np.array([k[2] for k in known])).max() <= 1e-9 * 10.0
     assert off(run) <= 1e-14
 
@@ -52,7 +54,7 @@ def test_clock_of_a_moving_stage(turning):
 
 def test_ball_in_a_vertical_tube():
     run = run_of(jxr.scenes.tube(), 10.0)
-    angle, z, vz, _ = closed.cylinder(np.asarray(run.ts), 0.0, 0.3, 6.0, 4.0, R=0.2, r=0.05, g=9.81)
+    angle, z, vz, _ = closed.ball_in_cylinder(np.asarray(run.ts), 0.0, 0.3, 6.0, 4.0, R=0.2, r=0.05, g=9.81)
     scale = np.abs(z).max()
     assert np.abs(run.states.q[:, 2] - z).max() <= 1e-9 * scale
     assert np.abs(run.states.v[:, 2] - vz).max() <= 1e-9 * np.abs(vz).max()
@@ -61,7 +63,7 @@ def test_ball_in_a_vertical_tube():
 
 def test_ball_on_an_incline():
     run = run_of(jxr.scenes.incline(slope=0.3), 3.0, record=("multipliers",))
-    way = 0.5 * closed.incline(0.3, 9.81) * np.asarray(run.ts) ** 2
+    way = 0.5 * closed.incline_acceleration(0.3, 9.81) * np.asarray(run.ts) ** 2
     x = 0.05 * np.sin(0.3) + way * np.cos(0.3)
     assert np.abs(run.states.q[:, 0] - x).max() <= 1e-9 * way.max()
     weight = 0.3 * 9.81
@@ -146,12 +148,12 @@ def test_holonomy_of_a_closed_path(path):
     at = (0.07, 0.0, 0.0) if path is circle else (0.0, 0.0, 0.0)
     options = {"at_tip": (0.0, 0.0, -0.1), "at_object": at}
     rolled = jxr.roll(jxr.Sphere(0.1), jxr.Plane(), path, jnp.linspace(0, 2 * np.pi, 3), **options)
-    turned = closed.matrix(np.asarray(rolled.pose[-1, 3:]))
+    turned = closed.quaternion_matrix(np.asarray(rolled.pose[-1, 3:]))
     if path is circle:
-        known = closed.rolled_arc(np.array([0.0, 1.0, 0.0]), 0.07, 2 * np.pi, 0.1)
+        known = closed.rotation_along_arc(np.array([0.0, 1.0, 0.0]), 0.07, 2 * np.pi, 0.1)
     else:
-        known = closed.rolled_curve(closed.rolled_smooth, (0, 2 * np.pi), 0.1)
-    assert abs(closed.angle_of(turned) - closed.angle_of(known)) <= 1e-10
+        known = closed.rotation_along_curve(closed.smooth_loop_velocity, (0, 2 * np.pi), 0.1)
+    assert abs(closed.rotation_angle(turned) - closed.rotation_angle(known)) <= 1e-10
     assert np.abs(turned - known).max() <= 1e-10
     np.testing.assert_allclose(rolled.at_object[-1], at, atol=1e-13)
 
@@ -190,7 +192,7 @@ def test_rolled_body_touches_where_it_says():
         spin=lambda t: 0.5 * jnp.sin(t),
     )
     for pose, at, there in zip(rolled.pose, rolled.at_tip, rolled.at_object, strict=True):
-        R = closed.matrix(np.asarray(pose[3:]))
+        R = closed.quaternion_matrix(np.asarray(pose[3:]))
         np.testing.assert_allclose(pose[:3] + R @ np.asarray(egg.point(at)), bump.point(there), atol=1e-14)
         np.testing.assert_allclose(R @ np.asarray(egg.normal(at)), -bump.normal(there), atol=1e-11)
 

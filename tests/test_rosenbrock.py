@@ -5,10 +5,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import observed_order
 
 import jaxroll as jxr
 from jaxroll._integration._rosenbrock import _GAMMA, inverted
+from tests.measures import observed_order
 
 STIFF = jxr.Rosenbrock()
 

@@ -6,10 +6,10 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import Chapter
 
 import jaxroll as jxr
 from jaxroll.geometry import Moved
+from tests.oracles.chapter_part2 import Part2
 
 MIRROR = np.array([1.0, -1.0])
 
@@ -75,7 +75,7 @@ def test_a_mirror_image_with_the_other_sense_has_the_chapters_same_quantities(na
 def test_residuals_are_64_and_65(scene):
     """With the finger's base moved aside: the printed Q and R, from the chapter's own lengths and angles."""
     grasp, state = scene
-    chapter, s = Chapter(), 0.003
+    chapter, s = Part2(), 0.003
     moved = eqx.tree_at(lambda g: g.fingers[0].base, grasp, jnp.array([3e-4, -2e-4]))
     left = jxr.residuals(moved, state)
     theta, p = float(state.q[0]), np.cumsum(state.q[1:])
@@ -111,7 +111,7 @@ def test_overlap_is_a_positive_residual_in_space_too():
 def test_the_angles_of_the_pivoted_scene_are_those_of_58(scene):
     """b_1 = b_0 as (58) prints them, in the chapter's frame; (59) then gives the normals."""
     grasp, state = scene
-    theta1, psi0 = Chapter().angles(0.003)
+    theta1, psi0 = Part2().angles(0.003)
     turn, p = state.q[0] + theta1, state.q[1] + state.q[2] + psi0
     b_1, b_0 = jnp.array([jnp.sin(turn), jnp.cos(turn)]), jnp.array([-jnp.cos(p), jnp.sin(p)])
     np.testing.assert_allclose(b_1, b_0, atol=1e-13)

@@ -11,10 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix
 import pytest
-from helpers import observed_order
 
 import jaxroll as jxr
 from jaxroll._integration._methods import check_method, on_tableau, Steady, with_tolerances
+from tests.measures import observed_order
 
 T1 = 0.02
 SPLIT = "must take one ordinary differential equation, neither split into parts nor driven by noise"

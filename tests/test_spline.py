@@ -5,19 +5,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import observed_order
-from points import circle, ellipse, ellipse_errors, RADIUS
 from scipy.interpolate import BSpline, make_interp_spline
 
 import jaxroll as jxr
 from jaxroll.geometry import frenet, smoothing_for, tabled
 from jaxroll.geometry.contours._bspline import basis
+from tests.measures import observed_order
+from tests.oracles.known_curves import circle_points, ellipse_errors, ellipse_points, RADIUS
 
 
 def test_ellipse_from_64_points():
     """The row of the accuracy table; the order is observed from 48 to 96 points."""
     counts = np.array([48, 64, 96])
-    errors = np.array([ellipse_errors(jxr.Spline(ellipse(n))) for n in counts])
+    errors = np.array([ellipse_errors(jxr.Spline(ellipse_points(n))) for n in counts])
     assert np.all(errors[1] <= [1e-9, 1e-8, 1e-6])
     orders = [-observed_order(counts, e) for e in errors.T]
     print("ellipse, 64 points:", errors[1], "orders:", orders)
@@ -25,7 +25,7 @@ def test_ellipse_from_64_points():
 
 
 def test_degree_seven_is_finer():
-    assert np.all(np.array(ellipse_errors(jxr.Spline(ellipse(64), degree=7))) <= [1e-11, 1e-9, 1e-7])
+    assert np.all(np.array(ellipse_errors(jxr.Spline(ellipse_points(64), degree=7))) <= [1e-11, 1e-9, 1e-7])
 
 
 @pytest.mark.parametrize(("degree", "closed"), [(3, True), (5, True), (5, False), (7, False)])
@@ -65,7 +65,7 @@ def test_roughness_is_the_integral():
 @pytest.mark.parametrize("noise", [1e-6, None])
 def test_noisy_circle(noise):
     """200 points with 1 um noise on a 10 mm circle: curvature within 1 %."""
-    dots = circle() + 1e-6 * np.random.default_rng(3).normal(size=(200, 2))
+    dots = circle_points() + 1e-6 * np.random.default_rng(3).normal(size=(200, 2))
     disc = jxr.Spline(dots, smoothing=smoothing_for(dots, noise=noise)).prepared()
     s = np.linspace(0, float(disc.domain()[1]), 1000)
     worst = np.abs(np.asarray(disc.curvature(s)) * RADIUS - 1).max()
@@ -87,7 +87,7 @@ def test_smoothing_halves_its_wavelength():
 
 
 def test_fewer_knots_than_points():
-    dots = ellipse(400)
+    dots = ellipse_points(400)
     slim = jxr.Spline(dots, knots=64)
     assert np.all(np.array(ellipse_errors(slim)) <= [1e-7, 3e-6, 2e-4])
 
@@ -106,7 +106,7 @@ def test_open_spline_has_its_origin_and_ends():
 
 
 def test_table_is_by_arclength_and_closes():
-    contour = jxr.Spline(ellipse(32), cells=256).prepared()
+    contour = jxr.Spline(ellipse_points(32), cells=256).prepared()
     length = float(contour.domain()[1])
     s = jnp.linspace(0.0, length, 700)
     speed = jax.vmap(lambda s: jnp.hypot(*jax.jvp(contour.curve, (s,), (1.0,))[1]))(s)
@@ -117,16 +117,16 @@ def test_table_is_by_arclength_and_closes():
     given = contour.frame(s)
     np.testing.assert_allclose(auto.tangent.array(), given.tangent.array(), atol=1e-9)
     np.testing.assert_allclose(auto.curvature, given.curvature, rtol=1e-6)
-    coarse = jxr.Spline(ellipse(32), cells=128).table_error()
+    coarse = jxr.Spline(ellipse_points(32), cells=128).table_error()
     fine = contour.table_error()
     assert coarse.point > 20 * fine.point and coarse.curvature > 6 * fine.curvature
-    reference = jxr.Spline(ellipse(32), cells=4096).prepared()
+    reference = jxr.Spline(ellipse_points(32), cells=4096).prepared()
     true = np.abs(contour.curvature(s) - reference.curvature(s)).max()
     assert fine.curvature * 0.5 < true < fine.curvature * 1.2
 
 
 def test_a_contours_table_is_built_once():
-    contour = jxr.Spline(ellipse(32), cells=256)
+    contour = jxr.Spline(ellipse_points(32), cells=256)
     placed = contour.moved(angle=0.3)
     assert tabled(contour).table.coefficients is tabled(placed).contour.table.coefficients
     assert tabled(contour) is tabled(contour) and tabled(placed) is tabled(placed)
@@ -143,7 +143,7 @@ def _curvature(points, s, smoothing, **options):
 
 @pytest.mark.parametrize("smoothing", [0.0, 0.01])
 def test_gradient_with_respect_to_points(smoothing):
-    points = jnp.asarray(ellipse(24, 0.3))
+    points = jnp.asarray(ellipse_points(24, 0.3))
     options = {"cells": 64, "closed": smoothing == 0.0}
     rng = np.random.default_rng(0)
     direction = jnp.asarray(rng.normal(size=points.shape)) * 1e-3
@@ -164,15 +164,15 @@ def test_gradient_with_respect_to_points(smoothing):
 @pytest.mark.parametrize(
     ("points", "options", "message"),
     [
-        (ellipse(5), {}, "at least 6 points"),
-        (ellipse(30)[::-1], {}, "counter-clockwise"),
-        (np.vstack([ellipse(30), ellipse(30)[:1]]), {}, "must not repeat a point"),
+        (ellipse_points(5), {}, "at least 6 points"),
+        (ellipse_points(30)[::-1], {}, "counter-clockwise"),
+        (np.vstack([ellipse_points(30), ellipse_points(30)[:1]]), {}, "must not repeat a point"),
         (np.full((30, 2), np.nan), {}, "must be finite"),
         (np.zeros((30, 3)), {}, "shape"),
-        (ellipse(30), {"degree": 4}, "degree"),
-        (ellipse(30), {"origin": 30}, "origin"),
-        (ellipse(30), {"knots": 31}, "knots"),
-        (ellipse(30), {"smoothing": -1.0}, "smoothing"),
+        (ellipse_points(30), {"degree": 4}, "degree"),
+        (ellipse_points(30), {"origin": 30}, "origin"),
+        (ellipse_points(30), {"knots": 31}, "knots"),
+        (ellipse_points(30), {"smoothing": -1.0}, "smoothing"),
     ],
 )
 def test_bad_points(points, options, message):

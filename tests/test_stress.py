@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks._judge import Judge, picked
-from benchmarks._judge_contours import along, length
-from benchmarks._judge_plane import Motion, Plane
-from benchmarks._judge_space import Space
-from benchmarks._stress_hard import grazing
-from benchmarks._stress_plane import _contour, draw, Structure
-from benchmarks._stress_space import draw_space, Spatial
+from benchmarks.stress_test.hard_scenes import grazing
+from benchmarks.stress_test.judge import Judge, picked
+from benchmarks.stress_test.judge_contours import along, length
+from benchmarks.stress_test.judge_plane import Motion, Plane
+from benchmarks.stress_test.judge_space import Space
+from benchmarks.stress_test.planar_scenes import _contour, draw, Structure
+from benchmarks.stress_test.spatial_scenes import draw_space, Spatial
 
 SCENES = Structure(
     "test",
@@ -25,13 +25,13 @@ SCENES = Structure(
     gravity=True,
     lanes=200,
 )
-FOLDER = Path(__file__).parents[1] / "benchmarks"
+FOLDER = Path(__file__).parents[1] / "benchmarks" / "stress_test"
 
 
 @pytest.fixture(scope="module")
 def case():
     """200 scenes and their four runs, as plain arrays; all are made by two programs."""
-    from benchmarks._stress_batch import Batches, scene_of
+    from benchmarks.stress_test.one_batch import Batches, scene_of
 
     scene, rng = scene_of(SCENES, 0, 0)
     return scene, Batches(SCENES).runs(scene, rng)
@@ -53,12 +53,15 @@ def test_nothing_is_wrong_with_200_random_scenes(case):
 
 def test_judge_imports_nothing_of_the_engine():
     known = {"numpy", "scipy", "dataclasses", "typing", "collections", "warnings"}
-    for path in FOLDER.glob("_judge*.py"):
+    files = [*FOLDER.glob("judge*.py")]
+    assert len(files) == 4
+    for path in files:
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.Import | ast.ImportFrom):
                 names = [node.module] if isinstance(node, ast.ImportFrom) else [a.name for a in node.names]
                 for name in names:
-                    assert name.split(".")[0] in known or name.startswith("benchmarks._judge"), (path, name)
+                    ours = name.startswith("benchmarks.stress_test.judge")
+                    assert ours or name.split(".")[0] in known, (path, name)
 
 
 @pytest.fixture(scope="module")

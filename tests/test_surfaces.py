@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import observed_order, slow_among, taylor_remainders
 
 import jaxroll as jxr
 from jaxroll._linalg import _space as sp
@@ -25,6 +24,8 @@ from jaxroll.geometry import (
 )
 from jaxroll.geometry.contours._bspline import basis
 from jaxroll.geometry.surfaces._tensor_bspline import UNIFORM
+from tests.helpers import slow_among
+from tests.measures import observed_order, taylor_remainders
 
 A, B, C = 0.03, 0.02, 0.012
 MAJOR, MINOR = 0.03, 0.011

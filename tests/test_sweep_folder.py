@@ -17,11 +17,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import slow_among
 
 import jaxroll as jxr
 from jaxroll._sweep import _folder, _identity
 from jaxroll._sweep._program import of_make, Program
+from tests.helpers import slow_among
 
 ROWS = np.linspace(0.004, 0.008, 10)
 REAL = np.linspace(0.004, 0.008, 40)
@@ -344,15 +344,14 @@ def test_several_at_once_share_the_work(scene, tmp_path, monkeypatch):
 
 CHILD = """
 import os, pathlib, signal, sys
-moment, tests, folder, cache = sys.argv[1:]
-sys.path.insert(0, tests)
+moment, folder, cache = sys.argv[1:]
 import jax
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_compilation_cache_dir", cache or None)
 import jaxroll as jxr
 from jaxroll._sweep import _folder
 from jaxroll._sweep._program import Program
-from test_sweep_folder import of_first, REAL, swept
+from tests.test_sweep_folder import of_first, REAL, swept
 
 def killed(*_):
     os.kill(os.getpid(), signal.SIGKILL)
@@ -387,9 +386,9 @@ LEFT = {"compilation": [".json"], "write": [".json", ".npz", ".part"], "between 
 
 def child(moment, folder, cache=""):
     """Another process that sweeps, and is killed at some moment; with a cache the runs are real ones."""
-    where = [moment, str(pathlib.Path(__file__).parent), str(folder), cache]
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    return subprocess.Popen([sys.executable, "-c", CHILD, *where], **pipes)
+    root = pathlib.Path(__file__).parents[1]  # whence a process finds `tests`
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "cwd": root}
+    return subprocess.Popen([sys.executable, "-c", CHILD, moment, str(folder), cache], **pipes)
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="it looks up open files in /proc")

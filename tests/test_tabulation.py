@@ -4,13 +4,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from points import ellipse
 
 import jaxroll as jxr
 from jaxroll.geometry import tabled
 from jaxroll.geometry.contours._arclength import parameters_reaching, rising_sums
+from tests.oracles.known_curves import ellipse_points
 
-RING = ellipse(16) * (1.0 + 0.03 * np.random.default_rng(0).normal(size=(16, 1)))
+RING = ellipse_points(16) * (1.0 + 0.03 * np.random.default_rng(0).normal(size=(16, 1)))
 WAVES = np.array([0.01, 0.0, 3e-4, 1e-4, 0.0, 2e-4, 1e-4])
 SHAPES = {
     "closed spline": (lambda x: jxr.Spline(x, cells=64), RING),

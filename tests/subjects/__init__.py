@@ -1,0 +1,1 @@
+"""What tests and benchmarks examine, made with jaxroll: contours, fingertips, grasps."""

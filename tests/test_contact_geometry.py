@@ -217,3 +217,55 @@ def test_a_grasp_in_space_is_refused():
     grasp, state = jxr.scenes.turntable()
     with pytest.raises(ValueError, match="argument grasp must live in the plane"):
         jxr.contact_geometry(grasp, state)
+
+
+LABELS = ["gamma}_0", "gamma}$", "n}_0", "n}_1", "l_{b0}", "l_{b1}", "l_{n0}", "l_{n1}", "P_0'", "P_1'"]
+LABELS += ["$X$", "$Y$", "$X_0$", "$Y_0$", "$O_m$"]
+
+
+@pytest.mark.parametrize(("name", "contact"), [("pivoted", 0), ("pinch", 0), ("pinch", 1)])
+def test_the_figure_has_every_label_once_and_none_hides_another(name, contact):
+    """Within the axes, for poses turned by any angle."""
+    grasp, state = getattr(jxr.scenes, name)()
+    for turn in (0.0, 2.0, 4.0) if name == "pivoted" else (0.0,):
+        # Turned as a whole about the origin of the world.
+        c, s = np.cos(turn), np.sin(turn)
+        pivot = getattr(grasp.object, "pivot", None)
+        whole = grasp if pivot is None else grasp.with_(pivot=jnp.array([[c, -s], [s, c]]) @ pivot)
+        turned = state if turn == 0.0 else jxr.State(state.q.at[:2].add(turn), state.v, state.s)
+        figure = jxr.plotting.contact_geometry(whole, turned, contact=contact)
+        ax = figure.axes[0]
+        texts = [text for text in ax.texts if text.get_text()]
+        found = [text.get_text() for text in texts]
+        own = ["$O_{01}$" if name == "pivoted" else f"$O_{contact + 1}$", f"$P_{contact + 1}$", "b}_0 = "]
+        for label in LABELS + own:
+            assert sum(label in text for text in found) == 1, label
+        assert len(found) == len(LABELS + own)
+        figure.draw_without_rendering()
+        window = ax.get_window_extent()
+        # An annotation's own extent has the line that leads to it.
+        boxes = [super(type(text), text).get_window_extent() for text in texts]
+        for i, box in enumerate(boxes):
+            assert window.x0 <= box.x0 and box.x1 <= window.x1, found[i]
+            assert window.y0 <= box.y0 and box.y1 <= window.y1, found[i]
+            for j in range(i):
+                assert not box.overlaps(boxes[j]), (found[i], found[j])
+
+
+def test_the_figure_of_an_open_contact_has_both_tangents():
+    """On an axes of the caller's, without the values."""
+    grasp, state = jxr.scenes.pivoted()
+    figure = jxr.plotting.contact_geometry(grasp, state)
+    values = [text.get_text() for text in figure.axes[1].texts]
+    at = jxr.contact_geometry(grasp, state)
+    assert f"{1e3 * float(at.l_n1[0]):.2f}" in values and f"{float(at.kappa_0[0]):.2f}" in values
+    ax = figure.add_subplot()
+    turned = jxr.State(state.q.at[0].add(0.3), state.v, state.s)
+    assert jxr.plotting.contact_geometry(grasp, turned, ax=ax) is figure
+    found = [text.get_text() for text in ax.texts]
+    assert any("b}_0$" in text for text in found) and any("b}_1$" in text for text in found)
+
+
+def test_a_contact_that_there_is_not_is_refused():
+    with pytest.raises(ValueError, match="argument contact must be below 1, but was 1"):
+        jxr.plotting.contact_geometry(*jxr.scenes.pivoted(), contact=1)

@@ -122,7 +122,7 @@ class _Sketch:
         self.reach.append(at)
 
     def dimension(
-        self, start: np.ndarray, end: np.ndarray, aside: np.ndarray, text: str, colour: str
+        self, start: np.ndarray, end: np.ndarray, aside: np.ndarray, *, text: str, colour: str
     ) -> None:
         """A length between two points as a dimension line, shifted `aside` of both."""
         first, last = start + aside, end + aside
@@ -190,13 +190,13 @@ def _lengths(sketch: _Sketch, at: _Numbers) -> None:
     along = sorted([float((x - point) @ n) for x in (*feet, point)])
     sketch.dash(point + (along[0] - 0.25 * unit) * n, point + (along[-1] + 0.25 * unit) * n, ls=(0, (6, 4)))
     sketch.dash(point - 1.6 * unit * b, point + 1.6 * unit * b, ls=(0, (6, 4)))
-    sketch.dimension(feet[0], point, aside, "$l_{n0}$", FINGER)
-    sketch.dimension(point, feet[1], aside, "$l_{n1}$", OBJECT_DARK)
+    sketch.dimension(feet[0], point, aside, text="$l_{n0}$", colour=FINGER)
+    sketch.dimension(point, feet[1], aside, text="$l_{n1}$", colour=OBJECT_DARK)
     for centre, foot, text, colour, way in (
         (centres[0], feet[0], "$l_{b0}$", FINGER, -1.0 if at.l_n0 > 0 else 1.0),
         (centres[1], feet[1], "$l_{b1}$", OBJECT_DARK, 1.0 if at.l_n1 > 0 else -1.0),
     ):
-        sketch.dimension(centre, foot, way * 1.05 * unit * n, text, colour)
+        sketch.dimension(centre, foot, way * 1.05 * unit * n, text=text, colour=colour)
     sketch.dot(feet[0], "$P_0'$", FINGER)
     sketch.dot(feet[1], "$P_1'$", OBJECT_DARK)
 

@@ -9,7 +9,7 @@ from typing import Any, TYPE_CHECKING
 
 if TYPE_CHECKING:
     from . import contact, control, design, geometry, io, plotting, scenes, stability
-    from ._analysis import loci, pinch_balance, press_balance, roll
+    from ._analysis import contact_geometry, loci, pinch_balance, press_balance, roll
     from ._closing import close
     from ._integration import Rosenbrock, simulate, Trajectory, vector_field
     from ._mechanics import (
@@ -88,6 +88,7 @@ _HOMES: dict[str, str | None] = {
     "Trajectory": "_integration",
     "close": "_closing",
     "energies": "_motion",
+    "contact_geometry": "_analysis",
     "loci": "_analysis",
     "multipliers": "_motion",
     "pinch_balance": "_analysis",
@@ -143,6 +144,7 @@ __all__ = [  # noqa: PLE0604
     "Turning",
     "close",
     "contact",
+    "contact_geometry",
     "control",
     "design",
     "energies",

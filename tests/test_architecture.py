@@ -289,7 +289,7 @@ PUBLIC = {
     "AbstractContour", "CSM", "Catenary", "Circle", "Contact", "Ellipse", "Finger", "FreeObject",
     "Grasp", "Index1", "Jaw", "Line", "NeuralCurvature", "NeuralSupport", "Parametric", "PivotedObject",
     "RESULTS",
-    "Spline", "State", "SupportFunction", "Trajectory", "close", "contact",
+    "Spline", "State", "SupportFunction", "Trajectory", "close", "contact", "contact_geometry",
     "control", "design", "energies", "equation_terms", "fit_contour", "geometry", "io", "multipliers",
     "pinch_balance", "plotting", "press_balance",
     "residuals", "scenes", "simulate", "stability", "sweep", "vector_field",

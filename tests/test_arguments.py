@@ -436,6 +436,7 @@ GIVEN_STATES = {
     "energies": lambda state: jxr.energies(PLANE, states=state),
     "equation_terms": lambda state: jxr.equation_terms(PLANE, state),
     "press_balance": lambda state: jxr.press_balance(PLANE, 0.0, state),
+    "contact_geometry": lambda state: jxr.contact_geometry(PLANE, state),
     "equilibrium": lambda state: stability.equilibrium(PLANE, state),
     "assess": lambda state: stability.assess(PLANE, state),
     "orientations": lambda state: control.orientations(PLANE, state),
@@ -580,6 +581,7 @@ def test_quantities_of_the_plane_are_refused_in_space():
         lambda: stability.assess(SPACE, at),
         lambda: jxr.pinch_balance(SPACE, 0.0, at),
         lambda: jxr.press_balance(SPACE, 0.0, at),
+        lambda: jxr.contact_geometry(SPACE, at),
         lambda: jxr.equation_terms(SPACE, at),
     ):
         check_sentence(refusal(call), "grasp must live in the plane")

@@ -391,6 +391,7 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         "folder": _made("folder", lambda: folder() / "plots"),
     },
     "fit": {"fit": _made("part", fitted)},
+    "plotting.contact_geometry": {"contact": _is("count", 0, "whole zero")},
     "plotting.loci": {**_SPATIAL, "folder": _made("folder", lambda: folder() / "plots")},
     "page": {**_SPATIAL, "path": _made("path", lambda: folder() / "new.html"), "title": _is("text", "Page")},
     "phase": {"rest": _made("state", lambda: planar()[1])},

@@ -52,6 +52,7 @@ _SLOW = set(
         "assess",
         "ball_plate",
         "close",
+        "contact_geometry",
         "design",
         "energies",
         "equation_terms",

@@ -7,12 +7,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._linalg import total, Vec2
-from .._mechanics import check_planar, compiled, Grasp, State, to_leaves
-from .._motion import as_times, Index1, multipliers_at, touches, world_poses
+from .._mechanics import check_planar, compiled, Grasp, State
+from .._motion import as_times, Index1, multipliers_at
 from .._printing import listed
 from .._types import Scalar
 from ..control import Opposition, orientations
+from ._contact_geometry import geometry_at
 
 
 class PinchBalance(eqx.Module):
@@ -96,39 +96,30 @@ def check_pinch(grasp: Grasp) -> None:
 
 
 def _balance_at(grasp: Grasp, t: Scalar, state: State) -> PinchBalance:
-    leaves = to_leaves(state, grasp.form)
-    body, *tips = world_poses(grasp, leaves.q)
-    forces = multipliers_at(grasp, t, state, Index1())
+    at, forces = geometry_at(grasp, state), multipliers_at(grasp, t, state, Index1())
     control, kept = grasp.controller, orientations(grasp, state) - grasp.controller.start
-    arm = tips[0].origin - tips[1].origin
-    columns, moment = [], []
-    for i, (contact, at) in enumerate(zip(grasp.contacts, touches(grasp, leaves.s), strict=True)):
-        odd = -1.0 if i == 0 else 1.0  # (-1)^i as the chapter counts
-        b = body.turn(at.object.tangent) * contact.sense
-        n = body.turn(at.object.tangent).left()
-        # Which way the chapter counts angles: its n_01 is +90 degrees from b_01, its n_02 -90 from b_02.
-        way = -odd * contact.sense
-        on_tip, on_body = tips[i].turn(at.tip.point), body.turn(at.object.point)
-        d, l_ = arm.dot(b), -odd * arm.dot(n)
-        n_i = odd * on_tip.dot(b) * l_ + on_tip.dot(n) * d
-        moment.append(-odd * l_ * on_body.dot(b) - d * on_body.dot(n))
-        columns.append(
-            (
-                contact.sense * (contact.s_object - leaves.s[i]),
-                d,
-                l_,
-                forces.f[i] + control.beta * l_,
-                forces.lam[i] - odd * control.beta * d,
-                n_i,
-                control.beta * n_i + control.alpha[i] * way * kept[i],
-                way * _angle(arm * odd, on_tip),
-            )
-        )
-    each = zip(*columns, strict=True)
-    s, d, l_, delta_f, delta_lam, n, delta_n, lean = (jnp.stack(column) for column in each)
-    s_n, potential = control.beta * total(moment), 0.5 * control.beta * arm.dot(arm)
-    return PinchBalance(s, d, l_, delta_f, delta_lam, n, delta_n, s_n, potential, lean)
+    odd = jnp.array([-1, 1])  # (-1)^i as the chapter counts; whole numbers take any precision
+    arm = at.centre_0[0] - at.centre_0[1]
+    d, l_ = at.b_1 @ arm, -odd * (at.n_1 @ arm)
+    # (53), where b_i . gamma_i is l_b0 and n_i . gamma_i is -l_n0.
+    n = odd * at.l_b0 * l_ + at.l_n0 * d
+    # Which way the chapter counts angles: its n_01 is +90 degrees from b_01, its n_02 -90 from b_02.
+    way = -odd * jnp.array([contact.sense for contact in grasp.contacts])
+    return PinchBalance(
+        s=at.s,
+        d=d,
+        l=l_,
+        delta_f=forces.f + control.beta * l_,
+        delta_lam=forces.lam - odd * control.beta * d,
+        n=n,
+        delta_n=control.beta * n + control.alpha * way * kept,
+        s_n=control.beta * jnp.sum(odd * l_ * at.l_b1 + d * at.l_n1),
+        potential=0.5 * control.beta * (arm @ arm),
+        lean=way * _angle(odd[:, None] * arm[None], at.gamma_0),
+    )
 
 
-def _angle(first: Vec2, second: Vec2) -> Scalar:
-    return jnp.arctan2(first.cross(second), first.dot(second))
+def _angle(first: Array, second: Array) -> Array:
+    """From one vector to another, row by row."""
+    cross = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+    return jnp.arctan2(cross, jnp.sum(first * second, axis=-1))

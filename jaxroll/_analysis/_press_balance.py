@@ -7,13 +7,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._linalg import Vec2
-from .._mechanics import check_planar, compiled, Grasp, State, to_leaves
-from .._motion import as_times, Index1, multipliers_at, touches, world_poses
+from .._mechanics import check_planar, compiled, Grasp, State
+from .._motion import as_times, Index1, multipliers_at
 from .._printing import listed
 from .._results import shown
 from .._types import Scalar
 from ..control import Press
+from ._contact_geometry import geometry_at
 
 
 class PressBalance(eqx.Module):
@@ -78,30 +78,17 @@ def press_balance(grasp: Grasp, ts: Float[Array, "..."], states: State) -> Press
 
 
 def _balance_at(grasp: Grasp, t: Scalar, state: State) -> PressBalance:
-    leaves = to_leaves(state, grasp.form)
-    frames, touching = world_poses(grasp, leaves.q), touches(grasp, leaves.s)
-    forces = multipliers_at(grasp, t, state, Index1())
-    stiffness, target = grasp.controller.stiffness, Vec2(*grasp.controller.target)
-    columns = []
-    for i, (contact, at) in enumerate(zip(grasp.contacts, touching, strict=True)):
-        tip, body = frames[1 + contact.finger], frames[0]
-        tangent = body.turn(at.object.tangent)
-        # The chapter's b_1 and n_1: the normal points into the object whichever way b_1 runs.
-        b, n = tangent * contact.sense, tangent.left()
-        on_tip, on_body = tip.turn(at.tip.point), body.turn(at.object.point)
-        l_b0, l_b1 = on_tip.dot(b), -on_body.dot(b)
-        l_n0, l_n1 = on_tip.dot(n), -on_body.dot(n)
-        arm = tip.origin - target
-        q1, r1 = arm.dot(n), arm.dot(b)
-        n1 = l_n0 * l_b1 - l_b0 * l_n1
-        columns.append(
-            (
-                contact.sense * (contact.s_object - leaves.s[i]),
-                forces.f[i] + stiffness * q1,
-                forces.lam[i] + stiffness * r1,
-                n1,
-                stiffness * n1,
-                0.5 * stiffness * (q1 * q1 + r1 * r1),
-            )
-        )
-    return PressBalance(*(jnp.stack(column) for column in zip(*columns, strict=True)))
+    at, forces = geometry_at(grasp, state), multipliers_at(grasp, t, state, Index1())
+    stiffness = grasp.controller.stiffness
+    arm = at.centre_0 - grasp.controller.target[None]
+    # (79) by (64)-(65): the chapter's target is the pivot.
+    q1, r1 = jnp.sum(arm * at.n_1, axis=-1), jnp.sum(arm * at.b_1, axis=-1)
+    n1 = at.l_n0 * at.l_b1 - at.l_b0 * at.l_n1
+    return PressBalance(
+        s=at.s,
+        delta_f=forces.f + stiffness * q1,
+        delta_lam=forces.lam + stiffness * r1,
+        n1=n1,
+        moment=stiffness * n1,
+        potential=0.5 * stiffness * (q1 * q1 + r1 * r1),
+    )

@@ -8,10 +8,12 @@ Of grasps in space, `_views3` works out what moves where (a `_motion3`), `_meshe
 surfaces (`_rays` where they have no closed form), `_scene3` puts both together and `_drawing3` draws one
 instant of it. `animate`, `pose`, `poses` and `responses` take either kind of grasp; `loci` and `page` (the
 only door to plotly, a page for a browser) one in space, `contours` and `phase` one in the plane.
-`design` draws a fingertip before and after, `comparison` runs over each other.
+`contact_geometry` draws one contact with the chapter's names (its labels are put by `_tags`), `design` a
+fingertip before and after, `comparison` runs over each other.
 """
 
 from ._animate import animate as animate
+from ._contact_figure import contact_figure as contact_geometry  # noqa: F401
 from ._contours import contours as contours
 from ._design_figure import comparison as comparison, design as design
 from ._fit_figure import fit as fit

@@ -13,6 +13,8 @@ from .._results import shown
 FINGER, OBJECT, CONTACT, FORCE_COLOUR, GUIDE = "#0072B2", "#E69F00", "#D55E00", "#CC3377", "#333333"
 CYCLE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 ROLLED = "#009E73"
+# Dark enough for thin lines and letters on the fill of the object.
+OBJECT_DARK = "#8A5A00"
 LINK_FILL, TIP_FILL, OBJECT_FILL = "#DCE3E8", "#BFDDF0", "#FBE3B4"
 # Bodies in space, before they are shaded, and the loci of the contacts on them.
 LINK_BODY, JOINT_BODY, TIP_BODY, OBJECT_BODY = "#C9D2D9", "#7C8A95", "#9CCBEA", "#F7D28A"

@@ -297,7 +297,10 @@ PUBLIC = {
 
 
 def test_public_names():
-    assert set(jxr.__all__) == PUBLIC
+    assert set(jxr.__all__) == set(dir(jxr)) == PUBLIC
+    starred = {}
+    exec("from jaxroll import *", starred)
+    assert set(starred) - {"__builtins__"} == PUBLIC
     assert all(getattr(jxr, name) is not None for name in PUBLIC)
     assert not hasattr(jxr, "integration") and not hasattr(jxr, "mechanics")
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):

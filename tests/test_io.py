@@ -176,6 +176,9 @@ def test_dxf_pieces_are_joined(tmp_path):
         ("# made by hand\n1 2 # corner\n\n3\t4\n", {}),
         ("1,000; 2,0\n3,0; 4,0", {}),
         ("time,x,y\n0,1,2\n1,3,4", {"columns": (1, 2)}),
+        ('"x","y"\n"1","2"\n"3", "4"\n', {}),
+        ('"1,0"; "2,0"\n"3,0"; "4"\n', {}),
+        ('"left, top",1,2\n"right, top",3,4\n', {"columns": (1, 2)}),
     ],
 )
 def test_tables_of_many_makes(text, options, tmp_path):
@@ -353,6 +356,8 @@ BAD_TABLES = {
     "NaN below a header": ("x,y\nnan,nan\n3,4\n", "line 2 of bad.csv was 'nan,nan'"),
     "an empty field": ("1,2\n,4\n", "line 2 of bad.csv was ',4'"),
     "decimal commas that part fields too": ("1,5\t2\n3,5\t4\n", "line 1 of bad.csv"),
+    "thousands in quotes": ('"1,000",2\n"3,000",4\n', "line 1 of bad.csv"),
+    "one long word": ("1,2\n3," + 200_000 * "4" + "x\n", "line 2 of bad.csv"),
     "words alone": ("x,y\n", "in bad.csv there was none"),
 }
 

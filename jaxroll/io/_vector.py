@@ -4,6 +4,7 @@ import contextlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -88,14 +89,17 @@ def write_svg(path: Path, points: np.ndarray, scale: float, *, closed: bool) -> 
     width, height = np.array([np.ptp(x), np.ptp(y)]) + 2.0 * margin
     track = " L ".join(f"{a:.12g},{b:.12g}" for a, b in zip(x.tolist(), y.tolist(), strict=True))
     millimetres = 1e3 * scale
-    path.write_text(
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width * millimetres:.12g}mm" '
-        f'height="{height * millimetres:.12g}mm" '
-        f'viewBox="{low[0]:.12g} {low[1]:.12g} {width:.12g} {height:.12g}">\n'
-        f'<path d="M {track}{" Z" if closed else ""}" fill="none" stroke="black" '
-        f'stroke-width="{0.2 * margin:.3g}"/>\n</svg>\n',
-        encoding="utf-8",
+    drawing = ElementTree.Element(
+        "svg",
+        xmlns="http://www.w3.org/2000/svg",
+        width=f"{width * millimetres:.12g}mm",
+        height=f"{height * millimetres:.12g}mm",
+        viewBox=f"{low[0]:.12g} {low[1]:.12g} {width:.12g} {height:.12g}",
     )
+    pen = {"fill": "none", "stroke": "black", "stroke-width": f"{0.2 * margin:.3g}"}
+    ElementTree.SubElement(drawing, "path", {"d": f"M {track}{' Z' if closed else ''}", **pen})
+    ElementTree.indent(drawing, "")
+    ElementTree.ElementTree(drawing).write(path, encoding="utf-8")
 
 
 def _ezdxf() -> Any:

@@ -169,6 +169,34 @@ def test_dxf_pieces_are_joined(tmp_path):
     np.testing.assert_allclose(np.hypot(hole[:, 0] - 100.0, hole[:, 1]), 3.0, rtol=3e-5)
 
 
+def test_dxf_pieces_drawn_twice_or_with_a_tail(tmp_path):
+    """A square of single lines in any order and sense, each drawn twice, and a line from one corner."""
+    import ezdxf
+
+    drawing = ezdxf.new(units=ezdxf.units.MM)
+    corners = [(0, 0), (30, 0), (30, 30), (0, 30)]
+    for i in (2, 0, 3, 1, 1, 2, 0, 3):
+        ends = (corners[i], corners[(i + 1) % 4])
+        drawing.modelspace().add_line(*(ends if i % 2 else ends[::-1]))
+    drawing.modelspace().add_line((30, 30), (40, 50))
+    drawing.saveas(tmp_path / "square.dxf")
+    points = 1e3 * jxr.io.read_points(tmp_path / "square.dxf", unit="mm")
+    assert sorted(map(tuple, points.round(9).tolist())) == sorted(corners)
+    assert abs(polygon_area(points)) == pytest.approx(900)
+    tail = 1e3 * jxr.io.read_points(tmp_path / "square.dxf", unit="mm", which=1)
+    np.testing.assert_allclose(tail, [(30, 30), (40, 50)])
+
+
+def test_a_dxf_of_one_circle(tmp_path):
+    import ezdxf
+
+    drawing = ezdxf.new(units=ezdxf.units.MM)
+    drawing.modelspace().add_circle((1, 2), 3)
+    drawing.saveas(tmp_path / "circle.dxf")
+    points = 1e3 * jxr.io.read_points(tmp_path / "circle.dxf", unit="mm")
+    np.testing.assert_allclose(np.hypot(*(points - (1, 2)).T), 3.0, rtol=3e-5)
+
+
 @pytest.mark.parametrize(
     ("text", "options"),
     [

@@ -1,4 +1,8 @@
-"""Order of scattered points along one curve, on the host: nearest neighbours on either side, then repair."""
+"""Order of scattered points along one curve, on the host: nearest neighbours on either side, then repair.
+
+Written here because a travelling salesman's solver returns a tour of any points, and does not say whether
+another is as plausible.
+"""
 
 from typing import NamedTuple
 

@@ -50,6 +50,7 @@ DOORS = {
     "optimistix": {"_integration"},
     "optax": {"design", "geometry"},
     "matplotlib": {"plotting"},
+    "tqdm": {"_sweep"},
     "scipy": set(),
     "numba": set(),
 }

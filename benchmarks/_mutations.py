@@ -214,9 +214,7 @@ def _left_alone(node: ast.AST) -> bool:
         return True
     if isinstance(node, ast.Call) and _called(node) in _WORDS:
         return True
-    return isinstance(node, ast.Assign) and any(
-        getattr(t, "id", "") in ("__all__", "_HOMES") for t in node.targets
-    )
+    return isinstance(node, ast.Assign) and any(getattr(t, "id", "") == "__all__" for t in node.targets)
 
 
 def _called(node: ast.Call) -> str:

@@ -4,8 +4,10 @@ import ast
 import collections
 import importlib
 import inspect
+import itertools
 import pathlib
 import pkgutil
+import re
 import statistics
 import subprocess
 import sys
@@ -48,6 +50,7 @@ DOORS = {
     "optimistix": {"_integration"},
     "optax": {"design", "geometry"},
     "matplotlib": {"plotting"},
+    "tqdm": {"_sweep"},
     "scipy": set(),
     "numba": set(),
 }
@@ -211,6 +214,70 @@ def test_no_public_name_has_two_homes():
     assert not {name: paths for name, paths in homes.items() if len(paths) > 1}
 
 
+# Interfaces that their libraries do not document, or not as stable.
+UNSTABLE = re.compile(
+    r"jax\.(core|extend|interpreters|experimental|lib)\.|jaxlib\.|equinox\.internal\.|\w+\._[a-z]"
+)
+
+
+def from_libraries(tree):
+    """Every name that a file takes from a library, in full: the module as imported, then attributes."""
+    full = {}
+    for node in ast.walk(tree):
+        for alias in node.names if isinstance(node, ast.Import | ast.ImportFrom) else ():
+            if isinstance(node, ast.ImportFrom):
+                full[alias.asname or alias.name] = f"{'.' * node.level}{node.module}.{alias.name}"
+            else:
+                head = alias.name.split(".")[0]
+                full[alias.asname or head] = alias.name if alias.asname else head
+    chains = [node for node in ast.walk(tree) if isinstance(node, ast.Name | ast.Attribute)]
+    inner = {id(node.value) for node in chains if isinstance(node, ast.Attribute)}
+    for text in (ast.unparse(node) for node in chains if id(node) not in inner):
+        head, *rest = text.split(".")
+        if head in full and re.fullmatch(r"[\w.]+", text):
+            yield ".".join([full[head], *rest])
+
+
+def own_members(tree):
+    """What a file's classes define: methods, fields, attributes that they set."""
+    for node in ast.walk(tree):
+        for inner in node.body if isinstance(node, ast.ClassDef) else ():
+            yield getattr(inner, "name", None) or getattr(getattr(inner, "target", None), "id", None)
+        if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
+            yield node.attr
+
+
+def private_names(tree, own):
+    """Names of libraries that are not stable, and private attributes that no class of jaxroll's has."""
+    yield from (name for name in from_libraries(tree) if UNSTABLE.match(name))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and re.match("_[a-z]", node.attr) and node.attr not in own:
+            yield f".{node.attr}"
+
+
+def listed_private_names():
+    """Pairs of name and file in the table of private names."""
+    table = (ROOT / "_xla" / "README.md").read_text().split("## Private names")[1]
+    for row in re.findall(r"^\| (`.*?) \| (`.*?) \|", table, flags=re.M):
+        names, files = (re.findall("`([^`]+)`", column) for column in row)
+        yield from itertools.product(names, files)
+
+
+def test_private_names_of_libraries_are_listed():
+    own = {name for tree in TREES.values() for name in own_members(tree)} | {"_replace"}  # a tuple's, public
+    found = {
+        (name, path.relative_to(ROOT).with_suffix("").as_posix())
+        for path, tree in TREES.items()
+        for name in private_names(tree, own)
+    }
+    listed = set(listed_private_names())
+    of = lambda use, entry: use[1] == entry[1] and f"{use[0]}.".startswith(f"{entry[0]}.")  # noqa: E731
+    assert not [use for use in found if not any(of(use, entry) for entry in listed)]
+    assert not [entry for entry in listed if not any(of(use, entry) for use in found)]
+    bad = "import jax.extend as je\nfrom jax._src import core\nx = je.core.Jaxpr(core.a)._hidden\n"
+    assert set(private_names(ast.parse(bad), own)) == {"jax.extend.core.Jaxpr", "jax._src.core.a", "._hidden"}
+
+
 def all_modules():
     found = [m.name for m in pkgutil.walk_packages(jxr.__path__, "jaxroll.") if m.name != "jaxroll.__main__"]
     return [importlib.import_module(name) for name in found]
@@ -297,7 +364,10 @@ PUBLIC = {
 
 
 def test_public_names():
-    assert set(jxr.__all__) == PUBLIC
+    assert set(jxr.__all__) == set(dir(jxr)) == PUBLIC
+    starred = {}
+    exec("from jaxroll import *", starred)
+    assert set(starred) - {"__builtins__"} == PUBLIC
     assert all(getattr(jxr, name) is not None for name in PUBLIC)
     assert not hasattr(jxr, "integration") and not hasattr(jxr, "mechanics")
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):

@@ -169,6 +169,34 @@ def test_dxf_pieces_are_joined(tmp_path):
     np.testing.assert_allclose(np.hypot(hole[:, 0] - 100.0, hole[:, 1]), 3.0, rtol=3e-5)
 
 
+def test_dxf_pieces_drawn_twice_or_with_a_tail(tmp_path):
+    """A square of single lines in any order and sense, each drawn twice, and a line from one corner."""
+    import ezdxf
+
+    drawing = ezdxf.new(units=ezdxf.units.MM)
+    corners = [(0, 0), (30, 0), (30, 30), (0, 30)]
+    for i in (2, 0, 3, 1, 1, 2, 0, 3):
+        ends = (corners[i], corners[(i + 1) % 4])
+        drawing.modelspace().add_line(*(ends if i % 2 else ends[::-1]))
+    drawing.modelspace().add_line((30, 30), (40, 50))
+    drawing.saveas(tmp_path / "square.dxf")
+    points = 1e3 * jxr.io.read_points(tmp_path / "square.dxf", unit="mm")
+    assert sorted(map(tuple, points.round(9).tolist())) == sorted(corners)
+    assert abs(polygon_area(points)) == pytest.approx(900)
+    tail = 1e3 * jxr.io.read_points(tmp_path / "square.dxf", unit="mm", which=1)
+    np.testing.assert_allclose(tail, [(30, 30), (40, 50)])
+
+
+def test_a_dxf_of_one_circle(tmp_path):
+    import ezdxf
+
+    drawing = ezdxf.new(units=ezdxf.units.MM)
+    drawing.modelspace().add_circle((1, 2), 3)
+    drawing.saveas(tmp_path / "circle.dxf")
+    points = 1e3 * jxr.io.read_points(tmp_path / "circle.dxf", unit="mm")
+    np.testing.assert_allclose(np.hypot(*(points - (1, 2)).T), 3.0, rtol=3e-5)
+
+
 @pytest.mark.parametrize(
     ("text", "options"),
     [
@@ -176,6 +204,9 @@ def test_dxf_pieces_are_joined(tmp_path):
         ("# made by hand\n1 2 # corner\n\n3\t4\n", {}),
         ("1,000; 2,0\n3,0; 4,0", {}),
         ("time,x,y\n0,1,2\n1,3,4", {"columns": (1, 2)}),
+        ('"x","y"\n"1","2"\n"3", "4"\n', {}),
+        ('"1,0"; "2,0"\n"3,0"; "4"\n', {}),
+        ('"left, top",1,2\n"right, top",3,4\n', {"columns": (1, 2)}),
     ],
 )
 def test_tables_of_many_makes(text, options, tmp_path):
@@ -356,6 +387,8 @@ BAD_TABLES = {
     "NaN below a header": ("x,y\nnan,nan\n3,4\n", "line 2 of bad.csv was 'nan,nan'"),
     "an empty field": ("1,2\n,4\n", "line 2 of bad.csv was ',4'"),
     "decimal commas that part fields too": ("1,5\t2\n3,5\t4\n", "line 1 of bad.csv"),
+    "thousands in quotes": ('"1,000",2\n"3,000",4\n', "line 1 of bad.csv"),
+    "one long word": ("1,2\n3," + 200_000 * "4" + "x\n", "line 2 of bad.csv"),
     "words alone": ("x,y\n", "in bad.csv there was none"),
 }
 

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from jaxroll.geometry import clean_points, crossings
+from jaxroll.geometry.fitting._ordering import nearest_points
 
 N = 200
 U = 2 * np.pi * np.arange(N) / N
@@ -184,6 +185,16 @@ def test_what_is_doubtful_is_said(case):
     points, words = DOUBTED[case]
     assert words in " ".join(clean_points(points).warnings)
     assert clean_points(RING).warnings == ()
+
+
+@pytest.mark.parametrize("size", [1e-200, 1.0, 1e200])
+def test_nearest_points_against_all_distances(size):
+    """Of any size in floating point, far from the origin, and where fewer are there than asked for."""
+    points = np.random.default_rng(0).normal(size=(150, 2)) + 1e3
+    apart = np.hypot(*(points[:, None] - points[None, :]).T)
+    for count in (1, 24, 200):
+        wanted = np.argsort(apart, axis=1)[:, 1 : count + 1]
+        np.testing.assert_array_equal(nearest_points(size * points, count), wanted)
 
 
 def by_all_pairs(points, closed):

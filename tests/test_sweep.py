@@ -92,7 +92,7 @@ def test_what_make_closes_over_is_seen_as_it_is_now(scene, monkeypatch):
     programs = lambda: len(_program._KEPT)  # noqa: E731
     monkeypatch.setattr(_program, "_KEPT", type(_program._KEPT)())
     monkeypatch.setattr(_program.Program, "__call__", lambda self, rows: self.call)  # compiles nothing
-    monkeypatch.setattr(_sweep, "_pieces", lambda run, *_: [np.array([run.call])])
+    monkeypatch.setattr(_sweep, "_pieces", lambda run, *_, **__: [np.array([run.call])])
     first = sweep()[0]
     assert sweep()[0] is first and programs() == 1
     factor = 2.0

@@ -1,9 +1,9 @@
 """Many runs: in chunks, on every device, with progress, resumed where they were cut off."""
 
+import contextlib
 import os
 import sys
-import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, NamedTuple
@@ -12,6 +12,7 @@ import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
+from tqdm import tqdm
 
 from .._integration import RTOL
 from .._motion import Formulation
@@ -120,7 +121,7 @@ def sweep(
         folder, run = None, program(job, first)
     else:
         folder, run = _resumed(Folder(resume), job, rows, extent)
-    pieces = _pieces(run, rows, extent, folder, _Meter(count, progress))
+    pieces = _pieces(run, rows, extent, folder, progress=progress)
     return jax.tree.map(lambda *parts: np.concatenate(parts)[:count], *pieces)
 
 
@@ -162,7 +163,7 @@ def _resumed(folder: Folder, job: Job, rows: Any, extent: Extent) -> tuple[Folde
     return folder, run
 
 
-def _pieces(run: Program, rows: Any, extent: Extent, folder: Folder | None, meter: "_Meter") -> list[Any]:
+def _pieces(run: Program, rows: Any, extent: Extent, folder: Folder | None, *, progress: bool) -> list[Any]:
     """Results chunk by chunk, several under way at a time."""
     devices, forms = jax.local_devices(), jax.tree.leaves(run.results)
     found: dict[int, Any] = {}
@@ -184,10 +185,13 @@ def _pieces(run: Program, rows: Any, extent: Extent, folder: Folder | None, mete
                 folder.store(start, piece)
         return jax.tree.unflatten(jax.tree.structure(run.results), piece)
 
+    def runs_found() -> int:
+        return min(len(found) * extent.size, extent.count)
+
     def note(start: int, piece: Any) -> bool:
         if piece is not None:
             found[start] = piece
-            meter(min(len(found) * extent.size, extent.count))
+            report(runs_found())
         return piece is not None
 
     def work(*, wait: bool) -> None:
@@ -204,8 +208,8 @@ def _pieces(run: Program, rows: Any, extent: Extent, folder: Folder | None, mete
             piece = folder.load(start, forms)
             if piece is not None:
                 found[start] = jax.tree.unflatten(jax.tree.structure(run.results), piece)
-        meter.known(min(len(found) * extent.size, extent.count))
-    with ThreadPoolExecutor(_workers(devices)) as pool:
+    pool = ThreadPoolExecutor(_workers(devices))
+    with pool, _meter(runs_found(), extent.count, on=progress) as report:
         work(wait=False)
         work(wait=True)
     return [found[start] for start in extent.starts]
@@ -251,24 +255,13 @@ def _time(t1: Any) -> Any:
     return t1
 
 
-class _Meter:
-    """Progress on standard error."""
-
-    def __init__(self, count: int, on: bool) -> None:
-        self.count, self.on, self.start, self.found = count, on, time.perf_counter(), 0
-
-    def known(self, found: int) -> None:
-        """How many runs there were already."""
-        self.found = found
-        if found and self.on:
-            print(f"{found} of {self.count} runs are there already", file=sys.stderr, flush=True)
-
-    def __call__(self, done: int) -> None:
-        if not self.on:
-            return
-        speed = (done - self.found) / (time.perf_counter() - self.start)
-        print(
-            f"{done} of {self.count} runs, {speed:.3g} runs/s, {(self.count - done) / speed:.0f} s left",
-            file=sys.stderr,
-            flush=True,
-        )
+@contextlib.contextmanager
+def _meter(found: int, count: int, *, on: bool) -> Iterator[Callable[[int], Any]]:
+    """Shows on standard error how many runs are done, their speed and the time left."""
+    if not on:
+        yield lambda done: None
+        return
+    shown_as = "{n} of {total} runs |{bar}| {rate_noinv_fmt}, {remaining} left"
+    pace = {"unit": " runs", "smoothing": 0, "mininterval": 0, "miniters": 1}
+    with tqdm(initial=found, total=count, bar_format=shown_as, **pace) as bar:
+        yield lambda done: bar.update(done - bar.n)

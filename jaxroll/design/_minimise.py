@@ -1,4 +1,8 @@
-"""Minimisation within limits: an augmented Lagrangian, many starts at once, one compiled program."""
+"""Minimisation within limits: an augmented Lagrangian, many starts at once, one compiled program.
+
+Progress is printed here, not drawn by tqdm as a sweep's is, because it tells how the objective and the
+violation fall, and a search that settles ends before its last step.
+"""
 
 import os
 from collections.abc import Callable

@@ -1,4 +1,8 @@
-"""Plane sections of closed triangle meshes."""
+"""Plane sections of closed triangle meshes.
+
+Written here because trimesh takes what lies within 1e-8 of the plane as in it, whatever the unit (a torus cut
+one nanometre below its top has no section), and passes over outlines that do not close.
+"""
 
 from typing import Any
 

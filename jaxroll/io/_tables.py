@@ -1,5 +1,10 @@
-"""Points as text (CSV) and as NumPy files; units are the caller's."""
+"""Points as text (CSV) and as NumPy files; units are the caller's.
 
+`csv` reads and writes the fields. What parts them is found here because `csv.Sniffer` takes the decimal comma
+of "1,5;2,5" for it, and finds nothing in columns aligned by blanks.
+"""
+
+import csv
 import re
 from pathlib import Path
 
@@ -11,7 +16,8 @@ from .._results import shown
 def read_csv(path: Path, columns: tuple[int, int]) -> np.ndarray:
     """Two columns of a text table; what is after '#' is passed over, and so are lines of words at its head.
 
-    Fields are parted by commas, semicolons (then a comma may be the decimal point), tabs or blanks.
+    Fields are parted by commas, semicolons (then a comma may be the decimal point), tabs or blanks; between
+    commas or semicolons they may stand in double quotes.
 
     Raises:
         ValueError: If a line is not finite numbers, or has too few; its number is named. A line of words is
@@ -52,11 +58,19 @@ def _fields(line: str) -> list[str]:
     if not line:
         return []
     if ";" in line:
-        return [field.strip().replace(",", ".") for field in line.split(";")]
+        return [field.replace(",", ".") for field in _parted(line, ";")]
     if "," in line and re.fullmatch(r"[^,\s]*,[^,\s]*(\s+[^,\s]*,[^,\s]*)+", line):
         # Blanks between, and one comma in each: decimal commas, as no table has two separators.
         return [field.replace(",", ".") for field in line.split()]
-    return [field.strip() for field in line.split(",")] if "," in line else line.split()
+    return _parted(line, ",") if "," in line else line.split()
+
+
+def _parted(line: str, mark: str) -> list[str]:
+    """The fields between marks; what stands in quotes is one field."""
+    try:
+        return [field.strip() for field in next(csv.reader([line], delimiter=mark, skipinitialspace=True))]
+    except csv.Error:  # a field of more than 131 072 characters: no number
+        return [line]
 
 
 def _number(field: str) -> float | None:
@@ -101,5 +115,6 @@ def _table(points: np.ndarray, path: Path) -> np.ndarray:
 
 def write_csv(path: Path, points: np.ndarray, unit: str) -> None:
     """A header with the unit, then x and y, to the last digit."""
-    lines = [f"# x [{unit}], y [{unit}]", *(f"{x!r},{y!r}" for x, y in points.tolist())]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    with path.open("w", encoding="utf-8", newline="") as file:
+        file.write(f"# x [{unit}], y [{unit}]\n")
+        csv.writer(file, lineterminator="\n").writerows(points.tolist())

@@ -4,6 +4,7 @@ import contextlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -88,14 +89,17 @@ def write_svg(path: Path, points: np.ndarray, scale: float, *, closed: bool) -> 
     width, height = np.array([np.ptp(x), np.ptp(y)]) + 2.0 * margin
     track = " L ".join(f"{a:.12g},{b:.12g}" for a, b in zip(x.tolist(), y.tolist(), strict=True))
     millimetres = 1e3 * scale
-    path.write_text(
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width * millimetres:.12g}mm" '
-        f'height="{height * millimetres:.12g}mm" '
-        f'viewBox="{low[0]:.12g} {low[1]:.12g} {width:.12g} {height:.12g}">\n'
-        f'<path d="M {track}{" Z" if closed else ""}" fill="none" stroke="black" '
-        f'stroke-width="{0.2 * margin:.3g}"/>\n</svg>\n',
-        encoding="utf-8",
+    drawing = ElementTree.Element(
+        "svg",
+        xmlns="http://www.w3.org/2000/svg",
+        width=f"{width * millimetres:.12g}mm",
+        height=f"{height * millimetres:.12g}mm",
+        viewBox=f"{low[0]:.12g} {low[1]:.12g} {width:.12g} {height:.12g}",
     )
+    pen = {"fill": "none", "stroke": "black", "stroke-width": f"{0.2 * margin:.3g}"}
+    ElementTree.SubElement(drawing, "path", {"d": f"M {track}{' Z' if closed else ''}", **pen})
+    ElementTree.indent(drawing, "")
+    ElementTree.ElementTree(drawing).write(path, encoding="utf-8")
 
 
 def _ezdxf() -> Any:
@@ -108,7 +112,7 @@ def _ezdxf() -> Any:
 
 
 def read_dxf(path: Path, scale: float, which: int, samples: int) -> np.ndarray:
-    """Points of one outline in the drawing's own unit; pieces that end where others begin are joined."""
+    """Points of one outline in the drawing's own unit; pieces whose ends meet are joined, two at each."""
     ezdxf = _ezdxf()
     kinds = "LWPOLYLINE POLYLINE SPLINE ARC CIRCLE ELLIPSE LINE"
     with _read(path):
@@ -119,7 +123,8 @@ def read_dxf(path: Path, scale: float, which: int, samples: int) -> np.ndarray:
     tracks = [track for track in tracks if len(track)]
     if not tracks:
         raise ValueError(f"argument path must name a drawing with an outline, but {path.name} has none")
-    corners = np.concatenate([[(v.x, v.y) for v in track.control_vertices()] for track in tracks])
+    corners = [(v.x, v.y) for track in tracks for v in track.control_vertices()]
+    corners = _finite(np.array(corners), path)
     size = float(np.linalg.norm(np.ptp(corners, axis=0)))
     joined = _joined([_flat(track, 1e-7 * size) for track in tracks], 1e-6 * size)
     outlines = []
@@ -144,35 +149,30 @@ def _flat(track: Any, distance: float) -> tuple[np.ndarray, bool]:
 
 
 def _joined(lines: Sequence[tuple[np.ndarray, bool]], near: float) -> list[tuple[np.ndarray, bool]]:
-    """Lines, each with whether it is curved, put together where their ends meet."""
-    rest, done = list(lines), []
-    while rest:
-        line, curved = rest.pop(0)
-        while (link := _link(line, rest, near)) is not None:
-            other, bent = rest.pop(link[0])
-            line, curved = _together(line, other, link[1]), curved or bent
-        done.append((line, curved))
+    """Lines, each with whether it is curved, put together where two ends meet; one drawn twice is one."""
+    from ezdxf import edgeminer
+
+    done = [line for line in lines if np.linalg.norm(line[0][0] - line[0][-1]) <= near]
+    pieces = [line for line in lines if np.linalg.norm(line[0][0] - line[0][-1]) > near]
+    if not pieces:
+        return done
+    edges = [edgeminer.make_edge(line[0], line[-1], payload=(line, curved)) for line, curved in pieces]
+    deposit = edgeminer.Deposit(edges, gap_tol=near)
+
+    def same(one: edgeminer.Edge, other: edgeminer.Edge) -> bool:
+        (line, _), (twin, _) = one.payload, other.payload
+        return len(line) == len(twin) and any(np.abs(line - t).max() <= near for t in (twin, twin[::-1]))
+
+    deposit = edgeminer.Deposit(edgeminer.filter_coincident_edges(deposit, same), gap_tol=near)
+    left = dict.fromkeys(sorted(deposit.edges, key=lambda edge: edge.id))
+    while left:
+        chain = edgeminer.find_simple_chain(deposit, next(iter(left)))
+        for edge in chain:
+            del left[edge]
+        parts = [edge.payload[0][::-1] if edge.is_reverse else edge.payload[0] for edge in chain]
+        whole = np.concatenate([parts[0][:1], *(part[1:] for part in parts)])
+        done.append((whole, any(edge.payload[1] for edge in chain)))
     return done
-
-
-def _link(line: np.ndarray, rest: list[tuple[np.ndarray, bool]], near: float) -> tuple[int, int] | None:
-    """Which other line meets this one, and how: 0 end-start, 1 end-end, 2 start-end, 3 start-start."""
-    if np.linalg.norm(line[0] - line[-1]) <= near:
-        return None
-    for i, (other, _) in enumerate(rest):
-        if np.linalg.norm(other[0] - other[-1]) <= near:
-            continue
-        ends = ((line[-1], other[0]), (line[-1], other[-1]), (line[0], other[-1]), (line[0], other[0]))
-        met = [k for k, (a, b) in enumerate(ends) if np.linalg.norm(a - b) <= near]
-        if met:
-            return i, met[0]
-    return None
-
-
-def _together(line: np.ndarray, other: np.ndarray, how: int) -> np.ndarray:
-    other = other[::-1] if how in (1, 3) else other
-    first, second = (line, other) if how < 2 else (other, line)
-    return np.concatenate([first, second[1:]])
 
 
 def write_dxf(path: Path, points: np.ndarray, unit: str, *, closed: bool) -> None:

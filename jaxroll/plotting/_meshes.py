@@ -1,4 +1,8 @@
-"""Triangle meshes of surfaces, to be drawn."""
+"""Triangle meshes of surfaces, to be drawn.
+
+Written here because pictures need no extra: trimesh, of the extra `cad`, has spheres and tori, but nothing
+for a chart or an implicit surface.
+"""
 
 from dataclasses import dataclass, replace
 from functools import singledispatch

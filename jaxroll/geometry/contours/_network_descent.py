@@ -1,4 +1,7 @@
-"""Nonlinear least squares for a network inside a field (the only door to optax in `geometry`)."""
+"""Nonlinear least squares for a network inside a field (the only door to optax in `geometry`).
+
+Progress is printed here, not drawn by tqdm as a sweep's is, because it tells how the loss falls.
+"""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple

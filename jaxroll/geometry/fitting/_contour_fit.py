@@ -175,7 +175,8 @@ def fit_contour(
     counter-clockwise. What cannot be one smooth contour is refused; what is doubtful is in the report.
 
     Time and memory grow with the cube and the square of the number of knots, which is that of the points
-    where every point is met: some thousand at most. Ordering scattered points takes $O(n^2)$ time.
+    where every point is met: some thousand at most. Ordering scattered points takes $O(n \log n)$ time, and
+    $O(n^2)$ where noise makes it try many orders.
 
     Args:
         points: Shape (n, 2), n >= 6, in `unit`.

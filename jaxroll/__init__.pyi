@@ -1,0 +1,70 @@
+"""What `jaxroll` exports, and where each name lives; `__init__.py` reads it, and so do type checkers."""
+
+from . import (
+    contact as contact,
+    control as control,
+    design as design,
+    geometry as geometry,
+    io as io,
+    plotting as plotting,
+    scenes as scenes,
+    stability as stability,
+)
+from ._analysis import (
+    contact_geometry as contact_geometry,
+    loci as loci,
+    pinch_balance as pinch_balance,
+    press_balance as press_balance,
+    roll as roll,
+)
+from ._closing import close as close
+from ._integration import (
+    Rosenbrock as Rosenbrock,
+    simulate as simulate,
+    Trajectory as Trajectory,
+    vector_field as vector_field,
+)
+from ._mechanics import (
+    Finger as Finger,
+    Finger3 as Finger3,
+    FreeObject as FreeObject,
+    FreeObject3 as FreeObject3,
+    Grasp as Grasp,
+    Jaw as Jaw,
+    PivotedObject as PivotedObject,
+    Stage as Stage,
+    State as State,
+    Turning as Turning,
+)
+from ._motion import (
+    CSM as CSM,
+    energies as energies,
+    equation_terms as equation_terms,
+    Index1 as Index1,
+    multipliers as multipliers,
+    residuals as residuals,
+)
+from ._results import RESULTS as RESULTS
+from ._sweep import sweep as sweep
+from ._why import why as why
+from .contact import Contact as Contact, Contact3 as Contact3
+from .geometry import (
+    AbstractContour as AbstractContour,
+    AbstractSurface as AbstractSurface,
+    Catenary as Catenary,
+    Circle as Circle,
+    Ellipse as Ellipse,
+    Ellipsoid as Ellipsoid,
+    fit_contour as fit_contour,
+    Line as Line,
+    NeuralCurvature as NeuralCurvature,
+    NeuralSupport as NeuralSupport,
+    Parametric as Parametric,
+    Plane as Plane,
+    Sphere as Sphere,
+    Spline as Spline,
+    SupportFunction as SupportFunction,
+    Torus as Torus,
+)
+
+__version__: str

@@ -23,12 +23,13 @@ from .._results import (
 )
 from .._types import Given
 from ..geometry import AbstractContour, tabled
+from ..geometry.contours import divided
 from ._design import Design
 from ._goals import AbstractGoal, Margin
 from ._gradient import Mode
 from ._limits import check_interval, ContourSamples, Limits, sampled
 from ._minimise import check_checkpoint, DesignProgress, Found, KEPT, minimise
-from ._shape import as_batch, body_radii, check_unprepared, divided, mirrored, smoothing, varied
+from ._shape_transform import as_batch, body_radii, check_unprepared, varied
 
 # Unit of the free numbers, as a share of the fingertip's size: a first step is no longer than one.
 _UNIT = 0.05
@@ -111,14 +112,14 @@ def optimise_fingertip(
     count, seed = as_count("starts", starts, most=10_000), as_count("seed", seed, least=0, most=2**63 - 1)
     ends = jnp.stack([check_interval(one, interval) for one in tips])[0]
     if symmetric:
-        mirrored(tips[0])  # raises where the class has no mirror image
+        tips[0].symmetrised()  # raises where the class has no mirror image
     arrays, rest = as_batch(varied(tips, max(count, len(tips)), seed))
     units, reaches = body_radii(arrays, rest)
     if limits is None:
         size = float(reaches[0])
         limits = Limits(size=size, radius=0.1 * size, ahead=0.5 * size)
     wanted = (Margin() if goal is None else goal).aimed(tips[0])
-    waves = jnp.asarray(smoothing(tips[0], float(units[0])))
+    waves = jnp.asarray(tips[0].preconditioner(float(units[0])))
     data, problem = (arrays, units), _Problem(rest, waves, ends, limits, wanted, symmetric)
     start = jax.vmap(lambda a, unit: problem.unknowns(eqx.combine(a, rest), unit))(*data)
     found = minimise(
@@ -150,7 +151,7 @@ class _Problem(eqx.Module):
         free, fixed = divided(eqx.combine(arrays, self.rest))
         _, unravel = jax.flatten_util.ravel_pytree(free)
         contour = eqx.combine(unravel(self.waves @ x * (_UNIT * unit)), fixed)
-        return mirrored(contour) if self.symmetric else contour
+        return contour.symmetrised() if self.symmetric else contour
 
     def unknowns(self, contour: AbstractContour, unit: Array) -> Array:
         """The vector of a contour."""

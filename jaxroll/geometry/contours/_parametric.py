@@ -96,6 +96,10 @@ class Parametric(AbstractTabulated):
     def smoothness(self) -> float:
         return self.order
 
+    def free_numbers(self) -> list[Any]:
+        """The arrays of the function: its domain and origin stay."""
+        return [leaf for leaf in jax.tree.leaves(self.function) if eqx.is_inexact_array(leaf)]
+
     def tabulate(self, cells: int) -> Table:
         given = (self.function, self.span)
         table, arcs = tabulated(_jet(cells), given, cells, closed=self.loop, cells=cells)

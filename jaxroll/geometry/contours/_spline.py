@@ -15,6 +15,7 @@ from ..._results import as_count, as_floats, check_flag, check_positive, concret
 from ..._types import Given
 from ._arclength import rising_sums
 from ._bspline import Basis, basis, interval_of, jet_of_pieces, jets, Pieces
+from ._free_numbers import point_waves, wavy_shift
 from ._table import AbstractTabulated, FEWEST_CELLS, Table, tabulated
 
 # Exponents of the curvature in the successive parameters: arclength twice, since chords of uneven length
@@ -126,6 +127,27 @@ class Spline(AbstractTabulated):
         if self.origin == 0:
             return table
         return eqx.tree_at(lambda t: t.start, table, -_arclength_at(pieces, arcs[::2], u[self.origin]))
+
+    def free_numbers(self) -> list[Any]:
+        return [self.points]
+
+    def preconditioner(self, size: float) -> np.ndarray:
+        return point_waves(self.points.shape[0], closed=self.loop)
+
+    def symmetrised(self) -> "Spline":
+        count = self.points.shape[0]
+        if not self.loop and 2 * self.origin != count - 1:
+            raise ValueError(
+                f"argument symmetric must be False unless an open spline's origin is its middle point, "
+                f"but that is {self.origin} of {count}"
+            )
+        partner = (2 * self.origin - jnp.arange(count)) % count
+        flipped = self.points[partner] * jnp.array([1.0, -1.0])[None, :]
+        return eqx.tree_at(lambda c: c.points, self, 0.5 * (self.points + flipped))
+
+    def perturbed(self, rng: np.random.Generator) -> "Spline":
+        points = np.asarray(self.points)
+        return eqx.tree_at(lambda c: c.points, self, jnp.asarray(points + wavy_shift(points, rng)))
 
     @property
     def wavelength(self) -> Any:

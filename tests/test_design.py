@@ -247,6 +247,92 @@ def test_a_class_of_ones_own_is_designed_by_what_it_says_of_itself():
     assert float(design.start.centre[1]) == 0.0 and bool(design.holds.all())
 
 
+TRANSFORMED = {
+    "spline": jxr.Spline(violating(1), cells=64),
+    "series": jxr.SupportFunction(0.01, [1e-3, 0.0, 5e-4], [0.0, 2e-4, 0.0], cells=64),
+    "ellipse": jxr.Ellipse(0.02, 0.014),
+    "placed": jxr.Spline(violating(1), cells=64).moved((0.001, 0.0), 0.1),
+    "own": Disc(jnp.asarray(0.01), jnp.array([0.003, 0.001])),
+}
+
+
+@pytest.mark.parametrize("kind", TRANSFORMED)
+def test_transform_is_the_mathematics_that_it_tells(kind):
+    """p = (size / 20) W x in the order of the fields, its inverse, and its derivative against differences."""
+    tip = TRANSFORMED[kind]
+    transform = jxr.design.ShapeTransform(tip)
+    inner = tip.contour if kind == "placed" else tip
+    free = [np.ravel(leaf) for leaf in inner.free_numbers()]
+    found = transform.size * transform.matrix @ transform.start / 20.0
+    np.testing.assert_allclose(found, np.concatenate(free), rtol=1e-11, atol=1e-16)
+    whole = np.asarray(tip.point(jnp.linspace(*tip.domain(), 257)))
+    np.testing.assert_allclose(transform.size, np.sqrt(np.mean(np.sum(whole**2, axis=1))), rtol=1e-9)
+    x = transform.start + 0.05 * jnp.sin(jnp.arange(transform.start.size) + 1.0)
+    np.testing.assert_allclose(transform.unknowns(transform.contour(x)), x, rtol=1e-9)
+    assert jax.tree.structure(transform.contour(x)) == jax.tree.structure(tip)
+
+    def radius(x):
+        return 1.0 / transform.contour(x).curvature(0.002)
+
+    way = jnp.cos(jnp.arange(x.size))
+    central = (radius(x + 1e-3 * way) - radius(x - 1e-3 * way)) / 2e-3
+    np.testing.assert_allclose(jnp.vdot(jax.grad(radius)(x), way), central, rtol=1e-4, atol=1e-12)
+
+
+def test_transform_keeps_the_mirror_image():
+    transform = jxr.design.ShapeTransform(jxr.Spline(violating(2), cells=64), symmetric=True)
+    x = jnp.sin(jnp.arange(48.0)) + transform.start
+    points = np.asarray(transform.contour(x).points)
+    np.testing.assert_allclose(points[(-np.arange(24)) % 24] * [1.0, -1.0], points, atol=1e-18)
+
+
+class Bare(Disc):
+    """A disc that says of itself what does not fit."""
+
+    free: object = eqx.field(static=True, default=None)
+    factors: object = eqx.field(static=True, default=None)
+
+    def free_numbers(self):
+        return self.free(self) if self.free else [self.centre]
+
+    def preconditioner(self, size):
+        return np.asarray(self.factors) if self.factors else np.eye(2)
+
+    def symmetrised(self):
+        return jxr.Circle(self.radius)
+
+
+def bare(**said):
+    return Bare(jnp.asarray(0.01), jnp.zeros(2), **said)
+
+
+@pytest.mark.parametrize(
+    ("asked", "wanted"),
+    [
+        (lambda t: t(3.0), "argument tip must be a contour"),
+        (lambda t: t(jxr.Line()), "tip must have ends or be closed, but was an endless Line"),
+        (lambda t: t(jxr.Ellipse(0.02, 0.01).prepared()), "tip must not be prepared"),
+        (lambda t: jax.jit(lambda a: t(jxr.Circle(a)).start)(0.01), "tip must be known before tracing"),
+        (lambda t: t(bare(free=lambda c: [])), "must have free numbers, .* but this Bare gave none"),
+        (lambda t: t(bare(free=lambda c: [2.0 * c.centre])), "but this Bare gave others"),
+        (lambda t: t(bare(factors=(1.0, 2.0))), r"preconditioner of shape \(2, 2\), but .* shape \(2,\)"),
+        (lambda t: t(bare(factors=((1.0, 0.0), (0.0, 0.0)))), "must have an invertible preconditioner"),
+        (lambda t: t(bare(), symmetric=True), "but that of this Bare was a Circle"),
+        (lambda t: t(jxr.Ellipse(0.02, 0.01), symmetric=True), "symmetric must be False for a Ellipse"),
+        (lambda t: t(jxr.Ellipse(0.02, 0.01), symmetric=1), "symmetric must be True or False"),
+        (lambda t: t(jxr.Ellipse(0.02, 0.01)).contour(jnp.ones(3)), "x must have shape"),
+        (lambda t: t(jxr.Ellipse(0.02, 0.01)).unknowns(jxr.Circle(0.01)), "contour must be of the given"),
+        (
+            lambda t: t(TRANSFORMED["series"]).unknowns(jxr.SupportFunction(0.01, [0.0])),
+            "contour must have 7 free numbers, as the given one has, but had 3",
+        ),
+    ],
+)
+def test_what_cannot_be_transformed_is_told_in_a_sentence(asked, wanted):
+    with pytest.raises(ValueError, match=wanted):
+        asked(jxr.design.ShapeTransform)
+
+
 def test_what_a_class_does_not_say_of_itself_has_a_default():
     disc = Disc(jnp.asarray(0.01), jnp.array([0.003, 0.001]))
     plain = Clothoid(jnp.asarray(50.0), jnp.asarray(2e3), jnp.array([-0.01, 0.03]))

@@ -21,3 +21,4 @@ from ._measures import (
     settling_time as settling_time,
     tracking_error as tracking_error,
 )
+from ._shape_transform import ShapeTransform as ShapeTransform

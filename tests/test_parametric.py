@@ -90,6 +90,10 @@ def test_runs_batches_and_gradients_go_through_the_curve():
         (lambda: own(cells=2), "argument cells must be a whole number of at least"),
         (lambda: own(b=-B), "argument function must run counter-clockwise"),
         (
+            lambda: jxr.Parametric(lambda u: 0.0 * ellipse((A, B), u), (0.0, TURN), closed=True),
+            "argument function must run counter-clockwise",
+        ),
+        (
             lambda: jxr.Parametric(lambda u: ellipse((A, B), u), (0.0, 3.0), closed=True),
             "argument function must end where it began",
         ),

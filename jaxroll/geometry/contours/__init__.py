@@ -19,7 +19,7 @@ from ._contour import (
     Moved as Moved,
 )
 from ._free_numbers import divided as divided
-from ._given_points import numbers as numbers
+from ._given_points import numbers as numbers, polygon_area as polygon_area
 from ._network import NetworkFit as NetworkFit, PeriodicNetwork as PeriodicNetwork
 from ._neural_curvature import NeuralCurvature as NeuralCurvature
 from ._neural_support import NeuralSupport as NeuralSupport

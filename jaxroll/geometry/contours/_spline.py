@@ -16,6 +16,7 @@ from ..._types import Given
 from ._arclength import rising_sums
 from ._bspline import Basis, basis, interval_of, jet_of_pieces, jets, Pieces
 from ._free_numbers import point_waves, wavy_shift
+from ._given_points import polygon_area
 from ._table import AbstractTabulated, FEWEST_CELLS, Table, tabulated
 
 # Exponents of the curvature in the successive parameters: arclength twice, since chords of uneven length
@@ -245,8 +246,7 @@ def _check(points: Array, closed: bool, degree: int, origin: int) -> None:
             f"argument points must not repeat a point (a closed contour joins its ends itself), "
             f"but points {same[0]} and {(same[0] + 1) % count} are the same"
         )
-    area = 0.5 * float(np.sum(seen[:, 0] * np.roll(seen[:, 1], -1) - seen[:, 1] * np.roll(seen[:, 0], -1)))
-    if closed and not area > 0.0:
+    if closed and not (area := polygon_area(seen)) > 0.0:
         raise ValueError(
             f"argument points must run counter-clockwise, but the area on their left was {area:.3g} m^2"
         )

@@ -193,6 +193,187 @@ def test_bad_arguments(tip, options, message):
         optimise_fingertip(tip, INTERVAL, **options)
 
 
+class Disc(jxr.AbstractContour):
+    """A user's own disc of a fixed radius, whose centre a design may move."""
+
+    radius: jax.Array
+    centre: jax.Array
+    closed, smoothness = True, float("inf")
+
+    def curve(self, s):
+        point = self.centre + self.radius * jnp.stack([jnp.cos(s / self.radius), jnp.sin(s / self.radius)])
+        return Vec2(point[0], point[1])
+
+    def domain(self):
+        return 0.0, 2 * np.pi * self.radius
+
+    def free_numbers(self):
+        return [self.centre]
+
+    def symmetrised(self):
+        return eqx.tree_at(lambda c: c.centre, self, self.centre * jnp.array([1.0, 0.0]))
+
+    def perturbed(self, rng):
+        return eqx.tree_at(lambda c: c.centre, self, self.centre + jnp.array([1e-4, 0.0]))
+
+
+def test_a_class_of_ones_own_is_designed_by_what_it_says_of_itself():
+    """The margin of a disc about c is -c.n: the best one lies as far back as `ahead` lets it, in the middle.
+
+    The radius stays, which would be a free number by default, and the other start is the one asked for.
+    """
+    radius, ahead = 0.01, 0.004
+    start = Disc(jnp.asarray(radius), jnp.array([0.003, 0.001]))
+    limits = Limits(ahead=ahead, flat=None)
+    design = optimise_fingertip(start, INTERVAL, symmetric=True, limits=limits, starts=2, steps=100)
+    assert type(design.tip) is Disc and float(design.tip.radius) == radius
+    np.testing.assert_allclose(design.tip.centre, [ahead - radius, 0.0], atol=5e-6)
+    np.testing.assert_allclose(design.before, [-0.003, -0.0031], rtol=1e-3)
+    assert float(design.start.centre[1]) == 0.0 and bool(design.holds.all())
+
+
+TRANSFORMED = {
+    "spline": jxr.Spline(violating(1), cells=64),
+    "series": jxr.SupportFunction(0.01, [1e-3, 0.0, 5e-4], [0.0, 2e-4, 0.0], cells=64),
+    "ellipse": jxr.Ellipse(0.02, 0.014),
+    "placed": jxr.Spline(violating(1), cells=64).moved((0.001, 0.0), 0.1),
+    "own": Disc(jnp.asarray(0.01), jnp.array([0.003, 0.001])),
+}
+
+
+@pytest.mark.parametrize("kind", TRANSFORMED)
+def test_transform_is_the_mathematics_that_it_tells(kind):
+    """p = (size / 20) W x in the order of the fields, its inverse, and its derivative against differences."""
+    tip = TRANSFORMED[kind]
+    transform = jxr.design.ShapeTransform(tip)
+    inner = tip.contour if kind == "placed" else tip
+    free = [np.ravel(leaf) for leaf in inner.free_numbers()]
+    found = transform.size * transform.matrix @ transform.start / 20.0
+    np.testing.assert_allclose(found, np.concatenate(free), rtol=1e-11, atol=1e-16)
+    whole = np.asarray(tip.point(jnp.linspace(*tip.domain(), 257)))
+    np.testing.assert_allclose(transform.size, np.sqrt(np.mean(np.sum(whole**2, axis=1))), rtol=1e-9)
+    x = transform.start + 0.05 * jnp.sin(jnp.arange(transform.start.size) + 1.0)
+    np.testing.assert_allclose(transform.unknowns(transform.contour(x)), x, rtol=1e-9)
+    assert jax.tree.structure(transform.contour(x)) == jax.tree.structure(tip)
+
+    def radius(x):
+        return 1.0 / transform.contour(x).curvature(0.002)
+
+    way = jnp.cos(jnp.arange(x.size))
+    central = (radius(x + 1e-3 * way) - radius(x - 1e-3 * way)) / 2e-3
+    np.testing.assert_allclose(jnp.vdot(jax.grad(radius)(x), way), central, rtol=1e-4, atol=1e-12)
+
+
+def test_transform_keeps_the_mirror_image():
+    transform = jxr.design.ShapeTransform(jxr.Spline(violating(2), cells=64), symmetric=True)
+    x = jnp.sin(jnp.arange(48.0)) + transform.start
+    points = np.asarray(transform.contour(x).points)
+    np.testing.assert_allclose(points[(-np.arange(24)) % 24] * [1.0, -1.0], points, atol=1e-18)
+
+
+class Bare(Disc):
+    """A disc that says of itself what does not fit."""
+
+    free: object = eqx.field(static=True, default=None)
+    factors: object = eqx.field(static=True, default=None)
+
+    def free_numbers(self):
+        return self.free(self) if self.free else [self.centre]
+
+    def preconditioner(self, size):
+        return np.asarray(self.factors) if self.factors else np.eye(2)
+
+    def symmetrised(self):
+        return jxr.Circle(self.radius)
+
+
+def bare(**said):
+    return Bare(jnp.asarray(0.01), jnp.zeros(2), **said)
+
+
+@pytest.mark.parametrize(
+    ("asked", "wanted"),
+    [
+        (lambda t: t(3.0), "argument tip must be a contour"),
+        (lambda t: t(jxr.Line()), "tip must have ends or be closed, but was an endless Line"),
+        (lambda t: t(jxr.Ellipse(0.02, 0.01).prepared()), "tip must not be prepared"),
+        (lambda t: jax.jit(lambda a: t(jxr.Circle(a)).start)(0.01), "tip must be known before tracing"),
+        (lambda t: t(bare(free=lambda c: [])), "must have free numbers, .* but this Bare gave none"),
+        (lambda t: t(bare(free=lambda c: [2.0 * c.centre])), "but this Bare gave others"),
+        (lambda t: t(bare(factors=(1.0, 2.0))), r"preconditioner of shape \(2, 2\), but .* shape \(2,\)"),
+        (lambda t: t(bare(factors=((1.0, 0.0), (0.0, 0.0)))), "must have an invertible preconditioner"),
+        (lambda t: t(bare(), symmetric=True), "but that of this Bare was a Circle"),
+        (lambda t: t(jxr.Ellipse(0.02, 0.01), symmetric=True), "symmetric must be False for a Ellipse"),
+        (lambda t: t(jxr.Ellipse(0.02, 0.01), symmetric=1), "symmetric must be True or False"),
+        (lambda t: t(jxr.Ellipse(0.02, 0.01)).contour(jnp.ones(3)), "x must have shape"),
+        (lambda t: t(jxr.Ellipse(0.02, 0.01)).unknowns(jxr.Circle(0.01)), "contour must be of the given"),
+        (
+            lambda t: t(TRANSFORMED["series"]).unknowns(jxr.SupportFunction(0.01, [0.0])),
+            "contour must have 7 free numbers, as the given one has, but had 3",
+        ),
+    ],
+)
+def test_what_cannot_be_transformed_is_told_in_a_sentence(asked, wanted):
+    with pytest.raises(ValueError, match=wanted):
+        asked(jxr.design.ShapeTransform)
+
+
+def test_what_a_class_does_not_say_of_itself_has_a_default():
+    disc = Disc(jnp.asarray(0.01), jnp.array([0.003, 0.001]))
+    plain = Clothoid(jnp.asarray(50.0), jnp.asarray(2e3), jnp.array([-0.01, 0.03]))
+    assert [leaf.shape for leaf in plain.free_numbers()] == [(), (), (2,)]
+    sizes = np.sqrt([50.0**2, 2e3**2, 5e-4, 5e-4])
+    np.testing.assert_allclose(plain.preconditioner(0.02), np.diag(sizes / 0.02), rtol=1e-12)
+    np.testing.assert_allclose(disc.preconditioner(0.01), np.diag([np.sqrt(5e-6) / 0.01] * 2), rtol=1e-12)
+    near = plain.perturbed(np.random.default_rng(0))
+    assert 0.0 < abs(float(near.bend) / 50.0 - 1.0) < 0.6 and not near.closed
+    assert disc.tabled() is disc and disc.prepared() is disc
+    np.testing.assert_allclose(disc.curvature(0.01), 100.0, rtol=1e-12)
+    with pytest.raises(ValueError, match="argument symmetric must be False for a Clothoid"):
+        plain.symmetrised()
+
+
+def test_placed_contours_are_designed_as_what_they_place():
+    points = violating(1)
+    inner = jxr.Spline(points, cells=128)
+    placed = inner.moved(offset=(0.001, 0.0), angle=0.1)
+    assert placed.free_numbers()[0] is inner.points and len(placed.free_numbers()) == 1
+    np.testing.assert_array_equal(placed.preconditioner(0.01), inner.preconditioner(0.01))
+    np.testing.assert_array_equal(placed.symmetrised().contour.points, inner.symmetrised().points)
+    pair = [c.perturbed(np.random.default_rng(0)) for c in (placed, inner)]
+    np.testing.assert_array_equal(pair[0].contour.points, pair[1].points)
+    image = np.asarray(inner.symmetrised().points)
+    np.testing.assert_allclose(image[(-np.arange(24)) % 24] * [1.0, -1.0], image, atol=1e-18)
+
+
+@pytest.mark.slow
+def test_a_curve_by_its_points_is_designed_by_the_arrays_of_its_function():
+    """Not by its domain, which would open it: the disc found is closed."""
+    curve = lambda c, u: 0.01 * jnp.stack([jnp.cos(u), jnp.sin(u)]) + c  # noqa: E731
+    tip = jxr.Parametric(
+        jax.tree_util.Partial(curve, jnp.array([0.003, 0.001])), (0.0, 2 * jnp.pi), closed=True, cells=64
+    )
+    design = optimise_fingertip(tip, INTERVAL, limits=Limits(ahead=0.004, flat=None), steps=150)
+    np.testing.assert_allclose(design.tip.function.args[0][0], -0.006, atol=1e-6)
+    np.testing.assert_array_equal(design.tip.span, tip.span)
+
+
+@pytest.mark.parametrize("closed", [True, False])
+def test_waves_along_points_are_divided_by_their_order_squared(closed):
+    """Of a closed contour's sines and cosines, and of an open one's cosines, W's factors are known."""
+    count, order = 24, 3
+    points = np.stack([np.linspace(0.0, 0.02, count), np.linspace(0.0, 0.01, count) ** 2], -1)
+    tip = jxr.Spline(violating(1) if closed else points, closed=closed)
+    place = np.arange(count)
+    wave = np.cos(np.pi * order * place * (2 / count if closed else 1 / (count - 1)))
+    known = 2.0 / (1.0 + (order if closed else order / 2.0) ** 2)
+    ends = np.where((place % (count - 1) > 0) | closed, 1.0, 0.5)
+    weights = np.kron(wave * ends, [1, 0])
+    np.testing.assert_allclose((tip.preconditioner(0.01) @ weights)[::2], known * wave, atol=1e-12)
+    series = jxr.SupportFunction(0.01, np.zeros(3), np.zeros(3)).preconditioner(0.01)
+    np.testing.assert_allclose(np.diag(series), [1.0, 1.0, 0.4, 0.2, 1.0, 0.4, 0.2])
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["support", "curvature"])
 def test_networks_are_designed_by_their_weights(kind):

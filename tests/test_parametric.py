@@ -1,4 +1,4 @@
-"""A caller's own curve, by its points, against the contours that have closed forms."""
+"""A caller's own curve or surface, by its points, against those that have closed forms."""
 
 import jax
 import jax.numpy as jnp
@@ -90,6 +90,10 @@ def test_runs_batches_and_gradients_go_through_the_curve():
         (lambda: own(cells=2), "argument cells must be a whole number of at least"),
         (lambda: own(b=-B), "argument function must run counter-clockwise"),
         (
+            lambda: jxr.Parametric(lambda u: 0.0 * ellipse((A, B), u), (0.0, TURN), closed=True),
+            "argument function must run counter-clockwise",
+        ),
+        (
             lambda: jxr.Parametric(lambda u: ellipse((A, B), u), (0.0, 3.0), closed=True),
             "argument function must end where it began",
         ),
@@ -107,3 +111,55 @@ def test_what_is_no_contour_is_refused_in_a_sentence(asked, wanted):
     with pytest.raises(ValueError, match=wanted) as caught:
         asked()
     assert "\n" not in str(caught.value)
+
+
+def globe(r, u, v):
+    """A ball with its poles on the x axis, off the way of a contact below."""
+    return jnp.stack([r * jnp.sin(v), r * jnp.cos(v) * jnp.cos(u), r * jnp.cos(v) * jnp.sin(u)])
+
+
+def chart(r):
+    place = jax.tree_util.Partial(globe, jnp.asarray(r))
+    return jxr.geometry.Chart(place, domain=((-np.pi, np.pi), (-1.5, 1.5)), periodic=(True, False))
+
+
+def rolled(surface, r, **options):
+    """Where a ball is that rolls down a plane along y, and a little along x."""
+    body = jxr.FreeObject3(surface, 0.1, 0.4 * 0.1 * r**2)
+    grasp = jxr.Grasp(body, jxr.Stage(jxr.Plane()), jxr.Contact3(), gravity=(0.05, 0.3, -9.81))
+    below = jnp.array([0.0, 0.0, -1.0]) * r
+    q = jnp.concatenate([-below, jnp.array([1.0, 0.0, 0.0, 0.0])])
+    state = jxr.State(q, jnp.zeros(6), jnp.concatenate([jnp.zeros(3), surface.near(below)]))
+    return jxr.simulate(*jxr.close(grasp, state), 0.3, ts=1, **options).last.q
+
+
+def test_a_surface_of_ones_own_rolls_as_the_ball_that_it_is():
+    ends = [rolled(surface, 0.02, rtol=1e-12) for surface in (jxr.Sphere(0.02), chart(0.02))]
+    np.testing.assert_allclose(ends[1], ends[0], rtol=0, atol=1e-12)
+    # A solid ball: 5/7 of what slides freely.
+    np.testing.assert_allclose(ends[1][:2], 5 / 14 * 0.3**2 * np.array([0.05, 0.3]), rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_batches_and_gradients_go_through_a_surface_of_ones_own():
+    """In its own array: the quaternion of a ball that has rolled a way y has turned by y / r."""
+    turned = lambda r: rolled(chart(r), r)[3]  # noqa: E731
+    way = 5 / 14 * 0.3**2 * np.hypot(0.05, 0.3)
+    radii = np.array([0.018, 0.02, 0.022])
+    np.testing.assert_allclose(jax.vmap(turned)(jnp.asarray(radii)), np.cos(way / radii / 2), rtol=1e-7)
+    known = np.sin(way / 0.02 / 2) * way / 0.02**2 / 2
+    np.testing.assert_allclose(jax.grad(turned)(0.02), known, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("function", "wanted"),
+    [
+        (3.0, "function must be a function from two numbers to a point"),
+        (lambda u: (u, u, u), "function must be a function from two numbers to a point"),
+        (lambda u, v: (u, v), r"function must give a point, three numbers or .* gave shapes \[\(\), \(\)\]"),
+        (lambda u, v: jnp.stack([u, v]), r"gave shapes \[\(2,\)\]"),
+    ],
+)
+def test_what_is_no_surface_is_refused_in_a_sentence(function, wanted):
+    with pytest.raises(ValueError, match=wanted):
+        jxr.geometry.Chart(function, domain=((0, 1), (0, 1)))

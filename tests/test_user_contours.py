@@ -24,6 +24,7 @@ from jaxroll.geometry import (
     jet,
     Level,
     level_frame,
+    tabled,
 )
 
 
@@ -292,6 +293,33 @@ def test_surfaces_are_checked_too(name):
     surface, words = SURFACES[name]
     with pytest.raises(ValueError, match=f"argument tip must be a surface .*{words}"):
         check_surface("tip", surface)
+
+
+class Held(jxr.AbstractContour):
+    """A user's wrapper that says nothing of tables."""
+
+    parts: dict
+
+    closed, smoothness = True, 4.0
+
+    def curve(self, s):
+        return self.parts["inner"].curve(s)
+
+    def domain(self):
+        return self.parts["inner"].domain()
+
+
+def test_tables_of_shapes_inside_ones_own_are_built_once():
+    spline = jxr.Spline(ring(), cells=64)
+    held = Held({"inner": spline})
+    ready = tabled(held)
+    assert ready.parts["inner"].table is not None and tabled(held) is ready and tabled(ready) is ready
+    assert held.prepared().parts["inner"].table is not None
+    bar = Extruded(held.moved((0.1, 0.0))).moved((0.0, 0.1, 0.0))
+    assert tabled(bar).surface.contour.contour.parts["inner"].table is not None
+    np.testing.assert_allclose(held.curvature(0.01), spline.curvature(0.01), rtol=1e-6)
+    with pytest.raises(ValueError, match="argument shape must be a contour or a surface, but was 3"):
+        tabled(3)
 
 
 def test_surfaces_that_keep_their_contract_pass():

@@ -323,6 +323,7 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         "mode": _is("choice", "auto"),
         "checkpoint": _made("path", lambda: folder() / "checkpoint.npz"),
     },
+    "ShapeTransform": {"tip": _BODY, "symmetric": _is("flag", False)},
     "value_and_grad": {
         "function": _made("function", lambda: jnp.sum),
         "mode": _is("choice", "auto"),

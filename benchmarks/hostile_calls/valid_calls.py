@@ -19,7 +19,7 @@ MODULES = ("contact", "control", "design", "geometry", "io", "plotting", "scenes
 
 # Not called by users at all, or not called with arguments.
 ABSTRACT = {"AbstractContour", "AbstractSurface", "AbstractContact", "AbstractController", "AbstractGoal"}
-ABSTRACT |= {"AbstractSupport", "AbstractChart", "AbstractImplicit", "AbstractTabulated"}
+ABSTRACT |= {"AbstractShape", "AbstractSupport", "AbstractChart", "AbstractImplicit", "AbstractTabulated"}
 ENUMERATIONS = {"RESULTS", "VERDICTS"}
 # What functions return: plain records, which hold whatever they are given (JAX puts anything in a pytree).
 RECORDS = {"State", "Trajectory", "LocalMinima", "Location", "SurfaceLocation", "SurfaceMinima", "Motion"}

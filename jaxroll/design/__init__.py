@@ -1,10 +1,10 @@
 """Fingertips by gradient: contours that hold a grasp, within limits of size and making.
 
-`_fingertip` has the entry point and `_design` its result. `_shape` says which numbers of a contour are
-free, `_limits` what it must keep to. What is wanted is a goal of `_goals`: the margin of condition (41);
-runs of the closed loop (`_closed_loop_goal`, by the `_measures` of a run); stability at rest (`_firmness`).
-`_minimise` is the loop over starts and limits, `_descent` the steps in it, `_gradient` the mode of
-differentiation.
+`_fingertip` has the entry point and `_design` its result. `_shape_transform` makes a contour of a vector:
+which numbers of it are free its own class says (`geometry.AbstractContour`). `_limits` is what it must keep
+to. What is wanted is a goal of `_goals`: the margin of condition (41); runs of the closed loop
+(`_closed_loop_goal`, by the `_measures` of a run); stability at rest (`_firmness`). `_minimise` is the loop
+over starts and limits, `_descent` the steps in it, `_gradient` the mode of differentiation.
 """
 
 from ._closed_loop_goal import ClosedLoop as ClosedLoop
@@ -21,3 +21,4 @@ from ._measures import (
     settling_time as settling_time,
     tracking_error as tracking_error,
 )
+from ._shape_transform import ShapeTransform as ShapeTransform

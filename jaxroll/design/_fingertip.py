@@ -6,7 +6,6 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.flatten_util
 import jax.numpy as jnp
 import numpy as np
 import optax
@@ -28,10 +27,7 @@ from ._goals import AbstractGoal, Margin
 from ._gradient import Mode
 from ._limits import check_interval, ContourSamples, Limits, sampled
 from ._minimise import check_checkpoint, DesignProgress, Found, KEPT, minimise
-from ._shape import as_batch, body_radii, check_unprepared, divided, mirrored, smoothing, varied
-
-# Unit of the free numbers, as a share of the fingertip's size: a first step is no longer than one.
-_UNIT = 0.05
+from ._shape_transform import as_batch, body_radii, check_tip, ShapeTransform, varied
 
 
 def optimise_fingertip(
@@ -71,8 +67,8 @@ def optimise_fingertip(
         seed: Of NumPy, for these variations.
         optimiser: Any of optax, with its schedule; its unknowns are in units of a twentieth of the contour's
             size, and waves of points and terms of series are divided by about their order squared, so that
-            all bend the contour alike (Sobolev's gradient). Default: BFGS with backtracking, one point a
-            step.
+            all bend the contour alike (Sobolev's gradient; `ShapeTransform`). Default: BFGS with
+            backtracking, one point a step.
         mode: How to differentiate, 'auto', 'forward' or 'reverse': see `value_and_grad`.
         checkpoint: A file to write after every ten steps, and to go on from where it exists.
 
@@ -95,7 +91,7 @@ def optimise_fingertip(
     """
     tips = list(as_several("tip", tip, AbstractContour, "contours"))
     for one in tips:
-        check_unprepared(one)
+        check_tip(one)
     if goal is not None:
         check_instance("goal", goal, AbstractGoal, "a goal, such as design.Margin()")
     if limits is not None:
@@ -110,17 +106,15 @@ def optimise_fingertip(
         check_checkpoint(checkpoint)
     count, seed = as_count("starts", starts, most=10_000), as_count("seed", seed, least=0, most=2**63 - 1)
     ends = jnp.stack([check_interval(one, interval) for one in tips])[0]
-    if symmetric:
-        mirrored(tips[0])  # raises where the class has no mirror image
+    transform = ShapeTransform(tips[0], symmetric=symmetric)
     arrays, rest = as_batch(varied(tips, max(count, len(tips)), seed))
-    units, reaches = body_radii(arrays, rest)
+    sizes, reaches = body_radii(arrays, rest)
     if limits is None:
         size = float(reaches[0])
         limits = Limits(size=size, radius=0.1 * size, ahead=0.5 * size)
     wanted = (Margin() if goal is None else goal).aimed(tips[0])
-    waves = jnp.asarray(smoothing(tips[0], float(units[0])))
-    data, problem = (arrays, units), _Problem(rest, waves, ends, limits, wanted, symmetric)
-    start = jax.vmap(lambda a, unit: problem.unknowns(eqx.combine(a, rest), unit))(*data)
+    data, problem = (arrays, sizes), _Problem(transform, rest, ends, limits, wanted)
+    start = jax.vmap(lambda *one: problem.of(one).start)(*data)
     found = minimise(
         problem,
         start,
@@ -136,26 +130,26 @@ def optimise_fingertip(
 
 
 class _Problem(eqx.Module):
-    """From a vector to the contour, and what is asked of it; `waves` makes free numbers of the vector."""
+    """From a vector to the contour, and what is asked of it.
 
+    A start's own data are its contour's arrays and size. The transform is that of the first start: the
+    others have its matrix too.
+    """
+
+    transform: ShapeTransform
     rest: Any
-    waves: Array
     interval: Array
     limits: Limits
     goal: AbstractGoal
-    symmetric: bool = eqx.field(static=True)
+
+    def of(self, data: Any) -> ShapeTransform:
+        """The transform of one start."""
+        arrays, size = data
+        own = (eqx.combine(arrays, self.rest), size)
+        return eqx.tree_at(lambda t: (t.tip, t.size), self.transform, own)
 
     def contour(self, x: Array, data: Any) -> AbstractContour:
-        arrays, unit = data
-        free, fixed = divided(eqx.combine(arrays, self.rest))
-        _, unravel = jax.flatten_util.ravel_pytree(free)
-        contour = eqx.combine(unravel(self.waves @ x * (_UNIT * unit)), fixed)
-        return mirrored(contour) if self.symmetric else contour
-
-    def unknowns(self, contour: AbstractContour, unit: Array) -> Array:
-        """The vector of a contour."""
-        flat, _ = jax.flatten_util.ravel_pytree(divided(contour)[0])
-        return jnp.linalg.solve(self.waves, flat / (_UNIT * unit))
+        return self.of(data).contour(x)
 
     def seen(self, x: Array, data: Any) -> tuple[AbstractContour, ContourSamples]:
         ready = tabled(self.contour(x, data))

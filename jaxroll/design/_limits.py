@@ -1,8 +1,7 @@
 """What a fingertip must keep to: size, length, radii and smoothness."""
 
-from dataclasses import replace
-
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -38,8 +37,7 @@ def sampled(contour: AbstractContour, interval: Array) -> ContourSamples:
 
 def _frames(contour: AbstractContour, s: Array) -> Frenet2:
     """Frames with one curvature for each arclength, of a circle too, which has one for all."""
-    frames = contour.frame(s)
-    return replace(frames, curvature=jnp.broadcast_to(frames.curvature, s.shape))
+    return jax.vmap(lambda s: jax.tree.map(jnp.asarray, contour.frame(s)))(s)
 
 
 class Limits(eqx.Module):

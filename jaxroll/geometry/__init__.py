@@ -1,7 +1,8 @@
 """Shape only: contours as fields of arclength with Frenet frames, surfaces with Gauss frames.
 
 `contours` has plane curves, `surfaces` what they are in space, `fitting` makes either of a caller's points.
-`_contract` is the check of a caller's own shapes. Nothing here knows of bodies, time or contact.
+`_tabled` has what both have in common, `_contract` the check of a caller's own shapes. Nothing here knows of
+bodies, time or contact.
 """
 
 from .._linalg import Sym3 as Sym3, Vec2 as Vec2, Vec3 as Vec3
@@ -10,6 +11,7 @@ from ._contract import (
     check_shape as check_shape,
     check_surface as check_surface,
 )
+from ._tabled import AbstractShape as AbstractShape, tabled as tabled
 from .contours import (
     AbstractContour as AbstractContour,
     AbstractSupport as AbstractSupport,
@@ -28,10 +30,10 @@ from .contours import (
     NeuralSupport as NeuralSupport,
     Parametric as Parametric,
     PeriodicNetwork as PeriodicNetwork,
+    polygon_area as polygon_area,
     Spline as Spline,
     SupportFunction as SupportFunction,
     Table as Table,
-    tabled as tabled,
     TableError as TableError,
     tabulated as tabulated,
 )
@@ -44,7 +46,6 @@ from .fitting import (
     fit_surface as fit_surface,
     FitReport as FitReport,
     metres_per as metres_per,
-    polygon_area as polygon_area,
     smoothing_for as smoothing_for,
     SurfaceFit as SurfaceFit,
     SurfaceReport as SurfaceReport,

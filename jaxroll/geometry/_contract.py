@@ -18,7 +18,8 @@ from .._linalg import tangents, Vec2, Vec3
 from .._results import shown, traced
 from .._types import Given, Scalars
 from .._xla import remembered
-from .contours import AbstractContour, AbstractTabulated, frenet, Frenet2, Table, tabled, unevenness
+from ._tabled import tabled
+from .contours import AbstractContour, AbstractTabulated, frenet, Frenet2, Table, unevenness
 from .surfaces import AbstractChart, AbstractImplicit, AbstractSurface, Chart, Gauss3, lattice
 
 _PLACES = 1024  # along a contour

@@ -5,6 +5,7 @@ the curves with closed forms; `_arclength` the arclength of curves that are not 
 run reads of any field without a closed form: `_spline` through points (on the B-splines of `_bspline`),
 `_support` convex contours by the Fourier series of their support function, `_neural_support` and
 `_neural_curvature` those of a small network (`_network`), which `_network_descent` fits to points.
+`_free_numbers` has what a design changes of a contour, and how changes are scaled.
 `_given_points` converts what a caller gives as points.
 """
 
@@ -16,9 +17,9 @@ from ._contour import (
     frenet as frenet,
     Frenet2 as Frenet2,
     Moved as Moved,
-    tabled as tabled,
 )
-from ._given_points import numbers as numbers
+from ._free_numbers import divided as divided
+from ._given_points import numbers as numbers, polygon_area as polygon_area
 from ._network import NetworkFit as NetworkFit, PeriodicNetwork as PeriodicNetwork
 from ._neural_curvature import NeuralCurvature as NeuralCurvature
 from ._neural_support import NeuralSupport as NeuralSupport

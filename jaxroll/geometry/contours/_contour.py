@@ -1,7 +1,6 @@
 """Contours as fields of arclength, and their Frenet frame by automatic differentiation."""
 
 import abc
-import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -9,12 +8,14 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ..._linalg import Pose2, sincos, unstack, Vec2
 from ..._results import as_array, as_floats, shown
 from ..._types import Given, Points, Scalar
-from ..._xla import remembered
+from .._tabled import AbstractShape, tabled
+from ._free_numbers import each_perturbed, own_sizes
 
 
 @jax.tree_util.register_dataclass
@@ -42,15 +43,21 @@ def frenet(curve: Callable[[Scalar], Vec2], s: Scalar) -> Frenet2:
     return Frenet2(point, tangent, tangent.cross(second))
 
 
-class AbstractContour(eqx.Module):
+class AbstractContour(AbstractShape):
     r"""A smooth planar contour, parametrised by arclength, counter-clockwise round its body.
 
     With tangent $b = c'(s)$, the outward normal is $b$ turned by -90 degrees and the curvature
     $\kappa$ is positive where the body is convex. Lengths are in metres, in the body's frame.
 
-    To add a contour, subclass this and give `curve` and `frame` (where no closed form is at hand,
-    `frame` is `frenet(self.curve, s)`), `prepared`, `domain`, `closed` and `smoothness`. Both
-    take and return scalars (`Vec2`), since they run inside the equations of motion.
+    To add a contour, subclass this and give `curve`, `domain`, `closed` and `smoothness`: one class
+    statement is the one place where it is made known. All else has a default that suits a class which knows
+    nothing of it, to be overridden where there is something to say:
+
+    - `frame`, where there is a closed form. `curve` and `frame` take and return scalars (`Vec2`), since they
+      run inside the equations of motion.
+    - `prepared` and `tabled`, where there is work to be done once.
+    - `free_numbers`, `preconditioner`, `symmetrised` and `perturbed`: what `design.optimise_fingertip` and
+      `design.ShapeTransform` ask of a contour.
     """
 
     @property
@@ -67,13 +74,9 @@ class AbstractContour(eqx.Module):
     def curve(self, s: Scalar) -> Vec2:
         """The point at arclength `s`, as scalars."""
 
-    @abc.abstractmethod
     def frame(self, s: Scalar) -> Frenet2:
-        """Point, tangent and curvature at arclength `s`, as scalars."""
-
-    @abc.abstractmethod
-    def prepared(self) -> "AbstractContour":
-        """This contour with all that does not depend on `s` worked out, once per solve."""
+        """Point, tangent and curvature at arclength `s`, as scalars; by default `frenet` of the curve."""
+        return frenet(self.curve, s)
 
     @abc.abstractmethod
     def domain(self) -> tuple[Scalar, Scalar] | None:
@@ -100,18 +103,53 @@ class AbstractContour(eqx.Module):
         """This contour turned by `angle` [rad], shifted by `offset` [m], its s = 0 put at `origin`."""
         return Moved(self, offset, angle, origin=origin)
 
+    def free_numbers(self) -> list[Any]:
+        """The arrays of this contour that a design may change: by default all of its floating arrays.
 
-@functools.singledispatch
-def tabled(shape: Any) -> Any:
-    """A contour or surface with its table built, if it reads one: by a program that all others share."""
-    return shape
+        They are found in the contour by identity: give the arrays themselves, not what is worked out of them.
+        """
+        return [leaf for leaf in jax.tree.leaves(self) if eqx.is_inexact_array(leaf)]
+
+    def preconditioner(self, size: float) -> np.ndarray:
+        r"""Matrix $W$ (n, n) from unknowns to free numbers, $p = \ell\,W x$, with $\ell$ = `size` / 20 [m].
+
+        The free numbers stand in $p$ in the order of the contour's fields, each array row by row. `size` is
+        the root mean square distance of the contour's points from its body's origin [m]. Choose $W$ so that
+        all unknowns of one size change the curvature alike: points and terms of series are divided by about
+        the square of their wave's order. By default it is diagonal: each array is measured against its own
+        root mean square, so that numbers which are no lengths need no unit.
+        """
+        return own_sizes(self, size)
+
+    def symmetrised(self) -> "AbstractContour":
+        """This contour made its own mirror image about its x axis: the mean of both; of the same class.
+
+        It runs inside compiled programs, differentiated in the free numbers. By default a class has none.
+
+        Raises:
+            ValueError: If the class, or this contour, has no mirror image of its kind.
+        """
+        raise ValueError(f"argument symmetric must be False for a {type(self).__name__}, but was True")
+
+    def perturbed(self, rng: np.random.Generator) -> "AbstractContour":
+        """A contour like this one, of the same class: another start for a search.
+
+        By default every free number is changed by some 15 %.
+        """
+        return each_perturbed(self, rng)
 
 
 @eqx.filter_jit
 def _frame_arrays(contour: AbstractContour, s: Array) -> tuple[Array, Array, Array]:
-    """Points, tangents and curvatures as arrays: the public door."""
-    frame = contour.prepared().frame(s)
-    return frame.point.array(), frame.tangent.array(), jnp.broadcast_to(frame.curvature, s.shape)
+    """Points, tangents and curvatures as arrays: the public door. A contour's own methods see scalars."""
+    ready = contour.prepared()
+
+    def one(s: Array) -> tuple[Array, Array, Array]:
+        frame = ready.frame(s)
+        return frame.point.array(), frame.tangent.array(), jnp.asarray(frame.curvature)
+
+    found = jax.vmap(one)(s.ravel())
+    return jax.tree.map(lambda leaf: leaf.reshape(s.shape + leaf.shape[1:]), found)
 
 
 class Moved(AbstractContour):
@@ -182,12 +220,14 @@ class Moved(AbstractContour):
         ends = self.contour.domain()
         return None if ends is None else (ends[0] + self.origin, ends[1] + self.origin)
 
+    def free_numbers(self) -> list[Any]:
+        return self.contour.free_numbers()
 
-@tabled.register
-def _(contour: Moved) -> Moved:
-    return contour if tabled(contour.contour) is contour.contour else _moved_table(contour)
+    def preconditioner(self, size: float) -> np.ndarray:
+        return self.contour.preconditioner(size)
 
+    def symmetrised(self) -> "Moved":
+        return eqx.tree_at(lambda m: m.contour, self, self.contour.symmetrised())
 
-@remembered
-def _moved_table(contour: Moved) -> Moved:
-    return eqx.tree_at(lambda m: m.contour, contour, tabled(contour.contour))
+    def perturbed(self, rng: np.random.Generator) -> "Moved":
+        return eqx.tree_at(lambda m: m.contour, self, self.contour.perturbed(rng))

@@ -32,3 +32,12 @@ def numbers(name: str, value: Any, width: int) -> np.ndarray:
     if len(array) > 1 and np.all(array == array[0]):
         raise ValueError(f"argument {name} must not be one point again and again, but was {shown(array[0])}")
     return array
+
+
+def polygon_area(points: np.ndarray) -> float:
+    """Signed area of a polygon of at least three points; positive where it runs counter-clockwise."""
+    points = numbers("points", points, 2)
+    if len(points) < 3:
+        raise ValueError(f"argument points must have at least 3 rows, but had {len(points)}")
+    x, y = (points - points.mean(axis=0)).T
+    return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))

@@ -3,6 +3,7 @@
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -120,6 +121,10 @@ class NeuralSupport(AbstractSupport):
         radius, offset = found.rest
         field = cls(found.network, size * radius, centre + size * offset, cells=cells)
         return network_fit(field, size * _distances(found.network, found.rest, found.data), found)
+
+    def free_numbers(self) -> list[Any]:
+        leaves = jax.tree.leaves(self.network)
+        return [self.radius, self.centre, *(leaf for leaf in leaves if eqx.is_inexact_array(leaf))]
 
     def series(self, terms: int) -> Series:
         return _series(self.network, self.radius, self.centre, terms)

@@ -19,6 +19,7 @@ from jaxtyping import Array, Float
 from ..._linalg import Vec2
 from ..._results import as_count, as_floats, as_order, as_tree, check_callable, check_flag, concrete, shown
 from ..._types import Given
+from ._given_points import polygon_area
 from ._table import AbstractTabulated, FEWEST_CELLS, Table, tabulated
 
 # How far apart the ends of a closed curve may be, relative to its size.
@@ -96,6 +97,10 @@ class Parametric(AbstractTabulated):
     def smoothness(self) -> float:
         return self.order
 
+    def free_numbers(self) -> list[Any]:
+        """The arrays of the function: its domain and origin stay."""
+        return [leaf for leaf in jax.tree.leaves(self.function) if eqx.is_inexact_array(leaf)]
+
     def tabulate(self, cells: int) -> Table:
         given = (self.function, self.span)
         table, arcs = tabulated(_jet(cells), given, cells, closed=self.loop, cells=cells)
@@ -157,6 +162,5 @@ def _check(contour: Parametric) -> None:
     apart, size = np.linalg.norm(points[-1] - points[0]), np.ptp(points, axis=0).max()
     if apart > _CLOSED * size:
         raise ValueError(f"argument function must end where it began if closed, but ends {apart:.3g} m away")
-    x, y = points.T
-    if np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]) <= 0:
+    if not size > 0 or polygon_area(points[:-1]) <= 0:
         raise ValueError("argument function must run counter-clockwise round its body, but runs clockwise")

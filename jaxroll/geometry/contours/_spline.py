@@ -15,6 +15,8 @@ from ..._results import as_count, as_floats, check_flag, check_positive, concret
 from ..._types import Given
 from ._arclength import rising_sums
 from ._bspline import Basis, basis, interval_of, jet_of_pieces, jets, Pieces
+from ._free_numbers import point_waves, wavy_shift
+from ._given_points import polygon_area
 from ._table import AbstractTabulated, FEWEST_CELLS, Table, tabulated
 
 # Exponents of the curvature in the successive parameters: arclength twice, since chords of uneven length
@@ -127,6 +129,27 @@ class Spline(AbstractTabulated):
             return table
         return eqx.tree_at(lambda t: t.start, table, -_arclength_at(pieces, arcs[::2], u[self.origin]))
 
+    def free_numbers(self) -> list[Any]:
+        return [self.points]
+
+    def preconditioner(self, size: float) -> np.ndarray:
+        return point_waves(self.points.shape[0], closed=self.loop)
+
+    def symmetrised(self) -> "Spline":
+        count = self.points.shape[0]
+        if not self.loop and 2 * self.origin != count - 1:
+            raise ValueError(
+                f"argument symmetric must be False unless an open spline's origin is its middle point, "
+                f"but that is {self.origin} of {count}"
+            )
+        partner = (2 * self.origin - jnp.arange(count)) % count
+        flipped = self.points[partner] * jnp.array([1.0, -1.0])[None, :]
+        return eqx.tree_at(lambda c: c.points, self, 0.5 * (self.points + flipped))
+
+    def perturbed(self, rng: np.random.Generator) -> "Spline":
+        points = np.asarray(self.points)
+        return eqx.tree_at(lambda c: c.points, self, jnp.asarray(points + wavy_shift(points, rng)))
+
     @property
     def wavelength(self) -> Any:
         """Wavelength of `smoothing` [m]; 0 where it interpolates."""
@@ -223,8 +246,7 @@ def _check(points: Array, closed: bool, degree: int, origin: int) -> None:
             f"argument points must not repeat a point (a closed contour joins its ends itself), "
             f"but points {same[0]} and {(same[0] + 1) % count} are the same"
         )
-    area = 0.5 * float(np.sum(seen[:, 0] * np.roll(seen[:, 1], -1) - seen[:, 1] * np.roll(seen[:, 0], -1)))
-    if closed and not area > 0.0:
+    if closed and not (area := polygon_area(seen)) > 0.0:
         raise ValueError(
             f"argument points must run counter-clockwise, but the area on their left was {area:.3g} m^2"
         )

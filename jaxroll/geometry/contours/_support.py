@@ -2,6 +2,7 @@
 
 import abc
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -13,6 +14,7 @@ from ..._linalg import sincos, Vec2
 from ..._results import as_array, as_count, as_floats, as_length, concrete, traced
 from ..._types import Given
 from ._arclength import parameters_reaching
+from ._free_numbers import damping, PERTURBED
 from ._given_points import numbers
 from ._table import AbstractTabulated, FEWEST_CELLS, from_frames, Table
 
@@ -238,6 +240,26 @@ class SupportFunction(AbstractSupport):
 
     def series(self, terms: int) -> Series:
         return Series(self.radius, self.cosines, self.sines)
+
+    def free_numbers(self) -> list[Any]:
+        return [self.radius, self.cosines, self.sines]
+
+    def preconditioner(self, size: float) -> np.ndarray:
+        each = damping(self._orders())
+        return np.diag(np.concatenate([[1.0], each, each]))
+
+    def symmetrised(self) -> "SupportFunction":
+        return eqx.tree_at(lambda c: c.sines, self, jnp.zeros_like(self.sines))
+
+    def perturbed(self, rng: np.random.Generator) -> "SupportFunction":
+        """Terms of the series changed by less and less, so that it stays convex."""
+        size = PERTURBED * float(self.radius) / self._orders() ** 3
+        wave = lambda: jnp.asarray(size * rng.standard_normal(len(size)))  # noqa: E731
+        where = lambda c: (c.cosines, c.sines)  # noqa: E731
+        return eqx.tree_at(where, self, (self.cosines + wave(), self.sines + wave()))
+
+    def _orders(self) -> np.ndarray:
+        return np.arange(1, 1 + self.cosines.shape[0])
 
 
 def check_convex(name: str, contour: AbstractSupport) -> None:

@@ -15,7 +15,7 @@ from ..._results import concrete
 from ..._types import Points, Scalar
 from ..._xla import remembered
 from ._arclength import hermite, spaced
-from ._contour import AbstractContour, Frenet2, tabled
+from ._contour import AbstractContour, Frenet2
 
 JetFunction = Callable[[Any, Array, Array], tuple[Vec2, Vec2, Vec2]]
 # By how much the speed of a table may differ from one; a run that reads it errs by about that much.
@@ -178,6 +178,9 @@ class AbstractTabulated(AbstractContour):
     def prepared(self) -> "AbstractTabulated":
         return eqx.tree_at(lambda c: c.table, self, self.read(), is_leaf=lambda x: x is None)
 
+    def tabled(self) -> "AbstractTabulated":
+        return self if self.table is not None else _prepared(self)
+
     def domain(self) -> tuple[Scalar, Scalar]:
         table = self.read()
         return table.start, table.start + table.length
@@ -191,13 +194,6 @@ class AbstractTabulated(AbstractContour):
         """
         worst = _difference(self, self.cells)
         return TableError(*(float(x) for x in worst))
-
-
-@tabled.register
-def _(contour: AbstractTabulated) -> AbstractTabulated:
-    if contour.table is not None:
-        return contour
-    return _prepared(contour)
 
 
 @remembered

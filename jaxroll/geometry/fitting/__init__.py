@@ -9,7 +9,6 @@ from ._clean_points import (
     clean_points as clean_points,
     CleanPoints as CleanPoints,
     metres_per as metres_per,
-    polygon_area as polygon_area,
 )
 from ._contour_fit import Fit as Fit, fit_contour as fit_contour, FitReport as FitReport
 from ._crossings import crossings as crossings

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..._results import check_flag, shown
-from ..contours import numbers
+from ..contours import numbers, polygon_area
 from ._crossings import crossings
 from ._ordering import order_points, place_text, turnings
 
@@ -161,15 +161,6 @@ def _order(points: np.ndarray, *, closed: bool, ordered: bool | None) -> np.ndar
         return places[indices]
     # Points that went round more than once are kept once; one that was met again is a crossing.
     return places if len(places) <= 0.6 * len(points) and places[-1] == len(places) - 1 else None
-
-
-def polygon_area(points: np.ndarray) -> float:
-    """Signed area of a polygon of at least three points; positive where it runs counter-clockwise."""
-    points = numbers("points", points, 2)
-    if len(points) < 3:
-        raise ValueError(f"argument points must have at least 3 rows, but had {len(points)}")
-    x, y = (points - points.mean(axis=0)).T
-    return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
 
 def _against(points: np.ndarray, *, closed: bool, reordered: bool) -> tuple[bool, list[str]]:

@@ -13,7 +13,8 @@ from jaxtyping import Array
 
 from ..._results import as_floats, shown
 from ..._types import Given
-from ..contours import AbstractContour, NeuralCurvature, NeuralSupport, Spline, SupportFunction, tabled
+from .._tabled import tabled
+from ..contours import AbstractContour, NeuralCurvature, NeuralSupport, Spline, SupportFunction
 from ._clean_points import clean_points, CleanPoints
 from ._crossings import crossings
 from ._ordering import place_text

@@ -16,15 +16,14 @@ from jaxtyping import Array, Float
 from ..._linalg import normalised, Pose3, pose_at, tangents, unstack, Vec3
 from ..._results import as_array, as_floats, concrete, shown
 from ..._types import Given, Scalars
-from ..._xla import remembered
-from ..contours import tabled
+from .._tabled import AbstractShape, tabled
 from ._gauss import approach, Gauss3, principal
 
 _SEARCH = 32
 _NEAR = 1e-6  # relative to the distances: a search that ends farther off has not arrived
 
 
-class AbstractSurface(eqx.Module):
+class AbstractSurface(AbstractShape):
     r"""A smooth surface of a body, in the body's frame, with its normal $n$ outward.
 
     The shape operator $L = \mathrm{d}n$ maps a tangent displacement of the contact point to the change of
@@ -68,10 +67,6 @@ class AbstractSurface(eqx.Module):
     @abc.abstractmethod
     def start(self, point: Vec3) -> Scalars:
         """Where the search for the surface's point closest to a point begins."""
-
-    @abc.abstractmethod
-    def prepared(self) -> "AbstractSurface":
-        """This surface with all that does not depend on the place worked out, once per solve."""
 
     def spread(self, count: int) -> Scalars | None:
         """Coordinates of `count` places spread evenly over the whole surface, shape (count,) each.
@@ -379,16 +374,3 @@ class Hollow(AbstractSurfaceOf):
 
     def start(self, point: Vec3) -> Scalars:
         return self.surface.start(point)
-
-    def prepared(self) -> "Hollow":
-        return Hollow(self.surface.prepared())
-
-
-@tabled.register
-def _(surface: AbstractSurfaceOf) -> AbstractSurfaceOf:
-    return surface if tabled(surface.surface) is surface.surface else _with_table(surface)
-
-
-@remembered
-def _with_table(surface: AbstractSurfaceOf) -> AbstractSurfaceOf:
-    return eqx.tree_at(lambda m: m.surface, surface, tabled(surface.surface))

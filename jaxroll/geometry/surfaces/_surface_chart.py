@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._linalg import outer, square, Vec3
-from ..._results import as_floats, as_order, as_tree, concrete, shown
+from ..._results import as_floats, as_order, as_tree, check_callable, concrete, shown
 from ..._types import Given, Scalar, Scalars
 from ..._xla import once
 from ._gauss import Gauss3
@@ -146,21 +146,40 @@ def bounded(x: Scalar, ends: tuple[Scalar, Scalar], periodic: bool) -> Scalar:
 Ends = tuple[tuple[float, float], tuple[float, float]]
 
 
-class Chart(AbstractChart):
-    r"""The surface $P(u, v)$ of any smooth function; $P_u \times P_v$ points out of the body.
+def _check_point(function: Callable[..., Any], kind: Any) -> None:
+    """Raise unless a function of two numbers gives three."""
+    place = jax.ShapeDtypeStruct((), kind)
+    found = jax.tree.leaves(eqx.filter_eval_shape(function, place, place))
+    shapes = [getattr(x, "shape", ()) for x in found]
+    if shapes not in ([(3,)], [(), (), ()]):
+        raise ValueError(
+            "argument function must give a point, three numbers or one array of shape (3,), but gave shapes "
+            f"{shown(shapes)}"
+        )
 
-    The frame is automatic differentiation of the function, whose arrays (those of an `equinox.Module`, or the
-    bound arguments of a `jax.tree_util.Partial`) are differentiable.
+
+class Chart(AbstractChart):
+    r"""The surface $P(u, v)$ of any smooth function of your own; $P_u \times P_v$ points out of the body.
+
+    What is its like in the plane is `Parametric`. A place on the surface is $(u, v)$, in whatever unit the
+    function takes. Point, normal and shape operator are automatic differentiation of the function, whose
+    arrays (those of an `equinox.Module`, or the bound arguments of a `jax.tree_util.Partial`) are
+    differentiable; those that it closes over work too, but each new function is compiled anew.
 
     Args:
-        function: `function(u, v)` gives the three coordinates of the point [m].
+        function: `function(u, v)`, from two numbers, gives the three coordinates of the point [m], as a tuple
+            or of shape (3,), by JAX operations.
         domain: Ends of u and of v, shape (2, 2); of a periodic one, the ends of a period. `near` begins its
             search within, but is not bound to it.
         periodic: Whether u and v are periodic: then they have no ends. Static.
         smoothness: Its continuous derivatives.
 
     Raises:
-        ValueError: If `function` cannot be called, or `domain` has another shape.
+        ValueError: If `function` cannot be called with two numbers or gives anything else than three, or
+            another argument is not what it must be. Where the surface is first used, if the ends of a period
+            are apart.
+
+    Accuracy: exact to rounding, but for places where $P_u \times P_v = 0$ (a pole): keep contacts off these.
 
     Example:
         >>> import jax.numpy as jnp, jaxroll as jxr
@@ -182,6 +201,7 @@ class Chart(AbstractChart):
         periodic: tuple[bool, bool] = (False, False),
         smoothness: float = float("inf"),
     ) -> None:
+        check_callable("function", function, "a function from two numbers to a point", takes=2)
         self.function = as_tree("function", function)
         self.ends = as_floats("domain", domain, (2, 2))
         seen = concrete(self.ends)
@@ -189,6 +209,7 @@ class Chart(AbstractChart):
             raise ValueError(f"argument domain must rise along u and along v, but was {shown(seen)}")
         self.periodic = as_flags(periodic)
         self.order = as_order(smoothness)
+        _check_point(self.function, self.ends.dtype)
 
     @property
     def smoothness(self) -> float:

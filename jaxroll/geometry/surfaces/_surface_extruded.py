@@ -1,6 +1,5 @@
 """The general cylinder over a planar contour."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,8 +7,7 @@ import numpy as np
 from ..._linalg import square, Vec3
 from ..._results import shown
 from ..._types import Scalars
-from ..._xla import remembered
-from ..contours import AbstractContour, tabled
+from ..contours import AbstractContour
 from ._gauss import Gauss3
 from ._surface import AbstractSurface
 from ._surface_chart import bounded
@@ -91,16 +89,3 @@ class Extruded(AbstractSurface):
     def within(self, at: Scalars) -> Scalars:
         ends = self.contour.domain()
         return at if ends is None else (bounded(at[0], ends, self.contour.closed), at[1])
-
-    def prepared(self) -> "Extruded":
-        return eqx.tree_at(lambda e: e.contour, self, self.contour.prepared())
-
-
-@tabled.register
-def _(surface: Extruded) -> Extruded:
-    return surface if tabled(surface.contour) is surface.contour else _with_table(surface)
-
-
-@remembered
-def _with_table(surface: Extruded) -> Extruded:
-    return eqx.tree_at(lambda e: e.contour, surface, tabled(surface.contour))

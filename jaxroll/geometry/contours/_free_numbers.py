@@ -1,0 +1,72 @@
+r"""The numbers of a contour that a design changes, and how changes of them are scaled.
+
+A contour's own class says which these are (`AbstractContour.free_numbers`) and gives the matrix $W$ from
+unknowns $x$ to them, $p = \ell\,W x$ with a length $\ell$ (`preconditioner`). Here is what the classes share.
+
+A wave of order $k$ along a contour, of height $a$, changes its curvature by about $k^2 a$ over the square of
+its size. For every unknown to change the curvature alike, $W$ divides the wave by $(1 + k^2)/2$. A step down
+the gradient in $x$ moves $p$ by $-W W^T \nabla_p$: down the gradient in the Sobolev norm that counts second
+derivatives, $\sum_k (1 + k^2)^2 |p_k|^2$, and not in that of the points.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+# Size of a perturbation, as a share of the contour's own numbers.
+PERTURBED = 0.15
+
+
+def divided(contour: Any) -> tuple[Any, Any]:
+    """The free numbers of a contour, and the rest of it: two trees for `equinox.combine`."""
+    free = {id(leaf) for leaf in contour.free_numbers()}
+    return eqx.partition(contour, jax.tree.map(lambda leaf: id(leaf) in free, contour))
+
+
+def own_sizes(contour: Any, size: float) -> np.ndarray:
+    """Diagonal matrix by which every array of free numbers is measured against its root mean square."""
+    leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(divided(contour)[0])]
+    sizes = [float(np.sqrt(np.mean(leaf**2))) for leaf in leaves]
+    each = [
+        np.full(leaf.size, own / size if own > 0.0 else 1.0) for leaf, own in zip(leaves, sizes, strict=True)
+    ]
+    return np.diag(np.concatenate(each))
+
+
+def each_perturbed(contour: Any, rng: np.random.Generator) -> Any:
+    """A contour with every free number changed by some 15 %."""
+    free, fixed = divided(contour)
+    spread = lambda x: x * (1.0 + PERTURBED * rng.standard_normal(np.shape(x)))  # noqa: E731
+    return eqx.combine(jax.tree.map(spread, free), fixed)
+
+
+def damping(order: np.ndarray) -> np.ndarray:
+    """What waves of these orders are multiplied with, so that all bend a contour alike; one for order one."""
+    return 2.0 / (1.0 + order**2)
+
+
+def point_waves(count: int, *, closed: bool) -> np.ndarray:
+    """Matrix (2 count, 2 count) that divides the waves along a contour's points by about their order squared.
+
+    A closed contour's points are a period; an open one is gone along and back again, so that its ends are
+    not joined.
+    """
+    ends = 0 if closed else count - 1
+    whole = count + max(ends - 1, 0)
+    wave = np.abs(np.fft.fftfreq(whole) * whole) / (2.0 if ends else 1.0)
+    kernel = np.real(np.fft.ifft(damping(wave)))
+    place = np.arange(count)
+    matrix = kernel[(place[:, None] - place[None, :]) % whole]
+    if ends:
+        matrix = matrix + kernel[(place[:, None] + place[None, :]) % whole]
+    return np.kron(matrix, np.eye(2))
+
+
+def wavy_shift(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Shifts of points [m] by the first few waves along the contour."""
+    u = 2.0 * np.pi * np.arange(len(points)) / len(points)
+    waves = [np.ones_like(u), *(f(k * u) / k for k in (1, 2, 3) for f in (np.cos, np.sin))]
+    size = 0.5 * PERTURBED * np.sqrt(np.mean(np.sum(points**2, axis=1)))
+    return size * np.stack(waves, axis=1) @ rng.standard_normal((len(waves), 2))

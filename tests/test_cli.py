@@ -2,9 +2,11 @@
 
 import re
 
+import numpy as np
 import pytest
 
 from jaxroll.__main__ import main
+from jaxroll._cli._design_command import fingertip
 
 BAD = {
     "no such command": (["dance"], "invalid choice: 'dance'"),
@@ -56,3 +58,15 @@ def test_what_does_not_fit_is_one_line(case, tmp_path, monkeypatch, capfd):
 def test_help_and_nothing_at_all(capfd):
     assert main([]) == 0 and main(["demo", "--help"]) == 0 and main(["design", "--help"]) == 0
     assert "usage: jaxroll" in capfd.readouterr().out
+
+
+def test_a_fingertip_from_a_file_begins_at_its_foremost_point(tmp_path):
+    """Wherever the file begins: the outline is the file's, and s = 0 is where x is greatest."""
+    u = 0.7 + 2.0 * np.pi * np.arange(40) / 40
+    points = np.stack([15.0 * np.cos(u) - 2.0, 9.0 * np.sin(u)], axis=-1)
+    np.savetxt(tmp_path / "tip.csv", points, delimiter=",")
+    tip = fingertip(str(tmp_path / "tip.csv"), "mm")
+    first, last = tip.domain()
+    x, y = np.asarray(tip.point(np.linspace(first, last, 60))).T
+    assert tip.closed and np.asarray(tip.point(0.0))[0] > x.max() - 1e-6
+    np.testing.assert_allclose(((x + 0.002) / 0.015) ** 2 + (y / 0.009) ** 2, 1.0, atol=5e-3)

@@ -229,7 +229,9 @@ def test_forces_are_drawn_to_one_scale_onto_the_contacts(scene):
     forces = np.zeros((2, motion.times, 3))
     forces[0, :, 1], forces[1, :, 1] = -2.0, 1.0
     figure = snapshots3(grasp, motion, forces=forces)
-    arrows = [a.ends for a in figure.axes[0].artists + figure.axes[0].patches if hasattr(a, "ends")][2:]
+    artists = [a for a in figure.axes[0].artists + figure.axes[0].patches if hasattr(a, "ends")]
+    assert all(a.get_mutation_scale() > 0.0 for a in artists)  # heads point where the arrow does
+    arrows = [a.ends for a in artists][2:]
     pushes = [ends[1] - ends[0] for ends in arrows]
     np.testing.assert_allclose(pushes[0], -2.0 * pushes[1])
     assert pushes[0][1] < 0.0

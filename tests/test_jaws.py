@@ -30,6 +30,16 @@ def test_mass_and_weight_of_oblique_joints():
     assert terms.mass.shape == (5, 5)  # the wall has no coordinate
 
 
+def test_a_jaw_moves_as_the_rates_of_its_joints_say():
+    """Its twist is the derivative of its pose, by differences of exact straight lines."""
+    jaw = gripper()[0].fingers[0].prepared()
+    q, v, h = np.array([0.02, -0.03]), np.array([0.4, -0.7]), 0.5
+    twist = jaw.motion(tuple(q), tuple(v), None)[0].twist
+    ends = [np.array([*jaw.pose(tuple(q + sign * h * v)).origin]) for sign in (1.0, -1.0)]
+    np.testing.assert_allclose([*twist.velocity], (ends[0] - ends[1]) / (2.0 * h), rtol=1e-14)
+    assert float(twist.spin) == 0.0
+
+
 def test_energy_of_a_rolling_plate():
     """Under its weight the plate presses; a sideways pull of gravity sets the roller going."""
     grasp, state = gripper(np.array([0.5, -9.81]))

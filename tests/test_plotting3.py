@@ -18,7 +18,7 @@ from jaxroll.plotting._motion3 import matrices, rotation_vectors
 from jaxroll.plotting._poses3 import snapshots3, stage
 from jaxroll.plotting._scene3 import looking, scene3
 from jaxroll.plotting._style import LOCUS_OBJECT, LOCUS_TIP
-from jaxroll.plotting._tubes import camera
+from jaxroll.plotting._tubes import camera, tube_mesh
 from tests.helpers import slow_among
 from tests.subjects import stand_in_grasp
 
@@ -314,3 +314,12 @@ def test_a_run_that_ended_early_is_drawn_as_far_as_it_came(scene, tmp_path):
     broken["body"][:] = np.nan
     with pytest.raises(ValueError, match="at least one time that was reached"):
         snapshots3(grasp, dataclasses.replace(motion, **broken))
+
+
+def test_a_tube_is_cut_into_pieces_of_four_radii():
+    """Short pieces sort well by their depth; more of them than that would be drawn for nothing."""
+    corners, normals = tube_mesh(np.zeros(3), np.array([0.0, 0.0, 10.5]), 1.0)
+    heights = np.unique(np.round(corners[..., 2], 9))
+    np.testing.assert_allclose(heights, [0.0, 3.5, 7.0, 10.5])
+    np.testing.assert_allclose(np.linalg.norm(corners[..., :2], axis=-1), 1.0, rtol=1e-12)
+    assert np.all(np.sum(normals * corners.mean(axis=1), axis=1) > 0.9)

@@ -64,6 +64,12 @@ def test_margins_of_a_chart_are_metres():
     assert margins(Chart(ring, domain=((0, 6.3), (0, 6.3)), periodic=(True, True)), (1, 2)).size == 0
 
 
+@pytest.mark.parametrize("domain", [((1.0, 1.0), (0.0, 1.0)), ((0.0, 1.0), (2.0, -2.0))])
+def test_a_chart_without_room_is_refused(domain):
+    with pytest.raises(ValueError, match="argument domain must rise along u and along v, but was"):
+        Chart(ring, domain=domain)
+
+
 def test_margins_of_a_patch_of_a_field_and_of_none():
     np.testing.assert_allclose(margins(tube(), (5.3, 6.0)), [1.5 * MINOR, 0.5 * MINOR], rtol=1e-4)
     found = margins(wall(), (0.0, 0.005, -0.025))

@@ -1,7 +1,7 @@
 """Where the model ends: margins after every step, and the code of the one that ran out.
 
 A margin is positive while the model holds and passes through zero where it ends, so that the step-size
-control can find the time of the event (see `_derivative`), and autodiff its derivative.
+control can find the time of the event (see `_step_size`), and `_derivative` its derivative.
 """
 
 import functools

@@ -1,7 +1,7 @@
 """Contours: plane curves by arclength.
 
-`_contour` holds the contract, and the frame by automatic differentiation of the point. `_closed_forms` has
-the curves with closed forms; `_arclength` the arclength of curves that are not given by it; `_table` what a
+`_contour` holds the contract, and the frame by automatic differentiation of the point. `_catenary` and
+`_closed_forms` have closed forms; `_arclength` the arclength of curves that are not given by it; `_table` what a
 run reads of any field without a closed form: `_spline` through points (on the B-splines of `_bspline`),
 `_support` convex contours by the Fourier series of their support function, `_neural_support` and
 `_neural_curvature` those of a small network (`_network`), which `_network_descent` fits to points.
@@ -11,7 +11,8 @@ run reads of any field without a closed form: `_spline` through points (on the B
 
 from ._arclength import ArclengthTable as ArclengthTable
 from ._bspline import basis as basis
-from ._closed_forms import Catenary as Catenary, Circle as Circle, Ellipse as Ellipse, Line as Line
+from ._catenary import Catenary as Catenary
+from ._closed_forms import Circle as Circle, Ellipse as Ellipse, Line as Line
 from ._contour import (
     AbstractContour as AbstractContour,
     frenet as frenet,

@@ -1,4 +1,4 @@
-"""Contours in closed form: line, circle, ellipse, catenary."""
+"""Contours in closed form: line, circle, ellipse; the chapter's catenary is in `_catenary`."""
 
 import math
 
@@ -8,16 +8,15 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._linalg import sincos, unstack, Vec2
-from ..._results import as_count, as_floats, as_length, check_between, concrete, shown
+from ..._results import as_count, as_floats, as_length, concrete, shown
 from ..._types import Given, Scalar, Scalars
-from ..._xla import inverse_sinh
 from ._arclength import ArclengthTable, invert, tabulate
 from ._contour import AbstractContour, Frenet2
 
 Domain = tuple[float, float] | Float[Array, "2"] | None
 
 
-def _as_domain(domain: Domain) -> Array | None:
+def as_domain(domain: Domain) -> Array | None:
     if domain is None:
         return None
     ends = as_floats("domain", domain, (2,))
@@ -42,7 +41,7 @@ class Line(AbstractContour):
     ends: Float[Array, "2"] | None
 
     def __init__(self, domain: Domain = None) -> None:
-        self.ends = _as_domain(domain)
+        self.ends = as_domain(domain)
 
     @property
     def closed(self) -> bool:
@@ -211,54 +210,3 @@ class Ellipse(AbstractContour):
 
     def domain(self) -> tuple[Scalar, Scalar]:
         return 0.0, self.arclengths().length
-
-
-class Catenary(AbstractContour):
-    r"""A catenary with its vertex at the body's origin, facing +x, as in (80)-(83).
-
-    $c(s) = (a - \sqrt{a^2 + s^2},\; a\,\mathrm{asinh}(s/a))$ and $\kappa = a/(a^2 + s^2)$. The
-    chapter's object has $a$ = 1/100 m and its fingertip 1/40 m, once $2$ in (81) is read as $s$
-    and $s$ in (82) as $s^2$ (unit speed needs both).
-
-    Args:
-        a: Radius of curvature at the vertex, in metres, positive; at most 1000 m, since points are rounded as
-            `a` is.
-        domain: First and last arclength [m]; None for a curve without ends.
-
-    Example:
-        >>> import jaxroll as jxr
-        >>> f"{jxr.Catenary(0.025).curvature(0.0):.0f} 1/m"
-        '40 1/m'
-    """
-
-    a: Float[Array, ""]
-    ends: Float[Array, "2"] | None
-
-    def __init__(self, a: Given, domain: Domain = None) -> None:
-        self.a = as_length("a", a)
-        check_between("a", self.a, 1e-12, 1e3, unit=" m")
-        self.ends = _as_domain(domain)
-
-    @property
-    def closed(self) -> bool:
-        return False
-
-    @property
-    def smoothness(self) -> float:
-        return float("inf")
-
-    def curve(self, s: Scalar) -> Vec2:
-        root = jnp.sqrt(self.a**2 + s**2)
-        return Vec2(self.a - root, self.a * inverse_sinh(s / self.a))
-
-    def frame(self, s: Scalar) -> Frenet2:
-        square = self.a**2 + s**2
-        root = jnp.sqrt(square)
-        point = Vec2(self.a - root, self.a * inverse_sinh(s / self.a))
-        return Frenet2(point, Vec2(-s / root, self.a / root), self.a / square)
-
-    def prepared(self) -> "Catenary":
-        return self
-
-    def domain(self) -> Scalars | None:
-        return unstack(self.ends)

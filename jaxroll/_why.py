@@ -8,10 +8,10 @@ import jax
 import numpy as np
 
 from ._analysis import Bearing, bearing
-from ._closing import close, reach
+from ._closing import close
 from ._integration import amount, cause, contact_name, REMEDIES, simulate, Trajectory
 from ._mechanics import check_grasp, check_states, Grasp, State
-from ._motion import residuals, worst
+from ._motion import reach, residuals, worst
 from ._printing import code_name, entry
 from ._results import check_instance, traced
 from .stability import assess, Stability, VERDICTS

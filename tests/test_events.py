@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
 import jaxroll as jxr
-from jaxroll._integration._dips import first_dip
+from jaxroll._integration._events import first_dip
 from jaxroll._linalg._plane import Vec2
 from jaxroll.geometry import frenet
 

@@ -4,5 +4,5 @@
 theorem, `_close` is the entry point.
 """
 
-from ._close import close as close, reach as reach
+from ._close import close as close
 from ._search import constraint_rows as constraint_rows

@@ -1,7 +1,5 @@
 """A consistent initial state: every contact closed and tangent, every velocity compatible."""
 
-from typing import Any
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -9,7 +7,7 @@ from jaxtyping import Array
 
 from .._linalg import Pose2, Pose3, seven
 from .._mechanics import check_states, compiled, Grasp, split, State
-from .._motion import world_poses
+from .._motion import reach, world_poses
 from .._results import check_flag, concrete
 from ..contact import locate as locate_contours, locate_surfaces
 from ._implicit_derivative import settled
@@ -118,11 +116,6 @@ def _closest_places(grasp: Grasp, frames: tuple[Pose3, ...]) -> Array:
 def _numbers(pose: Pose2) -> Array:
     """A pose as position and angle."""
     return jnp.stack([pose.origin.x, pose.origin.y, jnp.arctan2(pose.sin, pose.cos)])
-
-
-def reach(dtype: Any) -> float:
-    """Size of the worst row [m or rad] above which a state is not on the constraints."""
-    return 1e-9 if np.dtype(dtype) == np.float64 else 1e-5
 
 
 def row_name(grasp: Grasp, row: int) -> str:

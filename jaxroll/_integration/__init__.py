@@ -2,7 +2,7 @@
 
 `_simulate` is the entry point. `_state_vector` lays a state out as one vector, `_step` makes one step of a
 method of diffrax on it (`_rosenbrock` a linearly implicit one), `_step_size` sets its length, `_events`
-says where the model ends and `_dips` whether it did within a step. `_run` takes steps until a run is over,
+says where the model ends, within a step too. `_run` takes steps until a run is over,
 `_batch` those of many runs together, `_derivative` differentiates the recorded steps. `_trajectory` is the
 result, `_report` what is printed of it. The equations that are stepped are those of `_motion`.
 """

@@ -15,8 +15,7 @@ from jaxtyping import Array
 
 from .._types import Scalar
 from .._xla import VECTOR
-from ._plan import Path, path_of, Plan
-from ._run import aim, Course, embark, judge
+from ._run import aim, Course, embark, judge, Path, path_of, Plan
 from ._state_vector import Bundle
 
 # On a processor all that a slot needs, about 2-6 kB, is to fit the second-level cache many times over, and

@@ -19,11 +19,10 @@ from jaxtyping import Array, Float, Int
 
 from .._linalg import row
 from .._types import Scalar
-from .._xla import alone, filled, linear_map, one_kernel, pulled
+from .._xla import as_it_is, filled, linear_map, one_kernel, pulled
 from ._batch import Ensemble
 from ._methods import is_rosenbrock, on_tableau
-from ._plan import Path, Plan
-from ._run import recorded, solo
+from ._run import Path, Plan, recorded, solo
 from ._state_vector import Bundle, Flow
 
 
@@ -151,7 +150,7 @@ def _pushed(steps: _Steps, index: Array, start: tuple[Bundle, Flow]) -> tuple[Ar
             jnp.where(within, 0.0, 1.0).astype(here.dtype),
         )
         here_now = (steps.moving, row(steps.ys, k), jnp.zeros((), here.dtype))
-        _, ahead = jax.jvp(steps.step(k, alone), here_now, along)
+        _, ahead = jax.jvp(steps.step(k, as_it_is), here_now, along)
         drift = jnp.where(k == steps.count, ahead, drift)
         ahead = jnp.where(within, ahead, here)
         return jnp.where((index == k + 1)[:, None], ahead, saved), ahead, drift

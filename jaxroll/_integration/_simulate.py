@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from .._closing import reach
 from .._linalg import total
 from .._mechanics import check_planar, check_states, Grasp, State
 from .._motion import (
@@ -23,6 +22,7 @@ from .._motion import (
     Multipliers,
     multipliers_at,
     of_reached,
+    reach,
     residuals_at,
     worst,
 )
@@ -43,8 +43,8 @@ from ._arguments import (
 from ._derivative import march
 from ._events import EVENTS, whose
 from ._methods import check_method, Seeing, Steady, with_tolerances
-from ._plan import Path, Plan
 from ._report import complaint
+from ._run import Path, Plan
 from ._state_vector import bundle, Layout, layout, states_of, vector_of
 from ._step import RollingStep
 from ._trajectory import Stats, Trajectory

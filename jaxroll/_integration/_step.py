@@ -27,9 +27,8 @@ from .._motion import (
     unknown_anchor,
 )
 from .._types import Scalar
-from .._xla import alone, once, sharing
-from ._dips import first_dip, watched
-from ._events import coded, regime, smallest_clearance, with_clearance
+from .._xla import as_it_is, once, sharing
+from ._events import coded, first_dip, regime, smallest_clearance, watched, with_clearance
 from ._methods import is_rosenbrock, on_tableau
 from ._rosenbrock import advance, samples_in_turn, side_by_side, STAGE_TIMES
 from ._state_vector import Bundle, Flow, Layout, pack, slope, unpack
@@ -59,9 +58,9 @@ class RollingStep(eqx.Module):
 
     @eqx.filter_jit  # traced once for a run and its tangents
     def advance(
-        self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow, *, over: Callable = alone
+        self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow, *, over: Callable = as_it_is
     ) -> tuple[Flow, Flow, Scalar]:
-        """One step as a pure map: the new vector, its error estimate, and where its margin dips (`_dips`).
+        """One step as a pure map: the new vector, its error estimate, and where its margin dips (`_events`).
 
         `over` is `pulled` where the step is to be differentiated backwards.
         """
@@ -75,7 +74,7 @@ class RollingStep(eqx.Module):
         y1 = over(self._finish)(bundle, times[1], raw, rates, end)
         if "penetration" in self.events:
             dip = jnp.minimum(dip, over(self._clearance_dip)(bundle, *times, y0, y1))
-        # XLA would work both out again in everything that looks at them (see `_dips`).
+        # XLA would work both out again in everything that looks at them (see `_events`).
         with sharing():
             dip, leapt = once((dip, self._leapt(y0, raw, y1).astype(error.dtype)))
         error = jnp.where(leapt > 0, jnp.inf, error)

@@ -85,7 +85,7 @@ class StopAt(eqx.Module):
         inner: The control of the error.
         pace: Where to go on from.
         dt0: Length of the first real step.
-        dip: At what share of the last step its margin dips below zero and comes back (see `_dips`).
+        dip: At what share of the last step its margin dips below zero and comes back (see `_events`).
         max_steps: Steps to attempt at most.
         margin: Where the flow vector carries the margin; its code is next.
     """

@@ -43,6 +43,7 @@ from ._quantities import (
     multipliers_at as multipliers_at,
     of_reached as of_reached,
     power as power,
+    reach as reach,
     Residuals as Residuals,
     residuals as residuals,
     residuals_at as residuals_at,

@@ -6,6 +6,7 @@ from typing import Any, ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._linalg import inner, total, Vec3
@@ -92,6 +93,11 @@ def worst(residuals: Residuals) -> Array:
     parts = [residuals.normal, residuals.tangential, residuals.tangency]
     flat = jnp.concatenate([part.reshape(*rows, -1) for part in parts], axis=-1)
     return jnp.max(jnp.abs(flat), axis=-1)
+
+
+def reach(dtype: Any) -> float:
+    """Size of the worst row [m or rad] above which a state is not on the constraints."""
+    return 1e-9 if np.dtype(dtype) == np.float64 else 1e-5
 
 
 def multipliers_at(grasp: Grasp, t: Scalar, state: State, formulation: Formulation) -> Multipliers:

@@ -1,17 +1,22 @@
-"""Values worked out once however many use them: what XLA's CPU fusion has to be told.
+"""Values worked out once however many use them: in a program, and in Python for what never changes.
 
-It copies cheap producers into every consumer, and so turns the equations of motion of 1000 operations into
-10 000. It never copies a division. `_share_cotangents` does the same for derivatives.
+XLA's fusion on CPUs copies cheap producers into every consumer, and so turns the equations of motion of 1000
+operations into 10 000. It never copies a division. `_share_cotangents` does the same for derivatives.
 """
 
 import contextlib
 import contextvars
-from collections.abc import Iterator
-from typing import Any
+import functools
+from collections.abc import Callable, Iterator
+from typing import Any, TypeVar
 
 import jax
 
+from .._results import traced
 from ._primitives import barrier
+
+Build = TypeVar("Build", bound=Callable[[Any], Any])
+_KEPT = 16
 
 _ON: contextvars.ContextVar[bool] = contextvars.ContextVar("on", default=False)
 
@@ -34,3 +39,31 @@ def once(tree: Any) -> Any:
     if not _ON.get():
         return tree
     return jax.tree.map(lambda x: x if isinstance(x, float) else barrier(x), tree)
+
+
+def as_it_is(function: Callable) -> Callable:
+    """The function itself: where `pulled` may stand, and nothing is differentiated backwards."""
+    return function
+
+
+def remembered(build: Build) -> Build:
+    """Keep what a function made of its last few arguments; what JAX is tracing is made anew.
+
+    For contours and grasps, which never change: two runs with one of them then share its tables.
+    """
+    # By identity. The value is kept with what was made of it, so that its number stays its own.
+    kept: dict[int, tuple[Any, Any]] = {}
+
+    @functools.wraps(build)
+    def door(value: Any) -> Any:
+        found = kept.get(id(value))
+        if found is not None:
+            return found[1]
+        made = build(value)
+        if not traced(value):
+            kept[id(value)] = (value, made)
+            for oldest in list(kept)[:-_KEPT]:
+                kept.pop(oldest, None)
+        return made
+
+    return door  # pyright: ignore

@@ -44,11 +44,6 @@ def shared(function: Callable) -> Callable:
     return wrapped
 
 
-def alone(function: Callable) -> Callable:
-    """The function itself."""
-    return function
-
-
 def pulled(function: Callable) -> Callable:
     """A function whose cotangents share what they use more than once.
 

@@ -1,8 +1,8 @@
 """Contours: plane curves by arclength.
 
 `_contour` holds the contract, and the frame by automatic differentiation of the point. `_catenary` and
-`_closed_forms` have closed forms; `_arclength` the arclength of curves that are not given by it; `_table` what a
-run reads of any field without a closed form: `_spline` through points (on the B-splines of `_bspline`),
+`_closed_forms` have closed forms; `_arclength` the arclength of curves that are not given by it; `_table`
+what a run reads of any other field: `_spline` through points (on the B-splines of `_bspline`),
 `_support` convex contours by the Fourier series of their support function, `_neural_support` and
 `_neural_curvature` those of a small network (`_network`), which `_network_descent` fits to points.
 `_free_numbers` has what a design changes of a contour, and how changes are scaled.

@@ -12,7 +12,7 @@ import pytest
 from matplotlib.colors import to_rgb
 from PIL import Image
 
-from jaxroll.plotting._page import write_page
+from jaxroll.plotting._page import _controls, write_page
 from jaxroll.plotting._scene3 import scene3
 from jaxroll.plotting._style import LOCUS_OBJECT, LOCUS_TIP, OBJECT_BODY, TIP_BODY
 from tests.subjects import stand_in_grasp
@@ -139,6 +139,19 @@ def test_a_page_shows_the_bodies_and_the_loci(browsed):
     drawing = shot[:, 330:]  # beside the legend
     assert near(drawing, OBJECT_BODY, tone=True) > 2000 and near(drawing, TIP_BODY, tone=True) > 800
     assert near(drawing, LOCUS_OBJECT, tone=False) > 30 and near(drawing, LOCUS_TIP, tone=False) > 15
+
+
+def test_the_slider_and_stop_act_at_once_and_play_takes_its_time():
+    """Durations in milliseconds, as plotly's `Plotly.animate` takes them: none is nothing to wait for."""
+    made = _controls(np.array([0.0, 0.5, 1.0]))
+    (menu,), (slider,) = made["updatemenus"], made["sliders"]
+    play, stop = (button["args"] for button in menu["buttons"])
+    assert play[0] is None and play[1]["frame"]["duration"] >= 20
+    assert [step["args"][0] for step in slider["steps"]] == [["0"], ["1"], ["2"]]
+    assert [step["label"] for step in slider["steps"]] == ["0", "0.5", "1"] and slider["active"] == 2
+    for name, how in (stop, *(step["args"] for step in slider["steps"])):
+        assert len(name) == 1 and how["mode"] == "immediate"
+        assert how["frame"]["duration"] == how["transition"]["duration"] == 0
 
 
 def test_a_page_without_plotly_says_what_to_install(monkeypatch, tmp_path):

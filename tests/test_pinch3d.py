@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import jaxroll as jxr
+from jaxroll.scenes import _space_scenes
 from tests.oracles import reference_space as reference
 from tests.subjects.pinches_in_space import AS_TOLD, egg, PINCHES, same_in_reference
 
@@ -55,6 +56,20 @@ def test_contact_points_stay_on_their_surfaces(case):
     for surface, at in ((tip, run.states.s[:, :3]), (body, run.states.s[:, 3:6])):
         axes = np.array([float(surface.a), float(surface.b), float(surface.c)])
         assert np.abs(np.sum((np.asarray(at) / axes) ** 2, axis=-1) - 1.0).max() <= 1e-14
+
+
+def test_the_scene_has_the_numbers_of_the_second_formulation(monkeypatch):
+    """Written down twice; and the search for closed contacts starts with the fingertips at them."""
+    monkeypatch.setattr(_space_scenes, "close", lambda grasp, guess, **_: (grasp, guess))
+    grasp, state = jxr.scenes.pinch3d()
+    for i, (finger, side) in enumerate(zip(grasp.fingers, (-1.0, 1.0), strict=True)):
+        wanted = reference.three_joint_finger((0.0275 * side, 0.0, 0.0), reference.sphere(0.010))
+        for name in ("base", "axes", "offsets", "masses", "centres"):
+            np.testing.assert_allclose(getattr(finger, name), getattr(wanted, name), err_msg=name)
+        assert float(finger.tip.radius) == 0.010
+        tip = wanted.place(state.q[7 + 3 * i : 10 + 3 * i])[0][-1]
+        np.testing.assert_allclose(tip, (0.025 * side, 0.113, -0.004 * side), atol=1e-3)
+    assert [(c.finger, c.surface) for c in grasp.contacts] == [(0, 0), (1, 1)]
 
 
 @pytest.mark.slow

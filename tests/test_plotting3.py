@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from mpl_toolkits.mplot3d import proj3d
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
@@ -18,7 +19,7 @@ from jaxroll.plotting._motion3 import matrices, rotation_vectors
 from jaxroll.plotting._poses3 import snapshots3, stage
 from jaxroll.plotting._scene3 import looking, scene3
 from jaxroll.plotting._style import LOCUS_OBJECT, LOCUS_TIP
-from jaxroll.plotting._tubes import camera, tube_mesh
+from jaxroll.plotting._tubes import ball, camera, lit, tube_mesh
 from tests.helpers import slow_among
 from tests.subjects import stand_in_grasp
 
@@ -215,6 +216,55 @@ def test_what_is_nearer_to_the_camera_is_drawn_last(scene):
             apart = [np.linalg.norm(corners - point, axis=1).min() for corners in layers]
             assert np.argmin(apart) == layer and min(apart) < 13.0
         assert np.linalg.norm(layers[1] - drawn.solids[0].frames[0, :3], axis=1).max() < 30.0
+
+
+def test_a_tip_that_touches_nothing_is_before_or_behind_by_its_own_place(scene):
+    """Not by that of its knee, which here is on the other side of the object."""
+    grasp, motion, _ = scene
+    skeletons = [motion.skeletons[0].copy(), motion.skeletons[1]]
+    skeletons[0][:, 1, 1] *= -1.0
+    drawn = scene3(grasp, dataclasses.replace(motion, skeletons=skeletons))
+    drawn = dataclasses.replace(drawn, on_tips=(), on_object=())
+    _, (ax,) = stage(drawn, (10.0, 90.0), 5.0)
+    for azimuth, tip_in in ((90.0, 2), (-90.0, 0)):
+        layers = [corners.mean(axis=1) for corners, _ in Drawing3(ax, drawn).parts(0, *camera(10.0, azimuth))]
+        tip = drawn.solids[1].frames[0, :3]
+        apart = [np.linalg.norm(corners - tip, axis=1).min(initial=np.inf) for corners in layers]
+        assert np.argmin(apart) == tip_in and min(apart) < 13.0
+
+
+def on_page(ax, points):
+    """Where points [mm] are on the page, in inches from its lower left corner."""
+    ax.apply_aspect()
+    x, y, _ = proj3d.proj_transform(*points.T, ax.get_proj())
+    return ax.transData.transform(np.stack([x, y], axis=-1)) / ax.figure.dpi
+
+
+def test_a_picture_is_as_high_as_what_is_seen(scene):
+    """Round the box of the axes there is as much room, for labels, legend and title, from everywhere."""
+    drawn = scene3(*scene[:2])
+    box = np.array(list(itertools.product(*drawn.corners.T)))
+    rooms = []
+    for view in ((5.0, 10.0), (22.0, -58.0), (70.0, 120.0)):
+        figure, (ax,) = stage(drawn, view, 6.0)
+        seen = on_page(ax, box)
+        rooms.append([seen[:, 1].min(), figure.get_figheight() - seen[:, 1].max()])
+    np.testing.assert_allclose(rooms, rooms[:1] * 3, atol=0.02)
+    assert np.min(rooms) > 0.3
+
+
+def test_the_light_is_above_the_left_shoulder_of_whoever_looks(scene):
+    """On the page: the upper left of a ball is the brightest, wherever the camera stands."""
+    drawn = scene3(*scene[:2])
+    for view in ((5.0, 10.0), (22.0, -58.0), (-30.0, 200.0)):
+        _, (ax,) = stage(drawn, view, 5.0)
+        towards, light = camera(*view)
+        corners, normals = ball(np.zeros(3), 10.0)
+        shown = normals @ towards > 0.0
+        seen = on_page(ax, corners.mean(axis=1)[shown]) - on_page(ax, np.zeros((1, 3)))
+        bright = lit("#808080", normals[shown], light, towards)[:, 0]
+        left, up = -seen[bright > np.quantile(bright, 0.9)].mean(axis=0) * [1.0, -1.0]
+        assert left > 0.0 and up > 0.0
 
 
 def test_the_camera_sees_the_first_contact_from_the_side(scene):

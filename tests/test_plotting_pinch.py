@@ -55,6 +55,13 @@ def test_forces_drawn_accelerate_the_object(pinch, short):
     assert np.linalg.norm(drawn.vectors, axis=-1).max() == pytest.approx(drawn.scale * drawn.peak)
 
 
+def test_a_legend_names_forces_where_they_are_drawn(pinch, short):
+    for forces in (True, False):
+        figure = jxr.plotting.poses(pinch[0], short, times=(0.0,), forces=forces)
+        names = [text.get_text() for text in figure.legends[0].get_texts()]
+        assert ("contact force on the object" in names) == forces and "fingertip" in names
+
+
 def test_forces_must_have_been_recorded(pinch, short, tmp_path):
     bare = dataclasses.replace(short, multipliers=None)
     for draw in (

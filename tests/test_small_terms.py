@@ -2,6 +2,7 @@
 
 import html
 import types
+import warnings
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +17,10 @@ from jaxroll._why import _pairs
 from jaxroll.contact import Touch3
 from jaxroll.geometry.contours._neural_curvature import _Cloud, _residuals, _start
 from jaxroll.plotting import _animate3
+from jaxroll.plotting._loci_figure import _curves
+from jaxroll.plotting._style import Picture
 from jaxroll.plotting._views import _placed
+from jaxroll.plotting._views3 import pushes, scene_motion
 
 STILL = pose_at(Vec3(0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
 
@@ -40,6 +44,30 @@ def test_responses_in_space_show_the_forces_of_the_run(ball):
     for title, wanted in drawn.items():
         np.testing.assert_allclose(axes[title].lines[0].get_ydata(), np.asarray(wanted)[:, 0], rtol=1e-12)
     np.testing.assert_allclose(along / run.multipliers.f, 2.0 / 7.0 * np.tan(0.3), rtol=1e-9)
+
+
+def test_forces_drawn_on_a_ball_and_its_weight_are_what_moves_it(ball):
+    """Mass times acceleration, which on a slope is constant: by differences of the velocity."""
+    grasp, run = ball
+    mass, v = float(grasp.object.mass), np.asarray(run.states.v)[:, :3]
+    forces = pushes(run, scene_motion(grasp, run.states)).sum(axis=0)
+    wanted = mass * np.diff(v, axis=0) / np.diff(run.ts)[:, None]
+    assert np.linalg.norm(wanted, axis=1).min() > 0.1  # N
+    np.testing.assert_allclose((forces + mass * np.asarray(grasp.gravity))[1:], wanted, atol=1e-9)
+
+
+def test_loci_of_a_contact_that_rests_have_axes_to_be_read():
+    """No curvature is known there; nothing is divided by their length, and matplotlib has nothing to say."""
+    names = ("normal_curvature", "geodesic_curvature", "geodesic_torsion", "torsion")
+    still = {"arclength": np.zeros((1, 5)), "speed": np.zeros((1, 5))}
+    locus = types.SimpleNamespace(**still, **dict.fromkeys(names, np.full((1, 5), np.nan)))
+    axes = Picture(4.0, 6.0).subplots(4)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        _curves(axes, types.SimpleNamespace(tip=locus, object=locus), 0)
+    for ax in axes:
+        (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
+        assert left == 0.0 < right < 10.0 and -10.0 < low < 0.0 < high < 10.0
 
 
 def test_pairs_of_forces_are_those_of_each_contact():

@@ -107,19 +107,20 @@ def _lengths(axes: np.ndarray, found: Loci, c: int, reached: np.ndarray) -> None
 def _curves(axes: np.ndarray, found: Loci, c: int) -> None:
     """Curvatures and torsions over the arclength."""
     pair = found.tip, found.object
-    whole = MM * max(float(np.nanmax(np.asarray(locus.arclength)[c])) for locus in pair)
+    # Where nothing rolls there is nothing to show: the axes are those of a locus of 1 mm.
+    whole = MM * max(float(np.nanmax(np.asarray(locus.arclength)[c])) for locus in pair) or 1.0
     speed = np.asarray(found.object.speed)[c]
     moving = _moving(speed)
     for ax, (title, label, name) in zip(axes, _ROWS, strict=True):
         values = [np.where(moving, np.asarray(getattr(locus, name))[c] / MM, np.nan) for locus in pair]
-        limits = _limits(np.concatenate(values), np.tile(speed, 2), _STRAIGHT / max(whole, 1e-300))
+        limits = _limits(np.concatenate(values), np.tile(speed, 2), _STRAIGHT / whole)
         scale, label = _powers(max(-limits[0], limits[1]), label)
         _pair(ax, [MM * np.asarray(locus.arclength)[c] for locus in pair], [scale * v for v in values])
         ax.set_ylim(*(scale * limits))
         ax.axhline(0.0, color="#BBBBBB", lw=0.7, zorder=0)
         last = name == _ROWS[-1][-1]
         tidy(ax, xlabel="arclength [mm]" if last else "", ylabel=label, title=title)
-        ax.set_xlim(0.0, whole or 1.0)
+        ax.set_xlim(0.0, whole)
         ax.tick_params(labelbottom=last)
 
 

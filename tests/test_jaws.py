@@ -1,10 +1,12 @@
 """Jaws: prismatic joints by hand, energy, and a parallel gripper that squeezes a roller."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxroll as jxr
+from jaxroll._linalg import unstack
 
 
 def gripper(gravity=None):
@@ -28,6 +30,22 @@ def test_mass_and_weight_of_oblique_joints():
     np.testing.assert_allclose(terms.mass[3:, 3:], 0.3 * axes.T @ axes, rtol=1e-14)
     np.testing.assert_allclose(terms.bias[3:], -0.3 * gravity @ axes, rtol=1e-14)
     assert terms.mass.shape == (5, 5)  # the wall has no coordinate
+
+
+def test_a_jaw_moves_as_its_frame_does():
+    """Its twist is the derivative of its pose along the rates of both joints."""
+    jaw = jxr.Jaw(jxr.Line(), directions=[0.2, 1.3], base=(0.01, 0.02), angle=-0.5)
+    q, v = jnp.array([0.03, -0.01]), jnp.array([0.7, 0.4])
+    _, moved = jax.jvp(lambda q: jaw.pose(unstack(q)), (q,), (v,))
+    twist = jaw.motion(unstack(q), unstack(v), None)[0].twist
+    np.testing.assert_allclose(twist.velocity.array(), moved.origin.array(), rtol=1e-14)
+    assert float(twist.spin) == 0.0 < np.abs(moved.origin.array()).min()
+
+
+def test_a_jaw_is_not_longer_for_being_heavier():
+    """Its size is a length: equilibria and figures are scaled with it."""
+    light, heavy = (jxr.Jaw(jxr.Line(), mass, [0.0]).size for mass in (0.1, 10.0))
+    assert float(light) == float(heavy) and light.shape == ()
 
 
 def test_energy_of_a_rolling_plate():

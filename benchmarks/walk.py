@@ -51,7 +51,7 @@ def calls() -> dict[str, Callable[[], Any]]:
 
     return {
         "one evaluation of the equations of motion": lambda: jax.make_jaxpr(
-            lambda y: slope(lay, ready, 0.0, y, jxr.Index1())[0]
+            lambda y: slope(lay, ready, 0.0, y, formulation=jxr.Index1())[0]
         )(x),
         "simulate": lambda: jxr.simulate(grasp, state, 0.01, ts=1),
         "gradient of simulate": lambda: jax.jit(jax.grad(run)).lower(jnp.asarray(0.006)),

@@ -1,10 +1,12 @@
 """Jaws: prismatic joints by hand, energy, and a parallel gripper that squeezes a roller."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxroll as jxr
+from jaxroll._linalg import unstack
 
 
 def gripper(gravity=None):
@@ -30,14 +32,20 @@ def test_mass_and_weight_of_oblique_joints():
     assert terms.mass.shape == (5, 5)  # the wall has no coordinate
 
 
-def test_a_jaw_moves_as_the_rates_of_its_joints_say():
-    """Its twist is the derivative of its pose, by differences of exact straight lines."""
-    jaw = gripper()[0].fingers[0].prepared()
-    q, v, h = np.array([0.02, -0.03]), np.array([0.4, -0.7]), 0.5
-    twist = jaw.motion(tuple(q), tuple(v), None)[0].twist
-    ends = [np.array([*jaw.pose(tuple(q + sign * h * v)).origin]) for sign in (1.0, -1.0)]
-    np.testing.assert_allclose([*twist.velocity], (ends[0] - ends[1]) / (2.0 * h), rtol=1e-14)
-    assert float(twist.spin) == 0.0
+def test_a_jaw_moves_as_its_frame_does():
+    """Its twist is the derivative of its pose along the rates of both joints."""
+    jaw = jxr.Jaw(jxr.Line(), directions=[0.2, 1.3], base=(0.01, 0.02), angle=-0.5)
+    q, v = jnp.array([0.03, -0.01]), jnp.array([0.7, 0.4])
+    _, moved = jax.jvp(lambda q: jaw.pose(unstack(q)), (q,), (v,))
+    twist = jaw.motion(unstack(q), unstack(v), None)[0].twist
+    np.testing.assert_allclose(twist.velocity.array(), moved.origin.array(), rtol=1e-14)
+    assert float(twist.spin) == 0.0 < np.abs(moved.origin.array()).min()
+
+
+def test_a_jaw_is_not_longer_for_being_heavier():
+    """Its size is a length: equilibria and figures are scaled with it."""
+    light, heavy = (jxr.Jaw(jxr.Line(), mass, [0.0]).size for mass in (0.1, 10.0))
+    assert float(light) == float(heavy) and light.shape == ()
 
 
 def test_energy_of_a_rolling_plate():

@@ -7,7 +7,9 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 import jaxroll as jxr
+from jaxroll._linalg import Vec2
 from jaxroll.contact import locate
+from jaxroll.contact.locating._candidates import Feet, minima
 from tests.measures import taylor_remainders
 from tests.oracles.outlines import gap_by_brute_force, KINDS, placed_points, points_of
 from tests.subjects.polar_contours import compiled_location, compiled_placement, Polar, random_pairs
@@ -227,6 +229,16 @@ def test_bad_arguments_raise_one_sentence():
         locate(circle, circle, samples=4)
     with pytest.raises(ValueError, match="argument a must be a contour"):
         locate(0.01, circle)
+
+
+def test_few_candidates_are_the_minima_and_not_what_lies_beside_them():
+    """A distance with two dips that falls towards both ends of an open contour has these four minima."""
+    s, number = jnp.linspace(0.0, 0.027, 28), 2.0 * jnp.pi / 0.012
+    distance, rate = 1e-3 * jnp.cos(number * s) + 0.01 * s, 0.01 - 1e-3 * number * jnp.sin(number * s)
+    feet = Feet(0.0 * s, distance, Vec2(0.0 * s, 0.0 * s + 1.0), jnp.zeros(s.shape, bool))
+    found = minima(s, feet, rate, turn=jnp.inf, closed=False, count=4)
+    dip = 0.006 - np.arcsin(0.01 / (1e-3 * number)) / number
+    np.testing.assert_allclose(found.s[0], [dip, dip + 0.012, 0.027, 0.0], atol=2e-5)
 
 
 def disc_on_finger():

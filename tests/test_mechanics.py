@@ -230,3 +230,14 @@ def test_bias_of_a_finger_in_space_is_that_of_its_mass_matrix():
     bias = terms(at, rates)[1] - terms(at, 0 * rates)[1]
     np.testing.assert_allclose(np.abs(bias), np.abs(wanted), rtol=1e-10)
     assert np.abs(wanted).min() > 1e-6
+
+
+def test_a_finger_in_space_begins_at_the_origin_unless_told_otherwise():
+    """At zero angles its joints lie at the sums of its offsets, in the world's axes."""
+    offsets = np.array([[0.01, 0.06, -0.02], [0.03, -0.01, 0.05]])
+    for base in (np.zeros(3), np.array([0.02, -0.03, 0.04])):
+        given = {"base": base} if base.any() else {}
+        finger = jxr.Finger3([(1, 0, 0), (0, 0, 1)], offsets, [0.04, 0.03], jxr.Sphere(0.01), **given)
+        points = [[float(x) for x in point] for point in finger.skeleton((jnp.zeros(()), jnp.zeros(())))]
+        wanted = base + np.concatenate([np.zeros((1, 3)), np.cumsum(offsets, axis=0)])
+        np.testing.assert_allclose(points, wanted, atol=1e-16)

@@ -4,6 +4,7 @@ import html
 import types
 import warnings
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll import plotting
+from jaxroll._integration._step import RollingStep
 from jaxroll._linalg import pose_at, unstack, Vec3
 from jaxroll._sweep._fingerprint import fingerprint
 from jaxroll._why import _pairs
@@ -143,3 +145,32 @@ def test_curvatures_of_two_ellipsoids_add_up_as_they_are_turned(angle):
     wanted = np.linalg.det(whole) / sum(np.sum(bend**2) for bend in bends)
     found = jxr.Contact3(0, 0).curvature_margin((turned, STILL), Touch3(tip, body))
     np.testing.assert_allclose(found, wanted, rtol=1e-12)
+
+
+@pytest.mark.parametrize("times", [None, np.arange(5)], ids=["none", "whole numbers"])
+def test_a_run_whose_times_are_no_real_numbers_has_no_loci(ball, times):
+    grasp, run = ball
+    broken = eqx.tree_at(lambda run: run.ts, run, times)
+    with pytest.raises(ValueError, match="argument trajectory must hold real numbers as ts, but had "):
+        jxr.loci(grasp, broken)
+
+
+@pytest.mark.parametrize(
+    ("rolled", "carried", "leapt"),
+    [
+        # A long step, set right by a tenth of it; by all of it; and one that the projection took back.
+        (5e-3, 5e-4, False),
+        (5e-3, 5e-3, True),
+        (5e-3, -5e-3, True),
+        # Near where it was, a contact may be carried by 0.1 mm.
+        (0.0, 5e-5, False),
+        (0.0, 5e-4, True),
+    ],
+)
+def test_a_contact_has_leapt_if_the_projection_carried_it_and_not_the_step(rolled, carried, leapt):
+    """Two contacts after two coordinates and velocities: the second one stays where it is."""
+    step = types.SimpleNamespace(lay=types.SimpleNamespace(form=types.SimpleNamespace(counts=(2, 2, 2))))
+    before = np.array([0.3, 0.1, -0.2, 0.4, 2e-3, -1e-3])
+    raw = before + np.array([1.0, 1.0, 1.0, 1.0, rolled, 0.0])
+    after = raw + np.array([1.0, 1.0, 1.0, 1.0, carried, 0.0])
+    assert bool(RollingStep._leapt(step, before, raw, after)) == leapt

@@ -144,6 +144,19 @@ def test_verdicts(pinch):
     swinging = assess(grasp.with_(damping=0.0), state)
     assert swinging.verdict == VERDICTS.undamped and int(swinging.neutral) == 0
     assert np.abs(swinging.rates.real).max() < 1e-9 < 1.0 < np.abs(swinging.rates.imag).min()
+    # Without damping, xi'' + H xi = 0: the curvatures are the squared frequencies.
+    frequencies = np.abs(swinging.rates.imag)
+    np.testing.assert_allclose(frequencies**2, np.repeat(swinging.curvatures, 2), rtol=1e-9)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_pinch_is_found_at_rest_from_where_its_object_was_moved_away(pinch, axis):
+    """By 5 cm: at rest the line between the tips is normal to both faces."""
+    grasp, state = pinch
+    for way in (-0.05, 0.05):
+        rest = assess(grasp, jxr.State(state.q.at[axis].add(way), state.v, state.s)).equilibrium
+        assert bool(rest.found)
+        assert np.abs(jxr.pinch_balance(grasp, 0.0, rest.state).lean).max() < 1e-9
 
 
 def test_margin_of_41():

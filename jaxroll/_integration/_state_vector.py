@@ -74,7 +74,9 @@ def unpack(lay: Layout, x: Array) -> tuple[Leaves, Scalar | None]:
     return Leaves(q, v, s), next(rest) if lay.audited else None
 
 
-def slope(lay: Layout, grasp: Grasp, t: Scalar, x: Array, formulation: Formulation) -> tuple[Array, Instant]:
+def slope(
+    lay: Layout, grasp: Grasp, t: Scalar, x: Array, *, formulation: Formulation
+) -> tuple[Array, Instant]:
     """Time derivative of x, the right-hand side of a run, and all else that its evaluation worked out."""
     leaves, _ = unpack(lay, x)
     instant = evaluate(grasp, t, leaves, formulation)

@@ -186,7 +186,7 @@ class RollingStep(eqx.Module):
             return rates, end.packed(x.dtype)
 
     def _evaluated(self, grasp: Grasp, t: Scalar, x: Array) -> tuple[Array, "Ending"]:
-        rates, instant = slope(self.lay, grasp, t, x, self.formulation)
+        rates, instant = slope(self.lay, grasp, t, x, formulation=self.formulation)
         leaves, _ = unpack(self.lay, x)
         return rates, Ending(anchor_of(grasp, instant), *regime(grasp, leaves, instant, self.events))
 
@@ -194,7 +194,7 @@ class RollingStep(eqx.Module):
         self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow, over: Callable
     ) -> tuple[Array, Array, Array, Array, Array]:
         def field(t: Scalar, x: Array, args: Grasp) -> Array:
-            return slope(self.lay, args, t, x, self.formulation)[0]
+            return slope(self.lay, args, t, x, formulation=self.formulation)[0]
 
         terms, grasp = diffrax.ODETerm(field), bundle()
         x0 = y0[: self.lay.width]

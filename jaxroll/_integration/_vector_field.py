@@ -52,7 +52,7 @@ class VectorField(eqx.Module):
 
     def __call__(self, t: Scalar, y: Y, args: Any = None) -> Y:
         """Time derivative of $y$ [1/s of its units]."""
-        return slope(self._lay, self.grasp, jnp.asarray(t, y.dtype), y, self.formulation)[0]
+        return slope(self._lay, self.grasp, jnp.asarray(t, y.dtype), y, formulation=self.formulation)[0]
 
     def start(self, state: State) -> Y:
         """$y$ of a state on the constraints, as `close` returns it: `y0` of `diffeqsolve`."""

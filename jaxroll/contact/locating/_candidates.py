@@ -42,7 +42,8 @@ class Minima:
     Attributes:
         s: Arclength on the contour that is walked, and on the other [m].
         reach: How far the minimum may lie from `s`, on both [m].
-        bound: The distance is not below this [m]; infinite where there are no more minima.
+        bound: The distance is not below this [m]. Where there are no more minima, the first sample stands
+            for one: its bound is infinite unless it is a minimum itself, which is then there again.
     """
 
     s: tuple[Array, Array]

@@ -158,6 +158,23 @@ def test_holonomy_of_a_closed_path(path):
     np.testing.assert_allclose(rolled.at_object[-1], at, atol=1e-13)
 
 
+def test_loci_of_a_rolling_ball_agree_in_length_but_not_in_curvature():
+    r"""Part 3 says "the same curvature and torsion"; it is the geodesic curvature that both loci share.
+
+    A ball of radius $\rho$ led round a circle of radius $R$ on a table, without spin: its own locus is a
+    circle of curvature $\sqrt{1/R^2 + 1/\rho^2}$, of which $1/R$ is geodesic; its arcs are as long
+    as the table's.
+    """
+    R, rho, ts = 0.07, 0.1, np.array([0.0, 0.4, 0.8])
+    options = {"at_tip": (0.0, 0.0, -rho), "at_object": (R, 0.0, 0.0)}
+    rolled = jxr.roll(jxr.Sphere(rho), jxr.Plane(), circle, jnp.asarray(ts), **options)
+    a, b, c = np.asarray(rolled.at_tip)
+    sides = [np.linalg.norm(x - y) for x, y in ((a, b), (b, c), (c, a))]
+    bent = 2.0 * np.linalg.norm(np.cross(b - a, c - a)) / np.prod(sides)
+    np.testing.assert_allclose(bent, np.hypot(1.0 / R, 1.0 / rho), rtol=1e-9)
+    np.testing.assert_allclose(sides[0], 2.0 / bent * np.sin(0.5 * bent * R * ts[1]), rtol=1e-9)
+
+
 def test_spin_about_the_normal_is_counter_clockwise():
     options = {"at_tip": (0.0, 0.0, -0.1), "at_object": (0.0, 0.0, 0.0), "spin": lambda t: 0.7}
     rolled = jxr.roll(

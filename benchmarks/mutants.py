@@ -41,6 +41,24 @@ EQUIVALENT: dict[tuple[str, str, str, str], str] = {
     ("jaxroll/stability/_equilibrium.py", "", "100", "101"): "a bound that no search that arrives comes near",
     ("jaxroll/geometry/contours/_spline.py", "Spline._fit", "u[-1] - u[0]", "(u[-1])"): "u begins at zero",
     (
+        "jaxroll/stability/_equilibrium.py",
+        "_newton",
+        "1",
+        "(2)",
+    ): "a count that is below zero is only asked whether it is",
+    (
+        "jaxroll/contact/locating/_location3.py",
+        "",
+        "1e-13",
+        "(2e-13)",
+    ): "how much rounding a trial step may raise the distance by; the end is polished to rounding",
+    (
+        "jaxroll/_integration/_report.py",
+        "_angle",
+        "start / np.linalg.norm(start)",
+        "(start)",
+    ): "the arctangent of two numbers that both scale with it",
+    (
         "jaxroll/geometry/contours/_neural_curvature.py",
         "_start",
         "1e-9",

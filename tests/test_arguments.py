@@ -6,6 +6,7 @@ values, and must be refused in one sentence unless the table says that the value
 
 import functools
 import inspect
+import os
 import re
 
 import equinox as eqx
@@ -19,7 +20,7 @@ from jaxroll import control, design, stability
 from jaxroll._mechanics import AbstractController
 from jaxroll.control import Sensed, UserController
 from jaxroll.design._limits import sampled
-from jaxroll.design._minimise import _restored
+from jaxroll.design._minimise import _restored, check_checkpoint
 
 TIP, BALL = jxr.Circle(0.01), jxr.Sphere(0.01)
 FINGER = jxr.Finger([0.06, 0.06], [0.04, 0.04], TIP)
@@ -592,6 +593,16 @@ def test_a_checkpoint_of_other_bytes_is_refused(tmp_path):
     for content in (b"", b"not a search", bytes(1000)):
         path.write_bytes(content)
         check_sentence(refusal(lambda: _restored(path, jnp.zeros(3))), "checkpoint")
+
+
+def test_a_checkpoint_is_a_file_in_a_folder_to_write_to(tmp_path, monkeypatch):
+    check_checkpoint(tmp_path / "new")
+    check_checkpoint(str(tmp_path / "new"))
+    for path in (tmp_path, tmp_path / "none" / "new"):
+        check_sentence(refusal(functools.partial(check_checkpoint, path)), "checkpoint")
+    # Whoever runs the tests may be allowed to write anywhere.
+    monkeypatch.setattr(os, "access", lambda folder, mode: mode != os.W_OK)
+    check_sentence(refusal(functools.partial(check_checkpoint, tmp_path / "new")), "checkpoint")
 
 
 def test_a_contour_of_one_curvature_has_as_many_samples_as_any():

@@ -1,12 +1,17 @@
 """The command line: what does not fit is one line on stderr and exit code 2, before any work is done."""
 
+import contextlib
 import re
+import types
 
 import numpy as np
 import pytest
 
+from jaxroll import plotting
 from jaxroll.__main__ import main
+from jaxroll._cli import _design_command, DesignOrder, order
 from jaxroll._cli._design_command import fingertip
+from jaxroll.geometry import Circle
 
 BAD = {
     "no such command": (["dance"], "invalid choice: 'dance'"),
@@ -53,6 +58,37 @@ def test_what_does_not_fit_is_one_line(case, tmp_path, monkeypatch, capfd):
     assert out == "" and len(lines) == 1 and lines[0].startswith("jaxroll")
     assert re.search(words, lines[0])
     assert not [path for path in tmp_path.rglob("*") if path.suffix in (".png", ".gif")]
+
+
+@pytest.mark.parametrize("command", [["demo", "--seconds", "0.001"], ["design", "--tip", "empty.csv"]])
+def test_a_cache_that_is_no_folder_is_named_before_any_work(command, tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("in the way")
+    (tmp_path / "empty.csv").write_text("")
+    monkeypatch.setenv("JAXROLL_CACHE", "file/cache")
+    assert main(command) == 2
+    assert "environment variable JAXROLL_CACHE must name a folder, but" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("animated", [True, False])
+def test_a_design_names_the_files_that_it_wrote(animated, tmp_path, monkeypatch):
+    """The search, the runs and the drawing left out."""
+    tip = types.SimpleNamespace(points=np.eye(2))
+    found = types.SimpleNamespace(start=tip, tip=Circle(0.01), report=lambda remedy: "the report")
+    monkeypatch.setattr(_design_command, "optimise_fingertip", lambda *args, **options: found)
+    monkeypatch.setattr(_design_command, "simulate", lambda *args, **options: None)
+    monkeypatch.setattr(_design_command, "make", lambda tip: (None, None))
+    monkeypatch.setattr(_design_command, "_facts", lambda runs: ["the runs"])
+    monkeypatch.setattr(plotting, "design", lambda found, folder: (folder / "design.png").touch())
+    monkeypatch.setattr(plotting, "comparison", lambda runs, folder: (folder / "comparison.png").touch())
+    monkeypatch.setattr(plotting, "animate", lambda grasp, run, path, **options: path.touch())
+    asked = DesignOrder("margin", tip, steps=1, starts=1, animated=animated)
+    first, second, third, names, *missing = order(asked, tmp_path, lambda doing: contextlib.nullcontext())
+    assert (first, second, third) == ("the report", "the runs", f"Files in {tmp_path}:")
+    written = {path.name for path in tmp_path.iterdir()}
+    assert names.startswith("  ") and set(names.strip().split(", ")) == written
+    assert {"design.png", "comparison.png", "fingertip.csv"} <= written
+    assert ({"before.gif", "after.gif"} <= written) == animated and all(" no " in line for line in missing)
 
 
 def test_help_and_nothing_at_all(capfd):

@@ -15,6 +15,7 @@ from jaxroll.design import Limits, optimise_fingertip
 from jaxroll.design._limits import sampled
 from jaxroll.design._minimise import minimise
 from jaxroll.geometry import Frenet2, PeriodicNetwork
+from jaxroll.geometry.contours._free_numbers import wavy_shift
 from tests.subjects.fingertips import INTERVAL, violating_points
 
 
@@ -233,10 +234,10 @@ def test_a_class_of_ones_own_is_designed_by_what_it_says_of_itself():
 
 
 TRANSFORMED = {
-    "spline": jxr.Spline(violating(1), cells=64),
+    "spline": jxr.Spline(violating_points(1), cells=64),
     "series": jxr.SupportFunction(0.01, [1e-3, 0.0, 5e-4], [0.0, 2e-4, 0.0], cells=64),
     "ellipse": jxr.Ellipse(0.02, 0.014),
-    "placed": jxr.Spline(violating(1), cells=64).moved((0.001, 0.0), 0.1),
+    "placed": jxr.Spline(violating_points(1), cells=64).moved((0.001, 0.0), 0.1),
     "own": Disc(jnp.asarray(0.01), jnp.array([0.003, 0.001])),
 }
 
@@ -265,7 +266,7 @@ def test_transform_is_the_mathematics_that_it_tells(kind):
 
 
 def test_transform_keeps_the_mirror_image():
-    transform = jxr.design.ShapeTransform(jxr.Spline(violating(2), cells=64), symmetric=True)
+    transform = jxr.design.ShapeTransform(jxr.Spline(violating_points(2), cells=64), symmetric=True)
     x = jnp.sin(jnp.arange(48.0)) + transform.start
     points = np.asarray(transform.contour(x).points)
     np.testing.assert_allclose(points[(-np.arange(24)) % 24] * [1.0, -1.0], points, atol=1e-18)
@@ -333,8 +334,19 @@ def test_what_a_class_does_not_say_of_itself_has_a_default():
         plain.symmetrised()
 
 
+def test_a_perturbed_spline_is_moved_by_its_first_three_waves_each_less_than_the_one_before():
+    """By some 15 % of its size; over many draws the height of a wave of order k goes as 1/k."""
+    points, rng = violating_points(1), np.random.default_rng(0)
+    shifts = np.stack([wavy_shift(points, rng) for _ in range(400)])
+    size, moved = (np.sqrt(np.mean(np.sum(x**2, axis=-1))) for x in (points, shifts))
+    assert 0.13 < moved / size < 0.18
+    heights = np.sqrt(np.mean(np.abs(np.fft.rfft(shifts, axis=1)) ** 2, axis=(0, 2)))
+    np.testing.assert_allclose(heights[2:4] / heights[1], [1 / 2, 1 / 3], rtol=0.1)
+    assert heights[4:].max() < 1e-12 * heights[1]
+
+
 def test_placed_contours_are_designed_as_what_they_place():
-    points = violating(1)
+    points = violating_points(1)
     inner = jxr.Spline(points, cells=128)
     placed = inner.moved(offset=(0.001, 0.0), angle=0.1)
     assert placed.free_numbers()[0] is inner.points and len(placed.free_numbers()) == 1
@@ -363,7 +375,7 @@ def test_waves_along_points_are_divided_by_their_order_squared(closed):
     """Of a closed contour's sines and cosines, and of an open one's cosines, W's factors are known."""
     count, order = 24, 3
     points = np.stack([np.linspace(0.0, 0.02, count), np.linspace(0.0, 0.01, count) ** 2], -1)
-    tip = jxr.Spline(violating(1) if closed else points, closed=closed)
+    tip = jxr.Spline(violating_points(1) if closed else points, closed=closed)
     place = np.arange(count)
     wave = np.cos(np.pi * order * place * (2 / count if closed else 1 / (count - 1)))
     known = 2.0 / (1.0 + (order if closed else order / 2.0) ** 2)

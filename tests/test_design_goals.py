@@ -1,5 +1,7 @@
 """Goals besides condition (41): runs of the closed loop, and stability at rest on any objects."""
 
+import types
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -8,6 +10,7 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll.design import (
+    _firmness,
     ClosedLoop,
     Firmness,
     friction_demand,
@@ -191,6 +194,15 @@ def test_firmness_by_stiffness_has_the_analytic_optimum():
     assert float(design.before[0]) < 0.0
     np.testing.assert_allclose([design.tip.a, design.tip.b**2 / design.tip.a], [0.0175, 0.05], rtol=1e-4)
     np.testing.assert_allclose(design.after, 20.0 * (0.03 + 0.035) * (0.05 - 0.0175), rtol=1e-5)
+
+
+def test_stiffnesses_are_eigenvalues_of_the_hessian_over_the_angles_of_the_fingertips(monkeypatch):
+    r"""Both of $H_{ij} / r_i r_j$, with $H$ over contact places [m] and turnings $r_i$ there [rad/m]."""
+    hessian, turning = np.array([[700.0, 90.0], [90.0, -300.0]]), np.array([50.0, 20.0])
+    rest = types.SimpleNamespace(hessian=jnp.asarray(hessian), turning=jnp.asarray(turning))
+    monkeypatch.setattr(_firmness, "pinch_rest", lambda grasp, state, damping: (None, rest))
+    wanted = np.linalg.eigvalsh(hessian / np.outer(turning, turning))
+    np.testing.assert_allclose(_firmness._stiffnesses(None, None, 0.0), wanted, rtol=1e-12)
 
 
 def one_blunt(tip):

@@ -10,6 +10,7 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll.geometry import frenet, PeriodicNetwork
+from jaxroll.geometry.contours._support import _feet
 from tests.measures import taylor_remainders
 
 A, B = 0.01, 0.007
@@ -187,6 +188,14 @@ def test_fit_needs_no_order_and_averages_noise():
     angle = np.linspace(0.0, TURN, 400)
     centred = np.asarray(fit.support(angle)) - 0.05 * np.cos(angle) + 0.02 * np.sin(angle)
     assert np.sqrt(np.mean((centred - height(angle)) ** 2)) < 4e-6
+
+
+@pytest.mark.parametrize("radius", [2.0, 0.3, 5e-4])
+def test_feet_on_a_circle_lie_in_the_directions_of_the_points(radius):
+    """However near to the centre, where every direction is a foot: there the start is kept."""
+    angles = TURN * np.arange(7) / 7
+    points = radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    np.testing.assert_allclose(_feet(points, np.array([1.0, 0.0, 0.0]), angles), angles, rtol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["support", "neural support"])

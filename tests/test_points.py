@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from jaxroll.geometry import clean_points, crossings
-from jaxroll.geometry.fitting._ordering import nearest_points
+from jaxroll.geometry.fitting._ordering import nearest_points, repaired
 
 N = 200
 U = 2 * np.pi * np.arange(N) / N
@@ -63,6 +63,22 @@ def test_scattered_noisy_points_swap_neighbours_at_most():
     assert np.all(np.minimum(steps, n - steps) <= 3) and np.mean(steps == 1) > 0.97
 
 
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_piece_across_a_gap_is_joined_by_its_nearer_end(turned):
+    """A line ends 9.0 mm from one end of an arc and 9.2 mm from the other, its points 1 mm apart."""
+    line = np.stack([np.arange(-40.0, 1.0), np.zeros(41)], axis=1)
+    first, last = np.array([6.0, 6.7]), np.array([-4.0, -8.3])
+    centre, radius = 0.5 * (first + last), 0.5 * np.linalg.norm(first - last)
+    angle = np.arctan2(*(first - centre)[::-1]) - np.linspace(0.0, np.pi, 29)
+    arc = centre + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    curve = 1e-3 * np.concatenate([line, arc])
+    curve = curve[:, ::-1] if turned else curve
+    for seed in range(6):  # in each of them the pieces are found in other directions
+        mixed = np.random.default_rng(seed).permutation(curve)
+        found = mixed[repaired(mixed, nearest_points(mixed, 24), closed=False).indices]
+        np.testing.assert_array_equal(found if np.all(found[0] == curve[0]) else found[::-1], curve)
+
+
 def test_points_in_order_stay_as_they_are_even_where_noise_hides_it():
     for noise in (0.0, 0.5, 2.0):
         ring = star(400, noise=noise)
@@ -116,6 +132,13 @@ def changed(rows, factor):
     points = RING.copy()
     points[rows] = points[rows] * factor
     return points
+
+
+def bevelled():
+    """A lens whose two corners are cut off: 35 degrees at both points of a bevel, 8 degrees elsewhere."""
+    half = np.deg2rad([35.0, 35.0, *np.full(14, 110.0 / 14)])
+    heading = np.cumsum(np.tile(half, 2))
+    return 1e-3 * np.cumsum(np.stack([np.cos(heading), np.sin(heading)], axis=1), axis=0)
 
 
 EIGHT = 0.03 * np.stack([np.sin(U), np.sin(2 * U)], axis=1)
@@ -175,6 +198,7 @@ DOUBTED = {
     "metres that are millimetres": (1e3 * RING, "implausible for something grasped"),
     "microscopic": (1e-4 * RING, "implausible for something grasped"),
     "corners": (square(), "4 corners, of up to 90 degrees"),
+    "bevels": (bevelled(), "2 corners, of up to 35 degrees"),
     "uneven": (np.delete(RING, np.r_[10:16, 40:46], axis=0), "spacing of the points is uneven"),
     "noise": (star(200, noise=0.6), "noise is as large as their spacing"),
 }

@@ -110,6 +110,29 @@ def test_what_has_a_kind_of_numbers_and_none_of_them_is_told_apart_by_its_shape(
     assert first == third != second
 
 
+def _kind(factor, offset):
+    class Line:
+        slope = factor
+
+        def at(self, x):
+            return self.slope * x + offset
+
+        @staticmethod
+        def none():
+            return offset
+
+        def __call__(self, x):
+            return self.at(x)
+
+    return Line
+
+
+def test_classes_of_ones_own_are_told_apart_by_their_methods_and_constants():
+    """By what a sweep would compute with them: not by their name, and not by which class statement ran."""
+    same, again, steeper, shifted = (fingerprint(_kind(*c)) for c in ((2, 1), (2, 1), (3, 1), (2, 0)))
+    assert same == again and len({same, steeper, shifted}) == 3
+
+
 def test_distances_of_points_from_the_curve_they_were_taken_from_are_small():
     """The start of a fit follows an ellipse to a thousandth of its size: so do the distances."""
     u = 2.0 * np.pi * np.arange(64) / 64

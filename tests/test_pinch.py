@@ -11,7 +11,8 @@ import pytest
 import jaxroll as jxr
 from jaxroll._mechanics import to_leaves
 from jaxroll._motion import bodies, Index1
-from jaxroll._motion._equations import evaluate, power, sensed
+from jaxroll._motion._equations import evaluate, sensed
+from jaxroll._motion._quantities import power
 from jaxroll.control import Sensed
 from tests.oracles.chapter_part1 import Part1
 

@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxroll._xla._compute_once import once, shared, sharing
+from jaxroll._xla._compute_once import once, sharing
+from jaxroll._xla._share_cotangents import shared
 
 
 @jax.jit

@@ -25,8 +25,9 @@ from jaxroll._integration._events import decode, regime
 from jaxroll._integration._step import _SWEEPS, _tables
 from jaxroll._linalg._plane import total
 from jaxroll._mechanics import Form, Grasp, Leaves, State
-from jaxroll._motion._equations import anchor_of, compatible, evaluate, settle
+from jaxroll._motion._equations import evaluate
 from jaxroll._motion._formulation import Index1
+from jaxroll._motion._projection import anchor_of, compatible, settle
 from jaxroll._results import RESULTS
 
 # One lane per thread: a lane's state fills a thread's registers.

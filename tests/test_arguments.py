@@ -214,6 +214,11 @@ CLASSES = {
         dict.fromkeys(("size", "length", "radius", "ahead", "flat", "steepness"), {"nothing"}),
         dict.fromkeys(("size", "length", "radius", "ahead", "flat", "steepness"), NOT_POSITIVE),
     ),
+    design.ShapeTransform: (
+        {"tip": jxr.SupportFunction(0.01, [1e-4], [0.0]), "symmetric": False},
+        {"tip": {"contour"}, "symmetric": {"true"}},
+        {"tip": {"endless": jxr.Line()}},
+    ),
     design.Firmness: (
         {"make": functions_of(2), "cases": np.ones(3), "measure": "rate", "neutral": 1, "scale": 1.0},
         {"cases": {"wrong shape"}, "neutral": {"nothing"}, "scale": {"nothing"}},
@@ -241,7 +246,14 @@ MADE = {
     *("Location", "LocalMinima", "SurfaceLocation", "SurfaceMinima"),
     *("Equilibrium", "PinchStatics", "Stability", "VERDICTS", "Design"),
 }
-HOMES = ("jaxroll._mechanics", "jaxroll.control", "jaxroll.contact", "jaxroll.stability", "jaxroll.design")
+HOMES = (
+    "jaxroll._mechanics",
+    "jaxroll._motion._equation_terms",
+    "jaxroll.control",
+    "jaxroll.contact",
+    "jaxroll.stability",
+    "jaxroll.design",
+)
 
 
 def public(kind):

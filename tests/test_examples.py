@@ -162,7 +162,7 @@ def test_the_command_line_says_how_to_get_a_page(monkeypatch, tmp_path):
     grasp, state = jxr.scenes.incline()
     run = jxr.simulate(grasp, state, t1=0.1, ts=3)
     names = []
-    told = _page(DEMOS["pinch3d"], tmp_path, names, (jxr.plotting, grasp, run))
+    told = _page(DEMOS["pinch3d"], tmp_path, names, plotting=jxr.plotting, grasp=grasp, run=run)
     assert told == ["  no page.html: this needs plotly"] and not names and not list(tmp_path.iterdir())
 
 

@@ -186,7 +186,7 @@ def test_sphere_and_torus(centre):
 
 def test_exchanged_scene_is_the_same():
     """Where a place of `a` is in the frame of `b`, it is back in its own by the exchanged pose."""
-    pose = sp.pose(sp.Vec3(0.1, -0.2, 0.3), sp.normalised(tuple(TURN)))
+    pose = sp.pose_at(sp.Vec3(0.1, -0.2, 0.3), sp.normalised(tuple(TURN)))
     scene = Pair3(Sphere(0.01), Torus(0.03, 0.011), pose, 0.02)
     other = scene.reversed()
     assert (other.a, other.b) == (scene.b, scene.a)

@@ -443,7 +443,7 @@ def test_algebra_of_space():
     q = sp.normalised(tuple(jnp.asarray(x) for x in TURN))
     other = sp.normalised(tuple(jnp.asarray(x) for x in (0.1, 0.9, -0.2, 0.4)))
     u, v = sp.Vec3(0.3, -0.5, 0.2), sp.Vec3(1.1, 0.4, -0.7)
-    pose = sp.pose(u, q)
+    pose = sp.pose_at(u, q)
     matrix = np.stack([c.array() for c in sp.rotation(q)], -1)
     np.testing.assert_allclose(matrix.T @ matrix, np.eye(3), atol=1e-15)
     np.testing.assert_allclose(np.linalg.det(matrix), 1.0, rtol=1e-14)

@@ -7,6 +7,8 @@ survives `vmap`, one code per lane, and never discards what had been computed.
 
 import contextlib
 import inspect
+import math
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -222,7 +224,8 @@ def as_order(smoothness: Any, *, least: int = 0) -> float:
             f"argument smoothness must be a number of derivatives{few} or infinity, but was "
             f"{shown(smoothness)}"
         )
-    return float(smoothness)
+    # A whole number may be larger than any floating one: as many as that are as good as all.
+    return float(smoothness) if smoothness <= sys.float_info.max else math.inf
 
 
 def _takes(function: Callable[..., Any], count: int) -> bool:

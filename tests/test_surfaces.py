@@ -484,6 +484,7 @@ def test_tangents_are_orthonormal_and_right_handed():
         (lambda: Sphere(-0.01), "argument radius must be positive"),
         (lambda: Torus(0.01, 0.02), "argument major must be larger"),
         (lambda: Superellipsoid(A, B, C, exponent=1.5), "argument exponent must be at least 2"),
+        (lambda: Superellipsoid(A, B, C, exponent=np.complex128(4)), "argument exponent must be at least 2"),
         (lambda: Implicit(3.0), "argument function must be a function"),
         (lambda: Patch(np.zeros((4, 8, 3))), "argument points must have at least 6"),
         (lambda: SplineSurface(np.zeros((4, 8, 8)), (0, 0, 0), 1.0), "argument coefficients must have at"),

@@ -242,8 +242,8 @@ class Superellipsoid(AbstractImplicit):
 
     def __init__(self, a: Given, b: Given, c: Given, exponent: float = 4.0) -> None:
         self.a, self.b, self.c = as_length("a", a), as_length("b", b), as_length("c", c)
-        number = isinstance(exponent, int | float | np.number) and not isinstance(exponent, bool)
-        if not number or not 2.0 <= exponent <= _SHARPEST:
+        real = isinstance(exponent, int | float | np.integer | np.floating) and not isinstance(exponent, bool)
+        if not real or not 2.0 <= exponent <= _SHARPEST:
             raise ValueError(
                 f"argument exponent must be at least 2 and at most {_SHARPEST:g}, but was {shown(exponent)}"
             )

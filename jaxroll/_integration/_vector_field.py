@@ -107,7 +107,8 @@ def vector_field(
     r"""The equations of motion of a grasp as terms, start and projection for `diffrax.diffeqsolve`.
 
     For what `simulate` has not: dense output, `SaveAt` with functions and steps, diffrax's adjoints, events
-    and controls of your own. A run costs some times what one of `simulate` does, which is one kernel.
+    and controls of your own. A run costs some eight times what one of `simulate` does, which is one kernel
+    (`python -m benchmarks.door`).
 
     Args:
         grasp: The grasp; every array in it is differentiable.

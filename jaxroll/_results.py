@@ -218,14 +218,14 @@ def as_tree(name: str, function: Any) -> Callable[..., Any]:
 def as_order(smoothness: Any, *, least: int = 0) -> float:
     """Convert argument `smoothness` to a number of continuous derivatives, infinity among them."""
     real = isinstance(smoothness, int | float | np.integer | np.floating) and not isinstance(smoothness, bool)
-    if not real or not smoothness >= least:
+    # A whole number may be larger than any floating one, and is no count of anything.
+    if not real or not smoothness >= least or sys.float_info.max < smoothness < math.inf:
         few = f" of {least} or more," if least else ""
         raise ValueError(
             f"argument smoothness must be a number of derivatives{few} or infinity, but was "
             f"{shown(smoothness)}"
         )
-    # A whole number may be larger than any floating one: as many as that are as good as all.
-    return float(smoothness) if smoothness <= sys.float_info.max else math.inf
+    return float(smoothness)
 
 
 def _takes(function: Callable[..., Any], count: int) -> bool:

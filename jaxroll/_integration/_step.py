@@ -107,19 +107,10 @@ class RollingStep(eqx.Module):
             ending = Ending.unpacked(grasp, end)
             x1 = raw
             if isinstance(self.formulation, Index1):
-                x1 = self.returned(grasp, raw, ending.anchor)
+                x1 = returned(self.lay, grasp, raw, ending.anchor)
             leaves, _ = unpack(self.lay, x1)
             judged = with_clearance(grasp, leaves, (ending.margin, ending.number), self.events)
             return jnp.concatenate([x1, rates, coded(x1, *judged)])
-
-    def returned(self, grasp: Grasp, raw: Array, anchor: Anchor) -> Array:
-        """Back onto the constraints, positions before velocities."""
-        x = raw
-        for _ in range(_SWEEPS):
-            leaves, work = unpack(self.lay, x)
-            x = once(pack(settle(grasp, leaves, anchor), work))
-        leaves, work = unpack(self.lay, x)
-        return pack(compatible(grasp, leaves, anchor.line), work)
 
     def _within(self, t0: Scalar, t1: Scalar, y0: Flow, y1: Flow, share: Scalar) -> Array:
         """The vector x at a share of a step, by the cubic through both ends and their derivatives."""
@@ -232,6 +223,16 @@ class RollingStep(eqx.Module):
         raw, rates, error, end, inner = advance(at, (t0, t1), x0, nothing, sampled=sampled, kept=kept)
         margins, seen = [margin, *inner[:, 0]], watched(STAGE_TIMES)
         return raw, rates, error, end, first_dip(STAGE_TIMES[seen], [margins[i] for i in seen])
+
+
+def returned(lay: Layout, grasp: Grasp, raw: Array, anchor: Anchor) -> Array:
+    """The vector x back onto the constraints, positions before velocities."""
+    x = raw
+    for _ in range(_SWEEPS):
+        leaves, work = unpack(lay, x)
+        x = once(pack(settle(grasp, leaves, anchor), work))
+    leaves, work = unpack(lay, x)
+    return pack(compatible(grasp, leaves, anchor.line), work)
 
 
 class Ending(eqx.Module):

@@ -26,7 +26,7 @@ from ._events import EVENTS, regime
 from ._methods import check_method, Steady, with_tolerances
 from ._projected_method import Projected
 from ._state_vector import Layout, layout, slope, states_of, unpack
-from ._step import RollingStep
+from ._step import returned
 
 Y = Float[Array, " y"]
 
@@ -68,7 +68,7 @@ class VectorField(eqx.Module):
         if not isinstance(self.formulation, Index1):
             return y
         _, instant = self._at(t, y)
-        return self._step.returned(self.grasp, y, anchor_of(self.grasp, instant))
+        return returned(self._lay, self.grasp, y, anchor_of(self.grasp, instant))
 
     def projected(self, solver: diffrax.AbstractSolver | None = None) -> Projected:
         """A method of diffrax that projects after every step; None: `diffrax.Dopri8()`.
@@ -89,11 +89,6 @@ class VectorField(eqx.Module):
         """
         leaves, instant = self._at(t, y)
         return jnp.asarray(regime(self.grasp, leaves, instant, self.events)[0], y.dtype)
-
-    @property
-    def _step(self) -> RollingStep:
-        """For what is the same whatever the method: rates, and the return to the constraints."""
-        return RollingStep(diffrax.Dopri8(), self.formulation, self._lay, self.events)
 
     def _at(self, t: Scalar, y: Y) -> tuple[Leaves, Instant]:
         """The state as scalars, and the equations of motion evaluated there."""

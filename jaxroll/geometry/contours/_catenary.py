@@ -55,8 +55,5 @@ class Catenary(AbstractContour):
         point = Vec2(self.a - root, self.a * inverse_sinh(s / self.a))
         return Frenet2(point, Vec2(-s / root, self.a / root), self.a / square)
 
-    def prepared(self) -> "Catenary":
-        return self
-
     def domain(self) -> Scalars | None:
         return unstack(self.ends)

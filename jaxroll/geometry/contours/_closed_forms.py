@@ -58,9 +58,6 @@ class Line(AbstractContour):
         zero = jnp.zeros_like(s)
         return Frenet2(Vec2(zero, s), Vec2(zero, jnp.ones_like(s)), zero)
 
-    def prepared(self) -> "Line":
-        return self
-
     def domain(self) -> Scalars | None:
         return unstack(self.ends)
 
@@ -98,9 +95,6 @@ class Circle(AbstractContour):
         sin, cos = sincos(s / self.radius)
         point = Vec2(self.radius * cos, self.radius * sin)
         return Frenet2(point, Vec2(-sin, cos), 1.0 / self.radius)
-
-    def prepared(self) -> "Circle":
-        return self
 
     def domain(self) -> tuple[Scalar, Scalar]:
         return 0.0, 2.0 * np.pi * self.radius

@@ -39,9 +39,6 @@ class Plane(AbstractImplicit):
     def frame(self, at: Scalars) -> Gauss3:
         return Gauss3(Vec3(*at), Vec3(0.0, 0.0, 1.0), Sym3(*(6 * (0.0,))))
 
-    def prepared(self) -> "Plane":
-        return self
-
 
 class Sphere(AbstractImplicit):
     """A sphere about the body's origin.
@@ -74,9 +71,6 @@ class Sphere(AbstractImplicit):
     def spread(self, count: int) -> Scalars:
         return _outwards(directions(count), (self.radius, self.radius, self.radius))
 
-    def prepared(self) -> "Sphere":
-        return self
-
 
 class Cylinder(AbstractImplicit):
     """A round cylinder without ends, its axis the body's z axis.
@@ -105,9 +99,6 @@ class Cylinder(AbstractImplicit):
 
     def frame(self, at: Scalars) -> Gauss3:
         return _about_axis(Vec3(*at))[1]
-
-    def prepared(self) -> "Cylinder":
-        return self
 
 
 class Torus(AbstractImplicit):
@@ -150,9 +141,6 @@ class Torus(AbstractImplicit):
         out = self.major + self.minor * np.cos(roll)
         points = (out * np.cos(turn), out * np.sin(turn), self.minor * np.sin(roll))
         return _thinned(points, count)
-
-    def prepared(self) -> "Torus":
-        return self
 
     def _around(self, point: Vec3) -> tuple[Scalar, Gauss3]:
         radial = jnp.sqrt(point.x * point.x + point.y * point.y)
@@ -208,9 +196,6 @@ class Ellipsoid(AbstractImplicit):
 
     def spread(self, count: int) -> Scalars:
         return _thinned(_outwards(directions(SEEDS * count), (self.a, self.b, self.c)), count)
-
-    def prepared(self) -> "Ellipsoid":
-        return self
 
 
 class Superellipsoid(AbstractImplicit):
@@ -273,9 +258,6 @@ class Superellipsoid(AbstractImplicit):
         rays, p = directions(SEEDS * count), self.exponent
         rays = rays / np.sum(np.abs(rays) ** p, axis=-1, keepdims=True) ** (1.0 / p)
         return _thinned(_outwards(rays, (self.a, self.b, self.c)), count)
-
-    def prepared(self) -> "Superellipsoid":
-        return self
 
 
 def _outwards(rays: np.ndarray, axes: Scalars) -> Scalars:

@@ -70,8 +70,8 @@ def counts(scene: str) -> Counts:
     moving, still = eqx.partition(ready, eqx.is_inexact_array)
     y, t = vector_of(lay, state), jnp.zeros(())
     x = y[: lay.width]
-    at = lambda m, x: step._at(eqx.combine(m, still), t, x)  # noqa: E731
-    end = lambda m, x, *rest: step._finish(eqx.combine(m, still), t, x, *rest)  # noqa: E731
+    at = lambda m, x: step.at(eqx.combine(m, still), t, x)  # noqa: E731
+    end = lambda m, x, *rest: step.finish(eqx.combine(m, still), x, *rest)  # noqa: E731
     rates, left = at(moving, x)
     at_back = lambda m, x, bars: jax.vjp(at, m, x)[1](bars)  # noqa: E731
     end_back = lambda m, x, r, e, bars: jax.vjp(end, m, x, r, e)[1](bars)  # noqa: E731

@@ -22,7 +22,7 @@ from jax.experimental.pallas import triton as plgpu
 from jaxtyping import Array, Float, Int
 
 from jaxroll._integration._events import decode, regime
-from jaxroll._integration._step import _SWEEPS, _tables
+from jaxroll._integration._step import _SWEEPS, tableau_of
 from jaxroll._linalg._plane import total
 from jaxroll._mechanics import Form, Grasp, Leaves, State
 from jaxroll._motion._equations import evaluate
@@ -161,7 +161,7 @@ def _lanes(
     shared = jnp.stack([x for x, b in each if not b] or [jnp.zeros((), dtype)])
     # The last block is filled up with the last lane.
     fill = lambda x: jnp.pad(x, ((0, 0), (0, filled - lanes)), mode="edge")  # noqa: E731
-    rows, shares, weights = _tables(_tableau(setup.solver), dtype)
+    rows, shares, weights = tableau_of(_checked(setup.solver), dtype)
     columns = [jnp.asarray(x, dtype)[:, None] for x in (shares, weights)]
     table = jnp.concatenate([rows, *columns], axis=1)
     order = setup.solver.error_order(None)  # pyright: ignore[reportArgumentType]
@@ -230,7 +230,7 @@ class _Method(NamedTuple):
 
     @property
     def stages(self) -> int:
-        return len(_tables(_tableau(self.solver), np.float64)[2])
+        return len(tableau_of(_checked(self.solver), np.float64)[2])
 
     def row(self, i: Any) -> list[Array]:
         """Weights of a stage, then its time, then the error's weight of it."""
@@ -238,10 +238,10 @@ class _Method(NamedTuple):
         return [self.table[i * width + j] for j in range(width)]
 
 
-def _tableau(solver: diffrax.AbstractERK) -> diffrax.ButcherTableau:
+def _checked(solver: diffrax.AbstractERK) -> diffrax.AbstractERK:
     if not isinstance(solver.tableau, diffrax.ButcherTableau):
         raise ValueError(f"argument solver must have one tableau, but was {solver!r}")
-    return solver.tableau
+    return solver
 
 
 class _Goal(NamedTuple):

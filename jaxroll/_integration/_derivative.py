@@ -20,6 +20,7 @@ from jaxtyping import Array, Float, Int
 from .._linalg import row
 from .._types import Scalar
 from .._xla import as_it_is, filled, linear_map, one_kernel, pulled
+from ._backward_step import pulled_back
 from ._batch import Ensemble
 from ._methods import is_rosenbrock, on_tableau
 from ._run import Path, Plan, recorded, solo
@@ -87,16 +88,27 @@ class _Steps(eqx.Module):
     count: Int[Array, ""]
     still: Bundle
 
-    def step(self, k: Scalar, over: Callable) -> Callable[[Bundle, Flow, Scalar], Flow]:
-        """Step k of (moving, y, shift), so much later; the one after the last has no length."""
+    def span(self, k: Scalar) -> tuple[Scalar, Scalar]:
+        """Start and end of step k; the one after the last has no length."""
         t0 = row(self.ts, k)
-        t1 = jnp.where(k < self.count, row(self.ts, k + 1), t0)
+        return t0, jnp.where(k < self.count, row(self.ts, k + 1), t0)
+
+    def step(self, k: Scalar, over: Callable) -> Callable[[Bundle, Flow, Scalar], Flow]:
+        """Step k of (moving, y, shift), so much later."""
+        t0, t1 = self.span(k)
 
         def advance(moving: Bundle, y: Flow, shift: Scalar) -> Flow:
             grasp = eqx.combine(moving, self.still)
             return self.plan.stepper.advance(grasp, t0 + shift, t1 + shift, y, over=over)[0]
 
         return advance
+
+    def cotangents_of_step(self, k: Scalar, bar: Flow) -> tuple[Bundle, Flow, Scalar]:
+        """Cotangents of (moving, y, shift) from those of where step k ends."""
+        stepper, y = self.plan.stepper, row(self.ys, k)
+        if on_tableau(stepper.method):
+            return pulled_back(stepper, eqx.combine(self.moving, self.still), self.span(k), y, bar=bar)
+        return jax.vjp(self.step(k, pulled), self.moving, y, jnp.zeros((), y.dtype))[1](bar)
 
     @property
     def passing(self) -> Flow:
@@ -171,8 +183,7 @@ def _pulled(steps: _Steps, track: Array, last_bar: Flow, later_bar: Scalar) -> t
     def step(i: Scalar, carry: tuple[Bundle, Flow, Scalar, Scalar]) -> tuple[Bundle, Flow, Scalar, Scalar]:
         moving_bar, ahead, drift, late = carry
         k = jnp.where(i < 2, end, longest + 1 - i)
-        _, pull = jax.vjp(steps.step(k, pulled), steps.moving, row(steps.ys, k), zero)
-        more, back, shift = pull(ahead)
+        more, back, shift = steps.cotangents_of_step(k, ahead)
         along = jnp.sum(back * steps.passing) + shift
         drift = jnp.where(i == 0, along, drift)
         late = jnp.where(i == 1, steps.postponed(drift, later_bar + along), late)

@@ -14,7 +14,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array
 
-from .._linalg import row, total
+from .._linalg import row, total, weighted_sum
 from .._types import Scalar
 from .._xla import VECTOR
 
@@ -125,17 +125,17 @@ def advance(
 
     def stage(k: Scalar, carry: tuple[Array, ...]) -> tuple[Array, ...]:
         u, rates, _, parts, _ = carry
-        right = rates + _mixed(row(slopes, k), u) / h + h * row(lags, k) * drift
-        u = _put(u, _mixed(right[:, None], inverse), k)
+        right = rates + weighted_sum(row(slopes, k), u) / h + h * row(lags, k) * drift
+        u = _put(u, weighted_sum(right[:, None], inverse), k)
         # A step of no length stays where it is, whatever its stages say.
-        x = x0 + jnp.where(moving, _mixed(row(rows, k + 1), u), 0.0)
+        x = x0 + jnp.where(moving, weighted_sum(row(rows, k + 1), u), 0.0)
         rates, end = at(t0 + (times[1] - t0) * row(moments, k + 1), x)
         return u, rates, end, _put(parts, end[kept], k), x
 
     parts = jnp.zeros((len(_ERROR), *nothing[kept].shape), nothing.dtype)
     start = (jnp.zeros((len(_ERROR), *x0.shape), x0.dtype), rates, nothing, parts, x0)
     u, rates, end, parts, x1 = jax.lax.fori_loop(0, len(_ERROR), stage, start)
-    error = _mixed(_ERROR, u)
+    error = weighted_sum(_ERROR, u)
     # A matrix that is singular at this length shows here: a shorter step has another one.
     error = jnp.where(jnp.isfinite(error), error, jnp.inf)
     return x1, rates, jnp.where(moving, error, 0.0), end, parts
@@ -199,12 +199,6 @@ def _(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
 def _product(left: Array, right: Array) -> Array:
     """Matrix product as sums of numbers: a library's would break up the loop of a run."""
     return total([left[:, k][:, None] * right[k][None] for k in range(left.shape[1])])
-
-
-def _mixed(weights: Any, rows: Array) -> Array:
-    parts = jax.lax.split(rows, (1,) * rows.shape[0])
-    each = [w if w.ndim == 0 else w[None] for w in map(jnp.asarray, weights)]
-    return total([w * part for w, part in zip(each, parts, strict=True)])[0]
 
 
 def _column(matrix: Array, j: Scalar) -> Array:

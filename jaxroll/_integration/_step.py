@@ -5,7 +5,7 @@ factorisation with the projection, and stopping XLA from recomputing one stage i
 factor of two in a run and four in a batch.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import diffrax
@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from .._linalg import row, scalars, total, with_row
+from .._linalg import row, scalars, weighted_sum, with_row
 from .._mechanics import Grasp
 from .._motion import (
     Anchor,
@@ -71,7 +71,7 @@ class RollingStep(eqx.Module):
     ) -> tuple[Array, Array, Array]:
         """The same for lanes along the last axis; `over` maps a function of one lane's (bundle, ...)."""
         raw, rates, error, end, dip = self._way(bundle, *times, y0, over)
-        y1 = over(self._finish)(bundle, times[1], raw, rates, end)
+        y1 = over(self.finish)(bundle, raw, rates, end)
         if "penetration" in self.events:
             dip = jnp.minimum(dip, over(self._clearance_dip)(bundle, *times, y0, y1))
         # XLA would work both out again in everything that looks at them (see `_events`).
@@ -100,7 +100,7 @@ class RollingStep(eqx.Module):
             return self._explicit
         return self._rosenbrock if is_rosenbrock(self.method) else self._other
 
-    def _finish(self, bundle: Bundle, t: Scalar, raw: Array, rates: Array, end: Array) -> Flow:
+    def finish(self, bundle: Bundle, raw: Array, rates: Array, end: Array) -> Flow:
         """The flow vector at a step's end, back on the constraints."""
         grasp = bundle()
         with sharing():
@@ -135,42 +135,42 @@ class RollingStep(eqx.Module):
         self, bundle: Bundle, t0: Array, t1: Array, y0: Array, over: Callable
     ) -> tuple[Array, Array, Array, Array, Array]:
         """All stages and the step's end in one loop, so that the equations are compiled once."""
-        tableau = self.method.tableau  # pyright: ignore[reportAttributeAccessIssue]
-        # Frozen: a step is moved in time as a whole, never stretched.
-        dt, width = jax.lax.stop_gradient(t1 - t0), self.lay.width
-        rows, shares, weights = _tables(tableau, y0.dtype)
-        times, count = jnp.asarray(shares, y0.dtype), len(shares)
-        # A column more than x has takes the margins of all stages along: what is mixed of it is not read.
-        x0, k0 = y0[: width + 1], y0[width : 2 * width + 1]
-        slopes = jnp.concatenate([k0[None], jnp.zeros((count - 1, *k0.shape), k0.dtype)])
-        nothing = jnp.zeros((_sizes(bundle), *t0.shape), y0.dtype)
-
-        at, put = lambda t, x: over(self._at)(bundle, t, x), with_row
-        if t0.ndim == 0:
-            put = _selected
-
-        def mix(slopes: Array, row: Sequence[Any]) -> Array:
-            # Not a reduction: XLA hands larger ones to a library, and so breaks up the loop. Squeezed only
-            # at the end: XLA would move that down the sum by one term each time it simplifies all it has.
-            parts = jax.lax.split(slopes, (1,) * count)
-            return total([w * k for w, k in zip(row, parts, strict=True)])[0]
-
-        def stage(i: Scalar, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-            slopes = carry[0]
-            x = x0 + dt[None] * mix(slopes, scalars(row(rows, i)))
-            rates, end = at(t0 + times[i] * dt, x)
-            return put(slopes, jnp.concatenate([rates, end[_MARGIN][None]]), i), x, end
-
-        # A derivative of all stages side by side would take long to compile.
-        loop = jax.lax.fori_loop if t0.ndim == 0 else _repeated
-        slopes, raw, end = loop(1, count, stage, (slopes, x0, nothing))
-        raw, error, rates = raw[:width], dt[None] * mix(slopes, weights)[:width], slopes[-1, :width]
+        at = lambda t, x: over(self.at)(bundle, t, x)  # noqa: E731
+        slopes, raw, end = self.stages(at, (t0, t1), y0, ending_size(bundle))
+        _, shares, weights = tableau_of(self.method, y0.dtype)
+        width, dt = self.lay.width, jax.lax.stop_gradient(t1 - t0)
+        raw, error, rates = raw[:width], dt[None] * weighted_sum(weights, slopes)[:width], slopes[-1, :width]
         seen = watched(shares)
         if len(seen) > 2:
             return raw, rates, error, end, first_dip(shares[seen], [slopes[i, width] for i in seen])
         return raw, rates, error, end, self._dip_between(at, (t0, t1), y0, (raw, rates, end))
 
-    def _at(self, bundle: Bundle, t: Scalar, x: Array) -> tuple[Array, Array]:
+    def stages(
+        self, at: Callable, times: tuple[Array, Array], y0: Array, size: int
+    ) -> tuple[Array, Array, Array]:
+        """The slopes of all stages, the last stage's x, which is the step's end, and what is left of it.
+
+        A column more than x has takes the margins of the stages along: what is mixed of it is not read.
+        """
+        # Frozen: a step is moved in time as a whole, never stretched.
+        dt, width = jax.lax.stop_gradient(times[1] - times[0]), self.lay.width
+        rows, shares, _ = tableau_of(self.method, y0.dtype)
+        shares, count = jnp.asarray(shares, y0.dtype), len(shares)
+        x0, k0 = y0[: width + 1], y0[width : 2 * width + 1]
+        slopes = jnp.concatenate([k0[None], jnp.zeros((count - 1, *k0.shape), k0.dtype)])
+        put = with_row_selected if dt.ndim == 0 else with_row
+
+        def stage(i: Scalar, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+            slopes = carry[0]
+            x = x0 + dt[None] * weighted_sum(scalars(row(rows, i)), slopes)
+            rates, end = at(times[0] + shares[i] * dt, x)
+            return put(slopes, jnp.concatenate([rates, end[_MARGIN][None]]), i), x, end
+
+        # A derivative of all stages side by side would take long to compile.
+        loop = jax.lax.fori_loop if dt.ndim == 0 else _repeated
+        return loop(1, count, stage, (slopes, x0, jnp.zeros((size, *dt.shape), y0.dtype)))
+
+    def at(self, bundle: Bundle, t: Scalar, x: Array) -> tuple[Array, Array]:
         """Time derivative of x, and what is needed of it if the step ends there, as vectors."""
         with sharing():
             rates, end = self._evaluated(bundle(), t, once(x))
@@ -192,11 +192,11 @@ class RollingStep(eqx.Module):
         with sharing():
             memory = self.method.init(terms, t0, t1, x0, grasp)
             raw, error, _, _, code = self.method.step(terms, t0, t1, x0, grasp, memory, True)
-        rates, end = self._at(bundle, t1, raw)
+        rates, end = self.at(bundle, t1, raw)
         if error is None:
             error = jnp.zeros_like(raw)
         error = jnp.where(code == diffrax.RESULTS.successful, error, jnp.inf)
-        at = lambda t, x: self._at(bundle, t, x)  # noqa: E731
+        at = lambda t, x: self.at(bundle, t, x)  # noqa: E731
         return raw, rates, error, end, self._dip_between(at, (t0, t1), y0, (raw, rates, end))
 
     def _dip_between(
@@ -215,9 +215,9 @@ class RollingStep(eqx.Module):
     def _rosenbrock(
         self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow, over: Callable
     ) -> tuple[Array, Array, Array, Array, Array]:
-        at = lambda t, x: over(self._at)(bundle, t, x)  # noqa: E731
+        at = lambda t, x: over(self.at)(bundle, t, x)  # noqa: E731
         sampled = side_by_side if t0.ndim == 0 else samples_in_turn
-        nothing = jnp.zeros((_sizes(bundle), *t0.shape), y0.dtype)
+        nothing = jnp.zeros((ending_size(bundle), *t0.shape), y0.dtype)
         x0, margin = y0[: self.lay.width], y0[self.lay.margin]
         kept = slice(_MARGIN, _MARGIN + 1)
         raw, rates, error, end, inner = advance(at, (t0, t1), x0, nothing, sampled=sampled, kept=kept)
@@ -264,12 +264,12 @@ def _repeated(start: int, stop: int, body: Callable, carry: Any) -> Any:
     return jax.lax.fori_loop(start, stop, body, carry, unroll=unroll)
 
 
-def _selected(array: Array, new: Array, i: Scalar) -> Array:
+def with_row_selected(array: Array, new: Array, i: Scalar) -> Array:
     """Replace row i; of an update in place JAX makes a scatter under `vmap`, which breaks up the loop."""
     return jnp.where((jnp.arange(array.shape[0]) == i)[:, None], new, array)
 
 
-def _sizes(bundle: Bundle) -> int:
+def ending_size(bundle: Bundle) -> int:
     return len(jax.tree.leaves(Ending.unknown(bundle.rest)))
 
 
@@ -284,8 +284,9 @@ _AUDITED = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
 _SWEEPS = 2
 
 
-def _tables(tableau: diffrax.ButcherTableau, dtype: Any) -> tuple[Array, np.ndarray, list[float]]:
+def tableau_of(method: Any, dtype: Any) -> tuple[Array, np.ndarray, list[float]]:
     """Rows of all stages and of the step's end, their times, and the error's weights."""
+    tableau = method.tableau
     # The last stage of some methods is the step's end already; the others get one more.
     ends_itself = bool(tableau.fsal and tableau.ssal)
     count = tableau.num_stages + int(not ends_itself)

@@ -20,6 +20,7 @@ from ._plane import (
     Twist2 as Twist2,
     unstack as unstack,
     Vec2 as Vec2,
+    weighted_sum as weighted_sum,
     with_row as with_row,
 )
 from ._space import (

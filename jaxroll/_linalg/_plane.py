@@ -173,6 +173,15 @@ def total(terms: Sequence[Any]) -> Any:
     return result
 
 
+def weighted_sum(weights: Any, rows: jax.Array) -> jax.Array:
+    """Sum of the rows of an array, each times its weight: a number, or numbers as many as a row has."""
+    # Not a reduction: XLA hands larger ones to a library, and so breaks up the kernel of a run. Squeezed only
+    # at the end: XLA would move that down the sum by one term each time it simplifies all it has.
+    parts = jax.lax.split(rows, (1,) * rows.shape[0])
+    each = [w if jnp.ndim(w) == 0 else w[None] for w in weights]
+    return total([w * part for w, part in zip(each, parts, strict=True)])[0]
+
+
 class Factor(NamedTuple):
     """LDL^T factorisation of a small symmetric positive definite matrix."""
 

@@ -5,7 +5,7 @@ bodies too (`_finger`, `_jaw`), and so is whatever lives in space (`_object3`, `
 """
 
 import abc
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -23,6 +23,8 @@ from ..contact import Motion
 from ..geometry import AbstractContour
 
 Contours = tuple[AbstractContour, ...]
+# From a body's velocities to its frame's angular velocity: a number in the plane, a vector in space.
+Spin = Callable[[Scalars], Any]
 
 
 @jax.tree_util.register_dataclass
@@ -83,12 +85,15 @@ class AbstractBody(eqx.Module):
         """This body with scalar leaves and shapes ready for evaluation."""
 
     @abc.abstractmethod
+    def placed(self, q: Scalars) -> tuple[Any, Spin]:
+        """The frame in the world, and its angular velocity by the velocities, less what is prescribed.
+
+        Both at once, because a chain of links that gives the one gives the other.
+        """
+
     def pose(self, q: Scalars) -> Any:
         """The frame in the world."""
-
-    @abc.abstractmethod
-    def spin(self, q: Scalars, v: Scalars) -> Any:
-        """Angular velocity of the frame at these velocities, less what is prescribed."""
+        return self.placed(q)[0]
 
     @abc.abstractmethod
     def motion(self, q: Scalars, v: Scalars, gravity: Any) -> tuple[Motion, Inertia]:
@@ -170,12 +175,9 @@ class PivotedObject(AbstractObject):
         ready = (unstack(self.pivot), unstack(self.weight_moment), contours)
         return eqx.tree_at(fields, self, ready, is_leaf=lambda x: x is None)
 
-    def pose(self, q: Scalars) -> Pose2:
+    def placed(self, q: Scalars) -> tuple[Pose2, Spin]:
         sin, cos = sincos(q[0])
-        return Pose2(Vec2(self.pivot[0], self.pivot[1]), cos, sin)
-
-    def spin(self, q: Scalars, v: Scalars) -> Scalar:
-        return v[0]
+        return Pose2(Vec2(self.pivot[0], self.pivot[1]), cos, sin), lambda v: v[0]
 
     def motion(self, q: Scalars, v: Scalars, gravity: Vec2 | None) -> tuple[Motion, Inertia]:
         pose, zero = self.pose(q), jnp.zeros_like(q[0])
@@ -230,12 +232,9 @@ class FreeObject(AbstractObject):
     def prepared(self) -> "FreeObject":
         return eqx.tree_at(lambda o: o.contours, self, tuple(c.prepared() for c in self.contours))
 
-    def pose(self, q: Scalars) -> Pose2:
+    def placed(self, q: Scalars) -> tuple[Pose2, Spin]:
         sin, cos = sincos(q[2])
-        return Pose2(Vec2(q[0], q[1]), cos, sin)
-
-    def spin(self, q: Scalars, v: Scalars) -> Scalar:
-        return v[2]
+        return Pose2(Vec2(q[0], q[1]), cos, sin), lambda v: v[2]
 
     def motion(self, q: Scalars, v: Scalars, gravity: Vec2 | None) -> tuple[Motion, Inertia]:
         zero, one = jnp.zeros_like(q[2]), jnp.ones_like(q[2])

@@ -14,7 +14,7 @@ from .._types import Given, Scalar, Scalars
 from .._xla import once
 from ..contact import Motion
 from ..geometry import AbstractContour
-from ._body import AbstractBody, Coordinate, Inertia
+from ._body import AbstractBody, Coordinate, Inertia, Spin
 
 _STILL = Vec2(0.0, 0.0)
 
@@ -169,12 +169,9 @@ class Finger(AbstractFinger):
     def skeleton(self, q: Scalars) -> tuple[Vec2, ...]:
         return self.joint_positions(self.directions(q))
 
-    def pose(self, q: Scalars) -> Pose2:
+    def placed(self, q: Scalars) -> tuple[Pose2, Spin]:
         along = self.directions(q)
-        return Pose2(self.joint_positions(along)[-1], along[-1].x, along[-1].y)
-
-    def spin(self, q: Scalars, v: Scalars) -> Scalar:
-        return total(v)
+        return Pose2(self.joint_positions(along)[-1], along[-1].x, along[-1].y), total
 
     def motion(self, q: Scalars, v: Scalars, gravity: Vec2 | None) -> tuple[Motion, Inertia]:
         along = self.directions(q)

@@ -27,7 +27,7 @@ from .._types import Given, Scalar, Scalars
 from .._xla import once
 from ..contact import Motion
 from ..geometry import AbstractSurface
-from ._body import Inertia
+from ._body import Inertia, Spin
 from ._finger import AbstractFinger, check_links
 from ._object3 import check_inertia
 
@@ -163,15 +163,13 @@ class Finger3(AbstractFinger):
             at = Pose3(once(at.place(Vec3(*unstack(self.offsets[i])))), at.x, at.y, at.z)
         return _Chain(tuple(links), tuple(axes), at)
 
-    def pose(self, q: Scalars) -> Pose3:
-        return self._chain(q).tip
+    def placed(self, q: Scalars) -> tuple[Pose3, Spin]:
+        chain = self._chain(q)
+        return chain.tip, lambda v: total([axis * rate for axis, rate in zip(chain.axes, v, strict=True)])
 
     def skeleton(self, q: Scalars) -> tuple[Vec3, ...]:
         chain = self._chain(q)
         return (*(link.origin for link in chain.links), chain.tip.origin)
-
-    def spin(self, q: Scalars, v: Scalars) -> Vec3:
-        return total([axis * rate for axis, rate in zip(self._chain(q).axes, v, strict=True)])
 
     def motion(self, q: Scalars, v: Scalars, gravity: Vec3 | None) -> tuple[Motion, Inertia]:
         chain = self._chain(q)

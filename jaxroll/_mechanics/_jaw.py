@@ -11,7 +11,7 @@ from .._results import check_positive, concrete, shown
 from .._types import Given, Scalar, Scalars
 from ..contact import Motion
 from ..geometry import AbstractContour
-from ._body import Inertia
+from ._body import Inertia, Spin
 from ._finger import AbstractFinger, as_tip
 
 # Nothing in a jaw says how large it is, and only scaling and drawing ask: a gripper's order of magnitude [m].
@@ -95,16 +95,14 @@ class Jaw(AbstractFinger):
         ready = (unstack(self.directions), unstack(self.base), self.tip.prepared(), self._axes())
         return eqx.tree_at(fields, self, ready, is_leaf=lambda x: x is None)
 
-    def pose(self, q: Scalars) -> Pose2:
+    def placed(self, q: Scalars) -> tuple[Pose2, Spin]:
         heading, *along = self._axes()
         moves = [direction * x for direction, x in zip(along, q, strict=True)]
-        return Pose2(total([Vec2(self.base[0], self.base[1]), *moves]), heading.x, heading.y)
+        origin = total([Vec2(self.base[0], self.base[1]), *moves])
+        return Pose2(origin, heading.x, heading.y), lambda v: 0.0
 
     def skeleton(self, q: Scalars) -> tuple[Vec2, ...]:
         return (self.pose(q).origin,)
-
-    def spin(self, q: Scalars, v: Scalars) -> Scalar:
-        return jnp.zeros_like(self.angle)
 
     def motion(self, q: Scalars, v: Scalars, gravity: Vec2 | None) -> tuple[Motion, Inertia]:
         zero = jnp.zeros_like(self.angle)

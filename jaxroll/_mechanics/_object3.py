@@ -15,7 +15,7 @@ from .._types import Given, Scalar, Scalars
 from .._xla import once
 from ..contact import Motion
 from ..geometry import AbstractSurface
-from ._body import AbstractBody, Coordinate, Inertia, QUATERNION
+from ._body import AbstractBody, Coordinate, Inertia, QUATERNION, Spin
 
 Surfaces = tuple[AbstractSurface, ...]
 
@@ -108,11 +108,9 @@ class FreeObject3(AbstractBody):
         ready = (unstack(self.inertia), tuple(s.prepared() for s in self.surfaces))
         return eqx.tree_at(lambda o: (o.inertia, o.surfaces), self, ready)
 
-    def pose(self, q: Scalars) -> Pose3:
-        return once(pose_at(Vec3(*q[:3]), (q[3], q[4], q[5], q[6])))
-
-    def spin(self, q: Scalars, v: Scalars) -> Vec3:
-        return self.pose(q).turn(Vec3(*v[3:]))
+    def placed(self, q: Scalars) -> tuple[Pose3, Spin]:
+        pose = once(pose_at(Vec3(*q[:3]), (q[3], q[4], q[5], q[6])))
+        return pose, lambda v: pose.turn(Vec3(*v[3:]))
 
     def rates(self, q: Scalars, v: Scalars) -> Scalars:
         turned = quaternion_product((q[3], q[4], q[5], q[6]), (0.0, v[3], v[4], v[5]))

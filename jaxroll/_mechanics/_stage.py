@@ -26,7 +26,7 @@ from .._results import as_array, check_callable, check_direction, shown
 from .._types import Given, Scalar, Scalars
 from ..contact import Motion
 from ..geometry import AbstractSurface
-from ._body import Coordinate, Inertia
+from ._body import Coordinate, Inertia, Spin
 from ._finger import AbstractFinger
 from ._finger3 import as_surface
 
@@ -144,7 +144,7 @@ class Stage(AbstractFinger):
         ready = (unstack(self.base), unstack(self.rotation), self.tip.prepared())
         return eqx.tree_at(lambda s: (s.base, s.rotation, s.tip), self, ready)
 
-    def _placed(self, t: Scalar) -> tuple[Vec3, Quaternion]:
+    def _prescribed_pose(self, t: Scalar) -> tuple[Vec3, Quaternion]:
         """Position and unit quaternion in the world."""
         base, turn = Vec3(*unstack(self.base)), normalised(unstack(self.rotation))
         if self.motion_of is None:
@@ -158,18 +158,15 @@ class Stage(AbstractFinger):
         return pose_at(base, turn).place(point), quaternion_product(turn, own)
 
     def _twist(self, t: Scalar) -> Twist3:
-        (_, turn), (velocity, rate) = jax.jvp(self._placed, (t,), (jnp.ones_like(t),))
+        (_, turn), (velocity, rate) = jax.jvp(self._prescribed_pose, (t,), (jnp.ones_like(t),))
         spin = quaternion_product(rate, conjugate(turn))
         return Twist3(velocity, Vec3(*spin[1:]) * 2.0)
 
-    def pose(self, q: Scalars) -> Pose3:
-        return pose_at(*self._placed(q[0] if q else jnp.zeros(())))
+    def placed(self, q: Scalars) -> tuple[Pose3, Spin]:
+        return pose_at(*self._prescribed_pose(q[0] if q else jnp.zeros(()))), lambda v: Vec3(0.0, 0.0, 0.0)
 
     def skeleton(self, q: Scalars) -> tuple[Vec3, ...]:
         return (self.pose(q).origin,)
-
-    def spin(self, q: Scalars, v: Scalars) -> Vec3:
-        return Vec3(0.0, 0.0, 0.0)
 
     def rates(self, q: Scalars, v: Scalars) -> Scalars:
         return tuple(jnp.ones_like(clock) for clock in q)

@@ -14,7 +14,7 @@ import jax
 from .._mechanics import Blocks, Grasp, Leaves
 from .._xla import once
 from ..contact import Rows
-from ._equations import Instant, touches, world_poses
+from ._equations import Instant, touches
 from ._linearisation import balance, closing, combine, Linearisation, negative, respond, unknown_line
 
 
@@ -62,12 +62,13 @@ def settle(grasp: Grasp, leaves: Leaves, anchor: Anchor) -> Leaves:
     line = anchor.line
     shapes = [grasp.shapes(c) for c in grasp.contacts]
     places = [c.onto(*pair) for c, *pair in zip(grasp.contacts, shapes, leaves.s, strict=True)]
-    frames = world_poses(grasp, leaves.q)
+    placed = [body.placed(block) for body, block in zip(grasp.bodies, leaves.q, strict=True)]
+    frames = [pose for pose, _ in placed]
     left = once(residual(grasp, frames, touches(grasp, places)))
     # The gap as if it were an impulse's doing: the step -M^-1 A^T (A M^-1 A^T)^-1 g undoes it.
     back = once(negative(respond(grasp, line, balance(line, left.gaps))))
     # Tangency is a contact's own: its place moves until the normals meet, also for what that step turns.
-    body, *tips = spins(grasp, leaves.q, back)
+    body, *tips = [spin(step) for (_, spin), step in zip(placed, back, strict=True)]
     s = []
     for i, c in enumerate(grasp.contacts):
         place = c.settled(
@@ -95,11 +96,6 @@ def residual(grasp: Grasp, frames: Sequence[Any], touching: Sequence[Any]) -> Re
         tuple(c.opening(pair, t) for c, pair, t in each),
         tuple(c.tangency(pair, t) for c, pair, t in each),
     )
-
-
-def spins(grasp: Grasp, q: Blocks, rates: Blocks) -> tuple[Any, ...]:
-    """Angular velocities of the object and of every fingertip."""
-    return tuple(body.spin(*pair) for body, *pair in zip(grasp.bodies, q, rates, strict=True))
 
 
 def displaced(grasp: Grasp, q: Blocks, step: Blocks) -> Blocks:

@@ -13,6 +13,7 @@ import jax.extend.core as jec
 import jax.numpy as jnp
 import numpy as np
 from jax.core import ShapedArray
+from jax.extend.mlir import ir
 from jax.extend.mlir.dialects import stablehlo
 from jax.interpreters import ad, batching, mlir
 
@@ -26,17 +27,28 @@ def barrier(x: Any) -> jax.Array:
 
 
 def _divided(context: mlir.LoweringRuleContext, x: Any) -> list[Any]:
-    """A division by one, or by two for what is below -inf."""
+    """A division by a one that is worked out: two where the first number of its block is below -inf.
+
+    XLA cannot tell that this is one, and so keeps the divisions; LLVM can. All barriers of one block and one
+    shape divide by the same: with a one of its own for each a program has half as many lines more.
+    """
     kind: Any = context.avals_in[0]
-    constants = (np.full(kind.shape, c, kind.dtype) for c in (-np.inf, 2.0, 1.0))
-    below, two, one = map(mlir.ir_constant, constants)
-    less = stablehlo.compare(x, below, stablehlo.ComparisonDirectionAttr.get("LT"))
-    return [stablehlo.divide(x, stablehlo.select(less, two, one))]
+    # What was lowered once for a module is kept here by JAX, and goes with the module.
+    known = context.module_context.cached_primitive_lowerings
+    here: Any = ir.InsertionPoint.current
+    key = (_BARRIER, here.block, kind.shape, kind.dtype)
+    if key not in known:
+        constants = (np.full(kind.shape, c, kind.dtype) for c in (-np.inf, 2.0, 1.0))
+        below, two, one = map(mlir.ir_constant, constants)
+        less = stablehlo.compare(x, below, stablehlo.ComparisonDirectionAttr.get("LT"))
+        known[key] = stablehlo.select(less, two, one)
+    return [stablehlo.divide(x, known[key])]
 
 
 _BARRIER.def_impl(jax.jit(lambda x: _BARRIER.bind(x)))
 _BARRIER.def_abstract_eval(lambda x: x)
-mlir.register_lowering(_BARRIER, _divided)
+# Not kept and called by JAX: what a barrier divides by belongs to its block.
+mlir.register_lowering(_BARRIER, _divided, cacheable=False)
 ad.deflinear2(_BARRIER, lambda bar, _: [_BARRIER.bind(bar)])
 batching.defvectorized(_BARRIER)
 

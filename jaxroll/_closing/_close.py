@@ -64,7 +64,8 @@ def close(
         check_flag(name, flag)
     if locate:
         grasp, guess = _at_closest_points(grasp, guess)
-    state, rows = _close(grasp, guess, hold_contacts and not locate)
+    hold = hold_contacts and not locate
+    state, rows = _close(grasp, guess, hold, resting=_resting(grasp, guess))
     seen = concrete(rows)
     if throw and seen is not None:
         worst = int(np.nanargmax(np.where(np.isnan(seen), np.inf, np.abs(seen))))
@@ -125,7 +126,13 @@ def row_name(grasp: Grasp, row: int) -> str:
     return f"the {name} of contact {contact}"
 
 
+def _resting(grasp: Grasp, guess: State) -> bool:
+    """Whether nothing moves, as far as can be told before the program is made."""
+    rates = concrete(guess.v)
+    return rates is not None and not np.any(rates) and not any(f.prescribed for f in grasp.fingers)
+
+
 @compiled
-def _close(grasp: Grasp, guess: State, hold: bool) -> tuple[State, Array]:
+def _close(grasp: Grasp, guess: State, hold: bool, *, resting: bool) -> tuple[State, Array]:
     ready = grasp.prepared()
-    return settled(ready, on_shapes(ready, guess), hold)
+    return settled(ready, on_shapes(ready, guess), hold, resting=resting)

@@ -20,32 +20,34 @@ from .._xla import filled, linear_map, one_kernel, shared, sharing
 from ._search import after_step, ClosingProblem, constraint_rows, metric_at, searched, solve_schur
 
 
-def settled(grasp: Grasp, guess: State, hold: bool) -> tuple[State, Array]:
+def settled(grasp: Grasp, guess: State, hold: bool, *, resting: bool) -> tuple[State, Array]:
     """The closed state nearest to a guess, and what the constraints leave over.
 
     Args:
         grasp: A prepared grasp.
         guess: Where to start, its contacts on their shapes.
         hold: Whether contacts stay where the guess puts them.
+        resting: Whether all velocities are known to be zero, and so stay zero: then the program has no part
+            that makes them compatible, which is two fifths of it.
 
     The state is differentiable in both modes, once; what is left over counts as constant.
     """
-    return _settled(grasp, guess, hold)
+    return _settled(grasp, guess, hold, resting)
 
 
 @eqx.filter_custom_jvp
-def _settled(grasp: Grasp, guess: State, hold: bool) -> tuple[State, Array]:
-    return _found(grasp, guess, hold)[0]
+def _settled(grasp: Grasp, guess: State, hold: bool, resting: bool) -> tuple[State, Array]:
+    return _found(grasp, guess, hold, resting=resting)[0]
 
 
 @_settled.def_jvp
 def _settled_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
-    (*shapes, hold) = primals
+    (*shapes, hold, resting) = primals
     moving, still = eqx.partition(tuple(shapes), eqx.is_inexact_array)
     moving = eqxi.nondifferentiable(moving, name="a closed state (second derivatives)")
     grasp, guess = eqx.combine(moving, still)
-    out, minimum = _found(grasp, guess, hold)
-    response = _response(_Question(still, hold), moving, minimum)
+    out, minimum = _found(grasp, guess, hold, resting=resting)
+    response = _response(_Question(still, hold, resting), moving, minimum)
     dots = filled(moving, tangents[:2])
     return out, (linear_map(_Response.tangents, _Response.cotangents, response, dots, like=out[0]), None)
 
@@ -58,10 +60,12 @@ class _Minimum(NamedTuple):
     jacobian: Array
 
 
-def _found(grasp: Grasp, guess: State, hold: bool) -> tuple[tuple[State, Array], _Minimum]:
+def _found(
+    grasp: Grasp, guess: State, hold: bool, *, resting: bool
+) -> tuple[tuple[State, Array], _Minimum]:
     metric = one_kernel(metric_at, grasp, guess, hold)
     step, jacobian = searched(ClosingProblem(grasp, guess, metric))
-    return one_kernel(_ended, grasp, guess, step), _Minimum(step, metric, jacobian)
+    return one_kernel(_ended, grasp, guess, step, resting), _Minimum(step, metric, jacobian)
 
 
 class _Question(eqx.Module):
@@ -69,6 +73,7 @@ class _Question(eqx.Module):
 
     still: Any
     hold: bool = eqx.field(static=True)
+    resting: bool = eqx.field(static=True)
 
     def problem(self, moving: Any) -> ClosingProblem:
         grasp, guess = eqx.combine(moving, self.still)
@@ -76,7 +81,7 @@ class _Question(eqx.Module):
 
     def ending(self, moving: Any, step: Array) -> State:
         grasp, guess = eqx.combine(moving, self.still)
-        return _ending(grasp, guess, step)
+        return _ending(grasp, guess, step, resting=self.resting)
 
 
 class _Response(eqx.Module):
@@ -157,10 +162,12 @@ def _conditions_pulled(response: _Response, w: Array) -> Any:
     return shared(jax.grad(weighed))(response.moving, response.z, w)
 
 
-def _ending(grasp: Grasp, guess: State, step: Array) -> State:
+def _ending(grasp: Grasp, guess: State, step: Array, *, resting: bool) -> State:
     """The state after a step, its velocities projected onto $A v = 0$ in the mass metric."""
     with sharing():
         q, s = after_step(grasp, guess, step)
+        if resting:
+            return State(q, guess.v, s)
         leaves = to_leaves(State(q, guess.v, s), grasp.form)
         motions, inertias = bodies(grasp, leaves)
         masses = [factorise(inertia.mass) for inertia in inertias]
@@ -168,7 +175,7 @@ def _ending(grasp: Grasp, guess: State, step: Array) -> State:
         return State(q, join(compatible(grasp, leaves, line).v), s)
 
 
-def _ended(grasp: Grasp, guess: State, step: Array) -> tuple[State, Array]:
+def _ended(grasp: Grasp, guess: State, step: Array, resting: bool) -> tuple[State, Array]:
     """The same with what the constraints leave over: one kernel that feeds another breaks XLA in a batch."""
-    state = _ending(grasp, guess, step)
+    state = _ending(grasp, guess, step, resting=resting)
     return state, constraint_rows(grasp, state.q, state.s)

@@ -1,4 +1,7 @@
-"""The general cylinder over a planar contour."""
+"""The general cylinder over a planar contour: what a contour of `contours` is in space.
+
+Frame, domain and table are the contour's; the second coordinate is the height along z.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +15,7 @@ from ._gauss import Gauss3
 from ._surface import AbstractSurface
 from ._surface_chart import bounded
 
+# Places along the contour at which a search for the closest point may begin.
 _SEEDS = 64
 
 

@@ -32,8 +32,7 @@ _PLACES = 1024  # along a contour
 _TURNS = 9  # places at which a closed one is compared with itself a turn later
 # An endless contour is looked at within this of the start [m]: about the length of a finger.
 _RANGE = 0.1
-# Smallest step from a start at which a contour is looked at [m]; sizes that errors are relative to are not
-# smaller.
+# Nearest look about a start [m]; it also keeps the sizes by which errors are divided from being zero.
 _NEAREST = 1e-6
 _SPREAD = 48  # places on a surface
 # Relative errors allowed in double and in single precision: of first derivatives, and of second ones.
@@ -140,6 +139,7 @@ def _fault(contour: AbstractContour) -> str | None:
         ends = np.asarray([np.asarray(end, float) for end in domain])
         if not (ends.shape == (2,) and np.all(np.isfinite(ends)) and ends[0] < ends[1]):
             return f"whose domain rises, but that of {{kind}} was {shown(ends)}"
+        # Middles of equal parts, so that no end is evaluated.
         share = (np.arange(_PLACES) + 0.5) / _PLACES
         fault = _along(ready, ends[0] + (ends[1] - ends[0]) * share)
         return fault or (_open(ready, ends) if contour.closed else None)
@@ -151,6 +151,8 @@ def _about(contour: AbstractContour, start: Given) -> str | None:
         here = float(np.asarray(start))
         if contour.domain() is not None:
             return _along(_ready(tabled(contour)), np.full(_PLACES, here), there=True)
+        # From `_NEAREST` to `_RANGE` on either side. The start comes first, as `_along` wants it, and twice,
+        # which makes the number of places the same as in all other calls.
         steps = np.geomspace(_NEAREST, _RANGE, _PLACES // 2 - 1)
         places = np.concatenate([[here, here], here + steps, here - steps])
         return _along(_ready(tabled(contour)), places, there=True)
@@ -282,6 +284,7 @@ def _surface_fault(surface: AbstractSurface) -> str | None:
     """
     with jax.ensure_compile_time_eval():
         off = {name: np.asarray(value) for name, value in _inconsistency(surface).items()}
+    # Each entry of `off` has its message for a name, and errors at all places for its value.
     allowed = _SURFACE[off["there"].dtype]
     seam = float(off.pop("seam"))
     if not seam <= 10.0 * allowed:
@@ -327,6 +330,7 @@ def _errors(surface: AbstractSurface, at: Scalars) -> dict[str, Array]:
             f"argument surface must give a Gauss3 by `frame`, but {type(surface).__name__} gave "
             f"{shown(frame)}"
         )
+    # Errors of curvatures are relative to `size`: the curvatures plus one over the distance from the origin.
     normal, length = frame.normal, frame.normal.norm()
     moved, turned = [], []
     size = jnp.sqrt(frame.shape.squares()) + 1.0 / (frame.point.norm() + _NEAREST)

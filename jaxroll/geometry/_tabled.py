@@ -72,5 +72,5 @@ def _with_inner(shape: ShapeType, change: Callable[[AbstractShape], AbstractShap
 
 @remembered
 def _with_inner_tables(shape: Any) -> Any:
-    """A shape with the tables of the shapes that it holds; kept, so that a shape always gives the same one."""
+    """A shape with the tables of the shapes that it holds; kept, so that a shape always gives one object."""
     return _with_inner(shape, lambda part: part.tabled())

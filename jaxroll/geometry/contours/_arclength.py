@@ -163,6 +163,7 @@ def hermite(value: Array, first: Array, second: Array) -> Array:
 def _interpolate(table: ArclengthTable, s: Scalar) -> Scalar:
     """The table's u at any arclength s [m], with u(s + length) = u(s) + period."""
     cells = table.coefficients.shape[0]
+    # The cell is chosen without derivative; `local` is the position in it, in [0, 1).
     position = s * (cells / table.length)
     whole = jnp.floor(jax.lax.stop_gradient(position))
     local = position - whole

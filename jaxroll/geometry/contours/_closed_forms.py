@@ -173,6 +173,7 @@ class Ellipse(AbstractContour):
                 f"argument cells must be at least {_RESOLVED} times the square of the ratio of the axes, "
                 f"{_RESOLVED * square:.4g}, but was {given}"
             )
+        # A power of two: few different numbers of cells, and so few programs to compile.
         return given or max(_USUAL, 1 << math.ceil(math.log2(_ACCURATE * square)))
 
     def angle(self, s: Scalar) -> Scalar:
@@ -205,6 +206,7 @@ class Ellipse(AbstractContour):
 
     def frame(self, s: Scalar) -> Frenet2:
         sin, cos = sincos(self.angle(s))
+        # dc/du and its length; kappa = a b / |dc/du|^3.
         direction = Vec2(-self.a * sin, self.b * cos)
         rate = 1.0 / jnp.sqrt(direction.dot(direction))
         return Frenet2(Vec2(self.a * cos, self.b * sin), direction * rate, self.a * self.b * rate**3)

@@ -71,6 +71,7 @@ def descend(
     """
     report = _reporter(progress)
     data = problem.refresh(start[0], start[1], data)
+    # The best parameters so far, their loss, the losses of all steps, and the number of steps.
     best, least, history, done = start, float(_loss(problem, start, data)), [], 0
     while done < steps and least > target:
         # A chunk that does not end below the best loss so far, or ends in NaN, is dropped.
@@ -119,6 +120,7 @@ def _adam(problem: NetworkProblem, params: tuple[Any, Any], data: Any) -> tuple:
     """A chunk of Adam: the parameters, and the loss before every step and at the end."""
     import optax  # here, because it takes 0.2 s to import
 
+    # The rate falls from 1e-3 to a hundredth of that within the chunk.
     method = optax.adam(optax.cosine_decay_schedule(1e-3, CHUNK, alpha=0.01))
 
     def step(carry: tuple, _: None) -> tuple:
@@ -157,6 +159,7 @@ def _marquardt(problem: NetworkProblem, params: tuple[Any, Any], data: Any) -> t
     Steps are $-J^\top (J J^\top + \mu I)^{-1} r$, or $-(J^\top J + \mu I)^{-1} J^\top r$: equal, and the
     smaller of both matrices is factorised. $\mu$ is `damping` times the mean of the matrix's diagonal.
     """
+    # All parameters as one vector, as the linear algebra wants them.
     start, unravel = jax.flatten_util.ravel_pytree(params)
 
     def loss(flat: jax.Array) -> jax.Array:
@@ -165,6 +168,7 @@ def _marquardt(problem: NetworkProblem, params: tuple[Any, Any], data: Any) -> t
     def step(carry: tuple, _: None) -> tuple:
         flat, damping = carry
         right, jacobian = _linearised(problem, unravel(flat), data)
+        # Shapes are static: which of both systems is smaller is known while tracing.
         wide = jacobian.shape[0] < jacobian.shape[1]
         gram = jacobian @ jacobian.T if wide else jacobian.T @ jacobian
         shift = damping * jnp.trace(gram) / gram.shape[0]

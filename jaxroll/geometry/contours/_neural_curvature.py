@@ -129,6 +129,7 @@ class NeuralCurvature(AbstractTabulated):
         centre = data.mean(axis=0)
         size = float(np.mean(np.hypot(*(data - centre).T)))
         scaled = (data - centre) / size
+        # The network's last layer is fitted to that curve's curvature, then everything to the points.
         slope, pose, places = _start(scaled)
         network = with_readout(PeriodicNetwork(harmonics, width=width, depth=depth, key=key), slope)
         cloud = _Cloud(jnp.asarray(scaled), jnp.asarray(places))
@@ -209,6 +210,7 @@ def _laid_out(values: Array, pose: _Pose) -> _Laid:
     x, y = jnp.cos(theta), jnp.sin(theta)
     # kappa = d theta / ds = (d theta_0 / du) (d theta / d theta_0) / L.
     curvature = slope * (1.0 - alpha * sin + beta * cos) / pose.length
+    # dx/du = L cos(theta). `_integral` has no mean, so that the mean point is the centre.
     points = [pose.centre[i] + pose.length * _integral(t) for i, t in enumerate((x, y))]
     table = from_frames(
         _joined(jnp.stack(points, axis=-1)),
@@ -280,6 +282,7 @@ def _start(points: np.ndarray) -> tuple[np.ndarray, _Pose, np.ndarray]:
     basis = np.exp(1j * np.outer(grid, order))
     rate, bend = basis @ (1j * order * waves), basis @ (-(order**2) * waves)
     speed = np.abs(rate)
+    # The area enclosed is half the integral of Im(conj(z) z').
     if np.sum(np.imag(np.conj(basis @ waves) * rate)) <= 0:
         raise ValueError("argument points must run counter-clockwise, but run clockwise")
     arcs = np.concatenate([[0.0], np.cumsum(0.5 * (speed + np.roll(speed, -1)))]) * (_TURN / 2048)
@@ -287,12 +290,14 @@ def _start(points: np.ndarray) -> tuple[np.ndarray, _Pose, np.ndarray]:
     # From here on at uniform arclengths: at the parameters `at`. kappa = Im(conj(z') z'') / |z'|^3.
     at = np.interp(_uniform(_FIT_CELLS) / _TURN * length, arcs, np.append(grid, _TURN))
     turning = np.imag(np.conj(rate) * bend) / speed**3 * length
+    # theta'(u) - 2 pi = N - mean(N), as if alpha and beta were zero.
     slope = np.interp(at, grid, turning, period=_TURN) - _TURN
     theta = np.interp(at, grid, np.unwrap(np.angle(rate)))
     middle = np.interp(at, grid, (basis @ waves).real, period=_TURN).mean()
     height = np.interp(at, grid, (basis @ waves).imag, period=_TURN).mean()
     angle = np.mean(theta - _uniform(_FIT_CELLS))
     pose = _Pose(jnp.asarray(length), jnp.asarray(angle), jnp.stack([middle, height]))
+    # Where the points themselves are: from their chord length to arclength.
     return slope, pose, np.interp(phase, np.append(grid, _TURN), arcs) / length
 
 

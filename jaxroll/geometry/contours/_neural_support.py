@@ -119,9 +119,11 @@ class NeuralSupport(AbstractSupport):
         scaled = (data - centre) / size
         waves, angles = _start(scaled)
         network = PeriodicNetwork(harmonics, decay=1.0, width=width, depth=depth, key=key)
+        # In units of size one, h = 1 + N about the origin. Derivatives count a little, for the curvature.
         network = with_readout(network, waves - 1.0, bends=0.1)
         floor = 0.01 if smallest_radius is None else smallest_radius / size
         cloud = _Cloud(jnp.asarray(scaled), jnp.asarray(angles), jnp.asarray(floor))
+        # Radius and centre move with the weights. The target is that of a mean square.
         rest = (jnp.ones(()), jnp.zeros(2))
         target = (tolerance / size) ** 2
         found = descend(_PROBLEM, (network, rest), cloud, steps=steps, target=target, progress=progress)
@@ -175,6 +177,7 @@ def _start(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         series, angles = fit_series(points, terms)
         phases = np.outer(_uniform(256), np.arange(1, terms + 1))
         waves = np.concatenate([np.cos(phases), np.sin(phases)], axis=1)
+        # Factors by which waves of h become those of rho = h + h'', first for cosines, then for sines.
         bends = np.tile(1.0 - np.arange(1, terms + 1) ** 2, 2)
         if terms == 1 or np.min(series[0] + waves @ (bends * series[1:])) > 0:
             return series[0] + waves @ series[1:], angles
@@ -189,6 +192,7 @@ def _refreshed(network: PeriodicNetwork, rest: tuple[Array, Array], cloud: _Clou
     """
     series, angles = _series(network, *rest, 64), cloud.angles
     for _ in range(3):
+        # p . n and p . n' at the angles.
         sin, cos = sincos(angles)
         out = cloud.points[:, 0] * cos + cloud.points[:, 1] * sin
         along = cloud.points[:, 1] * cos - cloud.points[:, 0] * sin

@@ -83,6 +83,7 @@ class Series(eqx.Module):
 
     def _progress(self, angle: Array) -> tuple[Array, Array]:
         r"""Arclength $\int_0^\varphi \rho$ [m], in closed form, and $\rho$."""
+        # h + h'' multiplies wave k by 1 - k^2, and integrating divides it by k.
         order, sin, cos = self._waves(angle)
         rate = 1.0 - order**2
         a, b = rate * self.cosines, rate * self.sines
@@ -106,6 +107,8 @@ def smallest(field: Callable[[Array], Array], ends: tuple[Array, Array], density
     values = field(grid)
     at = jnp.clip(jnp.argmin(values), 1, density - 2)
     before, here, after = values[at - 1], values[at], values[at + 1]
+    # The vertex of a parabola through three equidistant values lies (before - after) / (2 bend) steps from
+    # the middle. Where the three do not bend upwards the middle stays.
     bend = before - 2.0 * here + after
     step = jnp.clip(0.5 * (before - after) / jnp.where(bend > 0, bend, jnp.inf), -1.0, 1.0)
     vertex = grid[at] + step * (high - low) / (density - 1)
@@ -251,6 +254,7 @@ class SupportFunction(AbstractSupport):
         if not 0 < 2 * terms < len(data):
             most = (len(data) - 1) // 2
             raise ValueError(f"argument terms must lie between 1 and {most} (by the points), but was {terms}")
+        # In one array: the mean, then the cosines, then the sines.
         series, _ = fit_series(data, terms)
         return cls(series[0], series[1 : terms + 1], series[terms + 1 :], cells=cells)
 
@@ -265,10 +269,12 @@ class SupportFunction(AbstractSupport):
         return np.diag(np.concatenate([[1.0], each, each]))
 
     def symmetrised(self) -> "SupportFunction":
+        # The mirror image about the x axis has h(-phi): the mean of both is the even part.
         return eqx.tree_at(lambda c: c.sines, self, jnp.zeros_like(self.sines))
 
     def perturbed(self, rng: np.random.Generator) -> "SupportFunction":
         """Terms of the series changed by less and less, so that it stays convex."""
+        # A term of order k changes the radius of curvature by k^2 - 1 times its size.
         size = PERTURBED * float(self.radius) / self._orders() ** 3
         wave = lambda: jnp.asarray(size * rng.standard_normal(len(size)))  # noqa: E731
         where = lambda c: (c.cosines, c.sines)  # noqa: E731
@@ -282,6 +288,7 @@ def check_convex(name: str, contour: AbstractSupport) -> None:
     """Raise if a concrete support function folds."""
     if traced(contour):
         return
+    # A constant contour may be made inside a traced function: its check is evaluated there and then.
     with jax.ensure_compile_time_eval():
         worst = float(contour.smallest_radius())
     if not worst > 0:

@@ -100,6 +100,8 @@ class AbstractSurface(AbstractShape):
         half the smallest radius of curvature. The minimum is a local one.
         """
 
+        # A step in the tangent plane, in coordinates, and back onto the surface. The number of steps is
+        # fixed: all searches of a batch are equally long, and reverse mode needs a known length.
         def step(at: Scalars, _: None) -> tuple[Scalars, None]:
             frame = self.frame(at)
             return self.settled(_sum(at, self.rate(at, approach(frame, point)))), None
@@ -193,6 +195,7 @@ def _principal(frame: Gauss3) -> tuple[Array, Array]:
 
 @jax.jit
 def _normal_curvature(frame: Gauss3, direction: Array) -> Array:
+    # Only the tangent part of the direction counts.
     v = Vec3(*(direction[..., i] for i in range(3)))
     v = v - frame.normal * v.dot(frame.normal)
     return frame.shape.form(v, v) / v.dot(v)
@@ -259,6 +262,7 @@ def _arrived(surface: AbstractSurface, target: Vec3, at: Scalars) -> Array:
     Both are judged by a distance [m] relative to the size of the problem: how far the target lies beside the
     normal, and how far `settled` would still move the place.
     """
+    # `aside` is the arm less its part along the normal.
     frame, back = surface.frame(at), surface.frame(surface.settled(at))
     arm = target - frame.point
     aside = arm - frame.normal * arm.dot(frame.normal)

@@ -143,6 +143,7 @@ class Torus(AbstractImplicit):
         return self._around(Vec3(*at))[1]
 
     def spread(self, count: int) -> Scalars:
+        # Even in both angles, and so denser on the inner side, which thinning evens out.
         turn, roll = 2.0 * np.pi * lattice(SEEDS * count, 2).T
         out = self.major + self.minor * np.cos(roll)
         points = (out * np.cos(turn), out * np.sin(turn), self.minor * np.sin(roll))
@@ -158,6 +159,7 @@ class Torus(AbstractImplicit):
         distance = jnp.sqrt(beyond * beyond + point.z * point.z)
         near = once(1.0 / distance)
         out, up = beyond * near, point.z * near
+        # Curvatures: 1 / distance along the meridian, cos(theta) / radial along the parallel.
         normal = Vec3(cos * out, sin * out, up)
         meridian = Vec3(-cos * up, -sin * up, out)
         parallel = Vec3(-sin, cos, jnp.zeros_like(cos))
@@ -297,6 +299,7 @@ def _about_axis(point: Vec3) -> tuple[Scalar, Gauss3]:
     """Distance from the z axis, and the frame of the cylinder through the point."""
     distance = jnp.sqrt(point.x * point.x + point.y * point.y)
     inverse = once(1.0 / distance)
+    # L = t t^T / distance with the tangent t = (-y, x, 0) round the axis.
     x, y, zero = point.x * inverse, point.y * inverse, jnp.zeros_like(inverse)
     shape = Sym3(y * y * inverse, -x * y * inverse, zero, x * x * inverse, zero, zero)
     return distance, Gauss3(point, Vec3(x, y, zero), shape)

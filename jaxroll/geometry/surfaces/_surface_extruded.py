@@ -57,6 +57,7 @@ class Extruded(AbstractSurface):
         return self.contour.smoothness
 
     def frame(self, at: Scalars) -> Gauss3:
+        # The contour's normal, its tangent turned right, is t x e_z. Only along t does the normal change.
         here = self.contour.frame(at[0])
         zero = jnp.zeros_like(here.tangent.x)
         out = here.tangent.right()

@@ -114,6 +114,7 @@ def spread_in_box(surface: AbstractImplicit, low: Vec3, high: Vec3, count: int) 
 
     def fall(seed: Vec3) -> tuple[Vec3, Array]:
         point = Vec3(*surface.start(Vec3(*surface.start(seed))))
+        # |F| / |grad F| is the distance from the surface, to first order.
         level = surface.derivatives(point)
         arrived = jnp.abs(level.value) <= _ARRIVED * size.norm() * level.gradient.norm()
         # NaN, of a seed that went astray, compares false and is zeroed below, or it would spoil distances.

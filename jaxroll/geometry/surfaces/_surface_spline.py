@@ -67,6 +67,7 @@ class SplineSurface(AbstractImplicit):
         near = block(self.coefficients, tuple(place.first for place in local))
         found = contracted(near, tuple(place.weights for place in local))
         gradient = Vec3(found[1, 0, 0], found[0, 1, 0], found[0, 0, 1])
+        # `found[i, j, k]` is the derivative of order i in x, j in y and k in z.
         mixed = (found[1, 1, 0], found[1, 0, 1], found[0, 1, 1])
         hessian = Sym3(found[2, 0, 0], mixed[0], mixed[1], found[0, 2, 0], mixed[2], found[0, 0, 2])
         return once(Level(found[0, 0, 0], gradient, hessian))

@@ -55,6 +55,7 @@ class Axis(NamedTuple):
         # Open: the knots next to either end are left out, so that the first piece is three nodes long.
         cell = jnp.floor(u) - (0.0 if closed else 2.0)
         piece = jnp.clip(cell, 0.0, pieces - 1.0).astype(int)
+        # The polynomials are in the piece's own coordinate, in [0, 1], whose derivative in u is 1 / width.
         breaks = jnp.asarray(self.breaks, u.dtype)
         low = breaks[piece]
         width = breaks[piece + 1] - low
@@ -113,6 +114,7 @@ def contracted(block: Array, weights: tuple[Float[Array, "3 6"], ...]) -> Array:
 
     Products added one by one, neither `dot` nor a reduction: a batch of any size stays in one kernel.
     """
+    # Axis k has six slices and becomes three numbers wide: slice i times the three weights of function i.
     for k, table in enumerate(weights):
         wide = (1,) * k + (3,) + (1,) * (block.ndim - k - 1)
         slices = (jax.lax.slice_in_dim(block, i, i + 1, axis=k) for i in range(ORDER))

@@ -51,8 +51,8 @@ def tabulate(rate: Callable[[Any, Array], Array], shape: Any, *, period: float, 
         return width * rate(shape, width * (cell + x))
 
     cell, x, arcs = spaced(speed, shape, cells, cells)
-    # With speed v(u): u' = 1 / v and u'' = -v' / v^3 in arclength; `hermite` wants both in cells of length
-    # `step`.
+    # With speed v(u): du/ds = 1 / v and d2u/ds2 = -(dv/du) / v^3. `hermite` wants both per cell, of length
+    # step.
     nodes, step = width * (cell + x), arcs[-1] / cells
     value, slope = jax.jvp(lambda u: rate(shape, u), (nodes,), (jnp.ones_like(nodes),))
     rows = hermite(nodes, step / value, -slope * step**2 / value**3)

@@ -105,8 +105,7 @@ class Basis(NamedTuple):
         r"""The quadratic form $\int |P'''(u)|^2\,du$."""
         order = self.polynomials.shape[-1]
         # With u = u_i + step x: P'''(u) = p'''(x) / step^3 and du = step dx, so step^-5 in all. The third
-        # derivative of x^p is p (p-1) (p-2) x^(p-3); the integral of x^(a + b) over [0, 1] is 1 / (a + b +
-        # 1).
+        # derivative of x^p is p (p-1) (p-2) x^(p-3); the integral of x^m over [0, 1] is 1 / (m + 1).
         step = jnp.diff(self.breaks)
         power = np.arange(order)
         third = (self.polynomials * (power * (power - 1.0) * (power - 2.0))[None, None, :])[..., 3:]

@@ -56,9 +56,9 @@ class AbstractContour(AbstractShape):
     With tangent $b = c'(s)$, the outward normal is $b$ turned by -90 degrees and the curvature
     $\kappa$ is positive where the body is convex. Lengths are in metres, in the body's frame.
 
-    To add a contour, subclass this and give `curve`, `domain`, `closed` and `smoothness`: one class
-    statement is the one place where it is made known. All else has a default that suits a class which knows
-    nothing of it, to be overridden where there is something to say:
+    To add a contour, subclass this and give `curve`, `domain`, `closed` and `smoothness`; nothing
+    else in the package has to be told of it. Everything else has a default, which a class overrides where it
+    knows better:
 
     - `frame`, where there is a closed form. `curve` and `frame` take and return scalars (`Vec2`), since they
       run inside the equations of motion.

@@ -29,8 +29,8 @@ from ._table import AbstractTabulated, FEWEST_CELLS, Table, tabulated
 # Exponents b of the curvature in the successive parameters, whose rate is about kappa^b: arclength (b = 0)
 # twice, since chords of uneven length spoil the first fit's curvature, then nearly affine arclength.
 _BENDS = (0.0, 0.0, 1.0 / 3.0)
-# Curvature, as a share of that of a disc as long, below which a contour counts as straight in that parameter:
-# an exponent of 1/3 would let the parameter stand still on a straight line.
+# Curvature, as a share of that of a disc as long, below which a contour counts as straight in that parameter.
+# Without it the parameter would stand still along straight lines.
 _FLAT = 0.1
 # Most entries of the matrix of all functions' values at all points; 2^24 doubles are 134 MB.
 _LARGEST = 1 << 24
@@ -206,7 +206,7 @@ class Spline(AbstractTabulated):
             share = step / jnp.diff(pieces.breaks)[index]
         square = rate.dot(rate)
         arc = share * jnp.sqrt(square)
-        # kappa L / (2 pi). The weights add up to 2, on [-1, 1], so that the sum in it is 2 L.
+        # kappa L / (2 pi). The weights add up to 2, as on [-1, 1], so that the sum of `arc` with them is 2 L.
         turns = rate.cross(second) / (square * jnp.sqrt(square)) * (jnp.sum(arc @ _WEIGHTS) / (4.0 * np.pi))
         density = arc * (_FLAT**2 + turns**2) ** (0.5 * bend)
         return rising_sums(density @ (0.5 * _WEIGHTS))

@@ -21,7 +21,7 @@ from ._gauss import Gauss3
 from ._spread import directions, lattice, SEEDS, thinned
 from ._surface_implicit import AbstractImplicit, Level, level_frame
 
-# Exponent of a superellipsoid above which the search for its points no longer arrives from afar.
+# Largest exponent of a superellipsoid: above it, the search for its points does not arrive from afar.
 _SHARPEST = 32.0
 
 

@@ -1,8 +1,8 @@
 """Shape only: contours as fields of arclength with Frenet frames, surfaces with Gauss frames.
 
-`contours` has plane curves, `surfaces` what they are in space, `fitting` makes either of a caller's points.
-`_tabled` has what both have in common, `_contract` the check of a caller's own shapes. Nothing here knows of
-bodies, time or contact.
+`contours` has plane curves, `surfaces` their counterpart in space, and `fitting` makes either from points.
+`_tabled` has what both have in common, `_contract` the check of shapes of a caller's own class. Nothing here
+knows of bodies, time or contact; `contact` reads the frames.
 """
 
 from .._linalg import Sym3 as Sym3, Vec2 as Vec2, Vec3 as Vec3

@@ -1,8 +1,14 @@
-"""What the equations of motion take for granted of a contour or surface, checked where a caller made it.
+r"""What the equations of motion take for granted of a contour or surface, checked for a caller's own classes.
 
-Closed forms of the package keep the contract by construction. A class of a caller's own, wherever it hides
-in wrappers, is evaluated once, along its whole domain, before a grasp or a search for contacts uses it. While
-JAX traces its numbers nothing can be checked; the next use with concrete numbers is.
+Of a contour: speed $|c'| = 1$, a frame (8)-(10) that is the curve's, and ends that meet where it claims to be
+closed. Of a surface: a unit normal, its derivative as shape operator, and coordinates that move as `rate`
+says. What a class gives in closed form is compared with automatic differentiation at places all over the
+shape.
+
+Shapes of the package keep this by construction, but for the periods of a `Chart`, which are the caller's. A
+shape of a caller's own class, at any depth in wrappers, is checked once before a grasp or a search for
+contacts uses it; the verdict is kept by identity (`remembered`). Numbers that JAX traces cannot be checked;
+the next use with concrete ones is.
 """
 
 from collections.abc import Iterator
@@ -26,10 +32,12 @@ _PLACES = 1024  # along a contour
 _TURNS = 9  # places at which a closed one is compared with itself a turn later
 # An endless contour is looked at within this of the start [m]: about the length of a finger.
 _RANGE = 0.1
+# Nearest look about a start [m]; it also keeps the sizes by which errors are divided from being zero.
 _NEAREST = 1e-6
 _SPREAD = 48  # places on a surface
 # Relative errors allowed in double and in single precision: of first derivatives, and of second ones.
 _ALLOWED = {np.dtype(np.float64): (1e-9, 1e-6), np.dtype(np.float32): (1e-4, 1e-2)}
+# The same for surfaces, where every error has this bound.
 _SURFACE = {np.dtype(np.float64): 1e-6, np.dtype(np.float32): 1e-2}
 
 
@@ -108,7 +116,7 @@ def _parts(value: Any) -> list[Any]:
 
 
 def _tables(value: Any) -> Iterator[Table]:
-    """Tables that a contour reads, at any depth: they are not of unit speed to rounding."""
+    """Tables that a contour reads, at any depth. Their speed is one only up to the table's error."""
     if isinstance(value, AbstractTabulated | Table):
         yield value if isinstance(value, Table) else value.read()
         return
@@ -119,7 +127,10 @@ def _tables(value: Any) -> Iterator[Table]:
 
 @remembered
 def _fault(contour: AbstractContour) -> str | None:
-    """What is wrong with a contour along its domain, or None; of an endless one nothing is looked at."""
+    """What is wrong with a contour along its domain, as the end of a message, or None.
+
+    An endless contour is not evaluated here, but about a contact's start (`_about`).
+    """
     with jax.ensure_compile_time_eval():
         ready = _ready(tabled(contour))
         domain = ready.domain()
@@ -128,6 +139,7 @@ def _fault(contour: AbstractContour) -> str | None:
         ends = np.asarray([np.asarray(end, float) for end in domain])
         if not (ends.shape == (2,) and np.all(np.isfinite(ends)) and ends[0] < ends[1]):
             return f"whose domain rises, but that of {{kind}} was {shown(ends)}"
+        # Middles of equal parts, so that no end is evaluated.
         share = (np.arange(_PLACES) + 0.5) / _PLACES
         fault = _along(ready, ends[0] + (ends[1] - ends[0]) * share)
         return fault or (_open(ready, ends) if contour.closed else None)
@@ -139,15 +151,21 @@ def _about(contour: AbstractContour, start: Given) -> str | None:
         here = float(np.asarray(start))
         if contour.domain() is not None:
             return _along(_ready(tabled(contour)), np.full(_PLACES, here), there=True)
+        # From `_NEAREST` to `_RANGE` on either side. The start comes first, as `_along` wants it, and twice,
+        # which makes the number of places the same as in all other calls.
         steps = np.geomspace(_NEAREST, _RANGE, _PLACES // 2 - 1)
         places = np.concatenate([[here, here], here + steps, here - steps])
         return _along(_ready(tabled(contour)), places, there=True)
 
 
 def _along(contour: AbstractContour, places: np.ndarray, *, there: bool = False) -> str | None:
-    """The first thing that is wrong at these places; `there`: the first of them is the one in question."""
+    """The first thing that is wrong at these places, or None; "{kind}" in it stands for the class's name.
+
+    With `there`, the first place is a contact's start: an error at it comes before larger ones elsewhere.
+    """
     found = [np.asarray(x) for x in _measured(contour, jnp.asarray(places))]
     point, rate, tangent, own, curvature = found
+    # What is read from a table may be off by the table's own error.
     slack = 4.0 * max((unevenness(table) for table in _tables(contour)), default=0.0)
     first, second = (allowed + slack for allowed in _ALLOWED[point.dtype])
 
@@ -170,6 +188,7 @@ def _along(contour: AbstractContour, places: np.ndarray, *, there: bool = False)
             f"whose frame is that of its curve, but the tangent of {{kind}} {where} was "
             f"{shown(tangent[i])} where the curve's is {shown(rate[i])}"
         )
+    # Errors of curvature are relative to the largest one, or to one over the extent of the places.
     scale = max(np.abs(curvature).max(), np.abs(own).max(), 1.0 / max(np.ptp(places), _NEAREST))
     if (off := np.abs(own - curvature) / scale).max() > 10.0 * second:
         i, where = at(off, 10.0 * second)
@@ -181,13 +200,18 @@ def _along(contour: AbstractContour, places: np.ndarray, *, there: bool = False)
 
 
 def _open(contour: AbstractContour, ends: np.ndarray) -> str | None:
-    """By how much a contour that claims to be closed fails to come back to itself."""
+    """How a contour that claims to be closed fails to come back to itself, or None.
+
+    Frames at a few places are compared with those one length later and earlier.
+    """
+    # Multiples of the golden ratio spread the places over the length without favouring its fractions.
     length = float(ends[1] - ends[0])
     places = ends[0] + length * ((np.arange(_TURNS) * 0.6180339887498949) % 1.0)
     here, later, before = (
         np.asarray(_frames(contour, jnp.asarray(places + k * length))) for k in (0.0, 1.0, -1.0)
     )
     first, second = _ALLOWED[here.dtype]
+    # Rows are x, y [m], the tangent, and the curvature, which has the wider tolerance of second derivatives.
     size = np.abs(here[:2]).max() + length
     allowed = np.array([size, size, 1.0, 1.0, 10.0 * second / first * (np.abs(here[4]).max() + 1.0 / length)])
     off = np.maximum(np.abs(later - here), np.abs(before - here)) > 100.0 * first * allowed[:, None]
@@ -218,7 +242,7 @@ def _measured(contour: AbstractContour, places: Array) -> tuple[Array, ...]:
     def one(s: Array) -> tuple[Array, ...]:
         frame, curve = _frame(contour, s), frenet(contour.curve, s)
         gap = frame.point.array() - curve.point.array()
-        # A frame that is elsewhere shows as a point that is not finite.
+        # A frame whose point is not the curve's is reported by way of a NaN, as a point that is not finite.
         away = jnp.max(jnp.abs(gap)) > 1e-6 * (jnp.max(jnp.abs(curve.point.array())) + _NEAREST)
         point = jnp.where(away, jnp.nan, frame.point.array())
         own = jnp.asarray(frame.curvature, point.dtype)
@@ -240,6 +264,7 @@ def _frames(contour: AbstractContour, places: Array) -> Array:
 
 
 def _frame(contour: AbstractContour, s: Array) -> Frenet2:
+    """The contour's frame at one arclength; raises if a method gives another type than it must."""
     frame = contour.frame(s)
     if not isinstance(frame, Frenet2) or not isinstance(contour.curve(s), Vec2):
         kind = type(contour).__name__
@@ -252,9 +277,14 @@ def _frame(contour: AbstractContour, s: Array) -> Frenet2:
 
 @remembered
 def _surface_fault(surface: AbstractSurface) -> str | None:
-    """What is wrong with a surface at places all over it, or None."""
+    """What is wrong with a surface at places all over it, as the end of a message, or None.
+
+    Places that are not on the surface after all, or where an error is not finite (a pole of a chart), are
+    left out, unless none remain.
+    """
     with jax.ensure_compile_time_eval():
         off = {name: np.asarray(value) for name, value in _inconsistency(surface).items()}
+    # Each entry of `off` has its message for a name, and errors at all places for its value.
     allowed = _SURFACE[off["there"].dtype]
     seam = float(off.pop("seam"))
     if not seam <= 10.0 * allowed:
@@ -283,6 +313,7 @@ def _inconsistency(surface: AbstractSurface) -> dict[str, Array]:
 
 
 def _all_over(surface: AbstractSurface) -> Scalars:
+    """Coordinates of `_SPREAD` places: the surface's own, or points of a cube brought to it."""
     at = surface.spread(_SPREAD)
     if at is None:
         seeds = jnp.asarray((lattice(_SPREAD, 3) - 0.5) * (2.0 * _RANGE))
@@ -292,15 +323,18 @@ def _all_over(surface: AbstractSurface) -> Scalars:
 
 
 def _errors(surface: AbstractSurface, at: Scalars) -> dict[str, Array]:
+    """Errors at one place, by the end of their message; "there" says whether the place is on the surface."""
     frame = surface.frame(at)
     if not isinstance(frame, Gauss3):
         raise ValueError(
             f"argument surface must give a Gauss3 by `frame`, but {type(surface).__name__} gave "
             f"{shown(frame)}"
         )
+    # Errors of curvatures are relative to `size`: the curvatures plus one over the distance from the origin.
     normal, length = frame.normal, frame.normal.norm()
     moved, turned = [], []
     size = jnp.sqrt(frame.shape.squares()) + 1.0 / (frame.point.norm() + _NEAREST)
+    # For either of two unit tangents t, the coordinates' rates must move the point by t, the normal by L t.
     for way in tangents(normal * (1.0 / length)):
         rates = tuple(jnp.asarray(x, length.dtype) for x in surface.rate(at, way))
         _, change = jax.jvp(lambda at: jax.tree.map(jnp.asarray, surface.frame(at)), (at,), (rates,))
@@ -325,6 +359,7 @@ def _field_errors(surface: AbstractImplicit, at: Scalars, normal: Vec3) -> dict[
         _, change = jax.jvp(lambda *p: jax.tree.map(jnp.asarray, surface.derivatives(Vec3(*p))), at, way)
         rates.append(change.value)
         bends.append(Vec3(*change.gradient) - level.hessian.apply(Vec3(*way)))
+    # The field's value differentiated automatically, and whether Newton's method arrived at its zero.
     slope = Vec3(*rates)
     steep = slope.norm()
     size = jnp.sqrt(level.hessian.squares()) + steep / (Vec3(*at).norm() + _NEAREST)

@@ -1,4 +1,10 @@
-"""What contours and surfaces have in common: work that is done once for a shape, and not in every run."""
+"""What contours and surfaces have in common: work that is done once for a shape, and not in every evaluation.
+
+There are two kinds. `tabled` builds tables over arclength by a program of its own, kept by the shape's
+identity, so that all runs with the shape share it. `prepared` works out the rest that does not depend on the
+place (sines of an angle, coefficients) inside the program of a solve. Both have defaults that pass on to the
+shapes within a shape.
+"""
 
 import abc
 from collections.abc import Callable
@@ -14,7 +20,7 @@ ShapeType = TypeVar("ShapeType", bound="AbstractShape")
 
 
 class AbstractShape(eqx.Module):
-    """A contour or a surface. What its class does not say has a default: shapes that it holds are seen to."""
+    """A contour or a surface. By default, the shapes in its fields are what is prepared and tabled."""
 
     @property
     @abc.abstractmethod
@@ -46,11 +52,13 @@ def tabled(shape: ShapeType) -> ShapeType:
 
 def _inner(shape: AbstractShape) -> list[AbstractShape]:
     """The shapes among a shape's fields, at any depth of what holds them, but not those in them."""
+    # Shapes are pytrees themselves: `is_leaf` stops at the first one below this.
     parts = jax.tree.leaves(shape, is_leaf=_held_by(shape))
     return [part for part in parts if isinstance(part, AbstractShape)]
 
 
 def _held_by(shape: AbstractShape) -> Callable[[Any], bool]:
+    """Whether a node of a shape's tree is another shape."""
     return lambda node: node is not shape and isinstance(node, AbstractShape)
 
 
@@ -64,4 +72,5 @@ def _with_inner(shape: ShapeType, change: Callable[[AbstractShape], AbstractShap
 
 @remembered
 def _with_inner_tables(shape: Any) -> Any:
+    """A shape with the tables of the shapes that it holds; kept, so that a shape always gives one object."""
     return _with_inner(shape, lambda part: part.tabled())

@@ -1,12 +1,14 @@
 """Contours: plane curves by arclength.
 
-`_contour` holds the contract, and the frame by automatic differentiation of the point. `_catenary` and
-`_closed_forms` have closed forms; `_arclength` the arclength of curves that are not given by it; `_table`
-what a run reads of any other field: `_spline` through points (on the B-splines of `_bspline`),
-`_support` convex contours by the Fourier series of their support function, `_neural_support` and
-`_neural_curvature` those of a small network (`_network`), which `_network_descent` fits to points.
-`_free_numbers` has what a design changes of a contour, and how changes are scaled.
-`_given_points` converts what a caller gives as points.
+- `_contour`: the contract, and the frame by automatic differentiation of the point.
+- `_catenary`, `_closed_forms`: contours in closed form.
+- `_arclength`: the arclength of curves that are not given by it, and its inverse.
+- `_table`: the table over arclength that a run reads of every other contour. Such contours are `_parametric`
+  (any function of a parameter), `_spline` (through points, by the B-splines of `_bspline`), `_support`
+  (convex, by the Fourier series of the support function), `_neural_support` and `_neural_curvature` (by a
+  small network of `_network`, which `_network_descent` fits to points).
+- `_free_numbers`: what a design changes of a contour, and how the changes are scaled.
+- `_given_points`: conversion of points that a caller gives.
 """
 
 from ._arclength import ArclengthTable as ArclengthTable

@@ -1,4 +1,11 @@
-"""Arclength of a regular curve by a differentiable table."""
+r"""Arclength of a regular curve $c(u)$ that is not given by it, and its inverse.
+
+A curve of speed $v(u) = |c'(u)|$ has the arclength $s(u) = \int v\,du$, integrated here by Gauss-Legendre
+over short cells of $u$. The inverse $u(s)$ is found by Newton's method at uniform arclengths and
+differentiated as an implicit function. `_closed_forms.Ellipse` keeps $u(s)$ as an `ArclengthTable`
+(`tabulate`, `invert`); `_table` wants only the places of the uniform arclengths (`spaced`), and `_support`,
+which has $s$ in closed form, only the inversion (`parameters_reaching`).
+"""
 
 import math
 from collections.abc import Callable
@@ -13,9 +20,11 @@ from jaxtyping import Array, Float
 from ..._types import Scalar
 from ..._xla import filled
 
-# Rate of the arclength at places of a curve's cells: `speed(shape, cell, x)`, x in [0, 1] along each.
+# ds/dx at places of a curve's cells: `speed(shape, cell, x)`, with x in [0, 1] along each cell.
 Speed = Callable[[Any, Any, Any], Array]
+# `progress(shape, x)`: the value of a rising function at x, and its derivative there.
 RisingFunction = Callable[[Any, Array], tuple[Array, Array]]
+# Five-point Gauss-Legendre, moved from [-1, 1] to [0, 1].
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 _PLACES, _SHARES = 0.5 * (1.0 + _NODES), 0.5 * _WEIGHTS
 
@@ -42,6 +51,8 @@ def tabulate(rate: Callable[[Any, Array], Array], shape: Any, *, period: float, 
         return width * rate(shape, width * (cell + x))
 
     cell, x, arcs = spaced(speed, shape, cells, cells)
+    # With speed v(u): du/ds = 1 / v and d2u/ds2 = -(dv/du) / v^3. `hermite` wants both per cell, of length
+    # step.
     nodes, step = width * (cell + x), arcs[-1] / cells
     value, slope = jax.jvp(lambda u: rate(shape, u), (nodes,), (jnp.ones_like(nodes),))
     rows = hermite(nodes, step / value, -slope * step**2 / value**3)
@@ -51,17 +62,22 @@ def tabulate(rate: Callable[[Any, Array], Array], shape: Any, *, period: float, 
 def spaced(speed: Speed, shape: Any, parts: int, cells: int) -> tuple[Array, Array, Array]:
     r"""Where a curve in `parts` cells has reached `cells` + 1 uniform arclengths.
 
-    Returns the cells, the places in them, and the arclength at the beginning of every cell and at the
-    end. Arclength is integrated by five-point Gauss-Legendre over each cell.
+    Returns, for each of these arclengths, the cell and the place x in [0, 1] in it; and the arclength at the
+    beginning of every cell and at the end of the last, shape (parts + 1,) [m]. Arclength is integrated by
+    five-point Gauss-Legendre over each cell.
     """
     lengths = speed(shape, np.arange(parts)[:, None], _PLACES[None, :]) @ _SHARES
     arcs = rising_sums(lengths)
     targets = arcs[-1] * np.linspace(0.0, 1.0, cells + 1)
+    # In which cell a target lies is not differentiable; where in the cell, is. The first guess of x assumes
+    # constant speed in the cell.
     fixed, sought = jax.lax.stop_gradient((arcs, targets))
     cell = jnp.clip(jnp.searchsorted(fixed, sought) - 1, 0, parts - 1)
     start = (sought - fixed[cell]) / jax.lax.stop_gradient(lengths)[cell]
 
     def progress(shape: tuple[Any, Array], x: Array) -> tuple[Array, Array]:
+        # Arclength from the cell's beginning to x: the same rule, shrunk to [0, x]. The last node, 1, gives
+        # the speed at x itself.
         shape, cell = shape
         speeds = speed(shape, cell[:, None], x[:, None] * np.append(_PLACES, 1.0)[None, :])
         return x * (speeds[:, :-1] @ _SHARES), speeds[:, -1]
@@ -70,7 +86,11 @@ def spaced(speed: Speed, shape: Any, parts: int, cells: int) -> tuple[Array, Arr
 
 
 def rising_sums(values: Array) -> Array:
-    """Zero, then the sums of the first one, two, ... values: by blocks, two small products of matrices."""
+    """Zero, then the sums of the first one, two, ... values: shape (n,) to (n + 1,).
+
+    The values are laid out in a square, row by row. Sums within rows, and of the rows before, are then
+    products with triangular matrices of ones: about $n^{3/2}$ operations, without a loop or a scan.
+    """
     count = values.shape[0]
     side = math.isqrt(count - 1) + 1
     blocks = jnp.pad(values, (0, side * side - count)).reshape(side, side)
@@ -85,17 +105,18 @@ def parameters_reaching(progress: RisingFunction, shape: Any, start: Array, targ
     Args:
         progress: `progress(shape, x)` gives what is reached, and its rate in x.
         shape: Whatever the functions depend on.
-        start: A first guess.
+        start: A first guess, so close that four steps arrive: each about squares the relative error.
         targets: What to reach.
 
     Derivatives, in both modes and of any order, are those of the implicit function theorem; the iteration
-    is not differentiated.
+    is not differentiated, and `start` has no derivative.
     """
     return _placed((shape, targets), start, progress)
 
 
 @eqx.filter_custom_jvp
 def _placed(given: tuple[Any, Array], start: Array, progress: RisingFunction) -> Array:
+    """The iteration of `parameters_reaching`, whose derivative rule is below."""
     shape, targets = given
 
     def newton(_: int, x: Array) -> Array:
@@ -109,13 +130,16 @@ def _placed(given: tuple[Any, Array], start: Array, progress: RisingFunction) ->
 def _(primals: Any, tangents: Any) -> tuple[Array, Array]:
     given, start, progress = primals
     x = _placed(given, start, progress)
+    # What has a derivative, and what has none (counts, functions). With g(given, x) = reached - target = 0,
+    # dx = -(dg/dgiven dgiven) / (dg/dx).
     moving, still = eqx.partition(given, eqx.is_inexact_array)
 
     def excess(moving: Any, x: Array) -> Array:
         shape, targets = eqx.combine(moving, still)
         return progress(shape, x)[0] - targets
 
-    # By the derivative of what was integrated, not by the rate, which differs by the rule's error.
+    # The derivative of `progress` itself, not the rate that it returns: that is the exact integrand, and
+    # differs from the derivative of the quadrature by the quadrature's error.
     _, rate = jax.jvp(lambda x: excess(moving, x), (x,), (jnp.ones_like(x),))
     dots = filled(moving, tangents[0])
     _, change = jax.jvp(lambda moving: excess(moving, x), (moving,), (dots,))
@@ -123,7 +147,11 @@ def _(primals: Any, tangents: Any) -> tuple[Array, Array]:
 
 
 def hermite(value: Array, first: Array, second: Array) -> Array:
-    """Quintic coefficients from nodal values and derivatives in cell units: (n + 1, ...) to (n, ..., 6)."""
+    """Coefficients of quintic Hermite polynomials, in rising powers of x in [0, 1] in each cell.
+
+    From values and two derivatives in x at the cells' ends: shape (n + 1, ...) to (n, ..., 6).
+    """
+    # The first three coefficients are Taylor's at x = 0; the others meet value, slope and bend at x = 1.
     p0, v0, a0 = value[:-1], first[:-1], second[:-1]
     rise, v1, a1 = value[1:] - p0, first[1:], second[1:]
     c3 = 10.0 * rise - 6.0 * v0 - 4.0 * v1 - 1.5 * a0 + 0.5 * a1
@@ -133,7 +161,9 @@ def hermite(value: Array, first: Array, second: Array) -> Array:
 
 
 def _interpolate(table: ArclengthTable, s: Scalar) -> Scalar:
+    """The table's u at any arclength s [m], with u(s + length) = u(s) + period."""
     cells = table.coefficients.shape[0]
+    # The cell is chosen without derivative; `local` is the position in it, in [0, 1).
     position = s * (cells / table.length)
     whole = jnp.floor(jax.lax.stop_gradient(position))
     local = position - whole
@@ -157,6 +187,8 @@ def invert(rate: Callable[[Any, Scalar], Scalar], shape: Any, table: ArclengthTa
     def parameter(shape: Any, table: ArclengthTable, s: Scalar) -> Scalar:
         return _interpolate(table, s)
 
+    # What the curve's shape changes at fixed s comes in by the table, which was made of it; its own tangent
+    # is therefore left out.
     @parameter.defjvp
     def _(primals: Any, tangents: Any) -> tuple[Scalar, Scalar]:
         shape, table, s = primals

@@ -1,4 +1,11 @@
-"""B-splines of any odd degree as polynomials per knot interval: differentiable in knots and data."""
+r"""B-splines of any odd degree, as polynomials per knot interval; differentiable in knots and coefficients.
+
+A spline $P(u) = \sum_i p_i B_i(u)$ of degree $d$ is on every knot interval one polynomial of degree $d$ in
+the interval's own coordinate $x \in [0, 1]$. `basis` works those polynomials out once from the knots, by the
+recursion of Cox and de Boor on coefficients; evaluating is then a look-up and a sum of powers. `_spline`
+solves for the coefficients $p_i$ (`Basis.matrix`, `Basis.roughness`) and reads the curve (`Pieces`);
+`surfaces._tensor_bspline` multiplies the functions of several axes.
+"""
 
 import functools
 from typing import NamedTuple
@@ -24,6 +31,7 @@ class Pieces(NamedTuple):
 
 def jet_of_pieces(coefficients: Array, index: Array, local: Array) -> tuple[Vec2, Vec2, Vec2]:
     """Point and two derivatives in the interval's coordinate, at places in intervals: any shape."""
+    # Row k of the weights gives derivative k: sum_p weights[k, p] c_p.
     weights = powers(local, coefficients.shape[1]) @ derived(coefficients.shape[1])
     weights = weights.reshape(*local.shape, 3, -1)
     return _vectors(jnp.einsum("...kp,...pd->...kd", weights, coefficients[index]))
@@ -42,7 +50,7 @@ def _vectors(found: Array) -> tuple[Vec2, Vec2, Vec2]:
 
 
 def powers(x: Array, order: int) -> Array:
-    """1, x, x^2, ... along a new last axis."""
+    """1, x, x^2, ... along a new last axis, each the product of two about half as high."""
     found = [jnp.ones_like(x), x]
     for k in range(2, order):
         found.append(found[k // 2] * found[k - k // 2])
@@ -51,13 +59,17 @@ def powers(x: Array, order: int) -> Array:
 
 @functools.cache
 def derived(order: int) -> np.ndarray:
-    """From the powers of x to what weighs a polynomial's coefficients in its value and two derivatives."""
+    """Matrix (order, 3 order) by which powers of x become weights of a polynomial's coefficients.
+
+    The three blocks of columns are those for its value and its first and second derivative.
+    """
+    # d/dx x^j = j x^(j - 1): column j of `once` has j in row j - 1.
     once = np.diag(np.arange(1.0, order), 1)
     return np.concatenate([np.eye(order), once, once @ once], axis=1)
 
 
 class Basis(NamedTuple):
-    """B-spline basis: on every interval the polynomials of those that live there, and their numbers."""
+    """B-spline basis: for every interval, which functions are not zero there, and their polynomials."""
 
     breaks: Float[Array, " pieces+1"]
     polynomials: Float[Array, "pieces order order"]  # interval, function, power
@@ -75,7 +87,11 @@ class Basis(NamedTuple):
         return self._spread(np.arange(self.polynomials.shape[0]), self.polynomials[..., 0])
 
     def _spread(self, index: Array | np.ndarray, values: Array) -> Array:
-        """Rows of the functions that live on intervals `index`, among all functions."""
+        """Values (n, order) of the functions on intervals `index`, put in their columns: (n, functions).
+
+        Function k of interval i is function i + k, modulo the count where closed. It is placed by a mask and
+        a sum, not by a scatter.
+        """
         place = (np.arange(self.count)[None, :] - index[:, None]) % self.count
         here = place[:, None, :] == np.arange(values.shape[1])[None, :, None]
         return jnp.sum(jnp.where(here, values[:, :, None], 0.0), axis=1)
@@ -88,6 +104,8 @@ class Basis(NamedTuple):
     def roughness(self) -> Float[Array, "functions functions"]:
         r"""The quadratic form $\int |P'''(u)|^2\,du$."""
         order = self.polynomials.shape[-1]
+        # With u = u_i + step x: P'''(u) = p'''(x) / step^3 and du = step dx, so step^-5 in all. The third
+        # derivative of x^p is p (p-1) (p-2) x^(p-3); the integral of x^m over [0, 1] is 1 / (m + 1).
         step = jnp.diff(self.breaks)
         power = np.arange(order)
         third = (self.polynomials * (power * (power - 1.0) * (power - 2.0))[None, None, :])[..., 3:]
@@ -100,7 +118,8 @@ class Basis(NamedTuple):
 
 def interval_of(breaks: Array, u: Array) -> tuple[Array, Array]:
     """Interval of every parameter, and the position in it as a fraction."""
-    # Counting, not bisection: a loop in every evaluation is what took longest to compile.
+    # The inner breaks that do not lie above u are counted. Bisection would be a loop in every evaluation, and
+    # loops take long to compile. Beyond either end the count gives the first or the last interval.
     inner = jax.lax.stop_gradient(breaks[1:-1])
     index = jnp.sum(jax.lax.stop_gradient(u)[..., None] >= inner.reshape((1,) * u.ndim + (-1,)), axis=-1)
     low = breaks[index]
@@ -115,10 +134,14 @@ def basis(nodes: Float[Array, " nodes"], degree: int, *, closed: bool) -> Basis:
         degree: Odd; at least `degree` + 1 functions are needed.
         closed: Whether the last node is the first.
     """
+    # `count` functions need count + degree + 1 knots (open), or the knots of one period and `degree` more on
+    # either side (closed).
     if closed:
         period, count = nodes[-1] - nodes[0], nodes.shape[0] - 1
         knots = jnp.concatenate([nodes[-degree - 1 : -1] - period, nodes, nodes[1 : degree + 1] + period])
     else:
+        # Each end knot stands `degree` + 1 times. Not-a-knot: the (degree - 1) / 2 nodes next to either end
+        # are no knots, which leaves as many functions as there are nodes.
         half, count = (degree + 1) // 2, nodes.shape[0]
         first, last = jnp.repeat(nodes[:1], degree + 1), jnp.repeat(nodes[-1:], degree + 1)
         knots = jnp.concatenate([first, nodes[half:-half], last])
@@ -129,33 +152,38 @@ def basis(nodes: Float[Array, " nodes"], degree: int, *, closed: bool) -> Basis:
 
 
 def _polynomials(knots: Array, degree: int, pieces: int) -> Array:
-    """The recursion of Cox and de Boor on polynomials in each interval's coordinate.
+    r"""The recursion of Cox and de Boor, on the coefficients of polynomials in each interval's coordinate x.
 
-    Row k holds function k of the `degree` + 1 that end up on an interval, from the first degree on; those
-    that do not live there yet are zero.
+    With knots $t_i$ and $w_{i,d}(u) = (u - t_i) / (t_{i+d} - t_i)$,
+    $B_{i,d} = w_{i,d} B_{i,d-1} + (1 - w_{i+1,d}) B_{i+1,d-1}$. Row k of an interval is the function k of the
+    `degree` + 1 that are not zero on it in the end; at lower degrees the first rows are still zero.
     """
     function = np.arange(degree + 1)
     degrees = np.arange(degree + 1)[:, None, None]
     near = knots[np.arange(pieces)[:, None] + function + degrees]
     begin, end = near[:1], near[1:]
     left, right = begin[..., degree:], end[:1, :, degree:]
+    # On the interval [left, right], w = `at` + `slope` x. Where B_{i,d-1} is zero on it, its knots may
+    # coincide: the width is then replaced by one, against a division by zero, and w by zero.
     lives = np.arange(degree)[:, None, None] + function >= degree
     width = jnp.where(lives, end - begin, 1.0)
     at = jnp.where(lives, (left - begin) / width, 0.0)
     slope = jnp.where(lives, (right - left) / width, 0.0)
 
     def raised(value: Array, line: tuple[Array, Array]) -> tuple[Array, None]:
+        # w B: times x shifts the powers up by one. (1 - w) B = B - w B goes to the function before.
         at, slope = line
         rising = at[..., None] * value + slope[..., None] * _shifted(value, 2, 1)
         return rising + _shifted(value - rising, 1, -1), None
 
+    # Degree zero: only the last function, one on the interval itself, is not zero there.
     constant = np.zeros((pieces, degree + 1, degree + 1))
     constant[:, degree, 0] = 1.0
     return jax.lax.scan(raised, jnp.asarray(constant, knots.dtype), (at, slope))[0]
 
 
 def _shifted(value: Array, axis: int, by: int) -> Array:
-    """Moved along an axis by one place, up or down; a zero comes in."""
+    """An array moved along an axis by one place, up (1) or down (-1), with zeros where nothing moves to."""
     pad = [(0, 0, 0)] * 3
     pad[axis] = (by, -by, 0)
     return jax.lax.pad(value, jnp.zeros((), value.dtype), pad)

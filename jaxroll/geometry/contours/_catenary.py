@@ -50,6 +50,7 @@ class Catenary(AbstractContour):
         return Vec2(self.a - root, self.a * inverse_sinh(s / self.a))
 
     def frame(self, s: Scalar) -> Frenet2:
+        # The tangent is the derivative of the point, (-s / root, a / root), and kappa = a / (a^2 + s^2).
         square = self.a**2 + s**2
         root = jnp.sqrt(square)
         point = Vec2(self.a - root, self.a * inverse_sinh(s / self.a))

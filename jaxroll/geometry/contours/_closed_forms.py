@@ -1,4 +1,9 @@
-"""Contours in closed form: line, circle, ellipse; the chapter's catenary is in `_catenary`."""
+"""Contours in closed form: line, circle, ellipse; the chapter's catenary is in `_catenary`.
+
+Point and frame are written out (`AbstractContour.frame` would differentiate the point). The arclength of an
+ellipse is an elliptic integral: its angle is read from a table of `_arclength`, and point and frame are
+closed forms in that angle.
+"""
 
 import math
 
@@ -17,6 +22,7 @@ Domain = tuple[float, float] | Float[Array, "2"] | None
 
 
 def as_domain(domain: Domain) -> Array | None:
+    """First and last arclength [m] as an array (2,), checked to be increasing; None stays None."""
     if domain is None:
         return None
     ends = as_floats("domain", domain, (2,))
@@ -100,13 +106,16 @@ class Circle(AbstractContour):
         return 0.0, 2.0 * np.pi * self.radius
 
 
-# Cells per square of the ratio of the axes: an end's radius of curvature then holds so many. For 1e-9 of the
-# circumference, and the fewest allowed (2e-5).
+# Cells of an ellipse's table, divided by the square of the ratio of its axes a / b. The cells must resolve
+# the least radius of curvature, b^2 / a, whose share of the circumference falls as (b / a)^2. With the first
+# number points are within 1e-9 of the circumference, with the second, the fewest allowed, within 2e-5.
 _ACCURATE, _RESOLVED = 20.0, 4
+# Fewest cells by default; fewest and most that a caller may ask for; largest ratio of the axes by default.
 _USUAL, _FEWEST, _MOST, _FLATTEST = 1024, 16, 1 << 20, 100.0
 
 
 def _ellipse_speed(axes: tuple[Scalar, Scalar], u: Scalar) -> Scalar:
+    """Rate of the arclength with the eccentric angle u of the point (a cos u, b sin u)."""
     sin, cos = sincos(u)
     return jnp.sqrt((axes[0] * sin) ** 2 + (axes[1] * cos) ** 2)
 
@@ -164,6 +173,7 @@ class Ellipse(AbstractContour):
                 f"argument cells must be at least {_RESOLVED} times the square of the ratio of the axes, "
                 f"{_RESOLVED * square:.4g}, but was {given}"
             )
+        # A power of two: few different numbers of cells, and so few programs to compile.
         return given or max(_USUAL, 1 << math.ceil(math.log2(_ACCURATE * square)))
 
     def angle(self, s: Scalar) -> Scalar:
@@ -176,7 +186,8 @@ class Ellipse(AbstractContour):
         if self.table is not None:
             return self.table
         table = tabulate(_ellipse_speed, (self.a, self.b), period=2.0 * np.pi, cells=self.cells)
-        # Axes that were traced when the cells were chosen, or came later: no number rather than a wrong one.
+        # Axes may have been traced when the cells were chosen, or replaced since. If the cells are too few
+        # for them, the length is NaN rather than inaccurate. The factor leaves room for rounding.
         longer, shorter = jnp.maximum(self.a, self.b), jnp.minimum(self.a, self.b)
         fine = _RESOLVED * longer * longer <= self.cells * (1.0 + 1e-6) * shorter * shorter
         return eqx.tree_at(lambda t: t.length, table, jnp.where(fine, table.length, jnp.nan))
@@ -195,6 +206,7 @@ class Ellipse(AbstractContour):
 
     def frame(self, s: Scalar) -> Frenet2:
         sin, cos = sincos(self.angle(s))
+        # dc/du and its length; kappa = a b / |dc/du|^3.
         direction = Vec2(-self.a * sin, self.b * cos)
         rate = 1.0 / jnp.sqrt(direction.dot(direction))
         return Frenet2(Vec2(self.a * cos, self.b * sin), direction * rate, self.a * self.b * rate**3)

@@ -1,4 +1,10 @@
-"""Contours as fields of arclength, and their Frenet frame by automatic differentiation."""
+r"""The contract of a contour: a plane curve $c(s)$ by its arclength $s$, so that $|c'(s)| = 1$.
+
+Unit tangent $b = c'$ and curvature $\kappa = b \times b'$ follow from the point alone, (8)-(10), which
+`frenet` differentiates automatically. Every contour of the package is an `AbstractContour`: `_closed_forms`
+and `_catenary` write point and frame out, `_table` reads them from a table. `contact` takes a `Frenet2` of
+each of two contours, and design its free numbers (`_free_numbers`).
+"""
 
 import abc
 from collections.abc import Callable
@@ -36,6 +42,7 @@ def frenet(curve: Callable[[Scalar], Vec2], s: Scalar) -> Frenet2:
     """
     one = jnp.ones_like(s)
 
+    # Forward over forward: one pass gives c, c' and c''. Reverse mode would need a pass per component.
     def derivative(u: Scalar) -> tuple[Vec2, Vec2]:
         return jax.jvp(curve, (u,), (one,))
 
@@ -49,9 +56,9 @@ class AbstractContour(AbstractShape):
     With tangent $b = c'(s)$, the outward normal is $b$ turned by -90 degrees and the curvature
     $\kappa$ is positive where the body is convex. Lengths are in metres, in the body's frame.
 
-    To add a contour, subclass this and give `curve`, `domain`, `closed` and `smoothness`: one class
-    statement is the one place where it is made known. All else has a default that suits a class which knows
-    nothing of it, to be overridden where there is something to say:
+    To add a contour, subclass this and give `curve`, `domain`, `closed` and `smoothness`; nothing
+    else in the package has to be told of it. Everything else has a default, which a class overrides where it
+    knows better:
 
     - `frame`, where there is a closed form. `curve` and `frame` take and return scalars (`Vec2`), since they
       run inside the equations of motion.
@@ -141,7 +148,10 @@ class AbstractContour(AbstractShape):
 
 @eqx.filter_jit
 def _frame_arrays(contour: AbstractContour, s: Array) -> tuple[Array, Array, Array]:
-    """Points, tangents and curvatures as arrays: the public door. A contour's own methods see scalars."""
+    """Points (..., 2), tangents (..., 2) and curvatures (...) at arclengths of any shape, compiled.
+
+    The public methods of a contour call this. `curve` and `frame` themselves see one scalar at a time.
+    """
     ready = contour.prepared()
 
     def one(s: Array) -> tuple[Array, Array, Array]:
@@ -199,7 +209,7 @@ class Moved(AbstractContour):
         return self.contour.smoothness
 
     def placed(self) -> Pose2:
-        """The placement as a pose with its sine and cosine."""
+        """The placement as a pose; `prepared` keeps it, so that its sine and cosine are computed once."""
         if self.pose is not None:
             return self.pose
         sin, cos = sincos(self.angle)

@@ -43,19 +43,23 @@ def each_perturbed(contour: Any, rng: np.random.Generator) -> Any:
 
 
 def damping(order: np.ndarray) -> np.ndarray:
-    """What waves of these orders are multiplied with, so that all bend a contour alike; one for order one."""
+    """Factors 2 / (1 + k^2) of waves of orders k, by which all bend a contour alike; one for order one."""
     return 2.0 / (1.0 + order**2)
 
 
 def point_waves(count: int, *, closed: bool) -> np.ndarray:
     """Matrix (2 count, 2 count) that divides the waves along a contour's points by about their order squared.
 
-    A closed contour's points are a period; an open one is gone along and back again, so that its ends are
-    not joined.
+    The points of a closed contour are one period. Those of an open one are continued by their mirror image,
+    there and back, so that waves do not join one end to the other.
     """
+    # An open contour's period has `whole` = 2 count - 2 points, since its ends come once. A wave of order k
+    # there is of order k / 2 along the contour itself.
     ends = 0 if closed else count - 1
     whole = count + max(ends - 1, 0)
     wave = np.abs(np.fft.fftfreq(whole) * whole) / (2.0 if ends else 1.0)
+    # Multiplying wave k by damping(k) is a convolution with the inverse transform of the factors. The mirror
+    # image of point j stands at -j.
     kernel = np.real(np.fft.ifft(damping(wave)))
     place = np.arange(count)
     matrix = kernel[(place[:, None] - place[None, :]) % whole]
@@ -65,7 +69,7 @@ def point_waves(count: int, *, closed: bool) -> np.ndarray:
 
 
 def wavy_shift(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Shifts of points [m] by the first few waves along the contour."""
+    """Random shifts of points (n, 2) [m] by a translation and the first three waves along the contour."""
     u = 2.0 * np.pi * np.arange(len(points)) / len(points)
     waves = [np.ones_like(u), *(f(k * u) / k for k in (1, 2, 3) for f in (np.cos, np.sin))]
     size = 0.5 * PERTURBED * np.sqrt(np.mean(np.sum(points**2, axis=1)))

@@ -1,4 +1,4 @@
-"""What a caller gives as points, as numbers on the host: set-up, never traced."""
+"""Points that a caller gives, checked and converted to double precision of NumPy: set-up, never traced."""
 
 from typing import Any
 

@@ -1,4 +1,10 @@
-"""A small network of one angle, periodic by construction, and what its fits have in common."""
+r"""A small network of one angle, periodic by construction, and what its fits have in common.
+
+$N(\varphi)$ is a multilayer perceptron of the features $k^{-p} \cos k\varphi$, $k^{-p} \sin k\varphi$, so
+that it is periodic whatever its weights. `_neural_support` takes it for a support function,
+`_neural_curvature` for a curvature. Their fits start at the best linear last layer (`with_readout`), go on in
+`_network_descent`, and return a `NetworkFit`.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -123,11 +129,14 @@ def with_readout(network: PeriodicNetwork, values: np.ndarray, *, bends: float =
         bends: Weight of the second derivatives' errors.
     """
     count = len(values)
+    # Linear least squares for the last layer: its inputs and a column of ones for its bias. Derivatives of
+    # all columns, and of `values`, are spectral; they are added as further rows.
     hidden = np.asarray(_hidden(network, jnp.asarray(2.0 * np.pi * np.arange(count) / count)), np.float64)
     matrix = np.column_stack([hidden, np.ones(count), values])
     order = np.fft.rfftfreq(count, 1.0 / count)[:, None]
     bent = np.fft.irfft(-(order**2) * np.fft.rfft(matrix, axis=0), count, axis=0)
     matrix = np.concatenate([matrix, bends * bent])
+    # Nearly dependent hidden units give small singular values; these are cut, or the weights would be huge.
     weights = np.linalg.lstsq(matrix[:, :-1], matrix[:, -1], rcond=1e-7)[0]
     last = network.layers[-1]
     new = (jnp.asarray(weights[None, :-1], last.weight.dtype), jnp.asarray(weights[-1:], last.weight.dtype))

@@ -1,4 +1,9 @@
-"""Nonlinear least squares for a network inside a field (the only door to optax in `geometry`).
+r"""Nonlinear least squares for a network inside a field; the only module of `geometry` that imports optax.
+
+The sum of squared residuals $r(N(\varphi_j), q)$ is minimised over the network's weights and a few other
+parameters $q$. `_neural_support` and `_neural_curvature` describe theirs as a `NetworkProblem` and call
+`descend`. Steps come in chunks of 25, each one compiled loop; between chunks the feet of the points are found
+anew (`refresh`), and within one they are constants.
 
 Progress is printed here, not drawn by tqdm as a sweep's is, because it tells how the loss falls.
 """
@@ -13,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 FitProgress = bool | Callable[[int, float], None]
+# Steps of one compiled loop.
 CHUNK = 25
 
 
@@ -65,8 +71,10 @@ def descend(
     """
     report = _reporter(progress)
     data = problem.refresh(start[0], start[1], data)
+    # The best parameters so far, their loss, the losses of all steps, and the number of steps.
     best, least, history, done = start, float(_loss(problem, start, data)), [], 0
     while done < steps and least > target:
+        # A chunk that does not end below the best loss so far, or ends in NaN, is dropped.
         before = least
         data = problem.refresh(best[0], best[1], data)
         chunk = _marquardt if done else _adam
@@ -76,6 +84,7 @@ def descend(
         if last < least:
             best, least = params, last
         report(done, least)
+        # Not after the first chunk, which is Adam's and may gain nothing.
         if done > CHUNK and not least < 0.8 * before:
             break
     history.append(np.asarray([least]))
@@ -84,6 +93,7 @@ def descend(
 
 
 def _reporter(progress: FitProgress) -> Callable[[int, float], None]:
+    """What is called with the number of steps and the loss after every chunk."""
     if callable(progress):
         return progress
     return _printed if progress else lambda step, loss: None
@@ -94,6 +104,7 @@ def _printed(step: int, loss: float) -> None:
 
 
 def _residuals(problem: NetworkProblem, params: tuple[Any, Any], data: Any) -> jax.Array:
+    """Residuals by way of the network's values, shape (n,)."""
     network, rest = params
     values = jax.vmap(network)(jnp.asarray(problem.angles(data)))
     return problem.residuals(values, rest, data)
@@ -106,8 +117,10 @@ def _loss(problem: NetworkProblem, params: tuple[Any, Any], data: Any) -> jax.Ar
 
 @eqx.filter_jit
 def _adam(problem: NetworkProblem, params: tuple[Any, Any], data: Any) -> tuple:
+    """A chunk of Adam: the parameters, and the loss before every step and at the end."""
     import optax  # here, because it takes 0.2 s to import
 
+    # The rate falls from 1e-3 to a hundredth of that within the chunk.
     method = optax.adam(optax.cosine_decay_schedule(1e-3, CHUNK, alpha=0.01))
 
     def step(carry: tuple, _: None) -> tuple:
@@ -121,7 +134,11 @@ def _adam(problem: NetworkProblem, params: tuple[Any, Any], data: Any) -> tuple:
 
 
 def _linearised(problem: NetworkProblem, params: tuple[Any, Any], data: Any) -> tuple[jax.Array, jax.Array]:
-    """Residuals and their Jacobian: the network's own, one row per angle, then the rest of the chain."""
+    """Residuals and their Jacobian in the flattened parameters, the network's first.
+
+    By the chain rule through the k values of the network, dr/dw = (dr/dN) (dN/dw): a value depends on one
+    angle only, so that its gradient is one small backward pass.
+    """
     (network, rest), angles = params, jnp.asarray(problem.angles(data))
 
     def one(angle: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -137,7 +154,12 @@ def _linearised(problem: NetworkProblem, params: tuple[Any, Any], data: Any) -> 
 
 @eqx.filter_jit
 def _marquardt(problem: NetworkProblem, params: tuple[Any, Any], data: Any) -> tuple:
-    r"""Steps $-J^\top (J J^\top + \mu I)^{-1} r$, or $-(J^\top J + \mu I)^{-1} J^\top r$."""
+    r"""A chunk of Levenberg-Marquardt: the parameters, and the loss before every step and at the end.
+
+    Steps are $-J^\top (J J^\top + \mu I)^{-1} r$, or $-(J^\top J + \mu I)^{-1} J^\top r$: equal, and the
+    smaller of both matrices is factorised. $\mu$ is `damping` times the mean of the matrix's diagonal.
+    """
+    # All parameters as one vector, as the linear algebra wants them.
     start, unravel = jax.flatten_util.ravel_pytree(params)
 
     def loss(flat: jax.Array) -> jax.Array:
@@ -146,6 +168,7 @@ def _marquardt(problem: NetworkProblem, params: tuple[Any, Any], data: Any) -> t
     def step(carry: tuple, _: None) -> tuple:
         flat, damping = carry
         right, jacobian = _linearised(problem, unravel(flat), data)
+        # Shapes are static: which of both systems is smaller is known while tracing.
         wide = jacobian.shape[0] < jacobian.shape[1]
         gram = jacobian @ jacobian.T if wide else jacobian.T @ jacobian
         shift = damping * jnp.trace(gram) / gram.shape[0]
@@ -154,8 +177,9 @@ def _marquardt(problem: NetworkProblem, params: tuple[Any, Any], data: Any) -> t
             move = jacobian.T @ jax.scipy.linalg.cho_solve(factor, right)
         else:
             move = jax.scipy.linalg.cho_solve(factor, jacobian.T @ right)
+        # A step that does not lower the loss is not taken, and the next one is damped more.
         value, tried = jnp.sum(right**2), flat - move
-        better = loss(tried) < value  # false where the factorisation failed
+        better = loss(tried) < value  # false where the factorisation failed, since the step is NaN then
         damping = jnp.clip(jnp.where(better, 0.2 * damping, 10.0 * damping), 1e-13, 1e3)
         return (jnp.where(better, tried, flat), damping), value
 

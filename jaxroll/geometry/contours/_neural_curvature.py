@@ -1,4 +1,11 @@
-"""A closed contour whose curvature over arclength is a small network."""
+r"""A closed contour whose curvature over arclength is a small network: convex or not.
+
+Curvature integrates to the tangent's angle $\theta(s)$, and $(\cos\theta, \sin\theta)$ to the point. For the
+point to come back, two numbers $\alpha$ and $\beta$ are added to $\theta$ (see `NeuralCurvature`) and solved
+for. All integrals are over a period and spectral: divisions of Fourier coefficients. From the network's
+values at uniform arclengths `_laid_out` makes the table (`_table`); the network is of `_network`, and
+`_network_descent` fits it to points.
+"""
 
 from typing import Any, NamedTuple
 
@@ -115,12 +122,14 @@ class NeuralCurvature(AbstractTabulated):
         Accuracy: 200 exact points of a 20 mm x 14 mm ellipse: 0.02 um rms, curvature within 0.8 1/m of up to
         204 1/m; a bean 39 mm long: 0.4 um. A sharp dent (-360 1/m) takes `harmonics` 16 and `width` 32.
         """
+        # The fit works on points about their mean, scaled to size one; results are scaled back to metres.
         data = numbers("points", points, 2)
         if len(data) <= 8:
             raise ValueError(f"argument points must have more than 8 rows, but had {len(data)}")
         centre = data.mean(axis=0)
         size = float(np.mean(np.hypot(*(data - centre).T)))
         scaled = (data - centre) / size
+        # The network's last layer is fitted to that curve's curvature, then everything to the points.
         slope, pose, places = _start(scaled)
         network = with_readout(PeriodicNetwork(harmonics, width=width, depth=depth, key=key), slope)
         cloud = _Cloud(jnp.asarray(scaled), jnp.asarray(places))
@@ -151,28 +160,38 @@ class NeuralCurvature(AbstractTabulated):
 
 
 class _Pose(NamedTuple):
+    """What a contour has besides its network: circumference, mean angle and mean point, as for the class."""
+
     length: Array
     angle: Array
     centre: Array
 
 
 class _Laid(NamedTuple):
+    """A contour's table, and by how much it fails to close, in units of its length."""
+
     table: Table
     gap: Vec2
 
 
 def _uniform(count: int) -> np.ndarray:
+    """Uniform angles 2 pi s / L once round [rad], without the last."""
     return _TURN * np.arange(count) / count
 
 
 @eqx.filter_jit
 def _closure(contour: NeuralCurvature) -> Array:
+    """Distance [m] between the contour's beginning and its end: its length times the mean tangent."""
     gap = _laid_out(contour.network.values(_uniform(contour.cells)), contour._pose()).gap
     return contour.length * jnp.sqrt(gap.dot(gap))
 
 
 def _integral(values: Array) -> Array:
-    """The integral over one period, 0 to 1, of samples without their mean; itself without mean."""
+    """The integral over u of samples less their mean, over one period 0 to 1, at the same places.
+
+    Its own mean is zero. Wave k is divided by 2 pi i k. The mean and, for an even count, the highest wave,
+    whose integral the samples do not show, are left out.
+    """
     count = values.shape[0]
     order = np.arange(count // 2 + 1.0)
     weight = np.where((order > 0) & (2 * order < count), 1.0, 0.0) / np.maximum(order, 1.0)
@@ -180,7 +199,8 @@ def _integral(values: Array) -> Array:
 
 
 def _laid_out(values: Array, pose: _Pose) -> _Laid:
-    """The contour of the network's values at uniform arclengths: its table, and the gap that is left [L]."""
+    """The contour of the network's values at uniform arclengths: its table, and the gap that is left."""
+    # d theta_0 / du, then theta_0, for which the mean of theta_0 - 2 pi u is `angle`.
     count = values.shape[0]
     slope = _TURN + values - jnp.mean(values)
     base = pose.angle + _uniform(count) + _integral(values)
@@ -188,7 +208,9 @@ def _laid_out(values: Array, pose: _Pose) -> _Laid:
     alpha, beta = _closing(base, cos, sin)
     theta = base + alpha * cos + beta * sin
     x, y = jnp.cos(theta), jnp.sin(theta)
+    # kappa = d theta / ds = (d theta_0 / du) (d theta / d theta_0) / L.
     curvature = slope * (1.0 - alpha * sin + beta * cos) / pose.length
+    # dx/du = L cos(theta). `_integral` has no mean, so that the mean point is the centre.
     points = [pose.centre[i] + pose.length * _integral(t) for i, t in enumerate((x, y))]
     table = from_frames(
         _joined(jnp.stack(points, axis=-1)),
@@ -201,7 +223,7 @@ def _laid_out(values: Array, pose: _Pose) -> _Laid:
 
 
 def _joined(leaf: Array) -> Array:
-    """The first row again at the end."""
+    """Samples over a period with the first one again at the end, as `from_frames` takes them."""
     return jnp.concatenate([leaf, leaf[:1]])
 
 
@@ -213,6 +235,8 @@ def _closing(base: Array, cos: Array, sin: Array) -> tuple[Array, Array]:
     """
 
     def newton(base: Array, cos: Array, sin: Array, found: tuple[Array, Array]) -> tuple[Array, Array]:
+        # The Jacobian ((a, b), (c, d)) of the mean of (cos theta, sin theta), with d theta / d alpha = cos
+        # and d theta / d beta = sin. Steps are clipped: far from the root Newton's may be long.
         theta = base + found[0] * cos + found[1] * sin
         x, y = jnp.cos(theta), jnp.sin(theta)
         gap = jnp.mean(x), jnp.mean(y)
@@ -226,21 +250,26 @@ def _closing(base: Array, cos: Array, sin: Array) -> tuple[Array, Array]:
     zero = jnp.zeros_like(fixed[0][0])
     root = jax.lax.fori_loop(0, 12, lambda _, found: newton(*fixed, found), (zero, zero))
     root = jax.lax.stop_gradient(root)
-    # These two start at the root, and so carry first and second derivatives.
+    # The search is not differentiated. Two more steps are: a Newton step from the root, held constant, has
+    # the root's first derivatives, and one from there has the second ones too.
     return newton(base, cos, sin, newton(base, cos, sin, root))
 
 
 class _Cloud(eqx.Module):
-    """Points of size one, and where their feet are: fractions of the length."""
+    """Data of a fit: points scaled to size one, and the arclengths of their feet as fractions of the length.
+
+    A point's foot is the contour's point nearest to it.
+    """
 
     points: Float[Array, "n 2"]
     places: Float[Array, " n"]
 
 
 def _start(points: np.ndarray) -> tuple[np.ndarray, _Pose, np.ndarray]:
-    """A curve near the points: (kappa L - 2 pi) at uniform arclengths, its pose, and the points' places.
+    """A curve near the points: kappa L - 2 pi at uniform arclengths, its pose, and the points' places.
 
-    A Fourier series of the position over the chord length, its high waves held down.
+    The curve is a complex Fourier series x + i y over the chord length, in least squares. A penalty of 1e-9
+    k^4 on the square of wave k, for every point, holds down wiggles between the points.
     """
     chords = np.hypot(*(np.roll(points, -1, axis=0) - points).T)
     phase = _TURN * np.concatenate([[0.0], np.cumsum(chords)[:-1]]) / chords.sum()
@@ -248,31 +277,40 @@ def _start(points: np.ndarray) -> tuple[np.ndarray, _Pose, np.ndarray]:
     matrix, z = np.exp(1j * np.outer(phase, order)), points[:, 0] + 1j * points[:, 1]
     damping = 1e-9 * len(points) * np.diag(order**4.0)
     waves = np.linalg.solve(matrix.conj().T @ matrix + damping, matrix.conj().T @ z)
+    # Velocity and acceleration on a fine grid; arclength by the trapezoidal rule.
     grid = _uniform(2048)
     basis = np.exp(1j * np.outer(grid, order))
     rate, bend = basis @ (1j * order * waves), basis @ (-(order**2) * waves)
     speed = np.abs(rate)
+    # The area enclosed is half the integral of Im(conj(z) z').
     if np.sum(np.imag(np.conj(basis @ waves) * rate)) <= 0:
         raise ValueError("argument points must run counter-clockwise, but run clockwise")
     arcs = np.concatenate([[0.0], np.cumsum(0.5 * (speed + np.roll(speed, -1)))]) * (_TURN / 2048)
     length = arcs[-1]
+    # From here on at uniform arclengths: at the parameters `at`. kappa = Im(conj(z') z'') / |z'|^3.
     at = np.interp(_uniform(_FIT_CELLS) / _TURN * length, arcs, np.append(grid, _TURN))
     turning = np.imag(np.conj(rate) * bend) / speed**3 * length
+    # theta'(u) - 2 pi = N - mean(N), as if alpha and beta were zero.
     slope = np.interp(at, grid, turning, period=_TURN) - _TURN
     theta = np.interp(at, grid, np.unwrap(np.angle(rate)))
     middle = np.interp(at, grid, (basis @ waves).real, period=_TURN).mean()
     height = np.interp(at, grid, (basis @ waves).imag, period=_TURN).mean()
     angle = np.mean(theta - _uniform(_FIT_CELLS))
     pose = _Pose(jnp.asarray(length), jnp.asarray(angle), jnp.stack([middle, height]))
+    # Where the points themselves are: from their chord length to arclength.
     return slope, pose, np.interp(phase, np.append(grid, _TURN), arcs) / length
 
 
 def _angles(cloud: _Cloud) -> np.ndarray:
+    """Where the network is needed: at uniform arclengths, wherever the points are."""
     return _uniform(_FIT_CELLS)
 
 
 def _residuals(values: Array, pose: _Pose, cloud: _Cloud) -> Array:
-    """Distances of the points, which at their feet do not depend on the places to first order."""
+    """Normal distances of the points over the root of their number.
+
+    At a foot the distance does not depend on the place to first order, so the places are constants here.
+    """
     frame = _laid_out(values, pose).table.frame(cloud.places * pose.length)
     gap = Vec2(cloud.points[:, 0], cloud.points[:, 1]) - frame.point
     return gap.dot(frame.tangent.right()) / np.sqrt(cloud.points.shape[0])
@@ -280,12 +318,17 @@ def _residuals(values: Array, pose: _Pose, cloud: _Cloud) -> Array:
 
 @eqx.filter_jit
 def _all_residuals(network: PeriodicNetwork, pose: _Pose, cloud: _Cloud) -> Array:
+    """`_residuals` of a network instead of its values."""
     return _residuals(network.values(_uniform(_FIT_CELLS)), pose, cloud)
 
 
 @eqx.filter_jit
 def _refreshed(network: PeriodicNetwork, pose: _Pose, cloud: _Cloud) -> _Cloud:
-    """The cloud with the places of the contour's points nearest to it, by Newton's method."""
+    r"""The cloud with the places of its feet on this contour: four steps of Newton's method.
+
+    With $r = p - c(s)$, the foot has $r \cdot b = 0$, and $d(r \cdot b)/ds = -(1 + \kappa\, r \cdot n)$ for
+    the outward normal $n$. The slope is kept above 0.3 and the step below 2 % of the length.
+    """
     table = _laid_out(network.values(_uniform(_FIT_CELLS)), pose).table
     points = Vec2(cloud.points[:, 0], cloud.points[:, 1])
 

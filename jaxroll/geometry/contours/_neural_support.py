@@ -1,4 +1,10 @@
-"""A closed convex contour whose support function is a small network."""
+r"""A closed convex contour whose support function is a small network, $h = r\,(1 + N(\varphi)) + c \cdot n$.
+
+Everything but the network is `_support`: the network is sampled at uniform angles and becomes a Fourier
+series, so the table, the margin of (41) and the check against folding are those of any support function. The
+network is of `_network`; `NeuralSupport.fit` minimises normal distances by `_network_descent`. The residuals
+below are module-level functions, so that fits of the same sizes share their compiled programs.
+"""
 
 from typing import Any
 
@@ -104,6 +110,7 @@ class NeuralSupport(AbstractSupport):
         within 0.4 to 1.5 1/m of up to 204 1/m.
         `SupportFunction.through` does better on so smooth a shape, in a hundredth of the time.
         """
+        # The fit works on points about their mean, scaled to size one; results are scaled back to metres.
         data = numbers("points", points, 2)
         if len(data) <= 8:
             raise ValueError(f"argument points must have more than 8 rows, but had {len(data)}")
@@ -112,9 +119,11 @@ class NeuralSupport(AbstractSupport):
         scaled = (data - centre) / size
         waves, angles = _start(scaled)
         network = PeriodicNetwork(harmonics, decay=1.0, width=width, depth=depth, key=key)
+        # In units of size one, h = 1 + N about the origin. Derivatives count a little, for the curvature.
         network = with_readout(network, waves - 1.0, bends=0.1)
         floor = 0.01 if smallest_radius is None else smallest_radius / size
         cloud = _Cloud(jnp.asarray(scaled), jnp.asarray(angles), jnp.asarray(floor))
+        # Radius and centre move with the weights. The target is that of a mean square.
         rest = (jnp.ones(()), jnp.zeros(2))
         target = (tolerance / size) ** 2
         found = descend(_PROBLEM, (network, rest), cloud, steps=steps, target=target, progress=progress)
@@ -132,6 +141,8 @@ class NeuralSupport(AbstractSupport):
 
 def _series(network: PeriodicNetwork, radius: Array, centre: Array, terms: int) -> Series:
     """The Fourier series of $h$ from samples; what it leaves of an analytic $h$ falls exponentially."""
+    # Twice as many samples as `terms` harmonics need, against aliasing. With X the discrete transform,
+    # a_k = 2 Re X_k / count and b_k = -2 Im X_k / count. The centre adds c . n: the first harmonic.
     count = 4 * terms
     waves = jnp.fft.rfft(network.values(_uniform(count)))[: terms + 1] * (2.0 * radius / count)
     first = jnp.zeros(terms).at[0].set(1.0)
@@ -140,11 +151,15 @@ def _series(network: PeriodicNetwork, radius: Array, centre: Array, terms: int) 
 
 
 def _uniform(count: int) -> np.ndarray:
+    """Uniform angles once round [rad], without the last."""
     return 2.0 * np.pi * np.arange(count) / count
 
 
 class _Cloud(eqx.Module):
-    """Points of size one, the normal angles of their feet, and the smallest radius of curvature allowed."""
+    """Data of a fit: points scaled to size one, normal angles of their feet, smallest radius of curvature.
+
+    A point's foot is the contour's point nearest to it. The radius is in the points' scale.
+    """
 
     points: Float[Array, "n 2"]
     angles: Float[Array, " n"]
@@ -152,12 +167,17 @@ class _Cloud(eqx.Module):
 
 
 def _start(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Samples of a Fourier series near the points that does not fold, and the points' normal angles."""
+    """256 samples of a Fourier series near the points that does not fold, and the points' normal angles.
+
+    The number of terms is halved until rho = r + sum (1 - k^2) (a_k cos + b_k sin) is positive at all
+    samples, or one term is left.
+    """
     terms = min(12, (len(points) - 1) // 4)
     while True:
         series, angles = fit_series(points, terms)
         phases = np.outer(_uniform(256), np.arange(1, terms + 1))
         waves = np.concatenate([np.cos(phases), np.sin(phases)], axis=1)
+        # Factors by which waves of h become those of rho = h + h'', first for cosines, then for sines.
         bends = np.tile(1.0 - np.arange(1, terms + 1) ** 2, 2)
         if terms == 1 or np.min(series[0] + waves @ (bends * series[1:])) > 0:
             return series[0] + waves @ series[1:], angles
@@ -166,9 +186,13 @@ def _start(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @eqx.filter_jit
 def _refreshed(network: PeriodicNetwork, rest: tuple[Array, Array], cloud: _Cloud) -> _Cloud:
-    """The cloud with the normal angles of the contour's points nearest to it, by Newton's method."""
+    """The cloud with the normal angles of its feet on this contour: three steps of Newton's method.
+
+    As `_support._feet`, but with bounds that keep every step finite and short while the contour changes.
+    """
     series, angles = _series(network, *rest, 64), cloud.angles
     for _ in range(3):
+        # p . n and p . n' at the angles.
         sin, cos = sincos(angles)
         out = cloud.points[:, 0] * cos + cloud.points[:, 1] * sin
         along = cloud.points[:, 1] * cos - cloud.points[:, 0] * sin
@@ -178,15 +202,21 @@ def _refreshed(network: PeriodicNetwork, rest: tuple[Array, Array], cloud: _Clou
 
 
 def _angles(cloud: _Cloud) -> Array:
+    """Where the network is needed: at the feet for distances, and at 128 uniform angles for curvature."""
     return jnp.concatenate([cloud.angles, _uniform(128)])
 
 
 def _residuals(values: Array, rest: tuple[Array, Array], cloud: _Cloud) -> Array:
-    """Distances, which at the points' feet do not depend on the angles to first order; and folding."""
+    """Normal distances of the points, and by how much the radius of curvature falls short of its floor.
+
+    At a foot the distance does not depend on the angle to first order, so the angles are constants here. Sums
+    of squares are means: over the points, and over 64 places.
+    """
     (radius, centre), count = rest, cloud.angles.shape[0]
     sin, cos = sincos(cloud.angles)
     reach = (cloud.points[:, 0] - centre[0]) * cos + (cloud.points[:, 1] - centre[1]) * sin
     distance = reach - radius * (1.0 + values[:count])
+    # rho = h + h'' multiplies wave k by 1 - k^2; c . n, of k = 1, drops out.
     order = np.fft.rfftfreq(128, 1.0 / 128)
     bends = radius * (1.0 + jnp.fft.irfft(jnp.fft.rfft(values[count:]) * (1.0 - order**2), 128))
     lack = jnp.maximum(cloud.floor - bends[::2], 0.0)
@@ -195,6 +225,7 @@ def _residuals(values: Array, rest: tuple[Array, Array], cloud: _Cloud) -> Array
 
 @eqx.filter_jit
 def _distances(network: PeriodicNetwork, rest: tuple[Array, Array], cloud: _Cloud) -> Array:
+    """Signed normal distances of the points, in their scale of size one."""
     count = cloud.angles.shape[0]
     return np.sqrt(count) * _residuals(network.values(_angles(cloud)), rest, cloud)[:count]
 

@@ -1,10 +1,11 @@
 r"""A contour from any regular curve $p(u)$, given by its points alone.
 
-The engine wants contours by arclength, with a frame: both follow from the points,
+Arclength $s$, unit tangent $b$ and curvature $\kappa$ of a contour follow from the points,
 
 $$ s(u) = \int |p'| \, \mathrm{d}u, \quad b = p' / |p'|, \quad \kappa = p' \times p'' / |p'|^3, $$
 
-by automatic differentiation, and are kept in a table (`_table`). What is its like in space is `Chart`.
+by automatic differentiation, and are kept in a table over arclength (`_table`). Its counterpart in space is
+`surfaces.Chart`.
 """
 
 from collections.abc import Callable
@@ -106,7 +107,8 @@ class Parametric(AbstractTabulated):
         table, arcs = tabulated(_jet(cells), given, cells, closed=self.loop, cells=cells)
         if self.origin is None:
             return table
-        # As long as the parameter has gone to the origin: whole cells, and a part of one by Gauss's rule.
+        # Arclength from the first parameter to the origin: whole cells, and part of one by Gauss-Legendre on
+        # [0, inside]. It is subtracted, so that s = 0 lies at the origin.
         place = (self.origin - self.span[0]) / (self.span[1] - self.span[0]) * cells
         cell = jnp.clip(jnp.floor(jax.lax.stop_gradient(place)), 0, cells - 1)
         nodes, weights = np.polynomial.legendre.leggauss(8)
@@ -117,10 +119,12 @@ class Parametric(AbstractTabulated):
 
 
 def _jet(parts: int) -> Callable[[Any, Any, Any], tuple[Vec2, Vec2, Vec2]]:
-    """Points and two derivatives at places x in [0, 1] of `parts` cells of the parameter."""
+    """A function for points and two derivatives in x at places x in [0, 1] of `parts` equal cells of u."""
 
     def jet(given: Any, cell: Any, x: Any) -> tuple[Vec2, Vec2, Vec2]:
         function, span = given
+        # u = u_0 + width (cell + x), so that every derivative in x brings a factor of `width`. Forward over
+        # forward gives point, p' and p'' in one pass.
         width = (span[1] - span[0]) / parts
         u = jnp.asarray(span[0] + width * (cell + x))
         point = lambda u: jnp.asarray(function(u))  # noqa: E731
@@ -136,8 +140,12 @@ def _jet(parts: int) -> Callable[[Any, Any, Any], tuple[Vec2, Vec2, Vec2]]:
 
 
 def _check(contour: Parametric) -> None:
-    """Raise unless a curve that is known gives points, closes if it is to, and runs round its body."""
+    """Raise unless the function gives finite points, closes if it should, and runs counter-clockwise.
+
+    What depends on numbers that JAX is tracing is not checked.
+    """
     span, origin = concrete(contour.span), None if contour.origin is None else concrete(contour.origin)
+    # By shape alone, without evaluating the function.
     u = jax.ShapeDtypeStruct((), contour.span.dtype)
     found = eqx.filter_eval_shape(lambda f, u: jnp.asarray(f(u)), contour.function, u)
     if found.shape != (2,) or not jnp.issubdtype(found.dtype, jnp.floating):

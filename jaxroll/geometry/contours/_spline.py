@@ -1,4 +1,11 @@
-"""A contour through data points: a spline of odd degree, differentiable with respect to them."""
+r"""A contour through data points, or near them: a spline of odd degree, differentiable in the points.
+
+The spline $P(u)$ is fitted to points $p_i$ at parameters $u_i$ (`_bspline`), which are not known beforehand:
+chord lengths come first, then parameters worked out of the fit before, for a fixed number of rounds
+(`Spline.fitted`). The last fit is then tabulated over arclength (`_table`). `fitting` makes a `Spline` of
+points in any state, and shares `chords`, `spline_basis` and `knot_count` in its choice of a smoothing
+wavelength.
+"""
 
 import functools
 import math
@@ -19,13 +26,15 @@ from ._free_numbers import point_waves, wavy_shift
 from ._given_points import polygon_area
 from ._table import AbstractTabulated, FEWEST_CELLS, Table, tabulated
 
-# Exponents of the curvature in the successive parameters: arclength twice, since chords of uneven length
-# spoil the first fit's curvature, then nearly affine arclength.
+# Exponents b of the curvature in the successive parameters, whose rate is about kappa^b: arclength (b = 0)
+# twice, since chords of uneven length spoil the first fit's curvature, then nearly affine arclength.
 _BENDS = (0.0, 0.0, 1.0 / 3.0)
-# Share of a disc's curvature below which a contour counts as straight in that parameter.
+# Curvature, as a share of that of a disc as long, below which a contour counts as straight in that parameter.
+# Without it the parameter would stand still along straight lines.
 _FLAT = 0.1
-# Entries of the matrix of values: with six functions to a point, some hundred megabytes.
+# Most entries of the matrix of all functions' values at all points; 2^24 doubles are 134 MB.
 _LARGEST = 1 << 24
+# Five-point Gauss-Legendre on [-1, 1].
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 
@@ -110,18 +119,21 @@ class Spline(AbstractTabulated):
         """The spline over its own parameter, and the parameters of the data (closed: and the first again)."""
         bends = _BENDS if self._interpolates else (0.0, 0.0)
 
-        # Not recorded for the derivative: recording what is inside takes longest to compile.
+        # With `checkpoint`, reverse mode evaluates a round again instead of storing its intermediate values;
+        # storing them takes longer to compile. Within a scan `prevent_cse` is not needed.
         @functools.partial(jax.checkpoint, prevent_cse=False)
         def again(u: Array, bend: Array) -> tuple[Array, tuple[Pieces, Array]]:
             pieces = self._fit(u)
             return self._reparametrised(pieces, u, bend), (pieces, u)
 
-        # One more round than is used: its parameter is thrown away, but the fit is compiled once.
+        # A round fits at the given parameters, then makes the next ones. The last round only fits: its new
+        # parameters (of the exponent 0.0) are thrown away, so that `_fit` is compiled once.
         rounds = jnp.array((*bends, 0.0))
         _, fits = jax.lax.scan(again, chords(self.points, self.loop), rounds)
         return jax.tree.map(lambda x: x[-1], fits)
 
     def tabulate(self, cells: int) -> Table:
+        # Cells of half a knot interval, two for each, so that five-point quadrature integrates the speed.
         pieces, u = self.fitted()
         coefficients = pieces.coefficients
         table, arcs = tabulated(_halves, coefficients, 2 * len(coefficients), closed=self.loop, cells=cells)
@@ -142,6 +154,7 @@ class Spline(AbstractTabulated):
                 f"argument symmetric must be False unless an open spline's origin is its middle point, "
                 f"but that is {self.origin} of {count}"
             )
+        # The mirror image negates y and takes the points in reverse order about point number `origin`.
         partner = (2 * self.origin - jnp.arange(count)) % count
         flipped = self.points[partner] * jnp.array([1.0, -1.0])[None, :]
         return eqx.tree_at(lambda c: c.points, self, 0.5 * (self.points + flipped))
@@ -160,11 +173,15 @@ class Spline(AbstractTabulated):
         return self.smoothing is None and self.knots is None
 
     def _fit(self, u: Array) -> Pieces:
+        """The spline through the points, or near them, at parameters u (closed: with the first one again)."""
         count = self.points.shape[0]
         functions = self._basis(u)
         if self._interpolates:
             values = functions.at_breaks() if self.loop else functions.matrix(u)
             return functions.pieces(jnp.linalg.solve(values, self.points))
+        # Normal equations of least squares, with V the values and R the roughness:
+        # (V^T V / n + (wavelength / 2 pi)^6 R / L) p = V^T points / n.
+        # Where only `knots` is given, R is left out.
         values = functions.matrix(u[:count])
         normal = values.T @ values / count
         if self.smoothing is not None:
@@ -172,8 +189,13 @@ class Spline(AbstractTabulated):
         return functions.pieces(jnp.linalg.solve(normal, values.T @ self.points / count))
 
     def _reparametrised(self, pieces: Pieces, u: Array, bend: Array) -> Array:
-        r"""Parameters by $\int (\kappa^2 + \epsilon^2 \bar\kappa^2)^{b/2} ds$; $\bar\kappa$ is a disc's."""
+        r"""New parameters of the data: $\int ((\kappa/\bar\kappa)^2 + \epsilon^2)^{b/2} ds$ along the fit.
+
+        Here $b$ = `bend`, $\epsilon$ = `_FLAT`, and $\bar\kappa = 2\pi/L$ is the curvature of a disc as long.
+        """
         places = 0.5 * (1.0 + _NODES)
+        # Speed and curvature at five places of every interval between two data. Derivatives are in a piece's
+        # own coordinate; `share` is how much of it passes along an interval of the data.
         if self.knots is None and self.loop:  # the data's intervals are the pieces
             _, rate, second = jets(pieces.coefficients, places)
             share = 1.0
@@ -184,6 +206,7 @@ class Spline(AbstractTabulated):
             share = step / jnp.diff(pieces.breaks)[index]
         square = rate.dot(rate)
         arc = share * jnp.sqrt(square)
+        # kappa L / (2 pi). The weights add up to 2, as on [-1, 1], so that the sum of `arc` with them is 2 L.
         turns = rate.cross(second) / (square * jnp.sqrt(square)) * (jnp.sum(arc @ _WEIGHTS) / (4.0 * np.pi))
         density = arc * (_FLAT**2 + turns**2) ** (0.5 * bend)
         return rising_sums(density @ (0.5 * _WEIGHTS))
@@ -209,7 +232,7 @@ def chords(points: Array, closed: bool) -> Array:
 
 
 def _arclength_at(pieces: Pieces, arcs: Array, u: Array) -> Array:
-    """Arclength at one parameter, by the arclengths at the breaks."""
+    """Arclength [m] at one parameter: that at its piece's beginning, and Gauss-Legendre over the rest."""
     piece, local = interval_of(pieces.breaks, u)
     half = 0.5 * local
     places = half * (1.0 + _NODES)
@@ -218,12 +241,13 @@ def _arclength_at(pieces: Pieces, arcs: Array, u: Array) -> Array:
 
 
 def _halves(coefficients: Array, half: Array, x: Array) -> tuple[Vec2, Vec2, Vec2]:
-    """Half pieces as the cells of a curve: points and derivatives."""
+    """Half pieces as the cells of a curve: points and two derivatives at x in [0, 1] of cells `half`."""
     point, rate, bend = jet_of_pieces(coefficients, half // 2, 0.5 * (half % 2 + x))
     return point, rate * 0.5, bend * 0.25
 
 
 def _check(points: Array, closed: bool, degree: int, origin: int) -> None:
+    """Raise unless the arguments make a contour; the points' places only where they are not traced."""
     if not isinstance(degree, int | np.integer) or degree not in (3, 5, 7, 9):
         raise ValueError(f"argument degree must be 3, 5, 7 or 9, but was {shown(degree)}")
     count = points.shape[0]
@@ -253,6 +277,7 @@ def _check(points: Array, closed: bool, degree: int, origin: int) -> None:
 
 
 def _length(smoothing: Given) -> Array | None:
+    """The smoothing wavelength [m], checked; None for zero, which interpolates."""
     wavelength = as_floats("smoothing", smoothing, ())
     seen = concrete(wavelength)
     return None if seen is not None and seen == 0 else check_positive("smoothing", wavelength)

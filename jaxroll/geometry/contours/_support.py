@@ -1,4 +1,13 @@
-"""Convex contours by their support function, as a Fourier series."""
+r"""Convex contours by their support function $h(\varphi)$, as a Fourier series.
+
+The normal's angle $\varphi$ is the parameter. The point is $h n + h' n'$, the radius of curvature
+$\rho = h + h'' = ds/d\varphi$. For a series, arclength $s(\varphi) = \int \rho\,d\varphi$ is a closed form,
+so the table over arclength (`_table`) needs only its inverse (`_arclength`). Condition (41) for a fingertip
+about its own origin is $h'' > 0$.
+
+`SupportFunction` holds the series; `_neural_support` makes one of a network's samples. `fit_series` fits one
+to points, on the host.
+"""
 
 import abc
 from collections.abc import Callable
@@ -32,7 +41,7 @@ class Series(eqx.Module):
 
     @property
     def density(self) -> int:
-        """Points of a grid of normal angles that sees every wave."""
+        """Points of a grid of normal angles: 16 or more to the shortest wave."""
         return 16 * (self.cosines.shape[0] + 4)
 
     def heights(self, angle: Array) -> Heights:
@@ -59,8 +68,10 @@ class Series(eqx.Module):
 
     def table(self, cells: int) -> Table:
         """Quintic table at uniform arclengths."""
+        # A convex contour's circumference is 2 pi times its mean support (Cauchy).
         length = _TURN * self.radius
         targets = length * np.linspace(0.0, 1.0, cells + 1)
+        # Newton's method for s(angle) = target begins at the inverse of s, interpolated on a grid.
         grid = jnp.linspace(0.0, _TURN, self.density + 1)
         start = jnp.interp(targets, self._progress(grid)[0], grid)
         angle = parameters_reaching(Series._progress, self, jax.lax.stop_gradient(start), targets)
@@ -72,6 +83,7 @@ class Series(eqx.Module):
 
     def _progress(self, angle: Array) -> tuple[Array, Array]:
         r"""Arclength $\int_0^\varphi \rho$ [m], in closed form, and $\rho$."""
+        # h + h'' multiplies wave k by 1 - k^2, and integrating divides it by k.
         order, sin, cos = self._waves(angle)
         rate = 1.0 - order**2
         a, b = rate * self.cosines, rate * self.sines
@@ -79,21 +91,28 @@ class Series(eqx.Module):
         return self.radius * angle + wave, self.radius + cos @ a + sin @ b
 
     def _waves(self, angle: Array) -> tuple[np.ndarray, Array, Array]:
+        """Orders k = 1 ... m, sin(k angle) and cos(k angle), shape (n, m)."""
         order = np.arange(1.0, self.cosines.shape[0] + 1.0)
         return order, *sincos(angle[:, None] * order[None, :])
 
 
 def smallest(field: Callable[[Array], Array], ends: tuple[Array, Array], density: int) -> Array:
-    """Smallest value of `field(angles)` between two angles: a grid, then the parabola at its least."""
+    """Smallest value of `field(angles)` between two angles [rad].
+
+    The field is sampled at `density` places; a parabola through the least sample and its neighbours gives the
+    angle at which it is evaluated once more.
+    """
     low, high = ends
     grid = jnp.linspace(low, high, density)
     values = field(grid)
     at = jnp.clip(jnp.argmin(values), 1, density - 2)
     before, here, after = values[at - 1], values[at], values[at + 1]
+    # The vertex of a parabola through three equidistant values lies (before - after) / (2 bend) steps from
+    # the middle. Where the three do not bend upwards the middle stays.
     bend = before - 2.0 * here + after
     step = jnp.clip(0.5 * (before - after) / jnp.where(bend > 0, bend, jnp.inf), -1.0, 1.0)
     vertex = grid[at] + step * (high - low) / (density - 1)
-    # At the minimum, or at an end, the value does not depend on the angle to first order.
+    # The angle is held fixed in derivatives: at a minimum inside, the field's derivative in it is zero.
     found = field(jax.lax.stop_gradient(vertex)[None])[0]
     return jnp.minimum(found, jnp.min(values))
 
@@ -130,9 +149,9 @@ class AbstractSupport(AbstractTabulated):
     def margin(self, low: Given = 0.0, high: Given = _TURN) -> Float[Array, ""]:
         r"""Smallest $h''$ [m] between two normal angles [rad]: condition (41) holds where it is positive.
 
-        Differentiable. Zero for a circle about the body's origin; the mean of $h''$ over the whole contour
-        is zero, so only on an interval can the margin be positive. The origin is the contour's own: for a
-        `moved` contour, not the body's.
+        Differentiable in the contour's numbers. Zero for a circle about the body's origin; the mean of $h''$
+        over the whole contour is zero, so only on an interval can the margin be positive. The origin is the
+        contour's own: for a `moved` contour, not the body's.
         """
         ends = as_floats("low", low, ()), as_floats("high", high, ())
         seen = concrete(ends[0]), concrete(ends[1])
@@ -235,6 +254,7 @@ class SupportFunction(AbstractSupport):
         if not 0 < 2 * terms < len(data):
             most = (len(data) - 1) // 2
             raise ValueError(f"argument terms must lie between 1 and {most} (by the points), but was {terms}")
+        # In one array: the mean, then the cosines, then the sines.
         series, _ = fit_series(data, terms)
         return cls(series[0], series[1 : terms + 1], series[terms + 1 :], cells=cells)
 
@@ -249,10 +269,12 @@ class SupportFunction(AbstractSupport):
         return np.diag(np.concatenate([[1.0], each, each]))
 
     def symmetrised(self) -> "SupportFunction":
+        # The mirror image about the x axis has h(-phi): the mean of both is the even part.
         return eqx.tree_at(lambda c: c.sines, self, jnp.zeros_like(self.sines))
 
     def perturbed(self, rng: np.random.Generator) -> "SupportFunction":
         """Terms of the series changed by less and less, so that it stays convex."""
+        # A term of order k changes the radius of curvature by k^2 - 1 times its size.
         size = PERTURBED * float(self.radius) / self._orders() ** 3
         wave = lambda: jnp.asarray(size * rng.standard_normal(len(size)))  # noqa: E731
         where = lambda c: (c.cosines, c.sines)  # noqa: E731
@@ -266,6 +288,7 @@ def check_convex(name: str, contour: AbstractSupport) -> None:
     """Raise if a concrete support function folds."""
     if traced(contour):
         return
+    # A constant contour may be made inside a traced function: its check is evaluated there and then.
     with jax.ensure_compile_time_eval():
         worst = float(contour.smallest_radius())
     if not worst > 0:
@@ -291,17 +314,19 @@ def fit_series(points: np.ndarray, terms: int) -> tuple[np.ndarray, np.ndarray]:
     A point's signed distance is $d = \max_\varphi (p \cdot n(\varphi) - h(\varphi))$. At the maximum it does
     not depend on $\varphi$ to first order and is linear in the series, so solving for the series at fixed
     angles, then for the angles, is Gauss-Newton on the normal distances. It starts at the support function
-    of the points themselves.
+    of the points themselves (of their convex hull). Inside, points are centred and scaled to size one.
     """
     centre = points.mean(axis=0)
     size = np.sqrt(np.mean(np.sum((points - centre) ** 2, axis=-1)))
     scaled = (points - centre) / size
     grid = np.linspace(0.0, _TURN, 16 * (terms + 32), endpoint=False)
+    # p . n, shape (points, grid): its largest value over the points is their support function.
     reach = scaled @ np.stack([np.cos(grid), np.sin(grid)])
     values = _basis(grid, terms)[0]
     series = np.linalg.lstsq(values, reach.max(axis=0))[0]
     angles = grid[np.argmax(reach - values @ series, axis=1)]
     for _ in range(60):
+        # The foot: globally on the grid, then by Newton's method.
         angles = grid[np.argmax(reach - values @ series, axis=1)]
         angles = _feet(scaled, series, angles)
         normal = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
@@ -310,13 +335,18 @@ def fit_series(points: np.ndarray, terms: int) -> tuple[np.ndarray, np.ndarray]:
         series = series + step
         if np.max(np.abs(step)) < 1e-14:
             break
+    # Back to metres. A shift by c adds c . n to h, which is the first harmonic.
     series = size * series
     series[[1, terms + 1]] += centre
     return series, angles
 
 
 def _feet(points: np.ndarray, series: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """Normal angles of the contour's points nearest to `points`, by Newton's method."""
+    r"""Normal angles of the contour's points nearest to `points` (of size one), from a guess.
+
+    Newton's method on the distance $d(\varphi) = p \cdot n - h$: $d' = p \cdot n' - h'$,
+    $d'' = -(p \cdot n + h'')$. Where $-d''$ is not above 1e-3, no maximum is near, and the angle stays.
+    """
     for _ in range(4):
         basis = _basis(angles, len(series) // 2)
         height, first, second = (b @ series for b in basis)

@@ -1,4 +1,14 @@
-"""Any contour as a table over arclength: what the equations of motion read, whatever the field."""
+r"""Any contour as a table over arclength, which the equations of motion read whatever made it.
+
+A `Table` holds one quintic polynomial in $s$ per cell and coordinate, through exact points with exact first
+and second derivatives $c' = b$, $c'' = \kappa n$ at uniform arclengths. Looking a frame up costs the same for
+a spline as for a network. Fields (`_spline`, `_support`, `_parametric`, `_neural_*`) subclass
+`AbstractTabulated` and give `tabulate`, by `tabulated` (from a curve of any parameter) or `from_frames` (from
+frames by arclength).
+
+The polynomials' speed is one only up to the table's error. A table whose speed is too far from one gets a
+length of NaN, which works while JAX traces it too; where it is concrete, `tabled` raises.
+"""
 
 import abc
 from collections.abc import Callable
@@ -21,6 +31,7 @@ JetFunction = Callable[[Any, Array, Array], tuple[Vec2, Vec2, Vec2]]
 # By how much the speed of a table may differ from one; a run that reads it errs by about that much.
 _UNEVEN = 1e-3
 FEWEST_CELLS = 8
+# At its ends a cell has the exact speed; the quarters are where it is compared with one.
 _BETWEEN = np.array([0.25, 0.5, 0.75])
 
 
@@ -57,18 +68,23 @@ class Table(eqx.Module):
         return Vec2(_value(row[:6], local), _value(row[6:], local))
 
     def _cell(self, s: Scalar) -> tuple[list[Scalar], Scalar]:
+        """Coefficients of the cell of s, and the position in it: in [0, 1) unless beyond an open end."""
         cells = self.coefficients.shape[0]
         position = (s - self.start) * (cells / self.length)
+        # floor is constant between cells; stop_gradient keeps JAX from tracing its derivative, zero.
         whole = jnp.floor(jax.lax.stop_gradient(position))
         if self.closed:
+            # The index goes round; `whole` does not, so that the position in the cell stays in [0, 1).
             index = whole - jnp.floor(whole / cells) * cells
         else:
+            # Beyond an end the last polynomial is continued.
             index = whole = jnp.clip(whole, 0.0, cells - 1.0)
         row = self.coefficients[index.astype(int)]
         return [row[..., i] for i in range(12)], position - whole
 
 
 def _value(c: list[Scalar], x: Scalar) -> Scalar:
+    """The quintic with coefficients c in rising powers, by Horner's rule."""
     return c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * (c[4] + x * c[5]))))
 
 
@@ -95,16 +111,19 @@ def from_frames(
     no run that reads the table succeeds. `tabled` says so in words.
     """
     step = length / (points.shape[0] - 1)
+    # Derivatives in a cell's own coordinate: step b and step^2 kappa n, with n the tangent turned left.
     inward = jnp.stack([-tangents[:, 1], tangents[:, 0]], axis=-1)
     rows = hermite(points, tangents * step, inward * (curvatures * step**2)[:, None])
     coefficients = jnp.concatenate([rows[:, 0], rows[:, 1]], axis=-1)
+    # The check is a mask and not a branch, since `from_frames` is traced; it must not enter derivatives.
     seen, size = jax.lax.stop_gradient((coefficients, length))
     length = jnp.where(_unevenness(seen, size) <= _UNEVEN, length, jnp.nan)
     return Table(coefficients, length, jnp.zeros_like(length), closed)
 
 
 def _unevenness(coefficients: Any, length: Any) -> Any:
-    """Largest difference of a table's speed from one, at the quarters of its cells; of NumPy's or JAX's."""
+    """Largest difference of a table's speed from one at the quarters of its cells; of NumPy's or JAX's."""
+    # dx/ds = (cells / length) sum_p p c_p q^(p - 1) at the quarters q: one product of matrices for all cells.
     power = np.arange(1.0, 6.0)
     weights = (power[:, None] * _BETWEEN[None, :] ** (power[:, None] - 1.0)).astype(coefficients.dtype)
     x, y = coefficients[:, 1:6] @ weights, coefficients[:, 7:12] @ weights
@@ -118,15 +137,15 @@ def unevenness(table: Table) -> float:
 
 
 def tabulated(jet: JetFunction, shape: Any, parts: int, *, closed: bool, cells: int) -> tuple[Table, Array]:
-    """Table of a regular curve in cells of any parameter, and the arclength at the end of each.
+    """Table of a regular curve in cells of any parameter, and the arclengths where the cells begin and end.
 
     Differentiable with respect to `shape`.
 
     Args:
         jet: `jet(shape, cell, x)` gives points and two derivatives in x at places x in [0, 1] of cells.
         shape: Whatever numbers the curve depends on.
-        parts: How many cells, so short that five-point Gauss-Legendre integrates the speed over each; the
-            curve may be less smooth where they meet.
+        parts: How many cells the curve has, so short that five-point Gauss-Legendre integrates the speed
+            over each; the curve may be less smooth where they meet.
         closed: Whether the curve ends where it began.
         cells: Cells of the table.
     """
@@ -136,6 +155,7 @@ def tabulated(jet: JetFunction, shape: Any, parts: int, *, closed: bool, cells: 
         return jnp.sqrt(rate.dot(rate))
 
     cell, x, arcs = spaced(speed, shape, parts, cells)
+    # In any parameter: b = c' / |c'|, kappa = c' x c'' / |c'|^3.
     point, rate, bend = jet(shape, cell, x)
     inverse = 1.0 / jnp.sqrt(rate.dot(rate))
     curvature = rate.cross(bend) * inverse**3
@@ -166,7 +186,7 @@ class AbstractTabulated(AbstractContour):
         """Build a table: pure JAX, differentiable in every array of the field."""
 
     def read(self) -> Table:
-        """The table at hand, or a new one."""
+        """The table that `prepared` stored, or a new one."""
         return _built(self) if self.table is None else self.table
 
     def curve(self, s: Scalar) -> Vec2:
@@ -198,13 +218,14 @@ class AbstractTabulated(AbstractContour):
 
 @remembered
 def _prepared(contour: AbstractTabulated) -> AbstractTabulated:
+    """The contour with its table, checked; kept by the contour's identity, so that runs share the table."""
     ready = contour.prepared()
     _check_table(contour, ready.read())
     return ready
 
 
 def _check_table(contour: AbstractTabulated, table: Table) -> None:
-    """Raise if a concrete table does not give its contour."""
+    """Raise if a table that is not traced has NaN for its length, and say which of two faults it has."""
     length, coefficients = concrete(table.length), concrete(table.coefficients)
     if length is None or coefficients is None or np.isfinite(length):
         return
@@ -224,10 +245,12 @@ def _built(contour: AbstractTabulated) -> Table:
 
 @eqx.filter_jit
 def _difference(contour: AbstractTabulated, cells: int) -> tuple[Array, Array, Array]:
+    """Largest differences of point [m], tangent [rad] and curvature [1/m] from a table of twice the cells."""
     coarse, fine = contour.tabulate(cells), contour.tabulate(2 * cells)
     middles = (np.arange(cells)[:, None] + np.array([0.25, 0.5, 0.75])[None, :]).ravel() / cells
     s = coarse.start + coarse.length * middles
     a, b = coarse.frame(s), fine.frame(s)
+    # The cross product of two unit tangents is the sine of the angle between them, here as good as the angle.
     gap, turn = a.point - b.point, a.tangent.cross(b.tangent)
     worst = (jnp.sqrt(gap.dot(gap)), jnp.abs(turn), jnp.abs(a.curvature - b.curvature))
     return jnp.max(worst[0]), jnp.max(worst[1]), jnp.max(worst[2])

@@ -1,10 +1,14 @@
 """Surfaces with their Gauss frames.
 
-`_surface` holds the contract, a surface placed elsewhere, and `_gauss` the frame; `_surface_implicit` and
-`_surface_chart` are the two ways to give one, by a field of space or by two parameters.
-`_surface_closed_forms` has spheres, ellipsoids and their like, `_surface_extruded` cylinders over contours.
-`_surface_patch` is a chart through a grid of points and `_surface_spline` a field of space, both of the
-B-splines of `_tensor_bspline`. `_spread` spreads places evenly over a surface.
+- `_surface`: the contract, and surfaces made of another one (`MovedSurface`, `Hollow`).
+- `_gauss`: the frame at one place, and what follows from it.
+- `_surface_implicit`, `_surface_chart`: the two ways to give a surface, by a field of space or by two
+  parameters.
+- `_surface_closed_forms`: plane, sphere, ellipsoid and their like.
+- `_surface_extruded`: cylinders over contours.
+- `_surface_patch`: a chart through a grid of points; `_surface_spline`: a field of space. Both are made of
+  the B-splines of `_tensor_bspline`.
+- `_spread`: places spread evenly over a surface.
 """
 
 from ._gauss import approach as approach, Gauss3 as Gauss3, Principal as Principal, principal as principal

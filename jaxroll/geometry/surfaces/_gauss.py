@@ -1,4 +1,9 @@
-"""The Gauss frame of a surface at one place, and what follows from it alone."""
+r"""The Gauss frame of a surface at one place, and what follows from it alone.
+
+The shape operator $L = dn$ maps a tangent displacement to the change of the outward normal $n$. Its
+eigenvalues are the principal curvatures, positive where the body is convex: `principal` finds them.
+`approach` is the step of searches for a closest point (`AbstractSurface.closest`, `contact.locating`).
+"""
 
 from dataclasses import dataclass
 
@@ -36,12 +41,16 @@ class Principal:
 
 def principal(frame: Gauss3) -> Principal:
     """Principal curvatures and directions; at an umbilic, any two, and derivatives of the mean."""
+    # L in a tangent frame: ((a, b), (b, c)), with eigenvalues mean +- sqrt(half^2 + b^2).
     first, second = tangents(frame.normal)
     a, b, c = (frame.shape.form(*pair) for pair in ((first, first), (first, second), (second, second)))
     mean, half = 0.5 * (a + c), 0.5 * (a - c)
     square = half * half + b * b
+    # At an umbilic the root and the angle have no derivative. `where` inside and outside keeps NaN out of the
+    # branch that is not taken, which reverse mode would otherwise multiply by zero and keep.
     round_ = square == 0.0
     spread = jnp.where(round_, 0.0, jnp.sqrt(jnp.where(round_, 1.0, square)))
+    # The larger curvature's direction: tan(2 angle) = b / half.
     angle = 0.5 * jnp.arctan2(jnp.where(round_, 0.0, b), jnp.where(round_, 1.0, half))
     cos, sin = jnp.cos(angle), jnp.sin(angle)
     along_high = first * cos + second * sin
@@ -50,7 +59,11 @@ def principal(frame: Gauss3) -> Principal:
 
 
 def approach(frame: Gauss3, point: Vec3) -> Vec3:
-    """Newton's tangent step towards the point of the surface closest to `point`."""
+    r"""Newton's tangent step towards the point of the surface closest to `point`, as a vector [m].
+
+    With $r$ from the frame's point to `point` and $h = r \cdot n$, the step $\delta$ solves
+    $(1 + h L)\,\delta = r - h n$. It is cut to half the smallest radius of curvature.
+    """
     first, second = tangents(frame.normal)
     away, form = point - frame.point, frame.shape.form
     height, x, y = away.dot(frame.normal), away.dot(first), away.dot(second)
@@ -58,11 +71,14 @@ def approach(frame: Gauss3, point: Vec3) -> Vec3:
     size = jnp.sqrt(a * a + 2.0 * b * b + c * c)
     a, b, c = 1.0 + height * a, height * b, 1.0 + height * c
     convex = (a + c > 0.2) & (a * c - b * b > 0.01)
-    # Beyond a centre of curvature Newton's step may climb; the gradient's does not.
+    # 1 + h L is half the second derivative of the squared distance. Beyond a centre of curvature it is not
+    # positive, and Newton's step may increase the distance; there the step is a shortened gradient.
     damped = 1.0 + jnp.abs(height) * size
     a, b, c = jnp.where(convex, a, damped), jnp.where(convex, b, 0.0), jnp.where(convex, c, damped)
     det = a * c - b * b
     x, y = (c * x - b * y) / det, (a * y - b * x) / det
+    # `size` is at least the largest curvature. The factor of the cut is held constant in derivatives: at the
+    # closest point the length is zero, where a square root has no derivative.
     length = jnp.sqrt(jax.lax.stop_gradient(x * x + y * y))
     shorter = 0.5 / jnp.maximum(0.5, jax.lax.stop_gradient(size) * length)
     return first * (x * shorter) + second * (y * shorter)

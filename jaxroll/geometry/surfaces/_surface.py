@@ -1,7 +1,12 @@
-"""Smooth oriented surfaces and their Gauss frame: point, outward normal, shape operator; surfaces of others.
+r"""The contract of a surface, smooth and oriented: point, outward normal $n$ and shape operator $L = dn$.
 
-A surface placed elsewhere, or seen from inside, is a surface again, with the coordinates of the one it is
-made of.
+An `AbstractSurface` gives its frame (`_gauss.Gauss3`) at a place, how the place moves with a tangent
+velocity, and how a place that has drifted off is put back. `contact` reads these as scalars inside the
+equations of motion; `contact.locating` searches with them. The methods for users take arrays.
+`_surface_implicit` and `_surface_chart` are the two kinds of place: a point of space, or two parameters.
+
+A surface placed elsewhere (`MovedSurface`), or seen from inside (`Hollow`), is a surface again, with the
+coordinates of the one it is made of.
 """
 
 import abc
@@ -19,8 +24,10 @@ from ..._types import Given, Scalars
 from .._tabled import AbstractShape, tabled
 from ._gauss import approach, Gauss3, principal
 
+# Steps of Newton's method in `closest`: so many for far starts, and for surfaces far from round.
 _SEARCH = 32
-_NEAR = 1e-6  # relative to the distances: a search that ends farther off has not arrived
+# A search that ends farther off than this has not arrived; relative to the distances of the point.
+_NEAR = 1e-6
 
 
 class AbstractSurface(AbstractShape):
@@ -93,10 +100,13 @@ class AbstractSurface(AbstractShape):
         half the smallest radius of curvature. The minimum is a local one.
         """
 
+        # A step in the tangent plane, in coordinates, and back onto the surface. The number of steps is
+        # fixed: all searches of a batch are equally long, and reverse mode needs a known length.
         def step(at: Scalars, _: None) -> tuple[Scalars, None]:
             frame = self.frame(at)
             return self.settled(_sum(at, self.rate(at, approach(frame, point)))), None
 
+        # The scan's carry must keep its type from the first step on.
         start = tuple(jnp.asarray(x, jnp.result_type(point.x)) for x in self.settled(at))
         return jax.lax.scan(step, start, None, length=_SEARCH)[0]
 
@@ -185,6 +195,7 @@ def _principal(frame: Gauss3) -> tuple[Array, Array]:
 
 @jax.jit
 def _normal_curvature(frame: Gauss3, direction: Array) -> Array:
+    # Only the tangent part of the direction counts.
     v = Vec3(*(direction[..., i] for i in range(3)))
     v = v - frame.normal * v.dot(frame.normal)
     return frame.shape.form(v, v) / v.dot(v)
@@ -198,6 +209,7 @@ def _forms(frame: Gauss3, basis: tuple[Vec3, Vec3]) -> tuple[Array, Array]:
 
 
 def _square(a: Array, b: Array, c: Array) -> Array:
+    """Symmetric matrices ((a, b), (b, c)) of shape (..., 2, 2)."""
     return jnp.stack([jnp.stack([a, b], axis=-1), jnp.stack([b, c], axis=-1)], axis=-2)
 
 
@@ -210,7 +222,10 @@ def _last(name: str, value: Given, size: int) -> Array:
 
 
 def _mapped(function: Callable[..., Any], *arrays: Array) -> Any:
-    """A function of scalars over leading axes: `vmap` keeps its inside free of arrays."""
+    """A function of tuples of scalars, mapped over the leading axes of arrays, which are broadcast.
+
+    The last axis of each array is a tuple's. Inside `vmap` the function sees scalars, as in a run.
+    """
     shape = jnp.broadcast_shapes(*(a.shape[:-1] for a in arrays))
     flat = [jnp.broadcast_to(a, (*shape, a.shape[-1])).reshape(-1, a.shape[-1]) for a in arrays]
     out = jax.vmap(lambda *rows: function(*(unstack(row) for row in rows)))(*flat)
@@ -242,7 +257,12 @@ def _near(surface: AbstractSurface, points: Array, guess: Array | None) -> Array
 
 
 def _arrived(surface: AbstractSurface, target: Vec3, at: Scalars) -> Array:
-    """Whether a place is on the surface, and the arm from it to the target along the normal."""
+    """Whether a search has arrived: the place is on the surface, and the target on the normal through it.
+
+    Both are judged by a distance [m] relative to the size of the problem: how far the target lies beside the
+    normal, and how far `settled` would still move the place.
+    """
+    # `aside` is the arm less its part along the normal.
     frame, back = surface.frame(at), surface.frame(surface.settled(at))
     arm = target - frame.point
     aside = arm - frame.normal * arm.dot(frame.normal)
@@ -317,7 +337,7 @@ class MovedSurface(AbstractSurfaceOf):
         self.pose = None
 
     def placed(self) -> Pose3:
-        """The placement as a pose."""
+        """The placement as a pose; `prepared` keeps it, so that it is computed once."""
         if self.pose is not None:
             return self.pose
         return pose_at(Vec3(*unstack(self.offset)), normalised(unstack(self.rotation)))
@@ -369,6 +389,7 @@ class Hollow(AbstractSurfaceOf):
         return self.surface.rate(at, velocity)
 
     def basis(self, at: Scalars) -> tuple[Vec3, Vec3]:
+        # In the other order, so that the cross product of both points along the turned normal.
         first, second = self.surface.basis(at)
         return second, first
 

@@ -1,4 +1,10 @@
-"""Surfaces given by a chart: the contact coordinates are its two parameters."""
+r"""Surfaces given by a chart $P(u, v)$: the contact coordinates are its two parameters.
+
+Point, normal $n = P_u \times P_v / |P_u \times P_v|$ and shape operator follow from the chart's first and
+second derivatives, a `Jet`. A place never leaves such a surface, but a chart may have ends, periods and
+poles. `_surface_patch` and `Chart`, for any function, subclass `AbstractChart`. An implicit surface
+(`_surface_implicit`) needs no chart.
+"""
 
 import abc
 from collections.abc import Callable
@@ -18,6 +24,7 @@ from ._gauss import Gauss3
 from ._spread import lattice, SEEDS, thinned
 from ._surface import AbstractSurface
 
+# Places along each parameter at which a search for the closest point may begin.
 _SEEDS = 16
 
 
@@ -33,7 +40,7 @@ class Jet(NamedTuple):
 
 
 def jet(chart: Callable[[Scalar, Scalar], Vec3], at: Scalars) -> Jet:
-    """Derivatives of a chart, forward over forward."""
+    """Derivatives of a chart, forward over forward: three passes for both first and three second ones."""
     place = tuple(jnp.asarray(x) for x in at)
     zero, one = jnp.zeros_like(place[0]), jnp.ones_like(place[0])
     along_u, along_v = (one, zero), (zero, one)
@@ -55,7 +62,7 @@ class AbstractChart(AbstractSurface):
     $P_u \times P_v = 0$, as at the poles of a sphere.
 
     To add one, subclass this and give `derivatives` (`jet` where no closed form is at hand), `domain`,
-    `periodic` (of u and of v), `smoothness` and `prepared`.
+    `periodic` (of u and of v) and `smoothness`; `prepared` where there is work to be done once.
     """
 
     periodic: eqx.AbstractVar[tuple[bool, bool]]
@@ -77,13 +84,15 @@ class AbstractChart(AbstractSurface):
         area = here.u.cross(here.v)
         inverse = once(1.0 / area.norm())
         normal = once(area * inverse)
-        # The dual tangents are those of the plane: turned by a right angle, over the area.
+        # Dual tangents: e^u = P_v x n / |P_u x P_v| and e^v = n x P_u / |P_u x P_v|. `outer` is the symmetric
+        # part, so that the mixed term counts twice.
         first, second = here.v.cross(normal) * inverse, normal.cross(here.u) * inverse
         bends = (-here.uu.dot(normal), -here.uv.dot(normal), -here.vv.dot(normal))
         shape = square(first) * bends[0] + outer(first, second) * (2.0 * bends[1]) + square(second) * bends[2]
         return Gauss3(here.point, normal, shape)
 
     def rate(self, at: Scalars, velocity: Vec3) -> Scalars:
+        # velocity = u' P_u + v' P_v: its products with both tangents are two linear equations for u' and v'.
         u, v = self.basis(at)
         a, b, c = u.dot(u), u.dot(v), v.dot(v)
         x, y = u.dot(velocity), v.dot(velocity)
@@ -98,6 +107,7 @@ class AbstractChart(AbstractSurface):
         return here.u, here.v
 
     def spread(self, count: int) -> Scalars:
+        # Seeds are even in the parameters, not on the surface; thinning takes the farthest points in space.
         share = lattice(SEEDS * count, 2)
         u, v = (low + (high - low) * share[:, i] for i, (low, high) in enumerate(self.domain()))
         points = jax.vmap(lambda *at: self.derivatives(at).point)(jnp.asarray(u), jnp.asarray(v))
@@ -108,6 +118,7 @@ class AbstractChart(AbstractSurface):
         found: list[Scalar] = []
         for x, along, (low, high), loop in zip(at, self.basis(at), self.domain(), self.periodic, strict=True):
             if not loop:
+                # A metre along P_u is 1 / |P_u| of the parameter.
                 speed = along.norm()
                 found += [(x - low) * speed, (high - x) * speed]
         return tuple(found)
@@ -135,7 +146,7 @@ def as_flags(periodic: Any) -> tuple[bool, bool]:
 
 
 def bounded(x: Scalar, ends: tuple[Scalar, Scalar], periodic: bool) -> Scalar:
-    """A parameter brought into its domain: round a period, or back to an end."""
+    """A parameter brought into its domain: by whole periods, or cut to the nearer end."""
     low, high = ends
     if not periodic:
         return jnp.clip(x, low, high)
@@ -161,7 +172,7 @@ def _check_point(function: Callable[..., Any], kind: Any) -> None:
 class Chart(AbstractChart):
     r"""The surface $P(u, v)$ of any smooth function of your own; $P_u \times P_v$ points out of the body.
 
-    What is its like in the plane is `Parametric`. A place on the surface is $(u, v)$, in whatever unit the
+    Its counterpart in the plane is `Parametric`. A place on the surface is $(u, v)$, in whatever unit the
     function takes. Point, normal and shape operator are automatic differentiation of the function, whose
     arrays (those of an `equinox.Module`, or the bound arguments of a `jax.tree_util.Partial`) are
     differentiable; those that it closes over work too, but each new function is compiled anew.

@@ -1,4 +1,10 @@
-"""Surfaces in closed form: plane, sphere, cylinder, torus, ellipsoid, superellipsoid."""
+"""Surfaces in closed form: plane, sphere, cylinder, torus, ellipsoid, superellipsoid.
+
+All are implicit (`_surface_implicit`): a place is the point itself. Plane, sphere, cylinder and torus use the
+signed distance for their field, whose gradient is the normal and whose second derivatives are the shape
+operator; frames are written out. The field of an ellipsoid or superellipsoid is no distance, and its frame is
+that of the level set.
+"""
 
 import math
 
@@ -15,7 +21,7 @@ from ._gauss import Gauss3
 from ._spread import directions, lattice, SEEDS, thinned
 from ._surface_implicit import AbstractImplicit, Level, level_frame
 
-# Exponent of a superellipsoid above which the search for its points no longer arrives from afar.
+# Largest exponent of a superellipsoid: above it, the search for its points does not arrive from afar.
 _SHARPEST = 32.0
 
 
@@ -137,12 +143,15 @@ class Torus(AbstractImplicit):
         return self._around(Vec3(*at))[1]
 
     def spread(self, count: int) -> Scalars:
+        # Even in both angles, and so denser on the inner side, which thinning evens out.
         turn, roll = 2.0 * np.pi * lattice(SEEDS * count, 2).T
         out = self.major + self.minor * np.cos(roll)
         points = (out * np.cos(turn), out * np.sin(turn), self.minor * np.sin(roll))
         return _thinned(points, count)
 
     def _around(self, point: Vec3) -> tuple[Scalar, Gauss3]:
+        """Distance from the circle of the tube's centres, and the frame of the torus through the point."""
+        # With theta in the meridian plane: cos(theta) = out, sin(theta) = up.
         radial = jnp.sqrt(point.x * point.x + point.y * point.y)
         inverse = once(1.0 / radial)
         cos, sin = point.x * inverse, point.y * inverse
@@ -150,6 +159,7 @@ class Torus(AbstractImplicit):
         distance = jnp.sqrt(beyond * beyond + point.z * point.z)
         near = once(1.0 / distance)
         out, up = beyond * near, point.z * near
+        # Curvatures: 1 / distance along the meridian, cos(theta) / radial along the parallel.
         normal = Vec3(cos * out, sin * out, up)
         meridian = Vec3(-cos * up, -sin * up, out)
         parallel = Vec3(-sin, cos, jnp.zeros_like(cos))
@@ -184,6 +194,7 @@ class Ellipsoid(AbstractImplicit):
         return float("inf")
 
     def derivatives(self, point: Vec3) -> Level:
+        # F = (x^2/a^2 + y^2/b^2 + z^2/c^2 - 1) / 2, so that the gradient is (x/a^2, y/b^2, z/c^2).
         weights = Vec3(*(once(1.0 / (axis * axis)) for axis in (self.a, self.b, self.c)))
         half = Vec3(*(w * x for w, x in zip(weights, point, strict=True)))
         zero = jnp.zeros_like(weights.x)
@@ -240,6 +251,7 @@ class Superellipsoid(AbstractImplicit):
         return math.inf if even else float(math.ceil(self.exponent) - 1)
 
     def derivatives(self, point: Vec3) -> Level:
+        # F = (|x/a|^p + |y/b|^p + |z/c|^p - 1) / p.
         p = self.exponent
         terms = [_power(x / axis, p) for x, axis in zip(point, (self.a, self.b, self.c), strict=True)]
         value = terms[0][0] + terms[1][0] + terms[2][0] - 1.0
@@ -255,6 +267,7 @@ class Superellipsoid(AbstractImplicit):
         return level_frame(point, self.derivatives(point))
 
     def spread(self, count: int) -> Scalars:
+        # Directions scaled to the unit superellipsoid, then stretched by the axes.
         rays, p = directions(SEEDS * count), self.exponent
         rays = rays / np.sum(np.abs(rays) ** p, axis=-1, keepdims=True) ** (1.0 / p)
         return _thinned(_outwards(rays, (self.a, self.b, self.c)), count)
@@ -266,6 +279,7 @@ def _outwards(rays: np.ndarray, axes: Scalars) -> Scalars:
 
 
 def _thinned(points: Scalars, count: int) -> Scalars:
+    """`count` of these points, spread as far apart as they can be taken one by one."""
     kept = thinned(Vec3(*points), jnp.ones(points[0].shape, bool), count)
     return tuple(x[kept] for x in points)
 
@@ -276,6 +290,7 @@ def _round(point: Vec3) -> tuple[Scalar, Gauss3]:
     inverse = once(1.0 / distance)
     normal = once(point * inverse)
     one, zero = jnp.ones_like(inverse), jnp.zeros_like(inverse)
+    # L = (1 - n n^T) / distance.
     flat = Sym3(one, zero, zero, one, zero, one) - square(normal)
     return distance, Gauss3(point, normal, flat * inverse)
 
@@ -284,6 +299,7 @@ def _about_axis(point: Vec3) -> tuple[Scalar, Gauss3]:
     """Distance from the z axis, and the frame of the cylinder through the point."""
     distance = jnp.sqrt(point.x * point.x + point.y * point.y)
     inverse = once(1.0 / distance)
+    # L = t t^T / distance with the tangent t = (-y, x, 0) round the axis.
     x, y, zero = point.x * inverse, point.y * inverse, jnp.zeros_like(inverse)
     shape = Sym3(y * y * inverse, -x * y * inverse, zero, x * x * inverse, zero, zero)
     return distance, Gauss3(point, Vec3(x, y, zero), shape)
@@ -291,6 +307,7 @@ def _about_axis(point: Vec3) -> tuple[Scalar, Gauss3]:
 
 def _power(x: Scalar, p: float) -> tuple[Scalar, Scalar, Scalar]:
     """Value of |x|^p and, over p, its first two derivatives: closed forms, since autodiff fails at zero."""
+    # An even p is an integer power of x itself, which has all derivatives at zero; |x| has a kink there.
     whole = int(p) if p % 2.0 == 0.0 else None
     size = x if whole else jnp.abs(x)
     bend = size ** (whole - 2) if whole else size ** (p - 2.0)

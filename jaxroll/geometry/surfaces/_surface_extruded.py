@@ -1,4 +1,7 @@
-"""The general cylinder over a planar contour."""
+"""The general cylinder over a planar contour: what a contour of `contours` is in space.
+
+Frame, domain and table are the contour's; the second coordinate is the height along z.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +15,7 @@ from ._gauss import Gauss3
 from ._surface import AbstractSurface
 from ._surface_chart import bounded
 
+# Places along the contour at which a search for the closest point may begin.
 _SEEDS = 64
 
 
@@ -53,6 +57,7 @@ class Extruded(AbstractSurface):
         return self.contour.smoothness
 
     def frame(self, at: Scalars) -> Gauss3:
+        # The contour's normal, its tangent turned right, is t x e_z. Only along t does the normal change.
         here = self.contour.frame(at[0])
         zero = jnp.zeros_like(here.tangent.x)
         out = here.tangent.right()

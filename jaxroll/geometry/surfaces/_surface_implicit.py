@@ -1,4 +1,10 @@
-"""Surfaces as zero sets of a field of space: the contact coordinate is the point itself."""
+r"""Surfaces as zero sets of a field of space, $F(x, y, z) = 0$: the contact coordinate is the point itself.
+
+The normal is $\nabla F / |\nabla F|$ and the shape operator its derivative along the surface (`level_frame`).
+Three coordinates for two degrees of freedom need no chart and have no poles, but drift off the surface:
+Newton steps along the gradient put them back (`settled`). `_surface_closed_forms`, `_surface_spline` and
+`Implicit`, for any function, subclass `AbstractImplicit`.
+"""
 
 import abc
 from collections.abc import Callable
@@ -16,6 +22,7 @@ from ..._xla import once
 from ._spread import lattice, SEEDS, thinned
 from ._surface import AbstractSurface, Gauss3
 
+# Newton steps from a point anywhere to the surface, in `start`.
 _STEPS = 8
 # A seed whose distance from the surface is below this, relative to the box, has come to it.
 _ARRIVED = 1e-6
@@ -31,6 +38,7 @@ class Level(NamedTuple):
 
 def level_frame(point: Vec3, level: Level) -> Gauss3:
     r"""Gauss frame of a level set: $n = \nabla F / |\nabla F|$, $L = P H P / |\nabla F|$, $P = 1 - n n^T$."""
+    # P H P written out: H - (n (H n)^T + (H n) n^T) + (n . H n) n n^T. `outer` is half the bracket.
     inverse = once(1.0 / level.gradient.norm())
     normal = once(level.gradient * inverse)
     hessian = level.hessian * inverse
@@ -40,7 +48,7 @@ def level_frame(point: Vec3, level: Level) -> Gauss3:
 
 
 def differentiated(field: Callable[[Scalar, Scalar, Scalar], Scalar], point: Vec3) -> Level:
-    """Gradient and second derivatives of a field, forward over forward."""
+    """Value, gradient and second derivatives of a field, forward over forward: six passes."""
     place = tuple(jnp.asarray(x) for x in point)
     zero, one = jnp.zeros_like(place[0]), jnp.ones_like(place[0])
     axes = ((one, zero, zero), (zero, one, zero), (zero, zero, one))
@@ -61,8 +69,8 @@ class AbstractImplicit(AbstractSurface):
     r"""The surface $F(x, y, z) = 0$ of a body where $F < 0$; `at` is the point itself, in the body's frame.
 
     To add one, subclass this and give `derivatives` (`differentiated` where no closed form is at hand),
-    `frame` (`level_frame` of them, or a closed form), `smoothness` and `prepared`; `spread`
-    (`spread_in_box` where no closed form is at hand) if it is bounded.
+    `frame` (`level_frame` of them, or a closed form) and `smoothness`; `spread` (`spread_in_box` where no
+    closed form is at hand) if it is bounded, and `prepared` where there is work to be done once.
     """
 
     @abc.abstractmethod
@@ -77,6 +85,7 @@ class AbstractImplicit(AbstractSurface):
         return tuple(velocity)
 
     def settled(self, at: Scalars) -> Scalars:
+        # Two steps: a place is off by an integration error, and each step about squares what is left.
         return tuple(self._stepped(self._stepped(Vec3(*at))))
 
     def basis(self, at: Scalars) -> tuple[Vec3, Vec3]:
@@ -89,20 +98,26 @@ class AbstractImplicit(AbstractSurface):
         return tuple(jax.lax.scan(step, jax.tree.map(jnp.asarray, point), None, length=_STEPS)[0])
 
     def _stepped(self, point: Vec3) -> Vec3:
-        """One step of Newton's method along the gradient."""
+        r"""One step of Newton's method along the gradient: $p - F \nabla F / |\nabla F|^2$."""
         level = self.derivatives(point)
         return point - level.gradient * (level.value / level.gradient.dot(level.gradient))
 
 
 def spread_in_box(surface: AbstractImplicit, low: Vec3, high: Vec3, count: int) -> Scalars:
-    """Places spread evenly over the part of a surface in a box: points of the box brought to it by Newton."""
+    """Places spread evenly over the part of a surface in a box, from its low to its high corner [m].
+
+    Points spread over the box are brought to the surface by Newton's method; those that do not arrive, or
+    leave the box, are dropped. Shape (count,) for each coordinate; all the origin if no point arrives.
+    """
     share, size = jnp.asarray(lattice(2 * SEEDS * count, 3)), high - low
     seeds = Vec3(*(x + width * share[:, i] for i, (x, width) in enumerate(zip(low, size, strict=True))))
 
     def fall(seed: Vec3) -> tuple[Vec3, Array]:
         point = Vec3(*surface.start(Vec3(*surface.start(seed))))
+        # |F| / |grad F| is the distance from the surface, to first order.
         level = surface.derivatives(point)
         arrived = jnp.abs(level.value) <= _ARRIVED * size.norm() * level.gradient.norm()
+        # NaN, of a seed that went astray, compares false and is zeroed below, or it would spoil distances.
         for x, least, most in zip(point, low, high, strict=True):
             arrived = arrived & (x >= least) & (x <= most)
         return Vec3(*(jnp.where(arrived, x, 0.0) for x in point)), arrived

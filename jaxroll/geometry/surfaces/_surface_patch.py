@@ -1,4 +1,9 @@
-"""A surface through a grid of points: a chart of quintic B-splines."""
+r"""A surface through a grid of points: a chart of quintic B-splines, $P(u, v) = \sum c_{ij} B_i(u) B_j(v)$.
+
+The coefficients $c_{ij}$ are linear in the points: along one axis, then along the other, they are multiplied
+by the inverse of the matrix of the functions' values at the nodes, a constant (`_tensor_bspline.axis`).
+`prepared` keeps them for a run.
+"""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -66,6 +71,7 @@ class Patch(AbstractChart):
         return (0.0, m), (0.0, n)
 
     def derivatives(self, at: Scalars) -> Jet:
+        # `found[i, j]` is the derivative of order i in u and j in v.
         places = zip(self._axes(), at, self.periodic, strict=True)
         u, v = (axis.local(jnp.asarray(x), closed=closed) for (axis, _), x, closed in places)
         found = contracted(block(self.read(), (u.first, v.first)), (u.weights, v.weights))
@@ -77,13 +83,14 @@ class Patch(AbstractChart):
         return [axis(count, closed=closed) for count, closed in zip(counts, self.periodic, strict=True)]
 
     def read(self) -> Array:
-        """The coefficients at hand, or new ones."""
+        """The coefficients that `prepared` stored, or new ones."""
         if self.coefficients is not None:
             return self.coefficients
         coefficients = self.points
         for k, (closed, (_, solve)) in enumerate(zip(self.periodic, self._axes(), strict=True)):
             front = jnp.moveaxis(coefficients, k, 0)
             solved = jnp.tensordot(jnp.asarray(solve, front.dtype), front, axes=1)
+            # Periodic: the first five follow again, so that the six at any place lie next to each other.
             again = [solved, solved[: ORDER - 1]] if closed else [solved]
             coefficients = jnp.moveaxis(jnp.concatenate(again), 0, k)
         return coefficients

@@ -1,4 +1,9 @@
-"""A surface as the zero set of a field of B-splines on a grid of space."""
+"""A surface as the zero set of a field of quintic B-splines on a grid of space.
+
+The field's derivatives at a point involve the 6 x 6 x 6 coefficients around its cell, which `_tensor_bspline`
+sums with weights of each axis. `fitting` makes such fields from points; `_surface_implicit` makes a frame of
+them.
+"""
 
 from jaxtyping import Array, Float
 
@@ -56,11 +61,13 @@ class SplineSurface(AbstractImplicit):
 
     def derivatives(self, point: Vec3) -> Level:
         corner = Vec3(*unstack(self.origin))
+        # Along each axis: the position in cells, and derivatives over `step`, so that they are per metre.
         cells = zip(point - corner, self.coefficients.shape, strict=True)
         local = [uniform(x / self.step, count, self.step) for x, count in cells]
         near = block(self.coefficients, tuple(place.first for place in local))
         found = contracted(near, tuple(place.weights for place in local))
         gradient = Vec3(found[1, 0, 0], found[0, 1, 0], found[0, 0, 1])
+        # `found[i, j, k]` is the derivative of order i in x, j in y and k in z.
         mixed = (found[1, 1, 0], found[1, 0, 1], found[0, 1, 1])
         hessian = Sym3(found[2, 0, 0], mixed[0], mixed[1], found[0, 2, 0], mixed[2], found[0, 0, 2])
         return once(Level(found[0, 0, 0], gradient, hessian))

@@ -1,4 +1,10 @@
-"""Tensor products of quintic B-splines: the six functions that live at a place, with two derivatives."""
+"""Tensor products of quintic B-splines: at a place, six functions of each axis, with two derivatives.
+
+A quintic spline of one axis is at any place a sum of six functions, so that one of several axes is the sum of
+a small block of coefficients (`block`) times the functions' values (`contracted`). `_surface_patch` uses
+knots at a grid's points with not-a-knot ends or a period (`Axis`), `_surface_spline` knots at all integers
+(`uniform`).
+"""
 
 import functools
 from typing import NamedTuple
@@ -13,6 +19,7 @@ from ..._types import Scalar
 from ..._xla import once
 from ..contours import basis
 
+# Functions that are not zero at a place, and coefficients of each polynomial: the degree, five, plus one.
 ORDER = 6
 # Polynomials of the uniform quintic B-splines on one cell, times 120: function, power.
 UNIFORM = np.array(
@@ -28,7 +35,7 @@ UNIFORM = np.array(
 
 
 class Local(NamedTuple):
-    """Where a parameter lies: its first function, and all six with their derivatives there."""
+    """The six functions at a parameter: number of the first, and their values and two derivatives."""
 
     first: Array
     weights: Float[Array, "3 6"]
@@ -48,6 +55,7 @@ class Axis(NamedTuple):
         # Open: the knots next to either end are left out, so that the first piece is three nodes long.
         cell = jnp.floor(u) - (0.0 if closed else 2.0)
         piece = jnp.clip(cell, 0.0, pieces - 1.0).astype(int)
+        # The polynomials are in the piece's own coordinate, in [0, 1], whose derivative in u is 1 / width.
         breaks = jnp.asarray(self.breaks, u.dtype)
         low = breaks[piece]
         width = breaks[piece + 1] - low
@@ -65,6 +73,7 @@ def axis(nodes: int, *, closed: bool) -> tuple[Axis, np.ndarray]:
 
 @functools.cache
 def _axis(nodes: int, closed: bool, dtype: str) -> tuple[Axis, np.ndarray]:
+    """`axis` for one floating type, cached, as constants of NumPy even where a caller is being traced."""
     with jax.ensure_compile_time_eval():
         at = jnp.arange(nodes + int(closed), dtype=dtype)
         breaks, polynomials, values = (np.asarray(x) for x in _tables(at, closed))
@@ -73,13 +82,18 @@ def _axis(nodes: int, closed: bool, dtype: str) -> tuple[Axis, np.ndarray]:
 
 @functools.partial(jax.jit, static_argnums=1)
 def _tables(at: Array, closed: bool) -> tuple[Array, Array, Array]:
-    # The nodes come as an argument: XLA would take ten seconds to fold constants.
+    """Breaks and polynomials of the functions with knots at `at`, and the matrix of their values there."""
+    # The nodes are an argument: made in here they would be constants, and XLA would fold for ten seconds.
     found = basis(at, ORDER - 1, closed=closed)
     return found.breaks, found.polynomials, found.matrix(at[: found.count])
 
 
 def uniform(u: Scalar, functions: int, step: Scalar) -> Local:
-    """Functions with knots at all integers; the first lives on cells -5 to 0. Derivatives are over `step`."""
+    """The functions at u with knots at all integers; function i is not zero on cells i - 5 to i.
+
+    Derivatives are with respect to `step` times u. Beyond the grid the polynomials of the first or last cell
+    are continued.
+    """
     cell = jnp.clip(jnp.floor(u), 0.0, functions - float(ORDER))
     return Local(cell.astype(int), quintics(jnp.asarray(UNIFORM / 120.0, u.dtype), u - cell, 1.0 / step))
 
@@ -94,10 +108,13 @@ def quintics(polynomials: Float[Array, "6 6"], x: Scalar, rate: Scalar) -> Float
 
 
 def contracted(block: Array, weights: tuple[Float[Array, "3 6"], ...]) -> Array:
-    """A block of coefficients summed over its leading axes with these weights: one axis of derivatives each.
+    """A block of coefficients summed over its leading axes with these weights.
+
+    Each axis of six coefficients becomes one of three: the value and two derivatives along it.
 
     Products added one by one, neither `dot` nor a reduction: a batch of any size stays in one kernel.
     """
+    # Axis k has six slices and becomes three numbers wide: slice i times the three weights of function i.
     for k, table in enumerate(weights):
         wide = (1,) * k + (3,) + (1,) * (block.ndim - k - 1)
         slices = (jax.lax.slice_in_dim(block, i, i + 1, axis=k) for i in range(ORDER))

@@ -26,7 +26,9 @@ from ._ordering import place_text
 from ._smoothing import smoothing_for
 
 _SAMPLES = 2048  # intervals between the places at which a contour is measured
-_CELLS = (4096, 16384, 65536)  # cells of a spline's table, tried in turn where the default, 1024, is too few
+# Cells of a spline's table where the default, 1024, is too few. `_resolved` gives up before it tries the
+# last.
+_CELLS = (4096, 16384, 65536)
 _DENSE = 512  # most knots of a smoothing spline, unless told; the cost grows with their cube
 _TERMS = (3, 4, 6, 8, 11, 15, 20)  # numbers of Fourier terms of a support function, tried in turn
 

@@ -190,6 +190,7 @@ def _judged(grasp: Grasp, state: State, run: Trajectory) -> Why:
     contact = _culprit(grasp, run, end)
     ended = _ending(grasp, run, contact) if failed else ""
     direction = _direction(grasp, found, state, run)
+    # The first of these findings that applies is the summary; the others are on the page below it.
     early, verdict = _early(grasp, start), "" if found is None else code_name(found.verdict)
     if early is not None:
         summary, remedy, contact = early

@@ -284,6 +284,7 @@ def _root(value: Any) -> str:
 
 
 def _title(value: Any) -> str:
+    """Full name of a function or a class."""
     return f"{value.__module__}.{value.__qualname__}"
 
 

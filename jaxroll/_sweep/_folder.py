@@ -158,6 +158,7 @@ class Folder:
         )
 
     def _compare(self, there: Identity, here: Identity) -> None:
+        """Raise with what differs, if the folder is of another sweep."""
         found = differences(there, here)
         if found:
             raise ValueError(

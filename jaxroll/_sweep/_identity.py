@@ -104,6 +104,7 @@ def combined(marks: Identity) -> str:
 
 
 def _difference(name: str, there: Mark | None, here: Mark | None) -> str:
+    """A mark's name, with what it was there and is here in words if the words differ."""
     name = _WORDS.get(name, name)
     old, new = (mark.words if mark is not None else "not given" for mark in (there, here))
     return name if old == new else f"{name} ({old} there, {new} here)"
@@ -141,6 +142,7 @@ def _version(name: str) -> str:
 
 
 def _flags() -> str:
+    """The flags of XLA that may change numbers, in alphabetical order."""
     given = os.environ.get("XLA_FLAGS", "").split()
     return " ".join(sorted(flag for flag in given if not flag.startswith(_SILENT)))
 

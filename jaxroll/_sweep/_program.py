@@ -126,6 +126,8 @@ def program(job: Job, rows: Any) -> Program:
     variable that `make` or `keep` close over (a notebook's, say) may have changed since. What has been
     compiled is kept for these operations and constants, not for these functions.
     """
+    # Arrays among what the caller gave become arguments: as constants they would be part of the fingerprint,
+    # and other values would compile another program.
     arrays, still = eqx.partition(job, eqx.is_array)
     seen: list[Any] = []
 

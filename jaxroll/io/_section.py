@@ -101,6 +101,7 @@ def _faces(faces: Any, count: int) -> np.ndarray:
 
 
 def _axes(normal: np.ndarray) -> np.ndarray:
+    """Two unit vectors u and v = n x u in the plane across a unit normal, as rows."""
     first = np.eye(3)[int(np.argmin(np.abs(normal)))]
     first = first - (first @ normal) * normal
     first = first / np.linalg.norm(first)

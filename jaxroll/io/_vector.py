@@ -156,6 +156,7 @@ def read_dxf(path: Path, scale: float, which: int, samples: int) -> np.ndarray:
     corners = [(v.x, v.y) for track in tracks for v in track.control_vertices()]
     corners = _finite(np.array(corners), path)
     size = float(np.linalg.norm(np.ptp(corners, axis=0)))
+    # Relative to the drawing: curves are followed to 1e-7 of its size, and ends within 1e-6 of it meet.
     joined = _joined([_flat(track, 1e-7 * size) for track in tracks], 1e-6 * size)
     outlines = []
     for line, curved in joined:

@@ -128,6 +128,7 @@ Maker = Callable[[np.ndarray, _Wish], tuple[AbstractContour, float]]
 def _spline(points: np.ndarray, wish: _Wish) -> tuple[AbstractContour, float]:
     """A spline, through every point without noise, otherwise smoothed as `smoothing_for` finds it."""
     smoothing, knots = wish.smoothing, wish.knots
+    # Order matters: whether there is any smoothing decides on the knots, and the knots on how much.
     if smoothing is None and wish.noise == 0.0:
         smoothing = 0.0
     if knots is None and smoothing != 0.0 and len(points) > _DENSE:
@@ -154,7 +155,7 @@ def _support(points: np.ndarray, wish: _Wish) -> tuple[AbstractContour, float]:
 
 
 def _network(kind: type[NeuralSupport] | type[NeuralCurvature]) -> Maker:
-    """A maker of networks of one kind, trained until the residuals are no larger than the noise."""
+    """A maker of networks of one kind; training stops at residuals as small as the noise, or 1e-8 m."""
 
     def make(points: np.ndarray, wish: _Wish) -> tuple[AbstractContour, float]:
         return kind.through(points, key=jax.random.key(0), tolerance=wish.noise or 1e-8), 0.0
@@ -250,6 +251,7 @@ def _resolved(contour: AbstractContour) -> AbstractContour:
         except ValueError as error:
             if not str(error).startswith("argument cells") or not isinstance(contour, Spline):
                 break
+            # The number of cells is a static field: a new contour of the same points and smoothing.
             options = {"closed": contour.closed, "knots": contour.knots, "cells": cells}
             contour = Spline(contour.points, smoothing=contour.wavelength, **options)
         else:

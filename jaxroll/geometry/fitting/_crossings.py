@@ -1,8 +1,8 @@
 """Crossings of a polygon with itself, by sorting its sides along x (sweep and prune).
 
 Two sides can meet only if their extents along x and along y overlap. With the sides sorted by their left
-ends, those whose extents along x overlap that of one side are the ones that follow it, up to the first that
-begins to the right of its right end. All such pairs are tested, in blocks of bounded memory.
+ends, every pair that overlaps along x is found once, from the side that begins first: its partners follow it,
+up to the first that begins to the right of its right end. All such pairs are tested, in blocks.
 
 Written here because shapely, whose tree finds the same pairs, would be a dependency of 10 MB for these forty
 lines, and takes twice the time (50 000 sides that do not cross: 0.19 s, here 0.09 s). `_clean_points` and

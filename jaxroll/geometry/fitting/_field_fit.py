@@ -6,7 +6,8 @@ axis first, so that two functions that overlap have numbers that differ by at mo
 equations are a banded matrix, of which only the lower band is stored, as SciPy's `cholesky_banded` wants it:
 `band[i - j, j]` is the entry in row i and column j, for i >= j.
 
-Lengths are in cells throughout. `_surface_fit` adds up the two bands that are made here, and solves.
+Points are in metres; derivatives and integrals count lengths in cells. `_surface_fit` adds up the two bands
+that are made here, and solves.
 """
 
 import itertools
@@ -130,9 +131,8 @@ def normal_band(grid: Grid, data: DataRows, value: np.ndarray, slopes: np.ndarra
     unknowns, apart = math.prod(grid.counts), offsets(grid)
     band = np.zeros((grid.band + 1, unknowns))
     flat = band.ravel()
-    # Pairs of a cell's unknowns in the lower triangle, and where their products lie in the flattened band for
-    # a cell whose first unknown is 0. For any other the column, and so the place, is larger by its first
-    # unknown.
+    # Pairs of a cell's unknowns in the lower triangle, and where their products lie in the flattened band if
+    # the cell's first unknown is 0. Otherwise the column, and so the place, is larger by that unknown.
     left, right = np.nonzero(apart[:, None] >= apart[None, :])
     places = (apart[left] - apart[right]) * unknowns + apart[right]
     order = np.argsort(data.base, kind="stable")

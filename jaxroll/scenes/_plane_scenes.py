@@ -55,7 +55,7 @@ def pivoted(
     other with the same numbers. The pad of the fingertip faces to the right of the last link: (58)-(59) fix
     how the fingertip's frame turns with $q_1 + q_2$, but not the direction from which that angle counts;
     here, as usual, the link lies along the x axis where it is zero. The chapter states neither base, pivot
-    nor starting contact; the defaults are ours.
+    nor starting contact; the defaults are chosen here.
 
     Args:
         s: Chapter's arclength at the starting contact [m]. By default the object turns by

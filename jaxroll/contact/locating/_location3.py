@@ -210,16 +210,14 @@ def _refine(pair: Pair3, at: Places, reach: Scalar) -> Places:
         equations = linear(*here)
         slope, aside = equations.conditions(*here)
         x = _cut(_downhill(equations.rise, slope), trust)
-        # The foot may move farther than the point: by 1 / (1 + kappa d), which grows near a centre of
-        # curvature.
+        # The foot may move farther than the point, by 1 / (1 + kappa d): up to four times as far is allowed.
         ahead = stepped(pair, at, equations.basis, (x, _cut(equations.follow(aside, x), 4.0 * trust)))
         new, found = height((pair.a.within(ahead[0]), ahead[1]))
         better = found <= value + _SAME * pair.scale
         kept = jax.tree.map(lambda x, y: jnp.where(better, x, y), (new, found), (at, value))
         return (*kept, jnp.where(better, jnp.minimum(2.0 * trust, reach), 0.25 * trust)), None
 
-    # The start is given an infinite height, so that the first step is always taken: its foot is not yet
-    # exact.
+    # The height of the start is not computed but infinite, so that the first step is always taken.
     start = (at, jnp.full_like(reach, jnp.inf), reach)
     return jax.lax.scan(improve, start, None, length=_STEPS)[0][0]
 

@@ -112,7 +112,7 @@ class Linear3:
     centred: Scalar
 
     def conditions(self, a: Gauss3, b: Gauss3) -> tuple[Plane2, Plane2]:
-        """What Newton's method makes zero: the distance's slope along `a`, and the arm's part tangent to `b`."""
+        """What Newton's method makes zero: the distance's slope along `a`, the arm's part tangent to `b`."""
         arm, both = a.point - b.point, a.normal + b.normal
         aside = _along(self.basis[1], arm - b.normal * arm.dot(b.normal))
         # The slope is n . u along a tangent u of `a`, with the normal n at the foot: n_b turned on the way

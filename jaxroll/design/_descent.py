@@ -74,7 +74,7 @@ class AbstractDescent(eqx.Module):
         return Walk(x, jnp.inf * one, jnp.zeros_like(x), x, one, self.fresh(x))
 
     def again(self, walk: Walk) -> Walk:
-        """The state after the function has changed: the last point is evaluated again, and surely taken."""
+        """The state after the function has changed: the last point is evaluated again, taken if finite."""
         return eqx.tree_at(lambda w: (w.cost, w.trial), walk, (jnp.full_like(walk.cost, jnp.inf), walk.x))
 
 

@@ -3,8 +3,8 @@ r"""Stability on any objects, where condition (41) does not apply: the Hessian, 
 A goal of `optimise_fingertip` (see `_goals`): the measure comes from `stability.pinch_rest` or
 `stability.assess`, at the equilibrium of every case, and is differentiated through it. For 'stiffness' the
 Hessian $U_{ij}$ is taken over the angles $\theta_i$ by which the fingertips turn against the object,
-$d\theta_i = (\kappa_i + \kappa_{0i})\, ds_i$, since per arclength it would grow without bound with the
-curvature.
+$d\theta_i = (\kappa_i + \kappa_{0i})\, ds_i$: on a rectangle with like fingertips this leaves
+$\beta |l|$ times the margin of (41).
 """
 
 from typing import Any, Literal

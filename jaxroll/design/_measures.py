@@ -222,7 +222,7 @@ def _last(seen: Array, y: Array) -> Array:
 
 
 def _approach(run: Trajectory, signal: Signal | None) -> tuple[Array, Array, Array]:
-    """Which states were reached, the signal's distance |y(t) - y(t_1)| from its last value, and that at t_0."""
+    """Which states were reached, the signal's distance from its last value, and that of the first one."""
     seen, y = _reached(run, signal)
     squared = jnp.sum((y - _last(seen, y)) ** 2, axis=-1)
     apart = seen & (squared > 0.0)

@@ -43,11 +43,13 @@ def settled(grasp: Grasp, guess: State, hold: bool) -> tuple[State, Array]:
 
 @eqx.filter_custom_jvp
 def _settled(grasp: Grasp, guess: State, hold: bool) -> tuple[State, Array]:
+    """`settled`, with the derivative below in place of that of its iterations."""
     return _found(grasp, guess, hold)[0]
 
 
 @_settled.def_jvp
 def _settled_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
+    """The closed state and its tangent, as a linear map that knows its own transpose for reverse mode."""
     # `moving` is m: every floating-point array. `still` is all else, such as integers and static fields.
     (*shapes, hold) = primals
     moving, still = eqx.partition(tuple(shapes), eqx.is_inexact_array)

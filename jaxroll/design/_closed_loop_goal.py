@@ -47,7 +47,7 @@ class ClosedLoop(AbstractGoal):
     Every case is simulated, all in one program, and the worst one counts: a smooth upper bound of the
     largest cost, within $\log n / 50$ of it. A run that ends before `t1` costs $10\,(1 - t_{end}/t_1)$ more,
     so that fingertips which lose the grasp are changed to hold it for longer; its measures are those of the
-    part that was reached, and where an objective of your own is not a number there, it costs nothing besides.
+    part that was reached, and an objective of your own counts as zero where it is not a number there.
     The figures that are reported (`Design.figures`) are not a number where one of the cases has none.
 
     Args:

@@ -113,6 +113,7 @@ def optimise_fingertip(
     if checkpoint is not None:
         check_checkpoint(checkpoint)
     count, seed = as_count("starts", starts, most=10_000), as_count("seed", seed, least=0, most=2**63 - 1)
+    # The interval must lie on every one of the contours.
     ends = jnp.stack([check_interval(one, interval) for one in tips])[0]
     transform = ShapeTransform(tips[0], symmetric=symmetric)
     arrays, rest = as_batch(varied(tips, max(count, len(tips)), seed))

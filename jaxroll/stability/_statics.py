@@ -97,6 +97,7 @@ def _as_places(s: Given) -> Array:
 
 @compiled
 def _pinch_statics(grasp: Grasp, s: Array) -> PinchStatics:
+    """The statics at every pair of places, compiled as one program."""
     check_pinch(grasp)
     ready = grasp.prepared()
 
@@ -176,8 +177,10 @@ def pinch_rest(grasp: Grasp, state: State, *, damping: float = 0.0) -> tuple[Flo
 
 @compiled
 def _pinch_rest(grasp: Grasp, state: State, damping: float) -> tuple[Array, PinchStatics]:
+    """Places of rest and the statics there, with the derivative of the implicit function theorem."""
     check_pinch(grasp)
     ready, pairs = grasp.prepared(), zip(grasp.contacts, state.s, strict=True)
+    # The state counts rolled arclength from where the contact started; s is the place on the object, signed.
     start = jnp.stack([c.sense * (c.s_object - sigma) for c, sigma in pairs])
     still = jax.lax.stop_gradient(ready)
     found = _stationary(still, jax.lax.stop_gradient(start))

@@ -150,6 +150,7 @@ def _with_ends(name: str, contour: AbstractContour) -> AbstractContour:
 def _locate(
     a: AbstractContour, b: AbstractContour, poses: tuple[Array, Array], samples: int, candidates: int
 ) -> Location:
+    """The five steps above, compiled as one program."""
     world = _pose(poses[1])
     a, b = a.prepared(), b.prepared()
     scale = (_length(a) + _length(b)) / (4.0 * np.pi)
@@ -179,6 +180,7 @@ def _constant(tree: Any) -> Any:
 
 
 def _pose(numbers: Array) -> Pose2:
+    """A pose from position [m] and angle [rad]."""
     x, y, angle = unstack(numbers)
     sin, cos = sincos(angle)
     return Pose2(Vec2(x, y), cos, sin)
@@ -190,12 +192,14 @@ def _relative(a: Pose2, b: Pose2) -> Pose2:
 
 
 def _ends(contour: AbstractContour) -> tuple[Scalar, Scalar]:
+    """First and last arclength of a contour [m]."""
     ends = contour.domain()
     assert ends is not None  # `locate` has checked
     return ends[0], ends[1]
 
 
 def _length(contour: AbstractContour) -> Scalar:
+    """Arclength of a contour from end to end, or once round it [m]."""
     first, last = _ends(contour)
     return last - first
 

@@ -82,8 +82,8 @@ def locate_surfaces(
     $n_a + n_b = 0$, and the arm between the points is along them, $P_a - P_b = g\,n_b$.
 
     Both surfaces are sampled all over, and every sample brought to its foot on the other. From the lowest
-    samples among their neighbours, at most `candidates` a surface, Newton's method in a trusted region goes
-    down; what it finds is checked and merged. An unbounded surface is not sampled.
+    samples among their neighbours, at most `candidates` of each surface, Newton's method in a trust region
+    goes down to the minima; these are checked and merged. An unbounded surface is not sampled.
 
     Args:
         a: A surface; of `a` and `b` at least one must be bounded (`spread`).
@@ -106,7 +106,7 @@ def locate_surfaces(
     overlaps deeper than the radii of curvature, may be missed.
 
     Batching: `vmap` over anything. Both modes of autodiff give first and second derivatives, by the implicit
-    function theorem; implicit coordinates follow the surface along its normal.
+    function theorem; coordinates on an implicit surface follow it along its normal as its numbers change.
 
     Example:
         >>> import jaxroll as jxr
@@ -136,6 +136,7 @@ def _checked(name: str, value: Given) -> Array:
 def _locate(
     a: AbstractSurface, b: AbstractSurface, poses: tuple[Array, Array], samples: int, candidates: int
 ) -> SurfaceLocation:
+    """The five steps above, compiled as one program."""
     a, b = a.prepared(), b.prepared()
     # The search and its decisions carry no derivatives; these enter in the steps of `polished` alone.
     covers = (constant(cover(constant(a), samples)), constant(cover(constant(b), samples)))

@@ -74,8 +74,7 @@ def close(
     # While JAX traces, the rows have no values, and nothing can be raised.
     seen = concrete(rows)
     if throw and seen is not None:
-        # A row that is NaN is the worst one, and fails the comparison below, which is negated for that
-        # reason.
+        # A NaN among the rows counts as the worst. The comparison below is negated, so that a NaN fails it.
         worst = int(np.nanargmax(np.where(np.isnan(seen), np.inf, np.abs(seen))))
         if not abs(seen[worst]) <= reach(guess.q.dtype):
             raise ValueError(
@@ -109,8 +108,8 @@ def _at_closest_points(grasp: Grasp, guess: State) -> tuple[Grasp, State]:
         own, body = _numbers(frames[1 + contact.finger]), _numbers(frames[0])
         pair = locate_contours(tip, face, pose_a=own, pose_b=body)
         found += [pair.s[0], pair.s[1]]
-    # In the plane the state counts arclengths from those that the contact holds: these are set, and s is
-    # zero.
+    # In the plane the state counts arclengths from those that the contact holds. The contact gets the new
+    # arclengths, and the state's s is zero.
     places = lambda g: [s for c in g.contacts for s in (c.s_tip, c.s_object)]  # noqa: E731
     located = eqx.tree_at(places, grasp, found)
     return located, State(guess.q, guess.v, jnp.zeros_like(guess.s))

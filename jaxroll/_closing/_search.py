@@ -36,8 +36,7 @@ _STEPS = 300
 # [m or rad] ...
 _NEAR = 1e-6
 # ... or below this share of the length of the remaining part along the constraints. With a larger share the
-# two kinds of step undo each other: the constraints are curved, so that each changes what the other has
-# achieved.
+# two kinds of step undo each other: the constraints are curved, so that each spoils the other's result.
 _CLOSED = 0.01
 
 
@@ -100,8 +99,7 @@ def solve_schur(jacobian: Array, metric: Array, right: Array) -> tuple[Array, Ar
     scale = 1.0 / jnp.sqrt(jnp.diag(schur))
     unit = schur * jnp.outer(scale, scale)
     # Redundant rows, of an over-determined pose, make this matrix singular; a small number on its diagonal
-    # makes it invertible. The error that this makes in the solution is reduced by one step of iterative
-    # refinement.
+    # makes it invertible. One step of iterative refinement reduces the error that this makes.
     factors = lu_factor(unit + 1e-13 * np.eye(right.shape[0], dtype=right.dtype))
     scaled = right * scale[:, None]
     first = lu_solve(factors, scaled)
@@ -150,8 +148,7 @@ def searched(problem: ClosingProblem) -> tuple[Array, Array]:
 
     # The first pass tries the guess itself, as `move` is zero, and accepts it, as `size` is infinite.
     def more(search: _Search) -> Array:
-        # Closed, with no part along the constraints but rounding; or that part has failed to shrink ten
-        # times.
+        # Closed, and the part along the constraints is rounding, or has failed to shrink ten times.
         tiny = 4.0 * jnp.finfo(start.dtype).eps * _length(problem, search.step)
         done = (search.size < 1e-13) & ((search.length <= tiny) | (search.share < 1e-3))
         return ~done & (search.scale > 1e-6) & (search.count < _STEPS)

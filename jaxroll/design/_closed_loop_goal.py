@@ -121,8 +121,7 @@ class ClosedLoop(AbstractGoal):
             own = self.objective(grasp, run) if callable(self.objective) else jnp.zeros_like(self.t1)
             closed = run.result != RESULTS.unreachable
             lost = jnp.where(closed, 1.0 - run.stats.t_end / self.t1, 1.0)
-            # An own objective need not know of runs that end early; one that is NaN there must not hide their
-            # cost.
+            # An own objective need not know of runs that end early; a NaN must not hide their cost.
             own = jnp.where((lost > 0.0) & jnp.isnan(own), 0.0, own)
             return jnp.stack(measured) if measured else jnp.zeros(0), own, lost
 

@@ -118,8 +118,7 @@ def optimise_fingertip(
     transform = ShapeTransform(tips[0], symmetric=symmetric)
     arrays, rest = as_batch(varied(tips, max(count, len(tips)), seed))
     sizes, reaches = body_radii(arrays, rest)
-    # Without limits, those of the argument's documentation: the first start's largest radius about O, and
-    # shares of it.
+    # Default limits: the first start's largest distance from O, and shares of it.
     if limits is None:
         size = float(reaches[0])
         limits = Limits(size=size, radius=0.1 * size, ahead=0.5 * size)

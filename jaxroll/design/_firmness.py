@@ -44,8 +44,8 @@ _NONE = 1e-7
 # rest changes infinitely fast with the shape: below this share of the Hessian's size that derivative is
 # damped (`pinch_rest`).
 _DAMPED = 0.01
-# Sum of curvatures below which dividing by it brings no gain in the search [rad/m]: 1 / c becomes c / (c^2 +
-# _FLAT^2).
+# Sum of curvatures c below which dividing by it brings no more gain [rad/m]: 1 / c becomes
+# c / (c^2 + _FLAT^2).
 _FLAT = 2.0
 
 

@@ -21,8 +21,8 @@ from .._types import Scalar
 from ..geometry import AbstractContour
 from ._limits import ContourSamples, margins, soft_least
 
-# k of the smooth least margin, over the fingertip's size: margins within a size / 200 of the least one count
-# too.
+# k of the smooth least margin, over the fingertip's size: margins within size / 200 of the least one
+# have a weight too.
 _SHARPNESS = 200.0
 # k of the smooth worst case, over the largest cost: cases within a fiftieth of it count too.
 _WORST = 50.0

@@ -113,8 +113,7 @@ class Limits(eqx.Module):
         # An absolute value is bounded as two limits, each of them smooth.
         if self.radius is not None:
             found["radius"] = jnp.concatenate([bends, -bends]) * self.radius - 1.0
-        # The support function -n . gamma, with the inward normal n of the chapter: the outward one is to the
-        # right.
+        # The support function -n . gamma, with the chapter's inward normal n: `right` is the outward one.
         if self.ahead is not None:
             found["ahead"] = 1.0 - seen.pad.tangent.right().dot(seen.pad.point) / self.ahead
         # Bounded as a curvature, 1 / kappa <= flat would be kept by every negative kappa. Without a bound the

@@ -237,8 +237,7 @@ MEASURES = {
     "peak_force": (peak_force, "peak force [N]"),
     "friction_demand": (friction_demand, "friction demand"),
 }
-# The same measures of the part of a run that was reached: finite however it ended, so that a search has a
-# gradient.
+# The same measures of the part of a run that was reached: finite however it ended, as a search needs.
 PARTIAL = {
     "settling_time": _settling,
     "overshoot": _overshoot,

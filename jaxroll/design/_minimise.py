@@ -45,9 +45,8 @@ _BETTER = 0.5
 DesignProgress = bool | Callable[[int, float, float], None]
 
 
-# `problem(x, data, sharpness)` returns the objective f, and the excess g: the limits ask every entry to be <=
-# 0. Sharpness rises to one in the course of the search: objectives that smooth a largest value start out
-# smoother.
+# `problem(x, data, sharpness)` returns the objective f, and the excess g: limits ask every entry to be <= 0.
+# Sharpness rises to one during the search: objectives that smooth a largest value start out smoother.
 DesignProblem = Callable[[Array, Any, Array], tuple[Array, Array]]
 
 
@@ -191,8 +190,7 @@ def _chunk(
         return value + jnp.sum(pushed**2 - multipliers**2) / (2.0 * weight), (value, excess)
 
     def step(now: Search, _: None) -> tuple[Search, Array]:
-        # One evaluation: every point that is looked at may be the best one, whether the method takes it or
-        # not.
+        # One evaluation: every point that is looked at may be the best one, taken or not.
         (cost, seen), slope = value_and_grad(lagrangian, mode, has_aux=True)(now.walk.trial)
         now = _kept(now, *seen)
         walk, taken = method.ahead(now.walk, cost, slope, lambda x: lagrangian(x)[0])
@@ -210,8 +208,7 @@ def _judged(method: AbstractDescent, search: Search) -> Search:
     """After a chunk: new multipliers and weight, and whether the start has settled."""
     excess, value, weight = search.excess, search.value, search.weight
     worst = jnp.maximum(jnp.max(excess), 0.0)
-    # First-order update: the new multipliers are the slopes of the penalty, so that the point stays
-    # stationary.
+    # First-order update: the new multipliers are the slopes of the penalty, so the point stays stationary.
     multipliers = jnp.maximum(0.0, search.multipliers + weight * excess)
     multipliers = jnp.where(jnp.isfinite(multipliers), multipliers, 0.0)
     heavier = (worst > KEPT) & (worst > _BETTER * search.passed)

@@ -133,8 +133,7 @@ def _locate_jvp(primals: Any, tangents: Any) -> Any:
     z, weights = found / scale.unknowns, _weights(grasp, scale)
     jacobian = jax.jacfwd(lambda z: _balance(grasp, z, scale, t))(z)
     away = weights * (z - _at(state, z) / scale.unknowns)
-    # From W (z - z0) + J^T p = 0: p = -(J^T)^+ W (z - z0). Along a family J is singular, hence
-    # pseudo-inverses.
+    # From W (z - z0) + J^T p = 0: p = -(J^T)^+ W (z - z0). On a family J is singular, hence pinv.
     pair = jnp.concatenate([z, -jnp.linalg.pinv(jacobian, rtol=_RANK).T @ away])
     matrix = jax.jacfwd(lambda pair: _nearest(grasp, state, pair, scale, t))(pair)
     inverse = jnp.linalg.pinv(matrix, rtol=_RANK)
@@ -287,8 +286,7 @@ def _newton(equations: Callable[[Array], Array], start: Array, moving: int, weig
         share = jnp.minimum(1.0, _LONGEST / jnp.max(jnp.abs(step[:moving]) + 1e-300))
         return z - step * share, nullity, jnp.max(jnp.abs(step)), i + 1
 
-    # Until Newton's method has converged, and once more where the number of neutral directions is not yet
-    # known.
+    # Until Newton's method has converged, and the number of neutral directions is known.
     def more(carry: tuple[Any, ...]) -> Scalar:
         _, nullity, moved, i = carry
         return ((moved > 1e-13) | (nullity < 0)) & (i < _STEPS)

@@ -123,9 +123,8 @@ def _touching(grasp: Grasp, i: int, s: Scalar) -> tuple[Frenet2, Frenet2, Vec2]:
     at = face.frame(contact.sense * s)
     # Rolling: the arclengths of fingertip and object have a constant sum.
     on_tip = tip.frame(contact.s_tip + contact.s_object - contact.sense * s)
-    # Tangency turns the fingertip until its tangent and normal are opposite to the object's. So the
-    # components of P along the fingertip's are those of -P, from the contact point to the centre, along the
-    # object's.
+    # Tangency turns the fingertip until its tangent and normal are opposite to the object's. So P has
+    # the components along the fingertip's that -P, from contact point to centre, has along the object's.
     along, across = on_tip.point.dot(on_tip.tangent), on_tip.point.cross(on_tip.tangent)
     return at, on_tip, at.tangent * along + at.tangent.right() * across
 
@@ -185,8 +184,7 @@ def _pinch_rest(grasp: Grasp, state: State, damping: float) -> tuple[Array, Pinc
     still = jax.lax.stop_gradient(ready)
     found = _stationary(still, jax.lax.stop_gradient(start))
     # One more Newton step s - H^-1 g: at a stationary point g = 0, so that it changes nothing but the
-    # derivative, which becomes -H^-1 dg of the implicit function theorem. H and s carry none; only g sees the
-    # grasp.
+    # derivative, which becomes -H^-1 dg of the implicit function theorem. H and s carry none, g does.
     bend = _rolled(still, found).hessian
     slope = _rolled(ready, found).gradient
     rest = found - (_solved(bend, slope) if damping == 0.0 else _damped(bend, slope, damping))
@@ -197,8 +195,7 @@ def _pinch_rest(grasp: Grasp, state: State, damping: float) -> tuple[Array, Pinc
     return jax.tree.map(lambda x: jnp.where(firm, x, jnp.nan), (rest, statics))
 
 
-# Gradient of U below which a place counts as one of rest, relative to the force that pulls the fingers
-# together.
+# Gradient of U below which a place counts as one of rest, relative to the force between the centres.
 _AT_REST = 1e-9
 # Most steps of Newton's method.
 _STEPS = 60
@@ -223,8 +220,8 @@ def _rolled(grasp: Grasp, s: Array) -> PinchStatics:
         seconds.append(-(arm * bend + at.tangent.left()) * bend)
         axes.append(at.tangent * contact.sense)
         bends.append(bend)
-    # U = beta r.r / 2 with r = c_1 - c_2: U_1 = beta r.c_1', U_11 = beta (c_1'.c_1' + r.c_1''), U_12 = -beta
-    # c_1'.c_2', and the same for the second finger with the sign of r changed.
+    # U = beta r.r / 2 with r = c_1 - c_2: U_1 = beta r.c_1', U_11 = beta (c_1'.c_1' + r.c_1''),
+    # U_12 = -beta c_1'.c_2', and the same for the second finger with the sign of r changed.
     apart, beta = centres[0] - centres[1], grasp.controller.beta
     gradient = jnp.stack([apart.dot(firsts[0]), -apart.dot(firsts[1])])
     mixed = -firsts[0].dot(firsts[1])

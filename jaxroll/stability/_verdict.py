@@ -133,8 +133,7 @@ def _verdict(rates: Array, curvatures: Array, neutral: Array, tolerance: Array) 
     """The verdict from rates [1/s], curvatures over the largest, and the number of neutral directions."""
     fastest = jnp.max(jnp.abs(rates))
     growing = jnp.max(rates.real) > tolerance * fastest
-    # Every neutral direction gives one rate that is zero: displaced along it, the grasp stays. All others
-    # must decay.
+    # Every neutral direction gives one rate that is zero: the grasp stays there. The others must decay.
     decaying = jnp.sum(rates.real < -tolerance * fastest) >= rates.shape[0] - neutral
     verdict = VERDICTS.where(neutral > 0, VERDICTS.neutral, VERDICTS.asymptotically_stable)
     verdict = VERDICTS.where(decaying, verdict, VERDICTS.undamped)
@@ -149,15 +148,15 @@ def _tangent(grasp: Grasp, state: State) -> tuple[Array, Array]:
     n, contacts = grasp.coordinates, len(grasp.contacts)
     by_q, by_s = jax.jacfwd(lambda q, s: constraint_rows(grasp, q, s), argnums=(0, 1))(state.q, state.s)
     # Of a contact's three rows, x gap, y gap and tangency, the gaps are the constraints A; they do not depend
-    # on s to first order, as rolling moves both contact points alike. Tangency gives the rolling: by_q dq +
-    # by_s ds = 0.
+    # on s to first order, as rolling moves both contact points alike. Tangency gives the rolling:
+    # by_q dq + by_s ds = 0.
     by_q, by_s = by_q.reshape(contacts, 3, n), by_s.reshape(contacts, 3, contacts)
     jacobian = by_q[:, :2].reshape(2 * contacts, n)
     _, inertias = bodies(grasp, to_leaves(state, grasp.form))
     mass = mass_matrix([inertia.mass for inertia in inertias], n)
     # A basis B of the null space by SVD has no smooth derivative. It is taken as constant; then it is
-    # projected onto A B = 0 in the mass metric, and made orthonormal by the Cholesky factor L of B^T M B, N =
-    # B L^-T. Both steps are smooth, and give N its derivative.
+    # projected onto A B = 0 in the mass metric, and made orthonormal by the Cholesky factor L of B^T M B:
+    # N = B L^-T. Both steps are smooth, and give N its derivative.
     basis = jnp.linalg.svd(jax.lax.stop_gradient(jacobian))[2][2 * contacts :].T
     weighted = jnp.linalg.solve(mass, jacobian.T)
     basis = basis - weighted @ jnp.linalg.solve(jacobian @ weighted, jacobian @ basis)

@@ -2,9 +2,8 @@ r"""Sampled signed distance between two contours, and where along one of them it
 
 Points of one contour, given in the frame of the other one, are compared with samples of the latter
 (`nearest_dense`, `nearest_blocked`). From the nearest sample the foot of the perpendicular follows to second
-order (`toward`, `feet`): with the components $u$ along the tangent and $w$ along the outward normal of the
-    arm
-to the point, and the curvature $\kappa$, foot and signed distance are
+order (`toward`, `feet`). With the arm to the point, $u$ along the tangent and $w$ along the outward normal,
+and the curvature $\kappa$, foot and signed distance are
 
 $$ s + \frac{u}{1 + \kappa w}, \qquad w + \frac{\kappa u^2}{2 (1 + \kappa w)}. $$
 
@@ -36,8 +35,8 @@ class Feet:
     Attributes:
         s: Arclength of the nearest point of the contour [m].
         distance: Signed distance [m], negative inside.
-        slope: Gradient of the distance with respect to the given point: a unit vector, to
-            first order.
+        slope: Gradient of the distance with respect to the given point: a unit
+            vector, to first order.
         ended: Whether the nearest point is an end of an open contour.
     """
 
@@ -104,8 +103,8 @@ def nearest_blocked(samples: Vec2, points: Vec2) -> Array:
             x = jax.lax.dynamic_index_in_dim(samples.x, j, keepdims=False)
             y = jax.lax.dynamic_index_in_dim(samples.y, j, keepdims=False)
             away = (points.x - x) ** 2 + (points.y - y) ** 2
-            # The index is carried as a floating-point number, exact up to `MOST_SAMPLES`, of one kind with
-            # `away`.
+            # The index is carried as a floating-point number of the same width as `away`, which is exact up
+            # to `MOST_SAMPLES`.
             index = jnp.where(away < least, j.astype(away.dtype), index)
             least = jnp.minimum(away, least)
         return least, index
@@ -146,8 +145,8 @@ def toward(
     bend = jnp.maximum(1.0 + frame.curvature * out, 0.5)
     out = out + 0.5 * frame.curvature * along * (along / bend)
     foot, normal = s + along / bend, frame.tangent.right()
-    # The gradient of the distance is the normal at the foot: that at s, turned by curvature times the way
-    # there.
+    # The gradient of the distance is the normal at the foot: that at s, turned by curvature times
+    # arclength.
     slope = normal + frame.tangent * (frame.curvature * (foot - s))
     if face.closed:
         return Feet(foot, out, slope, jnp.zeros(foot.shape, bool))

@@ -5,10 +5,9 @@ $r = P_a - P_b$ the conditions are $t_a \times t_b = 0$ and $r \cdot t_b = 0$. T
 
 1. `_estimate`: sample `a`, find the feet of the samples on `b`, and estimate the local minima of their signed
    distance (`_candidates`).
-2. `_refine`: Newton's method for the arclength on `a`, kept in a bracket, while the point on `b` follows its
-foot. 3. `_newton`: Newton's method on both conditions at once. Its last steps start at a root, and give the
-derivatives
-   of the implicit function theorem without another line.
+2. `_refine`: Newton's method for the arclength on `a`, kept in a bracket; the point on `b` follows its foot.
+3. `_newton`: Newton's method on both conditions at once. Its last steps start at a root, and so give the
+   derivatives of the implicit function theorem.
 4. `_verified`: keep the pairs that are true minima, nearest to each other.
 5. `_report`: merge the pairs that are the same, take the lowest, and tell whether it is the answer.
 
@@ -164,8 +163,8 @@ def _locate(
     held = _pairs(fixed, s).held
     # One step to finish, then two from a root s. As the residual F is zero there, a step s - J^-1 F has the
     # derivative -J^-1 dF of the implicit function theorem, whatever that of J: the first gives first
-    # derivatives, the second second ones. The number of steps is fixed, so that reverse mode can go through
-    # the loop.
+    # derivatives, the second second ones. The number of steps is fixed, which reverse mode
+    # needs.
     s = jax.lax.fori_loop(0, 3, lambda _, s: _newton(scene, s, held), s)
     # The lowest sample becomes the last pair: it is the answer where no other pair is.
     s = (jnp.append(s[0], sample[0]), jnp.append(s[1], sample[1]))
@@ -248,8 +247,8 @@ def _pairs(scene: _Scene, s: tuple[Array, Array], held: tuple[Array, Array] | No
     upwards = Vec2(jnp.where(held_b, arm.x / apart, normal.x), jnp.where(held_b, arm.y / apart, normal.y))
     slope = upwards.dot(a.tangent)
     # Second derivative along `a`: the curvature of `a` times the gradient's part along its inward normal,
-    # plus the bend of the distance's level lines, (t_a . t_b)^2 kappa_b / (1 + kappa_b d) or about an end (1
-    # - slope^2) / d.
+    # plus the bend of the distance's level lines: (t_a . t_b)^2 kappa_b / (1 + kappa_b d), or about an end
+    # (1 - slope^2) / d.
     spread_out = jnp.where(
         held_b, (1.0 - slope**2) / apart, facing**2 * b.curvature / jnp.maximum(bend, _BEND)
     )
@@ -295,8 +294,7 @@ def _refine(scene: _Scene, start: Minima) -> tuple[Array, Array]:
         # pass: a minimum at an end of an open contour, where its bracket ends, is reached exactly.
         middle = jnp.where(i % 2 == 0, 0.5 * (low + high), jnp.clip(newton, low, high))
         target = jnp.where(outside, middle, newton)
-        # Then the point of `b` follows the step on `a`, to first order: ds_b = ds_a (t_a . t_b) / (1 +
-        # kappa_b d).
+        # Then the point of `b` follows the step on `a`, ds_b = ds_a (t_a . t_b) / (1 + kappa_b d).
         hop = (target - s_a) * pair.a.tangent.dot(pair.b.tangent) / jnp.maximum(pair.bend, _BEND)
         hop = jnp.where(pair.held[1], 0.0, jnp.clip(hop, -half, half))
         s_b = jnp.clip(s_b + follow + hop, start.s[1] - start.reach[1], start.s[1] + start.reach[1])
@@ -315,8 +313,8 @@ def _newton(scene: _Scene, s: tuple[Array, Array], held: tuple[Array, Array]) ->
     ends = [_nearer_end(contour, x) for contour, x in zip((scene.a, scene.b), s, strict=True)]
     facing = at.a.tangent.dot(at.b.tangent)
     one, zero = jnp.ones_like(s[0]), jnp.zeros_like(s[0])
-    # Every condition with its derivatives in s_a and s_b: parallel tangents; arm normal to `a`; arm normal to
-    # `b`.
+    # Every condition with its derivatives in s_a and s_b: parallel tangents; arm normal to `a`;
+    # arm normal to `b`.
     parallel = (at.a.tangent.cross(at.b.tangent), -at.a.curvature * facing, at.b.curvature * facing)
     normal_a = (at.arm.dot(at.a.tangent), 1.0 + at.a.curvature * at.arm.dot(at.a.tangent.left()), -facing)
     normal_b = (at.arm.dot(at.b.tangent), facing, -at.bend)
@@ -388,8 +386,7 @@ def _verified(
     valley = (at.rise * scene.scale > -_FLAT) | at.held[0]
     centred = (at.bend > 0.0) | at.held[1]
     settled = _residual(scene, at) <= _SETTLED * scene.scale
-    # Entries without a minimum have an infinite bound; the lowest sample, which is last, is no minimum
-    # either.
+    # Entries without a minimum have an infinite bound; the lowest sample, which is last, is no minimum.
     known = jnp.isfinite(jnp.append(start.bound, jnp.inf))
     return settled & valley & centred & near & inside[0] & inside[1] & known
 
@@ -413,8 +410,7 @@ def _report(
     start, sample = known
     gaps = jnp.where(fair, at.distance, jnp.inf)
     k, count = jnp.argmin(gaps), gaps.shape[0] - 1
-    # The lowest pair is not the answer if a sample lies below it, or an estimate that led to no minimum
-    # might.
+    # The lowest pair is not the answer if a sample lies below it, or an estimate without a minimum might.
     lowest_pair = gaps[k] - _MISSED * scene.scale
     missed = (sample < lowest_pair) | jnp.any(~fair[:-1] & (start.bound < lowest_pair))
     others = jnp.where(_twins(scene, s, fair, k), jnp.inf, gaps)

@@ -143,8 +143,7 @@ def _locate(
     if covers[0] is None and covers[1] is None:
         kinds = " and ".join(type(surface).__name__ for surface in (a, b))
         raise ValueError(f"argument a or b must be a bounded surface, but they were {kinds}")
-    # Only bounded surfaces are sampled: where one is not, it is taken as `b`, and `_report` exchanges them
-    # again.
+    # Only bounded surfaces are sampled: one that is not is taken as `b`; `_report` exchanges them again.
     swapped = covers[0] is None
     worlds = (_pose(poses[0]), _pose(poses[1]))
     if swapped:
@@ -228,8 +227,7 @@ def _downhill(rise: TangentForm, slope: Plane2) -> Plane2:
     low, high = rise.eigenvalues()
     least = 1e-3 * jnp.maximum(jnp.abs(low), jnp.abs(high))
     # A multiple of the identity turns the step towards the gradient. An eigenvalue `low` below `least`
-    # becomes 2 least - low: it is reflected, so that a strong downward bend gives a short step, not a long
-    # one.
+    # becomes 2 least - low: reflected, so that a strong downward bend gives a short step.
     firm = rise.plus(jnp.maximum(0.0, least - low) * jnp.where(low < least, 2.0, 1.0))
     return firm.solve((-slope[0], -slope[1]))
 

@@ -1,4 +1,10 @@
-"""A consistent initial state: every contact closed and tangent, every velocity compatible."""
+"""`close`: from a guess to a consistent initial state.
+
+Consistent means that every contact is closed (gap zero) and tangent, and that the velocities keep it so,
+$A v = 0$. This module checks the arguments, locates the contacts where that is asked for, and names the worst
+constraint row in its message; `_search` finds the configuration, and `_implicit_derivative` makes it and its
+velocities differentiable. `simulate` takes what is returned.
+"""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -25,7 +31,7 @@ def close(
     r"""Move a guess onto the constraints: the nearest consistent state.
 
     Positions minimise $\frac12 (q - q_0)^T M(q_0) (q - q_0)$ subject to gap (5)-(6), (64)-(65) and
-    tangency, by a damped Newton method on the optimality conditions; velocities are then projected
+    tangency, by damped Gauss-Newton steps; velocities are then projected
     onto $A v = 0$ in the same metric. The result is differentiable in both modes, by the implicit
     function theorem, with respect to every number in `grasp` and `guess`; leaving this out of a gradient
     through a simulation makes it wrong, not inexact.
@@ -66,8 +72,10 @@ def close(
         grasp, guess = _at_closest_points(grasp, guess)
     hold = hold_contacts and not locate
     state, rows = _close(grasp, guess, hold, resting=_resting(grasp, guess))
+    # While JAX traces, the rows have no values, and nothing can be raised.
     seen = concrete(rows)
     if throw and seen is not None:
+        # A NaN among the rows counts as the worst. The comparison below is negated, so that a NaN fails it.
         worst = int(np.nanargmax(np.where(np.isnan(seen), np.inf, np.abs(seen))))
         if not abs(seen[worst]) <= reach(guess.q.dtype):
             raise ValueError(
@@ -79,13 +87,16 @@ def close(
 
 def _at_closest_points(grasp: Grasp, guess: State) -> tuple[Grasp, State]:
     """The grasp with its contacts at the closest points of their shapes at the guessed pose."""
+    # Closest points are one pair per two shapes: a second contact of the same shapes would get the same ones.
     pairs = [(contact.finger, contact.touched) for contact in grasp.contacts]
     if len(set(pairs)) < len(pairs):
         raise ValueError(
             f"argument locate must be False if two contacts share contours, but was True: {pairs}"
         )
+    # Poses of the object, then of every fingertip.
     frames = world_poses(grasp, split(guess.q, grasp.form.positions))
     if grasp.spatial:
+        # In space the state itself holds the contact coordinates, and the grasp stays as it is.
         return grasp, State(guess.q, guess.v, _closest_places(grasp, frames))
     for i, contact in enumerate(grasp.contacts):
         if any(contour.domain() is None for contour in grasp.shapes(contact)):
@@ -98,6 +109,8 @@ def _at_closest_points(grasp: Grasp, guess: State) -> tuple[Grasp, State]:
         own, body = _numbers(frames[1 + contact.finger]), _numbers(frames[0])
         pair = locate_contours(tip, face, pose_a=own, pose_b=body)
         found += [pair.s[0], pair.s[1]]
+    # In the plane the state counts arclengths from those that the contact holds. The contact gets the new
+    # arclengths, and the state's s is zero.
     places = lambda g: [s for c in g.contacts for s in (c.s_tip, c.s_object)]  # noqa: E731
     located = eqx.tree_at(places, grasp, found)
     return located, State(guess.q, guess.v, jnp.zeros_like(guess.s))
@@ -115,12 +128,12 @@ def _closest_places(grasp: Grasp, frames: tuple[Pose3, ...]) -> Array:
 
 
 def _numbers(pose: Pose2) -> Array:
-    """A pose as position and angle."""
+    """A pose as position [m] and angle [rad], as `locate` takes it."""
     return jnp.stack([pose.origin.x, pose.origin.y, jnp.arctan2(pose.sin, pose.cos)])
 
 
 def row_name(grasp: Grasp, row: int) -> str:
-    """What constraint row this is, for messages."""
+    """What a row of `constraint_rows` is, in words, such as "the x gap [m] of contact 0"."""
     names = [(name, i) for i, contact in enumerate(grasp.contacts) for name in contact.equation_names()]
     name, contact = names[row]
     return f"the {name} of contact {contact}"
@@ -134,5 +147,6 @@ def _resting(grasp: Grasp, guess: State) -> bool:
 
 @compiled
 def _close(grasp: Grasp, guess: State, hold: bool, *, resting: bool) -> tuple[State, Array]:
+    """The closed state and its constraint rows, compiled as one program."""
     ready = grasp.prepared()
     return settled(ready, on_shapes(ready, guess), hold, resting=resting)

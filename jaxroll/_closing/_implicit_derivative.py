@@ -1,8 +1,16 @@
 r"""A closed state as a function of grasp and guess, and its derivative by the implicit function theorem.
 
-The step z from the guess, with the multipliers of the rows, makes a Lagrangian $L(z; m)$ stationary, m being
-all numbers of grasp and guess. So $\dot z = -L_{zz}^{-1} L_{zm} \dot m$; backwards, with
-$w = -L_{zz}^{-1} \bar z$, the cotangent is the gradient in m of the slope of L along w. Each is one kernel.
+`_search` finds the displacement from the guess that closes the contacts and is shortest in the metric. With
+the multipliers of the rows it is a vector $z$ at which a Lagrangian $L(z; m)$ is stationary, $m$ being all
+floating-point numbers of grasp and guess: $L_z(z(m); m) = 0$. Differentiated in $m$, this gives
+
+$$ \dot z = -L_{zz}^{-1} L_{zm} \dot m \quad \text{(tangents)}, \qquad
+   \bar m = \nabla_m (w \cdot L_z), \; w = -L_{zz}^{-1} \bar z \quad \text{(cotangents)}. $$
+
+The closed state is a function of $m$ and the displacement (`_ending`), which adds its own derivatives. Where
+there are as many rows as unknowns, the rows $c(z; m) = 0$ stand in for $L_z = 0$: there is nothing to
+minimise, and the matrix is their Jacobian. The iterations of the search are not differentiated. `close` calls
+`settled`.
 """
 
 from typing import Any, NamedTuple
@@ -21,7 +29,7 @@ from ._search import after_step, ClosingProblem, constraint_rows, metric_at, sea
 
 
 def settled(grasp: Grasp, guess: State, hold: bool, *, resting: bool) -> tuple[State, Array]:
-    """The closed state nearest to a guess, and what the constraints leave over.
+    """The closed state nearest to a guess, and its constraint rows: gaps [m] and tangencies [rad].
 
     Args:
         grasp: A prepared grasp.
@@ -30,20 +38,24 @@ def settled(grasp: Grasp, guess: State, hold: bool, *, resting: bool) -> tuple[S
         resting: Whether all velocities are known to be zero, and so stay zero: then the program has no part
             that makes them compatible, which is two fifths of it.
 
-    The state is differentiable in both modes, once; what is left over counts as constant.
+    The state is differentiable in both modes, but only once; the rows count as constant.
     """
     return _settled(grasp, guess, hold, resting)
 
 
 @eqx.filter_custom_jvp
 def _settled(grasp: Grasp, guess: State, hold: bool, resting: bool) -> tuple[State, Array]:
+    """`settled`, with the derivative below in place of that of its iterations."""
     return _found(grasp, guess, hold, resting=resting)[0]
 
 
 @_settled.def_jvp
 def _settled_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
+    """The closed state and its tangent, as a linear map that knows its own transpose for reverse mode."""
+    # `moving` is m: every floating-point array. `still` is all else, such as integers and static fields.
     (*shapes, hold, resting) = primals
     moving, still = eqx.partition(tuple(shapes), eqx.is_inexact_array)
+    # Second derivatives would need derivatives of the matrix L_zz as well: refuse instead of being wrong.
     moving = eqxi.nondifferentiable(moving, name="a closed state (second derivatives)")
     grasp, guess = eqx.combine(moving, still)
     out, minimum = _found(grasp, guess, hold, resting=resting)
@@ -53,42 +65,52 @@ def _settled_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
 
 
 class _Minimum(NamedTuple):
-    """The step to the closed state, the metric it is shortest in, and the Jacobian of the rows there."""
+    """Displacement to the closed state, the metric in which it is shortest, and the rows' Jacobian there."""
 
     step: Array
     metric: Array
     jacobian: Array
 
 
-def _found(
-    grasp: Grasp, guess: State, hold: bool, *, resting: bool
-) -> tuple[tuple[State, Array], _Minimum]:
+def _found(grasp: Grasp, guess: State, hold: bool, *, resting: bool) -> tuple[tuple[State, Array], _Minimum]:
+    """The closed state with its rows, and the minimum that the derivative needs."""
     metric = one_kernel(metric_at, grasp, guess, hold)
     step, jacobian = searched(ClosingProblem(grasp, guess, metric))
     return one_kernel(_ended, grasp, guess, step, resting), _Minimum(step, metric, jacobian)
 
 
 class _Question(eqx.Module):
-    """All that is asked of the numbers of a grasp and a guess but themselves."""
+    """The closing problem as a function of the differentiable arrays of grasp and guess, `moving`.
+
+    Attributes:
+        still: Grasp and guess without these arrays.
+        hold: Whether contacts stay where the guess puts them.
+    """
 
     still: Any
     hold: bool = eqx.field(static=True)
     resting: bool = eqx.field(static=True)
 
     def problem(self, moving: Any) -> ClosingProblem:
+        """The search's problem; its metric depends on the arrays too, and is differentiated with them."""
         grasp, guess = eqx.combine(moving, self.still)
         return ClosingProblem(grasp, guess, metric_at(grasp, guess, self.hold))
 
     def ending(self, moving: Any, step: Array) -> State:
+        """The closed state after a displacement from the guess."""
         grasp, guess = eqx.combine(moving, self.still)
         return _ending(grasp, guess, step, resting=self.resting)
 
 
 class _Response(eqx.Module):
-    """How a closed state answers small changes of its grasp and guess.
+    """The linear map from small changes of grasp and guess to those of the closed state, and its transpose.
 
     Attributes:
-        slopes: Second derivative of the Lagrangian; with nothing left to minimise, the rows' Jacobian.
+        question: The problem as a function of the arrays that change.
+        moving: These arrays.
+        z: Displacement and multipliers of the rows; where `square`, the displacement alone.
+        slopes: Second derivative of the Lagrangian in z; where `square`, the Jacobian of the rows.
+        size: Length of the displacement.
     """
 
     question: _Question
@@ -98,18 +120,22 @@ class _Response(eqx.Module):
     size: int = eqx.field(static=True)
 
     def tangents(self, dots: Any) -> State:
+        """Tangent of the closed state, from tangents `dots` of the arrays."""
         change = one_kernel(_misfit, self, dots)
         step = -jnp.linalg.solve(self.slopes, change)[: self.size]
         return one_kernel(_carried, self, dots, step)
 
     def cotangents(self, bars: State) -> Any:
+        """Cotangents of the arrays, from the cotangent `bars` of the closed state."""
         direct, step = one_kernel(_ending_pulled, self, bars)
+        # The state depends on the displacement alone: the cotangents of the multipliers are zero.
         wide = jnp.pad(step, (0, self.slopes.shape[0] - self.size))
         turned = one_kernel(_conditions_pulled, self, -jnp.linalg.solve(self.slopes.T, wide))
         return jax.tree.map(jnp.add, direct, turned)
 
     @property
     def step(self) -> Array:
+        """The displacement from the guess."""
         return self.z[: self.size]
 
     @property
@@ -119,10 +145,12 @@ class _Response(eqx.Module):
 
 
 def _response(question: _Question, moving: Any, minimum: _Minimum) -> _Response:
+    """The linear map at a minimum, with its matrix."""
     step, metric, jacobian = minimum
     size = step.shape[0]
     if size == jacobian.shape[0]:
         return _Response(question, moving, step, jacobian, size)
+    # The search does not compute multipliers. From M d + A^T p = 0, multiplied by A M^-1: S p = -A d.
     pressures, _ = solve_schur(jacobian, metric, -(jacobian @ step)[:, None])
     z = jnp.concatenate([step, pressures[:, 0]])
     grasp, guess = eqx.combine(moving, question.still)
@@ -131,7 +159,7 @@ def _response(question: _Question, moving: Any, minimum: _Minimum) -> _Response:
 
 
 def _misfit(response: _Response, dots: Any) -> Array:
-    """Change of the conditions of the minimum at a fixed step."""
+    r"""$L_{zm} \dot m$: change of the conditions of the minimum at fixed z, under tangents of the arrays."""
 
     def conditions(moving: Any) -> Array:
         problem = response.question.problem(moving)
@@ -141,29 +169,31 @@ def _misfit(response: _Response, dots: Any) -> Array:
 
 
 def _carried(response: _Response, dots: Any, step: Array) -> State:
+    """Tangent of the closed state, from tangents of the arrays and of the displacement."""
     return jax.jvp(response.question.ending, (response.moving, response.step), (dots, step))[1]
 
 
 def _ending_pulled(response: _Response, bars: State) -> tuple[Any, Array]:
-    """Cotangents of all that moves, and of the step, from those of the state."""
+    """Cotangents of the arrays and of the displacement, from that of the closed state."""
     back = lambda moving, step, bars: jax.vjp(response.question.ending, moving, step)[1](bars)  # noqa: E731
     return shared(back)(response.moving, response.step, bars)
 
 
 def _conditions_pulled(response: _Response, w: Array) -> Any:
-    """Cotangent of all that moves, from that of the conditions of the minimum."""
+    r"""$\nabla_m (w \cdot L_z)$: cotangents of the arrays, from that of the conditions of the minimum."""
 
     def weighed(moving: Any, z: Array, w: Array) -> Array:
         problem = response.question.problem(moving)
         if response.square:
             return jnp.sum(w * problem.rows(z))
+        # w . L_z is the derivative of L along w: forwards in z inside, backwards in m outside.
         return jax.jvp(problem.lagrangian, (z,), (w,))[1]
 
     return shared(jax.grad(weighed))(response.moving, response.z, w)
 
 
 def _ending(grasp: Grasp, guess: State, step: Array, *, resting: bool) -> State:
-    """The state after a step, its velocities projected onto $A v = 0$ in the mass metric."""
+    """The guess after a displacement, its velocities projected onto $A v = 0$ in the mass metric."""
     with sharing():
         q, s = after_step(grasp, guess, step)
         if resting:
@@ -176,6 +206,6 @@ def _ending(grasp: Grasp, guess: State, step: Array, *, resting: bool) -> State:
 
 
 def _ended(grasp: Grasp, guess: State, step: Array, resting: bool) -> tuple[State, Array]:
-    """The same with what the constraints leave over: one kernel that feeds another breaks XLA in a batch."""
+    """The same, and its constraint rows."""
     state = _ending(grasp, guess, step, resting=resting)
     return state, constraint_rows(grasp, state.q, state.s)

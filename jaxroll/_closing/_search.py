@@ -1,9 +1,18 @@
 r"""The nearest configuration in which every contact is closed and tangent.
 
-Minimises $\frac12 d^T M(q_0)\, d$ over displacements $d$ from a guess subject to the constraint rows
-$c(d) = 0$. Steps are $d \to d - M^{-1} A^T S^{-1} c - P d$ with $S = A M^{-1} A^T$ and $P$ the projection
-along $M^{-1} A^T$: where they stop, $c = 0$ and $M d = A^T \mu$, the conditions of the minimum. Only first
-derivatives of the rows are compiled for it; second ones are for the derivative of the minimum alone.
+A displacement $d$ from the guess changes all positions and, where contacts may roll, their contact
+coordinates. `searched` minimises $\frac12 d^T M(q_0)\, d$ subject to $c(d) = 0$: the rows $c$ are gap
+(5)-(6), (64)-(65) and tangency of every contact, and $A$ is their Jacobian. An iteration is the sum of two
+steps,
+
+$$ d \to d - M^{-1} A^T S^{-1} c - P d, \qquad S = A M^{-1} A^T, \quad P = 1 - M^{-1} A^T S^{-1} A. $$
+
+The first one is Gauss-Newton: the shortest step in the metric $M$ that makes the linearised rows zero. The
+second one takes away the part of $d$ along the constraints ($A P = 0$), which does not help to close them; it
+is taken only while the contacts are nearly closed. Both are zero where $c = 0$ and $M d = A^T \mu$, the
+conditions of the minimum. Only first derivatives of the rows are needed, which keeps the loop quick to
+compile; second ones (`ClosingProblem.slopes`) are needed once, where `_implicit_derivative` differentiates
+the minimum. `_close` prepares the grasp and calls both.
 """
 
 import itertools
@@ -21,10 +30,13 @@ from .._mechanics import Grasp, join, split, State, to_leaves, to_places
 from .._motion import bodies, displaced, mass_matrix, touches, world_poses
 from .._xla import one_kernel, sharing
 
+# Most evaluations of the rows.
 _STEPS = 300
-# Rows below this are close enough to the constraints to follow them [m or rad].
+# The contacts count as closed, and steps along the constraints are taken, when the largest row is below this
+# [m or rad] ...
 _NEAR = 1e-6
-# Closed to this share of the way left along them is enough to go on: sooner, one step undoes the other.
+# ... or below this share of the length of the remaining part along the constraints. With a larger share the
+# two kinds of step undo each other: the constraints are curved, so that each spoils the other's result.
 _CLOSED = 0.01
 
 
@@ -34,7 +46,8 @@ class ClosingProblem(eqx.Module):
     Attributes:
         grasp: A prepared grasp.
         guess: Where to start, its contacts on their shapes.
-        metric: Of displacements: `metric_at` the guess.
+        metric: Matrix in which displacements are measured, from `metric_at`. Its size tells whether contact
+            coordinates are among the unknowns.
     """
 
     grasp: Grasp
@@ -42,36 +55,51 @@ class ClosingProblem(eqx.Module):
     metric: Array
 
     def rows(self, step: Array) -> Array:
-        """What the constraints leave over after a step."""
+        """Gaps [m] and tangencies [rad] after a displacement from the guess."""
         return constraint_rows(self.grasp, *after_step(self.grasp, self.guess, step))
 
     def linearised(self, step: Array) -> tuple[Array, Array]:
-        """The rows and their Jacobian."""
+        """The rows, and their Jacobian with respect to the displacement, shape (rows, unknowns)."""
         with sharing():
             left, push = jax.linearize(self.rows, step)
             return left, jax.vmap(push, out_axes=-1)(jnp.eye(step.shape[0], dtype=step.dtype))
 
     def lagrangian(self, z: Array) -> Array:
-        """What the minimum makes stationary; `z` holds the step and the multipliers of the rows."""
+        r"""$L(z) = \frac12 d^T M d + p \cdot c(d)$, stationary at the minimum; $z$ is $d$ followed by $p$."""
         step, pressure = z[: self.metric.shape[0]], z[self.metric.shape[0] :]
         with sharing():
             weight = jnp.sum(self.metric * step[None, :], axis=1)
             return 0.5 * jnp.sum(step * weight) + jnp.sum(pressure * self.rows(step))
 
     def slopes(self, z: Array) -> Array:
-        """Its second derivative, one column after the other: side by side compiles thrice as long."""
+        """Second derivative of the Lagrangian, shape (z, z).
+
+        A loop computes one column after the other: `vmap` over the columns takes three times as long to
+        compile.
+        """
         unit = lambda i: jnp.where(jnp.arange(z.shape[0]) == i, 1.0, 0.0).astype(z.dtype)  # noqa: E731
         column = lambda i: jax.jvp(jax.grad(self.lagrangian), (z,), (unit(i),))[1]  # noqa: E731
         return jax.lax.map(column, jnp.arange(z.shape[0])).T
 
 
 def solve_schur(jacobian: Array, metric: Array, right: Array) -> tuple[Array, Array]:
-    r"""Solutions of $A M^{-1} A^T p$ = each column of `right`, and the smallest steps $M^{-1} A^T p$."""
+    r"""Multipliers and shortest steps that change the linearised rows by given amounts.
+
+    Args:
+        jacobian: $A$, shape (rows, unknowns).
+        metric: $M$.
+        right: Wanted changes of the rows, one in each column.
+
+    Returns:
+        $p$ with $A M^{-1} A^T p$ = `right`, and the steps $M^{-1} A^T p$, both column by column.
+    """
     weighed = jnp.linalg.solve(metric, jacobian.T)
     schur = jacobian @ weighed
+    # Gaps are metres and tangencies radians: rows and columns are scaled so that the diagonal is one.
     scale = 1.0 / jnp.sqrt(jnp.diag(schur))
-    unit = schur * jnp.outer(scale, scale)  # its rows scaled to unit diagonal
-    # Redundant rows (an over-determined pose) make it singular: a ridge; a second pass takes its error back.
+    unit = schur * jnp.outer(scale, scale)
+    # Redundant rows, of an over-determined pose, make this matrix singular; a small number on its diagonal
+    # makes it invertible. One step of iterative refinement reduces the error that this makes.
     factors = lu_factor(unit + 1e-13 * np.eye(right.shape[0], dtype=right.dtype))
     scaled = right * scale[:, None]
     first = lu_solve(factors, scaled)
@@ -80,18 +108,19 @@ def solve_schur(jacobian: Array, metric: Array, right: Array) -> tuple[Array, Ar
 
 
 class _Search(NamedTuple):
-    """A search in progress.
+    """State of the loop in `searched`.
 
     Attributes:
-        step: Best displacement so far.
-        jacobian: Of the rows there.
-        size: Largest of the rows.
-        move: Where to go from there, downwards being minus.
-        scale: How much of it is tried.
-        length: Of its part along the constraints, in the metric, where they were last closed.
-        share: How much of that part is taken.
-        rolling: Whether any of it is in this move.
-        count: Evaluations so far.
+        step: Displacement from the guess that was accepted last.
+        jacobian: Jacobian of the rows there.
+        size: Largest absolute value of the rows there.
+        move: The step proposed from there, with the opposite sign: `step - scale * move` is tried next.
+        scale: Share of `move` that is tried, reduced while a trial is rejected.
+        length: Length, in the metric, of the displacement's part along the constraints, P d, where the
+            contacts were last closed.
+        share: Share of that part which `move` takes away.
+        rolling: Whether `move` has a part along the constraints.
+        count: Evaluations of the rows so far.
     """
 
     step: Array
@@ -106,9 +135,10 @@ class _Search(NamedTuple):
 
 
 def searched(problem: ClosingProblem) -> tuple[Array, Array]:
-    """Displacement, as `after_step` takes it, to the nearest closed configuration; the rows' Jacobian there.
+    """Displacement from the guess to the nearest closed configuration, and the Jacobian of the rows there.
 
-    The loop: Gauss-Newton back onto the constraints, and along them to the minimum.
+    The displacement is one that `after_step` takes. Where no closed configuration is found, it is the last
+    one that was accepted: the caller looks at the rows.
     """
     one = jnp.ones((), problem.metric.dtype)
     start = jnp.zeros(problem.metric.shape[0], problem.metric.dtype)
@@ -116,7 +146,9 @@ def searched(problem: ClosingProblem) -> tuple[Array, Array]:
     nothing, far = jnp.zeros((count, start.shape[0]), start.dtype), jnp.inf * one
     first = _Search(start, nothing, far, start, one, far, one, jnp.array(False), jnp.array(0))
 
+    # The first pass tries the guess itself, as `move` is zero, and accepts it, as `size` is infinite.
     def more(search: _Search) -> Array:
+        # Closed, and the part along the constraints is rounding, or has failed to shrink ten times.
         tiny = 4.0 * jnp.finfo(start.dtype).eps * _length(problem, search.step)
         done = (search.size < 1e-13) & ((search.length <= tiny) | (search.share < 1e-3))
         return ~done & (search.scale > 1e-6) & (search.count < _STEPS)
@@ -126,31 +158,40 @@ def searched(problem: ClosingProblem) -> tuple[Array, Array]:
 
 
 def _improved(problem: ClosingProblem, search: _Search) -> _Search:
+    """One pass of the loop: evaluate the next trial, then accept it or shorten the step."""
     trial = search.step - search.scale * search.move
     left, jacobian = one_kernel(ClosingProblem.linearised, problem, trial)
     size = jnp.max(jnp.abs(left))
+    # Two right-hand sides with one factorisation: M^-1 A^T S^-1 c, and M^-1 A^T S^-1 A d = d - P d.
     both = jnp.stack([left, jacobian @ trial], axis=-1)
     normal, across = solve_schur(jacobian, problem.metric, both)[1].T
     along = trial - across
     length = _length(problem, along)
-    # A step along the constraints opens them a little, and is taken all the same; others have to help.
+    # A trial is accepted if it is closed or its largest row is smaller than before. A step along curved
+    # constraints opens the contacts to second order in its length; it is accepted while they open by less.
     closed = (size < _NEAR) | (size < _CLOSED * length)
     better = closed | (size < search.size) | (search.rolling & (size < search.length))
+    # Where the part along the constraints has not become a tenth shorter, its steps are too long: halve them.
     share = jnp.where(closed & (length > 0.9 * search.length), 0.5 * search.share, search.share)
     move = normal + jnp.where(closed, share, 0.0) * along
     one, count = jnp.ones_like(size), search.count + 1
     known = jnp.where(closed, length, search.length)
     taken = _Search(trial, jacobian, size, move, one, known, share, closed, count)
     left_alone = search._replace(scale=0.25 * search.scale, count=count)
+    # A selection, not a branch: in a batch both would be computed anyway. Rows that are NaN are never better.
     return jax.tree.map(lambda new, old: jnp.where(better, new, old), taken, left_alone)
 
 
 def _length(problem: ClosingProblem, step: Array) -> Array:
+    """Length of a displacement in the metric."""
     return jnp.sqrt(step @ problem.metric @ step)
 
 
 def on_shapes(grasp: Grasp, guess: State) -> State:
-    """A guess with every contact's place on both of its shapes."""
+    """The guess with every contact's coordinates put onto both of its shapes.
+
+    Coordinates on an implicit surface are a point of space, which a guess may give off the surface.
+    """
     places = to_places(guess.s, grasp.form)
     each = zip(grasp.contacts, places, strict=True)
     settled = [contact.onto(grasp.shapes(contact), place) for contact, place in each]
@@ -158,7 +199,11 @@ def on_shapes(grasp: Grasp, guess: State) -> State:
 
 
 def after_step(grasp: Grasp, guess: State, step: Array) -> tuple[Array, Array]:
-    """Positions and contact coordinates after a step from a guess; the contacts' part may be missing."""
+    """Positions and contact coordinates after a displacement from a guess.
+
+    The displacement has an entry for each velocity, body by body, then `slack` entries for each contact.
+    Where contacts are held, these are missing, and the contacts stay where they are.
+    """
     leaves, rest = to_leaves(guess, grasp.form), iter(unstack(step))
     blocks = tuple(tuple(itertools.islice(rest, size)) for size in grasp.sizes)
     q, places = displaced(grasp, leaves.q, blocks), []
@@ -169,7 +214,7 @@ def after_step(grasp: Grasp, guess: State, step: Array) -> tuple[Array, Array]:
 
 
 def constraint_rows(grasp: Grasp, q: Array, s: Array) -> Array:
-    """Gap [m] and tangency [rad] of every contact of a prepared grasp: in the plane shape (3c,)."""
+    """Gap [m] and tangency [rad] of every contact of a prepared grasp; in the plane the shape is (3c,)."""
     frames = world_poses(grasp, split(q, grasp.form.positions))
     each = zip(grasp.contacts, touches(grasp, to_places(s, grasp.form)), strict=True)
     rows = [row for c, t in each for row in c.equations((frames[1 + c.finger], frames[0]), t)]
@@ -177,7 +222,11 @@ def constraint_rows(grasp: Grasp, q: Array, s: Array) -> Array:
 
 
 def metric_at(grasp: Grasp, guess: State, hold: bool) -> Array:
-    """The mass matrix at the guess, scaled to unit mean; free contact coordinates weigh next to nothing."""
+    """The metric of displacements: the mass matrix at the guess, divided by the mean of its diagonal.
+
+    Where contacts may roll, their coordinates follow with a small weight of 1e-3 each: they should move
+    freely beside the poses, but a metric without any weight for them would be singular.
+    """
     with sharing():
         _, inertias = bodies(grasp, to_leaves(guess, grasp.form))
         mass = mass_matrix([inertia.mass for inertia in inertias], grasp.coordinates)

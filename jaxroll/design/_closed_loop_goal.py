@@ -1,4 +1,9 @@
-"""Goals of the closed loop: what runs of the grasp are like, in the worst of several cases."""
+"""Goals of the closed loop: what runs of the grasp are like, in the worst of several cases.
+
+For every case the caller's `make` gives a grasp and a state with the fingertip, `simulate` runs it, and the
+measures of `_measures` are weighed into one cost. `_goals` has what goals share: the contract, the loop over
+the cases, the smooth maximum. The gradient goes through the run.
+"""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -25,12 +30,13 @@ from ._limits import ContourSamples
 from ._measures import FORCED, MEASURES, PARTIAL, SETTLED
 
 Objective = Mapping[str, float] | Callable[[Any, Trajectory], Scalar]
-# Options of `simulate` that a goal passes on.
+# Options of `simulate` that a goal passes on; it sets the others itself.
 _OPTIONS = (
     *("t0", "formulation", "solver", "rtol", "record", "events"),
     *("atol", "dt0", "max_steps", "stepsize_controller", "progress_meter"),
 )
-# What a run costs that ends at once: more than any that holds.
+# Cost of a run that ends at once, above its measures: more than that of a run that lasts, whose weighed
+# measures are of order one.
 _LOST = 10.0
 _COST, _EARLY = "worst cost", "runs that end early"
 
@@ -41,7 +47,7 @@ class ClosedLoop(AbstractGoal):
     Every case is simulated, all in one program, and the worst one counts: a smooth upper bound of the
     largest cost, within $\log n / 50$ of it. A run that ends before `t1` costs $10\,(1 - t_{end}/t_1)$ more,
     so that fingertips which lose the grasp are changed to hold it for longer; its measures are those of the
-    part that was reached, and where an objective of your own is not a number there, it costs nothing besides.
+    part that was reached, and an objective of your own counts as zero where it is not a number there.
     The figures that are reported (`Design.figures`) are not a number where one of the cases has none.
 
     Args:
@@ -107,6 +113,7 @@ class ClosedLoop(AbstractGoal):
         """Of every case: the measures by name, shape (n, m), the own objective, and what share was lost."""
 
         def found(grasp: Any, state: Any) -> tuple[Array, Array, Array]:
+            # Contact forces cost time to record: only where a measure needs them, or an own objective may.
             forced = ("multipliers",) if FORCED & set(names) or callable(self.objective) else ()
             settings = {"record": forced, "rtol": 1e-6, **dict(self.options), "throw": False}
             run = simulate(grasp, state, self.t1, ts=self.ts, **settings)
@@ -114,6 +121,7 @@ class ClosedLoop(AbstractGoal):
             own = self.objective(grasp, run) if callable(self.objective) else jnp.zeros_like(self.t1)
             closed = run.result != RESULTS.unreachable
             lost = jnp.where(closed, 1.0 - run.stats.t_end / self.t1, 1.0)
+            # An own objective need not know of runs that end early; a NaN must not hide their cost.
             own = jnp.where((lost > 0.0) & jnp.isnan(own), 0.0, own)
             return jnp.stack(measured) if measured else jnp.zeros(0), own, lost
 
@@ -123,6 +131,7 @@ class ClosedLoop(AbstractGoal):
         return soft_worst(self._costs(tip), sharpness)
 
     def _costs(self, tip: AbstractContour) -> Array:
+        """The cost of every case."""
         weights = () if callable(self.objective) else self.objective
         measured, own, lost = self.run(tip, tuple(name for name, _ in weights))
         return measured @ jnp.asarray([weight for _, weight in weights]) + own + _LOST * lost
@@ -132,12 +141,14 @@ class ClosedLoop(AbstractGoal):
         return _COST
 
     def figures(self, tip: AbstractContour, seen: ContourSamples) -> dict[str, Array]:
+        # All measures are reported, those without a weight too.
         names = tuple(MEASURES)
         measured, own, lost = self.run(tip, names)
         weights = {} if callable(self.objective) else dict(self.objective)
         costs = measured @ jnp.asarray([weights.get(name, 0.0) for name in names]) + own + _LOST * lost
         found = {_COST: jnp.max(costs), _EARLY: jnp.sum(lost > 0.0)}
         for i, name in enumerate(names):
+            # The largest value of all cases; NaN where one has none, as `jnp.max` passes NaN on.
             lacking = (lost > 0.0) if name in SETTLED else jnp.zeros_like(lost, bool)
             found[MEASURES[name][1]] = jnp.max(jnp.where(lacking, jnp.nan, measured[:, i]))
         return found | {WORST_MARGIN: worst_margin(seen)}
@@ -147,7 +158,7 @@ class ClosedLoop(AbstractGoal):
 
 
 def _as_objective(objective: Any) -> tuple[tuple[str, float], ...] | Callable:
-    """A function of a grasp and its run, or weights by name."""
+    """The objective, checked: a function of a grasp and its run, or pairs of a measure and its weight."""
     if callable(objective):
         return check_callable("objective", objective, "a function of a grasp and its run", takes=2)
     if not isinstance(objective, Mapping) or not objective or set(objective) - set(MEASURES):

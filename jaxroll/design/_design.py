@@ -1,4 +1,4 @@
-"""A fingertip that was optimised, and what there is to say of it."""
+"""`Design`: a fingertip that was optimised, with the record of its search and a printed report."""
 
 import equinox as eqx
 import numpy as np
@@ -22,7 +22,8 @@ class Design(eqx.Module):
         violation: Shape (starts,), by how much the most violated limit is passed, relative to it.
         holds: Shape (starts,), which starts ended within the limits with a fingertip that holds.
         chosen: Which start `tip` comes from.
-        history: Shape (starts, steps), cost after each step, smoothed, without dimension.
+        history: Shape (starts, steps), cost after each step: the smoothed one that is minimised, without
+            dimension.
         result: `successful`, `max_steps_reached`, or `infeasible` where no start came within the limits; the
             contour is then the one that passes them least.
         figures: What the goal reports of `start` and of `tip`, by name with unit.
@@ -63,7 +64,7 @@ class Design(eqx.Module):
         return "\n".join(lines)
 
     def _remedy(self, steps: str) -> list[str]:
-        """Why it is not a success, and what helps."""
+        """A line that says why the search was no success, and what helps; none if it was one."""
         if concrete(self.result._value) is None:
             return []
         told = {
@@ -75,6 +76,7 @@ class Design(eqx.Module):
 
 
 def _kept(excess: float) -> str:
+    """In words, by how much a limit is passed or kept; `excess` is relative to its bound."""
     if not np.isfinite(excess):
         return "not finite"
     if excess > KEPT:

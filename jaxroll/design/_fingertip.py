@@ -1,4 +1,12 @@
-"""`optimise_fingertip`: from a fingertip to a better one within limits."""
+"""`optimise_fingertip`: from a fingertip to a better one within limits.
+
+This module joins the parts. `_Problem` maps a vector of unknowns to a contour (`_shape_transform`), that to
+samples of its frame (`_limits`), and both to a cost (`_goals`) and to what the limits ask. `minimise`
+searches from all starts at once, and `_design` makes a `Design` of the best one.
+
+The starts are contours of one kind: their arrays are stacked along a leading axis, and what they share
+besides is kept once.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -105,13 +113,16 @@ def optimise_fingertip(
     if checkpoint is not None:
         check_checkpoint(checkpoint)
     count, seed = as_count("starts", starts, most=10_000), as_count("seed", seed, least=0, most=2**63 - 1)
+    # The interval must lie on every one of the contours.
     ends = jnp.stack([check_interval(one, interval) for one in tips])[0]
     transform = ShapeTransform(tips[0], symmetric=symmetric)
     arrays, rest = as_batch(varied(tips, max(count, len(tips)), seed))
     sizes, reaches = body_radii(arrays, rest)
+    # Default limits: the first start's largest distance from O, and shares of it.
     if limits is None:
         size = float(reaches[0])
         limits = Limits(size=size, radius=0.1 * size, ahead=0.5 * size)
+    # Before anything is traced, the goal takes what it needs from the first start, such as a scale.
     wanted = (Margin() if goal is None else goal).aimed(tips[0])
     data, problem = (arrays, sizes), _Problem(transform, rest, ends, limits, wanted)
     start = jax.vmap(lambda *one: problem.of(one).start)(*data)
@@ -130,10 +141,17 @@ def optimise_fingertip(
 
 
 class _Problem(eqx.Module):
-    """From a vector to the contour, and what is asked of it.
+    """The search's problem: from a vector of unknowns to the cost of its contour and what the limits ask.
 
-    A start's own data are its contour's arrays and size. The transform is that of the first start: the
-    others have its matrix too.
+    Attributes:
+        transform: That of the first start. Other starts have the same matrix, but arrays and size of their
+            own.
+        rest: What the contours of all starts share: everything but their floating-point arrays.
+        interval: First and last arclength of the contact interval [m].
+        limits: What the contour must keep to.
+        goal: What is minimised, aimed at the first start.
+
+    `data` of a start are its contour's arrays and its size [m].
     """
 
     transform: ShapeTransform
@@ -149,14 +167,16 @@ class _Problem(eqx.Module):
         return eqx.tree_at(lambda t: (t.tip, t.size), self.transform, own)
 
     def contour(self, x: Array, data: Any) -> AbstractContour:
+        """The contour of a vector."""
         return self.of(data).contour(x)
 
     def seen(self, x: Array, data: Any) -> tuple[AbstractContour, ContourSamples]:
+        """The contour with its table, and its samples."""
         ready = tabled(self.contour(x, data))
         return ready, sampled(ready, self.interval)
 
     def __call__(self, x: Array, data: Any, sharpness: Array) -> tuple[Array, Array]:
-        """The cost, and what the limits ask."""
+        """The cost, and by how much the limits are passed, shape (k,): as `minimise` takes a problem."""
         tip, seen = self.seen(x, data)
         return self.goal.cost(tip, seen, data[1], sharpness), self.limits.all(seen)
 
@@ -170,17 +190,19 @@ class _Problem(eqx.Module):
 
 @eqx.filter_jit
 def _outcomes(problem: _Problem, x: Array, data: Any) -> tuple[Any, Any, Any]:
+    """`outcome` of every start, with a leading axis."""
     if problem.goal.in_turn:
         return jax.lax.map(lambda pair: problem.outcome(*pair), (x, data))
     return jax.vmap(problem.outcome)(x, data)
 
 
 def _design(problem: _Problem, start: Array, data: Any, found: Found) -> Design:
+    """The result: what the goal reports before and after, and the best of all starts."""
     search = found.search
     first, figures_before, _ = _outcomes(problem, start, data)
     arrays, figures, excess = _outcomes(problem, search.best, data)
     inside = np.asarray(search.violation) <= KEPT
-    # Where nothing keeps the limits, the contour that passes them least.
+    # The best start is the lowest one within the limits; where none is, the one that passes them least.
     rank = np.where(inside, search.lowest, np.inf) if inside.any() else np.asarray(search.violation)
     best = int(np.argmin(rank))
     result = RESULTS.successful if bool(search.done[best]) else RESULTS.max_steps_reached

@@ -1,4 +1,11 @@
-"""Stability on any objects, where condition (41) does not apply: the Hessian, or the slowest rate."""
+r"""Stability on any objects, where condition (41) does not apply: the Hessian, or the slowest rate.
+
+A goal of `optimise_fingertip` (see `_goals`): the measure comes from `stability.pinch_rest` or
+`stability.assess`, at the equilibrium of every case, and is differentiated through it. For 'stiffness' the
+Hessian $U_{ij}$ is taken over the angles $\theta_i$ by which the fingertips turn against the object,
+$d\theta_i = (\kappa_i + \kappa_{0i})\, ds_i$: on a rectangle with like fingertips this leaves
+$\beta |l|$ times the margin of (41).
+"""
 
 from typing import Any, Literal
 
@@ -31,11 +38,14 @@ _NAMES = {
     "curvature": "least curvature [1/s^2]",
     "rate": "slowest decay [1/s]",
 }
-# Curvatures and rates below this share of the largest count as none.
+# Curvatures and rates that are negative by less than this share of the largest count as zero.
 _NONE = 1e-7
-# Passing from unstable to stable the place at rest is neutral: below this share its change is damped.
+# Where a fingertip passes from unstable to stable, an eigenvalue of the Hessian is zero, and the place at
+# rest changes infinitely fast with the shape: below this share of the Hessian's size that derivative is
+# damped (`pinch_rest`).
 _DAMPED = 0.01
-# Turning per way rolled below which the search sees no more gain [rad/m].
+# Sum of curvatures c below which dividing by it brings no more gain [rad/m]: 1 / c becomes
+# c / (c^2 + _FLAT^2).
 _FLAT = 2.0
 
 
@@ -98,7 +108,7 @@ class Firmness(AbstractGoal):
         self.scale = None if scale is None else check_positive("scale", as_floats("scale", scale, ()))
 
     def aimed(self, tip: AbstractContour) -> "Firmness":
-        """Neutral directions are counted, and values measured against the first case's."""
+        """This goal with neutral directions and scale as the first start has them in the first case."""
         case = jax.tree.map(lambda x: x[:1], self.cases)
         values, neutral = _first(self.make, case, self.measure, tabled(tip))
         if not np.all(np.isfinite(values)):
@@ -109,7 +119,7 @@ class Firmness(AbstractGoal):
         return Firmness(self.make, cases=self.cases, **more)
 
     def values(self, tip: AbstractContour, floor: float = 0.0) -> Array:
-        """The measure in every case."""
+        """The measure in every case, shape (cases,); `floor` bounds the stiffness (`_stiffnesses`)."""
         neutral = self.neutral or 0
 
         def found(grasp: Grasp, state: State) -> Array:
@@ -133,7 +143,7 @@ class Firmness(AbstractGoal):
 
 
 def _values(measure: Measure, grasp: Grasp, state: State, floor: float = 0.0) -> tuple[Array, Array]:
-    """All values of the measure at rest, NaN without an equilibrium, and how many are neutral."""
+    """The values whose smallest is the measure, NaN without an equilibrium; how many are neutral."""
     if measure == "stiffness":
         return _stiffnesses(grasp, state, floor), jnp.array(0)
     at = assess(grasp, state)
@@ -144,18 +154,26 @@ def _values(measure: Measure, grasp: Grasp, state: State, floor: float = 0.0) ->
 def _stiffnesses(grasp: Grasp, state: State, floor: float) -> Array:
     """Eigenvalues of the Hessian of U at rest, over the angles of the fingertips [N m/rad].
 
-    They are kept finite where flat meets flat, and a fingertip does not turn, by a floor of turning [rad/m].
+    Where flat meets flat a fingertip rolls without turning, and the division by its turning would be one by
+    zero: `floor` [rad/m] keeps the values finite.
     """
     rest = pinch_rest(grasp, state, damping=_DAMPED)[1]
+    # H_ij / (c_i c_j) with c the turning per arclength; 1 / c where the floor is zero.
     inverse = rest.turning / (rest.turning**2 + floor**2)
     (a, b), (_, c) = rest.hessian * (inverse[:, None] * inverse[None, :])
     half, across = 0.5 * (a - c), b * b
+    # Eigenvalues of a symmetric 2 x 2 matrix. The last term keeps the root differentiable where they are
+    # equal.
     apart = jnp.sqrt(half * half + across + 1e-30 * (a * a + c * c))
     return jnp.stack([0.5 * (a + c) - apart, 0.5 * (a + c) + apart])
 
 
 def _smallest(values: Array, neutral: int) -> Array:
-    """The smallest value besides zeros that are always there; continuous where it changes its sign."""
+    """The smallest value, apart from `neutral` zeros that are there whatever the fingertip.
+
+    A value that is negative counts as it is. Else the first `neutral` values are those zeros, to rounding,
+    and the next one counts: it passes through zero without a jump, where it changes places with them.
+    """
     rising = jnp.sort(values)
     least = -_NONE * jnp.max(jnp.abs(values))
     return jnp.where(rising[0] < least, rising[0], rising[neutral])
@@ -163,4 +181,5 @@ def _smallest(values: Array, neutral: int) -> Array:
 
 @eqx.filter_jit
 def _first(make: Make, cases: Any, measure: Measure, tip: AbstractContour) -> tuple[Array, Array]:
+    """`_values` of every case given, compiled."""
     return each_case(make, cases, tip, lambda grasp, state: _values(measure, grasp, state))

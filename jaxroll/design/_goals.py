@@ -1,4 +1,10 @@
-"""What a design is after: a cost to minimise, and the figures that are reported of it."""
+"""What a design is after: a cost to minimise, and the figures that are reported of it.
+
+`AbstractGoal` is the contract between a goal and `optimise_fingertip`: the search minimises `cost`, which is
+smooth and without dimension, and the caller reads `figures`, which are not smoothed and in SI units. `Margin`
+is the default; `ClosedLoop` and `Firmness` look at a whole grasp, in several cases, with the helpers at the
+end.
+"""
 
 import abc
 from collections.abc import Callable
@@ -15,9 +21,10 @@ from .._types import Scalar
 from ..geometry import AbstractContour
 from ._limits import ContourSamples, margins, soft_least
 
-# How sharply the least margin is told from its neighbours, in units of the fingertip's size.
+# k of the smooth least margin, over the fingertip's size: margins within size / 200 of the least one
+# have a weight too.
 _SHARPNESS = 200.0
-# How sharply the worst case is told from the others, relative to it.
+# k of the smooth worst case, over the largest cost: cases within a fiftieth of it count too.
 _WORST = 50.0
 
 # From a fingertip, and a case where there are several, to a grasp and its start.
@@ -53,7 +60,7 @@ class AbstractGoal(eqx.Module):
         """Whether a fingertip with these figures holds the grasp."""
 
     def aimed(self, tip: AbstractContour) -> "AbstractGoal":
-        """This goal with what it takes from the first start, outside of any program."""
+        """This goal with what it takes from the first start; called once, before anything is traced."""
         del tip
         return self
 
@@ -95,9 +102,15 @@ def worst_margin(seen: ContourSamples) -> Array:
 def each_case(
     make: Make, cases: Any, tip: AbstractContour, found: Callable[[Any, Any], Any], *, in_turn: bool = False
 ) -> Any:
-    """`found(grasp, state)` of every case, with a leading axis; of the only one where there are none.
+    """`found(grasp, state)` of every case, with a leading axis; of length one where there are no cases.
 
-    In turn, a run stays one compiled kernel: side by side, its derivative falls apart into thousands.
+    Args:
+        make: From a fingertip, and a case if there are any, to a grasp and a state.
+        cases: Arrays with a leading axis, or None.
+        tip: The fingertip.
+        found: What is wanted of each grasp and state.
+        in_turn: Take the cases one after the other, by `jax.lax.map`. A run then stays one compiled kernel;
+            side by side, by `jax.vmap`, its derivative becomes thousands of them.
     """
     if cases is None:
         return jax.tree.map(lambda x: x[None], found(*_made(make(tip))))
@@ -106,7 +119,7 @@ def each_case(
 
 
 def _made(given: Any) -> tuple[Grasp, State]:
-    """What a caller's `make` returned."""
+    """The grasp and the state that a caller's `make` returned, checked."""
     pair = given if isinstance(given, tuple | list) else ()
     if len(pair) != 2 or not isinstance(pair[0], Grasp) or not isinstance(pair[1], State):
         raise ValueError(f"argument make must return a Grasp and a State, but returned {shown(given)}")
@@ -114,21 +127,25 @@ def _made(given: Any) -> tuple[Grasp, State]:
 
 
 def soft_worst(costs: Array, sharpness: Scalar) -> Scalar:
-    r"""Smooth upper bound of the largest of some costs, $v + \frac{a}{k} \log\sum_i e^{k (v_i - v)/a}$."""
+    r"""Smooth upper bound of the largest of some costs, $v + \frac{a}{k} \log\sum_i e^{k (v_i - v)/a}$.
+
+    $v$ is the largest cost, $a$ the largest absolute value, and $k$ is 50 times `sharpness`.
+    """
     worst = jnp.max(costs)
+    # The exponents are at most zero, and cannot overflow. a only sets how smooth the bound is: no derivative.
     size = jax.lax.stop_gradient(jnp.max(jnp.abs(costs)) + 1e-12) / (_WORST * sharpness)
     return worst + size * jnp.log(jnp.sum(jnp.exp((costs - worst) / size)))
 
 
 def check_make(make: Any, cases: Any) -> Any:
-    """Raise unless it can be called with a fingertip, and with a case if there are any."""
+    """Raise unless `make` can be called with a fingertip, and with a case if there are any."""
     if cases is None:
         return check_callable("make", make, "a function of a fingertip alone", takes=1)
     return check_callable("make", make, "a function of a fingertip and a case", takes=2)
 
 
 def check_cases(cases: Any) -> Any:
-    """Arrays with a common leading axis, or None."""
+    """The cases as floating-point arrays with one common leading axis, or None."""
     if cases is None:
         return None
     arrays = jax.tree.map(lambda x: jnp.asarray(check_finite("cases", as_array("cases", x)), float), cases)

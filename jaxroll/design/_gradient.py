@@ -1,4 +1,8 @@
-"""Value and gradient in whichever mode costs less."""
+"""Value and gradient of a function of a run, in whichever mode of differentiation costs less.
+
+`_minimise` differentiates the problem of `optimise_fingertip` with it; it is public for callers' own
+objectives.
+"""
 
 import functools
 from collections.abc import Callable
@@ -12,7 +16,7 @@ from jaxtyping import Array
 from .._results import as_array, check_callable, check_choice, check_flag, shown
 
 Mode = Literal["auto", "forward", "reverse"]
-# Up to so many numbers forward mode costs less (see `value_and_grad`).
+# "auto" is forward mode up to so many numbers; `value_and_grad` says what both modes cost.
 FEW = 1
 
 
@@ -25,9 +29,10 @@ def value_and_grad(function: Callable[[Any], Any], mode: Mode = "auto", *, has_a
     implicitly, not through its iterations. Backwards, the stages of a step are worked out again; to keep what
     they leave costs more, to compile above all.
 
-    Measured on two cores, over the run, with four numbers: Part 2 forward 3.6 times and back 3.2, Part 1
-    5.5 and 5.1; back compiles in two thirds of the time, or half. Many cases are best differentiated in turn
-    (`jax.lax.map`, as `ClosedLoop` does): side by side a run's derivative takes six times as long.
+    Measured on two cores with four numbers, in multiples of the time of the run itself: Part 2 forward 3.6
+    and back 3.2, Part 1 5.5 and 5.1; reverse mode compiles in two thirds of the time of forward mode, or
+    half. Many cases are best differentiated in turn (`jax.lax.map`, as `ClosedLoop` does): side by side a
+    run's derivative takes six times as long.
 
     Args:
         function: From a pytree of floating-point arrays to a scalar; with `has_aux`, to a pair.
@@ -66,7 +71,7 @@ def value_and_grad(function: Callable[[Any], Any], mode: Mode = "auto", *, has_a
 
 
 def _scalar(function: Callable, has_aux: bool) -> Callable:
-    """The function, with a sentence where it does not return one real number (and more)."""
+    """The function with a check that it returns one real number, or with `has_aux` a pair."""
 
     def checked(x: Any) -> Any:
         given = function(x)
@@ -83,6 +88,7 @@ def _scalar(function: Callable, has_aux: bool) -> Callable:
 
 
 def _forward(function: Callable, x: Any, has_aux: bool) -> Any:
+    """Value and gradient in forward mode: one tangent for each number, all of them along one run."""
     flat, unravel = ravel_pytree(x)
 
     def along(direction: Array) -> Any:
@@ -90,7 +96,8 @@ def _forward(function: Callable, x: Any, has_aux: bool) -> Any:
             return jax.jvp(lambda z: function(unravel(z)), (flat,), (direction,), has_aux=True)
         return (*jax.jvp(lambda z: function(unravel(z)), (flat,), (direction,)), None)
 
-    # Nothing of the run itself depends on the direction: it is worked out once.
+    # Neither value nor aux depends on the direction: with `out_axes=None` the run is computed once for all
+    # tangents.
     each = jax.vmap(along, out_axes=(None, 0, None))
     value, slopes, aux = each(jnp.eye(flat.shape[0], dtype=flat.dtype))
     return ((value, aux) if has_aux else value), unravel(slopes)

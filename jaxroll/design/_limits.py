@@ -1,4 +1,12 @@
-"""What a fingertip must keep to: size, length, radii and smoothness."""
+r"""What a fingertip must keep to: size, length, radii and smoothness.
+
+A contour is evaluated once, on its contact interval (the pad) and from end to end (`sampled`). Both the
+limits and the goals look at these samples alone. A limit is written as an excess $g \le 0$ at every sample,
+relative to its bound, as `_minimise` takes it: without dimension, so that one weight suits all limits.
+
+`margins` has the margin of (41), bounded where the contour is flat or hollow, and `soft_least` its smooth
+minimum, for the goal `Margin`.
+"""
 
 import equinox as eqx
 import jax
@@ -12,11 +20,19 @@ from .._results import as_floats, check_positive, traced
 from .._types import Given, Scalar
 from ..geometry import AbstractContour, Frenet2
 
+# Samples on the contact interval, and from end to end of the contour.
 _PAD, _WHOLE = 65, 257
 
 
 class ContourSamples(eqx.Module):
-    """Frames on the contact interval and all along the contour, and the arclength between the latter."""
+    """A contour at its samples.
+
+    Attributes:
+        pad: Frames on the contact interval.
+        whole: Frames from end to end of the contour, or once round it.
+        step: Arclength between two neighbours of the latter [m].
+        length: Arclength of the contour [m].
+    """
 
     pad: Frenet2
     whole: Frenet2
@@ -88,16 +104,20 @@ class Limits(eqx.Module):
         self.steepness = taken(self, "steepness", steepness)
 
     def excess(self, seen: ContourSamples) -> dict[str, Array]:
-        """By how much each bound is passed, relative to it: not positive where it is kept."""
+        """By how much each bound is passed at each sample, relative to it: not positive where it is kept."""
         found, point, bends = {}, seen.whole.point, seen.whole.curvature
         if self.size is not None:
             found["size"] = jnp.sqrt(point.dot(point)) / self.size - 1.0
         if self.length is not None:
             found["length"] = jnp.atleast_1d(seen.length / self.length - 1.0)
+        # An absolute value is bounded as two limits, each of them smooth.
         if self.radius is not None:
             found["radius"] = jnp.concatenate([bends, -bends]) * self.radius - 1.0
+        # The support function -n . gamma, with the chapter's inward normal n: `right` is the outward one.
         if self.ahead is not None:
             found["ahead"] = 1.0 - seen.pad.tangent.right().dot(seen.pad.point) / self.ahead
+        # Bounded as a curvature, 1 / kappa <= flat would be kept by every negative kappa. Without a bound the
+        # interval is kept convex, kappa >= 0, with the contour's length to take the dimension away.
         if self.flat is None:
             found["convex"] = -seen.pad.curvature * seen.length
         else:
@@ -108,7 +128,7 @@ class Limits(eqx.Module):
         return found
 
     def all(self, seen: ContourSamples) -> Array:
-        """All of `excess` in one vector."""
+        """All of `excess` in one vector; without limits one entry that is kept, as none may be empty."""
         parts = list(self.excess(seen).values())
         return jnp.concatenate(parts) if parts else jnp.full(1, -1.0)
 
@@ -116,11 +136,13 @@ class Limits(eqx.Module):
 def margins(frames: Frenet2, scale: Scalar) -> Array:
     r"""Margin of (41), $1/\kappa + n \cdot \gamma$ [m], continued through $\kappa = 0$ by a bounded function.
 
-    Below $\kappa_0$ = `1 / (50 scale)` the radius is $(2 - 1/(2 - \kappa/\kappa_0))/\kappa_0$, which is below
-    $2/\kappa_0$ however hollow the contour.
+    Below $\kappa_0$ = `1 / (50 scale)` the radius is $(2 - 1/(2 - \kappa/\kappa_0))/\kappa_0$, which meets
+    $1/\kappa$ with its slope at $\kappa_0$ and is below $2/\kappa_0$ however hollow the contour.
     """
     least = 1.0 / (50.0 * scale)
     bend = frames.curvature
+    # Both functions are evaluated everywhere and selected from: neither may divide by zero where it is not
+    # chosen, or the gradient is NaN.
     hollow = (2.0 - 1.0 / (2.0 - jnp.minimum(bend / least, 1.0))) / least
     radius = jnp.where(bend > least, 1.0 / jnp.maximum(bend, least), hollow)
     return radius - frames.tangent.right().dot(frames.point)
@@ -133,7 +155,7 @@ def soft_least(values: Array, sharpness: float) -> Array:
 
 
 def check_interval(contour: AbstractContour, interval: Given) -> Array:
-    """The contact interval as an array, inside the contour."""
+    """The contact interval [m] as an array; raises unless it rises and lies on the contour."""
     ends = as_floats("interval", interval, (2,))
     if traced(ends):
         raise ValueError("argument interval must be known before tracing, but was traced")

@@ -2,7 +2,12 @@
 
 All look at the saved states that the run reached; save some tens of states over the time of interest. A run
 that ended early has come to rest nowhere: what is measured against its last value is not a number then.
-Designs need a finite cost of such runs, and use the measures in `PARTIAL`, of the part that was reached.
+`ClosedLoop` needs a finite cost of such runs, and uses the measures in `PARTIAL`, of the part that was
+reached.
+
+Arrays keep their length when a run ends early, and hold NaN from there on. A NaN in a branch that `jnp.where`
+does not choose still makes the gradient NaN, so that it is replaced first (`_reached`, `_forces`) and masked
+later.
 """
 
 from typing import Any
@@ -51,9 +56,12 @@ def settling_time(run: Trajectory, *, band: float = 0.02, signal: Signal | None 
 
 
 def _settling(run: Trajectory, signal: Signal | None = None, band: float = 0.02) -> Scalar:
+    """`settling_time` of the part of a run that was reached."""
     seen, left, whole = _approach(run, signal)
     limit = check_positive("band", as_floats("band", band, ())) * whole
     outside = seen & (left > limit)
+    # The last state outside of the band, and the one after it, inside: between them the distance is taken as
+    # a straight line, so that the time has a derivative although the indices have none.
     last = jnp.max(jnp.where(outside, jnp.arange(left.shape[0]), 0))
     after = jnp.minimum(last + 1, jnp.sum(seen) - 1)
     drop = left[last] - left[after]
@@ -83,7 +91,9 @@ def overshoot(run: Trajectory, *, signal: Signal | None = None) -> Scalar:
 
 
 def _overshoot(run: Trajectory, signal: Signal | None = None) -> Scalar:
+    """`overshoot` of the part of a run that was reached."""
     seen, y = _reached(run, signal)
+    # The way back from the last value to the first one: what lies against it has gone past the last value.
     way = y[:1] - _last(seen, y)
     size = jnp.sum(way * way)
     past = -jnp.sum((y - _last(seen, y)) * way, axis=-1) / jnp.where(size > 0.0, size, 1.0)
@@ -110,6 +120,7 @@ def tracking_error(run: Trajectory, *, signal: Signal | None = None) -> Scalar:
 
 
 def _tracking(run: Trajectory, signal: Signal | None = None) -> Scalar:
+    """`tracking_error` of the part of a run that was reached: the integral by the trapezoidal rule."""
     seen, left, whole = _approach(run, signal)
     pairs = 0.5 * (left[1:] + left[:-1]) * jnp.diff(run.ts)
     return jnp.sum(jnp.where(seen[1:], pairs, 0.0)) / jnp.where(whole > 0.0, whole, 1.0)
@@ -143,6 +154,7 @@ def friction_demand(run: Trajectory) -> Scalar:
     aside = forces.lam
     if aside.ndim > forces.f.ndim:  # in space
         squared = jnp.sum(aside * aside, axis=-1)
+        # The root has no derivative at zero: it is taken of one there, and the result set to zero.
         aside = jnp.sqrt(jnp.where(squared > 0.0, squared, 1.0)) * (squared > 0.0)
     pressing = seen & (forces.f > 0.0)
     return jnp.max(jnp.where(pressing, jnp.abs(aside) / jnp.where(pressing, forces.f, 1.0), 0.0))
@@ -154,7 +166,7 @@ def _of_whole(run: Trajectory, measure: Scalar) -> Scalar:
 
 
 def _forces(run: Trajectory) -> tuple[Multipliers, Array]:
-    """Contact forces, made finite, and where they are known."""
+    """Contact forces, zero where they are not known, and where they are known."""
     _check_run(run)
     if run.multipliers is None:
         raise ValueError("argument run must have recorded its multipliers, but has none")
@@ -190,7 +202,7 @@ def _check_run(run: Any) -> None:
 
 
 def _reached(run: Trajectory, signal: Signal | None) -> tuple[Array, Array]:
-    """Which saved states were reached, and the signal, zero elsewhere."""
+    """Which saved states were reached, shape (t,), and the signal, shape (t, k), zero where they were not."""
     _check_run(run)
     y = run.states.s if signal is None else as_array("signal", signal)
     if y.ndim not in (1, 2) or y.shape[0] != run.states.q.shape[0] or not y.size:
@@ -205,11 +217,12 @@ def _reached(run: Trajectory, signal: Signal | None) -> tuple[Array, Array]:
 
 
 def _last(seen: Array, y: Array) -> Array:
+    """The signal at the last state that was reached, shape (1, k)."""
     return y[jnp.maximum(jnp.sum(seen) - 1, 0)][None]
 
 
 def _approach(run: Trajectory, signal: Signal | None) -> tuple[Array, Array, Array]:
-    """Which states were reached, distance of the signal from its last value, and that at the start."""
+    """Which states were reached, the signal's distance from its last value, and that of the first one."""
     seen, y = _reached(run, signal)
     squared = jnp.sum((y - _last(seen, y)) ** 2, axis=-1)
     apart = seen & (squared > 0.0)
@@ -224,7 +237,7 @@ MEASURES = {
     "peak_force": (peak_force, "peak force [N]"),
     "friction_demand": (friction_demand, "friction demand"),
 }
-# What they are of the part of a run that was reached, finite however it ended: what a search can go by.
+# The same measures of the part of a run that was reached: finite however it ended, as a search needs.
 PARTIAL = {
     "settling_time": _settling,
     "overshoot": _overshoot,
@@ -232,7 +245,7 @@ PARTIAL = {
     "peak_force": peak_force,
     "friction_demand": friction_demand,
 }
-# Those against the last value, which a run that ended early has not.
+# Those measured against the last value, at rest, which a run that ended early has not reached.
 SETTLED = frozenset(("settling_time", "overshoot", "tracking_error"))
 # Those that need the contact forces.
 FORCED = frozenset(("peak_force", "friction_demand"))

@@ -1,4 +1,13 @@
-"""Minimisation within limits: an augmented Lagrangian, many starts at once, one compiled program.
+r"""Minimisation within limits: an augmented Lagrangian, many starts at once, one compiled program.
+
+To minimise $f(x)$ with $g_i(x) \le 0$, the augmented Lagrangian
+
+$$ f + \frac{1}{2\mu} \sum_i \left(\max(0, \lambda_i + \mu g_i)^2 - \lambda_i^2\right) $$
+
+is descended for a chunk of steps (`_chunk`, with a method of `_descent`); then multipliers $\lambda$ and
+weight $\mu$ are updated (`_judged`). A chunk is one call of a compiled program, which takes all starts;
+between chunks Python prints progress, writes the checkpoint, and ends the loop when every start has settled.
+`optimise_fingertip` poses the problem.
 
 Progress is printed here, not drawn by tqdm as a sweep's is, because it tells how the objective and the
 violation fall, and a search that settles ends before its last step.
@@ -21,20 +30,23 @@ from ._descent import AbstractDescent, descent, Walk
 from ._gradient import Mode, value_and_grad
 
 STEPS_PER_CHUNK = 10
-# Violations below this count as kept, relative to the bound.
+# A limit counts as kept if it is passed by less than this, relative to its bound.
 KEPT = 1e-7
-# A start is done when its value changes by less in a chunk, within its limits.
+# The objective counts as unchanged if it changes by less than this in a chunk, relative to one plus its size.
 _SETTLED = 1e-9
+# Weight mu of the first chunk, and the largest one.
 _FIRST_WEIGHT, _LAST_WEIGHT = 10.0, 1e5
+# Sharpness of the first chunk; it doubles with every chunk, up to one.
 _DULL = 0.05
-# Multipliers do by themselves where a chunk brings the worst excess to this share of what it was.
+# The weight stays as it is while a chunk reduces the largest excess to this share of what it was: the
+# multipliers alone bring the search into its limits then.
 _BETTER = 0.5
 
 DesignProgress = bool | Callable[[int, float, float], None]
 
 
-# `problem(x, data, sharpness)`: objective over a vector, and excess, every entry of which is to be <= 0.
-# Sharpness rises to one: a least value that is smoothed starts out smoother.
+# `problem(x, data, sharpness)` returns the objective f, and the excess g: limits ask every entry to be <= 0.
+# Sharpness rises to one during the search: objectives that smooth a largest value start out smoother.
 DesignProblem = Callable[[Array, Any, Array], tuple[Array, Array]]
 
 
@@ -42,9 +54,9 @@ class Search(eqx.Module):
     r"""State of one start.
 
     Attributes:
-        walk: Where it is, and where it looks next.
-        value: Objective at the last point taken.
-        excess: What the limits ask there.
+        walk: The last point that was taken, and the next one to evaluate.
+        value: Objective f at the last point taken.
+        excess: g there, positive where a limit is passed.
         multipliers: Of the limits, $\lambda \ge 0$.
         weight: $\mu$ of the augmented Lagrangian.
         sharpness: Of the objective.
@@ -130,11 +142,13 @@ def minimise(
 
 
 def _printed(step: int, value: float, violation: float) -> None:
+    """The report of `progress=True`: the best objective, and the least violation, of all starts."""
     print(f"step {step}: objective {value:.6g}, limits passed by {violation:.1e}")
 
 
 def _begin(problem: DesignProblem, method: AbstractDescent, start: Array, data: Any) -> Search:
-    """Before anything is evaluated."""
+    """The state of every start before anything is evaluated."""
+    # How many limits there are is known from shapes alone, without running the problem.
     one = jax.tree.map(lambda a: a[0], (start, data))
     _, excess = jax.eval_shape(problem, *one, jnp.ones((), start.dtype))
 
@@ -157,6 +171,7 @@ def _advance(
     mode: Mode,
     in_turn: bool,
 ) -> tuple[Search, Array]:
+    """One chunk of all starts, and the objective after each of its steps, shape (starts, steps)."""
     one = lambda search, data: _chunk(problem, method, mode, search, data)  # noqa: E731
     if in_turn:
         return jax.lax.map(lambda pair: one(*pair), (search, data))
@@ -166,6 +181,7 @@ def _advance(
 def _chunk(
     problem: DesignProblem, method: AbstractDescent, mode: Mode, search: Search, data: Any
 ) -> tuple[Search, Array]:
+    """One chunk of one start: ten steps of the method on a fixed augmented Lagrangian, then its update."""
     multipliers, weight, sharpness = search.multipliers, search.weight, search.sharpness
 
     def lagrangian(x: Array) -> tuple[Array, Any]:
@@ -174,6 +190,7 @@ def _chunk(
         return value + jnp.sum(pushed**2 - multipliers**2) / (2.0 * weight), (value, excess)
 
     def step(now: Search, _: None) -> tuple[Search, Array]:
+        # One evaluation: every point that is looked at may be the best one, taken or not.
         (cost, seen), slope = value_and_grad(lagrangian, mode, has_aux=True)(now.walk.trial)
         now = _kept(now, *seen)
         walk, taken = method.ahead(now.walk, cost, slope, lambda x: lagrangian(x)[0])
@@ -181,6 +198,7 @@ def _chunk(
         now = eqx.tree_at(lambda s: (s.walk, s.value, s.excess), now, (walk, value, excess))
         return now, value
 
+    # Multipliers, weight or sharpness have changed since the last chunk: the last point is evaluated again.
     search = eqx.tree_at(lambda s: s.walk, search, method.again(search.walk))
     search, values = jax.lax.scan(step, search, None, length=STEPS_PER_CHUNK)
     return _judged(method, search), values
@@ -190,13 +208,15 @@ def _judged(method: AbstractDescent, search: Search) -> Search:
     """After a chunk: new multipliers and weight, and whether the start has settled."""
     excess, value, weight = search.excess, search.value, search.weight
     worst = jnp.maximum(jnp.max(excess), 0.0)
+    # First-order update: the new multipliers are the slopes of the penalty, so the point stays stationary.
     multipliers = jnp.maximum(0.0, search.multipliers + weight * excess)
     multipliers = jnp.where(jnp.isfinite(multipliers), multipliers, 0.0)
     heavier = (worst > KEPT) & (worst > _BETTER * search.passed)
     weight = jnp.where(heavier, jnp.minimum(3.0 * weight, _LAST_WEIGHT), weight)
     still = jnp.abs(value - search.last) <= _SETTLED * (1.0 + jnp.abs(value))
     calm = jnp.where(still, search.calm + 1, 0)
-    # The multipliers have moved on: a method that stands still may be held by what it remembers.
+    # A method that stands still, though the multipliers have changed, may be held back by what it remembers
+    # of the function before: its memory is emptied.
     fresh, memory = method.fresh(search.walk.x), search.walk.memory
     memory = jax.tree.map(lambda a, b: jnp.where(still, a, b), fresh, memory)
     settled = (search.violation <= KEPT) & (worst <= KEPT) & (calm >= 2) & (search.sharpness == 1.0)
@@ -207,7 +227,11 @@ def _judged(method: AbstractDescent, search: Search) -> Search:
 
 
 def _kept(search: Search, value: Array, excess: Array) -> Search:
-    """Take the point just seen as the best where it is better: within limits first, then by value."""
+    """The search with the point just evaluated as its best one, where it is better.
+
+    A point within the limits is better than one outside; of two within, that with the lower objective; of two
+    outside, that with the smaller violation.
+    """
     violation = jnp.maximum(jnp.max(excess), 0.0)
     inside, was = violation <= KEPT, search.violation <= KEPT
     better = jnp.where(inside & was, value < search.lowest, violation < search.violation)
@@ -219,12 +243,13 @@ def _kept(search: Search, value: Array, excess: Array) -> Search:
 
 
 def _saved(path: Path, search: Search, steps: int, history: list[np.ndarray]) -> None:
+    """Write the checkpoint: steps taken, history, state of every start."""
     part = path.with_suffix(path.suffix + ".part")
     with part.open("wb") as file:
         np.save(file, np.array(steps))
         np.save(file, np.concatenate(history, axis=1))
         eqx.tree_serialise_leaves(file, search)
-    part.replace(path)  # a run cut off here leaves the last whole one
+    part.replace(path)  # in one step: a search that is cut off while writing leaves the previous file whole
 
 
 def check_checkpoint(path: Any) -> None:
@@ -236,6 +261,7 @@ def check_checkpoint(path: Any) -> None:
 
 
 def _restored(path: Path, like: Search) -> tuple[Search, int, list[np.ndarray]]:
+    """Read a checkpoint whose arrays have the shapes of those in `like`."""
     try:
         with path.open("rb") as file:
             steps, history = int(np.load(file)), np.load(file)

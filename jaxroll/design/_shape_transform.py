@@ -1,4 +1,10 @@
-r"""From a vector of unknowns to a contour, and back: what a search for a fingertip descends in."""
+r"""From a vector of unknowns to a contour, and back: the coordinates in which a search descends.
+
+A contour's class says which of its numbers are free and how they are scaled (`free_numbers`,
+`preconditioner`, `symmetrised`, `perturbed` of `geometry.AbstractContour`); `ShapeTransform` makes one vector
+of them. The functions below it check a caller's contour, and stack several contours for a batch of starts.
+`optimise_fingertip` uses all.
+"""
 
 from collections.abc import Sequence
 from typing import Any
@@ -15,7 +21,7 @@ from .._types import Given
 from ..geometry import AbstractContour, ArclengthTable, check_contour, Table, tabled
 from ..geometry.contours import divided
 
-# Unit of the free numbers, as a share of the contour's size: a first step is no longer than one.
+# l / size, the unit of the free numbers: the first step of a search is at most one unit long in x.
 _UNIT = 0.05
 
 
@@ -114,6 +120,7 @@ class ShapeTransform(eqx.Module):
 
 
 def _kind(contour: AbstractContour) -> str:
+    """The name of a contour's class, for messages."""
     return type(contour).__name__
 
 
@@ -121,7 +128,7 @@ def check_tip(tip: AbstractContour) -> AbstractContour:
     """Raise unless a contour can be designed: it is known, has a size, no table yet, and free numbers."""
     if traced(tip):
         raise ValueError(f"argument tip must be known before tracing, but was a traced {_kind(tip)}")
-    # A table that is built would stay while the free numbers move.
+    # A prepared contour holds a table of its frame, which would not follow the free numbers.
     table = lambda node: isinstance(node, Table | ArclengthTable)  # noqa: E731
     if any(map(table, jax.tree.leaves(tip, is_leaf=table))):
         raise ValueError(
@@ -130,6 +137,8 @@ def check_tip(tip: AbstractContour) -> AbstractContour:
     if tip.domain() is None:
         raise ValueError(f"argument tip must have ends or be closed, but was an endless {_kind(tip)}")
     check_contour("tip", tip)
+    # Free numbers are found in the contour by identity (`divided`): arrays computed from its own would be
+    # lost.
     own = {id(leaf) for leaf in jax.tree.leaves(tip) if eqx.is_inexact_array(leaf)}
     free = tip.free_numbers()
     if not free or not all(id(leaf) in own for leaf in free):
@@ -151,7 +160,7 @@ def _check_image(tip: AbstractContour) -> None:
 
 
 def _matrix(tip: AbstractContour, size: float) -> Array:
-    """The preconditioner that a contour's class gives, checked."""
+    """$W$: the preconditioner that a contour's class gives, checked to be invertible."""
     matrix = np.asarray(tip.preconditioner(size))
     count = sum(leaf.size for leaf in jax.tree.leaves(divided(tip)[0]))
     fits = matrix.shape == (count, count) and bool(np.all(np.isfinite(matrix)))
@@ -164,7 +173,10 @@ def _matrix(tip: AbstractContour, size: float) -> Array:
 
 
 def as_batch(contours: Sequence[AbstractContour]) -> tuple[Any, Any]:
-    """Contours of one kind with a leading axis on every array, and what they share besides."""
+    """Contours of one kind as a batch: their arrays with a leading axis, and all else, which they share.
+
+    `equinox.combine` makes contours of both again.
+    """
     parts = [eqx.partition(contour, eqx.is_inexact_array) for contour in contours]
     first = jax.tree.structure(parts[0])
     if any(jax.tree.structure(part) != first for part in parts):
@@ -179,7 +191,10 @@ def as_batch(contours: Sequence[AbstractContour]) -> tuple[Any, Any]:
 
 @eqx.filter_jit
 def body_radii(arrays: Any, rest: Any) -> tuple[Array, Array]:
-    """Of every contour of a batch, root mean square and largest distance from its body's origin [m]."""
+    """Root mean square and largest distance of the points of every contour of a batch from its origin [m].
+
+    `arrays` and `rest` are what `as_batch` returns; the points are 257, evenly spaced by arclength.
+    """
 
     def one(arrays: Any) -> tuple[Array, Array]:
         ready = tabled(eqx.combine(arrays, rest)).prepared()
@@ -194,7 +209,7 @@ def body_radii(arrays: Any, rest: Any) -> tuple[Array, Array]:
 
 
 def varied(contours: Sequence[AbstractContour], count: int, seed: int) -> list[AbstractContour]:
-    """The contours given, and perturbed ones until there are `count`."""
+    """The contours given, followed by perturbations of them in turn, until there are `count`."""
     rng = np.random.default_rng(seed)
     more = [contours[i % len(contours)].perturbed(rng) for i in range(count - len(contours))]
     return [*contours, *more]

@@ -1,4 +1,17 @@
-"""Equilibria: configurations where joint torques, gravity and contact forces balance."""
+r"""Equilibria: configurations where joint torques, gravity and contact forces balance.
+
+The unknowns $z$ are configuration, contact coordinates and contact forces, scaled to be comparable
+(`_Scale`). The equations are the balance of forces $F(q) + A^T \mu = 0$ and the constraint rows (gap and
+tangency, of `_closing`). `_newton` solves them with the pseudo-inverse of their Jacobian, since neutral
+directions, such as redundant joints, make it singular: the equilibria are then a family.
+
+Of a family the member nearest to the given state is returned, with $W$ the weights of `_weights`,
+
+$$ \text{minimise } \tfrac12 (z - z_0)^T W (z - z_0) \quad \text{subject to } R(z) = 0, $$
+
+and the conditions of this minimum (`_nearest`) are what the implicit function theorem differentiates. They
+determine $z$ even where $R(z) = 0$ does not. `_verdict` linearises the closed loop at what is found here.
+"""
 
 from collections.abc import Callable
 from typing import Any, ClassVar
@@ -19,7 +32,8 @@ from .._xla import filled
 from ..contact import gap
 
 _STEPS = 100
-# Singular values below this, relative to the largest, are neutral directions: along them nothing moves.
+# Singular values below this, relative to the largest, count as zero: their directions are neutral, the
+# residual does not change along them.
 _RANK = 1e-9
 # Longest step of one iteration, in radians or mean link lengths.
 _LONGEST = 0.1
@@ -66,8 +80,8 @@ def equilibrium(grasp: Grasp, state: State, *, t: Given = 0.0) -> Equilibrium:
     Raises:
         ValueError: If the grasp lives in space, the state is not one of it, or `t` is not a finite number.
 
-    Accuracy: residuals at rounding level. Derivatives, in both modes, are those of the implicit function
-    theorem, along a family too.
+    Accuracy: residuals at rounding level. Derivatives with respect to `grasp` and `state`, in both modes, are
+    those of the implicit function theorem, along a family too; `t` counts as constant.
 
     Example:
         >>> import jaxroll as jxr
@@ -81,6 +95,7 @@ def equilibrium(grasp: Grasp, state: State, *, t: Given = 0.0) -> Equilibrium:
 
 @compiled
 def _equilibrium(grasp: Grasp, state: State, t: Array) -> Equilibrium:
+    """The equilibrium, compiled as one program; the array of unknowns is taken apart again."""
     check_planar(grasp)
     ready = grasp.prepared()
     found, left = rest_state(ready, state, t)
@@ -94,7 +109,11 @@ def _equilibrium(grasp: Grasp, state: State, t: Array) -> Equilibrium:
 
 @eqx.filter_custom_jvp
 def rest_state(grasp: Grasp, state: State, t: Given) -> tuple[Array, Array]:
-    """Configuration, contact coordinates and forces at rest, in one array, and what is left over."""
+    """The unknowns at rest, in SI units, and the scaled residual of the equations.
+
+    The unknowns are configuration, contact coordinates and contact forces (world axes), in one array. A
+    custom derivative replaces that of Newton's iterations.
+    """
     start, scale = _start(grasp, state, t)
     moving = grasp.coordinates + len(grasp.contacts)
     z = _newton(lambda z: _balance(grasp, z, scale, t), start, moving, _weights(grasp, scale))
@@ -103,13 +122,18 @@ def rest_state(grasp: Grasp, state: State, t: Given) -> tuple[Array, Array]:
 
 @rest_state.def_jvp
 def _locate_jvp(primals: Any, tangents: Any) -> Any:
-    """Implicit function theorem on the conditions of the equilibrium nearest to the state."""
+    """The implicit function theorem for the conditions of the equilibrium nearest to the state.
+
+    The unknowns of these conditions are z and the multipliers p of R(z) = 0. The scales count as constant, as
+    they only choose units, and so does the time t.
+    """
     grasp, state, t = primals
     found, left = rest_state(grasp, state, t)
     _, scale = _start(grasp, state, t)
     z, weights = found / scale.unknowns, _weights(grasp, scale)
     jacobian = jax.jacfwd(lambda z: _balance(grasp, z, scale, t))(z)
     away = weights * (z - _at(state, z) / scale.unknowns)
+    # From W (z - z0) + J^T p = 0: p = -(J^T)^+ W (z - z0). On a family J is singular, hence pinv.
     pair = jnp.concatenate([z, -jnp.linalg.pinv(jacobian, rtol=_RANK).T @ away])
     matrix = jax.jacfwd(lambda pair: _nearest(grasp, state, pair, scale, t))(pair)
     inverse = jnp.linalg.pinv(matrix, rtol=_RANK)
@@ -126,17 +150,25 @@ def _locate_jvp(primals: Any, tangents: Any) -> Any:
 
 
 class _Scale(eqx.Module):
-    """Sizes that make unknowns and equations comparable."""
+    """Sizes that make unknowns and equations comparable: what is solved for is without dimension.
+
+    Attributes:
+        unknowns: 1 for angles, mean link length for lengths [m], the largest force at the start for forces
+            [N].
+        equations: That force for balances of forces, times a length for those of torques; a length for gaps;
+            1 for tangencies.
+    """
 
     unknowns: Array
     equations: Array
 
 
 def _start(grasp: Grasp, state: State, t: Given) -> tuple[Array, _Scale]:
-    """The first guess, without contact forces, and the sizes of everything."""
+    """The first guess of the scaled unknowns, with contact forces zero, and the scales."""
     contacts = len(grasp.contacts)
     drive = _drive(grasp, state.q, state.s, t)
     one, (length, coordinates) = jnp.ones((), state.q.dtype), _sizes(grasp)
+    # Torques over a length, and forces, of controller and gravity; not zero where neither acts.
     force = jnp.maximum(jnp.max(jnp.abs(drive * coordinates)) / length, 1e-6)
     ones = jnp.ones(contacts, state.q.dtype)
     unknowns = jnp.concatenate([coordinates, ones * length, jnp.tile(ones, 2) * force])
@@ -147,8 +179,9 @@ def _start(grasp: Grasp, state: State, t: Given) -> tuple[Array, _Scale]:
 
 
 def _sizes(grasp: Grasp) -> tuple[Scalar, Array]:
-    """Mean size of the fingers, and what makes each coordinate comparable with an angle."""
+    """Mean size of the fingers [m], and the unit of each coordinate: 1 for angles, that size for lengths."""
     length = sum(finger.size for finger in grasp.fingers) / len(grasp.fingers)
+    # An object with one freedom turns about its pivot; a free one has x, y and an angle.
     angles = [True] if grasp.object.freedoms == 1 else [False, False, True]
     for finger in grasp.fingers:
         angles += [finger.turns] * finger.joints
@@ -157,12 +190,17 @@ def _sizes(grasp: Grasp) -> tuple[Scalar, Array]:
 
 
 def _drive(grasp: Grasp, q: Array, s: Array, t: Given) -> Array:
-    """Torques and gravity at rest."""
+    """$F(q)$: generalised forces of controller and gravity at zero velocity."""
     return generalised_force(grasp, jnp.asarray(t, q.dtype), State(q, jnp.zeros_like(q), s))
 
 
 def contact_force(grasp: Grasp, q: Array, s: Array, push: Array) -> Array:
-    r"""$A^T \mu$: generalised force of the contacts at frozen contact coordinates."""
+    r"""$A^T \mu$: generalised force of the contacts at frozen contact coordinates.
+
+    `push` holds the forces on the fingertips in world axes, $\mu$ by gaps. As the gap runs from the object's
+    contact point to the fingertip's, its rows of $A$ are $\partial g / \partial q$, and $A^T \mu$ is the
+    gradient of $\mu \cdot g$, which costs one pass backwards instead of all of $A$.
+    """
     pushes = push.reshape(-1, 2)
 
     def done(q: Array) -> Scalar:
@@ -177,7 +215,7 @@ def contact_force(grasp: Grasp, q: Array, s: Array, push: Array) -> Array:
 
 
 def _balance(grasp: Grasp, z: Array, scale: _Scale, t: Given) -> Array:
-    """Balance of forces and constraint rows, scaled."""
+    """$R(z)$: balance of forces and constraint rows, scaled; `z` is scaled too."""
     n, contacts = grasp.coordinates, len(grasp.contacts)
     z = z * scale.unknowns
     q, s, push = z[:n], z[n : n + contacts], z[n + contacts :]
@@ -186,7 +224,10 @@ def _balance(grasp: Grasp, z: Array, scale: _Scale, t: Given) -> Array:
 
 
 def _nearest(grasp: Grasp, state: State, pair: Array, scale: _Scale, t: Given) -> Array:
-    """Conditions of the equilibrium nearest to a state; `pair` holds it and their multipliers."""
+    """Conditions of the equilibrium nearest to a state: $J^T p + W (z - z_0) = 0$ and $R(z) = 0$.
+
+    `pair` holds z, then the multipliers p.
+    """
     z, pressure = jnp.split(pair, 2)
     left, pull = jax.vjp(lambda z: _balance(grasp, z, scale, t), z)
     away = _weights(grasp, scale) * (z - _at(state, z) / scale.unknowns)
@@ -194,33 +235,50 @@ def _nearest(grasp: Grasp, state: State, pair: Array, scale: _Scale, t: Given) -
 
 
 def _at(state: State, z: Array) -> Array:
-    """The state's coordinates among the unknowns."""
+    """$z_0$ in SI units: the state's configuration, padded with zeros, whose weight is zero."""
     return jnp.concatenate([state.q, jnp.zeros(z.shape[0] - state.q.shape[0], z.dtype)])
 
 
 def _weights(grasp: Grasp, scale: _Scale) -> Array:
-    """Squared distance of a configuration: angles in radians, lengths in mean link lengths."""
+    """Diagonal of W: the squared distance of configurations, angles in radians, lengths in mean link lengths.
+
+    Contact coordinates and forces have no weight: they follow from the configuration.
+    """
     n = grasp.coordinates
     squared = (scale.unknowns[:n] / _sizes(grasp)[1]) ** 2
     return jnp.zeros_like(scale.unknowns).at[:n].set(squared)
 
 
 def _newton(equations: Callable[[Array], Array], start: Array, moving: int, weights: Array) -> Array:
-    """Newton's method with bounded steps, then along a family to its member nearest to the start."""
+    """Newton's method with bounded steps; on a family also along it, to the member nearest to the start.
+
+    Args:
+        equations: The residual R of the scaled unknowns.
+        start: The scaled unknowns to start from.
+        moving: How many of them, the first ones, are no contact forces: their steps are bounded.
+        weights: Diagonal of W.
+    """
     size = start.shape[0]
     basis, place = jnp.eye(size, dtype=start.dtype), jnp.arange(size)
 
+    # The loop carries z, the number of neutral directions (-1 while unknown), the largest entry of the last
+    # step before it was shortened, and the number of passes.
     def improve(carry: tuple[Any, ...]) -> tuple[Any, ...]:
         z, nullity, moved, i = carry
         left, push = jax.linearize(equations, z)
-        # The first iteration sets the contact forces alone: without them the curvature would be wrong.
+        # The first pass solves for the contact forces alone, by least squares: the Jacobian contains the
+        # change of A^T mu with the configuration, which would be that of zero forces.
         known = (i > 0) | (place[None, :] >= moving)
         u, sigma, vt = jnp.linalg.svd(jnp.where(known, jax.vmap(push, out_axes=1)(basis), 0.0))
         firm = sigma > _RANK * sigma[0]
-        # Away from a family its directions are not quite neutral: their number is read off on it.
+        # Away from a family its directions are not exactly neutral: their number is counted once Newton's
+        # method has converged, and kept from then on. The last `nullity` singular values then count as zero.
         nullity = jnp.where((nullity < 0) & (moved < 1e-9), jnp.sum(~firm), nullity)
         firm = jnp.where(nullity < 0, firm, place < size - nullity)
         step = vt.T @ (jnp.where(firm, u.T @ left / jnp.where(firm, sigma, 1.0), 0.0))
+        # Along the family: with its directions as the rows of V, the step that minimises the weighted
+        # distance is V^T (V W V^T)^-1 V W (z - z0). The other rows are zero, with ones on the diagonal of the
+        # matrix: shapes must not depend on the number of neutral directions.
         loose = jnp.where(firm[:, None], 0.0, vt)
         metric = loose @ (weights[:, None] * loose.T) + jnp.diag(jnp.where(firm, 1.0, 0.0))
         back = loose.T @ jnp.linalg.solve(metric, loose @ (weights * (z - start)))
@@ -228,6 +286,7 @@ def _newton(equations: Callable[[Array], Array], start: Array, moving: int, weig
         share = jnp.minimum(1.0, _LONGEST / jnp.max(jnp.abs(step[:moving]) + 1e-300))
         return z - step * share, nullity, jnp.max(jnp.abs(step)), i + 1
 
+    # Until Newton's method has converged, and the number of neutral directions is known.
     def more(carry: tuple[Any, ...]) -> Scalar:
         _, nullity, moved, i = carry
         return ((moved > 1e-13) | (nullity < 0)) & (i < _STEPS)
@@ -237,6 +296,6 @@ def _newton(equations: Callable[[Array], Array], start: Array, moving: int, weig
 
 
 def _multipliers(grasp: Grasp, q: Array, s: Array, push: Array) -> Multipliers:
-    """Contact forces in the chapter's sign and frame."""
+    r"""Contact forces as the chapter has them, $f$ along the normal and $\lambda$ along the tangent [N]."""
     frames, touching = world_poses(grasp, split(q, grasp.sizes)), touches(grasp, unstack(s))
     return split_forces(grasp, frames, touching, unstack(push))

@@ -1,4 +1,16 @@
-"""Statics of a two-finger pinch: the chapter's (25)-(41), for any contours."""
+r"""Statics of a two-finger pinch: the chapter's (25)-(41), for any contours.
+
+Under control (16) the fingers pull their centres $O_1, O_2$ together, with the potential
+$U = \frac\beta2 \|O_1 - O_2\|^2$ (27). Tangency fixes how a fingertip stands on the object, so that both
+centres are known in the object's frame from the places $s_1, s_2$ of contact alone, and with them
+$U(s_1, s_2)$: no pose is needed, no mass, and none of the rest of the finger.
+
+The derivatives of U are computed twice. `pinch_statics` takes them by autodiff, right everywhere. `_rolled`
+has them in closed form from the Frenet frames, without derivatives of the curvature: its Hessian is right
+where the gradient vanishes, costs little, and can be differentiated once more. `pinch_rest` is built on it;
+`design.Firmness` maximises its eigenvalues. `rectangle_hessian` and `margin` are the chapter's special case
+of flat parallel faces.
+"""
 
 from typing import ClassVar
 
@@ -76,7 +88,7 @@ def pinch_statics(grasp: Grasp, s: Given) -> PinchStatics:
 
 
 def _as_places(s: Given) -> Array:
-    """Two arclengths, or many pairs."""
+    """Pairs of arclengths [m], shape (..., 2), checked."""
     places = check_finite("s", as_array("s", s))
     if places.shape[-1:] != (2,):
         raise ValueError(f"argument s must have shape (..., 2), but had shape {places.shape}")
@@ -85,6 +97,7 @@ def _as_places(s: Given) -> Array:
 
 @compiled
 def _pinch_statics(grasp: Grasp, s: Array) -> PinchStatics:
+    """The statics at every pair of places, compiled as one program."""
     check_pinch(grasp)
     ready = grasp.prepared()
 
@@ -100,12 +113,18 @@ def _pinch_statics(grasp: Grasp, s: Array) -> PinchStatics:
 
 
 def _touching(grasp: Grasp, i: int, s: Scalar) -> tuple[Frenet2, Frenet2, Vec2]:
-    """Frames of object and fingertip where finger i touches, and from there to its centre, on the object."""
+    """Frames of object and fingertip where finger i touches, each in its body, and the vector to its centre.
+
+    The vector runs from the contact point to the finger's centre $O_i$, in the object's frame. `s` is the
+    chapter's arclength: the contact's `sense` times that of the object's contour.
+    """
     contact = grasp.contacts[i]
     tip, face = grasp.shapes(contact)
     at = face.frame(contact.sense * s)
+    # Rolling: the arclengths of fingertip and object have a constant sum.
     on_tip = tip.frame(contact.s_tip + contact.s_object - contact.sense * s)
-    # Tangency turns the fingertip so that its tangent opposes the object's.
+    # Tangency turns the fingertip until its tangent and normal are opposite to the object's. So P has
+    # the components along the fingertip's that -P, from contact point to centre, has along the object's.
     along, across = on_tip.point.dot(on_tip.tangent), on_tip.point.cross(on_tip.tangent)
     return at, on_tip, at.tangent * along + at.tangent.right() * across
 
@@ -119,6 +138,7 @@ def _separation(grasp: Grasp, s: Array) -> tuple[Scalar, Scalar]:
 
 
 def _potential(grasp: Grasp, s: Array) -> Scalar:
+    """U of (27) [J]."""
     d, l_ = _separation(grasp, s)
     return 0.5 * grasp.controller.beta * (d * d + l_ * l_)
 
@@ -156,32 +176,39 @@ def pinch_rest(grasp: Grasp, state: State, *, damping: float = 0.0) -> tuple[Flo
 
 @compiled
 def _pinch_rest(grasp: Grasp, state: State, damping: float) -> tuple[Array, PinchStatics]:
+    """Places of rest and the statics there, with the derivative of the implicit function theorem."""
     check_pinch(grasp)
     ready, pairs = grasp.prepared(), zip(grasp.contacts, state.s, strict=True)
+    # The state counts rolled arclength from where the contact started; s is the place on the object, signed.
     start = jnp.stack([c.sense * (c.s_object - sigma) for c, sigma in pairs])
     still = jax.lax.stop_gradient(ready)
     found = _stationary(still, jax.lax.stop_gradient(start))
-    # At a stationary point one more Newton step changes nothing but the derivative.
+    # One more Newton step s - H^-1 g: at a stationary point g = 0, so that it changes nothing but the
+    # derivative, which becomes -H^-1 dg of the implicit function theorem. H and s carry none, g does.
     bend = _rolled(still, found).hessian
     slope = _rolled(ready, found).gradient
     rest = found - (_solved(bend, slope) if damping == 0.0 else _damped(bend, slope, damping))
     statics = _rolled(ready, rest)
+    # beta times the distance of the centres: the force with which the fingers pull [N].
     size = jnp.sqrt(2.0 * still.controller.beta * statics.potential)
     firm = jnp.max(jnp.abs(_rolled(still, found).gradient)) <= _AT_REST * size
     return jax.tree.map(lambda x: jnp.where(firm, x, jnp.nan), (rest, statics))
 
 
-# Slope of U at rest, relative to the pull of the fingers on each other.
+# Gradient of U below which a place counts as one of rest, relative to the force between the centres.
 _AT_REST = 1e-9
+# Most steps of Newton's method.
 _STEPS = 60
 
 
 def _rolled(grasp: Grasp, s: Array) -> PinchStatics:
     r"""U and its derivatives from the frames alone; the Hessian is right where the gradient vanishes.
 
-    Rolling turns fingertip i about its contact point, by $\kappa_A + \kappa_B$ per arclength. In the second
-    derivative of its centre the derivatives of the curvatures are left out: they act across
-    $O_i P_i$, which at rest lies along $O_1 O_2$.
+    Rolling turns fingertip i about its contact point, by $\kappa = \kappa_A + \kappa_B$ per arclength. With
+    the arm $a$ from there to its centre $c$, $\circ^\perp$ a quarter turn to the left and $\sigma = \pm 1$
+    the `sense`, $c' = \sigma \kappa\, a^\perp$ and $c'' = -\kappa (\kappa\, a + t^\perp)$. The term
+    $\sigma \kappa' a^\perp$ is left out of $c''$: it is normal to $O_i P_i$, which at rest lies along
+    $O_1 O_2$, so that it drops out there.
     """
     centres, firsts, seconds, axes, bends = [], [], [], [], []
     for i in (0, 1):
@@ -193,6 +220,8 @@ def _rolled(grasp: Grasp, s: Array) -> PinchStatics:
         seconds.append(-(arm * bend + at.tangent.left()) * bend)
         axes.append(at.tangent * contact.sense)
         bends.append(bend)
+    # U = beta r.r / 2 with r = c_1 - c_2: U_1 = beta r.c_1', U_11 = beta (c_1'.c_1' + r.c_1''),
+    # U_12 = -beta c_1'.c_2', and the same for the second finger with the sign of r changed.
     apart, beta = centres[0] - centres[1], grasp.controller.beta
     gradient = jnp.stack([apart.dot(firsts[0]), -apart.dot(firsts[1])])
     mixed = -firsts[0].dot(firsts[1])
@@ -205,18 +234,27 @@ def _rolled(grasp: Grasp, s: Array) -> PinchStatics:
 
 
 def _solved(matrix: Array, right: Array) -> Array:
+    """Solution of two equations with a symmetric matrix, by Cramer's rule."""
     (a, b), (_, c) = matrix
     return jnp.stack([c * right[0] - b * right[1], a * right[1] - b * right[0]]) / (a * c - b * b)
 
 
 def _damped(matrix: Array, right: Array, share: float) -> Array:
-    """The same with eigenvalues x of the matrix replaced by x + e^2/x, e a share of its size."""
+    """The same with eigenvalues x of the matrix replaced by x + e^2/x, e a share of its size.
+
+    As $1/(x + e^2/x) = x/(x^2 + e^2)$, this is H (H^2 + e^2 1)^-1: bounded where an eigenvalue passes through
+    zero.
+    """
     square = matrix @ matrix
     return matrix @ _solved(square + share**2 * jnp.trace(square) * jnp.eye(2, dtype=matrix.dtype), right)
 
 
 def _stationary(grasp: Grasp, start: Array) -> Array:
-    """Newton's method on the slope of U, no farther in a step than a tenth of the fingers' distance."""
+    """Places [m] at which the gradient of U vanishes, by Newton's method.
+
+    No step is longer than a tenth of the distance of the fingers' centres. Where none is found after `_STEPS`
+    steps, the last places are returned: the caller looks at the gradient.
+    """
 
     def improve(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         s, _, i = carry
@@ -258,6 +296,7 @@ def rectangle_hessian(grasp: Grasp, s: Given) -> Float[Array, "2 2"]:
 
 @compiled
 def _rectangle_hessian(grasp: Grasp, s: Array) -> Array:
+    """The formula of `rectangle_hessian` [N/m]."""
     check_pinch(grasp)
     ready = grasp.prepared()
     _, l_ = _separation(ready, s)

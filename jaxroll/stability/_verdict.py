@@ -1,4 +1,17 @@
-"""What happens near an equilibrium: reduced Hessian, linearised closed loop, verdict."""
+r"""What happens near an equilibrium: reduced Hessian, linearised closed loop, verdict.
+
+`_equilibrium` finds where the grasp rests. There the rolling contacts leave $m = n - 2c$ directions of
+motion, the columns of $N$, orthonormal in the mass metric. With $q = q_0 + N \xi$ and the contact forces held
+the equations of motion become
+
+$$ \ddot\xi + D \dot\xi + H \xi = 0, \qquad H = -N^T \frac{d (F + A^T \mu)}{d\xi}, \quad
+   D = -N^T \frac{\partial F}{\partial v} N. $$
+
+The change of $A^T \mu$ with the configuration at fixed $\mu$ is the curvature of the constraints; together
+they make $H$ the Hessian of the potential (22) on the constraint manifold. The eigenvalues of the first-order
+system decide, and those of $H$ tell neutral directions. `assess` is public; `design.Firmness` maximises what
+it finds.
+"""
 
 from typing import Any, ClassVar
 
@@ -97,6 +110,7 @@ def assess(grasp: Grasp, state: State, *, t: Given = 0.0, tolerance: float = 1e-
 
 @compiled
 def _assess(grasp: Grasp, state: State, t: Given, tolerance: Array) -> Stability:
+    """The whole assessment, compiled as one program."""
     rest = equilibrium(grasp, state, t=t)
     ready = grasp.prepared()
     tangent, rolling = _tangent(ready, rest.state)
@@ -105,6 +119,8 @@ def _assess(grasp: Grasp, state: State, t: Given, tolerance: Array) -> Stability
     symmetric = 0.5 * (hessian + hessian.T)
     curvatures, vectors = jnp.linalg.eigh(symmetric)
     rates = _rates(hessian, damping)
+    # The rank is that of H itself, not of its symmetric part: a controller without a potential makes them
+    # differ. It is a count, and svdvals has no derivative where singular values coincide: none is taken.
     size = jnp.max(jnp.abs(curvatures))
     neutral = jnp.sum(jnp.linalg.svdvals(jax.lax.stop_gradient(hessian)) <= tolerance * size)
     verdict = _verdict(rates, curvatures / size, neutral, tolerance)
@@ -114,8 +130,10 @@ def _assess(grasp: Grasp, state: State, t: Given, tolerance: Array) -> Stability
 
 
 def _verdict(rates: Array, curvatures: Array, neutral: Array, tolerance: Array) -> VERDICTS:
+    """The verdict from rates [1/s], curvatures over the largest, and the number of neutral directions."""
     fastest = jnp.max(jnp.abs(rates))
     growing = jnp.max(rates.real) > tolerance * fastest
+    # Every neutral direction gives one rate that is zero: the grasp stays there. The others must decay.
     decaying = jnp.sum(rates.real < -tolerance * fastest) >= rates.shape[0] - neutral
     verdict = VERDICTS.where(neutral > 0, VERDICTS.neutral, VERDICTS.asymptotically_stable)
     verdict = VERDICTS.where(decaying, verdict, VERDICTS.undamped)
@@ -123,14 +141,22 @@ def _verdict(rates: Array, curvatures: Array, neutral: Array, tolerance: Array) 
 
 
 def _tangent(grasp: Grasp, state: State) -> tuple[Array, Array]:
-    """Directions of rolling motion, orthonormal in the mass metric, and how contacts roll along them."""
+    """Directions N of rolling motion, orthonormal in the mass metric, and how contacts roll along them.
+
+    Shapes (n, m), and (c, m) for the change of every contact coordinate along every direction.
+    """
     n, contacts = grasp.coordinates, len(grasp.contacts)
     by_q, by_s = jax.jacfwd(lambda q, s: constraint_rows(grasp, q, s), argnums=(0, 1))(state.q, state.s)
+    # Of a contact's three rows, x gap, y gap and tangency, the gaps are the constraints A; they do not depend
+    # on s to first order, as rolling moves both contact points alike. Tangency gives the rolling:
+    # by_q dq + by_s ds = 0.
     by_q, by_s = by_q.reshape(contacts, 3, n), by_s.reshape(contacts, 3, contacts)
     jacobian = by_q[:, :2].reshape(2 * contacts, n)
     _, inertias = bodies(grasp, to_leaves(state, grasp.form))
     mass = mass_matrix([inertia.mass for inertia in inertias], n)
-    # A basis by SVD has no smooth derivative: take it as fixed, then make it exact smoothly.
+    # A basis B of the null space by SVD has no smooth derivative. It is taken as constant; then it is
+    # projected onto A B = 0 in the mass metric, and made orthonormal by the Cholesky factor L of B^T M B:
+    # N = B L^-T. Both steps are smooth, and give N its derivative.
     basis = jnp.linalg.svd(jax.lax.stop_gradient(jacobian))[2][2 * contacts :].T
     weighted = jnp.linalg.solve(mass, jacobian.T)
     basis = basis - weighted @ jnp.linalg.solve(jacobian @ weighted, jacobian @ basis)
@@ -140,7 +166,7 @@ def _tangent(grasp: Grasp, state: State) -> tuple[Array, Array]:
 
 
 def _along(grasp: Grasp, rest: Equilibrium, t: Given, tangent: Array, rolling: Array) -> Array:
-    """Change of the forces along the tangent directions, contact forces held."""
+    r"""Change of $F + A^T \mu$ along the tangent directions, with contact forces held; shape (n, m)."""
     zero = jnp.zeros_like(rest.state.q)
 
     def force(q: Array, s: Array) -> Array:
@@ -154,7 +180,7 @@ def _along(grasp: Grasp, rest: Equilibrium, t: Given, tangent: Array, rolling: A
 
 
 def _damping(grasp: Grasp, rest: Equilibrium, t: Given) -> Array:
-    """Derivative of the forces with respect to velocity, at rest."""
+    r"""$\partial F / \partial v$ at rest, shape (n, n)."""
 
     def force(v: Array) -> Array:
         return generalised_force(grasp, jnp.asarray(t, v.dtype), State(rest.state.q, v, rest.state.s))
@@ -163,6 +189,7 @@ def _damping(grasp: Grasp, rest: Equilibrium, t: Given) -> Array:
 
 
 def _rates(hessian: Array, damping: Array) -> Any:
+    r"""Eigenvalues [1/s] of the first-order system of $\xi$ and its rate, by rising real part."""
     zero, one = jnp.zeros_like(hessian), jnp.eye(hessian.shape[0], dtype=hessian.dtype)
     rates = jnp.linalg.eigvals(jnp.block([[zero, one], [-hessian, -damping]]))
     return rates[jnp.argsort(rates.real)]

@@ -1,8 +1,9 @@
 """Where two shapes are nearest: signed gap, closest points, second contacts.
 
 Minima of the sampled distance (`_candidates`, `_samples3`) are refined by Newton's method and checked:
-`_location` in the plane, `_location3` in space (`_pair3` its steps); `_answers` is what both return.
-`_clearance` is the audit of overlap that a run makes.
+`_location` in the plane, `_location3` in space, with the equations of `_pair3`. `_answers` holds what both
+return. `_clearance` is the check for overlap that a run makes where it watches for 'penetration'. `close`
+locates contacts so where it is asked to.
 """
 
 from ._answers import (

@@ -1,4 +1,7 @@
-"""What the location of a contact answers."""
+"""What `contact.locate` and `contact.locate_surfaces` return: the closest points, and further local minima.
+
+Arrays have fixed shapes under `jit`, so that minima that were not found are masked (`there`), not left out.
+"""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -37,7 +40,7 @@ class Location(eqx.Module):
         s: Arclengths of the closest points on `a` and on `b` [m].
         points: Both points in the world [m], one row each.
         normal: Outward normal of `b` at its point, in the world.
-        residual: What is left of the conditions of stationarity [m].
+        residual: How far the conditions of stationarity are from zero [m].
         unique: Whether no other local minimum has this gap.
         others: Further local minima: second contacts.
         result: Code of `jaxroll.RESULTS`.
@@ -92,8 +95,8 @@ class SurfaceLocation(eqx.Module):
         at_b: Coordinates of the closest point on `b`.
         points: Both points in the world [m], one row each.
         normal: Outward normal of `b` at its point, in the world.
-        residual: What is left of the conditions: length of the sum of the normals, or part of the arm beside
-            the normal over the surfaces' size and the gap, whichever is larger.
+        residual: How far the conditions are from zero: the length of the sum of both normals, or that of the
+            arm's part across the normal, divided by the surfaces' size plus the gap, whichever is larger.
         unique: Whether no other local minimum has this gap.
         others: Further local minima: second contacts.
         result: Code of `jaxroll.RESULTS`.

@@ -1,4 +1,15 @@
-"""Sampled signed distance between two contours, and where along one of them it is smallest."""
+r"""Sampled signed distance between two contours, and where along one of them it is smallest.
+
+Points of one contour, given in the frame of the other one, are compared with samples of the latter
+(`nearest_dense`, `nearest_blocked`). From the nearest sample the foot of the perpendicular follows to second
+order (`toward`, `feet`). With the arm to the point, $u$ along the tangent and $w$ along the outward normal,
+and the curvature $\kappa$, foot and signed distance are
+
+$$ s + \frac{u}{1 + \kappa w}, \qquad w + \frac{\kappa u^2}{2 (1 + \kappa w)}. $$
+
+`minima` then estimates where this distance is least along the first contour. `_location` refines these
+estimates; `_clearance` needs only `least`, the smallest value; `_location3` takes `lowest`.
+"""
 
 from dataclasses import dataclass
 
@@ -10,9 +21,9 @@ from ..._linalg import Pose2, Vec2
 from ..._types import Scalar
 from ...geometry import AbstractContour, Frenet2
 
-# Samples compared before best and index go back to memory.
+# Samples that are compared in one pass of the loop, with the best distance and its index kept in registers.
 _BLOCK = 16
-# Most samples on a contour or surface, whose pairs are compared.
+# Most samples on a contour or surface: the work, and in space the memory, grows with their square.
 MOST_SAMPLES = 2**14
 
 
@@ -24,7 +35,8 @@ class Feet:
     Attributes:
         s: Arclength of the nearest point of the contour [m].
         distance: Signed distance [m], negative inside.
-        slope: Its gradient, a unit vector.
+        slope: Gradient of the distance with respect to the given point: a unit
+            vector, to first order.
         ended: Whether the nearest point is an end of an open contour.
     """
 
@@ -42,8 +54,9 @@ class Minima:
     Attributes:
         s: Arclength on the contour that is walked, and on the other [m].
         reach: How far the minimum may lie from `s`, on both [m].
-        bound: The distance is not below this [m]. Where there are no more minima, the first sample stands
-            for one: its bound is infinite unless it is a minimum itself, which is then there again.
+        bound: Estimated lower bound of the distance there [m]. Where there are fewer minima than entries, the
+            first sample fills the rest: its bound is infinite unless it is a minimum itself, which is then
+            repeated.
     """
 
     s: tuple[Array, Array]
@@ -63,28 +76,35 @@ def spread(contour: AbstractContour, count: int) -> Float[Array, " samples"]:
 
 
 def into(pose: Pose2, point: Vec2) -> Vec2:
-    """A world point in the body frame."""
+    """A point of the world in the frame of a body, which has this pose."""
     arm = point - pose.origin
     return Vec2(pose.cos * arm.x + pose.sin * arm.y, pose.cos * arm.y - pose.sin * arm.x)
 
 
 def nearest_dense(samples: Vec2, points: Vec2) -> Array:
-    """Index of the sample nearest to each point, by one reduction: fewest operations."""
+    """Index of the sample nearest to each point, by one reduction: the fewest XLA operations."""
     away = (points.x[:, None] - samples.x[None, :]) ** 2
     return jnp.argmin(away + (points.y[:, None] - samples.y[None, :]) ** 2, axis=1)
 
 
 def nearest_blocked(samples: Vec2, points: Vec2) -> Array:
-    """Index of the sample nearest to each point, sample after sample: XLA's argmin has no vector code."""
+    """Index of the sample nearest to each point, by a loop over the samples.
+
+    XLA compiles `argmin` to scalar code on a CPU; this loop compares one sample with all points at once, in
+    vector code.
+    """
     count = samples.x.shape[0]
 
     def compare(block: Array, best: tuple[Array, Array]) -> tuple[Array, Array]:
         least, index = best
         for step in range(_BLOCK):
+            # The last block may reach past the last sample, which is then compared again.
             j = jnp.minimum(block * _BLOCK + step, count - 1)
             x = jax.lax.dynamic_index_in_dim(samples.x, j, keepdims=False)
             y = jax.lax.dynamic_index_in_dim(samples.y, j, keepdims=False)
             away = (points.x - x) ** 2 + (points.y - y) ** 2
+            # The index is carried as a floating-point number of the same width as `away`, which is exact up
+            # to `MOST_SAMPLES`.
             index = jnp.where(away < least, j.astype(away.dtype), index)
             least = jnp.minimum(away, least)
         return least, index
@@ -94,7 +114,7 @@ def nearest_blocked(samples: Vec2, points: Vec2) -> Array:
 
 
 def feet(face: AbstractContour, s: Float[Array, " samples"], points: Vec2, near: Array) -> Feet:
-    """Signed distance of points from a contour: from the nearest sample, one Newton step along it.
+    """Signed distance of points from a contour: two Newton steps along it, from the nearest sample.
 
     Args:
         face: The contour.
@@ -110,18 +130,28 @@ def feet(face: AbstractContour, s: Float[Array, " samples"], points: Vec2, near:
 def toward(
     face: AbstractContour, ends: tuple[Scalar, Scalar], at: tuple[Array, Frenet2], points: Vec2
 ) -> Feet:
-    """Feet to second order from points `at` of a contour close to them, given with their frames."""
+    """One Newton step along a contour to the feet of points, with the distance to second order.
+
+    Args:
+        face: The contour.
+        ends: Its first and last arclength [m]. A foot past the end of an open contour is put onto that end.
+        at: Arclengths [m] close to the feet, and the frames there.
+        points: In the contour's frame.
+    """
     s, frame = at
     arm = points - frame.point
     along, out = arm.dot(frame.tangent), arm.cross(frame.tangent)
+    # 1 + kappa out is zero at the centre of curvature, where no foot is nearest: it is kept away from zero.
     bend = jnp.maximum(1.0 + frame.curvature * out, 0.5)
     out = out + 0.5 * frame.curvature * along * (along / bend)
     foot, normal = s + along / bend, frame.tangent.right()
-    # The normal turns by curvature times the way to the foot.
+    # The gradient of the distance is the normal at the foot: that at s, turned by curvature times
+    # arclength.
     slope = normal + frame.tangent * (frame.curvature * (foot - s))
     if face.closed:
         return Feet(foot, out, slope, jnp.zeros(foot.shape, bool))
     held = jnp.clip(foot, *ends)
+    # From an end the distance is the plain one, never negative, and its gradient points along the arm.
     ended, size = held != foot, jnp.hypot(arm.x, arm.y)
     away = jnp.where(size > 0.0, size, 1.0)
     slope = Vec2(jnp.where(ended, arm.x / away, slope.x), jnp.where(ended, arm.y / away, slope.y))
@@ -129,8 +159,11 @@ def toward(
 
 
 def least(values: Array, closed: bool) -> Scalar:
-    """Smallest of sampled values, by the parabola through it and its neighbours."""
-    last = values.shape[0] - 1  # on a closed contour the first sample again
+    """Least value of a sampled function, by the parabola through the smallest sample and its neighbours.
+
+    With $f_-, f_0, f_+$ its vertex lies $(f_+ - f_-)^2 / (8 (f_- + f_+ - 2 f_0))$ below $f_0$.
+    """
+    last = values.shape[0] - 1  # on a closed contour this is the first sample again
     i = jnp.argmin(values)
     before = values[(i - 1) % last if closed else jnp.maximum(i - 1, 0)]
     after = values[(i + 1) % last if closed else jnp.minimum(i + 1, last)]
@@ -158,12 +191,15 @@ def minima(s: Array, found: Feet, rate: Array, *, turn: Scalar, closed: bool, co
     low, high = rate[:-1], rate[1:]
     dips = (low < 0.0) & (high >= 0.0)
     drop = jnp.where(dips, high - low, 1.0)
-    # Where the tangents at both ends meet; above it lies whatever is convex between them.
+    # Height at which the tangents at both ends of a cell meet. A convex function lies above it in between.
     bound = (value[:-1] * high - value[1:] * low + low * high * step) / drop
+    # How far the foot moves over a cell, the shorter way round a closed contour.
     hop = found.s[1:] - found.s[:-1]
     hop = hop - jnp.where(jnp.isfinite(turn), turn * jnp.round(hop / turn), 0.0)
+    # The rate taken as linear over the cell is zero at this share of it.
     part = jnp.where(dips, -low / drop, 0.0)
-    # A cell's minimum stands at its first sample, since no sample beside a dip is lone.
+    # Cells and samples share one array: a cell is entered at its first sample. That is free, as no sample at
+    # the end of such a cell counts as a minimum of its own (`_lone`).
     pad = jnp.zeros(1, value.dtype)
     part, hop, bound = (jnp.concatenate([x, pad]) for x in (part, hop, bound))
     lone, dips = _lone(value, rate, dips, closed), jnp.concatenate([dips, jnp.zeros(1, bool)])
@@ -175,7 +211,11 @@ def minima(s: Array, found: Feet, rate: Array, *, turn: Scalar, closed: bool, co
 
 
 def _lone(value: Array, rate: Array, dips: Array, closed: bool) -> Array:
-    """Samples lowest among their neighbours that no dipping cell explains; ends of open contours."""
+    """Samples that are minima by themselves: not above their neighbours, not at the end of a dipping cell.
+
+    On an open contour also its ends, where the distance falls towards them. `dips` tells in which cells the
+    distance falls inwards from both ends.
+    """
     false, inf = jnp.zeros(1, bool), jnp.full(1, jnp.inf, value.dtype)
     if closed:  # the last sample is the first again
         before, after = jnp.roll(value[:-1], 1), jnp.roll(value[:-1], -1)
@@ -193,7 +233,7 @@ def lowest(score: Array, count: int) -> Array:
     """Indices of the lowest entries, in order; where there are too few, entries repeat."""
     number = jnp.arange(score.shape[0])
 
-    # A loop, so that what gives the scores is not computed once for every entry.
+    # A loop over the entries: side by side, XLA would fuse the computation of the scores into every `argmin`.
     def take(left: Array, _: None) -> tuple[Array, Array]:
         i = jnp.argmin(left)
         return jnp.where(number == i, jnp.inf, left), i

@@ -1,4 +1,8 @@
-"""How far a fingertip stays clear of an object, away from their contact too."""
+"""How far a fingertip stays clear of an object, away from their contact too.
+
+A run that is asked for the event 'penetration' calls `clearance` with its poses: the samples of the fingertip
+are compared with the object's faces (`_candidates`), and the smallest signed distance is returned.
+"""
 
 from collections.abc import Sequence
 
@@ -9,7 +13,7 @@ from ..._types import Scalar
 from ...geometry import AbstractContour
 from ._candidates import feet, into, least, nearest_dense, spread
 
-# Overlaps below this are not told from the contact itself [m].
+# An overlap below this is taken for the contact itself, whose gap a run keeps at zero to rounding [m].
 TOLERANCE = 1e-7
 
 
@@ -36,7 +40,8 @@ def clearance(
     outside = []
     for face in faces:
         s = spread(face, samples)
-        # One reduction is the cheaper search inside the single kernel of a run.
+        # Inside the single kernel of a run, one reduction is cheaper than the loop of `nearest_blocked`.
         near = nearest_dense(face.frame(s).point, points)
         outside.append(feet(face, s, points, near).distance)
+    # A point is inside a convex body where it is inside of all its faces: the largest distance counts.
     return least(jnp.max(jnp.stack(outside), axis=0), tip.closed)

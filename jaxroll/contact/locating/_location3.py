@@ -1,4 +1,17 @@
-"""Closest points of two surfaces: local minima of their signed distance, located globally."""
+"""Closest points of two surfaces: local minima of their signed distance, located globally.
+
+As `_location` in the plane, but a surface has no order along which a minimum could be bracketed. The steps of
+`_locate`, in the frame of `b`:
+
+1. `_starts`: samples of both surfaces that are lowest among their neighbours, with their feet (`_samples3`).
+2. `_refine`: Newton's method down the distance, in a trust region (`_pair3` has its equations).
+3. `_sorted`: keep the pairs that are true minima, lowest first, each once.
+4. `polished`: Newton steps from a root, which give the derivatives.
+5. `_report`: the answer, in the order of the caller's arguments.
+
+At least one surface must be bounded; it is `a` inside. Candidates are an axis of every array: what is no
+minimum is masked.
+"""
 
 from dataclasses import dataclass
 
@@ -16,26 +29,33 @@ from ._candidates import lowest, MOST_SAMPLES
 from ._pair3 import constant, linear, Pair3, Places, Plane2, polished, stepped, TangentForm
 from ._samples3 import Cover, cover, distance, ended, feet3, footed, Starts, starts
 
-_STEPS = 24
-_FOLLOW = 2
-_POLISH = 3
+_STEPS = 24  # of Newton's method in a trust region
+_FOLLOW = 2  # Newton steps of the foot on `b` for each of these
+_POLISH = 3  # final Newton steps; the first two already give first and second derivatives
 _ORIGIN = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-_SETTLED = 1e-10  # a pair whose residual is below is stationary
-_FLAT = 1e-9  # second derivatives below this, over the scale, do not single out a point
+_SETTLED = 1e-10  # a pair is stationary if its residual is below this
+_FLAT = 1e-9  # a second derivative below this, over the scale, does not single out a point
 # The others are relative to the surfaces' size.
-_MERGED = 1e-6  # minima closer than this are one
-_ALIKE = 1e-9  # gaps closer than this are equal
-_MISSED = 1e-4  # a sample is below a gap by more than this
-_END = 1e-9  # a place that is not farther than this from an end is at it
-_SAME = 1e-13  # a step may raise the distance by this
+_MERGED = 1e-6  # minima are one if their points differ by less than this in every coordinate
+_ALIKE = 1e-9  # gaps are equal if they differ by less than this
+_MISSED = 1e-4  # a minimum was missed if a sample lies below the lowest gap by more than this
+_END = 1e-9  # a place farther than this past an end of its surface is outside
+_SAME = 1e-13  # a step may raise the distance by this, which is rounding
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, slots=True)
 class _Measure:
-    """Of a pair: points, normals, signed distance, residual, and the least second derivative times the scale.
+    """What decides whether a pair is closest.
 
-    `fair` tells whether the distance does not fall away from it, it has a foot, and is within the ends.
+    Attributes:
+        points: Points of `a` and `b`, in the frame of `b` [m].
+        normals: Outward normals there.
+        gap: Signed distance [m].
+        residual: How far the conditions are from zero, without dimension (`SurfaceLocation.residual`).
+        low: Smaller eigenvalue of the distance's second derivative, times the scale.
+        fair: Whether the distance falls in no direction to second order, no centre of curvature of `b` lies
+            between the points, and both are within the ends.
     """
 
     points: tuple[Vec3, Vec3]
@@ -62,8 +82,8 @@ def locate_surfaces(
     $n_a + n_b = 0$, and the arm between the points is along them, $P_a - P_b = g\,n_b$.
 
     Both surfaces are sampled all over, and every sample brought to its foot on the other. From the lowest
-    samples among their neighbours, at most `candidates` a surface, Newton's method in a trusted region goes
-    down; what it finds is checked and merged. An unbounded surface is not sampled.
+    samples among their neighbours, at most `candidates` of each surface, Newton's method in a trust region
+    goes down to the minima; these are checked and merged. An unbounded surface is not sampled.
 
     Args:
         a: A surface; of `a` and `b` at least one must be bounded (`spread`).
@@ -86,7 +106,7 @@ def locate_surfaces(
     overlaps deeper than the radii of curvature, may be missed.
 
     Batching: `vmap` over anything. Both modes of autodiff give first and second derivatives, by the implicit
-    function theorem; implicit coordinates follow the surface along its normal.
+    function theorem; coordinates on an implicit surface follow it along its normal as its numbers change.
 
     Example:
         >>> import jaxroll as jxr
@@ -104,6 +124,7 @@ def locate_surfaces(
 
 
 def _checked(name: str, value: Given) -> Array:
+    """A pose as seven numbers, whose quaternion is not zero."""
     numbers = as_floats(name, value, (7,))
     seen = concrete(numbers)
     if seen is not None and not seen[3:].any():
@@ -115,11 +136,14 @@ def _checked(name: str, value: Given) -> Array:
 def _locate(
     a: AbstractSurface, b: AbstractSurface, poses: tuple[Array, Array], samples: int, candidates: int
 ) -> SurfaceLocation:
+    """The five steps above, compiled as one program."""
     a, b = a.prepared(), b.prepared()
+    # The search and its decisions carry no derivatives; these enter in the steps of `polished` alone.
     covers = (constant(cover(constant(a), samples)), constant(cover(constant(b), samples)))
     if covers[0] is None and covers[1] is None:
         kinds = " and ".join(type(surface).__name__ for surface in (a, b))
         raise ValueError(f"argument a or b must be a bounded surface, but they were {kinds}")
+    # Only bounded surfaces are sampled: one that is not is taken as `b`; `_report` exchanges them again.
     swapped = covers[0] is None
     worlds = (_pose(poses[0]), _pose(poses[1]))
     if swapped:
@@ -130,6 +154,7 @@ def _locate(
     start = _starts(fixed, covers, candidates)
     at = jax.vmap(lambda at, reach: _refine(fixed, at, reach))(start.at, start.reach)
     at, fair, missed = _sorted(fixed, covers[1], at, start, candidates)
+    # Where no pair is the answer, the lowest sample is; it is no root, and makes no steps.
     first = jnp.arange(candidates) == 0
     at = jax.tree.map(lambda x, y: jnp.where(missed & first, y, x), at, start.sample)
     root = fair & ~(missed & first)
@@ -138,6 +163,7 @@ def _locate(
 
 
 def _pose(numbers: Array) -> Pose3:
+    """A pose from position and quaternion, scaled to unit length."""
     x, y, z, *q = unstack(numbers)
     return pose_at(Vec3(x, y, z), normalised((q[0], q[1], q[2], q[3])))
 
@@ -148,7 +174,10 @@ def _relative(a: Pose3, b: Pose3) -> Pose3:
 
 
 def _starts(pair: Pair3, covers: tuple[Cover | None, Cover | None], count: int) -> Starts:
-    """From the samples of `a`, and from those of `b` if it is bounded: one may be small beside the other."""
+    """Pairs to start from: `count` of the samples of `a`, and as many of those of `b` if it is bounded.
+
+    One of the surfaces may be small beside the spacing of the other one's samples, which then miss it.
+    """
     assert covers[0] is not None  # `_locate` has put the bounded one first
     first = starts(pair, covers[0], covers[1], count)
     if covers[1] is None:
@@ -163,9 +192,14 @@ def _starts(pair: Pair3, covers: tuple[Cover | None, Cover | None], count: int) 
 
 
 def _refine(pair: Pair3, at: Places, reach: Scalar) -> Places:
-    """Down the distance along `a`, the foot on `b` following: Newton's method in a trusted region."""
+    """Down the distance along `a`, with the foot on `b` following: Newton's method in a trust region.
+
+    A step that lowers the distance is taken and doubles the region, up to `reach` [m]; any other one is not
+    taken and reduces the region to a quarter. One pair; `_locate` maps it over all of them.
+    """
 
     def height(at: Places) -> tuple[Places, Scalar]:
+        """The pair with its point on `b` brought to the foot, and its signed distance."""
         point = pair.pose.place(pair.a.frame(at[0]).point)
         foot = footed(pair.b, pair.b.within(at[1]), point, _FOLLOW)
         return (at[0], foot), distance(pair, point, pair.b.frame(foot), foot)
@@ -176,34 +210,37 @@ def _refine(pair: Pair3, at: Places, reach: Scalar) -> Places:
         equations = linear(*here)
         slope, aside = equations.conditions(*here)
         x = _cut(_downhill(equations.rise, slope), trust)
+        # The foot may move farther than the point, by 1 / (1 + kappa d): up to four times as far is allowed.
         ahead = stepped(pair, at, equations.basis, (x, _cut(equations.follow(aside, x), 4.0 * trust)))
         new, found = height((pair.a.within(ahead[0]), ahead[1]))
         better = found <= value + _SAME * pair.scale
         kept = jax.tree.map(lambda x, y: jnp.where(better, x, y), (new, found), (at, value))
         return (*kept, jnp.where(better, jnp.minimum(2.0 * trust, reach), 0.25 * trust)), None
 
-    # What is above all is passed at once.
+    # The height of the start is not computed but infinite, so that the first step is always taken.
     start = (at, jnp.full_like(reach, jnp.inf), reach)
     return jax.lax.scan(improve, start, None, length=_STEPS)[0][0]
 
 
 def _downhill(rise: TangentForm, slope: Plane2) -> Plane2:
+    """Newton's step -H^-1 s, with a second derivative H that is made positive where it is not."""
     low, high = rise.eigenvalues()
     least = 1e-3 * jnp.maximum(jnp.abs(low), jnp.abs(high))
-    # Not convex: turned to the gradient, as far as that takes.
+    # A multiple of the identity turns the step towards the gradient. An eigenvalue `low` below `least`
+    # becomes 2 least - low: reflected, so that a strong downward bend gives a short step.
     firm = rise.plus(jnp.maximum(0.0, least - low) * jnp.where(low < least, 2.0, 1.0))
     return firm.solve((-slope[0], -slope[1]))
 
 
 def _cut(step: Plane2, reach: Scalar) -> Plane2:
-    """A step no longer than `reach`."""
+    """A step, shortened to `reach` [m] if it is longer."""
     square = step[0] * step[0] + step[1] * step[1]
     factor = reach / jnp.maximum(reach, jnp.sqrt(square))
     return step[0] * factor, step[1] * factor
 
 
 def _measured(pair: Pair3, at: Places) -> _Measure:
-    """What there is to know about a pair."""
+    """Evaluate one pair; `residual`, `low` and `fair` carry no derivatives."""
     a, b = pair.frames(at)
     arm, both = a.point - b.point, a.normal + b.normal
     gap = arm.dot(b.normal)
@@ -223,13 +260,22 @@ def _measured(pair: Pair3, at: Places) -> _Measure:
 def _sorted(
     pair: Pair3, other: Cover | None, at: Places, start: Starts, count: int
 ) -> tuple[Places, Array, Array]:
-    """The lowest local minima, each once; which entries hold one; and whether none is the answer."""
+    """The lowest local minima, each once; which entries hold one; and whether the lowest one was missed.
+
+    Args:
+        pair: Both surfaces.
+        other: Samples of `b`, if it is bounded.
+        at: Refined pairs.
+        start: What they were refined from.
+        count: How many to return.
+    """
     found = jax.vmap(lambda at: _measured(pair, at))(at)
     fair = found.fair & start.there & (found.residual <= _SETTLED)
-    # No other place of `b` may be nearer.
+    # No other place of `b` may be nearer to the point of `a` than its partner: search again from all samples.
     point = found.points[0]
     nearest = jax.vmap(pair.b.frame)(feet3(pair, other, point)).point - point
     fair = fair & (nearest.norm() >= jnp.abs(found.gap) - _MISSED * pair.scale)
+    # Sorted by gap, what is no minimum last. Of pairs whose points coincide the first one stays.
     order = lowest(jnp.where(fair, found.gap, jnp.inf), fair.shape[0])
     fair = fair[order]
     close = fair[:, None] & fair[None, :]
@@ -241,7 +287,7 @@ def _sorted(
     fair = fair & ~again & (number < jnp.sum(fair))
     gap = jnp.where(fair, found.gap[order], jnp.inf)
     first, there = lowest(gap, count), jnp.arange(count) < jnp.sum(fair)
-    # Whatever lies below the lowest pair was not refined.
+    # A sample below the lowest pair shows that the true minimum led to no pair.
     missed = ~there[0] | (start.bound < jnp.min(gap) - _MISSED * pair.scale)
     return jax.tree.map(lambda x: x[order[first]], at), there, missed
 
@@ -249,9 +295,18 @@ def _sorted(
 def _report(
     pair: Pair3, world: tuple[Pose3, bool], pairs: tuple[Places, Array, Array], start: Starts
 ) -> SurfaceLocation:
+    """The answer. Of the pairs the first is the closest one, or the lowest sample where that was `missed`.
+
+    Args:
+        pair: Both surfaces.
+        world: Pose of `b` in the world, and whether the caller's `a` and `b` were exchanged.
+        pairs: Coordinates, which entries hold a minimum, and whether the lowest one was missed.
+        start: Where the search started.
+    """
     at, fair, missed = pairs
     found = jax.vmap(lambda at: _measured(pair, at))(at)
     best = jax.tree.map(lambda x: x[0], found)
+    # The other minima are the entries after the first one, moved up by one place.
     there = jnp.append(fair[1:], False)
     gaps = jnp.where(there, jnp.roll(found.gap, -1), jnp.inf)
     alike = jnp.min(gaps) <= best.gap + _ALIKE * pair.scale
@@ -274,7 +329,7 @@ def _report(
 
 
 def _reason(pair: Pair3, start: Starts) -> RESULTS:
-    """Why no pair is the answer."""
+    """Why no pair is the answer: the lowest sample is near an end, or too deep, or nothing was stationary."""
     at, room = start.sample, jnp.max(start.reach)
     at_end = ended(pair.a, at[0], room) | ended(pair.b, at[1], room)
     deep = RESULTS.where(start.distance < 0.0, RESULTS.too_deep, RESULTS.solver_failed)

@@ -2,8 +2,14 @@ r"""A pair of places on two surfaces, and Newton's step towards their closest po
 
 With the normals $n_a, n_b$, the arm $d = P_a - P_b$ and the gap $g = d \cdot n_b$, the pair is closest where
 $n_a + n_b = 0$ and $d = g n_b$: four equations along the tangents. To first order the foot on `b` follows
-$(1 + g L_b)\,y = d + x$ when the point of `a` steps by $x$, which leaves $H x = -s$ on `a`, with the slope
-$s$ of the distance and its second derivative $H = L_a + L_b (1 + g L_b)^{-1}$.
+$(1 + g L_b)\,y = d + x$ (tangential parts) when the point of `a` steps by $x$, with the shape operators
+$L_a, L_b$. This leaves $H x = -s$ on `a`, with the slope $s$ of the distance and its second derivative
+$H = L_a + L_b (1 + g L_b)^{-1}$.
+
+`linear` makes these equations at a pair, `stepped` moves a pair, and `polished` gives derivatives.
+`_location3` goes down the distance with them from the pairs that `_samples3` proposes. Vectors in a tangent
+plane are two components in an orthonormal basis of it: small enough to be solved by hand, which compiles and
+batches better than a solver.
 """
 
 from dataclasses import dataclass
@@ -17,10 +23,14 @@ from ..._linalg import Pose3, tangents, Vec3
 from ..._types import Scalar, Scalars
 from ...geometry import AbstractSurface, Gauss3
 
+# Coordinates on `a` and on `b`.
 Places = tuple[Scalars, Scalars]
+# Components of a tangent vector in an orthonormal basis.
 Plane2 = tuple[Scalar, Scalar]
-# Least factor by which lengths may shrink from the foot to a parallel surface in a step.
+# Least eigenvalue of 1 + g L_b in a step: the factor by which lengths change from `b` to the surface parallel
+# to it through the point of `a`. It is zero at a centre of curvature.
 _BEND = 0.05
+# Determinant, relative to the squared size of a form, below which the form counts as singular.
 _SINGULAR = 1e-14
 
 
@@ -57,7 +67,7 @@ class TangentForm(NamedTuple):
         return self.xx * v[0] + self.xy * v[1], self.xy * v[0] + self.yy * v[1]
 
     def plus(self, size: Scalar) -> "TangentForm":
-        """With a multiple of unity added."""
+        """The form with a multiple of the identity added."""
         return TangentForm(self.xx + size, self.xy, self.yy + size)
 
     def determinant(self) -> Scalar:
@@ -65,13 +75,13 @@ class TangentForm(NamedTuple):
         return self.xx * self.yy - self.xy * self.xy
 
     def eigenvalues(self) -> Plane2:
-        """The smaller, and the larger."""
+        """The smaller one, and the larger one."""
         mean, half = 0.5 * (self.xx + self.yy), 0.5 * (self.xx - self.yy)
         away = jnp.sqrt(half * half + self.xy * self.xy)
         return mean - away, mean + away
 
     def solve(self, v: Plane2) -> Plane2:
-        """The vector that the form takes to this one; zero where the form is singular."""
+        """The vector x for which the form times x is v; zero where the form is singular."""
         size, det = jnp.abs(self.xx) + jnp.abs(self.xy) + jnp.abs(self.yy), self.determinant()
         firm = jnp.abs(det) > _SINGULAR * size * size
         inverse = jnp.where(firm, 1.0 / jnp.where(firm, det, 1.0), 0.0)
@@ -81,11 +91,17 @@ class TangentForm(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, slots=True)
 class Linear3:
-    """Newton's linear equations at a pair: tangents of both, and the forms.
+    r"""Newton's linear equations at a pair, in orthonormal bases of both tangent planes.
 
-    `facing` has the products of the tangents of `b` (rows) with those of `a`; `bend` is $1 + g L_b$, kept
-    positive (`centred`: it was), `rise` is $H$, and `outside` the shape operator of the surface parallel to
-    `b` through the point of `a`.
+    Attributes:
+        basis: Tangents of `a`, and of `b`, in the frame of `b`.
+        facing: Inner products of the tangents of `b` (rows) with those of `a` (columns).
+        bend: $1 + g L_b$, kept positive.
+        outside: $L_b (1 + g L_b)^{-1}$, the shape operator of the surface parallel to `b` through the point
+            of `a`.
+        rise: $H$, the second derivative of the distance.
+        centred: Whether $1 + g L_b$ was positive by itself: no centre of curvature of `b` lies between the
+            points.
     """
 
     basis: tuple[tuple[Vec3, Vec3], tuple[Vec3, Vec3]]
@@ -96,9 +112,12 @@ class Linear3:
     centred: Scalar
 
     def conditions(self, a: Gauss3, b: Gauss3) -> tuple[Plane2, Plane2]:
-        """The slope of the distance along `a`, and the part of the arm beside the normal, along `b`."""
+        """What Newton's method makes zero: the distance's slope along `a`, the arm's part tangent to `b`."""
         arm, both = a.point - b.point, a.normal + b.normal
         aside = _along(self.basis[1], arm - b.normal * arm.dot(b.normal))
+        # The slope is n . u along a tangent u of `a`, with the normal n at the foot: n_b turned on the way
+        # there by `outside` times `aside`. As n_a . u = 0, it is computed from n_a + n_b, which loses no
+        # digits near a root.
         pulled, ((p, q), (r, s)) = self.outside.apply(aside), self.facing
         x, y = _along(self.basis[0], both)
         return (x + p * pulled[0] + r * pulled[1], y + q * pulled[0] + s * pulled[1]), aside
@@ -115,17 +134,19 @@ def constant(tree: Any) -> Any:
 
 
 def linear(a: Gauss3, b: Gauss3) -> Linear3:
-    """The linear equations at a pair of frames."""
+    """The linear equations at a pair, from both Gauss frames in the frame of `b`."""
     basis = tangents(a.normal), tangents(b.normal)
     facing = (_along(basis[0], basis[1][0]), _along(basis[0], basis[1][1]))
     gap, shape = (a.point - b.point).dot(b.normal), _form(b, basis[1])
     bend = TangentForm(gap * shape.xx, gap * shape.xy, gap * shape.yy).plus(1.0)
     least = bend.eigenvalues()[0]
-    # Beyond a centre of curvature there is no foot.
+    # Beyond a centre of curvature the foot is no nearest point, and Newton's step would lead away: the form
+    # is shifted until its least eigenvalue is _BEND.
     bend = bend.plus(jnp.maximum(0.0, _BEND - least))
-    # L (1 + g L)^-1, by Cayley and Hamilton.
+    # L (1 + g L)^-1 = (L + g det(L) 1) / det(1 + g L) for 2 x 2 forms, by the theorem of Cayley and Hamilton.
     det, inner = bend.determinant(), gap * shape.determinant()
     outside = TangentForm((shape.xx + inner) / det, shape.xy / det, (shape.yy + inner) / det)
+    # H: the form of `a`, plus `outside` taken to the tangents of `a`.
     (p, q), (r, s) = facing
     first, second, own = outside.apply((p, r)), outside.apply((q, s)), _form(a, basis[0])
     rise = TangentForm(
@@ -137,21 +158,23 @@ def linear(a: Gauss3, b: Gauss3) -> Linear3:
 
 
 def stepped(pair: Pair3, at: Places, basis: Any, steps: tuple[Plane2, Plane2]) -> Places:
-    """Places after steps along tangents given in the frame of `b`, back on the surfaces."""
+    """Coordinates after steps [m] along tangents given in the frame of `b`, put back onto the surfaces."""
     vectors = [u * x + v * y for (u, v), (x, y) in zip(basis, steps, strict=True)]
     on_a = pair.a.settled(summed(at[0], pair.a.rate(at[0], pair.pose.back(vectors[0]))))
     return on_a, pair.b.settled(summed(at[1], pair.b.rate(at[1], vectors[1])))
 
 
 def summed(left: Scalars, right: Scalars) -> Scalars:
-    """The sum of coordinates."""
+    """The sum of two tuples of coordinates, one by one."""
     return tuple(a + b for a, b in zip(left, right, strict=True))
 
 
 def polished(pair: Pair3, at: Places, root: Scalar, steps: int) -> Places:
-    """Newton's method from a root, whose linear equations it keeps; what is no root stays.
+    """A pair after some Newton steps from a root, with the derivatives of the implicit function theorem.
 
-    Each step gives one more order of derivatives, since the linear equations carry none.
+    The conditions F are zero at a root, and their Jacobian J there is kept constant. A step x - J^-1 F then
+    has the derivative -J^-1 dF of the implicit function theorem, and each further step makes one more order
+    of derivatives right. A pair that is no root (`root` is false) makes no steps.
     """
     fixed, at = constant(pair), constant(at)
     equations = constant(linear(*fixed.frames(at)))
@@ -163,16 +186,19 @@ def polished(pair: Pair3, at: Places, root: Scalar, steps: int) -> Places:
         x, y = ((jnp.where(root, u, 0.0), jnp.where(root, v, 0.0)) for u, v in (x, y))
         return stepped(pair, at, equations.basis, (x, y)), None
 
-    # Coordinates first follow the surfaces, so that the steps are tangent.
+    # Coordinates on an implicit surface first follow it along its normal as its numbers change: the steps,
+    # which are tangent, could not do that.
     at = pair.a.settled(at[0]), pair.b.settled(at[1])
     return jax.lax.scan(step, at, None, length=steps)[0]
 
 
 def _form(frame: Gauss3, basis: tuple[Vec3, Vec3]) -> TangentForm:
+    """The shape operator of a frame in a basis of its tangent plane."""
     u, v = basis
     first, second = frame.shape.apply(u), frame.shape.apply(v)
     return TangentForm(u.dot(first), u.dot(second), v.dot(second))
 
 
 def _along(basis: tuple[Vec3, Vec3], vector: Vec3) -> Plane2:
+    """Components of a vector along two tangents."""
     return basis[0].dot(vector), basis[1].dot(vector)

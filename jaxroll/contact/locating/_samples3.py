@@ -1,4 +1,10 @@
-"""Sampled signed distance between two surfaces, and where on one of them it is smallest."""
+"""Sampled signed distance between two surfaces, and where on one of them it is smallest.
+
+`cover` samples a surface; every sample is brought to its foot on the other surface by Newton's method
+(`feet3`), and the samples that are lowest among their neighbours become the pairs from which `_location3`
+goes down (`starts`). Samples are compared all with all: their neighbours are found without a mesh, so that
+any surface that can `spread` places over itself will do.
+"""
 
 from dataclasses import dataclass
 
@@ -12,34 +18,49 @@ from ...geometry import AbstractSurface, approach, Gauss3
 from ._candidates import lowest
 from ._pair3 import Pair3, Places, summed
 
+# Newton steps from a near sample to the foot of a point.
 _FOOT = 6
-# Neighbours of a sample lie within this many times the widest distance between samples that are nearest.
+# Samples are neighbours if they are not farther apart than this many times the widest distance from a sample
+# to the one nearest to it.
 _NEIGHBOURS = 1.3
-_END = 1e-9  # of the scale
-_REPEATED = 1e-6  # of the surface's width
+# A place not farther than this from an end of its surface is at the end, relative to the pair's scale.
+_END = 1e-9
+# Samples nearer to each other than this are the same place, relative to the largest distance of any two.
+_REPEATED = 1e-6
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, slots=True)
 class Cover:
-    """Samples all over a surface, in its body's frame, and the widest distance of two nearest ones [m]."""
+    """Samples all over a surface.
+
+    Attributes:
+        at: Their coordinates, shape (samples,) each.
+        points: Their points in the frame of the surface's body [m].
+        width: The widest distance from a sample to the one nearest to it [m].
+    """
 
     at: Scalars
     points: Vec3
     width: Scalar
 
     def size(self) -> Scalar:
-        """Root mean square distance from the middle [m]."""
+        """Root mean square distance of the samples from their mean [m]."""
         return jnp.sqrt(sum(jnp.var(x) for x in self.points))
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, slots=True)
 class Starts:
-    """Pairs to begin with, lowest first, shape (candidates,): which of them are there, and how far to step.
+    """Pairs from which the refinement starts, those of one surface's samples lowest first.
 
-    `sample` is the lowest pair of samples, `distance` its signed distance [m]; `bound` is the least one of a
-    sample of `a`.
+    Attributes:
+        at: Coordinates on both surfaces, shape (candidates,) each.
+        there: Which entries hold a pair.
+        reach: Longest step from a pair [m].
+        sample: The pair with the lowest signed distance of all samples.
+        distance: That signed distance [m].
+        bound: The lowest signed distance of a sample of `a` [m]: the gap cannot be above it.
     """
 
     at: Places
@@ -57,7 +78,7 @@ def cover(surface: AbstractSurface, count: int) -> Cover | None:
         return None
     points = jax.vmap(lambda at: surface.frame(at).point)(at)
     apart = _apart(points, points)
-    # A sample, and one that repeats it, is not its own neighbour; rounding may set them apart.
+    # Neither a sample itself nor one that repeats it, but for rounding, is the one nearest to it.
     other = apart > _REPEATED**2 * jnp.max(apart)
     nearest = jnp.min(jnp.where(other, apart, jnp.inf), axis=1)
     return Cover(at, points, jnp.sqrt(jnp.max(jnp.where(jnp.isfinite(nearest), nearest, 0.0))))
@@ -72,14 +93,24 @@ def ended(surface: AbstractSurface, at: Scalars, room: Scalar) -> Array:
 
 
 def distance(pair: Pair3, a: Vec3, b: Gauss3, at_b: Scalars) -> Scalar:
-    """Signed distance of a point from its foot on `b`; from an end, the plain one."""
+    """Signed distance [m] of a point `a` from its foot on `b`; at an end of `b` the distance without a sign.
+
+    Args:
+        pair: Both surfaces.
+        a: The point, in the frame of `b`.
+        b: Gauss frame of `b` at the foot.
+        at_b: Coordinates of the foot.
+    """
     arm = a - b.point
     square, past = arm.dot(arm), ended(pair.b, at_b, _END * pair.scale)
     return jnp.where(past & (square > 0.0), jnp.sqrt(square), arm.dot(b.normal))
 
 
 def footed(surface: AbstractSurface, at: Scalars, point: Vec3, steps: int) -> Scalars:
-    """Coordinates of the foot of a point, from a place near it, within the ends."""
+    """Coordinates of the foot of a point in the surface's frame: Newton steps from a place near it.
+
+    The foot stays within the ends of the surface.
+    """
 
     def step(at: Scalars, _: None) -> tuple[Scalars, None]:
         ahead = surface.rate(at, approach(surface.frame(at), point))
@@ -89,7 +120,11 @@ def footed(surface: AbstractSurface, at: Scalars, point: Vec3, steps: int) -> Sc
 
 
 def feet3(pair: Pair3, samples: Cover | None, points: Vec3) -> Scalars:
-    """Coordinates of the feet on `b` of points in its frame: from the nearest samples, if there are any."""
+    """Coordinates of the feet on `b` of points in its frame.
+
+    The search starts at the nearest of its samples. An unbounded surface has none, and says itself where to
+    start.
+    """
     if samples is None:
         start = jax.vmap(pair.b.start)(points)
     else:
@@ -99,13 +134,22 @@ def feet3(pair: Pair3, samples: Cover | None, points: Vec3) -> Scalars:
 
 
 def starts(pair: Pair3, walked: Cover, other: Cover | None, count: int) -> Starts:
-    """The lowest samples of `a` among their neighbours, and their feet on `b`."""
+    """The samples of `a` that are lowest among their neighbours, `count` at most, with their feet on `b`.
+
+    Args:
+        pair: Both surfaces.
+        walked: Samples of `a`.
+        other: Samples of `b`, if it is bounded.
+        count: How many to keep, lowest first.
+    """
     points = jax.vmap(pair.pose.place)(walked.points)
     at_b = feet3(pair, other, points)
     value = jax.vmap(lambda p, at: distance(pair, p, pair.b.frame(at), at))(points, at_b)
     value = jnp.where(jnp.isfinite(value), value, jnp.inf)
     number = jnp.arange(value.shape[0])
     close = _apart(walked.points, walked.points) <= (_NEIGHBOURS * walked.width) ** 2
+    # Of equal neighbours the first is the lowest one: a level row of samples would else have no lowest
+    # sample, or as many as it is long.
     before = number[None, :] < number[:, None]
     beaten = (value[None, :] < value[:, None]) | ((value[None, :] == value[:, None]) & before)
     score = jnp.where(jnp.any(close & beaten, axis=1), jnp.inf, value)
@@ -119,6 +163,6 @@ def starts(pair: Pair3, walked: Cover, other: Cover | None, count: int) -> Start
 
 
 def _apart(left: Vec3, right: Vec3) -> Array:
-    """Squares of the distances between two clouds, a row for each point of the first."""
+    """Squared distances [m^2] between the points of two clouds; a row for each point of the first one."""
     parts = [(x[:, None] - y[None, :]) ** 2 for x, y in zip(left, right, strict=True)]
     return parts[0] + parts[1] + parts[2]

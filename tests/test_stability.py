@@ -1,5 +1,6 @@
 """Statics, equilibria and verdicts of grasps, against differences, closed forms and simulation."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -291,3 +292,21 @@ def test_rates_are_slow_beside_the_fastest():
             assert found == verdict, (fastest, share)
             grows = _verdict(-rates, jnp.array([0.5, 1.0]), jnp.asarray(0), jnp.asarray(1e-7))
             assert grows == VERDICTS.unstable
+
+
+def test_equilibrium_moves_with_the_time_at_which_a_controller_is_held():
+    """A torque that grows with time: the derivative in t against central differences."""
+    grasp, state = jxr.scenes.pivoted()
+    here = state.q[1:]
+
+    class Growing(eqx.Module):
+        """Springs in the joints, and a torque on the first of them that changes with time."""
+
+        def __call__(self, t, angles, rates, tips):
+            return [-0.5 * (angles[0] - here) + jnp.array([0.01, 0.0]) * t**2]
+
+    rest = jax.jit(lambda t: equilibrium(grasp.with_(controller=Growing()), state, t=t).state.q)
+    h, t = 1e-3, 0.5
+    wanted = (rest(t + h) - rest(t - h)) / (2 * h)
+    assert np.abs(wanted).max() >= 1e-3
+    np.testing.assert_allclose(jax.jacfwd(rest)(t), wanted, rtol=1e-5, atol=1e-9)

@@ -80,8 +80,8 @@ def equilibrium(grasp: Grasp, state: State, *, t: Given = 0.0) -> Equilibrium:
     Raises:
         ValueError: If the grasp lives in space, the state is not one of it, or `t` is not a finite number.
 
-    Accuracy: residuals at rounding level. Derivatives with respect to `grasp` and `state`, in both modes, are
-    those of the implicit function theorem, along a family too; `t` counts as constant.
+    Accuracy: residuals at rounding level. Derivatives with respect to `grasp`, `state` and `t`, in both modes,
+    are those of the implicit function theorem, along a family too.
 
     Example:
         >>> import jaxroll as jxr
@@ -121,11 +121,11 @@ def rest_state(grasp: Grasp, state: State, t: Given) -> tuple[Array, Array]:
 
 
 @rest_state.def_jvp
-def _locate_jvp(primals: Any, tangents: Any) -> Any:
+def _rest_state_jvp(primals: Any, tangents: Any) -> Any:
     """The implicit function theorem for the conditions of the equilibrium nearest to the state.
 
     The unknowns of these conditions are z and the multipliers p of R(z) = 0. The scales count as constant, as
-    they only choose units, and so does the time t.
+    they only choose units.
     """
     grasp, state, t = primals
     found, left = rest_state(grasp, state, t)
@@ -137,11 +137,11 @@ def _locate_jvp(primals: Any, tangents: Any) -> Any:
     pair = jnp.concatenate([z, -jnp.linalg.pinv(jacobian, rtol=_RANK).T @ away])
     matrix = jax.jacfwd(lambda pair: _nearest(grasp, state, pair, scale, t))(pair)
     inverse = jnp.linalg.pinv(matrix, rtol=_RANK)
-    moving, still = eqx.partition((grasp, state), eqx.is_inexact_array)
-    moving_dot = filled(moving, tangents[:2])
+    moving, still = eqx.partition(primals, eqx.is_inexact_array)
+    moving_dot = filled(moving, tangents)
 
     def conditions(moving: Any) -> Array:
-        grasp, state = eqx.combine(moving, still)
+        grasp, state, t = eqx.combine(moving, still)
         return _nearest(grasp, state, pair, scale, t)
 
     _, change = jax.jvp(conditions, (moving,), (moving_dot,))

@@ -80,8 +80,8 @@ def equilibrium(grasp: Grasp, state: State, *, t: Given = 0.0) -> Equilibrium:
     Raises:
         ValueError: If the grasp lives in space, the state is not one of it, or `t` is not a finite number.
 
-    Accuracy: residuals at rounding level. Derivatives with respect to `grasp`, `state` and `t`, in both modes,
-    are those of the implicit function theorem, along a family too.
+    Accuracy: residuals at rounding level. Derivatives with respect to `grasp`, `state` and `t`, in both
+    modes, are those of the implicit function theorem, along a family too.
 
     Example:
         >>> import jaxroll as jxr

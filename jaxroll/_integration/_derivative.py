@@ -1,10 +1,17 @@
-"""Run a grasp, alone or among many, and differentiate the run through its recorded steps.
+r"""Run a grasp, alone or among many, and differentiate the run through its recorded steps.
 
-Forwards, the run is a plain adaptive loop. For a derivative the accepted steps are recorded and the
-derivative follows them one by one: forwards for tangents, backwards for cotangents, each with the
-derivative of a single step. Both modes work from the same public call, no step-size controller is
-differentiated, and the program that is compiled holds one step, not a checkpointed loop. The derivative
-is that of the discrete solution at frozen step sizes.
+Forwards, the run is the adaptive loop of `_run`, or of `_batch` for many. For a derivative every accepted
+step is recorded, $y_{k+1} = \Phi_k(y_k; m)$ with $m$ the grasp's numbers, and the derivative follows the
+steps one by one, each by the derivative of a single one:
+
+$$ \dot y_{k+1} = \partial_y \Phi_k \, \dot y_k + \partial_m \Phi_k \, \dot m, \qquad
+   \bar y_k = \partial_y \Phi_k^T \, \bar y_{k+1}, \quad
+   \bar m = \sum_k \partial_m \Phi_k^T \, \bar y_{k+1}. $$
+
+Both modes work from the same public call, since the map from one end to the other is a linear one whose
+transpose is given (`_xla.linear_map`). No step-size control is differentiated: the derivative is that of the
+discrete solution at frozen step sizes. What is compiled holds one step and its derivative, not a loop with
+checkpoints. `_backward_step` has the cotangents of a step of the usual methods; `simulate` calls `march`.
 """
 
 from collections.abc import Callable
@@ -30,6 +37,7 @@ from ._state_vector import Bundle, Flow
 @eqx.filter_custom_jvp
 def march(grasp: Bundle, y0: Flow, plan: Plan) -> Path:
     """Integrate the flow vector `y0` of a bundled grasp; differentiable in both modes, once."""
+    # Under `vmap` many runs are not one run with wider arrays: they take slots in turn (`_batch`).
     arrays, still = eqx.partition((grasp, y0, plan), eqx.is_array)
 
     @jax.custom_batching.custom_vmap
@@ -58,6 +66,7 @@ def _together(size: int, batched: Any, arrays: Any, still: Any) -> Path:
 def _march_jvp(primals: Any, tangents: Any) -> tuple[Path, Path]:
     grasp, y0, plan = primals
     grasp_dot, y0_dot, _ = tangents
+    # With tangents asked for, the run is made once, recording; without, `march` itself runs.
     path, (step_ts, step_ys) = one_kernel(recorded, grasp, y0, plan)
     moving, still = eqx.partition(grasp, eqx.is_inexact_array)
     numbers, plan, step_ts, step_ys = eqxi.nondifferentiable(
@@ -66,6 +75,7 @@ def _march_jvp(primals: Any, tangents: Any) -> tuple[Path, Path]:
     steps = _Steps(numbers, plan, step_ts, step_ys, path.steps[1], still)
     start_dot = filled((moving, y0), (grasp_dot, y0_dot))
     ends = (path.saved, path.last, path.t_last)
+    # Saved vectors, the last one and the time of the end move; counts and codes do not.
     dots = linear_map(_Steps.tangents, _Steps.cotangents, steps, start_dot, like=ends)
     no_tangents = jax.tree.map(lambda _: None, path)
     return path, eqx.tree_at(
@@ -135,6 +145,7 @@ class _Steps(eqx.Module):
         return jnp.minimum(index, self.count), index <= self.count
 
     def tangents(self, start: tuple[Bundle, Flow]) -> tuple[Array, Array, Array]:
+        """Tangents of (saved, last, t_last), from those of the grasp's numbers and of the start."""
         index, reached = self._saved_at()
         saved, last, drift = one_kernel(_pushed, self, index, start)
         later = self.postponed(drift[self.margin], last[self.margin])
@@ -142,6 +153,9 @@ class _Steps(eqx.Module):
         return jnp.where(reached[:, None], saved, 0.0), last + moved, later
 
     def cotangents(self, ends: tuple[Array, Array, Array]) -> tuple[Bundle, Flow]:
+        """Cotangents of the grasp's numbers and of the start, from those of (saved, last, t_last)."""
+        # Each recorded vector gets the cotangents of all save times that it serves. The scatter stands
+        # outside the kernel, which could not hold it.
         saved_bar, last_bar, later_bar = ends
         index, reached = self._saved_at()
         track = jnp.zeros_like(self.ys)
@@ -182,8 +196,11 @@ def _pulled(steps: _Steps, track: Array, last_bar: Flow, later_bar: Scalar) -> t
 
     def step(i: Scalar, carry: tuple[Bundle, Flow, Scalar, Scalar]) -> tuple[Bundle, Flow, Scalar, Scalar]:
         moving_bar, ahead, drift, late = carry
+        # Turns 0 and 1 are steps of no length from the end; then come the steps themselves, the last first.
+        # In a batch all lanes take as many turns as the longest run: `used` leaves out those past an end.
         k = jnp.where(i < 2, end, longest + 1 - i)
         more, back, shift = steps.cotangents_of_step(k, ahead)
+        # How fast time alone moves what `ahead` weighs: turn 0 weighs the margin, turn 1 the end's cotangent.
         along = jnp.sum(back * steps.passing) + shift
         drift = jnp.where(i == 0, along, drift)
         late = jnp.where(i == 1, steps.postponed(drift, later_bar + along), late)

@@ -1,8 +1,14 @@
-"""One step of a diffrax Runge-Kutta method on a grasp, and the return to the constraints.
+r"""One step of a diffrax Runge-Kutta method on a grasp, and the return to the constraints at its end.
 
-diffrax supplies the methods; its own step is not used for explicit ones, because sharing the last stage's
-factorisation with the projection, and stopping XLA from recomputing one stage inside the next, is worth a
-factor of two in a run and four in a batch.
+A step from $x_0$ over $h$ has stages $x_i = x_0 + h \sum_{j<i} a_{ij} k_j$ with slopes $k_i = f(t_i, x_i)$, f
+being `slope` of `_state_vector`. The last stage is the step's end, off the constraints by the method's error;
+its evaluation gives the derivative there, with which the next step begins, the linearised constraints for the
+return (`_motion._projection`), and the margin, which tells whether the model still holds (`_events`).
+
+diffrax supplies the methods as tables of $a_{ij}$. Its own step is not used for explicit ones: sharing the
+last stage's factorisation with the projection, and stopping XLA from recomputing one stage inside the next, is
+worth a factor of two in a run and four in a batch. `_run` and `_batch` take steps, `_derivative`
+differentiates them.
 """
 
 from collections.abc import Callable
@@ -70,6 +76,7 @@ class RollingStep(eqx.Module):
         self, bundle: Bundle, times: tuple[Array, Array], y0: Array, over: Callable[[Callable], Callable]
     ) -> tuple[Array, Array, Array]:
         """The same for lanes along the last axis; `over` maps a function of one lane's (bundle, ...)."""
+        # `raw` is the end as the method gives it, `rates` the derivative there, `end` the packed `Ending`.
         raw, rates, error, end, dip = self._way(bundle, *times, y0, over)
         y1 = over(self.finish)(bundle, raw, rates, end)
         if "penetration" in self.events:
@@ -77,6 +84,7 @@ class RollingStep(eqx.Module):
         # XLA would work both out again in everything that looks at them (see `_events`).
         with sharing():
             dip, leapt = once((dip, self._leapt(y0, raw, y1).astype(error.dtype)))
+        # An infinite error makes the step-size control take the step back and try a shorter one.
         error = jnp.where(leapt > 0, jnp.inf, error)
         unseen = jnp.zeros((self.lay.width + 2, *error.shape[1:]), error.dtype)
         return y1, jnp.concatenate([error, unseen]), dip
@@ -89,6 +97,7 @@ class RollingStep(eqx.Module):
         """
         positions, velocities, places = self.lay.form.counts
         start, stop = positions + velocities, positions + velocities + places
+        # Contact coordinates before the step, before the projection, and after it.
         at = [y[start:stop] for y in (y0, raw, y1)]
         carried = jnp.abs(at[2] - at[1])
         moved = jnp.minimum(jnp.abs(at[1] - at[0]), jnp.abs(at[2] - at[0]))
@@ -114,6 +123,7 @@ class RollingStep(eqx.Module):
 
     def _within(self, t0: Scalar, t1: Scalar, y0: Flow, y1: Flow, share: Scalar) -> Array:
         """The vector x at a share of a step, by the cubic through both ends and their derivatives."""
+        # Hermite's cubic: the straight line from x0 to x1, and what bends it to the slopes at both ends.
         width = self.lay.width
         (x0, k0), (x1, k1) = ((y[:width], (t1 - t0)[None] * y[width : 2 * width]) for y in (y0, y1))
         rise, rest = x1 - x0, 1.0 - share
@@ -122,6 +132,7 @@ class RollingStep(eqx.Module):
 
     def _clearance_dip(self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow, y1: Flow) -> Scalar:
         """Where a fingertip overlaps the object within a step: the audit at some places of it."""
+        # The audit of clearance is long: in a loop it is compiled once, whatever the number of places.
         grasp, shares = bundle(), jnp.asarray(_AUDITED, y0.dtype)
 
         def audited(i: Scalar, margins: Array) -> Array:
@@ -189,12 +200,14 @@ class RollingStep(eqx.Module):
 
         terms, grasp = diffrax.ODETerm(field), bundle()
         x0 = y0[: self.lay.width]
+        # diffrax's own step, whatever it does inside; then one evaluation at its end, as the others have it.
         with sharing():
             memory = self.method.init(terms, t0, t1, x0, grasp)
             raw, error, _, _, code = self.method.step(terms, t0, t1, x0, grasp, memory, True)
         rates, end = self.at(bundle, t1, raw)
         if error is None:
             error = jnp.zeros_like(raw)
+        # Stages that could not be solved for: a shorter step may have them.
         error = jnp.where(code == diffrax.RESULTS.successful, error, jnp.inf)
         at = lambda t, x: self.at(bundle, t, x)  # noqa: E731
         return raw, rates, error, end, self._dip_between(at, (t0, t1), y0, (raw, rates, end))

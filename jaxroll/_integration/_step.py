@@ -6,8 +6,8 @@ its evaluation gives the derivative there, with which the next step begins, the 
 return (`_motion._projection`), and the margin, which tells whether the model still holds (`_events`).
 
 diffrax supplies the methods as tables of $a_{ij}$. Its own step is not used for explicit ones: sharing the
-last stage's factorisation with the projection, and stopping XLA from recomputing one stage inside the next, is
-worth a factor of two in a run and four in a batch. `_run` and `_batch` take steps, `_derivative`
+last stage's factorisation with the projection, and stopping XLA from recomputing one stage inside the next,
+is worth a factor of two in a run and four in a batch. `_run` and `_batch` take steps, `_derivative`
 differentiates them.
 """
 

@@ -105,7 +105,7 @@ def test_a_body_without_names_has_no_units():
         positions = property(lambda self: 2)
         turns = property(lambda self: True)
         size = property(lambda self: 1.0)
-        skeleton = prepared = pose = spin = motion = gravity_potential = lambda self, *args: None
+        skeleton = prepared = placed = motion = gravity_potential = lambda self, *args: None
 
     assert [each.unit for each in Own().labels] == ["", ""]
     bare = eqx.tree_at(lambda r: r.states, moved(on_a_plate(), [0, 0, 0], [1, 2, 3]), None)

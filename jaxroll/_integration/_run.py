@@ -1,4 +1,11 @@
-"""A run: what it is told, one turn of it (where the next step goes, and whether it is taken), all of them."""
+"""A run: what it is told, one turn of it, and all turns of one run in a loop.
+
+A turn aims (`aim`: from where to where the next step goes), steps (`_step`) and judges (`judge`: whether the
+step is taken, and whether the run is over). These are functions of one run's `Course` without branches, masks
+in their place, so that `_batch` can map them over lanes; here `solo` loops over them for one run, and
+`recorded` keeps every accepted step for the derivative (`_derivative`). `_step_size` decides how long steps
+are.
+"""
 
 from typing import Any, NamedTuple
 
@@ -97,6 +104,7 @@ def embark(plan: Plan, y0: Flow) -> Course:
 
 def aim(plan: Plan, course: Course) -> tuple[Scalar, Scalar]:
     """Start and end of the next step; a run that is over stays where it is."""
+    # Steps end at save times, where a state is most accurate, and at t1.
     pace, stop = course.pace, _stop(plan, course.saved)
     ahead = plan.control(pace).ahead(pace.t)
     # The first step has no length, however near the first stop is.
@@ -112,11 +120,13 @@ def judge(
     keep, _, _, _, pace, code = plan.control(course.pace, dip).adapt_step_size(
         *times, course.y, y1, None, error, plan.stepper.error_order, course.pace
     )
+    # diffrax's codes are enumerations, which no loop's state can hold: the number in it can.
     loop = code._value
     # A run that ends where something is not finite keeps the state before, and the code.
     whole = ~jnp.isnan(y1[-2]) | (jnp.arange(y1.shape[0]) == y1.shape[0] - 1)
     y = jnp.where(keep & whole, y1, course.y)
     holds, count = y[-1] <= 0, plan.ts.shape[0]
+    # `control` ends a step at a save time exactly, so that equality is the test for having reached it.
     hit = course.busy & keep & holds & (course.saved < count) & (pace.t == _stop(plan, course.saved))
     saved = course.saved + jnp.where(hit, 1, 0)
     over = (saved == count) & (pace.t == plan.t1)
@@ -158,9 +168,11 @@ def _solo(grasp: Bundle, y0: Flow, plan: Plan, record: Record | None) -> tuple[P
         times = aim(plan, course)
         step = plan.stepper.advance(grasp, *times, course.y)
         course = judge(plan, course, times, step)
+        # One row more than save times takes what is not wanted: a write that always happens needs no branch.
         place = jnp.where(course.hit, course.saved - 1, plan.ts.shape[0])
         saved = with_row(saved, course.y, place)
         if record is not None:
+            # A step that was not taken writes the state before it once more, where that stands already.
             count = course.pace.accepted
             record = Record(with_row(record.ts, course.pace.t, count), with_row(record.ys, course.y, count))
         meter = plan.progress.step(meter, (course.pace.t - plan.t0) / (plan.t1 - plan.t0))

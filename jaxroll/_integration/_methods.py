@@ -64,7 +64,7 @@ class Steady(diffrax.AbstractStepSizeController):
     ) -> tuple[Scalar, Scalar, Scalar, bool, Scalar, diffrax.RESULTS]:
         """Every step is accepted, except one whose error is not finite: that ends the run."""
         # `_step` gives an infinite error where implicit equations were not solved, or where the projection
-        # carried a contact away. The sum is finite only if all are (no reduction: see `weighted_sum`).
+        # carried a contact away. The sum is finite only if all terms are (no reduction: see `weighted_sum`).
         parts = jax.lax.split(y_error, (1,) * y_error.shape[0])
         solved = jnp.isfinite(total(parts))[0]
         results = diffrax.RESULTS

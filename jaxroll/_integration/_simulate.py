@@ -217,8 +217,7 @@ class _Norm(eqx.Module):
     lay: Layout = eqx.field(static=True)
 
     def __call__(self, error: Array) -> Array:
-        # Not a reduction: XLA hands the larger ones of a batch to a library, which ends the kernel of its
-        # loop.
+        # Not a reduction: XLA hands the larger ones of a batch to a library, out of the kernel of its loop.
         seen = self.lay.controlled(error)
         parts = jax.lax.split(seen, (1,) * seen.shape[0])
         return jnp.sqrt(total([e * e for e in parts]) * (1.0 / len(parts)))[0]
@@ -237,6 +236,7 @@ def _trajectory(
 ) -> tuple[Trajectory, Array]:
     """The public result of a path, and the worst residual of the start."""
     lay, way = plan.stepper.lay, plan.stepper.formulation
+    # Rows of `saved` that the run did not reach are NaN: `of_reached` keeps them so, and derivatives finite.
     states = states_of(lay, path.saved)
     # The start goes through the same evaluation as the saved states, which is then compiled once.
     both = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), state, states)
@@ -249,6 +249,7 @@ def _trajectory(
     if "energy" in record:
         energy = _energy(grasp, state, states, path.saved[:, lay.width - 1])
     attempted, accepted, rejected = path.steps
+    # The number of the limit that ended the run is positive; a run that no limit ended has no margin.
     number = jax.lax.stop_gradient(path.last[-1])
     margin = jnp.where(number > 0, path.last[lay.margin], jnp.nan)
     trajectory = Trajectory(

@@ -1,7 +1,7 @@
 """What a run integrates: one vector that holds the state and its own derivative.
 
 `y = [x, x', margin, code]`, with `x = [q, v, s]` and, where energy is recorded, the work done; `margin` says
-how far the model still holds and `code` is positive once it does not (`_events`). `slope` is `x'`, from
+how far the model still holds and `code` is positive once it does not (`_events`). `slope` computes `x'` with
 `_motion`. Since the derivative is carried along, a step is a pure map from `y` to `y` even for methods whose
 first stage is the last one of the step before; `_derivative` needs that. One vector, not a tuple of scalars,
 because every leaf of a loop's state costs XLA a kernel per step (measured: 34 against 9 us a step); for the

@@ -68,6 +68,7 @@ class VectorField(eqx.Module):
         """The nearest $y$, in the mass metric, with every gap, tangency and rate of a gap at zero."""
         if not isinstance(self.formulation, Index1):
             return y
+        # One more evaluation, at y, which `simulate` has from the last stage of a step.
         _, instant = self._at(t, y)
         return returned(self._lay, self.grasp, y, anchor_of(self.grasp, instant))
 
@@ -80,6 +81,7 @@ class VectorField(eqx.Module):
         """
         solver = diffrax.Dopri8() if solver is None else solver
         check_instance("solver", solver, diffrax.AbstractSolver, "a diffrax solver")
+        # Tolerances are diffrax's affair; any will do for the check. `Steady` asks for no error estimate.
         check_method(with_tolerances(solver, 1e-6, 1e-6), Steady(), jnp.zeros(self._lay.width))
         return Projected(solver, self.project, self._lay.width)
 

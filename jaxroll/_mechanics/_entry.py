@@ -1,4 +1,4 @@
-"""Checks that every public function of a grasp makes of its arguments, before anything is traced.
+"""Checks that public functions make of a grasp and its states, before anything is traced.
 
 The constructors check what they are given, but `equinox.tree_at` and `jax.tree.map` put other values into a
 grasp without them. `compiled` wraps a function of a grasp with these checks and `equinox.filter_jit`.

@@ -202,7 +202,7 @@ class Finger3(AbstractFinger):
     def _biases(self, chain: _Chain, v: Scalars) -> tuple[list[Vec3], list[Vec3], list[Vec3]]:
         """Spins and angular accelerations of the links, accelerations of the joints and of the tip frame.
 
-        Accelerations are those at zero joint accelerations; there are k, k and k + 1 of the three.
+        Three lists, of k, k and k + 1 vectors; accelerations are those at zero joint accelerations.
         """
         # Link i turns against the one before at a_i v_i, and that axis itself turns with the link before.
         still = Vec3(0.0, 0.0, 0.0)

@@ -1,8 +1,8 @@
 r"""A surface that is fixed in the world, or moves as a given function of time, for an object to roll on.
 
-It takes the place of a finger but has no velocities. Time is a position of its own, the clock, with
-$\dot q = 1$, because bodies are functions of positions alone. Twist and acceleration of the surface are
-derivatives of the given motion; `_motion._linearisation` keeps what they do to the gap as `drift`.
+It takes the place of a finger but has no velocities. Time is a position of its own, the clock, which runs at
+$\dot q = 1$, because a body's pose depends on its positions alone. Twist and acceleration of the surface are
+derivatives of the motion; `_motion._linearisation` keeps the rate that the twist gives a gap as `drift`.
 """
 
 from collections.abc import Callable

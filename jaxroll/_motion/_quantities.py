@@ -107,6 +107,7 @@ def reach(dtype: Any) -> float:
 
 def multipliers_at(grasp: Grasp, t: Scalar, state: State, formulation: Formulation) -> Multipliers:
     """Contact forces of a prepared grasp at one state."""
+    # Forces are unknowns of the equations of motion, and depend on the velocities and the torques too.
     instant = evaluate(grasp, t, to_leaves(state, grasp.form), formulation)
     return split_forces(grasp, [m.pose for m in instant.motions], instant.touching, instant.forces)
 

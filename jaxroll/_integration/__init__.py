@@ -1,10 +1,11 @@
 """From a closed state to a trajectory: steps, their lengths, events, batches and derivatives.
 
-`_simulate` is the entry point. `_state_vector` lays a state out as one vector, `_step` makes one step of a
-method of diffrax on it (`_rosenbrock` a linearly implicit one), `_step_size` sets its length, `_events`
-says where the model ends, within a step too. `_run` takes steps until a run is over,
-`_batch` those of many runs together, `_derivative` differentiates the recorded steps. `_trajectory` is the
-result, `_report` what is printed of it. The equations that are stepped are those of `_motion`.
+`_simulate` is the entry point; `_arguments` and `_methods` check what it is given. `_state_vector` lays a
+state out as one vector, `_step` makes one step of a method of diffrax on it (`_rosenbrock` is a linearly
+implicit method), `_step_size` sets its length, `_events` determines where the model ends, within a step too.
+`_run` takes steps until a run is over, `_batch` takes those of many runs together, `_derivative`
+differentiates the recorded steps. `_trajectory` is the result, `_report` its printed form. `_vector_field`
+and `_projected_method` offer the same equations, those of `_motion`, to `diffrax.diffeqsolve`.
 """
 
 from ._arguments import check_times as check_times, RTOL as RTOL, tolerance as tolerance

@@ -1,4 +1,7 @@
-"""Checks of the arguments of `simulate`, and their conversion on the host."""
+"""Checks of the arguments of `simulate`, and their conversion on the host.
+
+An argument may be a tracer, without a value: `concrete` then returns None, and only its shape is checked.
+"""
 
 from collections.abc import Collection
 from typing import Any, NamedTuple
@@ -12,18 +15,18 @@ import numpy as np
 from .._results import as_array, as_count, check_instance, concrete, shown
 
 RECORDS = ("multipliers", "energy")
-# The relative tolerance where none is given.
+# Default relative tolerance.
 RTOL = 1e-8
-# Below this relative tolerance single precision cannot deliver: steps collapse.
+# Smallest relative tolerance in single precision: below it rounding is the larger error, and steps collapse.
 _FLOAT32_FLOOR = 1e-5
-# Steps are counted in 32 bits where JAX is.
+# Steps are counted in 32-bit integers unless JAX is set to 64 bits.
 _MOST_STEPS = 2**31 - 2
-# Save times that are made here.
+# The largest number of save times that `save_times` will make.
 _MOST_TIMES = 10**7
 
 
 class Numbers(NamedTuple):
-    """What may change from run to run without recompiling."""
+    """The numbers of a run, which are arguments of the compiled program: new values do not recompile it."""
 
     t0: Any
     t1: Any
@@ -36,7 +39,7 @@ class Numbers(NamedTuple):
 def as_numbers(
     t0: Any, t1: Any, ts: Any, *, dt0: Any, rtol: Any, atol: Any, control: Any, dtype: np.dtype
 ) -> Numbers:
-    """Times, first step and tolerances, checked; those of the step-size control where it has its own."""
+    """Times, first step and tolerances, checked; an adaptive step-size control has its own tolerances."""
     t0, t1, ts = save_times(t0, t1, ts, dtype)
     relative, absolute = _tolerances(rtol, atol, control, dtype)
     dt0 = _scalar("dt0", dt0, dtype)
@@ -48,14 +51,14 @@ def as_numbers(
 
 
 def _plain(value: Any) -> bool:
-    """Whether a value is one of Python's own numbers, of ordinary size."""
+    """Whether a value is a Python float, or an int that a float holds exactly."""
     return type(value) is float or type(value) is int and abs(value) < 2**53
 
 
 def as_number(name: str, value: Any, dtype: np.dtype) -> Any:
-    """Numbers as an array, on the host where that is possible: a jnp operation costs 20 us."""
+    """Numbers as a NumPy array unless they are traced: an operation of JAX would cost 20 us."""
     listed = type(value) in (list, tuple) and all(map(_plain, value))
-    # Masked arrays and the like are for the door to refuse.
+    # By `type`, not `isinstance`: masked arrays and other subclasses go to `as_array`, which refuses them.
     known = type(value) is np.ndarray and value.dtype.kind in "fiu"
     if _plain(value) or listed or known:
         return np.asarray(value, dtype)
@@ -81,7 +84,7 @@ def _check_positive(name: str, number: Any) -> None:
 
 
 def save_times(t0: Any, t1: Any, ts: Any, dtype: np.dtype) -> tuple[Any, Any, Any]:
-    """Start, end and save times, checked; `ts` may be their number."""
+    """Start, end and save times [s], checked; `ts` holds the save times, or says how many."""
     start, end = _scalar("t0", t0, dtype), _scalar("t1", t1, dtype)
     bounds = concrete((start, end))
     if bounds is not None and not bounds[1] > bounds[0]:
@@ -122,13 +125,14 @@ def check_choices(name: str, given: Any, known: tuple[str, ...]) -> tuple[str, .
 
 
 def _tolerances(rtol: Any, atol: Any, control: Any, dtype: np.dtype) -> tuple[Any, Any]:
-    """Both tolerances, which are those of a step-size control that has its own."""
+    """Relative and absolute tolerance: those of an adaptive step-size control, if the caller gave one."""
     relative = tolerance("rtol", rtol, dtype)
     absolute = tolerance("atol", rtol if atol is None else atol, dtype)
     if not isinstance(control, diffrax.AbstractAdaptiveStepSizeController):
         return relative, absolute
     inside = "stepsize_controller.{}".format
     own = [tolerance(inside(name), getattr(control, name), dtype) for name in ("rtol", "atol")]
+    # An rtol equal to the default cannot be told from one that was not given.
     left = type(rtol) is float and rtol == RTOL
     given = (None if left else relative, None if atol is None else absolute)
     for name, asked, has in zip(("rtol", "atol"), given, own, strict=True):
@@ -159,7 +163,7 @@ def tolerance(name: str, value: Any, dtype: np.dtype) -> Any:
 
 
 def check_control(control: Any) -> Any:
-    """Raise unless a step-size control is one whose steps may be cut short at save times and events."""
+    """Raise unless a step-size control is None, constant, or adapts and lets steps be cut short."""
     name, constant = "stepsize_controller", diffrax.ConstantStepSize
     if control is None or type(control) is constant:
         return control

@@ -1,8 +1,9 @@
-"""Many runs in one program: a few slots step together, and whichever is done takes the next run.
+"""Many runs in one program: a few slots step together, and a slot whose run is over takes the next one.
 
-Lanes lie along the last axis, so that every operation is unit-stride vector code; the slots are so few
-that all they need stays in the processor's cache; and since a slot never waits for its neighbours,
-runs of unlike cost waste nothing. The numerics are those of a single run: same step, same control.
+Runs (lanes) lie along the last axis, so that every operation is unit-stride vector code. On a processor the
+slots are few enough for their data to stay in its cache. Since a slot never waits for its neighbours, runs of
+unequal length waste nothing. Step and step-size control are those of a single run (`_run`, `_step`).
+`_derivative` uses this where `simulate` is called under `vmap`, with a method that `_step` runs itself.
 """
 
 from collections.abc import Callable
@@ -18,14 +19,18 @@ from .._xla import VECTOR
 from ._run import aim, Course, embark, judge, Path, path_of, Plan
 from ._state_vector import Bundle
 
-# On a processor all that a slot needs, about 2-6 kB, is to fit the second-level cache many times over, and
-# its vector unit is to be full: measured flat from 64 to 256. An accelerator wants all it can get.
+# On a processor the data of all slots, about 2-6 kB each, should fit the second-level cache many times over,
+# and there should be enough of them to fill its vector unit: measured flat from 64 to 256 slots. An
+# accelerator is faster the more slots it has.
 _CPU_SLOTS = 64
 _DEVICE_SLOTS = 65536
 
 
 def _slots(size: int, most: int) -> int:
-    """How many slots for so many runs: as few as take them in as many rounds, in whole vectors."""
+    """Number of slots for `size` runs, at most `most`, in whole vectors of the processor.
+
+    With as few slots as need no more rounds than `most` of them would.
+    """
     rounds = -(-size // most)
     return min(size, -(-size // (rounds * VECTOR)) * VECTOR)
 
@@ -34,9 +39,9 @@ class Slots(NamedTuple):
     """The runs in progress, lanes last.
 
     Attributes:
-        run: Which run a slot holds; past the last one where there is none left.
-        task: The batched numbers of grasp, start and plan.
-        course: How far it is.
+        run: Index of the run that a slot holds; `size` or more where none was left.
+        task: The batched numbers of grasp, start and plan of that run.
+        course: State of that run in progress.
     """
 
     run: Array
@@ -50,7 +55,7 @@ class Slots(NamedTuple):
 
 
 class Output(NamedTuple):
-    """What finished runs left: one row per run, and one more for what is not wanted.
+    """Results, one row per run, plus one scratch row: writes that are to be discarded go there.
 
     Attributes:
         saved: Flow vectors at the save times.
@@ -65,7 +70,14 @@ class Ensemble:
     """The loop over `size` runs of a batched (grasp, start, plan)."""
 
     def __init__(self, size: int, batched: Any, arrays: Any, still: Any) -> None:
-        """Args: number of runs; which leaves of `arrays` have them in front; the rest of the pytree."""
+        """Divide the arguments of all runs into those that differ and those that all runs share.
+
+        Args:
+            size: Number of runs.
+            batched: Pytree like `arrays`: whether a leaf has the runs as its leading axis.
+            arrays: The arrays of (grasp, start, plan).
+            still: All other leaves of (grasp, start, plan).
+        """
         self.size = size
         leaves, self.form = jax.tree.flatten(arrays)
         self.marks, self.still = jax.tree.leaves(batched), still
@@ -75,7 +87,7 @@ class Ensemble:
         self.slots = _slots(size, _CPU_SLOTS if self.on_cpu else _DEVICE_SLOTS)
 
     def problem(self, task: list[Array]) -> tuple[Bundle, Array, Plan]:
-        """Grasp, start and plan of one run."""
+        """Grasp, start and plan of one run, from its batched numbers."""
         own, shared = iter(task), iter(self.shared)
         leaves = [next(own) if b else next(shared) for b in self.marks]
         return eqx.combine(jax.tree.unflatten(self.form, leaves), self.still)
@@ -85,29 +97,35 @@ class Ensemble:
         plan = self.problem([x[0] for x in self.queue])[2]
         start = jax.vmap(lambda i: self._fresh(i), out_axes=-1)(jnp.arange(self.slots))
         saves, width = plan.ts.shape[0], plan.stepper.lay.margin + 2
+        # NaN marks save times that a run does not reach.
         nothing = jnp.full((self.size + 1, saves, width), jnp.nan, start.course.y.dtype)
         output = Output(nothing, jnp.zeros((self.size + 1, width + 4), start.course.y.dtype))
+        # The last part of the carry is the next run to be started.
         carry = (start, output, jnp.asarray(self.slots))
         _, output, _ = jax.lax.while_loop(lambda c: jnp.any(c[0].course.busy), self._turn, carry)
         return self._paths(output, width)
 
     def _fresh(self, run: Scalar) -> Slots:
-        """A slot that takes up a run, or idles past the last one."""
+        """A slot at the start of a run; past the last run, a slot that is not busy."""
+        # An index past the end gives the last run's numbers: JAX clamps it.
         task = [jax.lax.dynamic_index_in_dim(x, run, keepdims=False) for x in self.queue]
         _, y0, plan = self.problem(task)
         course = embark(plan, y0)
         return Slots(run, task, course._replace(busy=run < self.size))
 
     def _turn(self, carry: tuple[Slots, Output, Array]) -> tuple[Slots, Output, Array]:
-        """One attempted step of every slot; then results out, and new runs in."""
+        """One attempted step of every slot; then results are written and finished slots refilled."""
         slots, output, following = carry
         slots = self._step(slots)
         way = self._one_by_one if self.on_cpu else self._together
         return way(slots, output, following)
 
     def _step(self, slots: Slots) -> Slots:
+        """One attempted step of every slot; a slot that is not busy stays as it is."""
         over = lambda function: jax.vmap(function, in_axes=-1, out_axes=-1)  # noqa: E731
 
+        # The step asks for functions of a bundled grasp to be mapped over lanes. Of the grasp's numbers only
+        # some may have lanes, so each lane rebuilds its own from its task, and the one handed in is ignored.
         def over_bundles(function: Callable) -> Callable:
             def mapped(_: Bundle, *args: Array) -> Any:
                 one = lambda task, *rest: function(self.problem(task)[0], *rest)  # noqa: E731
@@ -122,17 +140,20 @@ class Ensemble:
         return slots._replace(course=over(judged)(slots, times, step))
 
     def _ends(self, course: Course) -> Array:
+        """A row of `Output.ends`, with lanes along the last axis where `course` has them."""
         pace = course.pace
         more = [pace.t, pace.attempted, pace.accepted, course.loop]
         return jnp.concatenate([course.y, jnp.stack([x.astype(course.y.dtype) for x in more])])
 
     def _together(self, slots: Slots, output: Output, following: Array) -> tuple[Slots, Output, Array]:
-        """Results out and runs in, all slots at once: for accelerators."""
+        """Write results and refill finished slots, all at once by scatters: for accelerators."""
+        # `row` is the scratch row where there is nothing to write.
         course, done = slots.course, slots.done & (slots.run < self.size)
         row = jnp.where(course.hit, slots.run, self.size)
         saved = output.saved.at[row, jnp.maximum(course.saved - 1, 0)].set(course.y.T)
         row = jnp.where(done, slots.run, self.size)
         ends = output.ends.at[row].set(self._ends(course).T)
+        # Finished slots take the runs that follow, in the order of the slots.
         run = following + jnp.cumsum(done) - 1
         fresh = jax.vmap(self._fresh, out_axes=-1)(jnp.minimum(run, self.size))
         pick = jax.vmap(lambda done, new, old: jnp.where(done, new, old), in_axes=-1, out_axes=-1)
@@ -140,7 +161,10 @@ class Ensemble:
         return slots, Output(saved, ends), following + jnp.sum(done)
 
     def _one_by_one(self, slots: Slots, output: Output, following: Array) -> tuple[Slots, Output, Array]:
-        """The same one slot after the other, without scatters, which would break up the loop."""
+        """The same as `_together`, one slot after the other, for processors.
+
+        Scatters would not stay in the kernel of the loop; updates of one slice do.
+        """
 
         def serve(carry: tuple) -> tuple:
             flags, slots, output, following = carry
@@ -159,11 +183,13 @@ class Ensemble:
             slots, flags = jax.tree.map(put, slots, fresh), put(flags, jnp.asarray(False))
             return flags, slots, Output(saved, ends), following + jnp.where(done, 1, 0)
 
+        # Slots with something to write: a saved state, or a finished run.
         flags = slots.course.hit | slots.done & (slots.run < self.size)
         carry = (flags, slots, output, following)
         return jax.lax.while_loop(lambda c: jnp.any(c[0]), serve, carry)[1:]
 
     def _paths(self, output: Output, width: int) -> Path:
+        """The output without its scratch row, as paths with a leading axis of runs."""
         ends = output.ends[: self.size]
         last, (t, *counts) = ends[:, :width], ends[:, width:].T
         return jax.vmap(path_of)(output.saved[: self.size], last, t, tuple(counts))

@@ -1,16 +1,18 @@
-"""Where the model ends: margins after every step, and the code of the one that ran out.
+"""Where the model ends: its margins, and the code of the one that ran out.
 
-A margin is positive while the model holds and passes through zero where it ends, so that the step-size
-control can find the time of the event (see `_step_size`), and `_derivative` its derivative.
+A margin is positive while the model holds and passes through zero where it ends: a normal force, a distance
+to the friction cone or to the end of a contour, a relative sum of curvatures. The smallest one and its code
+are carried in the flow vector (`_state_vector`). The step-size control finds the time of its root
+(`_step_size`), and `_derivative` the derivative of that time.
 
-A step is judged at its end. A force that falls below zero and rises again before the step ends would pass
-unseen; but the stages of a method evaluate the equations, and with them the margin of the model, inside the
-step anyway. About the lowest of these margins goes a parabola; where that falls below zero, `StopAt` takes
-the step back and ends a shorter one there.
+A step is judged at its end. A force that falls below zero and rises again before the end would go unnoticed,
+but the stages of a method evaluate the equations inside the step, and with them the margin. `first_dip` puts
+a parabola through the lowest of these margins and its neighbours; where it falls below zero, `StopAt` rejects
+the step and ends a shorter one there.
 
-What that costs cannot be measured (below 1 % of a batch of the pivoted scene with Tsit5, by `python -m
-benchmarks.batch` with `first_dip` returning infinity beside), as long as it is worked out once a step: left
-to itself XLA works it out again in every number of the pace, and a batch takes 15 % longer.
+That costs below 1 % of a batch of the pivoted scene with Tsit5 (`python -m benchmarks.batch`, against a
+`first_dip` that returns infinity), as long as it is computed once per step (`_step.advance_lanes`). Otherwise
+XLA computes it again for every number of the step-size control, and a batch takes 15 % longer.
 """
 
 import functools
@@ -28,23 +30,24 @@ from .._results import RESULTS
 from .._types import Scalar
 from ..contact import AbstractContact, clearance, TOLERANCE
 
-# Relative size below which a pivot counts as zero.
+# Relative size below which a pivot of A M^-1 A^T counts as zero.
 _SINGULAR = 1e-9
-# Relative size below which a sum of curvatures counts as zero. While it runs out a contact rolls as fast as
-# its inverse, so that it falls as the square root of the time that is left: from this size on that is some
-# 1e-10 s, enough for steps to end there, while a smaller one would fall within the shortest step.
+# Relative size below which a sum of curvatures counts as zero. The rolling rate is proportional to its
+# inverse, (7), so that near zero the sum falls as the square root of the time that is left. At this size some
+# 1e-10 s are left, enough for a step to end there; at a smaller one it would be less than the shortest step.
 _FLAT = 1e-4
 # Points on each contour in the audit of penetration.
 _SAMPLES = 64
 
-# Stages closer than this share of a step to a later one, or to the start, are left out: later stages are of
-# higher order, and a difference of near neighbours would magnify what is wrong with the earlier one.
+# Of two stages closer in time than this share of a step only the one that the method evaluates later is used,
+# since it is of higher order: the difference of close neighbours would magnify the error of the other. Stages
+# that close to the start are left out too.
 _APART = 0.07
 
-# A margin that falls to this part of its neighbours' is close to zero.
+# A margin that falls below this part of the larger of its neighbours counts as close to zero.
 _CLOSE = 0.05
 
-# Codes by number, as the flow vector carries them: diffrax's loop takes none but its own.
+# Result codes by number: the flow vector holds numbers only, and diffrax's codes know nothing of contacts.
 _CODES = (
     RESULTS.successful,
     RESULTS.not_finite,
@@ -55,9 +58,9 @@ _CODES = (
     RESULTS.penetration,
 )
 _NOT_FINITE, _SINGULAR_CONTACT, _CONTOUR_END, _LOST, _SLIPPING, _PENETRATION = range(1, 7)
-# Margin of a singular contact below which steps that get too short are its doing.
+# If steps collapse while the margin of a singular contact is below this, that contact is taken as the cause.
 _NEARLY = 1e-2
-# Numbers of codes, in steps of which the contact is counted on.
+# A limit's number is its code plus this for each contact (see `_numbered`): above all codes.
 _KINDS = 16
 EVENTS = ("lift", "friction", "penetration")
 
@@ -67,7 +70,7 @@ class Limit(NamedTuple):
 
     Attributes:
         margin: How far away it is; negative beyond it.
-        number: Its code, and which contact it is of (see `_numbered`).
+        number: Its code and its contact in one number (see `_numbered`).
     """
 
     margin: Scalar
@@ -75,14 +78,14 @@ class Limit(NamedTuple):
 
 
 def regime(grasp: Grasp, leaves: Leaves, instant: Instant, events: tuple[str, ...]) -> tuple[Scalar, Scalar]:
-    """Smallest margin at one state, and the number of its limit: with a minus while it is not negative.
+    """Smallest margin at one state, and the number of its limit, negated unless the margin is below zero.
 
-    Contour ends and singular contacts are always watched, what `events` names besides; a friction
-    cone only where its contact has a coefficient.
+    Contour ends and singular contacts are always watched, normal forces and friction cones if `events` names
+    them; a friction cone only where its contact has a coefficient.
 
     Limits of the geometry come before those of the forces. Where the sum of curvatures passes through zero
-    the forces have a pole: they are large on one side and have the other sign on the other one, where
-    nothing rolls and no force means anything. The cause is the geometry.
+    the forces have a pole: beyond it they have the other sign and no meaning, because nothing rolls there.
+    A force that fell below zero is then no cause of its own.
     """
     shape = _nearest(_geometry(grasp, leaves, instant))
     forces = _forces(grasp, instant, events)
@@ -93,7 +96,8 @@ def regime(grasp: Grasp, leaves: Leaves, instant: Instant, events: tuple[str, ..
 
 
 def _nearest(limits: Sequence[Limit]) -> Limit:
-    """The limit with the smallest margin; one that is not a number hides no other."""
+    """The limit with the smallest margin; a margin that is NaN is passed over."""
+    # Comparisons with NaN are false; `jnp.minimum` would return it.
     least, number = jnp.inf, jnp.asarray(0)
     for limit in limits:
         lower = limit.margin < least
@@ -105,7 +109,7 @@ def _nearest(limits: Sequence[Limit]) -> Limit:
 def with_clearance(
     grasp: Grasp, leaves: Leaves, end: tuple[Scalar, Scalar], events: tuple[str, ...]
 ) -> tuple[Scalar, Scalar]:
-    """Margin and code with the audit of penetration, where `events` asks for it: once a step."""
+    """Margin and number with those of penetration, if `events` asks for it; called at the end of a step."""
     least, number = end
     if "penetration" not in events:
         return end
@@ -121,9 +125,10 @@ def smallest_clearance(grasp: Grasp, leaves: Leaves) -> Scalar:
 
 
 def coded(x: Array, margin: Scalar, number: Scalar) -> Array:
-    """Margin and code as the flow vector carries them: the margin is NaN where some value is not finite.
+    """Margin and number as the flow vector carries them; the margin is NaN if any value of x is not finite.
 
-    A limit that is passed there is the cause of that, such as the pole of a contact that does not roll.
+    The number is then that of `not_finite`, unless a limit was passed, which is taken as the cause, such as
+    the pole of a contact that does not roll.
     """
     finite = jnp.all(jnp.isfinite(x))
     number = jnp.where(finite | (number > 0), number, _NOT_FINITE)
@@ -131,10 +136,10 @@ def coded(x: Array, margin: Scalar, number: Scalar) -> Array:
 
 
 def decode(margin: Scalar, number: Scalar, loop: diffrax.RESULTS) -> RESULTS:
-    """The result code of a run: from the flow vector's margin and number, else from diffrax's loop.
+    """The result code of a run, from diffrax's code of its loop and its last state's margin and number.
 
-    Steps that collapse just before a contact becomes singular did so because of it. Of steps that are used up
-    there that is not known: a stiff run far from any pole uses them up as well.
+    Steps that collapse just before a contact becomes singular are put down to it. Steps that are used up
+    there are not: a stiff run far from any pole uses them up as well.
     """
     result = RESULTS.where(loop == diffrax.RESULTS.successful, RESULTS.successful, RESULTS.solver_failed)
     steps = loop == diffrax.RESULTS.max_steps_reached
@@ -149,17 +154,17 @@ def decode(margin: Scalar, number: Scalar, loop: diffrax.RESULTS) -> RESULTS:
 
 
 def _numbered(code: int, which: int | None) -> int:
-    """One number for a code and for the contact, or in an audit the finger, that it is of; None for all."""
+    """A code and the contact it concerns (for penetration the finger; None for all) as one number."""
     return code if which is None else code + _KINDS * (which + 1)
 
 
 def whose(number: Scalar) -> Scalar:
-    """The contact or finger of a limit that ended a run; -1 where there is none."""
+    """The contact or finger in the number of the limit that ended a run; -1 where there is none."""
     return (jnp.maximum(number, 0.0) // _KINDS).astype(int) - 1
 
 
 def _geometry(grasp: Grasp, leaves: Leaves, instant: Instant) -> list[Limit]:
-    """Ends of contours, sums of curvatures, and the smallest pivot of the constraints."""
+    """Limits from ends of contours, sums of curvatures, and the smallest pivot of A M^-1 A^T."""
     each = enumerate(zip(grasp.contacts, leaves.s, strict=True))
     limits = [
         Limit(margin, _numbered(_CONTOUR_END, i))
@@ -181,7 +186,7 @@ def _each_contact(grasp: Grasp, instant: Instant) -> list[tuple[AbstractContact,
 
 
 def _forces(grasp: Grasp, instant: Instant, events: tuple[str, ...]) -> list[Limit]:
-    """Normal forces, and distances to the sides of the friction cones [N]."""
+    """Limits from normal forces f and from the distances mu f - |lambda| to the friction cones [N]."""
     limits = []
     each = zip(_each_contact(grasp, instant), instant.forces, strict=True)
     for i, ((contact, pair, touching), force) in enumerate(each):
@@ -209,7 +214,7 @@ def _clearances(grasp: Grasp, leaves: Leaves) -> list[Scalar]:
 
 
 def watched(times: np.ndarray) -> np.ndarray:
-    """Which stages of a method to look at: their numbers, in order of time; the last one is the step's end.
+    """Indices of the stages whose margins `first_dip` uses, in order of time; the last is the step's end.
 
     Args:
         times: When each stage is evaluated, as a share of the step; the first is the start, the last the end.
@@ -225,16 +230,18 @@ def watched(times: np.ndarray) -> np.ndarray:
 def first_dip(times: np.ndarray, margins: Sequence[Array]) -> Array:
     r"""Share of a step at which its margin is lowest, if that is below zero or close to it; else infinity.
 
-    Through the lowest value inside the step and its two neighbours goes the parabola $m + b x + a x^2$ about
-    the middle one. It dips below zero if $m < 0$, or if $4 a m < b^2$ and its lowest place $-b / 2a$ lies
-    within these three. What comes close beside these neighbours is looked at from nearby as well: there the
-    parabola may err by more than what is left. The ends of the step are judged by themselves.
+    The parabola $m + b x + a x^2$, with x from the middle one, goes through the lowest margin inside the step
+    and its two neighbours. It dips below zero if $m < 0$, or if $4 a m < b^2$ and its lowest place $-b / 2a$
+    lies between the neighbours. In the second condition m is lowered by `_CLOSE` of the larger neighbour:
+    close to zero the parabola may err by more than m, and a shorter step decides. The ends of a step are
+    judged elsewhere.
 
     Args:
         times: Shape (n,), rising shares of the step, the start and the end included.
         margins: The margins there.
     """
     shares = times.tolist()  # plain numbers, which leave single precision as it is
+    # The lowest inner margin, both neighbours, and their times; which one it is, is known at run time only.
     low = (margins[0], margins[1], margins[2], *shares[:3])
     for i in range(2, len(shares) - 1):
         lower = margins[i] < low[1]
@@ -242,7 +249,7 @@ def first_dip(times: np.ndarray, margins: Sequence[Array]) -> Array:
         low = tuple(jnp.where(lower, a, b) for a, b in zip(new, low, strict=True))
     before, here, after, start, middle, end = low
     back, ahead = middle - start, end - middle
-    # Multiplied by the three distances, which are positive, so that nothing is divided.
+    # a and b times `size`, the product of the three distances, which is positive: so nothing is divided.
     down, up = (here - before) * ahead, (after - here) * back
     a, b = up - down, up * back + down * ahead
     size = back * ahead * (back + ahead)

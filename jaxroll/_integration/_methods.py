@@ -1,7 +1,9 @@
-"""What a run takes of diffrax: methods of one step for one equation, and controls of their error.
+"""Which methods and step-size controls of diffrax a run accepts, and how it adapts them.
 
-Everything of diffrax that a caller may hand in is judged here, by its structure, while a run is traced: it
-works, or is refused in one sentence. Calls of a compiled run pay nothing for it.
+`check_method` examines what a caller hands in by its structure while a run is traced, and refuses in one
+sentence what would not work; calls of a compiled run pay nothing for it. `Steady` and `Seeing` are the
+controls that `simulate` uses in place of a caller's own; `_step` asks `on_tableau` and `is_rosenbrock` how to
+run a method.
 """
 
 from typing import Any, get_origin
@@ -25,9 +27,10 @@ Controller = diffrax.AbstractStepSizeController
 
 
 class Steady(diffrax.AbstractStepSizeController):
-    """Steps of one length, shorter only where they have to end: `diffrax.ConstantStepSize`, among save times.
+    """Steps of constant length, but for those cut short by a save time or an event.
 
-    diffrax's own counts its steps to spread them over the run, and goes astray where one is cut short.
+    It stands for `diffrax.ConstantStepSize`, which counts steps to place their ends and so cannot be cut
+    short.
     """
 
     def wrap(self, direction: Any) -> "Steady":
@@ -45,7 +48,7 @@ class Steady(diffrax.AbstractStepSizeController):
         func: Any,
         error_order: Any,
     ) -> tuple[Scalar, Scalar]:
-        """End of the first step, and the length of all."""
+        """End of the first step, and the state of the control: the length of all steps."""
         return t0 + dt0, dt0
 
     def adapt_step_size(
@@ -59,7 +62,9 @@ class Steady(diffrax.AbstractStepSizeController):
         error_order: Any,
         controller_state: Scalar,
     ) -> tuple[Scalar, Scalar, Scalar, bool, Scalar, diffrax.RESULTS]:
-        """Every step is taken but one whose equations were not solved, which ends the run."""
+        """Every step is accepted, except one whose error is not finite: that ends the run."""
+        # `_step` gives an infinite error where implicit equations were not solved, or where the projection
+        # carried a contact away. The sum is finite only if all terms are (no reduction: see `weighted_sum`).
         parts = jax.lax.split(y_error, (1,) * y_error.shape[0])
         solved = jnp.isfinite(total(parts))[0]
         results = diffrax.RESULTS
@@ -69,7 +74,7 @@ class Steady(diffrax.AbstractStepSizeController):
 
 
 class Seeing(diffrax.AbstractStepSizeController):
-    """A caller's own control of the error; it sees q, v and work, as the default does.
+    """A caller's own control of the error, which is shown q, v and work only, as the default one is.
 
     Attributes:
         inner: The control.
@@ -94,7 +99,7 @@ class Seeing(diffrax.AbstractStepSizeController):
         func: Any,
         error_order: Any,
     ) -> tuple[Any, Any]:
-        """As the control itself has it."""
+        """The start of the inner control."""
         return self.inner.init(terms, t0, t1, self.lay.controlled(y0), dt0, args, func, error_order)
 
     def adapt_step_size(
@@ -108,13 +113,13 @@ class Seeing(diffrax.AbstractStepSizeController):
         error_order: Any,
         controller_state: Any,
     ) -> tuple:
-        """As the control itself has it."""
+        """The inner control's verdict."""
         before, after, error = (self.lay.controlled(y) for y in (y0, y1_candidate, y_error))
         return self.inner.adapt_step_size(t0, t1, before, after, args, error, error_order, controller_state)
 
 
 def on_tableau(method: Method) -> bool:
-    """Whether a method is explicit Runge-Kutta and no more: then its tableau says all.
+    """Whether a method is explicit Runge-Kutta with diffrax's own `step`: then its tableau says all.
 
     By class, not by instance: diffrax's wrappers claim to be instances of what they wrap.
     """
@@ -128,7 +133,7 @@ def is_rosenbrock(method: Method) -> bool:
 
 
 def with_tolerances(method: Any, rtol: Any, atol: Any) -> Any:
-    """An implicit method's root finder given the tolerances of the run, unless it has its own."""
+    """The method, with the run's tolerances for a root finder that has none of its own."""
     if issubclass(type(method), diffrax.AbstractWrappedSolver):
         inner = with_tolerances(method.solver, rtol, atol)
         return eqx.tree_at(lambda m: m.solver, method, inner)
@@ -145,6 +150,7 @@ def with_tolerances(method: Any, rtol: Any, atol: Any) -> Any:
 
 
 def _is_set(value: Any) -> bool:
+    """Whether a root finder's setting is a number or a function, not diffrax's mark for one to be set."""
     return callable(value) or eqx.is_array_like(value)
 
 
@@ -161,7 +167,7 @@ def check_method(method: Method, controller: Controller, y0: Array) -> None:
 
 
 def _fault(method: Any, y0: Array, steady: bool) -> str | None:
-    """What is wrong with a method, if anything."""
+    """What a method would have to do and does not, as the message words it; None if all is well."""
     structure = get_origin(method.term_structure) or method.term_structure
     if not (isinstance(structure, type) and issubclass(diffrax.ODETerm, structure)):
         return "take one ordinary differential equation, neither split into parts nor driven by noise"
@@ -186,7 +192,10 @@ def _fault(method: Any, y0: Array, steady: bool) -> str | None:
 
 
 def _tried(method: Any, y0: Array) -> tuple[bool, bool]:
-    """Whether a method remembers earlier steps, and whether it estimates its error: by shapes alone."""
+    """Whether a method remembers earlier steps, and whether it estimates its error.
+
+    By tracing one step for shapes alone: nothing is computed.
+    """
     terms, base = diffrax.ODETerm(_decay), method
     while issubclass(type(base), diffrax.AbstractWrappedSolver):
         base = base.solver
@@ -202,11 +211,13 @@ def _tried(method: Any, y0: Array) -> tuple[bool, bool]:
     for found in (y1, y1 if error is None else error):
         if jax.tree.structure(found) != jax.tree.structure(like) or found.shape != like.shape:
             raise ValueError(f"a step of shape {jax.tree.map(jnp.shape, found)} for {like.shape}")
-    # What a Runge-Kutta method keeps is the last derivative, and a step can do without it.
+    # What a Runge-Kutta method keeps is the last derivative, which a step can compute anew. Whatever a
+    # wrapper keeps beyond that is memory.
     kept = type(base).step is diffrax.AbstractRungeKutta.step
     forgetful = jax.tree.structure(memory) == jax.tree.structure(own) if kept else not jax.tree.leaves(memory)
     return not forgetful, error is not None
 
 
 def _decay(t: Any, y: Array, args: Any) -> Array:
+    """A vector field to try methods on: y' = -y."""
     return -y

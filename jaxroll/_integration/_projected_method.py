@@ -1,6 +1,6 @@
 """A method of diffrax that returns to the constraints after every step.
 
-What `VectorField.projected` gives to `diffrax.diffeqsolve`; `simulate` has a loop of its own (`_step`).
+`VectorField.projected` makes it, for `diffrax.diffeqsolve`; `simulate` has a loop of its own (`_step`).
 """
 
 from collections.abc import Callable
@@ -17,8 +17,8 @@ from .._results import shown
 class Projected(diffrax.AbstractWrappedSolver):
     """A method of diffrax, and after every step of it the return to the constraints.
 
-    A step begins at the projected end of the one before: what a method keeps of that one's last derivative is
-    worked out anew, one evaluation more in a step.
+    A step begins at the projected end of the one before. The last derivative that a method may have kept
+    belongs to the end before projection, and is computed anew: one evaluation more in every step.
 
     Attributes:
         solver: The method.
@@ -36,12 +36,12 @@ class Projected(diffrax.AbstractWrappedSolver):
 
     @property
     def scan_kind(self) -> Any:
-        """Which loop goes over the stages: diffrax sets it by the adjoint, in the method itself."""
+        """Kind of loop over the stages: diffrax sets it, by the adjoint, in the method itself."""
         return self.solver.scan_kind  # pyright: ignore
 
     @property
     def root_finder(self) -> Any:
-        """An implicit method's, whose tolerances diffrax takes from the control of the error."""
+        """An implicit method's root finder: diffrax gives it the tolerances of the step-size control."""
         return self.solver.root_finder  # pyright: ignore
 
     @property
@@ -49,7 +49,7 @@ class Projected(diffrax.AbstractWrappedSolver):
         return self.solver.interpolation_cls
 
     def order(self, terms: Any) -> Any:
-        """Order of the method: that of the projection is no lower."""
+        """Order of the method, which the projection does not lower."""
         return self.solver.order(terms)
 
     def strong_order(self, terms: Any) -> Any:
@@ -61,7 +61,7 @@ class Projected(diffrax.AbstractWrappedSolver):
         return self.solver.error_order(terms)
 
     def init(self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any) -> Any:
-        """What the method itself begins with."""
+        """The method's own initial memory."""
         self._check(terms, y0)
         return self.solver.init(terms, t0, t1, y0, args)
 
@@ -70,6 +70,7 @@ class Projected(diffrax.AbstractWrappedSolver):
     ) -> tuple[Any, Any, Any, Any, Any]:
         """One step of the method, its end projected."""
         self._check(terms, y0)
+        # "The field has jumped" tells the method to compute its first derivative anew.
         jumped = jnp.asarray(True)
         raw, error, dense, memory, code = self.solver.step(terms, t0, t1, y0, args, solver_state, jumped)
         y1 = self.project(t1, raw)

@@ -1,6 +1,7 @@
-"""What a run says of itself when it is printed, and why it ended.
+"""The printed form of a `Trajectory`, and the sentences that say why a run ended early.
 
-Everything here is on the host and reads what the run carries: no program is compiled for a report.
+Everything here works with NumPy on what the run holds: no program is compiled for a report. `simulate` raises
+what `complaint` says; `_why` and the command line use parts of it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,7 +13,7 @@ from .._mechanics import Coordinate, Labels, QUATERNION
 from .._printing import code_name, entry
 from .._results import concrete, message
 
-# How a code is told of one contact, of which margin ran out: the force, distance or share that passed zero.
+# What is said of the contact ("who") whose margin ran out; "by" is filled in from `_BY`.
 _TOLD = {
     "contact_lost": "{who} no longer presses{when}{by}",
     "slipping": "{who} needs more friction than there is{when}{by}",
@@ -20,7 +21,7 @@ _TOLD = {
     "singular_contact": "{who} became singular{when}: its curvatures cancel, to 1e-4 of their size{by}",
     "penetration": "{who} overlaps the object away from its contact{when}{by}",
 }
-# By how much it passed zero: by rounding where an event was hit in time, by more at a start that is off.
+# By how much the margin passed zero: by rounding at an event that was located, by more at a start beyond it.
 _BY = {
     "contact_lost": ": it pulls with {:.3g} N",
     "slipping": ": its force is {:.3g} N outside the friction cone",
@@ -28,7 +29,7 @@ _BY = {
     "singular_contact": "",
     "penetration": ": by {:.3g} m",
 }
-# What to do about each, in the words of `simulate`; other callers put theirs in place of these.
+# What helps against each code, in terms of the arguments of `simulate`; other callers may give others.
 REMEDIES = {
     "max_steps_reached": "a larger `max_steps`, a larger `rtol`, or `solver=jaxroll.Rosenbrock()` where fast "
     "rates that have died out hold the steps short",
@@ -46,7 +47,7 @@ REMEDIES = {
 
 
 def report(run: Any) -> str:
-    """One run in some lines."""
+    """What `print` shows of one run."""
     lines = [f"Trajectory: {code_name(run.result)}"]
     if _code(run):
         lines += entry("ended", [cause(run)])
@@ -73,7 +74,7 @@ def report(run: Any) -> str:
 
 
 def batch_report(runs: Any) -> str:
-    """Many runs: how many ended how, and where they are at the end."""
+    """What `print` shows of many runs: how many ended with each code, and where they are at the end."""
     codes, stats = np.asarray(runs.result._value), runs.stats
     lines = [f"Trajectory of {codes.size} lanes, {int(np.sum(stats.accepted))} accepted steps"]
     names = {int(code): code_name(type(runs.result)(code, runs.result._enumeration)) for code in codes.flat}
@@ -101,7 +102,7 @@ def cause(run: Any) -> str:
 
 
 def complaint(run: Any, remedies: Mapping[str, str] = REMEDIES) -> str:
-    """The sentence that an error says of a run that ended early: cause and remedy."""
+    """The sentence of an error about a run that ended early: cause and remedy."""
     told, remedy = cause(run), remedies.get(code_name(run.result))
     return f"{told[0].upper()}{told[1:]}" + (f"; what helps: {remedy}" if remedy else "")
 
@@ -133,7 +134,7 @@ def _reached(q: Any) -> np.ndarray:
 
 
 def peak(*arrays: Any) -> float:
-    """Largest absolute value of what was reached."""
+    """Largest absolute value in some arrays, NaN aside: rows that a run did not reach hold NaN."""
     return max(float(np.nanmax(np.abs(np.asarray(a)), initial=0.0)) for a in arrays)
 
 
@@ -143,7 +144,7 @@ def _left(left: Any) -> str:
 
 
 def _rolled(run: Any, saved: np.ndarray) -> list[str]:
-    """In the plane: how far each contact has rolled to and fro."""
+    """In the plane: the range of each contact's rolling coordinate over the saved states."""
     if run.residuals.tangential.ndim > run.residuals.normal.ndim or saved.sum() < 2:
         return []
     travel = 1e3 * np.ptp(np.asarray(run.states.s)[saved], axis=0)
@@ -151,7 +152,7 @@ def _rolled(run: Any, saved: np.ndarray) -> list[str]:
 
 
 def _motion(run: Any, saved: np.ndarray) -> list[str]:
-    """What every body did from the first saved state to the end; with one state, where it is."""
+    """How every body moved from the first saved state to the end; with one state, where it is."""
     end = np.asarray(run.last.q)
     labels = _labels(run.labels, end.shape[-1])
     if saved.sum() < 2:
@@ -188,14 +189,16 @@ def _suffix(unit: str) -> str:
 
 
 def _angle(start: np.ndarray, end: np.ndarray) -> float:
-    """Angle between two orientations, given as quaternions."""
+    """Angle [rad] between two orientations, given as quaternions."""
+    # The vector part of the quaternion from one to the other has the size |sin(a/2)|; the absolute value
+    # makes q and -q the same orientation.
     start, end = start / np.linalg.norm(start), end / np.linalg.norm(end)
     vector = start[0] * end[1:] - end[0] * start[1:] - np.cross(end[1:], start[1:])
     return float(2.0 * np.arctan2(np.linalg.norm(vector), abs(start @ end)))
 
 
 def _at_the_end(labels: Labels | None, q: np.ndarray, title: str) -> list[str]:
-    """Where every body is, over all lanes."""
+    """Where every body is: for each coordinate its range over all lanes."""
     rows = q.reshape(-1, q.shape[-1])
     rows = rows[np.isfinite(rows).all(axis=-1)]
     if not len(rows):
@@ -213,7 +216,7 @@ def _at_the_end(labels: Labels | None, q: np.ndarray, title: str) -> list[str]:
 
 
 def _labels(labels: Labels | None, positions: int) -> Labels:
-    """The labels of a run; of one that was made by hand, plain numbers."""
+    """The labels of a run; if it was made by hand without fitting ones, the coordinates by number."""
     if labels is not None and sum(len(each) for _, each in labels.bodies) == positions:
         return labels
     return Labels((("state", tuple(Coordinate(f"q[{i}]", "") for i in range(positions))),), ())
@@ -235,7 +238,10 @@ def _forces(run: Any, saved: np.ndarray) -> list[str]:
 
 
 def _demand(run: Any, f: np.ndarray, aside: np.ndarray) -> str:
-    """Largest friction demand, where and when; a contact that pulls has none that would do."""
+    """Largest coefficient of friction |lambda| / f that rolling needs, at which contact and when.
+
+    For a contact that pulls, f <= 0, no coefficient would do: the first of these is reported instead.
+    """
     seen = np.isfinite(f) & np.isfinite(aside)
     pulls = seen & ~(f > 0.0)
     need = np.where(seen & ~pulls, aside, -np.inf) / np.where(pulls | ~seen, 1.0, f)
@@ -243,7 +249,7 @@ def _demand(run: Any, f: np.ndarray, aside: np.ndarray) -> str:
         row, contact = np.unravel_index(np.argmax(pulls), f.shape)
         first = float(np.asarray(run.ts)[row])
         return f"! {contact_name(run.labels, int(contact))} pulls at t = {first:.4g} s: no friction would do"
-    # Of equal ones the first, whatever rounding says.
+    # The first of those equal up to rounding, so that the report does not depend on the machine.
     row, contact = np.unravel_index(np.argmax(need >= need.max() * (1.0 - 1e-9)), need.shape)
     most, t = float(need[row, contact]), float(np.asarray(run.ts)[row])
     warning = "; ! above 1: few materials give that" if most > 1.0 else ""

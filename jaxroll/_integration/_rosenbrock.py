@@ -1,7 +1,9 @@
-"""A Rosenbrock method for long runs: fast rates that have died out no longer set the step.
+r"""A Rosenbrock method for long runs: fast rates that have died out do not limit the step.
 
-diffrax's implicit methods iterate on nonlinear stages and call LAPACK; a Rosenbrock method solves a few
-linear systems with one matrix, and so fits the single kernel of a run.
+diffrax's implicit methods iterate on nonlinear stages and call LAPACK. A Rosenbrock method instead solves one
+linear system per stage, all with one matrix $I/(h\gamma) - J$, which is inverted once per step by operations
+that stay in the single kernel of a run. `_step` runs `advance` on flow vectors; `Rosenbrock.step` offers the
+same to any problem of diffrax.
 """
 
 from collections.abc import Callable
@@ -25,8 +27,8 @@ Field = Callable[[Array, Array], tuple[Array, Array]]
 class Rosenbrock(diffrax.AbstractAdaptiveSolver):
     r"""Rodas5P: a linearly implicit, L-stable method of order 5 with 8 stages, for runs of seconds and more.
 
-    Joint damping on light links makes rates of several hundred per second. They die out at once, but an
-    explicit method has to follow them for ever. This one solves, with one matrix a step,
+    Joint damping on light links makes rates of several hundred per second. They die out at once, but limit
+    the steps of an explicit method for the whole run. This one solves, with one matrix a step,
 
     $$\left(\frac{I}{h\gamma} - J\right) u_i = f(t + c_i h, x + \sum_j a_{ij} u_j)
         + \sum_j \frac{c_{ij}}{h} u_j + h d_i \partial_t f, \qquad x_1 = x + \sum_i b_i u_i,$$
@@ -105,12 +107,11 @@ def advance(
 ) -> tuple[Array, Array, Array, Array, Array]:
     """One step: its end, the derivative there, the error estimate, and what else the last evaluation gave.
 
-    Last of all comes a part of that, of all stages, shape (8, ...).
-
-    Lanes, if any, lie along the last axis of everything.
+    As the fifth result the part `kept` of what else each stage's evaluation gave, shape (8, ...). Lanes, if
+    any, lie along the last axis of everything.
 
     Args:
-        at: The field.
+        at: From (t, x) to the derivative of x, and a vector of whatever else is wanted.
         times: Start and end of the step.
         x0: State at the start, shape (n,) or (n, lanes).
         nothing: Of the shape of what `at` gives besides the derivative.
@@ -125,6 +126,9 @@ def advance(
 
     def stage(k: Scalar, carry: tuple[Array, ...]) -> tuple[Array, ...]:
         u, rates, _, parts, _ = carry
+        # (I/(h gamma) - J) u_k = f + sum_j c_kj u_j / h + h d_k df/dt. `rates` is f where the turn before
+        # left off; then comes the place of the next stage, after the last stage the step's end. Entries of u
+        # that are not known yet are zero, and have zero weight.
         right = rates + weighted_sum(row(slopes, k), u) / h + h * row(lags, k) * drift
         u = _put(u, weighted_sum(right[:, None], inverse), k)
         # A step of no length stays where it is, whatever its stages say.
@@ -136,25 +140,30 @@ def advance(
     start = (jnp.zeros((len(_ERROR), *x0.shape), x0.dtype), rates, nothing, parts, x0)
     u, rates, end, parts, x1 = jax.lax.fori_loop(0, len(_ERROR), stage, start)
     error = weighted_sum(_ERROR, u)
-    # A matrix that is singular at this length shows here: a shorter step has another one.
+    # If the matrix is singular, u is not finite. An infinite error makes the step shorter, with another
+    # matrix.
     error = jnp.where(jnp.isfinite(error), error, jnp.inf)
     return x1, rates, jnp.where(moving, error, 0.0), end, parts
 
 
 def side_by_side(sample: Callable, nudges: Array) -> Array:
-    """All samples of one lane in one evaluation: a vector operation works on eight of them."""
+    """All samples of one lane in one evaluation, padded to whole vectors of the processor."""
     idle = -nudges.shape[0] % VECTOR
     padded = jnp.pad(nudges, ((0, idle), (0, 0)))
     return jax.vmap(sample, in_axes=1, out_axes=1)(padded.T)[:, : nudges.shape[0]].T
 
 
 def samples_in_turn(sample: Callable, nudges: Array) -> Array:
-    """One sample after the other, for many lanes."""
+    """One sample after the other, for many lanes, which fill the vectors already."""
     return jax.lax.map(sample, nudges)
 
 
 def _linearised(at: Field, t0: Array, x0: Array, h: Array, sampled: Callable) -> tuple[Array, Array, Array]:
-    """The field where a step starts, the inverse of the step's matrix, columns first, the drift in time."""
+    """The field f at a step's start, the inverse of I/(h gamma) - J by columns, and df/dt.
+
+    From n + 2 samples of the field: at the start, with each component of x moved a little, and with t moved.
+    `slopes` then holds the columns of J as rows, and so does the inverse with its own.
+    """
     n = x0.shape[0]
     size = _nudges(x0, t0)
     unit = jnp.eye(n + 2, n + 1, -1, x0.dtype).reshape(n + 2, n + 1, *(1,) * t0.ndim)
@@ -165,7 +174,7 @@ def _linearised(at: Field, t0: Array, x0: Array, h: Array, sampled: Callable) ->
 
 
 def _nudges(x0: Array, t0: Array) -> Array:
-    """By how much x and t of the samples differ from the start of the step."""
+    """Length of the forward differences in each component of x, and in t: sqrt(eps) of its size."""
     here = jax.lax.stop_gradient(jnp.concatenate([x0, t0[None].astype(x0.dtype)]))
     return np.sqrt(np.finfo(x0.dtype).eps) * jnp.maximum(jnp.abs(here), _LEAST)
 
@@ -174,13 +183,16 @@ def _nudges(x0: Array, t0: Array) -> Array:
 def inverted(matrix: Array) -> Array:
     """Inverse of small matrices, shape (n, n) or (n, n, lanes), by Gauss-Jordan in place.
 
-    Without pivoting: what that loses is little beside the error of the differences, and a pivot that
-    vanishes at one length of the step makes it shorter.
+    Without pivoting: the accuracy that this loses is small beside the error of the differences, and where a
+    pivot vanishes, `advance` asks for a shorter step.
     """
     n = matrix.shape[0]
     index = jnp.arange(n).reshape(n, *(1,) * (matrix.ndim - 1))
 
     def eliminate(j: Scalar, a: Array) -> Array:
+        # Row j is divided by its pivot, and its multiples subtracted from the others to clear their column j,
+        # which then holds the j-th column of the inverse. Masks, for JAX may make scatters of updates in
+        # place.
         pivots, column = row(a, j), _column(a, j)
         here, across = index == j, index[:, 0] == j
         unit = jnp.where(across, 1.0, pivots) / row(pivots, j)[None]
@@ -192,29 +204,33 @@ def inverted(matrix: Array) -> Array:
 
 @inverted.defjvp
 def _(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
+    # d(W^-1) = -W^-1 dW W^-1.
     inverse = inverted(primals[0])
     return inverse, -_product(inverse, _product(tangents[0], inverse))
 
 
 def _product(left: Array, right: Array) -> Array:
-    """Matrix product as sums of numbers: a library's would break up the loop of a run."""
+    """Matrix product as a sum of outer products: a library's would break up the kernel of a run."""
     return total([left[:, k][:, None] * right[k][None] for k in range(left.shape[1])])
 
 
 def _column(matrix: Array, j: Scalar) -> Array:
+    """Column j >= 0."""
     return jax.lax.dynamic_index_in_dim(matrix, j, 1, keepdims=False, allow_negative_indices=False)
 
 
 def _put(rows: Array, new: Array, i: Scalar) -> Array:
-    # Not in place: under `vmap` JAX makes a scatter of that.
+    """Replace row i, by a mask: of an update in place JAX makes a scatter under `vmap`."""
     index = jnp.arange(rows.shape[0]).reshape(-1, *(1,) * new.ndim)
     return jnp.where(index == i, new[None], rows)
 
 
-# Differences are taken over this part of 1 where a component is smaller [m, rad, m/s, rad/s, s].
+# Smallest size that is taken for a component in `_nudges` [m, rad, m/s, rad/s, s].
 _LEAST = 0.1
 _GAMMA = 0.21193756319429014
-# Coefficients of the transformed method; row i of _ROWS leads to stage i, the last one to the step's end.
+# Coefficients of Rodas5P in the form for the u_i, which needs no product with J. _A holds the a_ij, _C the
+# c_ij and _LAGS the d_i of the formula in `Rosenbrock`. Row i of _ROWS leads to stage i, the last one to the
+# step's end; the last three evaluations share a row of _A, and each adds the u of the stage before.
 _A = (
     (3.0,),
     (2.849394379747939, 0.45842242204463923),

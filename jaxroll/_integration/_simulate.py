@@ -1,4 +1,9 @@
-"""`simulate`: the entry point of the package."""
+"""`simulate`: the entry point of the package.
+
+It checks its arguments (`_arguments`) and calls the compiled `_run`, which lays the state out as a
+vector (`_state_vector`), integrates it (`_derivative.march`, which is differentiable) and forms the
+`Trajectory`: states, residuals, and contact forces and energies if they were asked for.
+"""
 
 from collections.abc import Collection
 from typing import NamedTuple
@@ -151,7 +156,7 @@ def simulate(
 
 
 class Setup(NamedTuple):
-    """What is compiled in."""
+    """The arguments that decide which program is compiled."""
 
     solver: diffrax.AbstractSolver
     controller: diffrax.AbstractStepSizeController | None
@@ -162,7 +167,7 @@ class Setup(NamedTuple):
 
 
 def _is_plain(grasp: Grasp, setup: Setup) -> bool:
-    """Whether arrays are all there is in the arguments: then `jax.jit` serves, in half the time."""
+    """Whether all leaves of the arguments are arrays: `jax.jit` then serves, with half the time per call."""
     if setup.controller is not None or setup.progress is not None:
         return False
     return not jax.tree.leaves(setup.solver) and all(map(eqx.is_array, jax.tree.leaves(grasp)))
@@ -171,12 +176,14 @@ def _is_plain(grasp: Grasp, setup: Setup) -> bool:
 def _run(
     grasp: Grasp, state: State, formulation: Formulation, numbers: Numbers, setup: Setup
 ) -> tuple[Trajectory, Array]:
+    """The program of a run: its trajectory, and how far the start is off the constraints [m or rad]."""
     check_precision(grasp, state)
     ready, lay = grasp.prepared(), layout(grasp, "energy" in setup.record)
     y0 = vector_of(lay, state)
     stepper = RollingStep(setup.solver, formulation, lay, setup.events)
     plan = _plan(stepper, y0, Numbers(*map(jnp.asarray, numbers)), setup)
-    # A derivative in a time or a gain of the formulation would be a silent zero: refuse it instead.
+    # `march` does not differentiate the plan. A derivative in a time or a gain would be zero without a word:
+    # refuse it instead.
     plan = eqxi.nondifferentiable(plan, name="times, tolerances and gains of the formulation")
     return _trajectory(ready, state, march(bundle(ready), y0, plan), plan, setup.record)
 
@@ -186,6 +193,7 @@ _run_any = eqx.filter_jit(_run)
 
 
 def _plan(stepper: RollingStep, y0: Array, numbers: Numbers, setup: Setup) -> Plan:
+    """Method, step-size control and times of a run; raise for a method that does not suit the control."""
     t0, t1, ts, dt0, rtol, atol = numbers
     lay, given = stepper.lay, setup.controller
     controller: diffrax.AbstractStepSizeController = Steady()
@@ -193,7 +201,7 @@ def _plan(stepper: RollingStep, y0: Array, numbers: Numbers, setup: Setup) -> Pl
         controller = diffrax.PIDController(rtol=rtol, atol=atol, norm=_Norm(lay), dtmin=1e-12)
     elif not isinstance(given, diffrax.ConstantStepSize):
         controller = Seeing(given, lay).wrap(1)
-        # A control may have its own say in the first step.
+        # A control may change the length of the first step.
         first, _ = controller.init(None, t0, t1, y0, dt0, None, None, stepper.error_order)
         dt0 = first - t0
     method = with_tolerances(setup.solver, rtol, atol)
@@ -204,19 +212,19 @@ def _plan(stepper: RollingStep, y0: Array, numbers: Numbers, setup: Setup) -> Pl
 
 
 class _Norm(eqx.Module):
-    """Root mean square of the scaled error over what error control looks at."""
+    """Root mean square of the scaled error over what error control looks at: q, v and work."""
 
     lay: Layout = eqx.field(static=True)
 
     def __call__(self, error: Array) -> Array:
-        # Not a reduction: XLA hands the larger ones of a batch to a library, out of its loop.
+        # Not a reduction: XLA hands the larger ones of a batch to a library, out of the kernel of its loop.
         seen = self.lay.controlled(error)
         parts = jax.lax.split(seen, (1,) * seen.shape[0])
         return jnp.sqrt(total([e * e for e in parts]) * (1.0 / len(parts)))[0]
 
 
 def check_precision(grasp: Grasp, state: State) -> None:
-    """Raise for a state of less precision than its grasp has: a run would go on in that of the grasp."""
+    """Raise for a state of less precision than its grasp: the equations would give slopes of the grasp's."""
     wanted = jnp.result_type(*filter(eqx.is_inexact_array, jax.tree.leaves(grasp)))
     has = state.q.dtype
     if jnp.promote_types(wanted, has) != has:
@@ -226,8 +234,11 @@ def check_precision(grasp: Grasp, state: State) -> None:
 def _trajectory(
     grasp: Grasp, state: State, path: Path, plan: Plan, record: tuple[str, ...]
 ) -> tuple[Trajectory, Array]:
+    """The public result of a path, and the worst residual of the start."""
     lay, way = plan.stepper.lay, plan.stepper.formulation
+    # Rows of `saved` that the run did not reach are NaN: `of_reached` keeps them so, and derivatives finite.
     states = states_of(lay, path.saved)
+    # The start goes through the same evaluation as the saved states, which is then compiled once.
     both = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), state, states)
     left = of_reached(lambda rows: in_turn(residuals_at, grasp, rows), both, state)
     off = worst(jax.tree.map(lambda a: a[0], left))
@@ -238,6 +249,7 @@ def _trajectory(
     if "energy" in record:
         energy = _energy(grasp, state, states, path.saved[:, lay.width - 1])
     attempted, accepted, rejected = path.steps
+    # The number of the limit that ended the run is positive; a run that no limit ended has no margin.
     number = jax.lax.stop_gradient(path.last[-1])
     margin = jnp.where(number > 0, path.last[lay.margin], jnp.nan)
     trajectory = Trajectory(
@@ -255,17 +267,20 @@ def _trajectory(
 
 
 def _forces_at(given: tuple[Grasp, Formulation], state: State, t: Array) -> Multipliers:
+    """Contact forces at one saved state."""
     with sharing():
         return multipliers_at(given[0], t, state, given[1])
 
 
 def _energies_at(grasp: Grasp, state: State) -> tuple[Array, Array]:
+    """Kinetic and potential energy [J] at one saved state."""
     with sharing():
         kinetic, potential = energies_at(grasp, state)
     return jnp.asarray(kinetic), jnp.asarray(potential)
 
 
 def _energy(grasp: Grasp, start: State, states: State, work: Array) -> Energy:
+    """Energy balance (20) at the saved states; `work` is what the run has integrated up to each [J]."""
     kinetic, potential = of_reached(lambda rows: in_turn(_energies_at, grasp, rows), states, start)
     balance = kinetic + potential - work
     return Energy(kinetic, potential, work, balance - balance[0])

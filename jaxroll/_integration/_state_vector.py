@@ -1,11 +1,11 @@
-"""What the solver integrates: one vector that holds the state and its own derivative.
+"""What a run integrates: one vector that holds the state and its own derivative.
 
-`y = [x, x', margin, code]`, with `x = [q, v, s]` and, when energy is audited, the work done; `margin` says
-how far the model still holds and `code` is positive once it does not (see `_events`). Carrying the
-derivative makes one step a pure map from `y` to `y`, first-same-as-last included, which is what the
-differentiation of recorded steps in `_derivative` needs. One vector, not a tuple of scalars, because every
-leaf of a loop's state costs XLA a kernel per step (measured: 34 against 9 us); for the same reason the
-grasp's numbers are bundled.
+`y = [x, x', margin, code]`, with `x = [q, v, s]` and, where energy is recorded, the work done; `margin` says
+how far the model still holds and `code` is positive once it does not (`_events`). `slope` computes `x'` with
+`_motion`. Since the derivative is carried along, a step is a pure map from `y` to `y` even for methods whose
+first stage is the last one of the step before; `_derivative` needs that. One vector, not a tuple of scalars,
+because every leaf of a loop's state costs XLA a kernel per step (measured: 34 against 9 us a step); for the
+same reason the grasp's numbers travel as one array, a `Bundle`.
 """
 
 import itertools
@@ -25,7 +25,7 @@ Flow = Float[Array, " flow"]
 
 
 class Layout(NamedTuple):
-    """Where everything is in the vector; static."""
+    """Where everything is in the vector; hashable. `audited`: whether the work done is a part of `x`."""
 
     form: Form
     audited: bool
@@ -39,7 +39,7 @@ class Layout(NamedTuple):
     def controlled(self, error: Array) -> Array:
         """The part of `x` that error control looks at: q, v and work.
 
-        Contact coordinates are slaved to q by tangency, and the derivative is not integrated.
+        Contact coordinates follow from q by tangency, and the derivative is not integrated.
         """
         positions, velocities, places = self.form.counts
         moving = positions + velocities
@@ -53,7 +53,7 @@ def layout(grasp: Grasp, audited: bool) -> Layout:
 
 
 def pack(leaves: Leaves, work: Scalar | None) -> Array:
-    """Scalars to the vector x."""
+    """The vector x of a state in scalars, and of the work done [J] where that is audited."""
     flat = [leaf for blocks in (leaves.q, leaves.v) for block in blocks for leaf in block]
     flat += jax.tree.leaves(leaves.s)
     if work is not None:
@@ -62,7 +62,7 @@ def pack(leaves: Leaves, work: Scalar | None) -> Array:
 
 
 def unpack(lay: Layout, x: Array) -> tuple[Leaves, Scalar | None]:
-    """The vector x (or y) to scalars."""
+    """State and work of a vector x, or of a y, which begins with x."""
     rest = iter(scalars(x[: lay.width]))
 
     def blocks(sizes: tuple[int, ...]) -> Blocks:
@@ -77,7 +77,7 @@ def unpack(lay: Layout, x: Array) -> tuple[Leaves, Scalar | None]:
 def slope(
     lay: Layout, grasp: Grasp, t: Scalar, x: Array, *, formulation: Formulation
 ) -> tuple[Array, Instant]:
-    """Time derivative of x, the right-hand side of a run, and all else that its evaluation worked out."""
+    """Time derivative of x, which is the right-hand side of a run, and the whole `Instant` it comes from."""
     leaves, _ = unpack(lay, x)
     instant = evaluate(grasp, t, leaves, formulation)
     gained = power(grasp, t, leaves, instant) if lay.audited else None
@@ -85,20 +85,20 @@ def slope(
 
 
 def states_of(lay: Layout, y: Array) -> State:
-    """The public state inside a vector, or a stack of them."""
+    """The state in a vector x or y, or in a stack of them along leading axes."""
     positions, velocities, places = lay.form.counts
     moving = positions + velocities
     return State(y[..., :positions], y[..., positions:moving], y[..., moving : moving + places])
 
 
 def vector_of(lay: Layout, state: State) -> Array:
-    """The vector y of a public state: no work done, no derivative known yet."""
+    """The vector y of a state at the start: no work done yet, derivative, margin and code not yet known."""
     unknown = int(lay.audited) + lay.width + 2
     return jnp.concatenate([state.q, state.v, state.s, jnp.zeros(unknown, state.q.dtype)])
 
 
 class Bundle(eqx.Module):
-    """A grasp whose numbers travel as one array: a loop's state then has one leaf, not fifty."""
+    """A grasp whose scalars are one array, for loops; calling it gives the grasp, ready for evaluation."""
 
     numbers: Float[Array, " numbers"]
     rest: Grasp
@@ -109,7 +109,7 @@ class Bundle(eqx.Module):
 
 
 def bundle(grasp: Grasp) -> Bundle:
-    """Gather the scalar leaves of a prepared grasp."""
+    """Gather the scalar leaves of a prepared grasp in one array; other arrays, such as tables, stay."""
     scalar = lambda x: eqx.is_inexact_array(x) and jnp.ndim(x) == 0  # noqa: E731
     numbers, rest = eqx.partition(grasp, scalar)
     leaves, tree = jax.tree.flatten(numbers)

@@ -1,8 +1,10 @@
-"""Step-size control: steps end at save times, and at the moment when the model stops holding.
+"""Step-size control with a search for events: the last step of a run ends where the model stops holding.
 
-An event needs no dense output and no second copy of the step: a step that would carry the run past it is
-taken back and tried shorter, by the Illinois method on the margin that the flow vector carries, until it
-lands on the event to rounding.
+The control of the error is diffrax's, or a caller's own. An event needs no dense output and no second copy of
+the step: a step that would carry the run past it is rejected and tried shorter, until one ends at the event
+to rounding. Its length is found by the Illinois method, which is the secant method on a bracket with the
+margin of an end halved when that end stays twice in succession. `_run` uses `StopAt`: `ahead` proposes where
+a step ends, `adapt_step_size` says what becomes of it.
 """
 
 from typing import Any, NamedTuple
@@ -16,26 +18,26 @@ from jaxtyping import Array, Float, Int
 from .._types import Scalar
 from .._xla import once, sharing
 
-# Steps shorter than this part of what error control asks for are not searched for dips of the margin.
+# Steps shorter than this part of what error control asks for are not shortened for dips of the margin.
 _FINEST = 1.0 / 1024.0
-# A start whose margin is smaller is left by a step shorter by this factor: where a limit is passed and met
-# again at once, another one, further away, may be the nearest at all stages of a long step.
+# A run whose margin at the start is below _BESIDE begins with a step of _CAREFUL dt0. It may cross that limit
+# and come back at once, and at all stages of a longer step another limit may have the smallest margin.
 _BESIDE, _CAREFUL = 1e-6, 1e-3
-# What becomes of a step: left for its error, taken back from beyond an event or before a dip; kept, or the
-# last one.
+# What becomes of a step: rejected for its error, since it passed an event, or since the margin dips below
+# zero within it; accepted; accepted as the last one.
 _LEFT, _BACK, _DIPS, _KEPT, _ENDS = range(5)
 
 
 class Hunt(NamedTuple):
-    """A bracket round an event ahead.
+    """A bracket of an event ahead: it lies between the present time and the time `beyond` later.
 
     Attributes:
-        beyond: How far ahead the model is known not to hold [s]; infinite while there is no event.
-        low: Margin here, as the Illinois method weighs it.
-        high: Minus the margin there, weighed likewise.
-        side: Which end moved last: -1 this one, 1 that one, 0 neither.
-        leap: Longest step while looking for a bracket anew [s]; infinite otherwise.
-        grain: Shortest step of the hunt, in units of what still moves time.
+        beyond: How far ahead the model is known not to hold [s]; infinite while no event is known.
+        low: Margin at the near end, the present time, as the Illinois method weighs it.
+        high: Minus the margin at the far end, weighed likewise.
+        side: Which end moved last: -1 the near one, 1 the far one, 0 neither.
+        leap: Longest step while a bracket is looked for [s]; infinite otherwise.
+        grain: Shortest step of the search, in multiples of `resolution`.
     """
 
     beyond: Scalar
@@ -47,12 +49,12 @@ class Hunt(NamedTuple):
 
     @property
     def on(self) -> Scalar:
-        """Whether an event is being approached."""
+        """Whether an event is being searched for."""
         return jnp.isfinite(self.beyond) | jnp.isfinite(self.leap)
 
 
 class Pace(eqx.Module):
-    """What the step-size control remembers between steps."""
+    """What the step-size control remembers between steps; `inner` is the state of the error control."""
 
     inner: Any
     length: Float[Array, ""]  # of the next step, before it is cut short by a stop or an event
@@ -63,7 +65,7 @@ class Pace(eqx.Module):
 
 
 def resolution(t: Scalar) -> Scalar:
-    """Shortest step that still moves time."""
+    """Shortest step [s] that safely moves time: eight rounding units of t, or of 1 ms if t is less."""
     return 8.0 * jnp.finfo(jnp.result_type(t)).eps * jnp.maximum(jnp.abs(t), 1e-3)
 
 
@@ -76,16 +78,16 @@ def at_rest(inner: Any, t0: Scalar) -> Pace:
 
 
 class StopAt(eqx.Module):
-    """Step-size control that ends steps at given times and at events, where a step is most accurate.
+    """Step-size control that ends steps at events, where a step is most accurate; `_run.aim` adds save times.
 
-    The first step has no length: it works out the derivative that the flow vector carries, and so
-    spares the program a copy of the equations of motion.
+    The first step has no length: it gives the start its derivative, margin and code, and so spares the
+    program a second copy of the equations of motion.
 
     Attributes:
         inner: The control of the error.
         pace: Where to go on from.
         dt0: Length of the first real step.
-        dip: At what share of the last step its margin dips below zero and comes back (see `_events`).
+        dip: Share of the last step at which its margin dips below zero (`_events.first_dip`), or infinity.
         max_steps: Steps to attempt at most.
         margin: Where the flow vector carries the margin; its code is next.
     """
@@ -103,21 +105,24 @@ class StopAt(eqx.Module):
         keep, start, end, jumped, inner, code = self.inner.adapt_step_size(*step)  # pyright: ignore
         first, hunting = t0 == t1, pace.hunt.on
         past = y1[self.margin + 1] > 0
-        # What is not finite has no error to be judged by: such a step is taken back and halved.
+        # A step beyond an event counts only if its error is small enough. One that is not finite has no
+        # error: it is rejected and halved like one that passed an event.
         judged = keep | jnp.isnan(y1[self.margin])
         ends = past & (first | judged & (t1 - t0 <= 2.0 * pace.hunt.grain * resolution(t1)))
         back = past & judged & ~ends
         near = self.dip * (t1 - t0)
-        # Where the margin dips, a shorter step is to end. Below a part of the usual length it is not asked
-        # any more: there all is smooth, and what dips is rounding.
+        # If the margin dips below zero within an accepted step, the next try ends where it is lowest. Steps
+        # far below the usual length are exempt: on them the margin is smooth, and a dip is rounding.
         dips = keep & ~past & ~first & (self.dip < 1.0) & (near > _FINEST * pace.length)
         keep = first | ends | keep & ~back & ~dips
-        # All that follows asks which it was: as numbers that is worked out once.
+        # The outcome as one number: `once` has it computed once, where XLA would copy the comparisons into
+        # all that depends on them.
         fates = jnp.where(back, _BACK, jnp.where(dips, _DIPS, jnp.where(keep, _KEPT, _LEFT)))
         with sharing():
             fate = once(jnp.where(ends, _ENDS, fates).astype(t1.dtype))
         back, dips, ends, keep = fate == _BACK, fate == _DIPS, fate == _ENDS, fate >= _KEPT
-        # The error control never sees the short steps of a hunt: it goes on at its pace afterwards.
+        # Steps that locate an event are hidden from the error control, which keeps its state and step length;
+        # so is the first one, which has no length.
         aside = first | back | dips | hunting & keep
         settled = lambda new, old: jnp.where(aside, old, new)  # noqa: E731
         inner = jax.tree.map(settled, inner, pace.inner)
@@ -142,10 +147,11 @@ class StopAt(eqx.Module):
         return keep, start, start, jumped, pace, code
 
     def ahead(self, t0: Scalar) -> Scalar:
-        """Where the next step ends, save times aside."""
+        """Where the next step ends, save times aside: by the secant if an event is bracketed."""
+        # The root of the line through (0, low) and (beyond, -high); within the bracket by at least one grain.
         pace = self.pace
         hunt, least = pace.hunt, pace.hunt.grain * resolution(t0)
-        weight = hunt.low + hunt.high  # zero where a margin is, and what lies ahead says nothing: bisect
+        weight = hunt.low + hunt.high  # zero if the margin is, and the one ahead is not finite: bisect
         guess = hunt.beyond * jnp.where(weight > 0, hunt.low / jnp.where(weight > 0, weight, 1.0), 0.5)
         guess = jnp.clip(guess, least, jnp.maximum(hunt.beyond - least, least))
         return t0 + jnp.minimum(jnp.where(jnp.isfinite(hunt.beyond), guess, hunt.leap), pace.length)
@@ -154,19 +160,22 @@ class StopAt(eqx.Module):
 def _narrowed(
     hunt: Hunt, *, t0: Scalar, t1: Scalar, before: Scalar, after: Scalar, back: Scalar, kept: Scalar
 ) -> Hunt:
-    """The bracket after a step from `t0` to `t1` that was taken `back`, or `kept` while hunting.
+    """The bracket after a step from t0 to t1: `back` if it passed an event, `kept` if it did not reach it.
 
-    `before` and `after` are the margins at its ends.
+    `before` and `after` are the margins at its ends. A step that is neither leaves the bracket as it is.
     """
+    # Passed: the far end moves to t1, and the near end's margin is halved if it stays for the second time.
+    # Not reached: the near end moves to t1, and the far end's margin is halved likewise.
     spent = t1 - t0
-    # A value that is not finite says nothing of how far: bisect.
+    # A margin that is not finite says nothing: the near one in its place makes the secant bisect.
     high = jnp.where(jnp.isfinite(after), -after, before)
     low = jnp.where(hunt.side > 0, 0.5 * hunt.low, before)
     never = jnp.full_like(spent, jnp.inf)
     taken_back = Hunt(spent, low, high, jnp.ones_like(spent), never, hunt.grain)
     weighed = jnp.where(hunt.side < 0, 0.5 * hunt.high, hunt.high)
-    # Short steps end a little elsewhere than the long one did, by its error or by rounding: where the
-    # bracket is used up, look for another one in growing steps, and then more coarsely.
+    # Short steps end a little elsewhere than the long one did, by its error or by rounding, and may use up
+    # the bracket without an event. Then another one is looked for, in steps that grow by a factor of 8, and
+    # with a coarser grain.
     with sharing():
         left, least = once((hunt.beyond - spent, hunt.grain * resolution(t1)))
     used_up = left <= 2.0 * least

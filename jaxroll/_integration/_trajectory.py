@@ -1,4 +1,4 @@
-"""The outcome of a run."""
+"""The result of a run. `_simulate` makes a `Trajectory`, `_report` prints it."""
 
 from typing import ClassVar
 

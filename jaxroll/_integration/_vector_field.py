@@ -1,12 +1,13 @@
-r"""A door to diffrax: the equations of motion of a grasp as terms, start and projection for `diffeqsolve`.
+r"""The equations of motion of a grasp for diffrax itself: terms, start and projection for `diffeqsolve`.
 
-`simulate` makes its own loop of the methods of diffrax, because one kernel for a whole run is several times
-as fast. What only `diffeqsolve` has, dense output, `SaveAt` with functions, its adjoints, events of one's
-own, is had here, with the same equations
+`simulate` runs the methods of diffrax in a loop of its own, because one kernel for a whole run is several
+times as fast. This module is for what only `diffeqsolve` has: dense output, `SaveAt` with functions, its
+adjoints, events of one's own. The equations are the same,
 
 $$ y' = (\dot q, \dot v, \dot s), \quad M \dot v + h = u + A^T \mu, \quad A \dot v + \dot A v = 0 $$
 
-(`_motion`) and the same return to the constraints after every step, as a method that wraps another one.
+of `_motion`, and so is the return to the constraints after every step, by a method that wraps another one
+(`_projected_method`).
 """
 
 from typing import Any
@@ -67,6 +68,7 @@ class VectorField(eqx.Module):
         """The nearest $y$, in the mass metric, with every gap, tangency and rate of a gap at zero."""
         if not isinstance(self.formulation, Index1):
             return y
+        # One more evaluation, at y, which `simulate` has from the last stage of a step.
         _, instant = self._at(t, y)
         return returned(self._lay, self.grasp, y, anchor_of(self.grasp, instant))
 
@@ -79,6 +81,7 @@ class VectorField(eqx.Module):
         """
         solver = diffrax.Dopri8() if solver is None else solver
         check_instance("solver", solver, diffrax.AbstractSolver, "a diffrax solver")
+        # Tolerances are diffrax's affair; any will do for the check. `Steady` asks for no error estimate.
         check_method(with_tolerances(solver, 1e-6, 1e-6), Steady(), jnp.zeros(self._lay.width))
         return Projected(solver, self.project, self._lay.width)
 
@@ -91,7 +94,7 @@ class VectorField(eqx.Module):
         return jnp.asarray(regime(self.grasp, leaves, instant, self.events)[0], y.dtype)
 
     def _at(self, t: Scalar, y: Y) -> tuple[Leaves, Instant]:
-        """The state as scalars, and the equations of motion evaluated there."""
+        """The state of y as scalars, and the equations of motion evaluated there."""
         leaves, _ = unpack(self._lay, y)
         return leaves, evaluate(self.grasp, jnp.asarray(t, y.dtype), leaves, self.formulation)
 

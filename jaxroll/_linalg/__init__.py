@@ -1,6 +1,7 @@
 """Small vectors, poses and solves, as pytrees of scalars: `_plane` in the plane, `_space` in space.
 
-XLA fuses and batches scalars well, and small arrays badly.
+XLA fuses and batches scalars well, and small arrays badly (see `_plane`). `_plane` also holds what both need:
+sums and products of scalars, the solution of small linear systems, rows of arrays.
 """
 
 from ._plane import (

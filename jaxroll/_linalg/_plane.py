@@ -1,8 +1,7 @@
 """Small vectors, planar poses and unrolled small solves whose every component is its own leaf.
 
-XLA fuses a program of scalars into a few loops, and batches it with `vmap` into unit-stride
-vector code; arrays of shape (2,) or (3,) break both. So the inside of the package works on these
-records, and ordinary arrays exist only at the public door.
+XLA fuses a program of scalars into a few loops, and batches it with `vmap` into unit-stride vector code;
+arrays of shape (2,) or (3,) break both. So the dynamics works on these records, public functions on arrays.
 
 Matrices are symmetric positive definite and given by their lower triangle as nested tuples.
 """
@@ -22,7 +21,7 @@ Triangle = Sequence[Sequence[Scalar]]
 
 
 def times(left: Scalar, right: Scalar) -> Scalar:
-    """Product; nothing is traced where a factor is a plain 0.0 or 1.0, as structure leaves them."""
+    """Product; nothing is traced where a factor is Python's own 0.0 or 1.0, as constant entries are."""
     for a, b in ((left, right), (right, left)):
         if isinstance(a, float) and a == 0.0:
             return 0.0
@@ -32,14 +31,14 @@ def times(left: Scalar, right: Scalar) -> Scalar:
 
 
 def plus(left: Scalar, right: Scalar) -> Scalar:
-    """Sum; nothing is traced where a term is a plain 0.0."""
+    """Sum; nothing is traced where a term is Python's own 0.0."""
     if isinstance(left, float) and left == 0.0:
         return right
     return left if isinstance(right, float) and right == 0.0 else left + right
 
 
 def minus(left: Scalar, right: Scalar) -> Scalar:
-    """Difference; nothing is traced where the second term is a plain 0.0."""
+    """Difference; nothing is traced where the second term is Python's own 0.0."""
     return left if isinstance(right, float) and right == 0.0 else left - right
 
 
@@ -89,14 +88,14 @@ class Vec2:
         return Vec2(self.y, -self.x)
 
     def array(self) -> jax.Array:
-        """Shape (..., 2), for the public door."""
+        """An array of shape (..., 2), for callers."""
         return jnp.stack([self.x, self.y], axis=-1)
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, slots=True)
 class Twist2:
-    """Velocity of a body: of its frame's origin, and of its angle."""
+    """Velocity of a body: of its frame's origin in world axes [m/s], and of its angle [rad/s]."""
 
     velocity: Vec2
     spin: Scalar
@@ -131,7 +130,7 @@ class Pose2:
 
 
 def sincos(angle: Scalar) -> tuple[Scalar, Scalar]:
-    """Sine and cosine; the one door for trigonometry on the hot path."""
+    """Sine and cosine, computed once; the equations of motion take no others."""
     return once(sine_cosine(angle))
 
 
@@ -149,17 +148,17 @@ def scalars(vector: jax.Array) -> list[jax.Array]:
 
 
 def row(rows: jax.Array, i: Scalar) -> jax.Array:
-    """Row i, which is never below zero: to count from the end would take three operations more."""
+    """Row i >= 0 of an array; support for negative indices would cost three operations."""
     return jax.lax.dynamic_index_in_dim(rows, i, keepdims=False, allow_negative_indices=False)
 
 
 def with_row(rows: jax.Array, new: jax.Array, i: Scalar) -> jax.Array:
-    """The array with another row i >= 0."""
+    """The array with row i >= 0 replaced."""
     return jax.lax.dynamic_update_index_in_dim(rows, new, i, 0, allow_negative_indices=False)
 
 
 def stacked(values: Sequence[Scalar]) -> jax.Array:
-    """Scalars as one vector; none of them as an empty one."""
+    """Scalars as one vector, which may be empty."""
     return jnp.stack(tuple(values)) if len(values) else jnp.zeros(0)
 
 
@@ -175,8 +174,8 @@ def total(terms: Sequence[Any]) -> Any:
 
 def weighted_sum(weights: Any, rows: jax.Array) -> jax.Array:
     """Sum of the rows of an array, each times its weight: a number, or numbers as many as a row has."""
-    # Not a reduction: XLA hands larger ones to a library, and so breaks up the kernel of a run. Squeezed only
-    # at the end: XLA would move that down the sum by one term each time it simplifies all it has.
+    # Not a reduction: XLA hands larger ones to a library, which breaks up the kernel of a run. The squeeze is
+    # last, since XLA moves a reshape past one operation each time that it simplifies the whole program.
     parts = jax.lax.split(rows, (1,) * rows.shape[0])
     each = [w if jnp.ndim(w) == 0 else w[None] for w in weights]
     return total([w * part for w, part in zip(each, parts, strict=True)])[0]
@@ -191,10 +190,11 @@ class Factor(NamedTuple):
 
 
 def factorise(matrix: Triangle) -> Factor:
-    """Unrolled LDL^T; no square roots, and no library call that would break fusion.
+    r"""Unrolled LDL^T; no square roots, and no library call that would break fusion.
 
-    A nonpositive pivot is not an error here: it is reported as `smallest_pivot`, because a batch
-    cannot stop for one lane.
+    In $A = L D L^T$ row i of $L D$ is $s_j = a_{ij} - \sum_{k<j} s_k l_{jk}$, with which $l_{ij} = s_j / d_j$
+    and $d_i = a_{ii} - \sum_k s_k l_{ik}$. A pivot $d_i$ that is not positive raises no error, because a
+    batch cannot stop for one lane: `smallest_pivot` reports it.
     """
     if not matrix:
         return Factor((), (), jnp.ones(()))
@@ -202,7 +202,7 @@ def factorise(matrix: Triangle) -> Factor:
     pivots: list[Scalar] = []
     inverse: list[Scalar] = []
     for i, row in enumerate(matrix):
-        scaled: list[Scalar] = []  # row of L D, from which both L and the pivot follow
+        scaled: list[Scalar] = []  # s_j
         for j in range(i):
             scaled.append(minus(row[j], inner(scaled, lower[j])))
         unit = once(tuple(times(s, d) for s, d in zip(scaled, inverse, strict=True)))
@@ -215,7 +215,7 @@ def factorise(matrix: Triangle) -> Factor:
 
 
 def solve(factor: Factor, right: Sequence[Scalar]) -> Scalars:
-    """Solve with a factorised matrix."""
+    """Solve A x = b with a factorised matrix: L y = b, D z = y, L^T x = z."""
     forward: list[Scalar] = []
     for row, value in zip(factor.lower, right, strict=True):
         forward.append(minus(value, inner(row, forward)))

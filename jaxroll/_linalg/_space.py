@@ -1,7 +1,8 @@
 """Vectors, poses, twists, quaternions and symmetric forms of space, every component its own leaf.
 
-What `_plane` is to the plane. Quaternions are tuples of four scalars, the scalar first; where a
-rotation is wanted they are taken as unit.
+The counterpart of `_plane`, for surfaces, `Contact3` and the bodies of space. Constant entries, such as
+those of a unit vector, are Python's own 0.0 and 1.0, which `times` and `plus` leave out of the program.
+Quaternions are tuples of four scalars, the scalar part first; as rotations they must have unit length.
 """
 
 from collections.abc import Iterator
@@ -59,14 +60,14 @@ class Vec3:
         return jnp.sqrt(self.dot(self))
 
     def array(self) -> jax.Array:
-        """Shape (..., 3), for the public door."""
+        """An array of shape (..., 3), for callers."""
         return jnp.stack(jnp.broadcast_arrays(self.x, self.y, self.z), axis=-1)
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, slots=True)
 class Twist3:
-    """Velocity of a body in world axes: of its frame's origin, and its spin."""
+    """Velocity of a body in world axes: of its frame's origin [m/s], and its spin [rad/s]."""
 
     velocity: Vec3
     spin: Vec3
@@ -138,7 +139,8 @@ def pose_at(origin: Vec3, q: Quaternion) -> Pose3:
 def quaternion_of(frame: Pose3) -> Quaternion:
     """The unit quaternion, scalar first, of a frame's axes; its scalar part is not negative.
 
-    Of the four ways to read it off, the one whose largest part is largest, and so well-conditioned.
+    Sums and differences of the rotation's entries give the products 4 q_i q_j. Row i of their table is a
+    multiple of the quaternion, well-conditioned where q_i is large: the row with the largest 4 q_i^2 is used.
     """
     x, y, z = frame.x, frame.y, frame.z
     sums = (
@@ -160,7 +162,7 @@ def quaternion_of(frame: Pose3) -> Quaternion:
 
 
 def seven(frame: Pose3) -> jax.Array:
-    """A pose at the public door: position and unit quaternion, shape (7,)."""
+    """A pose as an array for callers: position and unit quaternion, shape (7,)."""
     return jnp.stack([*frame.origin, *quaternion_of(frame)])
 
 
@@ -218,13 +220,13 @@ class Sym3:
         return plus(plus(self.xx, self.yy), self.zz)
 
     def minors(self) -> Scalar:
-        """Sum of the products of two eigenvalues; the determinant in a plane whose normal it maps to 0."""
+        """Sum of the products of two eigenvalues: the determinant within a plane, if its normal maps to 0."""
         pairs = ((self.xx, self.yy), (self.xx, self.zz), (self.yy, self.zz))
         mixed = (self.xy, self.xz, self.yz)
         return minus(total([times(*pair) for pair in pairs]), inner(mixed, mixed))
 
     def squares(self) -> Scalar:
-        """Sum of the squared entries: of the squared eigenvalues."""
+        """Sum of all nine squared entries, which is that of the squared eigenvalues."""
         main, mixed = (self.xx, self.yy, self.zz), (self.xy, self.xz, self.yz)
         return plus(inner(main, main), times(2.0, inner(mixed, mixed)))
 
@@ -238,20 +240,20 @@ class Sym3:
         return left.dot(self.apply(right))
 
     def turned(self, frame: Pose3) -> "Sym3":
-        """A matrix given in a body's axes, in world axes."""
+        """A matrix given in a body's axes, in world axes: R A R^T."""
         rows = (Vec3(*axes) for axes in zip(frame.x, frame.y, frame.z, strict=True))
         x, y, z = rows
         ax, ay, az = self.apply(x), self.apply(y), self.apply(z)
         return Sym3(x.dot(ax), x.dot(ay), x.dot(az), y.dot(ay), y.dot(az), z.dot(az))
 
     def array(self) -> jax.Array:
-        """Shape (..., 3, 3), for the public door."""
+        """An array of shape (..., 3, 3), for callers."""
         rows = ((self.xx, self.xy, self.xz), (self.xy, self.yy, self.yz), (self.xz, self.yz, self.zz))
         return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def outer(left: Vec3, right: Vec3) -> Sym3:
-    """The symmetric part of the product of a column and a row."""
+    """The symmetric part of the product of a column and a row, (a b^T + b a^T) / 2."""
     a, b = left, right
     return Sym3(
         a.x * b.x,
@@ -264,7 +266,7 @@ def outer(left: Vec3, right: Vec3) -> Sym3:
 
 
 def square(vector: Vec3) -> Sym3:
-    """The product of a column with itself as a row."""
+    """The product of a column with itself as a row, a a^T."""
     x, y, z = vector
     return Sym3(x * x, x * y, x * z, y * y, y * z, z * z)
 
@@ -275,6 +277,8 @@ def tangents(normal: Vec3) -> tuple[Vec3, Vec3]:
     Smooth in the normal, and well-conditioned, but for the circle $n_z = -1/2$, where the frame jumps: no
     smooth one exists on the whole sphere.
     """
+    # The basis of Duff et al. (2017), which divides by sign + z: with the sign changed at z = -1/2 that is at
+    # least 1/2 in size.
     x, y, z = normal
     sign = jnp.where(z < -0.5, -1.0, 1.0).astype(jnp.result_type(z))
     share = -1.0 / (sign + z)

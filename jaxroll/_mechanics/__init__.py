@@ -1,7 +1,9 @@
-"""Bodies and grasp: mass matrix, bias force and kinematics of each body, and what belongs together.
+"""Bodies and grasp: mass matrix, bias force and kinematics of each body, and their combination in a grasp.
 
-`_body`, `_finger` and their like in space give one body's kinematics and inertia, `_grasp` puts them
-together, `_state` is where it may be, `_entry` what is let in. `_motion` makes equations of motion of them.
+`_body` declares what a body is and holds the objects of the plane; `_finger`, `_jaw`, and in space
+`_object3`, `_finger3`, `_stage` hold the others. `_grasp` combines bodies, contacts and controller,
+`_changes` copies it with other values. `_state` holds positions, velocities and places, `_entry` checks what
+public functions are given. `_motion` forms the equations of motion from all of this.
 """
 
 from ._body import (

@@ -1,7 +1,8 @@
-"""What the equations of motion ask of a body, and the two objects of the plane: pivoted, and free.
+r"""What the equations of motion ask of a body, and the two objects of the plane: pivoted, and free.
 
 A body gives its pose, its kinematics (`Motion`), mass matrix $M$ and bias force $h$ at one state. Fingers are
-bodies too (`_finger`, `_jaw`), and so is whatever lives in space (`_object3`, `_finger3`, `_stage`).
+bodies too (`_finger`, `_jaw`), and so are those of space (`_object3`, `_finger3`, `_stage`). `_motion` puts
+the $M$ and $h$ of all bodies into $M \dot v + h = u + A^T \mu$, where $M$ is block-diagonal.
 """
 
 import abc
@@ -23,16 +24,16 @@ from ..contact import Motion
 from ..geometry import AbstractContour
 
 Contours = tuple[AbstractContour, ...]
-# From a body's velocities to its frame's angular velocity: a number in the plane, a vector in space.
+# Maps a body's velocities to its frame's angular velocity [rad/s]: a number in the plane, a vector in space.
 Spin = Callable[[Scalars], Any]
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, slots=True)
 class Inertia:
-    r"""Mass matrix (lower triangle) and bias force of one body's own coordinates.
+    r"""Mass matrix $M$ (lower triangle) and bias force $h$ of one body, in the coordinates of its velocities.
 
-    `force` is $(\dot G/2 + S) v$ of (3) less the generalised force of gravity.
+    `force` is $h = (\dot G/2 + S) v$ of (3) less the generalised force of gravity.
     """
 
     mass: Triangle
@@ -40,7 +41,7 @@ class Inertia:
 
 
 class Coordinate(NamedTuple):
-    """What one position of a body is called, and its unit: 'm', 'rad', 's', or '' where it has none."""
+    """Name and unit of one position of a body; the unit is 'm', 'rad', 's', or '' where it has none."""
 
     name: str
     unit: str
@@ -82,13 +83,13 @@ class AbstractBody(eqx.Module):
 
     @abc.abstractmethod
     def prepared(self) -> "AbstractBody":
-        """This body with scalar leaves and shapes ready for evaluation."""
+        """This body with its arrays split into scalars, and its shapes ready for evaluation."""
 
     @abc.abstractmethod
     def placed(self, q: Scalars) -> tuple[Any, Spin]:
-        """The frame in the world, and its angular velocity by the velocities, less what is prescribed.
+        """The frame in the world, and the map from velocities to its spin, without prescribed motion.
 
-        Both at once, because a chain of links that gives the one gives the other.
+        Both at once, because a chain of links has to be followed for either.
         """
 
     def pose(self, q: Scalars) -> Any:
@@ -101,14 +102,14 @@ class AbstractBody(eqx.Module):
 
     @abc.abstractmethod
     def gravity_potential(self, q: Scalars, gravity: Any) -> Scalar:
-        """Potential energy in a uniform field."""
+        """Potential energy [J] in the uniform field `gravity` [m/s^2]."""
 
     def rates(self, q: Scalars, v: Scalars) -> Scalars:
         r"""$\dot q$ at these velocities."""
         return v
 
     def displaced(self, q: Scalars, step: Scalars) -> Scalars:
-        """Positions after a small displacement, given as velocities are."""
+        """Positions after a small displacement in the coordinates of the velocities."""
         return tuple(a + b for a, b in zip(q, step, strict=True))
 
 
@@ -186,6 +187,7 @@ class PivotedObject(AbstractObject):
         motion = Motion(pose, (unit,), Twist2(still, v[0]), Twist2(still, zero))
         force = zero
         if gravity is not None and self.weight_moment is not None:
+            # h is minus the torque of the weight, -(c x m g) = g x (m c), with the moment m c in world axes.
             force = gravity.cross(pose.turn(Vec2(*self.weight_moment)))
         return motion, Inertia(((self.inertia,),), (force,))
 

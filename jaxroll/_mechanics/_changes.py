@@ -1,7 +1,7 @@
-"""`Grasp.with_`: a copy of a grasp in which fields of it, of its controller or of its object are others.
+"""`Grasp.with_`: a copy of a grasp with other values in fields of its own, its controller's or its object's.
 
-What is given goes through the same converters as in the constructors, and what depends on several fields is
-looked at again.
+A new value goes through the same converter as in the constructor, and checks that depend on several fields
+are repeated. `equinox.tree_at`, which makes the copy, would run neither.
 """
 
 from collections.abc import Mapping
@@ -12,12 +12,12 @@ import equinox as eqx
 from .._fields import converter_of, taken
 from .._results import as_floats
 
-# What a contact's start lies on: with one of these changed it is looked at again.
+# Fields on which the check of the contacts depends: it is repeated when one of them changes.
 _PARTS = frozenset(("object", "fingers", "contacts", "contours", "surfaces"))
 
 
 def changed(grasp: Any, changes: Mapping[str, Any]) -> Any:
-    """A copy of a grasp with other values of some fields, by name."""
+    """A copy of a grasp with other values of some fields, by name; later names see the earlier changes."""
     copy = grasp
     for name, value in changes.items():
         owner = _owner(copy, name)
@@ -37,7 +37,7 @@ def changed(grasp: Any, changes: Mapping[str, Any]) -> Any:
 
 
 def _owner(grasp: Any, name: str) -> Any:
-    """From a grasp to that part of it which has the field; raise unless it is just one."""
+    """A function from a grasp to the one part of it that has the field; raise unless there is just one."""
     places = {
         "grasp": lambda g: g,
         "controller": lambda g: g.controller,
@@ -53,7 +53,8 @@ def _owner(grasp: Any, name: str) -> Any:
 
 
 def _taken_by(owner: Any, name: str, value: Any, axes: int) -> Any:
-    """What is given for a field of a grasp, its object or its controller, as the constructor takes it."""
+    """A new value for a field of a grasp, its object or its controller, converted as by the constructor."""
+    # The shape to ask for is the old array's; for a gravity where there was none, one number per axis.
     old = getattr(owner, name)
     shape = old.shape if eqx.is_array(old) else None
     if name == "gravity" and shape is None:
@@ -65,7 +66,7 @@ def _taken_by(owner: Any, name: str, value: Any, axes: int) -> Any:
 
 
 def _check_again(owner: Any) -> None:
-    """The checks of a caller's own class, which equinox runs after its constructor alone."""
+    """Run `__check_init__` of all classes of a module, which equinox calls only after a constructor."""
     for kind in type(owner).__mro__:
         if "__check_init__" in vars(kind):
             vars(kind)["__check_init__"](owner)

@@ -1,4 +1,8 @@
-"""What a grasp asks of its controller, whichever it is."""
+"""What a grasp asks of a controller.
+
+`jaxroll.control` implements it, and adapts a caller's own function to it; `_motion` calls `torques` in every
+evaluation of the equations of motion, and `potential` for energies.
+"""
 
 import abc
 from collections.abc import Sequence
@@ -21,19 +25,19 @@ class AbstractController(eqx.Module):
 
     @abc.abstractmethod
     def torques(self, t: Scalar, fingers: Sequence[Any]) -> Torques:
-        """Joint torques [N m] of every finger."""
+        """Joint torques [N m] of every finger at a time [s], from what is sensed of each."""
 
     @abc.abstractmethod
     def potential(self, tips: Sequence[Any], angles: Sequence[Scalars]) -> Scalar:
-        """Artificial potential energy [J] whose negative gradient is part of the torques."""
+        """Artificial potential energy [J], whose negative gradient is part of the torques: (22)."""
 
     def check(self, fingers: int, axes: int) -> None:
-        """Raise unless it can drive so many fingers, in the plane (2 axes) or in space (3)."""
+        """Raise unless it can drive this many fingers, in the plane (2 axes) or in space (3)."""
         del fingers, axes
 
 
 def as_drive(name: str, controller: Any) -> Any:
-    """Raise unless an argument is a built-in controller, a function of what a controller knows, or None."""
+    """Raise unless an argument is a built-in controller, a function that can stand for one, or None."""
     if controller is None or isinstance(controller, AbstractController):
         return controller
     what = "a controller, or callable as f(t, angles, rates, tips)"

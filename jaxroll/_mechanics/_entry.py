@@ -1,4 +1,8 @@
-"""What every public function of a grasp lets in: a grasp whose fields are sound, and states of it."""
+"""Checks that public functions make of a grasp and its states, before anything is traced.
+
+The constructors check what they are given, but `equinox.tree_at` and `jax.tree.map` put other values into a
+grasp without them. `compiled` wraps a function of a grasp with these checks and `equinox.filter_jit`.
+"""
 
 import functools
 import inspect
@@ -14,7 +18,7 @@ from ._grasp import Grasp
 from ._state import check_shapes, State
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
-# Names under which functions of a grasp take its states, and how many axes may lead: that of time.
+# Names of the arguments that are states, and how many leading axes each may have (one: time).
 _STATES = {"state": 0, "guess": 0, "states": 1}
 
 
@@ -24,7 +28,7 @@ def check_grasp(grasp: Any) -> None:
     _check_fields(grasp)
 
 
-@remembered
+@remembered  # a grasp never changes: one that passed is not looked at again
 def _check_fields(grasp: Grasp) -> None:
     check_module("grasp", grasp)
     taken(grasp, "gravity", grasp.gravity, shape=(grasp._axes,), name="grasp.gravity")
@@ -55,15 +59,16 @@ def check_states(grasp: Any, states: Any, name: str = "state", *, axes: int = 0)
 
 
 def _finite_times(name: str, value: Any) -> Any:
-    """Argument `ts` as an array of finite times; another argument as it is."""
+    """Argument `ts` as an array, checked to be finite; any other argument unchanged."""
     return check_finite("ts", as_array("ts", value)) if name == "ts" else value
 
 
 def compiled(function: _Function) -> _Function:
-    """`equinox.filter_jit` for functions of a grasp, whose tables are built before, once for all of them.
+    """`equinox.filter_jit` for a function whose first argument is a grasp.
 
     Before anything is traced it refuses what is no grasp, states that are not of this grasp, and times `ts`
-    that are not finite numbers.
+    that are not finite numbers. It also builds the grasp's tables (`Grasp.tabled`), which are then kept for
+    all functions that are called with this grasp.
     """
     jitted = eqx.filter_jit(function)
     names = tuple(inspect.signature(function).parameters)

@@ -1,4 +1,8 @@
-"""A planar finger: a serial chain of links on revolute joints, with a contour at its end."""
+r"""A planar finger: a serial chain of links on revolute joints, with a contour at its end.
+
+Its mass matrix $G(q)$ and bias $(\dot G/2 + S)\,\dot q$ of (3) and (74) come from one pass over the links,
+from the tip to the base. The bias is the torque that the motion needs at zero joint accelerations.
+"""
 
 import abc
 from typing import Any
@@ -45,7 +49,7 @@ class AbstractFinger(AbstractBody):
 
     @property
     def prescribed(self) -> bool:
-        """Whether it moves by itself, besides its joints."""
+        """Whether its frame also moves as a given function of time."""
         return False
 
     @property
@@ -151,7 +155,7 @@ class Finger(AbstractFinger):
         return eqx.tree_at(fields, self, (*map(unstack, arrays), tip.prepared()))
 
     def directions(self, q: Scalars) -> tuple[Vec2, ...]:
-        """Unit vectors along the links: the only trigonometry of a finger."""
+        """Unit vectors along the links, in the world: the only sines and cosines of a finger."""
         angle, along = q[0], []
         for i in range(self.joints):
             angle = q[0] if i == 0 else angle + q[i]
@@ -176,12 +180,15 @@ class Finger(AbstractFinger):
     def motion(self, q: Scalars, v: Scalars, gravity: Vec2 | None) -> tuple[Motion, Inertia]:
         along = self.directions(q)
         points = self.joint_positions(along)
+        # Link i has the spin w_i = v_0 + ... + v_i. Without joint accelerations joint i + 1 has the
+        # acceleration of joint i, plus -w_i^2 l_i along the link; the base rests, and adds nothing.
         spins = _running_sums(v)
         centripetal = [-(w * w) for w in spins]
         joint_pull = [_STILL]
         for i, length in enumerate(self.lengths):
             step = along[i] * (centripetal[i] * length)
             joint_pull.append(step if i == 0 else joint_pull[i] + step)
+        # Likewise the centre of mass of every link; gravity acts like an acceleration -g of the whole.
         centres = [p + d * c for p, d, c in zip(points, along, self.centres, strict=False)]
         pulls = []
         for i, centre in enumerate(self.centres):
@@ -194,6 +201,7 @@ class Finger(AbstractFinger):
     def _tip_motion(
         self, points: tuple[Vec2, ...], heading: Vec2, v: Scalars, spin: Scalar, pull: Vec2
     ) -> Motion:
+        """Motion of the tip frame; `pull` is its acceleration at zero joint accelerations."""
         tip = points[-1]
         units = tuple(Twist2((tip - p).left(), jnp.ones_like(spin)) for p in points[:-1])
         velocity = total([u.velocity * rate for u, rate in zip(units, v, strict=True)])
@@ -202,7 +210,11 @@ class Finger(AbstractFinger):
         return Motion(pose, units, Twist2(velocity, spin), Twist2(pull, jnp.zeros_like(spin)))
 
     def _inertia(self, points: tuple[Vec2, ...], centres: list[Vec2], pulls: list[Vec2]) -> Inertia:
-        """Composite bodies from the tip inwards: one pass for mass matrix and bias."""
+        """Mass matrix and bias: for each joint all links beyond it as one body, from the tip inwards.
+
+        With mass m, first moment c = sum m (r - p_i) and second moment J about joint i of that body,
+        M_ij = J + c . (p_i - p_j) for j <= i, and h_i is the torque of m (a - g) about joint i.
+        """
         rows: list[Scalars] = []
         forces: list[Scalar] = []
         outer: tuple[Scalar, Vec2, Scalar, Vec2, Scalar] | None = None
@@ -212,7 +224,7 @@ class Finger(AbstractFinger):
             second = self.masses[i] * arm.dot(arm) + self.inertias[i]
             force = pulls[i] * self.masses[i]
             torque = arm.cross(force)
-            if outer is not None:
+            if outer is not None:  # moved from joint i + 1 to joint i, and added
                 link = points[i + 1] - points[i]
                 m, first, inner, push, twist = outer
                 second = second + inner + 2.0 * link.dot(first) + m * link.dot(link)

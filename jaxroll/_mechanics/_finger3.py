@@ -1,4 +1,9 @@
-"""A spatial finger: a serial chain of links on revolute joints, with a surface at its end."""
+r"""A spatial finger: a serial chain of links on revolute joints, with a surface at its end.
+
+As in `_finger`, mass matrix and bias come from one pass over composite bodies, here with inertia tensors:
+$M_{ij} = a_j \cdot (J a_i + (p_i - p_j) \times (a_i \times c))$ for joints $j \le i$ at $p$ with axes $a$,
+where $c$ and $J$ are first moment and inertia, about joint $i$, of all links from there to the tip.
+"""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -31,7 +36,7 @@ from ._body import Inertia, Spin
 from ._finger import AbstractFinger, check_links
 from ._object3 import check_inertia
 
-# Radius of the solid cylinders that links are taken for, relative to the mean length of a link.
+# Default inertias are those of solid cylinders, with this radius relative to the mean length of the links.
 _THICKNESS = 0.1
 
 
@@ -46,7 +51,15 @@ class _Chain(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, slots=True)
 class _Outer:
-    """Links from one joint outwards as one body, about that joint, and the forces that their motion asks."""
+    """All links from one joint to the tip as one body: its moments about that joint, and the forces it needs.
+
+    Attributes:
+        mass: Mass [kg].
+        moment: First moment, sum of m r from the joint [kg m].
+        second: Inertia tensor about the joint, in world axes [kg m^2].
+        force: Sum of m (a - g) [N], with the accelerations a at zero joint accelerations.
+        torque: Torque of these forces, and of the turning of each link, about the joint [N m].
+    """
 
     mass: Scalar
     moment: Vec3
@@ -153,10 +166,12 @@ class Finger3(AbstractFinger):
         return eqx.tree_at(fields, self, (*map(unstack, arrays), tip.prepared()))
 
     def _chain(self, q: Scalars) -> _Chain:
+        """The chain at these joint angles, from the base to the tip."""
         at = pose_at(Vec3(*unstack(self.base)), normalised(unstack(self.rotation)))
         links, axes = [], []
         for i, angle in enumerate(q):
             axis = Vec3(*unstack(self.axes[i]))
+            # A frame that turns about its own axis leaves that axis where it is.
             axes.append(once(at.turn(axis)))
             at = once(Pose3(at.origin, *_turned(at, axes[-1], *sincos(angle))))
             links.append(at)
@@ -185,7 +200,11 @@ class Finger3(AbstractFinger):
         return motion, self._inertia(chain, (spins, bends, pulls), gravity)
 
     def _biases(self, chain: _Chain, v: Scalars) -> tuple[list[Vec3], list[Vec3], list[Vec3]]:
-        """Spins of the links, and the accelerations of links, joints and tip that rates alone cause."""
+        """Spins and angular accelerations of the links, accelerations of the joints and of the tip frame.
+
+        Three lists, of k, k and k + 1 vectors; accelerations are those at zero joint accelerations.
+        """
+        # Link i turns against the one before at a_i v_i, and that axis itself turns with the link before.
         still = Vec3(0.0, 0.0, 0.0)
         ends = [*(link.origin for link in chain.links[1:]), chain.tip.origin]
         spins, bends, pulls = [], [], [still]
@@ -199,7 +218,7 @@ class Finger3(AbstractFinger):
     def _inertia(
         self, chain: _Chain, biases: tuple[list[Vec3], list[Vec3], list[Vec3]], gravity: Vec3 | None
     ) -> Inertia:
-        """Composite bodies from the tip inwards: one pass for mass matrix and bias."""
+        """Mass matrix and bias, joint by joint from the tip inwards; `biases` are those of `_biases`."""
         rows, forces = [], []
         outer: _Outer | None = None
         for i in reversed(range(self.joints)):
@@ -207,6 +226,7 @@ class Finger3(AbstractFinger):
             if outer is not None:
                 own = _joined(own, outer, chain.links[i + 1].origin - chain.links[i].origin)
             outer = own = once(own)
+            # Unit acceleration of joint i needs the force a_i x c and, about the joint, the torque J a_i.
             push, twist = chain.axes[i].cross(own.moment), own.second.apply(chain.axes[i])
             row = []
             for j in range(i + 1):
@@ -217,12 +237,13 @@ class Finger3(AbstractFinger):
         return once(Inertia(tuple(reversed(rows)), tuple(reversed(forces))))
 
     def _link(self, i: int, link: Pose3, bias: tuple[Vec3, Vec3, Vec3], gravity: Vec3 | None) -> _Outer:
-        """One link about its joint."""
+        """One link alone, about its joint; `bias` holds its spin, angular and joint's acceleration."""
         spin, bend, pull = bias
         mass, arm = self.masses[i], once(link.turn(Vec3(*unstack(self.centres[i]))))
         tensor = once(_symmetric(self.inertias[i]).turned(link))
         pull = pull + _centripetal(spin, bend, arm)
         force = (pull if gravity is None else pull - gravity) * mass
+        # Euler's equation, I w' + w x I w, and the torque of the force at the centre of mass.
         torque = tensor.apply(bend) + spin.cross(tensor.apply(spin)) + arm.cross(force)
         return _Outer(mass, arm * mass, tensor + _about(mass, arm), force, torque)
 
@@ -242,6 +263,10 @@ def _turned(frame: Pose3, axis: Vec3, sin: Scalar, cos: Scalar) -> tuple[Vec3, V
 
 
 def _centripetal(spin: Vec3, bend: Vec3, arm: Vec3) -> Vec3:
+    r"""Acceleration of an arm's end less its start's: $\dot\omega\times r + \omega\times(\omega\times r)$.
+
+    `bend` is $\dot\omega$, the angular acceleration.
+    """
     return bend.cross(arm) + spin.cross(spin.cross(arm))
 
 
@@ -252,7 +277,8 @@ def _about(mass: Scalar, arm: Vec3) -> Sym3:
 
 
 def _joined(own: _Outer, outer: _Outer, step: Vec3) -> _Outer:
-    """A link and all outwards of it, about its joint; `step` leads to the next joint."""
+    """A link and all beyond it as one body, about the link's joint; `step` leads to the next joint."""
+    # The inertia about a point further back by d: J + 2 (d . c) - (d c^T + c d^T) + m (|d|^2 - d d^T).
     shifted = outer.moment + step * outer.mass
     both = 2.0 * step.dot(outer.moment)
     mixed = product(step, outer.moment) * -2.0
@@ -267,12 +293,16 @@ def _joined(own: _Outer, outer: _Outer, step: Vec3) -> _Outer:
 
 
 def _symmetric(matrix: Any) -> Sym3:
+    """A symmetric matrix from its upper triangle."""
     rows = unstack(matrix)
     return Sym3(rows[0][0], rows[0][1], rows[0][2], rows[1][1], rows[1][2], rows[2][2])
 
 
 def _cylinders(masses: Array, offsets: Array) -> Array:
-    """Inertias of solid cylinders along the offsets."""
+    """Inertia tensors of solid cylinders along the offsets, about their centres: shape (k, 3, 3).
+
+    With length l along the unit vector e and radius r: m l^2/12 (1 - e e^T) + m r^2/4 (1 + e e^T).
+    """
     square_ = jnp.sum(offsets**2, axis=-1)
     radius = _THICKNESS * jnp.mean(jnp.sqrt(square_))
     along = offsets[:, :, None] * offsets[:, None, :]

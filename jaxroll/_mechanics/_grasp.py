@@ -1,4 +1,8 @@
-"""A grasp: fingers, object and contacts, with their controller and gravity."""
+"""A grasp: fingers, object and contacts, with their controller and gravity.
+
+Before a run two kinds of work are done once: `Grasp.tabled` builds the tables of contours that read one, in a
+program that is kept, and `Grasp.prepared`, inside the program of a run, works out what no state changes.
+"""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -23,7 +27,7 @@ from ._state import Form
 
 
 class Labels(NamedTuple):
-    """What reports call the parts of a grasp; static, so that a run can carry it.
+    """Names of the parts of a grasp for reports; hashable, so that a `Trajectory` holds it as static data.
 
     Attributes:
         bodies: The object, then every finger: what it is called, and name and unit of its positions.
@@ -137,12 +141,12 @@ class Grasp(eqx.Module):
 
     @property
     def spatial(self) -> bool:
-        """Whether it lives in space; else in the plane."""
+        """Whether the grasp lives in space; else in the plane."""
         return isinstance(self.contacts[0], Contact3)
 
     @property
     def _axes(self) -> int:
-        """How many axes its world has."""
+        """Number of axes of the world: 2 or 3."""
         return 3 if self.spatial else 2
 
     @property
@@ -152,7 +156,7 @@ class Grasp(eqx.Module):
 
     @property
     def coordinates(self) -> int:
-        """Number of velocities in all; in the plane that of generalised coordinates, n."""
+        """Number n of all velocities; in the plane also that of positions."""
         return sum(self.sizes)
 
     @property
@@ -183,7 +187,7 @@ class Grasp(eqx.Module):
 
     @property
     def form(self) -> Form:
-        """How many numbers a state has, and where they go."""
+        """How many positions, velocities and places a state has, body by body."""
         return _form(self)
 
     def shapes(self, contact: AbstractContact) -> tuple[Any, Any]:
@@ -191,20 +195,21 @@ class Grasp(eqx.Module):
         return self.fingers[contact.finger].tip, self.object.shapes[contact.touched]
 
     def field(self) -> Vec2 | Vec3 | None:
-        """Gravity as scalars."""
+        """Gravity as a vector of scalars [m/s^2]; None where there is none."""
         if self.gravity is None:
             return None
         parts = unstack(self.gravity)
         return Vec3(*parts) if self.spatial else Vec2(*parts)
 
     def prepared(self) -> "Grasp":
-        """This grasp with scalar leaves and contours ready for evaluation, once per solve."""
+        """This grasp with bodies and shapes ready for evaluation, their arrays split into scalars."""
         ready = (self.object.prepared(), tuple(finger.prepared() for finger in self.fingers))
         return eqx.tree_at(lambda g: (g.object, g.fingers), self, ready)
 
     def tabled(self) -> "Grasp":
         """This grasp, its shapes checked, with the tables of its contours built by a program of their own."""
         _check_shapes(self)
+        # The grasp itself where no table is missing, for caches go by identity.
         return self if all(tabled(shape) is shape for shape in _all_shapes(self)) else _with_tables(self)
 
     def with_(self, **changes: Any) -> "Grasp":
@@ -254,6 +259,7 @@ def _all_shapes(grasp: Grasp) -> list[Any]:
 
 @remembered
 def _form(grasp: Grasp) -> Form:
+    """The layout of a grasp's states; kept, because every check of a state asks for it."""
     places = tuple(c.form(grasp.shapes(c)) for c in grasp.contacts)
     return Form(tuple(body.positions for body in grasp.bodies), grasp.sizes, jax.tree.structure(places))
 
@@ -269,6 +275,7 @@ def _check_shapes(grasp: Grasp) -> None:
 
 @remembered
 def _with_tables(grasp: Grasp) -> Grasp:
+    """A copy with the missing tables; kept, so that a grasp always gives the same copy."""
     new = [i for i, shape in enumerate(_all_shapes(grasp)) if tabled(shape) is not shape]
     where = lambda g: [_all_shapes(g)[i] for i in new]  # noqa: E731
     return eqx.tree_at(where, grasp, [tabled(shape) for shape in where(grasp)])

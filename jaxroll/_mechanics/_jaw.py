@@ -1,4 +1,8 @@
-"""A jaw: a body that only translates, on prismatic joints, or is fixed."""
+r"""A jaw: a body that only translates, on prismatic joints, or is fixed.
+
+With unit vectors $a_i$ along its joints its frame is at $r = r_0 + \sum_i a_i q_i$, and
+$M_{ij} = m\, a_i \cdot a_j$. Axes never turn, so that there are no velocity terms.
+"""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -14,16 +18,16 @@ from ..geometry import AbstractContour
 from ._body import Inertia, Spin
 from ._finger import AbstractFinger, as_tip
 
-# Nothing in a jaw says how large it is, and only scaling and drawing ask: a gripper's order of magnitude [m].
+# A jaw has no length of its own. Only scaling and drawing need one: a gripper's order of magnitude [m].
 _SIZE = 0.05
 
 
-# Two joints whose axes differ by less [rad] are one.
+# Axes within this angle of one line [rad] count as parallel: the mass matrix would be singular.
 _APART = 1e-6
 
 
 def _as_directions(name: str, angles: Array) -> Array:
-    """Raise for more axes than the plane has, or for two along one line: their mass matrix is singular."""
+    """Raise for more than two axes, or for two along one line."""
     if angles.shape[0] > 2:
         raise ValueError(f"argument {name} must be at most 2 angles, but were {angles.shape[0]}")
     seen = concrete(angles)
@@ -76,7 +80,7 @@ class Jaw(AbstractFinger):
         self.directions = taken(self, "directions", directions)
         self.base = taken(self, "base", base)
         self.angle = taken(self, "angle", angle)
-        self.axes = None  # one's own: `tree_at` does not see a class's default
+        self.axes = None  # set by `prepared`; assigned here since `tree_at` does not see a class's default
 
     @property
     def joints(self) -> int:
@@ -118,7 +122,7 @@ class Jaw(AbstractFinger):
         return -self.mass * gravity.dot(self.pose(q).origin)
 
     def _axes(self) -> tuple[Vec2, ...]:
-        """Heading of the frame, then of every joint."""
+        """Unit vectors along the frame's x axis, then along every joint's; kept by `prepared`."""
         if self.axes is not None:
             return self.axes
         pairs = [sincos(angle) for angle in (self.angle, *unstack(self.directions))]

@@ -1,4 +1,8 @@
-"""The grasped object in space."""
+r"""The grasped object in space: Newton's and Euler's equations of a free rigid body.
+
+Without contact forces $m \ddot x = m g$ in world axes and $I \dot\omega + \omega \times I \omega = 0$ in body
+axes, where the inertia tensor $I$ is constant. The quaternion follows by $\dot q = \frac12 q\,(0, \omega)$.
+"""
 
 from collections.abc import Sequence
 from typing import Any
@@ -117,6 +121,7 @@ class FreeObject3(AbstractBody):
         return (*v[:3], *(0.5 * x for x in turned))
 
     def displaced(self, q: Scalars, step: Scalars) -> Scalars:
+        # A turn by the small vector d in body axes is the quaternion (1, d/2), normalised, to first order.
         moved = (a + b for a, b in zip(q[:3], step[:3], strict=True))
         turn = (1.0, *(0.5 * x for x in step[3:]))
         return (*moved, *normalised(quaternion_product((q[3], q[4], q[5], q[6]), turn)))
@@ -127,6 +132,7 @@ class FreeObject3(AbstractBody):
         units = tuple(Twist3(axis, still) for axis in axes)
         turns = tuple(Twist3(still, axis) for axis in (here.x, here.y, here.z))
         twist = once(Twist3(Vec3(*v[:3]), here.turn(spin)))
+        # h = (-m g, w x I w): the gyroscopic torque in body axes.
         matrix, m = self._tensor(), self.mass
         torque = spin.cross(matrix.apply(spin))
         weight = still if gravity is None else gravity * -m
@@ -136,7 +142,7 @@ class FreeObject3(AbstractBody):
             (0.0, 0.0, 0.0, matrix.xy, matrix.yy),
             (0.0, 0.0, 0.0, matrix.xz, matrix.yz, matrix.zz),
         )
-        # With the spin in body axes fixed, that in the world is: no bias.
+        # Bias: of the spin R w it is (d/dt R) w = R (w x w) = 0 at constant w.
         motion = Motion(here, (*units, *turns), twist, Twist3(still, still))
         return motion, Inertia(mass, (*weight, *torque))
 
@@ -144,5 +150,6 @@ class FreeObject3(AbstractBody):
         return -self.mass * gravity.dot(Vec3(*q[:3]))
 
     def _tensor(self) -> Sym3:
+        """The inertia tensor in body axes, from its upper triangle."""
         m = self.inertia
         return Sym3(m[0][0], m[0][1], m[0][2], m[1][1], m[1][2], m[2][2])

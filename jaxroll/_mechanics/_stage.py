@@ -1,4 +1,9 @@
-"""What an object rolls on by itself: a surface that is fixed in the world, or moves as it is told."""
+r"""A surface that is fixed in the world, or moves as a given function of time, for an object to roll on.
+
+It takes the place of a finger but has no velocities. Time is a position of its own, the clock, which runs at
+$\dot q = 1$, because a body's pose depends on its positions alone. Twist and acceleration of the surface are
+derivatives of the motion; `_motion._linearisation` keeps the rate that the twist gives a gap as `drift`.
+"""
 
 from collections.abc import Callable
 from typing import Any, ClassVar
@@ -30,7 +35,7 @@ from ._body import Coordinate, Inertia, Spin
 from ._finger import AbstractFinger
 from ._finger3 import as_surface
 
-# Nothing in a stage says how large it is, and only drawing asks: a gripper's order of magnitude [m].
+# A stage has no length of its own. Only scaling and drawing need one: a gripper's order of magnitude [m].
 _SIZE = 0.05
 
 
@@ -58,6 +63,7 @@ class Turning(eqx.Module):
         self.centre = taken(self, "centre", centre)
 
     def __call__(self, t: Scalar) -> tuple[Vec3, Quaternion]:
+        # The quaternion of a turn by Omega t about the axis. The centre c stays: the origin is c - R c.
         sin, cos = sincos(0.5 * self.rate * t)
         axis, centre = Vec3(*unstack(self.axis)), Vec3(*unstack(self.centre))
         axis = axis * (1.0 / axis.norm())
@@ -66,7 +72,7 @@ class Turning(eqx.Module):
 
 
 def _as_motion(name: str, motion: Any) -> Any:
-    """A function of time as a pytree, or None."""
+    """A function of time as a pytree, or None; a plain function, which would be a leaf, is wrapped."""
     if motion is None:
         return None
     check_callable(name, motion, "a function of time", takes=1)
@@ -145,7 +151,7 @@ class Stage(AbstractFinger):
         return eqx.tree_at(lambda s: (s.base, s.rotation, s.tip), self, ready)
 
     def _prescribed_pose(self, t: Scalar) -> tuple[Vec3, Quaternion]:
-        """Position and unit quaternion in the world."""
+        """Position and unit quaternion of the frame in the world at time t."""
         base, turn = Vec3(*unstack(self.base)), normalised(unstack(self.rotation))
         if self.motion_of is None:
             return base, turn
@@ -158,6 +164,7 @@ class Stage(AbstractFinger):
         return pose_at(base, turn).place(point), quaternion_product(turn, own)
 
     def _twist(self, t: Scalar) -> Twist3:
+        r"""Twist at time t. Its spin is $2 \dot q \bar q$, from $\dot q = \frac12 (0, \omega)\,q$."""
         (_, turn), (velocity, rate) = jax.jvp(self._prescribed_pose, (t,), (jnp.ones_like(t),))
         spin = quaternion_product(rate, conjugate(turn))
         return Twist3(velocity, Vec3(*spin[1:]) * 2.0)
@@ -175,6 +182,7 @@ class Stage(AbstractFinger):
         return q
 
     def motion(self, q: Scalars, v: Scalars, gravity: Vec3 | None) -> tuple[Motion, Inertia]:
+        # No velocities: neither mass matrix nor unit twists. A moving stage's bias is its whole acceleration.
         nothing = Inertia((), ())
         if not q:
             still = Twist3(Vec3(0.0, 0.0, 0.0), Vec3(0.0, 0.0, 0.0))
@@ -187,7 +195,7 @@ class Stage(AbstractFinger):
 
 
 def _numbers(values: Any, count: int) -> Any:
-    """What a motion returned, an array or a sequence, as scalars."""
+    """A vector that a motion returned, an array or a sequence, as a tuple of `count` scalars."""
     if isinstance(values, tuple | list | Vec3):
         found = tuple(map(_number, values))
         fits = all(jnp.ndim(number) == 0 for number in found)
@@ -202,5 +210,5 @@ def _numbers(values: Any, count: int) -> Any:
 
 
 def _number(value: Any) -> Any:
-    """A real number or array of them that a motion returned; Python's own floats stay what they are."""
+    """A number or array that a motion returned, checked to be real; Python's own floats stay as they are."""
     return value if isinstance(value, float) else as_array("motion, in what it returns,", value)

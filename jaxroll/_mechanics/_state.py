@@ -1,4 +1,8 @@
-"""The state of a grasp: arrays at the public door, blocks of scalars inside."""
+"""The state of a grasp: `State` holds arrays for callers, `Leaves` the same numbers as scalars, body by body.
+
+The dynamics works on scalars because XLA fuses them (`_linalg`). `Form` says how many of them each body has,
+`to_leaves` and `to_state` go from one to the other; `_integration._state_vector` does so for a run.
+"""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -55,7 +59,7 @@ class State(eqx.Module):
 
 
 def _as_row(name: str, value: Any) -> Array:
-    # States are made where runs are traced and saved: nothing is done to what is an array already.
+    # States are made inside traced programs too: a floating array passes without any operation.
     ready = isinstance(value, jax.Array) and value.dtype.kind == "f"
     row = value if ready else as_array(name, value)
     if not row.ndim:
@@ -69,10 +73,10 @@ _PRECISIONS = {np.dtype("float32"), np.dtype("float64")}
 def check_shapes(states: State, form: "Form", name: str, axes: int) -> None:
     """Raise unless states have the lengths of a grasp's, one precision, and at most `axes` leading axes.
 
-    The one place that notices a state of another grasp, and by these lengths alone: where two grasps have the
-    same ones, only `residuals` can tell.
+    A state of another grasp is noticed only here, and only by these lengths. Where two grasps have the same
+    lengths, its residuals are what differs.
     """
-    # Attributes of arrays, not functions of JAX, each of which takes 10 us.
+    # Attributes of arrays instead of functions of JAX, each call of which takes 10 us.
     parts = (states.q, states.v, states.s)
     shapes = [getattr(value, "shape", ()) for value in parts]
     kinds, lead = {getattr(value, "dtype", None) for value in parts}, shapes[0][:-1]
@@ -90,7 +94,7 @@ def check_shapes(states: State, form: "Form", name: str, axes: int) -> None:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, slots=True)
 class Leaves:
-    """A `State` with every number its own leaf; block 0 is the object, then the fingers.
+    """A `State` in which every number is a leaf of its own; block 0 is the object's, the others the fingers'.
 
     `s` holds the place of each contact: a number in the plane, two tuples of numbers in space.
     """
@@ -101,7 +105,7 @@ class Leaves:
 
 
 class Form(NamedTuple):
-    """How many numbers a state has, and where they go; static."""
+    """How many positions and velocities each body has, and the structure of all places; hashable."""
 
     positions: tuple[int, ...]
     sizes: tuple[int, ...]
@@ -114,17 +118,17 @@ class Form(NamedTuple):
 
 
 def to_leaves(state: State, form: Form) -> Leaves:
-    """Arrays to scalars, on entry."""
+    """The arrays of a state as scalars."""
     return Leaves(split(state.q, form.positions), split(state.v, form.sizes), to_places(state.s, form))
 
 
 def to_places(s: Array, form: Form) -> tuple[Any, ...]:
-    """Contact coordinates as the places of the contacts."""
+    """Contact coordinates, shape (c,), as the places of the contacts."""
     return jax.tree.unflatten(form.places, [s[i] for i in range(form.places.num_leaves)])
 
 
 def to_state(leaves: Leaves) -> State:
-    """Scalars to arrays, on exit; also for leaves with a leading time axis."""
+    """Scalars as the arrays of a state; leaves may have leading axes, which come first in the arrays too."""
     return State(join(leaves.q), join(leaves.v), jnp.stack(jax.tree.leaves(leaves.s), axis=-1))
 
 

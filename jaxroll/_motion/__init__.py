@@ -1,8 +1,10 @@
 """The equations of motion of a grasp under its controller, and what can be seen of them at one instant.
 
-`_linearisation` has the constraint rows and their Schur complement, `_equations` solves for accelerations and
-forces, `_projection` brings a state back onto the constraints, `_formulation` names the ways to hold them,
-`_equation_terms` gives the terms as arrays, `_quantities` residuals, forces and energies.
+`_linearisation` assembles the constraint Jacobian $A$ from all contacts and factorises $A M^{-1} A^T$,
+`_equations` solves for accelerations and contact forces, `_projection` returns a state to the constraints,
+`_formulation` holds the two ways of keeping them. `_equation_terms` gives the terms of the equations as
+arrays, `_quantities` residuals, contact forces and energies of given states. Bodies and contacts come from
+`_mechanics` and `contact`; `_integration` integrates the result.
 """
 
 from ._equation_terms import (

@@ -1,4 +1,9 @@
-"""The terms of the equations of motion as ordinary arrays, for users and tests."""
+r"""The terms of the equations of motion (1)-(3), (73)-(74) as ordinary arrays, for users and tests.
+
+Inside the package a mass matrix is a triangle of scalars per body, and constraint rows are in world axes, in
+one block per body of a contact (`_linearisation`). Here the mass matrices become one array, and the rows the
+gradients of the chapter's $Q_i$ and $R_i$.
+"""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -53,6 +58,8 @@ def equation_terms(grasp: Grasp, state: State) -> EquationTerms:
     line = linearise(ready, motions, [factorise(i.mass) for i in inertias], touching)
     normal, tangential = [], []
     for contact, rows, t in zip(ready.contacts, line.jacobian, touching, strict=True):
+        # A contact's two rows are the derivatives of the gap's world components x and y; a column (x, y) of
+        # them, one per coordinate, is a vector, whose parts along n_0 and b_0 are entries of the gradients.
         b = motions[0].pose.turn(t.object.tangent)
         tip, face = ([Vec2(*pair) for pair in zip(*block, strict=True)] for block in rows)
         blocks = {0: face, 1 + contact.finger: tip}
@@ -69,6 +76,7 @@ def equation_terms(grasp: Grasp, state: State) -> EquationTerms:
 
 
 def _row(grasp: Grasp, blocks: dict[int, list]) -> Array:
+    """A row of length n from its blocks, by body (0 is the object); zero for the bodies that have none."""
     entries: list = []
     for i, size in enumerate(grasp.sizes):
         entries += blocks.get(i, [0.0] * size)
@@ -76,7 +84,7 @@ def _row(grasp: Grasp, blocks: dict[int, list]) -> Array:
 
 
 def mass_matrix(masses: list, n: int) -> Float[Array, "n n"]:
-    """Block-diagonal mass matrix from the lower triangles of the bodies."""
+    """Block-diagonal mass matrix, shape (n, n), from the lower triangles of the bodies."""
     entries = [[jnp.zeros(())] * n for _ in range(n)]
     at = 0
     for mass in masses:
@@ -88,7 +96,7 @@ def mass_matrix(masses: list, n: int) -> Float[Array, "n n"]:
 
 
 def generalised_force(grasp: Grasp, t: Scalar, state: State) -> Array:
-    """Torques and gravity less velocity terms: shape (n,), all that is not inertia or contact."""
+    """$u - h$, shape (n,): joint torques and gravity less the velocity terms, without contact forces."""
     leaves = to_leaves(state, grasp.form)
     motions, inertias = bodies(grasp, leaves)
     drives = (None, *as_controller(grasp.controller).torques(t, sensed(grasp, leaves, motions)))

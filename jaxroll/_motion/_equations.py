@@ -1,9 +1,12 @@
 r"""The equations of motion of a grasp under its controller, at one instant.
 
-(1)-(3) and (73)-(74) with the constraints differentiated twice: $M \dot v + h = u + A^T \mu$ and
-$A \dot v + \dot A v = 0$, solved by the Schur complement $A M^{-1} A^T$ of `_linearisation`. The multiplier
-$\mu$ of a contact is the force on its fingertip in world axes. `_projection` brings back what integration
-carries off the constraints.
+(1)-(3) and (73)-(74), with the constraints differentiated twice in time:
+
+$$ M \dot v + h = u + A^T \mu, \qquad A \dot v + \dot A v = 0. $$
+
+Without $\dot v$ these are $(A M^{-1} A^T)\,\mu = -(A M^{-1} (u - h) + \dot A v)$, whose matrix
+`_linearisation` factorises; $\mu$ of a contact is the force on its fingertip in world axes. `_state_vector`
+calls `evaluate` for the slope of a run; `_projection` removes the drift that integration leaves in the gaps.
 """
 
 from collections.abc import Sequence
@@ -25,12 +28,12 @@ from ._linearisation import add, apply_jacobian, balance, combine, Linearisation
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, slots=True)
 class Instant:
-    """All that one evaluation of the equations of motion works out.
+    r"""All that one evaluation of the equations of motion works out.
 
     Attributes:
         rates: Time derivative of the state.
-        forces: Contact force on the fingertip of each contact [N], by constraint rows: in world axes, then
-            what of a torque there is.
+        forces: $\mu$ of each contact, one number per constraint row: the force on the fingertip [N] in world
+            axes, then, where spin is prevented, the torque [N m] about the normal over `_contact3._ARM`.
         motions: Kinematics of the object and of every fingertip.
         touching: Contact frames.
         line: Constraint Jacobian and factorised Schur complement.
@@ -55,16 +58,18 @@ def evaluate(grasp: Grasp, t: Scalar, leaves: Leaves, formulation: Formulation) 
         solve(mass, net_force(inertia, drive))
         for mass, inertia, drive in zip(masses, inertias, (None, *torques), strict=True)
     )
-    # Acceleration of every gap that the forces have to undo: A M^-1 (u - h), and A' v.
+    # Acceleration of every gap without contact forces, A M^-1 (u - h) + A' v, which the forces undo. Contacts
+    # take their two bodies as a pair: the fingertip's motion, then the object's.
     pairs = [(motions[1 + c.finger], motions[0]) for c in grasp.contacts]
     each = list(zip(grasp.contacts, pairs, touching, strict=True))
     rollings = once(tuple(c.rolling(pair, t) for c, pair, t in each))
     biases = [c.bias(pair, t, r) for (c, pair, t), r in zip(each, rollings, strict=True)]
     gained = tuple(add(*both) for both in zip(apply_jacobian(grasp, line, free), biases, strict=True))
     if isinstance(formulation, CSM):
+        # Wanted is g'' = -gamma g' - omega g instead of g'' = 0.
         pulled = formulation.restoring(grasp, motions, touching, apply_jacobian(grasp, line, leaves.v))
         gained = tuple(add(*both) for both in zip(gained, pulled, strict=True))
-    # mu = -(A M^-1 A^T)^-1 (...), and what it adds: M^-1 A^T mu.
+    # mu = -(A M^-1 A^T)^-1 (A M^-1 (u - h) + A' v), and v' = M^-1 (u - h) + M^-1 A^T mu.
     forces = once(balance(line, once(negative(gained))))
     accelerations = once(combine(free, respond(grasp, line, forces)))
     # Contact coordinates roll: (7), (68).
@@ -79,7 +84,7 @@ def evaluate(grasp: Grasp, t: Scalar, leaves: Leaves, formulation: Formulation) 
 
 
 def bodies(grasp: Grasp, leaves: Leaves) -> tuple[tuple[Motion, ...], tuple[Inertia, ...]]:
-    """Kinematics and inertia of the object and of every finger."""
+    """Kinematics (`Motion`) and inertia ($M$, $h$) of the object, then of every finger."""
     field = grasp.field()
     each = zip(grasp.bodies, leaves.q, leaves.v, strict=True)
     pairs = [body.motion(q, v, field) for body, q, v in each]
@@ -97,13 +102,13 @@ def world_poses(grasp: Grasp, q: Blocks) -> tuple[Any, ...]:
 
 
 def sensed(grasp: Grasp, leaves: Leaves, motions: Sequence[Motion]) -> list[Sensed]:
-    """What every finger's controller may know."""
+    """What the controller is given of every finger: joint angles, rates, and its tip's kinematics."""
     each = zip(motions[1:], joint_angles(grasp, leaves.q), leaves.v[1:], strict=True)
     return [sense(motion, angles, rates) for motion, angles, rates in each]
 
 
 def net_force(inertia: Inertia, drive: Scalars | None) -> Scalars:
-    """$u - h$ of one body's coordinates: its drive, which the object has not, less its bias force."""
+    """$u - h$ of one body's coordinates; `drive` is $u$, None for the object, on which nothing drives."""
     if drive is None:
         return tuple(-h for h in inertia.force)
     return tuple(u - h for u, h in zip(drive, inertia.force, strict=True))

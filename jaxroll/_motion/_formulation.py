@@ -1,4 +1,9 @@
-"""How the constraints are kept while time runs: projection, or the chapter's stabilisation."""
+r"""How the constraints are kept during integration: projection, or the chapter's stabilisation.
+
+The equations hold the second derivative of every gap at zero, so that a numerical error in a gap $g$ would
+grow linearly in time. `Index1` removes it after each step (`_projection`). `CSM` instead asks for
+$\ddot g = -\gamma \dot g - \omega g$, which `_equations` adds to the right-hand side through `restoring`.
+"""
 
 from collections.abc import Sequence
 from typing import Any, ClassVar
@@ -71,13 +76,18 @@ class CSM(eqx.Module):
     def restoring(
         self, grasp: Grasp, motions: Sequence[Motion], touching: Sequence[Touch], closing: Rows
     ) -> Rows:
-        """What is added to the accelerations of the gaps, whose rates are `closing`; (64)-(65)."""
+        r"""The terms $\gamma \dot g + \omega g$ of every contact in world axes [m/s^2]; (64)-(65).
+
+        `closing` holds the rates of the gaps, $A v$, in world axes.
+        """
         return tuple(
             tuple(self._at_contact(motions[1 + c.finger], motions[0], t, Vec2(*rate)))
             for c, t, rate in zip(grasp.contacts, touching, closing, strict=True)
         )
 
     def _at_contact(self, tip: Motion, body: Motion, touching: Touch, rate: Vec2) -> Vec2:
+        # The gap and its rate along b_0 (R) and across it (Q), each with its own gains; the sum is in world
+        # axes again. Which of the two normals is taken does not matter: it enters twice.
         open_ = gap(tip.pose, body.pose, touching.points)
         tangent = body.pose.turn(touching.object.tangent)
         normal = tangent.right()

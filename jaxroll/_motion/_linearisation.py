@@ -1,8 +1,8 @@
 r"""The rolling constraints of a grasp linearised: $A$, $M^{-1} A^T$, and one factorisation of $A M^{-1} A^T$.
 
-The Schur complement that the accelerations need is the one that the return to positions and to velocities
-needs: `_equations` and `_projection` share the `Linearisation` built here. It holds rows of scalars, and so
-does not know whether they are those of the plane or of space.
+Accelerations and the returns to positions and to velocities are all solved with the Schur complement
+$A M^{-1} A^T$: `_equations` and `_projection` share the `Linearisation` built here. Its rows are tuples of
+scalars, so that the same lines serve the plane and space.
 """
 
 import functools
@@ -27,10 +27,12 @@ class Linearisation:
     r"""Constraint Jacobian $A$, $M^{-1}A^T$ and the factorised Schur complement $A M^{-1} A^T$.
 
     Attributes:
-        jacobian: For each contact: its rows over the finger's and over the object's coordinates.
-        weighted: The same rows solved with the mass matrices: those of $A M^{-1}$.
+        jacobian: For each contact its rows of $A$: the block over the finger's velocities, then the one over
+            the object's. All other blocks of these rows are zero.
+        weighted: The rows of $A M^{-1}$, in the same blocks.
         schur: Factor of the Schur complement.
-        drift: For each contact the rates of its gap that are prescribed; none where nothing is.
+        drift: For each contact the rate at which a prescribed motion of its fingertip changes its gap, row by
+            row [m/s]; None for a contact whose finger has no prescribed motion.
     """
 
     jacobian: tuple[Pair, ...]
@@ -45,7 +47,7 @@ def linearise(
     masses: Sequence[Factor],
     touching: Sequence[Any],
 ) -> Linearisation:
-    """Rows of every contact from the twists of its two bodies, and the factorised Schur complement."""
+    """The linearised constraints at one state, from motion and factorised mass matrix of every body."""
     jacobian, weighted, drift = [], [], []
     for contact, t in zip(grasp.contacts, touching, strict=True):
         pair = motions[1 + contact.finger], motions[0]
@@ -54,10 +56,12 @@ def linearise(
         # The mass matrix is one block per body, so that a row is weighted block by block.
         factors = masses[1 + contact.finger], masses[0]
         weighted.append(tuple(_solve(factor, block) for factor, block in zip(factors, rows, strict=True)))
-        # A jaw, or a stage, moves as prescribed: what its motion alone does to the gap is no part of A v.
+        # A moving stage has a twist but no velocities: what it does to the gap is missing in A v. Here the
+        # object is at rest, so that this part alone is left.
         moving = grasp.fingers[contact.finger].prescribed
         drift.append(contact.closing((pair[0], pair[1].resting()), t) if moving else None)
-    # Lower triangle of A M^-1 A^T. Two contacts have the object in common, and the finger if it is the same.
+    # Lower triangle of A M^-1 A^T: each entry is a row of A times a row of A M^-1. Two contacts always share
+    # the object's block (1), and the finger's (0) only if both are on the same finger.
     rows = []
     for i, contact in enumerate(grasp.contacts):
         for axis in range(contact.rows):
@@ -73,7 +77,7 @@ def linearise(
 
 
 def unknown_line(grasp: Grasp) -> Linearisation:
-    """A linearisation full of zeros, as the state of a loop that will fill it."""
+    """A linearisation of the right structure, full of zeros: the carry of a loop before its first turn."""
     zero = jnp.zeros(())
     pairs, drift = [], []
     for c in grasp.contacts:
@@ -85,11 +89,12 @@ def unknown_line(grasp: Grasp) -> Linearisation:
 
 
 def _solve(mass: Factor, rows: Rows) -> Rows:
+    """Rows of $A M^{-1}$ of one body; $M$ is symmetric, so that each is $M^{-1}$ times a row of $A$."""
     return tuple(solve(mass, row) for row in rows)
 
 
 def apply_jacobian(grasp: Grasp, line: Linearisation, rates: Blocks) -> Rows:
-    """$A v$: one tuple per contact."""
+    """$A v$, one tuple per contact, of velocities (or accelerations) given body by body."""
     found = []
     for c, pair in zip(grasp.contacts, line.jacobian, strict=True):
         tip, body = rates[1 + c.finger], rates[0]
@@ -98,7 +103,7 @@ def apply_jacobian(grasp: Grasp, line: Linearisation, rates: Blocks) -> Rows:
 
 
 def closing(grasp: Grasp, line: Linearisation, v: Blocks) -> Rows:
-    """Rates of the rows' gaps: $A v$ and what is prescribed."""
+    """Rate of every gap [m/s], row by row: $A v$, plus what prescribed motions add."""
     found = zip(apply_jacobian(grasp, line, v), line.drift, strict=True)
     return tuple(own if given is None else add(own, given) for own, given in found)
 
@@ -109,7 +114,7 @@ def add(left: Scalars, right: Scalars) -> Scalars:
 
 
 def balance(line: Linearisation, wanted: Rows) -> Rows:
-    """Contact forces (impulses) on the fingertips that make $A M^{-1} A^T$ times them `wanted`."""
+    r"""Solve $A M^{-1} A^T \mu = w$ for forces or impulses $\mu$, contact by contact; $w$ is `wanted`."""
     flat, found = list(solve(line.schur, [component for rows in wanted for component in rows])), []
     for rows in wanted:
         found.append(tuple(flat[: len(rows)]))
@@ -118,10 +123,11 @@ def balance(line: Linearisation, wanted: Rows) -> Rows:
 
 
 def respond(grasp: Grasp, line: Linearisation, forces: Rows) -> Blocks:
-    """$M^{-1} A^T$ times contact forces: what each velocity gains."""
+    r"""$M^{-1} A^T \mu$, body by body: accelerations from forces, or velocity changes from impulses."""
     object_terms = []
     finger_terms: dict[int, list[Scalars]] = {}
     for contact, pair, force in zip(grasp.contacts, line.weighted, forces, strict=True):
+        # Columns of A M^-1 are rows of M^-1 A^T.
         tip, body = (tuple(inner(column, force) for column in zip(*rows, strict=True)) for rows in pair)
         finger_terms.setdefault(contact.finger, []).append(tip)
         object_terms.append(body)
@@ -132,6 +138,7 @@ def respond(grasp: Grasp, line: Linearisation, forces: Rows) -> Blocks:
 
 
 def _sum_blocks(terms: list[Scalars]) -> Scalars:
+    """Sum of one body's gains over its contacts."""
     return tuple(total(list(each)) for each in zip(*terms, strict=True))
 
 
@@ -144,5 +151,5 @@ def combine(left: Blocks, right: Blocks, factor: float = 1.0) -> Blocks:
 
 
 def negative(blocks: Blocks) -> Blocks:
-    """Blocks, or rows, with the other sign."""
+    """Blocks, or rows, with their sign changed."""
     return tuple(tuple(-x for x in block) for block in blocks)

@@ -1,8 +1,12 @@
 r"""The return to the constraints: positions and velocities carried off them by a step.
 
-Of all states without gap the one nearest in the mass metric is $q - M^{-1} A^T (A M^{-1} A^T)^{-1} g$ to
-first order, and likewise the velocities. The linearisation is that of the step's last evaluation (`Anchor`),
-so that nothing is factorised again.
+A step leaves gaps $g$ and gap rates $A v$ of the size of its error. The nearest state without them, in the
+mass metric $\delta^T M \delta$ and to first order, is
+
+$$ q - M^{-1} A^T (A M^{-1} A^T)^{-1} g, \qquad v - M^{-1} A^T (A M^{-1} A^T)^{-1} A v. $$
+
+$A$ and the factorised $A M^{-1} A^T$ are those of the step's last evaluation of the equations of motion
+(`Anchor`), so that nothing is factorised again. `_integration._step` calls `settle`, then `compatible`.
 """
 
 from collections.abc import Sequence
@@ -21,7 +25,7 @@ from ._linearisation import balance, closing, combine, Linearisation, negative, 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, slots=True)
 class Residual:
-    """What the rolling constraints leave over, per contact: the rows' gaps, and tangencies."""
+    """How far a state is off the constraints: per contact its gap, row by row [m], and its tangency."""
 
     gaps: Rows
     tangencies: tuple[Any, ...]
@@ -30,11 +34,12 @@ class Residual:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, slots=True)
 class Anchor:
-    """What one evaluation leaves behind for the return to the constraints.
+    """What the projection keeps of one evaluation of the equations of motion.
 
     Attributes:
         line: Constraint Jacobian and factorised Schur complement.
-        bends: What each contact's return to tangency needs of its curvatures.
+        bends: For each contact what its return to tangency needs of the curvatures: in the plane their sum
+            [1/m], in space the inverse of the summed shape operators [m].
     """
 
     line: Linearisation
@@ -42,7 +47,7 @@ class Anchor:
 
 
 def anchor_of(grasp: Grasp, instant: Instant) -> Anchor:
-    """Keep what the projection needs."""
+    """The anchor of an evaluation, of which all else may be forgotten."""
     frames = [motion.pose for motion in instant.motions]
     each = zip(grasp.contacts, instant.touching, strict=True)
     bends = tuple(c.bend((frames[1 + c.finger], frames[0]), t) for c, t in each)
@@ -50,24 +55,27 @@ def anchor_of(grasp: Grasp, instant: Instant) -> Anchor:
 
 
 def unknown_anchor(grasp: Grasp) -> Anchor:
-    """An anchor full of zeros, as the state of a loop that will fill it."""
+    """An anchor of the right structure, full of zeros: the carry of a loop before its first turn."""
     return Anchor(unknown_line(grasp), tuple(c.unknown_bend() for c in grasp.contacts))
 
 
 def settle(grasp: Grasp, leaves: Leaves, anchor: Anchor) -> Leaves:
-    """One sweep back onto gap and tangency, nearest in the mass metric.
+    """One Newton step for gap and tangency: positions and places change, velocities stay.
 
-    Simplified Newton with the linearisation of `anchor`: a gap g falls to order g^2, then g^3.
+    The Jacobian is the one at `anchor` and stays the same (simplified Newton), with an error of the order of
+    the distance from there: a gap g falls to order g^2 with the first call, to g^3 with the second.
     """
     line = anchor.line
+    # In space a place can be off its surface (an implicit one has three coordinates): it returns there first.
     shapes = [grasp.shapes(c) for c in grasp.contacts]
     places = [c.onto(*pair) for c, *pair in zip(grasp.contacts, shapes, leaves.s, strict=True)]
     placed = [body.placed(block) for body, block in zip(grasp.bodies, leaves.q, strict=True)]
     frames = [pose for pose, _ in placed]
     left = once(residual(grasp, frames, touches(grasp, places)))
-    # The gap as if it were an impulse's doing: the step -M^-1 A^T (A M^-1 A^T)^-1 g undoes it.
+    # The displacement -M^-1 A^T (A M^-1 A^T)^-1 g, given as velocities are.
     back = once(negative(respond(grasp, line, balance(line, left.gaps))))
-    # Tangency is a contact's own: its place moves until the normals meet, also for what that step turns.
+    # Tangency is restored by the place of each contact alone. Moving it over both shapes changes the gap to
+    # second order only. It makes up for the tangency that is left, and for the turn of the displacement.
     body, *tips = [spin(step) for (_, spin), step in zip(placed, back, strict=True)]
     s = []
     for i, c in enumerate(grasp.contacts):
@@ -84,13 +92,13 @@ def settle(grasp: Grasp, leaves: Leaves, anchor: Anchor) -> Leaves:
 
 
 def compatible(grasp: Grasp, leaves: Leaves, line: Linearisation) -> Leaves:
-    """Velocities back onto $A v = 0$, nearest in the mass metric."""
+    """The nearest velocities in the mass metric at which no gap changes: $A v = 0$, or minus the drift."""
     pull = respond(grasp, line, once(balance(line, closing(grasp, line, leaves.v))))
     return once(Leaves(leaves.q, combine(leaves.v, pull, -1.0), leaves.s))
 
 
 def residual(grasp: Grasp, frames: Sequence[Any], touching: Sequence[Any]) -> Residual:
-    """Gap and tangency of every contact."""
+    """Gap and tangency of every contact, from the world poses of all bodies and the contact frames."""
     each = [(c, (frames[1 + c.finger], frames[0]), t) for c, t in zip(grasp.contacts, touching, strict=True)]
     return Residual(
         tuple(c.opening(pair, t) for c, pair, t in each),
@@ -99,5 +107,5 @@ def residual(grasp: Grasp, frames: Sequence[Any], touching: Sequence[Any]) -> Re
 
 
 def displaced(grasp: Grasp, q: Blocks, step: Blocks) -> Blocks:
-    """Positions after a small displacement, given as velocities are."""
+    """Positions after a small displacement in the coordinates of the velocities, body by body."""
     return tuple(body.displaced(*pair) for body, *pair in zip(grasp.bodies, q, step, strict=True))

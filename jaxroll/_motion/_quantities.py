@@ -1,4 +1,9 @@
-"""Quantities along a run, as the chapter defines them, from states alone."""
+"""Residuals, contact forces and energies of states, in the chapter's definitions and signs.
+
+`residuals`, `multipliers` and `energies` are public and take one state or many. Those that end in `_at` take
+one state of a prepared grasp; `simulate` maps them over its saved states. Contact forces cost one more
+evaluation of the equations of motion. `power` is what a run integrates where energy is recorded.
+"""
 
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
@@ -96,18 +101,19 @@ def worst(residuals: Residuals) -> Array:
 
 
 def reach(dtype: Any) -> float:
-    """Size of the worst row [m or rad] above which a state is not on the constraints."""
+    """Largest size of the worst row [m or rad] at which a state still counts as on the constraints."""
     return 1e-9 if np.dtype(dtype) == np.float64 else 1e-5
 
 
 def multipliers_at(grasp: Grasp, t: Scalar, state: State, formulation: Formulation) -> Multipliers:
     """Contact forces of a prepared grasp at one state."""
+    # Forces are unknowns of the equations of motion, and depend on the velocities and the torques too.
     instant = evaluate(grasp, t, to_leaves(state, grasp.form), formulation)
     return split_forces(grasp, [m.pose for m in instant.motions], instant.touching, instant.forces)
 
 
 def split_forces(grasp: Grasp, frames: Sequence[Any], touching: Sequence[Any], forces: Rows) -> Multipliers:
-    """Forces on the fingertips, by constraint rows, as multipliers."""
+    r"""The chapter's $f$ and $\lambda$ from the forces on the fingertips, given row by row in world axes."""
     each = zip(grasp.contacts, touching, forces, strict=True)
     pairs = [c.split_force((frames[1 + c.finger], frames[0]), t, force) for c, t, force in each]
     f, lam = zip(*pairs, strict=True)
@@ -115,7 +121,7 @@ def split_forces(grasp: Grasp, frames: Sequence[Any], touching: Sequence[Any], f
 
 
 def _column(values: Sequence[Any]) -> Array:
-    """One number or vector per contact, as an array."""
+    """One number or vector per contact as an array, shape (c,) or (c, 3)."""
     return jnp.stack([x.array() if isinstance(x, Vec3) else jnp.asarray(x) for x in values])
 
 
@@ -134,6 +140,8 @@ def _kinetic_energy(inertias: Sequence[Inertia], rates: Blocks) -> Scalar:
 
 
 def _quadratic(mass: Sequence[Sequence[Scalar]], v: Scalars) -> Scalar:
+    r"""$\frac12 v^T M v$ of one body, from the lower triangle of its mass matrix."""
+    # Entries below the diagonal stand for two, which cancels the half.
     terms = []
     for i, row in enumerate(mass):
         terms += [row[j] * v[i] * v[j] for j in range(i)]
@@ -142,6 +150,7 @@ def _quadratic(mass: Sequence[Sequence[Scalar]], v: Scalars) -> Scalar:
 
 
 def _gravity_potential(grasp: Grasp, leaves: Leaves) -> Scalar:
+    """Potential energy [J] of all bodies in the grasp's gravity; zero where it has none."""
     field = grasp.field()
     if field is None:
         return 0.0
@@ -156,7 +165,7 @@ def power(grasp: Grasp, t: Scalar, leaves: Leaves, instant: Instant) -> Scalar:
 
     With the built-in controllers it is minus the dissipation; with a user's controller, whose
     potential is unknown, it is the whole power of the joint torques. Bodies that move as prescribed do
-    work too: $-\mu \cdot b$ at a contact whose gap they close at the rate b.
+    work too: $-\mu \cdot b$ at a contact whose gap they change at the rate b.
     """
     motions = instant.motions
     controller = as_controller(grasp.controller)
@@ -166,11 +175,13 @@ def power(grasp: Grasp, t: Scalar, leaves: Leaves, instant: Instant) -> Scalar:
     )
     tips = [m.pose.origin for m in motions[1:]]
     moves = [m.twist.velocity for m in motions[1:]]
+    # dP/dt of the controller's potential, as its derivative along the rates of tips and joint angles.
     _, stored = jax.jvp(
         lambda points, angles: controller.potential(points, angles),
         (tips, joint_angles(grasp, leaves.q)),
         (moves, leaves.v[1:]),
     )
+    # On the constraints A v = -b, so that the contact forces A^T mu have the power v . A^T mu = -mu . b.
     pushed = [
         inner(force, given)
         for force, given in zip(instant.forces, instant.line.drift, strict=True)
@@ -182,7 +193,8 @@ def power(grasp: Grasp, t: Scalar, leaves: Leaves, instant: Instant) -> Scalar:
 def of_reached(function: Callable, states: State, start: State) -> Any:
     """`function` of states along a leading axis, NaN for those that a run did not reach.
 
-    The start stands in for those: backwards, a cotangent of zero would meet a derivative of NaN.
+    The function itself is given `start` in their place. With NaN as its argument its derivative would be NaN,
+    and reverse mode would multiply that by the cotangent zero of these rows, which is NaN again.
     """
     reached = jnp.all(jnp.isfinite(states.q), axis=-1)
     where = lambda a, b: jnp.where(reached.reshape(-1, *(1,) * (a.ndim - 1)), a, b)  # noqa: E731
@@ -245,6 +257,7 @@ def as_times(ts: Any, states: State) -> Array:
 
 
 def _over_time(function: Callable, states: State) -> Any:
+    """`function` of one state, or of each along a leading time axis (see `of_reached`)."""
     if states.q.ndim == 1:
         return function(states)
     return of_reached(jax.vmap(function), states, jax.tree.map(lambda rows: rows[0], states))

@@ -1,7 +1,8 @@
 """Two shapes touching: gap, tangency, Pfaffian rows and their bias, and rolling kinematics.
 
-`_contact` is what a contact has to answer, `_contact2` answers it in the plane and `_contact3` in space,
-both by the gap of `_gap`. `locating` finds where two shapes are nearest, wherever they are.
+`_contact` declares what the dynamics needs of a contact, `_contact2` implements it for contours in the plane
+and `_contact3` for surfaces in space, both with the gap of `_gap`. `_motion` calls them in every evaluation
+of the equations of motion. `locating` finds where two shapes are nearest, whether they touch or not.
 """
 
 from ._contact import AbstractContact as AbstractContact

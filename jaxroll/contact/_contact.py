@@ -1,4 +1,10 @@
-"""What the dynamics asks of a contact, in the plane or in space."""
+"""What the dynamics asks of a contact, in the plane (`_contact2`) or in space (`_contact3`).
+
+`_motion` uses the rows, the bias, the rolling and the return to tangency, `_closing` the equations and steps
+of a place, `_integration._events` the margins. Wherever two bodies, poses or shapes are given as a pair, the
+fingertip's comes first and the object's second. The gap runs from the object's contact point to the
+fingertip's, in world axes; forces are those on the fingertip.
+"""
 
 import abc
 from collections.abc import Sequence
@@ -16,7 +22,7 @@ Shapes = tuple[Any, Any]
 
 
 def as_index(name: str, value: Any) -> int:
-    """Which of several: a whole number from 0 up."""
+    """The index of a finger, contour or surface: a whole number from 0 up."""
     return as_count(name, value, least=0)
 
 
@@ -46,16 +52,16 @@ class AbstractContact(eqx.Module):
     @property
     @abc.abstractmethod
     def rows(self) -> int:
-        """How many constraint rows: components of a contact force."""
+        """How many constraint rows it has, which is also the number of components of its contact force."""
 
     @property
     @abc.abstractmethod
     def slack(self) -> int:
-        """How many ways the place may move while a start is sought: the length of `shift`'s step."""
+        """Length of `shift`'s step: in how many directions `close` may move the place."""
 
     @abc.abstractmethod
     def check(self, name: str, shapes: Shapes) -> None:
-        """Raise unless it fits these shapes; `name` is the contact's for the message."""
+        """Raise unless the contact fits these shapes; `name` is what the message calls the contact."""
 
     @abc.abstractmethod
     def check_shapes(self, name: str, shapes: Shapes) -> None:
@@ -63,7 +69,7 @@ class AbstractContact(eqx.Module):
 
     @abc.abstractmethod
     def form(self, shapes: Shapes) -> Any:
-        """A place of the right structure."""
+        """A place with the right structure for these shapes; its numbers mean nothing."""
 
     @abc.abstractmethod
     def touch(self, shapes: Shapes, place: Any) -> Any:
@@ -71,35 +77,35 @@ class AbstractContact(eqx.Module):
 
     @abc.abstractmethod
     def pfaffian(self, bodies: tuple[Motion, Motion], touch: Any) -> tuple[Rows, Rows]:
-        """Constraint rows, each over the fingertip's and over the object's coordinates."""
+        """Constraint rows, the contact's part of $A$: over the fingertip's velocities, and the object's."""
 
     @abc.abstractmethod
     def closing(self, bodies: tuple[Motion, Motion], touch: Any) -> Scalars:
-        """What the rows are the rate of: components of the gap's velocity."""
+        """The rate [m/s] that each row gives, from the twists of both bodies: $A v$ and prescribed motion."""
 
     @abc.abstractmethod
     def bias(self, bodies: tuple[Motion, Motion], touch: Any, rolling: Any) -> Scalars:
-        """Second derivatives of the rows' quantities at zero coordinate accelerations."""
+        r"""The acceleration [m/s^2] of each row at $\dot v = 0$: $\dot A v$ and prescribed motion."""
 
     @abc.abstractmethod
     def rolling(self, bodies: tuple[Motion, Motion], touch: Any) -> Any:
-        """How the contact moves over the shapes."""
+        r"""How fast the contact moves over the shapes [m/s]: $\dot\sigma$, in space a world vector."""
 
     @abc.abstractmethod
     def place_rate(self, shapes: Shapes, place: Any, poses: tuple[Any, Any], rolling: Any) -> Any:
-        """Rates of the place under a rolling."""
+        """Time derivative of the place, from what `rolling` returned."""
 
     @abc.abstractmethod
     def bend(self, poses: tuple[Any, Any], touch: Any) -> Any:
-        """What of the curvatures the return to tangency needs."""
+        """What `settled` needs of the curvatures: their sum, in space the inverse of their sum."""
 
     @abc.abstractmethod
     def unknown_bend(self) -> Any:
-        """Zeros of that structure."""
+        """Zeros in the structure of what `bend` returns, for the carry of a loop."""
 
     @abc.abstractmethod
     def opening(self, poses: tuple[Any, Any], touch: Any) -> Scalars:
-        """The gap as the rows see it; zero where a row has no position of its own."""
+        """The gap [m] of each row; zero for a row that constrains a rate only."""
 
     @abc.abstractmethod
     def tangency(self, poses: tuple[Any, Any], touch: Any) -> Any:
@@ -107,30 +113,30 @@ class AbstractContact(eqx.Module):
 
     @abc.abstractmethod
     def onto(self, shapes: Shapes, place: Any) -> Any:
-        """The place put back onto both shapes, off which integration errors carry it."""
+        """The place put back onto both shapes, from which integration errors carry it off."""
 
     @abc.abstractmethod
     def settled(
         self, shapes: Shapes, place: Any, turned: Any, *, poses: tuple[Any, Any], tangency: Any, bend: Any
     ) -> Any:
-        """The place at which tangency holds, to first order.
+        """The place at which tangency holds, to first order, after a small turn of the bodies.
 
         Args:
             shapes: The two shapes.
-            place: Where it is.
-            turned: By how much the fingertip turns against the object.
-            poses: Of both bodies.
-            tangency: What is left of it, as `tangency` says.
-            bend: What `bend` said of the curvatures.
+            place: Where the contact is.
+            turned: By how much the fingertip turns against the object [rad], in space in world axes.
+            poses: Of both bodies, before they turn.
+            tangency: What `tangency` returned there.
+            bend: What `bend` returned, there or nearby.
         """
 
     @abc.abstractmethod
     def shift(self, shapes: Shapes, place: Any, step: Scalars) -> Any:
-        """A place moved by a step of `slack` lengths."""
+        """A place moved over both shapes by a step, `slack` lengths [m]."""
 
     @abc.abstractmethod
     def equations(self, poses: tuple[Any, Any], touch: Any) -> Scalars:
-        """Gap [m] and tangency [rad] as independent equations of a start."""
+        """Gap [m] and tangency [rad] as independent equations, which `close` brings to zero."""
 
     @abc.abstractmethod
     def equation_names(self) -> Sequence[str]:
@@ -138,11 +144,11 @@ class AbstractContact(eqx.Module):
 
     @abc.abstractmethod
     def ends(self, shapes: Shapes, place: Any) -> list[Scalar]:
-        """Distances [m] of the contact from the ends of both shapes; none where there are none."""
+        """Distances [m] of the contact from the ends of both shapes; empty where they have none."""
 
     @abc.abstractmethod
     def curvature_margin(self, poses: tuple[Any, Any], touch: Any) -> Scalar:
-        """Relative sum of the curvatures: the contact rolls while it is positive."""
+        """Sum of the curvatures over their size: positive while the rolling rate is defined."""
 
     @abc.abstractmethod
     def split_force(self, poses: tuple[Any, Any], touch: Any, force: Scalars) -> tuple[Scalar, Any]:
@@ -154,4 +160,4 @@ class AbstractContact(eqx.Module):
 
     @abc.abstractmethod
     def rubbing(self, tangential: Any) -> list[Scalar]:
-        """What must not exceed friction times the normal force [N]."""
+        """Numbers [N] of which none may exceed the coefficient of friction times the normal force."""

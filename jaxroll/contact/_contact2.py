@@ -1,8 +1,9 @@
 r"""Two contours rolling on each other: tangency, rolling rate, and the contact that has them.
 
-A fingertip A and an object B share one rolling coordinate $\sigma$: $s_A = s_{A0} + \sigma$ and
-$s_B = s_{B0} - \sigma$. Both contours run counter-clockwise, so their tangents oppose each other at the
-contact, and the points move over both bodies with one velocity (see `_gap`).
+A fingertip A and an object B share one rolling coordinate $\sigma$, the place of the contact:
+$s_A = s_{A0} + \sigma$ and $s_B = s_{B0} - \sigma$. Both contours run counter-clockwise, so that at the
+contact their tangents oppose each other, $b_A = -b_B$ in the world, and the contact point moves over both
+bodies with one velocity $b_A \dot\sigma$ (see `_gap`). Outward normals are `right()` of the tangents.
 """
 
 from dataclasses import dataclass
@@ -131,6 +132,7 @@ class Contact(AbstractContact):
 
     def pfaffian(self, bodies: tuple[Motion, Motion], touch: Touch) -> tuple[Rows, Rows]:
         units = (bodies[0].unit_twists, bodies[1].unit_twists)
+        # Two rows per contact: the world components x and y of the gap's rate.
         tip, face = once(pfaffian(units, arms_of(bodies, touch.points)))
         return row_wise(tip, 2), row_wise(face, 2)
 
@@ -138,6 +140,7 @@ class Contact(AbstractContact):
         return tuple(gap_rate((bodies[0].twist, bodies[1].twist), arms_of(bodies, touch.points)))
 
     def bias(self, bodies: tuple[Motion, Motion], touch: Touch, rolling: Scalar) -> Scalars:
+        # Velocities of the contact points over their bodies: b_A sigma' and -b_B sigma'.
         tip, body = bodies
         drift = (tip.pose.turn(touch.tip.tangent) * rolling, body.pose.turn(touch.object.tangent) * -rolling)
         return tuple(gap_bias(bodies, arms_of(bodies, touch.points), drift))
@@ -173,13 +176,15 @@ class Contact(AbstractContact):
         tangency: Scalar,
         bend: Scalar,
     ) -> Scalar:
-        # Both tangents turn by their curvature per arclength: (kappa_A + kappa_B) sigma makes up for it.
+        # Rolling by sigma turns b_A against -b_B by (kappa_A + kappa_B) sigma. That is to cancel the angle
+        # which is left, `tangency`, and the one by which the bodies turn.
         return place - (turned + tangency) / bend
 
     def shift(self, shapes: ContourPair, place: Scalar, step: Scalars) -> Scalar:
         return place + step[0]
 
     def equations(self, poses: tuple[Pose2, Pose2], touch: Touch) -> Scalars:
+        # The whole angle, not its sine, which vanishes too where the shapes overlap with tangents alike.
         tip, face = poses
         cosine = -tip.turn(touch.tip.tangent).dot(face.turn(touch.object.tangent))
         return (*self.opening(poses, touch), jnp.arctan2(self.tangency(poses, touch), cosine))
@@ -197,10 +202,12 @@ class Contact(AbstractContact):
 
     def curvature_margin(self, poses: tuple[Pose2, Pose2], touch: Touch) -> Scalar:
         tip, face = touch.tip.curvature, touch.object.curvature
+        # Relative, so that one threshold serves all sizes: 1 for two convex shapes, 0 if both are straight.
         size = jnp.abs(tip) + jnp.abs(face)
         return (tip + face) / jnp.where(size > 0, size, 1.0)
 
     def split_force(self, poses: tuple[Pose2, Pose2], touch: Touch, force: Scalars) -> tuple[Scalar, Scalar]:
+        # The object pushes the fingertip along its outward normal with f, and along -b_0 with lambda.
         tangent, push = poses[1].turn(touch.object.tangent), Vec2(*force)
         return push.dot(tangent.right()), -self.sense * push.dot(tangent)
 
@@ -213,7 +220,7 @@ class Contact(AbstractContact):
 
 
 def tangency(tip: Pose2, object_: Pose2, touch: Touch) -> Scalar:
-    """Sine of the angle by which the fingertip's tangent leads the reversed object tangent."""
+    """Sine of the angle from the object's reversed tangent $-b_B$ to the fingertip's $b_A$."""
     return tip.turn(touch.tip.tangent).cross(object_.turn(touch.object.tangent))
 
 

@@ -1,9 +1,13 @@
 r"""Two surfaces rolling on each other in space: tangency, rolling velocity, and the contact that has them.
 
 The contact points of a fingertip A and an object B move over both with one velocity $s$ (A-1 and A-2: they
-coincide, and so do the tangent planes). With $n$ the object's outward normal and the shape operators
-$L = \mathrm{d}n$ in world axes, $(L_A + L_B)\,s = (\omega_A - \omega_B) \times n$ in the tangent plane:
-Montana's equations without a chart.
+coincide, and so do the tangent planes). The outward normals stay opposite, $n_A = -n_B = -n$. With the shape
+operators $L = \mathrm{d}n$ in world axes their rates are $\dot n_A = -\omega_A \times n + L_A s$ and
+$\dot n_B = \omega_B \times n + L_B s$; their sum is zero, so that in the tangent plane
+
+$$ (L_A + L_B)\,s = (\omega_A - \omega_B) \times n. $$
+
+These are Montana's equations without a chart.
 """
 
 from dataclasses import dataclass
@@ -25,11 +29,11 @@ from ._gap import arms_of, gap, gap_bias, gap_rate, Motion, pfaffian, row_wise, 
 SurfacePair = tuple[AbstractSurface, AbstractSurface]
 Place = tuple[Scalars, Scalars]
 
-# The row that prevents spin is the rate of an angle; this arm makes it one of a length [m].
+# The row that prevents spin is an angular rate; times this arm [m] it is a velocity, like the other rows.
 _ARM = 0.01
-# Returns to the surfaces after a step while a start is sought.
+# How often a place returns to its surfaces after a step of `close`.
 _RETURNS = 4
-# Keeps the size of a tangential force differentiable where there is none [N^2].
+# Added under the square root of a tangential force's size, so that it has a derivative at zero [N^2].
 _NO_FORCE = 1e-24
 
 
@@ -52,6 +56,8 @@ def compliance(poses: tuple[Pose3, Pose3], touch: Touch3, line: bool) -> Sym3:
 
     Two surfaces that touch along a generator have no curvature in it: with `line`, the inverse across it.
     """
+    # H = L_A + L_B maps the normal to zero, and is a 2x2 matrix in the tangent plane, with H^-1 =
+    # (tr H - H) / det H. With a line its only eigenvalue is k = tr H, and its pseudo-inverse is H / k^2.
     tip, body = poses
     bend = once(touch.tip.shape.turned(tip) + touch.object.shape.turned(body))
     trace = bend.trace()
@@ -150,6 +156,7 @@ class Contact3(AbstractContact):
 
     def pfaffian(self, bodies: tuple[Motion, Motion], touch: Touch3) -> tuple[Rows, Rows]:
         units = (bodies[0].unit_twists, bodies[1].unit_twists)
+        # Three rows: the world components of the gap's rate. A fourth: n . (omega_A - omega_B) times the arm.
         columns = pfaffian(units, arms_of(bodies, touch.points))
         blocks = [row_wise(block, 3) for block in columns]
         if self.spin == "prevented":
@@ -168,6 +175,8 @@ class Contact3(AbstractContact):
         found = tuple(gap_bias(bodies, arms_of(bodies, touch.points), (rolling, rolling)))
         if self.spin == "free":
             return found
+        # The rate of n . (omega_A - omega_B), in which the normal turns with the object, omega_B x n, and as
+        # the contact moves over it, L_B s.
         tip, body = bodies
         normal, bend = body.pose.turn(touch.object.normal), touch.object.shape.apply(body.pose.back(rolling))
         turning = body.twist.spin.cross(normal) + body.pose.turn(bend)
@@ -214,7 +223,7 @@ class Contact3(AbstractContact):
     ) -> Place:
         tip, body = poses
         normal = body.turn(shapes[1].frame(place[1]).normal)
-        # `bend` is the inverse of the summed shape operators: the step whose turn of the normals is wanted.
+        # n_A + n_B changes by (L_A + L_B) move - turned x n and is to become zero; `bend` is (L_A + L_B)^-1.
         move = bend.apply(turned.cross(normal) - tangency)
         return _carried(shapes, place, (tip.back(move), body.back(move)))
 
@@ -224,19 +233,23 @@ class Contact3(AbstractContact):
             first, second = tangents(shape.frame(at).normal)
             moves.append(first * along + second * across)
         carried = jax.tree.map(jnp.asarray, _carried(shapes, place, (moves[0], moves[1])))
-        # A step may be long, and leave the surfaces by more than one return brings back to rounding.
+        # After a long step one return to the surfaces leaves more than rounding.
         return jax.lax.fori_loop(0, _RETURNS, lambda _, place: self.onto(shapes, place), carried)
 
     def equations(self, poses: tuple[Pose3, Pose3], touch: Touch3) -> Scalars:
         tip, body = (
             pose.turn(n) for pose, n in zip(poses, (touch.tip.normal, touch.object.normal), strict=True)
         )
-        # Twice the tangent of half the angle: it tells normals that oppose each other from alike ones.
+        # In the tangent plane of B the sum of the normals has the size sin(a), with a = 0 in contact. Scaled
+        # it is 2 tan(a/2), which does not vanish again at a = pi, where the normals are alike.
         tilt = (tip + body) * (2.0 / (1.0 - tip.dot(body)))
         first, second = tangents(body)
         found = tuple(gap(*poses, touch.points))
         if not self.line:
             return (*found, tilt.dot(first), tilt.dot(second))
+        # Along a common generator the normals do not turn, and no place changes that part of the tilt: only
+        # the part across it is an equation. Its direction is the image of L_A + L_B, taken from whichever of
+        # the two tangents has the larger one.
         bend = touch.tip.shape.turned(poses[0]) + touch.object.shape.turned(poses[1])
         one, other = bend.apply(first), bend.apply(second)
         steep = one.dot(first) > other.dot(second)
@@ -252,6 +265,8 @@ class Contact3(AbstractContact):
         return [margin for shape, at in each for margin in shape.margins(at)]
 
     def curvature_margin(self, poses: tuple[Pose3, Pose3], touch: Touch3) -> Scalar:
+        # Both eigenvalues of L_A + L_B have to be positive: their product, over |L_A|^2 + |L_B|^2, with a
+        # minus where both are negative.
         tip, face = touch.tip.shape.turned(poses[0]), touch.object.shape.turned(poses[1])
         bend, size = tip + face, tip.squares() + face.squares()
         size = jnp.where(size > 0, size, 1.0)
@@ -280,12 +295,13 @@ def _spin(twists: tuple[Twist3, Twist3], normal: Vec3) -> Scalar:
 
 
 def _carried_rates(shapes: SurfacePair, place: Place, velocities: tuple[Vec3, Vec3]) -> Place:
-    """Rates of the places on both surfaces at tangent velocities in their own bodies."""
+    """Rates of the coordinates on both surfaces, from tangent velocities, each in its own body's axes."""
     tip, face = (shape.rate(at, v) for shape, at, v in zip(shapes, place, velocities, strict=True))
     return tip, face
 
 
 def _carried(shapes: SurfacePair, place: Place, moves: tuple[Vec3, Vec3]) -> Place:
+    """The place after small tangent displacements [m], each in its own body's axes, to first order."""
     each = zip(place, _carried_rates(shapes, place, moves), strict=True)
     tip, face = (tuple(a + b for a, b in zip(at, step, strict=True)) for at, step in each)
     return tip, face

@@ -1,9 +1,13 @@
 r"""The gap between two contact points and its derivatives: the same lines in the plane and in space.
 
-The contact points move over both bodies with one velocity, so that the terms in it cancel in the time
-derivative of the gap. Its Jacobian is therefore the derivative of `gap` with respect to the poses **at frozen
-contact coordinates**: the difference of the material velocities, which a twist gives at the end of an arm
-(`Twist2.at`, `Twist3.at`). The arms in world axes are worked out once; the bias is autodiff of these lines.
+With a body's origin $r$, rotation $R$ and contact point $c$ in its own frame, the gap (5)-(6), (64)-(65) is
+$g = (r_A + R_A c_A) - (r_B + R_B c_B)$, from the object B to the fingertip A. Rolling moves the contact
+points over both bodies with one velocity, $R_A \dot c_A = R_B \dot c_B$, which cancels in
+
+$$ \dot g = (v_A + \omega_A \times R_A c_A) - (v_B + \omega_B \times R_B c_B) = A v. $$
+
+The Pfaffian rows $A$ are thus the derivative of the gap **at frozen contact coordinates**: velocities that
+a twist gives at the end of an arm $R c$ (`Twist2.at`, `Twist3.at`). The bias $\dot A v$ is autodiff of them.
 """
 
 from collections.abc import Sequence
@@ -30,8 +34,8 @@ class Motion:
     Attributes:
         pose: The frame in the world.
         unit_twists: Twist per unit rate of each coordinate: the columns of its Jacobian $J$.
-        twist: $J v$, and what is prescribed.
-        bias: $\dot J v$, the part of the acceleration that the velocities alone cause.
+        twist: $J v$, plus that of a prescribed motion.
+        bias: $\dot J v$, the acceleration at $\dot v = 0$, plus that of a prescribed motion.
     """
 
     pose: Any
@@ -57,19 +61,20 @@ def gap_rate(twists: tuple[Twist, Twist], arms: tuple[Vec, Vec]) -> Vec:
 def pfaffian(
     unit_twists: tuple[Sequence[Twist], Sequence[Twist]], arms: tuple[Vec, Vec]
 ) -> tuple[tuple[Vec, ...], tuple[Vec, ...]]:
-    """Columns of the gap's Jacobian: for the fingertip's and for the object's unit rates."""
+    """Columns of $A$, vectors in world axes, for the fingertip's and for the object's unit rates."""
     tip, object_ = unit_twists
     return tuple(unit.at(arms[0]) for unit in tip), tuple(-unit.at(arms[1]) for unit in object_)  # pyright: ignore
 
 
 def gap_bias(bodies: tuple[Motion, Motion], arms: tuple[Vec, Vec], drift: tuple[Vec, Vec]) -> Vec:
-    """Second derivative of the gap at zero coordinate accelerations: one jvp of `gap_rate`.
+    r"""Second derivative of the gap at $\dot v = 0$, which is $\dot A v$: one jvp of `gap_rate`.
 
     Args:
         bodies: Motions of fingertip and object.
         arms: From the frames' origins to the contact points, in world axes.
         drift: Velocities of these points over their bodies, in world axes.
     """
+    # An arm R c changes by omega x R c, a twist without velocity at its end, and by R c', the drift.
     twists, biases = (bodies[0].twist, bodies[1].twist), (bodies[0].bias, bodies[1].bias)
     still = bodies[0].resting().twist.velocity
     moves = tuple(
@@ -80,7 +85,7 @@ def gap_bias(bodies: tuple[Motion, Motion], arms: tuple[Vec, Vec], drift: tuple[
 
 
 def arms_of(bodies: tuple[Motion, Motion], points: tuple[Any, Any]) -> tuple[Any, Any]:
-    """From the frames' origins to points of the bodies, in world axes."""
+    """Vectors from the frames' origins to the contact points, $R c$, in world axes."""
     return once((bodies[0].pose.turn(points[0]), bodies[1].pose.turn(points[1])))
 
 

@@ -381,6 +381,28 @@ def test_the_lowest_place_of_a_parabola_is_found_from_its_samples():
             assert found == np.inf
 
 
+class Blowing(eqx.Module):
+    """A torque that grows without bound towards a moment: velocities diverge there, as its power says."""
+
+    power: jax.Array
+    moment: float = 0.1003
+
+    def __call__(self, t, angles, rates, tips):
+        ahead = self.moment - t
+        return [jnp.array([0.0, 2e-6]) * jnp.sign(ahead) / jnp.abs(ahead) ** self.power - 0.005 * rates[0]]
+
+
+@pytest.mark.parametrize("power", (1.0, 2.0))
+def test_no_run_goes_on_through_a_moment_at_which_nothing_is_finite(scene, power):
+    """diffrax alone would take a step of the smallest length whatever its error, and end it `successful`."""
+    grasp, state = scene
+    driven = grasp.with_(controller=Blowing(jnp.asarray(power)))
+    run = jxr.simulate(driven, state, 0.2, ts=1, events=(), throw=False)
+    assert run.result == jxr.RESULTS.step_collapsed
+    assert abs(float(run.stats.t_end) - Blowing(0.0).moment) <= 1e-9
+    assert np.isfinite(run.last.q).all() and np.isfinite(run.last.v).all()
+
+
 def test_a_stretched_finger_is_a_singular_grasp():
     """Neither a straight finger nor a pivoted disc can move along their common line."""
     disc = jxr.PivotedObject(jxr.Circle(0.02), inertia=1e-5, pivot=(0.0, 0.16))

@@ -54,6 +54,9 @@ from ._state_vector import bundle, Layout, layout, states_of, vector_of
 from ._step import RollingStep
 from ._trajectory import Stats, Trajectory
 
+# Error control ends a run where it asks for shorter steps than this [s].
+_SHORTEST = 1e-12
+
 
 def simulate(
     grasp: Grasp,
@@ -198,7 +201,12 @@ def _plan(stepper: RollingStep, y0: Array, numbers: Numbers, setup: Setup) -> Pl
     lay, given = stepper.lay, setup.controller
     controller: diffrax.AbstractStepSizeController = Steady()
     if given is None:
-        controller = diffrax.PIDController(rtol=rtol, atol=atol, norm=_Norm(lay), dtmin=1e-12)
+        # Unless told, diffrax takes a step of the smallest length whatever its error: a run would go on
+        # through a singular moment with numbers that mean nothing.
+        norm = _Norm(lay)
+        controller = diffrax.PIDController(
+            rtol=rtol, atol=atol, norm=norm, dtmin=_SHORTEST, force_dtmin=False
+        )
     elif not isinstance(given, diffrax.ConstantStepSize):
         controller = Seeing(given, lay).wrap(1)
         # A control may change the length of the first step.

@@ -42,7 +42,9 @@ def figure(drawn: Figure, *, placed: bool = True) -> dict[str, Any]:
     found |= _named(titles + [child for child in rest if child not in titles], drawn, placed)
     for k, ax in enumerate(drawn.axes):
         title = ax.get_title(loc="left")
-        found[f"axes {k}" + (f" ({title})" if title else "")] = axes(ax, placed=placed)
+        # A list beside a drawing has its places, whatever labels the drawing has.
+        told = axes(ax, placed=placed or not ax.axison)
+        found[f"axes {k}" + (f" ({title})" if title else "")] = told
     return found
 
 

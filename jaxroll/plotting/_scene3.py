@@ -187,7 +187,7 @@ def _corners(solids: tuple[Solid, ...], skeletons: tuple[np.ndarray, ...], margi
     cloud = [s.reshape(-1, 3) for s in skeletons]
     for solid in solids:
         some = np.unique(np.linspace(0, len(solid.frames) - 1, 40).astype(int))
-        cloud += [placed(frame, solid.mesh.vertices[::3]) for frame in solid.frames[some]]
+        cloud += [placed(frame, solid.mesh.vertices) for frame in solid.frames[some]]
     every = np.concatenate(cloud)
     every = every[np.isfinite(every).all(axis=1)]
     return np.stack([every.min(axis=0) - margin, every.max(axis=0) + margin])

@@ -1,0 +1,43 @@
+"""Numbers of the scenes, defaults of all public names, and texts of the command line are as recorded."""
+
+import importlib.util
+
+import numpy as np
+import pytest
+
+from tests.recorded import compare, scene_numbers, signatures, texts
+
+NEEDS_CAD = pytest.mark.skipif(
+    any(importlib.util.find_spec(name) is None for name in ("ezdxf", "trimesh", "mapbox_earcut")),
+    reason="needs the extra cad",
+)
+
+
+@pytest.mark.parametrize("name", scene_numbers.scene_names())
+def test_the_numbers_of_a_scene_are_as_recorded(name):
+    compare.check(f"scene_{name}", scene_numbers.numbers(name), rtol=1e-9, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] * (name not in scene_numbers.QUICKLY))
+        for name in scene_numbers.CLOSED
+    ],
+)
+def test_a_scene_starts_where_it_did(name):
+    found, kept = scene_numbers.closed((name,))[name], scene_numbers.kept_states()[name]
+    for part in "qvs":
+        np.testing.assert_allclose(found[part], kept[part], rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("module", signatures.modules())
+def test_parameters_and_defaults_are_as_recorded(module):
+    compare.check(f"signatures_{module}", signatures.signatures(module))
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[NEEDS_CAD] * name.startswith("ordered")) for name in texts.TEXTS]
+)
+def test_what_the_command_line_says_and_asks_is_as_recorded(name):
+    compare.check(f"text_{name}", texts.TEXTS[name]())

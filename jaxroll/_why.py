@@ -1,4 +1,11 @@
-"""`why`: one page on why a grasp fails, or that it holds."""
+"""`why`: one page on why a grasp fails, or that it holds.
+
+The questions come in the order in which one failure hides the next: without closed contacts there is no
+start; without positive margins at the start no run; without a run no end; and only a grasp that holds is
+worth an equilibrium. `close` answers the first, `bearing` has margins and forces at the start and the end,
+`simulate` makes the run, `stability.assess` finds the equilibrium. The first failure found makes the summary
+and the remedy; all numbers that were computed on the way are printed.
+"""
 
 import textwrap
 from dataclasses import dataclass
@@ -16,12 +23,13 @@ from ._printing import code_name, entry
 from ._results import check_instance, traced
 from .stability import assess, Stability, VERDICTS
 
-# Relative size below which a sum of curvatures or a pivot counts as zero, as runs do.
+# Relative size below which a sum of curvatures or a pivot counts as zero: the value that runs use.
 _SINGULAR = 1e-9
-# A run that moved no coordinate by more than this [m or rad] has no direction.
+# If no coordinate of a run changed by more than this [m or rad], no direction is given.
 _STILL = 1e-9
-# Parts of a direction that are smaller than this share of its largest are left out.
+# Coordinates that change by less than this share of the largest change are left out of a direction.
 _SLIGHT = 0.02
+# What helps where the failure is not the end of a run: `REMEDIES` has the others, by the code of the run.
 _MEND = {
     "open": "a guess nearer to contact, or `close` with `hold_contacts=False` or `locate=True`, which let "
     "the contacts move",
@@ -85,10 +93,12 @@ class Why:
         return "\n".join(lines)
 
     def _closing(self) -> str:
+        """The line on whether the contacts close."""
         unit = f"worst row {self.gap:.1e} m or rad"
         return f"yes, {unit}" if self.closed else f"no, {unit} at the guess"
 
     def _rest(self) -> list[str]:
+        """The lines on the equilibrium: its verdict, and the forces at each contact there."""
         found = self.stability
         if found is None:
             told = "not asked in space" if self.grasp.spatial else "no direction is free to move"
@@ -133,6 +143,7 @@ def why(grasp: Grasp, state: State | Trajectory, *, t1: float = 1.0, **options: 
     begin = _start(state) if isinstance(state, Trajectory) else state
     check_states(grasp, begin)
     gap = float(worst(residuals(grasp, begin)))
+    # A state that is on the constraints is taken as it is: closing it again would move it by rounding.
     closed = begin if gap <= reach(begin.q.dtype) else _closed(grasp, begin)
     if isinstance(closed, str):
         told = f"the contacts do not close: {closed}"
@@ -145,18 +156,19 @@ def why(grasp: Grasp, state: State | Trajectory, *, t1: float = 1.0, **options: 
 
 
 def _start(run: Trajectory) -> State:
-    """The first state that a run saved; else where it ended."""
+    """The first state that a run saved; where it saved none before it ended, its last state."""
     if np.ndim(run.states.q) != 2:
         raise ValueError(
             f"argument state must be one run, but its states have shape {np.shape(run.states.q)}; "
             "take one lane with jax.tree.map(lambda x: x[i], run)"
         )
+    # Rows of times that the run did not reach are NaN.
     saved = np.isfinite(np.asarray(run.states.q)).all(axis=1)
     return jax.tree.map(lambda x: x[int(np.argmax(saved))], run.states) if saved.any() else run.last
 
 
 def _closed(grasp: Grasp, guess: State) -> State | str:
-    """The closed state near a guess, or why there is none."""
+    """The closed state near a guess; where there is none, what `close` says about it, as text."""
     try:
         return close(grasp, guess)[1]
     except ValueError as error:
@@ -164,16 +176,21 @@ def _closed(grasp: Grasp, guess: State) -> State | str:
 
 
 def _judged(grasp: Grasp, state: State, run: Trajectory) -> Why:
-    """All that is said of a grasp that closes, from a start and its run."""
+    """The report on a grasp whose contacts close, from a start and the run from there.
+
+    A failure at the start comes before one of the run, and that before an equilibrium that would not hold.
+    """
     start, t = bearing(grasp, 0.0, state), run.stats.t_end
     finite = bool(np.isfinite(run.last.q).all())
     end = bearing(grasp, t, run.last) if finite else None
     code = code_name(run.result)
     failed = code != "successful"
+    # An equilibrium is sought from where the run came to its end; a run that failed may have ended anywhere.
     found = _assessed(grasp, run.last if finite and not failed else state)
     contact = _culprit(grasp, run, end)
     ended = _ending(grasp, run, contact) if failed else ""
     direction = _direction(grasp, found, state, run)
+    # The first of these findings that applies is the summary; the others are on the page below it.
     early, verdict = _early(grasp, start), "" if found is None else code_name(found.verdict)
     if early is not None:
         summary, remedy, contact = early
@@ -206,13 +223,17 @@ def _judged(grasp: Grasp, state: State, run: Trajectory) -> Why:
 
 
 def _assessed(grasp: Grasp, state: State) -> Stability | None:
-    """Equilibrium and verdict, where there are any to ask for."""
+    """Equilibrium and verdict; None in space, and where the contacts leave no coordinate free to move."""
     free = grasp.coordinates - sum(contact.rows for contact in grasp.contacts)
     return None if grasp.spatial or free < 1 else assess(grasp, state)
 
 
 def _early(grasp: Grasp, start: Bearing) -> tuple[str, str, int] | None:
-    """What is wrong at the start already: the sentence, what helps, and which contact."""
+    """What is wrong at the start already: the sentence, what helps, and which contact; None if nothing is.
+
+    In this order, because forces mean nothing at a singular state, nor friction at a contact that pulls.
+    Comparisons with zero are written so that NaN counts as a failure.
+    """
     curvature, f = np.asarray(start.curvature), np.asarray(start.multipliers.f)
     if not np.all(curvature > _SINGULAR):
         at = int(np.argmin(curvature))
@@ -238,7 +259,10 @@ def _early(grasp: Grasp, start: Bearing) -> tuple[str, str, int] | None:
 
 
 def _culprit(grasp: Grasp, run: Trajectory, end: Bearing | None) -> int:
-    """Which contact ended a run: what the run says, else the one with the least margin there."""
+    """Number of the contact that ended a run, -1 if none did.
+
+    A run that ends at an event says which; otherwise it is the contact with the least margin at the end.
+    """
     contact, code = int(run.stats.contact), code_name(run.result)
     if contact >= 0 or end is None:
         return contact
@@ -246,6 +270,7 @@ def _culprit(grasp: Grasp, run: Trajectory, end: Bearing | None) -> int:
         return int(np.argmin(end.multipliers.f))
     if code == "contour_end":
         return int(np.argmin(end.ends))
+    # The code stands for two margins; the smaller one ended the run, and only curvature belongs to a contact.
     if code == "singular_contact" and not np.min(end.curvature) > float(end.pivot):
         return int(np.argmin(end.curvature))
     if code == "slipping":
@@ -259,7 +284,7 @@ def _culprit(grasp: Grasp, run: Trajectory, end: Bearing | None) -> int:
 
 
 def _ending(grasp: Grasp, run: Trajectory, contact: int) -> str:
-    """Cause of the end of a run, with the contact's name."""
+    """Sentence on the end of a run, with the contact's name in it where the run did not know the contact."""
     told = cause(run)
     if int(run.stats.contact) < 0 <= contact:
         told = told.replace("a contact", contact_name(grasp.labels, contact), 1)
@@ -267,18 +292,23 @@ def _ending(grasp: Grasp, run: Trajectory, contact: int) -> str:
 
 
 def _friction(grasp: Grasp, contact: int) -> float | None:
+    """Coefficient of friction of a contact; None where it has no limit."""
     limit = grasp.contacts[contact].friction
     return None if limit is None else float(limit)
 
 
 def _pairs(forces: Any) -> list[tuple[float, float]]:
-    """Normal force and size of the tangential one, of each contact [N]."""
+    """Normal force and magnitude of the tangential force of each contact [N].
+
+    In the plane the tangential force of a contact is one number, in space a vector.
+    """
     f, lam = np.asarray(forces.f), np.asarray(forces.lam)
     aside = np.linalg.norm(lam, axis=-1) if lam.ndim > f.ndim else np.abs(lam)
     return [(float(a), float(b)) for a, b in zip(f, aside, strict=True)]
 
 
 def _singular(grasp: Grasp, at: Bearing) -> str:
+    """The line on whether a contact or an arm is singular."""
     curvature, pivot = np.asarray(at.curvature), float(at.pivot)
     least = int(np.argmin(curvature))
     fine = curvature[least] > _SINGULAR and pivot > _SINGULAR
@@ -287,10 +317,12 @@ def _singular(grasp: Grasp, at: Bearing) -> str:
 
 
 def _forces(grasp: Grasp, at: Bearing) -> list[str]:
+    """A line on the force at each contact."""
     return [_force(grasp, i, *pair) for i, pair in enumerate(_pairs(at.multipliers))]
 
 
 def _force(grasp: Grasp, contact: int, pressing: float, aside: float) -> str:
+    """The line on one contact, from its normal and its tangential force [N]."""
     name, limit = contact_name(grasp.labels, contact), _friction(grasp, contact)
     has = "no limit was given" if limit is None else f"it has {limit:.3g}"
     if not pressing > 0.0:
@@ -299,7 +331,11 @@ def _force(grasp: Grasp, contact: int, pressing: float, aside: float) -> str:
 
 
 def _direction(grasp: Grasp, found: Stability | None, start: State, run: Trajectory) -> str:
-    """The direction that falls: of an unstable equilibrium, else of a run that failed."""
+    """The direction in which a grasp fails, in words; empty where it does not.
+
+    Of an unstable equilibrium the mode in which the potential falls most, or the rate at which an oscillation
+    grows; otherwise by how much the coordinates changed in a run that failed.
+    """
     if found is not None and code_name(found.verdict) == "unstable":
         told = _named(grasp, np.asarray(found.modes)[:, 0])
         return f"along {told}, where the potential bends down" if found.curvatures[0] < 0 else _growing(found)
@@ -310,12 +346,17 @@ def _direction(grasp: Grasp, found: Stability | None, start: State, run: Traject
 
 
 def _growing(found: Stability) -> str:
+    """Growth and frequency of the fastest growing mode; rates come by rising real part."""
     rate = found.rates[-1]
     return f"along a swing that grows at {float(rate.real):.3g} 1/s, {abs(float(rate.imag)):.3g} rad/s"
 
 
 def _named(grasp: Grasp, way: np.ndarray) -> str:
-    """A direction by coordinates, scaled so that its largest part is one radian, or one link's length."""
+    """A direction in words, coordinate by coordinate, body by body.
+
+    It is scaled so that its largest part is one radian, or the mean length of a link in metres, by which
+    angles and lengths become comparable. `way` has one number per coordinate of the grasp's state.
+    """
     size, parts, at = float(np.mean([float(f.size) for f in grasp.fingers])), [], 0
     units = [each.unit for _, labels in grasp.labels.bodies for each in labels]
     scales = np.array([size if unit == "m" else 1.0 for unit in units])

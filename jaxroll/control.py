@@ -3,6 +3,10 @@ r"""Joint torques from joint data and finger kinematics alone ("blind" control).
 A controller sees the time, its own fingers' joint angles and rates, and the tip frames they imply; it
 never sees the object. Built-in controllers work on scalars and know their potential energy; any other
 callable pytree `f(t, angles, rates, tips)` works too (see `Grasp`).
+
+`Press` is (75), `Opposition` (16)-(17): joint damping, and the negative gradient of a potential of the tips
+and joint angles. `_motion/_equations` calls `torques` in every evaluation; `_motion/_quantities` counts
+`potential` among the energies, and finds the dissipation with it.
 """
 
 from collections.abc import Sequence
@@ -35,7 +39,14 @@ from .contact import Motion
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, slots=True)
 class Sensed:
-    """What one finger knows of itself, as scalars."""
+    """What one finger knows of itself, as scalars.
+
+    Attributes:
+        angles: Joint angles [rad], of a jaw its joints' positions [m].
+        rates: Their rates.
+        tip: Origin of the tip frame in the world [m].
+        unit_twists: Twist of the tip frame per unit rate of each joint; its velocity is a column of $J_i$.
+    """
 
     angles: Scalars
     rates: Scalars
@@ -73,6 +84,7 @@ class Passive(AbstractController):
 
 
 def _as_point(name: str, point: Array) -> Array:
+    """The point, if it has two or three coordinates; `Press.check` compares their number with the grasp's."""
     if point.shape[0] not in (2, 3):
         raise ValueError(f"argument {name} must have shape (2) or (3), but had shape {point.shape}")
     return point
@@ -128,6 +140,7 @@ class Press(AbstractController):
         return tuple(self._finger(finger) for finger in fingers)
 
     def _finger(self, finger: Sensed) -> Scalars:
+        # -c q' - J^T (f_d/r) (r_01 - r_m), joint by joint: the dot product with one column of J at a time.
         pull = self._arm(finger.tip) * self.stiffness
         return tuple(
             -self.damping * rate - unit.velocity.dot(pull)
@@ -144,6 +157,7 @@ class Press(AbstractController):
 
 
 def _as_start(name: str, start: Array) -> Array:
+    """The angles, if there are at least two: one finger has none to oppose."""
     if start.shape[0] < 2:
         raise ValueError(
             f"argument {name} must have one angle for each of two fingers or more, but had {start.shape[0]}"
@@ -194,10 +208,14 @@ class Opposition(AbstractController):
         return tuple(self._finger(i, finger, self._pull(i, tips)) for i, finger in enumerate(fingers))
 
     def _pull(self, i: int, tips: Sequence[Any]) -> Any:
-        """Gradient of the first term of P with respect to tip i."""
+        r"""Gradient of the first term of P with respect to tip i: $\beta \sum_{j \ne i} (r_i - r_j)$ [N].
+
+        For two fingers $-J_i^T$ times it is the second term of (16), $(-1)^i \beta J_i^T (r_1 - r_2)$.
+        """
         return total([tips[i] - tip for j, tip in enumerate(tips) if j != i]) * self.beta
 
     def _finger(self, i: int, finger: Sensed, pull: Any) -> Scalars:
+        # alpha_i (p_i - p_i(0)), the same for every joint, since p_i is the sum of their angles.
         turn = self.alpha[i] * (total(finger.angles) - self.start[i])
         return tuple(
             -self.damping[i] * rate - unit.velocity.dot(pull) - turn
@@ -235,7 +253,10 @@ def orientations(grasp: Grasp, state: State) -> Float[Array, " m"]:
 
 
 def joint_angles(grasp: Grasp, q: Blocks) -> tuple[Scalars, ...]:
-    """Positions of every finger's joints; what else a body has, such as a clock, is not told."""
+    """Positions of every finger's joints, without what else a body has as a coordinate (a stage's clock).
+
+    `q` has one block of scalars per body, the object's first.
+    """
     return tuple(block[: finger.joints] for finger, block in zip(grasp.fingers, q[1:], strict=True))
 
 
@@ -247,6 +268,7 @@ class UserController(AbstractController):
     def torques(self, t: Scalar, fingers: Sequence[Sensed]) -> Torques:
         angles = tuple(stacked(f.angles) for f in fingers)
         rates = tuple(stacked(f.rates) for f in fingers)
+        # Checked here, while it is traced: a shape that would broadcast is a mistake too.
         given = self.function(t, angles, rates, tuple(_tip(f) for f in fingers))
         wanted = [a.shape for a in angles]
         what = f"argument controller must return one torque array per finger, of shapes {wanted}, but {{}}"
@@ -263,6 +285,7 @@ class UserController(AbstractController):
 
 
 def _tip(finger: Sensed) -> Tip:
+    """The tip frame as arrays; a finger without joints has a Jacobian of no columns."""
     position = finger.tip.array()
     columns = [unit.velocity.array() for unit in finger.unit_twists]
     return Tip(position, jnp.stack(columns, axis=-1) if columns else jnp.zeros((*position.shape, 0)))

@@ -1,9 +1,9 @@
-"""What is worked out of a grasp and its runs.
+"""Quantities that are computed from a grasp and its states or runs, after the fact.
 
-`_loci` are the curves that contacts trace on both surfaces, `_rolling_kinematics` rolls two surfaces by
-given velocities, `_contact_geometry` has the chapter's frames, angles and lengths at a contact, of which
-`_pinch_balance` and `_press_balance` make its quantities of Parts 1 and 2, `_bearing` is how a grasp bears at
-one state.
+`_contact_geometry` has the chapter's frames, angles and lengths at a contact; `_pinch_balance` and
+`_press_balance` combine them with the contact forces to the quantities that Parts 1 and 2 plot. `_loci` has
+the curves that contacts trace on both surfaces in space (Part 3). `_rolling_kinematics` rolls one surface
+over another by a given velocity, without forces. `_bearing` has the margins of one state, for `why`.
 """
 
 from ._bearing import Bearing as Bearing, bearing as bearing

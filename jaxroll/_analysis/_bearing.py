@@ -1,4 +1,8 @@
-"""How a grasp bears at one state: what a run watches while it goes, contact by contact."""
+"""How a grasp bears at one state: the margins that a run watches, contact by contact, and the contact forces.
+
+A run (`_integration/_events`) keeps only the smallest margin and its number. Here all of them are evaluated
+at one state, from one evaluation of the equations of motion, so that `why` can name the contact at fault.
+"""
 
 from typing import ClassVar
 
@@ -16,9 +20,10 @@ class Bearing(eqx.Module):
     """What must stay positive for the model to hold, at one state.
 
     Attributes:
-        curvature: Shape (c,), relative sum of the curvatures at each contact.
-        pivot: Smallest pivot of the Schur complement, relative; zero where contacts are redundant or
-            an arm is straight.
+        curvature: Shape (c,), sum of both curvatures at each contact over the sum of their sizes; in space
+            the determinant of the sum of both shape operators, relative to their squares.
+        pivot: Smallest pivot of the Schur complement $A M^{-1} A^T$ over its largest diagonal entry; zero
+            where contacts are redundant or an arm is straight.
         ends: Shape (c,), distance of each contact from the nearest end of an open contour [m]; infinite
             where there is none.
         multipliers: Contact forces.
@@ -35,14 +40,16 @@ class Bearing(eqx.Module):
 
 @compiled
 def bearing(grasp: Grasp, t: Scalar, state: State) -> Bearing:
-    """How a grasp bears at one time and state."""
+    """How a grasp bears at one time [s] and state."""
     ready = grasp.prepared()
     leaves = to_leaves(state, ready.form)
     instant = evaluate(ready, t, leaves, Index1())
+    # Poses: first the object, then the fingers.
     frames = [motion.pose for motion in instant.motions]
     curvature, ends = [], []
     for contact, touching, place in zip(ready.contacts, instant.touching, leaves.s, strict=True):
         curvature.append(contact.curvature_margin((frames[1 + contact.finger], frames[0]), touching))
+        # None for closed contours, and for those without ends.
         margins = contact.ends(ready.shapes(contact), place)
         ends.append(jnp.min(jnp.stack([jnp.asarray(m) for m in margins])) if margins else jnp.inf)
     forces = split_forces(ready, frames, instant.touching, instant.forces)

@@ -2,8 +2,9 @@ r"""The chapter's contact geometry: frames, angles and the four lengths of Figs.
 
 At a contact the fingertip (index 0) and the object (index 1) have a common tangent. What the equations of
 motion need of either shape are then two lengths, the position of its contact point along that tangent and
-across it, and they depend on the arclength alone: (60)-(63). `_press_balance` and `_pinch_balance` are made
-of them.
+across it, and they depend on the arclength alone: (60)-(63). `_press_balance` and `_pinch_balance` are
+computed from them. The simulation itself does not use these quantities: it differentiates the gap (see
+`contact`).
 """
 
 from typing import ClassVar
@@ -141,6 +142,7 @@ def contact_geometry(grasp: Grasp, states: State) -> ContactGeometry:
     ready = grasp.prepared()
     if states.q.ndim == 1:
         return geometry_at(ready, states)
+    # Rows that the run did not reach are NaN; the first state stands in for them while they are computed.
     start = jax.tree.map(lambda rows: rows[0], states)
     return of_reached(jax.vmap(lambda state: geometry_at(ready, state)), states, start)
 
@@ -149,13 +151,21 @@ def geometry_at(grasp: Grasp, state: State) -> ContactGeometry:
     """Contact geometry of a prepared grasp at one state."""
     leaves = to_leaves(state, grasp.form)
     body, *tips = world_poses(grasp, leaves.q)
+    # One contact after the other, then stacked field by field: their contours may be of different kinds.
     each = zip(grasp.contacts, leaves.s, touches(grasp, leaves.s), strict=True)
     columns = [_at_contact(contact, place, (tips[contact.finger], body), at) for contact, place, at in each]
     return jax.tree.map(lambda *column: jnp.stack(column), *columns)
 
 
 def _at_contact(contact: Contact, place: Scalar, poses: tuple[Pose2, Pose2], at: Touch) -> ContactGeometry:
-    """One contact, without the axis of contacts."""
+    """Geometry of one contact, without the axis of contacts.
+
+    Args:
+        contact: The contact.
+        place: Its coordinate: the arclength rolled since the start [m].
+        poses: Of the fingertip and of the object, in the world.
+        at: Both contours' frames at the contact, each in its own body.
+    """
     (tip, body), sense = poses, contact.sense
     # Both contours run counter-clockwise, so their tangents oppose each other at the contact.
     own_0, own_1 = at.tip.tangent * -sense, at.object.tangent * sense
@@ -166,6 +176,7 @@ def _at_contact(contact: Contact, place: Scalar, poses: tuple[Pose2, Pose2], at:
     l_b0, l_b1 = gamma_0.dot(b_0), -gamma_1.dot(b_1)
     l_n0, l_n1 = -gamma_0.dot(n_0), -gamma_1.dot(n_1)
     apart = body.origin - tip.origin
+    # The contact moves by `place` forwards on the fingertip's contour, and so backwards on the object's.
     return ContactGeometry(
         s=jnp.asarray(sense * (contact.s_object - place)),
         point=(body.origin + gamma_1).array(),
@@ -177,6 +188,7 @@ def _at_contact(contact: Contact, place: Scalar, poses: tuple[Pose2, Pose2], at:
         b_1=b_1.array(),
         n_0=n_0.array(),
         n_1=n_1.array(),
+        # In the chapter's axes: fingertip X_0 = -sense y, Y_0 = -x; object X = x, Y = -sense y.
         psi_0=_from_y(Vec2(own_0.y * -sense, -own_0.x)),
         theta_1=_from_y(Vec2(own_1.x, own_1.y * -sense)),
         l_b0=l_b0,

@@ -1,4 +1,16 @@
-"""Loci of contact on both surfaces: conditions A-1 and A-2 of Part 3, looked at as curves."""
+r"""Loci of contact on both surfaces: conditions A-1 and A-2 of Part 3, looked at as curves.
+
+While two bodies roll, the contact point moves over either surface and traces a curve, its locus. Without slip
+both points have one velocity at every time (A-2), so that both loci have one arclength. The curvatures of a
+locus follow from derivatives in time of the contact point in the body's axes, with v the velocity, a the
+acceleration, j the jerk, n the unit normal and $L$ the shape operator:
+$$ \kappa_n = \frac{v \cdot L v}{|v|^2}, \quad \kappa_g = \frac{a \cdot (n \times v)}{|v|^3}, \quad
+   \tau_g = -\frac{(n \times v) \cdot L v}{|v|^2}, \quad
+   \tau = \frac{(v \times a) \cdot j}{|v \times a|^2}. $$
+
+v is what a contact calls its `rolling` in space; a is its derivative along the equations of motion.
+`plotting` draws the loci.
+"""
 
 import equinox as eqx
 import jax
@@ -14,7 +26,8 @@ from .._results import check_instance, is_array_like, shown
 from .._types import Scalar, Times
 from .._xla import one_kernel, sharing
 
-# Between accelerations whose difference is the jerk [s].
+# Distance in time of the accelerations whose difference is the jerk [s]. The difference is of fourth order,
+# so that its error and, in double precision, the rounding of accelerations divided by it are both small.
 _STEP = 1e-4
 
 
@@ -64,7 +77,16 @@ class Loci(eqx.Module):
 
 
 class _Jet(eqx.Module):
-    """Curves at one time, all of shape (c, 3): three derivatives in time, normals, $L$ times velocity."""
+    """The loci on one side at one time, in the bodies' axes, every field of shape (c, 3).
+
+    Attributes:
+        point: Contact points [m].
+        velocity: Their velocities over the surface [m/s].
+        acceleration: Derivatives of these in time [m/s^2].
+        jerk: Derivatives of the accelerations [m/s^3].
+        normal: Unit normals.
+        bend: $L v$ [1/s]: shape operator times velocity.
+    """
 
     point: Array
     velocity: Array
@@ -124,28 +146,34 @@ def check_run(grasp: Grasp, trajectory: Trajectory) -> None:
 
 @compiled
 def _loci(grasp: Grasp, ts: Array, states: State) -> Loci:
+    """Loci from saved times and states: derivatives state by state, then curvatures of all at once."""
     ready = grasp.prepared()
     tip, face = one_kernel(_history, ready, ts, states)
     return Loci(ts, _locus(ts, tip), _locus(ts, face))
 
 
 def _history(grasp: Grasp, ts: Array, states: State) -> tuple[_Jet, _Jet]:
-    """The curves at one state after the other: side by side they take ten times as long to compile."""
+    """Derivatives of the loci, state by state: by `vmap` they would take ten times as long to compile."""
     return jax.lax.map(lambda at: _jets(grasp, *at), (ts, states))
 
 
 def _jets(grasp: Grasp, t: Scalar, state: State) -> tuple[_Jet, _Jet]:
-    """The curves on the fingertips and on the object at one state."""
+    """Derivatives of the loci on the fingertips and on the object at one time [s] and state."""
     lay = layout(grasp, audited=False)
     x = jnp.concatenate([state.q, state.v, state.s])
 
     def moving(t: Scalar, x: Array) -> tuple[Array, Array, Array]:
-        """Velocities, their derivatives along the equations of motion, and the rates of all."""
+        """Velocities of the contact points, their derivatives in time, and the rates of the whole state x.
+
+        The equations of motion give dx/dt; the derivative of the velocities along dx/dt is one jvp.
+        """
         with sharing():
             rates = pack(evaluate(grasp, t, unpack(lay, x)[0], Index1()).rates, None)
             found = jax.jvp(lambda x: _velocities(grasp, unpack(lay, x)[0]), (x,), (rates,))
         return *found, rates
 
+    # On the straight line x + step dx/dt instead of the motion itself: at step 0 both have the same
+    # derivative, and the difference quotient's error is of fourth order in the step on either.
     def later(step: Scalar) -> Array:
         return moving(t + step, x + step * rates)[1]
 
@@ -159,7 +187,10 @@ def _jets(grasp: Grasp, t: Scalar, state: State) -> tuple[_Jet, _Jet]:
 
 
 def _velocities(grasp: Grasp, leaves: Leaves) -> Array:
-    """Velocities of the contact points over their surfaces, in the bodies' axes: shape (c, 2, 3)."""
+    """Velocities [m/s] of the contact points over their surfaces: contact, fingertip or object, axis.
+
+    In the world both points have the same velocity over their surfaces; it is turned into either body's axes.
+    """
     motions, _ = bodies(grasp, leaves)
     rows = []
     for contact, touching in zip(grasp.contacts, touches(grasp, leaves.s), strict=True):
@@ -170,7 +201,7 @@ def _velocities(grasp: Grasp, leaves: Leaves) -> Array:
 
 
 def _frames(grasp: Grasp, leaves: Leaves, velocity: Array) -> tuple[Array, Array, Array]:
-    """Points, normals and $L v$, in the bodies' axes: shape (c, 2, 3) each."""
+    """Points, normals and $L v$ in the bodies' axes: contact, fingertip or object, axis."""
     found = []
     for touching, pair in zip(touches(grasp, leaves.s), velocity, strict=True):
         frames = (touching.tip, touching.object)
@@ -182,7 +213,10 @@ def _frames(grasp: Grasp, leaves: Leaves, velocity: Array) -> tuple[Array, Array
 
 
 def _locus(ts: Array, jet: _Jet) -> Locus:
-    """Curvatures from derivatives in time; contacts first."""
+    """One surface's loci from their derivatives, whose axes are time, contact, vector.
+
+    The formulas are those at the top of the file. Where the contact rests they are 0/0.
+    """
     jet = jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), jet)
     dot = lambda a, b: jnp.sum(a * b, axis=-1)  # noqa: E731
     v, a = jet.velocity, jet.acceleration
@@ -190,6 +224,7 @@ def _locus(ts: Array, jet: _Jet) -> Locus:
     side = jnp.cross(jet.normal, v)
     normal, geodesic = dot(v, jet.bend) / speed**2, dot(a, side) / speed**3
     binormal = jnp.cross(v, a)
+    # The rate of the speed is v . a / |v|; where the contact is at rest it sets off with |a|.
     hastening = jnp.where(speed > 0, dot(v, a) / speed, jnp.sqrt(dot(a, a)))
     return Locus(
         jet.point,
@@ -204,7 +239,10 @@ def _locus(ts: Array, jet: _Jet) -> Locus:
 
 
 def _integrated(ts: Array, rate: Array, slope: Array) -> Array:
-    """Integral of a rate from its values and slopes, over the last axis: Hermite's rule."""
+    r"""Integral of a rate over the last axis, from the first time on, by Hermite's rule.
+
+    Over one interval of length h: $\frac h2 (f_0 + f_1) + \frac{h^2}{12} (f_0' - f_1')$.
+    """
     h = jnp.diff(ts)[None]
     parts = 0.5 * h * (rate[:, :-1] + rate[:, 1:]) + h**2 / 12.0 * (slope[:, :-1] - slope[:, 1:])
     return jnp.pad(jnp.cumsum(parts, axis=-1), ((0, 0), (1, 0)))

@@ -1,4 +1,10 @@
-"""The chapter's Part 1 quantities: how far a pinch is from balance, and the wrenches that drive it."""
+r"""The chapter's Part 1 quantities: how far a pinch is from balance, and the wrenches that drive it.
+
+At rest the contact forces of a balanced pinch are $f_i = -\beta l_i$ and $\lambda_i = (-1)^i \beta d_i$; the
+chapter rewrites the equations of motion in the differences from these, (42)-(49). They tend to zero as the
+grasp settles. `_contact_geometry` has the lengths, `multipliers_at` the forces; `plotting` and `jaxroll demo`
+show the result, and `stability` borrows `check_pinch`.
+"""
 
 from typing import ClassVar
 
@@ -96,10 +102,11 @@ def check_pinch(grasp: Grasp) -> None:
 
 
 def _balance_at(grasp: Grasp, t: Scalar, state: State) -> PinchBalance:
+    """The quantities of a prepared pinch at one time [s] and state."""
     at, forces = geometry_at(grasp, state), multipliers_at(grasp, t, state, Index1())
     control, kept = grasp.controller, orientations(grasp, state) - grasp.controller.start
     odd = jnp.array([-1, 1])  # (-1)^i as the chapter counts; whole numbers take any precision
-    arm = at.centre_0[0] - at.centre_0[1]
+    arm = at.centre_0[0] - at.centre_0[1]  # r_1 - r_2
     d, l_ = at.b_1 @ arm, -odd * (at.n_1 @ arm)
     # (53), where b_i . gamma_i is l_b0 and n_i . gamma_i is -l_n0.
     n = odd * at.l_b0 * l_ + at.l_n0 * d
@@ -113,6 +120,7 @@ def _balance_at(grasp: Grasp, t: Scalar, state: State) -> PinchBalance:
         delta_lam=forces.lam - odd * control.beta * d,
         n=n,
         delta_n=control.beta * n + control.alpha * way * kept,
+        # (49), where b_0i . gamma_0i is -l_b1 and n_0i . gamma_0i is -l_n1.
         s_n=control.beta * jnp.sum(odd * l_ * at.l_b1 + d * at.l_n1),
         potential=0.5 * control.beta * (arm @ arm),
         lean=way * _angle(odd[:, None] * arm[None], at.gamma_0),
@@ -120,6 +128,6 @@ def _balance_at(grasp: Grasp, t: Scalar, state: State) -> PinchBalance:
 
 
 def _angle(first: Array, second: Array) -> Array:
-    """From one vector to another, row by row."""
+    """Angle [rad] from one plane vector to another, counter-clockwise, row by row."""
     cross = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
     return jnp.arctan2(cross, jnp.sum(first * second, axis=-1))

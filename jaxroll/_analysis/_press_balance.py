@@ -1,4 +1,9 @@
-"""The chapter's Part 2 quantities: what tends to zero when a pressed object comes to rest."""
+r"""The chapter's Part 2 quantities: what tends to zero when a pressed object comes to rest.
+
+At rest under `control.Press` the contact force balances the pull of the spring between the tip frame and its
+target; $\Delta f$ and $\Delta\lambda$ of (78) are what is left over, and $(f_d/r) N_1$ is the moment of that
+pull about the contact. `_contact_geometry` has the lengths, `multipliers_at` the forces.
+"""
 
 from typing import ClassVar
 
@@ -25,9 +30,9 @@ class PressBalance(eqx.Module):
         delta_lam: $\Delta\lambda = \lambda + (f_d/r) R_1$ [N], (78).
         n1: $N_1 = l_{n0} l_{b1} - l_{b0} l_{n1}$ [m^2], (78): zero when the line from the tip frame to the
             target passes through the contact.
-        moment: $(f_d/r) N_1$ [N m], the moment of Fig. 11; it drives $\theta$ and the $q_i$ of (76)-(77),
-            which run clockwise where $n_1$ lies clockwise of $b_1$: in the chapter's figures, and, in the
-            mirror image that `scenes.pivoted` is, counter-clockwise.
+        moment: $(f_d/r) N_1$ [N m], the moment of Fig. 11, which drives $\theta$ and the $q_i$ of (76)-(77).
+            It counts clockwise where $n_1$ lies clockwise of $b_1$, as in the chapter's figures, and
+            counter-clockwise in their mirror image, which `scenes.pivoted` is.
         potential: $U = \frac{f_d}{2r}(Q_1^2 + R_1^2)$ [J] (Fig. 18).
 
     With $R_1 = -(l_{b0} + l_{b1})$; the chapter prints (79) with the other sign.
@@ -78,11 +83,14 @@ def press_balance(grasp: Grasp, ts: Float[Array, "..."], states: State) -> Press
 
 
 def _balance_at(grasp: Grasp, t: Scalar, state: State) -> PressBalance:
+    """The quantities of a prepared grasp at one time [s] and state."""
     at, forces = geometry_at(grasp, state), multipliers_at(grasp, t, state, Index1())
     stiffness = grasp.controller.stiffness
     arm = at.centre_0 - grasp.controller.target[None]
-    # (79) by (64)-(65): the chapter's target is the pivot.
+    # (79), with Q and R of (64)-(65) left out, which vanish at a closed contact. The chapter's target is the
+    # pivot; about any other the vector from the target to the tip frame is what (75) pulls along.
     q1, r1 = jnp.sum(arm * at.n_1, axis=-1), jnp.sum(arm * at.b_1, axis=-1)
+    # By the lengths from the object's origin: the moment of the pull over f_d/r if that is the target.
     n1 = at.l_n0 * at.l_b1 - at.l_b0 * at.l_n1
     return PressBalance(
         s=at.s,

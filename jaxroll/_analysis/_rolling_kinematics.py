@@ -1,4 +1,11 @@
-"""Rolling kinematics alone: one surface rolled over another along a given path, without forces."""
+r"""Rolling kinematics alone: one surface rolled over another along a given path, without forces.
+
+The unknowns are the rolling body's quaternion, both places and the arclength. With the contact's velocity s
+in the tangent plane of the surface that lies still, the body turns at $\omega = n \times (L_A + L_B)\,s +
+\omega_n n$: the normals of both surfaces must stay opposite, and turn at $L_A s$ and $L_B s$. Its position is
+no unknown: it follows from the contact point's being on both surfaces, so that they stay in contact to
+rounding however large the steps are. diffrax integrates; `RESULTS` says how it went.
+"""
 
 from collections.abc import Callable
 from typing import Any, ClassVar
@@ -17,6 +24,7 @@ from .._results import as_floats, check_callable, check_instance, concrete, RESU
 from .._types import Given, Scalar, Scalars, Times
 from ..geometry import AbstractSurface, Gauss3
 
+# Most steps of the integration.
 _MAX_STEPS = 65536
 
 
@@ -112,7 +120,10 @@ def roll(
 
 
 class _Rolling(eqx.Module):
-    """The equations; `y` holds quaternion, both places and the arclength."""
+    """The differential equations of `y`; `velocity` and `spin` are the caller's functions of t.
+
+    `y` holds the quaternion of the rolling body, the place on it, the place on the other, and the arclength.
+    """
 
     tip: AbstractSurface
     object: AbstractSurface
@@ -120,7 +131,10 @@ class _Rolling(eqx.Module):
     spin: Any
 
     def frames(self, y: Array) -> tuple[Pose3, tuple[Scalars, Scalars], tuple[Gauss3, Gauss3]]:
-        """Axes of the rolling body, both places and their Gauss frames."""
+        """Axes of the rolling body, both places, and the Gauss frames there, each in its own body's axes.
+
+        The places are first brought back onto their surfaces, from which integration drifts away.
+        """
         flat, n = unstack(y), 4 + self.tip.coordinates
         places = (self.tip.settled(flat[4:n]), self.object.settled(flat[n:-1]))
         axes = pose_at(Vec3(0.0, 0.0, 0.0), normalised(flat[:4]))
@@ -129,6 +143,7 @@ class _Rolling(eqx.Module):
     def rates(self, t: Scalar, y: Array, args: Any) -> Array:
         """Rates of everything in `y`."""
         axes, (at_tip, at_object), (tip, face) = self.frames(y)
+        # Only the part of the caller's velocity in the tangent plane.
         given = Vec3(*unstack(as_floats("velocity(t)", self.velocity(t), (3,)).astype(y.dtype)))
         velocity = given - face.normal * given.dot(face.normal)
         bend = tip.shape.turned(axes) + face.shape
@@ -136,30 +151,36 @@ class _Rolling(eqx.Module):
         if self.spin is not None:
             turning = turning + face.normal * as_floats("spin(t)", self.spin(t), ()).astype(y.dtype)
         turned = quaternion_rate(normalised(unstack(y[:4])), turning)
+        # Both places move with the same velocity, which the rolling body sees in its own axes.
         places = (*self.tip.rate(at_tip, axes.back(velocity)), *self.object.rate(at_object, velocity))
         return jnp.stack([*turned, *places, velocity.norm()])
 
     def answer(self, y: Array) -> tuple[Array, Array, Array]:
-        """Pose of the rolling body and both places: its contact point lies on the other's."""
+        """Pose of the rolling body and both places; its origin is where the contact points coincide."""
         axes, places, (tip, face) = self.frames(y)
         origin = face.point - axes.turn(tip.point)
         at = jnp.concatenate([origin.array(), jnp.stack(normalised(unstack(y[:4])))])
         return at, jnp.stack(places[0]), jnp.stack(places[1])
 
     def start(self, rotation: Array, at_tip: Array, at_object: Array) -> Array:
-        """`y` with the body turned by the smallest angle that makes the surfaces tangent."""
+        r"""`y` with the body turned by the smallest angle that makes the surfaces tangent.
+
+        From unit vector a (the body's normal) to b (the object's normal reversed) the smallest rotation is
+        the quaternion $(1 + a \cdot b,\ a \times b)$, normalised.
+        """
         turn = normalised(unstack(rotation))
         y = jnp.concatenate([jnp.stack(turn), at_tip, at_object, jnp.zeros(1)])
         axes, _, (tip, face) = self.frames(y)
         own, wanted = axes.turn(tip.normal), -face.normal
         cosine, axis = own.dot(wanted), own.cross(wanted)
-        # Right about: any axis in the tangent plane will do.
+        # Where b = -a that quaternion is zero. Half a turn about any axis across a will do.
         about = cosine < -1.0 + 1e-12
         half = Vec3(*(jnp.where(about, a, b) for a, b in zip(tangents(own)[0], axis, strict=True)))
         bring = normalised((jnp.where(about, 0.0, 1.0 + cosine), *half))
         return y.at[:4].set(jnp.stack(quaternion_product(bring, turn)))
 
 
+# Plain functions `velocity` and `spin` are static, so that another function is another program.
 @eqx.filter_jit
 def _roll(
     surfaces: tuple[AbstractSurface, AbstractSurface],
@@ -177,7 +198,7 @@ def _roll(
         None,
         rolling.start(*start),
         saveat=diffrax.SaveAt(ts=ts),
-        # Steps end where answers are wanted: between its ends a step is known to a lower order.
+        # Steps end where answers are wanted: the solver's interpolation within a step is of lower order.
         stepsize_controller=diffrax.ClipStepSizeController(
             diffrax.PIDController(rtol=rtol, atol=rtol), step_ts=ts
         ),

@@ -1,4 +1,4 @@
-"""What `jaxroll demo` and `jaxroll design` do and say."""
+"""What `jaxroll demo` and `jaxroll design` do and print; `__main__` reads the command line and calls it."""
 
 from ._design_command import DesignOrder as DesignOrder, fingertip as fingertip, order as order
 from ._facts import (

@@ -1,4 +1,9 @@
-"""What `jaxroll design` does: a fingertip that loses a grasp, a better one, and runs with both."""
+"""What `jaxroll design` does: a fingertip that loses a grasp, a better one, and runs with both.
+
+`fingertip` makes the start from a file or takes the built-in one; `order` has `design.optimise_fingertip`
+improve it, simulates the pinch with both, writes figures, animations and the new outline, and returns the
+report.
+"""
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
@@ -28,10 +33,12 @@ from ..design import (
 )
 from ..geometry import fit_contour, Spline
 
-# The start: an ellipse that points at the object, sharper in front than the circle about O_i.
+# The built-in start: half axes [m] of an ellipse whose end, sharper than a circle about O_i, faces the
+# object; and the number of points on any start.
 _LONG, _WIDE, _POINTS = 0.018, 0.009, 24
-_INTERVAL = (-0.006, 0.006)
+_INTERVAL = (-0.006, 0.006)  # arclengths of the fingertip that are judged [m]
 _FRICTION = 0.5
+# Animations: time shown [s], its speed; thickness of the solid fingertip [m].
 _SHOWN, _SPEED, _THICK = 0.15, 0.05, 0.01
 _OUT = ("fingertip.csv", "fingertip.svg", "fingertip.dxf")
 
@@ -43,8 +50,8 @@ class DesignOrder:
     Attributes:
         goal: Name of the goal: 'margin', 'stiffness' or 'run'.
         tip: The fingertip to begin with.
-        steps: At most so many.
-        starts: In one batch.
+        steps: Most steps of the search.
+        starts: Number of starts that are tried side by side.
         animated: Whether to write animations.
     """
 
@@ -61,7 +68,7 @@ def make(tip: Any, s: Sequence[float] = (0.004, -0.003)) -> tuple[Any, Any]:
 
 
 def _at_rest(tip: Any) -> tuple[Any, Any]:
-    """The same from its equilibrium, where the search for a firmer one begins."""
+    """The same pinch, held in the middle of both faces: near its equilibrium, where firmness is judged."""
     return make(tip, (0.0, 0.0))
 
 
@@ -80,16 +87,22 @@ def fingertip(path: str | None, unit: str) -> Spline:
     contour = fit_contour(io.read_points(path, unit=unit), unit="m").contour
     if not contour.closed:
         raise ValueError(f"argument --tip must be a closed outline, but {path} is open")
+    # A spline of few points, as the search wants it, at equal arclengths from the foremost point, its s = 0.
     ends = contour.domain()
     assert ends is not None  # a closed contour has a length
     s = np.linspace(float(ends[0]), float(ends[1]), 1 + 40 * _POINTS)[:-1]
-    # Its foremost point is where s = 0.
     start = s[np.argmax(np.asarray(contour.point(s))[:, 0])]
     return Spline(contour.point(start + (s[-1] + s[1] - 2 * s[0]) * u / (2.0 * np.pi)), cells=128)
 
 
 def order(asked: DesignOrder, folder: Path, timed: Callable[[str], AbstractContextManager]) -> list[str]:
-    """Design, simulate, draw and write; returns the report's lines."""
+    """Design, simulate, draw and write; returns the lines of the report.
+
+    Args:
+        asked: What to design.
+        folder: Where the files go.
+        timed: Context that announces a piece of work and says how long it took.
+    """
     tip = asked.tip
     size = float(np.max(np.hypot(*np.asarray(tip.points).T)))
     limits = Limits(size=size, radius=0.2 * size, ahead=size / 3.0)
@@ -115,7 +128,7 @@ def order(asked: DesignOrder, folder: Path, timed: Callable[[str], AbstractConte
 
 
 def _facts(runs: Sequence[Any]) -> list[str]:
-    """Both runs side by side."""
+    """Lines that compare the run before with the run after."""
     rows = (
         ("held until [s]", lambda run: run.stats.t_end),
         ("settling time [s]", settling_time),
@@ -133,12 +146,12 @@ def _facts(runs: Sequence[Any]) -> list[str]:
 
 
 def _outcome(run: Any) -> str:
-    """How a run ended, in one line: which contact and when; by how much is zero at an event."""
+    """How a run ended, in one line: which contact and when; not by how much, which at an event is zero."""
     return code_name(run.result) if run.result == RESULTS.successful else cause(run).split(": ")[0]
 
 
 def _write(found: Design, folder: Path) -> tuple[list[str], list[str]]:
-    """The fingertip as files, to draw or to make; and what an extra is wanted for."""
+    """Write the fingertip as files; returns their names, and a line for each that needs a missing library."""
     names, missing = [], []
     jobs = [(name, lambda path: io.write_outline(found.tip, path, unit="mm")) for name in _OUT]
     jobs.append(("fingertip.stl", lambda path: io.write_stl(found.tip, path, height=_THICK)))

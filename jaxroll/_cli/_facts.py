@@ -1,17 +1,19 @@
 """What `jaxroll demo` says of the chapter's scenes and of runs of them: lines of numbers, as text.
 
-jax is not imported before a scene is at hand, so that the command line answers at once (see `__main__`).
+For each part of the chapter, `..._scene` describes a scene and `..._facts` a run of it. Nothing that imports
+jax is imported at the top, so that the command line can answer before jax is loaded (see `__main__`).
 """
 
 from typing import Any
 
 
 def _row(array: Any) -> str:
-    """Lengths or masses in thousandths of their unit."""
+    """Lengths in mm or masses in g, from metres or kilograms, as text."""
     return ", ".join(f"{1e3 * float(x):g}" for x in array)
 
 
 def _finger(finger: Any) -> str:
+    """Lengths and masses of a finger's links."""
     return f"{_row(finger.lengths)} mm; {_row(finger.masses)} g"
 
 
@@ -65,6 +67,7 @@ def _verdict(grasp: Any, state: Any) -> list[str]:
 
     found = stability.assess(grasp, state)
     neutral, rates = int(found.neutral), np.asarray(found.rates)
+    # Each neutral direction has one rate of zero.
     moving = rates[np.argsort(np.abs(rates))][neutral:]
     return [
         f"  verdict     {stability.VERDICTS[found.verdict]}",
@@ -92,13 +95,14 @@ def pinch_facts(grasp: Any, run: Any) -> list[str]:
     lines = [f"{'Chapter, Part 1':24}{'start: i = 1':>15}{'2':>12}{'end: i = 1':>15}{'2':>12}"]
     for name, values, scale in rows:
         ends = scale * np.reshape(np.asarray(values)[[0, -1]], (2, -1))
+        # Two numbers, one per finger, except for quantities of the whole pinch.
         cells = [f"{end[0]:15.5g}" + (f"{end[1]:12.5g}" if end.size > 1 else " " * 12) for end in ends]
         lines.append(f"  {name:22}" + "".join(cells).rstrip())
     return lines + _checks(run)
 
 
 def _checks(run: Any) -> list[str]:
-    """Largest residuals, and the energy balance."""
+    """A line on the energy dissipated, the error of the energy balance, and the largest gaps."""
     import numpy as np
 
     peak = lambda array: float(np.nanmax(np.abs(np.asarray(array))))  # noqa: E731
@@ -133,6 +137,7 @@ def pinch3d_facts(grasp: Any, run: Any) -> list[str]:
 
     found, f = loci(grasp, run), np.asarray(run.multipliers.f)
     aside = np.linalg.norm(np.asarray(run.multipliers.lam), axis=-1)
+    # The last time that the run reached.
     last = np.flatnonzero(np.isfinite(f).all(axis=1))[-1]
     rows = (
         ("f_i [N]", f),

@@ -1,3 +1,9 @@
-"""Many runs, in chunks; folders that say whose they are."""
+"""Many runs of one family of grasps, in chunks of fixed size; folders from which a sweep can be resumed.
+
+`_sweep` has the public function: it cuts the parameters into chunks and hands these to worker threads.
+`_program` traces and compiles what one chunk does. Only where a folder is given are the others needed:
+`_fingerprint` digests values and programs, `_identity` gathers the digests that tell one sweep from another,
+`_folder` reads and writes the finished chunks.
+"""
 
 from ._sweep import sweep as sweep

@@ -1,7 +1,14 @@
 """Fingerprints: a digest of all that a value or a program holds, the same in every process.
 
-Two things with one fingerprint give the same numbers. The converse is not promised: a function that is
-written anew in other words has another fingerprint.
+Two things with one fingerprint give the same numbers. The converse is not promised: two functions that
+compute the same with different code have different fingerprints. Python's `hash` does not do, since it
+differs from process to process, and neither does `pickle`, which stores a function by its name and so misses
+its code.
+
+`_Reader` walks through a value and everything that it refers to, and feeds a SHA-256 digest. A traced program
+(a jaxpr) is read operation by operation; a lowered one (`of_lowered`) is text, and is digested as text with
+the accidental names left out. `_program` finds a program that was compiled before by its fingerprint,
+`_identity` decides by fingerprints whether a folder belongs to a sweep.
 """
 
 import dataclasses
@@ -22,7 +29,8 @@ import jax.extend.core as jec
 import jax.numpy as jnp
 import numpy as np
 
-# Functions and classes of these are known by name: their versions are compared beside the fingerprints.
+# Functions and classes of these packages are digested by name alone, not by their code. What a name stands
+# for changes with a version only, and `_identity` compares most of the versions beside the fingerprints.
 _LIBRARIES = sys.stdlib_module_names | {
     "beartype",
     "diffrax",
@@ -36,10 +44,12 @@ _LIBRARIES = sys.stdlib_module_names | {
     "optax",
     "optimistix",
 }
+# Memory addresses in what an object prints, which differ from process to process.
 _ADDRESS = re.compile(r"\b0x[0-9a-f]+")
+# Types whose `repr` says everything about a value.
 _PLAIN = (type(None), type(...), bool, int, float, complex, str, bytes, np.dtype)
 _NOTHING = object()
-# What is inside of things that hold others.
+# Types of containers, and the function that lists what one contains.
 _HOLDERS: tuple[tuple[Any, Callable], ...] = (
     (tuple | list | set | frozenset, list),
     (dict, lambda value: list(value.items())),
@@ -47,8 +57,10 @@ _HOLDERS: tuple[tuple[Any, Callable], ...] = (
     (functools.partial, lambda value: (value.func, value.args, value.keywords)),
     (jax.tree_util.PyTreeDef, lambda value: (value.node_data(), value.children())),
 )
+# Digests of what these contain are sorted, so that the order of insertion or of hashing does not count.
 _UNORDERED = (dict, set, frozenset)
-# Parameters of operations that say how they would be mapped or differentiated, and what they are called.
+# Parameters of a jaxpr's operations that are left out: rules by which an operation would be mapped or
+# differentiated, the trees and the mesh of its caller, and names. None of them changes what is computed.
 _LATER = {
     "rule",
     "in_tree",
@@ -60,12 +72,14 @@ _LATER = {
     "ctx_mesh",
     "name",
 }
-# Digests of programs that hold nothing that can change.
+# Digests of jaxprs met before. JAX caches the jaxprs of inner functions, so that the next sweep meets most of
+# them again; the keys are weak, so that a digest goes when JAX drops the jaxpr.
 _PARTS: WeakKeyDictionary[jec.Jaxpr, bytes] = WeakKeyDictionary()
-# One function of a lowered program, and the names of others in it.
+# One function of a lowered program (groups: its name, the rest of its text), and a name of a function in it.
 _FUNCTION = re.compile(r"^  func\.func \w+ @(\"[^\"]*\"|[\w.$-]+)(.*?)^  }$", re.MULTILINE | re.DOTALL)
 _NAME = re.compile(r"@(\"[^\"]*\"|[\w.$-]+)")
-# What says nothing of the numbers: the name of the program, those of results, the places of callbacks.
+# Text of a lowered program that does not bear on its numbers: the module's name, the names of its results,
+# and the numbers and addresses under which a process registers callbacks.
 _NOISE = re.compile(
     r"^module @\S+|jax\.result_info = \"[^\"]*\"|\{index = \d+ : ui64\}|backend_config = \"\d+\"",
     re.MULTILINE,
@@ -84,8 +98,9 @@ def fingerprint(value: Any) -> str:
 def of_lowered(text: str) -> str:
     """The fingerprint of a lowered program, constants included.
 
-    Names of functions do not count, nor how many copies of one there are, which depends on what was traced
-    before: each is known by its own fingerprint.
+    Names of functions do not count, nor how many copies of one function there are, since both depend on what
+    was traced before in the same process. Every name is therefore replaced by the digest of the function's
+    body, in which the names have been replaced likewise; recursion ends, because StableHLO has no recursion.
     """
     text = _NOISE.sub("", text)
     bodies = {found[1]: found[2] for found in _FUNCTION.finditer(text)}
@@ -99,7 +114,7 @@ def of_lowered(text: str) -> str:
 
 
 def _sha(*parts: bytes | str) -> bytes:
-    """A digest of parts, each with its length, so that no two lists of parts run together."""
+    """A digest of parts, each preceded by its length: ("ab", "c") and ("a", "bc") have different digests."""
     digest = hashlib.sha256()
     for part in parts:
         data = part.encode() if isinstance(part, str) else part
@@ -109,13 +124,16 @@ def _sha(*parts: bytes | str) -> bytes:
 
 
 class _Reader:
-    """One reading of a value, in which nothing is read twice and cycles end."""
+    """One reading of a value, in which no object is read twice and cycles of references end."""
 
     def __init__(self) -> None:
-        # How many things were met whose insides can change without their being another object.
+        # How many objects were met that can be changed in place (NumPy arrays, functions by their globals).
         self.mutable = 0
-        # By identity; the values are kept, so that their numbers stay their own.
+        # Digests by `id`. The object is held beside its digest: otherwise Python could free a temporary one
+        # and give its `id` to another object during the same reading.
         self.done: dict[int, tuple[Any, bytes]] = {}
+        # Objects whose reading has begun but not ended, by `id`, with their depth. An object that is met
+        # within itself (a function that calls itself) counts as a reference to that depth.
         self.under_way: dict[int, int] = {}
 
     def read(self, value: Any) -> bytes:
@@ -136,7 +154,7 @@ class _Reader:
         return found
 
     def parts(self, value: Any) -> Iterator[bytes | str]:
-        """What a value consists of."""
+        """Digests and words whose sequence determines a value."""
         if isinstance(value, jax.core.Tracer):
             return iter(("traced", str(value.aval)))
         if isinstance(value, jec.ClosedJaxpr):
@@ -144,6 +162,7 @@ class _Reader:
         if isinstance(value, jec.Jaxpr):
             return iter((self.program(value),))
         if hasattr(value, "__array__") and hasattr(value, "dtype"):
+            # JAX's arrays cannot be written to.
             self.mutable += isinstance(value, np.ndarray) and value.ndim > 0
             return _array(value)
         if isinstance(value, enum.Enum):
@@ -159,7 +178,7 @@ class _Reader:
         return self.holder(value)
 
     def holder(self, value: Any) -> Iterator[bytes | str]:
-        """Containers and objects: their class, and what they hold."""
+        """Parts of a container, a dataclass or any other object: its class, and what it contains."""
         yield self.read(type(value))
         for kinds, inside in _HOLDERS:
             if isinstance(value, kinds):
@@ -173,7 +192,11 @@ class _Reader:
             yield from self.opaque(value)
 
     def opaque(self, value: Any) -> Iterator[bytes | str]:
-        """Any other object: its attributes, and of JAX's own, which hold the whole world, what they print."""
+        """Parts of an object of no known kind: its attributes.
+
+        Objects of JAX refer to much of the library's own state, so that of these only the name or the printed
+        form counts, without addresses. A wrapper (`jax.jit`, `functools.wraps`) counts as what it wraps.
+        """
         inner = getattr(value, "__wrapped__", None)
         if inner is not None:
             yield self.read(inner)
@@ -183,7 +206,7 @@ class _Reader:
             yield self.read(vars(value))
 
     def function(self, value: types.FunctionType) -> Iterator[bytes | str]:
-        """A function: its code, the globals that it names, its defaults and what it closes over."""
+        """Parts of a function: its code, the globals that it reads, its defaults and what it closes over."""
         self.mutable += 1
         if _root(value) in _LIBRARIES:
             yield _title(value)
@@ -197,24 +220,26 @@ class _Reader:
             yield self.read(_content(cell))
 
     def code(self, value: types.CodeType) -> Iterator[bytes | str]:
+        """Parts of compiled code, without its file and line numbers: moving a function changes nothing."""
         yield value.co_code
         parts = (value.co_consts, value.co_names, value.co_varnames, value.co_freevars, value.co_flags)
         yield from map(self.read, parts)
 
     def kind(self, value: type) -> Iterator[bytes | str]:
-        """A class: its name, and the methods and constants of a caller's own."""
+        """Parts of a class: its name; of a caller's own also its bases, methods and constants."""
         yield _title(value)
         if _root(value) in _LIBRARIES:
             return
         yield from map(self.read, value.__bases__)
         for name, held in sorted(vars(value).items()):
             if name == "__call__" or not name.startswith("__"):
-                for attribute in ("__func__", "fget", "method"):  # static, property, equinox's
+                # The function behind a static or class method, a property, or equinox's wrapper of a method.
+                for attribute in ("__func__", "fget", "method"):
                     held = getattr(held, attribute, held)
                 yield from (name, self.read(held))
 
     def program(self, value: jec.Jaxpr) -> bytes:
-        """A traced program; digests are kept with the parts that JAX keeps."""
+        """The digest of a jaxpr, kept for the next reading if nothing was met in it that can be changed."""
         found = _PARTS.get(value)
         if found is None:
             before = self.mutable
@@ -224,7 +249,7 @@ class _Reader:
         return found
 
     def operations(self, value: jec.Jaxpr) -> Iterator[bytes | str]:
-        """Every operation of a program, with its variables numbered in the order they appear."""
+        """Parts of a jaxpr: every operation, its variables numbered in the order in which they appear."""
         numbers: dict[Any, int] = {}
 
         def atom(x: Any) -> bytes | str:
@@ -245,6 +270,7 @@ class _Reader:
 
 
 def _array(value: Any) -> Iterator[bytes | str]:
+    """Parts of an array: dtype, shape and contents."""
     if jnp.issubdtype(value.dtype, jax.dtypes.prng_key):
         value = jax.random.key_data(value)
     seen = np.asarray(value)
@@ -253,24 +279,26 @@ def _array(value: Any) -> Iterator[bytes | str]:
 
 
 def _root(value: Any) -> str:
-    """The package that a function or a class is from."""
+    """Name of the top-level package in which a function or a class was defined."""
     return (getattr(value, "__module__", None) or "").split(".")[0]
 
 
 def _title(value: Any) -> str:
+    """Full name of a function or a class."""
     return f"{value.__module__}.{value.__qualname__}"
 
 
 def _content(cell: Any) -> Any:
+    """The variable that a closure refers to; None where it has no value yet, which raises."""
     try:
         return cell.cell_contents
-    except ValueError:  # not filled yet
+    except ValueError:
         return None
 
 
 @functools.lru_cache(1024)
 def _globals_of(code: types.CodeType) -> tuple[str, ...]:
-    """Names of globals that a function reads, those inside it included."""
+    """Names of the globals that some code reads, together with those read by functions defined within it."""
     names = {i.argval for i in dis.get_instructions(code) if i.opname in ("LOAD_GLOBAL", "LOAD_NAME")}
     for inner in code.co_consts:
         if isinstance(inner, types.CodeType):

@@ -1,8 +1,13 @@
-"""The folder of a sweep: a manifest that says which sweep it is, and chunks that identify themselves.
+"""The folder of a sweep: a manifest that says which sweep it is of, and one file for each finished chunk.
 
-Every file is written under a name of its own and put in its place in one move, so that a process that is
-killed leaves nothing half done. Processes on one folder share the chunks: whoever works on one holds a lock
-that ends with the process.
+`sweep.json` holds the `Identity` of the sweep, `runs_NNN.npz` the results of the chunk whose first run is NNN
+together with the sweep's fingerprint and a checksum. So a chunk that was copied from elsewhere, cut short or
+altered is recognised, and computed again.
+
+Every file is first written under a temporary name and then renamed in one step, so that a process that is
+killed leaves no half-written file under a final name. Several processes may work on one folder: whoever
+computes a chunk holds a lock on a file beside it (`flock`), which the operating system releases when the
+process ends, however it ends. `_sweep` calls `check` and `open` once, and the other methods for every chunk.
 """
 
 import contextlib
@@ -23,7 +28,7 @@ from ._identity import combined, differences, Identity, Mark
 
 try:
     import fcntl
-except ImportError:  # on Windows, where two processes work out the same chunks
+except ImportError:  # on Windows; there two processes on one folder may compute the same chunk twice
     fcntl = None
 
 _FORMAT = 1
@@ -34,10 +39,11 @@ class Folder:
     """A folder where finished chunks are written, and looked for first."""
 
     def __init__(self, given: Any) -> None:
-        """Args: the path; it is made, and refused unless it can be written."""
+        """Make the folder if need be; raise a ValueError unless it can be written."""
         if not isinstance(given, str | os.PathLike) or not os.fspath(given):
             raise ValueError(f"argument resume must be the path of a folder, but was {shown(given)}")
         self.path, self.sweep = Path(os.fsdecode(given)), ""
+        # A temporary file is written and removed, since permissions alone do not tell (a read-only mount).
         try:
             self.path.mkdir(parents=True, exist_ok=True)
             _written(self.path / "probe", b"", lambda part, _: None)
@@ -45,13 +51,16 @@ class Folder:
             raise self._unwritable(error) from None
 
     def check(self, here: Identity) -> None:
-        """Raise if the folder is of another sweep, as far as this one is known."""
+        """Raise if the folder is of another sweep, judged by what is known of this one so far.
+
+        Called before the program is traced, so that a wrong folder is refused at once.
+        """
         there = self._manifest()
         if there is not None:
             self._compare(there, here)
 
     def open(self, here: Identity) -> None:
-        """Make the folder this sweep's, if it is not yet; raise if it is another's."""
+        """Write the manifest of this sweep, if there is none; raise if it is of another sweep."""
         self.sweep, there = combined(here), self._manifest()
         if there is not None:
             self._compare(there, here)
@@ -63,17 +72,18 @@ class Folder:
             raise self._unwritable(error) from None
 
     def load(self, start: int, forms: Sequence[Any], *, quiet: bool = False) -> list[np.ndarray] | None:
-        """The chunk that begins with a run, if it is there, whole, and of this sweep; else None.
+        """Arrays of the chunk that begins at a run; None unless its file is there, whole and of this sweep.
 
         Args:
             start: Index of the first run.
-            forms: Shapes and kinds of its arrays.
-            quiet: Whether to say nothing of a file that is passed over.
+            forms: Shapes and dtypes that the arrays must have.
+            quiet: Whether to give no warning where a file is there but cannot be used.
         """
         path = self._chunk(start)
         try:
             leaves = self._read(path, start, forms)
-            path.with_suffix(".lock").unlink(missing_ok=True)  # of a process that was killed just afterwards
+            # Left by a process that was killed between writing the chunk and removing its lock.
+            path.with_suffix(".lock").unlink(missing_ok=True)
             return leaves
         except FileNotFoundError:
             return None
@@ -84,7 +94,7 @@ class Folder:
             return None
 
     def store(self, start: int, leaves: Sequence[np.ndarray]) -> None:
-        """Write a chunk; where that fails the sweep goes on, with a warning."""
+        """Write the file of a chunk; where that fails there is a warning, and the sweep goes on."""
         path, held = self._chunk(start), io.BytesIO()
         marks = {"index": start, "sweep": self.sweep, "checksum": self._checksum(start, leaves)}
         np.savez(held, **{f"arr_{i}": _plain(leaf) for i, leaf in enumerate(leaves)}, **marks)
@@ -97,7 +107,11 @@ class Folder:
 
     @contextlib.contextmanager
     def work_on(self, start: int, *, wait: bool) -> Iterator[bool]:
-        """Whether a chunk is for this thread alone to work out; if told to, wait until no other is at it."""
+        """Context in which this thread alone may compute a chunk; it gives False where another is doing so.
+
+        With `wait` it blocks until the other has finished and then gives True; the chunk's file may be there
+        by then, so that it must be looked for first. Where files cannot be locked it always gives True.
+        """
         path = self._chunk(start)
         lock = path.with_suffix(".lock")
         try:
@@ -109,20 +123,22 @@ class Folder:
             yield True
             return
         with file:
-            # Nobody else writes this chunk: what else bears its name is of processes that were killed.
+            # With the lock held nobody else writes this chunk, so that temporary files for it are left from
+            # processes that were killed.
             for part in self.path.glob(f"{path.name}.*.part"):
                 part.unlink(missing_ok=True)
             try:
                 yield True
             finally:
-                # Whoever waits for a lock that is gone finds the chunk finished.
+                # The file may be removed while others wait for it: when they get their lock, on a file that
+                # has no name any more, they find the chunk finished.
                 lock.unlink(missing_ok=True)
 
     def _chunk(self, start: int) -> Path:
         return self.path / f"runs_{start:010d}.npz"
 
     def _manifest(self) -> Identity | None:
-        """The sweep that the folder is of; None where it does not say so, with a warning if it should."""
+        """What the manifest says of its sweep; None where it is missing, damaged or of another format."""
         path = self.path / _MANIFEST
         try:
             held = json.loads(path.read_bytes())
@@ -134,6 +150,7 @@ class Folder:
         return None
 
     def _unwritable(self, error: Exception) -> ValueError:
+        """The error that says why the folder cannot be written."""
         why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         return ValueError(
             f"argument resume must be a folder that can be written, but {shown(str(self.path))} "
@@ -141,6 +158,7 @@ class Folder:
         )
 
     def _compare(self, there: Identity, here: Identity) -> None:
+        """Raise with what differs, if the folder is of another sweep."""
         found = differences(there, here)
         if found:
             raise ValueError(
@@ -149,6 +167,7 @@ class Folder:
             )
 
     def _warn_of_loss(self) -> None:
+        """Warn where there should be a readable manifest: it is damaged, or there are chunks without one."""
         path = self.path / _MANIFEST
         if path.exists():
             _warn(f"the manifest {path} of a sweep is written again, because it is damaged")
@@ -156,7 +175,11 @@ class Folder:
             _warn(f"the manifest {path} of a sweep is written again, because it is missing")
 
     def _claim_folder(self, here: Identity) -> None:
-        """Write the manifest; of several processes that do so at once the first decides."""
+        """Write the manifest; of several processes that do so at once the first decides.
+
+        `os.link` checks and links in one step, and fails where the name exists; by `os.replace` the last
+        process would win.
+        """
         path = self.path / _MANIFEST
         held = {"format": _FORMAT, "sweep": self.sweep, "identity": here}
         data = json.dumps(held, indent=1).encode()
@@ -167,11 +190,13 @@ class Folder:
             if there is not None:
                 self._compare(there, here)
                 return
+            # What has the name is damaged.
             _written(path, data, os.replace)
         except OSError:  # a file system without links
             _written(path, data, os.replace)
 
     def _checksum(self, start: int, leaves: Sequence[np.ndarray]) -> str:
+        """Digest of a chunk's arrays, of its first run and of the sweep."""
         digest = hashlib.sha256(f"{self.sweep} {start}".encode())
         for leaf in leaves:
             digest.update(f"{leaf.dtype} {leaf.shape}".encode())
@@ -179,6 +204,7 @@ class Folder:
         return digest.hexdigest()
 
     def _read(self, path: Path, start: int, forms: Sequence[Any]) -> list[np.ndarray]:
+        """Arrays of a chunk's file; raises `_Refused` with the reason where it is not what it should be."""
         with path.open("rb") as raw, np.load(raw) as file:
             held = {name: file[name] for name in file.files}
         if set(held) != {"index", "sweep", "checksum", *(f"arr_{i}" for i in range(len(forms)))}:
@@ -187,6 +213,7 @@ class Folder:
             _refuse("it is of another sweep")
         if int(held["index"]) != start:
             _refuse("it holds other runs")
+        # Kind "V": dtypes of `ml_dtypes` such as bfloat16, which `_plain` stored as whole numbers.
         found = [(held[f"arr_{i}"], form.dtype) for i, form in enumerate(forms)]
         leaves = [x.view(dtype) if dtype.kind == "V" else x for x, dtype in found]
         if self._checksum(start, leaves) != str(held["checksum"]):
@@ -197,7 +224,7 @@ class Folder:
 
 
 class _Refused(Exception):
-    """A chunk that is not what it should be."""
+    """The file of a chunk is readable, but not the chunk that was looked for; the text says why."""
 
 
 def _refuse(why: str) -> NoReturn:
@@ -209,12 +236,16 @@ def _warn(text: str) -> None:
 
 
 def _plain(leaf: np.ndarray) -> np.ndarray:
-    """An array that NumPy can write: numbers of 16 bits that it does not know become whole numbers."""
+    """An array that `np.savez` can write: dtypes that NumPy lacks (bfloat16) are viewed as whole numbers."""
     return leaf.view(f"u{leaf.dtype.itemsize}") if leaf.dtype.kind == "V" else leaf
 
 
 def _written(path: Path, data: Any, put: Any) -> None:
-    """Write a file under a name that nobody else has; then `put(that, path)`."""
+    """Write data to a temporary file, then call `put(temporary, path)`; the temporary file is removed.
+
+    The file is flushed to the disk before it gets its name, and the folder after that: else a power cut
+    could leave the name on a file without contents.
+    """
     part = path.with_name(f"{path.name}.{os.getpid()}.{secrets.token_hex(4)}.part")
     try:
         with part.open("xb") as file:
@@ -224,7 +255,7 @@ def _written(path: Path, data: Any, put: Any) -> None:
         put(part, path)
     finally:
         part.unlink(missing_ok=True)
-    with contextlib.suppress(OSError):  # a folder cannot be opened everywhere
+    with contextlib.suppress(OSError):  # not every system lets a folder be opened
         folder = os.open(path.parent, os.O_RDONLY)
         try:
             os.fsync(folder)
@@ -233,12 +264,12 @@ def _written(path: Path, data: Any, put: Any) -> None:
 
 
 def _locked(path: Path, wait: bool) -> Any:
-    """An open file that this thread has locked, until it is closed or the process ends.
+    """An open file on which this thread holds a lock, until the file is closed or the process ends.
 
-    None where files cannot be locked: then processes may work out the same chunk, each for itself.
+    None where files cannot be locked: then several processes may compute the same chunk, each for itself.
 
     Raises:
-        BlockingIOError: If another has it and this one is not to wait.
+        BlockingIOError: If another thread or process holds the lock, and `wait` is False.
     """
     if fcntl is None:
         return None

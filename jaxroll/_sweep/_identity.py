@@ -1,4 +1,11 @@
-"""What makes a sweep this one and no other, by name."""
+"""What makes a sweep this one and no other: fingerprints by name, and the sentence that says what differs.
+
+A chunk may be taken from a folder only if computing it again would give the same numbers to the last bit.
+That depends on the versions of the libraries, the processor (XLA compiles for its instructions, and rounds
+accordingly), the flags of XLA, the precision, and on the parameters, options and functions that the caller
+gives. `identity` gathers all of it that is known before anything is traced; `_sweep` adds the marks of
+"make", "keep" and "program". `_folder` stores the marks in the manifest, and compares them by `differences`.
+"""
 
 import hashlib
 import importlib.metadata
@@ -18,13 +25,15 @@ from .._results import shown
 from ._fingerprint import fingerprint
 
 _PACKAGES = ("jaxroll", "jax", "jaxlib", "diffrax", "equinox", "optimistix", "lineax", "numpy")
-# Sets of instructions that XLA compiles for, by how their names begin; others come and go with the kernel.
+# Beginnings of the names of instruction sets that XLA compiles for. The other flags of a processor are left
+# out: which of them are listed depends on the version of the operating system's kernel.
 _INSTRUCTIONS = ("sse", "ssse", "avx", "amx", "fma", "f16c", "bmi", "asimd", "neon", "sve", "sme", "fp")
-# XLA's flags that say where to write and how many devices to pretend, not what to compute.
+# Beginnings of the flags of XLA that change no numbers: where to write dumps, how many devices to emulate.
 _SILENT = ("--xla_dump", "--xla_force_host_platform_device_count")
-# What other differences bring with them: named only where there is no other cause.
+# Marks of lowered programs. They change with almost every other mark, and are then a consequence, not the
+# cause that the caller wants to read of.
 _EFFECTS = ("make", "keep", "program")
-# How many differences a sentence names.
+# At most so many differences are named in a sentence; the others are counted.
 _NAMED = 2
 _WORDS = {"program": "the program of the runs (a function that make or an option holds)"}
 
@@ -40,7 +49,14 @@ Identity = dict[str, Mark]
 
 
 def identity(rows: Any, t1: Any, chunk: int, options: dict[str, Any]) -> Identity:
-    """All that is known of a sweep before anything is traced."""
+    """All marks of a sweep that are known before anything is traced.
+
+    Args:
+        rows: The parameters.
+        t1: The final time [s].
+        chunk: Runs in one chunk.
+        options: Those of `simulate`, by name.
+    """
     usual = {name: p.default for name, p in inspect.signature(simulate).parameters.items()}
     marks = {f"version of {name}": _text(_version(name)) for name in _PACKAGES}
     marks["version of python"] = _text(f"{sys.version_info.major}.{sys.version_info.minor}")
@@ -51,7 +67,9 @@ def identity(rows: Any, t1: Any, chunk: int, options: dict[str, Any]) -> Identit
     marks["chunk"] = _text(f"{chunk} runs")
     marks["t1"] = _value(t1)
     for name, value in options.items():
-        # What is given as it is by default is not given; how a run reports changes nothing.
+        # An option with the default value of `simulate` gets no mark, so that a sentence about another folder
+        # calls it "not given". `throw` and `progress_meter` do not bear on the numbers. The module `inspect`
+        # stands for a missing default, to which no option is equal.
         if name not in ("throw", "progress_meter") and not _same(value, usual.get(name, inspect)):
             marks[f"option {name}"] = _value(value)
     return marks
@@ -60,12 +78,15 @@ def identity(rows: Any, t1: Any, chunk: int, options: dict[str, Any]) -> Identit
 def differences(there: Identity, here: Identity) -> str:
     """What differs between two sweeps, as part of a sentence; empty where nothing does.
 
-    What only one of them knows yet of the programs is not compared.
+    A mark of a program that only one of them has is not compared: it has not been lowered yet.
     """
     names = [*there, *(name for name in here if name not in there)]
     causes = [n for n in names if n not in _EFFECTS and there.get(n) != here.get(n)]
     effects = [n for n in _EFFECTS if n in there and n in here and there[n].digest != here[n].digest]
-    # Other numbers in the parameters leave `make` what it is; other shapes, versions or precision do not.
+    # Another version, machine or precision, and other shapes of the parameters may change every lowered
+    # program, so that nothing follows from its mark. Other numbers or options leave that of `make` alone: if
+    # it differs as well, it is a difference in its own right. `keep` and the whole program are named only
+    # where nothing else differs.
     if any(n.startswith(("version", "processor", "XLA", "precision")) for n in causes):
         effects = []
     if "parameters" in causes and there["parameters"].words != here["parameters"].words:
@@ -77,18 +98,20 @@ def differences(there: Identity, here: Identity) -> str:
 
 
 def combined(marks: Identity) -> str:
-    """One fingerprint of all."""
+    """One fingerprint of all marks, by which a chunk says which sweep it is of."""
     text = repr(sorted((name, mark.digest) for name, mark in marks.items()))
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _difference(name: str, there: Mark | None, here: Mark | None) -> str:
+    """A mark's name, with what it was there and is here in words if the words differ."""
     name = _WORDS.get(name, name)
     old, new = (mark.words if mark is not None else "not given" for mark in (there, here))
     return name if old == new else f"{name} ({old} there, {new} here)"
 
 
 def _text(words: str) -> Mark:
+    """The mark of a text, which is its own digest."""
     return Mark(words, _short(words))
 
 
@@ -105,6 +128,7 @@ def _same(value: Any, usual: Any) -> bool:
 
 
 def _form(rows: Any) -> str:
+    """Dtypes and shapes of the parameters, in words."""
     leaves = jax.tree.leaves(rows)
     forms = ", ".join(f"{x.dtype}{list(x.shape)}" for x in leaves)
     return _short(forms)
@@ -118,12 +142,13 @@ def _version(name: str) -> str:
 
 
 def _flags() -> str:
+    """The flags of XLA that may change numbers, in alphabetical order."""
     given = os.environ.get("XLA_FLAGS", "").split()
     return " ".join(sorted(flag for flag in given if not flag.startswith(_SILENT)))
 
 
 def _processor() -> str:
-    """The kind of device; of a processor, what it can do: XLA compiles for that, and rounds accordingly."""
+    """The kind of device in words; of a CPU its instruction sets, for which XLA compiles."""
     device = jax.local_devices()[0]
     if device.platform != "cpu":
         return f"{device.platform} {device.device_kind}"
@@ -131,6 +156,7 @@ def _processor() -> str:
 
 
 def _instructions() -> str:
+    """Instruction sets of the CPU; on systems other than Linux the name that Python knows it by."""
     try:
         lines = pathlib.Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:  # not on Linux

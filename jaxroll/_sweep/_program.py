@@ -1,4 +1,14 @@
-"""The program of a chunk: traced with every sweep, compiled once for all that are the same."""
+"""The program of a chunk: traced with every sweep, compiled once for all programs that are the same.
+
+A chunk is `vmap` over its rows of: `make` a grasp and a state of the row, `simulate`, `keep` some of the run.
+JAX would look for the compiled program under the identity of the Python function, which is a trap: a function
+that closes over a variable keeps its identity when the variable changes, so that the old numbers would be
+computed again. Therefore the function is traced anew every time, and the compiled program is looked for under
+the fingerprint of the jaxpr, its constants included.
+
+`_sweep` calls the `Program`; `of_make` and `of_keep` serve `_identity`, which must say which of the caller's
+functions has changed.
+"""
 
 from collections import OrderedDict
 from collections.abc import Callable
@@ -16,14 +26,16 @@ from .._results import shown
 from .._xla import WIDE
 from ._fingerprint import fingerprint, of_lowered
 
-# Programs kept for the next sweep, by fingerprint.
+# Compiled programs by fingerprint, and by the precision in which they were traced; the one used last comes
+# last, and the first goes when there are more than `_MOST`.
 _KEPT: OrderedDict[tuple[str, Any], Callable] = OrderedDict()
 _MOST = 64
+# Operations whose numbers come from Python code, which no fingerprint of a program can tell.
 _CALLBACKS = {"pure_callback", "io_callback"}
 
 
 class Job(eqx.Module):
-    """What is worked out: the runs of one chunk."""
+    """What the caller asked to be computed, as a pytree: its arrays are arguments of the program."""
 
     make: Callable[[Any], tuple[Any, Any]]
     keep: Callable[[Any], Any] | None
@@ -31,7 +43,11 @@ class Job(eqx.Module):
     options: dict[str, Any]
 
     def runs(self, rows: Any, seen: list[Any]) -> Any:
-        """What is kept of the runs of these parameters; the form of one run's trajectory goes to `seen`."""
+        """What is kept of the runs of these parameters.
+
+        While it is traced it appends the shapes and dtypes of one run's trajectory to `seen`: they are wanted
+        for tracing `keep` alone, and cannot be returned, since a program returns arrays.
+        """
 
         def one(row: Any) -> Any:
             grasp, state = made(self.make, row)
@@ -43,7 +59,7 @@ class Job(eqx.Module):
 
 
 def made(make: Callable, row: Any) -> tuple[Grasp, State]:
-    """A grasp and a state of one row of parameters."""
+    """The grasp and the state that `make` returns for one row of parameters, checked."""
     out = make(row)
     if not (isinstance(out, tuple | list) and len(out) == 2):
         raise ValueError(f"argument make must return a grasp and a state, but returned {shown(out)}")
@@ -54,7 +70,7 @@ def made(make: Callable, row: Any) -> tuple[Grasp, State]:
 
 
 def kept(keep: Callable, run: Any) -> Any:
-    """What is kept of a trajectory."""
+    """What `keep` returns for a trajectory, checked."""
     out = keep(run)
     leaves = jax.tree.leaves(out)
     if not leaves or not all(map(_is_numbers, leaves)):
@@ -70,7 +86,7 @@ def _is_numbers(leaf: Any) -> bool:
 
 
 def _form(leaf: Any) -> jax.ShapeDtypeStruct:
-    """Shape and kind of an array."""
+    """Shape and dtype of an array; also whether the dtype is weak, since `keep` may promote it."""
     aval = jax.typeof(leaf)
     return jax.ShapeDtypeStruct(aval.shape, aval.dtype, weak_type=aval.weak_type)
 
@@ -79,11 +95,12 @@ class Program(NamedTuple):
     """A chunk's program.
 
     Attributes:
-        call: From arrays in a row to results in a row, compiled with its first call.
-        arrays: The first of those that it takes: what is in `make`, `keep` and the options.
-        results: Shapes and kinds of what it gives, as the pytree that is kept.
-        trajectory: Shapes and kinds of one run.
-        traced: The program, for fingerprints.
+        call: Takes the leaves of the job and of the rows as one flat list, returns the leaves of the results;
+            it is compiled with its first call.
+        arrays: The arrays in `make`, `keep` and the options, which `call` takes first.
+        results: Shapes and dtypes of the results, in the pytree that is kept.
+        trajectory: Shapes and dtypes of one run.
+        traced: The traced program, to be lowered for its fingerprint.
     """
 
     call: Callable
@@ -93,22 +110,24 @@ class Program(NamedTuple):
     traced: Any
 
     def __call__(self, rows: Any) -> Any:
-        """What is kept of the runs of a chunk, on the device where its parameters are."""
+        """What is kept of the runs of a chunk, as NumPy arrays, computed where its parameters are."""
         out = self.call(*self.arrays, *jax.tree.leaves(rows))
         return jax.tree.unflatten(jax.tree.structure(self.results), map(np.asarray, out))
 
     def fingerprint(self) -> str:
-        """Of the program as it is handed to the compiler."""
+        """Fingerprint of the program as it is handed to the compiler."""
         return of_lowered(self.traced.lower().as_text())
 
 
 def program(job: Job, rows: Any) -> Program:
-    """The program of a job for chunks such as `rows`.
+    """The program of a job for chunks with the shapes and dtypes of `rows`.
 
-    It is traced anew every time, in milliseconds where JAX remembers the parts: what `make` or `keep` close
-    over may have changed since, a notebook's variable, and a program kept for the function would give the
-    numbers of then. Kept is the program of these operations and constants.
+    It is traced anew every time, which takes milliseconds where JAX has cached the inner functions: a
+    variable that `make` or `keep` close over (a notebook's, say) may have changed since. What has been
+    compiled is kept for these operations and constants, not for these functions.
     """
+    # Arrays among what the caller gave become arguments: as constants they would be part of the fingerprint,
+    # and other values would compile another program.
     arrays, still = eqx.partition(job, eqx.is_array)
     seen: list[Any] = []
 
@@ -121,9 +140,14 @@ def program(job: Job, rows: Any) -> Program:
 
 
 def _traced(function: Callable, *args: Any) -> Any:
-    """A function's traced program; it must be a new one, or JAX takes what it traced before."""
+    """The traced program of a function, which must have been created for this call.
+
+    For a function that it has traced before, JAX would return that trace.
+    """
     found = jax.jit(function).trace(*args)
-    if len(found.jaxpr.jaxpr.invars) != len(jax.tree.leaves(args)):  # JAX hands it more: what it is tracing
+    # Inside an outer `jit` or derivative, JAX passes what the function closes over of the outer trace as
+    # additional arguments.
+    if len(found.jaxpr.jaxpr.invars) != len(jax.tree.leaves(args)):
         raise ValueError(
             "arguments make, keep and options must hold known numbers, but JAX is tracing some of them: a "
             "sweep is no part of a traced program"
@@ -132,11 +156,12 @@ def _traced(function: Callable, *args: Any) -> Any:
 
 
 def _compiled(closed: jec.ClosedJaxpr) -> Callable:
-    """A function compiled of a traced program: the one kept, if it is the same."""
+    """The compiled function of a traced program: the one kept from an earlier sweep, if there is one."""
     key = fingerprint(closed), jnp.result_type(float)
     found = _KEPT.get(key)
     if found is None:
-        # Of the operations and not of the caller's function, which may mean something else next time.
+        # Built from the operations: JAX compiles with the first call, and would then trace the caller's
+        # function again, whose variables may have changed by then.
         found = jax.jit(jec.jaxpr_as_fun(closed), compiler_options=WIDE)
     _KEPT[key] = found
     _KEPT.move_to_end(key)
@@ -146,7 +171,11 @@ def _compiled(closed: jec.ClosedJaxpr) -> Callable:
 
 
 def of_make(make: Callable, row: Any) -> str:
-    """The fingerprint of `make`: its lowered program and constants, and what it returns besides arrays."""
+    """The fingerprint of `make`: its lowered program and constants, and what it returns besides arrays.
+
+    The latter are the static fields of the grasp, such as which finger touches which contour; they are no
+    results of the program, and are digested while it is traced.
+    """
     static: list[str] = []
 
     def arrays(given: Any, row: Any) -> Any:
@@ -160,7 +189,12 @@ def of_make(make: Callable, row: Any) -> str:
 
 
 def of_keep(keep: Callable | None, trajectory: Any) -> str:
-    """The fingerprint of `keep`: its lowered program and constants, and the tree that it returns."""
+    """The fingerprint of `keep`: its lowered program and constants, and the structure of what it returns.
+
+    Args:
+        keep: The caller's function, or None.
+        trajectory: Shapes and dtypes of one run.
+    """
     if keep is None:
         return "everything"
     given, still = eqx.partition(keep, eqx.is_array)
@@ -170,7 +204,7 @@ def of_keep(keep: Callable | None, trajectory: Any) -> str:
 
 
 def calls_back(closed: Any) -> bool:
-    """Whether a traced program takes numbers from Python while it runs."""
+    """Whether a traced program, or one within its operations, calls Python functions for numbers."""
     if isinstance(closed, jec.ClosedJaxpr):
         return calls_back(closed.jaxpr)
     if isinstance(closed, jec.Jaxpr):

@@ -1,4 +1,9 @@
-"""Many runs: in chunks, on every device, with progress, resumed where they were cut off."""
+"""Many runs: in chunks, on every device, with progress, resumed where they were cut off.
+
+All chunks have the same shape, so that one compiled program (`_program`) serves them all. Worker threads call
+it, and each waits for its own result; Python's lock is free while XLA computes. With a folder (`_folder`)
+finished chunks are read instead of computed, once the folder is known to be of the same sweep (`_identity`).
+"""
 
 import contextlib
 import os
@@ -21,6 +26,7 @@ from ._folder import Folder
 from ._identity import identity, Mark
 from ._program import calls_back, Job, of_keep, of_make, Program, program
 
+# Runs in a chunk by default.
 _CHUNK = 2048
 
 
@@ -112,6 +118,8 @@ def sweep(
         "record": record,
         "throw": False,  # the runs carry their codes
     }
+    # Arrays among the options must hold numbers; whatever else is wrong with an option, `simulate` says when
+    # it is traced.
     for name, value in options.items():
         for leaf in filter(is_array_like, jax.tree.leaves(value)):
             as_array(name, leaf)
@@ -137,15 +145,16 @@ class Extent(NamedTuple):
         return range(0, self.count, self.size)
 
     def chunk(self, rows: Any, start: int) -> Any:
-        """One chunk of the parameters; the last one is filled up with its last row."""
+        """One chunk of the parameters; the last one is filled up with copies of the last row."""
         index = np.minimum(np.arange(start, start + self.size), self.count - 1)
         return jax.tree.map(lambda x: jnp.asarray(x[index]), rows)
 
 
 def _resumed(folder: Folder, job: Job, rows: Any, extent: Extent) -> tuple[Folder, Program]:
-    """The folder and the program of a sweep, once they are known to be of the same; nothing is compiled.
+    """The folder, checked or claimed for this sweep, and the program; nothing is compiled.
 
-    What costs least is compared first.
+    The cheapest comparisons come first: values and versions, then the lowered program of `make`, and last the
+    program of the runs.
     """
     here = identity(rows, job.t1, extent.size, job.options)
     row = jax.tree.map(lambda x: jnp.asarray(x[0]), rows)
@@ -164,7 +173,15 @@ def _resumed(folder: Folder, job: Job, rows: Any, extent: Extent) -> tuple[Folde
 
 
 def _pieces(run: Program, rows: Any, extent: Extent, folder: Folder | None, *, progress: bool) -> list[Any]:
-    """Results chunk by chunk, several under way at a time."""
+    """Results of all chunks, in their order; several are computed at a time.
+
+    Args:
+        run: The program.
+        rows: The parameters of all runs.
+        extent: How they are cut into chunks.
+        folder: Where finished chunks are; None if the sweep is not to be resumed.
+        progress: Whether to report on standard error.
+    """
     devices, forms = jax.local_devices(), jax.tree.leaves(run.results)
     found: dict[int, Any] = {}
 
@@ -173,12 +190,13 @@ def _pieces(run: Program, rows: Any, extent: Extent, folder: Folder | None, *, p
         return run(jax.device_put(extent.chunk(rows, start), device))
 
     def piece_at(start: int, *, wait: bool) -> Any:
-        """A chunk's results; None if another process is at it and this one is not to wait."""
+        """Results of a chunk; None if another process is computing it and this one is not to wait."""
         if folder is None:
             return computed(start)
         with folder.work_on(start, wait=wait) as mine:
             if not mine:
                 return None
+            # Another process may have written it since it was looked for, or while this one waited.
             piece = folder.load(start, forms, quiet=True)
             if piece is None:
                 piece = jax.tree.leaves(computed(start))
@@ -186,18 +204,22 @@ def _pieces(run: Program, rows: Any, extent: Extent, folder: Folder | None, *, p
         return jax.tree.unflatten(jax.tree.structure(run.results), piece)
 
     def runs_found() -> int:
+        # The last chunk may hold fewer runs than the others.
         return min(len(found) * extent.size, extent.count)
 
     def note(start: int, piece: Any) -> bool:
+        """Keep a chunk's results and report them; whether there were any."""
         if piece is not None:
             found[start] = piece
             report(runs_found())
         return piece is not None
 
     def work(*, wait: bool) -> None:
+        """Find or compute the chunks still missing; without `wait` only those that nobody is computing."""
         left = [start for start in extent.starts if start not in found]
         todo = iter(left)
-        # The first one alone, since it compiles.
+        # The first chunk that this process computes compiles the program, and the others wait for that.
+        # `any` stops at the first chunk found, and leaves those after it in the iterator.
         any(note(start, piece_at(start, wait=wait)) for start in todo)
         rest = list(todo)
         for start, piece in zip(rest, pool.map(partial(piece_at, wait=wait), rest), strict=True):
@@ -210,6 +232,8 @@ def _pieces(run: Program, rows: Any, extent: Extent, folder: Folder | None, *, p
                 found[start] = jax.tree.unflatten(jax.tree.structure(run.results), piece)
     pool = ThreadPoolExecutor(_workers(devices))
     with pool, _meter(runs_found(), extent.count, on=progress) as report:
+        # Twice: chunks that other processes are computing are passed over, and waited for at the end. Should
+        # such a process be killed, its lock is released, and its chunk is computed here.
         work(wait=False)
         work(wait=True)
     return [found[start] for start in extent.starts]
@@ -234,6 +258,7 @@ def _rows_of(parameters: Any) -> Any:
 
 
 def _row_array(leaf: Any) -> np.ndarray:
+    """One leaf of the parameters as a NumPy array of numbers."""
     wanted = f"argument parameters must hold arrays of numbers, but one of them was {shown(leaf)}"
     if traced(leaf):
         raise ValueError(f"{wanted}: a sweep is no part of what JAX traces")
@@ -241,6 +266,7 @@ def _row_array(leaf: Any) -> np.ndarray:
         array = np.asarray(leaf)
     except (TypeError, ValueError, OverflowError):
         raise ValueError(wanted) from None
+    # NumPy would drop the mask of a masked array, and take the numbers under it for parameters.
     masked = isinstance(leaf, np.ma.MaskedArray)
     if masked or not (jnp.issubdtype(array.dtype, np.number) or array.dtype == bool):
         raise ValueError(wanted)
@@ -248,7 +274,7 @@ def _row_array(leaf: Any) -> np.ndarray:
 
 
 def _time(t1: Any) -> Any:
-    """The final time, if it is one number."""
+    """The final time as it was given, if it is one number."""
     seen = as_array("t1", t1)
     if seen.shape != ():
         raise ValueError(f"argument t1 must be one number, but had shape {seen.shape}")
@@ -257,11 +283,18 @@ def _time(t1: Any) -> Any:
 
 @contextlib.contextmanager
 def _meter(found: int, count: int, *, on: bool) -> Iterator[Callable[[int], Any]]:
-    """Shows on standard error how many runs are done, their speed and the time left."""
+    """A function that shows on standard error how many runs are done, their speed and the time left.
+
+    Args:
+        found: How many were done before.
+        count: How many there are.
+        on: Whether to show anything.
+    """
     if not on:
         yield lambda done: None
         return
     shown_as = "{n} of {total} runs |{bar}| {rate_noinv_fmt}, {remaining} left"
+    # Every report is shown, since chunks are few; `smoothing` 0 shows the mean speed of the whole sweep.
     pace = {"unit": " runs", "smoothing": 0, "mininterval": 0, "miniters": 1}
     with tqdm(initial=found, total=count, bar_format=shown_as, **pace) as bar:
         yield lambda done: bar.update(done - bar.n)

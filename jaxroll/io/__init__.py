@@ -1,8 +1,9 @@
-"""Files and images in, files out: points for `fit_contour`, outlines of contours to draw or to make.
+"""Files and images in, files out: points for `fit_contour`, outlines of contours to draw or to manufacture.
 
-`_tables` holds CSV and NPY, `_vector` SVG and DXF, `_mesh` solids, `_section` plane cuts of a mesh, `_image`
-silhouettes, `_outline` contours as polygons; `_files` chooses by the file's ending. Units are always stated.
-SVG, DXF, STL and images want `pip install "jaxroll[cad]"`.
+`_tables` reads and writes CSV and NPY, `_vector` SVG and DXF, `_mesh` solids; `_section` cuts a mesh by a
+plane, `_image` finds silhouettes, `_outline` makes polygons of contours; `_files` chooses by the file's
+ending. The unit of every number in a file is stated by the caller, and all points here are in metres. Reading
+SVG, DXF, meshes and images, and writing DXF and STL, wants `pip install "jaxroll[cad]"`.
 """
 
 from ._files import read_points as read_points, write_outline as write_outline

@@ -1,4 +1,8 @@
-"""Points from files and outlines to files; the file's ending says which kind it is."""
+"""Points from files and outlines to files; the file's ending says which kind it is.
+
+The readers and writers of `_tables` and `_vector` work in the file's own unit; here their numbers are
+converted from and to metres.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -53,6 +57,7 @@ def read_points(
         '0.0100 m'
     """
     path = readable(as_path(path, _READ))
+    # "px" is a unit only where the size of a pixel is given, and pixels exist only in an SVG.
     kind = path.suffix.lower()
     unit = check_instance("unit", unit, str, "the name of a unit")
     if (unit == "px") != (pixel is not None) or (unit == "px" and kind != ".svg"):
@@ -108,6 +113,7 @@ def write_outline(contour: AbstractContour, path: str | Path, *, unit: str, tole
 
 
 def _columns(columns: Any) -> tuple[int, int]:
+    """The columns of x and y, if they are two numbers from 0 on."""
     pair = isinstance(columns, tuple | list) and len(columns) == 2
     if not pair or not all(isinstance(i, int) and not isinstance(i, bool) and i >= 0 for i in columns):
         raise ValueError(f"argument columns must be two numbers from 0 on, but was {shown(columns)}")

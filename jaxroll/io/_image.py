@@ -1,4 +1,4 @@
-"""Silhouettes out of greyscale images: the only door to scikit-image."""
+"""Silhouettes out of greyscale images; the only file that imports scikit-image."""
 
 from typing import Any
 
@@ -54,11 +54,14 @@ def read_silhouette(
     pixel, which = positive("pixel", pixel), as_count("which", which, least=0)
     if threshold is not None:
         threshold = float(as_floats("threshold", threshold, ()))
+    # Shapes may be brighter or darker than what surrounds them: outlines run either way, and their areas have
+    # either sign.
     found = sorted(_outlines(grey, threshold), key=lambda points: -abs(polygon_area(points)))
     if not 0 <= which < len(found):
         raise ValueError(
             f"argument which must be below the number of outlines, {len(found)}, but was {which}"
         )
+    # Row 0 is at the top, while y points up.
     rows, columns = found[which].T
     points = pixel * np.stack([columns, grey.shape[0] - 1.0 - rows], axis=1)
     if np.any(points[0] != points[-1]):
@@ -71,6 +74,7 @@ def read_silhouette(
 
 
 def _outlines(grey: np.ndarray, threshold: float | None) -> list[np.ndarray]:
+    """Lines of constant grey value, each of shape (n, 2) as row and column; Otsu's threshold by default."""
     try:
         from skimage.filters import threshold_otsu
         from skimage.measure import find_contours

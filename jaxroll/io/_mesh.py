@@ -1,4 +1,4 @@
-"""Solids as triangle meshes: the only door to trimesh and mapbox_earcut."""
+"""Solids as triangle meshes, by trimesh; mapbox_earcut fills polygons. No other file imports the two."""
 
 from pathlib import Path
 from typing import Any
@@ -12,11 +12,13 @@ from ._outline import outline, positive
 from ._paths import as_path, readable, writable
 
 _KINDS = (".stl", ".obj", ".ply", ".off")
-# A file holds numbers of single precision: beyond these heights [m] no solid is left, or no number.
+# Least and largest height of a solid [m]. STL holds single precision, in which a much lower solid would have
+# no volume, and a much higher one no finite coordinates.
 _HEIGHTS = (1e-9, 1e3)
 
 
 def _trimesh() -> Any:
+    """The library trimesh, imported with the first use."""
     try:
         import trimesh
     except ImportError:
@@ -25,7 +27,7 @@ def _trimesh() -> Any:
 
 
 def _triangles(points: np.ndarray) -> np.ndarray:
-    """Triangles (m, 3) that fill a polygon."""
+    """Triangles that fill a polygon, shape (m, 3): indices of its corners."""
     try:
         import mapbox_earcut
     except ImportError:

@@ -1,4 +1,7 @@
-"""A contour as a polygon within a tolerance, and polygons with evenly spaced points."""
+"""A contour as a polygon within a tolerance; polygons with evenly spaced points; checks of numbers for `io`.
+
+`_files` and `_mesh` write what `outline` makes; `_vector` uses the functions on polygons below it.
+"""
 
 from typing import Any
 
@@ -8,9 +11,9 @@ import numpy as np
 from .._results import as_array, check_instance, shown
 from ..geometry import AbstractContour, tabled
 
-_FINE = 4096
-_FEWEST = 32
-_MOST = 200_000
+_FINE = 4096  # intervals in which the curvature is sampled
+_FEWEST = 32  # fewest points on a contour
+_MOST = 200_000  # most points
 
 
 def outline(contour: AbstractContour, tolerance: float) -> np.ndarray:
@@ -33,12 +36,15 @@ def outline(contour: AbstractContour, tolerance: float) -> np.ndarray:
         raise ValueError(f"argument contour must be closed or have ends, but was {shown(contour)}")
     low, high = (float(end) for end in domain)
     fine = np.linspace(low, high, _FINE + 1)
+    # `density`: points per metre, sqrt(curvature / (8 tolerance)), at least 32 on the whole length. Its
+    # integral `total` counts points; equal steps of it give chords that all leave the contour equally far.
     bend = np.abs(np.asarray(contour.curvature(fine)))
     density = np.maximum(np.sqrt(bend / (8.0 * tolerance)), _FEWEST / (high - low))
     steps = 0.5 * (density[1:] + density[:-1]) * np.diff(fine)
     total = np.concatenate([[0.0], np.cumsum(steps)])
     count = int(np.ceil(1.02 * total[-1]))
     while count <= _MOST:
+        # Ends of chords and points halfway in turn. Deviations fall with the square of the number of chords.
         s = np.interp(np.linspace(0.0, total[-1], 2 * count + 1), total, fine)
         points = _points(contour, s)
         ends, middles = points[::2], points[1::2]
@@ -50,7 +56,7 @@ def outline(contour: AbstractContour, tolerance: float) -> np.ndarray:
 
 
 def positive(name: str, value: Any) -> float:
-    """The value as a positive number, or the sentence that says it is not."""
+    """The value as a positive, finite number; raises a ValueError where it is none."""
     wanted = f"argument {name} must be a positive number, but was {{}}"
     try:
         number = float(as_array(name, value))
@@ -63,22 +69,27 @@ def positive(name: str, value: Any) -> float:
 
 @eqx.filter_jit
 def _prepared(contour: AbstractContour) -> AbstractContour:
+    """The contour with all worked out that does not depend on the place."""
     return contour.prepared()
 
 
 def _points(contour: AbstractContour, s: np.ndarray) -> np.ndarray:
-    """Points at any number of arclengths, compiled for few different numbers."""
+    """Points [m] at any number of arclengths.
+
+    Their number is rounded up to a power of two, since JAX compiles anew for every length of an array.
+    """
     room = 1 << int(np.ceil(np.log2(len(s))))
     return np.asarray(contour.point(np.pad(s, (0, room - len(s)), mode="edge")))[: len(s)]
 
 
 def _off_chords(ends: np.ndarray, middles: np.ndarray) -> np.ndarray:
+    """Distances [m] of points from the chords that they lie in the middle of: |chord x arm| / |chord|."""
     chord, arm = np.diff(ends, axis=0), middles - ends[:-1]
     return np.abs(chord[:, 0] * arm[:, 1] - chord[:, 1] * arm[:, 0]) / np.linalg.norm(chord, axis=1)
 
 
 def as_points(name: str, value: Any, width: int) -> np.ndarray:
-    """The value as finite numbers of shape (n, width), or the sentence that says it is not."""
+    """The value as finite numbers of shape (n, width); raises a ValueError where it is not."""
     as_array(name, value)
     array = np.asarray(value, float)
     if array.ndim != 2 or array.shape[1] != width or not np.all(np.isfinite(array)):
@@ -90,7 +101,7 @@ def as_points(name: str, value: Any, width: int) -> np.ndarray:
 
 
 def even(polygon: np.ndarray, count: int, *, closed: bool) -> np.ndarray:
-    """As many points at equal distances along a polygon; a closed one does not repeat its first point."""
+    """So many points at equal distances along a polygon; a closed one's first point is not repeated."""
     around = np.concatenate([polygon, polygon[:1]]) if closed else polygon
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(around, axis=0), axis=1))])
     at = np.linspace(0.0, along[-1], count + 1)[:-1] if closed else np.linspace(0.0, along[-1], count)
@@ -98,7 +109,7 @@ def even(polygon: np.ndarray, count: int, *, closed: bool) -> np.ndarray:
 
 
 def chosen(outlines: list[np.ndarray], which: int, what: str) -> np.ndarray:
-    """The outline asked for, counting from the largest.
+    """The outline with a given number, counting from the one with the largest bounding box (by its diagonal).
 
     Raises:
         ValueError: If there are not so many.

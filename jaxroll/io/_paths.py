@@ -1,4 +1,4 @@
-"""Files and folders as arguments: what cannot be read or written is said before any work is done."""
+"""Files and folders as arguments: one that cannot be read or written is refused before any work is done."""
 
 import os
 from pathlib import Path
@@ -33,7 +33,11 @@ def readable(path: Path) -> Path:
 
 
 def writable(path: Path) -> Path:
-    """The path, if a file can be written there; its folder is made if need be."""
+    """The path, if a file can be written there; its folder is made if need be.
+
+    Opening for appending is the test, which leaves an existing file as it is; an empty one that it created is
+    removed again.
+    """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         there = path.exists()

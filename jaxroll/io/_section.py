@@ -1,5 +1,10 @@
 """Plane sections of closed triangle meshes.
 
+The plane cuts an edge if its two vertices lie on different sides, and a face in two of its edges or none. So
+the cut edges are the nodes of a graph and the cut faces its links; on a closed mesh every edge has two faces,
+so that every node has two links and the graph falls into rings: the outlines. A vertex in the plane counts as
+above it, which leaves no special cases, but may give points that coincide.
+
 Written here because trimesh takes what lies within 1e-8 of the plane as in it, whatever the unit (a torus cut
 one nanometre below its top has no section), and passes over outlines that do not close.
 """
@@ -51,6 +56,7 @@ def section(vertices: Any, faces: Any, *, origin: Any, normal: Any) -> tuple[np.
             "argument origin must put the plane through the mesh, but along the normal the mesh lies from "
             f"{heights.min():.4g} to {heights.max():.4g} m of it"
         )
+    # Where the height along an edge is zero, by linear interpolation: its ends have opposite signs.
     low, high = heights[nodes].T
     part = (low / (low - high))[:, None]
     cut = (1.0 - part) * arms[nodes[:, 0]] + part * arms[nodes[:, 1]]
@@ -61,6 +67,7 @@ def section(vertices: Any, faces: Any, *, origin: Any, normal: Any) -> tuple[np.
 
 
 def _unit(normal: Any) -> np.ndarray:
+    """The normal scaled to length one."""
     as_array("normal", normal)
     normal = np.asarray(normal, float)
     length = np.linalg.norm(normal)
@@ -72,6 +79,7 @@ def _unit(normal: Any) -> np.ndarray:
 
 
 def _faces(faces: Any, count: int) -> np.ndarray:
+    """The faces as whole numbers of shape (m, 3) below the number of vertices."""
     try:
         faces = np.asarray(faces)
     except (TypeError, ValueError):
@@ -93,6 +101,7 @@ def _faces(faces: Any, count: int) -> np.ndarray:
 
 
 def _axes(normal: np.ndarray) -> np.ndarray:
+    """Two unit vectors u and v = n x u in the plane across a unit normal, as rows."""
     first = np.eye(3)[int(np.argmin(np.abs(normal)))]
     first = first - (first @ normal) * normal
     first = first / np.linalg.norm(first)
@@ -100,7 +109,16 @@ def _axes(normal: np.ndarray) -> np.ndarray:
 
 
 def _cuts(faces: np.ndarray, above: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Edges (k, 2) that the plane cuts, and pairs (m, 2) of them that lie in one face."""
+    """Edges that the plane cuts, and which of them share a face.
+
+    Args:
+        faces: Shape (m, 3), indices of vertices.
+        above: Whether each vertex is above the plane.
+
+    Returns:
+        The cut edges as pairs of vertices, the smaller index first, each once: shape (k, 2). For every cut
+        face the indices of its two cut edges among these: shape (l, 2).
+    """
     edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1)
     cut = above[edges[..., 0]] != above[edges[..., 1]]
     touched = cut.any(axis=1)
@@ -110,7 +128,11 @@ def _cuts(faces: np.ndarray, above: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 
 def _loops(links: np.ndarray, count: int) -> list[np.ndarray]:
-    """Rings of nodes, each of which has exactly two links."""
+    """The rings into which links join `count` nodes, as indices in order.
+
+    Raises:
+        ValueError: If some node has not exactly two links: the mesh is open there.
+    """
     degree = np.bincount(links.ravel(), minlength=count)
     if np.any(degree != 2):
         raise ValueError(
@@ -119,6 +141,7 @@ def _loops(links: np.ndarray, count: int) -> list[np.ndarray]:
         )
     both = np.concatenate([links, links[:, ::-1]])
     beside = both[np.argsort(both[:, 0], kind="stable"), 1].reshape(count, 2)
+    # `beside`: the two neighbours of every node, found by sorting the links of both directions by node.
     fresh, loops = np.ones(count, bool), []
     for start in range(count):
         loop, here = [], start

@@ -1,7 +1,8 @@
 """Points as text (CSV) and as NumPy files; units are the caller's.
 
-`csv` reads and writes the fields. What parts them is found here because `csv.Sniffer` takes the decimal comma
-of "1,5;2,5" for it, and finds nothing in columns aligned by blanks.
+Python's `csv` reads and writes the fields. Which character separates them is decided here line by line,
+because `csv.Sniffer` takes the decimal comma of "1,5;2,5" for the separator, and finds none in columns
+aligned by blanks.
 """
 
 import csv
@@ -14,7 +15,7 @@ from .._results import shown
 
 
 def read_csv(path: Path, columns: tuple[int, int]) -> np.ndarray:
-    """Two columns of a text table; what is after '#' is passed over, and so are lines of words at its head.
+    """Two columns of a text table, shape (n, 2); text after '#' and lines of words at the head are skipped.
 
     Fields are parted by commas, semicolons (then a comma may be the decimal point), tabs or blanks; between
     commas or semicolons they may stand in double quotes.
@@ -40,7 +41,7 @@ def read_csv(path: Path, columns: tuple[int, int]) -> np.ndarray:
 
 
 def _text(path: Path) -> str:
-    """A file's text, in whatever of the usual encodings it is; what has zero bytes is no text."""
+    """A file's text, decoded as UTF-16 if it begins with that mark, else as UTF-8, else as Latin-1."""
     content = path.read_bytes()
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         return content.decode("utf-16", errors="replace")
@@ -53,23 +54,24 @@ def _text(path: Path) -> str:
 
 
 def _fields(line: str) -> list[str]:
-    """The fields of a line; an empty one between two separators stays one."""
+    """The fields of a line, with decimal points; an empty field between two separators is kept as one."""
     line = line.strip()
     if not line:
         return []
     if ";" in line:
         return [field.replace(",", ".") for field in _parted(line, ";")]
     if "," in line and re.fullmatch(r"[^,\s]*,[^,\s]*(\s+[^,\s]*,[^,\s]*)+", line):
-        # Blanks between, and one comma in each: decimal commas, as no table has two separators.
+        # Fields separated by blanks, with one comma in each ("1,5 2,5"): these are decimal commas, since no
+        # table has two separators.
         return [field.replace(",", ".") for field in line.split()]
     return _parted(line, ",") if "," in line else line.split()
 
 
 def _parted(line: str, mark: str) -> list[str]:
-    """The fields between marks; what stands in quotes is one field."""
+    """The fields of a line that a character separates; a separator within quotes does not count."""
     try:
         return [field.strip() for field in next(csv.reader([line], delimiter=mark, skipinitialspace=True))]
-    except csv.Error:  # a field of more than 131 072 characters: no number
+    except csv.Error:  # a field of more than 131 072 characters, which is no number
         return [line]
 
 
@@ -81,14 +83,16 @@ def _number(field: str) -> float | None:
 
 
 def _numbers(fields: list[str], columns: tuple[int, int]) -> list[float] | None:
+    """The finite numbers in the two columns; None unless both are there."""
     row = [_number(fields[i]) for i in columns if i < len(fields)]
     found = [x for x in row if x is not None and np.isfinite(x)]
     return found if len(found) == len(columns) else None
 
 
 def read_npy(path: Path, columns: tuple[int, int]) -> np.ndarray:
-    """Two columns of an array of shape (n, 2 or more)."""
+    """Two columns of an array of shape (n, 2 or more) in an NPY file, shape (n, 2)."""
     try:
+        # A pickle in a file from elsewhere could run any code.
         array = np.load(path, allow_pickle=False)
     except (ValueError, EOFError, OSError) as error:
         raise ValueError(
@@ -106,6 +110,7 @@ def read_npy(path: Path, columns: tuple[int, int]) -> np.ndarray:
 
 
 def _table(points: np.ndarray, path: Path) -> np.ndarray:
+    """The points, if there are any and all are finite."""
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if len(points) == 0 or len(bad):
         what = f"row {bad[0]} was {points[bad[0]].tolist()}" if len(bad) else "there was none"
@@ -114,7 +119,7 @@ def _table(points: np.ndarray, path: Path) -> np.ndarray:
 
 
 def write_csv(path: Path, points: np.ndarray, unit: str) -> None:
-    """A header with the unit, then x and y, to the last digit."""
+    """Write a header with the unit, then a line per point with x and y, in digits that read back exactly."""
     with path.open("w", encoding="utf-8", newline="") as file:
         file.write(f"# x [{unit}], y [{unit}]\n")
         csv.writer(file, lineterminator="\n").writerows(points.tolist())

@@ -1,4 +1,10 @@
-"""Outlines as drawings, SVG and DXF: the only door to svgpathtools and ezdxf."""
+"""Outlines as drawings, SVG and DXF; the only file that imports svgpathtools and ezdxf.
+
+Everything here is in the drawing's own unit; `scale` is the caller's statement of it, in metres, and is
+compared with what the drawing says of itself. A path of straight pieces gives its corners; one with curved
+pieces gives points at equal distances along it: of an SVG on the curve itself, of a DXF on a polygon that
+follows it within 1e-7 of the drawing's size. `_files` calls the readers and writers.
+"""
 
 import contextlib
 from collections.abc import Iterator, Sequence
@@ -12,20 +18,29 @@ from .._results import shown
 from ._extra import missing
 from ._outline import chosen, even
 
-_FINE = 64  # points along a curved piece, from which its length is summed
-# Lengths that an SVG may state, in metres, and a DXF's code of each.
+_FINE = 64  # intervals of the parameter of a curved piece, from which its length is summed
+# Metres in the units in which an SVG may state its width; metres in a DXF's unit by the code that it states
+# ($INSUNITS), and the code of each unit that is written.
 _LENGTHS = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "pt": 0.0254 / 72, "pc": 0.0254 / 6}
 _CODES = {1: 0.0254, 2: 0.3048, 4: 1e-3, 5: 1e-2, 6: 1.0, 8: 2.54e-8, 9: 2.54e-5, 13: 1e-6, 14: 0.1}
 _CODE_OF = {"in": 1, "mm": 4, "m": 6, "um": 13}
 
 
 def read_svg(path: Path, scale: float, which: int, samples: int) -> np.ndarray:
-    """Points of one outline in the drawing's own unit, y up."""
+    """Points of one outline in the drawing's own unit, y up.
+
+    Args:
+        path: The file.
+        scale: Metres in one unit of the drawing, according to the caller.
+        which: Which outline, counting from the largest.
+        samples: Number of points on an outline with curved pieces.
+    """
     try:
         from svgpathtools import Document
     except ImportError:
         raise missing("svgpathtools") from None
     with _read(path):
+        # `paths` applies the transforms of all groups; one path may hold several outlines.
         drawing = Document(str(path))
         pieces = [piece for whole in drawing.paths() for piece in whole.continuous_subpaths() if len(piece)]
     _check_scale(scale, _svg_scale(drawing.tree.getroot(), path), path)
@@ -35,7 +50,7 @@ def read_svg(path: Path, scale: float, which: int, samples: int) -> np.ndarray:
 
 @contextlib.contextmanager
 def _read(path: Path) -> Iterator[None]:
-    """One sentence of whatever a library raises on a file that it cannot read."""
+    """Turn whatever a library raises on a file that it cannot read into one sentence, a ValueError."""
     try:
         yield
     except Exception as error:
@@ -50,13 +65,14 @@ def _svg_scale(root: Any, path: Path) -> float | None:
     size = _LENGTHS.get(width[-2:])
     if size is None:
         return None
-    if len(box) != 4:
+    if len(box) != 4:  # without a viewBox one unit is a pixel of CSS
         return 0.0254 / 96
     with _read(path):
         return float(width[:-2]) * size / float(box[2])
 
 
 def _check_scale(scale: float, stated: float | None, path: Path) -> None:
+    """Raise where the drawing states a unit that differs from the caller's by more than rounding."""
     if stated is not None and abs(scale / stated - 1.0) > 1e-3:
         raise ValueError(
             f"argument unit must agree with {path.name}, which states that one unit is "
@@ -65,11 +81,16 @@ def _check_scale(scale: float, stated: float | None, path: Path) -> None:
 
 
 def _along(piece: Any, samples: int) -> np.ndarray:
-    """Corners of a path of straight pieces; of any other, points at equal distances on the curve itself."""
+    """Corners of a path of straight pieces; of any other, points at equal distances on the curve itself.
+
+    svgpathtools has points as complex numbers, x + iy.
+    """
     closed = bool(piece.isclosed())
     if all(type(segment).__name__ == "Line" for segment in piece):
         corners = np.array([segment.start for segment in piece] + ([] if closed else [piece[-1].end]))
         return np.stack([np.real(corners), np.imag(corners)], axis=1)
+    # Length along the path against its parameter, which is the number of the piece plus the parameter within
+    # it; then the parameters at equal lengths.
     t = np.linspace(0.0, 1.0, _FINE + 1)
     fine = np.array([[segment.point(x) for x in t] for segment in piece])
     steps = np.abs(np.diff(fine, axis=1)).ravel()
@@ -82,7 +103,11 @@ def _along(piece: Any, samples: int) -> np.ndarray:
 
 
 def write_svg(path: Path, points: np.ndarray, scale: float, *, closed: bool) -> None:
-    """One path, y turned down, in a drawing whose size is stated in millimetres."""
+    """Write a polygon as one path, y turned down, in a drawing whose size is stated in millimetres.
+
+    Around it is a margin of a twentieth of its size; the viewBox has the caller's unit, so that the numbers
+    of the path are those of the points.
+    """
     x, y = points.T * np.array([[1.0], [-1.0]])
     margin = 0.05 * max(np.ptp(x), np.ptp(y))
     low = np.array([x.min(), y.min()]) - margin
@@ -103,6 +128,7 @@ def write_svg(path: Path, points: np.ndarray, scale: float, *, closed: bool) -> 
 
 
 def _ezdxf() -> Any:
+    """The library ezdxf, imported with the first use."""
     try:
         import ezdxf
         import ezdxf.path
@@ -112,7 +138,11 @@ def _ezdxf() -> Any:
 
 
 def read_dxf(path: Path, scale: float, which: int, samples: int) -> np.ndarray:
-    """Points of one outline in the drawing's own unit; pieces whose ends meet are joined, two at each."""
+    """Points of one outline in the drawing's own unit.
+
+    Pieces (lines, arcs, splines) whose ends meet are joined to one outline, unless more than two meet at a
+    point. The arguments are those of `read_svg`.
+    """
     ezdxf = _ezdxf()
     kinds = "LWPOLYLINE POLYLINE SPLINE ARC CIRCLE ELLIPSE LINE"
     with _read(path):
@@ -126,6 +156,7 @@ def read_dxf(path: Path, scale: float, which: int, samples: int) -> np.ndarray:
     corners = [(v.x, v.y) for track in tracks for v in track.control_vertices()]
     corners = _finite(np.array(corners), path)
     size = float(np.linalg.norm(np.ptp(corners, axis=0)))
+    # Relative to the drawing: curves are followed to 1e-7 of its size, and ends within 1e-6 of it meet.
     joined = _joined([_flat(track, 1e-7 * size) for track in tracks], 1e-6 * size)
     outlines = []
     for line, curved in joined:
@@ -136,6 +167,7 @@ def read_dxf(path: Path, scale: float, which: int, samples: int) -> np.ndarray:
 
 
 def _finite(points: np.ndarray, path: Path) -> np.ndarray:
+    """The points, if all are finite."""
     if not np.all(np.isfinite(points)):
         raise ValueError(
             f"argument path must name an outline of finite points, but that of {path.name} is not"
@@ -144,12 +176,21 @@ def _finite(points: np.ndarray, path: Path) -> np.ndarray:
 
 
 def _flat(track: Any, distance: float) -> tuple[np.ndarray, bool]:
+    """A path as a polygon that stays within a distance of it, and whether the path has curved pieces."""
     vertices = track.flattening(distance) if track.has_curves else track.control_vertices()
     return np.array([(v.x, v.y) for v in vertices]), bool(track.has_curves)
 
 
 def _joined(lines: Sequence[tuple[np.ndarray, bool]], near: float) -> list[tuple[np.ndarray, bool]]:
-    """Lines, each with whether it is curved, put together where two ends meet; one drawn twice is one."""
+    """Join open polygons where exactly two ends meet; one that was drawn twice counts once.
+
+    Args:
+        lines: Polygons, each with whether it follows a curve.
+        near: Distance below which two ends meet.
+
+    Returns:
+        Polygons, each with whether a part of it follows a curve; those that are closed already come first.
+    """
     from ezdxf import edgeminer
 
     done = [line for line in lines if np.linalg.norm(line[0][0] - line[0][-1]) <= near]
@@ -164,11 +205,13 @@ def _joined(lines: Sequence[tuple[np.ndarray, bool]], near: float) -> list[tuple
         return len(line) == len(twin) and any(np.abs(line - t).max() <= near for t in (twin, twin[::-1]))
 
     deposit = edgeminer.Deposit(edgeminer.filter_coincident_edges(deposit, same), gap_tol=near)
+    # `left` is an ordered set: the order of the outlines must not depend on hashes.
     left = dict.fromkeys(sorted(deposit.edges, key=lambda edge: edge.id))
     while left:
         chain = edgeminer.find_simple_chain(deposit, next(iter(left)))
         for edge in chain:
             del left[edge]
+        # Each part begins where the one before it ended: that point is kept once.
         parts = [edge.payload[0][::-1] if edge.is_reverse else edge.payload[0] for edge in chain]
         whole = np.concatenate([parts[0][:1], *(part[1:] for part in parts)])
         done.append((whole, any(edge.payload[1] for edge in chain)))
@@ -176,7 +219,7 @@ def _joined(lines: Sequence[tuple[np.ndarray, bool]], near: float) -> list[tuple
 
 
 def write_dxf(path: Path, points: np.ndarray, unit: str, *, closed: bool) -> None:
-    """One polyline, in a drawing that states its unit."""
+    """Write a polygon as one polyline, in a drawing that states its unit."""
     ezdxf = _ezdxf()
     drawing = ezdxf.new()
     drawing.header["$INSUNITS"] = _CODE_OF[unit]

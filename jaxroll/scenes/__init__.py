@@ -1,6 +1,8 @@
 """The chapter's scenes, ready to run, and bodies that roll alone.
 
-`_plane_scenes` has those of Parts 1 and 2, `_space_scenes` that of Part 3, `_rolling_bodies` single bodies.
+`_plane_scenes` has those of Parts 1 and 2, a ring of fingers and a roller; `_space_scenes` that of Part 3;
+`_rolling_bodies` single bodies on a surface. Every scene is a grasp and a state at which its contacts are
+closed, as `simulate` takes them; `rectangle` and `cuboid` are objects for the pinches.
 """
 
 from ._plane_scenes import (

@@ -1,4 +1,9 @@
-"""Scenes of the plane: Parts 1 and 2 of the chapter, a ring of fingers, a roller between plates."""
+"""Scenes of the plane: Parts 1 and 2 of the chapter, a ring of fingers, a roller between plates.
+
+Each scene builds shapes, bodies and contacts, makes a rough guess of the state and lets `close` find the
+nearest one at which all contacts are closed. `pinch` and `ring` then start their controller from there, since
+(17) refers to the fingers' orientations at the start.
+"""
 
 import inspect
 from typing import Any
@@ -18,7 +23,7 @@ from ..control import Opposition, orientations, Press
 from ..geometry import AbstractContour, Catenary, check_contour, Circle, Ellipse, Line, Moved, tabled
 from ._scene_arguments import as_pair, as_positive
 
-# Tables 1 and 2.
+# Tables 1 and 2, in SI units.
 LENGTHS = (0.065, 0.065)
 MASSES = (0.045, 0.040)
 INERTIA = 6.6178e-6
@@ -29,8 +34,9 @@ OBJECT_SHIFT = 3.363e-3
 LINKS = ((0.065, 0.039, 0.026), (0.065, 0.065))
 LINK_MASSES = ((0.045, 0.025, 0.015), (0.045, 0.040))
 BASES = ((0.0, 0.0), (0.055, 0.0))
-# Fingers of a ring that XLA compiles within minutes.
+# So many fingers of a ring XLA compiles within minutes.
 _MOST_FINGERS = 16
+# Guess of a pinch: pose of the object [m, m, rad], joints of the left finger and of the right [rad].
 _POSE = (0.0275, 0.115, 0.0, 2.2, -0.9, 0.3, 0.95, 0.85)
 
 
@@ -49,7 +55,7 @@ def pivoted(
     other with the same numbers. The pad of the fingertip faces to the right of the last link: (58)-(59) fix
     how the fingertip's frame turns with $q_1 + q_2$, but not the direction from which that angle counts;
     here, as usual, the link lies along the x axis where it is zero. The chapter states neither base, pivot
-    nor starting contact; the defaults are ours.
+    nor starting contact; the defaults are chosen here.
 
     Args:
         s: Chapter's arclength at the starting contact [m]. By default the object turns by
@@ -70,6 +76,8 @@ def pivoted(
         >>> state.q.shape
         (3,)
     """
+    # (80)-(83): catenaries of parameter 1/(2 * 20) m and 1/(2 * 50) m with vertices at X_0 = 0.035 - 1/40 =
+    # 0.01 m and X = -0.03 + 1/100 = -0.02 m. The fingertip faces +x, the object -x in its own axes.
     reach = (-0.03, 0.03)
     tip = Catenary(1.0 / 40.0, reach).moved((0.01, 0.0))
     face = Catenary(1.0 / 100.0, reach).moved((-0.02, 0.0), np.pi, origin=OBJECT_SHIFT)
@@ -152,10 +160,13 @@ def pinch(
     body = rectangle() if object is None else _free(object)
     shapes = Catenary(1.0 / 40.0, (-0.03, 0.03)).moved((0.01, 0.0)) if tips is None else tips
     pair = as_pair("tips", shapes, AbstractContour, "a contour or a pair of them")
+    # Each tip faces the other finger, at right angles to its last link: a quarter turn to either side.
     fingers = [
         Finger(lengths, masses, Moved(tip, (0.0, 0.0), side * np.pi / 2), base=base)
         for lengths, masses, tip, base, side in zip(LINKS, LINK_MASSES, pair, BASES, (-1, 1), strict=True)
     ]
+    # The chapter's s_i runs along the object's contour on the left face and against it on the right one
+    # (`sense`); on the fingertips, whose contours run the other way at the contact, it has the opposite sign.
     start, contacts = as_floats("s", s, (2,)), []
     for i, (sense, middle) in enumerate(zip((1, -1), _middles(body), strict=True)):
         face = i if len(body.contours) > 1 else 0
@@ -207,7 +218,7 @@ def pinch_ellipse(
 
 
 def _options(given: dict[str, Any], fixed: str) -> dict[str, Any]:
-    """What is passed on to `pinch`, all of it known there but what is fixed here."""
+    """Arguments to pass on to `pinch`; one that it lacks, or that the scene fixes itself, is refused."""
     known = tuple(name for name in inspect.signature(pinch).parameters if name != fixed)
     unknown = [name for name in given if name not in known]
     if unknown:
@@ -260,6 +271,7 @@ def ring(
     for i in range(count):
         angle = 2.0 * np.pi * i / count
         out = np.array([np.cos(angle), np.sin(angle)])
+        # The finger stands outside the object; the base is moved aside, so that the arm is bent.
         rim = _facing("object", body.contours[0], angle)
         inward = _facing("tip", shape, np.pi)
         base = 0.1 * out + 0.02 * np.array([-out[1], out[0]])
@@ -283,14 +295,21 @@ def _opposed(
     *,
     hold_contacts: bool = True,
 ) -> tuple[Grasp, State]:
-    """Close the contacts, then start the control (16)-(17) from there."""
+    """The grasp under the control (16)-(17), started from the nearest state with closed contacts.
+
+    Two grasps are built: the controller needs the orientations of the closed state, and closing needs a
+    grasp.
+    """
     grasp, state = close(Grasp(body, fingers, contacts, gravity=gravity), guess, hold_contacts=hold_contacts)
     opposition = Opposition(beta, **control, start=orientations(grasp, state))
     return Grasp(body, fingers, contacts, controller=opposition, gravity=gravity), state
 
 
 def _middles(body: FreeObject) -> tuple[Any, Any]:
-    """Arclength of the middle of the left and of the right face."""
+    """Arclengths [m] of the middle of the left and of the right face.
+
+    Two contours have s = 0 there; one closed contour is held where it reaches farthest to either side.
+    """
     if len(body.contours) != 1:
         return 0.0, 0.0
     return _facing("object", body.contours[0], np.pi), _facing("object", body.contours[0], 0.0)
@@ -311,12 +330,17 @@ def _facing(name: str, contour: AbstractContour, angle: float) -> Any:
 
 @eqx.filter_jit
 def _farthest(contour: AbstractContour, along: Array) -> Array:
+    r"""Arclength [m] at which a closed contour reaches farthest along a unit vector d.
+
+    There $t(s) \cdot d = 0$; its derivative is $\kappa\, n \cdot d$ with n to the left. Newton's method from
+    the best of 257 places.
+    """
     ready = contour.prepared()
     ends = ready.domain()
     assert ends is not None  # a closed contour has a length
     s = ends[0] + (ends[1] - ends[0]) * jnp.linspace(0.0, 1.0, 257)
     s = s[jnp.argmax(ready.frame(s).point.array() @ along)]
-    for _ in range(6):  # Newton on the slope: tangent across, curvature times normal along
+    for _ in range(6):
         frame, way = ready.frame(s), Vec2(along[0], along[1])
         s = s + frame.tangent.dot(way) / (frame.curvature * frame.tangent.right().dot(way))
     return s
@@ -380,6 +404,8 @@ def roller(
         Jaw(Line(), 10.0 * mass, (0.0, 0.5 * np.pi), base=above, angle=-0.5 * np.pi),
         Jaw(Line(), angle=0.5 * np.pi),
     )
+    # The mass that the plate's drive accelerates: the plate, and the roller, which moves by u/2 and turns by
+    # u/2r: twice their kinetic energy over the square of the plate's speed.
     moved = 10.0 * mass + 0.25 * mass + 0.25 * inertia / radius**2
     grasp = Grasp(
         FreeObject(shape, mass, inertia),

@@ -1,4 +1,10 @@
-"""Single bodies that roll on a fixed or a moving surface: the textbooks' cases, with their closed forms."""
+"""Single bodies that roll on a fixed or a moving surface: the textbooks' cases, with their closed forms.
+
+The body is the `object` of a grasp, the surface the tip of its only finger, a `Stage`. Every start is given
+in closed form, touching and without slip, so that `close` is not needed. Places: coordinates on the stage's
+surface first, then on the body's, each in its own axes. The velocity of a body is that of its centre in the
+world, then its angular velocity in the body's axes.
+"""
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,16 +22,26 @@ _SOLID = 0.4  # k in the inertia k m r^2 of a solid ball
 
 
 def _down(gravity: Given) -> Float[Array, "3"]:
+    """Acceleration of gravity as a vector along -z [m/s^2]."""
     return jnp.stack([jnp.zeros(()), jnp.zeros(()), -as_floats("gravity", gravity, ())])
 
 
 def _ball(radius: Array, mass: Given) -> FreeObject3:
+    """A solid ball of radius [m] and mass [kg]."""
     mass = as_positive("mass", mass)
     return FreeObject3(Sphere(radius), mass, _SOLID * mass * radius**2)
 
 
 def _start(position: Array, velocity: Array, spin: Array, places: Array, *, clock: bool = False) -> State:
-    """A body whose axes are the world's; `spin` in these."""
+    """The state of a body whose axes are those of the world.
+
+    Args:
+        position: Of the centre [m].
+        velocity: Of the centre [m/s].
+        spin: Angular velocity [rad/s].
+        places: Of the contact, on the stage and on the body.
+        clock: Whether the stage moves, and so has a clock as its coordinate, which starts at 0.
+    """
     upright, ticking = jnp.array([1.0, 0.0, 0.0, 0.0]), jnp.zeros(int(clock))
     q = jnp.concatenate([position, upright, ticking])
     return State(q, jnp.concatenate([velocity, spin]), places)
@@ -65,7 +81,7 @@ def turntable(
     vx, vy = as_floats("velocity", velocity, (2,))
     r, zero = as_length("radius", radius), jnp.zeros(())
     omega, spin = as_floats("rate", rate, ()), as_floats("spin", spin, ())
-    # No slip: v - r w x z = Omega z x X.
+    # No slip at the lowest point: v + w x (-r z) = Omega z x X.
     w = jnp.stack([-(vy - omega * x) / r, (vx + omega * y) / r, spin])
     grasp = Grasp(_ball(r, mass), Stage(Plane(), Turning(omega)), Contact3(), gravity=_down(gravity))
     places = jnp.stack([x, y, zero, zero, zero, -r])
@@ -101,6 +117,7 @@ def tube(
     """
     r, out, n = as_length("radius", radius), as_length("bore", bore), as_floats("rate", rate, ())
     check_below("radius", r, "bore", out)
+    # No slip at the wall: v + w x (r, 0, 0) = 0, v = (0, (out - r) n, climb); w_x, about the normal, is free.
     zero, climb = jnp.zeros(()), as_floats("climb", climb, ())
     w = jnp.stack([as_floats("spin", spin, ()), climb / r, -(out - r) * n / r])
     wall = Stage(Hollow(Cylinder(out)))
@@ -127,6 +144,7 @@ def incline(
         (6,)
     """
     r, alpha, zero = as_length("radius", radius), as_floats("slope", slope, ()), jnp.zeros(())
+    # The plane is turned about y by alpha; it passes through the origin, where the ball starts touching it.
     normal = jnp.stack([jnp.sin(alpha), zero, jnp.cos(alpha)])
     turn = jnp.stack([jnp.cos(0.5 * alpha), zero, jnp.sin(0.5 * alpha), zero])
     floor = Stage(Plane(), rotation=turn)
@@ -178,8 +196,10 @@ def wheel(
     lever = a * sin + rho
     moment = across * sin * cos * turn**2 - m * g * a * cos + m * turn**2 * rho * sin * cos * lever
     w3 = moment / (turn * (about * sin + m * (a + rho * sin) * lever))
+    # No slip: the centre goes round the z axis at the precession's rate, at this distance (with a sign).
     centre = (w3 * (a + rho * sin) - turn * rho * sin * cos) / turn
-    # Body axes h, u, e: the rim touches below the centre, along -u.
+    # Body axes: h horizontal, u up along the disc, e the axis. The pose turns them about x, which is h, by
+    # theta. The rim touches below the centre: along -u to the circle of its centres, from there along -z.
     spin = jnp.stack([zero, turn * sin, w3])
     touching = -a * jnp.stack([zero, 1.0 + zero, zero]) - rho * jnp.stack([zero, sin, cos])
     body = FreeObject3(Torus(a, rho), m, jnp.stack([across, across, about]))
@@ -208,7 +228,7 @@ def rattleback(
     and Levinson (1982).
 
     Args:
-        spin: About the vertical, at the start [rad/s].
+        spin: About the body's z axis, which is vertical but for the tilt, at the start [rad/s].
         tilt: Start of the tilt about the long axis [rad].
         skew: By which the principal axes are turned from the shape's [rad].
         axes: Semi-axes [m], shape (3,).
@@ -232,11 +252,13 @@ def rattleback(
     tensor = turn @ jnp.diag(check_positive("inertia", moments)) @ turn.T
     body = FreeObject3(shape, mass, 0.5 * (tensor + tensor.T))
     grasp = Grasp(body, Stage(Plane()), Contact3(), gravity=_down(gravity))
-    # The lowest point of an ellipsoid, from its support function at the vertical in body axes.
+    # The point of an ellipsoid that is farthest along -up: -A up / sqrt(up . A up) with A = diag(axes^2).
     up = jnp.stack([zero, 2.0 * jnp.sin(half) * jnp.cos(half), jnp.cos(2.0 * half)])
     squares = lengths**2
     lowest = -squares * up / jnp.sqrt(jnp.sum(squares * up**2))
     arm = lowest + jnp.stack([zero, zero, low])
+    # `arm`: from the centre of mass to the contact. The centre's height is such that the contact has height
+    # zero, its velocity -w x arm such that it is at rest there.
     q = jnp.stack([zero, zero, -arm @ up, jnp.cos(half), jnp.sin(half), zero, zero])
     about = jnp.stack([zero, zero, as_floats("spin", spin, ())])
     tilted = pose_at(Vec3(zero, zero, zero), (q[3], q[4], zero, zero))

@@ -1,4 +1,4 @@
-"""What the scenes' functions ask of their arguments."""
+"""Checks of arguments that several scenes share."""
 
 from typing import Any
 

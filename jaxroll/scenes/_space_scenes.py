@@ -1,4 +1,8 @@
-"""Part 3 of the chapter: a pinch in space (Figs. 19 and 20)."""
+"""Part 3 of the chapter: a pinch in space (Figs. 19 and 20).
+
+Fingertips are balls and the object a cuboid, unless others are given. As in the plane, the joints of a guess
+are given by hand, and `close` moves everything from there until the contacts are closed.
+"""
 
 from typing import Literal
 
@@ -15,12 +19,13 @@ from ..geometry import AbstractSurface, Plane, Sphere
 from ._scene_arguments import as_pair, as_positive
 
 # The chapter gives no numbers: the links of Table 1 on a short first one that swings out of the plane.
-_AXES = ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 1.0))
-_LINKS = ((0.0, 0.010, 0.0), (0.0, 0.065, 0.0), (0.0, 0.065, 0.0))
-_MASSES = (0.015, 0.045, 0.040)
-_SPAN = 0.0275
-_CENTRE = (0.0, 0.115, 0.0)
-# Joints that bring the tips to (-+0.025, 0.113, +-0.004).
+_AXES = ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 1.0))  # of the three joints
+_LINKS = ((0.0, 0.010, 0.0), (0.0, 0.065, 0.0), (0.0, 0.065, 0.0))  # from joint to joint [m]
+_MASSES = (0.015, 0.045, 0.040)  # [kg]
+_SPAN = 0.0275  # half the distance of the bases [m]
+_CENTRE = (0.0, 0.115, 0.0)  # of the object in the guess [m]
+# Joint angles [rad] that bring the left tip to about (-0.025, 0.113, 0.004) m. Their negatives bring the
+# right one to (0.025, 0.113, -0.004) m.
 _JOINTS = (0.035, 0.63, -1.31)
 
 
@@ -40,6 +45,7 @@ def cuboid(width: Given = 0.03, height: Given = 0.05, depth: Given = 0.05, mass:
     """
     given = {"width": width, "height": height, "depth": depth}
     edges, mass = jnp.stack([as_length(*item) for item in given.items()]), as_positive("mass", mass)
+    # A plane's normal is its z axis: quarter turns about -y and +y take it to -x and +x.
     half, zero, turn = 0.5 * edges[0], jnp.zeros_like(edges[0]), np.sqrt(0.5)
     left = Plane().moved(jnp.stack([-half, zero, zero]), (turn, 0.0, -turn, 0.0))
     right = Plane().moved(jnp.stack([half, zero, zero]), (turn, 0.0, turn, 0.0))
@@ -93,8 +99,10 @@ def pinch3d(
         Finger3(_AXES, _LINKS, _MASSES, tip, base=(side * _SPAN, 0.0, 0.0))
         for tip, side in zip(pair, (-1.0, 1.0), strict=True)
     ]
+    # Two surfaces: a finger on each; a single one that goes all round is touched by both.
     faces = range(2) if len(body.surfaces) > 1 else (0, 0)
     contacts = [Contact3(i, face, spin=spin, friction=friction) for i, face in enumerate(faces)]
+    # Guesses of the places: points in the bodies' own axes, roughly where tip and object face each other.
     places = []
     for tip, face, side in zip(pair, faces, (-1.0, 1.0), strict=True):
         start = np.array([0.025 * side, -0.002, -0.004 * side])
@@ -103,5 +111,6 @@ def pinch3d(
     q = np.concatenate([_CENTRE, (1.0, 0.0, 0.0, 0.0), joints, -joints])
     guess = State(jnp.asarray(q), jnp.zeros(12), jnp.concatenate(places))
     grasp, state = close(Grasp(body, fingers, contacts, gravity=gravity), guess, hold_contacts=False)
+    # Without alpha the values of `start` have no effect; its length says how many fingers there are.
     control = Opposition(beta, damping, start=jnp.zeros(2))
     return Grasp(body, fingers, contacts, controller=control, gravity=gravity), state

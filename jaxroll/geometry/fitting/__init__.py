@@ -1,8 +1,11 @@
-"""Contours and surfaces through a caller's points.
+"""Contours and surfaces through a caller's points. All of it is set-up, outside `jit`.
 
-`_clean_points`, `_ordering` and `_crossings` check and order raw points, `_smoothing` says how much to
-smooth them, `_contour_fit` makes a contour of them, and a report. `_surface_fit` makes a surface of a cloud
-of points: normals by `_surface_normals`, a field of space by `_field_fit`.
+In the plane: `_clean_points` checks raw points and puts them in order, with the help of `_ordering` (an order
+where there is none) and `_crossings` (does the polygon cross itself); `_smoothing` finds how much to smooth
+them from the noise; `_contour_fit` makes a contour of them, and a report.
+
+In space: `_surface_fit` makes a surface of a cloud of points and a report, with normals by `_surface_normals`
+and the least-squares problem for a scalar field by `_field_fit`.
 """
 
 from ._clean_points import (

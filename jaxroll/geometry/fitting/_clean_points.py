@@ -1,4 +1,11 @@
-"""Raw points made fit for a contour, on the host: what cannot be one smooth contour is refused here."""
+"""Raw points made fit for a contour, in NumPy: what cannot be one smooth contour is refused here.
+
+In this order: units, duplicates, order (`_ordering`), direction, spacing, corners, self-crossings
+(`_crossings`). What no contour can be made of raises one sentence; what is merely doubtful becomes a warning.
+Thresholds are relative to the median spacing or to the turning at neighbouring points, so that they hold for
+any size and any number of points. `_contour_fit` fits a contour to the result, and repeats the warnings in
+its report.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,7 +20,7 @@ from ._ordering import order_points, place_text, turnings
 
 UNITS = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
 _FEWEST = 6  # as many as a quintic has coefficients
-_SAME = 1e-9  # of the diameter: nearer points are one point
+_SAME = 1e-9  # times the larger extent: points nearer than that are one point
 
 
 @dataclass(frozen=True)
@@ -98,6 +105,8 @@ def clean_points(
     if indices is not None:
         kept = kept[indices]
     against, doubt = _against(kept, closed=closed, reordered=indices is not None)
+    # A closed contour's direction follows from its points; `reverse` has a meaning for open ones alone. The
+    # shift by one keeps the first point of a closed contour first.
     if against != (reverse and not closed):
         kept = np.roll(kept[::-1], 1, axis=0) if closed else kept[::-1]
     _check_spacing(kept, closed=closed)
@@ -108,6 +117,7 @@ def clean_points(
 
 
 def _checked(points: Any) -> np.ndarray:
+    """The points as finite numbers of shape (n, 2), at least six of them."""
     array = numbers("points", points, 2)
     _check_number(array)
     return array
@@ -121,11 +131,17 @@ def _check_number(points: np.ndarray) -> None:
 
 
 def _check_one_unit(points: np.ndarray, *, closed: bool) -> None:
-    """Rows of different units fall into two groups of sizes; columns of different units make a needle."""
+    """Refuse points in mixed units.
+
+    Rows in different units fall into two groups by their distance from the origin, with a factor of 100 or
+    more between the groups; columns in different units make a closed contour a hundred times longer than
+    wide.
+    """
     sizes = np.sort(np.linalg.norm(points, axis=1))
     sizes = sizes[sizes > 0.0]
     ratios = sizes[1:] / sizes[:-1]
     jump = int(np.argmax(ratios)) if len(ratios) else 0
+    # A single point near the origin is no group: any contour may pass close by it.
     if len(ratios) and jump >= 1 and ratios[jump] >= 100.0:
         raise ValueError(
             f"argument points must be in one unit, but {jump + 1} lie within {sizes[jump]:.3g} m of the "
@@ -140,18 +156,23 @@ def _check_one_unit(points: np.ndarray, *, closed: bool) -> None:
 
 
 def _distinct(points: np.ndarray, *, closed: bool, anywhere: bool) -> np.ndarray:
-    """Indices of points that do not repeat the one before, or any before."""
+    """Indices of the points that do not repeat the point before them or, with `anywhere`, any before them.
+
+    Within a given order only neighbours are duplicates: a second pass through the same point is a crossing.
+    Where an order is to be found, points are compared by their cell in a grid, which takes O(n log n) time.
+    """
     size = _SAME * max(float(np.ptp(points, axis=0).max()), np.finfo(float).tiny)
     if anywhere:
         cells = np.round((points - points.min(axis=0)) / size).astype(np.int64)
         return np.sort(np.unique(cells, axis=0, return_index=True)[1])
     kept = np.flatnonzero(np.append(True, np.linalg.norm(np.diff(points, axis=0), axis=1) > size))
+    # A closed outline often repeats its first point at the end.
     meet = closed and len(kept) > 1 and np.linalg.norm(points[kept[-1]] - points[0]) <= size
     return kept[:-1] if meet else kept
 
 
 def _order(points: np.ndarray, *, closed: bool, ordered: bool | None) -> np.ndarray | None:
-    """Indices that put the points in order, and leave out those met before; None to leave all as it is."""
+    """Indices that put the points in order without repetitions; None to keep them as they are."""
     if ordered:
         return None
     places = _distinct(points, closed=closed, anywhere=True)
@@ -159,12 +180,19 @@ def _order(points: np.ndarray, *, closed: bool, ordered: bool | None) -> np.ndar
     indices = order_points(points[places], closed=closed, ordered=ordered)
     if indices is not None:
         return places[indices]
-    # Points that went round more than once are kept once; one that was met again is a crossing.
+    # The given order is plausible. If the distinct points are the first ones, and the many others repeat
+    # them, the points go round more than once, and the first round is kept. A few repetitions stay: they are
+    # crossings, which `_crossed` judges.
     return places if len(places) <= 0.6 * len(points) and places[-1] == len(places) - 1 else None
 
 
 def _against(points: np.ndarray, *, closed: bool, reordered: bool) -> tuple[bool, list[str]]:
-    """Whether to turn the points round: closed ones that run clockwise, open ones of unknown direction."""
+    """Whether the points run against the convention of a body on the left, and what is doubtful about that.
+
+    A closed contour runs clockwise if its area is negative. The direction of an open one is the caller's; if
+    its order was found here it has none, and it is turned to bend to the left as a whole, which puts the body
+    on the inside of the bend.
+    """
     if closed:
         return polygon_area(points) < 0.0, []
     if not reordered:
@@ -176,12 +204,16 @@ def _against(points: np.ndarray, *, closed: bool, reordered: bool) -> tuple[bool
 
 
 def _steps(points: np.ndarray, *, closed: bool) -> np.ndarray:
+    """Distances [m] of each point from the next; of a closed polygon also of the last from the first."""
     return np.linalg.norm(np.diff(points, axis=0, append=points[:1] if closed else points[:0]), axis=1)
 
 
 def _check_spacing(points: np.ndarray, *, closed: bool) -> None:
+    """Refuse a point far off all others, and a closed contour with a gap in it."""
     steps = _steps(points, closed=closed)
     typical, longest = float(np.median(steps)), int(np.argmax(steps))
+    # Distance of every point from the nearer of its two neighbours: large for a stray point alone, while a
+    # gap makes only one of the two distances large.
     beside = np.minimum(steps, np.roll(steps, 1)) if closed else np.minimum(steps[1:], steps[:-1])
     lonely = int(np.argmax(beside))
     if beside[lonely] > 20.0 * typical:
@@ -190,6 +222,7 @@ def _check_spacing(points: np.ndarray, *, closed: bool) -> None:
             f"argument points must lie on one curve in one unit, but the point {place_text(points[row])} "
             f"lies {1e3 * beside[lonely]:.3g} mm from its neighbours, which are {1e3 * typical:.3g} mm apart"
         )
+    # One gap is longer than all others: several long steps are a coarse sampling of straight sides.
     second = float(np.partition(steps, -2)[-2])
     if closed and steps[longest] > max(5.0 * typical, 2.0 * second):
         start, end = place_text(points[longest]), place_text(points[(longest + 1) % len(points)])
@@ -201,6 +234,7 @@ def _check_spacing(points: np.ndarray, *, closed: bool) -> None:
 
 
 def _size(points: np.ndarray) -> list[str]:
+    """Warn of a size beyond 0.1 mm to 1 m, which suggests a wrong unit."""
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
     if 1e-4 <= size <= 1.0:
         return []
@@ -210,6 +244,7 @@ def _size(points: np.ndarray) -> list[str]:
 
 
 def _spacing(points: np.ndarray, *, closed: bool) -> list[str]:
+    """Warn of steps of which the longest is more than five times the shortest."""
     steps = _steps(points, closed=closed)
     if steps.max() <= 5.0 * steps.min():
         return []
@@ -220,9 +255,15 @@ def _spacing(points: np.ndarray, *, closed: bool) -> list[str]:
 
 
 def _bends(points: np.ndarray, *, closed: bool) -> list[str]:
-    """Refuse points that turn back; warn of corners and of noise as large as the spacing."""
+    """Refuse points that turn back; warn of corners and of noise as large as the spacing.
+
+    The turning at a point of a smooth curve is its curvature times the spacing. A corner turns by its angle
+    however fine the spacing is, and so stands out from the turning at the points around it.
+    """
     angles = turnings(points, closed=closed)
     sizes = np.abs(angles)
+    # A closed polygon of n points turns by 360 degrees / n in the mean: with more than 16 points a median
+    # above 36 degrees is noise, not shape.
     if np.median(sizes) > np.pi / 5 and len(points) > 16:
         return ["The points turn to and fro from one to the next: their noise is as large as their spacing."]
     usual = _beside(sizes, closed=closed, measure=np.median)
@@ -232,6 +273,7 @@ def _bends(points: np.ndarray, *, closed: bool) -> list[str]:
             f"argument points must follow a smooth contour, but turn back by "
             f"{np.rad2deg(sizes[worst]):.0f} degrees (a cusp) at {place_text(points[worst])}"
         )
+    # A sharp corner lies in one point; of a corner that was cut off between two points each has a part.
     pairs = np.abs(angles + np.roll(angles, -1))
     sharp = (sizes > np.pi / 6) & (sizes > 5.0 * usual)
     chamfer = (pairs > np.pi / 3) & (pairs > 5.0 * usual)
@@ -239,6 +281,7 @@ def _bends(points: np.ndarray, *, closed: bool) -> list[str]:
     if not len(corners):
         return []
     worst = int(corners[np.argmax(sizes[corners])])
+    # Flagged points next to each other, or with one point between them, belong to the same corner.
     gaps = np.diff(corners, append=corners[:1] + len(sizes))
     count = max(1, int(np.sum((gaps if closed else gaps[:-1]) > 2)) + (0 if closed else 1))
     return [
@@ -249,7 +292,10 @@ def _bends(points: np.ndarray, *, closed: bool) -> list[str]:
 
 
 def _beside(values: np.ndarray, *, closed: bool, measure: Callable) -> np.ndarray:
-    """A measure of the values near each one, itself and its two neighbours left out."""
+    """A measure of the eight values around each one, its own and those of its two neighbours left out.
+
+    They are left out because a corner may extend over them.
+    """
     reach = [i for i in range(-5, 6) if abs(i) > 1]
     rows = np.arange(len(values))[:, None] + np.array(reach)
     rows = rows % len(values) if closed else np.clip(rows, 1, len(values) - 2)
@@ -257,10 +303,11 @@ def _beside(values: np.ndarray, *, closed: bool, measure: Callable) -> np.ndarra
 
 
 def _crossed(points: np.ndarray, *, closed: bool) -> list[str]:
-    """Refuse a polygon that crosses itself; loops no larger than a few spacings are noise."""
+    """Refuse a polygon that crosses itself; warn if all its loops are small, as noise makes them."""
     pairs = crossings(points, closed=closed)
     if not len(pairs):
         return []
+    # Number of sides in the loop that a crossing cuts off.
     apart = pairs[:, 1] - pairs[:, 0]
     if closed:
         apart = np.minimum(apart, len(points) - apart)

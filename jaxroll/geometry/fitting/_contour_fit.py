@@ -1,4 +1,9 @@
-"""From raw points to a contour, with a report of how well it fits and what is doubtful."""
+"""From raw points to a contour, with a report of how well it fits and what is doubtful.
+
+`fit_contour` cleans the points (`_clean_points`), fits a contour of the wanted kind (`FIELDS`), makes sure
+that its table can be built, and measures the result: distances of the points, curvature, self-crossings. How
+much to smooth a spline is found by `_smoothing`; the kinds of contours are those of `geometry/contours`.
+"""
 
 import textwrap
 from collections.abc import Callable
@@ -20,10 +25,12 @@ from ._crossings import crossings
 from ._ordering import place_text
 from ._smoothing import smoothing_for
 
-_SAMPLES = 2048
-_CELLS = (4096, 16384, 65536)  # where the usual number does not do
-_DENSE = 512  # points above which a smoothing spline has fewer knots than points
-_TERMS = (3, 4, 6, 8, 11, 15, 20)  # of a support function
+_SAMPLES = 2048  # intervals between the places at which a contour is measured
+# Cells of a spline's table where the default, 1024, is too few. `_resolved` gives up before it tries the
+# last.
+_CELLS = (4096, 16384, 65536)
+_DENSE = 512  # most knots of a smoothing spline, unless told; the cost grows with their cube
+_TERMS = (3, 4, 6, 8, 11, 15, 20)  # numbers of Fourier terms of a support function, tried in turn
 
 
 @dataclass(frozen=True)
@@ -119,7 +126,9 @@ Maker = Callable[[np.ndarray, _Wish], tuple[AbstractContour, float]]
 
 
 def _spline(points: np.ndarray, wish: _Wish) -> tuple[AbstractContour, float]:
+    """A spline, through every point without noise, otherwise smoothed as `smoothing_for` finds it."""
     smoothing, knots = wish.smoothing, wish.knots
+    # Order matters: whether there is any smoothing decides on the knots, and the knots on how much.
     if smoothing is None and wish.noise == 0.0:
         smoothing = 0.0
     if knots is None and smoothing != 0.0 and len(points) > _DENSE:
@@ -131,7 +140,10 @@ def _spline(points: np.ndarray, wish: _Wish) -> tuple[AbstractContour, float]:
 
 
 def _support(points: np.ndarray, wish: _Wish) -> tuple[AbstractContour, float]:
-    """As few terms as the noise explains; without noise all that the points determine, within reason."""
+    """A support function of as few terms as leave residuals no larger than the noise.
+
+    Without noise it has as many terms as there may be at all: 20, or a third of the number of points.
+    """
     most = min(_TERMS[-1], (len(points) - 1) // 3)
     tried = [terms for terms in _TERMS if terms < most] if wish.noise else []
     for terms in (*tried, most):
@@ -143,6 +155,8 @@ def _support(points: np.ndarray, wish: _Wish) -> tuple[AbstractContour, float]:
 
 
 def _network(kind: type[NeuralSupport] | type[NeuralCurvature]) -> Maker:
+    """A maker of networks of one kind; training stops at residuals as small as the noise, or 1e-8 m."""
+
     def make(points: np.ndarray, wish: _Wish) -> tuple[AbstractContour, float]:
         return kind.through(points, key=jax.random.key(0), tolerance=wish.noise or 1e-8), 0.0
 
@@ -226,13 +240,18 @@ def fit_contour(
 
 
 def _resolved(contour: AbstractContour) -> AbstractContour:
-    """The contour with as many cells as its table needs, up to a hundredfold the usual number."""
+    """The contour with as many cells as its table needs: 1024, 4096 or 16384 for a spline.
+
+    A table is refused with a sentence about `cells` where the contour bends too sharply for its cells.
+    Contours of other kinds are not changed.
+    """
     for cells in _CELLS:
         try:
             tabled(contour)
         except ValueError as error:
             if not str(error).startswith("argument cells") or not isinstance(contour, Spline):
                 break
+            # The number of cells is a static field: a new contour of the same points and smoothing.
             options = {"closed": contour.closed, "knots": contour.knots, "cells": cells}
             contour = Spline(contour.points, smoothing=contour.wavelength, **options)
         else:
@@ -244,12 +263,13 @@ def _resolved(contour: AbstractContour) -> AbstractContour:
 
 
 def _check_length(name: str, value: Any, most: float) -> None:
+    """Raise unless a length is None or lies between 0 and `most` [m]."""
     if value is None:
         return
     try:
         seen = float(as_floats(name, value, ()))
     except ValueError as error:
-        if "finite" in str(error):  # the bounds say it better
+        if "finite" in str(error):  # infinity and NaN: the sentence below, with the bounds, says more
             seen = float(value)
         else:
             raise ValueError(f"argument {name} must be a length in metres, but was {shown(value)}") from None
@@ -258,6 +278,7 @@ def _check_length(name: str, value: Any, most: float) -> None:
 
 
 def _reported(contour: AbstractContour, clean: CleanPoints, field: str, smoothing: float) -> Fit:
+    """The fit with its report: the contour measured, and what the numbers make doubtful."""
     points = jnp.asarray(clean.points)
     feet, distances, outline, curvatures, ends = measured(tabled(contour), points)
     outline, curvatures, distances = (np.asarray(x) for x in (outline, curvatures, distances))
@@ -290,11 +311,13 @@ def _reported(contour: AbstractContour, clean: CleanPoints, field: str, smoothin
 
 
 def _inflections(curvatures: np.ndarray, *, closed: bool) -> int:
+    """How often the curvature changes sign; values below 1 % of the largest are left out as rounding."""
     signs = np.sign(curvatures[np.abs(curvatures) > 0.01 * np.abs(curvatures).max()])
     return int(np.sum(signs[1:] != signs[:-1])) + int(closed and signs[0] != signs[-1])
 
 
 def _doubts(report: FitReport, points: np.ndarray, distances: np.ndarray) -> list[str]:
+    """Warnings about the fitted contour, as sentences."""
     spacing = float(np.median(np.linalg.norm(np.diff(points, axis=0), axis=1)))
     doubts, radius = [], report.radius
     if report.self_intersecting:
@@ -322,7 +345,8 @@ def _doubts(report: FitReport, points: np.ndarray, distances: np.ndarray) -> lis
 def measured(contour: AbstractContour, points: Array) -> tuple[Array, Array, Array, Array, Array]:
     r"""Feet [m] and distances [m] of points; outline [m] and curvatures [1/m] at 2049 places; both ends [m].
 
-    A foot is Newton's method on $(p - c(s)) \cdot t(s) = 0$ from the nearest of those places.
+    A foot solves $(p - c(s)) \cdot t(s) = 0$, by Newton's method from the nearest of those places. The slope
+    of the left side is $-(1 - \kappa\,(p - c) \cdot n)$ with the normal n to the left.
     """
     ready = contour.prepared()
     domain = ready.domain()
@@ -336,11 +360,14 @@ def measured(contour: AbstractContour, points: Array) -> tuple[Array, Array, Arr
     def near(point: Array) -> Array:
         return places[jnp.argmin(jnp.sum((outline - point[None, :]) ** 2, axis=-1))]
 
+    # In blocks of 256 points: all at once would hold n times 2049 distances.
     start = jax.lax.map(near, points, batch_size=256)
     first, last = start - step, start + step
     if not contour.closed:
         first, last = jnp.maximum(first, low), jnp.minimum(last, high)
     s = start
+    # Four quadratic steps from within half a cell reach rounding. A foot stays between the neighbours of its
+    # place; the slope is kept from zero for points near the centre of curvature, whose foot is not unique.
     for _ in range(4):
         frame = ready.frame(s)
         x, y = points[:, 0] - frame.point.x, points[:, 1] - frame.point.y

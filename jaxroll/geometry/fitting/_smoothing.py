@@ -1,4 +1,14 @@
-"""How much to smooth: the wavelength of a smoothing spline, from the noise level or the data alone."""
+r"""How much to smooth: the wavelength of a smoothing spline, from the noise level or the data alone.
+
+With the basis' values B at the n points, $N = B^T B/n$ and its roughness $R = \int B''' B'''^T du$, the
+spline of wavelength $\ell$ (see `Spline`) is $H p$ with $H = B (N + \lambda R)^{-1} B^T / n$, $\lambda =
+(\ell/2\pi)^6 / L$. The generalised eigenvectors of $R x_k = \mu_k N x_k$ make $H$ diagonal for all $\ell$ at
+once: its eigenvalues are $1/(1 + \lambda \mu_k)$. So one decomposition serves 600 trial wavelengths, and
+residuals and $\mathrm{tr}\,H$ of each are sums.
+
+`_contour_fit` calls `smoothing_for` where the caller gives no wavelength; its matrices come from
+`spline_basis`.
+"""
 
 import functools
 
@@ -10,7 +20,9 @@ from ..._results import as_floats, check_choice, check_flag, concrete
 from ..._types import Given
 from ..contours import chords, knot_count, spline_basis
 
+# Wavelengths tried, in geometric progression.
 _TRIALS = 600
+# See `_spectrum`.
 Spectrum = tuple[np.ndarray, np.ndarray, float]
 
 
@@ -66,30 +78,42 @@ def smoothing_for(
         return 0.0
     matrix, rough, length = (np.asarray(x) for x in _forms(given, knots, degree, closed))
     spectrum, energy, lost = _spectrum(matrix, rough, data)
+    # From half the shortest wavelength that the knots can follow (two knots a wave), which smooths almost
+    # nothing, to the length of the contour.
     shortest = 2.0 * length / matrix.shape[1]
     waves = np.geomspace(0.5 * shortest, length, _TRIALS)
+    # Rows: wavelengths; columns: eigenvalues of H. Its trace is their sum, and of the data's component along
+    # an eigenvector the residual has the share 1 - 1/(1 + lambda mu).
     shrunk = 1.0 / (1.0 + ((waves / (2.0 * np.pi)) ** 6 / length)[:, None] * spectrum[None, :])
     freedom = len(data) - shrunk.sum(axis=1)
     squares = (1.0 - shrunk) ** 2 @ energy + lost
     if noise is None:
         return float(waves[np.argmin(squares / freedom**2)])
+    # The criterion of the docstring less a constant: -freedom is tr H - n. Both coordinates have noise, so
+    # that the factor is 4, not 2.
     return float(waves[np.argmin(squares - 4.0 * noise**2 * freedom)])
 
 
 @functools.partial(jax.jit, static_argnums=(1, 2, 3))
 def _forms(points: Array, knots: int | None, degree: int, closed: bool) -> tuple[Array, Array, Array]:
-    """Values of the basis at the data, its roughness, and the length of the chords: one program."""
+    """Values B of the basis at the data, its roughness R, and the length L of the polygon [m]."""
     u = chords(points, closed)
     functions = spline_basis(u, knots, degree, closed=closed)
     return functions.matrix(u[: points.shape[0]]), functions.roughness(), u[-1]
 
 
 def _spectrum(matrix: np.ndarray, rough: np.ndarray, data: np.ndarray) -> Spectrum:
-    """Roughness of the fit's independent shapes, the data's squared share of each, and of none."""
+    r"""Eigenvalues of roughness, and how the data divide among the eigenvectors.
+
+    Returns:
+        The eigenvalues $\mu_k$; the sum over both coordinates of the squared component of the data along
+        each eigenvector [m^2]; and the squares [m^2] of what no spline on these knots can represent.
+    """
     from scipy.linalg import eigh  # set-up only: imported with the first use
 
     normal = matrix.T @ matrix / len(data)
     levels, shapes = eigh(rough, normal)
+    # SciPy normalises x^T N x = 1, so that the vectors B x / sqrt(n) are orthonormal.
     share = shapes.T @ (matrix.T @ data) / np.sqrt(len(data))
     energy = (share**2).sum(axis=1)
     return np.maximum(levels, 0.0), energy, max(float((data**2).sum() - energy.sum()), 0.0)

@@ -1,13 +1,21 @@
-"""Outward normals of a cloud of points, from their neighbours. Set-up: NumPy and SciPy."""
+"""Outward normals of a cloud of points, from their neighbours. Set-up: NumPy and SciPy.
+
+The normal at a point is that of the plane through its neighbours, whose sign is open. Signs are made to agree
+along a tree that connects all points, and then turned together so that the enclosed volume is positive (Hoppe
+et al., 1992). `_surface_fit` uses the result where the caller has no normals, and the areas always.
+"""
 
 import numpy as np
 
-_PLANE = 24  # neighbours of a local plane
-_LINKS = 10  # neighbours along which orientation spreads
+_PLANE = 24  # points of a local plane, the one in the middle included
+_LINKS = 10  # nearest neighbours to which a point may be linked in the tree
 
 
 def neighbourhoods(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Each point's neighbours, itself first, shape (n, 24), and the area it stands for [m^2]."""
+    """Each point's neighbours, itself first, shape (n, 24), and the area it stands for [m^2], shape (n,).
+
+    The area of a disc that reaches to the farthest neighbour, divided by the number of neighbours.
+    """
     from scipy.spatial import KDTree
 
     distances, neighbours = KDTree(points).query(points, k=min(_PLANE, len(points)))
@@ -23,10 +31,12 @@ def estimated(points: np.ndarray, neighbours: np.ndarray) -> np.ndarray:
     Raises:
         ValueError: If the cloud falls into parts.
     """
+    # The direction in which the neighbours scatter least: eigenvalues come in rising order.
     near = points[neighbours] - points[neighbours].mean(axis=1, keepdims=True)
     _, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", near, near))
     normals = axes[:, :, 0]
     order, before = _tree(normals, neighbours)
+    # The order is breadth first, so that each point comes after its predecessor, whose sign is settled.
     for i in order[1:]:
         if normals[i] @ normals[before[i]] < 0.0:
             normals[i] = -normals[i]
@@ -34,19 +44,30 @@ def estimated(points: np.ndarray, neighbours: np.ndarray) -> np.ndarray:
 
 
 def outward(points: np.ndarray, normals: np.ndarray, areas: np.ndarray) -> np.ndarray:
-    """Normals turned round together if they point into the closed body: its volume must be positive."""
+    """Normals turned round together if they point into the closed body.
+
+    By Gauss's theorem three times its volume is the sum of area times (p - centre) . n over the points.
+    """
     flux = np.sum(areas[:, None] * (points - points.mean(axis=0)) * normals)
     return normals if flux > 0.0 else -normals
 
 
 def _tree(normals: np.ndarray, neighbours: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points from the first along the tree of least turning, and each one's predecessor."""
+    """Points in the order in which a tree reaches them from the first, and the predecessor of each.
+
+    It is the spanning tree of least total cost, where a link costs 1 - |n . n'|: it avoids links across an
+    edge or to the other side of a thin part, where the sign would be a guess.
+
+    Raises:
+        ValueError: If the links do not connect all points.
+    """
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 
     count, links = len(normals), neighbours[:, 1 : _LINKS + 1]
     left = np.repeat(np.arange(count), links.shape[1])
     turn = 1.0 - np.abs(np.sum(normals[left] * normals[links.ravel()], axis=1))
+    # A cost of zero would count as no link in a sparse matrix.
     graph = coo_matrix((turn + 1e-9, (left, links.ravel())), shape=(count, count)).tocsr()
     tree = minimum_spanning_tree(graph.maximum(graph.T))
     order, before = breadth_first_order(tree, 0, directed=False)

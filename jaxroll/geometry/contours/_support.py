@@ -323,12 +323,10 @@ def fit_series(points: np.ndarray, terms: int) -> tuple[np.ndarray, np.ndarray]:
     # p . n, shape (points, grid): its largest value over the points is their support function.
     reach = scaled @ np.stack([np.cos(grid), np.sin(grid)])
     values = _basis(grid, terms)[0]
-    series = np.linalg.lstsq(values, reach.max(axis=0))[0]
-    angles = grid[np.argmax(reach - values @ series, axis=1)]
+    series, angles = np.linalg.lstsq(values, reach.max(axis=0))[0], np.zeros(len(points))
     for _ in range(60):
         # The foot: globally on the grid, then by Newton's method.
-        angles = grid[np.argmax(reach - values @ series, axis=1)]
-        angles = _feet(scaled, series, angles)
+        angles = _feet(scaled, series, grid[np.argmax(reach - values @ series, axis=1)])
         normal = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
         basis = _basis(angles, terms)[0]
         step = np.linalg.lstsq(basis, np.sum(scaled * normal, axis=-1) - basis @ series)[0]

@@ -254,3 +254,18 @@ def test_gravity_holds_energy(scene):
     size = np.abs(np.asarray(run.energy.potential)).max()
     assert np.abs(run.energy.residual).max() <= 1e-9 * size
     assert np.ptp(np.asarray(run.energy.potential)) > 1e-3 * size
+
+
+def test_gradients_of_a_run_that_ended_early_are_those_of_what_it_reached():
+    """The rows that were not reached are NaN, and leave the derivatives of the others alone."""
+    grasp, state = jxr.scenes.pivoted()
+    ts, rows = np.zeros(3), jax.tree.map(lambda x: jnp.stack([x, x, x]), state)
+
+    def total(lengths, rows):
+        longer = eqx.tree_at(lambda g: g.fingers[0].lengths, grasp, lengths)
+        found = jxr.press_balance(longer, ts, rows)
+        return sum(jnp.sum(x[:2]) for x in jax.tree.leaves(found))
+
+    cut = jax.tree.map(lambda x: x.at[2].set(jnp.nan), rows)
+    wanted, found = (jax.grad(total)(grasp.fingers[0].lengths, each) for each in (rows, cut))
+    np.testing.assert_allclose(found, wanted, rtol=1e-12)

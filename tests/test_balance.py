@@ -1,5 +1,7 @@
 """The wrench form of a pinch, (42)-(55), as identities along runs of two objects."""
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -155,3 +157,18 @@ def test_other_grasps_are_refused():
     grasp, _ = jxr.scenes.pinch()
     with pytest.raises(ValueError, match="argument start must have one angle for each"):
         jxr.simulate(grasp.with_(controller=jxr.control.Opposition(1.0, 1.0, start=jnp.zeros(3))), _, 0.1)
+
+
+def test_gradients_of_a_run_that_ended_early_are_those_of_what_it_reached():
+    """The rows that were not reached are NaN, and leave the derivatives of the others alone."""
+    grasp, state = jxr.scenes.pinch()
+    ts, rows = np.zeros(3), jax.tree.map(lambda x: jnp.stack([x, x, x]), state)
+
+    def total(lengths, rows):
+        longer = eqx.tree_at(lambda g: g.fingers[0].lengths, grasp, lengths)
+        found = jxr.pinch_balance(longer, ts, rows)
+        return sum(jnp.sum(x[:2]) for x in jax.tree.leaves(found))
+
+    cut = jax.tree.map(lambda x: x.at[2].set(jnp.nan), rows)
+    wanted, found = (jax.grad(total)(grasp.fingers[0].lengths, each) for each in (rows, cut))
+    np.testing.assert_allclose(found, wanted, rtol=1e-12)

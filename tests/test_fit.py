@@ -7,6 +7,7 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll.geometry import tabled
+from jaxroll.geometry.fitting import _contour_fit
 from jaxroll.geometry.fitting._contour_fit import measured
 
 N = 96
@@ -203,3 +204,21 @@ def test_network_field():
     dots = np.stack([0.02 * np.cos(u), 0.014 * np.sin(u)], -1)
     report = jxr.fit_contour(dots, field="support network").report
     assert report.largest < 1e-6 and abs(report.radius - 0.0098) < 0.02 * 0.0098
+
+
+def test_every_spline_that_is_made_is_tried(monkeypatch):
+    contour, made, tried, init = jxr.Spline(1e-3 * ELLIPSE), [], [], jxr.Spline.__init__
+
+    def noted(self, *given, **options):
+        made.append(options["cells"])
+        init(self, *given, **options)
+
+    def refused(contour):
+        tried.append(contour.cells)
+        raise ValueError("argument cells must be more")
+
+    monkeypatch.setattr(jxr.Spline, "__init__", noted)
+    monkeypatch.setattr(_contour_fit, "tabled", refused)
+    with pytest.raises(ValueError, match="bends more sharply"):
+        _contour_fit._resolved(contour)
+    assert len(made) > 1 and tried == [1024, *made]

@@ -357,3 +357,11 @@ def test_vmap_is_a_loop():
 def test_bad_arguments_say_what_they_must_be(pair, options, words):
     with pytest.raises(ValueError, match=words):
         locate_surfaces(*pair, **options)
+
+
+@pytest.mark.parametrize("height", [0.02, 0.021, 0.0199])
+def test_gradient_of_the_gap_is_one_along_the_normal_where_surfaces_touch_too(height):
+    ball = jxr.Sphere(0.01)
+    gap = lambda z: locate_surfaces(ball, ball, pose_a=jnp.array([0, 0, z, 1, 0, 0, 0])).gap  # noqa: E731
+    found = jax.value_and_grad(gap)(height)
+    np.testing.assert_allclose(found, (height - 0.02, 1.0), atol=1e-12)

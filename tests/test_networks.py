@@ -217,6 +217,18 @@ def test_margin_of_a_shifted_circle_and_its_gradient():
     np.testing.assert_allclose(jax.grad(margin)(2e-3), -np.cos(2.5), rtol=1e-12)
 
 
+@pytest.mark.parametrize("ends", [(0.3, 1.2), (-0.2, 1.7), (1.8, 2.5), (-2.9, -1.8), (1.0, 5.9)])
+def test_margin_moves_with_the_end_at_which_it_lies(ends):
+    """h = r + a cos phi + b cos 2 phi: the least h'' = -a cos phi - 4 b cos 2 phi, at an end or inside."""
+    a, b = 2e-3, 1e-4
+    bend = lambda x: -a * np.cos(x) - 4 * b * np.cos(2 * x)  # noqa: E731
+    slope = lambda x: a * np.sin(x) + 8 * b * np.sin(2 * x)  # noqa: E731
+    least = np.argmin([bend(ends[0]), bend(ends[1]), bend(np.linspace(*ends, 10001)[1:-1]).min()])
+    wanted = [slope(ends[0]) if least == 0 else 0.0, slope(ends[1]) if least == 1 else 0.0]
+    found = jax.grad(jxr.SupportFunction(0.01, [a, b], [0.0, 0.0]).margin, argnums=(0, 1))(*ends)
+    np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-15)
+
+
 WHERE = {
     "support": (lambda f: f.cosines, lambda x: x.at[1].set(1e-3)),
     "neural support": (lambda f: f.network.layers[1].weight, lambda x: x.at[2, 3].set(1.0)),

@@ -165,3 +165,19 @@ def test_batches_and_gradients_go_through_a_surface_of_ones_own():
 def test_what_is_no_surface_is_refused_in_a_sentence(function, wanted):
     with pytest.raises(ValueError, match=wanted):
         jxr.geometry.Chart(function, domain=((0, 1), (0, 1)))
+
+
+@pytest.mark.parametrize(("gap", "closes"), [(0.0, True), (2e-4, False)])
+def test_a_closed_curve_closes_in_single_precision(gap, closes):
+    """Where 2 pi is 1.7e-7 off, and the ends of a curve are as far apart as its points are off."""
+
+    def egg():
+        point = lambda u: 0.01 * jnp.array([(1.2 + gap * u) * jnp.cos(u), jnp.sin(u)])  # noqa: E731
+        return jxr.Parametric(point, (0.0, 2.0 * np.pi), closed=True)
+
+    with jax.enable_x64(False):
+        if closes:
+            assert float(egg().curvature(0.0)) == pytest.approx(120.0, rel=1e-4)
+            return
+        with pytest.raises(ValueError, match="end where it began"):
+            egg()

@@ -129,9 +129,27 @@ def test_balance_is_the_chapters_own_quantities(scene, run):
         assert float(balance.delta_lam[i, 0]) == pytest.approx(float(lam + 50 * r1), abs=1e-12)
 
 
-def test_closed_loop_equations_76_and_77_hold_along_the_run(scene, run):
-    """Residuals of the printed form with accelerations by differences of the velocities."""
+def test_n1_is_the_moment_of_the_pull_about_the_contact(scene):
+    """Zero for a target on the line from the tip frame through the contact, not on that of the origins."""
+    grasp, state = scene
+    at = jxr.contact_geometry(grasp, state)
+    centre, arm = np.asarray(at.centre_0[0]), np.asarray(at.gamma_0[0])
+    across = np.array([-arm[1], arm[0]]) / np.hypot(*arm)
+    for beyond, aside in ((2.3, 0.0), (0.4, 0.0), (2.3, 0.005), (1.0, -0.002)):
+        target = jnp.asarray(centre + beyond * arm + aside * across)
+        aimed = eqx.tree_at(lambda g: g.controller.target, grasp, target)
+        found = float(jxr.press_balance(aimed, 0.0, state).n1[0])
+        assert abs(found) == pytest.approx(np.hypot(*arm) * abs(aside), rel=1e-9, abs=1e-15)
+
+
+@pytest.mark.parametrize("aside", [0.0, 0.004])
+def test_closed_loop_equations_76_and_77_hold_along_the_run(scene, run, aside):
+    """Residuals of the printed form with accelerations by differences of the velocities.
+
+    With a target beside the pivot (77) holds as it stands; in (76) the pull has another arm.
+    """
     grasp, _ = scene
+    grasp = eqx.tree_at(lambda g: g.controller.target, grasp, replace_fn=lambda at: at + aside)
     i = 20
     state = jax.tree.map(lambda x: x[i], run.states)
     h = 1e-4
@@ -145,6 +163,7 @@ def test_closed_loop_equations_76_and_77_hold_along_the_run(scene, run):
     left = np.asarray(terms.mass @ v_rate + terms.bias) + damping
     left += np.asarray(balance.delta_f[0] * terms.normal[0] + balance.delta_lam[0] * terms.tangential[0])
     left -= np.asarray(balance.moment[0]) * e
+    left = left[1:] if aside else left
     assert np.abs(left).max() <= 1e-5 * float(np.abs(terms.mass @ v_rate).max())
 
 
@@ -235,3 +254,18 @@ def test_gravity_holds_energy(scene):
     size = np.abs(np.asarray(run.energy.potential)).max()
     assert np.abs(run.energy.residual).max() <= 1e-9 * size
     assert np.ptp(np.asarray(run.energy.potential)) > 1e-3 * size
+
+
+def test_gradients_of_a_run_that_ended_early_are_those_of_what_it_reached():
+    """The rows that were not reached are NaN, and leave the derivatives of the others alone."""
+    grasp, state = jxr.scenes.pivoted()
+    ts, rows = np.zeros(3), jax.tree.map(lambda x: jnp.stack([x, x, x]), state)
+
+    def total(lengths, rows):
+        longer = eqx.tree_at(lambda g: g.fingers[0].lengths, grasp, lengths)
+        found = jxr.press_balance(longer, ts, rows)
+        return sum(jnp.sum(x[:2]) for x in jax.tree.leaves(found))
+
+    cut = jax.tree.map(lambda x: x.at[2].set(jnp.nan), rows)
+    wanted, found = (jax.grad(total)(grasp.fingers[0].lengths, each) for each in (rows, cut))
+    np.testing.assert_allclose(found, wanted, rtol=1e-12)

@@ -292,3 +292,15 @@ def test_a_batch_of_balls_is_the_balls():
 
     together = jax.vmap(end)(masses)
     np.testing.assert_allclose(together, [end(m) for m in masses], atol=1e-12)
+
+
+def test_gradients_of_a_path_that_begins_at_rest():
+    """A ball led by k t from rest is k / 2 away at t = 1, and so is its path long."""
+
+    def end(k):
+        led = jax.tree_util.Partial(lambda k, t: (k * t, 0.0, 0.0), k)
+        options = {"at_tip": (0.0, 0.0, -0.1), "at_object": (0.0, 0.0, 0.0)}
+        found = jxr.roll(jxr.Sphere(0.1), jxr.Plane(), led, jnp.linspace(0.0, 1.0, 3), **options)
+        return jnp.stack([found.pose[-1, 0], found.arclength[-1]])
+
+    np.testing.assert_allclose(jax.jacrev(end)(0.3), [0.5, 0.5], atol=1e-9)

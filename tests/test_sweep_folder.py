@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 import jaxroll as jxr
-from jaxroll._sweep import _folder, _identity
+from jaxroll._sweep import _fingerprint, _folder, _identity
 from jaxroll._sweep._program import of_make, Program
 from tests.helpers import slow_among
 
@@ -195,6 +195,16 @@ def test_another_machine_is_refused_by_name(what, sweep, finished, monkeypatch):
     names = {"_version": "version of jaxroll", "_processor": "processor", "_flags": "XLA_FLAGS"}
     with pytest.raises(ValueError, match=rf"differs in {names[what]} \(.* there, another here\)"):
         sweep()
+
+
+def test_all_that_is_known_by_name_alone_is_compared_by_version(monkeypatch):
+    """Another version of any of these packages is another sweep, and named."""
+    marks, real = _identity.identity(ROWS, 0.2, 2, {}), _identity._version
+    for name in sorted(_fingerprint._LIBRARIES - sys.stdlib_module_names):
+        with monkeypatch.context() as patch:
+            patch.setattr(_identity, "_version", lambda n, name=name: "another" if n == name else real(n))
+            found = _identity.differences(marks, _identity.identity(ROWS, 0.2, 2, {}))
+        assert found.startswith(f"version of {name} (") and found.endswith("there, another here)")
 
 
 def test_another_program_is_refused_though_all_else_is_the_same(sweep, finished, monkeypatch):

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._mechanics import check_planar, compiled, Grasp, State
-from .._motion import as_times, Index1, multipliers_at
+from .._motion import as_times, Index1, multipliers_at, of_reached
 from .._printing import listed
 from .._types import Scalar
 from ..control import Opposition, orientations
@@ -87,7 +87,8 @@ def pinch_balance(grasp: Grasp, ts: Float[Array, "..."], states: State) -> Pinch
     ready, ts = grasp.prepared(), as_times(ts, states)
     if states.q.ndim == 1:
         return _balance_at(ready, ts, states)
-    return jax.vmap(lambda t, state: _balance_at(ready, t, state))(ts, states)
+    each = jax.vmap(lambda t, state: _balance_at(ready, t, state))
+    return of_reached(lambda rows: each(ts, rows), states, jax.tree.map(lambda rows: rows[0], states))
 
 
 def check_pinch(grasp: Grasp) -> None:

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._mechanics import check_planar, compiled, Grasp, State
-from .._motion import as_times, Index1, multipliers_at
+from .._motion import as_times, Index1, multipliers_at, of_reached
 from .._printing import listed
 from .._results import shown
 from .._types import Scalar
@@ -28,14 +28,18 @@ class PressBalance(eqx.Module):
         s: Chapter's s [m]: arclength of the contact on the object, in the direction of $b_1$.
         delta_f: $\Delta f = f + (f_d/r) Q_1$ [N], (78).
         delta_lam: $\Delta\lambda = \lambda + (f_d/r) R_1$ [N], (78).
-        n1: $N_1 = l_{n0} l_{b1} - l_{b0} l_{n1}$ [m^2], (78): zero when the line from the tip frame to the
-            target passes through the contact.
-        moment: $(f_d/r) N_1$ [N m], the moment of Fig. 11, which drives $\theta$ and the $q_i$ of (76)-(77).
-            It counts clockwise where $n_1$ lies clockwise of $b_1$, as in the chapter's figures, and
-            counter-clockwise in their mirror image, which `scenes.pivoted` is.
+        n1: $N_1 = l_{b0} Q_1 - l_{n0} R_1$ [m^2], (78): zero when the line from the tip frame to the target
+            passes through the contact.
+        moment: $(f_d/r) N_1$ [N m], the moment of Fig. 11, which drives the $q_i$ of (77), and $\theta$ of
+            (76) where the target is the object's origin. It counts clockwise where $n_1$ lies clockwise of
+            $b_1$, as in the chapter's figures, and counter-clockwise in their mirror image, which
+            `scenes.pivoted` is.
         potential: $U = \frac{f_d}{2r}(Q_1^2 + R_1^2)$ [J] (Fig. 18).
 
-    With $R_1 = -(l_{b0} + l_{b1})$; the chapter prints (79) with the other sign.
+    $Q_1$ and $R_1$ are the parts along $n_1$ and $b_1$ of the vector from the target to the tip frame. The
+    chapter's target is the object's origin: then they are (79), $Q_1 = -(l_{n0} + l_{n1})$ and
+    $R_1 = -(l_{b0} + l_{b1})$, printed there with the other sign, and
+    $N_1 = l_{n0} l_{b1} - l_{b0} l_{n1}$, the last form of (78).
     """
 
     __repr__ = listed
@@ -79,7 +83,8 @@ def press_balance(grasp: Grasp, ts: Float[Array, "..."], states: State) -> Press
     ready, ts = grasp.prepared(), as_times(ts, states)
     if states.q.ndim == 1:
         return _balance_at(ready, ts, states)
-    return jax.vmap(lambda t, state: _balance_at(ready, t, state))(ts, states)
+    each = jax.vmap(lambda t, state: _balance_at(ready, t, state))
+    return of_reached(lambda rows: each(ts, rows), states, jax.tree.map(lambda rows: rows[0], states))
 
 
 def _balance_at(grasp: Grasp, t: Scalar, state: State) -> PressBalance:
@@ -90,8 +95,8 @@ def _balance_at(grasp: Grasp, t: Scalar, state: State) -> PressBalance:
     # (79), with Q and R of (64)-(65) left out, which vanish at a closed contact. The chapter's target is the
     # pivot; about any other the vector from the target to the tip frame is what (75) pulls along.
     q1, r1 = jnp.sum(arm * at.n_1, axis=-1), jnp.sum(arm * at.b_1, axis=-1)
-    # By the lengths from the object's origin: the moment of the pull over f_d/r if that is the target.
-    n1 = at.l_n0 * at.l_b1 - at.l_b0 * at.l_n1
+    # The first form of (78): the last one has put (79) in, of lengths from the object's origin.
+    n1 = at.l_b0 * q1 - at.l_n0 * r1
     return PressBalance(
         s=at.s,
         delta_f=forces.f + stiffness * q1,

@@ -18,7 +18,17 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._integration import check_times, tolerance
-from .._linalg import normalised, Pose3, pose_at, quaternion_product, quaternion_rate, tangents, unstack, Vec3
+from .._linalg import (
+    normalised,
+    Pose3,
+    pose_at,
+    quaternion_product,
+    quaternion_rate,
+    root,
+    tangents,
+    unstack,
+    Vec3,
+)
 from .._printing import listed
 from .._results import as_floats, check_callable, check_instance, concrete, RESULTS, shown
 from .._types import Given, Scalar, Scalars, Times
@@ -153,7 +163,7 @@ class _Rolling(eqx.Module):
         turned = quaternion_rate(normalised(unstack(y[:4])), turning)
         # Both places move with the same velocity, which the rolling body sees in its own axes.
         places = (*self.tip.rate(at_tip, axes.back(velocity)), *self.object.rate(at_object, velocity))
-        return jnp.stack([*turned, *places, velocity.norm()])
+        return jnp.stack([*turned, *places, root(velocity.dot(velocity))])
 
     def answer(self, y: Array) -> tuple[Array, Array, Array]:
         """Pose of the rolling body and both places; its origin is where the contact points coincide."""

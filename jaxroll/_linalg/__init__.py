@@ -10,6 +10,7 @@ from ._plane import (
     inner as inner,
     plus as plus,
     Pose2 as Pose2,
+    root as root,
     row as row,
     scalars as scalars,
     sincos as sincos,

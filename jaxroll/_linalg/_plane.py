@@ -42,6 +42,17 @@ def minus(left: Scalar, right: Scalar) -> Scalar:
     return left if isinstance(right, float) and right == 0.0 else left - right
 
 
+def root(square: Any) -> Any:
+    """Square root, with a derivative of zero at zero.
+
+    There the derivative is infinite, and backwards a cotangent of zero would make NaN of it: of a length that
+    does not count where it vanishes, or that stands behind a `where`.
+    """
+    # `where` inside as well: a NaN of the branch that is not taken would be kept.
+    zero = square == 0.0
+    return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, square)))
+
+
 def inner(left: Sequence[Scalar], right: Sequence[Scalar]) -> Scalar:
     """Sum of products, number by number."""
     return functools.reduce(plus, [times(a, b) for a, b in zip(left, right, strict=True)], 0.0)

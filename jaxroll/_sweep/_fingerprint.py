@@ -29,21 +29,22 @@ import jax.extend.core as jec
 import jax.numpy as jnp
 import numpy as np
 
-# Functions and classes of these packages are digested by name alone, not by their code. What a name stands
-# for changes with a version only, and `_identity` compares most of the versions beside the fingerprints.
-_LIBRARIES = sys.stdlib_module_names | {
-    "beartype",
-    "diffrax",
-    "equinox",
+# Functions and classes of these packages, and of Python's own modules, are digested by name alone, not by
+# their code. What a name stands for changes with a version only: `_identity` compares the version of each.
+PACKAGES = (
+    "jaxroll",
     "jax",
     "jaxlib",
-    "jaxroll",
-    "jaxtyping",
+    "diffrax",
+    "equinox",
+    "optimistix",
     "lineax",
     "numpy",
     "optax",
-    "optimistix",
-}
+    "beartype",
+    "jaxtyping",
+)
+_LIBRARIES = sys.stdlib_module_names | set(PACKAGES)
 # Memory addresses in what an object prints, which differ from process to process.
 _ADDRESS = re.compile(r"\b0x[0-9a-f]+")
 # Types whose `repr` says everything about a value.

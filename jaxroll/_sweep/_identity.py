@@ -22,9 +22,8 @@ import numpy as np
 
 from .._integration import simulate
 from .._results import shown
-from ._fingerprint import fingerprint
+from ._fingerprint import fingerprint, PACKAGES
 
-_PACKAGES = ("jaxroll", "jax", "jaxlib", "diffrax", "equinox", "optimistix", "lineax", "numpy")
 # Beginnings of the names of instruction sets that XLA compiles for. The other flags of a processor are left
 # out: which of them are listed depends on the version of the operating system's kernel.
 _INSTRUCTIONS = ("sse", "ssse", "avx", "amx", "fma", "f16c", "bmi", "asimd", "neon", "sve", "sme", "fp")
@@ -58,7 +57,7 @@ def identity(rows: Any, t1: Any, chunk: int, options: dict[str, Any]) -> Identit
         options: Those of `simulate`, by name.
     """
     usual = {name: p.default for name, p in inspect.signature(simulate).parameters.items()}
-    marks = {f"version of {name}": _text(_version(name)) for name in _PACKAGES}
+    marks = {f"version of {name}": _text(_version(name)) for name in PACKAGES}
     marks["version of python"] = _text(f"{sys.version_info.major}.{sys.version_info.minor}")
     marks["processor"] = _text(_processor())
     marks["XLA_FLAGS"] = _text(_flags())

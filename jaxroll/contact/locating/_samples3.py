@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from ..._linalg import Vec3
+from ..._linalg import root, Vec3
 from ..._types import Scalar, Scalars
 from ...geometry import AbstractSurface, approach, Gauss3
 from ._candidates import lowest
@@ -103,7 +103,7 @@ def distance(pair: Pair3, a: Vec3, b: Gauss3, at_b: Scalars) -> Scalar:
     """
     arm = a - b.point
     square, past = arm.dot(arm), ended(pair.b, at_b, _END * pair.scale)
-    return jnp.where(past & (square > 0.0), jnp.sqrt(square), arm.dot(b.normal))
+    return jnp.where(past & (square > 0.0), root(square), arm.dot(b.normal))
 
 
 def footed(surface: AbstractSurface, at: Scalars, point: Vec3, steps: int) -> Scalars:

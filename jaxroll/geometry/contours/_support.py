@@ -100,21 +100,24 @@ def smallest(field: Callable[[Array], Array], ends: tuple[Array, Array], density
     """Smallest value of `field(angles)` between two angles [rad].
 
     The field is sampled at `density` places; a parabola through the least sample and its neighbours gives the
-    angle at which it is evaluated once more.
+    angle of a minimum inside. The least value is there, or at an end, with which it then moves.
     """
     low, high = ends
-    grid = jnp.linspace(low, high, density)
-    values = field(grid)
+    # Angles inside are held fixed in derivatives: at a minimum the field's derivative in its angle is zero.
+    grid = jax.lax.stop_gradient(jnp.linspace(low, high, density))
+    values = jax.lax.stop_gradient(field(grid))
     at = jnp.clip(jnp.argmin(values), 1, density - 2)
     before, here, after = values[at - 1], values[at], values[at + 1]
     # The vertex of a parabola through three equidistant values lies (before - after) / (2 bend) steps from
     # the middle. Where the three do not bend upwards the middle stays.
     bend = before - 2.0 * here + after
-    step = jnp.clip(0.5 * (before - after) / jnp.where(bend > 0, bend, jnp.inf), -1.0, 1.0)
-    vertex = grid[at] + step * (high - low) / (density - 1)
-    # The angle is held fixed in derivatives: at a minimum inside, the field's derivative in it is zero.
-    found = field(jax.lax.stop_gradient(vertex)[None])[0]
-    return jnp.minimum(found, jnp.min(values))
+    step = 0.5 * (before - after) / jnp.where(bend > 0, bend, jnp.inf)
+    # Beyond the neighbours there is no minimum inside: an end is the least. An angle that rounding set beside
+    # it would be held fixed, and could be taken for it.
+    vertex = grid[at] + jnp.where(jnp.abs(step) < 1.0, step, 0.0) * (grid[1] - grid[0])
+    found = field(jnp.stack([low, high, grid[at], vertex]))
+    # Not `min`, which shares the derivative out where two are equal.
+    return found[jnp.argmin(found)]
 
 
 class AbstractSupport(AbstractTabulated):
@@ -323,12 +326,10 @@ def fit_series(points: np.ndarray, terms: int) -> tuple[np.ndarray, np.ndarray]:
     # p . n, shape (points, grid): its largest value over the points is their support function.
     reach = scaled @ np.stack([np.cos(grid), np.sin(grid)])
     values = _basis(grid, terms)[0]
-    series = np.linalg.lstsq(values, reach.max(axis=0))[0]
-    angles = grid[np.argmax(reach - values @ series, axis=1)]
+    series, angles = np.linalg.lstsq(values, reach.max(axis=0))[0], np.zeros(len(points))
     for _ in range(60):
         # The foot: globally on the grid, then by Newton's method.
-        angles = grid[np.argmax(reach - values @ series, axis=1)]
-        angles = _feet(scaled, series, angles)
+        angles = _feet(scaled, series, grid[np.argmax(reach - values @ series, axis=1)])
         normal = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
         basis = _basis(angles, terms)[0]
         step = np.linalg.lstsq(basis, np.sum(scaled * normal, axis=-1) - basis @ series)[0]

@@ -247,7 +247,7 @@ def _built(contour: AbstractTabulated) -> Table:
 def _difference(contour: AbstractTabulated, cells: int) -> tuple[Array, Array, Array]:
     """Largest differences of point [m], tangent [rad] and curvature [1/m] from a table of twice the cells."""
     coarse, fine = contour.tabulate(cells), contour.tabulate(2 * cells)
-    middles = (np.arange(cells)[:, None] + np.array([0.25, 0.5, 0.75])[None, :]).ravel() / cells
+    middles = (np.arange(cells)[:, None] + _BETWEEN[None, :]).ravel() / cells
     s = coarse.start + coarse.length * middles
     a, b = coarse.frame(s), fine.frame(s)
     # The cross product of two unit tangents is the sine of the angle between them, here as good as the angle.

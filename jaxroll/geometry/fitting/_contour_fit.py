@@ -26,9 +26,8 @@ from ._ordering import place_text
 from ._smoothing import smoothing_for
 
 _SAMPLES = 2048  # intervals between the places at which a contour is measured
-# Cells of a spline's table where the default, 1024, is too few. `_resolved` gives up before it tries the
-# last.
-_CELLS = (4096, 16384, 65536)
+# Cells of a spline's table where the default, 1024, is too few; a contour that needs more is refused.
+_CELLS = (4096, 16384)
 _DENSE = 512  # most knots of a smoothing spline, unless told; the cost grows with their cube
 _TERMS = (3, 4, 6, 8, 11, 15, 20)  # numbers of Fourier terms of a support function, tried in turn
 
@@ -245,11 +244,13 @@ def _resolved(contour: AbstractContour) -> AbstractContour:
     A table is refused with a sentence about `cells` where the contour bends too sharply for its cells.
     Contours of other kinds are not changed.
     """
-    for cells in _CELLS:
+    for cells in (*_CELLS, None):
         try:
             tabled(contour)
         except ValueError as error:
-            if not str(error).startswith("argument cells") or not isinstance(contour, Spline):
+            if not str(error).startswith("argument cells"):
+                break
+            if cells is None or not isinstance(contour, Spline):
                 break
             # The number of cells is a static field: a new contour of the same points and smoothing.
             options = {"closed": contour.closed, "knots": contour.knots, "cells": cells}

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from ..._linalg import Pose3, Sym3, tangents, Vec3
+from ..._linalg import Pose3, root, Sym3, tangents, Vec3
 from ..._types import Scalar
 
 
@@ -46,10 +46,8 @@ def principal(frame: Gauss3) -> Principal:
     a, b, c = (frame.shape.form(*pair) for pair in ((first, first), (first, second), (second, second)))
     mean, half = 0.5 * (a + c), 0.5 * (a - c)
     square = half * half + b * b
-    # At an umbilic the root and the angle have no derivative. `where` inside and outside keeps NaN out of the
-    # branch that is not taken, which reverse mode would otherwise multiply by zero and keep.
-    round_ = square == 0.0
-    spread = jnp.where(round_, 0.0, jnp.sqrt(jnp.where(round_, 1.0, square)))
+    # At an umbilic neither the root nor the angle has a derivative.
+    round_, spread = square == 0.0, root(square)
     # The larger curvature's direction: tan(2 angle) = b / half.
     angle = 0.5 * jnp.arctan2(jnp.where(round_, 0.0, b), jnp.where(round_, 1.0, half))
     cos, sin = jnp.cos(angle), jnp.sin(angle)
@@ -68,7 +66,7 @@ def approach(frame: Gauss3, point: Vec3) -> Vec3:
     away, form = point - frame.point, frame.shape.form
     height, x, y = away.dot(frame.normal), away.dot(first), away.dot(second)
     a, b, c = form(first, first), form(first, second), form(second, second)
-    size = jnp.sqrt(a * a + 2.0 * b * b + c * c)
+    size = root(a * a + 2.0 * b * b + c * c)
     a, b, c = 1.0 + height * a, height * b, 1.0 + height * c
     convex = (a + c > 0.2) & (a * c - b * b > 0.01)
     # 1 + h L is half the second derivative of the squared distance. Beyond a centre of curvature it is not

@@ -309,6 +309,10 @@ def _power(x: Scalar, p: float) -> tuple[Scalar, Scalar, Scalar]:
     """Value of |x|^p and, over p, its first two derivatives: closed forms, since autodiff fails at zero."""
     # An even p is an integer power of x itself, which has all derivatives at zero; |x| has a kink there.
     whole = int(p) if p % 2.0 == 0.0 else None
-    size = x if whole else jnp.abs(x)
-    bend = size ** (whole - 2) if whole else size ** (p - 2.0)
+    if whole:
+        bend = x ** (whole - 2)
+    else:
+        # Below p = 3 the power has an infinite derivative at zero, which the factors below would make NaN of.
+        zero = x == 0.0
+        bend = jnp.where(zero, 0.0, jnp.where(zero, 1.0, jnp.abs(x)) ** (p - 2.0))
     return bend * x * x, bend * x, (p - 1.0) * bend

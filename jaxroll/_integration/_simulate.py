@@ -54,9 +54,6 @@ from ._state_vector import bundle, Layout, layout, states_of, vector_of
 from ._step import RollingStep
 from ._trajectory import Stats, Trajectory
 
-# Error control ends a run where it asks for shorter steps than this [s].
-_SHORTEST = 1e-12
-
 
 def simulate(
     grasp: Grasp,
@@ -201,12 +198,8 @@ def _plan(stepper: RollingStep, y0: Array, numbers: Numbers, setup: Setup) -> Pl
     lay, given = stepper.lay, setup.controller
     controller: diffrax.AbstractStepSizeController = Steady()
     if given is None:
-        # Unless told, diffrax takes a step of the smallest length whatever its error: a run would go on
-        # through a singular moment with numbers that mean nothing.
-        norm = _Norm(lay)
-        controller = diffrax.PIDController(
-            rtol=rtol, atol=atol, norm=norm, dtmin=_SHORTEST, force_dtmin=False
-        )
+        # No `dtmin`, at which diffrax takes a step whatever its error: `StopAt` ends a run that comes to it.
+        controller = diffrax.PIDController(rtol=rtol, atol=atol, norm=_Norm(lay))
     elif not isinstance(given, diffrax.ConstantStepSize):
         controller = Seeing(given, lay).wrap(1)
         # A control may change the length of the first step.

@@ -141,6 +141,9 @@ class StopAt(eqx.Module):
         count = pace.accepted + jnp.where(keep, 1, 0)
         pace = Pace(inner, length, start, pace.attempted + 1, count, hunt)
         code = diffrax.RESULTS.where(aside, diffrax.RESULTS.successful, code)
+        # A rejected step that can hardly become shorter and still move time: the motion is singular ahead.
+        collapsed = ~aside & ~keep & (length < resolution(t0))
+        code = diffrax.RESULTS.where(collapsed, diffrax.RESULTS.dt_min_reached, code)
         over = pace.attempted > self.max_steps
         code = diffrax.RESULTS.where(over, diffrax.RESULTS.max_steps_reached, code)
         code = diffrax.RESULTS.where(ends, diffrax.RESULTS.event_occurred, code)

@@ -115,7 +115,7 @@ def _ends(form: Form, x: Array, t: Array, counts: Array) -> Ends:
     last = State(x[:positions], x[positions:moving], x[moving:])
     attempted, accepted, number, code = (counts[i] for i in range(4))
     loop = eqx.tree_at(lambda r: r._value, diffrax.RESULTS.successful, code)
-    return Ends(last, t, jnp.stack([attempted, accepted]), decode(jnp.inf, number, loop))
+    return Ends(last, t, jnp.stack([attempted, accepted]), decode(number, loop))
 
 
 class _Vector(tuple):

@@ -140,6 +140,9 @@ class Judge:
         m["t_end"], m["t1"] = base.t_end, self.scene["t1"]
         m["t_whole"], m["t_tight"] = whole.t_end, tight.t_end
         m["rtol"] = self.scene["rtol"]
+        # Forces are known to rounding over the square of the firmness: where that exceeds the tolerance, no
+        # step is short enough.
+        m["near"] = np.maximum(_NEARLY, np.sqrt(self.precision / 100.0 / self.scene["rtol"]))
         m["finite"] = np.isfinite(base.last.q).all(axis=(1, 2)) & np.isfinite(base.last.v).all(axis=(1, 2))
         verdicts = Verdicts(base.code, m)
         verdicts.wrong = [self._words(verdicts, i) for i in range(len(base.code))]
@@ -401,7 +404,7 @@ def _cause(code: str, m: dict[str, Any], slack: float) -> list[str]:
         return [f"cause: {m['steps']} steps"]
     if code == "singular_contact" and not (m["end_bend"] < _FLAT or m["end_firmness"] ** 2 < _SINGULAR):
         return [f"cause: bend {m['end_bend']:.1e}, firmness {m['end_firmness']:.1e}"]
-    if code in ("step_collapsed", "not_finite") and not min(m["end_bend"], m["end_firmness"]) < _NEARLY:
+    if code in ("step_collapsed", "not_finite") and not min(m["end_bend"], m["end_firmness"]) < m["near"]:
         return [f"cause: bend {m['end_bend']:.1e}, firmness {m['end_firmness']:.1e}"]
     return []
 

@@ -58,8 +58,6 @@ _CODES = (
     RESULTS.penetration,
 )
 _NOT_FINITE, _SINGULAR_CONTACT, _CONTOUR_END, _LOST, _SLIPPING, _PENETRATION = range(1, 7)
-# If steps collapse while the margin of a singular contact is below this, that contact is taken as the cause.
-_NEARLY = 1e-2
 # A limit's number is its code plus this for each contact (see `_numbered`): above all codes.
 _KINDS = 16
 EVENTS = ("lift", "friction", "penetration")
@@ -135,19 +133,16 @@ def coded(x: Array, margin: Scalar, number: Scalar) -> Array:
     return jnp.stack([jnp.where(finite, margin, jnp.nan), number.astype(x.dtype)])
 
 
-def decode(margin: Scalar, number: Scalar, loop: diffrax.RESULTS) -> RESULTS:
-    """The result code of a run, from diffrax's code of its loop and its last state's margin and number.
+def decode(number: Scalar, loop: diffrax.RESULTS) -> RESULTS:
+    """The result code of a run, from diffrax's code of its loop and the number in its last state.
 
-    Steps that collapse just before a contact becomes singular are put down to it. Steps that are used up
-    there are not: a stiff run far from any pole uses them up as well.
+    A limit that was passed is the cause, whatever became of the steps.
     """
     result = RESULTS.where(loop == diffrax.RESULTS.successful, RESULTS.successful, RESULTS.solver_failed)
     steps = loop == diffrax.RESULTS.max_steps_reached
     result = RESULTS.where(steps, RESULTS.max_steps_reached, result)
     collapsed = loop == diffrax.RESULTS.dt_min_reached
     result = RESULTS.where(collapsed, RESULTS.step_collapsed, result)
-    short = collapsed & (-number % _KINDS == _SINGULAR_CONTACT) & (margin < _NEARLY)
-    result = RESULTS.where(short, RESULTS.singular_contact, result)
     for i, code in enumerate(_CODES[1:], start=1):
         result = RESULTS.where((number > 0) & (number % _KINDS == i), code, result)
     return result

@@ -73,7 +73,7 @@ def path_of(saved: Array, last: Flow, t_last: Scalar, counts: tuple[Array, Array
     attempted, accepted, number = (x.astype(int) for x in counts)
     steps = jnp.stack([attempted, accepted, attempted - accepted])
     code = eqx.tree_at(lambda r: r._value, diffrax.RESULTS.successful, number.astype(jnp.int32))
-    return Path(saved, last, t_last, steps, decode(last[-2], last[-1], code))
+    return Path(saved, last, t_last, steps, decode(last[-1], code))
 
 
 class Course(NamedTuple):

@@ -37,7 +37,10 @@ class RESULTS(eqx.Enumeration):
 
     successful = ""
     max_steps_reached = "The step limit was reached."
-    step_collapsed = "The step size fell to the smallest allowed: the motion is singular or not finite there."
+    step_collapsed = (
+        "Steps became too short to move time: the motion is singular or not finite there, or too fast for "
+        "the precision."
+    )
     singular_contact = (
         "The rolling contact became singular: the sum of the two curvatures vanishes beside their size, or "
         "the Schur complement of the constraints is no longer positive."

@@ -33,7 +33,8 @@ _BY = {
 REMEDIES = {
     "max_steps_reached": "a larger `max_steps`, a larger `rtol`, or `solver=jaxroll.Rosenbrock()` where fast "
     "rates that have died out hold the steps short",
-    "step_collapsed": "`jaxroll.why(grasp, run)` says which contact or which arm is singular there",
+    "step_collapsed": "`jaxroll.why(grasp, run)` says which contact or which arm is nearly singular there; "
+    "what single precision cannot pass, double may",
     "singular_contact": "shapes whose curvatures add up to more than zero (a hollow flatter than what rolls "
     "in it), or joints away from a straight arm",
     "contour_end": "a longer contour there, or an earlier `t1`",

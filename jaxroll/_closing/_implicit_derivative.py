@@ -36,7 +36,7 @@ def settled(grasp: Grasp, guess: State, hold: bool, *, resting: bool) -> tuple[S
         guess: Where to start, its contacts on their shapes.
         hold: Whether contacts stay where the guess puts them.
         resting: Whether all velocities are known to be zero, and so stay zero: then the program has no part
-            that makes them compatible, which is two fifths of it.
+            that makes them compatible, which in space is nearly half of it.
 
     The state is differentiable in both modes, but only once; the rows count as constant.
     """

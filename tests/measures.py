@@ -1,6 +1,8 @@
-"""What tests and benchmarks measure of any function: the order of its errors, the remainders of its slope."""
+"""What tests and benchmarks measure of any function: the order of its errors, its slope and its gradients."""
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 
@@ -14,3 +16,18 @@ def taylor_remainders(function, point, direction, slope, steps):
     base = function(point)
     move = lambda h: jax.tree.map(lambda a, b: a + h * b, point, direction)  # noqa: E731
     return np.array([float(abs(function(move(h)) - base - h * slope)) for h in steps])
+
+
+def gradients_with_and_without_an_end(observed, grasp, state):
+    """Gradients in a finger's lengths of what `observed(grasp, ts, states)` says of two states.
+
+    Of three states in all the last one is there, and then it is NaN, as a run leaves it that ended before.
+    """
+    ts, rows = np.zeros(3), jax.tree.map(lambda x: jnp.stack([x, x, x]), state)
+
+    def total(lengths, rows):
+        longer = eqx.tree_at(lambda g: g.fingers[0].lengths, grasp, lengths)
+        return sum(jnp.sum(x[:2]) for x in jax.tree.leaves(observed(longer, ts, rows)))
+
+    cut = jax.tree.map(lambda x: x.at[2].set(jnp.nan), rows)
+    return [jax.grad(total)(grasp.fingers[0].lengths, each) for each in (rows, cut)]

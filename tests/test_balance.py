@@ -1,12 +1,11 @@
 """The wrench form of a pinch, (42)-(55), as identities along runs of two objects."""
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxroll as jxr
+from tests.measures import gradients_with_and_without_an_end
 
 ODD = np.array([-1.0, 1.0])  # (-1)^i as the chapter counts
 
@@ -161,14 +160,5 @@ def test_other_grasps_are_refused():
 
 def test_gradients_of_a_run_that_ended_early_are_those_of_what_it_reached():
     """The rows that were not reached are NaN, and leave the derivatives of the others alone."""
-    grasp, state = jxr.scenes.pinch()
-    ts, rows = np.zeros(3), jax.tree.map(lambda x: jnp.stack([x, x, x]), state)
-
-    def total(lengths, rows):
-        longer = eqx.tree_at(lambda g: g.fingers[0].lengths, grasp, lengths)
-        found = jxr.pinch_balance(longer, ts, rows)
-        return sum(jnp.sum(x[:2]) for x in jax.tree.leaves(found))
-
-    cut = jax.tree.map(lambda x: x.at[2].set(jnp.nan), rows)
-    wanted, found = (jax.grad(total)(grasp.fingers[0].lengths, each) for each in (rows, cut))
+    wanted, found = gradients_with_and_without_an_end(jxr.pinch_balance, *jxr.scenes.pinch())
     np.testing.assert_allclose(found, wanted, rtol=1e-12)

@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import jaxroll as jxr
-from tests.measures import observed_order
+from tests.measures import gradients_with_and_without_an_end, observed_order
 from tests.oracles.chapter_part2 import Part2
 
 ELBOW = 1  # branch of the law of cosines that the scene starts on
@@ -258,14 +258,5 @@ def test_gravity_holds_energy(scene):
 
 def test_gradients_of_a_run_that_ended_early_are_those_of_what_it_reached():
     """The rows that were not reached are NaN, and leave the derivatives of the others alone."""
-    grasp, state = jxr.scenes.pivoted()
-    ts, rows = np.zeros(3), jax.tree.map(lambda x: jnp.stack([x, x, x]), state)
-
-    def total(lengths, rows):
-        longer = eqx.tree_at(lambda g: g.fingers[0].lengths, grasp, lengths)
-        found = jxr.press_balance(longer, ts, rows)
-        return sum(jnp.sum(x[:2]) for x in jax.tree.leaves(found))
-
-    cut = jax.tree.map(lambda x: x.at[2].set(jnp.nan), rows)
-    wanted, found = (jax.grad(total)(grasp.fingers[0].lengths, each) for each in (rows, cut))
+    wanted, found = gradients_with_and_without_an_end(jxr.press_balance, *jxr.scenes.pivoted())
     np.testing.assert_allclose(found, wanted, rtol=1e-12)

@@ -89,7 +89,7 @@ class Judge:
         tabled = any(shape["kind"] in _TABLED for shape in shapes)
         self.slack = _Slack(100.0, 100.0) if tabled else _Slack(1.0, 1.0)
         single = scene["rtol"].dtype == np.float32
-        self.precision = 100.0 * float(np.finfo(np.float32 if single else np.float64).eps)
+        self.precision = float(np.finfo(np.float32 if single else np.float64).eps)
         if single:
             self.slack = _Slack(1e5, 1e4)
 
@@ -142,7 +142,7 @@ class Judge:
         m["rtol"] = self.scene["rtol"]
         # Forces are known to rounding over the square of the firmness: where that exceeds the tolerance, no
         # step is short enough.
-        m["near"] = np.maximum(_NEARLY, np.sqrt(self.precision / 100.0 / self.scene["rtol"]))
+        m["near"] = np.maximum(_NEARLY, np.sqrt(self.precision / self.scene["rtol"]))
         m["finite"] = np.isfinite(base.last.q).all(axis=(1, 2)) & np.isfinite(base.last.v).all(axis=(1, 2))
         verdicts = Verdicts(base.code, m)
         verdicts.wrong = [self._words(verdicts, i) for i in range(len(base.code))]
@@ -330,7 +330,7 @@ class Judge:
         if not m["finite"] and code != "not_finite":
             wrong.append("not finite")
         # Forces are known no better than the precision and the conditioning let them be.
-        noise = self.precision / max(m["least_firmness"], 1e-12) ** 2
+        noise = 100.0 * self.precision / max(m["least_firmness"], 1e-12) ** 2
         rows, forces = self.slack.rows, max(self.slack.forces, noise / FORCE)
         limits = {
             "gap": rows * GAP,

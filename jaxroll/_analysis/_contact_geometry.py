@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from .._linalg import Pose2, Vec2
 from .._mechanics import check_planar, compiled, Grasp, State, to_leaves
-from .._motion import of_reached, touches, world_poses
+from .._motion import over_time, touches, world_poses
 from .._printing import listed
 from .._types import Scalar
 from ..contact import Contact, Touch
@@ -140,11 +140,7 @@ def contact_geometry(grasp: Grasp, states: State) -> ContactGeometry:
     """
     check_planar(grasp)
     ready = grasp.prepared()
-    if states.q.ndim == 1:
-        return geometry_at(ready, states)
-    # Rows that the run did not reach are NaN; the first state stands in for them while they are computed.
-    start = jax.tree.map(lambda rows: rows[0], states)
-    return of_reached(jax.vmap(lambda state: geometry_at(ready, state)), states, start)
+    return over_time(lambda state: geometry_at(ready, state), states)
 
 
 def geometry_at(grasp: Grasp, state: State) -> ContactGeometry:

@@ -9,12 +9,11 @@ show the result, and `stability` borrows `check_pinch`.
 from typing import ClassVar
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._mechanics import check_planar, compiled, Grasp, State
-from .._motion import as_times, Index1, multipliers_at, of_reached
+from .._motion import as_times, Index1, multipliers_at, over_time
 from .._printing import listed
 from .._types import Scalar
 from ..control import Opposition, orientations
@@ -85,10 +84,7 @@ def pinch_balance(grasp: Grasp, ts: Float[Array, "..."], states: State) -> Pinch
     """
     check_pinch(grasp)
     ready, ts = grasp.prepared(), as_times(ts, states)
-    if states.q.ndim == 1:
-        return _balance_at(ready, ts, states)
-    each = jax.vmap(lambda t, state: _balance_at(ready, t, state))
-    return of_reached(lambda rows: each(ts, rows), states, jax.tree.map(lambda rows: rows[0], states))
+    return over_time(lambda state, t: _balance_at(ready, t, state), states, ts)
 
 
 def check_pinch(grasp: Grasp) -> None:

@@ -8,12 +8,11 @@ pull about the contact. `_contact_geometry` has the lengths, `multipliers_at` th
 from typing import ClassVar
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._mechanics import check_planar, compiled, Grasp, State
-from .._motion import as_times, Index1, multipliers_at, of_reached
+from .._motion import as_times, Index1, multipliers_at, over_time
 from .._printing import listed
 from .._results import shown
 from .._types import Scalar
@@ -81,10 +80,7 @@ def press_balance(grasp: Grasp, ts: Float[Array, "..."], states: State) -> Press
             f"argument grasp must be driven by control.Press, but was by {shown(grasp.controller)}"
         )
     ready, ts = grasp.prepared(), as_times(ts, states)
-    if states.q.ndim == 1:
-        return _balance_at(ready, ts, states)
-    each = jax.vmap(lambda t, state: _balance_at(ready, t, state))
-    return of_reached(lambda rows: each(ts, rows), states, jax.tree.map(lambda rows: rows[0], states))
+    return over_time(lambda state, t: _balance_at(ready, t, state), states, ts)
 
 
 def _balance_at(grasp: Grasp, t: Scalar, state: State) -> PressBalance:

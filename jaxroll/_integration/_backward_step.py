@@ -14,11 +14,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from .._linalg import row, scalars, weighted_sum
+from .._linalg import row, scalars, weighted_sum, with_row_selected
 from .._types import Scalar
 from .._xla import shared
 from ._state_vector import Bundle, Flow
-from ._step import ending_size, RollingStep, tableau_of, with_row_selected
+from ._step import ending_size, RollingStep, tableau_of
 
 
 def pulled_back(

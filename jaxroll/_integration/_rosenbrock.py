@@ -16,7 +16,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array
 
-from .._linalg import row, total, weighted_sum
+from .._linalg import row, total, weighted_sum, with_row_selected
 from .._types import Scalar
 from .._xla import VECTOR
 
@@ -130,11 +130,11 @@ def advance(
         # left off; then comes the place of the next stage, after the last stage the step's end. Entries of u
         # that are not known yet are zero, and have zero weight.
         right = rates + weighted_sum(row(slopes, k), u) / h + h * row(lags, k) * drift
-        u = _put(u, weighted_sum(right[:, None], inverse), k)
+        u = with_row_selected(u, weighted_sum(right[:, None], inverse), k)
         # A step of no length stays where it is, whatever its stages say.
         x = x0 + jnp.where(moving, weighted_sum(row(rows, k + 1), u), 0.0)
         rates, end = at(t0 + (times[1] - t0) * row(moments, k + 1), x)
-        return u, rates, end, _put(parts, end[kept], k), x
+        return u, rates, end, with_row_selected(parts, end[kept], k), x
 
     parts = jnp.zeros((len(_ERROR), *nothing[kept].shape), nothing.dtype)
     start = (jnp.zeros((len(_ERROR), *x0.shape), x0.dtype), rates, nothing, parts, x0)
@@ -217,12 +217,6 @@ def _product(left: Array, right: Array) -> Array:
 def _column(matrix: Array, j: Scalar) -> Array:
     """Column j >= 0."""
     return jax.lax.dynamic_index_in_dim(matrix, j, 1, keepdims=False, allow_negative_indices=False)
-
-
-def _put(rows: Array, new: Array, i: Scalar) -> Array:
-    """Replace row i, by a mask: of an update in place JAX makes a scatter under `vmap`."""
-    index = jnp.arange(rows.shape[0]).reshape(-1, *(1,) * new.ndim)
-    return jnp.where(index == i, new[None], rows)
 
 
 # Smallest size that is taken for a component in `_nudges` [m, rad, m/s, rad/s, s].

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from .._linalg import row, scalars, weighted_sum, with_row
+from .._linalg import row, scalars, weighted_sum, with_row, with_row_selected
 from .._mechanics import Grasp
 from .._motion import (
     Anchor,
@@ -275,11 +275,6 @@ def _repeated(start: int, stop: int, body: Callable, carry: Any) -> Any:
     """`jax.lax.fori_loop`; unrolled on accelerators, where every turn launches all its kernels anew."""
     unroll = None if jax.default_backend() == "cpu" else True
     return jax.lax.fori_loop(start, stop, body, carry, unroll=unroll)
-
-
-def with_row_selected(array: Array, new: Array, i: Scalar) -> Array:
-    """Replace row i; of an update in place JAX makes a scatter under `vmap`, which breaks up the loop."""
-    return jnp.where((jnp.arange(array.shape[0]) == i)[:, None], new, array)
 
 
 def ending_size(bundle: Bundle) -> int:

@@ -24,6 +24,7 @@ from ._plane import (
     Vec2 as Vec2,
     weighted_sum as weighted_sum,
     with_row as with_row,
+    with_row_selected as with_row_selected,
 )
 from ._space import (
     conjugate as conjugate,

@@ -168,6 +168,12 @@ def with_row(rows: jax.Array, new: jax.Array, i: Scalar) -> jax.Array:
     return jax.lax.dynamic_update_index_in_dim(rows, new, i, 0, allow_negative_indices=False)
 
 
+def with_row_selected(rows: jax.Array, new: jax.Array, i: Scalar) -> jax.Array:
+    """The same by a mask: of an update in place JAX makes a scatter under `vmap`, which no kernel holds."""
+    chosen = jnp.arange(rows.shape[0]) == i
+    return jnp.where(chosen[(slice(None), *(None,) * new.ndim)], new, rows)
+
+
 def stacked(values: Sequence[Scalar]) -> jax.Array:
     """Scalars as one vector, which may be empty."""
     return jnp.stack(tuple(values)) if len(values) else jnp.zeros(0)

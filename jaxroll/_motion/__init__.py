@@ -44,6 +44,7 @@ from ._quantities import (
     multipliers as multipliers,
     multipliers_at as multipliers_at,
     of_reached as of_reached,
+    over_time as over_time,
     power as power,
     reach as reach,
     Residuals as Residuals,

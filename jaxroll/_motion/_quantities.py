@@ -213,7 +213,7 @@ def residuals(grasp: Grasp, states: State) -> Residuals:
         True
     """
     ready = grasp.prepared()
-    return _over_time(lambda state: residuals_at(ready, state), states)
+    return over_time(lambda state: residuals_at(ready, state), states)
 
 
 def multipliers(
@@ -235,17 +235,14 @@ def _multipliers(
     grasp: Grasp, ts: Float[Array, "..."], states: State, formulation: Formulation
 ) -> Multipliers:
     ready, ts = grasp.prepared(), as_times(ts, states)
-    if states.q.ndim == 1:
-        return multipliers_at(ready, ts, states, formulation)
-    each = jax.vmap(lambda t, state: multipliers_at(ready, t, state, formulation))
-    return of_reached(lambda rows: each(ts, rows), states, jax.tree.map(lambda rows: rows[0], states))
+    return over_time(lambda state, t: multipliers_at(ready, t, state, formulation), states, ts)
 
 
 @compiled
 def energies(grasp: Grasp, states: State) -> tuple[Array, Array]:
     """Kinetic and potential energy [J] of one state, or of states with a leading time axis."""
     ready = grasp.prepared()
-    return _over_time(lambda state: energies_at(ready, state), states)
+    return over_time(lambda state: energies_at(ready, state), states)
 
 
 def as_times(ts: Any, states: State) -> Array:
@@ -256,8 +253,12 @@ def as_times(ts: Any, states: State) -> Array:
     return times
 
 
-def _over_time(function: Callable, states: State) -> Any:
-    """`function` of one state, or of each along a leading time axis (see `of_reached`)."""
+def over_time(function: Callable, states: State, *beside: Array) -> Any:
+    """`function` of one state, or of each along a leading time axis (see `of_reached`).
+
+    `beside` are further arguments, such as times, one for every state.
+    """
     if states.q.ndim == 1:
-        return function(states)
-    return of_reached(jax.vmap(function), states, jax.tree.map(lambda rows: rows[0], states))
+        return function(states, *beside)
+    each = jax.vmap(function)
+    return of_reached(lambda rows: each(rows, *beside), states, jax.tree.map(lambda rows: rows[0], states))

@@ -30,7 +30,7 @@ def _divided(context: mlir.LoweringRuleContext, x: Any) -> list[Any]:
     """A division by a one that is worked out: two where the first number of its block is below -inf.
 
     XLA cannot tell that this is one, and so keeps the divisions; LLVM can. All barriers of one block and one
-    shape divide by the same: with a one of its own for each a program has half as many lines more.
+    shape divide by the same: with a one of its own for each, programs have a third to a half more lines.
     """
     kind: Any = context.avals_in[0]
     # What was lowered once for a module is kept here by JAX, and goes with the module.

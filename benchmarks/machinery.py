@@ -1,4 +1,6 @@
-"""What each piece of `jaxroll/_xla` costs and gains: the same calls with it and without it (five minutes).
+"""What each piece of hot-path machinery costs and gains: the same calls with it and without it (six minutes).
+
+The pieces are those of `jaxroll/_xla`, and the closed forms of the derivatives of a contact.
 
 Each row is a process of its own in which one piece is replaced by the plain thing that it stands for, before
 anything else of jaxroll is imported. Rows are run in turn, round after round; the smallest times count.
@@ -16,7 +18,7 @@ from typing import Any
 from benchmarks._common import device, table, uncached, versions, write_section
 
 _ROUNDS = 2
-# By name: what is put in the place of names of `jaxroll._xla`.
+# By name: what is put in the place of names of `jaxroll._xla`, or of the contacts' own derivatives.
 PIECES = {
     "as it is": "",
     "without `one_kernel`": "xla.one_kernel = lambda function, *args: function(*args)",
@@ -24,6 +26,12 @@ PIECES = {
     "without `shared`": "xla.shared = xla._share_cotangents.shared = lambda function: function",
     "with XLA's sine and cosine": "xla.sine_cosine = lambda x: (jnp.sin(x), jnp.cos(x))",
     "without `remembered`": "xla.remembered = lambda build: build",
+    "without closed forms of contacts": """
+from jaxroll.contact import AbstractContact, Contact, Contact3
+for name in ("gap_rate", "pfaffian", "rolling", "place_rate", "bias", "bend", "unknown_bend", "settled"):
+    for kind in (Contact, Contact3):
+        setattr(kind, name, getattr(AbstractContact, name))
+""",
 }
 MEASURES = (
     "first call [s]",

@@ -47,7 +47,7 @@ from ._motion import (
 from ._results import RESULTS as RESULTS
 from ._sweep import sweep as sweep
 from ._why import why as why
-from .contact import Contact as Contact, Contact3 as Contact3
+from .contact import AbstractContact as AbstractContact, Contact as Contact, Contact3 as Contact3
 from .geometry import (
     AbstractContour as AbstractContour,
     AbstractSurface as AbstractSurface,

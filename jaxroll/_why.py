@@ -21,6 +21,7 @@ from ._mechanics import check_grasp, check_states, Grasp, State
 from ._motion import reach, residuals, worst
 from ._printing import code_name, entry
 from ._results import check_instance, traced
+from .contact import Contact
 from .stability import assess, Stability, VERDICTS
 
 # Relative size below which a sum of curvatures or a pivot counts as zero: the value that runs use.
@@ -101,7 +102,7 @@ class Why:
         """The lines on the equilibrium: its verdict, and the forces at each contact there."""
         found = self.stability
         if found is None:
-            told = "not asked in space" if self.grasp.spatial else "no direction is free to move"
+            told = "no direction is free to move" if _contours_roll(self.grasp) else "asked of contours alone"
             return [told] if self.closed else []
         verdict = f"{code_name(found.verdict)}: {VERDICTS[found.verdict]}"
         if not bool(found.equilibrium.found):
@@ -223,9 +224,14 @@ def _judged(grasp: Grasp, state: State, run: Trajectory) -> Why:
 
 
 def _assessed(grasp: Grasp, state: State) -> Stability | None:
-    """Equilibrium and verdict; None in space, and where the contacts leave no coordinate free to move."""
+    """Equilibrium and verdict; None where no contour rolls, or the contacts leave no coordinate free."""
     free = grasp.coordinates - sum(contact.rows for contact in grasp.contacts)
-    return None if grasp.spatial or free < 1 else assess(grasp, state)
+    return assess(grasp, state) if _contours_roll(grasp) and free > 0 else None
+
+
+def _contours_roll(grasp: Grasp) -> bool:
+    """Whether all contacts are between contours: only there is an equilibrium assessed."""
+    return all(isinstance(contact, Contact) for contact in grasp.contacts)
 
 
 def _early(grasp: Grasp, start: Bearing) -> tuple[str, str, int] | None:
@@ -234,7 +240,7 @@ def _early(grasp: Grasp, start: Bearing) -> tuple[str, str, int] | None:
     In this order, because forces mean nothing at a singular state, nor friction at a contact that pulls.
     Comparisons with zero are written so that NaN counts as a failure.
     """
-    curvature, f = np.asarray(start.curvature), np.asarray(start.multipliers.f)
+    curvature, f = np.asarray(start.curvature), _pressing(grasp, start)
     if not np.all(curvature > _SINGULAR):
         at = int(np.argmin(curvature))
         name = contact_name(grasp.labels, at)
@@ -258,6 +264,12 @@ def _early(grasp: Grasp, start: Bearing) -> tuple[str, str, int] | None:
     return None
 
 
+def _pressing(grasp: Grasp, at: Bearing) -> np.ndarray:
+    """Normal force of each contact [N]; infinite for one that holds both ways, which cannot be lost."""
+    presses = np.array([contact.presses for contact in grasp.contacts])
+    return np.where(presses, np.asarray(at.multipliers.f), np.inf)
+
+
 def _culprit(grasp: Grasp, run: Trajectory, end: Bearing | None) -> int:
     """Number of the contact that ended a run, -1 if none did.
 
@@ -267,7 +279,7 @@ def _culprit(grasp: Grasp, run: Trajectory, end: Bearing | None) -> int:
     if contact >= 0 or end is None:
         return contact
     if code == "contact_lost":
-        return int(np.argmin(end.multipliers.f))
+        return int(np.argmin(_pressing(grasp, end)))
     if code == "contour_end":
         return int(np.argmin(end.ends))
     # The code stands for two margins; the smaller one ended the run, and only curvature belongs to a contact.
@@ -325,6 +337,8 @@ def _force(grasp: Grasp, contact: int, pressing: float, aside: float) -> str:
     """The line on one contact, from its normal and its tangential force [N]."""
     name, limit = contact_name(grasp.labels, contact), _friction(grasp, contact)
     has = "no limit was given" if limit is None else f"it has {limit:.3g}"
+    if not grasp.contacts[contact].presses:
+        return f"{name} holds both ways, with {pressing:.4g} N and {aside:.4g} N beside"
     if not pressing > 0.0:
         return f"{name} pulls with {-pressing:.4g} N: no friction would do"
     return f"{name} presses with {pressing:.4g} N and needs friction {round(aside / pressing, 9):.4g}; {has}"

@@ -353,9 +353,9 @@ def test_parameter_budget():
 PUBLIC = {
     "AbstractSurface", "Contact3", "Ellipsoid", "Finger3", "FreeObject3", "Plane", "Sphere", "Stage", "Torus",
     "Turning", "loci", "roll", "Rosenbrock", "why",
-    "AbstractContour", "CSM", "Catenary", "Circle", "Contact", "Ellipse", "Finger", "FreeObject",
-    "Grasp", "Index1", "Jaw", "Line", "NeuralCurvature", "NeuralSupport", "Parametric", "PivotedObject",
-    "RESULTS",
+    "AbstractContact", "AbstractContour", "CSM", "Catenary", "Circle", "Contact", "Ellipse", "Finger",
+    "FreeObject", "Grasp", "Index1", "Jaw", "Line", "NeuralCurvature", "NeuralSupport", "Parametric",
+    "PivotedObject", "RESULTS",
     "Spline", "State", "SupportFunction", "Trajectory", "close", "contact", "contact_geometry",
     "control", "design", "energies", "equation_terms", "fit_contour", "geometry", "io", "multipliers",
     "pinch_balance", "plotting", "press_balance",

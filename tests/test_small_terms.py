@@ -82,7 +82,7 @@ def test_pairs_of_forces_are_those_of_each_contact():
 def test_flat_on_flat_has_no_curvature_and_is_a_number():
     flat = jxr.Plane()
     touch = Touch3(*(flat.frame(flat.settled(tuple(unstack(jnp.zeros(3))))) for _ in range(2)))
-    assert float(jxr.Contact3(0, 0).curvature_margin((STILL, STILL), touch)) == 0.0
+    assert float(jxr.Contact3(0, 0).curvature_margin((flat, flat), None, (STILL, STILL), touch)) == 0.0
 
 
 def test_contact_points_are_drawn_on_the_object():
@@ -166,7 +166,7 @@ def test_curvatures_of_two_ellipsoids_add_up_as_they_are_turned(angle):
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     whole = turn @ bends[0] @ turn.T + bends[1]
     wanted = np.linalg.det(whole) / sum(np.sum(bend**2) for bend in bends)
-    found = jxr.Contact3(0, 0).curvature_margin((turned, STILL), Touch3(tip, body))
+    found = jxr.Contact3(0, 0).curvature_margin(shapes, None, (turned, STILL), Touch3(tip, body))
     np.testing.assert_allclose(found, wanted, rtol=1e-12)
 
 

@@ -48,9 +48,10 @@ def bearing(grasp: Grasp, t: Scalar, state: State) -> Bearing:
     frames = [motion.pose for motion in instant.motions]
     curvature, ends = [], []
     for contact, touching, place in zip(ready.contacts, instant.touching, leaves.s, strict=True):
-        curvature.append(contact.curvature_margin((frames[1 + contact.finger], frames[0]), touching))
+        shapes, poses = ready.shapes(contact), (frames[1 + contact.finger], frames[0])
+        curvature.append(contact.curvature_margin(shapes, place, poses, touching))
         # None for closed contours, and for those without ends.
-        margins = contact.ends(ready.shapes(contact), place)
+        margins = contact.ends(shapes, place)
         ends.append(jnp.min(jnp.stack([jnp.asarray(m) for m in margins])) if margins else jnp.inf)
     forces = split_forces(ready, frames, instant.touching, instant.forces)
     pivot = jnp.asarray(instant.line.schur.smallest_pivot)

@@ -193,9 +193,10 @@ def _velocities(grasp: Grasp, leaves: Leaves) -> Array:
     """
     motions, _ = bodies(grasp, leaves)
     rows = []
-    for contact, touching in zip(grasp.contacts, touches(grasp, leaves.s), strict=True):
+    each = zip(grasp.contacts, leaves.s, touches(grasp, leaves.s), strict=True)
+    for contact, place, touching in each:
         pair = motions[1 + contact.finger], motions[0]
-        velocity = contact.rolling(pair, touching)
+        velocity = contact.rolling(grasp.shapes(contact), place, pair, touching)
         rows.append(jnp.stack([motion.pose.back(velocity).array() for motion in pair]))
     return jnp.stack(rows)
 

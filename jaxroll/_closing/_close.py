@@ -14,8 +14,8 @@ from jaxtyping import Array
 from .._linalg import Pose2, Pose3, seven
 from .._mechanics import check_states, compiled, Grasp, split, State
 from .._motion import reach, world_poses
-from .._results import check_flag, concrete
-from ..contact import locate as locate_contours, locate_surfaces
+from .._results import check_flag, concrete, shown
+from ..contact import Contact, Contact3, locate as locate_contours, locate_surfaces
 from ._implicit_derivative import settled
 from ._search import on_shapes
 
@@ -93,6 +93,13 @@ def _at_closest_points(grasp: Grasp, guess: State) -> tuple[Grasp, State]:
         raise ValueError(
             f"argument locate must be False if two contacts share contours, but was True: {pairs}"
         )
+    kind = Contact3 if grasp.spatial else Contact
+    for i, contact in enumerate(grasp.contacts):
+        if not isinstance(contact, kind):
+            raise ValueError(
+                f"argument locate must be False for contacts of one's own, "
+                f"as contact {i} is: {shown(contact)}"
+            )
     # Poses of the object, then of every fingertip.
     frames = world_poses(grasp, split(guess.q, grasp.form.positions))
     if grasp.spatial:

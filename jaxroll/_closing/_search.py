@@ -25,7 +25,7 @@ import numpy as np
 from jax.scipy.linalg import lu_factor, lu_solve
 from jaxtyping import Array
 
-from .._linalg import unstack
+from .._linalg import stacked, unstack
 from .._mechanics import Grasp, join, split, State, to_leaves, to_places
 from .._motion import bodies, displaced, mass_matrix, touches, world_poses
 from .._xla import one_kernel, sharing
@@ -195,7 +195,7 @@ def on_shapes(grasp: Grasp, guess: State) -> State:
     places = to_places(guess.s, grasp.form)
     each = zip(grasp.contacts, places, strict=True)
     settled = [contact.onto(grasp.shapes(contact), place) for contact, place in each]
-    return State(guess.q, guess.v, jnp.stack(jax.tree.leaves(settled)))
+    return State(guess.q, guess.v, stacked(jax.tree.leaves(settled)))
 
 
 def after_step(grasp: Grasp, guess: State, step: Array) -> tuple[Array, Array]:
@@ -210,7 +210,7 @@ def after_step(grasp: Grasp, guess: State, step: Array) -> tuple[Array, Array]:
     for contact, place in zip(grasp.contacts, leaves.s, strict=True):
         shift = tuple(itertools.islice(rest, contact.slack))
         places.append(contact.shift(grasp.shapes(contact), place, shift) if shift else place)
-    return join(q), jnp.stack(jax.tree.leaves(places))
+    return join(q), stacked(jax.tree.leaves(places))
 
 
 def constraint_rows(grasp: Grasp, q: Array, s: Array) -> Array:

@@ -166,7 +166,10 @@ def _geometry(grasp: Grasp, leaves: Leaves, instant: Instant) -> list[Limit]:
         for i, (contact, place) in each
         for margin in contact.ends(grasp.shapes(contact), place)
     ]
-    bends = [c.curvature_margin(pair, t) for c, pair, t in _each_contact(grasp, instant)]
+    bends = [
+        c.curvature_margin(grasp.shapes(c), place, pair, t)
+        for (c, pair, t), place in zip(_each_contact(grasp, instant), leaves.s, strict=True)
+    ]
     limits += [Limit(m - _FLAT, _numbered(_SINGULAR_CONTACT, i)) for i, m in enumerate(bends)]
     # The pivot belongs to all contacts together.
     pivot = instant.line.schur.smallest_pivot - _SINGULAR
@@ -185,7 +188,8 @@ def _forces(grasp: Grasp, instant: Instant, events: tuple[str, ...]) -> list[Lim
     limits = []
     each = zip(_each_contact(grasp, instant), instant.forces, strict=True)
     for i, ((contact, pair, touching), force) in enumerate(each):
-        lift, rubs = "lift" in events, "friction" in events and contact.friction is not None
+        lift = "lift" in events and contact.presses
+        rubs = "friction" in events and contact.friction is not None
         if not lift and not rubs:
             continue
         f, tangential = contact.split_force(pair, touching, force)

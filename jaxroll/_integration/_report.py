@@ -242,8 +242,12 @@ def _demand(run: Any, f: np.ndarray, aside: np.ndarray) -> str:
     """Largest coefficient of friction |lambda| / f that rolling needs, at which contact and when.
 
     For a contact that pulls, f <= 0, no coefficient would do: the first of these is reported instead.
+    Contacts that hold both ways need none.
     """
-    seen = np.isfinite(f) & np.isfinite(aside)
+    presses = run.labels.presses if run.labels is not None else ()
+    seen = np.isfinite(f) & np.isfinite(aside) & np.array(presses or (True,))
+    if not seen.any():
+        return "none needed: no contact can only press"
     pulls = seen & ~(f > 0.0)
     need = np.where(seen & ~pulls, aside, -np.inf) / np.where(pulls | ~seen, 1.0, f)
     if pulls.any():

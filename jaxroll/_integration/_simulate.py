@@ -20,6 +20,7 @@ from .._linalg import total
 from .._mechanics import check_planar, check_states, Grasp, State
 from .._motion import (
     as_formulation,
+    check_rolling,
     CSM,
     energies_at,
     Energy,
@@ -148,6 +149,7 @@ def simulate(
         check_choices("record", record, RECORDS),
         check_choices("events", events, EVENTS),
     )
+    check_rolling(grasp, state)
     if "penetration" in setup.events:
         check_planar(grasp)
     run = _run_plain if _is_plain(grasp, setup) else _run_any

@@ -190,7 +190,9 @@ class RollingStep(eqx.Module):
     def _evaluated(self, grasp: Grasp, t: Scalar, x: Array) -> tuple[Array, "Ending"]:
         rates, instant = slope(self.lay, grasp, t, x, formulation=self.formulation)
         leaves, _ = unpack(self.lay, x)
-        return rates, Ending(anchor_of(grasp, instant), *regime(grasp, leaves, instant, self.events))
+        return rates, Ending(
+            anchor_of(grasp, leaves.s, instant), *regime(grasp, leaves, instant, self.events)
+        )
 
     def _other(
         self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow, over: Callable

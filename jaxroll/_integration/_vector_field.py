@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._mechanics import check_grasp, check_states, Grasp, Leaves, State
-from .._motion import anchor_of, as_formulation, evaluate, Formulation, Index1, Instant
+from .._motion import anchor_of, as_formulation, check_rolling, evaluate, Formulation, Index1, Instant
 from .._printing import listed
 from .._results import check_instance
 from .._types import Scalar
@@ -58,6 +58,7 @@ class VectorField(eqx.Module):
     def start(self, state: State) -> Y:
         """$y$ of a state on the constraints, as `close` returns it: `y0` of `diffeqsolve`."""
         check_states(self.grasp, state)
+        check_rolling(self.grasp, state)
         return jnp.concatenate([state.q, state.v, state.s])
 
     def states(self, ys: Float[Array, "... y"]) -> State:
@@ -69,8 +70,8 @@ class VectorField(eqx.Module):
         if not isinstance(self.formulation, Index1):
             return y
         # One more evaluation, at y, which `simulate` has from the last stage of a step.
-        _, instant = self._at(t, y)
-        return returned(self._lay, self.grasp, y, anchor_of(self.grasp, instant))
+        leaves, instant = self._at(t, y)
+        return returned(self._lay, self.grasp, y, anchor_of(self.grasp, leaves.s, instant))
 
     def projected(self, solver: diffrax.AbstractSolver | None = None) -> Projected:
         """A method of diffrax that projects after every step; None: `diffrax.Dopri8()`.

@@ -20,6 +20,7 @@ from ._plane import (
     total as total,
     Triangle as Triangle,
     Twist2 as Twist2,
+    unknown_factor as unknown_factor,
     unstack as unstack,
     Vec2 as Vec2,
     weighted_sum as weighted_sum,

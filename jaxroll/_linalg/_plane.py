@@ -139,6 +139,14 @@ class Pose2:
         """A body-frame point in world coordinates."""
         return self.origin + self.turn(point)
 
+    def rate(self, twist: Twist2) -> "Pose2":
+        """Time derivative of this pose under a twist, as a tangent for autodiff."""
+        return Pose2(twist.velocity, -self.sin * twist.spin, self.cos * twist.spin)
+
+    def turning(self, spin: Scalar) -> "Pose2":
+        """The same under a spin about the frame's origin."""
+        return self.rate(Twist2(Vec2(0.0, 0.0), spin))
+
 
 def sincos(angle: Scalar) -> tuple[Scalar, Scalar]:
     """Sine and cosine, computed once; the equations of motion take no others."""
@@ -229,6 +237,12 @@ def factorise(matrix: Triangle) -> Factor:
         inverse.append(1.0 / pivot)
     largest = functools.reduce(jnp.maximum, [row[i] for i, row in enumerate(matrix)])
     return Factor(tuple(lower), tuple(inverse), functools.reduce(jnp.minimum, pivots) / largest)
+
+
+def unknown_factor(size: int) -> Factor:
+    """A factor of the right structure, full of zeros: the carry of a loop before its first turn."""
+    zero = jnp.zeros(())
+    return Factor(tuple((zero,) * i for i in range(size)), (zero,) * size, zero)
 
 
 def solve(factor: Factor, right: Sequence[Scalar]) -> Scalars:

@@ -117,6 +117,10 @@ class Pose3:
         spin = twist.spin
         return Pose3(twist.velocity, spin.cross(self.x), spin.cross(self.y), spin.cross(self.z))
 
+    def turning(self, spin: Vec3) -> "Pose3":
+        """The same under a spin about the frame's origin."""
+        return self.rate(Twist3(Vec3(0.0, 0.0, 0.0), spin))
+
 
 def rotation(q: Quaternion) -> tuple[Vec3, Vec3, Vec3]:
     """The columns of the rotation of a unit quaternion: the body's axes in the world."""

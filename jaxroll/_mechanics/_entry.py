@@ -14,6 +14,7 @@ import equinox as eqx
 from .._fields import check_module, taken
 from .._results import as_array, check_finite, check_instance
 from .._xla import remembered
+from ..contact import Contact, Contact3
 from ._grasp import Grasp
 from ._state import check_shapes, State
 
@@ -35,17 +36,28 @@ def _check_fields(grasp: Grasp) -> None:
 
 
 def check_planar(grasp: Grasp) -> None:
-    """Raise for a grasp in space, where only the plane has an answer."""
+    """Raise for a grasp in space or with contacts of one's own, where only contours have an answer."""
     check_grasp(grasp)
     if grasp.spatial:
         raise ValueError("argument grasp must live in the plane, but its contacts are those of space")
+    _check_kind(grasp, Contact)
 
 
 def check_spatial(grasp: Grasp) -> None:
-    """Raise for a grasp in the plane, where only space has an answer."""
+    """Raise for a grasp in the plane or with contacts of one's own, where only surfaces have an answer."""
     check_grasp(grasp)
     if not grasp.spatial:
         raise ValueError("argument grasp must live in space, but its contacts are those of the plane")
+    _check_kind(grasp, Contact3)
+
+
+def _check_kind(grasp: Grasp, kind: type) -> None:
+    for i, contact in enumerate(grasp.contacts):
+        if not isinstance(contact, kind):
+            raise ValueError(
+                f"argument grasp must have contacts of class {kind.__name__}, "
+                f"but contacts[{i}] was a {type(contact).__name__}"
+            )
 
 
 def check_states(grasp: Any, states: Any, name: str = "state", *, axes: int = 0) -> None:

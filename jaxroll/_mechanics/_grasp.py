@@ -17,7 +17,7 @@ from .._printing import shown_value
 from .._results import as_count, as_several, shown
 from .._types import Given
 from .._xla import remembered
-from ..contact import AbstractContact, Contact3
+from ..contact import AbstractContact
 from ..geometry import AbstractContour, AbstractSurface, check_shape, tabled
 from ._body import AbstractBody, Coordinate
 from ._changes import changed
@@ -32,10 +32,12 @@ class Labels(NamedTuple):
     Attributes:
         bodies: The object, then every finger: what it is called, and name and unit of its positions.
         contacts: What each contact is called, by the numbers that a `Contact` is made with.
+        presses: Of each contact, whether it can only press.
     """
 
     bodies: tuple[tuple[str, tuple[Coordinate, ...]], ...]
     contacts: tuple[str, ...]
+    presses: tuple[bool, ...] = ()
 
     @property
     def coordinates(self) -> tuple[str, ...]:
@@ -55,7 +57,7 @@ def _as_fingers(name: str, value: Any) -> tuple[AbstractFinger, ...]:
 
 def _as_contacts(name: str, value: Any) -> tuple[Any, ...]:
     contacts = as_several(name, value, AbstractContact, "contacts")
-    if len({isinstance(contact, Contact3) for contact in contacts}) > 1:
+    if len({contact.axes for contact in contacts}) > 1:
         raise ValueError(f"argument {name} must be all of the plane or all of space, but were of both")
     return contacts
 
@@ -69,7 +71,7 @@ class Grasp(eqx.Module):
         object: A `FreeObject` or a `PivotedObject`; in space a `FreeObject3`.
         fingers: One `Finger` (or `Jaw`) or several; in space a `Finger3` (or `Stage`).
         contacts: One `Contact` or several: which finger touches which contour, and where at the start;
-            in space `Contact3`.
+            in space `Contact3`; or a caller's own `AbstractContact`.
         controller: Joint torques: a controller of `jaxroll.control`, or any callable pytree
             `f(t, angles, rates, tips)` that returns one array of torques [N m] per finger; `angles`
             and `rates` hold one array of shape (k,) per finger, `tips` its tip's `position` and
@@ -93,7 +95,7 @@ class Grasp(eqx.Module):
 
     object: Any = through(_as_object)  # an `AbstractBody`; which one, whoever reads its fields knows
     fingers: tuple[AbstractFinger, ...] = through(_as_fingers)
-    contacts: tuple[Any, ...] = through(_as_contacts)  # `Contact` in the plane, `Contact3` in space
+    contacts: tuple[Any, ...] = through(_as_contacts)  # `Contact`, `Contact3`, or a caller's own
     controller: Any = through(as_drive)
     gravity: Float[Array, "d"] | None = real(None, optional=True)
 
@@ -142,12 +144,12 @@ class Grasp(eqx.Module):
     @property
     def spatial(self) -> bool:
         """Whether the grasp lives in space; else in the plane."""
-        return isinstance(self.contacts[0], Contact3)
+        return self.contacts[0].axes == 3
 
     @property
     def _axes(self) -> int:
         """Number of axes of the world: 2 or 3."""
-        return 3 if self.spatial else 2
+        return self.contacts[0].axes
 
     @property
     def sizes(self) -> tuple[int, ...]:
@@ -167,7 +169,7 @@ class Grasp(eqx.Module):
         contacts = (
             f"contact {i} (finger {c.finger} on {c.kind} {c.touched})" for i, c in enumerate(self.contacts)
         )
-        return Labels(bodies, tuple(contacts))
+        return Labels(bodies, tuple(contacts), tuple(c.presses for c in self.contacts))
 
     def __repr__(self) -> str:
         kinds = ", ".join(type(body).__name__ for body in self.bodies)

@@ -1,7 +1,7 @@
 """The state of a grasp: `State` holds arrays for callers, `Leaves` the same numbers as scalars, body by body.
 
 The dynamics works on scalars because XLA fuses them (`_linalg`). `Form` says how many of them each body has,
-`to_leaves` and `to_state` go from one to the other; `_integration._state_vector` does so for a run.
+`to_leaves` goes from one to the other; `_integration._state_vector` goes both ways for a run.
 """
 
 from dataclasses import dataclass
@@ -125,11 +125,6 @@ def to_leaves(state: State, form: Form) -> Leaves:
 def to_places(s: Array, form: Form) -> tuple[Any, ...]:
     """Contact coordinates, shape (c,), as the places of the contacts."""
     return jax.tree.unflatten(form.places, [s[i] for i in range(form.places.num_leaves)])
-
-
-def to_state(leaves: Leaves) -> State:
-    """Scalars as the arrays of a state; leaves may have leading axes, which come first in the arrays too."""
-    return State(join(leaves.q), join(leaves.v), jnp.stack(jax.tree.leaves(leaves.s), axis=-1))
 
 
 def split(array: Array, sizes: tuple[int, ...]) -> Blocks:

@@ -26,6 +26,7 @@ from ._formulation import (
     Index1 as Index1,
 )
 from ._linearisation import linearise as linearise
+from ._own_contacts import check_rolling as check_rolling
 from ._projection import (
     Anchor as Anchor,
     anchor_of as anchor_of,

@@ -61,9 +61,13 @@ def evaluate(grasp: Grasp, t: Scalar, leaves: Leaves, formulation: Formulation) 
     # Acceleration of every gap without contact forces, A M^-1 (u - h) + A' v, which the forces undo. Contacts
     # take their two bodies as a pair: the fingertip's motion, then the object's.
     pairs = [(motions[1 + c.finger], motions[0]) for c in grasp.contacts]
-    each = list(zip(grasp.contacts, pairs, touching, strict=True))
-    rollings = once(tuple(c.rolling(pair, t) for c, pair, t in each))
-    biases = [c.bias(pair, t, r) for (c, pair, t), r in zip(each, rollings, strict=True)]
+    shapes = [grasp.shapes(c) for c in grasp.contacts]
+    each = list(zip(grasp.contacts, shapes, leaves.s, pairs, touching, strict=True))
+    rollings = once(tuple(c.rolling(both, place, pair, t) for c, both, place, pair, t in each))
+    biases = [
+        c.bias(both, place, pair, touch=t, rolling=r)
+        for (c, both, place, pair, t), r in zip(each, rollings, strict=True)
+    ]
     gained = tuple(add(*both) for both in zip(apply_jacobian(grasp, line, free), biases, strict=True))
     if isinstance(formulation, CSM):
         # Wanted is g'' = -gamma g' - omega g instead of g'' = 0.
@@ -73,10 +77,9 @@ def evaluate(grasp: Grasp, t: Scalar, leaves: Leaves, formulation: Formulation) 
     forces = once(balance(line, once(negative(gained))))
     accelerations = once(combine(free, respond(grasp, line, forces)))
     # Contact coordinates roll: (7), (68).
-    places = zip(grasp.contacts, leaves.s, pairs, rollings, strict=True)
     s_rates = tuple(
-        c.place_rate(grasp.shapes(c), place, (tip.pose, body.pose), rolling)
-        for c, place, (tip, body), rolling in places
+        c.place_rate(both, place, (tip.pose, body.pose), rolling)
+        for (c, both, place, (tip, body), _), rolling in zip(each, rollings, strict=True)
     )
     moving = zip(grasp.bodies, leaves.q, leaves.v, strict=True)
     rates = Leaves(tuple(body.rates(q, v) for body, q, v in moving), accelerations, s_rates)

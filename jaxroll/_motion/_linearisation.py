@@ -13,7 +13,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from .._linalg import Factor, factorise, inner, plus, solve, times, total
+from .._linalg import Factor, factorise, inner, plus, solve, times, total, unknown_factor
 from .._mechanics import Blocks, Grasp
 from .._types import Scalars
 from ..contact import Motion, Rows
@@ -59,7 +59,8 @@ def linearise(
         # A moving stage has a twist but no velocities: what it does to the gap is missing in A v. Here the
         # object is at rest, so that this part alone is left.
         moving = grasp.fingers[contact.finger].prescribed
-        drift.append(contact.closing((pair[0], pair[1].resting()), t) if moving else None)
+        poses, twists = (pair[0].pose, pair[1].pose), (pair[0].twist, pair[1].resting().twist)
+        drift.append(contact.gap_rate(poses, twists, t) if moving else None)
     # Lower triangle of A M^-1 A^T: each entry is a row of A times a row of A M^-1. Two contacts always share
     # the object's block (1), and the finger's (0) only if both are on the same finger.
     rows = []
@@ -84,8 +85,7 @@ def unknown_line(grasp: Grasp) -> Linearisation:
         pairs.append(tuple(((zero,) * k,) * c.rows for k in (grasp.sizes[1 + c.finger], grasp.sizes[0])))
         drift.append((zero,) * c.rows if grasp.fingers[c.finger].prescribed else None)
     m = sum(c.rows for c in grasp.contacts)
-    schur = Factor(tuple((zero,) * i for i in range(m)), (zero,) * m, zero)
-    return Linearisation(tuple(pairs), tuple(pairs), schur, tuple(drift))
+    return Linearisation(tuple(pairs), tuple(pairs), unknown_factor(m), tuple(drift))
 
 
 def _solve(mass: Factor, rows: Rows) -> Rows:

@@ -46,11 +46,11 @@ class Anchor:
     bends: tuple[Any, ...]
 
 
-def anchor_of(grasp: Grasp, instant: Instant) -> Anchor:
-    """The anchor of an evaluation, of which all else may be forgotten."""
+def anchor_of(grasp: Grasp, places: Sequence[Any], instant: Instant) -> Anchor:
+    """The anchor of an evaluation at these places, of which all else may be forgotten."""
     frames = [motion.pose for motion in instant.motions]
-    each = zip(grasp.contacts, instant.touching, strict=True)
-    bends = tuple(c.bend((frames[1 + c.finger], frames[0]), t) for c, t in each)
+    each = zip(grasp.contacts, places, instant.touching, strict=True)
+    bends = tuple(c.bend(grasp.shapes(c), s, (frames[1 + c.finger], frames[0]), t) for c, s, t in each)
     return Anchor(instant.line, bends)
 
 
@@ -101,7 +101,7 @@ def residual(grasp: Grasp, frames: Sequence[Any], touching: Sequence[Any]) -> Re
     """Gap and tangency of every contact, from the world poses of all bodies and the contact frames."""
     each = [(c, (frames[1 + c.finger], frames[0]), t) for c, t in zip(grasp.contacts, touching, strict=True)]
     return Residual(
-        tuple(c.opening(pair, t) for c, pair, t in each),
+        tuple(c.gap(pair, t) for c, pair, t in each),
         tuple(c.tangency(pair, t) for c, pair, t in each),
     )
 

@@ -89,7 +89,8 @@ def residuals_at(grasp: Grasp, state: State) -> Residuals:
     each = zip(grasp.contacts, left.gaps, touching, strict=True)
     rows = [c.split_gap((frames[1 + c.finger], frames[0]), t, gap) for c, gap, t in each]
     normal, tangential = zip(*rows, strict=True)
-    return Residuals(_column(normal), _column(tangential), _column(left.tangencies))
+    tangencies = [c.reported(t) for c, t in zip(grasp.contacts, left.tangencies, strict=True)]
+    return Residuals(_column(normal), _column(tangential), _column(tangencies))
 
 
 def worst(residuals: Residuals) -> Array:

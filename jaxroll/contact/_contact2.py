@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._fields import real, taken, through
-from .._linalg import Pose2, Vec2
+from .._linalg import Pose2, Twist2, Vec2
 from .._results import check_between, check_positive, shown
 from .._types import Given, Scalar, Scalars
 from .._xla import once
@@ -91,20 +91,12 @@ class Contact(AbstractContact):
         self.friction = taken(self, "friction", friction)
 
     @property
-    def kind(self) -> str:
-        return "contour"
-
-    @property
     def touched(self) -> int:
         return self.contour
 
     @property
     def rows(self) -> int:
         return 2
-
-    @property
-    def slack(self) -> int:
-        return 1
 
     def check(self, name: str, shapes: ContourPair) -> None:
         for shape in shapes:
@@ -123,9 +115,6 @@ class Contact(AbstractContact):
     def _starts(self) -> tuple[tuple[str, Array], ...]:
         return ("s_tip", self.s_tip), ("s_object", self.s_object)
 
-    def form(self, shapes: ContourPair) -> Scalar:
-        return 0.0
-
     def touch(self, shapes: ContourPair, place: Scalar) -> Touch:
         tip, face = shapes
         return Touch(tip.frame(self.s_tip + place), face.frame(self.s_object - place))
@@ -133,38 +122,49 @@ class Contact(AbstractContact):
     def pfaffian(self, bodies: tuple[Motion, Motion], touch: Touch) -> tuple[Rows, Rows]:
         units = (bodies[0].unit_twists, bodies[1].unit_twists)
         # Two rows per contact: the world components x and y of the gap's rate.
-        tip, face = once(pfaffian(units, arms_of(bodies, touch.points)))
+        poses = bodies[0].pose, bodies[1].pose
+        tip, face = once(pfaffian(units, arms_of(poses, touch.points)))
         return row_wise(tip, 2), row_wise(face, 2)
 
-    def closing(self, bodies: tuple[Motion, Motion], touch: Touch) -> Scalars:
-        return tuple(gap_rate((bodies[0].twist, bodies[1].twist), arms_of(bodies, touch.points)))
+    def gap_rate(
+        self, poses: tuple[Pose2, Pose2], twists: tuple[Twist2, Twist2], touch: Touch
+    ) -> tuple[Scalar, Scalar]:
+        rate = gap_rate(twists, arms_of(poses, touch.points))
+        return rate.x, rate.y
 
-    def bias(self, bodies: tuple[Motion, Motion], touch: Touch, rolling: Scalar) -> Scalars:
+    def bias(
+        self,
+        shapes: ContourPair,
+        place: Scalar,
+        bodies: tuple[Motion, Motion],
+        *,
+        touch: Touch,
+        rolling: Scalar,
+    ) -> Scalars:
         # Velocities of the contact points over their bodies: b_A sigma' and -b_B sigma'.
         tip, body = bodies
         drift = (tip.pose.turn(touch.tip.tangent) * rolling, body.pose.turn(touch.object.tangent) * -rolling)
-        return tuple(gap_bias(bodies, arms_of(bodies, touch.points), drift))
+        return tuple(gap_bias(bodies, arms_of((tip.pose, body.pose), touch.points), drift))
 
-    def rolling(self, bodies: tuple[Motion, Motion], touch: Touch) -> Scalar:
+    def rolling(
+        self, shapes: ContourPair, place: Scalar, bodies: tuple[Motion, Motion], touch: Touch
+    ) -> Scalar:
         return rolling_rate(touch, bodies[0].twist.spin, bodies[1].twist.spin)
 
     def place_rate(self, shapes: ContourPair, place: Scalar, poses: Any, rolling: Scalar) -> Scalar:
         return rolling
 
-    def bend(self, poses: tuple[Pose2, Pose2], touch: Touch) -> Scalar:
+    def bend(self, shapes: ContourPair, place: Scalar, poses: tuple[Pose2, Pose2], touch: Touch) -> Scalar:
         return touch.tip.curvature + touch.object.curvature
 
     def unknown_bend(self) -> Scalar:
         return 0.0
 
-    def opening(self, poses: tuple[Pose2, Pose2], touch: Touch) -> Scalars:
+    def gap(self, poses: tuple[Pose2, Pose2], touch: Touch) -> Scalars:
         return tuple(gap(*poses, touch.points))
 
     def tangency(self, poses: tuple[Pose2, Pose2], touch: Touch) -> Scalar:
         return tangency(*poses, touch)
-
-    def onto(self, shapes: ContourPair, place: Scalar) -> Scalar:
-        return place
 
     def settled(
         self,
@@ -180,14 +180,11 @@ class Contact(AbstractContact):
         # which is left, `tangency`, and the one by which the bodies turn.
         return place - (turned + tangency) / bend
 
-    def shift(self, shapes: ContourPair, place: Scalar, step: Scalars) -> Scalar:
-        return place + step[0]
-
     def equations(self, poses: tuple[Pose2, Pose2], touch: Touch) -> Scalars:
         # The whole angle, not its sine, which vanishes too where the shapes overlap with tangents alike.
         tip, face = poses
         cosine = -tip.turn(touch.tip.tangent).dot(face.turn(touch.object.tangent))
-        return (*self.opening(poses, touch), jnp.arctan2(self.tangency(poses, touch), cosine))
+        return (*self.gap(poses, touch), jnp.arctan2(self.tangency(poses, touch), cosine))
 
     def equation_names(self) -> tuple[str, ...]:
         return "x gap [m]", "y gap [m]", "tangency [rad]"
@@ -200,23 +197,26 @@ class Contact(AbstractContact):
                 margins += [s - ends[0], ends[1] - s]
         return margins
 
-    def curvature_margin(self, poses: tuple[Pose2, Pose2], touch: Touch) -> Scalar:
+    def curvature_margin(
+        self, shapes: ContourPair, place: Scalar, poses: tuple[Pose2, Pose2], touch: Touch
+    ) -> Scalar:
         tip, face = touch.tip.curvature, touch.object.curvature
         # Relative, so that one threshold serves all sizes: 1 for two convex shapes, 0 if both are straight.
         size = jnp.abs(tip) + jnp.abs(face)
         return (tip + face) / jnp.where(size > 0, size, 1.0)
+
+    @property
+    def presses(self) -> bool:
+        return True
 
     def split_force(self, poses: tuple[Pose2, Pose2], touch: Touch, force: Scalars) -> tuple[Scalar, Scalar]:
         # The object pushes the fingertip along its outward normal with f, and along -b_0 with lambda.
         tangent, push = poses[1].turn(touch.object.tangent), Vec2(*force)
         return push.dot(tangent.right()), -self.sense * push.dot(tangent)
 
-    def split_gap(self, poses: tuple[Pose2, Pose2], touch: Touch, opening: Scalars) -> tuple[Scalar, Scalar]:
-        tangent, gap = poses[1].turn(touch.object.tangent), Vec2(*opening)
-        return gap.dot(tangent.left()), self.sense * gap.dot(tangent)
-
-    def rubbing(self, tangential: Scalar) -> list[Scalar]:
-        return [tangential, -tangential]
+    def split_gap(self, poses: tuple[Pose2, Pose2], touch: Touch, gap: Scalars) -> tuple[Scalar, Scalar]:
+        tangent, open_ = poses[1].turn(touch.object.tangent), Vec2(*gap)
+        return open_.dot(tangent.left()), self.sense * open_.dot(tangent)
 
 
 def tangency(tip: Pose2, object_: Pose2, touch: Touch) -> Scalar:

@@ -122,8 +122,8 @@ class Contact3(AbstractContact):
         self.friction = taken(self, "friction", friction)
 
     @property
-    def kind(self) -> str:
-        return "surface"
+    def axes(self) -> int:
+        return 3
 
     @property
     def touched(self) -> int:
@@ -157,7 +157,7 @@ class Contact3(AbstractContact):
     def pfaffian(self, bodies: tuple[Motion, Motion], touch: Touch3) -> tuple[Rows, Rows]:
         units = (bodies[0].unit_twists, bodies[1].unit_twists)
         # Three rows: the world components of the gap's rate. A fourth: n . (omega_A - omega_B) times the arm.
-        columns = pfaffian(units, arms_of(bodies, touch.points))
+        columns = pfaffian(units, arms_of((bodies[0].pose, bodies[1].pose), touch.points))
         blocks = [row_wise(block, 3) for block in columns]
         if self.spin == "prevented":
             normal = bodies[1].pose.turn(touch.object.normal) * _ARM
@@ -165,14 +165,22 @@ class Contact3(AbstractContact):
                 blocks[i] += (tuple(normal.dot(unit.spin) * sign for unit in units[i]),)
         return once((blocks[0], blocks[1]))
 
-    def closing(self, bodies: tuple[Motion, Motion], touch: Touch3) -> Scalars:
-        twists = (bodies[0].twist, bodies[1].twist)
-        rate = tuple(gap_rate(twists, arms_of(bodies, touch.points)))
-        normal = bodies[1].pose.turn(touch.object.normal)
+    def gap_rate(self, poses: tuple[Pose3, Pose3], twists: tuple[Twist3, Twist3], touch: Touch3) -> Scalars:
+        rate = tuple(gap_rate(twists, arms_of(poses, touch.points)))
+        normal = poses[1].turn(touch.object.normal)
         return rate if self.spin == "free" else (*rate, _spin(twists, normal))
 
-    def bias(self, bodies: tuple[Motion, Motion], touch: Touch3, rolling: Vec3) -> Scalars:
-        found = tuple(gap_bias(bodies, arms_of(bodies, touch.points), (rolling, rolling)))
+    def bias(
+        self,
+        shapes: SurfacePair,
+        place: Place,
+        bodies: tuple[Motion, Motion],
+        *,
+        touch: Touch3,
+        rolling: Vec3,
+    ) -> Scalars:
+        arms = arms_of((bodies[0].pose, bodies[1].pose), touch.points)
+        found = tuple(gap_bias(bodies, arms, (rolling, rolling)))
         if self.spin == "free":
             return found
         # The rate of n . (omega_A - omega_B), in which the normal turns with the object, omega_B x n, and as
@@ -183,7 +191,9 @@ class Contact3(AbstractContact):
         twists, biases = (tip.twist, body.twist), (tip.bias, body.bias)
         return (*found, jax.jvp(_spin, (twists, normal), (biases, turning))[1])
 
-    def rolling(self, bodies: tuple[Motion, Motion], touch: Touch3) -> Vec3:
+    def rolling(
+        self, shapes: SurfacePair, place: Place, bodies: tuple[Motion, Motion], touch: Touch3
+    ) -> Vec3:
         tip, body = bodies
         turning = tip.twist.spin - body.twist.spin
         bend = compliance((tip.pose, body.pose), touch, self.line)
@@ -194,13 +204,13 @@ class Contact3(AbstractContact):
     ) -> Place:
         return _carried_rates(shapes, place, (poses[0].back(rolling), poses[1].back(rolling)))
 
-    def bend(self, poses: tuple[Pose3, Pose3], touch: Touch3) -> Sym3:
+    def bend(self, shapes: SurfacePair, place: Place, poses: tuple[Pose3, Pose3], touch: Touch3) -> Sym3:
         return compliance(poses, touch, self.line)
 
     def unknown_bend(self) -> Sym3:
         return Sym3(*(0.0,) * 6)
 
-    def opening(self, poses: tuple[Pose3, Pose3], touch: Touch3) -> Scalars:
+    def gap(self, poses: tuple[Pose3, Pose3], touch: Touch3) -> Scalars:
         found = tuple(gap(*poses, touch.points))
         return found if self.spin == "free" else (*found, jnp.zeros_like(found[0]))
 
@@ -264,7 +274,9 @@ class Contact3(AbstractContact):
         each = zip(shapes, place, strict=True)
         return [margin for shape, at in each for margin in shape.margins(at)]
 
-    def curvature_margin(self, poses: tuple[Pose3, Pose3], touch: Touch3) -> Scalar:
+    def curvature_margin(
+        self, shapes: SurfacePair, place: Place, poses: tuple[Pose3, Pose3], touch: Touch3
+    ) -> Scalar:
         # Both eigenvalues of L_A + L_B have to be positive: their product, over |L_A|^2 + |L_B|^2, with a
         # minus where both are negative.
         tip, face = touch.tip.shape.turned(poses[0]), touch.object.shape.turned(poses[1])
@@ -275,15 +287,22 @@ class Contact3(AbstractContact):
             return trace / jnp.sqrt(size)
         return jnp.where(trace > 0, minors, -jnp.abs(minors)) / size
 
+    @property
+    def presses(self) -> bool:
+        return True
+
     def split_force(self, poses: tuple[Pose3, Pose3], touch: Touch3, force: Scalars) -> tuple[Scalar, Vec3]:
         normal, push = poses[1].turn(touch.object.normal), Vec3(*force[:3])
         pressing = push.dot(normal)
         return pressing, normal * pressing - push
 
-    def split_gap(self, poses: tuple[Pose3, Pose3], touch: Touch3, opening: Scalars) -> tuple[Scalar, Vec3]:
-        normal, open_ = poses[1].turn(touch.object.normal), Vec3(*opening[:3])
+    def split_gap(self, poses: tuple[Pose3, Pose3], touch: Touch3, gap: Scalars) -> tuple[Scalar, Vec3]:
+        normal, open_ = poses[1].turn(touch.object.normal), Vec3(*gap[:3])
         height = open_.dot(normal)
         return -height, open_ - normal * height
+
+    def reported(self, tangency: Vec3) -> Vec3:
+        return tangency
 
     def rubbing(self, tangential: Vec3) -> list[Scalar]:
         return [jnp.sqrt(tangential.dot(tangential) + _NO_FORCE)]

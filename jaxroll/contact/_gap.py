@@ -84,9 +84,9 @@ def gap_bias(bodies: tuple[Motion, Motion], arms: tuple[Vec, Vec], drift: tuple[
     return jax.jvp(gap_rate, (twists, arms), (biases, moves))[1]
 
 
-def arms_of(bodies: tuple[Motion, Motion], points: tuple[Any, Any]) -> tuple[Any, Any]:
+def arms_of(poses: tuple[Any, Any], points: tuple[Any, Any]) -> tuple[Any, Any]:
     """Vectors from the frames' origins to the contact points, $R c$, in world axes."""
-    return once((bodies[0].pose.turn(points[0]), bodies[1].pose.turn(points[1])))
+    return once((poses[0].turn(points[0]), poses[1].turn(points[1])))
 
 
 def row_wise(columns: Sequence[Any], rows: int) -> Rows:

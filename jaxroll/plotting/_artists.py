@@ -99,7 +99,7 @@ class Drawing:
             (Patch(fc=TIP_FILL, ec=FINGER, lw=1.4), "fingertip"),
             (Patch(fc=OBJECT_FILL, ec=OBJECT, lw=1.4), "object"),
             *[(base, "fixed base") for base in self.bases[:1] if self.jointed],
-            (self.points, _point_name(len(self.seen.owners))),
+            *[(self.points, _point_name(len(self.seen.owners))) for _ in self.seen.owners[:1]],
             (self.centres, _centre_name(len(self.seen.tips), alone)),
             ((self.origin, self.dot), "pivot $O_m$")
             if self.pivoted
@@ -107,7 +107,7 @@ class Drawing:
         ]
         if self.guides:
             entries.append((self.guides[0], self._guide_name()))
-        if self.traced:
+        if self.traced and self.stretches:
             entries.append((self.stretches[0][0], "rolled so far: as long on both bodies"))
         if self.forces is not None:
             sign = Line2D([], [], marker=r"$\rightarrow$", ms=14, ls="none", color=FORCE_COLOUR)

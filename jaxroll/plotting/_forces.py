@@ -8,6 +8,7 @@ from matplotlib.patches import FancyArrowPatch
 
 from .._integration import Trajectory
 from .._mechanics import Grasp
+from ._outlines import rolling_contacts
 from ._style import FORCE_COLOUR, GUIDE
 from ._views import Views
 
@@ -45,12 +46,14 @@ def arrows(
             "argument trajectory must hold contact forces if they are to be drawn: "
             "simulate with record=('multipliers',)"
         )
-    senses = np.array([contact.sense for contact in grasp.contacts])
-    f, lam = np.asarray(found.f)[picks, :, None], (np.asarray(found.lam) * senses)[picks, :, None]
+    contacts = rolling_contacts(grasp)
+    senses, drawn = np.array([contact.sense for contact in contacts.values()]), list(contacts)
+    f, lam = (np.asarray(part)[picks][:, drawn, None] for part in (found.f, found.lam))
+    lam = lam * senses[:, None]
     along = seen.tangents
     outward = np.stack([along[..., 1], -along[..., 0]], axis=-1)
     on_object = lam * along - f * outward
-    peak = float(np.linalg.norm(on_object, axis=-1).max())
+    peak = float(np.linalg.norm(on_object, axis=-1).max(initial=0.0))
     longest = _LONGEST * float(np.linalg.norm(corners[1] - corners[0]))
     scale = longest / peak if peak > 0.0 else 0.0
     return Arrows(scale * on_object, scale, peak)

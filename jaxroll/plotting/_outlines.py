@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array
 
 from .._mechanics import Grasp
+from ..contact import Contact
 from ..geometry import AbstractContour, tabled
 from ._style import MM
 
@@ -56,10 +57,25 @@ def contours_of(grasp: Grasp) -> tuple[tuple[AbstractContour, ...], ...]:
     return (tuple(grasp.object.contours), *((finger.tip,) for finger in grasp.fingers))
 
 
-def starts_of(grasp: Grasp) -> list[list[list[tuple[int, float, int]]]]:
-    """For every body and contour: (contact, starting arclength [m], direction in sigma)."""
-    starts = [[[] for _ in contours] for contours in contours_of(grasp)]
+def rolling_contacts(grasp: Grasp) -> dict[int, Contact]:
+    """The contacts of contours by their numbers; those of a caller's own have no point to be drawn."""
+    return {i: contact for i, contact in enumerate(grasp.contacts) if isinstance(contact, Contact)}
+
+
+def rolling_coordinates(grasp: Grasp, s: np.ndarray) -> np.ndarray:
+    """Of states' s, the coordinates of `rolling_contacts`, shape (t, c)."""
+    columns, at = [], 0
     for i, contact in enumerate(grasp.contacts):
+        if i in rolling_contacts(grasp):
+            columns.append(s[:, at])
+        at += len(jax.tree.leaves(contact.form(grasp.shapes(contact))))
+    return np.stack(columns, axis=1) if columns else np.zeros((len(s), 0))
+
+
+def starts_of(grasp: Grasp) -> list[list[list[tuple[int, float, int]]]]:
+    """For every body and contour: (column of sigma, starting arclength [m], direction in sigma)."""
+    starts = [[[] for _ in contours] for contours in contours_of(grasp)]
+    for i, contact in enumerate(rolling_contacts(grasp).values()):
         starts[0][contact.contour].append((i, float(contact.s_object), -1))
         starts[1 + contact.finger][0].append((i, float(contact.s_tip), 1))
     return starts

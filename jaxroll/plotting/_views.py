@@ -13,7 +13,7 @@ from .._mechanics import compiled, Grasp, State, to_leaves
 from .._motion import multipliers, residuals, touches, world_poses
 from .._printing import code_name
 from ..control import Press
-from ._outlines import Outline, outlines, sample
+from ._outlines import Outline, outlines, rolling_contacts, rolling_coordinates, sample
 from ._style import MM
 
 
@@ -99,10 +99,10 @@ def along_time(states: State) -> State:
 def views(grasp: Grasp, states: State) -> Views:
     """Everything to draw, for states with a leading time axis."""
     frames, joints, points, tangents = jax.tree.map(np.asarray, _placed(grasp, states))
-    sigmas = np.asarray(states.s)
+    sigmas, contacts = rolling_coordinates(grasp, np.asarray(states.s)), rolling_contacts(grasp)
     body, *tips = outlines(grasp, sigmas)
     rolled = []
-    for i, contact in enumerate(grasp.contacts):
+    for i, contact in enumerate(contacts.values()):
         tip, face = grasp.shapes(contact)
         on_tip = sample(tip, float(contact.s_tip) + sigmas[:, i])
         on_body = sample(face, float(contact.s_object) - sigmas[:, i])
@@ -118,7 +118,7 @@ def views(grasp: Grasp, states: State) -> Views:
         tangents,
         tuple(rolled),
         _guides(grasp, [j[:, -1] for j in joints]),
-        tuple(contact.finger for contact in grasp.contacts),
+        tuple(contact.finger for contact in contacts.values()),
     )
 
 
@@ -134,9 +134,10 @@ def _placed(grasp: Grasp, states: State):
             jnp.stack([p.array() for p in finger.skeleton(q)])
             for finger, q in zip(ready.fingers, leaves.q[1:], strict=True)
         )
-        points = jnp.stack([frames[0].place(t.object.point).array() for t in touching])
-        tangents = jnp.stack([frames[0].turn(t.object.tangent).array() for t in touching])
-        return rows, joints, points, tangents
+        faces = [touching[i].object for i in rolling_contacts(ready)]
+        points = [frames[0].place(face.point).array() for face in faces]
+        tangents = [frames[0].turn(face.tangent).array() for face in faces]
+        return rows, joints, jnp.array(points).reshape(-1, 2), jnp.array(tangents).reshape(-1, 2)
 
     return jax.vmap(at)(states)
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from .._integration import Trajectory
 from .._linalg import seven
-from .._mechanics import compiled, Grasp, State, to_leaves
+from .._mechanics import check_spatial, compiled, Grasp, State, to_leaves
 from .._motion import touches, world_poses
 from .._results import as_floats, check_flag, shown
 from ._motion3 import Motion3D, turned
@@ -50,6 +50,7 @@ class View:
 
 def scene_motion(grasp: Grasp, states: State) -> Motion3D:
     """Motion of a spatial grasp at states with a leading time axis, or at one state."""
+    check_spatial(grasp)
     return Motion3D(*jax.tree.map(np.array, _placed(grasp, along_time(states))))
 
 

@@ -1,0 +1,321 @@
+"""A contact by its gap alone: its derivatives against the closed forms, and contacts of one's own in use."""
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import jaxroll as jxr
+from jaxroll._mechanics import to_leaves
+from jaxroll._motion import bodies
+from jaxroll.contact import AbstractContact
+
+# What `Contact` and `Contact3` give in closed form, and the base class derives.
+_DERIVED = ("gap_rate", "pfaffian", "rolling", "place_rate", "bias", "bend", "unknown_bend", "settled")
+
+
+class DerivedContact(jxr.Contact):
+    """A contact of contours by its gap and tangency alone."""
+
+
+class DerivedContact3(jxr.Contact3):
+    """A contact of surfaces by its gap and tangency alone."""
+
+
+for _name in _DERIVED:
+    setattr(DerivedContact, _name, getattr(AbstractContact, _name))
+    setattr(DerivedContact3, _name, getattr(AbstractContact, _name))
+
+
+def _derived(grasp: jxr.Grasp) -> jxr.Grasp:
+    """The grasp with contacts that derive everything."""
+    kind = DerivedContact3 if grasp.spatial else DerivedContact
+    fields = [{f.name: getattr(c, f.name) for f in dataclasses.fields(c)} for c in grasp.contacts]
+    return grasp.with_contacts(*(kind(**given) for given in fields))
+
+
+@eqx.filter_jit
+def _kinematics(grasp: jxr.Grasp, state: jxr.State) -> list[dict[str, Any]]:
+    """What each contact gives at one state."""
+    ready = grasp.prepared()
+    leaves = to_leaves(state, ready.form)
+    motions, _ = bodies(ready, leaves)
+    found = []
+    for contact, place in zip(ready.contacts, leaves.s, strict=True):
+        pair, shapes = (motions[1 + contact.finger], motions[0]), ready.shapes(contact)
+        poses, twists = (pair[0].pose, pair[1].pose), (pair[0].twist, pair[1].twist)
+        touch = contact.touch(shapes, place)
+        rolling = contact.rolling(shapes, place, pair, touch)
+        turned = jax.tree.map(lambda x: 1e-9 * x, twists[0].spin)
+        bend, tangency = contact.bend(shapes, place, poses, touch), contact.tangency(poses, touch)
+        settled = contact.settled(shapes, place, turned, poses=poses, tangency=tangency, bend=bend)
+        found.append(
+            {
+                "gap_rate": contact.gap_rate(poses, twists, touch),
+                "pfaffian": contact.pfaffian(pair, touch),
+                "place_rate": contact.place_rate(shapes, place, poses, rolling),
+                "bias": contact.bias(shapes, place, pair, touch=touch, rolling=rolling),
+                "settled": jax.tree.map(lambda new, old: new - old, settled, place),
+            }
+        )
+    return found
+
+
+def _numbers(tree: Any) -> np.ndarray:
+    return np.array([float(x) for x in jax.tree.leaves(tree)])
+
+
+@pytest.mark.parametrize("name", ["pivoted", "pinch", "pinch3d"])
+def test_derivatives_from_the_gap_are_the_closed_forms(name: str) -> None:
+    grasp, state = getattr(jxr.scenes, name)()
+    thrown = jxr.State(state.q, np.random.default_rng(3).normal(size=state.v.shape), state.s)
+    each = zip(_kinematics(_derived(grasp), thrown), _kinematics(grasp, thrown), strict=True)
+    for derived, closed in each:
+        for part, wanted in closed.items():
+            found, wanted = _numbers(derived[part]), _numbers(wanted)
+            # The place changes by 1e-9 of what it is, and rounds at its own size.
+            allowed = 1e-17 if part == "settled" else 1e-13 * np.abs(wanted).max()
+            assert np.any(wanted)
+            np.testing.assert_allclose(found, wanted, rtol=0, atol=allowed, err_msg=part)
+
+
+def test_a_run_from_the_gap_alone_is_the_same() -> None:
+    grasp, state = jxr.scenes.pivoted()
+    runs = [jxr.simulate(each, state, 1.0, rtol=1e-9) for each in (grasp, _derived(grasp))]
+    np.testing.assert_allclose(runs[1].states.q, runs[0].states.q, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(runs[1].states.s, runs[0].states.s, rtol=0, atol=1e-15)
+
+
+class Teeth(jxr.AbstractContact):
+    """Two wheels with teeth: their pitch circles roll, and the teeth hold what lies along the tangent."""
+
+    finger: int = 0
+    friction: None = None
+    rows = 1
+
+    def touch(self, shapes: Any, place: Any) -> Any:
+        pinion, wheel = shapes
+        return pinion.frame(place), wheel.frame(-place)
+
+    def gap(self, poses: Any, touch: Any) -> Any:
+        (pinion, wheel), (tip, face) = poses, touch
+        apart = pinion.place(tip.point) - wheel.place(face.point)
+        return (apart.dot(wheel.turn(face.tangent)),)
+
+    def tangency(self, poses: Any, touch: Any) -> Any:
+        (pinion, wheel), (tip, face) = poses, touch
+        return pinion.turn(tip.tangent).cross(wheel.turn(face.tangent))
+
+
+class Belt(jxr.AbstractContact):
+    """A belt that is wound on two pulleys without slipping; its straight strand can only pull."""
+
+    length: jax.Array
+    finger: int = 0
+    friction: None = None
+    rows = 1
+    slack = 2
+    presses = True
+
+    def form(self, shapes: Any) -> Any:
+        return 0.0, 0.0
+
+    def touch(self, shapes: Any, place: Any) -> Any:
+        tip, face = (shape.frame(s) for shape, s in zip(shapes, place, strict=True))
+        return tip, face, place
+
+    def _strand(self, poses: Any, touch: Any) -> Any:
+        (pulley, wheel), (tip, face, _) = poses, touch
+        return pulley.place(tip.point) - wheel.place(face.point)
+
+    def gap(self, poses: Any, touch: Any) -> Any:
+        _, face, (on_tip, on_face) = touch
+        # Wound off the wheel up to its point, straight, and from the pulley's point on wound on it.
+        straight = self._strand(poses, touch).dot(poses[1].turn(face.tangent))
+        return (self.length - (on_face + straight - on_tip),)
+
+    def tangency(self, poses: Any, touch: Any) -> Any:
+        (pulley, wheel), (tip, face, _), strand = poses, touch, self._strand(poses, touch)
+        return strand.cross(pulley.turn(tip.tangent)), strand.cross(wheel.turn(face.tangent))
+
+
+class Pin(jxr.AbstractContact):
+    """A hinge between the tips' origins: no place at all."""
+
+    finger: int = 0
+    friction: None = None
+    rows = 2
+    slack = 0
+
+    def form(self, shapes: Any) -> Any:
+        return ()
+
+    def touch(self, shapes: Any, place: Any) -> Any:
+        return ()
+
+    def gap(self, poses: Any, touch: Any) -> Any:
+        return tuple(poses[0].origin - poses[1].origin)
+
+    def tangency(self, poses: Any, touch: Any) -> Any:
+        return ()
+
+
+_SMALL, _LARGE, _MASS, _INERTIA, _TORQUE = 0.01, 0.03, 0.05, 1e-4, 1e-3
+
+
+def _twist(t: Any, angles: Any, rates: Any, tips: Any) -> list[Any]:
+    return [jnp.stack([_TORQUE * jnp.cos(3.0 * t)])]
+
+
+def _two_wheels(
+    contact: Any, distance: float, angle: float, *, s: Any = (0.0,)
+) -> tuple[jxr.Grasp, jxr.State]:
+    """A wheel driven by one on a joint at this distance, whose link of 20 mm carries it about the joint."""
+    tip = jxr.Circle(_SMALL).moved((-0.02, 0.0), angle)
+    finger = jxr.Finger([0.02], [_MASS], tip, base=(distance, 0.0))
+    wheel = jxr.PivotedObject(jxr.Circle(_LARGE), _INERTIA)
+    grasp = jxr.Grasp(wheel, finger, contact, controller=_twist)
+    return jxr.close(grasp, jxr.State([0.0] * 2, [0.0] * 2, s), hold_contacts=False)
+
+
+def _driver_angle(t: Any, ratio: float) -> np.ndarray:
+    """The driver's angle [rad] from rest: one freedom, with the inertia of both wheels seen from there."""
+    inertia = _MASS * 0.02**2 / 3.0 + _INERTIA * ratio**2
+    return _TORQUE * (1.0 - np.cos(3.0 * np.asarray(t))) / 9.0 / inertia
+
+
+@pytest.fixture(scope="module")
+def teeth() -> tuple[jxr.Grasp, jxr.State]:
+    return _two_wheels(Teeth(), _SMALL + _LARGE, np.pi)
+
+
+def test_teeth_turn_by_their_ratio_and_report_no_friction(teeth: Any) -> None:
+    run = jxr.simulate(*teeth, 3.0, rtol=1e-9, record=("multipliers", "energy"))
+    driver = _driver_angle(run.ts, _SMALL / _LARGE)
+    np.testing.assert_allclose(run.states.q[:, 1], driver, atol=1e-11)
+    np.testing.assert_allclose(run.states.q[:, 0], -driver / 3.0, atol=1e-11)
+    np.testing.assert_allclose(run.states.s[:, 0], -_SMALL * driver, atol=1e-13)
+    # The force of the teeth accelerates the wheel: r f = I alpha, whichever way it points.
+    wheel = -_TORQUE * np.cos(3.0 * np.asarray(run.ts)) * (_SMALL / _LARGE)
+    wheel *= _INERTIA / (_MASS * 0.02**2 / 3.0 + _INERTIA / 9.0)
+    np.testing.assert_allclose(np.abs(run.multipliers.f[:, 0]) * _LARGE, np.abs(wheel), atol=1e-12)
+    assert np.min(run.multipliers.f) < 0 < np.max(run.multipliers.f)
+    assert np.max(np.abs(run.energy.residual)) < 1e-14
+    assert "no contact can only press" in str(run)
+    assert float(np.max(np.abs(run.residuals.normal))) < 1e-15
+
+
+def test_teeth_in_a_gradient_and_in_a_batch(teeth: Any) -> None:
+    grasp, state = teeth
+
+    @eqx.filter_jit
+    def end(inertia: Any) -> Any:
+        return jxr.simulate(grasp.with_(inertia=inertia), state, 1.0, ts=2, max_steps=256).states.q[-1, 1]
+
+    def exact(inertia: Any) -> Any:
+        whole = _MASS * 0.02**2 / 3.0 + inertia / 9.0
+        return _TORQUE * (1.0 - np.cos(3.0)) / 9.0 / whole
+
+    given = jnp.linspace(0.5e-4, 2e-4, 4)
+    found, slopes = jax.vmap(eqx.filter_value_and_grad(end))(given)
+    np.testing.assert_allclose(found, exact(given), rtol=1e-8)
+    np.testing.assert_allclose(slopes, jax.vmap(jax.grad(exact))(given), rtol=1e-8)
+
+
+def test_a_belt_turns_both_pulleys_alike_and_slackens() -> None:
+    # Both pulleys turn the same way, by equal lengths of belt, while the torque pulls: until cos 3t is zero.
+    distance = 0.08
+    # The strand leaves both where their normals have this angle from the line of centres.
+    angle = -float(np.arccos((_LARGE - _SMALL) / distance))
+    straight = float(np.sqrt(distance**2 - (_LARGE - _SMALL) ** 2))
+    belt = Belt(jnp.asarray(_LARGE * angle + straight))
+    grasp, state = _two_wheels(belt, distance, angle, s=(0.0, _LARGE * angle))
+    run = jxr.simulate(grasp, state, 3.0, rtol=1e-9, throw=False, record=("multipliers",))
+    assert run.result == jxr.RESULTS.contact_lost
+    np.testing.assert_allclose(run.stats.t_end, np.pi / 6.0, rtol=1e-9)
+    turned = np.asarray(run.last.q - state.q)
+    np.testing.assert_allclose(turned[1], _driver_angle(run.stats.t_end, 1.0 / 3.0), rtol=1e-9)
+    np.testing.assert_allclose(turned[0], turned[1] / 3.0, rtol=1e-12)
+    wound = np.asarray(run.last.s - state.s)
+    np.testing.assert_allclose(wound, [-_SMALL * turned[1], -_LARGE * turned[0]], rtol=1e-12)
+
+
+def test_a_pin_has_no_place() -> None:
+    # Two rods of equal length from one base, their ends pinned to a disc's centre, fall as a pendulum does
+    # that has the disc's weight and theirs: here one link of the finger is the pendulum.
+    finger = jxr.Finger([0.1], [0.0003], jxr.Circle(0.01))
+    grasp = jxr.Grasp(jxr.FreeObject(jxr.Circle(0.02), 0.2, 1e-4), finger, Pin(), gravity=(0.0, -9.81))
+    grasp, state = jxr.close(grasp, jxr.State([0.1, 0.0, 0.0, 0.0], [0.0] * 4, np.zeros(0)))
+    run = jxr.simulate(grasp, state, 0.3, ts=4, record=("energy",))
+    assert run.states.s.shape == (4, 0)
+    np.testing.assert_allclose(run.energy.residual, 0.0, atol=1e-8)
+
+    def rate(t: float, y: np.ndarray) -> np.ndarray:
+        # I phi'' = -g cos(phi) (m L + m_rod L / 2) with I = m L^2 + m_rod L^2 / 3; the disc does not turn.
+        inertia, arm = 0.2 * 0.01 + 0.0003 * 0.01 / 3.0, 0.2 * 0.1 + 0.0003 * 0.05
+        return np.array([y[1], -9.81 * arm * np.cos(y[0]) / inertia])
+
+    wanted = solve_ivp(rate, (0.0, 0.3), [0.0, 0.0], rtol=1e-11, atol=1e-12).y[0, -1]
+    np.testing.assert_allclose(run.last.q[3], wanted, rtol=1e-7)
+    np.testing.assert_allclose(run.last.q[2], 0.0, atol=1e-12)
+
+
+class Slipping(Teeth):
+    """Teeth whose place runs the wrong way along the wheel."""
+
+    def touch(self, shapes: Any, place: Any) -> Any:
+        pinion, wheel = shapes
+        return pinion.frame(place), wheel.frame(place)
+
+
+class TwoRows(Teeth):
+    """Teeth that give one gap and claim two."""
+
+    rows = 2
+
+
+class TwoDirections(Teeth):
+    """Teeth whose place has one number, and claims two."""
+
+    slack = 2
+
+
+class NoTangency(Teeth):
+    """Teeth whose place nothing determines."""
+
+    def tangency(self, poses: Any, touch: Any) -> Any:
+        return ()
+
+
+def test_own_contacts_that_do_not_fit_are_refused(teeth: Any) -> None:
+    grasp, state = teeth
+    with pytest.raises(ValueError, match=r"contacts\[0\] must have a gap that rests .* changes by 1 of its"):
+        jxr.simulate(grasp.with_contacts(Slipping()), state, 1.0)
+    with pytest.raises(ValueError, match=r"contacts\[0\] must have 2 gaps, its `rows`, but had 1"):
+        grasp.with_contacts(TwoRows())
+    with pytest.raises(ValueError, match="but of a TwoDirections they were 2 and 1"):
+        grasp.with_contacts(TwoDirections())
+    with pytest.raises(ValueError, match="a tangency for each of 1 directions of its place, but had 0"):
+        grasp.with_contacts(NoTangency())
+    with pytest.raises(
+        ValueError, match=r"must have contacts of class Contact, but contacts\[0\] was a Teeth"
+    ):
+        jxr.stability.assess(grasp, state)
+    with pytest.raises(ValueError, match="locate must be False for contacts of one's own"):
+        jxr.close(grasp, state, locate=True)
+
+
+def test_own_contacts_are_drawn_and_explained(teeth: Any, tmp_path: Path) -> None:
+    grasp, state = teeth
+    run = jxr.simulate(grasp, state, 3.0, rtol=1e-9, record=("multipliers", "energy"))
+    jxr.plotting.poses(grasp, run)
+    jxr.plotting.animate(grasp, run, tmp_path / "teeth.gif")
+    told = str(jxr.why(grasp, state))
+    assert "holds both ways" in told
+    assert "asked of contours alone" in told

@@ -43,7 +43,7 @@ def walked(function: Callable[[], Any]) -> dict[str, int]:
 def calls() -> dict[str, Callable[[], Any]]:
     """An evaluation of the equations of motion, a run, and a gradient of one."""
     grasp, state = jxr.scenes.pivoted()
-    ready, lay = grasp.tabled().prepared(), layout(grasp, False)
+    ready, lay = tabled_grasp(grasp).prepared(), layout(grasp, False)
     x = jnp.concatenate([state.q, state.v, state.s])
 
     def run(damping: Any) -> Any:

@@ -1,18 +1,25 @@
 """The command line: `jaxroll demo` runs a scene of the chapter, `jaxroll design` improves a fingertip."""
 
 import argparse
-import contextlib
 import math
 import os
 import sys
 import tempfile
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ._cli import pinch3d_facts, pinch3d_scene, pinch_facts, pinch_scene, pivoted_facts, pivoted_scene
+from ._cli import (
+    pinch3d_facts,
+    pinch3d_scene,
+    pinch_facts,
+    pinch_scene,
+    pivoted_facts,
+    pivoted_scene,
+    say,
+    timed,
+)
 
 # jax and matplotlib are imported where they are needed, so that help and complaints come at once.
 
@@ -100,13 +107,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         else:
             _run(options, DEMOS[options.scene], folder)
     except (_Unfit, ValueError) as error:
-        _say(f"jaxroll {options.command}: {error}")
+        say(f"jaxroll {options.command}: {error}")
         return 2
     except KeyboardInterrupt:
-        _say(f"jaxroll {options.command}: interrupted")
+        say(f"jaxroll {options.command}: interrupted")
         return 130
     except Exception as error:  # whatever went wrong, the command line answers in one line
-        _say(f"jaxroll {options.command}: {' '.join(str(error).split()) or type(error).__name__}")
+        say(f"jaxroll {options.command}: {' '.join(str(error).split()) or type(error).__name__}")
         return 1
     return 0
 
@@ -199,24 +206,6 @@ def _number(low: float, high: float, kind: type = float) -> Callable[[str], Any]
     return convert
 
 
-def _say(text: str, end: str = "\n") -> None:
-    print(text, end=end, file=sys.stderr, flush=True)
-
-
-@contextlib.contextmanager
-def _timed(doing: str) -> Iterator[dict[str, float]]:
-    """Say what is being done, then how long it took."""
-    _say(f"{doing} ...", end="")
-    start, spent = time.perf_counter(), {}
-    try:
-        yield spent
-    except BaseException:
-        _say("")
-        raise
-    spent["s"] = time.perf_counter() - start
-    _say(f" {spent['s']:.3g} s")
-
-
 def _configure() -> None:
     import jax
 
@@ -234,7 +223,7 @@ def _configure() -> None:
 
 
 def _run(options: argparse.Namespace, demo: Demo, folder: Path) -> None:
-    with _timed("Loading"):
+    with timed("Loading"):
         _configure()
         import jax
 
@@ -242,20 +231,20 @@ def _run(options: argparse.Namespace, demo: Demo, folder: Path) -> None:
         from ._integration import complaint, simulate
         from ._results import RESULTS
     seconds = options.seconds or demo.seconds
-    with _timed("Closing the contacts"):
+    with timed("Closing the contacts"):
         grasp, state = getattr(scenes, options.scene)()
-    with _timed("Describing the scene"):
+    with timed("Describing the scene"):
         scene = demo.scene(grasp, state)
     record, ts = ("multipliers", "energy"), _save_times(demo, seconds)
     settings = {"t1": seconds, "ts": ts, "rtol": options.rtol, "record": record, "throw": False}
-    with _timed(f"Simulating {seconds:g} s, with compilation") as first:
+    with timed(f"Simulating {seconds:g} s") as first:
         run = jax.block_until_ready(simulate(grasp, state, **settings))
         if run.result != RESULTS.successful:
             raise RuntimeError(complaint(run, _REMEDIES))
-    with _timed("Simulating it again") as again:
+    with timed("Simulating it again") as again:
         jax.block_until_ready(simulate(grasp, state, **settings))
     names = list(demo.figures)
-    with _timed("Drawing"):
+    with timed("Drawing"):
         facts = demo.facts(grasp, run)
         for name, draw in demo.figures.items():
             draw(plotting, grasp, run).savefig(folder / name, dpi=150)
@@ -264,7 +253,7 @@ def _run(options: argparse.Namespace, demo: Demo, folder: Path) -> None:
         until = min(seconds, demo.shown)
         speed = max(demo.speed, until / _LONGEST_GIF)
         pace = {"fps": _FPS, "speed": speed, "until": until} | demo.animated(plotting)
-        with _timed("Animating"):
+        with timed("Animating"):
             plotting.animate(grasp, run, folder / "motion.gif", progress=_progress, **pace)
     missing = _page(demo, folder, names, plotting=plotting, grasp=grasp, run=run) if demo.page else []
     print(f"jaxroll {__version__}, {options.scene}: {demo.title}")
@@ -275,7 +264,7 @@ def _run(options: argparse.Namespace, demo: Demo, folder: Path) -> None:
 
 
 def _design(options: argparse.Namespace, folder: Path) -> None:
-    with _timed("Loading"):
+    with timed("Loading"):
         _configure()
         from . import __version__
         from ._cli import DesignOrder, fingertip, order
@@ -286,14 +275,14 @@ def _design(options: argparse.Namespace, folder: Path) -> None:
             f"argument --tip must be a file with the points of a closed outline, but: {error}"
         ) from None
     asked = DesignOrder(options.goal, tip, options.steps, options.starts, animated=not options.no_animation)
-    lines = order(asked, folder, _timed)
+    lines = order(asked, folder, timed)
     print("\n".join([f"jaxroll {__version__}, design: a fingertip that holds a rectangle", *lines]))
 
 
 def _page(demo: Demo, folder: Path, names: list[str], *, plotting: Any, grasp: Any, run: Any) -> list[str]:
     """Write page.html, or say what that needs."""
     try:
-        with _timed("Writing the page"):
+        with timed("Writing the page"):
             plotting.page(grasp, run, folder / "page.html", title=demo.title)
     except ImportError as error:
         return [f"  no page.html: {error}"]
@@ -313,7 +302,7 @@ def _save_times(demo: Demo, seconds: float) -> Any:
 
 def _progress(done: int, total: int) -> None:
     if sys.stderr.isatty():
-        _say(f"\rAnimating ... {done} of {total} frames", end="," if done == total else "")
+        say(f"\rAnimating ... {done} of {total} frames", end="," if done == total else "")
 
 
 DEMOS = {

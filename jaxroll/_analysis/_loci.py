@@ -173,13 +173,16 @@ def _jets(grasp: Grasp, t: Scalar, state: State) -> tuple[_Jet, _Jet]:
         return *found, rates
 
     # On the straight line x + step dx/dt instead of the motion itself: at step 0 both have the same
-    # derivative, and the difference quotient's error is of fourth order in the step on either.
-    def later(step: Scalar) -> Array:
-        return moving(t + step, x + step * rates)[1]
+    # derivative, and the difference quotient's error is of fourth order in the step on either. Step 0 comes
+    # first and gives the line to the others, so that the equations of motion stand in the program once.
+    def later(line: Array, step: Scalar) -> tuple[Array, tuple[Array, Array]]:
+        velocities, changes, rates = moving(t + step, x + step * line)
+        return jnp.where(step == 0.0, rates, line), (velocities, changes)
 
-    velocity, acceleration, rates = moving(t, x)
-    near = jax.lax.map(later, _STEP * jnp.array([-2.0, -1.0, 1.0, 2.0]))
-    jerk = (near[0] - 8.0 * near[1] + 8.0 * near[2] - near[3]) / (12.0 * _STEP)
+    steps = _STEP * jnp.array([0.0, -2.0, -1.0, 1.0, 2.0], x.dtype)
+    _, (velocities, near) = jax.lax.scan(later, jnp.zeros_like(x), steps)
+    velocity, acceleration = velocities[0], near[0]
+    jerk = (near[1] - 8.0 * near[2] + 8.0 * near[3] - near[4]) / (12.0 * _STEP)
     points, normals, bends = _frames(grasp, unpack(lay, x)[0], velocity)
     parts = (points, velocity, acceleration, jerk, normals, bends)
     tip, face = (_Jet(*(part[:, i] for part in parts)) for i in (0, 1))  # pyright: ignore

@@ -9,3 +9,4 @@ from ._facts import (
     pivoted_facts as pivoted_facts,
     pivoted_scene as pivoted_scene,
 )
+from ._waiting import say as say, timed as timed

@@ -107,9 +107,9 @@ def order(asked: DesignOrder, folder: Path, timed: Callable[[str], AbstractConte
     size = float(np.max(np.hypot(*np.asarray(tip.points).T)))
     limits = Limits(size=size, radius=0.2 * size, ahead=size / 3.0)
     options: dict[str, Any] = {"steps": asked.steps, "starts": asked.starts, "goal": GOALS[asked.goal]()}
-    with timed(f"Designing for {asked.goal}, with compilation"):
+    with timed(f"Designing for {asked.goal}"):
         found = optimise_fingertip(tip, _INTERVAL, limits=limits, symmetric=True, **options)
-    with timed("Simulating both, with compilation"):
+    with timed("Simulating both"):
         pairs = [make(one) for one in (found.start, found.tip)]
         settings = {"t1": 1.0, "ts": 401, "throw": False, "record": ("multipliers",)}
         runs = [jax.block_until_ready(simulate(*pair, **settings)) for pair in pairs]

@@ -3,6 +3,7 @@
 An argument may be a tracer, without a value: `concrete` then returns None, and only its shape is checked.
 """
 
+import functools
 from collections.abc import Collection
 from typing import Any, NamedTuple
 
@@ -21,6 +22,8 @@ RTOL = 1e-8
 _FLOAT32_FLOOR = 1e-5
 # Steps are counted in 32-bit integers unless JAX is set to 64 bits.
 _MOST_STEPS = 2**31 - 2
+# What integrates a run unless told; made once, as it takes a tenth of a short run's time.
+_DEFAULT = diffrax.Dopri8()
 # The largest number of save times that `save_times` will make.
 _MOST_TIMES = 10**7
 
@@ -40,6 +43,17 @@ def as_numbers(
     t0: Any, t1: Any, ts: Any, *, dt0: Any, rtol: Any, atol: Any, control: Any, dtype: np.dtype
 ) -> Numbers:
     """Times, first step and tolerances, checked; an adaptive step-size control has its own tolerances."""
+    given = {"dt0": dt0, "rtol": rtol, "atol": atol, "control": control, "dtype": dtype}
+    # Of Python's own numbers, as most calls have them, the answer is kept: it takes longer than a short run.
+    if control is None and all(type(x) in (float, int) for x in (t0, t1, ts, dt0, rtol, atol or 0.0)):
+        return _kept_numbers(t0, t1, ts, **given)
+    return _numbers(t0, t1, ts, **given)
+
+
+def _numbers(
+    t0: Any, t1: Any, ts: Any, *, dt0: Any, rtol: Any, atol: Any, control: Any, dtype: np.dtype
+) -> Numbers:
+    """`as_numbers`, worked out."""
     t0, t1, ts = save_times(t0, t1, ts, dtype)
     relative, absolute = _tolerances(rtol, atol, control, dtype)
     dt0 = _scalar("dt0", dt0, dtype)
@@ -48,6 +62,10 @@ def as_numbers(
     if seen is not None and not seen[0] + seen[1] > seen[0]:
         raise ValueError(f"argument dt0 must be long enough to move time from {t0:g} s, but was {dt0:g}")
     return Numbers(t0, t1, ts, dt0, relative, absolute)
+
+
+# An int counts and a float is a time, although 2 == 2.0: the cache tells their types apart.
+_kept_numbers = functools.lru_cache(maxsize=64, typed=True)(_numbers)
 
 
 def _plain(value: Any) -> bool:
@@ -189,7 +207,7 @@ def check_meter(meter: Any) -> Any:
 def check_solver(solver: Any) -> diffrax.AbstractSolver:
     """The default, or what was given if it is a diffrax solver at all."""
     if solver is None:
-        return diffrax.Dopri8()
+        return _DEFAULT
     return check_instance("solver", solver, diffrax.AbstractSolver, "a diffrax solver")
 
 

@@ -5,6 +5,8 @@ vector (`_state_vector`), integrates it (`_derivative.march`, which is different
 `Trajectory`: states, residuals, and contact forces and energies if they were asked for.
 """
 
+import contextlib
+import functools
 from collections.abc import Collection
 from typing import NamedTuple
 
@@ -17,7 +19,7 @@ import numpy as np
 from jaxtyping import Array
 
 from .._linalg import total
-from .._mechanics import check_planar, check_states, Grasp, State
+from .._mechanics import check_planar, check_states, Grasp, State, tabled_grasp
 from .._motion import (
     as_formulation,
     check_rolling,
@@ -29,12 +31,13 @@ from .._motion import (
     multipliers_at,
     of_reached,
     reach,
+    Residuals,
     residuals_at,
     worst,
 )
 from .._results import check_flag, concrete, RESULTS
 from .._types import Given
-from .._xla import in_turn, sharing
+from .._xla import in_turn, remembered, sharing
 from ._arguments import (
     as_numbers,
     check_choices,
@@ -153,7 +156,7 @@ def simulate(
     if "penetration" in setup.events:
         check_planar(grasp)
     run = _run_plain if _is_plain(grasp, setup) else _run_any
-    trajectory, off = run(grasp.tabled(), state, way, numbers, setup)
+    trajectory, off = run(tabled_grasp(grasp), state, way, numbers, setup)
     return _checked(trajectory, off) if throw else trajectory
 
 
@@ -172,7 +175,12 @@ def _is_plain(grasp: Grasp, setup: Setup) -> bool:
     """Whether all leaves of the arguments are arrays: `jax.jit` then serves, with half the time per call."""
     if setup.controller is not None or setup.progress is not None:
         return False
-    return not jax.tree.leaves(setup.solver) and all(map(eqx.is_array, jax.tree.leaves(grasp)))
+    return not jax.tree.leaves(setup.solver) and _holds_arrays_alone(grasp)
+
+
+@remembered
+def _holds_arrays_alone(grasp: Grasp) -> bool:
+    return all(map(eqx.is_array, jax.tree.leaves(grasp)))
 
 
 def _run(
@@ -243,14 +251,14 @@ def _trajectory(
     states = states_of(lay, path.saved)
     # The start goes through the same evaluation as the saved states, which is then compiled once.
     both = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), state, states)
-    left = of_reached(lambda rows: in_turn(residuals_at, grasp, rows), both, state)
-    off = worst(jax.tree.map(lambda a: a[0], left))
-    on_constraints = isinstance(way, CSM) | (off <= reach(state.q.dtype))
-    forces = energy = None
+    observe, times = functools.partial(_observed_at, record=record), ()
     if "multipliers" in record:
-        forces = of_reached(lambda rows: in_turn(_forces_at, (grasp, way), rows, plan.ts), states, state)
-    if "energy" in record:
-        energy = _energy(grasp, state, states, path.saved[:, lay.width - 1])
+        times = (jnp.concatenate([jnp.asarray(plan.t0)[None], plan.ts]),)
+    found = of_reached(lambda rows: in_turn(observe, (grasp, way), rows, *times), both, state)
+    off = worst(jax.tree.map(lambda a: a[0], found[0]))
+    on_constraints = isinstance(way, CSM) | (off <= reach(state.q.dtype))
+    left, forces, energies = jax.tree.map(lambda a: a[1:], found)
+    energy = None if energies is None else _balance(energies, path.saved[:, lay.width - 1])
     attempted, accepted, rejected = path.steps
     # The number of the limit that ended the run is positive; a run that no limit ended has no margin.
     number = jax.lax.stop_gradient(path.last[-1])
@@ -259,7 +267,7 @@ def _trajectory(
         plan.ts,
         states,
         states_of(lay, path.last),
-        jax.tree.map(lambda a: a[1:], left),
+        left,
         RESULTS.where(on_constraints, path.result, RESULTS.unreachable),
         Stats(attempted, accepted, rejected, path.t_last, whose(number), margin),
         forces,
@@ -269,22 +277,21 @@ def _trajectory(
     return trajectory, off
 
 
-def _forces_at(given: tuple[Grasp, Formulation], state: State, t: Array) -> Multipliers:
-    """Contact forces at one saved state."""
-    with sharing():
-        return multipliers_at(given[0], t, state, given[1])
+def _observed_at(
+    given: tuple[Grasp, Formulation], state: State, t: Array | None = None, *, record: tuple[str, ...]
+) -> tuple[Residuals, Multipliers | None, tuple[Array, Array] | None]:
+    """What one saved state shows: its residuals, and of forces and energies [J] what is to be recorded."""
+    grasp, way = given
+    # Residuals alone are too little for values that are computed once to pay.
+    with sharing() if record else contextlib.nullcontext():
+        forces = multipliers_at(grasp, t, state, way) if "multipliers" in record else None
+        energies = energies_at(grasp, state) if "energy" in record else None
+        return residuals_at(grasp, state), forces, jax.tree.map(jnp.asarray, energies)
 
 
-def _energies_at(grasp: Grasp, state: State) -> tuple[Array, Array]:
-    """Kinetic and potential energy [J] at one saved state."""
-    with sharing():
-        kinetic, potential = energies_at(grasp, state)
-    return jnp.asarray(kinetic), jnp.asarray(potential)
-
-
-def _energy(grasp: Grasp, start: State, states: State, work: Array) -> Energy:
+def _balance(energies: tuple[Array, Array], work: Array) -> Energy:
     """Energy balance (20) at the saved states; `work` is what the run has integrated up to each [J]."""
-    kinetic, potential = of_reached(lambda rows: in_turn(_energies_at, grasp, rows), states, start)
+    kinetic, potential = energies
     balance = kinetic + potential - work
     return Energy(kinetic, potential, work, balance - balance[0])
 

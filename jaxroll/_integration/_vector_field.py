@@ -17,7 +17,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._mechanics import check_grasp, check_states, Grasp, Leaves, State
+from .._mechanics import check_grasp, check_states, Grasp, Leaves, State, tabled_grasp
 from .._motion import anchor_of, as_formulation, check_rolling, evaluate, Formulation, Index1, Instant
 from .._printing import listed
 from .._results import check_instance
@@ -141,5 +141,5 @@ def vector_field(
     """
     check_grasp(grasp)
     watched = check_choices("events", events, tuple(e for e in EVENTS if e != "penetration"))
-    way, ready = as_formulation(grasp, formulation), grasp.tabled().prepared()
+    way, ready = as_formulation(grasp, formulation), tabled_grasp(grasp).prepared()
     return VectorField(ready, way, watched, layout(grasp, False))

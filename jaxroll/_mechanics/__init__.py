@@ -21,10 +21,11 @@ from ._entry import (
     check_spatial as check_spatial,
     check_states as check_states,
     compiled as compiled,
+    compiled_for_many as compiled_for_many,
 )
 from ._finger import AbstractFinger as AbstractFinger, Finger as Finger
 from ._finger3 import Finger3 as Finger3
-from ._grasp import Grasp as Grasp, Labels as Labels
+from ._grasp import Grasp as Grasp, Labels as Labels, tabled_grasp as tabled_grasp
 from ._jaw import Jaw as Jaw
 from ._object3 import FreeObject3 as FreeObject3
 from ._stage import Stage as Stage, Turning as Turning

@@ -1,7 +1,7 @@
 """Checks that public functions make of a grasp and its states, before anything is traced.
 
 The constructors check what they are given, but `equinox.tree_at` and `jax.tree.map` put other values into a
-grasp without them. `compiled` wraps a function of a grasp with these checks and `equinox.filter_jit`.
+grasp without them. `compiled` wraps a function of a grasp with these checks, and has it compiled.
 """
 
 import functools
@@ -13,9 +13,9 @@ import equinox as eqx
 
 from .._fields import check_module, taken
 from .._results import as_array, check_finite, check_instance
-from .._xla import remembered
+from .._xla import quickly, remembered
 from ..contact import Contact, Contact3
-from ._grasp import Grasp
+from ._grasp import Grasp, tabled_grasp
 from ._state import check_shapes, State
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -76,13 +76,22 @@ def _finite_times(name: str, value: Any) -> Any:
 
 
 def compiled(function: _Function) -> _Function:
-    """`equinox.filter_jit` for a function whose first argument is a grasp.
+    """`quickly` for a function whose first argument is a grasp.
 
     Before anything is traced it refuses what is no grasp, states that are not of this grasp, and times `ts`
-    that are not finite numbers. It also builds the grasp's tables (`Grasp.tabled`), which are then kept for
+    that are not finite numbers. It also builds the grasp's tables (`tabled_grasp`), which are then kept for
     all functions that are called with this grasp.
     """
-    jitted = eqx.filter_jit(function)
+    return _guarded(function, quickly(function))
+
+
+def compiled_for_many(function: _Function) -> _Function:
+    """`compiled` for a function of many states: machine code that is quick is worth a longer compilation."""
+    return _guarded(function, eqx.filter_jit(function))
+
+
+def _guarded(function: _Function, jitted: Callable[..., Any]) -> _Function:
+    """A function of a grasp as `compiled` says, given its compiled form."""
     names = tuple(inspect.signature(function).parameters)
     places = [(names.index(name) - 1, name) for name in _STATES if name in names]
 
@@ -95,6 +104,6 @@ def compiled(function: _Function) -> _Function:
                 check_states(grasp, given, name, axes=_STATES[name])
         args = tuple(_finite_times(name, x) for name, x in zip(names[1:], args, strict=False))
         options = {name: _finite_times(name, x) for name, x in options.items()}
-        return jitted(grasp.tabled(), *args, **options)
+        return jitted(tabled_grasp(grasp), *args, **options)
 
     return cast(_Function, door)

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._linalg import inner, total, Vec3
-from .._mechanics import Blocks, compiled, Grasp, Inertia, Leaves, State, to_leaves
+from .._mechanics import Blocks, compiled_for_many, Grasp, Inertia, Leaves, State, to_leaves
 from .._printing import listed
 from .._results import as_array
 from .._types import Scalar, Scalars
@@ -203,7 +203,7 @@ def of_reached(function: Callable, states: State, start: State) -> Any:
     return jax.tree.map(lambda a: where(a, jnp.nan), found)
 
 
-@compiled
+@compiled_for_many
 def residuals(grasp: Grasp, states: State) -> Residuals:
     """Constraint residuals of one state, or of states with a leading time axis.
 
@@ -231,7 +231,7 @@ def multipliers(
     return _multipliers(grasp, ts, states, as_formulation(grasp, formulation))
 
 
-@compiled
+@compiled_for_many
 def _multipliers(
     grasp: Grasp, ts: Float[Array, "..."], states: State, formulation: Formulation
 ) -> Multipliers:
@@ -239,7 +239,7 @@ def _multipliers(
     return over_time(lambda state, t: multipliers_at(ready, t, state, formulation), states, ts)
 
 
-@compiled
+@compiled_for_many
 def energies(grasp: Grasp, states: State) -> tuple[Array, Array]:
     """Kinetic and potential energy [J] of one state, or of states with a leading time axis."""
     ready = grasp.prepared()

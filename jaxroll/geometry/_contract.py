@@ -23,7 +23,7 @@ from jaxtyping import Array
 from .._linalg import tangents, Vec2, Vec3
 from .._results import shown, traced
 from .._types import Given, Scalars
-from .._xla import remembered
+from .._xla import quickly, remembered
 from ._tabled import tabled
 from .contours import AbstractContour, AbstractTabulated, frenet, Frenet2, Table, unevenness
 from .surfaces import AbstractChart, AbstractImplicit, AbstractSurface, Chart, Gauss3, lattice
@@ -230,12 +230,12 @@ def _ready(contour: AbstractContour) -> AbstractContour:
     return _prepared(contour)
 
 
-@eqx.filter_jit
+@quickly
 def _prepared(contour: AbstractContour) -> AbstractContour:
     return contour.prepared()
 
 
-@eqx.filter_jit
+@quickly
 def _measured(contour: AbstractContour, places: Array) -> tuple[Array, ...]:
     """Points, derivatives of the curve, tangents, curvatures of the frame, and those of the curve."""
 
@@ -251,7 +251,7 @@ def _measured(contour: AbstractContour, places: Array) -> tuple[Array, ...]:
     return jax.vmap(one)(places)
 
 
-@eqx.filter_jit
+@quickly
 def _frames(contour: AbstractContour, places: Array) -> Array:
     """Points, tangents and curvatures, shape (5, n)."""
 
@@ -302,7 +302,7 @@ def _surface_fault(surface: AbstractSurface) -> str | None:
     return None
 
 
-@eqx.filter_jit
+@quickly
 def _inconsistency(surface: AbstractSurface) -> dict[str, Array]:
     """Relative errors of what must belong together, at places all over a surface."""
     ready = surface.prepared()

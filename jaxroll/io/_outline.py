@@ -5,10 +5,10 @@
 
 from typing import Any
 
-import equinox as eqx
 import numpy as np
 
 from .._results import as_array, check_instance, shown
+from .._xla import quickly
 from ..geometry import AbstractContour, tabled
 
 _FINE = 4096  # intervals in which the curvature is sampled
@@ -67,7 +67,7 @@ def positive(name: str, value: Any) -> float:
     return number
 
 
-@eqx.filter_jit
+@quickly
 def _prepared(contour: AbstractContour) -> AbstractContour:
     """The contour with all worked out that does not depend on the place."""
     return contour.prepared()

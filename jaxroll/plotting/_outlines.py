@@ -4,13 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
 from .._mechanics import Grasp
+from .._xla import quickly
 from ..contact import Contact
 from ..geometry import AbstractContour, tabled
 from ._style import MM
@@ -41,7 +41,7 @@ def sample(contour: AbstractContour, s: np.ndarray) -> OutlineSamples:
     return OutlineSamples(MM * points, tangents, curvatures)
 
 
-@eqx.filter_jit
+@quickly
 def _sampled(contour: AbstractContour, s: Array):
     ready = contour.prepared()
 

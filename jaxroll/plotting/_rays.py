@@ -1,6 +1,5 @@
 """Where rays from inside a body leave it: for implicit surfaces without a closed form."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,6 +7,7 @@ import numpy as np
 from .._linalg import Vec3
 from .._results import shown
 from .._types import Scalar
+from .._xla import quickly
 from ..geometry import AbstractImplicit, SplineSurface
 
 # Along a ray, the first sign change is looked for at distances from 10 um to 10 m, 5 % apart.
@@ -76,13 +76,13 @@ def _ready(surface: AbstractImplicit) -> AbstractImplicit:
     return ready
 
 
-@eqx.filter_jit
+@quickly
 def _values(surface: AbstractImplicit, points: jax.Array) -> jax.Array:
     ready = _ready(surface)
     return jax.vmap(lambda p: jnp.asarray(ready.derivatives(Vec3(p[0], p[1], p[2])).value))(points)
 
 
-@eqx.filter_jit
+@quickly
 def _first(surface: AbstractImplicit, centre: jax.Array, directions: jax.Array) -> jax.Array:
     ready = _ready(surface)
 

@@ -18,6 +18,7 @@ from .._linalg import Vec2
 from .._mechanics import Finger, FreeObject, Grasp, Jaw, PivotedObject, State
 from .._results import as_count, as_floats, as_length, check_instance, shown
 from .._types import Given
+from .._xla import quickly
 from ..contact import Contact
 from ..control import Opposition, orientations, Press
 from ..geometry import AbstractContour, Catenary, check_contour, Circle, Ellipse, Line, Moved, tabled
@@ -328,7 +329,7 @@ def _facing(name: str, contour: AbstractContour, angle: float) -> Any:
     return _farthest(tabled(contour), jnp.array([np.cos(angle), np.sin(angle)]))
 
 
-@eqx.filter_jit
+@quickly
 def _farthest(contour: AbstractContour, along: Array) -> Array:
     r"""Arclength [m] at which a closed contour reaches farthest along a unit vector d.
 

@@ -147,7 +147,7 @@ def _instead(asked: _Asked, run: Any) -> Iterator[None]:
             stack.enter_context(mock.patch.object(plotting, name, asked(name, _picture(asked))))
         for name in ("animate", "page", "design", "comparison"):
             stack.enter_context(mock.patch.object(plotting, name, asked(name)))
-        for name, answer in (("_timed", timed), ("_configure", lambda: None)):
+        for name, answer in (("timed", timed), ("_configure", lambda: None)):
             stack.enter_context(mock.patch.object(command_line, name, answer))
         for home in (_integration, _design_command):
             stack.enter_context(mock.patch.object(home, "simulate", asked("simulate", lambda *a, **o: run)))

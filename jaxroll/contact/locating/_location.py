@@ -26,6 +26,7 @@ from jaxtyping import Array
 from ..._linalg import Pose2, sincos, unstack, Vec2
 from ..._results import as_count, as_floats, check_instance, RESULTS
 from ..._types import Given, Scalar
+from ..._xla import quickly
 from ...geometry import AbstractContour, check_contour, Frenet2, tabled
 from ._answers import LocalMinima, Location
 from ._candidates import feet, into, lowest, Minima, minima, MOST_SAMPLES, nearest_blocked, spread, toward
@@ -145,7 +146,7 @@ def _with_ends(name: str, contour: AbstractContour) -> AbstractContour:
     return contour
 
 
-@eqx.filter_jit
+@quickly
 def _locate(
     a: AbstractContour, b: AbstractContour, poses: tuple[Array, Array], samples: int, candidates: int
 ) -> Location:

@@ -15,7 +15,6 @@ minimum is masked.
 
 from dataclasses import dataclass
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
@@ -23,6 +22,7 @@ from jaxtyping import Array
 from ..._linalg import normalised, Pose3, pose_at, unstack, Vec3
 from ..._results import as_count, as_floats, check_instance, concrete, RESULTS
 from ..._types import Given, Scalar
+from ..._xla import quickly
 from ...geometry import AbstractSurface, check_surface, tabled
 from ._answers import SurfaceLocation, SurfaceMinima
 from ._candidates import lowest, MOST_SAMPLES
@@ -132,7 +132,7 @@ def _checked(name: str, value: Given) -> Array:
     return numbers
 
 
-@eqx.filter_jit
+@quickly
 def _locate(
     a: AbstractSurface, b: AbstractSurface, poses: tuple[Array, Array], samples: int, candidates: int
 ) -> SurfaceLocation:

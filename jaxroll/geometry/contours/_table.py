@@ -23,7 +23,7 @@ from jaxtyping import Array, Float
 from ..._linalg import Vec2
 from ..._results import concrete
 from ..._types import Points, Scalar
-from ..._xla import remembered
+from ..._xla import quickly, remembered
 from ._arclength import hermite, spaced
 from ._contour import AbstractContour, Frenet2
 
@@ -238,12 +238,12 @@ def _check_table(contour: AbstractTabulated, table: Table) -> None:
     )
 
 
-@eqx.filter_jit
+@quickly
 def _built(contour: AbstractTabulated) -> Table:
     return contour.tabulate(contour.cells)
 
 
-@eqx.filter_jit
+@quickly
 def _difference(contour: AbstractTabulated, cells: int) -> tuple[Array, Array, Array]:
     """Largest differences of point [m], tangent [rad] and curvature [1/m] from a table of twice the cells."""
     coarse, fine = contour.tabulate(cells), contour.tabulate(2 * cells)

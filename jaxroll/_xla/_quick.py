@@ -1,0 +1,40 @@
+"""Programs that are compiled quickly, because they run seldom and on little data.
+
+XLA's CPU compiler takes two to three times as long for machine code that is two to five times as quick. A run
+is worth that; a start, a balance of forces along a run or an outline to be drawn, which are ready within
+milliseconds either way, are not.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import Any, cast, TypeVar
+
+import equinox as eqx
+import jax
+import jax.extend.core as jec
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+# No optimisation by LLVM, and XLA's older way from fusions to LLVM, which writes less for small ones.
+QUICK = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
+
+
+def quickly(function: _Function) -> _Function:
+    """`equinox.filter_jit` with options by which XLA compiles sooner and the program runs slower.
+
+    A program takes options only as a whole: where JAX is tracing, for a caller's own program or a derivative,
+    and on other devices, this is `equinox.filter_jit` as it is.
+    """
+    usual, quick = eqx.filter_jit(function), eqx.filter_jit(function, compiler_options=QUICK)  # pyright: ignore
+
+    @functools.wraps(function)
+    def call(*args: Any, **options: Any) -> Any:
+        run = quick if _outermost((args, options)) and jax.default_backend() == "cpu" else usual
+        return run(*args, **options)
+
+    return cast(_Function, call)
+
+
+def _outermost(given: Any) -> bool:
+    """Whether JAX is tracing nothing: neither a program around the call, nor what the call is given."""
+    # The trace that would see an operation on these arguments; the one that evaluates at once has this name.
+    return type(jec.find_top_trace(jax.tree.leaves(given))).__name__ == "EvalTrace"

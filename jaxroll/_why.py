@@ -21,6 +21,7 @@ from ._integration import (
     amount,
     cause,
     check_choices,
+    check_one_run,
     contact_name,
     ProgressMeter,
     RECORDS,
@@ -210,11 +211,7 @@ def why(
 
 def _start(run: Trajectory) -> State:
     """The first state that a run saved; where it saved none before it ended, its last state."""
-    if np.ndim(run.states.q) != 2:
-        raise ValueError(
-            f"argument state must be one run, but its states have shape {np.shape(run.states.q)}; "
-            "take one lane with jax.tree.map(lambda x: x[i], run)"
-        )
+    check_one_run("state", run)
     # Rows of times that the run did not reach are NaN.
     saved = np.isfinite(np.asarray(run.states.q)).all(axis=1)
     return jax.tree.map(lambda x: x[int(np.argmax(saved))], run.states) if saved.any() else run.last

@@ -30,5 +30,5 @@ from ._rosenbrock import Rosenbrock as Rosenbrock
 from ._run_options import RunOptions as RunOptions
 from ._simulate import simulate as simulate
 from ._state_vector import layout as layout, pack as pack, unpack as unpack
-from ._trajectory import Trajectory as Trajectory
+from ._trajectory import check_one_run as check_one_run, Trajectory as Trajectory
 from ._vector_field import vector_field as vector_field, VectorField as VectorField

@@ -49,7 +49,11 @@ class AbstractFinger(AbstractBody):
 
     @property
     def prescribed(self) -> bool:
-        """Whether its frame also moves as a given function of time."""
+        """Whether its frame moves as a given function of time; then it has no joints (`Grasp` checks it).
+
+        What joints and a given motion add to a gap together would need the twist of either by itself, and a
+        `Motion` has their sum alone.
+        """
         return False
 
     @property

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .._integration import Trajectory
+from .._integration import check_one_run, Trajectory
 from .._mechanics import compiled, Grasp, State, to_leaves
 from .._motion import multipliers, residuals, touches, world_poses
 from .._printing import code_name
@@ -56,13 +56,8 @@ def single(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     Raises:
         ValueError: If the trajectory is a batch, or holds no state at all.
     """
-    q = np.asarray(trajectory.states.q)
-    if q.ndim != 2:
-        raise ValueError(
-            f"argument trajectory must be one run, but its states have shape {q.shape}; "
-            "take one lane with jax.tree.map(lambda x: x[i], trajectory)"
-        )
-    reached = np.isfinite(q).all(axis=1)
+    check_one_run("trajectory", trajectory)
+    reached = np.isfinite(np.asarray(trajectory.states.q)).all(axis=1)
     if not reached.any():
         raise ValueError(
             f"argument trajectory must hold at least one state that was reached, but its run ended at "

@@ -84,6 +84,7 @@ def compiled(function: _Function) -> _Function:
     """
     jitted = eqx.filter_jit(function)
     names = tuple(inspect.signature(function).parameters)
+    # Less one, for the grasp itself is not among `args`.
     places = [(names.index(name) - 1, name) for name in _STATES if name in names]
 
     @functools.wraps(function)

@@ -114,6 +114,7 @@ class Grasp(eqx.Module):
         self.controller = taken(self, "controller", controller)
         self._check_parts()
         self._check_controller()
+        # Last: how many numbers it has is known from the contacts.
         self.gravity = taken(self, "gravity", gravity, shape=(self._axes,))
 
     def _check_parts(self) -> None:
@@ -248,6 +249,7 @@ class Grasp(eqx.Module):
         if index >= len(self.fingers):
             raise ValueError(f"argument finger must be below {len(self.fingers)}, but was {index}")
         tip = taken(self.fingers[index], "tip", tip)
+        # `tree_at` does not run the constructor, and so none of its checks.
         changed = eqx.tree_at(lambda g: g.fingers[index].tip, self, tip)
         changed._check_parts()
         return changed

@@ -47,6 +47,7 @@ class Views:
 def place(frame: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Body-frame points in the world; `frame` is one row (x, y, cos, sin)."""
     x, y, cos, sin = frame
+    # The transpose of the rotation, because points are rows.
     return points @ np.array([[cos, sin], [-sin, cos]]) + (x, y)
 
 
@@ -99,6 +100,7 @@ def views(grasp: Grasp, states: State) -> Views:
     rolled = []
     for i, contact in enumerate(contacts.values()):
         tip, face = grasp.shapes(contact)
+        # The same sigma on both, with opposite sign: their paths are equally long.
         on_tip = sample(tip, float(contact.s_tip) + sigmas[:, i])
         on_body = sample(face, float(contact.s_object) - sigmas[:, i])
         rolled.append((on_tip.points, on_body.points))
@@ -141,6 +143,7 @@ def _guides(grasp: Grasp, centres: Sequence[np.ndarray]) -> tuple[np.ndarray, ..
     if isinstance(grasp.controller, Press):
         target = MM * np.asarray(grasp.controller.target)
         return tuple(np.stack([c, np.broadcast_to(target, c.shape)], axis=1) for c in centres)
+    # At rest under `control.Opposition` with alpha = 0 both contacts lie on the line of the tip frames.
     if len(centres) == 2 and all(finger.turns for finger in grasp.fingers):
         return (np.stack(centres, axis=1),)
     return ()

@@ -546,6 +546,11 @@ def test_states_of_another_grasp_are_refused(name):
         check_sentence(refusal(lambda: GIVEN_STATES[name](state)), "state")  # noqa: B023
 
 
+def test_arguments_too_many_are_not_passed_over():
+    with pytest.raises(TypeError, match="too many positional arguments"):
+        jxr.residuals(PLANE, STATE, 1.0)
+
+
 # --- functions
 
 

@@ -94,7 +94,9 @@ def compiled(function: _Function) -> _Function:
             if at < len(args) or name in options:
                 given = options[name] if name in options else args[at]
                 check_states(grasp, given, name, axes=_STATES[name])
-        args = tuple(_finite_times(name, x) for name, x in zip(names[1:], args, strict=False))
+        # What is too many goes on as it is: `jitted` refuses it.
+        known = [_finite_times(name, x) for name, x in zip(names[1:], args, strict=False)]
+        args = (*known, *args[len(known) :])
         options = {name: _finite_times(name, x) for name, x in options.items()}
         return jitted(grasp.tabled(), *args, **options)
 

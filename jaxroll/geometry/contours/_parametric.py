@@ -117,7 +117,7 @@ class Parametric(AbstractTabulated):
             _, rate, _ = _jet(cells)(given, cell, x)
             return jnp.sqrt(rate.dot(rate))
 
-        begin = arclength_at(speed, given, arcs, cell, place - cell)
+        begin = arclength_at(speed, given, arcs, cell=cell, x=place - cell)
         return eqx.tree_at(lambda t: t.start, table, -begin)
 
 

@@ -139,7 +139,8 @@ class Spline(AbstractTabulated):
         table, arcs = tabulated(_halves, coefficients, 2 * len(coefficients), closed=self.loop, cells=cells)
         if self.origin == 0:
             return table
-        begin = arclength_at(_speed, coefficients, arcs[::2], *interval_of(pieces.breaks, u[self.origin]))
+        piece, local = interval_of(pieces.breaks, u[self.origin])
+        begin = arclength_at(_speed, coefficients, arcs[::2], cell=piece, x=local)
         return eqx.tree_at(lambda t: t.start, table, -begin)
 
     def free_numbers(self) -> list[Any]:

@@ -8,6 +8,7 @@ and the remedy; all numbers that were computed on the way are printed.
 """
 
 import textwrap
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,11 +17,27 @@ import numpy as np
 
 from ._analysis import Bearing, bearing
 from ._closing import close
-from ._integration import amount, cause, contact_name, REMEDIES, simulate, Trajectory
+from ._integration import (
+    amount,
+    cause,
+    check_choices,
+    check_one_run,
+    contact_name,
+    ProgressMeter,
+    RECORDS,
+    REMEDIES,
+    RTOL,
+    RunOptions,
+    simulate,
+    Solver,
+    StepSizeControl,
+    Trajectory,
+)
 from ._mechanics import check_grasp, check_states, Grasp, State
-from ._motion import reach, residuals, worst
+from ._motion import Formulation, reach, residuals, worst
 from ._printing import code_name, entry
 from ._results import check_instance, traced
+from ._types import Given
 from .contact import Contact
 from .stability import assess, Stability, VERDICTS
 
@@ -111,24 +128,46 @@ class Why:
         return [verdict, *(_force(self.grasp, i, *pair) for i, pair in enumerate(_pairs(forces)))]
 
 
-def why(grasp: Grasp, state: State | Trajectory, *, t1: float = 1.0, **options: Any) -> Why:
+def why(
+    grasp: Grasp,
+    state: State | Trajectory,
+    *,
+    t1: Given = 1.0,
+    t0: Given = 0.0,
+    ts: Given | int = 301,
+    formulation: Formulation | None = None,
+    solver: Solver | None = None,
+    rtol: Given = RTOL,
+    atol: Given | None = None,
+    dt0: Given = 1e-4,
+    max_steps: int = 4096,
+    events: Collection[str] = ("lift", "friction"),
+    stepsize_controller: StepSizeControl | None = None,
+    progress_meter: ProgressMeter | None = None,
+    record: Collection[str] = (),
+) -> Why:
     r"""Say why a grasp fails: close, run, assess, and one page.
 
     Answers, in this order: do the contacts close; is one of them, or an arm, singular; which forces press and
     which friction they need; what ends a run, where, when and by how much; in the plane, whether there is an
     equilibrium near, what its verdict is and which direction falls; and what helps.
 
-    Args:
+    Args (daily use):
         grasp: The grasp.
-        state: A state or a guess of one; or a run of this grasp, and then no other one is made.
-        t1: Length of the run that is made [s].
-        **options: Those of `simulate` for it. With the same ones as yours it costs no new compilation.
+        state: A state or a guess of one; or a run of this grasp, and then no other one is made: the
+            arguments below are checked, but not used.
+        t1: Final time of the run that is made [s].
+    Args (rarely changed):
+        t0, ts, formulation, solver, rtol, atol, dt0, max_steps, events, stepsize_controller, progress_meter,
+            record: As for `simulate`, and with its defaults. With the same ones as yours the run costs no new
+            compilation.
 
     Returns:
         A `Why`; print it.
 
     Raises:
-        ValueError: If a state does not fit the grasp, a run is a batch, or anything is being traced.
+        ValueError: If a state does not fit the grasp, a run is a batch, an argument is not what `simulate`
+            takes, or anything is being traced.
 
     Example:
         >>> import jaxroll as jxr
@@ -136,6 +175,20 @@ def why(grasp: Grasp, state: State | Trajectory, *, t1: float = 1.0, **options: 
         >>> jxr.why(grasp.with_(force=-0.5), state).summary  # a finger that pulls
         'fails at the start: contact 0 (finger 0 on contour 0) pulls with 1.55 N'
     """
+    # Checked before anything else: of a grasp that does not close there is no run.
+    options = RunOptions(
+        t0=t0,
+        formulation=formulation,
+        solver=solver,
+        rtol=rtol,
+        atol=atol,
+        dt0=dt0,
+        max_steps=max_steps,
+        events=events,
+        stepsize_controller=stepsize_controller,
+        progress_meter=progress_meter,
+        record=check_choices("record", record, RECORDS),
+    ).checked(t1, ts)
     check_grasp(grasp)
     check_instance("state", state, (State, Trajectory), "a State, or a run of the grasp")
     if traced((grasp, state)):
@@ -152,17 +205,13 @@ def why(grasp: Grasp, state: State | Trajectory, *, t1: float = 1.0, **options: 
         rest = {"contact": -1, "ended": "", "direction": "", "remedy": _MEND["open"]}
         return Why(told, False, gap, begin, grasp=grasp, **none, **rest)
     if run is None:
-        run = simulate(grasp, closed, t1, throw=False, **options)
+        run = simulate(grasp, closed, t1, ts=ts, throw=False, **options._asdict())
     return _judged(grasp, closed, run)
 
 
 def _start(run: Trajectory) -> State:
     """The first state that a run saved; where it saved none before it ended, its last state."""
-    if np.ndim(run.states.q) != 2:
-        raise ValueError(
-            f"argument state must be one run, but its states have shape {np.shape(run.states.q)}; "
-            "take one lane with jax.tree.map(lambda x: x[i], run)"
-        )
+    check_one_run("state", run)
     # Rows of times that the run did not reach are NaN.
     saved = np.isfinite(np.asarray(run.states.q)).all(axis=1)
     return jax.tree.map(lambda x: x[int(np.argmax(saved))], run.states) if saved.any() else run.last

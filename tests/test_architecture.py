@@ -264,7 +264,10 @@ def listed_private_names():
 
 
 def test_private_names_of_libraries_are_listed():
-    own = {name for tree in TREES.values() for name in own_members(tree)} | {"_replace"}  # a tuple's, public
+    own = {name for tree in TREES.values() for name in own_members(tree)} | {
+        "_replace",
+        "_asdict",
+    }  # a tuple's, public
     found = {
         (name, path.relative_to(ROOT).with_suffix("").as_posix())
         for path, tree in TREES.items()
@@ -333,14 +336,14 @@ def test_size_budget():
 
 
 CONTRACTS = ("step", "init", "adapt_step_size")
-TOLD = ("simulate", "sweep", "optimise_fingertip")
+TOLD = ("simulate", "sweep", "why", "optimise_fingertip")
 
 
 def test_parameter_budget():
     """At most four by position (self aside) and ten in all; diffrax fixes those of its contracts.
 
-    What a run may be told is one keyword each: `simulate`, and `sweep`, which tells it to many; so is what a
-    search for a fingertip may be told.
+    What a run may be told is one keyword each: `simulate`, `sweep`, which tells it to many, and `why`, which
+    tells it to its own; so is what a search for a fingertip may be told.
     """
     for name, node in functions():
         if node.name.startswith("_") or node.name in (*CONTRACTS, *TOLD):

@@ -229,14 +229,27 @@ CLASSES = {
         },
     ),
     design.ClosedLoop: (
-        {"make": functions_of(2), "objective": {"overshoot": 1.0}, "cases": np.ones(3), "t1": 1.0, "ts": 11},
-        {"cases": {"wrong shape"}},
+        {"make": functions_of(2), "objective": {"overshoot": 1.0}, "cases": np.ones(3), "t1": 1.0, "ts": 11}
+        | {"t0": 0.0, "formulation": None, "solver": None, "rtol": 1e-7, "atol": None, "dt0": 1e-3}
+        | {"max_steps": 64, "events": ("lift",), "stepsize_controller": None, "progress_meter": None}
+        | {"record": ("energy",)},
+        {"cases": {"wrong shape"}, "events": {"empty"}, "record": {"nothing", "empty"}}
+        | dict.fromkeys(
+            ("formulation", "solver", "atol", "stepsize_controller", "progress_meter"), {"nothing"}
+        ),
         {
             "make": {"of one": functions_of(1)},
             "objective": {"of one": functions_of(1), "unknown": {"speed": 1.0}}
             | {f"weight {name}": {"overshoot": BAD[name]} for name in ("text", "nothing", "nan", "complex")},
             "t1": NOT_POSITIVE,
             "ts": {"float": 11.0, "one": 1},
+            "t0": {"after t1": 2.0},
+            "rtol": NOT_POSITIVE | {"large": 1.0},
+            "atol": NOT_POSITIVE,
+            "dt0": NOT_POSITIVE,
+            "max_steps": {"zero": 0, "float": 64.0},
+            "events": {"unknown": ("lift", "slip"), "one name": "lift"},
+            "record": {"unknown": ("forces",)},
         },
     ),
 }
@@ -306,7 +319,7 @@ def bad_values(own, name, more):
 @pytest.mark.parametrize("cls", CLASSES, ids=lambda cls: cls.__name__)
 def test_constructors_refuse_in_one_sentence(cls):
     valid, own, more = CLASSES[cls]
-    given = set(inspect.signature(cls).parameters) - {"options"}
+    given = set(inspect.signature(cls).parameters)
     assert given == set(valid), "an argument is missing from the table"
     cls(**valid)
     for name in valid:
@@ -318,9 +331,69 @@ def test_constructors_refuse_in_one_sentence(cls):
             check_sentence(sentence, name)
 
 
-def test_unknown_options_are_refused():
-    sentence = refusal(lambda: design.ClosedLoop(functions_of(1), {"overshoot": 1.0}, tol=1))
-    check_sentence(sentence, "options")
+def passed_on():
+    """Pairs of functions: the first passes on to the second all but some arguments of its own."""
+    scenes, run = jxr.scenes, jxr.simulate
+    yield jxr.why, run, {"t1"}
+    yield design.ClosedLoop, run, {"make", "objective", "cases", "t1", "ts", "rtol", "record"}
+    yield scenes.ball_plate, scenes.pinch, {"radius"}
+    yield scenes.pinch_ellipse, scenes.pinch, {"a", "b", "mass"}
+    for kind in (jxr.NeuralCurvature, jxr.NeuralSupport):
+        yield kind.through, kind.fit, set()
+
+
+@pytest.mark.parametrize(("first", "second", "own"), list(passed_on()))
+def test_what_is_passed_on_has_the_same_defaults(first, second, own):
+    """Each name of the second is one of the first, but for what the first sets itself."""
+    outer, inner = (inspect.signature(function).parameters for function in (first, second))
+    assert set(outer) - own <= set(inner)
+    assert set(inner) - set(outer) <= {"grasp", "state", "throw", "tips", "object"}
+    assert all(outer[name].default == inner[name].default for name in set(outer) & set(inner) - own)
+
+
+def test_no_public_function_takes_options_without_names():
+    """But for the fields that `Grasp.with_` replaces, by whatever names grasp, object and controller have."""
+    found = set()
+    for space in (
+        jxr,
+        jxr.contact,
+        control,
+        design,
+        jxr.geometry,
+        jxr.io,
+        jxr.plotting,
+        jxr.scenes,
+        stability,
+    ):
+        for thing in (getattr(space, name) for name in dir(space) if not name.startswith("_")):
+            if not getattr(thing, "__module__", "").startswith("jaxroll") or not callable(thing):
+                continue
+            members = inspect.getmembers(thing, callable) if inspect.isclass(thing) else ()
+            own = [
+                each for name, each in members if not name.startswith("_") and hasattr(each, "__qualname__")
+            ]
+            for each in (thing, *own):
+                named = inspect.signature(each).parameters.values()
+                found |= {each.__qualname__ for one in named if one.kind is one.VAR_KEYWORD}
+    assert found == {"Grasp.with_"}
+
+
+def test_a_goal_hands_its_options_to_every_run(monkeypatch):
+    """As they were given: numbers as Python's, for they are part of the compiled program."""
+    told = {}
+    monkeypatch.setattr(
+        "jaxroll.design._closed_loop_goal.simulate", lambda *args, **asked: told.update(asked)
+    )
+    more = {"rtol": np.float64(1e-7), "dt0": jnp.asarray(1e-3), "events": ["lift"], "record": ("energy",)}
+    goal = design.ClosedLoop(lambda tip: (PLANE, STATE), {"overshoot": 1.0}, ts=11, **more)
+    hash(goal.options)
+    with pytest.raises(ValueError, match="run must be a Trajectory"):  # the one that nobody made
+        goal.run(TIP, ("overshoot",))
+    assert told["rtol"] == 1e-7 and type(told["rtol"]) is float and type(told["dt0"]) is float
+    assert told["events"] == ("lift",) and told["record"] == ("energy",) and told["throw"] is False
+    assert told["ts"] == 11 and told["atol"] is None
+    with pytest.raises(ValueError, match="argument rtol must be a known number here"):
+        jax.jit(lambda r: design.ClosedLoop(functions_of(1), {"overshoot": 1.0}, rtol=r).t1)(1e-6)
 
 
 # --- changed copies
@@ -473,6 +546,11 @@ def test_states_of_another_grasp_are_refused(name):
         check_sentence(refusal(lambda: GIVEN_STATES[name](state)), "state")  # noqa: B023
 
 
+def test_arguments_too_many_are_not_passed_over():
+    with pytest.raises(TypeError, match="too many positional arguments"):
+        jxr.residuals(PLANE, STATE, 1.0)
+
+
 # --- functions
 
 
@@ -574,7 +652,7 @@ def test_every_public_function_is_in_the_table():
 @pytest.mark.parametrize("function", FUNCTIONS, ids=lambda function: function.__name__)
 def test_functions_refuse_in_one_sentence(function):
     valid, own, more = FUNCTIONS[function]
-    named = set(inspect.signature(function).parameters) - {"options"}
+    named = set(inspect.signature(function).parameters)
     assert named <= set(valid), "an argument is missing from the table"
     for name in valid:
         right = {"grasp": {"grasp"}, "state": {"state"}}.get(name, set())

@@ -236,6 +236,29 @@ def test_loci_share_their_arclength_and_fit_their_points(turning):
     np.testing.assert_allclose(found.tip.normal_curvature, 0.0, atol=1e-12)  # the table's
 
 
+class Swinging(jxr.Stage):
+    """A turntable on a joint: what it adds to a gap cannot be told from what the joint does."""
+
+    @property
+    def joints(self):
+        return 1
+
+
+def test_a_finger_has_joints_or_a_prescribed_motion():
+    grasp, _ = jxr.scenes.incline()
+    swinging = Swinging(jxr.Plane(), jxr.Turning(2.0))
+    told = (
+        r"argument fingers\[0\] must have no joints where its motion is prescribed, but was a Swinging with 1"
+    )
+    for made in (
+        lambda: jxr.Grasp(grasp.object, swinging, grasp.contacts),
+        lambda: grasp.with_(fingers=(swinging,)),
+    ):
+        with pytest.raises(ValueError, match=told):
+            made()
+    jxr.Grasp(grasp.object, Swinging(jxr.Plane()), grasp.contacts)  # it does not move by itself
+
+
 def test_bad_input_is_told_in_one_sentence():
     grasp, state = jxr.scenes.incline()
     with pytest.raises(ValueError, match="argument spin must be 'free' or 'prevented', but was 'fixed'"):

@@ -277,6 +277,11 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         "formulation": _made("part", jxr.Index1),
         "record": _is("part", (), "empty list", "empty tuple"),
     },
+    "why": {
+        "ts": _is("count", 4, "two numbers", "numbers of float32"),
+        "formulation": _made("part", jxr.Index1),
+        "record": _is("part", (), "empty list", "empty tuple"),
+    },
     "sweep": {
         "formulation": _made("part", jxr.Index1),
         "record": _is("part", (), "empty list", "empty tuple"),
@@ -306,6 +311,8 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
     "ClosedLoop": {
         "make": _made("function", lambda: lifted),
         "objective": _is("function", {"overshoot": 1.0}),
+        "formulation": _made("part", jxr.Index1),
+        "record": _is("part", (), "empty list", "empty tuple"),
     },
     "Firmness": {
         "make": _made("function", lambda: lifted),

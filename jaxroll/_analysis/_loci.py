@@ -17,12 +17,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._integration import layout, pack, Trajectory, unpack
+from .._integration import check_one_run, layout, pack, Trajectory, unpack
 from .._linalg import Vec3
 from .._mechanics import check_spatial, check_states, compiled, Grasp, Leaves, State
 from .._motion import bodies, evaluate, Index1, touches
 from .._printing import listed
-from .._results import check_instance, is_array_like, shown
 from .._types import Scalar, Times
 from .._xla import one_kernel, sharing
 
@@ -127,20 +126,7 @@ def loci(grasp: Grasp, trajectory: Trajectory) -> Loci:
 
 def check_run(grasp: Grasp, trajectory: Trajectory) -> None:
     """Raise unless a trajectory is one run, and one that could be of this grasp."""
-    check_instance("trajectory", trajectory, Trajectory, "a Trajectory")
-    if not is_array_like(trajectory.ts) or trajectory.ts.dtype.kind != "f":
-        raise ValueError(f"argument trajectory must hold real numbers as ts, but had {shown(trajectory.ts)}")
-    shape = jnp.shape(trajectory.states.q)
-    if jnp.ndim(trajectory.ts) != 1 or len(shape) != 2:
-        raise ValueError(
-            f"argument trajectory must be one run, but its states have shape {shape}; "
-            "take one lane with jax.tree.map(lambda x: x[i], trajectory)"
-        )
-    if shape[0] != trajectory.ts.shape[0]:
-        raise ValueError(
-            f"argument trajectory must have a state for each time, but has {shape[0]} states and "
-            f"{trajectory.ts.shape[0]} times"
-        )
+    check_one_run("trajectory", trajectory)
     check_states(grasp, trajectory.states, "trajectory.states", axes=1)
 
 

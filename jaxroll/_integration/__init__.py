@@ -1,6 +1,7 @@
 """From a closed state to a trajectory: steps, their lengths, events, batches and derivatives.
 
-`_simulate` is the entry point; `_arguments` and `_methods` check what it is given. `_state_vector` lays a
+`_simulate` is the entry point; `_arguments` and `_methods` check what it is given, and `_run_options` keeps
+most of it for callers who run later. `_state_vector` lays a
 state out as one vector, `_step` makes one step of a method of diffrax on it (`_rosenbrock` is a linearly
 implicit method), `_step_size` sets its length, `_events` determines where the model ends, within a step too.
 `_run` takes steps until a run is over, `_batch` takes those of many runs together, `_derivative`
@@ -8,7 +9,16 @@ differentiates the recorded steps. `_trajectory` is the result, `_report` its pr
 and `_projected_method` offer the same equations, those of `_motion`, to `diffrax.diffeqsolve`.
 """
 
-from ._arguments import check_times as check_times, RTOL as RTOL, tolerance as tolerance
+from ._arguments import (
+    check_choices as check_choices,
+    check_times as check_times,
+    ProgressMeter as ProgressMeter,
+    RECORDS as RECORDS,
+    RTOL as RTOL,
+    Solver as Solver,
+    StepSizeControl as StepSizeControl,
+    tolerance as tolerance,
+)
 from ._report import (
     amount as amount,
     cause as cause,
@@ -17,7 +27,8 @@ from ._report import (
     REMEDIES as REMEDIES,
 )
 from ._rosenbrock import Rosenbrock as Rosenbrock
+from ._run_options import RunOptions as RunOptions
 from ._simulate import simulate as simulate
 from ._state_vector import layout as layout, pack as pack, unpack as unpack
-from ._trajectory import Trajectory as Trajectory
+from ._trajectory import check_one_run as check_one_run, Trajectory as Trajectory
 from ._vector_field import vector_field as vector_field, VectorField as VectorField

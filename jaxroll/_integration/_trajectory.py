@@ -1,6 +1,6 @@
-"""The result of a run. `_simulate` makes a `Trajectory`, `_report` prints it."""
+"""The result of a run: `_simulate` makes a `Trajectory`, `_report` prints it, `check_one_run` checks one."""
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import numpy as np
@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Int
 from .._mechanics import Labels, State
 from .._motion import Energy, Multipliers, Residuals
 from .._printing import code_name, listed
-from .._results import concrete, RESULTS
+from .._results import check_instance, concrete, is_array_like, RESULTS, shown
 from .._types import Times
 from ._report import batch_report, report
 
@@ -76,3 +76,28 @@ class Trajectory(eqx.Module):
     def __repr__(self) -> str:
         shape = getattr(getattr(self.states, "q", None), "shape", ())
         return f"Trajectory({code_name(self.result)}; {' x '.join(map(str, shape[:-1])) or 'no'} states)"
+
+
+def check_one_run(name: str, run: Any) -> None:
+    """Raise unless an argument is one run and not a batch, with a state for each of its times, one or more.
+
+    It need not be what `simulate` returned: `jax.tree.map` and `equinox.tree_at` put anything into a pytree.
+    """
+    check_instance(name, run, Trajectory, "a Trajectory")
+    parts: dict[str, Any] = {"ts": run.ts} | {
+        f"states.{part}": getattr(run.states, part, None) for part in "qvs"
+    }
+    for part, value in parts.items():
+        if not is_array_like(value) or value.dtype.kind != "f":
+            raise ValueError(f"argument {name} must hold real numbers as {part}, but had {shown(value)}")
+    shape, count = run.states.q.shape, np.size(run.ts)
+    if run.ts.ndim != 1 or len(shape) != 2:
+        raise ValueError(
+            f"argument {name} must be one run, but its states have shape {shape}; "
+            f"take one lane with jax.tree.map(lambda x: x[i], {name})"
+        )
+    if not count or any(value.shape[:1] != (count,) for value in parts.values()):
+        raise ValueError(
+            f"argument {name} must hold a state for each of its times, one or more, but was of shapes "
+            f"{shown([value.shape for value in parts.values()])}"
+        )

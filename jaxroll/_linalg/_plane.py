@@ -155,6 +155,7 @@ def sincos(angle: Scalar) -> tuple[Scalar, Scalar]:
 
 def unstack(array: Any) -> Any:
     """An array as nested tuples of its scalars; a tuple is returned as it is."""
+    # A tuple has been taken apart before: `prepared` may be called twice. A scalar is a leaf already.
     if isinstance(array, tuple) or array is None or jnp.ndim(array) == 0:
         return array
     return tuple(unstack(array[i]) for i in range(array.shape[0]))
@@ -191,6 +192,7 @@ def total(terms: Sequence[Any]) -> Any:
     """Sum of scalars or vectors without a zero to start from; 0.0 where there are none."""
     if not terms:
         return 0.0
+    # From the first term on: terms may be numbers, vectors of the plane or of space, or twists.
     result = terms[0]
     for term in terms[1:]:
         result = result + term
@@ -227,6 +229,7 @@ def factorise(matrix: Triangle) -> Factor:
     pivots: list[Scalar] = []
     inverse: list[Scalar] = []
     for i, row in enumerate(matrix):
+        # The sum over k of s_k l_jk runs over k < j: as long as row j of the strict triangle is.
         scaled: list[Scalar] = []  # s_j
         for j in range(i):
             scaled.append(minus(row[j], inner(scaled, lower[j])))
@@ -235,6 +238,7 @@ def factorise(matrix: Triangle) -> Factor:
         lower.append(unit)
         pivots.append(pivot)
         inverse.append(1.0 / pivot)
+    # By the largest diagonal entry, so that the measure does not depend on units.
     largest = functools.reduce(jnp.maximum, [row[i] for i, row in enumerate(matrix)])
     return Factor(tuple(lower), tuple(inverse), functools.reduce(jnp.minimum, pivots) / largest)
 
@@ -252,6 +256,7 @@ def solve(factor: Factor, right: Sequence[Scalar]) -> Scalars:
         forward.append(minus(value, inner(row, forward)))
     backward = [times(value, d) for value, d in zip(forward, factor.inverse_pivots, strict=True)]
     for i in reversed(range(len(backward))):
+        # Row i of L^T is column i of L, below the diagonal.
         below = range(i + 1, len(backward))
         for j in below:
             backward[i] = minus(backward[i], times(factor.lower[j][i], backward[j]))

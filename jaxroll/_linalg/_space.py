@@ -61,6 +61,7 @@ class Vec3:
 
     def array(self) -> jax.Array:
         """An array of shape (..., 3), for callers."""
+        # Constant entries are Python's own numbers, without the axes of a batch.
         return jnp.stack(jnp.broadcast_arrays(self.x, self.y, self.z), axis=-1)
 
 
@@ -124,6 +125,7 @@ class Pose3:
 
 def rotation(q: Quaternion) -> tuple[Vec3, Vec3, Vec3]:
     """The columns of the rotation of a unit quaternion: the body's axes in the world."""
+    # 1 + 2 w [v]_x + 2 [v]_x^2 with the vector part v, column by column.
     w, x, y, z = q
     xx, yy, zz = x * x, y * y, z * z
     xy, xz, yz = x * y, x * z, y * z
@@ -146,6 +148,8 @@ def quaternion_of(frame: Pose3) -> Quaternion:
     Sums and differences of the rotation's entries give the products 4 q_i q_j. Row i of their table is a
     multiple of the quaternion, well-conditioned where q_i is large: the row with the largest 4 q_i^2 is used.
     """
+    # `sums` are 4 q_i^2, `turned` 4 w times x, y, z, and `mixed` 4 x y, 4 x z, 4 y z. `x.y` is the entry
+    # in row y of column x.
     x, y, z = frame.x, frame.y, frame.z
     sums = (
         1.0 + x.x + y.y + z.z,
@@ -161,6 +165,7 @@ def quaternion_of(frame: Pose3) -> Quaternion:
         (turned[2], mixed[1], mixed[2], sums[3]),
     )
     table, largest = jnp.stack([jnp.stack(row) for row in rows]), jnp.argmax(jnp.stack(sums))
+    # q and -q are the same rotation: of the two, the one with w >= 0.
     found = jnp.where(table[largest, 0] < 0, -1.0, 1.0) * table[largest]
     return normalised((found[0], found[1], found[2], found[3]))
 
@@ -172,6 +177,7 @@ def seven(frame: Pose3) -> jax.Array:
 
 def quaternion_product(left: Quaternion, right: Quaternion) -> Quaternion:
     """Hamilton's product: the rotation of `left` after that of `right`."""
+    # (a, u)(b, v) = (a b - u . v, a v + b u + u x v).
     a, u = left[0], Vec3(*left[1:])
     b, v = right[0], Vec3(*right[1:])
     return (minus(times(a, b), u.dot(v)), *(v * a + u * b + u.cross(v)))
@@ -231,6 +237,7 @@ class Sym3:
 
     def squares(self) -> Scalar:
         """Sum of all nine squared entries, which is that of the squared eigenvalues."""
+        # Each entry off the diagonal stands in the matrix twice.
         main, mixed = (self.xx, self.yy, self.zz), (self.xy, self.xz, self.yz)
         return plus(inner(main, main), times(2.0, inner(mixed, mixed)))
 
@@ -245,6 +252,7 @@ class Sym3:
 
     def turned(self, frame: Pose3) -> "Sym3":
         """A matrix given in a body's axes, in world axes: R A R^T."""
+        # The frame's axes are the columns of R; its rows are the world's axes in the body.
         rows = (Vec3(*axes) for axes in zip(frame.x, frame.y, frame.z, strict=True))
         x, y, z = rows
         ax, ay, az = self.apply(x), self.apply(y), self.apply(z)

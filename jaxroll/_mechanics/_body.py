@@ -160,6 +160,7 @@ class PivotedObject(AbstractObject):
         middle = as_floats("centre", centre, (2,))
         self.weight_moment = None
         if mass is not None:
+            # Of mass and centre the weight needs the product alone: their first moment about the pivot.
             self.weight_moment = check_positive("mass", as_floats("mass", mass, ())) * middle
 
     @property
@@ -247,6 +248,7 @@ class FreeObject(AbstractObject):
         )
         twist = Twist2(Vec2(v[0], v[1]), v[2])
         motion = Motion(self.pose(q), units, twist, Twist2(Vec2(zero, zero), zero))
+        # A lower triangle, row by row. The frame sits at the centre of mass: there are no velocity terms.
         mass = ((self.mass,), (zero, self.mass), (zero, zero, self.inertia))
         if gravity is None:
             return motion, Inertia(mass, (zero, zero, zero))

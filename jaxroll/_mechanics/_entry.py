@@ -93,6 +93,7 @@ def compiled_for_many(function: _Function) -> _Function:
 def _guarded(function: _Function, jitted: Callable[..., Any]) -> _Function:
     """A function of a grasp as `compiled` says, given its compiled form."""
     names = tuple(inspect.signature(function).parameters)
+    # Less one, for the grasp itself is not among `args`.
     places = [(names.index(name) - 1, name) for name in _STATES if name in names]
 
     @functools.wraps(function)
@@ -102,7 +103,9 @@ def _guarded(function: _Function, jitted: Callable[..., Any]) -> _Function:
             if at < len(args) or name in options:
                 given = options[name] if name in options else args[at]
                 check_states(grasp, given, name, axes=_STATES[name])
-        args = tuple(_finite_times(name, x) for name, x in zip(names[1:], args, strict=False))
+        # What is too many goes on as it is: `jitted` refuses it.
+        known = [_finite_times(name, x) for name, x in zip(names[1:], args, strict=False)]
+        args = (*known, *args[len(known) :])
         options = {name: _finite_times(name, x) for name, x in options.items()}
         return jitted(tabled_grasp(grasp), *args, **options)
 

@@ -49,7 +49,11 @@ class AbstractFinger(AbstractBody):
 
     @property
     def prescribed(self) -> bool:
-        """Whether its frame also moves as a given function of time."""
+        """Whether its frame moves as a given function of time; then it has no joints (`Grasp` checks it).
+
+        What joints and a given motion add to a gap together would need the twist of either by itself, and a
+        `Motion` has their sum alone.
+        """
         return False
 
     @property
@@ -175,6 +179,7 @@ class Finger(AbstractFinger):
 
     def placed(self, q: Scalars) -> tuple[Pose2, Spin]:
         along = self.directions(q)
+        # Every joint turns all links beyond it: the tip's spin is the sum of all rates.
         return Pose2(self.joint_positions(along)[-1], along[-1].x, along[-1].y), total
 
     def motion(self, q: Scalars, v: Scalars, gravity: Vec2 | None) -> tuple[Motion, Inertia]:
@@ -203,6 +208,7 @@ class Finger(AbstractFinger):
     ) -> Motion:
         """Motion of the tip frame; `pull` is its acceleration at zero joint accelerations."""
         tip = points[-1]
+        # A unit rate of the joint at p moves the tip by tip - p, turned left a quarter.
         units = tuple(Twist2((tip - p).left(), jnp.ones_like(spin)) for p in points[:-1])
         velocity = total([u.velocity * rate for u, rate in zip(units, v, strict=True)])
         pose = Pose2(tip, heading.x, heading.y)
@@ -218,6 +224,8 @@ class Finger(AbstractFinger):
         rows: list[Scalars] = []
         forces: list[Scalar] = []
         outer: tuple[Scalar, Vec2, Scalar, Vec2, Scalar] | None = None
+        # `outer` is the body of all links from joint i + 1 on, about that joint. To be taken about joint i, a
+        # link d further back, its c grows by m d, its J by 2 d . c + m d . d, and its torque by d x F.
         for i in reversed(range(self.joints)):
             arm = centres[i] - points[i]
             mass, moment = self.masses[i], arm * self.masses[i]

@@ -167,6 +167,7 @@ class Finger3(AbstractFinger):
 
     def _chain(self, q: Scalars) -> _Chain:
         """The chain at these joint angles, from the base to the tip."""
+        # Scaled once more: `tree_at`, or a step along a gradient, may have changed its length.
         at = pose_at(Vec3(*unstack(self.base)), normalised(unstack(self.rotation)))
         links, axes = [], []
         for i, angle in enumerate(q):
@@ -240,6 +241,7 @@ class Finger3(AbstractFinger):
         """One link alone, about its joint; `bias` holds its spin, angular and joint's acceleration."""
         spin, bend, pull = bias
         mass, arm = self.masses[i], once(link.turn(Vec3(*unstack(self.centres[i]))))
+        # In world axes, in which all links are added up.
         tensor = once(_symmetric(self.inertias[i]).turned(link))
         pull = pull + _centripetal(spin, bend, arm)
         force = (pull if gravity is None else pull - gravity) * mass
@@ -308,5 +310,6 @@ def _cylinders(masses: Array, offsets: Array) -> Array:
     along = offsets[:, :, None] * offsets[:, None, :]
     eye = jnp.eye(3, dtype=offsets.dtype)[None]
     rod = (square_[:, None, None] * eye - along) / 12.0
+    # An offset of no length has no direction e: m r^2/4 about every axis is left.
     unit = along / jnp.where(square_ > 0, square_, 1.0)[:, None, None]
     return masses[:, None, None] * (rod + radius**2 * (eye + unit) / 4.0)

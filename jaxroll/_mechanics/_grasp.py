@@ -81,8 +81,8 @@ class Grasp(eqx.Module):
 
     Raises:
         ValueError: If a part is not what it must be, parts of the plane and of space are mixed, a contact
-            names a finger or contour that is not there or starts past the end of an open contour, or the
-            controller is for another number of fingers.
+            names a finger or contour that is not there or starts past the end of an open contour, a finger
+            has both joints and a prescribed motion, or the controller is for another number of fingers.
 
     Example:
         >>> import jaxroll as jxr
@@ -114,16 +114,23 @@ class Grasp(eqx.Module):
         self.controller = taken(self, "controller", controller)
         self._check_parts()
         self._check_controller()
+        # Last: how many numbers it has is known from the contacts.
         self.gravity = taken(self, "gravity", gravity, shape=(self._axes,))
 
     def _check_parts(self) -> None:
-        """Raise unless every contact finds its shapes, and all bodies live where the contacts do."""
+        """Raise unless contacts find their shapes, no finger moves in two ways, and all live in one space."""
         for i, contact in enumerate(self.contacts):
             counts = ("finger", contact.finger, len(self.fingers))
             for kind, index, count in (counts, (contact.kind, contact.touched, len(self.object.shapes))):
                 if not 0 <= index < count:
                     raise ValueError(f"argument contacts[{i}].{kind} must be below {count}, but was {index}")
             contact.check(f"contacts[{i}]", self.shapes(contact))
+        for i, finger in enumerate(self.fingers):
+            if finger.prescribed and finger.freedoms:
+                raise ValueError(
+                    f"argument fingers[{i}] must have no joints where its motion is prescribed, "
+                    f"but was a {type(finger).__name__} with {finger.freedoms}"
+                )
         wanted, words = (AbstractSurface, "space") if self.spatial else (AbstractContour, "the plane")
         for i, body in enumerate(self.bodies):
             name = f"fingers[{i - 1}]" if i else "object"
@@ -236,6 +243,7 @@ class Grasp(eqx.Module):
         if index >= len(self.fingers):
             raise ValueError(f"argument finger must be below {len(self.fingers)}, but was {index}")
         tip = taken(self.fingers[index], "tip", tip)
+        # `tree_at` does not run the constructor, and so none of its checks.
         changed = eqx.tree_at(lambda g: g.fingers[index].tip, self, tip)
         changed._check_parts()
         return changed

@@ -113,6 +113,7 @@ class Jaw(AbstractFinger):
         still = Twist2(Vec2(zero, zero), zero)
         _, *along = self._axes()
         units = tuple(Twist2(direction, zero) for direction in along)
+        # `still` comes first for a fixed wall: without joints there would be nothing to add up.
         twist = total([still, *(unit * rate for unit, rate in zip(units, v, strict=True))])
         mass = tuple(tuple(self.mass * a.dot(b) for b in along[: i + 1]) for i, a in enumerate(along))
         force = tuple(zero if gravity is None else -self.mass * gravity.dot(a) for a in along)

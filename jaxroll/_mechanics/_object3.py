@@ -32,6 +32,7 @@ def _as_inertia(name: str, inertia: Any) -> Array:
     """An inertia given as one number, three or a matrix, as a matrix."""
     array = as_array(name, inertia)
     if array.ndim == 0:
+        # One number is a ball's moment about any axis.
         array = array * jnp.eye(3, dtype=array.dtype)
     elif array.ndim == 1:
         array = jnp.diag(as_floats(name, array, (3,)))
@@ -117,6 +118,7 @@ class FreeObject3(AbstractBody):
         return pose, lambda v: pose.turn(Vec3(*v[3:]))
 
     def rates(self, q: Scalars, v: Scalars) -> Scalars:
+        # The spin is in body axes, hence on the right of q.
         turned = quaternion_product((q[3], q[4], q[5], q[6]), (0.0, v[3], v[4], v[5]))
         return (*v[:3], *(0.5 * x for x in turned))
 

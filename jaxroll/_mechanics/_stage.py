@@ -165,6 +165,7 @@ class Stage(AbstractFinger):
 
     def _twist(self, t: Scalar) -> Twist3:
         r"""Twist at time t. Its spin is $2 \dot q \bar q$, from $\dot q = \frac12 (0, \omega)\,q$."""
+        # The derivative in time: a jvp with the tangent one. `motion` differentiates this once more.
         (_, turn), (velocity, rate) = jax.jvp(self._prescribed_pose, (t,), (jnp.ones_like(t),))
         spin = quaternion_product(rate, conjugate(turn))
         return Twist3(velocity, Vec3(*spin[1:]) * 2.0)
@@ -176,6 +177,7 @@ class Stage(AbstractFinger):
         return (self.pose(q).origin,)
 
     def rates(self, q: Scalars, v: Scalars) -> Scalars:
+        # The clock runs whatever the velocities are; there are none.
         return tuple(jnp.ones_like(clock) for clock in q)
 
     def displaced(self, q: Scalars, step: Scalars) -> Scalars:

@@ -138,4 +138,5 @@ def split(array: Array, sizes: tuple[int, ...]) -> Blocks:
 
 def join(blocks: Blocks) -> Array:
     """Blocks of scalars as one array, stacked on the last axis."""
+    # The last axis, because leaves of a batch or of a run have axes of their own in front.
     return jnp.stack([leaf for block in blocks for leaf in block], axis=-1)

@@ -21,6 +21,7 @@ from ._equations import (
 )
 from ._formulation import (
     as_formulation as as_formulation,
+    check_formulation as check_formulation,
     CSM as CSM,
     Formulation as Formulation,
     Index1 as Index1,

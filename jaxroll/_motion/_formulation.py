@@ -101,11 +101,17 @@ Formulation = Index1 | CSM
 _DEFAULT = Index1()
 
 
+def check_formulation(given: Any) -> None:
+    """Raise for what is no formulation; None stands for the default."""
+    if given is not None:
+        check_instance("formulation", given, (Index1, CSM), "jaxroll.Index1() or jaxroll.CSM(...)")
+
+
 def as_formulation(grasp: Grasp, given: Any) -> Formulation:
     """The formulation asked for, by default `Index1`; raise for what is none, or not for such a grasp."""
+    check_formulation(given)
     if given is None:
         return _DEFAULT
-    check_instance("formulation", given, (Index1, CSM), "jaxroll.Index1() or jaxroll.CSM(...)")
     if isinstance(given, CSM):
         check_planar(grasp)
     return given

@@ -57,7 +57,8 @@ def linearise(
         factors = masses[1 + contact.finger], masses[0]
         weighted.append(tuple(_solve(factor, block) for factor, block in zip(factors, rows, strict=True)))
         # A moving stage has a twist but no velocities: what it does to the gap is missing in A v. Here the
-        # object is at rest, so that this part alone is left.
+        # object is at rest, so that this part alone is left; with joints, J v would come in twice (`Grasp`
+        # refuses that).
         moving = grasp.fingers[contact.finger].prescribed
         poses, twists = (pair[0].pose, pair[1].pose), (pair[0].twist, pair[1].resting().twist)
         drift.append(contact.gap_rate(poses, twists, t) if moving else None)

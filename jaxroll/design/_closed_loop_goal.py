@@ -5,14 +5,22 @@ measures of `_measures` are weighed into one cost. `_goals` has what goals share
 the cases, the smooth maximum. The gradient goes through the run.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .._integration import simulate, Trajectory
+from .._integration import (
+    ProgressMeter,
+    RunOptions,
+    simulate,
+    Solver,
+    StepSizeControl,
+    Trajectory,
+)
+from .._motion import Formulation
 from .._results import as_count, as_floats, check_callable, check_positive, RESULTS, shown
 from .._types import Given, Scalar
 from ..geometry import AbstractContour
@@ -30,11 +38,6 @@ from ._limits import ContourSamples
 from ._measures import FORCED, MEASURES, PARTIAL, SETTLED
 
 Objective = Mapping[str, float] | Callable[[Any, Trajectory], Scalar]
-# Options of `simulate` that a goal passes on; it sets the others itself.
-_OPTIONS = (
-    *("t0", "formulation", "solver", "rtol", "record", "events"),
-    *("atol", "dt0", "max_steps", "stepsize_controller", "progress_meter"),
-)
 # Cost of a run that ends at once, above its measures: more than that of a run that lasts, whose weighed
 # measures are of order one.
 _LOST = 10.0
@@ -59,12 +62,16 @@ class ClosedLoop(AbstractGoal):
         cases: A pytree of arrays with a leading axis: objects, poses, gains. Default: one case.
         t1: Length of the runs [s].
         ts: How many states are saved, evenly spaced; at least two.
-        **options: Those of `simulate`; `throw` is False.
+        rtol: Relative tolerance of the runs, looser than `simulate`'s own.
+        record: What is worked out at the saved times, as for `simulate`. Default: the contact forces where a
+            measure needs them, or an objective of your own may.
+        t0, formulation, solver, atol, dt0, max_steps, events, stepsize_controller, progress_meter: As for
+            `simulate`, and with its defaults; numbers must be known when the goal is made.
 
     Raises:
         ValueError: If `make` cannot be called so, `objective` is neither a function nor finite weights of
             these names, `cases` have no common leading axis, `t1` is not positive, `ts` is not a whole number
-            from 2 up, or an option is unknown.
+            from 2 up, or another argument is not what `simulate` takes.
 
     Example:
         >>> import jaxroll as jxr, jax.numpy as jnp
@@ -81,7 +88,7 @@ class ClosedLoop(AbstractGoal):
     cases: Any
     t1: Float[Array, ""]
     ts: int = eqx.field(static=True)
-    options: tuple[tuple[str, Any], ...] = eqx.field(static=True)
+    options: RunOptions = eqx.field(static=True)
 
     def __init__(
         self,
@@ -91,18 +98,37 @@ class ClosedLoop(AbstractGoal):
         cases: Any = None,
         t1: Given = 1.0,
         ts: int = 101,
-        **options: Any,
+        t0: Given = 0.0,
+        formulation: Formulation | None = None,
+        solver: Solver | None = None,
+        rtol: Given = 1e-6,
+        atol: Given | None = None,
+        dt0: Given = 1e-4,
+        max_steps: int = 4096,
+        events: Collection[str] = ("lift", "friction"),
+        stepsize_controller: StepSizeControl | None = None,
+        progress_meter: ProgressMeter | None = None,
+        record: Collection[str] | None = None,
     ) -> None:
         self.make = check_make(make, cases)
         self.objective = _as_objective(objective)
         self.cases = check_cases(cases)
         self.t1 = check_positive("t1", as_floats("t1", t1, ()))
         self.ts = as_count("ts", ts, least=2)
-        if unknown := sorted(set(options) - set(_OPTIONS)):
-            raise ValueError(
-                f"argument options must be among {', '.join(_OPTIONS)}, but had {shown(unknown)}"
-            )
-        self.options = tuple(sorted(options.items()))
+        options = RunOptions(
+            t0=t0,
+            formulation=formulation,
+            solver=solver,
+            rtol=rtol,
+            atol=atol,
+            dt0=dt0,
+            max_steps=max_steps,
+            events=events,
+            stepsize_controller=stepsize_controller,
+            progress_meter=progress_meter,
+            record=record,
+        )
+        self.options = options.checked(self.t1, self.ts)
 
     @property
     def in_turn(self) -> bool:
@@ -115,8 +141,9 @@ class ClosedLoop(AbstractGoal):
         def found(grasp: Any, state: Any) -> tuple[Array, Array, Array]:
             # Contact forces cost time to record: only where a measure needs them, or an own objective may.
             forced = ("multipliers",) if FORCED & set(names) or callable(self.objective) else ()
-            settings = {"record": forced, "rtol": 1e-6, **dict(self.options), "throw": False}
-            run = simulate(grasp, state, self.t1, ts=self.ts, **settings)
+            asked = self.options.record
+            told = self.options._replace(record=forced if asked is None else asked)
+            run = simulate(grasp, state, self.t1, ts=self.ts, throw=False, **told._asdict())
             measured = [PARTIAL[name](run) for name in names]
             own = self.objective(grasp, run) if callable(self.objective) else jnp.zeros_like(self.t1)
             closed = run.result != RESULTS.unreachable

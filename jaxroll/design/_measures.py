@@ -10,18 +10,15 @@ does not choose still makes the gradient NaN, so that it is replaced first (`_re
 later.
 """
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._integration import Trajectory
+from .._integration import check_one_run, Trajectory
 from .._motion import Multipliers
 from .._results import (
     as_array,
     as_floats,
-    check_instance,
     check_positive,
     is_array_like,
     RESULTS,
@@ -167,9 +164,12 @@ def _of_whole(run: Trajectory, measure: Scalar) -> Scalar:
 
 def _forces(run: Trajectory) -> tuple[Multipliers, Array]:
     """Contact forces, zero where they are not known, and where they are known."""
-    _check_run(run)
+    check_one_run("run", run)
     if run.multipliers is None:
         raise ValueError("argument run must have recorded its multipliers, but has none")
+    for value in jax.tree.leaves(run.multipliers):
+        if not is_array_like(value) or value.dtype.kind != "f":
+            raise ValueError(f"argument run must hold real numbers as multipliers, but had {shown(value)}")
     if run.multipliers.f.shape[:1] != run.ts.shape:
         raise ValueError(
             f"argument run must hold forces for each of its {len(run.ts)} times, but had "
@@ -183,27 +183,9 @@ def _forces(run: Trajectory) -> tuple[Multipliers, Array]:
     return Multipliers(f, lam), seen
 
 
-def _check_run(run: Any) -> None:
-    """Raise unless it is one run, not a batch."""
-    check_instance("run", run, Trajectory, "a Trajectory")
-    # None of these is optional; a place that was not reached holds NaN.
-    wanted = [run.ts, *(getattr(run.states, part) for part in "qvs"), *jax.tree.leaves(run.multipliers)]
-    for value in wanted:
-        if not is_array_like(value) or value.dtype.kind != "f":
-            raise ValueError(f"argument run must hold real numbers throughout, but one was {shown(value)}")
-    if run.ts.ndim != 1:
-        raise ValueError(f"argument run must be one run, but was a batch of shape {run.ts.shape[:-1]}")
-    count, states = len(run.ts), [getattr(run.states, part) for part in "qvs"]
-    if not count or any(value.shape[:1] != (count,) for value in states):
-        raise ValueError(
-            "argument run must hold a state for each of its times, one or more, but was of shapes "
-            f"{shown([value.shape for value in (run.ts, *states)])}"
-        )
-
-
 def _reached(run: Trajectory, signal: Signal | None) -> tuple[Array, Array]:
     """Which saved states were reached, shape (t,), and the signal, shape (t, k), zero where they were not."""
-    _check_run(run)
+    check_one_run("run", run)
     y = run.states.s if signal is None else as_array("signal", signal)
     if y.ndim not in (1, 2) or y.shape[0] != run.states.q.shape[0] or not y.size:
         raise ValueError(

@@ -85,6 +85,7 @@ def animate(
         pace = {"fps": fps, "speed": speed, "progress": progress}
         return animate3(grasp, motion.at(rows), ts, path, forces=pushed, size=size, view=view, **pace)
     check_options(grasp, view=view)
+    # In hundredths of a second, as GIF files count; browsers slow down what asks for less than two.
     delay = max(2, round(100.0 / fps))
     check_frames("speed", (ts[-1] - ts[0]) / (0.01 * delay * speed))
     seen_at = nearest_rows(ts, 0.01 * delay * speed)
@@ -137,6 +138,7 @@ class _Stage:
         self.clock = ax.text(0.0, 1.02, "t", transform=ax.transAxes, fontsize=10)
         pace = "real time" if speed == 1.0 else f"shown at {speed:g} x real time"
         ax.text(1.0, 1.02, pace, transform=ax.transAxes, fontsize=8, ha="right", color="#555555")
+        # Drawn by hand in every frame, and so in the order in which matplotlib would draw them.
         moving = sorted([*ax.lines, *ax.patches], key=lambda a: a.get_zorder())
         self.moving = [*moving, self.clock]
         if forces is not None:

@@ -42,6 +42,7 @@ class Drawing:
         self.jointed = any(joints.shape[1] > 1 for joints in seen.joints)
         self.pivoted = isinstance(grasp.object, PivotedObject)
         self.radius = 0.045 * MM * float(np.mean([f.size for f in grasp.fingers]))
+        # All artists are made once, empty; `show` gives them their places.
         fill = partial(_polygon, ax, np.zeros((3, 2)))
         line = lambda *args, **style: ax.plot([], [], *args, **style)[0]  # noqa: E731
         grey = {"ec": "#8A99A4", "lw": 0.8}
@@ -75,6 +76,7 @@ class Drawing:
             base.set_visible(joints.shape[1] > 1)  # a jaw has none to show
         for guide, ends in zip(self.guides, seen.guides, strict=True):
             guide.set_data(*ends[i].T)
+        # The last point of a skeleton is the tip frame's origin, O_i.
         self.centres.set_data(*np.array([joints[i, -1] for joints in seen.joints]).T)
         self.origin.set_data(*seen.frames[0][i, :2, None])
         if self.pivoted:
@@ -90,6 +92,7 @@ class Drawing:
     def _stretch(self, i: int) -> None:
         for finger, lines, paths in zip(self.seen.owners, self.stretches, self.seen.rolled, strict=True):
             for line, path, frame in zip(lines, paths, (1 + finger, 0), strict=True):
+                # A path lies on its body, where that is now.
                 line.set_data(*place(self.seen.frames[frame][i], path[: i + 1]).T)
 
     def legend(self) -> list[tuple[Any, str]]:
@@ -159,6 +162,7 @@ def _capsule(start: np.ndarray, end: np.ndarray, radius: float) -> np.ndarray:
     along = end - start
     heading = np.arctan2(along[1], along[0])
     arc = lambda turn: radius * np.stack([np.cos(turn), np.sin(turn)], axis=-1)  # noqa: E731
+    # Half a circle about either end; the straight sides are the polygon's edges between them.
     return np.concatenate([end + arc(heading + _TURN), start + arc(heading + _TURN + np.pi)])
 
 

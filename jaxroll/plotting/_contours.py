@@ -70,6 +70,7 @@ def contours(grasp: Grasp) -> Figure:
     for ax in axes[1]:
         ax.set_ylim(low, top)
     figure.legend(
+        # Drawn last were the dots of the arclength, the start of the contact, and the frame's origin.
         [axes[0, 0].lines[-2], axes[0, 0].lines[-3]],
         ["starting contact", "arclength s [mm], counter-clockwise round the body"],
         loc="outside lower center",
@@ -124,14 +125,17 @@ def _count(ax: Axes, contour: AbstractContour, window: Window) -> None:
     """Dots with the arclength beside them, on the outside."""
     low, high = MM * window[0], MM * window[1]
     step = _STEPS[np.argmin(np.abs(_STEPS - (high - low) / 6))]
+    # 1e-9 of a step: an end that is a mark, but for rounding, counts as one.
     marks = step * np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1)
     if contour.closed:
+        # Once round, the end is s = 0 again, whose number is there already.
         marks = marks[marks < high - 0.3 * step]
     there = sample(contour, marks / MM)
     ax.plot(*there.points.T, "o", ms=3.5, color=GUIDE, zorder=4)
     for mark, point, along in zip(marks, there.points, there.tangents, strict=True):
         text = "$s$ = 0" if mark == 0 else f"{mark:g}".replace("-", "\N{MINUS SIGN}")
         far = 17.0 if mark == 0 else 11.0
+        # The tangent turned right points outwards.
         push = (far * along[1], -far * along[0])
         ax.annotate(text, point, push, fontsize=7.5, color=GUIDE, **_BESIDE)
 

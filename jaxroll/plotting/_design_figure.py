@@ -77,6 +77,7 @@ def _shape(ax: Axes, curve: OutlineSamples, pad: OutlineSamples, tooth: float, c
     outward = np.stack([curve.tangents[:, 1], -curve.tangents[:, 0]], axis=1)
     tips = curve.points + tooth * curve.curvatures[:, None] * outward
     teeth = np.linspace(0, len(tips) - 1, _TEETH).astype(int)
+    # NaN lifts the pen between two teeth.
     nothing = np.full((len(teeth), 2), np.nan)
     comb = np.stack([curve.points[teeth], tips[teeth], nothing], axis=1).reshape(-1, 2)
     ax.fill(*curve.points.T, fc=TIP_FILL, ec="none", alpha=0.6)
@@ -95,6 +96,7 @@ def _margins(ax: Axes, tips: Sequence[AbstractContour], ends: np.ndarray) -> Non
     for tip in tips:
         bends, room = sample(tip, s).curvatures, MM * np.asarray(margin(tip, s))
         values.append(np.where(bends > 0.0, room, np.nan))
+    # 1 / kappa has a pole where the contour is flat: beyond `reach` the line is cut.
     reach = _FAR * MM * max(float(np.abs(sample(tip, s).points).max()) for tip in tips)
     for value, name, colour in zip(values, _NAMES, _COLOURS, strict=True):
         shown = np.where(np.abs(value) < reach, value, np.nan)

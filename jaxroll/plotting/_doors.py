@@ -29,6 +29,7 @@ def guarded(figure: _Function) -> _Function:
 
     @functools.wraps(figure)
     def door(*args: Any, **options: Any) -> Any:
+        # By name, however they were given; of an argument too many `figure` will say so itself.
         given = dict(zip(names, args, strict=False)) | options
         grasp: Any = given.get("grasp")
         if "trajectory" in given:

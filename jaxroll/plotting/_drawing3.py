@@ -59,6 +59,8 @@ class Drawing3:
     def __init__(self, ax: Axes3, scene: Scene3, *, arrows: np.ndarray | None = None) -> None:
         self.ax, self.scene, self.arrows = ax, scene, arrows
         # What of the fingers is behind the object, the object, and what is before it.
+        # matplotlib has no depth buffer: it sorts the triangles of one collection by depth, but whole
+        # collections by `zorder` alone.
         self.layers = [_layer(ax, zorder) for zorder in (1, 10, 20)]
         self.lines = [
             (_Trace(ax, on_tip, LOCUS_TIP), _Trace(ax, on_object, LOCUS_OBJECT))
@@ -81,6 +83,7 @@ class Drawing3:
             if len(corners):
                 collection.set_verts(list(corners))
                 collection.set_facecolor(colours)
+                # Edges in the colours of their faces: without them the background shows through the seams.
                 collection.set_edgecolor(colours)
         for pair in self.lines:
             for trace in pair:
@@ -105,6 +108,7 @@ class Drawing3:
             skeleton, faces = scene.skeletons[solid.finger][i], _faces(solid, i, towards, light)
             nearer = self._nearer(i, solid.finger, towards)
             (before if nearer else behind).append(faces)
+            # Pieces of links as near to the tip's frame as its own triangles go where the tip goes.
             reach = np.linalg.norm(faces[0] - skeleton[-1], axis=-1).max(initial=0.0)
             for corners, colours in _limbs(skeleton, scene.thickness, towards, light):
                 middles = corners.mean(axis=1)
@@ -190,9 +194,11 @@ def _softened(image: Any, _: float) -> tuple[np.ndarray, int, int]:
 def _faces(solid: Solid, i: int, towards: np.ndarray, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     corners = solid.at(i)[solid.mesh.faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    # A triangle without area has no normal, and is not to divide by zero.
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
     checks = solid.mesh.checks
     if solid.mesh.closed:
+        # Of a closed body only what faces the camera is drawn; an open surface has two sides, both lit.
         seen = normals @ towards > 0.0
         corners, normals, checks = corners[seen], normals[seen], checks[seen]
     else:
@@ -210,6 +216,7 @@ def _limbs(
     parts += [(*ball(joint, 1.45 * radius), JOINT_BODY) for joint in joints[:-1]]
     found = []
     for corners, normals, colour in parts:
+        # A little beyond the edge that is seen, since each strip has one normal.
         seen = normals @ towards > -0.1
         found.append((corners[seen], lit(colour, normals[seen], light, towards)))
     return found

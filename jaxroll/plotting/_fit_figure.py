@@ -57,12 +57,14 @@ def fit(fit: Fit) -> Figure:
 def _shape(ax: Axes, curve: OutlineSamples, points: np.ndarray, *, closed: bool) -> None:
     if closed:
         ax.fill(*curve.points.T, fc=TIP_FILL, ec="none", alpha=0.5)
+    # The tangent turned right; where the contour is convex the curvature is positive.
     outward = np.stack([curve.tangents[:, 1], -curve.tangents[:, 0]], axis=1)
     peak = max(float(np.abs(curve.curvatures).max()), 1e-12)
     length = 0.18 * float(np.ptp(curve.points, axis=0).max()) / peak
     tips = curve.points + length * curve.curvatures[:, None] * outward
     ax.plot(*tips.T, color=OBJECT, lw=1.0)
     teeth = np.linspace(0, len(tips) - 1, _TEETH).astype(int)
+    # NaN lifts the pen between two teeth: one line instead of 150.
     nothing = np.full((len(teeth), 2), np.nan)
     comb = np.stack([curve.points[teeth], tips[teeth], nothing], axis=1).reshape(-1, 2)
     ax.plot(*comb.T, color=OBJECT, lw=0.5, label=f"curvature, {peak:.4g} 1/m at most")

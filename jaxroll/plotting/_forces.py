@@ -49,6 +49,8 @@ def arrows(
     contacts = rolling_contacts(grasp)
     senses, drawn = np.array([contact.sense for contact in contacts.values()]), list(contacts)
     f, lam = (np.asarray(part)[picks][:, drawn, None] for part in (found.f, found.lam))
+    # lambda acts on the object along the chapter's b_0, which runs along its contour where `sense` is 1; f
+    # presses it against its outward normal, the tangent turned right.
     lam = lam * senses[:, None]
     along = seen.tangents
     outward = np.stack([along[..., 1], -along[..., 0]], axis=-1)
@@ -72,6 +74,7 @@ def key(ax: Axes, forces: Arrows) -> FancyArrowPatch | None:
     if forces.scale == 0.0:
         return None
     size = 10.0 ** np.floor(np.log10(forces.peak))
+    # The largest of 1, 2 and 5 times a power of ten that is not above the peak.
     newtons = float(size * _ROUND[_ROUND * size <= forces.peak][-1])
     (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
     x, y = left + 0.03 * (right - left), high - 0.025 * (high - low)

@@ -51,5 +51,6 @@ def checked_path(path: str | Path, **positive: float) -> Path:
 
 def nearest_rows(ts: np.ndarray, step: float) -> np.ndarray:
     """Rows of the saved times nearest to times `step` apart, the last among them."""
+    # The last time comes by itself: half a step before it the even ones end.
     wanted = np.append(np.arange(ts[0], ts[-1] - 0.5 * step, step), ts[-1])
     return np.argmin(np.abs(ts[:, None] - wanted), axis=0)

@@ -27,6 +27,8 @@ from ._motion3 import matrices
 from ._rays import inside, radii
 
 # Vertices closer than this share of the mesh's size are one.
+# The digits are arbitrary: a round number would put the vertices of regular grids right between two cells of
+# the rounding in `_welded`, where two that are one could fall to either side.
 _SAME = 1.2345e-7
 # Patches along u and v.
 _PATCHES = (8, 4)
@@ -99,6 +101,7 @@ def box_mesh(edges: np.ndarray) -> Mesh:
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     faces = [half for a, b, c, d in quads for half in ((a, b, c), (a, c, d))]
+    # Corner 4 x + 2 y + z, each 0 or 1; the quadrangles run counter-clockwise seen from outside.
     return Mesh(0.5 * np.asarray(edges, float) * signs, np.array(faces), np.zeros(len(faces), int))
 
 
@@ -119,6 +122,7 @@ def _(surface: MovedSurface, counts, extent, about):
     quaternion = np.asarray(surface.rotation, float)
     turn = matrices(quaternion / np.linalg.norm(quaternion))
     offset = np.asarray(surface.offset, float)
+    # `about` is in the placed surface's frame: R^T (about - offset) in its own.
     found = _mesh(surface.surface, counts, extent, (about - offset) @ turn)
     return replace(found, vertices=found.vertices @ turn.T + offset)
 
@@ -126,6 +130,7 @@ def _(surface: MovedSurface, counts, extent, about):
 @_mesh.register
 def _(surface: Hollow, counts, extent, about):
     found = _mesh(surface.surface, counts, extent, about)
+    # Triangles that run the other way face the other way.
     return replace(found, faces=found.faces[:, ::-1])
 
 
@@ -144,6 +149,7 @@ def _(surface: Ellipsoid, counts, extent, about):
 @_mesh.register
 def _(surface: Superellipsoid, counts, extent, about):
     ball, p = _ball(counts), surface.exponent
+    # A direction d meets sum |x_i|^p = 1 at d / (sum |d_i|^p)^(1/p); the axes stretch that.
     reach = np.sum(np.abs(ball.vertices) ** p, axis=1, keepdims=True) ** (-1.0 / p)
     return replace(ball, vertices=_axes(surface) * reach * ball.vertices)
 
@@ -180,6 +186,7 @@ def _(surface: AbstractChart, counts, extent, about):
 @_mesh.register
 def _(surface: AbstractImplicit, counts, extent, about):
     ball, centre = _ball(counts), inside(surface)
+    # The directions of a sphere, each as long as its ray from the point inside.
     reach = radii(surface, centre, ball.vertices)[:, None]
     return replace(ball, vertices=centre + reach * ball.vertices)
 
@@ -218,6 +225,7 @@ def _welded(points: np.ndarray, counts: tuple[int, int]) -> Mesh:
     a, b, c, d = (part.ravel() for part in _corners(number))
     faces = np.concatenate([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)])
     flat = points.reshape(-1, 3)
+    # Equal vertices are numbered once. Triangles that thereby lose an edge, as at a pole, are left out.
     cells = np.round(flat / (_SAME * np.ptp(flat, axis=0).max())).astype(np.int64)
     _, first, kept = np.unique(cells, axis=0, return_index=True, return_inverse=True)
     faces = kept.reshape(-1)[faces]

@@ -104,6 +104,7 @@ def matrices(quaternions: np.ndarray) -> np.ndarray:
 
 def placed(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Body-frame points, shape (n, 3), in the world; `pose` has shape (7,)."""
+    # Points are rows: R p of each is p^T R^T.
     return points @ matrices(pose[3:]).T + pose[:3]
 
 
@@ -118,11 +119,15 @@ def rotation_vectors(quaternions: np.ndarray) -> np.ndarray:
     Continuous up to a whole turn: the quaternions, shape (t, 4), may change sign from one to the next.
     """
     q = np.asarray(quaternions, float)
+    # q and -q are one rotation: each takes the sign that is nearer to the one before. Without these flips the
+    # angle would jump by a turn.
     flips = np.where(np.sum(q[1:] * q[:-1], axis=1) < 0.0, -1.0, 1.0)
     q = q * np.cumprod(np.append(1.0, flips))[:, None]
+    # q_i times the conjugate of q_0 is the turn since then: (cos(angle / 2), sin(angle / 2) axis).
     w0, v0 = q[0, 0], -q[0, 1:]
     scalar = q[:, 0] * w0 - q[:, 1:] @ v0
     vector = q[:, :1] * v0 + w0 * q[:, 1:] + np.cross(q[:, 1:], v0)
     sine = np.linalg.norm(vector, axis=1)
     angle = 2.0 * np.arctan2(sine, scalar)
+    # Near no turn at all, angle / sin(angle / 2) is 2.
     return vector * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 2.0)[:, None]

@@ -64,6 +64,7 @@ def rolling_contacts(grasp: Grasp) -> dict[int, Contact]:
 
 def rolling_coordinates(grasp: Grasp, s: np.ndarray) -> np.ndarray:
     """Of states' s, the coordinates of `rolling_contacts`, shape (t, c)."""
+    # A caller's own contact may have any number of coordinates, or none: `at` counts past them.
     columns, at = [], 0
     for i, contact in enumerate(grasp.contacts):
         if i in rolling_contacts(grasp):
@@ -76,6 +77,7 @@ def starts_of(grasp: Grasp) -> list[list[list[tuple[int, float, int]]]]:
     """For every body and contour: (column of sigma, starting arclength [m], direction in sigma)."""
     starts = [[[] for _ in contours] for contours in contours_of(grasp)]
     for i, contact in enumerate(rolling_contacts(grasp).values()):
+        # A state counts s_tip = s_tip,0 + sigma and s_object = s_object,0 - sigma.
         starts[0][contact.contour].append((i, float(contact.s_object), -1))
         starts[1 + contact.finger][0].append((i, float(contact.s_tip), 1))
     return starts
@@ -113,6 +115,7 @@ def _outline(contours: Sequence[AbstractContour], windows: Sequence[Window]) -> 
         else:
             open_faces.append((face.points, face.tangents[[0, -1]]))
     if len(open_faces) == 1:
+        # One open face gets a back of its own; several are joined to one ring, as the faces of a rectangle.
         rings.append(_backed(*open_faces[0]))
     elif open_faces:
         rings.append(_joined([face for face, _ in open_faces]))
@@ -121,6 +124,7 @@ def _outline(contours: Sequence[AbstractContour], windows: Sequence[Window]) -> 
 
 def _joined(faces: list[np.ndarray]) -> np.ndarray:
     middles = np.array([face[_SAMPLES // 2] for face in faces])
+    # In the order of their directions from the middle of all: counter-clockwise, as each face runs.
     spokes = middles - middles.mean(axis=0)
     order = np.argsort(np.arctan2(spokes[:, 1], spokes[:, 0]))
     return np.concatenate([faces[i] for i in order])
@@ -130,9 +134,11 @@ def _backed(face: np.ndarray, tangents: np.ndarray) -> np.ndarray:
     """Close one open face by a rounded back: a Bezier arc on the body's side of its chord."""
     first, last = face[0], face[-1]
     chord = np.linalg.norm(last - first)
+    # The chord turned left, since a contour has its body on the left.
     inward = np.array([first[1] - last[1], last[0] - first[0]]) / chord
     leave, enter = _unit(tangents[1] + inward), _unit(inward - tangents[0])
     u = np.linspace(0.0, 1.0, 41)[1:-1, None]
+    # Bernstein's polynomials, from the last point back to the first.
     arc = (
         (1 - u) ** 3 * last
         + 3 * u * (1 - u) ** 2 * (last + 0.22 * chord * leave)

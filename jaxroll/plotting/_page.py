@@ -182,6 +182,7 @@ def _ring(scene: Scene3, locus: DrawnLocus, i: int) -> np.ndarray:
 
 def _path(scene: Scene3, locus: DrawnLocus, i: int) -> np.ndarray:
     """A locus up to an instant, lifted off its surface so that it is not sunk in the flat triangles."""
+    # Thinned out, for every frame holds its loci in full.
     some = np.unique(np.linspace(0, i, min(i, _POINTS) + 1).astype(int))
     return locus.at(i, _LIFT * scene.thickness)[0][some]
 
@@ -211,6 +212,7 @@ def _solid(solid: Solid, name: str, k: int) -> dict[str, Any]:
 def _flat(solid: Solid) -> bool:
     """Whether it is a plane, to be seen through from below."""
     areas = solid.mesh.areas
+    # Area vectors add up to zero over a closed surface, and to the whole area over a plane.
     return bool(np.linalg.norm(areas.sum(axis=0)) > 0.999 * np.linalg.norm(areas, axis=1).sum())
 
 
@@ -263,6 +265,7 @@ def _layout(scene: Scene3, title: str, ts: np.ndarray, angles: tuple[float, floa
         "margin": {"l": 10, "r": 10, "t": 60, "b": 10},
         "scene": axes | {"aspectmode": "manual", "aspectratio": _point(spans), "camera": eye},
         "legend": {"x": 0.01, "y": 0.98, "bgcolor": "rgba(255,255,255,0.8)", "itemsizing": "constant"},
+        # As long as this stays the same, plotly keeps the reader's camera from frame to frame.
         "uirevision": "kept",
         **_controls(ts),
     }

@@ -34,6 +34,7 @@ def panels(grasp: Grasp, run: Trajectory) -> list[Panel]:
         found = _pinch(grasp, run)
     elif isinstance(grasp.controller, Press):
         *first, potential = _press(grasp, run, contacts)
+        # In the order of the chapter's Figs. 9-18.
         found = [*first, *_motion(grasp, run, contacts), potential, *_forces(grasp, run, contacts)]
         figures = 10 if _is_part_2(grasp) else 0
     else:
@@ -121,6 +122,7 @@ def _both(symbol: str) -> tuple[str, str]:
 
 def _contacts(s: np.ndarray) -> Panel:
     """Both contacts [mm]; since the start, where that is too far apart for one scale."""
+    # On a closed object both lie far apart and move little: one scale for both would show two straight lines.
     title, reached = "contacts on the object's contour", s[np.isfinite(s).all(axis=1)]
     if 0.0 < 4.0 * np.ptp(reached, axis=0).max() < np.ptp(reached):
         return Panel(title, "$s_i - s_i(0)$ [mm]", s - reached[0], _both("s"))
@@ -132,6 +134,7 @@ def _moved(grasp: Grasp, run: Trajectory) -> list[Panel]:
     q = np.asarray(run.states.q)
     start = q[np.flatnonzero(np.isfinite(q).all(axis=1))[0]]
     moved, at = q - start, grasp.sizes[0]
+    # The last of the object's coordinates is its angle, whether it is pivoted or free.
     turned = Panel("rotation of the object", r"$\theta - \theta(0)$ [rad]", moved[:, at - 1])
     found = [turned]
     if at > 1:

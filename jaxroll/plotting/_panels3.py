@@ -26,6 +26,7 @@ def _moved(grasp: Grasp, run: Trajectory) -> list[Panel]:
     """Object and joints since the first state."""
     q = np.asarray(run.states.q)
     reached = np.isfinite(q).all(axis=1)
+    # Only rows that were reached: signs are followed from one quaternion to the next.
     start, turns = q[np.flatnonzero(reached)[0]], np.full((len(q), 3), np.nan)
     turns[reached] = rotation_vectors(q[reached, 3:7])
     place = Panel("position of the object", "moved [mm]", MM * (q[:, :3] - start[:3]), _AXES)

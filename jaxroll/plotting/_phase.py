@@ -71,6 +71,7 @@ def _chapter_s(grasp: Grasp, states: State) -> np.ndarray:
     """The chapter's $s_i$ [m] of one state or several, shape (t, 2)."""
     starts = np.array([float(contact.s_object) for contact in grasp.contacts])
     senses = np.array([contact.sense for contact in grasp.contacts])
+    # The place on the object's contour, s_object,0 - sigma, in the chapter's direction.
     return senses * (starts - np.asarray(states.s).reshape(-1, 2))
 
 
@@ -97,6 +98,7 @@ def _rings(u: np.ndarray, goal: tuple[np.intp, ...]) -> np.ndarray:
     """Levels that are evenly spaced round an extremum, where U is quadratic: the one nearer the goal."""
     low, high = np.nanmin(u), np.nanmax(u)
     share = np.linspace(0.0, 1.0, _LEVELS + 1)
+    # U grows with the square of the distance from an extremum: levels by squares are rings of equal distance.
     share = 1.0 - (1.0 - share) ** 2 if high - u[goal] < u[goal] - low else share**2
     return low + max(high - low, 1e-9 * high) * share
 
@@ -106,6 +108,7 @@ def _inside(grasp: Grasp, i: int, s: np.ndarray) -> np.ndarray:
     contact = grasp.contacts[i]
     tip, face = grasp.shapes(contact)
     on_face = contact.sense * s
+    # sigma = s_object,0 - s on the object, and s_tip = s_tip,0 + sigma.
     on_tip = float(contact.s_tip) + float(contact.s_object) - on_face
     return _on(tip, on_tip) & _on(face, on_face)
 

@@ -104,6 +104,7 @@ def stage(
     """A figure and axes of equal scale that hold all of a scene, from all azimuths of the camera."""
     low, high = scene.corners
     figure = Picture(columns * size, size)
+    # The layout of `Picture` does not know what axes in space take up; all is placed by hand below.
     figure.set_layout_engine("none")
     axes = [_axes(figure, scene.corners) for _ in range(columns)]
     turns = view[1:] if azimuths is None else azimuths
@@ -111,6 +112,7 @@ def stage(
     zoom = min(_WIDE / width, _TALL / height)
     # Each is square; the figure is as high as what is seen of them.
     seen = size * (zoom * height + _LABELS)
+    # -(-a // b) is a / b rounded up.
     below = _ROW * -(-_ENTRIES // _columns(columns * size))
     whole = below + seen + _TITLE
     figure.set_size_inches(columns * size, whole)
@@ -142,6 +144,7 @@ def _axes(figure: Picture, corners: np.ndarray) -> Axes3:
 
 def _spans(ax: Axes3, elevation: float, azimuth: float) -> np.ndarray:
     """Width and height of the box of the axes, as shares of the picture."""
+    # The projection is that of the axes as they are turned now.
     ax.view_init(elevation, azimuth)
     ends = np.array([ax.get_xlim(), ax.get_ylim(), ax.get_zlim()])
     corners = np.array([[ends[0, i], ends[1, j], ends[2, k]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])

@@ -46,6 +46,8 @@ def _lattice(surface: SplineSurface) -> np.ndarray:
 
 def _seeded(surface: AbstractImplicit) -> np.ndarray:
     """The origin, the middle of some points of the surface, and points below these."""
+    # From these seeds `near` leads to surfaces between a millimetre and some tenths of a metre in size; from
+    # some seeds it finds nothing.
     on = np.asarray(surface.near(np.concatenate([scale * _SEEDS for scale in _SCALES])))
     on = on[np.isfinite(on).all(axis=1)]
     if not len(on):
@@ -92,6 +94,7 @@ def _first(surface: AbstractImplicit, centre: jax.Array, directions: jax.Array) 
 
     def along(direction: jax.Array) -> jax.Array:
         def step(k: int, high: jax.Array) -> jax.Array:
+            # The first distance that is outside is kept; `high` is infinite until then.
             distance = _NEAREST * _STEP**k
             return jnp.where(jnp.isinf(high) & outside(distance, direction), distance, high)
 
@@ -102,6 +105,7 @@ def _first(surface: AbstractImplicit, centre: jax.Array, directions: jax.Array) 
             return jnp.where(out, low, middle), jnp.where(out, middle, high)
 
         high = jax.lax.fori_loop(0, _COUNT, step, jnp.asarray(jnp.inf, direction.dtype))
+        # One step before was inside still, or is the point itself. Sixty halvings leave nothing but rounding.
         low = jnp.where(high > _NEAREST, high / _STEP, 0.0)
         low, high = jax.lax.fori_loop(0, _HALVINGS, halve, (low, high))
         return 0.5 * (low + high)

@@ -122,8 +122,11 @@ def tip_name(grasp: Grasp) -> str:
 def looking(scene: Scene3) -> tuple[float, float]:
     """Elevation and azimuth, in degrees, of a camera that sees the first contact from the side."""
     normal = scene.on_object[0].at(scene.times // 2)[1][scene.times // 2] if scene.on_object else np.zeros(3)
+    # Nearly vertical: every view shows the contact from the side.
     if np.hypot(*normal[:2]) < 0.2:
         return _VIEW
+    # Along the normal one body would hide the other. Of the four views off to a side of it, from before and
+    # from behind, the one nearest to the usual azimuth is taken.
     across = np.degrees(np.arctan2(normal[1], normal[0]))
     choices = across + np.array([_ASIDE, -_ASIDE, 180.0 - _ASIDE, 180.0 + _ASIDE])
     off = np.abs((choices - _VIEW[1] + 180.0) % 360.0 - 180.0)
@@ -186,6 +189,7 @@ def _size(shape: Mesh) -> float:
 def _corners(solids: tuple[Solid, ...], skeletons: tuple[np.ndarray, ...], margin: float) -> np.ndarray:
     cloud = [s.reshape(-1, 3) for s in skeletons]
     for solid in solids:
+        # Forty instants bound the picture well enough: bodies move little between them.
         some = np.unique(np.linspace(0, len(solid.frames) - 1, 40).astype(int))
         cloud += [placed(frame, solid.mesh.vertices) for frame in solid.frames[some]]
     every = np.concatenate(cloud)

@@ -17,6 +17,7 @@ def tube_mesh(start: np.ndarray, end: np.ndarray, radius: float) -> tuple[np.nda
     length = np.linalg.norm(along)
     if length < 1e-9 * radius:
         return np.zeros((0, 3, 3)), np.zeros((0, 3))
+    # The axis that is farthest from the tube's own direction: the cross product is then never near zero.
     across = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
     across /= np.linalg.norm(across)
     other = np.cross(along / length, across)
@@ -24,6 +25,7 @@ def tube_mesh(start: np.ndarray, end: np.ndarray, radius: float) -> tuple[np.nda
     ring = np.cos(angle) * across + np.sin(angle) * other
     # Short pieces, which sort well by their depth.
     shares = np.linspace(0.0, 1.0, 2 + int(length / (4.0 * radius)))
+    # One normal for each flat strip, at its middle; `ring` has the directions of its edges.
     middle = np.cos(0.5 * (angle[1:] + angle[:-1])) * across + np.sin(0.5 * (angle[1:] + angle[:-1])) * other
     found = []
     for low, high in zip(shares[:-1], shares[1:], strict=True):
@@ -50,6 +52,8 @@ def camera(elevation: float, azimuth: float) -> tuple[np.ndarray, np.ndarray]:
 def lit(colour: str, normals: np.ndarray, light: np.ndarray, towards: np.ndarray) -> np.ndarray:
     """Colours of shape (k, 3) under a light, seen from the direction `towards`."""
     base = np.array(to_rgb(colour))
+    # Blinn and Phong: diffuse light by the normal's cosine with the light, gloss by a power of that with the
+    # direction half way between light and camera.
     bright = _AMBIENT + _DIFFUSE * np.clip(normals @ light, 0.0, None)
     gloss = _GLOSS * np.clip(normals @ _unit(light + towards), 0.0, None) ** _SHARP
     shaded = base * bright[:, None]

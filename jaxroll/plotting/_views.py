@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .._integration import Trajectory
+from .._integration import check_one_run, Trajectory
 from .._mechanics import compiled, Grasp, State, to_leaves
 from .._motion import multipliers, residuals, touches, world_poses
 from .._printing import code_name
@@ -47,6 +47,7 @@ class Views:
 def place(frame: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Body-frame points in the world; `frame` is one row (x, y, cos, sin)."""
     x, y, cos, sin = frame
+    # The transpose of the rotation, because points are rows.
     return points @ np.array([[cos, sin], [-sin, cos]]) + (x, y)
 
 
@@ -56,13 +57,8 @@ def single(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     Raises:
         ValueError: If the trajectory is a batch, or holds no state at all.
     """
-    q = np.asarray(trajectory.states.q)
-    if q.ndim != 2:
-        raise ValueError(
-            f"argument trajectory must be one run, but its states have shape {q.shape}; "
-            "take one lane with jax.tree.map(lambda x: x[i], trajectory)"
-        )
-    reached = np.isfinite(q).all(axis=1)
+    check_one_run("trajectory", trajectory)
+    reached = np.isfinite(np.asarray(trajectory.states.q)).all(axis=1)
     if not reached.any():
         raise ValueError(
             f"argument trajectory must hold at least one state that was reached, but its run ended at "
@@ -104,6 +100,7 @@ def views(grasp: Grasp, states: State) -> Views:
     rolled = []
     for i, contact in enumerate(contacts.values()):
         tip, face = grasp.shapes(contact)
+        # The same sigma on both, with opposite sign: their paths are equally long.
         on_tip = sample(tip, float(contact.s_tip) + sigmas[:, i])
         on_body = sample(face, float(contact.s_object) - sigmas[:, i])
         rolled.append((on_tip.points, on_body.points))
@@ -146,6 +143,7 @@ def _guides(grasp: Grasp, centres: Sequence[np.ndarray]) -> tuple[np.ndarray, ..
     if isinstance(grasp.controller, Press):
         target = MM * np.asarray(grasp.controller.target)
         return tuple(np.stack([c, np.broadcast_to(target, c.shape)], axis=1) for c in centres)
+    # At rest under `control.Opposition` with alpha = 0 both contacts lie on the line of the tip frames.
     if len(centres) == 2 and all(finger.turns for finger in grasp.fingers):
         return (np.stack(centres, axis=1),)
     return ()

@@ -75,6 +75,7 @@ def _placed(grasp: Grasp, states: State):
         at_contacts = [jnp.stack([vector.array() for vector in vectors]) for vectors in pairs]
         return body, jnp.stack(tips), skeletons, *at_contacts
 
+    # `vmap` puts time first; `Motion3D` wants fingers and contacts first.
     body, tips, skeletons, *at_contacts = jax.vmap(at)(states)
     return body, jnp.swapaxes(tips, 0, 1), skeletons, *(jnp.swapaxes(a, 0, 1) for a in at_contacts)
 
@@ -91,6 +92,7 @@ def pushes(trajectory: Trajectory, motion: Motion3D) -> np.ndarray:
             "argument trajectory must hold contact forces if they are to be drawn: "
             "simulate with record=('multipliers',)"
         )
+    # lambda is a vector in world axes here, on the object; f presses against the outward normal.
     out = np.stack([turned_each(motion.body, normals) for normals in motion.out_of_object])
     return np.swapaxes(np.asarray(found.lam), 0, 1) - np.asarray(found.f).T[..., None] * out
 

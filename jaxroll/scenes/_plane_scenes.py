@@ -5,7 +5,6 @@ nearest one at which all contacts are closed. `pinch` and `ring` then start thei
 (17) refers to the fingers' orientations at the start.
 """
 
-import inspect
 from typing import Any
 
 import equinox as eqx
@@ -180,12 +179,31 @@ def pinch(
     return _opposed(body, fingers, contacts, guess, beta, control, gravity)
 
 
-def ball_plate(radius: Given = 0.01, **options: Any) -> tuple[Grasp, State]:
-    """Part 1's simple case: hemispherical fingertips centred at O_i pinch a plate; neutral in (41).
+def ball_plate(
+    radius: Given = 0.01,
+    *,
+    s: Given = (0.004, -0.003),
+    object: FreeObject | None = None,
+    beta: Given = 20.0,
+    alpha: Given = 1e-3,
+    damping: Given = 0.006,
+    friction: Given | None = None,
+    gravity: Given | None = None,
+) -> tuple[Grasp, State]:
+    r"""Part 1's simple case: hemispherical fingertips centred at O_i pinch a plate; neutral in (41).
 
     Args:
         radius: Of both fingertips [m].
-        **options: Those of `pinch`, but for `tips`.
+        s: Shape (2,), the chapter's $s_i$ at the starting contacts [m], as for `pinch`.
+        object: With two contours or with one, as for `pinch`. Default: `rectangle()`.
+        beta: $\beta$ of (16) [N/m].
+        alpha: $\alpha_i$ of (16) [N m/rad], one or two.
+        damping: $c_i$ of (16) [N m s], one or two.
+        friction: Coefficient of friction of both contacts; then a run that needs more of it ends.
+        gravity: Shape (2,) [m/s^2]; the plane is horizontal by default.
+
+    Raises:
+        ValueError: If an argument does not fit, or the fingers cannot reach the contacts.
 
     Example:
         >>> import jaxroll as jxr
@@ -193,19 +211,47 @@ def ball_plate(radius: Given = 0.01, **options: Any) -> tuple[Grasp, State]:
         >>> float(grasp.fingers[0].tip.curvature(0.0))
         100.0
     """
-    return pinch(tips=Circle(radius), **_options(options, "tips"))
+    return pinch(
+        s=s,
+        tips=Circle(radius),
+        object=object,
+        beta=beta,
+        alpha=alpha,
+        damping=damping,
+        friction=friction,
+        gravity=gravity,
+    )
 
 
 def pinch_ellipse(
-    a: Given = 0.015, b: Given = 0.025, mass: Given = 0.02, **options: Any
+    a: Given = 0.015,
+    b: Given = 0.025,
+    mass: Given = 0.02,
+    *,
+    s: Given = (0.004, -0.003),
+    tips: AbstractContour | tuple[AbstractContour, AbstractContour] | None = None,
+    beta: Given = 20.0,
+    alpha: Given = 1e-3,
+    damping: Given = 0.006,
+    friction: Given | None = None,
+    gravity: Given | None = None,
 ) -> tuple[Grasp, State]:
-    """Part 1 with an elliptic object, uniform, of half axes `a` (across) and `b` [m].
+    r"""Part 1 with an elliptic object, uniform, of half axes `a` (across) and `b` [m].
 
     Args:
         a: Half axis between the fingers [m].
         b: The other half axis [m].
         mass: In kilograms.
-        **options: Those of `pinch`, but for `object`.
+        s: Shape (2,), the chapter's $s_i$ at the starting contacts [m], as for `pinch`.
+        tips: Contour of both fingertips or one for each, as for `pinch`. Default: the chapter's (82)-(83).
+        beta: $\beta$ of (16) [N/m].
+        alpha: $\alpha_i$ of (16) [N m/rad], one or two.
+        damping: $c_i$ of (16) [N m s], one or two.
+        friction: Coefficient of friction of both contacts; then a run that needs more of it ends.
+        gravity: Shape (2,) [m/s^2]; the plane is horizontal by default.
+
+    Raises:
+        ValueError: If an argument does not fit, or the fingers cannot reach the contacts.
 
     Example:
         >>> import jaxroll as jxr
@@ -215,16 +261,16 @@ def pinch_ellipse(
     """
     a, b, mass = as_length("a", a), as_length("b", b), as_positive("mass", mass)
     body = FreeObject(Ellipse(a, b), mass, 0.25 * mass * (a**2 + b**2))
-    return pinch(object=body, **_options(options, "object"))
-
-
-def _options(given: dict[str, Any], fixed: str) -> dict[str, Any]:
-    """Arguments to pass on to `pinch`; one that it lacks, or that the scene fixes itself, is refused."""
-    known = tuple(name for name in inspect.signature(pinch).parameters if name != fixed)
-    unknown = [name for name in given if name not in known]
-    if unknown:
-        raise ValueError(f"argument options must be any of {', '.join(known)}, but was {unknown[0]!r}")
-    return given
+    return pinch(
+        s=s,
+        tips=tips,
+        object=body,
+        beta=beta,
+        alpha=alpha,
+        damping=damping,
+        friction=friction,
+        gravity=gravity,
+    )
 
 
 def ring(

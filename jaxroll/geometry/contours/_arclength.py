@@ -85,6 +85,15 @@ def spaced(speed: Speed, shape: Any, parts: int, cells: int) -> tuple[Array, Arr
     return cell, parameters_reaching(progress, (shape, cell), start, targets - arcs[cell]), arcs
 
 
+def arclength_at(speed: Speed, shape: Any, arcs: Array, *, cell: Array, x: Array) -> Array:
+    """Arclength [m] at the place x in [0, 1] of one cell, by the rule of `spaced`, which gives `arcs`.
+
+    `speed` is called with five places in a row, shape (5,), and with the cell of each. Differentiable in x.
+    """
+    places = x * _PLACES
+    return arcs[cell] + x * (speed(shape, jnp.full(places.shape, cell), places) @ _SHARES)
+
+
 def rising_sums(values: Array) -> Array:
     """Zero, then the sums of the first one, two, ... values: shape (n,) to (n + 1,).
 

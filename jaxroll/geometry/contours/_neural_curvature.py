@@ -7,7 +7,7 @@ values at uniform arclengths `_laid_out` makes the table (`_table`); the network
 `_network_descent` fits it to points.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -83,9 +83,47 @@ class NeuralCurvature(AbstractTabulated):
         self.table = None
 
     @classmethod
-    def through(cls, points: Given, *, key: Array, **options: Any) -> "NeuralCurvature":
-        """The contour nearest to points: `fit`'s field, with its options."""
-        return cls.fit(points, key=key, **options).field
+    def through(
+        cls,
+        points: Given,
+        *,
+        key: Array,
+        harmonics: int = 12,
+        width: int = 24,
+        depth: int = 2,
+        steps: int = 100,
+        tolerance: float = 1e-8,
+        progress: FitProgress = False,
+        cells: int = 1024,
+    ) -> "NeuralCurvature":
+        """The contour nearest to points: the field that `fit` finds, without its figures.
+
+        Args:
+            points: Shape (n, 2) [m], n > 8, in order, counter-clockwise; the first not repeated.
+            key: Random key of the first weights.
+            harmonics: As `width` and `depth`, of `PeriodicNetwork`.
+            width: Neurons of each hidden layer.
+            depth: Hidden layers.
+            steps: Steps of descent at most.
+            tolerance: Stop at this root mean square distance [m]: the noise of the points, if known.
+            progress: True prints step and loss every 25 steps; a function is called with them.
+            cells: As for the class.
+
+        Raises:
+            ValueError: If there are too few points, or they run clockwise.
+        """
+        found = cls.fit(
+            points,
+            key=key,
+            harmonics=harmonics,
+            width=width,
+            depth=depth,
+            steps=steps,
+            tolerance=tolerance,
+            progress=progress,
+            cells=cells,
+        )
+        return found.field
 
     @classmethod
     def fit(

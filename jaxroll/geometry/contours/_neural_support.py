@@ -67,9 +67,50 @@ class NeuralSupport(AbstractSupport):
         check_convex("network", self)
 
     @classmethod
-    def through(cls, points: Given, *, key: Array, **options: Any) -> "NeuralSupport":
-        """The contour nearest to points: `fit`'s field, with its options."""
-        return cls.fit(points, key=key, **options).field
+    def through(
+        cls,
+        points: Given,
+        *,
+        key: Array,
+        harmonics: int = 4,
+        width: int = 16,
+        depth: int = 2,
+        steps: int = 100,
+        tolerance: float = 1e-8,
+        smallest_radius: float | None = None,
+        progress: FitProgress = False,
+        cells: int = 1024,
+    ) -> "NeuralSupport":
+        """The contour nearest to points: the field that `fit` finds, without its figures.
+
+        Args:
+            points: Shape (n, 2) [m], n > 8, round the body in any order.
+            key: Random key of the first weights.
+            harmonics: As `width` and `depth`, of `PeriodicNetwork`.
+            width: Neurons of each hidden layer.
+            depth: Hidden layers.
+            steps: Steps of descent at most.
+            tolerance: Stop at this root mean square distance [m]: the noise of the points, if known.
+            smallest_radius: In metres; None for a hundredth of the points' mean distance from their mean.
+            progress: True prints step and loss every 25 steps; a function is called with them.
+            cells: As for the class.
+
+        Raises:
+            ValueError: If there are too few points, or the fitted contour folds after all.
+        """
+        found = cls.fit(
+            points,
+            key=key,
+            harmonics=harmonics,
+            width=width,
+            depth=depth,
+            steps=steps,
+            tolerance=tolerance,
+            smallest_radius=smallest_radius,
+            progress=progress,
+            cells=cells,
+        )
+        return found.field
 
     @classmethod
     def fit(

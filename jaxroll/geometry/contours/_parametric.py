@@ -20,6 +20,7 @@ from jaxtyping import Array, Float
 from ..._linalg import Vec2
 from ..._results import as_count, as_floats, as_order, as_tree, check_callable, check_flag, concrete, shown
 from ..._types import Given
+from ._arclength import arclength_at
 from ._given_points import polygon_area
 from ._table import AbstractTabulated, FEWEST_CELLS, Table, tabulated
 
@@ -107,15 +108,17 @@ class Parametric(AbstractTabulated):
         table, arcs = tabulated(_jet(cells), given, cells, closed=self.loop, cells=cells)
         if self.origin is None:
             return table
-        # Arclength from the first parameter to the origin: whole cells, and part of one by Gauss-Legendre on
-        # [0, inside]. It is subtracted, so that s = 0 lies at the origin.
+        # The arclength from the first parameter to the origin is subtracted, so that s = 0 lies there.
+        # Which cell that is has no derivative.
         place = (self.origin - self.span[0]) / (self.span[1] - self.span[0]) * cells
-        cell = jnp.clip(jnp.floor(jax.lax.stop_gradient(place)), 0, cells - 1)
-        nodes, weights = np.polynomial.legendre.leggauss(8)
-        inside = place - cell
-        _, rate, _ = _jet(cells)(given, cell, inside * 0.5 * (1.0 + nodes))
-        part = inside * jnp.sum(jnp.sqrt(rate.dot(rate)) * (0.5 * weights))
-        return eqx.tree_at(lambda t: t.start, table, -(arcs[cell.astype(int)] + part))
+        cell = jnp.clip(jnp.floor(jax.lax.stop_gradient(place)), 0, cells - 1).astype(int)
+
+        def speed(given: Any, cell: Array, x: Array) -> Array:
+            _, rate, _ = _jet(cells)(given, cell, x)
+            return jnp.sqrt(rate.dot(rate))
+
+        begin = arclength_at(speed, given, arcs, cell=cell, x=place - cell)
+        return eqx.tree_at(lambda t: t.start, table, -begin)
 
 
 def _jet(parts: int) -> Callable[[Any, Any, Any], tuple[Vec2, Vec2, Vec2]]:

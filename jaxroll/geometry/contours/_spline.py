@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 from ..._linalg import Vec2
 from ..._results import as_count, as_floats, check_flag, check_positive, concrete, shown
 from ..._types import Given
-from ._arclength import rising_sums
+from ._arclength import arclength_at, rising_sums
 from ._bspline import Basis, basis, interval_of, jet_of_pieces, jets, Pieces
 from ._free_numbers import point_waves, wavy_shift
 from ._given_points import polygon_area
@@ -139,7 +139,9 @@ class Spline(AbstractTabulated):
         table, arcs = tabulated(_halves, coefficients, 2 * len(coefficients), closed=self.loop, cells=cells)
         if self.origin == 0:
             return table
-        return eqx.tree_at(lambda t: t.start, table, -_arclength_at(pieces, arcs[::2], u[self.origin]))
+        piece, local = interval_of(pieces.breaks, u[self.origin])
+        begin = arclength_at(_speed, coefficients, arcs[::2], cell=piece, x=local)
+        return eqx.tree_at(lambda t: t.start, table, -begin)
 
     def free_numbers(self) -> list[Any]:
         return [self.points]
@@ -231,13 +233,10 @@ def chords(points: Array, closed: bool) -> Array:
     return rising_sums(chords)
 
 
-def _arclength_at(pieces: Pieces, arcs: Array, u: Array) -> Array:
-    """Arclength [m] at one parameter: that at its piece's beginning, and Gauss-Legendre over the rest."""
-    piece, local = interval_of(pieces.breaks, u)
-    half = 0.5 * local
-    places = half * (1.0 + _NODES)
-    _, rate, _ = jet_of_pieces(pieces.coefficients, jnp.full(places.shape, piece), places)
-    return arcs[piece] + half * (jnp.sqrt(rate.dot(rate)) @ _WEIGHTS)
+def _speed(coefficients: Array, piece: Array, x: Array) -> Array:
+    """Arclength per unit of x [m] at places x in [0, 1] of pieces."""
+    _, rate, _ = jet_of_pieces(coefficients, piece, x)
+    return jnp.sqrt(rate.dot(rate))
 
 
 def _halves(coefficients: Array, half: Array, x: Array) -> tuple[Vec2, Vec2, Vec2]:

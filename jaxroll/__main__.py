@@ -10,16 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ._cli import (
-    pinch3d_facts,
-    pinch3d_scene,
-    pinch_facts,
-    pinch_scene,
-    pivoted_facts,
-    pivoted_scene,
-    say,
-    timed,
-)
+from . import _cli
 
 # jax and matplotlib are imported where they are needed, so that help and complaints come at once.
 
@@ -54,8 +45,8 @@ class Demo:
         speed: Simulated seconds per second of animation.
         figures: File name of each figure, with the chapter's number if it has one, and how
             `plotting` draws it from the grasp and its run.
-        scene: Lines about a grasp and its start.
-        facts: Lines about a run of it.
+        scene: Which function of `_cli` has lines about a grasp and its start.
+        facts: The same about a run of it.
         shown: The first seconds, which are animated and saved densely. Default: the whole run.
         animated: What else `plotting.animate` is told.
         page: Whether there is a page for a browser too.
@@ -65,8 +56,8 @@ class Demo:
     seconds: float
     speed: float
     figures: dict[str, Callable[[Any, Any, Any], Any]]
-    scene: Callable[[Any, Any], list[str]]
-    facts: Callable[[Any, Any], list[str]]
+    scene: str
+    facts: str
     shown: float = math.inf
     animated: Callable[[Any], dict[str, Any]] = lambda plotting: {}
     page: bool = False
@@ -107,13 +98,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         else:
             _run(options, DEMOS[options.scene], folder)
     except (_Unfit, ValueError) as error:
-        say(f"jaxroll {options.command}: {error}")
+        _cli.say(f"jaxroll {options.command}: {error}")
         return 2
     except KeyboardInterrupt:
-        say(f"jaxroll {options.command}: interrupted")
+        _cli.say(f"jaxroll {options.command}: interrupted")
         return 130
     except Exception as error:  # whatever went wrong, the command line answers in one line
-        say(f"jaxroll {options.command}: {' '.join(str(error).split()) or type(error).__name__}")
+        _cli.say(f"jaxroll {options.command}: {' '.join(str(error).split()) or type(error).__name__}")
         return 1
     return 0
 
@@ -223,7 +214,7 @@ def _configure() -> None:
 
 
 def _run(options: argparse.Namespace, demo: Demo, folder: Path) -> None:
-    with timed("Loading"):
+    with _cli.timed("Loading"):
         _configure()
         import jax
 
@@ -231,21 +222,21 @@ def _run(options: argparse.Namespace, demo: Demo, folder: Path) -> None:
         from ._integration import complaint, simulate
         from ._results import RESULTS
     seconds = options.seconds or demo.seconds
-    with timed("Closing the contacts"):
+    with _cli.timed("Closing the contacts"):
         grasp, state = getattr(scenes, options.scene)()
-    with timed("Describing the scene"):
-        scene = demo.scene(grasp, state)
+    with _cli.timed("Describing the scene"):
+        scene = getattr(_cli, demo.scene)(grasp, state)
     record, ts = ("multipliers", "energy"), _save_times(demo, seconds)
     settings = {"t1": seconds, "ts": ts, "rtol": options.rtol, "record": record, "throw": False}
-    with timed(f"Simulating {seconds:g} s") as first:
+    with _cli.timed(f"Simulating {seconds:g} s") as first:
         run = jax.block_until_ready(simulate(grasp, state, **settings))
         if run.result != RESULTS.successful:
             raise RuntimeError(complaint(run, _REMEDIES))
-    with timed("Simulating it again") as again:
+    with _cli.timed("Simulating it again") as again:
         jax.block_until_ready(simulate(grasp, state, **settings))
     names = list(demo.figures)
-    with timed("Drawing"):
-        facts = demo.facts(grasp, run)
+    with _cli.timed("Drawing"):
+        facts = getattr(_cli, demo.facts)(grasp, run)
         for name, draw in demo.figures.items():
             draw(plotting, grasp, run).savefig(folder / name, dpi=150)
     if not options.no_animation:
@@ -253,7 +244,7 @@ def _run(options: argparse.Namespace, demo: Demo, folder: Path) -> None:
         until = min(seconds, demo.shown)
         speed = max(demo.speed, until / _LONGEST_GIF)
         pace = {"fps": _FPS, "speed": speed, "until": until} | demo.animated(plotting)
-        with timed("Animating"):
+        with _cli.timed("Animating"):
             plotting.animate(grasp, run, folder / "motion.gif", progress=_progress, **pace)
     missing = _page(demo, folder, names, plotting=plotting, grasp=grasp, run=run) if demo.page else []
     print(f"jaxroll {__version__}, {options.scene}: {demo.title}")
@@ -264,7 +255,7 @@ def _run(options: argparse.Namespace, demo: Demo, folder: Path) -> None:
 
 
 def _design(options: argparse.Namespace, folder: Path) -> None:
-    with timed("Loading"):
+    with _cli.timed("Loading"):
         _configure()
         from . import __version__
         from ._cli import DesignOrder, fingertip, order
@@ -275,14 +266,14 @@ def _design(options: argparse.Namespace, folder: Path) -> None:
             f"argument --tip must be a file with the points of a closed outline, but: {error}"
         ) from None
     asked = DesignOrder(options.goal, tip, options.steps, options.starts, animated=not options.no_animation)
-    lines = order(asked, folder, timed)
+    lines = order(asked, folder, _cli.timed)
     print("\n".join([f"jaxroll {__version__}, design: a fingertip that holds a rectangle", *lines]))
 
 
 def _page(demo: Demo, folder: Path, names: list[str], *, plotting: Any, grasp: Any, run: Any) -> list[str]:
     """Write page.html, or say what that needs."""
     try:
-        with timed("Writing the page"):
+        with _cli.timed("Writing the page"):
             plotting.page(grasp, run, folder / "page.html", title=demo.title)
     except ImportError as error:
         return [f"  no page.html: {error}"]
@@ -302,7 +293,7 @@ def _save_times(demo: Demo, seconds: float) -> Any:
 
 def _progress(done: int, total: int) -> None:
     if sys.stderr.isatty():
-        say(f"\rAnimating ... {done} of {total} frames", end="," if done == total else "")
+        _cli.say(f"\rAnimating ... {done} of {total} frames", end="," if done == total else "")
 
 
 DEMOS = {
@@ -315,8 +306,8 @@ DEMOS = {
             "fig08_poses.png": lambda plotting, grasp, run: plotting.poses(grasp, run),
             "fig09_18_responses.png": lambda plotting, grasp, run: plotting.responses(grasp, run),
         },
-        scene=pivoted_scene,
-        facts=pivoted_facts,
+        scene="pivoted_scene",
+        facts="pivoted_facts",
     ),
     "pinch": Demo(
         "a three-joint and a two-joint finger pinch a free rectangle (Part 1)",
@@ -328,8 +319,8 @@ DEMOS = {
             "responses.png": lambda plotting, grasp, run: plotting.responses(grasp, run),
             "phase.png": lambda plotting, grasp, run: plotting.phase(grasp, run),
         },
-        scene=pinch_scene,
-        facts=pinch_facts,
+        scene="pinch_scene",
+        facts="pinch_facts",
         shown=0.6,
     ),
     "pinch3d": Demo(
@@ -341,8 +332,8 @@ DEMOS = {
             "loci.png": lambda plotting, grasp, run: plotting.loci(grasp, run),
             "responses.png": lambda plotting, grasp, run: plotting.responses(grasp, run),
         },
-        scene=pinch3d_scene,
-        facts=pinch3d_facts,
+        scene="pinch3d_scene",
+        facts="pinch3d_facts",
         shown=0.6,
         animated=lambda plotting: {
             "view": plotting.View(elevation=14.0, azimuth=-72.0, links=False),

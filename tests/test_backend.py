@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxroll as jxr
-from jaxroll._xla import _one_kernel
+from jaxroll._xla import _one_kernel, _quick, quickly
 from jaxroll._xla._one_kernel import one_kernel
 
 MARK = "xla_cpu_small_call"
@@ -70,3 +70,29 @@ def test_what_does_not_fit_runs_as_it_always_did(kind):
     x, function = jnp.linspace(0.1, 1.0, 3), UNFIT[kind]
     assert MARK not in text(function, x)
     np.testing.assert_allclose(one_kernel(function, x), function(x))
+
+
+def test_quick_programs_are_outermost_ones_alone():
+    """A program takes options as a whole: nested in another, or derived, it is compiled as usual."""
+    seen = []
+
+    def doubled(x):
+        seen.append(_quick._outermost(x))
+        return 2.0 * x
+
+    quick = quickly(lambda x: jnp.sum(x * x))
+    x = jnp.arange(3.0)
+    doubled(x), jax.jit(doubled)(x), jax.vmap(doubled)(x), jax.grad(lambda x: jnp.sum(doubled(x)))(x)
+    assert seen == [True, False, False, False]
+    jax.jit(lambda: seen.append(_quick._outermost(())))()
+    assert seen[-1] is False
+    assert quick(x) == jax.jit(quick)(x) == jax.jit(lambda: quick(x))() == 5.0
+    np.testing.assert_array_equal(jax.grad(quick)(x), 2.0 * x)
+    np.testing.assert_array_equal(jax.vmap(quick)(x[:, None]), x * x)
+
+
+def test_quick_programs_are_compiled_with_their_options(monkeypatch):
+    asked = []
+    monkeypatch.setattr(_quick.eqx, "filter_jit", lambda f, **options: asked.append(options) or f)
+    quickly(lambda x: x)
+    assert asked == [{}, {"compiler_options": _quick.QUICK}]

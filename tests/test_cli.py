@@ -2,14 +2,16 @@
 
 import contextlib
 import re
+import time
 import types
 
 import numpy as np
 import pytest
+from jax import monitoring
 
 from jaxroll import plotting
 from jaxroll.__main__ import main
-from jaxroll._cli import _design_command, DesignOrder, order
+from jaxroll._cli import _design_command, _waiting, DesignOrder, order
 from jaxroll._cli._design_command import fingertip
 from jaxroll.geometry import Circle
 
@@ -106,3 +108,35 @@ def test_a_fingertip_from_a_file_begins_at_its_foremost_point(tmp_path):
     x, y = np.asarray(tip.point(np.linspace(first, last, 60))).T
     assert tip.closed and np.asarray(tip.point(0.0))[0] > x.max() - 1e-6
     np.testing.assert_allclose(((x + 0.002) / 0.015) ** 2 + (y / 0.009) ** 2, 1.0, atol=5e-3)
+
+
+def test_compiling_is_said_while_it_is_waited_for(capsys, monkeypatch):
+    """JAX reports a program before and after its compiler; only one that takes long is told of at once."""
+    monkeypatch.setattr(_waiting, "_PATIENCE", 0.05)
+    before, after = (
+        "/jax/core/compile/jaxpr_to_mlir_module_duration",
+        "/jax/core/compile/backend_compile_duration",
+    )
+    with _waiting.timed("Thinking") as spent:
+        for _ in range(2):
+            monitoring.record_event_duration_secs(before, 0.01)
+            time.sleep(0.15)
+            monitoring.record_event_duration_secs(after, 0.15)
+    assert spent["s"] > 0.3
+    assert re.fullmatch(
+        r"Thinking \.\.\. compiling \.\.\. 0\.3\d* s, 0\.3 s of it compiling\n", capsys.readouterr().err
+    )
+    with _waiting.timed("Thinking"):
+        monitoring.record_event_duration_secs(before, 0.01)
+        monitoring.record_event_duration_secs(after, 0.001)
+        time.sleep(0.1)
+    assert re.fullmatch(r"Thinking \.\.\. 0\.\d+ s\n", capsys.readouterr().err)
+    monitoring.record_event_duration_secs(before, 0.01)  # nobody listens any more
+    time.sleep(0.1)
+    assert capsys.readouterr().err == ""
+
+
+def test_what_goes_wrong_ends_the_line(capsys):
+    with pytest.raises(RuntimeError), _waiting.timed("Thinking"):
+        raise RuntimeError
+    assert capsys.readouterr().err == "Thinking ...\n"

@@ -1,12 +1,9 @@
-"""What `jaxroll demo` and `jaxroll design` do and print; `__main__` reads the command line and calls it."""
+"""What `jaxroll demo` and `jaxroll design` do and print; `__main__` reads the command line and calls it.
 
-from ._design_command import DesignOrder as DesignOrder, fingertip as fingertip, order as order
-from ._facts import (
-    pinch3d_facts as pinch3d_facts,
-    pinch3d_scene as pinch3d_scene,
-    pinch_facts as pinch_facts,
-    pinch_scene as pinch_scene,
-    pivoted_facts as pivoted_facts,
-    pivoted_scene as pivoted_scene,
-)
-from ._waiting import say as say, timed as timed
+Names are imported with their first use (`__init__.pyi` lists them), so that what needs JAX waits until it is
+wanted: help and complaints come at once.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -147,8 +147,8 @@ def _instead(asked: _Asked, run: Any) -> Iterator[None]:
             stack.enter_context(mock.patch.object(plotting, name, asked(name, _picture(asked))))
         for name in ("animate", "page", "design", "comparison"):
             stack.enter_context(mock.patch.object(plotting, name, asked(name)))
-        for name, answer in (("timed", timed), ("_configure", lambda: None)):
-            stack.enter_context(mock.patch.object(command_line, name, answer))
+        for home, name, answer in ((_cli, "timed", timed), (command_line, "_configure", lambda: None)):
+            stack.enter_context(mock.patch.object(home, name, answer))
         for home in (_integration, _design_command):
             stack.enter_context(mock.patch.object(home, "simulate", asked("simulate", lambda *a, **o: run)))
         yield
@@ -157,16 +157,12 @@ def _instead(asked: _Asked, run: Any) -> Iterator[None]:
 def demonstrated(name: str, *, seconds: float | None = None, ended: str | None = None) -> dict[str, Any]:
     """What `jaxroll demo` asks for and prints, the work left out."""
     asked, run, (grasp, state) = _Asked(), runs.run(name, ended=ended), runs.scene(name)
-    demo = dataclasses.replace(
-        command_line.DEMOS[name],
-        scene=lambda grasp, state: ["  the scene"],
-        facts=lambda grasp, run: ["  the facts"],
-    )
     arguments = ["demo", name] + ([] if seconds is None else ["--seconds", f"{seconds}", "--no-animation"])
     with (
         tempfile.TemporaryDirectory() as folder,
         _instead(asked, run),
-        mock.patch.dict(command_line.DEMOS, {name: demo}),
+        mock.patch.object(_cli, f"{name}_scene", lambda grasp, state: ["  the scene"]),
+        mock.patch.object(_cli, f"{name}_facts", lambda grasp, run: ["  the facts"]),
         mock.patch.object(jxr.scenes, name, lambda: (grasp, state)),
         contextlib.redirect_stdout(io.StringIO()) as out,
         contextlib.redirect_stderr(io.StringIO()) as complaint,

@@ -1,0 +1,12 @@
+"""What `_cli` holds, and where; `__init__.py` reads it, and so do type checkers."""
+
+from ._design_command import DesignOrder as DesignOrder, fingertip as fingertip, order as order
+from ._facts import (
+    pinch3d_facts as pinch3d_facts,
+    pinch3d_scene as pinch3d_scene,
+    pinch_facts as pinch_facts,
+    pinch_scene as pinch_scene,
+    pivoted_facts as pivoted_facts,
+    pivoted_scene as pivoted_scene,
+)
+from ._waiting import say as say, timed as timed

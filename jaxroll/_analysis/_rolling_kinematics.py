@@ -184,13 +184,12 @@ class _Rolling(eqx.Module):
         turn = normalised(unstack(rotation))
         y = jnp.concatenate([jnp.stack(turn), at_tip, at_object, jnp.zeros(1)])
         limit = _OPPOSITE.of(rotation, at_tip, at_object)
-        met = self._tangent(y, limit)
+        met = self._tangent(y, turn, limit)
         # Half a turn misses by the angle of the limit, in single precision 1e-3 rad: a second one follows.
-        return met if limit == _OPPOSITE.double else self._tangent(met, limit)
+        return met if limit == _OPPOSITE.double else self._tangent(met, unstack(met[:4]), limit)
 
-    def _tangent(self, y: Array, limit: float) -> Array:
-        """`y` with the body turned so; unit vectors are opposite by `_OPPOSITE`'s `limit`."""
-        turn = unstack(y[:4])
+    def _tangent(self, y: Array, turn: Scalars, limit: float) -> Array:
+        """`y`, whose unit quaternion is `turn`, with the body turned so; `limit` is that of `_OPPOSITE`."""
         axes, _, (tip, face) = self.frames(y)
         own, wanted = axes.turn(tip.normal), -face.normal
         cosine, axis = own.dot(wanted), own.cross(wanted)

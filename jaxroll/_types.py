@@ -1,4 +1,4 @@
-"""Array aliases and the axis alphabet shared by every signature in the package.
+"""Array aliases and the axis alphabet shared by every signature in the package; limits by precision.
 
 | letter | axis |
 |---|---|
@@ -10,8 +10,10 @@
 """
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 # One leaf of the scalar algebra: a 0-d array, a tracer, or a Python number.
@@ -23,3 +25,24 @@ Given = ArrayLike | Sequence[Any]
 
 Points = Float[Array, "... 2"]
 Times = Float[Array, " t"]
+
+
+class ByPrecision(NamedTuple):
+    """A limit that must lie above rounding: a number for double precision, another for single precision.
+
+    Attributes:
+        double: The limit where all numbers have 53 binary digits or more.
+        single: The limit where some have fewer.
+    """
+
+    double: float
+    single: float
+
+    def of(self, *values: Any) -> float:
+        """The limit for what is computed from these arrays: the least precise of them decides.
+
+        Trees of arrays are taken apart. What is no floating-point array does not count.
+        """
+        kinds = [jnp.result_type(leaf) for leaf in jax.tree.leaves(values)]
+        coarse = any(jnp.issubdtype(kind, jnp.floating) and jnp.finfo(kind).nmant < 52 for kind in kinds)
+        return self.single if coarse else self.double

@@ -3,6 +3,8 @@
 import functools
 
 import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
 
 
@@ -21,3 +23,13 @@ def slow_among(names, *slow):
     """Names as parameters of a test, some of them marked slow."""
     assert set(slow) <= set(names)
     return [pytest.param(name, marks=[pytest.mark.slow] * (name in slow)) for name in names]
+
+
+def in_single(function, *args):
+    """What a function returns where JAX knows single precision only, its arguments rounded to that."""
+
+    def rounded(x):
+        return jnp.asarray(x, jnp.float32) if getattr(x, "dtype", None) == np.float64 else x
+
+    with jax.enable_x64(False):
+        return function(*jax.tree.map(rounded, args))

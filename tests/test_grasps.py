@@ -1,11 +1,14 @@
 """Grasps beyond the chapter's Part 2: a user's controller, free objects, several fingers."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxroll as jxr
+from jaxroll._closing import _search
+from tests.helpers import in_single
 
 
 class Opposing(eqx.Module):
@@ -96,3 +99,51 @@ def test_features_that_are_off_cost_nothing():
         return len(jax.jit(rates).lower(grasp, state).as_text().splitlines())
 
     assert lines(None) < lines((0.0, -9.81))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("hold", [True, False])
+def test_single_precision_closes_what_double_precision_closes(scene, hold):
+    """A batch of guesses: held contacts, and such that roll."""
+    grasp, state = scene
+    away = np.random.default_rng(0).normal(size=(3, state.q.shape[0])) * np.array([[1e-4], [1e-3], [5e-3]])
+
+    def closed(grasp, state, away):
+        guess = lambda d: jxr.State(state.q + d, state.v, state.s)  # noqa: E731
+        close = lambda d: jxr.close(grasp, guess(d), hold_contacts=hold)[1]  # noqa: E731
+        return jax.jit(jax.vmap(close))(away)
+
+    found, single = closed(grasp, state, away), in_single(closed, grasp, state, away)
+    assert single.q.dtype == jnp.float32
+    np.testing.assert_allclose(single.q, found.q, rtol=0, atol=2e-6)
+    np.testing.assert_allclose(single.s, found.s, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("hold", [pytest.param(True, marks=pytest.mark.slow), False])
+def test_the_search_for_a_closed_state_ends_in_single_precision(scene, hold, monkeypatch):
+    grasp, state = scene
+    ends, loop = [], jax.lax.while_loop
+    monkeypatch.setattr(jax.lax, "while_loop", lambda *args: ends.append(loop(*args)) or ends[-1])
+
+    def searched(grasp, q, s):
+        guess, ready = jxr.State(q, jnp.zeros_like(q), s), grasp.prepared()
+        metric = _search.metric_at(ready, guess, hold)
+        return _search.searched(_search.ClosingProblem(ready, guess, metric))
+
+    for away in (0.0, 1e-3, 1e-2):
+        in_single(searched, grasp, state.q + away, state.s)
+        assert int(ends[-1].count) <= 20, away
+
+
+def test_redundant_rows_are_solved_in_single_precision():
+    """A row twice: the shortest step in the metric, by the pseudo-inverse."""
+    rng = np.random.default_rng(0)
+    rows = rng.normal(size=(2, 5))
+    rows, right = np.concatenate([rows, rows[:1]]), rng.normal(size=2)
+    right = np.append(right, right[0])
+    metric = np.diag(rng.uniform(0.5, 2.0, 5))
+    half = np.sqrt(np.linalg.inv(metric))
+    wanted = half @ np.linalg.pinv(rows @ half) @ right
+    _, steps = in_single(_search.solve_schur, rows, metric, right[:, None])
+    assert steps.dtype == jnp.float32
+    np.testing.assert_allclose(steps[:, 0], wanted, rtol=1e-4, atol=1e-5)

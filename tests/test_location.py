@@ -10,6 +10,7 @@ import jaxroll as jxr
 from jaxroll._linalg import Vec2
 from jaxroll.contact import locate
 from jaxroll.contact.locating._candidates import Feet, minima
+from tests.helpers import in_single, slow_among
 from tests.measures import taylor_remainders
 from tests.oracles.outlines import gap_by_brute_force, KINDS, placed_points, points_of
 from tests.subjects.polar_contours import compiled_location, compiled_placement, Polar, random_pairs
@@ -261,3 +262,39 @@ def test_close_locates_the_contacts():
     assert abs(float(contact.s_tip)) > 1e-3 and abs(float(state.s[0])) < 0.02
     with pytest.raises(ValueError, match="argument locate must be False for endless contours"):
         jxr.close(grasp.with_tip(0, jxr.Line()), guess, locate=True)
+
+
+AROUND = np.array(
+    [[0.05, 0.03, 0.3], [0.012, 0.026, 1.0], [-0.035, 0.014, 2.5], [0.016, 0.016 * 3**0.5, 0.0]]
+)
+NODES = np.linspace(0.0, 2 * np.pi, 24, endpoint=False)
+LOBES = 0.02 * (1.0 + 0.25 * np.cos(3 * NODES))[:, None] * np.stack([np.cos(NODES), np.sin(NODES)], axis=-1)
+ROUNDED = jxr.SupportFunction(0.02, (0.0, 0.002, 0.0004), (0.0, 0.0, 0.0003))
+PAIRS = {
+    "circle and ellipse": (jxr.Circle(0.01), jxr.Ellipse(0.03, 0.012, cells=256)),
+    "circle and spline": (jxr.Circle(0.012), jxr.Spline(LOBES)),
+    "line and support function": (LINE, ROUNDED),
+}
+
+
+@pytest.mark.parametrize("name", slow_among(PAIRS, "circle and spline", "line and support function"))
+def test_single_precision_finds_what_double_precision_finds(name):
+    """A batch of poses; in the last one the circle is as close to both flanks of a notch."""
+    many = jax.jit(jax.vmap(lambda a, b, pose: locate(a, b, pose_a=pose), (None, None, 0)))
+    found, single = many(*PAIRS[name], AROUND), in_single(many, *PAIRS[name], AROUND)
+    assert single.gap.dtype == jnp.float32 and np.all(np.asarray(found.result == SUCCESS))
+    assert np.all(np.asarray(single.result == SUCCESS))
+    np.testing.assert_allclose(single.gap, found.gap, rtol=0, atol=3e-8)
+    np.testing.assert_array_equal(single.unique, found.unique)
+    np.testing.assert_array_equal(single.others.there, found.others.there)
+    assert bool(single.unique[-1]) != (name == "circle and spline")
+    # Of two equal gaps either may be the lowest.
+    points = np.abs(np.asarray(single.points - found.points))[np.asarray(found.unique)]
+    assert points.max() <= 1e-6
+
+
+def test_concentric_circles_are_not_unique_in_single_precision():
+    """Curvatures that cancel but for rounding."""
+    found = in_single(circles, (np.array(0.01), np.array(0.02)), np.zeros(3), np.array([0.0, 0.0, 0.7]))
+    assert found.result == SUCCESS and not bool(found.unique)
+    assert abs(float(found.gap) + 0.01) <= 1e-8

@@ -25,7 +25,7 @@ from jaxroll.geometry import (
     Superellipsoid,
     Torus,
 )
-from tests.helpers import slow_among
+from tests.helpers import in_single, slow_among
 from tests.measures import taylor_remainders
 
 SUCCESS = jxr.RESULTS.successful
@@ -365,3 +365,49 @@ def test_gradient_of_the_gap_is_one_along_the_normal_where_surfaces_touch_too(he
     gap = lambda z: locate_surfaces(ball, ball, pose_a=jnp.array([0, 0, z, 1, 0, 0, 0])).gap  # noqa: E731
     found = jax.value_and_grad(gap)(height)
     np.testing.assert_allclose(found, (height - 0.02, 1.0), atol=1e-12)
+
+
+BESIDE = np.array(
+    [posed((0.05, 0.03, 0.01)), posed((-0.012, 0.026, 0.015), TURN[::-1]), posed((0.0, -0.03, 0.021), -TURN)]
+)
+
+
+PAIRS = {
+    "spheres": (Sphere(0.01), Sphere(0.02)),
+    "sphere and ellipsoid": (Sphere(0.01), Ellipsoid(0.03, 0.02, 0.012)),
+    "plane and ellipsoid": (Plane(), Ellipsoid(0.03, 0.02, 0.012)),
+    "ellipsoid and torus": (Ellipsoid(0.015, 0.01, 0.008), Torus(0.03, 0.01)),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", PAIRS)
+def test_single_precision_finds_what_double_precision_finds(name):
+    """A batch of poses."""
+    many = jax.vmap(lambda a, b, pose: locate_surfaces(a, b, pose_a=pose), (None, None, 0))
+    found, single = many(*PAIRS[name], BESIDE), in_single(many, *PAIRS[name], BESIDE)
+    assert single.gap.dtype == jnp.float32 and np.all(np.asarray(found.result == SUCCESS))
+    assert np.all(np.asarray(single.result == SUCCESS))
+    np.testing.assert_allclose(single.gap, found.gap, rtol=0, atol=3e-8)
+    np.testing.assert_allclose(single.points, found.points, rtol=0, atol=1e-6)
+    np.testing.assert_array_equal(single.unique, found.unique)
+    np.testing.assert_array_equal(single.others.there, found.others.there)
+
+
+def test_two_spheres_in_single_precision():
+    for pose in BESIDE:
+        found = in_single(spheres, (np.array(0.01), np.array(0.02)), pose, STILL)
+        away = np.linalg.norm(pose[:3])
+        assert found.gap.dtype == jnp.float32 and found.result == SUCCESS and bool(found.unique)
+        assert abs(float(found.gap) - (away - 0.03)) <= 1e-8 and int(found.others.count) == 0
+        np.testing.assert_allclose(found.points[1], 0.02 * pose[:3] / away, rtol=0, atol=1e-8)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("both", [True, False])
+def test_rounded_poses_of_shapes_in_double_precision(both):
+    pose = BESIDE[1].astype(np.float32)
+    still = STILL.astype(np.float32) if both else STILL
+    single = spheres((0.01, 0.02), pose, still)
+    found = spheres((0.01, 0.02), BESIDE[1], STILL)
+    assert single.result == SUCCESS and abs(float(single.gap - found.gap)) <= 3e-8

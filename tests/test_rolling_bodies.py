@@ -7,6 +7,8 @@ import pytest
 from scipy.interpolate import make_interp_spline
 
 import jaxroll as jxr
+from jaxroll._analysis._rolling_kinematics import _Rolling
+from tests.helpers import in_single
 from tests.oracles import closed_forms_space as closed
 
 
@@ -327,3 +329,21 @@ def test_gradients_of_a_path_that_begins_at_rest():
         return jnp.stack([found.pose[-1, 0], found.arclength[-1]])
 
     np.testing.assert_allclose(jax.jacrev(end)(0.3), [0.5, 0.5], atol=1e-9)
+
+
+def test_single_precision_turns_a_ball_that_faces_the_wrong_way():
+    """Its normal is that of the table, but for an angle around the one that counts as none."""
+    top, below = np.array([0.0, 0.0, 0.1]), np.zeros(3)
+    angles = np.array([0.0, 1e-4, 5e-4, 1.3e-3, 2e-3, 0.1])
+    turns = np.stack([np.cos(angles / 2), np.sin(angles / 2), 0 * angles, 0 * angles], axis=-1)
+
+    def started(ball, table, turns, top, below):
+        rolling = _Rolling(ball.prepared(), table.prepared(), None, None)
+        return jax.vmap(lambda turn: rolling.start(turn, top, below))(turns)
+
+    found = in_single(jax.jit(started), jxr.Sphere(0.1), jxr.Plane(), turns, top, below)
+    assert found.dtype == jnp.float32
+    w, x, y, z = np.moveaxis(np.asarray(found[:, :4], float), -1, 0)
+    # The ball's normal there, up in its own axes, must point down.
+    np.testing.assert_allclose(np.stack([2 * (x * z + w * y), 2 * (y * z - w * x)]), 0.0, atol=2e-6)
+    np.testing.assert_allclose(w * w - x * x - y * y + z * z, -1.0, atol=1e-6)

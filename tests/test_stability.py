@@ -7,8 +7,17 @@ import numpy as np
 import pytest
 
 import jaxroll as jxr
-from jaxroll.stability import assess, equilibrium, margin, pinch_statics, rectangle_hessian, VERDICTS
+from jaxroll.stability import (
+    assess,
+    equilibrium,
+    margin,
+    pinch_rest,
+    pinch_statics,
+    rectangle_hessian,
+    VERDICTS,
+)
 from jaxroll.stability._verdict import _verdict
+from tests.helpers import in_single, slow_among
 
 VIOLATING = jxr.Circle(0.005).moved((0.005, 0.0))  # centre ahead of O_i: h = 10 mm, 1/kappa = 5 mm
 BLUNT = jxr.Circle(0.015).moved((-0.005, 0.0))  # centre behind: h = 10 mm, 1/kappa = 15 mm
@@ -310,3 +319,47 @@ def test_equilibrium_moves_with_the_time_at_which_a_controller_is_held():
     wanted = (rest(t + h) - rest(t - h)) / (2 * h)
     assert np.abs(wanted).max() >= 1e-3
     np.testing.assert_allclose(jax.jacfwd(rest)(t), wanted, rtol=1e-5, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", slow_among(("pivoted", "pinch_ellipse"), "pinch_ellipse"))
+def test_single_precision_finds_the_equilibrium_of_double_precision(name):
+    """With a neutral direction (the pinch) and without; where it rests, and the verdict, which names both."""
+    grasp, state = getattr(jxr.scenes, name)()
+    moved = jxr.State(state.q + 1e-3, state.v, state.s)
+    found, single = assess(grasp, moved), in_single(assess, grasp, moved)
+    rest, near = found.equilibrium, single.equilibrium
+    assert near.imbalance.dtype == jnp.float32 and bool(near.found) and float(near.imbalance) <= 2e-6
+    np.testing.assert_allclose(near.state.q, rest.state.q, rtol=0, atol=5e-5)
+    np.testing.assert_allclose(near.push, rest.push, rtol=0, atol=5e-5 * np.abs(rest.push).max())
+    assert single.verdict == found.verdict and single.neutral == found.neutral
+    np.testing.assert_allclose(
+        single.curvatures, found.curvatures, rtol=1e-4, atol=1e-6 * np.abs(found.curvatures).max()
+    )
+
+
+@pytest.mark.slow
+def test_single_precision_finds_the_equilibria_of_a_batch(scene):
+    grasp, state = scene
+    away = 1e-2 * np.random.default_rng(0).normal(size=(4, state.q.shape[0]))
+
+    def rests(grasp, state, away):
+        at = lambda d: equilibrium(grasp, jxr.State(state.q + d, state.v, state.s))  # noqa: E731
+        return jax.vmap(at)(away)
+
+    found, single = rests(grasp, state, away), in_single(rests, grasp, state, away)
+    assert bool(single.found.all())
+    np.testing.assert_allclose(single.state.q, found.state.q, rtol=0, atol=1e-5)
+
+
+def test_single_precision_finds_where_a_pinch_rests():
+    """In a batch of starts, at a distance of the centres of some centimetres."""
+    grasp, state = jxr.scenes.pinch_ellipse()
+    away = np.array([[0.0, 0.0], [1e-3, -2e-3], [-3e-3, -1e-3]])
+
+    def rests(grasp, state, away):
+        return jax.vmap(lambda d: pinch_rest(grasp, jxr.State(state.q, state.v, state.s + d)))(away)
+
+    (found, statics), (single, near) = rests(grasp, state, away), in_single(rests, grasp, state, away)
+    assert single.dtype == jnp.float32
+    np.testing.assert_allclose(single, found, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(near.hessian, statics.hessian, rtol=1e-5)

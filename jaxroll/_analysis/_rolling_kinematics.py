@@ -31,11 +31,14 @@ from .._linalg import (
 )
 from .._printing import listed
 from .._results import as_floats, check_callable, check_instance, concrete, RESULTS, shown
-from .._types import Given, Scalar, Scalars, Times
+from .._types import ByPrecision, Given, Scalar, Scalars, Times
 from ..geometry import AbstractSurface, Gauss3
 
 # Most steps of the integration.
 _MAX_STEPS = 65536
+# Unit vectors are opposite if one plus their inner product is below this, which is
+# half the square of the angle that is missing.
+_OPPOSITE = ByPrecision(1e-12, 1e-6)
 
 
 class Rolled(eqx.Module):
@@ -100,7 +103,7 @@ def roll(
         ValueError: If an argument does not fit.
 
     Accuracy: that of `rtol` at every time asked for, since steps end there; contacts stay on both surfaces to
-    rounding.
+    rounding. In single precision `rtol` must be given, 1e-5 or more.
 
     Example:
         >>> import jax.numpy as jnp, jaxroll as jxr
@@ -180,11 +183,18 @@ class _Rolling(eqx.Module):
         """
         turn = normalised(unstack(rotation))
         y = jnp.concatenate([jnp.stack(turn), at_tip, at_object, jnp.zeros(1)])
+        limit = _OPPOSITE.of(rotation, at_tip, at_object)
+        met = self._tangent(y, turn, limit)
+        # Half a turn misses by the angle of the limit, in single precision 1e-3 rad: a second one follows.
+        return met if limit == _OPPOSITE.double else self._tangent(met, unstack(met[:4]), limit)
+
+    def _tangent(self, y: Array, turn: Scalars, limit: float) -> Array:
+        """`y`, whose unit quaternion is `turn`, with the body turned so; `limit` is that of `_OPPOSITE`."""
         axes, _, (tip, face) = self.frames(y)
         own, wanted = axes.turn(tip.normal), -face.normal
         cosine, axis = own.dot(wanted), own.cross(wanted)
         # Where b = -a that quaternion is zero. Half a turn about any axis across a will do.
-        about = cosine < -1.0 + 1e-12
+        about = cosine < -1.0 + limit
         half = Vec3(*(jnp.where(about, a, b) for a, b in zip(tangents(own)[0], axis, strict=True)))
         bring = normalised((jnp.where(about, 0.0, 1.0 + cosine), *half))
         return y.at[:4].set(jnp.stack(quaternion_product(bring, turn)))

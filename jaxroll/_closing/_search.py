@@ -28,6 +28,7 @@ from jaxtyping import Array
 from .._linalg import stacked, unstack
 from .._mechanics import Grasp, join, split, State, to_leaves, to_places
 from .._motion import bodies, displaced, mass_matrix, touches, world_poses
+from .._types import ByPrecision
 from .._xla import one_kernel, sharing
 
 # Most evaluations of the rows.
@@ -38,6 +39,11 @@ _NEAR = 1e-6
 # ... or below this share of the length of the remaining part along the constraints. With a larger share the
 # two kinds of step undo each other: the constraints are curved, so that each spoils the other's result.
 _CLOSED = 0.01
+# The search ends with contacts closed to this [m or rad]. In single precision rounding alone makes rows of
+# closed contacts up to 3e-7.
+_DONE = ByPrecision(1e-13, 1e-6)
+# What is added to a diagonal of ones, above rounding.
+_ADDED = ByPrecision(1e-13, 1e-6)
 
 
 class ClosingProblem(eqx.Module):
@@ -100,7 +106,7 @@ def solve_schur(jacobian: Array, metric: Array, right: Array) -> tuple[Array, Ar
     unit = schur * jnp.outer(scale, scale)
     # Redundant rows, of an over-determined pose, make this matrix singular; a small number on its diagonal
     # makes it invertible. One step of iterative refinement reduces the error that this makes.
-    factors = lu_factor(unit + 1e-13 * np.eye(right.shape[0], dtype=right.dtype))
+    factors = lu_factor(unit + _ADDED.of(unit) * np.eye(right.shape[0], dtype=right.dtype))
     scaled = right * scale[:, None]
     first = lu_solve(factors, scaled)
     pressures = scale[:, None] * (first + lu_solve(factors, scaled - unit @ first))
@@ -150,11 +156,15 @@ def searched(problem: ClosingProblem) -> tuple[Array, Array]:
     def more(search: _Search) -> Array:
         # Closed, and the part along the constraints is rounding, or has failed to shrink ten times.
         tiny = 4.0 * jnp.finfo(start.dtype).eps * _length(problem, search.step)
-        done = (search.size < 1e-13) & ((search.length <= tiny) | (search.share < 1e-3))
+        done = (search.size < _DONE.of(start)) & ((search.length <= tiny) | (search.share < 1e-3))
         return ~done & (search.scale > 1e-6) & (search.count < _STEPS)
 
     last = jax.lax.while_loop(more, lambda search: _improved(problem, search), first)
-    return last.step, last.jacobian
+    if last.step.dtype == np.float64:
+        return last.step, last.jacobian
+    # In single precision `_DONE` lies well above rounding, so that every search comes below it. The step
+    # proposed there takes what is left: its error is of second order, and needs no evaluation.
+    return last.step - jnp.where(last.size < _DONE.single, last.move, 0.0), last.jacobian
 
 
 def _improved(problem: ClosingProblem, search: _Search) -> _Search:

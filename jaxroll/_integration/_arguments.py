@@ -49,7 +49,8 @@ def as_numbers(
     """Times, first step and tolerances, checked; an adaptive step-size control has its own tolerances."""
     given = {"dt0": dt0, "rtol": rtol, "atol": atol, "control": control, "dtype": dtype}
     # Of Python's own numbers, as most calls have them, the answer is kept: it takes longer than a short run.
-    if control is None and all(type(x) in (float, int) for x in (t0, t1, ts, dt0, rtol, atol or 0.0)):
+    absolute = rtol if atol is None else atol
+    if control is None and all(type(x) in (float, int) for x in (t0, t1, ts, dt0, rtol, absolute)):
         return _kept_numbers(t0, t1, ts, **given)
     return _numbers(t0, t1, ts, **given)
 

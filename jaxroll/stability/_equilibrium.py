@@ -27,14 +27,20 @@ from .._mechanics import check_planar, compiled, Grasp, split, State
 from .._motion import generalised_force, Multipliers, split_forces, touches, world_poses
 from .._printing import listed
 from .._results import as_floats
-from .._types import Given, Scalar
+from .._types import ByPrecision, Given, Scalar
 from .._xla import filled
 from ..contact import gap
 
 _STEPS = 100
 # Singular values below this, relative to the largest, count as zero: their directions are neutral, the
 # residual does not change along them.
-_RANK = 1e-9
+_RANK = ByPrecision(1e-9, 1e-5)
+# Newton's method is near enough for them to be counted when no scaled unknown moves by more than this, ...
+_NEAR = ByPrecision(1e-9, 1e-4)
+# ... and has converged when none moves by more than this.
+_DONE = ByPrecision(1e-13, 1e-5)
+# Largest scaled residual of an equilibrium.
+_BALANCED = ByPrecision(1e-9, 1e-5)
 # Longest step of one iteration, in radians or mean link lengths.
 _LONGEST = 0.1
 
@@ -46,7 +52,8 @@ class Equilibrium(eqx.Module):
         state: Configuration and contact coordinates, at zero velocity.
         push: Shape (c, 2), force of each contact on its fingertip in world axes [N].
         multipliers: The same forces as $f$ and $\lambda$ of the chapter.
-        imbalance: Largest scaled residual of force balance and constraints; about 1e-15 when found.
+        imbalance: Largest scaled residual of force balance and constraints; about 1e-15 when found, in single
+            precision about 1e-7.
         found: Whether Newton's method converged.
     """
 
@@ -80,7 +87,8 @@ def equilibrium(grasp: Grasp, state: State, *, t: Given = 0.0) -> Equilibrium:
     Raises:
         ValueError: If the grasp lives in space, the state is not one of it, or `t` is not a finite number.
 
-    Accuracy: residuals at rounding level. Derivatives with respect to `grasp`, `state` and `t`, in both
+    Accuracy: residuals at rounding level; in single precision forces and coordinates are right to some 1e-5,
+    relative to their scales. Derivatives with respect to `grasp`, `state` and `t`, in both
     modes, are those of the implicit function theorem, along a family too.
 
     Example:
@@ -104,7 +112,7 @@ def _equilibrium(grasp: Grasp, state: State, t: Array) -> Equilibrium:
     worst = jnp.max(jnp.abs(left))
     forces = _multipliers(ready, q, s, push)
     at = State(q, jnp.zeros_like(q), s)
-    return Equilibrium(at, push, forces, worst, worst < 1e-9)
+    return Equilibrium(at, push, forces, worst, worst < _BALANCED.of(worst))
 
 
 @eqx.filter_custom_jvp
@@ -134,9 +142,9 @@ def _rest_state_jvp(primals: Any, tangents: Any) -> Any:
     jacobian = jax.jacfwd(lambda z: _balance(grasp, z, scale, t))(z)
     away = weights * (z - _at(state, z) / scale.unknowns)
     # From W (z - z0) + J^T p = 0: p = -(J^T)^+ W (z - z0). On a family J is singular, hence pinv.
-    pair = jnp.concatenate([z, -jnp.linalg.pinv(jacobian, rtol=_RANK).T @ away])
+    pair = jnp.concatenate([z, -jnp.linalg.pinv(jacobian, rtol=_RANK.of(z)).T @ away])
     matrix = jax.jacfwd(lambda pair: _nearest(grasp, state, pair, scale, t))(pair)
-    inverse = jnp.linalg.pinv(matrix, rtol=_RANK)
+    inverse = jnp.linalg.pinv(matrix, rtol=_RANK.of(z))
     moving, still = eqx.partition(primals, eqx.is_inexact_array)
     moving_dot = filled(moving, tangents)
 
@@ -270,10 +278,10 @@ def _newton(equations: Callable[[Array], Array], start: Array, moving: int, weig
         # change of A^T mu with the configuration, which would be that of zero forces.
         known = (i > 0) | (place[None, :] >= moving)
         u, sigma, vt = jnp.linalg.svd(jnp.where(known, jax.vmap(push, out_axes=1)(basis), 0.0))
-        firm = sigma > _RANK * sigma[0]
+        firm = sigma > _RANK.of(sigma) * sigma[0]
         # Away from a family its directions are not exactly neutral: their number is counted once Newton's
         # method has converged, and kept from then on. The last `nullity` singular values then count as zero.
-        nullity = jnp.where((nullity < 0) & (moved < 1e-9), jnp.sum(~firm), nullity)
+        nullity = jnp.where((nullity < 0) & (moved < _NEAR.of(moved)), jnp.sum(~firm), nullity)
         firm = jnp.where(nullity < 0, firm, place < size - nullity)
         step = vt.T @ (jnp.where(firm, u.T @ left / jnp.where(firm, sigma, 1.0), 0.0))
         # Along the family: with its directions as the rows of V, the step that minimises the weighted
@@ -289,7 +297,7 @@ def _newton(equations: Callable[[Array], Array], start: Array, moving: int, weig
     # Until Newton's method has converged, and the number of neutral directions is known.
     def more(carry: tuple[Any, ...]) -> Scalar:
         _, nullity, moved, i = carry
-        return ((moved > 1e-13) | (nullity < 0)) & (i < _STEPS)
+        return ((moved > _DONE.of(moved)) | (nullity < 0)) & (i < _STEPS)
 
     first = (start, jnp.array(-1), jnp.inf * jnp.ones((), start.dtype), jnp.array(0))
     return jax.lax.while_loop(more, improve, first)[0]

@@ -25,8 +25,11 @@ from .._mechanics import compiled, Grasp, State, to_leaves
 from .._motion import bodies, generalised_force, mass_matrix
 from .._printing import listed, named
 from .._results import as_floats, check_between
-from .._types import Given
+from .._types import ByPrecision, Given
 from ._equilibrium import contact_force, Equilibrium, equilibrium
+
+# Least relative size of curvatures and rates that can be told from zero.
+_TOLD = ByPrecision(0.0, 1e-5)
 
 
 @named
@@ -87,7 +90,8 @@ def assess(grasp: Grasp, state: State, *, t: Given = 0.0, tolerance: float = 1e-
         grasp: The grasp.
         state: Where to look: a start or the end of a run.
         t: Time [s] at which a time-dependent controller is held.
-        tolerance: Relative size of curvatures and rates that count as zero.
+        tolerance: Relative size of curvatures and rates that count as zero. In single precision rounding is
+            larger than the default: smaller ones than 1e-5 count as zero there in any case.
 
     Returns:
         A `Stability`. Works under `jit`, `vmap` and differentiation; the eigenvalues' derivatives need
@@ -111,6 +115,8 @@ def assess(grasp: Grasp, state: State, *, t: Given = 0.0, tolerance: float = 1e-
 @compiled
 def _assess(grasp: Grasp, state: State, t: Given, tolerance: Array) -> Stability:
     """The whole assessment, compiled as one program."""
+    if least := _TOLD.of(grasp, state):
+        tolerance = jnp.maximum(tolerance, least)
     rest = equilibrium(grasp, state, t=t)
     ready = grasp.prepared()
     tangent, rolling = _tangent(ready, rest.state)

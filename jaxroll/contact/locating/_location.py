@@ -25,7 +25,7 @@ from jaxtyping import Array
 
 from ..._linalg import Pose2, sincos, unstack, Vec2
 from ..._results import as_count, as_floats, check_instance, RESULTS
-from ..._types import Given, Scalar
+from ..._types import ByPrecision, Given, Scalar
 from ..._xla import quickly
 from ...geometry import AbstractContour, check_contour, Frenet2, tabled
 from ._answers import LocalMinima, Location
@@ -33,11 +33,14 @@ from ._candidates import feet, into, lowest, Minima, minima, MOST_SAMPLES, neare
 
 # Steps of the bracketed Newton method, which `_newton` finishes.
 _STEPS = 10
-# All lengths are relative to the mean radius (perimeter over 2 pi) of both contours.
-_SETTLED = 1e-11  # a pair is stationary if its residual is below this
-_MERGED = 1e-6  # minima are one if both arclengths differ by less than this
-_ALIKE = 1e-9  # gaps are equal if they differ by less than this
-_FLAT = 1e-9  # a second derivative below this, over the radius, does not single out a point
+# All lengths are relative to the mean radius (perimeter over 2 pi) of both contours. In single precision gaps
+# are rounded to some 1e-6 of it, and residuals are up to 5e-6. The gap differs from that of the stationary
+# pair by the square of the residual, which is below rounding at either limit of `_SETTLED`.
+_SETTLED = ByPrecision(1e-11, 1e-4)  # a pair is stationary if its residual is below this
+_MERGED = ByPrecision(1e-6, 1e-3)  # minima are one if both arclengths differ by less than this
+_ALIKE = ByPrecision(1e-9, 1e-6)  # gaps are equal if they differ by less than this
+# A second derivative below this, over the radius, does not single out a point.
+_FLAT = ByPrecision(1e-9, 1e-4)
 _MISSED = 1e-4  # a minimum was missed if a sample lies below the lowest gap by more than this
 _BEND = 0.05  # least value of 1 + curvature * distance in a step; it is zero at a centre of curvature
 
@@ -116,8 +119,9 @@ def locate(
     Raises:
         ValueError: If a contour is endless, a pose is not of shape (3,), or a count is too small.
 
-    Accuracy: the residual is at rounding, about 1e-15 of the contours' size. Features finer than the
-    spacing of the samples, and overlaps deeper than the radii of curvature, may be missed.
+    Accuracy: the residual is at rounding, about 1e-15 of the contours' size. In single precision gaps and
+    arclengths are right to some 1e-6 of it, and gaps count as equal that differ by less. Features finer than
+    the spacing of the samples, and overlaps deeper than the radii of curvature, may be missed.
 
     Batching: `vmap` over anything, 128 pairs or so at a time (`jax.lax.map(..., batch_size=128)`), whose
     samples stay in a processor's cache; prepare contours of constant shape once, outside. Both modes of
@@ -346,8 +350,9 @@ def _choose(which: Array, yes: tuple[Array, ...], no: tuple[Array, ...]) -> tupl
 
 def _singled_out(scene: _Scene, at: _Pairs) -> Array:
     """Whether the conditions determine a pair: the distance is curved along `a`, and the foot is unique."""
-    firm = (jnp.abs(at.rise) * scene.scale > _FLAT) | at.held[0]
-    return firm & ((jnp.abs(at.bend) > _FLAT) | at.held[1])
+    flat = _FLAT.of(at.rise)
+    firm = (jnp.abs(at.rise) * scene.scale > flat) | at.held[0]
+    return firm & ((jnp.abs(at.bend) > flat) | at.held[1])
 
 
 def _residual(scene: _Scene, at: _Pairs) -> Array:
@@ -380,13 +385,13 @@ def _verified(
     near = jnp.abs(_around(scene.b, foot.s - s[1])) < 0.25 * step
     near = near | (jnp.abs(foot.distance - at.distance) < 1e-3 * step)
     inside = [
-        jnp.abs(x - _inside(contour, x)) <= _ALIKE * scene.scale
+        jnp.abs(x - _inside(contour, x)) <= _ALIKE.of(x) * scene.scale
         for contour, x in zip((scene.a, scene.b), s, strict=True)
     ]
     # A minimum along `a`, flat ones included, and on this side of the centre of curvature of `b`.
-    valley = (at.rise * scene.scale > -_FLAT) | at.held[0]
+    valley = (at.rise * scene.scale > -_FLAT.of(at.rise)) | at.held[0]
     centred = (at.bend > 0.0) | at.held[1]
-    settled = _residual(scene, at) <= _SETTLED * scene.scale
+    settled = _residual(scene, at) <= _SETTLED.of(at.distance) * scene.scale
     # Entries without a minimum have an infinite bound; the lowest sample, which is last, is no minimum.
     known = jnp.isfinite(jnp.append(start.bound, jnp.inf))
     return settled & valley & centred & near & inside[0] & inside[1] & known
@@ -420,7 +425,7 @@ def _report(
     wrapped = jnp.stack([_wrapped(c, x) for c, x in zip((scene.a, scene.b), s, strict=True)], axis=-1)
     order = lowest(others, count)
     there = jnp.arange(count) < jnp.sum(jnp.isfinite(others))
-    alike = jnp.min(others) <= final.distance + _ALIKE * scene.scale
+    alike = jnp.min(others) <= final.distance + _ALIKE.of(gaps) * scene.scale
     # Overlapping contours have no such pair where the deepest point has no single nearest point on `b`.
     deep = RESULTS.where(sample < 0.0, RESULTS.too_deep, RESULTS.solver_failed)
     return Location(
@@ -450,6 +455,7 @@ def _twins(scene: _Scene, s: tuple[Array, Array], fair: Array, k: Array) -> Arra
     """Which pairs are the same as pair `k` or as an earlier pair; `k` itself is among them."""
     close = fair[:, None] & fair[None, :]
     for contour, x in zip((scene.a, scene.b), s, strict=True):
-        close = close & (jnp.abs(_around(contour, x[:, None] - x[None, :])) < _MERGED * scene.scale)
+        apart = jnp.abs(_around(contour, x[:, None] - x[None, :]))
+        close = close & (apart < _MERGED.of(x) * scene.scale)
     number = jnp.arange(fair.shape[0])
     return jnp.any(close & (number[None, :] < number[:, None]), axis=1) | close[k] | (number == k)

@@ -21,26 +21,27 @@ from jaxtyping import Array
 
 from ..._linalg import normalised, Pose3, pose_at, unstack, Vec3
 from ..._results import as_count, as_floats, check_instance, concrete, RESULTS
-from ..._types import Given, Scalar
+from ..._types import ByPrecision, Given, Scalar
 from ..._xla import quickly
 from ...geometry import AbstractSurface, check_surface, tabled
 from ._answers import SurfaceLocation, SurfaceMinima
 from ._candidates import lowest, MOST_SAMPLES
 from ._pair3 import constant, linear, Pair3, Places, Plane2, polished, stepped, TangentForm
-from ._samples3 import Cover, cover, distance, ended, feet3, footed, Starts, starts
+from ._samples3 import Cover, cover, distance, END, ended, feet3, footed, Starts, starts
 
 _STEPS = 24  # of Newton's method in a trust region
 _FOLLOW = 2  # Newton steps of the foot on `b` for each of these
 _POLISH = 3  # final Newton steps; the first two already give first and second derivatives
 _ORIGIN = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-_SETTLED = 1e-10  # a pair is stationary if its residual is below this
-_FLAT = 1e-9  # a second derivative below this, over the scale, does not single out a point
+# What has two limits differs with the precision of places and pose (`ByPrecision.of`).
+_SETTLED = ByPrecision(1e-10, 1e-4)  # a pair is stationary if its residual is below this
+# A second derivative below this, over the scale, does not single out a point.
+_FLAT = ByPrecision(1e-9, 1e-4)
 # The others are relative to the surfaces' size.
-_MERGED = 1e-6  # minima are one if their points differ by less than this in every coordinate
-_ALIKE = 1e-9  # gaps are equal if they differ by less than this
+_MERGED = ByPrecision(1e-6, 1e-3)  # minima are one if no coordinate of their points differs by more
+_ALIKE = ByPrecision(1e-9, 1e-6)  # gaps are equal if they differ by less than this
 _MISSED = 1e-4  # a minimum was missed if a sample lies below the lowest gap by more than this
-_END = 1e-9  # a place farther than this past an end of its surface is outside
-_SAME = 1e-13  # a step may raise the distance by this, which is rounding
+_SAME = ByPrecision(1e-13, 1e-6)  # a step may raise the distance by this, which is rounding
 
 
 @jax.tree_util.register_dataclass
@@ -102,8 +103,9 @@ def locate_surfaces(
         ValueError: If neither surface is bounded, a pose is not of shape (7,) or has no rotation, or a count
             is too small.
 
-    Accuracy: the residual is at rounding, about 1e-15. Features finer than the spacing of the samples, and
-    overlaps deeper than the radii of curvature, may be missed.
+    Accuracy: the residual is at rounding, about 1e-15. In single precision it is about 1e-7, gaps and points
+    are right to some 1e-6 of the surfaces' size, and gaps count as equal that differ by less. Features finer
+    than the spacing of the samples, and overlaps deeper than the radii of curvature, may be missed.
 
     Batching: `vmap` over anything. Both modes of autodiff give first and second derivatives, by the implicit
     function theorem; coordinates on an implicit surface follow it along its normal as its numbers change.
@@ -144,8 +146,9 @@ def _locate(
         kinds = " and ".join(type(surface).__name__ for surface in (a, b))
         raise ValueError(f"argument a or b must be a bounded surface, but they were {kinds}")
     # Only bounded surfaces are sampled: one that is not is taken as `b`; `_report` exchanges them again.
-    swapped = covers[0] is None
-    worlds = (_pose(poses[0]), _pose(poses[1]))
+    swapped, kind = covers[0] is None, jnp.result_type(*poses)
+    # A quaternion is scaled after it got the precision of both: else it would not turn by unit vectors there.
+    worlds = (_pose(jnp.asarray(poses[0], kind)), _pose(jnp.asarray(poses[1], kind)))
     if swapped:
         (a, b), covers, worlds = (b, a), covers[::-1], worlds[::-1]
     sizes = [found.size() for found in covers if found is not None]
@@ -213,7 +216,7 @@ def _refine(pair: Pair3, at: Places, reach: Scalar) -> Places:
         # The foot may move farther than the point, by 1 / (1 + kappa d): up to four times as far is allowed.
         ahead = stepped(pair, at, equations.basis, (x, _cut(equations.follow(aside, x), 4.0 * trust)))
         new, found = height((pair.a.within(ahead[0]), ahead[1]))
-        better = found <= value + _SAME * pair.scale
+        better = found <= value + _SAME.of(at, pair.pose) * pair.scale
         kept = jax.tree.map(lambda x, y: jnp.where(better, x, y), (new, found), (at, value))
         return (*kept, jnp.where(better, jnp.minimum(2.0 * trust, reach), 0.25 * trust)), None
 
@@ -249,10 +252,9 @@ def _measured(pair: Pair3, at: Places) -> _Measure:
     square = jax.lax.stop_gradient(jnp.maximum(both.dot(both), beside.dot(beside) / (size * size)))
     equations = linear(*constant((a, b)))
     low = equations.rise.eigenvalues()[0] * pair.scale
-    ends = [
-        ended(surface, place, -_END * pair.scale) for surface, place in zip((pair.a, pair.b), at, strict=True)
-    ]
-    fair = (low > -_FLAT) & equations.centred & ~ends[0] & ~ends[1]
+    past, each = -END.of(at, pair.pose), zip((pair.a, pair.b), at, strict=True)
+    ends = [ended(surface, place, past * pair.scale) for surface, place in each]
+    fair = (low > -_FLAT.of(at, pair.pose)) & equations.centred & ~ends[0] & ~ends[1]
     height = distance(pair, a.point, b, at[1])
     return _Measure((a.point, b.point), (a.normal, b.normal), height, jnp.sqrt(square), low, fair)
 
@@ -270,7 +272,7 @@ def _sorted(
         count: How many to return.
     """
     found = jax.vmap(lambda at: _measured(pair, at))(at)
-    fair = found.fair & start.there & (found.residual <= _SETTLED)
+    fair = found.fair & start.there & (found.residual <= _SETTLED.of(at, pair.pose))
     # No other place of `b` may be nearer to the point of `a` than its partner: search again from all samples.
     point = found.points[0]
     nearest = jax.vmap(pair.b.frame)(feet3(pair, other, point)).point - point
@@ -279,9 +281,10 @@ def _sorted(
     order = lowest(jnp.where(fair, found.gap, jnp.inf), fair.shape[0])
     fair = fair[order]
     close = fair[:, None] & fair[None, :]
+    merged = _MERGED.of(at, pair.pose)
     for cloud in found.points:
         for x in cloud:
-            close = close & (jnp.abs(x[order][:, None] - x[order][None, :]) < _MERGED * pair.scale)
+            close = close & (jnp.abs(x[order][:, None] - x[order][None, :]) < merged * pair.scale)
     number = jnp.arange(fair.shape[0])
     again = jnp.any(close & (number[None, :] < number[:, None]), axis=1)
     fair = fair & ~again & (number < jnp.sum(fair))
@@ -309,7 +312,7 @@ def _report(
     # The other minima are the entries after the first one, moved up by one place.
     there = jnp.append(fair[1:], False)
     gaps = jnp.where(there, jnp.roll(found.gap, -1), jnp.inf)
-    alike = jnp.min(gaps) <= best.gap + _ALIKE * pair.scale
+    alike = jnp.min(gaps) <= best.gap + _ALIKE.of(at, pair.pose) * pair.scale
     points, normal = [world[0].place(p).array() for p in best.points], best.normals[1]
     places = [jnp.stack(x, axis=-1) for x in at]
     if world[1]:
@@ -322,7 +325,7 @@ def _report(
         points=jnp.stack(points),
         normal=world[0].turn(normal).array(),
         residual=best.residual,
-        unique=~missed & ~alike & (best.low > _FLAT),
+        unique=~missed & ~alike & (best.low > _FLAT.of(at, pair.pose)),
         others=SurfaceMinima(gaps, others[0], others[1], there),
         result=RESULTS.where(missed, _reason(pair, start), RESULTS.successful),
     )

@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 
 from ..._linalg import Pose3, tangents, Vec3
-from ..._types import Scalar, Scalars
+from ..._types import ByPrecision, Scalar, Scalars
 from ...geometry import AbstractSurface, Gauss3
 
 # Coordinates on `a` and on `b`.
@@ -31,7 +31,7 @@ Plane2 = tuple[Scalar, Scalar]
 # to it through the point of `a`. It is zero at a centre of curvature.
 _BEND = 0.05
 # Determinant, relative to the squared size of a form, below which the form counts as singular.
-_SINGULAR = 1e-14
+_SINGULAR = ByPrecision(1e-14, 1e-6)
 
 
 @jax.tree_util.register_dataclass
@@ -83,7 +83,7 @@ class TangentForm(NamedTuple):
     def solve(self, v: Plane2) -> Plane2:
         """The vector x for which the form times x is v; zero where the form is singular."""
         size, det = jnp.abs(self.xx) + jnp.abs(self.xy) + jnp.abs(self.yy), self.determinant()
-        firm = jnp.abs(det) > _SINGULAR * size * size
+        firm = jnp.abs(det) > _SINGULAR.of(det) * size * size
         inverse = jnp.where(firm, 1.0 / jnp.where(firm, det, 1.0), 0.0)
         return (self.yy * v[0] - self.xy * v[1]) * inverse, (self.xx * v[1] - self.xy * v[0]) * inverse
 

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from ..._linalg import root, Vec3
-from ..._types import Scalar, Scalars
+from ..._types import ByPrecision, Scalar, Scalars
 from ...geometry import AbstractSurface, approach, Gauss3
 from ._candidates import lowest
 from ._pair3 import Pair3, Places, summed
@@ -24,9 +24,9 @@ _FOOT = 6
 # to the one nearest to it.
 _NEIGHBOURS = 1.3
 # A place not farther than this from an end of its surface is at the end, relative to the pair's scale.
-_END = 1e-9
+END = ByPrecision(1e-9, 1e-6)
 # Samples nearer to each other than this are the same place, relative to the largest distance of any two.
-_REPEATED = 1e-6
+_REPEATED = ByPrecision(1e-6, 1e-4)
 
 
 @jax.tree_util.register_dataclass
@@ -79,7 +79,7 @@ def cover(surface: AbstractSurface, count: int) -> Cover | None:
     points = jax.vmap(lambda at: surface.frame(at).point)(at)
     apart = _apart(points, points)
     # Neither a sample itself nor one that repeats it, but for rounding, is the one nearest to it.
-    other = apart > _REPEATED**2 * jnp.max(apart)
+    other = apart > _REPEATED.of(points) ** 2 * jnp.max(apart)
     nearest = jnp.min(jnp.where(other, apart, jnp.inf), axis=1)
     return Cover(at, points, jnp.sqrt(jnp.max(jnp.where(jnp.isfinite(nearest), nearest, 0.0))))
 
@@ -102,7 +102,7 @@ def distance(pair: Pair3, a: Vec3, b: Gauss3, at_b: Scalars) -> Scalar:
         at_b: Coordinates of the foot.
     """
     arm = a - b.point
-    square, past = arm.dot(arm), ended(pair.b, at_b, _END * pair.scale)
+    square, past = arm.dot(arm), ended(pair.b, at_b, END.of(at_b, pair.pose) * pair.scale)
     return jnp.where(past & (square > 0.0), root(square), arm.dot(b.normal))
 
 

@@ -1,10 +1,11 @@
-"""Where the time of a run goes: operations, fusions, memory (about two minutes).
+"""Where the time of a run and of its first call goes: operations, fusions, memory, stages (three minutes).
 
 `python -m benchmarks.costs --write` rewrites its section of README.md; `--quick` measures fewer rounds.
 Operations are those of the traced program after dead code is dropped, before XLA copies or merges any, with
 the barriers against copies, three each, that leave no machine code. Times
 are processor time, medians of interleaved warm runs; what an evaluation takes, and what the rest of a step,
-follows from methods of 3, 6 and 12 evaluations a step.
+follows from methods of 3, 6 and 12 evaluations a step. Stages are those of a program without a cache: JAX
+traces it, writes it down in lines, and XLA compiles these; `tests/test_program_size.py` holds the lines.
 """
 
 import time
@@ -109,6 +110,33 @@ def times(scene: str, lanes: int, rounds: int) -> Times:
     return Times(slope, rest, fusions, tsit5.memory_analysis().temp_size_in_bytes)
 
 
+class Stages(NamedTuple):
+    """Lines of a lowered program, and processor seconds of what makes a program of a function."""
+
+    lines: int
+    trace: float
+    lower: float
+    compile: float
+
+
+def stages(scene: str, gradient: bool) -> Stages:
+    """The stages of a run, or of its value and gradient in the controller's damping."""
+    grasp, state = getattr(jxr.scenes, scene)()
+
+    def end(damping: Any) -> Any:
+        return jxr.simulate(grasp.with_(damping=damping), state, SECONDS[scene], ts=1).last.q[0]
+
+    jax.clear_caches()
+    times = [time.process_time()]
+    traced = jax.jit(jax.value_and_grad(end) if gradient else end).trace(grasp.controller.damping)
+    times.append(time.process_time())
+    lowered = traced.lower()
+    times.append(time.process_time())
+    lowered.compile()
+    times.append(time.process_time())
+    return Stages(len(lowered.as_text().splitlines()), *np.diff(times).tolist())
+
+
 def conclusion(found: dict[str, tuple[Counts, Times, Times]]) -> str:
     parts = []
     for scene, (n, alone, many) in found.items():
@@ -137,8 +165,17 @@ def report(quick: bool = False) -> str:
         for scene, (_, alone, many) in found.items()
         for lanes, x in ((1, alone), (LANES, many))
     ]
+    third = ["scene", "program", "lines", "tracing [s]", "lowering [s]", "compiling [s]"]
+    programs = [
+        [scene, name, str(x.lines), f"{x.trace:.2f}", f"{x.lower:.2f}", f"{x.compile:.1f}"]
+        for scene in scenes
+        for name, gradient in (("run", False), ("value and gradient", True))
+        if (x := stages(scene, gradient))
+    ]
     footer = f"{device()}; {versions('jax', 'jaxlib', 'diffrax')}."
-    return "\n\n".join([f"**Conclusion.** {conclusion(found)}", numbers, table(second, rows), footer])
+    return "\n\n".join(
+        [f"**Conclusion.** {conclusion(found)}", numbers, table(second, rows), table(third, programs), footer]
+    )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Where the time of a run and of its first call goes: operations, fusions, memory, stages (three minutes).
+"""Where the time of a run and of its first call goes: operations, fusions, memory, stages (six minutes).
 
 `python -m benchmarks.costs --write` rewrites its section of README.md; `--quick` measures fewer rounds.
 Operations are those of the traced program after dead code is dropped, before XLA copies or merges any, with

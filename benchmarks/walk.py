@@ -17,6 +17,7 @@ import jax.numpy as jnp
 
 import jaxroll as jxr
 from jaxroll._integration._state_vector import layout, slope
+from jaxroll._mechanics import tabled_grasp
 
 ROOT = Path(jxr.__file__).parent
 

@@ -41,8 +41,9 @@ class ByPrecision(NamedTuple):
     def of(self, *values: Any) -> float:
         """The limit for what is computed from these arrays: the least precise of them decides.
 
-        Trees of arrays are taken apart. What is no floating-point array does not count.
+        Trees of arrays are taken apart. What is no floating-point array, such as a caller's function among a
+        grasp's leaves, does not count.
         """
-        kinds = [jnp.result_type(leaf) for leaf in jax.tree.leaves(values)]
+        kinds = [leaf.dtype for leaf in jax.tree.leaves(values) if hasattr(leaf, "dtype")]
         coarse = any(jnp.issubdtype(kind, jnp.floating) and jnp.finfo(kind).nmant < 52 for kind in kinds)
         return self.single if coarse else self.double

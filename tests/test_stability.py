@@ -363,3 +363,10 @@ def test_single_precision_finds_where_a_pinch_rests():
     assert single.dtype == jnp.float32
     np.testing.assert_allclose(single, found, rtol=0, atol=1e-7)
     np.testing.assert_allclose(near.hessian, statics.hessian, rtol=1e-5)
+
+
+def test_a_plain_function_as_controller_has_no_precision(scene):
+    """Its place among a grasp's leaves is no array, and no reason to fail."""
+    grasp, state = scene
+    slack = grasp.with_(controller=lambda t, angles, rates, tips: [jnp.zeros(2)])
+    assert not bool(jxr.stability.assess(slack, state).equilibrium.found)

@@ -285,7 +285,7 @@ def _step(method: _Method, goal: _Goal, course: _Course) -> tuple[Blocks, Blocks
     leaves = _leaves(method.form, raw)
     instant = evaluate(grasp, t1, leaves, Index1())
     _, number = regime(grasp, leaves, instant, _EVENTS)
-    anchor, rates = anchor_of(grasp, instant), _flat(instant.rates)
+    anchor, rates = anchor_of(grasp, leaves.s, instant), _flat(instant.rates)
     for _ in range(_SWEEPS):
         leaves = settle(grasp, leaves, anchor)
     x = _flat(compatible(grasp, leaves, anchor.line))

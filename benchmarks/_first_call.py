@@ -22,6 +22,8 @@ jax.config.update("jax_enable_x64", True)
 
 import jaxroll as jxr  # noqa: E402
 
+# Names are imported with their first use: what runs need (diffrax above all) belongs to the import.
+_ = jxr.simulate
 _mark("import")
 
 import json  # noqa: E402

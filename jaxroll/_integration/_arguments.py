@@ -50,7 +50,7 @@ def as_numbers(
     given = {"dt0": dt0, "rtol": rtol, "atol": atol, "control": control, "dtype": dtype}
     # Of Python's own numbers, as most calls have them, the answer is kept: it takes longer than a short run.
     absolute = rtol if atol is None else atol
-    if control is None and all(type(x) in (float, int) for x in (t0, t1, ts, dt0, rtol, absolute)):
+    if control is None and all(map(_plain, (t0, t1, ts, dt0, rtol, absolute))):
         return _kept_numbers(t0, t1, ts, **given)
     return _numbers(t0, t1, ts, **given)
 

@@ -169,7 +169,7 @@ class AbstractContact(eqx.Module):
 
     def rolling(self, shapes: Shapes, place: Any, bodies: tuple[Motion, Motion], touch: Any) -> Any:
         """How fast the contact moves over the shapes [m/s], in the directions of `shift`."""
-        return from_gap.derived_rolling(self, shapes, place, bodies)
+        return from_gap.derived_rolling(self, shapes, place, bodies, touch=touch)
 
     def place_rate(self, shapes: Shapes, place: Any, poses: tuple[Any, Any], rolling: Any) -> Any:
         """Time derivative of the place, from what `rolling` returned."""

@@ -52,10 +52,6 @@ def _pose_rates(poses: _Pair, twists: _Pair) -> _Pair:
     return poses[0].rate(twists[0]), poses[1].rate(twists[1])
 
 
-def _resting(twist: Any) -> Any:
-    return jax.tree.map(lambda _: 0.0, twist)
-
-
 def derived_gap_rate(contact: Any, poses: _Pair, twists: _Pair, touch: Any) -> Scalars:
     """The rate [m/s] of each gap under the twists of both bodies, at a frozen place."""
     return _along(lambda poses: tuple(contact.gap(poses, touch)), (poses,), (_pose_rates(poses, twists),))
@@ -64,7 +60,7 @@ def derived_gap_rate(contact: Any, poses: _Pair, twists: _Pair, touch: Any) -> S
 def derived_pfaffian(contact: Any, bodies: tuple[Motion, Motion], touch: Any) -> tuple[Rows, Rows]:
     """Constraint rows over the fingertip's velocities and the object's: gap rates under their unit twists."""
     poses, (tip, body) = (bodies[0].pose, bodies[1].pose), bodies
-    still = _resting(tip.twist), _resting(body.twist)
+    still = tip.resting().twist, body.resting().twist
     tips = [contact.gap_rate(poses, (unit, still[1]), touch) for unit in tip.unit_twists]
     objects = [contact.gap_rate(poses, (still[0], unit), touch) for unit in body.unit_twists]
     return row_wise(tips, contact.rows), row_wise(objects, contact.rows)
@@ -81,11 +77,13 @@ def derived_bias(
     return _along(lambda *now: tuple(contact.gap_rate(*now)), (poses, twists, touch), rates)
 
 
-def derived_rolling(contact: Any, shapes: _Shapes, place: Any, bodies: tuple[Motion, Motion]) -> Scalars:
+def derived_rolling(
+    contact: Any, shapes: _Shapes, place: Any, bodies: tuple[Motion, Motion], *, touch: Any
+) -> Scalars:
     """How fast the place moves, in the directions of `shift`, so that tangency and gaps stay as they are."""
     poses = bodies[0].pose, bodies[1].pose
-    touch = contact.touch(shapes, place)
-    change = _tangency_rate(contact, poses, (bodies[0].twist, bodies[1].twist), touch)
+    rates = _pose_rates(poses, (bodies[0].twist, bodies[1].twist))
+    change = _tangency_rate(contact, poses, rates, touch)
     tilts, gaps = _slopes(contact, shapes, place, poses)
     return _answer(_normal_matrix(tilts, gaps), tilts, change)
 
@@ -108,8 +106,8 @@ def derived_settled(
     touch = contact.touch(shapes, place)
     # The turn alone: what the displacement of the origins does to the tangency is of the size of the gap that
     # was removed, and is left to the next call.
-    rate = poses[0].turning(turned), jax.tree.map(lambda _: 0.0, poses[1])
-    change = jax.tree.leaves(_along(lambda poses: contact.tangency(poses, touch), (poses,), (rate,)))
+    rates = poses[0].turning(turned), jax.tree.map(lambda _: 0.0, poses[1])
+    change = _tangency_rate(contact, poses, rates, touch)
     left = [a + b for a, b in zip(jax.tree.leaves(tangency), change, strict=True)]
     tilts, _ = _slopes(contact, shapes, place, poses)
     return contact.shift(shapes, place, _answer(bend, tilts, left))
@@ -139,10 +137,9 @@ def derived_margin(contact: Any, shapes: _Shapes, place: Any, poses: _Pair) -> S
     return 1.0 / jnp.sqrt(least)
 
 
-def _tangency_rate(contact: Any, poses: _Pair, twists: _Pair, touch: Any) -> Scalars:
-    """The rate of each tangency under the twists of both bodies, at a frozen place."""
-    rates = (_pose_rates(poses, twists),)
-    return tuple(jax.tree.leaves(_along(lambda poses: contact.tangency(poses, touch), (poses,), rates)))
+def _tangency_rate(contact: Any, poses: _Pair, rates: _Pair, touch: Any) -> Scalars:
+    """The rate of each tangency under rates of both poses, at a frozen place."""
+    return tuple(jax.tree.leaves(_along(lambda poses: contact.tangency(poses, touch), (poses,), (rates,))))
 
 
 def _directions(contact: Any) -> list[Scalars]:

@@ -1,11 +1,13 @@
 """What `jaxroll` exports, and where each name lives; `__init__.py` reads it, and so do type checkers."""
 
 from . import (
+    commands as commands,
     contact as contact,
     control as control,
     design as design,
     geometry as geometry,
     io as io,
+    loads as loads,
     plotting as plotting,
     scenes as scenes,
     stability as stability,

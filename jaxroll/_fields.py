@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ._results import as_array, as_floats, is_array_like, shown, traced
+from ._results import as_array, as_floats, as_tree, check_callable, is_array_like, shown, traced
 
 Check = Callable[[str, jax.Array], jax.Array]
 Shape = tuple[int | None, ...]
@@ -40,6 +40,50 @@ def real(*shape: int | None, check: Check | None = None, optional: bool = False)
         return array if check is None else check(name, array)
 
     return eqx.field(metadata={_CONVERTER: converted})
+
+
+def command(*shape: int | None, check: Check | None = None, each_finger: bool = False) -> Any:
+    """A field for what `real` or `each` takes, or for a function of time that returns it.
+
+    `held` puts numbers in the place of functions. What they return is not checked but for its shape.
+    """
+    numbers = (each(check) if each_finger else real(*shape, check=check)).metadata[_CONVERTER]
+
+    def converted(name: str, value: Any, wanted: Shape | None) -> Any:
+        if not is_command(value):
+            return numbers(name, value, wanted)
+        function = as_tree(name, check_callable(name, value, "numbers or a function of time", takes=1))
+        own = shape if wanted is None or each_finger else wanted
+        given = f"{name}, in what it returns,"
+        found = shape_returned(function, given)
+        if each_finger and not found:  # one number for all fingers
+            return function
+        own = (None,) if each_finger else own
+        if len(found) != len(own) or any(n not in (None, m) for n, m in zip(own, found, strict=True)):
+            shown_shape = str(own).replace("None", "any")
+            raise ValueError(f"argument {given} must have shape {shown_shape}, but had shape {found}")
+        return function
+
+    return eqx.field(metadata={_CONVERTER: converted})
+
+
+def is_command(value: Any) -> bool:
+    """Whether a value is a function of time in the place of numbers."""
+    return callable(value) and not isinstance(value, type) and not is_array_like(value)
+
+
+def shape_returned(function: Callable[[Any], Any], name: str = "t") -> tuple[int, ...]:
+    """Shape of what a function of time returns; raise unless that is real numbers."""
+    return jax.eval_shape(lambda t: as_array(name, function(t)), jnp.zeros(())).shape
+
+
+def held(owner: Any, t: Any) -> Any:
+    """A module with its commands at one time: numbers where it has functions; itself if it has none."""
+    names = [f.name for f in dataclasses.fields(owner) if is_command(getattr(owner, f.name))]
+    if not names:
+        return owner
+    values = [as_array(name, getattr(owner, name)(t)) for name in names]
+    return eqx.tree_at(lambda o: [getattr(o, name) for name in names], owner, values)
 
 
 def each(check: Check | None = None) -> Any:

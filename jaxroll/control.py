@@ -9,7 +9,7 @@ and joint angles. `_motion/_equations` calls `torques` in every evaluation; `_mo
 `potential` among the energies, and finds the dissipation with it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ._fields import each, real, taken
+from ._fields import command, held, is_command, shape_returned, taken
 from ._linalg import stacked, total, unstack
 from ._mechanics import (
     AbstractController as AbstractController,
@@ -34,6 +34,12 @@ from ._printing import listed
 from ._results import as_array, check_positive, shown
 from ._types import Given, Scalar, Scalars
 from .contact import Motion
+
+# What a field holds: an array, or a function of time that returns one. `held` leaves arrays alone, so that
+# the arithmetic below has no others.
+_Number = Any
+# What a constructor takes for it.
+_Command = Given | Callable[[Any], Any]
 
 
 @jax.tree_util.register_dataclass
@@ -71,6 +77,28 @@ class Tip(eqx.Module):
 def sense(motion: Motion, angles: Scalars, rates: Scalars) -> Sensed:
     """Reduce a finger's motion to what its controller may know."""
     return Sensed(angles, rates, motion.pose.origin, motion.unit_twists)
+
+
+def _shape_of(given: Any) -> tuple[int, ...]:
+    """Shape of numbers, or of what a function of time returns."""
+    return shape_returned(given) if is_command(given) else given.shape
+
+
+def _changes(controller: AbstractController, *names: str) -> bool:
+    """Whether one of these numbers is a function of time.
+
+    A potential of numbers that change is none: the whole power of the torques counts as work then.
+    """
+    return any(is_command(getattr(controller, name)) for name in names)
+
+
+def _check_held(controller: AbstractController, *names: str) -> None:
+    """Raise where one of these is a function of time and a number is asked for."""
+    if _changes(controller, *names):
+        raise ValueError(
+            f"argument controller must have numbers as {' and '.join(names)}, as those of `at(t)` are, "
+            f"but one is a function of time"
+        )
 
 
 class Passive(AbstractController):
@@ -112,12 +140,12 @@ class Press(AbstractController):
         '50 N/m'
     """
 
-    force: Float[Array, ""] = real()
-    radius: Float[Array, ""] = real(check=check_positive)
-    damping: Float[Array, ""] = real()
-    target: Float[Array, "d"] = real(None, check=_as_point)
+    force: _Number = command()
+    radius: _Number = command(check=check_positive)
+    damping: _Number = command()
+    target: _Number = command(None, check=_as_point)
 
-    def __init__(self, force: Given, radius: Given, damping: Given, *, target: Given) -> None:
+    def __init__(self, force: _Command, radius: _Command, damping: _Command, *, target: _Command) -> None:
         self.force = taken(self, "force", force)
         self.radius = taken(self, "radius", radius)
         self.damping = taken(self, "damping", damping)
@@ -125,19 +153,24 @@ class Press(AbstractController):
 
     def check(self, fingers: int, axes: int) -> None:
         del fingers
-        if self.target.shape[-1] != axes:
+        if (shape := _shape_of(self.target)) and shape[-1] != axes:
             raise ValueError(
-                f"argument target must have shape ({axes}), as the grasp's points have, "
-                f"but had shape {self.target.shape}"
+                f"argument target must have shape ({axes}), as the grasp's points have, but had shape {shape}"
             )
+
+    def at(self, t: Given) -> "Press":
+        """This controller at one time [s], with numbers in the place of functions of time."""
+        return held(self, t)
 
     @property
     def stiffness(self) -> Scalar:
-        """$f_d / r$ [N/m]."""
+        """$f_d / r$ [N/m]; of a force or radius that changes in time, that of `at(t)`."""
+        _check_held(self, "force", "radius")
         return self.force / self.radius
 
     def torques(self, t: Scalar, fingers: Sequence[Sensed]) -> Torques:
-        return tuple(self._finger(finger) for finger in fingers)
+        now = self.at(t)
+        return tuple(now._finger(finger) for finger in fingers)
 
     def _finger(self, finger: Sensed) -> Scalars:
         # -c q' - J^T (f_d/r) (r_01 - r_m), joint by joint: the dot product with one column of J at a time.
@@ -148,6 +181,8 @@ class Press(AbstractController):
         )
 
     def potential(self, tips: Sequence[Any], angles: Sequence[Scalars]) -> Scalar:
+        if _changes(self, "force", "radius", "target"):
+            return jnp.zeros_like(tips[0].x)
         arms = [self._arm(tip) for tip in tips]
         return 0.5 * self.stiffness * total([arm.dot(arm) for arm in arms])
 
@@ -192,20 +227,28 @@ class Opposition(AbstractController):
         [0.006, 0.006]
     """
 
-    beta: Float[Array, ""] = real()
-    damping: Float[Array, " m"] = each()
-    alpha: Float[Array, " m"] = each()
-    start: Float[Array, " m"] = real(None, check=_as_start)
+    beta: _Number = command()
+    damping: _Number = command(each_finger=True)
+    alpha: _Number = command(each_finger=True)
+    start: _Number = command(None, check=_as_start)
 
-    def __init__(self, beta: Given, damping: Given, alpha: Given = 0.0, *, start: Given) -> None:
+    def __init__(self, beta: _Command, damping: _Command, alpha: _Command = 0.0, *, start: _Command) -> None:
         self.beta = taken(self, "beta", beta)
         self.start = taken(self, "start", start)
-        self.damping = taken(self, "damping", damping, shape=self.start.shape)
-        self.alpha = taken(self, "alpha", alpha, shape=self.start.shape)
+        self.damping = taken(self, "damping", damping, shape=_shape_of(self.start))
+        self.alpha = taken(self, "alpha", alpha, shape=_shape_of(self.start))
+
+    def at(self, t: Given) -> "Opposition":
+        """This controller at one time [s], with numbers in the place of functions of time."""
+        if (now := held(self, t)) is self:
+            return self
+        # A function may return one number for all fingers.
+        gains = [jnp.broadcast_to(gain, now.start.shape) for gain in (now.damping, now.alpha)]
+        return eqx.tree_at(lambda c: [c.damping, c.alpha], now, gains)
 
     def torques(self, t: Scalar, fingers: Sequence[Sensed]) -> Torques:
-        tips = [finger.tip for finger in fingers]
-        return tuple(self._finger(i, finger, self._pull(i, tips)) for i, finger in enumerate(fingers))
+        tips, now = [finger.tip for finger in fingers], self.at(t)
+        return tuple(now._finger(i, finger, now._pull(i, tips)) for i, finger in enumerate(fingers))
 
     def _pull(self, i: int, tips: Sequence[Any]) -> Any:
         r"""Gradient of the first term of P with respect to tip i: $\beta \sum_{j \ne i} (r_i - r_j)$ [N].
@@ -223,6 +266,8 @@ class Opposition(AbstractController):
         )
 
     def potential(self, tips: Sequence[Any], angles: Sequence[Scalars]) -> Scalar:
+        if _changes(self, "beta", "alpha", "start"):
+            return jnp.zeros_like(tips[0].x)
         pairs = [b - a for i, a in enumerate(tips) for b in tips[i + 1 :]]
         turns = [total(q) - self.start[i] for i, q in enumerate(angles)]
         kept = total([0.5 * self.alpha[i] * turn * turn for i, turn in enumerate(turns)])
@@ -230,10 +275,10 @@ class Opposition(AbstractController):
 
     def check(self, fingers: int, axes: int) -> None:
         del axes
-        if not 2 <= fingers == self.start.shape[-1]:
+        if not 2 <= fingers == (count := _shape_of(self.start)[-1]):
             raise ValueError(
                 f"argument start must have one angle for each of two fingers or more, but had "
-                f"{self.start.shape[-1]} for {fingers}"
+                f"{count} for {fingers}"
             )
 
 

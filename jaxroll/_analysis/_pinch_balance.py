@@ -101,7 +101,8 @@ def check_pinch(grasp: Grasp) -> None:
 def _balance_at(grasp: Grasp, t: Scalar, state: State) -> PinchBalance:
     """The quantities of a prepared pinch at one time [s] and state."""
     at, forces = geometry_at(grasp, state), multipliers_at(grasp, t, state, Index1())
-    control, kept = grasp.controller, orientations(grasp, state) - grasp.controller.start
+    control = grasp.controller.at(t)
+    kept = orientations(grasp, state) - control.start
     odd = jnp.array([-1, 1])  # (-1)^i as the chapter counts; whole numbers take any precision
     arm = at.centre_0[0] - at.centre_0[1]  # r_1 - r_2
     d, l_ = at.b_1 @ arm, -odd * (at.n_1 @ arm)

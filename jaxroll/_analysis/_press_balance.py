@@ -86,8 +86,9 @@ def press_balance(grasp: Grasp, ts: Float[Array, "..."], states: State) -> Press
 def _balance_at(grasp: Grasp, t: Scalar, state: State) -> PressBalance:
     """The quantities of a prepared grasp at one time [s] and state."""
     at, forces = geometry_at(grasp, state), multipliers_at(grasp, t, state, Index1())
-    stiffness = grasp.controller.stiffness
-    arm = at.centre_0 - grasp.controller.target[None]
+    control = grasp.controller.at(t)
+    stiffness = control.stiffness
+    arm = at.centre_0 - control.target[None]
     # (79), with Q and R of (64)-(65) left out, which vanish at a closed contact. The chapter's target is the
     # pivot; about any other the vector from the target to the tip frame is what (75) pulls along.
     q1, r1 = jnp.sum(arm * at.n_1, axis=-1), jnp.sum(arm * at.b_1, axis=-1)

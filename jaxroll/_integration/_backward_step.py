@@ -37,6 +37,9 @@ def pulled_back(
     moving, still = eqx.partition(bundle, eqx.is_inexact_array)
     at = lambda moving, t, x: step.at(eqx.combine(moving, still), t, x)  # noqa: E731
     finish = lambda moving, *rest: step.finish(eqx.combine(moving, still), *rest)  # noqa: E731
+    unmoved = None
+    if bundle.rest.jumps:
+        y0, unmoved = jax.vjp(lambda m, y: step.moved(eqx.combine(m, still), *times, y), moving, y0)
     # Forwards once more: recorded slopes of all steps would take more memory than the states of a batch.
     slopes, raw, end = step.stages(lambda t, x: at(moving, t, x), times, y0, ending_size(bundle))
     slopes = slopes[:, :width]
@@ -64,4 +67,8 @@ def pulled_back(
     start = moving_bar, slopes_bar, jnp.zeros_like(raw_bar), jnp.zeros_like(dt), raw_bar, end_bar
     moving_bar, slopes_bar, x0_bar, late, _, _ = jax.lax.fori_loop(0, count - 1, stage, start)
     # Margin and code of the start are read by nothing in the step.
-    return moving_bar, jnp.concatenate([x0_bar, slopes_bar[0], jnp.zeros(2, bar.dtype)]), late
+    y0_bar = jnp.concatenate([x0_bar, slopes_bar[0], jnp.zeros(2, bar.dtype)])
+    if unmoved is not None:
+        more, y0_bar = unmoved(y0_bar)
+        moving_bar = jax.tree.map(jnp.add, moving_bar, more)
+    return moving_bar, y0_bar, late

@@ -18,6 +18,7 @@ from jaxtyping import Array, Float, Int
 from .._linalg import row, with_row
 from .._results import RESULTS
 from .._types import Scalar, Times
+from . import _jumps
 from ._events import decode
 from ._state_vector import Bundle, Flow
 from ._step import RollingStep
@@ -36,6 +37,7 @@ class Plan(eqx.Module):
     t1: Float[Array, ""]
     ts: Times
     dt0: Float[Array, ""]
+    jumps: Float[Array, " j"] | None
     progress: diffrax.AbstractProgressMeter
     max_steps: int = eqx.field(static=True)
 
@@ -45,9 +47,9 @@ class Plan(eqx.Module):
         _, inner = self.controller.init(*start)  # pyright: ignore
         return at_rest(jax.tree.map(jnp.asarray, inner), self.t0)
 
-    def control(self, pace: Pace, dip: Scalar = jnp.inf) -> StopAt:
+    def control(self, pace: Pace, dip: Scalar = jnp.inf, at_jump: Scalar | None = None) -> StopAt:
         """Step-size control that goes on at a pace; `dip` is where the margin of the last step dips."""
-        return StopAt(self.controller, pace, self.dt0, dip, self.max_steps, self.stepper.lay.margin)
+        return StopAt(self.controller, pace, self.dt0, dip, at_jump, self.max_steps, self.stepper.lay.margin)
 
 
 class Path(eqx.Module):
@@ -86,6 +88,7 @@ class Course(NamedTuple):
         saved: How many save times were reached.
         hit: Whether one was reached in the last step.
         busy: Whether the run goes on.
+        passed: How many short steps at declared jumps were taken (`_jumps`); None where none are declared.
     """
 
     y: Array
@@ -94,18 +97,22 @@ class Course(NamedTuple):
     saved: Array
     hit: Array
     busy: Array
+    passed: Array | None
 
 
 def embark(plan: Plan, y0: Flow) -> Course:
     """Before the first step."""
     fine, none = jnp.asarray(diffrax.RESULTS.successful._value), jnp.asarray(0)
-    return Course(y0, plan.at_rest(y0), fine, none, jnp.asarray(False), jnp.asarray(True))
+    passed = None if plan.jumps is None else jnp.asarray(0)
+    return Course(y0, plan.at_rest(y0), fine, none, jnp.asarray(False), jnp.asarray(True), passed)
 
 
 def aim(plan: Plan, course: Course) -> tuple[Scalar, Scalar]:
     """Start and end of the next step; a run that is over stays where it is."""
-    # Steps end at save times, where a state is most accurate, and at t1.
+    # Steps end at save times, where a state is most accurate, at t1, and beside declared jumps.
     pace, stop = course.pace, _stop(plan, course.saved)
+    if plan.jumps is not None:
+        stop = jnp.minimum(stop, _jumps.stop(plan.jumps, course.passed, pace.t))
     ahead = plan.control(pace).ahead(pace.t)
     # The first step has no length, however near the first stop is.
     t1 = jnp.where((ahead > stop - _SAME_TIME) & (pace.length > 0), stop, ahead)
@@ -117,7 +124,10 @@ def judge(
 ) -> Course:
     """Take a step, given as its end, its error estimate and where its margin dips, or leave it."""
     y1, error, dip = step
-    keep, _, _, _, pace, code = plan.control(course.pace, dip).adapt_step_size(
+    at_jump = None
+    if plan.jumps is not None:
+        at_jump = _jumps.passed_at(plan.jumps, course.passed, times[1])
+    keep, _, _, _, pace, code = plan.control(course.pace, dip, at_jump).adapt_step_size(
         *times, course.y, y1, None, error, plan.stepper.error_order, course.pace
     )
     # diffrax's codes are enumerations, which no loop's state can hold: the number in it can.
@@ -133,7 +143,10 @@ def judge(
     busy = course.busy & holds & (loop == diffrax.RESULTS.successful._value) & ~over
     pick = lambda new, old: jnp.where(course.busy, new, old)  # noqa: E731
     y, pace, loop = jax.tree.map(pick, (y, pace, loop), (course.y, course.pace, course.loop))
-    return Course(y, pace, loop, saved, hit, busy)
+    passed = course.passed
+    if passed is not None:
+        passed = passed + jnp.where(course.busy & keep & at_jump, 1, 0)
+    return Course(y, pace, loop, saved, hit, busy, passed)
 
 
 def _stop(plan: Plan, saved: Scalar) -> Scalar:

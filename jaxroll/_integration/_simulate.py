@@ -36,7 +36,7 @@ from .._motion import (
     worst,
 )
 from .._results import check_flag, concrete, RESULTS
-from .._types import Given
+from .._types import Given, Scalar
 from .._xla import in_turn, remembered, sharing
 from ._arguments import (
     as_numbers,
@@ -51,6 +51,7 @@ from ._arguments import (
 )
 from ._derivative import march
 from ._events import EVENTS, whose
+from ._jumps import beside, lateness, ordered
 from ._methods import check_method, Seeing, Steady, with_tolerances
 from ._report import complaint
 from ._run import Path, Plan
@@ -191,18 +192,22 @@ def _run(
     ready, lay = grasp.prepared(), layout(grasp, "energy" in setup.record)
     y0 = vector_of(lay, state)
     stepper = RollingStep(setup.solver, formulation, lay, setup.events)
-    plan = _plan(stepper, y0, Numbers(*map(jnp.asarray, numbers)), setup)
+    given = Numbers(*map(jnp.asarray, numbers))
+    jumps = jax.lax.stop_gradient(ordered(ready, given.t0, given.t1))
+    # A run begins before a jump at its start; a state saved at a jump is the one after it.
+    begin, (end, saves) = beside(jumps, given.t0, -1.0), (beside(jumps, t, 1.0) for t in given[1:3])
+    plan = _plan(stepper, y0, given._replace(t0=begin, t1=end, ts=saves), setup, jumps=jumps)
     # `march` does not differentiate the plan. A derivative in a time or a gain would be zero without a word:
     # refuse it instead.
     plan = eqxi.nondifferentiable(plan, name="times, tolerances and gains of the formulation")
-    return _trajectory(ready, state, march(bundle(ready), y0, plan), plan, setup.record)
+    return _trajectory(ready, state, march(bundle(ready), y0, plan), plan, setup.record, given.ts)
 
 
 _run_plain = jax.jit(_run, static_argnames="setup")
 _run_any = eqx.filter_jit(_run)
 
 
-def _plan(stepper: RollingStep, y0: Array, numbers: Numbers, setup: Setup) -> Plan:
+def _plan(stepper: RollingStep, y0: Array, numbers: Numbers, setup: Setup, *, jumps: Array | None) -> Plan:
     """Method, step-size control and times of a run; raise for a method that does not suit the control."""
     t0, t1, ts, dt0, rtol, atol = numbers
     lay, given = stepper.lay, setup.controller
@@ -219,7 +224,7 @@ def _plan(stepper: RollingStep, y0: Array, numbers: Numbers, setup: Setup) -> Pl
     check_method(method, controller, y0[: lay.width])
     stepper = RollingStep(method, stepper.formulation, lay, stepper.events)
     meter = setup.progress or diffrax.NoProgressMeter()
-    return Plan(stepper, controller, t0, t1, ts, dt0, meter, setup.max_steps)
+    return Plan(stepper, controller, t0, t1, ts, dt0, jumps, meter, setup.max_steps)
 
 
 class _Norm(eqx.Module):
@@ -243,9 +248,9 @@ def check_precision(grasp: Grasp, state: State) -> None:
 
 
 def _trajectory(
-    grasp: Grasp, state: State, path: Path, plan: Plan, record: tuple[str, ...]
+    grasp: Grasp, state: State, path: Path, plan: Plan, record: tuple[str, ...], ts: Array
 ) -> tuple[Trajectory, Array]:
-    """The public result of a path, and the worst residual of the start."""
+    """The public result of a path, with the caller's own save times, and the worst residual of the start."""
     lay, way = plan.stepper.lay, plan.stepper.formulation
     # Rows of `saved` that the run did not reach are NaN: `of_reached` keeps them so, and derivatives finite.
     states = states_of(lay, path.saved)
@@ -264,17 +269,22 @@ def _trajectory(
     number = jax.lax.stop_gradient(path.last[-1])
     margin = jnp.where(number > 0, path.last[lay.margin], jnp.nan)
     trajectory = Trajectory(
-        plan.ts,
+        ts,
         states,
         states_of(lay, path.last),
         left,
         RESULTS.where(on_constraints, path.result, RESULTS.unreachable),
-        Stats(attempted, accepted, rejected, path.t_last, whose(number), margin),
+        Stats(attempted, accepted, rejected, _ended_at(grasp, path, plan), whose(number), margin),
         forces,
         energy,
         grasp.labels,
     )
     return trajectory, off
+
+
+def _ended_at(grasp: Grasp, path: Path, plan: Plan) -> Scalar:
+    """When a run ended [s]; where a jump ended it, the time moves with that of the jump."""
+    return path.t_last if plan.jumps is None else path.t_last + lateness(grasp, path.t_last)
 
 
 def _observed_at(

@@ -34,6 +34,7 @@ from .._motion import (
 )
 from .._types import Scalar
 from .._xla import as_it_is, once, sharing
+from . import _jumps
 from ._events import coded, first_dip, regime, smallest_clearance, watched, with_clearance
 from ._methods import is_rosenbrock, on_tableau
 from ._rosenbrock import advance, samples_in_turn, side_by_side, STAGE_TIMES
@@ -76,6 +77,8 @@ class RollingStep(eqx.Module):
         self, bundle: Bundle, times: tuple[Array, Array], y0: Array, over: Callable[[Callable], Callable]
     ) -> tuple[Array, Array, Array]:
         """The same for lanes along the last axis; `over` maps a function of one lane's (bundle, ...)."""
+        if bundle.rest.jumps:
+            y0 = over(self.moved)(bundle, *times, y0)
         # `raw` is the end as the method gives it, `rates` the derivative there, `end` the packed `Ending`.
         raw, rates, error, end, dip = self._way(bundle, *times, y0, over)
         y1 = over(self.finish)(bundle, raw, rates, end)
@@ -108,6 +111,12 @@ class RollingStep(eqx.Module):
         if on_tableau(self.method):
             return self._explicit
         return self._rosenbrock if is_rosenbrock(self.method) else self._other
+
+    def moved(self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow) -> Flow:
+        """The flow vector at a step's start, moved with the time of a declared jump (`_jumps`)."""
+        width = self.lay.width
+        x0 = _jumps.moved(bundle(), t0, t1, y0[:width], y0[width : 2 * width])
+        return jnp.concatenate([x0, y0[width:]])
 
     def finish(self, bundle: Bundle, raw: Array, rates: Array, end: Array) -> Flow:
         """The flow vector at a step's end, back on the constraints."""

@@ -88,6 +88,8 @@ class StopAt(eqx.Module):
         pace: Where to go on from.
         dt0: Length of the first real step.
         dip: Share of the last step at which its margin dips below zero (`_events.first_dip`), or infinity.
+        at_jump: Whether the last step was a short one at a declared jump (`_jumps`), which says nothing of
+            how long steps may be; None where no jumps are declared.
         max_steps: Steps to attempt at most.
         margin: Where the flow vector carries the margin; its code is next.
     """
@@ -96,6 +98,7 @@ class StopAt(eqx.Module):
     pace: Pace
     dt0: Float[Array, ""]
     dip: Scalar
+    at_jump: Scalar | None
     max_steps: int = eqx.field(static=True)
     margin: int = eqx.field(static=True)
 
@@ -103,7 +106,8 @@ class StopAt(eqx.Module):
         pace = rest[-1]
         step = (t0, t1, y0, y1, *rest[:-1], pace.inner)
         keep, start, end, jumped, inner, code = self.inner.adapt_step_size(*step)  # pyright: ignore
-        first, hunting = t0 == t1, pace.hunt.on
+        still, hunting = t0 == t1, pace.hunt.on
+        first = still if self.at_jump is None else still | self.at_jump
         past = y1[self.margin + 1] > 0
         # A step beyond an event counts only if its error is small enough. One that is not finite has no
         # error: it is rejected and halved like one that passed an event.
@@ -128,6 +132,8 @@ class StopAt(eqx.Module):
         inner = jax.tree.map(settled, inner, pace.inner)
         beside = y1[self.margin] < _BESIDE
         opening = jnp.where(beside, _CAREFUL * self.dt0, self.dt0)
+        if self.at_jump is not None:
+            opening = jnp.where(still | beside, opening, pace.length)
         length = jnp.where(first, opening, settled(end - start, pace.length))
         start = jnp.where(keep, t1, t0)
         before, after = y0[self.margin], y1[self.margin]

@@ -27,6 +27,7 @@ from ._finger import AbstractFinger as AbstractFinger, Finger as Finger
 from ._finger3 import Finger3 as Finger3
 from ._grasp import Grasp as Grasp, Labels as Labels, tabled_grasp as tabled_grasp
 from ._jaw import Jaw as Jaw
+from ._load import AbstractLoad as AbstractLoad, as_loads as as_loads, Moving as Moving, Wrench as Wrench
 from ._object3 import FreeObject3 as FreeObject3
 from ._stage import Stage as Stage, Turning as Turning
 from ._state import (

@@ -14,6 +14,8 @@ from .._results import as_floats
 
 # Fields on which the check of the contacts depends: it is repeated when one of them changes.
 _PARTS = frozenset(("object", "fingers", "contacts", "contours", "surfaces"))
+# The same for the check of what acts on the bodies.
+_ACTED = frozenset(("controller", "fingers", "contacts", "gravity", "load", "target", "start"))
 
 
 def changed(grasp: Any, changes: Mapping[str, Any]) -> Any:
@@ -21,7 +23,7 @@ def changed(grasp: Any, changes: Mapping[str, Any]) -> Any:
     copy = grasp
     for name, value in changes.items():
         owner = _owner(copy, name)
-        value = _taken_by(owner(copy), name, value, copy._axes)
+        value = _taken_by(owner(copy), name, value)
         copy = eqx.tree_at(
             lambda g, o=owner, n=name: getattr(o(g), n),
             copy,
@@ -31,8 +33,8 @@ def changed(grasp: Any, changes: Mapping[str, Any]) -> Any:
         _check_again(owner(copy))
     if _PARTS & set(changes):
         copy._check_parts()
-    if {"controller", "fingers", "contacts"} & set(changes):
-        copy._check_controller()
+    if _ACTED & set(changes):
+        copy._check_actions()
     return copy
 
 
@@ -52,13 +54,11 @@ def _owner(grasp: Any, name: str) -> Any:
     return found[0]
 
 
-def _taken_by(owner: Any, name: str, value: Any, axes: int) -> Any:
+def _taken_by(owner: Any, name: str, value: Any) -> Any:
     """A new value for a field of a grasp, its object or its controller, converted as by the constructor."""
-    # The shape to ask for is the old array's; for a gravity where there was none, one number per axis.
+    # The shape to ask for is the old array's.
     old = getattr(owner, name)
     shape = old.shape if eqx.is_array(old) else None
-    if name == "gravity" and shape is None:
-        shape = (axes,)
     if converter_of(owner, name) is not None:
         return taken(owner, name, value, shape=shape)
     # A caller's own class: an array stays an array of its shape.

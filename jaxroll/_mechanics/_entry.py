@@ -11,7 +11,7 @@ from typing import Any, cast, TypeVar
 
 import equinox as eqx
 
-from .._fields import check_module, taken
+from .._fields import check_module
 from .._results import as_array, check_finite, check_instance
 from .._xla import quickly, remembered
 from ..contact import Contact, Contact3
@@ -32,7 +32,7 @@ def check_grasp(grasp: Any) -> None:
 @remembered  # a grasp never changes: one that passed is not looked at again
 def _check_fields(grasp: Grasp) -> None:
     check_module("grasp", grasp)
-    taken(grasp, "gravity", grasp.gravity, shape=(grasp._axes,), name="grasp.gravity")
+    grasp._check_actions()
 
 
 def check_planar(grasp: Grasp) -> None:

@@ -11,10 +11,10 @@ import equinox as eqx
 import jax
 from jaxtyping import Array, Float
 
-from .._fields import real, taken, through
+from .._fields import taken, through
 from .._linalg import unstack, Vec2, Vec3
 from .._printing import shown_value
-from .._results import as_count, as_several, shown
+from .._results import as_array, as_count, as_several, check_finite, shown
 from .._types import Given
 from .._xla import remembered
 from ..contact import AbstractContact
@@ -23,6 +23,7 @@ from ._body import AbstractBody, Coordinate
 from ._changes import changed
 from ._controller import AbstractController, as_drive
 from ._finger import AbstractFinger
+from ._load import AbstractLoad, as_loads
 from ._state import Form
 
 
@@ -62,6 +63,14 @@ def _as_contacts(name: str, value: Any) -> tuple[Any, ...]:
     return contacts
 
 
+def _as_gravity(name: str, value: Any) -> Any:
+    """None, or a finite array; how long its rows and columns are to be, only the whole grasp knows."""
+    if value is None:
+        return None
+    array = as_array(name, value)
+    return check_finite(name, array)
+
+
 class Grasp(eqx.Module):
     r"""Fingers holding an object by rolling contacts, and what drives the fingers.
 
@@ -77,7 +86,12 @@ class Grasp(eqx.Module):
             and `rates` hold one array of shape (k,) per finger, `tips` its tip's `position` and
             `jacobian`. Default: no torques. As under `jax.jit`, numbers that a plain function takes from
             outside itself are those of its first run; numbers that change are fields of an `equinox.Module`.
-        gravity: Shape (2,), in space (3,), in m/s^2. Default: none, and then it costs nothing.
+        gravity: Shape (2,), in space (3,), in m/s^2; or one row for each body, the object's first: fingers
+            whose own weight is compensated have rows of zeros. Default: none, and then it costs nothing.
+        load: Wrench on the object: one of `jaxroll.loads`, or any callable pytree `f(t, pose, twist)` that
+            returns a force [N] and a torque [N m] about the object's origin, both in world axes; or several
+            of these, which add up. `pose` has `position` and `orientation` of the object, `twist` its
+            `velocity` and `spin`. Default: none, and then it costs nothing.
 
     Raises:
         ValueError: If a part is not what it must be, parts of the plane and of space are mixed, a contact
@@ -97,7 +111,8 @@ class Grasp(eqx.Module):
     fingers: tuple[AbstractFinger, ...] = through(_as_fingers)
     contacts: tuple[Any, ...] = through(_as_contacts)  # `Contact`, `Contact3`, or a caller's own
     controller: Any = through(as_drive)
-    gravity: Float[Array, "d"] | None = real(None, optional=True)
+    gravity: Float[Array, "*bodies d"] | None = through(_as_gravity)
+    load: tuple[Any, ...] = through(as_loads)
 
     def __init__(
         self,
@@ -107,15 +122,16 @@ class Grasp(eqx.Module):
         *,
         controller: Any = None,
         gravity: Given | None = None,
+        load: Any = None,
     ) -> None:
         self.object = taken(self, "object", object)
         self.fingers = taken(self, "fingers", fingers)
         self.contacts = taken(self, "contacts", contacts)
         self.controller = taken(self, "controller", controller)
+        self.gravity = taken(self, "gravity", gravity)
+        self.load = taken(self, "load", load)
         self._check_parts()
-        self._check_controller()
-        # Last: how many numbers it has is known from the contacts.
-        self.gravity = taken(self, "gravity", gravity, shape=(self._axes,))
+        self._check_actions()
 
     def _check_parts(self) -> None:
         """Raise unless contacts find their shapes, no finger moves in two ways, and all live in one space."""
@@ -139,9 +155,19 @@ class Grasp(eqx.Module):
                     f"argument {name} must live in {words}, as contacts do, but was a {type(body).__name__}"
                 )
 
-    def _check_controller(self) -> None:
+    def _check_actions(self) -> None:
+        """Raise unless controller, gravity and loads are those of such bodies."""
         if isinstance(self.controller, AbstractController):
             self.controller.check(len(self.fingers), self._axes)
+        wanted = (self._axes,), (len(self.bodies), self._axes)
+        if self.gravity is not None and self.gravity.shape not in wanted:
+            raise ValueError(
+                f"argument gravity must have shape {wanted[0]} or {wanted[1]}, "
+                f"but had shape {self.gravity.shape}"
+            )
+        for load in self.load:
+            if isinstance(load, AbstractLoad):
+                load.check("load", self._axes)
 
     @property
     def bodies(self) -> tuple[AbstractBody, ...]:
@@ -192,6 +218,7 @@ class Grasp(eqx.Module):
         lines += [f"  contact {i} {contact}" for i, contact in enumerate(self.contacts)]
         lines.append(f"  control   {shown_value(self.controller)}")
         lines.append(f"  gravity   {shown_value(self.gravity, 'm/s^2')}")
+        lines += [f"  load      {shown_value(load)}" for load in self.load]
         return "\n".join(lines)
 
     @property
@@ -203,12 +230,23 @@ class Grasp(eqx.Module):
         """The fingertip's and the object's contour (surface) that meet at a contact."""
         return self.fingers[contact.finger].tip, self.object.shapes[contact.touched]
 
-    def field(self) -> Vec2 | Vec3 | None:
-        """Gravity as a vector of scalars [m/s^2]; None where there is none."""
+    def fields(self) -> tuple[Vec2 | Vec3 | None, ...]:
+        """Gravity on the object, then on every finger, as vectors [m/s^2]; None where there is none."""
         if self.gravity is None:
-            return None
-        parts = unstack(self.gravity)
-        return Vec3(*parts) if self.spatial else Vec2(*parts)
+            return (None,) * len(self.bodies)
+        vector = Vec3 if self.spatial else Vec2
+        if self.gravity.ndim == 1:
+            return (vector(*unstack(self.gravity)),) * len(self.bodies)
+        return tuple(vector(*unstack(row)) for row in self.gravity)
+
+    @property
+    def jumps(self) -> tuple[Any, ...]:
+        """Times [s] that its controller and loads declare as jumps; arrays of one axis."""
+        return tuple(
+            part.jumps
+            for part in jax.tree.leaves((self.controller, self.load), is_leaf=_jumps)
+            if _jumps(part)
+        )
 
     def prepared(self) -> "Grasp":
         """This grasp with bodies and shapes ready for evaluation, their arrays split into scalars."""
@@ -218,7 +256,7 @@ class Grasp(eqx.Module):
     def with_(self, **changes: Any) -> "Grasp":
         """A copy with fields replaced, by name.
 
-        A name may belong to the grasp (`controller`, `gravity`), to its controller (`damping`,
+        A name may belong to the grasp (`controller`, `gravity`, `load`), to its controller (`damping`,
         `force`, ...) or to its object (`inertia`, `pivot`, ...); it must belong to just one of them.
 
         Raises:
@@ -255,6 +293,11 @@ class Grasp(eqx.Module):
             ValueError: If one is not a contact, or does not fit the grasp.
         """
         return self.with_(contacts=contacts)
+
+
+def _jumps(part: Any) -> bool:
+    """Whether a part of a controller or load declares jumps, its own and those of all that is in it."""
+    return isinstance(part, eqx.Module) and getattr(part, "jumps", None) is not None
 
 
 def tabled_grasp(grasp: Grasp) -> Grasp:

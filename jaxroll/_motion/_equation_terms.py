@@ -13,8 +13,7 @@ from .._linalg import factorise, Vec2
 from .._mechanics import check_planar, compiled, Grasp, join, State, to_leaves
 from .._printing import listed
 from .._types import Scalar
-from ..control import as_controller
-from ._equations import bodies, net_force, sensed, touches
+from ._equations import bodies, drives, net_force, touches
 from ._linearisation import linearise
 
 
@@ -96,8 +95,8 @@ def mass_matrix(masses: list, n: int) -> Float[Array, "n n"]:
 
 
 def generalised_force(grasp: Grasp, t: Scalar, state: State) -> Array:
-    """$u - h$, shape (n,): joint torques and gravity less the velocity terms, without contact forces."""
+    """$u - h$, shape (n,): joint torques, loads and gravity less velocity terms, without contact forces."""
     leaves = to_leaves(state, grasp.form)
     motions, inertias = bodies(grasp, leaves)
-    drives = (None, *as_controller(grasp.controller).torques(t, sensed(grasp, leaves, motions)))
-    return join(tuple(net_force(i, u) for i, u in zip(inertias, drives, strict=True)))
+    driven = drives(grasp, t, leaves, motions)
+    return join(tuple(net_force(i, u) for i, u in zip(inertias, driven, strict=True)))

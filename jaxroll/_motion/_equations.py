@@ -15,12 +15,13 @@ from typing import Any
 
 import jax
 
-from .._linalg import factorise, solve
-from .._mechanics import Blocks, Grasp, Inertia, Leaves
+from .._linalg import factorise, plus, solve, times, Vec3
+from .._mechanics import Blocks, Grasp, Inertia, Leaves, Moving
 from .._types import Scalar, Scalars
 from .._xla import once
 from ..contact import Motion, Rows
 from ..control import as_controller, joint_angles, sense, Sensed
+from ..loads import total_wrench
 from ._formulation import CSM, Formulation
 from ._linearisation import add, apply_jacobian, balance, combine, Linearisation, linearise, negative, respond
 
@@ -53,10 +54,9 @@ def evaluate(grasp: Grasp, t: Scalar, leaves: Leaves, formulation: Formulation) 
     masses = [factorise(inertia.mass) for inertia in inertias]
     line = linearise(grasp, motions, masses, touching)
     # Accelerations without contact: M^-1 (u - h), body by body.
-    torques = as_controller(grasp.controller).torques(t, sensed(grasp, leaves, motions))
     free = tuple(
         solve(mass, net_force(inertia, drive))
-        for mass, inertia, drive in zip(masses, inertias, (None, *torques), strict=True)
+        for mass, inertia, drive in zip(masses, inertias, drives(grasp, t, leaves, motions), strict=True)
     )
     # Acceleration of every gap without contact forces, A M^-1 (u - h) + A' v, which the forces undo. Contacts
     # take their two bodies as a pair: the fingertip's motion, then the object's.
@@ -88,9 +88,8 @@ def evaluate(grasp: Grasp, t: Scalar, leaves: Leaves, formulation: Formulation) 
 
 def bodies(grasp: Grasp, leaves: Leaves) -> tuple[tuple[Motion, ...], tuple[Inertia, ...]]:
     """Kinematics (`Motion`) and inertia ($M$, $h$) of the object, then of every finger."""
-    field = grasp.field()
-    each = zip(grasp.bodies, leaves.q, leaves.v, strict=True)
-    pairs = [body.motion(q, v, field) for body, q, v in each]
+    each = zip(grasp.bodies, leaves.q, leaves.v, grasp.fields(), strict=True)
+    pairs = [body.motion(q, v, field) for body, q, v, field in each]
     return tuple(m for m, _ in pairs), tuple(i for _, i in pairs)
 
 
@@ -110,8 +109,41 @@ def sensed(grasp: Grasp, leaves: Leaves, motions: Sequence[Motion]) -> list[Sens
     return [sense(motion, angles, rates) for motion, angles, rates in each]
 
 
+Drives = tuple[Scalars | None, ...]
+
+
+def drives(grasp: Grasp, t: Scalar, leaves: Leaves, motions: Sequence[Motion]) -> Drives:
+    """$u$ of every body: the generalised force of the loads on the object, then the joint torques."""
+    torques = as_controller(grasp.controller).torques(t, sensed(grasp, leaves, motions))
+    return loaded(grasp, t, leaves.q[0], motions[0]), *torques
+
+
+def loaded(grasp: Grasp, t: Scalar, q: Scalars, motion: Motion) -> Scalars | None:
+    """Generalised force $J^T w$ of all loads on the object; None where there are none."""
+    if not grasp.load:
+        return None
+    force, torque = wrench_on(grasp, t, q, motion)
+    arms = [unit.velocity.dot(force) for unit in motion.unit_twists]
+    if torque is None:
+        return tuple(arms)
+    turns = [inner_spin(unit.spin, torque) for unit in motion.unit_twists]
+    return tuple(map(plus, arms, turns))
+
+
+def wrench_on(grasp: Grasp, t: Scalar, q: Scalars, motion: Motion) -> tuple[Any, Any | None]:
+    """Force [N] and torque [N m] of all loads about the object's origin, in world axes."""
+    # The orientation is the last of an object's positions: an angle, or a quaternion.
+    orientation = q[3:] if grasp.spatial else q[-1:]
+    return total_wrench(grasp.load, t, Moving(motion.pose, orientation, motion.twist))
+
+
+def inner_spin(spin: Any, torque: Any) -> Scalar:
+    """Product of a spin and a torque: of numbers in the plane, of vectors in space."""
+    return spin.dot(torque) if isinstance(spin, Vec3) else times(spin, torque)
+
+
 def net_force(inertia: Inertia, drive: Scalars | None) -> Scalars:
-    """$u - h$ of one body's coordinates; `drive` is $u$, None for the object, on which nothing drives."""
+    """$u - h$ of one body's coordinates; `drive` is $u$, None for an object without loads."""
     if drive is None:
         return tuple(-h for h in inertia.force)
     return tuple(u - h for u, h in zip(drive, inertia.force, strict=True))

@@ -14,14 +14,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._linalg import inner, total, Vec3
+from .._linalg import inner, plus, total, Vec3
 from .._mechanics import Blocks, compiled_for_many, Grasp, Inertia, Leaves, State, to_leaves
 from .._printing import listed
 from .._results import as_array
 from .._types import Scalar, Scalars
 from ..contact import Rows
 from ..control import as_controller, joint_angles
-from ._equations import bodies, evaluate, Instant, sensed, touches, world_poses
+from ._equations import bodies, evaluate, Instant, loaded, sensed, touches, world_poses
 from ._formulation import as_formulation, Formulation
 from ._projection import residual
 
@@ -152,20 +152,16 @@ def _quadratic(mass: Sequence[Sequence[Scalar]], v: Scalars) -> Scalar:
 
 def _gravity_potential(grasp: Grasp, leaves: Leaves) -> Scalar:
     """Potential energy [J] of all bodies in the grasp's gravity; zero where it has none."""
-    field = grasp.field()
-    if field is None:
-        return 0.0
-    parts = [grasp.object.gravity_potential(leaves.q[0], field)]
-    for finger, q in zip(grasp.fingers, leaves.q[1:], strict=True):
-        parts.append(finger.gravity_potential(q, field))
-    return total(parts)
+    each = zip(grasp.bodies, leaves.q, grasp.fields(), strict=True)
+    return total([body.gravity_potential(q, field) for body, q, field in each if field is not None])
 
 
 def power(grasp: Grasp, t: Scalar, leaves: Leaves, instant: Instant) -> Scalar:
     r"""Power [W] that changes $K + P$: $\sum u \cdot \dot q + \dot P$, (18) and (20).
 
     With the built-in controllers it is minus the dissipation; with a user's controller, whose
-    potential is unknown, it is the whole power of the joint torques. Bodies that move as prescribed do
+    potential is unknown, it is the whole power of the joint torques. Loads have the power
+    $F \cdot v + T \cdot \omega$, $Q \cdot v$ in the object's coordinates. Bodies that move as prescribed do
     work too: $-\mu \cdot b$ at a contact whose gap they change at the rate b.
     """
     motions = instant.motions
@@ -188,7 +184,8 @@ def power(grasp: Grasp, t: Scalar, leaves: Leaves, instant: Instant) -> Scalar:
         for force, given in zip(instant.forces, instant.line.drift, strict=True)
         if given is not None
     ]
-    return drive + stored - total(pushed)
+    load = loaded(grasp, t, leaves.q[0], motions[0])
+    return plus(drive + stored - total(pushed), 0.0 if load is None else inner(load, leaves.v[0]))
 
 
 def of_reached(function: Callable, states: State, start: State) -> Any:

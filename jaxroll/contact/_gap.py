@@ -21,9 +21,9 @@ from .._types import Scalars
 from .._xla import once
 
 Rows = tuple[Scalars, ...]
-Vec = TypeVar("Vec", Vec2, Vec3)
-Pose = TypeVar("Pose", Pose2, Pose3)
-Twist = TypeVar("Twist", Twist2, Twist3)
+_Vec = TypeVar("_Vec", Vec2, Vec3)
+_Pose = TypeVar("_Pose", Pose2, Pose3)
+_Twist = TypeVar("_Twist", Twist2, Twist3)
 
 
 @jax.tree_util.register_dataclass
@@ -33,7 +33,7 @@ class Motion:
 
     Attributes:
         pose: The frame in the world.
-        unit_twists: Twist per unit rate of each coordinate: the columns of its Jacobian $J$.
+        unit_twists: _Twist per unit rate of each coordinate: the columns of its Jacobian $J$.
         twist: $J v$, plus that of a prescribed motion.
         bias: $\dot J v$, the acceleration at $\dot v = 0$, plus that of a prescribed motion.
     """
@@ -48,25 +48,25 @@ class Motion:
         return replace(self, twist=jax.tree.map(lambda _: 0.0, self.twist))
 
 
-def gap(tip: Pose, object_: Pose, points: tuple[Vec, Vec]) -> Vec:
+def gap(tip: _Pose, object_: _Pose, points: tuple[_Vec, _Vec]) -> _Vec:
     """World-frame vector from the object's contact point to the fingertip's; (5)-(6), (64)-(65)."""
     return tip.place(points[0]) - object_.place(points[1])  # pyright: ignore
 
 
-def gap_rate(twists: tuple[Twist, Twist], arms: tuple[Vec, Vec]) -> Vec:
+def gap_rate(twists: tuple[_Twist, _Twist], arms: tuple[_Vec, _Vec]) -> _Vec:
     """Rate of the gap under the twists of both bodies, at frozen contact coordinates."""
     return twists[0].at(arms[0]) - twists[1].at(arms[1])  # pyright: ignore
 
 
 def pfaffian(
-    unit_twists: tuple[Sequence[Twist], Sequence[Twist]], arms: tuple[Vec, Vec]
-) -> tuple[tuple[Vec, ...], tuple[Vec, ...]]:
+    unit_twists: tuple[Sequence[_Twist], Sequence[_Twist]], arms: tuple[_Vec, _Vec]
+) -> tuple[tuple[_Vec, ...], tuple[_Vec, ...]]:
     """Columns of $A$, vectors in world axes, for the fingertip's and for the object's unit rates."""
     tip, object_ = unit_twists
     return tuple(unit.at(arms[0]) for unit in tip), tuple(-unit.at(arms[1]) for unit in object_)  # pyright: ignore
 
 
-def gap_bias(bodies: tuple[Motion, Motion], arms: tuple[Vec, Vec], drift: tuple[Vec, Vec]) -> Vec:
+def gap_bias(bodies: tuple[Motion, Motion], arms: tuple[_Vec, _Vec], drift: tuple[_Vec, _Vec]) -> _Vec:
     r"""Second derivative of the gap at $\dot v = 0$, which is $\dot A v$: one jvp of `gap_rate`.
 
     Args:

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .._fields import is_command
 from .._integration import check_one_run, Trajectory
 from .._mechanics import compiled, Grasp, State, to_leaves
 from .._motion import multipliers, residuals, touches, world_poses
@@ -140,7 +141,7 @@ def _placed(grasp: Grasp, states: State):
 
 
 def _guides(grasp: Grasp, centres: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
-    if isinstance(grasp.controller, Press):
+    if isinstance(grasp.controller, Press) and not is_command(grasp.controller.target):
         target = MM * np.asarray(grasp.controller.target)
         return tuple(np.stack([c, np.broadcast_to(target, c.shape)], axis=1) for c in centres)
     # At rest under `control.Opposition` with alpha = 0 both contacts lie on the line of the tip frames.

@@ -20,6 +20,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._analysis import check_pinch
+from .._fields import is_command
 from .._linalg import Vec2
 from .._mechanics import compiled, Grasp, State
 from .._printing import listed
@@ -95,10 +96,20 @@ def _as_places(s: Given) -> Array:
     return jnp.asarray(places, float)
 
 
+def _check_constant(grasp: Grasp) -> None:
+    """Raise unless a grasp is a pinch whose controller has numbers that do not change in time."""
+    check_pinch(grasp)
+    if is_command(grasp.controller.beta):
+        raise ValueError(
+            "argument grasp must have a number as its controller's beta, but it was a function of time; "
+            "grasp.with_(controller=grasp.controller.at(t)) holds it"
+        )
+
+
 @compiled
 def _pinch_statics(grasp: Grasp, s: Array) -> PinchStatics:
     """The statics at every pair of places, compiled as one program."""
-    check_pinch(grasp)
+    _check_constant(grasp)
     ready = grasp.prepared()
 
     def at(s: Array) -> PinchStatics:
@@ -179,7 +190,7 @@ def pinch_rest(grasp: Grasp, state: State, *, damping: float = 0.0) -> tuple[Flo
 @compiled
 def _pinch_rest(grasp: Grasp, state: State, damping: float) -> tuple[Array, PinchStatics]:
     """Places of rest and the statics there, with the derivative of the implicit function theorem."""
-    check_pinch(grasp)
+    _check_constant(grasp)
     ready, pairs = grasp.prepared(), zip(grasp.contacts, state.s, strict=True)
     # The state counts rolled arclength from where the contact started; s is the place on the object, signed.
     start = jnp.stack([c.sense * (c.s_object - sigma) for c, sigma in pairs])
@@ -301,7 +312,7 @@ def rectangle_hessian(grasp: Grasp, s: Given) -> Float[Array, "2 2"]:
 @compiled
 def _rectangle_hessian(grasp: Grasp, s: Array) -> Array:
     """The formula of `rectangle_hessian` [N/m]."""
-    check_pinch(grasp)
+    _check_constant(grasp)
     ready = grasp.prepared()
     _, l_ = _separation(ready, s)
     slopes, terms = [], []

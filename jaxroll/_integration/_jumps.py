@@ -1,0 +1,97 @@
+r"""Declared jumps: a run ends a step just before each, and begins anew just after it.
+
+A right-hand side $f$ that jumps at $t_j$ costs a method its order in the step that has the jump inside. So
+three steps stand there, apart from each other by one `grain` $\epsilon$ of time, some rounding units:
+
+$$ \ldots \to t_j - \epsilon, \qquad t_j - \epsilon \to t_j, \qquad t_j \to t_j + \epsilon, \qquad
+   t_j + \epsilon \to \ldots $$
+
+The first ends with $f$ as it is before the jump, the second evaluates it anew. They also carry the
+derivative in $t_j$. If the jump comes $\delta$ later, the state there is $x + \delta f_-$, and $\delta$
+further back in time from what follows: $x + \delta f_- - \delta f_+$. The second step adds the one, the third
+takes the other: each is the slope that its flow vector begins with (`moved`), and $\delta$ is a zero with a
+derivative.
+
+Jumps at one time count as one: a derivative in one of their times is shared among all, and so is right where
+they move together. `_run` asks `stop` and `passed_at`, `_simulate` the rest; a run without declared jumps has
+none of it.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from .._linalg import row
+from .._mechanics import Grasp
+from .._types import Scalar
+
+
+def grain(t: Scalar) -> Scalar:
+    """Length of the short steps at a jump [s]: four rounding units of t, or of 1 ms if t is less."""
+    return 4.0 * jnp.finfo(jnp.result_type(t)).eps * jnp.maximum(jnp.abs(t), 1e-3)
+
+
+def ordered(grasp: Grasp, t0: Scalar, t1: Scalar) -> Array | None:
+    """The jumps from t0 to t1 in order, each once, filled up with infinity; None where none are declared."""
+    if not grasp.jumps:
+        return None
+    t0, t1 = jnp.asarray(t0), jnp.asarray(t1)
+    times = jnp.concatenate([jnp.ravel(jumps).astype(t0.dtype) for jumps in grasp.jumps])
+    inside = (times >= t0 - grain(t0)) & (times <= t1 + grain(t1))
+    times = jnp.sort(jnp.where(inside, times, jnp.inf))
+    # The difference of two infinities is NaN, which is not above anything.
+    apart = jnp.diff(times) > 4.0 * grain(times[1:])
+    return jnp.sort(jnp.where(jnp.concatenate([jnp.array([True]), apart]), times, jnp.inf))
+
+
+def beside(jumps: Array | None, t: Array, way: float) -> Array:
+    """Times, but those at a jump just after it (`way` is 1) or just before it (-1)."""
+    if jumps is None:
+        return t
+    t, at = jnp.asarray(t), jnp.where(jnp.isfinite(jumps), jumps, 0.0)
+    near = (jnp.abs(t[..., None] - at) <= grain(at)) & jnp.isfinite(jumps)
+    moved = jnp.max(jnp.where(near, at + way * grain(at), -jnp.inf), axis=-1)
+    return jnp.where(jnp.any(near, axis=-1), moved, t)
+
+
+def stop(jumps: Array, passed: Scalar, t: Scalar) -> Scalar:
+    """Where the next jump has a step end; `passed` counts two for every jump that is over."""
+    at = _next(jumps, passed)
+    ahead = jnp.where(t < at - grain(at), at - grain(at), at)
+    return jnp.where(jnp.isfinite(at), jnp.where(passed % 2 == 1, at + grain(at), ahead), jnp.inf)
+
+
+def passed_at(jumps: Array, passed: Scalar, t: Scalar) -> Scalar:
+    """Whether a step that ends at t is one of the two short ones of the next jump."""
+    at = _next(jumps, passed)
+    return t == jnp.where(passed % 2 == 1, at + grain(at), at)
+
+
+def _next(jumps: Array, passed: Scalar) -> Scalar:
+    """The next jump, infinity after the last."""
+    count = jumps.shape[0]
+    ahead = row(jumps, jnp.minimum(passed // 2, count - 1))
+    return jnp.where(passed // 2 < count, ahead, jnp.inf)
+
+
+def lateness(grasp: Grasp, t: Scalar) -> Scalar:
+    """A zero whose derivative is that of the time of the jump at t; no derivative elsewhere."""
+    late, count = jnp.zeros_like(t), jnp.zeros_like(t)
+    for jumps in grasp.jumps:
+        times = jnp.ravel(jumps).astype(t.dtype)
+        fixed = jax.lax.stop_gradient(times)
+        here = jnp.abs(t - fixed) <= 0.5 * grain(fixed)
+        late, count = late + jnp.sum(jnp.where(here, times - fixed, 0.0)), count + jnp.sum(here)
+    return late / jnp.maximum(count, 1.0)
+
+
+def moved(grasp: Grasp, t0: Scalar, t1: Scalar, x: Array, rates: Array) -> Array:
+    """The vector x at the start of a step, moved with the time of a jump if the step is one of the two there.
+
+    `rates` is its time derivative as the flow vector carries it: before the jump for the second of the three
+    steps (see above), after it for the third.
+    """
+    t0, t1 = jax.lax.stop_gradient((t0, t1))
+    short = (t1 > t0) & (t1 - t0 <= 2.0 * grain(t1))
+    late = lateness(grasp, t1) - lateness(grasp, t0)
+    return x + jnp.where(short, late, 0.0) * rates

@@ -23,6 +23,7 @@ from ._closing import close as close
 from ._integration import (
     Rosenbrock as Rosenbrock,
     simulate as simulate,
+    strike as strike,
     Trajectory as Trajectory,
     vector_field as vector_field,
 )
@@ -39,12 +40,14 @@ from ._mechanics import (
     Turning as Turning,
 )
 from ._motion import (
+    accelerations as accelerations,
     CSM as CSM,
     energies as energies,
     equation_terms as equation_terms,
     Index1 as Index1,
     multipliers as multipliers,
     residuals as residuals,
+    torques as torques,
 )
 from ._results import RESULTS as RESULTS
 from ._sweep import sweep as sweep

@@ -14,11 +14,11 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ._fields import real, taken
+from ._fields import real, taken, through
 from ._linalg import root, sincos, total, unstack, Vec2, Vec3
 from ._mechanics import AbstractLoad as AbstractLoad, Moving, Wrench
 from ._printing import listed
-from ._results import as_array, check_positive, shown
+from ._results import as_array, check_finite, check_positive, shown
 from ._types import Given, Scalar
 
 
@@ -74,6 +74,11 @@ def _vector(parts: Array) -> Any:
     """An array of two or three numbers as a vector of scalars."""
     scalars = unstack(parts)
     return Vec3(*scalars) if len(scalars) == 3 else Vec2(*scalars)
+
+
+def _as_angular(name: str, value: Any) -> Array | None:
+    """Finite numbers of any shape, or None."""
+    return None if value is None else check_finite(name, as_array(name, value))
 
 
 def _acting_at(force: Any, point: Array | None, object_: Moving) -> Wrench:
@@ -234,6 +239,71 @@ class Spring(AbstractLoad):
         _check_axes(self, name, ("anchor", "point"), axes)
 
 
+class Impulse(AbstractLoad):
+    r"""A blow: an impulse on the object at one time, after which it has other velocities.
+
+    $M (v_+ - v_-) = p + A^T \mu$ with contact impulses $\mu$ that keep all gaps closed. A contact that would
+    have to pull, or to rub more than its friction allows, ends the run with that code (unless `events` leaves
+    it out), at the state before the blow: fingers that pinch have no hold against a blow along the pinch. A
+    state saved at its time is the one after it.
+
+    Args:
+        impulse: Shape (2,), in space (3,), in world axes [N s].
+        time: When it acts [s]; a run that begins later has no part of it.
+        angular: Angular impulse besides, a number, in space shape (3,) in world axes [N m s]. Default: none.
+        point: Shape (2,), in space (3,): where it acts, in the object's frame [m]. Default: its origin.
+
+    Raises:
+        ValueError: If a number is not finite or a shape does not fit.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> grasp, state = jxr.scenes.pinch()
+        >>> hit = grasp.with_(load=jxr.loads.Impulse((0.0, 1e-4), 0.5))
+        >>> run = jxr.simulate(hit, state, 1.0, record=("energy",))
+        >>> bool(abs(run.energy.residual).max() < 1e-9)
+        True
+    """
+
+    UNITS: ClassVar[dict[str, str]] = {"impulse": "N s", "time": "s", "angular": "N m s", "point": "m"}
+
+    linear: Float[Array, "d"] = real(None, check=_as_vector)
+    time: Float[Array, ""] = real()
+    angular: Float[Array, "..."] | None = through(_as_angular)
+    point: Float[Array, "d"] | None = real(None, check=_as_vector, optional=True)
+
+    def __init__(
+        self, impulse: Given, time: Given, *, angular: Given | None = None, point: Given | None = None
+    ) -> None:
+        self.linear = taken(self, "linear", impulse, name="impulse")
+        self.time = taken(self, "time", time)
+        self.angular = taken(self, "angular", angular)
+        self.point = taken(self, "point", point)
+        wanted = () if self.linear.shape == (2,) else (3,)
+        if self.angular is not None and self.angular.shape != wanted:
+            raise ValueError(f"argument angular must have shape {wanted}, but had shape {self.angular.shape}")
+
+    @property
+    def jumps(self) -> Array:
+        """When it acts [s]: velocities jump there."""
+        return self.time[None]
+
+    def impulse(self, object_: Moving) -> Wrench:
+        """Impulse [N s] and angular impulse [N m s] about the object's origin, in world axes."""
+        push, turn = _acting_at(_vector(self.linear), self.point, object_)
+        if self.angular is None:
+            return push, turn
+        own = self.angular if self.angular.ndim == 0 else _vector(self.angular)
+        return push, own if turn is None else turn + own
+
+    def wrench(self, t: Scalar, object_: Moving) -> Wrench:
+        # At no time is there a force of it.
+        return object_.twist.velocity * 0.0, None
+
+    def check(self, name: str, axes: int) -> None:
+        _check_axes(self, name, ("linear", "point"), axes)
+
+
 class UserLoad(AbstractLoad):
     """Adapter that calls a user's `f(t, pose, twist)` with ordinary arrays."""
 
@@ -262,8 +332,18 @@ def as_load(load: Any) -> AbstractLoad:
     return load if isinstance(load, AbstractLoad) else UserLoad(load)
 
 
-def total_wrench(loads: Sequence[Any], t: Scalar, object_: Moving) -> tuple[Any, Any | None]:
-    """Force [N] and torque [N m] about the object's origin of all loads; no torque where none gives one."""
-    wrenches = [as_load(load).wrench(t, object_) for load in loads]
+def impulses(loads: Sequence[Any]) -> tuple[Impulse, ...]:
+    """Those of some loads that act at one time each; the others act all along."""
+    return tuple(load for load in loads if isinstance(load, Impulse))
+
+
+def total_wrench(loads: Sequence[Any], t: Scalar, object_: Moving) -> Wrench | None:
+    """Force [N] and torque [N m] about the object's origin of all loads; no torque where none gives one.
+
+    None where no load acts all along.
+    """
+    wrenches = [as_load(load).wrench(t, object_) for load in loads if not isinstance(load, Impulse)]
+    if not wrenches:
+        return None
     torques = [torque for _, torque in wrenches if torque is not None]
     return total([force for force, _ in wrenches]), total(torques) if torques else None

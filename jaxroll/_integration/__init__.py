@@ -5,7 +5,8 @@ most of it for callers who run later. `_state_vector` lays a
 state out as one vector, `_step` makes one step of a method of diffrax on it (`_rosenbrock` is a linearly
 implicit method), `_step_size` sets its length, `_events` determines where the model ends, within a step too.
 `_run` takes steps until a run is over, `_batch` takes those of many runs together, `_derivative`
-differentiates the recorded steps. `_trajectory` is the result, `_report` its printed form. `_vector_field`
+differentiates the recorded steps. `_jumps` has the steps at declared jumps, `_strike` a blow by itself.
+`_trajectory` is the result, `_report` its printed form. `_vector_field`
 and `_projected_method` offer the same equations, those of `_motion`, to `diffrax.diffeqsolve`.
 """
 
@@ -30,5 +31,6 @@ from ._rosenbrock import Rosenbrock as Rosenbrock
 from ._run_options import RunOptions as RunOptions
 from ._simulate import simulate as simulate
 from ._state_vector import layout as layout, pack as pack, unpack as unpack
+from ._strike import Strike as Strike, strike as strike
 from ._trajectory import check_one_run as check_one_run, Trajectory as Trajectory
 from ._vector_field import vector_field as vector_field, VectorField as VectorField

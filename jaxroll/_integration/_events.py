@@ -25,7 +25,7 @@ import numpy as np
 from jaxtyping import Array
 
 from .._mechanics import Grasp, Leaves
-from .._motion import Instant, world_poses
+from .._motion import Instant, Struck, world_poses
 from .._results import RESULTS
 from .._types import Scalar
 from ..contact import AbstractContact, clearance, TOLERANCE
@@ -36,6 +36,8 @@ _SINGULAR = 1e-9
 # inverse, (7), so that near zero the sum falls as the square root of the time that is left. At this size some
 # 1e-10 s are left, enough for a step to end there; at a smaller one it would be less than the shortest step.
 _FLAT = 1e-4
+# Share of the largest contact impulse that counts as zero: a blow often leaves a contact alone, to rounding.
+_BALANCED = 1e-9
 # Points on each contour in the audit of penetration.
 _SAMPLES = 64
 
@@ -176,14 +178,16 @@ def _geometry(grasp: Grasp, leaves: Leaves, instant: Instant) -> list[Limit]:
     return [*limits, Limit(pivot, _numbered(_SINGULAR_CONTACT, None))]
 
 
-def _each_contact(grasp: Grasp, instant: Instant) -> list[tuple[AbstractContact, tuple[Any, Any], Any]]:
+def _each_contact(
+    grasp: Grasp, instant: Instant | Struck
+) -> list[tuple[AbstractContact, tuple[Any, Any], Any]]:
     """Every contact with the poses of its fingertip and of the object, and its frames."""
     body, *tips = (motion.pose for motion in instant.motions)
     each = zip(grasp.contacts, instant.touching, strict=True)
     return [(c, (tips[c.finger], body), touching) for c, touching in each]
 
 
-def _forces(grasp: Grasp, instant: Instant, events: tuple[str, ...]) -> list[Limit]:
+def _forces(grasp: Grasp, instant: Instant | Struck, events: tuple[str, ...]) -> list[Limit]:
     """Limits from normal forces f and from the distances mu f - |lambda| to the friction cones [N]."""
     limits = []
     each = zip(_each_contact(grasp, instant), instant.forces, strict=True)
@@ -200,6 +204,19 @@ def _forces(grasp: Grasp, instant: Instant, events: tuple[str, ...]) -> list[Lim
             slips = _numbered(_SLIPPING, i)
             limits += [Limit(cone - rubbing, slips) for rubbing in contact.rubbing(tangential)]
     return limits
+
+
+def refused_blow(grasp: Grasp, done: Struck, events: tuple[str, ...]) -> tuple[Scalar, Scalar]:
+    """Whether contacts cannot answer a blow, and the number of the contact and code that say so.
+
+    The contact impulses are subject to the limits of contact forces, to rounding.
+    """
+    limits = _forces(grasp, done, events)
+    if not limits:
+        return jnp.asarray(False), jnp.asarray(0)
+    limit = _nearest(limits)
+    largest = jnp.max(jnp.abs(jnp.stack([x for rows in done.forces for x in rows])))
+    return limit.margin < -_BALANCED * largest, limit.number
 
 
 def _clearances(grasp: Grasp, leaves: Leaves) -> list[Scalar]:

@@ -48,10 +48,12 @@ def beside(jumps: Array | None, t: Array, way: float) -> Array:
     """Times, but those at a jump just after it (`way` is 1) or just before it (-1)."""
     if jumps is None:
         return t
-    t, at = jnp.asarray(t), jnp.where(jnp.isfinite(jumps), jumps, 0.0)
-    near = (jnp.abs(t[..., None] - at) <= grain(at)) & jnp.isfinite(jumps)
-    moved = jnp.max(jnp.where(near, at + way * grain(at), -jnp.inf), axis=-1)
-    return jnp.where(jnp.any(near, axis=-1), moved, t)
+    moved = jnp.asarray(t)
+    for i in range(jumps.shape[0]):
+        at = jnp.where(jnp.isfinite(jumps[i]), jumps[i], 0.0)
+        near = (jnp.abs(t - at) <= grain(at)) & jnp.isfinite(jumps[i])
+        moved = jnp.where(near, at + way * grain(at), moved)
+    return moved
 
 
 def stop(jumps: Array, passed: Scalar, t: Scalar) -> Scalar:
@@ -83,6 +85,13 @@ def lateness(grasp: Grasp, t: Scalar) -> Scalar:
         here = jnp.abs(t - fixed) <= 0.5 * grain(fixed)
         late, count = late + jnp.sum(jnp.where(here, times - fixed, 0.0)), count + jnp.sum(here)
     return late / jnp.maximum(count, 1.0)
+
+
+def hits(t0: Scalar, t1: Scalar, time: Scalar) -> Scalar:
+    """Whether a step is the second of the three at a time, which a blow at that time acts in."""
+    t0, t1, time = jax.lax.stop_gradient((t0, t1, time))
+    near = 0.5 * grain(time)
+    return (t1 > t0) & (t1 - t0 <= 2.0 * grain(t1)) & (jnp.abs(t1 - time) <= near) & (time - t0 > near)
 
 
 def moved(grasp: Grasp, t0: Scalar, t1: Scalar, x: Array, rates: Array) -> Array:

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from .._linalg import row, scalars, weighted_sum, with_row, with_row_selected
+from .._linalg import row, scalars, total, weighted_sum, with_row, with_row_selected
 from .._mechanics import Grasp
 from .._motion import (
     Anchor,
@@ -30,12 +30,14 @@ from .._motion import (
     Formulation,
     Index1,
     settle,
+    struck,
     unknown_anchor,
 )
 from .._types import Scalar
 from .._xla import as_it_is, once, sharing
+from ..loads import impulses
 from . import _jumps
-from ._events import coded, first_dip, regime, smallest_clearance, watched, with_clearance
+from ._events import coded, first_dip, refused_blow, regime, smallest_clearance, watched, with_clearance
 from ._methods import is_rosenbrock, on_tableau
 from ._rosenbrock import advance, samples_in_turn, side_by_side, STAGE_TIMES
 from ._state_vector import Bundle, Flow, Layout, pack, slope, unpack
@@ -77,11 +79,13 @@ class RollingStep(eqx.Module):
         self, bundle: Bundle, times: tuple[Array, Array], y0: Array, over: Callable[[Callable], Callable]
     ) -> tuple[Array, Array, Array]:
         """The same for lanes along the last axis; `over` maps a function of one lane's (bundle, ...)."""
-        if bundle.rest.jumps:
+        if bundle.rest.may_jump:
             y0 = over(self.moved)(bundle, *times, y0)
         # `raw` is the end as the method gives it, `rates` the derivative there, `end` the packed `Ending`.
         raw, rates, error, end, dip = self._way(bundle, *times, y0, over)
         y1 = over(self.finish)(bundle, raw, rates, end)
+        if impulses(bundle.rest.load):
+            y1 = jnp.concatenate([y1[:-2], jnp.where(y0[-1:] > 0, y0[-2:], y1[-2:])])
         if "penetration" in self.events:
             dip = jnp.minimum(dip, over(self._clearance_dip)(bundle, *times, y0, y1))
         # XLA would work both out again in everything that looks at them (see `_events`).
@@ -113,10 +117,22 @@ class RollingStep(eqx.Module):
         return self._rosenbrock if is_rosenbrock(self.method) else self._other
 
     def moved(self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow) -> Flow:
-        """The flow vector at a step's start, moved with the time of a declared jump (`_jumps`)."""
-        width = self.lay.width
-        x0 = _jumps.moved(bundle(), t0, t1, y0[:width], y0[width : 2 * width])
-        return jnp.concatenate([x0, y0[width:]])
+        """The flow vector at a step's start, moved with the time of a jump there, and struck (`_jumps`)."""
+        grasp, width = bundle(), self.lay.width
+        x0 = _jumps.moved(grasp, t0, t1, y0[:width], y0[width : 2 * width])
+        if not (blows := impulses(grasp.load)):
+            return jnp.concatenate([x0, y0[width:]])
+        acting = [(blow, jnp.where(_jumps.hits(t0, t1, blow.time), 1.0, 0.0)) for blow in blows]
+        leaves, work = unpack(self.lay, x0)
+        with sharing():
+            done = struck(grasp, leaves, acting)
+            hit = total([times for _, times in acting]) > 0
+            no, number = refused_blow(grasp, done, self.events)
+        after = pack(done.leaves, None if work is None else work + done.work)
+        x0 = jnp.where(hit & ~no, after, x0)
+        # A margin of minus infinity: what is refused is an impulse, no force.
+        end = jnp.stack([jnp.asarray(-jnp.inf, x0.dtype), number.astype(x0.dtype)])
+        return jnp.concatenate([x0, y0[width:-2], jnp.where(hit & no, end, y0[-2:])])
 
     def finish(self, bundle: Bundle, raw: Array, rates: Array, end: Array) -> Flow:
         """The flow vector at a step's end, back on the constraints."""

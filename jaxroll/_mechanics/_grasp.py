@@ -242,11 +242,12 @@ class Grasp(eqx.Module):
     @property
     def jumps(self) -> tuple[Any, ...]:
         """Times [s] that its controller and loads declare as jumps; arrays of one axis."""
-        return tuple(
-            part.jumps
-            for part in jax.tree.leaves((self.controller, self.load), is_leaf=_jumps)
-            if _jumps(part)
-        )
+        return tuple(part.jumps for part in _jumping(self) if part.jumps is not None)
+
+    @property
+    def may_jump(self) -> bool:
+        """Whether a part of it can declare jumps at all; known without its numbers."""
+        return bool(_jumping(self))
 
     def prepared(self) -> "Grasp":
         """This grasp with bodies and shapes ready for evaluation, their arrays split into scalars."""
@@ -295,9 +296,15 @@ class Grasp(eqx.Module):
         return self.with_(contacts=contacts)
 
 
-def _jumps(part: Any) -> bool:
+def _declares(part: Any) -> bool:
     """Whether a part of a controller or load declares jumps, its own and those of all that is in it."""
-    return isinstance(part, eqx.Module) and getattr(part, "jumps", None) is not None
+    kind = type(part)
+    return isinstance(part, eqx.Module) and ("jumps" in kind.__dataclass_fields__ or hasattr(kind, "jumps"))
+
+
+def _jumping(grasp: Grasp) -> list[Any]:
+    """The parts that declare jumps; told by their classes, for in a loop their numbers are elsewhere."""
+    return [p for p in jax.tree.leaves((grasp.controller, grasp.load), is_leaf=_declares) if _declares(p)]
 
 
 def tabled_grasp(grasp: Grasp) -> Grasp:

@@ -3,8 +3,9 @@
 `_linearisation` assembles the constraint Jacobian $A$ from all contacts and factorises $A M^{-1} A^T$,
 `_equations` solves for accelerations and contact forces, `_projection` returns a state to the constraints,
 `_formulation` holds the two ways of keeping them. `_equation_terms` gives the terms of the equations as
-arrays, `_quantities` residuals, contact forces and energies of given states. Bodies and contacts come from
-`_mechanics` and `contact`; `_integration` integrates the result.
+arrays, `_quantities` residuals, contact forces, torques, accelerations and energies of given states;
+`_impulse` has velocities that change at once. Bodies and contacts come from `_mechanics` and `contact`;
+`_integration` integrates the result.
 """
 
 from ._equation_terms import (
@@ -26,6 +27,7 @@ from ._formulation import (
     Formulation as Formulation,
     Index1 as Index1,
 )
+from ._impulse import Struck as Struck, struck as struck
 from ._linearisation import linearise as linearise
 from ._own_contacts import check_rolling as check_rolling
 from ._projection import (
@@ -38,6 +40,7 @@ from ._projection import (
     unknown_anchor as unknown_anchor,
 )
 from ._quantities import (
+    accelerations as accelerations,
     as_times as as_times,
     energies as energies,
     energies_at as energies_at,
@@ -53,5 +56,6 @@ from ._quantities import (
     residuals as residuals,
     residuals_at as residuals_at,
     split_forces as split_forces,
+    torques as torques,
     worst as worst,
 )

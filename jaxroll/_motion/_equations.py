@@ -16,7 +16,7 @@ from typing import Any
 import jax
 
 from .._linalg import factorise, plus, solve, times, Vec3
-from .._mechanics import Blocks, Grasp, Inertia, Leaves, Moving
+from .._mechanics import Blocks, Grasp, Inertia, Leaves, Moving, Wrench
 from .._types import Scalar, Scalars
 from .._xla import once
 from ..contact import Motion, Rows
@@ -122,24 +122,27 @@ def loaded(grasp: Grasp, t: Scalar, q: Scalars, motion: Motion) -> Scalars | Non
     """Generalised force $J^T w$ of all loads on the object; None where there are none."""
     if not grasp.load:
         return None
-    force, torque = wrench_on(grasp, t, q, motion)
-    arms = [unit.velocity.dot(force) for unit in motion.unit_twists]
-    if torque is None:
-        return tuple(arms)
-    turns = [inner_spin(unit.spin, torque) for unit in motion.unit_twists]
-    return tuple(map(plus, arms, turns))
+    wrench = wrench_on(grasp, t, q, motion)
+    return None if wrench is None else object_force(motion, wrench)
 
 
-def wrench_on(grasp: Grasp, t: Scalar, q: Scalars, motion: Motion) -> tuple[Any, Any | None]:
-    """Force [N] and torque [N m] of all loads about the object's origin, in world axes."""
+def wrench_on(grasp: Grasp, t: Scalar, q: Scalars, motion: Motion) -> Wrench | None:
+    """Force [N] and torque [N m] of all loads about the object's origin, in world axes; None without any."""
     # The orientation is the last of an object's positions: an angle, or a quaternion.
     orientation = q[3:] if grasp.spatial else q[-1:]
     return total_wrench(grasp.load, t, Moving(motion.pose, orientation, motion.twist))
 
 
-def inner_spin(spin: Any, torque: Any) -> Scalar:
-    """Product of a spin and a torque: of numbers in the plane, of vectors in space."""
-    return spin.dot(torque) if isinstance(spin, Vec3) else times(spin, torque)
+def object_force(motion: Motion, wrench: Wrench) -> Scalars:
+    """Generalised force of a wrench on the object: its power along each unit twist."""
+    force, torque = wrench
+    along = [unit.velocity.dot(force) for unit in motion.unit_twists]
+    if torque is None:
+        return tuple(along)
+    spins = [unit.spin for unit in motion.unit_twists]
+    # In the plane spin and torque are numbers.
+    turns = [w.dot(torque) if isinstance(w, Vec3) else times(w, torque) for w in spins]
+    return tuple(map(plus, along, turns))
 
 
 def net_force(inertia: Inertia, drive: Scalars | None) -> Scalars:

@@ -1,8 +1,9 @@
 """Residuals, contact forces and energies of states, in the chapter's definitions and signs.
 
-`residuals`, `multipliers` and `energies` are public and take one state or many. Those that end in `_at` take
-one state of a prepared grasp; `simulate` maps them over its saved states. Contact forces cost one more
-evaluation of the equations of motion. `power` is what a run integrates where energy is recorded.
+`residuals`, `multipliers`, `torques`, `accelerations` and `energies` are public and take one state or many.
+Those that end in `_at` take one state of a prepared grasp; `simulate` maps them over its saved states.
+Contact forces cost one more evaluation of the equations of motion. `power` is what a run integrates where
+energy is recorded.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._linalg import inner, plus, total, Vec3
-from .._mechanics import Blocks, compiled_for_many, Grasp, Inertia, Leaves, State, to_leaves
+from .._linalg import inner, plus, stacked, total, Vec3
+from .._mechanics import Blocks, compiled_for_many, Grasp, Inertia, join, Leaves, State, to_leaves
 from .._printing import listed
 from .._results import as_array
 from .._types import Scalar, Scalars
@@ -67,8 +68,10 @@ class Energy(eqx.Module):
 
     Attributes:
         kinetic: $K$ [J], (13), (71).
-        potential: Artificial and gravitational potential energy [J], (22).
-        work: Work of all else [J]: minus the dissipation with a built-in controller.
+        potential: Artificial and gravitational potential energy [J], (22). Of a controller with numbers that
+            change in time none is counted.
+        work: Work of all else [J]: of loads and blows, less the dissipation with a built-in controller; all
+            work of the joint torques with any other, and with numbers that change in time.
         residual: $(K + P - W) - (K + P)(t_0)$ [J]; zero in the exact motion.
     """
 
@@ -234,6 +237,70 @@ def _multipliers(
 ) -> Multipliers:
     ready, ts = grasp.prepared(), as_times(ts, states)
     return over_time(lambda state, t: multipliers_at(ready, t, state, formulation), states, ts)
+
+
+def torques(grasp: Grasp, ts: Float[Array, "..."], states: State) -> tuple[Array, ...]:
+    r"""Joint torques $u$ of the grasp's controller at one time and state, or along a leading time axis.
+
+    (16) of `control.Opposition` and (75) of `control.Press`; what a caller's own controller returns. At a
+    declared jump they are those after it. A sampled or filtered law is not held: this is what the law says
+    of this state at this time.
+
+    Returns:
+        One array per finger, shape (..., k) for its k joints [N m]; of a `Jaw` forces [N].
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> grasp, state = jxr.scenes.pinch()
+        >>> [u.shape for u in jxr.torques(grasp, 0.0, state)]
+        [(3,), (2,)]
+    """
+    return _torques(grasp, ts, states)
+
+
+@compiled_for_many
+def _torques(grasp: Grasp, ts: Float[Array, "..."], states: State) -> tuple[Array, ...]:
+    ready, ts = grasp.prepared(), as_times(ts, states)
+
+    def at(state: State, t: Scalar) -> tuple[Array, ...]:
+        leaves = to_leaves(state, ready.form)
+        motions, _ = bodies(ready, leaves)
+        each = as_controller(ready.controller).torques(t, sensed(ready, leaves, motions))
+        return tuple(stacked(us) for us in each)
+
+    return over_time(at, states, ts)
+
+
+def accelerations(
+    grasp: Grasp, ts: Float[Array, "..."], states: State, formulation: Formulation | None = None
+) -> Float[Array, "... n"]:
+    r"""Accelerations $\dot v$ of one state, or along a leading time axis: in the order of `State.v`.
+
+    From (1)-(3), (73)-(74) with the constraints differentiated twice, $A \dot v = -\dot A v$; the bodies'
+    velocities are in the coordinates of their classes (of a `FreeObject3` the spin in body axes).
+
+    Returns:
+        Shape (..., n) [m/s^2, rad/s^2].
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> grasp, state = jxr.scenes.pivoted()
+        >>> jxr.accelerations(grasp, 0.0, state).shape
+        (3,)
+    """
+    return _accelerations(grasp, ts, states, as_formulation(grasp, formulation))
+
+
+@compiled_for_many
+def _accelerations(
+    grasp: Grasp, ts: Float[Array, "..."], states: State, formulation: Formulation
+) -> Float[Array, "... n"]:
+    ready, ts = grasp.prepared(), as_times(ts, states)
+
+    def at(state: State, t: Scalar) -> Array:
+        return join(evaluate(ready, t, to_leaves(state, ready.form), formulation).rates.v)
+
+    return over_time(at, states, ts)
 
 
 @compiled_for_many

@@ -258,11 +258,11 @@ class Impulse(AbstractLoad):
 
     Example:
         >>> import jaxroll as jxr
-        >>> grasp, state = jxr.scenes.pinch()
-        >>> hit = grasp.with_(load=jxr.loads.Impulse((0.0, 1e-4), 0.5))
-        >>> run = jxr.simulate(hit, state, 1.0, record=("energy",))
-        >>> bool(abs(run.energy.residual).max() < 1e-9)
-        True
+        >>> ball, state = jxr.scenes.incline()  # 0.3 kg, at rest on a slope along x
+        >>> hit = ball.with_(load=jxr.loads.Impulse((0.0, 0.042, 0.0), 0.1))
+        >>> run = jxr.simulate(hit, state, 0.2)
+        >>> f"{run.last.v[1]:.2f} m/s"  # 5/7 of it goes into moving on
+        '0.10 m/s'
     """
 
     UNITS: ClassVar[dict[str, str]] = {"impulse": "N s", "time": "s", "angular": "N m s", "point": "m"}

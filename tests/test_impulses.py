@@ -1,0 +1,194 @@
+"""Velocities that change at once, against dense linear algebra, closed forms and runs in two pieces."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxroll as jxr
+from jaxroll.loads import Impulse
+from tests.oracles import reference_space as reference
+from tests.subjects.pinches_in_space import same_in_reference
+
+
+def dense_strike(M, A, v, p):
+    """v+ and the contact impulses: M (v+ - v) = p + A^T mu with A v+ = 0, as one linear system."""
+    n, m = len(v), len(A)
+    saddle = np.block([[M, -A.T], [A, np.zeros((m, m))]])
+    found = np.linalg.solve(saddle, np.concatenate([M @ v + p, np.zeros(m)]))
+    return found[:n], found[n:]
+
+
+@pytest.fixture(scope="module")
+def pinch():
+    return jxr.scenes.pinch()
+
+
+@pytest.fixture(scope="module")
+def pivoted():
+    return jxr.scenes.pivoted()
+
+
+# It turns the object of the pivoted scene against the fingertip, which presses all the more.
+BLOW = Impulse((0.0, 0.0), 0.3, angular=2e-5)
+
+
+def test_a_blow_in_the_plane_against_the_dense_equations(pinch):
+    grasp, state = pinch
+    moving = jxr.simulate(grasp, state, 0.05, ts=1).last
+    push, point, turn = np.array([1e-4, 2e-4]), np.array([0.004, 0.007]), 3e-7
+    hit = jxr.strike(grasp, moving, Impulse(push, 0.0, point=point, angular=turn), events=())
+    terms = jxr.equation_terms(grasp, moving)
+    theta = float(moving.q[2])
+    arm = np.array([[np.cos(theta), -np.sin(theta)], [np.sin(theta), np.cos(theta)]]) @ point
+    p = np.zeros(8)
+    p[:3] = *push, arm[0] * push[1] - arm[1] * push[0] + turn
+    # The rows of f and lambda stand on the left of (1)-(3): their impulses act with the other sign.
+    rows = np.concatenate([terms.normal, terms.tangential])
+    v, forces = dense_strike(np.asarray(terms.mass), rows, np.asarray(moving.v), p)
+    np.testing.assert_allclose(hit.state.v, v, rtol=1e-11, atol=1e-14)
+    found = np.concatenate([hit.multipliers.f, hit.multipliers.lam])
+    np.testing.assert_allclose(found, -forces, rtol=1e-10, atol=1e-16)
+    assert float(hit.work) == pytest.approx(p @ (v + np.asarray(moving.v)) / 2, rel=1e-11)
+    energy = [float(jxr.energies(grasp, s)[0]) for s in (moving, hit.state)]
+    assert energy[1] - energy[0] == pytest.approx(float(hit.work), rel=1e-10)
+
+
+def test_a_blow_in_space_against_the_dense_equations():
+    grasp, state = jxr.scenes.pinch3d()
+    moving = jxr.simulate(grasp, state, 0.05, ts=1).last
+    push, point, turn = (
+        np.array([1e-4, -2e-4, 3e-4]),
+        np.array([0.004, 0.007, -0.003]),
+        np.array([1, 2, -3]) * 1e-7,
+    )
+    blow = Impulse(push, 0.0, point=point, angular=turn)
+    hit = jxr.strike(grasp, moving, blow, events=())
+    q, v = np.asarray(moving.q), np.asarray(moving.v)
+    M, _, _, A, _, _ = reference.equations(same_in_reference(grasp), q, v)
+    R = reference.quaternion_matrix(q[3:7])
+    p = np.zeros(len(v))
+    p[:3], p[3:6] = push, R.T @ (np.cross(R @ point, push) + turn)  # spins are in body axes
+    after, _ = dense_strike(M, A, v, p)
+    np.testing.assert_allclose(hit.state.v, after, rtol=1e-9, atol=1e-12)
+    assert float(hit.work) == pytest.approx(p @ (after + v) / 2, rel=1e-9)
+
+
+def test_a_ball_that_is_hit_rolls_on_with_five_sevenths():
+    """P along the floor: v = P / (m + I/r^2), and the floor gives back 2/7 of it."""
+    grasp, state = jxr.scenes.incline(slope=0.0)
+    hit = jxr.strike(grasp, state, Impulse((0.021, 0.042, 0.0), 0.0))
+    np.testing.assert_allclose(
+        hit.state.v[:3], np.array([0.021, 0.042, 0.0]) * 5 / 7 / 0.3, rtol=1e-13, atol=1e-16
+    )
+    np.testing.assert_allclose(hit.multipliers.lam[0], [-0.006, -0.012, 0.0], rtol=1e-13, atol=1e-16)
+    assert bool(hit.result == jxr.RESULTS.successful)
+    rough = grasp.with_contacts(jxr.Contact3(friction=0.5))
+    hit_at = lambda *push, **more: jxr.strike(rough, state, Impulse(push, 0.0), **more)  # noqa: E731
+    # Along the floor there is no normal impulse for friction to work with; half downwards there is.
+    assert bool(hit_at(0.042, 0.0, 0.0).result == jxr.RESULTS.slipping)
+    assert bool(hit_at(0.042, 0.0, -0.042).result == jxr.RESULTS.successful)
+    assert bool(hit_at(0.042, 0.0, 0.0, events=()).result == jxr.RESULTS.successful)
+    up = hit_at(0.0, 0.0, 0.042)
+    assert bool(up.result == jxr.RESULTS.contact_lost)
+    assert float(up.multipliers.f[0]) == pytest.approx(-0.042)
+
+
+def test_gaps_that_close_are_brought_to_rest(pivoted):
+    """A blow of no size: the nearest velocities in the mass metric, and never more energy."""
+    grasp, state = pivoted
+    wild = jxr.State(state.q, jnp.array([3.0, -2.0, 1.0]), state.s)
+    after = jxr.strike(grasp, wild, Impulse((0.0, 0.0), 0.0), events=()).state
+    terms = jxr.equation_terms(grasp, state)
+    rows = np.concatenate([terms.normal, terms.tangential])
+    v, _ = dense_strike(np.asarray(terms.mass), rows, np.asarray(wild.v), np.zeros(3))
+    np.testing.assert_allclose(after.v, v, rtol=1e-12)
+    assert float(jxr.energies(grasp, after)[0]) < float(jxr.energies(grasp, wild)[0])
+
+
+def test_a_run_with_a_blow_is_two_runs(pivoted):
+    grasp, state = pivoted
+    hit = grasp.with_(load=BLOW)
+    run = jxr.simulate(hit, state, 0.6, ts=[0.1, 0.3, 0.6], rtol=1e-11, record=("energy",))
+    first = jxr.simulate(grasp, state, 0.3, ts=1, rtol=1e-11).last
+    struck = jxr.strike(grasp, first, BLOW)
+    assert bool(struck.result == jxr.RESULTS.successful) and float(struck.multipliers.f[0]) > 0
+    second = jxr.simulate(grasp, struck.state, 0.6, t0=0.3, ts=1, rtol=1e-11).last
+    np.testing.assert_allclose(run.states.v[1], struck.state.v, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(run.last.q, second.q, rtol=0, atol=1e-12)
+    assert abs(np.asarray(run.energy.residual)).max() < 1e-9 * float(run.energy.kinetic.max())
+    assert abs(np.asarray(run.residuals.normal)).max() < 1e-15
+    # At the start and at the end of a run it acts too; before it and after it, it does not.
+    begun = jxr.simulate(hit, first, 0.6, t0=0.3, ts=1, rtol=1e-11).last
+    np.testing.assert_allclose(begun.q, second.q, rtol=0, atol=1e-12)
+    ended = jxr.simulate(hit, state, 0.3, ts=1, rtol=1e-11)
+    np.testing.assert_allclose(ended.last.v, struck.state.v, rtol=1e-10, atol=1e-12)
+    assert float(ended.stats.t_end) == pytest.approx(0.3, abs=1e-15)
+    past = jxr.simulate(hit, struck.state, 0.6, t0=0.3001, ts=1, rtol=1e-11).last
+    plain = jxr.simulate(grasp, struck.state, 0.6, t0=0.3001, ts=1, rtol=1e-11).last
+    np.testing.assert_allclose(past.q, plain.q, rtol=0, atol=1e-14)
+
+
+def test_derivatives_of_a_blow(pivoted):
+    """In its time, size and place, in both modes, against differences; a batch is its runs."""
+    grasp, state = pivoted
+
+    def end(x):
+        blow = Impulse(x[1:3], x[0], angular=x[3], point=x[4:])
+        return jxr.simulate(grasp.with_(load=blow), state, 0.5, ts=1, rtol=1e-12, events=()).last.q
+
+    x = jnp.array([0.3, 1e-4, 2e-4, 2e-5, 0.003, 0.004])
+    steps = np.array([1e-5, 1e-6, 1e-6, 1e-7, 1e-5, 1e-5])
+    near = jnp.concatenate([x[None] + np.diag(steps), x[None] - np.diag(steps)])
+    many = jax.vmap(end)(near)
+    wanted = ((many[:6] - many[6:]) / (2 * steps[:, None])).T
+    forward, reverse = jax.jit(jax.jacfwd(end))(x), jax.jit(jax.jacrev(end))(x)
+    np.testing.assert_allclose(forward, reverse, rtol=1e-9, atol=1e-12)
+    scale = np.abs(wanted).max(axis=0)
+    assert (np.abs(forward - wanted).max(axis=0) <= 1e-7 * scale).all()
+    np.testing.assert_allclose(many[0], end(x.at[0].add(steps[0])), rtol=1e-11)
+
+
+def test_a_blow_that_contacts_cannot_answer_ends_the_run(pinch):
+    """With the state before it, to go on from; along the pinch a finger would have to pull."""
+    grasp, state = pinch
+    hit = grasp.with_(load=Impulse((1e-4, 0.0), 0.1))
+    run = jxr.simulate(hit, state, 0.2, throw=False)
+    assert bool(run.result == jxr.RESULTS.contact_lost)
+    assert float(run.stats.t_end) == pytest.approx(0.1, abs=1e-15)
+    before = jxr.simulate(grasp, state, 0.1, ts=1).last
+    np.testing.assert_allclose(run.last.v, before.v, rtol=0, atol=1e-6)
+    assert "no longer presses at t = 0.1 s" in str(run) and "inf" not in str(run)
+    held = jxr.simulate(hit, state, 0.2, ts=1, events=())
+    assert bool(held.result == jxr.RESULTS.successful)
+
+
+def test_blows_at_one_time_add_up(pivoted):
+    grasp, state = pivoted
+    halves = grasp.with_(load=[Impulse((0.0, 0.0), 0.3, angular=1e-5)] * 2)
+    ends = [jxr.simulate(g, state, 0.5, ts=1).last.q for g in (halves, grasp.with_(load=BLOW))]
+    np.testing.assert_allclose(*ends, rtol=0, atol=1e-13)
+
+
+def test_torques_and_accelerations_of_states(pivoted, pinch):
+    """(75) and (16) line by line, and M v' + h = u + A^T mu with the forces of `multipliers`."""
+    grasp, state = pivoted
+    run = jxr.simulate(grasp, state, 0.2, ts=3)
+    (u,) = jxr.torques(grasp, run.ts, run.states)
+    control, lengths = grasp.controller, np.asarray(grasp.fingers[0].lengths)
+    for i in range(3):
+        q, rate = np.asarray(run.states.q[i, 1:]), np.asarray(run.states.v[i, 1:])
+        along = np.cumsum(q)
+        links = lengths[:, None] * np.stack([np.cos(along), np.sin(along)], axis=1)
+        tip = np.asarray(grasp.fingers[0].base) + links.sum(axis=0)
+        arms = np.stack([links[j:].sum(axis=0) for j in range(2)])
+        jacobian = np.stack([-arms[:, 1], arms[:, 0]])
+        pull = float(control.force / control.radius) * (tip - np.asarray(control.target))
+        np.testing.assert_allclose(u[i], -float(control.damping) * rate - jacobian.T @ pull, rtol=1e-12)
+    grasp, state = pinch
+    moving = jxr.simulate(grasp, state, 0.05, ts=1).last
+    terms, forces = jxr.equation_terms(grasp, moving), jxr.multipliers(grasp, 0.0, moving)
+    drive = np.concatenate([np.zeros(3), *jxr.torques(grasp, 0.0, moving)])
+    left = terms.mass @ jxr.accelerations(grasp, 0.0, moving) + terms.bias
+    left = left + forces.f @ terms.normal + forces.lam @ terms.tangential
+    np.testing.assert_allclose(left, drive, rtol=0, atol=1e-12)

@@ -16,6 +16,7 @@ from .._mechanics import check_states, compiled, Grasp, split, State
 from .._motion import reach, world_poses
 from .._results import check_flag, concrete, shown
 from ..contact import Contact, Contact3, locate as locate_contours, locate_surfaces
+from ..geometry import as_it_is_resolved
 from ._implicit_derivative import settled
 from ._search import on_shapes
 
@@ -155,5 +156,5 @@ def _resting(grasp: Grasp, guess: State) -> bool:
 @compiled
 def _close(grasp: Grasp, guess: State, hold: bool, *, resting: bool) -> tuple[State, Array]:
     """The closed state and its constraint rows, compiled as one program."""
-    ready = grasp.prepared()
+    ready, _ = as_it_is_resolved(grasp.prepared())  # a run from there says if a table is too coarse
     return settled(ready, on_shapes(ready, guess), hold, resting=resting)

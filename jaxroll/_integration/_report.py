@@ -43,6 +43,7 @@ REMEDIES = {
     "penetration": "shapes that curve away from each other, or leave 'penetration' out of `events`",
     "not_finite": "look at the last state: a controller or a contour of your own gives NaN near there",
     "unreachable": "`jaxroll.close(grasp, state)` first",
+    "unresolved": "more `cells` for that contour, or points with less noise",
     "solver_failed": "another `solver`, or none: the default",
 }
 

@@ -38,6 +38,7 @@ from .._motion import (
 from .._results import check_flag, concrete, RESULTS
 from .._types import Given, Scalar
 from .._xla import in_turn, remembered, sharing
+from ..geometry import as_it_is_resolved
 from ._arguments import (
     as_numbers,
     check_choices,
@@ -189,7 +190,8 @@ def _run(
 ) -> tuple[Trajectory, Array]:
     """The program of a run: its trajectory, and how far the start is off the constraints [m or rad]."""
     check_precision(grasp, state)
-    ready, lay = grasp.prepared(), layout(grasp, "energy" in setup.record)
+    ready, unresolved = as_it_is_resolved(grasp.prepared())
+    lay = layout(grasp, "energy" in setup.record)
     y0 = vector_of(lay, state)
     stepper = RollingStep(setup.solver, formulation, lay, setup.events)
     given = Numbers(*map(jnp.asarray, numbers))
@@ -200,7 +202,11 @@ def _run(
     # `march` does not differentiate the plan. A derivative in a time or a gain would be zero without a word:
     # refuse it instead.
     plan = eqxi.nondifferentiable(plan, name="times, tolerances and gains of the formulation")
-    return _trajectory(ready, state, march(bundle(ready), y0, plan), plan, setup.record, given.ts)
+    trajectory, off = _trajectory(ready, state, march(bundle(ready), y0, plan), plan, setup.record, given.ts)
+    if unresolved is not None:
+        code = RESULTS.where(unresolved, RESULTS.unresolved, trajectory.result)
+        trajectory = eqx.tree_at(lambda run: run.result, trajectory, code)
+    return trajectory, off
 
 
 _run_plain = jax.jit(_run, static_argnames="setup")

@@ -3,6 +3,8 @@
 from typing import Any, ClassVar
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
@@ -43,7 +45,8 @@ class Trajectory(eqx.Module):
     """States at the saved times, with what is needed to judge them.
 
     Under `vmap` every leaf gains a leading axis, `result` included: one code per lane. Rows after
-    the end of a failed run hold NaN; `last` is the final state it reached in any case. Printed, it says how
+    the end of a failed run hold NaN; `last` is the final state it reached in any case, and `filled()` puts it
+    in their place, for losses. Printed, it says how
     the run went: where it ended early which contact ended it, when, by how much, and what helps.
 
     Attributes:
@@ -68,6 +71,41 @@ class Trajectory(eqx.Module):
     energy: Energy | None = None
     labels: Labels | None = eqx.field(static=True, default=None)
 
+    def filled(self) -> "Trajectory":
+        r"""The same run with finite rows after an early end, for losses that an optimiser follows.
+
+        States that the run did not reach are its `last` one; residuals, forces and energies those of the last
+        row that it reached, zero if it reached none. All of it is differentiable: a run that stands still
+        from $t_{end}$ on, where `last` and `stats.t_end` move with what is differentiated. A loss of filled
+        rows alone may reward an early end; $t_1 - t_{end}$ beside it, times a weight, makes runs last.
+
+        Example:
+            >>> import jax
+            >>> import jax.numpy as jnp
+            >>> import jaxroll as jxr
+            >>> grasp, state = jxr.scenes.pinch_ellipse()
+            >>> def loss(beta):
+            ...     run = jxr.simulate(grasp.with_(beta=beta), state, 1.0, throw=False)
+            ...     return jnp.mean(run.filled().states.q ** 2) + (1.0 - run.stats.t_end)
+            >>> bool(jnp.isfinite(jax.grad(loss)(-20.0)))  # it lets go at once
+            True
+        """
+        reached = jnp.all(jnp.isfinite(self.states.q), axis=-1)
+        # Lanes of a batch come before the axis of times.
+        count = jnp.sum(reached, axis=-1)
+        states = jax.tree.map(lambda rows, end: _filled(reached, rows, end), self.states, self.last)
+
+        def held(rows: Array) -> Array:
+            axis = reached.ndim - 1
+            at = jnp.expand_dims(jnp.maximum(count - 1, 0), range(axis, rows.ndim))
+            end = jnp.take_along_axis(rows, at, axis=axis).squeeze(axis)
+            some = (count > 0).reshape(*count.shape, *(1,) * (end.ndim - count.ndim))
+            return _filled(reached, rows, jnp.where(some, end, 0.0))
+
+        seen = jax.tree.map(held, (self.residuals, self.multipliers, self.energy))
+        parts = lambda run: (run.states, run.residuals, run.multipliers, run.energy)  # noqa: E731
+        return eqx.tree_at(parts, self, (states, *seen), is_leaf=lambda x: x is None)
+
     def __str__(self) -> str:
         if concrete(self.stats.steps) is None:
             return "Trajectory (being traced)"
@@ -76,6 +114,13 @@ class Trajectory(eqx.Module):
     def __repr__(self) -> str:
         shape = getattr(getattr(self.states, "q", None), "shape", ())
         return f"Trajectory({code_name(self.result)}; {' x '.join(map(str, shape[:-1])) or 'no'} states)"
+
+
+def _filled(reached: Array, rows: Array, end: Array) -> Array:
+    """Rows along time, the ones not reached replaced by `end`; lanes may come before."""
+    axis = reached.ndim - 1
+    mask = reached.reshape(*reached.shape, *(1,) * (rows.ndim - reached.ndim))
+    return jnp.where(mask, rows, jnp.expand_dims(end, axis))
 
 
 def check_one_run(name: str, run: Any) -> None:

@@ -17,6 +17,7 @@ from .contours import (
     AbstractSupport as AbstractSupport,
     AbstractTabulated as AbstractTabulated,
     ArclengthTable as ArclengthTable,
+    as_it_is_resolved as as_it_is_resolved,
     Catenary as Catenary,
     Circle as Circle,
     Ellipse as Ellipse,

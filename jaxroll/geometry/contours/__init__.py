@@ -36,6 +36,7 @@ from ._spline import (
 from ._support import AbstractSupport as AbstractSupport, SupportFunction as SupportFunction
 from ._table import (
     AbstractTabulated as AbstractTabulated,
+    as_it_is_resolved as as_it_is_resolved,
     from_frames as from_frames,
     Table as Table,
     TableError as TableError,

@@ -27,7 +27,9 @@ from ._given_points import polygon_area
 from ._table import AbstractTabulated, FEWEST_CELLS, Table, tabulated
 
 # Exponents b of the curvature in the successive parameters, whose rate is about kappa^b: arclength (b = 0)
-# twice, since chords of uneven length spoil the first fit's curvature, then nearly affine arclength.
+# twice, since chords of uneven length spoil the first fit's curvature, then nearly affine arclength. An open
+# contour stays with arclength: nothing holds its end pieces from beyond. In a parameter that follows the
+# curvature, 20 um of noise on points 3 mm apart bent them to 40 000 1/m, in arclength to 180.
 _BENDS = (0.0, 0.0, 1.0 / 3.0)
 # Curvature, as a share of that of a disc as long, below which a contour counts as straight in that parameter.
 # Without it the parameter would stand still along straight lines.
@@ -42,10 +44,11 @@ class Spline(AbstractTabulated):
     r"""A spline through ordered points, or near them, parametrised by arclength.
 
     Interpolating (`smoothing` = 0), it passes through every point. Its parameter is first the chord length,
-    then the arclength of that fit, and last $\int (\kappa^2 + 0.01\,\bar\kappa^2)^{1/6} ds$, nearly the
-    affine arclength: knots gather where the contour bends, and a conic is trigonometric. Smoothing, it
-    minimises $\frac1n\sum_i |P(u_i) - p_i|^2 + \frac{1}{L} (\ell/2\pi)^6 \int |P'''|^2 du$ over arclength,
-    which halves a wiggle of wavelength $\ell$ = `smoothing` and leaves longer ones.
+    then the arclength of that fit, and last, if it is closed,
+    $\int (\kappa^2 + 0.01\,\bar\kappa^2)^{1/6} ds$, nearly the affine arclength: knots gather where the
+    contour bends, and a conic is trigonometric. Smoothing, it minimises
+    $\frac1n\sum_i |P(u_i) - p_i|^2 + \frac{1}{L} (\ell/2\pi)^6 \int |P'''|^2 du$ over arclength, which halves
+    a wiggle of wavelength $\ell$ = `smoothing` and leaves longer ones.
 
     Everything is differentiable with respect to `points`. The frame is read from a table over arclength
     (`table_error` bounds its error), built once per solve: `prepared()` builds it ahead of many.
@@ -117,7 +120,7 @@ class Spline(AbstractTabulated):
 
     def fitted(self) -> tuple[Pieces, Array]:
         """The spline over its own parameter, and the parameters of the data (closed: and the first again)."""
-        bends = _BENDS if self._interpolates else (0.0, 0.0)
+        bends = _BENDS if self._interpolates and self.loop else (0.0, 0.0)
 
         # With `checkpoint`, reverse mode evaluates a round again instead of storing its intermediate values;
         # storing them takes longer to compile. Within a scan `prevent_cse` is not needed.

@@ -7,10 +7,13 @@ a spline as for a network. Fields (`_spline`, `_support`, `_parametric`, `_neura
 frames by arclength).
 
 The polynomials' speed is one only up to the table's error. A table whose speed is too far from one gets a
-length of NaN, which works while JAX traces it too; where it is concrete, `tabled` raises.
+length of NaN, which works while JAX traces it too; where it is concrete, `tabled` raises. `simulate` and
+`close` read such a table all the same, and the run's code says so (`as_it_is_resolved`): an optimiser that
+went too far gets finite numbers, with which it can turn back.
 """
 
 import abc
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -40,13 +43,15 @@ class Table(eqx.Module):
 
     Attributes:
         coefficients: Shape (cells, 12): of x, then of y [m], rising powers of the position in the cell.
-        length: Total arclength [m].
+        length: Total arclength [m]; NaN where the cells do not resolve the contour.
+        span: The same, a number even there.
         start: Arclength at the first cell's beginning [m].
         closed: Whether the last cell joins the first.
     """
 
     coefficients: Float[Array, "cells 12"]
     length: Float[Array, ""]
+    span: Float[Array, ""]
     start: Float[Array, ""]
     closed: bool = eqx.field(static=True)
 
@@ -117,8 +122,30 @@ def from_frames(
     coefficients = jnp.concatenate([rows[:, 0], rows[:, 1]], axis=-1)
     # The check is a mask and not a branch, since `from_frames` is traced; it must not enter derivatives.
     seen, size = jax.lax.stop_gradient((coefficients, length))
-    length = jnp.where(_unevenness(seen, size) <= _UNEVEN, length, jnp.nan)
-    return Table(coefficients, length, jnp.zeros_like(length), closed)
+    told = jnp.where(_unevenness(seen, size) <= _UNEVEN, length, jnp.nan)
+    return Table(coefficients, told, length, jnp.zeros_like(length), closed)
+
+
+def as_it_is_resolved(tree: Any) -> tuple[Any, Array | None]:
+    """A pytree whose tables can all be read, and whether one of them does not resolve its contour.
+
+    Where one does not, what is read of it is as far off as its speed is from one, and its length is its span:
+    finite numbers with finite derivatives, for a run that says so by its code. None without tables.
+    """
+    is_table = lambda x: isinstance(x, Table)  # noqa: E731
+    tables = [leaf for leaf in jax.tree.leaves(tree, is_leaf=is_table) if is_table(leaf)]
+    if not tables:
+        return tree, None
+    unresolved = functools.reduce(jnp.logical_or, [jnp.isnan(table.length) for table in tables])
+
+    def readable(leaf: Any) -> Any:
+        if not is_table(leaf):
+            return leaf
+        return eqx.tree_at(
+            lambda t: t.length, leaf, jnp.where(jnp.isnan(leaf.length), leaf.span, leaf.length)
+        )
+
+    return jax.tree.map(readable, tree, is_leaf=is_table), unresolved
 
 
 def _unevenness(coefficients: Any, length: Any) -> Any:

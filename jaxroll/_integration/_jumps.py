@@ -85,7 +85,7 @@ def lateness(grasp: Grasp, t: Scalar) -> Scalar:
     return late / jnp.maximum(count, 1.0)
 
 
-def moved(grasp: Grasp, t0: Scalar, t1: Scalar, x: Array, rates: Array) -> Array:
+def moved(grasp: Grasp, t0: Scalar, t1: Scalar, x: Array, *, rates: Array) -> Array:
     """The vector x at the start of a step, moved with the time of a jump if the step is one of the two there.
 
     `rates` is its time derivative as the flow vector carries it: before the jump for the second of the three

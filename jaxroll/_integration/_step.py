@@ -115,7 +115,7 @@ class RollingStep(eqx.Module):
     def moved(self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow) -> Flow:
         """The flow vector at a step's start, moved with the time of a declared jump (`_jumps`)."""
         width = self.lay.width
-        x0 = _jumps.moved(bundle(), t0, t1, y0[:width], y0[width : 2 * width])
+        x0 = _jumps.moved(bundle(), t0, t1, y0[:width], rates=y0[width : 2 * width])
         return jnp.concatenate([x0, y0[width:]])
 
     def finish(self, bundle: Bundle, raw: Array, rates: Array, end: Array) -> Flow:

@@ -162,7 +162,7 @@ class Grasp(eqx.Module):
         wanted = (self._axes,), (len(self.bodies), self._axes)
         if self.gravity is not None and self.gravity.shape not in wanted:
             raise ValueError(
-                f"argument gravity must have shape {wanted[0]} or {wanted[1]}, "
+                f"argument gravity must have shape ({self._axes}) or {wanted[1]}, "
                 f"but had shape {self.gravity.shape}"
             )
         for load in self.load:

@@ -48,10 +48,13 @@ def beside(jumps: Array | None, t: Array, way: float) -> Array:
     """Times, but those at a jump just after it (`way` is 1) or just before it (-1)."""
     if jumps is None:
         return t
-    t, at = jnp.asarray(t), jnp.where(jnp.isfinite(jumps), jumps, 0.0)
-    near = (jnp.abs(t[..., None] - at) <= grain(at)) & jnp.isfinite(jumps)
-    moved = jnp.max(jnp.where(near, at + way * grain(at), -jnp.inf), axis=-1)
-    return jnp.where(jnp.any(near, axis=-1), moved, t)
+    at = jnp.where(jnp.isfinite(jumps), jumps, 0.0)
+
+    def one(t: Scalar) -> Scalar:
+        near = (jnp.abs(t - at) <= grain(at)) & jnp.isfinite(jumps)
+        return jnp.where(jnp.any(near), jnp.max(jnp.where(near, at + way * grain(at), -jnp.inf)), t)
+
+    return jnp.vectorize(one)(t)
 
 
 def stop(jumps: Array, passed: Scalar, t: Scalar) -> Scalar:

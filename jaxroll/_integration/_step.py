@@ -77,7 +77,7 @@ class RollingStep(eqx.Module):
         self, bundle: Bundle, times: tuple[Array, Array], y0: Array, over: Callable[[Callable], Callable]
     ) -> tuple[Array, Array, Array]:
         """The same for lanes along the last axis; `over` maps a function of one lane's (bundle, ...)."""
-        if bundle.rest.jumps:
+        if bundle.jumps:
             y0 = over(self.moved)(bundle, *times, y0)
         # `raw` is the end as the method gives it, `rates` the derivative there, `end` the packed `Ending`.
         raw, rates, error, end, dip = self._way(bundle, *times, y0, over)

@@ -241,12 +241,10 @@ class Grasp(eqx.Module):
 
     @property
     def jumps(self) -> tuple[Any, ...]:
-        """Times [s] that its controller and loads declare as jumps; arrays of one axis."""
-        return tuple(
-            part.jumps
-            for part in jax.tree.leaves((self.controller, self.load), is_leaf=_jumps)
-            if _jumps(part)
-        )
+        """Times [s] that its controller and loads declare as jumps; arrays of one axis, none empty."""
+        parts = jax.tree.leaves((self.controller, self.load), is_leaf=_jumps)
+        declared = [as_array("jumps", part.jumps) for part in parts if _jumps(part)]
+        return tuple(times.ravel() for times in declared if times.size)
 
     def prepared(self) -> "Grasp":
         """This grasp with bodies and shapes ready for evaluation, their arrays split into scalars."""

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import jaxroll as jxr
+from jaxroll._linalg import Vec2
 from jaxroll._mechanics import to_leaves
 from jaxroll._motion import bodies
 from jaxroll._motion._equations import sensed
@@ -147,6 +148,11 @@ def test_derivatives_in_the_time_of_a_step_and_of_a_ramp_that_begins_with_it(sce
     onesided = (11 * earlier[0] - 18 * earlier[1] + 9 * earlier[2] - 2 * earlier[3]) / 6e-4
     np.testing.assert_allclose(forward[0], onesided, rtol=0, atol=1e-6 * np.abs(onesided).max())
     assert np.abs(forward[0][:count]).max() <= 1e-12 < np.abs(forward[0][count : 2 * count]).max()
+    # At the start it is that of a jump a little later.
+    later = [at(jnp.asarray(n * 1e-3))[-1] for n in range(5)]
+    onesided = (-25 * later[0] + 48 * later[1] - 36 * later[2] + 16 * later[3] - 3 * later[4]) / 12e-3
+    found = jax.jacfwd(at)(jnp.zeros(()))[-1]
+    np.testing.assert_allclose(found, onesided, rtol=0, atol=1e-6 * np.abs(onesided).max())
 
 
 @pytest.mark.slow
@@ -220,6 +226,21 @@ def test_numbers_that_change_keep_the_energy_balance(scene):
     assert float(at.controller.force) == AFTER and float(at.controller.damping) != 0.006
     with pytest.raises(ValueError, match="argument controller must have numbers as force and radius"):
         _ = changed.controller.stiffness
+
+
+def test_a_potential_of_numbers_that_change_is_none(scene):
+    """Each of them by itself; damping is in no potential."""
+    tips = [Vec2(*jnp.array(place)) for place in ((0.1, 0.2), (0.3, 0.1))]
+    press, angles = scene[0].controller, [(0.3,), (0.4,)]
+    pair = Opposition(20.0, 0.006, 0.001, start=(0.1, 0.2))
+    for control, names in ((press, ("force", "radius", "target")), (pair, ("beta", "alpha", "start"))):
+        kept = float(control.potential(tips, angles))
+        assert kept > 0.0
+        for name in (*names, "damping"):
+            number = getattr(control, name)
+            own = eqx.tree_at(lambda c: getattr(c, name), control, Declared(lambda t: number, []))  # noqa: B023
+            assert float(own.potential(tips, angles)) == (kept if name == "damping" else 0.0)
+            assert float(own.at(0.3).potential(tips, angles)) == kept
 
 
 class Own(eqx.Module):

@@ -178,7 +178,7 @@ def test_derivatives_with_rosenbrocks_method(scene):
     np.testing.assert_allclose(end(jnp.asarray(JUMP)), flow(stepped(scene, JUMP).last), rtol=0, atol=1e-6)
     wanted = differences(lambda time: saved(scene, time)[-1], JUMP)
     for found in (jax.jacfwd(end)(JUMP), jax.jacrev(end)(JUMP)):
-        assert np.abs(found - wanted).max() <= 1e-5 * np.abs(wanted).max()
+        assert np.abs(found - wanted).max() <= 1e-7 * np.abs(wanted).max()
 
 
 def test_a_jump_that_ends_a_run_ends_it_at_its_time(scene):

@@ -275,7 +275,8 @@ class Opposition(AbstractController):
 
     def check(self, fingers: int, axes: int) -> None:
         del axes
-        if not 2 <= fingers == (count := _shape_of(self.start)[-1]):
+        count = _shape_of(self.start)[-1]
+        if not 2 <= fingers == count:
             raise ValueError(
                 f"argument start must have one angle for each of two fingers or more, but had "
                 f"{count} for {fingers}"

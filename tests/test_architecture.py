@@ -362,7 +362,8 @@ PUBLIC = {
     "FreeObject", "Grasp", "Index1", "Jaw", "Line", "NeuralCurvature", "NeuralSupport", "Parametric",
     "PivotedObject", "RESULTS",
     "Spline", "State", "SupportFunction", "Trajectory", "close", "contact", "contact_geometry",
-    "control", "design", "energies", "equation_terms", "fit_contour", "geometry", "io", "multipliers",
+    "commands", "control", "design", "energies", "equation_terms", "fit_contour", "geometry", "io", "loads",
+    "multipliers",
     "pinch_balance", "plotting", "press_balance",
     "residuals", "scenes", "simulate", "stability", "sweep", "vector_field",
 }  # fmt: skip

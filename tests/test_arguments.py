@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import jaxroll as jxr
-from jaxroll import control, design, stability
+from jaxroll import commands, control, design, loads, stability
 from jaxroll._mechanics import AbstractController
 from jaxroll.control import Sensed, UserController
 from jaxroll.design._limits import sampled
@@ -77,6 +77,7 @@ BAD = {
 }
 ONE_NUMBER = {"number": 0.5}
 NOT_POSITIVE = {"zero": 0.0, "negative": -1e-3}
+AXES = {"of one axis": (0.1,), "of four": (0, 0, 0, 0)}
 
 
 def functions_of(count):
@@ -146,8 +147,9 @@ CLASSES = {
     ),
     jxr.Grasp: (
         {"object": BODY, "fingers": [FINGER], "contacts": [jxr.Contact()], "controller": PLANE.controller}
-        | {"gravity": (0, -9.81)},
-        {"fingers": {"finger"}, "controller": {"nothing"}, "gravity": {"nothing"}},
+        | {"gravity": (0, -9.81), "load": loads.Drag(0.1)},
+        {"fingers": {"finger"}, "controller": {"nothing"}, "gravity": {"nothing"}}
+        | {"load": {"nothing", "empty"}},
         {
             "object": {"of space": BALL3},
             "fingers": {"of space": [FINGER3], "one of space": [FINGER, FINGER3]},
@@ -165,7 +167,15 @@ CLASSES = {
                 "of space": control.Press(1.0, 1.0, 1.0, target=(0, 0, 0)),
                 "number": 1.0,
             },
-            "gravity": ONE_NUMBER | {"of space": (0, 0, -9.81)},
+            "gravity": ONE_NUMBER | {"of space": (0, 0, -9.81), "of three": np.zeros((3, 2))},
+            "load": ONE_NUMBER
+            | {
+                "class": loads.Drag,
+                "of two": functions_of(2),
+                "of space": loads.Push((0, 0, 1), 0.1, 0.1),
+                "one of two": [loads.Drag(0.1), functions_of(2)],
+                "at a point of space": loads.Spring(1.0, (0, 0), point=(0, 0, 0)),
+            },
         },
     ),
     jxr.State: (
@@ -197,16 +207,48 @@ CLASSES = {
     control.Press: (
         {"force": 0.5, "radius": 0.01, "damping": 0.006, "target": (0, 0.1)},
         {},
-        {"radius": NOT_POSITIVE, "target": {"of one axis": (0.1,), "of four": (0, 0, 0, 0)}},
+        {
+            "force": {"of two": functions_of(2), "returns two": lambda t: (t, t)},
+            "radius": NOT_POSITIVE | {"returns text": lambda t: "wide"},
+            "damping": {"returns nothing": lambda t: None},
+            "target": {"of one axis": (0.1,), "of four": (0, 0, 0, 0), "returns one": lambda t: t},
+        },
     ),
     control.Opposition: (
         OPPOSITION,
         {},
         {
-            "start": {"one": (1.5,)},
-            "damping": {"three": (1, 2, 3)},
-            "alpha": {"three": (1, 2, 3)},
+            "beta": {"of two": functions_of(2), "returns two": lambda t: (t, t)},
+            "start": {"one": (1.5,), "returns one": lambda t: t},
+            "damping": {"three": (1, 2, 3), "returns a flag": lambda t: t > 0},
+            "alpha": {"three": (1, 2, 3), "returns rows": lambda t: ((t, t), (t, t))},
         },
+    ),
+    loads.Push: (
+        {"force": (0.2, 0), "start": 0.1, "duration": 0.05, "point": (0, 0.01)},
+        {"point": {"nothing"}},
+        {"duration": NOT_POSITIVE, "force": AXES, "point": AXES},
+    ),
+    loads.Drag: ({"linear": 0.1, "angular": 1e-5}, {}, {}),
+    loads.Spring: (
+        {"stiffness": 20.0, "anchor": (0, 0.1), "point": (0, 0.01), "length": 0.05, "damping": 0.1},
+        {"point": {"nothing"}, "length": {"nothing"}},
+        {"anchor": AXES, "point": AXES, "length": NOT_POSITIVE},
+    ),
+    commands.Steps: (
+        {"times": [0.5], "values": [0.5, 0.8]},
+        {},
+        {"times": {"falling": [0.5, 0.4], "twice": [0.5, 0.5]}, "values": {"three": (1, 2, 3)} | ONE_NUMBER},
+    ),
+    commands.Ramps: (
+        {"times": [0.0, 1.0], "values": [0.5, 0.8]},
+        {},
+        {"times": {"falling": [0.5, 0.4], "twice": [0.5, 0.5]}, "values": {"three": (1, 2, 3)} | ONE_NUMBER},
+    ),
+    commands.Declared: (
+        {"function": functions_of(1), "jumps": [0.1, 0.2]},
+        {"jumps": {"empty"}},
+        {"function": {"of two": functions_of(2)}, "jumps": ONE_NUMBER},
     ),
     design.Margin: ({}, {}, {}),
     design.Limits: (
@@ -255,6 +297,7 @@ CLASSES = {
 }
 # Classes that the package makes and hands back, and what callers subclass.
 MADE = {
+    *("Pose", "Twist", "Moving", "UserLoad"),
     *("Tip", "Sensed", "UserController", "Touch", "Touch3", "Motion"),
     *("Location", "LocalMinima", "SurfaceLocation", "SurfaceMinima"),
     *("Equilibrium", "PinchStatics", "Stability", "VERDICTS", "Design"),
@@ -262,7 +305,9 @@ MADE = {
 HOMES = (
     "jaxroll._mechanics",
     "jaxroll._motion._equation_terms",
+    "jaxroll.commands",
     "jaxroll.control",
+    "jaxroll.loads",
     "jaxroll.contact",
     "jaxroll.stability",
     "jaxroll.design",
@@ -271,7 +316,7 @@ HOMES = (
 
 def public(kind):
     """Public classes or functions of these modules, by name."""
-    spaces = (jxr, jxr.control, jxr.contact, jxr.stability, jxr.design)
+    spaces = (jxr, commands, control, loads, jxr.contact, stability, design)
     names = [(space, name) for space in spaces for name in getattr(space, "__all__", vars(space))]
     given = {name: getattr(space, name) for space, name in names if not name.startswith("_")}
     mine = {
@@ -356,9 +401,11 @@ def test_no_public_function_takes_options_without_names():
     found = set()
     for space in (
         jxr,
+        commands,
         jxr.contact,
         control,
         design,
+        loads,
         jxr.geometry,
         jxr.io,
         jxr.plotting,
@@ -639,6 +686,7 @@ FUNCTIONS = {
 INNER = {
     *("clearance", "gap", "gap_bias", "gap_rate", "pfaffian", "rolling_rate", "tangency", "tangency3"),
     *("sense", "joint_angles", "as_controller", "as_drive", "check_states", "split"),
+    *("as_load", "total_wrench"),
 }
 # Searches for the closest points of two shapes have tests of their own.
 SEARCHES = {"locate", "locate_surfaces"}

@@ -80,7 +80,7 @@ BAD = {
     ),
     "gravity": (
         lambda: jxr.Grasp(BODY, finger(), jxr.Contact(), gravity=9.81),
-        r"argument gravity must have shape \(2\), but had shape \(\)",
+        r"argument gravity must have shape \(2\) or \(2, 2\), but had shape \(\)",
     ),
     "CSM gain": (lambda: jxr.CSM(gamma_f=-1.0), "argument gamma_f must be positive, but was -1"),
 }

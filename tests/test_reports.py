@@ -207,7 +207,8 @@ def test_codes_print_their_names_everywhere(codes):
 
 def records():
     """Every class of the package that holds results as fields, but for the internal ones."""
-    public = [jxr, jxr.contact, jxr.control, jxr.design, jxr.stability, _analysis, _mechanics, _motion]
+    public = [jxr, jxr.commands, jxr.contact, jxr.control, jxr.design, jxr.loads, jxr.stability]
+    public += [_analysis, _mechanics, _motion]
     found = {jxr.State, Stats, Multipliers, Residuals, jxr.stability.Stability}
     for module in public:
         for value in [getattr(module, name) for name in dir(module) if not name.startswith("_")]:

@@ -64,7 +64,7 @@ def _made(kind: str, valid: Callable[[], Any], *also: str) -> Argument:
 
 _POSITIVE = """
     radius mass inertia length major minor size ahead flat steepness width height depth period bore tube pixel
-    speed fps tolerance rtol gamma_f omega_f gamma_lambda omega_lambda step band
+    speed fps tolerance rtol gamma_f omega_f gamma_lambda omega_lambda step band duration
 """
 _COUNTS = """
     cells samples candidates knots degree steps frames count harmonics finger contour surface
@@ -84,7 +84,9 @@ PARAMETERS: dict[str, Argument] = {
     "atol": _is("positive", 1e-8),
     "azimuth": _is("number", 10.0),
     "alpha": _is("not negative", 1e-3),
+    "anchor": _is("array", (0.0, 0.1), "three numbers"),
     "angle": _is("number", 0.3),
+    "angular": _is("number", 1e-5),
     "ax": _is("part", None),
     "axes": _is("array", (0.2, 0.03, 0.02)),
     "axis": _is("array", (0.0, 0.0, 1.0)),
@@ -121,11 +123,14 @@ PARAMETERS: dict[str, Argument] = {
     "inclination": _is("number", 1.2),
     "inertias": _is("array", (1e-5, 1e-5)),
     "interval": _is("array", (-0.005, 0.005)),
+    "jumps": _is("array", (0.1, 0.2), *_VECTORS, "empty list", "empty tuple"),
     "key": _made("part", lambda: jax.random.key(0), "key"),
     "lengths": _is("array", (0.065, 0.065)),
     "limits": _made("part", jxr.design.Limits),
     "line": _is("flag", False),
+    "linear": _is("number", 0.1),
     "links": _is("flag", True),
+    "load": _is("function", None, "empty list", "empty tuple"),
     "locate": _is("flag", False),
     "lowered": _is("number", 0.01),
     "masses": _is("array", (0.045, 0.04)),
@@ -163,6 +168,7 @@ PARAMETERS: dict[str, Argument] = {
     "stepsize_controller": _is("part", None),
     "start": _is("array", (1.5, 1.7), *_VECTORS),
     "state": _made("state", lambda: planar()[1]),
+    "stiffness": _is("number", 20.0),
     # Of a time that a run did not reach the states are NaN, and so is what is worked out of them.
     "states": _made("state", lambda: planar()[1], "NaN in it", "NaN in all of it", "one axis more in all"),
     "surfaces": _made("surface", lambda: jxr.Sphere(0.02)),
@@ -182,9 +188,16 @@ PARAMETERS: dict[str, Argument] = {
     "t1": _is("positive", 0.02),
     "turn": _is("number", 10.0),
     "unit": _is("choice", "mm"),
+    "values": _is("array", (0.5, 0.8), "three axes"),
     "view": _made("part", lambda: None),
     "which": _is("count", 0, "whole zero"),
 }
+
+
+def _constant(t: Any) -> float:
+    """A function of time."""
+    del t
+    return 0.5
 
 
 def _family(names: str, **changed: Argument) -> dict[str, dict[str, Argument]]:
@@ -306,8 +319,32 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         "samples": _is("count", 32),
     },
     "Limits": {"flat": _NO_FLAT},
-    "Press": {"radius": _is("positive", 0.01)},
-    "Opposition": {"damping": _EACH_OF_SOME, "alpha": _EACH_OF_SOME},
+    # Numbers of controllers may be functions of time.
+    "Press": {
+        "force": _is("number", 0.5, "function"),
+        "radius": _is("positive", 0.01, "function"),
+        "damping": _is("not negative", 0.006, "function"),
+        "target": _is("array", (0.0, 0.1), "two numbers", "three numbers", "function"),
+    },
+    "Opposition": {
+        "beta": _is("not negative", 20.0, "function"),
+        "damping": dataclasses.replace(_EACH_OF_SOME, also=_EACH_OF_SOME.also | {"function"}),
+        "alpha": dataclasses.replace(_EACH_OF_SOME, also=_EACH_OF_SOME.also | {"function"}),
+        "start": _is("array", (1.5, 1.7), *_VECTORS, "function"),
+    },
+    "with_": {"damping": _is("not negative", 0.006, "function")},
+    "Push": {
+        "force": _is("array", (0.2, 0.0), "three numbers"),
+        "start": _is("number", 0.1),
+        "point": _is("array", (0.0, 0.01), "three numbers"),
+    },
+    "Spring": {
+        "point": _is("array", (0.0, 0.01), "three numbers"),
+        "damping": _is("number", 0.1),
+    },
+    "Steps": {"times": _is("array", (0.5,))},
+    "Ramps": {"times": _is("array", (0.0, 1.0))},
+    "Declared": {"function": _made("function", lambda: _constant)},
     "ClosedLoop": {
         "make": _made("function", lambda: lifted),
         "objective": _is("function", {"overshoot": 1.0}),

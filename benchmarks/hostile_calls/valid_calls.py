@@ -15,7 +15,10 @@ import jaxroll as jxr
 from benchmarks.hostile_calls.arguments import Argument, EXCEPTIONS, PARAMETERS
 from benchmarks.hostile_calls.values import planar
 
-MODULES = ("contact", "control", "design", "geometry", "io", "plotting", "scenes", "stability")
+MODULES = ("commands", "contact", "control", "design", "geometry", "io", "loads", "plotting", "scenes")
+MODULES += ("stability",)
+# Of one file: what it imports is not its own.
+_OF_ONE_FILE = ("commands", "control", "loads")
 
 # Not called by users at all, or not called with arguments.
 ABSTRACT = {"AbstractContour", "AbstractSurface", "AbstractContact", "AbstractController", "AbstractGoal"}
@@ -37,13 +40,13 @@ RECORDS |= {
 }
 RECORDS |= {"Principal", "NetworkFit", "CleanPoints", "Jet", "SurfaceFit", "SurfaceReport", "Level", "Table"}
 RECORDS |= {"Vec2", "Vec3", "Sym3", "VectorField"}
-RECORDS |= {"TableError", "Equilibrium", "PinchStatics", "Stability"}
+RECORDS |= {"TableError", "Equilibrium", "PinchStatics", "Stability", "Pose", "Twist"}
 # Written on scalars for use inside compiled programs, by other layers and by a caller's own shapes: nothing
 # is checked there, for every check would be one more on the way of each run.
 INNER = {"gap", "gap_bias", "gap_rate", "pfaffian", "rolling_rate", "tangency", "tangency3", "clearance"}
 INNER |= {"check_unit_speed", "sense", "joint_angles", "UserController", "as_controller", "frenet", "tabled"}
 INNER |= {"approach", "principal", "jet", "differentiated", "level_frame", "spread_in_box", "from_frames"}
-INNER |= {"tabulated", "check_contour", "check_shape", "check_surface"}
+INNER |= {"tabulated", "check_contour", "check_shape", "check_surface", "UserLoad", "as_load", "total_wrench"}
 LEFT_OUT = ABSTRACT | ENUMERATIONS | RECORDS | INNER
 # Calls that compile much, or draw.
 _SLOW = set(
@@ -112,7 +115,7 @@ def public() -> dict[str, Any]:
 
 
 def _listed(module: ModuleType, place: str) -> list[str]:
-    if not place or place == "control":  # the latter is one file: what it imports is not its own
+    if not place or place in _OF_ONE_FILE:
         names = getattr(module, "__all__", None) or [
             name for name, x in vars(module).items() if getattr(x, "__module__", "") == module.__name__
         ]
@@ -133,10 +136,14 @@ def with_contacts(contacts: Any) -> Any:
 
 
 def with_(
-    inertia: Any = 1e-5, pivot: Any = (0.0, 0.1), damping: Any = 0.01, gravity: Any = (0.0, 0.0)
+    inertia: Any = 1e-5,
+    pivot: Any = (0.0, 0.1),
+    damping: Any = 0.01,
+    gravity: Any = (0.0, 0.0),
+    load: Any = None,
 ) -> Any:
     """`Grasp.with_` of the pivoted scene, one field each of its object, its controller and its own."""
-    return planar()[0].with_(inertia=inertia, pivot=pivot, damping=damping, gravity=gravity)
+    return planar()[0].with_(inertia=inertia, pivot=pivot, damping=damping, gravity=gravity, load=load)
 
 
 def moved(offset: Any = (0.0, 0.0), angle: Any = 0.0, origin: Any = 0.0) -> Any:

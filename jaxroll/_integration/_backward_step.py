@@ -38,7 +38,7 @@ def pulled_back(
     at = lambda moving, t, x: step.at(eqx.combine(moving, still), t, x)  # noqa: E731
     finish = lambda moving, *rest: step.finish(eqx.combine(moving, still), *rest)  # noqa: E731
     unmoved = None
-    if bundle.rest.may_jump:
+    if bundle.jumps:
         y0, unmoved = jax.vjp(lambda m, y: step.moved(eqx.combine(m, still), *times, y), moving, y0)
     # Forwards once more: recorded slopes of all steps would take more memory than the states of a batch.
     slopes, raw, end = step.stages(lambda t, x: at(moving, t, x), times, y0, ending_size(bundle))

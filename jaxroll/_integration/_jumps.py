@@ -48,12 +48,13 @@ def beside(jumps: Array | None, t: Array, way: float) -> Array:
     """Times, but those at a jump just after it (`way` is 1) or just before it (-1)."""
     if jumps is None:
         return t
-    moved = jnp.asarray(t)
-    for i in range(jumps.shape[0]):
-        at = jnp.where(jnp.isfinite(jumps[i]), jumps[i], 0.0)
-        near = (jnp.abs(t - at) <= grain(at)) & jnp.isfinite(jumps[i])
-        moved = jnp.where(near, at + way * grain(at), moved)
-    return moved
+    at = jnp.where(jnp.isfinite(jumps), jumps, 0.0)
+
+    def one(t: Scalar) -> Scalar:
+        near = (jnp.abs(t - at) <= grain(at)) & jnp.isfinite(jumps)
+        return jnp.where(jnp.any(near), jnp.max(jnp.where(near, at + way * grain(at), -jnp.inf)), t)
+
+    return jnp.vectorize(one)(t)
 
 
 def stop(jumps: Array, passed: Scalar, t: Scalar) -> Scalar:
@@ -94,7 +95,7 @@ def hits(t0: Scalar, t1: Scalar, time: Scalar) -> Scalar:
     return (t1 > t0) & (t1 - t0 <= 2.0 * grain(t1)) & (jnp.abs(t1 - time) <= near) & (time - t0 > near)
 
 
-def moved(grasp: Grasp, t0: Scalar, t1: Scalar, x: Array, rates: Array) -> Array:
+def moved(grasp: Grasp, t0: Scalar, t1: Scalar, x: Array, *, rates: Array) -> Array:
     """The vector x at the start of a step, moved with the time of a jump if the step is one of the two there.
 
     `rates` is its time derivative as the flow vector carries it: before the jump for the second of the three

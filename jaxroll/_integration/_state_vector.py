@@ -98,11 +98,15 @@ def vector_of(lay: Layout, state: State) -> Array:
 
 
 class Bundle(eqx.Module):
-    """A grasp whose scalars are one array, for loops; calling it gives the grasp, ready for evaluation."""
+    """A grasp whose scalars are one array, for loops; calling it gives the grasp, ready for evaluation.
+
+    `jumps` says whether it declares jumps, which `rest`, without its scalars, cannot tell.
+    """
 
     numbers: Float[Array, " numbers"]
     rest: Grasp
     tree: Any = eqx.field(static=True)
+    jumps: bool = eqx.field(static=True)
 
     def __call__(self) -> Grasp:
         return eqx.combine(jax.tree.unflatten(self.tree, scalars(self.numbers)), self.rest)
@@ -113,4 +117,4 @@ def bundle(grasp: Grasp) -> Bundle:
     scalar = lambda x: eqx.is_inexact_array(x) and jnp.ndim(x) == 0  # noqa: E731
     numbers, rest = eqx.partition(grasp, scalar)
     leaves, tree = jax.tree.flatten(numbers)
-    return Bundle(jnp.stack(leaves), rest, tree)
+    return Bundle(jnp.stack(leaves), rest, tree, bool(grasp.jumps))

@@ -79,7 +79,7 @@ class RollingStep(eqx.Module):
         self, bundle: Bundle, times: tuple[Array, Array], y0: Array, over: Callable[[Callable], Callable]
     ) -> tuple[Array, Array, Array]:
         """The same for lanes along the last axis; `over` maps a function of one lane's (bundle, ...)."""
-        if bundle.rest.may_jump:
+        if bundle.jumps:
             y0 = over(self.moved)(bundle, *times, y0)
         # `raw` is the end as the method gives it, `rates` the derivative there, `end` the packed `Ending`.
         raw, rates, error, end, dip = self._way(bundle, *times, y0, over)
@@ -119,7 +119,7 @@ class RollingStep(eqx.Module):
     def moved(self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow) -> Flow:
         """The flow vector at a step's start, moved with the time of a jump there, and struck (`_jumps`)."""
         grasp, width = bundle(), self.lay.width
-        x0 = _jumps.moved(grasp, t0, t1, y0[:width], y0[width : 2 * width])
+        x0 = _jumps.moved(grasp, t0, t1, y0[:width], rates=y0[width : 2 * width])
         if not (blows := impulses(grasp.load)):
             return jnp.concatenate([x0, y0[width:]])
         acting = [(blow, jnp.where(_jumps.hits(t0, t1, blow.time), 1.0, 0.0)) for blow in blows]

@@ -162,7 +162,7 @@ class Grasp(eqx.Module):
         wanted = (self._axes,), (len(self.bodies), self._axes)
         if self.gravity is not None and self.gravity.shape not in wanted:
             raise ValueError(
-                f"argument gravity must have shape {wanted[0]} or {wanted[1]}, "
+                f"argument gravity must have shape ({self._axes}) or {wanted[1]}, "
                 f"but had shape {self.gravity.shape}"
             )
         for load in self.load:
@@ -241,13 +241,10 @@ class Grasp(eqx.Module):
 
     @property
     def jumps(self) -> tuple[Any, ...]:
-        """Times [s] that its controller and loads declare as jumps; arrays of one axis."""
-        return tuple(part.jumps for part in _jumping(self) if part.jumps is not None)
-
-    @property
-    def may_jump(self) -> bool:
-        """Whether a part of it can declare jumps at all; known without its numbers."""
-        return bool(_jumping(self))
+        """Times [s] that its controller and loads declare as jumps; arrays of one axis, none empty."""
+        parts = jax.tree.leaves((self.controller, self.load), is_leaf=_jumps)
+        declared = [as_array("jumps", part.jumps) for part in parts if _jumps(part)]
+        return tuple(times.ravel() for times in declared if times.size)
 
     def prepared(self) -> "Grasp":
         """This grasp with bodies and shapes ready for evaluation, their arrays split into scalars."""
@@ -296,15 +293,9 @@ class Grasp(eqx.Module):
         return self.with_(contacts=contacts)
 
 
-def _declares(part: Any) -> bool:
+def _jumps(part: Any) -> bool:
     """Whether a part of a controller or load declares jumps, its own and those of all that is in it."""
-    kind = type(part)
-    return isinstance(part, eqx.Module) and ("jumps" in kind.__dataclass_fields__ or hasattr(kind, "jumps"))
-
-
-def _jumping(grasp: Grasp) -> list[Any]:
-    """The parts that declare jumps; told by their classes, for in a loop their numbers are elsewhere."""
-    return [p for p in jax.tree.leaves((grasp.controller, grasp.load), is_leaf=_declares) if _declares(p)]
+    return isinstance(part, eqx.Module) and getattr(part, "jumps", None) is not None
 
 
 def tabled_grasp(grasp: Grasp) -> Grasp:

@@ -33,7 +33,7 @@ class Motion:
 
     Attributes:
         pose: The frame in the world.
-        unit_twists: _Twist per unit rate of each coordinate: the columns of its Jacobian $J$.
+        unit_twists: Twist per unit rate of each coordinate: the columns of its Jacobian $J$.
         twist: $J v$, plus that of a prescribed motion.
         bias: $\dot J v$, the acceleration at $\dot v = 0$, plus that of a prescribed motion.
     """

@@ -1,4 +1,4 @@
-r"""Equilibria: configurations where joint torques, gravity and contact forces balance.
+r"""Equilibria: configurations where joint torques, loads, gravity and contact forces balance.
 
 The unknowns $z$ are configuration, contact coordinates and contact forces, scaled to be comparable
 (`_Scale`). The equations are the balance of forces $F(q) + A^T \mu = 0$ and the constraint rows (gap and
@@ -71,15 +71,15 @@ def equilibrium(grasp: Grasp, state: State, *, t: Given = 0.0) -> Equilibrium:
     r"""Find an equilibrium of the closed loop near a state: Newton on the constrained problem.
 
     Solves $F(q) + A^T \mu = 0$ with gap and tangency closed, for configuration, contact coordinates and
-    contact forces together; $F$ are joint torques at rest and gravity. With a built-in controller these are
-    the stationary points of the potential (22) on the constraint manifold, stable or not. Where neutral
-    directions make a whole family of equilibria, the one returned is the nearest to `state` in the
-    coordinates (lengths measured in mean link lengths).
+    contact forces together; $F$ are joint torques at rest, loads and gravity. With a built-in controller and
+    no loads these are the stationary points of the potential (22) on the constraint manifold, stable or not.
+    Where neutral directions make a whole family of equilibria, the one returned is the nearest to `state` in
+    the coordinates (lengths measured in mean link lengths).
 
     Args:
         grasp: The grasp.
         state: Where to start: the end of a simulated run, or a closed state. Its velocity is ignored.
-        t: Time [s] at which a time-dependent controller is held.
+        t: Time [s] at which a time-dependent controller or load is held.
 
     Returns:
         An `Equilibrium`; `found` is False where none was reached.
@@ -176,7 +176,7 @@ def _start(grasp: Grasp, state: State, t: Given) -> tuple[Array, _Scale]:
     contacts = len(grasp.contacts)
     drive = _drive(grasp, state.q, state.s, t)
     one, (length, coordinates) = jnp.ones((), state.q.dtype), _sizes(grasp)
-    # Torques over a length, and forces, of controller and gravity; not zero where neither acts.
+    # Torques over a length, and forces, of controller, loads and gravity; not zero where neither acts.
     force = jnp.maximum(jnp.max(jnp.abs(drive * coordinates)) / length, 1e-6)
     ones = jnp.ones(contacts, state.q.dtype)
     unknowns = jnp.concatenate([coordinates, ones * length, jnp.tile(ones, 2) * force])
@@ -198,7 +198,7 @@ def _sizes(grasp: Grasp) -> tuple[Scalar, Array]:
 
 
 def _drive(grasp: Grasp, q: Array, s: Array, t: Given) -> Array:
-    """$F(q)$: generalised forces of controller and gravity at zero velocity."""
+    """$F(q)$: generalised forces of controller, loads and gravity at zero velocity."""
     return generalised_force(grasp, jnp.asarray(t, q.dtype), State(q, jnp.zeros_like(q), s))
 
 

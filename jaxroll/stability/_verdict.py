@@ -54,7 +54,7 @@ class Stability(eqx.Module):
         neutral: Number of neutral directions: redundant joints, and rolling that costs no energy.
         equilibrium: Where it rests.
         hessian: Shape (m, m), second derivative of P on the constraint manifold [1/s^2], in the
-            directions of `tangent`; not symmetric for a user's controller without potential.
+            directions of `tangent`; not symmetric for a user's controller or load without potential.
         tangent: Shape (n, m), directions that keep every contact rolling, orthonormal in the mass metric.
         curvatures: Shape (m,), eigenvalues of the (symmetric part of the) Hessian, rising.
         modes: Shape (n, m), the coordinates' part in each of them.
@@ -89,7 +89,7 @@ def assess(grasp: Grasp, state: State, *, t: Given = 0.0, tolerance: float = 1e-
     Args:
         grasp: The grasp.
         state: Where to look: a start or the end of a run.
-        t: Time [s] at which a time-dependent controller is held.
+        t: Time [s] at which a time-dependent controller or load is held.
         tolerance: Relative size of curvatures and rates that count as zero. In single precision rounding is
             larger than the default: smaller ones than 1e-5 count as zero there in any case.
 

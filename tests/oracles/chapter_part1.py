@@ -69,9 +69,13 @@ class Part1:
     a = 1 / 40  # of the catenary [m]
     beta, alpha, c = 20.0, 1e-3, 0.006
 
-    def __init__(self, start):
-        """`start` is p_i(0) of (17) [rad]."""
-        self.start = np.asarray(start)
+    def __init__(self, start, wrench=None):
+        """`start` is p_i(0) of (17) [rad].
+
+        `wrench` of (t, X, v) acts on the object besides: force (2,) [N] in world axes, and torque [N m]
+        about its centre of mass.
+        """
+        self.start, self.wrench = np.asarray(start), wrench
 
     def tip(self, i, s):
         """gamma_i [m], b_i, n_i and kappa_i [1/m]; X_i points 10 mm ahead to the vertex of (82)-(83)."""
@@ -179,11 +183,13 @@ class Part1:
             bias[at] = weighted.real.T @ (weighted.imag @ v[at]) / STEP  # m J^T (dJ/dt) v
         return self.mass_matrix(places), bias, rows.real, rows.imag / STEP, places
 
-    def accelerations(self, X, v, s):
+    def accelerations(self, X, v, s, t=0.0):
         """X'' (8,) and the multipliers (f_1, f_2, lambda_1, lambda_2) [N]: (1)-(3) with A X' = 0."""
         G, bias, rows, rows_rate, places = self.terms(X, v, s)
         push = -bias
         push[3:] += self.torques(X, v, places)
+        if self.wrench is not None:
+            push[:3] += np.append(*self.wrench(t, X, v))
         saddle = np.block([[G, rows.T], [rows, np.zeros((4, 4))]])
         answer = np.linalg.solve(saddle, np.concatenate([push, -rows_rate @ v]))
         return answer[:8], answer[8:]
@@ -191,12 +197,12 @@ class Part1:
     def simulate(self, X, s, ts):
         """X, v, s and multipliers at the times `ts` [s], starting at rest; nothing is projected."""
 
-        def rates(_, y):
+        def rates(t, y):
             X, v, s = y[:8], y[8:16], y[16:]
-            return np.concatenate([v, self.accelerations(X, v, s)[0], self.rolling(v, s)])
+            return np.concatenate([v, self.accelerations(X, v, s, t)[0], self.rolling(v, s)])
 
         y0 = np.concatenate([X, np.zeros(8), s])
         answer = solve_ivp(rates, (0.0, ts[-1]), y0, method="DOP853", rtol=1e-12, atol=1e-13, t_eval=ts)
         X, v, s = np.split(answer.y.T, [8, 16], axis=1)
-        forces = np.array([self.accelerations(*state)[1] for state in zip(X, v, s, strict=True)])
+        forces = np.array([self.accelerations(*state)[1] for state in zip(X, v, s, ts, strict=True)])
         return X, v, s, forces

@@ -340,14 +340,21 @@ def energy(scene, q, v):
     return v @ M @ v / 2 + potential
 
 
-def simulate(scene, q0, v0, ts, *, audit=False, rtol=1e-12):
-    """q and v at the times `ts` [s], rows; nothing is projected. With `audit` also the energy lost [J]."""
+def simulate(scene, q0, v0, ts, *, audit=False, rtol=1e-12, wrench=None):
+    """q and v at the times `ts` [s], rows; nothing is projected. With `audit` also the energy lost [J].
+
+    `wrench` of (t, q, v) acts on the object besides: force [N] and torque [N m] about its centre of mass,
+    both in world axes.
+    """
     size, joints = len(q0), slice(6, None)
     normals = list(located_contacts(scene, q0)[2])
 
-    def rates(_, y):
+    def rates(t, y):
         q, v = y[:size], y[size:-1]
         *terms, here = equations(scene, q, v, normals)
+        if wrench is not None:
+            force, torque = wrench(t, q, v)
+            terms[2][:6] += np.concatenate([force, here.turned.real.T @ torque])
         normals[:] = [t[2].real for t in here.touches]
         lost = scene.damping * v[joints] @ v[joints]
         return np.concatenate([coordinate_rates(q, v), _accelerations(*terms), [lost]])

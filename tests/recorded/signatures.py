@@ -7,7 +7,8 @@ from typing import Any
 
 import jaxroll as jxr
 
-_MODULES = ("contact", "control", "design", "geometry", "io", "plotting", "scenes", "stability")
+_MODULES = ("commands", "contact", "control", "design", "geometry", "io", "loads", "plotting", "scenes")
+_MODULES += ("stability",)
 
 
 def signatures(module: str) -> dict[str, Any]:

@@ -81,6 +81,14 @@ def _as_angular(name: str, value: Any) -> Array | None:
     return None if value is None else check_finite(name, as_array(name, value))
 
 
+def _taken_beside(load: AbstractLoad, vector: Array, point: Given | None) -> Array | None:
+    """Argument `point` of a load, or None; of as many numbers as its other vector."""
+    array = taken(load, "point", point)
+    if array is not None and array.shape != vector.shape:
+        raise ValueError(f"argument point must have shape {vector.shape}, but had shape {array.shape}")
+    return array
+
+
 def _acting_at(force: Any, point: Array | None, object_: Moving) -> Wrench:
     """The wrench about the object's origin of a force that acts at a point fixed in the object."""
     if point is None:
@@ -123,7 +131,7 @@ class Push(AbstractLoad):
         self.force = taken(self, "force", force)
         self.start = taken(self, "start", start)
         self.duration = taken(self, "duration", duration)
-        self.point = taken(self, "point", point)
+        self.point = _taken_beside(self, self.force, point)
 
     @property
     def jumps(self) -> Array:
@@ -218,7 +226,7 @@ class Spring(AbstractLoad):
     ) -> None:
         self.stiffness = taken(self, "stiffness", stiffness)
         self.anchor = taken(self, "anchor", anchor)
-        self.point = taken(self, "point", point)
+        self.point = _taken_beside(self, self.anchor, point)
         self.length = taken(self, "length", length)
         self.damping = taken(self, "damping", damping)
 
@@ -278,7 +286,7 @@ class Impulse(AbstractLoad):
         self.linear = taken(self, "linear", impulse, name="impulse")
         self.time = taken(self, "time", time)
         self.angular = taken(self, "angular", angular)
-        self.point = taken(self, "point", point)
+        self.point = _taken_beside(self, self.linear, point)
         wanted = () if self.linear.shape == (2,) else (3,)
         if self.angular is not None and self.angular.shape != wanted:
             raise ValueError(f"argument angular must have shape {wanted}, but had shape {self.angular.shape}")

@@ -174,7 +174,6 @@ CLASSES = {
                 "of two": functions_of(2),
                 "of space": loads.Push((0, 0, 1), 0.1, 0.1),
                 "one of two": [loads.Drag(0.1), functions_of(2)],
-                "at a point of space": loads.Spring(1.0, (0, 0), point=(0, 0, 0)),
             },
         },
     ),
@@ -229,11 +228,16 @@ CLASSES = {
         {"point": {"nothing"}},
         {"duration": NOT_POSITIVE, "force": AXES, "point": AXES},
     ),
+    loads.Impulse: (
+        {"impulse": (0, 1e-4), "time": 0.1, "angular": 1e-6, "point": (0, 0.01)},
+        {"angular": {"nothing"}, "point": {"nothing"}},
+        {"impulse": AXES, "point": AXES, "angular": {"of space": (0, 0, 1e-6)}},
+    ),
     loads.Drag: ({"linear": 0.1, "angular": 1e-5}, {}, {}),
     loads.Spring: (
         {"stiffness": 20.0, "anchor": (0, 0.1), "point": (0, 0.01), "length": 0.05, "damping": 0.1},
         {"point": {"nothing"}, "length": {"nothing"}},
-        {"anchor": AXES, "point": AXES, "length": NOT_POSITIVE},
+        {"anchor": AXES, "point": AXES | {"of space": (0, 0, 0)}, "length": NOT_POSITIVE},
     ),
     commands.Steps: (
         {"times": [0.5], "values": [0.5, 0.8]},
@@ -567,6 +571,9 @@ GIVEN_STATES = {
     "residuals": lambda state: jxr.residuals(PLANE, state),
     "multipliers": lambda state: jxr.multipliers(PLANE, 0.0, state),
     "energies": lambda state: jxr.energies(PLANE, states=state),
+    "torques": lambda state: jxr.torques(PLANE, 0.0, state),
+    "accelerations": lambda state: jxr.accelerations(PLANE, 0.0, state),
+    "strike": lambda state: jxr.strike(PLANE, state, loads.Impulse((0, 1e-4), 0.0)),
     "equation_terms": lambda state: jxr.equation_terms(PLANE, state),
     "press_balance": lambda state: jxr.press_balance(PLANE, 0.0, state),
     "contact_geometry": lambda state: jxr.contact_geometry(PLANE, state),
@@ -686,7 +693,7 @@ FUNCTIONS = {
 INNER = {
     *("clearance", "gap", "gap_bias", "gap_rate", "pfaffian", "rolling_rate", "tangency", "tangency3"),
     *("sense", "joint_angles", "as_controller", "as_drive", "check_states", "split"),
-    *("as_load", "total_wrench"),
+    *("as_load", "impulses", "total_wrench"),
 }
 # Searches for the closest points of two shapes have tests of their own.
 SEARCHES = {"locate", "locate_surfaces"}

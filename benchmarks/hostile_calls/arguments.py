@@ -268,7 +268,17 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         "sines": _is("array", (0.0, 1e-4), "its last left out"),
     },
     "Turning": {"centre": _is("array", (0.0, 0.0, 0.0), "three numbers")},
-    "multipliers": {"ts": _is("number", 0.0), "formulation": _made("part", jxr.CSM, "method")},
+    **_family(
+        "multipliers accelerations", ts=_is("number", 0.0), formulation=_made("part", jxr.CSM, "method")
+    ),
+    "torques": {"ts": _is("number", 0.0)},
+    "Impulse": {
+        "impulse": _is("array", (0.0, 1e-4), "two numbers"),
+        "time": _is("number", 0.1),
+        "angular": _is("number", 1e-6),
+        "point": _is("array", (0.0, 0.01), "two numbers"),
+    },
+    "strike": {"blow": _made("part", lambda: jxr.loads.Impulse((0.0, 1e-4), 0.1))},
     "pinch_balance": {
         "ts": _is("number", 0.0),
         "grasp": _PINCH,

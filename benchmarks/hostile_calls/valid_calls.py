@@ -39,7 +39,7 @@ RECORDS |= {
     "Gauss3",
 }
 RECORDS |= {"Principal", "NetworkFit", "CleanPoints", "Jet", "SurfaceFit", "SurfaceReport", "Level", "Table"}
-RECORDS |= {"Vec2", "Vec3", "Sym3", "VectorField"}
+RECORDS |= {"Strike", "Vec2", "Vec3", "Sym3", "VectorField"}
 RECORDS |= {"TableError", "Equilibrium", "PinchStatics", "Stability", "Pose", "Twist"}
 # Written on scalars for use inside compiled programs, by other layers and by a caller's own shapes: nothing
 # is checked there, for every check would be one more on the way of each run.
@@ -47,10 +47,12 @@ INNER = {"gap", "gap_bias", "gap_rate", "pfaffian", "rolling_rate", "tangency", 
 INNER |= {"check_unit_speed", "sense", "joint_angles", "UserController", "as_controller", "frenet", "tabled"}
 INNER |= {"approach", "principal", "jet", "differentiated", "level_frame", "spread_in_box", "from_frames"}
 INNER |= {"tabulated", "check_contour", "check_shape", "check_surface", "UserLoad", "as_load", "total_wrench"}
+INNER |= {"impulses", "as_it_is_resolved"}
 LEFT_OUT = ABSTRACT | ENUMERATIONS | RECORDS | INNER
 # Calls that compile much, or draw.
 _SLOW = set(
     [
+        "accelerations",
         "animate",
         "assess",
         "ball_plate",
@@ -82,7 +84,9 @@ _SLOW = set(
         "roll",
         "roller",
         "simulate",
+        "strike",
         "sweep",
+        "torques",
         "tube",
         "turntable",
         "wheel",

@@ -10,7 +10,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._mechanics import compiled, Grasp, join, State, to_leaves
+from .._mechanics import check_states, compiled, Grasp, join, State, to_leaves
 from .._motion import Multipliers, split_forces, struck
 from .._printing import listed
 from .._results import check_instance, RESULTS
@@ -70,6 +70,7 @@ def strike(
         >>> bool(hit.work > 0), bool(abs(hit.state.v[1]) > 0)
         (True, True)
     """
+    check_states(grasp, state)
     check_instance("blow", blow, Impulse, "a loads.Impulse")
     blow.check("blow", 3 if grasp.spatial else 2)
     return _strike(grasp, state, blow, check_choices("events", events, EVENTS))

@@ -59,6 +59,31 @@ EQUIVALENT: dict[tuple[str, str, str, str], str] = {
         "(start)",
     ): "the arctangent of two numbers that both scale with it",
     (
+        "jaxroll/_integration/_derivative.py",
+        "_Steps.postponed",
+        "1.0",
+        "(-1.0)",
+    ): "it stands in a quotient that is not taken",
+    (
+        "jaxroll/_xla/_primitives.py",
+        "linear_map",
+        "eqx.combine(jax.tree.unflatten(at_form, leaves), still)",
+        "(eqx.combine(still, jax.tree.unflatten(at_form, leaves)))",
+    ): "no leaf is in both",
+    ("jaxroll/_integration/_batch.py", "Ensemble.run", "1", "(2)"): "one more row that nobody reads",
+    (
+        "jaxroll/stability/_statics.py",
+        "_stationary.improve",
+        "0.1",
+        "(0.2)",
+    ): "a bound on steps of a search whose end does not depend on it",
+    (
+        "jaxroll/geometry/contours/_neural_support.py",
+        "_refreshed",
+        "0.3",
+        "(0.6)",
+    ): "a bound on steps that a contour near its points does not reach",
+    (
         "jaxroll/geometry/contours/_neural_curvature.py",
         "_start",
         "1e-9",

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from jaxroll.geometry import clean_points, crossings
-from jaxroll.geometry.fitting._ordering import nearest_points, repaired
+from jaxroll.geometry.fitting._clean_points import _distinct
+from jaxroll.geometry.fitting._ordering import nearest_points, ordered_already, repaired
 
 N = 200
 U = 2 * np.pi * np.arange(N) / N
@@ -243,3 +244,21 @@ def test_crossings_against_every_pair_of_sides(closed):
         found = [tuple(pair) for pair in crossings(points, closed=closed).tolist()]
         assert found == by_all_pairs(points, closed) and len(found) > 100
     assert len(crossings(star(3000), closed=True)) == 0
+
+
+def test_of_few_points_the_nearest_may_come_two_places_on():
+    """A zigzag of 20 points, whose nearest others are the next but one; three places on is no order."""
+    places = np.arange(20)
+    zigzag = np.stack([1.0 * places, 2.0 * (places % 2)], axis=1)
+    near = nearest_points(zigzag, 1)
+    assert set(np.abs(places - near[:, 0])) == {2}
+    assert ordered_already(zigzag, near, closed=False)
+    assert not ordered_already(zigzag, near + np.where(near > places[:, None], 1, -1), closed=False)
+
+
+def test_one_point_many_times_is_one_point():
+    """Even of a closed outline, which often repeats its first point at the end."""
+    same = np.ones((5, 2))
+    assert _distinct(same, closed=True, anywhere=False).tolist() == [0]
+    back = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 0.0]])
+    assert _distinct(back, closed=True, anywhere=False).tolist() == [0, 1]

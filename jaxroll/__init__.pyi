@@ -21,6 +21,7 @@ from ._analysis import (
 )
 from ._closing import close as close
 from ._integration import (
+    resume as resume,
     Rosenbrock as Rosenbrock,
     simulate as simulate,
     strike as strike,

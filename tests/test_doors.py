@@ -149,7 +149,8 @@ def worlds(scene):
 
 def called(function, names, takes, grasp, given):
     """A call with whatever else the function needs."""
-    more = {"t1": 1.0, "ts": 0.0, "path": pathlib.Path("none.gif")}
+    blow = jxr.loads.Impulse((0.0, 0.0), 0.0)
+    more = {"t1": 1.0, "ts": 0.0, "path": pathlib.Path("none.gif"), "blow": blow}
     needed = inspect.signature(function).parameters
     rest = {n: more[n] for n in names if n in more and needed[n].default is inspect.Parameter.empty}
     return function(**{"grasp": grasp, takes: given} | rest)

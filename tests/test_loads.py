@@ -343,7 +343,7 @@ REFUSED = {
     ),
     "a point of space": (
         lambda: disc(Spring(1.0, (0, 0), point=(0, 0, 0))),
-        "load must have 2 numbers as point",
+        r"point must have shape \(2,\), but had shape \(3,\)",
     ),
     "of the plane on a ball": (lambda: ball(Spring(1.0, (0, 0))), "load must have 3 numbers as anchor"),
     "four numbers": (lambda: Push((0, 0, 0, 0), 0, 1), r"force must have shape \(2\) or \(3\)"),

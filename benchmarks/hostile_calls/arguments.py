@@ -278,6 +278,7 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         "angular": _is("number", 1e-6),
         "point": _is("array", (0.0, 0.01), "two numbers"),
     },
+    "resume": {"run": _ANY_RUN},
     "strike": {"blow": _made("part", lambda: jxr.loads.Impulse((0.0, 1e-4), 0.1))},
     "pinch_balance": {
         "ts": _is("number", 0.0),

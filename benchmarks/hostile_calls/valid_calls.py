@@ -80,6 +80,7 @@ _SLOW = set(
         "press_balance",
         "rattleback",
         "responses",
+        "resume",
         "ring",
         "roll",
         "roller",

@@ -5,7 +5,8 @@ most of it for callers who run later. `_state_vector` lays a
 state out as one vector, `_step` makes one step of a method of diffrax on it (`_rosenbrock` is a linearly
 implicit method), `_step_size` sets its length, `_events` determines where the model ends, within a step too.
 `_run` takes steps until a run is over, `_batch` takes those of many runs together, `_derivative`
-differentiates the recorded steps. `_jumps` has the steps at declared jumps, `_strike` a blow by itself.
+differentiates the recorded steps. `_jumps` has the steps at declared jumps, `_strike` a blow by itself,
+`_resume` what follows a lost contact or a touch.
 `_trajectory` is the result, `_report` its printed form. `_vector_field`
 and `_projected_method` offer the same equations, those of `_motion`, to `diffrax.diffeqsolve`.
 """
@@ -27,6 +28,7 @@ from ._report import (
     contact_name as contact_name,
     REMEDIES as REMEDIES,
 )
+from ._resume import resume as resume
 from ._rosenbrock import Rosenbrock as Rosenbrock
 from ._run_options import RunOptions as RunOptions
 from ._simulate import simulate as simulate

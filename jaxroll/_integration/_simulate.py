@@ -201,8 +201,9 @@ def _run(
     plan = _plan(stepper, y0, given._replace(t0=begin, t1=end, ts=saves), setup, jumps=jumps)
     # `march` does not differentiate the plan. A derivative in a time or a gain would be zero without a word:
     # refuse it instead.
-    plan = eqxi.nondifferentiable(plan, name="times, tolerances and gains of the formulation")
-    trajectory, off = _trajectory(ready, state, march(bundle(ready), y0, plan), plan, setup.record, given.ts)
+    name = "times, tolerances and gains of the formulation"
+    plan, ts = eqxi.nondifferentiable((plan, given.ts), name=name)
+    trajectory, off = _trajectory(ready, state, march(bundle(ready), y0, plan), plan, setup.record, ts)
     if unresolved is not None:
         code = RESULTS.where(unresolved, RESULTS.unresolved, trajectory.result)
         trajectory = eqx.tree_at(lambda run: run.result, trajectory, code)

@@ -1,0 +1,198 @@
+r"""`resume`: the contacts with which a run goes on after one of them was lost, or a fingertip touched.
+
+A lost contact is dropped, and all velocities stay. A touch is found by the event 'penetration' where the
+shapes overlap by its tolerance. From there the motion is followed back to the time at which the closest
+points of both shapes (`contact.locate`) are at distance zero; the new contact begins at them, and closes by
+the inelastic impulse of `_motion._impulse`, which takes energy and never gives any.
+"""
+
+import diffrax
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from .._linalg import Pose2, total
+from .._mechanics import check_planar, check_states, compiled, Grasp, split, State, to_leaves
+from .._motion import accelerations, bodies, world_poses
+from .._printing import code_name
+from .._types import Given, Scalar
+from ..contact import Contact, locate, Location
+from ..loads import Impulse
+from ._report import contact_name
+from ._strike import strike
+from ._trajectory import check_one_run, Trajectory
+from ._vector_field import vector_field
+
+# Tolerance of the motion followed back from an overlap [m, rad, and these per second].
+_BACK = 1e-12
+# A distance that counts as none [m], and how many times the time of touch is corrected at most.
+_TOUCHING, _PASSES = 1e-15, 12
+# A contact that is lost where it does not rub opens with no acceleration; this share of it counts as none.
+_AGAIN = 1e-6
+
+
+def resume(grasp: Grasp, run: Trajectory, *, friction: Given | None = None) -> tuple[Grasp, State, Scalar]:
+    r"""The grasp, the state and the time with which a run that an event ended goes on.
+
+    After `contact_lost` it is the grasp without that contact, at the end of the run, with its velocities.
+    After `penetration` it has one contact more, between the finger that overlaps and the face that it
+    overlaps, at the time when they touched: all gaps stop closing there, by an inelastic impulse
+    $v_+ = v_- - M^{-1} A^T (A M^{-1} A^T)^{-1} A v_-$, and the positions are those of the touch.
+
+    For a run without an end of its own give `simulate` the events ('lift', 'friction', 'penetration') and
+    call `resume` wherever one ends; every set of contacts is a program of its own, compiled once.
+
+    Args:
+        grasp: The grasp of the run.
+        run: One run, which ended `contact_lost` or `penetration`.
+        friction: Coefficient of friction of a contact that is found. Default: no limit.
+
+    Returns:
+        Grasp, state and time [s]: `simulate(grasp, state, t1, t0=t)` goes on.
+
+    Raises:
+        ValueError: If the run ended otherwise, lost its only contact, or one that would close again at once,
+            as a contact without a coefficient of friction may that rubs where it no longer presses; if
+            friction cannot answer a touch; if contours without ends touch, or a grasp in space overlaps.
+
+    Accuracy: gaps of a touch below 1e-14 m. Not differentiable: which contacts there are is decided on the
+    way; the pieces of a run are.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> grasp, state = jxr.scenes.pinch()
+        >>> pushed = grasp.with_(load=jxr.loads.Push((8.0, 0.0), 0.1, 0.01))  # off the left finger
+        >>> run = jxr.simulate(pushed, state, 1.0, throw=False)
+        >>> left, state, t = jxr.resume(pushed, run)
+        >>> [contact.finger for contact in left.contacts], f"{t:.3f} s"
+        ([1], '0.103 s')
+    """
+    check_one_run("run", run)
+    check_states(grasp, run.last, "run.last")
+    name = code_name(run.result)
+    if name == "contact_lost":
+        return _dropped(grasp, run)
+    if name == "penetration":
+        return _touched(grasp, run, friction)
+    raise ValueError(
+        f"argument run must have ended contact_lost or penetration, for `resume` to go on, but was {name}"
+    )
+
+
+def _dropped(grasp: Grasp, run: Trajectory) -> tuple[Grasp, State, Scalar]:
+    """The grasp without the contact that the run lost."""
+    lost = int(run.stats.contact)
+    if len(grasp.contacts) == 1:
+        raise ValueError(
+            f"argument run must leave the grasp a contact, but lost its only one, "
+            f"{contact_name(run.labels, lost)}"
+        )
+    left, state = _without(grasp, run.last, lost)
+    pressed = float(_overlap_rate(grasp, run.last, accelerations(left, run.stats.t_end, state), lost))
+    if pressed > _AGAIN:
+        raise ValueError(
+            f"argument run must lose a contact that then opens, but {contact_name(run.labels, lost)} rubs "
+            f"where it no longer presses, and would close again at once; with a friction it slips before"
+        )
+    return left, state, run.stats.t_end
+
+
+@compiled
+def _overlap_rate(grasp: Grasp, state: State, rates: Array, lost: int) -> Scalar:
+    """Acceleration at which a contact's shapes would overlap, over the largest of its rows' parts."""
+    ready = grasp.prepared()
+    leaves = to_leaves(state, ready.form)
+    motions, _ = bodies(ready, leaves)
+    contact = ready.contacts[lost]
+    shapes, pair, place = ready.shapes(contact), (motions[1 + contact.finger], motions[0]), leaves.s[lost]
+    touch, poses = contact.touch(shapes, place), (pair[0].pose, pair[1].pose)
+    rolling = contact.rolling(shapes, place, pair, touch)
+    bias = contact.bias(shapes, place, pair, touch=touch, rolling=rolling)
+    # g'' = A v' + A' v, of which the part along the normal counts as the gap itself does: overlaps positive.
+    each = split(rates, ready.sizes)
+    parts = [
+        [a * v for a, v in zip(row, each[at], strict=True)]
+        for rows, at in zip(contact.pfaffian(pair, touch), (1 + contact.finger, 0), strict=True)
+        for row in rows
+    ]
+    count = contact.rows
+    gained = tuple(total([*parts[i], *parts[count + i], bias[i]]) for i in range(count))
+    largest = jnp.max(jnp.abs(jnp.stack([jnp.asarray(x) for part in parts for x in part])))
+    return contact.split_gap(poses, touch, gained)[0] / largest
+
+
+def _without(grasp: Grasp, state: State, lost: int) -> tuple[Grasp, State]:
+    """A grasp and its state without one contact."""
+    # How many numbers the place of each contact has.
+    counts = [place.num_leaves for place in grasp.form.places.children()]
+    starts = np.concatenate([[0], np.cumsum(counts)])
+    kept = np.delete(np.arange(starts[-1]), np.arange(starts[lost], starts[lost + 1]))
+    contacts = tuple(c for i, c in enumerate(grasp.contacts) if i != lost)
+    return grasp.with_contacts(*contacts), State(state.q, state.v, state.s[kept])
+
+
+def _touched(grasp: Grasp, run: Trajectory, friction: Given | None) -> tuple[Grasp, State, Scalar]:
+    """The grasp with the contact that the run found, at the time of the touch, without closing speed."""
+    check_planar(grasp)
+    finger = int(run.stats.contact)
+    # The face that is overlapped least, in depth or by being apart, is the one that was just passed.
+    gaps = [_nearest(grasp, run.last, finger, i).gap for i in range(len(grasp.object.shapes))]
+    face = int(np.argmin(np.abs(np.array(gaps))))
+    state, back = run.last, jnp.zeros(())
+    ends = [back], [gaps[face]]
+    # The secant method on the time back from the overlap, from a first guess that is as good as any.
+    ahead = jnp.asarray(1e-6)
+    for _ in range(_PASSES):
+        state = _earlier(grasp, run.last, run.stats.t_end, ahead)
+        found = _nearest(grasp, state, finger, face)
+        ends[0].append(ahead)
+        ends[1].append(found.gap)
+        if abs(float(found.gap)) <= _TOUCHING:
+            break
+        (t0, t1), (g0, g1) = (each[-2:] for each in ends)
+        if g1 == g0:
+            break
+        ahead = jnp.maximum(t1 - g1 * (t1 - t0) / (g1 - g0), 0.0)
+    found = _nearest(grasp, state, finger, face)
+    contact = Contact(found.s[0], found.s[1], finger=finger, contour=face, friction=friction)
+    closed = grasp.with_contacts(*grasp.contacts, contact)
+    start = State(state.q, state.v, jnp.append(state.s, 0.0))
+    hit = strike(closed, start, Impulse((0.0, 0.0), 0.0))
+    while code_name(hit.result) == "contact_lost":
+        # The impact knocks a contact off, that which would have to pull most: without it, once more.
+        closed, start = _without(closed, start, int(np.argmin(hit.multipliers.f)))
+        hit = strike(closed, start, Impulse((0.0, 0.0), 0.0))
+    if code_name(hit.result) != "successful":
+        raise ValueError(
+            f"argument run must touch in a way that friction can answer, but the impulse of finger "
+            f"{finger} on contour {face} made a contact slip"
+        )
+    return closed, hit.state, run.stats.t_end - ends[0][-1]
+
+
+def _nearest(grasp: Grasp, state: State, finger: int, face: int) -> Location:
+    """Closest points of a fingertip and a face of the object."""
+    frames = world_poses(grasp.prepared(), split(state.q, grasp.form.positions))
+    poses = [_numbers(frame) for frame in (frames[1 + finger], frames[0])]
+    shapes = grasp.fingers[finger].tip, grasp.object.shapes[face]
+    return locate(*shapes, pose_a=poses[0], pose_b=poses[1])
+
+
+def _numbers(pose: Pose2) -> Array:
+    """A pose as position [m] and angle [rad], as `locate` takes it."""
+    return jnp.stack([pose.origin.x, pose.origin.y, jnp.arctan2(pose.sin, pose.cos)])
+
+
+@eqx.filter_jit
+def _earlier(grasp: Grasp, state: State, t: Scalar, back: Scalar) -> State:
+    """The state so much earlier [s], by the same equations backwards in time."""
+    field = vector_field(grasp)
+    y0 = jnp.concatenate([state.q, state.v, state.s])
+    control = diffrax.PIDController(rtol=_BACK, atol=_BACK)
+    ends = (t, t - back)
+    found = diffrax.diffeqsolve(
+        field.terms, field.projected(), *ends, -0.5 * back, y0, stepsize_controller=control
+    )
+    ys: Array = found.ys  # pyright: ignore[reportAssignmentType]
+    return field.states(ys[-1])

@@ -231,11 +231,11 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
     **_family("contours phase pose poses responses animate", trajectory=_RUN),
     **_family("friction_demand overshoot peak_force settling_time tracking_error", run=_ANY_RUN),
     **_family("fit_surface", points=_CLOUD, smoothing=_is("not negative", 0.02)),
-    # With masses, of three links.
+    # As many of both are links: three, or seven.
     "Finger": {
         "tip": _ROUND,
-        "lengths": _is("array", (0.065, 0.065), "its last twice"),
-        "masses": _is("array", (0.045, 0.04), "its last twice"),
+        "lengths": _is("array", (0.065, 0.065), "its last twice", "three numbers", "seven numbers"),
+        "masses": _is("array", (0.045, 0.04), "its last twice", "three numbers", "seven numbers"),
     },
     "Contact3": {"finger": _is("count", 0, "whole zero"), "surface": _is("count", 0, "whole zero")},
     "Contact": {"finger": _is("count", 0, "whole zero"), "contour": _is("count", 0, "whole zero")},

@@ -202,7 +202,9 @@ def _run(
     # `march` does not differentiate the plan. A derivative in a time or a gain would be zero without a word:
     # refuse it instead.
     name = "times, tolerances and gains of the formulation"
-    plan, ts = eqxi.nondifferentiable((plan, given.ts), name=name)
+    plan = eqxi.nondifferentiable(plan, name=name)
+    # Without jumps the plan has the caller's own save times.
+    ts = plan.ts if jumps is None else eqxi.nondifferentiable(given.ts, name=name)
     trajectory, off = _trajectory(ready, state, march(bundle(ready), y0, plan), plan, setup.record, ts)
     if unresolved is not None:
         code = RESULTS.where(unresolved, RESULTS.unresolved, trajectory.result)

@@ -52,12 +52,13 @@ class RESULTS(eqx.Enumeration):
     not_finite = "The equations of motion gave a value that is not finite."
     too_deep = "Two shapes overlap so deeply that their deepest point has no single nearest point."
     unreachable = "The initial state is off the constraints: no pose near the guess closes them."
+    infeasible = "No point that keeps every limit was found; the one that passes them least is given."
+    solver_failed = "The solver reported a failure of its own."
+    # Codes are numbered in this order, and kept results hold the numbers: a new one comes last.
     unresolved = (
         "A contour bends more sharply than the cells of its table resolve: the run is that of a somewhat "
         "other shape."
     )
-    infeasible = "No point that keeps every limit was found; the one that passes them least is given."
-    solver_failed = "The solver reported a failure of its own."
 
 
 def traced(value: Any) -> bool:

@@ -8,15 +8,8 @@ import pytest
 import jaxroll as jxr
 from jaxroll.loads import Impulse
 from tests.oracles import reference_space as reference
+from tests.oracles.dense_impacts import dense_strike
 from tests.subjects.pinches_in_space import same_in_reference
-
-
-def dense_strike(M, A, v, p):
-    """v+ and the contact impulses: M (v+ - v) = p + A^T mu with A v+ = 0, as one linear system."""
-    n, m = len(v), len(A)
-    saddle = np.block([[M, -A.T], [A, np.zeros((m, m))]])
-    found = np.linalg.solve(saddle, np.concatenate([M @ v + p, np.zeros(m)]))
-    return found[:n], found[n:]
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll.loads import Push
-from tests.test_impulses import dense_strike
+from tests.oracles.dense_impacts import dense_strike
 
 EVENTS = ("lift", "friction", "penetration")
 

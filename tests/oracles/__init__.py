@@ -12,6 +12,7 @@ grasps and contours as are made with jaxroll lie in `tests.subjects`.
 | `chapter_part2` | the chapter's Part 2 in one coordinate: one finger turns a pivoted object |
 | `closed_forms_space` | single bodies that roll in space, from textbooks |
 | `reference_space` | spatial grasps with contacts located anew at every evaluation, by a null space |
+| `dense_impacts` | velocities after an impulse, by one dense linear system |
 | `known_curves` | points of ellipse and circle, and how far a contour through them is from the curve |
 | `outlines` | random outlines as polygons, and the gap between two by a search over all vertices |
 """

@@ -8,6 +8,7 @@ with respect to the time of the jump is right (`_integration/_jumps`). What is n
 if it were smooth: the method loses its order there, and a jump can be stepped over.
 """
 
+import abc
 from collections.abc import Callable
 from typing import Any, ClassVar
 
@@ -47,7 +48,26 @@ def _check_count(values: Array, count: int, words: str) -> None:
         )
 
 
-class Steps(eqx.Module):
+class AbstractSchedule(eqx.Module):
+    """A function of time given by values at times, all of which it declares as jumps."""
+
+    __repr__ = listed
+    UNITS: ClassVar[dict[str, str]] = {"times": "s"}
+
+    times: eqx.AbstractVar[Float[Array, " k"]]
+    values: eqx.AbstractVar[Float[Array, "..."]]
+
+    @property
+    def jumps(self) -> Float[Array, " k"]:
+        """When it, or its slope, jumps [s]."""
+        return self.times
+
+    @abc.abstractmethod
+    def __call__(self, t: Scalar) -> Array:
+        """The value at a time [s]."""
+
+
+class Steps(AbstractSchedule):
     """A value that jumps: the first one before the first time, the next one from there on, and so on.
 
     Args:
@@ -66,9 +86,6 @@ class Steps(eqx.Module):
         0.8
     """
 
-    __repr__ = listed
-    UNITS: ClassVar[dict[str, str]] = {"times": "s"}
-
     times: Float[Array, " k"] = real(None, check=_as_rising)
     values: Float[Array, "..."] = through(_as_finite)
 
@@ -77,11 +94,6 @@ class Steps(eqx.Module):
         self.values = taken(self, "values", values)
         _check_count(self.values, self.times.shape[0] + 1, "one value more than there are times")
 
-    @property
-    def jumps(self) -> Float[Array, " k"]:
-        """When it jumps [s]."""
-        return self.times
-
     def __call__(self, t: Scalar) -> Array:
         value = self.values[0]
         for i in range(self.times.shape[0]):
@@ -89,7 +101,7 @@ class Steps(eqx.Module):
         return value
 
 
-class Ramps(eqx.Module):
+class Ramps(AbstractSchedule):
     """A value that runs in straight lines from one to the next, and rests before the first and after all.
 
     Args:
@@ -106,9 +118,6 @@ class Ramps(eqx.Module):
         0.65
     """
 
-    __repr__ = listed
-    UNITS: ClassVar[dict[str, str]] = {"times": "s"}
-
     times: Float[Array, " k"] = real(None, check=_as_rising)
     values: Float[Array, "..."] = through(_as_finite)
 
@@ -116,11 +125,6 @@ class Ramps(eqx.Module):
         self.times = taken(self, "times", times)
         self.values = taken(self, "values", values)
         _check_count(self.values, self.times.shape[0], "as many values as there are times")
-
-    @property
-    def jumps(self) -> Float[Array, " k"]:
-        """Where its slope jumps [s]."""
-        return self.times
 
     def __call__(self, t: Scalar) -> Array:
         value = self.values[0]

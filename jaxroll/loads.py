@@ -4,7 +4,7 @@ A load is a function of time, pose and twist of the object. Its generalised forc
 torques on the right of $M \dot v + h = u + A^T \mu$, and its power $F \cdot v + T \cdot \omega$ the work in
 the energy balance (20). `Push`, `Drag` and `Spring` are ready-made; any callable pytree `f(t, pose, twist)`
 works too (see `Grasp`). `_motion/_equations` calls `wrench` in every evaluation; a grasp without loads has
-none of it in its program.
+none of it in its program. `Impulse` acts at one time, between two steps (`_motion._impulse`).
 """
 
 from collections.abc import Sequence

@@ -21,7 +21,14 @@ MODULES += ("stability",)
 _OF_ONE_FILE = ("commands", "control", "loads")
 
 # Not called by users at all, or not called with arguments.
-ABSTRACT = {"AbstractContour", "AbstractSurface", "AbstractContact", "AbstractController", "AbstractGoal"}
+ABSTRACT = {
+    "AbstractContour",
+    "AbstractSurface",
+    "AbstractContact",
+    "AbstractController",
+    "AbstractGoal",
+    "AbstractSchedule",
+}
 ABSTRACT |= {"AbstractShape", "AbstractSupport", "AbstractChart", "AbstractImplicit", "AbstractTabulated"}
 ENUMERATIONS = {"RESULTS", "VERDICTS"}
 # What functions return: plain records, which hold whatever they are given (JAX puts anything in a pytree).

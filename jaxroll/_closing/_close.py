@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from .._linalg import Pose2, Pose3, seven
+from .._linalg import Pose3, seven, three
 from .._mechanics import check_states, compiled, Grasp, split, State
 from .._motion import reach, world_poses
 from .._results import check_flag, concrete, shown
@@ -114,7 +114,7 @@ def _at_closest_points(grasp: Grasp, guess: State) -> tuple[Grasp, State]:
     found = []
     for contact in grasp.contacts:
         tip, face = grasp.shapes(contact)
-        own, body = _numbers(frames[1 + contact.finger]), _numbers(frames[0])
+        own, body = three(frames[1 + contact.finger]), three(frames[0])
         pair = locate_contours(tip, face, pose_a=own, pose_b=body)
         found += [pair.s[0], pair.s[1]]
     # In the plane the state counts arclengths from those that the contact holds. The contact gets the new
@@ -133,11 +133,6 @@ def _closest_places(grasp: Grasp, frames: tuple[Pose3, ...]) -> Array:
         found = locate_surfaces(tip, face, pose_a=own, pose_b=body)
         places += [found.at_a, found.at_b]
     return jnp.concatenate(places)
-
-
-def _numbers(pose: Pose2) -> Array:
-    """A pose as position [m] and angle [rad], as `locate` takes it."""
-    return jnp.stack([pose.origin.x, pose.origin.y, jnp.arctan2(pose.sin, pose.cos)])
 
 
 def row_name(grasp: Grasp, row: int) -> str:

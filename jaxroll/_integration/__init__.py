@@ -6,9 +6,9 @@ state out as one vector, `_step` makes one step of a method of diffrax on it (`_
 implicit method), `_step_size` sets its length, `_events` determines where the model ends, within a step too.
 `_run` takes steps until a run is over, `_batch` takes those of many runs together, `_derivative`
 differentiates the recorded steps. `_jumps` has the steps at declared jumps, `_strike` a blow by itself,
-`_resume` what follows a lost contact or a touch.
-`_trajectory` is the result, `_report` its printed form. `_vector_field`
-and `_projected_method` offer the same equations, those of `_motion`, to `diffrax.diffeqsolve`.
+`_resume` what follows a lost contact or a touch. `_trajectory` is the result, `_report` its printed form.
+`_vector_field` and `_projected_method` offer the same equations, those of `_motion`, to diffrax's own
+`diffeqsolve`.
 """
 
 from ._arguments import (

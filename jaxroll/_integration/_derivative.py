@@ -29,7 +29,7 @@ from .._types import Scalar
 from .._xla import as_it_is, filled, linear_map, one_kernel, pulled
 from ._backward_step import pulled_back
 from ._batch import Ensemble
-from ._jumps import grain
+from ._jumps import is_short
 from ._methods import is_rosenbrock, on_tableau
 from ._run import Path, Plan, recorded, solo
 from ._state_vector import Bundle, Flow
@@ -134,7 +134,7 @@ class _Steps(eqx.Module):
         """
         ended = (row(self.ys, self.count)[self.margin + 1] > 0) & jnp.isfinite(drift) & (drift != 0)
         if self.plan.jumps is not None:  # a run that a jump ended moves with the jump alone (`_simulate`)
-            ended &= row(self.ts, self.count) - row(self.ts, self.count - 1) > 2.0 * grain(self.plan.t1)
+            ended &= ~is_short(row(self.ts, self.count - 1), row(self.ts, self.count))
         return jnp.where(ended, -change / jnp.where(ended, drift, 1.0), 0.0)
 
     @property

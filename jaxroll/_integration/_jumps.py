@@ -88,11 +88,16 @@ def lateness(grasp: Grasp, t: Scalar) -> Scalar:
     return late / jnp.maximum(count, 1.0)
 
 
+def is_short(t0: Scalar, t1: Scalar) -> Scalar:
+    """Whether a step is one of the two short ones at a jump."""
+    return (t1 > t0) & (t1 - t0 <= 2.0 * grain(t1))
+
+
 def hits(t0: Scalar, t1: Scalar, time: Scalar) -> Scalar:
     """Whether a step is the second of the three at a time, which a blow at that time acts in."""
     t0, t1, time = jax.lax.stop_gradient((t0, t1, time))
     near = 0.5 * grain(time)
-    return (t1 > t0) & (t1 - t0 <= 2.0 * grain(t1)) & (jnp.abs(t1 - time) <= near) & (time - t0 > near)
+    return is_short(t0, t1) & (jnp.abs(t1 - time) <= near) & (time - t0 > near)
 
 
 def moved(grasp: Grasp, t0: Scalar, t1: Scalar, x: Array, *, rates: Array) -> Array:
@@ -102,6 +107,5 @@ def moved(grasp: Grasp, t0: Scalar, t1: Scalar, x: Array, *, rates: Array) -> Ar
     steps (see above), after it for the third.
     """
     t0, t1 = jax.lax.stop_gradient((t0, t1))
-    short = (t1 > t0) & (t1 - t0 <= 2.0 * grain(t1))
     late = lateness(grasp, t1) - lateness(grasp, t0)
-    return x + jnp.where(short, late, 0.0) * rates
+    return x + jnp.where(is_short(t0, t1), late, 0.0) * rates

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from .._linalg import Pose2, total
+from .._linalg import three, total
 from .._mechanics import check_planar, check_states, compiled, Grasp, split, State, to_leaves
 from .._motion import accelerations, bodies, world_poses
 from .._printing import code_name
@@ -137,10 +137,10 @@ def _touched(grasp: Grasp, run: Trajectory, friction: Given | None) -> tuple[Gra
     check_planar(grasp)
     finger = int(run.stats.contact)
     # The face that is overlapped least, in depth or by being apart, is the one that was just passed.
-    gaps = [_nearest(grasp, run.last, finger, i).gap for i in range(len(grasp.object.shapes))]
-    face = int(np.argmin(np.abs(np.array(gaps))))
-    state, back = run.last, jnp.zeros(())
-    ends = [back], [gaps[face]]
+    each = [_nearest(grasp, run.last, finger, i) for i in range(len(grasp.object.shapes))]
+    face = int(np.argmin([abs(float(found.gap)) for found in each]))
+    state, found = run.last, each[face]
+    ends = [jnp.zeros(())], [found.gap]
     # The secant method on the time back from the overlap, from a first guess that is as good as any.
     ahead = jnp.asarray(1e-6)
     for _ in range(_PASSES):
@@ -154,7 +154,6 @@ def _touched(grasp: Grasp, run: Trajectory, friction: Given | None) -> tuple[Gra
         if g1 == g0:
             break
         ahead = jnp.maximum(t1 - g1 * (t1 - t0) / (g1 - g0), 0.0)
-    found = _nearest(grasp, state, finger, face)
     contact = Contact(found.s[0], found.s[1], finger=finger, contour=face, friction=friction)
     closed = grasp.with_contacts(*grasp.contacts, contact)
     start = State(state.q, state.v, jnp.append(state.s, 0.0))
@@ -174,14 +173,9 @@ def _touched(grasp: Grasp, run: Trajectory, friction: Given | None) -> tuple[Gra
 def _nearest(grasp: Grasp, state: State, finger: int, face: int) -> Location:
     """Closest points of a fingertip and a face of the object."""
     frames = world_poses(grasp.prepared(), split(state.q, grasp.form.positions))
-    poses = [_numbers(frame) for frame in (frames[1 + finger], frames[0])]
+    poses = [three(frame) for frame in (frames[1 + finger], frames[0])]
     shapes = grasp.fingers[finger].tip, grasp.object.shapes[face]
     return locate(*shapes, pose_a=poses[0], pose_b=poses[1])
-
-
-def _numbers(pose: Pose2) -> Array:
-    """A pose as position [m] and angle [rad], as `locate` takes it."""
-    return jnp.stack([pose.origin.x, pose.origin.y, jnp.arctan2(pose.sin, pose.cos)])
 
 
 @eqx.filter_jit

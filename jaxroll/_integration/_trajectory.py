@@ -46,8 +46,8 @@ class Trajectory(eqx.Module):
 
     Under `vmap` every leaf gains a leading axis, `result` included: one code per lane. Rows after
     the end of a failed run hold NaN; `last` is the final state it reached in any case, and `filled()` puts it
-    in their place, for losses. Printed, it says how
-    the run went: where it ended early which contact ended it, when, by how much, and what helps.
+    in their place, for losses. Printed, it says how the run went: where it ended early which contact ended
+    it, when, by how much, and what helps.
 
     Attributes:
         ts: Shape (t,), saved times [s].

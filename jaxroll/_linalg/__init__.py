@@ -16,6 +16,7 @@ from ._plane import (
     sincos as sincos,
     solve as solve,
     stacked as stacked,
+    three as three,
     times as times,
     total as total,
     Triangle as Triangle,

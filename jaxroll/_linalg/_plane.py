@@ -188,6 +188,11 @@ def stacked(values: Sequence[Scalar]) -> jax.Array:
     return jnp.stack(tuple(values)) if len(values) else jnp.zeros(0)
 
 
+def three(frame: Pose2) -> jax.Array:
+    """A pose as numbers: position [m], then angle [rad]."""
+    return jnp.stack([frame.origin.x, frame.origin.y, jnp.arctan2(frame.sin, frame.cos)])
+
+
 def total(terms: Sequence[Any]) -> Any:
     """Sum of scalars or vectors without a zero to start from; 0.0 where there are none."""
     if not terms:

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ._results import as_array, as_floats, as_tree, check_callable, is_array_like, shown, traced
+from ._xla import in_arithmetic
 
 Check = Callable[[str, jax.Array], jax.Array]
 Shape = tuple[int | None, ...]
@@ -82,7 +83,7 @@ def held(owner: Any, t: Any) -> Any:
     names = [f.name for f in dataclasses.fields(owner) if is_command(getattr(owner, f.name))]
     if not names:
         return owner
-    values = [as_array(name, getattr(owner, name)(t)) for name in names]
+    values = [as_array(name, in_arithmetic(name, getattr(owner, name), t)) for name in names]
     return eqx.tree_at(lambda o: [getattr(o, name) for name in names], owner, values)
 
 

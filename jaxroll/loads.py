@@ -20,6 +20,7 @@ from ._mechanics import AbstractLoad as AbstractLoad, Moving, Wrench
 from ._printing import listed
 from ._results import as_array, check_finite, check_positive, shown
 from ._types import Given, Scalar
+from ._xla import in_arithmetic
 
 
 class Pose(eqx.Module):
@@ -323,7 +324,8 @@ class UserLoad(AbstractLoad):
         spin = moves.spin.array() if spatial else jnp.asarray(moves.spin)
         orientation = jnp.stack(object_.orientation) if spatial else jnp.asarray(object_.orientation[0])
         twist = Twist(moves.velocity.array(), spin)
-        given = self.function(t, Pose(pose.origin.array(), orientation), twist)
+        place = Pose(pose.origin.array(), orientation)
+        given = in_arithmetic("load", self.function, t, place, twist)
         if not isinstance(given, tuple | list) or len(given) != 2:
             raise ValueError(f"argument load must return a force and a torque, but returned {shown(given)}")
         force, torque = (as_array("load, in what it returns,", part) for part in given)

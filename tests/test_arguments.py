@@ -18,7 +18,7 @@ import pytest
 import jaxroll as jxr
 from jaxroll import commands, control, design, loads, stability
 from jaxroll._mechanics import AbstractController
-from jaxroll.control import Sensed, UserController
+from jaxroll.control import _user, Sensed, UserController
 from jaxroll.design._limits import sampled
 from jaxroll.design._minimise import _restored, check_checkpoint
 
@@ -178,9 +178,10 @@ CLASSES = {
         },
     ),
     jxr.State: (
-        {"q": [0, 1, 2], "v": np.zeros(3), "s": jnp.zeros(1)},
-        {name: {"nan array", "wrong shape", "empty"} for name in "qvs"},
-        {name: ONE_NUMBER for name in "qvs"},
+        {"q": [0, 1, 2], "v": np.zeros(3), "s": jnp.zeros(1), "memory": [0.5]},
+        {name: {"nan array", "wrong shape", "empty"} for name in "qvs"}
+        | {"memory": {"nan array", "wrong shape", "empty", "nothing"}},
+        {name: ONE_NUMBER for name in (*"qvs", "memory")},
     ),
     jxr.Contact: (
         {"s_tip": 0.0, "s_object": 0.0, "finger": 0, "contour": 0, "sense": -1, "friction": 0.5},
@@ -221,6 +222,27 @@ CLASSES = {
             "start": {"one": (1.5,), "returns one": lambda t: t},
             "damping": {"three": (1, 2, 3), "returns a flag": lambda t: t > 0},
             "alpha": {"three": (1, 2, 3), "returns rows": lambda t: ((t, t), (t, t))},
+        },
+    ),
+    control.Integral: (
+        {"law": None, "targets": {"x": 0.03, "tilt": 0.1}, "gain": 20.0},
+        {"law": {"nothing"}},
+        {
+            "law": {"sampled": control.Sampled(None, 0.001)},
+            "targets": {"unknown": {"width": 0.1}, "none": {}, "text": {"x": "a"}, "numbered": {0: 0.1}},
+            "gain": {"three": (1, 2, 3)},
+        },
+    ),
+    control.Sampled: (
+        {"law": None, "period": 0.001, "first": 0.0, "angle_noise": 1e-4, "rate_noise": 0.1}
+        | {"key": jax.random.key(0)},
+        {"law": {"nothing"}, "angle_noise": {"nothing"}, "rate_noise": {"nothing"}, "key": {"nothing"}},
+        {
+            "law": {"sampled": control.Sampled(None, 0.001)},
+            "period": NOT_POSITIVE,
+            "angle_noise": {"negative": -1.0},
+            "rate_noise": {"negative": -1.0},
+            "key": {"number": 3, "keys": jax.random.split(jax.random.key(0), 2)},
         },
     ),
     loads.Push: (
@@ -693,7 +715,7 @@ FUNCTIONS = {
 INNER = {
     *("clearance", "gap", "gap_bias", "gap_rate", "pfaffian", "rolling_rate", "tangency", "tangency3"),
     *("sense", "joint_angles", "as_controller", "as_drive", "check_states", "split"),
-    *("as_load", "impulses", "total_wrench"),
+    *("as_load", "impulses", "total_wrench", "law_of", "same_time"),
 }
 # Searches for the closest points of two shapes have tests of their own.
 SEARCHES = {"locate", "locate_surfaces"}
@@ -776,7 +798,7 @@ RETURNED = {
 @pytest.fixture
 def blind(monkeypatch):
     """Controllers that are told no tips: what they return is what counts."""
-    monkeypatch.setattr(control, "_tip", lambda finger: None)
+    monkeypatch.setattr(_user, "tip_of", lambda finger: None)
 
 
 @pytest.mark.parametrize("key", RETURNED)

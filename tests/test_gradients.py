@@ -140,9 +140,30 @@ def test_second_derivatives_are_refused_not_wrong(scene):
         jax.hessian(lambda c: final(grasp.with_(damping=c), state))(0.006)
 
 
-def test_derivatives_in_times_are_refused_not_zero(scene):
-    with pytest.raises(RuntimeError, match="times, tolerances and gains"):
-        jax.grad(lambda t1: jxr.simulate(*scene, t1, ts=1).states.q[-1, 0])(0.05)
+def test_derivatives_in_the_start_are_refused_not_zero(scene):
+    with pytest.raises(RuntimeError, match="start's time, tolerances and gains"):
+        jax.grad(lambda t0: jxr.simulate(*scene, 0.05, t0=t0, ts=1).states.q[-1, 0])(0.01)
+
+
+def test_derivatives_in_save_times_and_end(scene):
+    """Against differences: of states, forces, energies, the end; rows that were not reached do not move."""
+    grasp, state = scene
+
+    def seen(times):
+        run = jxr.simulate(grasp, state, times[0], ts=times[1:], rtol=1e-11, record=records, throw=False)
+        forces, work = run.multipliers.f[:, 0], run.energy.work
+        parts = [run.states.q[:, 0], run.states.v[:, 1], run.states.s[:, 0], forces, work, run.ts]
+        return jnp.concatenate([*parts, run.last.q, run.stats.t_end[None]])
+
+    records, times, size = ("multipliers", "energy"), jnp.array([0.3, 0.1, 0.2]), 1e-4
+    value = jax.jit(seen)
+    ends = [[value(times + k * size * e) for e in np.eye(3)] for k in (-2, -1, 1, 2)]
+    slopes = (8 * (np.array(ends[2]) - ends[1]) - (np.array(ends[3]) - ends[0])) / (12 * size)
+    np.testing.assert_allclose(jax.jacrev(seen)(times), slopes.T, rtol=0, atol=2e-7)
+    np.testing.assert_allclose(jax.jacfwd(seen)(times), slopes.T, rtol=0, atol=2e-7)
+    lost = grasp.with_(force=-0.5)
+    ends = jax.grad(lambda t: jnp.nansum(jxr.simulate(lost, state, t, ts=3, throw=False).states.q))(0.3)
+    assert np.isfinite(ends)
 
 
 def test_close_is_differentiated_by_the_implicit_function_theorem(scene):

@@ -230,7 +230,8 @@ def test_records_print_as_one_line_concrete_batched_traced_and_abstract(record):
     for value in (jnp.ones(()), jnp.ones(3), jnp.ones((7, 3)).at[0].set(jnp.nan), None, True, 3):
         text = repr(filled(value))
         assert text.startswith(f"{record.__name__}(") and "\n" not in text and len(text) < 900
-        assert all(f"{name}=" in text for name in names)
+        left_out = {"memory"} if record is jxr.State and value is None else set()
+        assert {name for name in names if f"{name}=" not in text} == left_out
     seen = []
     jax.jit(lambda x: seen.append(repr(filled(x))) or x)(jnp.ones(3))
     assert "traced float64[3]" in seen[0] or not names

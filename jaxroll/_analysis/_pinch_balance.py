@@ -16,7 +16,7 @@ from .._mechanics import check_planar, compiled, Grasp, State
 from .._motion import as_times, Index1, multipliers_at, over_time
 from .._printing import listed
 from .._types import Scalar
-from ..control import Opposition, orientations
+from ..control import law_of, Opposition, orientations
 from ._contact_geometry import geometry_at
 
 
@@ -91,7 +91,7 @@ def check_pinch(grasp: Grasp) -> None:
     """Raise unless two fingers, with one contact each, are driven by `control.Opposition`."""
     check_planar(grasp)
     touched = [contact.finger for contact in grasp.contacts]
-    if len(grasp.fingers) != 2 or touched != [0, 1] or not isinstance(grasp.controller, Opposition):
+    if len(grasp.fingers) != 2 or touched != [0, 1] or not isinstance(law_of(grasp.controller), Opposition):
         raise ValueError(
             f"argument grasp must be two fingers with one contact each, in order, under control.Opposition, "
             f"but was {len(grasp.fingers)} with contacts on {touched} under {type(grasp.controller).__name__}"
@@ -101,7 +101,7 @@ def check_pinch(grasp: Grasp) -> None:
 def _balance_at(grasp: Grasp, t: Scalar, state: State) -> PinchBalance:
     """The quantities of a prepared pinch at one time [s] and state."""
     at, forces = geometry_at(grasp, state), multipliers_at(grasp, t, state, Index1())
-    control = grasp.controller.at(t)
+    control = law_of(grasp.controller).at(t)
     kept = orientations(grasp, state) - control.start
     odd = jnp.array([-1, 1])  # (-1)^i as the chapter counts; whole numbers take any precision
     arm = at.centre_0[0] - at.centre_0[1]  # r_1 - r_2

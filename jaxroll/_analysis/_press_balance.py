@@ -16,7 +16,7 @@ from .._motion import as_times, Index1, multipliers_at, over_time
 from .._printing import listed
 from .._results import shown
 from .._types import Scalar
-from ..control import Press
+from ..control import law_of, Press
 from ._contact_geometry import geometry_at
 
 
@@ -64,7 +64,7 @@ def press_balance(grasp: Grasp, ts: Float[Array, "..."], states: State) -> Press
     """Part 2's quantities at one time and state, or along a leading time axis.
 
     Raises:
-        ValueError: If the grasp's controller is not `control.Press`.
+        ValueError: If the grasp's controller is not `control.Press`, by itself or inside another one.
 
     Example:
         >>> import jaxroll as jxr
@@ -75,7 +75,7 @@ def press_balance(grasp: Grasp, ts: Float[Array, "..."], states: State) -> Press
         True
     """
     check_planar(grasp)
-    if not isinstance(grasp.controller, Press):
+    if not isinstance(law_of(grasp.controller), Press):
         raise ValueError(
             f"argument grasp must be driven by control.Press, but was by {shown(grasp.controller)}"
         )
@@ -86,7 +86,7 @@ def press_balance(grasp: Grasp, ts: Float[Array, "..."], states: State) -> Press
 def _balance_at(grasp: Grasp, t: Scalar, state: State) -> PressBalance:
     """The quantities of a prepared grasp at one time [s] and state."""
     at, forces = geometry_at(grasp, state), multipliers_at(grasp, t, state, Index1())
-    control = grasp.controller.at(t)
+    control = law_of(grasp.controller).at(t)
     stiffness = control.stiffness
     arm = at.centre_0 - control.target[None]
     # (79), with Q and R of (64)-(65) left out, which vanish at a closed contact. The chapter's target is the

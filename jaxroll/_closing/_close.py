@@ -105,7 +105,7 @@ def _at_closest_points(grasp: Grasp, guess: State) -> tuple[Grasp, State]:
     frames = world_poses(grasp, split(guess.q, grasp.form.positions))
     if grasp.spatial:
         # In space the state itself holds the contact coordinates, and the grasp stays as it is.
-        return grasp, State(guess.q, guess.v, _closest_places(grasp, frames))
+        return grasp, State(guess.q, guess.v, _closest_places(grasp, frames), guess.memory)
     for i, contact in enumerate(grasp.contacts):
         if any(contour.domain() is None for contour in grasp.shapes(contact)):
             raise ValueError(
@@ -121,7 +121,7 @@ def _at_closest_points(grasp: Grasp, guess: State) -> tuple[Grasp, State]:
     # arclengths, and the state's s is zero.
     places = lambda g: [s for c in g.contacts for s in (c.s_tip, c.s_object)]  # noqa: E731
     located = eqx.tree_at(places, grasp, found)
-    return located, State(guess.q, guess.v, jnp.zeros_like(guess.s))
+    return located, State(guess.q, guess.v, jnp.zeros_like(guess.s), guess.memory)
 
 
 def _closest_places(grasp: Grasp, frames: tuple[Pose3, ...]) -> Array:

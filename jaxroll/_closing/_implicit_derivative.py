@@ -197,12 +197,12 @@ def _ending(grasp: Grasp, guess: State, step: Array, *, resting: bool) -> State:
     with sharing():
         q, s = after_step(grasp, guess, step)
         if resting:
-            return State(q, guess.v, s)
+            return State(q, guess.v, s, guess.memory)
         leaves = to_leaves(State(q, guess.v, s), grasp.form)
         motions, inertias = bodies(grasp, leaves)
         masses = [factorise(inertia.mass) for inertia in inertias]
         line = linearise(grasp, motions, masses, touches(grasp, leaves.s))
-        return State(q, join(compatible(grasp, leaves, line).v), s)
+        return State(q, join(compatible(grasp, leaves, line).v), s, guess.memory)
 
 
 def _ended(grasp: Grasp, guess: State, step: Array, resting: bool) -> tuple[State, Array]:

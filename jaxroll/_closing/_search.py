@@ -205,7 +205,7 @@ def on_shapes(grasp: Grasp, guess: State) -> State:
     places = to_places(guess.s, grasp.form)
     each = zip(grasp.contacts, places, strict=True)
     settled = [contact.onto(grasp.shapes(contact), place) for contact, place in each]
-    return State(guess.q, guess.v, stacked(jax.tree.leaves(settled)))
+    return State(guess.q, guess.v, stacked(jax.tree.leaves(settled)), guess.memory)
 
 
 def after_step(grasp: Grasp, guess: State, step: Array) -> tuple[Array, Array]:

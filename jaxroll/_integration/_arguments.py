@@ -19,7 +19,7 @@ from .._results import as_array, as_count, check_instance, concrete, shown
 Solver = diffrax.AbstractSolver
 StepSizeControl = diffrax.AbstractStepSizeController
 ProgressMeter = diffrax.AbstractProgressMeter
-RECORDS = ("multipliers", "energy")
+RECORDS = ("multipliers", "energy", "dense")
 # Default relative tolerance.
 RTOL = 1e-8
 # Smallest relative tolerance in single precision: below it rounding is the larger error, and steps collapse.

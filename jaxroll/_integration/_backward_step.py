@@ -18,7 +18,7 @@ from .._linalg import row, scalars, weighted_sum, with_row_selected
 from .._types import Scalar
 from .._xla import shared
 from ._state_vector import Bundle, Flow
-from ._step import ending_size, RollingStep, tableau_of
+from ._step import ending_size, RollingStep, sample_times, tableau_of
 
 
 def pulled_back(
@@ -36,7 +36,8 @@ def pulled_back(
     width, t0, dt = step.lay.width, times[0], times[1] - times[0]
     moving, still = eqx.partition(bundle, eqx.is_inexact_array)
     at = lambda moving, t, x: step.at(eqx.combine(moving, still), t, x)  # noqa: E731
-    finish = lambda moving, *rest: step.finish(eqx.combine(moving, still), *rest)  # noqa: E731
+    sampled = sample_times(bundle, times[1])
+    finish = lambda moving, *rest: step.finish(eqx.combine(moving, still), *rest, *sampled)  # noqa: E731
     unmoved = None
     if bundle.jumps:
         y0, unmoved = jax.vjp(lambda m, y: step.moved(eqx.combine(m, still), *times, y), moving, y0)

@@ -24,7 +24,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .._linalg import row
+from .._linalg import row, with_row
 from .._types import Scalar
 from .._xla import as_it_is, filled, linear_map, one_kernel, pulled
 from ._backward_step import pulled_back
@@ -57,7 +57,7 @@ def _together(size: int, batched: Any, arrays: Any, still: Any) -> Path:
     """Many runs: as an ensemble, or one beside the other where the method does not allow it."""
     plan = eqx.combine(arrays, still)[2]
     takes_lanes = on_tableau(plan.stepper.method) or is_rosenbrock(plan.stepper.method)
-    if takes_lanes and isinstance(plan.progress, diffrax.NoProgressMeter):
+    if takes_lanes and not plan.dense and isinstance(plan.progress, diffrax.NoProgressMeter):
         return one_kernel(lambda found: Ensemble(size, batched, found, still).run(), arrays)
     axes = jax.tree.map(lambda b: 0 if b else None, batched)
     return jax.vmap(lambda found: solo(*eqx.combine(found, still)), in_axes=(axes,))(arrays)
@@ -68,20 +68,23 @@ def _march_jvp(primals: Any, tangents: Any) -> tuple[Path, Path]:
     grasp, y0, plan = primals
     grasp_dot, y0_dot, _ = tangents
     # With tangents asked for, the run is made once, recording; without, `march` itself runs.
-    path, (step_ts, step_ys) = one_kernel(recorded, grasp, y0, plan)
+    path, record = one_kernel(recorded, grasp, y0, plan)
+    step_ts, step_ys = record
     moving, still = eqx.partition(grasp, eqx.is_inexact_array)
     numbers, plan, step_ts, step_ys = eqxi.nondifferentiable(
         (moving, plan, step_ts, step_ys), name="the state of a run (second derivatives)"
     )
     steps = _Steps(numbers, plan, step_ts, step_ys, path.steps[1], still)
     start_dot = filled((moving, y0), (grasp_dot, y0_dot))
-    ends = (path.saved, path.last, path.t_last)
+    ends: tuple[Array, ...] = (path.saved, path.last, path.t_last)
+    where = lambda p: (p.saved, p.last, p.t_last)  # noqa: E731
+    if plan.dense:
+        path = eqx.tree_at(lambda p: p.record, path, record, is_leaf=lambda x: x is None)
+        ends, where = (*ends, record.ys), lambda p: (p.saved, p.last, p.t_last, p.record.ys)  # noqa: E731
     # Saved vectors, the last one and the time of the end move; counts and codes do not.
     dots = linear_map(_Steps.tangents, _Steps.cotangents, steps, start_dot, like=ends)
     no_tangents = jax.tree.map(lambda _: None, path)
-    return path, eqx.tree_at(
-        lambda p: (p.saved, p.last, p.t_last), no_tangents, dots, is_leaf=lambda x: x is None
-    )
+    return path, eqx.tree_at(where, no_tangents, dots, is_leaf=lambda x: x is None)
 
 
 class _Steps(eqx.Module):
@@ -147,27 +150,37 @@ class _Steps(eqx.Module):
         index = jnp.searchsorted(self.ts, self.plan.ts)
         return jnp.minimum(index, self.count), index <= self.count
 
-    def tangents(self, start: tuple[Bundle, Flow]) -> tuple[Array, Array, Array]:
-        """Tangents of (saved, last, t_last), from those of the grasp's numbers and of the start."""
+    def tangents(self, start: tuple[Bundle, Flow]) -> tuple[Array, ...]:
+        """Tangents of (saved, last, t_last), from those of the grasp's numbers and of the start.
+
+        With dense output those of all steps come last.
+        """
         index, reached = self._saved_at()
-        saved, last, drift = one_kernel(_pushed, self, index, start)
+        rows, last, drift = one_kernel(_pushed, self, None if self.plan.dense else index, start)
+        saved = rows[index] if self.plan.dense else rows
         later = self.postponed(drift[self.margin], last[self.margin])
         moved = self.postponed(drift[self.margin], last[self.margin] * drift)
-        return jnp.where(reached[:, None], saved, 0.0), last + moved, later
+        ends = jnp.where(reached[:, None], saved, 0.0), last + moved, later
+        return (*ends, rows) if self.plan.dense else ends
 
-    def cotangents(self, ends: tuple[Array, Array, Array]) -> tuple[Bundle, Flow]:
-        """Cotangents of the grasp's numbers and of the start, from those of (saved, last, t_last)."""
+    def cotangents(self, ends: tuple[Array, ...]) -> tuple[Bundle, Flow]:
+        """Cotangents of the grasp's numbers and of the start, from those that `tangents` gives."""
         # Each recorded vector gets the cotangents of all save times that it serves. The scatter stands
         # outside the kernel, which could not hold it.
-        saved_bar, last_bar, later_bar = ends
+        saved_bar, last_bar, later_bar, *rows_bar = ends
         index, reached = self._saved_at()
         track = jnp.zeros_like(self.ys)
         track = track.at[index].add(jnp.where(reached[:, None], saved_bar, 0.0))
+        for rows in rows_bar:
+            track = track + rows
         return one_kernel(_pulled, self, track, last_bar, later_bar)
 
 
-def _pushed(steps: _Steps, index: Array, start: tuple[Bundle, Flow]) -> tuple[Array, Array, Array]:
-    """Tangents of the recorded states at some steps and at the last one, and the drift of that one."""
+def _pushed(steps: _Steps, index: Array | None, start: tuple[Bundle, Flow]) -> tuple[Array, Array, Array]:
+    """Tangents of the recorded states at some steps and at the last one, and the drift of that one.
+
+    Without an index of all steps.
+    """
     moving_dot, y_dot = start
 
     def step(k: Scalar, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
@@ -182,9 +195,14 @@ def _pushed(steps: _Steps, index: Array, start: tuple[Bundle, Flow]) -> tuple[Ar
         _, ahead = jax.jvp(steps.step(k, as_it_is), here_now, along)
         drift = jnp.where(k == steps.count, ahead, drift)
         ahead = jnp.where(within, ahead, here)
+        if index is None:
+            return with_row(saved, ahead, k + 1), ahead, drift
         return jnp.where((index == k + 1)[:, None], ahead, saved), ahead, drift
 
-    first = jnp.where((index == 0)[:, None], y_dot, jnp.zeros((index.shape[0], y_dot.shape[0])))
+    if index is None:
+        first = with_row(jnp.zeros_like(steps.ys), y_dot, 0)
+    else:
+        first = jnp.where((index == 0)[:, None], y_dot, jnp.zeros((index.shape[0], y_dot.shape[0])))
     longest = eqxi.unvmap_max(steps.count)
     return jax.lax.fori_loop(0, longest + 1, step, (first, y_dot, jnp.zeros_like(y_dot)))
 

@@ -22,7 +22,7 @@ from ..loads import Impulse
 from ._report import contact_name
 from ._strike import strike
 from ._trajectory import check_one_run, Trajectory
-from ._vector_field import vector_field
+from ._vector_field import held_field
 
 # Tolerance of the motion followed back from an overlap [m, rad, and these per second].
 _BACK = 1e-12
@@ -129,7 +129,7 @@ def _without(grasp: Grasp, state: State, lost: int) -> tuple[Grasp, State]:
     starts = np.concatenate([[0], np.cumsum(counts)])
     kept = np.delete(np.arange(starts[-1]), np.arange(starts[lost], starts[lost + 1]))
     contacts = tuple(c for i, c in enumerate(grasp.contacts) if i != lost)
-    return grasp.with_contacts(*contacts), State(state.q, state.v, state.s[kept])
+    return grasp.with_contacts(*contacts), State(state.q, state.v, state.s[kept], state.memory)
 
 
 def _touched(grasp: Grasp, run: Trajectory, friction: Given | None) -> tuple[Grasp, State, Scalar]:
@@ -156,7 +156,7 @@ def _touched(grasp: Grasp, run: Trajectory, friction: Given | None) -> tuple[Gra
         ahead = jnp.maximum(t1 - g1 * (t1 - t0) / (g1 - g0), 0.0)
     contact = Contact(found.s[0], found.s[1], finger=finger, contour=face, friction=friction)
     closed = grasp.with_contacts(*grasp.contacts, contact)
-    start = State(state.q, state.v, jnp.append(state.s, 0.0))
+    start = State(state.q, state.v, jnp.append(state.s, 0.0), state.memory)
     hit = strike(closed, start, Impulse((0.0, 0.0), 0.0))
     while code_name(hit.result) == "contact_lost":
         # The impact knocks a contact off, that which would have to pull most: without it, once more.
@@ -181,8 +181,8 @@ def _nearest(grasp: Grasp, state: State, finger: int, face: int) -> Location:
 @eqx.filter_jit
 def _earlier(grasp: Grasp, state: State, t: Scalar, back: Scalar) -> State:
     """The state so much earlier [s], by the same equations backwards in time."""
-    field = vector_field(grasp)
-    y0 = jnp.concatenate([state.q, state.v, state.s])
+    field = held_field(grasp, None, ())
+    y0 = field.start(state)
     control = diffrax.PIDController(rtol=_BACK, atol=_BACK)
     ends = (t, t - back)
     found = diffrax.diffeqsolve(

@@ -18,6 +18,7 @@ from jaxtyping import Array, Float, Int
 from .._linalg import row, with_row
 from .._results import RESULTS
 from .._types import Scalar, Times
+from ..control import same_time
 from . import _jumps
 from ._events import decode
 from ._state_vector import Bundle, Flow
@@ -40,6 +41,7 @@ class Plan(eqx.Module):
     jumps: Float[Array, " j"] | None
     progress: diffrax.AbstractProgressMeter
     max_steps: int = eqx.field(static=True)
+    dense: bool = eqx.field(static=True)
 
     def at_rest(self, y0: Flow) -> Pace:
         """The pace before the first step."""
@@ -61,6 +63,7 @@ class Path(eqx.Module):
         t_last: When it ended.
         steps: Attempted, accepted and rejected steps.
         result: Result code.
+        record: All accepted steps, if the plan asks for them.
     """
 
     saved: Float[Array, "t flow"]
@@ -68,6 +71,7 @@ class Path(eqx.Module):
     t_last: Float[Array, ""]
     steps: Int[Array, "3"]
     result: RESULTS
+    record: "Record | None" = None
 
 
 def path_of(saved: Array, last: Flow, t_last: Scalar, counts: tuple[Array, Array, Array]) -> Path:
@@ -109,8 +113,13 @@ def embark(plan: Plan, y0: Flow) -> Course:
 
 def aim(plan: Plan, course: Course) -> tuple[Scalar, Scalar]:
     """Start and end of the next step; a run that is over stays where it is."""
-    # Steps end at save times, where a state is most accurate, at t1, and beside declared jumps.
+    # Steps end at save times, where a state is most accurate, at t1, at samples, and beside declared jumps.
     pace, stop = course.pace, _stop(plan, course.saved)
+    lay = plan.stepper.lay
+    if lay.form.sampled:
+        # A save time that is a sample, but for rounding, stays: `judge` looks for it exactly.
+        due = course.y[lay.due]
+        stop = jnp.where(due < stop - same_time(stop), due, stop)
     if plan.jumps is not None:
         stop = jnp.minimum(stop, _jumps.stop(plan.jumps, course.passed, pace.t))
     ahead = plan.control(pace).ahead(pace.t)
@@ -165,7 +174,10 @@ class Record(NamedTuple):
 
 def solo(grasp: Bundle, y0: Flow, plan: Plan) -> Path:
     """One run."""
-    return _solo(grasp, y0, plan, None)[0]
+    if not plan.dense:
+        return _solo(grasp, y0, plan, None)[0]
+    path, record = recorded(grasp, y0, plan)
+    return eqx.tree_at(lambda p: p.record, path, record, is_leaf=lambda x: x is None)
 
 
 def recorded(grasp: Bundle, y0: Flow, plan: Plan) -> tuple[Path, Record]:

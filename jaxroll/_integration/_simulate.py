@@ -22,7 +22,9 @@ from .._linalg import total
 from .._mechanics import check_planar, check_states, Grasp, State, tabled_grasp
 from .._motion import (
     as_formulation,
+    begun,
     check_rolling,
+    check_tasks,
     CSM,
     energies_at,
     Energy,
@@ -50,6 +52,7 @@ from ._arguments import (
     RTOL,
     step_limit,
 )
+from ._dense import Dense
 from ._derivative import march
 from ._events import EVENTS, whose
 from ._jumps import beside, lateness, ordered
@@ -58,6 +61,7 @@ from ._report import complaint
 from ._run import Path, Plan
 from ._state_vector import bundle, Layout, layout, states_of, vector_of
 from ._step import RollingStep
+from ._time_derivative import moving_as, moving_in_time
 from ._trajectory import Stats, Trajectory
 
 
@@ -93,7 +97,8 @@ def simulate(
         ts: Times to save at, shape (t,), rising, within [t0, t1]; or how many, evenly spaced. Steps
             end at them, so a saved state is as accurate as the solver.
         rtol: Relative tolerance of the local error of q and v.
-        record: Any of 'multipliers' and 'energy', worked out at the saved times. Default: neither.
+        record: Any of 'multipliers' and 'energy', worked out at the saved times, and 'dense', which keeps
+            every step, so that `run(t)` is the state at any time (`Trajectory`). Default: none.
         throw: If True, raise when the run ends early; if False, or under `vmap`, read `result`.
     Args (rarely changed):
         t0: Initial time [s].
@@ -128,8 +133,8 @@ def simulate(
     controller that is shorter than a step and falls between its stages is no part of the run. Limits of the
     geometry come before those of the forces, which have a pole where a sum of curvatures is zero.
     Gradients: forward and reverse mode, of the discrete solution at frozen step sizes, with respect to
-    `grasp` and `state`; in times or gains of the formulation, and twice, they are refused. A derivative
-    records `max_steps` states.
+    `grasp` and `state`; in `t1` and `ts` with the slope of the motion there. In `t0`, tolerances and gains of
+    the formulation, and twice, they are refused. A derivative records `max_steps` states.
     Accuracy: with default settings about 1e-8 rad over the chapter's scenes; constraint rows below 1e-14 m.
     Recording energy puts the work into error control, and so can change the steps.
     Single precision: allowed from rtol 1e-5 up.
@@ -155,6 +160,7 @@ def simulate(
         check_choices("events", events, EVENTS),
     )
     check_rolling(grasp, state)
+    check_tasks(grasp, state)
     if "penetration" in setup.events:
         check_planar(grasp)
     run = _run_plain if _is_plain(grasp, setup) else _run_any
@@ -192,24 +198,40 @@ def _run(
     check_precision(grasp, state)
     ready, unresolved = as_it_is_resolved(grasp.prepared())
     lay = layout(grasp, "energy" in setup.record)
+    state = begun(ready, state, jnp.asarray(numbers.t0))
     y0 = vector_of(lay, state)
     stepper = RollingStep(setup.solver, formulation, lay, setup.events)
     given = Numbers(*map(jnp.asarray, numbers))
     jumps = jax.lax.stop_gradient(ordered(ready, given.t0, given.t1))
     # A run begins before a jump at its start; a state saved at a jump is the one after it.
     begin, (end, saves) = beside(jumps, given.t0, -1.0), (beside(jumps, t, 1.0) for t in given[1:3])
+    end, saves = jax.lax.stop_gradient((end, saves))
     plan = _plan(stepper, y0, given._replace(t0=begin, t1=end, ts=saves), setup, jumps=jumps)
-    # `march` does not differentiate the plan. A derivative in a time or a gain would be zero without a word:
-    # refuse it instead.
-    name = "times, tolerances and gains of the formulation"
+    # `march` does not differentiate the plan. A derivative in a gain or in the start would be zero without a
+    # word: refuse it instead.
+    name = "the start's time, tolerances and gains of the formulation"
     plan = eqxi.nondifferentiable(plan, name=name)
+    packed = bundle(ready)
+    path = _moving_with(march(packed, y0, plan), lay, given)
     # Without jumps the plan has the caller's own save times.
-    ts = plan.ts if jumps is None else eqxi.nondifferentiable(given.ts, name=name)
-    trajectory, off = _trajectory(ready, state, march(bundle(ready), y0, plan), plan, setup.record, ts)
+    ts = moving_as(plan.ts if jumps is None else jax.lax.stop_gradient(given.ts), given.ts)
+    trajectory, off = _trajectory(ready, state, path, plan, setup.record, ts)
+    if path.record is not None:
+        dense = Dense(packed, plan.stepper, path.record.ts, path.record.ys, path.steps[1])
+        trajectory = eqx.tree_at(lambda run: run.dense, trajectory, dense, is_leaf=lambda x: x is None)
     if unresolved is not None:
         code = RESULTS.where(unresolved, RESULTS.unresolved, trajectory.result)
         trajectory = eqx.tree_at(lambda run: run.result, trajectory, code)
     return trajectory, off
+
+
+def _moving_with(path: Path, lay: Layout, given: Numbers) -> Path:
+    """A path with derivatives in the save times, and in the end if it got there."""
+    saved = moving_in_time(lay.width, path.saved, given.ts)
+    there = jnp.where(path.result == RESULTS.successful, given.t1, jax.lax.stop_gradient(given.t1))
+    last = moving_in_time(lay.width, path.last, there)
+    t_last = moving_as(path.t_last, there)
+    return eqx.tree_at(lambda p: (p.saved, p.last, p.t_last), path, (saved, last, t_last))
 
 
 _run_plain = jax.jit(_run, static_argnames="setup")
@@ -233,7 +255,8 @@ def _plan(stepper: RollingStep, y0: Array, numbers: Numbers, setup: Setup, *, ju
     check_method(method, controller, y0[: lay.width])
     stepper = RollingStep(method, stepper.formulation, lay, stepper.events)
     meter = setup.progress or diffrax.NoProgressMeter()
-    return Plan(stepper, controller, t0, t1, ts, dt0, jumps, meter, setup.max_steps)
+    dense = "dense" in setup.record
+    return Plan(stepper, controller, t0, t1, ts, dt0, jumps, meter, setup.max_steps, dense)
 
 
 class _Norm(eqx.Module):
@@ -267,7 +290,7 @@ def _trajectory(
     both = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), state, states)
     observe, times = functools.partial(_observed_at, record=record), ()
     if "multipliers" in record:
-        times = (jnp.concatenate([jnp.asarray(plan.t0)[None], plan.ts]),)
+        times = (jnp.concatenate([jnp.asarray(plan.t0)[None], moving_as(plan.ts, ts)]),)
     found = of_reached(lambda rows: in_turn(observe, (grasp, way), rows, *times), both, state)
     off = worst(jax.tree.map(lambda a: a[0], found[0]))
     on_constraints = isinstance(way, CSM) | (off <= reach(state.q.dtype))
@@ -286,7 +309,7 @@ def _trajectory(
         Stats(attempted, accepted, rejected, _ended_at(grasp, path, plan), whose(number), margin),
         forces,
         energy,
-        grasp.labels,
+        labels=grasp.labels,
     )
     return trajectory, off
 

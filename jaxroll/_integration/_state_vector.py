@@ -1,6 +1,7 @@
 """What a run integrates: one vector that holds the state and its own derivative.
 
-`y = [x, x', margin, code]`, with `x = [q, v, s]` and, where energy is recorded, the work done; `margin` says
+`y = [x, x', margin, code]`, with `x = [q, v, s]`, then a controller's memory, if it has one, and where energy
+is recorded the work done; `margin` says
 how far the model still holds and `code` is positive once it does not (`_events`). `slope` computes `x'` with
 `_motion`. Since the derivative is carried along, a step is a pure map from `y` to `y` even for methods whose
 first stage is the last one of the step before; `_derivative` needs that. One vector, not a tuple of scalars,
@@ -36,26 +37,34 @@ class Layout(NamedTuple):
         """Where the margin is in `y`."""
         return 2 * self.width
 
+    @property
+    def due(self) -> int:
+        """Where the time of the next sample is in `x`, of a sampled controller."""
+        return sum(self.form.counts) + self.form.memory - 1
+
     def controlled(self, error: Array) -> Array:
-        """The part of `x` that error control looks at: q, v and work.
+        """The part of `x` that error control looks at: q, v, a memory that is integrated, and work.
 
         Contact coordinates follow from q by tangency, and the derivative is not integrated.
         """
         positions, velocities, places = self.form.counts
         moving = positions + velocities
-        parts = [error[:moving], error[moving + places : self.width]]
-        return jnp.concatenate(parts) if self.audited else parts[0]
+        # What samples change is at rest between them.
+        idle = places + (self.form.memory if self.form.sampled else 0)
+        parts = [error[:moving], error[moving + idle : self.width]]
+        return jnp.concatenate(parts) if self.width > moving + idle else parts[0]
 
 
 def layout(grasp: Grasp, audited: bool) -> Layout:
     """The layout of a grasp's flow vector."""
-    return Layout(grasp.form, audited, sum(grasp.form.counts) + int(audited))
+    form = grasp.form
+    return Layout(form, audited, sum(form.counts) + form.memory + int(audited))
 
 
 def pack(leaves: Leaves, work: Scalar | None) -> Array:
     """The vector x of a state in scalars, and of the work done [J] where that is audited."""
     flat = [leaf for blocks in (leaves.q, leaves.v) for block in blocks for leaf in block]
-    flat += jax.tree.leaves(leaves.s)
+    flat += [*jax.tree.leaves(leaves.s), *leaves.memory]
     if work is not None:
         flat.append(work)
     return jnp.stack(flat)
@@ -71,7 +80,8 @@ def unpack(lay: Layout, x: Array) -> tuple[Leaves, Scalar | None]:
     form = lay.form
     q, v = blocks(form.positions), blocks(form.sizes)
     s = jax.tree.unflatten(form.places, tuple(itertools.islice(rest, form.places.num_leaves)))
-    return Leaves(q, v, s), next(rest) if lay.audited else None
+    memory = tuple(itertools.islice(rest, form.memory))
+    return Leaves(q, v, s, memory), next(rest) if lay.audited else None
 
 
 def slope(
@@ -88,25 +98,30 @@ def states_of(lay: Layout, y: Array) -> State:
     """The state in a vector x or y, or in a stack of them along leading axes."""
     positions, velocities, places = lay.form.counts
     moving = positions + velocities
-    return State(y[..., :positions], y[..., positions:moving], y[..., moving : moving + places])
+    end = moving + places
+    memory = y[..., end : end + lay.form.memory] if lay.form.memory else None
+    return State(y[..., :positions], y[..., positions:moving], y[..., moving:end], memory)
 
 
 def vector_of(lay: Layout, state: State) -> Array:
     """The vector y of a state at the start: no work done yet, derivative, margin and code not yet known."""
     unknown = int(lay.audited) + lay.width + 2
-    return jnp.concatenate([state.q, state.v, state.s, jnp.zeros(unknown, state.q.dtype)])
+    memory = [] if state.memory is None else [state.memory]
+    return jnp.concatenate([state.q, state.v, state.s, *memory, jnp.zeros(unknown, state.q.dtype)])
 
 
 class Bundle(eqx.Module):
     """A grasp whose scalars are one array, for loops; calling it gives the grasp, ready for evaluation.
 
-    `jumps` says whether it declares jumps, which `rest`, without its scalars, cannot tell.
+    `jumps` says whether it declares jumps, which `rest`, without its scalars, cannot tell; `sampled` whether
+    its controller is.
     """
 
     numbers: Float[Array, " numbers"]
     rest: Grasp
     tree: Any = eqx.field(static=True)
     jumps: bool = eqx.field(static=True)
+    sampled: bool = eqx.field(static=True)
 
     def __call__(self) -> Grasp:
         return eqx.combine(jax.tree.unflatten(self.tree, scalars(self.numbers)), self.rest)
@@ -117,4 +132,4 @@ def bundle(grasp: Grasp) -> Bundle:
     scalar = lambda x: eqx.is_inexact_array(x) and jnp.ndim(x) == 0  # noqa: E731
     numbers, rest = eqx.partition(grasp, scalar)
     leaves, tree = jax.tree.flatten(numbers)
-    return Bundle(jnp.stack(leaves), rest, tree, bool(grasp.jumps))
+    return Bundle(jnp.stack(leaves), rest, tree, bool(grasp.jumps), grasp.form.sampled)

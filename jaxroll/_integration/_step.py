@@ -22,13 +22,16 @@ import numpy as np
 from jaxtyping import Array
 
 from .._linalg import row, scalars, total, weighted_sum, with_row, with_row_selected
-from .._mechanics import Grasp
+from .._mechanics import Grasp, Leaves
 from .._motion import (
     Anchor,
     anchor_of,
+    combine,
     compatible,
     Formulation,
     Index1,
+    Linearisation,
+    sample_due,
     settle,
     struck,
     unknown_anchor,
@@ -83,7 +86,7 @@ class RollingStep(eqx.Module):
             y0 = over(self.moved)(bundle, *times, y0)
         # `raw` is the end as the method gives it, `rates` the derivative there, `end` the packed `Ending`.
         raw, rates, error, end, dip = self._way(bundle, *times, y0, over)
-        y1 = over(self.finish)(bundle, raw, rates, end)
+        y1 = over(self.finish)(bundle, raw, rates, end, *sample_times(bundle, times[1]))
         if impulses(bundle.rest.load):
             y1 = jnp.concatenate([y1[:-2], jnp.where(y0[-1:] > 0, y0[-2:], y1[-2:])])
         if "penetration" in self.events:
@@ -134,8 +137,11 @@ class RollingStep(eqx.Module):
         end = jnp.stack([jnp.asarray(-jnp.inf, x0.dtype), number.astype(x0.dtype)])
         return jnp.concatenate([x0, y0[width:-2], jnp.where(hit & no, end, y0[-2:])])
 
-    def finish(self, bundle: Bundle, raw: Array, rates: Array, end: Array) -> Flow:
-        """The flow vector at a step's end, back on the constraints."""
+    def finish(self, bundle: Bundle, raw: Array, rates: Array, end: Array, *t1: Scalar) -> Flow:
+        """The flow vector at a step's end, back on the constraints, and after a sample that is due there.
+
+        `t1` is the time of the end where the controller is sampled (`sample_times`), and not given otherwise.
+        """
         grasp = bundle()
         with sharing():
             ending = Ending.unpacked(grasp, end)
@@ -144,7 +150,25 @@ class RollingStep(eqx.Module):
                 x1 = returned(self.lay, grasp, raw, ending.anchor)
             leaves, _ = unpack(self.lay, x1)
             judged = with_clearance(grasp, leaves, (ending.margin, ending.number), self.events)
-            return jnp.concatenate([x1, rates, coded(x1, *judged)])
+            end = coded(x1, *judged)
+            for t in t1:
+                x1, rates = self._sampled(grasp, t, x1, rates, ending.anchor.line)
+            return jnp.concatenate([x1, rates, end])
+
+    def _sampled(
+        self, grasp: Grasp, t: Scalar, x: Array, rates: Array, line: Linearisation
+    ) -> tuple[Array, Array]:
+        """The vector x and its slope after a sample, if one is due."""
+        leaves, work = unpack(self.lay, x)
+        slopes, power = unpack(self.lay, rates)
+        done = sample_due(grasp, t, leaves, slopes, line=line)
+        x = pack(Leaves(leaves.q, leaves.v, leaves.s, done.memory), work)
+        slopes = Leaves(slopes.q, combine(slopes.v, done.gained), slopes.s, slopes.memory)
+        after = pack(slopes, None if power is None else power + done.power)
+        # Seen from where the step ends the state is x + late (f_- - f_+), and its slope that of this place.
+        way = rates - after
+        slope_at = (self.lay, self.formulation, grasp, t, x, way)
+        return x + done.late * way, after + _elsewhere(done.late, slope_at)
 
     def _within(self, t0: Scalar, t1: Scalar, y0: Flow, y1: Flow, share: Scalar) -> Array:
         """The vector x at a share of a step, by the cubic through both ends and their derivatives."""
@@ -302,6 +326,25 @@ def _repeated(start: int, stop: int, body: Callable, carry: Any) -> Any:
     """`jax.lax.fori_loop`; unrolled on accelerators, where every turn launches all its kernels anew."""
     unroll = None if jax.default_backend() == "cpu" else True
     return jax.lax.fori_loop(start, stop, body, carry, unroll=unroll)
+
+
+@eqx.filter_custom_jvp
+def _elsewhere(late: Scalar, slope_at: tuple) -> Array:
+    """Zero, with the derivative of the slope as x moves by so many times a way (`slope_at` ends with it)."""
+    return jnp.zeros_like(slope_at[-1])
+
+
+@_elsewhere.def_jvp
+def _elsewhere_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
+    lay, formulation, grasp, t, x, way = primals[1]
+    late_dot = jnp.zeros_like(t) if tangents[0] is None else tangents[0]
+    _, moved = jax.jvp(lambda x: slope(lay, grasp, t, x, formulation=formulation)[0], (x,), (way,))
+    return jnp.zeros_like(way), late_dot * moved
+
+
+def sample_times(bundle: Bundle, t1: Scalar) -> tuple[Scalar, ...]:
+    """The time of a step's end, for `RollingStep.finish`, where the controller is sampled; else nothing."""
+    return (t1,) if bundle.sampled else ()
 
 
 def ending_size(bundle: Bundle) -> int:

@@ -83,6 +83,6 @@ def _strike(grasp: Grasp, state: State, blow: Impulse, events: tuple[str, ...]) 
     done = struck(ready, to_leaves(state, ready.form), [(blow, jnp.ones((), state.q.dtype))])
     no, number = refused_blow(ready, done, events)
     frames = [motion.pose for motion in done.motions]
-    after = State(state.q, join(done.leaves.v), state.s)
+    after = State(state.q, join(done.leaves.v), state.s, state.memory)
     code = decode(jnp.where(no, number, 0), diffrax.RESULTS.successful)
     return Strike(after, split_forces(ready, frames, done.touching, done.forces), done.work, code)

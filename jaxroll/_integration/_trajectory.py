@@ -11,8 +11,9 @@ from jaxtyping import Array, Float, Int
 from .._mechanics import Labels, State
 from .._motion import Energy, Multipliers, Residuals
 from .._printing import code_name, listed
-from .._results import check_instance, concrete, is_array_like, RESULTS, shown
-from .._types import Times
+from .._results import as_array, check_instance, concrete, is_array_like, RESULTS, shown
+from .._types import Given, Times
+from ._dense import Dense, states_at
 from ._report import batch_report, report
 
 
@@ -58,6 +59,7 @@ class Trajectory(eqx.Module):
         stats: Steps taken, how far, and what ended it.
         multipliers: Contact forces at the saved times, if recorded.
         energy: Energy balance at the saved times, if recorded.
+        dense: Its steps, if 'dense' was recorded; `run(t)` reads them.
         labels: What its bodies, coordinates (with units) and contacts are called. Static.
     """
 
@@ -69,7 +71,39 @@ class Trajectory(eqx.Module):
     stats: Stats
     multipliers: Multipliers | None = None
     energy: Energy | None = None
+    dense: Dense | None = None
     labels: Labels | None = eqx.field(static=True, default=None)
+
+    def __call__(self, t: Given) -> State:
+        r"""States at any times, of a run that recorded 'dense': by one more step of its own method each.
+
+        As accurate as saved states, on the constraints as they are, and of the method's own order in the
+        step; what a step costs, per time, and compiled with the first call. Differentiable like saved states,
+        and with respect to `t`. Before the start of a run and after its end states are NaN.
+
+        Args:
+            t: Times [s], of any shape, which comes first in what is returned.
+
+        Raises:
+            ValueError: If the run kept no steps, or is several runs: `jax.vmap(lambda run: run(t))(runs)`.
+
+        Example:
+            >>> import jaxroll as jxr
+            >>> grasp, state = jxr.scenes.pivoted()
+            >>> run = jxr.simulate(grasp, state, 1.0, ts=1, record=("dense",))
+            >>> run([0.1, 0.35]).q.shape
+            (2, 3)
+        """
+        if self.dense is None:
+            raise ValueError(
+                "argument t must be given to a run that kept its steps, by `simulate(..., record=('dense',))`"
+            )
+        if self.dense.count.ndim:
+            raise ValueError(
+                f"argument t must be given to one run, but these were {self.dense.count.shape}; "
+                "jax.vmap(lambda run: run(t))(runs) asks each"
+            )
+        return states_at(self.dense, as_array("t", t).astype(self.ts.dtype))
 
     def filled(self) -> "Trajectory":
         r"""The same run with finite rows after an early end, for losses that an optimiser follows.

@@ -10,6 +10,7 @@ of `_motion`, and so is the return to the constraints after every step, by a met
 (`_projected_method`).
 """
 
+from collections.abc import Collection
 from typing import Any
 
 import diffrax
@@ -18,15 +19,25 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._mechanics import check_grasp, check_states, Grasp, Leaves, State, tabled_grasp
-from .._motion import anchor_of, as_formulation, check_rolling, evaluate, Formulation, Index1, Instant
+from .._motion import (
+    anchor_of,
+    as_formulation,
+    begun,
+    check_rolling,
+    check_tasks,
+    evaluate,
+    Formulation,
+    Index1,
+    Instant,
+)
 from .._printing import listed
-from .._results import check_instance
+from .._results import check_instance, shown
 from .._types import Scalar
 from ._arguments import check_choices
 from ._events import EVENTS, regime
 from ._methods import check_method, Steady, with_tolerances
 from ._projected_method import Projected
-from ._state_vector import Layout, layout, slope, states_of, unpack
+from ._state_vector import Layout, layout, slope, states_of, unpack, vector_of
 from ._step import returned
 
 Y = Float[Array, " y"]
@@ -35,8 +46,8 @@ Y = Float[Array, " y"]
 class VectorField(eqx.Module):
     r"""The equations of motion of a grasp, for `diffrax.diffeqsolve`; made by `vector_field`.
 
-    What is integrated is one array $y = (q, v, s)$. The field is a pytree: derivatives with respect to the
-    grasp go through `terms`.
+    What is integrated is one array $y = (q, v, s)$, with a controller's memory behind it if it has one. The
+    field is a pytree: derivatives with respect to the grasp go through `terms`.
     """
 
     __repr__ = listed
@@ -59,7 +70,9 @@ class VectorField(eqx.Module):
         """$y$ of a state on the constraints, as `close` returns it: `y0` of `diffeqsolve`."""
         check_states(self.grasp, state)
         check_rolling(self.grasp, state)
-        return jnp.concatenate([state.q, state.v, state.s])
+        check_tasks(self.grasp, state)
+        begin = begun(self.grasp, state, jnp.zeros((), state.q.dtype))
+        return vector_of(self._lay, begin)[: self._lay.width]
 
     def states(self, ys: Float[Array, "... y"]) -> State:
         """The states of solutions $y$ along any leading axes: of `solution.ys`, or of `evaluate(t)`."""
@@ -140,6 +153,16 @@ def vector_field(
         '0.772 rad'
     """
     check_grasp(grasp)
+    if grasp.form.sampled:
+        raise ValueError(
+            f"argument grasp must not have a sampled controller, which only `simulate` asks at its samples, "
+            f"but was driven by {shown(grasp.controller)}"
+        )
+    return held_field(grasp, formulation, events)
+
+
+def held_field(grasp: Grasp, formulation: Formulation | None, events: Collection[str]) -> VectorField:
+    """The same of any grasp: torques of a sampled controller stay as the state has them."""
     watched = check_choices("events", events, tuple(e for e in EVENTS if e != "penetration"))
     way, ready = as_formulation(grasp, formulation), tabled_grasp(grasp).prepared()
     return VectorField(ready, way, watched, layout(grasp, False))

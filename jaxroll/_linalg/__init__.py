@@ -8,6 +8,7 @@ from ._plane import (
     Factor as Factor,
     factorise as factorise,
     inner as inner,
+    minus as minus,
     plus as plus,
     Pose2 as Pose2,
     root as root,

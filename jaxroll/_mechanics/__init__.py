@@ -14,7 +14,12 @@ from ._body import (
     PivotedObject as PivotedObject,
     QUATERNION as QUATERNION,
 )
-from ._controller import AbstractController as AbstractController, as_drive as as_drive, Torques as Torques
+from ._controller import (
+    AbstractController as AbstractController,
+    as_drive as as_drive,
+    own_memory as own_memory,
+    Torques as Torques,
+)
 from ._entry import (
     check_grasp as check_grasp,
     check_planar as check_planar,

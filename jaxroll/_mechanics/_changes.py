@@ -40,12 +40,13 @@ def changed(grasp: Any, changes: Mapping[str, Any]) -> Any:
 
 def _owner(grasp: Any, name: str) -> Any:
     """A function from a grasp to the one part of it that has the field; raise unless there is just one."""
-    places = {
-        "grasp": lambda g: g,
-        "controller": lambda g: g.controller,
-        "object": lambda g: g.object,
-    }
-    found = [place for place in places.values() if _has_field(place(grasp), name)]
+    places = [lambda g: g, lambda g: g.controller, lambda g: g.object]
+    # A law inside another controller, as inside `control.Sampled`, is asked too.
+    inside = places[1]
+    while isinstance(getattr(inside(grasp), "law", None), eqx.Module):
+        inside = lambda g, outer=inside: outer(g).law  # noqa: E731
+        places.append(inside)
+    found = [place for place in places if _has_field(place(grasp), name)]
     if len(found) != 1:
         raise ValueError(
             f"argument {name} must name one field of the grasp, its controller or its object, "

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from .._fields import real, taken, through
 from .._linalg import Pose2, sincos, total, Twist2, unstack, Vec2
-from .._results import check_instance, check_positive
+from .._results import as_count, as_floats, check_between, check_instance, check_positive
 from .._types import Given, Scalar, Scalars
 from .._xla import once
 from ..contact import Motion
@@ -144,6 +144,43 @@ class Finger(AbstractFinger):
     @property
     def joints(self) -> int:
         return len(self.lengths)
+
+    def with_payload(
+        self, mass: Given, *, link: int | None = None, at: Given | None = None, inertia: Given = 0.0
+    ) -> "Finger":
+        r"""A copy with a body fixed to one link: a camera, a sensor, a fingertip's weight.
+
+        Mass, centre of mass and moment of the link become those of both together, exactly:
+        $m' = m + p$, $c' = (m c + p a)/m'$, $I' = I + I_p + \frac{m p}{m'} (a - c)^2$.
+
+        Args:
+            mass: $p$ [kg], positive.
+            link: Which link, counted from zero. Default: the last one.
+            at: $a$, how far along the link the body's centre of mass is from the joint [m]. Default: at its
+                end.
+            inertia: $I_p$, the body's moment about its own centre of mass [kg m^2].
+
+        Raises:
+            ValueError: If there is no such link, or a number is not what it must be.
+
+        Example:
+            >>> import jaxroll as jxr
+            >>> finger = jxr.Finger([0.06, 0.06], [0.03, 0.01], jxr.Circle(0.01))
+            >>> heavy = finger.with_payload(0.01)
+            >>> f"{heavy.masses[1]:.3f} kg at {1e3 * heavy.centres[1]:.0f} mm"
+            '0.020 kg at 45 mm'
+        """
+        i = self.joints - 1 if link is None else as_count("link", link, least=0, most=self.joints - 1)
+        p, own = as_floats("mass", mass, ()), as_floats("inertia", inertia, ())
+        check_positive("mass", p)
+        check_between("inertia", own, 0.0, jnp.inf)
+        place = self.lengths[i] if at is None else as_floats("at", at, ())
+        m, c = self.masses[i], self.centres[i]
+        apart = place - c
+        new = (m + p, c + p / (m + p) * apart, self.inertias[i] + own + m * p / (m + p) * apart**2)
+        fields = lambda f: (f.masses, f.centres, f.inertias)  # noqa: E731
+        arrays = (old.at[i].set(x) for old, x in zip(fields(self), new, strict=True))
+        return eqx.tree_at(fields, self, tuple(arrays))
 
     @property
     def size(self) -> Scalar:

@@ -27,7 +27,7 @@ from .._linalg import (
     unstack,
     Vec3,
 )
-from .._results import check_direction, check_instance, check_positive
+from .._results import as_count, as_floats, check_direction, check_instance, check_positive
 from .._types import Given, Scalar, Scalars
 from .._xla import once
 from ..contact import Motion
@@ -150,6 +150,48 @@ class Finger3(AbstractFinger):
     @property
     def joints(self) -> int:
         return len(self.axes)
+
+    def with_payload(
+        self, mass: Given, *, link: int | None = None, at: Given | None = None, inertia: Given | None = None
+    ) -> "Finger3":
+        r"""A copy with a body fixed to one link: a camera, a sensor, a fingertip's weight.
+
+        Mass, centre of mass and inertia of the link become those of both together, exactly; with d the vector
+        from the link's centre of mass to the body's, $I' = I + I_p + \frac{m p}{m + p} (d^2 1 - d d^T)$.
+
+        Args:
+            mass: p [kg], positive.
+            link: Which link, counted from zero. Default: the last one.
+            at: Shape (3,), the body's centre of mass from the link's joint [m]. Default: the link's end.
+            inertia: $I_p$, shape (3, 3), about the body's own centre of mass in the link's axes [kg m^2];
+                symmetric. Default: none, a point.
+
+        Raises:
+            ValueError: If there is no such link, or a number is not what it must be.
+
+        Example:
+            >>> import jaxroll as jxr
+            >>> links = [(0, 0.06, 0), (0, 0.06, 0)]
+            >>> finger = jxr.Finger3([(1, 0, 0), (0, 0, 1)], links, [0.03, 0.01], jxr.Sphere(0.01))
+            >>> heavy = finger.with_payload(0.01, at=(0.02, 0.03, 0.0))
+            >>> f"{heavy.masses[1]:.3f} kg at {1e3 * heavy.centres[1, 0]:.0f} mm"
+            '0.020 kg at 10 mm'
+        """
+        i = self.joints - 1 if link is None else as_count("link", link, least=0, most=self.joints - 1)
+        p = check_positive("mass", as_floats("mass", mass, ()))
+        place = self.offsets[i] if at is None else as_floats("at", at, (3,))
+        own = jnp.zeros((3, 3)) if inertia is None else as_floats("inertia", inertia, (3, 3))
+        m, apart = self.masses[i], place - self.centres[i]
+        about = jnp.eye(3) * (apart @ apart) - jnp.outer(apart, apart)
+        new = (
+            m + p,
+            self.centres[i] + p / (m + p) * apart,
+            self.inertias[i] + own + m * p / (m + p) * about,
+        )
+        fields = lambda f: (f.masses, f.centres, f.inertias)  # noqa: E731
+        arrays = [old.at[i].set(x) for old, x in zip(fields(self), new, strict=True)]
+        arrays[2] = taken(self, "inertias", arrays[2], shape=self.inertias.shape, name="inertia")
+        return eqx.tree_at(fields, self, tuple(arrays))
 
     @property
     def size(self) -> Scalar:

@@ -21,7 +21,7 @@ from ..contact import AbstractContact
 from ..geometry import AbstractContour, AbstractSurface, check_shape, tabled
 from ._body import AbstractBody, Coordinate
 from ._changes import changed
-from ._controller import AbstractController, as_drive
+from ._controller import AbstractController, as_drive, memory_of
 from ._finger import AbstractFinger
 from ._load import AbstractLoad, as_loads
 from ._state import Form
@@ -84,8 +84,11 @@ class Grasp(eqx.Module):
         controller: Joint torques: a controller of `jaxroll.control`, or any callable pytree
             `f(t, angles, rates, tips)` that returns one array of torques [N m] per finger; `angles`
             and `rates` hold one array of shape (k,) per finger, `tips` its tip's `position` and
-            `jacobian`. Default: no torques. As under `jax.jit`, numbers that a plain function takes from
-            outside itself are those of its first run; numbers that change are fields of an `equinox.Module`.
+            `jacobian`. An `equinox.Module` with an array `memory`, shape (k,), has a memory that begins with
+            it: it is called as `f(t, angles, rates, tips, memory)` and returns torques and the memory's time
+            derivative, which the run integrates. Default: no torques. As under `jax.jit`, numbers that a
+            plain function takes from outside itself are those of its first run; numbers that change are
+            fields of an `equinox.Module`.
         gravity: Shape (2,), in space (3,), in m/s^2; or one row for each body, the object's first: fingers
             whose own weight is compensated have rows of zeros. Default: none, and then it costs nothing.
         load: Wrench on the object: one of `jaxroll.loads`, or any callable pytree `f(t, pose, twist)` that
@@ -159,6 +162,7 @@ class Grasp(eqx.Module):
         """Raise unless controller, gravity and loads are those of such bodies."""
         if isinstance(self.controller, AbstractController):
             self.controller.check(len(self.fingers), self._axes)
+            self.controller.check_freedoms(self.coordinates - sum(c.rows for c in self.contacts))
         wanted = (self._axes,), (len(self.bodies), self._axes)
         if self.gravity is not None and self.gravity.shape not in wanted:
             raise ValueError(
@@ -246,6 +250,11 @@ class Grasp(eqx.Module):
         declared = [as_array("jumps", part.jumps) for part in parts if _jumps(part)]
         return tuple(times.ravel() for times in declared if times.size)
 
+    @property
+    def memory(self) -> Float[Array, " k"] | None:
+        """What its controller's memory begins with; None where it has none."""
+        return memory_of(self.controller, tuple(finger.joints for finger in self.fingers))
+
     def prepared(self) -> "Grasp":
         """This grasp with bodies and shapes ready for evaluation, their arrays split into scalars."""
         ready = (self.object.prepared(), tuple(finger.prepared() for finger in self.fingers))
@@ -315,7 +324,10 @@ def _all_shapes(grasp: Grasp) -> list[Any]:
 def _form(grasp: Grasp) -> Form:
     """The layout of a grasp's states; kept, because every check of a state asks for it."""
     places = tuple(c.form(grasp.shapes(c)) for c in grasp.contacts)
-    return Form(tuple(body.positions for body in grasp.bodies), grasp.sizes, jax.tree.structure(places))
+    positions = tuple(body.positions for body in grasp.bodies)
+    sampled = isinstance(grasp.controller, AbstractController) and grasp.controller.sampled
+    count = 0 if (memory := grasp.memory) is None else memory.shape[0]
+    return Form(positions, grasp.sizes, jax.tree.structure(places), count, sampled)
 
 
 @remembered

@@ -32,6 +32,8 @@ class State(eqx.Module):
             [m], zero at the starting contact: $s_A = s_{A0} + \sigma$ on the fingertip,
             $s_B = s_{B0} - \sigma$ on the object. In space, of each contact, its place on the fingertip's
             surface, then on the object's.
+        memory: Shape (k,), of a controller with a memory; None otherwise, and at a start that is to begin
+            with the controller's own.
 
     Lists and whole numbers become floating arrays, all three of one precision. Leading axes are those of a
     batch or of time; what is not finite may stand, as saved states that a run did not reach are.
@@ -45,17 +47,22 @@ class State(eqx.Module):
         'f'
     """
 
-    __repr__ = listed
-
     q: Float[Array, " n"]
     v: Float[Array, " nv"]
     s: Float[Array, " c"]
+    memory: Float[Array, " k"] | None = None
 
-    def __init__(self, q: Given, v: Given, s: Given) -> None:
-        parts = [_as_row(name, value) for name, value in (("q", q), ("v", v), ("s", s))]
+    def __init__(self, q: Given, v: Given, s: Given, memory: Given | None = None) -> None:
+        named = [("q", q), ("v", v), ("s", s)] + ([] if memory is None else [("memory", memory)])
+        parts = [_as_row(name, value) for name, value in named]
         if len({part.dtype for part in parts}) > 1:
             parts = [part.astype(jnp.result_type(*parts)) for part in parts]
-        self.q, self.v, self.s = parts
+        self.q, self.v, self.s = parts[:3]
+        self.memory = None if memory is None else parts[3]
+
+    def __repr__(self) -> str:
+        # Most states have no memory.
+        return listed(self).replace(", memory=None", "")
 
 
 def _as_row(name: str, value: Any) -> Array:
@@ -84,6 +91,9 @@ def check_shapes(states: State, form: "Form", name: str, axes: int) -> None:
         if shape != (*lead, size) or len(lead) > axes:
             wanted = f"({size},) or (t, {size})" if axes else f"({size},)"
             raise ValueError(f"argument {name}.{part} must have shape {wanted}, but had {shape}")
+    if states.memory is not None:
+        _check_memory(states, form, f"{name}.memory")
+        kinds |= {getattr(states.memory, "dtype", None)}
     if len(kinds) > 1 or not kinds <= _PRECISIONS:
         raise ValueError(
             f"argument {name} must be of single or double precision throughout, "
@@ -91,25 +101,42 @@ def check_shapes(states: State, form: "Form", name: str, axes: int) -> None:
         )
 
 
+def _check_memory(states: State, form: "Form", name: str) -> None:
+    """Raise unless the memory in states is one of the grasp's controller."""
+    shape, wanted = getattr(states.memory, "shape", ()), (*states.q.shape[:-1], form.memory)
+    if not form.memory:
+        raise ValueError(f"argument {name} must be None for a controller without memory, but had {shape}")
+    if shape != wanted:
+        raise ValueError(f"argument {name} must have shape {wanted} or be None, but had {shape}")
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, slots=True)
 class Leaves:
     """A `State` in which every number is a leaf of its own; block 0 is the object's, the others the fingers'.
 
-    `s` holds the place of each contact: a number in the plane, two tuples of numbers in space.
+    `s` holds the place of each contact: a number in the plane, two tuples of numbers in space. `memory` is
+    empty where the controller has none, or is to begin with its own.
     """
 
     q: Blocks
     v: Blocks
     s: tuple[Any, ...]
+    memory: Scalars = ()
 
 
 class Form(NamedTuple):
-    """How many positions and velocities each body has, and the structure of all places; hashable."""
+    """How many positions and velocities each body has, and the structure of all places; hashable.
+
+    `memory` numbers of the controller's follow, of which the last is the time of the next sample if it is
+    `sampled`.
+    """
 
     positions: tuple[int, ...]
     sizes: tuple[int, ...]
     places: Any  # structure of the contacts' places
+    memory: int = 0
+    sampled: bool = False
 
     @property
     def counts(self) -> tuple[int, int, int]:
@@ -119,7 +146,9 @@ class Form(NamedTuple):
 
 def to_leaves(state: State, form: Form) -> Leaves:
     """The arrays of a state as scalars."""
-    return Leaves(split(state.q, form.positions), split(state.v, form.sizes), to_places(state.s, form))
+    blocks = split(state.q, form.positions), split(state.v, form.sizes)
+    memory = () if state.memory is None else split(state.memory, (form.memory,))[0]
+    return Leaves(*blocks, to_places(state.s, form), memory)
 
 
 def to_places(s: Array, form: Form) -> tuple[Any, ...]:

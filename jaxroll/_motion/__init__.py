@@ -4,14 +4,16 @@
 `_equations` solves for accelerations and contact forces, `_projection` returns a state to the constraints,
 `_formulation` holds the two ways of keeping them. `_equation_terms` gives the terms of the equations as
 arrays, `_quantities` residuals, contact forces, torques, accelerations and energies of given states;
-`_impulse` has velocities that change at once. Bodies and contacts come from `_mechanics` and `contact`;
-`_integration` integrates the result.
+`_impulse` has velocities that change at once, `_sampling` torques that do. `_own_contacts` and `_task_errors`
+are checks before a run. Bodies and contacts come from `_mechanics` and `contact`; `_integration` integrates
+the result.
 """
 
 from ._equation_terms import (
     equation_terms as equation_terms,
     generalised_force as generalised_force,
     mass_matrix as mass_matrix,
+    memory_rates as memory_rates,
 )
 from ._equations import (
     bodies as bodies,
@@ -28,7 +30,7 @@ from ._formulation import (
     Index1 as Index1,
 )
 from ._impulse import Struck as Struck, struck as struck
-from ._linearisation import linearise as linearise
+from ._linearisation import combine as combine, Linearisation as Linearisation, linearise as linearise
 from ._own_contacts import check_rolling as check_rolling
 from ._projection import (
     Anchor as Anchor,
@@ -59,3 +61,5 @@ from ._quantities import (
     torques as torques,
     worst as worst,
 )
+from ._sampling import begun as begun, memory_after_sample as memory_after_sample, sample_due as sample_due
+from ._task_errors import check_tasks as check_tasks

@@ -98,5 +98,12 @@ def generalised_force(grasp: Grasp, t: Scalar, state: State) -> Array:
     """$u - h$, shape (n,): joint torques, loads and gravity less velocity terms, without contact forces."""
     leaves = to_leaves(state, grasp.form)
     motions, inertias = bodies(grasp, leaves)
-    driven = drives(grasp, t, leaves, motions)
+    driven, _ = drives(grasp, t, leaves, motions)
     return join(tuple(net_force(i, u) for i, u in zip(inertias, driven, strict=True)))
+
+
+def memory_rates(grasp: Grasp, t: Scalar, state: State) -> Float[Array, " k"]:
+    """Time derivative of the controller's memory."""
+    leaves = to_leaves(state, grasp.form)
+    motions, _ = bodies(grasp, leaves)
+    return jnp.stack(drives(grasp, t, leaves, motions)[1])

@@ -53,10 +53,11 @@ def evaluate(grasp: Grasp, t: Scalar, leaves: Leaves, formulation: Formulation) 
     touching = touches(grasp, leaves.s)
     masses = [factorise(inertia.mass) for inertia in inertias]
     line = linearise(grasp, motions, masses, touching)
+    acting, memory_rates = drives(grasp, t, leaves, motions)
     # Accelerations without contact: M^-1 (u - h), body by body.
     free = tuple(
         solve(mass, net_force(inertia, drive))
-        for mass, inertia, drive in zip(masses, inertias, drives(grasp, t, leaves, motions), strict=True)
+        for mass, inertia, drive in zip(masses, inertias, acting, strict=True)
     )
     # Acceleration of every gap without contact forces, A M^-1 (u - h) + A' v, which the forces undo. Contacts
     # take their two bodies as a pair: the fingertip's motion, then the object's.
@@ -82,7 +83,8 @@ def evaluate(grasp: Grasp, t: Scalar, leaves: Leaves, formulation: Formulation) 
         for (c, both, place, (tip, body), _), rolling in zip(each, rollings, strict=True)
     )
     moving = zip(grasp.bodies, leaves.q, leaves.v, strict=True)
-    rates = Leaves(tuple(body.rates(q, v) for body, q, v in moving), accelerations, s_rates)
+    turning = tuple(body.rates(q, v) for body, q, v in moving)
+    rates = Leaves(turning, accelerations, s_rates, memory_rates)
     return Instant(rates, forces, motions, touching, line)
 
 
@@ -112,10 +114,13 @@ def sensed(grasp: Grasp, leaves: Leaves, motions: Sequence[Motion]) -> list[Sens
 Drives = tuple[Scalars | None, ...]
 
 
-def drives(grasp: Grasp, t: Scalar, leaves: Leaves, motions: Sequence[Motion]) -> Drives:
-    """$u$ of every body: the generalised force of the loads on the object, then the joint torques."""
-    torques = as_controller(grasp.controller).torques(t, sensed(grasp, leaves, motions))
-    return loaded(grasp, t, leaves.q[0], motions[0]), *torques
+def drives(grasp: Grasp, t: Scalar, leaves: Leaves, motions: Sequence[Motion]) -> tuple[Drives, Scalars]:
+    """$u$ of every body, and the time derivative of the controller's memory.
+
+    That of the object is the generalised force of its loads, that of the fingers are the joint torques.
+    """
+    torques, rates = as_controller(grasp.controller).driven(t, sensed(grasp, leaves, motions), leaves.memory)
+    return (loaded(grasp, t, leaves.q[0], motions[0]), *torques), rates
 
 
 def loaded(grasp: Grasp, t: Scalar, q: Scalars, motion: Motion) -> Scalars | None:

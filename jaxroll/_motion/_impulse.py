@@ -66,7 +66,7 @@ def struck(grasp: Grasp, leaves: Leaves, blows: Sequence[tuple[Impulse, Scalar]]
     drifts = zip(forces, line.drift, strict=True)
     moved = [inner(force, given) for force, given in drifts if given is not None]
     work = inner(push, mean) - total(moved)
-    return Struck(Leaves(leaves.q, after, leaves.s), forces, motions, touching, line, work)
+    return Struck(Leaves(leaves.q, after, leaves.s, leaves.memory), forces, motions, touching, line, work)
 
 
 def _pushed(grasp: Grasp, motion: Motion, blows: Sequence[tuple[Impulse, Scalar]]) -> Scalars:

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 
 from .._linalg import Factor, factorise, inner, plus, solve, times, total, unknown_factor
 from .._mechanics import Blocks, Grasp
-from .._types import Scalars
+from .._types import Scalar, Scalars
 from ..contact import Motion, Rows
 
 Pair = tuple[Rows, Rows]
@@ -143,7 +143,7 @@ def _sum_blocks(terms: list[Scalars]) -> Scalars:
     return tuple(total(list(each)) for each in zip(*terms, strict=True))
 
 
-def combine(left: Blocks, right: Blocks, factor: float = 1.0) -> Blocks:
+def combine(left: Blocks, right: Blocks, factor: Scalar | float = 1.0) -> Blocks:
     """`left + factor * right`, block by block."""
     return tuple(
         tuple(plus(a, times(factor, b)) for a, b in zip(x, y, strict=True))

@@ -88,13 +88,13 @@ def settle(grasp: Grasp, leaves: Leaves, anchor: Anchor) -> Leaves:
             bend=anchor.bends[i],
         )
         s.append(place)
-    return Leaves(displaced(grasp, leaves.q, back), leaves.v, tuple(s))
+    return Leaves(displaced(grasp, leaves.q, back), leaves.v, tuple(s), leaves.memory)
 
 
 def compatible(grasp: Grasp, leaves: Leaves, line: Linearisation) -> Leaves:
     """The nearest velocities in the mass metric at which no gap changes: $A v = 0$, or minus the drift."""
     pull = respond(grasp, line, once(balance(line, closing(grasp, line, leaves.v))))
-    return once(Leaves(leaves.q, combine(leaves.v, pull, -1.0), leaves.s))
+    return once(Leaves(leaves.q, combine(leaves.v, pull, -1.0), leaves.s, leaves.memory))
 
 
 def residual(grasp: Grasp, frames: Sequence[Any], touching: Sequence[Any]) -> Residual:

@@ -169,7 +169,7 @@ def power(grasp: Grasp, t: Scalar, leaves: Leaves, instant: Instant) -> Scalar:
     """
     motions = instant.motions
     controller = as_controller(grasp.controller)
-    torques = controller.torques(t, sensed(grasp, leaves, motions))
+    torques, _ = controller.driven(t, sensed(grasp, leaves, motions), leaves.memory)
     drive = total(
         [u * w for us, ws in zip(torques, leaves.v[1:], strict=True) for u, w in zip(us, ws, strict=True)]
     )
@@ -243,8 +243,9 @@ def torques(grasp: Grasp, ts: Float[Array, "..."], states: State) -> tuple[Array
     r"""Joint torques $u$ of the grasp's controller at one time and state, or along a leading time axis.
 
     (16) of `control.Opposition` and (75) of `control.Press`; what a caller's own controller returns. At a
-    declared jump they are those after it. A sampled or filtered law is not held: this is what the law says
-    of this state at this time.
+    declared jump they are those after it. Of a controller with a memory they are those with the memory in
+    the states: of `control.Sampled` what is held. States without one give what the memory begins with, and
+    of `control.Sampled` what a sample there would.
 
     Returns:
         One array per finger, shape (..., k) for its k joints [N m]; of a `Jaw` forces [N].
@@ -265,7 +266,7 @@ def _torques(grasp: Grasp, ts: Float[Array, "..."], states: State) -> tuple[Arra
     def at(state: State, t: Scalar) -> tuple[Array, ...]:
         leaves = to_leaves(state, ready.form)
         motions, _ = bodies(ready, leaves)
-        each = as_controller(ready.controller).torques(t, sensed(ready, leaves, motions))
+        each, _ = as_controller(ready.controller).driven(t, sensed(ready, leaves, motions), leaves.memory)
         return tuple(stacked(us) for us in each)
 
     return over_time(at, states, ts)

@@ -1,5 +1,6 @@
 """What is done for XLA, and for nothing else: see README.md beside this file."""
 
+from ._arithmetic import in_arithmetic as in_arithmetic
 from ._compute_once import as_it_is as as_it_is, once as once, remembered as remembered, sharing as sharing
 from ._one_kernel import (
     filled as filled,

@@ -30,7 +30,9 @@ exp exp2 expm1 floor ge gt integer_pow is_finite le le_to log log1p logistic lt 
 nextafter not or pow reduce_and reduce_or rem round rsqrt shift_left shift_right_arithmetic
 shift_right_logical sign sin sinh sqrt square sub tan tanh xor
 """
-_KNOWN = frozenset((_STRUCTURE + _ARITHMETIC).split())
+# `jax.random`'s generator, and what makes normal numbers of its bits.
+_RANDOM = "erf_inv random_bits random_fold_in random_unwrap random_wrap threefry2x32"
+_KNOWN = frozenset((_STRUCTURE + _ARITHMETIC + _RANDOM).split())
 _REDUCTIONS = frozenset(("reduce_max", "reduce_min", "reduce_sum"))
 # For `jax.jit`: XLA keeps to vectors of 256 bits unless told; of 512 a batch takes a tenth less time.
 WIDE = {"xla_cpu_prefer_vector_width": 512}
@@ -126,7 +128,7 @@ def _marked(function: Callable, arrays: Any) -> Any:
     numbers = jnp.concatenate([jnp.ravel(leaf).astype(widest) for leaf in leaves])
     compiled = jax.jit(unpacked)
     out, tree = jax.tree.flatten(compiled(numbers))
-    if _fits(compiled.trace(numbers).jaxpr.jaxpr):
+    if not misfits(compiled.trace(numbers).jaxpr.jaxpr):
         out[0] = set_xla_metadata(out[0], **_ATTRIBUTES)
     return jax.tree.unflatten(tree, out)
 
@@ -146,19 +148,21 @@ def _split(numbers: jax.Array, shapes: list[tuple[int, ...]]) -> list[jax.Array]
     return parts
 
 
-def _fits(jaxpr: jec.Jaxpr) -> bool:
-    """Whether every operation, in all that is called too, is one that the single function may hold."""
-    for equation in jaxpr.eqns:
+def misfits(program: jec.Jaxpr) -> set[str]:
+    """Names of the operations, in all that is called too, that the single function may not hold."""
+    found = set()
+    for equation in program.eqns:
         name = equation.primitive.name
         small = all(math.prod(getattr(v.aval, "shape", ())) <= _SMALL for v in equation.invars)
         if name not in _KNOWN and not (name in _REDUCTIONS and small):
-            return False
-        if not all(map(_fits, _inner(equation.params))):
-            return False
-    return True
+            found.add(name)
+        for inside in inner_programs(equation.params):
+            found |= misfits(inside)
+    return found
 
 
-def _inner(params: dict[str, Any]) -> list[jec.Jaxpr]:
+def inner_programs(params: dict[str, Any]) -> list[jec.Jaxpr]:
+    """The programs among the parameters of an operation."""
     kinds = (jec.Jaxpr, jec.ClosedJaxpr)
     found = jax.tree.leaves(list(params.values()), is_leaf=lambda x: isinstance(x, kinds))
     return [x.jaxpr if isinstance(x, jec.ClosedJaxpr) else x for x in found if isinstance(x, kinds)]

@@ -8,7 +8,7 @@ from .._analysis import check_pinch, pinch_balance, press_balance
 from .._integration import Trajectory
 from .._mechanics import AbstractFinger, Grasp, PivotedObject
 from .._motion import Energy, multipliers
-from ..control import Press
+from ..control import law_of, Press
 from ._style import MM
 
 # Below this share of its scale, a residual is what floating-point arithmetic leaves over.
@@ -32,7 +32,7 @@ def panels(grasp: Grasp, run: Trajectory) -> list[Panel]:
     contacts, figures = numbered("contact", len(grasp.contacts)), 0
     if is_pinch(grasp):
         found = _pinch(grasp, run)
-    elif isinstance(grasp.controller, Press):
+    elif isinstance(law_of(grasp.controller), Press):
         *first, potential = _press(grasp, run, contacts)
         # In the order of the chapter's Figs. 9-18.
         found = [*first, *_motion(grasp, run, contacts), potential, *_forces(grasp, run, contacts)]
@@ -78,7 +78,7 @@ def sentence(words: str) -> str:
 
 def _is_part_2(grasp: Grasp) -> bool:
     alone = len(grasp.fingers) == 1 and len(grasp.contacts) == 1
-    pressed = isinstance(grasp.controller, Press) and isinstance(grasp.object, PivotedObject)
+    pressed = isinstance(law_of(grasp.controller), Press) and isinstance(grasp.object, PivotedObject)
     return alone and pressed and grasp.fingers[0].joints == 2
 
 

@@ -13,7 +13,7 @@ from .._integration import check_one_run, Trajectory
 from .._mechanics import compiled, Grasp, State, to_leaves
 from .._motion import multipliers, residuals, touches, world_poses
 from .._printing import code_name
-from ..control import Press
+from ..control import law_of, Press
 from ._outlines import Outline, outlines, rolling_contacts, rolling_coordinates, sample
 from ._style import MM
 
@@ -141,8 +141,9 @@ def _placed(grasp: Grasp, states: State):
 
 
 def _guides(grasp: Grasp, centres: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
-    if isinstance(grasp.controller, Press) and not is_command(grasp.controller.target):
-        target = MM * np.asarray(grasp.controller.target)
+    law = law_of(grasp.controller)
+    if isinstance(law, Press) and not is_command(law.target):
+        target = MM * np.asarray(law.target)
         return tuple(np.stack([c, np.broadcast_to(target, c.shape)], axis=1) for c in centres)
     # At rest under `control.Opposition` with alpha = 0 both contacts lie on the line of the tip frames.
     if len(centres) == 2 and all(finger.turns for finger in grasp.fingers):

@@ -24,7 +24,15 @@ from jaxtyping import Array, Bool, Float
 from .._closing import constraint_rows
 from .._linalg import unstack, Vec2
 from .._mechanics import check_planar, compiled, Grasp, split, State
-from .._motion import generalised_force, Multipliers, split_forces, touches, world_poses
+from .._motion import (
+    generalised_force,
+    memory_after_sample,
+    memory_rates,
+    Multipliers,
+    split_forces,
+    touches,
+    world_poses,
+)
 from .._printing import listed
 from .._results import as_floats
 from .._types import ByPrecision, Given, Scalar
@@ -107,11 +115,11 @@ def _equilibrium(grasp: Grasp, state: State, t: Array) -> Equilibrium:
     check_planar(grasp)
     ready = grasp.prepared()
     found, left = rest_state(ready, state, t)
-    n, contacts = ready.coordinates, len(ready.contacts)
-    q, s, push = found[:n], found[n : n + contacts], found[n + contacts :].reshape(contacts, 2)
+    q, s, push, memory = parts_of(ready, found)
+    push = push.reshape(-1, 2)
     worst = jnp.max(jnp.abs(left))
     forces = _multipliers(ready, q, s, push)
-    at = State(q, jnp.zeros_like(q), s)
+    at = _resting(ready, q, s, memory, t)
     return Equilibrium(at, push, forces, worst, worst < _BALANCED.of(worst))
 
 
@@ -119,8 +127,8 @@ def _equilibrium(grasp: Grasp, state: State, t: Array) -> Equilibrium:
 def rest_state(grasp: Grasp, state: State, t: Given) -> tuple[Array, Array]:
     """The unknowns at rest, in SI units, and the scaled residual of the equations.
 
-    The unknowns are configuration, contact coordinates and contact forces (world axes), in one array. A
-    custom derivative replaces that of Newton's iterations.
+    The unknowns are configuration, contact coordinates, contact forces (world axes) and a controller's
+    memory, in one array. A custom derivative replaces that of Newton's iterations.
     """
     start, scale = _start(grasp, state, t)
     moving = grasp.coordinates + len(grasp.contacts)
@@ -173,8 +181,8 @@ class _Scale(eqx.Module):
 
 def _start(grasp: Grasp, state: State, t: Given) -> tuple[Array, _Scale]:
     """The first guess of the scaled unknowns, with contact forces zero, and the scales."""
-    contacts = len(grasp.contacts)
-    drive = _drive(grasp, state.q, state.s, t)
+    contacts, kept = len(grasp.contacts), _kept(grasp, state)
+    drive, _ = _drive(grasp, state.q, state.s, kept, t=t)
     one, (length, coordinates) = jnp.ones((), state.q.dtype), _sizes(grasp)
     # Torques over a length, and forces, of controller, loads and gravity; not zero where neither acts.
     force = jnp.maximum(jnp.max(jnp.abs(drive * coordinates)) / length, 1e-6)
@@ -183,7 +191,63 @@ def _start(grasp: Grasp, state: State, t: Given) -> tuple[Array, _Scale]:
     rows = jnp.tile(jnp.stack([length, length, one]), contacts)
     equations = jnp.concatenate([force * length / coordinates, rows])
     start = jnp.concatenate([state.q, state.s, jnp.zeros(2 * contacts, state.q.dtype)])
+    if kept.size:
+        sizes = {"drives": equations[: drive.shape[0]], "coordinates": coordinates}
+        unit, size = _memory_sizes(grasp, state, kept, t=t, **sizes)
+        unknowns, equations = jnp.concatenate([unknowns, unit]), jnp.concatenate([equations, size])
+        start = jnp.concatenate([start, kept])
     return start / unknowns, _Scale(unknowns, equations)
+
+
+def _memory_sizes(
+    grasp: Grasp, state: State, kept: Array, *, t: Given, drives: Array, coordinates: Array
+) -> tuple[Array, Array]:
+    """Units of a memory's numbers, which change the scaled forces by one, and sizes of its rates.
+
+    `drives` are the sizes of the generalised forces, `coordinates` those of the configuration.
+    """
+    asked = lambda q, m: _drive(grasp, q, state.s, m, t=t)  # noqa: E731
+    (_, by_kept), (by_q, by_itself) = jax.jacfwd(asked, argnums=(0, 1))(state.q, kept)
+    positive = lambda x: jnp.where(x > 0, x, 1.0)  # noqa: E731
+    unit = 1.0 / positive(jnp.linalg.norm(by_kept / drives[:, None], axis=0))
+    scaled = jnp.concatenate([by_q * coordinates[None], by_itself * unit[None]], axis=1)
+    return unit, positive(jnp.linalg.norm(scaled, axis=1))
+
+
+def _kept(grasp: Grasp, state: State) -> Array:
+    """The memory of a grasp's law, without what samples hold; of no length where there is none."""
+    held = grasp.memory
+    if held is None:
+        return jnp.zeros(0, state.q.dtype)
+    memory = held.astype(state.q.dtype) if state.memory is None else state.memory
+    return memory[: _count(grasp)]
+
+
+def _count(grasp: Grasp) -> int:
+    """How many numbers the memory of a grasp's law has, without what samples hold."""
+    joints = sum(finger.joints for finger in grasp.fingers)
+    return grasp.form.memory - (joints + 1 if grasp.form.sampled else 0)
+
+
+def parts_of(grasp: Grasp, z: Array) -> tuple[Array, Array, Array, Array]:
+    """The unknowns as configuration, contact coordinates, contact forces and memory."""
+    n, contacts = grasp.coordinates, len(grasp.contacts)
+    return z[:n], z[n : n + contacts], z[n + contacts : n + 3 * contacts], z[n + 3 * contacts :]
+
+
+def _resting(grasp: Grasp, q: Array, s: Array, kept: Array, t: Given) -> State:
+    """The state at rest, with the memory of its controller; a sampled one holds what its law says there."""
+    zero = jnp.zeros_like(q)
+    if not grasp.form.memory:
+        return State(q, zero, s)
+    if not grasp.form.sampled:
+        return State(q, zero, s, kept)
+    joints = sum(finger.joints for finger in grasp.fingers)
+    due = jnp.broadcast_to(jnp.asarray(t, q.dtype), (1,))
+    memory = jnp.concatenate([kept, jnp.zeros(joints, q.dtype), due])
+    held = memory_after_sample(grasp, jnp.asarray(t, q.dtype), State(q, zero, s, memory))
+    # A sample moves the law's own memory, which is to stay.
+    return State(q, zero, s, jnp.concatenate([kept, held[kept.shape[0] :]]))
 
 
 def _sizes(grasp: Grasp) -> tuple[Scalar, Array]:
@@ -197,9 +261,18 @@ def _sizes(grasp: Grasp) -> tuple[Scalar, Array]:
     return length, jnp.stack([one if turns else length for turns in angles])
 
 
-def _drive(grasp: Grasp, q: Array, s: Array, t: Given) -> Array:
-    """$F(q)$: generalised forces of controller, loads and gravity at zero velocity."""
-    return generalised_force(grasp, jnp.asarray(t, q.dtype), State(q, jnp.zeros_like(q), s))
+def _drive(grasp: Grasp, q: Array, s: Array, kept: Array, *, t: Given) -> tuple[Array, Array]:
+    """$F(q)$: generalised forces of controller, loads and gravity at zero velocity; and how a memory changes.
+
+    That is its time derivative, of a sampled law what a sample adds.
+    """
+    at, time = _resting(grasp, q, s, kept, t), jnp.asarray(t, q.dtype)
+    force = generalised_force(grasp, time, at)
+    if not kept.size:
+        return force, kept
+    if grasp.form.sampled:
+        return force, memory_after_sample(grasp, time, at)[: kept.shape[0]] - kept
+    return force, memory_rates(grasp, time, at)
 
 
 def contact_force(grasp: Grasp, q: Array, s: Array, push: Array) -> Array:
@@ -224,11 +297,11 @@ def contact_force(grasp: Grasp, q: Array, s: Array, push: Array) -> Array:
 
 def _balance(grasp: Grasp, z: Array, scale: _Scale, t: Given) -> Array:
     """$R(z)$: balance of forces and constraint rows, scaled; `z` is scaled too."""
-    n, contacts = grasp.coordinates, len(grasp.contacts)
-    z = z * scale.unknowns
-    q, s, push = z[:n], z[n : n + contacts], z[n + contacts :]
-    force = _drive(grasp, q, s, t) + contact_force(grasp, q, s, push)
-    return jnp.concatenate([force, constraint_rows(grasp, q, s)]) / scale.equations
+    q, s, push, kept = parts_of(grasp, z * scale.unknowns)
+    drive, change = _drive(grasp, q, s, kept, t=t)
+    force = drive + contact_force(grasp, q, s, push)
+    rows = [force, constraint_rows(grasp, q, s)] + ([change] if kept.size else [])
+    return jnp.concatenate(rows) / scale.equations
 
 
 def _nearest(grasp: Grasp, state: State, pair: Array, scale: _Scale, t: Given) -> Array:

@@ -24,8 +24,9 @@ from .._fields import is_command
 from .._linalg import Vec2
 from .._mechanics import compiled, Grasp, State
 from .._printing import listed
-from .._results import as_array, as_share, check_finite, check_instance
+from .._results import as_array, as_share, check_finite, check_instance, shown
 from .._types import ByPrecision, Given, Scalar
+from ..control import Opposition
 from ..geometry import AbstractContour, Frenet2
 
 
@@ -99,6 +100,11 @@ def _as_places(s: Given) -> Array:
 def _check_constant(grasp: Grasp) -> None:
     """Raise unless a grasp is a pinch whose controller has numbers that do not change in time."""
     check_pinch(grasp)
+    if not isinstance(grasp.controller, Opposition):
+        raise ValueError(
+            f"argument grasp must be driven by control.Opposition itself, "
+            f"but was by {shown(grasp.controller)}"
+        )
     if is_command(grasp.controller.beta):
         raise ValueError(
             "argument grasp must have a number as its controller's beta, but it was a function of time; "

@@ -27,6 +27,7 @@ from .._printing import listed, named
 from .._results import as_floats, check_between
 from .._types import ByPrecision, Given
 from ._equilibrium import contact_force, Equilibrium, equilibrium
+from ._memory_loop import rates_with_memory
 
 # Least relative size of curvatures and rates that can be told from zero.
 _TOLD = ByPrecision(0.0, 1e-5)
@@ -51,14 +52,18 @@ class Stability(eqx.Module):
 
     Attributes:
         verdict: One of `VERDICTS`.
-        neutral: Number of neutral directions: redundant joints, and rolling that costs no energy.
+        neutral: Number of neutral directions: redundant joints, and rolling that costs no energy. With a
+            memory, number of rates that are zero.
         equilibrium: Where it rests.
         hessian: Shape (m, m), second derivative of P on the constraint manifold [1/s^2], in the
-            directions of `tangent`; not symmetric for a user's controller or load without potential.
+            directions of `tangent`; not symmetric for a user's controller or load without potential. The
+            memory of a controller is held: of a sampled one it is that of all but the controller.
         tangent: Shape (n, m), directions that keep every contact rolling, orthonormal in the mass metric.
         curvatures: Shape (m,), eigenvalues of the (symmetric part of the) Hessian, rising.
         modes: Shape (n, m), the coordinates' part in each of them.
-        rates: Shape (2m,), eigenvalues of the linearised closed loop [1/s], by rising real part.
+        rates: Shape (2m,), eigenvalues of the linearised closed loop [1/s], by rising real part; shape
+            (2m + k,) with k numbers of memory, those of a sampled law's torques and times not counted. Of a
+            sampled loop log(z)/T with z the eigenvalues of the map from one sample to the next.
     """
 
     __repr__ = listed
@@ -124,12 +129,21 @@ def _assess(grasp: Grasp, state: State, t: Given, tolerance: Array) -> Stability
     damping = -tangent.T @ _damping(ready, rest, t) @ tangent
     symmetric = 0.5 * (hessian + hessian.T)
     curvatures, vectors = jnp.linalg.eigh(symmetric)
-    rates = _rates(hessian, damping)
+    rates, still = _rates(hessian, damping), None
+    if ready.form.memory:
+        loop = {"hessian": hessian, "damping": damping, "tangent": tangent, "rolling": rolling}
+        rates = rates_with_memory(ready, rest.state, t, **loop)
+        size = jnp.max(jnp.abs(rates))
+        still = jnp.sum(jnp.abs(rates) <= tolerance * size)
     # The rank is that of H itself, not of its symmetric part: a controller without a potential makes them
     # differ. It is a count, and svdvals has no derivative where singular values coincide: none is taken.
     size = jnp.max(jnp.abs(curvatures))
     neutral = jnp.sum(jnp.linalg.svdvals(jax.lax.stop_gradient(hessian)) <= tolerance * size)
-    verdict = _verdict(rates, curvatures / size, neutral, tolerance)
+    relative = curvatures / size
+    if still is not None:
+        # H alone, with the memory held, decides nothing: the rates of the whole loop do.
+        neutral, relative = still, jnp.zeros_like(curvatures)
+    verdict = _verdict(rates, relative, neutral, tolerance)
     verdict = VERDICTS.where(rest.found, verdict, VERDICTS.not_found)
     modes = tangent @ vectors
     return Stability(verdict, neutral, rest, hessian, tangent, curvatures, modes, rates)
@@ -173,10 +187,10 @@ def _tangent(grasp: Grasp, state: State) -> tuple[Array, Array]:
 
 def _along(grasp: Grasp, rest: Equilibrium, t: Given, tangent: Array, rolling: Array) -> Array:
     r"""Change of $F + A^T \mu$ along the tangent directions, with contact forces held; shape (n, m)."""
-    zero = jnp.zeros_like(rest.state.q)
+    zero, memory = jnp.zeros_like(rest.state.q), rest.state.memory
 
     def force(q: Array, s: Array) -> Array:
-        drive = generalised_force(grasp, jnp.asarray(t, q.dtype), State(q, zero, s))
+        drive = generalised_force(grasp, jnp.asarray(t, q.dtype), State(q, zero, s, memory))
         return drive + contact_force(grasp, q, s, rest.push)
 
     def change(dq: Array, ds: Array) -> Array:
@@ -189,7 +203,8 @@ def _damping(grasp: Grasp, rest: Equilibrium, t: Given) -> Array:
     r"""$\partial F / \partial v$ at rest, shape (n, n)."""
 
     def force(v: Array) -> Array:
-        return generalised_force(grasp, jnp.asarray(t, v.dtype), State(rest.state.q, v, rest.state.s))
+        at = State(rest.state.q, v, rest.state.s, rest.state.memory)
+        return generalised_force(grasp, jnp.asarray(t, v.dtype), at)
 
     return jax.jacfwd(force)(rest.state.v)
 

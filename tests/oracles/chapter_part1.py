@@ -53,6 +53,10 @@ class Links:
         return centre, jacobians[-1].T, weighted
 
 
+# How SciPy integrates it.
+CLOSELY = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-13}
+
+
 class Part1:
     """Equations (1)-(22) for the rectangle of Fig. 3 and the fingertips (82)-(83).
 
@@ -183,11 +187,14 @@ class Part1:
             bias[at] = weighted.real.T @ (weighted.imag @ v[at]) / STEP  # m J^T (dJ/dt) v
         return self.mass_matrix(places), bias, rows.real, rows.imag / STEP, places
 
-    def accelerations(self, X, v, s, t=0.0):
-        """X'' (8,) and the multipliers (f_1, f_2, lambda_1, lambda_2) [N]: (1)-(3) with A X' = 0."""
+    def accelerations(self, X, v, s, t=0.0, u=None):
+        """X'' (8,) and the multipliers (f_1, f_2, lambda_1, lambda_2) [N]: (1)-(3) with A X' = 0.
+
+        `u` are joint torques in the place of (16)-(17) [N m].
+        """
         G, bias, rows, rows_rate, places = self.terms(X, v, s)
         push = -bias
-        push[3:] += self.torques(X, v, places)
+        push[3:] += self.torques(X, v, places) if u is None else u
         if self.wrench is not None:
             push[:3] += np.append(*self.wrench(t, X, v))
         saddle = np.block([[G, rows.T], [rows, np.zeros((4, 4))]])
@@ -202,7 +209,41 @@ class Part1:
             return np.concatenate([v, self.accelerations(X, v, s, t)[0], self.rolling(v, s)])
 
         y0 = np.concatenate([X, np.zeros(8), s])
-        answer = solve_ivp(rates, (0.0, ts[-1]), y0, method="DOP853", rtol=1e-12, atol=1e-13, t_eval=ts)
+        answer = solve_ivp(rates, (0.0, ts[-1]), y0, t_eval=ts, **CLOSELY)
         X, v, s = np.split(answer.y.T, [8, 16], axis=1)
         forces = np.array([self.accelerations(*state)[1] for state in zip(X, v, s, ts, strict=True)])
         return X, v, s, forces
+
+    def simulate_integral(self, X, s, ts, *, law, memory):
+        """X, v and memory at the times `ts` [s], starting at rest: the system augmented by the memory.
+
+        `law` of (t, X, v, memory) gives the joint torques and the time derivative of the memory.
+        """
+
+        def rates(t, y):
+            X, v, s = y[:8], y[8:16], y[16:18]
+            u, change = law(t, X, v, y[18:])
+            return np.concatenate([v, self.accelerations(X, v, s, t, u)[0], self.rolling(v, s), change])
+
+        y0 = np.concatenate([X, np.zeros(8), s, memory])
+        answer = solve_ivp(rates, (0.0, ts[-1]), y0, t_eval=ts, **CLOSELY)
+        X, v, _, memory = np.split(answer.y.T, [8, 16, 18], axis=1)
+        return X, v, memory
+
+    def simulate_sampled(self, X, s, *, law, memory, period, count):
+        """X, v, memory and held torques just after each of the samples 0, 1, ..., `count`: a loop over them.
+
+        `law` of (t, X, v, memory) gives the joint torques and the memory of the next sample.
+        """
+        y, found = np.concatenate([X, np.zeros(8), s]), []
+        for k in range(count + 1):
+            if k:
+
+                def held(t, y, u=u):
+                    X, v, s = y[:8], y[8:16], y[16:]
+                    return np.concatenate([v, self.accelerations(X, v, s, t, u)[0], self.rolling(v, s)])
+
+                y = solve_ivp(held, ((k - 1) * period, k * period), y, **CLOSELY).y[:, -1]
+            u, memory = law(k * period, y[:8], y[8:16], memory)
+            found.append((y[:8], y[8:16], memory, u))
+        return tuple(np.array(each) for each in zip(*found, strict=True))

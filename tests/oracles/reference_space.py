@@ -340,31 +340,44 @@ def energy(scene, q, v):
     return v @ M @ v / 2 + potential
 
 
-def simulate(scene, q0, v0, ts, *, audit=False, rtol=1e-12, wrench=None):
+def simulate(scene, q0, v0, ts, *, audit=False, rtol=1e-12, wrench=None, law=None, memory=()):
     """q and v at the times `ts` [s], rows; nothing is projected. With `audit` also the energy lost [J].
 
     `wrench` of (t, q, v) acts on the object besides: force [N] and torque [N m] about its centre of mass,
-    both in world axes.
+    both in world axes. `law` of (t, v, placed, memory) adds joint torques, and gives the rate of a memory,
+    which begins with `memory` and is returned last; `placed` are origins and Jacobians of all tips.
     """
-    size, joints = len(q0), slice(6, None)
+    size, joints, kept = len(q0), slice(6, None), len(memory)
     normals = list(located_contacts(scene, q0)[2])
 
     def rates(t, y):
-        q, v = y[:size], y[size:-1]
+        q, v, held = y[:size], y[size : len(y) - 1 - kept], y[len(y) - kept :]
         *terms, here = equations(scene, q, v, normals)
+        change = np.zeros(0)
+        if law is not None:
+            u, change = law(t, v, tips_of(scene, here), held)
+            terms[2][joints] += u
         if wrench is not None:
             force, torque = wrench(t, q, v)
             terms[2][:6] += np.concatenate([force, here.turned.real.T @ torque])
         normals[:] = [t[2].real for t in here.touches]
         lost = scene.damping * v[joints] @ v[joints]
-        return np.concatenate([coordinate_rates(q, v), _accelerations(*terms), [lost]])
+        return np.concatenate([coordinate_rates(q, v), _accelerations(*terms), [lost], change])
 
-    y0 = np.concatenate([q0, v0, [0.0]])
+    y0 = np.concatenate([q0, v0, [0.0], memory])
     answer = solve_ivp(rates, (ts[0], ts[-1]), y0, method="DOP853", rtol=rtol, atol=1e-13, t_eval=ts)
     if not answer.success:
         raise RuntimeError(answer.message)
-    q, v, lost = np.split(answer.y.T, [size, -1], axis=1)
-    return (q, v, lost[:, 0]) if audit else (q, v)
+    q, v, lost, held = np.split(answer.y.T, [size, size + len(v0), size + len(v0) + 1], axis=1)
+    return (q, v) + ((lost[:, 0],) if audit else ()) + ((held,) if kept else ())
+
+
+def tips_of(scene, here):
+    """Origin (3,) and Jacobian (3, k) of every finger's tip frame, of a `Configuration`."""
+    ends = [(placed, len(finger.masses)) for finger, placed in zip(scene.fingers, here.chains, strict=True)]
+    return [
+        (placed[0][-1].real, Chain.jacobians(placed, placed[0][-1], k - 1, k)[0].real) for placed, k in ends
+    ]
 
 
 def displaced(q, step):

@@ -101,7 +101,7 @@ def run(name: str, *, times: int = 13, t1: float = 0.6, ended: str | None = None
         Stats(*numbers),
         Multipliers(*map(jnp.asarray, forces)),
         Energy(*map(jnp.asarray, energy)),
-        grasp.labels,
+        labels=grasp.labels,
     )
 
 

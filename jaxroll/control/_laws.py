@@ -1,82 +1,28 @@
-r"""Joint torques from joint data and finger kinematics alone ("blind" control).
+"""The chapter's controls: `Press` is (75), `Opposition` (16)-(17).
 
-A controller sees the time, its own fingers' joint angles and rates, and the tip frames they imply; it
-never sees the object. Built-in controllers work on scalars and know their potential energy; any other
-callable pytree `f(t, angles, rates, tips)` works too (see `Grasp`).
-
-`Press` is (75), `Opposition` (16)-(17): joint damping, and the negative gradient of a potential of the tips
-and joint angles. `_motion/_equations` calls `torques` in every evaluation; `_motion/_quantities` counts
-`potential` among the energies, and finds the dissipation with it.
+Both are joint damping and the negative gradient of a potential of the tips and joint angles, which
+`_motion/_quantities` counts among the energies, and with which it finds the dissipation.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
-from ._fields import command, held, is_command, shape_returned, taken
-from ._linalg import stacked, total, unstack
-from ._mechanics import (
-    AbstractController as AbstractController,
-    as_drive,
-    Blocks,
-    check_states,
-    Grasp,
-    split,
-    State,
-    Torques,
-)
-from ._printing import listed
-from ._results import as_array, check_positive, shown
-from ._types import Given, Scalar, Scalars
-from .contact import Motion
+from .._fields import command, held, is_command, shape_returned, taken
+from .._linalg import total, unstack
+from .._mechanics import AbstractController, Torques
+from .._results import check_positive
+from .._types import Given, Scalar, Scalars
+from ._sensing import Sensed
 
 # What a field holds: an array, or a function of time that returns one. `held` leaves arrays alone, so that
 # the arithmetic below has no others.
 _Number = Any
 # What a constructor takes for it.
 _Command = Given | Callable[[Any], Any]
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, slots=True)
-class Sensed:
-    """What one finger knows of itself, as scalars.
-
-    Attributes:
-        angles: Joint angles [rad], of a jaw its joints' positions [m].
-        rates: Their rates.
-        tip: Origin of the tip frame in the world [m].
-        unit_twists: Twist of the tip frame per unit rate of each joint; its velocity is a column of $J_i$.
-    """
-
-    angles: Scalars
-    rates: Scalars
-    tip: Any  # `Vec2`, or `Vec3` in space
-    unit_twists: tuple[Any, ...]
-
-
-class Tip(eqx.Module):
-    """A finger's tip frame as a user's controller sees it.
-
-    Attributes:
-        position: Shape (2,), in space (3,): origin of the tip frame in the world, in metres.
-        jacobian: Shape (2, k), in space (3, k): its derivative with respect to the joint angles, in metres.
-    """
-
-    __repr__ = listed
-
-    position: Float[Array, "d"]
-    jacobian: Float[Array, "d k"]
-
-
-def sense(motion: Motion, angles: Scalars, rates: Scalars) -> Sensed:
-    """Reduce a finger's motion to what its controller may know."""
-    return Sensed(angles, rates, motion.pose.origin, motion.unit_twists)
 
 
 def _shape_of(given: Any) -> tuple[int, ...]:
@@ -281,66 +227,3 @@ class Opposition(AbstractController):
                 f"argument start must have one angle for each of two fingers or more, but had "
                 f"{count} for {fingers}"
             )
-
-
-def orientations(grasp: Grasp, state: State) -> Float[Array, " m"]:
-    r"""Orientation $p_i = e_i^T q_i$ [rad] of each finger's last link: $p_i(0)$ of (17) at the start.
-
-    Example:
-        >>> import jaxroll as jxr
-        >>> grasp, state = jxr.scenes.pinch()
-        >>> same = jxr.control.orientations(grasp, state) == grasp.controller.start
-        >>> bool(same.all())
-        True
-    """
-    check_states(grasp, state)
-    angles = joint_angles(grasp, split(state.q, grasp.form.positions))
-    return jnp.stack([jnp.asarray(total(block)) for block in angles])
-
-
-def joint_angles(grasp: Grasp, q: Blocks) -> tuple[Scalars, ...]:
-    """Positions of every finger's joints, without what else a body has as a coordinate (a stage's clock).
-
-    `q` has one block of scalars per body, the object's first.
-    """
-    return tuple(block[: finger.joints] for finger, block in zip(grasp.fingers, q[1:], strict=True))
-
-
-class UserController(AbstractController):
-    """Adapter that calls a user's `f(t, angles, rates, tips)` with ordinary arrays."""
-
-    function: Any
-
-    def torques(self, t: Scalar, fingers: Sequence[Sensed]) -> Torques:
-        angles = tuple(stacked(f.angles) for f in fingers)
-        rates = tuple(stacked(f.rates) for f in fingers)
-        # Checked here, while it is traced: a shape that would broadcast is a mistake too.
-        given = self.function(t, angles, rates, tuple(_tip(f) for f in fingers))
-        wanted = [a.shape for a in angles]
-        what = f"argument controller must return one torque array per finger, of shapes {wanted}, but {{}}"
-        if not isinstance(given, tuple | list) or len(given) != len(wanted):
-            raise ValueError(what.format(f"returned {shown(given)}"))
-        name = "controller, in what it returns,"
-        torques = [as_array(name, torque).astype(a.dtype) for torque, a in zip(given, angles, strict=True)]
-        if (shapes := [torque.shape for torque in torques]) != wanted:
-            raise ValueError(what.format(f"returned {shapes}"))
-        return tuple(tuple(torque[i] for i in range(torque.shape[0])) for torque in torques)
-
-    def potential(self, tips: Sequence[Any], angles: Sequence[Scalars]) -> Scalar:
-        return jnp.zeros_like(tips[0].x)
-
-
-def _tip(finger: Sensed) -> Tip:
-    """The tip frame as arrays; a finger without joints has a Jacobian of no columns."""
-    position = finger.tip.array()
-    columns = [unit.velocity.array() for unit in finger.unit_twists]
-    return Tip(position, jnp.stack(columns, axis=-1) if columns else jnp.zeros((*position.shape, 0)))
-
-
-def as_controller(controller: Any) -> AbstractController:
-    """Wrap a callable; pass a built-in controller through; None means no torques."""
-    if controller is None:
-        return Passive()
-    if isinstance(controller, AbstractController):
-        return controller
-    return UserController(as_drive("controller", controller))

@@ -1,0 +1,116 @@
+r"""Samples of a controller (`control.Sampled`), and what its memory begins with.
+
+Between samples the torques are a part of the state, at rest. At a sample they change by $\delta u$, and with
+them, at the same positions and velocities, the accelerations by
+
+$$ \delta \dot v = M^{-1} (\delta u + A^T \delta\mu), \qquad
+   A M^{-1} A^T\, \delta\mu = -A M^{-1}\, \delta u, $$
+
+which the factors of the step's last evaluation give: a sample takes no evaluation of the equations of
+motion. The step that ends there carries the slope before it, the next one begins with the slope after it.
+
+If the sample comes $\delta$ later, the law sees $x + \delta f_-$ at $t + \delta$, and $\delta$ further back
+in time from what follows the state is $x + \delta (f_- - f_+)$: so derivatives with respect to period and
+first sample are right. $\delta$ is a zero with the derivative of the planned time.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from .._linalg import factorise, inner, minus, solve, stacked, total
+from .._mechanics import Blocks, Grasp, Leaves, State, to_leaves
+from .._types import Scalar, Scalars
+from ..control import joint_angles, sense
+from ._equations import bodies
+from ._linearisation import apply_jacobian, balance, combine, Linearisation, negative, respond
+
+
+class Sample(NamedTuple):
+    """What a sample does.
+
+    Attributes:
+        memory: The memory after it.
+        gained: What it adds to the accelerations, body by body.
+        power: What it adds to the power of the torques [W].
+        late: A zero with the derivative of the time that it was planned for [s].
+    """
+
+    memory: Scalars
+    gained: Blocks
+    power: Scalar
+    late: Scalar
+
+
+def begun(grasp: Grasp, state: State, t0: Scalar) -> State:
+    """The state at the start of a run, with a memory: its own, or what the controller's begins with.
+
+    Where a sample is due there, it is taken.
+    """
+    first = grasp.memory
+    if first is None:
+        return state
+    memory = first.astype(state.q.dtype) if state.memory is None else state.memory
+    if grasp.form.sampled:
+        leaves = to_leaves(State(state.q, state.v, state.s, memory), grasp.form)
+        due = grasp.controller.due(t0, leaves.memory)
+        after = stacked(_asked(grasp, t0, leaves))
+        memory = jnp.where(due, after, memory)
+    return State(state.q, state.v, state.s, memory)
+
+
+def memory_after_sample(grasp: Grasp, t: Scalar, state: State) -> Array:
+    """The memory after a sample without noise of a state with a memory."""
+    noise = lambda g: (g.controller.angle_noise, g.controller.rate_noise)  # noqa: E731
+    quiet = eqx.tree_at(noise, grasp, (None, None), is_leaf=lambda x: x is None)
+    return stacked(_asked(quiet, t, to_leaves(state, grasp.form)))
+
+
+def _asked(grasp: Grasp, t: Scalar, leaves: Leaves) -> Scalars:
+    """The memory after a sample at a time [s]."""
+    law = grasp.controller
+    number = law.number(t, leaves.memory)
+    counts = [finger.joints for finger in grasp.fingers]
+    angles, rates = joint_angles(grasp, leaves.q), leaves.v[1:]
+    q, v = leaves.q[1:], leaves.v[1:]
+    if law.noisy:
+        more = law.noise(number, sum(counts))
+        angles, rates = _beside(angles, more[0]), _beside(rates, more[1])
+        # Tips that fit the angles as measured. What a finger has besides joints is known.
+        q = tuple((*new, *block[len(new) :]) for new, block in zip(angles, q, strict=True))
+        v = rates
+    motions = [f.motion(place, rate, None)[0] for f, place, rate in zip(grasp.fingers, q, v, strict=True)]
+    fingers = [sense(*each) for each in zip(motions, angles, rates, strict=True)]
+    return law.sample(t, fingers, leaves.memory, number)
+
+
+def _beside(blocks: tuple[Scalars, ...], more: Scalars) -> tuple[Scalars, ...]:
+    """Blocks of numbers with others added, one by one."""
+    rest = iter(more)
+    return tuple(tuple(x + next(rest) for x in block) for block in blocks)
+
+
+def sample_due(grasp: Grasp, t: Scalar, leaves: Leaves, rates: Leaves, *, line: Linearisation) -> Sample:
+    """The sample that is due at a time, or one that changes nothing.
+
+    `rates` is the slope before it, `line` the linearised constraints there.
+    """
+    law = grasp.controller
+    due, joints = law.due(t, leaves.memory), tuple(finger.joints for finger in grasp.fingers)
+    planned = leaves.memory[-1]
+    late = jnp.where(due, planned - jax.lax.stop_gradient(planned), 0.0)
+    ahead = lambda blocks, slopes: combine(blocks, slopes, late)  # noqa: E731
+    met = Leaves(ahead(leaves.q, rates.q), ahead(leaves.v, rates.v), leaves.s, leaves.memory)
+    each = zip(_asked(grasp, t + late, met), leaves.memory, strict=True)
+    memory = tuple(jnp.where(due, new, old) for new, old in each)
+    before, after = (law.held(m, joints) for m in (leaves.memory, memory))
+    change = [tuple(map(minus, *both)) for both in zip(after, before, strict=True)]
+    _, inertias = bodies(grasp, leaves)
+    free = ((0.0,) * grasp.sizes[0],)
+    free += tuple(solve(factorise(i.mass), du) for i, du in zip(inertias[1:], change, strict=True))
+    forces = balance(line, negative(apply_jacobian(grasp, line, free)))
+    power = total([inner(du, v) for du, v in zip(change, leaves.v[1:], strict=True)])
+    return Sample(memory, combine(free, respond(grasp, line, forces)), power, late)

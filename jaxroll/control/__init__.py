@@ -1,0 +1,24 @@
+r"""Joint torques from joint data and finger kinematics alone ("blind" control).
+
+A controller sees the time, its own fingers' joint angles and rates, and the tip frames they imply; it
+never sees the object. Built-in controllers work on scalars and know their potential energy; any other
+callable pytree `f(t, angles, rates, tips)` works too (see `Grasp`).
+
+`_laws` has the chapter's, `Press` (75) and `Opposition` (16)-(17). `Integral` adds an integral term to any
+law, `Sampled` asks any law at samples only and holds its torques between them; both have a memory, which is a
+part of the state. `_sensing` is what a law gets, `_user` adapts a caller's function. `_motion/_equations`
+calls `driven` in every evaluation, `_motion/_sampling` has samples.
+"""
+
+from .._mechanics import AbstractController as AbstractController
+from ._integral import Integral as Integral
+from ._laws import Opposition as Opposition, Passive as Passive, Press as Press
+from ._sampled import same_time as same_time, Sampled as Sampled
+from ._sensing import (
+    joint_angles as joint_angles,
+    orientations as orientations,
+    sense as sense,
+    Sensed as Sensed,
+    Tip as Tip,
+)
+from ._user import as_controller as as_controller, law_of as law_of, UserController as UserController

@@ -1,0 +1,90 @@
+"""Dense output: states of a run at any time, by one more step of its own method."""
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxroll as jxr
+
+
+def dense_error(scene, tight, loose, **ways):
+    """Largest error of dense output between saved times, and of what the same run saved."""
+    grasp, state = scene
+    ts = np.linspace(0.0, 0.4, 41)
+    run = jxr.simulate(grasp, state, 0.4, ts=3, rtol=loose, record=("dense",), **ways)
+    found = run(ts)
+    assert np.abs(jxr.residuals(grasp, found).normal).max() <= 1e-12
+    true = jxr.simulate(grasp, state, 0.4, ts=ts, rtol=tight).states
+    saved = np.abs(run.states.q - np.asarray(true.q)[[0, 20, 40]]).max()
+    return np.abs(found.q - true.q).max(), saved, run
+
+
+def test_dense_output_is_as_accurate_as_saved_states(scene):
+    off, saved, run = dense_error(scene, 1e-12, 1e-6)
+    assert 1e-13 < off <= 10.0 * saved
+    # It meets the states of a step's both ends, and is not known outside the run.
+    there = run(run.ts)
+    np.testing.assert_allclose(there.q, run.states.q, rtol=0, atol=1e-14)
+    assert np.isnan(run(-0.1).q).all() and np.isnan(run([0.1, 0.5]).q[1]).all()
+    assert run(np.array([[0.1, 0.2]])).v.shape == (1, 2, 3)
+    with pytest.raises(ValueError, match="kept its steps"):
+        jxr.simulate(*scene, 0.1, ts=1)(0.05)
+
+
+def test_dense_output_has_the_methods_order(scene):
+    """In steps of constant length, between their ends."""
+    grasp, state = scene
+    ways = {"solver": diffrax.Bosh3(), "stepsize_controller": diffrax.ConstantStepSize()}
+    sizes = (4e-3, 2e-3)
+    off = [dense_error(scene, 1e-12, 1e-8, dt0=size, **ways)[0] for size in sizes]
+    assert 2.6 < np.log2(off[0] / off[1]) < 3.6
+
+
+def test_dense_output_is_differentiated(scene):
+    """With respect to the grasp, the start and the time, in both modes; and mapped over runs."""
+    grasp, state = scene
+
+    def value(x):
+        start = jxr.State(state.q, x[1] * jnp.asarray(compatible), state.s)
+        run = jxr.simulate(grasp.with_(damping=x[0]), start, 0.3, ts=1, rtol=1e-11, record=("dense",))
+        return jnp.sum(run(x[2]).q * jnp.arange(1.0, 4.0)) + run.states.q[-1, 0]
+
+    moving = jxr.close(grasp, jxr.State(state.q, state.v.at[0].set(1.0), state.s))[1]
+    compatible, x, size = moving.v, jnp.array([0.006, 0.1, 0.17]), np.array([1e-5, 1e-3, 1e-4])
+    value = jax.jit(value)
+    ends = [[value(x + k * h * e) for h, e in zip(size, np.eye(3), strict=True)] for k in (-2, -1, 1, 2)]
+    slopes = (8 * (np.array(ends[2]) - ends[1]) - (np.array(ends[3]) - ends[0])) / (12 * size)
+    np.testing.assert_allclose(jax.jit(jax.grad(value))(x), slopes, rtol=1e-6)
+    np.testing.assert_allclose(jax.jit(jax.jacfwd(value))(x), slopes, rtol=1e-6)
+    each = jax.vmap(value)(jnp.stack([x, 1.1 * x]))
+    np.testing.assert_allclose(each, [value(x), value(1.1 * x)], rtol=1e-12)
+
+
+def test_dense_output_across_samples_jumps_and_an_early_end(scene):
+    """Steps end at all of them, so that what is between is smooth."""
+    grasp, state = scene
+    harder = jxr.commands.Steps([0.0513], [0.5, 0.7])
+    law = jxr.control.Sampled(grasp.with_(force=harder).controller, 0.01)
+    at = np.array([0.0049, 0.0051, 0.01, 0.055, 0.0651, 0.0849])
+    for acted in (grasp.with_(controller=law), grasp.with_(force=harder)):
+        run = jxr.simulate(acted, state, 0.1, ts=1, rtol=1e-10, record=("dense",))
+        true = jxr.simulate(acted, state, 0.1, ts=at, rtol=1e-11).states
+        found = run(at)
+        for part in ("q", "v", "s"):
+            np.testing.assert_allclose(getattr(found, part), getattr(true, part), rtol=0, atol=2e-8)
+        if true.memory is not None:
+            np.testing.assert_allclose(found.memory, true.memory, rtol=0, atol=1e-8)
+    lost = jxr.simulate(
+        grasp.with_(force=jxr.commands.Steps([0.05], [0.5, -0.5])),
+        state,
+        0.3,
+        ts=1,
+        record=("dense",),
+        throw=False,
+    )
+    assert str(lost.result) == "contact_lost"
+    end = lost(lost.stats.t_end)
+    np.testing.assert_allclose(end.q, lost.last.q, rtol=0, atol=1e-13)
+    assert np.isnan(lost(lost.stats.t_end + 1e-6).q).all()

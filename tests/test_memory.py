@@ -1,0 +1,467 @@
+"""Controllers with a memory: integral terms, samples that are held, laws of one's own with a state."""
+
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxroll as jxr
+from jaxroll.control import Integral, Sampled
+from tests.oracles import reference_space as reference
+from tests.oracles.chapter_part1 import JOINTS, Part1
+from tests.subjects.pinches_in_space import same_in_reference
+
+S = (0.004, -0.003)
+PERIOD, COUNT = 0.0015, 16
+GAINS = {"y": 40.0, "tilt": 0.05, "orientation_1": 0.02}
+TARGETS = {"y": 0.11, "tilt": 0.15, "orientation_1": 1.6}
+
+
+@pytest.fixture(scope="module")
+def pinch():
+    return jxr.scenes.pinch(s=S)
+
+
+@pytest.fixture(scope="module")
+def chapter(pinch):
+    q = np.asarray(pinch[1].q)
+    return Part1(np.array([q[3:6].sum(), q[6:8].sum()]))
+
+
+def integral(law):
+    return Integral(law, TARGETS, jnp.array([GAINS[name] for name in TARGETS]))
+
+
+def task_errors(places, X):
+    """Values and derivatives of the three task errors, from tips and their Jacobians; shape (3,), (3, 5)."""
+    (r1, J1, _), (r2, J2, _) = places
+    line = r2 - r1
+    values = [
+        (r1 + r2)[1] / 2 - TARGETS["y"],
+        np.arctan2(line[1], line[0]) - TARGETS["tilt"],
+        X[JOINTS[1]].sum() - TARGETS["orientation_1"],
+    ]
+    along = np.array([-line[1], line[0]]) / (line @ line)
+    slopes = np.array(
+        [
+            np.concatenate([J1[1], J2[1]]) / 2,
+            np.concatenate([-along @ J1, along @ J2]),
+            np.concatenate([np.zeros(3), np.ones(2)]),
+        ]
+    )
+    return np.array(values), slopes
+
+
+def law_of_chapter(chapter):
+    """(16)-(17) with the integral term, as a function of (t, X, v, memory)."""
+
+    def law(t, X, v, memory):
+        places = chapter.places(X)
+        values, slopes = task_errors(places, X)
+        return chapter.torques(X, v, places) - slopes.T @ (np.array([*GAINS.values()]) * memory), values
+
+    return law
+
+
+def check_energy(run, most=1e-9):
+    size = np.abs(run.energy.kinetic).max() + np.abs(run.energy.work).max()
+    assert np.abs(run.energy.residual).max() <= most * size
+
+
+# --- an integral term
+
+
+def test_an_integral_term_against_the_augmented_system(pinch, chapter):
+    grasp, state = pinch
+    ts = np.linspace(0.0, 0.4, 5)
+    acted = grasp.with_(controller=integral(grasp.controller))
+    run = jxr.simulate(acted, state, 0.4, ts=ts, rtol=1e-11, record=("energy",))
+    start = np.asarray(state.q), np.array(S)
+    X, v, memory = chapter.simulate_integral(*start, ts, law=law_of_chapter(chapter), memory=np.zeros(3))
+    assert np.abs(memory[-1]).min() > 1e-4
+    plain = jxr.simulate(grasp, state, 0.4, ts=ts, rtol=1e-11)
+    assert np.abs(plain.states.q[-1] - X[-1]).max() > 1e-3  # it does act
+    np.testing.assert_allclose(run.states.q, X, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(run.states.v, v, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(run.states.memory, memory, rtol=0, atol=1e-9)
+    check_energy(run)
+
+
+def test_an_integral_term_makes_up_for_a_constant_load(pinch):
+    """At rest under it the error is zero, which without the integral term it is not."""
+    grasp, state = pinch
+    pulled = grasp.with_(load=lambda t, pose, twist: (jnp.array([0.0, -0.02]), jnp.zeros(())))
+    target = float(jxr.stability.equilibrium(grasp, state).state.q[2]) + 0.05
+    law = Integral(grasp.controller, {"tilt": target}, 0.02)
+    rest = jxr.stability.assess(pulled.with_(controller=law), state)
+    assert rest.equilibrium.found and rest.rates.shape == (9,)
+    at = rest.equilibrium.state
+    chapter = Part1(np.zeros(2))
+    (r1, *_), (r2, *_) = chapter.places(np.asarray(at.q))
+    assert np.arctan2(*(r2 - r1)[::-1]) == pytest.approx(target, abs=1e-12)
+    assert abs(at.memory[0]) > 1e-3
+    without = jxr.stability.equilibrium(pulled, state).state
+    (r1, *_), (r2, *_) = chapter.places(np.asarray(without.q))
+    assert abs(np.arctan2(*(r2 - r1)[::-1]) - target) > 1e-2
+
+
+@pytest.mark.slow
+def test_a_law_with_a_memory_in_space_against_the_augmented_system():
+    """Of a caller's own, with a filter of what it pulls by; and the integral term of the mean height."""
+    grasp, state = jxr.scenes.pinch3d()
+    plain = same_in_reference(grasp)
+
+    class Filtered(eqx.Module):
+        beta: jax.Array
+        damping: jax.Array
+        memory: jax.Array
+
+        def __call__(self, t, angles, rates, tips, memory):
+            apart = tips[0].position - tips[1].position
+            pulls = (-memory, memory)
+            each = zip(tips, rates, pulls, strict=True)
+            torques = [tip.jacobian.T @ p - self.damping * w for tip, w, p in each]
+            return torques, 30.0 * (self.beta * apart - memory)
+
+    beta, damping = grasp.controller.beta, grasp.controller.damping[0]
+    given = np.asarray(state.q), np.asarray(state.v)
+    (r1, _), (r2, _) = reference.tips_of(plain, reference.equations(plain, *given)[-1])
+    start = 1.1 * float(beta) * (r1 - r2) + np.array([0.01, -0.02, 0.03])
+    law = Integral(Filtered(beta, damping, jnp.asarray(start)), {"y": 0.12}, 20.0)
+    ts = np.linspace(0.0, 0.2, 3)
+    run = jxr.simulate(grasp.with_(controller=law), state, 0.2, ts=ts, rtol=1e-11, record=("energy",))
+
+    def truth(t, v, tips, memory):
+        (r1, J1), (r2, J2) = tips
+        kept, z = memory[:3], memory[3]
+        u = np.concatenate([J1.T @ -kept, J2.T @ kept]) - float(damping) * v[6:]
+        u -= 20.0 * z * np.concatenate([J1[1], J2[1]]) / 2
+        return u, np.append(30.0 * (float(beta) * (r1 - r2) - kept), (r1 + r2)[1] / 2 - 0.12)
+
+    free = replace(plain, beta=0.0, damping=0.0)
+    q, v, memory = reference.simulate(free, *given, ts, law=truth, memory=np.append(start, 0.0))
+    assert np.abs(memory[-1] - memory[0]).min() > 1e-4
+    np.testing.assert_allclose(run.states.q, q, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(run.states.v, v, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(run.states.memory, memory, rtol=0, atol=1e-9)
+    check_energy(run)
+
+
+def test_no_more_errors_than_the_contacts_leave_free(pinch):
+    grasp, state = pinch
+    names = {f"orientation_{i}": 0.0 for i in (0, 1)} | {"x": 0.0, "y": 0.1, "tilt": 0.0}
+    with pytest.raises(ValueError, match="at most 4 errors"):
+        grasp.with_(controller=Integral(grasp.controller, names, 1.0))
+    # At rest the distance of the tips is least: no motion changes it.
+    grasp = grasp.with_(alpha=0.0)
+    rest = jxr.stability.equilibrium(grasp, state).state
+    held = grasp.with_(controller=Integral(grasp.controller, {"opening": 0.05}, 1.0))
+    with pytest.raises(ValueError, match="hold 'opening' fast"):
+        jxr.simulate(held, rest, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("targets", "words"),
+    [
+        ({"width": 0.1}, "names among"),
+        ({"orientation_2": 0.1}, "what 2 fingers can have"),
+        ({"z": 0.1}, "2 axes"),
+        ({}, "a dict"),
+        ({"x": np.inf}, "finite"),
+    ],
+)
+def test_task_errors_that_there_are_not(pinch, targets, words):
+    with pytest.raises(ValueError, match=words):
+        pinch[0].with_(controller=Integral(pinch[0].controller, targets, 1.0))
+
+
+# --- samples
+
+
+@pytest.fixture(scope="module")
+def sampled(pinch):
+    """The integral law, sampled, and a run that is saved at every sample."""
+    grasp, state = pinch
+    acted = grasp.with_(controller=Sampled(integral(grasp.controller), PERIOD))
+    ts = PERIOD * np.arange(COUNT + 1)
+    return acted, jxr.simulate(acted, state, ts[-1], ts=ts, rtol=1e-11, record=("energy",))
+
+
+def test_a_sampled_law_against_a_loop_written_by_hand(pinch, chapter, sampled):
+    """Its integrals move by Euler's steps."""
+    law = law_of_chapter(chapter)
+
+    def stepped(t, X, v, memory):
+        u, rate = law(t, X, v, memory)
+        return u, memory + PERIOD * rate
+
+    given = {"law": stepped, "memory": np.zeros(3), "period": PERIOD, "count": COUNT}
+    X, v, memory, u = chapter.simulate_sampled(np.asarray(pinch[1].q), np.array(S), **given)
+    run = sampled[1]
+    np.testing.assert_allclose(run.states.q, X, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(run.states.v, v, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(run.states.memory[:, :3], memory, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(run.states.memory[:, 3:8], u, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(run.states.memory[:, 8], PERIOD * np.arange(1, COUNT + 2), rtol=1e-14)
+    check_energy(run)
+
+
+@pytest.mark.parametrize(
+    "ways",
+    [
+        {"solver": jxr.Rosenbrock(), "rtol": 1e-9},
+        {"formulation": jxr.CSM(2000.0, 1e6), "rtol": 1e-9},
+        {"ts": np.linspace(0.0, PERIOD * COUNT, 8)},
+    ],
+    ids=["rosenbrock", "csm", "times between"],
+)
+def test_samples_by_other_ways(pinch, sampled, ways):
+    """The state at the end depends on none of them."""
+    run = jxr.simulate(sampled[0], pinch[1], PERIOD * COUNT, **({"ts": 1, "rtol": 1e-10} | ways))
+    for part in ("q", "memory"):
+        there = getattr(sampled[1].last, part)
+        np.testing.assert_allclose(getattr(run.last, part), there, rtol=0, atol=2e-8)
+
+
+def test_a_run_goes_on_from_a_saved_state_with_what_was_held(sampled):
+    """Begun between two samples, and at one, where nothing is sampled twice."""
+    acted, run = sampled
+    first, fourth = (jax.tree.map(lambda x, i=i: x[i], run.states) for i in (0, 3))
+    half = jxr.simulate(acted, first, 2.5 * PERIOD, ts=1, rtol=1e-11)
+    for t0, state in ((2.5 * PERIOD, half.last), (float(run.ts[3]), fourth)):
+        on = jxr.simulate(acted, state, float(run.ts[-1]), t0=t0, ts=1, rtol=1e-11)
+        np.testing.assert_allclose(on.last.q, run.last.q, rtol=0, atol=1e-11)
+        np.testing.assert_allclose(on.last.memory, run.last.memory, rtol=0, atol=1e-10)
+
+
+def test_torques_of_states_with_and_without_memory(pinch, sampled):
+    acted, run = sampled
+    held = np.concatenate(jxr.torques(acted, run.ts, run.states), axis=-1)
+    np.testing.assert_allclose(held, run.states.memory[:, 3:8], rtol=1e-15)
+    bare = jxr.State(run.states.q, run.states.v, run.states.s)
+    asked = np.concatenate(jxr.torques(acted, run.ts, bare), axis=-1)
+    plain = np.concatenate(jxr.torques(pinch[0], run.ts, bare), axis=-1)
+    np.testing.assert_allclose(asked, plain, rtol=1e-15)
+
+
+def test_before_the_first_sample_nothing_is_pressed_and_late_ones_are_not_made_up_for(pinch):
+    grasp, state = pinch
+    late = grasp.with_(controller=Sampled(grasp.controller, 0.01, first=0.02))
+    run = jxr.simulate(late, state, 0.03, ts=[0.01, 0.02, 0.03], events=(), throw=False)
+    assert not np.any(run.states.memory[0, :5]) and np.all(run.states.memory[1:, :5])
+    np.testing.assert_allclose(run.states.memory[:, 5], [0.02, 0.03, 0.04], rtol=1e-14)
+    begun = jxr.simulate(late, state, 0.105, t0=0.095, ts=[0.096, 0.105], events=(), throw=False)
+    np.testing.assert_allclose(begun.states.memory[:, 5], [0.1, 0.11], rtol=1e-14)
+    assert np.all(begun.states.memory[0, :5])
+
+
+class PI(eqx.Module):
+    """A caller's own discrete law: the memory of the next sample is what it returns."""
+
+    memory: jax.Array
+
+    def __call__(self, t, angles, rates, tips, memory):
+        pull = 20.0 * (tips[0].position - tips[1].position)
+        each = zip(tips, rates, (-1.0, 1.0), strict=True)
+        torques = [sign * tip.jacobian.T @ pull - 0.006 * w - memory[0] for tip, w, sign in each]
+        return torques, 0.5 * memory + 1e-3 * (tips[0].position[1] - 0.1)
+
+
+def test_a_law_of_ones_own_and_noise(pinch):
+    """Noise is drawn from the key and the number of the sample, and the tips fit the angles as measured."""
+    grasp, state = pinch
+    key = jax.random.key(3)
+    law = Sampled(PI(jnp.zeros(1)), 0.002, angle_noise=1e-3, rate_noise=0.1, key=key)
+    acted = grasp.with_(controller=law)
+    run = jxr.simulate(acted, state, 0.012, ts=0.002 * np.arange(7), rtol=1e-10)
+    finer = jxr.simulate(acted, state, 0.012, ts=np.linspace(0.0, 0.012, 11), rtol=1e-10)
+    np.testing.assert_allclose(run.last.q, finer.last.q, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(run.last.memory, finer.last.memory, rtol=0, atol=1e-8)
+    bodies = Part1(np.zeros(2))
+    memory = np.zeros(1)
+    for k in range(7):
+        drawn = np.asarray(jax.random.normal(jax.random.fold_in(key, k), (10,)))
+        X, v = np.array(run.states.q[k]), np.array(run.states.v[k])
+        X[3:], v[3:] = X[3:] + 1e-3 * drawn[:5], v[3:] + 0.1 * drawn[5:]
+        (r1, J1, _), (r2, J2, _) = bodies.places(X)
+        pull = 20.0 * (r1 - r2)
+        u = np.concatenate([-J1.T @ pull, J2.T @ pull]) - 0.006 * v[3:] - memory
+        memory = 0.5 * memory + 1e-3 * (r1[1] - 0.1)
+        np.testing.assert_allclose(run.states.memory[k, 1:6], u, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(run.states.memory[k, :1], memory, rtol=0, atol=1e-15)
+
+
+@pytest.mark.slow
+def test_a_sampled_law_in_space_against_a_loop_written_by_hand():
+    grasp, state = jxr.scenes.pinch3d()
+    acted = grasp.with_(controller=Sampled(grasp.controller, 0.01))
+    run = jxr.simulate(acted, state, 0.05, ts=0.01 * np.arange(6), rtol=1e-11)
+    plain = same_in_reference(grasp)
+    free = replace(plain, beta=0.0, damping=0.0)
+    q, v = np.asarray(state.q), np.asarray(state.v)
+    for k in range(5):
+        here = reference.equations(plain, q, v)[-1]
+        (r1, J1), (r2, J2) = reference.tips_of(plain, here)
+        pull = plain.beta * (r1 - r2)
+        u = np.concatenate([-J1.T @ pull, J2.T @ pull]) - plain.damping * v[6:]
+        np.testing.assert_allclose(run.states.memory[k, :-1], u, rtol=0, atol=1e-9)
+        ends = np.array([0.0, 0.01])
+        rows = reference.simulate(free, q, v, ends, law=lambda *_, u=u: (u, np.zeros(0)))
+        q, v = (each[-1] for each in rows)
+        np.testing.assert_allclose(run.states.q[k + 1], q, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(run.states.v[k + 1], v, rtol=0, atol=1e-8)
+
+
+# --- batches and derivatives
+
+
+def final(numbers, pinch):
+    """A mixture of all of the last state, as a function of (period, first, damping, gain, target, memory)."""
+    grasp, state = pinch
+    period, first, damping, gain, target, held = numbers
+    law = Integral(grasp.with_(damping=damping).controller, {"tilt": target}, gain)
+    acted = grasp.with_(controller=Sampled(law, period, first=first))
+    start = acted.controller.initial_memory((3, 2)).at[0].set(held)
+    state = jxr.State(state.q, state.v, state.s, start)
+    run = jxr.simulate(acted, state, 0.0155, ts=2, rtol=1e-10, events=(), throw=False)
+    return run.states.q[-1] @ jnp.arange(1.0, 9.0) + 0.1 * run.states.v[-1] @ jnp.ones(8) + run.last.memory[0]
+
+
+NUMBERS = jnp.array([0.002, 0.0005, 0.006, 5.0, 0.1, 1e-3])
+
+
+def test_derivatives_of_a_sampled_run(pinch):
+    """With respect to the times of samples too."""
+    value = jax.jit(lambda x: final(x, pinch))
+    back = jax.jit(jax.grad(lambda x: final(x, pinch)))(NUMBERS)
+    sizes = np.array([1e-6, 1e-6, 1e-5, 1e-3, 1e-3, 3e-5])
+    for i, size in enumerate(sizes):
+        step = size * np.eye(6)[i]
+        ends = [(value(NUMBERS + k * step) - value(NUMBERS - k * step)) / (2 * k * size) for k in (1, 2)]
+        slope = (4 * ends[0] - ends[1]) / 3
+        assert abs(slope) > 1e-6
+        np.testing.assert_allclose(back[i], slope, rtol=1e-7)
+    along = jnp.array([1e-4, 2e-4, 1e-3, 1.0, 0.1, 0.01])
+    forward = jax.jvp(lambda x: final(x, pinch), (NUMBERS,), (along,))[1]
+    np.testing.assert_allclose(forward, back @ along, rtol=1e-10)
+
+
+def test_a_batch_of_periods_and_keys(pinch):
+    grasp, state = pinch
+
+    def last(period, key):
+        law = Sampled(grasp.controller, period, angle_noise=1e-4, key=key)
+        return jxr.simulate(grasp.with_(controller=law), state, 0.03, ts=1, throw=False).last.q
+
+    periods, keys = jnp.array([0.003, 0.004, 0.005]), jax.random.split(jax.random.key(0), 3)
+    together = jax.jit(jax.vmap(last))(periods, keys)
+    for i in range(3):
+        np.testing.assert_allclose(together[i], last(periods[i], keys[i]), rtol=0, atol=1e-12)
+    assert np.abs(together[1] - last(periods[1], keys[0])).max() > 1e-9
+
+
+# --- verdicts
+
+
+def test_a_sampled_loop_is_unstable_above_some_two_milliseconds(pinch):
+    """Joint damping on light links has rates of 700 1/s; the verdict is that of the runs."""
+    grasp, state = pinch
+    rest = jxr.stability.assess(grasp, state)
+    assert rest.rates.real.min() < -600
+    at = rest.equilibrium.state
+    verdicts = {}
+    for period in (1e-6, 0.002, 0.004):
+        law = Sampled(grasp.controller, period)
+        found = jxr.stability.assess(grasp.with_(controller=law), at)
+        verdicts[period] = str(found.verdict)
+        if period == 1e-6:  # nearly the loop that is not sampled
+            np.testing.assert_allclose(found.rates, rest.rates, rtol=2e-3, atol=1e-3)
+            continue
+        # The fastest mode, disturbed a little: its size from one sample to the next, against exp(rate T).
+        mode = np.argmax(found.rates.real)
+        size = np.exp(found.rates[mode].real * period)
+        _, apart = jxr.close(grasp, jxr.State(at.q, at.v.at[3].set(1e-6), at.s))
+        run = jxr.simulate(grasp.with_(controller=law), apart, 12 * period, ts=13)
+        moves = np.linalg.norm(run.states.v, axis=1)
+        assert (moves[-1] > moves[2]) == (found.rates.real.max() > 1.0)
+        if period == 0.004:
+            assert moves[-1] / moves[-2] == pytest.approx(size, rel=0.02)
+    assert verdicts[0.002] == "neutral" and verdicts[0.004] == "unstable"
+
+
+def test_rates_with_a_memory_against_the_linearised_augmented_system(pinch, chapter):
+    """By differences of the chapter's own equations, on all 18 numbers and the memory."""
+    grasp, state = pinch
+    acted = grasp.with_(controller=integral(grasp.controller))
+    found = jxr.stability.assess(acted, state)
+    rest = found.equilibrium.state
+    law = law_of_chapter(chapter)
+
+    def rates(y):
+        u, change = law(0.0, y[:8], y[8:16], y[18:])
+        a = chapter.accelerations(y[:8], y[8:16], y[16:18], 0.0, u)[0]
+        return np.concatenate([y[8:16], a, chapter.rolling(y[8:16], y[16:18]), change])
+
+    s = jxr.pinch_balance(acted, 0.0, rest).s  # as the chapter counts
+    assert np.abs(chapter.constraints(np.asarray(rest.q), np.asarray(s))).max() < 1e-14
+    y0 = np.concatenate([rest.q, rest.v, s, rest.memory])
+    assert np.abs(rates(y0)).max() < 1e-9
+    jacobian = np.array([(rates(y0 + h) - rates(y0 - h)) / 2e-6 for h in 1e-6 * np.eye(21)]).T
+    values = np.linalg.eigvals(jacobian)
+    # Off the constraints nothing moves: there the eigenvalues are zero, to the root of the differences.
+    for rate in np.asarray(found.rates):
+        assert np.abs(values - rate).min() < 1e-3 * max(1.0, abs(rate))
+
+
+# --- sentences
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda c: Sampled(c, 0.0), "period must be positive"),
+        (lambda c: Sampled(c, 0.1, angle_noise=-1.0), "angle_noise must be zero or more"),
+        (lambda c: Sampled(c, 0.1, rate_noise=0.1), "key must be a key"),
+        (lambda c: Sampled(c, 0.1, key=3), "key must be one key"),
+        (lambda c: Sampled(Sampled(c, 0.1), 0.1), "must not be sampled"),
+        (lambda c: Integral(Sampled(c, 0.1), {"x": 0.0}, 1.0), "must not be sampled"),
+        (lambda c: Integral(c, {"x": 0.0}, [1.0, 2.0]), "gain"),
+    ],
+)
+def test_bad_arguments(pinch, make, words):
+    with pytest.raises(ValueError, match=words):
+        pinch[0].with_(controller=make(pinch[0].controller))
+
+
+def test_memories_that_do_not_fit(pinch):
+    grasp, state = pinch
+    acted = grasp.with_(controller=integral(grasp.controller))
+    with pytest.raises(ValueError, match="memory must have shape"):
+        jxr.simulate(acted, jxr.State(state.q, state.v, state.s, [0.0]), 0.1)
+    with pytest.raises(ValueError, match="must be None"):
+        jxr.simulate(grasp, jxr.State(state.q, state.v, state.s, [0.0]), 0.1)
+    with pytest.raises(ValueError, match="sampled"):
+        jxr.vector_field(grasp.with_(controller=Sampled(grasp.controller, 0.1)))
+    with pytest.raises(ValueError, match="memory must have shape"):
+        grasp.with_(controller=PI(jnp.zeros((1, 1))))
+
+
+def test_other_numbers_of_a_law_inside(pinch):
+    grasp, _ = pinch
+    acted = grasp.with_(controller=Sampled(integral(grasp.controller), PERIOD))
+    changed = acted.with_(damping=0.01, gain=2.0, period=0.1)
+    assert changed.controller.law.law.damping[0] == 0.01 and changed.controller.period == 0.1
+    with pytest.raises(ValueError, match="target"):
+        acted.with_(target=1.0)
+
+
+def test_the_chapters_quantities_are_those_of_the_law_inside(pinch):
+    grasp, state = pinch
+    acted = grasp.with_(controller=Integral(grasp.controller, {"y": 0.1}, 1.0))
+    inside = jxr.pinch_balance(acted, 0.0, state)
+    plain = jxr.pinch_balance(grasp, 0.0, state)
+    np.testing.assert_allclose(inside.n, plain.n, rtol=1e-14)
+    np.testing.assert_allclose(inside.delta_f, plain.delta_f, rtol=1e-10)

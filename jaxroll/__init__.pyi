@@ -49,6 +49,7 @@ from ._motion import (
     multipliers as multipliers,
     residuals as residuals,
     torques as torques,
+    wrenches as wrenches,
 )
 from ._results import RESULTS as RESULTS
 from ._sweep import sweep as sweep

@@ -254,7 +254,8 @@ class Impulse(AbstractLoad):
     $M (v_+ - v_-) = p + A^T \mu$ with contact impulses $\mu$ that keep all gaps closed. A contact that would
     have to pull, or to rub more than its friction allows, ends the run with that code (unless `events` leaves
     it out), at the state before the blow: fingers that pinch have no hold against a blow along the pinch. A
-    state saved at its time is the one after it.
+    state saved at its time is the one after it. A run that records 'multipliers' has the contact impulses as
+    `run.impulses`.
 
     Args:
         impulse: Shape (2,), in space (3,), in world axes [N s].

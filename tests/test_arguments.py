@@ -594,6 +594,7 @@ GIVEN_STATES = {
     "multipliers": lambda state: jxr.multipliers(PLANE, 0.0, state),
     "energies": lambda state: jxr.energies(PLANE, states=state),
     "torques": lambda state: jxr.torques(PLANE, 0.0, state),
+    "wrenches": lambda state: jxr.wrenches(PLANE, 0.0, state),
     "accelerations": lambda state: jxr.accelerations(PLANE, 0.0, state),
     "strike": lambda state: jxr.strike(PLANE, state, loads.Impulse((0, 1e-4), 0.0)),
     "equation_terms": lambda state: jxr.equation_terms(PLANE, state),

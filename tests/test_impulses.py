@@ -185,3 +185,34 @@ def test_torques_and_accelerations_of_states(pivoted, pinch):
     left = terms.mass @ jxr.accelerations(grasp, 0.0, moving) + terms.bias
     left = left + forces.f @ terms.normal + forces.lam @ terms.tangential
     np.testing.assert_allclose(left, drive, rtol=0, atol=1e-12)
+
+
+def test_a_run_that_records_forces_has_the_contact_impulses(pivoted):
+    """Those of `strike` at the state before; of two at once those of both, and none of one still to come."""
+    grasp, state = pivoted
+    time = 0.1
+    blows = [Impulse((0.0, 0.0), when, angular=2e-5 * k) for when, k in ((time, 1), (0.9, 1), (time, 0.5))]
+    hit = grasp.with_(load=blows)
+    ts = np.array([0.05, 0.2])
+    run = jxr.simulate(hit, state, 0.2, ts=ts, rtol=1e-11, record=("multipliers",))
+    before = jxr.simulate(grasp, state, time, ts=1, rtol=1e-11).last
+    wanted = jxr.strike(grasp, before, Impulse((0.0, 0.0), 0.0, angular=3e-5)).multipliers
+    for part in ("f", "lam"):
+        found = getattr(run.impulses, part)
+        assert found.shape == (3, 1) and np.isnan(found[1]).all()
+        np.testing.assert_allclose(found[::2], np.stack([getattr(wanted, part)] * 2), rtol=1e-9)
+    # Saved states and forces are those without the record.
+    plain = jxr.simulate(hit, state, 0.2, ts=ts, rtol=1e-11)
+    np.testing.assert_allclose(run.states.q, plain.states.q, rtol=0, atol=1e-12)
+    forces = jxr.multipliers(hit, run.ts, run.states)
+    np.testing.assert_allclose(run.multipliers.f, forces.f, rtol=1e-12)
+
+    def impulse(x):
+        later = grasp.with_(load=Impulse((0.0, 0.0), time + x[0], angular=2e-5 * (1 + x[1])))
+        given = {"ts": 1, "rtol": 1e-11, "record": ("multipliers",)}
+        return jxr.simulate(later, state, 0.12, **given).impulses.f[0, 0]
+
+    impulse, size = jax.jit(impulse), 1e-4
+    slopes = [(impulse(size * e) - impulse(-size * e)) / (2 * size) for e in np.eye(2)]
+    np.testing.assert_allclose(jax.jit(jax.grad(impulse))(jnp.zeros(2)), slopes, rtol=1e-6)
+    np.testing.assert_allclose(jax.jit(jax.jacfwd(impulse))(jnp.zeros(2)), slopes, rtol=1e-6)

@@ -182,7 +182,7 @@ def test_a_pinch_under_loads_against_the_chapters_equations():
     gravity = np.stack([weight, np.zeros(2), np.zeros(2)])
     ts = np.linspace(0.0, 0.4, 9)
     loaded = grasp.with_(load=full(PLANE), gravity=gravity)
-    run = jxr.simulate(loaded, state, 0.4, ts=ts, rtol=1e-11, record=("energy",))
+    run = jxr.simulate(loaded, state, 0.4, ts=ts, rtol=1e-12, record=("energy",))
 
     def wrench(t, X, v):
         turned = planar_rotation(X[2])
@@ -198,7 +198,7 @@ def test_a_pinch_under_loads_against_the_chapters_equations():
     X, v, *_ = chapter.simulate(q, np.array([0.004, -0.003]), ts)
     assert np.ptp(X[:, 2]) > 0.02  # it does turn
     np.testing.assert_allclose(run.states.q, X, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(run.states.v, v, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(run.states.v, v, rtol=0, atol=1e-9)
     check_energy(run)
 
 
@@ -209,7 +209,7 @@ def test_a_ball_in_space_under_loads_against_a_second_formulation():
     ts = np.linspace(0.0, 0.4, 5)
     v0 = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 2.0])
     state = eqx.tree_at(lambda s: s.v, state, jnp.asarray(v0))
-    run = jxr.simulate(grasp, state, 0.4, ts=ts, rtol=1e-11, record=("energy",))
+    run = jxr.simulate(grasp, state, 0.4, ts=ts, rtol=1e-12, record=("energy",))
     nothing, none = np.zeros(0), np.zeros((0, 3))
     table = reference.Chain(
         np.zeros(3), none, none, nothing, none, np.zeros((0, 3, 3)), reference.Plane((0, 0, 0), (0, 0, 1.0))
@@ -229,7 +229,7 @@ def test_a_ball_in_space_under_loads_against_a_second_formulation():
     q, v = reference.simulate(scene, np.asarray(state.q), v0, ts, wrench=wrench)
     assert np.abs(q[-1] - q[0])[[0, 1, 4, 5, 6]].min() > 1e-3
     np.testing.assert_allclose(run.states.q, q, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(run.states.v, v, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(run.states.v, v, rtol=0, atol=1e-9)
     check_energy(run)
 
 
@@ -239,7 +239,7 @@ def test_a_pinch_in_space_under_loads_against_a_second_formulation():
     force, torque = jnp.array([0.05, -0.1, 0.08]), jnp.array([1e-4, -2e-4, 1e-4])
     loaded = grasp.with_(load=[lambda t, pose, twist: (force * t, torque), Drag(0.05, 1e-5)])
     ts = np.linspace(0.0, 0.3, 4)
-    run = jxr.simulate(loaded, state, 0.3, ts=ts, rtol=1e-11, record=("energy",))
+    run = jxr.simulate(loaded, state, 0.3, ts=ts, rtol=1e-12, record=("energy",))
 
     def wrench(t, q, v):
         spin = reference.quaternion_matrix(q[3:7]) @ v[3:6]
@@ -248,7 +248,7 @@ def test_a_pinch_in_space_under_loads_against_a_second_formulation():
     start = np.asarray(state.q), np.asarray(state.v)
     q, v = reference.simulate(same_in_reference(grasp), *start, ts, wrench=wrench)
     np.testing.assert_allclose(run.states.q, q, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(run.states.v, v, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(run.states.v, v, rtol=0, atol=1e-9)
     check_energy(run)
 
 

@@ -1,5 +1,6 @@
 """Losses of runs that end early, and of shapes that their tables do not resolve: finite, with derivatives."""
 
+import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -130,3 +131,39 @@ def test_an_optimiser_over_points_goes_on_where_shapes_fail(goal):
 def test_an_optimiser_over_points_from_ten_starts(goal, seed):
     values = _descended(goal, seed, 100, rate=2e-6)
     assert np.isfinite(values).all() and values[-1] < 0.9 * values[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("solver", "asked"), [(None, 1e-8), (jxr.Rosenbrock(), 1e-7)], ids=["dopri8", "rosenbrock"]
+)
+def test_gradients_of_settling_time_and_peak_force_in_spline_points(solver, asked):
+    """Through `close` and a run of steps of equal length, against differences along a random direction."""
+    grasp, state = jxr.scenes.pivoted()
+    points = catenary_points(1 / 40, 0.02, 14)
+
+    def values(x):
+        tip = _spline_tip(points + 1e-4 * x)
+        run = jxr.simulate(
+            *jxr.close(grasp.with_tip(0, tip), state),
+            1.5,
+            ts=76,
+            solver=solver,
+            stepsize_controller=diffrax.ConstantStepSize(),
+            dt0=5e-3,
+            record=("multipliers",),
+        )
+        # After its start, where it is largest but does not depend on the run.
+        peak = jnp.max(jnp.abs(run.multipliers.lam[1:]))
+        return jnp.stack([jxr.design.settling_time(run), peak, jnp.max(run.multipliers.f[20:])])
+
+    values, along = jax.jit(values), np.random.default_rng(0).normal(size=points.shape)
+    # Of eighth order, so that steps may be long: `Rosenbrock` has a noise of its own, of its Jacobian.
+    size, weights = 1.5e-2, (4 / 5, -1 / 5, 4 / 105, -1 / 280)
+    slopes = 0.0
+    for k, weight in enumerate(weights, start=1):
+        ends = [np.asarray(values(side * k * size * along)) for side in (-1, 1)]
+        slopes += weight * (ends[1] - ends[0]) / size
+    slow = jax.jit(lambda x, bar: jax.vjp(values, x)[1](bar)[0])
+    found = [np.sum(np.asarray(slow(jnp.zeros(points.shape), bar)) * along) for bar in np.eye(3)]
+    np.testing.assert_allclose(found, slopes, rtol=asked)

@@ -78,14 +78,14 @@ def test_an_integral_term_against_the_augmented_system(pinch, chapter):
     grasp, state = pinch
     ts = np.linspace(0.0, 0.4, 5)
     acted = grasp.with_(controller=integral(grasp.controller))
-    run = jxr.simulate(acted, state, 0.4, ts=ts, rtol=1e-11, record=("energy",))
+    run = jxr.simulate(acted, state, 0.4, ts=ts, rtol=1e-12, record=("energy",))
     start = np.asarray(state.q), np.array(S)
     X, v, memory = chapter.simulate_integral(*start, ts, law=law_of_chapter(chapter), memory=np.zeros(3))
     assert np.abs(memory[-1]).min() > 1e-4
     plain = jxr.simulate(grasp, state, 0.4, ts=ts, rtol=1e-11)
     assert np.abs(plain.states.q[-1] - X[-1]).max() > 1e-3  # it does act
     np.testing.assert_allclose(run.states.q, X, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(run.states.v, v, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(run.states.v, v, rtol=0, atol=1e-9)
     np.testing.assert_allclose(run.states.memory, memory, rtol=0, atol=1e-9)
     check_energy(run)
 
@@ -132,7 +132,7 @@ def test_a_law_with_a_memory_in_space_against_the_augmented_system():
     start = 1.1 * float(beta) * (r1 - r2) + np.array([0.01, -0.02, 0.03])
     law = Integral(Filtered(beta, damping, jnp.asarray(start)), {"y": 0.12}, 20.0)
     ts = np.linspace(0.0, 0.2, 3)
-    run = jxr.simulate(grasp.with_(controller=law), state, 0.2, ts=ts, rtol=1e-11, record=("energy",))
+    run = jxr.simulate(grasp.with_(controller=law), state, 0.2, ts=ts, rtol=1e-12, record=("energy",))
 
     def truth(t, v, tips, memory):
         (r1, J1), (r2, J2) = tips
@@ -145,7 +145,7 @@ def test_a_law_with_a_memory_in_space_against_the_augmented_system():
     q, v, memory = reference.simulate(free, *given, ts, law=truth, memory=np.append(start, 0.0))
     assert np.abs(memory[-1] - memory[0]).min() > 1e-4
     np.testing.assert_allclose(run.states.q, q, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(run.states.v, v, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(run.states.v, v, rtol=0, atol=1e-9)
     np.testing.assert_allclose(run.states.memory, memory, rtol=0, atol=1e-9)
     check_energy(run)
 
@@ -187,7 +187,7 @@ def sampled(pinch):
     grasp, state = pinch
     acted = grasp.with_(controller=Sampled(integral(grasp.controller), PERIOD))
     ts = PERIOD * np.arange(COUNT + 1)
-    return acted, jxr.simulate(acted, state, ts[-1], ts=ts, rtol=1e-11, record=("energy",))
+    return acted, jxr.simulate(acted, state, ts[-1], ts=ts, rtol=1e-12, record=("energy",))
 
 
 def test_a_sampled_law_against_a_loop_written_by_hand(pinch, chapter, sampled):
@@ -202,7 +202,7 @@ def test_a_sampled_law_against_a_loop_written_by_hand(pinch, chapter, sampled):
     X, v, memory, u = chapter.simulate_sampled(np.asarray(pinch[1].q), np.array(S), **given)
     run = sampled[1]
     np.testing.assert_allclose(run.states.q, X, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(run.states.v, v, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(run.states.v, v, rtol=0, atol=1e-9)
     np.testing.assert_allclose(run.states.memory[:, :3], memory, rtol=0, atol=1e-9)
     np.testing.assert_allclose(run.states.memory[:, 3:8], u, rtol=0, atol=1e-9)
     np.testing.assert_allclose(run.states.memory[:, 8], PERIOD * np.arange(1, COUNT + 2), rtol=1e-14)
@@ -298,7 +298,7 @@ def test_a_law_of_ones_own_and_noise(pinch):
 def test_a_sampled_law_in_space_against_a_loop_written_by_hand():
     grasp, state = jxr.scenes.pinch3d()
     acted = grasp.with_(controller=Sampled(grasp.controller, 0.01))
-    run = jxr.simulate(acted, state, 0.05, ts=0.01 * np.arange(6), rtol=1e-11)
+    run = jxr.simulate(acted, state, 0.05, ts=0.01 * np.arange(6), rtol=1e-12)
     plain = same_in_reference(grasp)
     free = replace(plain, beta=0.0, damping=0.0)
     q, v = np.asarray(state.q), np.asarray(state.v)
@@ -312,7 +312,7 @@ def test_a_sampled_law_in_space_against_a_loop_written_by_hand():
         rows = reference.simulate(free, q, v, ends, law=lambda *_, u=u: (u, np.zeros(0)))
         q, v = (each[-1] for each in rows)
         np.testing.assert_allclose(run.states.q[k + 1], q, rtol=0, atol=1e-9)
-        np.testing.assert_allclose(run.states.v[k + 1], v, rtol=0, atol=1e-8)
+        np.testing.assert_allclose(run.states.v[k + 1], v, rtol=0, atol=1e-9)
 
 
 # --- batches and derivatives

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from jaxroll import geometry, plotting
 from jaxroll.plotting._animate3 import _paced, animate3
 from jaxroll.plotting._drawing3 import Drawing3
+from jaxroll.plotting._forces3 import Pushes
 from jaxroll.plotting._meshes import box_mesh, mesh
 from jaxroll.plotting._motion3 import matrices, rotation_vectors
 from jaxroll.plotting._poses3 import snapshots3, stage
@@ -278,7 +279,7 @@ def test_forces_are_drawn_to_one_scale_onto_the_contacts(scene):
     grasp, motion, _ = scene
     forces = np.zeros((2, motion.times, 3))
     forces[0, :, 1], forces[1, :, 1] = -2.0, 1.0
-    figure = snapshots3(grasp, motion, forces=forces)
+    figure = snapshots3(grasp, motion, forces=Pushes(forces))
     artists = [a for a in figure.axes[0].artists + figure.axes[0].patches if hasattr(a, "ends")]
     assert all(a.get_mutation_scale() > 0.0 for a in artists)  # heads point where the arrow does
     arrows = [a.ends for a in artists][2:]
@@ -288,7 +289,7 @@ def test_forces_are_drawn_to_one_scale_onto_the_contacts(scene):
     for k, ends in enumerate(arrows):
         np.testing.assert_allclose(ends[1], world(motion.body[-1], motion.on_object[k, -1:])[0])
     with pytest.raises(ValueError, match="argument forces must have shape"):
-        snapshots3(grasp, motion, forces=forces[:, 1:])
+        snapshots3(grasp, motion, forces=Pushes(forces[:, 1:]))
 
 
 def test_a_box_stands_for_its_faces(scene):

@@ -272,6 +272,7 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         "multipliers accelerations", ts=_is("number", 0.0), formulation=_made("part", jxr.CSM, "method")
     ),
     "torques": {"ts": _is("number", 0.0)},
+    "wrenches": {"ts": _is("number", 0.0)},
     "Impulse": {
         "impulse": _is("array", (0.0, 1e-4), "two numbers"),
         "time": _is("number", 0.1),

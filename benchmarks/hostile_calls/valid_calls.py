@@ -95,6 +95,7 @@ _SLOW = set(
         "strike",
         "sweep",
         "torques",
+        "wrenches",
         "tube",
         "turntable",
         "wheel",

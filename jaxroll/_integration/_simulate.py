@@ -41,6 +41,7 @@ from .._results import check_flag, concrete, RESULTS
 from .._types import Given, Scalar
 from .._xla import in_turn, remembered, sharing
 from ..geometry import as_it_is_resolved
+from ..loads import impulses
 from ._arguments import (
     as_numbers,
     check_choices,
@@ -52,6 +53,7 @@ from ._arguments import (
     RTOL,
     step_limit,
 )
+from ._contact_impulses import contact_impulses, merged, times_before
 from ._dense import Dense
 from ._derivative import march
 from ._events import EVENTS, whose
@@ -206,16 +208,30 @@ def _run(
     # A run begins before a jump at its start; a state saved at a jump is the one after it.
     begin, (end, saves) = beside(jumps, given.t0, -1.0), (beside(jumps, t, 1.0) for t in given[1:3])
     end, saves = jax.lax.stop_gradient((end, saves))
+    wanted = None
+    if "multipliers" in setup.record and impulses(ready.load):
+        assert jumps is not None
+        saves, *wanted = merged(saves, times_before(ready, jumps, begin, end))
     plan = _plan(stepper, y0, given._replace(t0=begin, t1=end, ts=saves), setup, jumps=jumps)
     # `march` does not differentiate the plan. A derivative in a gain or in the start would be zero without a
     # word: refuse it instead.
     name = "the start's time, tolerances and gains of the formulation"
     plan = eqxi.nondifferentiable(plan, name=name)
     packed = bundle(ready)
-    path = _moving_with(march(packed, y0, plan), lay, given)
+    path = march(packed, y0, plan)
+    if wanted is not None:
+        before = path.saved[wanted[1]]
+        path = eqx.tree_at(lambda p: p.saved, path, path.saved[wanted[0]])
+        plan = eqx.tree_at(lambda p: p.ts, plan, plan.ts[wanted[0]])
+    path = _moving_with(path, lay, given)
     # Without jumps the plan has the caller's own save times.
     ts = moving_as(plan.ts if jumps is None else jax.lax.stop_gradient(given.ts), given.ts)
     trajectory, off = _trajectory(ready, state, path, plan, setup.record, ts)
+    if wanted is not None:
+        times = jnp.stack([blow.time for blow in impulses(ready.load)])
+        states = states_of(lay, moving_in_time(lay.width, before, times))
+        told = contact_impulses(ready, states, (plan.t0, trajectory.stats.t_end))
+        trajectory = eqx.tree_at(lambda run: run.impulses, trajectory, told, is_leaf=lambda x: x is None)
     if path.record is not None:
         dense = Dense(packed, plan.stepper, path.record.ts, path.record.ys, path.steps[1])
         trajectory = eqx.tree_at(lambda run: run.dense, trajectory, dense, is_leaf=lambda x: x is None)

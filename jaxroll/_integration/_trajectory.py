@@ -58,6 +58,8 @@ class Trajectory(eqx.Module):
         result: Result code of `jaxroll.RESULTS`.
         stats: Steps taken, how far, and what ended it.
         multipliers: Contact forces at the saved times, if recorded.
+        impulses: With contact forces recorded, the contact impulses [N s] of every blow (`loads.Impulse`),
+            with a leading axis of blows in the grasp's order; NaN of one that the run did not come to.
         energy: Energy balance at the saved times, if recorded.
         dense: Its steps, if 'dense' was recorded; `run(t)` reads them.
         labels: What its bodies, coordinates (with units) and contacts are called. Static.
@@ -71,6 +73,7 @@ class Trajectory(eqx.Module):
     stats: Stats
     multipliers: Multipliers | None = None
     energy: Energy | None = None
+    impulses: Multipliers | None = None
     dense: Dense | None = None
     labels: Labels | None = eqx.field(static=True, default=None)
 

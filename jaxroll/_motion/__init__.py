@@ -60,6 +60,7 @@ from ._quantities import (
     split_forces as split_forces,
     torques as torques,
     worst as worst,
+    wrenches as wrenches,
 )
 from ._sampling import begun as begun, memory_after_sample as memory_after_sample, sample_due as sample_due
 from ._task_errors import check_tasks as check_tasks

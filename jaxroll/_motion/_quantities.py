@@ -22,7 +22,7 @@ from .._results import as_array
 from .._types import Scalar, Scalars
 from ..contact import Rows
 from ..control import as_controller, joint_angles
-from ._equations import bodies, evaluate, Instant, loaded, sensed, touches, world_poses
+from ._equations import bodies, evaluate, Instant, loaded, sensed, touches, world_poses, wrench_on
 from ._formulation import as_formulation, Formulation
 from ._projection import residual
 
@@ -268,6 +268,45 @@ def _torques(grasp: Grasp, ts: Float[Array, "..."], states: State) -> tuple[Arra
         motions, _ = bodies(ready, leaves)
         each, _ = as_controller(ready.controller).driven(t, sensed(ready, leaves, motions), leaves.memory)
         return tuple(stacked(us) for us in each)
+
+    return over_time(at, states, ts)
+
+
+def wrenches(
+    grasp: Grasp, ts: Float[Array, "..."], states: State
+) -> tuple[Float[Array, "... d"], Float[Array, "..."]]:
+    """Force and torque of all loads on the object, at one time and state or along a leading time axis.
+
+    Of a grasp without loads they are zero. Blows (`loads.Impulse`) act at no time, and are no part of them.
+
+    Returns:
+        Force [N], shape (..., d), and torque [N m] about the object's origin, in space of shape (..., 3).
+        Both are in world axes.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> grasp, state = jxr.scenes.pinch()
+        >>> pushed = grasp.with_(load=jxr.loads.Push((0.2, 0.0), 0.1, 0.05))
+        >>> force, torque = jxr.wrenches(pushed, 0.125, state)
+        >>> force.round(6).tolist()
+        [0.2, 0.0]
+    """
+    return _wrenches(grasp, ts, states)
+
+
+@compiled_for_many
+def _wrenches(grasp: Grasp, ts: Float[Array, "..."], states: State) -> tuple[Array, Array]:
+    ready, ts = grasp.prepared(), as_times(ts, states)
+
+    def at(state: State, t: Scalar) -> tuple[Array, Array]:
+        leaves = to_leaves(state, ready.form)
+        motion = bodies(ready, leaves)[0][0]
+        found = wrench_on(ready, t, leaves.q[0], motion)
+        force, torque = (motion.pose.origin * 0.0, None) if found is None else found
+        if isinstance(torque, Vec3):
+            return force.array(), torque.array()
+        none = jnp.zeros(3 if ready.spatial else (), force.x.dtype)
+        return force.array(), none if torque is None else jnp.asarray(torque)
 
     return over_time(at, states, ts)
 

@@ -13,10 +13,11 @@ from ._animate3 import animate3
 from ._artists import Drawing, limits
 from ._doors import check_frames, guarded
 from ._forces import Arrows, arrows, key
+from ._forces3 import pushes
 from ._gif import checked_path, nearest_rows, write
 from ._style import Picture, tidy
 from ._views import single, Views, views, visible
-from ._views3 import check_options, pushes, scene_motion, View
+from ._views3 import check_options, scene_motion, View
 
 
 @guarded
@@ -36,7 +37,7 @@ def animate(
     """Write a run as an animated GIF with true contours or surfaces, to scale.
 
     Shows, as thick stretches of equal length, what has rolled off each contour, in space the loci of the
-    contacts on both surfaces and, if recorded, the contact forces on the object. Every frame is the saved
+    contacts on both surfaces and, if recorded, the forces on the object. Every frame is the saved
     state nearest to its time, never a blend of two; save at least `fps / speed` states per second for
     smooth motion. A run that ended before a state was saved is one frame: where it ended. In space a frame is
     some 0.3 s of work, and there are at most 60: for more time than these last, the file has fewer frames per
@@ -50,8 +51,8 @@ def animate(
             nearest rate that it can hold is taken.
         speed: Simulated seconds per second shown: 0.5 plays at half speed.
         until: Last time shown [s]. Default: the end of the run.
-        forces: Whether to draw the contact forces on the object, with their scale; they must have been
-            recorded. Default: if they were.
+        forces: Whether to draw the contact forces on the object and that of its loads, with their scale;
+            contact forces must have been recorded. Default: if they were.
         size: Longer side of the drawing, without its legend, in inches of 100 pixels; in space its width.
         view: How to look at a grasp in space.
         progress: Called after each frame with the frames done and the frames in all.
@@ -81,7 +82,7 @@ def animate(
     ts, rows = _shown(trajectory, until)
     if grasp.spatial:
         motion = scene_motion(grasp, trajectory.states)
-        pushed = pushes(trajectory, motion)[:, rows] if drawn else None
+        pushed = pushes(grasp, trajectory, motion).rows(rows) if drawn else None
         pace = {"fps": fps, "speed": speed, "progress": progress}
         return animate3(grasp, motion.at(rows), ts, path, forces=pushed, size=size, view=view, **pace)
     check_options(grasp, view=view)

@@ -9,6 +9,7 @@ from PIL import Image
 from .._mechanics import Grasp
 from . import _gif
 from ._drawing3 import Drawing3
+from ._forces3 import Pushes
 from ._motion3 import Motion3D, times_of
 from ._poses3 import facing, heading, legend, scaled, stage
 from ._scene3 import scene3
@@ -28,7 +29,7 @@ def animate3(
     *,
     fps: float = 25.0,
     speed: float = 1.0,
-    forces: np.ndarray | None = None,
+    forces: Pushes | None = None,
     size: float = 5.5,
     view: View | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -42,7 +43,7 @@ def animate3(
         path: The file to write.
         fps: Frames per second of the file.
         speed: Simulated seconds per second shown.
-        forces: Contact forces on the object in world axes to draw, shape (c, t, 3) [N].
+        forces: Forces on the object to draw.
         size: Width of the picture in inches of 100 pixels.
         view: How to look at it.
         progress: Called after each frame with the frames done and the frames in all.

@@ -11,7 +11,19 @@ from matplotlib.patches import Patch, Polygon
 from .._mechanics import Grasp, PivotedObject
 from ._forces import arrow, Arrows
 from ._outlines import Outline
-from ._style import CONTACT, FINGER, FORCE_COLOUR, GUIDE, LINK_FILL, MM, OBJECT, OBJECT_FILL, ROLLED, TIP_FILL
+from ._style import (
+    CONTACT,
+    FINGER,
+    FORCE_COLOUR,
+    GUIDE,
+    LINK_FILL,
+    LOAD_COLOUR,
+    MM,
+    OBJECT,
+    OBJECT_FILL,
+    ROLLED,
+    TIP_FILL,
+)
 from ._views import place, Views
 
 _SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
@@ -61,7 +73,10 @@ class Drawing:
         self.origin = line("o" if self.pivoted else "P", zorder=8, **pivot)
         self.dot = line("o", ms=2.5, color=GUIDE, zorder=8.5)
         self.points = line("o", ms=5.5, mfc=CONTACT, mec="white", mew=0.8, zorder=9)
-        self.arrows = [] if forces is None else [arrow(ax, (0, 0), (1, 0)) for _ in seen.owners]
+        colours = [FORCE_COLOUR] * len(seen.owners)
+        if forces is not None and forces.loaded:
+            colours.append(LOAD_COLOUR)
+        self.arrows = [] if forces is None else [arrow(ax, (0, 0), (1, 0), colour) for colour in colours]
 
     def show(self, i: int) -> None:
         """Move everything to the instant `i`."""
@@ -85,9 +100,10 @@ class Drawing:
         if self.traced:
             self._stretch(i)
         if self.forces is not None:
-            vectors = self.forces.vectors[i]
-            for shaft, point, vector in zip(self.arrows, seen.points[i], vectors, strict=True):
+            each = zip(self.arrows, self.forces.points[i], self.forces.vectors[i], strict=True)
+            for shaft, point, vector in each:
                 shaft.set_positions(point, point + vector)
+                shaft.set_visible(bool(np.any(vector)))
 
     def _stretch(self, i: int) -> None:
         for finger, lines, paths in zip(self.seen.owners, self.stretches, self.seen.rolled, strict=True):
@@ -115,6 +131,9 @@ class Drawing:
         if self.forces is not None:
             sign = Line2D([], [], marker=r"$\rightarrow$", ms=14, ls="none", color=FORCE_COLOUR)
             entries.append((sign, "contact force on the object"))
+            if self.forces.loaded:
+                sign = Line2D([], [], marker=r"$\rightarrow$", ms=14, ls="none", color=LOAD_COLOUR)
+                entries.append((sign, "load on the object"))
         return entries
 
     def _guide_name(self) -> str:

@@ -8,6 +8,7 @@ from matplotlib.patches import FancyArrowPatch, Patch
 from mpl_toolkits.mplot3d import proj3d
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
+from ._forces3 import Pushes
 from ._scene3 import DrawnLocus, Scene3, Solid
 from ._style import (
     CONTACT,
@@ -16,6 +17,7 @@ from ._style import (
     GUIDE,
     JOINT_BODY,
     LINK_BODY,
+    LOAD_COLOUR,
     LOCUS_OBJECT,
     LOCUS_TIP,
     OBJECT,
@@ -53,10 +55,10 @@ class Drawing3:
     Args:
         ax: Where to draw, in millimetres, in parallel projection.
         scene: What is drawn.
-        arrows: Forces on the object at the contacts to draw, shape (c, t, 3) [mm], or None.
+        arrows: Forces on the object to draw [mm], or None.
     """
 
-    def __init__(self, ax: Axes3, scene: Scene3, *, arrows: np.ndarray | None = None) -> None:
+    def __init__(self, ax: Axes3, scene: Scene3, *, arrows: Pushes | None = None) -> None:
         self.ax, self.scene, self.arrows = ax, scene, arrows
         # What of the fingers is behind the object, the object, and what is before it.
         # matplotlib has no depth buffer: it sorts the triangles of one collection by depth, but whole
@@ -71,6 +73,7 @@ class Drawing3:
         self.forces = (
             [] if arrows is None else [_arrow(ax, FORCE_COLOUR, 2.0, 12, 59) for _ in scene.on_object]
         )
+        self.load = [] if arrows is None or arrows.load is None else [_arrow(ax, LOAD_COLOUR, 2.0, 12, 59.5)]
 
     def show(self, i: int) -> None:
         """Move everything to the instant i, as the camera sees it now."""
@@ -92,11 +95,14 @@ class Drawing3:
         length = 3.2 * self.scene.thickness
         for arrow, point, normal in zip(self.normals, points, normals, strict=True):
             arrow.ends = np.stack([point, point + length * normal])
-        for k, arrow in enumerate(self.forces):
-            force = self.arrows[k, i] if self.arrows is not None else np.zeros(3)
-            # They push on the object: their points are at the contact.
-            arrow.ends = np.stack([points[k] - force, points[k]])
-            arrow.set_visible(bool(np.linalg.norm(force) > 1e-3 * self.scene.thickness))
+        if self.arrows is not None:
+            acting = [(force[i], point) for force, point in zip(self.arrows.contacts, points, strict=True)]
+            if self.arrows.load is not None and self.arrows.at is not None:
+                acting.append((self.arrows.load[i], self.arrows.at[i]))
+            for arrow, (force, point) in zip([*self.forces, *self.load], acting, strict=True):
+                # They push on the object: their points are where they act.
+                arrow.ends = np.stack([point - force, point])
+                arrow.set_visible(bool(np.linalg.norm(force) > 1e-3 * self.scene.thickness))
 
     def parts(self, i: int, towards: np.ndarray, light: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         """Triangles, shape (k, 3, 3), and their colours in each of the three layers."""
@@ -141,6 +147,9 @@ class Drawing3:
         if self.forces:
             sign = Line2D([], [], marker=r"$\rightarrow$", ms=14, ls="none", color=FORCE_COLOUR)
             entries.append((sign, "contact force on the object"))
+        if self.load:
+            sign = Line2D([], [], marker=r"$\rightarrow$", ms=14, ls="none", color=LOAD_COLOUR)
+            entries.append((sign, "load on the object"))
         return entries
 
 

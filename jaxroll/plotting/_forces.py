@@ -1,15 +1,18 @@
-"""Contact forces as arrows, and the key that gives their scale."""
+"""Contact forces and loads as arrows, and the key that gives their scale."""
 
 from dataclasses import dataclass
 
+import jax
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import FancyArrowPatch
 
 from .._integration import Trajectory
 from .._mechanics import Grasp
+from .._motion import wrenches
+from ..loads import Impulse
 from ._outlines import rolling_contacts
-from ._style import FORCE_COLOUR, GUIDE
+from ._style import FORCE_COLOUR, GUIDE, MM
 from ._views import Views
 
 # Length of the longest arrow, as a share of the picture's diagonal.
@@ -19,15 +22,19 @@ _ROUND = np.array([1.0, 2.0, 5.0])
 
 @dataclass(frozen=True)
 class Arrows:
-    """Contact forces on the object, drawn to one scale.
+    """Contact forces and the load on the object, drawn to one scale.
 
     Attributes:
+        points: Shape (t, c, 2), where they act [mm]; of a grasp with loads their force is the last of c.
         vectors: Shape (t, c, 2), arrows [mm].
+        loaded: Whether the last of them is a load's.
         scale: Millimetres for one newton; zero if there is no force.
         peak: The largest force [N].
     """
 
+    points: np.ndarray
     vectors: np.ndarray
+    loaded: bool
     scale: float
     peak: float
 
@@ -36,6 +43,9 @@ def arrows(
     grasp: Grasp, trajectory: Trajectory, picks: np.ndarray, seen: Views, *, corners: np.ndarray
 ) -> Arrows:
     """Recorded forces at the saved states `picks`, scaled to a picture with these corners [mm].
+
+    All loads together are one force, drawn where it alone has their torque too: at the point of its line that
+    is nearest to the object's origin.
 
     Raises:
         ValueError: If the run has no recorded multipliers.
@@ -54,17 +64,32 @@ def arrows(
     lam = lam * senses[:, None]
     along = seen.tangents
     outward = np.stack([along[..., 1], -along[..., 0]], axis=-1)
-    on_object = lam * along - f * outward
+    points, on_object = seen.points, lam * along - f * outward
+    if loaded := acts(grasp):
+        states = jax.tree.map(lambda a: np.asarray(a)[picks], trajectory.states)
+        force, torque = map(np.asarray, wrenches(grasp, trajectory.ts[picks], states))
+        # r = F T / |F|^2 turned right: r x F = T.
+        square = np.maximum((force**2).sum(axis=-1), 1e-300)
+        arm = np.stack([force[:, 1], -force[:, 0]], axis=-1) * (torque / square)[:, None]
+        points = np.concatenate([points, (seen.frames[0][:, :2] + MM * arm)[:, None]], axis=1)
+        on_object = np.concatenate([on_object, force[:, None]], axis=1)
     peak = float(np.linalg.norm(on_object, axis=-1).max(initial=0.0))
     longest = _LONGEST * float(np.linalg.norm(corners[1] - corners[0]))
     scale = longest / peak if peak > 0.0 else 0.0
-    return Arrows(scale * on_object, scale, peak)
+    return Arrows(points, scale * on_object, loaded, scale, peak)
 
 
-def arrow(ax: Axes, start: tuple[float, float], end: tuple[float, float]) -> FancyArrowPatch:
+def acts(grasp: Grasp) -> bool:
+    """Whether a load has a force to draw; blows act at no time."""
+    return any(not isinstance(load, Impulse) for load in grasp.load)
+
+
+def arrow(
+    ax: Axes, start: tuple[float, float], end: tuple[float, float], colour: str = FORCE_COLOUR
+) -> FancyArrowPatch:
     """One arrow on an axes."""
     shape = {"arrowstyle": "-|>", "mutation_scale": 11, "shrinkA": 0, "shrinkB": 0}
-    patch = FancyArrowPatch(start, end, color=FORCE_COLOUR, lw=1.8, zorder=8.7, **shape)
+    patch = FancyArrowPatch(start, end, color=colour, lw=1.8, zorder=8.7, **shape)
     ax.add_patch(patch)
     return patch
 

@@ -12,10 +12,11 @@ from .._mechanics import Grasp, State
 from ._artists import Drawing, limits
 from ._doors import guarded
 from ._forces import Arrows, arrows, key
+from ._forces3 import pushes
 from ._poses3 import snapshots3
 from ._style import Picture, tidy
 from ._views import along_time, how_it_ended, single, Views, views, visible
-from ._views3 import check_options, pushes, scene_motion, View
+from ._views3 import check_options, scene_motion, View
 
 
 @guarded
@@ -82,7 +83,8 @@ def poses(
         trajectory: One run of it.
         times: Times to draw [s]; each shows the saved state nearest to it. Default: first and last; of a run
             that ended before a state was saved, the state where it ended.
-        forces: Whether to draw the contact forces on the object, in the plane with their scale.
+        forces: Whether to draw the contact forces on the object and that of its loads, in the plane with
+            their scale.
         view: How to look at a grasp in space.
 
     Returns:
@@ -111,7 +113,7 @@ def poses(
     ]
     if grasp.spatial:
         motion = scene_motion(grasp, trajectory.states)
-        pushed = pushes(trajectory, motion) if forces else None
+        pushed = pushes(grasp, trajectory, motion) if forces else None
         return snapshots3(grasp, motion, picks, titles=titles, forces=pushed, view=view)
     check_options(grasp, view=view)
     states = jax.tree.map(lambda a: np.asarray(a)[rows[picks]], trajectory.states)

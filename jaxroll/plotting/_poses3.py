@@ -11,9 +11,10 @@ from mpl_toolkits.mplot3d import proj3d
 
 from .._mechanics import Grasp
 from ._drawing3 import Axes3, Drawing3
+from ._forces3 import Pushes
 from ._motion3 import Motion3D
 from ._scene3 import looking, Scene3, scene3
-from ._style import GUIDE, Picture
+from ._style import GUIDE, MM, Picture
 from ._views3 import View
 
 # Length of the longest force, over the diagonal of all that is drawn.
@@ -31,7 +32,7 @@ def snapshots3(
     picks: Sequence[int] = (-1,),
     *,
     titles: Sequence[str] = ("",),
-    forces: np.ndarray | None = None,
+    forces: Pushes | None = None,
     view: View | None = None,
     size: float = 6.0,
 ) -> Figure:
@@ -45,7 +46,7 @@ def snapshots3(
         motion: Its motion.
         picks: Which of the times reached; -1 is the last. Loci are drawn up to each.
         titles: One for each.
-        forces: Contact forces on the object in world axes to draw, shape (c, t, 3) [N].
+        forces: Forces on the object to draw.
         view: How to look at it.
         size: Width of each in inches.
 
@@ -82,15 +83,17 @@ def index(at: int, times: int) -> int:
     return at % times
 
 
-def scaled(scene: Scene3, forces: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Forces at these rows as arrows in millimetres, the longest a fixed share of the picture."""
-    forces, contacts = np.asarray(forces, float), len(scene.on_object)
-    if forces.ndim != 3 or forces.shape[::2] != (contacts, 3) or forces.shape[1] <= rows[-1]:
-        raise ValueError(f"argument forces must have shape ({contacts}, t, 3), but had shape {forces.shape}")
-    forces = forces[:, rows]
-    peak = float(np.nanmax(np.linalg.norm(forces, axis=-1), initial=0.0))
-    longest = _LONGEST * float(np.linalg.norm(scene.corners[1] - scene.corners[0]))
-    return forces * (longest / peak if peak > 0.0 else 0.0)
+def scaled(scene: Scene3, forces: Pushes, rows: np.ndarray) -> Pushes:
+    """Forces at these rows as arrows, and where they act, in mm; the longest a fixed share of the picture."""
+    shape, contacts = forces.contacts.shape, len(scene.on_object)
+    if len(shape) != 3 or shape[::2] != (contacts, 3) or shape[1] <= rows[-1]:
+        raise ValueError(f"argument forces must have shape ({contacts}, t, 3), but had shape {shape}")
+    forces = forces.rows(rows)
+    peak, longest = forces.peak, _LONGEST * float(np.linalg.norm(scene.corners[1] - scene.corners[0]))
+    size = longest / peak if peak > 0.0 else 0.0
+    if forces.load is None or forces.at is None:
+        return Pushes(size * forces.contacts)
+    return Pushes(size * forces.contacts, size * forces.load, MM * forces.at)
 
 
 def stage(

@@ -18,6 +18,7 @@ OBJECT_DARK = "#8A5A00"
 LINK_FILL, TIP_FILL, OBJECT_FILL = "#DCE3E8", "#BFDDF0", "#FBE3B4"
 # Bodies in space, before they are shaded, and the loci of the contacts on them.
 LINK_BODY, JOINT_BODY, TIP_BODY, OBJECT_BODY = "#C9D2D9", "#7C8A95", "#9CCBEA", "#F7D28A"
+LOAD_COLOUR = "#7A4FB5"
 LOCUS_TIP, LOCUS_OBJECT = "#0057A8", "#00805C"
 MM = 1e3
 DPI = 150

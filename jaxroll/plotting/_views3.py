@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .._integration import Trajectory
 from .._linalg import seven
 from .._mechanics import check_spatial, compiled, Grasp, State, to_leaves
 from .._motion import touches, world_poses
@@ -78,23 +77,6 @@ def _placed(grasp: Grasp, states: State):
     # `vmap` puts time first; `Motion3D` wants fingers and contacts first.
     body, tips, skeletons, *at_contacts = jax.vmap(at)(states)
     return body, jnp.swapaxes(tips, 0, 1), skeletons, *(jnp.swapaxes(a, 0, 1) for a in at_contacts)
-
-
-def pushes(trajectory: Trajectory, motion: Motion3D) -> np.ndarray:
-    """Recorded contact forces on the object in world axes, shape (c, t, 3) [N].
-
-    Raises:
-        ValueError: If the run has no recorded multipliers.
-    """
-    found = trajectory.multipliers
-    if found is None:
-        raise ValueError(
-            "argument trajectory must hold contact forces if they are to be drawn: "
-            "simulate with record=('multipliers',)"
-        )
-    # lambda is a vector in world axes here, on the object; f presses against the outward normal.
-    out = np.stack([turned_each(motion.body, normals) for normals in motion.out_of_object])
-    return np.swapaxes(np.asarray(found.lam), 0, 1) - np.asarray(found.f).T[..., None] * out
 
 
 def turned_each(poses: np.ndarray, vectors: np.ndarray) -> np.ndarray:

@@ -19,6 +19,7 @@ import jaxroll as jxr
 from jaxroll import geometry, plotting
 from jaxroll.plotting import _loci_figure, _meshes, _page, _poses3, _rays, _style, _tags, _tubes
 from jaxroll.plotting._animate3 import animate3
+from jaxroll.plotting._forces3 import Pushes
 from jaxroll.plotting._scene3 import scene3
 from tests.recorded import artists, runs
 from tests.recorded.compare import described
@@ -148,8 +149,8 @@ def _stand_in(**options: Any) -> Callable[[], dict[str, Any]]:
     return draw
 
 
-def _pushes() -> np.ndarray:
-    return runs.swinging(13, (2, 3), 2.0, 1.0).swapaxes(0, 1)
+def _pushes() -> Pushes:
+    return Pushes(runs.swinging(13, (2, 3), 2.0, 1.0).swapaxes(0, 1))
 
 
 def _stand_in_animated() -> dict[str, Any]:

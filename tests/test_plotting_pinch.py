@@ -98,4 +98,28 @@ def test_phase_refuses_other_grasps(scene, short):
     with pytest.raises(ValueError, match=r"argument trajectory.states.q must have shape \(3,\)"):
         jxr.plotting.phase(scene[0], short)
     with pytest.raises(ValueError, match=r"control\.Opposition"):
-        jxr.plotting.phase(scene[0], jxr.simulate(*scene, 0.1, ts=3))
+        jxr.plotting.phase(scene[0].with_(controller=None), jxr.simulate(*scene, 0.1, ts=3))
+
+
+def test_phase_of_one_direction_draws_the_path_downhill(scene):
+    """Along it the energy that the levels show falls by what damping takes; the same for a sampled law."""
+    grasp, state = scene
+    run = jxr.simulate(grasp, state, 1.0, ts=101, record=("energy",))
+    figure = jxr.plotting.phase(grasp, run, rest=state)
+    ax = figure.axes[0]
+    path, start, end = ax.lines[:3]
+    s = 1e3 * np.asarray(jxr.press_balance(grasp, run.ts, run.states).s)[:, 0]
+    found = path.get_xydata()
+    np.testing.assert_allclose(found[:, 0], s, atol=1e-12)
+    np.testing.assert_allclose(np.gradient(s, np.asarray(run.ts))[40:-1], found[40:-1, 1], atol=0.05)
+    np.testing.assert_allclose(start.get_xydata()[0], found[0])
+    # The level that the picture has under the path is the run's own energy.
+    filled = ax.collections[0]
+    energy = 1e3 * np.asarray(run.energy.kinetic + run.energy.potential)
+    for k in (20, 60, 100):
+        inside = [i for i, each in enumerate(filled.get_paths()) if each.contains_point(found[k])]
+        low, high = filled.levels[inside[-1]], filled.levels[inside[-1] + 1]
+        assert low - 1e-3 <= energy[k] <= high + 1e-3
+    sampled = grasp.with_(controller=jxr.control.Sampled(grasp.controller, 0.01))
+    again = jxr.plotting.phase(sampled, jxr.simulate(sampled, state, 0.1, ts=5), rest=state)
+    assert len(again.axes[0].lines) == len(ax.lines)

@@ -1,4 +1,4 @@
-"""The path of a pinch over the level lines of its potential U(s1, s2)."""
+"""The path of a pinch over the level lines of its potential U(s1, s2); `_phase_one` draws that of Part 2."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -7,9 +7,11 @@ from matplotlib.figure import Figure
 from .._analysis import check_pinch
 from .._integration import Trajectory
 from .._mechanics import check_planar, Grasp, State
+from ..control import law_of
 from ..geometry import AbstractContour
 from ..stability import equilibrium, pinch_statics
 from ._doors import guarded
+from ._phase_one import has_one_direction, phase_of_one
 from ._style import CONTACT, GUIDE, MM, Picture, tidy
 from ._views import single, visible
 
@@ -21,19 +23,22 @@ _MARGIN, _LEAST = 0.2, 5e-4
 
 @guarded
 def phase(grasp: Grasp, trajectory: Trajectory, *, rest: State | None = None) -> Figure:
-    r"""Draw the path of $(s_1, s_2)$ over level lines of $U(s_1, s_2)$, (27).
+    r"""Draw the path of $(s_1, s_2)$ over levels of $U(s_1, s_2)$, (27); of Part 2 that of $(s, \dot s)$.
 
-    The grasp rolls downhill; with $\alpha_i = 0$ it ends at a minimum of U, where $O_1, P_1, P_2, O_2$ are
-    collinear, otherwise a little off. White is beyond the end of a contour.
+    A pinch rolls downhill; with $\alpha_i = 0$ it ends at a minimum of U, where $O_1, P_1, P_2, O_2$ are
+    collinear, otherwise a little off. One finger on a pivoted object has one direction of motion: drawn are
+    the contact coordinate and its rate, over level lines of kinetic and potential energy, which the motion
+    crosses downwards. White is beyond the end of a contour.
 
     Args:
-        grasp: A pinch of two fingers under `control.Opposition`.
+        grasp: A pinch of two fingers under `control.Opposition`; or a grasp with one contact and one
+            direction of motion under `control.Press`. Both laws may be inside another one.
         trajectory: One run of it.
         rest: The equilibrium to mark, such as `stability.assess(...).equilibrium.state`. Default: the
             one that `stability.equilibrium` finds from the end of the run, if it finds one.
 
     Returns:
-        The figure: $s_i$ in millimetres, U in millijoules; start, end and equilibrium are marked.
+        The figure: $s_i$ in millimetres, energies in millijoules; start, end and equilibrium are marked.
 
     Raises:
         ValueError: If the grasp is no such pinch, or lives in space, or the trajectory is a batch.
@@ -47,13 +52,19 @@ def phase(grasp: Grasp, trajectory: Trajectory, *, rest: State | None = None) ->
         '$s_1$ [mm]'
     """
     check_planar(grasp)
-    check_pinch(grasp)
+    alone = has_one_direction(grasp)
+    if not alone:
+        check_pinch(grasp)
     trajectory = visible(grasp, trajectory)
-    ts, reached = single(trajectory)
-    path = _chapter_s(grasp, trajectory.states)[reached]
     if rest is None:
         found = equilibrium(grasp, trajectory.last)
         rest = found.state if bool(found.found) else None
+    if alone:
+        return phase_of_one(grasp, trajectory, rest)
+    # What is added to the law, or samples it, has no part in U.
+    grasp = grasp.with_(controller=law_of(grasp.controller))
+    ts, reached = single(trajectory)
+    path = _chapter_s(grasp, trajectory.states)[reached]
     goal = np.zeros((0, 2)) if rest is None else _chapter_s(grasp, rest)
     every = np.concatenate([path, goal])
     middle = 0.5 * (every.min(axis=0) + every.max(axis=0))

@@ -1,0 +1,138 @@
+r"""The path of a grasp with one direction of motion, over the level lines of its energy: Part 2.
+
+With the contact closed, all of the motion is $s(t)$, and its energy is
+$E(s, \dot s) = U(s) + \frac12 m(s) \dot s^2$ with $m(s) = 2K/\dot s^2$ of any motion through s. Without
+damping and loads the path would be a level line.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from .._analysis import press_balance
+from .._closing import close
+from .._integration import Trajectory, vector_field
+from .._mechanics import Grasp, State
+from .._motion import energies
+from ..control import law_of, Press
+from ._style import CONTACT, GUIDE, MM, Picture, tidy
+from ._views import single
+
+_PLACES, _RATES, _LEVELS = 61, 81, 14
+# Free space round the path, as a share of it, and the smallest half widths of the picture [m; m/s].
+_MARGIN, _LEAST = 0.2, (5e-4, 1e-3)
+
+
+def has_one_direction(grasp: Grasp) -> bool:
+    """Whether a planar grasp under `control.Press` moves in one way only."""
+    free = grasp.coordinates - sum(contact.rows for contact in grasp.contacts)
+    pressed = isinstance(law_of(grasp.controller), Press) and len(grasp.contacts) == 1
+    return pressed and free == 1 and not grasp.spatial
+
+
+def phase_of_one(grasp: Grasp, trajectory: Trajectory, rest: State | None) -> Figure:
+    r"""Draw $(s, \dot s)$ over the level lines of kinetic and potential energy; see `phase`."""
+    # Without what acts, whose energy does not count; a sampled or added law has that of the law inside.
+    held = grasp.with_(controller=law_of(grasp.controller), load=None)
+    ts, reached = single(trajectory)
+    states = jax.tree.map(lambda a: np.asarray(a)[reached], _bare(trajectory.states))
+    path = np.stack([_chapter_s(held, states), _rates(held, states)], axis=-1)
+    goal = None if rest is None else np.array([_chapter_s(held, _bare(rest)), 0.0])
+    every = path if goal is None else np.concatenate([path, goal[None]])
+    middle = 0.5 * (every.min(axis=0) + every.max(axis=0))
+    half = np.maximum((0.5 + _MARGIN) * np.ptp(every, axis=0), _LEAST)
+    figure = Picture(6.4, 5.0)
+    ax = figure.subplots()
+    _levels(ax, figure, held, states, middle, half)
+    _path(ax, path, goal, ts[reached])
+    tidy(
+        ax,
+        xlabel="$s$ [mm]",
+        ylabel=r"$\dot s$ [mm/s]",
+        title="Contact on the object, over the energy $K + U$",
+    )
+    handles, names = ax.get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower center", ncols=5, fontsize=8, frameon=False)
+    return figure
+
+
+def _bare(states: State) -> State:
+    """States without the memory of a controller."""
+    return State(states.q, states.v, states.s)
+
+
+def _chapter_s(grasp: Grasp, states: State) -> np.ndarray:
+    """The chapter's s [m] of states along a leading axis, or of one."""
+    return np.asarray(press_balance(grasp, jnp.zeros(states.q.shape[:-1]), states).s)[..., 0]
+
+
+def _rates(grasp: Grasp, states: State) -> np.ndarray:
+    """The rate of the chapter's s [m/s]."""
+    field = vector_field(grasp.with_(controller=None), events=())
+    ys = jnp.concatenate([states.q, states.v, states.s], axis=-1)
+    rolled = field.states(jax.jit(jax.vmap(lambda y: field(0.0, y)))(ys)).s[:, 0]
+    return -grasp.contacts[0].sense * np.asarray(rolled)
+
+
+def _levels(
+    ax: Axes, figure: Picture, grasp: Grasp, states: State, middle: np.ndarray, half: np.ndarray
+) -> None:
+    """Level lines of the energy; nothing where the contact would be past the end of a contour."""
+    contact = grasp.contacts[0]
+    line = middle[0] + np.linspace(-half[0], half[0], _PLACES)
+    # The chapter's s is sense (s_object,0 - sigma). The pose at each comes from the saved one that is nearest.
+    rolled = float(contact.s_object) - contact.sense * line
+    near = np.argmin(np.abs(np.asarray(states.s)[:, 0][None] - rolled[:, None]), axis=1)
+    fastest = states.v[np.argmax(np.abs(states.v).sum(axis=1))]
+    moving = jnp.tile(jnp.asarray(fastest), (_PLACES, 1))
+    guesses = State(jnp.asarray(states.q[near]), moving, jnp.asarray(rolled)[:, None])
+    closed = jax.jit(jax.vmap(lambda guess: close(grasp, guess, throw=False)[1]))(guesses)
+    kinetic, potential = map(np.asarray, energies(grasp, closed))
+    speed = _rates(grasp, jax.tree.map(np.asarray, closed))
+    inertia = np.where(speed != 0.0, 2.0 * kinetic / np.where(speed != 0.0, speed, 1.0) ** 2, np.nan)
+    inertia[~_inside(grasp, rolled)] = np.nan
+    rates = middle[1] + np.linspace(-half[1], half[1], _RATES)
+    energy = 1e3 * (potential + 0.5 * inertia * rates[:, None] ** 2)
+    low, high = np.nanmin(energy), np.nanmax(energy)
+    levels = low + max(high - low, 1e-9 * abs(high)) * np.linspace(0.0, 1.0, _LEVELS + 1) ** 2
+    filled = ax.contourf(MM * line, MM * rates, energy, levels, cmap="Blues", alpha=0.8)
+    ax.contour(MM * line, MM * rates, energy, levels, colors="white", linewidths=0.8)
+    bar = figure.colorbar(filled, ax=ax, shrink=0.9, ticks=levels[::2], format="%.3g")
+    bar.set_label("$K + U$ [mJ]", fontsize=9)
+    bar.ax.tick_params(labelsize=8, length=3, width=0.7, color="#777777")
+    bar.outline.set(linewidth=0.7, edgecolor="#777777")  # pyright: ignore
+
+
+def _inside(grasp: Grasp, rolled: np.ndarray) -> np.ndarray:
+    """Where a contact is on both of its contours, for rolling coordinates [m]."""
+    contact = grasp.contacts[0]
+    places = (float(contact.s_tip) + rolled, float(contact.s_object) - rolled)
+    found = np.ones(rolled.shape, bool)
+    for contour, place in zip(grasp.shapes(contact), places, strict=True):
+        ends = contour.domain()
+        if not contour.closed and ends is not None:
+            found &= (place >= float(ends[0])) & (place <= float(ends[1]))
+    return found
+
+
+def _path(ax: Axes, path: np.ndarray, goal: np.ndarray | None, ts: np.ndarray) -> None:
+    ax.plot(*(MM * path.T), color=CONTACT, lw=1.4, label="path", zorder=3)
+    dot = {"ls": "none", "marker": "o", "mec": CONTACT, "mew": 1.4, "zorder": 5}
+    ax.plot(*(MM * path[:1].T), **dot, ms=7, mfc="white", label=f"start, {ts[0]:.3g} s")
+    ax.plot(*(MM * path[-1:].T), **dot, ms=7, mfc=CONTACT, label=f"end, {ts[-1]:.3g} s")
+    if goal is not None:
+        ax.add_line(
+            Line2D(
+                *(MM * goal[:, None]),
+                ls="none",
+                marker="+",
+                color=GUIDE,
+                ms=13,
+                mew=1.5,
+                zorder=6,
+                label="equilibrium",
+            )
+        )

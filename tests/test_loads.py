@@ -381,3 +381,86 @@ def test_changed_loads_are_looked_at_again():
         grasp.with_(load=Push((0, 0, 1), 0, 1))
     assert grasp.with_(load=None).load == () and len(grasp.with_(load=[Drag(1.0), Drag(2.0)]).load) == 2
     assert "Drag(linear=0.1 N s/m" in str(grasp)
+
+
+# --- what is seen of loads
+
+
+def test_wrenches_are_those_of_the_loads_and_are_drawn():
+    """About the origin, along a run; the arrow's line has the torque too. None without loads."""
+    grasp, state = jxr.scenes.pinch()
+    push = Push((0.3, 0.1), 0.05, 0.2, point=(0.0, 0.02))
+    acted = grasp.with_(load=[push, Drag(0.1), jxr.loads.Impulse((0.0, 0.0), 0.11)])
+    run = jxr.simulate(acted, state, 0.2, ts=5, record=("multipliers",))
+    force, torque = jxr.wrenches(acted, run.ts, run.states)
+    for i, t in enumerate(np.asarray(run.ts)):
+        pushed = push_of(t, (0.3, 0.1), 0.05, 0.2)
+        arm = planar_rotation(float(run.states.q[i, 2])) @ np.array([0.0, 0.02])
+        np.testing.assert_allclose(force[i], pushed - 0.1 * np.asarray(run.states.v[i, :2]), atol=1e-15)
+        assert float(torque[i]) == pytest.approx(turned_left(arm) @ pushed, abs=1e-16)
+    still = jxr.wrenches(grasp, 0.0, state)
+    assert still[0].shape == (2,) and still[1].shape == () and not np.any(still[0])
+    shafts = [a for a in jxr.plotting.poses(acted, run, times=[0.1], forces=True).axes[0].patches
+              if type(a).__name__ == "FancyArrowPatch"]  # fmt: skip
+    start, end = (np.array(p) for p in shafts[2]._posA_posB)
+    arm = (start - 1e3 * np.asarray(run.states.q[2, :2])) / 1e3
+    way = end - start
+    np.testing.assert_allclose(way / np.linalg.norm(way), force[2] / np.linalg.norm(force[2]), atol=1e-12)
+    assert arm[0] * force[2][1] - arm[1] * force[2][0] == pytest.approx(float(torque[2]), rel=1e-9)
+    ball, on_floor = jxr.scenes.incline(slope=0.0)
+    turned = ball.with_(load=lambda t, pose, twist: (jnp.array([1.0, 2.0, 3.0]), jnp.array([0.1, 0.2, 0.3])))
+    both = jxr.wrenches(turned, 0.0, on_floor)
+    np.testing.assert_allclose(np.concatenate(both), [1.0, 2.0, 3.0, 0.1, 0.2, 0.3], rtol=1e-15)
+
+
+# --- payloads
+
+
+def test_a_payload_adds_the_energy_of_a_body_on_its_link():
+    """Kinetic p v^2/2 + I w^2/2 of the place where it is fixed, and its weight's potential."""
+    gravity, p, at, inertia = np.array([0.3, -9.81]), 0.013, 0.05, 2e-6
+    grasp, state = jxr.scenes.pivoted()
+    grasp = grasp.with_(gravity=gravity)
+    heavy = grasp.with_(fingers=grasp.fingers[0].with_payload(p, link=1, at=at, inertia=inertia))
+    lengths = np.asarray(grasp.fingers[0].lengths)
+
+    def place(q):
+        turned = np.cumsum(q)
+        along = np.stack([np.cos(turned), np.sin(turned)], axis=1)
+        return lengths[0] * along[0] + at * along[1]
+
+    moving = jxr.State(state.q, np.array([0.0, 1.3, -0.7]), state.s)
+    q, v, h = np.asarray(state.q)[1:], np.asarray(moving.v)[1:], 1e-6
+    speed = (place(q + h * v) - place(q - h * v)) / (2 * h)
+    (k0, u0), (k1, u1) = jxr.energies(grasp, moving), jxr.energies(heavy, moving)
+    assert float(k1 - k0) == pytest.approx(0.5 * p * speed @ speed + 0.5 * inertia * v.sum() ** 2, rel=1e-8)
+    later = jxr.State(state.q + np.array([0.0, 0.2, 0.3]), moving.v, state.s)
+    gained = float(jxr.energies(heavy, later)[1] - jxr.energies(grasp, later)[1]) - float(u1 - u0)
+    assert gained == pytest.approx(-p * gravity @ (place(q + np.array([0.2, 0.3])) - place(q)), rel=1e-9)
+
+
+def test_a_payload_in_space_is_a_point_of_its_link():
+    grasp, state = jxr.scenes.pinch3d()
+    p, at, own = 0.011, np.array([0.01, 0.03, -0.02]), np.diag([1e-6, 2e-6, 3e-6])
+    heavy = grasp.with_(fingers=[grasp.fingers[0].with_payload(p, at=at, inertia=own), grasp.fingers[1]])
+    v = np.zeros(12)
+    v[6:9] = 0.5, -1.1, 0.7
+    moving = jxr.State(state.q, v, state.s)
+    finger = same_in_reference(grasp).fingers[0]
+    q, h = np.asarray(state.q)[7:10], 1e-20
+    placed = finger.place(q + 1j * h * v[6:9])
+    point, turned = placed[0][2] + placed[1][2] @ at, placed[1][2]
+    speed, rate = point.imag / h, turned.imag / h
+    spin = rate @ turned.real.T
+    w = turned.real.T @ np.array([spin[2, 1], spin[0, 2], spin[1, 0]])
+    gained = float(jxr.energies(heavy, moving)[0] - jxr.energies(grasp, moving)[0])
+    assert gained == pytest.approx(0.5 * p * speed @ speed + 0.5 * w @ own @ w, rel=1e-10)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [{"mass": 0.0}, {"mass": 0.1, "link": 2}, {"mass": 0.1, "inertia": -1.0}, {"mass": 0.1, "at": (0, 1)}],
+)
+def test_payloads_that_there_are_not(given):
+    with pytest.raises(ValueError, match=f"argument {list(given)[-1]}"):
+        jxr.scenes.pivoted()[0].fingers[0].with_payload(**given)

@@ -14,10 +14,11 @@ from mpl_toolkits.mplot3d import proj3d
 
 from jaxroll import plotting
 from jaxroll.plotting._drawing3 import Arrow
+from jaxroll.plotting._forces3 import pushes
 from jaxroll.plotting._poses3 import facing, stage
 from jaxroll.plotting._scene3 import scene3
 from jaxroll.plotting._style import CONTACT, FINGER, FORCE_COLOUR, OBJECT
-from jaxroll.plotting._views3 import pushes, scene_motion
+from jaxroll.plotting._views3 import scene_motion
 from tests.recorded import compare, pictures, runs
 
 NEEDS_PLOTLY = pytest.mark.skipif(importlib.util.find_spec("plotly") is None, reason="needs the extra viz")
@@ -104,7 +105,7 @@ def test_arrows_in_space_have_the_directions_and_lengths_of_the_forces():
     run = runs.run("turntable")
     first = jax.tree.map(lambda x: x[:1], run.states)
     motion = scene_motion(grasp, first)
-    (found,) = pushes(run, motion)[0, :1]
+    (found,) = pushes(grasp, run, motion).contacts[0, :1]
     f, lam = np.asarray(run.multipliers.f)[0, 0], np.asarray(run.multipliers.lam)[0, 0]
     np.testing.assert_allclose(found, lam + f * np.array([0.0, 0.0, 1.0]), atol=1e-12)
     ax = plotting.poses(grasp, run, times=(0.0,), forces=True).axes[0]

@@ -83,7 +83,7 @@ def _levels(
     """Level lines of the energy; nothing where the contact would be past the end of a contour."""
     contact = grasp.contacts[0]
     line = middle[0] + np.linspace(-half[0], half[0], _PLACES)
-    # The chapter's s is sense (s_object,0 - sigma). The pose at each comes from the saved one that is nearest.
+    # The chapter's s is sense (s_object,0 - sigma). Poses come from the saved ones that are nearest.
     rolled = float(contact.s_object) - contact.sense * line
     near = np.argmin(np.abs(np.asarray(states.s)[:, 0][None] - rolled[:, None]), axis=1)
     fastest = states.v[np.argmax(np.abs(states.v).sum(axis=1))]

@@ -8,9 +8,10 @@ from scipy.spatial.transform import Rotation
 
 import jaxroll as jxr
 from jaxroll import plotting
+from jaxroll.plotting._forces3 import pushes
 from jaxroll.plotting._scene3 import scene3
 from jaxroll.plotting._style import LOCUS_OBJECT, LOCUS_TIP
-from jaxroll.plotting._views3 import pushes, scene_motion
+from jaxroll.plotting._views3 import scene_motion
 
 # `pinch3d` takes half a minute to compile.
 pytestmark = pytest.mark.slow
@@ -85,7 +86,7 @@ def test_drawn_forces_move_the_object(pinch):
     """Their sum is mass times acceleration of the object, which gravity does not pull here."""
     grasp, run = pinch
     motion = scene_motion(grasp, run.states)
-    forces = pushes(run, motion)
+    forces = pushes(grasp, run, motion).contacts
     inwards = -rotations(motion.body[:, 3:]).apply(motion.on_object[0])
     assert (np.sum(forces[0] * inwards, axis=-1) > 0.0).all()
     np.testing.assert_allclose(

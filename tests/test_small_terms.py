@@ -19,10 +19,11 @@ from jaxroll._why import _pairs
 from jaxroll.contact import Touch3
 from jaxroll.geometry.contours._neural_curvature import _Cloud, _residuals, _start
 from jaxroll.plotting import _animate3
+from jaxroll.plotting._forces3 import pushes
 from jaxroll.plotting._loci_figure import _curves
 from jaxroll.plotting._style import Picture
 from jaxroll.plotting._views import _placed
-from jaxroll.plotting._views3 import pushes, scene_motion
+from jaxroll.plotting._views3 import scene_motion
 
 STILL = pose_at(Vec3(0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
 
@@ -52,7 +53,7 @@ def test_forces_drawn_on_a_ball_and_its_weight_are_what_moves_it(ball):
     """Mass times acceleration, which on a slope is constant: by differences of the velocity."""
     grasp, run = ball
     mass, v = float(grasp.object.mass), np.asarray(run.states.v)[:, :3]
-    forces = pushes(run, scene_motion(grasp, run.states)).sum(axis=0)
+    forces = pushes(grasp, run, scene_motion(grasp, run.states)).contacts.sum(axis=0)
     wanted = mass * np.diff(v, axis=0) / np.diff(run.ts)[:, None]
     assert np.linalg.norm(wanted, axis=1).min() > 0.1  # N
     np.testing.assert_allclose((forces + mass * np.asarray(grasp.gravity))[1:], wanted, atol=1e-9)

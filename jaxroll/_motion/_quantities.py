@@ -288,8 +288,8 @@ def wrenches(
         >>> grasp, state = jxr.scenes.pinch()
         >>> pushed = grasp.with_(load=jxr.loads.Push((0.2, 0.0), 0.1, 0.05))
         >>> force, torque = jxr.wrenches(pushed, 0.125, state)
-        >>> force.round(6).tolist()
-        [0.2, 0.0]
+        >>> f"{force[0]:.3f} N"
+        '0.200 N'
     """
     return _wrenches(grasp, ts, states)
 

@@ -1,12 +1,17 @@
 """Runs that go on with other contacts: a finger lifts off and returns, three hand over to two, and back."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxroll as jxr
+from jaxroll._linalg import pose_at, Vec3
+from jaxroll.contact import clearance3
 from jaxroll.loads import Push
+from tests.oracles import reference_space as reference
 from tests.oracles.dense_impacts import dense_strike
+from tests.subjects.pinches_in_space import same_in_reference
 
 EVENTS = ("lift", "friction", "penetration")
 
@@ -15,7 +20,7 @@ def pieces(grasp, state, t1):
     """All pieces of a run to t1: grasp, start, time and run of each."""
     t, found = 0.0, []
     while True:
-        run = jxr.simulate(grasp, state, t1, t0=t, ts=3, throw=False, events=EVENTS)
+        run = jxr.simulate(grasp, state, t1, t0=t, ts=3, throw=False, events=EVENTS, rtol=1e-12)
         found.append((grasp, state, float(t), run))
         if bool(run.result == jxr.RESULTS.successful):
             return found
@@ -71,8 +76,69 @@ def test_a_touch_is_an_inelastic_impact(pushed):
     terms = jxr.equation_terms(third[0], third[1])
     rows = np.concatenate([terms.normal, terms.tangential])
     v, _ = dense_strike(np.asarray(terms.mass), rows, np.asarray(before.v), np.zeros(8))
-    np.testing.assert_allclose(third[1].v, v, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(third[1].v, v, rtol=0, atol=1e-10)
     assert np.abs(rows @ np.asarray(third[1].v)).max() < 1e-12
+
+
+@pytest.mark.slow
+def test_a_finger_touches_in_space():
+    """The other finger of a pinch comes near: gap, energy, momentum, and the run goes on with both."""
+    grasp, state = jxr.scenes.pinch3d()
+    one = grasp.with_contacts(grasp.contacts[0])
+    apart = jxr.State(state.q.at[11].add(-0.02).at[10].add(0.01), state.v, state.s[:6])
+    run = jxr.simulate(one, apart, 0.1, ts=3, throw=False, events=EVENTS, rtol=1e-12)
+    assert bool(run.result == jxr.RESULTS.penetration) and int(run.stats.contact) == 1
+    both, start, t = jxr.resume(one, run)
+    assert [c.finger for c in both.contacts] == [0, 1] and 0.0 < float(run.stats.t_end) - float(t) < 1e-5
+    left = jxr.residuals(both, start)
+    assert max(np.abs(left.normal).max(), np.abs(left.tangential).max()) < 1e-14
+    before = jxr.simulate(one, apart, float(t), ts=1, rtol=1e-12).last
+    np.testing.assert_allclose(start.q, before.q, rtol=0, atol=1e-13)
+    terms = reference.equations(same_in_reference(both), np.asarray(start.q), np.asarray(before.v))
+    v, _ = dense_strike(terms[0], terms[3], np.asarray(before.v), np.zeros(12))
+    np.testing.assert_allclose(start.v, v, rtol=0, atol=1e-10)
+    assert np.abs(terms[3] @ np.asarray(start.v)).max() < 1e-12
+    energy = [float(jxr.energies(g, s)[0]) for g, s in ((one, before), (both, start))]
+    assert energy[1] < energy[0]
+    on = jxr.simulate(both, start, 0.1, t0=t, ts=3, events=("lift", "friction"))
+    assert np.abs(on.residuals.normal).max() < 1e-14
+
+
+@pytest.mark.slow
+def test_a_ball_that_rolls_into_a_corner_is_found_and_refused():
+    """At the time of its distance over its speed. Floor and wall hold it twice."""
+    ball, state = jxr.scenes.incline(slope=0.0)
+    side = np.sqrt(0.5)
+    wall = jxr.Stage(jxr.Plane(), base=(0.2, 0.0, 0.0), rotation=(side, 0.0, -side, 0.0))
+    room = ball.with_(fingers=[*ball.fingers, wall])
+    rolling = jxr.State(state.q, [0.3, 0.0, 0.0, 0.0, 0.3 / 0.05, 0.0], state.s)
+    run = jxr.simulate(room, rolling, 2.0, throw=False, events=EVENTS, rtol=1e-11)
+    assert bool(run.result == jxr.RESULTS.penetration)
+    assert float(run.stats.t_end) == pytest.approx((0.2 - 0.05 + 1e-7) / 0.3, abs=1e-9)
+    with pytest.raises(ValueError, match="held twice"):
+        jxr.resume(room, run)
+
+
+def test_clearance_in_space_is_the_gap_that_is_located():
+    """Of a bounded fingertip over a plane and over a sphere, apart and overlapping; and of one without."""
+    tip, q = jxr.Ellipsoid(0.02, 0.015, 0.01), np.array([0.9, 0.1, 0.2, 0.3])
+    q /= np.linalg.norm(q)
+    plane, ball = jxr.Plane(), jxr.Sphere(0.03)
+    still = pose_at(Vec3(0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+
+    @jax.jit
+    def found(at):
+        pose = pose_at(Vec3(*at), tuple(q))
+        over = [clearance3((pose, still), tip, [face], samples=64) for face in (plane, ball)]
+        return jnp.stack([*over, clearance3((still, pose), plane, [tip], samples=64)])
+
+    for height in (0.05, 0.014, 0.011):
+        pose = np.concatenate([[0.003, -0.002, height], q])
+        below = jxr.contact.locate_surfaces(tip, plane, pose_a=pose).gap
+        raised = pose + np.array([0.0, 0.0, 0.03, 0, 0, 0, 0])
+        near = jxr.contact.locate_surfaces(tip, ball, pose_a=raised).gap
+        np.testing.assert_allclose(found(pose[:3])[::2], [below] * 2, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(found(raised[:3])[1], near, rtol=0, atol=1e-8)
 
 
 def test_what_cannot_go_on_is_said(pushed):

@@ -24,11 +24,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from .._mechanics import Grasp, Leaves
+from .._mechanics import check_planar, check_spatial, Grasp, Leaves
 from .._motion import Instant, Struck, world_poses
 from .._results import RESULTS
 from .._types import Scalar
-from ..contact import AbstractContact, clearance, TOLERANCE
+from ..contact import AbstractContact, clearance, clearance3, TOLERANCE
 
 # Relative size below which a pivot of A M^-1 A^T counts as zero.
 _SINGULAR = 1e-9
@@ -38,7 +38,7 @@ _SINGULAR = 1e-9
 _FLAT = 1e-4
 # Share of the largest contact impulse that counts as zero: a blow often leaves a contact alone, to rounding.
 _BALANCED = 1e-9
-# Points on each contour in the audit of penetration.
+# Points on each contour or surface in the audit of penetration.
 _SAMPLES = 64
 
 # Of two stages closer in time than this share of a step only the one that the method evaluates later is used,
@@ -219,14 +219,35 @@ def refused_blow(grasp: Grasp, done: Struck, events: tuple[str, ...]) -> tuple[S
     return limit.margin < -_BALANCED * largest, limit.number
 
 
+def are_redundant(done: Struck) -> Scalar:
+    """Whether contacts hold some motion twice, so that their impulses are not determined."""
+    pivot = done.line.schur.smallest_pivot
+    return jnp.isnan(pivot) | (pivot < _SINGULAR)
+
+
 def _clearances(grasp: Grasp, leaves: Leaves) -> list[Scalar]:
     """How far every fingertip stays clear of the object [m]."""
     body, *tips = world_poses(grasp, leaves.q)
-    faces = grasp.object.contours
+    apart, faces = clearance3 if grasp.spatial else clearance, grasp.object.shapes
     return [
-        clearance((pose, body), finger.tip, faces, samples=_SAMPLES) + TOLERANCE
+        apart((pose, body), finger.tip, faces, samples=_SAMPLES) + TOLERANCE
         for pose, finger in zip(tips, grasp.fingers, strict=True)
     ]
+
+
+def check_overlaps(grasp: Grasp) -> None:
+    """Raise where an audit of penetration has no points to look at."""
+    if not grasp.spatial:
+        check_planar(grasp)
+        return
+    check_spatial(grasp)
+    for i, finger in enumerate(grasp.fingers):
+        open_faces = any(face.spread(1) is None for face in grasp.object.shapes)
+        if finger.tip.spread(1) is None and open_faces:
+            raise ValueError(
+                f"argument events may hold 'penetration' only if of finger {i} and the object one has "
+                "surfaces with bounds, which neither has"
+            )
 
 
 def watched(times: np.ndarray) -> np.ndarray:

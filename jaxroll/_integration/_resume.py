@@ -12,12 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from .._linalg import three, total
-from .._mechanics import check_planar, check_states, compiled, Grasp, split, State, to_leaves
+from .._linalg import seven, three, total
+from .._mechanics import check_states, compiled, Grasp, split, State, to_leaves
 from .._motion import accelerations, bodies, world_poses
 from .._printing import code_name
 from .._types import Given, Scalar
-from ..contact import Contact, locate, Location
+from ..contact import Contact, Contact3, locate, locate_surfaces, Location, SurfaceLocation
 from ..loads import Impulse
 from ._report import contact_name
 from ._strike import strike
@@ -53,8 +53,9 @@ def resume(grasp: Grasp, run: Trajectory, *, friction: Given | None = None) -> t
 
     Raises:
         ValueError: If the run ended otherwise, lost its only contact, or one that would close again at once,
-            as a contact without a coefficient of friction may that rubs where it no longer presses; if
-            friction cannot answer a touch; if contours without ends touch, or a grasp in space overlaps.
+            as a contact without a coefficient of friction may that rubs where it no longer presses; if a
+            touch makes the contacts redundant, as of a ball that rolls into a corner; if
+            friction cannot answer a touch; if contours or surfaces without bounds touch each other.
 
     Accuracy: gaps of a touch below 1e-14 m. Not differentiable: which contacts there are is decided on the
     way; the pieces of a run are.
@@ -134,7 +135,6 @@ def _without(grasp: Grasp, state: State, lost: int) -> tuple[Grasp, State]:
 
 def _touched(grasp: Grasp, run: Trajectory, friction: Given | None) -> tuple[Grasp, State, Scalar]:
     """The grasp with the contact that the run found, at the time of the touch, without closing speed."""
-    check_planar(grasp)
     finger = int(run.stats.contact)
     # The face that is overlapped least, in depth or by being apart, is the one that was just passed.
     each = [_nearest(grasp, run.last, finger, i) for i in range(len(grasp.object.shapes))]
@@ -154,14 +154,20 @@ def _touched(grasp: Grasp, run: Trajectory, friction: Given | None) -> tuple[Gra
         if g1 == g0:
             break
         ahead = jnp.maximum(t1 - g1 * (t1 - t0) / (g1 - g0), 0.0)
-    contact = Contact(found.s[0], found.s[1], finger=finger, contour=face, friction=friction)
+    contact, place = _contact_at(found, finger, face, friction)
     closed = grasp.with_contacts(*grasp.contacts, contact)
-    start = State(state.q, state.v, jnp.append(state.s, 0.0), state.memory)
-    hit = strike(closed, start, Impulse((0.0, 0.0), 0.0))
+    start = State(state.q, state.v, jnp.concatenate([state.s, place]), state.memory)
+    nothing = Impulse((0.0,) * (3 if grasp.spatial else 2), 0.0)
+    hit = strike(closed, start, nothing)
     while code_name(hit.result) == "contact_lost":
         # The impact knocks a contact off, that which would have to pull most: without it, once more.
         closed, start = _without(closed, start, int(np.argmin(hit.multipliers.f)))
-        hit = strike(closed, start, Impulse((0.0, 0.0), 0.0))
+        hit = strike(closed, start, nothing)
+    if code_name(hit.result) == "singular_contact":
+        raise ValueError(
+            f"argument run must touch so that all contacts hold something of their own, but with finger "
+            f"{finger} on face {face} of the object some motion is held twice"
+        )
     if code_name(hit.result) != "successful":
         raise ValueError(
             f"argument run must touch in a way that friction can answer, but the impulse of finger "
@@ -170,12 +176,25 @@ def _touched(grasp: Grasp, run: Trajectory, friction: Given | None) -> tuple[Gra
     return closed, hit.state, run.stats.t_end - ends[0][-1]
 
 
-def _nearest(grasp: Grasp, state: State, finger: int, face: int) -> Location:
+def _nearest(grasp: Grasp, state: State, finger: int, face: int) -> Location | SurfaceLocation:
     """Closest points of a fingertip and a face of the object."""
     frames = world_poses(grasp.prepared(), split(state.q, grasp.form.positions))
-    poses = [three(frame) for frame in (frames[1 + finger], frames[0])]
+    tip, body = frames[1 + finger], frames[0]
     shapes = grasp.fingers[finger].tip, grasp.object.shapes[face]
-    return locate(*shapes, pose_a=poses[0], pose_b=poses[1])
+    if grasp.spatial:
+        return locate_surfaces(*shapes, pose_a=seven(tip), pose_b=seven(body))
+    return locate(*shapes, pose_a=three(tip), pose_b=three(body))
+
+
+def _contact_at(
+    found: Location | SurfaceLocation, finger: int, face: int, friction: Given | None
+) -> tuple[Contact | Contact3, Array]:
+    """A contact at closest points, and its place in a state."""
+    if isinstance(found, SurfaceLocation):
+        place = jnp.concatenate([found.at_a, found.at_b])
+        return Contact3(finger, face, friction=friction), place
+    contact = Contact(found.s[0], found.s[1], finger=finger, contour=face, friction=friction)
+    return contact, jnp.zeros(1, found.s.dtype)
 
 
 @eqx.filter_jit

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Array
 
 from .._linalg import total
-from .._mechanics import check_planar, check_states, Grasp, State, tabled_grasp
+from .._mechanics import check_states, Grasp, State, tabled_grasp
 from .._motion import (
     as_formulation,
     begun,
@@ -56,14 +56,14 @@ from ._arguments import (
 from ._contact_impulses import contact_impulses, merged, times_before
 from ._dense import Dense
 from ._derivative import march
-from ._events import EVENTS, whose
+from ._events import check_overlaps, EVENTS, whose
 from ._jumps import beside, lateness, ordered
 from ._methods import check_method, Seeing, Steady, with_tolerances
 from ._report import complaint
 from ._run import Path, Plan
 from ._state_vector import bundle, Layout, layout, states_of, vector_of
 from ._step import RollingStep
-from ._time_derivative import moving_as, moving_in_time
+from ._time_derivative import moving_as, moving_if_successful, moving_in_time
 from ._trajectory import Stats, Trajectory
 
 
@@ -114,7 +114,8 @@ def simulate(
         max_steps: Steps to attempt at most. A derivative records that many states.
         events: What ends a run besides contour ends and singular contacts: any of 'lift' (a normal force
             falls below zero), 'friction' (a contact with a coefficient leaves its friction cone), both by
-            default, and 'penetration' (a fingertip overlaps the object elsewhere, on 64 points per contour).
+            default, and 'penetration' (a fingertip overlaps the object elsewhere: 64 points of each contour,
+            in space of each surface, from the lowest of which it goes down).
         stepsize_controller: A `diffrax.PIDController` without `dtmin`, one of your own that adapts, or
             `diffrax.ConstantStepSize()`, whose steps have the length `dt0` but where a save time cuts them.
             Default: `diffrax.PIDController` with `rtol` and `atol`.
@@ -164,7 +165,7 @@ def simulate(
     check_rolling(grasp, state)
     check_tasks(grasp, state)
     if "penetration" in setup.events:
-        check_planar(grasp)
+        check_overlaps(grasp)
     run = _run_plain if _is_plain(grasp, setup) else _run_any
     trajectory, off = run(tabled_grasp(grasp), state, way, numbers, setup)
     return _checked(trajectory, off) if throw else trajectory
@@ -244,7 +245,7 @@ def _run(
 def _moving_with(path: Path, lay: Layout, given: Numbers) -> Path:
     """A path with derivatives in the save times, and in the end if it got there."""
     saved = moving_in_time(lay.width, path.saved, given.ts)
-    there = jnp.where(path.result == RESULTS.successful, given.t1, jax.lax.stop_gradient(given.t1))
+    there = moving_if_successful(given.t1, path.result._value)
     last = moving_in_time(lay.width, path.last, there)
     t_last = moving_as(path.t_last, there)
     return eqx.tree_at(lambda p: (p.saved, p.last, p.t_last), path, (saved, last, t_last))

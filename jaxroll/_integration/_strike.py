@@ -16,7 +16,7 @@ from .._printing import listed
 from .._results import check_instance, RESULTS
 from ..loads import Impulse
 from ._arguments import check_choices
-from ._events import decode, EVENTS, refused_blow
+from ._events import are_redundant, decode, EVENTS, refused_blow
 
 
 class Strike(eqx.Module):
@@ -30,7 +30,8 @@ class Strike(eqx.Module):
             prescribed.
         result: `successful`; `contact_lost` where a contact that can only press would have to pull;
             `slipping` where one with a coefficient of friction would need more. The rest is then what
-            contacts that hold in any case would do.
+            contacts that hold in any case would do. `singular_contact` where contacts hold some motion twice;
+            the rest then means nothing.
     """
 
     __repr__ = listed
@@ -85,4 +86,5 @@ def _strike(grasp: Grasp, state: State, blow: Impulse, events: tuple[str, ...]) 
     frames = [motion.pose for motion in done.motions]
     after = State(state.q, join(done.leaves.v), state.s, state.memory)
     code = decode(jnp.where(no, number, 0), diffrax.RESULTS.successful)
+    code = RESULTS.where(are_redundant(done), RESULTS.singular_contact, code)
     return Strike(after, split_forces(ready, frames, done.touching, done.forces), done.work, code)

@@ -1,7 +1,7 @@
 r"""Derivatives of a run with respect to its save times and its end.
 
 The plan of a run is not differentiated: which steps it takes is decided with times frozen. But what is saved
-at $t_i$ is $x(t_i)$, whose derivative in $t_i$ is the slope that the flow vector carries, $x'$. So both
+at $t_i$ is $x(t_i)$, whose derivative in $t_i$ is the slope that the flow vector carries, $x'$. So the
 functions here return what they are given, and have that derivative: forwards they cost nothing.
 """
 
@@ -10,6 +10,8 @@ import functools
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
+
+from .._results import RESULTS
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -39,3 +41,16 @@ def moving_as(value: Array, other: Array) -> Array:
 @moving_as.defjvp
 def _moving_as(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
     return primals[0], tangents[0] + tangents[1]
+
+
+@jax.custom_jvp
+def moving_if_successful(value: Array, code: Array) -> Array:
+    """A value that has a derivative only where a result's code is that of success."""
+    del code
+    return value
+
+
+@moving_if_successful.defjvp
+def _moving_if_successful(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+    value, code = primals
+    return value, jnp.where(code == RESULTS.successful._value, tangents[0], 0.0)

@@ -18,6 +18,7 @@ from ._gap import (
 )
 from .locating import (
     clearance as clearance,
+    clearance3 as clearance3,
     LocalMinima as LocalMinima,
     locate as locate,
     locate_surfaces as locate_surfaces,

@@ -12,6 +12,6 @@ from ._answers import (
     SurfaceLocation as SurfaceLocation,
     SurfaceMinima as SurfaceMinima,
 )
-from ._clearance import clearance as clearance, TOLERANCE as TOLERANCE
+from ._clearance import clearance as clearance, clearance3 as clearance3, TOLERANCE as TOLERANCE
 from ._location import locate as locate
 from ._location3 import locate_surfaces as locate_surfaces

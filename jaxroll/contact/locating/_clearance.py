@@ -1,17 +1,27 @@
-"""How far a fingertip stays clear of an object, away from their contact too.
+r"""How far a fingertip stays clear of an object, away from their contact too.
 
-A run that is asked for the event 'penetration' calls `clearance` with its poses: the samples of the fingertip
-are compared with the object's faces (`_candidates`), and the smallest signed distance is returned.
+A run that is asked for the event 'penetration' calls `clearance` with its poses, in space `clearance3`: the
+samples of the fingertip are compared with the object's faces, and the smallest signed distance is returned.
+
+In space samples are too far apart for that to be accurate: from the lowest one some Newton steps go down the
+signed distance h of one surface's points from the other. With the foot's normal $n$ and the shape operators
+$L$ of both, a tangent step $\delta$ changes it by
+$n \cdot \delta + \frac12 \delta \cdot (L_A + L_B)\, \delta$ where the normals are nearly opposite, so that
+$\delta = -(L_A + L_B)^{-1} n$ in the tangent plane.
 """
 
+import functools
 from collections.abc import Sequence
 
+import jax
 import jax.numpy as jnp
 
-from ..._linalg import Pose2
-from ..._types import Scalar
-from ...geometry import AbstractContour
+from ..._linalg import Pose2, Pose3, root, row, square, Sym3, Vec3
+from ..._types import Scalar, Scalars
+from ...geometry import AbstractContour, AbstractSurface, Gauss3
 from ._candidates import feet, into, least, nearest_dense, spread
+from ._pair3 import summed
+from ._samples3 import footed
 
 # An overlap below this is taken for the contact itself, whose gap a run keeps at zero to rounding [m].
 TOLERANCE = 1e-7
@@ -45,3 +55,93 @@ def clearance(
         outside.append(feet(face, s, points, near).distance)
     # A point is inside a convex body where it is inside of all its faces: the largest distance counts.
     return least(jnp.max(jnp.stack(outside), axis=0), tip.closed)
+
+
+# Newton steps down the distance, of the foot for each of them, and of the feet of all samples.
+_DOWN, _FOOT = 4, 6
+# A foot not farther than this from an end of its surface is at the end [m].
+_AT_END = 1e-9
+
+
+def clearance3(
+    poses: tuple[Pose3, Pose3], tip: AbstractSurface, faces: Sequence[AbstractSurface], *, samples: int
+) -> Scalar:
+    """Smallest signed distance [m] of a fingertip from an object in space.
+
+    Of a bounded fingertip its points against the object's faces, which must bound a convex body, as in the
+    plane; of one without bounds the points of the object's faces, which must be bounded, against it.
+
+    Args:
+        poses: World poses of fingertip and object.
+        tip: The fingertip's surface.
+        faces: The object's surfaces.
+        samples: Places on each surface that is sampled.
+    """
+    if tip.spread(1) is not None:
+        return _lowest(poses, tip, faces, samples)
+    return functools.reduce(
+        jnp.minimum, [_lowest((poses[1], poses[0]), face, [tip], samples) for face in faces]
+    )
+
+
+def _lowest(
+    poses: tuple[Pose3, Pose3], walked: AbstractSurface, others: Sequence[AbstractSurface], samples: int
+) -> Scalar:
+    """Smallest signed distance of a bounded surface's points from the body that some surfaces bound."""
+    at = walked.spread(samples)
+    assert at is not None
+    at = tuple(jnp.asarray(x) for x in at)
+    points = jax.vmap(lambda at: walked.frame(at).point)(at)
+    heights = jax.vmap(lambda point: _outside(poses, point, others))(points)
+    lowest = jnp.argmin(heights)
+    begin, least = tuple(row(x, lowest) for x in at), row(heights, lowest)
+    # No step is longer than samples are apart: the size of what they cover over the root of their number.
+    apart = root(jnp.max(points.dot(points))) * (3.0 / samples**0.5)
+    for other in others:
+        place = begin
+        for _ in range(_DOWN):
+            place = _downward(poses, walked, place, other, apart)
+        least = jnp.minimum(least, _outside(poses, walked.frame(place).point, others))
+    return least
+
+
+def _outside(poses: tuple[Pose3, Pose3], point: Vec3, others: Sequence[AbstractSurface]) -> Scalar:
+    """How far a point of one body is outside of the convex body that surfaces of the other one bound."""
+    there = poses[1].local(poses[0].place(point))
+    heights = []
+    for other in others:
+        at, foot = _foot(other, there)
+        arm = there - foot.point
+        height = arm.dot(foot.normal)
+        # Beside an end of the face a point is outside, by its distance.
+        for margin in other.margins(at):
+            height = jnp.where(margin <= _AT_END, jnp.maximum(height, root(arm.dot(arm))), height)
+        heights.append(height)
+    return functools.reduce(jnp.maximum, heights)
+
+
+def _foot(surface: AbstractSurface, point: Vec3) -> tuple[Scalars, Gauss3]:
+    """The place of a surface nearest to a point in its frame, and the Gauss frame there."""
+    start = tuple(jnp.asarray(x, jnp.result_type(point.x)) for x in surface.start(point))
+    at = footed(surface, start, point, _FOOT)
+    return at, surface.frame(at)
+
+
+def _downward(
+    poses: tuple[Pose3, Pose3], walked: AbstractSurface, at: Scalars, other: AbstractSurface, most: Scalar
+) -> Scalars:
+    """A place on a surface after one Newton step down its distance from another one."""
+    frame = walked.frame(at)
+    _, foot = _foot(other, poses[1].local(poses[0].place(frame.point)))
+    n, out = poses[1].turn(foot.normal), poses[0].turn(frame.normal)
+    slope = n - out * n.dot(out)
+    # H^-1 = (tr H - H) / det H in the tangent plane, H = L_A + L_B; a flat pair stays where it is.
+    bend = frame.shape.turned(poses[0]) + foot.shape.turned(poses[1])
+    plane = Sym3(1.0, 0.0, 0.0, 1.0, 0.0, 1.0) - square(out)
+    size, trace = bend.minors(), bend.trace()
+    firm = (size > 1e-9 * trace * trace) & (trace > 0)
+    inverse = (plane * trace - bend) * jnp.where(firm, 1.0 / jnp.where(firm, size, 1.0), 0.0)
+    step = -inverse.apply(slope)
+    length = root(step.dot(step))
+    step = step * jnp.where(length > most, most / jnp.where(length > 0, length, 1.0), 1.0)
+    return walked.within(walked.settled(summed(at, walked.rate(at, poses[0].back(step)))))

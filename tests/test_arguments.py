@@ -714,7 +714,17 @@ FUNCTIONS = {
 }
 # Formulas on frames, poses and twists that are for the package's own programs, and checks.
 INNER = {
-    *("clearance", "gap", "gap_bias", "gap_rate", "pfaffian", "rolling_rate", "tangency", "tangency3"),
+    *(
+        "clearance",
+        "clearance3",
+        "gap",
+        "gap_bias",
+        "gap_rate",
+        "pfaffian",
+        "rolling_rate",
+        "tangency",
+        "tangency3",
+    ),
     *("sense", "joint_angles", "as_controller", "as_drive", "check_states", "split"),
     *("as_load", "impulses", "total_wrench", "law_of", "same_time"),
 }

@@ -155,6 +155,14 @@ def test_no_more_errors_than_the_contacts_leave_free(pinch):
     names = {f"orientation_{i}": 0.0 for i in (0, 1)} | {"x": 0.0, "y": 0.1, "tilt": 0.0}
     with pytest.raises(ValueError, match="at most 4 errors"):
         grasp.with_(controller=Integral(grasp.controller, names, 1.0))
+    inside = Integral(grasp.controller, {"x": 0.03, "y": 0.11}, 1.0)
+    with pytest.raises(ValueError, match="at most 1 errors"):
+        grasp.with_(
+            controller=Integral(inside, {"tilt": 0.1, "orientation_0": 1.5, "orientation_1": 1.5}, 1.0)
+        )
+    # Twice the same is a mixture that nothing moves.
+    with pytest.raises(ValueError, match="hold '[xy]' fast"):
+        jxr.simulate(grasp.with_(controller=Integral(inside, {"y": 0.1}, 1.0)), state, 0.1)
     # At rest the distance of the tips is least: no motion changes it.
     grasp = grasp.with_(alpha=0.0)
     rest = jxr.stability.equilibrium(grasp, state).state

@@ -23,33 +23,35 @@ _FREE = 1e-5
 
 def check_tasks(grasp: Grasp, state: State) -> None:
     """Raise where contacts hold fast a task error whose integral is fed back."""
-    law = _integral_of(grasp)
-    if law is None or traced((grasp, state)):
+    if not grasp.form.memory:
+        return
+    names = [name for law in _integrals_of(grasp) for name in law.errors]
+    if not names or traced((grasp, state)):
         return
     moved = np.asarray(_moved(grasp, state))
     mixture, sizes, _ = np.linalg.svd(moved)
-    if sizes.size != len(law.errors) or not sizes[-1] > _FREE:
-        held = law.errors[int(np.argmax(np.abs(mixture[:, -1])))]
+    if sizes.size != len(names) or not sizes[-1] > _FREE:
+        held = names[int(np.argmax(np.abs(mixture[:, -1])))]
         raise ValueError(
             f"argument state must leave the errors of control.Integral free to move, but its contacts hold "
             f"{held!r} fast, or a mixture of it with others"
         )
 
 
-def _integral_of(grasp: Grasp) -> Integral | None:
-    """The integral term among a grasp's controllers; of several the outer one."""
-    controller = grasp.controller
-    while controller is not None and not isinstance(controller, Integral):
+def _integrals_of(grasp: Grasp) -> list[Integral]:
+    """The integral terms among a grasp's controllers, the outer one first."""
+    controller, found = grasp.controller, []
+    while controller is not None:
+        found += [controller] if isinstance(controller, Integral) else []
         controller = getattr(controller, "law", None)
-    return controller
+    return found
 
 
 @compiled
 def _moved(grasp: Grasp, state: State) -> Array:
     """E N, with the rows of E of length one and the columns of N orthonormal."""
     ready = grasp.prepared()
-    law, leaves = _integral_of(ready), to_leaves(state, ready.form)
-    assert law is not None
+    leaves = to_leaves(state, ready.form)
     motions, inertias = bodies(ready, leaves)
     line = linearise(ready, motions, [factorise(i.mass) for i in inertias], touches(ready, leaves.s))
     starts = np.concatenate([[0], np.cumsum(ready.sizes)])
@@ -62,6 +64,7 @@ def _moved(grasp: Grasp, state: State) -> Array:
     jacobian = jnp.concatenate(a)
     free = jnp.linalg.svd(jacobian)[2][jacobian.shape[0] :].T
     zero = (0.0,) * ready.sizes[0]
-    measured = law.measured(sensed(ready, leaves, motions))
+    seen = sensed(ready, leaves, motions)
+    measured = [each for law in _integrals_of(ready) for each in law.measured(seen)]
     errors = jnp.array([[*zero, *(x for block in slope for x in block)] for _, slope in measured])
     return (errors / jnp.linalg.norm(errors, axis=1, keepdims=True)) @ free

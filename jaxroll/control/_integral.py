@@ -4,7 +4,7 @@ Task errors $e_k$ are functions of the joint angles alone, as all that a blind c
 $-g_k z_k\, \partial e_k / \partial q$ with $\dot z_k = e_k$, as if a spring along $e_k$ had been drawn out
 by its integral. There may be no more of them than the contacts leave directions free, and each must be moved
 by one of these directions: an error that contacts hold fast would be integrated for ever, into forces
-between the fingers (`_motion/_sampling.check_tasks`).
+between the fingers (`_motion/_task_errors`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -120,7 +120,8 @@ class Integral(AbstractController):
                 )
 
     def check_freedoms(self, free: int) -> None:
-        as_controller(self.law).check_freedoms(free)
+        # What is fed back by an integral term inside takes its directions too.
+        as_controller(self.law).check_freedoms(free - len(self.errors))
         if len(self.errors) > free:
             raise ValueError(
                 f"argument targets must name at most {free} errors, as contacts leave directions free, "

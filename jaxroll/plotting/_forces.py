@@ -9,7 +9,7 @@ from matplotlib.patches import FancyArrowPatch
 
 from .._integration import Trajectory
 from .._mechanics import Grasp
-from .._motion import wrenches
+from .._motion import Multipliers, wrenches
 from ..loads import Impulse
 from ._outlines import rolling_contacts
 from ._style import FORCE_COLOUR, GUIDE, MM
@@ -50,12 +50,7 @@ def arrows(
     Raises:
         ValueError: If the run has no recorded multipliers.
     """
-    found = trajectory.multipliers
-    if found is None:
-        raise ValueError(
-            "argument trajectory must hold contact forces if they are to be drawn: "
-            "simulate with record=('multipliers',)"
-        )
+    found = recorded_forces(trajectory)
     contacts = rolling_contacts(grasp)
     senses, drawn = np.array([contact.sense for contact in contacts.values()]), list(contacts)
     f, lam = (np.asarray(part)[picks][:, drawn, None] for part in (found.f, found.lam))
@@ -77,6 +72,16 @@ def arrows(
     longest = _LONGEST * float(np.linalg.norm(corners[1] - corners[0]))
     scale = longest / peak if peak > 0.0 else 0.0
     return Arrows(points, scale * on_object, loaded, scale, peak)
+
+
+def recorded_forces(trajectory: Trajectory) -> Multipliers:
+    """The contact forces of a run; raise if it has none."""
+    if trajectory.multipliers is None:
+        raise ValueError(
+            "argument trajectory must hold contact forces if they are to be drawn: "
+            "simulate with record=('multipliers',)"
+        )
+    return trajectory.multipliers
 
 
 def acts(grasp: Grasp) -> bool:

@@ -7,7 +7,7 @@ import numpy as np
 from .._integration import Trajectory
 from .._mechanics import Grasp
 from .._motion import wrenches
-from ._forces import acts
+from ._forces import acts, recorded_forces
 from ._motion3 import Motion3D
 from ._views3 import turned_each
 
@@ -44,12 +44,7 @@ def pushes(grasp: Grasp, trajectory: Trajectory, motion: Motion3D) -> Pushes:
     Raises:
         ValueError: If the run has no recorded multipliers.
     """
-    found = trajectory.multipliers
-    if found is None:
-        raise ValueError(
-            "argument trajectory must hold contact forces if they are to be drawn: "
-            "simulate with record=('multipliers',)"
-        )
+    found = recorded_forces(trajectory)
     # lambda is a vector in world axes here, on the object; f presses against the outward normal.
     out = np.stack([turned_each(motion.body, normals) for normals in motion.out_of_object])
     contacts = np.swapaxes(np.asarray(found.lam), 0, 1) - np.asarray(found.f).T[..., None] * out

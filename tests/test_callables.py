@@ -35,6 +35,7 @@ B = jnp.cos(jnp.arange(20.0)).reshape(4, 5)
         lambda a, b: a.at[7].set(1.0),  # out of bounds: dropped
         lambda a, b: a.at[7, 0].add(1.0, mode="clip"),
         lambda a, b: a.at[-1].set(b[0, :4]),
+        lambda a, b: a.at[-8].set(1.0),
         lambda a, b: jax.jit(lambda x: x @ b)(a),
         lambda a, b: jax.lax.fori_loop(0, 3, lambda i, x: x @ (b @ b.T) * 0.1, a),
         lambda a, b: jax.lax.cond(a[0, 0] > 0, lambda x: x @ b, lambda x: -x @ b, a),

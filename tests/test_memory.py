@@ -150,6 +150,37 @@ def test_a_law_with_a_memory_in_space_against_the_augmented_system():
     check_energy(run)
 
 
+@pytest.mark.parametrize("scene", ["pinch", "pinch3d"])
+def test_every_error_is_fed_back_along_its_own_derivative(scene):
+    """The torques -g z de/dq of each by itself, against differences of the error that is integrated."""
+    grasp, state = getattr(jxr.scenes, scene)()
+    gains, size, first = np.array([2.0, 3.0, 5.0]), 1e-5, grasp.form.positions[0]
+    for names in (
+        ("x", "y", "opening"),
+        ("orientation_0", "orientation_1", "z" if grasp.spatial else "tilt"),
+    ):
+        acted = grasp.with_(controller=Integral(None, dict.fromkeys(names, 0.37), gains))
+        field = jxr.vector_field(acted)
+        ahead = jnp.concatenate([state.v, state.s, jnp.zeros(3)])
+        errors = jax.jit(lambda q: field(0.0, jnp.concatenate([q, ahead]))[-3:])  # noqa: B023
+        slopes = []
+        for i in range(first, state.q.shape[0]):
+            ends = [errors(state.q.at[i].add(way * size)) for way in (-1, 1)]
+            slopes.append((ends[1] - ends[0]) / (2 * size))
+        for k in range(3):
+            held = jxr.State(state.q, state.v, state.s, 0.7 * np.eye(3)[k])
+            torques = np.concatenate(jxr.torques(acted, 0.0, held))
+            np.testing.assert_allclose(torques, -0.7 * gains[k] * np.array(slopes)[:, k], rtol=0, atol=1e-8)
+            assert np.abs(torques).max() > 1e-3
+
+
+def test_a_sample_costs_one_step():
+    """The slope that the next step begins with is that after the sample: no step is rejected."""
+    grasp, state = jxr.scenes.pivoted()
+    run = jxr.simulate(grasp.with_(controller=Sampled(grasp.controller, 1e-3)), state, 0.2, ts=2)
+    assert int(run.stats.steps) <= 205 and int(run.stats.rejected) <= 2
+
+
 def test_no_more_errors_than_the_contacts_leave_free(pinch):
     grasp, state = pinch
     names = {f"orientation_{i}": 0.0 for i in (0, 1)} | {"x": 0.0, "y": 0.1, "tilt": 0.0}

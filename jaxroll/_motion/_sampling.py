@@ -72,7 +72,7 @@ def memory_after_sample(grasp: Grasp, t: Scalar, state: State) -> Array:
 def _asked(grasp: Grasp, t: Scalar, leaves: Leaves) -> Scalars:
     """The memory after a sample at a time [s]."""
     law = grasp.controller
-    number = law.number(t, leaves.memory)
+    number = law.number(t)
     counts = [finger.joints for finger in grasp.fingers]
     angles, rates = joint_angles(grasp, leaves.q), leaves.v[1:]
     q, v = leaves.q[1:], leaves.v[1:]

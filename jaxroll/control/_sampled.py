@@ -144,11 +144,10 @@ class Sampled(AbstractController):
         """Whether the next sample is at this time, or overdue."""
         return jax.lax.stop_gradient(memory[-1]) <= t + same_time(t)
 
-    def number(self, t: Scalar, memory: Scalars) -> Scalar:
+    def number(self, t: Scalar) -> Scalar:
         """Which sample a due one is, counted from zero: of overdue ones the last."""
-        t, planned, first, period = jax.lax.stop_gradient((t, memory[-1], self.first, self.period))
-        last = jnp.floor((t + same_time(t) - first) / period)
-        return jnp.maximum(jnp.round((planned - first) / period), last)
+        t, first, period = jax.lax.stop_gradient((t, self.first, self.period))
+        return jnp.floor((t + same_time(t) - first) / period)
 
     def noise(self, number: Scalar, count: int) -> tuple[Scalars, Scalars]:
         """What is added to so many joint angles and rates at a sample."""

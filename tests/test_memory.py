@@ -455,6 +455,36 @@ def test_rates_with_a_memory_against_the_linearised_augmented_system(pinch, chap
         assert np.abs(values - rate).min() < 1e-3 * max(1.0, abs(rate))
 
 
+class Leaky(eqx.Module):
+    """A caller's own law: a pull towards a point, and an integral of the height that leaks."""
+
+    memory: jax.Array
+
+    def __call__(self, t, angles, rates, tips, memory):
+        pull = 50.0 * (tips[0].position - jnp.array([0.03, 0.105]))
+        torque = -0.006 * rates[0] - tips[0].jacobian.T @ pull - 40.0 * memory[0] * tips[0].jacobian[1]
+        return (torque,), tips[0].position[1:] - 0.1 - 3.0 * memory
+
+
+def test_rates_with_a_memory_of_ones_own_and_sampled(pinch):
+    """The first against the eigenvalues of all that is integrated; sampled often, both loops are the same."""
+    grasp, state = jxr.scenes.pivoted()
+    acted = grasp.with_(controller=Leaky(jnp.zeros(1)))
+    found = jxr.stability.assess(acted, state)
+    assert found.equilibrium.found and abs(float(found.equilibrium.state.memory[0])) > 1e-4
+    rest, field = found.equilibrium.state, jxr.vector_field(acted)
+    jacobian = jax.jacfwd(lambda y: field(0.0, y))(field.start(rest))
+    values = np.linalg.eigvals(np.asarray(jacobian))
+    for rate in np.asarray(found.rates):
+        assert np.abs(values - rate).min() < 1e-6 * max(1.0, abs(rate))
+    both = integral(pinch[0].controller)
+    slow = jxr.stability.assess(pinch[0].with_(controller=both), pinch[1])
+    often = jxr.stability.assess(pinch[0].with_(controller=Sampled(both, 1e-6)), pinch[1])
+    np.testing.assert_allclose(
+        np.sort(np.abs(often.rates)), np.sort(np.abs(slow.rates)), rtol=2e-3, atol=1e-3
+    )
+
+
 # --- sentences
 
 

@@ -344,6 +344,23 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         "alpha": dataclasses.replace(_EACH_OF_SOME, also=_EACH_OF_SOME.also | {"function"}),
         "start": _is("array", (1.5, 1.7), *_VECTORS, "function"),
     },
+    "Integral": {
+        "law": _is("function", None, "None"),
+        "targets": _made("part", lambda: {"x": 0.03, "tilt": 0.1}),
+        "gain": _EACH_OF_SOME,
+    },
+    "Sampled": {
+        "law": _is("function", None, "None"),
+        "first": _is("number", 0.0),
+        "angle_noise": _is("not negative", 1e-4),
+        "rate_noise": _is("not negative", 0.1),
+        "key": _made("part", lambda: jax.random.key(0), "key"),
+    },
+    "with_payload": {
+        "link": _is("count", 1, "whole zero"),
+        "at": _is("number", 0.03),
+        "inertia": _is("not negative", 1e-6),
+    },
     "with_": {"damping": _is("not negative", 0.006, "function")},
     "Push": {
         "force": _is("array", (0.2, 0.0), "three numbers"),

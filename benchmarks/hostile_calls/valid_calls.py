@@ -18,7 +18,7 @@ from benchmarks.hostile_calls.values import planar
 MODULES = ("commands", "contact", "control", "design", "geometry", "io", "loads", "plotting", "scenes")
 MODULES += ("stability",)
 # Of one file: what it imports is not its own.
-_OF_ONE_FILE = ("commands", "control", "loads")
+_OF_ONE_FILE = ("commands", "loads")
 
 # Not called by users at all, or not called with arguments.
 ABSTRACT = {
@@ -51,6 +51,7 @@ RECORDS |= {"TableError", "Equilibrium", "PinchStatics", "Stability", "Pose", "T
 # Written on scalars for use inside compiled programs, by other layers and by a caller's own shapes: nothing
 # is checked there, for every check would be one more on the way of each run.
 INNER = {"gap", "gap_bias", "gap_rate", "pfaffian", "rolling_rate", "tangency", "tangency3", "clearance"}
+INNER |= {"clearance3", "law_of", "same_time"}
 INNER |= {"check_unit_speed", "sense", "joint_angles", "UserController", "as_controller", "frenet", "tabled"}
 INNER |= {"approach", "principal", "jet", "differentiated", "level_frame", "spread_in_box", "from_frames"}
 INNER |= {"tabulated", "check_contour", "check_shape", "check_surface", "UserLoad", "as_load", "total_wrench"}
@@ -181,8 +182,13 @@ def near_surface(point: Any, guess: Any = None) -> Any:
     return jxr.Sphere(0.01).near(point, guess)
 
 
+def with_payload(mass: Any, link: Any = None, at: Any = None, inertia: Any = 0.0) -> Any:
+    """`Finger.with_payload` of the pivoted scene's finger."""
+    return planar()[0].fingers[0].with_payload(mass, link=link, at=at, inertia=inertia)
+
+
 # Methods that take a caller's arguments.
-METHODS = (with_tip, with_contacts, with_, moved, on_contour, on_surface, near_surface)
+METHODS = (with_payload, with_tip, with_contacts, with_, moved, on_contour, on_surface, near_surface)
 
 
 @functools.cache

@@ -4,7 +4,7 @@ An argument may be a tracer, without a value: `concrete` then returns None, and 
 """
 
 import functools
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import Any, NamedTuple
 
 import diffrax
@@ -141,7 +141,8 @@ def check_times(saved: Any, bounds: np.ndarray | None = None) -> None:
 
 def check_choices(name: str, given: Any, known: tuple[str, ...]) -> tuple[str, ...]:
     """Raise unless every name given is known."""
-    several = isinstance(given, Collection) and not isinstance(given, str | bytes | np.ndarray | jax.Array)
+    no_names = (str, bytes, Mapping, np.ndarray, jax.Array)
+    several = isinstance(given, Collection) and not isinstance(given, no_names)
     if not several or any(not isinstance(item, str) or item not in known for item in given):
         raise ValueError(f"argument {name} must be among {known}, but was {shown(given)}")
     return tuple(given)

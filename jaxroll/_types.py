@@ -27,6 +27,11 @@ Points = Float[Array, "... 2"]
 Times = Float[Array, " t"]
 
 
+def resolution(t: Scalar) -> Scalar:
+    """Eight rounding units of t, or of 1 ms if t is less [s]: nearer times are one, steps are longer."""
+    return 8.0 * jnp.finfo(jnp.result_type(t)).eps * jnp.maximum(jnp.abs(t), 1e-3)
+
+
 class ByPrecision(NamedTuple):
     """A limit that must lie above rounding: a number for double precision, another for single precision.
 

@@ -726,7 +726,7 @@ INNER = {
         "tangency3",
     ),
     *("sense", "joint_angles", "as_controller", "as_drive", "check_states", "split"),
-    *("as_load", "impulses", "total_wrench", "law_of", "same_time"),
+    *("as_load", "impulses", "total_wrench", "law_of", "laws_of"),
 }
 # Searches for the closest points of two shapes have tests of their own.
 SEARCHES = {"locate", "locate_surfaces"}

@@ -51,7 +51,7 @@ RECORDS |= {"TableError", "Equilibrium", "PinchStatics", "Stability", "Pose", "T
 # Written on scalars for use inside compiled programs, by other layers and by a caller's own shapes: nothing
 # is checked there, for every check would be one more on the way of each run.
 INNER = {"gap", "gap_bias", "gap_rate", "pfaffian", "rolling_rate", "tangency", "tangency3", "clearance"}
-INNER |= {"clearance3", "law_of", "same_time"}
+INNER |= {"clearance3", "law_of", "laws_of"}
 INNER |= {"check_unit_speed", "sense", "joint_angles", "UserController", "as_controller", "frenet", "tabled"}
 INNER |= {"approach", "principal", "jet", "differentiated", "level_frame", "spread_in_box", "from_frames"}
 INNER |= {"tabulated", "check_contour", "check_shape", "check_surface", "UserLoad", "as_load", "total_wrench"}

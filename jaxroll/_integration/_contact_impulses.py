@@ -19,8 +19,12 @@ from ._jumps import beside, grain
 
 def times_before(grasp: Grasp, jumps: Array, begin: Scalar, end: Scalar) -> Float[Array, " blows"]:
     """When each blow is still to come, within a run."""
-    times = jax.lax.stop_gradient(jnp.stack([blow.time for blow in impulses(grasp.load)]))
-    return jnp.clip(beside(jumps, times, -1.0), begin, end)
+    return jnp.clip(beside(jumps, jax.lax.stop_gradient(blow_times(grasp)), -1.0), begin, end)
+
+
+def blow_times(grasp: Grasp) -> Float[Array, " blows"]:
+    """When each blow on a grasp acts [s]."""
+    return jnp.stack([blow.time for blow in impulses(grasp.load)])
 
 
 def merged(saves: Times, more: Times) -> tuple[Times, Array, Array]:
@@ -35,8 +39,7 @@ def contact_impulses(grasp: Grasp, states: State, spans: tuple[Scalar, Scalar]) 
 
     `spans` are the times from which and up to which the run went.
     """
-    blows = impulses(grasp.load)
-    times = jnp.stack([blow.time for blow in blows])
+    blows, times = impulses(grasp.load), blow_times(grasp)
     near = 2.0 * grain(times)
     begin, end = spans
     # A run that the blow itself ended stands just before it.

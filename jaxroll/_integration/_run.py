@@ -17,8 +17,7 @@ from jaxtyping import Array, Float, Int
 
 from .._linalg import row, with_row
 from .._results import RESULTS
-from .._types import Scalar, Times
-from ..control import same_time
+from .._types import resolution, Scalar, Times
 from . import _jumps
 from ._events import decode
 from ._state_vector import Bundle, Flow
@@ -119,7 +118,7 @@ def aim(plan: Plan, course: Course) -> tuple[Scalar, Scalar]:
     if lay.form.sampled:
         # A save time that is a sample, but for rounding, stays: `judge` looks for it exactly.
         due = course.y[lay.due]
-        stop = jnp.where(due < stop - same_time(stop), due, stop)
+        stop = jnp.where(due < stop - resolution(stop), due, stop)
     if plan.jumps is not None:
         stop = jnp.minimum(stop, _jumps.stop(plan.jumps, course.passed, pace.t))
     ahead = plan.control(pace).ahead(pace.t)

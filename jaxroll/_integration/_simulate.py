@@ -53,7 +53,7 @@ from ._arguments import (
     RTOL,
     step_limit,
 )
-from ._contact_impulses import contact_impulses, merged, times_before
+from ._contact_impulses import blow_times, contact_impulses, merged, times_before
 from ._dense import Dense
 from ._derivative import march
 from ._events import check_overlaps, EVENTS, whose
@@ -229,8 +229,7 @@ def _run(
     ts = moving_as(plan.ts if jumps is None else jax.lax.stop_gradient(given.ts), given.ts)
     trajectory, off = _trajectory(ready, state, path, plan, setup.record, ts)
     if wanted is not None:
-        times = jnp.stack([blow.time for blow in impulses(ready.load)])
-        states = states_of(lay, moving_in_time(lay.width, before, times))
+        states = states_of(lay, moving_in_time(lay.width, before, blow_times(ready)))
         told = contact_impulses(ready, states, (plan.t0, trajectory.stats.t_end))
         trajectory = eqx.tree_at(lambda run: run.impulses, trajectory, told, is_leaf=lambda x: x is None)
     if path.record is not None:

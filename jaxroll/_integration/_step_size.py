@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .._types import Scalar
+from .._types import resolution, Scalar
 from .._xla import once, sharing
 
 # Steps shorter than this part of what error control asks for are not shortened for dips of the margin.
@@ -62,11 +62,6 @@ class Pace(eqx.Module):
     attempted: Int[Array, ""]
     accepted: Int[Array, ""]
     hunt: Hunt
-
-
-def resolution(t: Scalar) -> Scalar:
-    """Shortest step [s] that safely moves time: eight rounding units of t, or of 1 ms if t is less."""
-    return 8.0 * jnp.finfo(jnp.result_type(t)).eps * jnp.maximum(jnp.abs(t), 1e-3)
 
 
 def at_rest(inner: Any, t0: Scalar) -> Pace:

@@ -13,7 +13,7 @@ from jaxtyping import Array
 from .._linalg import factorise
 from .._mechanics import compiled, Grasp, State, to_leaves
 from .._results import traced
-from ..control import Integral
+from ..control import Integral, laws_of
 from ._equations import bodies, sensed, touches
 from ._linearisation import linearise
 
@@ -40,11 +40,7 @@ def check_tasks(grasp: Grasp, state: State) -> None:
 
 def _integrals_of(grasp: Grasp) -> list[Integral]:
     """The integral terms among a grasp's controllers, the outer one first."""
-    controller, found = grasp.controller, []
-    while controller is not None:
-        found += [controller] if isinstance(controller, Integral) else []
-        controller = getattr(controller, "law", None)
-    return found
+    return [law for law in laws_of(grasp.controller) if isinstance(law, Integral)]
 
 
 @compiled

@@ -13,7 +13,7 @@ calls `driven` in every evaluation, `_motion/_sampling` has samples.
 from .._mechanics import AbstractController as AbstractController
 from ._integral import Integral as Integral
 from ._laws import Opposition as Opposition, Passive as Passive, Press as Press
-from ._sampled import same_time as same_time, Sampled as Sampled
+from ._sampled import Sampled as Sampled
 from ._sensing import (
     joint_angles as joint_angles,
     orientations as orientations,
@@ -21,4 +21,9 @@ from ._sensing import (
     Sensed as Sensed,
     Tip as Tip,
 )
-from ._user import as_controller as as_controller, law_of as law_of, UserController as UserController
+from ._user import (
+    as_controller as as_controller,
+    law_of as law_of,
+    laws_of as laws_of,
+    UserController as UserController,
+)

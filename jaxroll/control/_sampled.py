@@ -17,7 +17,7 @@ from .._fields import real, taken, through
 from .._linalg import scalars
 from .._mechanics import AbstractController, Torques
 from .._results import check_positive, concrete, shown
-from .._types import Given, Scalar, Scalars
+from .._types import Given, resolution, Scalar, Scalars
 from ._sensing import Sensed
 from ._user import as_controller, as_law
 
@@ -142,12 +142,12 @@ class Sampled(AbstractController):
 
     def due(self, t: Scalar, memory: Scalars) -> Scalar:
         """Whether the next sample is at this time, or overdue."""
-        return jax.lax.stop_gradient(memory[-1]) <= t + same_time(t)
+        return jax.lax.stop_gradient(memory[-1]) <= t + resolution(t)
 
     def number(self, t: Scalar) -> Scalar:
         """Which sample a due one is, counted from zero: of overdue ones the last."""
         t, first, period = jax.lax.stop_gradient((t, self.first, self.period))
-        return jnp.floor((t + same_time(t) - first) / period)
+        return jnp.floor((t + resolution(t) - first) / period)
 
     def noise(self, number: Scalar, count: int) -> tuple[Scalars, Scalars]:
         """What is added to so many joint angles and rates at a sample."""
@@ -170,8 +170,3 @@ class Sampled(AbstractController):
     def potential(self, tips: Sequence[Any], angles: Sequence[Scalars]) -> Scalar:
         # Torques that are held derive from no potential: all of their power counts as work.
         return jnp.zeros_like(tips[0].x)
-
-
-def same_time(t: Scalar) -> Scalar:
-    """How close to a sample a time counts as its own [s]: eight rounding units of it, or of 1 ms."""
-    return 8.0 * jnp.finfo(jnp.result_type(t)).eps * jnp.maximum(jnp.abs(t), 1e-3)

@@ -92,9 +92,15 @@ def as_controller(controller: Any) -> AbstractController:
 
 def law_of(controller: Any) -> Any:
     """The law inside what wraps one (`Sampled`, `Integral`); any other controller itself."""
-    while isinstance(controller, AbstractController) and hasattr(controller, "law"):
-        controller = getattr(controller, "law")  # noqa: B009, which classes have it pyright cannot know
-    return controller
+    return laws_of(controller)[-1]
+
+
+def laws_of(controller: Any) -> list[Any]:
+    """A controller, and what is inside of it, law by law."""
+    found = [controller]
+    while isinstance(found[-1], AbstractController) and hasattr(found[-1], "law"):
+        found.append(getattr(found[-1], "law"))  # noqa: B009, which classes have it pyright cannot know
+    return found
 
 
 def as_law(name: str, value: Any) -> Any:

@@ -8,11 +8,11 @@ from .._analysis import check_pinch
 from .._integration import Trajectory
 from .._mechanics import check_planar, Grasp, State
 from ..control import law_of
-from ..geometry import AbstractContour
 from ..stability import equilibrium, pinch_statics
 from ._doors import guarded
 from ._phase_one import has_one_direction, phase_of_one
-from ._style import CONTACT, GUIDE, MM, Picture, tidy
+from ._phase_parts import draw_path, energy_bar, on_contour
+from ._style import MM, Picture, tidy
 from ._views import single, visible
 
 _GRID = 81
@@ -72,7 +72,7 @@ def phase(grasp: Grasp, trajectory: Trajectory, *, rest: State | None = None) ->
     figure = Picture(6.4, 5.4)
     ax = figure.subplots()
     _levels(ax, grasp, every[-1], middle, half)
-    _path(ax, path, goal, ts[reached])
+    draw_path(ax, path, goal, ts[reached])
     tidy(ax, xlabel="$s_1$ [mm]", ylabel="$s_2$ [mm]", title="Contacts on the object, over the potential $U$")
     figure.legend(loc="outside lower center", ncols=4, fontsize=8, frameon=False)
     return figure
@@ -92,17 +92,12 @@ def _levels(ax: Axes, grasp: Grasp, goal: np.ndarray, middle: np.ndarray, half: 
     u = 1e3 * np.array(pinch_statics(grasp, np.stack([s1, s2], axis=-1)).potential)
     u[~(_inside(grasp, 0, s1) & _inside(grasp, 1, s2))] = np.nan
     levels = _rings(u, np.unravel_index(np.argmin(np.hypot(s1 - goal[0], s2 - goal[1])), u.shape))
-    filled = ax.contourf(MM * s1, MM * s2, u, levels, cmap="Blues", alpha=0.8)
+    ax.contourf(MM * s1, MM * s2, u, levels, cmap="Blues", alpha=0.8)
     ax.contour(MM * s1, MM * s2, u, levels, colors="white", linewidths=0.8)
     ax.set_aspect("equal")
-    figure = ax.get_figure(root=True)
-    assert figure is not None
-    bar = figure.colorbar(filled, ax=ax, shrink=0.9, ticks=levels[::2])
+    bar = energy_bar(ax, levels, "$U$ [mJ]")
     digits = int(np.clip(1.0 - np.floor(np.log10(np.diff(levels[::2]).min())), 0.0, 9.0))
     bar.ax.set_yticklabels([f"{level:.{digits}f}" for level in levels[::2]])
-    bar.set_label("$U$ [mJ]", fontsize=9)
-    bar.ax.tick_params(labelsize=8, length=3, width=0.7, color="#777777")
-    bar.outline.set(linewidth=0.7, edgecolor="#777777")  # pyright: ignore
 
 
 def _rings(u: np.ndarray, goal: tuple[np.intp, ...]) -> np.ndarray:
@@ -121,20 +116,4 @@ def _inside(grasp: Grasp, i: int, s: np.ndarray) -> np.ndarray:
     on_face = contact.sense * s
     # sigma = s_object,0 - s on the object, and s_tip = s_tip,0 + sigma.
     on_tip = float(contact.s_tip) + float(contact.s_object) - on_face
-    return _on(tip, on_tip) & _on(face, on_face)
-
-
-def _on(contour: AbstractContour, s: np.ndarray) -> np.ndarray:
-    ends = contour.domain()
-    if contour.closed or ends is None:
-        return np.ones(s.shape, bool)
-    return (s >= float(ends[0])) & (s <= float(ends[1]))
-
-
-def _path(ax: Axes, path: np.ndarray, goal: np.ndarray, ts: np.ndarray) -> None:
-    ax.plot(*(MM * path.T), color=CONTACT, lw=1.4, label="path", zorder=3)
-    dot = {"ls": "none", "marker": "o", "mec": CONTACT, "mew": 1.4, "zorder": 5}
-    ax.plot(*(MM * path[:1].T), **dot, ms=7, mfc="white", label=f"start, {ts[0]:.3g} s")
-    ax.plot(*(MM * path[-1:].T), **dot, ms=7, mfc=CONTACT, label=f"end, {ts[-1]:.3g} s")
-    if goal.size:
-        ax.plot(*(MM * goal.T), "+", color=GUIDE, ms=13, mew=1.5, zorder=6, label="equilibrium")
+    return on_contour(tip, on_tip) & on_contour(face, on_face)

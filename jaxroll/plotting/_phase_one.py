@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from .._analysis import press_balance
 from .._closing import close
@@ -18,7 +17,8 @@ from .._integration import Trajectory, vector_field
 from .._mechanics import Grasp, State
 from .._motion import energies
 from ..control import law_of, Press
-from ._style import CONTACT, GUIDE, MM, Picture, tidy
+from ._phase_parts import draw_path, energy_bar, on_contour
+from ._style import MM, Picture, tidy
 from ._views import single
 
 _PLACES, _RATES, _LEVELS = 61, 81, 14
@@ -40,14 +40,14 @@ def phase_of_one(grasp: Grasp, trajectory: Trajectory, rest: State | None) -> Fi
     ts, reached = single(trajectory)
     states = jax.tree.map(lambda a: np.asarray(a)[reached], _bare(trajectory.states))
     path = np.stack([_chapter_s(held, states), _rates(held, states)], axis=-1)
-    goal = None if rest is None else np.array([_chapter_s(held, _bare(rest)), 0.0])
-    every = path if goal is None else np.concatenate([path, goal[None]])
+    goal = np.zeros((0, 2)) if rest is None else np.array([[_chapter_s(held, _bare(rest)), 0.0]])
+    every = np.concatenate([path, goal])
     middle = 0.5 * (every.min(axis=0) + every.max(axis=0))
     half = np.maximum((0.5 + _MARGIN) * np.ptp(every, axis=0), _LEAST)
     figure = Picture(6.4, 5.0)
     ax = figure.subplots()
-    _levels(ax, figure, held, states, middle, half)
-    _path(ax, path, goal, ts[reached])
+    _levels(ax, held, states, middle, half)
+    draw_path(ax, path, goal, ts[reached])
     tidy(
         ax,
         xlabel="$s$ [mm]",
@@ -77,9 +77,7 @@ def _rates(grasp: Grasp, states: State) -> np.ndarray:
     return -grasp.contacts[0].sense * np.asarray(rolled)
 
 
-def _levels(
-    ax: Axes, figure: Picture, grasp: Grasp, states: State, middle: np.ndarray, half: np.ndarray
-) -> None:
+def _levels(ax: Axes, grasp: Grasp, states: State, middle: np.ndarray, half: np.ndarray) -> None:
     """Level lines of the energy; nothing where the contact would be past the end of a contour."""
     contact = grasp.contacts[0]
     line = middle[0] + np.linspace(-half[0], half[0], _PLACES)
@@ -98,41 +96,15 @@ def _levels(
     energy = 1e3 * (potential + 0.5 * inertia * rates[:, None] ** 2)
     low, high = np.nanmin(energy), np.nanmax(energy)
     levels = low + max(high - low, 1e-9 * abs(high)) * np.linspace(0.0, 1.0, _LEVELS + 1) ** 2
-    filled = ax.contourf(MM * line, MM * rates, energy, levels, cmap="Blues", alpha=0.8)
+    ax.contourf(MM * line, MM * rates, energy, levels, cmap="Blues", alpha=0.8)
     ax.contour(MM * line, MM * rates, energy, levels, colors="white", linewidths=0.8)
-    bar = figure.colorbar(filled, ax=ax, shrink=0.9, ticks=levels[::2], format="%.3g")
-    bar.set_label("$K + U$ [mJ]", fontsize=9)
-    bar.ax.tick_params(labelsize=8, length=3, width=0.7, color="#777777")
-    bar.outline.set(linewidth=0.7, edgecolor="#777777")  # pyright: ignore
+    bar = energy_bar(ax, levels, "$K + U$ [mJ]")
+    bar.ax.set_yticklabels([f"{level:.3g}" for level in levels[::2]])
 
 
 def _inside(grasp: Grasp, rolled: np.ndarray) -> np.ndarray:
     """Where a contact is on both of its contours, for rolling coordinates [m]."""
     contact = grasp.contacts[0]
-    places = (float(contact.s_tip) + rolled, float(contact.s_object) - rolled)
-    found = np.ones(rolled.shape, bool)
-    for contour, place in zip(grasp.shapes(contact), places, strict=True):
-        ends = contour.domain()
-        if not contour.closed and ends is not None:
-            found &= (place >= float(ends[0])) & (place <= float(ends[1]))
-    return found
-
-
-def _path(ax: Axes, path: np.ndarray, goal: np.ndarray | None, ts: np.ndarray) -> None:
-    ax.plot(*(MM * path.T), color=CONTACT, lw=1.4, label="path", zorder=3)
-    dot = {"ls": "none", "marker": "o", "mec": CONTACT, "mew": 1.4, "zorder": 5}
-    ax.plot(*(MM * path[:1].T), **dot, ms=7, mfc="white", label=f"start, {ts[0]:.3g} s")
-    ax.plot(*(MM * path[-1:].T), **dot, ms=7, mfc=CONTACT, label=f"end, {ts[-1]:.3g} s")
-    if goal is not None:
-        ax.add_line(
-            Line2D(
-                *(MM * goal[:, None]),
-                ls="none",
-                marker="+",
-                color=GUIDE,
-                ms=13,
-                mew=1.5,
-                zorder=6,
-                label="equilibrium",
-            )
-        )
+    tip, face = grasp.shapes(contact)
+    on_tip, on_face = float(contact.s_tip) + rolled, float(contact.s_object) - rolled
+    return on_contour(tip, on_tip) & on_contour(face, on_face)

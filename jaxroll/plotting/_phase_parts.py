@@ -1,0 +1,37 @@
+"""What both phase pictures have: the path with its ends, the bar of energies, and where a contour ends."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colorbar import Colorbar
+
+from ..geometry import AbstractContour
+from ._style import CONTACT, GUIDE, MM
+
+
+def draw_path(ax: Axes, path: np.ndarray, goal: np.ndarray, ts: np.ndarray) -> None:
+    """A path, shape (t, 2), with start, end and the equilibria `goal`, shape (0 or 1, 2) [m or m/s]."""
+    ax.plot(*(MM * path.T), color=CONTACT, lw=1.4, label="path", zorder=3)
+    dot = {"ls": "none", "marker": "o", "mec": CONTACT, "mew": 1.4, "zorder": 5}
+    ax.plot(*(MM * path[:1].T), **dot, ms=7, mfc="white", label=f"start, {ts[0]:.3g} s")
+    ax.plot(*(MM * path[-1:].T), **dot, ms=7, mfc=CONTACT, label=f"end, {ts[-1]:.3g} s")
+    if goal.size:
+        ax.plot(*(MM * goal.T), "+", color=GUIDE, ms=13, mew=1.5, zorder=6, label="equilibrium")
+
+
+def energy_bar(ax: Axes, levels: np.ndarray, label: str) -> Colorbar:
+    """The bar of the filled levels that were drawn last on an axes, with every second level."""
+    figure = ax.get_figure(root=True)
+    assert figure is not None
+    bar = figure.colorbar(ax.collections[0], ax=ax, shrink=0.9, ticks=levels[::2])
+    bar.set_label(label, fontsize=9)
+    bar.ax.tick_params(labelsize=8, length=3, width=0.7, color="#777777")
+    bar.outline.set(linewidth=0.7, edgecolor="#777777")  # pyright: ignore
+    return bar
+
+
+def on_contour(contour: AbstractContour, s: np.ndarray) -> np.ndarray:
+    """Which arclengths lie on a contour."""
+    ends = contour.domain()
+    if contour.closed or ends is None:
+        return np.ones(s.shape, bool)
+    return (s >= float(ends[0])) & (s <= float(ends[1]))

@@ -67,7 +67,7 @@ def _counted(jaxpr: Any) -> int:
 def counts(scene: str) -> Counts:
     grasp, state = getattr(jxr.scenes, scene)()
     ready, lay = bundle(grasp.prepared()), layout(grasp, False)
-    step = RollingStep(diffrax.Dopri8(), jxr.Index1(), lay, ("lift", "friction"))
+    step = RollingStep(diffrax.Dopri8(), jxr.Index1(), lay, ("lift", "friction"), sweeps=1)
     moving, still = eqx.partition(ready, eqx.is_inexact_array)
     y, t = vector_of(lay, state), jnp.zeros(())
     x = y[: lay.width]

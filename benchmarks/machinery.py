@@ -1,4 +1,4 @@
-"""What each piece of hot-path machinery costs and gains: the same calls with it and without it (six minutes).
+"""What each piece of hot-path machinery costs and gains: the same calls with it and without (eight minutes).
 
 The pieces are those of `jaxroll/_xla`, and the closed forms of the derivatives of a contact.
 
@@ -7,6 +7,7 @@ anything else of jaxroll is imported. Rows are run in turn, round after round; t
 """
 
 import argparse
+import contextlib
 import json
 import os
 import subprocess
@@ -26,6 +27,13 @@ PIECES = {
     "without `shared`": "xla.shared = xla._share_cotangents.shared = lambda function: function",
     "with XLA's sine and cosine": "xla.sine_cosine = lambda x: (jnp.sin(x), jnp.cos(x))",
     "without `remembered`": "xla.remembered = lambda build: build",
+    "with JAX's loops": """
+xla.repeated = lambda going, turn, start, held: jax.lax.while_loop(going, lambda x: turn(x, held), start)
+xla.counted = lambda count, turn, start, held: jax.lax.fori_loop(
+    0, count, lambda i, x: turn(i, x, held), start
+)
+""",
+    "without `uncollected`": "xla.uncollected = xla._primitives.uncollected = contextlib.nullcontext",
     "without closed forms of contacts": """
 from jaxroll.contact import AbstractContact, Contact, Contact3
 for name in ("gap_rate", "pfaffian", "rolling", "place_rate", "bias", "bend", "unknown_bend", "settled"):
@@ -51,7 +59,7 @@ def measured(patch: str) -> dict[str, float]:
     jax.config.update("jax_enable_x64", True)
     import jaxroll._xla as xla
 
-    exec(patch, {"xla": xla, "jnp": jnp})
+    exec(patch, {"xla": xla, "jax": jax, "jnp": jnp, "contextlib": contextlib})
     import jaxroll as jxr
 
     grasp, state = jxr.scenes.pivoted()

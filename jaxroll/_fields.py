@@ -162,6 +162,7 @@ def _is_known(array: Any) -> bool:
 def _check_shape(name: str, value: Any, wanted: Any) -> None:
     """Raise unless a value is of the class and shape that its field is annotated with, or a plain number."""
     kinds = get_args(wanted) or (wanted,)
-    plain = isinstance(value, int | float) and not isinstance(value, bool)
+    # `Any` is a class, of which nothing is an instance.
+    plain = Any in kinds or isinstance(value, int | float) and not isinstance(value, bool)
     if not plain and all(isinstance(kind, type) for kind in kinds) and not isinstance(value, kinds):
         raise ValueError(f"argument {name} must be of the shape its class declares, but was {shown(value)}")

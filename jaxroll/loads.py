@@ -322,10 +322,12 @@ class UserLoad(AbstractLoad):
     def wrench(self, t: Scalar, object_: Moving) -> Wrench:
         pose, moves = object_.pose, object_.twist
         spatial = isinstance(pose.origin, Vec3)
-        spin = moves.spin.array() if spatial else jnp.asarray(moves.spin)
         orientation = jnp.stack(object_.orientation) if spatial else jnp.asarray(object_.orientation[0])
-        twist = Twist(moves.velocity.array(), spin)
         place = Pose(pose.origin.array(), orientation)
+        # What rests may be Python's own zeros, which have no precision of their own.
+        kind = place.position.dtype
+        spin = moves.spin.array() if spatial else jnp.asarray(moves.spin)
+        twist = Twist(moves.velocity.array().astype(kind), spin.astype(kind))
         given = in_arithmetic("load", self.function, t, place, twist)
         if not isinstance(given, tuple | list) or len(given) != 2:
             raise ValueError(f"argument load must return a force and a torque, but returned {shown(given)}")

@@ -1,11 +1,14 @@
 """Equations of motion against independent forms: Lagrangian autodiff, dense KKT, the chapter."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import jaxroll as jxr
+from jaxroll._linalg import Vec3
 from jaxroll._mechanics import join, to_leaves
 from jaxroll._motion import bodies, Index1
 from jaxroll._motion._equations import evaluate
@@ -196,6 +199,77 @@ def test_object_mass_follows_newton_where_nothing_holds_it():
     rates = np.asarray(jnp.stack(instant.rates.v[0][:2]))
     expected = force / 0.04 + np.asarray(GRAVITY)
     np.testing.assert_allclose(rates, expected, rtol=1e-9)
+
+
+def links_one_by_one(finger, q, v):
+    """Tip pose, its twist and acceleration, and of every link m, I, centre, w, w', a, and both Jacobians."""
+    at, turn = np.asarray(finger.base), Rotation.from_quat(np.array(finger.rotation)[[1, 2, 3, 0]])
+    joints, axes, links = [], [], []
+    spin, bend, rate, pull = (np.zeros(3) for _ in range(4))
+    given = map(np.array, (finger.axes, finger.offsets, finger.centres, finger.inertias, finger.masses))
+    for i, (axis, offset, centre, inertia, mass) in enumerate(zip(*given, strict=True)):
+        joints.append(at)
+        axes.append(turn.apply(axis))
+        turn = turn * Rotation.from_rotvec(axis * q[i])
+        bend = bend + np.cross(spin, axes[-1] * v[i])
+        spin = spin + axes[-1] * v[i]
+
+        def moved(arm, spin=spin, bend=bend):
+            return np.cross(bend, arm) + np.cross(spin, np.cross(spin, arm))
+
+        arm, reach = turn.apply(centre), turn.apply(offset)
+        turning = np.array([*axes, *np.zeros((len(q) - i - 1, 3))])
+        moving = np.array([np.cross(a, at + arm - p) for a, p in zip(axes, joints, strict=True)])
+        moving = np.concatenate([moving, np.zeros((len(q) - i - 1, 3))])
+        tensor = turn.as_matrix() @ inertia @ turn.as_matrix().T
+        links.append((mass, tensor, at + arm, spin, bend, pull + moved(arm), turning, moving))
+        rate, pull, at = rate + np.cross(spin, reach), pull + moved(reach), at + reach
+    return (at, turn.as_matrix()), (rate, spin), (pull, bend), links
+
+
+@pytest.mark.parametrize("gravity", [None, (1.0, -2.0, -9.0)])
+def test_a_finger_in_space_is_its_links_one_by_one(gravity):
+    r"""Pose, twist, acceleration, M and h by Kane's equations of single links, about their own centres."""
+    rng = np.random.default_rng(5)
+    turns = np.linalg.qr(rng.normal(size=(3, 3, 3)))[0]
+    finger = jxr.Finger3(
+        axes=rng.normal(size=(3, 3)),
+        offsets=0.05 * rng.normal(size=(3, 3)),
+        masses=[0.05, 0.03, 0.02],
+        centres=0.03 * rng.normal(size=(3, 3)),
+        inertias=np.einsum("kij,j,klj->kil", turns, [1e-5, 4e-5, 6e-5], turns),
+        tip=jxr.Sphere(0.01),
+        base=rng.normal(size=3),
+        rotation=rng.normal(size=4),
+    )
+    q, v = rng.normal(size=3), rng.normal(size=3)
+    field = None if gravity is None else Vec3(*map(jnp.asarray, gravity))
+    motion, inertia = finger.motion(tuple(map(jnp.asarray, q)), tuple(map(jnp.asarray, v)), field)
+    (at, turn), twist, bias, links = links_one_by_one(finger, q, v)
+    pose = motion.pose
+    near = lambda found, wanted: np.testing.assert_allclose(found, wanted, rtol=1e-12, atol=1e-15)  # noqa: E731
+    near(pose.origin.array(), at)
+    near(np.stack([pose.x.array(), pose.y.array(), pose.z.array()], axis=-1), turn)
+    near([motion.twist.velocity.array(), motion.twist.spin.array()], twist)
+    near([motion.bias.velocity.array(), motion.bias.spin.array()], bias)
+    units = np.array([[u.velocity.array(), u.spin.array()] for u in motion.unit_twists])
+    near(np.einsum("i,ijk->jk", v, units), twist)
+    pulled = np.zeros(3) if gravity is None else np.array(gravity)
+    mass, force = np.zeros((3, 3)), np.zeros(3)
+    for m, tensor, _, spin, bend, pull, turning, moving in links:
+        mass += m * moving @ moving.T + turning @ tensor @ turning.T
+        force += m * moving @ (pull - pulled) + turning @ (tensor @ bend + np.cross(spin, tensor @ spin))
+    near([x for row in inertia.mass for x in row], mass[np.tril_indices(3)])
+    near(inertia.force, force)
+    if field is not None:
+        potential = -sum(m * centre @ pulled for m, _, centre, *_ in links)
+        near(finger.gravity_potential(tuple(map(jnp.asarray, q)), field), potential)
+    near(finger.prepared().size, np.linalg.norm(finger.offsets, axis=1).mean())
+    # A step along a gradient may have changed lengths that are one.
+    longer = (2.0 * finger.axes, 3.0 * finger.rotation)
+    scaled = eqx.tree_at(lambda f: (f.axes, f.rotation), finger, longer)
+    again, _ = scaled.motion(tuple(map(jnp.asarray, q)), tuple(map(jnp.asarray, v)), field)
+    near([again.twist.velocity.array(), again.twist.spin.array()], twist)
 
 
 def test_bias_of_a_finger_in_space_is_that_of_its_mass_matrix():

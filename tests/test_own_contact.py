@@ -15,6 +15,7 @@ import jaxroll as jxr
 from jaxroll._mechanics import to_leaves
 from jaxroll._motion import bodies
 from jaxroll.contact import AbstractContact
+from jaxroll.contact._from_gap import derived_bias
 
 # What `Contact` and `Contact3` give in closed form, and the base class derives.
 _DERIVED = ("gap_rate", "pfaffian", "rolling", "place_rate", "bias", "bend", "unknown_bend", "settled")
@@ -51,9 +52,9 @@ def _kinematics(grasp: jxr.Grasp, state: jxr.State) -> list[dict[str, Any]]:
         pair, shapes = (motions[1 + contact.finger], motions[0]), ready.shapes(contact)
         poses, twists = (pair[0].pose, pair[1].pose), (pair[0].twist, pair[1].twist)
         touch = contact.touch(shapes, place)
-        rolling = contact.rolling(shapes, place, pair, touch)
-        turned = jax.tree.map(lambda x: 1e-9 * x, twists[0].spin)
         bend, tangency = contact.bend(shapes, place, poses, touch), contact.tangency(poses, touch)
+        rolling = contact.rolling(shapes, place, pair, touch=touch, bend=bend)
+        turned = jax.tree.map(lambda x: 1e-9 * x, twists[0].spin)
         settled = contact.settled(shapes, place, turned, poses=poses, tangency=tangency, bend=bend)
         found.append(
             {
@@ -83,6 +84,24 @@ def test_derivatives_from_the_gap_are_the_closed_forms(name: str) -> None:
             allowed = 1e-17 if part == "settled" else 1e-13 * np.abs(wanted).max()
             assert np.any(wanted)
             np.testing.assert_allclose(found, wanted, rtol=0, atol=allowed, err_msg=part)
+
+
+def test_the_bias_of_prevented_spin_is_the_rate_of_its_row() -> None:
+    """All four rows of a contact that holds the spin too: their rates, differentiated along the motion."""
+    grasp, state = jxr.scenes.pinch3d()
+    ready = grasp.with_contacts(*(jxr.Contact3(i, i, spin="prevented") for i in range(2))).prepared()
+    thrown = np.random.default_rng(3).normal(size=state.v.shape)
+    leaves = to_leaves(jxr.State(state.q, thrown, state.s), ready.form)
+    motions, _ = bodies(ready, leaves)
+    for contact, place in zip(ready.contacts, leaves.s, strict=True):
+        pair, shapes = (motions[1 + contact.finger], motions[0]), ready.shapes(contact)
+        touch = contact.touch(shapes, place)
+        bend = contact.bend(shapes, place, (pair[0].pose, pair[1].pose), touch)
+        rolling = contact.rolling(shapes, place, pair, touch=touch, bend=bend)
+        bias = _numbers(contact.bias(shapes, place, pair, touch=touch, rolling=rolling))
+        wanted = _numbers(derived_bias(contact, shapes, place, pair, touch=touch, rolling=rolling))
+        assert len(bias) == 4 and np.all(wanted != 0.0)
+        np.testing.assert_allclose(bias, wanted, rtol=0, atol=1e-13 * np.abs(wanted).max())
 
 
 def test_a_run_from_the_gap_alone_is_the_same() -> None:

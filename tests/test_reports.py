@@ -67,6 +67,7 @@ def test_every_body_names_its_coordinates(scene):
         jxr.FreeObject3: (on_a_turntable().object, "x [m] y [m] z [m] qw [] qx [] qy [] qz []"),
         jxr.Finger: (scene[0].fingers[0], "q[0] [rad] q[1] [rad]"),
         jxr.Finger3: (hinge, "q[0] [rad]"),
+        type(hinge.prepared()): (hinge.prepared(), "q[0] [rad]"),
         jxr.Jaw: (on_a_plate(0.0, 1.5).fingers[0], "q[0] [m] q[1] [m]"),
         jxr.Stage: (on_a_turntable().fingers[0], "clock [s]"),
     }

@@ -347,3 +347,11 @@ def test_single_precision_turns_a_ball_that_faces_the_wrong_way():
     # The ball's normal there, up in its own axes, must point down.
     np.testing.assert_allclose(np.stack([2 * (x * z + w * y), 2 * (y * z - w * x)]), 0.0, atol=2e-6)
     np.testing.assert_allclose(w * w - x * x - y * y + z * z, -1.0, atol=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rtol", [1e-8, 1e-4])
+@pytest.mark.parametrize("scene", ["rattleback", "turntable", "incline"])
+def test_returns_to_the_constraints_leave_rounding(scene, rtol):
+    """Up to the default tolerance a step returns once, else twice; balls on planes take the longest steps."""
+    assert off(run_of(getattr(jxr.scenes, scene)(), 2.0, ts=300, rtol=rtol)) <= 1e-14

@@ -1,10 +1,15 @@
 """Numbers that several others use: worked out once, and the same."""
 
+import gc
+import math
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import jaxroll as jxr
+from jaxroll._xla import counted, repeated, uncollected
 from jaxroll._xla._compute_once import once, sharing
 from jaxroll._xla._share_cotangents import shared
 
@@ -81,3 +86,41 @@ def test_no_barriers_on_an_accelerator(monkeypatch):
     with sharing():
         assert divisions(lambda x: once(jnp.sin(x)), 0.3) == 0
     assert divisions(shared(lambda x: (jnp.sin(x), jnp.sin(x) ** 2)), 0.3) == 0
+
+
+def test_counted_loops_are_differentiated_and_mapped():
+    """A factorial's logarithm, turn by turn, against the closed form and JAX's own loop."""
+    turn = lambda i, total, held: total + held["scale"] * jnp.log(i + held["first"])  # noqa: E731
+    run = lambda x: counted(5, turn, jnp.zeros(()), {"scale": x, "first": 1, "name": "factorial"})  # noqa: E731
+    assert float(run(2.0)) == pytest.approx(2.0 * math.log(120.0), rel=1e-15)
+    assert float(jax.jvp(run, (2.0,), (1.0,))[1]) == pytest.approx(math.log(120.0), rel=1e-15)
+    np.testing.assert_allclose(jax.vmap(run)(jnp.arange(3.0)), np.arange(3.0) * math.log(120.0), rtol=1e-15)
+
+
+def test_nothing_moves_out_of_a_repeated_loop():
+    """What every turn works out anew stays with its use; out of JAX's own loop XLA moves it."""
+    going, turn = (lambda x: x < 10.0), (lambda x, held: x + jnp.exp(held))
+    ours = jax.jit(lambda x: repeated(going, turn, 0.0 * x, x))
+    plain = jax.jit(lambda x: jax.lax.while_loop(going, lambda y: turn(y, x), 0.0 * x))
+    assert float(ours(0.5)) == float(plain(0.5))
+    together = ["exponential_add" in f.lower(0.5).compile().as_text() for f in (ours, plain)]
+    assert together == [True, False]
+
+
+@pytest.mark.parametrize("was", [True, False])
+def test_the_collector_is_left_as_it_was(was):
+    """Off inside, also after an inner one has ended; afterwards as before, an exception or not."""
+    before, seen = gc.isenabled(), []
+    try:
+        (gc.enable if was else gc.disable)()
+        with pytest.raises(ZeroDivisionError), uncollected():
+            with uncollected():
+                pass
+            seen.append(gc.isenabled())
+            raise ZeroDivisionError
+        assert seen == [False] and gc.isenabled() is was
+        # A run that is compiled collects nothing meanwhile, and does not leave it so.
+        jxr.simulate(*jxr.scenes.pivoted(), 0.01, ts=1, max_steps=77)
+        assert gc.isenabled() is was
+    finally:
+        (gc.enable if before else gc.disable)()

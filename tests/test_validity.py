@@ -7,6 +7,7 @@ import pytest
 from scipy.special import ellipeinc
 
 import jaxroll as jxr
+from jaxroll._integration._arguments import Numbers, sweeps
 from jaxroll._xla._trigonometry import branch_free, inverse_sinh
 from jaxroll.geometry import Ellipsoid, Superellipsoid, tabled
 
@@ -123,3 +124,33 @@ def test_inverse_sinh_beyond_its_range_is_no_number():
 def test_more_fingers_than_compile_are_refused():
     with pytest.raises(ValueError, match="argument count must be at most 16, since more .* but was 60"):
         jxr.scenes.ring(60)
+
+
+def test_one_return_to_the_constraints_up_to_the_default_tolerance_and_two_beyond():
+    """Gaps stay at rounding either way; a tolerance that is traced, and constant steps, have two."""
+    numbers = lambda rtol: Numbers(0.0, 1.0, None, 1e-3, np.asarray(rtol), np.asarray(1e-9))  # noqa: E731
+    asked = [
+        sweeps(numbers(rtol), own_control=own) for rtol, own in ((1e-8, False), (2e-8, False), (1e-8, True))
+    ]
+    assert asked == [1, 2, 2]
+    traced = []
+    jax.jit(lambda rtol: traced.append(sweeps(Numbers(0.0, 1.0, None, 1e-3, rtol, rtol), False)))(1e-8)
+    assert traced == [2]
+    grasp, state = jxr.scenes.pinch_ellipse()
+    for rtol in (1e-8, 1e-4):
+        run = jxr.simulate(grasp, state, 2.0, ts=3, rtol=rtol)
+        left = run.residuals
+        assert max(float(jnp.abs(x).max()) for x in (left.normal, left.tangential, left.tangency)) <= 1e-14
+
+
+@pytest.mark.parametrize("scene", ["pivoted", "roller", pytest.param("turntable", marks=pytest.mark.slow)])
+def test_single_precision_stays_single_where_double_is_allowed(scene):
+    """Closed and run in its own precision, to its rounding where the double one is."""
+    grasp, state = getattr(jxr.scenes, scene)()
+    single = lambda tree: jax.tree.map(lambda x: x.astype(jnp.float32), tree)  # noqa: E731
+    small, start = jxr.close(single(grasp), single(state))
+    run = jxr.simulate(small, start, 0.2, ts=3, rtol=1e-4)
+    kinds = {leaf.dtype for leaf in jax.tree.leaves((start, run.states, run.residuals))}
+    assert kinds == {jnp.dtype("float32")}
+    wanted = jxr.simulate(grasp, state, 0.2, ts=3).states.q
+    np.testing.assert_allclose(run.states.q, wanted, atol=1e-5)

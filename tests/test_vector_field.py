@@ -156,3 +156,10 @@ def test_bad_arguments_get_one_sentence(asked, wanted, scene):
     with pytest.raises(ValueError, match=wanted) as caught:
         asked(*scene)
     assert "\n" not in str(caught.value)
+
+
+def test_a_start_in_space_is_the_state():
+    """What is made ready of spatial fingers is taken where a grasp is checked."""
+    grasp, state = jxr.scenes.pinch3d()
+    y = jxr.vector_field(grasp).start(state)
+    np.testing.assert_array_equal(y, np.concatenate([state.q, state.v, state.s]))

@@ -21,8 +21,9 @@ from jax.experimental import pallas as pl
 from jax.experimental.pallas import triton as plgpu
 from jaxtyping import Array, Float, Int
 
+from jaxroll._integration._arguments import SWEEPS
 from jaxroll._integration._events import decode, regime
-from jaxroll._integration._step import _SWEEPS, tableau_of
+from jaxroll._integration._step import tableau_of
 from jaxroll._linalg._plane import total
 from jaxroll._mechanics import Form, Grasp, Leaves, State
 from jaxroll._motion._equations import evaluate
@@ -285,8 +286,8 @@ def _step(method: _Method, goal: _Goal, course: _Course) -> tuple[Blocks, Blocks
     leaves = _leaves(method.form, raw)
     instant = evaluate(grasp, t1, leaves, Index1())
     _, number = regime(grasp, leaves, instant, _EVENTS)
-    anchor, rates = anchor_of(grasp, leaves.s, instant), _flat(instant.rates)
-    for _ in range(_SWEEPS):
+    anchor, rates = anchor_of(instant), _flat(instant.rates)
+    for _ in range(SWEEPS):
         leaves = settle(grasp, leaves, anchor)
     x = _flat(compatible(grasp, leaves, anchor.line))
     error = mixed((*slopes, rates), [method.row(i)[count + 1] for i in range(count)])

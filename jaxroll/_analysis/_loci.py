@@ -185,7 +185,9 @@ def _velocities(grasp: Grasp, leaves: Leaves) -> Array:
     each = zip(grasp.contacts, leaves.s, touches(grasp, leaves.s), strict=True)
     for contact, place, touching in each:
         pair = motions[1 + contact.finger], motions[0]
-        velocity = contact.rolling(grasp.shapes(contact), place, pair, touching)
+        shapes, poses = grasp.shapes(contact), (pair[0].pose, pair[1].pose)
+        bend = contact.bend(shapes, place, poses, touching)
+        velocity = contact.rolling(shapes, place, pair, touch=touching, bend=bend)
         rows.append(jnp.stack([motion.pose.back(velocity).array() for motion in pair]))
     return jnp.stack(rows)
 

@@ -26,7 +26,7 @@ from jax.scipy.linalg import lu_factor, lu_solve
 from jaxtyping import Array
 
 from .._linalg import stacked, unstack
-from .._mechanics import Grasp, join, split, State, to_leaves, to_places
+from .._mechanics import Grasp, join, Leaves, split, State, to_leaves, to_places
 from .._motion import bodies, displaced, mass_matrix, touches, world_poses
 from .._types import ByPrecision
 from .._xla import one_kernel, sharing
@@ -237,8 +237,11 @@ def metric_at(grasp: Grasp, guess: State, hold: bool) -> Array:
     Where contacts may roll, their coordinates follow with a small weight of 1e-3 each: they should move
     freely beside the poses, but a metric without any weight for them would be singular.
     """
+    # At rest: Python's own zeros leave all out that comes with velocities.
+    leaves = to_leaves(guess, grasp.form)
+    still = Leaves(leaves.q, tuple((0.0,) * size for size in grasp.sizes), leaves.s, leaves.memory)
     with sharing():
-        _, inertias = bodies(grasp, to_leaves(guess, grasp.form))
+        _, inertias = bodies(grasp, still)
         mass = mass_matrix([inertia.mass for inertia in inertias], grasp.coordinates)
     n = grasp.coordinates
     size = n + (0 if hold else sum(contact.slack for contact in grasp.contacts))

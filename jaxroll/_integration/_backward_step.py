@@ -16,7 +16,7 @@ import jax.numpy as jnp
 
 from .._linalg import row, scalars, weighted_sum, with_row_selected
 from .._types import Scalar
-from .._xla import shared
+from .._xla import counted, shared
 from ._state_vector import Bundle, Flow
 from ._step import ending_size, RollingStep, sample_times, tableau_of
 
@@ -42,14 +42,14 @@ def pulled_back(
     if bundle.jumps:
         y0, unmoved = jax.vjp(lambda m, y: step.moved(eqx.combine(m, still), *times, y), moving, y0)
     # Forwards once more: recorded slopes of all steps would take more memory than the states of a batch.
-    slopes, raw, end = step.stages(lambda t, x: at(moving, t, x), times, y0, ending_size(bundle))
+    slopes, raw, end = step.stages(at, moving, times, y0, size=ending_size(bundle))
     slopes = slopes[:, :width]
     back = lambda bar, *ends: jax.vjp(finish, *ends)[1](bar)  # noqa: E731
     moving_bar, raw_bar, rates_bar, end_bar = shared(back)(bar, moving, raw[:width], slopes[-1], end)
     rows, shares, _ = tableau_of(step.method, y0.dtype)
     shares, count = jnp.asarray(shares, y0.dtype), len(shares)
 
-    def stage(k: Scalar, carry: tuple) -> tuple:
+    def stage(k: Scalar, carry: tuple, moving: Bundle) -> tuple:
         moving_bar, slopes_bar, x0_bar, late, raw_bar, end_bar = carry
         i = count - 1 - k
         weights = row(rows, i)
@@ -66,7 +66,7 @@ def pulled_back(
 
     slopes_bar = with_row_selected(jnp.zeros_like(slopes), rates_bar, count - 1)
     start = moving_bar, slopes_bar, jnp.zeros_like(raw_bar), jnp.zeros_like(dt), raw_bar, end_bar
-    moving_bar, slopes_bar, x0_bar, late, _, _ = jax.lax.fori_loop(0, count - 1, stage, start)
+    moving_bar, slopes_bar, x0_bar, late, _, _ = counted(count - 1, stage, start, moving)
     # Margin and code of the start are read by nothing in the step.
     y0_bar = jnp.concatenate([x0_bar, slopes_bar[0], jnp.zeros(2, bar.dtype)])
     if unmoved is not None:

@@ -26,7 +26,7 @@ from jaxtyping import Array, Float, Int
 
 from .._linalg import row, with_row
 from .._types import Scalar
-from .._xla import as_it_is, filled, linear_map, one_kernel, pulled
+from .._xla import as_it_is, filled, linear_map, one_kernel, pulled, repeated
 from ._backward_step import pulled_back
 from ._batch import Ensemble
 from ._jumps import is_short
@@ -215,8 +215,8 @@ def _pulled(steps: _Steps, track: Array, last_bar: Flow, later_bar: Scalar) -> t
     longest, end = eqxi.unvmap_max(steps.count), steps.count
     zero, unit = jnp.zeros((), last_bar.dtype), jnp.arange(last_bar.shape[0]) == steps.margin
 
-    def step(i: Scalar, carry: tuple[Bundle, Flow, Scalar, Scalar]) -> tuple[Bundle, Flow, Scalar, Scalar]:
-        moving_bar, ahead, drift, late = carry
+    def step(carry: tuple, held: tuple[_Steps, Array]) -> tuple:
+        (i, moving_bar, ahead, drift, late), (steps, track) = carry, held
         # Turns 0 and 1 are steps of no length from the end; then come the steps themselves, the last first.
         # In a batch all lanes take as many turns as the longest run: `used` leaves out those past an end.
         k = jnp.where(i < 2, end, longest + 1 - i)
@@ -229,7 +229,8 @@ def _pulled(steps: _Steps, track: Array, last_bar: Flow, later_bar: Scalar) -> t
         ahead = row(track, here) + jnp.where(used, back, 0.0)
         ahead += jnp.where(here == end, last_bar + jnp.where(unit, late, 0.0), 0.0)
         moving_bar = jax.tree.map(lambda total, part: total + jnp.where(used, part, 0.0), moving_bar, more)
-        return moving_bar, jnp.where(i == 0, last_bar, ahead), drift, late
+        return i + 1, moving_bar, jnp.where(i == 0, last_bar, ahead), drift, late
 
-    start = (jax.tree.map(jnp.zeros_like, steps.moving), unit.astype(last_bar.dtype), zero, zero)
-    return jax.lax.fori_loop(0, longest + 2, step, start)[:2]
+    nothing = jax.tree.map(jnp.zeros_like, steps.moving)
+    start = (jnp.asarray(0), nothing, unit.astype(last_bar.dtype), zero, zero)
+    return repeated(lambda carry: carry[0] < longest + 2, step, start, (steps, track))[1:3]

@@ -172,9 +172,10 @@ def _geometry(grasp: Grasp, leaves: Leaves, instant: Instant) -> list[Limit]:
         c.curvature_margin(grasp.shapes(c), place, pair, t)
         for (c, pair, t), place in zip(_each_contact(grasp, instant), leaves.s, strict=True)
     ]
-    limits += [Limit(m - _FLAT, _numbered(_SINGULAR_CONTACT, i)) for i, m in enumerate(bends)]
+    # Added with its sign: a constant that is subtracted becomes a negation, which XLA moves (`_xla._loops`).
+    limits += [Limit(m + -_FLAT, _numbered(_SINGULAR_CONTACT, i)) for i, m in enumerate(bends)]
     # The pivot belongs to all contacts together.
-    pivot = instant.line.schur.smallest_pivot - _SINGULAR
+    pivot = instant.line.schur.smallest_pivot + -_SINGULAR
     return [*limits, Limit(pivot, _numbered(_SINGULAR_CONTACT, None))]
 
 
@@ -209,13 +210,14 @@ def _forces(grasp: Grasp, instant: Instant | Struck, events: tuple[str, ...]) ->
 def refused_blow(grasp: Grasp, done: Struck, events: tuple[str, ...]) -> tuple[Scalar, Scalar]:
     """Whether contacts cannot answer a blow, and the number of the contact and code that say so.
 
-    The contact impulses are subject to the limits of contact forces, to rounding.
+    The contact impulses are subject to the limits of contact forces, to the rounding of momentum.
     """
     limits = _forces(grasp, done, events)
     if not limits:
         return jnp.asarray(False), jnp.asarray(0)
     limit = _nearest(limits)
-    largest = jnp.max(jnp.abs(jnp.stack([x for rows in done.forces for x in rows])))
+    parts = [x for each in (done.forces, done.momentum) for rows in each for x in rows]
+    largest = jnp.max(jnp.abs(jnp.stack(parts)))
     return limit.margin < -_BALANCED * largest, limit.number
 
 

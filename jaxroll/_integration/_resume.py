@@ -108,7 +108,8 @@ def _overlap_rate(grasp: Grasp, state: State, rates: Array, lost: int) -> Scalar
     contact = ready.contacts[lost]
     shapes, pair, place = ready.shapes(contact), (motions[1 + contact.finger], motions[0]), leaves.s[lost]
     touch, poses = contact.touch(shapes, place), (pair[0].pose, pair[1].pose)
-    rolling = contact.rolling(shapes, place, pair, touch)
+    bend = contact.bend(shapes, place, poses, touch)
+    rolling = contact.rolling(shapes, place, pair, touch=touch, bend=bend)
     bias = contact.bias(shapes, place, pair, touch=touch, rolling=rolling)
     # g'' = A v' + A' v, of which the part along the normal counts as the gap itself does: overlaps positive.
     each = split(rates, ready.sizes)

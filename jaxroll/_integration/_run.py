@@ -18,6 +18,7 @@ from jaxtyping import Array, Float, Int
 from .._linalg import row, with_row
 from .._results import RESULTS
 from .._types import resolution, Scalar, Times
+from .._xla import repeated
 from . import _jumps
 from ._events import decode
 from ._state_vector import Bundle, Flow
@@ -123,7 +124,7 @@ def aim(plan: Plan, course: Course) -> tuple[Scalar, Scalar]:
         stop = jnp.minimum(stop, _jumps.stop(plan.jumps, course.passed, pace.t))
     ahead = plan.control(pace).ahead(pace.t)
     # The first step has no length, however near the first stop is.
-    t1 = jnp.where((ahead > stop - _SAME_TIME) & (pace.length > 0), stop, ahead)
+    t1 = jnp.where((ahead > stop + -_SAME_TIME) & (pace.length > 0), stop, ahead)
     return pace.t, jnp.where(course.busy, t1, pace.t)
 
 
@@ -187,13 +188,14 @@ def recorded(grasp: Bundle, y0: Flow, plan: Plan) -> tuple[Path, Record]:
 
 
 def _solo(grasp: Bundle, y0: Flow, plan: Plan, record: Record | None) -> tuple[Path, Any]:
-    def turn(carry: tuple) -> tuple:
-        course, saved, record, meter = carry
+    def turn(carry: tuple, held: tuple[Bundle, Plan]) -> tuple:
+        (course, saved, record, meter), (grasp, plan) = carry, held
         times = aim(plan, course)
         step = plan.stepper.advance(grasp, *times, course.y)
         course = judge(plan, course, times, step)
         # One row more than save times takes what is not wanted: a write that always happens needs no branch.
-        place = jnp.where(course.hit, course.saved - 1, plan.ts.shape[0])
+        # `+ -1`: a constant that is subtracted becomes a negation, which XLA moves about (`_xla._loops`).
+        place = jnp.where(course.hit, course.saved + -1, plan.ts.shape[0])
         saved = with_row(saved, course.y, place)
         if record is not None:
             # A step that was not taken writes the state before it once more, where that stands already.
@@ -204,7 +206,7 @@ def _solo(grasp: Bundle, y0: Flow, plan: Plan, record: Record | None) -> tuple[P
 
     nothing = jnp.full((plan.ts.shape[0] + 1, y0.shape[0]), jnp.nan, y0.dtype)
     start = (embark(plan, y0), nothing, record, plan.progress.init())
-    course, saved, record, meter = jax.lax.while_loop(lambda c: c[0].busy, turn, start)
+    course, saved, record, meter = repeated(lambda c: c[0].busy, turn, start, (grasp, plan))
     plan.progress.close(meter)
     pace = course.pace
     counts = (pace.attempted, pace.accepted, course.loop)

@@ -37,7 +37,7 @@ from .._motion import (
     unknown_anchor,
 )
 from .._types import Scalar
-from .._xla import as_it_is, once, sharing
+from .._xla import as_it_is, counted, once, sharing
 from ..loads import impulses
 from . import _jumps
 from ._events import coded, first_dip, refused_blow, regime, smallest_clearance, watched, with_clearance
@@ -55,12 +55,16 @@ class RollingStep(eqx.Module):
         formulation: Projection or stabilisation.
         lay: Layout of the flow vector.
         events: What ends a run, besides the ends of contours and singular contacts.
+        sweeps: How often a step's end returns to the constraints (`_arguments.sweeps`).
+        reverse: Whether JAX is to transpose the loop over the stages, as in dense output.
     """
 
     method: diffrax.AbstractSolver
     formulation: Formulation
     lay: Layout = eqx.field(static=True)
     events: tuple[str, ...] = eqx.field(static=True)
+    sweeps: int = eqx.field(static=True)
+    reverse: bool = eqx.field(static=True, default=False)
 
     @property
     def error_order(self) -> Any:
@@ -147,7 +151,7 @@ class RollingStep(eqx.Module):
             ending = Ending.unpacked(grasp, end)
             x1 = raw
             if isinstance(self.formulation, Index1):
-                x1 = returned(self.lay, grasp, raw, ending.anchor)
+                x1 = returned(self.lay, grasp, raw, ending.anchor, sweeps=self.sweeps)
             leaves, _ = unpack(self.lay, x1)
             judged = with_clearance(grasp, leaves, (ending.margin, ending.number), self.events)
             end = coded(x1, *judged)
@@ -196,7 +200,7 @@ class RollingStep(eqx.Module):
     ) -> tuple[Array, Array, Array, Array, Array]:
         """All stages and the step's end in one loop, so that the equations are compiled once."""
         at = lambda t, x: over(self.at)(bundle, t, x)  # noqa: E731
-        slopes, raw, end = self.stages(at, (t0, t1), y0, ending_size(bundle))
+        slopes, raw, end = self.stages(over(self.at), bundle, (t0, t1), y0, size=ending_size(bundle))
         _, shares, weights = tableau_of(self.method, y0.dtype)
         width, dt = self.lay.width, jax.lax.stop_gradient(t1 - t0)
         raw, error, rates = raw[:width], dt[None] * weighted_sum(weights, slopes)[:width], slopes[-1, :width]
@@ -206,7 +210,7 @@ class RollingStep(eqx.Module):
         return raw, rates, error, end, self._dip_between(at, (t0, t1), y0, (raw, rates, end))
 
     def stages(
-        self, at: Callable, times: tuple[Array, Array], y0: Array, size: int
+        self, at: Callable, bundle: Any, times: tuple[Array, Array], y0: Array, *, size: int
     ) -> tuple[Array, Array, Array]:
         """The slopes of all stages, the last stage's x, which is the step's end, and what is left of it.
 
@@ -220,15 +224,20 @@ class RollingStep(eqx.Module):
         slopes = jnp.concatenate([k0[None], jnp.zeros((count - 1, *k0.shape), k0.dtype)])
         put = with_row_selected if dt.ndim == 0 else with_row
 
-        def stage(i: Scalar, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-            slopes = carry[0]
+        def stage(i: Scalar, carry: tuple[Array, Array, Array], bundle: Any) -> tuple[Array, Array, Array]:
+            slopes, i = carry[0], i + 1
             x = x0 + dt[None] * weighted_sum(scalars(row(rows, i)), slopes)
-            rates, end = at(times[0] + shares[i] * dt, x)
+            rates, end = at(bundle, times[0] + shares[i] * dt, x)
             return put(slopes, jnp.concatenate([rates, end[_MARGIN][None]]), i), x, end
 
-        # A derivative of all stages side by side would take long to compile.
-        loop = jax.lax.fori_loop if dt.ndim == 0 else _repeated
-        return loop(1, count, stage, (slopes, x0, jnp.zeros((size, *dt.shape), y0.dtype)))
+        start = slopes, x0, jnp.zeros((size, *dt.shape), y0.dtype)
+        # On accelerators every turn launches all its kernels anew: there they stand side by side, but for
+        # a single run, whose derivative would take long to compile.
+        unrolled = dt.ndim > 0 and jax.default_backend() != "cpu"
+        if self.reverse or unrolled:
+            plain = lambda i, carry: stage(i, carry, bundle)  # noqa: E731
+            return jax.lax.fori_loop(0, count - 1, plain, start, unroll=unrolled or None)
+        return counted(count - 1, stage, start, bundle)
 
     def at(self, bundle: Bundle, t: Scalar, x: Array) -> tuple[Array, Array]:
         """Time derivative of x, and what is needed of it if the step ends there, as vectors."""
@@ -239,9 +248,7 @@ class RollingStep(eqx.Module):
     def _evaluated(self, grasp: Grasp, t: Scalar, x: Array) -> tuple[Array, "Ending"]:
         rates, instant = slope(self.lay, grasp, t, x, formulation=self.formulation)
         leaves, _ = unpack(self.lay, x)
-        return rates, Ending(
-            anchor_of(grasp, leaves.s, instant), *regime(grasp, leaves, instant, self.events)
-        )
+        return rates, Ending(anchor_of(instant), *regime(grasp, leaves, instant, self.events))
 
     def _other(
         self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow, over: Callable
@@ -289,10 +296,11 @@ class RollingStep(eqx.Module):
         return raw, rates, error, end, first_dip(STAGE_TIMES[seen], [margins[i] for i in seen])
 
 
-def returned(lay: Layout, grasp: Grasp, raw: Array, anchor: Anchor) -> Array:
+def returned(lay: Layout, grasp: Grasp, raw: Array, anchor: Anchor, *, sweeps: int) -> Array:
     """The vector x back onto the constraints, positions before velocities."""
     x = raw
-    for _ in range(_SWEEPS):
+    # As a loop the sweeps would take longer to compile, backwards above all.
+    for _ in range(sweeps):
         leaves, work = unpack(lay, x)
         x = once(pack(settle(grasp, leaves, anchor), work))
     leaves, work = unpack(lay, x)
@@ -320,12 +328,6 @@ class Ending(eqx.Module):
         """The way back."""
         form = jax.tree.structure(cls.unknown(grasp))
         return jax.tree.unflatten(form, scalars(numbers))
-
-
-def _repeated(start: int, stop: int, body: Callable, carry: Any) -> Any:
-    """`jax.lax.fori_loop`; unrolled on accelerators, where every turn launches all its kernels anew."""
-    unroll = None if jax.default_backend() == "cpu" else True
-    return jax.lax.fori_loop(start, stop, body, carry, unroll=unroll)
 
 
 @eqx.filter_custom_jvp
@@ -357,9 +359,6 @@ _NEAR = 1e-4
 _MARGIN = -2
 # Where a step is looked at if no stages serve, as shares of it.
 _AUDITED = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
-# Sweeps of the projection: a gap of 1e-6 m is below rounding after two. As a loop they would take longer
-# to compile, backwards above all.
-_SWEEPS = 2
 
 
 def tableau_of(method: Any, dtype: Any) -> tuple[Array, np.ndarray, list[float]]:

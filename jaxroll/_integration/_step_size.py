@@ -185,7 +185,7 @@ def _narrowed(
     used_up = left <= 2.0 * least
     grain = jnp.where(used_up, 64.0, 1.0) * hunt.grain
     leap = jnp.where(jnp.isfinite(left), jnp.where(used_up, 8.0 * least, jnp.inf), 8.0 * hunt.leap)
-    gone_on = Hunt(jnp.where(used_up, jnp.inf, left), after, weighed, -jnp.ones_like(spent), leap, grain)
+    gone_on = Hunt(jnp.where(used_up, jnp.inf, left), after, weighed, jnp.full_like(spent, -1.0), leap, grain)
     pick = lambda new, old: jnp.where(back, new, old)  # noqa: E731
     rest = jax.tree.map(lambda new, old: jnp.where(kept, new, old), gone_on, hunt)
     return jax.tree.map(pick, taken_back, rest)

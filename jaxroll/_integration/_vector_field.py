@@ -33,7 +33,7 @@ from .._motion import (
 from .._printing import listed
 from .._results import check_instance, shown
 from .._types import Scalar
-from ._arguments import check_choices
+from ._arguments import check_choices, SWEEPS
 from ._events import EVENTS, regime
 from ._methods import check_method, Steady, with_tolerances
 from ._projected_method import Projected
@@ -84,7 +84,7 @@ class VectorField(eqx.Module):
             return y
         # One more evaluation, at y, which `simulate` has from the last stage of a step.
         leaves, instant = self._at(t, y)
-        return returned(self._lay, self.grasp, y, anchor_of(self.grasp, leaves.s, instant))
+        return returned(self._lay, self.grasp, y, anchor_of(instant), sweeps=SWEEPS)
 
     def projected(self, solver: diffrax.AbstractSolver | None = None) -> Projected:
         """A method of diffrax that projects after every step; None: `diffrax.Dopri8()`.

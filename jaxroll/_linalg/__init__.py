@@ -38,6 +38,7 @@ from ._space import (
     Quaternion as Quaternion,
     quaternion_product as quaternion_product,
     quaternion_rate as quaternion_rate,
+    rotation as rotation,
     seven as seven,
     square as square,
     Sym3 as Sym3,

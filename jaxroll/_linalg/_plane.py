@@ -21,12 +21,13 @@ Triangle = Sequence[Sequence[Scalar]]
 
 
 def times(left: Scalar, right: Scalar) -> Scalar:
-    """Product; nothing is traced where a factor is Python's own 0.0 or 1.0, as constant entries are."""
+    """Product; nothing is traced where a factor is Python's own 0.0 or 1.0, as constant entries are.
+
+    Of -1.0 the sign alone is: XLA would join products with constants, and then move the constants about.
+    """
     for a, b in ((left, right), (right, left)):
-        if isinstance(a, float) and a == 0.0:
-            return 0.0
-        if isinstance(a, float) and a == 1.0:
-            return b
+        if isinstance(a, float) and a in (0.0, 1.0, -1.0):
+            return 0.0 if a == 0.0 else b if a == 1.0 else -b
     return left * right
 
 
@@ -38,8 +39,15 @@ def plus(left: Scalar, right: Scalar) -> Scalar:
 
 
 def minus(left: Scalar, right: Scalar) -> Scalar:
-    """Difference; nothing is traced where the second term is Python's own 0.0."""
-    return left if isinstance(right, float) and right == 0.0 else left - right
+    """Difference; of a term that is Python's own 0.0 nothing is traced."""
+    if isinstance(right, float) and right == 0.0:
+        return left
+    return opposite(right) if isinstance(left, float) and left == 0.0 else left - right
+
+
+def opposite(value: Scalar) -> Scalar:
+    """The number with its sign changed; Python's own 0.0 stays as it is."""
+    return value if isinstance(value, float) and value == 0.0 else -value
 
 
 def root(square: Any) -> Any:
@@ -67,16 +75,16 @@ class Vec2:
     y: Scalar
 
     def __add__(self, other: "Vec2") -> "Vec2":
-        return Vec2(self.x + other.x, self.y + other.y)
+        return Vec2(plus(self.x, other.x), plus(self.y, other.y))
 
     def __sub__(self, other: "Vec2") -> "Vec2":
-        return Vec2(self.x - other.x, self.y - other.y)
+        return Vec2(minus(self.x, other.x), minus(self.y, other.y))
 
     def __neg__(self) -> "Vec2":
-        return Vec2(-self.x, -self.y)
+        return Vec2(opposite(self.x), opposite(self.y))
 
     def __mul__(self, factor: Scalar) -> "Vec2":
-        return Vec2(self.x * factor, self.y * factor)
+        return Vec2(times(self.x, factor), times(self.y, factor))
 
     def __iter__(self) -> Iterator[Scalar]:
         yield self.x
@@ -84,23 +92,24 @@ class Vec2:
 
     def dot(self, other: "Vec2") -> Scalar:
         """Inner product."""
-        return self.x * other.x + self.y * other.y
+        return plus(times(self.x, other.x), times(self.y, other.y))
 
     def cross(self, other: "Vec2") -> Scalar:
         """The out-of-plane component of the cross product."""
-        return self.x * other.y - self.y * other.x
+        return minus(times(self.x, other.y), times(self.y, other.x))
 
     def left(self) -> "Vec2":
         """This vector turned by +90 degrees."""
-        return Vec2(-self.y, self.x)
+        return Vec2(opposite(self.y), self.x)
 
     def right(self) -> "Vec2":
         """This vector turned by -90 degrees."""
-        return Vec2(self.y, -self.x)
+        return Vec2(self.y, opposite(self.x))
 
     def array(self) -> jax.Array:
         """An array of shape (..., 2), for callers."""
-        return jnp.stack([self.x, self.y], axis=-1)
+        # Constant entries are Python's own numbers, without the axes of a batch.
+        return jnp.stack(jnp.broadcast_arrays(self.x, self.y), axis=-1)
 
 
 @jax.tree_util.register_dataclass
@@ -112,10 +121,10 @@ class Twist2:
     spin: Scalar
 
     def __add__(self, other: "Twist2") -> "Twist2":
-        return Twist2(self.velocity + other.velocity, self.spin + other.spin)
+        return Twist2(self.velocity + other.velocity, plus(self.spin, other.spin))
 
     def __mul__(self, factor: Scalar) -> "Twist2":
-        return Twist2(self.velocity * factor, self.spin * factor)
+        return Twist2(self.velocity * factor, times(self.spin, factor))
 
     def at(self, arm: Vec2) -> Vec2:
         """Velocity of the body's point at the end of an arm from the frame's origin, in world axes."""
@@ -158,11 +167,18 @@ def unstack(array: Any) -> Any:
     # A tuple has been taken apart before: `prepared` may be called twice. A scalar is a leaf already.
     if isinstance(array, tuple) or array is None or jnp.ndim(array) == 0:
         return array
-    return tuple(unstack(array[i]) for i in range(array.shape[0]))
+    rest = iter(scalars(jnp.ravel(array)))
+
+    def nested(shape: tuple[int, ...]) -> Any:
+        return tuple(nested(shape[1:]) for _ in range(shape[0])) if shape else next(rest)
+
+    return nested(jnp.shape(array))
 
 
 def scalars(vector: jax.Array) -> list[jax.Array]:
     """The entries of a vector, in one operation: the transpose of many slices would be as many sums."""
+    if not vector.shape[0]:
+        return []
     parts = jax.lax.split(vector, (1,) * vector.shape[0])
     return [jax.lax.squeeze(part, (0,)) for part in parts]
 

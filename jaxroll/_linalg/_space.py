@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from .._types import Scalar
-from ._plane import inner, minus, plus, times, total
+from ._plane import inner, minus, opposite, plus, times, total
 
 Quaternion = tuple[Scalar, Scalar, Scalar, Scalar]
 
@@ -33,7 +33,7 @@ class Vec3:
         return Vec3(minus(self.x, other.x), minus(self.y, other.y), minus(self.z, other.z))
 
     def __neg__(self) -> "Vec3":
-        return Vec3(*(x if isinstance(x, float) and x == 0.0 else -x for x in self))
+        return Vec3(*map(opposite, self))
 
     def __mul__(self, factor: Scalar) -> "Vec3":
         return Vec3(times(self.x, factor), times(self.y, factor), times(self.z, factor))

@@ -1,9 +1,9 @@
 """Bodies and grasp: mass matrix, bias force and kinematics of each body, and their combination in a grasp.
 
 `_body` declares what a body is and holds the objects of the plane; `_finger`, `_jaw`, and in space
-`_object3`, `_finger3`, `_stage` hold the others. `_grasp` combines bodies, contacts and controller,
-`_changes` copies it with other values. `_state` holds positions, velocities and places, `_entry` checks what
-public functions are given. `_motion` forms the equations of motion from all of this.
+`_object3`, `_finger3` (evaluated as `_chain3`), `_stage` hold the others. `_grasp` combines bodies, contacts
+and controller, `_changes` copies it with other values. `_state` holds positions, velocities and places,
+`_entry` checks what public functions are given. `_motion` forms the equations of motion from all of this.
 """
 
 from ._body import (

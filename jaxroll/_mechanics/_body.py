@@ -96,6 +96,10 @@ class AbstractBody(eqx.Module):
         """The frame in the world."""
         return self.placed(q)[0]
 
+    def onto(self, q: Scalars) -> Scalars:
+        """Positions that a step has carried off their manifold, such as a quaternion, back onto it."""
+        return q
+
     @abc.abstractmethod
     def motion(self, q: Scalars, v: Scalars, gravity: Any) -> tuple[Motion, Inertia]:
         """Kinematics of the frame, mass matrix and bias force at one state."""
@@ -182,11 +186,10 @@ class PivotedObject(AbstractObject):
         return Pose2(Vec2(self.pivot[0], self.pivot[1]), cos, sin), lambda v: v[0]
 
     def motion(self, q: Scalars, v: Scalars, gravity: Vec2 | None) -> tuple[Motion, Inertia]:
-        pose, zero = self.pose(q), jnp.zeros_like(q[0])
-        still = Vec2(zero, zero)
-        unit = Twist2(still, jnp.ones_like(zero))
-        motion = Motion(pose, (unit,), Twist2(still, v[0]), Twist2(still, zero))
-        force = zero
+        pose, still = self.pose(q), Vec2(0.0, 0.0)
+        unit = Twist2(still, 1.0)
+        motion = Motion(pose, (unit,), Twist2(still, v[0]), Twist2(still, 0.0))
+        force = 0.0
         if gravity is not None and self.weight_moment is not None:
             # h is minus the torque of the weight, -(c x m g) = g x (m c), with the moment m c in world axes.
             force = gravity.cross(pose.turn(Vec2(*self.weight_moment)))
@@ -240,19 +243,15 @@ class FreeObject(AbstractObject):
         return Pose2(Vec2(q[0], q[1]), cos, sin), lambda v: v[2]
 
     def motion(self, q: Scalars, v: Scalars, gravity: Vec2 | None) -> tuple[Motion, Inertia]:
-        zero, one = jnp.zeros_like(q[2]), jnp.ones_like(q[2])
-        units = (
-            Twist2(Vec2(one, zero), zero),
-            Twist2(Vec2(zero, one), zero),
-            Twist2(Vec2(zero, zero), one),
-        )
+        still = Vec2(0.0, 0.0)
+        units = (Twist2(Vec2(1.0, 0.0), 0.0), Twist2(Vec2(0.0, 1.0), 0.0), Twist2(still, 1.0))
         twist = Twist2(Vec2(v[0], v[1]), v[2])
-        motion = Motion(self.pose(q), units, twist, Twist2(Vec2(zero, zero), zero))
+        motion = Motion(self.pose(q), units, twist, Twist2(still, 0.0))
         # A lower triangle, row by row. The frame sits at the centre of mass: there are no velocity terms.
-        mass = ((self.mass,), (zero, self.mass), (zero, zero, self.inertia))
+        mass = ((self.mass,), (0.0, self.mass), (0.0, 0.0, self.inertia))
         if gravity is None:
-            return motion, Inertia(mass, (zero, zero, zero))
-        return motion, Inertia(mass, (-self.mass * gravity.x, -self.mass * gravity.y, zero))
+            return motion, Inertia(mass, (0.0, 0.0, 0.0))
+        return motion, Inertia(mass, (-self.mass * gravity.x, -self.mass * gravity.y, 0.0))
 
     def gravity_potential(self, q: Scalars, gravity: Vec2) -> Scalar:
         return -self.mass * gravity.dot(Vec2(q[0], q[1]))

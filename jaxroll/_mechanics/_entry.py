@@ -13,7 +13,7 @@ import equinox as eqx
 
 from .._fields import check_module
 from .._results import as_array, check_finite, check_instance
-from .._xla import quickly, remembered
+from .._xla import quickly, remembered, uncollected
 from ..contact import Contact, Contact3
 from ._grasp import Grasp, tabled_grasp
 from ._state import check_shapes, State
@@ -107,6 +107,7 @@ def _guarded(function: _Function, jitted: Callable[..., Any]) -> _Function:
         known = [_finite_times(name, x) for name, x in zip(names[1:], args, strict=False)]
         args = (*known, *args[len(known) :])
         options = {name: _finite_times(name, x) for name, x in options.items()}
-        return jitted(tabled_grasp(grasp), *args, **options)
+        with uncollected():
+            return jitted(tabled_grasp(grasp), *args, **options)
 
     return cast(_Function, door)

@@ -8,6 +8,7 @@ import abc
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -134,11 +135,9 @@ class Finger(AbstractFinger):
         self.masses = taken(self, "masses", masses, shape=links)
         self.base = taken(self, "base", base)
         self.tip = taken(self, "tip", tip)
-        if centres is None:
-            centres = 0.5 * self.lengths
-        self.centres = taken(self, "centres", centres, shape=links)
-        if inertias is None:
-            inertias = self.masses * self.lengths**2 / 12.0
+        halves, rods = _rods(self.masses, self.lengths)
+        self.centres = taken(self, "centres", halves if centres is None else centres, shape=links)
+        inertias = rods if inertias is None else inertias
         self.inertias = taken(self, "inertias", inertias, shape=links)
 
     @property
@@ -246,11 +245,11 @@ class Finger(AbstractFinger):
         """Motion of the tip frame; `pull` is its acceleration at zero joint accelerations."""
         tip = points[-1]
         # A unit rate of the joint at p moves the tip by tip - p, turned left a quarter.
-        units = tuple(Twist2((tip - p).left(), jnp.ones_like(spin)) for p in points[:-1])
+        units = tuple(Twist2((tip - p).left(), 1.0) for p in points[:-1])
         velocity = total([u.velocity * rate for u, rate in zip(units, v, strict=True)])
         pose = Pose2(tip, heading.x, heading.y)
         velocity, pull = once((velocity, pull))
-        return Motion(pose, units, Twist2(velocity, spin), Twist2(pull, jnp.zeros_like(spin)))
+        return Motion(pose, units, Twist2(velocity, spin), Twist2(pull, 0.0))
 
     def _inertia(self, points: tuple[Vec2, ...], centres: list[Vec2], pulls: list[Vec2]) -> Inertia:
         """Mass matrix and bias: for each joint all links beyond it as one body, from the tip inwards.
@@ -286,6 +285,12 @@ class Finger(AbstractFinger):
         points = self.joint_positions(along)
         centres = [p + d * c for p, d, c in zip(points, along, self.centres, strict=False)]
         return total([-gravity.dot(c) * m for c, m in zip(centres, self.masses, strict=True)])
+
+
+@jax.jit  # one small program, not three
+def _rods(masses: Array, lengths: Array) -> tuple[Array, Array]:
+    """Centres of slender rods and their moments about these."""
+    return 0.5 * lengths, masses * lengths**2 / 12.0
 
 
 def _running_sums(values: Scalars) -> list[Scalar]:

@@ -109,14 +109,13 @@ class Jaw(AbstractFinger):
         return (self.pose(q).origin,)
 
     def motion(self, q: Scalars, v: Scalars, gravity: Vec2 | None) -> tuple[Motion, Inertia]:
-        zero = jnp.zeros_like(self.angle)
-        still = Twist2(Vec2(zero, zero), zero)
+        still = Twist2(Vec2(0.0, 0.0), 0.0)
         _, *along = self._axes()
-        units = tuple(Twist2(direction, zero) for direction in along)
+        units = tuple(Twist2(direction, 0.0) for direction in along)
         # `still` comes first for a fixed wall: without joints there would be nothing to add up.
         twist = total([still, *(unit * rate for unit, rate in zip(units, v, strict=True))])
         mass = tuple(tuple(self.mass * a.dot(b) for b in along[: i + 1]) for i, a in enumerate(along))
-        force = tuple(zero if gravity is None else -self.mass * gravity.dot(a) for a in along)
+        force = tuple(0.0 if gravity is None else -self.mass * gravity.dot(a) for a in along)
         return Motion(self.pose(q), units, twist, still), Inertia(mass, force)
 
     def gravity_potential(self, q: Scalars, gravity: Vec2) -> Scalar:

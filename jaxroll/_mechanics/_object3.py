@@ -122,6 +122,9 @@ class FreeObject3(AbstractBody):
         turned = quaternion_product((q[3], q[4], q[5], q[6]), (0.0, v[3], v[4], v[5]))
         return (*v[:3], *(0.5 * x for x in turned))
 
+    def onto(self, q: Scalars) -> Scalars:
+        return (*q[:3], *normalised((q[3], q[4], q[5], q[6])))
+
     def displaced(self, q: Scalars, step: Scalars) -> Scalars:
         # A turn by the small vector d in body axes is the quaternion (1, d/2), normalised, to first order.
         moved = (a + b for a, b in zip(q[:3], step[:3], strict=True))

@@ -4,6 +4,7 @@ The dynamics works on scalars because XLA fuses them (`_linalg`). `Form` says ho
 `to_leaves` goes from one to the other; `_integration._state_vector` goes both ways for a run.
 """
 
+import itertools
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -13,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._linalg import scalars
 from .._printing import listed
 from .._results import as_array, shown
 from .._types import Given, Scalars
@@ -153,16 +155,13 @@ def to_leaves(state: State, form: Form) -> Leaves:
 
 def to_places(s: Array, form: Form) -> tuple[Any, ...]:
     """Contact coordinates, shape (c,), as the places of the contacts."""
-    return jax.tree.unflatten(form.places, [s[i] for i in range(form.places.num_leaves)])
+    return jax.tree.unflatten(form.places, scalars(s))
 
 
 def split(array: Array, sizes: tuple[int, ...]) -> Blocks:
     """One array of shape (n,) as blocks of scalars."""
-    blocks, start = [], 0
-    for size in sizes:
-        blocks.append(tuple(array[start + i] for i in range(size)))
-        start += size
-    return tuple(blocks)
+    rest = iter(scalars(array))
+    return tuple(tuple(itertools.islice(rest, size)) for size in sizes)
 
 
 def join(blocks: Blocks) -> Array:

@@ -5,6 +5,8 @@ one block per body of a contact (`_linearisation`). Here the mass matrices becom
 gradients of the chapter's $Q_i$ and $R_i$.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -84,12 +86,13 @@ def _row(grasp: Grasp, blocks: dict[int, list]) -> Array:
 
 def mass_matrix(masses: list, n: int) -> Float[Array, "n n"]:
     """Block-diagonal mass matrix, shape (n, n), from the lower triangles of the bodies."""
-    entries = [[jnp.zeros(())] * n for _ in range(n)]
+    # Python's own zeros have no precision: the masses decide.
+    entries: list[list[Any]] = [[0.0] * n for _ in range(n)]
     at = 0
     for mass in masses:
         for i, row in enumerate(mass):
             for j, entry in enumerate(row):
-                entries[at + i][at + j] = entries[at + j][at + i] = jnp.asarray(entry)
+                entries[at + i][at + j] = entries[at + j][at + i] = entry
         at += len(mass)
     return jnp.stack([jnp.stack(row) for row in entries])
 

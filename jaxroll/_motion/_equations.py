@@ -37,6 +37,8 @@ class Instant:
             axes, then, where spin is prevented, the torque [N m] about the normal over `_contact3._ARM`.
         motions: Kinematics of the object and of every fingertip.
         touching: Contact frames.
+        bends: For each contact what places move by: in the plane the sum of curvatures [1/m], in space the
+            inverse of the summed shape operators [m].
         line: Constraint Jacobian and factorised Schur complement.
     """
 
@@ -44,6 +46,7 @@ class Instant:
     forces: Rows
     motions: tuple[Motion, ...]
     touching: tuple[Any, ...]
+    bends: tuple[Any, ...]
     line: Linearisation
 
 
@@ -64,7 +67,14 @@ def evaluate(grasp: Grasp, t: Scalar, leaves: Leaves, formulation: Formulation) 
     pairs = [(motions[1 + c.finger], motions[0]) for c in grasp.contacts]
     shapes = [grasp.shapes(c) for c in grasp.contacts]
     each = list(zip(grasp.contacts, shapes, leaves.s, pairs, touching, strict=True))
-    rollings = once(tuple(c.rolling(both, place, pair, t) for c, both, place, pair, t in each))
+    bends = tuple(c.bend(both, place, (tip.pose, body.pose), t) for c, both, place, (tip, body), t in each)
+    bends = once(bends)
+    rollings = once(
+        tuple(
+            c.rolling(both, place, pair, touch=t, bend=bend)
+            for (c, both, place, pair, t), bend in zip(each, bends, strict=True)
+        )
+    )
     biases = [
         c.bias(both, place, pair, touch=t, rolling=r)
         for (c, both, place, pair, t), r in zip(each, rollings, strict=True)
@@ -85,7 +95,7 @@ def evaluate(grasp: Grasp, t: Scalar, leaves: Leaves, formulation: Formulation) 
     moving = zip(grasp.bodies, leaves.q, leaves.v, strict=True)
     turning = tuple(body.rates(q, v) for body, q, v in moving)
     rates = Leaves(turning, accelerations, s_rates, memory_rates)
-    return Instant(rates, forces, motions, touching, line)
+    return Instant(rates, forces, motions, touching, bends, line)
 
 
 def bodies(grasp: Grasp, leaves: Leaves) -> tuple[tuple[Motion, ...], tuple[Inertia, ...]]:

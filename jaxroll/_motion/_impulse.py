@@ -12,10 +12,11 @@ the work $-\mu \cdot b$ on bodies that move as prescribed. `_integration` applie
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 
 from .._linalg import factorise, inner, plus, solve, total
 from .._mechanics import Grasp, Leaves, Moving
@@ -23,7 +24,16 @@ from .._types import Scalar, Scalars
 from ..contact import Motion, Rows
 from ..loads import Impulse
 from ._equations import bodies, object_force, touches
-from ._linearisation import balance, closing, combine, Linearisation, linearise, negative, respond
+from ._linearisation import (
+    apply_jacobian,
+    balance,
+    closing,
+    combine,
+    Linearisation,
+    linearise,
+    negative,
+    respond,
+)
 
 
 @jax.tree_util.register_dataclass
@@ -37,6 +47,8 @@ class Struck:
         motions: Kinematics of the object and of every fingertip before it.
         touching: Contact frames.
         line: Constraint Jacobian and factorised Schur complement.
+        momentum: Impulse of each contact that the sizes of all terms of $A v$ would take [N s], next to which
+            an impulse may be rounding alone.
         work: Of the blow, and on bodies that move as prescribed [J].
     """
 
@@ -45,6 +57,7 @@ class Struck:
     motions: tuple[Motion, ...]
     touching: tuple[Any, ...]
     line: Linearisation
+    momentum: Rows
     work: Scalar
 
 
@@ -66,7 +79,10 @@ def struck(grasp: Grasp, leaves: Leaves, blows: Sequence[tuple[Impulse, Scalar]]
     drifts = zip(forces, line.drift, strict=True)
     moved = [inner(force, given) for force, given in drifts if given is not None]
     work = inner(push, mean) - total(moved)
-    return Struck(Leaves(leaves.q, after, leaves.s, leaves.memory), forces, motions, touching, line, work)
+    sizes = replace(line, jacobian=jax.tree.map(jnp.abs, line.jacobian))
+    momentum = balance(line, apply_jacobian(grasp, sizes, jax.tree.map(jnp.abs, free)))
+    ended = Leaves(leaves.q, after, leaves.s, leaves.memory)
+    return Struck(ended, forces, motions, touching, line, momentum, work)
 
 
 def _pushed(grasp: Grasp, motion: Motion, blows: Sequence[tuple[Impulse, Scalar]]) -> Scalars:

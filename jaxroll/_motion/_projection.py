@@ -46,12 +46,9 @@ class Anchor:
     bends: tuple[Any, ...]
 
 
-def anchor_of(grasp: Grasp, places: Sequence[Any], instant: Instant) -> Anchor:
-    """The anchor of an evaluation at these places, of which all else may be forgotten."""
-    frames = [motion.pose for motion in instant.motions]
-    each = zip(grasp.contacts, places, instant.touching, strict=True)
-    bends = tuple(c.bend(grasp.shapes(c), s, (frames[1 + c.finger], frames[0]), t) for c, s, t in each)
-    return Anchor(instant.line, bends)
+def anchor_of(instant: Instant) -> Anchor:
+    """The anchor of an evaluation, of which all else may be forgotten."""
+    return Anchor(instant.line, instant.bends)
 
 
 def unknown_anchor(grasp: Grasp) -> Anchor:
@@ -66,10 +63,12 @@ def settle(grasp: Grasp, leaves: Leaves, anchor: Anchor) -> Leaves:
     the distance from there: a gap g falls to order g^2 with the first call, to g^3 with the second.
     """
     line = anchor.line
-    # In space a place can be off its surface (an implicit one has three coordinates): it returns there first.
+    # In space a quaternion can be off unit length, and a place off its surface (an implicit one has three
+    # coordinates): they return first. Left to the end, that would turn gaps and normals to first order anew.
+    q = tuple(body.onto(block) for body, block in zip(grasp.bodies, leaves.q, strict=True))
     shapes = [grasp.shapes(c) for c in grasp.contacts]
     places = [c.onto(*pair) for c, *pair in zip(grasp.contacts, shapes, leaves.s, strict=True)]
-    placed = [body.placed(block) for body, block in zip(grasp.bodies, leaves.q, strict=True)]
+    placed = [body.placed(block) for body, block in zip(grasp.bodies, q, strict=True)]
     frames = [pose for pose, _ in placed]
     left = once(residual(grasp, frames, touches(grasp, places)))
     # The displacement -M^-1 A^T (A M^-1 A^T)^-1 g, given as velocities are.
@@ -88,7 +87,7 @@ def settle(grasp: Grasp, leaves: Leaves, anchor: Anchor) -> Leaves:
             bend=anchor.bends[i],
         )
         s.append(place)
-    return Leaves(displaced(grasp, leaves.q, back), leaves.v, tuple(s), leaves.memory)
+    return Leaves(displaced(grasp, q, back), leaves.v, tuple(s), leaves.memory)
 
 
 def compatible(grasp: Grasp, leaves: Leaves, line: Linearisation) -> Leaves:

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._linalg import inner, plus, stacked, total, Vec3
+from .._linalg import inner, plus, stacked, total, Vec2, Vec3
 from .._mechanics import Blocks, compiled_for_many, Grasp, Inertia, join, Leaves, State, to_leaves
 from .._printing import listed
 from .._results import as_array
@@ -302,11 +302,12 @@ def _wrenches(grasp: Grasp, ts: Float[Array, "..."], states: State) -> tuple[Arr
         leaves = to_leaves(state, ready.form)
         motion = bodies(ready, leaves)[0][0]
         found = wrench_on(ready, t, leaves.q[0], motion)
-        force, torque = (motion.pose.origin * 0.0, None) if found is None else found
-        if isinstance(torque, Vec3):
-            return force.array(), torque.array()
-        none = jnp.zeros(3 if ready.spatial else (), force.x.dtype)
-        return force.array(), none if torque is None else jnp.asarray(torque)
+        force, torque = (jax.tree.map(jnp.zeros_like, motion.pose.origin), None) if found is None else found
+        if torque is None:
+            torque = jnp.zeros(3 if ready.spatial else ())
+        parts = (x.array() if isinstance(x, Vec2 | Vec3) else jnp.asarray(x) for x in (force, torque))
+        pushed, turned = (x.astype(state.q.dtype) for x in parts)
+        return pushed, turned
 
     return over_time(at, states, ts)
 

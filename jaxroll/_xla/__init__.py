@@ -1,7 +1,9 @@
 """What is done for XLA, and for nothing else: see README.md beside this file."""
 
 from ._arithmetic import in_arithmetic as in_arithmetic
+from ._collector import uncollected as uncollected
 from ._compute_once import as_it_is as as_it_is, once as once, remembered as remembered, sharing as sharing
+from ._loops import counted as counted, repeated as repeated
 from ._one_kernel import (
     filled as filled,
     in_turn as in_turn,

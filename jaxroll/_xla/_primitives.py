@@ -17,6 +17,8 @@ from jax.extend.mlir import ir
 from jax.extend.mlir.dialects import stablehlo
 from jax.interpreters import ad, batching, mlir
 
+from ._collector import uncollected
+
 _BARRIER, _MAP = jec.Primitive("barrier"), jec.Primitive("linear_map")
 _MAP.multiple_results = True
 
@@ -88,6 +90,12 @@ def _mapped(*args: Any, there: Callable, back: Callable, kinds: tuple, fixed: in
     return there(args[:fixed], args[fixed:])
 
 
+def _compiled(context: mlir.LoweringRuleContext, *args: Any, **params: Any) -> Any:
+    # Here the insides of a map are traced.
+    with uncollected():
+        return mlir.lower_fun(_mapped, multiple_results=True)(context, *args, **params)
+
+
 def _tangents(primals: Sequence[Any], dots: Sequence[Any], **params: Any) -> tuple[Any, Any]:
     fixed = params["fixed"]
     if not all(type(dot) is ad.Zero for dot in dots[:fixed]):
@@ -123,7 +131,7 @@ def _lanes(
 
 _MAP.def_impl(_mapped)
 _MAP.def_abstract_eval(lambda *_, kinds, **__: list(kinds))
-mlir.register_lowering(_MAP, mlir.lower_fun(_mapped, multiple_results=True))
+mlir.register_lowering(_MAP, _compiled)
 ad.primitive_jvps[_MAP] = _tangents
 ad.primitive_transposes[_MAP] = _cotangents
 batching.primitive_batchers[_MAP] = _lanes

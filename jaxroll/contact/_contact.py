@@ -167,9 +167,14 @@ class AbstractContact(eqx.Module):
         """Constraint rows, the contact's part of $A$: over the fingertip's velocities, and the object's."""
         return from_gap.derived_pfaffian(self, bodies, touch)
 
-    def rolling(self, shapes: Shapes, place: Any, bodies: tuple[Motion, Motion], touch: Any) -> Any:
-        """How fast the contact moves over the shapes [m/s], in the directions of `shift`."""
-        return from_gap.derived_rolling(self, shapes, place, bodies, touch=touch)
+    def rolling(
+        self, shapes: Shapes, place: Any, bodies: tuple[Motion, Motion], *, touch: Any, bend: Any
+    ) -> Any:
+        """How fast the contact moves over the shapes [m/s], in the directions of `shift`.
+
+        `bend` is what `bend` returned there.
+        """
+        return from_gap.derived_rolling(self, shapes, place, bodies, touch=touch, bend=bend)
 
     def place_rate(self, shapes: Shapes, place: Any, poses: tuple[Any, Any], rolling: Any) -> Any:
         """Time derivative of the place, from what `rolling` returned."""
@@ -182,7 +187,7 @@ class AbstractContact(eqx.Module):
         return from_gap.derived_bias(self, shapes, place, bodies, touch=touch, rolling=rolling)
 
     def bend(self, shapes: Shapes, place: Any, poses: tuple[Any, Any], touch: Any) -> Any:
-        """What `settled` needs of the derivative of the tangency along the place."""
+        """What `rolling` and `settled` need of the derivative of the tangency along the place."""
         return from_gap.derived_bend(self, shapes, place, poses)
 
     def unknown_bend(self) -> Any:

@@ -147,9 +147,15 @@ class Contact(AbstractContact):
         return tuple(gap_bias(bodies, arms_of((tip.pose, body.pose), touch.points), drift))
 
     def rolling(
-        self, shapes: ContourPair, place: Scalar, bodies: tuple[Motion, Motion], touch: Touch
+        self,
+        shapes: ContourPair,
+        place: Scalar,
+        bodies: tuple[Motion, Motion],
+        *,
+        touch: Touch,
+        bend: Scalar,
     ) -> Scalar:
-        return rolling_rate(touch, bodies[0].twist.spin, bodies[1].twist.spin)
+        return rolling_rate(bend, bodies[0].twist.spin, bodies[1].twist.spin)
 
     def place_rate(self, shapes: ContourPair, place: Scalar, poses: Any, rolling: Scalar) -> Scalar:
         return rolling
@@ -224,6 +230,9 @@ def tangency(tip: Pose2, object_: Pose2, touch: Touch) -> Scalar:
     return tip.turn(touch.tip.tangent).cross(object_.turn(touch.object.tangent))
 
 
-def rolling_rate(touch: Touch, tip_spin: Scalar, object_spin: Scalar) -> Scalar:
-    r"""Rolling rate (7), (68): $(\kappa_A + \kappa_B)\,\dot\sigma = \dot\varphi_B - \dot\varphi_A$."""
-    return (object_spin - tip_spin) / (touch.tip.curvature + touch.object.curvature)
+def rolling_rate(bend: Scalar, tip_spin: Scalar, object_spin: Scalar) -> Scalar:
+    r"""Rolling rate (7), (68): $(\kappa_A + \kappa_B)\,\dot\sigma = \dot\varphi_B - \dot\varphi_A$.
+
+    `bend` is $\kappa_A + \kappa_B$.
+    """
+    return (object_spin - tip_spin) / bend

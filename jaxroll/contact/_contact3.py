@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._fields import real, taken, through
-from .._linalg import Pose3, square, Sym3, tangents, Twist3, Vec3
+from .._linalg import plus, Pose3, square, Sym3, tangents, Twist3, Vec3
 from .._results import check_flag, check_positive, shown
 from .._types import Given, Scalar, Scalars
 from .._xla import once
@@ -189,14 +189,19 @@ class Contact3(AbstractContact):
         normal, bend = body.pose.turn(touch.object.normal), touch.object.shape.apply(body.pose.back(rolling))
         turning = body.twist.spin.cross(normal) + body.pose.turn(bend)
         twists, biases = (tip.twist, body.twist), (tip.bias, body.bias)
-        return (*found, jax.jvp(_spin, (twists, normal), (biases, turning))[1])
+        return (*found, plus(_spin(biases, normal), _spin(twists, turning)))
 
     def rolling(
-        self, shapes: SurfacePair, place: Place, bodies: tuple[Motion, Motion], touch: Touch3
+        self,
+        shapes: SurfacePair,
+        place: Place,
+        bodies: tuple[Motion, Motion],
+        *,
+        touch: Touch3,
+        bend: Sym3,
     ) -> Vec3:
         tip, body = bodies
         turning = tip.twist.spin - body.twist.spin
-        bend = compliance((tip.pose, body.pose), touch, self.line)
         return bend.apply(turning.cross(body.pose.turn(touch.object.normal)))
 
     def place_rate(

@@ -78,14 +78,14 @@ def derived_bias(
 
 
 def derived_rolling(
-    contact: Any, shapes: _Shapes, place: Any, bodies: tuple[Motion, Motion], *, touch: Any
+    contact: Any, shapes: _Shapes, place: Any, bodies: tuple[Motion, Motion], *, touch: Any, bend: Factor
 ) -> Scalars:
     """How fast the place moves, in the directions of `shift`, so that tangency and gaps stay as they are."""
     poses = bodies[0].pose, bodies[1].pose
     rates = _pose_rates(poses, (bodies[0].twist, bodies[1].twist))
     change = _tangency_rate(contact, poses, rates, touch)
-    tilts, gaps = _slopes(contact, shapes, place, poses)
-    return _answer(_normal_matrix(tilts, gaps), tilts, change)
+    tilts, _ = _slopes(contact, shapes, place, poses)
+    return _answer(bend, tilts, change)
 
 
 def derived_place_rate(contact: Any, shapes: _Shapes, place: Any, rates: Scalars) -> Any:
@@ -95,7 +95,7 @@ def derived_place_rate(contact: Any, shapes: _Shapes, place: Any, rates: Scalars
 
 
 def derived_bend(contact: Any, shapes: _Shapes, place: Any, poses: _Pair) -> Factor:
-    """Factor of the matrix of `_normal_matrix`, from which `settled` finds a place near by."""
+    """Factor of the matrix of `_normal_matrix`, with which `rolling` and `settled` move the place."""
     return _normal_matrix(*_slopes(contact, shapes, place, poses))
 
 

@@ -67,7 +67,9 @@ def pfaffian(
 
 
 def gap_bias(bodies: tuple[Motion, Motion], arms: tuple[_Vec, _Vec], drift: tuple[_Vec, _Vec]) -> _Vec:
-    r"""Second derivative of the gap at $\dot v = 0$, which is $\dot A v$: one jvp of `gap_rate`.
+    r"""Second derivative of the gap at $\dot v = 0$, which is $\dot A v$: the product rule on `gap_rate`.
+
+    With $\dot g = v + \omega \times r$ at both points: $\dot v + \dot\omega \times r + \omega \times \dot r$.
 
     Args:
         bodies: Motions of fingertip and object.
@@ -75,13 +77,10 @@ def gap_bias(bodies: tuple[Motion, Motion], arms: tuple[_Vec, _Vec], drift: tupl
         drift: Velocities of these points over their bodies, in world axes.
     """
     # An arm R c changes by omega x R c, a twist without velocity at its end, and by R c', the drift.
-    twists, biases = (bodies[0].twist, bodies[1].twist), (bodies[0].bias, bodies[1].bias)
     still = bodies[0].resting().twist.velocity
-    moves = tuple(
-        type(motion.twist)(still, motion.twist.spin).at(arm) + over
-        for motion, arm, over in zip(bodies, arms, drift, strict=True)
-    )
-    return jax.jvp(gap_rate, (twists, arms), (biases, moves))[1]
+    first, second = (type(motion.twist)(still, motion.twist.spin) for motion in bodies)
+    moves = first.at(arms[0]) + drift[0], second.at(arms[1]) + drift[1]
+    return gap_rate((bodies[0].bias, bodies[1].bias), arms) + gap_rate((first, second), moves)
 
 
 def arms_of(poses: tuple[Any, Any], points: tuple[Any, Any]) -> tuple[Any, Any]:

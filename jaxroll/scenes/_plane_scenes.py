@@ -8,6 +8,7 @@ nearest one at which all contacts are closed. `pinch` and `ring` then start thei
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -107,11 +108,17 @@ def rectangle(width: Given = 0.03, height: Given = 0.05, mass: Given = 0.02) -> 
         2
     """
     width, height, mass = as_length("width", width), as_length("height", height), as_positive("mass", mass)
-    face = Line(jnp.stack([-0.5 * height, 0.5 * height]))
-    zero = jnp.zeros_like(width)
-    left = face.moved(jnp.stack([-0.5 * width, zero]), np.pi)
-    right = face.moved(jnp.stack([0.5 * width, zero]))
-    return FreeObject((left, right), mass, mass * (width**2 + height**2) / 12.0)
+    along, across, inertia = _rectangle(width, height, mass)
+    face = Line(along)
+    return FreeObject((face.moved(across[0], np.pi), face.moved(across[1])), mass, inertia)
+
+
+@jax.jit  # one small program, not nine
+def _rectangle(width: Array, height: Array, mass: Array) -> tuple[Array, Array, Array]:
+    """Ends of a rectangle's faces along them, the middles of both faces, and its moment of inertia."""
+    sides = jnp.array([-0.5, 0.5], width.dtype)
+    middles = jnp.stack([sides * width, jnp.zeros_like(sides)], axis=-1)
+    return sides * height, middles, mass * (width**2 + height**2) / 12.0
 
 
 def pinch(

@@ -6,8 +6,10 @@ are given by hand, and `close` moves everything from there until the contacts ar
 
 from typing import Literal
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from .._closing import close
 from .._mechanics import Finger3, FreeObject3, Grasp, State
@@ -44,13 +46,22 @@ def cuboid(width: Given = 0.03, height: Given = 0.05, depth: Given = 0.05, mass:
         2
     """
     given = {"width": width, "height": height, "depth": depth}
-    edges, mass = jnp.stack([as_length(*item) for item in given.items()]), as_positive("mass", mass)
+    mass = as_positive("mass", mass)
+    edges, inertia, half = _cuboid([as_length(*item) for item in given.items()], mass)
     # A plane's normal is its z axis: quarter turns about -y and +y take it to -x and +x.
-    half, zero, turn = 0.5 * edges[0], jnp.zeros_like(edges[0]), np.sqrt(0.5)
-    left = Plane().moved(jnp.stack([-half, zero, zero]), (turn, 0.0, -turn, 0.0))
-    right = Plane().moved(jnp.stack([half, zero, zero]), (turn, 0.0, turn, 0.0))
+    turn = np.sqrt(0.5)
+    left = Plane().moved(half[0], (turn, 0.0, -turn, 0.0))
+    right = Plane().moved(half[1], (turn, 0.0, turn, 0.0))
+    return FreeObject3((left, right), mass, inertia, outline=edges)
+
+
+@jax.jit  # one small program, not twelve
+def _cuboid(lengths: list[Array], mass: Array) -> tuple[Array, Array, Array]:
+    """Edges of a cuboid, its principal moments, and the centres of its faces along x."""
+    edges = jnp.stack(lengths)
     squares = edges**2
-    return FreeObject3((left, right), mass, mass * (squares.sum() - squares) / 12.0, outline=edges)
+    face = jnp.zeros((2, 3), edges.dtype).at[:, 0].set(edges[0] * jnp.array([-0.5, 0.5], edges.dtype))
+    return edges, mass * (squares.sum() - squares) / 12.0, face
 
 
 def pinch3d(

@@ -21,6 +21,7 @@ from jaxtyping import Array, Float
 from ..._linalg import normalised, Pose3, pose_at, tangents, unstack, Vec3
 from ..._results import as_array, as_floats, concrete, shown
 from ..._types import Given, Scalars
+from ..._xla import quickly
 from .._tabled import AbstractShape, tabled
 from ._gauss import approach, Gauss3, principal
 
@@ -244,7 +245,7 @@ def _bases(surface: AbstractSurface, at: Array) -> tuple[Vec3, Vec3]:
     return _mapped(lambda one: jax.tree.map(jnp.asarray, ready.basis(one)), at)
 
 
-@eqx.filter_jit
+@quickly
 def _near(surface: AbstractSurface, points: Array, guess: Array | None) -> Array:
     ready = surface.prepared()
 

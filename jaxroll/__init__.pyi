@@ -52,6 +52,7 @@ from ._motion import (
     wrenches as wrenches,
 )
 from ._results import RESULTS as RESULTS
+from ._saving import load as load, save as save
 from ._sweep import sweep as sweep
 from ._why import why as why
 from .contact import AbstractContact as AbstractContact, Contact as Contact, Contact3 as Contact3

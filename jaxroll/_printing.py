@@ -46,6 +46,22 @@ def named(codes: Codes) -> Codes:
     return codes
 
 
+def is_code(value: Any) -> bool:
+    """Whether a value is a code of some enumeration, or an array of codes."""
+    return isinstance(value, type(_Probe.one))
+
+
+def number_of(code: Any) -> tuple[type[eqx.Enumeration], Any]:
+    """The enumeration that a code belongs to, and its number."""
+    return code._enumeration, code._value
+
+
+def code_of(codes: type[eqx.Enumeration], value: Any) -> Any:
+    """The code of a number, or codes of an array of numbers, whichever of them there are."""
+    make = cast(Any, type(next(iter(codes._name_to_item.values()))))  # pyright: ignore
+    return make(value, codes)
+
+
 def code_name(code: Any) -> str:
     """Short name of a code; of many codes each, or how often each occurs."""
     kind = code._enumeration

@@ -42,6 +42,7 @@ RANKS = {
     "scenes": 13,
     "io": 13,
     "plotting": 14,
+    "_saving": 14,
     "__init__": 15,
     "_cli": 16,
     "__main__": 17,
@@ -366,7 +367,7 @@ PUBLIC = {
     "commands", "control", "design", "energies", "equation_terms", "fit_contour", "geometry", "io", "loads",
     "multipliers",
     "pinch_balance", "plotting", "press_balance",
-    "residuals", "scenes", "simulate", "stability", "sweep", "vector_field",
+    "load", "residuals", "save", "scenes", "simulate", "stability", "sweep", "vector_field",
 }  # fmt: skip
 
 

@@ -427,6 +427,8 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         "smoothness": _is("positive", 4.0, "infinity"),
         "cells": _is("count", 256),
     },
+    "save": {"path": _made("folder", lambda: folder() / "saved.npz"), "value": _is("anything", 1.0)},
+    "load": {"path": _made("path", lambda: written("disc.npz")), "own": _is("part", (), "empty list", "empty tuple")},
     "vector_field": {"formulation": _made("part", jxr.Index1)},
     "Patch": {"points": _made("array", tube), "periodic": _is("part", (True, False), "flags")},
     "SplineSurface": {"origin": _is("array", (0.0, 0.0, 0.0), "three numbers")},

@@ -86,6 +86,8 @@ TRIANGLES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
 def written(name: str) -> Path:
     """An outline, or a solid, in a file."""
     path = folder() / name
+    if path.suffix == ".npz":
+        return jxr.save(path, jxr.Circle(0.01))
     if path.suffix == ".stl":
         return jxr.io.write_stl(jxr.Circle(0.01), path, height=0.005, tolerance=1e-4)
     return jxr.io.write_outline(jxr.Circle(0.01), path, unit="mm", tolerance=1e-4)

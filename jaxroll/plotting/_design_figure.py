@@ -14,7 +14,7 @@ from ..geometry import AbstractContour, tabled
 from ..stability import margin
 from ._doors import guarded
 from ._outlines import OutlineSamples, sample
-from ._style import CYCLE, GUIDE, MM, Picture, save, tidy, TIP_FILL
+from ._style import CYCLE, GUIDE, MM, Picture, save_figure, tidy, TIP_FILL
 from ._views import single
 
 _PLACES, _TEETH = 2049, 150
@@ -63,7 +63,7 @@ def design(design: Design, folder: str | Path | None = None) -> Figure:
     _margins(figure.add_subplot(grid[0, 1]), tips, ends)
     _search(figure.add_subplot(grid[1, 1]), np.asarray(design.history), design.chosen)
     if folder is not None:
-        save(figure, folder, "design.png")
+        save_figure(figure, folder, "design.png")
     return figure
 
 
@@ -167,7 +167,7 @@ def comparison(
     axes[0, 0].legend(fontsize=8, frameon=False)
     figure.align_ylabels()
     if folder is not None:
-        save(figure, folder, "comparison.png")
+        save_figure(figure, folder, "comparison.png")
     return figure
 
 

@@ -11,7 +11,7 @@ from .._integration import Trajectory
 from .._mechanics import check_spatial, Grasp
 from ._doors import guarded
 from ._scene3 import tip_name
-from ._style import CYCLE, LOCUS_OBJECT, LOCUS_TIP, MM, Picture, save, tidy
+from ._style import CYCLE, LOCUS_OBJECT, LOCUS_TIP, MM, Picture, save_figure, tidy
 from ._views import single
 
 _ROWS = (
@@ -83,7 +83,7 @@ def loci_figure(grasp: Grasp, trajectory: Trajectory, folder: str | Path | None 
     figure.legend(handles, names, loc="outside lower center", ncols=2, fontsize=8.5, frameon=False)
     figure.align_ylabels()
     if folder is not None:
-        save(figure, folder, "loci.png")
+        save_figure(figure, folder, "loci.png")
     return figure
 
 

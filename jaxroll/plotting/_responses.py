@@ -11,7 +11,7 @@ from .._mechanics import Grasp
 from ._doors import guarded
 from ._panels import Panel, panels
 from ._panels3 import panels3
-from ._style import CYCLE, Picture, save, tidy
+from ._style import CYCLE, Picture, save_figure, tidy
 from ._views import how_it_ended, single, visible
 
 _COLUMNS = 3
@@ -79,7 +79,7 @@ def responses(grasp: Grasp, trajectory: Trajectory, folder: str | Path | None = 
     _stretch(axes[0], ts[reached], np.asarray(trajectory.states.s)[reached])
     figure.align_ylabels()
     if folder is not None:
-        save(figure, folder, "responses.png")
+        save_figure(figure, folder, "responses.png")
     return figure
 
 

@@ -47,7 +47,7 @@ def tidy(ax: Axes, *, xlabel: str = "", ylabel: str = "", title: str = "") -> No
     ax.spines[["left", "bottom"]].set(linewidth=0.7, color="#777777")
 
 
-def save(figure: Figure, folder: str | Path, name: str) -> Path:
+def save_figure(figure: Figure, folder: str | Path, name: str) -> Path:
     """Write a figure as a PNG into a folder, which is made if need be."""
     path = Path(folder) / name
     try:

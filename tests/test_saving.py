@@ -1,0 +1,229 @@
+"""Files of grasps, states, runs, fits and designs: what is read is what was written."""
+
+import dataclasses
+import json
+import subprocess
+import sys
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxroll as jxr
+
+
+@pytest.fixture(scope="module")
+def run():
+    """Part 2 of the chapter, with all that a run can keep."""
+    grasp, state = jxr.scenes.pivoted()
+    record = ("multipliers", "energy", "dense")
+    return grasp, state, jxr.simulate(grasp, state, t1=0.1, ts=3, record=record)
+
+
+@dataclasses.dataclass(frozen=True)
+class Note:
+    """A record of a caller's own."""
+
+    text: str
+    numbers: np.ndarray
+
+
+class Wave(eqx.Module):
+    """A law of a caller's own."""
+
+    gain: jax.Array
+
+    def __call__(self, t, q, v):
+        return -self.gain * v
+
+
+def own_law(t, q, v):
+    return -0.01 * v
+
+
+def assert_same(found, given):
+    """The same structure, with arrays of the same class, dtype and bits."""
+    assert jax.tree.structure(found) == jax.tree.structure(given)
+    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(given), strict=True):
+        assert type(one) is type(other)
+        if not isinstance(other, jax.Array | np.ndarray | np.generic):
+            assert one == other
+        elif jnp.issubdtype(other.dtype, jax.dtypes.prng_key):
+            assert_same(jax.random.key_data(one), jax.random.key_data(other))
+        else:
+            assert one.dtype == other.dtype
+            assert np.asarray(one).tobytes() == np.asarray(other).tobytes()
+
+
+def rewritten(path, change):
+    """The same file with its structure changed."""
+    with np.load(path) as archive:
+        arrays = dict(archive)
+    head = json.loads(arrays["structure"].tobytes())
+    change(head)
+    arrays["structure"] = np.frombuffer(json.dumps(head).encode(), np.uint8)
+    np.savez(path, **arrays)
+    return path
+
+
+def test_a_run_is_read_as_it_was(run, tmp_path):
+    found = jxr.load(jxr.save(tmp_path / "run", run))
+    assert_same(found, run)
+    assert str(found[2]) == str(run[2])
+    assert found[2].labels == run[2].labels
+    # Not a record only: it goes on, and answers between its steps.
+    np.testing.assert_array_equal(found[2](0.05).q, run[2](0.05).q)
+    again = jxr.simulate(found[0], found[1], t1=0.1, ts=3, record=("multipliers", "energy", "dense"))
+    assert_same(again, run[2])
+
+
+CONTOUR = jxr.Ellipse(0.02, 0.01)
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        jxr.RESULTS.slipping,
+        jax.vmap(lambda p: jxr.RESULTS.where(p, jxr.RESULTS.slipping, jxr.RESULTS.successful))(
+            jnp.array([True, False])
+        ),
+        (1, 2.5, -0.0, float("inf"), None, "a", True, [np.float32(3.0), {"k": (1,), "2": []}]),
+        {"nan": np.array([np.nan, -0.0]), "none": np.zeros((0, 3)), "int": np.arange(3, dtype=np.int8)},
+        jnp.float32(0.1),
+        jax.random.key(3),
+        jxr.control.Press,
+        np.dtype("float32"),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_values_are_read_as_they_were(value, tmp_path):
+    found = jxr.load(jxr.save(tmp_path / "value.npz", value))
+    assert_same(found, value)
+    assert str(found) == str(value)
+
+
+def test_shapes_laws_and_spatial_grasps(tmp_path):
+    law = jxr.control.Sampled(
+        jxr.control.Press(1.0, 0.01, 0.01, target=[0.1, 0.2]), 0.01, angle_noise=1e-4, key=jax.random.key(1)
+    )
+    shapes = jxr.Spline(CONTOUR.point(np.linspace(0.0, 0.09, 12)), closed=True)
+    value = (
+        jxr.scenes.turntable(),
+        law,
+        shapes,
+        jxr.commands.Steps([1.0], [0.0, 1.0]),
+        jxr.Torus(0.02, 0.01),
+    )
+    assert_same(jxr.load(jxr.save(tmp_path / "value", value)), value)
+
+
+def test_an_array_that_stands_twice_is_written_once(tmp_path):
+    array = jnp.arange(1000.0)
+    path = jxr.save(tmp_path / "twice", [array, {"again": array}])
+    first, second = jxr.load(path)
+    assert first is second["again"]
+    assert path.stat().st_size < 12_000
+
+
+def test_what_is_a_callers_own_is_named_when_it_is_read(tmp_path):
+    value = (Note("mine", np.arange(3.0)), Wave(jnp.array(0.1)), own_law)
+    path = jxr.save(tmp_path / "own", value)
+    found = jxr.load(path, own=[Note, Wave, own_law])
+    assert found[0].text == "mine"
+    np.testing.assert_array_equal(found[0].numbers, value[0].numbers)
+    assert isinstance(found[1], Wave)
+    assert found[2] is own_law
+    with pytest.raises(ValueError, match="names Wave of .*, which argument own must hold"):
+        jxr.load(path, own=[Note, own_law])
+
+
+@pytest.mark.parametrize(
+    ("value", "says"),
+    [
+        ({"law": (1, lambda x: x)}, r"but value\['law'\]\[1\] was <function"),
+        ([Note("x", np.array(["text"]))], r"value\[0\].numbers was ndarray of dtype <U4"),
+        (object(), "value was <object"),
+    ],
+)
+def test_what_cannot_be_written_is_said(value, says, tmp_path):
+    with pytest.raises(ValueError, match=says):
+        jxr.save(tmp_path / "bad", value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_traced_values_cannot_be_written(tmp_path):
+    with pytest.raises(ValueError, match="must be known when it is written"):
+        jax.jit(lambda x: jxr.save(tmp_path / "x", [x]))(1.0)
+
+
+def test_a_later_format_and_other_fields_are_said(tmp_path):
+    def later(head):
+        head["format"] = 99
+
+    def more(head):
+        head["tree"]["fields"]["twist"] = 1.0
+
+    def fewer(head):
+        del head["tree"]["fields"]["a"]
+
+    path = lambda: jxr.save(tmp_path / "c", CONTOUR)  # noqa: E731
+    with pytest.raises(
+        ValueError, match="of format 1 or before, but c.npz, written by jaxroll .* has format"
+    ):
+        jxr.load(rewritten(path(), later))
+    with pytest.raises(ValueError, match="fields of Ellipse .* holds 'twist', which it has not"):
+        jxr.load(rewritten(path(), more))
+    with pytest.raises(ValueError, match="lacks its 'a'"):
+        jxr.load(rewritten(path(), fewer))
+
+
+def test_a_field_that_is_new_takes_its_default(run, tmp_path):
+    def older(head):
+        del head["tree"]["fields"]["impulses"]
+
+    found = jxr.load(rewritten(jxr.save(tmp_path / "run", run[2]), older))
+    assert found.impulses is None
+    assert_same(found.states, run[2].states)
+
+
+def test_files_that_are_damaged_are_said(tmp_path):
+    path = jxr.save(tmp_path / "c", CONTOUR)
+    whole = path.read_bytes()
+    for damaged in (whole[:-100], whole[:200] + bytes([whole[200] ^ 255]) + whole[201:], b"", b"PK"):
+        path.write_bytes(damaged)
+        with pytest.raises(ValueError, match="argument path must name a file that `jaxroll.save` wrote"):
+            jxr.load(path)
+
+    def odd(head):
+        head["tree"]["fields"]["a"] = {"run": "this"}
+
+    path.write_bytes(whole)
+    with pytest.raises(ValueError, match="argument path must name a whole file"):
+        jxr.load(rewritten(path, odd))
+    with pytest.raises(ValueError, match="there is none called"):
+        jxr.load(tmp_path / "absent")
+
+
+@pytest.mark.parametrize("name", ["os:system", "jaxroll._saving:importlib.import_module", "nothing:here"])
+def test_nothing_but_records_is_found_by_a_files_names(name, tmp_path):
+    def other(head):
+        head["tree"]["record"] = name
+
+    with pytest.raises(ValueError, match="argument path must"):
+        jxr.load(rewritten(jxr.save(tmp_path / "c", CONTOUR), other))
+
+
+def test_double_precision_is_not_cut_in_silence(tmp_path):
+    path = jxr.save(tmp_path / "x", jnp.array(0.1))
+    code = f"import jaxroll as jxr; jxr.load({str(path)!r})"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert "must be read with jax_enable_x64 set, since x.npz holds float64" in done.stderr
+
+
+def test_a_file_that_cannot_be_written_leaves_the_old_one(tmp_path):
+    path = jxr.save(tmp_path / "c", CONTOUR)
+    with pytest.raises(ValueError, match="argument value"):
+        jxr.save(path, lambda: 0)
+    assert_same(jxr.load(path), CONTOUR)

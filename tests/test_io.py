@@ -470,3 +470,52 @@ def test_a_file_that_cannot_be_written_is_said_before_the_work(tmp_path, monkeyp
         for path in (tmp_path / "file" / f"out.{kind}", f"/dev/null/out.{kind}"):
             with pytest.raises(ValueError, match="argument path must name a file that can be written, but: "):
                 write(jxr.Circle(0.01), path, **options)
+
+
+@pytest.mark.parametrize("kind", ["csv", "xyz", "npy"])
+def test_a_cloud_comes_back_with_its_normals(kind, tmp_path):
+    """Long tables go through another reader than short ones."""
+    table = np.random.default_rng(0).normal(size=(3000, 6))
+    for count in (10, 3000):
+        path = tmp_path / f"cloud.{kind}"
+        if kind == "npy":
+            np.save(path, table[:count])
+        else:
+            np.savetxt(path, table[:count], delimiter="," if kind == "csv" else " ", fmt="%.17g")
+        points, normals = jxr.io.read_cloud(path, unit="mm", normals=(3, 4, 5))
+        np.testing.assert_array_equal(points, 1e-3 * table[:count, :3])
+        np.testing.assert_array_equal(normals, table[:count, 3:])
+        swapped, nothing = jxr.io.read_cloud(path, unit="m", columns=(2, 0, 5))
+        np.testing.assert_array_equal(swapped, table[:count][:, [2, 0, 5]])
+        assert nothing is None
+
+
+def test_long_tables_that_are_not_regular_are_read_line_by_line(tmp_path):
+    rows = [f"{i},{i * i},{0.5 * i}" for i in range(2000)]
+    path = tmp_path / "cloud.csv"
+    for head, foot, count in (("x,y,z", "", 2000), ("# x, y, z", "# end", 2000), ('"1","2","3"', "", 2001)):
+        path.write_text("\n".join([head, *rows, foot]))
+        assert len(jxr.io.read_cloud(path, unit="m")[0]) == count
+    path.write_text("\n".join([*rows, "1,nan,2"]))
+    with pytest.raises(ValueError, match="line 2001 of cloud.csv was '1,nan,2'"):
+        jxr.io.read_cloud(path, unit="m")
+    path.write_text("\n".join([*rows, "1,2"]))
+    with pytest.raises(ValueError, match="line 2001 of cloud.csv was '1,2'"):
+        jxr.io.read_cloud(path, unit="m")
+
+
+def test_points_of_a_ply(tmp_path):
+    path = tmp_path / "scan.ply"
+    names = "".join(f"property float {name}\n" for name in ("x", "y", "z", "nx", "ny", "nz"))
+    head = f"ply\nformat ascii 1.0\nelement vertex 2\n{names}end_header\n"
+    path.write_text(head + "0 0 1 0 0 1\n2 0 0 1 0 0\n")
+    points, normals = jxr.io.read_cloud(path, unit="mm")
+    assert points.tolist() == [[0.0, 0.0, 1e-3], [2e-3, 0.0, 0.0]]
+    assert normals.tolist() == [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]
+    binary = np.array([(0, 0, 1, 0, 0, 1), (2, 0, 0, 1, 0, 0)], dtype=[(n, "<f4") for n in "xyzabc"])
+    path.write_bytes(head.replace("ascii", "binary_little_endian").encode() + binary.tobytes())
+    for one, other in zip(jxr.io.read_cloud(path, unit="mm"), (points, normals), strict=True):
+        np.testing.assert_array_equal(one, other)
+    path.write_text("no ply")
+    with pytest.raises(ValueError, match="argument path must name a mesh, but scan.ply could not be read"):
+        jxr.io.read_cloud(path, unit="mm")

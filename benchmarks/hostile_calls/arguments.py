@@ -428,7 +428,10 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         "cells": _is("count", 256),
     },
     "save": {"path": _made("folder", lambda: folder() / "saved.npz"), "value": _is("anything", 1.0)},
-    "load": {"path": _made("path", lambda: written("disc.npz")), "own": _is("part", (), "empty list", "empty tuple")},
+    "load": {
+        "path": _made("path", lambda: written("disc.npz")),
+        "own": _is("part", (), "empty list", "empty tuple"),
+    },
     "vector_field": {"formulation": _made("part", jxr.Index1)},
     "Patch": {"points": _made("array", tube), "periodic": _is("part", (True, False), "flags")},
     "SplineSurface": {"origin": _is("array", (0.0, 0.0, 0.0), "three numbers")},
@@ -438,6 +441,11 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         "path": _made("path", lambda: written("disc.csv")),
         "columns": _is("part", (0, 1)),
         "pixel": _is("part", None),
+    },
+    "read_cloud": {
+        "path": _made("path", lambda: written("cloud.npy")),
+        "columns": _is("part", (0, 1, 2)),
+        "normals": _is("part", None),
     },
     "write_outline": {**_PATH, "tolerance": _is("positive", 1e-4)},
     "read_silhouette": {"pixel": _is("positive", 1e-3)},

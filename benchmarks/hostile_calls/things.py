@@ -88,6 +88,9 @@ def written(name: str) -> Path:
     path = folder() / name
     if path.suffix == ".npz":
         return jxr.save(path, jxr.Circle(0.01))
+    if path.suffix == ".npy":
+        np.save(path, TETRAHEDRON)
+        return path
     if path.suffix == ".stl":
         return jxr.io.write_stl(jxr.Circle(0.01), path, height=0.005, tolerance=1e-4)
     return jxr.io.write_outline(jxr.Circle(0.01), path, unit="mm", tolerance=1e-4)

@@ -1,4 +1,4 @@
-"""Files and images in, files out: points for `fit_contour`, outlines of contours to draw or to manufacture.
+"""Files and images in, files out: points for fits, outlines of contours to draw or to manufacture.
 
 `_tables` reads and writes CSV and NPY, `_vector` SVG and DXF, `_mesh` solids; `_section` cuts a mesh by a
 plane, `_image` finds silhouettes, `_outline` makes polygons of contours; `_files` chooses by the file's
@@ -6,7 +6,7 @@ ending. The unit of every number in a file is stated by the caller, and all poin
 SVG, DXF, meshes and images, and writing DXF and STL, wants `pip install "jaxroll[cad]"`.
 """
 
-from ._files import read_points as read_points, write_outline as write_outline
+from ._files import read_cloud as read_cloud, read_points as read_points, write_outline as write_outline
 from ._image import read_silhouette as read_silhouette
 from ._mesh import read_mesh as read_mesh, write_stl as write_stl
 from ._section import section as section

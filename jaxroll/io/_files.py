@@ -11,12 +11,14 @@ import numpy as np
 
 from .._results import as_count, check_instance, shown
 from ..geometry import AbstractContour, metres_per
+from ._mesh import read_ply_points
 from ._outline import outline, positive
 from ._paths import as_path, readable, writable
 from ._tables import read_csv, read_npy, write_csv
 from ._vector import read_dxf, read_svg, write_dxf, write_svg
 
 _READ = (".csv", ".txt", ".dat", ".npy", ".svg", ".dxf")
+_CLOUDS = (".csv", ".txt", ".dat", ".xyz", ".npy", ".ply")
 _WRITE = (".csv", ".npy", ".svg", ".dxf")
 
 
@@ -67,12 +69,52 @@ def read_points(
         )
     scale = positive("pixel", pixel) if unit == "px" else metres_per(unit)
     samples, which = as_count("samples", samples, least=6), as_count("which", which, least=0)
-    columns = _columns(columns)
+    chosen = _columns("columns", columns, 2)
     if kind == ".svg":
         return scale * read_svg(path, scale, which, samples)
     if kind == ".dxf":
         return scale * read_dxf(path, scale, which, samples)
-    return scale * (read_npy if kind == ".npy" else read_csv)(path, columns)
+    return scale * (read_npy if kind == ".npy" else read_csv)(path, chosen)
+
+
+def read_cloud(
+    path: str | Path,
+    *,
+    unit: str,
+    columns: tuple[int, int, int] = (0, 1, 2),
+    normals: tuple[int, int, int] | None = None,
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Points [m] of a scan in space, for `fit_surface`: CSV, TXT, DAT, XYZ or NPY, or a PLY without faces.
+
+    Args:
+        path: The file.
+        unit: Of the coordinates in the file: "m", "mm", "um" or "in".
+        columns: Tables: the columns of x, y and z, counting from 0.
+        normals: Tables: the columns of the outward normals, if they are there.
+
+    Returns:
+        The points, shape (n, 3), in the file's order, and their normals of the same shape; None without. The
+        normals of a PLY are its own, if it has some.
+
+    Raises:
+        ValueError: If the file holds no such points or a number that is not finite.
+        ImportError: For a PLY without the extra `cad`.
+
+    Example:
+        >>> import jaxroll as jxr, numpy as np
+        >>> np.save("scan.npy", 20.0 * np.eye(3))
+        >>> points, normals = jxr.io.read_cloud("scan.npy", unit="mm")
+        >>> points.tolist(), normals
+        ([[0.02, 0.0, 0.0], [0.0, 0.02, 0.0], [0.0, 0.0, 0.02]], None)
+    """
+    path, scale = readable(as_path(path, _CLOUDS)), metres_per(unit)
+    chosen = _columns("columns", columns, 3)
+    others = () if normals is None else _columns("normals", normals, 3)
+    if path.suffix.lower() == ".ply":
+        points, found = read_ply_points(path)
+        return scale * points, found
+    table = (read_npy if path.suffix.lower() == ".npy" else read_csv)(path, (*chosen, *others))
+    return scale * table[:, :3], table[:, 3:] if others else None
 
 
 def write_outline(contour: AbstractContour, path: str | Path, *, unit: str, tolerance: float = 1e-6) -> Path:
@@ -112,9 +154,10 @@ def write_outline(contour: AbstractContour, path: str | Path, *, unit: str, tole
     return path
 
 
-def _columns(columns: Any) -> tuple[int, int]:
-    """The columns of x and y, if they are two numbers from 0 on."""
-    pair = isinstance(columns, tuple | list) and len(columns) == 2
-    if not pair or not all(isinstance(i, int) and not isinstance(i, bool) and i >= 0 for i in columns):
-        raise ValueError(f"argument columns must be two numbers from 0 on, but was {shown(columns)}")
-    return columns[0], columns[1]
+def _columns(name: str, columns: Any, count: int) -> tuple[int, ...]:
+    """The columns of the coordinates, if they are so many numbers from 0 on."""
+    several = isinstance(columns, tuple | list) and len(columns) == count
+    if not several or not all(isinstance(i, int) and not isinstance(i, bool) and i >= 0 for i in columns):
+        many = {2: "two", 3: "three"}[count]
+        raise ValueError(f"argument {name} must be {many} numbers from 0 on, but was {shown(columns)}")
+    return tuple(columns)

@@ -100,18 +100,39 @@ def read_mesh(path: str | Path, *, unit: str) -> tuple[np.ndarray, np.ndarray]:
         >>> [f"{x:.4f}" for x in vertices.max(axis=0)]
         ['0.0100', '0.0100', '0.0050']
     """
-    scale, path = metres_per(unit), as_path(path, _KINDS)
-    trimesh, path = _trimesh(), readable(path)
+    scale, path = metres_per(unit), readable(as_path(path, _KINDS))
+    mesh = _loaded(path, merged=True)
+    faces = np.asarray(getattr(mesh, "faces", np.zeros((0, 3))), int)
+    if not len(faces):
+        raise ValueError(f"argument path must name a file with triangles, but {path.name} has none")
+    return scale * _vertices(mesh, path), faces
+
+
+def read_ply_points(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
+    """Points of a PLY, shape (n, 3), in the file's own unit, and their normals if it has some."""
+    cloud = _loaded(path, merged=False)
+    points = _vertices(cloud, path)
+    # A dictionary of columns from a file of text, an array of records from a binary one.
+    raw: Any = getattr(cloud, "metadata", {}).get("_ply_raw", {}).get("vertex", {}).get("data", {})
+    named = raw if isinstance(raw, dict) else raw.dtype.names or ()
+    if not {"nx", "ny", "nz"} <= set(named):
+        return points, None
+    return points, np.stack([np.asarray(raw[name], float).ravel() for name in ("nx", "ny", "nz")], axis=-1)
+
+
+def _loaded(path: Path, merged: bool) -> Any:
+    """What trimesh makes of a file; an STL repeats its vertices in every triangle, until they are merged."""
+    trimesh = _trimesh()
     try:
-        mesh = trimesh.load_mesh(str(path))
-        vertices = np.asarray(getattr(mesh, "vertices", np.zeros((0, 3))), float)
-        faces = np.asarray(getattr(mesh, "faces", np.zeros((0, 3))), int)
+        return trimesh.load(str(path), process=merged)
     except Exception as error:  # whatever the library raises on what it cannot read
         raise ValueError(
             f"argument path must name a mesh, but {path.name} could not be read: {shown(str(error))}"
         ) from None
-    if not len(faces):
-        raise ValueError(f"argument path must name a file with triangles, but {path.name} has none")
-    if not np.all(np.isfinite(vertices)):
-        raise ValueError(f"argument path must name a mesh of finite vertices, but {path.name} has others")
-    return scale * vertices, faces
+
+
+def _vertices(mesh: Any, path: Path) -> np.ndarray:
+    vertices = np.asarray(getattr(mesh, "vertices", np.zeros((0, 3))), float).reshape(-1, 3)
+    if not len(vertices) or not np.all(np.isfinite(vertices)):
+        raise ValueError(f"argument path must name a file of finite vertices, but {path.name} has others")
+    return vertices

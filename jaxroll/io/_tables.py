@@ -13,9 +13,12 @@ import numpy as np
 
 from .._results import shown
 
+# Tables of fewer lines are read line by line.
+_LONG = 1000
 
-def read_csv(path: Path, columns: tuple[int, int]) -> np.ndarray:
-    """Two columns of a text table, shape (n, 2); text after '#' and lines of words at the head are skipped.
+
+def read_csv(path: Path, columns: tuple[int, ...]) -> np.ndarray:
+    """Columns of a text table, shape (n, any); text after '#' and lines of words at the head are skipped.
 
     Fields are parted by commas, semicolons (then a comma may be the decimal point), tabs or blanks; between
     commas or semicolons they may stand in double quotes.
@@ -24,8 +27,12 @@ def read_csv(path: Path, columns: tuple[int, int]) -> np.ndarray:
         ValueError: If a line is not finite numbers, or has too few; its number is named. A line of words is
             one of whose fields none is a number, a NaN or an infinity.
     """
+    lines = _text(path).splitlines()
+    table = _regular(lines, columns)
+    if table is not None:
+        return _table(table, path)
     rows = []
-    for number, line in enumerate(_text(path).splitlines(), start=1):
+    for number, line in enumerate(lines, start=1):
         fields = _fields(line.split("#")[0])
         if not fields:
             continue
@@ -37,7 +44,20 @@ def read_csv(path: Path, columns: tuple[int, int]) -> np.ndarray:
             )
         if row is not None:
             rows.append(row)
-    return _table(np.array(rows).reshape(-1, 2), path)
+    return _table(np.array(rows).reshape(-1, len(columns)), path)
+
+
+def _regular(lines: list[str], columns: tuple[int, ...]) -> np.ndarray | None:
+    """A long table without words, by NumPy's reader, which is ten times as fast; None if it has others."""
+    first = lines[0] if lines else ""
+    marks = [mark for mark in ',;#"' if mark in first]
+    if len(lines) < _LONG or marks not in ([], [","]) or None in map(_number, _fields(first)):
+        return None
+    try:
+        table = np.loadtxt(lines, delimiter="," if marks else None, usecols=columns, ndmin=2)
+    except ValueError:
+        return None
+    return table if np.isfinite(table).all() else None
 
 
 def _text(path: Path) -> str:
@@ -82,15 +102,15 @@ def _number(field: str) -> float | None:
         return None
 
 
-def _numbers(fields: list[str], columns: tuple[int, int]) -> list[float] | None:
-    """The finite numbers in the two columns; None unless both are there."""
+def _numbers(fields: list[str], columns: tuple[int, ...]) -> list[float] | None:
+    """The finite numbers in these columns; None unless all are there."""
     row = [_number(fields[i]) for i in columns if i < len(fields)]
     found = [x for x in row if x is not None and np.isfinite(x)]
     return found if len(found) == len(columns) else None
 
 
-def read_npy(path: Path, columns: tuple[int, int]) -> np.ndarray:
-    """Two columns of an array of shape (n, 2 or more) in an NPY file, shape (n, 2)."""
+def read_npy(path: Path, columns: tuple[int, ...]) -> np.ndarray:
+    """Columns of an array of shape (n, any) in an NPY file, shape (n, 2 or more)."""
     try:
         # A pickle in a file from elsewhere could run any code.
         array = np.load(path, allow_pickle=False)

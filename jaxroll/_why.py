@@ -34,7 +34,7 @@ from ._integration import (
     Trajectory,
 )
 from ._mechanics import check_grasp, check_states, Grasp, State
-from ._motion import Formulation, reach, residuals, worst
+from ._motion import closed_within, Formulation, residuals, worst
 from ._printing import code_name, entry
 from ._results import check_instance, traced
 from ._types import Given
@@ -198,7 +198,7 @@ def why(
     check_states(grasp, begin)
     gap = float(worst(residuals(grasp, begin)))
     # A state that is on the constraints is taken as it is: closing it again would move it by rounding.
-    closed = begin if gap <= reach(begin.q.dtype) else _closed(grasp, begin)
+    closed = begin if gap <= closed_within(begin.q.dtype) else _closed(grasp, begin)
     if isinstance(closed, str):
         told = f"the contacts do not close: {closed}"
         none = {"start": None, "run": None, "end": None, "stability": None}

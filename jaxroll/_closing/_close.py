@@ -13,7 +13,7 @@ from jaxtyping import Array
 
 from .._linalg import Pose3, seven, three
 from .._mechanics import check_states, compiled, Grasp, split, State
-from .._motion import reach, world_poses
+from .._motion import closed_within, world_poses
 from .._results import check_flag, concrete, shown
 from ..contact import Contact, Contact3, locate as locate_contours, locate_surfaces
 from ..geometry import as_it_is_resolved
@@ -78,7 +78,7 @@ def close(
     if throw and seen is not None:
         # A NaN among the rows counts as the worst. The comparison below is negated, so that a NaN fails it.
         worst = int(np.nanargmax(np.where(np.isnan(seen), np.inf, np.abs(seen))))
-        if not abs(seen[worst]) <= reach(guess.q.dtype):
+        if not abs(seen[worst]) <= closed_within(guess.q.dtype):
             raise ValueError(
                 f"argument guess must be near a pose that closes every contact, but the best "
                 f"found leaves {row_name(grasp, worst)} at {abs(seen[worst]):.3g}"

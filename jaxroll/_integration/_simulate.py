@@ -26,6 +26,7 @@ from .._motion import (
     begun,
     check_rolling,
     check_tasks,
+    closed_within,
     CSM,
     energies_at,
     Energy,
@@ -33,7 +34,6 @@ from .._motion import (
     Multipliers,
     multipliers_at,
     of_reached,
-    reach,
     Residuals,
     residuals_at,
     worst,
@@ -317,7 +317,7 @@ def _trajectory(
         times = (jnp.concatenate([jnp.asarray(plan.t0)[None], moving_as(plan.ts, ts)]),)
     found = of_reached(lambda rows: in_turn(observe, (grasp, way), rows, *times), both, state)
     off = worst(jax.tree.map(lambda a: a[0], found[0]))
-    on_constraints = isinstance(way, CSM) | (off <= reach(state.q.dtype))
+    on_constraints = isinstance(way, CSM) | (off <= closed_within(state.q.dtype))
     left, forces, energies = jax.tree.map(lambda a: a[1:], found)
     energy = None if energies is None else _balance(energies, path.saved[:, lay.width - 1])
     attempted, accepted, rejected = path.steps
@@ -369,7 +369,7 @@ def _checked(trajectory: Trajectory, off: Array) -> Trajectory:
         return trajectory
     if codes == RESULTS.unreachable._value:
         raise ValueError(
-            f"argument state must be on the constraints to {reach(off.dtype):g}, but its worst row is "
-            f"{float(off):.3g} m or rad off; jaxroll.close makes it consistent"
+            f"argument state must be on the constraints to {closed_within(off.dtype):g}, but its worst row "
+            f"is {float(off):.3g} m or rad off; jaxroll.close makes it consistent"
         )
     raise RuntimeError(complaint(trajectory))

@@ -44,6 +44,7 @@ from ._projection import (
 from ._quantities import (
     accelerations as accelerations,
     as_times as as_times,
+    closed_within as closed_within,
     energies as energies,
     energies_at as energies_at,
     Energy as Energy,
@@ -53,7 +54,6 @@ from ._quantities import (
     of_reached as of_reached,
     over_time as over_time,
     power as power,
-    reach as reach,
     Residuals as Residuals,
     residuals as residuals,
     residuals_at as residuals_at,

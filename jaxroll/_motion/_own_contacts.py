@@ -13,7 +13,7 @@ from .._mechanics import compiled, Grasp, State, to_leaves
 from .._results import traced
 from ..contact import Contact, Contact3
 from ._equations import world_poses
-from ._quantities import reach, residuals_at, worst
+from ._quantities import closed_within, residuals_at, worst
 
 # Largest share of its terms by which a gap may change, in double precision; an error of a sign gives 1.
 _ROLLS = 1e-6
@@ -26,7 +26,7 @@ def check_rolling(grasp: Grasp, state: State) -> None:
     if not own or traced((grasp, state)):
         return
     shares, off = map(np.asarray, _slips(grasp, state))
-    if not off <= reach(off.dtype):
+    if not off <= closed_within(off.dtype):
         return  # off the constraints, which the run says itself
     allowed = _ROLLS if shares.dtype == np.float64 else _ROLLS_SINGLE
     for i in own:

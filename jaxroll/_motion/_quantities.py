@@ -104,7 +104,7 @@ def worst(residuals: Residuals) -> Array:
     return jnp.max(jnp.abs(flat), axis=-1)
 
 
-def reach(dtype: Any) -> float:
+def closed_within(dtype: Any) -> float:
     """Largest size of the worst row [m or rad] at which a state still counts as on the constraints."""
     return 1e-9 if np.dtype(dtype) == np.float64 else 1e-5
 

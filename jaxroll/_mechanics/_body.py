@@ -18,10 +18,10 @@ from jaxtyping import Array, Float
 from .._fields import real, taken, through
 from .._linalg import Pose2, sincos, Triangle, Twist2, unstack, Vec2
 from .._printing import listed
-from .._results import as_floats, as_several, check_positive
+from .._results import as_floats, as_several, check_instance, check_positive
 from .._types import Given, Scalar, Scalars
 from ..contact import Motion
-from ..geometry import AbstractContour
+from ..geometry import AbstractContour, mass_properties
 
 Contours = tuple[AbstractContour, ...]
 # Maps a body's velocities to its frame's angular velocity [rad/s]: a number in the plane, a vector in space.
@@ -226,6 +226,32 @@ class FreeObject(AbstractObject):
         self.contours = taken(self, "contours", contours)
         self.mass = taken(self, "mass", mass)
         self.inertia = taken(self, "inertia", inertia)
+
+    @classmethod
+    def uniform(
+        cls, contour: AbstractContour, density: Given, *, thickness: Given | None = None
+    ) -> "FreeObject":
+        """The plate of constant density that a closed contour outlines.
+
+        The contour is shifted so that the centre of mass lies at the origin of the object's frame.
+
+        Args:
+            contour: Closed.
+            density: Mass per area [kg/m^2]; with `thickness` [kg/m^3].
+            thickness: Of the plate [m].
+
+        Raises:
+            ValueError: If the contour is not closed, or a number is not positive.
+
+        Example:
+            >>> import jaxroll as jxr
+            >>> disc = jxr.FreeObject.uniform(jxr.Circle(0.02), density=1000.0, thickness=0.01)
+            >>> f"{1e3 * disc.mass:.2f} g"
+            '12.57 g'
+        """
+        check_instance("contour", contour, AbstractContour, "a contour")
+        found = mass_properties(contour, density, thickness=thickness)
+        return cls(contour.moved(-found.centre), found.mass, found.inertia)
 
     @property
     def freedoms(self) -> int:

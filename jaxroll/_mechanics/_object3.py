@@ -14,11 +14,11 @@ from jaxtyping import Array, Float
 
 from .._fields import real, taken, through
 from .._linalg import normalised, Pose3, pose_at, quaternion_product, Sym3, Twist3, unstack, Vec3
-from .._results import as_array, as_floats, as_several, check_positive, concrete, shown
+from .._results import as_array, as_floats, as_several, check_instance, check_positive, concrete, shown
 from .._types import Given, Scalar, Scalars
 from .._xla import once
 from ..contact import Motion
-from ..geometry import AbstractSurface
+from ..geometry import AbstractSurface, mass_properties
 from ._body import AbstractBody, Coordinate, Inertia, QUATERNION, Spin
 
 Surfaces = tuple[AbstractSurface, ...]
@@ -92,6 +92,30 @@ class FreeObject3(AbstractBody):
         self.mass = taken(self, "mass", mass)
         self.inertia = taken(self, "inertia", inertia)
         self.outline = taken(self, "outline", outline)
+
+    @classmethod
+    def uniform(cls, surface: AbstractSurface, density: Given) -> "FreeObject3":
+        """The body of constant density within a closed surface.
+
+        The surface is shifted so that the centre of mass lies at the origin of the object's frame, whose axes
+        remain the surface's.
+
+        Args:
+            surface: Closed, with its normal outward.
+            density: In kg/m^3.
+
+        Raises:
+            ValueError: If the surface is not closed, or the density not positive.
+
+        Example:
+            >>> import jaxroll as jxr
+            >>> ring = jxr.FreeObject3.uniform(jxr.Torus(0.03, 0.01), density=1000.0)
+            >>> f"{1e3 * ring.mass:.2f} g"
+            '59.22 g'
+        """
+        check_instance("surface", surface, AbstractSurface, "a surface")
+        found = mass_properties(surface, density)
+        return cls(surface.moved(-found.centre), found.mass, found.inertia)
 
     @property
     def shapes(self) -> Surfaces:

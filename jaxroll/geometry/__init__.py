@@ -1,6 +1,7 @@
 """Shape only: contours as fields of arclength with Frenet frames, surfaces with Gauss frames.
 
-`contours` has plane curves, `surfaces` their counterpart in space, and `fitting` makes either from points.
+`contours` has plane curves, `surfaces` their counterpart in space, `fitting` makes either from points, and
+`mass` integrates over what they bound.
 `_tabled` has what both have in common, `_contract` the check of shapes of a caller's own class. Nothing here
 knows of bodies, time or contact; `contact` reads the frames.
 """
@@ -51,6 +52,7 @@ from .fitting import (
     SurfaceFit as SurfaceFit,
     SurfaceReport as SurfaceReport,
 )
+from .mass import mass_properties as mass_properties, MassProperties as MassProperties
 from .surfaces import (
     AbstractChart as AbstractChart,
     AbstractImplicit as AbstractImplicit,

@@ -59,6 +59,7 @@ class RESULTS(eqx.Enumeration):
         "A contour bends more sharply than the cells of its table resolve: the run is that of a somewhat "
         "other shape."
     )
+    joint_limit = "A joint is at the end of its range."
 
 
 def traced(value: Any) -> bool:

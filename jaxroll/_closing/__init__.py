@@ -5,4 +5,5 @@ theorem, `_close` is the entry point.
 """
 
 from ._close import close as close
+from ._hold import held_velocities as held_velocities
 from ._search import constraint_rows as constraint_rows

@@ -1,0 +1,221 @@
+r"""Postures of one finger that touch given points: inverse kinematics, by Newton's method from many starts.
+
+Each target is a point P of the object with its outward normal N, in the world. Joint angles q and the places
+of the tip are sought at which the tip's points X and normals m meet them,
+
+$$ X(q, s) = P, \qquad m(q, s) = -N, $$
+
+which in the plane are three equations for each contact, in space five. A step solves them linearised, damped
+as by Levenberg and Marquardt; where a finger has more joints than it needs, it is the shortest. All starts go
+on together.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from .._linalg import Pose2, unstack
+from .._mechanics import AbstractBody
+from .._xla import quickly
+from ._sheet import Frames, Sheet, shortened
+
+# Starts of a search and most steps of each.
+_STARTS, _STEPS = 64, 100
+# Places of the tip of which a start takes the one that faces its target.
+_FACES = 96
+# A posture touches where no row is larger than this, relative to the tip's distance from its base.
+_TOUCHES = 1e-13
+# A search that is stuck at more than this is given up when its damping is large.
+_STUCK = 1e8
+# Postures are one if no joint differs by more [rad or m].
+_ALIKE = 1e-6
+
+
+class Targets(NamedTuple):
+    """What the contacts of one finger are to touch, in the world.
+
+    Attributes:
+        points: Shape (c, d) [m].
+        normals: Outward of the object, shape (c, d).
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+
+
+class Postures(NamedTuple):
+    """Postures of a finger, one in each row.
+
+    Attributes:
+        q: Joint angles or displacements, shape (n, k).
+        places: Of the tip, shape (n, c, coordinates).
+        gaps: Largest distance of a point from its target [m], shape (n,).
+        tilts: Largest length of a sum of both normals, shape (n,).
+    """
+
+    q: np.ndarray
+    places: np.ndarray
+    gaps: np.ndarray
+    tilts: np.ndarray
+
+    def taken(self, which: Any) -> "Postures":
+        """Some of the postures."""
+        return Postures(*(x[which] for x in self))
+
+
+class Reacher(NamedTuple):
+    """One finger and its tip, ready for searches.
+
+    Attributes:
+        finger: The finger.
+        tip: Its tip.
+        free: Which joints may move, shape (k,).
+        length: What distances are measured against [m].
+    """
+
+    finger: Any
+    tip: Sheet
+    free: np.ndarray
+    length: float
+
+
+def searched_postures(
+    reacher: Reacher, targets: Targets, starts: np.ndarray, limits: np.ndarray | None = None
+) -> Postures:
+    """Postures from starts, shape (n, k), by damped steps; kept within limits, shape (k, 2), if given.
+
+    All that were found are returned: those that touch, and those that came as near as they could.
+    """
+    starts = np.resize(starts, (_STARTS, starts.shape[1]))
+    places = _facing(reacher, targets, starts)
+    state = _evaluated(reacher, targets, starts, places)
+    damping = np.full(_STARTS, 1e-3)
+    for _ in range(_STEPS):
+        q, places, error, rows, slopes = state
+        step = _damped(rows, slopes, damping)
+        new_q = q + np.where(reacher.free, np.clip(step[:, : q.shape[1]], -0.5, 0.5), 0.0)
+        if limits is not None:
+            new_q = np.clip(new_q, *limits.T)
+        trial = _evaluated(reacher, targets, new_q, _shifted(reacher, places, step[:, q.shape[1] :]))
+        better = trial[2] < error
+        state = tuple(
+            np.where(better.reshape(-1, *(1,) * (a.ndim - 1)), a, b)
+            for a, b in zip(trial, state, strict=True)
+        )
+        damping = np.where(better, np.maximum(0.1 * damping, 1e-15), 10.0 * damping + 1e-12)
+        # Rounding alone is left, or no step helps.
+        if np.all((state[2] < (0.01 * _TOUCHES) ** 2) | (damping > _STUCK)):
+            break
+    q, places, _, rows, _ = state
+    c = len(targets.points)
+    gaps, tilts = np.split(np.linalg.norm(rows.reshape(len(q), 2 * c, -1), axis=2), 2, axis=1)
+    return Postures(q, places, gaps.max(axis=1) * reacher.length, tilts.max(axis=1))
+
+
+def touching(reacher: Reacher, found: Postures) -> Postures:
+    """Those postures that touch all targets, each once; angles between -pi and pi."""
+    near = (found.gaps <= _TOUCHES * max(reacher.length, 1e-3)) & (found.tilts <= 1e-11)
+    good = found.taken(near)
+    if reacher.finger.turns:
+        good = good._replace(q=np.where(reacher.free, np.pi - (np.pi - good.q) % (2.0 * np.pi), good.q))
+    kept: list[int] = []
+    for i, q in enumerate(good.q):
+        away = [np.abs(q - good.q[j]).max(initial=0.0) > _ALIKE for j in kept]
+        if all(away):
+            kept.append(i)
+    return good.taken(np.array(kept, int))
+
+
+def poses_at(body: AbstractBody, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Origins (n, d) and rotation matrices (n, d, d) of a body's frame at positions, shape (n, k)."""
+    origin, turn, _, _ = _placed(body, q)
+    return origin, turn
+
+
+def _facing(reacher: Reacher, targets: Targets, q: np.ndarray) -> np.ndarray:
+    """Places of the tip whose normals face the targets best, for each start: shape (n, c, coordinates)."""
+    at = reacher.tip.sampled(_FACES, 0.1 * reacher.length)
+    normals = reacher.tip.frames(at).normals
+    _, turn = poses_at(reacher.finger, q)
+    facing = np.einsum("nij,mj,ci->ncm", turn, normals, targets.normals)
+    return at[np.argmin(facing, axis=2)]
+
+
+def _shifted(reacher: Reacher, places: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """Places of the tip after tangent steps, shape (n, c k)."""
+    n, c = places.shape[:2]
+    flat = places.reshape(n * c, -1)
+    steps = shortened(steps.reshape(n * c, -1), reacher.tip.frames(flat).bends)
+    return reacher.tip.moved(flat, steps).reshape(places.shape)
+
+
+def _evaluated(reacher: Reacher, targets: Targets, q: np.ndarray, places: np.ndarray) -> tuple[Any, ...]:
+    """Joints, places, sum of squares, rows (n, r) and their derivatives (n, r, u) at postures.
+
+    Rows are the gaps over the finger's length, contact by contact, then the sums of both normals.
+    """
+    n, c = places.shape[:2]
+    flat = reacher.tip.frames(places.reshape(n * c, -1))
+    tip = Frames(*(x.reshape(n, c, *x.shape[1:]) for x in flat))
+    origin, turn, origin_rate, turn_rate = _placed(reacher.finger, q)
+    points = origin[:, None] + np.einsum("nij,ncj->nci", turn, tip.points)
+    normals = np.einsum("nij,ncj->nci", turn, tip.normals)
+    along = np.einsum("nij,nckj->ncki", turn, tip.tangents)
+    gaps = (points - targets.points) / reacher.length
+    tilts = normals + targets.normals
+    # Derivatives: of the joints, then of tangent steps of each contact over the tip.
+    joints = q.shape[1]
+    by_joint = origin_rate[:, None] + np.einsum("nijq,ncj->nciq", turn_rate, tip.points)
+    tilt_by_joint = np.einsum("nijq,ncj->nciq", turn_rate, tip.normals)
+    tilt_along = np.einsum("ncab,nca...->nc...b", tip.bends, along)
+    d, k = points.shape[2], along.shape[2]
+    slopes = np.zeros((n, 2, c, d, joints + c * k))
+    slopes[:, 0, ..., :joints] = by_joint / reacher.length * reacher.free
+    slopes[:, 1, ..., :joints] = tilt_by_joint * reacher.free
+    for i in range(c):
+        own = slice(joints + i * k, joints + (i + 1) * k)
+        slopes[:, 0, i, :, own] = np.swapaxes(along[:, i], 1, 2) / reacher.length
+        slopes[:, 1, i, :, own] = tilt_along[:, i]
+    rows = np.concatenate([gaps.reshape(n, -1), tilts.reshape(n, -1)], axis=1)
+    error = np.einsum("nr,nr->n", rows, rows)
+    return q, places, np.where(np.isfinite(error), error, np.inf), rows, slopes.reshape(n, 2 * c * d, -1)
+
+
+def _damped(rows: np.ndarray, slopes: np.ndarray, damping: np.ndarray) -> np.ndarray:
+    r"""Steps $-(J^T J + \lambda D)^{-1} J^T r$, D the diagonal of $J^T J$."""
+    square = np.einsum("nru,nrv->nuv", slopes, slopes)
+    size = np.einsum("nuu->nu", square)
+    scale = np.maximum(size, 1e-12 * size.max(axis=1, keepdims=True) + 1e-300)
+    square += np.eye(size.shape[1]) * (scale * damping[:, None])[:, None, :]
+    right = np.einsum("nru,nr->nu", slopes, rows)
+    # Rounding may leave a matrix of no rank where the damping is least.
+    square += np.eye(size.shape[1]) * (1e-15 * size.max(axis=1))[:, None, None]
+    return -np.linalg.solve(square, right[..., None])[..., 0]
+
+
+def _placed(body: Any, q: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Origins and rotation matrices of a body's frame, and their derivatives in its positions."""
+    count = -(-len(q) // _STARTS)
+    padded = np.resize(q, (count * _STARTS, q.shape[1])).reshape(count, _STARTS, -1)
+    found = [_poses(body, jnp.asarray(batch)) for batch in padded]
+    return tuple(np.concatenate([np.asarray(x) for x in part])[: len(q)] for part in zip(*found, strict=True))
+
+
+@quickly
+def _poses(body: Any, q: Array) -> tuple[Array, ...]:
+    ready = body.prepared()
+
+    def frame(row: Array) -> tuple[Array, Array]:
+        pose = ready.placed(unstack(row))[0]
+        if isinstance(pose, Pose2):
+            turn = jnp.stack([jnp.stack([pose.cos, -pose.sin]), jnp.stack([pose.sin, pose.cos])])
+            return pose.origin.array(), turn
+        return pose.origin.array(), jnp.stack([axis.array() for axis in (pose.x, pose.y, pose.z)], axis=1)
+
+    def both(row: Array) -> tuple[Array, ...]:
+        return *frame(row), *jax.jacfwd(frame)(row)
+
+    return jax.vmap(both)(q)

@@ -34,6 +34,7 @@ NAMES = (
     "design",
     "gpu",
     "stress",
+    "reaching",
 )
 
 

@@ -51,6 +51,12 @@ from ._motion import (
     torques as torques,
     wrenches as wrenches,
 )
+from ._reaching import (
+    grasp_points as grasp_points,
+    GraspPoints as GraspPoints,
+    Reach as Reach,
+    reach as reach,
+)
 from ._results import RESULTS as RESULTS
 from ._saving import load as load, save as save
 from ._sweep import sweep as sweep

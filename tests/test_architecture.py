@@ -35,6 +35,7 @@ RANKS = {
     "_closing": 9,
     "_integration": 10,
     "_analysis": 11,
+    "_reaching": 11,
     "stability": 12,
     "_sweep": 12,
     "_why": 13,
@@ -366,7 +367,7 @@ PUBLIC = {
     "Spline", "State", "SupportFunction", "Trajectory", "close", "contact", "contact_geometry",
     "commands", "control", "design", "energies", "equation_terms", "fit_contour", "geometry", "io", "loads",
     "multipliers",
-    "pinch_balance", "plotting", "press_balance",
+    "pinch_balance", "plotting", "press_balance", "grasp_points", "GraspPoints", "Reach", "reach",
     "load", "residuals", "save", "scenes", "simulate", "stability", "sweep", "vector_field",
 }  # fmt: skip
 

@@ -19,6 +19,8 @@ from benchmarks.hostile_calls.things import (
     egg,
     fitted,
     folder,
+    held_disc,
+    held_state,
     kept,
     lifted,
     network,
@@ -102,6 +104,7 @@ PARAMETERS: dict[str, Argument] = {
     "contours": _made("contours", lambda: jxr.Circle(0.02)),
     "controller": _is("function", None),
     "damping": _is("not negative", 0.006),
+    "density": _is("positive", 1000.0),
     "directions": _is("array", (0.0, 1.5), "empty list", "empty tuple", "two numbers", "its last left out"),
     "domain": _is("array", (-0.02, 0.02)),
     "dt0": _is("positive", 1e-4),
@@ -186,6 +189,7 @@ PARAMETERS: dict[str, Argument] = {
     "t": _is("number", 0.0),
     "t0": _is("number", 0.0),
     "t1": _is("positive", 0.02),
+    "thickness": _is("positive", 0.01),
     "turn": _is("number", 10.0),
     "unit": _is("choice", "mm"),
     "values": _is("array", (0.5, 0.8), "three axes"),
@@ -221,6 +225,15 @@ _EACH_OF_SOME = dataclasses.replace(_EACH, also=_EACH.also | {"three numbers"})
 _NO_FLAT = _is("positive", 0.1, "None")
 # Its first numbers are the ends of a line, which may have none.
 _PINCH = _made("grasp", lambda: pinch()[0], "None in it")
+# What has a boundary that fingers may touch; nothing is between a shape of the plane and one of space.
+_PARTS_TO_GRASP = (
+    "circle",
+    "endless line",
+    "sphere",
+    "endless plane",
+    "object in the plane",
+    "object in space",
+)
 # Where a parameter means something else than its name says elsewhere, or has another shape.
 EXCEPTIONS: dict[str, dict[str, Argument]] = {
     **_family("Ellipse NeuralSupport NeuralCurvature SupportFunction", cells=_is("count", 64)),
@@ -232,6 +245,24 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
     **_family("friction_demand overshoot peak_force settling_time tracking_error", run=_ANY_RUN),
     **_family("fit_surface", points=_CLOUD, smoothing=_is("not negative", 0.02)),
     # As many of both are links: three, or seven.
+    "mass_properties": {"shape": _made("contour", lambda: jxr.Circle(0.01), "sphere")},
+    "uniform_object": {"contour": _ROUND},
+    "uniform_solid": {"surface": _BALL},
+    "grasp_points": {
+        "object": _made("part", lambda: jxr.Circle(0.01), *_PARTS_TO_GRASP),
+        "friction": _is("positive", 0.5),
+    },
+    "reach": {
+        "grasp": _made("grasp", held_disc),
+        "contacts": _is(
+            "array", ((-0.02, 0.0), (0.02, 0.0)), "two numbers", "whole numbers", "numbers of float32"
+        ),
+        "pose": _is("array", (0.0, 0.08, 0.0), "three numbers"),
+        "guess": _made("state", held_state),
+        "elbow": _is("part", None, "one", "minus one", "whole zero"),
+        "hold": _is("choice", "finger 0", "empty list", "empty tuple"),
+        "hold_object": _is("flag", True),
+    },
     "Finger": {
         "tip": _ROUND,
         "lengths": _is("array", (0.065, 0.065), "its last twice", "three numbers", "seven numbers"),

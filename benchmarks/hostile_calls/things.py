@@ -33,6 +33,20 @@ def pinch() -> tuple[jxr.Grasp, jxr.State]:
 
 
 @functools.cache
+def held_disc() -> jxr.Grasp:
+    """Two fingers beside a disc."""
+    links = ([0.06, 0.05], [0.03, 0.02], jxr.Circle(0.01))
+    fingers = [jxr.Finger(*links, base=(x, 0.0)) for x in (-0.03, 0.03)]
+    disc = jxr.FreeObject.uniform(jxr.Circle(0.02), density=20.0)
+    return jxr.Grasp(disc, fingers, [jxr.Contact(finger=i) for i in (0, 1)])
+
+
+@functools.cache
+def held_state() -> jxr.State:
+    return jxr.reach(held_disc(), ((-0.02, 0.0), (0.02, 0.0)), pose=(0.0, 0.08, 0.0)).state
+
+
+@functools.cache
 def pinch_state() -> jxr.State:
     return pinch()[1]
 

@@ -46,7 +46,7 @@ RECORDS |= {
     "Gauss3",
 }
 RECORDS |= {"Principal", "NetworkFit", "CleanPoints", "Jet", "SurfaceFit", "SurfaceReport", "Level", "Table"}
-RECORDS |= {"Strike", "Vec2", "Vec3", "Sym3", "VectorField"}
+RECORDS |= {"Strike", "Vec2", "Vec3", "Sym3", "VectorField", "GraspPoints", "MassProperties", "Reach"}
 RECORDS |= {"TableError", "Equilibrium", "PinchStatics", "Stability", "Pose", "Twist"}
 # Written on scalars for use inside compiled programs, by other layers and by a caller's own shapes: nothing
 # is checked there, for every check would be one more on the way of each run.
@@ -72,6 +72,7 @@ _SLOW = set(
         "equilibrium",
         "fit_contour",
         "fit_surface",
+        "grasp_points",
         "locate",
         "locate_surfaces",
         "loci",
@@ -87,6 +88,7 @@ _SLOW = set(
         "poses",
         "press_balance",
         "rattleback",
+        "reach",
         "responses",
         "resume",
         "ring",
@@ -187,8 +189,29 @@ def with_payload(mass: Any, link: Any = None, at: Any = None, inertia: Any = 0.0
     return planar()[0].fingers[0].with_payload(mass, link=link, at=at, inertia=inertia)
 
 
+def uniform_object(contour: Any, density: Any, thickness: Any = None) -> Any:
+    """`FreeObject.uniform`."""
+    return jxr.FreeObject.uniform(contour, density, thickness=thickness)
+
+
+def uniform_solid(surface: Any, density: Any) -> Any:
+    """`FreeObject3.uniform`."""
+    return jxr.FreeObject3.uniform(surface, density)
+
+
 # Methods that take a caller's arguments.
-METHODS = (with_payload, with_tip, with_contacts, with_, moved, on_contour, on_surface, near_surface)
+METHODS = (
+    uniform_object,
+    uniform_solid,
+    with_payload,
+    with_tip,
+    with_contacts,
+    with_,
+    moved,
+    on_contour,
+    on_surface,
+    near_surface,
+)
 
 
 @functools.cache

@@ -233,20 +233,28 @@ def _refined(sheets: Sequence[Sheet], starts: _Pairs, size: float) -> _Pairs:
     ends = [_frames_at(sheets, faces[:, e], places[:, e]) for e in (0, 1)]
     for _ in range(_STEPS if len(faces) else 0):
         step = _newton(*ends)
-        for e in (0, 1):
-            half = step[:, : step.shape[1] // 2] if e == 0 else step[:, step.shape[1] // 2 :]
-            cut = np.minimum(1.0, 0.1 * size / np.maximum(np.linalg.norm(half, axis=1), 1e-300))
-            part = shortened(half * cut[:, None], ends[e].bends)
-            for i, sheet in enumerate(sheets):
-                on, own = faces[:, e] == i, sheet.coordinates
-                if on.any():
-                    places[on, e, :own] = sheet.moved(places[on, e, :own], part[on])
+        for e, part in enumerate(np.split(step, 2, axis=1)):
+            cut = np.minimum(1.0, 0.1 * size / np.maximum(np.linalg.norm(part, axis=1), 1e-300))
+            part = shortened(part * cut[:, None], ends[e].bends)
+            places[:, e] = _moved_on(sheets, faces[:, e], places[:, e], part)
         ends = [_frames_at(sheets, faces[:, e], places[:, e]) for e in (0, 1)]
         if np.abs(step).max() < 1e-15 * size:
             break
     points, normals = (np.stack([getattr(end, x) for end in ends], axis=1) for x in ("points", "normals"))
     found = _Pairs(faces, places, points, normals)
     return found.taken(_demand(found) <= _EXACT)
+
+
+def _moved_on(
+    sheets: Sequence[Sheet], faces: np.ndarray, places: np.ndarray, steps: np.ndarray
+) -> np.ndarray:
+    """Places of several faces after tangent steps."""
+    moved = places.copy()
+    for i, sheet in enumerate(sheets):
+        on, own = faces == i, sheet.coordinates
+        if on.any():
+            moved[on, :own] = sheet.moved(places[on, :own], steps[on])
+    return moved
 
 
 def _frames_at(sheets: Sequence[Sheet], faces: np.ndarray, places: np.ndarray) -> Frames:
@@ -294,10 +302,9 @@ def _reported(sheets: Sequence[Sheet], pairs: _Pairs, count: int) -> GraspPoints
     pairs = pairs.taken(slice(count))
     demand = _demand(pairs)
     exact = demand <= _EXACT
-    places = tuple(
-        (at[0, : sheets[face[0]].coordinates], at[1, : sheets[face[1]].coordinates])
-        for at, face in zip(pairs.places, pairs.faces, strict=True)
-    )
+    counts = np.array([sheet.coordinates for sheet in sheets])[pairs.faces]
+    each = zip(pairs.places, counts, strict=True)
+    places = tuple((at[0, : count[0]], at[1, : count[1]]) for at, count in each)
     width = np.linalg.norm(pairs.points[:, 1] - pairs.points[:, 0], axis=1)
     return GraspPoints(
         pairs.points, pairs.normals, pairs.faces, places, np.where(exact, 0.0, demand), width, exact

@@ -19,7 +19,7 @@ _FEET = 4
 _ASIDE = 1e-3
 
 
-class Solid(NamedTuple):
+class SampledObject(NamedTuple):
     """Faces of an object with samples of each.
 
     Attributes:
@@ -33,14 +33,14 @@ class Solid(NamedTuple):
     points: tuple[np.ndarray, ...]
 
 
-def solid_of(faces: Sequence[Sheet], extent: float) -> Solid:
+def sampled_object(faces: Sequence[Sheet], extent: float) -> SampledObject:
     """An object with its faces sampled; those without bounds within `extent` of its origin [m]."""
     places = tuple(face.sampled(_SAMPLES[face.spatial], extent) for face in faces)
     points = tuple(face.frames(at).points for face, at in zip(faces, places, strict=True))
-    return Solid(tuple(faces), places, points)
+    return SampledObject(tuple(faces), places, points)
 
 
-def heights(solid: Solid, points: np.ndarray) -> np.ndarray:
+def heights(solid: SampledObject, points: np.ndarray) -> np.ndarray:
     """Signed distances of points from an object, shape (n,) [m]; negative inside. All in its frame."""
     outside = np.full(len(points), -np.inf)
     for face, places, samples in zip(solid.faces, solid.places, solid.points, strict=True):

@@ -34,7 +34,7 @@ _STUCK = 1e8
 _ALIKE = 1e-6
 
 
-class Targets(NamedTuple):
+class TouchPoints(NamedTuple):
     """What the contacts of one finger are to touch, in the world.
 
     Attributes:
@@ -83,7 +83,7 @@ class Reacher(NamedTuple):
 
 
 def searched_postures(
-    reacher: Reacher, targets: Targets, starts: np.ndarray, limits: np.ndarray | None = None
+    reacher: Reacher, targets: TouchPoints, starts: np.ndarray, limits: np.ndarray | None = None
 ) -> Postures:
     """Postures from starts, shape (n, k), by damped steps; kept within limits, shape (k, 2), if given.
 
@@ -135,7 +135,7 @@ def poses_at(body: AbstractBody, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return origin, turn
 
 
-def _facing(reacher: Reacher, targets: Targets, q: np.ndarray) -> np.ndarray:
+def _facing(reacher: Reacher, targets: TouchPoints, q: np.ndarray) -> np.ndarray:
     """Places of the tip whose normals face the targets best, for each start: shape (n, c, coordinates)."""
     at = reacher.tip.sampled(_FACES, 0.1 * reacher.length)
     normals = reacher.tip.frames(at).normals
@@ -152,7 +152,7 @@ def _shifted(reacher: Reacher, places: np.ndarray, steps: np.ndarray) -> np.ndar
     return reacher.tip.moved(flat, steps).reshape(places.shape)
 
 
-def _evaluated(reacher: Reacher, targets: Targets, q: np.ndarray, places: np.ndarray) -> tuple[Any, ...]:
+def _evaluated(reacher: Reacher, targets: TouchPoints, q: np.ndarray, places: np.ndarray) -> tuple[Any, ...]:
     """Joints, places, sum of squares, rows (n, r) and their derivatives (n, r, u) at postures.
 
     Rows are the gaps over the finger's length, contact by contact, then the sums of both normals.

@@ -1,0 +1,172 @@
+r"""Which of a finger's postures is taken: one that keeps limits and elbow side, and overlaps nothing.
+
+What is wrong where there is none is told by a code of `RESULTS` and a sentence with numbers.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from .._linalg import unstack
+from .._xla import quickly
+from ._overlap import heights, SampledObject
+from ._postures import poses_at, Postures, Reacher, searched_postures, touching, TouchPoints
+
+# An overlap below this is the contact itself [m].
+_TOLERANCE = 1e-7
+# Samples of a fingertip, in the plane and in space, and points on each link.
+_TIP, _LINK = (384, 720), 16
+# Starts of a search.
+_STARTS = 64
+# Displacements are measured against this length [m], and what has no bounds is looked at within it.
+_LENGTH = 0.05
+
+
+class Wish(NamedTuple):
+    """What one finger is asked for."""
+
+    elbow: int  # wanted sign of the last joint's angle; 0 for either
+    guess: np.ndarray | None  # joints to stay near
+    limits: np.ndarray | None  # (k, 2)
+
+
+class Choice(NamedTuple):
+    """The posture taken of one finger, and what is wrong with it."""
+
+    posture: Postures
+    code: str
+    reason: str
+    overlap: float
+    links: float
+    count: int
+
+
+def chosen_posture(
+    reacher: Reacher, targets: TouchPoints, wish: Wish, object_: tuple[SampledObject, np.ndarray, np.ndarray]
+) -> Choice:
+    """The best posture of one finger that touches its targets."""
+    starts = _starts(reacher, targets, wish)
+    found = searched_postures(reacher, targets, starts)
+    good = touching(reacher, found)
+    if not len(good.q) and not len(targets.points):
+        good = found.taken([0])
+    if not len(good.q):
+        nearest = found.taken([int(np.argmin(found.gaps / reacher.length + found.tilts))])
+        return Choice(nearest, "unreachable", _too_far(reacher, targets, nearest), 0.0, np.inf, 0)
+    fair = good.taken(_within(reacher, good, wish.limits))
+    if not len(fair.q) and wish.limits is not None:
+        fair = _touching_within(reacher, targets, starts, wish.limits)
+    if not len(fair.q):
+        return Choice(good.taken([0]), "joint_limit", _beyond(good, wish.limits), 0.0, np.inf, len(good.q))
+    sided = fair.taken(wish.elbow * fair.q[:, -1:].sum(axis=1) >= 0.0)
+    if not len(sided.q):
+        reason = f"only postures whose last joint has the other sign than elbow={wish.elbow} touch"
+        return Choice(fair.taken([0]), "unreachable", reason, 0.0, np.inf, len(good.q))
+    overlaps, links = _clearances(reacher, sided, object_)
+    # First whether it overlaps, then how near it is to the guess or how far its links stay away.
+    if wish.guess is None:
+        cost = -np.minimum(links, reacher.length)
+    else:
+        scale = 2.0 * np.pi if reacher.finger.turns else _LENGTH
+        cost = np.linalg.norm((sided.q - wish.guess) / scale, axis=1)
+    best = np.lexsort((cost, overlaps > _TOLERANCE))[0]
+    one, overlap = sided.taken([int(best)]), float(overlaps[best])
+    code = "penetration" if overlap > _TOLERANCE else "successful"
+    reason = (
+        f"its tip overlaps the object by {overlap:.3g} m in every posture" if overlap > _TOLERANCE else ""
+    )
+    return Choice(one, code, reason, overlap, float(links[best]), len(good.q))
+
+
+def _touching_within(
+    reacher: Reacher, targets: TouchPoints, starts: np.ndarray, limits: np.ndarray
+) -> Postures:
+    """Postures that touch, from searches that stay within joint limits: of fingers with joints to spare."""
+    found = searched_postures(reacher, targets, np.clip(starts, *limits.T), limits)
+    good = touching(reacher, found)
+    return good.taken(_within(reacher, good, limits))
+
+
+def _starts(reacher: Reacher, targets: TouchPoints, wish: Wish) -> np.ndarray:
+    """Joints that searches start from: the guess and around it, then spread over the limits or a turn."""
+    rng, k = np.random.default_rng(0), reacher.finger.joints
+    low, high = np.full(k, -np.pi), np.full(k, np.pi)
+    if not reacher.finger.turns:
+        far = float(np.abs(targets.points).max(initial=_LENGTH)) + reacher.length
+        low, high = np.full(k, -far), np.full(k, far)
+    if wish.limits is not None:
+        low, high = np.maximum(low, wish.limits[:, 0]), np.minimum(high, wish.limits[:, 1])
+        high = np.maximum(low, high)
+    starts = rng.uniform(low, high, (_STARTS, k))
+    if wish.guess is not None:
+        near = wish.guess + 0.2 * (high - low) * rng.normal(size=(_STARTS // 4, k))
+        starts[: len(near)] = near
+        starts[0] = wish.guess
+        starts = np.where(reacher.free, starts, wish.guess)
+    return starts
+
+
+def _within(reacher: Reacher, found: Postures, limits: np.ndarray | None) -> np.ndarray:
+    """Which postures keep the limits of the joints."""
+    if limits is None:
+        return np.ones(len(found.q), bool)
+    slack = 1e-12 * (1.0 + np.abs(limits))
+    inside = (found.q >= limits[:, 0] - slack[:, 0]) & (found.q <= limits[:, 1] + slack[:, 1])
+    return np.all(inside, axis=1)
+
+
+def _too_far(reacher: Reacher, targets: TouchPoints, nearest: Postures) -> str:
+    """Why no posture touches, in numbers."""
+    base = getattr(reacher.finger, "base", None)
+    if base is not None:
+        away = float(np.linalg.norm(targets.points - np.asarray(base), axis=1).max())
+        if away > reacher.length:
+            return f"a target is {away:.3g} m from its base, and it reaches {reacher.length:.3g} m at most"
+    return (
+        f"its nearest posture leaves {float(nearest.gaps[0]):.3g} m and normals that are "
+        f"{float(nearest.tilts[0]):.3g} off being opposite"
+    )
+
+
+def _beyond(found: Postures, limits: np.ndarray | None) -> str:
+    """Which joint has to pass its limit, by the posture that passes it least."""
+    assert limits is not None
+    over = np.maximum(limits[:, 0] - found.q, found.q - limits[:, 1])
+    best = int(np.argmin(over.max(axis=1)))
+    joint = int(np.argmax(over[best]))
+    return f"joint {joint} would have to be {over[best, joint]:.3g} beyond its limit"
+
+
+def _clearances(
+    reacher: Reacher, found: Postures, object_: tuple[SampledObject, np.ndarray, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """How deep the tip overlaps the object, and how far the links stay from it, at each posture [m]."""
+    solid, origins, turns = object_
+    at = reacher.tip.sampled(_TIP[reacher.tip.spatial], _LENGTH)
+    local = reacher.tip.frames(at).points
+    tips, ways = poses_at(reacher.finger, found.q)
+    joints = _skeletons(reacher.finger, found.q)
+    overlaps, links = [], []
+    for tip, way, chain in zip(tips, ways, joints, strict=True):
+        points = (tip + local @ way.T - origins[0]) @ turns[0]
+        overlaps.append(max(0.0, -float(heights(solid, points).min())))
+        share = np.linspace(0.0, 1.0, _LINK, endpoint=False)[None, :, None]
+        along = (chain[:-1, None] * (1.0 - share) + chain[1:, None] * share).reshape(-1, chain.shape[1])
+        along = np.concatenate([along, chain[-1:]])
+        links.append(float(heights(solid, (along - origins[0]) @ turns[0]).min()))
+    return np.array(overlaps), np.array(links)
+
+
+def _skeletons(finger: Any, q: np.ndarray) -> np.ndarray:
+    """Joints and tip frames of postures, shape (n, points, d)."""
+    padded = np.resize(q, (_STARTS * max(1, -(-len(q) // _STARTS)), q.shape[1]))
+    return np.asarray(_chains(finger, jnp.asarray(padded)))[: len(q)]
+
+
+@quickly
+def _chains(finger: Any, q: Array) -> Array:
+    ready = finger.prepared()
+    return jax.vmap(lambda row: jnp.stack([point.array() for point in ready.skeleton(unstack(row))]))(q)

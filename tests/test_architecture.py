@@ -66,6 +66,7 @@ LAZY_DOORS = {
     "mapbox_earcut": "io/_mesh.py",
     "skimage": "io/_image.py",
     "plotly": "plotting/_page.py",
+    "mujoco": "io/_robot_file.py",
 }
 FILES = sorted(ROOT.rglob("*.py"))
 
@@ -393,7 +394,7 @@ import time, sys, jax
 start = time.perf_counter()
 import jaxroll
 took = time.perf_counter() - start
-heavy = ("matplotlib", "scipy", "numba", "ezdxf", "trimesh", "skimage", "plotly")
+heavy = ("matplotlib", "scipy", "numba", "ezdxf", "trimesh", "skimage", "plotly", "mujoco")
 bad = [m for m in heavy if m in sys.modules]
 print(took, jax.config.jax_enable_x64, bad)
 """

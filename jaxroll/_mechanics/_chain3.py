@@ -105,6 +105,7 @@ class Chain3(AbstractFinger):
         tip_x: First axis of the tip frame, in the frame of the last joint.
         tip_y: The second axis likewise.
         tip: Surface of the fingertip, ready for evaluation.
+        armature: Inertias of the joints' rotors [kg m^2]; None without any.
     """
 
     base: Scalars
@@ -112,6 +113,7 @@ class Chain3(AbstractFinger):
     tip_x: Scalars
     tip_y: Scalars
     tip: AbstractSurface
+    armature: Scalars | None
 
     @property
     def joints(self) -> int:
@@ -148,7 +150,11 @@ class Chain3(AbstractFinger):
             self._tip(posture), once(units), once(Twist3(velocity, spins[-1])), Twist3(pulls[-1], bends[-1])
         )
         each = zip(self.links, posture.frames, spins, bends, pulls, strict=False)
-        return motion, _inertia(posture.frames, [_about_base(*link, gravity) for link in each])
+        inertia = _inertia(posture.frames, [_about_base(*link, gravity) for link in each])
+        if self.armature is None:
+            return motion, inertia
+        rows = [(*row[:-1], row[-1] + own) for row, own in zip(inertia.mass, self.armature, strict=True)]
+        return motion, Inertia(tuple(rows), inertia.force)
 
     def gravity_potential(self, q: Scalars, gravity: Vec3) -> Scalar:
         each = zip(self.links, self._posture(q).frames, strict=True)
@@ -275,4 +281,4 @@ def chain_of(finger: Any) -> Chain3:
     upper = jnp.stack([tensors[:, r, c] for r in range(3) for c in range(r, 3)], axis=-1)
     x, y, offsets, centres, inertias, masses = map(unstack, (*steps[:2], *vectors, upper, finger.masses))
     links = tuple(map(_Link, x[:-1], y[:-1], offsets, centres, inertias, masses))
-    return Chain3(unstack(finger.base), links, x[-1], y[-1], finger.tip.prepared())
+    return Chain3(unstack(finger.base), links, x[-1], y[-1], finger.tip.prepared(), unstack(finger.armature))

@@ -12,7 +12,15 @@ from jaxtyping import Array, Float
 
 from .._fields import real, taken, through
 from .._linalg import Pose3, total, unstack, Vec3
-from .._results import as_count, as_floats, check_direction, check_instance, check_positive
+from .._results import (
+    as_count,
+    as_floats,
+    check_direction,
+    check_instance,
+    check_positive,
+    concrete,
+    shown,
+)
 from .._types import Given, Scalar, Scalars
 from ..contact import Motion
 from ..geometry import AbstractSurface
@@ -40,6 +48,14 @@ def _as_axes(name: str, axes: Array) -> Array:
     return as_direction(name, check_links(name, axes))
 
 
+def _as_armature(name: str, values: Array) -> Array:
+    """Raise for inertias below zero."""
+    seen = concrete(values)
+    if seen is not None and (seen < 0).any():
+        raise ValueError(f"argument {name} must not be negative, but was {shown(values)}")
+    return values
+
+
 class Finger3(AbstractFinger):
     r"""A chain of $k$ revolute joints in space.
 
@@ -58,10 +74,13 @@ class Finger3(AbstractFinger):
         inertias: Shape (k, 3, 3), about the centres of mass, in the links' axes [kg m^2]: symmetric and
             positive definite. Default: those of solid cylinders along the offsets, of a tenth of their mean
             length in radius.
+        armature: Shape (k,), inertia of each joint's rotor as the joint feels it, that of the motor times the
+            square of its gear ratio [kg m^2]: added to the diagonal of the mass matrix. Default: none, and
+            then it costs nothing.
 
     Raises:
-        ValueError: If a shape does not fit, a mass is not positive, an axis has no length, or an inertia is
-            not positive definite.
+        ValueError: If a shape does not fit, a mass is not positive, an axis has no length, an inertia is not
+            positive definite, or a rotor's is negative.
 
     Example:
         >>> import jaxroll as jxr
@@ -79,6 +98,7 @@ class Finger3(AbstractFinger):
     rotation: Float[Array, "4"] = real(4, check=as_direction)
     centres: Float[Array, "k 3"] = real(None, 3)
     inertias: Float[Array, "k 3 3"] = real(None, 3, 3, check=check_inertia)
+    armature: Float[Array, " k"] | None = real(None, check=_as_armature, optional=True)
 
     def __init__(
         self,
@@ -91,6 +111,7 @@ class Finger3(AbstractFinger):
         rotation: Given = (1.0, 0.0, 0.0, 0.0),
         centres: Given | None = None,
         inertias: Given | None = None,
+        armature: Given | None = None,
     ) -> None:
         self.tip = taken(self, "tip", tip)
         self.axes = taken(self, "axes", axes)
@@ -104,6 +125,7 @@ class Finger3(AbstractFinger):
         self.centres = taken(self, "centres", centres, shape=(links, 3))
         inertias = cylinders if inertias is None else inertias
         self.inertias = taken(self, "inertias", inertias, shape=(links, 3, 3))
+        self.armature = taken(self, "armature", armature, shape=(links,))
 
     @property
     def joints(self) -> int:

@@ -1,6 +1,6 @@
-"""What to say where a library of the extra `cad` is not installed."""
+"""What to say where a library of an extra is not installed."""
 
 
-def missing(library: str) -> ImportError:
+def missing(library: str, extra: str = "cad") -> ImportError:
     """The error for a library that could not be imported."""
-    return ImportError(f'this needs the library {library}: pip install "jaxroll[cad]"')
+    return ImportError(f'this needs the library {library}: pip install "jaxroll[{extra}]"')

@@ -136,3 +136,10 @@ def _vertices(mesh: Any, path: Path) -> np.ndarray:
     if not len(vertices) or not np.all(np.isfinite(vertices)):
         raise ValueError(f"argument path must name a file of finite vertices, but {path.name} has others")
     return vertices
+
+
+def spread_points(vertices: np.ndarray, faces: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points spread over a mesh, the same each time, and the outward normals of their triangles."""
+    mesh = _trimesh().Trimesh(vertices, faces)
+    points, triangles = _trimesh().sample.sample_surface(mesh, count, seed=0)
+    return np.asarray(points), np.asarray(mesh.face_normals)[triangles]

@@ -17,7 +17,7 @@ def as_path(path: Any, kinds: tuple[str, ...]) -> Path:
     return found
 
 
-def readable(path: Path) -> Path:
+def readable(path: Path, holding: str = "points") -> Path:
     """The path, if it is a file that can be read and is not empty."""
     if not path.is_file():
         what = "is a folder" if path.is_dir() else "is not there"
@@ -28,7 +28,7 @@ def readable(path: Path) -> Path:
     except OSError as error:
         raise ValueError(f"argument path must name a file that can be read, but: {error}") from None
     if empty:
-        raise ValueError(f"argument path must name a file with points, but {shown(str(path))} is empty")
+        raise ValueError(f"argument path must name a file with {holding}, but {shown(str(path))} is empty")
     return path
 
 

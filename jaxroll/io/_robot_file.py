@@ -1,0 +1,362 @@
+"""Robots in URDF and MJCF files, read by MuJoCo's compiler. No other file imports mujoco.
+
+MuJoCo parses either format; what it is asked for is the tree of links and joints with all joints at zero, in
+world axes. Explicit masses and inertias are taken as the file states them, before MuJoCo makes principal axes
+of them: it refuses tensors that no real body has, and files of public hands hold some.
+
+In URDF a link without `<inertial>` has no mass, whatever its collision shapes; in MJCF its mass comes from
+its shapes, as the format has it.
+"""
+
+import os
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .._results import shown
+from ._extra import missing
+from ._paths import as_path, readable
+
+_KINDS = (".urdf", ".xml", ".mjcf")
+_UNLIMITED = (-np.inf, np.inf)
+
+
+@dataclass(frozen=True)
+class RobotJoint:
+    """A joint of a robot, at zero of all joints that move.
+
+    Attributes:
+        name: In the file.
+        kind: 'hinge', 'slide', 'ball' or 'free'.
+        link: Which link it moves, counted as in `Robot`.
+        before: The joint that carries it, None for one on the base.
+        anchor: Shape (3,), a point of its axis, in world axes [m].
+        axis: Shape (3,), in world axes.
+        limits: Smallest and largest angle [rad], infinite where there is no limit.
+        torques: Smallest and largest torque [N m], likewise.
+        damping: [N m s].
+        friction: Torque of dry friction [N m].
+        stiffness: Of a spring at the joint [N m/rad].
+        armature: Inertia of the rotor, as the joint feels it [kg m^2].
+    """
+
+    name: str
+    kind: str
+    link: int
+    before: int | None
+    anchor: np.ndarray
+    axis: np.ndarray
+    limits: tuple[float, float]
+    torques: tuple[float, float]
+    damping: float
+    friction: float
+    stiffness: float
+    armature: float
+
+
+@dataclass(frozen=True)
+class RobotLink:
+    """A link of a robot, at zero of all joints that move; in world axes.
+
+    Attributes:
+        name: In the file.
+        parent: Which link it is fixed to, or joined to; itself for the base.
+        carrier: The last joint on the way to it that moves, None for what is fixed to the base.
+        origin: Shape (3,), of its frame [m].
+        quaternion: Shape (4,), scalar first, of its frame's axes.
+        mass: Its own [kg].
+        centre: Shape (3,), its own centre of mass [m].
+        inertia: Shape (3, 3), its own, about that centre [kg m^2].
+        shapes: What it carries, by kind: a mesh as corners and triangles in the link's axes, a sphere or an
+            ellipsoid as half axes, centre and quaternion in the link's axes.
+    """
+
+    name: str
+    parent: int
+    carrier: int | None
+    origin: np.ndarray
+    quaternion: np.ndarray
+    mass: float
+    centre: np.ndarray
+    inertia: np.ndarray
+    shapes: tuple[tuple[str, tuple[np.ndarray, ...]], ...]
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A tree of links, and what its file says besides.
+
+    Attributes:
+        links: The world first, then from the base outwards.
+        joints: Those that move, from the base outwards.
+        followers: Joints whose angle another one's gives, held or not.
+        loops: Names of what closes a loop: two links that a file ties to each other, or two tendons.
+    """
+
+    links: tuple[RobotLink, ...]
+    joints: tuple[RobotJoint, ...]
+    followers: tuple[str, ...]
+    loops: tuple[str, ...]
+
+
+def _mujoco() -> Any:
+    """The library mujoco, imported with the first use."""
+    try:
+        import mujoco
+    except ImportError:
+        raise missing("mujoco", "hands") from None
+    return mujoco
+
+
+def read_robot(
+    path: str | Path, *, held: Mapping[str, float] | None = None, shapes_of: Collection[str] = ()
+) -> Robot:
+    """The tree of links and joints in a URDF or MJCF file.
+
+    Args:
+        path: A file that ends in .urdf, .xml or .mjcf.
+        held: Joints that do not move, and where each is held [rad or m].
+        shapes_of: Links whose meshes and balls are wanted; meshes of others are not read.
+
+    Raises:
+        ValueError: If the file cannot be read, or there is no such joint to be held.
+        ImportError: Without the extra `hands`.
+    """
+    path = readable(as_path(path, _KINDS), "a robot")
+    mujoco, held = _mujoco(), dict(held or {})
+    try:
+        spec, described = _parsed(mujoco, path, shapes_of)
+        own = _own_inertias(mujoco, spec, described)
+        ties = [(e.type == mujoco.mjtEq.mjEQ_JOINT, e.name1) for e in spec.equalities if e.active]
+        _lighten(mujoco, spec, shapes_of)
+        model = spec.compile()
+    except (ValueError, ElementTree.ParseError) as error:
+        said = str(error).replace(f"{path.resolve().parent}{os.sep}", "").splitlines()[0]
+        raise ValueError(f"argument path must name a robot, but {path.name}: {shown(said)}") from None
+    known = {model.joint(i).name: i for i in range(model.njnt)}
+    if unknown := [name for name in held if name not in known]:
+        raise ValueError(f"argument held must name joints of the file, but named {shown(unknown[0])}")
+    data = mujoco.MjData(model)
+    # Zero of every hinge and slide, but for those that are held; where a file measures a joint's angle from
+    # elsewhere than its drawing (`ref`), this is not the drawing. Orientations stay as drawn.
+    for name, i in known.items():
+        if _kind(mujoco, model, i) in ("hinge", "slide"):
+            data.qpos[model.jnt_qposadr[i]] = held.get(name, 0.0)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    moving = [i for name, i in known.items() if name not in held]
+    joints, carriers = _joints(mujoco, model, data, moving)
+    links = tuple(
+        _link(mujoco, model, data, i, own.get(model.body(i).name), carriers[i], shapes_of)
+        for i in range(model.nbody)
+    )
+    followers = tuple(name for of_joint, name in ties if of_joint)
+    return Robot(links, joints, followers, tuple(name for of_joint, name in ties if not of_joint))
+
+
+def _parsed(mujoco: Any, path: Path, shapes_of: Collection[str]) -> tuple[Any, bool]:
+    """MuJoCo's description of the file, and whether that is a URDF."""
+    root = ElementTree.parse(path).getroot()
+    if root.tag != "robot":
+        return mujoco.MjSpec.from_file(str(path)), False
+    for link in root.iter("link"):
+        # Visual shapes count where there are no others, and only where shapes are asked for.
+        solid = link.findall("collision")
+        drop = ["visual"] if solid else []
+        if link.get("name") not in shapes_of:
+            drop = ["visual", "collision"]
+        for shape in [each for kind in drop for each in link.findall(kind)]:
+            link.remove(shape)
+    for mesh in root.iter("mesh"):
+        mesh.set("filename", _mesh_file(path, mesh.get("filename", "")))
+    for old in root.findall("mujoco"):
+        root.remove(old)
+    settings = {"fusestatic": "false", "inertiafromgeom": "false", "strippath": "false"}
+    settings |= {"discardvisual": "false"}
+    ElementTree.SubElement(ElementTree.SubElement(root, "mujoco"), "compiler", settings)
+    spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
+    return spec, True
+
+
+def _mesh_file(path: Path, name: str) -> str:
+    """Where a mesh of a URDF lies: beside the file, or below a folder above it, as those of a package do."""
+    name = name.removeprefix("file://")
+    package, _, rest = name.removeprefix("package://").partition("/")
+    tries = [name] if "://" not in name else [rest, f"{package}/{rest}"]
+    folders = [path.resolve().parent, *path.resolve().parents]
+    found = [folder / each for folder in folders for each in tries if (folder / each).is_file()]
+    return str(found[0]) if found else os.path.join(path.resolve().parent, tries[0])
+
+
+_Inertial = tuple[float, np.ndarray, np.ndarray]
+
+
+def _own_inertias(mujoco: Any, spec: Any, described: bool) -> dict[str, _Inertial]:
+    """By link: mass, centre and tensor in the link's axes, where the file states them, and not its shapes.
+
+    Such links are given a ball's inertia for MuJoCo, which thus neither checks nor changes their own.
+    """
+    settings = spec.compiler
+    inferred = settings.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    changed = (settings.boundmass, settings.boundinertia, settings.balanceinertia)
+    if inferred or any(changed) or settings.settotalmass > 0.0:
+        return {}  # as MuJoCo compiles them
+    found = {}
+    for body in spec.bodies:
+        if body.name == "world" or not (body.explicitinertial or described):
+            continue
+        found[body.name] = (0.0, np.zeros(3), np.zeros((3, 3)))
+        if body.explicitinertial:
+            found[body.name] = _inertial(mujoco, spec, body)
+        body.explicitinertial, body.mass, body.inertia = True, 1.0, np.ones(3)
+        body.ipos, body.iquat, body.fullinertia = np.zeros(3), (1.0, 0.0, 0.0, 0.0), (np.nan, *[0.0] * 5)
+        body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+    return found
+
+
+def _inertial(mujoco: Any, spec: Any, body: Any) -> _Inertial:
+    quaternion = np.array(body.iquat, float)
+    if body.ialt.type != mujoco.mjtOrientation.mjORIENTATION_QUAT:
+        settings = spec.compiler
+        found = spec.resolve_orientation(
+            degree=settings.degree, sequence=settings.eulerseq, orientation=body.ialt
+        )
+        quaternion = np.array(found, float)
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, quaternion / np.linalg.norm(quaternion))
+    turn = turn.reshape(3, 3)
+    tensor = np.diag(np.array(body.inertia, float))
+    if not np.isnan(body.fullinertia[0]):
+        xx, yy, zz, xy, xz, yz = body.fullinertia
+        tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    return float(body.mass), np.array(body.ipos, float), turn @ tensor @ turn.T
+
+
+def _lighten(mujoco: Any, spec: Any, shapes_of: Collection[str]) -> None:
+    """Leave out what a tree of links does not need: files of meshes, images, contacts, sensors."""
+    heavy = (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD, mujoco.mjtGeom.mjGEOM_SDF)
+    for geom in spec.geoms:
+        geom.material = ""
+        # Where the link states its inertia, a ball may stand for a mesh.
+        if geom.type in heavy and geom.parent.explicitinertial and geom.parent.name not in shapes_of:
+            geom.type, geom.meshname, geom.hfieldname = mujoco.mjtGeom.mjGEOM_SPHERE, "", ""
+            geom.size = np.full(3, 1e-3)
+    for each in (*spec.sites, *spec.tendons):
+        each.material = ""
+    used = {geom.meshname for geom in spec.geoms}
+    for each in (*spec.keys, *spec.sensors, *spec.pairs, *spec.excludes, *spec.equalities, *spec.skins):
+        spec.delete(each)
+    for each in (*spec.materials, *spec.textures, *(m for m in spec.meshes if m.name not in used)):
+        spec.delete(each)
+
+
+def _kind(mujoco: Any, model: Any, joint: int) -> str:
+    return mujoco.mjtJoint(model.jnt_type[joint]).name.removeprefix("mjJNT_").lower()
+
+
+def _joints(
+    mujoco: Any, model: Any, data: Any, moving: list[int]
+) -> tuple[tuple[RobotJoint, ...], list[int | None]]:
+    """Joints that move, from the base outwards, and the last one on the way to each body."""
+    joints, carriers = [], []
+    for body in range(model.nbody):
+        carrier = carriers[model.body_parentid[body]] if body else None
+        first = model.body_jntadr[body]
+        for i in range(first, first + model.body_jntnum[body]):
+            if i not in moving:
+                continue
+            dof = model.jnt_dofadr[i]
+            joints.append(
+                RobotJoint(
+                    name=model.joint(i).name,
+                    kind=_kind(mujoco, model, i),
+                    link=body,
+                    before=carrier,
+                    anchor=data.xanchor[i].copy(),
+                    axis=data.xaxis[i].copy(),
+                    limits=_ends(model.jnt_range[i]) if model.jnt_limited[i] else _UNLIMITED,
+                    torques=_torques(mujoco, model, i),
+                    damping=_number(model.dof_damping[dof]),
+                    friction=float(model.dof_frictionloss[dof]),
+                    stiffness=_number(model.jnt_stiffness[i]),
+                    armature=float(model.dof_armature[dof]),
+                )
+            )
+            carrier = len(joints) - 1
+        carriers.append(carrier)
+    return tuple(joints), carriers
+
+
+def _ends(interval: np.ndarray) -> tuple[float, float]:
+    return float(interval[0]), float(interval[1])
+
+
+def _number(value: Any) -> float:
+    """The first of a polynomial's coefficients, or the one number there is."""
+    return float(np.ravel(value)[0])
+
+
+def _torques(mujoco: Any, model: Any, joint: int) -> tuple[float, float]:
+    """Smallest and largest torque at a joint: its own limit, and that of the motors which drive it alone."""
+    low, high = _ends(model.jnt_actfrcrange[joint]) if model.jnt_actfrclimited[joint] else _UNLIMITED
+    kinds = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+    motors = [
+        i
+        for i in range(model.nu)
+        if mujoco.mjtTrn(model.actuator_trntype[i]) in kinds and model.actuator_trnid[i][0] == joint
+    ]
+    if motors and all(model.actuator_forcelimited[i] for i in motors):
+        ends = [np.sort(model.actuator_gear[i][0] * model.actuator_forcerange[i]) for i in motors]
+        low, high = max(low, float(sum(e[0] for e in ends))), min(high, float(sum(e[1] for e in ends)))
+    return low, high
+
+
+def _link(
+    mujoco: Any,
+    model: Any,
+    data: Any,
+    body: int,
+    own: _Inertial | None,
+    carrier: int | None,
+    shapes_of: Collection[str],
+) -> RobotLink:
+    turn, origin = data.xmat[body].reshape(3, 3).copy(), data.xpos[body].copy()
+    if own is None:
+        axes = data.ximat[body].reshape(3, 3)
+        mass, centre = float(model.body_mass[body]), data.xipos[body].copy()
+        inertia = axes @ np.diag(model.body_inertia[body]) @ axes.T
+    else:
+        mass, centre, inertia = own[0], origin + turn @ own[1], turn @ own[2] @ turn.T
+    name, shapes = model.body(body).name, ()
+    if name in shapes_of:
+        first = model.body_geomadr[body]
+        every = range(first, first + model.body_geomnum[body])
+        # What touches, where anything does: the rest is for pictures.
+        touching = [i for i in every if model.geom_contype[i] or model.geom_conaffinity[i]]
+        each = (_shape(mujoco, model, i) for i in touching or every)
+        shapes = tuple(shape for shape in each if shape is not None)
+    parent, quaternion = int(model.body_parentid[body]), data.xquat[body].copy()
+    return RobotLink(name, parent, carrier, origin, quaternion, mass, centre, inertia, shapes)
+
+
+def _shape(mujoco: Any, model: Any, geom: int) -> tuple[str, tuple[np.ndarray, ...]] | None:
+    """One shape of a link in the link's axes; None of a kind that has no smooth closed surface."""
+    turn, size = np.zeros(9), model.geom_size[geom]
+    mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
+    place = model.geom_pos[geom].copy()
+    kind = mujoco.mjtGeom(model.geom_type[geom])
+    if kind == mujoco.mjtGeom.mjGEOM_MESH:
+        mesh = model.geom_dataid[geom]
+        start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+        corners = place + model.mesh_vert[start : start + count].astype(float) @ turn.reshape(3, 3).T
+        start, count = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
+        return "mesh", (corners, model.mesh_face[start : start + count].copy())
+    if kind not in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_ELLIPSOID):
+        return None
+    ball = kind == mujoco.mjtGeom.mjGEOM_SPHERE
+    half = np.full(3, size[0]) if ball else size.copy()
+    return "ball" if ball else "ellipsoid", (half, place, model.geom_quat[geom].copy())

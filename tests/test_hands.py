@@ -1,0 +1,324 @@
+"""`io.load_hand`: fingers of URDF and MJCF files against MuJoCo's own dynamics of the same files."""
+
+import re
+
+import equinox as eqx
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import jaxroll as jxr
+from jaxroll._linalg import Vec3
+
+GRAVITY = (1.0, -2.0, -9.0)
+JOINTS = (3, 2, 4)  # of each finger
+BALL = jxr.Sphere(0.01)
+
+
+def numbers(values):
+    return " ".join(f"{x:.17g}" for x in np.ravel(values))
+
+
+def random_links(seed):
+    """Place, axis, and of two links fixed to each other mass, centre, turn and moments; finger by finger."""
+    rng = np.random.default_rng(seed)
+    frame = lambda size: (size * rng.normal(size=3), rng.uniform(-1.5, 1.5, size=3))  # noqa: E731
+    body = lambda: (*frame(0.02), rng.uniform(0.01, 0.1), rng.uniform(2e-5, 3e-5, size=3))  # noqa: E731
+    return [
+        [(frame(0.05), rng.normal(size=3), body(), frame(0.01), body()) for _ in range(k)] for k in JOINTS
+    ]
+
+
+def as_urdf(fingers):
+    """Origins by roll, pitch and yaw; every link carries a second one, the last of them the tip."""
+    parts = ['<robot name="odd"><link name="palm"/>']
+
+    def origin(at, turn):
+        return f'<origin xyz="{numbers(at)}" rpy="{numbers(turn)}"/>'
+
+    def link(name, at, turn, mass, moments):
+        xx, yy, zz = moments
+        tensor = f'<inertia ixx="{xx}" iyy="{yy}" izz="{zz}" ixy="1e-6" ixz="-2e-6" iyz="3e-6"/>'
+        inertial = f'{origin(at, turn)}<mass value="{mass}"/>{tensor}'
+        solid = '<collision><geometry><mesh filename="package://gone/away.stl"/></geometry></collision>'
+        parts.append(f'<link name="{name}"><inertial>{inertial}</inertial>{solid}</link>')
+
+    for i, finger in enumerate(fingers):
+        parent = "palm"
+        for j, (place, axis, own, fixed, other) in enumerate(finger):
+            link(f"l{i}{j}", *own)
+            ends = '<limit lower="-1" upper="1.5" effort="0.7" velocity="3"/><dynamics damping="0.02"/>'
+            parts.append(
+                f'<joint name="j{i}{j}" type="revolute"><parent link="{parent}"/><child link="l{i}{j}"/>'
+                f'{origin(*place)}<axis xyz="{numbers(axis)}"/>{ends}</joint>'
+            )
+            link(f"e{i}{j}", *other)
+            parts.append(
+                f'<joint name="f{i}{j}" type="fixed"><parent link="l{i}{j}"/><child link="e{i}{j}"/>'
+                f"{origin(*fixed)}</joint>"
+            )
+            parent = f"l{i}{j}"
+    return "\n".join([*parts, "</robot>"])
+
+
+def as_mjcf(fingers, *, armature=0.0, ref=0.0):
+    """The same by quaternions; bodies inside each other."""
+
+    def place(at, turn):
+        quaternion = np.roll(Rotation.from_euler("xyz", turn).as_quat(), 1)
+        return f'pos="{numbers(at)}" quat="{numbers(quaternion)}"'
+
+    def inertial(at, turn, mass, moments):
+        turn = Rotation.from_euler("xyz", turn).as_matrix()
+        t = turn @ (np.diag(moments) + [[0, 1e-6, -2e-6], [1e-6, 0, 3e-6], [-2e-6, 3e-6, 0]]) @ turn.T
+        six = numbers([t[0, 0], t[1, 1], t[2, 2], t[0, 1], t[0, 2], t[1, 2]])
+        return f'<inertial pos="{numbers(at)}" mass="{mass}" fullinertia="{six}"/>'
+
+    def body(i, j, links):
+        (at, axis, own, fixed, other), *rest = links
+        joint = (
+            f'<joint name="j{i}{j}" axis="{numbers(axis)}" damping="0.02" armature="{armature}" ref="{ref}"'
+        )
+        joint += ' range="-1 1.5" actuatorfrcrange="-0.7 0.7"/>'
+        end = f'<body name="e{i}{j}" {place(*fixed)}>{inertial(*other)}</body>'
+        inner = body(i, j + 1, rest) if rest else ""
+        return f'<body name="l{i}{j}" {place(*at)}>{joint}{inertial(*own)}{end}{inner}</body>'
+
+    each = "".join(body(i, 0, finger) for i, finger in enumerate(fingers))
+    return (
+        f'<mujoco><compiler angle="radian" autolimits="true"/><worldbody><body name="palm">{each}</body>'
+        f"</worldbody></mujoco>"
+    )
+
+
+def motion(finger, q, v):
+    """M, h, place and axes of the tip."""
+    found, inertia = finger.motion(
+        tuple(map(jnp.asarray, q)), tuple(map(jnp.asarray, v)), Vec3(*map(jnp.asarray, GRAVITY))
+    )
+    lower = inertia.mass
+    mass = [[float(lower[max(i, j)][min(i, j)]) for j in range(len(q))] for i in range(len(q))]
+    axes = np.stack([np.asarray(axis.array()) for axis in (found.pose.x, found.pose.y, found.pose.z)], -1)
+    return np.array(mass), np.array(inertia.force), np.asarray(found.pose.origin.array()), axes
+
+
+def of_mujoco(text, angles, rates):
+    """M, h and the data of the whole hand, by MuJoCo alone."""
+    spec = mujoco.MjSpec.from_string(text)
+    spec.option.gravity = GRAVITY
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    for name in angles:
+        data.qpos[model.joint(name).qposadr[0]] = angles[name]
+        data.qvel[model.joint(name).dofadr[0]] = rates[name]
+    mujoco.mj_forward(model, data)
+    # Column by column, whose interface no version has changed.
+    mass = np.zeros((model.nv, model.nv))
+    mujoco.mj_mulM(model, data, column := np.zeros(model.nv), np.zeros(model.nv))
+    for i in range(model.nv):
+        mujoco.mj_mulM(model, data, column, np.eye(model.nv)[i])
+        mass[:, i] = column
+    return model, data, mass
+
+
+def check_against_mujoco(hand, text, seed=0):
+    rng = np.random.default_rng(seed)
+    names = [name for joints in hand.joints for name in joints]
+    angles = dict(zip(names, rng.uniform(-1.0, 1.5, len(names)), strict=True))
+    rates = dict(zip(names, rng.normal(size=len(names)), strict=True))
+    model, data, whole = of_mujoco(text, angles, rates)
+    for finger, joints, tip in zip(hand.fingers, hand.joints, hand.tips, strict=True):
+        at = [model.joint(name).dofadr[0] for name in joints]
+        mass, force, origin, axes = motion(finger, [angles[n] for n in joints], [rates[n] for n in joints])
+        wanted = whole[np.ix_(at, at)]
+        np.testing.assert_allclose(mass, wanted, atol=1e-12 * np.abs(wanted).max())
+        wanted = data.qfrc_bias[at]
+        np.testing.assert_allclose(force, wanted, atol=1e-12 * np.abs(wanted).max())
+        np.testing.assert_allclose(origin, data.body(tip).xpos, atol=1e-14)
+        np.testing.assert_allclose(axes, data.body(tip).xmat.reshape(3, 3), atol=1e-13)
+
+
+def written(tmp_path, text, name="hand.urdf"):
+    path = tmp_path / name
+    path.write_text(text)
+    return path
+
+
+def without_meshes(text):
+    """MuJoCo, unlike `load_hand`, insists on all meshes."""
+    return re.sub("<collision>.*?</collision>", "", text).replace(
+        "</robot>", '<mujoco><compiler fusestatic="false"/></mujoco></robot>'
+    )
+
+
+def test_a_hand_from_urdf_moves_as_in_mujoco(tmp_path):
+    text = as_urdf(random_links(1))
+    tips = {f"e{i}{k - 1}": BALL for i, k in enumerate(JOINTS)}
+    hand = jxr.io.load_hand(written(tmp_path, text), tips)
+    assert hand.tips == tuple(tips) and tuple(map(len, hand.joints)) == JOINTS
+    check_against_mujoco(hand, without_meshes(text))
+    assert hand.limits[1].tolist() == [[-1.0, 1.5]] * 2 and hand.torques[1].tolist() == [[-0.7, 0.7]] * 2
+    assert hand.damping[2].tolist() == [0.02] * 4
+
+
+def test_the_same_hand_from_mjcf(tmp_path):
+    """To the same fingers; then with rotors, and angles that are measured from elsewhere than the drawing."""
+    links = random_links(1)
+    tips = {f"e{i}{k - 1}": BALL for i, k in enumerate(JOINTS)}
+    first = jxr.io.load_hand(written(tmp_path, as_urdf(links)), tips)
+    text = as_mjcf(links)
+    again = jxr.io.load_hand(written(tmp_path, text, "hand.xml"), tips)
+    same = lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-11, atol=1e-13)  # noqa: E731
+    for a, b in zip(first.fingers, again.fingers, strict=True):
+        for name in ("axes", "offsets", "masses", "base", "centres", "inertias"):
+            same(getattr(a, name), getattr(b, name))
+    for name in ("limits", "torques", "damping"):
+        same(np.concatenate(getattr(first, name)), np.concatenate(getattr(again, name)))
+    text = as_mjcf(links, armature=3e-4, ref=0.4)
+    moved = jxr.io.load_hand(written(tmp_path, text, "moved.xml"), tips)
+    np.testing.assert_allclose(moved.fingers[2].armature, 3e-4)
+    check_against_mujoco(moved, text)
+
+
+def test_a_hand_is_placed_in_the_world_and_held_joints_are_part_of_the_palm(tmp_path):
+    links = random_links(2)
+    path = written(tmp_path, as_urdf(links))
+    turn, shift = np.array([0.5, -0.5, 0.1, 0.7]), np.array([0.1, -0.2, 0.3])
+    options = {"held": {"j20": 0.3, "j23": -0.4}}
+    still = jxr.io.load_hand(path, {"e23": BALL}, **options)
+    placed = jxr.io.load_hand(path, {"e23": BALL}, **options, position=shift, rotation=turn)
+    whole = jxr.io.load_hand(path, {"e23": BALL})
+    assert still.joints == (("j21", "j22"),)
+    q, v = np.array([0.2, -0.7]), np.array([0.5, 0.8])
+    mass, _, origin, axes = motion(still.fingers[0], q, v)
+    all_mass, _, all_origin, all_axes = motion(whole.fingers[0], [0.3, *q, -0.4], [0.0, *v, 0.0])
+    np.testing.assert_allclose(mass, all_mass[1:3, 1:3], rtol=1e-12)
+    np.testing.assert_allclose(origin, all_origin, atol=1e-15)
+    np.testing.assert_allclose(axes, all_axes, atol=1e-14)
+    _, _, there, turned = motion(placed.fingers[0], q, v)
+    world = Rotation.from_quat(np.roll(turn, -1)).as_matrix()
+    np.testing.assert_allclose(there, shift + world @ origin, atol=1e-15)
+    np.testing.assert_allclose(turned, world @ axes, atol=1e-14)
+
+
+LINK = (
+    "<inertial><mass value='{}'/><inertia ixx='{}' iyy='1e-5' izz='1e-5' ixy='0' ixz='0' iyz='0'/></inertial>"
+)
+
+
+def small_urdf(*joints, extra=""):
+    """Joints as (name, type, parent, child); every child has the same inertia."""
+    parts = ["<robot name='small'><link name='palm'/>"]
+    for name, kind, parent, child in joints:
+        parts.append(f"<link name='{child}'>{LINK.format(0.1, 1e-5)}</link>")
+        ends = f"<parent link='{parent}'/><child link='{child}'/><axis xyz='0 1 0'/>"
+        ends += "<limit lower='0' upper='1' effort='1' velocity='1'/>"
+        parts.append(f"<joint name='{name}' type='{kind}'>{ends}</joint>")
+    return "\n".join(parts) + extra + "</robot>"
+
+
+HINGE = ("knuckle", "revolute", "palm", "finger")
+REFUSED = {
+    "a slide": (small_urdf(HINGE, ("slider", "prismatic", "finger", "tip")), "'slider' is a slide"),
+    "a branch": (
+        small_urdf(HINGE, ("a", "revolute", "finger", "one"), ("b", "revolute", "finger", "two")),
+        "'knuckle' carries two joints",
+    ),
+    "a floating joint": (small_urdf(("loose", "floating", "palm", "finger")), "free joint"),
+    "no joint": (small_urdf(("stuck", "fixed", "palm", "finger")), "joints that move"),
+    "no mass at the end": (
+        small_urdf(HINGE).replace("0.1'", "0'").replace("1e-5", "0"),
+        "joint 'knuckle' moves none",
+    ),
+    "a moment below zero": (small_urdf(HINGE).replace("ixx='1e-05'", "ixx='-1e-5'"), "positive masses"),
+    "no robot": ("<robot name='small'>", "hand.urdf: "),
+    "two ends": (
+        small_urdf(HINGE, ("a", "fixed", "finger", "one"), ("b", "fixed", "finger", "two")),
+        "argument tips must be a dict",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_what_is_no_hand_is_refused_by_name(tmp_path, what):
+    text, said = REFUSED[what]
+    with pytest.raises(ValueError, match="argument ") as refused:
+        jxr.io.load_hand(written(tmp_path, text), BALL)
+    assert said in str(refused.value) and len(str(refused.value)) < 300
+
+
+def test_joints_that_follow_others_are_refused_until_they_are_held(tmp_path):
+    text = small_urdf(HINGE, ("follower", "revolute", "finger", "tip"))
+    whole = text.replace(
+        "name='follower' type='revolute'>", "name='follower' type='revolute'><mimic joint='knuckle'/>"
+    )
+    assert whole != text
+    path = written(tmp_path, whole)
+    with pytest.raises(ValueError, match="'follower' is tied to another part"):
+        jxr.io.load_hand(path, BALL)
+    assert jxr.io.load_hand(path, BALL, held={"follower": 0.2}).joints == (("knuckle",),)
+    with pytest.raises(ValueError, match="argument held must name joints"):
+        jxr.io.load_hand(path, BALL, held={"thumb": 0.0})
+
+
+def test_links_without_mass_between_two_joints_count_for_nothing(tmp_path):
+    """Two joints in one body, as MJCF has them, are two links, the first without mass."""
+    body = '<body name="b" pos="0 0 0.1"><joint name="j" axis="1 0 0"/>'
+    body += '<joint name="k" axis="0 1 0" pos="0 0 0.01"/>'
+    body += '<inertial pos="0 0 0.03" mass="0.1" diaginertia="1e-5 2e-5 2e-5"/></body>'
+    text = f"<mujoco><worldbody>{body}</worldbody></mujoco>"
+    check_against_mujoco(jxr.io.load_hand(written(tmp_path, text, "two.xml"), BALL), text)
+
+
+def with_shape(shape):
+    """A finger whose tip, a link of its own, has a shape 30 mm along z."""
+    solid = f"<collision><origin xyz='0 0 0.03'/><geometry>{shape}</geometry></collision></link>"
+    joint = "\n<joint name='end'"
+    return small_urdf(HINGE, ("end", "fixed", "finger", "tip")).replace(f"</link>{joint}", solid + joint)
+
+
+def test_the_tip_of_a_file_is_taken_where_that_is_asked_for(tmp_path):
+    path = written(tmp_path, with_shape("<sphere radius='0.012'/>"))
+    surface = jxr.io.load_hand(path, "mesh").fingers[0].tip
+    top = surface.point(surface.near(np.array([0.0, 0.0, 0.1])))
+    np.testing.assert_allclose(top, (0.0, 0.0, 0.042), atol=1e-15)
+    with pytest.raises(ValueError, match="argument tips must be surfaces where"):
+        jxr.io.load_hand(written(tmp_path, with_shape("<box size='0.01 0.01 0.01'/>")), "mesh")
+
+
+@pytest.mark.slow
+def test_a_tip_is_fitted_to_the_mesh_of_its_link(tmp_path):
+    """A ball of 4000 corners in a file beside, named as in a package: the same ball, in the tip's frame."""
+    trimesh = pytest.importorskip("trimesh")
+    u = np.random.default_rng(0).normal(size=(4000, 3))
+    corners = 0.012 * u / np.linalg.norm(u, axis=1)[:, None]
+    trimesh.convex.convex_hull(corners).export(tmp_path / "tip.stl")
+    path = written(tmp_path, with_shape("<mesh filename='package://mine/tip.stl'/>"))
+    surface = jxr.io.load_hand(path, "mesh", smoothing=0.02).fingers[0].tip
+    ways = np.random.default_rng(1).normal(size=(20, 3))
+    centre = np.array([0.0, 0.0, 0.03])
+    rim = centre + 0.012 * ways / np.linalg.norm(ways, axis=1)[:, None]
+    found = np.array([surface.point(surface.near(point)) for point in rim])
+    np.testing.assert_allclose(np.linalg.norm(found - centre, axis=1), 0.012, atol=5e-5)
+
+
+def test_torques_are_limited_by_the_motors_of_a_joint_too(tmp_path):
+    """Motors pull with their force times their gear, which may be negative."""
+    body = '<body><joint name="j"/><geom type="capsule" size="0.01" fromto="0 0 0 0 0 0.05"/></body>'
+    motor = '<actuator><motor joint="j" gear="-2" forcerange="-0.1 0.3"/></actuator>'
+    path = written(tmp_path, f"<mujoco><worldbody>{body}</worldbody>{motor}</mujoco>", "motor.xml")
+    assert jxr.io.load_hand(path, BALL).torques[0].tolist() == [[-0.6, 0.2]]
+
+
+def test_a_rotor_adds_to_the_mass_matrix_alone():
+    links = [(0, 0.06, 0), (0, 0.06, 0)]
+    bare = jxr.Finger3([(1, 0, 0), (0, 0, 1)], links, [0.03, 0.01], BALL)
+    geared = jxr.Finger3([(1, 0, 0), (0, 0, 1)], links, [0.03, 0.01], BALL, armature=[1e-4, 2e-4])
+    (mass, force, *_), (more, same, *_) = (motion(f, (0.3, -0.4), (1.0, 2.0)) for f in (bare, geared))
+    np.testing.assert_allclose(more - mass, np.diag([1e-4, 2e-4]), atol=1e-18)
+    np.testing.assert_array_equal(force, same)
+    with pytest.raises(ValueError, match="argument armature must not be negative"):
+        jxr.Finger3([(1, 0, 0), (0, 0, 1)], links, [0.03, 0.01], BALL, armature=[1e-4, -1e-4])
+    assert eqx.tree_equal(bare.with_payload(0.01).armature, None)

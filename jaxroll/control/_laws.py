@@ -25,12 +25,12 @@ _Number = Any
 _Command = Given | Callable[[Any], Any]
 
 
-def _shape_of(given: Any) -> tuple[int, ...]:
+def shape_of(given: Any) -> tuple[int, ...]:
     """Shape of numbers, or of what a function of time returns."""
     return shape_returned(given) if is_command(given) else given.shape
 
 
-def _changes(controller: AbstractController, *names: str) -> bool:
+def changes_in_time(controller: AbstractController, *names: str) -> bool:
     """Whether one of these numbers is a function of time.
 
     A potential of numbers that change is none: the whole power of the torques counts as work then.
@@ -40,7 +40,7 @@ def _changes(controller: AbstractController, *names: str) -> bool:
 
 def _check_held(controller: AbstractController, *names: str) -> None:
     """Raise where one of these is a function of time and a number is asked for."""
-    if _changes(controller, *names):
+    if changes_in_time(controller, *names):
         raise ValueError(
             f"argument controller must have numbers as {' and '.join(names)}, as those of `at(t)` are, "
             f"but one is a function of time"
@@ -99,7 +99,7 @@ class Press(AbstractController):
 
     def check(self, fingers: int, axes: int) -> None:
         del fingers
-        if (shape := _shape_of(self.target)) and shape[-1] != axes:
+        if (shape := shape_of(self.target)) and shape[-1] != axes:
             raise ValueError(
                 f"argument target must have shape ({axes}), as the grasp's points have, but had shape {shape}"
             )
@@ -127,7 +127,7 @@ class Press(AbstractController):
         )
 
     def potential(self, tips: Sequence[Any], angles: Sequence[Scalars]) -> Scalar:
-        if _changes(self, "force", "radius", "target"):
+        if changes_in_time(self, "force", "radius", "target"):
             return jnp.zeros_like(tips[0].x)
         arms = [self._arm(tip) for tip in tips]
         return 0.5 * self.stiffness * total([arm.dot(arm) for arm in arms])
@@ -181,8 +181,8 @@ class Opposition(AbstractController):
     def __init__(self, beta: _Command, damping: _Command, alpha: _Command = 0.0, *, start: _Command) -> None:
         self.beta = taken(self, "beta", beta)
         self.start = taken(self, "start", start)
-        self.damping = taken(self, "damping", damping, shape=_shape_of(self.start))
-        self.alpha = taken(self, "alpha", alpha, shape=_shape_of(self.start))
+        self.damping = taken(self, "damping", damping, shape=shape_of(self.start))
+        self.alpha = taken(self, "alpha", alpha, shape=shape_of(self.start))
 
     def at(self, t: Given) -> "Opposition":
         """This controller at one time [s], with numbers in the place of functions of time."""
@@ -212,7 +212,7 @@ class Opposition(AbstractController):
         )
 
     def potential(self, tips: Sequence[Any], angles: Sequence[Scalars]) -> Scalar:
-        if _changes(self, "beta", "alpha", "start"):
+        if changes_in_time(self, "beta", "alpha", "start"):
             return jnp.zeros_like(tips[0].x)
         pairs = [b - a for i, a in enumerate(tips) for b in tips[i + 1 :]]
         turns = [total(q) - self.start[i] for i, q in enumerate(angles)]
@@ -221,7 +221,7 @@ class Opposition(AbstractController):
 
     def check(self, fingers: int, axes: int) -> None:
         del axes
-        count = _shape_of(self.start)[-1]
+        count = shape_of(self.start)[-1]
         if not 2 <= fingers == count:
             raise ValueError(
                 f"argument start must have one angle for each of two fingers or more, but had "

@@ -1,8 +1,9 @@
 """The chapter's scenes, ready to run, and bodies that roll alone.
 
 `_plane_scenes` has those of Parts 1 and 2, a ring of fingers and a roller; `_space_scenes` that of Part 3;
-`_rolling_bodies` single bodies on a surface. Every scene is a grasp and a state at which its contacts are
-closed, as `simulate` takes them; `rectangle` and `cuboid` are objects for the pinches.
+`_tripod` a hand in space that carries what it holds; `_rolling_bodies` single bodies on a surface. Every
+scene is a grasp and a state at which its contacts are closed, as `simulate` takes them; `rectangle`, `cuboid`
+and `spheroid` are objects to be held.
 """
 
 from ._plane_scenes import (
@@ -23,3 +24,4 @@ from ._rolling_bodies import (
     wheel as wheel,
 )
 from ._space_scenes import cuboid as cuboid, pinch3d as pinch3d
+from ._tripod import spheroid as spheroid, tripod as tripod

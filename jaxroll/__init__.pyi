@@ -28,6 +28,7 @@ from ._integration import (
     Trajectory as Trajectory,
     vector_field as vector_field,
 )
+from ._maps import adaptive_map as adaptive_map, measures as measures
 from ._mechanics import (
     Finger as Finger,
     Finger3 as Finger3,
@@ -59,7 +60,7 @@ from ._reaching import (
 )
 from ._results import RESULTS as RESULTS
 from ._saving import load as load, save as save
-from ._sweep import sweep as sweep
+from ._sweep import Parameters as Parameters, sweep as sweep
 from ._why import why as why
 from .contact import AbstractContact as AbstractContact, Contact as Contact, Contact3 as Contact3
 from .geometry import (

@@ -42,11 +42,12 @@ RANKS = {
     "design": 13,
     "scenes": 13,
     "io": 13,
-    "plotting": 14,
-    "_saving": 14,
-    "__init__": 15,
-    "_cli": 16,
-    "__main__": 17,
+    "_maps": 14,
+    "plotting": 15,
+    "_saving": 15,
+    "__init__": 16,
+    "_cli": 17,
+    "__main__": 18,
 }
 # One door each.
 DOORS = {
@@ -54,7 +55,7 @@ DOORS = {
     "optimistix": {"_integration"},
     "optax": {"design", "geometry"},
     "matplotlib": {"plotting"},
-    "tqdm": {"_sweep"},
+    "tqdm": {"_sweep", "_maps"},
     "scipy": set(),
     "numba": set(),
 }
@@ -369,6 +370,7 @@ PUBLIC = {
     "commands", "control", "design", "energies", "equation_terms", "fit_contour", "geometry", "io", "loads",
     "multipliers",
     "pinch_balance", "plotting", "press_balance", "grasp_points", "GraspPoints", "Reach", "reach",
+    "Parameters", "adaptive_map", "measures",
     "load", "residuals", "save", "scenes", "simulate", "stability", "sweep", "vector_field",
 }  # fmt: skip
 

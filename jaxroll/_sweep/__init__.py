@@ -3,7 +3,8 @@
 `_sweep` has the public function: it cuts the parameters into chunks and hands these to worker threads.
 `_program` traces and compiles what one chunk does. Only where a folder is given are the others needed:
 `_fingerprint` digests values and programs, `_identity` gathers the digests that tell one sweep from another,
-`_folder` reads and writes the finished chunks.
+`_folder` reads and writes the finished chunks. `_parameters` has the parameters of many runs by name.
 """
 
+from ._parameters import Parameters as Parameters
 from ._sweep import sweep as sweep

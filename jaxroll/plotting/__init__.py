@@ -9,7 +9,8 @@ surfaces (`_rays` where they have no closed form), `_scene3` puts both together 
 instant of it. `animate`, `pose`, `poses` and `responses` take either kind of grasp; `loci` and `page` (the
 only door to plotly, a page for a browser) one in space, `contours` and `phase` one in the plane.
 `contact_geometry` draws one contact with the chapter's names (its labels are put by `_tags`), `design` a
-fingertip before and after, `comparison` runs over each other.
+fingertip before and after, `comparison` runs over each other. `parameter_map` draws what a sweep kept over two
+parameters, and `map_page` writes it for a browser.
 """
 
 from ._animate import animate as animate
@@ -18,6 +19,8 @@ from ._contours import contours as contours
 from ._design_figure import comparison as comparison, design as design
 from ._fit_figure import fit as fit
 from ._loci_figure import loci_figure as loci  # noqa: F401
+from ._map_figure import parameter_map as parameter_map
+from ._map_page import map_page as map_page
 from ._page import page as page
 from ._phase import phase as phase
 from ._pose import pose as pose, poses as poses

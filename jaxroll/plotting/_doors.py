@@ -83,6 +83,7 @@ _CHECKS: dict[str, Callable[[str, Any], Any]] = {
     "size": _size,
     "times": _times,
     "title": _text,
+    "label": _text,
     "frames": as_count,
     "progress": lambda name, value: check_callable(name, value, takes=2),
     "path": _place,

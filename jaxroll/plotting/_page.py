@@ -41,7 +41,17 @@ _RING = 1.5
 _FEW = 12
 # How many points of a locus are shown at most.
 _POINTS = 160
-_FONT = {"family": "Helvetica, Arial, sans-serif", "color": GUIDE, "size": 13}
+# A picture as high as the window, without the browser's margins, needs no scroll bar.
+WHOLE_WINDOW = {
+    "default_height": "calc(100vh - 6px)",
+    "post_script": "document.body.style.margin = '0px';",
+}
+PAGE_FONT = {"family": "Helvetica, Arial, sans-serif", "color": GUIDE, "size": 13}
+
+
+def plotly_door() -> Any:
+    """Plotly's graph objects, imported with their first use."""
+    return _plotly()
 
 
 def _plotly() -> Any:
@@ -136,9 +146,7 @@ def write_page(
     )
     path.parent.mkdir(parents=True, exist_ok=True)
     config = {"displaylogo": False, "responsive": True}
-    # A picture as high as the window, without the browser's margins, needs no scroll bar.
-    whole = {"default_height": "calc(100vh - 6px)", "post_script": "document.body.style.margin = '0px';"}
-    figure.write_html(path, include_plotlyjs=True, auto_play=False, config=config, **whole)
+    figure.write_html(path, include_plotlyjs=True, auto_play=False, config=config, **WHOLE_WINDOW)
     return path
 
 
@@ -260,7 +268,7 @@ def _layout(scene: Scene3, title: str, ts: np.ndarray, angles: tuple[float, floa
     eye = {"eye": _point(_DISTANCE * towards), "projection": {"type": "orthographic"}}
     return {
         "title": {"text": title, "x": 0.5, "xanchor": "center", "font": {"size": 18}},
-        "font": _FONT,
+        "font": PAGE_FONT,
         "paper_bgcolor": "white",
         "margin": {"l": 10, "r": 10, "t": 60, "b": 10},
         "scene": axes | {"aspectmode": "manual", "aspectratio": _point(spans), "camera": eye},

@@ -1,0 +1,161 @@
+"""What a map over two parameters shows: a slice of a grid, or scattered samples, of one kept value or code.
+
+`_map_figure` draws it, `_map_page` writes it for a browser. Parameters that the map does not show are held where
+the caller says, or in the middle of their axis.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .._printing import code_name, code_of, is_code, number_of
+from .._results import check_instance, shown
+from .._sweep import Parameters
+
+# Steps of an axis are even if none differs from the mean by more than this share.
+_EVEN = 1e-6
+
+
+class Axis(NamedTuple):
+    """One parameter along a side of the map.
+
+    Attributes:
+        values: Shape (k,), rising, along a grid; else one for each sample.
+        label: Name and unit.
+        log: Whether its steps are even on a scale of logarithms.
+    """
+
+    values: np.ndarray
+    label: str
+    log: bool
+
+
+class MapData(NamedTuple):
+    """Numbers of a map.
+
+    Attributes:
+        x: Along the lower side.
+        y: Along the left side.
+        z: Shape (len(y), len(x)) on a grid, (n,) of samples; codes as numbers from 0 up, values as they are.
+        codes: Names of the codes, by these numbers; none for values.
+        gridded: Whether it is a grid.
+        held: Which other parameters are held where, as text; empty if there are none.
+    """
+
+    x: Axis
+    y: Axis
+    z: np.ndarray
+    codes: tuple[str, ...]
+    gridded: bool
+    held: str
+
+
+def map_data(
+    parameters: Parameters,
+    values: Any,
+    *,
+    x: str | None = None,
+    y: str | None = None,
+    at: Mapping[str, float] | None = None,
+) -> MapData:
+    """The slice to be shown, or the samples; see `plotting.parameter_map`."""
+    check_instance("parameters", parameters, Parameters, "Parameters")
+    x, y = _sides(parameters, x, y)
+    numbers, codes = _numbered(parameters, values)
+    along = {name: k for k, names in enumerate(parameters.axes) for name in names}
+    if along[x] == along[y]:
+        if at:
+            raise ValueError(f"argument at must be left out where samples are shown, but was {shown(at)}")
+        sides = (_axis(parameters, name, parameters[name]) for name in (x, y))
+        return MapData(*sides, numbers.ravel(), codes, gridded=False, held=_spread(parameters, (x, y)))
+    place, held = _place(parameters, (along[x], along[y]), at or {})
+    seen = numbers[place]
+    grid = seen.T if along[x] < along[y] else seen
+    sides = [_axis(parameters, name, parameters.axis(name)) for name in (x, y)]
+    orders = [np.argsort(side.values, kind="stable") for side in sides]
+    sides = [side._replace(values=side.values[order]) for side, order in zip(sides, orders, strict=True)]
+    return MapData(*sides, grid[np.ix_(orders[1], orders[0])], codes, gridded=True, held=held)
+
+
+def _sides(parameters: Parameters, x: Any, y: Any) -> tuple[str, str]:
+    """Names of both sides: those that are asked for, or the first two that change."""
+    simple = [name for name in parameters.names if np.ndim(parameters[name]) == 1]
+    free = [name for name in simple if np.ptp(parameters[name].astype(float)) > 0.0]
+    for which, name in (("x", x), ("y", y)):
+        if name is not None and name not in free:
+            raise ValueError(
+                f"argument {which} must be a parameter of one number that changes, of {shown(free)}, "
+                f"but was {shown(name)}"
+            )
+    if x is not None and x == y:
+        raise ValueError(f"argument y must be another parameter than x, but was {shown(y)}")
+    left = [name for name in free if name not in (x, y)]
+    if len(left) + (x is not None) + (y is not None) < 2:
+        raise ValueError(f"argument parameters must have two that change, but those were {shown(free)}")
+    x = left.pop(0) if x is None else x
+    return x, left.pop(0) if y is None else y
+
+
+def _numbered(parameters: Parameters, values: Any) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Values in the shape of the grid, codes and truth values as numbers from 0 up with their names."""
+    kind, array = number_of(values) if is_code(values) else (None, values)
+    array = np.asarray(array)
+    rows = math.prod(parameters.shape)
+    if array.shape not in ((rows,), parameters.shape) or array.dtype.kind not in "fiub":
+        raise ValueError(
+            f"argument values must be one number or code for each of the {rows} rows, but was {shown(array)}"
+        )
+    array = array.reshape(parameters.shape)
+    if kind is None and array.dtype.kind != "b":
+        return array.astype(float), ()
+    present, numbers = np.unique(array, return_inverse=True)
+    names = [str(code) if kind is None else code_name(code_of(kind, code)) for code in present]
+    return numbers.reshape(array.shape), tuple(name.lower().replace("_", " ") for name in names)
+
+
+def _place(parameters: Parameters, sides: tuple[int, int], at: Mapping[str, float]) -> tuple[Any, str]:
+    """Where the grid is cut, and in words."""
+    if not isinstance(at, Mapping):
+        raise ValueError(f"argument at must say by name where parameters are held, but was {shown(at)}")
+    place: list[Any] = [slice(None) if k in sides else n // 2 for k, n in enumerate(parameters.shape)]
+    for name, value in at.items():
+        along = [k for k, names in enumerate(parameters.axes) if name in names and k not in sides]
+        number = isinstance(value, int | float) and math.isfinite(value)
+        if not along or not number or np.ndim(parameters[name]) != 1:
+            raise ValueError(
+                f"argument at must hold parameters that are no side of the map at a number each, but had "
+                f"{shown(name)}: {shown(value)}"
+            )
+        place[along[0]] = int(np.argmin(np.abs(parameters.axis(name) - value)))
+    told = [
+        f"{name} = {parameters.axis(name)[k]:.4g} {parameters.units[name]}".strip()
+        for names, k, n in zip(parameters.axes, place, parameters.shape, strict=True)
+        for name in names
+        if not isinstance(k, slice) and n > 1 and np.ndim(parameters[name]) == 1
+    ]
+    return tuple(place), ", ".join(told)
+
+
+def _spread(parameters: Parameters, sides: tuple[str, str]) -> str:
+    """Which other parameters change among samples, in words."""
+    others = [name for name in parameters.names if name not in sides]
+    changing = [name for name in others if np.ptp(parameters[name].astype(float)) > 0.0]
+    return f"{', '.join(changing)} between {'its' if len(changing) == 1 else 'their'} bounds" if changing else ""
+
+
+def _axis(parameters: Parameters, name: str, values: np.ndarray) -> Axis:
+    unit = parameters.units[name]
+    told = name.replace("_", " ")
+    return Axis(np.asarray(values, float), f"{told} [{unit}]" if unit else told, _logarithmic(values))
+
+
+def _logarithmic(values: np.ndarray) -> bool:
+    """Whether three or more values are even steps of a logarithm; samples over more than a decade count too."""
+    every = np.unique(np.asarray(values, float))
+    if len(every) < 3 or every[0] <= 0.0:
+        return False
+    steps, ratios = np.diff(every), np.diff(np.log(every))
+    even = lambda x: np.ptp(x) <= _EVEN * abs(x.mean()) * len(x)  # noqa: E731
+    return bool(even(ratios) and not even(steps))

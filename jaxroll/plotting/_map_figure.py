@@ -1,0 +1,136 @@
+"""A map over two parameters: which code, or how large a value, at each place."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+import numpy as np
+
+from .._sweep import Parameters
+from ._doors import guarded
+from ._map_data import Axis, map_data, MapData
+from ._style import CYCLE, Picture, tidy
+
+# What is well, what was not worked out, and codes in the order in which they appear.
+WELL, NOTHING = "#DCEBF5", "#C8CCD0"
+CODE_COLOURS = (*CYCLE[1:], CYCLE[0], "#882255", "#999933", "#44AA99", "#332288", "#AA4499", "#117733")
+SCALE = "viridis"
+_GOOD = ("successful", "stable", "asymptotically stable", "true")
+# Samples are dots of this area [pt^2], of more than so many of a quarter of it.
+_DOT, _MANY = 26.0, 2000
+
+
+@guarded
+def parameter_map(
+    parameters: Parameters,
+    values: Any,
+    *,
+    x: str | None = None,
+    y: str | None = None,
+    at: Mapping[str, float] | None = None,
+    label: str = "",
+    title: str = "",
+    ax: Axes | None = None,
+) -> Figure:
+    """Draw a code or a value over two parameters: cells of a grid, or dots where samples are.
+
+    An axis whose steps are even in the logarithm is drawn so. Cells without a number are grey.
+
+    Args:
+        parameters: Of the runs.
+        values: One number, truth value or code for each row, as `sweep` returns them or in the grid's shape.
+        x: Which parameter runs along the lower side. Default: the first that changes.
+        y: Which one along the left side. Default: the next one.
+        at: Of a grid of more axes, where the other parameters are held, by name: the nearest value of the grid
+            is taken. Default: the one in the middle.
+        label: What the value is, with its unit.
+        title: What stands above; where other parameters are held is told beside it.
+        ax: Axes to draw on. Default: a new figure.
+
+    Returns:
+        The figure.
+
+    Raises:
+        ValueError: If there are no two parameters that change, or an argument does not fit.
+
+    Example:
+        >>> import numpy as np
+        >>> import jaxroll as jxr
+        >>> from jaxroll import plotting
+        >>> grid = jxr.Parameters.grid(damping=np.geomspace(0.002, 0.02, 5), beta=[10.0, 20.0, 30.0])
+        >>> plotting.parameter_map(grid, grid.damping * grid.beta, label="rate").axes[0].get_xlabel()
+        'damping'
+    """
+    data = map_data(parameters, values, x=x, y=y, at=at)
+    figure: Any = Picture(6.4, 4.6) if ax is None else ax.figure
+    ax = figure.add_subplot() if ax is None else ax
+    _draw(ax, data, label)
+    told = f"{title}; {data.held}" if title and data.held else title or data.held
+    tidy(ax, xlabel=data.x.label, ylabel=data.y.label, title=told)
+    return figure
+
+
+def code_colours(codes: tuple[str, ...]) -> list[str]:
+    """A colour for each code: pale where all is well."""
+    rest = iter(CODE_COLOURS * (1 + len(codes) // len(CODE_COLOURS)))
+    return [WELL if code in _GOOD else next(rest) for code in codes]
+
+
+def _draw(ax: Axes, data: MapData, label: str) -> None:
+    look: dict[str, Any] = {"cmap": SCALE}
+    if data.codes:
+        colours = code_colours(data.codes)
+        bounds = np.arange(len(colours) + 1) - 0.5
+        look = {"cmap": ListedColormap(colours), "norm": BoundaryNorm(bounds, len(colours))}
+    ax.set_facecolor(NOTHING)
+    if data.gridded:
+        edges = _edges(data.x), _edges(data.y)
+        drawn = ax.pcolormesh(*edges, np.ma.masked_invalid(data.z), rasterized=True, **look)
+    else:
+        ax.set_facecolor("white")
+        size = _DOT if data.z.size <= _MANY else _DOT / 4.0
+        known = np.isfinite(data.z)
+        ax.scatter(data.x.values[~known], data.y.values[~known], s=size, c=NOTHING, lw=0.0)
+        drawn = ax.scatter(
+            data.x.values[known], data.y.values[known], s=size, c=data.z[known], ec="#55555599", lw=0.3, **look
+        )
+    ax.set(xscale="log" if data.x.log else "linear", yscale="log" if data.y.log else "linear")
+    if not data.codes:
+        bar = ax.figure.colorbar(drawn, ax=ax, pad=0.02)
+        bar.set_label(label, fontsize=9)
+        bar.ax.tick_params(labelsize=8, length=3, width=0.7, color="#777777")
+        bar.outline.set_linewidth(0.5)  # pyright: ignore[reportCallIssue]
+    _legend(ax, data, label)
+
+
+def _legend(ax: Axes, data: MapData, label: str) -> None:
+    """Codes with their shares, and what grey means where something is grey."""
+    share = lambda mask: f"{100.0 * np.mean(mask):.3g} %"  # noqa: E731
+    entries = [
+        Patch(fc=colour, ec="#888888", lw=0.4, label=f"{code}, {share(data.z == k)}")
+        for k, (code, colour) in enumerate(zip(data.codes, code_colours(data.codes), strict=True))
+    ]
+    missing = ~np.isfinite(data.z)
+    if missing.any():
+        entries.append(Patch(fc=NOTHING, ec="#888888", lw=0.4, label=f"no number, {share(missing)}"))
+    if entries:
+        ax.figure.legend(
+            handles=entries,
+            title=label if data.codes else None,
+            loc="outside lower center",
+            ncols=min(len(entries), 3),
+            fontsize=8,
+            title_fontsize=8,
+            frameon=False,
+        )
+
+
+def _edges(axis: Axis) -> np.ndarray:
+    """Borders of the cells about the values: half way between two, on the axis' own scale."""
+    seen = np.log(axis.values) if axis.log else axis.values
+    middles = 0.5 * (seen[1:] + seen[:-1])
+    edges = np.concatenate([[2.0 * seen[0] - middles[0]], middles, [2.0 * seen[-1] - middles[-1]]])
+    return np.exp(edges) if axis.log else edges

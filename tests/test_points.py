@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from jaxroll.geometry import clean_points, crossings
-from jaxroll.geometry.fitting._clean_points import _distinct
+from jaxroll.geometry.fitting._clean_points import distinct
 from jaxroll.geometry.fitting._ordering import nearest_points, ordered_already, repaired
 
 N = 200
@@ -259,6 +259,6 @@ def test_of_few_points_the_nearest_may_come_two_places_on():
 def test_one_point_many_times_is_one_point():
     """Even of a closed outline, which often repeats its first point at the end."""
     same = np.ones((5, 2))
-    assert _distinct(same, closed=True, anywhere=False).tolist() == [0]
+    assert distinct(same, closed=True, anywhere=False).tolist() == [0]
     back = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 0.0]])
-    assert _distinct(back, closed=True, anywhere=False).tolist() == [0, 1]
+    assert distinct(back, closed=True, anywhere=False).tolist() == [0, 1]

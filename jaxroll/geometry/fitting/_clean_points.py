@@ -97,10 +97,10 @@ def clean_points(
     check_flag("reverse", reverse)
     if ordered is not None:
         check_flag("ordered", ordered)
-    given = _checked(points) * metres_per(unit)
-    _check_one_unit(given, closed=closed)
-    kept = given[_distinct(given, closed=closed, anywhere=ordered is False)]
-    _check_number(kept)
+    given = given_points(points, unit)
+    check_one_unit(given, closed=closed)
+    kept = given[distinct(given, closed=closed, anywhere=ordered is False)]
+    check_number(kept)
     indices = _order(kept, closed=closed, ordered=ordered)
     if indices is not None:
         kept = kept[indices]
@@ -109,28 +109,28 @@ def clean_points(
     # shift by one keeps the first point of a closed contour first.
     if against != (reverse and not closed):
         kept = np.roll(kept[::-1], 1, axis=0) if closed else kept[::-1]
-    _check_spacing(kept, closed=closed)
-    warnings = [*doubt, *_size(kept), *_spacing(kept, closed=closed), *_bends(kept, closed=closed)]
+    check_spacing(kept, closed=closed)
+    warnings = [*doubt, *size_warnings(kept), *_spacing(kept, closed=closed), *_bends(kept, closed=closed)]
     warnings += _crossed(kept, closed=closed)
     merged = len(given) - len(kept)
     return CleanPoints(kept, merged, indices is not None, bool(closed and against), tuple(warnings))
 
 
-def _checked(points: Any) -> np.ndarray:
-    """The points as finite numbers of shape (n, 2), at least six of them."""
+def given_points(points: Any, unit: Any) -> np.ndarray:
+    """The points as finite numbers of shape (n, 2) in metres, at least six of them."""
     array = numbers("points", points, 2)
-    _check_number(array)
-    return array
+    check_number(array)
+    return array * metres_per(unit)
 
 
-def _check_number(points: np.ndarray) -> None:
+def check_number(points: np.ndarray) -> None:
     if len(points) < _FEWEST:
         raise ValueError(
             f"argument points must be {_FEWEST} distinct points or more, but there were {len(points)}"
         )
 
 
-def _check_one_unit(points: np.ndarray, *, closed: bool) -> None:
+def check_one_unit(points: np.ndarray, *, closed: bool) -> None:
     """Refuse points in mixed units.
 
     Rows in different units fall into two groups by their distance from the origin, with a factor of 100 or
@@ -155,7 +155,7 @@ def _check_one_unit(points: np.ndarray, *, closed: bool) -> None:
         )
 
 
-def _distinct(points: np.ndarray, *, closed: bool, anywhere: bool) -> np.ndarray:
+def distinct(points: np.ndarray, *, closed: bool, anywhere: bool) -> np.ndarray:
     """Indices of the points that do not repeat the point before them or, with `anywhere`, any before them.
 
     Within a given order only neighbours are duplicates: a second pass through the same point is a crossing.
@@ -175,8 +175,8 @@ def _order(points: np.ndarray, *, closed: bool, ordered: bool | None) -> np.ndar
     """Indices that put the points in order without repetitions; None to keep them as they are."""
     if ordered:
         return None
-    places = _distinct(points, closed=closed, anywhere=True)
-    _check_number(points[places])
+    places = distinct(points, closed=closed, anywhere=True)
+    check_number(points[places])
     indices = order_points(points[places], closed=closed, ordered=ordered)
     if indices is not None:
         return places[indices]
@@ -208,7 +208,7 @@ def _steps(points: np.ndarray, *, closed: bool) -> np.ndarray:
     return np.linalg.norm(np.diff(points, axis=0, append=points[:1] if closed else points[:0]), axis=1)
 
 
-def _check_spacing(points: np.ndarray, *, closed: bool) -> None:
+def check_spacing(points: np.ndarray, *, closed: bool) -> None:
     """Refuse a point far off all others, and a closed contour with a gap in it."""
     steps = _steps(points, closed=closed)
     typical, longest = float(np.median(steps)), int(np.argmax(steps))
@@ -233,7 +233,7 @@ def _check_spacing(points: np.ndarray, *, closed: bool) -> None:
         )
 
 
-def _size(points: np.ndarray) -> list[str]:
+def size_warnings(points: np.ndarray) -> list[str]:
     """Warn of a size beyond 0.1 mm to 1 m, which suggests a wrong unit."""
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
     if 1e-4 <= size <= 1.0:

@@ -1,4 +1,4 @@
-"""The command line: `jaxroll demo` runs a scene of the chapter, `jaxroll design` improves a fingertip."""
+"""The command line: scenes of the chapter, fingertips by design, shapes from files and pinches of them."""
 
 import argparse
 import math
@@ -19,6 +19,15 @@ _DEMO = "Simulate a scene of the chapter, print a report, and write its figures.
 _DESIGN = (
     "Start from a fingertip that loses the grasp of a rectangle, change it within limits until it holds, and "
     "write figures, animations of both, and the fingertip to draw or to make."
+)
+_FIT = "Fit a smooth contour or surface to a file, print a report, and write its picture and the shape."
+_PINCH = (
+    "Fit an object from a file, find where to hold it, pinch it, push it, print a report, and write figures: "
+    "in the plane for drawings, photographs and sections, in space for meshes and clouds."
+)
+_FILE = (
+    "a drawing (SVG, DXF), a table of points with two or three columns (CSV, TXT, NPY, XYZ), a mesh (STL, "
+    "OBJ, PLY, OFF) or a photograph (PNG, JPEG, TIFF)"
 )
 _CACHE = (
     "Compiled programs are kept in $XDG_CACHE_HOME/jaxroll or ~/.cache/jaxroll, so that the next "
@@ -93,6 +102,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     try:
         folder = _folder(options)
+        if options.command in _ORDERS:
+            return _ORDERS[options.command](options, folder)
         if options.command == "design":
             _design(options, folder)
         else:
@@ -118,7 +129,7 @@ def _folder(options: argparse.Namespace) -> Path:
     tip = getattr(options, "tip", None)
     if tip is not None and not Path(tip).is_file():
         raise _Unfit(f"argument --tip must name a file, but there is none called {tip!r}")
-    name = "design" if options.command == "design" else options.scene
+    name = options.scene if options.command == "demo" else options.command
     given = f"jaxroll-{name}" if options.out is None else options.out
     try:
         if not given.strip():
@@ -157,6 +168,7 @@ def _parser() -> _Parser:
     )
     demo.add_argument("--no-animation", action="store_true", help="write no motion.gif")
     _design_parser(commands)
+    _shape_parsers(commands)
     return parser
 
 
@@ -180,6 +192,43 @@ def _design_parser(commands: Any) -> None:
     )
     design.add_argument("--unit", choices=("m", "mm", "um", "in"), default="mm", help="of FILE (default: mm)")
     design.add_argument("--no-animation", action="store_true", help="write no before.gif and after.gif")
+
+
+def _shape_parsers(commands: Any) -> None:
+    fit = commands.add_parser("fit", help=_FIT, description=_FIT, epilog=_CACHE)
+    pinch = commands.add_parser("pinch", help=_PINCH, description=_PINCH, epilog=_CACHE)
+    for name, parser in (("fit", fit), ("pinch", pinch)):
+        parser.add_argument("file", metavar="FILE", help=_FILE)
+        parser.add_argument("--out", metavar="FOLDER", help=f"where to write (default: jaxroll-{name})")
+        units = ("m", "mm", "um", "in")
+        parser.add_argument("--unit", choices=units, default="mm", help="of FILE (default: mm)")
+        size = _number(1e-6, 1e6)
+        radius = "smallest radius of curvature [mm] (default: a tenth of the least extent)"
+        parser.add_argument("--smallest-radius", metavar="MM", type=size, help=radius)
+        parser.add_argument("--pixel", metavar="MM", type=size, help="of a photograph: size of a pixel [mm]")
+        cut = "of a mesh: the section across an axis, such as z=12.5 [mm]"
+        parser.add_argument("--section", metavar="AXIS=MM", type=_section, help=cut)
+    pinch.add_argument("--hand", metavar="FILE", help="URDF or MJCF (default: the chapter's fingers)")
+    numbers = {
+        "density": (1000.0, "of the object [kg/m^3]"),
+        "thickness": (20.0, "of an object of the plane [mm]"),
+        "friction": (0.8, "coefficient of friction"),
+        "seconds": (1.0, "to simulate"),
+    }
+    for name, (default, what) in numbers.items():
+        told = f"{what} (default: {default:g})"
+        pinch.add_argument(f"--{name}", metavar="X", type=_number(1e-3, 1e5), default=default, help=told)
+    press = "of the fingers [N] (default: three times the object's weight)"
+    pinch.add_argument("--force", metavar="N", type=_number(1e-6, 1e6), help=press)
+    pinch.add_argument("--no-animation", action="store_true", help="write no motion.gif")
+
+
+def _section(text: str) -> tuple[str, float]:
+    """An axis and a place on it [m]."""
+    axis, _, number = text.partition("=")
+    if axis not in ("x", "y", "z"):
+        raise argparse.ArgumentTypeError(f"must be an axis and a place, such as z=12.5, but was {text}")
+    return axis, 1e-3 * _number(-1e6, 1e6)(number)
 
 
 def _number(low: float, high: float, kind: type = float) -> Callable[[str], Any]:
@@ -268,6 +317,49 @@ def _design(options: argparse.Namespace, folder: Path) -> None:
     asked = DesignOrder(options.goal, tip, options.steps, options.starts, animated=not options.no_animation)
     lines = order(asked, folder, _cli.timed)
     print("\n".join([f"jaxroll {__version__}, design: a fingertip that holds a rectangle", *lines]))
+
+
+def _fit(options: argparse.Namespace, folder: Path) -> int:
+    with _cli.timed("Loading"):
+        _configure()
+        from . import __version__
+        from ._cli import fit_order
+    lines = fit_order(_shape(options), folder, _cli.timed)
+    print("\n".join([f"jaxroll {__version__}, fit: {options.file}", *lines]))
+    return 0
+
+
+def _pinch(options: argparse.Namespace, folder: Path) -> int:
+    with _cli.timed("Loading"):
+        _configure()
+        from . import __version__
+        from ._cli import pinch_order, PinchOrder
+    asked = PinchOrder(
+        _shape(options),
+        options.hand,
+        density=options.density,
+        thickness=1e-3 * options.thickness,
+        friction=options.friction,
+        force=options.force,
+        seconds=options.seconds,
+        animated=not options.no_animation,
+    )
+    lines, held = pinch_order(asked, folder, _cli.timed)
+    print("\n".join([f"jaxroll {__version__}, pinch: {options.file}", *lines]))
+    return 0 if held else 1
+
+
+def _shape(options: argparse.Namespace) -> Any:
+    """Which shape to make of which file."""
+    from ._cli import ShapeOrder
+
+    metres = lambda x: None if x is None else 1e-3 * x  # noqa: E731
+    radius, pixel = metres(options.smallest_radius), metres(options.pixel)
+    return ShapeOrder(options.file, options.unit, radius, pixel, options.section)
+
+
+# What each command does that is no demo and no design.
+_ORDERS: dict[str, Callable[[argparse.Namespace, Path], int]] = {"fit": _fit, "pinch": _pinch}
 
 
 def _page(demo: Demo, folder: Path, names: list[str], *, plotting: Any, grasp: Any, run: Any) -> list[str]:

@@ -1,4 +1,4 @@
-"""What `jaxroll demo` and `jaxroll design` do and print; `__main__` reads the command line and calls it.
+"""What the commands of `jaxroll` do and print; `__main__` reads the command line and calls it.
 
 Names are imported with their first use (`__init__.pyi` lists them), so that what needs JAX waits until it is
 wanted: help and complaints come at once.

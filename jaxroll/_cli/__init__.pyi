@@ -9,4 +9,7 @@ from ._facts import (
     pivoted_facts as pivoted_facts,
     pivoted_scene as pivoted_scene,
 )
+from ._fit_command import fit_order as fit_order
+from ._pinch_command import pinch_order as pinch_order, PinchOrder as PinchOrder
+from ._shape_file import ShapeOrder as ShapeOrder
 from ._waiting import say as say, timed as timed

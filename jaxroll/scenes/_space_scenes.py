@@ -21,10 +21,10 @@ from ..geometry import AbstractSurface, Plane, Sphere
 from ._scene_arguments import as_pair, as_positive
 
 # The chapter gives no numbers: the links of Table 1 on a short first one that swings out of the plane.
-_AXES = ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 1.0))  # of the three joints
-_LINKS = ((0.0, 0.010, 0.0), (0.0, 0.065, 0.0), (0.0, 0.065, 0.0))  # from joint to joint [m]
-_MASSES = (0.015, 0.045, 0.040)  # [kg]
-_SPAN = 0.0275  # half the distance of the bases [m]
+AXES3 = ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 1.0))  # of the three joints
+LINKS3 = ((0.0, 0.010, 0.0), (0.0, 0.065, 0.0), (0.0, 0.065, 0.0))  # from joint to joint [m]
+MASSES3 = (0.015, 0.045, 0.040)  # [kg]
+SPAN3 = 0.0275  # half the distance of the bases [m]
 _CENTRE = (0.0, 0.115, 0.0)  # of the object in the guess [m]
 # Joint angles [rad] that bring the left tip to about (-0.025, 0.113, 0.004) m. Their negatives bring the
 # right one to (0.025, 0.113, -0.004) m.
@@ -107,7 +107,7 @@ def pinch3d(
     shapes = Sphere(0.01) if tips is None else tips
     pair = as_pair("tips", shapes, AbstractSurface, "a surface or a pair of them")
     fingers = [
-        Finger3(_AXES, _LINKS, _MASSES, tip, base=(side * _SPAN, 0.0, 0.0))
+        Finger3(AXES3, LINKS3, MASSES3, tip, base=(side * SPAN3, 0.0, 0.0))
         for tip, side in zip(pair, (-1.0, 1.0), strict=True)
     ]
     # Two surfaces: a finger on each; a single one that goes all round is touched by both.

@@ -1,0 +1,188 @@
+"""What `jaxroll pinch` does: an object from a file is held between two fingers, pushed, and watched.
+
+`fitted` makes the object's shape, `uniform` its mass, `scenes.pinch_object` finds where to hold it and how
+the fingers get there. A grasp in which nothing moves shows nothing: a tenth of a second after the start the
+object is pushed aside for a moment, so that it must come to rest again if the grasp is firm.
+"""
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .. import io, loads, plotting, scenes, stability
+from .._integration import cause, simulate
+from .._mechanics import FreeObject, FreeObject3, Grasp, State
+from .._motion import multipliers, residuals
+from .._results import RESULTS
+from .._saving import save
+from ..geometry import Fit, Sphere, SurfaceFit
+from ._shape_file import fitted, ShapeOrder
+
+# The push: when it begins and how long it lasts [s], its size beside that of the fingers.
+_BEGINS, _LASTS, _SHARE = 0.1, 0.1, 0.25
+# Radius of the tips of a hand from a file, where the file has none that can be used [m].
+_TIP = 0.01
+# The animation: pictures a second, and simulated seconds per second shown. In space a picture takes long.
+_FPS, _SPEED = 12.0, 0.5
+
+
+@dataclass(frozen=True)
+class PinchOrder:
+    """What to hold, with what, and how.
+
+    Attributes:
+        shape: Which shape to make of which file.
+        hand: Name of a hand's file, or None for the chapter's fingers.
+        density: Of the object [kg/m^3].
+        thickness: Of an object of the plane [m].
+        friction: Coefficient of friction.
+        force: With which the fingers press [N]; None: three times the object's weight.
+        seconds: How long to simulate [s].
+        animated: Whether to write an animation.
+    """
+
+    shape: ShapeOrder
+    hand: str | None
+    density: float
+    thickness: float
+    friction: float
+    force: float | None
+    seconds: float
+    animated: bool
+
+
+def pinch_order(
+    asked: PinchOrder, folder: Path, timed: Callable[[str], AbstractContextManager]
+) -> tuple[list[str], bool]:
+    """Fit, find where to hold, close, run, draw and write; returns the report's lines, and whether it held.
+
+    Args:
+        asked: What to hold, with what, and how.
+        folder: Where the files go.
+        timed: Context that announces a piece of work and says how long it took.
+    """
+    with timed("Fitting"):
+        found = fitted(asked.shape)
+    flat = isinstance(found, Fit)
+    with timed("Weighing"):
+        body = _body(found, asked)
+    with timed("Finding where to hold it"):
+        fingers = None if asked.hand is None else _fingers(asked.hand, flat)
+        grasp, state = scenes.pinch_object(body, fingers=fingers, friction=asked.friction, force=asked.force)
+    verdict = []
+    if flat:
+        with timed("Judging the grasp"):
+            verdict = _verdict(grasp, state)
+    with timed(f"Simulating {asked.seconds:g} s"):
+        pushed, force = _pushed(grasp, state)
+        record, count = ("multipliers", "energy"), 1 + round(100 * asked.seconds)
+        run = simulate(pushed, state, asked.seconds, ts=count, record=record, throw=False)
+        jax.block_until_ready(run)
+    names = _written(asked, folder, timed, found=found, grasp=pushed, run=run)
+    save(folder / "pinch.npz", {"grasp": pushed, "state": state, "run": run})
+    held = bool(run.result == RESULTS.successful)
+    lines = [
+        f"{found.report}",
+        *_described(grasp, state, force),
+        *verdict,
+        f"{run}",
+        f"  outcome     {'held' if held else cause(run)}",
+        *_checks(run),
+        f"Files in {folder}:",
+        "  " + ", ".join([*names, "pinch.npz"]),
+    ]
+    return lines, held
+
+
+def _body(found: Fit | SurfaceFit, asked: PinchOrder) -> FreeObject | FreeObject3:
+    """The object of constant density within what was fitted."""
+    if not isinstance(found, Fit):
+        return FreeObject3.uniform(found.surface, asked.density)
+    if not found.report.closed:
+        raise ValueError("argument FILE must hold a closed outline, but it is open")
+    return FreeObject.uniform(found.contour, asked.density, thickness=asked.thickness)
+
+
+def _fingers(path: str, flat: bool) -> list[Any]:
+    """The fingers of a hand's file, with its own tips where they can be used, else with balls."""
+    if flat:
+        raise ValueError("argument --hand must be left out for an object of the plane")
+    try:
+        hand = io.load_hand(path, "mesh")
+    except ValueError:
+        hand = io.load_hand(path, Sphere(_TIP))
+    return list(hand.fingers)
+
+
+def _verdict(grasp: Grasp, state: State) -> list[str]:
+    """What linearisation at the equilibrium says."""
+    found = stability.assess(grasp, state)
+    return [f"  verdict     {stability.VERDICTS[found.verdict]}"]
+
+
+def _pushed(grasp: Grasp, state: State) -> tuple[Grasp, float]:
+    """The grasp with a push across the line between the contacts, and how large that is [N]."""
+    push = _SHARE * _press(grasp, state)
+    # Across x, on which both contacts lie where the fingers are the chapter's, in space across y as well.
+    direction = jnp.array([0.0, 1.0, 1.0][: 3 if grasp.spatial else 2])
+    force = push * direction / jnp.linalg.norm(direction)
+    load = loads.Push(force, _BEGINS, _LASTS)
+    given = {"controller": grasp.controller, "gravity": grasp.gravity, "load": load}
+    return Grasp(grasp.object, grasp.fingers, grasp.contacts, **given), push
+
+
+def _press(grasp: Grasp, state: State) -> float:
+    """The least normal force at the start [N]."""
+    return float(jnp.min(multipliers(grasp, jnp.zeros(()), state).f))
+
+
+def _described(grasp: Grasp, state: State, push: float) -> list[str]:
+    """Lines about the object and how it is held."""
+    body, control = grasp.object, grasp.controller
+    left = residuals(grasp, state)
+    gap = max(float(jnp.max(jnp.abs(part))) for part in (left.normal, left.tangential))
+    return [
+        f"  object      {1e3 * float(body.mass):.4g} g",
+        f"  control     beta = {float(control.beta):.4g} N/m, c = {float(control.damping[0]):.3g} N m s; "
+        f"pressed with {_press(grasp, state):.3g} N, pushed aside with {push:.3g} N for {_LASTS:g} s",
+        f"  closed      gaps of {gap:.1e} m",
+    ]
+
+
+def _checks(run: Any) -> list[str]:
+    """A line on the errors of the run."""
+    peak = lambda array: float(np.nanmax(np.abs(np.asarray(array))))  # noqa: E731
+    left = run.residuals
+    return [
+        f"  errors      gap {max(peak(left.normal), peak(left.tangential)):.1e} m, energy "
+        f"{peak(run.energy.residual):.1e} J"
+    ]
+
+
+def _written(
+    asked: PinchOrder, folder: Path, timed: Callable[[str], AbstractContextManager], **made: Any
+) -> list[str]:
+    """Draw the fit, the poses, the responses and the motion; returns the names of the files."""
+    grasp, run = made["grasp"], made["run"]
+    with timed("Drawing"):
+        pictures = {
+            "fit.png": plotting.fit(made["found"]),
+            "poses.png": plotting.poses(grasp, run, forces=True),
+            "responses.png": plotting.responses(grasp, run),
+        }
+        if grasp.spatial:
+            pictures["loci.png"] = plotting.loci(grasp, run)
+        for name, picture in pictures.items():
+            picture.savefig(folder / name, dpi=150)
+    names = list(pictures)
+    if asked.animated:
+        with timed("Animating"):
+            plotting.animate(grasp, run, folder / "motion.gif", fps=_FPS, speed=_SPEED)
+        names.append("motion.gif")
+    return names

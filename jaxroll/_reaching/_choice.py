@@ -17,8 +17,10 @@ from ._postures import poses_at, Postures, Reacher, searched_postures, touching,
 
 # An overlap below this is the contact itself [m].
 _TOLERANCE = 1e-7
-# Samples of a fingertip, in the plane and in space, and points on each link.
-_TIP, _LINK = (384, 720), 16
+# Points on each link.
+_LINK = 16
+# Postures that are compared; of a finger with joints to spare there are many more.
+_JUDGED = 12
 # Starts of a search.
 _STARTS = 64
 # Displacements are measured against this length [m], and what has no bounds is looked at within it.
@@ -65,20 +67,37 @@ def chosen_posture(
     if not len(sided.q):
         reason = f"only postures whose last joint has the other sign than elbow={wish.elbow} touch"
         return Choice(fair.taken([0]), "unreachable", reason, 0.0, np.inf, len(good.q))
-    overlaps, links = _clearances(reacher, sided, object_)
-    # First whether it overlaps, then how near it is to the guess or how far its links stay away.
-    if wish.guess is None:
-        cost = -np.minimum(links, reacher.length)
-    else:
+    one, overlap, links = _best(reacher, sided, wish, object_)
+    if overlap <= _TOLERANCE:
+        return Choice(one, "successful", "", overlap, links, len(good.q))
+    reason = f"its tip overlaps the object by {overlap:.3g} m or more in every posture"
+    return Choice(one, "penetration", reason, overlap, links, len(good.q))
+
+
+def _best(
+    reacher: Reacher, found: Postures, wish: Wish, object_: tuple[SampledObject, np.ndarray, np.ndarray]
+) -> tuple[Postures, float, float]:
+    """The posture nearest to the guess or with links farthest away, its overlap and its links' distance.
+
+    Postures that overlap come last; they are looked at some at a time, until one does not.
+    """
+    if wish.guess is not None:
         scale = 2.0 * np.pi if reacher.finger.turns else _LENGTH
-        cost = np.linalg.norm((sided.q - wish.guess) / scale, axis=1)
-    best = np.lexsort((cost, overlaps > _TOLERANCE))[0]
-    one, overlap = sided.taken([int(best)]), float(overlaps[best])
-    code = "penetration" if overlap > _TOLERANCE else "successful"
-    reason = (
-        f"its tip overlaps the object by {overlap:.3g} m in every posture" if overlap > _TOLERANCE else ""
-    )
-    return Choice(one, code, reason, overlap, float(links[best]), len(good.q))
+        away = np.linalg.norm((found.q - wish.guess) / scale, axis=1)
+        found = found.taken(np.argsort(away, kind="stable"))
+    best: tuple[Postures, float, float] | None = None
+    for begin in range(0, len(found.q), _JUDGED):
+        some = found.taken(slice(begin, begin + _JUDGED))
+        overlaps, links = _clearances(reacher, some, object_)
+        # Without a guess they are in no order.
+        cost = np.arange(len(links)) if wish.guess is not None else -links
+        i = int(np.lexsort((cost, np.maximum(overlaps, _TOLERANCE)))[0])
+        if best is None or overlaps[i] < best[1]:
+            best = some.taken([i]), float(overlaps[i]), float(links[i])
+        if best[1] <= _TOLERANCE:
+            break
+    assert best is not None
+    return best
 
 
 def _touching_within(
@@ -145,19 +164,23 @@ def _clearances(
 ) -> tuple[np.ndarray, np.ndarray]:
     """How deep the tip overlaps the object, and how far the links stay from it, at each posture [m]."""
     solid, origins, turns = object_
-    at = reacher.tip.sampled(_TIP[reacher.tip.spatial], _LENGTH)
-    local = reacher.tip.frames(at).points
+    local = reacher.samples.points
     tips, ways = poses_at(reacher.finger, found.q)
     joints = _skeletons(reacher.finger, found.q)
-    overlaps, links = [], []
-    for tip, way, chain in zip(tips, ways, joints, strict=True):
-        points = (tip + local @ way.T - origins[0]) @ turns[0]
-        overlaps.append(max(0.0, -float(heights(solid, points).min())))
-        share = np.linspace(0.0, 1.0, _LINK, endpoint=False)[None, :, None]
-        along = (chain[:-1, None] * (1.0 - share) + chain[1:, None] * share).reshape(-1, chain.shape[1])
-        along = np.concatenate([along, chain[-1:]])
-        links.append(float(heights(solid, (along - origins[0]) @ turns[0]).min()))
-    return np.array(overlaps), np.array(links)
+    points = tips[:, None] + np.einsum("nij,mj->nmi", ways, local)
+    share = np.linspace(0.0, 1.0, _LINK)[:, None]
+    along = [joints[:, i, None] * (1.0 - share) + joints[:, j, None] * share for i, j in _links(joints)]
+    both = np.concatenate([points, *along], axis=1)
+    world = (both - origins[0]).reshape(-1, both.shape[2]) @ turns[0]
+    away = heights(solid, world).reshape(both.shape[:2])
+    count = len(local)
+    return np.maximum(0.0, -away[:, :count].min(axis=1)), away[:, count:].min(axis=1)
+
+
+def _links(joints: np.ndarray) -> list[tuple[int, int]]:
+    """Pairs of joints that a link connects; a jaw has one point alone."""
+    last = joints.shape[1] - 1
+    return [(i, min(i + 1, last)) for i in range(max(1, last))]
 
 
 def _skeletons(finger: Any, q: np.ndarray) -> np.ndarray:

@@ -42,10 +42,11 @@ def sampled_object(faces: Sequence[Sheet], extent: float) -> SampledObject:
 
 def heights(solid: SampledObject, points: np.ndarray) -> np.ndarray:
     """Signed distances of points from an object, shape (n,) [m]; negative inside. All in its frame."""
+    from scipy.spatial import KDTree  # set-up only: imported with the first use
+
     outside = np.full(len(points), -np.inf)
     for face, places, samples in zip(solid.faces, solid.places, solid.points, strict=True):
-        away = ((points[:, None] - samples[None]) ** 2).sum(axis=2)
-        at = face.feet(points, places[np.argmin(away, axis=1)], _FEET)
+        at = face.feet(points, places[KDTree(samples).query(points)[1]], _FEET)
         here = face.frames(at)
         arm = points - here.points
         height = np.einsum("nd,nd->n", arm, here.normals)

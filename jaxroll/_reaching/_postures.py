@@ -24,7 +24,7 @@ from ._sheet import Frames, Sheet, shortened
 
 # Starts of a search and most steps of each.
 _STARTS, _STEPS = 64, 100
-# Places of the tip of which a start takes the one that faces its target.
+# About so many places of the tip, of which a start takes the one that faces its target.
 _FACES = 96
 # A posture touches where no row is larger than this, relative to the tip's distance from its base.
 _TOUCHES = 1e-13
@@ -74,12 +74,16 @@ class Reacher(NamedTuple):
         tip: Its tip.
         free: Which joints may move, shape (k,).
         length: What distances are measured against [m].
+        places: Of the tip, spread over it.
+        samples: The tip's frames there.
     """
 
     finger: Any
     tip: Sheet
     free: np.ndarray
     length: float
+    places: np.ndarray
+    samples: Frames
 
 
 def searched_postures(
@@ -137,11 +141,10 @@ def poses_at(body: AbstractBody, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 def _facing(reacher: Reacher, targets: TouchPoints, q: np.ndarray) -> np.ndarray:
     """Places of the tip whose normals face the targets best, for each start: shape (n, c, coordinates)."""
-    at = reacher.tip.sampled(_FACES, 0.1 * reacher.length)
-    normals = reacher.tip.frames(at).normals
+    some = slice(None, None, max(1, len(reacher.places) // _FACES))
     _, turn = poses_at(reacher.finger, q)
-    facing = np.einsum("nij,mj,ci->ncm", turn, normals, targets.normals)
-    return at[np.argmin(facing, axis=2)]
+    facing = np.einsum("nij,mj,ci->ncm", turn, reacher.samples.normals[some], targets.normals)
+    return reacher.places[some][np.argmin(facing, axis=2)]
 
 
 def _shifted(reacher: Reacher, places: np.ndarray, steps: np.ndarray) -> np.ndarray:

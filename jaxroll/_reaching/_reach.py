@@ -26,6 +26,8 @@ from ._sheet import Sheet, sheet_of
 
 # A point given counts as one of the object if it is off by no more than this share of the object's size.
 _NEAR = 0.01
+# Samples of a fingertip, in the plane and in space.
+_TIP = (384, 720)
 # Extent of an object whose faces have no bounds, and of a tip [m].
 _EXTENT, _LENGTH = 0.1, 0.05
 # Contacts count as closed, of postures and of what `close` found [m or rad].
@@ -199,8 +201,10 @@ def _reacher(grasp: Grasp, i: int, held: tuple[int, ...]) -> Reacher:
     first = int(np.cumsum([0, *grasp.sizes])[i + 1])
     free = np.array([first + j not in held for j in range(finger.joints)], bool)
     tip = sheet_of(finger.tip)
-    extent = float(np.abs(tip.frames(tip.sampled(64, _LENGTH)).points).max())
-    return Reacher(finger, tip, free, float(finger.size) * max(1, finger.joints) + extent)
+    places = tip.sampled(_TIP[tip.spatial], _LENGTH)
+    samples = tip.frames(places)
+    length = float(finger.size) * max(1, finger.joints) + float(np.abs(samples.points).max())
+    return Reacher(finger, tip, free, length, places, samples)
 
 
 def _places_on(grasp: Grasp, faces: list[Sheet], solid: SampledObject, contacts: Given) -> list[np.ndarray]:

@@ -1,0 +1,206 @@
+"""Points to grasp by, and hands that reach them: closed forms, SciPy, and residuals as runs measure them."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.optimize import minimize_scalar
+
+import jaxroll as jxr
+from tests.subjects.random_hands import planar_case, spatial_case
+
+SUCCESS = jxr.RESULTS.successful
+A, B = 0.02, 0.01
+
+
+def demand_of(pair, normals):
+    """Least friction, from angles: the larger tangent against the line between two points."""
+    line = pair[1] - pair[0]
+    cosines = np.array([-normals[0] @ line, normals[1] @ line]) / np.linalg.norm(line)
+    return np.tan(np.arccos(np.clip(cosines, -1.0, 1.0))).max()
+
+
+def test_an_ellipse_has_its_axes_as_antipodal_pairs():
+    found = jxr.grasp_points(jxr.Ellipse(A, B), 0.5, count=8)
+    assert len(found) == 8 and found.exact.tolist() == [True] * 2 + [False] * 6
+    np.testing.assert_allclose(found.distance[:2], [2 * B, 2 * A], rtol=1e-14)
+    np.testing.assert_allclose(np.abs(found.points[0]), [[0.0, B]] * 2, atol=1e-15)
+    np.testing.assert_allclose(np.abs(found.points[1]), [[A, 0.0]] * 2, atol=1e-15)
+    for pair, normals, demand, exact in zip(
+        found.points, found.normals, found.demand, found.exact, strict=True
+    ):
+        gradient = pair / np.array([A, B]) ** 2
+        outward = gradient / np.linalg.norm(gradient, axis=1, keepdims=True)
+        np.testing.assert_allclose(normals, outward, atol=1e-9)
+        if not exact:
+            np.testing.assert_allclose(demand, demand_of(pair, outward), rtol=1e-7)
+    assert np.all(np.diff(found.demand) >= 0.0) and found.demand[-1] <= 0.5
+
+
+def test_places_are_those_of_the_points():
+    shape = jxr.Ellipse(A, B)
+    found = jxr.grasp_points(shape, 0.2, count=4)
+    for pair, places in zip(found.points, found.places, strict=True):
+        np.testing.assert_allclose(shape.point(np.concatenate(places)), pair, atol=1e-16)
+    assert np.all(found.demand <= 0.2)
+
+
+def test_a_curve_of_three_lobes_has_its_six_pairs():
+    """r = 1 + a cos 3u: a diameter at angle u has r(u) + r(u + pi) = 2, stationary where sin 3u = 0."""
+    curve = lambda u: 0.01 * (1.0 + 0.15 * jnp.cos(3.0 * u)) * jnp.stack([jnp.cos(u), jnp.sin(u)])  # noqa: E731
+    found = jxr.grasp_points(jxr.Parametric(curve, (0.0, 2.0 * np.pi), closed=True), count=6)
+    assert found.exact.all()
+    np.testing.assert_allclose(found.distance[:3], 0.02, rtol=1e-9)
+
+    def width(v):
+        """Of the chord across the axis of symmetry, at right angles to it: stationary by symmetry."""
+        return -2.0 * 0.01 * (1.0 + 0.15 * np.cos(3.0 * v)) * np.sin(v)
+
+    best = minimize_scalar(width, bounds=(1.2, 2.6), method="bounded", options={"xatol": 1e-12})
+    np.testing.assert_allclose(found.distance[3:], -best.fun, rtol=1e-9)
+
+
+def test_two_faces_and_a_ball_have_families_of_pairs():
+    plates = jxr.grasp_points(jxr.scenes.rectangle(), 0.5, count=5)
+    assert plates.exact.all() and set(map(tuple, plates.faces)) <= {(0, 1), (1, 0)}
+    np.testing.assert_allclose(plates.distance, 0.03, rtol=1e-13)
+    ball = jxr.grasp_points(jxr.Sphere(A), 0.5, count=6)
+    assert ball.exact.all()
+    np.testing.assert_allclose(ball.points[:, 0], -ball.points[:, 1], atol=1e-12)
+    apart = np.linalg.norm(ball.points[:, None, 0] - ball.points[None, :, 0], axis=-1)
+    assert apart[np.triu_indices(6, 1)].min() > 0.1 * A
+
+
+def test_an_ellipsoid_has_three():
+    found = jxr.grasp_points(jxr.Ellipsoid(0.03, 0.02, 0.01), 0.3, count=4)
+    assert found.exact.tolist() == [True, True, True, False]
+    np.testing.assert_allclose(found.distance[:3], [0.02, 0.04, 0.06], rtol=1e-13)
+
+
+LINKS, MASSES, TIP = [0.06, 0.05], [0.03, 0.02], jxr.Circle(0.01)
+
+
+def two_fingers(**options):
+    """Two fingers of two links beside each other, under a disc."""
+    fingers = [jxr.Finger(LINKS, MASSES, TIP, base=(x, 0.0), **options) for x in (-0.03, 0.03)]
+    disc = jxr.FreeObject.uniform(jxr.Circle(0.02), density=20.0)
+    return jxr.Grasp(disc, fingers, [jxr.Contact(finger=0), jxr.Contact(finger=1)])
+
+
+SIDES, POSE = [(-0.02, 0.0), (0.02, 0.0)], (0.003, 0.08, 0.4)
+
+
+def worst_residual(found):
+    left = jxr.residuals(*found.start)
+    return max(float(np.abs(part).max()) for part in (left.normal, left.tangential, left.tangency))
+
+
+def two_links(base, goal, elbow):
+    """Joint angles of two links whose end is at a goal: the law of cosines."""
+    arm = np.subtract(goal, base)
+    bend = elbow * np.arccos((arm @ arm - LINKS[0] ** 2 - LINKS[1] ** 2) / (2.0 * LINKS[0] * LINKS[1]))
+    aside = np.arctan2(LINKS[1] * np.sin(bend), LINKS[0] + LINKS[1] * np.cos(bend))
+    return np.array([np.arctan2(arm[1], arm[0]) - aside, bend])
+
+
+def test_two_links_against_the_law_of_cosines():
+    grasp = two_fingers()
+    cos, sin = np.cos(POSE[2]), np.sin(POSE[2])
+    for elbow in ((1, 1), (1, -1), (-1, 1)):
+        found = jxr.reach(grasp, SIDES, pose=POSE, elbow=elbow)
+        assert found.result == SUCCESS and found.reason == "" and found.postures == (2, 2)
+        assert worst_residual(found) <= 1e-14 and found.gap <= 1e-14
+        np.testing.assert_array_equal(found.state.q[:3], POSE)
+        for i, side in enumerate((-1.0, 1.0)):
+            # The tip's centre is one radius of the disc and one of the tip from the disc's centre.
+            goal = POSE[:2] + side * 0.03 * np.array([cos, sin])
+            wanted = two_links((-0.03 + 0.06 * i, 0.0), goal, elbow[i])
+            np.testing.assert_allclose(found.state.q[3 + 2 * i : 5 + 2 * i], wanted, atol=1e-12)
+
+
+def test_a_start_stays_near_the_guess_and_holds_joints():
+    fingers = [jxr.Finger([0.05, 0.04, 0.03], [0.02] * 3, TIP, base=(x, 0.0)) for x in (-0.03, 0.03)]
+    grasp = jxr.Grasp(two_fingers().object, fingers, two_fingers().contacts)
+    first = jxr.reach(grasp, SIDES, pose=POSE)
+    assert first.result == SUCCESS
+    moved = first.state.q.at[:3].add(jnp.array([0.002, -0.001, 0.05]))
+    guess = jxr.State(moved, first.state.v, first.state.s)
+    again = jxr.reach(grasp, SIDES, guess=guess, hold=["finger 0 q[2]", "finger 1 q[2]"])
+    assert again.result == SUCCESS and again.gap <= 1e-14
+    kept = np.array([0, 1, 2, 5, 8])
+    np.testing.assert_array_equal(again.state.q[kept], moved[kept])
+    assert np.abs(again.state.q - moved).max() < 0.3
+
+
+def test_why_a_start_is_not_closed_is_said():
+    far = jxr.reach(two_fingers(), SIDES, pose=(0.0, 0.2, 0.0))
+    assert far.result == jxr.RESULTS.unreachable and "reaches 0.12 m at most" in far.reason
+    # A large fingertip does not fit into a hollow.
+    bean = lambda u: 0.02 * (1.0 + 0.45 * jnp.cos(2.0 * u)) * jnp.stack([jnp.cos(u), jnp.sin(u)])  # noqa: E731
+    body = jxr.FreeObject.uniform(jxr.Parametric(bean, (0.0, 2.0 * np.pi), closed=True), 20.0)
+    blunt = [jxr.Finger(LINKS, MASSES, jxr.Circle(0.02), base=(0.0, 0.08 * side)) for side in (-1.0, 1.0)]
+    grasp = jxr.Grasp(body, blunt, [jxr.Contact(finger=0), jxr.Contact(finger=1)])
+    waist = np.array([[0.0, -0.011], [0.0, 0.011]])
+    stuck = jxr.reach(grasp, waist)
+    assert stuck.result == jxr.RESULTS.penetration and stuck.overlap > 1e-4 and "overlaps" in stuck.reason
+
+
+def turned(vectors, angle):
+    return vectors @ np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+
+
+def gaps_and_tilts(grasp, state):
+    """Of every contact in the plane, from the shapes alone: links end to end, and points and normals there."""
+    q = iter(np.split(np.asarray(state.q), np.cumsum([3, *(f.joints for f in grasp.fingers)])[:-1]))
+    x, y, angle = next(q)
+    for contact, finger, joints in zip(grasp.contacts, grasp.fingers, q, strict=True):
+        tip, face = grasp.shapes(contact)
+        headings = np.cumsum(joints)
+        end = finger.base + finger.lengths @ np.stack([np.cos(headings), np.sin(headings)], axis=1)
+        point = end + turned(np.asarray(tip.point(contact.s_tip)), headings[-1])
+        other = np.array([x, y]) + turned(np.asarray(face.point(contact.s_object)), angle)
+        normals = turned(tip.normal(contact.s_tip), headings[-1]) + turned(
+            face.normal(contact.s_object), angle
+        )
+        yield np.linalg.norm(point - other), np.linalg.norm(normals)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_random_hands_in_the_plane(seed):
+    grasp, points, pose = planar_case(1000 + seed)
+    found = jxr.reach(grasp, points, pose=pose)
+    assert found.result == SUCCESS, found.reason
+    assert max(map(max, gaps_and_tilts(*found.start))) <= 1e-12
+    for contact, face, point in zip(found.grasp.contacts, grasp.object.contours * 2, points, strict=True):
+        np.testing.assert_allclose(face.point(contact.s_object), point, atol=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+def test_random_hands_in_space(seed):
+    grasp, points, pose = spatial_case(1000 + seed)
+    found = jxr.reach(grasp, points, pose=pose)
+    assert found.result == SUCCESS, found.reason
+    assert worst_residual(found) <= 1e-12
+
+
+def test_arguments_that_do_not_fit_are_refused():
+    grasp = two_fingers()
+    calls = [
+        lambda: jxr.reach(grasp, SIDES[:1]),
+        lambda: jxr.reach(grasp, [(-0.015, 0.0), (0.02, 0.0)]),
+        lambda: jxr.reach(grasp, SIDES, pose=(0.0, 0.0)),
+        lambda: jxr.reach(grasp, SIDES, elbow=2),
+        lambda: jxr.reach(grasp, SIDES, elbow=(1,)),
+        lambda: jxr.reach(grasp, SIDES, hold="finger 0"),
+        lambda: jxr.reach(grasp, SIDES, guess=jxr.State(np.zeros(7), np.zeros(7), np.zeros(2)), hold="thumb"),
+        lambda: jxr.reach(grasp, SIDES, guess=jxr.State(np.zeros(3), np.zeros(3), np.zeros(1))),
+        lambda: jxr.reach(grasp, None),
+        lambda: jxr.reach(None, SIDES),
+        lambda: jxr.grasp_points(3),
+        lambda: jxr.grasp_points([jxr.Circle(0.01), jxr.Sphere(0.01)]),
+        lambda: jxr.grasp_points(jxr.Circle(0.01), 0.0),
+        lambda: jxr.grasp_points(jxr.Circle(0.01), count=0),
+    ]
+    for call in calls:
+        with pytest.raises(ValueError):
+            call()

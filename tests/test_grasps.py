@@ -147,3 +147,29 @@ def test_redundant_rows_are_solved_in_single_precision():
     _, steps = in_single(_search.solve_schur, rows, metric, right[:, None])
     assert steps.dtype == jnp.float32
     np.testing.assert_allclose(steps[:, 0], wanted, rtol=1e-4, atol=1e-5)
+
+
+def test_what_is_held_stays_while_the_rest_closes(scene):
+    """Three rows determine the three unknowns that are left, whatever else the guess says of them."""
+    grasp, state = scene
+    off = jxr.State(state.q + jnp.array([0.0, 0.05, -0.04]), state.v, state.s)
+
+    def closed(q, names):
+        return jxr.close(grasp, jxr.State(q, off.v, off.s), hold_contacts=False, hold=names)[1]
+
+    for held, names in ((0, "object"), (2, ("finger 0 q[1]",))):
+        found = closed(off.q, names)
+        assert float(found.q[held]) == float(off.q[held])
+        left = jxr.residuals(grasp, found)
+        assert max(float(abs(part).max()) for part in (left.normal, left.tangential, left.tangency)) <= 1e-14
+    slopes = jax.jacfwd(lambda q: closed(q, "object").q)(off.q)
+    np.testing.assert_allclose(slopes[:, 1:], 0.0, atol=1e-12)
+    step = 1e-5 * jnp.array([1.0, 0.0, 0.0])
+    ahead, behind = closed(off.q + step, "object").q, closed(off.q - step, "object").q
+    np.testing.assert_allclose(slopes[:, 0], (ahead - behind) / 2e-5, rtol=1e-7)
+
+
+@pytest.mark.parametrize("names", ["thumb", "object x", ["finger 0", "object"], 3, None, [0]])
+def test_names_that_are_not_held_are_refused(scene, names):
+    with pytest.raises(ValueError):
+        jxr.close(*scene, hold=names)

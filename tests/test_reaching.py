@@ -149,7 +149,7 @@ def turned(vectors, angle):
 
 
 def gaps_and_tilts(grasp, state):
-    """Of every contact in the plane, from the shapes alone: links end to end, and points and normals there."""
+    """Of every contact in the plane: links end to end, and the shapes' points and normals there."""
     q = iter(np.split(np.asarray(state.q), np.cumsum([3, *(f.joints for f in grasp.fingers)])[:-1]))
     x, y, angle = next(q)
     for contact, finger, joints in zip(grasp.contacts, grasp.fingers, q, strict=True):

@@ -6,6 +6,8 @@ constraint row in its message; `_search` finds the configuration, and `_implicit
 velocities differentiable. `simulate` takes what is returned.
 """
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -17,6 +19,7 @@ from .._motion import closed_within, world_poses
 from .._results import check_flag, concrete, shown
 from ..contact import Contact, Contact3, locate as locate_contours, locate_surfaces
 from ..geometry import as_it_is_resolved
+from ._hold import held_velocities
 from ._implicit_derivative import settled
 from ._search import on_shapes
 
@@ -28,6 +31,7 @@ def close(
     hold_contacts: bool = True,
     throw: bool = True,
     locate: bool = False,
+    hold: str | Sequence[str] = (),
 ) -> tuple[Grasp, State]:
     r"""Move a guess onto the constraints: the nearest consistent state.
 
@@ -45,6 +49,10 @@ def close(
         locate: If True, every contact starts from the closest points of its two contours at the
             guessed pose, found globally by `contact.locate`, whatever the guess says; from there it
             may roll. The grasp returned has the contacts' new arclengths, and `s` counts from them.
+        hold: Names of bodies ('object', 'finger 0') and of single coordinates with their body's ('object x',
+            'finger 0 q[1]', as `grasp.labels.coordinates` lists them) whose positions stay at the guess, and
+            the shortest displacement of the others is found. An orientation in space is held with its body
+            alone. Velocities are projected as without.
         throw: If False, or while JAX traces, an unreachable pose is returned as it is, and
             `simulate` gives it the code `unreachable`.
 
@@ -69,10 +77,13 @@ def close(
     check_states(grasp, guess, "guess")
     for name, flag in (("hold_contacts", hold_contacts), ("throw", throw), ("locate", locate)):
         check_flag(name, flag)
+    held = held_velocities(grasp, hold)
+    if len(held) == grasp.coordinates:
+        raise ValueError(f"argument hold must leave some coordinate free, but was {shown(hold)}")
     if locate:
         grasp, guess = _at_closest_points(grasp, guess)
-    hold = hold_contacts and not locate
-    state, rows = _close(grasp, guess, hold, resting=_resting(grasp, guess))
+    still = hold_contacts and not locate
+    state, rows = _close(grasp, guess, still, resting=_resting(grasp, guess), held=held)
     # While JAX traces, the rows have no values, and nothing can be raised.
     seen = concrete(rows)
     if throw and seen is not None:
@@ -149,7 +160,9 @@ def _resting(grasp: Grasp, guess: State) -> bool:
 
 
 @compiled
-def _close(grasp: Grasp, guess: State, hold: bool, *, resting: bool) -> tuple[State, Array]:
+def _close(
+    grasp: Grasp, guess: State, hold: bool, *, resting: bool, held: tuple[int, ...] = ()
+) -> tuple[State, Array]:
     """The closed state and its constraint rows, compiled as one program."""
     ready, _ = as_it_is_resolved(grasp.prepared())  # a run from there says if a table is too coarse
-    return settled(ready, on_shapes(ready, guess), hold, resting=resting)
+    return settled(ready, on_shapes(ready, guess), hold, resting=resting, held=held)

@@ -28,7 +28,9 @@ from .._xla import filled, linear_map, one_kernel, shared, sharing
 from ._search import after_step, ClosingProblem, constraint_rows, metric_at, searched, solve_schur
 
 
-def settled(grasp: Grasp, guess: State, hold: bool, *, resting: bool) -> tuple[State, Array]:
+def settled(
+    grasp: Grasp, guess: State, hold: bool, *, resting: bool, held: tuple[int, ...] = ()
+) -> tuple[State, Array]:
     """The closed state nearest to a guess, and its constraint rows: gaps [m] and tangencies [rad].
 
     Args:
@@ -37,29 +39,32 @@ def settled(grasp: Grasp, guess: State, hold: bool, *, resting: bool) -> tuple[S
         hold: Whether contacts stay where the guess puts them.
         resting: Whether all velocities are known to be zero, and so stay zero: then the program has no part
             that makes them compatible, which in space is nearly half of it.
+        held: Indices of the velocities whose positions stay.
 
     The state is differentiable in both modes, but only once; the rows count as constant.
     """
-    return _settled(grasp, guess, hold, resting)
+    return _settled(grasp, guess, hold, resting, held)
 
 
 @eqx.filter_custom_jvp
-def _settled(grasp: Grasp, guess: State, hold: bool, resting: bool) -> tuple[State, Array]:
+def _settled(
+    grasp: Grasp, guess: State, hold: bool, resting: bool, held: tuple[int, ...]
+) -> tuple[State, Array]:
     """`settled`, with the derivative below in place of that of its iterations."""
-    return _found(grasp, guess, hold, resting=resting)[0]
+    return _found(grasp, guess, hold, resting=resting, held=held)[0]
 
 
 @_settled.def_jvp
 def _settled_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
     """The closed state and its tangent, as a linear map that knows its own transpose for reverse mode."""
     # `moving` is m: every floating-point array. `still` is all else, such as integers and static fields.
-    (*shapes, hold, resting) = primals
+    (*shapes, hold, resting, held) = primals
     moving, still = eqx.partition(tuple(shapes), eqx.is_inexact_array)
     # Second derivatives would need derivatives of the matrix L_zz as well: refuse instead of being wrong.
     moving = eqxi.nondifferentiable(moving, name="a closed state (second derivatives)")
     grasp, guess = eqx.combine(moving, still)
-    out, minimum = _found(grasp, guess, hold, resting=resting)
-    response = _response(_Question(still, hold, resting), moving, minimum)
+    out, minimum = _found(grasp, guess, hold, resting=resting, held=held)
+    response = _response(_Question(still, hold, resting, held), moving, minimum)
     dots = filled(moving, tangents[:2])
     return out, (linear_map(_Response.tangents, _Response.cotangents, response, dots, like=out[0]), None)
 
@@ -72,11 +77,13 @@ class _Minimum(NamedTuple):
     jacobian: Array
 
 
-def _found(grasp: Grasp, guess: State, hold: bool, *, resting: bool) -> tuple[tuple[State, Array], _Minimum]:
+def _found(
+    grasp: Grasp, guess: State, hold: bool, *, resting: bool, held: tuple[int, ...]
+) -> tuple[tuple[State, Array], _Minimum]:
     """The closed state with its rows, and the minimum that the derivative needs."""
-    metric = one_kernel(metric_at, grasp, guess, hold)
-    step, jacobian = searched(ClosingProblem(grasp, guess, metric))
-    return one_kernel(_ended, grasp, guess, step, resting), _Minimum(step, metric, jacobian)
+    metric = one_kernel(metric_at, grasp, guess, hold, held)
+    step, jacobian = searched(ClosingProblem(grasp, guess, metric, held))
+    return one_kernel(_ended, grasp, guess, step, resting, held), _Minimum(step, metric, jacobian)
 
 
 class _Question(eqx.Module):
@@ -85,21 +92,25 @@ class _Question(eqx.Module):
     Attributes:
         still: Grasp and guess without these arrays.
         hold: Whether contacts stay where the guess puts them.
+        resting: Whether all velocities are known to be zero.
+        held: Indices of the velocities whose positions stay.
     """
 
     still: Any
     hold: bool = eqx.field(static=True)
     resting: bool = eqx.field(static=True)
+    held: tuple[int, ...] = eqx.field(static=True)
 
     def problem(self, moving: Any) -> ClosingProblem:
         """The search's problem; its metric depends on the arrays too, and is differentiated with them."""
         grasp, guess = eqx.combine(moving, self.still)
-        return ClosingProblem(grasp, guess, metric_at(grasp, guess, self.hold))
+        metric = metric_at(grasp, guess, self.hold, self.held)
+        return ClosingProblem(grasp, guess, metric, self.held)
 
     def ending(self, moving: Any, step: Array) -> State:
         """The closed state after a displacement from the guess."""
         grasp, guess = eqx.combine(moving, self.still)
-        return _ending(grasp, guess, step, resting=self.resting)
+        return _ending(grasp, guess, step, resting=self.resting, held=self.held)
 
 
 class _Response(eqx.Module):
@@ -192,10 +203,10 @@ def _conditions_pulled(response: _Response, w: Array) -> Any:
     return shared(jax.grad(weighed))(response.moving, response.z, w)
 
 
-def _ending(grasp: Grasp, guess: State, step: Array, *, resting: bool) -> State:
+def _ending(grasp: Grasp, guess: State, step: Array, *, resting: bool, held: tuple[int, ...]) -> State:
     """The guess after a displacement, its velocities projected onto $A v = 0$ in the mass metric."""
     with sharing():
-        q, s = after_step(grasp, guess, step)
+        q, s = after_step(grasp, guess, step, held)
         if resting:
             return State(q, guess.v, s, guess.memory)
         leaves = to_leaves(State(q, guess.v, s), grasp.form)
@@ -205,7 +216,9 @@ def _ending(grasp: Grasp, guess: State, step: Array, *, resting: bool) -> State:
         return State(q, join(compatible(grasp, leaves, line).v), s, guess.memory)
 
 
-def _ended(grasp: Grasp, guess: State, step: Array, resting: bool) -> tuple[State, Array]:
+def _ended(
+    grasp: Grasp, guess: State, step: Array, resting: bool, held: tuple[int, ...]
+) -> tuple[State, Array]:
     """The same, and its constraint rows."""
-    state = _ending(grasp, guess, step, resting=resting)
+    state = _ending(grasp, guess, step, resting=resting, held=held)
     return state, constraint_rows(grasp, state.q, state.s)

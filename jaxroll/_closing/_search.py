@@ -54,15 +54,17 @@ class ClosingProblem(eqx.Module):
         guess: Where to start, its contacts on their shapes.
         metric: Matrix in which displacements are measured, from `metric_at`. Its size tells whether contact
             coordinates are among the unknowns.
+        held: Indices of the velocities that are not among them: their positions stay.
     """
 
     grasp: Grasp
     guess: State
     metric: Array
+    held: tuple[int, ...] = eqx.field(static=True, default=())
 
     def rows(self, step: Array) -> Array:
         """Gaps [m] and tangencies [rad] after a displacement from the guess."""
-        return constraint_rows(self.grasp, *after_step(self.grasp, self.guess, step))
+        return constraint_rows(self.grasp, *after_step(self.grasp, self.guess, step, self.held))
 
     def linearised(self, step: Array) -> tuple[Array, Array]:
         """The rows, and their Jacobian with respect to the displacement, shape (rows, unknowns)."""
@@ -208,14 +210,16 @@ def on_shapes(grasp: Grasp, guess: State) -> State:
     return State(guess.q, guess.v, stacked(jax.tree.leaves(settled)), guess.memory)
 
 
-def after_step(grasp: Grasp, guess: State, step: Array) -> tuple[Array, Array]:
+def after_step(grasp: Grasp, guess: State, step: Array, held: tuple[int, ...] = ()) -> tuple[Array, Array]:
     """Positions and contact coordinates after a displacement from a guess.
 
     The displacement has an entry for each velocity, body by body, then `slack` entries for each contact.
-    Where contacts are held, these are missing, and the contacts stay where they are.
+    Where contacts are held, these are missing, and the contacts stay where they are; so are the entries of
+    `held` velocities.
     """
     leaves, rest = to_leaves(guess, grasp.form), iter(unstack(step))
-    blocks = tuple(tuple(itertools.islice(rest, size)) for size in grasp.sizes)
+    moves = iter([0.0 if i in held else next(rest) for i in range(grasp.coordinates)])
+    blocks = tuple(tuple(itertools.islice(moves, size)) for size in grasp.sizes)
     q, places = displaced(grasp, leaves.q, blocks), []
     for contact, place in zip(grasp.contacts, leaves.s, strict=True):
         shift = tuple(itertools.islice(rest, contact.slack))
@@ -231,11 +235,12 @@ def constraint_rows(grasp: Grasp, q: Array, s: Array) -> Array:
     return jnp.stack(rows)
 
 
-def metric_at(grasp: Grasp, guess: State, hold: bool) -> Array:
+def metric_at(grasp: Grasp, guess: State, hold: bool, held: tuple[int, ...] = ()) -> Array:
     """The metric of displacements: the mass matrix at the guess, divided by the mean of its diagonal.
 
     Where contacts may roll, their coordinates follow with a small weight of 1e-3 each: they should move
-    freely beside the poses, but a metric without any weight for them would be singular.
+    freely beside the poses, but a metric without any weight for them would be singular. Held velocities have
+    no rows and columns.
     """
     # At rest: Python's own zeros leave all out that comes with velocities.
     leaves = to_leaves(guess, grasp.form)
@@ -246,4 +251,6 @@ def metric_at(grasp: Grasp, guess: State, hold: bool) -> Array:
     n = grasp.coordinates
     size = n + (0 if hold else sum(contact.slack for contact in grasp.contacts))
     scaled = jnp.pad(mass * (n / jnp.trace(mass)), (0, size - n))
-    return scaled + np.diag(np.where(np.arange(size) < n, 0.0, 1e-3).astype(scaled.dtype))
+    whole = scaled + np.diag(np.where(np.arange(size) < n, 0.0, 1e-3).astype(scaled.dtype))
+    free = [i for i in range(size) if i not in held]
+    return whole if len(free) == size else whole[np.ix_(free, free)]

@@ -135,7 +135,7 @@ def reach(
     found = _assembled(grasp, positions, chosen, at)
     if hold_object or found.result == RESULTS.successful:
         return found
-    return _let_go(found, held)
+    return _let_go(found, hold)
 
 
 def _check(grasp: Grasp, guess: State | None, hold_object: bool) -> None:
@@ -277,9 +277,9 @@ def _assembled(grasp: Grasp, positions: np.ndarray, chosen: list[Choice], at: li
     )
 
 
-def _let_go(found: Reach, held: tuple[int, ...]) -> Reach:
+def _let_go(found: Reach, hold: str | Sequence[str]) -> Reach:
     """The start that `close` makes of the nearest postures, the object and the contacts free to move."""
-    grasp, state = close(found.grasp, found.state, hold_contacts=False, throw=False)
+    grasp, state = close(found.grasp, found.state, hold_contacts=False, throw=False, hold=hold)
     left = residuals(grasp, state)
     gap = max(float(jnp.max(jnp.abs(part))) for part in (left.normal, left.tangential))
     tilt = float(jnp.max(jnp.abs(left.tangency)))

@@ -60,6 +60,7 @@ class RESULTS(eqx.Enumeration):
         "other shape."
     )
     joint_limit = "A joint is at the end of its range."
+    torque_limit = "The controller asks for more than the largest torque of a joint."
 
 
 def traced(value: Any) -> bool:

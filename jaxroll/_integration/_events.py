@@ -58,9 +58,11 @@ _CODES = (
     RESULTS.contact_lost,
     RESULTS.slipping,
     RESULTS.penetration,
+    RESULTS.joint_limit,
+    RESULTS.torque_limit,
 )
-_NOT_FINITE, _SINGULAR_CONTACT, _CONTOUR_END, _LOST, _SLIPPING, _PENETRATION = range(1, 7)
-# A limit's number is its code plus this for each contact (see `_numbered`): above all codes.
+_NOT_FINITE, _SINGULAR_CONTACT, _CONTOUR_END, _LOST, _SLIPPING, _PENETRATION, _JOINT, _TORQUE = range(1, 9)
+# A limit's number is its code plus this for each contact or joint (see `_numbered`): above all codes.
 _KINDS = 16
 EVENTS = ("lift", "friction", "penetration")
 
@@ -80,15 +82,15 @@ class Limit(NamedTuple):
 def regime(grasp: Grasp, leaves: Leaves, instant: Instant, events: tuple[str, ...]) -> tuple[Scalar, Scalar]:
     """Smallest margin at one state, and the number of its limit, negated unless the margin is below zero.
 
-    Contour ends and singular contacts are always watched, normal forces and friction cones if `events` names
-    them; a friction cone only where its contact has a coefficient.
+    Contour ends, singular contacts and limits of joints are always watched, normal forces and friction cones
+    if `events` names them; a friction cone only where its contact has a coefficient.
 
     Limits of the geometry come before those of the forces. Where the sum of curvatures passes through zero
     the forces have a pole: beyond it they have the other sign and no meaning, because nothing rolls there.
     A force that fell below zero is then no cause of its own.
     """
     shape = _nearest(_geometry(grasp, leaves, instant))
-    forces = _forces(grasp, instant, events)
+    forces = [*_forces(grasp, instant, events), *_joints(grasp, leaves, instant)]
     limit = shape if not forces else _nearest([shape, *forces])
     holds = shape.margin >= 0
     least, number = (jnp.where(holds, a, b) for a, b in zip(limit, shape, strict=True))
@@ -151,12 +153,15 @@ def decode(number: Scalar, loop: diffrax.RESULTS) -> RESULTS:
 
 
 def _numbered(code: int, which: int | None) -> int:
-    """A code and the contact it concerns (for penetration the finger; None for all) as one number."""
+    """A code and the contact it concerns (for penetration the finger, for limits the joint) as one number.
+
+    None stands for all contacts together.
+    """
     return code if which is None else code + _KINDS * (which + 1)
 
 
 def whose(number: Scalar) -> Scalar:
-    """The contact or finger in the number of the limit that ended a run; -1 where there is none."""
+    """The contact, finger or joint in the number of the limit that ended a run; -1 where there is none."""
     return (jnp.maximum(number, 0.0) // _KINDS).astype(int) - 1
 
 
@@ -204,6 +209,23 @@ def _forces(grasp: Grasp, instant: Instant | Struck, events: tuple[str, ...]) ->
             cone = contact.friction * f
             slips = _numbered(_SLIPPING, i)
             limits += [Limit(cone - rubbing, slips) for rubbing in contact.rubbing(tangential)]
+    return limits
+
+
+def _joints(grasp: Grasp, leaves: Leaves, instant: Instant) -> list[Limit]:
+    """Limits from joints' ranges [rad or m] and largest torques [N m or N], of fingers that have some."""
+    limits: list[Limit] = []
+    first = 0
+    for i, finger in enumerate(grasp.fingers):
+        ranges: Any = getattr(finger, "limits", None) or ()
+        largest: Any = getattr(finger, "torque_limits", None) or ()
+        for j, (low, high) in enumerate(ranges):
+            q, number = leaves.q[1 + i][j], _numbered(_JOINT, first + j)
+            limits += [Limit(q - low, number), Limit(high - q, number)]
+        for j, most in enumerate(largest):
+            torque = instant.torques[i][j] if instant.torques[i] else 0.0
+            limits.append(Limit(most - jnp.abs(torque), _numbered(_TORQUE, first + j)))
+        first += finger.joints
     return limits
 
 

@@ -20,6 +20,8 @@ _TOLD = {
     "contour_end": "{who} ran past the end of an open contour{when}{by}",
     "singular_contact": "{who} became singular{when}: its curvatures cancel, to 1e-4 of their size{by}",
     "penetration": "{who} overlaps the object away from its contact{when}{by}",
+    "joint_limit": "{who} passed the end of its range{when}{by}",
+    "torque_limit": "{who} needs more torque than it has{when}{by}",
 }
 # By how much the margin passed zero: by rounding at an event that was located, by more at a start beyond it.
 _BY = {
@@ -28,6 +30,8 @@ _BY = {
     "contour_end": ": by {:.3g} m",
     "singular_contact": "",
     "penetration": ": by {:.3g} m",
+    "joint_limit": ": by {:.3g} rad or m",
+    "torque_limit": ": by {:.3g} N m or N",
 }
 # What helps against each code, in terms of the arguments of `simulate`; other callers may give others.
 REMEDIES = {
@@ -41,6 +45,8 @@ REMEDIES = {
     "contact_lost": "press harder there, or leave 'lift' out of `events` to let contacts pull",
     "slipping": "a larger `friction` of that contact, or leave 'friction' out of `events`",
     "penetration": "shapes that curve away from each other, or leave 'penetration' out of `events`",
+    "joint_limit": "another start (`jaxroll.reach`), wider `limits` of the finger, or an earlier `t1`",
+    "torque_limit": "a gentler controller, or larger `torque_limits` of the finger",
     "not_finite": "look at the last state: a controller or a contour of your own gives NaN near there",
     "unreachable": "`jaxroll.close(grasp, state)` first",
     "unresolved": "more `cells` for that contour, or points with less noise",
@@ -99,6 +105,8 @@ def cause(run: Any) -> str:
     who = "a contact" if contact < 0 else contact_name(run.labels, contact)
     if name == "penetration":  # an audit looks at fingers, whether they have a contact or not
         who = f"finger {contact}"
+    if name in ("joint_limit", "torque_limit"):
+        who = joint_name(run.labels, contact)
     by = _BY[name].format(0.0 - margin) if np.isfinite(margin) else ""
     return _TOLD[name].format(who=who, when=when, by=by)
 
@@ -114,6 +122,17 @@ def contact_name(labels: Labels | None, contact: int) -> str:
     if labels is None or contact >= len(labels.contacts):
         return f"contact {contact}"
     return labels.contacts[contact]
+
+
+def joint_name(labels: Labels | None, joint: int) -> str:
+    """What a joint is called, counted over all fingers."""
+    if labels is None:
+        return f"joint {joint}"
+    # A stage's clock is a position, but no joint.
+    names = [
+        f"{body} {label.name}" for body, parts in labels.bodies[1:] for label in parts if label.unit != "s"
+    ]
+    return names[joint] if 0 <= joint < len(names) else f"joint {joint}"
 
 
 def amount(value: float, unit: str, *, signed: bool = False) -> str:

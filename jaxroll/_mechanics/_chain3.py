@@ -106,6 +106,8 @@ class Chain3(AbstractFinger):
         tip_y: The second axis likewise.
         tip: Surface of the fingertip, ready for evaluation.
         armature: Inertias of the joints' rotors [kg m^2]; None without any.
+        limits: Least and largest angle of every joint [rad], where there are limits.
+        torque_limits: Largest torque of every joint [N m], where there are limits.
     """
 
     base: Scalars
@@ -114,6 +116,8 @@ class Chain3(AbstractFinger):
     tip_y: Scalars
     tip: AbstractSurface
     armature: Scalars | None
+    limits: tuple[Scalars, ...] | None
+    torque_limits: Scalars | None
 
     @property
     def joints(self) -> int:
@@ -281,4 +285,5 @@ def chain_of(finger: Any) -> Chain3:
     upper = jnp.stack([tensors[:, r, c] for r in range(3) for c in range(r, 3)], axis=-1)
     x, y, offsets, centres, inertias, masses = map(unstack, (*steps[:2], *vectors, upper, finger.masses))
     links = tuple(map(_Link, x[:-1], y[:-1], offsets, centres, inertias, masses))
-    return Chain3(unstack(finger.base), links, x[-1], y[-1], finger.tip.prepared(), unstack(finger.armature))
+    beside = unstack(finger.armature), unstack(finger.limits), unstack(finger.torque_limits)
+    return Chain3(unstack(finger.base), links, x[-1], y[-1], finger.tip.prepared(), *beside)

@@ -5,16 +5,26 @@ from the tip to the base. The bias is the torque that the motion needs at zero j
 """
 
 import abc
-from typing import Any
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._fields import real, taken, through
 from .._linalg import Pose2, sincos, total, Twist2, unstack, Vec2
-from .._results import as_count, as_floats, check_between, check_instance, check_positive
+from .._printing import listed
+from .._results import (
+    as_count,
+    as_floats,
+    check_between,
+    check_instance,
+    check_positive,
+    concrete,
+    shown,
+)
 from .._types import Given, Scalar, Scalars
 from .._xla import once
 from ..contact import Motion
@@ -22,12 +32,20 @@ from ..geometry import AbstractContour
 from ._body import AbstractBody, Coordinate, Inertia, Spin
 
 _STILL = Vec2(0.0, 0.0)
+FingerType = TypeVar("FingerType", bound="AbstractFinger")
 
 
 class AbstractFinger(AbstractBody):
-    """A driven mechanism that carries one shape in its tip frame."""
+    """A driven mechanism that carries one shape in its tip frame.
+
+    A class with fields `limits` and `torque_limits`, None where there are none, has limits that runs watch.
+    """
 
     tip: eqx.AbstractVar[Any]
+
+    def __repr__(self) -> str:
+        # Most fingers have no limits.
+        return listed(self).replace(", limits=None", "").replace(", torque_limits=None", "")
 
     @property
     @abc.abstractmethod
@@ -83,6 +101,21 @@ def check_links(name: str, array: Array) -> Array:
     return array
 
 
+def check_limits(name: str, limits: Array) -> Array:
+    """Raise unless every row of concrete limits rises."""
+    seen = concrete(limits)
+    if seen is not None and not np.all(seen[:, 0] < seen[:, 1]):
+        raise ValueError(f"argument {name} must rise from the least to the most, but was {shown(seen)}")
+    return limits
+
+
+def with_scalar_limits(finger: FingerType) -> FingerType:
+    """A finger whose limits, if it has some, are tuples of scalars."""
+    fields = lambda f: [x for x in (f.limits, f.torque_limits) if x is not None]  # noqa: E731
+    given = fields(finger)
+    return eqx.tree_at(fields, finger, list(map(unstack, given))) if given else finger
+
+
 def _as_lengths(name: str, lengths: Array) -> Array:
     return check_positive(name, check_links(name, lengths))
 
@@ -102,9 +135,14 @@ class Finger(AbstractFinger):
             the length (a uniform slender rod; the chapter does not state it).
         inertias: Shape (k,), moment of each link about its centre of mass, in kg m^2. Default:
             $m l^2/12$.
+        limits: Shape (k, 2), least and largest angle of every joint [rad]: a run ends there with the code
+            `joint_limit`. Default: none, and then it costs nothing.
+        torque_limits: Shape (k,), largest torque of every joint [N m]: a run ends with `torque_limit` where
+            the controller asks for more. Default: none, and then it costs nothing.
 
     Raises:
-        ValueError: If a shape does not fit, there is no link, or a length, mass or inertia is not positive.
+        ValueError: If a shape does not fit, there is no link, a length, mass, inertia or torque limit is not
+            positive, or limits do not rise.
 
     Example:
         >>> import jaxroll as jxr
@@ -119,6 +157,8 @@ class Finger(AbstractFinger):
     base: Float[Array, "2"] = real(2)
     centres: Float[Array, " k"] = real(None)
     inertias: Float[Array, " k"] = real(None, check=check_positive)
+    limits: Float[Array, "k 2"] | None = real(None, 2, check=check_limits, optional=True)
+    torque_limits: Float[Array, " k"] | None = real(None, check=check_positive, optional=True)
 
     def __init__(
         self,
@@ -129,6 +169,8 @@ class Finger(AbstractFinger):
         base: Given = (0.0, 0.0),
         centres: Given | None = None,
         inertias: Given | None = None,
+        limits: Given | None = None,
+        torque_limits: Given | None = None,
     ) -> None:
         self.lengths = taken(self, "lengths", lengths)
         links = self.lengths.shape
@@ -139,6 +181,8 @@ class Finger(AbstractFinger):
         self.centres = taken(self, "centres", halves if centres is None else centres, shape=links)
         inertias = rods if inertias is None else inertias
         self.inertias = taken(self, "inertias", inertias, shape=links)
+        self.limits = taken(self, "limits", limits, shape=(*links, 2))
+        self.torque_limits = taken(self, "torque_limits", torque_limits, shape=links)
 
     @property
     def joints(self) -> int:
@@ -192,7 +236,7 @@ class Finger(AbstractFinger):
     def prepared(self) -> "Finger":
         fields = lambda f: (f.lengths, f.masses, f.base, f.centres, f.inertias, f.tip)  # noqa: E731
         *arrays, tip = fields(self)
-        return eqx.tree_at(fields, self, (*map(unstack, arrays), tip.prepared()))
+        return with_scalar_limits(eqx.tree_at(fields, self, (*map(unstack, arrays), tip.prepared())))
 
     def directions(self, q: Scalars) -> tuple[Vec2, ...]:
         """Unit vectors along the links, in the world: the only sines and cosines of a finger."""

@@ -26,7 +26,7 @@ from ..contact import Motion
 from ..geometry import AbstractSurface
 from ._body import Inertia, Spin
 from ._chain3 import Chain3, chain_of, unit
-from ._finger import AbstractFinger, check_links
+from ._finger import AbstractFinger, check_limits, check_links
 from ._object3 import check_inertia
 
 # Default inertias are those of solid cylinders, with this radius relative to the mean length of the links.
@@ -78,9 +78,14 @@ class Finger3(AbstractFinger):
             square of its gear ratio [kg m^2]: added to the diagonal of the mass matrix. Default: none, and
             then it costs nothing.
 
+        limits: Shape (k, 2), least and largest angle of every joint [rad]: a run ends there with the code
+            `joint_limit`. Default: none, and then it costs nothing.
+        torque_limits: Shape (k,), largest torque of every joint [N m]: a run ends with `torque_limit` where
+            the controller asks for more. Default: none, and then it costs nothing.
+
     Raises:
-        ValueError: If a shape does not fit, a mass is not positive, an axis has no length, an inertia is not
-            positive definite, or a rotor's is negative.
+        ValueError: If a shape does not fit, a mass or a torque limit is not positive, an axis has no length,
+            an inertia is not positive definite, a rotor's is negative, or limits do not rise.
 
     Example:
         >>> import jaxroll as jxr
@@ -99,6 +104,8 @@ class Finger3(AbstractFinger):
     centres: Float[Array, "k 3"] = real(None, 3)
     inertias: Float[Array, "k 3 3"] = real(None, 3, 3, check=check_inertia)
     armature: Float[Array, " k"] | None = real(None, check=_as_armature, optional=True)
+    limits: Float[Array, "k 2"] | None = real(None, 2, check=check_limits, optional=True)
+    torque_limits: Float[Array, " k"] | None = real(None, check=check_positive, optional=True)
 
     def __init__(
         self,
@@ -112,6 +119,8 @@ class Finger3(AbstractFinger):
         centres: Given | None = None,
         inertias: Given | None = None,
         armature: Given | None = None,
+        limits: Given | None = None,
+        torque_limits: Given | None = None,
     ) -> None:
         self.tip = taken(self, "tip", tip)
         self.axes = taken(self, "axes", axes)
@@ -126,6 +135,8 @@ class Finger3(AbstractFinger):
         inertias = cylinders if inertias is None else inertias
         self.inertias = taken(self, "inertias", inertias, shape=(links, 3, 3))
         self.armature = taken(self, "armature", armature, shape=(links,))
+        self.limits = taken(self, "limits", limits, shape=(links, 2))
+        self.torque_limits = taken(self, "torque_limits", torque_limits, shape=(links,))
 
     @property
     def joints(self) -> int:

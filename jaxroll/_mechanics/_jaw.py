@@ -16,7 +16,7 @@ from .._types import Given, Scalar, Scalars
 from ..contact import Motion
 from ..geometry import AbstractContour
 from ._body import Inertia, Spin
-from ._finger import AbstractFinger, as_tip
+from ._finger import AbstractFinger, as_tip, check_limits, with_scalar_limits
 
 # A jaw has no length of its own. Only scaling and drawing need one: a gripper's order of magnitude [m].
 _SIZE = 0.05
@@ -48,9 +48,14 @@ class Jaw(AbstractFinger):
         directions: Shape (k,), angle of each joint's axis in the world [rad]; none for a fixed wall.
         base: Shape (2,), the frame's origin at zero displacement [m].
         angle: Constant angle of the frame [rad].
+        limits: Shape (k, 2), least and largest displacement along every direction [m]: a run ends there with
+            the code `joint_limit`. Default: none.
+        torque_limits: Shape (k,), largest force along every direction [N]: a run ends with `torque_limit`
+            where the controller asks for more. Default: none.
 
     Raises:
-        ValueError: If there are more than two directions or they are parallel, or the mass is not positive.
+        ValueError: If there are more than two directions or they are parallel, the mass or a limit of forces
+            is not positive, or limits do not rise.
 
     Example:
         >>> import jaxroll as jxr
@@ -64,6 +69,8 @@ class Jaw(AbstractFinger):
     directions: Float[Array, " k"] = real(None, check=_as_directions)
     base: Float[Array, "2"] = real(2)
     angle: Float[Array, ""] = real()
+    limits: Float[Array, "k 2"] | None = real(None, 2, check=check_limits, optional=True)
+    torque_limits: Float[Array, " k"] | None = real(None, check=check_positive, optional=True)
     axes: tuple[Vec2, ...] | None = None
 
     def __init__(
@@ -74,12 +81,16 @@ class Jaw(AbstractFinger):
         *,
         base: Given = (0.0, 0.0),
         angle: Given = 0.0,
+        limits: Given | None = None,
+        torque_limits: Given | None = None,
     ) -> None:
         self.tip = taken(self, "tip", contour, name="contour")
         self.mass = taken(self, "mass", mass)
         self.directions = taken(self, "directions", directions)
         self.base = taken(self, "base", base)
         self.angle = taken(self, "angle", angle)
+        self.limits = taken(self, "limits", limits, shape=(self.joints, 2))
+        self.torque_limits = taken(self, "torque_limits", torque_limits, shape=(self.joints,))
         self.axes = None  # set by `prepared`; assigned here since `tree_at` does not see a class's default
 
     @property
@@ -97,7 +108,7 @@ class Jaw(AbstractFinger):
     def prepared(self) -> "Jaw":
         fields = lambda j: (j.directions, j.base, j.tip, j.axes)  # noqa: E731
         ready = (unstack(self.directions), unstack(self.base), self.tip.prepared(), self._axes())
-        return eqx.tree_at(fields, self, ready, is_leaf=lambda x: x is None)
+        return with_scalar_limits(eqx.tree_at(fields, self, ready, is_leaf=lambda x: x is None))
 
     def placed(self, q: Scalars) -> tuple[Pose2, Spin]:
         heading, *along = self._axes()

@@ -40,6 +40,7 @@ class Instant:
         bends: For each contact what places move by: in the plane the sum of curvatures [1/m], in space the
             inverse of the summed shape operators [m].
         line: Constraint Jacobian and factorised Schur complement.
+        torques: Joint torques of every finger [N m]; empty where no finger limits them.
     """
 
     rates: Leaves
@@ -48,6 +49,7 @@ class Instant:
     touching: tuple[Any, ...]
     bends: tuple[Any, ...]
     line: Linearisation
+    torques: tuple[Scalars, ...] = ()
 
 
 def evaluate(grasp: Grasp, t: Scalar, leaves: Leaves, formulation: Formulation) -> Instant:
@@ -95,7 +97,9 @@ def evaluate(grasp: Grasp, t: Scalar, leaves: Leaves, formulation: Formulation) 
     moving = zip(grasp.bodies, leaves.q, leaves.v, strict=True)
     turning = tuple(body.rates(q, v) for body, q, v in moving)
     rates = Leaves(turning, accelerations, s_rates, memory_rates)
-    return Instant(rates, forces, motions, touching, bends, line)
+    limited = any(getattr(finger, "torque_limits", None) is not None for finger in grasp.fingers)
+    torques = tuple(drive or () for drive in acting[1:]) if limited else ()
+    return Instant(rates, forces, motions, touching, bends, line, torques)
 
 
 def bodies(grasp: Grasp, leaves: Leaves) -> tuple[tuple[Motion, ...], tuple[Inertia, ...]]:

@@ -761,7 +761,6 @@ def test_quantities_of_the_plane_are_refused_in_space():
         lambda: jxr.pinch_balance(SPACE, 0.0, at),
         lambda: jxr.press_balance(SPACE, 0.0, at),
         lambda: jxr.contact_geometry(SPACE, at),
-        lambda: jxr.equation_terms(SPACE, at),
     ):
         check_sentence(refusal(call), "grasp must live in the plane")
 

@@ -272,6 +272,47 @@ def test_a_finger_in_space_is_its_links_one_by_one(gravity):
     near([again.twist.velocity.array(), again.twist.spin.array()], twist)
 
 
+def test_equation_terms_in_space_are_rates_of_the_contact_and_balance():
+    """Gradients against twists of single links; and with forces, torques and accelerations the equations."""
+    rng = np.random.default_rng(6)
+    finger = jxr.Finger3(
+        rng.normal(size=(3, 3)), 0.05 * rng.normal(size=(3, 3)), [0.05, 0.03, 0.02], jxr.Sphere(0.01)
+    )
+    grasp = jxr.Grasp(
+        jxr.FreeObject3(jxr.Sphere(0.02), mass=0.05, inertia=[1e-5, 2e-5, 3e-5]),
+        [finger, jxr.Stage(jxr.Plane())],
+        [jxr.Contact3(0, 0, spin="prevented"), jxr.Contact3(1, 0)],
+        controller=jxr.control.Press(0.5, 0.01, 0.006, target=(0.0, 0.1, 0.2)),
+        gravity=(1.0, -2.0, -9.0),
+    )
+    ways = rng.normal(size=(3, 3))
+    ways /= np.linalg.norm(ways, axis=1)[:, None]
+    q = np.concatenate([rng.normal(size=3), turn := rng.normal(size=4), rng.normal(size=3)])
+    q[3:7] = turn / np.linalg.norm(turn)
+    places = [0.01 * ways[0], 0.02 * ways[1], grasp.fingers[1].tip.near(ways[0]), 0.02 * ways[2]]
+    v = rng.normal(size=9)
+    state = jxr.State(jnp.asarray(q), jnp.asarray(v), jnp.concatenate([jnp.asarray(p) for p in places]))
+    terms = jxr.equation_terms(grasp, state)
+    # The rate of the gap of the first contact, from the twists of both bodies.
+    (at, axes), (rate, spin), _, _ = links_one_by_one(finger, q[7:], v[6:])
+    body = Rotation.from_quat(q[[4, 5, 6, 3]])
+    turning, n = body.apply(v[3:6]), body.apply(ways[1])
+    closing = rate + np.cross(spin, axes @ places[0]) - v[:3] - np.cross(turning, 0.02 * n)
+    near = lambda found, wanted: np.testing.assert_allclose(found, wanted, rtol=1e-11, atol=1e-13)  # noqa: E731
+    near(terms.normal[0] @ v, -n @ closing)
+    near(terms.tangential[0] @ v, closing - n * (n @ closing))
+    near(terms.spin[0] @ v, n @ (spin - turning))
+    near(terms.spin[1], 0.0)
+    # M v' + h + f Q + lambda R + tau S = u.
+    forces = jxr.multipliers(grasp, 0.0, state)
+    assert float(jnp.abs(forces.spin[0])) > 1e-4 and float(forces.spin[1]) == 0.0
+    pushed = forces.f @ terms.normal + jnp.einsum("ci,cin->n", forces.lam, terms.tangential)
+    left = terms.mass @ jxr.accelerations(grasp, 0.0, state) + terms.bias + pushed
+    left += forces.spin @ terms.spin
+    driven = np.concatenate([np.zeros(6), jxr.torques(grasp, 0.0, state)[0]])
+    np.testing.assert_allclose(left, driven, atol=1e-10 * np.abs(np.asarray(pushed)).max())
+
+
 def test_bias_of_a_finger_in_space_is_that_of_its_mass_matrix():
     r"""Lagrange's: $h = \dot M v - \frac12 \partial_q (v^T M v)$, links with three unlike moments."""
     rng = np.random.default_rng(4)

@@ -36,6 +36,11 @@ def test_motion_and_forces_against_a_second_formulation(case):
         normal, tangential, spin = reference.forces(scene, q[i], v[i])
         np.testing.assert_allclose(run.multipliers.f[i], normal, atol=1e-7)
         np.testing.assert_allclose(run.multipliers.lam[i], -np.asarray(tangential), atol=1e-7)
+        if kind == "spin prevented":
+            assert np.abs(spin).max() > 1e-5
+            np.testing.assert_allclose(run.multipliers.spin[i], -np.asarray(spin), atol=1e-9)
+        else:
+            assert run.multipliers.spin is None
 
 
 def test_rows_and_energy(case):

@@ -2,7 +2,7 @@ r"""The terms of the equations of motion (1)-(3), (73)-(74) as ordinary arrays, 
 
 Inside the package a mass matrix is a triangle of scalars per body, and constraint rows are in world axes, in
 one block per body of a contact (`_linearisation`). Here the mass matrices become one array, and the rows the
-gradients of the chapter's $Q_i$ and $R_i$.
+gradients of the chapter's $Q_i$ and $R_i$, and of what is their like in space.
 """
 
 from typing import Any
@@ -11,22 +11,36 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._linalg import factorise, Vec2
-from .._mechanics import check_planar, compiled, Grasp, join, State, to_leaves
+from .._linalg import factorise, Vec2, Vec3
+from .._mechanics import (
+    check_grasp,
+    check_planar,
+    check_spatial,
+    compiled,
+    Grasp,
+    join,
+    State,
+    to_leaves,
+)
 from .._printing import listed
 from .._types import Scalar
+from ..contact import Rows
 from ._equations import bodies, drives, net_force, touches
 from ._linearisation import linearise
 
 
 class EquationTerms(eqx.Module):
-    r"""$M \dot v + h + \sum_i (f_i \nabla Q_i + \lambda_i \nabla R_i) = u$ at one state.
+    r"""$M \dot v + h + \sum_i (f_i \nabla Q_i + \lambda_i \nabla R_i + \tau_i \nabla S_i) = u$ at one state.
 
     Attributes:
         mass: Shape (n, n), mass matrix $M$: $G(X)$ of (15).
         bias: Shape (n,), $h = (\frac12 \dot G + S) v$ less the generalised force of gravity.
         normal: Shape (c, n), $\nabla Q_i$: coefficients of $f_i$ in (1)-(3), (73)-(74).
-        tangential: Shape (c, n), $\nabla R_i$: coefficients of $\lambda_i$.
+        tangential: Shape (c, n), $\nabla R_i$: coefficients of $\lambda_i$. In space, shape (c, 3, n): of its
+            components in world axes.
+        spin: Shape (c, n), $\nabla S_i$: coefficients of the torques $\tau_i$ that prevent spin, with
+            $\nabla S_i \cdot v = n \cdot (\omega_A - \omega_B)$ for the object's outward normal; zero for
+            contacts that leave it free. None where no contact prevents it.
     """
 
     __repr__ = listed
@@ -34,7 +48,8 @@ class EquationTerms(eqx.Module):
     mass: Float[Array, "n n"]
     bias: Float[Array, " n"]
     normal: Float[Array, "c n"]
-    tangential: Float[Array, "c n"]
+    tangential: Float[Array, "..."]
+    spin: Float[Array, "c n"] | None = None
 
 
 @compiled
@@ -42,8 +57,11 @@ def equation_terms(grasp: Grasp, state: State) -> EquationTerms:
     r"""Mass matrix, bias force and constraint gradients of one state.
 
     The gradients are autodiff of the world-frame gap at frozen contact coordinates, projected on the
-    object's inward normal $n_0$ and on $b_0$. The chapter's partial derivative of Q at fixed s (11), (15),
-    (72) would give other coefficients than its own (2)-(3) and (73)-(74), which these are.
+    object's inward normal $n_0$ and on $b_0$; in space on $n_0$ and on the tangent plane. The chapter's
+    partial derivative of Q at fixed s (11), (15), (72) would give other coefficients than its own (2)-(3) and
+    (73)-(74), which these are.
+
+    Forces are those of `multipliers`: $f_i$, $\lambda_i$, and in space $\tau_i$ its `spin`.
 
     Example:
         >>> import jaxroll as jxr
@@ -51,29 +69,64 @@ def equation_terms(grasp: Grasp, state: State) -> EquationTerms:
         >>> jxr.equation_terms(grasp, state).normal.shape
         (1, 3)
     """
-    check_planar(grasp)
+    check_grasp(grasp)
+    (check_spatial if grasp.spatial else check_planar)(grasp)
     ready = grasp.prepared()
     leaves = to_leaves(state, ready.form)
     motions, inertias = bodies(ready, leaves)
     touching = touches(ready, leaves.s)
     line = linearise(ready, motions, [factorise(i.mass) for i in inertias], touching)
-    normal, tangential = [], []
-    for contact, rows, t in zip(ready.contacts, line.jacobian, touching, strict=True):
-        # A contact's two rows are the derivatives of the gap's world components x and y; a column (x, y) of
-        # them, one per coordinate, is a vector, whose parts along n_0 and b_0 are entries of the gradients.
-        b = motions[0].pose.turn(t.object.tangent)
-        tip, face = ([Vec2(*pair) for pair in zip(*block, strict=True)] for block in rows)
-        blocks = {0: face, 1 + contact.finger: tip}
-        normal.append(_row(ready, {k: [c.dot(b.left()) for c in v] for k, v in blocks.items()}))
-        signed = b * contact.sense
-        tangential.append(_row(ready, {k: [c.dot(signed) for c in v] for k, v in blocks.items()}))
+    gradients = _gradients3 if grasp.spatial else _gradients2
+    each = [
+        gradients(ready, contact, rows, (motions[0].pose, t))
+        for contact, rows, t in zip(ready.contacts, line.jacobian, touching, strict=True)
+    ]
+    normal, tangential, spin = zip(*each, strict=True)
     forces = [force for inertia in inertias for force in inertia.force]
     return EquationTerms(
         mass_matrix([i.mass for i in inertias], grasp.coordinates),
         jnp.stack([jnp.asarray(f) for f in forces]),
         jnp.stack(normal),
         jnp.stack(tangential),
+        jnp.stack(spin) if any(c.rows > 3 for c in grasp.contacts) else None,
     )
+
+
+_Gradients = tuple[Array, Array, Array]
+
+
+def _gradients2(grasp: Grasp, contact: Any, rows: tuple[Rows, Rows], place: tuple[Any, Any]) -> _Gradients:
+    """Of Q and R, shape (n,) each; nothing spins in the plane."""
+    # A contact's two rows are the derivatives of the gap's world components x and y; a column (x, y) of
+    # them, one per coordinate, is a vector, whose parts along n_0 and b_0 are entries of the gradients.
+    pose, touch = place
+    b = pose.turn(touch.object.tangent)
+    tip, face = ([Vec2(*pair) for pair in zip(*block, strict=True)] for block in rows)
+    blocks = {0: face, 1 + contact.finger: tip}
+    normal = _row(grasp, {k: [c.dot(b.left()) for c in v] for k, v in blocks.items()})
+    signed = b * contact.sense
+    tangential = _row(grasp, {k: [c.dot(signed) for c in v] for k, v in blocks.items()})
+    return normal, tangential, jnp.zeros_like(normal)
+
+
+def _gradients3(grasp: Grasp, contact: Any, rows: tuple[Rows, Rows], place: tuple[Any, Any]) -> _Gradients:
+    """Of Q, shape (n,), of what keeps the tangential components, shape (3, n), and the spin, at zero."""
+    pose, touch = place
+    n = pose.turn(touch.object.normal)
+    tip, face = ([Vec3(*column) for column in zip(*block[:3], strict=True)] for block in rows)
+    blocks = {0: face, 1 + contact.finger: tip}
+    # The force on the fingertip is f n - lambda, with lambda in the tangent plane.
+    normal = _row(grasp, {k: [-c.dot(n) for c in v] for k, v in blocks.items()})
+    aside = {k: [c - n * c.dot(n) for c in v] for k, v in blocks.items()}
+    tangential = jnp.stack(
+        [_row(grasp, {k: [getattr(c, axis) for c in v] for k, v in aside.items()}) for axis in "xyz"]
+    )
+    if contact.rows == 3:
+        return normal, tangential, jnp.zeros_like(normal)
+    # A multiplier of one is this torque on the object: its coefficients are the row's by unit torque.
+    torque = contact.spin_torque((0.0, 0.0, 0.0, 1.0))
+    turning = {0: rows[1][3], 1 + contact.finger: rows[0][3]}
+    return normal, tangential, _row(grasp, {k: [-x / torque for x in v] for k, v in turning.items()})
 
 
 def _row(grasp: Grasp, blocks: dict[int, list]) -> Array:

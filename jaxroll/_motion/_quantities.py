@@ -54,13 +54,16 @@ class Multipliers(eqx.Module):
         f: Normal force [N] of each contact, positive when pressing.
         lam: Tangential force $\lambda$ [N]: the object pushes the fingertip along $-\lambda\, b_0$. In
             space, shape (..., c, 3): the tangential force on the object, in world axes.
+        spin: Torque [N m] on the object about its outward normal at each contact that prevents spin, and zero
+            at others; None where no contact does.
     """
 
     __repr__ = listed
-    UNITS: ClassVar[dict[str, str]] = {"f": "N", "lam": "N"}
+    UNITS: ClassVar[dict[str, str]] = {"f": "N", "lam": "N", "spin": "N m"}
 
     f: Float[Array, "... c"]
     lam: Float[Array, "..."]
+    spin: Float[Array, "... c"] | None = None
 
 
 class Energy(eqx.Module):
@@ -121,7 +124,11 @@ def split_forces(grasp: Grasp, frames: Sequence[Any], touching: Sequence[Any], f
     each = zip(grasp.contacts, touching, forces, strict=True)
     pairs = [c.split_force((frames[1 + c.finger], frames[0]), t, force) for c, t, force in each]
     f, lam = zip(*pairs, strict=True)
-    return Multipliers(_column(f), _column(lam))
+    spins = [c.spin_torque(force) for c, force in zip(grasp.contacts, forces, strict=True)]
+    if all(spin is None for spin in spins):
+        return Multipliers(_column(f), _column(lam))
+    zero = jnp.zeros_like(f[0])
+    return Multipliers(_column(f), _column(lam), _column([zero if spin is None else spin for spin in spins]))
 
 
 def _column(values: Sequence[Any]) -> Array:

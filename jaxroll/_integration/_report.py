@@ -255,6 +255,8 @@ def _forces(run: Any, saved: np.ndarray) -> list[str]:
         f"  forces    normal {np.nanmin(f):.4g} to {np.nanmax(f):.4g} N"
         f", tangential {np.nanmin(lam):.4g} to {np.nanmax(lam):.4g} N"
     ]
+    if run.multipliers.spin is not None:
+        lines.append(f"  spin      prevented by up to {np.nanmax(np.abs(run.multipliers.spin)):.4g} N m")
     return [*lines, f"  friction  {_demand(run, f, np.abs(lam))}"]
 
 

@@ -77,7 +77,6 @@ class Finger3(AbstractFinger):
         armature: Shape (k,), inertia of each joint's rotor as the joint feels it, that of the motor times the
             square of its gear ratio [kg m^2]: added to the diagonal of the mass matrix. Default: none, and
             then it costs nothing.
-
         limits: Shape (k, 2), least and largest angle of every joint [rad]: a run ends there with the code
             `joint_limit`. Default: none, and then it costs nothing.
         torque_limits: Shape (k,), largest torque of every joint [N m]: a run ends with `torque_limit` where

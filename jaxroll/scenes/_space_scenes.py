@@ -6,6 +6,7 @@ are given by hand, and `close` moves everything from there until the contacts ar
 
 from typing import Literal
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +14,7 @@ from jaxtyping import Array
 
 from .._closing import close
 from .._mechanics import Finger3, FreeObject3, Grasp, State
-from .._results import as_length, check_instance
+from .._results import as_length, check_instance, concrete
 from .._types import Given
 from ..contact import Contact3
 from ..control import Opposition
@@ -68,6 +69,7 @@ def pinch3d(
     *,
     tips: AbstractSurface | tuple[AbstractSurface, AbstractSurface] | None = None,
     object: FreeObject3 | None = None,
+    size: Given = 1.0,
     beta: Given = 20.0,
     damping: Given = 0.006,
     spin: Literal["free", "prevented"] = "free",
@@ -81,15 +83,22 @@ def pinch3d(
     The control is that of (16) without its last term, "blind": $u_i = -c \dot q_i - \beta J_i^T (r_i - r_j)$.
     The chapter gives no numbers for Part 3; lengths and masses are those of Table 1.
 
+    A scene of size k has k times these lengths and $k^3$ times the masses, and its gains are
+    $k^2 \beta$ and $k^{9/2} c$. In the same gravity it then moves alike: at the time $\sqrt k\,t$ every
+    length is k times, and every force $k^3$ times what it is at t with size one (Froude's law).
+
     Args:
-        tips: Surface of both fingertips or one for each, about $O_i$. Default: spheres of 10 mm.
+        tips: Surface of both fingertips or one for each, about $O_i$. Default: spheres of 10 mm, times k.
         object: With two surfaces, its left and its right face, or with one all round it. Default:
-            `cuboid()`.
-        beta: $\beta$ [N/m].
-        damping: $c$ [N m s], one or two.
+            `cuboid()`, times k.
+        size: k. Tips and an object that are given are taken as they are, and must fit that size.
+        beta: $\beta$ [N/m], of size one; a function of time is taken as it is.
+        damping: $c$ [N m s], one or two, likewise.
         spin: Whether the contacts let the bodies turn against each other about the normal.
         friction: Coefficient of friction of both contacts; then a run that needs more of it ends.
-        gravity: Shape (3,) [m/s^2]. Default: none.
+        gravity: Shape (3,) [m/s^2], or (3, 3): a row each for the object and the fingers, of zeros for
+            fingers whose own weight is compensated. Default: none. This control does not hold a weight up;
+            `control.Carry` does.
 
     Returns:
         The grasp, and a state at rest with both contacts closed.
@@ -103,25 +112,45 @@ def pinch3d(
         >>> grasp.sizes  # object, two fingers
         (6, 3, 3)
     """
-    body = cuboid() if object is None else check_instance("object", object, FreeObject3, "a FreeObject3")
-    shapes = Sphere(0.01) if tips is None else tips
+    k = as_positive("size", size)
+    own, shapes = object, Sphere(0.01 * k) if tips is None else tips
+    if own is None:
+        own = cuboid(0.03 * k, 0.05 * k, 0.05 * k, 0.02 * k**3)
+    body = check_instance("object", own, FreeObject3, "a FreeObject3")
     pair = as_pair("tips", shapes, AbstractSurface, "a surface or a pair of them")
+    links, masses = k * np.array(LINKS3), k**3 * np.array(MASSES3)
     fingers = [
-        Finger3(AXES3, LINKS3, MASSES3, tip, base=(side * SPAN3, 0.0, 0.0))
+        Finger3(AXES3, links, masses, tip, base=k * np.array([side * SPAN3, 0.0, 0.0]))
         for tip, side in zip(pair, (-1.0, 1.0), strict=True)
     ]
     # Two surfaces: a finger on each; a single one that goes all round is touched by both.
     faces = range(2) if len(body.surfaces) > 1 else (0, 0)
     contacts = [Contact3(i, face, spin=spin, friction=friction) for i, face in enumerate(faces)]
-    # Guesses of the places: points in the bodies' own axes, roughly where tip and object face each other.
-    places = []
-    for tip, face, side in zip(pair, faces, (-1.0, 1.0), strict=True):
-        start = np.array([0.025 * side, -0.002, -0.004 * side])
-        places += [tip.near(np.array([-0.02 * side, 0.0, 0.0])), body.surfaces[face].near(start)]
-    joints = np.array(_JOINTS)
-    q = np.concatenate([_CENTRE, (1.0, 0.0, 0.0, 0.0), joints, -joints])
-    guess = State(jnp.asarray(q), jnp.zeros(12), jnp.concatenate(places))
+    guess = _guess(pair, [body.surfaces[face] for face in faces], k)
+    if tips is object is None and concrete(k) != 1.0:
+        # The pose of size one itself: another, as near to its own guess, would not be similar to it.
+        _, one = pinch3d()
+        lengths = jnp.ones(13).at[:3].set(k)
+        guess = State(one.q * lengths, one.v, one.s * k)
     grasp, state = close(Grasp(body, fingers, contacts, gravity=gravity), guess, hold_contacts=False)
     # Without alpha the values of `start` have no effect; its length says how many fingers there are.
     control = Opposition(beta, damping, start=jnp.zeros(2))
+    gains = lambda c: [c.beta, c.damping]  # noqa: E731
+    scaled = [
+        gain if callable(gain) else gain * factor
+        for gain, factor in zip(gains(control), (k**2, k**4.5), strict=True)
+    ]
+    control = eqx.tree_at(gains, control, scaled)
     return Grasp(body, fingers, contacts, controller=control, gravity=gravity), state
+
+
+def _guess(tips: tuple[AbstractSurface, ...], faces: list[AbstractSurface], size: Array) -> State:
+    """Tips on both sides of the object, about 8 mm apart along z, times the size."""
+    # Places are points in the bodies' own axes, roughly where tip and object face each other.
+    places = []
+    for tip, face, side in zip(tips, faces, (-1.0, 1.0), strict=True):
+        start = size * np.array([0.025 * side, -0.002, -0.004 * side])
+        places += [tip.near(size * np.array([-0.02 * side, 0.0, 0.0])), face.near(start)]
+    joints = np.array(_JOINTS)
+    q = jnp.concatenate([size * np.array(_CENTRE), np.array((1.0, 0.0, 0.0, 0.0)), joints, -joints])
+    return State(q, jnp.zeros(12), jnp.concatenate(places))

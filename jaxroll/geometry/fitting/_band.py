@@ -16,9 +16,12 @@ import numpy as np
 from ._crossings import crossings
 from ._ordering import crust, nearest_points, place_text, zigzags
 
-_WIDER = 1.3  # factor from one scale that is tried to the next
-_THIN = 0.25  # most of the rms distance from the chain, in scales: a filled area has 0.29
+_WIDER = 1.4  # factor from one scale that is tried to the next
+_THIN = 0.2  # most of the rms distance from the chain, in scales: a filled area has 0.29
 _FEWEST = 8  # fewest means in a chain
+_WIDEST = 0.125  # widest scale that is tried, as a share of the larger extent
+_DENSE = 8  # nearest points whose distance tells how dense the points are somewhere
+_LOOSE = 3.0  # times the median of that distance beyond which a point may be a stray
 _NEAR = 24  # means among which the neighbours of a mean are sought
 _FEW = 0.1  # share of the median number of points in a cell below which its points may be strays
 _STRAYS = 0.1  # largest share of all points that may be strays
@@ -54,26 +57,48 @@ def found_band(points: np.ndarray, scale: float, *, closed: bool, ordered: bool 
     """
     if ordered is not False:
         kept, strays = _without_detours(points, scale, closed=closed)
-        chain = _strung(points[kept], scale, closed=closed)
-        if ordered or _plausible(chain, closed=closed):
+        # What noise makes look like no order at one scale may be one at the next.
+        for wider in (1.0, _WIDER, _WIDER**2):
+            chain = _strung(points[kept], wider * scale, closed=closed)
+            if _plausible(chain, closed=closed):
+                return Band(chain, kept, strays, reordered=False)
+        if ordered:
+            chain = _strung(points[kept], scale, closed=closed)
+            _check_uncrossed(chain, closed=closed)
             return Band(chain, kept, strays, reordered=False)
-    size = float(np.ptp(points, axis=0).max())
-    # Below the distance to the fourth nearest point or so there are no means, only points.
-    near = nearest_points(points, 4)
-    apart = np.linalg.norm(points[near[:, -1]] - points, axis=1)
-    scale, widest = max(scale, float(np.median(apart))), size / 3.0
+    near = nearest_points(points, _NEAR)
+    exact = crust(points, near)
+    chain = None if exact is None else _strung(points[exact.indices], scale, closed=closed)
+    if exact is not None and exact.loop == closed and not len(crossings(chain, closed=closed)):
+        return Band(chain, exact.indices, np.zeros(0, int), reordered=True)
+    apart = np.linalg.norm(points[near[:, min(_DENSE, near.shape[1]) - 1]] - points, axis=1)
+    loose = apart > _LOOSE * float(np.median(apart))
+    # Within the distance to the fourth nearest point there are no means, only points.
+    fourth = np.linalg.norm(points[near[:, min(4, near.shape[1]) - 1]] - points, axis=1)
+    scale, widest = max(scale, float(np.median(fourth))), _WIDEST * float(np.ptp(points, axis=0).max())
     while scale < widest:
-        for strict in (True, False):
-            band = _by_nearness(points, scale, closed=closed, strict=strict)
+        for keep in (np.ones(len(points), bool), ~loose) if loose.any() else (np.ones(len(points), bool),):
+            band = _by_nearness(points, keep, scale, closed=closed)
             if band is not None:
                 return band
         scale *= _WIDER
-    worst = int(np.argmax(apart))
+    worst = int(np.argmax(fourth))
     raise ValueError(
         "argument points must be in order, or lie near one curve, "
         f"{'closed' if closed else 'with two ends'}, but at no scale up to {1e3 * widest:.3g} mm do they "
         f"follow a single one; the loneliest is row {worst} at {place_text(points[worst])}"
     )
+
+
+def _check_uncrossed(chain: np.ndarray, *, closed: bool) -> None:
+    """Refuse an order that leads across itself."""
+    pairs = crossings(chain, closed=closed)
+    if len(pairs):
+        first, second = (place_text(chain[i]) for i in pairs[0])
+        raise ValueError(
+            f"argument points must not cross themselves in the order given, but the curve near {first} meets "
+            f"itself near {second}"
+        )
 
 
 def _without_detours(points: np.ndarray, scale: float, *, closed: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -142,17 +167,17 @@ def _plausible(chain: np.ndarray, *, closed: bool) -> bool:
     return not jumps and not zigzags(chain, closed=closed) and not len(crossings(chain, closed=closed))
 
 
-def _by_nearness(points: np.ndarray, scale: float, *, closed: bool, strict: bool) -> Band | None:
-    """The band at one scale, or None; unless `strict`, cells of few points may be those of strays."""
-    labels = _cells(points, scale)
-    number = np.bincount(labels)
-    keep = np.ones(len(points), bool) if strict else number[labels] > _FEW * np.median(number)
-    if not strict and np.median(number) < 4:
-        keep = _not_lonely(points, scale)
-    if np.sum(~keep) > _STRAYS * len(points) or (not strict and keep.all()):
+def _by_nearness(points: np.ndarray, keep: np.ndarray, scale: float, *, closed: bool) -> Band | None:
+    """The band of the points to keep at one scale, or None; of cells with few points these are strays too."""
+    if not keep.all():
+        labels = _cells(points[keep], scale)
+        number = np.bincount(labels)
+        keep = keep.copy()
+        keep[np.flatnonzero(keep)[number[labels] <= _FEW * np.median(number)]] = False
+    if np.sum(~keep) > _STRAYS * len(points):
         return None
     inside = points[keep]
-    _, labels = np.unique(labels[keep], return_inverse=True)
+    labels = _cells(inside, scale)
     means = _means(inside, labels, int(labels.max()) + 1)
     if len(means) < _FEWEST:
         return None
@@ -175,12 +200,6 @@ def _closes(chain: np.ndarray) -> bool:
     """Whether the ends of an open chain are as near each other as its other neighbours may be."""
     steps = np.linalg.norm(np.diff(chain, axis=0), axis=1)
     return bool(np.linalg.norm(chain[0] - chain[-1]) <= 2.0 * steps.max())
-
-
-def _not_lonely(points: np.ndarray, scale: float) -> np.ndarray:
-    """Whether a point's nearest one is nearer than two scales and six times the median."""
-    nearest = np.linalg.norm(points[nearest_points(points, 1)[:, 0]] - points, axis=1)
-    return nearest <= max(2.0 * scale, 6.0 * float(np.median(nearest)))
 
 
 def _cells(points: np.ndarray, scale: float) -> np.ndarray:

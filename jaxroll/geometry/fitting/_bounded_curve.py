@@ -42,6 +42,11 @@ class Bounded(NamedTuple):
     feet: np.ndarray
     distances: np.ndarray
 
+    def sharpest(self) -> float:
+        """Largest absolute curvature [1/m], at sixteen places to an interval between nodes."""
+        u = np.linspace(0.0, self.curve.pieces, 16 * self.curve.pieces + 1)
+        return float(np.abs(self.curve.frames(u).curvature).max())
+
 
 class _Places(NamedTuple):
     """Displacement and its second derivative in u at every node and halfway; differences between these."""

@@ -9,7 +9,7 @@ a smallest radius of curvature all of this goes another way, from the order of t
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -34,7 +34,9 @@ _SAMPLES = 2048  # intervals between the places at which a contour is measured
 _CELLS = (4096, 16384)
 _DENSE = 512  # most knots of a smoothing spline, unless told; the cost grows with their cube
 _PLACES = 16385  # at which the curvature is compared with what is allowed
-_SHARES = (0.97, 0.93, 0.87, 0.8)  # of the allowed curvature, tried in turn
+_SHARE = 0.97  # of the allowed curvature, tried first
+_SPARE = 0.01  # by which the curvature must stay below before a spline is made of the nodes
+_TRIES = 8
 _TERMS = (3, 4, 6, 8, 11, 15, 20)  # numbers of Fourier terms of a support function, tried in turn
 
 
@@ -138,7 +140,7 @@ def fit_contour(
         smoothing: Wavelength [m] of wiggles to halve, instead of `noise`.
         smallest_radius: Smallest radius of curvature [m] that the contour may have.
         knots: Number of knots; None: one at every point, but at most 512 where smoothing; with
-            `smallest_radius` six to that, at most 2048.
+            `smallest_radius` five to that, at most 2048.
         unit: Of `points`: "m", "mm", "um" or "in". All else is in metres.
         reverse: Turn an open contour round, where the points have the body on their right.
 
@@ -184,7 +186,9 @@ def fit_contour(
     _check_length("smoothing", smoothing, 100.0 * size)
     contour, wavelength = FIELDS[field](clean.points, _Wish(closed, noise, smoothing, knots))
     known = None if noise is None else float(noise)
-    return _reported(_resolved(contour), clean, _Known(field, wavelength, known))
+    contour = _resolved(contour)
+    seen = _measured(tabled(contour), clean.points)
+    return _reported(contour, clean, _Known(field, wavelength, known), seen)
 
 
 def _resolved(contour: AbstractContour) -> AbstractContour:
@@ -227,6 +231,26 @@ def _check_length(name: str, value: Any, most: float) -> None:
         raise ValueError(f"argument {name} must lie between 0 and {most:.3g} m here, but was {seen:g}")
 
 
+class Measured(NamedTuple):
+    """What a contour is like, and how points lie to it.
+
+    Attributes:
+        feet: Arclengths of the points nearest to the data [m].
+        distances: Of the data from the contour [m].
+        outline: Points of the contour at 2049 places [m].
+        curvatures: There [1/m].
+        ends: Arclengths of both ends [m].
+        peak: Largest absolute curvature at 16385 places [1/m].
+    """
+
+    feet: Any
+    distances: Any
+    outline: Any
+    curvatures: Any
+    ends: Any
+    peak: Any
+
+
 @dataclass(frozen=True)
 class _Known:
     """What the report repeats of how a contour was made; the last two with a smallest radius alone."""
@@ -238,9 +262,9 @@ class _Known:
     rejected: tuple[tuple[float, float], ...] = ()
 
 
-def _reported(contour: AbstractContour, clean: CleanPoints, known: _Known) -> Fit:
+def _reported(contour: AbstractContour, clean: CleanPoints, known: _Known, seen: Measured) -> Fit:
     """The fit with its report: the contour measured, and what the numbers make doubtful."""
-    feet, distances, outline, curvatures, ends = _measured(tabled(contour), clean.points)
+    feet, distances, outline, curvatures, ends, _ = seen
     if not np.all(np.isfinite(curvatures)):
         raise ValueError("argument points must determine a contour, but the fit to them is not finite")
     closed, radius = contour.closed, known.radius
@@ -276,7 +300,7 @@ def _reported(contour: AbstractContour, clean: CleanPoints, known: _Known) -> Fi
     return Fit(contour, jnp.asarray(clean.points), jnp.asarray(feet), report)
 
 
-def _measured(contour: AbstractContour, points: np.ndarray) -> tuple[np.ndarray, ...]:
+def _measured(contour: AbstractContour, points: np.ndarray) -> Measured:
     """What `measured` says of a tabled contour, in NumPy.
 
     The number of points is rounded up to a power of two: JAX compiles anew for every length of an array.
@@ -284,12 +308,12 @@ def _measured(contour: AbstractContour, points: np.ndarray) -> tuple[np.ndarray,
     room = 1 << int(np.ceil(np.log2(len(points))))
     padded = np.pad(points, ((0, room - len(points)), (0, 0)), mode="edge")
     feet, distances, *rest = (np.asarray(x) for x in measured(contour, jnp.asarray(padded)))
-    return feet[: len(points)], distances[: len(points)], *rest
+    return Measured(feet[: len(points)], distances[: len(points)], *rest)
 
 
 @eqx.filter_jit
-def measured(contour: AbstractContour, points: Array) -> tuple[Array, Array, Array, Array, Array]:
-    r"""Feet [m] and distances [m] of points; outline [m] and curvatures [1/m] at 2049 places; both ends [m].
+def measured(contour: AbstractContour, points: Array) -> Measured:
+    r"""Feet and distances of points, and the contour itself at evenly spaced places.
 
     A foot solves $(p - c(s)) \cdot t(s) = 0$, by Newton's method from the nearest of those places. The slope
     of the left side is $-(1 - \kappa\,(p - c) \cdot n)$ with the normal n to the left.
@@ -322,7 +346,8 @@ def measured(contour: AbstractContour, points: Array) -> tuple[Array, Array, Arr
         s = jnp.clip(s + along / jnp.maximum(1.0 - frame.curvature * inward, 0.1), first, last)
     foot = ready.frame(s).point
     distances = jnp.hypot(points[:, 0] - foot.x, points[:, 1] - foot.y)
-    return s, distances, outline, frames.curvature, jnp.stack([low, high])
+    sharpest = jnp.max(jnp.abs(ready.frame(jnp.linspace(low, high, _PLACES)).curvature))
+    return Measured(s, distances, outline, frames.curvature, jnp.stack([low, high]), sharpest)
 
 
 def _wanted(
@@ -361,21 +386,27 @@ def _bent_at_most(points: np.ndarray, wanted: Wanted) -> Fit:
     size = float(np.ptp(points, axis=0).max())
     _check_length("noise", wanted.noise, 0.1 * size)
     _check_length("smoothing", wanted.smoothing, size)
-    ready = limited(points, wanted)
-    for share in _SHARES:
-        nodes = ready.solved(share).curve.nodes
-        contour = _resolved(Spline(nodes, closed=wanted.closed, knots=len(nodes)))
-        peak = float(_peak(tabled(contour)))
-        if peak * wanted.radius <= 1.0:
-            break
+    ready, share = limited(points, wanted), _SHARE
+    for _ in range(_TRIES):
+        found = ready.solved(share)
+        peak = wanted.radius * found.sharpest()
+        if peak <= 1.0 - _SPARE:
+            nodes = found.curve.nodes
+            contour = _resolved(Spline(nodes, closed=wanted.closed, knots=len(nodes)))
+            seen = _measured(tabled(contour), ready.clean.points)
+            peak = wanted.radius * float(seen.peak)
+            if peak <= 1.0:
+                break
+        ready, share = ready.onwards(found), share * min(0.98, (1.0 - 2.0 * _SPARE) / peak)
     else:
         raise ValueError(
             f"argument smallest_radius must leave room for a smooth contour among the points, but with "
-            f"{wanted.radius:.4g} m the curvature stays at {peak:.4g} 1/m: the points bend back too narrowly"
+            f"{wanted.radius:.4g} m the curvature stays at {peak / wanted.radius:.4g} 1/m: the points bend "
+            "back too narrowly"
         )
     rejected = tuple((float(x), float(y)) for x, y in ready.strays)
     known = _Known("spline", ready.wavelength, ready.noise, wanted.radius, rejected)
-    fit = _reported(contour, ready.clean, known)
+    fit = _reported(contour, ready.clean, known, seen)
     if fit.report.self_intersecting:
         worst = max(fit.report.rounded, key=lambda stretch: stretch.distance, default=None)
         where = "" if worst is None else f" near {place_text(np.array(worst.place))}"
@@ -384,12 +415,3 @@ def _bent_at_most(points: np.ndarray, wanted: Wanted) -> Fit:
             f"{wanted.radius:.4g} m it does{where}"
         )
     return fit
-
-
-@eqx.filter_jit
-def _peak(contour: AbstractContour) -> Array:
-    """Largest absolute curvature [1/m] at `_PLACES` places."""
-    ready = contour.prepared()
-    domain = ready.domain()
-    assert domain is not None, "a contour through points has ends"
-    return jnp.max(jnp.abs(ready.frame(jnp.linspace(*domain, _PLACES)).curvature))

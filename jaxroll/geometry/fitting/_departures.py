@@ -15,7 +15,10 @@ from ._ordering import turnings
 
 _OFF = 3.0  # standard deviations beyond which a point counts as off the contour
 _STRAY = 6.0  # standard deviations beyond which a point alone is a stray
-_FINEST = 1e-3  # least standard deviation reckoned with here, in smallest radii
+# Least standard deviations reckoned with, in smallest radii: for stretches, and for single points, of which
+# those of a scan have errors that neighbours share.
+_FINEST = 1e-3
+_ALONE = 5e-3
 _SIDE = 4  # points on either side of a jump from which curvature is taken
 _STANDS_OUT = 6.0  # times by which a jump must exceed the changes of curvature on both sides of it
 _LEAST_JUMP = 0.02  # least jump, as a share of the largest curvature
@@ -103,7 +106,7 @@ def strays(
         radius: Smallest radius that was asked for [m].
     """
     order = np.argsort(places, kind="stable")
-    off, felt = np.abs(distances)[order], max(noise, _FINEST * radius)
+    off, felt = np.abs(distances)[order], max(noise, _ALONE * radius)
     beside = np.median([np.roll(off, k) for k in (-2, -1, 1, 2)], axis=0)
     alone = (off > _STRAY * felt) & (beside < 2.0 * felt) & (np.abs(bending[order]) < 0.9)
     return np.sort(order[alone])

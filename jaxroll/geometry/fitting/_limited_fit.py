@@ -3,7 +3,7 @@ r"""Points to a curve with a smallest radius of curvature: what is known of the 
 Of a wiggle with the noise's amplitude $\sigma$ and the wavelength $\ell = 2\pi\sqrt{\sigma R}$ the curvature
 is $1/R$: what is shorter cannot be shape where no radius is below R, so that $\ell$ is how much to smooth.
 The noise itself is estimated from how a point differs from its two neighbours along the curve. A quarter of R
-is the scale at which points are put in order (`_band`), a sixth the distance of the curve's nodes.
+is the scale at which points are put in order (`_band`), a fifth the distance of the curve's nodes.
 
 `_contour_fit` makes a `Spline` of the curve that `Limited.solved` finds (`_bounded_curve`), and
 `_departures` says what was rounded.
@@ -22,13 +22,16 @@ from ._even_spline import EvenSpline, low_passed
 
 # Numbers of nodes; few of them, because programs are compiled for each.
 NODES = (48, 64, 96, 128, 192, 256, 384, 512, 768, 1024, 1536, 2048)
-_PER_RADIUS = 6.0  # nodes to a smallest radius
+_PER_RADIUS = 5.0  # nodes to a smallest radius
 _SCALE = 0.25  # of the means that order the points, in smallest radii
 _BROAD = 6.0  # wavelength of the first curve, in smallest radii
 # Where there are fewer than _STEPS points to the wavelength, it is up to _LONGER times as long.
 _STEPS = 5.0
 _LONGER = 1.5
-_EXACT = 2e-4  # least noise that is reckoned with, in smallest radii
+# Least noise that is reckoned with, in smallest radii: in smoothing, which leaves a tenth of it, and in how
+# far points may lie off.
+_SMOOTH = 5e-3
+_EXACT = 5e-4
 _SHARE = 0.97  # of the allowed curvature in the first fit
 _FEW_STRAYS = 0.1  # largest share of the points that may be strays
 _DIRECTIONS = 64  # in which the width of the points is measured
@@ -82,7 +85,8 @@ class Limited:
         """Wavelength of the wiggles that are halved [m]."""
         if self.wanted.smoothing is not None:
             return self.wanted.smoothing
-        shortest = 2.0 * np.pi * float(np.sqrt(self._felt * self.wanted.radius))
+        felt = max(self.noise, _SMOOTH * self.wanted.radius)
+        shortest = 2.0 * np.pi * float(np.sqrt(felt * self.wanted.radius))
         return float(np.clip(self.sparse, shortest, _LONGER * shortest))
 
     @property
@@ -111,6 +115,10 @@ class Limited:
         u = np.arange(found.curve.pieces) + float(found.feet[0])
         curve = EvenSpline(found.curve.frames(u).point, closed=True)
         return found._replace(curve=curve, feet=np.mod(found.feet - found.feet[0], curve.pieces))
+
+    def onwards(self, found: Bounded) -> "Limited":
+        """The same with a curve found before as the start of the next."""
+        return replace(self, start=found.curve)
 
 
 def limited(points: np.ndarray, wanted: Wanted) -> Limited:

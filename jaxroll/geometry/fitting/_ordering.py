@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 _NEAR = 24  # nearest points among which `crust` looks for a point's two neighbours on the curve
+_MOVES = 200_000  # points that all moves together look at
 _REPAIR = 8  # nearest points to which `repaired` may link a point
 
 
@@ -128,7 +129,7 @@ def repaired(points: np.ndarray, near: np.ndarray, *, closed: bool) -> Order:
         raise ValueError(
             "argument points must be in order, or lie finely enough on one curve to be ordered by nearness, "
             f"but more than one order is plausible near row {worst} at {place_text(points[worst])} "
-            "(ordered=True keeps the order given)"
+            "(ordered=True keeps the order given; `fit_contour` with smallest_radius bears noise)"
         )
     return Order(tour, loop=closed)
 
@@ -198,13 +199,14 @@ def _shortened(points: np.ndarray, near: np.ndarray, chains: list[list[int]], *,
         tour = chain + tour if mine == 0 else tour + chain
     tour = np.array(tour if closed else [*tour, n])
     # Point n has no coordinates: distances from it come out as NaN, and are set to zero.
-    padded = np.concatenate([points, np.full((1, 2), np.nan)])
+    x, y = np.concatenate([points, np.full((1, 2), np.nan)]).T
 
     def far_apart(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        return np.nan_to_num(np.linalg.norm(padded[a] - padded[b], axis=-1), nan=0.0)
+        return np.nan_to_num(np.hypot(x[a] - x[b], y[a] - y[b]), nan=0.0)
 
-    # Every move shortens the tour, so that this ends by itself; the bound keeps the time at O(n^2).
-    for _ in range(4 * n):
+    # Every move shortens the tour, so that this ends by itself; the bound keeps the time at O(n): what needs
+    # more moves has no single order, which `repaired` will say.
+    for _ in range(min(4 * n, max(_MOVES // n, 20))):
         better = _best_move(tour, near, far_apart)
         if better is None:
             break

@@ -56,6 +56,12 @@ def number_of(code: Any) -> tuple[type[eqx.Enumeration], Any]:
     return code._enumeration, code._value
 
 
+def names_of(codes: type[eqx.Enumeration]) -> dict[int, str]:
+    """The names of all codes of an enumeration, by number."""
+    items = codes._name_to_item  # pyright: ignore
+    return dict(sorted((int(item._value), name) for name, item in items.items()))
+
+
 def code_of(codes: type[eqx.Enumeration], value: Any) -> Any:
     """The code of a number, or codes of an array of numbers, whichever of them there are."""
     make = cast(Any, type(next(iter(codes._name_to_item.values()))))  # pyright: ignore

@@ -63,6 +63,11 @@ class RESULTS(eqx.Enumeration):
     torque_limit = "The controller asks for more than the largest torque of a joint."
 
 
+def missing_library(library: str, extra: str) -> ImportError:
+    """The error for a library of one of the package's extras that could not be imported."""
+    return ImportError(f'this needs the library {library}: pip install "jaxroll[{extra}]"')
+
+
 def traced(value: Any) -> bool:
     """Whether JAX is tracing some array in a value; then its numbers cannot be checked."""
     return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(value))

@@ -159,7 +159,7 @@ def test_slots_served_all_at_once_give_the_same(make, dampings, whole, monkeypat
 def test_every_option_of_a_run_is_one_of_a_sweep_with_the_same_default():
     """But for how much is saved, and for raising: the runs of a sweep carry their codes."""
     one, many = (inspect.signature(f).parameters for f in (jxr.simulate, jxr.sweep))
-    own = {"make", "parameters", "keep", "chunk", "progress", "resume"}
+    own = {"make", "parameters", "keep", "chunk", "progress", "resume", "store", "client"}
     assert set(many) - own == set(one) - {"grasp", "state", "throw"}
     unlike = {name for name in set(one) & set(many) if one[name].default != many[name].default}
     assert unlike == {"ts"} and many["ts"].default == 1

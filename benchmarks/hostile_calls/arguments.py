@@ -347,6 +347,8 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         "keep": _made("function", lambda: kept),
         "chunk": _is("count", 2),
         "resume": _made("folder", lambda: folder() / "runs"),
+        "store": _is("folder", None),
+        "client": _is("part", None),
     },
     "locate": {
         "a": _ROUND,

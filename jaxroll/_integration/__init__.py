@@ -17,9 +17,19 @@ from ._arguments import (
     ProgressMeter as ProgressMeter,
     RECORDS as RECORDS,
     RTOL as RTOL,
+    save_times as save_times,
     Solver as Solver,
     StepSizeControl as StepSizeControl,
     tolerance as tolerance,
+)
+from ._dataset import (
+    about as about,
+    as_dataset as as_dataset,
+    label_arrays as label_arrays,
+    Named as Named,
+    named_arrays as named_arrays,
+    open_table as open_table,
+    xarray_module as xarray_module,
 )
 from ._report import (
     amount as amount,

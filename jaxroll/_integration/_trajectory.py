@@ -13,6 +13,7 @@ from .._motion import Energy, Multipliers, Residuals
 from .._printing import code_name, listed
 from .._results import as_array, check_instance, concrete, is_array_like, RESULTS, shown
 from .._types import Given, Times
+from ._dataset import dataset_of
 from ._dense import Dense, states_at
 from ._report import batch_report, report
 
@@ -35,6 +36,9 @@ class Stats(eqx.Module):
 
     __repr__ = listed
     UNITS: ClassVar[dict[str, str]] = {"t_end": "s"}
+    AXES: ClassVar[dict[str, tuple[str, ...]]] = dict.fromkeys(
+        ("steps", "accepted", "rejected", "t_end", "contact", "margin"), ()
+    )
 
     steps: Int[Array, ""]
     accepted: Int[Array, ""]
@@ -66,6 +70,18 @@ class Trajectory(eqx.Module):
         dense: Its steps, if 'dense' was recorded; `run(t)` reads them.
         labels: What its bodies, coordinates (with units) and contacts are called. Static.
     """
+
+    # What its fields begin with in a table; steps that were kept, and what they are called, are none of it.
+    PARTS: ClassVar[dict[str, str]] = {
+        "states": "",
+        "last": "last_",
+        "residuals": "residual_",
+        "result": "result",
+        "stats": "",
+        "multipliers": "",
+        "energy": "energy_",
+        "impulses": "impulse_",
+    }
 
     ts: Times
     states: State
@@ -144,6 +160,31 @@ class Trajectory(eqx.Module):
         seen = jax.tree.map(held, (self.residuals, self.multipliers, self.energy))
         parts = lambda run: (run.states, run.residuals, run.multipliers, run.energy)  # noqa: E731
         return eqx.tree_at(parts, self, (states, *seen), is_leaf=lambda x: x is None)
+
+    def to_xarray(self) -> Any:
+        """The run as an `xarray.Dataset`: names, units and labels beside the numbers. Needs the extra `data`.
+
+        Dimensions are `time`, `position`, `velocity`, `place` (contact coordinates), `contact` and, in space,
+        `axis`; a batch has `lane` before them. Along `position`, `velocity` and `place` stand names such as
+        'object theta' and, beside these, units (`position_unit`). Fields keep their names: `q`, `v`, `s`,
+        `f`, `lam`; those of `last` are `last_q` and so on, of `residuals` `residual_normal`, of `energy`
+        `energy_kinetic`; `stats.contact` is `ended_by`. Codes are whole numbers with the attributes
+        `flag_values` and `flag_meanings`. Steps of `record=('dense',)` are left out. The dataset's own
+        `to_netcdf(path, engine='h5netcdf')` and `to_zarr` write it to files.
+
+        Raises:
+            ImportError: Without the extra `data`.
+            ValueError: While JAX is tracing the run.
+
+        Example:
+            >>> import jaxroll as jxr
+            >>> grasp, state = jxr.scenes.pivoted()
+            >>> table = jxr.simulate(grasp, state, 1.0, ts=11).to_xarray()
+            >>> theta = table.q.sel(position="object theta")
+            >>> theta.dims, str(theta.position_unit.values), table.time.attrs["units"]
+            (('time',), 'rad', 's')
+        """
+        return dataset_of(self)
 
     def __str__(self) -> str:
         if concrete(self.stats.steps) is None:

@@ -77,6 +77,13 @@ class AbstractBody(eqx.Module):
         return tuple(Coordinate(f"q[{i}]", "") for i in range(self.positions))
 
     @property
+    def velocity_labels(self) -> tuple[Coordinate, ...]:
+        """Name and unit of each velocity. By default those of the positions, per second, if as many."""
+        if self.freedoms != self.positions:
+            return tuple(Coordinate(f"v[{i}]", "") for i in range(self.freedoms))
+        return tuple(Coordinate(each.name, each.unit and f"{each.unit}/s") for each in self.labels)
+
+    @property
     @abc.abstractmethod
     def shapes(self) -> tuple[Any, ...]:
         """Contours or surfaces in the body's frame, which contacts touch."""

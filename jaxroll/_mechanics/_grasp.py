@@ -17,7 +17,7 @@ from .._printing import shown_value
 from .._results import as_array, as_count, as_several, check_finite, shown
 from .._types import Given
 from .._xla import remembered
-from ..contact import AbstractContact
+from ..contact import AbstractContact, Contact
 from ..geometry import AbstractContour, AbstractSurface, check_shape, tabled
 from ._body import AbstractBody, Coordinate
 from ._changes import changed
@@ -34,11 +34,15 @@ class Labels(NamedTuple):
         bodies: The object, then every finger: what it is called, and name and unit of its positions.
         contacts: What each contact is called, by the numbers that a `Contact` is made with.
         presses: Of each contact, whether it can only press.
+        velocities: As `bodies`, of the velocities.
+        places: Name and unit of every contact coordinate.
     """
 
     bodies: tuple[tuple[str, tuple[Coordinate, ...]], ...]
     contacts: tuple[str, ...]
     presses: tuple[bool, ...] = ()
+    velocities: tuple[tuple[str, tuple[Coordinate, ...]], ...] = ()
+    places: tuple[Coordinate, ...] = ()
 
     @property
     def coordinates(self) -> tuple[str, ...]:
@@ -200,13 +204,24 @@ class Grasp(eqx.Module):
 
     @property
     def labels(self) -> Labels:
-        """What reports call its bodies, their positions, and its contacts."""
+        """What reports and tables call its bodies, their positions and velocities, and its contacts."""
         names = ("object", *(f"finger {i}" for i in range(len(self.fingers))))
         bodies = tuple((name, body.labels) for name, body in zip(names, self.bodies, strict=True))
         contacts = (
             f"contact {i} (finger {c.finger} on {c.kind} {c.touched})" for i, c in enumerate(self.contacts)
         )
-        return Labels(bodies, tuple(contacts), tuple(c.presses for c in self.contacts))
+        rates = tuple((name, body.velocity_labels) for name, body in zip(names, self.bodies, strict=True))
+        presses = tuple(c.presses for c in self.contacts)
+        return Labels(bodies, tuple(contacts), presses, rates, self._places())
+
+    def _places(self) -> tuple[Coordinate, ...]:
+        """Name and unit of every contact coordinate: one of a contact has its name, several are numbered."""
+        found: list[Coordinate] = []
+        for i, (contact, part) in enumerate(zip(self.contacts, self.form.places.children(), strict=True)):
+            unit, count = "m" if isinstance(contact, Contact) else "", part.num_leaves
+            tails = [""] if count == 1 else [f" s[{k}]" for k in range(count)]
+            found += [Coordinate(f"contact {i}{tail}", unit) for tail in tails]
+        return tuple(found)
 
     def __repr__(self) -> str:
         kinds = ", ".join(type(body).__name__ for body in self.bodies)

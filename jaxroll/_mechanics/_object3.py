@@ -133,6 +133,11 @@ class FreeObject3(AbstractBody):
     def labels(self) -> tuple[Coordinate, ...]:
         return *(Coordinate(axis, "m") for axis in "xyz"), *(Coordinate(part, "") for part in QUATERNION)
 
+    @property
+    def velocity_labels(self) -> tuple[Coordinate, ...]:
+        spin = (Coordinate(f"spin {axis}", "rad/s") for axis in "xyz")
+        return *(Coordinate(axis, "m/s") for axis in "xyz"), *spin
+
     def prepared(self) -> "FreeObject3":
         ready = (unstack(self.inertia), tuple(s.prepared() for s in self.surfaces))
         return eqx.tree_at(lambda o: (o.inertia, o.surfaces), self, ready)

@@ -6,7 +6,7 @@ The dynamics works on scalars because XLA fuses them (`_linalg`). `Form` says ho
 
 import itertools
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -48,6 +48,13 @@ class State(eqx.Module):
         >>> jxr.State([0, 1, 2], [0, 0, 0], [0]).q.dtype.kind
         'f'
     """
+
+    AXES: ClassVar[dict[str, tuple[str, ...]]] = {
+        "q": ("position",),
+        "v": ("velocity",),
+        "s": ("place",),
+        "memory": ("number",),
+    }
 
     q: Float[Array, " n"]
     v: Float[Array, " nv"]

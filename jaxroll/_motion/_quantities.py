@@ -41,6 +41,11 @@ class Residuals(eqx.Module):
 
     __repr__ = listed
     UNITS: ClassVar[dict[str, str]] = {"normal": "m", "tangential": "m"}
+    AXES: ClassVar[dict[str, tuple[str, ...]]] = {
+        "normal": ("contact",),
+        "tangential": ("contact", "axis"),
+        "tangency": ("contact", "axis"),
+    }
 
     normal: Float[Array, "... c"]
     tangential: Float[Array, "..."]
@@ -60,6 +65,11 @@ class Multipliers(eqx.Module):
 
     __repr__ = listed
     UNITS: ClassVar[dict[str, str]] = {"f": "N", "lam": "N", "spin": "N m"}
+    AXES: ClassVar[dict[str, tuple[str, ...]]] = {
+        "f": ("contact",),
+        "lam": ("contact", "axis"),
+        "spin": ("contact",),
+    }
 
     f: Float[Array, "... c"]
     lam: Float[Array, "..."]
@@ -80,6 +90,7 @@ class Energy(eqx.Module):
 
     __repr__ = listed
     UNITS: ClassVar[dict[str, str]] = {"kinetic": "J", "potential": "J", "work": "J", "residual": "J"}
+    AXES: ClassVar[dict[str, tuple[str, ...]]] = dict.fromkeys(UNITS, ())
 
     kinetic: Float[Array, "..."]
     potential: Float[Array, "..."]

@@ -36,13 +36,23 @@ _MANIFEST = "sweep.json"
 
 
 class Folder:
-    """A folder where finished chunks are written, and looked for first."""
+    """A folder where finished chunks are written, and looked for first.
 
-    def __init__(self, given: Any) -> None:
+    Args:
+        given: Its path.
+        name: Of the argument that it was given as.
+        suffix: Of the files that say which chunks there are.
+        inner: The folder within the one that was given in which these files are.
+    """
+
+    def __init__(self, given: Any, name: str = "resume", suffix: str = ".npz", inner: str = "") -> None:
         """Make the folder if need be; raise a ValueError unless it can be written."""
+        self.name, self.suffix = name, suffix
         if not isinstance(given, str | os.PathLike) or not os.fspath(given):
-            raise ValueError(f"argument resume must be the path of a folder, but was {shown(given)}")
-        self.path, self.sweep = Path(os.fsdecode(given)), ""
+            raise ValueError(f"argument {name} must be the path of a folder, but was {shown(given)}")
+        # In full, since other processes that are sent the folder may have another working directory.
+        self.given, self.sweep = Path(os.path.abspath(os.fsdecode(given))), ""
+        self.path = self.given / inner
         # A temporary file is written and removed, since permissions alone do not tell (a read-only mount).
         try:
             self.path.mkdir(parents=True, exist_ok=True)
@@ -79,7 +89,7 @@ class Folder:
             forms: Shapes and dtypes that the arrays must have.
             quiet: Whether to give no warning where a file is there but cannot be used.
         """
-        path = self._chunk(start)
+        path = self.chunk(start)
         try:
             leaves = self._read(path, start, forms)
             # Left by a process that was killed between writing the chunk and removing its lock.
@@ -95,15 +105,26 @@ class Folder:
 
     def store(self, start: int, leaves: Sequence[np.ndarray]) -> None:
         """Write the file of a chunk; where that fails there is a warning, and the sweep goes on."""
-        path, held = self._chunk(start), io.BytesIO()
+        try:
+            self.write(start, leaves)
+        except OSError as error:
+            self.warn_of_failure(start, str(error.strerror))
+
+    def write(self, start: int, leaves: Sequence[np.ndarray]) -> None:
+        """Write the file of a chunk."""
+        held = io.BytesIO()
         marks = {"index": start, "sweep": self.sweep, "checksum": self._checksum(start, leaves)}
         np.savez(held, **{f"arr_{i}": _plain(leaf) for i, leaf in enumerate(leaves)}, **marks)
-        try:
-            _written(path, held.getbuffer(), os.replace)
-        except OSError as error:
-            _warn(
-                f"the chunk {path} of a sweep could not be written ({error.strerror}), but its runs are used"
-            )
+        self.put(start, held.getbuffer())
+
+    def put(self, start: int, data: Any) -> None:
+        """Write the file of a chunk, whatever is in it."""
+        _written(self.chunk(start), data, os.replace)
+
+    def warn_of_failure(self, start: int, why: str) -> None:
+        """Warn that the file of a chunk could not be written."""
+        path = self.chunk(start)
+        _warn(f"the chunk {path} of a sweep could not be written ({why}), but its runs are used")
 
     @contextlib.contextmanager
     def work_on(self, start: int, *, wait: bool) -> Iterator[bool]:
@@ -112,7 +133,7 @@ class Folder:
         With `wait` it blocks until the other has finished and then gives True; the chunk's file may be there
         by then, so that it must be looked for first. Where files cannot be locked it always gives True.
         """
-        path = self._chunk(start)
+        path = self.chunk(start)
         lock = path.with_suffix(".lock")
         try:
             file = _locked(lock, wait)
@@ -134,8 +155,15 @@ class Folder:
                 # has no name any more, they find the chunk finished.
                 lock.unlink(missing_ok=True)
 
-    def _chunk(self, start: int) -> Path:
-        return self.path / f"runs_{start:010d}.npz"
+    def chunk(self, start: int) -> Path:
+        """The file that says that there is a chunk."""
+        return self.path / f"runs_{start:010d}{self.suffix}"
+
+    @contextlib.contextmanager
+    def alone(self) -> Iterator[None]:
+        """Context in which no other process changes the folder as a whole; the manifest must be there."""
+        with _locked(self.path / _MANIFEST, wait=True) or contextlib.nullcontext():
+            yield
 
     def _manifest(self) -> Identity | None:
         """What the manifest says of its sweep; None where it is missing, damaged or of another format."""
@@ -153,7 +181,7 @@ class Folder:
         """The error that says why the folder cannot be written."""
         why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         return ValueError(
-            f"argument resume must be a folder that can be written, but {shown(str(self.path))} "
+            f"argument {self.name} must be a folder that can be written, but {shown(str(self.given))} "
             f"cannot ({why.lower()})"
         )
 
@@ -162,7 +190,7 @@ class Folder:
         found = differences(there, here)
         if found:
             raise ValueError(
-                f"argument resume must be a folder of the same sweep, but {self.path} is of one that "
+                f"argument {self.name} must be a folder of the same sweep, but {self.given} is of one that "
                 f"differs in {found}"
             )
 
@@ -171,7 +199,7 @@ class Folder:
         path = self.path / _MANIFEST
         if path.exists():
             _warn(f"the manifest {path} of a sweep is written again, because it is damaged")
-        elif any(self.path.glob("runs_*.npz")):
+        elif any(self.path.glob(f"runs_*{self.suffix}")):
             _warn(f"the manifest {path} of a sweep is written again, because it is missing")
 
     def _claim_folder(self, here: Identity) -> None:

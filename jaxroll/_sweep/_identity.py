@@ -57,11 +57,7 @@ def identity(rows: Any, t1: Any, chunk: int, options: dict[str, Any]) -> Identit
         options: Those of `simulate`, by name.
     """
     usual = {name: p.default for name, p in inspect.signature(simulate).parameters.items()}
-    marks = {f"version of {name}": _text(_version(name)) for name in PACKAGES}
-    marks["version of python"] = _text(f"{sys.version_info.major}.{sys.version_info.minor}")
-    marks["processor"] = _text(_processor())
-    marks["XLA_FLAGS"] = _text(_flags())
-    marks["precision"] = _text("double" if jnp.result_type(float) == np.float64 else "single")
+    marks = machine()
     marks["parameters"] = Mark(fingerprint(rows), _form(rows))
     marks["chunk"] = _text(f"{chunk} runs")
     marks["t1"] = _value(t1)
@@ -71,6 +67,16 @@ def identity(rows: Any, t1: Any, chunk: int, options: dict[str, Any]) -> Identit
         # stands for a missing default, to which no option is equal.
         if name not in ("throw", "progress_meter") and not _same(value, usual.get(name, inspect)):
             marks[f"option {name}"] = _value(value)
+    return marks
+
+
+def machine() -> Identity:
+    """Marks of where a sweep is computed: versions, processor, flags and precision of this process."""
+    marks = {f"version of {name}": _text(_version(name)) for name in PACKAGES}
+    marks["version of python"] = _text(f"{sys.version_info.major}.{sys.version_info.minor}")
+    marks["processor"] = _text(_processor())
+    marks["XLA_FLAGS"] = _text(_flags())
+    marks["precision"] = _text("double" if jnp.result_type(float) == np.float64 else "single")
     return marks
 
 

@@ -114,6 +114,10 @@ class Program(NamedTuple):
         out = self.call(*self.arrays, *jax.tree.leaves(rows))
         return jax.tree.unflatten(jax.tree.structure(self.results), map(np.asarray, out))
 
+    def key(self) -> str:
+        """Fingerprint of the program as it was traced."""
+        return fingerprint(self.traced.jaxpr)
+
     def fingerprint(self) -> str:
         """Fingerprint of the program as it is handed to the compiler."""
         return of_lowered(self.traced.lower().as_text())

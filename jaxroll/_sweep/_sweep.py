@@ -19,12 +19,15 @@ import jax.numpy as jnp
 import numpy as np
 from tqdm import tqdm
 
-from .._integration import RTOL
+from .._integration import RTOL, save_times
 from .._motion import Formulation
 from .._results import as_array, as_count, check_callable, check_flag, is_array_like, shown, traced
+from ._dispatch import addressed, dispatched, met, Party, party_of
 from ._folder import Folder
-from ._identity import identity, Mark
+from ._identity import Identity, identity, Mark
 from ._program import calls_back, Job, of_keep, of_make, Program, program
+from ._sending import Parcel, Receipt
+from ._store import Store
 
 # Runs in a chunk by default.
 _CHUNK = 2048
@@ -39,6 +42,8 @@ def sweep(
     chunk: int = _CHUNK,
     progress: bool = False,
     resume: str | os.PathLike | None = None,
+    store: str | os.PathLike | None = None,
+    client: Any = None,
     t0: Any = 0.0,
     ts: Any = 1,
     formulation: Formulation | None = None,
@@ -125,11 +130,16 @@ def sweep(
             as_array(name, leaf)
     job = Job(make, keep, t1, options)
     first = extent.chunk(rows, 0)
-    if resume is None:
-        folder, run = None, program(job, first)
+    keeper = _keeper(resume, store, rows, extent, (t0, t1, ts))
+    party = None if client is None else party_of(client)
+    parcel = None if party is None else met(party, job, extent.size)
+    if keeper is None:
+        run = program(job, first)
     else:
-        folder, run = _resumed(Folder(resume), job, rows, extent)
-    pieces = _pieces(run, rows, extent, folder, progress=progress)
+        run = _resumed(keeper, job, rows, extent, {} if parcel is None else parcel.there or {})
+    pieces = _pieces(run, rows, extent, keeper, progress=progress, helpers=(party, parcel))
+    if isinstance(keeper, Store):
+        return keeper.dataset()
     return jax.tree.map(lambda *parts: np.concatenate(parts)[:count], *pieces)
 
 
@@ -144,75 +154,144 @@ class Extent(NamedTuple):
         """The first run of every chunk."""
         return range(0, self.count, self.size)
 
-    def chunk(self, rows: Any, start: int) -> Any:
+    def rows(self, rows: Any, start: int) -> Any:
         """One chunk of the parameters; the last one is filled up with copies of the last row."""
         index = np.minimum(np.arange(start, start + self.size), self.count - 1)
-        return jax.tree.map(lambda x: jnp.asarray(x[index]), rows)
+        return jax.tree.map(lambda x: x[index], rows)
+
+    def chunk(self, rows: Any, start: int) -> Any:
+        """One chunk of the parameters as arrays of JAX."""
+        return jax.tree.map(jnp.asarray, self.rows(rows, start))
 
 
-def _resumed(folder: Folder, job: Job, rows: Any, extent: Extent) -> tuple[Folder, Program]:
-    """The folder, checked or claimed for this sweep, and the program; nothing is compiled.
+def _keeper(
+    resume: Any, store: Any, rows: Any, extent: Extent, span: tuple[Any, Any, Any]
+) -> Folder | Store | None:
+    """What keeps finished chunks, if anything does; `span` are start, end and save times of a run."""
+    if store is None:
+        return None if resume is None else Folder(resume)
+    if resume is not None:
+        raise ValueError(
+            "argument resume must be left out where store is given, since a store is resumed by itself, but "
+            f"was {shown(resume)}"
+        )
+    return Store(store, rows, extent, save_times(*span, np.dtype(jnp.result_type(float)))[2])
+
+
+def _resumed(keeper: Folder | Store, job: Job, rows: Any, extent: Extent, there: Identity) -> Program:
+    """The program, once folder or store are checked or claimed for this sweep; nothing is compiled.
 
     The cheapest comparisons come first: values and versions, then the lowered program of `make`, and last the
-    program of the runs.
+    program of the runs. `there` are marks of the workers, where others than this process compute.
     """
-    here = identity(rows, job.t1, extent.size, job.options)
+    here = identity(rows, job.t1, extent.size, job.options) | there
     row = jax.tree.map(lambda x: jnp.asarray(x[0]), rows)
     here["make"] = Mark(of_make(job.make, row), "make")
-    folder.check(here)
+    keeper.check(here)
     run = program(job, extent.chunk(rows, 0))
     if job.options["progress_meter"] is None and calls_back(run.traced.jaxpr):
         raise ValueError(
             "argument make must not take numbers from Python while it runs (jax.pure_callback) where resume "
-            "is given, since a folder cannot tell what is called; nor must keep, options or what they hold"
+            "or store is given, since a folder cannot tell what is called; nor must keep or options"
         )
     here["keep"] = Mark(of_keep(job.keep, run.trajectory), "keep")
     here["program"] = Mark(run.fingerprint(), "program")
-    folder.open(here)
-    return folder, run
+    if isinstance(keeper, Store):
+        keeper.open(here, run)
+    else:
+        keeper.open(here)
+    return run
 
 
-def _pieces(run: Program, rows: Any, extent: Extent, folder: Folder | None, *, progress: bool) -> list[Any]:
+def _pieces(
+    run: Program,
+    rows: Any,
+    extent: Extent,
+    keeper: Folder | Store | None,
+    *,
+    progress: bool,
+    helpers: tuple[Party | None, Parcel | None] = (None, None),
+) -> list[Any]:
     """Results of all chunks, in their order; several are computed at a time.
 
     Args:
         run: The program.
         rows: The parameters of all runs.
         extent: How they are cut into chunks.
-        folder: Where finished chunks are; None if the sweep is not to be resumed.
+        keeper: Where finished chunks are; None if the sweep is not to be resumed. Of chunks in a store there
+            is an empty list each: their results stay there.
         progress: Whether to report on standard error.
+        helpers: Who computes instead of this process, and what they are sent.
     """
-    devices, forms = jax.local_devices(), jax.tree.leaves(run.results)
+    forms, tree = jax.tree.leaves(run.results), jax.tree.structure(run.results)
     found: dict[int, Any] = {}
-
-    def computed(start: int) -> Any:
-        device = devices[start // extent.size % len(devices)]
-        return run(jax.device_put(extent.chunk(rows, start), device))
-
-    def piece_at(start: int, *, wait: bool) -> Any:
-        """Results of a chunk; None if another process is computing it and this one is not to wait."""
-        if folder is None:
-            return computed(start)
-        with folder.work_on(start, wait=wait) as mine:
-            if not mine:
-                return None
-            # Another process may have written it since it was looked for, or while this one waited.
-            piece = folder.load(start, forms, quiet=True)
-            if piece is None:
-                piece = jax.tree.leaves(computed(start))
-                folder.store(start, piece)
-        return jax.tree.unflatten(jax.tree.structure(run.results), piece)
 
     def runs_found() -> int:
         # The last chunk may hold fewer runs than the others.
         return min(len(found) * extent.size, extent.count)
 
-    def note(start: int, piece: Any) -> bool:
+    def whole(leaves: list[Any]) -> Any:
+        return leaves if isinstance(keeper, Store) else jax.tree.unflatten(tree, leaves)
+
+    def note(start: int, leaves: Any) -> bool:
         """Keep a chunk's results and report them; whether there were any."""
-        if piece is not None:
-            found[start] = piece
+        if leaves is not None:
+            found[start] = whole(leaves)
             report(runs_found())
-        return piece is not None
+        return leaves is not None
+
+    def settle(start: int, receipt: Receipt) -> bool:
+        """Take over what a worker made of a chunk; whether it can be read here."""
+        if receipt.failure and isinstance(keeper, Folder):
+            keeper.warn_of_failure(start, receipt.failure)
+        if receipt.leaves is not None or keeper is None:
+            return note(start, receipt.leaves)
+        return note(start, [] if isinstance(keeper, Store) else keeper.load(start, forms, quiet=True))
+
+    for start in extent.starts:
+        leaves = None if keeper is None else keeper.load(start, forms)
+        if leaves is not None:
+            found[start] = whole(leaves)
+    party, parcel = helpers
+    with _meter(runs_found(), extent.count, on=progress) as report:
+        if party is None or parcel is None:
+            _work_here(run, rows, extent, keeper, found=found, note=note)
+        else:
+            left = [start for start in extent.starts if start not in found]
+            sent = addressed(parcel, run, keeper)
+            dispatched(party, sent, {s: partial(extent.rows, rows, s) for s in left}, settle)
+    return [found[start] for start in extent.starts]
+
+
+def _work_here(
+    run: Program,
+    rows: Any,
+    extent: Extent,
+    keeper: Folder | Store | None,
+    *,
+    found: dict[int, Any],
+    note: Callable[[int, Any], bool],
+) -> None:
+    """Compute the missing chunks in threads of this process, on all of its devices."""
+    devices, forms = jax.local_devices(), jax.tree.leaves(run.results)
+
+    def computed(start: int) -> list[np.ndarray]:
+        device = devices[start // extent.size % len(devices)]
+        return jax.tree.leaves(run(jax.device_put(extent.chunk(rows, start), device)))
+
+    def piece_at(start: int, *, wait: bool) -> list[np.ndarray] | None:
+        """Results of a chunk; None if another process is computing it and this one is not to wait."""
+        if keeper is None:
+            return computed(start)
+        with keeper.work_on(start, wait=wait) as mine:
+            if not mine:
+                return None
+            # Another process may have written it since it was looked for, or while this one waited.
+            piece = keeper.load(start, forms, quiet=True)
+            if piece is None:
+                piece = computed(start)
+                keeper.store(start, piece)
+        return [] if isinstance(keeper, Store) else piece
 
     def work(*, wait: bool) -> None:
         """Find or compute the chunks still missing; without `wait` only those that nobody is computing."""
@@ -225,18 +304,11 @@ def _pieces(run: Program, rows: Any, extent: Extent, folder: Folder | None, *, p
         for start, piece in zip(rest, pool.map(partial(piece_at, wait=wait), rest), strict=True):
             note(start, piece)
 
-    if folder is not None:
-        for start in extent.starts:
-            piece = folder.load(start, forms)
-            if piece is not None:
-                found[start] = jax.tree.unflatten(jax.tree.structure(run.results), piece)
-    pool = ThreadPoolExecutor(_workers(devices))
-    with pool, _meter(runs_found(), extent.count, on=progress) as report:
+    with ThreadPoolExecutor(_workers(devices)) as pool:
         # Twice: chunks that other processes are computing are passed over, and waited for at the end. Should
         # such a process be killed, its lock is released, and its chunk is computed here.
         work(wait=False)
         work(wait=True)
-    return [found[start] for start in extent.starts]
 
 
 def _workers(devices: list[Any]) -> int:

@@ -104,14 +104,15 @@ def packed(job: Job) -> bytes:
     dumps = _dumps()
     try:
         return dumps(job)
+    except ImportError:
+        raise
     except Exception as error:  # whatever is pickled may raise anything
-        options = {name: value for name, value in job.options.items()}
-        for name, value in {"make": job.make, "keep": job.keep, **options}.items():
+        for name, value in {"make": job.make, "keep": job.keep, **job.options}.items():
             found = _stubborn(value, dumps, _DEPTH)
-            if found:
+            if found is not None:
                 raise ValueError(
                     f"argument {name} must be what can be sent to another process where client is given, but "
-                    f"{found} cannot be pickled"
+                    f"{' of '.join(found[-2::-1]) or 'it'} cannot be pickled: {found[-1]}"
                 ) from error
         raise
 
@@ -133,22 +134,26 @@ def _dumps_by_name(job: Any) -> bytes:
         raise missing_library("cloudpickle", "cluster") from error
 
 
-def _stubborn(value: Any, dumps: Any, depth: int) -> str:
-    """What in a value cannot be pickled, in words; empty if all of it can."""
+def _stubborn(value: Any, dumps: Any, depth: int) -> list[str] | None:
+    """Where in a value is what cannot be pickled, from outside to inside, and what it is; None if all can."""
     try:
         dumps(value)
-        return ""
+        return None
     except Exception:  # whatever is pickled may raise anything
         inner = _parts_of(value) if depth else {}
     for name, part in inner.items():
         found = _stubborn(part, dumps, depth - 1)
-        if found:
-            return found if found.startswith("its ") else f"its {name}, {found},"
-    return shown(value)
+        if found is not None:
+            return [name, *found]
+    return [shown(value)]
 
 
 def _parts_of(value: Any) -> dict[str, Any]:
-    """What a function reads or an object holds, by name."""
+    """What a function reads, a container holds or an object is made of, by name."""
+    if isinstance(value, dict):
+        return {f"[{key!r}]": part for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return {f"[{i}]": part for i, part in enumerate(value)}
     code = getattr(value, "__code__", None)
     if code is None:
         inner = {"function": value.func} if hasattr(value, "func") else {}

@@ -255,13 +255,15 @@ class Store:
         for each in given:
             group[each.name][known:] = each.values[known:]
         labels = label_arrays(self.labels, {dim for x in arrays for dim in x.dims}, self.times)
-        as_dataset([], labels, {}).to_zarr(self.path, mode="a", zarr_format=3, consolidated=False)
+        if not all(x.name in group for x in labels):
+            as_dataset([], labels, {}).to_zarr(self.path, mode="a", zarr_format=3, consolidated=False)
         note: dict[str, Any] = dict(about(self.times.dtype))
         # What stands along dimensions under another name than theirs; xarray reads it here.
         beside = " ".join(x.name for x in [*given, *labels] if (x.name,) != x.dims)
         note |= {"parameters": self.parameters, "coordinates": beside, "runs": count}
-        group.attrs.update(note)
-        # Last: readers go by the list of all arrays, and see the shorter ones until it is written.
+        # Opened with the list of all arrays, if there is one, so that it stays beside the attributes.
+        _zarr().open_group(self.path, mode="r+").attrs.update(note)
+        # Last: readers go by that list, and see the shorter arrays until it is written anew.
         _zarr().consolidate_metadata(self.path)
 
     def _is_laid_out(self, names: Sequence[str]) -> bool:

@@ -1,8 +1,9 @@
 """Many runs: in chunks, on every device, with progress, resumed where they were cut off.
 
 All chunks have the same shape, so that one compiled program (`_program`) serves them all. Worker threads call
-it, and each waits for its own result; Python's lock is free while XLA computes. With a folder (`_folder`)
-finished chunks are read instead of computed, once the folder is known to be of the same sweep (`_identity`).
+it, and each waits for its own result; Python's lock is free while XLA computes. With a folder (`_folder`) or a
+store (`_store`) finished chunks are not computed again, once it is known to be of the same sweep
+(`_identity`). With a client others compute (`_dispatch`).
 """
 
 import contextlib
@@ -74,16 +75,25 @@ def sweep(
         chunk: Runs per program call.
         progress: Whether to report chunks, speed and time left on standard error.
         resume: A folder where finished chunks are written, and looked for first (see below).
+        store: A folder that becomes a table of all runs, in the format of Zarr, chunk by chunk; resumed like
+            `resume`, in the place of which it stands. Needs the extra `data`.
+        client: Who computes instead of this process: a `dask.distributed.Client`, or any
+            `concurrent.futures.Executor` whose processes start afresh. Needs the extra `cluster` for
+            functions that no module names. The page jaxroll/_sweep/README.md has recipes.
         ts: As for `simulate`. Default: 1, the final state alone.
         t0, formulation, solver, rtol, atol, dt0, max_steps, events, stepsize_controller, progress_meter,
             record: As for `simulate`, and with its defaults.
 
     Returns:
-        What is kept, as NumPy arrays with the leading axis n: by default a `Trajectory` of n lanes.
+        What is kept, as NumPy arrays with the leading axis n: by default a `Trajectory` of n lanes. With
+        `store` it stays on disk, whatever its size: an `xarray.Dataset` whose arrays are read when asked for.
 
     Raises:
-        ValueError: If an argument does not fit, the arrays of `parameters` have no common leading axis, or
-            `resume` holds a different sweep.
+        ValueError: If an argument does not fit, the arrays of `parameters` have no common leading axis,
+            `resume` or `store` hold a different sweep, something cannot be sent to the processes of `client`,
+            or these are not like this one.
+        OSError: If `store` cannot be written, after several tries.
+        ImportError: Without the extras.
 
     Runs that fail carry their code (`result`); the others are untouched.
     Resuming: the folder's `sweep.json` says which sweep it is of: lowered programs and constants of `make`
@@ -92,6 +102,14 @@ def sweep(
     is worked out again, with a warning that names the file. A process may be killed at any moment; several
     processes with one folder share the work. Before anything is compiled a resumed sweep lowers its program
     once more to know it, which takes some tenths of a second; other sweeps pay nothing for that.
+    Stores: named arrays with the dimension `run`, one for each array that is kept, called what its record
+    calls it (`Trajectory.to_xarray`), after the key of a dict, or `kept`; the parameters under their names;
+    `stored`, whether a run is there; and `sweep`, whose attributes are versions, options and processor.
+    `xarray.open_zarr(path, chunks=None)` opens it at any time. Longer `parameters` that begin with those
+    that are stored append their runs.
+    Clients: a chunk is a task; where a folder or a store is given, workers write there and only a receipt
+    comes back. A worker that dies costs its chunk, which dask sends to another. The numbers are those of a
+    sweep in this process, to the last bit, if the processors have the same instructions.
 
     Example:
         >>> import jax.numpy as jnp

@@ -57,7 +57,7 @@ def dot(a, b):
 
 
 def test_d_l_and_44(moving):
-    """d, l from (25), and (44): the opposition torque in the contact frames."""
+    """d, l from (25)-(26), and (44): the opposition torque in the contact frames."""
     grasp, run, found = moving
     places, jacobians = tip_jacobians(grasp, run)
     arm, beta = places[0] - places[1], float(grasp.controller.beta)
@@ -70,7 +70,7 @@ def test_d_l_and_44(moving):
 
 
 def test_joint_torques_in_wrench_form(moving):
-    """(19) and (45) leave over the same: forces and control against Delta f, Delta lambda and Delta N."""
+    """(19) and (45) leave over the same: forces and control against (42)-(43), (46) and (53)."""
     grasp, run, found = moving
     places, jacobians = tip_jacobians(grasp, run)
     arm, control = places[0] - places[1], grasp.controller
@@ -95,7 +95,10 @@ def test_joint_torques_in_wrench_form(moving):
 
 
 def test_wrench_on_the_object(moving):
-    """(1)-(2) against (47)-(48) with S_N, and the second form of (49) on a rectangle."""
+    """(1)-(2) against (47)-(48) with S_N, and the second form of (49) on a rectangle.
+
+    Forces stand with a plus on the left, so that the Lagrangian (50) of this form has a minus, as (24) has.
+    """
     grasp, run, found = moving
     f, lam = np.asarray(run.multipliers.f), np.asarray(run.multipliers.lam)
     df, dl = np.asarray(found.delta_f), np.asarray(found.delta_lam)

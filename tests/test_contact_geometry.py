@@ -48,7 +48,7 @@ def test_angles_lengths_and_curvatures_are_the_chapters(moving):
 
 
 def test_tangents_and_normals_are_58_and_59_mirrored(moving):
-    """As printed, with the chapter's clockwise theta and p = q_1 + q_2: they are ours in the mirror."""
+    """(58)-(59) as printed, with the chapter's clockwise theta and p = q_1 + q_2: ours in the mirror."""
     _, run, found = moving
     turn = np.asarray(run.states.q[:, 0] + found.theta_1[:, 0])
     tip = np.asarray(run.states.q[:, 1] + run.states.q[:, 2] + found.psi_0[:, 0])
@@ -64,7 +64,7 @@ def test_tangents_and_normals_are_58_and_59_mirrored(moving):
 
 
 def test_60_to_63_and_66_67_with_the_axes_of_the_docstring():
-    """Off the constraints, for both senses: from the contours' own points and the frames' origins."""
+    """(60)-(63), (66)-(67) off the constraints, for both senses: by the contours' points and origins."""
     grasp, state = jxr.scenes.pinch_ellipse()
     rng = np.random.default_rng(1)
     off = jxr.State(state.q + 1e-2 * rng.normal(size=state.q.shape), state.v, state.s + 2e-3)
@@ -176,7 +176,7 @@ def test_derivatives_along_the_contour(name):
 
 
 def test_68_holds_along_a_run(moving):
-    """The rates of theta, p and s from the run's velocities: (kappa_0 + kappa_1) s' = p' - theta'."""
+    """(68) with the rates of theta, p and s from the run: (kappa_0 + kappa_1) s' = p' - theta'."""
     grasp, run, found = moving
     i, h = 2, 1e-5
     here = jax.tree.map(lambda x: x[i], run.states)
@@ -185,6 +185,35 @@ def test_68_holds_along_a_run(moving):
     v = np.asarray(near.states.v).mean(axis=0)
     sum_ = float(found.kappa_0[i, 0] + found.kappa_1[i, 0])
     assert sum_ * rolled == pytest.approx(v[1] + v[2] - v[0], rel=1e-4)
+
+
+def test_coefficients_of_73_and_74(moving):
+    """(72) makes (73)-(74): levers as printed, which are the change of (64)-(65) while s follows (68)."""
+    grasp, run, found = moving
+    chapter, lengths = Part2(), np.asarray(grasp.fingers[0].lengths)
+
+    def printed(x, s):
+        """Q and R of (64)-(65), in the chapter's frame."""
+        p, (l_b0, l_b1, l_n0, l_n1) = jnp.cumsum(x[1:]), chapter.lengths(s)
+        tip = chapter.base + jnp.stack([jnp.cos(p), -jnp.sin(p)]) @ lengths
+        (dx, dy), turn = tip - chapter.pivot, x[0] + chapter.angles(s)[0]
+        q = dx * jnp.cos(turn) - dy * jnp.sin(turn) + l_n0 + l_n1
+        return jnp.stack([q, dx * jnp.sin(turn) + dy * jnp.cos(turn) + l_b0 + l_b1])
+
+    for i in (0, 2, 4):
+        state, at = (jax.tree.map(lambda x: x[i], tree) for tree in (run.states, found))  # noqa: B023
+        outer = np.asarray(at.centre_0[0]) - np.asarray(grasp.fingers[0].base)
+        inner = outer - lengths[1] * np.array([np.cos(state.q[1:].sum()), np.sin(state.q[1:].sum())])
+        jacobian = np.stack([[-arm[1], arm[0]] for arm in (outer, outer - inner)], axis=-1)
+        terms = jxr.equation_terms(grasp, state)
+        by_f = np.append(at.l_b1, jacobian.T @ at.n_1[0] + at.l_b0)
+        by_lam = np.append(-at.l_n1, jacobian.T @ at.b_1[0] - at.l_n0)
+        np.testing.assert_allclose(terms.normal[0], by_f, atol=1e-14)
+        np.testing.assert_allclose(terms.tangential[0], by_lam, atol=1e-14)
+        for direction in np.eye(3):
+            rolled = (direction[1] + direction[2] - direction[0]) / (at.kappa_0[0] + at.kappa_1[0])
+            _, change = jax.jvp(printed, (state.q, at.s[0]), (jnp.asarray(direction), rolled))
+            np.testing.assert_allclose(change, [by_f @ direction, by_lam @ direction], atol=1e-12)
 
 
 def test_along_time_it_is_state_by_state(moving):
@@ -226,7 +255,7 @@ LABELS += ["$X$", "$Y$", "$X_0$", "$Y_0$", "$O_m$"]
 
 @pytest.mark.parametrize(("name", "contact"), [("pivoted", 0), ("pinch", 0), ("pinch", 1)])
 def test_the_figure_has_every_label_once_and_none_hides_another(name, contact):
-    """Within the axes, for poses turned by any angle."""
+    """Figs. 2, 5 and 6: within the axes, for poses turned by any angle."""
     grasp, state = getattr(jxr.scenes, name)()
     for turn in (0.0, 2.0, 4.0) if name == "pivoted" else (0.0,):
         # Turned as a whole about the origin of the world.

@@ -34,6 +34,7 @@ def by_autodiff(contour, s):
 
 
 def test_closed_form_frame_is_autodiff_of_the_point(contour):
+    """(8): the tangent is the derivative of the point; the curvature is that of the tangent."""
     auto, closed = by_autodiff(contour, jnp.asarray(S))
     scale = float(np.max(np.abs(closed.curvature))) + 1.0
     np.testing.assert_allclose(auto.point.array(), closed.point.array(), atol=1e-14)

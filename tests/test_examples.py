@@ -116,6 +116,7 @@ def run_cli(*args, cwd):
 
 
 def test_demo_writes_its_figures_and_a_report(tmp_path):
+    """Figs. 4, 7 and 8, and Figs. 9-18 on one page."""
     done = run_cli("demo", "--seconds", "0.5", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     folder = tmp_path / "jaxroll-pivoted"
@@ -128,6 +129,7 @@ def test_demo_writes_its_figures_and_a_report(tmp_path):
 
 @pytest.mark.slow
 def test_pinch_demo_writes_its_figures_and_a_report(tmp_path):
+    """Figs. 1 and 3, and what the chapter has no figures of."""
     done = run_cli("demo", "pinch", "--seconds", "1", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     files = {p.name: p.stat().st_size for p in (tmp_path / "jaxroll-pinch").iterdir()}
@@ -140,6 +142,7 @@ def test_pinch_demo_writes_its_figures_and_a_report(tmp_path):
 
 @pytest.mark.slow
 def test_pinch3d_demo_writes_its_figures_and_a_report(tmp_path):
+    """Figs. 19 and 20: the pose with its loci."""
     done = run_cli("demo", "pinch3d", "--seconds", "0.3", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     files = {p.name: p.stat().st_size for p in (tmp_path / "jaxroll-pinch3d").iterdir()}

@@ -14,7 +14,7 @@ from jaxroll._motion import bodies, Index1
 from jaxroll._motion._equations import evaluate, sensed
 from jaxroll._motion._quantities import power
 from jaxroll.control import Sensed
-from tests.oracles.chapter_part1 import Part1
+from tests.oracles.chapter_part1 import Part1, STEP
 
 SENSE = np.array([1.0, -1.0])
 START = np.array([0.004, -0.003])  # the chapter's s_i at the start
@@ -68,6 +68,7 @@ def torques(grasp, state):
 
 @pytest.mark.parametrize("seed", range(8))
 def test_coefficients_of_1_to_3(pinch, chapter, seed):
+    """Those of f_i and lambda_i in (1)-(3), with the unit vectors of (4)."""
     X, v, s = random_state(chapter, seed)
     assert np.abs(chapter.mismatch(X, s)).max() < 1e-15
     terms = jxr.equation_terms(pinch[0], as_state(X, v, s))
@@ -78,6 +79,7 @@ def test_coefficients_of_1_to_3(pinch, chapter, seed):
 
 @pytest.mark.parametrize("seed", range(8))
 def test_mass_matrix_and_bias_of_15(pinch, chapter, seed):
+    """G(X) and (G'/2 + S) X' of (15), in the coordinates (12)."""
     X, v, s = random_state(chapter, seed)
     terms = jxr.equation_terms(pinch[0], as_state(X, v, s))
     mass, bias, *_ = chapter.terms(X, v, s)
@@ -86,7 +88,7 @@ def test_mass_matrix_and_bias_of_15(pinch, chapter, seed):
 
 
 def test_bias_of_the_oracle_is_christoffels(chapter):
-    """(G'/2 + S) v = G' v - grad(v G v)/2, the oracle's bias from its mass matrix alone."""
+    """(14) makes (15) of (13): (G'/2 + S) v = G' v - grad(v G v)/2, from the oracle's mass matrix alone."""
     X, v, s = random_state(chapter, 0)
     step = 1e-5
     slope = [
@@ -97,7 +99,37 @@ def test_bias_of_the_oracle_is_christoffels(chapter):
     np.testing.assert_allclose(chapter.terms(X, v, s)[1], expected, atol=1e-8 * np.abs(expected).max())
 
 
+def test_gradients_of_the_constraints_are_total(pinch, chapter):
+    """(11), (15), (23): Q_ni and Q_bi along any motion that rolls by (7); not so at fixed s."""
+    X, s = np.asarray(pinch[1].q), START
+    for seed in range(4):
+        v = np.random.default_rng(seed).uniform(-3.0, 3.0, 8)
+        terms = jxr.equation_terms(pinch[0], as_state(X, v, s))
+        rates = np.concatenate([terms.normal @ v, terms.tangential @ v])
+        moved, rolled = X + 1j * STEP * v, s + 1j * STEP * chapter.rolling(v, s)
+        np.testing.assert_allclose(chapter.constraints(moved, rolled).imag / STEP, rates, atol=1e-13)
+        partial = chapter.constraints(moved, s).imag / STEP
+        assert np.abs(partial - rates).max() > 1e-2 * np.abs(rates).max()
+
+
+def test_closed_loop_23_and_24(pinch, chapter):
+    """(23), which (24) has as its equations: accelerations and forces with dP/dX of (22), in motion."""
+    grasp, _ = pinch
+    run = simulated(pinch, 0.05)
+    state = run.last
+    X, v = np.asarray(state.q), np.asarray(state.v)
+    assert np.abs(v).max() > 0.1
+    terms = jxr.equation_terms(grasp, state)
+    forces = jxr.multipliers(grasp, 0.05, state)
+    slope = np.array([chapter.potential_rate(X, e) for e in np.eye(8)])
+    damped = chapter.c * np.concatenate([np.zeros(3), v[3:]])
+    pushed = forces.f @ terms.normal + forces.lam @ terms.tangential
+    inertial = terms.mass @ jxr.accelerations(grasp, 0.05, state) + terms.bias
+    np.testing.assert_allclose(inertial + damped + slope + pushed, np.zeros(8), atol=1e-14)
+
+
 def test_kinetic_and_potential_energy_13_22(pinch, chapter):
+    """(13) and (22), whose sum is (21)."""
     X, v, s = random_state(chapter, 3)
     kinetic, potential = jxr.energies(pinch[0], as_state(X, v, s))
     assert float(kinetic) == pytest.approx(chapter.kinetic(X, v), rel=1e-13)
@@ -105,6 +137,7 @@ def test_kinetic_and_potential_energy_13_22(pinch, chapter):
 
 
 def test_control_16_17(pinch, chapter):
+    """(16)-(17), from the printed Jacobians."""
     for seed in range(4):
         X, v, s = random_state(chapter, seed)
         expected = chapter.torques(X, v)
@@ -112,7 +145,7 @@ def test_control_16_17(pinch, chapter):
 
 
 def test_power_identity_18(pinch, chapter):
-    """u . q' = -dP/dt - sum c_i |q_i'|^2, with the package's u and the oracle's P."""
+    """(18): u . q' = -dP/dt - sum c_i |q_i'|^2, with the package's u and the oracle's P."""
     grasp, _ = pinch
     X, v, s = random_state(chapter, 5)
     state = as_state(X, v, s)
@@ -156,7 +189,7 @@ def test_constraints_stay_at_rounding_level_for_10_s(settled):
 
 
 def test_constraints_5_6_in_the_chapters_form(settled, chapter):
-    """The package's states satisfy the printed constraints and assumption 2)."""
+    """The package's states satisfy the printed (5)-(6) and assumption 2)."""
     for i in range(0, 301, 10):
         X, s = np.asarray(settled.states.q[i]), START - SENSE * np.asarray(settled.states.s[i])
         assert np.abs(chapter.constraints(X, s)).max() <= 1e-12
@@ -164,6 +197,7 @@ def test_constraints_5_6_in_the_chapters_form(settled, chapter):
 
 
 def test_energy_balance_20(pinch):
+    """(20): the energy (21) falls by what the damping takes."""
     energy = simulated(pinch, 10.0, rtol=1e-9).energy
     size = np.abs(energy.kinetic + energy.potential).max()
     assert np.abs(energy.residual).max() <= 1e-9 * size

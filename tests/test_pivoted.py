@@ -1,5 +1,7 @@
 """The chapter's Part 2: what it reports, and how exactly we compute it."""
 
+import re
+
 import diffrax
 import equinox as eqx
 import jax
@@ -35,6 +37,7 @@ def reference():
 
 
 def test_trajectory_against_minimal_coordinates(scene, reference):
+    """(73)-(75) under (64)-(65), in one coordinate that satisfies them by itself."""
     ts, s, poses = reference
     run = jxr.simulate(*scene, t1=3.0, ts=ts, rtol=1e-11)
     np.testing.assert_allclose(run.states.q, poses, atol=1e-11)
@@ -113,6 +116,32 @@ def test_what_the_chapter_reports(scene, run):
     chapter = Part2()
     slope = jax.grad(chapter.potential)(float(balance.s[-1, 0]))
     assert abs(slope) < 1e-4 * abs(jax.grad(chapter.potential)(0.003))  # U is stationary at the end
+
+
+def test_responses_are_figs_9_to_18(scene, run):
+    """Figs. 9-18: every one is drawn, with the numbers of the run in the units of its axis."""
+    grasp, _ = scene
+    balance, left, v = jxr.press_balance(grasp, run.ts, run.states), run.residuals, run.states.v
+    wanted = {
+        r"$\Delta f$ [N]": balance.delta_f[:, 0],
+        r"$\Delta\lambda$ [N]": balance.delta_lam[:, 0],
+        r"$(f_d/r)\,N_1$ [mN m]": 1e3 * balance.moment[:, 0],
+        "$s$ [mm]": 1e3 * balance.s[:, 0],
+        r"$\dot{q}_{1}$ [rad/s]": v[:, 1],
+        r"$\dot{q}_{2}$ [rad/s]": v[:, 2],
+        r"$\dot{\theta}$ [rad/s]": v[:, 0],
+        "$R$": left.tangential[:, 0],
+        "$Q$": left.normal[:, 0],
+        "$U$ [mJ]": 1e3 * balance.potential[:, 0],
+    }
+    axes = jxr.plotting.responses(grasp, run).axes
+    for ax, (label, values) in zip(axes, wanted.items(), strict=False):
+        told = ax.get_ylabel()
+        assert told.startswith(label)
+        # Residuals are drawn in a power of ten that fits them.
+        power = re.search(r"10\^\{(-?\d+)\}", told)
+        unit = 10.0 ** int(power[1]) if power else 1.0
+        np.testing.assert_allclose(unit * ax.lines[0].get_ydata(), values, rtol=1e-12, atol=1e-30)
 
 
 def test_balance_is_the_chapters_own_quantities(scene, run):

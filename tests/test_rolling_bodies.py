@@ -161,7 +161,7 @@ def test_holonomy_of_a_closed_path(path):
 
 
 def test_loci_of_a_rolling_ball_agree_in_length_but_not_in_curvature():
-    r"""Part 3 says "the same curvature and torsion"; it is the geodesic curvature that both loci share.
+    r"""Before A-1 stands "the same curvature and torsion"; both loci share the geodesic curvature alone.
 
     A ball of radius $\rho$ led round a circle of radius $R$ on a table, without spin: its own locus is a
     circle of curvature $\sqrt{1/R^2 + 1/\rho^2}$, of which $1/R$ is geodesic; its arcs are as long
@@ -200,6 +200,7 @@ def test_torsion_is_geodesic_torsion_and_the_turning_of_the_normal():
 
 
 def test_rolled_body_touches_where_it_says():
+    """A-1: both points coincide, and the normals are opposite."""
     egg, bump = jxr.Ellipsoid(0.03, 0.02, 0.015), jxr.Sphere(0.05)
     rolled = jxr.roll(
         egg,
@@ -218,6 +219,7 @@ def test_rolled_body_touches_where_it_says():
 
 @pytest.mark.slow
 def test_loci_share_their_arclength_and_fit_their_points(turning):
+    """A-2, and the curvatures of the loci of Fig. 20 from their points alone."""
     scene, _ = turning
     run = run_of(scene, 3.0, ts=601, rtol=1e-11)
     found = jxr.loci(scene[0], run)

@@ -38,7 +38,7 @@ def test_a_mirror_image_with_the_other_sense_has_the_chapters_same_quantities(na
 
 
 def test_residuals_are_64_and_65(scene):
-    """With the finger's base moved aside: the printed Q and R, from the chapter's own lengths and angles."""
+    """With the finger's base moved aside: the printed (64)-(65), from the chapter's lengths and angles."""
     grasp, state = scene
     chapter, s = Part2(), 0.003
     moved = eqx.tree_at(lambda g: g.fingers[0].base, grasp, jnp.array([3e-4, -2e-4]))
@@ -54,7 +54,7 @@ def test_residuals_are_64_and_65(scene):
 
 
 def test_residuals_are_5_and_6():
-    """A rectangle moved aside by (dx, dy): n_01 points right, n_02 left, b_01 and b_02 down."""
+    """(5)-(6) of a rectangle moved aside by (dx, dy): n_01 points right, n_02 left, b_01 and b_02 down."""
     grasp, state = jxr.scenes.pinch()
     dx, dy = 3e-5, -2e-5
     c, s = np.cos(float(state.q[2])), np.sin(float(state.q[2]))

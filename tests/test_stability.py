@@ -18,6 +18,7 @@ from jaxroll.stability import (
 )
 from jaxroll.stability._verdict import _verdict
 from tests.helpers import in_single, slow_among
+from tests.oracles.chapter_part1 import Part1
 
 VIOLATING = jxr.Circle(0.005).moved((0.005, 0.0))  # centre ahead of O_i: h = 10 mm, 1/kappa = 5 mm
 BLUNT = jxr.Circle(0.015).moved((-0.005, 0.0))  # centre behind: h = 10 mm, 1/kappa = 15 mm
@@ -41,7 +42,7 @@ def collinear(grasp, guess):
 
 @pytest.mark.parametrize("tips", [(BLUNT, VIOLATING), None, (jxr.Ellipse(0.012, 0.009), BLUNT)])
 def test_hessian_of_u_is_the_corrected_39_and_40(tips):
-    """At the collinear equilibrium; the chapter's own form lacks the rank-one term."""
+    """(39)-(40) where Fig. 3 comes to rest, on one line; the chapter's own form lacks the rank-one term."""
     grasp, _ = jxr.scenes.pinch(tips=tips, s=(0.001, -0.0005))
     s = collinear(grasp, (0.0002, 0.0001))
     at, closed = pinch_statics(grasp, s), rectangle_hessian(grasp, s)
@@ -50,6 +51,60 @@ def test_hessian_of_u_is_the_corrected_39_and_40(tips):
     np.testing.assert_allclose(at.hessian, closed, rtol=0, atol=1e-12 * scale)
     printed = np.diag(np.diag(closed) - np.array([closed[0, 1] ** 2 / closed[1, 0]] * 2))
     assert np.abs(printed - closed).max() > 1e-2 * scale
+
+
+def on_parallel_faces(chapter, s):
+    """Of both contacts: gamma_i, b_i, n_i, kappa_i; gamma_0i, b_0i, n_0i; and Pi_i gamma_i."""
+    tips, faces = ([side(i, s[i]) for i in (0, 1)] for side in (chapter.tip, chapter.face))
+    # Pi_i takes b_i to b_0i and n_i to -n_0i.
+    turned = [
+        (b @ gamma) * b0 - (n @ gamma) * n0
+        for (gamma, b, n, _), (_, b0, n0, _) in zip(tips, faces, strict=True)
+    ]
+    return tips, faces, turned
+
+
+@pytest.mark.parametrize("s", [(0.004, -0.002), (-0.006, 0.003), (0.001, 0.0075)])
+def test_statics_are_25_to_33(pinch, s):
+    """(25)-(33) and (51) as printed, of the fingertips (82)-(83) on parallel faces; V vanishes."""
+    chapter, (s1, s2) = Part1(np.zeros(2)), s
+    tips, faces, turned = on_parallel_faces(chapter, s)
+    along, across = zip(*((b @ gamma, n @ gamma) for gamma, b, n, _ in tips), strict=True)
+    (_, b01, n01, _), (_, _, n02, _) = faces
+    apart = -turned[0] + turned[1] + faces[0][0] - faces[1][0]  # (25)
+    d, l_ = s1 - s2 - along[0] + along[1], -chapter.width + across[0] + across[1]  # (28)-(29)
+    np.testing.assert_allclose(apart, d * b01 + l_ * n01, atol=1e-16)  # (26)
+    v = apart @ n01 - sum(across) - n01 @ faces[0][0] - n02 @ faces[1][0]  # (30)
+    assert abs(v) <= 1e-17
+    found = pinch_statics(pinch[0], jnp.asarray(s))
+    np.testing.assert_allclose([found.d, found.l], [d, l_], atol=1e-16)
+    assert float(found.potential) == pytest.approx(0.5 * chapter.beta * (d**2 + l_**2), rel=1e-14)  # (27)
+    # W of (31) is U, as V vanishes: (32) without its second term, with the vectors of (33); the same by (51).
+    for i, sign in ((0, -1.0), (1, 1.0)):
+        kappa, (_, b0, n0, _) = tips[i][3], faces[i]
+        xi = across[i] * b0 + along[i] * n0
+        slope = sign * chapter.beta * kappa * (apart @ xi)
+        assert float(found.gradient[i]) == pytest.approx(slope, rel=1e-12)
+        slope = sign * chapter.beta * (across[i] * d - sign * along[i] * l_) * kappa
+        assert float(found.gradient[i]) == pytest.approx(slope, rel=1e-12)
+
+
+def test_condition_37_is_no_equilibrium(pinch):
+    """(34)-(36) and (38) at s_1 = s_2, (37): the printed slope of W vanishes there, that of U does not."""
+    chapter, s = Part1(np.zeros(2)), (0.004, 0.004)
+    tips, faces, turned = on_parallel_faces(chapter, s)
+    along, across = zip(*((b @ gamma, n @ gamma) for gamma, b, n, _ in tips), strict=True)
+    apart = -turned[0] + turned[1] + faces[0][0] - faces[1][0]
+    eta = chapter.beta * apart @ faces[0][2]  # (34)
+    for i, sign in ((0, -1.0), (1, 1.0)):
+        (_, _, _, kappa), (_, b0, n0, _) = tips[i], faces[i]
+        assert abs(apart @ b0) <= 1e-17  # (35)
+        xi = across[i] * b0 + along[i] * n0
+        printed = sign * chapter.beta * kappa * (apart @ xi) + eta * kappa * along[i]  # (32)
+        assert abs(printed) <= 1e-15
+    assert along[0] == pytest.approx(along[1]) and abs(along[0]) > 1e-3
+    found = pinch_statics(pinch[0], jnp.asarray(s))
+    assert np.abs(found.gradient).min() > 0.01  # [N]
 
 
 def test_hessian_of_u_against_central_differences(pinch):
@@ -170,6 +225,7 @@ def test_a_pinch_is_found_at_rest_from_where_its_object_was_moved_away(pinch, ax
 
 
 def test_margin_of_41():
+    """(41) as a margin, of circles about any centre."""
     for tip, wanted in ((VIOLATING, -0.005), (BLUNT, 0.005), (SHARP, -0.0002), (jxr.Circle(0.01), 0.0)):
         assert abs(margin(tip, 0.0) - wanted) <= 1e-15
     # As h'' of the support function about O_i, by differences over the normal's angle.

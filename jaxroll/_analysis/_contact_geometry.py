@@ -26,7 +26,8 @@ class ContactGeometry(eqx.Module):
     r"""Quantities (56)-(70) of every contact: index 0 is the fingertip, 1 the object, as in Part 2.
 
     Part 1 writes $b_i, n_i, \gamma_i, \kappa_i, O_i$ for what has index 0 here (finger $i$), and
-    $b_{0i}, n_{0i}, \gamma_{0i}, \kappa_{0i}, O_m$ for what has index 1. All vectors are in world axes.
+    $b_{0i}, n_{0i}, \gamma_{0i}, \kappa_{0i}, O_m$ for what has index 1. All vectors are in world axes,
+    turned there from their bodies' as in (4).
 
     Attributes:
         s: Chapter's s [m]: arclength of the contact on the object, in the direction of $b_1$.

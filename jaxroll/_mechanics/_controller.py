@@ -55,7 +55,7 @@ class AbstractController(eqx.Module):
         return torques, tuple(m + period * rate for m, rate in zip(memory, rates, strict=True))
 
     def check(self, fingers: int, axes: int) -> None:
-        """Raise unless it can drive this many fingers, in the plane (2 axes) or in space (3)."""
+        """Raise unless it can drive this many fingers, in the plane (2 axes) or in space (3 axes)."""
         del fingers, axes
 
     def check_freedoms(self, free: int) -> None:

@@ -46,7 +46,7 @@ class AbstractLoad(eqx.Module):
         """Force [N] and torque [N m] about the object's origin, in world axes, at a time [s]."""
 
     def check(self, name: str, axes: int) -> None:
-        """Raise unless it can act in the plane (2 axes) or in space (3)."""
+        """Raise unless it can act in the plane (2 axes) or in space (3 axes)."""
         del name, axes
 
 

@@ -85,7 +85,8 @@ class Energy(eqx.Module):
             change in time none is counted.
         work: Work of all else [J]: of loads and blows, less the dissipation with a built-in controller; all
             work of the joint torques with any other, and with numbers that change in time.
-        residual: $(K + P - W) - (K + P)(t_0)$ [J]; zero in the exact motion.
+        residual: $(K + P - W) - (K + P)(t_0)$ [J], with the total energy $K + P$ of (21); zero in the exact
+            motion.
     """
 
     __repr__ = listed
@@ -335,8 +336,9 @@ def accelerations(
 ) -> Float[Array, "... n"]:
     r"""Accelerations $\dot v$ of one state, or along a leading time axis: in the order of `State.v`.
 
-    From (1)-(3), (73)-(74) with the constraints differentiated twice, $A \dot v = -\dot A v$; the bodies'
-    velocities are in the coordinates of their classes (of a `FreeObject3` the spin in body axes).
+    From (1)-(3), (73)-(74) with the constraints differentiated twice, $A \dot v = -\dot A v$; with torques put
+    in, these are the closed loops (19), (23) of `control.Opposition` and (76)-(77) of `control.Press`. The
+    bodies' velocities are in the coordinates of their classes (of a `FreeObject3` the spin in body axes).
 
     Returns:
         Shape (..., n) [m/s^2, rad/s^2].

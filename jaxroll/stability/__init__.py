@@ -1,7 +1,7 @@
 """When a grasp comes to rest, and whether it stays: statics of a pinch, equilibria, verdicts.
 
-`_statics` has the chapter's static quantities (25)-(41), `_equilibrium` finds where forces balance, and
-`_verdict` says what happens near there.
+`_statics` has the chapter's static quantities (25)-(29), (32), (39)-(41), `_equilibrium` finds where forces
+balance, and `_verdict` says what happens near there.
 """
 
 from ._equilibrium import Equilibrium as Equilibrium, equilibrium as equilibrium

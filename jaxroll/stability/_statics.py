@@ -1,4 +1,4 @@
-r"""Statics of a two-finger pinch: the chapter's (25)-(41), for any contours.
+r"""Statics of a two-finger pinch: the chapter's (25)-(29), (32), (37) and (39)-(41), for any contours.
 
 Under control (16) the fingers pull their centres $O_1, O_2$ together, with the potential
 $U = \frac\beta2 \|O_1 - O_2\|^2$ (27). Tangency fixes how a fingertip stands on the object, so that both

@@ -132,7 +132,7 @@ class Part1:
 
     def constraints(self, X, s):
         """Q_n1, Q_n2, Q_b1, Q_b2 [m]: (6) and (5)."""
-        Q = np.zeros(4)
+        Q = np.zeros(4, dtype=np.result_type(X, s))
         for i, (r, _, _) in enumerate(self.places(X)):
             gamma, b, n, _ = self.tip(i, s[i])
             gamma0, b0, n0, _ = self.face(i, s[i])

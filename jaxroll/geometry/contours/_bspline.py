@@ -183,7 +183,7 @@ def _polynomials(knots: Array, degree: int, pieces: int) -> Array:
 
 
 def _shifted(value: Array, axis: int, by: int) -> Array:
-    """An array moved along an axis by one place, up (1) or down (-1), with zeros where nothing moves to."""
+    """An array moved along an axis by one place, up or down (`by` is 1 or -1), with zeros moved in."""
     pad = [(0, 0, 0)] * 3
     pad[axis] = (by, -by, 0)
     return jax.lax.pad(value, jnp.zeros((), value.dtype), pad)

@@ -98,7 +98,7 @@ def reference() -> dict[str, str]:
     ordered = sorted(pages, key=lambda name: _order(name, pages))
     names = "".join(f"   {name.removesuffix('.rst')}\n" for name in ordered)
     told = "Every public name, with the mathematics, units, errors and an example of each.\n\n"
-    told += "In signatures ``Given`` is whatever is a number or an array of numbers: Python's, NumPy's, JAX's.\n\n"
+    told += "In signatures ``Given`` is any number or array of numbers: Python's, NumPy's, JAX's.\n\n"
     pages["index.rst"] = _titled("Reference") + told + ".. toctree::\n   :maxdepth: 1\n\n" + names
     return pages
 

@@ -16,9 +16,9 @@ import numpy as np
 from .._results import as_array, as_count, check_instance, concrete, shown
 
 # What diffrax calls these, for the signatures of packages that leave diffrax to this one.
-Solver = diffrax.AbstractSolver
-StepSizeControl = diffrax.AbstractStepSizeController
-ProgressMeter = diffrax.AbstractProgressMeter
+Solver = diffrax.AbstractSolver[Any]
+StepSizeControl = diffrax.AbstractStepSizeController[Any, Any]
+ProgressMeter = diffrax.AbstractProgressMeter[Any]
 RECORDS = ("multipliers", "energy", "dense")
 # Default relative tolerance.
 RTOL = 1e-8

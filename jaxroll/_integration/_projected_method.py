@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from .._results import shown
 
 
-class Projected(diffrax.AbstractWrappedSolver):
+class Projected(diffrax.AbstractWrappedSolver[Any]):
     """A method of diffrax, and after every step of it the return to the constraints.
 
     A step begins at the projected end of the one before. The last derivative that a method may have kept
@@ -26,7 +26,7 @@ class Projected(diffrax.AbstractWrappedSolver):
         width: Length of $y$.
     """
 
-    solver: diffrax.AbstractSolver
+    solver: diffrax.AbstractSolver[Any]
     project: Callable[[Any, Any], Any]
     width: int = eqx.field(static=True)
 

@@ -24,7 +24,7 @@ from .._xla import VECTOR
 Field = Callable[[Array, Array], tuple[Array, Array]]
 
 
-class Rosenbrock(diffrax.AbstractAdaptiveSolver):
+class Rosenbrock(diffrax.AbstractAdaptiveSolver[Any]):
     r"""Rodas5P: a linearly implicit, L-stable method of order 5 with 8 stages, for runs of seconds and more.
 
     Joint damping on light links makes rates of several hundred per second. They die out at once, but limit
@@ -56,28 +56,28 @@ class Rosenbrock(diffrax.AbstractAdaptiveSolver):
     the Julia Differential Equations package", BIT Numerical Mathematics 63, 27 (2023).
     """
 
-    term_structure: ClassVar = diffrax.AbstractTerm
-    interpolation_cls: ClassVar = diffrax.LocalLinearInterpolation
+    term_structure: ClassVar[Any] = diffrax.AbstractTerm
+    interpolation_cls: ClassVar[Any] = diffrax.LocalLinearInterpolation
 
-    def order(self, terms: diffrax.AbstractTerm) -> int:
+    def order(self, terms: diffrax.AbstractTerm[Any, Any]) -> int:
         """Order of the method."""
         return 5
 
-    def error_order(self, terms: diffrax.AbstractTerm | None) -> int:
+    def error_order(self, terms: diffrax.AbstractTerm[Any, Any] | None) -> int:
         """Order of the error estimate, as step-size controllers want it."""
         return 5
 
-    def init(self, terms: diffrax.AbstractTerm, t0: Any, t1: Any, y0: Any, args: Any) -> None:
+    def init(self, terms: diffrax.AbstractTerm[Any, Any], t0: Any, t1: Any, y0: Any, args: Any) -> None:
         """Nothing is kept between steps."""
         return None
 
-    def func(self, terms: diffrax.AbstractTerm, t0: Any, y0: Any, args: Any) -> Any:
+    def func(self, terms: diffrax.AbstractTerm[Any, Any], t0: Any, y0: Any, args: Any) -> Any:
         """The vector field."""
         return terms.vf(t0, y0, args)
 
     def step(
         self,
-        terms: diffrax.AbstractTerm,
+        terms: diffrax.AbstractTerm[Any, Any],
         t0: Any,
         t1: Any,
         y0: Any,

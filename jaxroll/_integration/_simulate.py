@@ -9,7 +9,7 @@ import contextlib
 import functools
 from collections.abc import Collection
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -77,14 +77,14 @@ def simulate(
     t0: Given = 0.0,
     ts: Given | int = 301,
     formulation: Formulation | None = None,
-    solver: diffrax.AbstractSolver | None = None,
+    solver: diffrax.AbstractSolver[Any] | None = None,
     rtol: Given = RTOL,
     atol: Given | None = None,
     dt0: Given = 1e-4,
     max_steps: int = 4096,
     events: Collection[str] = ("lift", "friction"),
-    stepsize_controller: diffrax.AbstractStepSizeController | None = None,
-    progress_meter: diffrax.AbstractProgressMeter | None = None,
+    stepsize_controller: diffrax.AbstractStepSizeController[Any, Any] | None = None,
+    progress_meter: diffrax.AbstractProgressMeter[Any] | None = None,
     record: Collection[str] = (),
     throw: bool = True,
 ) -> Trajectory:
@@ -179,9 +179,9 @@ def simulate(
 class Setup(NamedTuple):
     """The arguments that decide which program is compiled."""
 
-    solver: diffrax.AbstractSolver
+    solver: diffrax.AbstractSolver[Any]
     controller: diffrax.AbstractStepSizeController | None
-    progress: diffrax.AbstractProgressMeter | None
+    progress: diffrax.AbstractProgressMeter[Any] | None
     max_steps: int
     record: tuple[str, ...]
     events: tuple[str, ...]

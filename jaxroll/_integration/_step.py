@@ -59,7 +59,7 @@ class RollingStep(eqx.Module):
         reverse: Whether JAX is to transpose the loop over the stages, as in dense output.
     """
 
-    method: diffrax.AbstractSolver
+    method: diffrax.AbstractSolver[Any]
     formulation: Formulation
     lay: Layout = eqx.field(static=True)
     events: tuple[str, ...] = eqx.field(static=True)

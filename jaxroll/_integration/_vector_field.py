@@ -58,7 +58,7 @@ class VectorField(eqx.Module):
     _lay: Layout = eqx.field(static=True)
 
     @property
-    def terms(self) -> diffrax.ODETerm:
+    def terms(self) -> diffrax.ODETerm[Any]:
         """$y' = f(t, y)$, for `terms` of `diffeqsolve`; its `args` are not looked at."""
         return diffrax.ODETerm(self)
 
@@ -86,7 +86,7 @@ class VectorField(eqx.Module):
         leaves, instant = self._at(t, y)
         return returned(self._lay, self.grasp, y, anchor_of(instant), sweeps=SWEEPS)
 
-    def projected(self, solver: diffrax.AbstractSolver | None = None) -> Projected:
+    def projected(self, solver: diffrax.AbstractSolver[Any] | None = None) -> Projected:
         """A method of diffrax that projects after every step; None: `diffrax.Dopri8()`.
 
         Raises:

@@ -336,9 +336,9 @@ def accelerations(
 ) -> Float[Array, "... n"]:
     r"""Accelerations $\dot v$ of one state, or along a leading time axis: in the order of `State.v`.
 
-    From (1)-(3), (73)-(74) with the constraints differentiated twice, $A \dot v = -\dot A v$; with torques put
-    in, these are the closed loops (19), (23) of `control.Opposition` and (76)-(77) of `control.Press`. The
-    bodies' velocities are in the coordinates of their classes (of a `FreeObject3` the spin in body axes).
+    From (1)-(3), (73)-(74) with the constraints differentiated twice, $A \dot v = -\dot A v$; with torques
+    put in, these are the closed loops (19), (23) of `control.Opposition` and (76)-(77) of `control.Press`.
+    The bodies' velocities are in the coordinates of their classes (of a `FreeObject3` the spin in body axes).
 
     Returns:
         Shape (..., n) [m/s^2, rad/s^2].

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from .._results import as_count, check_instance, shown
+from .._results import as_count, check_flag, check_instance, shown
 from ..geometry import AbstractContour, metres_per
 from ._mesh import read_ply_points
 from ._outline import outline, positive
@@ -29,12 +29,15 @@ def read_points(
     pixel: float | None = None,
     which: int = 0,
     samples: int = 400,
+    fill: bool = False,
     columns: tuple[int, int] = (0, 1),
 ) -> np.ndarray:
     """Points [m] of an outline in a file: CSV, TXT, DAT, NPY, SVG or DXF.
 
-    Paths made of straight pieces give their corners, others `samples` points at equal distances. An SVG's y,
-    which points down, is turned up. A drawing's own unit, where it states one, must agree with `unit`.
+    Paths made of straight pieces give their corners, others `samples` points at equal distances; with `fill`
+    both give all corners and about so many points between them. That is what `fit_contour` wants of a drawing
+    with corners, and a `smallest_radius` to round them to. An SVG's y, which points down, is turned up. A
+    drawing's own unit, where it states one, must agree with `unit`.
 
     Args:
         path: The file.
@@ -42,6 +45,7 @@ def read_points(
         pixel: Size of a pixel [m] with `unit` "px"; the standard says 0.0254 / 96.
         which: SVG and DXF: which outline, counting from the largest.
         samples: SVG and DXF: number of points along an outline with curved pieces.
+        fill: SVG and DXF: whether there are points along straight pieces too, and one at every corner.
         columns: Tables: the columns of x and y, counting from 0.
 
     Returns:
@@ -69,11 +73,11 @@ def read_points(
         )
     scale = positive("pixel", pixel) if unit == "px" else metres_per(unit)
     samples, which = as_count("samples", samples, least=6), as_count("which", which, least=0)
-    chosen = _columns("columns", columns, 2)
+    chosen, fill = _columns("columns", columns, 2), check_flag("fill", fill)
     if kind == ".svg":
-        return scale * read_svg(path, scale, which, samples)
+        return scale * read_svg(path, scale, which, samples, fill)
     if kind == ".dxf":
-        return scale * read_dxf(path, scale, which, samples)
+        return scale * read_dxf(path, scale, which, samples, fill)
     return scale * (read_npy if kind == ".npy" else read_csv)(path, chosen)
 
 

@@ -1,4 +1,9 @@
-"""Silhouettes out of greyscale images; the only file that imports scikit-image."""
+"""Silhouettes out of images, grey or in colour; the only file that imports scikit-image.
+
+Of a photograph in colour, what surrounds the shape is known from the image's border: a colour that may change
+across the image, as light does, by a polynomial of second degree. The distance of every pixel's colour from
+it is an image of grey values again, dark outside the shape and bright within, however the shape is shaded.
+"""
 
 from typing import Any
 
@@ -9,26 +14,38 @@ from ..geometry import polygon_area
 from ._extra import missing
 from ._outline import positive
 
+_BLUR = 0.7  # standard deviation [pixels] by which a colour image is smoothed
+_CONTRAST = 4.0  # least distance of a shape's colours from the background, in the border's own
+
 
 def read_silhouette(
     image: Any, *, pixel: float, threshold: float | None = None, which: int = 0
 ) -> np.ndarray:
-    """Points on the outline of a shape in a greyscale image, to a fraction of a pixel.
+    """Points on the outline of a shape in an image, to a fraction of a pixel.
 
     Marching squares: where the grey value, linear between pixels, crosses the threshold. The origin is the
-    middle of the lower left pixel, x to the right, y up.
+    middle of the lower left pixel, x to the right, y up. Of a colour image the grey value is the distance of
+    a pixel's colour from the background's, which is worked out from the image's border; of one that is
+    transparent around the shape, it is the opacity. Noise of some pixels' length is left in the outline:
+    `fit_contour` with a `smallest_radius` takes it out.
 
     Args:
-        image: Shape (rows, columns), row 0 at the top.
+        image: Shape (rows, columns), or (rows, columns, 3) or (rows, columns, 4) with red, green, blue and
+            opacity, in any range; row 0 at the top.
         pixel: Size of a pixel [m].
-        threshold: Grey value of the outline; None: Otsu's, which parts the histogram best in two.
+        threshold: Grey value of the outline. None: Otsu's, which parts the histogram best in two; in colour
+            half the distance that four fifths of the shape exceed.
         which: Which shape, counting from the one of the largest area.
 
     Returns:
         Shape (n, 2) [m], counter-clockwise, the first point not repeated.
 
     Raises:
-        ValueError: If there is no such outline, or the image's border cuts it.
+        ValueError: If there is no such outline, the image's border cuts it, or nothing in a colour image
+            differs from its border.
+
+    Accuracy: a shaded disc of 150 pixels before a background with a gradient, saved as JPEG of quality 80,
+    is found within 0.6 pixels everywhere and 0.2 in the mean.
         ImportError: Without the extra `cad`.
 
     Example:
@@ -43,10 +60,12 @@ def read_silhouette(
         grey = np.asarray(image)
     except (TypeError, ValueError):
         raise ValueError(f"argument image must be grey values of one shape, but was {shown(image)}") from None
-    if grey.ndim != 2 or min(grey.shape) < 2 or grey.dtype.kind not in "buif":
+    shape, channels = grey.shape[:2], grey.shape[2] if grey.ndim == 3 else 1
+    wanted = grey.ndim in (2, 3) and (grey.ndim == 2 or channels in (3, 4))
+    if not wanted or min(shape) < 2 or grey.dtype.kind not in "buif":
         raise ValueError(
-            f"argument image must be grey values of shape (rows, columns), but was {grey.dtype} of "
-            f"shape {grey.shape}"
+            "argument image must be grey values of shape (rows, columns), or colours of shape (rows, "
+            f"columns, 3 or 4), but was {grey.dtype} of shape {grey.shape}"
         )
     grey = grey.astype(float)
     if not np.all(np.isfinite(grey)):
@@ -54,6 +73,9 @@ def read_silhouette(
     pixel, which = positive("pixel", pixel), as_count("which", which, least=0)
     if threshold is not None:
         threshold = float(as_floats("threshold", threshold, ()))
+    if channels > 1:
+        grey, level = _from_background(grey)
+        threshold = level if threshold is None else threshold
     # Shapes may be brighter or darker than what surrounds them: outlines run either way, and their areas have
     # either sign.
     found = sorted(_outlines(grey, threshold), key=lambda points: -abs(polygon_area(points)))
@@ -76,9 +98,72 @@ def read_silhouette(
 def _outlines(grey: np.ndarray, threshold: float | None) -> list[np.ndarray]:
     """Lines of constant grey value, each of shape (n, 2) as row and column; Otsu's threshold by default."""
     try:
-        from skimage.filters import threshold_otsu
         from skimage.measure import find_contours
     except ImportError:
         raise missing("scikit-image") from None
-    level = float(threshold_otsu(grey)) if threshold is None else threshold
-    return find_contours(grey, level)
+    return find_contours(grey, _otsu(grey) if threshold is None else threshold)
+
+
+def _from_background(colours: np.ndarray) -> tuple[np.ndarray, float]:
+    """Distances of an image's colours from its background's, and the distance at which a shape begins.
+
+    Args:
+        colours: Shape (rows, columns, 3 or 4).
+    """
+    from scipy.ndimage import gaussian_filter  # imported with the first use
+
+    if colours.shape[2] == 4:
+        opacity = colours[..., 3]
+        if np.ptp(opacity) > 0.0:
+            return opacity, float(0.5 * (opacity.min() + opacity.max()))
+        colours = colours[..., :3]
+    # JPEG's noise is mostly in single pixels and in blocks of eight; this takes the former out.
+    smooth = gaussian_filter(colours, sigma=(_BLUR, _BLUR, 0.0), mode="nearest")
+    distances = np.linalg.norm(smooth - _background(smooth), axis=2)
+    rim = _border(distances.shape)
+    usual = float(np.median(distances[rim])) + np.finfo(float).tiny
+    # On a logarithmic scale a shape's bright and dark parts are one group, and the background another.
+    apart = np.log(distances / usual + 1.0)
+    inside = distances[apart > _otsu(apart)]
+    least = float(np.quantile(inside, 0.2)) if inside.size else 0.0
+    if least < _CONTRAST * usual:
+        raise ValueError(
+            "argument image must show a shape whose colour differs from the border's, but the largest "
+            f"difference is {distances.max():.3g}, and along the border there is one of {usual:.3g}"
+        )
+    return distances, 0.5 * least
+
+
+def _border(shape: tuple[int, ...]) -> np.ndarray:
+    """Where the outermost pixels of an image are: a fiftieth of its shorter side, at least one."""
+    width = max(1, min(shape[:2]) // 50)
+    rim = np.ones(shape[:2], bool)
+    rim[width:-width, width:-width] = False
+    return rim
+
+
+def _background(colours: np.ndarray) -> np.ndarray:
+    """A polynomial of second degree in row and column for every colour, fitted to the image's border.
+
+    In three rounds pixels that lie off by more than three times the median lose their say: the shape may
+    touch the border.
+    """
+    rows, columns = (np.linspace(-1.0, 1.0, n) for n in colours.shape[:2])
+    y, x = np.meshgrid(rows, columns, indexing="ij")
+    terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
+    rim = _border(colours.shape)
+    matrix, seen, kept = terms[rim], colours[rim], np.ones(int(rim.sum()), bool)
+    for _ in range(3):
+        found = np.linalg.lstsq(matrix[kept], seen[kept], rcond=None)[0]
+        off = np.linalg.norm(seen - matrix @ found, axis=1)
+        kept = off <= 3.0 * np.median(off) + np.finfo(float).tiny
+    return terms @ found
+
+
+def _otsu(values: np.ndarray) -> float:
+    """Otsu's threshold, which parts a histogram best in two."""
+    try:
+        from skimage.filters import threshold_otsu
+    except ImportError:
+        raise missing("scikit-image") from None
+    return float(threshold_otsu(values))

@@ -108,6 +108,40 @@ def even(polygon: np.ndarray, count: int, *, closed: bool) -> np.ndarray:
     return np.stack([np.interp(at, along, column) for column in around.T], axis=1)
 
 
+def filled_places(total: float, corners: np.ndarray, count: int, *, closed: bool) -> np.ndarray:
+    """Arclengths of about so many points: every corner, and evenly spaced ones from each to the next.
+
+    Args:
+        total: Length of the outline.
+        corners: Arclengths of the corners, rising from zero on.
+        count: About how many points.
+        closed: Whether the last point is followed by the first.
+    """
+    if closed and len(corners):
+        ends = np.append(corners, corners[0] + total)
+    else:
+        ends = np.unique(np.concatenate([[0.0], corners, [total]]))
+    parts = [
+        np.linspace(a, b, max(1, round(count * (b - a) / total)), endpoint=False)
+        for a, b in zip(ends[:-1], ends[1:], strict=True)
+    ]
+    places = np.concatenate(parts if closed else [*parts, [total]])
+    return np.sort(places % total) if closed else places
+
+
+def filled(polygon: np.ndarray, count: int, *, closed: bool, sharp: float) -> np.ndarray:
+    """About so many points along a polygon, with all its corners that are sharper than an angle [rad]."""
+    around = np.concatenate([polygon, polygon[:1]]) if closed else polygon
+    sides = np.diff(around, axis=0)
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(sides, axis=1))])
+    after = sides if closed else sides[1:]
+    before = np.roll(sides, 1, axis=0) if closed else sides[:-1]
+    turn = np.arctan2(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0], np.sum(before * after, axis=1))
+    corners = np.flatnonzero(np.abs(turn) > sharp) + (0 if closed else 1)
+    at = filled_places(float(along[-1]), along[corners], count, closed=closed)
+    return np.stack([np.interp(at, along, column) for column in around.T], axis=1)
+
+
 def chosen(outlines: list[np.ndarray], which: int, what: str) -> np.ndarray:
     """The outline with a given number, counting from the one with the largest bounding box (by its diagonal).
 

@@ -16,8 +16,10 @@ import numpy as np
 
 from .._results import shown
 from ._extra import missing
-from ._outline import chosen, even
+from ._outline import chosen, even, filled, filled_places
 
+# Least angles [rad] of a corner: between straight pieces, between any, and in a polygon along a curve.
+_ANY, _SHARP, _ALONG = 1e-9, 0.02, 0.1
 _FINE = 64  # intervals of the parameter of a curved piece, from which its length is summed
 # Metres in the units in which an SVG may state its width; metres in a DXF's unit by the code that it states
 # ($INSUNITS), and the code of each unit that is written.
@@ -26,7 +28,7 @@ _CODES = {1: 0.0254, 2: 0.3048, 4: 1e-3, 5: 1e-2, 6: 1.0, 8: 2.54e-8, 9: 2.54e-5
 _CODE_OF = {"in": 1, "mm": 4, "m": 6, "um": 13}
 
 
-def read_svg(path: Path, scale: float, which: int, samples: int) -> np.ndarray:
+def read_svg(path: Path, scale: float, which: int, samples: int, fill: bool) -> np.ndarray:
     """Points of one outline in the drawing's own unit, y up.
 
     Args:
@@ -34,6 +36,7 @@ def read_svg(path: Path, scale: float, which: int, samples: int) -> np.ndarray:
         scale: Metres in one unit of the drawing, according to the caller.
         which: Which outline, counting from the largest.
         samples: Number of points on an outline with curved pieces.
+        fill: Whether there are points along straight pieces, and one at every corner.
     """
     try:
         from svgpathtools import Document
@@ -44,7 +47,7 @@ def read_svg(path: Path, scale: float, which: int, samples: int) -> np.ndarray:
         drawing = Document(str(path))
         pieces = [piece for whole in drawing.paths() for piece in whole.continuous_subpaths() if len(piece)]
     _check_scale(scale, _svg_scale(drawing.tree.getroot(), path), path)
-    outlines = [_along(piece, samples) for piece in pieces]
+    outlines = [_along(piece, samples, fill) for piece in pieces]
     return _finite(chosen(outlines, which, f"outlines in {path.name}"), path) * np.array([1.0, -1.0])
 
 
@@ -80,7 +83,7 @@ def _check_scale(scale: float, stated: float | None, path: Path) -> None:
         )
 
 
-def _along(piece: Any, samples: int) -> np.ndarray:
+def _along(piece: Any, samples: int, fill: bool) -> np.ndarray:
     """Corners of a path of straight pieces; of any other, points at equal distances on the curve itself.
 
     svgpathtools has points as complex numbers, x + iy.
@@ -88,7 +91,8 @@ def _along(piece: Any, samples: int) -> np.ndarray:
     closed = bool(piece.isclosed())
     if all(type(segment).__name__ == "Line" for segment in piece):
         corners = np.array([segment.start for segment in piece] + ([] if closed else [piece[-1].end]))
-        return np.stack([np.real(corners), np.imag(corners)], axis=1)
+        corners = np.stack([np.real(corners), np.imag(corners)], axis=1)
+        return filled(corners, samples, closed=closed, sharp=_ANY) if fill else corners
     # Length along the path against its parameter, which is the number of the piece plus the parameter within
     # it; then the parameters at equal lengths.
     t = np.linspace(0.0, 1.0, _FINE + 1)
@@ -96,6 +100,14 @@ def _along(piece: Any, samples: int) -> np.ndarray:
     steps = np.abs(np.diff(fine, axis=1)).ravel()
     along = np.concatenate([[0.0], np.cumsum(steps)])
     at = np.linspace(0.0, along[-1], samples + 1)[:-1] if closed else np.linspace(0.0, along[-1], samples)
+    if fill:
+        # Directions at both ends of every piece, from its first and last thousandth.
+        out = np.array([segment.point(1e-3) - segment.start for segment in piece])
+        end = np.array([segment.end - segment.point(1.0 - 1e-3) for segment in piece])
+        turn = np.abs(np.angle(out * np.conj(np.roll(end, 1))))
+        turn[0] = turn[0] if closed else 0.0
+        corners = along[::_FINE][:-1][turn > _SHARP]
+        at = filled_places(float(along[-1]), corners, samples, closed=closed)
     place = np.interp(at, along, np.arange(len(along)) / _FINE)
     which = np.minimum(place.astype(int), len(piece) - 1)
     points = np.array([piece[i].point(x - i) for i, x in zip(which.tolist(), place.tolist(), strict=True)])
@@ -137,7 +149,7 @@ def _ezdxf() -> Any:
     return ezdxf
 
 
-def read_dxf(path: Path, scale: float, which: int, samples: int) -> np.ndarray:
+def read_dxf(path: Path, scale: float, which: int, samples: int, fill: bool) -> np.ndarray:
     """Points of one outline in the drawing's own unit.
 
     Pieces (lines, arcs, splines) whose ends meet are joined to one outline, unless more than two meet at a
@@ -162,7 +174,10 @@ def read_dxf(path: Path, scale: float, which: int, samples: int) -> np.ndarray:
     for line, curved in joined:
         closed = bool(np.linalg.norm(line[0] - line[-1]) <= 1e-6 * size)
         line = line[:-1] if closed else line
-        outlines.append(even(line, samples, closed=closed) if curved else line)
+        if fill:
+            outlines.append(filled(line, samples, closed=closed, sharp=_ALONG if curved else _ANY))
+        else:
+            outlines.append(even(line, samples, closed=closed) if curved else line)
     return _finite(chosen(outlines, which, f"outlines in {path.name}"), path)
 
 

@@ -18,6 +18,7 @@ from ._ordering import crust, nearest_points, place_text, zigzags
 
 _WIDER = 1.4  # factor from one scale that is tried to the next
 _THIN = 0.2  # most of the rms distance from the chain, in scales: a filled area has 0.29
+_TRIES = 7  # scales at which the given order is looked at
 _FEWEST = 8  # fewest means in a chain
 _WIDEST = 0.125  # widest scale that is tried, as a share of the larger extent
 _DENSE = 8  # nearest points whose distance tells how dense the points are somewhere
@@ -58,8 +59,8 @@ def found_band(points: np.ndarray, scale: float, *, closed: bool, ordered: bool 
     if ordered is not False:
         kept, strays = _without_detours(points, scale, closed=closed)
         # What noise makes look like no order at one scale may be one at the next.
-        for wider in (1.0, _WIDER, _WIDER**2):
-            chain = _strung(points[kept], wider * scale, closed=closed)
+        for wider in scale * _WIDER ** np.arange(_TRIES):
+            chain = _strung(points[kept], wider, closed=closed)
             if _plausible(chain, closed=closed):
                 return Band(chain, kept, strays, reordered=False)
         if ordered:

@@ -120,7 +120,7 @@ def fit_contour(
 
     Measured points want `smallest_radius`. The contour's curvature is then nowhere above its inverse, in
     concave parts as little as in convex ones, and everything else is found: the noise, from how neighbours
-    differ; the smoothing, as the wavelength $2\pi\sqrt{\sigma R}$ at which noise of standard deviation
+    differ; the smoothing, from the wavelength $2\pi\sqrt{\sigma R}$ on at which noise of standard deviation
     $\sigma$ bends by 1/R; an order, also where the points scatter by more than their spacing; which points
     lie off alone, and are left out; where the points bend more sharply, and are rounded. The report has all
     of that. Such a contour is a spline through nodes of its own.
@@ -140,7 +140,7 @@ def fit_contour(
         smoothing: Wavelength [m] of wiggles to halve, instead of `noise`.
         smallest_radius: Smallest radius of curvature [m] that the contour may have.
         knots: Number of knots; None: one at every point, but at most 512 where smoothing; with
-            `smallest_radius` five to that, at most 2048.
+            `smallest_radius` five to that, at most 1024.
         unit: Of `points`: "m", "mm", "um" or "in". All else is in metres.
         reverse: Turn an open contour round, where the points have the body on their right.
 
@@ -249,6 +249,15 @@ class Measured(NamedTuple):
     curvatures: Any
     ends: Any
     peak: Any
+
+
+def _through(nodes: np.ndarray, *, closed: bool) -> Spline:
+    """The spline through nodes at equal distances, over arclength.
+
+    With a number of knots, a closed one keeps arclength as its parameter. In one that follows the curvature,
+    nodes at equal distances are unevenly spaced: the curvature between them was a quarter too large.
+    """
+    return Spline(nodes, closed=closed, knots=len(nodes) if closed else None)
 
 
 @dataclass(frozen=True)
@@ -392,7 +401,7 @@ def _bent_at_most(points: np.ndarray, wanted: Wanted) -> Fit:
         peak = wanted.radius * found.sharpest()
         if peak <= 1.0 - _SPARE:
             nodes = found.curve.nodes
-            contour = _resolved(Spline(nodes, closed=wanted.closed, knots=len(nodes)))
+            contour = _resolved(_through(nodes, closed=wanted.closed))
             seen = _measured(tabled(contour), ready.clean.points)
             peak = wanted.radius * float(seen.peak)
             if peak <= 1.0:

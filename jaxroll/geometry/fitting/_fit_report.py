@@ -137,10 +137,10 @@ def _plural(things: Sized) -> str:
 def doubts(report: FitReport, points: np.ndarray, distances: np.ndarray) -> list[str]:
     """Warnings about the fitted contour, as sentences."""
     spacing = float(np.median(np.linalg.norm(np.diff(points, axis=0), axis=1)))
-    found, radius = [], report.radius
+    found, radius, free = [], report.radius, report.smallest_radius is None
     if report.self_intersecting:
         found.append("The contour crosses itself: state the noise, or thin out the points.")
-    if report.smallest_radius is None and radius < spacing:
+    if free and radius < spacing:
         found.append(
             f"The contour bends with a radius of {1e3 * radius:.3g} mm, less than the points' spacing of "
             f"{1e3 * spacing:.3g} mm: it follows noise or a corner, or the points are too few."
@@ -148,10 +148,11 @@ def doubts(report: FitReport, points: np.ndarray, distances: np.ndarray) -> list
     if report.inflections > _MANY:
         found.append(
             f"The curvature changes sign {report.inflections} times: the contour may follow "
-            "errors of the points; a larger noise or smoothing leaves them out."
+            "errors of the points; a larger "
+            f"{'noise or smoothing' if free else 'smallest_radius'} leaves them out."
         )
     rms, worst = report.rms, int(np.argmax(distances))
-    if report.smallest_radius is None and distances[worst] > max(5.0 * rms, 1e-3 * spacing):
+    if free and distances[worst] > max(5.0 * rms, 1e-3 * spacing):
         found.append(
             f"The point {place_text(points[worst])} lies {1e3 * distances[worst]:.3g} mm off the contour, "
             f"{distances[worst] / rms:.1f} times the rms distance."
@@ -205,6 +206,12 @@ def recommended(report: FitReport, points: np.ndarray) -> str:
     """What to ask for instead, in a sentence, or nothing."""
     noisy = report.inflections > _MANY or report.self_intersecting
     if report.field == "spline" and report.smallest_radius is None:
+        corners = [jump for jump in report.jumps if jump.angle]
+        if corners:
+            return (
+                f"smallest_radius, as the radius that the points' {len(corners)} "
+                f"corner{_plural(corners)} are to be rounded to."
+            )
         spacing = float(np.median(np.linalg.norm(np.diff(points, axis=0), axis=1)))
         radius = natural_radius(points, closed=report.closed) if noisy or report.radius < spacing else None
         if radius is None:

@@ -21,13 +21,15 @@ from ._departures import strays
 from ._even_spline import EvenSpline, low_passed
 
 # Numbers of nodes; few of them, because programs are compiled for each.
-NODES = (48, 64, 96, 128, 192, 256, 384, 512, 768, 1024, 1536, 2048)
+NODES = (48, 64, 96, 128, 192, 256, 384, 512, 768, 1024)
 _PER_RADIUS = 5.0  # nodes to a smallest radius
 _SCALE = 0.25  # of the means that order the points, in smallest radii
 _BROAD = 6.0  # wavelength of the first curve, in smallest radii
 # Where there are fewer than _STEPS points to the wavelength, it is up to _LONGER times as long.
 _STEPS = 5.0
 _LONGER = 1.5
+_MORE = 6  # powers of _LONGER that are tried where the points allow more smoothing
+_MOVED = 1.2  # most that this moves the curve, in standard deviations
 # Least noise that is reckoned with, in smallest radii: in smoothing, which leaves a tenth of it, and in how
 # far points may lie off.
 _SMOOTH = 5e-3
@@ -71,6 +73,7 @@ class Limited:
         start: A smooth curve roughly among the points.
         noise: Standard deviation of each coordinate [m], given or estimated.
         wanted: What was asked for.
+        longer: How many times the wavelength that the radius asks for is halved.
     """
 
     clean: CleanPoints
@@ -79,6 +82,7 @@ class Limited:
     start: EvenSpline
     noise: float
     wanted: Wanted
+    longer: float = 1.0
 
     @property
     def wavelength(self) -> float:
@@ -87,7 +91,7 @@ class Limited:
             return self.wanted.smoothing
         felt = max(self.noise, _SMOOTH * self.wanted.radius)
         shortest = 2.0 * np.pi * float(np.sqrt(felt * self.wanted.radius))
-        return float(np.clip(self.sparse, shortest, _LONGER * shortest))
+        return self.longer * float(np.clip(self.sparse, shortest, _LONGER * shortest))
 
     @property
     def sparse(self) -> float:
@@ -141,7 +145,7 @@ def limited(points: np.ndarray, wanted: Wanted) -> Limited:
     check_spacing(band.chain, closed=closed)
     line, start = _started(ordered, band.chain, wanted)
     merged = len(points) - len(kept)
-    doubts = (*doubts, *size_warnings(ordered))
+    doubts = (*doubts, *size_warnings(ordered), *_sparse(ordered, wanted))
     clean = CleanPoints(ordered, merged, band.reordered, bool(closed and against), doubts)
     return _judged(Limited(clean, kept[band.strays], line, start, wanted.noise or 0.0, wanted))
 
@@ -156,20 +160,52 @@ def _judged(ready: Limited) -> Limited:
         frame = curve.frames(feet := curve.feet(points))
         away = np.sum((points - frame.point) * frame.normal, axis=1)
         ready = replace(ready, noise=estimated_noise(feet, away))
-    # A curve that follows every point would leave nothing to estimate the noise from.
-    wide = replace(wanted, smoothing=max(ready.wavelength, ready.sparse))
+    # A curve that follows every point would leave nothing to estimate the noise from; and errors that
+    # neighbours share, as in silhouettes and meshes, are seen on the scale of the radius alone.
+    wide = replace(wanted, smoothing=max(ready.wavelength, ready.sparse, wanted.radius))
     found = replace(ready, wanted=wide).solved(_SHARE)
     if wanted.noise is None:
-        ready = replace(ready, noise=estimated_noise(found.feet, found.distances))
+        shared = 1.4826 * float(np.median(np.abs(found.distances)))
+        noise = max(estimated_noise(found.feet, found.distances), shared)
+        ready = replace(ready, noise=min(noise, _SCALE * wanted.radius))
     bending = wanted.radius * found.curve.frames(found.feet).curvature
     alone = strays(found.feet, found.distances, bending, ready.noise, wanted.radius)
     if len(alone) > _FEW_STRAYS * len(points):
         alone = alone[:0]
     clean = replace(ready.clean, points=np.delete(points, alone, axis=0))
     check_number(clean.points)
-    return replace(
+    ready = replace(
         ready, clean=clean, strays=np.concatenate([ready.strays, points[alone]]), start=found.curve
     )
+    return ready if wanted.smoothing is not None else _smoothest(ready)
+
+
+def _smoothest(ready: Limited) -> Limited:
+    r"""With as long a wavelength as serves the points: of those tried, the one of Mallows' least estimate.
+
+    That is $\sum_i \min(r_i^2, 9\sigma^2) + 2\sigma^2\,\mathrm{tr}\,H$; a filter that passes the share
+    $1/(1 + (\ell k/L)^6)$ of the k-th wave has the trace $\frac{2\pi}{3} L/\ell$. A wavelength that moves the
+    curve by more than the noise anywhere is not taken, whatever the sum says: it would cost a bend.
+    """
+    length, sigma = float(ready.start.arclengths()[1][-1]), ready.noise
+    if not sigma > _SMOOTH * ready.wanted.radius:
+        return ready
+
+    def estimate(wavelength: float, distances: np.ndarray) -> float:
+        square = np.minimum(distances**2, 9.0 * sigma**2)
+        return float(square.sum() + 4.0 * np.pi / 3.0 * sigma**2 * length / wavelength)
+
+    first = ready.solved(_SHARE).distances
+    least = estimate(ready.wavelength, first)
+    for longer in _LONGER ** np.arange(1, _MORE):
+        trial = replace(ready, longer=float(longer))
+        found = trial.solved(_SHARE)
+        value = estimate(trial.wavelength, found.distances)
+        moved = float(np.abs(found.distances - first).max())
+        if value >= least or moved > _MOVED * sigma or trial.wavelength > 0.5 * length:
+            break
+        ready, least = replace(trial, start=found.curve), value
+    return ready
 
 
 def estimated_noise(places: np.ndarray, distances: np.ndarray) -> float:
@@ -202,6 +238,17 @@ def _check_width(points: np.ndarray, wanted: Wanted) -> None:
             f"argument smallest_radius must be at most {most:.4g} m here, {what}, but was "
             f"{wanted.radius:.4g} m"
         )
+
+
+def _sparse(points: np.ndarray, wanted: Wanted) -> list[str]:
+    """Warn of points farther apart than the radius: what lies between them is not known at its scale."""
+    apart = float(np.median(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+    if apart <= wanted.radius:
+        return []
+    return [
+        f"The points are {1e3 * apart:.3g} mm apart, more than the smallest radius: between them the contour "
+        "is a guess."
+    ]
 
 
 def _turned(band: Band, wanted: Wanted) -> tuple[Band, bool, tuple[str, ...]]:

@@ -1,4 +1,7 @@
-"""The command line: scenes of the chapter, fingertips by design, shapes from files and pinches of them."""
+"""The command line: scenes of the chapter, fingertips by design, shapes from files and pinches of them.
+
+`sweep` runs a scene many times, and `map` draws what came of it.
+"""
 
 import argparse
 import math
@@ -101,6 +104,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         parser.print_help()
         return 0
     try:
+        if options.command in ("sweep", "map"):
+            _sweep_or_map(options)
+            return 0
         folder = _folder(options)
         if options.command in _ORDERS:
             return _ORDERS[options.command](options, folder)
@@ -130,7 +136,10 @@ def _folder(options: argparse.Namespace) -> Path:
     if tip is not None and not Path(tip).is_file():
         raise _Unfit(f"argument --tip must name a file, but there is none called {tip!r}")
     name = options.scene if options.command == "demo" else options.command
-    given = f"jaxroll-{name}" if options.out is None else options.out
+    return _writable(f"jaxroll-{name}" if options.out is None else options.out)
+
+
+def _writable(given: str) -> Path:
     try:
         if not given.strip():
             raise ValueError("it was empty")
@@ -169,6 +178,7 @@ def _parser() -> _Parser:
     demo.add_argument("--no-animation", action="store_true", help="write no motion.gif")
     _design_parser(commands)
     _shape_parsers(commands)
+    _cli.sweep_parser(commands, _number)
     return parser
 
 
@@ -247,6 +257,9 @@ def _number(low: float, high: float, kind: type = float) -> Callable[[str], Any]
 
 
 def _configure() -> None:
+    # SciPy's OpenBLAS, to which XLA hands factorisations, may wait for itself for ever when several threads
+    # call it, as those of a sweep do. It reads this when it is loaded.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     import jax
 
     jax.config.update("jax_enable_x64", True)
@@ -360,6 +373,15 @@ def _shape(options: argparse.Namespace) -> Any:
 
 # What each command does that is no demo and no design.
 _ORDERS: dict[str, Callable[[argparse.Namespace, Path], int]] = {"fit": _fit, "pinch": _pinch}
+
+
+def _sweep_or_map(options: argparse.Namespace) -> None:
+    order: Any = _cli.sweep_order(options) if options.command == "sweep" else _cli.map_order(options)
+    folder = _writable(order.out)
+    with _cli.timed("Loading"):
+        _configure()
+        work = _cli.swept if options.command == "sweep" else _cli.mapped
+    print("\n".join(work(order, folder, _cli.timed)))
 
 
 def _page(demo: Demo, folder: Path, names: list[str], *, plotting: Any, grasp: Any, run: Any) -> list[str]:

@@ -1,14 +1,12 @@
 r"""Maps over parameters: coarse first, then refined where a code or a value changes.
 
-A boundary between two outcomes is a line in a map of two parameters, so that of $N^2$ points only some N decide
-where it runs. `_cells` says which points are wanted, given the outcomes known so far; here they are run, in chunks
-of one compiled program, until no more are wanted.
+A boundary between two outcomes is a line in a map of two parameters, so that of $N^2$ points only some N
+decide where it runs. `_cells` says which points are wanted, given the outcomes known so far; here they are
+run, in chunks of one compiled program, until no more are wanted.
 """
 
-import os
 import sys
-from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import equinox as eqx
@@ -67,20 +65,21 @@ def adaptive_map(
 ) -> AdaptiveMap:
     r"""An outcome over a grid of parameters, run at few of its points and near all changes that these show.
 
-    First every 2**levels-th point along each axis is run. Then each cell between such points is halved along all
-    axes, and the new points are run, wherever the points known on it or on its border differ in a code, or in a
-    value by more than its tolerance; and so on, down to the cells of the grid. A cell that was left whole is
-    halved later where a neighbour's point on their border differs. So a boundary that is met anywhere is followed
-    to both of its ends, each point of it between two neighbouring points of the grid that were run.
+    First every 2**levels-th point along each axis is run. Then each cell between such points is halved along
+    all axes, and the new points are run, wherever the points known on it or on its border differ in a code,
+    or in a value by more than its tolerance; and so on, down to the cells of the grid. A cell that was left
+    whole is halved later where a neighbour's point on their border differs. So a boundary that is met
+    anywhere is followed to both of its ends, each point of it between two neighbouring points of the grid
+    that were run.
 
-    **What is missed**: whatever no point shows. A region that lies between the coarse points, so narrower than
-    2**levels steps of the grid along some axis, and does not reach one of them or a boundary that is followed, is
-    not in the map. Fewer `levels` leave less to chance, and cost more.
+    **What is missed**: whatever no point shows. A region that lies between the coarse points, so narrower
+    than 2**levels steps of the grid along some axis, and does not reach one of them or a boundary that is
+    followed, is not in the map. Fewer `levels` leave less to chance, and cost more.
 
     Args (daily use):
-        outcome: From one row of the parameters, `p.damping`, to a pytree of arrays, by JAX operations: such as
-            `simulate(*make(p), t1, throw=False).result` or `stability.assess(*make(p)).verdict`. Whole numbers,
-            truth values and codes are codes; and so is whether a number is finite.
+        outcome: From one row of the parameters, `p.damping`, to a pytree of arrays, by JAX operations: such
+            as `simulate(*make(p), t1, throw=False).result` or `stability.assess(*make(p)).verdict`. Whole
+            numbers, truth values and codes are codes; and so is whether a number is finite.
         grid: From `Parameters.grid`, or products of such.
         levels: How often a coarse cell is halved.
         tolerance: For floating values, one number for all or by name where the outcome is a dict: cells are
@@ -90,14 +89,15 @@ def adaptive_map(
         progress: Whether to report runs and speed on standard error; how many there will be nobody knows.
 
     Returns:
-        An `AdaptiveMap`. Where nothing was run a code is that of the cell's corners, which have one, and a value
-        is interpolated between them, linearly by the places of the points in the grid.
+        An `AdaptiveMap`. Where nothing was run a code is that of the cell's corners, which have one, and a
+        value is interpolated between them, linearly by the places of the points in the grid.
 
     Raises:
-        ValueError: If an argument does not fit, or the outcome has neither a code nor a value with a tolerance.
+        ValueError: If an argument does not fit, or the outcome has neither a code nor a value with a
+            tolerance.
 
-    Accuracy: over 320 x 320 pinches (friction, radius of the fingertips; `python -m benchmarks.maps`) the map is
-    that of all 102400 runs at every point.
+    Accuracy: over 320 x 320 pinches (friction, radius of the fingertips; `python -m benchmarks.maps`) the map
+    is that of all 102400 runs at every point.
 
     Example:
         >>> import numpy as np
@@ -117,9 +117,12 @@ def adaptive_map(
     check_flag("progress", progress)
     program = _Program(outcome, grid, min(size, grid.rows))
     limits = _limits(program.results, tolerance)
-    known, found = np.zeros(grid.shape, bool), [np.zeros((*grid.shape, *x.shape), x.dtype) for x in program.leaves]
+    known, found = (
+        np.zeros(grid.shape, bool),
+        [np.zeros((*grid.shape, *x.shape), x.dtype) for x in program.leaves],
+    )
     lines, spent = halved_lines(grid.shape, levels), 0
-    with program, tqdm(disable=not progress, unit=" runs", bar_format="{n} runs, {rate_noinv_fmt}") as meter:
+    with tqdm(disable=not progress, unit=" runs", bar_format="{n} runs, {rate_noinv_fmt}") as meter:
         while True:
             spreads = _spreads(found, known, limits)
             wanted = wanted_points(lines, lambda at: _any_exceeds(spreads, at))  # noqa: B023
@@ -141,8 +144,10 @@ def _any_exceeds(spreads: list[tuple[Spread, float]], lines: Any) -> np.ndarray:
     return np.any([spread.exceeds(lines, limit) for spread, limit in spreads], axis=0)
 
 
-def _spreads(found: list[np.ndarray], known: np.ndarray, limits: list[float | None]) -> list[tuple[Spread, float]]:
-    """What decides where to refine: codes with a limit of zero, values with theirs, and where they are finite."""
+def _spreads(
+    found: list[np.ndarray], known: np.ndarray, limits: list[float | None]
+) -> list[tuple[Spread, float]]:
+    """What decides where to refine: codes, values with their limits, and which of these are finite."""
     spreads = []
     for values, limit in zip(found, limits, strict=True):
         if values.dtype.kind != "f":
@@ -168,7 +173,7 @@ def _limits(results: Any, tolerance: Any) -> list[float | None]:
         limits.append(None if given is None or form.dtype.kind != "f" else _tolerance(given))
     if all(limit is None for limit in limits) and all(x.dtype.kind == "f" for x in jax.tree.leaves(results)):
         raise ValueError(
-            "argument tolerance must be given where the outcome has floating values and no codes, but was None"
+            "argument tolerance must be given where the outcome has floating values but no codes, and was not"
         )
     return limits
 
@@ -181,7 +186,7 @@ def _tolerance(value: Any) -> float:
 
 
 class _Program:
-    """The outcome of a chunk of rows, compiled once; chunks go to one thread for each core."""
+    """The outcome of a chunk of rows, compiled once."""
 
     def __init__(self, outcome: Callable, grid: Parameters, size: int) -> None:
         self.grid, self.size = grid, size
@@ -193,25 +198,15 @@ class _Program:
                 f"argument outcome must return arrays of real numbers, but returned {shown(self.results)}"
             )
         self._call = traced.lower().compile()
-        self._pool = ThreadPoolExecutor(os.cpu_count() if jax.default_backend() == "cpu" else 1)
-
-    def __enter__(self) -> "_Program":
-        return self
-
-    def __exit__(self, *error: Any) -> None:
-        self._pool.shutdown(cancel_futures=True)
 
     def _rows(self, index: np.ndarray) -> Any:
         return jax.tree.map(lambda x: jnp.asarray(x[index]), self.grid)
 
-    def run(self, todo: np.ndarray) -> Any:
-        """Starts and results of the chunks of some rows; the last one is filled with copies of its last row."""
-
-        def chunk(start: int) -> tuple[int, list[np.ndarray]]:
+    def run(self, todo: np.ndarray) -> Iterator[tuple[int, list[np.ndarray]]]:
+        """Starts and results of the chunks of some rows; copies of the last row fill the last chunk."""
+        for start in range(0, len(todo), self.size):
             index = todo[np.minimum(np.arange(start, start + self.size), len(todo) - 1)]
-            return start, [np.asarray(x) for x in jax.tree.leaves(self._call(self._rows(index)))]
-
-        return self._pool.map(chunk, range(0, len(todo), self.size))
+            yield start, [np.asarray(x) for x in jax.tree.leaves(self._call(self._rows(index)))]
 
 
 def _told(values: Any) -> str:

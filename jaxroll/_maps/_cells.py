@@ -1,8 +1,8 @@
 """Cells of a grid, halved again and again: which of them hold a change, and what stands between known points.
 
-A level is one list of indices for each axis of the grid, its lines; between them lie its cells. Each level has the
-lines of the one before, and one more in the middle of every cell that is wider than one step of the grid. Any
-number of axes. `_adaptive` runs what is asked for here.
+A level is one list of indices for each axis of the grid, its lines; between them lie its cells. Each level
+has the lines of the one before, and one more in the middle of every cell that is wider than one step of the
+grid. Any number of axes. `_adaptive` runs what is asked for here.
 """
 
 from collections.abc import Callable, Sequence
@@ -37,8 +37,8 @@ class Spread:
         least = _over_cells(np.minimum, self.least, lines)
         some = largest >= least
         with np.errstate(invalid="ignore"):  # infinity less infinity, where nothing is known
-            apart = some & (largest.astype(float) - least > tolerance)
-        return apart.reshape(*apart.shape[: self.axes], -1).any(axis=-1)
+            apart: np.ndarray = some & (largest.astype(float) - least > tolerance)
+        return np.any(apart.reshape(*apart.shape[: self.axes], -1), axis=-1)
 
 
 def _over_cells(choose: np.ufunc, values: np.ndarray, lines: Lines) -> np.ndarray:
@@ -53,9 +53,9 @@ def _over_cells(choose: np.ufunc, values: np.ndarray, lines: Lines) -> np.ndarra
 def wanted_points(lines: list[Lines], changed: Callable[[Lines], np.ndarray]) -> np.ndarray:
     """Which points of the grid are to be known, given which cells hold a change by what is known so far.
 
-    All of the coarsest level; and of a cell with a change, if it was made by splitting one, those of its halves.
-    Points on a border belong to both sides, so that a change which leaves a cell that was split is followed into
-    its neighbour, however coarse that one is.
+    All of the coarsest level; and of a cell with a change, if it was made by splitting one, those of its
+    halves. Points on a border belong to both sides, so that a change which leaves a cell that was split is
+    followed into its neighbour, however coarse that one is.
     """
     wanted = np.zeros(tuple(len(at) for at in lines[-1]), bool)
     wanted[np.ix_(*lines[0])] = True
@@ -81,7 +81,8 @@ def _corners(cells: np.ndarray) -> np.ndarray:
 def between(values: np.ndarray, known: np.ndarray, lines: list[Lines]) -> np.ndarray:
     """Values at all points of the grid: known ones as they are, others from the corners of their cell.
 
-    Numbers are interpolated, linearly along each axis; of codes, all of which are the same there, one is taken.
+    Numbers are interpolated, linearly along each axis; of codes, all of which are the same there, one is
+    taken.
     """
     block = values[np.ix_(*lines[0])]
     for coarse, fine in zip(lines[:-1], lines[1:], strict=True):

@@ -1,8 +1,8 @@
 r"""Named reductions: what to keep of every run of a sweep, worked out inside the compiled program.
 
-`measures("settling_time", "result")` is a function of a trajectory for the `keep` of `sweep`: states that nobody
-asked for never leave the program. The measures of motion and force are those of `jaxroll.design`; here are those of
-a run's end and of its energy, and the table of all with what each needs to be recorded.
+`measures("settling_time", "result")` is a function of a trajectory for the `keep` of `sweep`: states that
+nobody asked for never leave the program. The measures of motion and force are those of `jaxroll.design`; here
+are those of a run's end and of its energy, and the table of all with what each needs to be recorded.
 """
 
 from collections.abc import Callable
@@ -46,7 +46,7 @@ def measures(*names: str, **own: Callable[[Trajectory], Any]) -> "Measures":
     | `t_end` | the time that it reached [s] |
     | `steps` | attempted steps |
     | `first_event` | `result`, `time` [s] and `contact` of what ended it; NaN and -1 where nothing did |
-    | `margin` | what ran out at that end (`Trajectory.stats.margin`): zero but for rounding where it was located |
+    | `margin` | what ran out at that end (`stats.margin`): zero but for rounding where it was located |
     | `final_state` | the last `State` |
     | `final_pose` | its coordinates q: of the object, then of the fingers [m, rad] |
     | `settling_time` | of the contact coordinates [s], as `design.settling_time`: needs `ts` |
@@ -58,10 +58,10 @@ def measures(*names: str, **own: Callable[[Trajectory], Any]) -> "Measures":
     | `energy_lost` | energy at the first saved state less that at the last [J]: needs `ts`, and "energy" |
     | `energy_residual` | largest error of the energy balance [J]: needs the same |
 
-    What `ts` is needed for looks at the saved states, some tens of them; extremes between two of these are not
-    seen. `Measures.record` is the `record` that the names need. A run that ended early has come to rest nowhere:
-    its settling time, overshoot and tracking error are NaN, its forces and energies those of the part that was
-    reached.
+    What `ts` is needed for looks at the saved states, some tens of them; extremes between two of these are
+    not seen. `Measures.record` is the `record` that the names need. A run that ended early has come to rest
+    nowhere: its settling time, overshoot and tracking error are NaN, its forces and energies those of the
+    part that was reached.
 
     Args:
         *names: From the table.

@@ -184,7 +184,7 @@ class Parameters(eqx.Module):
         def one(leaf: Any) -> Any:
             if np.shape(leaf)[:1] != (math.prod(self.shape),):
                 raise ValueError(
-                    f"argument values must hold arrays of leading axis {math.prod(self.shape)}, but one was of "
+                    f"argument values must hold arrays of leading axis {math.prod(self.shape)}, but one had "
                     f"shape {np.shape(leaf)}"
                 )
             return leaf.reshape(*self.shape, *leaf.shape[1:])
@@ -194,9 +194,7 @@ class Parameters(eqx.Module):
     def axis(self, name: str) -> np.ndarray:
         """The values of a name along its axis of the grid, shape (k, ...); of samples its column."""
         if not isinstance(name, str) or name not in self.names:
-            raise ValueError(
-                f"argument name must be one of {', '.join(self.names)}, but was {shown(name)}"
-            )
+            raise ValueError(f"argument name must be one of {', '.join(self.names)}, but was {shown(name)}")
         along = next(k for k, names in enumerate(self.axes) if name in names)
         every = self.shaped(self[name])
         return every[tuple(slice(None) if k == along else 0 for k in range(len(self.shape)))]
@@ -253,7 +251,10 @@ class Parameters(eqx.Module):
         return name in self.names
 
     def __repr__(self) -> str:
-        parts = [f"{name}={shown_value(x, self.units[name])}" for name, x in zip(self.names, self.columns)]
+        parts = [
+            f"{name}={shown_value(x, self.units[name])}"
+            for name, x in zip(self.names, self.columns, strict=True)
+        ]
         laid = "" if len(self.shape) == 1 else f" as {' x '.join(map(str, self.shape))}"
         head = f"{len(self)} rows{laid}" if np.ndim(self.columns[0]) else "one row"
         return f"Parameters({head}: {', '.join(parts)})"
@@ -326,7 +327,9 @@ def _stretch(name: str, ends: Any) -> Callable[[np.ndarray], np.ndarray]:
     log = isinstance(ends, list | tuple) and len(ends) == 3 and ends[2] == "log"
     wanted = f"argument {name} must be (low, high) or (low, high, 'log'), but was {shown(ends)}"
     try:
-        low, high = (float(operator.index(x) if isinstance(x, int) else x) for x in (ends[:2] if log else ends))
+        low, high = (
+            float(operator.index(x) if isinstance(x, int) else x) for x in (ends[:2] if log else ends)
+        )
     except (TypeError, ValueError, OverflowError):
         raise ValueError(wanted) from None
     if isinstance(ends, str) or any(isinstance(x, bool | str) for x in ends[:2]):
@@ -336,6 +339,8 @@ def _stretch(name: str, ends: Any) -> Callable[[np.ndarray], np.ndarray]:
     if not log:
         return lambda u: low + (high - low) * u
     if low <= 0.0:
-        raise ValueError(f"argument {name} must begin above zero on a scale of logarithms, but was {shown(ends)}")
+        raise ValueError(
+            f"argument {name} must begin above zero on a scale of logarithms, but was {shown(ends)}"
+        )
     # Rounding must not lead past the ends.
     return lambda u: np.clip(low * (high / low) ** u, low, high)

@@ -9,8 +9,8 @@ surfaces (`_rays` where they have no closed form), `_scene3` puts both together 
 instant of it. `animate`, `pose`, `poses` and `responses` take either kind of grasp; `loci` and `page` (the
 only door to plotly, a page for a browser) one in space, `contours` and `phase` one in the plane.
 `contact_geometry` draws one contact with the chapter's names (its labels are put by `_tags`), `design` a
-fingertip before and after, `comparison` runs over each other. `parameter_map` draws what a sweep kept over two
-parameters, and `map_page` writes it for a browser.
+fingertip before and after, `comparison` runs over each other. `parameter_map` draws what a sweep kept over
+two parameters, and `map_page` writes it for a browser.
 """
 
 from ._animate import animate as animate

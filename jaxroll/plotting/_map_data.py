@@ -1,7 +1,7 @@
 """What a map over two parameters shows: a slice of a grid, or scattered samples, of one kept value or code.
 
-`_map_figure` draws it, `_map_page` writes it for a browser. Parameters that the map does not show are held where
-the caller says, or in the middle of their axis.
+`_map_figure` draws it, `_map_page` writes it for a browser. Parameters that the map does not show are held
+where the caller says, or in the middle of their axis.
 """
 
 import math
@@ -68,15 +68,18 @@ def map_data(
     if along[x] == along[y]:
         if at:
             raise ValueError(f"argument at must be left out where samples are shown, but was {shown(at)}")
-        sides = (_axis(parameters, name, parameters[name]) for name in (x, y))
-        return MapData(*sides, numbers.ravel(), codes, gridded=False, held=_spread(parameters, (x, y)))
+        right, up = (_axis(parameters, name, parameters[name], gridded=False) for name in (x, y))
+        return MapData(right, up, numbers.ravel(), codes, gridded=False, held=_spread(parameters, (x, y)))
     place, held = _place(parameters, (along[x], along[y]), at or {})
     seen = numbers[place]
     grid = seen.T if along[x] < along[y] else seen
-    sides = [_axis(parameters, name, parameters.axis(name)) for name in (x, y)]
-    orders = [np.argsort(side.values, kind="stable") for side in sides]
-    sides = [side._replace(values=side.values[order]) for side, order in zip(sides, orders, strict=True)]
-    return MapData(*sides, grid[np.ix_(orders[1], orders[0])], codes, gridded=True, held=held)
+    right, up = (_axis(parameters, name, parameters.axis(name), gridded=True) for name in (x, y))
+    across, along_y = (np.argsort(side.values, kind="stable") for side in (right, up))
+    right, up = (
+        right._replace(values=right.values[across]),
+        up._replace(values=up.values[along_y]),
+    )
+    return MapData(right, up, grid[np.ix_(along_y, across)], codes, gridded=True, held=held)
 
 
 def _sides(parameters: Parameters, x: Any, y: Any) -> tuple[str, str]:
@@ -142,20 +145,28 @@ def _spread(parameters: Parameters, sides: tuple[str, str]) -> str:
     """Which other parameters change among samples, in words."""
     others = [name for name in parameters.names if name not in sides]
     changing = [name for name in others if np.ptp(parameters[name].astype(float)) > 0.0]
-    return f"{', '.join(changing)} between {'its' if len(changing) == 1 else 'their'} bounds" if changing else ""
+    return (
+        f"{', '.join(changing)} between {'its' if len(changing) == 1 else 'their'} bounds" if changing else ""
+    )
 
 
-def _axis(parameters: Parameters, name: str, values: np.ndarray) -> Axis:
+def _axis(parameters: Parameters, name: str, values: np.ndarray, *, gridded: bool) -> Axis:
     unit = parameters.units[name]
     told = name.replace("_", " ")
-    return Axis(np.asarray(values, float), f"{told} [{unit}]" if unit else told, _logarithmic(values))
+    return Axis(
+        np.asarray(values, float), f"{told} [{unit}]" if unit else told, _logarithmic(values, gridded=gridded)
+    )
 
 
-def _logarithmic(values: np.ndarray) -> bool:
-    """Whether three or more values are even steps of a logarithm; samples over more than a decade count too."""
+def _logarithmic(values: np.ndarray, *, gridded: bool) -> bool:
+    """Whether three or more values are even steps of a logarithm, or samples that are even there."""
     every = np.unique(np.asarray(values, float))
     if len(every) < 3 or every[0] <= 0.0:
         return False
-    steps, ratios = np.diff(every), np.diff(np.log(every))
-    even = lambda x: np.ptp(x) <= _EVEN * abs(x.mean()) * len(x)  # noqa: E731
-    return bool(even(ratios) and not even(steps))
+    if gridded:
+        steps, ratios = np.diff(every), np.diff(np.log(every))
+        even = lambda x: np.ptp(x) <= _EVEN * abs(x.mean()) * len(x)  # noqa: E731
+        return bool(even(ratios) and not even(steps))
+    # Even samples have their median in the middle of their range.
+    aside = lambda x: abs(np.median(x) - 0.5 * (x[0] + x[-1])) / (x[-1] - x[0])  # noqa: E731
+    return bool(aside(np.log(every)) < aside(every) and every[-1] > 2.0 * every[0])

@@ -3,11 +3,11 @@
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
-import numpy as np
 
 from .._sweep import Parameters
 from ._doors import guarded
@@ -44,7 +44,8 @@ def parameter_map(
         values: One number, truth value or code for each row, as `sweep` returns them or in the grid's shape.
         x: Which parameter runs along the lower side. Default: the first that changes.
         y: Which one along the left side. Default: the next one.
-        at: Of a grid of more axes, where the other parameters are held, by name: the nearest value of the grid
+        at: Of a grid of more axes, where the other parameters are held, by name: the nearest value of the
+        grid
             is taken. Default: the one in the middle.
         label: What the value is, with its unit.
         title: What stands above; where other parameters are held is told beside it.
@@ -66,10 +67,10 @@ def parameter_map(
     """
     data = map_data(parameters, values, x=x, y=y, at=at)
     figure: Any = Picture(6.4, 4.6) if ax is None else ax.figure
-    ax = figure.add_subplot() if ax is None else ax
-    _draw(ax, data, label)
+    axes: Any = figure.add_subplot() if ax is None else ax
+    _draw(axes, data, label)
     told = f"{title}; {data.held}" if title and data.held else title or data.held
-    tidy(ax, xlabel=data.x.label, ylabel=data.y.label, title=told)
+    tidy(axes, xlabel=data.x.label, ylabel=data.y.label, title=told)
     return figure
 
 
@@ -95,7 +96,13 @@ def _draw(ax: Axes, data: MapData, label: str) -> None:
         known = np.isfinite(data.z)
         ax.scatter(data.x.values[~known], data.y.values[~known], s=size, c=NOTHING, lw=0.0)
         drawn = ax.scatter(
-            data.x.values[known], data.y.values[known], s=size, c=data.z[known], ec="#55555599", lw=0.3, **look
+            data.x.values[known],
+            data.y.values[known],
+            s=size,
+            c=data.z[known],
+            ec="#55555599",
+            lw=0.3,
+            **look,
         )
     ax.set(xscale="log" if data.x.log else "linear", yscale="log" if data.y.log else "linear")
     if not data.codes:

@@ -30,8 +30,8 @@ def map_page(
 ) -> Path:
     """Write a code or a value over two parameters as one HTML file, to be zoomed and read in a browser.
 
-    The file needs nothing else, no network either: plotly's script is within, 4.8 MB. Under the pointer stand both
-    parameters, and the code or the value.
+    The file needs nothing else, no network either: plotly's script is within, 4.8 MB. Under the pointer stand
+    both parameters, and the code or the value.
 
     Args:
         parameters: Of the runs.

@@ -1,0 +1,200 @@
+"""What `jaxroll sweep` and `jaxroll map` do: parameters from ranges, runs of a scene, a table, a picture.
+
+A name that `--set` gives is looked for in the scene: among the numbers of its controller, then among the
+arguments of the function that builds it, and then among the fields of grasp and object. What is an argument
+builds the scene anew for every run, its contacts closed again; a number of the controller leaves the start as
+it is.
+"""
+
+import importlib.util
+import inspect
+import math
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .. import plotting, scenes
+from .._integration import simulate
+from .._maps import adaptive_map, measures, MEASURES_KEPT
+from .._printing import code_name, is_code, shown_value
+from .._sweep import Parameters, sweep
+from ..geometry import Circle, Sphere
+from ._sweep_order import MapOrder, Range, SweepOrder, unit_of
+from ._sweep_table import flat_values, read_table, SweepTable, write_table
+from ._waiting import say
+
+_RUNS = 1024
+_TIP = "tip_radius"
+Timed = Callable[[str], AbstractContextManager]
+
+
+def swept(asked: SweepOrder, folder: Path, timed: Timed) -> list[str]:
+    """Sweep, write the table, and return the lines of the report."""
+    keep = measures(*asked.keep)
+    make, parameters = maker(asked.scene, tuple(asked.ranges)), parameters_of(asked)
+    options = {"ts": asked.times if keep.timed else 1, "rtol": asked.rtol, "record": keep.record}
+    # A line of its own, for the bar takes the next one.
+    say(f"Sweeping {asked.scene} over {', '.join(parameters.names)} ...")
+    start, done = time.perf_counter(), parameters.rows
+    if asked.sampling == "adaptive":
+
+        def outcome(p: Parameters) -> Any:
+            return keep(simulate(*make(p), asked.seconds, throw=False, **options))
+
+        found = adaptive_map(outcome, parameters, chunk=asked.chunk, progress=True)
+        flat = lambda x: x.reshape(parameters.rows, *x.shape[len(parameters.shape) :])  # noqa: E731
+        values, done = jax.tree.map(flat, found.values) | {"ran": found.ran.ravel()}, found.spent
+    else:
+        runs = {"chunk": asked.chunk, "resume": folder / "chunks", "progress": True}
+        values = sweep(make, parameters, asked.seconds, keep=keep, **runs, **options)
+    took = time.perf_counter() - start
+    table = SweepTable(parameters, values, asked.scene)
+    with timed("Writing the table"):
+        names = write_table(folder, table)
+    pace = f"  {done} runs of {asked.seconds:g} s in {took:.3g} s, compilation included"
+    return [f"{parameters}", pace, *_told(values), f"Files in {folder}:", "  " + ", ".join(names)]
+
+
+def mapped(asked: MapOrder, folder: Path, timed: Timed) -> list[str]:
+    """Draw a table over two of its parameters; returns the lines of the report."""
+    table = read_table(Path(asked.store))
+    columns = dict(flat_values(table.values))
+    show = asked.show or ("result" if "result" in columns else next(iter(columns)))
+    if show not in columns:
+        raise ValueError(f"argument --show must be one of {', '.join(columns)}, but was {show!r}")
+    kept = MEASURES_KEPT.get(show)
+    look = {"x": asked.x, "y": asked.y, "at": asked.at, "label": kept.label if kept else show}
+    names, missing = [f"map_{show}.png"], []
+    with timed("Drawing"):
+        figure = plotting.parameter_map(table.parameters, columns[show], title=table.scene, **look)
+        figure.savefig(folder / names[0], dpi=150)
+    try:
+        with timed("Writing the page"):
+            page = folder / f"map_{show}.html"
+            plotting.map_page(table.parameters, columns[show], page, title=table.scene, **look)
+            names.append(page.name)
+    except ImportError as error:
+        missing.append(f"  no page: {error}")
+    return [
+        f"{table.parameters}",
+        *_told({show: columns[show]}),
+        f"Files in {folder}:",
+        "  " + ", ".join(names),
+        *missing,
+    ]
+
+
+def parameters_of(asked: SweepOrder) -> Parameters:
+    """The rows of an order: a product of its ranges, or samples with every combination of listed values."""
+    listed = {name: each for name, each in asked.ranges.items() if each.values}
+    free = {name: each for name, each in asked.ranges.items() if not each.values}
+    if asked.sampling in ("sobol", "latin"):
+        draw = Parameters.sobol if asked.sampling == "sobol" else Parameters.latin_hypercube
+        ends = {name: (r.low, r.high, "log") if r.log else (r.low, r.high) for name, r in free.items()}
+        found = draw(asked.number or _RUNS, seed=asked.seed, **ends)
+        if listed:
+            found = found * Parameters.grid(**{name: np.array(r.values) for name, r in listed.items()})
+    else:
+        count = _each(asked, free)
+        found = Parameters.grid(**{name: _values(r, count) for name, r in asked.ranges.items()})
+    return found.with_units(**{name: unit_of(name) for name in found.names})
+
+
+def _each(asked: SweepOrder, free: dict[str, Range]) -> int:
+    """How many values a range without a count has, for about as many runs as are asked for."""
+    open_ranges = [r for r in free.values() if r.count is None]
+    fixed = math.prod(len(r.values) or r.count or 1 for r in asked.ranges.values())
+    if not open_ranges:
+        return 0
+    return max(2, round(((asked.number or _RUNS) / fixed) ** (1.0 / len(open_ranges))))
+
+
+def _values(asked: Range, count: int) -> np.ndarray:
+    if asked.values:
+        return np.array(asked.values)
+    even = np.geomspace if asked.log else np.linspace
+    return even(asked.low, asked.high, asked.count or count)
+
+
+def maker(scene: str, names: tuple[str, ...]) -> Callable[[Parameters], tuple[Any, Any]]:
+    """From one row of parameters to a grasp and a state, by what the names are in the scene."""
+    if ":" in scene:
+        function = _from_file(scene)
+        return lambda p: function(**p)
+    build = getattr(scenes, scene)
+    grasp, state = build()
+    held = set(getattr(type(grasp.controller), "__dataclass_fields__", {}))
+    arguments = {name for name in names if name in inspect.signature(build).parameters} - held
+    changed = [name for name in names if name not in arguments and name != _TIP]
+    tips = _tips(build, grasp) if _TIP in names else None
+
+    def make(p: Parameters) -> tuple[Any, Any]:
+        given = {name: p[name] for name in arguments}
+        if tips is not None:
+            given |= tips(p[_TIP])
+        built, start = build(**given) if given else (grasp, state)
+        return (
+            built.with_(**{name: _held(built, name, p[name]) for name in changed}) if changed else built
+        ), start
+
+    return make
+
+
+def _held(grasp: Any, name: str, value: Any) -> Any:
+    """A value for a field of a grasp: one number for all where the field has several."""
+    old = getattr(grasp.controller, name, None)
+    shape = getattr(old, "shape", ())
+    return jnp.broadcast_to(value, shape) if jnp.ndim(value) == 0 and shape else value
+
+
+def _tips(build: Callable, grasp: Any) -> Callable[[Any], dict[str, Any]]:
+    """From a radius to the argument of a scene that makes fingertips round, their foremost points unmoved."""
+    taken = inspect.signature(build).parameters
+    name = next((each for each in ("tips", "tip") if each in taken), None)
+    if name is None:
+        able = [each for each in dir(scenes) if {"tips", "tip"} & set(_arguments(each))]
+        raise ValueError(
+            f"argument --set must give tip_radius to a scene that takes fingertips ({', '.join(able)}), but "
+            f"was for {build.__name__}"
+        )
+    tip = grasp.fingers[0].tip
+    if not hasattr(tip, "tangent_angle") and not hasattr(tip, "curve"):  # in space
+        return lambda radius: {name: Sphere(radius)}
+    # How far the scene's own fingertip reaches in front of O_i, where it faces the object.
+    ahead = float(np.dot(np.asarray(tip.point(0.0)), np.asarray(tip.normal(0.0))))
+    return lambda radius: {name: Circle(radius).moved(jnp.stack([ahead - radius, jnp.zeros_like(radius)]))}
+
+
+def _arguments(name: str) -> tuple[str, ...]:
+    thing = getattr(scenes, name)
+    return tuple(inspect.signature(thing).parameters) if inspect.isfunction(thing) else ()
+
+
+def _from_file(scene: str) -> Callable[..., Any]:
+    """The function that FILE.py:FUNCTION names."""
+    path, _, name = scene.rpartition(":")
+    spec = importlib.util.spec_from_file_location(Path(path).stem, path)
+    assert spec is not None and spec.loader is not None, path  # a file whose name ends in .py has both
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    function = getattr(module, name, None)
+    if not callable(function):
+        raise ValueError(
+            f"argument SCENE must name a function in its file, but {path} has none called {name!r}"
+        )
+    return function
+
+
+def _told(values: Any) -> list[str]:
+    """A line for each column: how often each code, or from where to where."""
+    lines = []
+    for name, column in flat_values(values):
+        told = code_name(column) if is_code(column) else shown_value(np.asarray(column))
+        lines.append(f"  {name:<20}{told}")
+    return lines

@@ -332,7 +332,7 @@ def test_silhouettes_that_are_not_whole_are_refused():
     with pytest.raises(ValueError, match="argument which must be below the number of outlines, 1"):
         jxr.io.read_silhouette(disc_image(), pixel=1e-4, which=1)
     with pytest.raises(ValueError, match=r"must be grey values of shape \(rows, columns\)"):
-        jxr.io.read_silhouette(np.zeros((4, 4, 3)), pixel=1e-4)
+        jxr.io.read_silhouette(np.zeros((4, 4, 2)), pixel=1e-4)
 
 
 def test_a_coin_in_a_photograph():

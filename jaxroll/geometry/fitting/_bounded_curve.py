@@ -71,7 +71,8 @@ def bounded_curve(
         points: Shape (n, 2) [m], in any order.
         start: A curve roughly among the points; the result has as many nodes.
         line: Shape (m, 2) [m], close places of a rough line that holds the curve where no points do.
-        bound: Largest curvature [1/m], passed by about a percent at most.
+        bound: Largest curvature [1/m], passed by about a percent where a corner pulls, by
+            more where all points do.
         noise: Standard deviation of each coordinate [m], positive.
         wavelength: Of the wiggles to halve where the bound does not bind [m].
     """

@@ -279,6 +279,7 @@ def _reported(contour: AbstractContour, clean: CleanPoints, known: _Known, seen:
     closed, radius = contour.closed, known.radius
     crosses = len(crossings(outline[:-1] if closed else outline, closed=closed)) > 0
     peak = float(np.max(np.abs(curvatures)))
+    rms = float(np.sqrt(np.mean(distances**2)))
     rounded = () if radius is None else departures(clean.points, feet, distances, known.noise or 0.0, radius)
     report = FitReport(
         field=known.field,
@@ -288,7 +289,7 @@ def _reported(contour: AbstractContour, clean: CleanPoints, known: _Known, seen:
         reordered=clean.reordered,
         reversed=clean.reversed,
         smoothing=known.smoothing,
-        rms=float(np.sqrt(np.mean(distances**2))),
+        rms=rms,
         largest=float(distances.max()),
         length=float(ends[1] - ends[0]),
         curvature=(float(curvatures.min()), float(curvatures.max())),
@@ -300,7 +301,7 @@ def _reported(contour: AbstractContour, clean: CleanPoints, known: _Known, seen:
         noise=known.noise,
         rejected=known.rejected,
         rounded=rounded,
-        jumps=jumps(clean.points, feet, closed=closed),
+        jumps=jumps(clean.points, feet, closed=closed, noise=rms if known.noise is None else known.noise),
         recommendation="",
         warnings=clean.warnings,
     )

@@ -21,6 +21,7 @@ _FINEST = 1e-3
 _ALONE = 5e-3
 _SIDE = 4  # points on either side of a jump from which curvature is taken
 _STANDS_OUT = 6.0  # times by which a jump must exceed the changes of curvature on both sides of it
+_ABOVE = 20.0  # times the noise that a corner or a jump must move a point by over one step
 _LEAST_JUMP = 0.02  # least jump, as a share of the largest curvature
 _TRIED = 40  # wavelengths that are tried for a recommendation
 
@@ -124,11 +125,14 @@ def three_point_curvatures(points: np.ndarray, *, closed: bool) -> np.ndarray:
     return curvatures
 
 
-def jumps(points: np.ndarray, feet: np.ndarray, *, closed: bool) -> tuple[CurvatureJump, ...]:
+def jumps(
+    points: np.ndarray, feet: np.ndarray, *, closed: bool, noise: float = 0.0
+) -> tuple[CurvatureJump, ...]:
     """Corners, and places where the curvature of points without noise jumps.
 
     The curvature beside a jump must be steady: on both sides together it changes by less than a sixth of the
-    jump over four points. A smooth curve's does not do that, and noise makes it as unsteady as it jumps.
+    jump over four points. A smooth curve's does not do that. Noise may by chance: what is found must be
+    larger than what `noise`, its standard deviation [m], makes of points as near each other.
     """
     n = len(points)
     if n < 4 * _SIDE + 4:
@@ -145,7 +149,8 @@ def jumps(points: np.ndarray, feet: np.ndarray, *, closed: bool) -> tuple[Curvat
     reach = 0.5 * (step + np.roll(step, 1))[here]
     angle = angles[here] - 0.5 * (before + after) * reach
     corner = (np.abs(angle) > np.pi / 18) & (np.abs(angle) > _STANDS_OUT * (unsteady + size) * reach)
-    jump = (size > _STANDS_OUT * unsteady) & (size > steady) & ~corner
+    corner &= np.abs(angle) * reach > _ABOVE * noise
+    jump = (size > _STANDS_OUT * unsteady) & (size > steady) & (size * reach**2 > _ABOVE * noise) & ~corner
     found = []
     for i in _peaks(jump | corner, np.where(corner, np.abs(angle) / reach, size), closed=closed):
         k = int(here[i])

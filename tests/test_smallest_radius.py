@@ -189,9 +189,7 @@ def test_jumps_of_curvature_are_named():
     for jump in report.jumps:
         assert np.abs(np.abs(jump.place) - (0.02, 0.01)).max() < 5e-4
         assert sorted((round(jump.before), round(jump.after))) == [0, 100]
-    assert "jumps at 4 places" in " ".join(report.warnings) and "from 0 to 100 1/m" in " ".join(
-        report.warnings
-    )
+    assert "jumps at 4 places" in " ".join(report.warnings)
     assert jumps(ELLIPSE, np.arange(N), closed=True) == ()
     assert jumps(noisy(ELLIPSE, 1e-4), np.arange(N), closed=True) == ()
     corners = jumps(filled(np.array([[0.0, 0.0], [3.0, 0.0], [0.0, 4.0]]), 0.05), np.zeros(240), closed=True)

@@ -163,6 +163,7 @@ PARAMETERS: dict[str, Argument] = {
     # NaN says that a signal is not known there.
     "signal": _made("array", lambda: np.linspace(0.0, 0.1, 4)[:, None], "itself and NaN", "its last twice"),
     "skew": _is("number", 0.03),
+    "smallest_radius": _is("positive", 2e-3),
     "smoothing": _is("not negative", 1e-3),
     "smoothness": _is("not negative", 4.0, "infinity"),
     "solver": _is("part", None),
@@ -473,6 +474,7 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
     "read_points": {
         "path": _made("path", lambda: written("disc.csv")),
         "columns": _is("part", (0, 1)),
+        "fill": _is("flag", False),
         "pixel": _is("part", None),
     },
     "read_cloud": {

@@ -98,9 +98,11 @@ CLASSES = {
     ),
     jxr.Finger3: (
         {"axes": [(1, 0, 0), (0, 0, 1)], "offsets": CHAIN, "masses": [0.1, 0.1], "tip": BALL}
-        | {"base": (0, 0, 0), "rotation": (1, 0, 0, 0), "centres": CHAIN, "inertias": [np.eye(3), np.eye(3)]},
-        {"tip": {"surface"}, "centres": {"nothing"}, "inertias": {"nothing"}},
+        | {"base": (0, 0, 0), "rotation": (1, 0, 0, 0), "centres": CHAIN, "inertias": [np.eye(3), np.eye(3)]}
+        | {"armature": [1e-4, 0.0]},
+        {"tip": {"surface"}, "centres": {"nothing"}, "inertias": {"nothing"}, "armature": {"nothing"}},
         {
+            "armature": {"negative": [1e-4, -1e-4], "one": [1e-4]},
             "axes": {"no length": [(1, 0, 0), (0, 0, 0)], "too long": [(1e200, 0, 0), (0, 0, 1)]},
             "rotation": {"no length": (0, 0, 0, 0)},
             "masses": {"zero": [0.1, 0.0]},
@@ -222,6 +224,20 @@ CLASSES = {
             "start": {"one": (1.5,), "returns one": lambda t: t},
             "damping": {"three": (1, 2, 3), "returns a flag": lambda t: t > 0},
             "alpha": {"three": (1, 2, 3), "returns rows": lambda t: ((t, t), (t, t))},
+        },
+    ),
+    control.Carry: (
+        {"beta": 12.0, "damping": 0.02, "stiffness": 200.0, "home": [(0.03, 0, 0), (-0.03, 0, 0)]}
+        | {"position": (0, 0, 0.1), "turn": (0, 0, 0.2), "force": (0, 0, 1)},
+        {},
+        {
+            "beta": {"of two": functions_of(2), "returns two": lambda t: (t, t)},
+            "stiffness": NOT_POSITIVE | {"returns text": lambda t: "stiff"},
+            "damping": {"three": (1, 2, 3), "returns a flag": lambda t: t > 0},
+            "home": {"one": [(0.03, 0, 0)], "of the plane": [(1, 0), (0, 1)], "returns one": lambda t: t},
+            "position": AXES | {"returns one": lambda t: t},
+            "turn": AXES | ONE_NUMBER,
+            "force": AXES | {"of the plane": (0, 1)},
         },
     ),
     control.Integral: (

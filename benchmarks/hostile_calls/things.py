@@ -110,6 +110,16 @@ def written(name: str) -> Path:
     return jxr.io.write_outline(jxr.Circle(0.01), path, unit="mm", tolerance=1e-4)
 
 
+@functools.cache
+def robot() -> Path:
+    """A hand of one finger in a file."""
+    path = folder() / "hand.xml"
+    inertial = '<inertial mass="0.04" pos="0 0 0.03" diaginertia="1e-5 1e-5 1e-6"/>'
+    body = f'<body name="finger"><joint name="knuckle" axis="1 0 0"/>{inertial}</body>'
+    path.write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    return path
+
+
 def network() -> Any:
     """A small network."""
     return jxr.geometry.PeriodicNetwork(4, width=4, depth=1, key=jax.random.key(0))

@@ -48,6 +48,8 @@ RECORDS |= {
 RECORDS |= {"Principal", "NetworkFit", "CleanPoints", "Jet", "SurfaceFit", "SurfaceReport", "Level", "Table"}
 RECORDS |= {"Strike", "Vec2", "Vec3", "Sym3", "VectorField", "GraspPoints", "MassProperties", "Reach"}
 RECORDS |= {"TableError", "Equilibrium", "PinchStatics", "Stability", "Pose", "Twist"}
+RECORDS |= {"Strike", "Vec2", "Vec3", "Sym3", "VectorField"}
+RECORDS |= {"Hand", "TableError", "Equilibrium", "PinchStatics", "Stability", "Pose", "Twist"}
 # Written on scalars for use inside compiled programs, by other layers and by a caller's own shapes: nothing
 # is checked there, for every check would be one more on the way of each run.
 INNER = {"gap", "gap_bias", "gap_rate", "pfaffian", "rolling_rate", "tangency", "tangency3", "clearance"}
@@ -98,6 +100,7 @@ _SLOW = set(
         "strike",
         "sweep",
         "torques",
+        "tripod",
         "wrenches",
         "tube",
         "turntable",

@@ -121,7 +121,7 @@ def tripod(
         beta,
         damping,
         stiffness,
-        home=placed - middle,
+        home=placed - middle[None],
         position=middle,
         force=-body.mass * field,
     )

@@ -85,27 +85,38 @@ def functions_of(count):
     return (lambda a: a, lambda a, b: a, lambda a, b, c: a, lambda a, b, c, d: (a,))[count - 1]
 
 
+# Of two joints.
+LIMITED = {"limits": [(-1.0, 1.0), (0.0, 2.0)], "torque_limits": [0.1, 0.1]}
+NO_LIMITS = {"limits": {"nothing"}, "torque_limits": {"nothing"}}
+FALLING = {"falling": [(-1.0, 1.0), (2.0, 0.0)], "level": [(-1.0, 1.0), (0.5, 0.5)]}
+
 # Of each class: a valid call, what may be given of the bad values, and what more must be refused.
 CLASSES = {
     jxr.Finger: (
         {"lengths": [0.1, 0.1], "masses": [0.1, 0.1], "tip": TIP, "base": (0, 0), "centres": (0, 0)}
-        | {"inertias": [1e-4, 1e-4]},
-        {"tip": {"contour"}, "centres": {"nothing"}, "inertias": {"nothing"}},
+        | {"inertias": [1e-4, 1e-4], **LIMITED},
+        {"tip": {"contour"}, "centres": {"nothing"}, "inertias": {"nothing"}} | NO_LIMITS,
         {
             name: {"not positive": [0.1, -0.1], "zero": [0.0, 0.1]}
-            for name in ("lengths", "masses", "inertias")
-        },
+            for name in ("lengths", "masses", "inertias", "torque_limits")
+        }
+        | {"limits": FALLING},
     ),
     jxr.Finger3: (
         {"axes": [(1, 0, 0), (0, 0, 1)], "offsets": CHAIN, "masses": [0.1, 0.1], "tip": BALL}
         | {"base": (0, 0, 0), "rotation": (1, 0, 0, 0), "centres": CHAIN, "inertias": [np.eye(3), np.eye(3)]}
-        | {"armature": [1e-4, 0.0]},
-        {"tip": {"surface"}, "centres": {"nothing"}, "inertias": {"nothing"}, "armature": {"nothing"}},
+        | {"armature": [1e-4, 0.0]}
+        | LIMITED,
+        {"tip": {"surface"}, "centres": {"nothing"}, "inertias": {"nothing"}}
+        | {"armature": {"nothing"}}
+        | NO_LIMITS,
         {
             "armature": {"negative": [1e-4, -1e-4], "one": [1e-4]},
             "axes": {"no length": [(1, 0, 0), (0, 0, 0)], "too long": [(1e200, 0, 0), (0, 0, 1)]},
             "rotation": {"no length": (0, 0, 0, 0)},
             "masses": {"zero": [0.1, 0.0]},
+            "limits": FALLING,
+            "torque_limits": {"zero": [0.1, 0.0]},
             "inertias": {
                 "not symmetric": [np.eye(3), np.eye(3) + np.eye(3, k=1)],
                 "not definite": [np.eye(3), np.diag([1.0, 1.0, -1.0])],
@@ -114,9 +125,15 @@ CLASSES = {
         },
     ),
     jxr.Jaw: (
-        {"contour": TIP, "mass": 0.1, "directions": (0.0, 1.0), "base": (0, 0), "angle": 0.0},
-        {"contour": {"contour"}, "directions": {"empty"}},
-        {"mass": NOT_POSITIVE, "directions": {"three": (0, 1, 2), "parallel": (0.3, 0.3 + np.pi)}},
+        {"contour": TIP, "mass": 0.1, "directions": (0.0, 1.0), "base": (0, 0), "angle": 0.0}
+        | dict.fromkeys(LIMITED),
+        {"contour": {"contour"}, "directions": {"empty"}} | NO_LIMITS,
+        {
+            "mass": NOT_POSITIVE,
+            "limits": FALLING,
+            "torque_limits": {"zero": [0.1, 0.0]},
+            "directions": {"three": (0, 1, 2), "parallel": (0.3, 0.3 + np.pi)},
+        },
     ),
     jxr.Stage: (
         {"surface": BALL, "motion": jxr.Turning(1.0), "base": (0, 0, 0), "rotation": (1, 0, 0, 0)},

@@ -49,7 +49,7 @@ def test_a_run_ends_where_a_joint_or_a_torque_does(scene):
     asked = jxr.torques(grasp, run.stats.t_end, run.last)[0]
     assert abs(abs(float(asked[axis])) - most) <= 1e-11
     assert "needs more torque than it has" in str(run)
-    with pytest.raises(Exception, match="range"):
+    with pytest.raises(RuntimeError, match="range"):
         jxr.simulate(limited(grasp, limits=limits), state, 1.0, ts=101, rtol=1e-10)
 
 

@@ -120,6 +120,7 @@ PARAMETERS: dict[str, Argument] = {
     "grasp": _made("grasp", lambda: planar()[0]),
     "gravity": _is("array", (0.0, -9.81)),
     "guess": _made("state", lambda: planar()[1]),
+    "hold": _is("choice", "finger 0", "empty list", "empty tuple"),
     "hold_contacts": _is("flag", True),
     "image": _made(
         "array", disc_image, "square", "itself as bits", "itself and infinity", "its last left out"
@@ -236,6 +237,11 @@ _PARTS_TO_GRASP = (
     "object in the plane",
     "object in space",
 )
+# Of two joints.
+_LIMITS = {
+    "limits": _is("array", ((-3.0, 3.0), (-2.0, 2.0))),
+    "torque_limits": _is("array", (0.5, 0.4), "two numbers"),
+}
 # Where a parameter means something else than its name says elsewhere, or has another shape.
 EXCEPTIONS: dict[str, dict[str, Argument]] = {
     **_family("Ellipse NeuralSupport NeuralCurvature SupportFunction", cells=_is("count", 64)),
@@ -262,13 +268,13 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         "pose": _is("array", (0.0, 0.08, 0.0), "three numbers"),
         "guess": _made("state", held_state),
         "elbow": _is("part", None, "one", "minus one", "whole zero"),
-        "hold": _is("choice", "finger 0", "empty list", "empty tuple"),
         "hold_object": _is("flag", True),
     },
     "Finger": {
         "tip": _ROUND,
         "lengths": _is("array", (0.065, 0.065), "its last twice", "three numbers", "seven numbers"),
         "masses": _is("array", (0.045, 0.04), "its last twice", "three numbers", "seven numbers"),
+        **_LIMITS,
     },
     "Contact3": {"finger": _is("count", 0, "whole zero"), "surface": _is("count", 0, "whole zero")},
     "Contact": {"finger": _is("count", 0, "whole zero"), "contour": _is("count", 0, "whole zero")},
@@ -280,10 +286,11 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         "centres": _is("array", ((0.02, 0, 0), (0.02, 0, 0))),
         "inertias": _is("array", (1e-5, 1e-5)),
         "armature": _is("not negative", (1e-4, 2e-4), "two numbers"),
+        **_LIMITS,
     },
     "FreeObject3": {"inertia": _is("positive", 1e-5, "three numbers")},
     "Grasp": {"object": _made("object", lambda: planar()[0].object)},
-    "Jaw": {"contour": _ROUND},
+    "Jaw": {"contour": _ROUND, **_LIMITS},
     "NeuralCurvature": {
         "network": _made("part", network),
         "length": _is("positive", 0.06),

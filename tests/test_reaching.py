@@ -131,6 +131,36 @@ def test_a_start_stays_near_the_guess_and_holds_joints():
     assert np.abs(again.state.q - moved).max() < 0.3
 
 
+def test_links_keep_away_from_the_object_where_they_have_a_radius():
+    """With its elbow inwards a finger's last link passes the disc more closely than with it outwards."""
+    inwards = jxr.reach(two_fingers(), SIDES, pose=(0.0, 0.08, 0.0), elbow=(1, -1))
+    assert inwards.result == SUCCESS and inwards.links < 0.004
+    # Lines from joint to joint, against the disc's centre; `links` looks at 16 points of each.
+    middle = np.array([0.0, 0.08])
+    lines = [pair for chain in joints_of(inwards) for pair in zip(chain[:-1], chain[1:], strict=True)]
+    least = min(segment(*pair, middle) for pair in lines) - 0.02
+    assert least - 1e-12 <= inwards.links <= least + 2e-4
+    free = jxr.reach(two_fingers(), SIDES, pose=(0.0, 0.08, 0.0), link_radius=0.004)
+    assert free.result == SUCCESS and free.links >= 0.004
+    stuck = jxr.reach(two_fingers(), SIDES, pose=(0.0, 0.08, 0.0), elbow=(1, -1), link_radius=0.004)
+    assert stuck.result == jxr.RESULTS.links_meet and "come within" in stuck.reason
+
+
+def joints_of(found):
+    """Joints of every finger of two links, in the world."""
+    for finger, q in zip(found.grasp.fingers, np.asarray(found.state.q[3:]).reshape(-1, 2), strict=True):
+        headings = np.cumsum(q)
+        steps = np.asarray(finger.lengths)[:, None] * np.stack([np.cos(headings), np.sin(headings)], axis=1)
+        yield np.asarray(finger.base) + np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+
+
+def segment(one, other, point):
+    """Distance of a point from a segment."""
+    along = other - one
+    share = np.clip((point - one) @ along / (along @ along), 0.0, 1.0)
+    return np.linalg.norm(one + share * along - point)
+
+
 def test_why_a_start_is_not_closed_is_said():
     far = jxr.reach(two_fingers(), SIDES, pose=(0.0, 0.2, 0.0))
     assert far.result == jxr.RESULTS.unreachable and "reaches 0.12 m at most" in far.reason

@@ -269,6 +269,7 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         "guess": _made("state", held_state),
         "elbow": _is("part", None, "one", "minus one", "whole zero"),
         "hold_object": _is("flag", True),
+        "link_radius": _is("positive", 0.004),
     },
     "Finger": {
         "tip": _ROUND,

@@ -33,6 +33,7 @@ class Wish(NamedTuple):
     elbow: int  # wanted sign of the last joint's angle; 0 for either
     guess: np.ndarray | None  # joints to stay near
     limits: np.ndarray | None  # (k, 2)
+    link_radius: float  # of the links, as capsules; minus infinity where they may pass through the object
 
 
 class Choice(NamedTuple):
@@ -68,8 +69,11 @@ def chosen_posture(
         reason = f"only postures whose last joint has the other sign than elbow={wish.elbow} touch"
         return Choice(fair.taken([0]), "unreachable", reason, 0.0, np.inf, len(good.q))
     one, overlap, links = _best(reacher, sided, wish, object_)
-    if overlap <= _TOLERANCE:
+    if overlap <= _TOLERANCE and links >= wish.link_radius:
         return Choice(one, "successful", "", overlap, links, len(good.q))
+    if overlap <= _TOLERANCE:
+        reason = f"its links come within {links:.3g} m of the object in every posture"
+        return Choice(one, "links_meet", reason, overlap, links, len(good.q))
     reason = f"its tip overlaps the object by {overlap:.3g} m or more in every posture"
     return Choice(one, "penetration", reason, overlap, links, len(good.q))
 
@@ -79,7 +83,8 @@ def _best(
 ) -> tuple[Postures, float, float]:
     """The posture nearest to the guess or with links farthest away, its overlap and its links' distance.
 
-    Postures that overlap come last; they are looked at some at a time, until one does not.
+    Postures that overlap come last, and before them those whose links meet the object; they are looked at
+    some at a time, until one does neither.
     """
     if wish.guess is not None:
         scale = 2.0 * np.pi if reacher.finger.turns else _LENGTH
@@ -91,10 +96,12 @@ def _best(
         overlaps, links = _clearances(reacher, some, object_)
         # Without a guess they are in no order.
         cost = np.arange(len(links)) if wish.guess is not None else -links
-        i = int(np.lexsort((cost, np.maximum(overlaps, _TOLERANCE)))[0])
-        if best is None or overlaps[i] < best[1]:
+        meets = np.maximum(wish.link_radius - links, 0.0)
+        i = int(np.lexsort((cost, meets, np.maximum(overlaps, _TOLERANCE)))[0])
+        worse = best is not None and (best[1], -best[2]) <= (overlaps[i], -links[i])
+        if best is None or not worse:
             best = some.taken([i]), float(overlaps[i]), float(links[i])
-        if best[1] <= _TOLERANCE:
+        if best[1] <= _TOLERANCE and best[2] >= wish.link_radius:
             break
     assert best is not None
     return best

@@ -17,7 +17,17 @@ from .._closing import close, held_velocities
 from .._mechanics import check_planar, check_spatial, check_states, Grasp, State, tabled_grasp
 from .._motion import residuals
 from .._printing import listed
-from .._results import as_array, as_floats, check_finite, check_flag, check_instance, RESULTS, shown, traced
+from .._results import (
+    as_array,
+    as_floats,
+    as_length,
+    check_finite,
+    check_flag,
+    check_instance,
+    RESULTS,
+    shown,
+    traced,
+)
 from .._types import Given
 from ._choice import Choice, chosen_posture, Wish
 from ._overlap import sampled_object, SampledObject
@@ -41,12 +51,13 @@ class Reach(eqx.Module):
         grasp: The grasp; in the plane its contacts have the arclengths that touch.
         state: At rest, the contacts closed if `result` is `successful`; else as near as was found.
         result: Code of `jaxroll.RESULTS`: `successful`; `unreachable` where a finger does not get there, or
-            only with its elbow on the other side; `joint_limit`, `penetration`, `singular_contact`.
+            only with its elbow on the other side; `joint_limit`, `penetration`, `links_meet`.
         reason: Why, in a sentence with numbers; empty where it is a success.
         gap: Largest distance of two contact points [m].
         tilt: Largest length of a sum of two outward normals.
         overlap: How deep fingertips and object overlap away from their contacts [m].
-        links: Least distance of the fingers' links, as lines, from the object [m]; negative inside.
+        links: Least distance of the fingers' links from the object, of 16 points of each line from joint to
+            joint [m]; negative inside.
         postures: How many postures of each finger touch, limits and elbows aside.
     """
 
@@ -77,11 +88,12 @@ def reach(
     hold: str | Sequence[str] = (),
     elbow: int | Sequence[int] | None = None,
     hold_object: bool = True,
+    link_radius: Given | None = None,
 ) -> Reach:
     r"""Find a closed start in which the fingertips touch an object where they are asked to.
 
     Args:
-        grasp: The grasp. Each contact says which finger touches which contour or surface; its arclengths are
+        grasp: The grasp; each contact says which finger touches which contour or surface; its arclengths are
             replaced by those found.
         contacts: Where each contact is to be on the object: points in its frame, shape (c, 2) or (c, 3) [m],
             such as a row of `grasp_points(...).points`; or arclengths (c,), or coordinates (c, 2) of charts.
@@ -93,6 +105,8 @@ def reach(
         elbow: Sign of the last joint's angle, 1 or -1, for all fingers or for each; 0 for either.
         hold_object: If False, and a finger does not get there, `close` may move the object and roll the
             contacts.
+        link_radius: Of the links, as capsules from joint to joint [m]: postures in which they meet the object
+            are not taken. Default: links may pass through it, and `links` of the result says whether they do.
 
     Returns:
         A `Reach`: `simulate(*found.start, t1)` runs it where `found.result` is `successful`.
@@ -125,10 +139,11 @@ def reach(
     at = _places_on(grasp, faces, solid, contacts)
     targets = _targets(ready, faces, at, positions)
     elbows = _elbows(elbow, len(grasp.fingers))
+    radius = -np.inf if link_radius is None else float(as_length("link_radius", link_radius))
     chosen = []
     for i in range(len(grasp.fingers)):
         own = [j for j, contact in enumerate(grasp.contacts) if contact.finger == i]
-        wish = Wish(elbows[i], _joints(grasp, guess, i), _limits(grasp.fingers[i]))
+        wish = Wish(elbows[i], _joints(grasp, guess, i), _limits(grasp.fingers[i]), radius)
         reacher = _reacher(ready, i, held)
         mine = TouchPoints(targets.points[own], targets.normals[own])
         chosen.append(chosen_posture(reacher, mine, wish, (solid, *poses_at(ready.object, positions[None]))))

@@ -194,7 +194,7 @@ def gaps_and_tilts(grasp, state):
         yield np.linalg.norm(point - other), np.linalg.norm(normals)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(4))
 def test_random_hands_in_the_plane(seed):
     grasp, points, pose = planar_case(1000 + seed)
     found = jxr.reach(grasp, points, pose=pose)

@@ -150,7 +150,7 @@ def worlds(scene):
 def called(function, names, takes, grasp, given):
     """A call with whatever else the function needs."""
     blow = jxr.loads.Impulse((0.0, 0.0), 0.0)
-    more = {"t1": 1.0, "ts": 0.0, "path": pathlib.Path("none.gif"), "blow": blow}
+    more = {"t1": 1.0, "ts": 0.0, "path": pathlib.Path("none.gif"), "blow": blow, "contacts": [(9.0, 9.0)]}
     needed = inspect.signature(function).parameters
     rest = {n: more[n] for n in names if n in more and needed[n].default is inspect.Parameter.empty}
     return function(**{"grasp": grasp, takes: given} | rest)

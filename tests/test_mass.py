@@ -21,26 +21,29 @@ def agree(found, size, centre, inertia, allowed):
     np.testing.assert_allclose(found.inertia, inertia, atol=allowed * np.abs(inertia).max())
 
 
-def lobed(waves, u):
-    """r = 1 + a cos(n u), in centimetres; shifted off the origin."""
-    radius = 0.01 * (1.0 + waves[0] * jnp.cos(3.0 * u))
+def snail(waves, u):
+    """r = 1 + a cos(u), in centimetres; shifted off the origin."""
+    radius = 0.01 * (1.0 + waves[0] * jnp.cos(u))
     return jnp.stack([0.05 + radius * jnp.cos(u), radius * jnp.sin(u)])
 
 
-def lobes(a):
-    return jxr.Parametric(jax.tree_util.Partial(lobed, jnp.stack([a])), (0.0, 2.0 * np.pi), closed=True)
+def snails(a):
+    return jxr.Parametric(jax.tree_util.Partial(snail, jnp.stack([a])), (0.0, 2.0 * np.pi), closed=True)
 
 
 def test_a_polar_curve():
-    """Area and polar moment of r(u): half the integral of r^2, a quarter of that of r^4."""
-    a = 0.2
-    area = np.pi * 0.01**2 * (1.0 + a**2 / 2.0)
-    moment = np.pi / 2.0 * 0.01**4 * (1.0 + 3.0 * a**2 + 3.0 * a**4 / 8.0)
-    found = mass_properties(lobes(jnp.asarray(a)), 3.0)
-    agree(found, area, [0.05, 0.0], 3.0 * moment, 1e-12)
-    slope = jax.grad(lambda a: mass_properties(lobes(a), 3.0).inertia)(jnp.asarray(a))
-    wanted = 3.0 * np.pi / 2.0 * 0.01**4 * (6.0 * a + 1.5 * a**3)
-    np.testing.assert_allclose(slope, wanted, rtol=1e-9)
+    """Area, first and polar moment of r(u): integrals of r^2 / 2, r^3 cos(u) / 3 and r^4 / 4."""
+
+    def truth(a):
+        area = np.pi * 0.01**2 * (1.0 + a**2 / 2.0)
+        first = np.pi * 0.01**3 * (a + a**3 / 4.0)
+        return area, first / area, np.pi * 0.01**4 * (0.5 + 1.5 * a**2 + 0.1875 * a**4) - first**2 / area
+
+    area, shift, moment = truth(0.4)
+    agree(mass_properties(snails(jnp.asarray(0.4)), 3.0), area, [0.05 + shift, 0.0], 3.0 * moment, 1e-12)
+    slope = jax.grad(lambda a: mass_properties(snails(a), 3.0).inertia)(jnp.asarray(0.4))
+    wanted = 3.0 * (truth(0.4 + 1e-5)[2] - truth(0.4 - 1e-5)[2]) / 2e-5
+    np.testing.assert_allclose(slope, wanted, rtol=1e-8)
 
 
 def test_an_ellipse_in_every_form():

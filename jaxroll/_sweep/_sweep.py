@@ -1,8 +1,8 @@
 """Many runs: in chunks, on every device, with progress, resumed where they were cut off.
 
 All chunks have the same shape, so that one compiled program (`_program`) serves them all. Worker threads call
-it, and each waits for its own result; Python's lock is free while XLA computes. With a folder (`_folder`) or a
-store (`_store`) finished chunks are not computed again, once it is known to be of the same sweep
+it, and each waits for its own result; Python's lock is free while XLA computes. With a folder (`_folder`) or
+a store (`_store`) finished chunks are not computed again, once it is known to be of the same sweep
 (`_identity`). With a client others compute (`_dispatch`).
 """
 

@@ -280,7 +280,9 @@ def _reported(contour: AbstractContour, clean: CleanPoints, known: _Known, seen:
     crosses = len(crossings(outline[:-1] if closed else outline, closed=closed)) > 0
     peak = float(np.max(np.abs(curvatures)))
     rms = float(np.sqrt(np.mean(distances**2)))
-    rounded = () if radius is None else departures(clean.points, feet, distances, known.noise or 0.0, radius)
+    rounded = ()
+    if radius is not None:
+        rounded = departures(clean.points, feet, distances, noise=known.noise or 0.0, radius=radius)
     report = FitReport(
         field=known.field,
         closed=closed,

@@ -63,7 +63,7 @@ class CurvatureJump:
 
 
 def departures(
-    points: np.ndarray, feet: np.ndarray, distances: np.ndarray, noise: float, radius: float
+    points: np.ndarray, feet: np.ndarray, distances: np.ndarray, *, noise: float, radius: float
 ) -> tuple[Departure, ...]:
     """Stretches of at least two neighbouring points off the contour by more than noise explains.
 

@@ -17,7 +17,7 @@ _BUMP = np.array([66.0, 26.0, 1.0, 1.0, 26.0]) / 120.0  # values of the B-spline
 _FINE = 16  # places per interval from which arclength is summed
 
 
-class Frames(NamedTuple):
+class CurveFrames(NamedTuple):
     """A curve at places u: point and unit normal to the left (n, 2), curvature [1/m], speed |dP/du| [m]."""
 
     point: np.ndarray
@@ -55,13 +55,13 @@ class EvenSpline:
         """Places brought back to the curve: round a closed one, to the nearer end of an open one."""
         return np.mod(u, self.pieces) if self.closed else np.clip(u, 0.0, self.pieces)
 
-    def frames(self, u: np.ndarray) -> Frames:
+    def frames(self, u: np.ndarray) -> CurveFrames:
         u = self.inside(u)
         rate, bend = self.curve(u, 1), self.curve(u, 2)
         speed = np.maximum(np.hypot(rate[:, 0], rate[:, 1]), np.finfo(float).tiny)
         normal = np.stack([-rate[:, 1], rate[:, 0]], axis=1) / speed[:, None]
         curvature = (rate[:, 0] * bend[:, 1] - rate[:, 1] * bend[:, 0]) / speed**3
-        return Frames(self.curve(u), normal, curvature, speed)
+        return CurveFrames(self.curve(u), normal, curvature, speed)
 
     def arclengths(self) -> tuple[np.ndarray, np.ndarray]:
         """Places u, `_FINE` to an interval, and the arclengths [m] from u = 0 to them."""

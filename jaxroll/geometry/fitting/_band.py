@@ -69,9 +69,10 @@ def found_band(points: np.ndarray, scale: float, *, closed: bool, ordered: bool 
             return Band(chain, kept, strays, reordered=False)
     near = nearest_points(points, _NEAR)
     exact = crust(points, near)
-    chain = None if exact is None else _strung(points[exact.indices], scale, closed=closed)
-    if exact is not None and exact.loop == closed and not len(crossings(chain, closed=closed)):
-        return Band(chain, exact.indices, np.zeros(0, int), reordered=True)
+    if exact is not None and exact.loop == closed:
+        chain = _strung(points[exact.indices], scale, closed=closed)
+        if not len(crossings(chain, closed=closed)):
+            return Band(chain, exact.indices, np.zeros(0, int), reordered=True)
     apart = np.linalg.norm(points[near[:, min(_DENSE, near.shape[1]) - 1]] - points, axis=1)
     loose = apart > _LOOSE * float(np.median(apart))
     # Within the distance to the fourth nearest point there are no means, only points.

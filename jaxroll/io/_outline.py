@@ -129,7 +129,7 @@ def filled_places(total: float, corners: np.ndarray, count: int, *, closed: bool
     return np.sort(places % total) if closed else places
 
 
-def side_points(polygon: np.ndarray, count: int, *, closed: bool, sharp: float) -> np.ndarray:
+def filled_polygon(polygon: np.ndarray, count: int, *, closed: bool, sharp: float) -> np.ndarray:
     """About so many points along a polygon, with all its corners that are sharper than an angle [rad]."""
     around = np.concatenate([polygon, polygon[:1]]) if closed else polygon
     sides = np.diff(around, axis=0)

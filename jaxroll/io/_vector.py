@@ -16,7 +16,7 @@ import numpy as np
 
 from .._results import shown
 from ._extra import missing
-from ._outline import chosen, even, filled_places, side_points
+from ._outline import chosen, even, filled_places, filled_polygon
 
 # Least angles [rad] of a corner: between straight pieces, between any, and in a polygon along a curve.
 _ANY, _SHARP, _ALONG = 1e-9, 0.02, 0.1
@@ -92,7 +92,7 @@ def _along(piece: Any, samples: int, fill: bool) -> np.ndarray:
     if all(type(segment).__name__ == "Line" for segment in piece):
         corners = np.array([segment.start for segment in piece] + ([] if closed else [piece[-1].end]))
         corners = np.stack([np.real(corners), np.imag(corners)], axis=1)
-        return side_points(corners, samples, closed=closed, sharp=_ANY) if fill else corners
+        return filled_polygon(corners, samples, closed=closed, sharp=_ANY) if fill else corners
     # Length along the path against its parameter, which is the number of the piece plus the parameter within
     # it; then the parameters at equal lengths.
     t = np.linspace(0.0, 1.0, _FINE + 1)
@@ -175,7 +175,7 @@ def read_dxf(path: Path, scale: float, which: int, samples: int, fill: bool) -> 
         closed = bool(np.linalg.norm(line[0] - line[-1]) <= 1e-6 * size)
         line = line[:-1] if closed else line
         if fill:
-            outlines.append(side_points(line, samples, closed=closed, sharp=_ALONG if curved else _ANY))
+            outlines.append(filled_polygon(line, samples, closed=closed, sharp=_ALONG if curved else _ANY))
         else:
             outlines.append(even(line, samples, closed=closed) if curved else line)
     return _finite(chosen(outlines, which, f"outlines in {path.name}"), path)

@@ -152,8 +152,8 @@ def fit_contour(
             leave a gap where `closed`, cross themselves or turn back; if no contour among them can have the
             smallest radius; or another argument is out of range.
 
-    Accuracy: see `smallest_radius` in the tests of this package for sections of scans with noise of 0.1 to
-    0.5 mm.
+    Accuracy: with `smallest_radius`, within twice the noise where the points' own radius allows it, on
+    sections of scans with noise of 0.1 to 0.5 mm (`tests/test_smallest_radius.py`).
 
     Example:
         >>> import jaxroll as jxr, numpy as np

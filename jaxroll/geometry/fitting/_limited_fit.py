@@ -1,7 +1,8 @@
 r"""Points to a curve with a smallest radius of curvature: what is known of the data sets all the rest.
 
 Of a wiggle with the noise's amplitude $\sigma$ and the wavelength $\ell = 2\pi\sqrt{\sigma R}$ the curvature
-is $1/R$: what is shorter cannot be shape where no radius is below R, so that $\ell$ is how much to smooth.
+is $1/R$: what is shorter cannot be shape where no radius is below R, so that $\ell$ is how much to smooth at
+least; `_smoothest` smooths more where the points say so.
 The noise itself is estimated from how a point differs from its two neighbours along the curve. A quarter of R
 is the scale at which points are put in order (`_band`), a fifth the distance of the curve's nodes.
 
@@ -29,7 +30,9 @@ _BROAD = 6.0  # wavelength of the first curve, in smallest radii
 _STEPS = 5.0
 _LONGER = 1.5
 _MORE = 6  # powers of _LONGER that are tried where the points allow more smoothing
-_MOVED = 1.2  # most that this moves the curve, in standard deviations
+# Neighbours that are looked at together, at least; and their largest mean, in its standard deviations, that
+# is put down to chance.
+_FEWEST, _CHANCE = 5, 3.0
 # Least noise that is reckoned with, in smallest radii: in smoothing, which leaves a tenth of it, and in how
 # far points may lie off.
 _SMOOTH = 5e-3
@@ -184,8 +187,9 @@ def _smoothest(ready: Limited) -> Limited:
     r"""With as long a wavelength as serves the points: of those tried, the one of Mallows' least estimate.
 
     That is $\sum_i \min(r_i^2, 9\sigma^2) + 2\sigma^2\,\mathrm{tr}\,H$; a filter that passes the share
-    $1/(1 + (\ell k/L)^6)$ of the k-th wave has the trace $\frac{2\pi}{3} L/\ell$. A wavelength that moves the
-    curve by more than the noise anywhere is not taken, whatever the sum says: it would cost a bend.
+    $1/(1 + (\ell k/L)^6)$ of the k-th wave has the trace $\frac{2\pi}{3} L/\ell$. A wavelength that leaves
+    neighbouring points on one side of the curve, by more than chance would, is not taken, whatever the sum
+    says: it would cost a bend.
     """
     length, sigma = float(ready.start.arclengths()[1][-1]), ready.noise
     if not sigma > _SMOOTH * ready.wanted.radius:
@@ -195,17 +199,24 @@ def _smoothest(ready: Limited) -> Limited:
         square = np.minimum(distances**2, 9.0 * sigma**2)
         return float(square.sum() + 4.0 * np.pi / 3.0 * sigma**2 * length / wavelength)
 
-    first = ready.solved(_SHARE).distances
-    least = estimate(ready.wavelength, first)
+    first = ready.solved(_SHARE)
+    least = estimate(ready.wavelength, first.distances)
+    together = max(_FEWEST, round(0.5 * ready.wavelength / length * len(first.distances)))
+    most = max(_CHANCE * sigma / np.sqrt(together), _leaning(first, together))
     for longer in _LONGER ** np.arange(1, _MORE):
         trial = replace(ready, longer=float(longer))
         found = trial.solved(_SHARE)
         value = estimate(trial.wavelength, found.distances)
-        moved = float(np.abs(found.distances - first).max())
-        if value >= least or moved > _MOVED * sigma or trial.wavelength > 0.5 * length:
+        if value >= least or _leaning(found, together) > most or trial.wavelength > 0.5 * length:
             break
         ready, least = replace(trial, start=found.curve), value
     return ready
+
+
+def _leaning(found: Bounded, together: int) -> float:
+    """The largest mean distance of so many neighbouring points from a curve [m]."""
+    distances = found.distances[np.argsort(found.feet, kind="stable")]
+    return float(np.abs(np.convolve(distances, np.full(together, 1.0 / together), "valid")).max())
 
 
 def estimated_noise(places: np.ndarray, distances: np.ndarray) -> float:

@@ -213,6 +213,25 @@ def test_random_hands_in_space(seed):
     assert worst_residual(found) <= 1e-12
 
 
+@pytest.mark.slow
+def test_an_object_that_is_let_go_turns_between_two_plates():
+    """Plates do not turn: an ellipse that is tilted between them does, until they face its ends."""
+    plates = [
+        jxr.Jaw(jxr.Line().moved(angle=angle), 0.1, [0.0], base=(x, 0.0))
+        for angle, x in ((0.0, -0.05), (np.pi, 0.05))
+    ]
+    body = jxr.FreeObject.uniform(jxr.Ellipse(A, 0.7 * A), 20.0)
+    grasp = jxr.Grasp(body, plates, [jxr.Contact(finger=0), jxr.Contact(finger=1)])
+    ends = [(-A, 0.0), (A, 0.0)]
+    straight = jxr.reach(grasp, ends)
+    assert straight.result == SUCCESS
+    np.testing.assert_allclose(straight.state.q[3:], [0.03, -0.03], rtol=1e-12)
+    assert jxr.reach(grasp, ends, pose=(0.0, 0.0, 0.3)).result == jxr.RESULTS.unreachable
+    free = jxr.reach(grasp, ends, pose=(0.0, 0.0, 0.3), hold_object=False)
+    assert free.result == SUCCESS and worst_residual(free) <= 1e-12
+    assert float(free.state.q[2]) < 0.3
+
+
 def test_arguments_that_do_not_fit_are_refused():
     grasp = two_fingers()
     calls = [

@@ -16,7 +16,7 @@ XLA computes it again for every number of the step-size control, and a batch tak
 """
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import diffrax
@@ -65,6 +65,8 @@ _NOT_FINITE, _SINGULAR_CONTACT, _CONTOUR_END, _LOST, _SLIPPING, _PENETRATION, _J
 # A limit's number is its code plus this for each contact or joint (see `_numbered`): above all codes.
 _KINDS = 16
 EVENTS = ("lift", "friction", "penetration")
+# Fields of a finger that may hold limits.
+_LIMITS = ("limits", "torque_limits")
 
 
 class Limit(NamedTuple):
@@ -140,15 +142,26 @@ def coded(x: Array, margin: Scalar, number: Scalar) -> Array:
 def decode(number: Scalar, loop: diffrax.RESULTS) -> RESULTS:
     """The result code of a run, from diffrax's code of its loop and the number in its last state.
 
-    A limit that was passed is the cause, whatever became of the steps.
+    A limit that was passed is the cause, whatever became of the steps; those of joints `decode_joints` adds.
     """
     result = RESULTS.where(loop == diffrax.RESULTS.successful, RESULTS.successful, RESULTS.solver_failed)
     steps = loop == diffrax.RESULTS.max_steps_reached
     result = RESULTS.where(steps, RESULTS.max_steps_reached, result)
     collapsed = loop == diffrax.RESULTS.dt_min_reached
     result = RESULTS.where(collapsed, RESULTS.step_collapsed, result)
-    for i, code in enumerate(_CODES[1:], start=1):
-        result = RESULTS.where((number > 0) & (number % _KINDS == i), code, result)
+    return _by_number(number, result, range(1, _JOINT))
+
+
+def decode_joints(grasp: Grasp, number: Scalar, result: RESULTS) -> RESULTS:
+    """A run's code where a limit of a joint ended it; as it is for a grasp whose fingers have no limits."""
+    limited = [getattr(f, name, None) is not None for f in grasp.fingers for name in _LIMITS]
+    return _by_number(number, result, (_JOINT, _TORQUE)) if any(limited) else result
+
+
+def _by_number(number: Scalar, result: RESULTS, kinds: Iterable[int]) -> RESULTS:
+    """A result, replaced by the code of the limit that was passed, if it is one of these kinds."""
+    for i in kinds:
+        result = RESULTS.where((number > 0) & (number % _KINDS == i), _CODES[i], result)
     return result
 
 

@@ -58,7 +58,7 @@ from ._arguments import (
 from ._contact_impulses import blow_times, contact_impulses, merged, times_before
 from ._dense import Dense
 from ._derivative import march
-from ._events import check_overlaps, EVENTS, whose
+from ._events import check_overlaps, decode_joints, EVENTS, whose
 from ._jumps import beside, lateness, ordered
 from ._methods import check_method, Seeing, Steady, with_tolerances
 from ._report import complaint
@@ -329,7 +329,7 @@ def _trajectory(
         states,
         states_of(lay, path.last),
         left,
-        RESULTS.where(on_constraints, path.result, RESULTS.unreachable),
+        RESULTS.where(on_constraints, decode_joints(grasp, number, path.result), RESULTS.unreachable),
         Stats(attempted, accepted, rejected, _ended_at(grasp, path, plan), whose(number), margin),
         forces,
         energy,

@@ -126,8 +126,8 @@ def test_it_lifts_and_turns_the_object(tripod, command):
         events=("lift",),
     )
     assert run.result == jxr.RESULTS.successful
-    # It begins in equilibrium: nothing moves before 0.2 s, each tip carries a third of the weight and presses as
-    # the opposition says.
+    # It begins in equilibrium: nothing moves before 0.2 s, each tip carries a third of the weight and presses
+    # as the opposition says.
     assert np.abs(run.states.q[4] - state.q).max() <= 1e-9
     np.testing.assert_allclose(run.multipliers.f[0], 3 * 16.0 * 0.02, rtol=1e-10)
     shares = np.tile([0.0, 0.0, WEIGHT / 3], (3, 1))

@@ -20,7 +20,7 @@ import jaxroll as jxr
 from jaxroll._analysis._loci import Loci, Locus
 from jaxroll._integration._trajectory import Stats
 from jaxroll._motion import Energy, Multipliers, Residuals
-from jaxroll.scenes import _plane_scenes, _space_scenes
+from jaxroll.scenes import _plane_scenes, _space_scenes, _tripod
 from tests.recorded.compare import path_of
 from tests.subjects import stand_in_grasp
 
@@ -48,6 +48,7 @@ def not_closed(state: Any = None) -> Iterator[None]:
     with (
         mock.patch.object(_plane_scenes, "close", instead),
         mock.patch.object(_space_scenes, "close", instead),
+        mock.patch.object(_tripod, "close", instead),
     ):
         yield
 

@@ -48,6 +48,8 @@ VARIED = {
     "pinch3d": {
         "gravity": (1, 2, 3), "beta": 2.0, "damping": (1.0, 2.0), "spin": "prevented", "friction": 0.3,
     },
+    "spheroid": {"radius": 0.01, "height": 0.04, "mass": 0.5},
+    "tripod": {"fingers": 4, "beta": 2.0, "damping": 0.1, "stiffness": 30.0, "gravity": (1, 2, 3)},
 }  # fmt: skip
 
 

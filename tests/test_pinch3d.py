@@ -78,6 +78,21 @@ def test_the_scene_has_the_numbers_of_the_second_formulation(monkeypatch):
 
 
 @pytest.mark.slow
+def test_a_scene_of_another_size_moves_alike():
+    """Froude's similarity: in the same gravity lengths times k, forces times k^3, times times its root."""
+    found = []
+    for k in (1.0, 2.5):
+        scene = jxr.scenes.pinch3d(size=k, gravity=(0.3, -1.0, 0.5))
+        run = jxr.simulate(*scene, t1=0.5 * k**0.5, ts=6, rtol=1e-11, record=("multipliers",))
+        q = np.asarray(run.states.q) / np.where(np.arange(13) < 3, k, 1.0)[None]
+        found.append((q, np.asarray(run.multipliers.f) / k**3))
+    (q, f), (similar, forces) = found
+    np.testing.assert_allclose(similar, q, atol=1e-11)
+    np.testing.assert_allclose(forces, f, atol=1e-11)
+    assert np.abs(q[-1] - q[0]).max() > 1e-2
+
+
+@pytest.mark.slow
 def test_default_settings_are_within_a_micrometre():
     grasp, state = jxr.scenes.pinch3d()
     runs = [jxr.simulate(grasp, state, t1=1.0, ts=TS, rtol=rtol).states.q for rtol in (1e-8, 1e-11)]

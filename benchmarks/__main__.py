@@ -23,6 +23,7 @@ NAMES = (
     "work_precision",
     "batch",
     "lanes",
+    "maps",
     "stiffness",
     "long_pinch",
     "disc",

@@ -63,6 +63,17 @@ def designed() -> Any:
     return jxr.design.optimise_fingertip(jxr.Ellipse(0.02, 0.01), (-0.005, 0.005), steps=10)
 
 
+@functools.cache
+def gridded() -> jxr.Parameters:
+    """Two parameters on a grid of 3 x 3."""
+    return jxr.Parameters.grid(a=[0.0, 1.0, 2.0], b=[0.0, 1.0, 2.0])
+
+
+def halved(p: jxr.Parameters) -> Any:
+    """A code over these."""
+    return p.a > p.b
+
+
 def dots(count: int = 24) -> np.ndarray:
     """Points on an ellipse."""
     u = 2 * np.pi * np.arange(count) / count

@@ -47,6 +47,9 @@ RECORDS |= {
 }
 RECORDS |= {"Principal", "NetworkFit", "CleanPoints", "Jet", "SurfaceFit", "SurfaceReport", "Level", "Table"}
 RECORDS |= {"Strike", "Vec2", "Vec3", "Sym3", "VectorField", "GraspPoints", "MassProperties", "Reach"}
+RECORDS |= {"Strike", "Vec2", "Vec3", "Sym3", "VectorField"}
+# Arguments by any name, for which functions below stand.
+RECORDS |= {"Parameters", "measures"}
 RECORDS |= {"TableError", "Equilibrium", "PinchStatics", "Stability", "Pose", "Twist"}
 RECORDS |= {"Strike", "Vec2", "Vec3", "Sym3", "VectorField"}
 RECORDS |= {"Hand", "TableError", "Equilibrium", "PinchStatics", "Stability", "Pose", "Twist"}
@@ -63,6 +66,7 @@ LEFT_OUT = ABSTRACT | ENUMERATIONS | RECORDS | INNER
 _SLOW = set(
     [
         "accelerations",
+        "adaptive_map",
         "animate",
         "assess",
         "ball_plate",
@@ -81,6 +85,8 @@ _SLOW = set(
         "multipliers",
         "optimise_fingertip",
         "page",
+        "map_page",
+        "parameter_map",
         "phase",
         "pinch",
         "pinch3d",
@@ -206,6 +212,26 @@ def uniform_solid(surface: Any, density: Any) -> Any:
 METHODS = (
     uniform_object,
     uniform_solid,
+def columns(damping: Any, force: Any) -> Any:
+    """`Parameters` of two names."""
+    return jxr.Parameters(damping=damping, force=force)
+
+
+def sobol(count: Any, seed: Any = 0, beta: Any = (0.0, 1.0)) -> Any:
+    """`Parameters.sobol` of one name."""
+    return jxr.Parameters.sobol(count, seed=seed, beta=beta)
+
+
+def measures(names: Any) -> Any:
+    """`measures` of one name."""
+    return jxr.measures(names)
+
+
+# Methods that take a caller's arguments, and functions that take them by any name.
+METHODS = (
+    columns,
+    sobol,
+    measures,
     with_payload,
     with_tip,
     with_contacts,

@@ -10,6 +10,7 @@ import importlib.util
 import inspect
 import math
 import time
+from collections import Counter
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -22,11 +23,11 @@ import numpy as np
 from .. import plotting, scenes
 from .._integration import simulate
 from .._maps import adaptive_map, measures, MEASURES_KEPT
-from .._printing import code_name, is_code, shown_value
+from .._printing import is_code, shown_value
 from .._sweep import Parameters, sweep
 from ..geometry import Circle, Sphere
 from ._sweep_order import MapOrder, Range, SweepOrder, unit_of
-from ._sweep_table import flat_values, read_table, SweepTable, write_table
+from ._sweep_table import entries_of, flat_values, read_table, SweepTable, write_table
 from ._waiting import say
 
 _RUNS = 1024
@@ -195,6 +196,8 @@ def _told(values: Any) -> list[str]:
     """A line for each column: how often each code, or from where to where."""
     lines = []
     for name, column in flat_values(values):
-        told = code_name(column) if is_code(column) else shown_value(np.asarray(column))
+        told = shown_value(np.asarray(column)) if not is_code(column) else ""
+        if is_code(column):
+            told = ", ".join(f"{n} {code}" for code, n in Counter(entries_of(column)).most_common())
         lines.append(f"  {name:<20}{told}")
     return lines

@@ -40,7 +40,7 @@ def write_table(folder: Path, table: SweepTable) -> list[str]:
     with (folder / _TEXT).open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
-        writer.writerows(zip(*(_listed(column) for column in columns.values()), strict=True))
+        writer.writerows(zip(*(entries_of(column) for column in columns.values()), strict=True))
     return [_FILE, _TEXT]
 
 
@@ -83,7 +83,7 @@ def _flat(name: str, column: Any) -> Iterator[tuple[str, Any]]:
         yield f"{name}[{', '.join(map(str, index))}]", np.asarray(column)[:, *index]
 
 
-def _listed(column: Any) -> list[Any]:
+def entries_of(column: Any) -> list[Any]:
     """The entries of a column, as they are written."""
     if not is_code(column):
         return np.asarray(column).tolist()

@@ -17,7 +17,7 @@ from jaxtyping import Bool
 from tqdm import tqdm
 
 from .._printing import shown_value
-from .._results import as_count, as_floats, check_callable, check_flag, check_instance, shown
+from .._results import as_count, as_floats, check_callable, check_flag, check_instance, is_array_like, shown
 from .._sweep import Parameters
 from .._xla import WIDE
 from ._cells import between, halved_lines, Spread, wanted_points
@@ -129,12 +129,9 @@ def adaptive_map(
             todo = np.flatnonzero(wanted & ~known)
             if not todo.size:
                 break
-            for start, pieces in program.run(todo):
-                at = todo[start : start + program.size]
-                for values, piece in zip(found, pieces, strict=True):
-                    values.reshape(grid.rows, *values.shape[known.ndim :])[at] = piece[: len(at)]
+            for count in program.run(todo, found):
                 spent += program.size
-                meter.update(len(at))
+                meter.update(count)
             known.flat[todo] = True
     filled = [between(values, known, lines) for values in found]
     return AdaptiveMap(grid, jax.tree.unflatten(program.structure, filled), known, spent)
@@ -185,28 +182,43 @@ def _tolerance(value: Any) -> float:
     return limit
 
 
+def _outcome_of(outcome: Callable, row: Any) -> Any:
+    """What the outcome returns for one row, checked."""
+    found = outcome(row)
+    leaves = jax.tree.leaves(found)
+    if not leaves or not all(map(_is_real, leaves)):
+        raise ValueError(f"argument outcome must return arrays of real numbers, but returned {shown(found)}")
+    return found
+
+
+def _is_real(leaf: Any) -> bool:
+    return isinstance(leaf, bool | int | float) or is_array_like(leaf) and leaf.dtype.kind in "fiub"
+
+
 class _Program:
     """The outcome of a chunk of rows, compiled once."""
 
     def __init__(self, outcome: Callable, grid: Parameters, size: int) -> None:
         self.grid, self.size = grid, size
-        traced = jax.jit(jax.vmap(outcome), compiler_options=WIDE).trace(self._rows(np.zeros(size, int)))
+        traced = jax.jit(jax.vmap(lambda p: _outcome_of(outcome, p)), compiler_options=WIDE).trace(
+            self._rows(np.zeros(size, int))
+        )
         self.results = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), traced.out_info)
         self.leaves, self.structure = jax.tree.leaves(self.results), jax.tree.structure(self.results)
-        if not self.leaves or any(x.dtype.kind not in "fiub" for x in self.leaves):
-            raise ValueError(
-                f"argument outcome must return arrays of real numbers, but returned {shown(self.results)}"
-            )
         self._call = traced.lower().compile()
 
     def _rows(self, index: np.ndarray) -> Any:
         return jax.tree.map(lambda x: jnp.asarray(x[index]), self.grid)
 
-    def run(self, todo: np.ndarray) -> Iterator[tuple[int, list[np.ndarray]]]:
-        """Starts and results of the chunks of some rows; copies of the last row fill the last chunk."""
+    def run(self, todo: np.ndarray, found: list[np.ndarray]) -> Iterator[int]:
+        """Run some rows and put what comes of them into the map's arrays; how many each chunk had."""
         for start in range(0, len(todo), self.size):
+            # Copies of the last row fill the last chunk.
             index = todo[np.minimum(np.arange(start, start + self.size), len(todo) - 1)]
-            yield start, [np.asarray(x) for x in jax.tree.leaves(self._call(self._rows(index)))]
+            pieces = jax.tree.leaves(self._call(self._rows(index)))
+            for values, piece in zip(found, pieces, strict=True):
+                values.reshape(self.grid.rows, *piece.shape[1:])[index] = np.asarray(piece)
+            yield min(self.size, len(todo) - start)
 
 
 def _told(values: Any) -> str:

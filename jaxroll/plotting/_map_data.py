@@ -18,7 +18,7 @@ from .._sweep import Parameters
 _EVEN = 1e-6
 
 
-class Axis(NamedTuple):
+class Side(NamedTuple):
     """One parameter along a side of the map.
 
     Attributes:
@@ -44,8 +44,8 @@ class MapData(NamedTuple):
         held: Which other parameters are held where, as text; empty if there are none.
     """
 
-    x: Axis
-    y: Axis
+    x: Side
+    y: Side
     z: np.ndarray
     codes: tuple[str, ...]
     gridded: bool
@@ -150,10 +150,10 @@ def _spread(parameters: Parameters, sides: tuple[str, str]) -> str:
     )
 
 
-def _axis(parameters: Parameters, name: str, values: np.ndarray, *, gridded: bool) -> Axis:
+def _axis(parameters: Parameters, name: str, values: np.ndarray, *, gridded: bool) -> Side:
     unit = parameters.units[name]
     told = name.replace("_", " ")
-    return Axis(
+    return Side(
         np.asarray(values, float), f"{told} [{unit}]" if unit else told, _logarithmic(values, gridded=gridded)
     )
 

@@ -11,7 +11,7 @@ from matplotlib.patches import Patch
 
 from .._sweep import Parameters
 from ._doors import guarded
-from ._map_data import Axis, map_data, MapData
+from ._map_data import map_data, MapData, Side
 from ._style import CYCLE, Picture, tidy
 
 # What is well, what was not worked out, and codes in the order in which they appear.
@@ -135,7 +135,7 @@ def _legend(ax: Axes, data: MapData, label: str) -> None:
         )
 
 
-def _edges(axis: Axis) -> np.ndarray:
+def _edges(axis: Side) -> np.ndarray:
     """Borders of the cells about the values: half way between two, on the axis' own scale."""
     seen = np.log(axis.values) if axis.log else axis.values
     middles = 0.5 * (seen[1:] + seen[:-1])

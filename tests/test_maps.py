@@ -1,0 +1,229 @@
+"""Measures kept by name, and maps that are fine only where outcomes change."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxroll as jxr
+from jaxroll import design
+from jaxroll._maps import Measures, MEASURES_KEPT
+from jaxroll._maps._cells import halved_lines
+
+ALL = jxr.measures(*MEASURES_KEPT, turned=lambda run: run.last.q[0])
+
+
+@pytest.fixture(scope="module")
+def swept(scene):
+    """Two runs of the pivoted scene: whole, and as measures."""
+    grasp, state = scene
+    two = jxr.Parameters(damping=[0.004, 0.006])
+    make = lambda p: (grasp.with_(**p), state)  # noqa: E731
+    settings = {"ts": 31, "record": ALL.record, "rtol": 1e-7}
+    runs, kept = (jxr.sweep(make, two, 2.0, keep=keep, **settings) for keep in (None, ALL))
+    return runs, kept
+
+
+def test_measures_are_those_of_the_trajectory(swept):
+    """Worked out here from what the run saved, but for those that `design` has and tests."""
+    runs, kept = swept
+    assert set(kept) == {*MEASURES_KEPT, "turned"} and ALL.record == ("multipliers", "energy") and ALL.timed
+    energy = np.asarray(runs.energy.kinetic + runs.energy.potential)
+    forces = np.asarray(runs.multipliers.f)
+    np.testing.assert_allclose(kept["energy_lost"], energy[:, 0] - energy[:, -1], rtol=1e-12)
+    # Nothing but the controller's damping takes energy away here.
+    np.testing.assert_allclose(kept["energy_lost"], -np.asarray(runs.energy.work)[:, -1], rtol=1e-9)
+    assert (kept["energy_lost"] > 1e-4).all()
+    np.testing.assert_allclose(kept["energy_residual"], np.abs(runs.energy.residual).max(axis=1), rtol=1e-9)
+    np.testing.assert_allclose(kept["least_force"], forces.min(axis=(1, 2)), rtol=1e-12)
+    np.testing.assert_allclose(kept["peak_force"], forces.max(axis=(1, 2)), rtol=1e-12)
+    np.testing.assert_allclose(kept["final_pose"], runs.last.q, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(kept["turned"], np.asarray(runs.last.q)[:, 0], rtol=0, atol=1e-12)
+    for name in ("settling_time", "overshoot", "tracking_error", "friction_demand"):
+        alone = [getattr(design, name)(jax.tree.map(lambda x, i=i: jnp.asarray(x)[i], runs)) for i in (0, 1)]
+        np.testing.assert_allclose(kept[name], alone, rtol=1e-9)
+    event = kept["first_event"]
+    assert (event["result"] == jxr.RESULTS.successful).all() and (event["contact"] == -1).all()
+    assert np.isnan(event["time"]).all() and (kept["t_end"] == 2.0).all()
+
+
+def ended(run, at):
+    """A run whose rows hold nothing from one on, as after an early end."""
+
+    def cut(x):
+        return jnp.where(jnp.arange(x.shape[0]).reshape(-1, *(1,) * (x.ndim - 1)) < at, x, jnp.nan)
+
+    parts = lambda r: (r.states, r.multipliers, r.energy)  # noqa: E731
+    run = eqx.tree_at(parts, run, jax.tree.map(cut, parts(run)))
+    stats = lambda r: (r.result, r.stats.t_end, r.stats.contact)  # noqa: E731
+    return eqx.tree_at(stats, run, (jxr.RESULTS.slipping, run.ts[at - 1] + 0.001, jnp.asarray(0)))
+
+
+def test_measures_of_a_run_that_ended_early_are_of_the_part_that_it_reached(run):
+    found = ALL(ended(run, 40))
+    energy, forces = run.energy.kinetic + run.energy.potential, run.multipliers.f
+    assert found["result"] == jxr.RESULTS.slipping and int(found["first_event"]["contact"]) == 0
+    assert float(found["first_event"]["time"]) == float(run.ts[39]) + 0.001
+    assert float(found["energy_lost"]) == float(energy[0] - energy[39]) > 0.0
+    assert float(found["least_force"]) == float(forces[:40].min())
+    assert np.isnan(found["settling_time"]) and np.isnan(found["overshoot"])
+    nothing = ALL(ended(run, 0))
+    assert np.isnan(nothing["energy_residual"]) and np.isnan(nothing["least_force"])
+    assert np.isnan(nothing["energy_lost"])
+
+
+def test_what_a_measure_needs_is_named(scene):
+    forced, timed = jxr.measures("least_force"), jxr.measures("settling_time", "t_end")
+    assert forced.record == ("multipliers",) and not timed.record and timed.timed
+    assert not jxr.measures("result", "steps").timed and isinstance(timed, Measures)
+    sweep = lambda keep, **more: jxr.sweep(lambda p: scene, np.ones(2), 0.1, keep=keep, **more)  # noqa: E731
+    with pytest.raises(
+        ValueError, match="argument record must hold 'multipliers' for the measure 'least_force'"
+    ):
+        sweep(forced, ts=11)
+    with pytest.raises(ValueError, match="argument ts must ask for some tens of times .*'settling_time'"):
+        sweep(timed)
+
+
+@pytest.mark.parametrize("names", [(), ("speed",), (3,), (None,)])
+def test_measures_that_there_are_not(names):
+    with pytest.raises(ValueError, match="argument names must be"):
+        jxr.measures(*names)
+
+
+def test_ones_own_measure_is_a_function():
+    with pytest.raises(ValueError, match="argument height must be a function of a trajectory"):
+        jxr.measures("result", height=3.0)
+
+
+def square(n, m=None):
+    return jxr.Parameters.grid(x=np.linspace(-1.0, 1.0, n), y=np.linspace(-1.0, 1.0, m or n))
+
+
+OUTCOMES = {
+    "disc": lambda x, y: x**2 + y**2 < 0.5,
+    "three codes": lambda x, y: 1 * (x**2 + y**2 < 0.6) + 1 * (y > 0.3 * x),
+    "spiral": lambda x, y: ((x * x + y * y) ** 0.5 * 3.0 - 0.4 * y) % 2.0 < 1.0,
+    "thorn": lambda x, y: (abs(y) < 0.3 * (x + 1.0) ** 3) & (x < 0.9),
+}
+
+
+@pytest.mark.parametrize("name", OUTCOMES)
+@pytest.mark.parametrize("shape", [(129, 129), (100, 171)])
+def test_an_adaptive_map_is_the_full_one(name, shape):
+    """Boundaries that the coarse points meet are followed to the last point, on grids of any length."""
+    grid, outcome = square(*shape), OUTCOMES[name]
+    found = jxr.adaptive_map(lambda p: outcome(p.x, p.y), grid, levels=4)
+    np.testing.assert_array_equal(found.values, grid.shaped(outcome(grid.x, grid.y)))
+    assert found.runs == found.ran.sum() <= found.spent
+    assert found.runs < (0.2 if name != "spiral" else 0.6) * grid.rows
+    # Every point beside another code was run.
+    codes = np.asarray(found.values).astype(int)
+    for axis in (0, 1):
+        at = np.argwhere(np.diff(codes, axis=axis) != 0)
+        assert found.ran[tuple(at.T)].all() and found.ran[tuple((at + np.eye(2, dtype=int)[axis]).T)].all()
+
+
+def test_what_lies_between_coarse_points_is_missed_and_fewer_levels_see_it():
+    """As the docstring says: an island of five steps, off the points of level 4 and on those of level 2."""
+    grid = square(129)
+    island = lambda p: jnp.hypot(p.x - 0.375 * 0.5, p.y - 0.1875) < 0.04  # noqa: E731
+    missed, seen = (jxr.adaptive_map(island, grid, levels=levels) for levels in (5, 2))
+    every = jxr.adaptive_map(island, grid, levels=0)
+    assert every.runs == grid.rows and every.values.sum() > 10
+    assert not missed.values.any() and missed.runs == 25
+    np.testing.assert_array_equal(seen.values, every.values)
+
+
+def test_values_are_refined_where_they_change_and_interpolated_elsewhere():
+    grid = square(129)
+    bump = lambda x, y: np.exp(-20.0 * (x * x + y * y))  # noqa: E731
+    exact = grid.shaped(bump(grid.x, grid.y))
+    found = jxr.adaptive_map(lambda p: {"b": jnp.exp(-20.0 * (p.x**2 + p.y**2))}, grid, tolerance={"b": 0.02})
+    assert np.abs(found.values["b"] - exact).max() < 0.02 and found.runs < 0.4 * grid.rows
+    # Without a tolerance a code alone decides; a value that is linear is then the same everywhere.
+    plane = jxr.adaptive_map(lambda p: (p.x > 0.31, 2.0 * p.x - p.y), grid)
+    np.testing.assert_allclose(plane.values[1], grid.shaped(2.0 * grid.x - grid.y), rtol=0, atol=1e-14)
+
+
+def test_where_a_value_ends_to_be_a_number_is_a_boundary():
+    grid = jxr.Parameters.grid(x=np.linspace(-1, 1, 33), y=np.linspace(-1, 1, 40), z=np.linspace(0, 1, 17))
+    found = jxr.adaptive_map(lambda p: jnp.where(p.x > p.y, jnp.nan, p.z), grid, levels=3, tolerance=5.0)
+    exact = grid.shaped(np.where(grid.x > grid.y, np.nan, grid.z))
+    np.testing.assert_allclose(found.values, exact, rtol=0, atol=1e-14)
+    assert found.runs < 0.4 * grid.rows
+
+
+def test_all_chunks_are_of_one_shape_and_compile_once():
+    traced = []
+
+    def outcome(p):
+        traced.append(p.x.shape)
+        return p.x > p.y
+
+    found = jxr.adaptive_map(outcome, square(65), chunk=50)
+    assert traced == [()] and found.spent % 50 == 0 and found.spent - found.runs < 50 * 20
+
+
+def test_lines_of_a_level_are_those_of_the_one_before_and_halves():
+    lines = halved_lines((21, 17), 3)
+    assert [a.tolist() for a, _ in lines[:2]] == [[0, 8, 16, 20], [0, 4, 8, 12, 16, 20]]
+    for coarse, fine in zip(lines[:-1], lines[1:], strict=True):
+        assert all(set(a) <= set(b) for a, b in zip(coarse, fine, strict=True))
+    assert [len(x) for x in lines[-1]] == [21, 17]
+
+
+def test_a_map_of_runs_is_their_sweep(scene):
+    """Codes of `simulate`, whose boundary is known from the friction demand of runs that do not slip."""
+    grasp, state = scene
+    grid = jxr.Parameters.grid(friction=np.linspace(0.05, 0.4, 17), damping=[0.004, 0.006, 0.008])
+    at = grasp.contacts[0]
+    contact = lambda mu: jxr.Contact(at.s_tip, at.s_object, friction=mu)  # noqa: E731
+    make = lambda p: (grasp.with_contacts(contact(p.friction)).with_(damping=p.damping), state)  # noqa: E731
+    options = {"ts": 1, "rtol": 1e-6}
+    found = jxr.adaptive_map(
+        lambda p: jxr.simulate(*make(p), 0.3, throw=False, **options).result, grid, levels=2, chunk=8
+    )
+    every = jxr.sweep(make, grid, 0.3, keep=jxr.measures("result"), **options)["result"]
+    np.testing.assert_array_equal(found.values._value, grid.shaped(every._value))
+    assert found.runs < grid.rows and set(np.unique(every._value)) == {
+        int(code._value) for code in (jxr.RESULTS.successful, jxr.RESULTS.slipping)
+    }
+    demand = [
+        design.friction_demand(
+            jxr.simulate(
+                grasp.with_(damping=c), state, 0.3, ts=301, record=("multipliers",), events=("lift",)
+            )
+        )
+        for c in (0.004, 0.006, 0.008)
+    ]
+    slips = np.asarray(found.values._value) != 0
+    np.testing.assert_array_equal(slips, np.linspace(0.05, 0.4, 17)[:, None] < np.array(demand))
+
+
+BAD = {
+    "outcome": ({"outcome": 3}, "argument outcome must be a function"),
+    "text": ({"outcome": lambda p: "x"}, "argument outcome must return arrays"),
+    "grid": ({"grid": (1, 2)}, "argument grid must be Parameters"),
+    "one value": ({"grid": jxr.Parameters.grid(x=[1.0], y=[1.0, 2.0])}, "argument grid must have two values"),
+    "levels": ({"levels": -1}, "argument levels must be a whole number"),
+    "chunk": ({"chunk": 0}, "argument chunk must be a whole number"),
+    "progress": ({"progress": 1}, "argument progress must be True or False"),
+    "no tolerance": ({"outcome": lambda p: p.x}, "argument tolerance must be given"),
+    "negative": ({"tolerance": -1.0}, "argument tolerance must not be negative"),
+    "for no name": ({"tolerance": {"a": 1.0}}, "argument tolerance must be for names that the outcome has"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_maps_that_do_not_fit(case):
+    changes, words = BAD[case]
+    given = {"outcome": lambda p: {"code": p.x > 0.0, "value": p.x}, "grid": square(5)} | changes
+    with pytest.raises(ValueError, match=words):
+        jxr.adaptive_map(**given)
+
+
+def test_progress_is_told(capsys):
+    jxr.adaptive_map(lambda p: p.x > 0.1, square(9), progress=True)
+    assert " runs" in capsys.readouterr().err

@@ -1,0 +1,129 @@
+"""Parameters by name: columns, grids, products and samples, and sweeps over them."""
+
+import itertools
+
+import jax
+import numpy as np
+import pytest
+from scipy import stats
+
+import jaxroll as jxr
+from jaxroll import Parameters
+
+
+def test_a_grid_is_the_product_of_its_axes_the_last_one_fastest():
+    axes = {"a": [1.0, 2.0], "b": [3, 4, 5], "c": [True, False]}
+    grid = Parameters.grid(**axes)
+    assert grid.shape == (2, 3, 2) and grid.rows == len(grid) == 12
+    assert list(zip(grid.a, grid.b, grid["c"], strict=True)) == list(itertools.product(*axes.values()))
+    a, b, c = np.meshgrid(*axes.values(), indexing="ij")
+    for name, there in zip("abc", (a, b, c), strict=True):
+        np.testing.assert_array_equal(grid.shaped(grid[name]), there)
+        np.testing.assert_array_equal(grid.axis(name), axes[name])
+
+
+def test_a_product_pairs_every_row_with_every_row():
+    ours, theirs = Parameters(a=[1.0, 2.0], b=[10.0, 20.0]), Parameters.grid(c=[5.0, 6.0, 7.0])
+    both = (ours * theirs).with_units(a="m")
+    assert (
+        both.shape == (2, 3)
+        and both.axes == (("a", "b"), ("c",))
+        and both.units == {"a": "m", "b": "", "c": ""}
+    )
+    assert [(p.a, p.b, p.c) for p in both] == [
+        (a, 10.0 * a, c) for a, c in itertools.product((1.0, 2.0), (5.0, 6.0, 7.0))
+    ]
+
+
+def test_rows_are_parameters_too():
+    some = Parameters(a=[1.0, 2.0, 3.0], v=np.arange(6.0).reshape(3, 2), fixed=7.0)
+    assert some[1].a == 2.0 and dict(**some[2])["fixed"] == 7.0 and "a" in some and "q" not in some
+    np.testing.assert_array_equal(some[1:].v, [[2.0, 3.0], [4.0, 5.0]])
+    assert some[1:].shape == (2,) and some.names == ("a", "v", "fixed")
+    with pytest.raises(AttributeError, match="no column 'q'"):
+        _ = some.q
+    with pytest.raises(KeyError):
+        _ = some["q"]
+    summed = jax.jit(jax.vmap(lambda p: p.a + p["v"].sum() + p.fixed))(some)
+    np.testing.assert_allclose(summed, [9.0, 14.0, 19.0])
+
+
+def test_columns_are_copies():
+    given = np.array([1.0, 2.0])
+    some = Parameters(a=given)
+    given[0] = 5.0
+    assert some.a[0] == 1.0
+
+
+@pytest.mark.parametrize("draw", [Parameters.sobol, Parameters.latin_hypercube])
+def test_samples_fill_their_ranges(draw):
+    """Uniform by Kolmogorov and Smirnov's test, of numbers and of logarithms; the same for the same seed."""
+    ranges = {"a": (-2.0, 3.0), "b": (1e-3, 10.0, "log")}
+    some, again, other = (draw(512, seed=seed, **ranges) for seed in (3, 3, 4))
+    assert stats.kstest((some.a + 2.0) / 5.0, "uniform").pvalue > 0.5
+    assert stats.kstest(np.log10(some.b * 1e3) / 4.0, "uniform").pvalue > 0.5
+    assert abs(np.corrcoef(some.a, np.log(some.b))[0, 1]) < 0.1
+    np.testing.assert_array_equal(some.a, again.a)
+    assert (some.a != other.a).all() and some.shape == (512,)
+
+
+def test_a_latin_hypercube_has_one_sample_in_each_part():
+    some = Parameters.latin_hypercube(100, a=(0.0, 100.0), b=(1.0, np.exp(10.0), "log"))
+    assert sorted(some.a.astype(int)) == list(range(100))
+    assert sorted((10.0 * np.log(some.b)).astype(int)) == list(range(100))
+
+
+def test_sobol_points_go_on_where_fewer_ended_and_are_more_even_than_random_ones():
+    few, many = (Parameters.sobol(n, seed=1, a=(0.0, 1.0), b=(0.0, 1.0)) for n in (100, 256))
+    np.testing.assert_array_equal(few.a, many.a[:100])
+    mean = lambda p: np.mean(np.exp(p.a) * p.b**2)  # noqa: E731
+    assert abs(mean(many) - (np.e - 1.0) / 3.0) < 1e-3  # of 256 at random: 0.03
+
+
+BAD = {
+    "nothing": (lambda: Parameters(), "argument columns must be one or more"),
+    "text": (lambda: Parameters(a="x"), "argument a must be a number or an array"),
+    "NaN": (lambda: Parameters(a=[1.0, np.nan]), "argument a must be finite"),
+    "nothing in it": (lambda: Parameters(a=[]), "argument a must hold one number"),
+    "masked": (lambda: Parameters(a=np.ma.array([1.0], mask=[True])), "argument a must be a number"),
+    "lengths": (lambda: Parameters(a=[1.0], b=[1.0, 2.0]), "argument b must be as long as"),
+    "own name": (lambda: Parameters(shape=[1.0]), "argument 'shape' must be called otherwise"),
+    "no name": (lambda: Parameters(**{"a b": [1.0]}), "argument 'a b' must be called otherwise"),
+    "twice": (lambda: Parameters(a=[1.0]) * Parameters(a=[1.0]), "argument a must be a name in one factor"),
+    "no axis": (lambda: Parameters.grid(a=1.0), "argument a must be the values along an axis"),
+    "falling": (lambda: Parameters.sobol(4, a=(1.0, 0.0)), "argument a must go up"),
+    "log of zero": (lambda: Parameters.sobol(4, a=(0.0, 1.0, "log")), "argument a must begin above zero"),
+    "no range": (lambda: Parameters.latin_hypercube(4, a=3.0), r"argument a must be \(low, high\)"),
+    "no samples": (lambda: Parameters.sobol(0, a=(0.0, 1.0)), "argument count must be a whole number"),
+    "no seed": (lambda: Parameters.sobol(4, seed=-1, a=(0.0, 1.0)), "argument seed must be a whole number"),
+    "no unit": (lambda: Parameters(a=[1.0]).with_units(b="m"), "argument b must be a unit"),
+    "other length": (lambda: Parameters(a=[1.0]).shaped(np.ones(3)), "argument values must hold arrays"),
+    "no such axis": (lambda: Parameters(a=[1.0]).axis("b"), "argument name must be one of a"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_parameters_that_do_not_fit(case):
+    call, words = BAD[case]
+    with pytest.raises(ValueError, match=words):
+        call()
+
+
+def test_they_are_saved_and_read_with_their_grid(tmp_path):
+    grid = Parameters.grid(a=[1.0, 2.0], b=[1, 2, 3]).with_units(b="m")
+    read = jxr.load(jxr.save(tmp_path / "grid", grid))
+    assert read.shape == grid.shape and read.units == grid.units and read.axes == grid.axes
+    np.testing.assert_array_equal(read.b, grid.b)
+
+
+def test_a_sweep_takes_them(scene):
+    """Rows by attribute and by item; what is kept goes back into the grid."""
+    grasp, state = scene
+    grid = Parameters.grid(damping=[0.004, 0.006], force=[0.4, 0.5, 0.6])
+    settings = {"rtol": 1e-6, "keep": lambda run: run.last.q}
+    ends = jxr.sweep(lambda p: (grasp.with_(**p), state), grid, 0.1, **settings)
+    plain = jxr.sweep(
+        lambda p: (grasp.with_(damping=p[0], force=p[1]), state), (grid.damping, grid.force), 0.1, **settings
+    )
+    np.testing.assert_array_equal(ends, plain)
+    assert grid.shaped(ends).shape == (2, 3, 3) and (grid.shaped(ends)[1, 2] == plain[5]).all()

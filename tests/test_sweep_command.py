@@ -1,0 +1,265 @@
+"""`jaxroll sweep` and `jaxroll map`: orders from options and files, tables, pictures of them."""
+
+import argparse
+import csv
+import inspect
+import re
+
+import jax
+import numpy as np
+import pytest
+
+import jaxroll as jxr
+from jaxroll import scenes
+from jaxroll.__main__ import _parser, main
+from jaxroll._cli._sweep_command import maker, parameters_of
+from jaxroll._cli._sweep_order import Range, SCENES, sweep_order
+from jaxroll._cli._sweep_table import read_table
+from jaxroll.plotting import map_page, parameter_map
+
+ARGUMENTS = ["sweep", "pivoted", "--set", "damping=0.004:0.008"]
+FILE = """
+scene = "pivoted"
+number = 12
+sampling = "latin"
+keep = ["result"]
+[set]
+damping = "0.002:0.02:log"
+force = [0.4, 0.5]
+"""
+
+
+def ordered(*arguments):
+    return sweep_order(_parser().parse_args(["sweep", *arguments]))
+
+
+def test_every_scene_can_be_swept():
+    able = [name for name in dir(scenes) if inspect.isfunction(getattr(scenes, name))]
+    assert set(SCENES) == set(able) - {"rectangle", "cuboid"}
+
+
+def test_ranges_are_read_as_they_are_written():
+    found = ordered(
+        "pinch", "--set", "a=1:2", "--set", "b=1:2:5", "--set", "c=1:2:log", "--set", "d=1:4:3:log"
+    )
+    assert found.ranges == {
+        "a": Range(1.0, 2.0),
+        "b": Range(1.0, 2.0, 5),
+        "c": Range(1.0, 2.0, None, True),
+        "d": Range(1.0, 4.0, 3, True),
+    }
+    found = ordered("pinch", "--set", "a=1,2.5,-3", "--set", "b=1e-3")
+    assert found.ranges == {"a": Range(values=(1.0, 2.5, -3.0)), "b": Range(values=(1e-3,))}
+
+
+def test_a_grid_has_as_many_runs_as_are_asked_for():
+    """Along ranges without a number of values of their own, as many along each."""
+    rows = parameters_of(
+        ordered("pinch", "--set", "a=0:1:4", "--set", "b=1:100:log", "--set", "c=0:1", "--number", "100")
+    )
+    assert rows.shape == (4, 5, 5)
+    np.testing.assert_allclose(rows.axis("b"), [1.0, 10**0.5, 10.0, 10**1.5, 100.0])
+    assert parameters_of(ordered("pinch", "--set", "damping=0:1", "--set", "q=3")).shape == (1024, 1)
+
+
+def test_what_the_command_line_says_comes_before_the_file(tmp_path):
+    file = tmp_path / "sweep.toml"
+    file.write_text(FILE)
+    found = ordered("--file", str(file), "--number", "20", "--set", "force=0.6")
+    assert (found.scene, found.number, found.sampling, found.keep) == ("pivoted", 20, "latin", ("result",))
+    assert found.ranges == {"damping": Range(0.002, 0.02, None, True), "force": Range(values=(0.6,))}
+    rows = parameters_of(ordered("--file", str(file)))
+    assert rows.shape == (12, 2) and rows.units == {"damping": "N m s", "force": "N"}
+    assert rows.damping.min() >= 0.002 and rows.damping.max() <= 0.02 and set(rows.force) == {0.4, 0.5}
+
+
+BAD = {
+    "no scene": (["--set", "a=1:2"], "argument SCENE must be given"),
+    "unknown scene": (["dance", "--set", "a=1:2"], "argument SCENE must be one of pivoted"),
+    "no such file": (["none.py:make", "--set", "a=1:2"], "argument SCENE must be one of"),
+    "nothing to set": (["pinch"], "argument --set must be given"),
+    "no name": (["pinch", "--set", "1:2"], "argument --set must be NAME=VALUES, but was '1:2'"),
+    "no number": (["pinch", "--set", "a=1:x"], "argument --set must give a finite numbers, but one was 'x'"),
+    "NaN": (["pinch", "--set", "a=nan"], "argument --set must give a finite numbers"),
+    "falling": (["pinch", "--set", "a=2:1"], "argument --set must give a a range that goes up"),
+    "log of zero": (["pinch", "--set", "a=0:1:log"], "a range that goes up above zero"),
+    "half a value": (["pinch", "--set", "a=0:1:2.5"], "argument --set must give a a COUNT"),
+    "too many parts": (["pinch", "--set", "a=0:1:2:3"], "argument --set must give a as LOW:HIGH"),
+    "count of samples": (["pinch", "--set", "a=0:1:3", "--sampling", "sobol"], "a has a COUNT"),
+    "samples of nothing": (["pinch", "--set", "a=1", "--sampling", "latin"], "but there is none"),
+    "number beside counts": (
+        ["pinch", "--set", "a=0:1:3", "--number", "9"],
+        "argument --number must be left out",
+    ),
+    "sampling": (["pinch", "--set", "a=0:1", "--sampling", "dense"], "invalid choice: 'dense'"),
+    "tolerance": (["pinch", "--set", "a=0:1", "--rtol", "1"], "must lie between 1e-13 and 0.01"),
+    "no file": (["--file", "none.toml"], "argument --file must name a file that can be read"),
+    "no TOML": (["--file", "bad.toml"], "argument --file must be in TOML"),
+    "unknown entry": (["--file", "entry.toml"], "argument --file must hold scene, .* has 'scenes'"),
+    "kind of entry": (["--file", "kind.toml"], "argument --file must give a number as on the command line"),
+}
+FILES = {
+    "bad.toml": "scene = pinch",
+    "entry.toml": "scenes = 'pinch'",
+    "kind.toml": "scene = 'pinch'\nnumber = 2.5\n[set]\na = '0:1'",
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_an_order_that_does_not_fit_is_one_line(case, tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    for name, text in FILES.items():
+        (tmp_path / name).write_text(text)
+    arguments, words = BAD[case]
+    assert main(["sweep", *arguments]) == 2
+    out, complaint = capfd.readouterr()
+    assert out == "" and len(complaint.splitlines()) == 1 and re.search(words, complaint), complaint
+    assert not (tmp_path / "jaxroll-sweep").exists()
+
+
+def test_a_name_is_looked_for_in_the_scene():
+    """Numbers of the controller without building it anew, and tips whose foremost points stay."""
+    rows = jxr.Parameters(damping=[0.004], friction=[0.3], mass=[0.05], tip_radius=[0.006])
+    grasp, state = maker("pinch", rows.names)(rows[0])
+    usual, _ = scenes.pinch()
+    np.testing.assert_allclose(grasp.controller.damping, 0.004)
+    assert float(grasp.object.mass) == 0.05 and float(grasp.contacts[0].friction) == 0.3
+    for old, new in zip(usual.fingers, grasp.fingers, strict=True):
+        assert float(new.tip.curvature(0.0)) == pytest.approx(1.0 / 0.006)
+        np.testing.assert_allclose(new.tip.point(0.0), old.tip.point(0.0), rtol=0, atol=1e-12)
+    assert jxr.simulate(grasp, state, 0.01, ts=2, throw=False).result == jxr.RESULTS.successful
+    alone = scenes.pinch(damping=0.004)
+    changed = maker("pinch", ("damping",))(jxr.Parameters(damping=[0.004])[0])
+    np.testing.assert_array_equal(changed[1].q, alone[1].q)
+    np.testing.assert_array_equal(changed[0].controller.damping, alone[0].controller.damping)
+    with pytest.raises(
+        ValueError, match="argument --set must give tip_radius to a scene that takes fingertips"
+    ):
+        maker("pivoted", ("tip_radius",))
+
+
+def test_a_sweep_and_its_map(tmp_path, monkeypatch, capfd):
+    """From the command line, over a scene of one's own: table, text, picture and page."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("JAXROLL_CACHE", "off")
+    (tmp_path / "own.py").write_text(
+        "import jaxroll as jxr\nGRASP, STATE = jxr.scenes.pivoted()\n"
+        "def make(damping, force):\n    return GRASP.with_(damping=damping, force=force), STATE\n"
+    )
+    ranges = ["--set", "damping=0.004:0.008:3", "--set", "force=0.4,0.5"]
+    order = ["sweep", "own.py:make", *ranges, "--seconds", "0.2", "--keep", "result", "final_pose", "t_end"]
+    assert main(order) == 0, capfd.readouterr().err
+    out, err = capfd.readouterr()
+    assert "6 successful" in out and "6 of 6 runs" in err and "table.npz, table.csv" in out
+    table = read_table(tmp_path / "jaxroll-sweep")
+    assert table.parameters.shape == (3, 2) and table.values["final_pose"].shape == (6, 3)
+    grasp, state = scenes.pivoted()
+    last = jxr.simulate(grasp.with_(damping=0.008, force=0.4), state, 0.2, ts=1, rtol=1e-6).last.q
+    np.testing.assert_allclose(table.values["final_pose"][4], last, rtol=0, atol=1e-7)
+    with (tmp_path / "jaxroll-sweep" / "table.csv").open() as file:
+        lines = list(csv.DictReader(file))
+    assert len(lines) == 6 and {line["result"] for line in lines} == {"successful"}
+    written = [float(line["final_pose[0]"]) for line in lines]
+    np.testing.assert_array_equal(written, table.values["final_pose"][:, 0])
+    pytest.importorskip("plotly")
+    assert main(["map", "jaxroll-sweep", "--show", "final_pose[0]", "--out", "drawn"]) == 0
+    assert {path.suffix for path in (tmp_path / "drawn").iterdir()} == {".png", ".html"}
+    assert main(["map", "jaxroll-sweep", "--show", "speed"]) == 2
+    assert "argument --show must be one of final_pose[0]" in capfd.readouterr().err
+    assert main(["map", "none"]) == 2 and main(["map", "drawn"]) == 2
+    complaints = capfd.readouterr().err
+    assert "argument STORE must name the folder of a sweep" in complaints
+    assert "argument STORE must be the folder of a sweep that is done" in complaints
+
+
+@pytest.fixture(scope="module")
+def grid():
+    return jxr.Parameters.grid(
+        a=np.geomspace(1.0, 100.0, 5), b=np.linspace(0.0, 1.0, 4), c=[1.0, 2.0, 3.0]
+    ).with_units(a="m")
+
+
+def slipping_above(b):
+    """Codes of rows."""
+    codes = jxr.RESULTS
+    return jax.vmap(lambda x: codes.where(x > 0.5, codes.slipping, codes.successful))(b)
+
+
+def drawn(figure):
+    """Numbers of the cells, by rows from below."""
+    return figure.axes[0].collections[0].get_array()
+
+
+def test_a_map_shows_the_slice_that_is_asked_for(grid):
+    values = grid.a + 10.0 * grid.b + 1000.0 * grid.c
+    figure = parameter_map(grid, values, at={"c": 2.9}, label="height [m]")
+    ax = figure.axes[0]
+    assert (ax.get_xlabel(), ax.get_ylabel(), ax.get_xscale(), ax.get_yscale()) == (
+        "a [m]",
+        "b",
+        "log",
+        "linear",
+    )
+    assert ax.get_title(loc="left") == "c = 3" and figure.axes[1].get_ylabel() == "height [m]"
+    expected = grid.axis("a")[None, :] + 10.0 * grid.axis("b")[:, None] + 3000.0
+    np.testing.assert_allclose(drawn(figure), expected)
+    turned = parameter_map(grid, grid.shaped(values), x="c", y="a")
+    np.testing.assert_allclose(drawn(turned), grid.shaped(values)[:, 2, :])
+    assert turned.axes[0].get_title(loc="left") == "b = 0.6667"
+
+
+def test_codes_have_colours_and_names_with_their_shares(grid):
+    codes = slipping_above(grid.b)
+    figure = parameter_map(grid, codes)
+    told = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert told == ["successful, 50 %", "slipping, 50 %"]
+    np.testing.assert_array_equal(drawn(figure)[:, 0], [0, 0, 1, 1])
+
+
+def test_what_is_no_number_is_told(grid):
+    figure = parameter_map(grid, np.where(grid.b > 0.9, np.nan, grid.a))
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["no number, 25 %"]
+    assert drawn(figure).mask[3].all() and not drawn(figure).mask[:3].any()
+
+
+def test_samples_are_dots():
+    some = jxr.Parameters.sobol(64, a=(0.0, 1.0), b=(1.0, 100.0, "log"), c=(0.0, 1.0))
+    figure = parameter_map(some, some.a)
+    dots = figure.axes[0].collections[1]
+    np.testing.assert_allclose(dots.get_offsets(), np.stack([some.a, some.b], axis=1))
+    assert figure.axes[0].get_yscale() == "log" and figure.axes[0].get_xscale() == "linear"
+    assert figure.axes[0].get_title(loc="left") == "c between its bounds"
+
+
+def test_a_page_of_a_map_holds_its_numbers(grid, tmp_path):
+    pytest.importorskip("plotly")
+    codes = slipping_above(grid.b)
+    text = map_page(grid, codes, tmp_path / "new" / "map.html", title="Some pinches").read_text()
+    assert "Some pinches" in text and "slipping" in text and '"type":"heatmap"' in text.replace(" ", "")
+    some = jxr.Parameters.sobol(16, a=(0.0, 1.0), b=(0.0, 1.0))
+    assert "scattergl" in map_page(some, some.a, tmp_path / "dots.html").read_text()
+
+
+UNFIT = {
+    "parameters": ({"parameters": 3}, "argument parameters must be Parameters"),
+    "one that changes": ({"parameters": jxr.Parameters(a=[1.0, 2.0])}, "argument parameters must have two"),
+    "values": ({"values": np.ones(3)}, "argument values must be one number or code for each of the 60 rows"),
+    "x": ({"x": "q"}, "argument x must be a parameter of one number that changes"),
+    "y": ({"x": "a", "y": "a"}, "argument y must be another parameter than x"),
+    "at a side": ({"at": {"a": 1.0}}, "argument at must hold parameters that are no side"),
+    "at no number": ({"at": {"c": "x"}}, "argument at must hold parameters that are no side"),
+    "at no name": ({"at": 3.0}, "argument at must say by name"),
+    "label": ({"label": 3}, "argument label must be text"),
+}
+
+
+@pytest.mark.parametrize("case", UNFIT)
+def test_a_map_that_does_not_fit(case, grid):
+    changes, words = UNFIT[case]
+    with pytest.raises(ValueError, match=words):
+        parameter_map(**{"parameters": grid, "values": grid.a} | changes)
+
+
+def test_help_of_both():
+    commands = next(a for a in _parser()._actions if isinstance(a, argparse._SubParsersAction)).choices
+    assert {"sweep", "map"} <= set(commands) and "SCENE" in commands["sweep"].format_help()

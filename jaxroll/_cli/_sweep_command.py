@@ -32,6 +32,8 @@ from ._waiting import say
 
 _RUNS = 1024
 _TIP = "tip_radius"
+# Runs per program call of an adaptive map at most: of each round's last chunk a part is repeated.
+_CHUNK = 128
 Timed = Callable[[str], AbstractContextManager]
 
 
@@ -46,9 +48,11 @@ def swept(asked: SweepOrder, folder: Path, timed: Timed) -> list[str]:
     if asked.sampling == "adaptive":
 
         def outcome(p: Parameters) -> Any:
-            return keep(simulate(*make(p), asked.seconds, throw=False, **options))
+            kept = keep(simulate(*make(p), asked.seconds, throw=False, **options))
+            # A whole number is a code to the map, and counts of steps change everywhere.
+            return kept | {name: kept[name].astype(float) for name in ("steps",) if name in kept}
 
-        found = adaptive_map(outcome, parameters, chunk=asked.chunk, progress=True)
+        found = adaptive_map(outcome, parameters, chunk=min(asked.chunk, _CHUNK), progress=True)
         flat = lambda x: x.reshape(parameters.rows, *x.shape[len(parameters.shape) :])  # noqa: E731
         values, done = jax.tree.map(flat, found.values) | {"ran": found.ran.ravel()}, found.spent
     else:

@@ -141,24 +141,29 @@ def sweep(
         "record": record,
         "throw": False,  # the runs carry their codes
     }
-    # Arrays among the options must hold numbers; whatever else is wrong with an option, `simulate` says when
-    # it is traced.
-    for name, value in options.items():
-        for leaf in filter(is_array_like, jax.tree.leaves(value)):
-            as_array(name, leaf)
+    _check_options(options)
     job = Job(make, keep, t1, options)
-    first = extent.chunk(rows, 0)
     keeper = _keeper(resume, store, rows, extent, (t0, t1, ts))
     party = None if client is None else party_of(client)
     parcel = None if party is None else met(party, job, extent.size)
     if keeper is None:
-        run = program(job, first)
+        run = program(job, extent.chunk(rows, 0))
     else:
         run = _resumed(keeper, job, rows, extent, {} if parcel is None else parcel.there or {})
     pieces = _pieces(run, rows, extent, keeper, progress=progress, helpers=(party, parcel))
     if isinstance(keeper, Store):
         return keeper.dataset()
     return jax.tree.map(lambda *parts: np.concatenate(parts)[:count], *pieces)
+
+
+def _check_options(options: dict[str, Any]) -> None:
+    """Raise unless arrays among the options hold numbers.
+
+    Whatever else is wrong with an option, `simulate` says when it is traced.
+    """
+    for name, value in options.items():
+        for leaf in filter(is_array_like, jax.tree.leaves(value)):
+            as_array(name, leaf)
 
 
 class Extent(NamedTuple):

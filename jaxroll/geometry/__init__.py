@@ -48,6 +48,7 @@ from .fitting import (
     fit_surface as fit_surface,
     FitReport as FitReport,
     metres_per as metres_per,
+    Region as Region,
     smoothing_for as smoothing_for,
     SurfaceFit as SurfaceFit,
     SurfaceReport as SurfaceReport,

@@ -151,9 +151,9 @@ def roughness_band(grid: Grid) -> np.ndarray:
 
     $|\mathrm{D}^3 F|^2$ is the sum of $\frac{3!}{a!\,b!\,c!} (\partial_x^a \partial_y^b \partial_z^c F)^2$
     over $a + b + c = 3$. Since the functions are products, so are the integrals of products of their
-    derivatives: of three one-dimensional ones, which `_grams` has.
+    derivatives: of three one-dimensional ones, which `gram_tables` has.
     """
-    grams = [_grams(count) for count in grid.counts]
+    grams = [gram_tables(count) for count in grid.counts]
     strides, unknowns = grid.strides, math.prod(grid.counts)
     band = np.zeros((grid.band + 1, unknowns))
     order = sorted(range(3), key=lambda k: -strides[k])  # slowest axis first
@@ -178,7 +178,7 @@ def _planes(slow: np.ndarray, middle: np.ndarray, total: int) -> np.ndarray:
     return np.sum(shares, axis=0)
 
 
-def _grams(count: int) -> np.ndarray:
+def gram_tables(count: int) -> np.ndarray:
     r"""Integrals $\int B_j^{(r)} B_{j+m}^{(r)} du$ of `count` B-splines along one axis.
 
     Returns:

@@ -13,93 +13,40 @@ $k = 2\pi/\ell$ roughness and distance weigh the same, and the fitted wave has h
 raise that by one per cent.)
 """
 
-import math
 from dataclasses import dataclass
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
-from ..._linalg import Vec3
 from ..._results import as_floats, as_length, check_direction, concrete, shown
 from ..._types import Given
-from ..surfaces import principal, SplineSurface
+from ..surfaces import SplineSurface
 from ._field_fit import AXES, DataRows, Grid, grid_around, normal_band, offsets, roughness_band, rows
+from ._measured import angles, evenly, measured
+from ._scan import as_faces, normals_of_net, thinned_scan
+from ._scan_verdict import fit_scan
 from ._surface_normals import estimated, neighbourhoods, outward
+from ._surface_report import SurfaceFit, SurfaceReport
 
 _CELLS = 2.5  # cells per wavelength of smoothing
 _ROOM = 2.0  # cells between the points and the end of the grid
 _SLOPE = 0.02  # weight of the normals' term against that of the points, for waves of the halved wavelength
 _LENGTH = 0.1  # factor of the gradient's error along the normal; squared it is the weight, a hundredth
 _PROBES = 2  # random vectors by which the trace of the influence matrix is estimated
+_MANY = 50_000  # clouds of more points are thinned
+_MEANS = 120  # cells of the thinning along the largest extent
+_FAR = 5.0  # a point this many times farther away than is usual deserves a word
 _GAIN = 0.99  # a finer field must lower the estimated error by 1 %, or the coarser one is kept
 
 
-@dataclass(frozen=True)
-class SurfaceReport:
-    """How a surface was made of points; prints as a table.
-
-    Attributes:
-        points: Number of points used.
-        area: Of the surface, as the points cover it [m^2].
-        smoothing: Wavelength [m] of the wiggles that were halved.
-        cells: Numbers of cells of the grid.
-        step: Width of a cell [m].
-        rms: Root mean square distance of the points from the surface [m].
-        largest: Largest such distance [m].
-        normals: Root mean square and largest angle to the given normals [rad]; None without.
-        curvature: Smallest and largest principal curvature at the points [1/m].
-        smoothness: Continuous derivatives of the surface.
-    """
-
-    points: int
-    area: float
-    smoothing: float
-    cells: tuple[int, int, int]
-    step: float
-    rms: float
-    largest: float
-    normals: tuple[float, float] | None
-    curvature: tuple[float, float]
-    smoothness: float
-
-    def __str__(self) -> str:
-        rows = {
-            "points": f"{self.points} on {1e4 * self.area:.4g} cm^2",
-            "smoothing": f"wavelength {1e3 * self.smoothing:.4g} mm",
-            "grid": f"{' x '.join(map(str, self.cells))} cells of {1e3 * self.step:.3g} mm",
-            "distance of points": f"{1e6 * self.rms:.3g} um rms, {1e6 * self.largest:.3g} um at most",
-            "principal curvature": f"{self.curvature[0]:.4g} to {self.curvature[1]:.4g} 1/m",
-            "smoothness": f"{self.smoothness:g} continuous derivatives",
-        }
-        if self.normals is not None:
-            mean, most = (math.degrees(x) for x in self.normals)
-            rows["angle to normals"] = f"{mean:.3g} deg rms, {most:.3g} deg at most"
-        return "\n".join(f"{name:<20}{value}" for name, value in rows.items())
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class SurfaceFit:
-    """A surface made of points.
-
-    Attributes:
-        surface: The surface, differentiable in its own arrays.
-        points: Shape (n, 3), the points used [m].
-        feet: Shape (n, 3), places of the surface close to them; coordinates for its methods.
-        report: `SurfaceReport`.
-    """
-
-    surface: SplineSurface
-    points: Array
-    feet: Array
-    report: SurfaceReport = eqx.field(static=True)
-
-
 def fit_surface(
-    points: Given, normals: Given | None = None, *, smoothing: float | None = None, noise: float | None = None
+    points: Given,
+    normals: Given | None = None,
+    *,
+    faces: Given | None = None,
+    smallest_radius: float | None = None,
+    smoothing: float | None = None,
+    noise: float | None = None,
 ) -> SurfaceFit:
     r"""A smooth closed surface of any shape near scattered points: the zero set of a field of B-splines.
 
@@ -111,10 +58,22 @@ def fit_surface(
     along $n$ counts a hundredth: a field that is the distance would have to be rough, one that is a
     quadric need not. The linear system has a band; Cholesky's method takes seconds.
 
+    With `smallest_radius` r, for scans: no principal curvature of the surface exceeds 1/r anywhere, which is
+    looked at all over it. Holes, missing bottoms and open sides are closed smoothly. $\ell$ is the longest
+    from 2.4 r up that predicts points not used as well as the shortest. What a ball of radius r cannot touch
+    from inside and from outside, edges and notches, is rounded off, and nothing else moved; parts thinner
+    than 2 r are thickened, or rounded off where they are thinner than r. The report says how far and where,
+    and `SurfaceFit.trusted` where the surface is known.
+
     Args:
-        points: Shape (n, 3) [m], n at least 100, all over a closed surface.
-        normals: Outward normals, shape (n, 3); None: from planes through neighbours, turned alike.
-        smoothing: Wavelength $\ell$ [m]; None: by generalised cross-validation, or from `noise`.
+        points: Shape (n, 3) [m], n at least 100, all over a closed surface; with `smallest_radius` it may
+            have holes. With `faces` the vertices of a mesh.
+        normals: Outward normals, shape (n, 3); None: of the faces, or from planes through neighbours, turned
+            alike.
+        faces: Triangles of a mesh, shape (m, 3): numbers of its vertices.
+        smallest_radius: Of curvature [m]. Best somewhat smaller than that of the parts to be touched.
+        smoothing: Wavelength $\ell$ [m]; None: by generalised cross-validation, or from `noise`. Not with
+            `smallest_radius`, which chooses it.
         noise: Standard deviation of each coordinate [m], where it is known and `smoothing` is not.
 
     Returns:
@@ -126,7 +85,9 @@ def fit_surface(
 
     Raises:
         ValueError: If the points are not finite, too few or in parts, a normal is zero, `smoothing` is no
-            length, `noise` is negative, or the grid is too fine for the memory.
+            length, `noise` is negative, or the grid is too fine for the memory. With `smallest_radius` also
+            if the points enclose no body or more than one, too much of it is thinner than two radii, too
+            little is covered by points, or the curvature cannot be met.
 
     Example:
         >>> import jaxroll as jxr, numpy as np
@@ -135,23 +96,52 @@ def fit_surface(
         >>> bool(np.all(np.abs(0.02 * fit.surface.principal_curvatures(fit.feet)[0] - 1) < 0.01))
         True
     """
-    cloud = np.unique(_cloud("points", points), axis=0) if normals is None else _cloud("points", points)
-    given = None if normals is None else _cloud("normals", normals)
-    if given is not None and given.shape != cloud.shape:
-        raise ValueError(f"argument normals must have shape {cloud.shape}, but had shape {given.shape}")
-    deviation = None if noise is None else _deviation(noise)
-    neighbours, areas = neighbourhoods(cloud)
+    cloud = _cloud("points", points)
+    given = None if normals is None else _directions(normals, cloud)
+    triangles = None if faces is None else as_faces(faces, len(cloud))
+    if smallest_radius is not None:
+        radius = float(as_length("smallest_radius", smallest_radius))
+        for name, value in (("smoothing", smoothing), ("noise", noise)):
+            if value is not None:
+                raise ValueError(
+                    f"argument {name} must be left out with smallest_radius, but was {shown(value)}"
+                )
+        return fit_scan(cloud, given, triangles, radius)
+    if given is None and triangles is not None:
+        used = np.unique(triangles)
+        directions = normals_of_net(cloud, triangles)[0]
+        # Gauss's theorem, as in `outward`: whichever way the faces run round.
+        cloud, given = cloud[used], outward(cloud[used], directions[used], np.ones(len(used)))
     if given is None:
-        directions = outward(cloud, estimated(cloud, neighbours), areas)
-    else:
-        check_direction("normals", jnp.asarray(given))
-        directions = given / np.linalg.norm(given, axis=1, keepdims=True)
-    problem = _Problem(cloud, directions, areas)
+        cloud = np.unique(cloud, axis=0)
+    return _smoothed(cloud, given, smoothing, noise)
+
+
+def _smoothed(
+    cloud: np.ndarray, given: np.ndarray | None, smoothing: float | None, noise: float | None
+) -> SurfaceFit:
+    """The fit of one wavelength, or of the one that cross-validation finds."""
+    deviation = None if noise is None else _deviation(noise)
+    problem = _many(cloud, given) if len(cloud) > _MANY else _few(cloud, given)
     wavelength = (
         _chosen(problem, deviation) if smoothing is None else float(as_length("smoothing", smoothing))
     )
-    surface = problem.solved(wavelength, np.zeros((0, len(cloud))))[0]
-    return _reported(surface, problem, wavelength, given is not None)
+    surface = problem.solved(wavelength, np.zeros((0, len(problem.points))))[0]
+    return _reported(surface, problem, wavelength, cloud, given)
+
+
+def _few(cloud: np.ndarray, given: np.ndarray | None) -> "_Problem":
+    """The problem of all points."""
+    neighbours, areas = neighbourhoods(cloud)
+    found = outward(cloud, estimated(cloud, neighbours), areas) if given is None else given
+    return _Problem(cloud, found, areas)
+
+
+def _many(cloud: np.ndarray, given: np.ndarray | None) -> "_Problem":
+    """The problem of the means of a large cloud's points in small cells."""
+    width = float(np.ptp(cloud, axis=0).max()) / _MEANS
+    scan, _ = thinned_scan(cloud, given, width)
+    return _Problem(scan.points, scan.normals, scan.areas)
 
 
 @dataclass(frozen=True)
@@ -255,6 +245,15 @@ def _deviation(noise: Given) -> float:
     return float(seen)
 
 
+def _directions(normals: Given, cloud: np.ndarray) -> np.ndarray:
+    """The given normals scaled to length one."""
+    given = _cloud("normals", normals)
+    if given.shape != cloud.shape:
+        raise ValueError(f"argument normals must have shape {cloud.shape}, but had shape {given.shape}")
+    check_direction("normals", jnp.asarray(given))
+    return given / np.linalg.norm(given, axis=1, keepdims=True)
+
+
 def _cloud(name: str, value: Given) -> np.ndarray:
     """An argument as numbers of shape (n, 3), at least 100 rows."""
     seen = concrete(as_floats(name, value, (None, 3)))
@@ -265,38 +264,51 @@ def _cloud(name: str, value: Given) -> np.ndarray:
     return np.asarray(seen, float)
 
 
-def _reported(surface: SplineSurface, problem: _Problem, wavelength: float, given: bool) -> SurfaceFit:
-    """The fit with its report; `given` says whether the normals are the caller's, to be compared."""
-    points = jnp.asarray(problem.points)
-    feet, normals, curvatures = (np.asarray(x) for x in _measured(surface, points))
+def _reported(
+    surface: SplineSurface,
+    problem: _Problem,
+    wavelength: float,
+    cloud: np.ndarray,
+    given: np.ndarray | None,
+) -> SurfaceFit:
+    """The fit with its report; `given` are the caller's normals, to be compared."""
+    each = evenly(len(cloud))
+    feet, normals, curvatures = measured(surface, jnp.asarray(cloud[each]))
     if not np.all(np.isfinite(curvatures)):
         raise ValueError("argument points must determine a surface, but the fit to them is not finite")
-    distances = np.linalg.norm(feet - problem.points, axis=1)
-    turned = np.arccos(np.clip(np.sum(normals * problem.normals, axis=1), -1.0, 1.0))
+    distances = np.linalg.norm(feet - cloud[each], axis=1)
     cells = tuple(n - 5 for n in surface.coefficients.shape)
+    curvature = (float(curvatures.min()), float(curvatures.max()))
+    spacing = float(np.median(np.sqrt(problem.areas)))
+    rms, largest = float(np.sqrt(np.mean(distances**2))), float(distances.max())
     report = SurfaceReport(
-        points=len(points),
+        points=len(cloud),
         area=float(problem.areas.sum()),
         smoothing=wavelength,
         cells=(cells[0], cells[1], cells[2]),
         step=float(surface.step),
-        rms=float(np.sqrt(np.mean(distances**2))),
-        largest=float(distances.max()),
-        normals=(float(np.sqrt(np.mean(turned**2))), float(turned.max())) if given else None,
-        curvature=(float(curvatures.min()), float(curvatures.max())),
+        rms=rms,
+        largest=largest,
+        normals=None if given is None else angles(normals, given[each]),
+        curvature=curvature,
         smoothness=surface.smoothness,
+        verdict=_verdict(curvature, wavelength, rms, largest),
+        reach=3.0 * spacing,
+        tolerance=max(_FAR * rms, 1e-3 * wavelength),
     )
-    return SurfaceFit(surface, points, jnp.asarray(feet), report)
+    return SurfaceFit(surface, jnp.asarray(cloud[each]), jnp.asarray(feet), report)
 
 
-@jax.jit
-def _measured(surface: SplineSurface, points: Array) -> tuple[Array, Array, Array]:
-    """Feet [m], unit normals and both principal curvatures [1/m] of the surface near the points."""
-
-    def one(point: Array) -> tuple[Array, Array, Array]:
-        at = surface.settled(surface.settled(tuple(point)))
-        frame = surface.frame(at)
-        found = principal(frame)
-        return Vec3(*at).array(), frame.normal.array(), jnp.stack([found.low, found.high])
-
-    return jax.lax.map(one, points, batch_size=1024)
+def _verdict(curvature: tuple[float, float], wavelength: float, rms: float, largest: float) -> str:
+    """Whether a surface of one wavelength looks like its points."""
+    signs = []
+    # No wave that smoothing leaves is shorter than its wavelength by much; its sharpest bend has a radius
+    # about that over 2 pi.
+    sharpest = max(-curvature[0], curvature[1])
+    if sharpest * wavelength > 2.0 * np.pi:
+        signs.append(f"it bends with a radius of {1e3 / sharpest:.3g} mm")
+    if largest > _FAR * rms and largest > 0.05 * wavelength:
+        signs.append(f"a point is {1e3 * largest:.3g} mm off it")
+    if not signs:
+        return f"the points lie {1e6 * rms:.3g} um rms from it, and it bends no more than its smoothing"
+    return f"not to be trusted: {' and '.join(signs)}; give smallest_radius"

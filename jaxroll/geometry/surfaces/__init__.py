@@ -8,10 +8,11 @@
 - `_surface_extruded`: cylinders over contours.
 - `_surface_patch`: a chart through a grid of points; `_surface_spline`: a field of space. Both are made of
   the B-splines of `_tensor_bspline`.
-- `_spread`: places spread evenly over a surface.
+- `_spread`: places spread evenly over a surface; `_net`: triangles of the zero set of a sampled field.
 """
 
 from ._gauss import approach as approach, Gauss3 as Gauss3, Principal as Principal, principal as principal
+from ._net import net as net
 from ._spread import lattice as lattice
 from ._surface import AbstractSurface as AbstractSurface, Hollow as Hollow, MovedSurface as MovedSurface
 from ._surface_chart import AbstractChart as AbstractChart, Chart as Chart, Jet as Jet, jet as jet

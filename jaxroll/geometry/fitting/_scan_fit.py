@@ -1,0 +1,302 @@
+r"""From a scan to one smooth closed surface whose radii of curvature are bounded from below. NumPy.
+
+The steps: the scan is thinned (`_scan`), the body that it encloses found (`_indicator`), and a field of
+B-splines fitted to the scan, to that body where the scan has holes, and loosely to the distance from it
+elsewhere, so that the field has no other zeros (`_field_solve`). If the field's zero set is curved too much
+anywhere, the scan is rolled by balls inside and outside (`_rolling`) and the field fitted again to that, with
+larger balls until the curvature is met. It is looked at on a net over the whole zero set, finer than the
+field's cells. `_surface_fit` is the door, and says when to refuse.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import cast
+
+import jax.numpy as jnp
+import numpy as np
+
+from ..surfaces import net, ORDER, SplineSurface, UNIFORM
+from ._field_fit import Grid
+from ._field_solve import solved, Targets
+from ._indicator import Body, enclosed
+from ._measured import levels_at, measured
+from ._rolling import Rolled, rolled
+from ._scan import normals_of_net, Scan, thinned_scan
+
+_FINE = 0.25  # width of the scan's cells, in smallest radii
+_WAVE = 2.4  # shortest wavelength of smoothing, in smallest radii
+_LADDER = 1.5  # ratio of the wavelengths that are tried
+_CELLS = 2.5  # cells per wavelength
+_PER_CELL = 2.5  # data per cell, along an axis, of a scan of
+_DATA = 12_000  # points; more of smaller ones
+_ROOM = 2.5  # cells between the points and the end of the grid
+_MOST = 1_500_000  # most coefficients
+_SLOPE, _LENGTH = 0.02, 0.3  # weights of the normals' term, and of its part along the normal in that
+_AWAY, _HOLD = 1.5, 0.01  # cells from the surface where the distance is asked for, and with what weight
+_BRIDGE = 0.1  # weight of a hole's filling
+_GAIN = 0.99  # a shorter wavelength must lower the error at points not used by 1 %
+_SAMPLES = 3  # nodes of the net per cell
+_NOISE = 0.02  # how far a point may reach into a ball that touches another one, in radii
+_BALLS = 1.1  # radius of the first balls, in smallest radii: the fit to what was rolled is a little sharper
+_LARGER = (1.03, 1.3)  # least and largest factor of the next balls
+_ROUNDS = 6
+_TURNS = 4  # times that normals are turned round
+
+
+@dataclass(frozen=True)
+class Closed:
+    """A smooth closed surface through a scan.
+
+    Attributes:
+        surface: The surface.
+        wavelength: Wavelength of smoothing [m].
+        scan: The scan as it was used, holes filled from the body; `filled` of its last points are that.
+        filled: Number of points in holes.
+        rolled: Where balls of the smallest radius can touch the scan; None if it was not rolled.
+        vertices: Of a net on the surface [m], shape (n, 3).
+        areas: That its vertices stand for [m^2].
+        curvatures: Principal curvatures at the vertices, shape (n, 2) [1/m].
+        parts: Numbers of regions in which the field is negative and positive.
+        reach: Farthest from a point of the scan that a place counts as covered [m].
+        apart: Which of the given points were left out, shape (m,).
+    """
+
+    surface: SplineSurface
+    wavelength: float
+    scan: Scan
+    filled: int
+    rolled: Rolled | None
+    vertices: np.ndarray
+    areas: np.ndarray
+    curvatures: np.ndarray
+    parts: tuple[int, int]
+    reach: float
+    apart: np.ndarray
+
+
+def closed_through(points: np.ndarray, normals: np.ndarray | None, radius: float) -> Closed:
+    """The smooth surface of points [m] whose radii of curvature shall be at least `radius` [m].
+
+    Raises:
+        ValueError: If the points are no scan of one body, or no ball of that radius fits into it.
+    """
+    size = float(np.ptp(points, axis=0).max())
+    scan, numbers = thinned_scan(points, normals, max(_FINE * radius, size / 400.0))
+    apart = numbers < 0
+    body, scan = _body(scan, radius, given=normals is not None)
+    reach = max(3.0 * scan.spacing, 0.5 * radius)
+    whole, filled = _filled(scan, body, reach)
+    problem = _Problem(whole, filled, body)
+    wavelength = _chosen(problem, points[~apart], radius)
+    found = problem.fitted(whole, wavelength)
+    found = problem.fitted(whole, wavelength, (found, _levels(found, whole, points, numbers)))
+    shape = _looked_at(found)
+    touched, balls = None, _BALLS * radius
+    for _ in range(_ROUNDS):
+        sharpest = radius * float(np.abs(shape.curvatures).max())
+        if sharpest <= 1.0:
+            break
+        if touched is None:
+            wavelength = _WAVE * radius
+            touched = _rolled(whole, radius)
+        target = _rolled(whole, balls)
+        moved = replace(whole, points=target.points, normals=target.normals)
+        found = problem.fitted(moved, wavelength)
+        shape = _looked_at(found)
+        balls *= float(np.clip(radius * np.abs(shape.curvatures).max(), *_LARGER))
+    return Closed(
+        found, wavelength, whole, filled, touched, shape.vertices, shape.areas, shape.curvatures, shape.parts,
+        reach, apart,
+    )  # fmt: skip
+
+
+def _levels(surface: SplineSurface, whole: Scan, points: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+    """Means of the surface's field [m] over the points that each point of the scan stands for."""
+    used = numbers >= 0
+    values, count = levels_at(surface, jnp.asarray(points[used])), len(whole.points)
+    hits = np.bincount(numbers[used], minlength=count)
+    sums = np.bincount(numbers[used], values, count)
+    alone = levels_at(surface, jnp.asarray(whole.points))
+    return np.where(hits > 0, sums / np.maximum(hits, 1), alone)
+
+
+def _body(scan: Scan, radius: float, *, given: bool) -> tuple[Body, Scan]:
+    """The body that a scan encloses, and the scan with no normal sure that contradicts it.
+
+    Those that were not given are turned round.
+    """
+    step = max(_FINE * radius, 0.75 * scan.spacing)
+    for _ in range(_TURNS):
+        body = enclosed(scan, step)
+        ahead, behind = (body.at(scan.points + side * body.step * scan.normals) for side in (1.0, -1.0))
+        turned = ahead < behind
+        if given or turned.mean() < 1e-3:
+            break
+        scan = replace(scan, normals=np.where(turned[:, None], -scan.normals, scan.normals))
+    return body, replace(scan, sure=np.where(turned, 0.0, scan.sure))
+
+
+def _filled(scan: Scan, body: Body, reach: float) -> tuple[Scan, int]:
+    """The scan with points of the body's surface wherever it has none within `reach`, and their number."""
+    from scipy.spatial import KDTree
+
+    normals, areas = normals_of_net(body.vertices, body.triangles)
+    far = KDTree(scan.points).query(body.vertices, workers=-1)[0] > reach
+    points = np.concatenate([scan.points, body.vertices[far]])
+    both = np.concatenate([scan.normals, normals[far]])
+    weights = np.concatenate([scan.areas, _BRIDGE * areas[far]])
+    sure = np.concatenate([scan.sure, np.ones(int(far.sum()))])
+    return Scan(points, both, weights, sure, scan.spacing), int(far.sum())
+
+
+def _rolled(whole: Scan, radius: float) -> Rolled:
+    """The scan rolled by balls.
+
+    Raises:
+        ValueError: If no ball fits.
+    """
+    found = rolled(whole, radius, _NOISE * radius)
+    if found is None:
+        raise ValueError(
+            f"argument smallest_radius must leave room for balls of that radius inside and outside the "
+            f"body, but of {radius:.4g} m none fits"
+        )
+    return found
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """A scan, the number of its points that fill holes, and the body it encloses."""
+
+    whole: Scan
+    filled: int
+    body: Body
+
+    def fitted(
+        self, scan: Scan, wavelength: float, base: tuple[SplineSurface, np.ndarray] | None = None
+    ) -> SplineSurface:
+        """The surface through a scan of one wavelength [m].
+
+        Args:
+            scan: Its points may be means of many.
+            wavelength: Of smoothing.
+            base: A surface near the solution, and means of its field over what each point of the scan is a
+                mean of: the mean of points lies below a curved surface, and is raised by as much.
+        """
+        step = wavelength / _CELLS
+        levels = np.zeros(len(scan.points)) if base is None else base[1]
+        width = step / _PER_CELL * min(1.0, len(scan.points) / _DATA)
+        data, means = scan.averaged(width, levels)
+        heights = 0.0 * means if base is None else levels_at(base[0], jnp.asarray(data.points)) - means
+        grid = _grid(self.whole.points, step)
+        held, distances = _distances(grid, self.body)
+        scale = wavelength / (2.0 * np.pi * step)
+        zeros = np.zeros(len(held))
+        targets = Targets(
+            np.concatenate([data.points, held]),
+            np.concatenate([heights, distances]),
+            np.concatenate([data.areas, zeros + _HOLD * step**2]),
+            np.concatenate([data.normals, np.zeros_like(held)]),
+            np.concatenate([_SLOPE * scale**2 * data.areas * data.sure, zeros]),
+            _LENGTH,
+        )
+        start = np.zeros(grid.counts) if base is None else np.asarray(base[0].coefficients)
+        found = solved(grid, targets, 3.0 / 16.0 * scale**5, start)
+        return SplineSurface(found, grid.origin, step)
+
+
+def _grid(points: np.ndarray, step: float) -> Grid:
+    """A grid around the points with room on all sides.
+
+    Raises:
+        ValueError: If it has too many cells.
+    """
+    low, high = points.min(axis=0) - _ROOM * step, points.max(axis=0) + _ROOM * step
+    cells = np.ceil((high - low) / step).astype(int)
+    counts = (int(cells[0]) + ORDER - 1, int(cells[1]) + ORDER - 1, int(cells[2]) + ORDER - 1)
+    if math.prod(counts) > _MOST:
+        raise ValueError(
+            f"argument smallest_radius must be larger for a body of {np.ptp(points, axis=0).max():.3g} m: "
+            f"it asks for {' x '.join(map(str, cells))} cells"
+        )
+    return Grid(0.5 * (low + high) - 0.5 * step * cells, step, counts)
+
+
+def _distances(grid: Grid, body: Body) -> tuple[np.ndarray, np.ndarray]:
+    """Every second node of the grid away from the body's surface, and its signed distance from it [m]."""
+    from scipy.spatial import KDTree
+
+    along = [
+        grid.origin[k] + grid.step * np.arange(0, grid.counts[k] - ORDER + 2, 2, dtype=float)
+        for k in range(3)
+    ]
+    nodes = np.stack(np.meshgrid(*along, indexing="ij"), axis=-1).reshape(-1, 3)
+    distances = KDTree(body.vertices).query(nodes, workers=-1)[0]
+    far = distances > _AWAY * grid.step
+    return nodes[far], (distances * np.sign(body.at(nodes)))[far]
+
+
+def _chosen(problem: _Problem, points: np.ndarray, radius: float) -> float:
+    """The longest wavelength of a ladder [m] below which the error at points not used hardly falls.
+
+    Every second point of the scan is fitted, the others are predicted. The ladder ends at 2.4 smallest radii.
+    """
+    size = float(np.ptp(points, axis=0).max())
+    rungs = max(int(np.log(0.6 * size / (_WAVE * radius)) / np.log(_LADDER)), 0)
+    best, chosen = np.inf, _WAVE * radius
+    for wavelength in _WAVE * radius * _LADDER ** np.arange(rungs, -1, -1.0):
+        scan = problem.whole
+        surface = problem.fitted(_half(scan), wavelength)
+        others = scan.points[1 : len(scan.points) - problem.filled : 2]
+        misses = levels_at(surface, jnp.asarray(others))
+        score = float(np.mean(misses**2))
+        if score > _GAIN * best:
+            break
+        best, chosen = score, float(wavelength)
+    return chosen
+
+
+def _half(scan: Scan) -> Scan:
+    """Every second point of a scan."""
+    each = slice(None, None, 2)
+    return Scan(scan.points[each], scan.normals[each], scan.areas[each], scan.sure[each], scan.spacing)
+
+
+@dataclass(frozen=True)
+class _Shape:
+    """What `Closed` says of a surface."""
+
+    vertices: np.ndarray
+    areas: np.ndarray
+    curvatures: np.ndarray
+    parts: tuple[int, int]
+
+
+def _looked_at(surface: SplineSurface) -> _Shape:
+    """The whole zero set of a field, on a net of a third of its cells."""
+    from scipy.ndimage import label
+
+    values = surface_values(surface, _SAMPLES)
+    vertices, triangles = net(values)
+    if not len(triangles):
+        raise ValueError("argument points must determine a closed surface, but the fit to them has none")
+    places = np.asarray(surface.origin) + float(surface.step) / _SAMPLES * vertices
+    feet, _, curvatures = (np.asarray(x) for x in measured(surface, jnp.asarray(places)))
+    _, areas = normals_of_net(feet, triangles)
+    sides = (values < 0.0, values > 0.0)
+    parts = [cast(tuple[np.ndarray, int], label(side))[1] for side in sides]
+    return _Shape(feet, areas, curvatures, (parts[0], parts[1]))
+
+
+def surface_values(surface: SplineSurface, fine: int) -> np.ndarray:
+    """Values of the field at nodes, `fine` of them per cell along each axis [m]."""
+    found = np.asarray(surface.coefficients)
+    for axis, count in enumerate(found.shape):
+        cells = count - ORDER + 1
+        place = np.arange(cells * fine + 1) / fine
+        cell = np.minimum(np.floor(place).astype(int), cells - 1)
+        matrix = np.zeros((len(place), count))
+        weights = (place - cell)[:, None] ** np.arange(ORDER) @ (UNIFORM / 120.0).T
+        np.put_along_axis(matrix, cell[:, None] + np.arange(ORDER), weights, axis=1)
+        found = np.moveaxis(np.tensordot(matrix, found, axes=(1, axis)), 0, axis)
+    return found

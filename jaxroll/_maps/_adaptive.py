@@ -79,8 +79,8 @@ def adaptive_map(
     Args (daily use):
         outcome: From one row of the parameters, `p.damping`, to a pytree of arrays, by JAX operations: such
             as `simulate(*make(p), t1, throw=False).result` or `stability.assess(*make(p)).verdict`. Whole
-            numbers, truth values and codes are codes (make a count floating), and so is whether a number is
-            finite.
+            numbers, truth values and codes are codes (make a count floating), and so is whether a value with
+            a tolerance is finite.
         grid: From `Parameters.grid`, or products of such.
         levels: How often a coarse cell is halved.
         tolerance: For floating values, one number for all or by name where the outcome is a dict: cells are

@@ -208,10 +208,6 @@ def uniform_solid(surface: Any, density: Any) -> Any:
     return jxr.FreeObject3.uniform(surface, density)
 
 
-# Methods that take a caller's arguments.
-METHODS = (
-    uniform_object,
-    uniform_solid,
 def columns(damping: Any, force: Any) -> Any:
     """`Parameters` of two names."""
     return jxr.Parameters(damping=damping, force=force)
@@ -229,6 +225,8 @@ def measures(names: Any) -> Any:
 
 # Methods that take a caller's arguments, and functions that take them by any name.
 METHODS = (
+    uniform_object,
+    uniform_solid,
     columns,
     sobol,
     measures,

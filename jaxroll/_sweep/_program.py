@@ -31,7 +31,8 @@ from ._fingerprint import fingerprint, of_lowered
 _KEPT: OrderedDict[tuple[str, Any], Callable] = OrderedDict()
 _MOST = 64
 # Operations whose numbers come from Python code, which no fingerprint of a program can tell.
-_CALLBACKS = {"pure_callback", "io_callback"}
+_CALLBACKS = frozenset(("pure_callback", "io_callback"))
+_FACTORISATIONS = frozenset(("lu", "cholesky", "triangular_solve", "eigh", "eig", "svd", "geqrf", "schur"))
 
 
 class Job(eqx.Module):
@@ -208,12 +209,21 @@ def of_keep(keep: Callable | None, trajectory: Any) -> str:
 
 
 def calls_back(closed: Any) -> bool:
-    """Whether a traced program, or one within its operations, calls Python functions for numbers."""
+    """Whether a traced program calls Python functions for numbers."""
+    return _has(closed, _CALLBACKS)
+
+
+def factorises(closed: Any) -> bool:
+    """Whether a traced program calls routines of LAPACK, as `close` does for what it solves."""
+    return _has(closed, _FACTORISATIONS)
+
+
+def _has(closed: Any, wanted: frozenset[str]) -> bool:
+    """Whether one of these operations is in a traced program, or in one within its operations."""
     if isinstance(closed, jec.ClosedJaxpr):
-        return calls_back(closed.jaxpr)
+        return _has(closed.jaxpr, wanted)
     if isinstance(closed, jec.Jaxpr):
-        names = {equation.primitive.name for equation in closed.eqns}
-        return bool(names & _CALLBACKS) or any(calls_back(equation.params) for equation in closed.eqns)
+        return any(e.primitive.name in wanted or _has(e.params, wanted) for e in closed.eqns)
     if isinstance(closed, dict):
-        return any(map(calls_back, closed.values()))
-    return isinstance(closed, tuple | list) and any(map(calls_back, closed))
+        return any(_has(value, wanted) for value in closed.values())
+    return isinstance(closed, tuple | list) and any(_has(value, wanted) for value in closed)

@@ -26,7 +26,7 @@ from .._results import as_array, as_count, check_callable, check_flag, is_array_
 from ._dispatch import addressed, dispatched, met, Party, party_of
 from ._folder import Folder
 from ._identity import Identity, identity, Mark
-from ._program import calls_back, Job, of_keep, of_make, Program, program
+from ._program import calls_back, factorises, Job, of_keep, of_make, Program, program
 from ._sending import Parcel, Receipt
 from ._store import Store
 
@@ -327,7 +327,10 @@ def _work_here(
         for start, piece in zip(rest, pool.map(partial(piece_at, wait=wait), rest), strict=True):
             note(start, piece)
 
-    with ThreadPoolExecutor(_workers(devices)) as pool:
+    # Two programs that call LAPACK on large batches at once have waited for each other for ever (jaxlib 0.10,
+    # on two cores): they go one after another.
+    alone = devices[0].platform == "cpu" and factorises(run.traced.jaxpr)
+    with ThreadPoolExecutor(1 if alone else _workers(devices)) as pool:
         # Twice: chunks that other processes are computing are passed over, and waited for at the end. Should
         # such a process be killed, its lock is released, and its chunk is computed here.
         work(wait=False)

@@ -347,7 +347,7 @@ class Killer:
     def setup(self, worker):
         from jaxroll._sweep import _sending, _store
 
-        computed, array = _sending._Ready.computed, _store.Store._array
+        computed, put = _sending._Ready.computed, _store.Store._put
 
         def killed(seconds):
             threading.Timer(seconds, os.kill, (os.getpid(), signal.SIGKILL)).start()
@@ -361,14 +361,14 @@ class Killer:
                 time.sleep(0.02)
             return computed(ready, start, rows)
 
-        def writing(store, name):
+        def writing(store, name, *given):
             if name == "stored" and self.asked("full"):
                 raise OSError(errno.ENOSPC, "No space left on device")
             if name == "stored" and self.asked("writing"):
                 os.kill(os.getpid(), signal.SIGKILL)
-            return array(store, name)
+            put(store, name, *given)
 
-        _sending._Ready.computed, _store.Store._array = computing, writing
+        _sending._Ready.computed, _store.Store._put = computing, writing
 
 
 CLIENT = """

@@ -246,16 +246,14 @@ jax.config.update("jax_enable_x64", True)
 from jaxroll._sweep import _store
 from jaxroll._sweep._program import Program
 from tests.test_sweep_store import of_rows, swept
-array, seen = _store.Store._array, []
+put = _store.Store._put
 
-def half(self, name):
+def half(self, name, *given):
     if name == "result" and len(list(pathlib.Path(sys.argv[1], "sweep").glob("*.sum"))) == 1:
-        seen.append(name)
-        if len(seen) == 2:
-            os.kill(os.getpid(), signal.SIGKILL)
-    return array(self, name)
+        os.kill(os.getpid(), signal.SIGKILL)
+    put(self, name, *given)
 
-Program.__call__, _store.Store._array = of_rows, half
+Program.__call__, _store.Store._put = of_rows, half
 swept(pathlib.Path(sys.argv[1]))
 """
 

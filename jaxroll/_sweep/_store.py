@@ -15,6 +15,8 @@ store, and more of them may follow. This is the only door to zarr, which is impo
 import contextlib
 import hashlib
 import json
+import os
+import secrets
 import time
 import warnings
 from collections.abc import Sequence
@@ -160,12 +162,31 @@ class Store:
         span = self._span(start)
         arrays = self._named(leaves)
         for each in arrays:
-            self._array(each.name)[span] = each.values[: span.stop - start]
-        self._array(_STORED)[span] = True
+            self._put(each.name, start, each.values[: span.stop - start])
+        self._put(_STORED, start, np.ones(span.stop - start, bool))
         held = [each.values[: span.stop - start] for each in arrays]
         checksum = self._checksum(start, [each.name for each in arrays], held)
         told = {"sweep": self.folder.sweep, "start": start, "runs": span.stop - start, "checksum": checksum}
         self.folder.put(start, json.dumps(told).encode())
+
+    def _put(self, name: str, start: int, values: np.ndarray) -> None:
+        """Write one chunk of one array: its numbers as they are, which is what Zarr's bytes codec reads.
+
+        By the library, which does all else here, it takes a millisecond: a tenth of the time in which the runs
+        of a chunk with ten arrays are computed.
+        """
+        whole = np.full(
+            (self.extent.size, *values.shape[1:]), _BLANKS.get(values.dtype.kind, 0), values.dtype
+        )
+        whole[: len(values)] = values
+        path = self.path.joinpath(name, "c", str(start // self.extent.size), *["0"] * (values.ndim - 1))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part = path.with_name(f"{path.name}.{os.getpid()}.{secrets.token_hex(4)}.part")
+        try:
+            part.write_bytes(whole.astype(whole.dtype.newbyteorder("<"), copy=False).tobytes())
+            part.replace(path)
+        finally:
+            part.unlink(missing_ok=True)
 
     def _failure(self, error: OSError) -> OSError:
         text = f"the store {self.path} could not be written ({error.strerror or error})"
@@ -289,7 +310,7 @@ class Store:
         blank = _BLANKS.get(each.values.dtype.kind, 0)
         options = {"dimension_names": each.dims, "fill_value": blank, "attributes": each.attrs}
         # The folder of `sweep` holds the manifest, which an array that overwrites another would remove.
-        options |= {"chunks": chunks, "overwrite": along}
+        options |= {"chunks": chunks, "overwrite": along, "compressors": None, "filters": None}
         group.create_array(each.name, shape=shape, dtype=each.values.dtype, **options)
 
 

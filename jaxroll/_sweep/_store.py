@@ -172,12 +172,11 @@ class Store:
     def _put(self, name: str, start: int, values: np.ndarray) -> None:
         """Write one chunk of one array: its numbers as they are, which is what Zarr's bytes codec reads.
 
-        By the library, which does all else here, it takes a millisecond: a tenth of the time in which the runs
-        of a chunk with ten arrays are computed.
+        By the library, which does all else here, it takes 1.2 ms; a chunk of short runs is computed in 140 ms
+        and may have a dozen arrays.
         """
-        whole = np.full(
-            (self.extent.size, *values.shape[1:]), _BLANKS.get(values.dtype.kind, 0), values.dtype
-        )
+        blank = _BLANKS.get(values.dtype.kind, 0)
+        whole = np.full((self.extent.size, *values.shape[1:]), blank, values.dtype)
         whole[: len(values)] = values
         path = self.path.joinpath(name, "c", str(start // self.extent.size), *["0"] * (values.ndim - 1))
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -253,7 +253,12 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
     **_family("loci", **_SPATIAL),
     **_family("contours phase pose poses responses animate", trajectory=_RUN),
     **_family("friction_demand overshoot peak_force settling_time tracking_error", run=_ANY_RUN),
-    **_family("fit_surface", points=_CLOUD, smoothing=_is("not negative", 0.02)),
+    **_family(
+        "fit_surface",
+        points=_CLOUD,
+        smoothing=_is("not negative", 0.02),
+        smallest_radius=_is("positive", 0.004),
+    ),
     # As many of both are links: three, or seven.
     "mass_properties": {"shape": _made("contour", lambda: jxr.Circle(0.01), "sphere")},
     "uniform_object": {"contour": _ROUND},

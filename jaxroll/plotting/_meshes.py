@@ -20,9 +20,11 @@ from ..geometry import (
     MovedSurface,
     Plane,
     Sphere,
+    SplineSurface,
     Superellipsoid,
     Torus,
 )
+from ..geometry.surfaces import surface_net
 from ._motion3 import matrices
 from ._rays import inside, radii
 
@@ -30,6 +32,8 @@ from ._rays import inside, radii
 # The digits are arbitrary: a round number would put the vertices of regular grids right between two cells of
 # the rounding in `_welded`, where two that are one could fall to either side.
 _SAME = 1.2345e-7
+# How many more coefficients than cells a field of splines has along each axis.
+_OVERHANG = 5
 # Patches along u and v.
 _PATCHES = (8, 4)
 
@@ -72,7 +76,8 @@ def mesh(
 ) -> Mesh:
     """Triangles with their corners on a surface.
 
-    Closed forms and charts are sampled in their own parameters. Any other implicit surface is met along rays
+    Closed forms and charts are sampled in their own parameters, a field of splines at the nodes of its own
+    grid. Any other implicit surface is met along rays
     from a point inside, which shows all of it if the rays from there meet it once.
 
     Args:
@@ -184,11 +189,32 @@ def _(surface: AbstractChart, counts, extent, about):
 
 
 @_mesh.register
+def _(surface: SplineSurface, counts, extent, about):
+    # At the field's own resolution, two nodes to a cell or more: whatever the shape, it is not star-shaped
+    # about any point that one could choose.
+    cells = np.array(surface.coefficients.shape) - _OVERHANG
+    fine = int(np.clip(np.ceil(counts[1] / cells.max()), 2, 6))
+    vertices, faces = surface_net(surface, fine)
+    if not len(faces):
+        raise ValueError("argument surface must have an inside and an outside on its grid to be drawn")
+    found = Mesh(vertices, faces, np.zeros(len(faces), int))
+    if not found.closed:
+        raise ValueError("argument surface must be closed within its grid to be drawn")
+    return replace(found, checks=_octants(found))
+
+
+@_mesh.register
 def _(surface: AbstractImplicit, counts, extent, about):
     ball, centre = _ball(counts), inside(surface)
     # The directions of a sphere, each as long as its ray from the point inside.
     reach = radii(surface, centre, ball.vertices)[:, None]
     return replace(ball, vertices=centre + reach * ball.vertices)
+
+
+def _octants(found: Mesh) -> np.ndarray:
+    """A pattern of eight patches: in which octant about the middle each triangle lies."""
+    middles = found.vertices[found.faces].mean(axis=1)
+    return np.sum(middles > 0.5 * (found.vertices.max(axis=0) + found.vertices.min(axis=0)), axis=1) % 2
 
 
 def _axes(surface: Ellipsoid | Superellipsoid) -> np.ndarray:

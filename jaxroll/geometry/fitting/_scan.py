@@ -71,6 +71,8 @@ def thinned_scan(points: np.ndarray, normals: np.ndarray | None, width: float) -
     means = np.stack([np.bincount(inverse, x, cells) for x in points.T], axis=1) / counts[:, None]
     near, areas = neighbourhoods(means)
     reach = np.sqrt(areas)
+    # A cell that the surface grazes holds the tail of its points' noise alone: it counts by what it holds.
+    areas = counts * areas[near].sum(axis=1) / counts[near].sum(axis=1)
     close = reach < _APART * np.median(reach)
     if normals is None:
         directions, joined, sure = parted_normals(means, near, areas)

@@ -15,7 +15,7 @@ from typing import cast
 import jax.numpy as jnp
 import numpy as np
 
-from ..surfaces import net, ORDER, SplineSurface, UNIFORM
+from ..surfaces import ORDER, SplineSurface, surface_net, surface_values
 from ._field_fit import Grid
 from ._field_solve import solved, Targets
 from ._indicator import Body, enclosed
@@ -31,8 +31,8 @@ _PER_CELL = 2.5  # data per cell, along an axis, of a scan of
 _DATA = 12_000  # points; more of smaller ones
 _ROOM = 2.5  # cells between the points and the end of the grid
 _MOST = 1_500_000  # most coefficients
-_SLOPE, _LENGTH = 0.02, 0.3  # weights of the normals' term, and of its part along the normal in that
-_AWAY, _HOLD = 1.5, 0.01  # cells from the surface where the distance is asked for, and with what weight
+_SLOPE, _LENGTH = 0.005, 0.3  # weights of the normals' term, and of its part along the normal in that
+_AWAY, _HOLD = 1.5, 1e-5  # cells from the surface where the distance is asked for, and with what weight
 _BRIDGE = 0.1  # weight of a hole's filling
 _GAIN = 0.99  # a shorter wavelength must lower the error at points not used by 1 %
 _SAMPLES = 3  # nodes of the net per cell
@@ -249,7 +249,8 @@ def _chosen(problem: _Problem, points: np.ndarray, radius: float) -> float:
         surface = problem.fitted(_half(scan), wavelength)
         others = scan.points[1 : len(scan.points) - problem.filled : 2]
         misses = levels_at(surface, jnp.asarray(others))
-        score = float(np.mean(misses**2))
+        weights = scan.areas[1 : len(scan.points) - problem.filled : 2]
+        score = float(np.sum(weights * misses**2))
         if score > _GAIN * best:
             break
         best, chosen = score, float(wavelength)
@@ -277,26 +278,11 @@ def _looked_at(surface: SplineSurface) -> _Shape:
     from scipy.ndimage import label
 
     values = surface_values(surface, _SAMPLES)
-    vertices, triangles = net(values)
+    vertices, triangles = surface_net(surface, _SAMPLES)
     if not len(triangles):
         raise ValueError("argument points must determine a closed surface, but the fit to them has none")
-    places = np.asarray(surface.origin) + float(surface.step) / _SAMPLES * vertices
-    feet, _, curvatures = (np.asarray(x) for x in measured(surface, jnp.asarray(places)))
+    feet, _, curvatures = measured(surface, jnp.asarray(vertices))
     _, areas = normals_of_net(feet, triangles)
     sides = (values < 0.0, values > 0.0)
     parts = [cast(tuple[np.ndarray, int], label(side))[1] for side in sides]
     return _Shape(feet, areas, curvatures, (parts[0], parts[1]))
-
-
-def surface_values(surface: SplineSurface, fine: int) -> np.ndarray:
-    """Values of the field at nodes, `fine` of them per cell along each axis [m]."""
-    found = np.asarray(surface.coefficients)
-    for axis, count in enumerate(found.shape):
-        cells = count - ORDER + 1
-        place = np.arange(cells * fine + 1) / fine
-        cell = np.minimum(np.floor(place).astype(int), cells - 1)
-        matrix = np.zeros((len(place), count))
-        weights = (place - cell)[:, None] ** np.arange(ORDER) @ (UNIFORM / 120.0).T
-        np.put_along_axis(matrix, cell[:, None] + np.arange(ORDER), weights, axis=1)
-        found = np.moveaxis(np.tensordot(matrix, found, axes=(1, axis)), 0, axis)
-    return found

@@ -8,11 +8,13 @@
 - `_surface_extruded`: cylinders over contours.
 - `_surface_patch`: a chart through a grid of points; `_surface_spline`: a field of space. Both are made of
   the B-splines of `_tensor_bspline`.
-- `_spread`: places spread evenly over a surface; `_net`: triangles of the zero set of a sampled field.
+- `_spread`: places spread evenly over a surface; `_net`: triangles of the zero set of a sampled
+  field; `_spline_net`: those of a surface of splines.
 """
 
 from ._gauss import approach as approach, Gauss3 as Gauss3, Principal as Principal, principal as principal
 from ._net import net as net
+from ._spline_net import surface_net as surface_net, surface_values as surface_values
 from ._spread import lattice as lattice
 from ._surface import AbstractSurface as AbstractSurface, Hollow as Hollow, MovedSurface as MovedSurface
 from ._surface_chart import AbstractChart as AbstractChart, Chart as Chart, Jet as Jet, jet as jet

@@ -76,7 +76,7 @@ def _support(points: np.ndarray, wish: _Wish) -> tuple[AbstractContour, float]:
     tried = [terms for terms in _TERMS if terms < most] if wish.noise else []
     for terms in (*tried, most):
         contour = SupportFunction.through(points, terms=terms)
-        distances = np.asarray(measured(tabled(contour), jnp.asarray(points))[1])
+        distances = np.asarray(measured_contour(tabled(contour), jnp.asarray(points))[1])
         if wish.noise and np.sqrt(np.mean(distances**2)) <= wish.noise:
             break
     return contour, 0.0
@@ -319,12 +319,12 @@ def _measured(contour: AbstractContour, points: np.ndarray) -> Measured:
     """
     room = 1 << int(np.ceil(np.log2(len(points))))
     padded = np.pad(points, ((0, room - len(points)), (0, 0)), mode="edge")
-    feet, distances, *rest = (np.asarray(x) for x in measured(contour, jnp.asarray(padded)))
+    feet, distances, *rest = (np.asarray(x) for x in measured_contour(contour, jnp.asarray(padded)))
     return Measured(feet[: len(points)], distances[: len(points)], *rest)
 
 
 @eqx.filter_jit
-def measured(contour: AbstractContour, points: Array) -> Measured:
+def measured_contour(contour: AbstractContour, points: Array) -> Measured:
     r"""Feet and distances of points, and the contour itself at evenly spaced places.
 
     A foot solves $(p - c(s)) \cdot t(s) = 0$, by Newton's method from the nearest of those places. The slope

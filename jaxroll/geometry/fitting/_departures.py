@@ -94,7 +94,7 @@ def departures(
 
 
 def strays(
-    places: np.ndarray, distances: np.ndarray, bending: np.ndarray, noise: float, radius: float
+    places: np.ndarray, distances: np.ndarray, bending: np.ndarray, *, noise: float, radius: float
 ) -> np.ndarray:
     """Indices of points far off a curve whose neighbours are not.
 

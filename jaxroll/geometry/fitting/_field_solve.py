@@ -32,7 +32,7 @@ _SHARES = [
 
 
 @dataclass(frozen=True)
-class Targets:
+class FieldTargets:
     """What a field shall be at points.
 
     Attributes:
@@ -51,17 +51,17 @@ class Targets:
     slopes: np.ndarray
     length: float
 
-    def sparser(self, count: int) -> "Targets":
+    def sparser(self, count: int) -> "FieldTargets":
         """Every k-th point, k as large as leaves `count`, with k times the weight."""
         k = max(len(self.points) // count, 1)
         each = slice(None, None, k)
         weights, slopes = k * self.weights[each], k * self.slopes[each]
-        return Targets(
+        return FieldTargets(
             self.points[each], self.heights[each], weights, self.normals[each], slopes, self.length
         )
 
 
-def solved(grid: Grid, targets: Targets, roughness: float, start: np.ndarray) -> np.ndarray:
+def solved(grid: Grid, targets: FieldTargets, roughness: float, start: np.ndarray) -> np.ndarray:
     """Coefficients of the field of least squares, in the shape of the grid's counts [m].
 
     Args:
@@ -119,7 +119,7 @@ def _sparse(places: np.ndarray, values: np.ndarray, unknowns: int) -> Any:
     return csr_matrix((values.ravel(), places.astype(np.int32).ravel(), starts), (len(values), unknowns))
 
 
-def _data(grid: Grid, targets: Targets) -> tuple[Any, np.ndarray]:
+def _data(grid: Grid, targets: FieldTargets) -> tuple[Any, np.ndarray]:
     """Rows of the data, scaled by the roots of their weights, and what they shall be; lengths in cells."""
     from scipy.sparse import vstack
 
@@ -171,7 +171,7 @@ class _Level:
         return np.sum([_along(self.grams[0][a], np.asarray(sums[a]), 0) for a in range(4)], axis=0)
 
 
-def _levels(grid: Grid, targets: Targets, roughness: float) -> list[_Level]:
+def _levels(grid: Grid, targets: FieldTargets, roughness: float) -> list[_Level]:
     """The grid and coarser ones, each of cells twice as wide from the same corner on."""
     levels, finer, scale = [], [np.eye(n) for n in grid.counts], 1.0
     while True:
@@ -191,7 +191,7 @@ def _levels(grid: Grid, targets: Targets, roughness: float) -> list[_Level]:
 
 
 def _form(
-    grid: Grid, targets: Targets, grams: list[np.ndarray], rough: float, scale: float, *, whole: bool
+    grid: Grid, targets: FieldTargets, grams: list[np.ndarray], rough: float, scale: float, *, whole: bool
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Diagonal of the form on one grid, in the shape of its counts; if `whole`, the inverse too."""
     from scipy.sparse import vstack

@@ -172,7 +172,7 @@ def _judged(ready: Limited) -> Limited:
         noise = max(estimated_noise(found.feet, found.distances), shared)
         ready = replace(ready, noise=min(noise, _SCALE * wanted.radius))
     bending = wanted.radius * found.curve.frames(found.feet).curvature
-    alone = strays(found.feet, found.distances, bending, ready.noise, wanted.radius)
+    alone = strays(found.feet, found.distances, bending, noise=ready.noise, radius=wanted.radius)
     if len(alone) > _FEW_STRAYS * len(points):
         alone = alone[:0]
     clean = replace(ready.clean, points=np.delete(points, alone, axis=0))

@@ -24,7 +24,7 @@ _THIN = 0.5  # a part thinner than this share of the balls' diameter is not thic
 _NEAR = 6  # centres whose mean direction is the normal of a place that was moved
 
 
-class Rolled(NamedTuple):
+class RolledBody(NamedTuple):
     """Points of a surface moved to where balls inside and outside roll.
 
     Attributes:
@@ -40,7 +40,7 @@ class Rolled(NamedTuple):
     thin: np.ndarray
 
 
-def rolled(scan: Scan, radius: float, tolerance: float) -> Rolled | None:
+def rolled(scan: Scan, radius: float, tolerance: float) -> RolledBody | None:
     """The points of a closed surface, rolled by balls; None where no ball fits into it.
 
     Args:
@@ -62,7 +62,7 @@ def rolled(scan: Scan, radius: float, tolerance: float) -> Rolled | None:
     if not kept.any():
         return None
     closed, down = _drawn(opened, -upward, place[kept], radius, tolerance)
-    return Rolled(closed, -down, inner & outer, thin)
+    return RolledBody(closed, -down, inner & outer, thin)
 
 
 def centres(points: np.ndarray, places: np.ndarray, radius: float) -> np.ndarray:

@@ -12,7 +12,7 @@ from .._analysis import check_run
 from .._mechanics import check_states
 from .._results import as_count, as_floats, check_callable, check_flag, check_instance, check_positive, shown
 from ..design import Design
-from ..geometry import Fit
+from ..geometry import Fit, SurfaceFit
 from ._views3 import View
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -73,7 +73,7 @@ def _place(name: str, value: Any) -> None:
 
 _CHECKS: dict[str, Callable[[str, Any], Any]] = {
     "design": lambda name, value: check_instance(name, value, Design, "a Design"),
-    "fit": lambda name, value: check_instance(name, value, Fit, "a Fit"),
+    "fit": lambda name, value: check_instance(name, value, Fit | SurfaceFit, "a Fit or a SurfaceFit"),
     "ax": lambda name, value: check_instance(name, value, Axes, "an axes of matplotlib"),
     "view": lambda name, value: check_instance(name, value, View, "a View"),
     "forces": check_flag,

@@ -1,30 +1,36 @@
-"""A contour made of points: where it runs, how it bends, how far the points lie from it."""
+"""A contour made of points: where it runs, how it bends, how far the points lie from it.
+
+`_surface_fit_figure` draws the same of a surface.
+"""
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ..geometry import Fit, tabled
+from ..geometry import Fit, SurfaceFit, tabled
 from ._doors import guarded
 from ._outlines import OutlineSamples, sample
 from ._style import CONTACT, FINGER, MM, OBJECT, Picture, tidy, TIP_FILL
+from ._surface_fit_figure import surface_figure
 
 _PLACES = 4097
 _TEETH = 150
 
 
 @guarded
-def fit(fit: Fit) -> Figure:
+def fit(fit: Fit | SurfaceFit) -> Figure:
     """Draw a fitted contour with its points and a comb of its curvature, its curvature, and the residuals.
 
     The comb's teeth stand on the outside where the contour is convex; their length is the curvature. A
-    residual is positive where the point lies outside.
+    residual is positive where the point lies outside. A fitted surface is drawn from two sides, with
+    histograms of the residuals and of its principal curvatures, and the curvature that was allowed.
 
     Args:
-        fit: From `fit_contour`.
+        fit: From `fit_contour` or `fit_surface`.
 
     Returns:
-        The figure: the contour [mm] on the left, curvature [1/m] and residuals [um] over arclength [mm].
+        The figure: the contour [mm] on the left, curvature [1/m] and residuals [um] over arclength [mm]; or
+        the surface [mm] twice, with both histograms.
 
     Example:
         >>> import jaxroll as jxr, numpy as np
@@ -34,6 +40,8 @@ def fit(fit: Fit) -> Figure:
         >>> len(plotting.fit(disc).axes)
         3
     """
+    if isinstance(fit, SurfaceFit):
+        return surface_figure(fit)
     contour, report = tabled(fit.contour), fit.report
     domain = contour.domain()
     assert domain is not None, "a contour through points has ends"

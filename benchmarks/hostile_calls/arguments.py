@@ -257,7 +257,8 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         "fit_surface",
         points=_CLOUD,
         smoothing=_is("not negative", 0.02),
-        smallest_radius=_is("positive", 0.004),
+        smallest_radius=_is("positive", None, "None"),
+        faces=_is("part", None),
     ),
     # As many of both are links: three, or seven.
     "mass_properties": {"shape": _made("contour", lambda: jxr.Circle(0.01), "sphere")},

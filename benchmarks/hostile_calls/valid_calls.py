@@ -46,13 +46,11 @@ RECORDS |= {
     "Gauss3",
 }
 RECORDS |= {"Principal", "NetworkFit", "CleanPoints", "Jet", "SurfaceFit", "SurfaceReport", "Level", "Table"}
-RECORDS |= {"Strike", "Vec2", "Vec3", "Sym3", "VectorField", "GraspPoints", "MassProperties", "Reach"}
-RECORDS |= {"Strike", "Vec2", "Vec3", "Sym3", "VectorField"}
+RECORDS |= {"Region", "Strike", "Vec2", "Vec3", "Sym3", "VectorField"}
+RECORDS |= {"GraspPoints", "MassProperties", "Reach", "Hand"}
 # Arguments by any name, for which functions below stand.
 RECORDS |= {"Parameters", "measures"}
 RECORDS |= {"TableError", "Equilibrium", "PinchStatics", "Stability", "Pose", "Twist"}
-RECORDS |= {"Strike", "Vec2", "Vec3", "Sym3", "VectorField"}
-RECORDS |= {"Hand", "TableError", "Equilibrium", "PinchStatics", "Stability", "Pose", "Twist"}
 # Written on scalars for use inside compiled programs, by other layers and by a caller's own shapes: nothing
 # is checked there, for every check would be one more on the way of each run.
 INNER = {"gap", "gap_bias", "gap_rate", "pfaffian", "rolling_rate", "tangency", "tangency3", "clearance"}

@@ -34,6 +34,7 @@ _MOST = 1_500_000  # most coefficients
 _SLOPE, _LENGTH = 0.005, 0.3  # weights of the normals' term, and of its part along the normal in that
 _AWAY, _HOLD = 1.5, 1e-5  # cells from the surface where the distance is asked for, and with what weight
 _BRIDGE = 0.1  # weight of a hole's filling
+_FINER = 60_000  # most coefficients for which shorter wavelengths are tried
 _GAIN = 0.99  # a shorter wavelength must lower the error at points not used by 1 %
 _SAMPLES = 3  # nodes of the net per cell
 _NOISE = 0.02  # how far a point may reach into a ball that touches another one, in radii
@@ -88,9 +89,12 @@ def closed_through(points: np.ndarray, normals: np.ndarray | None, radius: float
     whole, filled = _filled(scan, body, reach)
     problem = _Problem(whole, filled, body)
     wavelength = _chosen(problem, points[~apart], radius)
-    found = problem.fitted(whole, wavelength)
-    found = problem.fitted(whole, wavelength, (found, _levels(found, whole, points, numbers)))
-    shape = _looked_at(found)
+    found, shape = _raised(problem, wavelength, points, numbers)
+    if radius * float(np.abs(shape.curvatures).max()) <= 1.0:
+        finer = _finer(problem, wavelength, radius)
+        other = None if finer is None else _raised(problem, finer, points, numbers)
+        if finer and other and radius * float(np.abs(other[1].curvatures).max()) <= 1.0:
+            wavelength, (found, shape) = finer, other
     touched, balls = None, _BALLS * radius
     for _ in range(_ROUNDS):
         sharpest = radius * float(np.abs(shape.curvatures).max())
@@ -108,6 +112,16 @@ def closed_through(points: np.ndarray, normals: np.ndarray | None, radius: float
         found, wavelength, whole, filled, touched, shape.vertices, shape.areas, shape.curvatures, shape.parts,
         reach, apart,
     )  # fmt: skip
+
+
+def _raised(
+    problem: "_Problem", wavelength: float, points: np.ndarray, numbers: np.ndarray
+) -> tuple[SplineSurface, "_Shape"]:
+    """The surface of one wavelength [m] through the points themselves, of which the scan has means."""
+    found = problem.fitted(problem.whole, wavelength)
+    levels = _levels(found, problem.whole, points, numbers)
+    found = problem.fitted(problem.whole, wavelength, (found, levels))
+    return found, _looked_at(found)
 
 
 def _levels(surface: SplineSurface, whole: Scan, points: np.ndarray, numbers: np.ndarray) -> np.ndarray:
@@ -239,22 +253,38 @@ def _distances(grid: Grid, body: Body) -> tuple[np.ndarray, np.ndarray]:
 def _chosen(problem: _Problem, points: np.ndarray, radius: float) -> float:
     """The longest wavelength of a ladder [m] below which the error at points not used hardly falls.
 
-    Every second point of the scan is fitted, the others are predicted. The ladder ends at 2.4 smallest radii.
+    The ladder ends at 2.4 smallest radii.
     """
     size = float(np.ptp(points, axis=0).max())
     rungs = max(int(np.log(0.6 * size / (_WAVE * radius)) / np.log(_LADDER)), 0)
     best, chosen = np.inf, _WAVE * radius
     for wavelength in _WAVE * radius * _LADDER ** np.arange(rungs, -1, -1.0):
-        scan = problem.whole
-        surface = problem.fitted(_half(scan), wavelength)
-        others = scan.points[1 : len(scan.points) - problem.filled : 2]
-        misses = levels_at(surface, jnp.asarray(others))
-        weights = scan.areas[1 : len(scan.points) - problem.filled : 2]
-        score = float(np.sum(weights * misses**2))
+        score = _score(problem, wavelength)
         if score > _GAIN * best:
             break
         best, chosen = score, float(wavelength)
     return chosen
+
+
+def _finer(problem: _Problem, wavelength: float, radius: float) -> float | None:
+    """A shorter wavelength [m], if it still lowers the error at points not used.
+
+    A surface that is smooth enough at 2.4 smallest radii may have bends that want 1.6.
+    """
+    finer = wavelength / _LADDER
+    cells = np.prod(np.ptp(problem.whole.points, axis=0) * _CELLS / finer + 2.0 * _ROOM + ORDER)
+    if wavelength > 1.01 * _WAVE * radius or cells > _FINER:
+        return None
+    return finer if _score(problem, finer) <= _GAIN * _score(problem, wavelength) else None
+
+
+def _score(problem: _Problem, wavelength: float) -> float:
+    """Error at every second point of the scan when the others are fitted, a sum of squares."""
+    scan = problem.whole
+    surface = problem.fitted(_half(scan), wavelength)
+    each = slice(1, len(scan.points) - problem.filled, 2)
+    misses = levels_at(surface, jnp.asarray(scan.points[each]))
+    return float(np.sum(scan.areas[each] * misses**2))
 
 
 def _half(scan: Scan) -> Scan:

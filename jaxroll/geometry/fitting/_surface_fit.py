@@ -67,7 +67,7 @@ def fit_surface(
 
     Args:
         points: Shape (n, 3) [m], n at least 100, all over a closed surface; with `smallest_radius` it may
-            have holes. With `faces` the vertices of a mesh.
+            have holes. With `faces` the vertices of a mesh; of four or more with both.
         normals: Outward normals, shape (n, 3); None: of the faces, or from planes through neighbours, turned
             alike.
         faces: Triangles of a mesh, shape (m, 3): numbers of its vertices.
@@ -96,7 +96,7 @@ def fit_surface(
         >>> bool(np.all(np.abs(0.02 * fit.surface.principal_curvatures(fit.feet)[0] - 1) < 0.01))
         True
     """
-    cloud = _cloud("points", points)
+    cloud = _cloud("points", points, 100 if faces is None or smallest_radius is None else 4)
     given = None if normals is None else _directions(normals, cloud)
     triangles = None if faces is None else as_faces(faces, len(cloud))
     if smallest_radius is not None:
@@ -247,20 +247,20 @@ def _deviation(noise: Given) -> float:
 
 def _directions(normals: Given, cloud: np.ndarray) -> np.ndarray:
     """The given normals scaled to length one."""
-    given = _cloud("normals", normals)
+    given = _cloud("normals", normals, 1)
     if given.shape != cloud.shape:
         raise ValueError(f"argument normals must have shape {cloud.shape}, but had shape {given.shape}")
     check_direction("normals", jnp.asarray(given))
     return given / np.linalg.norm(given, axis=1, keepdims=True)
 
 
-def _cloud(name: str, value: Given) -> np.ndarray:
-    """An argument as numbers of shape (n, 3), at least 100 rows."""
+def _cloud(name: str, value: Given, least: int = 100) -> np.ndarray:
+    """An argument as numbers of shape (n, 3), so many rows at least."""
     seen = concrete(as_floats(name, value, (None, 3)))
     if seen is None:
         raise ValueError(f"argument {name} must be concrete numbers, but was traced: fitting is set-up")
-    if len(seen) < 100:
-        raise ValueError(f"argument {name} must have at least 100 rows, but had {len(seen)}")
+    if len(seen) < least:
+        raise ValueError(f"argument {name} must have at least {least} rows, but had {len(seen)}")
     return np.asarray(seen, float)
 
 

@@ -14,6 +14,9 @@ from ..._types import Given
 from ..surfaces import SplineSurface
 
 
+_AROUND = 5  # points by whose median distance a place is judged: noise alone must not condemn it
+
+
 class Region(NamedTuple):
     """A part of a fitted surface not to be touched.
 
@@ -139,8 +142,8 @@ class SurfaceFit:
     def trusted(self, places: Given) -> np.ndarray:
         """Whether the surface near places is known from data, and close to them.
 
-        True where the nearest point is within the report's `reach`, and its own distance from the surface
-        within the report's `tolerance`.
+        True where the nearest point is within the report's `reach`, and the median distance of the five
+        nearest points from the surface within the report's `tolerance`.
 
         Args:
             places: Shape (n, 3), on the surface [m].
@@ -161,11 +164,12 @@ class SurfaceFit:
 def trusted_places(
     points: np.ndarray, feet: np.ndarray, places: np.ndarray, reach: float, tolerance: float
 ) -> np.ndarray:
-    """Whether the point nearest to each place is within `reach`, and its foot within `tolerance` of it."""
+    """Whether the nearest point is within `reach`, and the median of five within `tolerance` of the surface."""
     from scipy.spatial import KDTree
 
-    distances, near = KDTree(points).query(places, workers=-1)
-    return (distances <= reach) & (np.linalg.norm(feet - points, axis=1)[near] <= tolerance)
+    distances, near = KDTree(points).query(places, k=_AROUND, workers=-1)
+    off = np.median(np.linalg.norm(feet - points, axis=1)[near], axis=1)
+    return (distances[:, 0] <= reach) & (off <= tolerance)
 
 
 def regions_of(places: np.ndarray, areas: np.ndarray, link: float, reason: str) -> list[Region]:

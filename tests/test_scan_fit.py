@@ -1,0 +1,184 @@
+"""Surfaces from scans with a smallest radius of curvature: holes, edges, thin parts, refusals, the net."""
+
+import pathlib
+
+import numpy as np
+import pytest
+
+from jaxroll.geometry import fit_surface, Sphere, Superellipsoid, Torus
+from jaxroll.geometry.surfaces import net, surface_net
+
+DATA = pathlib.Path(__file__).parents[2] / "shared" / "data"
+NOISE = 1e-4
+
+
+def torus_cloud(count, seed=0):
+    """Points evenly over a torus of radii 30 and 11 mm, each coordinate off by `NOISE`."""
+    rng = np.random.default_rng(seed)
+    v = rng.uniform(0.0, 2 * np.pi, 4 * count)
+    v = v[rng.uniform(size=4 * count) < (0.03 + 0.011 * np.cos(v)) / 0.041][:count]
+    u, out = rng.uniform(0.0, 2 * np.pi, count), 0.03 + 0.011 * np.cos(v)
+    cloud = np.stack([out * np.cos(u), out * np.sin(u), 0.011 * np.sin(v)], axis=-1)
+    return cloud + NOISE * rng.normal(size=cloud.shape)
+
+
+def ball_cloud(count, radius, seed=0):
+    rng = np.random.default_rng(seed)
+    u = rng.normal(size=(count, 3))
+    return radius * u / np.linalg.norm(u, axis=1)[:, None]
+
+
+def box_mesh(*half):
+    """Vertices and faces of a box."""
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * np.array(half)
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    return corners, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
+
+
+def test_a_net_of_a_torus_is_closed_and_has_its_volume():
+    x, y, z = np.indices((60, 60, 30)) - np.array([30.0, 30.0, 15.0])[:, None, None, None]
+    vertices, faces = net(np.hypot(np.hypot(x, y) - 18.0, z) - 7.0)
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    assert len(np.unique(edges, axis=0)) == len(edges)
+    np.testing.assert_array_equal(np.unique(edges, axis=0), np.unique(edges[:, ::-1], axis=0))
+    assert len(vertices) - len(edges) // 2 + len(faces) == 0  # Euler's number of one handle
+    a, b, c = (vertices[faces[:, k]] - 30.0 for k in range(3))
+    volume = np.sum(a * np.cross(b, c)) / 6.0
+    assert abs(volume / (2 * np.pi**2 * 18.0 * 49.0) - 1.0) < 0.02
+
+
+@pytest.fixture(scope="module")
+def torus():
+    return fit_surface(torus_cloud(8000), smallest_radius=0.005)
+
+
+def test_noisy_torus(torus):
+    """8000 points 0.1 mm off a torus: no poles, a handle, normals and curvatures of the closed form."""
+    exact, at = Torus(0.03, 0.011), np.asarray(torus.feet)
+    true = np.asarray(exact.near(at))
+    assert np.sqrt(np.mean(np.sum((at - true) ** 2, axis=1))) < 5e-5
+    cos = np.sum(np.asarray(torus.surface.normal(at)) * np.asarray(exact.normal(true)), axis=1)
+    assert np.degrees(np.sqrt(np.mean(np.arccos(np.minimum(cos, 1.0)) ** 2))) < 0.5
+    found, expected = (
+        np.sort(np.asarray(s.principal_curvatures(p)[0]), axis=1)
+        for s, p in ((torus.surface, at), (exact, true))
+    )
+    assert np.sqrt(np.mean((found - expected) ** 2)) / np.abs(expected).max() < 0.03
+    assert max(np.abs(torus.report.curvature)) <= 1.0 / 0.005
+    assert torus.report.reversed == 0.0 and torus.report.uncovered == 0.0
+    assert "one smooth surface" in str(torus.report)
+
+
+def test_the_whole_zero_set_is_one_torus(torus):
+    vertices, faces = surface_net(torus.surface, 3)
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    assert len(vertices) - len(edges) // 2 + len(faces) == 0
+    curvatures = np.asarray(torus.surface.principal_curvatures(vertices)[0])
+    assert np.abs(curvatures).max() <= 1.0 / 0.005
+    assert torus.trusted(vertices).all()
+
+
+def test_a_missing_bottom_is_closed_and_not_trusted():
+    cloud = ball_cloud(4000, 0.02)
+    fit = fit_surface(cloud[cloud[:, 2] > -0.014], smallest_radius=0.008)
+    vertices, faces = surface_net(fit.surface, 2)
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    assert len(vertices) - len(edges) // 2 + len(faces) == 2
+    trusted = fit.trusted(vertices)
+    assert trusted[vertices[:, 2] > -0.010].all()
+    assert not trusted[np.argmin(vertices[:, 2])]
+    assert 0.02 < fit.report.uncovered < 0.15  # of the ball 15 % are missing
+    region = fit.report.regions[0]
+    assert region.reason == "no data" and region.centre[2] < -0.01
+    assert np.abs(fit.report.curvature).max() <= 1.0 / 0.008
+
+
+def test_edges_of_a_box_are_rounded_and_its_faces_kept():
+    vertices, faces = box_mesh(0.03, 0.02, 0.018)
+    fit = fit_surface(vertices, faces=faces, smallest_radius=0.008)
+    assert np.abs(fit.report.curvature).max() <= 1.0 / 0.008
+    points = np.asarray(fit.points)
+    off = np.linalg.norm(np.asarray(fit.feet) - points, axis=1)
+    # Nearer to an edge than the radius no ball touches from inside.
+    inward = np.sort(np.array([0.03, 0.02, 0.018]) - np.abs(points), axis=1)[:, 1]
+    assert np.sqrt(np.mean(off[inward > 0.009] ** 2)) < 3e-4
+    assert fit.report.kept is not None and fit.report.kept[0] < 3e-4
+    assert fit.report.rounded is not None and 2e-3 < fit.report.rounded[1] < 9e-3
+    normals = np.sign(points) * (np.abs(points) > np.array([0.03, 0.02, 0.018]) - 1e-9)
+    assert np.sum(np.asarray(fit.surface.normal(fit.feet)) * normals, axis=1).min() > 0.0
+    assert any(region.reason == "rounded off" for region in fit.report.regions)
+
+
+def test_points_far_away_are_rejected():
+    cloud = ball_cloud(4000, 0.02)
+    fit = fit_surface(np.concatenate([cloud, [[0.2, 0.0, 0.0], [0.0, 0.0, 0.15]]]), smallest_radius=0.008)
+    assert fit.report.rejected == 2 and len(fit.points) == 4000
+    assert fit.report.largest < 1e-4
+
+
+def test_large_clouds_are_thinned_without_a_bias():
+    """60 000 points, of which the fit takes means, which lie below the surface."""
+    rng = np.random.default_rng(1)
+    cloud = ball_cloud(60_000, 0.02) + NOISE * rng.normal(size=(60_000, 3))
+    for options in ({"smallest_radius": 0.01}, {"smoothing": 0.03}):
+        fit = fit_surface(cloud, **options)
+        assert abs(np.mean(np.asarray(Sphere(0.02).near(fit.feet)) ** 2) - np.mean(fit.feet**2)) < 1e-8
+        assert abs(np.linalg.norm(fit.feet, axis=1).mean() - 0.02) < 2e-5
+
+
+@pytest.mark.slow
+def test_superellipsoid():
+    rng = np.random.default_rng(2)
+    u = ball_cloud(20_000, 1.0)
+    axes = np.array([0.02, 0.014, 0.01])
+    cloud = u * np.sum(np.abs(u) ** 3, axis=1, keepdims=True) ** (-1 / 3) * axes
+    fit = fit_surface(cloud + NOISE * rng.normal(size=cloud.shape), smallest_radius=0.004)
+    exact, at = Superellipsoid(*axes, 3.0), np.asarray(fit.feet)
+    true = np.asarray(exact.near(at))
+    assert np.sqrt(np.mean(np.sum((at - true) ** 2, axis=1))) < 5e-5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["011_banana", "010_potted_meat_can"])
+@pytest.mark.parametrize("mesh", [True, False])
+def test_scans(name, mesh):
+    """Asked for 5 mm: at most that curvature, 0.3 mm rms where the data's own radius exceeds it."""
+    path = DATA / f"ycb_{name}.npz"
+    if not path.exists():
+        pytest.skip("the scan is not here")
+    with np.load(path) as file:
+        vertices, faces = file["vertices"].astype(float), file["faces"]
+    fit = fit_surface(vertices, faces=faces if mesh else None, smallest_radius=0.005)
+    curvatures = np.asarray(fit.surface.principal_curvatures(surface_net(fit.surface, 4)[0])[0])
+    assert np.abs(curvatures).max() <= 1.0 / 0.005
+    assert fit.report.kept is not None and fit.report.kept[0] < 3e-4
+    assert fit.report.reversed < 1e-3
+
+
+THIN = box_mesh(0.03, 0.02, 0.002)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: fit_surface(THIN[0], faces=THIN[1], smallest_radius=0.005), "argument smallest_radius must"),
+        (
+            lambda: fit_surface(
+                np.concatenate([ball_cloud(900, 0.02), ball_cloud(900, 0.02) + 0.1]), smallest_radius=0.005
+            ),
+            "argument points must",
+        ),
+        (lambda: fit_surface(ball_cloud(900, 0.02), smallest_radius=-1.0), "argument smallest_radius must"),
+        (
+            lambda: fit_surface(ball_cloud(900, 0.02), smallest_radius=0.01, smoothing=0.02),
+            "argument smoothing must be left out",
+        ),
+        (lambda: fit_surface(ball_cloud(900, 0.02), faces=[[0, 1, 900]]), "argument faces must"),
+        (lambda: fit_surface(ball_cloud(900, 0.02), faces=[[0.0, 1.0, 2.0]]), "argument faces must"),
+        (lambda: fit_surface(ball_cloud(900, 0.004), smallest_radius=0.005), "argument smallest_radius must"),
+    ],
+)
+def test_what_cannot_be_one_smooth_surface_is_refused(make, words):
+    with pytest.raises(ValueError, match=words) as error:
+        make()
+    assert len(str(error.value)) <= 300

@@ -106,7 +106,7 @@ def _regions(
 ) -> tuple[Region, ...]:
     """The largest parts of the surface without data, or away from them."""
     link = 2.0 * float(np.sqrt(np.median(found.areas)))
-    near = trusted_places(points, feet, found.vertices, np.inf, tolerance)
+    near = trusted_places(points, feet, found.vertices, reach=np.inf, tolerance=tolerance)
     regions = regions_of(found.vertices[~covered], found.areas[~covered], link, "no data")
     regions += regions_of(found.vertices[covered & ~near], found.areas[covered & ~near], link, "rounded off")
     regions.sort(key=lambda region: -region.area)

@@ -13,7 +13,6 @@ from ..._results import as_floats, concrete
 from ..._types import Given
 from ..surfaces import SplineSurface
 
-
 _AROUND = 5  # points by whose median distance a place is judged: noise alone must not condemn it
 
 
@@ -158,13 +157,14 @@ class SurfaceFit:
         if seen is None:
             raise ValueError("argument places must be concrete numbers, but was traced")
         points, feet = np.asarray(self.points), np.asarray(self.feet)
-        return trusted_places(points, feet, np.asarray(seen, float), self.report.reach, self.report.tolerance)
+        limits = {"reach": self.report.reach, "tolerance": self.report.tolerance}
+        return trusted_places(points, feet, np.asarray(seen, float), **limits)
 
 
 def trusted_places(
-    points: np.ndarray, feet: np.ndarray, places: np.ndarray, reach: float, tolerance: float
+    points: np.ndarray, feet: np.ndarray, places: np.ndarray, *, reach: float, tolerance: float
 ) -> np.ndarray:
-    """Whether the nearest point is within `reach`, and the median of five within `tolerance` of the surface."""
+    """Whether the nearest point is within `reach`, and the median of five within `tolerance` of it."""
     from scipy.spatial import KDTree
 
     distances, near = KDTree(points).query(places, k=_AROUND, workers=-1)

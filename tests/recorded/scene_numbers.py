@@ -23,9 +23,11 @@ QUICKLY = ("pivoted", "pinch")
 
 def scene_names() -> list[str]:
     """Every public function of `jaxroll.scenes` that needs no argument."""
-    return sorted(
-        name for name, each in vars(jxr.scenes).items() if inspect.isfunction(each) and name[0] != "_"
+    scenes = {name: each for name, each in vars(jxr.scenes).items() if inspect.isfunction(each)}
+    needed = lambda each: any(  # noqa: E731
+        x.default is x.empty for x in inspect.signature(each).parameters.values()
     )
+    return sorted(name for name, each in scenes.items() if name[0] != "_" and not needed(each))
 
 
 def _egg() -> Any:

@@ -1,0 +1,121 @@
+"""Objects of any shape between two fingers, and the commands that begin with a file."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxroll as jxr
+from jaxroll import stability
+from jaxroll.__main__ import main
+from jaxroll._cli import ShapeOrder
+from jaxroll._cli._shape_file import fitted
+
+ROUND = 2.0 * np.pi * np.arange(200) / 200
+EGG = np.stack([35.0 * np.cos(ROUND) + 4.0 * np.cos(2.0 * ROUND), 20.0 * np.sin(ROUND)], axis=-1)
+
+
+def off(grasp, state):
+    """The largest gap or tangency."""
+    left = jxr.residuals(grasp, state)
+    return max(float(jnp.abs(part).max()) for part in (left.normal, left.tangential, left.tangency))
+
+
+def test_an_ellipse_is_held_across_its_narrow_side_and_stays():
+    grasp, state = jxr.scenes.pinch_object(jxr.FreeObject.uniform(jxr.Ellipse(0.02, 0.035), density=20.0))
+    assert off(grasp, state) < 1e-12
+    # The ends of the short axis: points of the object in its own frame.
+    points = [grasp.object.contours[0].point(c.s_object) for c in grasp.contacts]
+    np.testing.assert_allclose(np.sort(np.array(points)[:, 0]), [-0.02, 0.02], atol=1e-9)
+    np.testing.assert_allclose(np.array(points)[:, 1], 0.0, atol=1e-9)
+    # Three weights of pressing, along the line between both contacts.
+    force = jxr.multipliers(grasp, jnp.zeros(()), state).f
+    np.testing.assert_allclose(force, 3.0 * 9.81 * float(grasp.object.mass), rtol=1e-3)
+    found = stability.assess(grasp, state)
+    assert float(jnp.max(jnp.real(found.rates))) < 1e-9
+
+
+def test_fingers_of_ones_own_and_a_force():
+    fingers = [
+        jxr.Finger([0.08, 0.07], [0.03, 0.02], jxr.Circle(0.012), base=(x, 0.0)) for x in (-0.05, 0.05)
+    ]
+    body = jxr.FreeObject.uniform(jxr.Circle(0.015), density=20.0)
+    grasp, state = jxr.scenes.pinch_object(body, fingers=fingers, force=2.0)
+    assert off(grasp, state) < 1e-12
+    assert [f.tip.radius for f in grasp.fingers] == [0.012, 0.012]
+    np.testing.assert_allclose(jxr.multipliers(grasp, jnp.zeros(()), state).f, 2.0, rtol=1e-6)
+
+
+def test_what_cannot_be_held_is_said():
+    body = jxr.FreeObject.uniform(jxr.Circle(0.015), density=20.0)
+    short = [jxr.Finger([0.01, 0.01], [0.03, 0.02], jxr.Circle(0.002), base=(x, 0.0)) for x in (-1.0, 1.0)]
+    with pytest.raises(ValueError, match="argument fingers must reach the object, but did not"):
+        jxr.scenes.pinch_object(body, fingers=short)
+    with pytest.raises(ValueError, match="argument fingers must be two fingers or more"):
+        jxr.scenes.pinch_object(body, fingers=short[:1])
+    with pytest.raises(ValueError, match="argument object must be a FreeObject or a FreeObject3"):
+        jxr.scenes.pinch_object(jxr.Circle(0.01))
+
+
+def test_outlines_of_files_of_every_kind(tmp_path):
+    """A table, a drawing, a photograph and a section of a mesh give one contour."""
+    np.savetxt(tmp_path / "egg.csv", EGG, delimiter=",")
+    first = fitted(ShapeOrder(str(tmp_path / "egg.csv"), "mm", 5e-3, None, None))
+    assert first.report.radius >= 5e-3
+    length = first.report.length
+    jxr.io.write_outline(first.contour, tmp_path / "egg.svg", unit="mm")
+    solid = jxr.io.write_stl(first.contour, tmp_path / "egg.stl", height=0.01)
+    rows, columns = np.mgrid[0:260, 0:460]
+    inside = ((columns - 230) / 175.0) ** 2 + ((rows - 130) / 100.0) ** 2 < 1.0
+    from PIL import Image
+
+    photograph = np.where(inside[..., None], (180, 60, 40), (230, 230, 225)).astype(np.uint8)
+    Image.fromarray(photograph).save(tmp_path / "egg.png")
+    drawn = fitted(ShapeOrder(str(tmp_path / "egg.svg"), "mm", 5e-3, None, None))
+    assert drawn.report.length == pytest.approx(length, rel=2e-3)
+    cut = fitted(ShapeOrder(str(solid), "mm", 5e-3, None, ("z", 5e-3)))
+    assert cut.report.length == pytest.approx(length, rel=2e-3)
+    seen = fitted(ShapeOrder(str(tmp_path / "egg.png"), "mm", 5e-3, 2e-4, None))
+    # Ramanujan's perimeter of the ellipse with half axes 35 and 20 mm.
+    a, b = 0.035, 0.020
+    h = ((a - b) / (a + b)) ** 2
+    round_ = np.pi * (a + b) * (1.0 + 3.0 * h / (10.0 + np.sqrt(4.0 - 3.0 * h)))
+    assert seen.report.length == pytest.approx(round_, rel=5e-3)
+
+
+BAD = {
+    "no file": (["fit", "none.csv"], "none.csv"),
+    "another kind": (["fit", "text.doc"], "argument FILE must end in one of"),
+    "photograph without a scale": (["fit", "flat.png"], "argument --pixel must be"),
+    "section without a place": (["fit", "egg.stl", "--section", "w=3"], "must be an axis and a place"),
+    "radius of words": (["pinch", "egg.csv", "--smallest-radius", "big"], "but was big"),
+    "a hand in the plane": (["pinch", "egg.csv", "--hand", "hand.urdf"], "argument --hand must be left out"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_what_does_not_fit_is_one_line(case, tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("JAXROLL_CACHE", "off")
+    np.savetxt(tmp_path / "egg.csv", EGG, delimiter=",")
+    (tmp_path / "flat.png").write_bytes(b"")
+    (tmp_path / "text.doc").write_text("words")
+    arguments, words = BAD[case]
+    assert main(arguments) == 2
+    out, complaint = capfd.readouterr()
+    assert out == ""
+    assert words in complaint.splitlines()[-1]
+
+
+@pytest.mark.slow
+def test_jaxroll_pinch_writes_what_it_says(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("JAXROLL_CACHE", "off")
+    np.savetxt(tmp_path / "egg.csv", EGG, delimiter=",")
+    folder = tmp_path / "out"
+    assert main(["pinch", str(tmp_path / "egg.csv"), "--out", str(folder), "--seconds", "0.4"]) == 0
+    text = capsys.readouterr().out
+    assert "outcome     held" in text
+    names = {"fit.png", "poses.png", "responses.png", "motion.gif", "pinch.npz"}
+    assert {path.name for path in folder.iterdir()} == names
+    kept = jxr.load(folder / "pinch.npz")
+    assert off(kept["grasp"], kept["state"]) < 1e-12
+    assert str(kept["run"]).splitlines()[0] in text

@@ -8,7 +8,7 @@ import pytest
 import jaxroll as jxr
 from jaxroll.geometry import tabled
 from jaxroll.geometry.fitting import _contour_fit
-from jaxroll.geometry.fitting._contour_fit import measured
+from jaxroll.geometry.fitting._contour_fit import measured_contour
 
 N = 96
 U = 2 * np.pi * np.arange(N) / N
@@ -142,7 +142,7 @@ def test_feet_and_distances_are_those_of_offset_points():
     s = np.linspace(0.001, 0.1, 41)
     way = np.linspace(-0.005, 0.004, 41)
     points = np.asarray(body.point(s)) + way[:, None] * np.asarray(body.normal(s))
-    feet, distances, *_ = measured(body, jnp.asarray(points))
+    feet, distances, *_ = measured_contour(body, jnp.asarray(points))
     np.testing.assert_allclose(feet, s, atol=1e-10)
     np.testing.assert_allclose(distances, np.abs(way), atol=1e-14)
 

@@ -5,7 +5,7 @@ million points become some ten thousand, whose noise is smaller by the square ro
 points lie apart from all others is decided here too. `_scan_fit` uses it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,10 @@ from ._surface_normals import neighbourhoods, parted_normals
 
 _LARGEST = 50_000  # most points of a thinned scan
 _APART = 6.0  # a point is apart if its neighbours are this many times farther than is usual
+_FOURTH = 3.0  # or if its fourth neighbour is
+_BESIDE = 24  # neighbours among which a second sheet is looked for
+_ALIKE = 0.8  # cosine of the angle between the normals of two sheets, at least
+_DOUBLE = 0.25  # a larger spread of heights beside a point, in spacings, is that of two sheets
 _LOST = 0.05  # largest share of points that may lie apart
 _WOUND = 0.02  # largest share of a mesh's edges that two faces may run along in the same sense
 
@@ -37,6 +41,38 @@ class Scan:
     areas: np.ndarray
     sure: np.ndarray
     spacing: float
+
+    def part(self, chosen: np.ndarray) -> "Scan":
+        """Some of the points."""
+        found = (self.points[chosen], self.normals[chosen], self.areas[chosen], self.sure[chosen])
+        return Scan(*found, self.spacing)
+
+    def without(self, left_out: np.ndarray, numbers: np.ndarray) -> tuple["Scan", np.ndarray]:
+        """The scan without some points, and the numbers of what its points are means of made anew."""
+        kept = ~left_out
+        after = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)  # what was -1 remains so
+        return self.part(kept), after[numbers]
+
+    def joined(self, reach: float) -> "Scan":
+        """The scan with double sheets put together, at the mean height of the points beside each.
+
+        Args:
+            reach: Largest distance of two sheets [m].
+        """
+        from scipy.spatial import KDTree
+
+        _, near = KDTree(self.points).query(self.points, k=min(_BESIDE, len(self.points)), workers=-1)
+        arms = self.points[near] - self.points[:, None]
+        heights = np.einsum("nki,ni->nk", arms, self.normals)
+        aside = np.sum(arms**2, axis=2) - heights**2
+        alike = np.einsum("nki,ni->nk", self.normals[near], self.normals) > _ALIKE
+        beside = alike & (np.abs(heights) < reach) & (aside < self.spacing**2)
+        weights = np.where(beside, self.areas[near], 0.0)
+        total = weights.sum(axis=1)
+        mean = np.sum(weights * heights, axis=1) / total
+        spread = np.sqrt(np.sum(weights * (heights - mean[:, None]) ** 2, axis=1) / total)
+        double = (spread > _DOUBLE * self.spacing) & (self.sure > 0.5)
+        return replace(self, points=self.points + np.where(double, mean, 0.0)[:, None] * self.normals)
 
     def averaged(self, width: float, levels: np.ndarray) -> tuple["Scan", np.ndarray]:
         """One mean of all points in a cell of this width [m], with the sum of their areas; and of levels."""
@@ -73,7 +109,8 @@ def thinned_scan(points: np.ndarray, normals: np.ndarray | None, width: float) -
     reach = np.sqrt(areas)
     # A cell that the surface grazes holds the tail of its points' noise alone: it counts by what it holds.
     areas = counts * areas[near].sum(axis=1) / counts[near].sum(axis=1)
-    close = reach < _APART * np.median(reach)
+    fourth = np.linalg.norm(means[near[:, min(4, near.shape[1] - 1)]] - means, axis=1)
+    close = (reach < _APART * np.median(reach)) & (fourth < _FOURTH * np.median(fourth))
     if normals is None:
         directions, joined, sure = parted_normals(means, near, areas)
         close &= joined

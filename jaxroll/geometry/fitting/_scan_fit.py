@@ -17,10 +17,10 @@ import numpy as np
 
 from ..surfaces import ORDER, SplineSurface, surface_net, surface_values
 from ._field_fit import Grid
-from ._field_solve import FieldTargets, solved
+from ._field_solve import solved, Targets
 from ._indicator import Body, enclosed
 from ._measured import levels_at, measured
-from ._rolling import rolled, RolledBody
+from ._rolling import Rolled, rolled
 from ._scan import normals_of_net, Scan, thinned_scan
 
 _FINE = 0.25  # width of the scan's cells, in smallest radii
@@ -32,7 +32,7 @@ _DATA = 12_000  # points; more of smaller ones
 _ROOM = 2.5  # cells between the points and the end of the grid
 _MOST = 1_500_000  # most coefficients
 _SLOPE, _LENGTH = 0.005, 0.3  # weights of the normals' term, and of its part along the normal in that
-_AWAY, _HOLD = 1.5, 1e-5  # cells from the surface where the distance is asked for, and with what weight
+_AWAY, _HOLD = 1.5, 1e-4  # cells from the surface where the distance is asked for, and with what weight
 _BRIDGE = 0.1  # weight of a hole's filling
 _FINER = 60_000  # most coefficients for which shorter wavelengths are tried
 _GAIN = 0.99  # a shorter wavelength must lower the error at points not used by 1 %
@@ -41,6 +41,8 @@ _NOISE = 0.02  # how far a point may reach into a ball that touches another one,
 _BALLS = 1.1  # radius of the first balls, in smallest radii: the fit to what was rolled is a little sharper
 _LARGER = (1.03, 1.3)  # least and largest factor of the next balls
 _ROUNDS = 6
+_OFF = 2.5  # a point so many nodes off the body that all enclose is left out,
+_LOST = 0.03  # if they are no more than this share
 _TURNS = 4  # times that normals are turned round
 
 
@@ -53,7 +55,7 @@ class Closed:
         wavelength: Wavelength of smoothing [m].
         scan: The scan as it was used, holes filled from the body; `filled` of its last points are that.
         filled: Number of points in holes.
-        rolled: Where balls of the smallest radius can touch the scan; None if it was not rolled.
+        rolled: Where balls of the smallest radius can touch the scan.
         vertices: Of a net on the surface [m], shape (n, 3).
         areas: That its vertices stand for [m^2].
         curvatures: Principal curvatures at the vertices, shape (n, 2) [1/m].
@@ -66,7 +68,7 @@ class Closed:
     wavelength: float
     scan: Scan
     filled: int
-    rolled: RolledBody | None
+    rolled: Rolled
     vertices: np.ndarray
     areas: np.ndarray
     curvatures: np.ndarray
@@ -81,10 +83,18 @@ def closed_through(points: np.ndarray, normals: np.ndarray | None, radius: float
     Raises:
         ValueError: If the points are no scan of one body, or no ball of that radius fits into it.
     """
+    from scipy.spatial import KDTree
+
     size = float(np.ptp(points, axis=0).max())
     scan, numbers = thinned_scan(points, normals, max(_FINE * radius, size / 400.0))
-    apart = numbers < 0
     body, scan = _body(scan, radius, given=normals is not None)
+    off = KDTree(body.vertices).query(scan.points, workers=-1)[0] > max(_OFF * body.step, 0.5 * radius)
+    share = float(np.mean(off[numbers[numbers >= 0]]))
+    if 0.0 < share < _LOST:
+        scan, numbers = scan.without(off, numbers)
+        body, scan = _body(scan, radius, given=True)
+    scan = scan.joined(0.5 * radius)
+    apart = numbers < 0
     reach = max(3.0 * scan.spacing, 0.5 * radius)
     whole, filled = _filled(scan, body, reach)
     problem = _Problem(whole, filled, body)
@@ -95,14 +105,12 @@ def closed_through(points: np.ndarray, normals: np.ndarray | None, radius: float
         other = None if finer is None else _raised(problem, finer, points, numbers)
         if finer and other and radius * float(np.abs(other[1].curvatures).max()) <= 1.0:
             wavelength, (found, shape) = finer, other
-    touched, balls = None, _BALLS * radius
+    touched, balls = _rolled(whole, radius), _BALLS * radius
     for _ in range(_ROUNDS):
         sharpest = radius * float(np.abs(shape.curvatures).max())
         if sharpest <= 1.0:
             break
-        if touched is None:
-            wavelength = _WAVE * radius
-            touched = _rolled(whole, radius)
+        wavelength = _WAVE * radius
         target = _rolled(whole, balls)
         moved = replace(whole, points=target.points, normals=target.normals)
         found = problem.fitted(moved, wavelength)
@@ -163,7 +171,7 @@ def _filled(scan: Scan, body: Body, reach: float) -> tuple[Scan, int]:
     return Scan(points, both, weights, sure, scan.spacing), int(far.sum())
 
 
-def _rolled(whole: Scan, radius: float) -> RolledBody:
+def _rolled(whole: Scan, radius: float) -> Rolled:
     """The scan rolled by balls.
 
     Raises:
@@ -206,7 +214,7 @@ class _Problem:
         held, distances = _distances(grid, self.body)
         scale = wavelength / (2.0 * np.pi * step)
         zeros = np.zeros(len(held))
-        targets = FieldTargets(
+        targets = Targets(
             np.concatenate([data.points, held]),
             np.concatenate([heights, distances]),
             np.concatenate([data.areas, zeros + _HOLD * step**2]),
@@ -257,13 +265,10 @@ def _chosen(problem: _Problem, points: np.ndarray, radius: float) -> float:
     """
     size = float(np.ptp(points, axis=0).max())
     rungs = max(int(np.log(0.6 * size / (_WAVE * radius)) / np.log(_LADDER)), 0)
-    best, chosen = np.inf, _WAVE * radius
-    for wavelength in _WAVE * radius * _LADDER ** np.arange(rungs, -1, -1.0):
-        score = _score(problem, wavelength)
-        if score > _GAIN * best:
-            break
-        best, chosen = score, float(wavelength)
-    return chosen
+    ladder = _WAVE * radius * _LADDER ** np.arange(rungs, -1, -1.0)
+    scores = [_score(problem, float(wavelength)) for wavelength in ladder]
+    # All are tried: a few edges or points that lie off may hide from one rung what the next one gains.
+    return float(ladder[np.argmax(np.array(scores) <= min(scores) / _GAIN)])
 
 
 def _finer(problem: _Problem, wavelength: float, radius: float) -> float | None:
@@ -280,17 +285,13 @@ def _finer(problem: _Problem, wavelength: float, radius: float) -> float | None:
 
 def _score(problem: _Problem, wavelength: float) -> float:
     """Error at every second point of the scan when the others are fitted, a sum of squares."""
-    scan = problem.whole
-    surface = problem.fitted(_half(scan), wavelength)
-    each = slice(1, len(scan.points) - problem.filled, 2)
-    misses = levels_at(surface, jnp.asarray(scan.points[each]))
-    return float(np.sum(scan.areas[each] * misses**2))
-
-
-def _half(scan: Scan) -> Scan:
-    """Every second point of a scan."""
-    each = slice(None, None, 2)
-    return Scan(scan.points[each], scan.normals[each], scan.areas[each], scan.sure[each], scan.spacing)
+    scan, held = problem.whole, len(problem.whole.points) - problem.filled
+    # By lot: the scan is sorted by cells, so that every second point might be all of one side.
+    drawn = np.random.default_rng(0).permutation(held)
+    fitted, others = np.append(drawn[::2], np.arange(held, held + problem.filled)), drawn[1::2]
+    surface = problem.fitted(scan.part(fitted), wavelength)
+    misses = levels_at(surface, jnp.asarray(scan.points[others]))
+    return float(np.sum(scan.areas[others] * misses**2))
 
 
 @dataclass(frozen=True)

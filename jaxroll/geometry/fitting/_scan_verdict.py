@@ -13,7 +13,7 @@ from ._scan_fit import Closed, closed_through
 from ._surface_report import Region, regions_of, SurfaceFit, SurfaceReport, trusted_places
 
 _MESH = 0.25  # distance of samples on a mesh, in smallest radii
-_FEW = 1000  # a mesh of fewer vertices is looked at between them too
+_FEW = 20  # samples to a vertex from which on a mesh is looked at between its vertices
 _THIN = 0.2  # largest share of the scan in parts thinner than two radii
 _MOVED = 0.3  # largest share of the area that may be moved by more than half a radius
 _BARE = 0.6  # largest share of the surface without data
@@ -40,7 +40,7 @@ def fit_scan(
     if faces is not None:
         points, directions = sampled_mesh(cloud, faces, _MESH * radius)
         used = np.unique(faces)
-        cloud, normals = (cloud[used], None) if len(used) >= _FEW else (points, None)
+        cloud, normals = (cloud[used], None) if _FEW * len(used) > len(points) else (points, None)
     found = closed_through(points, directions, radius)
     apart = found.apart if len(found.apart) == len(cloud) else np.zeros(len(cloud), bool)
     report, used, feet = _report(found, cloud[~apart], None if normals is None else normals[~apart], radius)
@@ -58,14 +58,15 @@ def _report(
     feet, facing, _ = measured(found.surface, jnp.asarray(points))
     distances = np.linalg.norm(feet - points, axis=1)
     near = KDTree(found.scan.points).query(points, workers=-1)[1]
-    free = np.ones(len(points), bool) if found.rolled is None else found.rolled.free[near]
+    free = found.rolled.free[near]
     given = found.scan.normals[near] if normals is None else normals[each]
     # What is rounded off may well face another way.
     sure = free & (found.scan.sure[near] > 0.5)
     turned = float(np.mean((np.sum(facing * given, axis=1) < 0.0) & sure))
     kept, rounded = _pair(distances[free]), _pair(distances[~free])
     tolerance = max(_NEAR * radius, 3.0 * kept[0] if kept else 0.0)
-    covered = KDTree(points).query(found.vertices, workers=-1)[0] <= found.reach
+    data = found.scan.points[: len(found.scan.points) - found.filled]
+    covered = KDTree(data).query(found.vertices, workers=-1)[0] <= found.reach
     uncovered = float(found.areas[~covered].sum() / found.areas.sum())
     _refused(found, points, distances, uncovered, turned, radius)
     cells = tuple(n - 5 for n in found.surface.coefficients.shape)
@@ -118,7 +119,7 @@ def _refused(
 ) -> None:
     """Raise where the surface is not the body that was scanned."""
     sharpest = float(np.abs(found.curvatures).max())
-    thin = 0.0 if found.rolled is None else float(np.mean(found.rolled.thin))
+    thin = float(np.mean(found.rolled.thin))
     from scipy.spatial import KDTree
 
     near = KDTree(points).query(found.vertices, workers=-1)[1]

@@ -456,7 +456,7 @@ def test_what_is_passed_on_has_the_same_defaults(first, second, own):
 
 
 def test_no_public_function_takes_options_without_names():
-    """But for the fields that `Grasp.with_` replaces, by whatever names grasp, object and controller have."""
+    """But for the fields that `Grasp.with_` replaces, and for names that the caller gives himself."""
     found = set()
     for space in (
         jxr,
@@ -481,7 +481,8 @@ def test_no_public_function_takes_options_without_names():
             for each in (thing, *own):
                 named = inspect.signature(each).parameters.values()
                 found |= {each.__qualname__ for one in named if one.kind is one.VAR_KEYWORD}
-    assert found == {"Grasp.with_"}
+    names = {"Parameters", "Parameters.sobol", "Parameters.latin_hypercube", "Parameters.with_units"}
+    assert found == {"Grasp.with_", "Parameters.grid", "measures"} | names
 
 
 def test_a_goal_hands_its_options_to_every_run(monkeypatch):

@@ -32,6 +32,8 @@ def test_a_mirror_image_with_the_other_sense_has_the_chapters_same_quantities(na
     here, there = quantities
     assert set(here) >= {"s", "delta_f", "delta_lam", "normal", "tangential", "f", "lam", "potential"}
     for key, values in here.items():
+        if values is None:  # what only contacts in space have
+            continue
         sign = -1.0 if key == "tangency" else 1.0  # an angle in the world, no quantity of the chapter's
         assert np.abs(values).max() > 0, key
         np.testing.assert_allclose(there[key], sign * values, rtol=1e-9, atol=1e-13, err_msg=key)

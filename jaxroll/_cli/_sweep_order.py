@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 SAMPLINGS = ("grid", "sobol", "latin", "adaptive")
 SCENES = (
     "pivoted", "pinch", "ball_plate", "pinch_ellipse", "ring", "roller", "pinch3d", "turntable", "tube",
-    "incline", "wheel", "rattleback",
+    "incline", "wheel", "rattleback", "tripod",
 )  # fmt: skip
 _KEEP = ("result", "t_end", "settling_time")
 _SWEEP = (

@@ -88,7 +88,7 @@ class FitReport:
             "points": ", ".join([f"{self.points} used", *changes]),
             "smoothing": wave,
             "distance of points": "none but rounding" if self.largest < 1e-13 else distance,
-            "noise": "" if self.noise is None else f"{1e6 * self.noise:.3g} um in each coordinate",
+            "noise": "" if not self.noise else f"{1e6 * self.noise:.3g} um in each coordinate",
             "rounded": _rounded_text(self.rounded),
             "curvature": f"{low:.4g} to {high:.4g} 1/m, {self.inflections or 'no'} changes of sign",
             "smallest radius": f"{1e3 * self.radius:.4g} mm{asked}",

@@ -17,10 +17,10 @@ import numpy as np
 
 from ..surfaces import ORDER, SplineSurface, surface_net, surface_values
 from ._field_fit import Grid
-from ._field_solve import solved, Targets
+from ._field_solve import FieldTargets, solved
 from ._indicator import Body, enclosed
 from ._measured import levels_at, measured
-from ._rolling import Rolled, rolled
+from ._rolling import rolled, RolledBody
 from ._scan import normals_of_net, Scan, thinned_scan
 
 _FINE = 0.25  # width of the scan's cells, in smallest radii
@@ -68,7 +68,7 @@ class Closed:
     wavelength: float
     scan: Scan
     filled: int
-    rolled: Rolled
+    rolled: RolledBody
     vertices: np.ndarray
     areas: np.ndarray
     curvatures: np.ndarray
@@ -171,7 +171,7 @@ def _filled(scan: Scan, body: Body, reach: float) -> tuple[Scan, int]:
     return Scan(points, both, weights, sure, scan.spacing), int(far.sum())
 
 
-def _rolled(whole: Scan, radius: float) -> Rolled:
+def _rolled(whole: Scan, radius: float) -> RolledBody:
     """The scan rolled by balls.
 
     Raises:
@@ -214,7 +214,7 @@ class _Problem:
         held, distances = _distances(grid, self.body)
         scale = wavelength / (2.0 * np.pi * step)
         zeros = np.zeros(len(held))
-        targets = Targets(
+        targets = FieldTargets(
             np.concatenate([data.points, held]),
             np.concatenate([heights, distances]),
             np.concatenate([data.areas, zeros + _HOLD * step**2]),

@@ -157,11 +157,12 @@ class SurfaceFit:
         if seen is None:
             raise ValueError("argument places must be concrete numbers, but was traced")
         points, feet = np.asarray(self.points), np.asarray(self.feet)
-        return trusted_places(points, feet, np.asarray(seen, float), self.report.reach, self.report.tolerance)
+        limits = {"reach": self.report.reach, "tolerance": self.report.tolerance}
+        return trusted_places(points, feet, np.asarray(seen, float), **limits)
 
 
 def trusted_places(
-    points: np.ndarray, feet: np.ndarray, places: np.ndarray, reach: float, tolerance: float
+    points: np.ndarray, feet: np.ndarray, places: np.ndarray, *, reach: float, tolerance: float
 ) -> np.ndarray:
     """Whether the nearest point is within `reach`, and the median of five within `tolerance` of feet."""
     from scipy.spatial import KDTree

@@ -73,7 +73,7 @@ def _place(name: str, value: Any) -> None:
 
 _CHECKS: dict[str, Callable[[str, Any], Any]] = {
     "design": lambda name, value: check_instance(name, value, Design, "a Design"),
-    "fit": lambda name, value: check_instance(name, value, Fit | SurfaceFit, "a Fit or a SurfaceFit"),
+    "fit": lambda name, value: check_instance(name, value, (Fit, SurfaceFit), "a Fit or a SurfaceFit"),
     "ax": lambda name, value: check_instance(name, value, Axes, "an axes of matplotlib"),
     "view": lambda name, value: check_instance(name, value, View, "a View"),
     "forces": check_flag,

@@ -13,7 +13,9 @@ from tests.subjects.mirror_images import MIRROR, mirrored
 
 
 def fields(*modules):
-    return {f.name: np.asarray(getattr(m, f.name)) for m in modules for f in dataclasses.fields(m)}
+    found = {f.name: getattr(m, f.name) for m in modules for f in dataclasses.fields(m)}
+    # None: what only contacts in space have.
+    return {name: np.asarray(value) for name, value in found.items() if value is not None}
 
 
 @pytest.mark.parametrize("name", ["pivoted", "pinch"])
@@ -32,8 +34,6 @@ def test_a_mirror_image_with_the_other_sense_has_the_chapters_same_quantities(na
     here, there = quantities
     assert set(here) >= {"s", "delta_f", "delta_lam", "normal", "tangential", "f", "lam", "potential"}
     for key, values in here.items():
-        if values is None:  # what only contacts in space have
-            continue
         sign = -1.0 if key == "tangency" else 1.0  # an angle in the world, no quantity of the chapter's
         assert np.abs(values).max() > 0, key
         np.testing.assert_allclose(there[key], sign * values, rtol=1e-9, atol=1e-13, err_msg=key)

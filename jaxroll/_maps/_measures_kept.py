@@ -85,8 +85,10 @@ def measures(*names: str, **own: Callable[[Trajectory], Any]) -> "Measures":
     """
     known = ", ".join(MEASURES_KEPT)
     for name in names:
-        if not isinstance(name, str) or name not in MEASURES_KEPT:
-            raise ValueError(f"argument names must be among {known}, but one was {shown(name)}")
+        if not isinstance(name, str):
+            raise ValueError(f"argument names must be names of measures, but one was {shown(name)}")
+        if name not in MEASURES_KEPT:
+            raise ValueError(f"argument names must be among {known}, but one was {shown(name)[:40]}")
     for name, function in own.items():
         check_callable(name, function, "a function of a trajectory", takes=1)
     if not names and not own:

@@ -75,9 +75,9 @@ def read_points(
     samples, which = as_count("samples", samples, least=6), as_count("which", which, least=0)
     chosen, fill = _columns("columns", columns, 2), check_flag("fill", fill)
     if kind == ".svg":
-        return scale * read_svg(path, scale, which, samples, fill)
+        return scale * read_svg(path, scale, which, samples, fill=fill)
     if kind == ".dxf":
-        return scale * read_dxf(path, scale, which, samples, fill)
+        return scale * read_dxf(path, scale, which, samples, fill=fill)
     return scale * (read_npy if kind == ".npy" else read_csv)(path, chosen)
 
 

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 from .._linalg import conjugate, quaternion_product, rotation as axes_of
 from .._mechanics import Finger3
 from .._printing import listed
-from .._results import as_floats, check_direction, check_instance, shown
+from .._results import as_floats, check_direction, check_instance, check_positive, shown
 from .._types import Given
 from ..geometry import AbstractSurface, Ellipsoid, fit_surface, Sphere
 from ._mesh import spread_points
@@ -110,6 +110,8 @@ def load_hand(
     place = as_floats("position", position, (3,))
     turn = check_direction("rotation", as_floats("rotation", rotation, (4,)))
     given = _as_tips(tips)
+    if smoothing is not None:
+        smoothing = float(check_positive("smoothing", as_floats("smoothing", smoothing, ())))
     still = _as_held(held)
     robot = read_robot(path, held=still)
     chains = _chains(robot)

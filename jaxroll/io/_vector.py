@@ -28,7 +28,7 @@ _CODES = {1: 0.0254, 2: 0.3048, 4: 1e-3, 5: 1e-2, 6: 1.0, 8: 2.54e-8, 9: 2.54e-5
 _CODE_OF = {"in": 1, "mm": 4, "m": 6, "um": 13}
 
 
-def read_svg(path: Path, scale: float, which: int, samples: int, fill: bool) -> np.ndarray:
+def read_svg(path: Path, scale: float, which: int, samples: int, *, fill: bool) -> np.ndarray:
     """Points of one outline in the drawing's own unit, y up.
 
     Args:
@@ -149,7 +149,7 @@ def _ezdxf() -> Any:
     return ezdxf
 
 
-def read_dxf(path: Path, scale: float, which: int, samples: int, fill: bool) -> np.ndarray:
+def read_dxf(path: Path, scale: float, which: int, samples: int, *, fill: bool) -> np.ndarray:
     """Points of one outline in the drawing's own unit.
 
     Pieces (lines, arcs, splines) whose ends meet are joined to one outline, unless more than two meet at a

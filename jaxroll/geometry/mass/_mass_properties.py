@@ -41,7 +41,7 @@ class MassProperties(eqx.Module):
     mass: Float[Array, ""]
     size: Float[Array, ""]
     centre: Float[Array, " d"]
-    inertia: Float[Array, "*d"]
+    inertia: Float[Array, "..."]
     error: float = eqx.field(static=True)
 
 

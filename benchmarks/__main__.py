@@ -24,6 +24,7 @@ NAMES = (
     "batch",
     "lanes",
     "maps",
+    "sweeps",
     "stiffness",
     "long_pinch",
     "disc",

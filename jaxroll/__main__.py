@@ -377,7 +377,8 @@ _ORDERS: dict[str, Callable[[argparse.Namespace, Path], int]] = {"fit": _fit, "p
 
 def _sweep_or_map(options: argparse.Namespace) -> None:
     order: Any = _cli.sweep_order(options) if options.command == "sweep" else _cli.map_order(options)
-    folder = _writable(order.out)
+    filled = options.command == "sweep" and order.store
+    folder = Path(order.store) if filled else _writable(order.out)
     with _cli.timed("Loading"):
         _configure()
         work = _cli.swept if options.command == "sweep" else _cli.mapped

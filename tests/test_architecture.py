@@ -72,7 +72,7 @@ LAZY_DOORS = {
     "xarray": "_integration/_dataset.py",
     "zarr": "_sweep/_store.py",
     "cloudpickle": "_sweep/_sending.py",
-    "dask": "",
+    "dask": "_cli/_sweep_command.py",
     "distributed": "",
 }
 FILES = sorted(ROOT.rglob("*.py"))

@@ -91,6 +91,11 @@ BAD = {
         ["pinch", "--set", "a=0:1:3", "--number", "9"],
         "argument --number must be left out",
     ),
+    "store of rounds": (
+        ["pinch", "--set", "a=0:1", "--sampling", "adaptive", "--store", "a.zarr"],
+        "argument --store must be left out with --sampling adaptive",
+    ),
+    "workers": (["pinch", "--set", "a=0:1", "--workers", "0"], "must be a whole number between 1 and 1024"),
     "sampling": (["pinch", "--set", "a=0:1", "--sampling", "dense"], "invalid choice: 'dense'"),
     "tolerance": (["pinch", "--set", "a=0:1", "--rtol", "1"], "must lie between 1e-13 and 0.01"),
     "no file": (["--file", "none.toml"], "argument --file must name a file that can be read"),

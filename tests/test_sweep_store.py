@@ -19,8 +19,10 @@ import numpy as np
 import pytest
 
 import jaxroll as jxr
+from jaxroll._cli._sweep_table import entries_of, read_table
 from jaxroll._sweep import _store
 from jaxroll._sweep._program import Program
+from jaxroll.plotting import parameter_map
 
 xr = pytest.importorskip("xarray")
 zarr = pytest.importorskip("zarr")
@@ -57,8 +59,46 @@ def swept(path, rows=ROWS, **changes):
     grasp, state = jxr.scenes.pivoted()
     make = changes.pop("make", lambda p: (grasp.with_(damping=p["damping"]), state))
     given = {"chunk": 4, "store": path, "keep": eqx.Partial(_ends)} | changes
-    rows = rows if isinstance(rows, dict) else {"damping": rows}
+    rows = rows if isinstance(rows, dict | jxr.Parameters) else {"damping": rows}
     return jxr.sweep(make, rows, 0.2, **given)
+
+
+def test_named_parameters_come_back_with_units_and_as_a_grid(tmp_path, calls):
+    some = jxr.Parameters.grid(damping=ROWS[:3], force=[0.4, 0.5]).with_units(damping="N m s")
+    table = swept(tmp_path / "grid.zarr", some)
+    assert table.damping.attrs == {"long_name": "damping", "units": "N m s"}
+    assert table.force.attrs == {"long_name": "force"}
+    back = jxr.Parameters.of_table(xr.open_zarr(tmp_path / "grid.zarr", chunks=None))
+    assert (back.shape, back.axes, back.units) == (some.shape, some.axes, some.units)
+    for name in some.names:
+        np.testing.assert_array_equal(back[name], some[name])
+    # More rows, laid out otherwise, that begin with those.
+    more = some[np.arange(6)]
+    assert jxr.Parameters.of_table(swept(tmp_path / "grid.zarr", more)).shape == (6,)
+    with pytest.raises(ValueError, match="argument table must be an xarray.Dataset of a stored sweep"):
+        jxr.Parameters.of_table(xr.Dataset())
+
+
+def test_a_map_of_a_store_that_is_still_filling(tmp_path, calls):
+    some = jxr.Parameters.grid(damping=ROWS[:4], force=[0.4, 0.5])
+    path = tmp_path / "filling.zarr"
+    table = swept(path, some, keep=eqx.Partial(_result))
+    calls.clear()
+    zarr.open_array(path / "result", mode="r+")[4:] = [-1] * 4
+    zarr.open_array(path / "result", mode="r+")[:4] = [0] * 4
+    table = xr.open_zarr(path, chunks=None)
+    figure = parameter_map(jxr.Parameters.of_table(table), table.result)
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == [
+        "not stored, 50 %",
+        "successful, 50 %",
+    ]
+    found = read_table(path)
+    assert found.parameters.shape == (4, 2) and list(found.values) == ["result"]
+    assert entries_of(found.values["result"]) == ["successful"] * 4 + ["not_stored"] * 4
+
+
+def _result(run):
+    return {"result": run.result}
 
 
 def _ends(run):

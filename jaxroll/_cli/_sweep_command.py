@@ -6,12 +6,13 @@ builds the scene anew for every run, its contacts closed again; a number of the 
 it is.
 """
 
+import contextlib
 import importlib.util
 import inspect
 import math
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
@@ -21,9 +22,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import plotting, scenes
-from .._integration import simulate
+from .._integration import flag_words, simulate
 from .._maps import adaptive_map, measures, MEASURES_KEPT
 from .._printing import is_code, shown_value
+from .._results import missing_library
 from .._sweep import Parameters, sweep
 from ..geometry import Circle, Sphere
 from ._sweep_order import MapOrder, Range, SweepOrder, unit_of
@@ -38,7 +40,7 @@ Timed = Callable[[str], AbstractContextManager]
 
 
 def swept(asked: SweepOrder, folder: Path, timed: Timed) -> list[str]:
-    """Sweep, write the table, and return the lines of the report."""
+    """Sweep into `folder`, which is the store where one is asked for, and return the lines of the report."""
     keep = measures(*asked.keep)
     make, parameters = maker(asked.scene, tuple(asked.ranges)), parameters_of(asked)
     options = {"ts": asked.times if keep.timed else 1, "rtol": asked.rtol, "record": keep.record}
@@ -56,14 +58,35 @@ def swept(asked: SweepOrder, folder: Path, timed: Timed) -> list[str]:
         flat = lambda x: x.reshape(parameters.rows, *x.shape[len(parameters.shape) :])  # noqa: E731
         values, done = jax.tree.map(flat, found.values) | {"ran": found.ran.ravel()}, found.spent
     else:
-        runs = {"chunk": asked.chunk, "resume": folder / "chunks", "progress": True}
-        values = sweep(make, parameters, asked.seconds, keep=keep, **runs, **options)
+        place = {"store": folder} if asked.store else {"resume": folder / "chunks"}
+        with _workers(asked.workers) as client:
+            runs = {"chunk": asked.chunk, "progress": True, "client": client} | place
+            values = sweep(make, parameters, asked.seconds, keep=keep, **runs, **options)
     took = time.perf_counter() - start
-    table = SweepTable(parameters, values, asked.scene)
-    with timed("Writing the table"):
-        names = write_table(folder, table)
     pace = f"  {done} runs of {asked.seconds:g} s in {took:.3g} s, compilation included"
-    return [f"{parameters}", pace, *_told(values), f"Files in {folder}:", "  " + ", ".join(names)]
+    if asked.store:
+        said = [f"Table in {folder}, for xarray and for `jaxroll map {folder}`"]
+        values = read_table(folder).values
+    else:
+        with timed("Writing the table"):
+            names = write_table(folder, SweepTable(parameters, values, asked.scene))
+        said = [f"Files in {folder}:", "  " + ", ".join(names)]
+    return [f"{parameters}", pace, *_told(values), *said]
+
+
+@contextlib.contextmanager
+def _workers(count: int | None) -> Iterator[Any]:
+    """A client of so many processes of this machine, one core each; None for none."""
+    if count is None:
+        yield None
+        return
+    try:
+        from dask.distributed import Client, LocalCluster
+    except ImportError:
+        raise missing_library("dask.distributed", "cluster") from None
+    options: dict[str, Any] = {"dashboard_address": None}
+    with LocalCluster(n_workers=count, threads_per_worker=1, **options) as cluster, Client(cluster) as client:
+        yield client
 
 
 def mapped(asked: MapOrder, folder: Path, timed: Timed) -> list[str]:
@@ -200,8 +223,9 @@ def _told(values: Any) -> list[str]:
     """A line for each column: how often each code, or from where to where."""
     lines = []
     for name, column in flat_values(values):
-        told = shown_value(np.asarray(column)) if not is_code(column) else ""
-        if is_code(column):
+        coded = is_code(column) or bool(flag_words(column))
+        told = shown_value(np.asarray(column)) if not coded else ""
+        if coded:
             told = ", ".join(f"{n} {code}" for code, n in Counter(entries_of(column)).most_common())
         lines.append(f"  {name:<20}{told}")
     return lines

@@ -73,6 +73,8 @@ class SweepOrder:
         chunk: Runs per program call.
         seed: Of the samples.
         out: Folder to write to.
+        store: A store of Zarr to fill, in the place of that folder; None: a table in the folder.
+        workers: Processes that compute; None: this one.
     """
 
     scene: str
@@ -86,6 +88,8 @@ class SweepOrder:
     chunk: int = 512
     seed: int = 0
     out: str = "jaxroll-sweep"
+    store: str | None = None
+    workers: int | None = None
 
 
 @dataclass(frozen=True)
@@ -93,7 +97,7 @@ class MapOrder:
     """What to draw.
 
     Attributes:
-        store: Folder of a sweep.
+        store: Folder or store of a sweep.
         show: What is shown, one name or NAME.PART; None: the result, or the first value.
         x: Along the lower side; None: the first that changes.
         y: Along the left side; None: the next one.
@@ -127,6 +131,7 @@ def sweep_parser(commands: Any, number: Callable[..., Any]) -> None:
         "rtol": (number(1e-13, 1e-2), "relative tolerance of the solver (default: 1e-6)"),
         "chunk": (number(1, 1e6, int), "runs per program call (default: 512)"),
         "seed": (number(0, 2**31, int), "of samples (default: 0)"),
+        "workers": (number(1, 1024, int), "processes that compute, by dask (default: none but this one)"),
     }
     for name, (kind, about) in numbers.items():
         sweep.add_argument(f"--{name}", metavar="N", type=kind, help=about)
@@ -135,18 +140,20 @@ def sweep_parser(commands: Any, number: Callable[..., Any]) -> None:
     kept = "measures of each run, see `jaxroll.measures` (default: result t_end settling_time)"
     sweep.add_argument("--keep", nargs="+", metavar="MEASURE", help=kept)
     sweep.add_argument("--out", metavar="FOLDER", help="where to write (default: jaxroll-sweep)")
+    about = "a table of Zarr to fill chunk by chunk, which xarray opens; --out is not used then"
+    sweep.add_argument("--store", metavar="FOLDER", help=about)
     _map_parser(commands)
 
 
 def _map_parser(commands: Any) -> None:
     drawn = commands.add_parser("map", help=_MAP, description=_MAP)
-    drawn.add_argument("store", metavar="STORE", help="the folder of a sweep")
+    drawn.add_argument("store", metavar="STORE", help="the folder or the store of a sweep")
     drawn.add_argument("--show", metavar="MEASURE", help="which (default: result, or the first)")
     drawn.add_argument("-x", metavar="NAME", help="along the lower side (default: the first that changes)")
     drawn.add_argument("-y", metavar="NAME", help="along the left side (default: the next one)")
     held = "of a grid, where another parameter is held (default: in the middle)"
     drawn.add_argument("--at", action="append", metavar="NAME=VALUE", default=[], help=held)
-    drawn.add_argument("--out", metavar="FOLDER", help="where to write (default: STORE)")
+    drawn.add_argument("--out", metavar="FOLDER", help="where to write (default: STORE; of Zarr, beside it)")
 
 
 def unit_of(name: str) -> str:
@@ -187,7 +194,10 @@ def map_order(options: argparse.Namespace) -> MapOrder:
             f"argument STORE must name the folder of a sweep, but there is none called {options.store!r}"
         )
     at = {name: _number("--at", name, text) for name, text in (_pair("--at", each) for each in options.at)}
-    out = options.store if options.out is None else options.out
+    # Nothing but its arrays belongs into a store of Zarr.
+    store = Path(options.store).absolute()
+    beside = store.parent if (store / "zarr.json").is_file() else store
+    out = str(beside) if options.out is None else options.out
     return MapOrder(options.store, options.show, options.x, options.y, at, out)
 
 
@@ -261,6 +271,12 @@ def _check_scene(scene: Any) -> None:
 def _check_sampling(order: SweepOrder) -> None:
     """Raise where ranges and sampling do not fit each other."""
     ranges = {name: each for name, each in order.ranges.items() if not each.values}
+    if order.sampling == "adaptive" and (order.store or order.workers):
+        name = "store" if order.store else "workers"
+        raise ValueError(
+            f"argument --{name} must be left out with --sampling adaptive, whose rounds follow from each "
+            f"other, but was {getattr(order, name)!r}"
+        )
     if order.sampling in ("sobol", "latin"):
         counted = [name for name, each in ranges.items() if each.count is not None]
         if counted or not ranges:
@@ -274,12 +290,12 @@ def _check_sampling(order: SweepOrder) -> None:
 
 _FILE = {
     "scene": str, "out": str, "sampling": str, "number": int, "times": int, "chunk": int, "seed": int,
-    "seconds": float, "rtol": float, "keep": list, "set": dict,
+    "seconds": float, "rtol": float, "keep": list, "set": dict, "store": str, "workers": int,
 }  # fmt: skip
 # Ends of what numbers in a file may be, as on the command line.
 _ENDS = {
     "number": (1, 1e9), "times": (3, 1e5), "chunk": (1, 1e6), "seed": (0, 2**31), "seconds": (1e-6, 1e6),
-    "rtol": (1e-13, 1e-2),
+    "rtol": (1e-13, 1e-2), "workers": (1, 1024),
 }  # fmt: skip
 
 

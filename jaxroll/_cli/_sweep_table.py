@@ -1,7 +1,8 @@
 """The table of a sweep as files: what the parameters were, and what was kept of each run.
 
 The one place where `jaxroll sweep` writes a table and `jaxroll map` reads it: `table.npz` by `jaxroll.save`,
-every number as it was, and `table.csv` for other programs, codes by their names.
+every number as it was, and `table.csv` for other programs, codes by their names. A store, which the function
+`sweep` fills, is read likewise.
 """
 
 import csv
@@ -12,6 +13,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from .._integration import flag_words, open_table
 from .._printing import code_name, code_of, is_code, number_of
 from .._saving import load, save
 from .._sweep import Parameters
@@ -50,6 +52,8 @@ def read_table(folder: Path) -> SweepTable:
     Raises:
         ValueError: If there is none, or it is damaged.
     """
+    if (folder / "zarr.json").is_file():
+        return _stored(folder)
     if not (folder / _FILE).is_file():
         raise ValueError(
             f"argument STORE must be the folder of a sweep that is done, but {folder} has no {_FILE}"
@@ -60,6 +64,19 @@ def read_table(folder: Path) -> SweepTable:
         raise ValueError(
             f"argument STORE must be the folder of a sweep, but {folder / _FILE} is of none"
         ) from None
+
+
+def _stored(folder: Path) -> SweepTable:
+    """The table in a store, whole or still filling."""
+    table = open_table(folder)
+    parameters = Parameters.of_table(table)
+    beside = {*table.attrs["parameters"], "stored", "sweep"}
+    values = {
+        str(name): each
+        for name, each in table.data_vars.items()
+        if name not in beside and each.dims[:1] == ("run",) and each.dtype.kind in "fiub"
+    }
+    return SweepTable(parameters, values, folder.name)
 
 
 def flat_columns(table: SweepTable) -> Iterator[tuple[str, Any]]:
@@ -85,6 +102,8 @@ def _flat(name: str, column: Any) -> Iterator[tuple[str, Any]]:
 
 def entries_of(column: Any) -> list[Any]:
     """The entries of a column, as they are written."""
+    if words := flag_words(column):
+        return [words[number] for number in np.asarray(column).tolist()]
     if not is_code(column):
         return np.asarray(column).tolist()
     kind, numbers = number_of(column)

@@ -25,6 +25,7 @@ from ._arguments import (
 from ._dataset import (
     about as about,
     as_dataset as as_dataset,
+    flag_words as flag_words,
     label_arrays as label_arrays,
     Named as Named,
     named_arrays as named_arrays,

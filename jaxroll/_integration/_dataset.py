@@ -264,6 +264,13 @@ def _flags(names: Mapping[int, str]) -> dict[str, Any]:
     return about | {"long_name": "how the run ended"}
 
 
+def flag_words(values: Any) -> dict[int, str]:
+    """The codes of an array of a table, by number; none where it holds numbers."""
+    told = getattr(values, "attrs", None) or {}
+    numbers, words = told.get("flag_values"), str(told.get("flag_meanings", "")).split()
+    return {} if numbers is None else {int(n): word for n, word in zip(numbers, words, strict=False)}
+
+
 def _texts(name: str, dim: str, texts: Sequence[str]) -> Named:
     # As objects: strings of a fixed length have no place in the third format of Zarr.
     return Named(name, (dim,), np.array(list(texts), object), {})

@@ -147,6 +147,41 @@ class Parameters(eqx.Module):
 
         return cls(**_sampled(points, count, seed, ranges))
 
+    @classmethod
+    def of_table(cls, table: Any) -> "Parameters":
+        """The parameters of a table that `sweep` stored, with their units and as the grid that they were.
+
+        Args:
+            table: The `xarray.Dataset` that `sweep(store=)` returns, or that `xarray.open_zarr` opens.
+
+        Raises:
+            ValueError: If it is no such table, or one whose parameters have no names.
+
+        Example:
+            >>> import tempfile
+            >>> import jaxroll as jxr
+            >>> grasp, state = jxr.scenes.pivoted()
+            >>> some = jxr.Parameters.grid(damping=[0.004, 0.006], force=[0.4, 0.5])
+            >>> options = {"keep": jxr.measures("result"), "store": tempfile.mkdtemp() + "/some.zarr"}
+            >>> table = jxr.sweep(lambda p: (grasp.with_(**p), state), some, t1=0.1, **options)
+            >>> jxr.Parameters.of_table(table).shape
+            (2, 2)
+        """
+        told = getattr(table, "attrs", {})
+        names = told.get("parameters")
+        if not names or not all(name in table for name in names):
+            raise ValueError(
+                f"argument table must be an xarray.Dataset of a stored sweep, but was {shown(table)}"
+            )
+        own = told.get("parameter_names", names)
+        found = cls(**{name: table[stored].values for name, stored in zip(own, names, strict=True)})
+        units = {name: table[stored].attrs.get("units", "") for name, stored in zip(own, names, strict=True)}
+        shape = tuple(told.get("grid_shape", found.shape))
+        if math.prod(shape) == len(found):
+            axes = tuple(tuple(each) for each in told.get("grid_axes", found.axes))
+            found = _changed(found, shape=shape, axes=axes)
+        return found.with_units(**units)
+
     @property
     def rows(self) -> int:
         """How many rows there are."""
@@ -258,6 +293,16 @@ class Parameters(eqx.Module):
         laid = "" if len(self.shape) == 1 else f" as {' x '.join(map(str, self.shape))}"
         head = f"{len(self)} rows{laid}" if np.ndim(self.columns[0]) else "one row"
         return f"Parameters({head}: {', '.join(parts)})"
+
+
+def laid_out(parameters: Parameters) -> dict[str, list[Any]]:
+    """How rows are laid out, for `Parameters.of_table`, in lists as JSON has them."""
+    axes = [list(names) for names in parameters.axes]
+    return {
+        "parameter_names": list(parameters.names),
+        "grid_shape": list(parameters.shape),
+        "grid_axes": axes,
+    }
 
 
 def _changed(parameters: Parameters, **fields: Any) -> Parameters:

@@ -30,6 +30,7 @@ from .._results import missing_library
 from ._fingerprint import fingerprint
 from ._folder import Folder
 from ._identity import Identity, Mark
+from ._parameters import laid_out, Parameters
 
 _RUN = "run"
 # Whether the store has a run yet, by run; and what it says of the sweep.
@@ -203,7 +204,12 @@ class Store:
 
     def _parameters(self) -> list[Named]:
         """The parameters under names."""
-        return named_arrays(self.rows, (_RUN,), base="parameter")
+        if not isinstance(self.rows, Parameters):
+            return named_arrays(self.rows, (_RUN,), base="parameter")
+        units = self.rows.units
+        found = named_arrays({name: self.rows[name] for name in self.rows.names}, (_RUN,), base="parameter")
+        told = lambda name: {"long_name": name} | ({"units": units[name]} if units[name] else {})  # noqa: E731
+        return [x._replace(attrs=told(name)) for name, x in zip(self.rows.names, found, strict=True)]
 
     def _compare_rows(self) -> None:
         """Raise unless the parameters in the store are those of this sweep, or their beginning."""
@@ -281,6 +287,8 @@ class Store:
         # What stands along dimensions under another name than theirs; xarray reads it here.
         beside = " ".join(x.name for x in [*given, *labels] if (x.name,) != x.dims)
         note |= {"parameters": self.parameters, "coordinates": beside, "runs": count}
+        if isinstance(self.rows, Parameters):
+            note |= laid_out(self.rows)
         # Opened with the list of all arrays, if there is one, so that it stays beside the attributes.
         _zarr().open_group(self.path, mode="r+").attrs.update(note)
         # Last: readers go by that list, and see the shorter arrays until it is written anew.
@@ -291,7 +299,9 @@ class Store:
         try:
             listed = _zarr().open_group(self.path, mode="r", use_consolidated=True)
             lengths = {x.shape[0] for name in names for x in (listed[name], self._array(name))}
-            return lengths == {self.extent.count} == {listed.attrs["runs"]}
+            grid = laid_out(self.rows) if isinstance(self.rows, Parameters) else {}
+            same = all(listed.attrs.get(name) == value for name, value in grid.items())
+            return same and lengths == {self.extent.count} == {listed.attrs["runs"]}
         except Exception:  # not there, or damaged, which may raise anything
             return False
 

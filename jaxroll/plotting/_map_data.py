@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from .._integration import flag_words
 from .._printing import code_name, code_of, is_code, number_of
 from .._results import check_instance, shown
 from .._sweep import Parameters
@@ -104,17 +105,18 @@ def _sides(parameters: Parameters, x: Any, y: Any) -> tuple[str, str]:
 def _numbered(parameters: Parameters, values: Any) -> tuple[np.ndarray, tuple[str, ...]]:
     """Values in the shape of the grid, codes and truth values as numbers from 0 up with their names."""
     kind, array = number_of(values) if is_code(values) else (None, values)
-    array = np.asarray(array)
+    words, array = flag_words(values), np.asarray(array)
     rows = math.prod(parameters.shape)
     if array.shape not in ((rows,), parameters.shape) or array.dtype.kind not in "fiub":
         raise ValueError(
             f"argument values must be one number or code for each of the {rows} rows, but was {shown(array)}"
         )
     array = array.reshape(parameters.shape)
-    if kind is None and array.dtype.kind != "b":
+    if kind is None and not words and array.dtype.kind != "b":
         return array.astype(float), ()
     present, numbers = np.unique(array, return_inverse=True)
-    names = [str(code) if kind is None else code_name(code_of(kind, code)) for code in present]
+    named = lambda code: str(code) if kind is None else code_name(code_of(kind, code))  # noqa: E731
+    names = [words.get(int(code)) or named(code) for code in present]
     return numbers.reshape(array.shape), tuple(name.lower().replace("_", " ") for name in names)
 
 

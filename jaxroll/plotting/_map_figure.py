@@ -19,6 +19,8 @@ WELL, NOTHING = "#DCEBF5", "#C8CCD0"
 CODE_COLOURS = (*CYCLE[1:], CYCLE[0], "#882255", "#999933", "#44AA99", "#332288", "#AA4499", "#117733")
 SCALE = "viridis"
 _GOOD = ("successful", "stable", "asymptotically stable", "true")
+# Of runs that a store does not hold yet.
+_MISSING = "not stored"
 # Samples are dots of this area [pt^2], of more than so many of a quarter of it.
 _DOT, _MANY = 26.0, 2000
 
@@ -41,7 +43,8 @@ def parameter_map(
 
     Args:
         parameters: Of the runs.
-        values: One number, truth value or code for each row, as `sweep` returns them or in the grid's shape.
+        values: One number, truth value or code for each row, as `sweep` returns them or in the grid's shape;
+            of a stored sweep an array of its table.
         x: Which parameter runs along the lower side. Default: the first that changes.
         y: Which one along the left side. Default: the next one.
         at: Of a grid of more axes, where the other parameters are held, by name: the nearest value of the
@@ -75,9 +78,10 @@ def parameter_map(
 
 
 def code_colours(codes: tuple[str, ...]) -> list[str]:
-    """A colour for each code: pale where all is well."""
+    """A colour for each code: pale where all is well, grey where nothing is known yet."""
+    plain = dict.fromkeys(_GOOD, WELL) | {_MISSING: NOTHING}
     rest = iter(CODE_COLOURS * (1 + len(codes) // len(CODE_COLOURS)))
-    return [WELL if code in _GOOD else next(rest) for code in codes]
+    return [plain.get(code) or next(rest) for code in codes]
 
 
 def _draw(ax: Axes, data: MapData, label: str) -> None:

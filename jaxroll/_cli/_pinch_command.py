@@ -18,7 +18,7 @@ import numpy as np
 from .. import io, loads, plotting, scenes, stability
 from .._integration import cause, simulate
 from .._mechanics import FreeObject, FreeObject3, Grasp, State
-from .._motion import multipliers, residuals
+from .._motion import residuals
 from .._results import RESULTS
 from .._saving import save
 from ..geometry import Fit, Sphere, SurfaceFit
@@ -26,6 +26,8 @@ from ._shape_file import fitted, ShapeOrder
 
 # The push: when it begins and how long it lasts [s], its size beside that of the fingers.
 _BEGINS, _LASTS, _SHARE = 0.1, 0.1, 0.25
+# Force of the fingers by default, beside the object's weight, and its acceleration [m/s^2].
+_WEIGHTS, _GRAVITY = 3.0, 9.81
 # Radius of the tips of a hand from a file, where the file has none that can be used [m].
 _TIP = 0.01
 # The animation: pictures a second, and simulated seconds per second shown. In space a picture takes long.
@@ -74,13 +76,14 @@ def pinch_order(
         body = _body(found, asked)
     with timed("Finding where to hold it"):
         fingers = None if asked.hand is None else _fingers(asked.hand, flat)
-        grasp, state = scenes.pinch_object(body, fingers=fingers, friction=asked.friction, force=asked.force)
+        force = asked.force or _WEIGHTS * _GRAVITY * float(body.mass)
+        grasp, state = scenes.pinch_object(body, fingers=fingers, friction=asked.friction, force=force)
     verdict = []
     if flat:
         with timed("Judging the grasp"):
             verdict = _verdict(grasp, state)
     with timed(f"Simulating {asked.seconds:g} s"):
-        pushed, force = _pushed(grasp, state)
+        pushed = _pushed(grasp, _SHARE * force)
         record, count = ("multipliers", "energy"), 1 + round(100 * asked.seconds)
         run = simulate(pushed, state, asked.seconds, ts=count, record=record, throw=False)
         jax.block_until_ready(run)
@@ -89,7 +92,7 @@ def pinch_order(
     held = bool(run.result == RESULTS.successful)
     lines = [
         f"{found.report}",
-        *_described(grasp, state, force),
+        *_described(grasp, state, run, _SHARE * force),
         *verdict,
         f"{run}",
         f"  outcome     {'held' if held else cause(run)}",
@@ -126,31 +129,26 @@ def _verdict(grasp: Grasp, state: State) -> list[str]:
     return [f"  verdict     {stability.VERDICTS[found.verdict]}"]
 
 
-def _pushed(grasp: Grasp, state: State) -> tuple[Grasp, float]:
-    """The grasp with a push across the line between the contacts, and how large that is [N]."""
-    push = _SHARE * _press(grasp, state)
+def _pushed(grasp: Grasp, push: float) -> Grasp:
+    """The grasp with a push [N] across the line between the contacts."""
     # Across x, on which both contacts lie where the fingers are the chapter's, in space across y as well.
     direction = jnp.array([0.0, 1.0, 1.0][: 3 if grasp.spatial else 2])
     force = push * direction / jnp.linalg.norm(direction)
     load = loads.Push(force, _BEGINS, _LASTS)
     given = {"controller": grasp.controller, "gravity": grasp.gravity, "load": load}
-    return Grasp(grasp.object, grasp.fingers, grasp.contacts, **given), push
+    return Grasp(grasp.object, grasp.fingers, grasp.contacts, **given)
 
 
-def _press(grasp: Grasp, state: State) -> float:
-    """The least normal force at the start [N]."""
-    return float(jnp.min(multipliers(grasp, jnp.zeros(()), state).f))
-
-
-def _described(grasp: Grasp, state: State, push: float) -> list[str]:
+def _described(grasp: Grasp, state: State, run: Any, push: float) -> list[str]:
     """Lines about the object and how it is held."""
+    press = float(np.min(np.asarray(run.multipliers.f)[0]))
     body, control = grasp.object, grasp.controller
     left = residuals(grasp, state)
     gap = max(float(jnp.max(jnp.abs(part))) for part in (left.normal, left.tangential))
     return [
         f"  object      {1e3 * float(body.mass):.4g} g",
         f"  control     beta = {float(control.beta):.4g} N/m, c = {float(control.damping[0]):.3g} N m s; "
-        f"pressed with {_press(grasp, state):.3g} N, pushed aside with {push:.3g} N for {_LASTS:g} s",
+        f"pressed with {press:.3g} N, pushed aside with {push:.3g} N for {_LASTS:g} s",
         f"  closed      gaps of {gap:.1e} m",
     ]
 

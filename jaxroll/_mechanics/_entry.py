@@ -10,6 +10,8 @@ from collections.abc import Callable
 from typing import Any, cast, TypeVar
 
 import equinox as eqx
+import jax
+import numpy as np
 
 from .._fields import check_module
 from .._results import as_array, check_finite, check_instance
@@ -21,6 +23,8 @@ from ._state import check_shapes, State
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 # Names of the arguments that are states, and how many leading axes each may have (one: time).
 _STATES = {"state": 0, "guess": 0, "states": 1}
+# States and times of at most so many numbers are few.
+_FEW = 256
 
 
 def check_grasp(grasp: Any) -> None:
@@ -86,8 +90,14 @@ def compiled(function: _Function) -> _Function:
 
 
 def compiled_for_many(function: _Function) -> _Function:
-    """`compiled` for a function of many states: machine code that is quick is worth a longer compilation."""
-    return _guarded(function, eqx.filter_jit(function))
+    """`compiled` for a function of one state or of many, of which quick machine code is worth the wait."""
+    few, many = quickly(function), eqx.filter_jit(function)
+
+    def called(grasp: Grasp, *args: Any, **options: Any) -> Any:
+        given = sum(np.size(leaf) for leaf in jax.tree.leaves((args, options)) if eqx.is_array_like(leaf))
+        return (few if given <= _FEW else many)(grasp, *args, **options)
+
+    return _guarded(function, called)
 
 
 def _guarded(function: _Function, jitted: Callable[..., Any]) -> _Function:

@@ -6,6 +6,7 @@ Contact forces cost one more evaluation of the equations of motion. `power` is w
 energy is recorded.
 """
 
+import contextlib
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
@@ -20,6 +21,7 @@ from .._mechanics import Blocks, compiled_for_many, Grasp, Inertia, join, Leaves
 from .._printing import listed
 from .._results import as_array
 from .._types import Scalar, Scalars
+from .._xla import sharing
 from ..contact import Rows
 from ..control import as_controller, joint_angles
 from ._equations import bodies, evaluate, Instant, loaded, sensed, touches, world_poses, wrench_on
@@ -382,9 +384,16 @@ def as_times(ts: Any, states: State) -> Array:
 def over_time(function: Callable, states: State, *beside: Array) -> Any:
     """`function` of one state, or of each along a leading time axis (see `of_reached`).
 
-    `beside` are further arguments, such as times, one for every state.
+    `beside` are further arguments, such as times, one for every state. What asks for times evaluates the
+    equations of motion, whose values are computed once: of the spatial pinch the multipliers of 101 states
+    compile in a quarter of the time. The rest is too little for that to pay.
     """
+
+    def one(*given: Any) -> Any:
+        with sharing() if beside else contextlib.nullcontext():
+            return function(*given)
+
     if states.q.ndim == 1:
-        return function(states, *beside)
-    each = jax.vmap(function)
+        return one(states, *beside)
+    each = jax.vmap(one)
     return of_reached(lambda rows: each(rows, *beside), states, jax.tree.map(lambda rows: rows[0], states))

@@ -7,6 +7,8 @@ from jaxtyping import Array
 
 from ..._linalg import Vec3
 from ..surfaces import principal, SplineSurface
+from ._field_fit import Grid
+from ._field_solve import values_matrix
 
 _BATCH = 4096
 _MOST = 200_000  # most points that are measured one by one
@@ -30,20 +32,23 @@ def measured(surface: SplineSurface, points: Array) -> tuple[np.ndarray, np.ndar
     return found[0], found[1], found[2]
 
 
-def levels_at(surface: SplineSurface, points: Array) -> np.ndarray:
-    """The surface's field at points [m]."""
-    return np.concatenate([_levels(surface, part) for part in _batches(points)])[: len(points)]
+def levels_at(surface: SplineSurface, points: np.ndarray) -> np.ndarray:
+    """The surface's field at points [m].
+
+    In NumPy: a fit asks for it on a dozen grids, and JAX would compile for each of them.
+    """
+    shape = surface.coefficients.shape
+    grid = Grid(np.asarray(surface.origin), float(surface.step), (shape[0], shape[1], shape[2]))
+    numbers = np.asarray(surface.coefficients).ravel()
+    starts = range(0, len(points), _BATCH)
+    parts = [values_matrix(grid, points[start : start + _BATCH]) @ numbers for start in starts]
+    return np.concatenate([np.zeros(0), *parts])
 
 
 def _batches(points: Array) -> Array:
     """The points in whole batches, so that one program does for any number of them."""
     padded = jnp.concatenate([points, jnp.broadcast_to(points[:1], (-len(points) % _BATCH, 3))])
     return padded.reshape(-1, _BATCH, 3)
-
-
-@jax.jit
-def _levels(surface: SplineSurface, points: Array) -> Array:
-    return jax.vmap(lambda point: jnp.asarray(surface.derivatives(Vec3(*point)).value))(points)
 
 
 @jax.jit

@@ -135,10 +135,10 @@ def _raised(
 def _levels(surface: SplineSurface, whole: Scan, points: np.ndarray, numbers: np.ndarray) -> np.ndarray:
     """Means of the surface's field [m] over the points that each point of the scan stands for."""
     used = numbers >= 0
-    values, count = levels_at(surface, jnp.asarray(points[used])), len(whole.points)
+    values, count = levels_at(surface, points[used]), len(whole.points)
     hits = np.bincount(numbers[used], minlength=count)
     sums = np.bincount(numbers[used], values, count)
-    alone = levels_at(surface, jnp.asarray(whole.points))
+    alone = levels_at(surface, whole.points)
     return np.where(hits > 0, sums / np.maximum(hits, 1), alone)
 
 
@@ -209,7 +209,7 @@ class _Problem:
         levels = np.zeros(len(scan.points)) if base is None else base[1]
         width = step / _PER_CELL * min(1.0, len(scan.points) / _DATA)
         data, means = scan.averaged(width, levels)
-        heights = 0.0 * means if base is None else levels_at(base[0], jnp.asarray(data.points)) - means
+        heights = 0.0 * means if base is None else levels_at(base[0], data.points) - means
         grid = _grid(self.whole.points, step)
         held, distances = _distances(grid, self.body)
         scale = wavelength / (2.0 * np.pi * step)
@@ -290,7 +290,7 @@ def _score(problem: _Problem, wavelength: float) -> float:
     drawn = np.random.default_rng(0).permutation(held)
     fitted, others = np.append(drawn[::2], np.arange(held, held + problem.filled)), drawn[1::2]
     surface = problem.fitted(scan.part(fitted), wavelength)
-    misses = levels_at(surface, jnp.asarray(scan.points[others]))
+    misses = levels_at(surface, scan.points[others])
     return float(np.sum(scan.areas[others] * misses**2))
 
 

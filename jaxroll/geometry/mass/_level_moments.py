@@ -21,7 +21,8 @@ import numpy as np
 from jaxtyping import Array
 
 from ..._linalg import unstack, Vec3
-from ..surfaces import AbstractImplicit
+from ..._types import Scalars
+from ..surfaces import AbstractImplicit, SplineSurface
 from ._moments import checked, difference, from_cones, Moments
 
 # Cells along the box's longest edge, one refinement after the other.
@@ -43,18 +44,19 @@ _PATHS = list(itertools.permutations(range(3)))
 
 def level_moments(surface: AbstractImplicit) -> Moments:
     """Moments of the body within a bounded implicit surface, by refinement of the grid."""
-    found, change = None, math.inf
+    found, change, at = None, math.inf, surface.spread(_SPREAD)
+    assert at is not None  # the caller has looked
     for count in _CELLS:
-        before, found = found, _on_grid(surface, count)
+        before, found = found, _on_grid(surface, at, count)
         change = math.inf if found is None or before is None else difference(found, before)
         if change <= _SETTLED:
             break
     return checked(found, change, surface)
 
 
-def _on_grid(surface: AbstractImplicit, count: int) -> Moments | None:
-    """Moments by one grid; None where it does not resolve the surface."""
-    corners = _triangles(*_sampled(surface, count))
+def _on_grid(surface: AbstractImplicit, at: Scalars, count: int) -> Moments | None:
+    """Moments by one grid about places on the surface; None where it does not resolve the surface."""
+    corners = _triangles(*_sampled(surface, at, count))
     a, b, c = np.moveaxis(corners, 1, 0)
     # Places of the rule in every triangle, a + x (b - a) + y (c - a), and their weights.
     s, t = (x.ravel() for x in np.meshgrid(0.5 * (1.0 + _NODES), 0.5 * (1.0 + _NODES), indexing="ij"))
@@ -76,19 +78,21 @@ def _on_grid(surface: AbstractImplicit, count: int) -> Moments | None:
     return from_cones(arms, cones, about)
 
 
-def _sampled(surface: AbstractImplicit, count: int) -> tuple[np.ndarray, list[np.ndarray]]:
+def _sampled(surface: AbstractImplicit, at: Scalars, count: int) -> tuple[np.ndarray, list[np.ndarray]]:
     """The field on a grid about the whole surface, and the grid's coordinates along the three axes."""
-    at = surface.spread(_SPREAD)
-    assert at is not None  # the caller has looked
     known = np.stack([np.asarray(x, float) for x in at], axis=-1)
     low, high = known.min(axis=0), known.max(axis=0)
-    padding = _PADDING
+    ends, padding = _ends(surface, at), _PADDING
     for _ in range(_WIDER):
         add = padding * (high - low).max()
         # Not the same on both sides, so that no grid plane is a plane of symmetry, where fields often vanish.
         axes = [
-            np.linspace(x - add, y + 1.03 * add, 1 + max(6, round(count * (y - x) / (high - low).max())))
-            for x, y in zip(low, high, strict=True)
+            np.linspace(
+                max(x - add, least),
+                min(y + 1.03 * add, most),
+                1 + max(6, round(count * (y - x) / (high - low).max())),
+            )
+            for x, y, least, most in zip(low, high, *ends, strict=True)
         ]
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
         values = _batched(_values, surface, grid.reshape(-1, 3))[0].reshape(grid.shape[:3])
@@ -100,6 +104,15 @@ def _sampled(surface: AbstractImplicit, count: int) -> tuple[np.ndarray, list[np
         f"argument shape must be closed with its inside where the field is negative, but this "
         f"{type(surface).__name__} has no inside within its bounds, or one that goes beyond them"
     )
+
+
+def _ends(surface: AbstractImplicit, at: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of the box in which the field is known: beyond its grid a spline may have any sign."""
+    if not isinstance(surface, SplineSurface):
+        return np.full(3, -np.inf), np.full(3, np.inf)
+    place = np.array([float(x[0]) for x in at])
+    ways = np.array([float(x) for x in surface.margins(tuple(place))])
+    return place - ways[:3], place + ways[3:]
 
 
 def _triangles(values: np.ndarray, axes: list[np.ndarray]) -> np.ndarray:

@@ -7,6 +7,7 @@ rule on panels, which are halved until nothing changes. Any other implicit surfa
 
 import math
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -61,7 +62,7 @@ def surface_moments(surface: AbstractSurface) -> Moments:
         )
     if isinstance(surface, AbstractChart):
         return _chart_moments(tabled(surface))
-    if isinstance(surface, AbstractImplicit) and surface.spread(1) is not None:
+    if isinstance(surface, AbstractImplicit) and eqx.filter_eval_shape(surface.spread, 1) is not None:
         return level_moments(tabled(surface))
     kind = type(surface).__name__
     raise ValueError(f"argument shape must be a closed surface with known bounds, but was a {kind}")

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 from ..._linalg import outer, square, Sym3, tangents, Vec3
 from ..._results import as_length, as_order, as_tree
 from ..._types import Given, Scalar, Scalars
-from ..._xla import once
+from ..._xla import once, quickly
 from ._spread import lattice, SEEDS, thinned
 from ._surface import AbstractSurface, Gauss3
 
@@ -109,7 +109,13 @@ def spread_in_box(surface: AbstractImplicit, low: Vec3, high: Vec3, count: int) 
     Points spread over the box are brought to the surface by Newton's method; those that do not arrive, or
     leave the box, are dropped. Shape (count,) for each coordinate; all the origin if no point arrives.
     """
-    share, size = jnp.asarray(lattice(2 * SEEDS * count, 3)), high - low
+    return _spread(surface, low, high, jnp.asarray(lattice(2 * SEEDS * count, 3)))
+
+
+@quickly  # compiled once for all calls with surfaces and counts alike
+def _spread(surface: AbstractImplicit, low: Vec3, high: Vec3, share: Array) -> Scalars:
+    """Places from seeds at shares of the box, some for each."""
+    size, count = high - low, len(share) // (2 * SEEDS)
     seeds = Vec3(*(x + width * share[:, i] for i, (x, width) in enumerate(zip(low, size, strict=True))))
 
     def fall(seed: Vec3) -> tuple[Vec3, Array]:

@@ -7,7 +7,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import jaxroll as jxr
-from jaxroll.geometry import Chart, Hollow, Implicit, mass_properties, Patch, SplineSurface, Superellipsoid
+from jaxroll.geometry import (
+    Chart,
+    Hollow,
+    Implicit,
+    mass_properties,
+    Patch,
+    SplineSurface,
+    Superellipsoid,
+    Vec3,
+)
 
 A, B, C = 0.03, 0.02, 0.012
 MAJOR, MINOR = 0.03, 0.01
@@ -158,6 +167,26 @@ def test_a_field_of_splines_that_is_a_ball():
     ball = SplineSurface(field, (x[2], x[2], x[2]), 0.005)
     size = 4.0 / 3.0 * np.pi * 0.02**3
     agree(mass_properties(ball, 1.0), size, np.zeros(3), 0.4 * size * 0.02**2 * np.eye(3), 1e-9)
+
+
+@pytest.mark.slow
+def test_a_field_that_is_negative_beyond_its_grid():
+    """(u - r^2) (R^2 - u), u the squared distance: a ball of radius r within the grid, and all beyond R."""
+    step, small, large = 0.005, 0.02**2, 0.039**2
+    x = step * (np.arange(14) - 6.5)
+    # Coefficients of x^2 and x^4; those of a product of functions of x, y and z are products.
+    square = x**2 - step**2 / 2.0
+    fourth = x**4 - 3.0 * step**2 * x**2 + 0.8 * step**4
+    along = (lambda c: c[:, None, None], lambda c: c[None, :, None], lambda c: c[None, None, :])
+    squares, one = [place(square) for place in along], np.ones((14, 14, 14))
+    twice = sum(place(fourth) for place in along) + 2.0 * (
+        squares[0] * squares[1] + squares[1] * squares[2] + squares[2] * squares[0]
+    )
+    field = (small + large) * sum(squares) - twice - small * large * one
+    ball = SplineSurface(field / large, (x[2],) * 3, step)
+    assert float(ball.derivatives(Vec3(0.0, 0.0, 0.02)).value) == pytest.approx(0.0, abs=1e-15)
+    size = 4.0 / 3.0 * np.pi * 0.02**3
+    agree(mass_properties(ball, 1.0), size, np.zeros(3), 0.4 * size * small * np.eye(3), 1e-9)
 
 
 def test_meshes_against_trimesh():

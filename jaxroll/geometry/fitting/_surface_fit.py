@@ -123,10 +123,11 @@ def _smoothed(
     """The fit of one wavelength, or of the one that cross-validation finds."""
     deviation = None if noise is None else _deviation(noise)
     problem = _many(cloud, given) if len(cloud) > _MANY else _few(cloud, given)
-    wavelength = (
-        _chosen(problem, deviation) if smoothing is None else float(as_length("smoothing", smoothing))
-    )
-    surface = problem.solved(wavelength, np.zeros((0, len(problem.points))))[0]
+    if smoothing is None:
+        wavelength, surface = _chosen(problem, deviation)
+    else:
+        wavelength = float(as_length("smoothing", smoothing))
+        surface = problem.solved(wavelength, np.zeros((0, len(problem.points))))[0]
     return _reported(surface, problem, wavelength, cloud, given)
 
 
@@ -215,8 +216,8 @@ def _scatter(right: np.ndarray, data: DataRows, around: np.ndarray, values: np.n
     right += np.bincount(places, values.ravel(), minlength=len(right))
 
 
-def _chosen(problem: _Problem, noise: float | None) -> float:
-    r"""The longest wavelength of a ladder below which the estimated error hardly falls.
+def _chosen(problem: _Problem, noise: float | None) -> tuple[float, SplineSurface]:
+    r"""The longest wavelength of a ladder below which the estimated error hardly falls, and its surface.
 
     From 0.56 of the largest extent on, each three quarters of the one before. The estimate is generalised
     cross-validation, $\overline{r^2} / (1 - \mathrm{tr}\,H/n)^2$, or with a known noise $\sigma$ that of
@@ -224,17 +225,20 @@ def _chosen(problem: _Problem, noise: float | None) -> float:
     """
     size = float(np.ptp(problem.points, axis=0).max())
     probes = np.random.default_rng(0).choice([-1.0, 1.0], size=(_PROBES, len(problem.points)))
-    best, chosen = np.inf, size
+    best, chosen = np.inf, None
     for wavelength in size * 0.75 ** np.arange(2, 12):
         try:
-            _, square, used = problem.solved(wavelength, probes)
+            surface, square, used = problem.solved(wavelength, probes)
         except ValueError:
+            if chosen is None:
+                raise
             break
         score = square / (1.0 - used) ** 2 if noise is None else square + 2.0 * noise**2 * used
         if score > _GAIN * best:
             break
-        best, chosen = score, wavelength
-    return float(chosen)
+        best, chosen = score, (float(wavelength), surface)
+    assert chosen is not None  # the first score is no larger than infinity
+    return chosen
 
 
 def _deviation(noise: Given) -> float:

@@ -37,6 +37,7 @@ NAMES = (
     "gpu",
     "stress",
     "reaching",
+    "scans",
 )
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from jaxroll.geometry import fit_surface, Sphere, Superellipsoid, Torus
 from jaxroll.geometry.surfaces import net, surface_net
+from tests.oracles.spline_fields import principal_curvatures, SplineField
 
 DATA = pathlib.Path(__file__).parents[2] / "shared" / "data"
 NOISE = 1e-4
@@ -76,6 +77,13 @@ def test_the_whole_zero_set_is_one_torus(torus):
     curvatures = np.asarray(torus.surface.principal_curvatures(vertices)[0])
     assert np.abs(curvatures).max() <= 1.0 / 0.005
     assert torus.trusted(vertices).all()
+    # The report's extremes are those of a finer net, by SciPy's splines.
+    surface = torus.surface
+    field = SplineField(surface.coefficients, surface.origin, surface.step)
+    at = field.sampled(6)
+    bends = principal_curvatures(field.gradient(at), field.hessian(at))
+    np.testing.assert_allclose(torus.report.curvature, [bends.min(), bends.max()], rtol=2e-3)
+    assert torus.report.curvature[0] <= bends.min() + 1e-3 and torus.report.curvature[1] >= bends.max() - 1e-3
 
 
 def test_a_missing_bottom_is_closed_and_not_trusted():

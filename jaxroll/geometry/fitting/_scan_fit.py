@@ -37,6 +37,7 @@ _BRIDGE = 0.1  # weight of a hole's filling
 _FINER = 60_000  # most coefficients for which shorter wavelengths are tried
 _GAIN = 0.99  # a shorter wavelength must lower the error at points not used by 1 %
 _SAMPLES = 3  # nodes of the net per cell
+_CLIMBS, _CLIMBED = 5, 256  # steps to the largest curvature, from so many vertices
 _NOISE = 0.02  # how far a point may reach into a ball that touches another one, in radii
 _BALLS = 1.1  # radius of the first balls, in smallest radii: the fit to what was rolled is a little sharper
 _LARGER = (1.03, 1.3)  # least and largest factor of the next balls
@@ -58,7 +59,7 @@ class Closed:
         rolled: Where balls of the smallest radius can touch the scan.
         vertices: Of a net on the surface [m], shape (n, 3).
         areas: That its vertices stand for [m^2].
-        curvatures: Principal curvatures at the vertices, shape (n, 2) [1/m].
+        curvatures: Least and largest principal curvature anywhere [1/m].
         parts: Numbers of regions in which the field is negative and positive.
         reach: Farthest from a point of the scan that a place counts as covered [m].
         apart: Which of the given points were left out, shape (m,).
@@ -71,7 +72,7 @@ class Closed:
     rolled: RolledBody
     vertices: np.ndarray
     areas: np.ndarray
-    curvatures: np.ndarray
+    curvatures: tuple[float, float]
     parts: tuple[int, int]
     reach: float
     apart: np.ndarray
@@ -100,22 +101,21 @@ def closed_through(points: np.ndarray, normals: np.ndarray | None, radius: float
     problem = _Problem(whole, filled, body)
     wavelength = _chosen(problem, points[~apart], radius)
     found, shape = _raised(problem, wavelength, points, numbers)
-    if radius * float(np.abs(shape.curvatures).max()) <= 1.0:
+    if radius * shape.sharpest <= 1.0:
         finer = _finer(problem, wavelength, radius)
         other = None if finer is None else _raised(problem, finer, points, numbers)
-        if finer and other and radius * float(np.abs(other[1].curvatures).max()) <= 1.0:
+        if finer and other and radius * other[1].sharpest <= 1.0:
             wavelength, (found, shape) = finer, other
     touched, balls = _rolled(whole, radius), _BALLS * radius
     for _ in range(_ROUNDS):
-        sharpest = radius * float(np.abs(shape.curvatures).max())
-        if sharpest <= 1.0:
+        if radius * shape.sharpest <= 1.0:
             break
         wavelength = _WAVE * radius
         target = _rolled(whole, balls)
         moved = replace(whole, points=target.points, normals=target.normals)
         found = problem.fitted(moved, wavelength)
         shape = _looked_at(found)
-        balls *= float(np.clip(radius * np.abs(shape.curvatures).max(), *_LARGER))
+        balls *= float(np.clip(radius * shape.sharpest, *_LARGER))
     return Closed(
         found, wavelength, whole, filled, touched, shape.vertices, shape.areas, shape.curvatures, shape.parts,
         reach, apart,
@@ -300,8 +300,13 @@ class _Shape:
 
     vertices: np.ndarray
     areas: np.ndarray
-    curvatures: np.ndarray
+    curvatures: tuple[float, float]
     parts: tuple[int, int]
+
+    @property
+    def sharpest(self) -> float:
+        """The largest curvature of either sign [1/m]."""
+        return float(np.abs(self.curvatures).max())
 
 
 def _looked_at(surface: SplineSurface) -> _Shape:
@@ -316,4 +321,29 @@ def _looked_at(surface: SplineSurface) -> _Shape:
     _, areas = normals_of_net(feet, triangles)
     sides = (values < 0.0, values > 0.0)
     parts = [cast(tuple[np.ndarray, int], label(side))[1] for side in sides]
-    return _Shape(feet, areas, curvatures, (parts[0], parts[1]))
+    return _Shape(feet, areas, _extremes(surface, feet, curvatures), (parts[0], parts[1]))
+
+
+def _extremes(surface: SplineSurface, feet: np.ndarray, curvatures: np.ndarray) -> tuple[float, float]:
+    """The least and the largest principal curvature [1/m], between the vertices of a net too.
+
+    From the vertices where either is most extreme one goes up, in steps that are halved.
+    """
+    if not np.all(np.isfinite(curvatures)):
+        return np.nan, np.nan
+    best = np.concatenate([np.argsort(curvatures[:, 0])[:_CLIMBED], np.argsort(-curvatures[:, 1])[:_CLIMBED]])
+    which = np.repeat([0, 1], len(best) // 2)
+    sign = 2.0 * which - 1.0
+    places, values, each = feet[best], sign * curvatures[best, which], np.arange(len(best))
+    step = 0.5 * float(surface.step) / _SAMPLES
+    ways = np.concatenate([np.eye(3), -np.eye(3)])
+    for _ in range(_CLIMBS):
+        tried = (places[:, None] + step * ways).reshape(-1, 3)
+        found, _, bends = measured(surface, jnp.asarray(tried))
+        heights = sign[:, None] * bends.reshape(len(each), len(ways), 2)[each, :, which]
+        chosen = each, np.argmax(heights, axis=1)
+        higher = heights[chosen] > values
+        places = np.where(higher[:, None], found.reshape(-1, len(ways), 3)[chosen], places)
+        values = np.where(higher, heights[chosen], values)
+        step *= 0.5
+    return float(-values[which == 0].max()), float(values[which == 1].max())

@@ -70,7 +70,6 @@ def _report(
     uncovered = float(found.areas[~covered].sum() / found.areas.sum())
     _refused(found, points, distances, uncovered, turned, radius)
     cells = tuple(n - 5 for n in found.surface.coefficients.shape)
-    extremes = (float(found.curvatures.min()), float(found.curvatures.max()))
     report = SurfaceReport(
         points=count,
         area=float(found.areas.sum()),
@@ -80,7 +79,7 @@ def _report(
         rms=float(np.sqrt(np.mean(distances**2))),
         largest=float(distances.max()),
         normals=None if normals is None else angles(facing, given),
-        curvature=extremes,
+        curvature=found.curvatures,
         smoothness=found.surface.smoothness,
         verdict=_verdict(kept, rounded, float(np.mean(~free)), uncovered, radius),
         smallest_radius=radius,

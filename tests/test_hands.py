@@ -304,6 +304,33 @@ def test_a_tip_is_fitted_to_the_mesh_of_its_link(tmp_path):
     np.testing.assert_allclose(np.linalg.norm(found - centre, axis=1), 0.012, atol=5e-5)
 
 
+@pytest.mark.slow
+def test_a_tip_is_fitted_with_a_smallest_radius(tmp_path):
+    """A block whose edges are rounded off: its faces are kept, in the tip's frame, and the radius is met."""
+    trimesh = pytest.importorskip("trimesh")
+    trimesh.creation.box((0.024, 0.020, 0.030)).export(tmp_path / "tip.stl")
+    path = written(tmp_path, with_shape("<mesh filename='package://mine/tip.stl'/>"))
+    surface = jxr.io.load_hand(path, "mesh", smallest_radius=0.005).fingers[0].tip
+    faces = np.array([[0.012, 0.0, 0.03], [0.0, -0.01, 0.03], [0.0, 0.0, 0.045]])
+    found = np.array([surface.point(surface.near(point)) for point in faces])
+    np.testing.assert_allclose(found, faces, atol=2e-4)
+    ways = np.random.default_rng(1).normal(size=(200, 3))
+    feet = surface.near(np.array([0.0, 0.0, 0.03]) + 0.012 * ways / np.linalg.norm(ways, axis=1)[:, None])
+    assert np.abs(surface.principal_curvatures(feet)[0]).max() <= 1.0 / 0.005
+    corner = surface.point(surface.near(np.array([0.012, 0.010, 0.045])))
+    assert 0.002 < np.linalg.norm(corner - np.array([0.012, 0.010, 0.045])) < 0.006
+    with pytest.raises(ValueError, match=r"argument smallest_radius must .*\(tip 'tip'\)"):
+        jxr.io.load_hand(path, "mesh", smallest_radius=0.02)
+
+
+def test_a_tip_has_one_kind_of_smoothing(tmp_path):
+    path = written(tmp_path, with_shape("<sphere radius='0.012'/>"))
+    with pytest.raises(ValueError, match="argument smoothing must be left out with smallest_radius"):
+        jxr.io.load_hand(path, "mesh", smoothing=0.02, smallest_radius=0.01)
+    with pytest.raises(ValueError, match="argument smallest_radius must be positive"):
+        jxr.io.load_hand(path, "mesh", smallest_radius=-0.01)
+
+
 def test_torques_are_limited_by_the_motors_of_a_joint_too(tmp_path):
     """Motors pull with their force times their gear, which may be negative."""
     body = '<body><joint name="j"/><geom type="capsule" size="0.01" fromto="0 0 0 0 0 0.05"/></body>'

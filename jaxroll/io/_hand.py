@@ -9,7 +9,7 @@ of mass (Steiner), $I = \sum_k I_k + m_k (d_k^2 1 - d_k d_k^T)$.
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -30,6 +30,13 @@ _NOTHING, _SHARE = 1e-30, 1e-14
 _SPREAD = 6000  # points over a tip's mesh
 
 Tips = AbstractSurface | Mapping[str, AbstractSurface] | Literal["mesh"]
+
+
+class _Wish(NamedTuple):
+    """What is asked of the fit to a tip's mesh, one of both at most [m]."""
+
+    smoothing: float | None
+    smallest_radius: float | None
 
 
 class Hand(eqx.Module):
@@ -69,6 +76,7 @@ def load_hand(
     position: Given = (0.0, 0.0, 0.0),
     rotation: Given = (1.0, 0.0, 0.0, 0.0),
     smoothing: float | None = None,
+    smallest_radius: float | None = None,
 ) -> Hand:
     """A hand from a URDF or MJCF file: fingers as `Finger3`, with the tips that are given.
 
@@ -87,10 +95,13 @@ def load_hand(
         rotation: Quaternion (scalar first) that turns the file's axes into the world's.
         smoothing: With 'mesh', the wavelength [m] of wiggles that are halved (see `geometry.fit_surface`).
             Default: as that chooses.
+        smallest_radius: With 'mesh', the smallest radius of curvature [m] of the fit: edges of the mesh are
+            rounded off by it and open sides closed. Not with `smoothing`.
 
     Raises:
         ValueError: If the file cannot be read; a joint that is not held slides, has more than one axis,
-            carries two others or is tied to another; a last link has no inertia; or a tip cannot be told.
+            carries two others or is tied to another; a last link has no inertia; a tip cannot be told; or
+            its mesh is none of a body that has such a radius.
         ImportError: Without the extra `hands`.
 
     Accuracy: mass matrices, biases and poses agree with MuJoCo's and Pinocchio's to 1e-14 of their size.
@@ -110,8 +121,7 @@ def load_hand(
     place = as_floats("position", position, (3,))
     turn = check_direction("rotation", as_floats("rotation", rotation, (4,)))
     given = _as_tips(tips)
-    if smoothing is not None:
-        smoothing = float(check_positive("smoothing", as_floats("smoothing", smoothing, ())))
+    wish = _as_wish(smoothing, smallest_radius)
     still = _as_held(held)
     robot = read_robot(path, held=still)
     chains = _chains(robot)
@@ -125,7 +135,7 @@ def load_hand(
         bodies = [_last_body(robot, i) for i in chosen]
         wanted = {robot.links[j].name for body in bodies for j in body}
         links = read_robot(path, held=still, shapes_of=wanted).links
-        surfaces = [_own_surface([links[j] for j in body], smoothing) for body in bodies]
+        surfaces = [_own_surface([links[j] for j in body], wish) for body in bodies]
     fingers = [
         _finger(robot, chain, link, surface, (place, turn))
         for (link, chain), surface in zip(chosen.items(), surfaces, strict=True)
@@ -150,6 +160,19 @@ def _as_tips(tips: Any) -> Tips:
     if isinstance(tips, str) and tips == "mesh":
         return "mesh"
     return check_instance("tips", tips, AbstractSurface, "a surface, a dict of surfaces or 'mesh'")
+
+
+def _as_wish(smoothing: Any, smallest_radius: Any) -> _Wish:
+    """How meshes are to be fitted."""
+    found = [
+        None if value is None else float(check_positive(name, as_floats(name, value, ())))
+        for name, value in (("smoothing", smoothing), ("smallest_radius", smallest_radius))
+    ]
+    if None not in found:
+        raise ValueError(
+            f"argument smoothing must be left out with smallest_radius, but was {shown(smoothing)}"
+        )
+    return _Wish(*found)
 
 
 def _as_held(held: Any) -> dict[str, float]:
@@ -224,7 +247,7 @@ def _last_body(robot: Robot, tip: int) -> list[int]:
     return body
 
 
-def _own_surface(body: Sequence[RobotLink], smoothing: float | None) -> AbstractSurface:
+def _own_surface(body: Sequence[RobotLink], wish: _Wish) -> AbstractSurface:
     """The shape that a tip has in its file, in the frame of its link: of the first link that has any."""
     tip = body[0]
     link = next((link for link in body if link.shapes), tip)
@@ -237,8 +260,7 @@ def _own_surface(body: Sequence[RobotLink], smoothing: float | None) -> Abstract
     kind, arrays = meshes[0]
     if kind == "mesh":
         corners, faces = arrays
-        points, normals = spread_points(corners, faces, _SPREAD)
-        surface: AbstractSurface = fit_surface(points, normals, smoothing=smoothing).surface
+        surface: AbstractSurface = _fitted(link, corners, faces, wish)
     else:
         half, centre, quaternion = arrays
         a, b, c = (float(x) for x in half)
@@ -248,6 +270,21 @@ def _own_surface(body: Sequence[RobotLink], smoothing: float | None) -> Abstract
     apart = (link.origin - tip.origin) @ _matrix(tip.quaternion)
     back = conjugate(_numbers(tip.quaternion))
     return surface.moved(apart, quaternion_product(back, _numbers(link.quaternion)))
+
+
+def _fitted(link: RobotLink, corners: np.ndarray, faces: np.ndarray, wish: _Wish) -> AbstractSurface:
+    """The smooth surface of a tip's mesh.
+
+    Raises:
+        ValueError: If there is none such, with the link's name.
+    """
+    if wish.smallest_radius is None:
+        points, normals = spread_points(corners, faces, _SPREAD)
+        return fit_surface(points, normals, smoothing=wish.smoothing).surface
+    try:
+        return fit_surface(corners, faces=faces, smallest_radius=wish.smallest_radius).surface
+    except ValueError as error:
+        raise ValueError(f"{error} (tip {shown(link.name)})") from None
 
 
 def _finger(

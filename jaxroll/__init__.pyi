@@ -14,6 +14,7 @@ from . import (
 )
 from ._analysis import (
     contact_geometry as contact_geometry,
+    link_clearance as link_clearance,
     loci as loci,
     pinch_balance as pinch_balance,
     press_balance as press_balance,

@@ -61,7 +61,7 @@ class RESULTS(eqx.Enumeration):
     )
     joint_limit = "A joint is at the end of its range."
     torque_limit = "The controller asks for more than the largest torque of a joint."
-    links_meet = "A finger's links meet the object."
+    links_meet = "A finger's links meet the object or another finger's."
 
 
 def missing_library(library: str, extra: str) -> ImportError:

@@ -367,7 +367,7 @@ def test_parameter_budget():
 
 PUBLIC = {
     "AbstractSurface", "Contact3", "Ellipsoid", "Finger3", "FreeObject3", "Plane", "Sphere", "Stage", "Torus",
-    "Turning", "loci", "roll", "Rosenbrock", "why", "accelerations", "resume", "strike",
+    "Turning", "link_clearance", "loci", "roll", "Rosenbrock", "why", "accelerations", "resume", "strike",
     "torques", "wrenches",
     "AbstractContact", "AbstractContour", "CSM", "Catenary", "Circle", "Contact", "Ellipse", "Finger",
     "FreeObject", "Grasp", "Index1", "Jaw", "Line", "NeuralCurvature", "NeuralSupport", "Parametric",

@@ -87,6 +87,7 @@ def functions_of(count):
 
 # Of two joints.
 LIMITED = {"limits": [(-1.0, 1.0), (0.0, 2.0)], "torque_limits": [0.1, 0.1]}
+LINKED = {"link_radius": 0.004}
 NO_LIMITS = {"limits": {"nothing"}, "torque_limits": {"nothing"}}
 FALLING = {"falling": [(-1.0, 1.0), (2.0, 0.0)], "level": [(-1.0, 1.0), (0.5, 0.5)]}
 
@@ -94,27 +95,30 @@ FALLING = {"falling": [(-1.0, 1.0), (2.0, 0.0)], "level": [(-1.0, 1.0), (0.5, 0.
 CLASSES = {
     jxr.Finger: (
         {"lengths": [0.1, 0.1], "masses": [0.1, 0.1], "tip": TIP, "base": (0, 0), "centres": (0, 0)}
-        | {"inertias": [1e-4, 1e-4], **LIMITED},
-        {"tip": {"contour"}, "centres": {"nothing"}, "inertias": {"nothing"}} | NO_LIMITS,
+        | {"inertias": [1e-4, 1e-4], **LIMITED, **LINKED},
+        {"tip": {"contour"}, "centres": {"nothing"}, "inertias": {"nothing"}, "link_radius": {"nothing"}}
+        | NO_LIMITS,
         {
             name: {"not positive": [0.1, -0.1], "zero": [0.0, 0.1]}
             for name in ("lengths", "masses", "inertias", "torque_limits")
         }
-        | {"limits": FALLING},
+        | {"limits": FALLING, "link_radius": NOT_POSITIVE},
     ),
     jxr.Finger3: (
         {"axes": [(1, 0, 0), (0, 0, 1)], "offsets": CHAIN, "masses": [0.1, 0.1], "tip": BALL}
         | {"base": (0, 0, 0), "rotation": (1, 0, 0, 0), "centres": CHAIN, "inertias": [np.eye(3), np.eye(3)]}
         | {"armature": [1e-4, 0.0]}
-        | LIMITED,
+        | LIMITED
+        | LINKED,
         {"tip": {"surface"}, "centres": {"nothing"}, "inertias": {"nothing"}}
-        | {"armature": {"nothing"}}
+        | {"armature": {"nothing"}, "link_radius": {"nothing"}}
         | NO_LIMITS,
         {
             "armature": {"negative": [1e-4, -1e-4], "one": [1e-4]},
             "axes": {"no length": [(1, 0, 0), (0, 0, 0)], "too long": [(1e200, 0, 0), (0, 0, 1)]},
             "rotation": {"no length": (0, 0, 0, 0)},
             "masses": {"zero": [0.1, 0.0]},
+            "link_radius": NOT_POSITIVE,
             "limits": FALLING,
             "torque_limits": {"zero": [0.1, 0.0]},
             "inertias": {
@@ -751,6 +755,10 @@ INNER = {
     *(
         "clearance",
         "clearance3",
+        "chains_apart",
+        "links_apart",
+        "links_clearance",
+        "links_clearance3",
         "gap",
         "gap_bias",
         "gap_rate",

@@ -55,6 +55,7 @@ RECORDS |= {"TableError", "Equilibrium", "PinchStatics", "Stability", "Pose", "T
 # is checked there, for every check would be one more on the way of each run.
 INNER = {"gap", "gap_bias", "gap_rate", "pfaffian", "rolling_rate", "tangency", "tangency3", "clearance"}
 INNER |= {"clearance3", "law_of", "laws_of"}
+INNER |= {"chains_apart", "links_apart", "links_clearance", "links_clearance3"}
 INNER |= {"check_unit_speed", "sense", "joint_angles", "UserController", "as_controller", "frenet", "tabled"}
 INNER |= {"approach", "principal", "jet", "differentiated", "level_frame", "spread_in_box", "from_frames"}
 INNER |= {"tabulated", "check_contour", "check_shape", "check_surface", "UserLoad", "as_load", "total_wrench"}
@@ -79,6 +80,7 @@ _SLOW = set(
         "grasp_points",
         "locate",
         "locate_surfaces",
+        "link_clearance",
         "loci",
         "multipliers",
         "optimise_fingertip",

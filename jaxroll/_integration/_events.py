@@ -16,6 +16,7 @@ XLA computes it again for every number of the step-size control, and a batch tak
 """
 
 import functools
+import itertools
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
@@ -28,7 +29,15 @@ from .._mechanics import check_planar, check_spatial, Grasp, Leaves
 from .._motion import Instant, Struck, world_poses
 from .._results import RESULTS
 from .._types import Scalar
-from ..contact import AbstractContact, clearance, clearance3, TOLERANCE
+from ..contact import (
+    AbstractContact,
+    chains_apart,
+    clearance,
+    clearance3,
+    links_clearance,
+    links_clearance3,
+    TOLERANCE,
+)
 
 # Relative size below which a pivot of A M^-1 A^T counts as zero.
 _SINGULAR = 1e-9
@@ -60,13 +69,16 @@ _CODES = (
     RESULTS.penetration,
     RESULTS.joint_limit,
     RESULTS.torque_limit,
+    RESULTS.links_meet,
 )
-_NOT_FINITE, _SINGULAR_CONTACT, _CONTOUR_END, _LOST, _SLIPPING, _PENETRATION, _JOINT, _TORQUE = range(1, 9)
+_NOT_FINITE, _SINGULAR_CONTACT, _CONTOUR_END, _LOST, _SLIPPING, _PENETRATION, _JOINT, _TORQUE, _LINKS = range(
+    1, 10
+)
 # A limit's number is its code plus this for each contact or joint (see `_numbered`): above all codes.
 _KINDS = 16
 EVENTS = ("lift", "friction", "penetration")
 # Fields of a finger that may hold limits.
-_LIMITS = ("limits", "torque_limits")
+_LIMITS = ("limits", "torque_limits", "link_radius")
 
 
 class Limit(NamedTuple):
@@ -113,19 +125,54 @@ def _nearest(limits: Sequence[Limit]) -> Limit:
 def with_clearance(
     grasp: Grasp, leaves: Leaves, end: tuple[Scalar, Scalar], events: tuple[str, ...]
 ) -> tuple[Scalar, Scalar]:
-    """Margin and number with those of penetration, if `events` asks for it; called at the end of a step."""
+    """Margin and number with those of audits, of which there may be none; called at the end of a step."""
     least, number = end
-    if "penetration" not in events:
-        return end
-    for i, margin in enumerate(_clearances(grasp, leaves)):
-        number = jnp.where((number <= 0) & (margin < 0), _numbered(_PENETRATION, i), number)
+    for margin, which in _audits(grasp, leaves, events):
+        number = jnp.where((number <= 0) & (margin < 0), which, number)
         least = jnp.minimum(margin, least)
     return least, number
 
 
-def smallest_clearance(grasp: Grasp, leaves: Leaves) -> Scalar:
-    """How far the nearest fingertip stays clear of the object [m]; negative where one overlaps it."""
-    return functools.reduce(jnp.minimum, _clearances(grasp, leaves))
+def smallest_clearance(grasp: Grasp, leaves: Leaves, events: tuple[str, ...]) -> Scalar:
+    """How far the nearest fingertip or link that is audited stays clear [m]; negative in an overlap."""
+    return functools.reduce(jnp.minimum, [limit.margin for limit in _audits(grasp, leaves, events)])
+
+
+def _audits(grasp: Grasp, leaves: Leaves, events: tuple[str, ...]) -> list[Limit]:
+    """Limits from overlaps of fingertips with the object, if asked for, and of links where they are thick."""
+    found = []
+    if "penetration" in events:
+        clear = _clearances(grasp, leaves)
+        found = [Limit(margin, _numbered(_PENETRATION, i)) for i, margin in enumerate(clear)]
+    return [*found, *_link_limits(grasp, leaves)]
+
+
+def _thick(finger: Any) -> bool:
+    return getattr(finger, "link_radius", None) is not None
+
+
+def _link_limits(grasp: Grasp, leaves: Leaves) -> list[Limit]:
+    """Limits from distances of links, as capsules, to the object and to links of other fingers [m]."""
+    watched = [i for i, finger in enumerate(grasp.fingers) if _thick(finger)]
+    if not watched:
+        return []
+    fingers: list[Any] = [grasp.fingers[i] for i in watched]
+    chains: Any = [f.skeleton(leaves.q[1 + i]) for i, f in zip(watched, fingers, strict=True)]
+    body, faces = world_poses(grasp, leaves.q)[0], grasp.object.shapes
+    if grasp.spatial:
+        away = links_clearance3(body, chains, faces)
+    else:
+        away = links_clearance(body, chains, faces, samples=_SAMPLES)
+    limits = [
+        Limit(height - finger.link_radius, _numbered(_LINKS, i))
+        for i, finger, height in zip(watched, fingers, away, strict=True)
+    ]
+    for (i, a, one), (_, b, other) in itertools.combinations(
+        list(zip(watched, fingers, chains, strict=True)), 2
+    ):
+        both = a.link_radius + b.link_radius
+        limits.append(Limit(chains_apart(one, other) - both, _numbered(_LINKS, i)))
+    return limits
 
 
 def coded(x: Array, margin: Scalar, number: Scalar) -> Array:
@@ -142,7 +189,7 @@ def coded(x: Array, margin: Scalar, number: Scalar) -> Array:
 def decode(number: Scalar, loop: diffrax.RESULTS) -> RESULTS:
     """The result code of a run, from diffrax's code of its loop and the number in its last state.
 
-    A limit that was passed is the cause, whatever became of the steps; those of joints `decode_joints` adds.
+    A limit that was passed is the cause, whatever became of the steps; those of fingers `decode_joints` adds.
     """
     result = RESULTS.where(loop == diffrax.RESULTS.successful, RESULTS.successful, RESULTS.solver_failed)
     steps = loop == diffrax.RESULTS.max_steps_reached
@@ -153,9 +200,9 @@ def decode(number: Scalar, loop: diffrax.RESULTS) -> RESULTS:
 
 
 def decode_joints(grasp: Grasp, number: Scalar, result: RESULTS) -> RESULTS:
-    """A run's code where a limit of a joint ended it; as it is for a grasp whose fingers have no limits."""
+    """A run's code where a limit of a finger ended it; as it is for a grasp whose fingers have none."""
     limited = [getattr(f, name, None) is not None for f in grasp.fingers for name in _LIMITS]
-    return _by_number(number, result, (_JOINT, _TORQUE)) if any(limited) else result
+    return _by_number(number, result, (_JOINT, _TORQUE, _LINKS)) if any(limited) else result
 
 
 def _by_number(number: Scalar, result: RESULTS, kinds: Iterable[int]) -> RESULTS:
@@ -166,7 +213,7 @@ def _by_number(number: Scalar, result: RESULTS, kinds: Iterable[int]) -> RESULTS
 
 
 def _numbered(code: int, which: int | None) -> int:
-    """A code and the contact it concerns (for penetration the finger, for limits the joint) as one number.
+    """A code and the contact it concerns as one number: for overlaps the finger, for limits the joint.
 
     None stands for all contacts together.
     """

@@ -22,6 +22,7 @@ _TOLD = {
     "penetration": "{who} overlaps the object away from its contact{when}{by}",
     "joint_limit": "{who} passed the end of its range{when}{by}",
     "torque_limit": "{who} needs more torque than it has{when}{by}",
+    "links_meet": "links of {who} meet the object or those of another finger{when}{by}",
 }
 # By how much the margin passed zero: by rounding at an event that was located, by more at a start beyond it.
 _BY = {
@@ -32,6 +33,7 @@ _BY = {
     "penetration": ": by {:.3g} m",
     "joint_limit": ": by {:.3g} rad or m",
     "torque_limit": ": by {:.3g} N m or N",
+    "links_meet": ": by {:.3g} m",
 }
 # What helps against each code, in terms of the arguments of `simulate`; other callers may give others.
 REMEDIES = {
@@ -46,6 +48,8 @@ REMEDIES = {
     "slipping": "a larger `friction` of that contact, or leave 'friction' out of `events`",
     "penetration": "shapes that curve away from each other, or leave 'penetration' out of `events`",
     "joint_limit": "another start (`jaxroll.reach`), wider `limits` of the finger, or an earlier `t1`",
+    "links_meet": "another start (`jaxroll.reach`), a smaller `link_radius` of the finger, or an "
+    "earlier `t1`",
     "torque_limit": "a gentler controller, or larger `torque_limits` of the finger",
     "not_finite": "look at the last state: a controller or a contour of your own gives NaN near there",
     "unreachable": "`jaxroll.close(grasp, state)` first",
@@ -103,7 +107,7 @@ def cause(run: Any) -> str:
     if name not in _TOLD or (contact < 0 and name == "singular_contact"):
         return f"{_lower(message(run.result))}{when}"
     who = "a contact" if contact < 0 else contact_name(run.labels, contact)
-    if name == "penetration":  # an audit looks at fingers, whether they have a contact or not
+    if name in ("penetration", "links_meet"):  # an audit looks at fingers, whether they have a contact or not
         who = f"finger {contact}"
     if name in ("joint_limit", "torque_limit"):
         who = joint_name(run.labels, contact)

@@ -114,7 +114,7 @@ class Bundle(eqx.Module):
     """A grasp whose scalars are one array, for loops; calling it gives the grasp, ready for evaluation.
 
     `jumps` says whether it declares jumps, which `rest`, without its scalars, cannot tell; `sampled` whether
-    its controller is.
+    its controller is, and `audited` whether its fingers have links with a radius.
     """
 
     numbers: Float[Array, " numbers"]
@@ -122,6 +122,7 @@ class Bundle(eqx.Module):
     tree: Any = eqx.field(static=True)
     jumps: bool = eqx.field(static=True)
     sampled: bool = eqx.field(static=True)
+    audited: bool = eqx.field(static=True)
 
     def __call__(self) -> Grasp:
         return eqx.combine(jax.tree.unflatten(self.tree, scalars(self.numbers)), self.rest)
@@ -132,4 +133,5 @@ def bundle(grasp: Grasp) -> Bundle:
     scalar = lambda x: eqx.is_inexact_array(x) and jnp.ndim(x) == 0  # noqa: E731
     numbers, rest = eqx.partition(grasp, scalar)
     leaves, tree = jax.tree.flatten(numbers)
-    return Bundle(jnp.stack(leaves), rest, tree, bool(grasp.jumps), grasp.form.sampled)
+    thick = any(getattr(finger, "link_radius", None) is not None for finger in grasp.fingers)
+    return Bundle(jnp.stack(leaves), rest, tree, bool(grasp.jumps), grasp.form.sampled, thick)

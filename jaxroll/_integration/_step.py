@@ -40,7 +40,15 @@ from .._types import Scalar
 from .._xla import as_it_is, counted, once, sharing
 from ..loads import impulses
 from . import _jumps
-from ._events import coded, first_dip, refused_blow, regime, smallest_clearance, watched, with_clearance
+from ._events import (
+    coded,
+    first_dip,
+    refused_blow,
+    regime,
+    smallest_clearance,
+    watched,
+    with_clearance,
+)
 from ._methods import is_rosenbrock, on_tableau
 from ._rosenbrock import advance, samples_in_turn, side_by_side, STAGE_TIMES
 from ._state_vector import Bundle, Flow, Layout, pack, slope, unpack
@@ -93,7 +101,7 @@ class RollingStep(eqx.Module):
         y1 = over(self.finish)(bundle, raw, rates, end, *sample_times(bundle, times[1]))
         if impulses(bundle.rest.load):
             y1 = jnp.concatenate([y1[:-2], jnp.where(y0[-1:] > 0, y0[-2:], y1[-2:])])
-        if "penetration" in self.events:
+        if "penetration" in self.events or bundle.audited:
             dip = jnp.minimum(dip, over(self._clearance_dip)(bundle, *times, y0, y1))
         # XLA would work both out again in everything that looks at them (see `_events`).
         with sharing():
@@ -184,13 +192,14 @@ class RollingStep(eqx.Module):
         return x0 + share * (rise + rest * bent)
 
     def _clearance_dip(self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow, y1: Flow) -> Scalar:
-        """Where a fingertip overlaps the object within a step: the audit at some places of it."""
+        """Where something overlaps within a step that is audited: the audit at some places of it."""
         # The audit of clearance is long: in a loop it is compiled once, whatever the number of places.
         grasp, shares = bundle(), jnp.asarray(_AUDITED, y0.dtype)
+        clear = lambda leaves: smallest_clearance(grasp, leaves, self.events)  # noqa: E731
 
         def audited(i: Scalar, margins: Array) -> Array:
             leaves, _ = unpack(self.lay, self._within(t0, t1, y0, y1, row(shares, i)))
-            return jnp.where(jnp.arange(len(_AUDITED)) == i, smallest_clearance(grasp, leaves), margins)
+            return jnp.where(jnp.arange(len(_AUDITED)) == i, clear(leaves), margins)
 
         margins = jax.lax.fori_loop(0, len(_AUDITED), audited, jnp.zeros(len(_AUDITED), y0.dtype))
         return first_dip(_AUDITED, list(margins))

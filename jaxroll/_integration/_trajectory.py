@@ -26,8 +26,8 @@ class Stats(eqx.Module):
         accepted: Accepted steps.
         rejected: Rejected steps.
         t_end: Time that the run reached [s].
-        contact: Which contact ended it, in case of 'penetration' which finger, of 'joint_limit' and
-            'torque_limit' which joint, counted over all fingers; -1 where none did.
+        contact: Which contact ended it, in case of 'penetration' and 'links_meet' which finger, of
+            'joint_limit' and 'torque_limit' which joint, counted over all fingers; -1 where none did.
         margin: What ran out there, at the end: normal force or distance to the friction cone [N], distance to
             the end of a contour or to the object [m], to the end of a joint's range [rad or m], what torque
             is left [N m or N], or what the relative sum of curvatures has beyond 1e-4; NaN where nothing

@@ -108,6 +108,7 @@ class Chain3(AbstractFinger):
         armature: Inertias of the joints' rotors [kg m^2]; None without any.
         limits: Least and largest angle of every joint [rad], where there are limits.
         torque_limits: Largest torque of every joint [N m], where there are limits.
+        link_radius: Of the links [m], where it counts.
     """
 
     base: Scalars
@@ -118,6 +119,7 @@ class Chain3(AbstractFinger):
     armature: Scalars | None
     limits: tuple[Scalars, ...] | None
     torque_limits: Scalars | None
+    link_radius: Scalar | None
 
     @property
     def joints(self) -> int:
@@ -285,5 +287,6 @@ def chain_of(finger: Any) -> Chain3:
     upper = jnp.stack([tensors[:, r, c] for r in range(3) for c in range(r, 3)], axis=-1)
     x, y, offsets, centres, inertias, masses = map(unstack, (*steps[:2], *vectors, upper, finger.masses))
     links = tuple(map(_Link, x[:-1], y[:-1], offsets, centres, inertias, masses))
-    beside = unstack(finger.armature), unstack(finger.limits), unstack(finger.torque_limits)
-    return Chain3(unstack(finger.base), links, x[-1], y[-1], finger.tip.prepared(), *beside)
+    armature, *limits = map(unstack, (finger.armature, finger.limits, finger.torque_limits))
+    tip, beside = finger.tip.prepared(), (limits[0], limits[1], finger.link_radius)
+    return Chain3(unstack(finger.base), links, x[-1], y[-1], tip, armature, *beside)

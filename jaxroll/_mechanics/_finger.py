@@ -38,14 +38,18 @@ FingerType = TypeVar("FingerType", bound="AbstractFinger")
 class AbstractFinger(AbstractBody):
     """A driven mechanism that carries one shape in its tip frame.
 
-    A class with fields `limits` and `torque_limits`, None where there are none, has limits that runs watch.
+    A class with fields `limits`, `torque_limits` or `link_radius`, None where there are none, has limits that
+    runs watch.
     """
 
     tip: eqx.AbstractVar[Any]
 
     def __repr__(self) -> str:
         # Most fingers have no limits.
-        return listed(self).replace(", limits=None", "").replace(", torque_limits=None", "")
+        text = listed(self)
+        for name in ("limits", "torque_limits", "link_radius"):
+            text = text.replace(f", {name}=None", "")
+        return text
 
     @property
     @abc.abstractmethod
@@ -139,10 +143,13 @@ class Finger(AbstractFinger):
             `joint_limit`. Default: none, and then it costs nothing.
         torque_limits: Shape (k,), largest torque of every joint [N m]: a run ends with `torque_limit` where
             the controller asks for more. Default: none, and then it costs nothing.
+        link_radius: Of the links, as capsules from joint to joint and to the tip frame [m]: a run ends with
+            `links_meet` where one meets the object, away from which `reach` keeps them too, or a link of
+            another finger that has a radius. Default: none, and then it costs nothing.
 
     Raises:
-        ValueError: If a shape does not fit, there is no link, a length, mass, inertia or torque limit is not
-            positive, or limits do not rise.
+        ValueError: If a shape does not fit, there is no link, a length, mass, inertia, torque limit or the
+            links' radius is not positive, or limits do not rise.
 
     Example:
         >>> import jaxroll as jxr
@@ -159,6 +166,7 @@ class Finger(AbstractFinger):
     inertias: Float[Array, " k"] = real(None, check=check_positive)
     limits: Float[Array, "k 2"] | None = real(None, 2, check=check_limits, optional=True)
     torque_limits: Float[Array, " k"] | None = real(None, check=check_positive, optional=True)
+    link_radius: Float[Array, ""] | None = real(check=check_positive, optional=True)
 
     def __init__(
         self,
@@ -171,6 +179,7 @@ class Finger(AbstractFinger):
         inertias: Given | None = None,
         limits: Given | None = None,
         torque_limits: Given | None = None,
+        link_radius: Given | None = None,
     ) -> None:
         self.lengths = taken(self, "lengths", lengths)
         links = self.lengths.shape
@@ -183,6 +192,7 @@ class Finger(AbstractFinger):
         self.inertias = taken(self, "inertias", inertias, shape=links)
         self.limits = taken(self, "limits", limits, shape=(*links, 2))
         self.torque_limits = taken(self, "torque_limits", torque_limits, shape=links)
+        self.link_radius = taken(self, "link_radius", link_radius)
 
     @property
     def joints(self) -> int:

@@ -81,10 +81,14 @@ class Finger3(AbstractFinger):
             `joint_limit`. Default: none, and then it costs nothing.
         torque_limits: Shape (k,), largest torque of every joint [N m]: a run ends with `torque_limit` where
             the controller asks for more. Default: none, and then it costs nothing.
+        link_radius: Of the links, as capsules from joint to joint and to the tip frame [m]: a run ends with
+            `links_meet` where one meets the object, away from which `reach` keeps them too, or a link of
+            another finger that has a radius. Default: none, and then it costs nothing.
 
     Raises:
-        ValueError: If a shape does not fit, a mass or a torque limit is not positive, an axis has no length,
-            an inertia is not positive definite, a rotor's is negative, or limits do not rise.
+        ValueError: If a shape does not fit, a mass, a torque limit or the links' radius is not positive, an
+            axis has no length, an inertia is not positive definite, a rotor's is negative, or limits do not
+            rise.
 
     Example:
         >>> import jaxroll as jxr
@@ -105,6 +109,7 @@ class Finger3(AbstractFinger):
     armature: Float[Array, " k"] | None = real(None, check=_as_armature, optional=True)
     limits: Float[Array, "k 2"] | None = real(None, 2, check=check_limits, optional=True)
     torque_limits: Float[Array, " k"] | None = real(None, check=check_positive, optional=True)
+    link_radius: Float[Array, ""] | None = real(check=check_positive, optional=True)
 
     def __init__(
         self,
@@ -120,6 +125,7 @@ class Finger3(AbstractFinger):
         armature: Given | None = None,
         limits: Given | None = None,
         torque_limits: Given | None = None,
+        link_radius: Given | None = None,
     ) -> None:
         self.tip = taken(self, "tip", tip)
         self.axes = taken(self, "axes", axes)
@@ -136,6 +142,7 @@ class Finger3(AbstractFinger):
         self.armature = taken(self, "armature", armature, shape=(links,))
         self.limits = taken(self, "limits", limits, shape=(links, 2))
         self.torque_limits = taken(self, "torque_limits", torque_limits, shape=(links,))
+        self.link_radius = taken(self, "link_radius", link_radius)
 
     @property
     def joints(self) -> int:

@@ -106,7 +106,8 @@ def reach(
         hold_object: If False, and a finger does not get there, `close` may move the object and roll the
             contacts.
         link_radius: Of the links, as capsules from joint to joint [m]: postures in which they meet the object
-            are not taken. Default: links may pass through it, and `links` of the result says whether they do.
+            are not taken. Default: the finger's own `link_radius`; where it has none, links may pass through
+            the object, and `links` of the result says whether they do.
 
     Returns:
         A `Reach`: `simulate(*found.start, t1)` runs it where `found.result` is `successful`.
@@ -139,11 +140,12 @@ def reach(
     at = _places_on(grasp, faces, solid, contacts)
     targets = _targets(ready, faces, at, positions)
     elbows = _elbows(elbow, len(grasp.fingers))
-    radius = -np.inf if link_radius is None else float(as_length("link_radius", link_radius))
+    radius = None if link_radius is None else float(as_length("link_radius", link_radius))
     chosen = []
     for i in range(len(grasp.fingers)):
         own = [j for j, contact in enumerate(grasp.contacts) if contact.finger == i]
-        wish = Wish(elbows[i], _joints(grasp, guess, i), _limits(grasp.fingers[i]), radius)
+        finger = grasp.fingers[i]
+        wish = Wish(elbows[i], _joints(grasp, guess, i), _limits(finger), _radius(finger, radius))
         reacher = _reacher(ready, i, held)
         mine = TouchPoints(targets.points[own], targets.normals[own])
         chosen.append(chosen_posture(reacher, mine, wish, (solid, *poses_at(ready.object, positions[None]))))
@@ -200,6 +202,14 @@ def _elbows(elbow: Any, count: int) -> list[int]:
 def _limits(finger: Any) -> np.ndarray | None:
     limits = getattr(finger, "limits", None)
     return None if limits is None else np.asarray(limits, float)
+
+
+def _radius(finger: Any, given: float | None) -> float:
+    """Radius of a finger's links [m]; minus infinity where they may pass through the object."""
+    own = getattr(finger, "link_radius", None)
+    if given is not None:
+        return given
+    return -np.inf if own is None else float(own)
 
 
 def _joints(grasp: Grasp, guess: State | None, finger: int) -> np.ndarray | None:

@@ -17,8 +17,12 @@ from ._gap import (
     Rows as Rows,
 )
 from .locating import (
+    chains_apart as chains_apart,
     clearance as clearance,
     clearance3 as clearance3,
+    links_apart as links_apart,
+    links_clearance as links_clearance,
+    links_clearance3 as links_clearance3,
     LocalMinima as LocalMinima,
     locate as locate,
     locate_surfaces as locate_surfaces,

@@ -13,5 +13,11 @@ from ._answers import (
     SurfaceMinima as SurfaceMinima,
 )
 from ._clearance import clearance as clearance, clearance3 as clearance3, TOLERANCE as TOLERANCE
+from ._links import (
+    chains_apart as chains_apart,
+    links_apart as links_apart,
+    links_clearance as links_clearance,
+    links_clearance3 as links_clearance3,
+)
 from ._location import locate as locate
 from ._location3 import locate_surfaces as locate_surfaces

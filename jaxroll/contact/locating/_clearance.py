@@ -108,16 +108,20 @@ def _lowest(
 def _outside(poses: tuple[Pose3, Pose3], point: Vec3, others: Sequence[AbstractSurface]) -> Scalar:
     """How far a point of one body is outside of the convex body that surfaces of the other one bound."""
     there = poses[1].local(poses[0].place(point))
-    heights = []
-    for other in others:
-        at, foot = _foot(other, there)
-        arm = there - foot.point
-        height = arm.dot(foot.normal)
-        # Beside an end of the face a point is outside, by its distance.
-        for margin in other.margins(at):
-            height = jnp.where(margin <= _AT_END, jnp.maximum(height, root(arm.dot(arm))), height)
-        heights.append(height)
-    return functools.reduce(jnp.maximum, heights)
+    return functools.reduce(jnp.maximum, [height3(there, other)[0] for other in others])
+
+
+def height3(point: Vec3, surface: AbstractSurface) -> tuple[Scalar, Vec3]:
+    """Signed distance of a point in a surface's frame from it [m], and the normal at the foot.
+
+    Beside an end of the surface a point is outside, by its distance.
+    """
+    at, foot = _foot(surface, point)
+    arm = point - foot.point
+    height = arm.dot(foot.normal)
+    for margin in surface.margins(at):
+        height = jnp.where(margin <= _AT_END, jnp.maximum(height, root(arm.dot(arm))), height)
+    return height, foot.normal
 
 
 def _foot(surface: AbstractSurface, point: Vec3) -> tuple[Scalars, Gauss3]:

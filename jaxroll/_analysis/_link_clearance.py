@@ -1,0 +1,123 @@
+"""How far fingers' links stay clear of the object and of each other along a run.
+
+The audit of a run after the fact: of the same distances a run makes an event where fingers have a
+`link_radius` (`_integration._events`).
+"""
+
+import itertools
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._integration import Trajectory
+from .._mechanics import compiled, Grasp, State, to_leaves
+from .._motion import world_poses
+from .._printing import listed
+from .._types import Times
+from ..contact import chains_apart, links_clearance, links_clearance3
+from ._loci import check_run
+
+# Points on each contour of the object.
+_SAMPLES = 128
+
+
+class LinkClearance(eqx.Module):
+    """Distances of links as capsules, over a run; negative in an overlap.
+
+    A finger without a `link_radius` has links without thickness. Not finite where a run did not get.
+
+    Attributes:
+        ts: Saved times [s].
+        object: Of each finger's links from the object, shape (t, f) [m].
+        pairs: Which two fingers a column of `links` is about.
+        links: Of the links of two fingers from each other, shape (t, p) [m].
+        least: The least of all [m].
+        time: When that is [s].
+        where: Between what.
+    """
+
+    __repr__ = listed
+
+    ts: Times
+    object: Float[Array, "t f"]
+    links: Float[Array, "t p"]
+    pairs: tuple[tuple[int, int], ...] = eqx.field(static=True)
+    least: float = eqx.field(static=True)
+    time: float = eqx.field(static=True)
+    where: str = eqx.field(static=True)
+
+
+def link_clearance(grasp: Grasp, trajectory: Trajectory) -> LinkClearance:
+    """How far the fingers' links stay clear of the object and of each other, at the saved times of a run.
+
+    Links are straight, from joint to joint and to the tip frame, with the finger's `link_radius` about them
+    where it has one. Those of one finger are not compared with each other, nor with fingertips, of whose
+    overlaps the event 'penetration' tells.
+
+    Args:
+        grasp: The grasp that was simulated; an object with several faces must be convex.
+        trajectory: One run of it.
+
+    Returns:
+        `LinkClearance`.
+
+    Raises:
+        ValueError: If the trajectory is a batch or none of this grasp, or a contour of the object is endless.
+
+    Accuracy: links from each other to rounding; from the object as 17 points of each link and a parabola
+    through the lowest three tell, some hundredths of a millimetre for links of 60 mm beside a disc of 20 mm.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> grasp, state = jxr.scenes.pinch()
+        >>> run = jxr.simulate(grasp, state, 1.0, ts=11)
+        >>> found = jxr.link_clearance(grasp, run)
+        >>> found.where, found.least > 0.0
+        ('finger 1 and the object', True)
+    """
+    check_run(grasp, trajectory)
+    chains = [i for i, finger in enumerate(grasp.fingers) if finger.joints and finger.turns]
+    if not chains:
+        raise ValueError("argument grasp must have fingers with links, but had none")
+    pairs = tuple(itertools.combinations(chains, 2))
+    away, apart = _distances(grasp, trajectory.states)
+    both = np.concatenate([np.asarray(away), np.asarray(apart)], axis=1)
+    names = [f"finger {i} and the object" for i in chains] + [f"fingers {i} and {j}" for i, j in pairs]
+    if not np.isfinite(both).any():
+        return LinkClearance(trajectory.ts, away, apart, pairs, np.nan, np.nan, "no state was saved")
+    when, which = np.unravel_index(np.nanargmin(both), both.shape)
+    least, time = float(both[when, which]), float(np.asarray(trajectory.ts)[when])
+    return LinkClearance(trajectory.ts, away, apart, pairs, least, time, names[which])
+
+
+@compiled
+def _distances(grasp: Grasp, states: State) -> tuple[Array, Array]:
+    """Of every finger with links from the object, and of every two of them, state by state."""
+    ready = grasp.prepared()
+    return jax.lax.map(lambda state: _at(ready, state), states)
+
+
+def _at(grasp: Grasp, state: State) -> tuple[Array, Array]:
+    q = to_leaves(state, grasp.form).q
+    fingers: list[Any] = []
+    chains: list[Any] = []
+    for finger, own in zip(grasp.fingers, q[1:], strict=True):
+        if finger.joints and finger.turns:
+            fingers.append(finger)
+            chains.append(finger.skeleton(own))
+    body, faces = world_poses(grasp, q)[0], grasp.object.shapes
+    if grasp.spatial:
+        away: Any = links_clearance3(body, chains, faces)
+    else:
+        away = links_clearance(body, chains, faces, samples=_SAMPLES)
+    radii = [0.0 if (r := getattr(f, "link_radius", None)) is None else r for f in fingers]
+    clear = jnp.stack([height - radius for height, radius in zip(away, radii, strict=True)])
+    apart = [
+        chains_apart(chains[i], chains[j]) - radii[i] - radii[j]
+        for i, j in itertools.combinations(range(len(chains)), 2)
+    ]
+    return clear, jnp.stack(apart) if apart else jnp.zeros(0)

@@ -1,0 +1,160 @@
+"""Links that meet the object or each other: where a run ends, what is told of it, against brute force."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxroll as jxr
+from jaxroll._linalg import Pose3, Vec2, Vec3
+from jaxroll.contact import links_apart, links_clearance3
+
+CENTRE, RADIUS, THICK = np.array([0.03, 0.1]), 0.02, 0.004
+RATE, LENGTH = 3.0, 0.12
+
+
+def resting(t, angles, rates, tips):
+    """The first finger is damped, the other one swings free."""
+    return (-0.05 * rates[0], 0.0 * rates[1])
+
+
+def swept(base, angle, holder_radius=None, link_radius=THICK):
+    """A disc that a finger touches, and a straight link that swings at it or at the finger."""
+    disc = jxr.PivotedObject(jxr.Circle(RADIUS), inertia=1e-3, pivot=CENTRE)
+    first = jxr.Finger([0.065, 0.065], [0.045, 0.040], jxr.Circle(0.01), link_radius=holder_radius)
+    other = jxr.Finger([LENGTH], [0.045], jxr.Circle(0.002), base=base, link_radius=link_radius)
+    grasp = jxr.Grasp(disc, [first, other], jxr.Contact(0.0, 0.06), controller=resting)
+    guess = jxr.State(jnp.array([0.0, 1.9, -0.7, angle]), jnp.zeros(4).at[3].set(RATE), jnp.zeros(1))
+    return jxr.close(grasp, guess, hold=["finger 1"])
+
+
+def along(ends, count=4001):
+    return ends[0] + np.linspace(0.0, 1.0, count)[:, None] * (ends[1] - ends[0])
+
+
+def chain(base, angles, lengths):
+    """Joints of a finger in the plane, and its tip frame."""
+    turned = np.cumsum(angles)
+    steps = np.asarray(lengths)[:, None] * np.stack([np.cos(turned), np.sin(turned)], axis=1)
+    return np.concatenate([[base], base + np.cumsum(steps, axis=0)])
+
+
+def test_a_link_that_swings_into_the_object_ends_the_run():
+    """It turns evenly: by the triangle of base, centre and the foot on the link, the time is known."""
+    base = np.array([0.11, 0.1])
+    start, seconds = 0.75 * np.pi, 0.4
+    grasp, state = swept(base, start)
+    run = jxr.simulate(grasp, state, seconds, ts=41, events=(), throw=False)
+    assert run.result == jxr.RESULTS.links_meet and int(run.stats.contact) == 1
+    aside = np.arcsin((RADIUS + THICK) / 0.08)
+    angle = float(run.last.q[3])
+    assert abs(np.pi - aside - angle) <= 1e-4
+    link = along(chain(base, [angle], [LENGTH]))
+    assert abs(np.linalg.norm(link - CENTRE, axis=1).min() - RADIUS - THICK) <= 2e-6
+    assert "links of finger 1 meet the object" in str(run)
+    with pytest.raises(RuntimeError, match="Links of finger 1"):
+        jxr.simulate(grasp, state, seconds, ts=41, events=())
+
+    # The audit tells the same of the run that goes on, and when it was closest.
+    free, state = swept(base, start, link_radius=None)
+    run = jxr.simulate(free, state, seconds, ts=41, events=())
+    told = jxr.link_clearance(free, run)
+    angles = np.asarray(run.states.q)[:, 3]
+    links = [along(chain(base, [angle], [LENGTH])) for angle in angles]
+    away = np.array([np.linalg.norm(link - CENTRE, axis=1).min() - RADIUS for link in links])
+    np.testing.assert_allclose(told.object[away > 0.0, 1], away[away > 0.0], atol=2e-5)
+    assert told.where == "finger 1 and the object" and told.pairs == ((0, 1),)
+    held = [chain(np.zeros(2), q, [0.065, 0.065]) for q in np.asarray(run.states.q)[:, 1:3]]
+    for i in (0, 20, 40):
+        points = np.concatenate([along(held[i][:2], 1001), along(held[i][1:], 1001)])
+        apart = np.linalg.norm(points[:, None] - links[i][None, ::8], axis=2).min()
+        assert abs(float(told.links[i, 0]) - apart) <= 2e-4 and told.links[i, 0] <= apart + 1e-12
+
+
+def test_links_of_two_fingers_that_meet_end_the_run():
+    base = np.array([-0.12, -0.03])
+    grasp, state = swept(base, -0.3, holder_radius=0.006)
+    run = jxr.simulate(grasp, state, 0.5, ts=11, events=(), throw=False)
+    assert run.result == jxr.RESULTS.links_meet and int(run.stats.contact) == 0
+    q = np.asarray(run.last.q)
+    held, link = chain(np.zeros(2), q[1:3], [0.065, 0.065]), chain(base, q[3:], [LENGTH])
+    points = np.concatenate([along(held[:2]), along(held[1:])])
+    gaps = np.linalg.norm(points[:, None] - along(link, 401)[None], axis=2)
+    assert abs(gaps.min() - 0.006 - THICK) <= 1e-5
+    told = jxr.link_clearance(grasp, run)
+    assert float(told.links[0, 0]) > 1e-3 and np.isnan(float(told.links[-1, 0]))
+
+
+@pytest.mark.parametrize("kind", [Vec2, Vec3])
+def test_the_distance_of_two_links_is_that_of_all_their_points(kind):
+    """Crossing, parallel, end to end, and links without length."""
+    count = 2 if kind is Vec2 else 3
+    rng = np.random.default_rng(count)
+    ends = rng.normal(size=(60, 4, count))
+    ends[:10, 3] = ends[:10, 2] + ends[:10, 1] - ends[:10, 0]  # parallel
+    ends[10:15, 1] = ends[10:15, 0]
+    ends[15:20, 3] = ends[15:20, 2]
+    ends[20, 1], ends[20, 3] = ends[20, 0], ends[20, 2]
+    as_pair = lambda a, b: (kind(*a), kind(*b))  # noqa: E731
+    found = jax.vmap(lambda e: links_apart(as_pair(e[0], e[1]), as_pair(e[2], e[3])))(jnp.asarray(ends))
+    share = np.linspace(0.0, 1.0, 401)[:, None]
+    for (a, b, c, d), distance in zip(ends, found, strict=True):
+        one, two = a + share * (b - a), c + share * (d - c)
+        brute = np.linalg.norm(one[:, None] - two[None], axis=2).min()
+        assert distance <= brute + 1e-12 and brute - distance <= 0.02
+        # The least distance is a stationary one: it is at an end of one link, or normal to both.
+    crossing = np.array([[-1.0, -1.0, 0], [1.0, 1.0, 0], [-1.0, 1.0, 0], [1.0, -1.0, 0.0]])[:, :count]
+    assert float(links_apart(as_pair(*crossing[:2]), as_pair(*crossing[2:]))) == 0.0
+    apart = crossing + np.array([[0.0], [0.0], [0.25], [0.25]]) * np.eye(count)[-1]
+    wanted = 0.0 if kind is Vec2 else 0.25
+    assert float(links_apart(as_pair(*apart[:2]), as_pair(*apart[2:]))) == pytest.approx(wanted, abs=1e-15)
+
+
+def test_links_in_space_keep_away_from_an_ellipsoid_as_all_their_points_do():
+    axes, rng = np.array([0.03, 0.02, 0.015]), np.random.default_rng(0)
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    pose = Pose3(Vec3(0.01, -0.02, 0.0), *(Vec3(*column) for column in turn.T))
+    chains = 0.06 * rng.normal(size=(3, 4, 3)) + np.array([0.0, 0.0, 0.1])
+    given = [[Vec3(*point) for point in points] for points in chains]
+    found = jax.jit(lambda: jnp.stack(links_clearance3(pose, given, [jxr.Ellipsoid(*axes)])))()
+    u = rng.normal(size=(200_000, 3))
+    surface = axes * u / np.linalg.norm(u, axis=1)[:, None]
+    from scipy.spatial import KDTree
+
+    tree = KDTree(surface)
+    for points, distance in zip(chains, found, strict=True):
+        links = np.concatenate([along(points[i : i + 2], 801) for i in range(3)])
+        local = (links - np.array([0.01, -0.02, 0.0])) @ turn
+        outside = np.sum((local / axes) ** 2, axis=1) > 1.0
+        assert outside.all()
+        assert abs(tree.query(local)[0].min() - float(distance)) <= 2e-4
+
+
+@pytest.mark.slow
+def test_a_link_in_space_ends_the_run_and_is_told():
+    grasp, state = jxr.scenes.pinch3d()
+    swinging = jxr.Finger3(
+        [(0, 0, 1.0)], [(0.0, 0.1, 0.0)], [0.03], jxr.Sphere(0.002), base=(0.1, 0.1, 0.0), link_radius=0.003
+    )
+    law = lambda t, angles, rates, tips: (-0.05 * rates[0], -0.05 * rates[1], 0.0 * rates[2])  # noqa: E731
+    whole = jxr.Grasp(grasp.object, [*grasp.fingers, swinging], grasp.contacts, controller=law)
+    q = jnp.concatenate([state.q, jnp.array([0.9])])
+    v = jnp.concatenate([state.v, jnp.array([2.0])])
+    start = jxr.State(q, v, state.s)
+    run = jxr.simulate(whole, start, 0.6, ts=7, throw=False, events=())
+    assert run.result == jxr.RESULTS.links_meet and int(run.stats.contact) == 2
+    angle, at = float(run.last.q[-1]), np.asarray(run.last.q)
+    tip = np.array([0.1, 0.1, 0.0]) + 0.1 * np.array([-np.sin(angle), np.cos(angle), 0.0])
+    link = along(np.array([[0.1, 0.1, 0.0], tip]))
+    w, x, y, z = at[3:7]
+    turn = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    local = (link - at[:3]) @ turn
+    # The cuboid's faces towards the fingers are its two planes.
+    assert abs((np.abs(local[:, 0]) - 0.015).min() - 0.003) <= 1e-5

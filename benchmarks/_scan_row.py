@@ -23,6 +23,7 @@ import jaxroll as jxr
 from benchmarks._lanes_row import peak
 from tests.oracles import scanned_bodies as bodies
 from tests.oracles.spline_fields import principal_curvatures, SplineField
+from tests.subjects import scanned_pinch as scanned
 
 jax.config.update("jax_enable_x64", True)
 
@@ -208,9 +209,32 @@ def judged(fit: jxr.geometry.SurfaceFit, cloud: Cloud) -> dict[str, Any]:
     }
 
 
+def pinch() -> dict[str, Any]:
+    """The shared banana between two fingertips that are fits to noisy scans themselves, for a second."""
+    vertices, faces = scanned.banana()
+    body = jxr.geometry.fit_surface(vertices, faces=faces, smallest_radius=scanned.BODY_RADIUS).surface
+    grasp, state = scanned.pinched(body, [scanned.thumb(seed).surface for seed in (1, 2)])
+    run = jxr.simulate(grasp, state, 1.0, ts=41, record=("multipliers", "energy"))
+    left, curves = run.residuals, jxr.loci(grasp, run)
+    size = np.abs(run.energy.kinetic + run.energy.potential).max()
+    apart = np.abs(np.asarray(curves.tip.arclength) - np.asarray(curves.object.arclength)).max()
+    force = np.asarray(run.multipliers.f)
+    return {
+        "gap": float(max(np.abs(left.normal).max(), np.abs(left.tangential).max())),
+        "tangency": float(np.abs(left.tangency).max()),
+        "energy": float(np.abs(run.energy.residual).max() / size),
+        "lowest": float(scanned.audited(grasp, run.states).min()),
+        "arclengths": float(apart),
+        "rolled": float(np.asarray(curves.tip.arclength)[:, -1].max()),
+        "forces": [float(force.min()), float(force.max())],
+    }
+
+
 def main() -> None:
     words = sys.argv[1:]
-    if words[0] == "million":
+    if words[0] == "pinch":
+        row = pinch()
+    elif words[0] == "million":
         row = million(words[1], int(words[2]), _SHARP if "bounded" in words[3:] else None)
     else:
         row = scan(words[1])

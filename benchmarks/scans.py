@@ -65,8 +65,24 @@ def scans(names: list[str]) -> tuple[list[list[str]], list[str]]:
     return lines, short
 
 
+def pinched() -> str:
+    """The table of the pinch between scans."""
+    found = row("pinch")
+    least, most = found["forces"]
+    lines = [
+        ["gap [m]", "<= 1e-12", f"{found['gap']:.1e}"],
+        ["tangency", "<= 1e-12", f"{found['tangency']:.1e}"],
+        ["energy, by the balance of work", "<= 1e-9", f"{found['energy']:.1e}"],
+        ["depth of any sample of one surface in the other [m]", "<= 1e-9", f"{-found['lowest']:.1e}"],
+        ["arclengths of both loci apart [m]", "<= 1e-9", f"{found['arclengths']:.1e}"],
+        ["length of the loci [mm]", "", f"{1e3 * found['rolled']:.2f}"],
+        ["normal forces [N]", "", f"{least:.3f} to {most:.3f}"],
+    ]
+    return table(["banana between two scanned fingertips, 1 s", "asked", "measured"], lines)
+
+
 def report(quick: bool = False) -> str:
-    """Both tables, as Markdown."""
+    """The tables, as Markdown."""
     count = 10**5 if quick else COUNT
     large, good = millions(count)
     there = [name for name in SCANS if not name.startswith(("banana", "potted")) or DATA.exists()]
@@ -91,6 +107,7 @@ def report(quick: bool = False) -> str:
                 [*first, "normals [deg rms]", "curvature [% of the largest, rms]", "places [um rms]"], large
             ),
             table(second, small),
+            *([] if quick or not DATA.exists() else [pinched()]),
             f"{device()}; {versions('jax', 'numpy', 'scipy')}.",
         ]
     )

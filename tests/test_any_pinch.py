@@ -119,3 +119,60 @@ def test_jaxroll_pinch_writes_what_it_says(tmp_path, monkeypatch, capsys):
     kept = jxr.load(folder / "pinch.npz")
     assert off(kept["grasp"], kept["state"]) < 1e-12
     assert str(kept["run"]).splitlines()[0] in text
+
+
+def hand_file(path):
+    """A hand of two fingers in space as URDF, tips of 10 mm; the first joint of the second has no range."""
+    link = "<link name='{0}'><inertial><origin xyz='0 {1} 0'/><mass value='{2}'/>{3}</inertial>{4}</link>"
+    inertia = "<inertia ixx='2e-5' iyy='4e-6' izz='2e-5' ixy='0' ixz='0' iyz='0'/>"
+    ball = "<collision><geometry><sphere radius='0.01'/></geometry></collision>"
+    parts = ["<robot name='two'><link name='palm'/>"]
+    for side, x in (("l", -0.0275), ("r", 0.0275)):
+        parent, places = "palm", [(x, 0.0), (0.0, 0.010), (0.0, 0.065)]
+        for k, (axis, place) in enumerate(zip(("1 0 0", "0 0 1", "0 0 1"), places, strict=True)):
+            name = f"{side}{k}"
+            parts.append(link.format(name, 0.03, (0.015, 0.045, 0.04)[k], inertia, ""))
+            ends = "<limit lower='-2.5' upper='2.5' effort='1' velocity='1'/>"
+            kind = "continuous" if name == "r0" else "revolute"
+            parts.append(
+                f"<joint name='j{name}' type='{kind}'><parent link='{parent}'/><child link='{name}'/>"
+                f"<origin xyz='{place[0]} {place[1]} 0'/><axis xyz='{axis}'/>"
+                f"{'' if kind == 'continuous' else ends}</joint>"
+            )
+            parent = name
+        parts.append(link.format(f"{side}tip", 0.0, 0.001, inertia.replace("e-", "e-1"), ball))
+        parts.append(
+            f"<joint name='e{side}' type='fixed'><parent link='{parent}'/><child link='{side}tip'/>"
+            "<origin xyz='0 0.065 0'/></joint>"
+        )
+    path.write_text("\n".join([*parts, "</robot>"]))
+
+
+@pytest.mark.slow
+def test_jaxroll_pinch_takes_a_hand_from_a_file(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("JAXROLL_CACHE", "off")
+    rng = np.random.default_rng(0)
+    u = rng.normal(size=(3000, 3))
+    np.save(tmp_path / "egg.npy", [15.0, 25.0, 20.0] * u / np.linalg.norm(u, axis=1)[:, None])
+    hand_file(tmp_path / "hand.urdf")
+    folder = tmp_path / "out"
+    words = [
+        "pinch",
+        str(tmp_path / "egg.npy"),
+        "--hand",
+        str(tmp_path / "hand.urdf"),
+        "--smallest-radius",
+        "5",
+    ]
+    assert main([*words, "--out", str(folder), "--seconds", "0.4", "--no-animation"]) == 0
+    assert "outcome     held" in capsys.readouterr().out
+    kept = jxr.load(folder / "pinch.npz")
+    grasp, run = kept["grasp"], kept["run"]
+    assert off(grasp, kept["state"]) < 1e-12
+    # The hand's own tips and ranges; the push is across the line on which both tips press.
+    assert [float(f.tip.surface.radius) for f in grasp.fingers] == [0.01, 0.01]
+    np.testing.assert_allclose(grasp.fingers[0].limits, [[-2.5, 2.5]] * 3)
+    assert float(grasp.fingers[1].limits[0, 1]) > 6.0
+    axes = np.asarray(run.states.q)[0, :3]
+    pushed = np.asarray(run.states.q)[:, :3] - axes
+    assert np.abs(pushed).max() > 1e-5

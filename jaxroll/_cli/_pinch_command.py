@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +20,7 @@ from .. import io, loads, plotting, scenes, stability
 from .._integration import cause, simulate
 from .._mechanics import FreeObject, FreeObject3, Grasp, State
 from .._motion import residuals
+from .._reaching import poses_at
 from .._results import RESULTS
 from .._saving import save
 from ..geometry import Fit, Sphere, SurfaceFit
@@ -30,6 +32,8 @@ _BEGINS, _LASTS, _SHARE = 0.1, 0.1, 0.25
 _WEIGHTS, _GRAVITY = 3.0, 9.81
 # Radius of the tips of a hand from a file, where the file has none that can be used [m].
 _TIP = 0.01
+# Range of a joint for which a file has none [rad].
+_TURNS = 4.0 * np.pi
 # The animation: pictures a second, and simulated seconds per second shown. In space a picture takes long.
 _FPS, _SPEED = 12.0, 0.5
 
@@ -83,7 +87,7 @@ def pinch_order(
         with timed("Judging the grasp"):
             verdict = _verdict(grasp, state)
     with timed(f"Simulating {asked.seconds:g} s"):
-        pushed = _pushed(grasp, _SHARE * force)
+        pushed = _pushed(grasp, state, _SHARE * force)
         record, count = ("multipliers", "energy"), 1 + round(100 * asked.seconds)
         run = simulate(pushed, state, asked.seconds, ts=count, record=record, throw=False)
         jax.block_until_ready(run)
@@ -113,14 +117,20 @@ def _body(found: Fit | SurfaceFit, asked: PinchOrder) -> FreeObject | FreeObject
 
 
 def _fingers(path: str, flat: bool) -> list[Any]:
-    """The fingers of a hand's file, with its own tips where they can be used, else with balls."""
+    """The fingers of a hand's file with their ranges, and its own tips where they can be used, else balls."""
     if flat:
         raise ValueError("argument --hand must be left out for an object of the plane")
     try:
         hand = io.load_hand(path, "mesh")
     except ValueError:
         hand = io.load_hand(path, Sphere(_TIP))
-    return list(hand.fingers)
+    return [_limited(*each) for each in zip(hand.fingers, hand.limits, strict=True)]
+
+
+def _limited(finger: Any, limits: Any) -> Any:
+    """A finger that keeps the ranges of its joints; where the file has none, some turns either way."""
+    ranges = jnp.clip(limits, -_TURNS, _TURNS)
+    return eqx.tree_at(lambda f: f.limits, finger, ranges, is_leaf=lambda x: x is None)
 
 
 def _verdict(grasp: Grasp, state: State) -> list[str]:
@@ -129,14 +139,28 @@ def _verdict(grasp: Grasp, state: State) -> list[str]:
     return [f"  verdict     {stability.VERDICTS[found.verdict]}"]
 
 
-def _pushed(grasp: Grasp, push: float) -> Grasp:
+def _pushed(grasp: Grasp, state: State, push: float) -> Grasp:
     """The grasp with a push [N] across the line between the contacts."""
-    # Across x, on which both contacts lie where the fingers are the chapter's, in space across y as well.
-    direction = jnp.array([0.0, 1.0, 1.0][: 3 if grasp.spatial else 2])
-    force = push * direction / jnp.linalg.norm(direction)
+    force = push * jnp.asarray(_aside(grasp, state))
     load = loads.Push(force, _BEGINS, _LASTS)
     given = {"controller": grasp.controller, "gravity": grasp.gravity, "load": load}
     return Grasp(grasp.object, grasp.fingers, grasp.contacts, **given)
+
+
+def _aside(grasp: Grasp, state: State) -> np.ndarray:
+    """A direction across the line between both tip frames, which the fingers press along."""
+    ends = np.cumsum(grasp.form.positions)
+    q = np.asarray(state.q)
+    first, second = (
+        poses_at(finger, q[None, begin:end])[0][0]
+        for finger, begin, end in zip(grasp.fingers, ends, ends[1:], strict=False)
+    )
+    line = (second - first) / np.linalg.norm(second - first)
+    # Of the axes without the line's part the two longest, in the plane the longest.
+    across = np.eye(len(line)) - np.outer(line, line)
+    longest = np.argsort(np.linalg.norm(across, axis=1))[1:]
+    direction = across[longest].sum(axis=0)
+    return direction / np.linalg.norm(direction)
 
 
 def _described(grasp: Grasp, state: State, run: Any, push: float) -> list[str]:

@@ -1,6 +1,6 @@
 """The command line: scenes of the chapter, fingertips by design, shapes from files and pinches of them.
 
-`sweep` runs a scene many times, and `map` draws what came of it.
+`sweep` runs a scene many times, and `map` draws what came of it; `replay` shows a saved run again.
 """
 
 import argparse
@@ -100,6 +100,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         options = parser.parse_args(argv)
     except SystemExit as stop:
         return int(stop.code or 0)
+    if options.version:
+        from . import __version__
+
+        print(f"jaxroll {__version__}")
+        return 0
     if options.command is None:
         parser.print_help()
         return 0
@@ -153,6 +158,7 @@ def _writable(given: str) -> Path:
 
 def _parser() -> _Parser:
     parser = _Parser(prog="jaxroll", description=_ABOUT, epilog=_CACHE)
+    parser.add_argument("--version", action="store_true", help="print the version, and nothing else")
     commands = parser.add_subparsers(dest="command", title="commands", metavar="COMMAND")
     demo = commands.add_parser("demo", help=_DEMO, description=_DEMO, epilog=_CACHE)
     scenes, default = tuple(DEMOS), next(iter(DEMOS))
@@ -179,6 +185,7 @@ def _parser() -> _Parser:
     _design_parser(commands)
     _shape_parsers(commands)
     _cli.sweep_parser(commands, _number)
+    _cli.replay_parser(commands, _number, _CACHE)
     return parser
 
 
@@ -283,6 +290,7 @@ def _run(options: argparse.Namespace, demo: Demo, folder: Path) -> None:
         from . import __version__, plotting, scenes
         from ._integration import complaint, simulate
         from ._results import RESULTS
+        from ._saving import save
     seconds = options.seconds or demo.seconds
     with _cli.timed("Closing the contacts"):
         grasp, state = getattr(scenes, options.scene)()
@@ -308,6 +316,8 @@ def _run(options: argparse.Namespace, demo: Demo, folder: Path) -> None:
         pace = {"fps": _FPS, "speed": speed, "until": until} | demo.animated(plotting)
         with _cli.timed("Animating"):
             plotting.animate(grasp, run, folder / "motion.gif", progress=_progress, **pace)
+    save(folder / "run.npz", {"grasp": grasp, "state": state, "run": run})
+    names.append("run.npz")
     missing = _page(demo, folder, names, plotting=plotting, grasp=grasp, run=run) if demo.page else []
     print(f"jaxroll {__version__}, {options.scene}: {demo.title}")
     print("\n".join([*scene, f"{run}", *facts]))
@@ -362,6 +372,16 @@ def _pinch(options: argparse.Namespace, folder: Path) -> int:
     return 0 if held else 1
 
 
+def _replay(options: argparse.Namespace, folder: Path) -> int:
+    with _cli.timed("Loading"):
+        _configure()
+        from . import __version__
+        from ._cli import replayed
+    lines = replayed(_cli.replay_order(options), folder, _cli.timed)
+    print("\n".join([f"jaxroll {__version__}, replay: {options.file}", *lines]))
+    return 0
+
+
 def _shape(options: argparse.Namespace) -> Any:
     """Which shape to make of which file."""
     from ._cli import ShapeOrder
@@ -372,7 +392,11 @@ def _shape(options: argparse.Namespace) -> Any:
 
 
 # What each command does that is no demo and no design.
-_ORDERS: dict[str, Callable[[argparse.Namespace, Path], int]] = {"fit": _fit, "pinch": _pinch}
+_ORDERS: dict[str, Callable[[argparse.Namespace, Path], int]] = {
+    "fit": _fit,
+    "pinch": _pinch,
+    "replay": _replay,
+}
 
 
 def _sweep_or_map(options: argparse.Namespace) -> None:

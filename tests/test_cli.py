@@ -1,14 +1,18 @@
 """The command line: what does not fit is one line on stderr and exit code 2, before any work is done."""
 
 import contextlib
+import json
 import re
+import sys
 import time
 import types
 
 import numpy as np
 import pytest
 from jax import monitoring
+from PIL import Image
 
+import jaxroll as jxr
 from jaxroll import plotting
 from jaxroll.__main__ import main
 from jaxroll._cli import _design_command, _waiting, DesignOrder, order
@@ -96,6 +100,71 @@ def test_a_design_names_the_files_that_it_wrote(animated, tmp_path, monkeypatch)
 def test_help_and_nothing_at_all(capfd):
     assert main([]) == 0 and main(["demo", "--help"]) == 0 and main(["design", "--help"]) == 0
     assert "usage: jaxroll" in capfd.readouterr().out
+
+
+def test_the_version_alone(capfd):
+    assert main(["--version"]) == 0
+    assert capfd.readouterr().out == f"jaxroll {jxr.__version__}\n"
+
+
+class _Film:
+    """A stand-in for ffmpeg: it keeps the arguments and the pictures that it is given."""
+
+    PROGRAM = """#!{python}
+import json, sys
+with open({told!r}, "w") as told:
+    json.dump([sys.argv[1:], len(sys.stdin.buffer.read())], told)
+open(sys.argv[-1], "wb").close()
+"""
+
+    def __init__(self, folder):
+        self.told = folder / "told.json"
+        program = folder / "ffmpeg"
+        program.write_text(self.PROGRAM.format(python=sys.executable, told=str(self.told)))
+        program.chmod(0o755)
+
+    def heard(self):
+        return json.loads(self.told.read_text())
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    """A run of three states, with its grasp, as `demo` writes it."""
+    folder = tmp_path_factory.mktemp("saved")
+    grasp, state = jxr.scenes.pivoted()
+    run = jxr.simulate(grasp, state, t1=0.1, ts=3)
+    jxr.save(folder / "run.npz", {"grasp": grasp, "state": state, "run": run})
+    jxr.save(folder / "grasp.npz", grasp)
+    return folder
+
+
+def test_a_saved_run_is_drawn_again(saved, tmp_path, monkeypatch, capfd):
+    monkeypatch.setenv("JAXROLL_CACHE", "off")
+    assert main(["replay", str(saved / "run.npz"), "--out", str(tmp_path), "--fps", "20"]) == 0
+    lines = capfd.readouterr().out.splitlines()
+    assert lines[1] == "Trajectory: successful" and lines[-1] == "  poses.png, responses.png, motion.gif"
+    assert {path.name for path in tmp_path.iterdir()} == set(lines[-1].strip().split(", "))
+    with Image.open(tmp_path / "motion.gif") as film:
+        assert film.n_frames == 3
+    assert main(["replay", str(saved / "grasp.npz"), "--out", str(tmp_path)]) == 2
+    assert "argument FILE must hold one grasp and one run of it" in capfd.readouterr().err
+    assert main(["replay", "none.npz", "--out", str(tmp_path)]) == 2
+    assert "argument FILE must name a file, but there is none" in capfd.readouterr().err
+
+
+def test_a_film_is_handed_to_ffmpeg_and_refused_without_it(saved, tmp_path, monkeypatch):
+    grasp, run = (jxr.load(saved / "run.npz")[name] for name in ("grasp", "run"))
+    monkeypatch.setenv("PATH", str(tmp_path))
+    path = tmp_path / "motion.mp4"
+    with pytest.raises(ValueError, match=r"must end in \.gif where there is no program ffmpeg"):
+        plotting.animate(grasp, run, path)
+    film = _Film(tmp_path)
+    assert plotting.animate(grasp, run, path, fps=20, size=3) == path and path.exists()
+    told, received = film.heard()
+    width, height = map(int, told[told.index("-s") + 1].split("x"))
+    assert width % 2 == 0 and height % 2 == 0 and float(told[told.index("-framerate") + 1]) == 20.0
+    # Three frames, and the last one for a second and a half more.
+    assert received == (3 + 30) * width * height * 4
 
 
 def test_a_fingertip_from_a_file_begins_at_its_foremost_point(tmp_path):

@@ -117,7 +117,13 @@ def test_demo_writes_its_figures_and_a_report(tmp_path):
     assert done.returncode == 0, done.stderr
     folder = tmp_path / "jaxroll-pivoted"
     files = {p.name: p.stat().st_size for p in folder.iterdir()}
-    assert {"fig07_contours.png", "fig08_poses.png", "fig09_18_responses.png", "motion.gif"} <= files.keys()
+    assert {
+        "fig07_contours.png",
+        "fig08_poses.png",
+        "fig09_18_responses.png",
+        "motion.gif",
+        "run.npz",
+    } <= files.keys()
     assert all(size > 5_000 for size in files.values())
     assert "jaxroll-pivoted" in done.stdout and "successful" in done.stdout
     assert len(done.stdout.splitlines()) <= 30 and max(map(len, done.stdout.splitlines())) <= 100
@@ -129,7 +135,7 @@ def test_pinch_demo_writes_its_figures_and_a_report(tmp_path):
     done = run_cli("demo", "pinch", "--seconds", "1", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     files = {p.name: p.stat().st_size for p in (tmp_path / "jaxroll-pinch").iterdir()}
-    drawn = {"contours.png", "fig01_poses.png", "responses.png", "phase.png", "motion.gif"}
+    drawn = {"contours.png", "fig01_poses.png", "responses.png", "phase.png", "motion.gif", "run.npz"}
     assert drawn == files.keys() and all(size > 5_000 for size in files.values())
     for words in ("successful", "verdict", "neutral directions: 1", "Delta N_i", "dissipated"):
         assert words in done.stdout
@@ -142,7 +148,7 @@ def test_pinch3d_demo_writes_its_figures_and_a_report(tmp_path):
     done = run_cli("demo", "pinch3d", "--seconds", "0.3", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     files = {p.name: p.stat().st_size for p in (tmp_path / "jaxroll-pinch3d").iterdir()}
-    drawn = {"responses.png", "loci.png", "pose.png", "motion.gif"}
+    drawn = {"responses.png", "loci.png", "pose.png", "motion.gif", "run.npz"}
     assert drawn == files.keys() - {"page.html"} and all(size > 5_000 for size in files.values())
     assert ("page.html" in files) != ("no page.html" in done.stdout)
     for words in ("successful", "|lambda_i| / f_i", "A-2", "dissipated"):

@@ -327,7 +327,7 @@ def test_long_animations_have_few_frames():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"path": "motion.mp4"}, "end in .gif"),
+        ({"path": "motion.avi"}, "end in .gif or .mp4"),
         ({"fps": 0.0}, "argument fps must be positive"),
         ({"ts": np.zeros(3)}, "argument ts must have shape"),
     ],

@@ -12,9 +12,10 @@ from .._mechanics import Grasp
 from ._animate3 import animate3
 from ._artists import Drawing, limits
 from ._doors import check_frames, guarded
+from ._film import checked_path, write_film
 from ._forces import Arrows, arrows, key
 from ._forces3 import pushes
-from ._gif import checked_path, nearest_rows, write
+from ._gif import nearest_rows
 from ._style import Picture, tidy
 from ._views import single, Views, views, visible
 from ._views3 import check_options, scene_motion, View
@@ -34,7 +35,7 @@ def animate(
     view: View | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Write a run as an animated GIF with true contours or surfaces, to scale.
+    """Write a run as an animated GIF or an MP4 with true contours or surfaces, to scale.
 
     Shows, as thick stretches of equal length, what has rolled off each contour, in space the loci of the
     contacts on both surfaces and, if recorded, the forces on the object. Every frame is the saved
@@ -46,9 +47,10 @@ def animate(
     Args:
         grasp: The grasp that was simulated.
         trajectory: One run of it.
-        path: The file to write, ending in `.gif`; its folder is made if need be.
+        path: The file to write, ending in `.gif`, or in `.mp4` where the program ffmpeg is installed; its
+            folder is made if need be.
         fps: Frames per second of the file, at most 50: a GIF counts hundredths of a second, so the
-            nearest rate that it can hold is taken.
+            nearest rate that it can hold is taken, of an MP4 too.
         speed: Simulated seconds per second shown: 0.5 plays at half speed.
         until: Last time shown [s]. Default: the end of the run.
         forces: Whether to draw the contact forces on the object and that of its loads, with their scale;
@@ -61,9 +63,9 @@ def animate(
         The path that was written.
 
     Raises:
-        ValueError: If the trajectory is a batch, `path` is no GIF, a number is not positive, `view` is given
-            for a grasp in the plane, or `forces` is True and the run was not simulated with
-            `record=("multipliers",)`.
+        ValueError: If the trajectory is a batch, `path` ends otherwise or there is no ffmpeg, a number is not
+            positive, `view` is given for a grasp in the plane, or `forces` is True and the run was not
+            simulated with `record=("multipliers",)`.
 
     Example:
         >>> import tempfile
@@ -101,7 +103,7 @@ def animate(
         frames.append(stage.frame(i, t))
         if progress is not None:
             progress(i + 1, len(ts))
-    write(path, frames, 10 * delay)
+    write_film(path, frames, 10 * delay)
     return path
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from PIL import Image
 
 from .._mechanics import Grasp
-from . import _gif
+from . import _film, _gif
 from ._drawing3 import Drawing3
 from ._forces3 import Pushes
 from ._motion3 import Motion3D, times_of
@@ -34,7 +34,7 @@ def animate3(
     view: View | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Write a motion of a spatial grasp as an animated GIF, to scale.
+    """Write a motion of a spatial grasp as an animated GIF or an MP4, to scale.
 
     Args:
         grasp: The grasp that was simulated.
@@ -49,10 +49,10 @@ def animate3(
         progress: Called after each frame with the frames done and the frames in all.
 
     Raises:
-        ValueError: If `path` is no GIF, a number is not positive, times or forces do not fit the motion, or
+        ValueError: If `path` is neither, a number is not positive, times or forces do not fit the motion, or
             a surface cannot be drawn.
     """
-    path, view = _gif.checked_path(path, fps=fps, speed=speed, size=size), View() if view is None else view
+    path, view = _film.checked_path(path, fps=fps, speed=speed, size=size), View() if view is None else view
     ts = times_of(motion, ts)
     motion, reached = motion.reached()
     ts = ts[reached]
@@ -76,7 +76,7 @@ def animate3(
         frames.append(Image.fromarray(np.asarray(figure.agg.buffer_rgba())[..., :3].copy()))
         if progress is not None:
             progress(done, len(rows))
-    _gif.write(path, frames, delay, _KEPT)
+    _film.write_film(path, frames, delay, _KEPT)
     return path
 
 

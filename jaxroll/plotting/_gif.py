@@ -11,17 +11,14 @@ import numpy as np
 from matplotlib.colors import to_rgba_array
 from PIL import Image
 
-from .._results import shown
 from ._style import CONTACT, FINGER, FORCE_COLOUR, OBJECT, ROLLED
 
 # Colours of small things, which a palette made by counting pixels would merge with others.
-_KEPT = ("white", CONTACT, FORCE_COLOUR, FINGER, OBJECT, ROLLED)
-# How long the last frame stays [ms].
-_HOLD = 1500
+KEPT = ("white", CONTACT, FORCE_COLOUR, FINGER, OBJECT, ROLLED)
 
 
-def write(path: Path, frames: list[Image.Image], delay: int, kept: tuple[str, ...] = _KEPT) -> None:
-    """Write a looping GIF that holds its last frame; one palette, so that no colour flickers."""
+def write(path: Path, frames: list[Image.Image], delays: list[int], kept: tuple[str, ...]) -> None:
+    """Write a looping GIF, whose frames stay `delays` [ms]; one palette, so that no colour flickers."""
     width, height = frames[0].size
     samples = [frames[k * (len(frames) - 1) // 2] for k in range(3)]
     mosaic = Image.new("RGB", (3 * width, height))
@@ -33,20 +30,7 @@ def write(path: Path, frames: list[Image.Image], delay: int, kept: tuple[str, ..
     fixed = np.round(255 * to_rgba_array(kept)[:, :3]).astype(int)
     palette.putpalette(np.concatenate([fixed, found]).ravel().tolist())
     first, *rest = (f.quantize(palette=palette, dither=Image.Dither.NONE) for f in frames)
-    delays = [*[delay] * len(rest), _HOLD]
-    path.parent.mkdir(parents=True, exist_ok=True)
     first.save(path, save_all=True, append_images=rest, duration=delays, loop=0)
-
-
-def checked_path(path: str | Path, **positive: float) -> Path:
-    """The path of a GIF, and numbers that must be positive."""
-    for name, value in positive.items():
-        if not (np.isfinite(value) and value > 0.0):
-            raise ValueError(f"argument {name} must be positive, but was {value:g}")
-    path = Path(path)
-    if path.suffix.lower() != ".gif":
-        raise ValueError(f"argument path must end in .gif, but was {shown(str(path))}")
-    return path
 
 
 def nearest_rows(ts: np.ndarray, step: float) -> np.ndarray:

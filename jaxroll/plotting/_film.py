@@ -1,0 +1,58 @@
+"""Films: the frames of an animation as a GIF, or as an MP4 where ffmpeg is installed."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.animation import FFMpegWriter
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from PIL import Image
+
+from .._results import shown
+from . import _gif
+
+# How long the last frame stays [ms].
+_HOLD = 1500
+_DPI = 100
+
+
+def write_film(path: Path, frames: list[Image.Image], delay: int, kept: tuple[str, ...] = _gif.KEPT) -> None:
+    """Write frames that stay `delay` milliseconds each, the last one longer."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.suffix.lower() == ".gif":
+        _gif.write(path, frames, [*[delay] * (len(frames) - 1), _HOLD], kept)
+    else:
+        _mp4(path, frames, delay)
+
+
+def _mp4(path: Path, frames: list[Image.Image], delay: int) -> None:
+    """Write a film in H.264; matplotlib makes its sides even, as that asks for."""
+    width, height = frames[0].size
+    figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI)
+    FigureCanvasAgg(figure)
+    picture = figure.figimage(np.asarray(frames[0]))
+    rate: Any = 1000.0 / delay  # a fraction too, whatever matplotlib's annotation says
+    writer = FFMpegWriter(fps=rate, codec="h264", bitrate=-1, extra_args=["-crf", "20"])
+    held = [frames[-1]] * (_HOLD // delay)
+    with writer.saving(figure, str(path), _DPI):
+        for frame in [*frames, *held]:
+            picture.set_data(np.asarray(frame))
+            writer.grab_frame()
+
+
+def checked_path(path: str | Path, **positive: float) -> Path:
+    """The path of a film that can be written here, and numbers that must be positive."""
+    for name, value in positive.items():
+        if not (np.isfinite(value) and value > 0.0):
+            raise ValueError(f"argument {name} must be positive, but was {value:g}")
+    path = Path(path)
+    kind = path.suffix.lower()
+    if kind not in (".gif", ".mp4"):
+        raise ValueError(f"argument path must end in .gif or .mp4, but was {shown(str(path))}")
+    if kind == ".mp4" and not FFMpegWriter.isAvailable():
+        raise ValueError(
+            "argument path must end in .gif where there is no program ffmpeg, which writes an MP4, but was "
+            f"{shown(str(path))}"
+        )
+    return path

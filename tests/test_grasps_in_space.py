@@ -221,11 +221,11 @@ def test_what_a_kind_of_grasp_does_not_have_is_one_sentence(pinch, flat, tmp_pat
         ],
         "must live in space": [
             lambda: plotting.loci(*flat),
-            lambda: plotting.page(*flat, tmp_path / "page.html"),
         ],
         "argument view must be None for a grasp in the plane": [
             lambda: plotting.pose(flat[0], flat[1].last, view=view),
             lambda: plotting.poses(*flat, view=view),
+            lambda: plotting.page(*flat, tmp_path / "page.html", view=view),
             lambda: plotting.animate(*flat, tmp_path / "a.gif", view=view),
         ],
         "argument ax must be None for a grasp in space": [

@@ -148,7 +148,9 @@ def test_the_ring_of_a_page_lies_flat_about_the_contact():
         grasp, state = runs.scene("turntable")
         run = runs.run("turntable")
         plotting.page(grasp, run, "grasp.html", frames=3)
-    ring = np.stack([made[0].data[-1][axis] for axis in "xyz"], axis=-1)[:-1].astype(float)
+    last = made[0].frames[-1].data
+    at = [trace.name for trace in made[0].data].index("contact: ring in the tangent plane")
+    ring = np.stack([last[at][axis] for axis in "xyz"], axis=-1)[:-1].astype(float)
     motion = scene_motion(grasp, run.states)
     body, on_object = motion.body[-1], motion.on_object[0, -1]
     assert np.ptp(ring, axis=0).max() > 10.0

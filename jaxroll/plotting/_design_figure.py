@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from .._integration import Trajectory
 from .._results import check_instance
@@ -20,6 +21,8 @@ from ._views import single
 _PLACES, _TEETH = 2049, 150
 _NAMES = ("before", "after")
 _COLOURS = (CYCLE[4], CYCLE[0])
+_DASHES = ("-", "--", ":")
+_TITLES = ("Rolled by the contacts", "Motion of the object", "Normal forces", "Friction that rolling needs")
 # Radii above this share of the picture's range are cut off: a flat place has none.
 _FAR = 6.0
 
@@ -28,9 +31,9 @@ _FAR = 6.0
 def design(design: Design, folder: str | Path | None = None) -> Figure:
     r"""Draw a design before and after: contours with combs of curvature, condition (41), the search.
 
-    The comb's teeth stand on the outside where the contour is convex, to the same scale for both contours;
-    the contact interval is drawn thick. The margin of (41) is $1/\kappa + n \cdot \gamma$ [mm]; it is cut off
-    where the contour is nearly flat, and has no value where it is hollow.
+    The comb's teeth stand on the outside where the contour is convex, to one scale for both contours, which a
+    bar gives; the contact interval is drawn thick. The margin of (41) is $1/\kappa + n \cdot \gamma$ [mm]; it
+    is cut off where the contour is nearly flat, and has no value where it is hollow.
 
     Args:
         design: From `design.optimise_fingertip`.
@@ -60,6 +63,7 @@ def design(design: Design, folder: str | Path | None = None) -> Figure:
     for ax, curve, pad, name, colour in zip(shapes, curves, pads, _NAMES, _COLOURS, strict=True):
         _shape(ax, curve, pad, tooth, colour)
         tidy(ax, xlabel="X [mm]", ylabel="Y [mm]" if ax is first else "", title=f"Fingertip {name}")
+    _scale_of_comb(first, tooth, peak)
     _margins(figure.add_subplot(grid[0, 1]), tips, ends)
     _search(figure.add_subplot(grid[1, 1]), np.asarray(design.history), design.chosen)
     if folder is not None:
@@ -88,6 +92,18 @@ def _shape(ax: Axes, curve: OutlineSamples, pad: OutlineSamples, tooth: float, c
     ax.plot(0, 0, "o", ms=5, mfc="white", mec=GUIDE)
     ax.annotate("$O_i$", (0, 0), (-11, -9), textcoords="offset points", fontsize=9, ha="center")
     ax.set_aspect("equal")
+
+
+def _scale_of_comb(ax: Axes, tooth: float, peak: float) -> None:
+    """A bar as long as the tooth of a round curvature, in the upper left corner."""
+    size = 10.0 ** np.floor(np.log10(peak))
+    bend = float(max(k * size for k in (1.0, 2.0, 5.0) if k * size <= peak))
+    (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
+    x, y = left + 0.03 * (right - left), high + 0.06 * (high - low)
+    ax.set(xlim=(left, right), ylim=(low, high + 0.12 * (high - low)))
+    ax.plot((x, x + tooth * bend), (y, y), color=GUIDE, lw=1.6, marker="|", ms=5)
+    beside = {"xytext": (6, 0), "textcoords": "offset points", "va": "center", "fontsize": 8, "color": GUIDE}
+    ax.annotate(rf"comb: $\kappa$ = {bend / MM:g} /mm", (x + tooth * bend, y), **beside)
 
 
 def _margins(ax: Axes, tips: Sequence[AbstractContour], ends: np.ndarray) -> None:
@@ -125,7 +141,7 @@ def comparison(
 
     Rolling coordinates [mm]; angle of the object since the start [rad], or distance of the object's place
     from it [mm] in space; normal forces [N]; $|\lambda| / f$, the friction that rolling needs. A cross marks
-    where a run ended early.
+    where a run ended early. Each run has a colour, each contact a style of line.
 
     Args:
         runs: Single runs that recorded their multipliers.
@@ -154,21 +170,45 @@ def comparison(
         check_instance(f"names[{i}]", name, str, "text")
     if not runs or len(runs) != len(names):
         raise ValueError(f"argument names must have one for each of {len(runs)} runs, but had {len(names)}")
-    figure = Picture(10.0, 5.6)
+    figure = Picture(10.0, 6.0)
     axes = figure.subplots(2, 2, sharex=True)
+    titles = iter(_TITLES)
     labels = ("rolled $s_i$ [mm]", "object moved by", "normal force $f_i$ [N]", r"$|\lambda_i| / f_i$")
     for i, (run, name) in enumerate(zip(runs, names, strict=True)):
-        _responses(axes.ravel(), run, name, CYCLE[4] if i == 0 else CYCLE[(i - 1) % 4])
-    spatial = runs[0].multipliers is not None and runs[0].multipliers.lam.ndim > 2
-    unit = "object moved by [mm]" if spatial else "object turned by [rad]"
+        _responses(axes.ravel(), run, name, _colour(i))
+    unit = "object moved by [mm]" if _spatial(runs[0]) else "object turned by [rad]"
     for ax, label in zip(axes.ravel(), (labels[0], unit, *labels[2:]), strict=True):
-        tidy(ax, xlabel="time $t$ [s]" if ax in axes[1] else "", ylabel=label)
+        title = next(titles)
+        tidy(ax, xlabel="time $t$ [s]" if ax in axes[1] else "", ylabel=label, title=title)
         ax.axhline(0.0, color="#BBBBBB", lw=0.7, zorder=0)
-    axes[0, 0].legend(fontsize=8, frameon=False)
+    _key(figure, runs, names)
     figure.align_ylabels()
     if folder is not None:
         save_figure(figure, folder, "comparison.png")
     return figure
+
+
+def _colour(i: int) -> str:
+    """Of the run i."""
+    return CYCLE[4] if i == 0 else CYCLE[(i - 1) % 4]
+
+
+def _key(figure: Picture, runs: Sequence[Trajectory], names: Sequence[str]) -> None:
+    """Which colour is which run, and which line is which contact."""
+    signs = [Line2D([], [], color=_colour(i), lw=2.0, label=name) for i, name in enumerate(names)]
+    contacts = max(np.shape(run.multipliers.f)[-1] for run in runs if run.multipliers is not None)
+    if contacts > 1:
+        signs += [
+            Line2D([], [], color=GUIDE, lw=1.2, ls=_DASHES[k % 3], label=f"contact {k + 1}")
+            for k in range(contacts)
+        ]
+    if any(float(run.stats.t_end) < float(np.asarray(run.ts)[-1]) for run in runs):
+        signs.append(Line2D([], [], color=GUIDE, ls="none", marker="x", mew=1.8, label="ended early"))
+    figure.legend(handles=signs, loc="outside lower center", ncols=len(signs), fontsize=8.5, frameon=False)
+
+
+def _spatial(run: Trajectory) -> bool:
+    return run.multipliers is not None and np.ndim(run.multipliers.lam) > 2
 
 
 def _angle_of_object(run: Trajectory) -> int:
@@ -194,6 +234,6 @@ def _responses(axes: np.ndarray, run: Trajectory, name: str, colour: str) -> Non
         columns = np.reshape(values, (len(f), -1)).T
         for k, column in enumerate(columns):
             label = name if k == 0 else None
-            ax.plot(ts[reached], column, color=colour, lw=1.5, ls=("-", "--", ":")[k % 3], label=label)
+            ax.plot(ts[reached], column, color=colour, lw=1.5, ls=_DASHES[k % 3], label=label)
             if end < float(ts[-1]):
                 ax.plot(ts[reached][-1], column[-1], "x", color=colour, ms=7, mew=1.8)

@@ -104,6 +104,11 @@ class Drawing3:
                 arrow.ends = np.stack([point - force, point])
                 arrow.set_visible(bool(np.linalg.norm(force) > 1e-3 * self.scene.thickness))
 
+    def _scale(self) -> str:
+        """How long an arrow is, for the legend."""
+        scale = 0.0 if self.arrows is None else self.arrows.scale
+        return f", 1 N as {scale:.2g} mm" if scale > 0.0 else ""
+
     def parts(self, i: int, towards: np.ndarray, light: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         """Triangles, shape (k, 3, 3), and their colours in each of the three layers."""
         scene = self.scene
@@ -146,7 +151,7 @@ class Drawing3:
         ]
         if self.forces:
             sign = Line2D([], [], marker=r"$\rightarrow$", ms=14, ls="none", color=FORCE_COLOUR)
-            entries.append((sign, "contact force on the object"))
+            entries.append((sign, f"contact force on the object{self._scale()}"))
         if self.load:
             sign = Line2D([], [], marker=r"$\rightarrow$", ms=14, ls="none", color=LOAD_COLOUR)
             entries.append((sign, "load on the object"))

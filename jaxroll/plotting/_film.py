@@ -17,7 +17,9 @@ _HOLD = 1500
 _DPI = 100
 
 
-def write_film(path: Path, frames: list[Image.Image], delay: int, kept: tuple[str, ...] = _gif.KEPT) -> None:
+def write_film(
+    path: Path, frames: list[Image.Image], delay: int, kept: tuple[str, ...] = _gif.KEPT_COLOURS
+) -> None:
     """Write frames that stay `delay` milliseconds each, the last one longer."""
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix.lower() == ".gif":

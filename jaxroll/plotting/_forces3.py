@@ -19,11 +19,13 @@ class Pushes(NamedTuple):
         contacts: Those of the contacts, shape (c, t, 3) [N].
         load: The force of all loads, shape (t, 3) [N], or None.
         at: Where it acts, shape (t, 3) [m].
+        scale: Of forces as arrows: millimetres for one newton; zero if these are newtons.
     """
 
     contacts: np.ndarray
     load: np.ndarray | None = None
     at: np.ndarray | None = None
+    scale: float = 0.0
 
     def rows(self, rows: np.ndarray) -> "Pushes":
         """Some of the times."""

@@ -14,7 +14,7 @@ from PIL import Image
 from ._style import CONTACT, FINGER, FORCE_COLOUR, OBJECT, ROLLED
 
 # Colours of small things, which a palette made by counting pixels would merge with others.
-KEPT = ("white", CONTACT, FORCE_COLOUR, FINGER, OBJECT, ROLLED)
+KEPT_COLOURS = ("white", CONTACT, FORCE_COLOUR, FINGER, OBJECT, ROLLED)
 
 
 def write(path: Path, frames: list[Image.Image], delays: list[int], kept: tuple[str, ...]) -> None:

@@ -11,7 +11,8 @@ from .._sweep import Parameters
 from ._doors import guarded
 from ._map_data import map_data, MapData
 from ._map_figure import code_colours, NOTHING
-from ._page import PAGE_FONT, plotly_door, WHOLE_WINDOW
+from ._page import plotly_door
+from ._page_parts import PAGE_FONT, WHOLE_WINDOW
 
 _SCALE = "Viridis"
 

@@ -1,4 +1,4 @@
-"""A page to turn a grasp round in a browser: the only door to plotly."""
+"""A page to turn a grasp round in a browser, or to play one in the plane: the only door to plotly."""
 
 from pathlib import Path
 from typing import Any
@@ -6,17 +6,27 @@ from typing import Any
 import numpy as np
 
 from .._integration import Trajectory
-from .._mechanics import check_spatial, Grasp
-from .._results import as_count, shown
-from ._doors import check_frames, guarded
-from ._gif import nearest_rows
+from .._mechanics import Grasp
+from ._doors import guarded
+from ._forces3 import Pushes, pushes
 from ._motion3 import Motion3D, times_of
-from ._poses3 import facing
+from ._page_parts import checked_page, controls, PAGE_FONT, page_times, write_html
+from ._page_plane import plane_figure
+from ._poses3 import facing, scaled, tick_step
 from ._scene3 import DrawnLocus, Scene3, scene3, Solid
-from ._style import CONTACT, GUIDE, JOINT_BODY, LINK_BODY, LOCUS_OBJECT, LOCUS_TIP, OBJECT_BODY, TIP_BODY
+from ._style import (
+    CONTACT,
+    FORCE_COLOUR,
+    JOINT_BODY,
+    LINK_BODY,
+    LOCUS_OBJECT,
+    LOCUS_TIP,
+    OBJECT_BODY,
+    TIP_BODY,
+)
 from ._tubes import camera, shades
 from ._views import single, visible
-from ._views3 import scene_motion, View
+from ._views3 import check_options, scene_motion, View
 
 _LIGHT = {
     "ambient": 0.66,
@@ -41,12 +51,6 @@ _RING = 1.5
 _FEW = 12
 # How many points of a locus are shown at most.
 _POINTS = 160
-# A picture as high as the window, without the browser's margins, needs no scroll bar.
-WHOLE_WINDOW = {
-    "default_height": "calc(100vh - 6px)",
-    "post_script": "document.body.style.margin = '0px';",
-}
-PAGE_FONT = {"family": "Helvetica, Arial, sans-serif", "color": GUIDE, "size": 13}
 
 
 def plotly_door() -> Any:
@@ -72,25 +76,27 @@ def page(
     frames: int = 40,
     view: View | None = None,
 ) -> Path:
-    """Write a run of a grasp in space as one HTML file, to be turned round and played in a browser.
+    """Write a run as one HTML file, to be played in a browser, and of a grasp in space to be turned round.
 
-    The file needs nothing else, no network either: plotly's script is within, 4.8 MB, and each frame adds
-    some 40 kB for an object and two fingertips. Every frame is the saved state nearest to its time.
+    It opens at the start. The file needs nothing else, no network either: plotly's script is within, 4.8 MB,
+    and each frame adds some 40 kB for an object and two fingertips in space. Every frame is the saved state
+    nearest to a round time. Contact forces on the object are drawn, with their scale, where they were
+    recorded.
 
     Args:
         grasp: The grasp that was simulated.
         trajectory: One run of it.
         path: The file to write, ending in `.html`; its folder is made if need be.
         title: What stands above the picture.
-        frames: How many instants can be shown, evenly spaced in time.
-        view: How to look at it at first.
+        frames: How many instants can be shown at most, evenly spaced in time.
+        view: How to look at a grasp in space at first.
 
     Returns:
         The path that was written.
 
     Raises:
-        ValueError: If the grasp lives in the plane, the trajectory is a batch, `path` is no HTML file, or a
-            surface cannot be drawn.
+        ValueError: If the trajectory is a batch, `path` is no HTML file, `view` is given for a grasp in the
+            plane, or a surface cannot be drawn.
         ImportError: Without the extra `viz`.
 
     Example:
@@ -101,11 +107,17 @@ def page(
         >>> plotting.page(grasp, run, "grasp.html").name
         'grasp.html'
     """
-    check_spatial(grasp)
+    if not grasp.spatial:
+        check_options(grasp, view=view)
     trajectory = visible(grasp, trajectory)
-    ts, _ = single(trajectory)
+    ts, reached = single(trajectory)
+    if not grasp.spatial:
+        path, frames = checked_page(path, frames)
+        rows = np.flatnonzero(reached)[page_times(ts[reached], frames)]
+        return write_html(plane_figure(_plotly(), grasp, trajectory, rows, title=title), path)
     motion = scene_motion(grasp, trajectory.states)
-    return write_page(grasp, motion, ts, path, title=title, frames=frames, view=view)
+    forces = None if trajectory.multipliers is None else pushes(grasp, trajectory, motion)
+    return write_page(grasp, motion, ts, path, title=title, frames=frames, view=view, forces=forces)
 
 
 def write_page(
@@ -117,23 +129,22 @@ def write_page(
     title: str = "Rolling contact",
     frames: int = 40,
     view: View | None = None,
+    forces: Pushes | None = None,
 ) -> Path:
     """Write a motion at the times `ts`, as `page` does."""
-    plotly, path, view = _plotly(), Path(path), View() if view is None else view
+    plotly, view = _plotly(), View() if view is None else view
     ts = times_of(motion, ts)
-    if path.suffix.lower() not in (".html", ".htm"):
-        raise ValueError(f"argument path must end in .html, but was {shown(str(path))}")
-    check_frames("frames", as_count("frames", frames))
+    path, frames = checked_page(path, frames)
     motion, reached = motion.reached()
     ts = ts[reached]
     scene = scene3(grasp, motion, rows=_MESH[0], columns=_MESH[1], links=view.links)
-    rows = np.unique(nearest_rows(ts, max(ts[-1] - ts[0], 1e-300) / max(frames - 1, 1)))
-    # Opened where the loci are complete; from the last frame on, play begins at the first.
-    still, start = _still(scene), _moving(scene, int(rows[-1]))
+    rows = page_times(ts, frames)
+    arrows = None if forces is None else scaled(scene, forces, reached)
+    still, start = _still(scene, arrows), _moving(scene, 0, arrows)
     kinds = [plotly.Mesh3d if "i" in trace else plotly.Scatter3d for trace in still]
     seen = [
         plotly.Frame(
-            data=[kind(moved) for kind, moved in zip(kinds, _moving(scene, int(row)), strict=True)],
+            data=[kind(moved) for kind, moved in zip(kinds, _moving(scene, int(row), arrows), strict=True)],
             name=str(k),
             traces=list(range(len(kinds))),
         )
@@ -144,13 +155,10 @@ def write_page(
         layout=_layout(scene, title, ts[rows], facing(scene, view)),
         frames=seen,
     )
-    path.parent.mkdir(parents=True, exist_ok=True)
-    config = {"displaylogo": False, "responsive": True}
-    figure.write_html(path, include_plotlyjs=True, auto_play=False, config=config, **WHOLE_WINDOW)
-    return path
+    return write_html(figure, path)
 
 
-def _still(scene: Scene3) -> list[dict[str, Any]]:
+def _still(scene: Scene3, arrows: Pushes | None) -> list[dict[str, Any]]:
     """Of each trace what does not change: first the solids, then fingers, loci, contact points."""
     found = [
         _solid(solid, scene.tip_name if solid.finger >= 0 else "object", k)
@@ -164,10 +172,14 @@ def _still(scene: Scene3) -> list[dict[str, Any]]:
         ]
     line = {"color": CONTACT, "width": 5}
     found.append({"mode": "lines", "line": line, "name": "contact: ring in the tangent plane"})
+    if arrows is not None:
+        line = {"color": FORCE_COLOUR, "width": 7}
+        name = f"contact force on the object, 1 N as {arrows.scale:.2g} mm"
+        found.append({"mode": "lines", "line": line, "name": name})
     return found
 
 
-def _moving(scene: Scene3, i: int) -> list[dict[str, Any]]:
+def _moving(scene: Scene3, i: int, arrows: Pushes | None) -> list[dict[str, Any]]:
     """The positions of each trace at instant i."""
     found = [_xyz(solid.at(i)) for solid in scene.solids]
     found += [_xyz(skeleton[i]) for skeleton in scene.skeletons]
@@ -175,7 +187,23 @@ def _moving(scene: Scene3, i: int) -> list[dict[str, Any]]:
         found += [_xyz(_path(scene, locus, i)) for locus in (on_tip, on_object)]
     rings = [_ring(scene, locus, i) for locus in scene.on_object]
     found.append(_xyz(np.reshape(rings, (-1, 3))))
+    if arrows is not None:
+        found.append(_xyz(np.concatenate([_shaft(*each) for each in _acting(scene, i, arrows)])))
     return found
+
+
+def _acting(scene: Scene3, i: int, arrows: Pushes) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Where each contact force acts, and the force as an arrow that ends there [mm]."""
+    points = [locus.at(i)[0][i] for locus in scene.on_object]
+    return list(zip(points, arrows.contacts[:, i], strict=True))
+
+
+def _shaft(point: np.ndarray, force: np.ndarray) -> np.ndarray:
+    """A line to a point with two barbs, whose size goes with it; it ends with a gap."""
+    aside = np.cross(force, np.eye(3)[np.argmin(np.abs(force))])
+    aside *= 0.09 * np.linalg.norm(force) / max(float(np.linalg.norm(aside)), 1e-300)
+    foot = point - 0.22 * force
+    return np.stack([point - force, point, foot + aside, point, foot - aside, np.full(3, np.nan)])
 
 
 def _ring(scene: Scene3, locus: DrawnLocus, i: int) -> np.ndarray:
@@ -249,7 +277,7 @@ def _layout(scene: Scene3, title: str, ts: np.ndarray, angles: tuple[float, floa
             # The empty line keeps the title clear of the numbers.
             "title": {"text": f"<br>{axis} [mm]", "font": {"size": 13}},
             "tickfont": {"size": 11},
-            "nticks": 6,
+            "dtick": tick_step(high - low),
             "range": [float(low[k]), float(high[k])],
             "backgroundcolor": "#F6F7F8",
             "gridcolor": "#DDE1E4",
@@ -275,32 +303,9 @@ def _layout(scene: Scene3, title: str, ts: np.ndarray, angles: tuple[float, floa
         "legend": {"x": 0.01, "y": 0.98, "bgcolor": "rgba(255,255,255,0.8)", "itemsizing": "constant"},
         # As long as this stays the same, plotly keeps the reader's camera from frame to frame.
         "uirevision": "kept",
-        **_controls(ts),
+        **controls(ts),
     }
 
 
 def _point(values: np.ndarray) -> dict[str, float]:
     return dict(zip("xyz", values.tolist(), strict=True))
-
-
-def _controls(ts: np.ndarray) -> dict[str, Any]:
-    """A button that plays, one that stops, and a slider over time."""
-    at_once = {"mode": "immediate", "fromcurrent": True, "transition": {"duration": 0}}
-    play = at_once | {"frame": {"duration": 60, "redraw": True}}
-    show = at_once | {"frame": {"duration": 0, "redraw": True}}
-    buttons = [
-        {"label": "\u25b6 play", "method": "animate", "args": [None, play]},
-        {"label": "\u275a\u275a stop", "method": "animate", "args": [[None], show]},
-    ]
-    steps = [{"label": f"{t:.3g}", "method": "animate", "args": [[str(k)], show]} for k, t in enumerate(ts)]
-    menu = {"type": "buttons", "direction": "left", "x": 0.02, "y": 0.0, "xanchor": "left", "yanchor": "top"}
-    pad = {"t": 38, "b": 10}
-    slider = {
-        "steps": steps,
-        "active": len(steps) - 1,
-        "x": 0.2,
-        "len": 0.76,
-        "pad": pad,
-        "currentvalue": {"prefix": "t = ", "suffix": " s"},
-    }
-    return {"updatemenus": [menu | {"buttons": buttons, "pad": pad}], "sliders": [slider]}

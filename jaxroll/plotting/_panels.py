@@ -14,17 +14,25 @@ from ._style import MM
 # Below this share of its scale, a residual is what floating-point arithmetic leaves over.
 _ROUNDING = 1e-13
 _SMALL = 1e-3
+# Forces, motions and rates below this are rounding in the units that panels have, and their axis ends here.
+_NOTHING, _FLAT = 1e-10, 1e-3
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One panel: values of shape (t,) or (t, lines), with a name for each line."""
+    """One panel: values of shape (t,) or (t, lines), with a name for each line.
+
+    `left_over` says that the values should be zero, and `least` is the half height of the axis where those of
+    another panel are zero but for rounding.
+    """
 
     title: str
     label: str
     values: np.ndarray
     names: tuple[str, ...] = ()
     width: float = 1.4
+    least: float | None = None
+    left_over: bool = False
 
 
 def panels(grasp: Grasp, run: Trajectory) -> list[Panel]:
@@ -42,8 +50,8 @@ def panels(grasp: Grasp, run: Trajectory) -> list[Panel]:
         found = [rolled, *_motion(grasp, run, contacts), *_forces(grasp, run, contacts)]
     found.append(_last(run, contacts))
     return [
-        replace(in_powers(p), title=f"Fig. {9 + i}: {p.title}" if i < figures else sentence(p.title))
-        for i, p in enumerate(found)
+        replace(p, title=f"Fig. {9 + i}: {p.title}" if i < figures else sentence(p.title))
+        for i, p in enumerate(map(in_powers, found))
     ]
 
 
@@ -62,8 +70,10 @@ def _motion(grasp: Grasp, run: Trajectory, contacts: tuple[str, ...]) -> list[Pa
 
 
 def in_powers(panel: Panel) -> Panel:
-    """Small values in a power of ten that the axis label states."""
+    """Small values in a power of ten that the axis label states; zero but for rounding is drawn as zero."""
     peak = float(np.nanmax(np.abs(panel.values)))
+    if peak < _NOTHING and not panel.left_over:
+        return replace(panel, title=f"{panel.title}: zero", least=_FLAT)
     if not 0.0 < peak < _SMALL:
         return panel
     power = int(np.floor(np.log10(peak)))
@@ -233,7 +243,7 @@ def residual_panel(
     seen = np.asarray(values)
     if np.nanmax(np.abs(seen)) < _ROUNDING * size:
         title += " (rounding level)"
-    return Panel(title, label, seen, names, 0.8)
+    return Panel(title, label, seen, names, 0.8, left_over=True)
 
 
 def numbered(noun: str, count: int) -> tuple[str, ...]:

@@ -19,7 +19,7 @@ def panels3(grasp: Grasp, run: Trajectory) -> list[Panel]:
     contacts = numbered("contact", len(grasp.contacts))
     found = [*_moved(grasp, run), *_forces(grasp, run, contacts), *_rates(grasp, run)]
     found += _left(grasp, run, contacts)
-    return [replace(in_powers(p), title=sentence(p.title)) for p in found]
+    return [replace(p, title=sentence(p.title)) for p in map(in_powers, found)]
 
 
 def _moved(grasp: Grasp, run: Trajectory) -> list[Panel]:

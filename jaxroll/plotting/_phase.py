@@ -11,12 +11,12 @@ from ..control import law_of
 from ..stability import equilibrium, pinch_statics
 from ._doors import guarded
 from ._phase_one import has_one_direction, phase_of_one
-from ._phase_parts import draw_path, energy_bar, on_contour
+from ._phase_parts import draw_path, energy_bar, energy_levels, on_contour
 from ._style import MM, Picture, tidy
 from ._views import single, visible
 
 _GRID = 81
-_LEVELS = 12
+_LEVELS = 16
 # Free space round the path, and the smallest half width of the picture [m].
 _MARGIN, _LEAST = 0.2, 5e-4
 
@@ -71,7 +71,7 @@ def phase(grasp: Grasp, trajectory: Trajectory, *, rest: State | None = None) ->
     half = max((0.5 + _MARGIN) * float(np.ptp(every, axis=0).max()), _LEAST)
     figure = Picture(6.4, 5.4)
     ax = figure.subplots()
-    _levels(ax, grasp, every[-1], middle, half)
+    _levels(ax, grasp, middle, half)
     draw_path(ax, path, goal, ts[reached])
     tidy(ax, xlabel="$s_1$ [mm]", ylabel="$s_2$ [mm]", title="Contacts on the object, over the potential $U$")
     figure.legend(loc="outside lower center", ncols=4, fontsize=8, frameon=False)
@@ -86,27 +86,16 @@ def _chapter_s(grasp: Grasp, states: State) -> np.ndarray:
     return senses * (starts - np.asarray(states.s).reshape(-1, 2))
 
 
-def _levels(ax: Axes, grasp: Grasp, goal: np.ndarray, middle: np.ndarray, half: float) -> None:
+def _levels(ax: Axes, grasp: Grasp, middle: np.ndarray, half: float) -> None:
     line = np.linspace(-half, half, _GRID)
     s1, s2 = np.meshgrid(middle[0] + line, middle[1] + line)
     u = 1e3 * np.array(pinch_statics(grasp, np.stack([s1, s2], axis=-1)).potential)
     u[~(_inside(grasp, 0, s1) & _inside(grasp, 1, s2))] = np.nan
-    levels = _rings(u, np.unravel_index(np.argmin(np.hypot(s1 - goal[0], s2 - goal[1])), u.shape))
+    levels = energy_levels(u, _LEVELS)
     ax.contourf(MM * s1, MM * s2, u, levels, cmap="Blues", alpha=0.8)
     ax.contour(MM * s1, MM * s2, u, levels, colors="white", linewidths=0.8)
     ax.set_aspect("equal")
-    bar = energy_bar(ax, levels, "$U$ [mJ]")
-    digits = int(np.clip(1.0 - np.floor(np.log10(np.diff(levels[::2]).min())), 0.0, 9.0))
-    bar.ax.set_yticklabels([f"{level:.{digits}f}" for level in levels[::2]])
-
-
-def _rings(u: np.ndarray, goal: tuple[np.intp, ...]) -> np.ndarray:
-    """Levels that are evenly spaced round an extremum, where U is quadratic: the one nearer the goal."""
-    low, high = np.nanmin(u), np.nanmax(u)
-    share = np.linspace(0.0, 1.0, _LEVELS + 1)
-    # U grows with the square of the distance from an extremum: levels by squares are rings of equal distance.
-    share = 1.0 - (1.0 - share) ** 2 if high - u[goal] < u[goal] - low else share**2
-    return low + max(high - low, 1e-9 * high) * share
+    energy_bar(ax, levels, "$U$ [mJ]")
 
 
 def _inside(grasp: Grasp, i: int, s: np.ndarray) -> np.ndarray:

@@ -17,11 +17,11 @@ from .._integration import Trajectory, vector_field
 from .._mechanics import Grasp, State
 from .._motion import energies
 from ..control import law_of, Press
-from ._phase_parts import draw_path, energy_bar, on_contour
+from ._phase_parts import draw_path, energy_bar, energy_levels, on_contour
 from ._style import MM, Picture, tidy
 from ._views import single
 
-_PLACES, _RATES, _LEVELS = 61, 81, 14
+_PLACES, _RATES, _LEVELS = 61, 81, 16
 # Free space round the path, as a share of it, and the smallest half widths of the picture [m; m/s].
 _MARGIN, _LEAST = 0.2, (5e-4, 1e-3)
 
@@ -94,12 +94,10 @@ def _levels(ax: Axes, grasp: Grasp, states: State, middle: np.ndarray, half: np.
     inertia[~_inside(grasp, rolled)] = np.nan
     rates = middle[1] + np.linspace(-half[1], half[1], _RATES)
     energy = 1e3 * (potential + 0.5 * inertia * rates[:, None] ** 2)
-    low, high = np.nanmin(energy), np.nanmax(energy)
-    levels = low + max(high - low, 1e-9 * abs(high)) * np.linspace(0.0, 1.0, _LEVELS + 1) ** 2
+    levels = energy_levels(energy, _LEVELS)
     ax.contourf(MM * line, MM * rates, energy, levels, cmap="Blues", alpha=0.8)
     ax.contour(MM * line, MM * rates, energy, levels, colors="white", linewidths=0.8)
-    bar = energy_bar(ax, levels, "$K + U$ [mJ]")
-    bar.ax.set_yticklabels([f"{level:.3g}" for level in levels[::2]])
+    energy_bar(ax, levels, "$K + U$ [mJ]")
 
 
 def _inside(grasp: Grasp, rolled: np.ndarray) -> np.ndarray:

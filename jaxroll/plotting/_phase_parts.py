@@ -3,6 +3,7 @@
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colorbar import Colorbar
+from matplotlib.ticker import MaxNLocator
 
 from ..geometry import AbstractContour
 from ._style import CONTACT, GUIDE, MM
@@ -18,11 +19,22 @@ def draw_path(ax: Axes, path: np.ndarray, goal: np.ndarray, ts: np.ndarray) -> N
         ax.plot(*(MM * goal.T), "+", color=GUIDE, ms=13, mew=1.5, zorder=6, label="equilibrium")
 
 
+def energy_levels(energy: np.ndarray, about: int) -> np.ndarray:
+    """Round numbers, evenly spaced, that enclose all energies; some `about` steps."""
+    low, high = float(np.nanmin(energy)), float(np.nanmax(energy))
+    locator = MaxNLocator(about, steps=[1, 2, 5, 10])
+    return np.asarray(locator.tick_values(low, max(high, low + 1e-9 * abs(high))))
+
+
 def energy_bar(ax: Axes, levels: np.ndarray, label: str) -> Colorbar:
-    """The bar of the filled levels that were drawn last on an axes, with every second level."""
+    """The bar of the filled levels that were drawn last on an axes, with round numbers."""
     figure = ax.get_figure(root=True)
     assert figure is not None
-    bar = figure.colorbar(ax.collections[0], ax=ax, shrink=0.9, ticks=levels[::2])
+    every = 1 if len(levels) <= 11 else 2
+    bar = figure.colorbar(ax.collections[0], ax=ax, shrink=0.9, ticks=levels[::every])
+    # As many digits as tell two levels apart.
+    digits = max(0, -int(np.floor(np.log10(levels[1] - levels[0]) + 1e-9)))
+    bar.ax.set_yticklabels([f"{level:.{digits}f}" for level in levels[::every]])
     bar.set_label(label, fontsize=9)
     bar.ax.tick_params(labelsize=8, length=3, width=0.7, color="#777777")
     bar.outline.set(linewidth=0.7, edgecolor="#777777")  # pyright: ignore

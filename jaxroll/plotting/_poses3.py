@@ -92,8 +92,8 @@ def scaled(scene: Scene3, forces: Pushes, rows: np.ndarray) -> Pushes:
     peak, longest = forces.peak, _LONGEST * float(np.linalg.norm(scene.corners[1] - scene.corners[0]))
     size = longest / peak if peak > 0.0 else 0.0
     if forces.load is None or forces.at is None:
-        return Pushes(size * forces.contacts)
-    return Pushes(size * forces.contacts, size * forces.load, MM * forces.at)
+        return Pushes(size * forces.contacts, scale=size)
+    return Pushes(size * forces.contacts, size * forces.load, MM * forces.at, size)
 
 
 def stage(
@@ -140,7 +140,7 @@ def _axes(figure: Picture, corners: np.ndarray) -> Axes3:
         axis.set_label_text(f"{name} [mm]", fontsize=9, color=GUIDE)
         axis.labelpad = 2
         axis.set_tick_params(labelsize=8, color="#999999", pad=1)
-        axis.set_major_locator(MultipleLocator(_step(high - low)))
+        axis.set_major_locator(MultipleLocator(tick_step(high - low)))
         axis._axinfo["grid"] |= {"color": "#E2E5E8", "linewidth": 0.6}
     return ax
 
@@ -155,7 +155,7 @@ def _spans(ax: Axes3, elevation: float, azimuth: float) -> np.ndarray:
     return np.array([np.ptp(x) / ax.viewLim.width, np.ptp(y) / ax.viewLim.height])
 
 
-def _step(spans: np.ndarray) -> float:
+def tick_step(spans: np.ndarray) -> float:
     """A round distance between ticks, the same on all axes."""
     rough = float(spans.max()) / 6.0
     power = 10.0 ** np.floor(np.log10(rough))

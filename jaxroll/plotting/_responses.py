@@ -1,6 +1,7 @@
 """Responses over time: the chapter's Figs. 9-18, or what there is of them for another grasp."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,6 +16,8 @@ from ._style import CYCLE, Picture, save_figure, tidy
 from ._views import how_it_ended, single, visible
 
 _COLUMNS = 3
+# Dashes of a line that lies on an earlier one, within this share of the panel's range: both are seen.
+_ON, _DASHES = 0.01, ((0, (4, 4)), (0, (1.2, 6.8)))
 # A run whose contacts are through with this share of their way in a tenth of the time gets a
 # stretched time axis.
 _SHARE = 0.9
@@ -39,8 +42,10 @@ def responses(grasp: Grasp, trajectory: Trajectory, folder: str | Path | None = 
     object, joint rates, $Q$ and $|R|$.
 
     Where the contacts are nearly through with their motion in a tenth of the time, the time axis is
-    stretched: linear at first, then logarithmic. Where only one state was saved, or none and the run has but
-    the one where it ended, that is a dot; a run that ended early says when, and its code.
+    stretched: linear at first, then logarithmic; its label says from when on, and a dotted line marks it. A
+    line that lies on another one is dashed, so that both are seen; what is zero but for rounding is drawn as
+    zero. Where only one state was saved, or none and the run has but the one where it ended, that is a dot; a
+    run that ended early says when, and its code.
 
     Args:
         grasp: The grasp that was simulated.
@@ -76,7 +81,11 @@ def responses(grasp: Grasp, trajectory: Trajectory, folder: str | Path | None = 
         figure.suptitle(f"ended at t = {float(trajectory.stats.t_end):.4g} s{told}", fontsize=10)
     for ax in axes[len(shown) :]:
         ax.remove()
-    _stretch(axes[0], ts[reached], np.asarray(trajectory.states.s)[reached])
+    beyond = _stretch(axes[0], ts[reached], np.asarray(trajectory.states.s)[reached])
+    for ax in axes[: len(shown)] if beyond else ():
+        if ax.get_xlabel():
+            ax.set_xlabel(f"time $t$ [s], logarithmic beyond {beyond:.2g} s", fontsize=9)
+        ax.axvline(beyond, color="#BBBBBB", lw=0.7, ls=(0, (1, 3)), zorder=0)
     figure.align_ylabels()
     if folder is not None:
         save_figure(figure, folder, "responses.png")
@@ -89,7 +98,11 @@ def _draw(ax: Axes, ts: np.ndarray, panel: Panel, reached: np.ndarray) -> None:
     for k, line in enumerate(values.T):
         name = panel.names[k] if len(panel.names) > 1 else None
         mark, color = "o" if len(ts) == 1 else None, CYCLE[k % len(CYCLE)]
-        ax.plot(ts, line, marker=mark, ls="-", color=color, lw=panel.width, label=name)
+        ax.plot(
+            ts, line, marker=mark, ls=_dashes(values, k, panel.least), color=color, lw=panel.width, label=name
+        )
+    if panel.least is not None:
+        ax.set_ylim(-panel.least, panel.least)
     ax.margins(x=0.0, y=0.14 if len(panel.names) > 1 else 0.08)
     low, high = ax.get_ylim()
     if high - low < 1e-4 * peak:
@@ -109,13 +122,24 @@ def _draw(ax: Axes, ts: np.ndarray, panel: Panel, reached: np.ndarray) -> None:
         )
 
 
-def _stretch(ax: Axes, ts: np.ndarray, s: np.ndarray) -> None:
-    """Stretch the shared time axis where nearly all rolling happens in the first tenth of it."""
+def _dashes(values: np.ndarray, k: int, least: float | None) -> Any:
+    """The style of line k: solid, but dashed where it lies on earlier ones, which would be hidden."""
+    spread, peak = float(np.nanmax(values) - np.nanmin(values)), float(np.nanmax(np.abs(values)))
+    near = _ON * max(spread, 0.1 * peak, least or 1e-300)
+    under = sum(float(np.nanmax(np.abs(values[:, k] - values[:, j]))) < near for j in range(k))
+    return _DASHES[min(under, len(_DASHES)) - 1] if under else "-"
+
+
+def _stretch(ax: Axes, ts: np.ndarray, s: np.ndarray) -> float | None:
+    """Stretch the shared time axis where nearly all rolling happens in the first tenth of it.
+
+    Returns the time [s] about which it goes over from linear to logarithmic, or None.
+    """
     rolled = np.append(0.0, np.cumsum(np.abs(np.diff(s, axis=0)).sum(axis=1)))
     start, whole = ts[0], ts[-1] - ts[0]
     early = ts[np.searchsorted(rolled, _SHARE * rolled[-1])] - start
     if not 0.0 < early < 0.1 * whole:
-        return
+        return None
     ax.set_xscale(
         "function",
         functions=(lambda t: np.arcsinh((t - start) / early), lambda u: start + early * np.sinh(u)),
@@ -125,3 +149,4 @@ def _stretch(ax: Axes, ts: np.ndarray, s: np.ndarray) -> None:
     marks = np.array([0.0, *(k * step for step in steps for k in (1, 3))])
     ax.set_xticks(start + marks[marks <= whole], [f"{start + mark:.3g}" for mark in marks[marks <= whole]])
     ax.set_xlim(start, ts[-1])
+    return float(start + early)

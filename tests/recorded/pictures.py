@@ -229,7 +229,7 @@ def meshes() -> dict[str, Any]:
         )
     found["ball"] = described(_tubes.ball(np.ones(3), 2.0))
     found["cameras"] = described([_tubes.camera(*at) for at in ((22.0, -58.0), (-40.0, 130.0))])
-    found["steps"] = [_poses3._step(np.array([x])) for x in (0.3, 7.0, 60.0, 90.0, 150.0, 210.0, 400.0)]
+    found["steps"] = [_poses3.tick_step(np.array([x])) for x in (0.3, 7.0, 60.0, 90.0, 150.0, 210.0, 400.0)]
     return found
 
 

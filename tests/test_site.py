@@ -16,10 +16,14 @@ PAGES = [page for page in code_blocks.written_pages() if code_blocks.blocks(page
 LONG = [
     "how_to/choose_a_radius.md",
     "how_to/gradient_in_your_own_loop.md",
+    "how_to/hand_from_urdf.md",
+    "how_to/object_from_a_scan.md",
+    "how_to/own_surface_goal_and_scene.md",
     "how_to/own_controller_with_memory.md",
     "how_to/print_a_fingertip.md",
     "how_to/push_at_half_a_second.md",
     "index.md",
+    "tour.md",
 ]
 
 

@@ -32,6 +32,7 @@ from ..design import (
     settling_time,
 )
 from ..geometry import fit_contour, Spline
+from ._fair_goal import FairGoal
 
 # The built-in start: half axes [m] of an ellipse whose end, sharper than a circle about O_i, faces the
 # object; and the number of points on any start.
@@ -106,7 +107,11 @@ def order(asked: DesignOrder, folder: Path, timed: Callable[[str], AbstractConte
     tip = asked.tip
     size = float(np.max(np.hypot(*np.asarray(tip.points).T)))
     limits = Limits(size=size, radius=0.2 * size, ahead=size / 3.0)
-    options: dict[str, Any] = {"steps": asked.steps, "starts": asked.starts, "goal": GOALS[asked.goal]()}
+    options: dict[str, Any] = {
+        "steps": asked.steps,
+        "starts": asked.starts,
+        "goal": FairGoal(GOALS[asked.goal]()),
+    }
     with timed(f"Designing for {asked.goal}"):
         found = optimise_fingertip(tip, _INTERVAL, limits=limits, symmetric=True, **options)
     with timed("Simulating both"):

@@ -21,6 +21,7 @@ from ._analysis import (
     roll as roll,
 )
 from ._closing import close as close
+from ._identify import Identified as Identified, identify as identify
 from ._integration import (
     resume as resume,
     Rosenbrock as Rosenbrock,

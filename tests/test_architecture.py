@@ -39,6 +39,7 @@ RANKS = {
     "stability": 12,
     "_sweep": 12,
     "_why": 13,
+    "_identify": 13,
     "design": 13,
     "scenes": 13,
     "io": 13,
@@ -376,7 +377,7 @@ PUBLIC = {
     "commands", "control", "design", "energies", "equation_terms", "fit_contour", "geometry", "io", "loads",
     "multipliers",
     "pinch_balance", "plotting", "press_balance", "grasp_points", "GraspPoints", "Reach", "reach",
-    "Parameters", "adaptive_map", "measures",
+    "Parameters", "adaptive_map", "measures", "identify", "Identified",
     "load", "residuals", "save", "scenes", "simulate", "stability", "sweep", "vector_field",
 }  # fmt: skip
 

@@ -23,6 +23,7 @@ from benchmarks.hostile_calls.things import (
     halved,
     held_disc,
     held_state,
+    identified,
     kept,
     lifted,
     network,
@@ -359,6 +360,15 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         "ts": _is("count", 4, "two numbers", "numbers of float32"),
         "formulation": _made("part", jxr.Index1),
         "record": _is("part", (), "empty list", "empty tuple"),
+    },
+    "identify": {
+        "make": _made("function", lambda: identified),
+        "guess": _is("part", {"damping": 0.005}),
+        "ts": _is("array", (0.1, 0.2)),
+        "measured": _is("any array", ((0.1, 0.2), (0.1, 0.2))),
+        "noise": _is("positive", 0.1),
+        "steps": _is("count", 1),
+        "observe": _is("function", None),
     },
     "sweep": {
         "formulation": _made("part", jxr.Index1),

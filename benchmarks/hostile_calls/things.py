@@ -149,6 +149,10 @@ def scene_of(damping: Any) -> tuple[jxr.Grasp, jxr.State]:
     return planar()[0].with_(damping=damping), planar()[1]
 
 
+def identified(numbers: dict[str, Any]) -> tuple[jxr.Grasp, jxr.State]:
+    return scene_of(numbers["damping"])
+
+
 def kept(run: jxr.Trajectory) -> Any:
     return run.last.q
 

@@ -81,6 +81,7 @@ _SLOW = set(
         "locate",
         "locate_surfaces",
         "link_clearance",
+        "identify",
         "loci",
         "multipliers",
         "optimise_fingertip",

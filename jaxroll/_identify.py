@@ -1,0 +1,250 @@
+"""`identify`: numbers of a grasp from what was measured of one run, by least squares, and how sure they are.
+
+Gauss and Newton's method with Levenberg and Marquardt's damping. The derivative of the run is that of
+`simulate`, forward: one tangent for each number, all in one program.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ._integration import RTOL, simulate
+from ._mechanics import Grasp, State
+from ._printing import code_name
+from ._results import as_count, as_floats, check_callable, check_finite, check_positive, RESULTS, shown
+from ._types import Given
+
+# Damping of the first step, over the diagonal of the Gauss-Newton matrix; its factor up and down; its most.
+_FIRST, _FACTOR, _MOST = 1e-3, 10.0, 1e12
+# The last step is shorter than this many standard deviations, or than this share of each number.
+_LAST, _SHARE = 1e-3, 1e-9
+# Above this condition of the scaled Gauss-Newton matrix the data do not tell the numbers apart.
+_CONDITION = 1e14
+
+
+@dataclass(frozen=True)
+class Identified:
+    """Numbers found by `identify`. Printed, it is a table.
+
+    Attributes:
+        values: By name, what was found.
+        deviations: By name, standard deviations in the same units; infinite where the data do not tell the
+            numbers apart.
+        covariance: Shape (n, n), in the order of `values`.
+        noise: Standard deviation of the measurements that was given, or that the misfit shows.
+        misfit: Root mean square of measured minus computed, over the noise: about one where model and noise
+            are right.
+        steps: How many steps were tried.
+        result: `successful`, `max_steps_reached`, or `not_finite` where the run from the guess is not.
+    """
+
+    values: dict[str, float]
+    deviations: dict[str, float]
+    covariance: np.ndarray
+    noise: float | np.ndarray
+    misfit: float
+    steps: int
+    result: RESULTS
+
+    @property
+    def correlation(self) -> np.ndarray:
+        """Shape (n, n): between -1 and 1; near either, only a combination of two numbers is known."""
+        spread = np.sqrt(np.diag(self.covariance))
+        return self.covariance / np.outer(spread, spread)
+
+    def __repr__(self) -> str:
+        width = max(map(len, self.values))
+        rows = [
+            f"  {name:{width}}  {value:.6g} +- {self.deviations[name]:.2g}"
+            for name, value in self.values.items()
+        ]
+        return "\n".join(
+            [f"Identified: {code_name(self.result)}", *rows, f"  misfit {self.misfit:.3g} times the noise"]
+        )
+
+
+def identify(
+    make: Callable[[dict[str, Any]], tuple[Grasp, State]],
+    guess: Mapping[str, Given],
+    ts: Given,
+    measured: Given,
+    *,
+    observe: Callable[[Grasp, Any], Any] | None = None,
+    noise: Given | None = None,
+    steps: int = 30,
+    rtol: float = RTOL,
+) -> Identified:
+    r"""Find numbers of a grasp, such as damping or the radius of a tip, from noisy measurements of a run.
+
+    Minimises $\sum_k (y_k - h_k(p))^2 / \sigma_k^2$ over the numbers $p$, with the measured $y$ and the
+    computed $h$. With the derivative $J = \partial h / \partial p$ in units of the noise, the covariance of
+    what is found is $(J^T J)^{-1}$, from the Gauss-Newton matrix; times the mean square of the misfit, over
+    the degrees of freedom, where the noise is not given.
+
+    Args:
+        make: From the numbers, a dict by name, to a grasp and its start. `close` may be part of it.
+        guess: By name, where to begin; none zero, for numbers are scaled by it.
+        ts: Shape (t,), times of the measurements [s], the first not negative; the run starts at 0.
+        measured: What was measured, of the shape that `observe` returns; by default joint angles of all
+            fingers, shape (t, k) [rad].
+        observe: From the grasp and its run, which has a state at every time, to an array. A run that ended
+            early stands still from then on (see `Trajectory.filled`); its end is `run.stats.t_end`.
+        noise: Standard deviation of the measurements, one number or of their shape. Default: from the misfit.
+        steps: How many steps are tried at most.
+        rtol: Relative tolerance of the runs.
+
+    Returns:
+        `Identified`: values, standard deviations, covariance, misfit.
+
+    Raises:
+        ValueError: If an argument does not fit: no names, a guess of zero, shapes that differ, or no more
+            measurements than numbers.
+
+    Accuracy: from data without noise of another formulation, integrated by another library, damping and the
+    pull on the object of Part 2 come back to 1e-6 of themselves. What is found is a minimum near the guess,
+    not always the least one.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> import jaxroll as jxr
+        >>> grasp, state = jxr.scenes.pivoted()
+        >>> ts = jnp.linspace(0.02, 0.2, 10)
+        >>> angles = jxr.simulate(grasp, state, 0.2, ts=ts).states.q[:, 1:]
+        >>> make = lambda p: (grasp.with_(damping=p["damping"]), state)
+        >>> found = jxr.identify(make, {"damping": 0.004}, ts, angles, noise=1e-4)
+        >>> round(found.values["damping"], 6)
+        0.006
+    """
+    names, start = _checked(make, guess)
+    times = _times(ts)
+    data = check_finite("measured", as_floats("measured", measured, (None,) * np.ndim(measured)))
+    if observe is not None:
+        check_callable("observe", observe, takes=2)
+    steps = as_count("steps", steps)
+    if data.size <= len(names):
+        raise ValueError(
+            f"argument measured must hold more numbers than the {len(names)} of guess, but had {data.size}"
+        )
+    sigma = _sigma(noise, data)
+
+    def left_over(x: jax.Array) -> tuple[jax.Array, jax.Array]:
+        grasp, state = _made(make(dict(zip(names, x * start, strict=True))))
+        run = simulate(grasp, state, times[-1], ts=times, rtol=rtol, throw=False).filled()
+        seen = jnp.asarray(_joints(grasp, run) if observe is None else observe(grasp, run))
+        if seen.shape != data.shape:
+            raise ValueError(
+                f"argument measured must have the shape {seen.shape} of what is seen, but had {data.shape}"
+            )
+        left = ((seen - data) / sigma).ravel()
+        return left, left
+
+    slopes_and_left = jax.jit(jax.jacfwd(left_over, has_aux=True))
+    both = lambda x: slopes_and_left(x)[::-1]  # noqa: E731
+    x, count, result, (left, slopes) = _descend(both, np.ones(len(names)), steps, known=noise is not None)
+    free = data.size - len(names)
+    spread = 1.0 if noise is not None else np.sqrt(float(left @ left) / free)
+    covariance = spread**2 * np.outer(start, start) * _inverse(slopes)
+    deviations = np.sqrt(np.diag(covariance))
+    return Identified(
+        dict(zip(names, (x * start).tolist(), strict=True)),
+        dict(zip(names, deviations.tolist(), strict=True)),
+        covariance,
+        _given(sigma) if noise is not None else spread,
+        float(np.sqrt(np.mean(left**2))) / spread,
+        count,
+        result,
+    )
+
+
+def _descend(
+    both: Callable[[Any], Any], x: np.ndarray, steps: int, *, known: bool
+) -> tuple[np.ndarray, int, RESULTS, tuple[np.ndarray, np.ndarray]]:
+    """The numbers at a minimum, steps tried, how it ended, and misfits with their derivative there."""
+    evaluate = lambda x: tuple(map(np.asarray, both(jnp.asarray(x))))  # noqa: E731
+    left, slopes = evaluate(x)
+    if not (np.isfinite(left).all() and np.isfinite(slopes).all()):
+        return x, 0, RESULTS.not_finite, (left, slopes)
+    damping, free = _FIRST, max(len(left) - len(x), 1)
+    for count in range(1, steps + 1):
+        matrix, downhill = slopes.T @ slopes, -slopes.T @ left
+        scaled = matrix + damping * np.diag(np.maximum(np.diag(matrix), 1e-300))
+        step = np.linalg.lstsq(scaled, downhill, rcond=None)[0]
+        new_left, new_slopes = evaluate(x + step)
+        if (
+            np.isfinite(new_left).all()
+            and np.isfinite(new_slopes).all()
+            and new_left @ new_left <= left @ left
+        ):
+            unit = 1.0 if known else np.sqrt(left @ left / free)
+            small = np.sqrt(step @ matrix @ step) < _LAST * unit
+            x, left, slopes, damping = x + step, new_left, new_slopes, damping / _FACTOR
+            if damping < _FIRST and (small or np.all(np.abs(step) < _SHARE * np.abs(x))):
+                return x, count, RESULTS.successful, (left, slopes)
+        else:
+            damping *= _FACTOR
+            if damping > _MOST:  # no step goes down any more: rounding is all that is left
+                return x, count, RESULTS.successful, (left, slopes)
+    return x, steps, RESULTS.max_steps_reached, (left, slopes)
+
+
+def _inverse(slopes: np.ndarray) -> np.ndarray:
+    """The inverse of the Gauss-Newton matrix; infinite where the data do not tell the numbers apart."""
+    matrix = slopes.T @ slopes
+    scale = np.sqrt(np.diag(matrix))
+    if not np.isfinite(matrix).all() or not (scale > 0.0).all():
+        return np.full(matrix.shape, np.inf)
+    alike = matrix / np.outer(scale, scale)
+    if np.linalg.cond(alike) > _CONDITION:
+        return np.full(matrix.shape, np.inf)
+    return np.linalg.inv(alike) / np.outer(scale, scale)
+
+
+def _joints(grasp: Grasp, run: Any) -> jax.Array:
+    """Joint angles of all fingers, shape (t, k)."""
+    return run.states.q[:, grasp.form.positions[0] :]
+
+
+def _made(given: Any) -> tuple[Grasp, State]:
+    """What a caller's `make` returned, checked."""
+    pair = given if isinstance(given, tuple | list) else ()
+    if len(pair) != 2 or not isinstance(pair[0], Grasp) or not isinstance(pair[1], State):
+        raise ValueError(f"argument make must return a Grasp and a State, but returned {shown(given)}")
+    return pair[0], pair[1]
+
+
+def _checked(make: Any, guess: Any) -> tuple[tuple[str, ...], np.ndarray]:
+    """Names and first values."""
+    check_callable("make", make, takes=1)
+    if not isinstance(guess, Mapping) or not guess or not all(isinstance(name, str) for name in guess):
+        raise ValueError(f"argument guess must be a dict of numbers by their names, but was {shown(guess)}")
+    values = [np.asarray(check_finite("guess", as_floats("guess", value, ()))) for value in guess.values()]
+    if not all(value != 0.0 for value in values):
+        raise ValueError(f"argument guess must have no zero, by which nothing scales, but was {shown(guess)}")
+    return tuple(guess), np.array(values, float)
+
+
+def _times(ts: Any) -> jax.Array:
+    times = check_finite("ts", as_floats("ts", ts, (None,)))
+    if (
+        not len(times)
+        or float(times[0]) < 0.0
+        or float(times[-1]) <= 0.0
+        or bool(jnp.any(jnp.diff(times) <= 0.0))
+    ):
+        raise ValueError(f"argument ts must be rising times from 0 or later, but was {shown(times)}")
+    return times
+
+
+def _sigma(noise: Any, data: jax.Array) -> jax.Array:
+    if noise is None:
+        return jnp.ones(())
+    shape = () if np.ndim(noise) == 0 else data.shape
+    return check_positive("noise", check_finite("noise", as_floats("noise", noise, shape)))
+
+
+def _given(sigma: jax.Array) -> float | np.ndarray:
+    return float(sigma) if sigma.ndim == 0 else np.asarray(sigma)

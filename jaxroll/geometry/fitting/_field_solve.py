@@ -176,7 +176,8 @@ def _levels(grid: Grid, targets: FieldTargets, roughness: float) -> list[_Level]
     from scipy.sparse import csr_matrix
 
     # Sparse, of eleven diagonals: as dense products by BLAS's threads the iteration took twice as long.
-    levels, finer, scale = [], [csr_matrix(np.eye(n)) for n in grid.counts], 1.0
+    levels, scale = [], 1.0
+    finer: list[Any] = [csr_matrix(np.eye(n)) for n in grid.counts]
     while True:
         cells = [n - ORDER + 1 for n in grid.counts]
         grams = [[csr_matrix(gram) for gram in _gram_matrices(n)] for n in grid.counts]

@@ -330,3 +330,19 @@ def test_a_wave_of_the_wavelength_is_halved(closed):
     wave = np.stack([s, 0.01 * np.sin(2 * np.pi * 10 * s)], axis=1)
     flat = low_passed(wave[:, 1:] @ np.ones((1, 2)), 1.0, 0.1, closed=closed)
     np.testing.assert_allclose(flat[:, 0], 0.5 * wave[:, 1], atol=2e-4)
+
+
+@pytest.mark.parametrize("angle", [45.0, 25.0])
+def test_sharp_corners_do_not_become_bulbs(angle):
+    """An isosceles triangle: the disc in its corner is known, and nothing lies outside of the sides."""
+    half, radius, noise = np.radians(angle) / 2.0, 4e-3, 5e-5
+    corners = 0.08 * np.array([(0.0, -np.tan(half)), (1.0, 0.0), (0.0, np.tan(half))])
+    fit = jxr.fit_contour(noisy(filled(corners, 4e-4), noise), smallest_radius=radius)
+    check_bound(fit, radius)
+    points = everywhere(fit)[0]
+    sides = np.abs(points[:, 1]) * np.cos(half) - (0.08 - points[:, 0]) * np.sin(half)
+    assert np.maximum(sides, -points[:, 0]).max() < 6.0 * noise
+    # The foremost place: a radius before the disc's middle, which is a radius from both sides; a disc may be
+    # off them by some hundredths of that.
+    foremost = 0.08 - radius / np.sin(half) + radius
+    assert abs(points[:, 0].max() - foremost) < 0.04 * radius / np.sin(half)

@@ -20,6 +20,7 @@ from ._bounded_curve import Bounded, bounded_curve
 from ._clean_points import check_number, check_one_unit, check_spacing, CleanPoints, distinct, size_warnings
 from ._departures import strays
 from ._even_spline import EvenSpline, low_passed
+from ._rolled_line import along, rolled_line, spread_along
 
 # Numbers of nodes; few of them, because programs are compiled for each.
 NODES = (48, 64, 96, 128, 192, 256, 384, 512, 768, 1024)
@@ -39,6 +40,7 @@ _SMOOTH = 5e-3
 _EXACT = 5e-4
 _SHARE = 0.97  # of the allowed curvature in the first fit
 _FEW_STRAYS = 0.1  # largest share of the points that may be strays
+_ROUGH = 0.01  # noise of the first rough line, in smallest radii
 _DIRECTIONS = 64  # in which the width of the points is measured
 
 
@@ -107,16 +109,24 @@ class Limited:
         return max(self.noise, _EXACT * self.wanted.radius)
 
     def solved(self, share: float) -> Bounded:
-        """The curve with curvature up to a share of what is allowed; it begins next to the first point."""
-        points = self.clean.points
+        """The curve with curvature up to a share of what is allowed; it begins next to the first point.
+
+        It is fitted to where discs of the smallest radius can roll; its distances are those of the points.
+        """
+        points, wanted = self.clean.points, self.wanted
+        rolled = rolled_line(points, self.line, wanted.radius, self.noise, closed=wanted.closed)
         found = bounded_curve(
-            points,
+            rolled[0],
             self.start,
-            line=self.line,
+            line=rolled[1],
             bound=share / self.wanted.radius,
             noise=self._felt,
             wavelength=self.wavelength,
         )
+        feet = found.curve.feet(points)
+        frame = found.curve.frames(feet)
+        away = np.sum((points - frame.point) * frame.normal, axis=1)
+        found = found._replace(feet=feet, distances=away)
         if not self.wanted.closed:
             return found
         u = np.arange(found.curve.pieces) + float(found.feet[0])
@@ -291,17 +301,15 @@ def _started(points: np.ndarray, chain: np.ndarray, wanted: Wanted) -> tuple[np.
     """Places along the chain, and a smooth curve along it, with nodes as close as the radius asks for."""
     closed = wanted.closed
     line = np.concatenate([chain, chain[:1]]) if closed else _to_the_ends(points, chain)
-    steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
-    along = np.concatenate([[0.0], np.cumsum(steps)])
-    length = float(along[-1])
+    length = float(along(line)[-1])
     wish = wanted.knots or _PER_RADIUS * length / wanted.radius
     count = next((n for n in NODES if n >= wish), NODES[-1])
-    at = np.linspace(0.0, length, count + 1)[:-1] if closed else np.linspace(0.0, length, count)
-    nodes = np.stack([np.interp(at, along, x) for x in line.T], axis=1)
-    broad = max(_BROAD * wanted.radius, 2.0 * float(steps.max()))
+    places = spread_along(line, 8 * count + 1)
+    # The curve begins where discs can roll: out of a corner or a thin end it would not find back.
+    rolled = rolled_line(places, places, wanted.radius, _ROUGH * wanted.radius, closed=closed)[1]
+    nodes = spread_along(rolled, count + 1)[:-1] if closed else spread_along(rolled, count)
+    broad = max(_BROAD * wanted.radius, 2.0 * float(np.diff(along(line)).max()))
     smooth = low_passed(nodes, length, min(broad, 0.3 * length), closed=closed)
-    fine = np.linspace(0.0, length, 8 * count + 1)
-    places = np.stack([np.interp(fine, along, x) for x in line.T], axis=1)
     return places, EvenSpline(smooth, closed).spread(count)
 
 

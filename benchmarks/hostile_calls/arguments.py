@@ -362,7 +362,8 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         "record": _is("part", (), "empty list", "empty tuple"),
     },
     "identify": {
-        "make": _made("function", lambda: identified),
+        # The scene is made before it is traced: it is kept, and would keep tracers.
+        "make": _made("function", lambda: (planar(), identified)[1]),
         "guess": _is("part", {"damping": 0.005}),
         "ts": _is("array", (0.1, 0.2)),
         "measured": _is("any array", ((0.1, 0.2), (0.1, 0.2))),

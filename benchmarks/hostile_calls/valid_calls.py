@@ -47,7 +47,7 @@ RECORDS |= {
 }
 RECORDS |= {"Principal", "NetworkFit", "CleanPoints", "Jet", "SurfaceFit", "SurfaceReport", "Level", "Table"}
 RECORDS |= {"Region", "Strike", "Vec2", "Vec3", "Sym3", "VectorField"}
-RECORDS |= {"GraspPoints", "MassProperties", "Reach", "Hand"}
+RECORDS |= {"GraspPoints", "Identified", "MassProperties", "Reach", "Hand"}
 # Arguments by any name, for which functions below stand.
 RECORDS |= {"Parameters", "measures"}
 RECORDS |= {"TableError", "Equilibrium", "PinchStatics", "Stability", "Pose", "Twist"}

@@ -40,13 +40,12 @@ def replayed(asked: ReplayOrder, folder: Path, timed: Callable[[str], AbstractCo
         names.append(f"motion.{asked.film}")
         with timed("Animating"):
             plotting.animate(grasp, run, folder / names[-1], fps=asked.fps, speed=speed, until=asked.until)
-    if grasp.spatial:
-        try:
-            with timed("Writing the page"):
-                plotting.page(grasp, run, folder / "page.html")
-            names.append("page.html")
-        except ImportError as error:
-            missing.append(f"  no page.html: {error}")
+    try:
+        with timed("Writing the page"):
+            plotting.page(grasp, run, folder / "page.html")
+        names.append("page.html")
+    except ImportError as error:
+        missing.append(f"  no page.html: {error}")
     return [f"{run}", f"Files in {folder}:", "  " + ", ".join(names), *missing]
 
 

@@ -76,8 +76,8 @@ def link_clearance(grasp: Grasp, trajectory: Trajectory) -> LinkClearance:
         >>> grasp, state = jxr.scenes.pinch()
         >>> run = jxr.simulate(grasp, state, 1.0, ts=11)
         >>> found = jxr.link_clearance(grasp, run)
-        >>> found.where, found.least > 0.0
-        ('finger 1 and the object', True)
+        >>> found.pairs, found.least > 0.0
+        (((0, 1),), True)
     """
     check_run(grasp, trajectory)
     chains = [i for i, finger in enumerate(grasp.fingers) if finger.joints and finger.turns]

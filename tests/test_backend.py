@@ -96,3 +96,22 @@ def test_quick_programs_are_compiled_with_their_options(monkeypatch):
     monkeypatch.setattr(_quick.eqx, "filter_jit", lambda f, **options: asked.append(options) or f)
     quickly(lambda x: x)
     assert asked == [{}, {"compiler_options": _quick.QUICK}]
+
+
+@pytest.mark.parametrize("within", [False, True])
+def test_a_kernel_whose_only_result_is_large(within):
+    """XLA divides large operations among threads, which its emitter of single functions does not know."""
+    many = np.random.default_rng(0).normal(size=(20_000, 8))
+
+    def lane(x):
+        outer = one_kernel(lambda y: y[:, None] * y[None, :], x)
+        return outer[0] + x if within else outer
+
+    looped = lambda x: jax.lax.fori_loop(0, 2, lambda _, y: lane(y), x)  # noqa: E731
+    found = jax.jit(jax.vmap(looped if within else lane))(many)
+    wanted = many[:, :, None] * many[:, None, :]
+    if within:
+        wanted = many
+        for _ in range(2):
+            wanted = wanted[:, :1] * wanted + wanted
+    np.testing.assert_allclose(found, wanted, rtol=1e-14)

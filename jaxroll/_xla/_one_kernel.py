@@ -121,13 +121,16 @@ def _marked(function: Callable, arrays: Any) -> Any:
 
     def unpacked(numbers: jax.Array) -> Any:
         parts = zip(_split(numbers, shapes), kinds, strict=True)
-        return function(jax.tree.unflatten(form, [part.astype(kind) for part, kind in parts]))
+        # Two results at least. XLA cuts large operations into parts for its threads, and where the single
+        # result is one of them its emitter fails ("Incorrect number of arguments passed to called function"):
+        # 2048 starts closed at once did not compile.
+        return function(jax.tree.unflatten(form, [part.astype(kind) for part, kind in parts])), numbers[:1]
 
     # One operand: XLA's emitter aborts on operands of such a call that are not used.
     widest = jnp.result_type(*kinds)
     numbers = jnp.concatenate([jnp.ravel(leaf).astype(widest) for leaf in leaves])
     compiled = jax.jit(unpacked)
-    out, tree = jax.tree.flatten(compiled(numbers))
+    out, tree = jax.tree.flatten(compiled(numbers)[0])
     if not misfits(compiled.trace(numbers).jaxpr.jaxpr):
         out[0] = set_xla_metadata(out[0], **_ATTRIBUTES)
     return jax.tree.unflatten(tree, out)

@@ -19,7 +19,6 @@ import numpy as np
 from .. import io, loads, plotting, scenes, stability
 from .._integration import cause, simulate
 from .._mechanics import FreeObject, FreeObject3, Grasp, State
-from .._motion import residuals
 from .._reaching import poses_at
 from .._results import RESULTS
 from .._saving import save
@@ -96,7 +95,7 @@ def pinch_order(
     held = bool(run.result == RESULTS.successful)
     lines = [
         f"{found.report}",
-        *_described(grasp, state, run, _SHARE * force),
+        *_described(grasp, run, _SHARE * force),
         *verdict,
         f"{run}",
         f"  outcome     {'held' if held else cause(run)}",
@@ -163,12 +162,12 @@ def _aside(grasp: Grasp, state: State) -> np.ndarray:
     return direction / np.linalg.norm(direction)
 
 
-def _described(grasp: Grasp, state: State, run: Any, push: float) -> list[str]:
+def _described(grasp: Grasp, run: Any, push: float) -> list[str]:
     """Lines about the object and how it is held."""
     press = float(np.min(np.asarray(run.multipliers.f)[0]))
     body, control = grasp.object, grasp.controller
-    left = residuals(grasp, state)
-    gap = max(float(jnp.max(jnp.abs(part))) for part in (left.normal, left.tangential))
+    left = run.residuals
+    gap = max(float(np.abs(np.asarray(part)[0]).max()) for part in (left.normal, left.tangential))
     return [
         f"  object      {1e3 * float(body.mass):.4g} g",
         f"  control     beta = {float(control.beta):.4g} N/m, c = {float(control.damping[0]):.3g} N m s; "

@@ -12,14 +12,16 @@ on together.
 
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
 from .._linalg import Pose2, unstack
-from .._mechanics import AbstractBody
+from .._mechanics import AbstractBody, Finger, Finger3
 from .._xla import quickly
+from ..geometry import Circle, Sphere
 from ._sheet import Frames, Sheet, shortened
 
 # Starts of a search and most steps of each.
@@ -201,6 +203,9 @@ def _damped(rows: np.ndarray, slopes: np.ndarray, damping: np.ndarray) -> np.nda
 
 def _placed(body: Any, q: np.ndarray) -> tuple[np.ndarray, ...]:
     """Origins and rotation matrices of a body's frame, and their derivatives in its positions."""
+    # With round tips, which move nothing: one program for fingers with tips of any class.
+    if isinstance(body, Finger | Finger3):
+        body = eqx.tree_at(lambda f: f.tip, body, Circle(1.0) if isinstance(body, Finger) else Sphere(1.0))
     count = -(-len(q) // _STARTS)
     padded = np.resize(q, (count * _STARTS, q.shape[1])).reshape(count, _STARTS, -1)
     found = [_poses(body, jnp.asarray(batch)) for batch in padded]

@@ -362,7 +362,7 @@ def test_plots_of_jaws_are_in_millimetres():
     forces = Multipliers(jnp.ones((2, 1)), jnp.zeros((2, 1)))
     run = moved(grasp, [0, 0, 0, 0.0], [0, 0, 0, 1e-3], forces=forces)
     labels = {p.title: p.label for p in panels(grasp, run)}
-    assert labels["Rate of joint 1"].endswith("[mm/s]")
+    assert labels["Rate of joint 1: zero"].endswith("[mm/s]")
 
 
 def test_why_a_grasp_is_lost_at_once(pulling):

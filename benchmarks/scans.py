@@ -103,9 +103,7 @@ def report(quick: bool = False) -> str:
     return "\n\n".join(
         [
             said,
-            table(
-                [*first, "normals [deg rms]", "curvature [% of the largest, rms]", "places [um rms]"], large
-            ),
+            table(first, large),
             table(second, small),
             *([] if quick or not DATA.exists() else [pinched()]),
             f"{device()}; {versions('jax', 'numpy', 'scipy')}.",

@@ -5,7 +5,6 @@ The audit of a run after the fact: of the same distances a run makes an event wh
 """
 
 import itertools
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -13,12 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._integration import Trajectory
+from .._integration import link_distances, Trajectory
 from .._mechanics import compiled, Grasp, State, to_leaves
-from .._motion import world_poses
 from .._printing import listed
 from .._types import Times
-from ..contact import chains_apart, links_clearance, links_clearance3
 from ._loci import check_run
 
 # Points on each contour of the object.
@@ -80,7 +77,7 @@ def link_clearance(grasp: Grasp, trajectory: Trajectory) -> LinkClearance:
         (((0, 1),), True)
     """
     check_run(grasp, trajectory)
-    chains = [i for i, finger in enumerate(grasp.fingers) if finger.joints and finger.turns]
+    chains = _with_links(grasp)
     if not chains:
         raise ValueError("argument grasp must have fingers with links, but had none")
     pairs = tuple(itertools.combinations(chains, 2))
@@ -102,22 +99,10 @@ def _distances(grasp: Grasp, states: State) -> tuple[Array, Array]:
 
 
 def _at(grasp: Grasp, state: State) -> tuple[Array, Array]:
-    q = to_leaves(state, grasp.form).q
-    fingers: list[Any] = []
-    chains: list[Any] = []
-    for finger, own in zip(grasp.fingers, q[1:], strict=True):
-        if finger.joints and finger.turns:
-            fingers.append(finger)
-            chains.append(finger.skeleton(own))
-    body, faces = world_poses(grasp, q)[0], grasp.object.shapes
-    if grasp.spatial:
-        away: Any = links_clearance3(body, chains, faces)
-    else:
-        away = links_clearance(body, chains, faces, samples=_SAMPLES)
-    radii = [0.0 if (r := getattr(f, "link_radius", None)) is None else r for f in fingers]
-    clear = jnp.stack([height - radius for height, radius in zip(away, radii, strict=True)])
-    apart = [
-        chains_apart(chains[i], chains[j]) - radii[i] - radii[j]
-        for i, j in itertools.combinations(range(len(chains)), 2)
-    ]
-    return clear, jnp.stack(apart) if apart else jnp.zeros(0)
+    leaves = to_leaves(state, grasp.form)
+    away, apart = link_distances(grasp, leaves, _with_links(grasp), samples=_SAMPLES)
+    return jnp.stack(away), jnp.stack(apart) if apart else jnp.zeros(0)
+
+
+def _with_links(grasp: Grasp) -> list[int]:
+    return [i for i, finger in enumerate(grasp.fingers) if finger.joints and finger.turns]

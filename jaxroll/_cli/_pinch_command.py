@@ -27,8 +27,6 @@ from ._shape_file import fitted, ShapeOrder
 
 # The push: when it begins and how long it lasts [s], its size beside that of the fingers.
 _BEGINS, _LASTS, _SHARE = 0.1, 0.1, 0.25
-# Force of the fingers by default, beside the object's weight, and its acceleration [m/s^2].
-_WEIGHTS, _GRAVITY = 3.0, 9.81
 # Radius of the tips of a hand from a file, where the file has none that can be used [m].
 _TIP = 0.01
 # Range of a joint for which a file has none [rad].
@@ -79,14 +77,13 @@ def pinch_order(
         body = _body(found, asked)
     with timed("Finding where to hold it"):
         fingers = None if asked.hand is None else _fingers(asked.hand, flat)
-        force = asked.force or _WEIGHTS * _GRAVITY * float(body.mass)
-        grasp, state = scenes.pinch_object(body, fingers=fingers, friction=asked.friction, force=force)
+        grasp, state = scenes.pinch_object(body, fingers=fingers, friction=asked.friction, force=asked.force)
     verdict = []
     if flat:
         with timed("Judging the grasp"):
             verdict = _verdict(grasp, state)
     with timed(f"Simulating {asked.seconds:g} s"):
-        pushed = _pushed(grasp, state, _SHARE * force)
+        pushed, push = _pushed(grasp, state)
         record, count = ("multipliers", "energy"), 1 + round(100 * asked.seconds)
         run = simulate(pushed, state, asked.seconds, ts=count, record=record, throw=False)
         jax.block_until_ready(run)
@@ -95,7 +92,7 @@ def pinch_order(
     held = bool(run.result == RESULTS.successful)
     lines = [
         f"{found.report}",
-        *_described(grasp, run, _SHARE * force),
+        *_described(grasp, run, push),
         *verdict,
         f"{run}",
         f"  outcome     {'held' if held else cause(run)}",
@@ -138,23 +135,31 @@ def _verdict(grasp: Grasp, state: State) -> list[str]:
     return [f"  verdict     {stability.VERDICTS[found.verdict]}"]
 
 
-def _pushed(grasp: Grasp, state: State, push: float) -> Grasp:
-    """The grasp with a push [N] across the line between the contacts."""
-    force = push * jnp.asarray(_aside(grasp, state))
+def _pushed(grasp: Grasp, state: State) -> tuple[Grasp, float]:
+    """The grasp with a push across the line between both tip frames, and how large that is [N]."""
+    line = _line(grasp, state)
+    # Along that line the control pulls with its gain times the length.
+    push = _SHARE * float(grasp.controller.beta) * float(np.linalg.norm(line))
+    force = push * jnp.asarray(_aside(line))
     load = loads.Push(force, _BEGINS, _LASTS)
     given = {"controller": grasp.controller, "gravity": grasp.gravity, "load": load}
-    return Grasp(grasp.object, grasp.fingers, grasp.contacts, **given)
+    return Grasp(grasp.object, grasp.fingers, grasp.contacts, **given), push
 
 
-def _aside(grasp: Grasp, state: State) -> np.ndarray:
-    """A direction across the line between both tip frames, which the fingers press along."""
+def _line(grasp: Grasp, state: State) -> np.ndarray:
+    """From the first finger's tip frame to the second's [m]."""
     ends = np.cumsum(grasp.form.positions)
     q = np.asarray(state.q)
     first, second = (
         poses_at(finger, q[None, begin:end])[0][0]
         for finger, begin, end in zip(grasp.fingers, ends, ends[1:], strict=False)
     )
-    line = (second - first) / np.linalg.norm(second - first)
+    return second - first
+
+
+def _aside(line: np.ndarray) -> np.ndarray:
+    """A direction across a line."""
+    line = line / np.linalg.norm(line)
     # Of the axes without the line's part the two longest, in the plane the longest.
     across = np.eye(len(line)) - np.outer(line, line)
     longest = np.argsort(np.linalg.norm(across, axis=1))[1:]

@@ -147,32 +147,36 @@ def _audits(grasp: Grasp, leaves: Leaves, events: tuple[str, ...]) -> list[Limit
     return [*found, *_link_limits(grasp, leaves)]
 
 
-def _thick(finger: Any) -> bool:
-    return getattr(finger, "link_radius", None) is not None
-
-
 def _link_limits(grasp: Grasp, leaves: Leaves) -> list[Limit]:
     """Limits from distances of links, as capsules, to the object and to links of other fingers [m]."""
-    watched = [i for i, finger in enumerate(grasp.fingers) if _thick(finger)]
+    watched = [i for i, f in enumerate(grasp.fingers) if getattr(f, "link_radius", None) is not None]
     if not watched:
         return []
-    fingers: list[Any] = [grasp.fingers[i] for i in watched]
-    chains: Any = [f.skeleton(leaves.q[1 + i]) for i, f in zip(watched, fingers, strict=True)]
+    away, apart = link_distances(grasp, leaves, watched, samples=_SAMPLES)
+    limits = [Limit(height, _numbered(_LINKS, i)) for i, height in zip(watched, away, strict=True)]
+    pairs = itertools.combinations(watched, 2)
+    return [*limits, *(Limit(gap, _numbered(_LINKS, i)) for (i, _), gap in zip(pairs, apart, strict=True))]
+
+
+def link_distances(
+    grasp: Grasp, leaves: Leaves, which: Sequence[int], *, samples: int
+) -> tuple[list[Scalar], list[Scalar]]:
+    """Of some fingers' links from the object, and of every two of these fingers' links from each other [m].
+
+    Links are capsules; those of a finger without a `link_radius` have no thickness. Of a contour of the
+    object as many points are looked at as `samples` says.
+    """
+    fingers: list[Any] = [grasp.fingers[i] for i in which]
+    chains: Any = [finger.skeleton(leaves.q[1 + i]) for i, finger in zip(which, fingers, strict=True)]
+    radii = [0.0 if (r := getattr(finger, "link_radius", None)) is None else r for finger in fingers]
     body, faces = world_poses(grasp, leaves.q)[0], grasp.object.shapes
     if grasp.spatial:
-        away = links_clearance3(body, chains, faces)
+        away: Any = links_clearance3(body, chains, faces)
     else:
-        away = links_clearance(body, chains, faces, samples=_SAMPLES)
-    limits = [
-        Limit(height - finger.link_radius, _numbered(_LINKS, i))
-        for i, finger, height in zip(watched, fingers, away, strict=True)
-    ]
-    for (i, a, one), (_, b, other) in itertools.combinations(
-        list(zip(watched, fingers, chains, strict=True)), 2
-    ):
-        both = a.link_radius + b.link_radius
-        limits.append(Limit(chains_apart(one, other) - both, _numbered(_LINKS, i)))
-    return limits
+        away = links_clearance(body, chains, faces, samples=samples)
+    clear = [height - radius for height, radius in zip(away, radii, strict=True)]
+    ends = itertools.combinations(zip(chains, radii, strict=True), 2)
+    return clear, [chains_apart(one, other) - a - b for (one, a), (other, b) in ends]
 
 
 def coded(x: Array, margin: Scalar, number: Scalar) -> Array:

@@ -40,15 +40,7 @@ from .._types import Scalar
 from .._xla import as_it_is, counted, once, sharing
 from ..loads import impulses
 from . import _jumps
-from ._events import (
-    coded,
-    first_dip,
-    refused_blow,
-    regime,
-    smallest_clearance,
-    watched,
-    with_clearance,
-)
+from ._events import coded, first_dip, refused_blow, regime, smallest_clearance, watched, with_clearance
 from ._methods import is_rosenbrock, on_tableau
 from ._rosenbrock import advance, samples_in_turn, side_by_side, STAGE_TIMES
 from ._state_vector import Bundle, Flow, Layout, pack, slope, unpack

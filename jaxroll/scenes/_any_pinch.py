@@ -12,7 +12,7 @@ where $L_i$ and $m_i$ are a finger's length and mass, and $\zeta$ is that of the
 
 import itertools
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -95,10 +95,11 @@ def pinch_object(
             "argument object must have two points that are held with the friction given, but none was found "
             f"with {float(np.asarray(friction)):.3g}"
         )
-    hindered = ""
+    hindered = "their tips are never about as far apart as it is wide"
+    tips = None if fingers is None else _tips_of(list(fingers))
     for row in _ranked(pairs):
         points, faces, width = pairs.points[row], pairs.faces[row], pairs.distance[row]
-        for hand, pose, order in _placed(object, fingers, points, float(width)):
+        for hand, pose, order in _placed(object, tips, points, float(width)):
             kind = Contact3 if spatial else _planar_contact
             contacts = [kind(i, int(faces[end]), friction=friction) for i, end in enumerate(order)]
             found = reach(Grasp(object, hand, contacts, gravity=gravity), points[list(order)], pose=pose)
@@ -129,18 +130,18 @@ def _planar_contact(finger: int, contour: int, friction: Given) -> Contact:
 
 
 def _placed(
-    object: FreeObject | FreeObject3, fingers: Any, points: np.ndarray, width: float
+    object: FreeObject | FreeObject3, tips: "list[_Tips] | None", points: np.ndarray, width: float
 ) -> Iterator[tuple[list[Any], np.ndarray, tuple[int, int]]]:
     """Two fingers, a pose of the object, and which of its points each is to touch, to be tried in turn."""
     spatial = isinstance(object, FreeObject3)
-    if fingers is None:
+    if tips is None:
         k = width / _WIDTH
         hand = _chapter_hand3(k) if spatial else _chapter_hand(k)
         middles = [np.array([0.0 if spatial else 0.0275, ahead]) * k for ahead in _AHEAD]
         lines = [(np.append(m, 0.0) if spatial else m, np.eye(3 if spatial else 2)[0]) for m in middles]
         choices = [(hand, line) for line in lines]
     else:
-        choices = list(_lines_between(list(fingers), width))
+        choices = list(_lines_between(tips, width))
     for hand, (middle, along) in choices:
         for order in ((0, 1), (1, 0)):
             ends = points[list(order)]
@@ -190,38 +191,53 @@ def _blunted(found: Reach, points: np.ndarray, pose: np.ndarray) -> Reach:
     return blunt if blunt.result == RESULTS.successful else found
 
 
+class _Tips(NamedTuple):
+    """Where a finger's tip is in random postures: its middle, shape (n, d), and its radius [m]."""
+
+    finger: Any
+    middles: np.ndarray
+    radius: float
+
+
+def _tips_of(fingers: list[Any]) -> list[_Tips]:
+    """The tips of fingers of one's own, which are checked."""
+    if not all(isinstance(finger, Finger | Finger3) for finger in fingers) or len(fingers) < 2:
+        raise ValueError(f"argument fingers must be two fingers or more, but was {shown(fingers)}")
+    draw = np.random.default_rng(0)
+    return [_tips(finger, draw) for finger in fingers]
+
+
 def _lines_between(
-    fingers: list[Any], width: float
+    tips: list[_Tips], width: float
 ) -> Iterator[tuple[list[Any], tuple[np.ndarray, np.ndarray]]]:
     """Pairs of fingers, and lines on which both hold something between them: its middle and direction.
 
     Random postures of both are compared: their tips should be as far apart as the object is wide, and the
-    tips' sizes more.
+    tips' sizes more. Where that is out by as much as itself in all postures, nothing comes of trying.
     """
-    if not all(isinstance(finger, Finger | Finger3) for finger in fingers) or len(fingers) < 2:
-        raise ValueError(f"argument fingers must be two fingers or more, but was {shown(fingers)}")
-    draw, found = np.random.default_rng(0), []
-    tips = [_tips(finger, draw) for finger in fingers]
-    for i, j in itertools.combinations(range(len(fingers)), 2):
-        apart = tips[j][0] - tips[i][0]
+    found = []
+    for one, other in itertools.combinations(tips, 2):
+        apart = other.middles - one.middles
         distance = np.linalg.norm(apart, axis=1)
-        wanted = width + tips[i][1] + tips[j][1]
-        for k in np.argsort(np.abs(distance - wanted))[:_TRIED]:
-            line = 0.5 * (tips[i][0][k] + tips[j][0][k]), apart[k] / distance[k]
-            found.append((abs(distance[k] - wanted), [fingers[i], fingers[j]], line))
-    for _, pair, line in sorted(found, key=lambda one: one[0])[: 2 * _TRIED]:
+        wanted = width + one.radius + other.radius
+        out = np.abs(distance - wanted)
+        for k in np.argsort(out)[:_TRIED]:
+            if out[k] < wanted:
+                line = 0.5 * (one.middles[k] + other.middles[k]), apart[k] / distance[k]
+                found.append((out[k], [one.finger, other.finger], line))
+    for _, pair, line in sorted(found, key=lambda each: each[0])[: 2 * _TRIED]:
         yield pair, line
 
 
-def _tips(finger: Any, draw: np.random.Generator) -> tuple[np.ndarray, float]:
-    """Where the middle of a finger's tip is in random postures, shape (n, d), and the tip's radius [m]."""
+def _tips(finger: Any, draw: np.random.Generator) -> _Tips:
+    """A finger's tip in random postures."""
     limits = getattr(finger, "limits", None)
     low, high = (-np.pi / 2, np.pi / 2) if limits is None else np.asarray(limits, float).clip(-np.pi, np.pi).T
     origins, turns = poses_at(finger, draw.uniform(low, high, (_POSTURES, finger.joints)))
     tip = sheet_of(finger.tip)
     points = tip.frames(tip.sampled(256, 0.05)).points
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    return origins + turns @ middle, 0.5 * float(np.ptp(points, axis=0).min())
+    return _Tips(finger, origins + turns @ middle, 0.5 * float(np.ptp(points, axis=0).min()))
 
 
 def _turns(object: Any, across: np.ndarray, along: np.ndarray) -> list[np.ndarray]:

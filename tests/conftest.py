@@ -6,6 +6,7 @@ import tempfile
 
 import jax
 import pytest
+import threadpoolctl
 
 import jaxroll as jxr
 
@@ -54,6 +55,8 @@ def pytest_addoption(parser):
 
 def pytest_configure(config):
     """Choose how programs are compiled, before anything makes XLA read it."""
+    # Two test processes share the cores: threads of BLAS would only wait for each other.
+    threadpoolctl.threadpool_limits(limits=1, user_api="blas")
     if not config.getoption("--slow") and "XLA_FLAGS" not in os.environ:
         os.environ["XLA_FLAGS"] = QUICKLY
 

@@ -149,10 +149,9 @@ def _sampled(sheets: Sequence[Sheet], box: np.ndarray | None) -> _Pairs:
     """Single samples of all faces, as pairs with one end: shape (n, 1, ...) each, but `faces` (n, 1)."""
     each = max(64, _SAMPLES[sheets[0].spatial] // len(sheets))
     extent = _SIZE if box is None else 0.5 * float(np.linalg.norm(box))
-    known = [sheet.sampled(each, 0.0) for sheet in sheets if _bounded(sheet)]
-    if box is None and known:
-        bounded = [sheet for sheet in sheets if _bounded(sheet)]
-        points = [s.frames(at).points for s, at in zip(bounded, known, strict=True)]
+    bounded = [sheet for sheet in sheets if _bounded(sheet, each)]
+    if box is None and bounded:
+        points = [sheet.frames(sheet.sampled(each, 0.0)).points for sheet in bounded]
         extent = float(np.abs(np.concatenate(points)).max())
     width = max(sheet.coordinates for sheet in sheets)
     parts = []
@@ -168,9 +167,9 @@ def _sampled(sheets: Sequence[Sheet], box: np.ndarray | None) -> _Pairs:
     return _Pairs(*(np.concatenate(x) for x in zip(*parts, strict=True)))
 
 
-def _bounded(sheet: Sheet) -> bool:
+def _bounded(sheet: Sheet, count: int) -> bool:
     if sheet.spatial:
-        return sheet.shape.spread(1) is not None
+        return sheet.spread(count) is not None
     return sheet.shape.domain() is not None
 
 

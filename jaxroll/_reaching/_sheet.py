@@ -21,7 +21,7 @@ from ..geometry.surfaces import lattice
 # Rows that one call of a compiled program takes.
 _BATCH = 512
 # How often a place returns to an implicit surface after a step.
-_RETURNS = 3
+_RETURNS = 2
 
 
 class Frames(NamedTuple):
@@ -83,9 +83,9 @@ class Sheet(NamedTuple):
     def sampled(self, count: int, extent: float) -> np.ndarray:
         """Places spread evenly; of a shape without bounds those within `extent` of its body's origin [m]."""
         if self.spatial:
-            found = self.shape.spread(count)
+            found = self.spread(count)
             if found is not None:
-                return np.stack([np.broadcast_to(np.asarray(x, float), count) for x in found], axis=-1)
+                return found
             near = np.asarray(self.shape.near(extent * (2.0 * lattice(count, 3) - 1.0)))
             return near[np.isfinite(near).all(axis=1)]
         share = (np.arange(count) + 0.5) / count
@@ -94,6 +94,18 @@ class Sheet(NamedTuple):
             return (float(ends[0]) + (float(ends[1]) - float(ends[0])) * share)[:, None]
         middle = self.feet(np.zeros((1, 2)), np.zeros((1, 1)))
         return middle + extent * (2.0 * share[:, None] - 1.0)
+
+    def spread(self, count: int) -> np.ndarray | None:
+        """Places spread evenly over a whole surface; None where it has no bounds."""
+        kept = _spreads(self.shape)
+        if count not in kept:
+            found = self.shape.spread(count)
+            kept[count] = (
+                None
+                if found is None
+                else np.stack([np.broadcast_to(np.asarray(x, float), count) for x in found], axis=-1)
+            )
+        return kept[count]
 
     def feet(self, points: np.ndarray, at: np.ndarray, steps: int = 12) -> np.ndarray:
         r"""Places nearest to points, from guesses, by Newton's method.
@@ -131,6 +143,12 @@ def sheet_of(shape: AbstractContour | AbstractSurface) -> Sheet:
 @remembered
 def _ready(shape: Any) -> Any:
     return _prepared(shape)
+
+
+@remembered
+def _spreads(shape: Any) -> dict[int, np.ndarray | None]:
+    """What is known of a surface's places by their count, to be added to: who asks once asks again."""
+    return {}
 
 
 @quickly

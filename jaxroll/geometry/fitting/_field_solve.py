@@ -154,13 +154,13 @@ class _Level:
         grams: Of each axis, for derivatives of order 0 to 3, the sparse matrix of their products' integrals.
         finer: Of each axis, the sparse matrix from this grid's coefficients to those of the next finer one.
         diagonal: Of the whole form.
-        inverse: Inverse of the whole form, on the coarsest grid alone.
+        factor: Cholesky's factor of the whole form, on the coarsest grid alone.
     """
 
     grams: list[list[Any]]
     finer: list[Any]
     diagonal: np.ndarray
-    inverse: np.ndarray | None
+    factor: np.ndarray | None
 
     def rough(self, x: np.ndarray) -> np.ndarray:
         """The matrix of the integral of the squared third derivatives times coefficients."""
@@ -184,8 +184,8 @@ def _levels(grid: Grid, targets: FieldTargets, roughness: float) -> list[_Level]
         last = max(cells) <= _COARSEST or min(cells) == 1
         # Lengths count in cells of the finest grid: scale^3 of the volume over scale^6 of the derivatives.
         rough = roughness * scale**-3
-        diagonal, inverse = _form(grid, targets, grams, rough, scale, whole=last)
-        levels.append(_Level(grams, finer, diagonal, inverse))
+        diagonal, factor = _form(grid, targets, grams, rough, scale, whole=last)
+        levels.append(_Level(grams, finer, diagonal, factor))
         if last:
             return levels
         finer = [csr_matrix(_two_scales(n)) for n in cells]
@@ -197,7 +197,8 @@ def _levels(grid: Grid, targets: FieldTargets, roughness: float) -> list[_Level]
 def _form(
     grid: Grid, targets: FieldTargets, grams: list[list[Any]], rough: float, scale: float, *, whole: bool
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Diagonal of the form on one grid, in the shape of its counts; if `whole`, the inverse too."""
+    """Diagonal of the form on one grid, in the shape of its counts; if `whole`, its lower factor too."""
+    from scipy.linalg import cholesky
     from scipy.sparse import vstack
 
     matrix, _ = _data(grid, targets)
@@ -217,17 +218,20 @@ def _form(
         along = (gram[order].toarray() for gram, order in zip(grams, orders, strict=True))
         form += rough * share * reduce(np.kron, along)
     form[np.diag_indices_from(form)] += 1e-12 * np.max(np.diag(form))
-    return np.diag(form).reshape(grid.counts), np.linalg.inv(form)
+    return np.diag(form).reshape(grid.counts), cholesky(form, lower=True, check_finite=False)
 
 
 def _corrected(levels: list[_Level], residual: np.ndarray) -> np.ndarray:
     """The preconditioner: corrections of all grids, added up."""
+    from scipy.linalg import cho_solve
+
     residuals = [residual]
     for level in levels[1:]:
         residuals.append(reduce(lambda x, k: _along(level.finer[k].T, x, k), range(3), residuals[-1]))
     coarsest = levels[-1]
-    assert coarsest.inverse is not None
-    found = (coarsest.inverse @ residuals[-1].ravel()).reshape(residuals[-1].shape)
+    assert coarsest.factor is not None
+    found = cho_solve((coarsest.factor, True), residuals[-1].ravel(), check_finite=False)
+    found = found.reshape(residuals[-1].shape)
     for number in range(len(levels) - 2, -1, -1):
         finer = levels[number + 1].finer
         found = reduce(lambda x, k: _along(finer[k], x, k), range(3), found)

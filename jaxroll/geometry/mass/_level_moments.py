@@ -8,10 +8,14 @@ triangle is smooth, and Gauss-Legendre's rule converges fast. The map's derivati
 
 $$ \mathrm{d}\Phi = e + t H e + \nabla F(x)\,\mathrm{d}t, \qquad
    \mathrm{d}t = -\frac{\nabla F(\Phi) \cdot (e + t H e)}{\nabla F(\Phi) \cdot \nabla F(x)}. $$
+
+A field of splines is smooth within its own cells alone. Its grid of space is that of its knots, where the
+rule converges as fast: with 7 nodes 5e-10 on a fitted scan, where other grids of twice the cells left 3e-8.
 """
 
 import itertools
 import math
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import equinox as eqx
@@ -21,8 +25,7 @@ import numpy as np
 from jaxtyping import Array
 
 from ..._linalg import unstack, Vec3
-from ..._types import Scalars
-from ..surfaces import AbstractImplicit, SplineSurface
+from ..surfaces import AbstractImplicit, ORDER, SplineSurface
 from ._moments import checked, difference, from_cones, Moments
 
 # Cells along the box's longest edge, one refinement after the other.
@@ -30,14 +33,18 @@ _CELLS = (16, 32, 64, 96)
 # Refinements end when the moments change by less than this, relative to their size; the finer grid errs by a
 # hundredth of that or less.
 _SETTLED = 1e-9
+# Of a field of splines: parts of its own cells and nodes of the rule, one after the other. What the last
+# nodes but two change is some hundred times what the last leave, so that less of a change is asked for.
+_OWN_CELLS, _OWN_SETTLED = ((1, 5), (1, 7), (2, 7)), 1e-6
 _BATCH = 8192
-# Places that find the box, what is added to it on every side, and how often that is tried, doubled each time.
-_SPREAD, _PADDING, _WIDER = 512, 0.08, 4
+# Places that find the box, as many as `_reaching` asks for (one program); what is added to it on every side,
+# and how often that is tried, doubled each time.
+_SPREAD, _PADDING, _WIDER = 720, 0.08, 4
 # A triangle this much smaller than the largest may be folded by rounding.
 _SLIVER = 1e-6
-_NEWTON = 5
-# Gauss-Legendre's rule on a triangle, as a square with one side drawn together.
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
+_NEWTON = 3
+# Nodes of Gauss-Legendre's rule on a triangle, as a square with one side drawn together, along each side.
+_NODES = 5
 # The six tetrahedra of a cube: paths from its low to its high corner along the three axes in every order.
 _PATHS = list(itertools.permutations(range(3)))
 
@@ -46,21 +53,35 @@ def level_moments(surface: AbstractImplicit) -> Moments:
     """Moments of the body within a bounded implicit surface, by refinement of the grid."""
     found, change, at = None, math.inf, surface.spread(_SPREAD)
     assert at is not None  # the caller has looked
-    for count in _CELLS:
-        before, found = found, _on_grid(surface, at, count)
+    known = np.stack([np.asarray(x, float) for x in at], axis=-1)
+    settled = _OWN_SETTLED if isinstance(surface, SplineSurface) else _SETTLED
+    for values, axes, nodes in _grids(surface, known):
+        before, found = found, _on_grid(surface, _triangles(values, axes), nodes)
         change = math.inf if found is None or before is None else difference(found, before)
-        if change <= _SETTLED:
+        if change <= settled:
             break
     return checked(found, change, surface)
 
 
-def _on_grid(surface: AbstractImplicit, at: Scalars, count: int) -> Moments | None:
-    """Moments by one grid about places on the surface; None where it does not resolve the surface."""
-    corners = _triangles(*_sampled(surface, at, count))
+def _grids(
+    surface: AbstractImplicit, known: np.ndarray
+) -> Iterator[tuple[np.ndarray, list[np.ndarray], int]]:
+    """Values of the field on finer and finer grids about known points, and nodes of the rule."""
+    if isinstance(surface, SplineSurface):
+        for parts, nodes in _OWN_CELLS:
+            yield *_sampled(surface, lambda pad, n=parts: _along_knots(surface, known, n, pad)), nodes
+    else:
+        for count in _CELLS:
+            yield *_sampled(surface, lambda pad, n=count: _around(known, n, pad)), _NODES
+
+
+def _on_grid(surface: AbstractImplicit, corners: np.ndarray, nodes: int) -> Moments | None:
+    """Moments by triangles near the surface; None where they do not resolve it."""
     a, b, c = np.moveaxis(corners, 1, 0)
     # Places of the rule in every triangle, a + x (b - a) + y (c - a), and their weights.
-    s, t = (x.ravel() for x in np.meshgrid(0.5 * (1.0 + _NODES), 0.5 * (1.0 + _NODES), indexing="ij"))
-    weights = np.outer(0.5 * _WEIGHTS, 0.5 * _WEIGHTS).ravel() * s
+    at, shares = np.polynomial.legendre.leggauss(nodes)
+    s, t = (x.ravel() for x in np.meshgrid(0.5 * (1.0 + at), 0.5 * (1.0 + at), indexing="ij"))
+    weights = np.outer(0.5 * shares, 0.5 * shares).ravel() * s
     x, y = s * (1.0 - t), s * t
     places = a[:, None] + x[:, None] * (b - a)[:, None] + y[:, None] * (c - a)[:, None]
     edges = [np.repeat(edge, len(x), axis=0) for edge in (b - a, c - a)]
@@ -78,22 +99,16 @@ def _on_grid(surface: AbstractImplicit, at: Scalars, count: int) -> Moments | No
     return from_cones(arms, cones, about)
 
 
-def _sampled(surface: AbstractImplicit, at: Scalars, count: int) -> tuple[np.ndarray, list[np.ndarray]]:
-    """The field on a grid about the whole surface, and the grid's coordinates along the three axes."""
-    known = np.stack([np.asarray(x, float) for x in at], axis=-1)
-    low, high = known.min(axis=0), known.max(axis=0)
-    ends, padding = _ends(surface, at), _PADDING
+def _sampled(
+    surface: AbstractImplicit, axes_with: Callable[[float], list[np.ndarray]]
+) -> tuple[np.ndarray, list[np.ndarray]]:
+    """The field on a grid about the whole surface, and the grid's coordinates along the three axes.
+
+    `axes_with` gives them for a padding, as a share of the surface's extent, which grows until it is enough.
+    """
+    padding = _PADDING
     for _ in range(_WIDER):
-        add = padding * (high - low).max()
-        # Not the same on both sides, so that no grid plane is a plane of symmetry, where fields often vanish.
-        axes = [
-            np.linspace(
-                max(x - add, least),
-                min(y + 1.03 * add, most),
-                1 + max(6, round(count * (y - x) / (high - low).max())),
-            )
-            for x, y, least, most in zip(low, high, *ends, strict=True)
-        ]
+        axes = axes_with(padding)
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
         values = _batched(_values, surface, grid.reshape(-1, 3))[0].reshape(grid.shape[:3])
         inner = values[1:-1, 1:-1, 1:-1]
@@ -106,13 +121,29 @@ def _sampled(surface: AbstractImplicit, at: Scalars, count: int) -> tuple[np.nda
     )
 
 
-def _ends(surface: AbstractImplicit, at: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Corners of the box in which the field is known: beyond its grid a spline may have any sign."""
-    if not isinstance(surface, SplineSurface):
-        return np.full(3, -np.inf), np.full(3, np.inf)
-    place = np.array([float(x[0]) for x in at])
-    ways = np.array([float(x) for x in surface.margins(tuple(place))])
-    return place - ways[:3], place + ways[3:]
+def _around(known: np.ndarray, count: int, padding: float) -> list[np.ndarray]:
+    """Axes of a grid about points, so many cells along the longest."""
+    low, high = known.min(axis=0), known.max(axis=0)
+    add = padding * (high - low).max()
+    # Not the same on both sides, so that no grid plane is a plane of symmetry, where fields often vanish.
+    return [
+        np.linspace(x - add, y + 1.03 * add, 1 + max(6, round(count * (y - x) / (high - low).max())))
+        for x, y in zip(low, high, strict=True)
+    ]
+
+
+def _along_knots(surface: SplineSurface, known: np.ndarray, parts: int, padding: float) -> list[np.ndarray]:
+    """Axes of a grid about points at the knots of a field, and so many parts of its cells.
+
+    They end with the field's own grid: beyond it a spline may have any sign.
+    """
+    low, high = known.min(axis=0), known.max(axis=0)
+    add = padding * (high - low).max()
+    origin, step = np.asarray(surface.origin, float), float(surface.step)
+    cells = np.array(surface.coefficients.shape) - (ORDER - 1)
+    first = np.clip(np.floor((low - add - origin) / step), 0, cells).astype(int)
+    last = np.clip(np.ceil((high + add - origin) / step), 0, cells).astype(int)
+    return [origin[k] + step / parts * np.arange(parts * first[k], parts * last[k] + 1) for k in range(3)]
 
 
 def _triangles(values: np.ndarray, axes: list[np.ndarray]) -> np.ndarray:
@@ -186,12 +217,16 @@ def _onto(surface: AbstractImplicit, rows: Array) -> tuple[Array, Array, Array]:
         here = ready.derivatives(start)
         way = Vec3(*(jnp.asarray(x) for x in here.gradient))
 
-        # Newton's method along the gradient of the start, for F(start + t way) = 0.
+        # Newton's method along the gradient of the start, for F(start + t way) = 0, from the root of the
+        # parabola F + a t + b t^2 / 2 there, to second order in F: t = -F/a - b (F/a)^2 / (2 a).
         def step(_: int, t: Array) -> Array:
             level = ready.derivatives(start + way * t)
             return t - level.value / level.gradient.dot(way)
 
-        t = jax.lax.fori_loop(0, _NEWTON, step, jnp.zeros_like(row[0]))
+        square = way.dot(way)
+        first = -here.value / square
+        first = first - 0.5 * first * first * way.dot(here.hessian.apply(way)) / square
+        t = jax.lax.fori_loop(0, _NEWTON, step, first)
         point = start + way * t
         slope = ready.derivatives(point).gradient
         sides = []

@@ -70,6 +70,7 @@ def mass_properties(
     Accuracy: closed forms and meshes to rounding. A contour is integrated as its table has it: an ellipse as
     a `Parametric` to 1e-14. Charts and patches settle to 1e-12, implicit surfaces of any genus to 1e-9 or
     less (smooth ones of a closed form to 1e-11), by grids of 16, 32, 64 and 96 cells along the longest side;
+    fields of splines, by grids at their knots, until they change by 1e-6 or less, which leaves 1e-9 or so;
     parts thinner than a cell may not be seen. `error` is the change at the last refinement, larger than what
     is left.
 

@@ -62,8 +62,8 @@ class SplineSurface(AbstractImplicit):
     def derivatives(self, point: Vec3) -> Level:
         corner = Vec3(*unstack(self.origin))
         # Along each axis: the position in cells, and derivatives over `step`, so that they are per metre.
-        cells = zip(point - corner, self.coefficients.shape, strict=True)
-        local = [uniform(x / self.step, count, self.step) for x, count in cells]
+        cells = (point - corner).array() / self.step
+        local = uniform(cells, self.coefficients.shape, self.step)
         near = block(self.coefficients, tuple(place.first for place in local))
         found = contracted(near, tuple(place.weights for place in local))
         gradient = Vec3(found[1, 0, 0], found[0, 1, 0], found[0, 0, 1])

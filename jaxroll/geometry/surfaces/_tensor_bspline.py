@@ -34,6 +34,18 @@ UNIFORM = np.array(
 )
 
 
+def _by_power() -> np.ndarray:
+    """Coefficients of the functions and their first two derivatives: power, 1, derivative, function."""
+    tables = [UNIFORM / 120.0]
+    for _ in range(2):
+        slopes = tables[-1][:, 1:] * np.arange(1, ORDER)
+        tables.append(np.pad(slopes, ((0, 0), (0, 1))))
+    return np.moveaxis(np.stack(tables), 2, 0)[:, None]
+
+
+_BY_POWER = _by_power()
+
+
 class Local(NamedTuple):
     """The six functions at a parameter: number of the first, and their values and two derivatives."""
 
@@ -88,14 +100,23 @@ def _tables(at: Array, closed: bool) -> tuple[Array, Array, Array]:
     return found.breaks, found.polynomials, found.matrix(at[: found.count])
 
 
-def uniform(u: Scalar, functions: int, step: Scalar) -> Local:
-    """The functions at u with knots at all integers; function i is not zero on cells i - 5 to i.
+def uniform(u: Float[Array, "3"], functions: tuple[int, ...], step: Scalar) -> list[Local]:
+    """The functions of three axes at u; knots at all integers, function i is not zero on cells i - 5 to i.
 
     Derivatives are with respect to `step` times u. Beyond the grid the polynomials of the first or last cell
     are continued.
+
+    All axes and derivatives go through one Horner's scheme: axis by axis, as `quintics` has it, a run on a
+    fitted surface took a quarter longer to compile.
     """
-    cell = jnp.clip(jnp.floor(u), 0.0, functions - float(ORDER))
-    return Local(cell.astype(int), quintics(jnp.asarray(UNIFORM / 120.0, u.dtype), u - cell, 1.0 / step))
+    cells = jnp.clip(jnp.floor(u), 0.0, np.array(functions) - float(ORDER))
+    x = (u - cells)[:, None, None]
+    found = jnp.asarray(_BY_POWER[-1], u.dtype)
+    for table in _BY_POWER[-2::-1]:
+        found = found * x + table.astype(u.dtype)
+    scale = jnp.stack([jnp.ones_like(step), 1.0 / step, 1.0 / (step * step)])
+    weights = found * scale[None, :, None]
+    return [Local(cells[k].astype(int), weights[k]) for k in range(3)]
 
 
 def quintics(polynomials: Float[Array, "6 6"], x: Scalar, rate: Scalar) -> Float[Array, "3 6"]:

@@ -165,4 +165,10 @@ def _close(
 ) -> tuple[State, Array]:
     """The closed state and its constraint rows, compiled as one program."""
     ready, _ = as_it_is_resolved(grasp.prepared())  # a run from there says if a table is too coarse
-    return settled(ready, on_shapes(ready, guess), hold, resting=resting, held=held)
+    start = on_shapes(ready, guess)
+    state, rows = settled(ready, start, hold, resting=resting, held=held)
+    if not hold:
+        return state, rows
+    # Where contacts are held, their places come straight from the start: a program around this one that asks
+    # for no more than these, as that of `design.Firmness` does, is compiled without the search.
+    return State(state.q, state.v, start.s, state.memory), rows

@@ -29,6 +29,7 @@ from .._results import (
     RESULTS,
 )
 from .._types import Given
+from .._xla import quickly
 from ..geometry import AbstractContour, tabled
 from ._design import Design
 from ._goals import AbstractGoal, Margin
@@ -188,7 +189,7 @@ class _Problem(eqx.Module):
         return arrays, self.goal.figures(tip, seen), excess
 
 
-@eqx.filter_jit
+@quickly
 def _outcomes(problem: _Problem, x: Array, data: Any) -> tuple[Any, Any, Any]:
     """`outcome` of every start, with a leading axis."""
     if problem.goal.in_turn:

@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool, Float
 from .._mechanics import Grasp, State
 from .._results import as_count, as_floats, check_choice, check_positive
 from .._types import Given, Scalar
+from .._xla import quickly
 from ..geometry import AbstractContour, tabled
 from ..stability import assess, pinch_rest
 from ._goals import (
@@ -179,7 +180,7 @@ def _smallest(values: Array, neutral: int) -> Array:
     return jnp.where(rising[0] < least, rising[0], rising[neutral])
 
 
-@eqx.filter_jit
+@quickly
 def _first(make: Make, cases: Any, measure: Measure, tip: AbstractContour) -> tuple[Array, Array]:
     """`_values` of every case given, compiled."""
     return each_case(make, cases, tip, lambda grasp, state: _values(measure, grasp, state))

@@ -26,6 +26,7 @@ import optax
 from jaxtyping import Array, Bool, Float, Int
 
 from .._results import check_instance, shown
+from .._xla import quickly
 from ._descent import AbstractDescent, descent, Walk
 from ._gradient import Mode, value_and_grad
 
@@ -130,7 +131,8 @@ def minimise(
         search, done, history = _restored(path, search)
     report = progress if callable(progress) else (_printed if progress else None)
     while done < steps and not bool(jnp.all(search.done)):
-        search, values = _advance(problem, method, search, data, mode=mode, in_turn=in_turn)
+        advance = _in_turn if in_turn else _side_by_side
+        search, values = advance(problem, method, search, data, mode)
         history.append(np.asarray(values))
         done += STEPS_PER_CHUNK
         if path is not None:
@@ -161,21 +163,20 @@ def _begin(problem: DesignProblem, method: AbstractDescent, start: Array, data: 
     return jax.vmap(each)(start)
 
 
-@eqx.filter_jit
-def _advance(
-    problem: DesignProblem,
-    method: AbstractDescent,
-    search: Search,
-    data: Any,
-    *,
-    mode: Mode,
-    in_turn: bool,
+@quickly
+def _side_by_side(
+    problem: DesignProblem, method: AbstractDescent, search: Search, data: Any, mode: Mode
 ) -> tuple[Search, Array]:
     """One chunk of all starts, and the objective after each of its steps, shape (starts, steps)."""
-    one = lambda search, data: _chunk(problem, method, mode, search, data)  # noqa: E731
-    if in_turn:
-        return jax.lax.map(lambda pair: one(*pair), (search, data))
-    return jax.vmap(one)(search, data)
+    return jax.vmap(lambda search, data: _chunk(problem, method, mode, search, data))(search, data)
+
+
+@eqx.filter_jit
+def _in_turn(
+    problem: DesignProblem, method: AbstractDescent, search: Search, data: Any, mode: Mode
+) -> tuple[Search, Array]:
+    """The same, start by start: such a search simulates, and is worth all optimisations."""
+    return jax.lax.map(lambda pair: _chunk(problem, method, mode, *pair), (search, data))
 
 
 def _chunk(

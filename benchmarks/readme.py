@@ -2,7 +2,8 @@
 
 `python -m benchmarks.readme` rewrites what stands between the markers of the READMEs, as does every benchmark
 that rewrites its section of the page: `table NAME` is a section's table, `conclusions NAME ...` the first
-sentences of some sections' conclusions. `tests/test_readme.py` compares.
+sentences of some sections' conclusions, `peers NAME ...` the best of every program in some sections' tables.
+`tests/test_readme.py` compares.
 """
 
 import re
@@ -11,6 +12,24 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 QUOTING = ("README.md", "jaxroll/_xla/README.md")
 _MARK = re.compile(r"<!-- benchmarks: (\w+) ([\w ]+) -->\n.*?<!-- end -->", re.DOTALL)
+# What a section compares programs by: the row's name in README, the column of the figure, that of the
+# program, and what a row of the section's table must say to count.
+_COMPARED = {
+    "work_precision": ("one run, Part 2 to 1e-8 rad [ms]", "time [ms]", "family", ""),
+    "disc": ("disc on a plane to 1e-8 m [ms]", "time [ms]", "family", ""),
+    "long_pinch": ("20 s of the stiff pinch to 1e-6 rad [ms]", "time [ms]", "family", ""),
+    "batch": ("runs per second and core, pivoted", "runs/s per core", "contender", "pivoted"),
+}
+# Columns of the comparison: the words by which a program's rows begin, and whether that is within `jax.jit`.
+_PROGRAMS = {
+    "jaxroll": ("jaxroll", False),
+    "in `jax.jit`": ("jaxroll", True),
+    "Numba, by hand": ("Numba", False),
+    "SciPy": ("SciPy", False),
+    "SUNDIALS": ("SUNDIALS", False),
+    "Exudyn": ("Exudyn", False),
+    "diffrax": ("plain diffrax", False),
+}
 # A cell holds sentences up to this length.
 _LONGEST = 420
 
@@ -45,10 +64,44 @@ def conclusion_of(text: str) -> str:
     return told.rstrip(".").replace("|", "\\|")
 
 
+def rows_of(table: str) -> list[dict[str, str]]:
+    """The rows of a table, by the names of its columns."""
+    head, _, *rows = ([cell.strip() for cell in line.strip("| ").split(" | ")] for line in table.splitlines())
+    return [dict(zip(head, row, strict=False)) for row in rows]
+
+
+def best_of(table: str, program: str, column: str, who: str, said: str) -> str:
+    """The least time of a program in a section's table, or its most runs; empty where it has no row."""
+    begins, within = _PROGRAMS[program]
+    found = [
+        row[column]
+        for row in rows_of(table)
+        if row[who].startswith(begins)
+        and ("jitted" in row.get("solver", "")) == within
+        and (not said or said in " ".join(row.values()))
+    ]
+    return (max if "/s" in column else min)(found, key=float, default="")
+
+
+def compared(names: str, page: str) -> str:
+    """The best of every program, section by section; the best of a row is bold."""
+    lines = ["| | " + " | ".join(_PROGRAMS) + " |", "|---" * (len(_PROGRAMS) + 1) + "|"]
+    for name in names.split():
+        title, column, who, said = _COMPARED[name]
+        tables = re.findall(r"(?:^\|.*\n?)+", section(page, name), re.MULTILINE)
+        table = next(t for t in tables if f"| {who} |" in t and f"| {column} |" in t)
+        cells = [best_of(table, program, column, who, said) for program in _PROGRAMS]
+        best = (max if "/s" in column else min)(filter(None, cells), key=float)
+        lines.append(f"| {title} | " + " | ".join(f"**{c}**" if c == best else c for c in cells) + " |")
+    return "\n".join(lines)
+
+
 def quoted(kind: str, names: str, page: str) -> str:
     """What stands between a pair of markers."""
     if kind == "table":
         return table_of(section(page, names))
+    if kind == "peers":
+        return compared(names, page)
     rows = [f"| `{name}` | {conclusion_of(section(page, name))} |" for name in names.split()]
     return "\n".join(["| `python -m benchmarks.` | what came of it |", "|---|---|", *rows])
 

@@ -1,0 +1,87 @@
+"""Where discs roll along a line: corners of triangles, for which the disc in each corner is known."""
+
+import numpy as np
+import pytest
+from scipy.spatial import KDTree
+
+from jaxroll.geometry.fitting._rolled_line import along, rolled_line, spread_along
+
+RADIUS, COUNT = 1.0, 4001
+SLACK = 0.02 * RADIUS
+
+
+def triangle(apex):
+    """Corners of an isosceles triangle with sides of 12 radii, counter-clockwise, and its angles [rad]."""
+    half = np.radians(apex) / 2.0
+    foot = 12.0 * np.array([np.sin(half), -np.cos(half)])
+    return np.array([[0.0, 0.0], foot * [-1.0, 1.0], foot]), np.array([2.0, 0.0, 0.0]) * half + np.array(
+        [0.0, 1.0, 1.0]
+    ) * (np.pi / 2 - half)
+
+
+def in_corners(places, corners, angles):
+    """Places moved onto the disc that touches both sides of a corner, where they are before it."""
+    found = places.copy()
+    for k in range(3):
+        aside = [corners[j] - corners[k] for j in range(3) if j != k]
+        inward = sum(side / np.linalg.norm(side) for side in aside)
+        half = angles[k] / 2.0
+        middle = corners[k] + inward / np.linalg.norm(inward) * RADIUS / np.sin(half)
+        before = np.linalg.norm(places - corners[k], axis=1) < RADIUS / np.tan(half)
+        # Wider corners than of 77 degrees are left: their arc is nearer than 0.6 radii.
+        if RADIUS / np.sin(half) - RADIUS > 0.6 * RADIUS:
+            arms = places[before] - middle
+            found[before] = middle + RADIUS * arms / np.linalg.norm(arms, axis=1, keepdims=True)
+    return found
+
+
+def apart(one, other):
+    """Largest distance of either line's places from the other's."""
+    return max(KDTree(a).query(b)[0].max() for a, b in ((one, other), (other, one)))
+
+
+@pytest.mark.parametrize("apex", [25.0, 60.0, 74.0, 81.0])
+@pytest.mark.parametrize("inside", [True, False])
+def test_corners_are_drawn_onto_the_disc_that_fits(apex, inside):
+    """Of a body with sharp ends, and of one with notches: the same line the other way round."""
+    corners, angles = triangle(apex)
+    line = spread_along(np.concatenate([corners, corners[:1]]), COUNT)
+    # The first place is on a side, not in a corner.
+    line = np.concatenate([line[500:-1], line[:501]])
+    points = line[::7] * 1.0
+    moved, after = rolled_line(points, line if inside else line[::-1], RADIUS, 1e-3, closed=True)
+    np.testing.assert_array_equal(after[0], after[-1])
+    # A disc that reaches over the sides by the slack is nearer to the corner by so much over the sine.
+    allowed = 1.05 * SLACK / np.sin(angles.min() / 2.0) + 0.01
+    expected = in_corners(line, corners, angles)
+    assert np.abs(expected - line).max() > 0.5
+    assert apart(after, expected) < allowed
+    np.testing.assert_allclose(moved, in_corners(points, corners, angles), atol=allowed)
+
+
+def test_a_line_with_ends_keeps_them_and_loses_its_corner():
+    corners, angles = triangle(45.0)
+    line = spread_along(corners[[2, 0, 1]], COUNT)
+    moved, after = rolled_line(line[::5], line, RADIUS, 1e-3, closed=False)
+    expected = line.copy()
+    upper = np.linalg.norm(line - corners[0], axis=1) < 6.0
+    expected[upper] = in_corners(line, corners, angles)[upper]
+    allowed = 1.05 * SLACK / np.sin(angles[0] / 2.0) + 0.01
+    assert apart(after, expected) < allowed
+    np.testing.assert_allclose(after[[0, -1]], line[[0, -1]], atol=1e-12)
+    np.testing.assert_allclose(moved, expected[::5], atol=allowed)
+
+
+@pytest.mark.parametrize(("radius", "noise"), [(6.0, 1e-3), (1.0, 0.13)])
+def test_nothing_is_moved_where_no_disc_fits_or_noise_is_half_a_radius(radius, noise):
+    corners, _ = triangle(45.0)
+    line = spread_along(np.concatenate([corners, corners[:1]]), COUNT)
+    moved, after = rolled_line(line[::5], line, radius, noise, closed=True)
+    assert apart(after, line) < 5e-3
+    np.testing.assert_array_equal(moved, line[::5])
+
+
+def test_lengths_along_a_polygon():
+    corners = np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 1.0]])
+    assert along(corners).tolist() == [0.0, 3.0, 4.0]
+    np.testing.assert_allclose(spread_along(corners, 5), [[0, 0], [1, 0], [2, 0], [3, 0], [3, 1]])

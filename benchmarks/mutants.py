@@ -89,7 +89,31 @@ EQUIVALENT: dict[tuple[str, str, str, str], str] = {
         "1e-9",
         "(2e-09)",
     ): "the start of a search whose end does not depend on it",
+    (
+        "jaxroll/geometry/fitting/_scan.py",
+        "_alike",
+        "edges[:, 0] * (faces.max() + 1) + edges[:, 1]",
+        "(edges[:, 0] * (faces.max() + 1) - edges[:, 1])",
+    ): "a number of its own for each pair, either way",
+    (
+        "jaxroll/geometry/fitting/_field_solve.py",
+        "_form",
+        "1e-12 * np.max(np.diag(form))",
+        "(1e-12 / np.max(np.diag(form)))",
+    ): "a ridge at rounding level, in the preconditioner alone",
+    (
+        "jaxroll/geometry/mass/_surface_moments.py",
+        "_chart_moments",
+        "change <= _SETTLED",
+        "(change < _SETTLED)",
+    ): "a difference of floating-point numbers that never is that number",
 }
+
+# Arguments that change nothing wherever they stand: before, after, what the line has, and why.
+_WITHOUT_EFFECT = (
+    ("True", "(False)", "strict=True", "lengths that always agree are not compared"),
+    ("-1", "(1)", "workers=-1", "one thread finds what several find"),
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -267,6 +291,11 @@ def run(chosen: list[Mutation], data: Path, jobs: int, budget: float) -> dict[st
 
 def reason(mutation: Mutation) -> str | None:
     """Why a mutation changes nothing, if it does not."""
+    for before, after, word, why in _WITHOUT_EFFECT:
+        line = mutation.text_of_line
+        # The line has the same text nowhere else, so that it is this argument that changes.
+        if (mutation.before, mutation.after) == (before, after) and word in line and line.count(before) == 1:
+            return why
     return EQUIVALENT.get((mutation.file, mutation.place, mutation.before, mutation.after))
 
 

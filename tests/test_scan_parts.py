@@ -109,9 +109,13 @@ def test_few_points_stand_for_all():
 
 
 def test_a_thinned_cloud_has_means_areas_and_normals():
-    """A ball of 20 mm: its points' means by brute force, its area, radial normals; three points far off."""
-    cloud = np.concatenate([sphere(6000, BALL), [[0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.1]]])
-    normals = cloud / np.linalg.norm(cloud, axis=1, keepdims=True)
+    """A ball of 20 mm: its points' means by brute force, its area, radial normals; three points off it.
+
+    Two are far off, the third so near that its twenty-fourth neighbour is no farther than usual.
+    """
+    middle = np.array([0.0, 0.0, 0.05])
+    normals = np.concatenate([sphere(6000), np.eye(3)])
+    cloud = middle + normals * np.append(np.full(6000, BALL), [0.1, 0.1, 0.032])[:, None]
     for given in (normals, None):
         scan, numbers = thinned_scan(cloud, given, 0.0025)
         assert 500 < len(scan.points) < 3000
@@ -119,7 +123,7 @@ def test_a_thinned_cloud_has_means_areas_and_normals():
         assert (numbers[:-3] >= 0).all()
         means = [cloud[numbers == k].mean(axis=0) for k in range(len(scan.points))]
         np.testing.assert_allclose(scan.points, means, atol=1e-15)
-        radial = scan.points / np.linalg.norm(scan.points, axis=1, keepdims=True)
+        radial = (scan.points - middle) / np.linalg.norm(scan.points - middle, axis=1, keepdims=True)
         assert np.sum(radial * scan.normals, axis=1).min() > 0.99
         np.testing.assert_allclose(np.linalg.norm(scan.normals, axis=1), 1.0)
         np.testing.assert_allclose(scan.areas.sum(), 4.0 * np.pi * BALL**2, rtol=0.1)

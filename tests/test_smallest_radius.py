@@ -2,6 +2,7 @@
 
 import pathlib
 import time
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -11,10 +12,11 @@ from scipy.spatial import KDTree
 
 import jaxroll as jxr
 from jaxroll.geometry import tabled
-from jaxroll.geometry.fitting._band import found_band
+from jaxroll.geometry.fitting._band import Band, found_band
 from jaxroll.geometry.fitting._bounded_curve import bounded_curve
 from jaxroll.geometry.fitting._departures import jumps, natural_radius
 from jaxroll.geometry.fitting._even_spline import displacements, EvenSpline, low_passed
+from jaxroll.geometry.fitting._limited_fit import _turned, Wanted
 
 DATA = pathlib.Path(__file__).parents[2] / "shared" / "data"
 N = 300
@@ -219,7 +221,46 @@ def test_the_contour_is_differentiable_in_its_nodes():
     assert slope == pytest.approx(central, rel=1e-4)
 
 
+@pytest.mark.parametrize(
+    ("longer", "radius", "peak", "off"), [(0.020, 0.0199, 0.995, 1e-5), (0.022, 0.0195, 0.95, 2e-3)]
+)
+def test_a_curve_that_still_bends_too_much_is_tried_with_less(longer, radius, peak, off):
+    """A circle that bends nearly as much as it may is met; an ellipse that bends more is rounded."""
+    points = np.stack([longer * np.cos(U), 0.020 * np.sin(U)], axis=1)
+    fit = jxr.fit_contour(points, smallest_radius=radius)
+    _, direct, other = everywhere(fit, 2000)
+    for bends in (direct, other):
+        assert peak - 0.03 < radius * np.abs(bends).max() <= 1.0 + 1e-3
+    assert fit.report.rms < off
+
+
+def test_an_open_line_has_its_body_inside_its_bend():
+    """Three quarters of a circle, turned in steps: on the left where it runs counter-clockwise."""
+    wanted = Wanted(False, None, False, 1e-3, None, None, None)
+    for start in np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False):
+        u = start + np.linspace(0.0, 1.5 * np.pi, 40)
+        chain = np.stack([np.cos(u), np.sin(u)], axis=1) + [0.3, -2.0]
+        for way, given in ((1, chain), (-1, chain[::-1])):
+            band = Band(given, np.arange(40)[::way], np.zeros(0, int), True)
+            turned, against, doubts = _turned(band, wanted)
+            np.testing.assert_array_equal(turned.chain, chain)
+            np.testing.assert_array_equal(turned.indices, np.arange(40))
+            assert against == (way < 0) and len(doubts) == 1
+            # In an order that was kept nothing is turned, nor doubted; `reverse` turns what was found.
+            kept, _, none = _turned(band._replace(reordered=False), wanted)
+            np.testing.assert_array_equal(kept.chain, given)
+            assert none == ()
+            other, _, _ = _turned(band, replace(wanted, reverse=True))
+            np.testing.assert_array_equal(other.chain, chain[::-1])
+
+
 REFUSED = {
+    "few": (np.repeat(ELLIPSE[::60], 3, axis=0), {}, "must be 6 distinct points or more, but there were 5"),
+    "bent back": (
+        ELLIPSE / [A, B] * [0.0202, 0.02],
+        {"smallest_radius": 0.01995},
+        "leave room for a smooth contour among the points, but with 0.01995 m the curvature stays at 5",
+    ),
     "too large": (ELLIPSE, {"smallest_radius": 0.021}, "must be at most 0.02 m here, half the least width"),
     "zero": (ELLIPSE, {"smallest_radius": 0.0}, "smallest_radius must be a positive length"),
     "negative": (ELLIPSE, {"smallest_radius": -1.0}, "smallest_radius must lie between 0 and"),

@@ -35,7 +35,7 @@ _CELLS = (4096, 16384)
 _DENSE = 512  # most knots of a smoothing spline, unless told; the cost grows with their cube
 _PLACES = 16385  # at which the curvature is compared with what is allowed
 _SHARE = 0.97  # of the allowed curvature, tried first
-_SPARE = 0.01  # by which the curvature must stay below before a spline is made of the nodes
+_SPARE = 0.01  # half of how far below the bound the next try aims
 _TRIES = 8
 _TERMS = (3, 4, 6, 8, 11, 15, 20)  # numbers of Fourier terms of a support function, tried in turn
 
@@ -402,7 +402,7 @@ def _bent_at_most(points: np.ndarray, wanted: Wanted) -> Fit:
     for _ in range(_TRIES):
         found = ready.solved(share)
         peak = wanted.radius * found.sharpest()
-        if peak <= 1.0 - _SPARE:
+        if peak <= 1.0:
             nodes = found.curve.nodes
             contour = _resolved(_through(nodes, closed=wanted.closed))
             seen = _measured(tabled(contour), ready.clean.points)

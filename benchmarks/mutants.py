@@ -102,6 +102,12 @@ EQUIVALENT: dict[tuple[str, str, str, str], str] = {
         "(1e-12 / np.max(np.diag(form)))",
     ): "a ridge at rounding level, in the preconditioner alone",
     (
+        "jaxroll/_reaching/_grasp_points.py",
+        "_newton",
+        "1",
+        "(2)",
+    ): "the shape operator is a square matrix; the other ones there raise",
+    (
         "jaxroll/geometry/mass/_surface_moments.py",
         "_chart_moments",
         "change <= _SETTLED",

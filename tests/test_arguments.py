@@ -544,6 +544,10 @@ def test_with_takes_what_the_constructor_takes():
     assert SPACE.with_(surfaces=BALL).object.surfaces == (BALL,)
     assert PLANE.with_(fingers=FINGER, contacts=jxr.Contact(0.001)).fingers == (FINGER,)
     assert PLANE.with_(force=-0.5).controller.stiffness == -50.0  # a push away is a force
+    for name in ("force", "radius"):
+        changing = PLANE.with_(**{name: lambda t: 0.1 + t}).controller
+        with pytest.raises(ValueError, match="must have numbers as force and radius, as those of `at"):
+            changing.stiffness  # noqa: B018
 
 
 @pytest.mark.parametrize("index", [-1, 1, 0.0, True, None, "0", [0], 10**9])

@@ -256,6 +256,11 @@ def test_an_open_line_has_its_body_inside_its_bend():
 
 REFUSED = {
     "few": (np.repeat(ELLIPSE[::60], 3, axis=0), {}, "must be 6 distinct points or more, but there were 5"),
+    "two places": (
+        np.repeat(ELLIPSE[[0, 99]], 6, axis=0),
+        {},
+        "must be 6 distinct points or more, but there were 2",
+    ),
     "bent back": (
         ELLIPSE / [A, B] * [0.0202, 0.02],
         {"smallest_radius": 0.01995},

@@ -15,7 +15,8 @@ from jaxroll.geometry.fitting._field_solve import (
     values_matrix,
 )
 from jaxroll.geometry.fitting._scan import normals_of_net, sampled_mesh, Scan, thinned_scan
-from jaxroll.geometry.mass._level_moments import _ends, _on_grid
+from jaxroll.geometry.mass import mass_properties
+from jaxroll.geometry.mass._level_moments import _along_knots, _around, _on_grid, _sampled, _triangles
 from jaxroll.geometry.surfaces import Implicit, SplineSurface
 
 BALL = 0.02
@@ -233,7 +234,9 @@ def test_moments_of_an_ellipsoid_by_one_grid():
     egg = Implicit(field, radius=0.03)
     at = egg.spread(64)
     assert at is not None
-    found = _on_grid(egg, at, 8)
+    known = np.stack([np.asarray(x) for x in at], axis=-1)
+    values, axes = _sampled(egg, lambda padding: _around(known, 8, padding))
+    found = _on_grid(egg, _triangles(values, axes), 5)
     assert found is not None
     size, squeezed = SIZE * 2.0**0.5, np.array([1.0, 1.0, 2.0])
     np.testing.assert_allclose(found.size, size, rtol=1e-8)
@@ -242,12 +245,40 @@ def test_moments_of_an_ellipsoid_by_one_grid():
     np.testing.assert_allclose(found.spread, spread, atol=1e-7 * spread.max())
 
 
-def test_the_box_in_which_a_field_of_splines_is_known():
-    """14 x 12 x 10 coefficients: five cells fewer; a formula is known everywhere."""
+def test_the_grid_of_a_field_of_splines_is_that_of_its_knots_and_ends_with_it():
+    """14 x 12 x 10 coefficients: five cells fewer. Padding is a share of the longest extent, here 2 mm."""
     corner, step = np.array([-0.02, -0.01, 0.01]), 0.004
     surface = SplineSurface(np.ones((14, 12, 10)), tuple(corner), step)
-    low, high = _ends(surface, ([0.0], [0.01], [0.02]))
-    np.testing.assert_allclose(low, corner, atol=1e-16)
-    np.testing.assert_allclose(high, corner + step * np.array([9, 7, 5]), atol=1e-16)
-    endless = _ends(Implicit(lambda x, y, z: x * x + y * y + z * z - 1.0, radius=2.0), ([1.0], [0.0], [0.0]))
-    np.testing.assert_array_equal(endless, np.array([[-np.inf] * 3, [np.inf] * 3]))
+    known = np.array([[-0.007, 0.001, 0.021], [0.003, 0.003, 0.023]])
+    axes = _along_knots(surface, known, 1, 0.2)
+    for axis, start, last in zip(axes, corner, (7, 4, 4), strict=True):
+        ends = start + step * np.array([2, last])
+        np.testing.assert_allclose(axis[[0, -1]], ends, atol=1e-16)
+        np.testing.assert_allclose(np.diff(axis), step, rtol=1e-12)
+    halves = _along_knots(surface, known, 2, 0.2)
+    assert [len(axis) for axis in halves] == [2 * len(axis) - 1 for axis in axes]
+    whole = _along_knots(surface, known, 1, 9.0)
+    for axis, start, cells in zip(whole, corner, (9, 7, 5), strict=True):
+        np.testing.assert_allclose(axis, start + step * np.arange(cells + 1), atol=1e-16)
+    # A formula is known everywhere.
+    wide = _around(known, 10, 9.0)
+    assert all(axis[0] < -0.08 and axis[-1] > 0.09 for axis in wide)
+
+
+def test_moments_of_a_field_of_splines_are_exact_to_its_knots():
+    """A ball's field in splines is exact: x^2 + y^2 + z^2 has coefficients sum of x_i^2 - step^2 / 2."""
+    step, radius, count = 0.004, 0.013, 14
+    nodes = step * (np.arange(count) - 0.5 * (count - 1))
+    # The functions' centres are the nodes; the quintic's variance is half a cell squared.
+    squares = nodes**2 - 0.5 * step**2
+    field = squares[:, None, None] + squares[:, None] + squares - radius**2
+    corner = nodes[0] + 2.0 * step
+    surface = SplineSurface(field / (2.0 * radius), (corner,) * 3, step)
+    ball = mass_properties(surface, 1000.0)
+    size = 4.0 / 3.0 * np.pi * radius**3
+    np.testing.assert_allclose(ball.size, size, rtol=1e-9)
+    np.testing.assert_allclose(ball.centre, 0.0, atol=1e-9 * radius)
+    np.testing.assert_allclose(
+        ball.inertia, 400.0 * size * radius**2 * np.eye(3), atol=1e-8 * size * radius**2
+    )
+    assert ball.error < 1e-6

@@ -330,7 +330,7 @@ def test_gradients_of_a_path_that_begins_at_rest():
         found = jxr.roll(jxr.Sphere(0.1), jxr.Plane(), led, jnp.linspace(0.0, 1.0, 3), **options)
         return jnp.stack([found.pose[-1, 0], found.arclength[-1]])
 
-    np.testing.assert_allclose(jax.jacrev(end)(0.3), [0.5, 0.5], atol=1e-9)
+    np.testing.assert_allclose(jax.jit(jax.jacrev(end))(0.3), [0.5, 0.5], atol=1e-9)
 
 
 def test_single_precision_turns_a_ball_that_faces_the_wrong_way():

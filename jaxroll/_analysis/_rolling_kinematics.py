@@ -125,7 +125,8 @@ def roll(
         as_floats("at_object", at_object, (object.coordinates,)),
     )
     turn, times = as_floats("rotation", rotation, (4,)), as_floats("ts", ts, (None,))
-    if concrete(turn) is not None and not np.any(turn):
+    known = concrete(turn)
+    if known is not None and not known.any():
         raise ValueError(f"argument rotation must be a quaternion with a direction, but was {shown(turn)}")
     check_times(times)
     limit = tolerance("rtol", rtol, np.dtype(times.dtype))

@@ -136,22 +136,23 @@ def test_derivatives_in_the_time_of_a_step_and_of_a_ramp_that_begins_with_it(sce
         damping = Ramps(jnp.stack([time, time + 0.2]), [0.006, 0.002])
         return flow(run_of(scene, ts, force=Steps(time[None], [0.5, AFTER]), damping=damping).states)
 
-    jump = jnp.asarray(JUMP)
-    forward, slope = jax.jacfwd(at)(jump), differences(lambda time: at(time)[-1], jump)
+    # One program for the values and the derivative forwards.
+    both, jump = jax.jit(jax.jacfwd(lambda time: (at(time),) * 2, has_aux=True)), jnp.asarray(JUMP)
+    forward, slope = both(jump)[0], differences(lambda time: both(time)[1][-1], jump)
     assert np.abs(forward[-1] - slope).max() <= 1e-8 * np.abs(slope).max()
     weights = jnp.asarray(np.random.default_rng(0).normal(size=forward.shape))
-    backward = jax.grad(lambda time: jnp.sum(weights * at(time)))(jump)
+    backward = jax.jit(jax.grad(lambda time: jnp.sum(weights * at(time))))(jump)
     assert float(backward) == pytest.approx(float(jnp.sum(weights * forward)), rel=1e-11)
     # At the jump itself velocities alone move, by the accelerations before it less those after it.
     count = scene[0].coordinates
-    earlier = [at(jump - n * 1e-4)[0] for n in range(4)]
+    earlier = [both(jump - n * 1e-4)[1][0] for n in range(4)]
     onesided = (11 * earlier[0] - 18 * earlier[1] + 9 * earlier[2] - 2 * earlier[3]) / 6e-4
     np.testing.assert_allclose(forward[0], onesided, rtol=0, atol=1e-6 * np.abs(onesided).max())
     assert np.abs(forward[0][:count]).max() <= 1e-12 < np.abs(forward[0][count : 2 * count]).max()
     # At the start it is that of a jump a little later.
-    later = [at(jnp.asarray(n * 1e-3))[-1] for n in range(5)]
+    later = [both(jnp.asarray(n * 1e-3))[1][-1] for n in range(5)]
     onesided = (-25 * later[0] + 48 * later[1] - 36 * later[2] + 16 * later[3] - 3 * later[4]) / 12e-3
-    found = jax.jacfwd(at)(jnp.zeros(()))[-1]
+    found = both(jnp.zeros(()))[0][-1]
     np.testing.assert_allclose(found, onesided, rtol=0, atol=1e-6 * np.abs(onesided).max())
 
 

@@ -22,12 +22,11 @@ def final(grasp, state):
 
 
 def with_leaf(where):
-    """Scale one array of the closed scene by 1 + x and close it again."""
+    """Scale one array of the closed scene by 1 + x; it is to be closed again, as all of these are."""
 
     def changed(scene, x):
         grasp, state = scene
-        moved = eqx.tree_at(where, grasp, replace_fn=lambda a: a * (1.0 + x))
-        return jxr.close(moved, state)
+        return eqx.tree_at(where, grasp, replace_fn=lambda a: a * (1.0 + x)), state
 
     return changed
 
@@ -41,13 +40,13 @@ def moved_start(scene, x):
         grasp,
         (contact.s_tip - 1e-3 * x, contact.s_object + 1e-3 * x),
     )
-    return jxr.close(grasp, state)
+    return grasp, state
 
 
 def pushed(scene, x):
     """Start with a velocity, which close makes compatible."""
     grasp, state = scene
-    return jxr.close(grasp, jxr.State(state.q, state.v + x, state.s))
+    return grasp, jxr.State(state.q, state.v + x, state.s)
 
 
 CASES = {
@@ -65,39 +64,47 @@ CASES = {
 
 
 def evaluator():
-    """One compiled program for every case: the closed pair is the argument."""
-    value = eqx.filter_jit(final)
+    """The same compiled programs for every case: the pair is the argument, and all of it may move."""
 
-    @eqx.filter_jit
-    def forward(pair, pair_dot):
-        dynamic, static = eqx.partition(pair, eqx.is_inexact_array)
-        return jax.jvp(lambda p: final(*eqx.combine(p, static)), (dynamic,), (pair_dot,))[1]
+    def moving(function):
+        @eqx.filter_jit
+        def forward(pair, pair_dot):
+            dynamic, static = eqx.partition(pair, eqx.is_inexact_array)
+            arrays = lambda p: eqx.filter(function(*eqx.combine(p, static)), eqx.is_inexact_array)  # noqa: E731
+            return jax.jvp(arrays, (dynamic,), (pair_dot,))
+
+        return forward
 
     reverse = eqx.filter_jit(eqx.filter_grad(lambda pair: final(*pair)))
-    return value, forward, reverse
+    return moving(jxr.close), moving(final), reverse
 
 
-VALUE, FORWARD, REVERSE = evaluator()
+CLOSED, FORWARD, REVERSE = evaluator()
+
+
+def typed(tree):
+    """With no array whose type is weak, as that of a Python number: JAX compiles once more for such ones."""
+    return jax.tree.map(lambda x: jnp.asarray(x, x.dtype) if eqx.is_inexact_array(x) else x, tree)
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_taylor_remainder_in_both_modes(scene, case):
     """Falls 100 times for each 10 times smaller step, with the slope of either mode."""
 
-    def pair_of(x):
-        return CASES[case](scene, jnp.asarray(x))
+    def given(x):
+        return typed(CASES[case](scene, x))
 
-    dynamic = lambda x: eqx.filter(pair_of(x), eqx.is_inexact_array)  # noqa: E731
-    pair, pair_dot = jax.jvp(dynamic, (0.0,), (1.0,))
-    pair = pair_of(0.0)
-    forward = float(FORWARD(pair, pair_dot))
+    dynamic = lambda x: eqx.filter(CASES[case](scene, x), eqx.is_inexact_array)  # noqa: E731
+    pair_dot = CLOSED(given(0.0), typed(jax.jvp(dynamic, (0.0,), (1.0,))[1]))[1]
+    pair = jxr.close(*given(0.0))
+    forward = float(FORWARD(pair, pair_dot)[1])
     bars = REVERSE(pair)
     products = jax.tree.map(lambda a, b: jnp.sum(a * b), bars, pair_dot)
     reverse = float(sum(jax.tree.leaves(products)))
     assert reverse == pytest.approx(forward, rel=1e-9, abs=1e-12)
 
     steps = np.array([1e-1, 1e-2, 1e-3]) * (0.1 if case == "pad angle" else 1.0)
-    values = lambda x: VALUE(*pair_of(x))  # noqa: E731
+    values = lambda x: FORWARD(jxr.close(*given(x)), pair_dot)[0]  # noqa: E731
     left = taylor_remainders(values, 0.0, 1.0, forward, steps)
     if left[0] < 1e-9:
         pytest.skip("linear to rounding: a remainder says nothing")
@@ -149,21 +156,23 @@ def test_derivatives_in_save_times_and_end(scene):
     """Against differences: of states, forces, energies, the end; rows that were not reached do not move."""
     grasp, state = scene
 
-    def seen(times):
-        run = jxr.simulate(grasp, state, times[0], ts=times[1:], rtol=1e-11, record=records, throw=False)
+    def seen(times, force):
+        acted, records = grasp.with_(force=force), ("multipliers", "energy")
+        run = jxr.simulate(acted, state, times[0], ts=times[1:], rtol=1e-11, record=records, throw=False)
         forces, work = run.multipliers.f[:, 0], run.energy.work
         parts = [run.states.q[:, 0], run.states.v[:, 1], run.states.s[:, 0], forces, work, run.ts]
         return jnp.concatenate([*parts, run.last.q, run.stats.t_end[None]])
 
-    records, times, size = ("multipliers", "energy"), jnp.array([0.3, 0.1, 0.2]), 1e-4
-    value = jax.jit(seen)
-    ends = [[value(times + k * size * e) for e in np.eye(3)] for k in (-2, -1, 1, 2)]
+    times, size, force = jnp.array([0.3, 0.1, 0.2]), 1e-4, grasp.controller.force
+    # One program for the values and the derivative forwards.
+    both = jax.jit(jax.jacfwd(lambda *x: (seen(*x),) * 2, has_aux=True))
+    reverse = jax.jit(jax.jacrev(seen))
+    ends = [[both(times + k * size * e, force)[1] for e in np.eye(3)] for k in (-2, -1, 1, 2)]
     slopes = (8 * (np.array(ends[2]) - ends[1]) - (np.array(ends[3]) - ends[0])) / (12 * size)
-    np.testing.assert_allclose(jax.jacrev(seen)(times), slopes.T, rtol=0, atol=2e-7)
-    np.testing.assert_allclose(jax.jacfwd(seen)(times), slopes.T, rtol=0, atol=2e-7)
-    lost = grasp.with_(force=-0.5)
-    ends = jax.grad(lambda t: jnp.nansum(jxr.simulate(lost, state, t, ts=3, throw=False).states.q))(0.3)
-    assert np.isfinite(ends)
+    np.testing.assert_allclose(reverse(times, force), slopes.T, rtol=0, atol=2e-7)
+    np.testing.assert_allclose(both(times, force)[0], slopes.T, rtol=0, atol=2e-7)
+    lost = jnp.asarray(-0.5)
+    assert np.isnan(both(times, lost)[1][:2]).all() and np.isfinite(reverse(times, lost)).all()
 
 
 def test_close_is_differentiated_by_the_implicit_function_theorem(scene):
@@ -176,10 +185,12 @@ def test_close_is_differentiated_by_the_implicit_function_theorem(scene):
         closed = jxr.close(moved, guess, hold_contacts=hold)[1]
         return jnp.concatenate([closed.q, closed.s])
 
-    pose = jax.jit(pose, static_argnums=1)
+    # One program for the values and the derivative forwards.
+    both = jax.jit(jax.jacfwd(lambda *x: (pose(*x),) * 2, has_aux=True), static_argnums=1)
+    reverse = jax.jit(jax.jacrev(pose), static_argnums=1)
     for hold in (True, False):
         h = 1e-5
-        slope = (pose(h, hold) - pose(-h, hold)) / (2 * h)
-        forward = jax.jacfwd(pose)(0.0, hold)
+        slope = (both(h, hold)[1] - both(-h, hold)[1]) / (2 * h)
+        forward = both(0.0, hold)[0]
         np.testing.assert_allclose(forward, slope, atol=1e-8)
-        np.testing.assert_allclose(jax.jacrev(pose)(0.0, hold), forward, atol=1e-12)
+        np.testing.assert_allclose(reverse(0.0, hold), forward, atol=1e-12)

@@ -75,7 +75,9 @@ def _numbers(tree: Any) -> np.ndarray:
 @pytest.mark.parametrize("name", ["pivoted", "pinch", "pinch3d"])
 def test_derivatives_from_the_gap_are_the_closed_forms(name: str) -> None:
     grasp, state = getattr(jxr.scenes, name)()
-    thrown = jxr.State(state.q, np.random.default_rng(3).normal(size=state.v.shape), state.s)
+    # One contact: every contact of a grasp goes through the same lines.
+    grasp, s = grasp.with_contacts(grasp.contacts[0]), state.s[: state.s.shape[0] // len(grasp.contacts)]
+    thrown = jxr.State(state.q, np.random.default_rng(3).normal(size=state.v.shape), s)
     each = zip(_kinematics(_derived(grasp), thrown), _kinematics(grasp, thrown), strict=True)
     for derived, closed in each:
         for part, wanted in closed.items():
@@ -233,7 +235,6 @@ def test_teeth_turn_by_their_ratio_and_report_no_friction(teeth: Any) -> None:
 def test_teeth_in_a_gradient_and_in_a_batch(teeth: Any) -> None:
     grasp, state = teeth
 
-    @eqx.filter_jit
     def end(inertia: Any) -> Any:
         return jxr.simulate(grasp.with_(inertia=inertia), state, 1.0, ts=2, max_steps=256).states.q[-1, 1]
 
@@ -242,7 +243,7 @@ def test_teeth_in_a_gradient_and_in_a_batch(teeth: Any) -> None:
         return _TORQUE * (1.0 - np.cos(3.0)) / 9.0 / whole
 
     given = jnp.linspace(0.5e-4, 2e-4, 4)
-    found, slopes = jax.vmap(eqx.filter_value_and_grad(end))(given)
+    found, slopes = jax.jit(jax.vmap(jax.value_and_grad(end)))(given)
     np.testing.assert_allclose(found, exact(given), rtol=1e-8)
     np.testing.assert_allclose(slopes, jax.vmap(jax.grad(exact))(given), rtol=1e-8)
 

@@ -76,9 +76,10 @@ def test_adaptive_lanes_equal_single_runs_to_tolerance(batch, draws):
 
 
 def test_fixed_step_lanes_equal_single_runs_to_1e_12(draws):
-    lanes, single = jax.jit(jax.vmap(fixed))(draws), jax.jit(fixed)
-    for i in range(0, LANES, 128):
-        one = single(draws[i])
+    some = draws[::128]
+    lanes, single = jax.jit(jax.vmap(fixed))(some), jax.jit(fixed)
+    for i, x in enumerate(some):
+        one = single(x)
         np.testing.assert_allclose(lanes.states.q[i], one.states.q, rtol=0, atol=1e-12)
         np.testing.assert_allclose(lanes.states.s[i], one.states.s, rtol=0, atol=1e-12)
 
@@ -123,3 +124,24 @@ def test_new_numbers_do_not_recompile(scene):
     for c in (0.004, 0.006, 0.008):
         run(jnp.asarray(c))
     assert len(traces) == 1
+
+
+def test_a_number_as_an_array_is_the_number(scene, caplog):
+    """JAX gives Python's numbers a weak type, and would compile once more for each of another kind."""
+    grasp, state = scene
+
+    def again(damping):
+        jxr.simulate(grasp.with_(damping=damping), state, 0.02, ts=1)
+        jxr.multipliers(grasp.with_(damping=damping), 0.0, state)
+
+    again(0.006)
+    caplog.clear()
+    with jax.log_compiles():
+        again(jnp.asarray(0.007, float))
+        again(np.float64(0.008))
+    assert not [line for line in caplog.messages if line.startswith("Compiling jit(_run)")]
+    assert not [line for line in caplog.messages if line.startswith("Compiling jit(multipliers)")]
+    # Seen first in a program of the caller's own, it is still no part of that program.
+    other = grasp.with_(damping=0.009)
+    ends = jax.jit(lambda v: jxr.simulate(other, jxr.State(state.q, v, state.s), 0.02, ts=1).last.q)(state.v)
+    np.testing.assert_allclose(ends, jxr.simulate(other, state, 0.02, ts=1).last.q, rtol=0, atol=1e-12)

@@ -9,12 +9,13 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._fields import taken, through
 from .._linalg import unstack, Vec2, Vec3
 from .._printing import shown_value
-from .._results import as_array, as_count, as_several, check_finite, shown
+from .._results import as_array, as_count, as_several, check_finite, shown, traced
 from .._types import Given
 from .._xla import remembered
 from ..contact import AbstractContact, Contact
@@ -357,8 +358,37 @@ def _check_shapes(grasp: Grasp) -> None:
 @remembered
 def _with_tables(grasp: Grasp) -> Grasp:
     """A copy with the missing tables, or the grasp itself; kept, for caches go by identity."""
+    grasp = _strongly_typed(grasp)
     new = [i for i, shape in enumerate(_all_shapes(grasp)) if tabled(shape) is not shape]
     if not new:
         return grasp
     where = lambda g: [_all_shapes(g)[i] for i in new]  # noqa: E731
     return eqx.tree_at(where, grasp, [tabled(shape) for shape in where(grasp)])
+
+
+def _strongly_typed(grasp: Grasp) -> Grasp:
+    """A copy whose numbers no longer tell whether they came as Python's own: their JAX types are not weak.
+
+    JAX compiles once more for a number of a weak type: for `with_(damping=0.006)` after an array was there.
+    A weak type that no other array of the grasp has may give way to a state of less precision: it stays.
+    """
+    leaves, structure = jax.tree.flatten(grasp)
+    kinds = {leaf.dtype for leaf in leaves if isinstance(leaf, jax.Array) and not _is_weak(leaf)}
+    weak = [_is_weak(leaf) and leaf.dtype in kinds and not traced(leaf) for leaf in leaves]
+    if not any(weak):
+        return grasp
+    with jax.ensure_compile_time_eval():
+        typed = iter(_typed([leaf for leaf, is_weak in zip(leaves, weak, strict=True) if is_weak]))
+    each = zip(leaves, weak, strict=True)
+    return structure.unflatten([next(typed) if is_weak else leaf for leaf, is_weak in each])
+
+
+# One program: a conversion by itself takes 0.03 ms.
+@jax.jit
+def _typed(leaves: list[Array]) -> list[Array]:
+    return [jnp.asarray(leaf, leaf.dtype) for leaf in leaves]
+
+
+def _is_weak(leaf: Any) -> bool:
+    """Whether a leaf is an array of a weak type; a key is an array that has no word for that."""
+    return isinstance(leaf, jax.Array) and getattr(leaf, "weak_type", False)

@@ -143,7 +143,7 @@ def _touched(grasp: Grasp, run: Trajectory, friction: Given | None) -> tuple[Gra
     state, found = run.last, each[face]
     ends = [jnp.zeros(())], [found.gap]
     # The secant method on the time back from the overlap, from a first guess that is as good as any.
-    ahead = jnp.asarray(1e-6)
+    ahead = jnp.asarray(1e-6, state.q.dtype)
     for _ in range(_PASSES):
         state = _earlier(grasp, run.last, run.stats.t_end, ahead)
         found = _nearest(grasp, state, finger, face)

@@ -147,25 +147,25 @@ def test_gradient_of_the_event_time(scene, time, first):
     """Both modes, in the limit and in a parameter of the motion, against central differences."""
     grasp, state = scene
     point = jnp.array([first, 0.006])
-    when = jax.jit(lambda p: time(grasp, state, p[0], p[1]))
+    when = lambda p: time(grasp, state, p[0], p[1])  # noqa: E731
     reverse = jax.jit(jax.grad(when))(point)
-    along = jax.jit(lambda d: jax.jvp(when, (point,), (d,))[1])
-    forward = [along(d) for d in jnp.eye(2)]
-    np.testing.assert_allclose(reverse, forward, rtol=1e-9)
+    # One program for the values and the derivative forwards.
+    both = jax.jit(jax.jacfwd(lambda p: (when(p),) * 2, has_aux=True))
+    np.testing.assert_allclose(reverse, both(point)[0], rtol=1e-9)
     for i, step in enumerate((1e-3 * abs(first), 1e-5)):
         move = jnp.zeros(2).at[i].set(step)
         # Fourth-order differences: truncation and rounding both below 1e-7.
-        near, far = (when(point + k * move) - when(point - k * move) for k in (1, 2))
+        near, far = (both(point + k * move)[1] - both(point - k * move)[1] for k in (1, 2))
         assert abs((8 * near - far) / (12 * step) / reverse[i] - 1) <= 1e-6
 
 
 def test_state_at_an_event_moves_with_its_time(scene):
     """The derivative of the last state is total: the event shifts as well."""
     grasp, state = scene
-    angle = jax.jit(lambda mu: ends(rubbing(grasp, mu), state).last.q[0])
-    step = 1e-4
-    slope = (angle(0.12 + step) - angle(0.12 - step)) / (2 * step)
-    assert abs(jax.jit(jax.jacfwd(angle))(0.12) / slope - 1) <= 1e-5
+    angle = lambda mu: ends(rubbing(grasp, mu), state).last.q[0]  # noqa: E731
+    step, both = 1e-4, jax.jit(jax.jacfwd(lambda mu: (angle(mu),) * 2, has_aux=True))
+    slope = (both(0.12 + step)[1] - both(0.12 - step)[1]) / (2 * step)
+    assert abs(both(0.12)[0] / slope - 1) <= 1e-5
 
 
 def test_what_a_run_reached_has_a_gradient_though_the_rest_is_nan(scene):
@@ -191,11 +191,12 @@ def test_what_a_run_reached_has_a_gradient_though_the_rest_is_nan(scene):
 def test_lanes_end_each_on_its_own(scene):
     grasp, state = scene
     limits = jnp.array([0.12, 0.5, 0.13])
-    runs = jax.jit(jax.vmap(lambda mu: ends(rubbing(grasp, mu), state)))(limits)
+    together = jax.jit(jax.vmap(lambda mu: ends(rubbing(grasp, mu), state)))
+    runs = together(limits)
     codes = [runs.result._value[i] for i in range(3)]
     wanted = [jxr.RESULTS.slipping, jxr.RESULTS.successful, jxr.RESULTS.slipping]
     assert codes == [w._value for w in wanted]
-    alone = jax.jit(jax.vmap(lambda mu: ends(rubbing(grasp, mu), state)))(limits.at[0].set(0.6))
+    alone = together(limits.at[0].set(0.6))
     np.testing.assert_array_equal(runs.last.q[1:], alone.last.q[1:])
 
 

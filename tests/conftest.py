@@ -1,5 +1,6 @@
 """Strict numerics, a persistent compilation cache, and the runs that many tests share."""
 
+import gc
 import os
 import pathlib
 import tempfile
@@ -42,6 +43,7 @@ def _forgotten():
     """Forget a file's programs when it is done: some thousands of them exhaust the maps of a process."""
     yield
     jax.clear_caches()
+    gc.collect()
 
 
 # Compilation is most of the time that tests take. The default ones are compiled with fewer optimisations,
@@ -59,6 +61,13 @@ def pytest_configure(config):
     threadpoolctl.threadpool_limits(limits=1, user_api="blas")
     if not config.getoption("--slow") and "XLA_FLAGS" not in os.environ:
         os.environ["XLA_FLAGS"] = QUICKLY
+
+
+def pytest_collection_finish(session):
+    """Let Python look for dead cycles seldom: a twentieth of the time that tracing and compilation take."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(100_000, 20, 20)
 
 
 def pytest_collection_modifyitems(config, items):

@@ -142,8 +142,7 @@ def _converted(value: Any) -> jax.Array:
     if isinstance(value, bool) or isinstance(value, list | tuple) and _holds_flag(value):
         raise TypeError("a boolean is no number")
     if is_array_like(value):
-        # NumPy's own float counts as Python's: JAX would compile every program again for the other kind.
-        return jnp.asarray(float(value) if isinstance(value, np.float64) else value)
+        return jnp.asarray(value)
     if isinstance(value, list | tuple | range):
         return jnp.asarray(value if traced(value) else np.asarray(value))
     if hasattr(value, "__jax_array__"):

@@ -221,12 +221,3 @@ def test_an_argument_of_roll_that_does_not_fit_is_named(name):
             "at_object": (0.0, 0.0, 0.0),
         } | {name: value}
         assert sentence(lambda: jxr.roll(**given)).startswith(f"argument {name}")  # noqa: B023
-
-
-def test_a_number_of_numpys_is_as_one_of_pythons(scene):
-    """JAX compiles a program anew for numbers of another kind: a grid's gains would each take seconds."""
-    kinds = [
-        jax.tree.map(lambda x: x.aval, scene[0].with_(damping=number).controller)
-        for number in (0.006, np.float64(0.006), np.linspace(0.006, 0.007, 3)[0])
-    ]
-    assert kinds[0] == kinds[1] == kinds[2]

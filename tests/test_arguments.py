@@ -314,6 +314,11 @@ CLASSES = {
         {"function": {"of two": functions_of(2)}, "jumps": ONE_NUMBER},
     ),
     design.Margin: ({}, {}, {}),
+    design.Fair: (
+        {"goal": design.Margin(), "weight": 0.01},
+        {},
+        {"goal": {"class": design.Margin}, "weight": NOT_POSITIVE},
+    ),
     design.Limits: (
         dict.fromkeys(("size", "length", "radius", "ahead", "flat", "steepness"), 0.01),
         dict.fromkeys(("size", "length", "radius", "ahead", "flat", "steepness"), {"nothing"}),

@@ -12,6 +12,7 @@ import jaxroll as jxr
 from jaxroll.design import (
     _firmness,
     ClosedLoop,
+    Fair,
     Firmness,
     friction_demand,
     Limits,
@@ -23,6 +24,7 @@ from jaxroll.design import (
     tracking_error,
     value_and_grad,
 )
+from jaxroll.design._limits import sampled
 from jaxroll.design._measures import PARTIAL
 from tests.subjects.fingertips import ellipse_pinched_by, INTERVAL, pivoted_with_tip
 
@@ -302,12 +304,33 @@ def test_a_fingertip_that_loses_its_objects_is_changed_to_hold_them():
             "common leading axis",
         ),
         (lambda: Firmness(pivoted_with_tip, measure="force"), "measure must be"),
+        (lambda: Fair(Margin), "goal must be a goal"),
+        (lambda: Fair(Margin(), weight=-1.0), "weight must be"),
         (lambda: value_and_grad(jnp.sum, "sideways"), "mode must be"),
     ],
 )
 def test_bad_goals(wrong, message):
     with pytest.raises(ValueError, match=message):
         wrong()
+
+
+def test_a_fair_contour_pays_for_changes_of_curvature_alone():
+    r"""An ellipse (a cos u, b sin u): kappa = a b / v^3, v = ds/du, so that dkappa/ds = -3 a b v' / v^5."""
+    goal, fair = Margin(), Fair(Margin(), weight=0.5)
+    unit, sharpness = jnp.asarray(0.02), jnp.asarray(1.0)
+    extra = lambda tip: float(  # noqa: E731
+        fair.cost(tip, sampled(tip, jnp.array([-1e-3, 1e-3])), unit, sharpness)
+        - goal.cost(tip, sampled(tip, jnp.array([-1e-3, 1e-3])), unit, sharpness)
+    )
+    assert abs(extra(jxr.Circle(0.015))) < 1e-14
+    a, b = 0.02, 0.018
+    u = np.linspace(0.0, 2.0 * np.pi, 4001)
+    v = np.hypot(a * np.sin(u), b * np.cos(u))
+    slopes = -3.0 * a * b * (a * a - b * b) * np.sin(u) * np.cos(u) / v**6
+    mean = np.trapezoid(slopes**2 * v, u) / np.trapezoid(v, u)
+    # The samples are 257: differences err by the square of their distance.
+    assert extra(jxr.Ellipse(a, b)) == pytest.approx(0.5 * 0.02**4 * mean, rel=1e-3)
+    assert fair.merit == goal.merit and not fair.in_turn
 
 
 def test_margin_is_the_default_goal():

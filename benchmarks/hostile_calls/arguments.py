@@ -455,6 +455,7 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         "formulation": _made("part", jxr.Index1),
         "record": _is("part", (), "empty list", "empty tuple"),
     },
+    "Fair": {"weight": _is("positive", 0.01)},
     "Firmness": {
         "make": _made("function", lambda: lifted),
         "measure": _is("choice", "stiffness"),

@@ -22,6 +22,7 @@ from ..design import (
     AbstractGoal,
     ClosedLoop,
     Design,
+    Fair,
     Firmness,
     friction_demand,
     Limits,
@@ -32,7 +33,6 @@ from ..design import (
     settling_time,
 )
 from ..geometry import fit_contour, Spline
-from ._fair_goal import FairGoal
 
 # The built-in start: half axes [m] of an ellipse whose end, sharper than a circle about O_i, faces the
 # object; and the number of points on any start.
@@ -110,7 +110,7 @@ def order(asked: DesignOrder, folder: Path, timed: Callable[[str], AbstractConte
     options: dict[str, Any] = {
         "steps": asked.steps,
         "starts": asked.starts,
-        "goal": FairGoal(GOALS[asked.goal]()),
+        "goal": Fair(GOALS[asked.goal]()),
     }
     with timed(f"Designing for {asked.goal}"):
         found = optimise_fingertip(tip, _INTERVAL, limits=limits, symmetric=True, **options)

@@ -96,7 +96,7 @@ def pinch_object(
             f"with {float(np.asarray(friction)):.3g}"
         )
     hindered = "their tips are never about as far apart as it is wide"
-    tips = None if fingers is None else _tips_of(list(fingers))
+    tips = None if fingers is None else _tips_of(fingers)
     for row in _ranked(pairs):
         points, faces, width = pairs.points[row], pairs.faces[row], pairs.distance[row]
         for hand, pose, order in _placed(object, tips, points, float(width)):
@@ -199,9 +199,10 @@ class _Tips(NamedTuple):
     radius: float
 
 
-def _tips_of(fingers: list[Any]) -> list[_Tips]:
+def _tips_of(fingers: Any) -> list[_Tips]:
     """The tips of fingers of one's own, which are checked."""
-    if not all(isinstance(finger, Finger | Finger3) for finger in fingers) or len(fingers) < 2:
+    several = isinstance(fingers, list | tuple) and len(fingers) >= 2
+    if not several or not all(isinstance(finger, Finger | Finger3) for finger in fingers):
         raise ValueError(f"argument fingers must be two fingers or more, but was {shown(fingers)}")
     draw = np.random.default_rng(0)
     return [_tips(finger, draw) for finger in fingers]

@@ -128,7 +128,7 @@ def robust():
         design = optimise_fingertip(start, INTERVAL, goal=goal, limits=limits, steps=80)
     spent = time.perf_counter() - begun
     logging.getLogger("jax").removeHandler(seen)
-    names = ("_side_by_side", "_outcomes", "_first")
+    names = ("_advance", "_outcomes", "_first")
     again = sum(f"Compiling jit({name})" in text for text in seen.texts for name in names)
     return again, spent, design.figures
 

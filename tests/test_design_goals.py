@@ -229,7 +229,7 @@ def test_a_fingertip_that_violates_41_may_hold_all_the_same():
 
 def compiled(caplog):
     """Which programs of a design were compiled."""
-    names = ("_side_by_side", "_outcomes", "_first")
+    names = ("_advance", "_outcomes", "_first")
     messages = [record.message for record in caplog.records]
     return {name for name in names if any(f"Compiling jit({name})" in message for message in messages)}
 
@@ -244,7 +244,7 @@ def test_64_objects_in_one_program_that_is_compiled_once(caplog):
         first = compiled(caplog)
         caplog.clear()
         many = optimise_fingertip(start, INTERVAL, goal=goal, limits=limits, steps=80)
-    assert first == {"_side_by_side", "_outcomes", "_first"} and not compiled(caplog)
+    assert first == {"_advance", "_outcomes", "_first"} and not compiled(caplog)
     assert float(many.after[0]) >= float(few.after[0]) > 0.0
     each = np.asarray(goal.values(many.tip))
     assert each.shape == (64,)

@@ -26,14 +26,10 @@ import optax
 from jaxtyping import Array, Bool, Float, Int
 
 from .._results import check_instance, shown
-from .._xla import quickly
 from ._descent import AbstractDescent, descent, Walk
 from ._gradient import Mode, value_and_grad
 
 STEPS_PER_CHUNK = 10
-# Of this many searches side by side a step is over so soon that compiling in half the time is worth more; of
-# 16 it takes three times as long as when all is optimised.
-_FEW = 4
 # A limit counts as kept if it is passed by less than this, relative to its bound.
 KEPT = 1e-7
 # The objective counts as unchanged if it changes by less than this in a chunk, relative to one plus its size.
@@ -134,9 +130,7 @@ def minimise(
         search, done, history = _restored(path, search)
     report = progress if callable(progress) else (_printed if progress else None)
     while done < steps and not bool(jnp.all(search.done)):
-        side_by_side = _side_by_side_quickly if len(start) <= _FEW else _side_by_side
-        advance = _in_turn if in_turn else side_by_side
-        search, values = advance(problem, method, search, data, mode)
+        search, values = _advance(problem, method, search, data, mode=mode, in_turn=in_turn)
         history.append(np.asarray(values))
         done += STEPS_PER_CHUNK
         if path is not None:
@@ -167,22 +161,21 @@ def _begin(problem: DesignProblem, method: AbstractDescent, start: Array, data: 
     return jax.vmap(each)(start)
 
 
-def _abreast(
-    problem: DesignProblem, method: AbstractDescent, search: Search, data: Any, mode: Mode
+@eqx.filter_jit
+def _advance(
+    problem: DesignProblem,
+    method: AbstractDescent,
+    search: Search,
+    data: Any,
+    *,
+    mode: Mode,
+    in_turn: bool,
 ) -> tuple[Search, Array]:
     """One chunk of all starts, and the objective after each of its steps, shape (starts, steps)."""
-    return jax.vmap(lambda search, data: _chunk(problem, method, mode, search, data))(search, data)
-
-
-_side_by_side, _side_by_side_quickly = eqx.filter_jit(_abreast), quickly(_abreast)
-
-
-@eqx.filter_jit
-def _in_turn(
-    problem: DesignProblem, method: AbstractDescent, search: Search, data: Any, mode: Mode
-) -> tuple[Search, Array]:
-    """The same, start by start: such a search simulates, and is worth all optimisations."""
-    return jax.lax.map(lambda pair: _chunk(problem, method, mode, *pair), (search, data))
+    one = lambda search, data: _chunk(problem, method, mode, search, data)  # noqa: E731
+    if in_turn:
+        return jax.lax.map(lambda pair: one(*pair), (search, data))
+    return jax.vmap(one)(search, data)
 
 
 def _chunk(

@@ -14,6 +14,9 @@ from ._surface_spline import SplineSurface
 from ._tensor_bspline import ORDER, UNIFORM
 
 _BATCH = 4096
+# Nodes whose field is this small beside the largest coefficient are on the surface: by rounding some would be
+# inside and their neighbours outside, and the net would have slivers there that face anywhere.
+_ON = 1e-14
 
 
 def surface_values(surface: SplineSurface, fine: int) -> np.ndarray:
@@ -27,7 +30,7 @@ def surface_values(surface: SplineSurface, fine: int) -> np.ndarray:
         weights = (place - cell)[:, None] ** np.arange(ORDER) @ (UNIFORM / 120.0).T
         np.put_along_axis(matrix, cell[:, None] + np.arange(ORDER), weights, axis=1)
         found = np.moveaxis(np.tensordot(matrix, found, axes=(1, axis)), 0, axis)
-    return found
+    return np.where(np.abs(found) <= _ON * np.abs(surface.coefficients).max(), 0.0, found)
 
 
 def surface_net(surface: SplineSurface, fine: int) -> tuple[np.ndarray, np.ndarray]:

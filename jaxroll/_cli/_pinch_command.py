@@ -19,7 +19,7 @@ import numpy as np
 from .. import io, loads, plotting, scenes, stability
 from .._integration import cause, simulate
 from .._mechanics import FreeObject, FreeObject3, Grasp, State
-from .._reaching import poses_at
+from .._reaching import tip_origins
 from .._results import RESULTS
 from .._saving import save
 from ..geometry import Fit, Sphere, SurfaceFit
@@ -137,24 +137,14 @@ def _verdict(grasp: Grasp, state: State) -> list[str]:
 
 def _pushed(grasp: Grasp, state: State) -> tuple[Grasp, float]:
     """The grasp with a push across the line between both tip frames, and how large that is [N]."""
-    line = _line(grasp, state)
+    first, second = tip_origins(grasp, np.asarray(state.q))
+    line = second - first
     # Along that line the control pulls with its gain times the length.
     push = _SHARE * float(grasp.controller.beta) * float(np.linalg.norm(line))
     force = push * jnp.asarray(_aside(line))
     load = loads.Push(force, _BEGINS, _LASTS)
     given = {"controller": grasp.controller, "gravity": grasp.gravity, "load": load}
     return Grasp(grasp.object, grasp.fingers, grasp.contacts, **given), push
-
-
-def _line(grasp: Grasp, state: State) -> np.ndarray:
-    """From the first finger's tip frame to the second's [m]."""
-    ends = np.cumsum(grasp.form.positions)
-    q = np.asarray(state.q)
-    first, second = (
-        poses_at(finger, q[None, begin:end])[0][0]
-        for finger, begin, end in zip(grasp.fingers, ends, ends[1:], strict=False)
-    )
-    return second - first
 
 
 def _aside(line: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Array
 
 from .._linalg import Pose2, unstack
-from .._mechanics import AbstractBody, Finger, Finger3
+from .._mechanics import AbstractBody, Finger, Finger3, Grasp
 from .._xla import quickly
 from ..geometry import Circle, Sphere
 from ._sheet import Frames, Sheet, shortened
@@ -139,6 +139,13 @@ def poses_at(body: AbstractBody, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     """Origins (n, d) and rotation matrices (n, d, d) of a body's frame at positions, shape (n, k)."""
     origin, turn, _, _ = _placed(body, q)
     return origin, turn
+
+
+def tip_origins(grasp: Grasp, q: np.ndarray) -> list[np.ndarray]:
+    """Where the tip frames of a grasp's fingers are at its positions q [m]."""
+    ends = np.cumsum(grasp.form.positions)
+    each = zip(grasp.fingers, ends, ends[1:], strict=False)
+    return [poses_at(finger, q[None, first:last])[0][0] for finger, first, last in each]
 
 
 def _facing(reacher: Reacher, targets: TouchPoints, q: np.ndarray) -> np.ndarray:

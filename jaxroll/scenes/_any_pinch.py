@@ -19,7 +19,7 @@ import numpy as np
 
 from .._linalg import Pose3, seven, Vec3
 from .._mechanics import Finger, Finger3, FreeObject, FreeObject3, Grasp, State
-from .._reaching import grasp_points, GraspPoints, poses_at, Reach, reach, sheet_of
+from .._reaching import grasp_points, GraspPoints, poses_at, Reach, reach, sheet_of, tip_origins
 from .._results import RESULTS, shown
 from .._types import Given
 from ..contact import Contact, Contact3
@@ -277,13 +277,8 @@ def _controlled(grasp: Grasp, state: State, force: Given | None) -> tuple[Grasp,
     """The grasp under (16)-(17), with gains for a force."""
     weight = _GRAVITY * float(grasp.object.mass)
     press = _WEIGHTS * weight if force is None else float(as_positive("force", force))
-    ends = np.cumsum([*grasp.form.positions])
-    q = np.asarray(state.q)
-    places = [
-        poses_at(finger, q[None, first:last])[0][0]
-        for finger, first, last in zip(grasp.fingers, ends, ends[1:], strict=False)
-    ]
-    beta = press / float(np.linalg.norm(places[1] - places[0]))
+    first, second = tip_origins(grasp, np.asarray(state.q))
+    beta = press / float(np.linalg.norm(second - first))
     damping = [_damping(finger, beta) for finger in grasp.fingers]
     alpha = 0.0 if grasp.spatial else _ALPHA * press * _length(grasp.fingers[0])
     start = jnp.zeros(2) if grasp.spatial else orientations(grasp, state)

@@ -10,7 +10,8 @@ $$ \mathrm{d}\Phi = e + t H e + \nabla F(x)\,\mathrm{d}t, \qquad
    \mathrm{d}t = -\frac{\nabla F(\Phi) \cdot (e + t H e)}{\nabla F(\Phi) \cdot \nabla F(x)}. $$
 
 A field of splines is smooth within its own cells alone. Its grid of space is that of its knots, where the
-rule converges as fast: with 7 nodes 5e-10 on a fitted scan, where other grids of twice the cells left 3e-8.
+rule converges as fast: of a fitted scan 59 cells long it leaves 5e-12 of the volume with 7 nodes, where other
+grids left 1e-7 with 64 cells and 3e-8 with 96.
 """
 
 import itertools
@@ -33,9 +34,9 @@ _CELLS = (16, 32, 64, 96)
 # Refinements end when the moments change by less than this, relative to their size; the finer grid errs by a
 # hundredth of that or less.
 _SETTLED = 1e-9
-# Of a field of splines: parts of its own cells and nodes of the rule, one after the other. What the last
-# nodes but two change is some hundred times what the last leave, so that less of a change is asked for.
-_OWN_CELLS, _OWN_SETTLED = ((1, 5), (1, 7), (2, 7)), 1e-6
+# Of a field of splines: parts of its own cells, and nodes of the rule, one after the other. Two nodes more
+# leave a hundredth of what they change or less, so that a larger change is let pass.
+_OWN_CELLS, _OWN_SETTLED = ((1, (5, 7)), (2, (7,))), 1e-6
 _BATCH = 8192
 # Places that find the box, as many as `_reaching` asks for (one program); what is added to it on every side,
 # and how often that is tried, doubled each time.
@@ -55,24 +56,24 @@ def level_moments(surface: AbstractImplicit) -> Moments:
     assert at is not None  # the caller has looked
     known = np.stack([np.asarray(x, float) for x in at], axis=-1)
     settled = _OWN_SETTLED if isinstance(surface, SplineSurface) else _SETTLED
-    for values, axes, nodes in _grids(surface, known):
-        before, found = found, _on_grid(surface, _triangles(values, axes), nodes)
+    for corners, nodes in _nets(surface, known):
+        before, found = found, _on_grid(surface, corners, nodes)
         change = math.inf if found is None or before is None else difference(found, before)
         if change <= settled:
             break
     return checked(found, change, surface)
 
 
-def _grids(
-    surface: AbstractImplicit, known: np.ndarray
-) -> Iterator[tuple[np.ndarray, list[np.ndarray], int]]:
-    """Values of the field on finer and finer grids about known points, and nodes of the rule."""
+def _nets(surface: AbstractImplicit, known: np.ndarray) -> Iterator[tuple[np.ndarray, int]]:
+    """Finer and finer triangles near the surface, about known points of it, and nodes of the rule."""
     if isinstance(surface, SplineSurface):
-        for parts, nodes in _OWN_CELLS:
-            yield *_sampled(surface, lambda pad, n=parts: _along_knots(surface, known, n, pad)), nodes
+        for parts, rules in _OWN_CELLS:
+            grid = _sampled(surface, lambda pad, n=parts: _along_knots(surface, known, n, pad))
+            corners = _triangles(*grid)
+            yield from ((corners, nodes) for nodes in rules)
     else:
         for count in _CELLS:
-            yield *_sampled(surface, lambda pad, n=count: _around(known, n, pad)), _NODES
+            yield _triangles(*_sampled(surface, lambda pad, n=count: _around(known, n, pad))), _NODES
 
 
 def _on_grid(surface: AbstractImplicit, corners: np.ndarray, nodes: int) -> Moments | None:

@@ -5,6 +5,10 @@ not change in it, turn constants included, then folds and sinks the constants ag
 level a pass: a run of a spatial pinch took eleven passes over the whole program, a fifth of its compilation,
 for machine code that is no faster. So a loop here hands on what it is given (`held`) through a barrier in
 every turn, with which XLA takes it for changing, and counts up to a number that stands in its condition.
+
+Where the condition depends on one number of the state alone, XLA takes that for a counter, and several of its
+passes copy all of a turn that leads to its next value, to find out how many turns there will be: a tenth of
+the compilation of that run. So the condition looks at a second one too (`allowed`), which is always true.
 """
 
 from collections.abc import Callable
@@ -27,12 +31,13 @@ def repeated(going: Callable[[Any], Any], turn: Callable[[Any, Any], Any], start
     """
     arrays, still = eqx.partition(held, eqx.is_array)
 
-    def step(state: tuple[Any, Any]) -> tuple[Any, Any]:
-        carry, arrays = state
-        arrays = jax.lax.optimization_barrier(arrays)
-        return turn(carry, eqx.combine(arrays, still)), arrays
+    def step(state: tuple[Any, Any, Any]) -> tuple[Any, Any, Any]:
+        carry, arrays, allowed = state
+        arrays, allowed = jax.lax.optimization_barrier((arrays, allowed))
+        return turn(carry, eqx.combine(arrays, still)), arrays, allowed
 
-    return jax.lax.while_loop(lambda state: going(state[0]), step, (start, arrays))[0]
+    more = lambda state: going(state[0]) & state[2]  # noqa: E731
+    return jax.lax.while_loop(more, step, (start, arrays, jnp.asarray(True)))[0]
 
 
 def counted(count: int, turn: Callable[[Any, Any, Any], Any], start: Any, held: Any) -> Any:

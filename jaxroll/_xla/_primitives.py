@@ -40,10 +40,9 @@ def _divided(context: mlir.LoweringRuleContext, x: Any) -> list[Any]:
     here: Any = ir.InsertionPoint.current
     key = (_BARRIER, here.block, kind.shape, kind.dtype)
     if key not in known:
-        constants = (np.full(kind.shape, c, kind.dtype) for c in (-np.inf, 2.0, 1.0))
-        below, two, one = map(mlir.ir_constant, constants)
-        less = stablehlo.compare(x, below, stablehlo.ComparisonDirectionAttr.get("LT"))
-        known[key] = stablehlo.select(less, two, one)
+        nan = mlir.ir_constant(np.full(kind.shape, np.nan, kind.dtype))
+        differs = stablehlo.compare(x, nan, stablehlo.ComparisonDirectionAttr.get("NE"))
+        known[key] = stablehlo.convert(x.type, differs)
     return [stablehlo.divide(x, known[key])]
 
 

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 
 from .._types import Scalar, Scalars
-from .._xla import once, sine_cosine
+from .._xla import as_it_is, once, sine_cosine
 
 Triangle = Sequence[Sequence[Scalar]]
 
@@ -272,13 +272,17 @@ def unknown_factor(size: int) -> Factor:
 
 def solve(factor: Factor, right: Sequence[Scalar]) -> Scalars:
     """Solve A x = b with a factorised matrix: L y = b, D z = y, L^T x = z."""
+    # Every number of a triangular solve goes into all that follow: of more than three, a copy of each in its
+    # consumers would be many.
+    kept = once if len(factor.lower) > 3 else as_it_is
     forward: list[Scalar] = []
     for row, value in zip(factor.lower, right, strict=True):
-        forward.append(minus(value, inner(row, forward)))
+        forward.append(kept(minus(value, inner(row, forward))))
     backward = [times(value, d) for value, d in zip(forward, factor.inverse_pivots, strict=True)]
     for i in reversed(range(len(backward))):
         # Row i of L^T is column i of L, below the diagonal.
         below = range(i + 1, len(backward))
         for j in below:
             backward[i] = minus(backward[i], times(factor.lower[j][i], backward[j]))
+        backward[i] = kept(backward[i])
     return tuple(backward)

@@ -40,9 +40,9 @@ def _divided(context: mlir.LoweringRuleContext, x: Any) -> list[Any]:
     here: Any = ir.InsertionPoint.current
     key = (_BARRIER, here.block, kind.shape, kind.dtype)
     if key not in known:
-        nan = mlir.ir_constant(np.full(kind.shape, np.nan, kind.dtype))
+        nan, one = (mlir.ir_constant(np.full(kind.shape, c, kind.dtype)) for c in (np.nan, 1.0))
         differs = stablehlo.compare(x, nan, stablehlo.ComparisonDirectionAttr.get("NE"))
-        known[key] = stablehlo.convert(x.type, differs)
+        known[key] = stablehlo.select(differs, one, nan)
     return [stablehlo.divide(x, known[key])]
 
 

@@ -42,7 +42,7 @@ from ..loads import impulses
 from . import _jumps
 from ._events import coded, first_dip, refused_blow, regime, smallest_clearance, watched, with_clearance
 from ._methods import is_rosenbrock, on_tableau
-from ._rosenbrock import advance, samples_in_turn, side_by_side, STAGE_TIMES
+from ._rosenbrock import advance, STAGE_TIMES
 from ._state_vector import Bundle, Flow, Layout, pack, slope, unpack
 
 
@@ -288,11 +288,10 @@ class RollingStep(eqx.Module):
         self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow, over: Callable
     ) -> tuple[Array, Array, Array, Array, Array]:
         at = lambda t, x: over(self.at)(bundle, t, x)  # noqa: E731
-        sampled = side_by_side if t0.ndim == 0 else samples_in_turn
         nothing = jnp.zeros((ending_size(bundle), *t0.shape), y0.dtype)
         x0, margin = y0[: self.lay.width], y0[self.lay.margin]
         kept = slice(_MARGIN, _MARGIN + 1)
-        raw, rates, error, end, inner = advance(at, (t0, t1), x0, nothing, sampled=sampled, kept=kept)
+        raw, rates, error, end, inner = advance(at, (t0, t1), x0, nothing, kept=kept)
         margins, seen = [margin, *inner[:, 0]], watched(STAGE_TIMES)
         return raw, rates, error, end, first_dip(STAGE_TIMES[seen], [margins[i] for i in seen])
 

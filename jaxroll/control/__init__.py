@@ -4,10 +4,10 @@ A controller sees the time, its own fingers' joint angles and rates, and the tip
 never sees the object. Built-in controllers work on scalars and know their potential energy; any other
 callable pytree `f(t, angles, rates, tips)` works too (see `Grasp`).
 
-The chapter's are `Press` (75) and `Opposition` (16)-(17). `Carry` moves what the tips hold as
-commands say. `Integral` adds an integral term to any law, `Sampled` asks any law at samples only and holds
-its torques between them; both have a memory, which is a part of the state. `_sensing` is what a law gets,
-`_user` adapts a caller's function, and has what stands for none. `_motion/_equations` calls `driven` in every evaluation,
+The chapter's are `Press` (75) and `Opposition` (16)-(17). `Carry` moves what the tips hold as commands say.
+`Integral` adds an integral term to any law, `Sampled` asks any law at samples only and holds its torques
+between them; both have a memory, which is a part of the state. `_sensing` is what a law gets, `_user` adapts
+a caller's function and has what stands for none. `_motion/_equations` asks for torques in every evaluation,
 `_motion/_sampling` has samples.
 """
 

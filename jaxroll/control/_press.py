@@ -82,12 +82,18 @@ class Press(AbstractController):
 
     def at(self, t: Given) -> "Press":
         """This controller at one time [s], with numbers in the place of functions of time."""
-        return held(self, t)
+        return held(self, t) if self._commanded else self
+
+    @property
+    def _commanded(self) -> bool:
+        """Whether any of its numbers is a function of time; most have none."""
+        return any(map(callable, (self.force, self.radius, self.damping, self.target)))
 
     @property
     def stiffness(self) -> Scalar:
         """$f_d / r$ [N/m]; of a force or radius that changes in time, that of `at(t)`."""
-        _check_held(self, "force", "radius")
+        if self._commanded:
+            _check_held(self, "force", "radius")
         return self.force / self.radius
 
     def torques(self, t: Scalar, fingers: Sequence[Sensed]) -> Torques:

@@ -18,7 +18,7 @@ from .._printing import shown_value
 from .._results import as_array, as_count, as_several, check_finite, shown, traced
 from .._types import Given
 from .._xla import remembered
-from ..contact import AbstractContact, Contact
+from ..contact import AbstractContact, Contact, Contact3
 from ..geometry import AbstractContour, AbstractSurface, check_shape, tabled
 from ._assembly import AbstractGrasp
 from ._body import AbstractBody, AbstractFinger, Coordinate
@@ -214,6 +214,11 @@ class Grasp(AbstractGrasp):
         lines.append(f"  gravity   {shown_value(self.gravity, 'm/s^2')}")
         lines += [f"  load      {shown_value(load)}" for load in self.load]
         return "\n".join(lines)
+
+    @property
+    def own_contacts(self) -> tuple[int, ...]:
+        """Which contacts are of a caller's own class; their derivatives are those of their gaps."""
+        return tuple(i for i, c in enumerate(self.contacts) if not isinstance(c, Contact | Contact3))
 
     def with_(self, **changes: Any) -> "Grasp":
         """A copy with fields replaced, by name.

@@ -78,6 +78,19 @@ def shape_returned(function: Callable[[Any], Any], name: str = "t") -> tuple[int
     return jax.eval_shape(lambda t: as_array(name, function(t)), jnp.zeros(())).shape
 
 
+def shape_of(given: Any) -> tuple[int, ...]:
+    """Shape of numbers, or of what a function of time returns."""
+    return shape_returned(given) if is_command(given) else given.shape
+
+
+def changes_in_time(owner: Any, *names: str) -> bool:
+    """Whether one of these numbers is a function of time.
+
+    A controller's potential of numbers that change is none: the whole power of its torques counts as work.
+    """
+    return any(is_command(getattr(owner, name)) for name in names)
+
+
 def held(owner: Any, t: Any) -> Any:
     """A module with its commands at one time: numbers where it has functions; itself if it has none."""
     names = [f.name for f in dataclasses.fields(owner) if is_command(getattr(owner, f.name))]

@@ -12,8 +12,14 @@ Both modes work from the same public call, since the map from one end to the oth
 transpose is given (`_xla.linear_map`). No step-size control is differentiated: the derivative is that of the
 discrete solution at frozen step sizes. What is compiled holds one step and its derivative, not a loop with
 checkpoints. `_backward_step` has the cotangents of a step of the usual methods; `simulate` calls `march`.
+
+With respect to times: which steps a run takes is decided with times frozen, but what is saved at $t_i$ is
+$x(t_i)$, whose derivative in $t_i$ is the slope that the flow vector carries, $x'$. The functions at the end
+(`moving_in_time` and its like) return what they are given and have that derivative: forwards they cost
+nothing.
 """
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -25,6 +31,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from .._linalg import row, with_row
+from .._results import RESULTS
 from .._types import Scalar
 from .._xla import as_it_is, filled, linear_map, one_kernel, pulled, repeated
 from ._backward_step import pulled_back
@@ -234,3 +241,45 @@ def _pulled(steps: _Steps, track: Array, last_bar: Flow, later_bar: Scalar) -> t
     nothing = jax.tree.map(jnp.zeros_like, steps.moving)
     start = (jnp.asarray(0), nothing, unit.astype(last_bar.dtype), zero, zero)
     return repeated(lambda carry: carry[0] < longest + 2, step, start, (steps, track))[1:3]
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
+def moving_in_time(width: int, ys: Float[Array, "... flow"], ts: Float[Array, "..."]) -> Array:
+    """Flow vectors at times, as they are; x, of length `width`, moves with its time at the rate x'."""
+    del width, ts
+    return ys
+
+
+@moving_in_time.defjvp
+def _moving_in_time(width: int, primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+    ys, (dot, ts_dot) = primals[0], tangents
+    rates = ys[..., width : 2 * width]
+    # Rows that a run did not reach are not finite, and do not move.
+    moved = jnp.where(jnp.isfinite(rates), rates, 0.0) * ts_dot[..., None]
+    rest = jnp.zeros((*moved.shape[:-1], ys.shape[-1] - width), ys.dtype)
+    return ys, dot + jnp.concatenate([moved, rest], axis=-1)
+
+
+@jax.custom_jvp
+def moving_as(value: Array, other: Array) -> Array:
+    """A value that moves as another one does besides, such as a time that a run was told."""
+    del other
+    return value
+
+
+@moving_as.defjvp
+def _moving_as(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+    return primals[0], tangents[0] + tangents[1]
+
+
+@jax.custom_jvp
+def moving_if_successful(value: Array, code: Array) -> Array:
+    """A value that has a derivative only where a result's code is that of success."""
+    del code
+    return value
+
+
+@moving_if_successful.defjvp
+def _moving_if_successful(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+    value, code = primals
+    return value, jnp.where(code == RESULTS.successful._value, tangents[0], 0.0)

@@ -31,10 +31,8 @@ def grain(t: Scalar) -> Scalar:
     return 4.0 * jnp.finfo(jnp.result_type(t)).eps * jnp.maximum(jnp.abs(t), 1e-3)
 
 
-def ordered(grasp: Grasp, t0: Scalar, t1: Scalar) -> Array | None:
-    """The jumps from t0 to t1 in order, each once, filled up with infinity; None where none are declared."""
-    if not grasp.jumps:
-        return None
+def ordered(grasp: Grasp, t0: Scalar, t1: Scalar) -> Array:
+    """The jumps from t0 to t1 that a grasp declares, in order, each once, filled up with infinity."""
     t0, t1 = jnp.asarray(t0), jnp.asarray(t1)
     times = jnp.concatenate([jnp.ravel(jumps).astype(t0.dtype) for jumps in grasp.jumps])
     inside = (times >= t0 - grain(t0)) & (times <= t1 + grain(t1))
@@ -44,10 +42,8 @@ def ordered(grasp: Grasp, t0: Scalar, t1: Scalar) -> Array | None:
     return jnp.sort(jnp.where(jnp.concatenate([jnp.array([True]), apart]), times, jnp.inf))
 
 
-def beside(jumps: Array | None, t: Array, way: float) -> Array:
+def beside(jumps: Array, t: Array, way: float) -> Array:
     """Times, but those at a jump just after it (`way` is 1) or just before it (-1)."""
-    if jumps is None:
-        return t
     at = jnp.where(jnp.isfinite(jumps), jumps, 0.0)
 
     def one(t: Scalar) -> Scalar:

@@ -57,7 +57,7 @@ from ._arguments import (
 )
 from ._contact_impulses import blow_times, contact_impulses, merged, times_before
 from ._dense import Dense
-from ._derivative import march
+from ._derivative import march, moving_as, moving_if_successful, moving_in_time
 from ._events import check_overlaps, decode_joints, EVENTS, whose
 from ._jumps import beside, lateness, ordered
 from ._methods import check_method, Seeing, Steady, with_tolerances
@@ -65,7 +65,6 @@ from ._report import complaint
 from ._run import Path, Plan
 from ._state_vector import bundle, Layout, layout, states_of, vector_of
 from ._step import RollingStep
-from ._time_derivative import moving_as, moving_if_successful, moving_in_time
 from ._trajectory import Stats, Trajectory
 
 
@@ -166,8 +165,11 @@ def simulate(
         check_choices("events", events, EVENTS),
         sweeps(numbers, own_control=control is not None),
     )
-    check_rolling(grasp, state)
-    check_tasks(grasp, state)
+    # What a grasp does not have costs nothing, and neither does a reader have to know of it.
+    if grasp.own_contacts:
+        check_rolling(grasp, state)
+    if grasp.form.memory:
+        check_tasks(grasp, state)
     if "penetration" in setup.events:
         check_overlaps(grasp)
     run = _run_plain if _is_plain(grasp, setup) else _run_any
@@ -207,13 +209,16 @@ def _run(
     check_precision(grasp, state)
     ready, unresolved = as_it_is_resolved(grasp.prepared())
     lay = layout(grasp, "energy" in setup.record)
-    state = begun(ready, state, jnp.asarray(numbers.t0))
+    if lay.form.memory:
+        state = begun(ready, state, jnp.asarray(numbers.t0))
     y0 = vector_of(lay, state)
     stepper = RollingStep(setup.solver, formulation, lay, setup.events, setup.sweeps)
     given = Numbers(*map(jnp.asarray, numbers))
-    jumps = jax.lax.stop_gradient(ordered(ready, given.t0, given.t1))
-    # A run begins before a jump at its start; a state saved at a jump is the one after it.
-    begin, (end, saves) = beside(jumps, given.t0, -1.0), (beside(jumps, t, 1.0) for t in given[1:3])
+    jumps, begin, end, saves = None, given.t0, given.t1, given.ts
+    if ready.jumps:
+        jumps = jax.lax.stop_gradient(ordered(ready, given.t0, given.t1))
+        # A run begins before a jump at its start; a state saved at a jump is the one after it.
+        begin, (end, saves) = beside(jumps, begin, -1.0), (beside(jumps, t, 1.0) for t in (end, saves))
     end, saves = jax.lax.stop_gradient((end, saves))
     wanted = None
     if "multipliers" in setup.record and impulses(ready.load):

@@ -91,7 +91,7 @@ class RollingStep(eqx.Module):
         # `raw` is the end as the method gives it, `rates` the derivative there, `end` the packed `Ending`.
         raw, rates, error, end, dip = self._way(bundle, *times, y0, over)
         y1 = over(self.finish)(bundle, raw, rates, end, *sample_times(bundle, times[1]))
-        if impulses(bundle.rest.load):
+        if bundle.jumps and impulses(bundle.rest.load):  # a blow declares its time as a jump
             y1 = jnp.concatenate([y1[:-2], jnp.where(y0[-1:] > 0, y0[-2:], y1[-2:])])
         if "penetration" in self.events or bundle.audited:
             dip = jnp.minimum(dip, over(self._clearance_dip)(bundle, *times, y0, y1))

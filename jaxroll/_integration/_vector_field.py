@@ -69,10 +69,12 @@ class VectorField(eqx.Module):
     def start(self, state: State) -> Y:
         """$y$ of a state on the constraints, as `close` returns it: `y0` of `diffeqsolve`."""
         check_states(self.grasp, state)
-        check_rolling(self.grasp, state)
-        check_tasks(self.grasp, state)
-        begin = begun(self.grasp, state, jnp.zeros((), state.q.dtype))
-        return vector_of(self._lay, begin)[: self._lay.width]
+        if self.grasp.own_contacts:
+            check_rolling(self.grasp, state)
+        if self._lay.form.memory:
+            check_tasks(self.grasp, state)
+            state = begun(self.grasp, state, jnp.zeros((), state.q.dtype))
+        return vector_of(self._lay, state)[: self._lay.width]
 
     def states(self, ys: Float[Array, "... y"]) -> State:
         """The states of solutions $y$ along any leading axes: of `solution.ys`, or of `evaluate(t)`."""

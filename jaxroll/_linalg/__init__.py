@@ -1,9 +1,17 @@
 """Small vectors, poses and solves, as pytrees of scalars: `_plane` in the plane, `_space` in space.
 
 XLA fuses and batches scalars well, and small arrays badly (see `_plane`). `_plane` also holds what both need:
-sums and products of scalars, the solution of small linear systems, rows of arrays.
+sums and products of scalars, and the solution of small linear systems. `_arrays` has rows and stacks of them.
 """
 
+from ._arrays import (
+    row as row,
+    stacked as stacked,
+    three as three,
+    weighted_sum as weighted_sum,
+    with_row as with_row,
+    with_row_selected as with_row_selected,
+)
 from ._plane import (
     Factor as Factor,
     factorise as factorise,
@@ -12,12 +20,9 @@ from ._plane import (
     plus as plus,
     Pose2 as Pose2,
     root as root,
-    row as row,
     scalars as scalars,
     sincos as sincos,
     solve as solve,
-    stacked as stacked,
-    three as three,
     times as times,
     total as total,
     Triangle as Triangle,
@@ -25,9 +30,6 @@ from ._plane import (
     unknown_factor as unknown_factor,
     unstack as unstack,
     Vec2 as Vec2,
-    weighted_sum as weighted_sum,
-    with_row as with_row,
-    with_row_selected as with_row_selected,
 )
 from ._space import (
     conjugate as conjugate,

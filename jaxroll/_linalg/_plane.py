@@ -183,32 +183,6 @@ def scalars(vector: jax.Array) -> list[jax.Array]:
     return [jax.lax.squeeze(part, (0,)) for part in parts]
 
 
-def row(rows: jax.Array, i: Scalar) -> jax.Array:
-    """Row i >= 0 of an array; support for negative indices would cost three operations."""
-    return jax.lax.dynamic_index_in_dim(rows, i, keepdims=False, allow_negative_indices=False)
-
-
-def with_row(rows: jax.Array, new: jax.Array, i: Scalar) -> jax.Array:
-    """The array with row i >= 0 replaced."""
-    return jax.lax.dynamic_update_index_in_dim(rows, new, i, 0, allow_negative_indices=False)
-
-
-def with_row_selected(rows: jax.Array, new: jax.Array, i: Scalar) -> jax.Array:
-    """The same by a mask: of an update in place JAX makes a scatter under `vmap`, which no kernel holds."""
-    chosen = jnp.arange(rows.shape[0]) == i
-    return jnp.where(chosen[(slice(None), *(None,) * new.ndim)], new, rows)
-
-
-def stacked(values: Sequence[Scalar]) -> jax.Array:
-    """Scalars as one vector, which may be empty."""
-    return jnp.stack(tuple(values)) if len(values) else jnp.zeros(0)
-
-
-def three(frame: Pose2) -> jax.Array:
-    """A pose as numbers: position [m], then angle [rad]."""
-    return jnp.stack([frame.origin.x, frame.origin.y, jnp.arctan2(frame.sin, frame.cos)])
-
-
 def total(terms: Sequence[Any]) -> Any:
     """Sum of scalars or vectors without a zero to start from; 0.0 where there are none."""
     if not terms:
@@ -218,15 +192,6 @@ def total(terms: Sequence[Any]) -> Any:
     for term in terms[1:]:
         result = result + term
     return result
-
-
-def weighted_sum(weights: Any, rows: jax.Array) -> jax.Array:
-    """Sum of the rows of an array, each times its weight: a number, or numbers as many as a row has."""
-    # Not a reduction: XLA hands larger ones to a library, which breaks up the kernel of a run. The squeeze is
-    # last, since XLA moves a reshape past one operation each time that it simplifies the whole program.
-    parts = jax.lax.split(rows, (1,) * rows.shape[0])
-    each = [w if jnp.ndim(w) == 0 else w[None] for w in weights]
-    return total([w * part for w, part in zip(each, parts, strict=True)])[0]
 
 
 class Factor(NamedTuple):

@@ -1,17 +1,17 @@
 """Bodies and grasp: mass matrix, bias force and kinematics of each body, and their combination in a grasp.
 
-`_body` declares what a body is and holds the objects of the plane; `_finger`, `_jaw`, and in space
-`_object3`, `_finger3` (evaluated as `_chain3`), `_stage` hold the others. `_grasp` combines bodies, contacts
-and controller, `_changes` copies it with other values. `_state` holds positions, velocities and places,
-`_entry` checks what public functions are given. `_motion` forms the equations of motion from all of this.
+`_body` declares what a body is. Users make those of the plane by `_object2`, `_finger` and `_jaw`, whose
+formulas are in `_plane_bodies`, and those of space by `_object3`, `_finger3` (evaluated as `_chain3`) and
+`_stage`. `_grasp` combines bodies, contacts and controller, `_assembly` has what a run reads of that, and
+`_changes` copies it with other values. `_state` holds positions, velocities and places, `_entry` checks what
+public functions are given. `_motion` forms the equations of motion from all of this.
 """
 
 from ._body import (
     AbstractBody as AbstractBody,
+    AbstractFinger as AbstractFinger,
     Coordinate as Coordinate,
-    FreeObject as FreeObject,
     Inertia as Inertia,
-    PivotedObject as PivotedObject,
     QUATERNION as QUATERNION,
 )
 from ._controller import (
@@ -28,11 +28,12 @@ from ._entry import (
     compiled as compiled,
     compiled_for_many as compiled_for_many,
 )
-from ._finger import AbstractFinger as AbstractFinger, Finger as Finger
+from ._finger import Finger as Finger
 from ._finger3 import Finger3 as Finger3
 from ._grasp import Grasp as Grasp, Labels as Labels, tabled_grasp as tabled_grasp
 from ._jaw import Jaw as Jaw
 from ._load import AbstractLoad as AbstractLoad, as_loads as as_loads, Moving as Moving, Wrench as Wrench
+from ._object2 import FreeObject as FreeObject, PivotedObject as PivotedObject
 from ._object3 import FreeObject3 as FreeObject3
 from ._stage import Stage as Stage, Turning as Turning
 from ._state import (

@@ -28,8 +28,7 @@ from .._types import Scalar, Scalars
 from .._xla import once
 from ..contact import Motion
 from ..geometry import AbstractSurface
-from ._body import Inertia, Spin
-from ._finger import AbstractFinger
+from ._body import AbstractFinger, Inertia, Spin
 
 _STILL = Vec3(0.0, 0.0, 0.0)
 

@@ -24,9 +24,9 @@ from .._results import (
 from .._types import Given, Scalar, Scalars
 from ..contact import Motion
 from ..geometry import AbstractSurface
-from ._body import Inertia, Spin
+from ._body import AbstractFinger, Inertia, Spin
 from ._chain3 import Chain3, chain_of, unit
-from ._finger import AbstractFinger, check_limits, check_links
+from ._finger import check_limits, check_links
 from ._object3 import check_inertia
 
 # Default inertias are those of solid cylinders, with this radius relative to the mean length of the links.

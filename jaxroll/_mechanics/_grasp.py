@@ -1,5 +1,6 @@
-"""A grasp: fingers, object and contacts, with their controller and gravity.
+"""A grasp as users make it: fingers, object and contacts, with their controller and gravity.
 
+What the equations of motion read of it is in `_assembly`; constructor, checks, copies and reports are here.
 Before a run two kinds of work are done once: `tabled_grasp` builds the tables of contours that read one, in a
 program that is kept, and `Grasp.prepared`, inside the program of a run, works out what no state changes.
 """
@@ -13,19 +14,17 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._fields import taken, through
-from .._linalg import unstack, Vec2, Vec3
 from .._printing import shown_value
 from .._results import as_array, as_count, as_several, check_finite, shown, traced
 from .._types import Given
 from .._xla import remembered
-from ..contact import AbstractContact, Contact
+from ..contact import AbstractContact, Contact, Contact3
 from ..geometry import AbstractContour, AbstractSurface, check_shape, tabled
-from ._body import AbstractBody, Coordinate
+from ._assembly import AbstractGrasp
+from ._body import AbstractBody, AbstractFinger, Coordinate
 from ._changes import changed
-from ._controller import AbstractController, as_drive, memory_of
-from ._finger import AbstractFinger
+from ._controller import AbstractController, as_drive
 from ._load import AbstractLoad, as_loads
-from ._state import Form
 
 
 class Labels(NamedTuple):
@@ -76,7 +75,7 @@ def _as_gravity(name: str, value: Any) -> Any:
     return check_finite(name, array)
 
 
-class Grasp(eqx.Module):
+class Grasp(AbstractGrasp):
     r"""Fingers holding an object by rolling contacts, and what drives the fingers.
 
     Every array inside is a differentiable leaf, and any of them may carry a batch axis under `vmap`.
@@ -179,31 +178,6 @@ class Grasp(eqx.Module):
                 load.check("load", self._axes)
 
     @property
-    def bodies(self) -> tuple[AbstractBody, ...]:
-        """The object, then every finger."""
-        return (self.object, *self.fingers)
-
-    @property
-    def spatial(self) -> bool:
-        """Whether the grasp lives in space; else in the plane."""
-        return self.contacts[0].axes == 3
-
-    @property
-    def _axes(self) -> int:
-        """Number of axes of the world: 2 or 3."""
-        return self.contacts[0].axes
-
-    @property
-    def sizes(self) -> tuple[int, ...]:
-        """Number of velocities of the object, then of each finger."""
-        return tuple(body.freedoms for body in self.bodies)
-
-    @property
-    def coordinates(self) -> int:
-        """Number n of all velocities; in the plane also that of positions."""
-        return sum(self.sizes)
-
-    @property
     def labels(self) -> Labels:
         """What reports and tables call its bodies, their positions and velocities, and its contacts."""
         names = ("object", *(f"finger {i}" for i in range(len(self.fingers))))
@@ -242,39 +216,9 @@ class Grasp(eqx.Module):
         return "\n".join(lines)
 
     @property
-    def form(self) -> Form:
-        """How many positions, velocities and places a state has, body by body."""
-        return _form(self)
-
-    def shapes(self, contact: AbstractContact) -> tuple[Any, Any]:
-        """The fingertip's and the object's contour (surface) that meet at a contact."""
-        return self.fingers[contact.finger].tip, self.object.shapes[contact.touched]
-
-    def fields(self) -> tuple[Vec2 | Vec3 | None, ...]:
-        """Gravity on the object, then on every finger, as vectors [m/s^2]; None where there is none."""
-        if self.gravity is None:
-            return (None,) * len(self.bodies)
-        vector = Vec3 if self.spatial else Vec2
-        if self.gravity.ndim == 1:
-            return (vector(*unstack(self.gravity)),) * len(self.bodies)
-        return tuple(vector(*unstack(row)) for row in self.gravity)
-
-    @property
-    def jumps(self) -> tuple[Any, ...]:
-        """Times [s] that its controller and loads declare as jumps; arrays of one axis, none empty."""
-        parts = jax.tree.leaves((self.controller, self.load), is_leaf=_jumps)
-        declared = [as_array("jumps", part.jumps) for part in parts if _jumps(part)]
-        return tuple(times.ravel() for times in declared if times.size)
-
-    @property
-    def memory(self) -> Float[Array, " k"] | None:
-        """What its controller's memory begins with; None where it has none."""
-        return memory_of(self.controller, tuple(finger.joints for finger in self.fingers))
-
-    def prepared(self) -> "Grasp":
-        """This grasp with bodies and shapes ready for evaluation, their arrays split into scalars."""
-        ready = (self.object.prepared(), tuple(finger.prepared() for finger in self.fingers))
-        return eqx.tree_at(lambda g: (g.object, g.fingers), self, ready)
+    def own_contacts(self) -> tuple[int, ...]:
+        """Which contacts are of a caller's own class; their derivatives are those of their gaps."""
+        return tuple(i for i, c in enumerate(self.contacts) if not isinstance(c, Contact | Contact3))
 
     def with_(self, **changes: Any) -> "Grasp":
         """A copy with fields replaced, by name.
@@ -318,11 +262,6 @@ class Grasp(eqx.Module):
         return self.with_(contacts=contacts)
 
 
-def _jumps(part: Any) -> bool:
-    """Whether a part of a controller or load declares jumps, its own and those of all that is in it."""
-    return isinstance(part, eqx.Module) and getattr(part, "jumps", None) is not None
-
-
 def tabled_grasp(grasp: Grasp) -> Grasp:
     """A grasp, its shapes checked, with the tables of its contours built by a program of their own.
 
@@ -334,16 +273,6 @@ def tabled_grasp(grasp: Grasp) -> Grasp:
 
 def _all_shapes(grasp: Grasp) -> list[Any]:
     return [shape for body in grasp.bodies for shape in body.shapes]
-
-
-@remembered
-def _form(grasp: Grasp) -> Form:
-    """The layout of a grasp's states; kept, because every check of a state asks for it."""
-    places = tuple(c.form(grasp.shapes(c)) for c in grasp.contacts)
-    positions = tuple(body.positions for body in grasp.bodies)
-    sampled = isinstance(grasp.controller, AbstractController) and grasp.controller.sampled
-    count = 0 if (memory := grasp.memory) is None else memory.shape[0]
-    return Form(positions, grasp.sizes, jax.tree.structure(places), count, sampled)
 
 
 @remembered

@@ -15,8 +15,8 @@ from .._results import check_positive, concrete, shown
 from .._types import Given, Scalar, Scalars
 from ..contact import Motion
 from ..geometry import AbstractContour
-from ._body import Inertia, Spin
-from ._finger import AbstractFinger, as_tip, check_limits, with_scalar_limits
+from ._body import AbstractFinger, Inertia, Spin, with_scalar_limits
+from ._finger import as_tip, check_limits
 
 # A jaw has no length of its own. Only scaling and drawing need one: a gripper's order of magnitude [m].
 _SIZE = 0.05

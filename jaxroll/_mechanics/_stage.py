@@ -31,8 +31,7 @@ from .._results import as_array, check_callable, check_direction, shown
 from .._types import Given, Scalar, Scalars
 from ..contact import Motion
 from ..geometry import AbstractSurface
-from ._body import Coordinate, Inertia, Spin
-from ._finger import AbstractFinger
+from ._body import AbstractFinger, Coordinate, Inertia, Spin
 from ._finger3 import as_surface
 
 # A stage has no length of its own. Only scaling and drawing need one: a gripper's order of magnitude [m].

@@ -20,7 +20,7 @@ from .._mechanics import Blocks, Grasp, Inertia, Leaves, Moving, Wrench
 from .._types import Scalar, Scalars
 from .._xla import once
 from ..contact import Motion, Rows
-from ..control import as_controller, joint_angles, sense, Sensed
+from ..control import AbstractController, as_controller, Sensed
 from ..loads import total_wrench
 from ._formulation import CSM, Formulation
 from ._linearisation import add, apply_jacobian, balance, combine, Linearisation, linearise, negative, respond
@@ -121,19 +121,24 @@ def world_poses(grasp: Grasp, q: Blocks) -> tuple[Any, ...]:
 
 def sensed(grasp: Grasp, leaves: Leaves, motions: Sequence[Motion]) -> list[Sensed]:
     """What the controller is given of every finger: joint angles, rates, and its tip's kinematics."""
-    each = zip(motions[1:], joint_angles(grasp, leaves.q), leaves.v[1:], strict=True)
-    return [sense(motion, angles, rates) for motion, angles, rates in each]
+    # Of the positions the joint angles alone: a stage that moves has its clock besides.
+    each = zip(grasp.fingers, leaves.q[1:], leaves.v[1:], motions[1:], strict=True)
+    return [Sensed(q[: f.joints], v, m.pose.origin, m.unit_twists) for f, q, v, m in each]
 
 
 Drives = tuple[Scalars | None, ...]
 
 
 def drives(grasp: Grasp, t: Scalar, leaves: Leaves, motions: Sequence[Motion]) -> tuple[Drives, Scalars]:
-    """$u$ of every body, and the time derivative of the controller's memory.
+    """$u$ of every body, and the time derivative of the memory of a state that has one.
 
     That of the object is the generalised force of its loads, that of the fingers are the joint torques.
     """
-    torques, rates = as_controller(grasp.controller).driven(t, sensed(grasp, leaves, motions), leaves.memory)
+    law, seen = grasp.controller, sensed(grasp, leaves, motions)
+    if not isinstance(law, AbstractController):  # a caller's own function, or none at all
+        law = as_controller(law)
+    # The torques of a state without a memory are those with the memory that the law begins with.
+    torques, rates = law.driven(t, seen, leaves.memory) if leaves.memory else (law.torques(t, seen), ())
     return (loaded(grasp, t, leaves.q[0], motions[0]), *torques), rates
 
 

@@ -2,7 +2,7 @@
 
 Its rows are the gap's derivative at a frozen place (`contact._from_gap`). That is the whole derivative only
 if the gap does not change as the place alone moves; a contact that breaks this would be held to other motions
-than its gap says. `simulate` and `vector_field` ask before a run.
+than its gap says. `simulate` and `vector_field` ask before a run of a grasp that has some.
 """
 
 import jax.numpy as jnp
@@ -11,7 +11,6 @@ from jaxtyping import Array
 
 from .._mechanics import compiled, Grasp, State, to_leaves
 from .._results import traced
-from ..contact import Contact, Contact3
 from ._equations import world_poses
 from ._quantities import closed_within, residuals_at, worst
 
@@ -22,14 +21,13 @@ _ROLLS_SINGLE = 1e-3
 
 def check_rolling(grasp: Grasp, state: State) -> None:
     """Raise for a contact of a caller's own whose gap changes as its place alone moves, at a closed state."""
-    own = [i for i, c in enumerate(grasp.contacts) if not isinstance(c, Contact | Contact3)]
-    if not own or traced((grasp, state)):
+    if traced((grasp, state)):
         return
     shares, off = map(np.asarray, _slips(grasp, state))
     if not off <= closed_within(off.dtype):
         return  # off the constraints, which the run says itself
     allowed = _ROLLS if shares.dtype == np.float64 else _ROLLS_SINGLE
-    for i in own:
+    for i in grasp.own_contacts:
         if not shares[i] <= allowed:
             raise ValueError(
                 f"argument grasp.contacts[{i}] must have a gap that rests as its place alone moves, "

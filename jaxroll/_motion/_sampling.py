@@ -46,14 +46,14 @@ class Sample(NamedTuple):
 
 
 def begun(grasp: Grasp, state: State, t0: Scalar) -> State:
-    """The state at the start of a run, with a memory: its own, or what the controller's begins with.
+    """The state at the start of a run whose controller has a memory: its own, or what that begins with.
 
     Where a sample is due there, it is taken.
     """
-    first = grasp.memory
-    if first is None:
-        return state
-    memory = first.astype(state.q.dtype) if state.memory is None else state.memory
+    memory, first = state.memory, grasp.memory
+    if memory is None:
+        assert first is not None
+        memory = first.astype(state.q.dtype)
     if grasp.form.sampled:
         leaves = to_leaves(State(state.q, state.v, state.s, memory), grasp.form)
         due = grasp.controller.due(t0, leaves.memory)

@@ -3,7 +3,7 @@
 Contacts leave some directions of motion free, the null space N of $A$. With E the derivatives of the errors,
 $E N$ tells how far these directions move them. Where a singular value of it is zero, some mixture of errors
 is held fast by the contacts: its integral would grow for ever, and with it forces between the fingers.
-`simulate` and `vector_field` ask before a run.
+`simulate` and `vector_field` ask before a run whose controller has a memory.
 """
 
 import jax.numpy as jnp
@@ -23,8 +23,6 @@ _FREE = 1e-5
 
 def check_tasks(grasp: Grasp, state: State) -> None:
     """Raise where contacts hold fast a task error whose integral is fed back."""
-    if not grasp.form.memory:
-        return
     names = [name for law in _integrals_of(grasp) for name in law.errors]
     if not names or traced((grasp, state)):
         return

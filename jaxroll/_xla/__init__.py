@@ -2,7 +2,7 @@
 
 from ._arithmetic import in_arithmetic as in_arithmetic
 from ._collector import uncollected as uncollected
-from ._compute_once import as_it_is as as_it_is, once as once, remembered as remembered, sharing as sharing
+from ._compute_once import as_it_is as as_it_is, once as once, sharing as sharing
 from ._loops import counted as counted, repeated as repeated
 from ._one_kernel import (
     filled as filled,
@@ -13,5 +13,6 @@ from ._one_kernel import (
 )
 from ._primitives import linear_map as linear_map
 from ._quick import QUICK as QUICK, quickly as quickly
+from ._remembered import remembered as remembered
 from ._share_cotangents import pulled as pulled, shared as shared
 from ._trigonometry import inverse_sinh as inverse_sinh, sine_cosine as sine_cosine

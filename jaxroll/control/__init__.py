@@ -4,17 +4,18 @@ A controller sees the time, its own fingers' joint angles and rates, and the tip
 never sees the object. Built-in controllers work on scalars and know their potential energy; any other
 callable pytree `f(t, angles, rates, tips)` works too (see `Grasp`).
 
-`_laws` has the chapter's, `Press` (75) and `Opposition` (16)-(17). `Carry` moves what the tips hold as
-commands say. `Integral` adds an integral term to any law, `Sampled` asks any law at samples only and holds
-its torques between them; both have a memory, which is a part of the state. `_sensing` is what a law gets,
-`_user` adapts a caller's function. `_motion/_equations` calls `driven` in every evaluation,
+The chapter's are `Press` (75) and `Opposition` (16)-(17). `Carry` moves what the tips hold as commands say.
+`Integral` adds an integral term to any law, `Sampled` asks any law at samples only and holds its torques
+between them; both have a memory, which is a part of the state. `_sensing` is what a law gets, `_user` adapts
+a caller's function and has what stands for none. `_motion/_equations` asks for torques in every evaluation,
 `_motion/_sampling` has samples.
 """
 
 from .._mechanics import AbstractController as AbstractController
 from ._carry import Carry as Carry
 from ._integral import Integral as Integral
-from ._laws import Opposition as Opposition, Passive as Passive, Press as Press
+from ._opposition import Opposition as Opposition
+from ._press import Press as Press
 from ._sampled import Sampled as Sampled
 from ._sensing import (
     joint_angles as joint_angles,
@@ -27,5 +28,6 @@ from ._user import (
     as_controller as as_controller,
     law_of as law_of,
     laws_of as laws_of,
+    Passive as Passive,
     UserController as UserController,
 )

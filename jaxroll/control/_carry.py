@@ -13,13 +13,12 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from .._fields import command, held, taken
+from .._fields import changes_in_time, command, held, shape_of, taken
 from .._linalg import root, sincos, total, unstack, Vec3
 from .._mechanics import AbstractController, Torques
 from .._results import check_positive
 from .._types import Given, Scalar, Scalars
 from .._xla import once
-from ._laws import changes_in_time, shape_of
 from ._sensing import Sensed
 
 # What a field holds: an array, or a function of time that returns one.

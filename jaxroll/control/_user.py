@@ -12,8 +12,17 @@ from .._mechanics import AbstractController, as_drive, own_memory, Torques
 from .._results import as_array, shown
 from .._types import Scalar, Scalars
 from .._xla import in_arithmetic
-from ._laws import Passive
 from ._sensing import Sensed, tip_of
+
+
+class Passive(AbstractController):
+    """No torques at all."""
+
+    def torques(self, t: Scalar, fingers: Sequence[Sensed]) -> Torques:
+        return tuple(tuple(jnp.zeros_like(a) for a in f.angles) for f in fingers)
+
+    def potential(self, tips: Sequence[Any], angles: Sequence[Scalars]) -> Scalar:
+        return jnp.zeros_like(tips[0].x)
 
 
 class UserController(AbstractController):

@@ -2,6 +2,7 @@
 
 import functools
 import inspect
+import itertools
 import pathlib
 import typing
 from collections.abc import Iterator
@@ -77,8 +78,22 @@ def targets() -> dict[str, str]:
 
 def _directive(name: str, value: object) -> str:
     kind = "class" if inspect.isclass(value) else "function" if callable(value) else "data"
-    options = "   :members:\n   :show-inheritance:\n" if kind == "class" else ""
+    options = "   :members:\n   :show-inheritance:\n" if inspect.isclass(value) else ""
+    if inspect.isclass(value) and (others := _others_of(value)):
+        options += f"   :inherited-members: {', '.join(others)}\n"
     return f".. auto{kind}:: {name}\n{options}"
+
+
+def _others_of(cls: type) -> list[str]:
+    """Bases whose members are not told with a class, if it has bases that have no entry and so are."""
+    bases = cls.__mro__[1:-1]
+    hidden = list(itertools.takewhile(_has_no_entry, bases))
+    return [base.__name__ for base in bases[len(hidden) :]] if hidden else []
+
+
+def _has_no_entry(cls: type) -> bool:
+    own = cls.__module__.startswith("jaxroll.")
+    return own and ".".join(public_names.home(cls)) not in targets()
 
 
 def reference() -> dict[str, str]:

@@ -1,6 +1,6 @@
 """Contours: plane curves by arclength.
 
-- `_contour`: the contract, and the frame by automatic differentiation of the point.
+- `_contour`: the contract; `_frenet`: the frame by automatic differentiation of the point.
 - `_catenary`, `_closed_forms`: contours in closed form.
 - `_arclength`: the arclength of curves that are not given by it, and its inverse.
 - `_table`: the table over arclength that a run reads of every other contour. Such contours are `_parametric`
@@ -15,13 +15,9 @@ from ._arclength import ArclengthTable as ArclengthTable
 from ._bspline import basis as basis
 from ._catenary import Catenary as Catenary
 from ._closed_forms import Circle as Circle, Ellipse as Ellipse, Line as Line
-from ._contour import (
-    AbstractContour as AbstractContour,
-    frenet as frenet,
-    Frenet2 as Frenet2,
-    Moved as Moved,
-)
+from ._contour import AbstractContour as AbstractContour, Moved as Moved
 from ._free_numbers import divided as divided
+from ._frenet import frenet as frenet, Frenet2 as Frenet2
 from ._given_points import numbers as numbers, polygon_area as polygon_area
 from ._network import NetworkFit as NetworkFit, PeriodicNetwork as PeriodicNetwork
 from ._neural_curvature import NeuralCurvature as NeuralCurvature

@@ -8,7 +8,8 @@ from ..._results import as_length, check_between
 from ..._types import Given, Scalar, Scalars
 from ..._xla import inverse_sinh
 from ._closed_forms import as_domain, Domain
-from ._contour import AbstractContour, Frenet2
+from ._contour import AbstractContour
+from ._frenet import Frenet2
 
 
 class Catenary(AbstractContour):

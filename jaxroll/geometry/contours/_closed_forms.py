@@ -16,7 +16,8 @@ from ..._linalg import sincos, unstack, Vec2
 from ..._results import as_count, as_floats, as_length, concrete, shown
 from ..._types import Given, Scalar, Scalars
 from ._arclength import ArclengthTable, invert, tabulate
-from ._contour import AbstractContour, Frenet2
+from ._contour import AbstractContour
+from ._frenet import Frenet2
 
 Domain = tuple[float, float] | Float[Array, "2"] | None
 

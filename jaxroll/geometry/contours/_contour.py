@@ -1,14 +1,12 @@
 r"""The contract of a contour: a plane curve $c(s)$ by its arclength $s$, so that $|c'(s)| = 1$.
 
-Unit tangent $b = c'$ and curvature $\kappa = b \times b'$ follow from the point alone, (8)-(10), which
-`frenet` differentiates automatically. Every contour of the package is an `AbstractContour`: `_closed_forms`
-and `_catenary` write point and frame out, `_table` reads them from a table. `contact` takes a `Frenet2` of
-each of two contours, and design its free numbers (`_free_numbers`).
+Unit tangent $b = c'$ and curvature $\kappa = b \times b'$ follow from the point alone, (8)-(10), by
+`_frenet`. Every contour of the package is an `AbstractContour`: `_closed_forms` and `_catenary` write point
+and frame out, `_table` reads them from a table. `contact` takes a `Frenet2` of each of two contours, and
+design its free numbers (`_free_numbers`).
 """
 
 import abc
-from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import equinox as eqx
@@ -20,37 +18,12 @@ from jaxtyping import Array, Float
 from ..._linalg import Pose2, sincos, unstack, Vec2
 from ..._results import as_array, as_floats, shown
 from ..._types import Given, Points, Scalar
-from .._tabled import AbstractShape, tabled
-from ._free_numbers import each_perturbed, own_sizes
+from .._tabled import tabled
+from ._free_numbers import AbstractDesigned
+from ._frenet import frenet, Frenet2
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, slots=True)
-class Frenet2:
-    """Point, unit tangent and curvature of a contour at one arclength."""
-
-    point: Vec2
-    tangent: Vec2
-    curvature: Scalar
-
-
-def frenet(curve: Callable[[Scalar], Vec2], s: Scalar) -> Frenet2:
-    r"""Frenet frame (8)-(10) of a unit-speed curve, by differentiating its point twice.
-
-    $b = c'$, $\kappa = b \times b'$. The chapter prints $n = \kappa b'$ in (9) and $b = -\kappa n'$
-    in (10); the right forms are $b' = \kappa n$ and $n' = -\kappa b$ ($n$ inward).
-    """
-    one = jnp.ones_like(s)
-
-    # Forward over forward: one pass gives c, c' and c''. Reverse mode would need a pass per component.
-    def derivative(u: Scalar) -> tuple[Vec2, Vec2]:
-        return jax.jvp(curve, (u,), (one,))
-
-    (point, tangent), (_, second) = jax.jvp(derivative, (s,), (one,))
-    return Frenet2(point, tangent, tangent.cross(second))
-
-
-class AbstractContour(AbstractShape):
+class AbstractContour(AbstractDesigned):
     r"""A smooth planar contour, parametrised by arclength, counter-clockwise round its body.
 
     With tangent $b = c'(s)$, the outward normal is $b$ turned by -90 degrees and the curvature
@@ -109,41 +82,6 @@ class AbstractContour(AbstractShape):
     def moved(self, offset: Given = (0.0, 0.0), angle: Given = 0.0, *, origin: Given = 0.0) -> "Moved":
         """This contour turned by `angle` [rad], shifted by `offset` [m], its s = 0 put at `origin`."""
         return Moved(self, offset, angle, origin=origin)
-
-    def free_numbers(self) -> list[Any]:
-        """The arrays of this contour that a design may change: by default all of its floating arrays.
-
-        They are found in the contour by identity: give the arrays themselves, not what is worked out of them.
-        """
-        return [leaf for leaf in jax.tree.leaves(self) if eqx.is_inexact_array(leaf)]
-
-    def preconditioner(self, size: float) -> np.ndarray:
-        r"""Matrix $W$ (n, n) from unknowns to free numbers, $p = \ell\,W x$, with $\ell$ = `size` / 20 [m].
-
-        The free numbers stand in $p$ in the order of the contour's fields, each array row by row. `size` is
-        the root mean square distance of the contour's points from its body's origin [m]. Choose $W$ so that
-        all unknowns of one size change the curvature alike: points and terms of series are divided by about
-        the square of their wave's order. By default it is diagonal: each array is measured against its own
-        root mean square, so that numbers which are no lengths need no unit.
-        """
-        return own_sizes(self, size)
-
-    def symmetrised(self) -> "AbstractContour":
-        """This contour made its own mirror image about its x axis: the mean of both; of the same class.
-
-        It runs inside compiled programs, differentiated in the free numbers. By default a class has none.
-
-        Raises:
-            ValueError: If the class, or this contour, has no mirror image of its kind.
-        """
-        raise ValueError(f"argument symmetric must be False for a {type(self).__name__}, but was True")
-
-    def perturbed(self, rng: np.random.Generator) -> "AbstractContour":
-        """A contour like this one, of the same class: another start for a search.
-
-        By default every free number is changed by some 15 %.
-        """
-        return each_perturbed(self, rng)
 
 
 @eqx.filter_jit

@@ -1,7 +1,8 @@
 r"""The numbers of a contour that a design changes, and how changes of them are scaled.
 
-A contour's own class says which these are (`AbstractContour.free_numbers`) and gives the matrix $W$ from
-unknowns $x$ to them, $p = \ell\,W x$ with a length $\ell$ (`preconditioner`). Here is what the classes share.
+A contour's own class says which these are (`free_numbers`) and gives the matrix $W$ from unknowns $x$ to
+them, $p = \ell\,W x$ with a length $\ell$ (`preconditioner`). Here is what a contour is asked, and what the
+classes share. `_contour` is the contract of a contour in a run.
 
 A wave of order $k$ along a contour, of height $a$, changes its curvature by about $k^2 a$ over the square of
 its size. For every unknown to change the curvature alike, $W$ divides the wave by $(1 + k^2)/2$. A step down
@@ -9,14 +10,57 @@ the gradient in $x$ moves $p$ by $-W W^T \nabla_p$: down the gradient in the Sob
 derivatives, $\sum_k (1 + k^2)^2 |p_k|^2$, and not in that of the points.
 """
 
-from typing import Any
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
 import numpy as np
 
+from .._tabled import AbstractShape
+
 # Size of a perturbation, as a share of the contour's own numbers.
 PERTURBED = 0.15
+
+DesignedType = TypeVar("DesignedType", bound="AbstractDesigned")
+
+
+class AbstractDesigned(AbstractShape):
+    """What a design asks of a contour: its free numbers, their scale, a mirror image, another start."""
+
+    def free_numbers(self) -> list[Any]:
+        """The arrays of this contour that a design may change: by default all of its floating arrays.
+
+        They are found in the contour by identity: give the arrays themselves, not what is worked out of them.
+        """
+        return [leaf for leaf in jax.tree.leaves(self) if eqx.is_inexact_array(leaf)]
+
+    def preconditioner(self, size: float) -> np.ndarray:
+        r"""Matrix $W$ (n, n) from unknowns to free numbers, $p = \ell\,W x$, with $\ell$ = `size` / 20 [m].
+
+        The free numbers stand in $p$ in the order of the contour's fields, each array row by row. `size` is
+        the root mean square distance of the contour's points from its body's origin [m]. Choose $W$ so that
+        all unknowns of one size change the curvature alike: points and terms of series are divided by about
+        the square of their wave's order. By default it is diagonal: each array is measured against its own
+        root mean square, so that numbers which are no lengths need no unit.
+        """
+        return own_sizes(self, size)
+
+    def symmetrised(self: DesignedType) -> DesignedType:
+        """This contour made its own mirror image about its x axis: the mean of both; of the same class.
+
+        It runs inside compiled programs, differentiated in the free numbers. By default a class has none.
+
+        Raises:
+            ValueError: If the class, or this contour, has no mirror image of its kind.
+        """
+        raise ValueError(f"argument symmetric must be False for a {type(self).__name__}, but was True")
+
+    def perturbed(self: DesignedType, rng: np.random.Generator) -> DesignedType:
+        """A contour like this one, of the same class: another start for a search.
+
+        By default every free number is changed by some 15 %.
+        """
+        return each_perturbed(self, rng)
 
 
 def divided(contour: Any) -> tuple[Any, Any]:

@@ -28,7 +28,8 @@ from ..._results import concrete
 from ..._types import Points, Scalar
 from ..._xla import quickly, remembered
 from ._arclength import hermite, spaced
-from ._contour import AbstractContour, Frenet2
+from ._contour import AbstractContour
+from ._frenet import Frenet2
 
 JetFunction = Callable[[Any, Array, Array], tuple[Vec2, Vec2, Vec2]]
 # By how much the speed of a table may differ from one; a run that reads it errs by about that much.

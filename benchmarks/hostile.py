@@ -115,7 +115,7 @@ def _judged(call: Call, arguments: dict[str, Any], odd: list[str]) -> Outcome:
             answer = call.function(**arguments)
             jax.block_until_ready([leaf for leaf in jax.tree.leaves(answer) if isinstance(leaf, jax.Array)])
     except ValueError as error:
-        return Outcome("sentence") if is_one_sentence(str(error)) else _raw(error)
+        return Outcome("sentence", words=str(error)) if is_one_sentence(str(error)) else _raw(error)
     except TimeoutError:
         return Outcome("slow", call.name, f"no answer within {_PATIENCE} s")
     except RuntimeError as error:

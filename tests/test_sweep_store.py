@@ -241,9 +241,12 @@ def test_a_disk_that_is_full_for_a_while(tmp_path, calls, monkeypatch):
         write(self, start, leaves)
 
     monkeypatch.setattr(_store.Store, "_write", full)
-    monkeypatch.setattr(_store, "_PAUSES", (0.0,))
+    waited = []
+    monkeypatch.setattr(_store, "_PAUSES", (0.25,))
+    monkeypatch.setattr(_store.time, "sleep", waited.append)
     with pytest.raises(OSError, match="No space left on device.*what it holds stays"):
         swept(path)
+    assert waited == [0.25]
     done = len(calls)
     assert 2 <= done <= 3
     np.testing.assert_array_equal(swept(path).end_q[:, 0], ROWS)

@@ -9,6 +9,7 @@ from PIL import Image
 import jaxroll as jxr
 from jaxroll.plotting._artists import limits
 from jaxroll.plotting._forces import arrows
+from jaxroll.plotting._responses import _DASHES, _dashes
 from jaxroll.plotting._views import views
 
 
@@ -35,6 +36,17 @@ def test_responses_show_both_contacts_in_the_chapters_symbols(pinch, short):
         assert wanted in names
     drawn = np.array([line.get_ydata() for line in axes[labels.index(r"$\Delta f_i$ [N]")].lines[:2]]).T
     np.testing.assert_array_equal(drawn, jxr.pinch_balance(pinch[0], short.ts, short.states).delta_f)
+
+
+def test_lines_that_lie_on_others_are_dashed():
+    """Within a hundredth of the range that the panel shows, or of its least range."""
+    t = np.linspace(0.0, 1.0, 11)
+    lines = np.stack([t, t + 0.009, t + 0.005, t + 0.02, 1.0 - t], axis=1)
+    assert [_dashes(lines, k, None) for k in range(5)] == ["-", _DASHES[0], _DASHES[1], "-", "-"]
+    steady = np.stack([1.0 + 0.0 * t, 1.0009 + 0.0 * t, 1.002 + 0.0 * t], axis=1)
+    assert [_dashes(steady, k, None) for k in range(3)] == ["-", _DASHES[0], "-"]
+    assert [_dashes(steady, k, 1.0) for k in range(3)] == ["-", _DASHES[0], _DASHES[1]]
+    assert _dashes(np.stack([t, t + np.where(t < 0.5, np.nan, 0.5)], axis=1), 1, None) == "-"
 
 
 def test_time_is_stretched_only_where_the_rolling_is_over_early(pinch, short):

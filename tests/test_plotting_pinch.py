@@ -4,12 +4,13 @@ import dataclasses
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from PIL import Image
 
 import jaxroll as jxr
 from jaxroll.plotting._artists import limits
 from jaxroll.plotting._forces import arrows
-from jaxroll.plotting._responses import _DASHES, _dashes
+from jaxroll.plotting._responses import _DASHES, _dashes, _stretch
 from jaxroll.plotting._views import views
 
 
@@ -53,6 +54,21 @@ def test_time_is_stretched_only_where_the_rolling_is_over_early(pinch, short):
     still = dataclasses.replace(short, ts=short.ts.at[-1].set(2.0))
     scales = [jxr.plotting.responses(pinch[0], run).axes[0].get_xscale() for run in (short, still)]
     assert scales == ["linear", "function"]
+
+
+def test_a_stretched_axis_has_ticks_in_every_decade():
+    """Rolling that is over in 0.3 s of ten, or goes on."""
+    ts = 2.0 + np.linspace(0.0, 10.0, 1001)
+    ax = Figure().subplots()
+    early = _stretch(ax, ts, np.minimum((ts - 2.0) / 0.3, 1.0)[:, None])
+    assert early == pytest.approx(2.27, abs=0.011) and ax.get_xlim() == (2.0, 12.0)
+    np.testing.assert_allclose(ax.get_xticks(), [2.0, 2.1, 2.3, 3.0, 5.0, 12.0])
+    assert [label.get_text() for label in ax.get_xticklabels()] == ["2", "2.1", "2.3", "3", "5", "12"]
+    # From the start to `early` it is as wide as from there to sinh(2 asinh(1)) = sqrt(8) times as far.
+    places = ax.transScale.transform([(t, 0.0) for t in (2.0, early, 2.0 + (early - 2.0) * 8.0**0.5)])[:, 0]
+    assert np.diff(places)[0] == pytest.approx(np.diff(places)[1]) and places[0] == 0.0
+    ax = Figure().subplots()
+    assert _stretch(ax, ts, ts[:, None]) is None and ax.get_xscale() == "linear"
 
 
 def test_forces_drawn_accelerate_the_object(pinch, short):

@@ -214,6 +214,19 @@ def test_the_cost_of_firmness_is_the_least_value_by_its_scale(monkeypatch, scale
     assert float(found) == pytest.approx(-2.0 / scale)
 
 
+def test_the_smallest_value_leaves_out_those_that_are_always_zero():
+    """Unless one is negative, by more than rounding: 1e-7 of the largest."""
+    for values, neutral, wanted in (
+        ([3.0, 0.0, 2.0, 5.0], 1, 2.0),
+        ([3.0, 2.0, 5.0], 0, 2.0),
+        ([3.0, -1e-4, 2e-4, 400.0], 1, -1e-4),
+        ([3.0, -1e-5, 2e-4, 400.0], 1, 2e-4),
+        ([0.3, -1e-8, 2e-4, 0.04], 1, 2e-4),
+        ([0.3, -1e-7, 2e-4, 0.04], 1, -1e-7),
+    ):
+        assert float(_firmness._smallest(jnp.array(values), neutral)) == wanted
+
+
 def one_blunt(tip):
     """The other fingertip is a flat pad; limits keep this one from (41)."""
     blunt = jxr.Ellipse(0.004, 0.012)

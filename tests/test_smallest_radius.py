@@ -400,6 +400,10 @@ def test_a_wave_of_the_wavelength_is_halved(closed):
     wave = np.stack([s, 0.01 * np.sin(2 * np.pi * 10 * s)], axis=1)
     flat = low_passed(wave[:, 1:] @ np.ones((1, 2)), 1.0, 0.1, closed=closed)
     np.testing.assert_allclose(flat[:, 0], 0.5 * wave[:, 1], atol=2e-4)
+    # One of two wavelengths is left alone, one of half a wavelength goes.
+    for wavelength, left in ((0.05, 1.0), (0.2, 0.0)):
+        flat = low_passed(wave[:, 1:] @ np.ones((1, 2)), 1.0, wavelength, closed=closed)
+        np.testing.assert_allclose(flat[:, 0], left * wave[:, 1], atol=4e-4)
 
 
 @pytest.mark.parametrize("angle", [45.0, 25.0])

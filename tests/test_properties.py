@@ -14,7 +14,7 @@ from benchmarks.hostile_calls.values import made, names_for, NUMERIC, sensible
 # What no argument, or no number of any shape, can be.
 OF_NO_USE = ("thing", "NaN", "minus one", "zero", "two numbers", "empty list")
 # Of these, something that takes long is made before they are looked at: the drawn examples try them.
-DEAR = {("design", "folder"), ("optimise_fingertip", "interval"), ("pinch_object", "force")}
+DEAR = {("design", "folder"), ("optimise_fingertip", "interval")}
 DEAR |= {("loci", "grasp"), ("link_clearance", "grasp"), ("pinch_balance", "grasp")}
 # Here another argument is at fault: a run that did not end early does not go on, with friction or without; a
 # function without cases does not take any; values are one more than their times.

@@ -115,9 +115,9 @@ def _judged(call: Call, arguments: dict[str, Any], odd: list[str]) -> Outcome:
             answer = call.function(**arguments)
             jax.block_until_ready([leaf for leaf in jax.tree.leaves(answer) if isinstance(leaf, jax.Array)])
     except ValueError as error:
-        return Outcome("sentence") if is_one_sentence(str(error)) else _raw(error)
+        return Outcome("sentence", words=str(error)) if is_one_sentence(str(error)) else _raw(error)
     except TimeoutError:
-        return Outcome("slow", call.name, f"no answer within {_PATIENCE} s")
+        return Outcome("slow", call.name, f"no answer within {_PATIENCE} s of processor time")
     except RuntimeError as error:
         by = [frame.name for frame in _frames(error)[-1:]]
         told = str(error) in _codes() or by == ["_checked"] and "\n" not in str(error)
@@ -179,18 +179,24 @@ def _raw(error: BaseException) -> Outcome:
 
 @contextlib.contextmanager
 def _patience() -> Iterator[None]:
-    """Raise `TimeoutError` in whatever takes longer than a minute."""
+    """Raise `TimeoutError` in what takes longer than a minute of processor time, or ten minutes of waiting.
+
+    On a busy machine a call may wait for a minute that takes a second.
+    """
 
     def late(*_: Any) -> None:
         raise TimeoutError
 
-    before = signal.signal(signal.SIGALRM, late)
-    signal.alarm(_PATIENCE)
+    clocks = {signal.SIGALRM: signal.ITIMER_REAL, signal.SIGPROF: signal.ITIMER_PROF}
+    before = {number: signal.signal(number, late) for number in clocks}
+    signal.setitimer(signal.ITIMER_REAL, 10 * _PATIENCE)
+    signal.setitimer(signal.ITIMER_PROF, _PATIENCE)
     try:
         yield
     finally:
-        signal.alarm(0)
-        signal.signal(signal.SIGALRM, before)
+        for number, clock in clocks.items():
+            signal.setitimer(clock, 0)
+            signal.signal(number, before[number])
 
 
 def run(count: int, number: int, names: Sequence[str] | None) -> list[tuple[Example, Outcome]]:

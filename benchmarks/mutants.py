@@ -113,6 +113,49 @@ EQUIVALENT: dict[tuple[str, str, str, str], str] = {
         "change <= _SETTLED",
         "(change < _SETTLED)",
     ): "a difference of floating-point numbers that never is that number",
+    (
+        "jaxroll/_integration/_step_size.py",
+        "_narrowed",
+        "8.0",
+        "(16.0)",
+    ): "how fast the steps grow in which an event is looked for again; it ends at the same event",
+    (
+        "jaxroll/geometry/fitting/_rolling.py",
+        "_drawn",
+        "np.abs(distances[:, 0] - radius) > 2.0 * tolerance",
+        "(np.abs(distances[:, 0] - radius) >= 2.0 * tolerance)",
+    ): "a difference of floating-point numbers that never is that number",
+    (
+        "jaxroll/stability/_statics.py",
+        "_pinch_rest",
+        "jnp.max(jnp.abs(_rolled(still, found).gradient)) <= _AT_REST.of(size) * size",
+        "(jnp.max(jnp.abs(_rolled(still, found).gradient)) < _AT_REST.of(size) * size)",
+    ): "a floating-point number that never is that bound",
+    (
+        "jaxroll/_integration/_events.py",
+        "check_overlaps",
+        "1",
+        "(2)",
+    ): "whether a surface has bounds does not depend on how many of its places are asked for",
+    (
+        "jaxroll/control/_sensing.py",
+        "tip_of",
+        "-1",
+        "(1)",
+    ): "the vectors have one axis, so that both are the last",
+    ("jaxroll/geometry/mass/_level_moments.py", "", "8192", "(8193)"): "how many are worked out at once",
+    (
+        "jaxroll/geometry/fitting/_even_spline.py",
+        "EvenSpline.feet",
+        "np.linspace(0.0, self.pieces, 8 * self.pieces + 1)",
+        "(np.linspace(self.pieces, 0.0, 8 * self.pieces + 1))",
+    ): "the same places to begin at, in another order",
+    (
+        "jaxroll/contact/locating/_location3.py",
+        "_refine.improve",
+        "2.0",
+        "(4.0)",
+    ): "how fast the longest step of a search grows again; its end is polished to rounding",
 }
 
 # Arguments that change nothing wherever they stand: before, after, what the line has, and why.

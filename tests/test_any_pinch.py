@@ -1,5 +1,7 @@
 """Objects of any shape between two fingers, and the commands that begin with a file."""
 
+from types import SimpleNamespace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from jaxroll import stability
 from jaxroll.__main__ import main
 from jaxroll._cli import ShapeOrder
 from jaxroll._cli._shape_file import fitted
+from jaxroll.scenes._any_pinch import _turns
 
 ROUND = 2.0 * np.pi * np.arange(200) / 200
 EGG = np.stack([35.0 * np.cos(ROUND) + 4.0 * np.cos(2.0 * ROUND), 20.0 * np.sin(ROUND)], axis=-1)
@@ -32,6 +35,25 @@ def test_an_ellipse_is_held_across_its_narrow_side_and_stays():
     np.testing.assert_allclose(force, 3.0 * 9.81 * float(grasp.object.mass), rtol=1e-3)
     found = stability.assess(grasp, state)
     assert float(jnp.max(jnp.real(found.rates))) < 1e-9
+
+
+def test_an_object_is_turned_so_that_two_points_of_it_face_two_fingers():
+    across, along = np.array([1.0, 2.0]), np.array([-3.0, 0.5])
+    (turn,) = _turns(None, across, along)
+    np.testing.assert_allclose(turn @ across / np.hypot(1.0, 2.0), along / np.hypot(3.0, 0.5))
+    np.testing.assert_allclose(turn @ turn.T, np.eye(2), atol=1e-15)
+    # In space by quarter turns, at first with the longest extent upright, as far as that may be.
+    across, along, long = np.array([1.0, 2.0, 0.0]), np.array([-3.0, 0.5, 1.0]), np.array([0.0, 0.0, 1.0])
+    turns = _turns(SimpleNamespace(inertia=(3.0, 2.0, 1.0)), across, along)
+    ahead = along / np.linalg.norm(along)
+    upright = np.array([0.0, 0.0, 1.0]) - ahead[2] * ahead
+    wanted = upright / np.linalg.norm(upright)
+    assert len(turns) == 4
+    for turn in turns:
+        np.testing.assert_allclose(turn @ across / np.sqrt(5.0), ahead)
+        np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-15)
+        assert np.linalg.det(turn) > 0.0 and abs(turn @ long @ wanted) == pytest.approx(1.0)
+        wanted = np.cross(ahead, wanted)
 
 
 def test_fingers_of_ones_own_and_a_force():

@@ -207,6 +207,26 @@ def test_stiffnesses_are_eigenvalues_of_the_hessian_over_the_angles_of_the_finge
     np.testing.assert_allclose(_firmness._stiffnesses(None, None, 0.0), wanted, rtol=1e-12)
 
 
+@pytest.mark.parametrize("scale", [0.5, 4.0])
+def test_the_cost_of_firmness_is_the_least_value_by_its_scale(monkeypatch, scale):
+    monkeypatch.setattr(Firmness, "values", lambda goal, tip, floor: jnp.array([3.0, 2.0, 8.0]))
+    found = Firmness(on_plate, scale=scale).cost(jxr.Circle(0.01), None, 1.0, 1e4)
+    assert float(found) == pytest.approx(-2.0 / scale)
+
+
+def test_the_smallest_value_leaves_out_those_that_are_always_zero():
+    """Unless one is negative, by more than rounding: 1e-7 of the largest."""
+    for values, neutral, wanted in (
+        ([3.0, 0.0, 2.0, 5.0], 1, 2.0),
+        ([3.0, 2.0, 5.0], 0, 2.0),
+        ([3.0, -1e-4, 2e-4, 400.0], 1, -1e-4),
+        ([3.0, -1e-5, 2e-4, 400.0], 1, 2e-4),
+        ([0.3, -1e-8, 2e-4, 0.04], 1, 2e-4),
+        ([0.3, -1e-7, 2e-4, 0.04], 1, -1e-7),
+    ):
+        assert float(_firmness._smallest(jnp.array(values), neutral)) == wanted
+
+
 def one_blunt(tip):
     """The other fingertip is a flat pad; limits keep this one from (41)."""
     blunt = jxr.Ellipse(0.004, 0.012)

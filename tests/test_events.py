@@ -1,5 +1,7 @@
 """The model's ends: each has its code, and its time is a root, with the right derivative."""
 
+from types import SimpleNamespace
+
 import diffrax
 import equinox as eqx
 import jax
@@ -11,6 +13,7 @@ from scipy.optimize import brentq
 
 import jaxroll as jxr
 from jaxroll._integration._events import first_dip
+from jaxroll._integration._step import RollingStep
 from jaxroll._linalg._plane import Vec2
 from jaxroll.geometry import frenet
 
@@ -34,6 +37,17 @@ def forces(scene):
     """f(t) and lambda(t) of the pivoted scene without limits, as splines through 601 points."""
     run = jxr.simulate(*scene, 0.6, ts=601, rtol=RTOL, record=("multipliers",))
     return (CubicSpline(run.ts, values[:, 0]) for values in (run.multipliers.f, run.multipliers.lam))
+
+
+def test_within_a_step_its_ends_and_slopes_give_a_cubic():
+    """Any cubic is found again, at any share of the step."""
+    cubics = [np.polynomial.Polynomial(c) for c in ([1.0, -2.0, 3.0, 0.5], [0.3, 0.1, -4.0, 2.0])]
+    t0, t1 = jnp.asarray(0.4), jnp.asarray(1.1)
+    ends = [jnp.array([*(c(t) for c in cubics), *(c.deriv()(t) for c in cubics), 9.0]) for t in (0.4, 1.1)]
+    step = SimpleNamespace(lay=SimpleNamespace(width=2))
+    for share in (0.0, 0.25, 0.8, 1.0):
+        found = RollingStep._within(step, t0, t1, *ends, jnp.asarray(share))
+        np.testing.assert_allclose(found, [c(0.4 + 0.7 * share) for c in cubics], rtol=1e-13)
 
 
 def test_friction_cone_is_left_when_the_forces_say_so(scene, forces):

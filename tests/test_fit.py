@@ -1,5 +1,7 @@
 """From raw points to a contour: accuracy, the report, and that bad data never gives a wrong contour."""
 
+from types import SimpleNamespace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -196,6 +198,29 @@ def test_support_function_field():
     assert report.rms < 1.2e-5 and abs(report.radius - 0.0098) < 0.03 * 0.0098
     with pytest.raises(ValueError, match="are for splines"):
         jxr.fit_contour(dots, field="support", smoothing=0.01)
+
+
+@pytest.mark.parametrize(
+    ("noise", "count", "tried"),
+    [
+        (1.3e-4, 96, [3, 4, 6, 8]),  # the first that leaves no more than the noise
+        (6e-5, 96, [3, 4, 6, 8, 11, 15, 20]),
+        (1e-5, 96, [3, 4, 6, 8, 11, 15, 20]),  # no more terms than that, whatever is left
+        (1e-5, 31, [3, 4, 6, 8, 10]),  # a third of the points
+        (0.0, 96, [20]),
+        (None, 31, [10]),
+    ],
+)
+def test_numbers_of_terms_are_tried_in_turn(monkeypatch, noise, count, tried):
+    """As if residuals fell with the number of terms: 1 mm over it."""
+    terms = []
+    fields = SimpleNamespace(through=lambda points, terms: terms)
+    monkeypatch.setattr(_contour_fit, "SupportFunction", fields)
+    monkeypatch.setattr(_contour_fit, "tabled", lambda found: terms.append(found) or found)
+    monkeypatch.setattr(_contour_fit, "measured_contour", lambda found, at: (0, np.full(9, 1e-3 / found)))
+    wish = _contour_fit._Wish(closed=True, noise=noise, smoothing=None, knots=None)
+    assert _contour_fit._support(np.zeros((count, 2)), wish) == (tried[-1], 0.0)
+    assert terms == tried
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll.geometry import polygon_area
+from jaxroll.io._outline import even
 
 BODY = jxr.Ellipse(0.02, 0.014)
 TOLERANCE = 2e-6
@@ -175,9 +176,9 @@ def test_dxf_pieces_drawn_twice_or_with_a_tail(tmp_path):
 
     drawing = ezdxf.new(units=ezdxf.units.MM)
     corners = [(0, 0), (30, 0), (30, 30), (0, 30)]
-    for i in (2, 0, 3, 1, 1, 2, 0, 3):
-        ends = (corners[i], corners[(i + 1) % 4])
-        drawing.modelspace().add_line(*(ends if i % 2 else ends[::-1]))
+    # Two sides are drawn twice in the same sense, two once each way.
+    for i, way in ((2, 1), (0, -1), (3, 1), (1, 1), (1, 1), (2, -1), (0, -1), (3, -1)):
+        drawing.modelspace().add_line(*(corners[i], corners[(i + 1) % 4])[::way])
     drawing.modelspace().add_line((30, 30), (40, 50))
     drawing.saveas(tmp_path / "square.dxf")
     points = 1e3 * jxr.io.read_points(tmp_path / "square.dxf", unit="mm")
@@ -331,8 +332,21 @@ def test_silhouettes_that_are_not_whole_are_refused():
         jxr.io.read_silhouette(disc_image()[:50], pixel=1e-4, threshold=0.5)
     with pytest.raises(ValueError, match="argument which must be below the number of outlines, 1"):
         jxr.io.read_silhouette(disc_image(), pixel=1e-4, which=1)
-    with pytest.raises(ValueError, match=r"must be grey values of shape \(rows, columns\)"):
-        jxr.io.read_silhouette(np.zeros((4, 4, 2)), pixel=1e-4)
+    for none in (np.zeros((4, 4, 2)), np.zeros((1, 9)), np.zeros((9, 1)), np.zeros(9)):
+        with pytest.raises(ValueError, match=r"must be grey values of shape \(rows, columns\)"):
+            jxr.io.read_silhouette(none, pixel=1e-4)
+    for narrow in (np.eye(9)[3:5], np.eye(9)[:, 3:5]):
+        with pytest.raises(ValueError, match="must show the whole shape, but the border cuts"):
+            jxr.io.read_silhouette(narrow, pixel=1e-4, threshold=0.5)
+
+
+def test_points_at_equal_distances():
+    """Of a closed polygon the first one is not repeated; an open one keeps both ends."""
+    corners = np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 1.0], [0.0, 1.0]])
+    around = [[0, 0], [1, 0], [2, 0], [3, 0], [3, 1], [2, 1], [1, 1], [0, 1]]
+    np.testing.assert_allclose(even(corners, 8, closed=True), around, atol=1e-15)
+    np.testing.assert_allclose(even(corners, 8, closed=False), around, atol=1e-15)
+    np.testing.assert_allclose(even(corners, 2, closed=False), corners[[0, 3]])
 
 
 def test_a_coin_in_a_photograph():

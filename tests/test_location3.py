@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 import jaxroll as jxr
 from jaxroll._linalg import _space as sp
 from jaxroll.contact import locate_surfaces
-from jaxroll.contact.locating._pair3 import Pair3
+from jaxroll.contact.locating._location3 import _downhill
+from jaxroll.contact.locating._pair3 import Pair3, TangentForm
 from jaxroll.geometry import (
     Cylinder,
     Ellipsoid,
@@ -402,6 +403,19 @@ def test_single_precision_finds_what_double_precision_finds(name):
     np.testing.assert_allclose(single.points, found.points, rtol=0, atol=1e-6)
     np.testing.assert_array_equal(single.unique, found.unique)
     np.testing.assert_array_equal(single.others.there, found.others.there)
+
+
+@pytest.mark.parametrize("lowest", [-3.0, -1e-4, 1e-3, 0.5])
+def test_steps_of_a_search_go_downhill(lowest):
+    """A second derivative that falls is reflected, about a thousandth of the largest: both then rise."""
+    turned = np.array([[0.8, -0.6], [0.6, 0.8]])
+    form, slope = turned @ np.diag([lowest, 2.0]) @ turned.T, np.array([0.3, -0.7])
+    least = 1e-3 * max(abs(lowest), 2.0)
+    more = 2.0 * (least - lowest) if lowest < least else 0.0
+    wanted = -np.linalg.solve(form + more * np.eye(2), slope)
+    found = _downhill(TangentForm(form[0, 0], form[0, 1], form[1, 1]), tuple(slope))
+    np.testing.assert_allclose(found, wanted, rtol=1e-12)
+    assert slope @ wanted < 0.0
 
 
 def test_two_spheres_in_single_precision():

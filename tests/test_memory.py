@@ -362,7 +362,9 @@ def final(numbers, pivoted):
     """A mixture of all of the last state, as a function of (period, first, damping, gain, target, memory)."""
     grasp, state = pivoted
     period, first, damping, gain, target, held = numbers
-    law = Integral(grasp.with_(damping=damping).controller, {"y": target}, gain)
+    # The law inside depends on time, so that a sample that comes later asks it later.
+    growing = jax.tree_util.Partial(lambda at_first, t: at_first * (1.0 + 50.0 * t), damping)
+    law = Integral(grasp.with_(damping=growing).controller, {"y": target}, gain)
     acted = grasp.with_(controller=Sampled(law, period, first=first))
     start = acted.controller.initial_memory((2,)).at[0].set(held)
     state = jxr.State(state.q, state.v, state.s, start)

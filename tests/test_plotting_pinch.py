@@ -4,11 +4,13 @@ import dataclasses
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from PIL import Image
 
 import jaxroll as jxr
 from jaxroll.plotting._artists import limits
 from jaxroll.plotting._forces import arrows
+from jaxroll.plotting._responses import _DASHES, _dashes, _stretch
 from jaxroll.plotting._views import views
 
 
@@ -37,10 +39,36 @@ def test_responses_show_both_contacts_in_the_chapters_symbols(pinch, short):
     np.testing.assert_array_equal(drawn, jxr.pinch_balance(pinch[0], short.ts, short.states).delta_f)
 
 
+def test_lines_that_lie_on_others_are_dashed():
+    """Within a hundredth of the range that the panel shows, or of its least range."""
+    t = np.linspace(0.0, 1.0, 11)
+    lines = np.stack([t, t + 0.009, t + 0.005, t + 0.02, 1.0 - t], axis=1)
+    assert [_dashes(lines, k, None) for k in range(5)] == ["-", _DASHES[0], _DASHES[1], "-", "-"]
+    steady = np.stack([1.0 + 0.0 * t, 1.0009 + 0.0 * t, 1.002 + 0.0 * t], axis=1)
+    assert [_dashes(steady, k, None) for k in range(3)] == ["-", _DASHES[0], "-"]
+    assert [_dashes(steady, k, 1.0) for k in range(3)] == ["-", _DASHES[0], _DASHES[1]]
+    assert _dashes(np.stack([t, t + np.where(t < 0.5, np.nan, 0.5)], axis=1), 1, None) == "-"
+
+
 def test_time_is_stretched_only_where_the_rolling_is_over_early(pinch, short):
     still = dataclasses.replace(short, ts=short.ts.at[-1].set(2.0))
     scales = [jxr.plotting.responses(pinch[0], run).axes[0].get_xscale() for run in (short, still)]
     assert scales == ["linear", "function"]
+
+
+def test_a_stretched_axis_has_ticks_in_every_decade():
+    """Rolling that is over in 0.3 s of ten, or goes on."""
+    ts = 2.0 + np.linspace(0.0, 10.0, 1001)
+    ax = Figure().subplots()
+    early = _stretch(ax, ts, np.minimum((ts - 2.0) / 0.3, 1.0)[:, None])
+    assert early == pytest.approx(2.27, abs=0.011) and ax.get_xlim() == (2.0, 12.0)
+    np.testing.assert_allclose(ax.get_xticks(), [2.0, 2.1, 2.3, 3.0, 5.0, 12.0])
+    assert [label.get_text() for label in ax.get_xticklabels()] == ["2", "2.1", "2.3", "3", "5", "12"]
+    # From the start to `early` it is as wide as from there to sinh(2 asinh(1)) = sqrt(8) times as far.
+    places = ax.transScale.transform([(t, 0.0) for t in (2.0, early, 2.0 + (early - 2.0) * 8.0**0.5)])[:, 0]
+    assert np.diff(places)[0] == pytest.approx(np.diff(places)[1]) and places[0] == 0.0
+    ax = Figure().subplots()
+    assert _stretch(ax, ts, ts[:, None]) is None and ax.get_xscale() == "linear"
 
 
 def test_forces_drawn_accelerate_the_object(pinch, short):

@@ -1,11 +1,13 @@
 """Raw points: put in order, turned round, or refused in one sentence."""
 
+import contextlib
+
 import jax
 import numpy as np
 import pytest
 
 from jaxroll.geometry import clean_points, crossings
-from jaxroll.geometry.fitting._clean_points import distinct
+from jaxroll.geometry.fitting._clean_points import check_spacing, distinct
 from jaxroll.geometry.fitting._ordering import nearest_points, ordered_already, repaired
 
 N = 200
@@ -210,6 +212,19 @@ def test_what_is_doubtful_is_said(case):
     points, words = DOUBTED[case]
     assert words in " ".join(clean_points(points).warnings)
     assert clean_points(RING).warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("long", "gap"), [((30, 16), False), ((34, 16), True), ((4.5,), False), ((5.5,), True)]
+)
+def test_a_gap_is_longer_than_all_other_steps(long, gap):
+    """More than twice the next longest and five times the usual: others sample straight sides coarsely."""
+    parts = np.array([*long[:1], *[1] * 150, *long[1:], *[1] * 150])
+    u = 2.0 * np.pi * np.append(0.0, np.cumsum(parts)[:-1]) / parts.sum()
+    ring = np.stack([np.cos(u), np.sin(u)], axis=1)
+    with pytest.raises(ValueError, match="leave a gap of") if gap else contextlib.nullcontext():
+        check_spacing(ring, closed=True)
+    check_spacing(ring, closed=False)
 
 
 @pytest.mark.parametrize("size", [1e-200, 1.0, 1e200])

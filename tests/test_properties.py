@@ -1,9 +1,28 @@
 """Any arguments to any public name: a result, a result code or one sentence (see benchmarks/hostile.py)."""
 
+import contextlib
+import inspect
+
+import jax
+import numpy as np
 from hypothesis import given, HealthCheck, Phase, settings
 
 from benchmarks import hostile
 from benchmarks.hostile_calls.valid_calls import calls
+from benchmarks.hostile_calls.values import made, names_for, NUMERIC, sensible
+
+# What no argument, or no number of any shape, can be.
+OF_NO_USE = ("thing", "NaN", "minus one", "zero", "two numbers", "empty list")
+# Of these, something that takes long is made before they are looked at: the drawn examples try them.
+DEAR = {("design", "folder"), ("optimise_fingertip", "interval")}
+DEAR |= {("loci", "grasp"), ("link_clearance", "grasp"), ("pinch_balance", "grasp")}
+# Here another argument is at fault: a run that did not end early does not go on, with friction or without; a
+# function without cases does not take any; values are one more than their times.
+OTHERS = {("resume", "friction"), ("ClosedLoop", "cases"), ("Firmness", "cases"), ("Steps", "times")}
+# Numbers that decide what a program is made of: these classes ask for them before anything is traced.
+KNOWN = {("ClosedLoop", name) for name in ("t0", "rtol", "atol", "dt0")} | {("PeriodicNetwork", "decay")}
+KNOWN |= {(name, "smoothness") for name in ("Chart", "Implicit", "Parametric")}
+KNOWN |= {("Superellipsoid", "exponent")}
 
 
 def test_hostile_arguments_are_answered_or_refused(tmp_path, monkeypatch):
@@ -26,6 +45,56 @@ def test_hostile_arguments_are_answered_or_refused(tmp_path, monkeypatch):
     tried()
     assert len(seen) == 200
     assert all(ended.good for _, ended in seen), hostile.report(seen)
+
+
+def useless(argument):
+    """What cannot be this argument: the object, and for numbers NaN, wrong signs and wrong shapes too."""
+    for name in OF_NO_USE if argument.kind in (*NUMERIC, "count") else OF_NO_USE[:1]:
+        if name in names_for(argument.kind) and name not in argument.taken:
+            valid = argument.valid() if name != "thing" else None
+            if not sensible(argument.kind, name, made(argument.kind, name, valid), valid):
+                yield name
+
+
+def test_every_argument_is_named_where_it_is_of_no_use(tmp_path, monkeypatch):
+    """One after the other, all others as they should be."""
+    monkeypatch.chdir(tmp_path)
+    seen, unnamed = [], []
+    for call in calls().values():
+        for parameter, argument in call.arguments.items():
+            if (call.name, parameter) in DEAR:
+                continue
+            for value in useless(argument):
+                example = hostile.Example(call.name, ((parameter, value),))
+                ended = hostile.outcome(example)
+                seen.append((example, ended))
+                if not ended.words.startswith(f"argument {parameter}"):
+                    unnamed.append((call.name, parameter))
+    assert len(seen) > 2000
+    assert all(ended.kind == "sentence" for _, ended in seen), hostile.report(seen)
+    assert set(unnamed) == OTHERS
+
+
+def test_numbers_of_records_may_be_traced():
+    """But for some, which say so: a check of a number's value must let pass what has none yet."""
+    seen, refused = [], set()
+    for call in calls().values():
+        if not inspect.isclass(call.function) or call.slow:
+            continue
+        for parameter, argument in call.arguments.items():
+            valid = argument.valid() if argument.kind in NUMERIC else None
+            if np.asarray(valid).dtype.kind not in "fi" or (call.name, parameter) in OTHERS:
+                continue
+            given = {name: call.arguments[name].valid() for name in call.needed} | {parameter: valid}
+            with contextlib.suppress(ValueError):
+                call.function(**given)
+                seen.append((call.name, parameter))
+                try:
+                    jax.eval_shape(lambda x: call.function(**given | {parameter: x}) and 0, valid)  # noqa: B023
+                except ValueError as error:
+                    assert hostile.is_one_sentence(str(error)) and "trace" in str(error)
+                    refused.add((call.name, parameter))
+    assert len(seen) > 120 and refused == KNOWN
 
 
 def test_every_public_name_has_an_example():

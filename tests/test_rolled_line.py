@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from jaxroll.geometry.fitting._rolled_line import along, rolled_line, spread_along
+from jaxroll.geometry.fitting._rolled_line import _stretches, along, rolled_line, spread_along
 
 RADIUS, COUNT = 1.0, 4001
 SLACK = 0.02 * RADIUS
@@ -85,3 +85,11 @@ def test_lengths_along_a_polygon():
     corners = np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 1.0]])
     assert along(corners).tolist() == [0.0, 3.0, 4.0]
     np.testing.assert_allclose(spread_along(corners, 5), [[0, 0], [1, 0], [2, 0], [3, 0], [3, 1]])
+
+
+def test_stretches_of_a_closed_line_go_on_past_its_end():
+    off = np.array([1, 1, 0, 0, 1, 0, 1], bool)
+    assert [list(each) for each in _stretches(off, closed=True)] == [[4], [6, 0, 1]]
+    assert [list(each) for each in _stretches(off, closed=False)] == [[0, 1], [4], [6]]
+    for all_alike in (np.ones(5, bool), np.zeros(5, bool)):
+        assert _stretches(all_alike, closed=True) == _stretches(all_alike, closed=False) == []

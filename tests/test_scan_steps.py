@@ -9,6 +9,7 @@ import pytest
 from jaxroll.geometry.fitting import _scan_fit, _scan_verdict
 from jaxroll.geometry.fitting._field_fit import Grid
 from jaxroll.geometry.fitting._indicator import Body
+from jaxroll.geometry.fitting._measured import evenly
 from jaxroll.geometry.fitting._rolling import _cores, centres, rolled
 from jaxroll.geometry.fitting._scan import Scan
 from jaxroll.geometry.fitting._surface_report import regions_of, trusted_places
@@ -163,6 +164,14 @@ def test_distances_are_asked_for_away_from_the_body():
     np.testing.assert_allclose(nodes, every[far])
     inside = np.abs(every).sum(axis=1) < 0.01
     np.testing.assert_allclose(distances, np.where(inside, -least, least)[far])
+
+
+@pytest.mark.parametrize("count", [1, 200_000, 200_001, 400_000, 900_001])
+def test_of_many_points_as_many_are_measured_as_may_be(count):
+    """Every k-th; with k less one they would be too many."""
+    k = evenly(count).step
+    assert len(range(count)[evenly(count)]) <= 200_000
+    assert k == 1 or len(range(count)[:: k - 1]) > 200_000
 
 
 def test_regions_are_what_hangs_together():

@@ -14,7 +14,7 @@ import jaxroll as jxr
 from jaxroll.geometry import tabled
 from jaxroll.geometry.fitting._band import Band, found_band
 from jaxroll.geometry.fitting._bounded_curve import bounded_curve
-from jaxroll.geometry.fitting._departures import jumps, natural_radius
+from jaxroll.geometry.fitting._departures import jumps, natural_radius, strays
 from jaxroll.geometry.fitting._even_spline import displacements, EvenSpline, low_passed
 from jaxroll.geometry.fitting._limited_fit import _turned, Wanted
 
@@ -95,6 +95,30 @@ def test_strays_are_named_and_left_out():
         assert sorted(fit.report.rejected) == sorted(map(tuple, points[far].tolist()))
         assert fit.report.points == N - 4 and "4 rejected" in str(fit.report)
         assert KDTree(everywhere(fit)[0]).query(ELLIPSE)[0].max() < 2.0 * 2e-4
+
+
+@pytest.mark.parametrize(
+    ("off", "bending", "noise", "found"),
+    [
+        ({7: 7e-5}, {}, 1e-5, [7]),
+        ({7: 5e-5}, {}, 1e-5, []),  # below six times the noise
+        ({0: -7e-5, 8: 7e-5, 9: -7e-5}, {}, 1e-5, [0, 8, 9]),  # either way, on its own or two together
+        ({7: 7e-5, 8: 7e-5, 9: 7e-5}, {}, 1e-5, []),  # three together are shape
+        ({5: 1.5e-5, 6: 1.5e-5, 7: 7e-5, 8: 1.5e-5, 9: 1.5e-5}, {}, 1e-5, [7]),
+        ({5: 2.5e-5, 6: 2.5e-5, 7: 7e-5, 8: 2.5e-5, 9: 2.5e-5}, {}, 1e-5, []),  # all there are off
+        ({7: 7e-5, 12: 7e-5}, {7: -0.95, 12: -0.85}, 1e-5, [12]),  # the curve cannot bend more
+        ({7: 7e-5, 12: 4e-5}, {}, 0.0, [7, 12]),  # half a hundredth of the radius is the least noise
+        ({7: 7e-5, 12: 2.5e-5}, {}, 0.0, [7]),
+    ],
+)
+def test_a_stray_lies_off_where_its_neighbours_do_not(off, bending, noise, found):
+    """Whatever order the points come in: neighbours are those along the curve."""
+    distances, bends = np.zeros(20), np.zeros(20)
+    distances[list(off)] = list(off.values())
+    bends[list(bending)] = list(bending.values())
+    order = np.random.default_rng(3).permutation(20)
+    rows = strays(order.astype(float), distances[order], bends[order], noise=noise, radius=1e-3)
+    assert rows.tolist() == sorted(rows.tolist()) and sorted(order[rows].tolist()) == found
 
 
 @pytest.mark.parametrize("count", [4, 6])
@@ -376,6 +400,10 @@ def test_a_wave_of_the_wavelength_is_halved(closed):
     wave = np.stack([s, 0.01 * np.sin(2 * np.pi * 10 * s)], axis=1)
     flat = low_passed(wave[:, 1:] @ np.ones((1, 2)), 1.0, 0.1, closed=closed)
     np.testing.assert_allclose(flat[:, 0], 0.5 * wave[:, 1], atol=2e-4)
+    # One of two wavelengths is left alone, one of half a wavelength goes.
+    for wavelength, left in ((0.05, 1.0), (0.2, 0.0)):
+        flat = low_passed(wave[:, 1:] @ np.ones((1, 2)), 1.0, wavelength, closed=closed)
+        np.testing.assert_allclose(flat[:, 0], left * wave[:, 1], atol=4e-4)
 
 
 @pytest.mark.parametrize("angle", [45.0, 25.0])

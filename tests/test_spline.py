@@ -105,6 +105,17 @@ def test_open_spline_has_its_origin_and_ends():
     assert not bow.closed and bow.smoothness == 4
 
 
+@pytest.mark.parametrize(("closed", "origin"), [(True, 0), (True, 5), (False, 6)])
+def test_a_spline_is_made_symmetric_about_its_origin(closed, origin):
+    """Each point becomes the mean of its own and of the mirror image of its partner on the other side."""
+    points = np.random.default_rng(2).normal(size=(13, 2))
+    found = np.asarray(jxr.Spline(points, closed=closed, origin=origin).symmetrised().points)
+    for k in range(7):
+        one, other = (origin + k) % 13, (origin - k) % 13
+        np.testing.assert_allclose(found[one], 0.5 * (points[one] + points[other] * [1.0, -1.0]))
+        np.testing.assert_allclose(found[other], found[one] * [1.0, -1.0])
+
+
 def test_table_is_by_arclength_and_closes():
     contour = jxr.Spline(ellipse_points(32), cells=256).prepared()
     length = float(contour.domain()[1])

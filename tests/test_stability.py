@@ -16,6 +16,7 @@ from jaxroll.stability import (
     rectangle_hessian,
     VERDICTS,
 )
+from jaxroll.stability._statics import _damped
 from jaxroll.stability._verdict import _verdict
 from tests.helpers import in_single, slow_among
 from tests.oracles.chapter_part1 import Part1
@@ -434,3 +435,13 @@ def test_a_plain_function_as_controller_has_no_precision(scene):
     grasp, state = scene
     slack = grasp.with_(controller=lambda t, angles, rates, tips: [jnp.zeros(2)])
     assert bool(jxr.stability.assess(slack, state).equilibrium.found)  # nothing pushes anywhere
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 1.0])
+def test_a_damped_solution_is_bounded_where_an_eigenvalue_is_small(share):
+    """Along each direction x/(x^2 + e^2), with e the share of the size of all eigenvalues x."""
+    turned, values = np.array([[0.8, -0.6], [0.6, 0.8]]), np.array([-0.02, 5.0])
+    matrix, right = turned @ np.diag(values) @ turned.T, np.array([0.3, -0.7])
+    size = share * np.sqrt(np.sum(values**2))
+    wanted = turned @ (values / (values**2 + size**2) * (turned.T @ right))
+    np.testing.assert_allclose(_damped(jnp.asarray(matrix), jnp.asarray(right), share), wanted, rtol=1e-9)

@@ -13,7 +13,7 @@ import jaxroll as jxr
 from jaxroll import scenes
 from jaxroll.__main__ import _parser, main
 from jaxroll._cli._sweep_command import maker, parameters_of
-from jaxroll._cli._sweep_order import Range, SCENES, sweep_order
+from jaxroll._cli._sweep_order import _ENDS, _FILE, _fits, Range, SCENES, sweep_order
 from jaxroll._cli._sweep_table import read_table
 from jaxroll.plotting import map_page, parameter_map
 
@@ -264,6 +264,27 @@ def test_a_map_that_does_not_fit(case, grid):
     changes, words = UNFIT[case]
     with pytest.raises(ValueError, match=words):
         parameter_map(**{"parameters": grid, "values": grid.a} | changes)
+
+
+def test_entries_of_a_file_have_the_ends_of_their_options():
+    options = next(a for a in _parser()._actions if isinstance(a, argparse._SubParsersAction)).choices[
+        "sweep"
+    ]
+    for name, ends in _ENDS.items():
+        kind, convert = _FILE[name], options._option_string_actions[f"--{name}"].type
+        for value, beyond in zip(
+            ends, (ends[0] / 2 if kind is float else ends[0] - 1, 2 * ends[1]), strict=True
+        ):
+            assert convert(str(kind(value))) == value and _fits(name, kind, kind(value))
+            assert not _fits(name, kind, kind(beyond))
+            with pytest.raises(argparse.ArgumentTypeError):
+                convert(str(kind(beyond)))
+    assert (
+        _fits("seconds", float, 3) and not _fits("seconds", float, True) and not _fits("seconds", float, "3")
+    )
+    assert not _fits("times", int, 3.5) and not _fits("times", int, True)
+    assert _fits("keep", list, ["settling"]) and not any(_fits("keep", list, bad) for bad in ([], ["a", 3]))
+    assert _fits("sampling", str, "grid") and not _fits("sampling", str, "dice")
 
 
 def test_help_of_both():

@@ -20,6 +20,7 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll._cli._sweep_table import entries_of, read_table
+from jaxroll._integration._dataset import _Walk
 from jaxroll._sweep import _store
 from jaxroll._sweep._program import Program
 from jaxroll.plotting import parameter_map
@@ -241,9 +242,12 @@ def test_a_disk_that_is_full_for_a_while(tmp_path, calls, monkeypatch):
         write(self, start, leaves)
 
     monkeypatch.setattr(_store.Store, "_write", full)
-    monkeypatch.setattr(_store, "_PAUSES", (0.0,))
+    waited = []
+    monkeypatch.setattr(_store, "_PAUSES", (0.25,))
+    monkeypatch.setattr(_store.time, "sleep", waited.append)
     with pytest.raises(OSError, match="No space left on device.*what it holds stays"):
         swept(path)
+    assert waited == [0.25]
     done = len(calls)
     assert 2 <= done <= 3
     np.testing.assert_array_equal(swept(path).end_q[:, 0], ROWS)
@@ -367,6 +371,16 @@ def test_a_batch_as_a_table(run):
     assert later.ts.dims == ("lane", "time") and "time" not in later.coords
     with pytest.raises(ValueError, match="argument run must be known to be a table"):
         jax.jit(lambda r: r.to_xarray() and 0)(run)
+
+
+def test_a_dimension_stands_once_in_an_array_and_has_one_size():
+    walk = _Walk(("lane",), {}, "kept")
+    walk.add("square", np.zeros((5, 3, 3, 2)), ("time", "time", "place"), {})
+    walk.add("longer", np.zeros((5, 4, 2)), ("time", "place"), {})
+    assert [each.dims for each in walk.found] == [
+        ("lane", "time", "square_1", "place"),
+        ("lane", "longer_0", "place"),
+    ]
 
 
 def test_bodies_in_space_name_their_velocities():

@@ -243,7 +243,7 @@ _PARTS_TO_GRASP = (
 # Of two joints.
 _LIMITS = {
     "limits": _is("array", ((-3.0, 3.0), (-2.0, 2.0))),
-    "torque_limits": _is("array", (0.5, 0.4), "two numbers"),
+    "torque_limits": _is("array", (0.5, 0.4), "two numbers", "empty list"),  # of a jaw that rests
 }
 # Where a parameter means something else than its name says elsewhere, or has another shape.
 EXCEPTIONS: dict[str, dict[str, Argument]] = {
@@ -345,7 +345,7 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         "tip": _BALL,
         "object": _made("surface", jxr.Plane),
         "velocity": _made("function", lambda: rolling),
-        "ts": _is("array", (0.0, 0.1, 0.2), "three numbers", "seven numbers"),
+        "ts": _is("array", (0.0, 0.1, 0.2), "two numbers", "three numbers", "seven numbers"),
         "at_tip": _is("array", (0.0, 0.0, -0.02)),
         "at_object": _is("array", (0.0, 0.0, 0.0)),
         "spin": _is("function", None),
@@ -590,6 +590,8 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
     "poses": {"times": _is("array", (0.0, 0.01)), "forces": _is("flag", False)},
     "responses": {"folder": _made("folder", lambda: folder() / "plots")},
     "pinch": {"s": _is("array", (0.004, -0.003)), "damping": _EACH, "alpha": _EACH},
+    "pinch_ellipse": {"s": _is("array", (0.004, -0.003)), "damping": _EACH, "alpha": _EACH},
+    "ball_plate": {"s": _is("array", (0.004, -0.003)), "damping": _EACH, "alpha": _EACH},
     "ring": {
         "count": _is("count", 3),
         "damping": _EACH_OF_SOME,

@@ -165,10 +165,12 @@ def _limits(results: Any, tolerance: Any) -> list[float | None]:
             f"argument tolerance must be for names that the outcome has, {shown(known)}, but was for "
             f"{shown(list(tolerance))}"
         )
+    # Every number is looked at, also one that is for values which decide by their codes alone.
+    each = {name: _tolerance(given) for name, given in tolerance.items()} if named else _tolerance(tolerance)
     limits = []
     for path, form in jax.tree.leaves_with_path(results):
-        given = tolerance.get(path[0].key) if named else tolerance
-        limits.append(None if given is None or form.dtype.kind != "f" else _tolerance(given))
+        limit = each.get(path[0].key) if isinstance(each, dict) else each
+        limits.append(limit if form.dtype.kind == "f" else None)
     if all(limit is None for limit in limits) and all(x.dtype.kind == "f" for x in jax.tree.leaves(results)):
         raise ValueError(
             "argument tolerance must be given where the outcome has floating values but no codes, and was not"
@@ -176,7 +178,9 @@ def _limits(results: Any, tolerance: Any) -> list[float | None]:
     return limits
 
 
-def _tolerance(value: Any) -> float:
+def _tolerance(value: Any) -> float | None:
+    if value is None:
+        return None
     limit = float(as_floats("tolerance", value, ()))
     if limit < 0.0:
         raise ValueError(f"argument tolerance must not be negative, but was {shown(limit)}")

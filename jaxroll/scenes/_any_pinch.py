@@ -89,6 +89,7 @@ def pinch_object(
     if not isinstance(object, FreeObject | FreeObject3):
         raise ValueError(f"argument object must be a FreeObject or a FreeObject3, but was {shown(object)}")
     spatial = isinstance(object, FreeObject3)
+    press = None if force is None else float(as_positive("force", force))
     pairs = grasp_points(object, friction, count=_PAIRS)
     if not len(pairs):
         raise ValueError(
@@ -105,7 +106,7 @@ def pinch_object(
             found = reach(Grasp(object, hand, contacts, gravity=gravity), points[list(order)], pose=pose)
             if found.result == RESULTS.successful:
                 blunt = _blunted(found, points[list(order)], pose) if fingers is None else found
-                return _controlled(blunt.grasp, blunt.state, force)
+                return _controlled(blunt.grasp, blunt.state, press)
             hindered = found.reason
     raise ValueError(f"argument fingers must reach the object, but did not: {hindered}")
 
@@ -273,10 +274,10 @@ def _as_positions(turn: np.ndarray) -> np.ndarray:
     return np.asarray(seven(Pose3(Vec3(0.0, 0.0, 0.0), *axes)))[3:]
 
 
-def _controlled(grasp: Grasp, state: State, force: Given | None) -> tuple[Grasp, State]:
+def _controlled(grasp: Grasp, state: State, force: float | None) -> tuple[Grasp, State]:
     """The grasp under (16)-(17), with gains for a force."""
     weight = _GRAVITY * float(grasp.object.mass)
-    press = _WEIGHTS * weight if force is None else float(as_positive("force", force))
+    press = _WEIGHTS * weight if force is None else force
     first, second = tip_origins(grasp, np.asarray(state.q))
     beta = press / float(np.linalg.norm(second - first))
     damping = [_damping(finger, beta) for finger in grasp.fingers]

@@ -354,8 +354,10 @@ def _opposed(
     Two grasps are built: the controller needs the orientations of the closed state, and closing needs a
     grasp.
     """
+    # Its numbers are looked at before the contacts are closed, which takes longer.
+    opposition = Opposition(beta, **control, start=jnp.zeros(len(fingers)))
     grasp, state = close(Grasp(body, fingers, contacts, gravity=gravity), guess, hold_contacts=hold_contacts)
-    opposition = Opposition(beta, **control, start=orientations(grasp, state))
+    opposition = eqx.tree_at(lambda law: law.start, opposition, orientations(grasp, state))
     return Grasp(body, fingers, contacts, controller=opposition, gravity=gravity), state
 
 

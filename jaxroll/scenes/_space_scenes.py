@@ -126,6 +126,8 @@ def pinch3d(
     # Two surfaces: a finger on each; a single one that goes all round is touched by both.
     faces = range(2) if len(body.surfaces) > 1 else (0, 0)
     contacts = [Contact3(i, face, spin=spin, friction=friction) for i, face in enumerate(faces)]
+    # Without alpha the values of `start` have no effect; its length says how many fingers there are.
+    control = Opposition(beta, damping, start=jnp.zeros(2))
     guess = _guess(pair, [body.surfaces[face] for face in faces], k)
     if tips is object is None and concrete(k) != 1.0:
         # The pose of size one itself: another, as near to its own guess, would not be similar to it.
@@ -133,8 +135,6 @@ def pinch3d(
         lengths = jnp.ones(13).at[:3].set(k)
         guess = State(one.q * lengths, one.v, one.s * k)
     grasp, state = close(Grasp(body, fingers, contacts, gravity=gravity), guess, hold_contacts=False)
-    # Without alpha the values of `start` have no effect; its length says how many fingers there are.
-    control = Opposition(beta, damping, start=jnp.zeros(2))
     gains = lambda c: [c.beta, c.damping]  # noqa: E731
     scaled = [
         gain if callable(gain) else gain * factor

@@ -110,6 +110,8 @@ def tripod(
     ways = 2.0 * np.pi / count * np.arange(count)
     hand = [_finger(tip, way) for way in ways]
     contacts = [Contact3(i, 0, spin=spin, friction=friction) for i in range(count)]
+    # Its numbers are looked at before the contacts are closed, which takes longer.
+    control = Carry(beta, damping, stiffness, home=jnp.zeros((count, 3)), force=-body.mass * field)
     grasp, state = close(Grasp(body, hand, contacts), _guess(body, tip, ways), hold_contacts=False)
     each = zip(hand, np.split(np.asarray(state.s), 2 * count)[::2], strict=True)
     hand = [_ending_at(finger, finger.tip.point(at)) for finger, at in each]
@@ -117,14 +119,7 @@ def tripod(
         [f.pose(tuple(state.q[7 + 3 * i : 10 + 3 * i])).origin.array() for i, f in enumerate(hand)]
     )
     middle = jnp.mean(placed, axis=0)
-    control = Carry(
-        beta,
-        damping,
-        stiffness,
-        home=placed - middle[None],
-        position=middle,
-        force=-body.mass * field,
-    )
+    control = eqx.tree_at(lambda c: (c.home, c.position), control, (placed - middle[None], middle))
     weights = jnp.zeros((1 + count, 3)).at[0].set(field)
     return Grasp(body, hand, contacts, controller=control, gravity=weights), state
 

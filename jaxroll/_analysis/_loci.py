@@ -189,9 +189,11 @@ def _arrays(tree: Any, like: Array) -> Any:
 
 
 def _carried(motion: Motion, accelerations: Scalars) -> tuple[Pose3, Twist3]:
-    """Rates of a body's pose and of its twist: unit twists times accelerations, and what these do not enter."""
-    gained = (unit * rate for unit, rate in zip(motion.unit_twists, accelerations, strict=True))
-    return motion.pose.rate(motion.twist), sum(gained, motion.bias)
+    """Rates of a body's pose and twist: unit twists times accelerations, and what these do not enter."""
+    change = motion.bias
+    for unit, rate in zip(motion.unit_twists, accelerations, strict=True):
+        change = change + unit * rate
+    return motion.pose.rate(motion.twist), change
 
 
 def _velocities(grasp: Grasp, places: Any, bodies: list[tuple[Pose3, Twist3]]) -> Array:

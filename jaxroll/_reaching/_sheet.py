@@ -211,7 +211,7 @@ def _frames_of(surface: AbstractSurface, at: Array) -> tuple[Array, ...]:
 
 
 def _reads_table(surface: AbstractSurface) -> bool:
-    """Whether the surface is a field of many numbers: a place of it takes long enough for quick machine code."""
+    """Whether a surface is a field of many numbers, of which each place takes long enough to compile well."""
     return sum(np.size(leaf) for leaf in jax.tree.leaves(surface)) > _TABLE
 
 

@@ -12,18 +12,21 @@ v is what a contact calls its `rolling` in space; a is its derivative along the 
 `plotting` draws the loci.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._integration import check_one_run, layout, pack, Trajectory, unpack
-from .._linalg import Vec3
+from .._linalg import Pose3, Twist3, Vec3
 from .._mechanics import check_spatial, check_states, compiled, Grasp, Leaves, State
-from .._motion import bodies, evaluate, Index1, touches
+from .._motion import evaluate, Index1, touches
 from .._printing import listed
-from .._types import Scalar, Times
+from .._types import Scalar, Scalars, Times
 from .._xla import one_kernel, sharing
+from ..contact import Motion
 
 # Distance in time of the accelerations whose difference is the jerk [s]. The difference is of fourth order,
 # so that its error and, in double precision, the rounding of accelerations divided by it are both small.
@@ -151,11 +154,16 @@ def _jets(grasp: Grasp, t: Scalar, state: State) -> tuple[_Jet, _Jet]:
     def moving(t: Scalar, x: Array) -> tuple[Array, Array, Array]:
         """Velocities of the contact points, their derivatives in time, and the rates of the whole state x.
 
-        The equations of motion give dx/dt; the derivative of the velocities along dx/dt is one jvp.
+        The equations of motion give dx/dt, and with it how poses, twists and places change; the derivative
+        of the velocities along that change is one jvp.
         """
         with sharing():
-            rates = pack(evaluate(grasp, t, unpack(lay, x)[0], Index1()).rates, None)
-            found = jax.jvp(lambda x: _velocities(grasp, unpack(lay, x)[0]), (x,), (rates,))
+            leaves = unpack(lay, x)[0]
+            now = evaluate(grasp, t, leaves, Index1())
+            rates = pack(now.rates, None)
+            at = (leaves.s, [(motion.pose, motion.twist) for motion in now.motions])
+            along = (now.rates.s, [_carried(*each) for each in zip(now.motions, now.rates.v, strict=True)])
+            found = jax.jvp(lambda at: _velocities(grasp, *at), (_arrays(at, x),), (_arrays(along, x),))
         return *found, rates
 
     # On the straight line x + step dx/dt instead of the motion itself: at step 0 both have the same
@@ -175,14 +183,28 @@ def _jets(grasp: Grasp, t: Scalar, state: State) -> tuple[_Jet, _Jet]:
     return tip, face
 
 
-def _velocities(grasp: Grasp, leaves: Leaves) -> Array:
+def _arrays(tree: Any, like: Array) -> Any:
+    """A tree whose numbers are arrays, as derivatives want them: some are Python's own zeros."""
+    return jax.tree.map(lambda number: jnp.asarray(number, like.dtype), tree)
+
+
+def _carried(motion: Motion, accelerations: Scalars) -> tuple[Pose3, Twist3]:
+    """Rates of a body's pose and twist: unit twists times accelerations, and what these do not enter."""
+    change = motion.bias
+    for unit, rate in zip(motion.unit_twists, accelerations, strict=True):
+        change = change + unit * rate
+    return motion.pose.rate(motion.twist), change
+
+
+def _velocities(grasp: Grasp, places: Any, bodies: list[tuple[Pose3, Twist3]]) -> Array:
     """Velocities [m/s] of the contact points over their surfaces: contact, fingertip or object, axis.
 
     In the world both points have the same velocity over their surfaces; it is turned into either body's axes.
     """
-    motions, _ = bodies(grasp, leaves)
+    # A rolling rate depends on poses and twists alone.
+    motions = [Motion(pose, (), twist, twist) for pose, twist in bodies]
     rows = []
-    each = zip(grasp.contacts, leaves.s, touches(grasp, leaves.s), strict=True)
+    each = zip(grasp.contacts, places, touches(grasp, places), strict=True)
     for contact, place, touching in each:
         pair = motions[1 + contact.finger], motions[0]
         shapes, poses = grasp.shapes(contact), (pair[0].pose, pair[1].pose)

@@ -135,7 +135,7 @@ def reach(
     if held and guess is None:
         raise ValueError(f"argument guess must be a state where joints are held, but hold was {shown(hold)}")
     ready = tabled_grasp(grasp)
-    faces = [sheet_of(shape) for shape in ready.object.shapes]
+    faces = [sheet_of(shape) for shape in grasp.object.shapes]
     solid = sampled_object(faces, _extent(grasp))
     at = _places_on(grasp, faces, solid, contacts)
     targets = _targets(ready, faces, at, positions)

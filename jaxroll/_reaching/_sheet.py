@@ -6,6 +6,8 @@ and to the normal $n + \sum_{ab} K_{ab} \delta_b t_a$: what `grasp_points` and `
 method is the same in the plane and in space.
 """
 
+import operator
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -14,14 +16,20 @@ import numpy as np
 from jaxtyping import Array
 
 from .._linalg import tangents, unstack
-from .._xla import quickly, remembered
+from .._results import traced
+from .._xla import briskly, quickly, remembered
 from ..geometry import AbstractContour, AbstractSurface, tabled
 from ..geometry.surfaces import lattice
 
 # Rows that one call of a compiled program takes.
 _BATCH = 512
+# A surface that holds more numbers reads a table of them for every place.
+_TABLE = 1000
 # How often a place returns to an implicit surface after a step.
 _RETURNS = 2
+# The last sheets that were made, with the arrays and the structure of their shapes.
+_KEPT = 16
+_KNOWN: list[tuple[list[Any], Any, "Sheet"]] = []
 
 
 class Frames(NamedTuple):
@@ -61,14 +69,17 @@ class Sheet(NamedTuple):
 
     def frames(self, at: np.ndarray) -> Frames:
         """Points, normals, tangents and bends at places."""
-        program = _surface_frames if self.spatial else _contour_frames
+        if not self.spatial:
+            return Frames(*_in_batches(_contour_frames, self.shape, at))
+        program = _table_frames if _reads_table(self.shape) else _surface_frames
         return Frames(*_in_batches(program, self.shape, at))
 
     def moved(self, at: np.ndarray, steps: np.ndarray) -> np.ndarray:
         """Places after small tangent steps, shape (n, k) [m]; put back between ends and onto the surface."""
         if not self.spatial:
             return self.within(at + steps)
-        return _in_batches(_surface_moved, self.shape, np.concatenate([at, steps], axis=1))[0]
+        program = _table_moved if _reads_table(self.shape) else _surface_moved
+        return _in_batches(program, self.shape, np.concatenate([at, steps], axis=1))[0]
 
     def within(self, at: np.ndarray) -> np.ndarray:
         """Arclengths within the domain of a contour: round a closed one, to the nearer end of an open one."""
@@ -136,13 +147,21 @@ def shortened(steps: np.ndarray, bends: np.ndarray) -> np.ndarray:
 
 
 def sheet_of(shape: AbstractContour | AbstractSurface) -> Sheet:
-    """A contour or surface as a sheet, with all worked out that does not depend on the place."""
-    return Sheet(_ready(tabled(shape)))
+    """A contour or surface as a sheet, with all worked out that does not depend on the place.
 
-
-@remembered
-def _ready(shape: Any) -> Any:
-    return _prepared(shape)
+    Kept by the shape's arrays: a grasp with another tip or pose is made of new objects, but holds the arrays
+    that it was given, and what is known of a face stays known. What JAX is tracing is made anew.
+    """
+    leaves, form = jax.tree.flatten(shape)
+    for known, alike, sheet in _KNOWN:
+        same = len(known) == len(leaves) and all(map(operator.is_, known, leaves))
+        if same and alike == form:
+            return sheet
+    sheet = Sheet(_prepared(tabled(shape)))
+    if not traced(leaves):
+        _KNOWN.append((leaves, form, sheet))
+        del _KNOWN[:-_KEPT]
+    return sheet
 
 
 @remembered
@@ -177,8 +196,9 @@ def _contour_frames(contour: AbstractContour, at: Array) -> tuple[Array, ...]:
     return jax.vmap(one)(at)
 
 
-@quickly
-def _surface_frames(surface: AbstractSurface, at: Array) -> tuple[Array, ...]:
+def _frames_of(surface: AbstractSurface, at: Array) -> tuple[Array, ...]:
+    """Points, normals, tangents and bends of a surface at places."""
+
     def one(row: Array) -> tuple[Array, ...]:
         here = jax.tree.map(jnp.asarray, surface.frame(unstack(row)))
         first, second = tangents(here.normal)
@@ -190,8 +210,13 @@ def _surface_frames(surface: AbstractSurface, at: Array) -> tuple[Array, ...]:
     return jax.vmap(one)(at)
 
 
-@quickly
-def _surface_moved(surface: AbstractSurface, rows: Array) -> tuple[Array]:
+def _reads_table(surface: AbstractSurface) -> bool:
+    """Whether a surface is a field of many numbers, of which each place takes long enough to compile well."""
+    return sum(np.size(leaf) for leaf in jax.tree.leaves(surface)) > _TABLE
+
+
+def _moved_places(surface: AbstractSurface, rows: Array) -> tuple[Array]:
+    """Places, the first columns of the rows, after the tangent steps in the last two."""
     count = surface.coordinates
 
     def one(row: Array) -> Array:
@@ -200,9 +225,17 @@ def _surface_moved(surface: AbstractSurface, rows: Array) -> tuple[Array]:
         first, second = tangents(surface.frame(at).normal)
         rates = surface.rate(at, first * along + second * across)
         at = tuple(a + b for a, b in zip(at, rates, strict=True))
-        # Back onto an implicit surface, and into a chart's domain.
-        for _ in range(_RETURNS):
-            at = surface.settled(at)
-        return jnp.stack([jnp.asarray(x, row.dtype) for x in surface.within(at)])
+        # Back onto an implicit surface, and into a chart's domain. As a loop, so that it is compiled once.
+        at = _typed(at, row.dtype)
+        at = jax.lax.fori_loop(0, _RETURNS, lambda _, at: _typed(surface.settled(at), row.dtype), at)
+        return jnp.stack(_typed(surface.within(at), row.dtype))
 
     return (jax.vmap(one)(rows),)
+
+
+def _typed(numbers: Sequence[Any], dtype: Any) -> tuple[Array, ...]:
+    return tuple(jnp.asarray(x, dtype) for x in numbers)
+
+
+_surface_frames, _table_frames = quickly(_frames_of), briskly(_frames_of)
+_surface_moved, _table_moved = quickly(_moved_places), briskly(_moved_places)

@@ -12,7 +12,7 @@ from ._one_kernel import (
     WIDE as WIDE,
 )
 from ._primitives import linear_map as linear_map
-from ._quick import QUICK as QUICK, quickly as quickly
+from ._quick import briskly as briskly, QUICK as QUICK, quickly as quickly
 from ._remembered import remembered as remembered
 from ._share_cotangents import pulled as pulled, shared as shared
 from ._trigonometry import inverse_sinh as inverse_sinh, sine_cosine as sine_cosine

@@ -16,6 +16,8 @@ import jax.extend.core as jec
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 # No optimisation by LLVM, and XLA's older way from fusions to LLVM, which writes less for small ones.
 QUICK = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
+# LLVM's first level with that older way: as quick a program as by default, in half the time to compile.
+BRISK = QUICK | {"xla_backend_optimization_level": 1}
 
 
 def quickly(function: _Function) -> _Function:
@@ -24,12 +26,26 @@ def quickly(function: _Function) -> _Function:
     A program takes options only as a whole: where JAX is tracing, for a caller's own program or a derivative,
     and on other devices, this is `equinox.filter_jit` as it is.
     """
-    usual, quick = eqx.filter_jit(function), eqx.filter_jit(function, compiler_options=QUICK)  # pyright: ignore
+    return _with_options(function, QUICK)
+
+
+def briskly(function: _Function) -> _Function:
+    """`quickly` for a program that seldom runs, but then at thousands of places, each of which takes long.
+
+    A field of splines at 512 places takes 0.2 s longer to compile and a seventh of the time to run.
+    """
+    return _with_options(function, BRISK)
+
+
+def _with_options(function: _Function, options: dict[str, Any]) -> _Function:
+    """A compiled function, with options of the compiler where the program is a whole one of the processor."""
+    usual = eqx.filter_jit(function)
+    quick = eqx.filter_jit(function, compiler_options=options)  # pyright: ignore
 
     @functools.wraps(function)
-    def call(*args: Any, **options: Any) -> Any:
-        run = quick if _outermost((args, options)) and jax.default_backend() == "cpu" else usual
-        return run(*args, **options)
+    def call(*args: Any, **named: Any) -> Any:
+        run = quick if _outermost((args, named)) and jax.default_backend() == "cpu" else usual
+        return run(*args, **named)
 
     return cast(_Function, call)
 

@@ -5,7 +5,7 @@ for a chart or an implicit surface.
 """
 
 from dataclasses import dataclass, replace
-from functools import singledispatch
+from functools import cached_property, singledispatch
 
 import numpy as np
 
@@ -52,7 +52,7 @@ class Mesh:
     faces: np.ndarray
     checks: np.ndarray
 
-    @property
+    @cached_property
     def closed(self) -> bool:
         """Whether every edge belongs to two triangles, which run along it in opposite senses."""
         edges = np.concatenate([self.faces[:, [0, 1]], self.faces[:, [1, 2]], self.faces[:, [2, 0]]])

@@ -16,12 +16,14 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
-from .._linalg import Pose3, seven, Vec3
+from .._linalg import Pose3, seven, unstack, Vec3
 from .._mechanics import Finger, Finger3, FreeObject, FreeObject3, Grasp, State
 from .._reaching import grasp_points, GraspPoints, poses_at, Reach, reach, sheet_of, tip_origins
 from .._results import RESULTS, shown
 from .._types import Given
+from .._xla import quickly
 from ..contact import Contact, Contact3
 from ..control import Opposition, orientations
 from ..geometry import Circle, Sphere
@@ -270,8 +272,13 @@ def _as_positions(turn: np.ndarray) -> np.ndarray:
     """A rotation as an angle, or as a quaternion."""
     if len(turn) == 2:
         return np.array([np.arctan2(turn[1, 0], turn[0, 0])])
-    axes = (Vec3(*map(jnp.asarray, column)) for column in turn.T)
-    return np.asarray(seven(Pose3(Vec3(0.0, 0.0, 0.0), *axes)))[3:]
+    return np.asarray(_quaternion(jnp.asarray(turn)))
+
+
+@quickly  # as one program: each of its small operations by itself would be compiled too
+def _quaternion(turn: Array) -> Array:
+    axes = (Vec3(*column) for column in zip(*map(unstack, unstack(turn)), strict=True))
+    return seven(Pose3(Vec3(0.0, 0.0, 0.0), *axes))[3:]
 
 
 def _controlled(grasp: Grasp, state: State, force: float | None) -> tuple[Grasp, State]:

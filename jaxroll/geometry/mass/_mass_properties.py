@@ -87,7 +87,7 @@ def mass_properties(
             raise ValueError(f"argument thickness must be None in space, but was {shown(thickness)}")
         per = per * as_length("thickness", thickness)
     found = _moments_of(shape)
-    inertia = inertia_of(jnp.asarray(found.spread), per)
+    inertia = inertia_of(found.spread, per)
     size = jnp.asarray(found.size)
     return MassProperties(per * size, size, jnp.asarray(found.centre), inertia, found.error)
 

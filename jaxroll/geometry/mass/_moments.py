@@ -65,7 +65,9 @@ def inertia_of(spread: Any, density: Any) -> Any:
     """Inertia about the centre: in the plane a number [kg m^2], in space a matrix in the body's axes."""
     if spread.shape[0] == 2:
         return density * jnp.trace(spread)
-    return density * (jnp.trace(spread) * jnp.eye(3, dtype=spread.dtype) - spread)
+    # NumPy's arrays stay so: each operation of JAX's would be compiled by itself.
+    eye = np.eye(3, dtype=spread.dtype)
+    return density * ((spread[0, 0] + spread[1, 1] + spread[2, 2]) * eye - spread)
 
 
 def difference(one: Moments, other: Moments) -> float:

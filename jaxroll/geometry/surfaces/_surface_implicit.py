@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 from ..._linalg import outer, square, Sym3, tangents, Vec3
 from ..._results import as_length, as_order, as_tree
 from ..._types import Given, Scalar, Scalars
-from ..._xla import once, quickly
+from ..._xla import briskly, once
 from ._spread import lattice, SEEDS, thinned
 from ._surface import AbstractSurface, Gauss3
 
@@ -112,7 +112,7 @@ def spread_in_box(surface: AbstractImplicit, low: Vec3, high: Vec3, count: int) 
     return _spread(surface, low, high, jnp.asarray(lattice(2 * SEEDS * count, 3)))
 
 
-@quickly  # compiled once for all calls with surfaces and counts alike
+@briskly  # compiled once for all calls with surfaces and counts alike
 def _spread(surface: AbstractImplicit, low: Vec3, high: Vec3, share: Array) -> Scalars:
     """Places from seeds at shares of the box, some for each."""
     size, count = high - low, len(share) // (2 * SEEDS)

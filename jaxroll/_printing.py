@@ -88,12 +88,19 @@ def listed(self: Any) -> str:
     Units are those of the class variable `UNITS`, by field. It works on what is traced, batched, or a
     structure without numbers.
     """
-    units = getattr(type(self), "UNITS", {})
-    parts = [
-        f"{f.name}={shown_value(getattr(self, f.name, None), units.get(f.name, ''))}"
-        for f in dataclasses.fields(self)
-    ]
-    return f"{type(self).__name__}({', '.join(parts)})"
+    return _line(self, {f.name: getattr(self, f.name, None) for f in dataclasses.fields(self)})
+
+
+def listed_without_none(self: Any) -> str:
+    """As `listed`, without the fields that are None: of a shape, what was left out and what is worked out."""
+    values = {f.name: getattr(self, f.name, None) for f in dataclasses.fields(self)}
+    return _line(self, {name: value for name, value in values.items() if value is not None})
+
+
+def _line(record: Any, values: dict[str, Any]) -> str:
+    units = getattr(type(record), "UNITS", {})
+    parts = [f"{name}={shown_value(value, units.get(name, ''))}" for name, value in values.items()]
+    return f"{type(record).__name__}({', '.join(parts)})"
 
 
 def shown_value(value: Any, unit: str = "") -> str:

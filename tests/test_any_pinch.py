@@ -1,5 +1,6 @@
 """Objects of any shape between two fingers, and the commands that begin with a file."""
 
+import re
 from types import SimpleNamespace
 
 import jax.numpy as jnp
@@ -10,7 +11,7 @@ import jaxroll as jxr
 from jaxroll import stability
 from jaxroll.__main__ import main
 from jaxroll._cli import ShapeOrder
-from jaxroll._cli._shape_file import fitted
+from jaxroll._cli._shape_file import fitted, read, size_told
 from jaxroll.scenes._any_pinch import _turns
 
 ROUND = 2.0 * np.pi * np.arange(200) / 200
@@ -78,6 +79,22 @@ def test_what_cannot_be_held_is_said():
         jxr.scenes.pinch_object(jxr.Circle(0.01))
 
 
+@pytest.mark.parametrize(
+    ("unit", "told"),
+    [
+        ("mm", None),
+        ("m", "beware      no hand holds what is of this size: is --unit m right? (--unit mm: 70 mm long)"),
+        ("um", "beware      no hand holds what is of this size: is --unit um right? (--unit mm: 70 mm long)"),
+    ],
+)
+def test_a_file_read_in_another_unit_than_its_own_is_told_before_it_is_fitted(unit, told, tmp_path):
+    np.savetxt(tmp_path / "egg.csv", EGG, delimiter=",")
+    order = ShapeOrder(str(tmp_path / "egg.csv"), unit, None, None, None)
+    size, *beware = size_told(order, read(order))
+    assert re.fullmatch(r"  size        [0-9.e+-]+ x [0-9.e+-]+ mm", size)
+    assert [line.strip() for line in beware] == ([] if told is None else [told])
+
+
 def test_outlines_of_files_of_every_kind(tmp_path):
     """A table, a drawing, a photograph and a section of a mesh give one contour."""
     np.savetxt(tmp_path / "egg.csv", EGG, delimiter=",")
@@ -121,6 +138,7 @@ def test_what_does_not_fit_is_one_line(case, tmp_path, monkeypatch, capfd):
     np.savetxt(tmp_path / "egg.csv", EGG, delimiter=",")
     (tmp_path / "flat.png").write_bytes(b"")
     (tmp_path / "text.doc").write_text("words")
+    (tmp_path / "hand.urdf").write_text("<robot name='none'/>")
     arguments, words = BAD[case]
     assert main(arguments) == 2
     out, complaint = capfd.readouterr()

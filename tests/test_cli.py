@@ -45,6 +45,15 @@ BAD = {
         ["design", "--tip", "empty.csv"],
         "--tip must .*empty.csv.* is empty",
     ),
+    "no such object": (["pinch", "no.ply"], "argument FILE must name a file, but there is none called 'no.p"),
+    "no such scan": (["fit", "no.xyz"], "argument FILE must name a file, but there is none called 'no.xyz'"),
+    "object that is a folder": (["fit", "."], "argument FILE must name a file, but '.' is a folder"),
+    "no such hand": (
+        ["pinch", "nan.csv", "--hand", "none.urdf"],
+        "argument --hand must name a file, but there",
+    ),
+    "scan with a hole in z": (["fit", "hole.csv"], "but line 2 of hole.csv was '4,5,nan'"),
+    "scan with a hole, as XYZ": (["fit", "hole.xyz"], "but line 2 of hole.xyz was '4 5 nan'"),
     "fingertip with a NaN": (["design", "--tip", "nan.csv"], "argument --tip must .* line 1 of nan.csv was"),
     "fingertip of another kind": (["design", "--tip", "file"], "argument --tip must .* must end in .csv"),
 }
@@ -57,10 +66,12 @@ def test_what_does_not_fit_is_one_line(case, tmp_path, monkeypatch, capfd):
     (tmp_path / "file").write_text("in the way")
     (tmp_path / "empty.csv").write_text("")
     (tmp_path / "nan.csv").write_text("nan,1\n2,3\n")
+    (tmp_path / "hole.csv").write_text("1,2,3\n4,5,nan\n")
+    (tmp_path / "hole.xyz").write_text("1 2 3\n4 5 nan\n")
     arguments, words = BAD[case]
     assert main(arguments) == 2
     out, complaint = capfd.readouterr()
-    lines = [line for line in complaint.splitlines() if not line.startswith("Loading")]
+    lines = [line for line in complaint.splitlines() if not line.startswith(("Loading", "Reading"))]
     assert out == "" and len(lines) == 1 and lines[0].startswith("jaxroll")
     assert re.search(words, lines[0])
     assert not [path for path in tmp_path.rglob("*") if path.suffix in (".png", ".gif")]

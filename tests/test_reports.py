@@ -218,6 +218,19 @@ def records():
     return sorted((c for c in found if not inspect.isabstract(c)), key=lambda c: c.__name__)
 
 
+def test_shapes_print_their_numbers_and_not_what_is_left_out():
+    assert repr(jxr.Circle(0.01)) == "Circle(radius=0.01)"
+    moved = jxr.Circle(0.01).moved((0.002, 0.0))
+    assert repr(moved) == "Moved(contour=Circle(radius=0.01), offset=[0.002, 0], angle=0, origin=0)"
+    assert "tip=Circle(radius=0.01)" in repr(jxr.Finger([0.02], [0.05], jxr.Circle(0.01)))
+    tabled = jxr.Ellipse(0.01, 0.02).tabled()
+    assert repr(tabled).startswith("Ellipse(a=0.01, b=0.02, ") and len(repr(tabled)) < 100
+    assert "None" not in repr(jxr.Sphere(0.01)) and "\n" not in repr(jxr.Ellipsoid(0.01, 0.02, 0.03))
+    seen = []
+    jax.vmap(lambda r: seen.append(repr(jxr.Circle(r))) or r)(jnp.ones(3))
+    assert seen == ["Circle(radius=traced float64[])"]
+
+
 @pytest.mark.parametrize("record", records(), ids=lambda c: c.__name__)
 def test_records_print_as_one_line_concrete_batched_traced_and_abstract(record):
     names = [f.name for f in dataclasses.fields(record)]

@@ -7,7 +7,7 @@ from pathlib import Path
 from .. import io, plotting
 from .._saving import save
 from ..geometry import Fit
-from ._shape_file import fitted, ShapeOrder
+from ._shape_file import fitted, read, ShapeOrder, size_told, warn
 
 _OUTLINES = ("contour.csv", "contour.svg", "contour.dxf")
 
@@ -20,8 +20,12 @@ def fit_order(asked: ShapeOrder, folder: Path, timed: Callable[[str], AbstractCo
         folder: Where the files go.
         timed: Context that announces a piece of work and says how long it took.
     """
+    with timed("Reading"):
+        outline = read(asked)
+    size = size_told(asked, outline)
+    warn(size)
     with timed("Fitting"):
-        found = fitted(asked)
+        found = fitted(asked, outline)
     with timed("Drawing"):
         plotting.fit(found).savefig(folder / "fit.png", dpi=150)
     names, missing = ["fit.png"], []
@@ -34,4 +38,4 @@ def fit_order(asked: ShapeOrder, folder: Path, timed: Callable[[str], AbstractCo
                 missing.append(f"  no {name}: {error}")
     else:
         names.append(save(folder / "surface.npz", found.surface).name)
-    return [f"{found.report}", f"Files in {folder}:", "  " + ", ".join(names), *missing]
+    return [*size, f"{found.report}", f"Files in {folder}:", "  " + ", ".join(names), *missing]

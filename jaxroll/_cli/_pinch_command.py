@@ -23,7 +23,7 @@ from .._reaching import tip_origins
 from .._results import RESULTS
 from .._saving import save
 from ..geometry import Fit, Sphere, SurfaceFit
-from ._shape_file import fitted, ShapeOrder
+from ._shape_file import fitted, read, ShapeOrder, size_told, warn
 
 # The push: when it begins and how long it lasts [s], its size beside that of the fingers.
 _BEGINS, _LASTS, _SHARE = 0.1, 0.1, 0.25
@@ -70,8 +70,12 @@ def pinch_order(
         folder: Where the files go.
         timed: Context that announces a piece of work and says how long it took.
     """
+    with timed("Reading"):
+        outline = read(asked.shape)
+    size = size_told(asked.shape, outline)
+    warn(size)
     with timed("Fitting"):
-        found = fitted(asked.shape)
+        found = fitted(asked.shape, outline)
     flat = isinstance(found, Fit)
     with timed("Weighing"):
         body = _body(found, asked)
@@ -91,6 +95,7 @@ def pinch_order(
     save(folder / "pinch.npz", {"grasp": pushed, "state": state, "run": run})
     held = bool(run.result == RESULTS.successful)
     lines = [
+        *size,
         f"{found.report}",
         *_described(grasp, run, push),
         *verdict,

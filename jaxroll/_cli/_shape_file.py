@@ -3,20 +3,28 @@
 The file's ending says what it is: a drawing, a table of points of the plane or of space, a mesh, or a
 photograph. Of a mesh either the surface or a section is fitted. The smallest radius of curvature, unless it
 is given, is a tenth of the shape's least extent.
+
+Reading comes before fitting: a file that was read in another unit than its own is a thousand times too large
+or too small, which `size_told` says before any time is spent on it.
 """
 
 import contextlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
 from .. import io
-from ..geometry import Fit, fit_contour, fit_surface, SurfaceFit
+from ..geometry import Fit, fit_contour, fit_surface, metres_per, SurfaceFit
+from ..io._tables import table_width
+from ._waiting import say
 
 DRAWINGS, TABLES = (".svg", ".dxf"), (".csv", ".txt", ".dat", ".npy", ".xyz")
 MESHES, PHOTOGRAPHS = (".stl", ".obj", ".ply", ".off"), (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
+# Sizes [m] of what a hand may hold at all, and of what it is likely to hold; units in the order to try.
+_HELD, _LIKELY = (2e-3, 2.0), (8e-3, 1.0)
+_UNITS = ("m", "mm", "um", "in")
 _SHARE = 0.1
 _AXES = "xyz"
 
@@ -40,45 +48,102 @@ class ShapeOrder:
     section: tuple[str, float] | None
 
 
-def fitted(order: ShapeOrder) -> Fit | SurfaceFit:
-    """The smooth shape near what a file holds.
+class ShapePoints(NamedTuple):
+    """Points of a file, in order or not, in the plane or in space.
+
+    Attributes:
+        points: Shape (n, 2) or (n, 3) [m].
+        normals: Those of a cloud, or None.
+        faces: Those of a mesh, or None.
+    """
+
+    points: np.ndarray
+    normals: np.ndarray | None = None
+    faces: np.ndarray | None = None
+
+    @property
+    def extent(self) -> np.ndarray:
+        """From end to end along each axis [m]."""
+        return np.ptp(self.points, axis=0)
+
+
+def read(order: ShapeOrder) -> ShapePoints:
+    """What a file holds.
 
     Raises:
-        ValueError: If the file holds no points, or they are no one smooth shape.
+        ValueError: If the file holds no points.
     """
     path, kind = Path(order.file), Path(order.file).suffix.lower()
     if kind in PHOTOGRAPHS:
         if order.pixel is None:
             raise ValueError("argument --pixel must be the size of a pixel in mm, but was not given")
-        return _contour(io.read_silhouette(_image(path), pixel=order.pixel), order)
+        return ShapePoints(io.read_silhouette(_image(path), pixel=order.pixel))
     if kind in DRAWINGS:
-        return _contour(io.read_points(path, unit=order.unit), order)
+        return ShapePoints(io.read_points(path, unit=order.unit))
     if kind in MESHES:
         return _of_mesh(path, order)
     if kind not in TABLES:
         known = ", ".join(DRAWINGS + TABLES + MESHES + PHOTOGRAPHS)
         raise ValueError(f"argument FILE must end in one of {known}, but was {path.name}")
-    try:
-        points, normals = _cloud(path, order.unit)
-    except ValueError:  # not three columns of numbers: then two, or the sentence that says why not
-        return _contour(io.read_points(path, unit=order.unit), order)
-    return _surface(points, order, normals=normals)
+    # A scan with a bad number in z is no outline: what decides is how many columns there are.
+    if kind == ".xyz" or table_width(path) > 2:
+        return ShapePoints(*_cloud(path, order.unit))
+    return ShapePoints(io.read_points(path, unit=order.unit))
 
 
-def _of_mesh(path: Path, order: ShapeOrder) -> Fit | SurfaceFit:
-    """A surface or a section of a mesh; of a PLY that has points alone, the surface near these."""
+def fitted(order: ShapeOrder, outline: ShapePoints | None = None) -> Fit | SurfaceFit:
+    """The smooth shape near what a file holds.
+
+    Args:
+        order: Which shape to make of which file.
+        outline: What `read` has of it. Default: it is read here.
+
+    Raises:
+        ValueError: If the file holds no points, or they are no one smooth shape.
+    """
+    points, normals, faces = read(order) if outline is None else outline
+    radius = _radius(points) if order.radius is None else order.radius
+    if points.shape[1] == 2:
+        return fit_contour(points, smallest_radius=radius)
+    return fit_surface(points, normals, faces=faces, smallest_radius=radius)
+
+
+def size_told(order: ShapeOrder, outline: ShapePoints) -> list[str]:
+    """A line about the size of what was read; where no hand holds it, another about its unit."""
+    size = " x ".join(f"{1e3 * x:.4g}" for x in outline.extent)
+    lines = [f"  size        {size} mm"]
+    largest = float(outline.extent.max())
+    if _HELD[0] <= largest <= _HELD[1]:
+        return lines
+    if Path(order.file).suffix.lower() in PHOTOGRAPHS:
+        return [*lines, "  beware      no hand holds what is of this size: is --pixel right?"]
+    others = {unit: largest * metres_per(unit) / metres_per(order.unit) for unit in _UNITS}
+    likely = [
+        f"--unit {unit}: {1e3 * x:.4g} mm" for unit, x in others.items() if _LIKELY[0] <= x <= _LIKELY[1]
+    ]
+    told = f" ({likely[0]} long)" if likely else ""
+    return [*lines, f"  beware      no hand holds what is of this size: is --unit {order.unit} right?{told}"]
+
+
+def warn(lines: list[str]) -> None:
+    """Say at once, before what takes long, what a report's lines ask to beware of."""
+    for line in lines[1:]:
+        say(line.strip())
+
+
+def _of_mesh(path: Path, order: ShapeOrder) -> ShapePoints:
+    """A surface or a section of a mesh; of a PLY that has points alone, these."""
     try:
         points, faces = io.read_mesh(path, unit=order.unit)
     except ValueError:
         if path.suffix.lower() != ".ply" or order.section is not None:
             raise
-        points, normals = io.read_cloud(path, unit=order.unit)
-        return _surface(points, order, normals=normals)
+        return ShapePoints(*io.read_cloud(path, unit=order.unit))
     if order.section is None:
-        return _surface(points, order, faces=faces)
+        return ShapePoints(points, faces=faces)
     axis, height = order.section
     normal = np.eye(3)[_AXES.index(axis)]
-    return _contour(io.section(points, faces, origin=height * normal, normal=normal)[0], order)
+    return ShapePoints(io.section(points, faces, origin=height * normal, normal=normal)[0])
 
 
 def _cloud(path: Path, unit: str) -> tuple[np.ndarray, np.ndarray | None]:
@@ -88,16 +153,6 @@ def _cloud(path: Path, unit: str) -> tuple[np.ndarray, np.ndarray | None]:
         if normals is not None and np.abs(np.linalg.norm(normals, axis=1) - 1.0).max() < 1e-3:
             return points, normals
     return io.read_cloud(path, unit=unit)
-
-
-def _contour(points: np.ndarray, order: ShapeOrder) -> Fit:
-    radius = _radius(points) if order.radius is None else order.radius
-    return fit_contour(points, smallest_radius=radius)
-
-
-def _surface(points: np.ndarray, order: ShapeOrder, *, normals: Any = None, faces: Any = None) -> SurfaceFit:
-    radius = _radius(points) if order.radius is None else order.radius
-    return fit_surface(points, normals, faces=faces, smallest_radius=radius)
 
 
 def _radius(points: np.ndarray) -> float:

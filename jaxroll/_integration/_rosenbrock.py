@@ -283,7 +283,7 @@ _LAGS = np.array(
 )
 _ERROR = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 _STAGES = len(_ERROR)
-# Up to so many components of x the samples of a single run are taken side by side, in an evaluation of their own.
+# Up to so many components of x the samples of a single run are taken side by side, in a program of their own.
 # Planar runs take half to two thirds of the time that way, and compile in 2 s instead of 1 (pivoted) or 5 s
 # instead of 2 (pinch); the spatial pinch, of 37 components, would take two thirds too, but 30 s instead of 7.
 _FEW = 24

@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 import equinox as eqx
 import jax
 
+from .._printing import listed_without_none
 from .._results import check_instance
 from .._xla import remembered
 
@@ -21,6 +22,8 @@ ShapeType = TypeVar("ShapeType", bound="AbstractShape")
 
 class AbstractShape(eqx.Module):
     """A contour or a surface. By default, the shapes in its fields are what is prepared and tabled."""
+
+    __repr__ = listed_without_none
 
     @property
     @abc.abstractmethod

@@ -5,6 +5,7 @@ because `csv.Sniffer` takes the decimal comma of "1,5;2,5" for the separator, an
 aligned by blanks.
 """
 
+import contextlib
 import csv
 import re
 from pathlib import Path
@@ -45,6 +46,20 @@ def read_csv(path: Path, columns: tuple[int, ...]) -> np.ndarray:
         if row is not None:
             rows.append(row)
     return _table(np.array(rows).reshape(-1, len(columns)), path)
+
+
+def table_width(path: Path) -> int:
+    """How many columns a table has, CSV or NPY: those of the first line with a number; 0 without one."""
+    if path.suffix.lower() == ".npy":
+        with contextlib.suppress(ValueError, EOFError, OSError):
+            shape = getattr(np.load(path, allow_pickle=False, mmap_mode="r"), "shape", ())
+            return shape[1] if len(shape) == 2 else 0
+        return 0
+    for line in _text(path).splitlines():
+        fields = _fields(line.split("#")[0])
+        if any(_number(field) is not None for field in fields):
+            return len(fields)
+    return 0
 
 
 def _regular(lines: list[str], columns: tuple[int, ...]) -> np.ndarray | None:

@@ -16,14 +16,14 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array
 
-from .._linalg import row, total, weighted_sum, with_row, with_row_selected
+from .._linalg import row, total, weighted_sum, with_row_selected
 from .._types import Scalar
 from .._xla import VECTOR
 
 # (t, x) to the derivative of x, and whatever else is wanted of a step's last evaluation.
 Field = Callable[[Array, Array], tuple[Array, Array]]
 # The field, the inverse of I/(h gamma) - J by columns, and df/dt at a step's start.
-Line = tuple[Array, Array, Array]
+Linear = tuple[Array, Array, Array]
 
 
 class Rosenbrock(diffrax.AbstractAdaptiveSolver[Any]):
@@ -121,7 +121,7 @@ def advance(
     h, moving = jnp.where(moving, h, 1.0)[None], moving[None]
     rows, slopes, lags, moments = (jnp.asarray(x, x0.dtype) for x in (_ROWS, _SLOPES, _LAGS, STAGE_TIMES))
 
-    def next_place(k: Scalar, u: Array, line: Line) -> tuple[Array, Array, Array]:
+    def next_place(k: Scalar, u: Array, line: Linear) -> tuple[Array, Array, Array]:
         # (I/(h gamma) - J) u_k = f + sum_j c_kj u_j / h + h d_k df/dt. Its f is the last evaluation; then
         # comes the place of the next stage, after the last stage the step's end. Entries of u that are not
         # known yet are zero, and have zero weight.
@@ -132,42 +132,8 @@ def advance(
         x = x0 + jnp.where(moving, weighted_sum(row(rows, k + 1), u), 0.0)
         return u, t0 + (times[1] - t0) * row(moments, k + 1), x
 
-    u = jnp.zeros((_STAGES, *x0.shape), x0.dtype)
-    parts = jnp.zeros((_STAGES, *nothing[kept].shape), nothing.dtype)
-    nudges, size = _nudges(x0, t0)
-    n, count = x0.shape[0], nudges.shape[0]
-    if t0.ndim == 0 and n <= _FEW:
-        line = _linearised(_side_by_side(at, t0, x0, nudges), size, h)
-
-        def stage(k: Scalar, carry: tuple[Array, ...]) -> tuple[Array, ...]:
-            u, rates, _, parts, _ = carry
-            u, t, x = next_place(k, u, (rates, *line[1:]))
-            rates, end = at(t, x)
-            return u, rates, end, with_row_selected(parts, end[kept], k), x
-
-        u, rates, end, parts, x1 = jax.lax.fori_loop(0, _STAGES, stage, (u, line[0], nothing, parts, x0))
-    else:
-        # All samples and then all stages in one loop: the equations of motion stand in the program once.
-        put = with_row_selected if t0.ndim == 0 else with_row
-
-        def turn(i: Scalar, carry: tuple[Any, ...]) -> tuple[Any, ...]:
-            samples, line, u, rates, _, parts, _ = carry
-            k = jnp.maximum(i - count, 0)
-            line = jax.lax.cond(i == count, lambda: _linearised(samples, size, h), lambda: (rates, *line[1:]))
-            u, t, x = jax.lax.cond(
-                i < count,
-                lambda: (u, t0 + row(nudges, i)[n], x0 + row(nudges, i)[:n]),
-                lambda: next_place(k, u, line),
-            )
-            rates, end = at(t, x)
-            samples = put(samples, rates, jnp.minimum(i, count))
-            return samples, line, u, rates, end, with_row_selected(parts, end[kept], k), x
-
-        zero = jnp.zeros_like(x0)
-        # One row more than samples takes the rates of the stages, which are not wanted there.
-        samples = jnp.zeros((count + 1, *x0.shape), x0.dtype)
-        start = (samples, (zero, jnp.zeros((n, *x0.shape), x0.dtype), zero), u, zero, nothing, parts, x0)
-        _, _, u, rates, end, parts, x1 = jax.lax.fori_loop(0, count + _STAGES, turn, start)
+    stages = _with_samples if t0.ndim == 0 and x0.shape[0] > _FEW else _after_samples
+    u, rates, end, parts, x1 = stages(at, t0, x0, nothing, h=h, next_place=next_place, kept=kept)
     error = weighted_sum(_ERROR, u)
     # If the matrix is singular, u is not finite. An infinite error makes the step shorter, with another
     # matrix.
@@ -175,15 +141,73 @@ def advance(
     return x1, rates, jnp.where(moving, error, 0.0), end, parts
 
 
-def _side_by_side(at: Field, t0: Array, x0: Array, nudges: Array) -> Array:
-    """The field of one lane at all nudged places in one evaluation, padded to whole vectors."""
+def _after_samples(
+    at: Field, t0: Array, x0: Array, nothing: Array, *, h: Array, next_place: Callable, kept: slice
+) -> tuple[Array, ...]:
+    """All stages: u, the last evaluation, what else it gave, the part of that of each stage, and the end.
+
+    `h` is the length of the step; `next_place` has the formulas of a stage.
+    """
+    nudges, size = _nudges(x0, t0)
+    rates, *rest = _linearised(_samples(at, t0, x0, nudges), size, h)
+
+    def stage(k: Scalar, carry: tuple[Array, ...]) -> tuple[Array, ...]:
+        u, rates, _, parts, _ = carry
+        u, t, x = next_place(k, u, (rates, *rest))
+        rates, end = at(t, x)
+        return u, rates, end, with_row_selected(parts, end[kept], k), x
+
+    u, parts = _no_stages(x0, nothing[kept])
+    return jax.lax.fori_loop(0, _STAGES, stage, (u, rates, nothing, parts, x0))
+
+
+def _with_samples(
+    at: Field, t0: Array, x0: Array, nothing: Array, *, h: Array, next_place: Callable, kept: slice
+) -> tuple[Array, ...]:
+    """The same of one lane, samples and stages in one loop: the equations of motion are compiled once."""
+    nudges, size = _nudges(x0, t0)
+    n, count = x0.shape[0], nudges.shape[0]
+
+    def turn(i: Scalar, carry: tuple[Any, ...]) -> tuple[Any, ...]:
+        samples, line, u, rates, _, parts, _ = carry
+        k = jnp.maximum(i - count, 0)
+        line = jax.lax.cond(i == count, lambda: _linearised(samples, size, h), lambda: (rates, *line[1:]))
+        u, t, x = jax.lax.cond(
+            i < count,
+            lambda: (u, t0 + row(nudges, i)[n], x0 + row(nudges, i)[:n]),
+            lambda: next_place(k, u, line),
+        )
+        rates, end = at(t, x)
+        # A row more than samples takes the evaluations of the stages, which are not wanted there.
+        samples = with_row_selected(samples, rates, jnp.minimum(i, count))
+        return samples, line, u, rates, end, with_row_selected(parts, end[kept], k), x
+
+    zero = jnp.zeros_like(x0)
+    samples, inverse = (jnp.zeros((rows, *x0.shape), x0.dtype) for rows in (count + 1, n))
+    u, parts = _no_stages(x0, nothing[kept])
+    start = (samples, (zero, inverse, zero), u, zero, nothing, parts, x0)
+    return jax.lax.fori_loop(0, count + _STAGES, turn, start)[2:]
+
+
+def _no_stages(x0: Array, part: Array) -> tuple[Array, Array]:
+    """Before the first stage: the u of all stages, and what is kept of each."""
+    return jnp.zeros((_STAGES, *x0.shape), x0.dtype), jnp.zeros((_STAGES, *part.shape), part.dtype)
+
+
+def _samples(at: Field, t0: Array, x0: Array, nudges: Array) -> Array:
+    """The field at all nudged places: of one lane in one evaluation, padded to whole vectors.
+
+    Of many lanes, which fill the vectors already, one place after the other.
+    """
     n, idle = x0.shape[0], -nudges.shape[0] % VECTOR
     sample = lambda nudge: at(t0 + nudge[n], x0 + nudge[:n])[0]  # noqa: E731
+    if t0.ndim:
+        return jax.lax.map(sample, nudges)
     padded = jnp.pad(nudges, ((0, idle), (0, 0)))
     return jax.vmap(sample, in_axes=1, out_axes=1)(padded.T)[:, : nudges.shape[0]].T
 
 
-def _linearised(samples: Array, size: Array, h: Array) -> Line:
+def _linearised(samples: Array, size: Array, h: Array) -> Linear:
     """The field f at a step's start, the inverse of I/(h gamma) - J by columns, and df/dt.
 
     From n + 2 samples of the field: at the start, with each component of x moved a little, and with t moved.
@@ -286,4 +310,5 @@ _STAGES = len(_ERROR)
 # Up to so many components of x the samples of a single run are taken side by side, in a program of their own.
 # Planar runs take half to two thirds of the time that way, and compile in 2 s instead of 1 (pivoted) or 5 s
 # instead of 2 (pinch); the spatial pinch, of 37 components, would take two thirds too, but 30 s instead of 7.
+# Of many lanes one loop for samples and stages would be slower by a third.
 _FEW = 24

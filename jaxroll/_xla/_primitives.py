@@ -29,13 +29,13 @@ def barrier(x: Any) -> jax.Array:
 
 
 def _divided(context: mlir.LoweringRuleContext, x: Any) -> list[Any]:
-    """A division by a one that is worked out: NaN where the first number of its block does not differ from NaN.
+    """A division by a one that is worked out: NaN where the first number of its block equals NaN.
 
-    XLA cannot tell that all numbers differ from NaN, and so keeps the divisions; LLVM can. All barriers of one
-    block and one shape divide by the same: with a one of its own for each, programs have a third to a half more
-    lines. XLA copies the comparison into every division: of all ways to make a one that LLVM sees through at
-    every place, this is the shortest (a conversion of the comparison would be shorter, but is now and then
-    stored, and divides).
+    XLA cannot tell that nothing does, and so keeps the divisions; LLVM can. All barriers of one block and one
+    shape divide by the same: with a one of its own for each, programs have a third to a half more lines. XLA
+    copies the comparison into every division: of all ways to make a one that LLVM sees through at every
+    place, this is the shortest (a conversion of the comparison would be shorter, but is now and then stored,
+    and divides).
     """
     kind: Any = context.avals_in[0]
     # What was lowered once for a module is kept here by JAX, and goes with the module.

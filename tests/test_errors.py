@@ -127,11 +127,15 @@ def bad_runs(grasp, state):
         (lambda: sim(grasp, state, 1.0, rtol=-1.0), "argument rtol must be positive, but was -1"),
         (lambda: sim(*single, 1.0), "argument rtol must be at least 1e-05 in single precision"),
         (lambda: sim(grasp, state, 1.0, record=("forces",)), "argument record must be among"),
+        (
+            lambda: sim(grasp, state, 1.0, record="energy"),
+            r"argument record must be a tuple of names, such as \('energy',\), but was the string 'energy'",
+        ),
         (lambda: sim(grasp, state, 1.0, solver="rk4"), "argument solver must be a diffrax solver"),
     ]
 
 
-@pytest.mark.parametrize("index", range(12))
+@pytest.mark.parametrize("index", range(17))
 def test_bad_runs(scene, index):
     call, sentence = bad_runs(*scene)[index]
     with pytest.raises(ValueError, match=sentence):
@@ -145,10 +149,22 @@ def test_unreachable_start_names_the_worst_row():
 
 def test_with_refuses_unknown_and_misshapen_fields(scene):
     grasp, _ = scene
-    with pytest.raises(ValueError, match="argument colour must name one field"):
+    with pytest.raises(ValueError, match="argument colour must name one field .* but none has it"):
         grasp.with_(colour=1)
     with pytest.raises(ValueError, match=r"argument pivot must have shape \(2\)"):
         grasp.with_(pivot=1.0)
+
+
+def test_a_controller_with_a_memory_is_a_module(scene):
+    class Law:
+        memory = np.zeros(1)
+
+        def __call__(self, t, angles, rates, tips, memory):
+            return angles, memory
+
+    told = "argument controller must be an equinox.Module where it has a memory, but was .*Law"
+    with pytest.raises(ValueError, match=told):
+        scene[0].with_(controller=Law())
 
 
 def test_controller_of_the_wrong_shape(scene):

@@ -177,6 +177,30 @@ def test_loci_of_a_rolling_ball_agree_in_length_but_not_in_curvature():
     np.testing.assert_allclose(sides[0], 2.0 / bent * np.sin(0.5 * bent * R * ts[1]), rtol=1e-9)
 
 
+def rocking(t):
+    """A table that tilts to and fro, at rest at first: its rate of turning changes."""
+    half = 0.1 * (1.0 - jnp.cos(3 * t))
+    return jnp.zeros(3), jnp.stack([jnp.cos(half), jnp.sin(half), 0 * t, 0 * t])
+
+
+def test_loci_on_a_rocking_table_have_the_curvature_of_their_points():
+    """What the table's own acceleration adds to that of the loci, by a spline through the points of the run."""
+    grasp, state = jxr.scenes.incline(slope=0.0)
+    table = jxr.Stage(jxr.Plane(), rocking)
+    rocked = jxr.Grasp(grasp.object, table, grasp.contacts, gravity=grasp.gravity)
+    v = jnp.array([0.1, 0.05, 0.0, -1.0, 2.0, 0.0])  # it rolls on a table that does not move yet
+    run = run_of((rocked, jxr.State(jnp.append(state.q, 0.0), v, state.s)), 1.0, events=())
+    found = jxr.loci(rocked, run)
+    middle = slice(8, -8)
+    for locus in (found.tip, found.object):
+        curve = make_interp_spline(run.ts, np.asarray(locus.point[0]), k=9)
+        d1, d2 = (curve(run.ts, k)[middle] for k in (1, 2))
+        speed = np.linalg.norm(d1, axis=-1)
+        bent = np.linalg.norm(np.cross(d1, d2), axis=-1) / speed**3
+        np.testing.assert_allclose(locus.speed[0, middle], speed, rtol=1e-6)
+        np.testing.assert_allclose(locus.curvature[0, middle], bent, rtol=1e-6)
+
+
 def test_spin_about_the_normal_is_counter_clockwise():
     options = {"at_tip": (0.0, 0.0, -0.1), "at_object": (0.0, 0.0, 0.0), "spin": lambda t: 0.7}
     rolled = jxr.roll(

@@ -485,6 +485,7 @@ def test_tangents_are_orthonormal_and_right_handed():
         (lambda: Torus(0.01, 0.02), "argument major must be larger"),
         (lambda: Superellipsoid(A, B, C, exponent=1.5), "argument exponent must be at least 2"),
         (lambda: Superellipsoid(A, B, C, exponent=np.complex128(4)), "argument exponent must be at least 2"),
+        (lambda: jax.eval_shape(lambda p: Superellipsoid(A, B, C, exponent=p), 4.0), "number that is known"),
         (lambda: Implicit(3.0), "argument function must be a function"),
         (lambda: Patch(np.zeros((4, 8, 3))), "argument points must have at least 6"),
         (lambda: SplineSurface(np.zeros((4, 8, 8)), (0, 0, 0), 1.0), "argument coefficients must have at"),

@@ -156,7 +156,13 @@ def check_times(saved: Any, bounds: np.ndarray | None = None) -> None:
 
 def check_choices(name: str, given: Any, known: tuple[str, ...]) -> tuple[str, ...]:
     """Raise unless every name given is known."""
-    no_names = (str, bytes, Mapping, np.ndarray, jax.Array)
+    if isinstance(given, str):
+        example = given if given in known else known[0]
+        raise ValueError(
+            f"argument {name} must be a tuple of names, such as ({example!r},), "
+            f"but was the string {shown(given)}"
+        )
+    no_names = (bytes, Mapping, np.ndarray, jax.Array)
     several = isinstance(given, Collection) and not isinstance(given, no_names)
     if not several or any(not isinstance(item, str) or item not in known for item in given):
         raise ValueError(f"argument {name} must be among {known}, but was {shown(given)}")

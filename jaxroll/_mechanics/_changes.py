@@ -48,9 +48,9 @@ def _owner(grasp: Any, name: str) -> Any:
         places.append(inside)
     found = [place for place in places if _has_field(place(grasp), name)]
     if len(found) != 1:
+        owners = f"{len(found)} have it" if found else "none has it"
         raise ValueError(
-            f"argument {name} must name one field of the grasp, its controller or its object, "
-            f"but {len(found)} have it"
+            f"argument {name} must name one field of the grasp, its controller or its object, but {owners}"
         )
     return found[0]
 

@@ -67,6 +67,11 @@ def as_drive(name: str, controller: Any) -> Any:
     """Raise unless an argument is a built-in controller, a function that can stand for one, or None."""
     if controller is None or isinstance(controller, AbstractController):
         return controller
+    plain = not isinstance(controller, eqx.Module | type)
+    if plain and getattr(controller, "memory", None) is not None:
+        raise ValueError(
+            f"argument {name} must be an equinox.Module where it has a memory, but was {shown(controller)}"
+        )
     if own_memory(name, controller) is None:
         what = "a controller, or callable as f(t, angles, rates, tips)"
         return check_callable(name, controller, what, takes=4)

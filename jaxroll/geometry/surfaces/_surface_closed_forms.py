@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._linalg import square, Sym3, Vec3
-from ..._results import as_length, concrete, shown
+from ..._results import as_length, concrete, shown, traced
 from ..._types import Given, Scalar, Scalars
 from ..._xla import once
 from ._gauss import Gauss3
@@ -238,6 +238,11 @@ class Superellipsoid(AbstractImplicit):
 
     def __init__(self, a: Given, b: Given, c: Given, exponent: float = 4.0) -> None:
         self.a, self.b, self.c = as_length("a", a), as_length("b", b), as_length("c", c)
+        if traced(exponent):
+            raise ValueError(
+                "argument exponent must be a number that is known before tracing, for it is static, but was "
+                f"{shown(exponent)}"
+            )
         real = isinstance(exponent, int | float | np.integer | np.floating) and not isinstance(exponent, bool)
         if not real or not 2.0 <= exponent <= _SHARPEST:
             raise ValueError(

@@ -12,6 +12,7 @@ from jaxroll import stability
 from jaxroll.__main__ import main
 from jaxroll._cli import ShapeOrder
 from jaxroll._cli._shape_file import fitted, read, size_told
+from jaxroll.scenes import _any_pinch
 from jaxroll.scenes._any_pinch import _turns
 
 ROUND = 2.0 * np.pi * np.arange(200) / 200
@@ -66,6 +67,53 @@ def test_fingers_of_ones_own_and_a_force():
     assert off(grasp, state) < 1e-12
     assert [f.tip.radius for f in grasp.fingers] == [0.012, 0.012]
     np.testing.assert_allclose(jxr.multipliers(grasp, jnp.zeros(()), state).f, 2.0, rtol=1e-6)
+
+
+def one_joint(tip):
+    """An object, and two fingers of one joint each: their tips are on circles, rarely where they should be."""
+    fingers = [jxr.Finger([0.06], [0.03], tip, base=(x, 0.0)) for x in (-0.03, 0.03)]
+    return jxr.FreeObject.uniform(jxr.Ellipse(0.02, 0.035), density=20.0), fingers
+
+
+def test_few_joints_are_put_where_both_tips_touch(monkeypatch):
+    """Found at the first try: a posture nearby has both round tips apart as the object is wide."""
+    tries = []
+    monkeypatch.setattr(_any_pinch, "reach", lambda *a, **k: tries.append(1) or jxr.reach(*a, **k))
+    body, fingers = one_joint(jxr.Circle(0.012))
+    assert off(*jxr.scenes.pinch_object(body, fingers=fingers)) < 1e-12
+    assert len(tries) == 1
+
+
+@pytest.mark.parametrize("code", ["unreachable", "penetration"])
+def test_tries_are_few_and_the_refusal_counts_them(code, monkeypatch):
+    tries = []
+
+    def failing(grasp, points, pose):
+        tries.append(np.round(_any_pinch._in_world(points, points, pose)[0], 9).tobytes())
+        return SimpleNamespace(result=getattr(jxr.RESULTS, code), reason="finger 0: it is a stub")
+
+    monkeypatch.setattr(_any_pinch, "reach", failing)
+    body, fingers = one_joint(jxr.Ellipse(0.010, 0.012))
+    with pytest.raises(ValueError) as refused:
+        # So little friction that antipodal points are left.
+        jxr.scenes.pinch_object(body, fingers=fingers, friction=1e-6)
+    told = str(refused.value)
+    assert (
+        f"did not in {len(tries)} tries; at the last finger 0: it is a stub; round tips, or 2 joints" in told
+    )
+    # What the fingers cannot touch is not searched for again with the object's ends swapped.
+    assert len(tries) <= 30
+    assert (len(set(tries)) == len(tries)) == (code == "unreachable")
+
+
+def test_what_is_beyond_a_fingers_length_is_found_by_arithmetic():
+    _, fingers = one_joint(jxr.Circle(0.012))
+    ends, angle = np.array([[-0.02, 0.0], [0.02, 0.0]]), np.array([0.3])
+    assert _any_pinch._out_of_reach(fingers, ends, np.array([0.0, 0.05, *angle])) == ""
+    told = _any_pinch._out_of_reach(fingers, ends, np.array([0.0, 0.12, *angle]))
+    assert re.fullmatch(
+        r"finger 0: a target is 0.11\d m from its base, and it reaches 0.0[78]\d+ m at most", told
+    )
 
 
 def test_what_cannot_be_held_is_said():

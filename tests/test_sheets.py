@@ -1,9 +1,10 @@
 """What `reach` and `grasp_points` walk over: samples of contours and surfaces, places nearest to points."""
 
+import jax
 import numpy as np
 
 import jaxroll as jxr
-from jaxroll._reaching._sheet import Sheet, shortened
+from jaxroll._reaching._sheet import Sheet, sheet_of, shortened
 
 
 def test_samples_of_contours():
@@ -67,3 +68,20 @@ def test_steps_are_cut_to_half_the_radius():
     bends = np.array([[[50.0]], [[50.0]], [[0.0]]])
     found = shortened(np.array([[0.005], [0.04], [3.0]]), bends)
     np.testing.assert_allclose(found[:, 0], [0.005, 0.01, 3.0])
+
+
+def test_a_surface_is_spread_over_without_compiling_anew(caplog):
+    """Another ellipsoid has other numbers alone."""
+    jxr.Ellipsoid(0.01, 0.02, 0.03).spread(31)
+    with jax.log_compiles():
+        jxr.Ellipsoid(0.02, 0.01, 0.015).spread(31)
+    assert [record for record in caplog.records if record.getMessage().startswith("Compiling")] == []
+
+
+def test_a_sheet_that_is_asked_for_stays_known():
+    """However many tips are made beside it, as of the tries of a pinch."""
+    shape = jxr.Circle(0.01)
+    known = sheet_of(shape)
+    for k in range(40):
+        sheet_of(jxr.Circle(0.02 + 0.001 * k))
+        assert sheet_of(shape) is known

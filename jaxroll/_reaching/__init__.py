@@ -6,6 +6,6 @@ nothing of them is differentiated.
 """
 
 from ._grasp_points import grasp_points as grasp_points, GraspPoints as GraspPoints
-from ._postures import poses_at as poses_at, tip_origins as tip_origins
+from ._postures import placed_at as placed_at, poses_at as poses_at, tip_origins as tip_origins
 from ._reach import Reach as Reach, reach as reach
-from ._sheet import sheet_of as sheet_of
+from ._sheet import Frames as Frames, sheet_of as sheet_of

@@ -137,7 +137,7 @@ def touching(reacher: Reacher, found: Postures) -> Postures:
 
 def poses_at(body: AbstractBody, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Origins (n, d) and rotation matrices (n, d, d) of a body's frame at positions, shape (n, k)."""
-    origin, turn, _, _ = _placed(body, q)
+    origin, turn, _, _ = placed_at(body, q)
     return origin, turn
 
 
@@ -172,7 +172,7 @@ def _evaluated(reacher: Reacher, targets: TouchPoints, q: np.ndarray, places: np
     n, c = places.shape[:2]
     flat = reacher.tip.frames(places.reshape(n * c, -1))
     tip = Frames(*(x.reshape(n, c, *x.shape[1:]) for x in flat))
-    origin, turn, origin_rate, turn_rate = _placed(reacher.finger, q)
+    origin, turn, origin_rate, turn_rate = placed_at(reacher.finger, q)
     points = origin[:, None] + np.einsum("nij,ncj->nci", turn, tip.points)
     normals = np.einsum("nij,ncj->nci", turn, tip.normals)
     along = np.einsum("nij,nckj->ncki", turn, tip.tangents)
@@ -208,7 +208,7 @@ def _damped(rows: np.ndarray, slopes: np.ndarray, damping: np.ndarray) -> np.nda
     return -np.linalg.solve(square, right[..., None])[..., 0]
 
 
-def _placed(body: Any, q: np.ndarray) -> tuple[np.ndarray, ...]:
+def placed_at(body: Any, q: np.ndarray) -> tuple[np.ndarray, ...]:
     """Origins and rotation matrices of a body's frame, and their derivatives in its positions."""
     # With round tips, which move nothing: one program for fingers with tips of any class.
     if isinstance(body, Finger | Finger3):

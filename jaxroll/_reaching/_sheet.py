@@ -153,9 +153,11 @@ def sheet_of(shape: AbstractContour | AbstractSurface) -> Sheet:
     that it was given, and what is known of a face stays known. What JAX is tracing is made anew.
     """
     leaves, form = jax.tree.flatten(shape)
-    for known, alike, sheet in _KNOWN:
+    for i, (known, alike, sheet) in enumerate(_KNOWN):
         same = len(known) == len(leaves) and all(map(operator.is_, known, leaves))
         if same and alike == form:
+            # Put last: an object stays known, however many tips are made beside it.
+            _KNOWN.append(_KNOWN.pop(i))
             return sheet
     sheet = Sheet(_prepared(tabled(shape)))
     if not traced(leaves):

@@ -25,6 +25,8 @@ def remembered(build: Build) -> Build:
     def door(value: Any) -> Any:
         found = kept.get(id(value))
         if found is not None:
+            # Put last, so that what is still asked for stays, however much else is made beside it.
+            kept[id(value)] = kept.pop(id(value))
             return found[1]
         made = build(value)
         if not traced(value):

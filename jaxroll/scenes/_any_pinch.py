@@ -20,7 +20,17 @@ from jaxtyping import Array
 
 from .._linalg import Pose3, seven, unstack, Vec3
 from .._mechanics import Finger, Finger3, FreeObject, FreeObject3, Grasp, State
-from .._reaching import grasp_points, GraspPoints, poses_at, Reach, reach, sheet_of, tip_origins
+from .._reaching import (
+    Frames,
+    grasp_points,
+    GraspPoints,
+    placed_at,
+    poses_at,
+    Reach,
+    reach,
+    sheet_of,
+    tip_origins,
+)
 from .._results import RESULTS, shown
 from .._types import Given
 from .._xla import quickly
@@ -47,6 +57,13 @@ _PAIRS, _NARROW = 24, 0.3
 _BLUNT = 0.5
 # Fingers of one's own: postures that are looked at, and object poses that are tried for each pair of points.
 _POSTURES, _TRIED = 4000, 6
+# Starts that are searched for, in the plane and in space; one takes some tenths of a second. Pairs of points
+# take turns, each with so many poses.
+_MOST, _TURN = (30, 40), 8
+# Targets that differ by less are the same, in metres and of normals.
+_SAME = 1e-9
+# Steps by which two tips are put as far apart as an object is wide, and how near they come, relatively.
+_STEPS, _NEAR = 30, 1e-14
 
 
 def pinch_object(
@@ -60,8 +77,8 @@ def pinch_object(
     r"""Two fingers pinch an object of any shape, in the plane or in space, where that needs little friction.
 
     Of the pairs that `grasp_points` finds, those come first that need little friction, are narrow, and whose
-    line passes near the centre of mass; for each several poses of the object are tried, until both fingers
-    reach it without overlap. The control is (16)-(17), "blind".
+    line passes near the centre of mass; of each several poses of the object are tried, until both fingers
+    reach it without overlap: 30 in the plane and 40 in space at most. The control is (16)-(17), "blind".
 
     Args:
         object: A `FreeObject` or a `FreeObject3` of any smooth shape.
@@ -79,7 +96,8 @@ def pinch_object(
 
     Raises:
         ValueError: If an argument does not fit, no two points of the object are held with this friction, or
-            the fingers reach none of them; the sentence says what hindered the last.
+            the fingers reach none of them; the sentence says how many were tried, what hindered the last, and
+            what may help.
 
     Example:
         >>> import jaxroll as jxr
@@ -100,17 +118,40 @@ def pinch_object(
         )
     hindered = "their tips are never about as far apart as it is wide"
     tips = None if fingers is None else _tips_of(fingers)
-    for row in _ranked(pairs):
-        points, faces, width = pairs.points[row], pairs.faces[row], pairs.distance[row]
-        for hand, pose, order in _placed(object, tips, points, float(width)):
-            kind = Contact3 if spatial else _planar_contact
-            contacts = [kind(i, int(faces[end]), friction=friction) for i, end in enumerate(order)]
-            found = reach(Grasp(object, hand, contacts, gravity=gravity), points[list(order)], pose=pose)
-            if found.result == RESULTS.successful:
-                blunt = _blunted(found, points[list(order)], pose) if fingers is None else found
-                return _controlled(blunt.grasp, blunt.state, press)
-            hindered = found.reason
-    raise ValueError(f"argument fingers must reach the object, but did not: {hindered}")
+    tries, failed = 0, _Failed()
+    for row, (hand, pose, order) in _in_turn(object, tips, pairs):
+        points, faces = pairs.points[row][list(order)], pairs.faces[row]
+        if fingers is not None and (far := _out_of_reach(hand, points, pose)):
+            hindered = far
+            continue
+        if failed.before(hand, points, pairs.normals[row][list(order)], pose):
+            continue
+        if tries == _MOST[spatial]:
+            break
+        tries += 1
+        kind = Contact3 if spatial else _planar_contact
+        contacts = [kind(i, int(faces[end]), friction=friction) for i, end in enumerate(order)]
+        found = reach(Grasp(object, hand, contacts, gravity=gravity), points, pose=pose)
+        if found.result == RESULTS.successful:
+            blunt = _blunted(found, points, pose) if fingers is None else found
+            return _controlled(blunt.grasp, blunt.state, press)
+        if found.result in (RESULTS.unreachable, RESULTS.joint_limit):
+            failed.add(hand, points, pairs.normals[row][list(order)], pose)
+        hindered = found.reason
+    tried = f"in {tries} {'try' if tries == 1 else 'tries'}; at the last" if tries else "and none was tried:"
+    raise ValueError(
+        f"argument fingers must reach the object, but did not {tried} {hindered}; {_helps(tips, spatial)} "
+        "may help"
+    )
+
+
+def _helps(tips: "list[_Tips] | None", spatial: bool) -> str:
+    """What may help where no start is found."""
+    few = [one for one in tips or () if one.finger.joints < 2 + spatial]
+    if any(one.ball is None for one in few):
+        return f"round tips, or {2 + spatial} joints for each finger,"
+    own = "an object of another size or shape"
+    return own if tips is None else f"longer fingers, wider ranges of joints, smaller tips, or {own}"
 
 
 def _ranked(pairs: GraspPoints) -> np.ndarray:
@@ -132,22 +173,101 @@ def _planar_contact(finger: int, contour: int, friction: Given) -> Contact:
     return Contact(finger=finger, contour=contour, sense=(1, -1)[finger], friction=friction)
 
 
+class _Failed:
+    """What fingers could not touch, so that it is not searched for again.
+
+    The turns of an object about the line between two antipodal points leave what is to be touched where it
+    was, and so does a swap of the two: a search would find the same as before.
+    """
+
+    def __init__(self) -> None:
+        self.known: list[tuple[list[Any], np.ndarray]] = []
+
+    def before(self, hand: list[Any], points: np.ndarray, normals: np.ndarray, pose: np.ndarray) -> bool:
+        """Whether these fingers failed at the same points and normals in the world."""
+        at = _in_world(points, normals, pose)
+        return any(
+            all(a is b for a, b in zip(hand, other, strict=True)) and np.abs(at - there).max() < _SAME
+            for other, there in self.known
+        )
+
+    def add(self, hand: list[Any], points: np.ndarray, normals: np.ndarray, pose: np.ndarray) -> None:
+        """Remember that these fingers failed."""
+        self.known.append((hand, _in_world(points, normals, pose)))
+
+
+def _in_world(points: np.ndarray, normals: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """Points of an object and normals there, in the world: shape (2, n, d)."""
+    d = points.shape[1]
+    turn = _turned(pose[d:])
+    return np.stack([pose[:d] + points @ turn.T, normals @ turn.T])
+
+
+def _turned(given: np.ndarray) -> np.ndarray:
+    """The rotation matrix of an angle, or of a unit quaternion."""
+    if len(given) == 1:
+        cos, sin = np.cos(given[0]), np.sin(given[0])
+        return np.array([[cos, -sin], [sin, cos]])
+    w, (x, y, z) = given[0], given[1:]
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross
+
+
+def _out_of_reach(hand: list[Any], points: np.ndarray, pose: np.ndarray) -> str:
+    """How a point is farther from a finger's base than the finger is long; empty where none is."""
+    places = _in_world(points, points, pose)[0]
+    for i, (finger, place) in enumerate(zip(hand, places, strict=True)):
+        tip = sheet_of(finger.tip)
+        longest = float(np.abs(tip.frames(tip.sampled(256, 0.05)).points).sum(axis=1).max())
+        length = finger.joints * float(finger.size) + longest
+        away = float(np.linalg.norm(place - np.asarray(finger.base)))
+        if away > length:
+            return (
+                f"finger {i}: a target is {away:.3g} m from its base, and it reaches {length:.3g} m at most"
+            )
+    return ""
+
+
+def _in_turn(
+    object: FreeObject | FreeObject3, tips: "list[_Tips] | None", pairs: GraspPoints
+) -> Iterator[tuple[int, tuple[list[Any], np.ndarray, tuple[int, int]]]]:
+    """What is to be tried, with the number of the pair of points: some of each pair, then more of each."""
+    waiting = []
+    for row in _ranked(pairs):
+        waiting.append((int(row), _placed(object, tips, pairs, int(row))))
+    while waiting:
+        left = []
+        for row, poses in waiting:
+            some = list(itertools.islice(poses, _TURN))
+            yield from ((row, one) for one in some)
+            left += [(row, poses)] if len(some) == _TURN else []
+        waiting = left
+
+
 def _placed(
-    object: FreeObject | FreeObject3, tips: "list[_Tips] | None", points: np.ndarray, width: float
+    object: FreeObject | FreeObject3, tips: "list[_Tips] | None", pairs: GraspPoints, row: int
 ) -> Iterator[tuple[list[Any], np.ndarray, tuple[int, int]]]:
     """Two fingers, a pose of the object, and which of its points each is to touch, to be tried in turn."""
+    points, normals, width = pairs.points[row], pairs.normals[row], float(pairs.distance[row])
     spatial = isinstance(object, FreeObject3)
     if tips is None:
         k = width / _WIDTH
         hand = _chapter_hand3(k) if spatial else _chapter_hand(k)
         middles = [np.array([0.0 if spatial else 0.0275, ahead]) * k for ahead in _AHEAD]
         lines = [(np.append(m, 0.0) if spatial else m, np.eye(3 if spatial else 2)[0]) for m in middles]
-        choices = [(hand, line) for line in lines]
+        choices = [(hand, line, None) for line in lines]
     else:
-        choices = list(_lines_between(tips, width))
-    for hand, (middle, along) in choices:
+        choices = _lines_between(tips, width)
+    for hand, line, held in choices:
         for order in ((0, 1), (1, 0)):
             ends = points[list(order)]
+            if held is not None:
+                # From centre to centre of the tips instead, which are to be as far apart as is wanted.
+                ends = ends + np.array(held.radii)[:, None] * normals[list(order)]
+                line = _apart(held, float(np.linalg.norm(ends[1] - ends[0])))
+            if line is None:
+                continue
+            middle, along = line
             for turn in _turns(object, ends[1] - ends[0], along):
                 origin = middle - turn @ ends.mean(axis=0)
                 yield hand, np.concatenate([origin, _as_positions(turn)]), order
@@ -195,11 +315,25 @@ def _blunted(found: Reach, points: np.ndarray, pose: np.ndarray) -> Reach:
 
 
 class _Tips(NamedTuple):
-    """Where a finger's tip is in random postures: its middle, shape (n, d), and its radius [m]."""
+    """Where a finger's tip is in random postures: its middle, shape (n, d), and its radius [m].
+
+    `q` are the postures; `ball` is the centre in the tip's frame and the radius of a tip that is round.
+    """
 
     finger: Any
     middles: np.ndarray
     radius: float
+    q: np.ndarray
+    ball: tuple[np.ndarray, float] | None
+
+
+class _Held(NamedTuple):
+    """Two fingers with few joints and round tips, and their joints in a posture."""
+
+    fingers: tuple[Any, Any]
+    q: tuple[np.ndarray, np.ndarray]
+    centres: tuple[np.ndarray, np.ndarray]  # of the tips, in their frames
+    radii: tuple[float, float]
 
 
 def _tips_of(fingers: Any) -> list[_Tips]:
@@ -213,11 +347,13 @@ def _tips_of(fingers: Any) -> list[_Tips]:
 
 def _lines_between(
     tips: list[_Tips], width: float
-) -> Iterator[tuple[list[Any], tuple[np.ndarray, np.ndarray]]]:
+) -> Iterator[tuple[list[Any], tuple[np.ndarray, np.ndarray], _Held | None]]:
     """Pairs of fingers, and lines on which both hold something between them: its middle and direction.
 
     Random postures of both are compared: their tips should be as far apart as the object is wide, and the
     tips' sizes more. Where that is out by as much as itself in all postures, nothing comes of trying.
+    A finger of fewer joints than there are axes has its tip on a surface or a line: what is off by little is
+    off in all of its postures then, unless both tips are put in place exactly (`_apart`).
     """
     found = []
     for one, other in itertools.combinations(tips, 2):
@@ -228,20 +364,79 @@ def _lines_between(
         for k in np.argsort(out)[:_TRIED]:
             if out[k] < wanted:
                 line = 0.5 * (one.middles[k] + other.middles[k]), apart[k] / distance[k]
-                found.append((out[k], [one.finger, other.finger], line))
-    for _, pair, line in sorted(found, key=lambda each: each[0])[: 2 * _TRIED]:
-        yield pair, line
+                few = min(one.finger.joints, other.finger.joints) < apart.shape[1]
+                held = _held(one, other, k) if few else None
+                found.append((out[k], [one.finger, other.finger], line, held))
+    for _, *line in sorted(found, key=lambda each: each[0])[: 2 * _TRIED]:
+        yield tuple(line)
+
+
+def _held(one: _Tips, other: _Tips, k: int) -> _Held | None:
+    """Two fingers in one of their postures; None where a tip is not round."""
+    if one.ball is None or other.ball is None:
+        return None
+    fingers, q = (one.finger, other.finger), (one.q[k], other.q[k])
+    return _Held(fingers, q, (one.ball[0], other.ball[0]), (one.ball[1], other.ball[1]))
+
+
+def _apart(held: _Held, wanted: float) -> tuple[np.ndarray, np.ndarray] | None:
+    """Middle and direction of the line between the centres of two round tips that are `wanted` apart [m].
+
+    From a posture the shortest steps are taken that lead there; None where the ranges of joints forbid it.
+    """
+    q = [x.copy() for x in held.q]
+    for _ in range(_STEPS):
+        centres, slopes = zip(*map(_centre, held.fingers, q, held.centres), strict=True)
+        arm = centres[1] - centres[0]
+        distance = float(np.linalg.norm(arm))
+        off = distance - wanted
+        along = arm / distance
+        if abs(off) < _NEAR * (wanted + float(np.abs(centres).max())):
+            return 0.5 * (centres[0] + centres[1]), along
+        rates = [-along @ slopes[0], along @ slopes[1]]
+        square = sum(float(rate @ rate) for rate in rates)
+        if not square > 0.0:
+            return None
+        for finger, x, rate in zip(held.fingers, q, rates, strict=True):
+            x -= off / square * rate
+            np.clip(x, *_ranges(finger), out=x)
+    return None
+
+
+def _centre(finger: Any, q: np.ndarray, middle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A point of a tip's frame in the world, shape (d,), and its derivatives by the joints, shape (d, k)."""
+    origin, turn, origin_rate, turn_rate = (x[0] for x in placed_at(finger, q[None]))
+    return origin + turn @ middle, origin_rate + np.einsum("ijq,j->iq", turn_rate, middle)
 
 
 def _tips(finger: Any, draw: np.random.Generator) -> _Tips:
     """A finger's tip in random postures."""
-    limits = getattr(finger, "limits", None)
-    low, high = (-np.pi / 2, np.pi / 2) if limits is None else np.asarray(limits, float).clip(-np.pi, np.pi).T
-    origins, turns = poses_at(finger, draw.uniform(low, high, (_POSTURES, finger.joints)))
+    q = draw.uniform(*_ranges(finger), (_POSTURES, finger.joints))
+    origins, turns = poses_at(finger, q)
     tip = sheet_of(finger.tip)
-    points = tip.frames(tip.sampled(256, 0.05)).points
+    here = tip.frames(tip.sampled(256, 0.05))
+    points = here.points
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    return _Tips(finger, origins + turns @ middle, 0.5 * float(np.ptp(points, axis=0).min()))
+    radius = 0.5 * float(np.ptp(points, axis=0).min())
+    return _Tips(finger, origins + turns @ middle, radius, q, _ball(here))
+
+
+def _ranges(finger: Any) -> tuple[Any, Any]:
+    """Least and largest angles of a finger's joints that are looked at."""
+    limits = getattr(finger, "limits", None)
+    if limits is None:
+        return -np.pi / 2, np.pi / 2
+    low, high = np.asarray(limits, float).clip(-np.pi, np.pi).T
+    return low, high
+
+
+def _ball(here: Frames) -> tuple[np.ndarray, float] | None:
+    """Centre and radius of a tip that is round; None for any other."""
+    bend = float(here.bends[:, 0, 0].mean())
+    if not bend > 0.0:
+        return None
+    centres = here.points - here.normals / bend
+    return (centres.mean(axis=0), 1.0 / bend) if np.ptp(centres, axis=0).max() < _SAME / bend else None
 
 
 def _turns(object: Any, across: np.ndarray, along: np.ndarray) -> list[np.ndarray]:

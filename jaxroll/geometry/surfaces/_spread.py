@@ -5,6 +5,7 @@ it. Even seeds in parameters or in a box are uneven on the surface: thinning som
 for that.
 """
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -38,6 +39,12 @@ def thinned(points: Vec3, fair: Bool[Array, " seeds"], count: int) -> Int[Array,
 
     `fair` says which points may be taken. If none is, the first one is taken again and again.
     """
+    return _thinned(points, fair, count)
+
+
+@eqx.filter_jit  # compiled once for as many points and as many kept, whatever the points
+def _thinned(points: Vec3, fair: Array, count: int) -> Array:
+    """`thinned`, as a program."""
 
     def away(i: Array) -> Array:
         arm = points - Vec3(points.x[i], points.y[i], points.z[i])

@@ -37,6 +37,7 @@ from .._xla import quickly
 from ..contact import Contact, Contact3
 from ..control import Opposition, orientations
 from ..geometry import Circle, Sphere
+from ._pinch_targets import FailedTargets, out_of_reach, SAME
 from ._plane_scenes import BASES, LINK_MASSES, LINKS
 from ._scene_arguments import as_positive
 from ._space_scenes import AXES3, LINKS3, MASSES3, SPAN3
@@ -60,8 +61,6 @@ _POSTURES, _TRIED = 4000, 6
 # Starts that are searched for, in the plane and in space; one takes some tenths of a second. Pairs of points
 # take turns, each with so many poses.
 _MOST, _TURN = (30, 40), 8
-# Targets that differ by less are the same, in metres and of normals.
-_SAME = 1e-9
 # Steps by which two tips are put as far apart as an object is wide, and how near they come, relatively.
 _STEPS, _NEAR = 30, 1e-14
 
@@ -118,10 +117,10 @@ def pinch_object(
         )
     hindered = "their tips are never about as far apart as it is wide"
     tips = None if fingers is None else _tips_of(fingers)
-    tries, failed = 0, _Failed()
+    tries, failed = 0, FailedTargets()
     for row, (hand, pose, order) in _in_turn(object, tips, pairs):
         points, faces = pairs.points[row][list(order)], pairs.faces[row]
-        if fingers is not None and (far := _out_of_reach(hand, points, pose)):
+        if fingers is not None and (far := out_of_reach(hand, points, pose)):
             hindered = far
             continue
         if failed.before(hand, points, pairs.normals[row][list(order)], pose):
@@ -171,61 +170,6 @@ def _ranked(pairs: GraspPoints) -> np.ndarray:
 def _planar_contact(finger: int, contour: int, friction: Given) -> Contact:
     # The chapter's s_i runs along the object's contour on the left and against it on the right.
     return Contact(finger=finger, contour=contour, sense=(1, -1)[finger], friction=friction)
-
-
-class _Failed:
-    """What fingers could not touch, so that it is not searched for again.
-
-    The turns of an object about the line between two antipodal points leave what is to be touched where it
-    was, and so does a swap of the two: a search would find the same as before.
-    """
-
-    def __init__(self) -> None:
-        self.known: list[tuple[list[Any], np.ndarray]] = []
-
-    def before(self, hand: list[Any], points: np.ndarray, normals: np.ndarray, pose: np.ndarray) -> bool:
-        """Whether these fingers failed at the same points and normals in the world."""
-        at = _in_world(points, normals, pose)
-        return any(
-            all(a is b for a, b in zip(hand, other, strict=True)) and np.abs(at - there).max() < _SAME
-            for other, there in self.known
-        )
-
-    def add(self, hand: list[Any], points: np.ndarray, normals: np.ndarray, pose: np.ndarray) -> None:
-        """Remember that these fingers failed."""
-        self.known.append((hand, _in_world(points, normals, pose)))
-
-
-def _in_world(points: np.ndarray, normals: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """Points of an object and normals there, in the world: shape (2, n, d)."""
-    d = points.shape[1]
-    turn = _turned(pose[d:])
-    return np.stack([pose[:d] + points @ turn.T, normals @ turn.T])
-
-
-def _turned(given: np.ndarray) -> np.ndarray:
-    """The rotation matrix of an angle, or of a unit quaternion."""
-    if len(given) == 1:
-        cos, sin = np.cos(given[0]), np.sin(given[0])
-        return np.array([[cos, -sin], [sin, cos]])
-    w, (x, y, z) = given[0], given[1:]
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross
-
-
-def _out_of_reach(hand: list[Any], points: np.ndarray, pose: np.ndarray) -> str:
-    """How a point is farther from a finger's base than the finger is long; empty where none is."""
-    places = _in_world(points, points, pose)[0]
-    for i, (finger, place) in enumerate(zip(hand, places, strict=True)):
-        tip = sheet_of(finger.tip)
-        longest = float(np.abs(tip.frames(tip.sampled(256, 0.05)).points).sum(axis=1).max())
-        length = finger.joints * float(finger.size) + longest
-        away = float(np.linalg.norm(place - np.asarray(finger.base)))
-        if away > length:
-            return (
-                f"finger {i}: a target is {away:.3g} m from its base, and it reaches {length:.3g} m at most"
-            )
-    return ""
 
 
 def _in_turn(
@@ -436,7 +380,7 @@ def _ball(here: Frames) -> tuple[np.ndarray, float] | None:
     if not bend > 0.0:
         return None
     centres = here.points - here.normals / bend
-    return (centres.mean(axis=0), 1.0 / bend) if np.ptp(centres, axis=0).max() < _SAME / bend else None
+    return (centres.mean(axis=0), 1.0 / bend) if np.ptp(centres, axis=0).max() < SAME / bend else None
 
 
 def _turns(object: Any, across: np.ndarray, along: np.ndarray) -> list[np.ndarray]:

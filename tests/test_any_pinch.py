@@ -70,7 +70,7 @@ def test_fingers_of_ones_own_and_a_force():
 
 
 def one_joint(tip):
-    """An object, and two fingers of one joint each: their tips are on circles, rarely where they should be."""
+    """An object, and two fingers of one joint each: their tips are on circles."""
     fingers = [jxr.Finger([0.06], [0.03], tip, base=(x, 0.0)) for x in (-0.03, 0.03)]
     return jxr.FreeObject.uniform(jxr.Ellipse(0.02, 0.035), density=20.0), fingers
 

@@ -35,14 +35,10 @@ _BY = {
     "torque_limit": ": by {:.3g} N m or N",
     "links_meet": ": by {:.3g} m",
 }
-# What is said instead where the margin is zero but for rounding: words put in place of others, and no amount.
+# What is said instead where the margin is zero but for rounding: words in place of others.
 _AT = {
-    "slipping": (
-        "needs more friction than there is",
-        "needs all the friction that there is",
-        ": its force is at the edge of the friction cone",
-    ),
-    "contour_end": ("ran past the end", "ran to the end", ""),
+    "slipping": (_BY["slipping"], ": its force is at the edge of the friction cone"),
+    "contour_end": ("ran past the end", "ran to the end"),
 }
 # How many roundings of 1 N or 1 m a located root leaves at most.
 _ROUNDINGS = {"slipping": 1000.0, "contour_end": 100.0}
@@ -122,11 +118,11 @@ def cause(run: Any) -> str:
         who = f"finger {contact}"
     if name in ("joint_limit", "torque_limit"):
         who = joint_name(run.labels, contact)
-    told, by = _TOLD[name], _BY[name].format(0.0 - margin) if np.isfinite(margin) else ""
+    told, by = _TOLD[name], _BY[name] if np.isfinite(margin) else ""
     if abs(margin) <= _ROUNDINGS.get(name, 0.0) * np.finfo(np.asarray(stats.margin).dtype).eps:
-        past, at, by = _AT[name]
-        told = told.replace(past, at)
-    return told.format(who=who, when=when, by=by)
+        past, at = _AT[name]
+        told, by = told.replace(past, at), at if by == past else ""
+    return told.format(who=who, when=when, by=by.format(0.0 - margin))
 
 
 def complaint(run: Any, remedies: Mapping[str, str] = REMEDIES) -> str:

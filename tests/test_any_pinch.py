@@ -12,7 +12,7 @@ from jaxroll import stability
 from jaxroll.__main__ import main
 from jaxroll._cli import ShapeOrder
 from jaxroll._cli._shape_file import fitted, read, size_told
-from jaxroll.scenes import _any_pinch
+from jaxroll.scenes import _any_pinch, _pinch_targets
 from jaxroll.scenes._any_pinch import _turns
 
 ROUND = 2.0 * np.pi * np.arange(200) / 200
@@ -89,7 +89,7 @@ def test_tries_are_few_and_the_refusal_counts_them(code, monkeypatch):
     tries = []
 
     def failing(grasp, points, pose):
-        tries.append(np.round(_any_pinch._in_world(points, points, pose)[0], 9).tobytes())
+        tries.append(np.round(_pinch_targets._in_world(points, points, pose)[0], 9).tobytes())
         return SimpleNamespace(result=getattr(jxr.RESULTS, code), reason="finger 0: it is a stub")
 
     monkeypatch.setattr(_any_pinch, "reach", failing)
@@ -109,8 +109,8 @@ def test_tries_are_few_and_the_refusal_counts_them(code, monkeypatch):
 def test_what_is_beyond_a_fingers_length_is_found_by_arithmetic():
     _, fingers = one_joint(jxr.Circle(0.012))
     ends, angle = np.array([[-0.02, 0.0], [0.02, 0.0]]), np.array([0.3])
-    assert _any_pinch._out_of_reach(fingers, ends, np.array([0.0, 0.05, *angle])) == ""
-    told = _any_pinch._out_of_reach(fingers, ends, np.array([0.0, 0.12, *angle]))
+    assert _pinch_targets.out_of_reach(fingers, ends, np.array([0.0, 0.05, *angle])) == ""
+    told = _pinch_targets.out_of_reach(fingers, ends, np.array([0.0, 0.12, *angle]))
     assert re.fullmatch(
         r"finger 0: a target is 0.11\d m from its base, and it reaches 0.0[78]\d+ m at most", told
     )

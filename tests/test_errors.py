@@ -212,7 +212,7 @@ def test_end_of_an_open_contour_is_a_code(scene):
     assert 0.0 < float(run.stats.t_end) < 3.0
     low = float(short.domain()[0])
     assert abs(float(run.states.s[0, 0] - run.last.s[0] + 0.003) - low) < 1e-3
-    with pytest.raises(RuntimeError, match="ran past the end of an open contour"):
+    with pytest.raises(RuntimeError, match="ran to the end of an open contour"):
         jxr.simulate(grasp, state, 3.0, ts=31)
 
 

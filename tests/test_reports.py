@@ -146,6 +146,21 @@ def test_an_ended_run_says_which_contact_when_by_how_much_and_what_helps(run, co
     assert max(map(len, text.splitlines())) <= 100
 
 
+@pytest.mark.parametrize(
+    ("code", "past", "words"),
+    [
+        ("slipping", "outside the friction cone", "at the edge of the friction cone"),
+        ("contour_end", "ran past the end of an open contour", "ran to the end of an open contour"),
+    ],
+)
+def test_what_is_rounding_of_the_root_is_not_told_as_an_amount(run, code, past, words):
+    for margin in (-1.15e-15, 0.0, 8.88e-16):
+        told = cause(ended(run, code, contact=0, margin=margin))
+        assert words in told and past not in told and "e-1" not in told
+    beyond = cause(ended(run, code, contact=0, margin=-1e-9))
+    assert past in beyond and words not in beyond and "1e-09" in beyond
+
+
 def test_every_code_of_a_run_has_a_remedy():
     others = {"successful", "too_deep", "infeasible"}  # of other functions
     assert set(jxr.RESULTS._name_to_item) - others == RUNNING

@@ -184,7 +184,7 @@ def rocking(t):
 
 
 def test_loci_on_a_rocking_table_have_the_curvature_of_their_points():
-    """What the table's own acceleration adds to that of the loci, by a spline through the run's points."""
+    """What the table's acceleration adds to that of the loci, by a spline through the points of a run."""
     grasp, state = jxr.scenes.incline(slope=0.0)
     table = jxr.Stage(jxr.Plane(), rocking)
     rocked = jxr.Grasp(grasp.object, table, grasp.contacts, gravity=grasp.gravity)

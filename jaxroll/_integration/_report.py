@@ -35,6 +35,13 @@ _BY = {
     "torque_limit": ": by {:.3g} N m or N",
     "links_meet": ": by {:.3g} m",
 }
+# What is said instead where the margin is zero but for rounding: words in place of others.
+_AT = {
+    "slipping": (_BY["slipping"], ": its force is at the edge of the friction cone"),
+    "contour_end": ("ran past the end", "ran to the end"),
+}
+# How many roundings of 1 N or 1 m a located root leaves at most.
+_ROUNDINGS = {"slipping": 1000.0, "contour_end": 100.0}
 # What helps against each code, in terms of the arguments of `simulate`; other callers may give others.
 REMEDIES = {
     "max_steps_reached": "a larger `max_steps`, a larger `rtol`, or `solver=jaxroll.Rosenbrock()` where fast "
@@ -111,8 +118,11 @@ def cause(run: Any) -> str:
         who = f"finger {contact}"
     if name in ("joint_limit", "torque_limit"):
         who = joint_name(run.labels, contact)
-    by = _BY[name].format(0.0 - margin) if np.isfinite(margin) else ""
-    return _TOLD[name].format(who=who, when=when, by=by)
+    told, by = _TOLD[name], _BY[name] if np.isfinite(margin) else ""
+    if abs(margin) <= _ROUNDINGS.get(name, 0.0) * np.finfo(np.asarray(stats.margin).dtype).eps:
+        past, at = _AT[name]
+        told, by = told.replace(past, at), at if by == past else ""
+    return told.format(who=who, when=when, by=by.format(0.0 - margin))
 
 
 def complaint(run: Any, remedies: Mapping[str, str] = REMEDIES) -> str:

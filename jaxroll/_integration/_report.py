@@ -265,10 +265,11 @@ def _forces(run: Any, saved: np.ndarray) -> list[str]:
     lam = np.linalg.norm(lam, axis=-1) if lam.ndim > f.ndim else lam
     if not saved.any():
         return []
-    lines = [
-        f"  forces    normal {np.nanmin(f):.4g} to {np.nanmax(f):.4g} N"
-        f", tangential {np.nanmin(lam):.4g} to {np.nanmax(lam):.4g} N"
-    ]
+    # What is rounding beside the largest normal force is zero, so that the report does not depend on the machine.
+    least = 1e-12 * np.nanmax(np.abs(f))
+    ranges = [[0.0 if abs(x) < least else x for x in (np.nanmin(y), np.nanmax(y))] for y in (f, lam)]
+    (low, high), (aside, most) = ranges
+    lines = [f"  forces    normal {low:.4g} to {high:.4g} N, tangential {aside:.4g} to {most:.4g} N"]
     if run.multipliers.spin is not None:
         lines.append(f"  spin      prevented by up to {np.nanmax(np.abs(run.multipliers.spin)):.4g} N m")
     return [*lines, f"  friction  {_demand(run, f, np.abs(lam))}"]

@@ -265,7 +265,7 @@ def _forces(run: Any, saved: np.ndarray) -> list[str]:
     lam = np.linalg.norm(lam, axis=-1) if lam.ndim > f.ndim else lam
     if not saved.any():
         return []
-    # What is rounding beside the largest normal force is zero, so that the report does not depend on the machine.
+    # Rounding beside the largest normal force is told as zero: the report is the same on all machines.
     least = 1e-12 * np.nanmax(np.abs(f))
     ranges = [[0.0 if abs(x) < least else x for x in (np.nanmin(y), np.nanmax(y))] for y in (f, lam)]
     (low, high), (aside, most) = ranges

@@ -13,7 +13,7 @@ import pytest
 from mpl_toolkits.mplot3d import proj3d
 
 from jaxroll import plotting
-from jaxroll.plotting._drawing3 import Arrow
+from jaxroll.plotting._artists3 import Arrow
 from jaxroll.plotting._forces3 import pushes
 from jaxroll.plotting._poses3 import facing, stage
 from jaxroll.plotting._scene3 import scene3

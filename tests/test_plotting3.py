@@ -13,13 +13,14 @@ from scipy.spatial.transform import Rotation
 
 from jaxroll import geometry, plotting
 from jaxroll.plotting._animate3 import _paced, animate3
+from jaxroll.plotting._artists3 import Triangles
 from jaxroll.plotting._drawing3 import Drawing3
 from jaxroll.plotting._forces3 import Pushes
 from jaxroll.plotting._meshes import box_mesh, mesh
 from jaxroll.plotting._motion3 import matrices, rotation_vectors
 from jaxroll.plotting._poses3 import snapshots3, stage
 from jaxroll.plotting._scene3 import looking, scene3
-from jaxroll.plotting._style import LOCUS_OBJECT, LOCUS_TIP
+from jaxroll.plotting._style import LOCUS_OBJECT, LOCUS_TIP, Picture
 from jaxroll.plotting._tubes import ball, camera, lit, tube_mesh
 from tests.helpers import slow_among
 from tests.subjects import stand_in_grasp
@@ -375,3 +376,35 @@ def test_a_tube_is_cut_into_pieces_of_four_radii():
     np.testing.assert_allclose(heights, [0.0, 3.5, 7.0, 10.5])
     np.testing.assert_allclose(np.linalg.norm(corners[..., :2], axis=-1), 1.0, rtol=1e-12)
     assert np.all(np.sum(normals * corners.mean(axis=1), axis=1) > 0.9)
+
+
+def test_triangles_hide_what_is_behind_them_and_have_no_seams(tmp_path):
+    """A red square of two triangles behind a blue one, whatever comes first; the camera looks down."""
+    square = np.array([[[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0]], [[-1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]])
+    low, high = (
+        np.concatenate([c * square, np.full((2, 3, 1), z)], axis=-1) for c, z in ((1.0, 0.0), (0.5, 0.3))
+    )
+    red, blue = np.array([[1.0, 0.0, 0.0]] * 2), np.array([[0.0, 0.0, 1.0]] * 2)
+    for order in ((0, 1, 2, 3), (3, 1, 2, 0)):
+        figure = Picture(2.0, 2.0)
+        ax = figure.add_subplot(projection="3d", computed_zorder=False)
+        ax.set_axis_off()
+        ax.set(xlim=(-1.0, 1.0), ylim=(-1.0, 1.0), zlim=(-1.0, 1.0))
+        ax.view_init(90.0, -90.0)
+        drawn = Triangles()
+        drawn.corners, drawn.colours = (
+            np.concatenate(pair)[list(order)] for pair in ((low, high), (red, blue))
+        )
+        ax.add_artist(drawn)
+        figure.savefig(tmp_path / "squares.png", dpi=100)
+        pixels = np.asarray(Image.open(tmp_path / "squares.png").convert("RGB"), int).reshape(-1, 3)
+        counts = [
+            int(np.sum(np.abs(pixels - colour).max(axis=1) < 3))
+            for colour in 255 * np.array([red[0], blue[0]])
+        ]
+        # The blue square has half the width of the red one, of which it hides a quarter. Nothing is between
+        # them and the white background but the pixels along both outlines.
+        assert counts[0] > 3000 and 2.7 < counts[0] / counts[1] < 3.1
+        assert np.sum(np.abs(pixels - 255).max(axis=1) > 2) - sum(counts) < 0.1 * sum(counts)
+    figure.savefig(tmp_path / "squares.svg")
+    assert (tmp_path / "squares.svg").read_text().count("<path") < 10  # a picture, not triangles one by one

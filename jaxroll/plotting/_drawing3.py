@@ -4,10 +4,9 @@ from typing import Any
 
 import numpy as np
 from matplotlib.lines import Line2D
-from matplotlib.patches import FancyArrowPatch, Patch
-from mpl_toolkits.mplot3d import proj3d
-from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+from matplotlib.patches import Patch
 
+from ._artists3 import Arrow, NOTHING, Triangles
 from ._forces3 import Pushes
 from ._scene3 import DrawnLocus, Scene3, Solid
 from ._style import (
@@ -30,23 +29,7 @@ from ._tubes import ball, camera, chequered, lit, tube_mesh
 Axes3 = Any
 # How much of what is behind a body is hidden.
 _OPAQUE = 0.86
-_NOTHING = (np.zeros((0, 3, 3)), np.zeros((0, 3)))
 _WHITE = {"color": "white", "solid_capstyle": "round"}
-
-
-class Arrow(FancyArrowPatch):
-    """An arrow in space whose head keeps its size on the page."""
-
-    def __init__(self, **style: Any) -> None:
-        super().__init__((0.0, 0.0), (0.0, 0.0), arrowstyle="-|>", shrinkA=0, shrinkB=0, **style)
-        self.ends = np.zeros((2, 3))
-
-    def do_3d_projection(self, renderer: Any = None) -> float:
-        """Called by the axes before it draws."""
-        ax: Axes3 = self.axes
-        xs, ys, zs = proj3d.proj_transform(*self.ends.T, ax.M)  # pyright: ignore[reportCallIssue]
-        self.set_positions((xs[0], ys[0]), (xs[1], ys[1]))
-        return float(np.min(zs))
 
 
 class Drawing3:
@@ -61,8 +44,7 @@ class Drawing3:
     def __init__(self, ax: Axes3, scene: Scene3, *, arrows: Pushes | None = None) -> None:
         self.ax, self.scene, self.arrows = ax, scene, arrows
         # What of the fingers is behind the object, the object, and what is before it.
-        # matplotlib has no depth buffer: it sorts the triangles of one collection by depth, but whole
-        # collections by `zorder` alone.
+        # matplotlib has no depth buffer: a layer sorts its triangles, layers go by `zorder`.
         self.layers = [_layer(ax, zorder) for zorder in (1, 10, 20)]
         self.lines = [
             (_Trace(ax, on_tip, LOCUS_TIP), _Trace(ax, on_object, LOCUS_OBJECT))
@@ -81,13 +63,8 @@ class Drawing3:
         touching = [locus.at(i) for locus in self.scene.on_object]
         points, normals = (np.array([pair[k][i] for pair in touching]).reshape(-1, 3) for k in (0, 1))
         parts = self.parts(i, towards, light)
-        for collection, (corners, colours) in zip(self.layers, parts, strict=True):
-            collection.set_visible(len(corners) > 0)
-            if len(corners):
-                collection.set_verts(list(corners))
-                collection.set_facecolor(colours)
-                # Edges in the colours of their faces: without them the background shows through the seams.
-                collection.set_edgecolor(colours)
+        for layer, (corners, colours) in zip(self.layers, parts, strict=True):
+            layer.corners, layer.colours = corners, colours
         for pair in self.lines:
             for trace in pair:
                 trace.show(i, towards)
@@ -112,7 +89,7 @@ class Drawing3:
     def parts(self, i: int, towards: np.ndarray, light: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         """Triangles, shape (k, 3, 3), and their colours in each of the three layers."""
         scene = self.scene
-        behind, before = [_NOTHING], [_NOTHING]
+        behind, before = [NOTHING], [NOTHING]
         own = [_faces(solid, i, towards, light) for solid in scene.solids if solid.finger < 0]
         centre = scene.solids[0].frames[i, :3] @ towards
         for solid in (s for s in scene.solids if s.finger >= 0):
@@ -192,12 +169,12 @@ def _joined(parts: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.
     return np.concatenate(corners), np.concatenate(colours)
 
 
-def _layer(ax: Axes3, zorder: float) -> Poly3DCollection:
+def _layer(ax: Axes3, zorder: float) -> Triangles:
     """A body whose triangles are opaque to each other, and as a whole a little translucent."""
-    collection = Poly3DCollection([np.zeros((3, 3))], linewidths=0.35, zorder=zorder)
-    collection.set_agg_filter(_softened)
-    ax.add_collection3d(collection)
-    return collection
+    triangles = Triangles(zorder=zorder)
+    triangles.set_agg_filter(_softened)
+    ax.add_artist(triangles)
+    return triangles
 
 
 def _softened(image: Any, _: float) -> tuple[np.ndarray, int, int]:

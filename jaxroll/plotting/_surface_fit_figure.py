@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ..geometry import SurfaceFit
+from ._artists3 import Triangles
 from ._meshes import mesh
 from ._style import CONTACT, FINGER, GUIDE, MM, OBJECT_BODY, Picture, tidy
 from ._tubes import camera, lit
@@ -49,16 +50,14 @@ def surface_figure(fit: SurfaceFit) -> Figure:
 
 def _seen(ax: Any, corners: np.ndarray, view: tuple[float, float]) -> None:
     """The surface from one direction, lit."""
-    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
-
     towards, light = camera(*view)
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
     front = normals @ towards > 0.0
     colours = lit(OBJECT_BODY, normals[front], light, towards)
-    ax.add_collection3d(
-        Poly3DCollection(list(corners[front]), facecolors=colours, edgecolors=colours, lw=0.3)
-    )
+    surface = Triangles()
+    surface.corners, surface.colours = corners[front], colours
+    ax.add_artist(surface)
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
     ax.set_box_aspect(high - low, zoom=_ZOOM)

@@ -20,8 +20,9 @@ from matplotlib.patches import FancyArrowPatch, Patch, Polygon
 from matplotlib.spines import Spine
 from matplotlib.text import Annotation, Text
 from matplotlib.ticker import AutoLocator, NullLocator
-from mpl_toolkits.mplot3d.art3d import Line3D, Poly3DCollection
+from mpl_toolkits.mplot3d.art3d import Line3D
 
+from jaxroll.plotting._artists3 import Triangles
 from tests.recorded.compare import described
 
 # Of a picture: labels that are put where there is room depend on the sizes of letters.
@@ -129,6 +130,8 @@ def artist(one: Artist, home: Any = None, *, placed: bool = True) -> dict[str, A
             found |= _legend(one)
         case ContourSet():
             found |= _contours(one)
+        case Triangles():
+            found |= _triangles(one)
         case Collection():
             found |= _collection(one)
         case Patch():
@@ -232,18 +235,17 @@ def _patch(patch: Patch) -> dict[str, Any]:
     return found
 
 
+def _triangles(many: Triangles) -> dict[str, Any]:
+    return {
+        "triangles": len(many.colours),
+        "corners": described(many.corners.reshape(-1, 3)),
+        "colours": described(many.colours),
+        "softened": many.get_agg_filter() is not None,
+    }
+
+
 def _collection(many: Collection) -> dict[str, Any]:
     found: dict[str, Any] = {"widths": described(np.asarray(many.get_linewidths(), float)[:4])}
-    if isinstance(many, Poly3DCollection):
-        shape: Any = many
-        corners = np.asarray(shape._faces if hasattr(shape, "_faces") else shape._vec[:3].T, float)
-        colours = np.asarray(shape._facecolor3d, float)
-        return found | {
-            "triangles": len(colours),
-            "corners": described(corners.reshape(-1, 3)),
-            "colours": described(colours),
-            "softened": many.get_agg_filter() is not None,
-        }
     if isinstance(many, LineCollection):
         found["lines"] = [described(np.asarray(line, float)) for line in many.get_segments()[:6]]
     found["faces"] = described(np.asarray(many.get_facecolor(), float)[:12])

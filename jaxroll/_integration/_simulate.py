@@ -40,7 +40,7 @@ from .._motion import (
 )
 from .._results import check_flag, concrete, RESULTS
 from .._types import Given, Scalar
-from .._xla import in_turn, remembered, sharing, uncollected
+from .._xla import in_turn, once, remembered, sharing, uncollected
 from ..geometry import as_it_is_resolved
 from ..loads import impulses
 from ._arguments import (
@@ -355,6 +355,8 @@ def _observed_at(
     grasp, way = given
     # Residuals alone are too little for values that are computed once to pay.
     with sharing() if record else contextlib.nullcontext():
+        # A row is taken out of the saved ones once, and not for each of its numbers.
+        state = once(state)
         forces = multipliers_at(grasp, t, state, way) if "multipliers" in record else None
         energies = energies_at(grasp, state) if "energy" in record else None
         return residuals_at(grasp, state), forces, jax.tree.map(jnp.asarray, energies)

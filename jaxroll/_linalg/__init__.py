@@ -46,5 +46,6 @@ from ._space import (
     Sym3 as Sym3,
     tangents as tangents,
     Twist3 as Twist3,
+    UNIT_AXES as UNIT_AXES,
     Vec3 as Vec3,
 )

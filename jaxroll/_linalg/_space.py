@@ -283,6 +283,10 @@ def square(vector: Vec3) -> Sym3:
     return Sym3(x * x, x * y, x * z, y * y, y * z, z * z)
 
 
+# The axes of a frame that is not turned, in Python's own numbers: nothing is traced of products with them.
+UNIT_AXES = (Vec3(1.0, 0.0, 0.0), Vec3(0.0, 1.0, 0.0), Vec3(0.0, 0.0, 1.0))
+
+
 def tangents(normal: Vec3) -> tuple[Vec3, Vec3]:
     r"""Two unit tangents $t_1, t_2$ with $t_1 \times t_2 = n$.
 

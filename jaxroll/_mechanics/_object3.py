@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._fields import real, taken, through
-from .._linalg import normalised, Pose3, pose_at, quaternion_product, Sym3, Twist3, unstack, Vec3
+from .._linalg import normalised, Pose3, pose_at, quaternion_product, Sym3, Twist3, UNIT_AXES, unstack, Vec3
 from .._results import as_array, as_floats, as_several, check_instance, check_positive, concrete, shown
 from .._types import Given, Scalar, Scalars
 from .._xla import once
@@ -162,8 +162,7 @@ class FreeObject3(AbstractBody):
 
     def motion(self, q: Scalars, v: Scalars, gravity: Vec3 | None) -> tuple[Motion, Inertia]:
         here, still, spin = self.pose(q), Vec3(0.0, 0.0, 0.0), Vec3(*v[3:])
-        axes = (Vec3(1.0, 0.0, 0.0), Vec3(0.0, 1.0, 0.0), Vec3(0.0, 0.0, 1.0))
-        units = tuple(Twist3(axis, still) for axis in axes)
+        units = tuple(Twist3(axis, still) for axis in UNIT_AXES)
         turns = tuple(Twist3(still, axis) for axis in (here.x, here.y, here.z))
         twist = once(Twist3(Vec3(*v[:3]), here.turn(spin)))
         # h = (-m g, w x I w): the gyroscopic torque in body axes.

@@ -9,7 +9,7 @@ from matplotlib.transforms import IdentityTransform
 from mpl_toolkits.mplot3d import proj3d
 
 # No triangles: their corners and their colours.
-NOTHING = (np.zeros((0, 3, 3)), np.zeros((0, 3)))
+NO_TRIANGLES = (np.zeros((0, 3, 3)), np.zeros((0, 3)))
 
 
 class Arrow(FancyArrowPatch):
@@ -45,7 +45,7 @@ class Triangles(Artist):
         super().__init__()
         self.set_rasterized(True)
         self.set(**style)
-        self.corners, self.colours = NOTHING
+        self.corners, self.colours = NO_TRIANGLES
 
     @allow_rasterization
     def draw(self, renderer: Any) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from ._artists3 import Arrow, NOTHING, Triangles
+from ._artists3 import Arrow, NO_TRIANGLES, Triangles
 from ._forces3 import Pushes
 from ._scene3 import DrawnLocus, Scene3, Solid
 from ._style import (
@@ -89,7 +89,7 @@ class Drawing3:
     def parts(self, i: int, towards: np.ndarray, light: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         """Triangles, shape (k, 3, 3), and their colours in each of the three layers."""
         scene = self.scene
-        behind, before = [NOTHING], [NOTHING]
+        behind, before = [NO_TRIANGLES], [NO_TRIANGLES]
         own = [_faces(solid, i, towards, light) for solid in scene.solids if solid.finger < 0]
         centre = scene.solids[0].frames[i, :3] @ towards
         for solid in (s for s in scene.solids if s.finger >= 0):

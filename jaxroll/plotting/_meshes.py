@@ -124,8 +124,10 @@ def _mesh(surface: AbstractSurface, counts: tuple[int, int], extent: float | Non
 
 @_mesh.register
 def _(surface: MovedSurface, counts, extent, about):
-    quaternion = np.asarray(surface.rotation, float)
-    turn = matrices(quaternion / np.linalg.norm(quaternion))
+    turn = np.eye(3)
+    if surface.rotation is not None:
+        quaternion = np.asarray(surface.rotation, float)
+        turn = matrices(quaternion / np.linalg.norm(quaternion))
     offset = np.asarray(surface.offset, float)
     # `about` is in the placed surface's frame: R^T (about - offset) in its own.
     found = _mesh(surface.surface, counts, extent, (about - offset) @ turn)

@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ..geometry import SurfaceFit
+from ..geometry.fitting import measured
 from ._artists3 import Triangles
 from ._meshes import mesh
 from ._style import CONTACT, FINGER, GUIDE, MM, OBJECT_BODY, Picture, tidy
@@ -28,10 +29,9 @@ def surface_figure(fit: SurfaceFit) -> Figure:
     corners = MM * drawn.vertices[drawn.faces]
     for k, view in enumerate(_VIEWS):
         _seen(figure.add_subplot(grid[:, k], projection="3d", computed_zorder=False), corners, view)
-    feet = np.asarray(fit.feet)
-    normals = np.asarray(fit.surface.normal(feet))
+    # By the program of the fit, which has compiled it.
+    feet, normals, bends = measured(fit.surface, fit.feet)
     away = 1e6 * np.sum((np.asarray(fit.points) - feet) * normals, axis=1)
-    bends = np.asarray(fit.surface.principal_curvatures(feet)[0])
     _histogram(figure.add_subplot(grid[0, 2]), away, [], CONTACT)
     tidy(
         figure.axes[2],

@@ -15,6 +15,7 @@ from ._clean_points import (
 )
 from ._contour_fit import Fit as Fit, fit_contour as fit_contour, FitReport as FitReport
 from ._crossings import crossings as crossings
+from ._measured import measured as measured
 from ._smoothing import smoothing_for as smoothing_for
 from ._surface_fit import fit_surface as fit_surface
 from ._surface_report import (

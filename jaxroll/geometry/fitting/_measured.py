@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ..._linalg import Vec3
+from ..._linalg import unstack, Vec3
+from ..._xla import briskly
 from ..surfaces import principal, SplineSurface
 from ._field_fit import Grid
 from ._field_solve import values_matrix
@@ -51,10 +52,12 @@ def _batches(points: Array) -> Array:
     return padded.reshape(-1, _BATCH, 3)
 
 
-@jax.jit
+@briskly
 def _batch(surface: SplineSurface, points: Array) -> tuple[Array, Array, Array]:
+    """What `measured` says of one batch; what brings points to the surface is compiled once, in a loop."""
+
     def one(point: Array) -> tuple[Array, Array, Array]:
-        at = surface.settled(surface.settled(tuple(point)))
+        at = jax.lax.fori_loop(0, 2, lambda _, at: surface.settled(at), unstack(point))
         frame = surface.frame(at)
         found = principal(frame)
         return Vec3(*at).array(), frame.normal.array(), jnp.stack([found.low, found.high])

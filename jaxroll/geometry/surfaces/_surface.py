@@ -18,10 +18,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..._linalg import normalised, Pose3, pose_at, tangents, unstack, Vec3
+from ..._linalg import normalised, Pose3, pose_at, tangents, UNIT_AXES, unstack, Vec3
 from ..._results import as_array, as_floats, concrete, shown
 from ..._types import Given, Scalars
-from ..._xla import quickly
+from ..._xla import once, quickly
 from .._tabled import AbstractShape, tabled
 from ._gauss import approach, Gauss3, principal
 
@@ -164,10 +164,8 @@ class AbstractSurface(AbstractShape):
         """
         return _forms(self._frames(at), _bases(tabled(self), self._at(at)))
 
-    def moved(
-        self, offset: Given = (0.0, 0.0, 0.0), rotation: Given = (1.0, 0.0, 0.0, 0.0)
-    ) -> "AbstractSurface":
-        """This surface turned by a unit quaternion (scalar first), then shifted by `offset` [m]."""
+    def moved(self, offset: Given = (0.0, 0.0, 0.0), rotation: Given | None = None) -> "AbstractSurface":
+        """This surface turned by a unit quaternion (scalar first), if one is given, and shifted [m]."""
         return MovedSurface(self, offset, rotation)
 
     def _frames(self, at: Given) -> Gauss3:
@@ -307,7 +305,8 @@ class MovedSurface(AbstractSurfaceOf):
     Args:
         surface: The surface to place.
         offset: Where its body's origin goes, shape (3,), in metres.
-        rotation: Quaternion, scalar first, shape (4,); it is scaled to unit length.
+        rotation: Quaternion, scalar first, shape (4,); it is scaled to unit length. Default: None, a shift
+            alone, whose program has no turn.
 
     Example:
         >>> import jaxroll as jxr
@@ -318,21 +317,21 @@ class MovedSurface(AbstractSurfaceOf):
 
     surface: AbstractSurface
     offset: Float[Array, "3"]
-    rotation: Float[Array, "4"]
+    rotation: Float[Array, "4"] | None
     pose: Pose3 | None
 
     def __init__(
         self,
         surface: AbstractSurface,
         offset: Given = (0.0, 0.0, 0.0),
-        rotation: Given = (1.0, 0.0, 0.0, 0.0),
+        rotation: Given | None = None,
     ) -> None:
         if not isinstance(surface, AbstractSurface):
             raise ValueError(f"argument surface must be a surface, but was {shown(surface)}")
         self.surface = surface
         self.offset = as_floats("offset", offset, (3,))
-        self.rotation = as_floats("rotation", rotation, (4,))
-        seen = concrete(self.rotation)
+        self.rotation = None if rotation is None else as_floats("rotation", rotation, (4,))
+        seen = None if self.rotation is None else concrete(self.rotation)
         if seen is not None and not seen.any():
             raise ValueError(f"argument rotation must be a quaternion, but was {seen.tolist()}")
         self.pose = None
@@ -341,10 +340,13 @@ class MovedSurface(AbstractSurfaceOf):
         """The placement as a pose; `prepared` keeps it, so that it is computed once."""
         if self.pose is not None:
             return self.pose
-        return pose_at(Vec3(*unstack(self.offset)), normalised(unstack(self.rotation)))
+        origin = Vec3(*unstack(self.offset))
+        if self.rotation is None:
+            return Pose3(origin, *UNIT_AXES)
+        return pose_at(origin, normalised(unstack(self.rotation)))
 
     def frame(self, at: Scalars) -> Gauss3:
-        return self.surface.frame(at).placed(self.placed())
+        return once(self.surface.frame(at).placed(self.placed()))
 
     def rate(self, at: Scalars, velocity: Vec3) -> Scalars:
         return self.surface.rate(at, self.placed().back(velocity))

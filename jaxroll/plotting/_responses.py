@@ -16,6 +16,8 @@ from ._style import CYCLE, Picture, save_figure, tidy
 from ._views import how_it_ended, single, visible
 
 _COLUMNS = 3
+# Names side by side in a legend, and the height of a row of them as a share of the range of values.
+_ABREAST, _LEGEND = 3, 0.17
 # Dashes of a line that lies on an earlier one, within this share of the panel's range: both are seen.
 _ON, _DASHES = 0.01, ((0, (4, 4)), (0, (1.2, 6.8)))
 # A run whose contacts are through with this share of their way in a tenth of the time gets a
@@ -103,7 +105,7 @@ def _draw(ax: Axes, ts: np.ndarray, panel: Panel, reached: np.ndarray) -> None:
         )
     if panel.least is not None:
         ax.set_ylim(-panel.least, panel.least)
-    ax.margins(x=0.0, y=0.14 if len(panel.names) > 1 else 0.08)
+    ax.margins(x=0.0, y=0.08)
     low, high = ax.get_ylim()
     if high - low < 1e-4 * peak:
         middle = 0.5 * (low + high)
@@ -111,11 +113,15 @@ def _draw(ax: Axes, ts: np.ndarray, panel: Panel, reached: np.ndarray) -> None:
     if low <= 0.0 <= high:
         ax.axhline(0.0, color="#BBBBBB", lw=0.7, zorder=0)
     if len(panel.names) > 1:
+        # Above all lines: no free place need be left among them.
+        rows = -(-len(panel.names) // _ABREAST)
+        ax.set_ylim(low, high + _LEGEND * rows * (high - low))
         ax.legend(
-            ncols=min(3, len(panel.names)),
+            ncols=min(_ABREAST, len(panel.names)),
+            loc="upper right",
+            borderaxespad=0.1,
             fontsize=7.5,
-            framealpha=0.8,
-            edgecolor="none",
+            frameon=False,
             handlelength=1.4,
             columnspacing=1.2,
             labelspacing=0.3,

@@ -60,6 +60,8 @@ class Triangles(Artist):
         opaque[:, :3] = self.colours[:, :3]
         of_corners = np.repeat(opaque[farthest_first, None], 3, axis=1)
         context = renderer.new_gc()
-        self._set_gc_clip(context)  # pyright: ignore[reportAttributeAccessIssue]
+        if self.get_clip_on():
+            context.set_clip_rectangle(self.get_clip_box())
+            context.set_clip_path(self.get_clip_path())
         renderer.draw_gouraud_triangles(context, pixels[farthest_first], of_corners, IdentityTransform())
         context.restore()

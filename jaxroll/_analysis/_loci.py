@@ -25,7 +25,7 @@ from .._mechanics import check_spatial, check_states, compiled, Grasp, Leaves, S
 from .._motion import evaluate, Index1, touches
 from .._printing import listed
 from .._types import Scalar, Scalars, Times
-from .._xla import one_kernel, sharing
+from .._xla import once, one_kernel, sharing
 from ..contact import Motion
 
 # Distance in time of the accelerations whose difference is the jerk [s]. The difference is of fourth order,
@@ -158,6 +158,8 @@ def _jets(grasp: Grasp, t: Scalar, state: State) -> tuple[_Jet, _Jet]:
         of the velocities along that change is one jvp.
         """
         with sharing():
+            # The vector as a whole, once: XLA would work it out again for each of its numbers.
+            x = once(x)
             leaves = unpack(lay, x)[0]
             now = evaluate(grasp, t, leaves, Index1())
             rates = pack(now.rates, None)

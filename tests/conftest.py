@@ -1,5 +1,6 @@
 """Strict numerics, a persistent compilation cache, and the runs that many tests share."""
 
+import collections
 import gc
 import os
 import pathlib
@@ -48,18 +49,26 @@ def _forgotten():
 
 # Compilation is most of the time that tests take. The default ones are compiled with fewer optimisations,
 # which takes 1143 s of processor time instead of 2077. With `--slow` everything is compiled as for users.
+# With `--slow --quickly` slow tests are compiled like the default ones, but for those marked `optimised`,
+# which are left out: what is shown to users, long runs, and of every kind of program a run and a derivative.
 QUICKLY = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
 
 
 def pytest_addoption(parser):
     parser.addoption("--slow", action="store_true", help="run the slow tests too, all fully optimised")
+    quickly = "with --slow: compile with few optimisations, and leave out the tests marked optimised"
+    parser.addoption("--quickly", action="store_true", help=quickly)
+
+
+def compiled_quickly(config):
+    return config.getoption("--quickly") or not config.getoption("--slow")
 
 
 def pytest_configure(config):
     """Choose how programs are compiled, before anything makes XLA read it."""
     # Two test processes share the cores: threads of BLAS would only wait for each other.
     threadpoolctl.threadpool_limits(limits=1, user_api="blas")
-    if not config.getoption("--slow") and "XLA_FLAGS" not in os.environ:
+    if compiled_quickly(config) and "XLA_FLAGS" not in os.environ:
         os.environ["XLA_FLAGS"] = QUICKLY
 
 
@@ -70,13 +79,23 @@ def pytest_collection_finish(session):
     gc.set_threshold(100_000, 20, 20)
 
 
+@pytest.hookimpl(trylast=True)  # when others have taken out what is not asked for
 def pytest_collection_modifyitems(config, items):
-    if config.getoption("--slow"):
-        return
-    skip = pytest.mark.skip(reason="slow: run with --slow")
+    skipped = {}
+    if not config.getoption("--slow"):
+        skipped["slow"] = "slow: run with --slow"
+    if compiled_quickly(config):
+        skipped["optimised"] = "compiled as for users: run with --slow, without --quickly"
+    slow, every = collections.Counter(), collections.Counter()
     for item in items:
-        if "slow" in item.keywords:
-            item.add_marker(skip)
+        reasons = [skipped[mark] for mark in skipped if mark in item.keywords]
+        if reasons:
+            item.add_marker(pytest.mark.skip(reason=reasons[0]))
+        else:
+            slow[item.path] += "slow" in item.keywords
+            every[item.path] += 1
+    # Files are given to the processes in this order: none of those that take long may be the last to begin.
+    items.sort(key=lambda item: (-slow[item.path], -every[item.path]))
 
 
 @pytest.fixture(scope="session")

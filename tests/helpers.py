@@ -20,10 +20,13 @@ def broadcasting(function):
     return allowed
 
 
-def slow_among(names, *slow):
-    """Names as parameters of a test, some of them marked slow."""
-    assert set(slow) <= set(names)
-    return [pytest.param(name, marks=[pytest.mark.slow] * (name in slow)) for name in names]
+def slow_among(names, *slow, optimised=()):
+    """Names as parameters of a test, some of them marked slow, and some of those marked optimised."""
+    assert set(optimised) <= set(slow) <= set(names)
+    marks = {name: [pytest.mark.slow] * (name in slow) for name in names}
+    for name in optimised:
+        marks[name].append(pytest.mark.optimised)
+    return [pytest.param(name, marks=marks[name]) for name in names]
 
 
 def in_single(function, *args):

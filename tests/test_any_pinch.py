@@ -237,6 +237,7 @@ def hand_file(path):
 
 
 @pytest.mark.slow
+@pytest.mark.optimised
 def test_jaxroll_pinch_takes_a_hand_from_a_file(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("JAXROLL_CACHE", "off")
     rng = np.random.default_rng(0)

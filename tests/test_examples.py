@@ -65,6 +65,7 @@ def readme_examples():
 
 
 @pytest.mark.slow
+@pytest.mark.optimised
 def test_readme_examples_print_what_they_say():
     names = {}
     for code, printed in readme_examples():
@@ -79,6 +80,7 @@ NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
 
 @pytest.mark.slow
+@pytest.mark.optimised
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebook_runs_and_is_stored_without_outputs(path, monkeypatch):
     import nbformat
@@ -130,6 +132,7 @@ def test_demo_writes_its_figures_and_a_report(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.optimised
 def test_pinch_demo_writes_its_figures_and_a_report(tmp_path):
     """Figs. 1 and 3, and what the chapter has no figures of."""
     done = run_cli("demo", "pinch", "--seconds", "1", cwd=tmp_path)
@@ -143,6 +146,7 @@ def test_pinch_demo_writes_its_figures_and_a_report(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.optimised
 def test_pinch3d_demo_writes_its_figures_and_a_report(tmp_path):
     """Figs. 19 and 20: the pose with its loci."""
     done = run_cli("demo", "pinch3d", "--seconds", "0.3", cwd=tmp_path)
@@ -176,6 +180,7 @@ def _no_plotly():
 
 
 @pytest.mark.slow
+@pytest.mark.optimised
 def test_design_ends_with_a_fingertip_that_holds(tmp_path):
     done = run_cli("design", "--steps", "100", cwd=tmp_path)
     assert done.returncode == 0, done.stderr

@@ -46,6 +46,7 @@ def agree(run, whole):
 
 
 @pytest.mark.slow
+@pytest.mark.optimised
 def test_the_ensemble_of_an_accelerator_gives_the_same(lane, whole, dampings, monkeypatch):
     """No kernel calls, no barriers against recomputation, loops unrolled, slots served all at once."""
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
@@ -56,6 +57,7 @@ def test_the_ensemble_of_an_accelerator_gives_the_same(lane, whole, dampings, mo
 
 
 @pytest.mark.slow
+@pytest.mark.optimised
 def test_a_run_of_one_kernel_is_the_run(scene, whole, dampings):
     """The kernel emulated, two blocks, the second one not full."""
     grasp, state = scene

@@ -127,6 +127,7 @@ def test_leaving_out_the_closing_is_wrong(scene):
 
 
 @pytest.mark.slow
+@pytest.mark.optimised
 def test_jit_and_transforms_in_any_order(scene):
     grasp, state = scene
 

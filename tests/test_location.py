@@ -173,7 +173,10 @@ def measure(parameters):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("reach", [0.055, 0.037], ids=["apart", "overlapping"])
+@pytest.mark.parametrize(
+    "reach",
+    [pytest.param(0.055, marks=pytest.mark.optimised, id="apart"), pytest.param(0.037, id="overlapping")],
+)
 def test_derivatives_in_shapes_and_poses(reach):
     """Taylor remainders of gap, arclengths and normal fall as the square of the step; both modes agree."""
     point = (

@@ -303,8 +303,7 @@ def test_gradient_of_the_gap_is_the_relative_velocity_along_the_normal(name):
             np.testing.assert_allclose(row[3:] @ rate, sign * n @ velocity, atol=1e-13)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", PLACES)
+@pytest.mark.parametrize("name", slow_among(PLACES, *PLACES, optimised=["apart"]))
 def test_derivatives_in_shapes_and_poses(name):
     """Taylor remainders of gap, coordinates and normal fall as the square of the step; both modes agree."""
     point, rng = case(name), np.random.default_rng(0)

@@ -8,13 +8,14 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll.scenes import _space_scenes
+from tests.helpers import slow_among
 from tests.oracles import reference_space as reference
 from tests.subjects.pinches_in_space import AS_TOLD, egg, PINCHES, same_in_reference
 
 TS = np.linspace(0.0, 1.0, 11)
 
 
-HARD = [pytest.param(kind, marks=pytest.mark.slow) for kind in PINCHES]
+HARD = slow_among([*PINCHES], *PINCHES, optimised=["ellipsoids"])
 
 
 @pytest.fixture(scope="module", params=HARD)
@@ -176,6 +177,7 @@ def central(cost, axes, way, h):
 
 
 @pytest.mark.slow
+@pytest.mark.optimised
 def test_gradient_in_surface_parameters_of_a_pinch():
     """Semi-axes of both tips and of the object, reverse mode, through close and simulate."""
     axes = jnp.array([0.010, 0.008, 0.009, 0.015, 0.025, 0.020])

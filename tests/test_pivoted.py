@@ -89,6 +89,7 @@ def test_recorded_energy_is_the_chapters(scene, run):
 
 
 @pytest.mark.slow
+@pytest.mark.optimised
 def test_undamped_for_100_s(scene):
     grasp, state = scene
     run = jxr.simulate(

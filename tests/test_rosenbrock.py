@@ -117,6 +117,7 @@ def test_events_are_found_as_by_the_explicit_default(scene):
 
 
 @pytest.mark.slow
+@pytest.mark.optimised
 def test_gradients_in_both_modes_are_those_of_the_explicit_default(scene):
     grasp, state = scene
 

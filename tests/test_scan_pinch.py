@@ -9,6 +9,7 @@ from tests.subjects import scanned_pinch as scanned
 
 
 @pytest.mark.slow
+@pytest.mark.optimised
 def test_a_banana_between_two_scanned_fingertips():
     if not scanned.BANANA.exists():
         pytest.skip("the scan is not here")

@@ -27,7 +27,7 @@ LONG = [
 ]
 
 
-@pytest.mark.parametrize("page", slow_among(PAGES, *LONG))
+@pytest.mark.parametrize("page", slow_among(PAGES, *LONG, optimised=["tour.md"]))
 def test_code_on_a_page_prints_what_the_page_says(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("TMPDIR", str(tmp_path))

@@ -303,6 +303,7 @@ def test_three_fingers():
 
 
 @pytest.mark.slow
+@pytest.mark.optimised
 def test_gradient_and_batch():
     """The smallest firm curvature over the radius of the tips: forward mode against differences."""
     tips = lambda radius: jxr.Circle(radius).moved(jnp.stack([0.010 - radius, 0.0 * radius]))  # noqa: E731

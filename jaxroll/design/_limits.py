@@ -150,7 +150,9 @@ def margins(frames: Frenet2, scale: Scalar) -> Array:
 
 def soft_least(values: Array, sharpness: float) -> Array:
     r"""Smooth lower bound of the least of dimensionless values: $-\log\sum_i e^{-k v_i}/k$."""
-    least = jnp.min(values)
+    # Whatever the least is, the sum is the same: it needs no derivative. That of a minimum compares values,
+    # which a program may have computed twice and rounded differently, and is NaN where none is the least.
+    least = jax.lax.stop_gradient(jnp.min(values))
     return least - jnp.log(jnp.sum(jnp.exp(-sharpness * (values - least)))) / sharpness
 
 

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ._fields import real, taken, through
+from ._linalg import larger, smaller
 from ._printing import listed
 from ._results import as_array, as_tree, check_callable, check_finite, concrete, shown
 from ._types import Given, Scalar
@@ -132,7 +133,7 @@ class Ramps(AbstractSchedule):
             share = (t - self.times[i]) / (self.times[i + 1] - self.times[i])
             rise = self.values[i + 1] - self.values[i]
             # Each piece adds its rise: nothing before it begins, all of it once it is over.
-            value = value + jnp.clip(share, 0.0, 1.0) * rise
+            value = value + smaller(larger(share, 0.0), 1.0) * rise
         return value
 
 

@@ -25,6 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from .._linalg import smaller
 from .._mechanics import check_planar, check_spatial, Grasp, Leaves
 from .._motion import Instant, Struck, world_poses
 from .._results import RESULTS
@@ -129,7 +130,7 @@ def with_clearance(
     least, number = end
     for margin, which in _audits(grasp, leaves, events):
         number = jnp.where((number <= 0) & (margin < 0), which, number)
-        least = jnp.minimum(margin, least)
+        least = smaller(margin, least)
     return least, number
 
 

@@ -5,7 +5,10 @@ sums and products of scalars, and the solution of small linear systems. `_arrays
 """
 
 from ._arrays import (
+    larger as larger,
+    largest as largest,
     row as row,
+    smaller as smaller,
     stacked as stacked,
     three as three,
     weighted_sum as weighted_sum,

@@ -30,6 +30,29 @@ def with_row_selected(rows: jax.Array, new: jax.Array, i: Scalar) -> jax.Array:
     return jnp.where(chosen[(slice(None), *(None,) * new.ndim)], new, rows)
 
 
+def largest(values: jax.Array) -> jax.Array:
+    """The largest of all numbers of an array; its derivative is that of the first one that is as large.
+
+    To differentiate `jnp.max` JAX compares all numbers with the largest. A program may have worked them out
+    twice and rounded differently: then none is the largest, and the derivative is NaN. A place stays a place.
+    """
+    flat = jnp.ravel(values)
+    return row(flat, jnp.argmax(flat))
+
+
+def larger(left: Any, right: Any) -> jax.Array:
+    """The larger of two numbers, or NaN if one is; differentiated as what was chosen (see `largest`).
+
+    The derivative of `jnp.maximum` is silently zero where neither number equals the result.
+    """
+    return jnp.where((left > right) | (left != left), left, right)
+
+
+def smaller(left: Any, right: Any) -> jax.Array:
+    """The smaller of two numbers, or NaN if one is; differentiated as what was chosen (see `largest`)."""
+    return jnp.where((left < right) | (left != left), left, right)
+
+
 def stacked(values: Sequence[Scalar]) -> jax.Array:
     """Scalars as one vector, which may be empty."""
     return jnp.stack(tuple(values)) if len(values) else jnp.zeros(0)

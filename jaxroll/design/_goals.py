@@ -134,8 +134,8 @@ def soft_worst(costs: Array, sharpness: Scalar) -> Scalar:
     # The exponents are at most zero, and cannot overflow. Whatever v is, the sum is the same: it needs no
     # derivative, and that of a maximum is NaN where rounding has made it none of the values. a only sets how
     # smooth the bound is: no derivative.
-    worst = jax.lax.stop_gradient(jnp.max(costs))
-    size = jax.lax.stop_gradient(jnp.max(jnp.abs(costs)) + 1e-12) / (_WORST * sharpness)
+    worst = jnp.max(jax.lax.stop_gradient(costs))
+    size = (jnp.max(jnp.abs(jax.lax.stop_gradient(costs))) + 1e-12) / (_WORST * sharpness)
     return worst + size * jnp.log(jnp.sum(jnp.exp((costs - worst) / size)))
 
 

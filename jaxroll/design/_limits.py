@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._fields import real, taken
+from .._linalg import larger, smaller
 from .._printing import listed
 from .._results import as_floats, check_positive, traced
 from .._types import Given, Scalar
@@ -143,8 +144,8 @@ def margins(frames: Frenet2, scale: Scalar) -> Array:
     bend = frames.curvature
     # Both functions are evaluated everywhere and selected from: neither may divide by zero where it is not
     # chosen, or the gradient is NaN.
-    hollow = (2.0 - 1.0 / (2.0 - jnp.minimum(bend / least, 1.0))) / least
-    radius = jnp.where(bend > least, 1.0 / jnp.maximum(bend, least), hollow)
+    hollow = (2.0 - 1.0 / (2.0 - smaller(bend / least, 1.0))) / least
+    radius = jnp.where(bend > least, 1.0 / larger(bend, least), hollow)
     return radius - frames.tangent.right().dot(frames.point)
 
 
@@ -152,7 +153,7 @@ def soft_least(values: Array, sharpness: float) -> Array:
     r"""Smooth lower bound of the least of dimensionless values: $-\log\sum_i e^{-k v_i}/k$."""
     # Whatever the least is, the sum is the same: it needs no derivative. That of a minimum compares values,
     # which a program may have computed twice and rounded differently, and is NaN where none is the least.
-    least = jax.lax.stop_gradient(jnp.min(values))
+    least = jnp.min(jax.lax.stop_gradient(values))
     return least - jnp.log(jnp.sum(jnp.exp(-sharpness * (values - least)))) / sharpness
 
 

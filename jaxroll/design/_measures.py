@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._integration import check_one_run, Trajectory
+from .._linalg import larger, largest
 from .._motion import Multipliers
 from .._results import (
     as_array,
@@ -94,7 +95,7 @@ def _overshoot(run: Trajectory, signal: Signal | None = None) -> Scalar:
     way = y[:1] - _last(seen, y)
     size = jnp.sum(way * way)
     past = -jnp.sum((y - _last(seen, y)) * way, axis=-1) / jnp.where(size > 0.0, size, 1.0)
-    return jnp.maximum(jnp.max(jnp.where(seen, past, 0.0)), 0.0)
+    return larger(largest(jnp.where(seen, past, 0.0)), 0.0)
 
 
 def tracking_error(run: Trajectory, *, signal: Signal | None = None) -> Scalar:
@@ -134,7 +135,7 @@ def peak_force(run: Trajectory) -> Scalar:
         '1.551 N'
     """
     forces, seen = _forces(run)
-    return jnp.max(jnp.where(seen, forces.f, 0.0))
+    return largest(jnp.where(seen, forces.f, 0.0))
 
 
 def friction_demand(run: Trajectory) -> Scalar:
@@ -154,7 +155,7 @@ def friction_demand(run: Trajectory) -> Scalar:
         # The root has no derivative at zero: it is taken of one there, and the result set to zero.
         aside = jnp.sqrt(jnp.where(squared > 0.0, squared, 1.0)) * (squared > 0.0)
     pressing = seen & (forces.f > 0.0)
-    return jnp.max(jnp.where(pressing, jnp.abs(aside) / jnp.where(pressing, forces.f, 1.0), 0.0))
+    return largest(jnp.where(pressing, jnp.abs(aside) / jnp.where(pressing, forces.f, 1.0), 0.0))
 
 
 def _of_whole(run: Trajectory, measure: Scalar) -> Scalar:

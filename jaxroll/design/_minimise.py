@@ -25,6 +25,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Bool, Float, Int
 
+from .._linalg import larger
 from .._results import check_instance, shown
 from ._descent import AbstractDescent, descent, Walk
 from ._gradient import Mode, value_and_grad
@@ -186,7 +187,7 @@ def _chunk(
 
     def lagrangian(x: Array) -> tuple[Array, Any]:
         value, excess = problem(x, data, sharpness)
-        pushed = jnp.maximum(0.0, multipliers + weight * excess)
+        pushed = larger(multipliers + weight * excess, 0.0)
         return value + jnp.sum(pushed**2 - multipliers**2) / (2.0 * weight), (value, excess)
 
     def step(now: Search, _: None) -> tuple[Search, Array]:

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 
-from ..._linalg import Pose2, Pose3, root, row, square, Sym3, Vec3
+from ..._linalg import larger, Pose2, Pose3, root, row, smaller, square, Sym3, Vec3
 from ..._types import Scalar, Scalars
 from ...geometry import AbstractContour, AbstractSurface, Gauss3
 from ._candidates import feet, into, least, nearest_dense, spread
@@ -54,7 +54,7 @@ def clearance(
         near = nearest_dense(face.frame(s).point, points)
         outside.append(feet(face, s, points, near).distance)
     # A point is inside a convex body where it is inside of all its faces: the largest distance counts.
-    return least(jnp.max(jnp.stack(outside), axis=0), tip.closed)
+    return least(functools.reduce(larger, outside), tip.closed)
 
 
 # Newton steps down the distance, of the foot for each of them, and of the feet of all samples.
@@ -79,9 +79,7 @@ def clearance3(
     """
     if tip.spread(1) is not None:
         return _lowest(poses, tip, faces, samples)
-    return functools.reduce(
-        jnp.minimum, [_lowest((poses[1], poses[0]), face, [tip], samples) for face in faces]
-    )
+    return functools.reduce(smaller, [_lowest((poses[1], poses[0]), face, [tip], samples) for face in faces])
 
 
 def _lowest(
@@ -101,14 +99,14 @@ def _lowest(
         place = begin
         for _ in range(_DOWN):
             place = _downward(poses, walked, place, other, apart)
-        least = jnp.minimum(least, _outside(poses, walked.frame(place).point, others))
+        least = smaller(least, _outside(poses, walked.frame(place).point, others))
     return least
 
 
 def _outside(poses: tuple[Pose3, Pose3], point: Vec3, others: Sequence[AbstractSurface]) -> Scalar:
     """How far a point of one body is outside of the convex body that surfaces of the other one bound."""
     there = poses[1].local(poses[0].place(point))
-    return functools.reduce(jnp.maximum, [height3(there, other)[0] for other in others])
+    return functools.reduce(larger, [height3(there, other)[0] for other in others])
 
 
 def height3(point: Vec3, surface: AbstractSurface) -> tuple[Scalar, Vec3]:
@@ -120,7 +118,7 @@ def height3(point: Vec3, surface: AbstractSurface) -> tuple[Scalar, Vec3]:
     arm = point - foot.point
     height = arm.dot(foot.normal)
     for margin in surface.margins(at):
-        height = jnp.where(margin <= _AT_END, jnp.maximum(height, root(arm.dot(arm))), height)
+        height = jnp.where(margin <= _AT_END, larger(height, root(arm.dot(arm))), height)
     return height, foot.normal
 
 

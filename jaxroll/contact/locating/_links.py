@@ -4,6 +4,7 @@ Links are straight, from joint to joint and to the tip frame. Their distance fro
 along them, from the lowest of which a secant goes on; of two links it is in closed form.
 """
 
+import functools
 import itertools
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -13,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ..._linalg import Pose2, Pose3, Vec2, Vec3
+from ..._linalg import largest, Pose2, Pose3, smaller, Vec2, Vec3
 from ..._types import Scalar
 from ..._xla import counted
 from ...geometry import AbstractContour, AbstractSurface
@@ -120,9 +121,9 @@ def _lowest(
     _, _, place = counted(_SECANTS, turn, (first, slope, second), (bounds, held))
     # At the lowest place the height does not depend on it, to first order.
     found, _ = at(jax.lax.stop_gradient(place)[:, None], held)
-    each = jnp.minimum(found[:, 0], of(sampled, i))
+    each = smaller(found[:, 0], of(sampled, i))
     counts = np.cumsum([0, *(len(chain) - 1 for chain in chains)])
-    return [jnp.min(each[a:b]) for a, b in itertools.pairwise(counts)]
+    return [-largest(-each[a:b]) for a, b in itertools.pairwise(counts)]
 
 
 def _over(above: Array, below: Array) -> Array:
@@ -137,7 +138,7 @@ def chains_apart(first: Sequence[Any], second: Sequence[Any]) -> Scalar:
         for a, b in zip(first[:-1], first[1:], strict=True)
         for c, d in zip(second[:-1], second[1:], strict=True)
     ]
-    return jnp.min(jnp.stack(pairs))
+    return functools.reduce(smaller, pairs)
 
 
 def links_apart(first: tuple[Any, Any], second: tuple[Any, Any]) -> Scalar:

@@ -87,6 +87,8 @@ def test_notebook_runs_and_is_stored_without_outputs(path, monkeypatch):
     from nbclient import NotebookClient
 
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", jax.config.jax_compilation_cache_dir)
+    least = jax.config.jax_persistent_cache_min_compile_time_secs
+    monkeypatch.setenv("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", str(least))
     stored = json.loads(path.read_text())
     cells = [c for c in stored["cells"] if c["cell_type"] == "code"]
     assert all(not c["outputs"] and c["execution_count"] is None for c in cells)

@@ -346,6 +346,7 @@ class MovedSurface(AbstractSurfaceOf):
         return pose_at(origin, normalised(unstack(self.rotation)))
 
     def frame(self, at: Scalars) -> Gauss3:
+        # Once: XLA would place it again for each number that is made of it.
         return once(self.surface.frame(at).placed(self.placed()))
 
     def rate(self, at: Scalars, velocity: Vec3) -> Scalars:

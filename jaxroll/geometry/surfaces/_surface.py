@@ -165,7 +165,7 @@ class AbstractSurface(AbstractShape):
         return _forms(self._frames(at), _bases(tabled(self), self._at(at)))
 
     def moved(self, offset: Given = (0.0, 0.0, 0.0), rotation: Given | None = None) -> "AbstractSurface":
-        """This surface turned by a unit quaternion (scalar first), if one is given, and shifted [m]."""
+        """This surface turned by a quaternion (scalar first), if one is given, then shifted [m]."""
         return MovedSurface(self, offset, rotation)
 
     def _frames(self, at: Given) -> Gauss3:

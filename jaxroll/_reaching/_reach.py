@@ -286,7 +286,7 @@ def _assembled(grasp: Grasp, positions: np.ndarray, chosen: list[Choice], at: li
         fields = lambda g: [x for c in g.contacts for x in (c.s_tip, c.s_object)]  # noqa: E731
         values = [jnp.asarray(x[0]) for pair in zip(tips, at, strict=True) for x in pair]
         new = eqx.tree_at(fields, grasp, values)
-    state = State(jnp.asarray(q), jnp.zeros(grasp.coordinates), jnp.asarray(s))
+    state = State(jnp.asarray(q), np.zeros(grasp.coordinates), jnp.asarray(s))
     worst = next((i for i, one in enumerate(chosen) if one.code != "successful"), None)
     reason = "" if worst is None else f"finger {worst}: {chosen[worst].reason}"
     return Reach(

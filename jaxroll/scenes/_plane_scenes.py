@@ -90,7 +90,7 @@ def pivoted(
         controller=Press(FORCE, RADIUS, DAMPING, target=pivot),
         gravity=gravity,
     )
-    guess = State(jnp.array([-0.5, 1.9, -0.7]), jnp.zeros(3), jnp.zeros(1))
+    guess = State(jnp.array([-0.5, 1.9, -0.7]), np.zeros(3), jnp.zeros(1))
     return close(grasp, guess)
 
 
@@ -181,7 +181,7 @@ def pinch(
         contacts.append(
             Contact(-along, middle + along, finger=i, contour=face, sense=sense, friction=friction)
         )
-    guess = State(jnp.array(_POSE), jnp.zeros(8), jnp.zeros(2))
+    guess = State(jnp.array(_POSE), np.zeros(8), jnp.zeros(2))
     control: dict[str, Any] = {"damping": damping, "alpha": alpha}
     return _opposed(body, fingers, contacts, guess, beta, control, gravity)
 
@@ -333,7 +333,7 @@ def ring(
         fingers.append(Finger((0.05, 0.05), (0.05, 0.04), shape.moved(angle=np.pi), base=base))
         contacts.append(Contact(inward, rim, finger=i))
         guess.append(np.array([angle + 2.4, 1.1]))
-    start = State(jnp.asarray(np.concatenate(guess)), jnp.zeros(3 + 2 * count), jnp.zeros(count))
+    start = State(jnp.asarray(np.concatenate(guess)), np.zeros(3 + 2 * count), jnp.zeros(count))
     control = {"damping": damping, "alpha": alpha}
     return _opposed(body, fingers, contacts, start, beta, control, gravity, hold_contacts=False)
 
@@ -471,4 +471,4 @@ def roller(
     )
     start = jnp.stack([0.0 * radius, -shape.point(bottom)[1], 0.0 * radius, 0.0 * radius, 0.0 * radius])
     # Parallel plates: with contacts held, both tangencies would ask the same of the one angle.
-    return close(grasp, State(start, jnp.zeros(5), jnp.zeros(2)), hold_contacts=False)
+    return close(grasp, State(start, np.zeros(5), jnp.zeros(2)), hold_contacts=False)

@@ -153,4 +153,4 @@ def _guess(tips: tuple[AbstractSurface, ...], faces: list[AbstractSurface], size
         places += [tip.near(size * np.array([-0.02 * side, 0.0, 0.0])), face.near(start)]
     joints = np.array(_JOINTS)
     q = jnp.concatenate([size * np.array(_CENTRE), np.array((1.0, 0.0, 0.0, 0.0)), joints, -joints])
-    return State(q, jnp.zeros(12), jnp.concatenate(places))
+    return State(q, np.zeros(12), jnp.concatenate(places))

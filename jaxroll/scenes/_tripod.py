@@ -113,7 +113,7 @@ def tripod(
     # Its numbers are looked at before the contacts are closed, which takes longer.
     control = Carry(beta, damping, stiffness, home=jnp.zeros((count, 3)), force=-body.mass * field)
     grasp, state = close(Grasp(body, hand, contacts), _guess(body, tip, ways), hold_contacts=False)
-    each = zip(hand, np.split(np.asarray(state.s), 2 * count)[::2], strict=True)
+    each = zip(hand, jnp.split(state.s, 2 * count)[::2], strict=True)
     hand = [_ending_at(finger, finger.tip.point(at)) for finger, at in each]
     placed = jnp.stack(
         [f.pose(tuple(state.q[7 + 3 * i : 10 + 3 * i])).origin.array() for i, f in enumerate(hand)]
@@ -153,4 +153,4 @@ def _guess(body: FreeObject3, tip: AbstractSurface, ways: np.ndarray) -> State:
         outside = _REACH * np.array([np.cos(way), np.sin(way), 0.0])
         places += [tip.near(inside), body.surfaces[0].near(outside)]
     v = np.zeros(6 + 3 * len(ways))
-    return State(jnp.asarray(q), jnp.asarray(v), jnp.concatenate(places))
+    return State(q, v, jnp.concatenate(places))

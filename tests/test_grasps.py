@@ -128,7 +128,7 @@ def test_the_search_for_a_closed_state_ends_in_single_precision(scene, hold, mon
     def searched(grasp, q, s):
         guess, ready = jxr.State(q, jnp.zeros_like(q), s), grasp.prepared()
         metric = _search.metric_at(ready, guess, hold)
-        return _search.searched(_search.ClosingProblem(ready, guess, metric))
+        return _search.searched(_search.ClosingProblem(ready, guess, metric, ()))
 
     for away in (0.0, 1e-3, 1e-2):
         in_single(searched, grasp, state.q + away, state.s)
@@ -167,6 +167,22 @@ def test_what_is_held_stays_while_the_rest_closes(scene):
     step = 1e-5 * jnp.array([1.0, 0.0, 0.0])
     ahead, behind = closed(off.q + step, "object").q, closed(off.q - step, "object").q
     np.testing.assert_allclose(slopes[:, 0], (ahead - behind) / 2e-5, rtol=1e-7)
+
+
+def test_the_rest_of_what_is_held_has_a_derivative_where_it_is_the_nearest_of_many():
+    """More unknowns than rows: the shortest way onto the constraints, among those that leave the rest."""
+    grasp, state = jxr.scenes.pinch()
+    way = jnp.array([1.0, -2.0, 0.3, 0.5, -0.4, 0.6, -0.2, 0.7])
+
+    def closed(x):
+        guess = jxr.State(state.q + x * way, state.v, state.s)
+        held = ("object theta", "finger 1 q[0]")
+        return jxr.close(grasp, guess, hold_contacts=False, hold=held)[1].q
+
+    at, step = 1e-3, 1e-5
+    wanted = (closed(at + step) - closed(at - step)) / (2.0 * step)
+    np.testing.assert_allclose(jax.jacfwd(closed)(at), wanted, atol=1e-6)
+    np.testing.assert_allclose(jax.jacrev(closed)(at), wanted, atol=1e-6)
 
 
 @pytest.mark.parametrize("names", ["thumb", "object x", ["finger 0", "object"], 3, None, [0]])

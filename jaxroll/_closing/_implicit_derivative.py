@@ -24,7 +24,7 @@ from jaxtyping import Array
 from .._linalg import factorise
 from .._mechanics import Grasp, join, State, to_leaves
 from .._motion import bodies, compatible, linearise, touches
-from .._xla import filled, linear_map, one_kernel, shared, sharing
+from .._xla import linear_map, one_kernel, perturbed, shared, sharing
 from ._search import after_step, ClosingProblem, constraint_rows, metric_at, searched, solve_schur
 
 
@@ -57,15 +57,14 @@ def _settled(
 @_settled.def_jvp
 def _settled_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
     """The closed state and its tangent, as a linear map that knows its own transpose for reverse mode."""
-    # `moving` is m: every floating-point array. `still` is all else, such as integers and static fields.
+    # `moving` is m: the arrays that a derivative is asked in. `still` is all else.
     (*shapes, hold, resting, held) = primals
-    moving, still = eqx.partition(tuple(shapes), eqx.is_inexact_array)
+    moving, still, dots = perturbed(tuple(shapes), tuple(tangents[:2]))
     # Second derivatives would need derivatives of the matrix L_zz as well: refuse instead of being wrong.
-    moving = eqxi.nondifferentiable(moving, name="a closed state (second derivatives)")
+    moving, still = eqxi.nondifferentiable((moving, still), name="a closed state (second derivatives)")
     grasp, guess = eqx.combine(moving, still)
     out, minimum = _found(grasp, guess, hold, resting=resting, held=held)
     response = _response(_Question(still, hold, resting, held), moving, minimum)
-    dots = filled(moving, tangents[:2])
     return out, (linear_map(_Response.tangents, _Response.cotangents, response, dots, like=out[0]), None)
 
 
@@ -165,8 +164,8 @@ def _response(question: _Question, moving: Any, minimum: _Minimum) -> _Response:
     pressures, _ = solve_schur(jacobian, metric, -(jacobian @ step)[:, None])
     z = jnp.concatenate([step, pressures[:, 0]])
     grasp, guess = eqx.combine(moving, question.still)
-    problem = ClosingProblem(grasp, guess, metric)
-    return _Response(question, moving, z, one_kernel(ClosingProblem.slopes, problem, z), size)
+    problem = ClosingProblem(grasp, guess, metric, question.held)
+    return _Response(question, moving, z, one_kernel(ClosingProblem.slopes, problem, z, jacobian), size)
 
 
 def _misfit(response: _Response, dots: Any) -> Array:

@@ -29,7 +29,7 @@ from .._linalg import stacked, unstack
 from .._mechanics import Grasp, join, Leaves, split, State, to_leaves, to_places
 from .._motion import bodies, displaced, mass_matrix, touches, world_poses
 from .._types import ByPrecision
-from .._xla import one_kernel, sharing
+from .._xla import one_kernel, shared, sharing
 
 # Most evaluations of the rows.
 _STEPS = 300
@@ -60,7 +60,7 @@ class ClosingProblem(eqx.Module):
     grasp: Grasp
     guess: State
     metric: Array
-    held: tuple[int, ...] = eqx.field(static=True, default=())
+    held: tuple[int, ...] = eqx.field(static=True)
 
     def rows(self, step: Array) -> Array:
         """Gaps [m] and tangencies [rad] after a displacement from the guess."""
@@ -79,15 +79,27 @@ class ClosingProblem(eqx.Module):
             weight = jnp.sum(self.metric * step[None, :], axis=1)
             return 0.5 * jnp.sum(step * weight) + jnp.sum(pressure * self.rows(step))
 
-    def slopes(self, z: Array) -> Array:
-        """Second derivative of the Lagrangian, shape (z, z).
+    def slopes(self, z: Array, jacobian: Array) -> Array:
+        r"""Second derivative of the Lagrangian, shape (z, z), with the Jacobian A of the rows at d.
 
-        A loop computes one column after the other: `vmap` over the columns takes three times as long to
-        compile.
+        $$ L_{zz} = \begin{pmatrix} M + \sum_k p_k \nabla^2 c_k & A^T \\ A & 0 \end{pmatrix} $$
+
+        A loop computes one column of the sum after the other: `vmap` over the columns takes three times as
+        long to compile.
         """
-        unit = lambda i: jnp.where(jnp.arange(z.shape[0]) == i, 1.0, 0.0).astype(z.dtype)  # noqa: E731
-        column = lambda i: jax.jvp(jax.grad(self.lagrangian), (z,), (unit(i),))[1]  # noqa: E731
-        return jax.lax.map(column, jnp.arange(z.shape[0])).T
+        count = self.metric.shape[0]
+        step, pressure = z[:count], z[count:]
+
+        def column(i: Array) -> Array:
+            unit = jnp.where(jnp.arange(count) == i, 1.0, 0.0).astype(z.dtype)
+            pressed = jax.grad(lambda step: jnp.sum(pressure * self.rows(step)))
+            return jax.jvp(pressed, (step,), (unit,))[1]
+
+        with sharing():
+            bend = jax.lax.map(shared(column), jnp.arange(count))
+        nothing = jnp.zeros((jacobian.shape[0], jacobian.shape[0]), z.dtype)
+        above = jnp.concatenate([self.metric + bend, jacobian.T], axis=1)
+        return jnp.concatenate([above, jnp.concatenate([jacobian, nothing], axis=1)])
 
 
 def solve_schur(jacobian: Array, metric: Array, right: Array) -> tuple[Array, Array]:

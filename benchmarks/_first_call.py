@@ -1,7 +1,7 @@
 """The first call of one function in a fresh process, phase by phase.
 
 `python -m benchmarks._first_call forward pinch` prints JSON: seconds of wall and of processor for every
-phase, and how the run ended.
+phase, and how the run ended. A scene is named with its argument, as in `ring(5)`.
 """
 
 import time
@@ -27,6 +27,7 @@ _ = jxr.simulate
 _mark("import")
 
 import json  # noqa: E402
+import re  # noqa: E402
 import sys  # noqa: E402
 from collections.abc import Callable  # noqa: E402
 from typing import Any  # noqa: E402
@@ -35,16 +36,29 @@ import jax.numpy as jnp  # noqa: E402
 
 from benchmarks import _shaped  # noqa: E402
 
-_TIPS = {"tip": (_shaped.catenary, jnp.ones(1)), "axes": (_shaped.ellipse, jnp.ones(2))}
+# Numbers of the fingertips that a gradient is taken in, and the scene made of them.
+_TIPS = {
+    "tip": (jnp.ones(1), lambda scene, x: _shaped.with_tip(scene, _shaped.catenary(x))),
+    "axes": (jnp.ones(2), lambda scene, x: _shaped.with_tip(scene, _shaped.ellipse(x))),
+    "six axes": (jnp.ones(6), lambda scene, x: jxr.scenes.pinch3d(tips=_shaped.ellipsoids(x))),
+}
 
 
-def call(scene: str) -> Any:
-    """`simulate` as a user calls it, the scene made before; then a second time."""
-    grasp, state = jax.block_until_ready(getattr(jxr.scenes, scene)())
+def made(scene: str) -> tuple[jxr.Grasp, jxr.State]:
+    """The scene of a name such as `pinch` or `ring(5)`."""
+    name, count = re.fullmatch(r"(\w+)(?:\((\d+)\))?", scene).groups()  # type: ignore[union-attr]
+    grasp, state = jax.block_until_ready(getattr(jxr.scenes, name)(*([int(count)] if count else [])))
     _mark("scene")
+    return grasp, state
+
+
+def call(scene: str, **options: Any) -> Any:
+    """`simulate` as a user calls it, the scene made before; then a second time."""
+    grasp, state = made(scene)
+    seconds = _shaped.SECONDS.get(scene, 0.5)
     runs = []
     for name in ("call", "again"):
-        runs.append(jax.block_until_ready(jxr.simulate(grasp, state, _shaped.SECONDS[scene])))
+        runs.append(jax.block_until_ready(jxr.simulate(grasp, state, seconds, **options)))
         _mark(name)
     return runs[0].result._value
 
@@ -66,23 +80,33 @@ def compiled(function: Callable, *args: Any) -> Any:
 
 def forward(scene: str) -> Any:
     """The same run inside `jax.jit`."""
-    grasp, state = jax.block_until_ready(getattr(jxr.scenes, scene)())
-    _mark("scene")
+    grasp, state = made(scene)
     return compiled(lambda g, s: _shaped.end(scene, g, s), grasp, state)[1]
+
+
+def damping(scene: str) -> Any:
+    """Value and reverse gradient in the controller's damping; the start is given."""
+    grasp, state = made(scene)
+    goal = lambda c: _shaped.end(scene, grasp.with_(damping=c), state)  # noqa: E731
+    return compiled(jax.value_and_grad(goal, has_aux=True), grasp.controller.damping)[0][1]
 
 
 def gradient(scene: str, which: str) -> Any:
     """Value and reverse gradient in parameters of the fingertips, through closing."""
-    tip, x = _TIPS[which]
-    goal = lambda x: _shaped.end(scene, *_shaped.with_tip(scene, tip(x)))  # noqa: E731
-    jax.block_until_ready(getattr(jxr.scenes, scene)())
-    _mark("scene")
+    x, shaped = _TIPS[which]
+    goal = lambda x: _shaped.end(scene, *shaped(scene, x))  # noqa: E731
+    made(scene)
     return compiled(jax.value_and_grad(goal, has_aux=True), x)[0][1]
 
 
 def main() -> None:
     way, scene = sys.argv[1:]
-    ways = {"call": call, "forward": forward}
+    ways = {
+        "call": call,
+        "stiff": lambda scene: call(scene, solver=jxr.Rosenbrock()),
+        "forward": forward,
+        "damping": damping,
+    }
     _mark("rest")
     code = ways[way](scene) if way in ways else gradient(scene, way)
     print(json.dumps({**_PHASES, "code": int(code)}))

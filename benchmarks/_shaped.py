@@ -11,8 +11,12 @@ import jaxroll as jxr
 from jaxroll.geometry import AbstractContour
 from jaxroll.geometry.contours._support import fit_series
 
-SECONDS = {"pivoted": 3.0, "pinch": 2.0}
-_WEIGHTS = {3: (1.0, -0.7, 0.4), 8: (20.0, -10.0, 1.0, 1.0, -0.7, 0.4, 0.8, -0.5)}
+SECONDS = {"pivoted": 3.0, "pinch": 2.0, "pinch3d": 0.5}
+_WEIGHTS = {
+    3: (1.0, -0.7, 0.4),
+    8: (20.0, -10.0, 1.0, 1.0, -0.7, 0.4, 0.8, -0.5),
+    13: (20.0, -10.0, 15.0, 1.0, -0.7, 0.4, 0.9, 0.8, -0.5, 0.6, 0.3, -0.2, 0.7),
+}
 # Numbers of each grasp that a gradient is taken of, the first alone or all seven.
 _SEVEN = {
     "pivoted": lambda g: [
@@ -60,6 +64,12 @@ def catenary(factors: jax.Array) -> AbstractContour:
 def ellipse(factors: jax.Array) -> AbstractContour:
     """An ellipse, both half axes multiplied."""
     return jxr.Ellipse(0.012 * factors[0], 0.02 * factors[1])
+
+
+def ellipsoids(factors: jax.Array) -> tuple[jxr.Ellipsoid, jxr.Ellipsoid]:
+    """An ellipsoid for each finger in space, all six half axes multiplied."""
+    a = jnp.array([0.012, 0.010, 0.011, 0.012, 0.010, 0.011]) * factors
+    return jxr.Ellipsoid(*a[:3]), jxr.Ellipsoid(*a[3:])
 
 
 def support(shifts: jax.Array) -> jxr.SupportFunction:

@@ -1,26 +1,43 @@
-"""First calls in fresh processes: import, tracing, compiling, running; with and without cache (five minutes).
+"""First calls in fresh processes: import, tracing, compiling, running; with and without cache (ten minutes).
 
 `python -m benchmarks.first_calls --write` rewrites its section of README.md; `--quick`: the pivoted scene.
-Every function is called in three processes: one without a persistent cache, one that fills a cache in a
-temporary folder, and one that finds it filled. Processor time is of all threads; on a machine that has other
-work to do it is the steadier figure.
+Functions are called in a process without a persistent cache; gradients also in one that fills a cache in a
+temporary folder, and in one that finds it filled. The commands of the command line follow, without a cache.
+Processor time is of all threads; on a machine that has other work to do it is the steadier figure, but not
+the same on all machines: a loop of ten million additions in Python says how fast this one was.
 """
 
+import os
+import resource
+import subprocess
 import sys
 import tempfile
+import time
 from typing import Any, NamedTuple
 
-from benchmarks._common import command, device, fresh, table, versions
+from benchmarks._common import command, device, fresh, table, uncached, versions
 
 WAYS = {
     "call": "`simulate`",
+    "stiff": "`simulate` with `Rosenbrock`",
     "forward": "`simulate` in `jax.jit`",
+    "damping": "value and gradient, damping",
     "tip": "value and gradient, one tip parameter",
     "axes": "value and gradient, half axes of a tip",
+    "six axes": "value and gradient, half axes of both tips",
 }
-CACHES = ("none", "empty", "full")
-# Asked of a first call [s]; of the pinch twice as much.
-FORWARD, GRADIENT, SECOND, PINCH = 2.0, 8.0, 2.0, 2.0
+# What is called of every scene, with what is asked of it [processor s], None where nothing is.
+CALLS: dict[str, dict[str, float | None]] = {
+    "pivoted": {"call": None, "forward": None, "damping": 2.5, "tip": 4.0, "axes": None},
+    "pinch": {"call": 1.5, "forward": None, "damping": 5.0, "tip": 8.0, "axes": None},
+    "pinch3d": {"call": 4.0, "stiff": 8.0, "forward": None, "damping": 15.0, "six axes": 25.0},
+}
+# Of the scene itself, its closing included, and of a value with its gradient where the cache is full.
+SCENES = {"pinch": 2.0, "pinch3d": 4.0}
+SECOND = {"pivoted": 1.5, "pinch": 2.0, "pinch3d": 4.0}
+# Scene and run together over those of two fingers; the largest ring there is stands in for one of 20.
+RINGS = {5: 1.3, 16: 2.0}
+COMMANDS = {"demo": 7.0, "demo pinch": 12.0, "demo pinch3d": 20.0, "design": 18.0}
 
 
 class Call(NamedTuple):
@@ -42,23 +59,30 @@ class Call(NamedTuple):
         return self.spent("trace", "lower", "compile", "call")
 
     @property
-    def asked(self) -> float:
-        """Upper limit of the total [s]."""
-        first = FORWARD if self.way in ("call", "forward") else GRADIENT
-        return (SECOND if self.cache == "full" else first) * (PINCH if self.scene == "pinch" else 1.0)
+    def asked(self) -> float | None:
+        """Upper limit of the total [processor s]."""
+        if self.cache == "full":
+            return SECOND[self.scene]
+        return CALLS[self.scene][self.way] if self.cache == "none" else None
 
 
 def measure(quick: bool) -> list[Call]:
     found = []
-    for scene in ("pivoted",) if quick else ("pivoted", "pinch"):
-        for way in WAYS:
+    for scene in ("pivoted",) if quick else CALLS:
+        for way in CALLS[scene]:
+            caches = ("none",) if way in ("call", "stiff", "forward") else ("none", "empty", "full")
             with tempfile.TemporaryDirectory() as folder:
-                for cache in CACHES:
+                for cache in caches:
                     kept = None if cache == "none" else folder
                     phases = fresh("benchmarks._first_call", way, scene, cache=kept)
                     found.append(Call(scene, way, cache, phases))
                     print(scene, way, cache, phases, file=sys.stderr, flush=True)
     return found
+
+
+def judged(value: float, asked: float | None) -> str:
+    """What was asked, and whether it was missed."""
+    return "" if asked is None else f"{'**missed** ' * (value > asked)}{asked:g}"
 
 
 def both(seconds: list[float]) -> str:
@@ -69,38 +93,85 @@ def lines(found: list[Call]) -> list[list[str]]:
     rows = []
     for call in found:
         parts = [call.spent(*names) for names in (("trace",), ("lower", "compile"), ("call",), ("again",))]
-        if call.way == "call":
+        if call.way in ("call", "stiff"):
             parts[2] = [0, 0]  # a public call does all at once
-        asked = f"{'**missed** ' * (call.total[1] > call.asked)}{call.asked:g}"
         result = "successful" if call.phases["code"] == 0 else f"code {call.phases['code']}"
         cells = [both(x) for x in (call.total, *parts[:3])] + [f"{1e3 * parts[3][1]:.1f}"]
+        asked = judged(call.total[1], call.asked)
         rows.append([call.scene, WAYS[call.way], call.cache, *cells, asked, result])
     return rows
 
 
-def conclusion(found: list[Call]) -> str:
-    said = []
-    for scene in dict.fromkeys(call.scene for call in found):
-        for cache in ("none", "full"):
-            own = [call for call in found if (call.scene, call.cache) == (scene, cache)]
-            costs = [f"{call.total[1]:.1f} s for {WAYS[call.way]}" for call in own]
-            good = sum(call.total[1] <= call.asked for call in own)
-            how = "with a filled cache" if cache == "full" else "without a cache"
-            said.append(f"{scene}, {how}: {', '.join(costs)}; {good} of {len(own)} within what is asked.")
-    imports, scenes = ([call.spent(name) for call in found] for name in ("import", "scene"))
-    least = lambda times: f"{min(t[1] for t in times):.1f}"  # noqa: E731
-    said.append(f"Import takes {least(imports)} s, a scene with its closing loaded {least(scenes)} s.")
-    return f"In processor seconds: {' '.join(said)}"
+def scene_rows(found: list[Call]) -> list[list[str]]:
+    """The first call of each scene: what `call`'s process took to make it."""
+    rows = []
+    for call in found:
+        if call.way == "call":
+            spent = call.spent("scene")
+            asked = SCENES.get(call.scene)
+            rows.append([f"`scenes.{call.scene}()`", both(spent), judged(spent[1], asked)])
+    return rows
+
+
+def ring_rows() -> list[list[str]]:
+    """Scenes and runs of more fingers, over those of two."""
+    spent = {}
+    for count in (2, *RINGS):
+        call = Call("ring", "call", "none", fresh("benchmarks._first_call", "call", f"ring({count})"))
+        spent[count] = call.spent("scene", "call")
+    rows = [["`scenes.ring(2)` and `simulate`", both(spent[2]), ""]]
+    for count, asked in RINGS.items():
+        ratio = spent[count][1] / spent[2][1]
+        what = f"`scenes.ring({count})` and `simulate`, over those of two fingers"
+        rows.append([what, f"{both(spent[count])}; {ratio:.2f} times", judged(ratio, asked)])
+    return rows
+
+
+def command_rows() -> list[list[str]]:
+    """The commands that draw, in empty folders; time in the system, of writing and loading, included."""
+    rows = []
+    for words, asked in COMMANDS.items():
+        with tempfile.TemporaryDirectory() as folder:
+            used, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+            call = [sys.executable, "-m", "jaxroll", *words.split()]
+            env = uncached() | {"JAXROLL_CACHE": "off", "PYTHONPATH": os.getcwd()}
+            subprocess.run(call, cwd=folder, env=env, capture_output=True, check=True)
+            wall, now = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
+        spent = now.ru_utime - used.ru_utime + now.ru_stime - used.ru_stime
+        rows.append([f"`jaxroll {words}`", both([wall, spent]), judged(spent, asked)])
+    return rows
+
+
+def yardstick() -> float:
+    """Processor seconds of a loop of ten million additions."""
+    start, total = time.process_time(), 0
+    for i in range(10_000_000):
+        total += i
+    return time.process_time() - start
+
+
+def conclusion(found: list[Call], others: list[list[str]]) -> str:
+    rows = [[call.asked, call.total[1]] for call in found if call.asked is not None]
+    met = sum(value <= asked for asked, value in rows)
+    wanted = [row for row in others if row[2]]
+    met += sum("missed" not in row[2] for row in wanted)
+    imports = min(call.spent("import")[1] for call in found)
+    return f"{met} of {len(rows) + len(wanted)} limits are met. Import takes {imports:.1f} s."
 
 
 def report(quick: bool = False) -> str:
+    before = yardstick()
     found = measure(quick)
+    others = scene_rows(found) + ([] if quick else [*ring_rows(), *command_rows()])
+    after = yardstick()
     header = ["scene", "first call of", "cache", "total [s]", "tracing", "lowering, compiling", "first run"]
     header += ["again [ms]", "asked, processor [s]", "result"]
     text = [
-        f"**Conclusion.** {conclusion(found)}",
+        f"**Conclusion.** {conclusion(found, others)}",
         table(header, lines(found)),
-        "Seconds are wall / processor; the second run is processor time.",
+        table(["first call of, without a cache", "total [s]", "asked"], others),
+        "Seconds are wall / processor; the second run is processor time. The loop of ten million additions "
+        f"took {before:.2f} s before and {after:.2f} s after.",
     ]
     return "\n\n".join([*text, f"{device()}  \n{versions('jax', 'jaxlib', 'diffrax')}"])
 

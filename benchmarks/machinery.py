@@ -25,6 +25,14 @@ PIECES = {
     "without `one_kernel`": "xla.one_kernel = lambda function, *args: function(*args)",
     "without `once`": "xla.once = lambda tree: tree",
     "without `shared`": "xla.shared = xla._share_cotangents.shared = lambda function: function",
+    "without `perturbed`": """
+import equinox as eqx
+def all_of_them(values, tangents):
+    moving, still = eqx.partition(values, eqx.is_inexact_array)
+    fill = lambda x, dot: jnp.zeros_like(x) if dot is None else dot
+    return moving, still, jax.tree.map(fill, moving, tangents)
+xla.perturbed = xla._one_kernel.perturbed = all_of_them
+""",
     "with XLA's sine and cosine": "xla.sine_cosine = lambda x: (jnp.sin(x), jnp.cos(x))",
     "without `remembered`": "xla.remembered = lambda build: build",
     "with JAX's loops": """

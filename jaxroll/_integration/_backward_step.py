@@ -22,19 +22,20 @@ from ._step import ending_size, RollingStep, sample_times, tableau_of
 
 
 def pulled_back(
-    step: RollingStep, bundle: Bundle, times: tuple[Scalar, Scalar], y0: Flow, *, bar: Flow
+    step: RollingStep, grasp: tuple[Bundle, Bundle], times: tuple[Scalar, Scalar], y0: Flow, *, bar: Flow
 ) -> tuple[Bundle, Flow, Scalar]:
     """Cotangents of the grasp's numbers, of the flow vector at a step's start, and of the time of the step.
 
     Args:
         step: Of a method that is run on its tableau.
-        bundle: The grasp.
+        grasp: What moves of it and what does not, each with None for the other.
         times: Start and end of the step; its length is frozen, the step moves in time as a whole.
         y0: Flow vector at its start.
         bar: Cotangent of the flow vector at its end.
     """
     width, t0, dt = step.lay.width, times[0], times[1] - times[0]
-    moving, still = eqx.partition(bundle, eqx.is_inexact_array)
+    moving, still = grasp
+    bundle = eqx.combine(moving, still)
     at = lambda moving, t, x: step.at(eqx.combine(moving, still), t, x)  # noqa: E731
     sampled = sample_times(bundle, times[1])
     finish = lambda moving, *rest: step.finish(eqx.combine(moving, still), *rest, *sampled)  # noqa: E731

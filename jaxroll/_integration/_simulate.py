@@ -229,8 +229,7 @@ def _run(
     # word: refuse it instead.
     name = "the start's time, tolerances and gains of the formulation"
     plan = eqxi.nondifferentiable(plan, name=name)
-    packed = bundle(ready)
-    path = march(packed, y0, plan)
+    path = march(ready, y0, plan)
     if wanted is not None:
         before = path.saved[wanted[1]]
         path = eqx.tree_at(lambda p: p.saved, path, path.saved[wanted[0]])
@@ -245,7 +244,7 @@ def _run(
         trajectory = eqx.tree_at(lambda run: run.impulses, trajectory, told, is_leaf=lambda x: x is None)
     if path.record is not None:
         dense = Dense(
-            packed, replace(plan.stepper, reverse=True), path.record.ts, path.record.ys, path.steps[1]
+            bundle(ready), replace(plan.stepper, reverse=True), path.record.ts, path.record.ys, path.steps[1]
         )
         trajectory = eqx.tree_at(lambda run: run.dense, trajectory, dense, is_leaf=lambda x: x is None)
     if unresolved is not None:

@@ -5,9 +5,9 @@ from ._collector import uncollected as uncollected
 from ._compute_once import as_it_is as as_it_is, once as once, sharing as sharing
 from ._loops import counted as counted, repeated as repeated
 from ._one_kernel import (
-    filled as filled,
     in_turn as in_turn,
     one_kernel as one_kernel,
+    perturbed as perturbed,
     VECTOR as VECTOR,
     WIDE as WIDE,
 )

@@ -68,9 +68,16 @@ def one_kernel(function: Callable, *args: Any) -> Any:
     return call(arrays)
 
 
-def filled(values: Any, tangents: Any) -> Any:
-    """Tangents of arrays, zero where `equinox.filter_custom_jvp` gives none."""
-    return jax.tree.map(lambda x, dot: jnp.zeros_like(x) if dot is None else dot, values, tangents)
+def perturbed(values: Any, tangents: Any) -> tuple[Any, Any, Any]:
+    """Of the values in a rule of `equinox.filter_custom_jvp`: the arrays that move, all else, the tangents.
+
+    Each has None in the places of what it leaves out. A derivative in few of many numbers is then a program
+    of these alone; nothing that `one_kernel` computes is left out for not being read.
+    """
+    moves = lambda x, dot: x if dot is not None and eqx.is_inexact_array(x) else None  # noqa: E731
+    moving = jax.tree.map(moves, values, tangents)
+    still = jax.tree.map(lambda x, moves: x if moves is None else None, values, moving)
+    return moving, still, jax.tree.map(lambda _, dot: dot, moving, tangents)
 
 
 def in_turn(function: Callable, shared: Any, *rows: Any) -> Any:
@@ -88,9 +95,9 @@ def in_turn(function: Callable, shared: Any, *rows: Any) -> Any:
 
     @call.def_jvp
     def _(primals: Any, tangents: Any) -> tuple[Any, Any]:
-        moving, still = eqx.partition(primals[0], eqx.is_inexact_array)
+        moving, still, dots = perturbed(primals[0], tangents[0])
         out = one_kernel(each, *primals[0])
-        dots, moved = filled(moving, tangents[0]), eqx.filter(out, eqx.is_inexact_array)
+        moved = eqx.filter(out, eqx.is_inexact_array)
         return out, linear_map(_pushed, _pulled, (Partial(each), moving, still), dots, like=moved)
 
     return call((shared, rows))

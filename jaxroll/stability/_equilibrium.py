@@ -36,7 +36,7 @@ from .._motion import (
 from .._printing import listed
 from .._results import as_floats
 from .._types import ByPrecision, Given, Scalar
-from .._xla import filled
+from .._xla import perturbed
 from ..contact import gap
 
 _STEPS = 100
@@ -153,8 +153,7 @@ def _rest_state_jvp(primals: Any, tangents: Any) -> Any:
     pair = jnp.concatenate([z, -jnp.linalg.pinv(jacobian, rtol=_RANK.of(z)).T @ away])
     matrix = jax.jacfwd(lambda pair: _nearest(grasp, state, pair, scale, t))(pair)
     inverse = jnp.linalg.pinv(matrix, rtol=_RANK.of(z))
-    moving, still = eqx.partition(primals, eqx.is_inexact_array)
-    moving_dot = filled(moving, tangents)
+    moving, still, moving_dot = perturbed(primals, tangents)
 
     def conditions(moving: Any) -> Array:
         grasp, state, t = eqx.combine(moving, still)

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._types import Scalar
-from ..._xla import filled
+from ..._xla import perturbed
 
 # ds/dx at places of a curve's cells: `speed(shape, cell, x)`, with x in [0, 1] along each cell.
 Speed = Callable[[Any, Any, Any], Array]
@@ -139,9 +139,8 @@ def _placed(given: tuple[Any, Array], start: Array, progress: RisingFunction) ->
 def _(primals: Any, tangents: Any) -> tuple[Array, Array]:
     given, start, progress = primals
     x = _placed(given, start, progress)
-    # What has a derivative, and what has none (counts, functions). With g(given, x) = reached - target = 0,
-    # dx = -(dg/dgiven dgiven) / (dg/dx).
-    moving, still = eqx.partition(given, eqx.is_inexact_array)
+    # With g(given, x) = reached - target = 0, dx = -(dg/dgiven dgiven) / (dg/dx).
+    moving, still, dots = perturbed(given, tangents[0])
 
     def excess(moving: Any, x: Array) -> Array:
         shape, targets = eqx.combine(moving, still)
@@ -150,7 +149,6 @@ def _(primals: Any, tangents: Any) -> tuple[Array, Array]:
     # The derivative of `progress` itself, not the rate that it returns: that is the exact integrand, and
     # differs from the derivative of the quadrature by the quadrature's error.
     _, rate = jax.jvp(lambda x: excess(moving, x), (x,), (jnp.ones_like(x),))
-    dots = filled(moving, tangents[0])
     _, change = jax.jvp(lambda moving: excess(moving, x), (moving,), (dots,))
     return x, -change / rate
 

@@ -56,11 +56,11 @@ def principal(frame: Gauss3) -> Principal:
     return Principal(mean - spread, mean + spread, along_low, along_high)
 
 
-def approach(frame: Gauss3, point: Vec3) -> Vec3:
+def approach(frame: Gauss3, point: Vec3, *, careful: bool = True) -> Vec3:
     r"""Newton's tangent step towards the point of the surface closest to `point`, as a vector [m].
 
     With $r$ from the frame's point to `point` and $h = r \cdot n$, the step $\delta$ solves
-    $(1 + h L)\,\delta = r - h n$. It is cut to half the smallest radius of curvature.
+    $(1 + h L)\,\delta = r - h n$. A careful one is cut to half the smallest radius of curvature.
     """
     first, second = tangents(frame.normal)
     away, form = point - frame.point, frame.shape.form
@@ -68,6 +68,9 @@ def approach(frame: Gauss3, point: Vec3) -> Vec3:
     a, b, c = form(first, first), form(first, second), form(second, second)
     size = root(a * a + 2.0 * b * b + c * c)
     a, b, c = 1.0 + height * a, height * b, 1.0 + height * c
+    if not careful:
+        det = a * c - b * b
+        return first * ((c * x - b * y) / det) + second * ((a * y - b * x) / det)
     convex = (a + c > 0.2) & (a * c - b * b > 0.01)
     # 1 + h L is half the second derivative of the squared distance. Beyond a centre of curvature it is not
     # positive, and Newton's step may increase the distance; there the step is a shortened gradient.
@@ -75,8 +78,6 @@ def approach(frame: Gauss3, point: Vec3) -> Vec3:
     a, b, c = jnp.where(convex, a, damped), jnp.where(convex, b, 0.0), jnp.where(convex, c, damped)
     det = a * c - b * b
     x, y = (c * x - b * y) / det, (a * y - b * x) / det
-    # `size` is at least the largest curvature. The factor of the cut is held constant in derivatives: at the
-    # closest point the length is zero, where a square root has no derivative.
-    length = jnp.sqrt(jax.lax.stop_gradient(x * x + y * y))
-    shorter = 0.5 / jnp.maximum(0.5, jax.lax.stop_gradient(size) * length)
+    # `size` is at least the largest curvature.
+    shorter = 0.5 / jnp.maximum(0.5, size * jnp.sqrt(x * x + y * y))
     return first * (x * shorter) + second * (y * shorter)

@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 from ..._linalg import normalised, Pose3, pose_at, tangents, UNIT_AXES, unstack, Vec3
 from ..._results import as_array, as_floats, concrete, shown
 from ..._types import Given, Scalars
-from ..._xla import once, quickly
+from ..._xla import once, perturbed, quickly
 from .._tabled import AbstractShape, tabled
 from ._gauss import approach, Gauss3, principal
 
@@ -100,16 +100,7 @@ class AbstractSurface(AbstractShape):
         With $r = p - P$ and $h = r \cdot n$, the tangent step solves $(1 + h L)\,\delta = r - h n$, cut to
         half the smallest radius of curvature. The minimum is a local one.
         """
-
-        # A step in the tangent plane, in coordinates, and back onto the surface. The number of steps is
-        # fixed: all searches of a batch are equally long, and reverse mode needs a known length.
-        def step(at: Scalars, _: None) -> tuple[Scalars, None]:
-            frame = self.frame(at)
-            return self.settled(_sum(at, self.rate(at, approach(frame, point)))), None
-
-        # The scan's carry must keep its type from the first step on.
-        start = tuple(jnp.asarray(x, jnp.result_type(point.x)) for x in self.settled(at))
-        return jax.lax.scan(step, start, None, length=_SEARCH)[0]
+        return _closest(self, point, at)
 
     def near(self, point: Given, guess: Given | None = None) -> Float[Array, "... coordinates"]:
         """Coordinates of the surface's points closest to points of shape (..., 3), in metres.
@@ -241,6 +232,42 @@ def _frames(surface: AbstractSurface, at: Array) -> Gauss3:
 def _bases(surface: AbstractSurface, at: Array) -> tuple[Vec3, Vec3]:
     ready = surface.prepared()
     return _mapped(lambda one: jax.tree.map(jnp.asarray, ready.basis(one)), at)
+
+
+@eqx.filter_custom_jvp
+def _closest(surface: AbstractSurface, point: Vec3, start: Scalars) -> Scalars:
+    """The search of `AbstractSurface.closest`, whose derivative rule is below."""
+
+    # The number of steps is fixed: all searches of a batch are equally long.
+    def step(at: Scalars, _: None) -> tuple[Scalars, None]:
+        return _stepped(surface, point, at, careful=True), None
+
+    # The scan's carry must keep its type from the first step on.
+    first = tuple(jnp.asarray(x, jnp.result_type(point.x)) for x in surface.settled(start))
+    return jax.lax.scan(step, first, None, length=_SEARCH)[0]
+
+
+@_closest.def_jvp
+def _closest_jvp(primals: Any, tangents: Any) -> tuple[Scalars, Scalars]:
+    """The derivative of one more Newton step from the closest point, whose own derivative there is zero.
+
+    That of all steps, backwards, is a program ten times as long.
+    """
+    surface, point, start = primals
+    at = _closest(surface, point, start)
+    moving, still, dots = perturbed((surface, point), tuple(tangents[:2]))
+
+    def further(moving: Any) -> Scalars:
+        surface, point = eqx.combine(moving, still)
+        return _stepped(surface, point, at, careful=False)
+
+    return at, jax.jvp(further, (moving,), (dots,))[1]
+
+
+def _stepped(surface: AbstractSurface, point: Vec3, at: Scalars, *, careful: bool) -> Scalars:
+    """One step of the search: in the tangent plane, in coordinates, and back onto the surface."""
+    tangent = approach(surface.frame(at), point, careful=careful)
+    return surface.settled(_sum(at, surface.rate(at, tangent)))
 
 
 @quickly

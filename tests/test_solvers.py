@@ -89,6 +89,9 @@ def test_a_solver_is_let_in_or_gets_its_sentence(name):
     assert (judged(made(name), steady=True) is None) == always
 
 
+WEIGHTS = jnp.array([1.0, -0.7, 0.4])
+
+
 class Blind(diffrax.AbstractERK):
     """A caller's Heun, whose table has no estimate of the error."""
 
@@ -315,6 +318,28 @@ def test_a_meter_under_vmap_and_in_derivatives(scene, capfd):
     np.testing.assert_allclose(jax.grad(metered)(here), jax.grad(end)(here), rtol=1e-8)
     np.testing.assert_allclose(jax.jvp(metered, (here,), (1.0,))[1], jax.grad(end)(here), rtol=1e-8)
     assert capfd.readouterr().out.split().count("100.00%") >= 3
+
+
+@pytest.mark.parametrize(
+    "solver",
+    [
+        diffrax.Kvaerno3(),
+        pytest.param(diffrax.HalfSolver(diffrax.Kvaerno3()), marks=pytest.mark.slow),
+        pytest.param(diffrax.HalfSolver(diffrax.Heun()), marks=pytest.mark.slow),
+    ],
+    ids=["implicit", "implicit, in halves", "explicit, in halves"],
+)
+def test_methods_that_are_not_run_on_their_tableau_have_derivatives_in_both_modes(scene, solver):
+    grasp, state = scene
+    here = grasp.controller.damping
+
+    def end(damping):
+        return jxr.simulate(grasp.with_(damping=damping), state, 0.02, ts=1, solver=solver).last.q @ WEIGHTS
+
+    forwards = jax.jvp(end, (here,), (1.0,))[1]
+    np.testing.assert_allclose(forwards, jax.grad(end)(here), rtol=1e-10)
+    step = 1e-3 * here
+    np.testing.assert_allclose(forwards, (end(here + step) - end(here - step)) / (2.0 * step), rtol=1e-4)
 
 
 @pytest.mark.slow

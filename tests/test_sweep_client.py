@@ -238,31 +238,59 @@ class Counter(eqx.Module):
         return tuple(-self.gain * rate for rate in rates)
 
 
-def scenes_to_send():
-    grasp, state = jxr.scenes.pivoted()
+def _pivoted(make):
+    """A `make` of the pivoted scene, from its grasp and state."""
+    return lambda: make(*jxr.scenes.pivoted())
+
+
+def _with_a_table(grasp, state):
     table = np.linspace(0.0, 1.0, 7)
+    return lambda c: (grasp.with_(damping=c * table[3]), state)
+
+
+def _with_a_law(grasp, state):
     law = Counter(jnp.asarray(0.1))
+    return lambda c: (eqx.tree_at(lambda g: g.controller, grasp, law), state)
+
+
+def _with_a_jitted_function(grasp, state):
+    table = np.linspace(0.0, 1.0, 7)
     jitted = jax.jit(lambda c: c * table[2])
-    pinch = jxr.scenes.pinch()
-    space = jxr.scenes.pinch3d()
+    return lambda c: (grasp.with_(damping=jitted(c)), state)
+
+
+def _with_points(grasp, state):
     tip = jxr.Spline(np.c_[np.cos(angles := np.linspace(0, 6, 12)), np.sin(angles)] * 0.01)
-    return {
-        "a closure over arrays": lambda c: (grasp.with_(damping=c * table[3]), state),
-        "a law of one's own": lambda c: (eqx.tree_at(lambda g: g.controller, grasp, law), state),
-        "a function that is jitted": lambda c: (grasp.with_(damping=jitted(c)), state),
-        "closing": lambda c: jxr.close(grasp, jxr.State(state.q + c, state.v, state.s)),
-        "a partial": eqx.Partial(lambda g, c: (g.with_(damping=c), state), grasp),
-        "two fingers": lambda c: (pinch[0].with_(damping=c), pinch[1]),
-        "space": lambda c: (space[0], space[1]),
-        "a contour from points": lambda c: (grasp.with_tip(0, tip.moved((c, 0.0))), state),
-    }
+    return lambda c: (grasp.with_tip(0, tip.moved((c, 0.0))), state)
 
 
-@pytest.mark.parametrize("name", scenes_to_send())
+def _with_two_fingers():
+    grasp, state = jxr.scenes.pinch()
+    return lambda c: (grasp.with_(damping=c), state)
+
+
+def _in_space():
+    grasp, state = jxr.scenes.pinch3d()
+    return lambda c: (grasp, state)
+
+
+SENT = {
+    "a closure over arrays": _pivoted(_with_a_table),
+    "a law of one's own": _pivoted(_with_a_law),
+    "a function that is jitted": _pivoted(_with_a_jitted_function),
+    "closing": _pivoted(lambda g, at: lambda c: jxr.close(g, jxr.State(at.q + c, at.v, at.s))),
+    "a partial": _pivoted(lambda g, at: eqx.Partial(lambda g, c: (g.with_(damping=c), at), g)),
+    "two fingers": _with_two_fingers,
+    "space": _in_space,
+    "a contour from points": _pivoted(_with_points),
+}
+
+
+@pytest.mark.parametrize("name", SENT)
 def test_what_is_sent_is_the_same_program_when_it_arrives(name):
     """Fingerprints of `make` before and after; whole programs are compared by `_check_program`."""
     pytest.importorskip("cloudpickle")
-    make = scenes_to_send()[name]
+    make = SENT[name]()
     options = {"solver": diffrax.Tsit5(), "formulation": jxr.CSM(50.0)}
     arrived = pickle.loads(packed(Job(make, _ends, 0.2, options)))
     row = jnp.asarray(0.001)

@@ -142,3 +142,19 @@ def test_it_lifts_and_turns_the_object(tripod, command):
     assert np.abs(run.energy.residual).max() <= 1e-9 * size
     left = run.residuals
     assert max(np.abs(part).max() for part in (left.normal, left.tangential, left.tangency)) <= 1e-12
+
+
+@pytest.mark.slow
+def test_the_scene_has_a_derivative_in_the_radius_of_its_tips():
+    def made(radius):
+        grasp, state = jxr.scenes.tripod(tips=jxr.Sphere(radius))
+        held = grasp.controller
+        return jnp.concatenate([state.q, state.s, held.home.ravel(), held.position])
+
+    at, step = 0.011, 1e-6
+    wanted = (jax.jit(made)(at + step) - jax.jit(made)(at - step)) / (2.0 * step)
+    slope = jax.jit(jax.jacfwd(made))(at)
+    np.testing.assert_allclose(slope, wanted, rtol=1e-6, atol=1e-6)
+    weights = jnp.linspace(1.0, 2.0, slope.shape[0])
+    back = jax.jit(jax.grad(lambda radius: made(radius) @ weights))(at)
+    np.testing.assert_allclose(back, slope @ weights, rtol=1e-12)

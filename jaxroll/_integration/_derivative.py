@@ -21,6 +21,7 @@ nothing.
 
 import functools
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import diffrax
@@ -38,7 +39,7 @@ from .._xla import as_it_is, linear_map, one_kernel, perturbed, pulled, repeated
 from ._backward_step import pulled_back
 from ._batch import Ensemble
 from ._jumps import is_short
-from ._methods import is_rosenbrock, on_tableau
+from ._methods import is_rosenbrock, on_tableau, without_checkpoints
 from ._run import Path, Plan, recorded, solo
 from ._state_vector import Bundle, bundle, bundled_apart, Flow
 
@@ -116,13 +117,17 @@ class _Steps(eqx.Module):
         t0 = row(self.ts, k)
         return t0, jnp.where(k < self.count, row(self.ts, k + 1), t0)
 
-    def step(self, k: Scalar, over: Callable) -> Callable[[Bundle, Flow, Scalar], Flow]:
-        """Step k of (moving, y, shift), so much later."""
-        t0, t1 = self.span(k)
+    def step(
+        self, k: Scalar, over: Callable, *, forwards: bool = False
+    ) -> Callable[[Bundle, Flow, Scalar], Flow]:
+        """Step k of (moving, y, shift), so much later; `forwards` where its tangent is wanted."""
+        (t0, t1), stepper = self.span(k), self.plan.stepper
+        if forwards:
+            stepper = replace(stepper, method=without_checkpoints(stepper.method))
 
         def advance(moving: Bundle, y: Flow, shift: Scalar) -> Flow:
             grasp = eqx.combine(moving, self.still)
-            return self.plan.stepper.advance(grasp, t0 + shift, t1 + shift, y, over=over)[0]
+            return stepper.advance(grasp, t0 + shift, t1 + shift, y, over=over)[0]
 
         return advance
 
@@ -201,7 +206,7 @@ def _pushed(steps: _Steps, index: Array | None, start: tuple[Bundle, Flow]) -> t
             jnp.where(within, 0.0, 1.0).astype(here.dtype),
         )
         here_now = (steps.moving, row(steps.ys, k), jnp.zeros((), here.dtype))
-        _, ahead = jax.jvp(steps.step(k, as_it_is), here_now, along)
+        _, ahead = jax.jvp(steps.step(k, as_it_is, forwards=True), here_now, along)
         drift = jnp.where(k == steps.count, ahead, drift)
         ahead = jnp.where(within, ahead, here)
         if index is None:

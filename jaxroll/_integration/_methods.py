@@ -132,6 +132,15 @@ def is_rosenbrock(method: Method) -> bool:
     return issubclass(type(method), Rosenbrock) and type(method).step is Rosenbrock.step
 
 
+def without_checkpoints(method: Any) -> Any:
+    """The method, with a plain loop over stages for diffrax's own, which has a derivative backwards alone."""
+    if issubclass(type(method), diffrax.AbstractWrappedSolver):
+        return eqx.tree_at(lambda m: m.solver, method, without_checkpoints(method.solver))
+    if getattr(method, "scan_kind", "lax") is not None:
+        return method
+    return eqx.tree_at(lambda m: m.scan_kind, method, "lax", is_leaf=lambda x: x is None)
+
+
 def with_tolerances(method: Any, rtol: Any, atol: Any) -> Any:
     """The method, with the run's tolerances for a root finder that has none of its own."""
     if issubclass(type(method), diffrax.AbstractWrappedSolver):

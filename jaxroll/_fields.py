@@ -13,7 +13,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ._results import as_array, as_floats, as_tree, check_callable, is_array_like, shown, traced
+from ._closures import as_tree
+from ._results import as_array, as_floats, check_callable, is_array_like, shown, traced
 from ._xla import in_arithmetic
 
 Check = Callable[[str, jax.Array], jax.Array]

@@ -224,13 +224,6 @@ def check_callable(name: str, value: Any, what: str = "a function", *, takes: in
     return value
 
 
-def as_tree(name: str, function: Any) -> Callable[..., Any]:
-    """A callable as a pytree: itself if it is one, a plain function as structure."""
-    if not callable(function):
-        raise ValueError(f"argument {name} must be a function, but was {shown(function)}")
-    return jax.tree_util.Partial(function) if jax.tree_util.all_leaves([function]) else function
-
-
 def as_order(smoothness: Any, *, least: int = 0) -> float:
     """Convert argument `smoothness` to a number of continuous derivatives, infinity among them."""
     real = isinstance(smoothness, int | float | np.integer | np.floating) and not isinstance(smoothness, bool)

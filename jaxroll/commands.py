@@ -16,10 +16,11 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ._closures import as_tree
 from ._fields import real, taken, through
 from ._linalg import larger, smaller
 from ._printing import listed
-from ._results import as_array, as_tree, check_callable, check_finite, concrete, shown
+from ._results import as_array, check_callable, check_finite, concrete, shown
 from ._types import Given, Scalar
 
 

@@ -22,6 +22,7 @@ RANKS = {
     "_types": 0,
     "_printing": 0,
     "_results": 1,
+    "_closures": 2,
     "_xla": 2,
     "_fields": 3,
     "_linalg": 3,

@@ -1,5 +1,6 @@
 """Callers' own laws, loads and commands: as quick as built-in ones, or told why not."""
 
+import functools
 import warnings
 
 import jax
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 import jaxroll as jxr
+from jaxroll._closures import opened
 from jaxroll._xla import in_arithmetic
 from jaxroll._xla._one_kernel import misfits
 
@@ -83,3 +85,102 @@ def test_a_law_of_ones_own_keeps_a_run_in_one_kernel():
         jnp.zeros(2)
     )
     assert "dot_general" not in text.as_text() and "xla_cpu_small_call" in text.as_text()
+
+
+def pushing(gain):
+    """A law of one's own as a closure; of a function that closes over the gain in its turn."""
+
+    def pull(tip, centre):
+        return gain * tip.jacobian.T @ (tip.position - centre)
+
+    def law(t, angles, rates, tips):
+        centre = sum(tip.position for tip in tips) / len(tips)
+        return tuple(-0.005 * w - pull(tip, centre) for w, tip in zip(rates, tips, strict=True))
+
+    return law
+
+
+def test_what_a_law_closes_over_has_a_derivative_and_lanes():
+    """The number is traced, not known: the same as from a pytree of one's own."""
+    grasp, state = jxr.scenes.pinch()
+
+    def end(law):
+        own = jxr.Grasp(grasp.object, grasp.fingers, grasp.contacts, controller=law)
+        return jxr.simulate(own, state, 0.02, ts=1, throw=False).last.q[3]
+
+    def wanted(gain):
+        return end(jax.tree_util.Partial(lambda gain, *given: pushing(gain)(*given), gain))
+
+    found = lambda gain: end(pushing(gain))  # noqa: E731
+    value, slope = jax.value_and_grad(wanted)(30.0)
+    assert abs(slope) > 1e-6
+    np.testing.assert_allclose(jax.jit(jax.grad(found))(30.0), slope, rtol=1e-12)
+    np.testing.assert_allclose(jax.vmap(found)(jnp.array([30.0, 30.0])), value, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "hiding",
+    [
+        lambda gain: lambda x: gain * x**2,
+        lambda gain: lambda x, gain=gain: gain * x**2,
+        lambda gain: lambda x, *, gain=gain: gain * x**2,
+        lambda gain: functools.partial(lambda gain, x: gain * x**2, gain),
+        lambda gain: functools.partial(lambda x, gain: gain * x**2, gain=gain),
+        lambda gain: (lambda inner: lambda x: inner(x) * x)(lambda x: gain * x),
+        lambda gain: (lambda held: lambda x: held["gain"][0] * x**2)({"gain": (gain, "N")}),
+    ],
+)
+def test_traced_numbers_are_found_wherever_a_function_hides_them(hiding):
+    def square(gain):
+        function = opened(hiding(gain))
+        assert [leaf is gain for leaf in jax.tree.leaves(function) if isinstance(leaf, jax.Array)] == [True]
+        return function(3.0)
+
+    assert jax.value_and_grad(square)(2.0) == (18.0, 9.0)
+
+
+def test_what_curves_loads_and_commands_close_over_has_a_derivative():
+    def ellipse(a):
+        return jxr.Parametric(
+            lambda u: jnp.stack([a * jnp.cos(u), 0.02 * jnp.sin(u)]), (0.0, 2.0 * np.pi), closed=True
+        )
+
+    radius = lambda a: 1.0 / ellipse(a).curvature(0.0)  # noqa: E731, b^2 / a at the vertex
+    np.testing.assert_allclose(jax.grad(radius)(0.012), -(0.02**2) / 0.012**2, rtol=1e-6)
+    np.testing.assert_allclose(jax.vmap(radius)(jnp.array([0.01, 0.016])), [0.04, 0.025], rtol=1e-8)
+
+    grasp, state = jxr.scenes.pinch()
+
+    def end(force, ramp):
+        own = jxr.Grasp(
+            grasp.object,
+            grasp.fingers,
+            grasp.contacts,
+            controller=grasp.controller,
+            load=lambda t, pose, twist: (jnp.stack([force, 0.0 * force]), 0.01 * force),
+        ).with_(beta=lambda t: 20.0 + ramp * t)
+        return jxr.simulate(own, state, 0.05, ts=1, rtol=1e-10, atol=1e-12).last.q[0]
+
+    slopes = jax.grad(end, argnums=(0, 1))(0.1, 5.0)
+    for i, (at, step) in enumerate(((0.1, 1e-3), (5.0, 0.1))):
+        beside = lambda way: end(*(at + way if i == j else x for j, x in enumerate((0.1, 5.0))))  # noqa: E731, B023
+        ahead, behind = beside(step), beside(-step)
+        np.testing.assert_allclose(slopes[i], (ahead - behind) / (2.0 * step), rtol=1e-6)
+
+
+def test_functions_that_hide_nothing_stay_as_they_are():
+    table, told = jnp.arange(3.0), {1: "a", "b": 2}
+    plain = lambda t: table[0] * t if told else t  # noqa: E731
+    assert opened(plain) is plain
+    again = functools.partial(plain, 2.0)
+    assert opened(again) is again
+    inside = []
+
+    def looked_at(x):
+        law = lambda t: (told, x * t)[1]  # noqa: E731
+        inside.append((opened(law), opened(law), law))
+        return inside[-1][0](2.0)
+
+    assert jax.jit(looked_at)(3.0) == 6.0
+    first, second, law = inside[0]
+    assert jax.tree.structure(first) == jax.tree.structure(second) and first is not law

@@ -201,6 +201,22 @@ def test_loci_on_a_rocking_table_have_the_curvature_of_their_points():
         np.testing.assert_allclose(locus.curvature[0, middle], bent, rtol=1e-6)
 
 
+def test_loci_that_begin_at_rest_have_derivatives_in_both_modes():
+    """A ball on an incline sets off with a constant acceleration; at rest nothing curves."""
+    grasp, state = jxr.scenes.incline()
+
+    def length(t1):
+        run = jxr.simulate(grasp, state, t1, ts=4, rtol=1e-10)
+        found = jxr.loci(grasp, run)
+        return found.tip.arclength[0, -1], found.tip.speed[0, -1]
+
+    pair, slopes = length(0.3), jax.jacfwd(lambda t1: jnp.stack(length(t1)))(0.3)
+    rate = pair[1] / 0.3
+    np.testing.assert_allclose(pair[0], 0.5 * rate * 0.3**2, rtol=1e-9)
+    np.testing.assert_allclose(slopes, [pair[1], rate], rtol=1e-8)
+    np.testing.assert_allclose(jax.grad(lambda t1: length(t1)[0])(0.3), pair[1], rtol=1e-8)
+
+
 def test_spin_about_the_normal_is_counter_clockwise():
     options = {"at_tip": (0.0, 0.0, -0.1), "at_object": (0.0, 0.0, 0.0), "spin": lambda t: 0.7}
     rolled = jxr.roll(

@@ -320,13 +320,10 @@ def test_a_meter_under_vmap_and_in_derivatives(scene, capfd):
     assert capfd.readouterr().out.split().count("100.00%") >= 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "solver",
-    [
-        diffrax.Kvaerno3(),
-        pytest.param(diffrax.HalfSolver(diffrax.Kvaerno3()), marks=pytest.mark.slow),
-        pytest.param(diffrax.HalfSolver(diffrax.Heun()), marks=pytest.mark.slow),
-    ],
+    [diffrax.Kvaerno3(), diffrax.HalfSolver(diffrax.Kvaerno3()), diffrax.HalfSolver(diffrax.Heun())],
     ids=["implicit", "implicit, in halves", "explicit, in halves"],
 )
 def test_methods_that_are_not_run_on_their_tableau_have_derivatives_in_both_modes(scene, solver):

@@ -512,3 +512,21 @@ def test_derivatives_of_near_where_the_surface_is_flat(exponent, height):
     point = jnp.array([0.0, 0.0, height])
     for found in moves_of_the_foot(block, point):
         np.testing.assert_allclose(found, np.diag([1.0, 1.0, 0.0]), atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", [jxr.Ellipsoid, jxr.geometry.Superellipsoid])
+def test_derivatives_of_near_in_the_shape_of_the_surface(kind):
+    """The foot of a fixed point moves with the half axes: by differences, both modes, once and twice."""
+    point, axes, way = (
+        np.array([0.02, 0.013, 0.004]),
+        np.array([0.012, 0.01, 0.011]),
+        np.array([1.0, -0.4, 0.7]),
+    )
+    more = {} if kind is jxr.Ellipsoid else {"exponent": 2.5}
+    foot = jax.jit(lambda x: kind(*(axes + 1e-3 * x * way), **more).near(point))
+    first = jax.jit(jax.jacfwd(foot))
+    step = 1e-3
+    np.testing.assert_allclose(first(0.1), (foot(0.1 + step) - foot(0.1 - step)) / (2.0 * step), atol=1e-9)
+    second = (first(0.1 + step) - first(0.1 - step)) / (2.0 * step)
+    np.testing.assert_allclose(jax.jit(jax.jacfwd(first))(0.1), second, atol=1e-9)
+    np.testing.assert_allclose(jax.jacrev(foot)(0.1), first(0.1), rtol=1e-10)

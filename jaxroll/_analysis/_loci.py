@@ -20,12 +20,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._integration import check_one_run, layout, pack, Trajectory, unpack
-from .._linalg import Pose3, Twist3, Vec3
+from .._linalg import Pose3, root, Twist3, Vec3
 from .._mechanics import check_spatial, check_states, compiled, Grasp, Leaves, State
 from .._motion import evaluate, Index1, touches
 from .._printing import listed
 from .._types import Scalar, Scalars, Times
-from .._xla import once, one_kernel, sharing
+from .._xla import in_turn, once, sharing
 from ..contact import Motion
 
 # Distance in time of the accelerations whose difference is the jerk [s]. The difference is of fourth order,
@@ -137,13 +137,9 @@ def check_run(grasp: Grasp, trajectory: Trajectory) -> None:
 def _loci(grasp: Grasp, ts: Array, states: State) -> Loci:
     """Loci from saved times and states: derivatives state by state, then curvatures of all at once."""
     ready = grasp.prepared()
-    tip, face = one_kernel(_history, ready, ts, states)
+    # State by state: by `vmap` they would take ten times as long to compile.
+    tip, face = in_turn(_jets, ready, ts, states)
     return Loci(ts, _locus(ts, tip), _locus(ts, face))
-
-
-def _history(grasp: Grasp, ts: Array, states: State) -> tuple[_Jet, _Jet]:
-    """Derivatives of the loci, state by state: by `vmap` they would take ten times as long to compile."""
-    return jax.lax.map(lambda at: _jets(grasp, *at), (ts, states))
 
 
 def _jets(grasp: Grasp, t: Scalar, state: State) -> tuple[_Jet, _Jet]:
@@ -231,26 +227,31 @@ def _frames(grasp: Grasp, leaves: Leaves, velocity: Array) -> tuple[Array, Array
 def _locus(ts: Array, jet: _Jet) -> Locus:
     """One surface's loci from their derivatives, whose axes are time, contact, vector.
 
-    The formulas are those at the top of the file. Where the contact rests they are 0/0.
+    The formulas are those at the top of the file. Where the contact rests they are 0/0, and so NaN; these
+    stand behind a `where` within another, so that no derivative of anything else becomes NaN by them.
     """
     jet = jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), jet)
     dot = lambda a, b: jnp.sum(a * b, axis=-1)  # noqa: E731
     v, a = jet.velocity, jet.acceleration
-    speed = jnp.sqrt(dot(v, v))
+    across = jnp.cross(v, a)
+    binormal = dot(across, across)
+    speed = root(dot(v, v))
+    moves, turns = speed > 0.0, binormal > 0.0
+    some, turning = jnp.where(moves, speed, 1.0), jnp.where(turns, binormal, 1.0)
+    of_moving = lambda value: jnp.where(moves, value, jnp.nan)  # noqa: E731
     side = jnp.cross(jet.normal, v)
-    normal, geodesic = dot(v, jet.bend) / speed**2, dot(a, side) / speed**3
-    binormal = jnp.cross(v, a)
+    normal, geodesic = dot(v, jet.bend) / some**2, dot(a, side) / some**3
     # The rate of the speed is v . a / |v|; where the contact is at rest it sets off with |a|.
-    hastening = jnp.where(speed > 0, dot(v, a) / speed, jnp.sqrt(dot(a, a)))
+    hastening = jnp.where(moves, dot(v, a) / some, root(dot(a, a)))
     return Locus(
         jet.point,
         _integrated(ts, speed, hastening),
         speed,
-        normal,
-        geodesic,
-        -dot(side, jet.bend) / speed**2,
-        jnp.hypot(normal, geodesic),
-        dot(binormal, jet.jerk) / dot(binormal, binormal),
+        of_moving(normal),
+        of_moving(geodesic),
+        of_moving(-dot(side, jet.bend) / some**2),
+        of_moving(root(normal**2 + geodesic**2)),
+        jnp.where(turns, dot(across, jet.jerk) / turning, jnp.nan),
     )
 
 

@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 import equinox as eqx
 from jaxtyping import Array, Float
 
+from .._closures import opened
 from .._printing import listed
 from .._results import as_array, check_callable, check_finite, shown
 from .._types import Scalar, Scalars
@@ -74,7 +75,7 @@ def as_drive(name: str, controller: Any) -> Any:
         )
     if own_memory(name, controller) is None:
         what = "a controller, or callable as f(t, angles, rates, tips)"
-        return check_callable(name, controller, what, takes=4)
+        return opened(check_callable(name, controller, what, takes=4))
     what = "a controller, or with a memory callable as f(t, angles, rates, tips, memory)"
     return check_callable(name, controller, what, takes=5)
 

@@ -11,8 +11,9 @@ from typing import Any
 import equinox as eqx
 import jax
 
+from .._closures import as_tree
 from .._printing import listed
-from .._results import as_tree, check_callable
+from .._results import check_callable
 from .._types import Scalar, Scalars
 
 

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._closures import as_tree
 from .._fields import real, taken, through
 from .._linalg import (
     conjugate,
@@ -74,8 +75,7 @@ def _as_motion(name: str, motion: Any) -> Any:
     """A function of time as a pytree, or None; a plain function, which would be a leaf, is wrapped."""
     if motion is None:
         return None
-    check_callable(name, motion, "a function of time", takes=1)
-    return jax.tree_util.Partial(motion) if jax.tree_util.all_leaves([motion]) else motion
+    return as_tree(name, check_callable(name, motion, "a function of time", takes=1))
 
 
 class Stage(AbstractFinger):

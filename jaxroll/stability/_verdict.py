@@ -59,6 +59,9 @@ class Stability(eqx.Module):
             directions of `tangent`; not symmetric for a user's controller or load without potential. The
             memory of a controller is held: of a sampled one it is that of all but the controller.
         tangent: Shape (n, m), directions that keep every contact rolling, orthonormal in the mass metric.
+            Which ones is arbitrary, and may change from call to call: derivatives are those in directions
+            that turn as little as they can. What does not depend on the choice, as all below but signs of
+            `modes`, has its own.
         curvatures: Shape (m,), eigenvalues of the (symmetric part of the) Hessian, rising.
         modes: Shape (n, m), the coordinates' part in each of them.
         rates: Shape (2m,), eigenvalues of the linearised closed loop [1/s], by rising real part; shape

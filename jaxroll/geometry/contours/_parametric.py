@@ -17,8 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._closures import as_tree
 from ..._linalg import Vec2
-from ..._results import as_count, as_floats, as_order, as_tree, check_callable, check_flag, concrete, shown
+from ..._results import as_count, as_floats, as_order, check_callable, check_flag, concrete, shown
 from ..._types import Given
 from ._arclength import arclength_at
 from ._given_points import polygon_area

@@ -258,8 +258,9 @@ def _closest_jvp(primals: Any, tangents: Any) -> tuple[Scalars, Scalars]:
     moving, still, dots = perturbed((surface, point), tuple(tangents[:2]))
 
     def further(moving: Any) -> Scalars:
+        # First onto the surface that has changed: Newton's step is that of the level set on which it begins.
         surface, point = eqx.combine(moving, still)
-        return _stepped(surface, point, at, careful=False)
+        return _stepped(surface, point, surface.settled(at), careful=False)
 
     return at, jax.jvp(further, (moving,), (dots,))[1]
 

@@ -16,8 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._closures import as_tree
 from ..._linalg import outer, square, Vec3
-from ..._results import as_floats, as_order, as_tree, check_callable, concrete, shown
+from ..._results import as_floats, as_order, check_callable, concrete, shown
 from ..._types import Given, Scalar, Scalars
 from ..._xla import once
 from ._gauss import Gauss3

@@ -15,8 +15,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..._closures import as_tree
 from ..._linalg import outer, square, Sym3, tangents, Vec3
-from ..._results import as_length, as_order, as_tree
+from ..._results import as_length, as_order
 from ..._types import Given, Scalar, Scalars
 from ..._xla import briskly, once
 from ._spread import lattice, SEEDS, thinned

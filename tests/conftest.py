@@ -17,7 +17,8 @@ CACHE = os.environ.get("JAXROLL_TEST_CACHE", os.path.join(tempfile.gettempdir(),
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_compilation_cache_dir", str(pathlib.Path(CACHE)))
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+# To write a program down takes a tenth of a second: those that take less than some to compile are not kept.
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 1.0)
 
 
 _raises = pytest.raises

@@ -514,7 +514,9 @@ def test_derivatives_of_near_where_the_surface_is_flat(exponent, height):
         np.testing.assert_allclose(found, np.diag([1.0, 1.0, 0.0]), atol=1e-9)
 
 
-@pytest.mark.parametrize("kind", [jxr.Ellipsoid, jxr.geometry.Superellipsoid])
+@pytest.mark.parametrize(
+    "kind", [jxr.Ellipsoid, pytest.param(jxr.geometry.Superellipsoid, marks=pytest.mark.slow)]
+)
 def test_derivatives_of_near_in_the_shape_of_the_surface(kind):
     """The foot of a fixed point moves with the half axes: by differences, both modes, once and twice."""
     point, axes, way = (

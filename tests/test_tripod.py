@@ -147,7 +147,7 @@ def test_it_lifts_and_turns_the_object(tripod, command):
 @pytest.mark.slow
 def test_the_scene_has_a_derivative_in_the_radius_of_its_tips():
     def made(radius):
-        grasp, state = jxr.scenes.tripod(tips=jxr.Sphere(radius))
+        grasp, state = jxr.scenes.tripod(fingers=2, tips=jxr.Sphere(radius))
         held = grasp.controller
         return jnp.concatenate([state.q, state.s, held.home.ravel(), held.position])
 

@@ -20,7 +20,8 @@ from jax.interpreters.partial_eval import dce_jaxpr
 
 import jaxroll as jxr
 from benchmarks._common import command, device, interleaved, table, versions
-from jaxroll._integration._state_vector import bundle, layout, vector_of
+from jaxroll._integration._bundle import bundle
+from jaxroll._integration._state_vector import layout, vector_of
 from jaxroll._integration._step import RollingStep
 from jaxroll._xla._one_kernel import WIDE
 

@@ -17,7 +17,8 @@ import jax.numpy as jnp
 from .._linalg import row, scalars, weighted_sum, with_row_selected
 from .._types import Scalar
 from .._xla import counted, shared
-from ._state_vector import Bundle, Flow
+from ._bundle import Bundle
+from ._state_vector import Flow
 from ._step import ending_size, RollingStep, sample_times, tableau_of
 
 

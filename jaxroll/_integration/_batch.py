@@ -16,8 +16,8 @@ from jaxtyping import Array
 
 from .._types import Scalar
 from .._xla import VECTOR
+from ._bundle import Bundle
 from ._run import aim, Course, embark, judge, Path, path_of, Plan
-from ._state_vector import Bundle
 
 # On a processor the data of all slots, about 2-6 kB each, should fit the second-level cache many times over,
 # and there should be enough of them to fill its vector unit: measured flat from 64 to 256 slots. An

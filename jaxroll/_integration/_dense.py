@@ -15,8 +15,9 @@ from .._linalg import row
 from .._mechanics import State
 from .._types import Scalar
 from .._xla import in_turn
+from ._bundle import Bundle
 from ._derivative import moving_in_time
-from ._state_vector import Bundle, states_of
+from ._state_vector import states_of
 from ._step import RollingStep
 
 

@@ -38,10 +38,11 @@ from .._types import Scalar
 from .._xla import as_it_is, linear_map, one_kernel, perturbed, pulled, repeated
 from ._backward_step import pulled_back
 from ._batch import Ensemble
+from ._bundle import Bundle, bundle, bundled_apart
 from ._jumps import is_short
 from ._methods import is_rosenbrock, on_tableau, without_checkpoints
 from ._run import Path, Plan, recorded, solo
-from ._state_vector import Bundle, bundle, bundled_apart, Flow
+from ._state_vector import Flow
 
 
 @eqx.filter_custom_jvp

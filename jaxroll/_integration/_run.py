@@ -20,8 +20,9 @@ from .._results import RESULTS
 from .._types import resolution, Scalar, Times
 from .._xla import repeated
 from . import _jumps
+from ._bundle import Bundle
 from ._events import decode
-from ._state_vector import Bundle, Flow
+from ._state_vector import Flow
 from ._step import RollingStep
 from ._step_size import at_rest, Pace, StopAt
 

@@ -55,6 +55,7 @@ from ._arguments import (
     step_limit,
     sweeps,
 )
+from ._bundle import bundle
 from ._contact_impulses import blow_times, contact_impulses, merged, times_before
 from ._dense import Dense
 from ._derivative import march, moving_as, moving_if_successful, moving_in_time
@@ -63,7 +64,7 @@ from ._jumps import beside, lateness, ordered
 from ._methods import check_method, Seeing, Steady, with_tolerances
 from ._report import complaint
 from ._run import Path, Plan
-from ._state_vector import bundle, Layout, layout, states_of, vector_of
+from ._state_vector import Layout, layout, states_of, vector_of
 from ._step import RollingStep
 from ._trajectory import Stats, Trajectory
 

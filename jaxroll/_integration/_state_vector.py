@@ -1,19 +1,16 @@
 """What a run integrates: one vector that holds the state and its own derivative.
 
 `y = [x, x', margin, code]`, with `x = [q, v, s]`, then a controller's memory, if it has one, and where energy
-is recorded the work done; `margin` says
-how far the model still holds and `code` is positive once it does not (`_events`). `slope` computes `x'` with
-`_motion`. Since the derivative is carried along, a step is a pure map from `y` to `y` even for methods whose
-first stage is the last one of the step before; `_derivative` needs that. One vector, not a tuple of scalars,
-because every leaf of a loop's state costs XLA a kernel per step (measured: 34 against 9 us a step); for the
-same reason the grasp's numbers travel as an array or two, a `Bundle`.
+is recorded the work done; `margin` says how far the model still holds and `code` is positive once it does not
+(`_events`). `slope` computes `x'` with `_motion`. Since the derivative is carried along, a step is a pure map
+from `y` to `y` even for methods whose first stage is the last one of the step before; `_derivative` needs
+that. One vector, not a tuple of scalars, because every leaf of a loop's state costs XLA a kernel per step
+(measured: 34 against 9 us a step); for the same reason the grasp's numbers are a `_bundle`.
 """
 
 import itertools
-from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -109,78 +106,3 @@ def vector_of(lay: Layout, state: State) -> Array:
     unknown = int(lay.audited) + lay.width + 2
     memory = [] if state.memory is None else [state.memory]
     return jnp.concatenate([state.q, state.v, state.s, *memory, jnp.zeros(unknown, state.q.dtype)])
-
-
-class Bundle(eqx.Module):
-    """A grasp whose scalars are two arrays, for loops; calling it gives the grasp, ready for evaluation.
-
-    Attributes:
-        numbers: The scalars that move where a run is differentiated, elsewhere all; None if there are none.
-        constants: The other scalars, likewise.
-        rest: The grasp without its scalars.
-        moves: Of each scalar, whether it is among `numbers`.
-        jumps: Whether the grasp declares jumps, which `rest` cannot tell.
-        sampled: Whether its controller is sampled.
-        audited: Whether its fingers have links with a radius.
-    """
-
-    numbers: Float[Array, " numbers"] | None
-    constants: Float[Array, " constants"] | None
-    rest: Grasp
-    tree: Any = eqx.field(static=True)
-    moves: tuple[bool, ...] = eqx.field(static=True)
-    jumps: bool = eqx.field(static=True)
-    sampled: bool = eqx.field(static=True)
-    audited: bool = eqx.field(static=True)
-
-    def __call__(self) -> Grasp:
-        numbers, constants = (
-            iter(()) if part is None else iter(scalars(part)) for part in (self.numbers, self.constants)
-        )
-        leaves = [next(numbers if moves else constants) for moves in self.moves]
-        return eqx.combine(jax.tree.unflatten(self.tree, leaves), self.rest)
-
-
-def bundle(grasp: Grasp, moving: Grasp | None = None) -> Bundle:
-    """Gather the scalar leaves of a prepared grasp in arrays; other arrays, such as tables, stay.
-
-    Args:
-        grasp: The grasp.
-        moving: The same grasp, with None in the places of all that does not move; without it all does.
-    """
-    own, rest = eqx.partition(grasp, _is_scalar)
-    leaves, tree = jax.tree.flatten(own)
-    which = tree.flatten_up_to(own if moving is None else eqx.filter(moving, _is_scalar))
-    moves = tuple(leaf is not None for leaf in which)
-    numbers, constants = (
-        _in_one([leaf for leaf, m in zip(leaves, moves, strict=True) if m is kind]) for kind in (True, False)
-    )
-    thick = any(getattr(finger, "link_radius", None) is not None for finger in grasp.fingers)
-    return Bundle(numbers, constants, rest, tree, moves, bool(grasp.jumps), grasp.form.sampled, thick)
-
-
-def bundled_apart(grasp: Grasp, moving: Grasp, dots: Grasp) -> tuple[Bundle, Bundle, Bundle]:
-    """A bundle as what moves and what does not, each with None for the other, and the tangents of the first.
-
-    Args:
-        grasp: The grasp.
-        moving: The same grasp, with None in the places of all that does not move.
-        dots: The tangents of what does.
-    """
-    whole = bundle(grasp, moving)
-    tables = eqx.filter(moving, _is_scalar, inverse=True)
-    others = jax.tree.map(lambda x, moves: x if moves is None else None, whole.rest, tables)
-    slopes = _in_one(jax.tree.leaves(eqx.filter(dots, _is_scalar)))
-    return (
-        replace(whole, constants=None, rest=tables),
-        replace(whole, numbers=None, rest=others),
-        replace(whole, numbers=slopes, constants=None, rest=eqx.filter(dots, _is_scalar, inverse=True)),
-    )
-
-
-def _is_scalar(leaf: Any) -> bool:
-    return eqx.is_inexact_array(leaf) and jnp.ndim(leaf) == 0
-
-
-def _in_one(numbers: list[Array]) -> Array | None:
-    return jnp.stack(numbers) if numbers else None

@@ -40,10 +40,11 @@ from .._types import Scalar
 from .._xla import as_it_is, counted, once, sharing
 from ..loads import impulses
 from . import _jumps
+from ._bundle import Bundle
 from ._events import coded, first_dip, refused_blow, regime, smallest_clearance, watched, with_clearance
 from ._methods import is_rosenbrock, on_tableau
 from ._rosenbrock import advance, STAGE_TIMES
-from ._state_vector import Bundle, Flow, Layout, pack, slope, unpack
+from ._state_vector import Flow, Layout, pack, slope, unpack
 
 
 class RollingStep(eqx.Module):

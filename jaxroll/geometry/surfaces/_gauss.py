@@ -68,16 +68,16 @@ def approach(frame: Gauss3, point: Vec3, *, careful: bool = True) -> Vec3:
     a, b, c = form(first, first), form(first, second), form(second, second)
     size = root(a * a + 2.0 * b * b + c * c)
     a, b, c = 1.0 + height * a, height * b, 1.0 + height * c
-    if not careful:
-        det = a * c - b * b
-        return first * ((c * x - b * y) / det) + second * ((a * y - b * x) / det)
-    convex = (a + c > 0.2) & (a * c - b * b > 0.01)
-    # 1 + h L is half the second derivative of the squared distance. Beyond a centre of curvature it is not
-    # positive, and Newton's step may increase the distance; there the step is a shortened gradient.
-    damped = 1.0 + jnp.abs(height) * size
-    a, b, c = jnp.where(convex, a, damped), jnp.where(convex, b, 0.0), jnp.where(convex, c, damped)
+    if careful:
+        # 1 + h L is half the second derivative of the squared distance. Beyond a centre of curvature it is
+        # not positive, and Newton's step may increase the distance; there the step is a shortened gradient.
+        convex = (a + c > 0.2) & (a * c - b * b > 0.01)
+        damped = 1.0 + jnp.abs(height) * size
+        a, b, c = jnp.where(convex, a, damped), jnp.where(convex, b, 0.0), jnp.where(convex, c, damped)
     det = a * c - b * b
     x, y = (c * x - b * y) / det, (a * y - b * x) / det
-    # `size` is at least the largest curvature.
-    shorter = 0.5 / jnp.maximum(0.5, size * jnp.sqrt(x * x + y * y))
-    return first * (x * shorter) + second * (y * shorter)
+    if careful:
+        # `size` is at least the largest curvature.
+        shorter = 0.5 / jnp.maximum(0.5, size * root(x * x + y * y))
+        x, y = x * shorter, y * shorter
+    return first * x + second * y

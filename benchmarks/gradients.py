@@ -74,6 +74,30 @@ def cases(quick: bool) -> Iterator[Case]:
             yield Case(scene, "half axes of the tips", tipped(scene, _shaped.ellipse), jnp.ones(2), both)
 
 
+class Many(NamedTuple):
+    """Gradients of many runs in one call: seconds of one alone, of a run in a batch, of a gradient in one."""
+
+    case: Case
+    lanes: int
+    alone: float
+    run: float
+    lane: float
+
+
+def batches(quick: bool) -> Iterator[Many]:
+    """Gradients in the damping, and in all seven numbers, of runs whose numbers differ by a tenth."""
+    asked = ("pivoted", "damping", 1, 64 if quick else 512), ("pinch", "gains and masses", 7, 128)
+    for scene, name, count, lanes in asked[: 1 if quick else 2]:
+        make = functools.partial(_shaped.with_factors, scene)
+        case = Case(scene, name, make, jnp.ones(count), ("reverse",))
+        value = lambda x, make=make, scene=scene: _shaped.end(scene, *make(x), 1e-8)[0]  # noqa: E731
+        draws = jnp.asarray(np.random.default_rng(0).uniform(0.9, 1.1, (lanes, count)))
+        one, runs = ready(jax.value_and_grad(value), draws[0]), ready(jax.vmap(value), draws)
+        slopes = ready(jax.vmap(jax.value_and_grad(value)), draws)
+        times = interleaved([one, runs, slopes], rounds=5, clock=time.process_time)
+        yield Many(case, lanes, times[0], times[1] / lanes, times[2] / lanes)
+
+
 def ready(function: Callable, *args: Any) -> Callable[[], Any]:
     """The compiled function as a call that waits for its result."""
     program = jax.jit(function).lower(*args).compile()
@@ -177,6 +201,12 @@ def report(quick: bool = False) -> str:
     sections = [table(header, lines)]
     if pieces:
         sections.append(table(["part", "alone [ms]", "with its derivative [ms]", "ratio"], split))
+    many = [
+        [m.case.scene, m.case.name, str(m.case.x.size), str(m.lanes), ms(m.alone), ms(m.run), ms(m.lane)]
+        for m in batches(quick)
+    ]
+    what = ["scene", "parameters", "how many", "lanes", "gradient alone [ms]", "run in a batch [ms]"]
+    sections.append(table([*what, "gradient in a batch [ms]"], many))
     footer = f"{device()}  \n{versions('jax', 'jaxlib', 'diffrax')}"
     return "\n\n".join([f"**Conclusion.** {conclusion(found, pieces)}", *sections, footer])
 

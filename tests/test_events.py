@@ -214,6 +214,33 @@ def test_lanes_end_each_on_its_own(scene):
     np.testing.assert_array_equal(runs.last.q[1:], alone.last.q[1:])
 
 
+def test_gradients_of_lanes_are_those_of_single_runs(scene):
+    """Lanes of lanes, some of which end on a contour's end: in both modes, with one record at a time."""
+    grasp, state = scene
+    dampings, lows = jnp.array([0.005, 0.006]), jnp.array([-0.003, -0.02, -0.004])
+
+    def found(damping, low):
+        run = ends(shortened(grasp.with_(damping=damping), low), state)
+        return jnp.sum(run.last.q) + run.stats.t_end, run.result._value
+
+    alone = jax.jit(jax.value_and_grad(found, argnums=(0, 1), has_aux=True))
+    each = [[alone(damping, low) for low in lows] for damping in dampings]
+    expected = np.array([[row[1] for row in rows] for rows in each])
+    codes = np.array([[row[0][1] for row in rows] for rows in each])
+    assert len(np.unique(codes)) == 2 and (expected[codes > 0][:, 1] != 0).all()
+    over_both = lambda f: jax.vmap(jax.vmap(f, (None, 0)), (0, None))  # noqa: E731
+    reverse = jax.jit(over_both(jax.grad(found, argnums=(0, 1), has_aux=True)))
+    program = reverse.lower(dampings, lows).compile()
+    slopes, ended = program(dampings, lows)
+    np.testing.assert_array_equal(ended, codes)
+    np.testing.assert_allclose(np.stack(slopes, axis=-1), expected, rtol=1e-6, atol=1e-12)
+    forward, _ = jax.jit(over_both(jax.jacfwd(found, argnums=(0, 1), has_aux=True)))(dampings, lows)
+    np.testing.assert_allclose(np.stack(forward, axis=-1), expected, rtol=1e-6, atol=1e-12)
+    # Records of all six runs, of x and its slope alone, would be larger than all that the program works with.
+    records = dampings.size * lows.size * 4096 * 2 * 7 * dampings.itemsize
+    assert program.memory_analysis().temp_size_in_bytes < 0.75 * records
+
+
 def test_every_lane_finds_its_event_in_few_steps(scene):
     """100 ends of the contour, down to where the contact hardly moves: no lane crawls, none misses."""
     grasp, state = scene

@@ -12,6 +12,8 @@ Both modes work from the same public call, since the map from one end to the oth
 transpose is given (`_xla.linear_map`). No step-size control is differentiated: the derivative is that of the
 discrete solution at frozen step sizes. What is compiled holds one step and its derivative, not a loop with
 checkpoints. `_backward_step` has the cotangents of a step of the usual methods; `simulate` calls `march`.
+Of many runs the ends come from `_batch`, without records; for the derivative each is then run once more,
+recording, and followed, one after the other (`_along_runs`).
 
 With respect to times: which steps a run takes is decided with times frozen, but what is saved at $t_i$ is
 $x(t_i)$, whose derivative in $t_i$ is the slope that the flow vector carries, $x'$. The functions at the end
@@ -35,13 +37,13 @@ from .._linalg import row, with_row
 from .._mechanics import Grasp
 from .._results import RESULTS
 from .._types import Scalar
-from .._xla import as_it_is, linear_map, one_kernel, perturbed, pulled, repeated
+from .._xla import as_it_is, in_turn, linear_map, one_kernel, perturbed, pulled, repeated
 from ._backward_step import pulled_back
 from ._batch import Ensemble
 from ._bundle import Bundle, bundle, bundled_apart
 from ._jumps import is_short
 from ._methods import is_rosenbrock, on_tableau, without_checkpoints
-from ._run import Path, Plan, recorded, solo
+from ._run import empty_record, Path, Plan, Record, recorded, solo
 from ._state_vector import Flow
 
 
@@ -64,13 +66,42 @@ def march(grasp: Grasp, y0: Flow, plan: Plan) -> Path:
 
 
 def _together(size: int, batched: Any, arrays: Any, still: Any) -> Path:
-    """Many runs: as an ensemble, or one beside the other where the method does not allow it."""
-    plan = eqx.combine(arrays, still)[2]
-    takes_lanes = on_tableau(plan.stepper.method) or is_rosenbrock(plan.stepper.method)
-    if takes_lanes and not plan.dense and isinstance(plan.progress, diffrax.NoProgressMeter):
-        return one_kernel(lambda found: Ensemble(size, batched, found, still).run(), arrays)
-    axes = jax.tree.map(lambda b: 0 if b else None, batched)
-    return jax.vmap(lambda found: solo(*eqx.combine(found, still)), in_axes=(axes,))(arrays)
+    """Many runs: as an ensemble, or one beside the other where the method does not allow it.
+
+    Args:
+        size: How many.
+        batched: Of every array of (grasp, start, plan), whether each run has its own.
+        arrays: These arrays.
+        still: All else of (grasp, start, plan).
+    """
+
+    @jax.custom_batching.custom_vmap
+    def found(arrays: Any) -> Path:
+        plan = eqx.combine(arrays, still)[2]
+        takes_lanes = on_tableau(plan.stepper.method) or is_rosenbrock(plan.stepper.method)
+        if takes_lanes and not plan.dense and isinstance(plan.progress, diffrax.NoProgressMeter):
+            return one_kernel(lambda found: Ensemble(size, batched, found, still).run(), arrays)
+        one = lambda arrays: solo(*eqx.combine(arrays, still))  # noqa: E731
+        return jax.vmap(one, in_axes=(_axes(batched),))(arrays)
+
+    @found.def_vmap
+    def _(more: int, apart: list[Any], arrays: Any) -> tuple[Path, Any]:
+        # Under `vmap` once more they are so many times as many runs. Side by side the loops of two ensembles
+        # would wait for each other in every turn: 36 ms a run of 16 times 32, where 512 take 0.3 each.
+        def laid_out(x: Array, inner: bool, outer: bool) -> Array:
+            if not (inner or outer):
+                return x
+            x = x if outer else x[None]
+            x = x if inner else x[:, None]
+            return jnp.broadcast_to(x, (more, size, *x.shape[2:])).reshape(more * size, *x.shape[2:])
+
+        either = jax.tree.map(lambda inner, outer: inner or outer, batched, apart[0])
+        flat = jax.tree.map(laid_out, arrays, batched, apart[0])
+        paths = _together(more * size, either, flat, still)
+        paths = jax.tree.map(lambda x: x.reshape(more, size, *x.shape[1:]), paths)
+        return paths, jax.tree.map(lambda _: True, paths)
+
+    return found(arrays)
 
 
 @march.def_jvp
@@ -81,11 +112,9 @@ def _march_jvp(primals: Any, tangents: Any) -> tuple[Path, Path]:
     # of them the program of the pinch's gradient in one gain had 12 762 lines instead of 11 779.
     moving, still, moving_dot = bundled_apart(grasp, *perturbed(grasp, grasp_dot)[::2])
     # With tangents asked for, the run is made once, recording; without, `march` itself runs.
-    path, record = one_kernel(recorded, eqx.combine(moving, still), y0, plan)
-    moving, still, plan, step_ts, step_ys = eqxi.nondifferentiable(
-        (moving, still, plan, *record), name="the state of a run (second derivatives)"
-    )
-    steps = _Steps(moving, plan, step_ts, step_ys, path.steps[1], still)
+    path, record = _recorded(eqx.combine(moving, still), y0, plan)
+    steps = _Steps(moving, still, plan, y0, record, path.steps[1])
+    steps = eqxi.nondifferentiable(steps, name="the state of a run (second derivatives)")
     start_dot = moving_dot, jnp.zeros_like(y0) if y0_dot is None else y0_dot
     ends: tuple[Array, ...] = (path.saved, path.last, path.t_last)
     where = lambda p: (p.saved, p.last, p.t_last)  # noqa: E731
@@ -98,6 +127,94 @@ def _march_jvp(primals: Any, tangents: Any) -> tuple[Path, Path]:
     return path, eqx.tree_at(where, no_tangents, dots, is_leaf=lambda x: x is None)
 
 
+def _recorded(grasp: Bundle, y0: Flow, plan: Plan) -> tuple[Path, Record]:
+    """A run and its record; of many runs on a processor the paths alone, with records of zeros.
+
+    Records of all would not fit into memory: that of one pinch takes 2 MB. `_along_runs` makes each anew.
+    """
+    arrays, still = eqx.partition((grasp, y0, plan), eqx.is_array)
+    one = lambda arrays: recorded(*eqx.combine(arrays, still))  # noqa: E731
+
+    @jax.custom_batching.custom_vmap
+    def alone(arrays: Any) -> tuple[Path, Record]:
+        return one_kernel(one, arrays)
+
+    @alone.def_vmap
+    def _(size: int, batched: list[Any], arrays: Any) -> tuple[Any, Any]:
+        if not _on_processor():
+            found = jax.vmap(alone, in_axes=(_axes(batched[0]),))(arrays)
+        elif plan.dense:
+            found = _one_by_one(one, batched[0], arrays)
+        else:
+            none = jax.tree.map(lambda x: jnp.zeros((size, *x.shape), x.dtype), empty_record(plan, y0))
+            found = _together(size, batched[0], arrays, still), none
+        return found, jax.tree.map(lambda _: True, found)
+
+    return alone(arrays)
+
+
+def _along_runs(function: Callable[["_Steps", Any], Any], steps: "_Steps", x: Any) -> Any:
+    """`function(steps, x)` in one kernel; of many runs on a processor one after the other, recorded anew.
+
+    Side by side all lanes would select between whole records in every turn: 109 ms a lane of 512 pinches,
+    where this takes 7 (`python -m benchmarks.gradients`). Many derivatives of one run go side by side.
+    """
+    arrays, still = eqx.partition((steps, x), eqx.is_array)
+
+    def anew(arrays: Any) -> Any:
+        steps, x = eqx.combine(arrays, still)
+        return function(steps if steps.plan.dense else steps.recorded_anew(), x)
+
+    @jax.custom_batching.custom_vmap
+    def alone(arrays: Any) -> Any:
+        return one_kernel(lambda arrays: function(*eqx.combine(arrays, still)), arrays)
+
+    @alone.def_vmap
+    def _(size: int, batched: list[Any], arrays: Any) -> tuple[Any, Any]:
+        del size
+        of_steps, of_x = (_axes(part) for part in batched[0])
+        if not _on_processor():
+            found = jax.vmap(alone, in_axes=((of_steps, of_x),))(arrays)
+        elif any(jax.tree.leaves(batched[0][0])):
+            # What a kernel is handed it holds, read or not: the records of zeros stay behind.
+            less = (lambda x: x) if steps.plan.dense else lambda x: eqx.tree_at(_record_of, x, (None, None))
+            found = _one_by_one(anew, less(batched[0]), less(arrays))
+        else:
+            many = lambda steps, x: jax.vmap(lambda x: function(steps, x), in_axes=(of_x,))(x)  # noqa: E731
+            found = _along_runs(many, *eqx.combine(arrays, still))
+        return found, jax.tree.map(lambda _: True, found)
+
+    return alone(arrays)
+
+
+def _record_of(arrays: tuple["_Steps", Any]) -> tuple[Array, Array]:
+    return arrays[0].record.ts, arrays[0].record.ys
+
+
+def _one_by_one(function: Callable[[Any], Any], batched: Any, arrays: Any) -> Any:
+    """`function(arrays)` for all lanes, in turn and in one kernel; lanes of lanes likewise."""
+
+    @jax.custom_batching.custom_vmap
+    def turns(own: Any, shared: Any) -> Any:
+        return in_turn(lambda shared, own: function(eqx.combine(own, shared)), shared, own)
+
+    @turns.def_vmap
+    def _(size: int, batched: list[Any], *arrays: Any) -> tuple[Any, Any]:
+        del size
+        found = _one_by_one(lambda pair: turns(*pair), tuple(batched), arrays)
+        return found, jax.tree.map(lambda _: True, found)
+
+    return turns(*eqx.partition(arrays, batched))
+
+
+def _axes(batched: Any) -> Any:
+    return jax.tree.map(lambda b: 0 if b else None, batched)
+
+
+def _on_processor() -> bool:
+    return jax.default_backend() == "cpu"
+
+
 class _Steps(eqx.Module):
     """The recorded steps of a run, as a linear map between perturbations of its ends.
 
@@ -107,11 +224,26 @@ class _Steps(eqx.Module):
     """
 
     moving: Bundle
-    plan: Plan
-    ts: Float[Array, " steps"]
-    ys: Float[Array, "steps flow"]
-    count: Int[Array, ""]
     still: Bundle
+    plan: Plan
+    start: Flow
+    record: Record
+    count: Int[Array, ""]
+
+    def recorded_anew(self) -> "_Steps":
+        """The same, from a run made once more: of many, none has kept its record."""
+        path, record = recorded(eqx.combine(self.moving, self.still), self.start, self.plan)
+        return replace(self, record=record, count=path.steps[1])
+
+    @property
+    def ts(self) -> Float[Array, " steps"]:
+        """When every step begins."""
+        return self.record.ts
+
+    @property
+    def ys(self) -> Float[Array, "steps flow"]:
+        """The flow vector where every step begins."""
+        return self.record.ys
 
     def span(self, k: Scalar) -> tuple[Scalar, Scalar]:
         """Start and end of step k; the one after the last has no length."""
@@ -160,7 +292,7 @@ class _Steps(eqx.Module):
         """Where the margin is in the flow vector."""
         return self.plan.stepper.lay.margin
 
-    def _saved_at(self) -> tuple[Array, Array]:
+    def saved_at(self) -> tuple[Array, Array]:
         """Which step each save time ends, and whether it was reached."""
         index = jnp.searchsorted(self.ts, self.plan.ts)
         return jnp.minimum(index, self.count), index <= self.count
@@ -170,33 +302,17 @@ class _Steps(eqx.Module):
 
         With dense output those of all steps come last.
         """
-        index, reached = self._saved_at()
-        rows, last, drift = one_kernel(_pushed, self, None if self.plan.dense else index, start)
-        saved = rows[index] if self.plan.dense else rows
-        later = self.postponed(drift[self.margin], last[self.margin])
-        moved = self.postponed(drift[self.margin], last[self.margin] * drift)
-        ends = jnp.where(reached[:, None], saved, 0.0), last + moved, later
-        return (*ends, rows) if self.plan.dense else ends
+        return _along_runs(_pushed, self, start)
 
     def cotangents(self, ends: tuple[Array, ...]) -> tuple[Bundle, Flow]:
         """Cotangents of the grasp's numbers and of the start, from those that `tangents` gives."""
-        # Each recorded vector gets the cotangents of all save times that it serves. The scatter stands
-        # outside the kernel, which could not hold it.
-        saved_bar, last_bar, later_bar, *rows_bar = ends
-        index, reached = self._saved_at()
-        track = jnp.zeros_like(self.ys)
-        track = track.at[index].add(jnp.where(reached[:, None], saved_bar, 0.0))
-        for rows in rows_bar:
-            track = track + rows
-        return one_kernel(_pulled, self, track, last_bar, later_bar)
+        return _along_runs(_pulled, self, ends)
 
 
-def _pushed(steps: _Steps, index: Array | None, start: tuple[Bundle, Flow]) -> tuple[Array, Array, Array]:
-    """Tangents of the recorded states at some steps and at the last one, and the drift of that one.
-
-    Without an index of all steps.
-    """
-    moving_dot, y_dot = start
+def _pushed(steps: _Steps, start: tuple[Bundle, Flow]) -> tuple[Array, ...]:
+    """Tangents of the ends of a run, as `_Steps.tangents` has them."""
+    (moving_dot, y_dot), dense = start, steps.plan.dense
+    index, reached = steps.saved_at()
 
     def step(k: Scalar, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         saved, here, drift = carry
@@ -210,25 +326,38 @@ def _pushed(steps: _Steps, index: Array | None, start: tuple[Bundle, Flow]) -> t
         _, ahead = jax.jvp(steps.step(k, as_it_is, forwards=True), here_now, along)
         drift = jnp.where(k == steps.count, ahead, drift)
         ahead = jnp.where(within, ahead, here)
-        if index is None:
+        if dense:
             return with_row(saved, ahead, k + 1), ahead, drift
         return jnp.where((index == k + 1)[:, None], ahead, saved), ahead, drift
 
-    if index is None:
+    # With dense output the tangents of all recorded states, else of those at the save times.
+    if dense:
         first = with_row(jnp.zeros_like(steps.ys), y_dot, 0)
     else:
         first = jnp.where((index == 0)[:, None], y_dot, jnp.zeros((index.shape[0], y_dot.shape[0])))
     longest = eqxi.unvmap_max(steps.count)
-    return jax.lax.fori_loop(0, longest + 1, step, (first, y_dot, jnp.zeros_like(y_dot)))
+    start_at = first, y_dot, jnp.zeros_like(y_dot)
+    rows, last, drift = jax.lax.fori_loop(0, longest + 1, step, start_at)
+    saved = rows[index] if dense else rows
+    later = steps.postponed(drift[steps.margin], last[steps.margin])
+    moved = steps.postponed(drift[steps.margin], last[steps.margin] * drift)
+    ends = jnp.where(reached[:, None], saved, 0.0), last + moved, later
+    return (*ends, rows) if dense else ends
 
 
-def _pulled(steps: _Steps, track: Array, last_bar: Flow, later_bar: Scalar) -> tuple[Bundle, Flow]:
-    """Cotangents of grasp and start, backwards from those of the recorded states and of the end.
+def _pulled(steps: _Steps, ends: tuple[Array, ...]) -> tuple[Bundle, Flow]:
+    """Cotangents of grasp and start, backwards from those of the ends of a run.
 
     Two steps of no length come first: for the drift of the margin, and for that of all that is looked at.
     """
+    saved_bar, last_bar, later_bar, *rows_bar = ends
     longest, end = eqxi.unvmap_max(steps.count), steps.count
     zero, unit = jnp.zeros((), last_bar.dtype), jnp.arange(last_bar.shape[0]) == steps.margin
+    # Each recorded vector gets the cotangents of all save times that it serves.
+    index, reached = steps.saved_at()
+    saved_bar = jnp.where(reached[:, None], saved_bar, 0.0)
+    add = lambda i, track: with_row(track, row(track, row(index, i)) + row(saved_bar, i), row(index, i))  # noqa: E731
+    track = jax.lax.fori_loop(0, index.shape[0], add, sum(rows_bar, jnp.zeros_like(steps.ys)))
 
     def step(carry: tuple, held: tuple[_Steps, Array]) -> tuple:
         (i, moving_bar, ahead, drift, late), (steps, track) = carry, held

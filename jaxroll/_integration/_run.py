@@ -183,9 +183,14 @@ def solo(grasp: Bundle, y0: Flow, plan: Plan) -> Path:
 
 def recorded(grasp: Bundle, y0: Flow, plan: Plan) -> tuple[Path, Record]:
     """The same run, with every accepted step recorded."""
-    rows = plan.max_steps + 2
-    record = Record(jnp.full(rows, jnp.inf, y0.dtype), jnp.zeros((rows, y0.shape[0]), y0.dtype))
+    record = empty_record(plan, y0)
     return _solo(grasp, y0, plan, Record(with_row(record.ts, plan.t0, 0), with_row(record.ys, y0, 0)))
+
+
+def empty_record(plan: Plan, y0: Flow) -> Record:
+    """A record with room for as many steps as a run may take; times that it does not reach are infinite."""
+    rows = plan.max_steps + 2
+    return Record(jnp.full(rows, jnp.inf, y0.dtype), jnp.zeros((rows, y0.shape[0]), y0.dtype))
 
 
 def _solo(grasp: Bundle, y0: Flow, plan: Plan, record: Record | None) -> tuple[Path, Any]:

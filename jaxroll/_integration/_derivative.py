@@ -37,7 +37,7 @@ from .._linalg import row, with_row
 from .._mechanics import Grasp
 from .._results import RESULTS
 from .._types import Scalar
-from .._xla import as_it_is, in_turn, linear_map, one_kernel, perturbed, pulled, repeated
+from .._xla import in_turn, linear_map, of_single, one_kernel, perturbed, pulled, pushed, repeated
 from ._backward_step import pulled_back
 from ._batch import Ensemble
 from ._bundle import Bundle, bundle, bundled_apart
@@ -59,6 +59,8 @@ def march(grasp: Grasp, y0: Flow, plan: Plan) -> Path:
 
     @alone.def_vmap
     def _(size: int, batched: list[Any], arrays: Any) -> tuple[Path, Any]:
+        if size == 1:
+            return of_single(alone, batched[0], arrays)
         paths = _together(size, batched[0], arrays, still)
         return paths, jax.tree.map(lambda _: True, paths)
 
@@ -171,7 +173,8 @@ def _along_runs(function: Callable[["_Steps", Any], Any], steps: "_Steps", x: An
 
     @alone.def_vmap
     def _(size: int, batched: list[Any], arrays: Any) -> tuple[Any, Any]:
-        del size
+        if size == 1:
+            return of_single(alone, batched[0], arrays)
         of_steps, of_x = (_axes(part) for part in batched[0])
         if not _on_processor():
             found = jax.vmap(alone, in_axes=((of_steps, of_x),))(arrays)
@@ -311,8 +314,7 @@ class _Steps(eqx.Module):
 
 def _pushed(steps: _Steps, start: tuple[Bundle, Flow]) -> tuple[Array, ...]:
     """Tangents of the ends of a run, as `_Steps.tangents` has them."""
-    (moving_dot, y_dot), dense = start, steps.plan.dense
-    index, reached = steps.saved_at()
+    (moving_dot, y_dot), dense, saves = start, steps.plan.dense, steps.plan.ts
 
     def step(k: Scalar, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         saved, here, drift = carry
@@ -323,24 +325,26 @@ def _pushed(steps: _Steps, start: tuple[Bundle, Flow]) -> tuple[Array, ...]:
             jnp.where(within, 0.0, 1.0).astype(here.dtype),
         )
         here_now = (steps.moving, row(steps.ys, k), jnp.zeros((), here.dtype))
-        _, ahead = jax.jvp(steps.step(k, as_it_is, forwards=True), here_now, along)
+        _, ahead = jax.jvp(steps.step(k, pushed, forwards=True), here_now, along)
         drift = jnp.where(k == steps.count, ahead, drift)
         ahead = jnp.where(within, ahead, here)
         if dense:
             return with_row(saved, ahead, k + 1), ahead, drift
-        return jnp.where((index == k + 1)[:, None], ahead, saved), ahead, drift
+        t0, t1 = steps.span(k)
+        return jnp.where(((t0 < saves) & (saves <= t1))[:, None], ahead, saved), ahead, drift
 
     # With dense output the tangents of all recorded states, else of those at the save times.
     if dense:
         first = with_row(jnp.zeros_like(steps.ys), y_dot, 0)
     else:
-        first = jnp.where((index == 0)[:, None], y_dot, jnp.zeros((index.shape[0], y_dot.shape[0])))
+        first = jnp.where((saves <= steps.ts[0])[:, None], y_dot, jnp.zeros((saves.shape[0], y_dot.shape[0])))
     longest = eqxi.unvmap_max(steps.count)
     start_at = first, y_dot, jnp.zeros_like(y_dot)
     rows, last, drift = jax.lax.fori_loop(0, longest + 1, step, start_at)
-    saved = rows[index] if dense else rows
+    saved = rows[steps.saved_at()[0]] if dense else rows
     later = steps.postponed(drift[steps.margin], last[steps.margin])
     moved = steps.postponed(drift[steps.margin], last[steps.margin] * drift)
+    reached = saves <= row(steps.ts, steps.count)
     ends = jnp.where(reached[:, None], saved, 0.0), last + moved, later
     return (*ends, rows) if dense else ends
 

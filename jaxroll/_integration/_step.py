@@ -99,6 +99,7 @@ class RollingStep(eqx.Module):
         # XLA would work both out again in everything that looks at them (see `_events`).
         with sharing():
             dip, leapt = once((dip, self._leapt(y0, raw, y1).astype(error.dtype)))
+        error, dip, leapt = jax.lax.stop_gradient((error, dip, leapt))
         # An infinite error makes the step-size control take the step back and try a shorter one.
         error = jnp.where(leapt > 0, jnp.inf, error)
         unseen = jnp.zeros((self.lay.width + 2, *error.shape[1:]), error.dtype)
@@ -230,7 +231,8 @@ class RollingStep(eqx.Module):
             slopes, i = carry[0], i + 1
             x = x0 + dt[None] * weighted_sum(scalars(row(rows, i)), slopes)
             rates, end = at(bundle, times[0] + shares[i] * dt, x)
-            return put(slopes, jnp.concatenate([rates, end[_MARGIN][None]]), i), x, end
+            margin = jax.lax.stop_gradient(end[_MARGIN])
+            return put(slopes, jnp.concatenate([rates, margin[None]]), i), x, end
 
         start = slopes, x0, jnp.zeros((size, *dt.shape), y0.dtype)
         # On accelerators every turn launches all its kernels anew: there they stand side by side, but for

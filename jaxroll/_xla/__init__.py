@@ -6,6 +6,7 @@ from ._compute_once import as_it_is as as_it_is, once as once, sharing as sharin
 from ._loops import counted as counted, repeated as repeated
 from ._one_kernel import (
     in_turn as in_turn,
+    of_single as of_single,
     one_kernel as one_kernel,
     perturbed as perturbed,
     VECTOR as VECTOR,
@@ -14,5 +15,5 @@ from ._one_kernel import (
 from ._primitives import linear_map as linear_map
 from ._quick import briskly as briskly, QUICK as QUICK, quickly as quickly
 from ._remembered import remembered as remembered
-from ._share_cotangents import pulled as pulled, shared as shared
+from ._share_cotangents import pulled as pulled, pushed as pushed, shared as shared
 from ._trigonometry import inverse_sinh as inverse_sinh, sine_cosine as sine_cosine

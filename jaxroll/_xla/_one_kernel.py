@@ -60,12 +60,24 @@ def one_kernel(function: Callable, *args: Any) -> Any:
 
     @call.def_vmap
     def _(size: int, batched: list[Any], arrays: Any) -> tuple[Any, Any]:
+        if size == 1:
+            return of_single(call, batched[0], arrays)
         axes = jax.tree.map(lambda b: 0 if b else None, batched[0])
         mapped = jax.vmap(lambda found: function(*eqx.combine(found, rest)), (axes,), axis_size=size)
         out = one_kernel(mapped, arrays)
         return out, jax.tree.map(lambda _: True, out)
 
     return call(arrays)
+
+
+def of_single(function: Callable, batched: Any, arrays: Any) -> tuple[Any, Any]:
+    """What a rule for `vmap` returns of a single lane: the function without the axis, as `jacfwd` often asks.
+
+    With an axis of length one a derivative of `scenes.pinch3d` in one number takes 21 s to compile, so 13.
+    """
+    alone = jax.tree.map(lambda x, own: jnp.squeeze(x, 0) if own else x, arrays, batched)
+    out = jax.tree.map(lambda x: jnp.expand_dims(x, 0), function(alone))
+    return out, jax.tree.map(lambda _: True, out)
 
 
 def perturbed(values: Any, tangents: Any) -> tuple[Any, Any, Any]:

@@ -61,6 +61,19 @@ def pulled(function: Callable) -> Callable:
     return mapped
 
 
+def pushed(function: Callable) -> Callable:
+    """A function whose tangents share what they use more than once."""
+
+    def mapped(*args: Any) -> Any:
+        moving, still = eqx.partition(args, eqx.is_inexact_array)
+        plain = lambda moving: function(*eqx.combine(moving, still))  # noqa: E731
+        call = jax.custom_jvp(plain)
+        call.defjvp(shared(lambda here, ways: jax.jvp(plain, here, ways)))
+        return call(moving)
+
+    return mapped
+
+
 def _run(jaxpr: jec.Jaxpr, consts: Sequence[Any], args: Sequence[Any]) -> list[Any]:
     """Evaluate a program, what it calls included, with barriers where a number is used again."""
     uses = Counter(v for e in jaxpr.eqns for v in {*filter(_is_name, e.invars)})

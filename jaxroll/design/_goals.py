@@ -109,8 +109,8 @@ def each_case(
         cases: Arrays with a leading axis, or None.
         tip: The fingertip.
         found: What is wanted of each grasp and state.
-        in_turn: Take the cases one after the other, by `jax.lax.map`. A run then stays one compiled kernel;
-            side by side, by `jax.vmap`, its derivative becomes thousands of them.
+        in_turn: Take the cases one after the other, by `jax.lax.map`. Runs that are differentiated side by
+            side, by `jax.vmap`, take as long, and their program half as long again to compile.
     """
     if cases is None:
         return jax.tree.map(lambda x: x[None], found(*_made(make(tip))))

@@ -5,6 +5,10 @@ one argument of a valid call (sometimes two) is replaced by a hostile value. It 
 each kind of offence with an example: *silent*, where a value that can mean nothing there was taken; *raw*,
 any error but `ValueError` with one sentence that names an argument; *slow*, no answer within a minute. The
 same `--seed` draws the same examples; `--only Circle close` tries those names alone. The tests run 200.
+
+`python -m benchmarks.hostile --singly` makes no draws: every hostile value stands once in the place of every
+argument, some 60 000 calls, but for values that a slow call may take. Several processes share them:
+`--singly 0 2` and `--singly 1 2` make half of the calls each.
 """
 
 import argparse
@@ -12,6 +16,7 @@ import collections
 import contextlib
 import dataclasses
 import io
+import itertools
 import re
 import signal
 import sys
@@ -86,6 +91,16 @@ def examples(names: Sequence[str] | None = None, *, refused: bool = False) -> st
         return both.map(lambda values: Example(call.name, values))
 
     return st.sampled_from(known).flatmap(replaced)
+
+
+def singles(names: Sequence[str] | None = None) -> Iterator[Example]:
+    """Calls of public names with one argument replaced: each by every value that a slow call would refuse."""
+    for call in calls().values():
+        if names is None or call.name in names:
+            for parameter, argument in call.arguments.items():
+                for name in names_for(argument.kind):
+                    if not (call.slow and name in argument.taken):
+                        yield Example(call.name, ((parameter, name),))
 
 
 def outcome(example: Example) -> Outcome:
@@ -199,11 +214,29 @@ def _patience() -> Iterator[None]:
             signal.signal(number, before[number])
 
 
-def run(count: int, number: int, names: Sequence[str] | None) -> list[tuple[Example, Outcome]]:
+class Trial:
+    """Examples as they are tried: how each ended, the first offence of every kind printed when it is met."""
+
+    def __init__(self) -> None:
+        self.seen: list[tuple[Example, Outcome]] = []
+        self._met: set[tuple[str, str]] = set()
+        self._start = time.perf_counter()
+
+    def __call__(self, example: Example) -> None:
+        ended = outcome(example)
+        self.seen.append((example, ended))
+        if not ended.good and (ended.kind, ended.where) not in self._met:
+            self._met.add((ended.kind, ended.where))
+            print(f"{ended.kind}  {ended.where}  {example}: {ended.words}", file=sys.stderr, flush=True)
+        if len(self.seen) % 500 == 0:
+            spent = time.perf_counter() - self._start
+            print(f"{len(self.seen)} examples, {spent:.0f} s", file=sys.stderr, flush=True)
+            jax.clear_caches()
+
+
+def drawn(count: int, number: int, names: Sequence[str] | None) -> list[tuple[Example, Outcome]]:
     """That many examples, by seed, and how each ended."""
-    seen: list[tuple[Example, Outcome]] = []
-    met: set[tuple[str, str]] = set()
-    start = time.perf_counter()
+    trial = Trial()
 
     @seed(number)
     @settings(
@@ -215,17 +248,18 @@ def run(count: int, number: int, names: Sequence[str] | None) -> list[tuple[Exam
     )
     @given(examples(names))
     def tried(example: Example) -> None:
-        seen.append((example, outcome(example)))
-        ended = seen[-1][1]
-        if not ended.good and (ended.kind, ended.where) not in met:
-            met.add((ended.kind, ended.where))
-            print(f"{ended.kind}  {ended.where}  {example}: {ended.words}", file=sys.stderr, flush=True)
-        if len(seen) % 500 == 0:
-            print(f"{len(seen)} examples, {time.perf_counter() - start:.0f} s", file=sys.stderr, flush=True)
-            jax.clear_caches()
+        trial(example)
 
     tried()
-    return seen
+    return trial.seen
+
+
+def one_by_one(part: int, parts: int, names: Sequence[str] | None) -> list[tuple[Example, Outcome]]:
+    """Every `parts`-th of all calls with one argument replaced, and how each ended."""
+    trial = Trial()
+    for example in itertools.islice(singles(names), part, None, parts):
+        trial(example)
+    return trial.seen
 
 
 def report(seen: Sequence[tuple[Example, Outcome]]) -> str:
@@ -248,10 +282,14 @@ def main() -> None:
     parser.add_argument("--examples", type=int, default=10_000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", nargs="+", metavar="NAME", help="public names; default: all")
+    parser.add_argument("--singly", nargs="*", type=int, metavar=("PART", "PARTS"), help="every value once")
     options = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     with tempfile.TemporaryDirectory() as place, contextlib.chdir(place):
-        seen = run(options.examples, options.seed, options.only)
+        if options.singly is None:
+            seen = drawn(options.examples, options.seed, options.only)
+        else:
+            seen = one_by_one(*(options.singly or (0, 1)), options.only)
     print(report(seen))
     sys.exit(any(not ended.good for _, ended in seen))
 

@@ -139,8 +139,8 @@ def _folder(options: argparse.Namespace) -> Path:
     """The folder to write to, made and tried before any work is done; and the files to read are there."""
     for word, name in (("--tip", "tip"), ("FILE", "file"), ("--hand", "hand")):
         given = getattr(options, name, None)
-        if given is not None and not Path(given).is_file():
-            what = "{!r} is a folder" if Path(given).is_dir() else "there is none called {!r}"
+        if given is not None and not os.path.isfile(given):
+            what = "{!r} is a folder" if os.path.isdir(given) else "there is none called {!r}"
             raise _Unfit(f"argument {word} must name a file, but {what.format(given)}")
     name = options.scene if options.command == "demo" else options.command
     return _writable(f"jaxroll-{name}" if options.out is None else options.out)

@@ -15,7 +15,16 @@ import numpy as np
 from ._integration import RTOL, simulate
 from ._mechanics import Grasp, State
 from ._printing import code_name
-from ._results import as_count, as_floats, check_callable, check_finite, check_positive, RESULTS, shown
+from ._results import (
+    as_array,
+    as_count,
+    as_floats,
+    check_callable,
+    check_finite,
+    check_positive,
+    RESULTS,
+    shown,
+)
 from ._types import Given
 
 # Damping of the first step, over the diagonal of the Gauss-Newton matrix; its factor up and down; its most.
@@ -121,7 +130,7 @@ def identify(
     """
     names, start = _checked(make, guess)
     times = _times(ts)
-    data = check_finite("measured", as_floats("measured", measured, (None,) * np.ndim(measured)))
+    data = check_finite("measured", as_array("measured", measured))
     if observe is not None:
         check_callable("observe", observe, takes=2)
     steps = as_count("steps", steps)
@@ -242,8 +251,9 @@ def _times(ts: Any) -> jax.Array:
 def _sigma(noise: Any, data: jax.Array) -> jax.Array:
     if noise is None:
         return jnp.ones(())
-    shape = () if np.ndim(noise) == 0 else data.shape
-    return check_positive("noise", check_finite("noise", as_floats("noise", noise, shape)))
+    given = as_array("noise", noise)
+    shape = () if given.ndim == 0 else data.shape
+    return check_positive("noise", check_finite("noise", as_floats("noise", given, shape)))
 
 
 def _given(sigma: jax.Array) -> float | np.ndarray:

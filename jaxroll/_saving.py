@@ -13,6 +13,7 @@ import contextlib
 import dataclasses
 import importlib
 import json
+import os
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -49,8 +50,8 @@ def save(path: str | Path, value: Any) -> Path:
         The path.
 
     Raises:
-        ValueError: If something in `value` cannot be written; the sentence says what, and where it is.
-        OSError: If the file cannot be written.
+        ValueError: If something in `value` cannot be written; the sentence says what, and where it is. If
+            the file cannot be written.
 
     Example:
         >>> import jaxroll as jxr
@@ -64,13 +65,18 @@ def save(path: str | Path, value: Any) -> Path:
     tree = writer.node(value, "value")
     head = {"format": _FORMAT, "jaxroll": _version(), "tree": tree}
     text = np.frombuffer(json.dumps(head).encode(), np.uint8)
-    path.parent.mkdir(parents=True, exist_ok=True)
+    named: dict[str, Any] = {_TEXT: text, **{str(i): a for i, a in enumerate(writer.arrays)}}
     # A file that is there is replaced in one step, so that one which is cut off leaves the old one whole.
     beside = path.with_name(f".{path.name}.part")
-    with beside.open("wb") as file:
-        named: dict[str, Any] = {_TEXT: text, **{str(i): a for i, a in enumerate(writer.arrays)}}
-        np.savez(file, **named)
-    beside.replace(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with beside.open("wb") as file:
+            np.savez(file, **named)
+        beside.replace(path)
+    except OSError as error:
+        raise ValueError(
+            f"argument path must name a file that can be written, but {shown(str(path))}: {error.strerror}"
+        ) from None
     return path
 
 
@@ -97,7 +103,7 @@ def load(path: str | Path, *, own: Sequence[Any] = ()) -> Any:
         raise ValueError(
             f"argument own must be a list of classes and functions that a module names, but was {shown(own)}"
         )
-    if not path.is_file():
+    if not os.path.isfile(path):  # of a name that is too long `path.is_file` raises
         raise ValueError(f"argument path must name a file, but there is none called {shown(str(path))}")
     try:
         with np.load(path, allow_pickle=False) as archive:

@@ -1,5 +1,9 @@
 """vmap over anything: lanes equal single runs, and a failing lane changes no other."""
 
+import os
+import subprocess
+import sys
+
 import diffrax
 import equinox as eqx
 import jax
@@ -144,3 +148,35 @@ def test_a_number_as_an_array_is_the_number(scene, caplog):
     other = grasp.with_(damping=0.009)
     ends = jax.jit(lambda v: jxr.simulate(other, jxr.State(state.q, v, state.s), 0.02, ts=1).last.q)(state.v)
     np.testing.assert_allclose(ends, jxr.simulate(other, state, 0.02, ts=1).last.q, rtol=0, atol=1e-12)
+
+
+SHARED_OUT = """
+import jax, jax.numpy as jnp, numpy as np
+jax.config.update("jax_enable_x64", True)
+import jaxroll as jxr
+
+grasp, state = jxr.scenes.pivoted()
+end = lambda c: jnp.sum(jxr.simulate(grasp.with_(damping=c), state, 0.1, ts=1).last.q)
+mesh, lanes = jax.make_mesh((jax.device_count(),), ("lanes",)), jax.P("lanes")
+dampings = np.linspace(0.004, 0.008, 6)
+for one in (end, jax.value_and_grad(end)):
+    each = jax.vmap(one)
+    split = jax.shard_map(each, mesh=mesh, in_specs=lanes, out_specs=lanes, check_vma=False)
+    program = jax.jit(split).lower(jax.device_put(dampings, jax.NamedSharding(mesh, lanes))).compile()
+    found = program(jax.device_put(dampings, jax.NamedSharding(mesh, lanes)))
+    plain = jax.jit(each).lower(dampings).compile()
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(plain(dampings)), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-9)
+    kernels = [p.as_text().count("xla_cpu_small_call") for p in (program, plain)]
+    assert kernels[0] == kernels[1] > 0, kernels
+print(jax.device_count())
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.optimised
+def test_lanes_shared_out_among_devices_are_those_of_one():
+    """And in the same kernels: a derivative there has an operation of its own, `reshard`."""
+    env = os.environ | {"XLA_FLAGS": "--xla_force_host_platform_device_count=2", "JAX_PLATFORMS": "cpu"}
+    told = subprocess.run([sys.executable, "-c", SHARED_OUT], env=env, capture_output=True, text=True)
+    assert told.returncode == 0 and told.stdout.strip() == "2", told.stderr

@@ -5,6 +5,7 @@ import inspect
 
 import jax
 import numpy as np
+import pytest
 from hypothesis import given, HealthCheck, Phase, settings
 
 from benchmarks import hostile
@@ -45,6 +46,38 @@ def test_hostile_arguments_are_answered_or_refused(tmp_path, monkeypatch):
     tried()
     assert len(seen) == 200
     assert all(ended.good for _, ended in seen), hostile.report(seen)
+
+
+MET = """
+smoothing_for points: empty rows; smoothing_for noise: decimal; crossings points: empty rows
+fit_surface smallest_radius: one; grasp_points object: finger; Stage motion: run in the plane
+identify measured: ragged; identify noise: ragged; sobol beta: complex array
+sweep rtol: itself and infinity; sweep dt0: itself and infinity
+save path: a page of text; load path: a page of text; optimise_fingertip checkpoint: a page of text
+pose state: NaN in it; pose state: one axis more in all; plotting.contact_geometry state: NaN in it
+plotting.contact_geometry state: one axis more in all
+parameter_map x: code; parameter_map at: zero; parameter_map values: ragged; parameter_map values: key
+"""
+
+
+def test_offences_once_met_are_answered(tmp_path, monkeypatch):
+    """What was silent or raw when every value stood in the place of every argument (`--singly`)."""
+    monkeypatch.chdir(tmp_path)
+    seen = []
+    for line in MET.replace("\n", ";").split(";"):
+        if line.strip():
+            place, value = line.split(":")
+            name, parameter = place.split()
+            example = hostile.Example(name, ((parameter, value.strip()),))
+            seen.append((example, hostile.outcome(example)))
+    assert len(seen) == 22 and all(ended.good for _, ended in seen), hostile.report(seen)
+
+
+@pytest.mark.slow
+def test_a_twelfth_of_all_single_values_is_answered(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    seen = hostile.one_by_one(5, 12, None)
+    assert len(seen) > 5000 and all(ended.good for _, ended in seen), hostile.report(seen)
 
 
 def useless(argument):

@@ -78,6 +78,8 @@ _COUNTS = """
 # Places that there are not: what is asked of them is not finite either.
 _NOWHERE = ("NaN", "NaN among numbers", "itself and NaN", "infinity", "minus infinity")
 _NOWHERE += ("infinity among numbers", "itself and infinity")
+# Flags as parameters of a sweep.
+_FLAGS = ("True", "False", "NumPy's True", "flags")
 _VECTORS = ("two numbers", "three numbers", "seven numbers", "whole numbers", "numbers of float32")
 _VECTORS += ("its last twice", "its last left out")
 # By name of the parameter, unless a call says otherwise.
@@ -90,7 +92,7 @@ PARAMETERS: dict[str, Argument] = {
     "atol": _is("positive", 1e-8),
     "azimuth": _is("number", 10.0),
     "alpha": _is("not negative", 1e-3),
-    "anchor": _is("array", (0.0, 0.1), "three numbers"),
+    "anchor": _is("array", (0.0, 0.1), "three numbers", "its last twice"),
     "angle": _is("number", 0.3),
     "angular": _is("number", 1e-5),
     "ax": _is("part", None),
@@ -126,7 +128,13 @@ PARAMETERS: dict[str, Argument] = {
     "hold": _is("choice", "finger 0", "empty list", "empty tuple"),
     "hold_contacts": _is("flag", True),
     "image": _made(
-        "array", disc_image, "square", "itself as bits", "itself and infinity", "its last left out"
+        "array",
+        disc_image,
+        "square",
+        "itself as bits",
+        "itself and infinity",
+        "its last left out",
+        "its last twice",
     ),
     "inclination": _is("number", 1.2),
     "inertias": _is("array", (1e-5, 1e-5)),
@@ -227,6 +235,10 @@ _PATH = {"path": _made("path", lambda: folder() / "new" / "shape.csv"), "contour
 _EACH = _is("not negative", 0.006, "two numbers", "numbers of float32", "whole numbers", "its last twice")
 # With three numbers as `start` it is for three fingers.
 _EACH_OF_SOME = dataclasses.replace(_EACH, also=_EACH.also | {"three numbers"})
+# Gains of a controller may be functions of time.
+_EACH_IN_TIME, _EACH_OF_SOME_IN_TIME = (
+    dataclasses.replace(each, also=each.also | {"function"}) for each in (_EACH, _EACH_OF_SOME)
+)
 # What is optional by itself: None is sensible where it is not the default, too.
 _NO_FLAT = _is("positive", 0.1, "None")
 # Its first numbers are the ends of a line, which may have none.
@@ -273,7 +285,12 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
     "reach": {
         "grasp": _made("grasp", held_disc),
         "contacts": _is(
-            "array", ((-0.02, 0.0), (0.02, 0.0)), "two numbers", "whole numbers", "numbers of float32"
+            "array",
+            ((-0.02, 0.0), (0.02, 0.0)),
+            "two numbers",
+            "whole numbers",
+            "numbers of float32",
+            "its last left out",
         ),
         "pose": _is("array", (0.0, 0.08, 0.0), "three numbers"),
         "guess": _made("state", held_state),
@@ -301,9 +318,14 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         "armature": _is("not negative", (1e-4, 2e-4), "two numbers"),
         **_LIMITS,
     },
-    "FreeObject3": {"inertia": _is("positive", 1e-5, "three numbers")},
+    "FreeObject3": {"inertia": _is("positive", 1e-5, "three numbers", "square")},
     "Grasp": {"object": _made("object", lambda: planar()[0].object)},
-    "Jaw": {"contour": _ROUND, **_LIMITS},
+    "Jaw": {
+        "contour": _ROUND,
+        # Of a jaw that rests, which has no directions.
+        "limits": _is("array", ((-3.0, 3.0), (-2.0, 2.0)), "empty rows", "empty list", "empty tuple"),
+        "torque_limits": _is("array", (0.5, 0.4), "two numbers", "empty list", "empty tuple"),
+    },
     "NeuralCurvature": {
         "network": _made("part", network),
         "length": _is("positive", 0.06),
@@ -328,7 +350,7 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
     "torques": {"ts": _is("number", 0.0)},
     "wrenches": {"ts": _is("number", 0.0)},
     "Impulse": {
-        "impulse": _is("array", (0.0, 1e-4), "two numbers"),
+        "impulse": _is("array", (0.0, 1e-4), "two numbers", "three numbers", "its last twice"),
         "time": _is("number", 0.1),
         "angular": _is("number", 1e-6),
         "point": _is("array", (0.0, 0.01), "two numbers"),
@@ -345,7 +367,7 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         "tip": _BALL,
         "object": _made("surface", jxr.Plane),
         "velocity": _made("function", lambda: rolling),
-        "ts": _is("array", (0.0, 0.1, 0.2), "two numbers", "three numbers", "seven numbers"),
+        "ts": _is("array", (0.0, 0.1, 0.2), *_VECTORS),
         "at_tip": _is("array", (0.0, 0.0, -0.02)),
         "at_object": _is("array", (0.0, 0.0, 0.0)),
         "spin": _is("function", None),
@@ -353,12 +375,13 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
     "simulate": {
         "ts": _is("count", 4, "two numbers", "numbers of float32"),
         "t1": _is("positive", 0.02),
-        "formulation": _made("part", jxr.Index1),
+        "formulation": _made("part", jxr.Index1, "method"),
         "record": _is("part", (), "empty list", "empty tuple"),
     },
     "why": {
-        "ts": _is("count", 4, "two numbers", "numbers of float32"),
-        "formulation": _made("part", jxr.Index1),
+        "state": _made("state", lambda: planar()[1], "run in the plane"),
+        "ts": _is("count", 4, "two numbers", "three numbers", "seven numbers", "numbers of float32"),
+        "formulation": _made("part", jxr.Index1, "method"),
         "record": _is("part", (), "empty list", "empty tuple"),
     },
     "identify": {
@@ -372,11 +395,12 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         "observe": _is("function", None),
     },
     "sweep": {
-        "formulation": _made("part", jxr.Index1),
+        "formulation": _made("part", jxr.Index1, "method"),
         "record": _is("part", (), "empty list", "empty tuple"),
         "ts": _is("count", 1, "two numbers", "numbers of float32"),
         "make": _made("function", lambda: scene_of),
-        "parameters": _made("any array", lambda: np.array([0.004, 0.006]), "empty tuple"),
+        # Runs with a number that means nothing carry their code.
+        "parameters": _made("any array", lambda: np.array([0.004, 0.006]), "empty tuple", *_NOWHERE),
         "keep": _made("function", lambda: kept),
         "chunk": _is("count", 2),
         "resume": _made("folder", lambda: folder() / "runs"),
@@ -402,19 +426,19 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         "force": _is("number", 0.5, "function"),
         "radius": _is("positive", 0.01, "function"),
         "damping": _is("not negative", 0.006, "function"),
-        "target": _is("array", (0.0, 0.1), "two numbers", "three numbers", "function"),
+        "target": _is("array", (0.0, 0.1), "two numbers", "three numbers", "its last twice", "function"),
     },
     "Opposition": {
         "beta": _is("not negative", 20.0, "function"),
-        "damping": dataclasses.replace(_EACH_OF_SOME, also=_EACH_OF_SOME.also | {"function"}),
-        "alpha": dataclasses.replace(_EACH_OF_SOME, also=_EACH_OF_SOME.also | {"function"}),
+        "damping": _EACH_OF_SOME_IN_TIME,
+        "alpha": _EACH_OF_SOME_IN_TIME,
         "start": _is("array", (1.5, 1.7), *_VECTORS, "function"),
     },
     "Carry": {
         "beta": _is("not negative", 12.0, "function"),
-        "damping": dataclasses.replace(_EACH, also=_EACH.also | {"function"}),
+        "damping": _EACH_IN_TIME,
         "stiffness": _is("positive", 200.0, "function"),
-        "home": _is("array", ((0.03, 0.0, 0.0), (-0.03, 0.0, 0.0)), "function"),
+        "home": _is("array", ((0.03, 0.0, 0.0), (-0.03, 0.0, 0.0)), "square", "function"),
         "position": _is("array", (0.0, 0.0, 0.1), "three numbers", "function"),
         "turn": _is("array", (0.0, 0.0, 0.3), "three numbers", "function"),
         "force": _is("array", (0.0, 0.0, 0.5), "three numbers", "function"),
@@ -436,9 +460,12 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         "at": _is("number", 0.03),
         "inertia": _is("not negative", 1e-6),
     },
-    "with_": {"damping": _is("not negative", 0.006, "function")},
+    "with_": {
+        "damping": _is("not negative", 0.006, "function"),
+        "gravity": _is("array", (0.0, -9.81), "None"),
+    },
     "Push": {
-        "force": _is("array", (0.2, 0.0), "three numbers"),
+        "force": _is("array", (0.2, 0.0), "three numbers", "its last twice"),
         "start": _is("number", 0.1),
         "point": _is("array", (0.0, 0.01), "three numbers"),
     },
@@ -448,16 +475,17 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
     },
     "Steps": {"times": _is("array", (0.5,))},
     "Ramps": {"times": _is("array", (0.0, 1.0))},
-    "Declared": {"function": _made("function", lambda: _constant)},
+    # What a function of time gives is looked at where it is used: a run gives states.
+    "Declared": {"function": _made("function", lambda: _constant, "run in the plane", "run in space")},
     "ClosedLoop": {
-        "make": _made("function", lambda: lifted),
+        "make": _made("function", lambda: lifted, "run in the plane", "run in space"),
         "objective": _is("function", {"overshoot": 1.0}),
-        "formulation": _made("part", jxr.Index1),
+        "formulation": _made("part", jxr.Index1, "method"),
         "record": _is("part", (), "empty list", "empty tuple"),
     },
     "Fair": {"weight": _is("positive", 0.01)},
     "Firmness": {
-        "make": _made("function", lambda: lifted),
+        "make": _made("function", lambda: lifted, "run in the plane", "run in space"),
         "measure": _is("choice", "stiffness"),
         "neutral": _is("count", 1, "whole zero"),
         "scale": _is("positive", 1.0),
@@ -470,16 +498,16 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         "seed": _is("count", 1, "whole zero"),
         "optimiser": _is("part", None),
         "mode": _is("choice", "auto"),
-        "checkpoint": _made("path", lambda: folder() / "checkpoint.npz"),
+        "checkpoint": _made("path", lambda: folder() / "checkpoint.npz", "text", "number as text", "path"),
     },
     "ShapeTransform": {"tip": _BODY, "symmetric": _is("flag", False)},
     "value_and_grad": {
-        "function": _made("function", lambda: jnp.sum),
+        "function": _made("function", lambda: jnp.sum, "run in the plane", "run in space"),
         "mode": _is("choice", "auto"),
         "has_aux": _is("flag", False),
     },
     "Moved": {"contour": _ROUND},
-    "crossings": {"points": _made("array", dots)},
+    "crossings": {"points": _made("array", dots, "empty rows")},
     "PeriodicNetwork": {
         "harmonics": _is("count", 4),
         "decay": _is("not negative", 1.0),
@@ -495,7 +523,8 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         "periodic": _is("part", (False, False), "flags"),
     },
     "Extruded": {"contour": _ROUND},
-    "Implicit": {"function": _made("function", lambda: ball)},
+    # What it gives is looked at where the surface is used, as that of any function: a run gives states.
+    "Implicit": {"function": _made("function", lambda: ball, "run in the plane", "run in space")},
     "Parametric": {
         "function": _made("function", lambda: egg),
         "domain": _is("array", (0.0, 6.283185307179586)),
@@ -510,7 +539,10 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         "tolerance": _is("not negative", 0.1),
         "chunk": _is("count", 4),
     },
-    "columns": {"damping": _is("any array", (0.1, 0.2), "whole zero"), "force": _is("any array", 0.5)},
+    "columns": {
+        "damping": _is("any array", (0.1, 0.2), "whole zero", *_FLAGS),
+        "force": _is("any array", 0.5, *_FLAGS),
+    },
     "sobol": {
         "count": _is("count", 4),
         "seed": _is("count", 0, "whole zero"),
@@ -520,10 +552,11 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
     **_family(
         "parameter_map map_page",
         parameters=_made("part", gridded),
-        values=_made("any array", lambda: gridded().a, "flags"),
+        # Of runs that failed there are none: the map is blank there.
+        values=_made("any array", lambda: gridded().a, "flags", "itself and NaN", "itself and infinity"),
         x=_is("choice", "a"),
         y=_is("choice", "b"),
-        at=_is("part", None),
+        at=_is("part", None, "dict"),
         label=_is("text", "height"),
         title=_is("text", "Map"),
         path=_made("path", lambda: folder() / "map.html"),
@@ -533,7 +566,10 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         "path": _made("path", lambda: written("disc.npz")),
         "own": _is("part", (), "empty list", "empty tuple"),
     },
-    "vector_field": {"formulation": _made("part", jxr.Index1)},
+    "vector_field": {
+        "grasp": _made("grasp", lambda: planar()[0], "grasp in space"),
+        "formulation": _made("part", jxr.Index1, "method"),
+    },
     "Patch": {"points": _made("array", tube), "periodic": _is("part", (True, False), "flags")},
     "SplineSurface": {"origin": _is("array", (0.0, 0.0, 0.0), "three numbers")},
     "metres_per": {"unit": _is("choice", "mm")},
@@ -555,7 +591,7 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
     "load_hand": {
         "path": _made("path", lambda: robot()),
         "tips": _made("surface", lambda: jxr.Sphere(0.01)),
-        "held": _is("part", {}),
+        "held": _is("part", {}, "dict"),
         "position": _is("array", (0.0, 0.0, 0.1), "three numbers"),
     },
     "write_stl": {
@@ -587,15 +623,24 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
     "plotting.loci": {**_SPATIAL, "folder": _made("folder", lambda: folder() / "plots")},
     "page": {**_SPATIAL, "path": _made("path", lambda: folder() / "new.html"), "title": _is("text", "Page")},
     "phase": {"rest": _made("state", lambda: planar()[1])},
-    "poses": {"times": _is("array", (0.0, 0.01)), "forces": _is("flag", False)},
+    # Each time shows the saved state nearest to it.
+    "poses": {
+        "times": _is(
+            "array", (0.0, 0.01), "three numbers", "seven numbers", "its last twice", "its last left out"
+        ),
+        "forces": _is("flag", False),
+    },
     "responses": {"folder": _made("folder", lambda: folder() / "plots")},
-    "pinch": {"s": _is("array", (0.004, -0.003)), "damping": _EACH, "alpha": _EACH},
-    "pinch_ellipse": {"s": _is("array", (0.004, -0.003)), "damping": _EACH, "alpha": _EACH},
-    "ball_plate": {"s": _is("array", (0.004, -0.003)), "damping": _EACH, "alpha": _EACH},
+    "pinch": {"s": _is("array", (0.004, -0.003)), "damping": _EACH_IN_TIME, "alpha": _EACH_IN_TIME},
+    "pinch_ellipse": {"s": _is("array", (0.004, -0.003)), "damping": _EACH_IN_TIME, "alpha": _EACH_IN_TIME},
+    "ball_plate": {"s": _is("array", (0.004, -0.003)), "damping": _EACH_IN_TIME, "alpha": _EACH_IN_TIME},
+    "pinch_object": {
+        "object": _made("part", lambda: jxr.scenes.rectangle(), "object in the plane", "object in space")
+    },
     "ring": {
         "count": _is("count", 3),
-        "damping": _EACH_OF_SOME,
-        "alpha": _EACH_OF_SOME,
+        "damping": _EACH_OF_SOME_IN_TIME,
+        "alpha": _EACH_OF_SOME_IN_TIME,
     },
     "pivoted": {"s": _is("number", 0.003)},
     "roller": {"contour": _BODY, "force": _is("number", 5.0), "period": _is("positive", 3.0)},
@@ -620,29 +665,29 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
     "pinch3d": {
         "tips": _made("surface", lambda: jxr.Sphere(0.01)),
         "object": _made("part", lambda: jxr.scenes.cuboid(), "object in space"),
-        "gravity": _is("array", (0.0, 0.0, -9.81), "three numbers"),
-        "damping": _EACH,
+        "gravity": _is("array", (0.0, 0.0, -9.81), "three numbers", "square"),  # of three bodies
+        "damping": _EACH_IN_TIME,
     },
     "tripod": {
         "fingers": _is("count", 3),
         "tips": _made("surface", lambda: jxr.Sphere(0.01)),
         "object": _made("part", lambda: jxr.scenes.spheroid(), "object in space"),
         "gravity": _is("array", (0.0, 0.0, -9.81), "three numbers"),
-        "damping": _EACH_OF_SOME,
+        "damping": _EACH_OF_SOME_IN_TIME,
     },
     "with_tip": {"finger": _is("count", 0, "whole zero"), "tip": _ROUND},
     "with_contacts": {"contacts": _made("contact", jxr.Contact)},
     "on_contour": {"s": _is("any array", 0.001, *_NOWHERE)},
     "on_surface": {"at": _is("array", (0.0, 0.0, 0.01), "three numbers", "square", "itself, one axis more")},
     "near_surface": {
-        "point": _is("array", (0.0, 0.01, 0.02), "three numbers", "square"),
+        "point": _is("array", (0.0, 0.01, 0.02), "three numbers", "square", "itself, one axis more"),
         "guess": _is("array", (0.0, 0.01, 0.02), "three numbers", "square", "itself, one axis more"),
     },
     "margin": {"contour": _ROUND, "s": _is("any array", 0.001)},
     **_family(
         "pinch_statics rectangle_hessian",
         grasp=_PINCH,
-        s=_is("array", (0.0, 0.0), "empty rows"),
+        s=_is("array", (0.0, 0.0), "empty rows", "itself, one axis more"),
     ),
     "pinch_rest": {"grasp": _PINCH, "state": _made("state", pinch_state)},
     "assess": {"tolerance": _is("not negative", 1e-7)},

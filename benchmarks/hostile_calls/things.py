@@ -150,6 +150,8 @@ def scene_of(damping: Any) -> tuple[jxr.Grasp, jxr.State]:
 
 
 def identified(numbers: dict[str, Any]) -> tuple[jxr.Grasp, jxr.State]:
+    if "damping" not in numbers:
+        raise ValueError("argument guess must have a damping")  # the caller's own check
     return scene_of(numbers["damping"])
 
 

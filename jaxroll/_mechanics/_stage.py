@@ -75,7 +75,9 @@ def _as_motion(name: str, motion: Any) -> Any:
     """A function of time as a pytree, or None; a plain function, which would be a leaf, is wrapped."""
     if motion is None:
         return None
-    return as_tree(name, check_callable(name, motion, "a function of time", takes=1))
+    check_callable(name, motion, "a function of time", takes=1)
+    jax.eval_shape(lambda t: _given_by(motion, t), jnp.zeros(()))
+    return as_tree(name, motion)
 
 
 class Stage(AbstractFinger):
@@ -154,13 +156,8 @@ class Stage(AbstractFinger):
         base, turn = Vec3(*unstack(self.base)), normalised(unstack(self.rotation))
         if self.motion_of is None:
             return base, turn
-        given = self.motion_of(t)
-        if not isinstance(given, tuple | list) or len(given) != 2:
-            raise ValueError(
-                f"argument motion must return a position and a quaternion, but returned {shown(given)}"
-            )
-        point, own = Vec3(*_numbers(given[0], 3)), normalised(_numbers(given[1], 4))
-        return pose_at(base, turn).place(point), quaternion_product(turn, own)
+        point, own = _given_by(self.motion_of, t)
+        return pose_at(base, turn).place(Vec3(*point)), quaternion_product(turn, normalised(own))
 
     def _twist(self, t: Scalar) -> Twist3:
         r"""Twist at time t. Its spin is $2 \dot q \bar q$, from $\dot q = \frac12 (0, \omega)\,q$."""
@@ -193,6 +190,16 @@ class Stage(AbstractFinger):
 
     def gravity_potential(self, q: Scalars, gravity: Vec3) -> Scalar:
         return jnp.zeros(())
+
+
+def _given_by(motion: Callable[[Any], Any], t: Scalar) -> tuple[Any, Any]:
+    """The position and the quaternion that a motion returns at time t, checked."""
+    given = motion(t)
+    if not isinstance(given, tuple | list) or len(given) != 2:
+        raise ValueError(
+            f"argument motion must return a position and a quaternion, but returned {shown(given)}"
+        )
+    return _numbers(given[0], 3), _numbers(given[1], 4)
 
 
 def _numbers(values: Any, count: int) -> Any:

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import numpy as np
 
-from .._mechanics import AbstractBody
+from .._mechanics import AbstractBody, AbstractFinger
 from .._printing import listed
 from .._results import as_count, as_floats, as_several, check_positive, concrete, shown, traced
 from .._types import Given
@@ -133,6 +133,8 @@ def _shapes_of(given: Any) -> tuple[tuple[Any, ...], np.ndarray | None]:
     if traced(given):
         raise ValueError("argument object must be known before tracing, but was traced")
     box = None
+    if isinstance(given, AbstractFinger):
+        raise ValueError(f"argument object must be an object or its shapes, but was {shown(given)}")
     if isinstance(given, AbstractBody):
         outline = getattr(given, "outline", None)
         box, given = None if outline is None else concrete(outline), given.shapes

@@ -7,7 +7,6 @@ kept of the rows the axes of the grid. Samples are SciPy's (`scipy.stats.qmc`).
 """
 
 import math
-import operator
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -16,7 +15,7 @@ import jax
 import numpy as np
 
 from .._printing import shown_value
-from .._results import as_count, shown, traced
+from .._results import as_array, as_count, shown, traced
 
 # So many rows fit into a machine's memory.
 _MOST = 10**9
@@ -372,13 +371,9 @@ def _stretch(name: str, ends: Any) -> Callable[[np.ndarray], np.ndarray]:
     log = isinstance(ends, list | tuple) and len(ends) == 3 and ends[2] == "log"
     wanted = f"argument {name} must be (low, high) or (low, high, 'log'), but was {shown(ends)}"
     try:
-        low, high = (
-            float(operator.index(x) if isinstance(x, int) else x) for x in (ends[:2] if log else ends)
-        )
+        low, high = (float(as_array(name, x)) for x in (ends[:2] if log else ends))
     except (TypeError, ValueError, OverflowError):
         raise ValueError(wanted) from None
-    if isinstance(ends, str) or any(isinstance(x, bool | str) for x in ends[:2]):
-        raise ValueError(wanted)
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
         raise ValueError(f"argument {name} must go up between finite numbers, but was {shown(ends)}")
     if not log:

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from tqdm import tqdm
 
-from .._integration import RTOL, save_times
+from .._integration import RTOL, RunOptions, save_times
 from .._motion import Formulation
 from .._results import as_array, as_count, check_callable, check_flag, is_array_like, shown, traced
 from ._dispatch import addressed, dispatched, met, Party, party_of
@@ -141,7 +141,7 @@ def sweep(
         "record": record,
         "throw": False,  # the runs carry their codes
     }
-    _check_options(options)
+    _check_options(options, t1)
     job = Job(make, keep, t1, options)
     keeper = _keeper(resume, store, rows, extent, (t0, t1, ts))
     party = None if client is None else party_of(client)
@@ -156,11 +156,13 @@ def sweep(
     return jax.tree.map(lambda *parts: np.concatenate(parts)[:count], *pieces)
 
 
-def _check_options(options: dict[str, Any]) -> None:
-    """Raise unless arrays among the options hold numbers.
+def _check_options(options: dict[str, Any], t1: Any) -> None:
+    """Raise unless `simulate` would take the options, and arrays among them hold numbers.
 
-    Whatever else is wrong with an option, `simulate` says when it is traced.
+    Arrays are arguments of the sweep's program: `simulate` itself cannot see their values.
     """
+    told = {name: value for name, value in options.items() if name not in ("ts", "throw")}
+    RunOptions(**told).checked(t1, options["ts"])
     for name, value in options.items():
         for leaf in filter(is_array_like, jax.tree.leaves(value)):
             as_array(name, leaf)

@@ -21,8 +21,8 @@ _ATTRIBUTES = {"xla_cpu_small_call": "true", "inlineable": "false"}
 _STRUCTURE = """
 add_any bitcast_convert_type broadcast_in_dim closed_call concatenate cond convert_element_type copy copy_p
 custom_jvp_call custom_vjp_call custom_vmap_call dynamic_slice dynamic_update_slice empty2 gather iota jit
-nonbatchable optimization_barrier pad pjit remat2 reshape scan select_if_vmap select_n slice split squeeze
-stack stop_gradient transpose unstack unvmap_any unvmap_max while
+nonbatchable optimization_barrier pad pjit remat2 reshape reshard scan select_if_vmap select_n slice split
+squeeze stack stop_gradient transpose unstack unvmap_any unvmap_max while
 """
 _ARITHMETIC = """
 abs acos acosh add and argmax argmin asin asinh atan atan2 barrier cbrt ceil clamp cos cosh div eq eq_to erf

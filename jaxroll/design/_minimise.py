@@ -257,7 +257,13 @@ def check_checkpoint(path: Any) -> None:
     """Raise unless a checkpoint could be written there, before hours of work are to be saved."""
     check_instance("checkpoint", path, (str, Path), "the path of a file")
     folder = Path(path).parent
-    if Path(path).is_dir() or not os.access(folder, os.W_OK) or not folder.is_dir():
+    # `_saved` writes beside it, under a name that is longer by a few letters.
+    if (
+        len(os.fsencode(Path(path).name)) > 240
+        or os.path.isdir(path)
+        or not os.access(folder, os.W_OK)
+        or not os.path.isdir(folder)
+    ):
         raise ValueError(f"argument checkpoint must be a file in a folder to write to, but was {shown(path)}")
 
 

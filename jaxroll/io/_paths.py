@@ -19,14 +19,16 @@ def as_path(path: Any, kinds: tuple[str, ...]) -> Path:
 
 def readable(path: Path, holding: str = "points") -> Path:
     """The path, if it is a file that can be read and is not empty."""
-    if not path.is_file():
-        what = "is a folder" if path.is_dir() else "is not there"
-        raise ValueError(f"argument path must name a file, but {shown(str(path))} {what}")
     try:
+        if not path.is_file():
+            what = "is a folder" if path.is_dir() else "is not there"
+            raise ValueError(f"argument path must name a file, but {shown(str(path))} {what}")
         with path.open("rb") as file:
             empty = not file.read(1)
     except OSError as error:
-        raise ValueError(f"argument path must name a file that can be read, but: {error}") from None
+        raise ValueError(
+            f"argument path must name a file that can be read, but {_said(path, error)}"
+        ) from None
     if empty:
         raise ValueError(f"argument path must name a file with {holding}, but {shown(str(path))} is empty")
     return path
@@ -46,5 +48,12 @@ def writable(path: Path) -> Path:
         if not there:
             path.unlink()
     except OSError as error:
-        raise ValueError(f"argument path must name a file that can be written, but: {error}") from None
+        raise ValueError(
+            f"argument path must name a file that can be written, but {_said(path, error)}"
+        ) from None
     return path
+
+
+def _said(path: Path, error: OSError) -> str:
+    """What the system says of a path; its own words repeat the path, however long that is."""
+    return f"{shown(str(path))}: {error.strerror or error}"

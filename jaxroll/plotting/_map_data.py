@@ -63,6 +63,8 @@ def map_data(
 ) -> MapData:
     """The slice to be shown, or the samples; see `plotting.parameter_map`."""
     check_instance("parameters", parameters, Parameters, "Parameters")
+    if at is not None and not isinstance(at, Mapping):
+        raise ValueError(f"argument at must say by name where parameters are held, but was {shown(at)}")
     x, y = _sides(parameters, x, y)
     numbers, codes = _numbered(parameters, values)
     along = {name: k for k, names in enumerate(parameters.axes) for name in names}
@@ -88,7 +90,7 @@ def _sides(parameters: Parameters, x: Any, y: Any) -> tuple[str, str]:
     simple = [name for name in parameters.names if np.ndim(parameters[name]) == 1]
     free = [name for name in simple if np.ptp(parameters[name].astype(float)) > 0.0]
     for which, name in (("x", x), ("y", y)):
-        if name is not None and name not in free:
+        if name is not None and not (isinstance(name, str) and name in free):
             raise ValueError(
                 f"argument {which} must be a parameter of one number that changes, of {shown(free)}, "
                 f"but was {shown(name)}"
@@ -105,11 +107,14 @@ def _sides(parameters: Parameters, x: Any, y: Any) -> tuple[str, str]:
 def _numbered(parameters: Parameters, values: Any) -> tuple[np.ndarray, tuple[str, ...]]:
     """Values in the shape of the grid, codes and truth values as numbers from 0 up with their names."""
     kind, array = number_of(values) if is_code(values) else (None, values)
-    words, array = flag_words(values), np.asarray(array)
-    rows = math.prod(parameters.shape)
+    words, rows = flag_words(values), math.prod(parameters.shape)
+    try:
+        array = np.asarray(array)
+    except (TypeError, ValueError):  # ragged, or keys of random numbers
+        array = np.asarray(None)
     if array.shape not in ((rows,), parameters.shape) or array.dtype.kind not in "fiub":
         raise ValueError(
-            f"argument values must be one number or code for each of the {rows} rows, but was {shown(array)}"
+            f"argument values must be one number or code for each of the {rows} rows, but was {shown(values)}"
         )
     array = array.reshape(parameters.shape)
     if kind is None and not words and array.dtype.kind != "b":
@@ -122,8 +127,6 @@ def _numbered(parameters: Parameters, values: Any) -> tuple[np.ndarray, tuple[st
 
 def _place(parameters: Parameters, sides: tuple[int, int], at: Mapping[str, float]) -> tuple[Any, str]:
     """Where the grid is cut, and in words."""
-    if not isinstance(at, Mapping):
-        raise ValueError(f"argument at must say by name where parameters are held, but was {shown(at)}")
     place: list[Any] = [slice(None) if k in sides else n // 2 for k, n in enumerate(parameters.shape)]
     for name, value in at.items():
         along = [k for k, names in enumerate(parameters.axes) if name in names and k not in sides]

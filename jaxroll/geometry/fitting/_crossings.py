@@ -23,6 +23,8 @@ def crossings(points: np.ndarray, *, closed: bool) -> np.ndarray:
     Only sides whose extents along x overlap are compared: O(n log n) and the number of those pairs.
     """
     points, closed = numbers("points", points, 2), check_flag("closed", closed)
+    if len(points) < 2:
+        return np.zeros((0, 2), int)
     starts = points if closed else points[:-1]
     ends = np.roll(points, -1, axis=0) if closed else points[1:]
     low, high = np.minimum(starts, ends), np.maximum(starts, ends)

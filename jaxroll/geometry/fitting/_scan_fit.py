@@ -87,6 +87,11 @@ def closed_through(points: np.ndarray, normals: np.ndarray | None, radius: float
     from scipy.spatial import KDTree
 
     size = float(np.ptp(points, axis=0).max())
+    if 2.0 * radius > size:
+        raise ValueError(
+            f"argument smallest_radius must leave room for a ball of that radius in a body of {size:.3g} m, "
+            f"but was {radius:.3g} m"
+        )
     scan, numbers = thinned_scan(points, normals, max(_FINE * radius, size / 400.0))
     body, scan = _body(scan, radius, given=normals is not None)
     off = KDTree(body.vertices).query(scan.points, workers=-1)[0] > max(_OFF * body.step, 0.5 * radius)

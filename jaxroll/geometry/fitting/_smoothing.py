@@ -18,7 +18,7 @@ from jaxtyping import Array
 
 from ..._results import as_floats, check_choice, check_flag, concrete
 from ..._types import Given
-from ..contours import chords, knot_count, spline_basis
+from ..contours import check_points, chords, knot_count, spline_basis
 
 # Wavelengths tried, in geometric progression.
 _TRIALS = 600
@@ -50,7 +50,8 @@ def smoothing_for(
         degree: As for the spline.
 
     Raises:
-        ValueError: If `noise` is negative, or the points are being traced.
+        ValueError: If `noise` is negative, the points are fewer than the spline needs, repeat one or are
+            being traced.
 
     Example:
         >>> import jaxroll as jxr, numpy as np
@@ -73,6 +74,7 @@ def smoothing_for(
             "argument points must be concrete numbers, but was traced: smoothing is set up outside jit"
         )
     closed, degree = check_flag("closed", closed), check_choice("degree", degree, (3, 5, 7, 9))
+    check_points(data, closed, degree)
     knots = knot_count(knots, len(data), degree)
     if level == 0.0:
         return 0.0
@@ -87,11 +89,11 @@ def smoothing_for(
     shrunk = 1.0 / (1.0 + ((waves / (2.0 * np.pi)) ** 6 / length)[:, None] * spectrum[None, :])
     freedom = len(data) - shrunk.sum(axis=1)
     squares = (1.0 - shrunk) ** 2 @ energy + lost
-    if noise is None:
+    if level is None:
         return float(waves[np.argmin(squares / freedom**2)])
     # The criterion of the docstring less a constant: -freedom is tr H - n. Both coordinates have noise, so
     # that the factor is 4, not 2.
-    return float(waves[np.argmin(squares - 4.0 * noise**2 * freedom)])
+    return float(waves[np.argmin(squares - 4.0 * float(level) ** 2 * freedom)])
 
 
 @functools.partial(jax.jit, static_argnums=(1, 2, 3))

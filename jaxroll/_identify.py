@@ -22,6 +22,7 @@ from ._results import (
     check_callable,
     check_finite,
     check_positive,
+    on_host,
     RESULTS,
     shown,
 )
@@ -76,6 +77,7 @@ class Identified:
         )
 
 
+@on_host
 def identify(
     make: Callable[[dict[str, Any]], tuple[Grasp, State]],
     guess: Mapping[str, Given],

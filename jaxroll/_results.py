@@ -6,11 +6,12 @@ survives `vmap`, one code per lane, and never discards what had been computed.
 """
 
 import contextlib
+import functools
 import inspect
 import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 import equinox as eqx
 import jax
@@ -19,6 +20,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from ._printing import named
+
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
 
 # Longest quotation of a bad argument in an error's sentence.
 _QUOTED = 80
@@ -71,7 +75,35 @@ def missing_library(library: str, extra: str) -> ImportError:
 
 def traced(value: Any) -> bool:
     """Whether JAX is tracing some array in a value; then its numbers cannot be checked."""
-    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(value))
+    try:
+        return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(value))
+    except (TypeError, ValueError):  # a dict whose keys have no order
+        return False
+
+
+def on_host(function: Callable[_P, _R]) -> Callable[_P, _R]:
+    """A function of numbers that are known: an argument that JAX is tracing is refused, by its name.
+
+    For set-up, pictures and files, which no compiled program can hold.
+    """
+    names = tuple(inspect.signature(function).parameters)
+
+    @functools.wraps(function)
+    def known(*args: _P.args, **options: _P.kwargs) -> _R:
+        for name, value in (dict(zip(names, args, strict=False)) | options).items():
+            check_known(name, value)
+        return function(*args, **options)
+
+    return known
+
+
+def check_known(name: str, value: Any) -> None:
+    """Raise where JAX is tracing some number of an argument whose values are needed."""
+    if traced(value):
+        raise ValueError(
+            f"argument {name} must hold known numbers, but JAX is tracing some: this works outside of "
+            f"`jax.jit`, derivatives and `jax.vmap` alone"
+        )
 
 
 def concrete(value: Any) -> np.ndarray | None:

@@ -36,7 +36,7 @@ from ._integration import (
 from ._mechanics import check_grasp, check_states, Grasp, State
 from ._motion import closed_within, Formulation, residuals, worst
 from ._printing import code_name, entry
-from ._results import check_instance, traced
+from ._results import check_instance, on_host, traced
 from ._types import Given
 from .contact import Contact
 from .stability import assess, Stability, VERDICTS
@@ -128,6 +128,7 @@ class Why:
         return [verdict, *(_force(self.grasp, i, *pair) for i, pair in enumerate(_pairs(forces)))]
 
 
+@on_host
 def why(
     grasp: Grasp,
     state: State | Trajectory,

@@ -2,7 +2,9 @@
 
 import contextlib
 import inspect
+import io
 
+import equinox as eqx
 import jax
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from hypothesis import given, HealthCheck, Phase, settings
 
 from benchmarks import hostile
 from benchmarks.hostile_calls.valid_calls import calls
-from benchmarks.hostile_calls.values import made, names_for, NUMERIC, sensible
+from benchmarks.hostile_calls.values import made, names_for, NUMERIC, planar, planar_run, sensible, spatial
 
 # What no argument, or no number of any shape, can be.
 OF_NO_USE = ("thing", "NaN", "minus one", "zero", "two numbers", "empty list")
@@ -128,6 +130,35 @@ def test_numbers_of_records_may_be_traced():
                     assert hostile.is_one_sentence(str(error)) and "trace" in str(error)
                     refused.add((call.name, parameter))
     assert len(seen) > 120 and refused == KNOWN
+
+
+@pytest.mark.slow
+def test_traced_numbers_are_taken_or_refused_in_a_sentence(tmp_path, monkeypatch):
+    """Of every argument of every public name: under `jax.jit` nothing ends in an error of JAX's own."""
+    monkeypatch.chdir(tmp_path)
+    planar(), spatial(), planar_run()  # kept by the examples, and so not to be made while something is traced
+    seen, raw = 0, []
+    for call in calls().values():
+        for parameter, argument in call.arguments.items():
+            given = {name: call.arguments[name].valid() for name in call.needed if name != parameter}
+            moving, still = eqx.partition(
+                argument.valid(), lambda x: isinstance(x, float) or eqx.is_inexact_array_like(x)
+            )
+            if not jax.tree.leaves(moving):
+                continue
+
+            def answer(x, call=call, given=given, parameter=parameter, still=still):
+                out = call.function(**given, **{parameter: eqx.combine(x, still)})
+                return [leaf for leaf in jax.tree.leaves(out) if isinstance(leaf, jax.Array)]
+
+            seen += 1
+            try:
+                with contextlib.redirect_stdout(io.StringIO()):
+                    jax.jit(answer).trace(moving)
+            except Exception as error:
+                if not (isinstance(error, ValueError) and hostile.is_one_sentence(str(error))):
+                    raw.append((call.name, parameter, repr(error)[:200]))
+    assert seen > 400 and not raw, raw
 
 
 def test_every_public_name_has_an_example():

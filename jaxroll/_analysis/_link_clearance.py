@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 from .._integration import link_distances, Trajectory
 from .._mechanics import compiled, Grasp, State, to_leaves
 from .._printing import listed
+from .._results import on_host
 from .._types import Times
 from ._loci import check_run
 
@@ -48,6 +49,7 @@ class LinkClearance(eqx.Module):
     where: str = eqx.field(static=True)
 
 
+@on_host
 def link_clearance(grasp: Grasp, trajectory: Trajectory) -> LinkClearance:
     """How far the fingers' links stay clear of the object and of each other, at the saved times of a run.
 

@@ -17,7 +17,16 @@ from jaxtyping import Bool
 from tqdm import tqdm
 
 from .._printing import shown_value
-from .._results import as_count, as_floats, check_callable, check_flag, check_instance, is_array_like, shown
+from .._results import (
+    as_count,
+    as_floats,
+    check_callable,
+    check_flag,
+    check_instance,
+    is_array_like,
+    on_host,
+    shown,
+)
 from .._sweep import Parameters
 from .._xla import WIDE
 from ._cells import between, halved_lines, Spread, wanted_points
@@ -54,6 +63,7 @@ class AdaptiveMap(eqx.Module):
         return f"AdaptiveMap({laid} points, {self.runs} of them run ({share:.1%}); {_told(self.values)})"
 
 
+@on_host
 def adaptive_map(
     outcome: Callable[[Parameters], Any],
     grid: Parameters,

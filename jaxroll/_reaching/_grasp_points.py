@@ -20,7 +20,7 @@ import numpy as np
 
 from .._mechanics import AbstractBody, AbstractFinger
 from .._printing import listed
-from .._results import as_count, as_floats, as_several, check_positive, concrete, shown, traced
+from .._results import as_count, as_floats, as_several, check_positive, concrete, on_host, shown, traced
 from .._types import Given
 from ..geometry import AbstractContour, AbstractShape, AbstractSurface, check_shape
 from ._sheet import Frames, Sheet, sheet_of, shortened
@@ -80,6 +80,7 @@ class _Pairs(NamedTuple):
         return _Pairs(*(x[which] for x in self))
 
 
+@on_host
 def grasp_points(
     object: AbstractBody | AbstractShape | Sequence[Any], friction: Given = 0.5, *, count: int = 8
 ) -> GraspPoints:

@@ -24,6 +24,7 @@ from .._results import (
     check_finite,
     check_flag,
     check_instance,
+    on_host,
     RESULTS,
     shown,
     traced,
@@ -79,6 +80,7 @@ class Reach(eqx.Module):
         return self.grasp, self.state
 
 
+@on_host
 def reach(
     grasp: Grasp,
     contacts: Given,

@@ -371,7 +371,7 @@ def _stretch(name: str, ends: Any) -> Callable[[np.ndarray], np.ndarray]:
     log = isinstance(ends, list | tuple) and len(ends) == 3 and ends[2] == "log"
     wanted = f"argument {name} must be (low, high) or (low, high, 'log'), but was {shown(ends)}"
     try:
-        low, high = (float(as_array(name, x)) for x in (ends[:2] if log else ends))
+        low, high = (float(as_array(name, x)) for x in (ends[:2] if log else ends[:]))
     except (TypeError, ValueError, OverflowError):
         raise ValueError(wanted) from None
     if not (math.isfinite(low) and math.isfinite(high) and low < high):

@@ -22,7 +22,16 @@ from tqdm import tqdm
 
 from .._integration import RTOL, RunOptions, save_times
 from .._motion import Formulation
-from .._results import as_array, as_count, check_callable, check_flag, is_array_like, shown, traced
+from .._results import (
+    as_array,
+    as_count,
+    check_callable,
+    check_flag,
+    check_known,
+    is_array_like,
+    shown,
+    traced,
+)
 from ._dispatch import addressed, dispatched, met, Party, party_of
 from ._folder import Folder
 from ._identity import Identity, identity, Mark
@@ -378,6 +387,7 @@ def _time(t1: Any) -> Any:
     seen = as_array("t1", t1)
     if seen.shape != ():
         raise ValueError(f"argument t1 must be one number, but had shape {seen.shape}")
+    check_known("t1", t1)
     return t1
 
 

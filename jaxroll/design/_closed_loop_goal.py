@@ -21,7 +21,7 @@ from .._integration import (
     Trajectory,
 )
 from .._motion import Formulation
-from .._results import as_count, as_floats, check_callable, check_positive, RESULTS, shown
+from .._results import as_count, as_floats, check_callable, check_known, check_positive, RESULTS, shown
 from .._types import Given, Scalar
 from ..geometry import AbstractContour
 from ._goals import (
@@ -193,5 +193,6 @@ def _as_objective(objective: Any) -> tuple[tuple[str, float], ...] | Callable:
             f"argument objective must be a function, or weights of {', '.join(MEASURES)}, "
             f"but was {shown(objective)}"
         )
+    check_known("objective", dict(objective))
     weights = {name: as_floats(f"objective['{name}']", weight, ()) for name, weight in objective.items()}
     return tuple((name, float(weight)) for name, weight in weights.items())

@@ -26,6 +26,7 @@ from .._results import (
     check_choice,
     check_flag,
     check_instance,
+    on_host,
     RESULTS,
 )
 from .._types import Given
@@ -39,6 +40,7 @@ from ._minimise import check_checkpoint, DesignProgress, Found, KEPT, minimise
 from ._shape_transform import as_batch, body_radii, check_tip, ShapeTransform, varied
 
 
+@on_host
 def optimise_fingertip(
     tip: AbstractContour | Sequence[AbstractContour],
     interval: Given = (-0.01, 0.01),

@@ -12,6 +12,7 @@ later.
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._integration import check_one_run, Trajectory
@@ -192,7 +193,7 @@ def _reached(run: Trajectory, signal: Signal | None) -> tuple[Array, Array]:
         raise ValueError(
             f"argument signal must have shape ({run.states.q.shape[0]}, any), but had shape {y.shape}"
         )
-    if not traced(y) and jnp.any(jnp.isinf(y)):
+    if not traced(y) and np.isinf(np.asarray(y)).any():
         raise ValueError(f"argument signal must hold numbers, NaN where there is none, but was {shown(y)}")
     y = y[:, None] if y.ndim == 1 else y
     seen = jnp.all(jnp.isfinite(y), axis=-1) & jnp.all(jnp.isfinite(run.states.q), axis=-1)

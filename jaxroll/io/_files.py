@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from .._results import as_count, check_flag, check_instance, shown
+from .._results import as_count, check_flag, check_instance, on_host, shown
 from ..geometry import AbstractContour, metres_per
 from ._mesh import read_ply_points
 from ._outline import outline, positive
@@ -121,6 +121,7 @@ def read_cloud(
     return scale * table[:, :3], table[:, 3:] if others else None
 
 
+@on_host
 def write_outline(contour: AbstractContour, path: str | Path, *, unit: str, tolerance: float = 1e-6) -> Path:
     """Write a contour as points or as a drawing: CSV, NPY, SVG or DXF.
 

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 from .._linalg import conjugate, quaternion_product, rotation as axes_of
 from .._mechanics import Finger3
 from .._printing import listed
-from .._results import as_floats, check_direction, check_instance, check_positive, shown
+from .._results import as_floats, check_direction, check_instance, check_positive, on_host, shown
 from .._types import Given
 from ..geometry import AbstractSurface, Ellipsoid, fit_surface, Sphere
 from ._mesh import spread_points
@@ -68,6 +68,7 @@ class Hand(eqx.Module):
     stiffness: tuple[Float[Array, " k"], ...]
 
 
+@on_host
 def load_hand(
     path: str | Path,
     tips: Tips,

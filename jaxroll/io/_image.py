@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from .._results import as_count, as_floats, shown
+from .._results import as_count, as_floats, on_host, shown
 from ..geometry import polygon_area
 from ._extra import missing
 from ._outline import positive
@@ -18,6 +18,7 @@ _BLUR = 0.7  # standard deviation [pixels] by which a colour image is smoothed
 _CONTRAST = 4.0  # least distance of a shape's colours from the background, in the border's own
 
 
+@on_host
 def read_silhouette(
     image: Any, *, pixel: float, threshold: float | None = None, which: int = 0
 ) -> np.ndarray:

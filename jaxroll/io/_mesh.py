@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from .._results import check_between, shown
+from .._results import check_between, on_host, shown
 from ..geometry import AbstractContour, metres_per
 from ._extra import missing
 from ._outline import outline, positive
@@ -36,6 +36,7 @@ def _triangles(points: np.ndarray) -> np.ndarray:
     return np.asarray(mapbox_earcut.triangulate_float64(points, ring), int).reshape(-1, 3)
 
 
+@on_host
 def write_stl(
     contour: AbstractContour,
     path: str | Path,

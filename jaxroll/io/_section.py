@@ -13,11 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from .._results import as_array, as_floats, shown
+from .._results import as_array, as_floats, on_host, shown
 from ..geometry import polygon_area
 from ._outline import as_points
 
 
+@on_host
 def section(vertices: Any, faces: Any, *, origin: Any, normal: Any) -> tuple[np.ndarray, ...]:
     r"""Outlines in which a plane cuts a closed mesh.
 

@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from .._mechanics import check_planar, Grasp
+from .._results import on_host
 from ..geometry import AbstractContour
 from ._outlines import contours_of, extents, Outline, outlines, sample, starts_of, Window
 from ._style import CONTACT, FINGER, GUIDE, MM, OBJECT, OBJECT_FILL, Picture, tidy, TIP_FILL
@@ -15,6 +16,7 @@ _STEPS = np.array([0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500])
 _BESIDE: Any = {"textcoords": "offset points", "ha": "center", "va": "center"}
 
 
+@on_host
 def contours(grasp: Grasp) -> Figure:
     """Draw every fingertip and the object in their own frames, and curvature over arclength.
 

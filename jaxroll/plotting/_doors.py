@@ -10,7 +10,16 @@ from matplotlib.axes import Axes
 
 from .._analysis import check_run
 from .._mechanics import check_states
-from .._results import as_count, as_floats, check_callable, check_flag, check_instance, check_positive, shown
+from .._results import (
+    as_count,
+    as_floats,
+    check_callable,
+    check_flag,
+    check_instance,
+    check_known,
+    check_positive,
+    shown,
+)
 from ..design import Design
 from ..geometry import Fit, SurfaceFit
 from ._views3 import View
@@ -31,6 +40,8 @@ def guarded(figure: _Function) -> _Function:
     def door(*args: Any, **options: Any) -> Any:
         # By name, however they were given; of an argument too many `figure` will say so itself.
         given = dict(zip(names, args, strict=False)) | options
+        for name, value in given.items():
+            check_known(name, value)
         grasp: Any = given.get("grasp")
         if "trajectory" in given:
             check_run(grasp, given["trajectory"])

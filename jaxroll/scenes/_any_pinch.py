@@ -31,7 +31,7 @@ from .._reaching import (
     sheet_of,
     tip_origins,
 )
-from .._results import RESULTS, shown
+from .._results import on_host, RESULTS, shown
 from .._types import Given
 from .._xla import quickly
 from ..contact import Contact, Contact3
@@ -65,6 +65,7 @@ _MOST, _TURN = (30, 40), 8
 _STEPS, _NEAR = 30, 1e-14
 
 
+@on_host
 def pinch_object(
     object: FreeObject | FreeObject3,
     *,

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ..._results import as_count, as_floats, check_flag, shown
+from ..._results import as_count, as_floats, check_flag, on_host, shown
 from ..._types import Given
 from .._tabled import tabled
 from ..contours import AbstractContour, NeuralCurvature, NeuralSupport, Spline, SupportFunction
@@ -100,6 +100,7 @@ FIELDS: dict[str, Maker] = {
 }
 
 
+@on_host
 def fit_contour(
     points: Given,
     *,

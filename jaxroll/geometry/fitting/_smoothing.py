@@ -16,7 +16,7 @@ import jax
 import numpy as np
 from jaxtyping import Array
 
-from ..._results import as_floats, check_choice, check_flag, concrete
+from ..._results import as_floats, check_choice, check_flag, concrete, on_host
 from ..._types import Given
 from ..contours import check_points, chords, knot_count, spline_basis
 
@@ -26,6 +26,7 @@ _TRIALS = 600
 Spectrum = tuple[np.ndarray, np.ndarray, float]
 
 
+@on_host
 def smoothing_for(
     points: Given,
     *,

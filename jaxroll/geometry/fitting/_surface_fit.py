@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ..._results import as_floats, as_length, check_direction, concrete, shown
+from ..._results import as_floats, as_length, check_direction, concrete, on_host, shown
 from ..._types import Given
 from ..surfaces import SplineSurface
 from ._field_fit import AXES, DataRows, Grid, grid_around, normal_band, offsets, roughness_band, rows
@@ -40,6 +40,7 @@ _FAR = 5.0  # a point this many times farther away than is usual deserves a word
 _GAIN = 0.99  # a finer field must lower the estimated error by 1 %, or the coarser one is kept
 
 
+@on_host
 def fit_surface(
     points: Given,
     normals: Given | None = None,

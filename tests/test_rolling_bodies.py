@@ -397,3 +397,23 @@ def test_single_precision_turns_a_ball_that_faces_the_wrong_way():
 def test_returns_to_the_constraints_leave_rounding(scene, rtol):
     """Up to the default tolerance a step returns once, else twice; balls on planes take the longest steps."""
     assert off(run_of(getattr(jxr.scenes, scene)(), 2.0, ts=300, rtol=rtol)) <= 1e-14
+
+
+def test_a_path_has_derivatives_in_both_modes():
+    """In a half axis of the rolling ellipsoid and in where it starts: both modes, and differences."""
+
+    led = lambda t: (0.1, 0.05 * jnp.sin(5.0 * t), 0.0)  # noqa: E731
+
+    @jax.jit
+    def ends(numbers):
+        half, start = numbers
+        ball, still = jxr.Ellipsoid(half, 0.02, 0.015), jnp.zeros(2)
+        places = {"at_tip": jnp.append(still, -0.015), "at_object": jnp.append(start, still)}
+        path = jxr.roll(ball, jxr.Plane(), led, jnp.array([0.0, 0.3]), **places)
+        return jnp.sum(path.pose) + 10.0 * jnp.sum(path.at_tip)
+
+    x, h = jnp.array([0.02, 0.001]), 1e-5
+    slope = jax.grad(ends)(x)
+    np.testing.assert_allclose(jax.jit(jax.jacfwd(ends))(x), slope, rtol=1e-10)
+    near = np.array([[float(ends(x + k * h * way)) for k in (-2, -1, 1, 2)] for way in np.eye(2)])
+    np.testing.assert_allclose(near @ [1.0, -8.0, 8.0, -1.0] / (12.0 * h), slope, rtol=1e-8)

@@ -32,6 +32,7 @@ from .._linalg import (
 from .._printing import listed
 from .._results import as_floats, check_callable, check_instance, concrete, RESULTS, shown
 from .._types import ByPrecision, Given, Scalar, Scalars, Times
+from .._xla import in_both_modes
 from ..geometry import AbstractSurface, Gauss3
 
 # Most steps of the integration.
@@ -103,7 +104,7 @@ def roll(
         ValueError: If an argument does not fit.
 
     Accuracy: that of `rtol` at every time asked for, since steps end there; contacts stay on both surfaces to
-    rounding. In single precision `rtol` must be given, 1e-5 or more.
+    rounding. In single precision `rtol` must be given, 1e-5 or more. Differentiable in both modes, once.
 
     Example:
         >>> import jax.numpy as jnp, jaxroll as jxr
@@ -210,6 +211,22 @@ def _roll(
     start: tuple[Array, ...],
     rtol: Any,
 ) -> Rolled:
+    # An adjoint of diffrax has one mode of differentiation.
+    through = lambda adjoint: lambda *args: _integrated(*args, adjoint=adjoint)  # noqa: E731
+    backwards = through(diffrax.RecursiveCheckpointAdjoint())
+    args = surfaces, given, ts, start, rtol
+    return in_both_modes(backwards, args, forwards=through(diffrax.ForwardMode()), backwards=backwards)
+
+
+def _integrated(
+    surfaces: tuple[AbstractSurface, AbstractSurface],
+    given: tuple[Any, Any],
+    ts: Array,
+    start: tuple[Array, ...],
+    rtol: Any,
+    *,
+    adjoint: diffrax.AbstractAdjoint,
+) -> Rolled:
     rolling = _Rolling(surfaces[0].prepared(), surfaces[1].prepared(), *given)
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(rolling.rates),
@@ -223,6 +240,7 @@ def _roll(
         stepsize_controller=diffrax.ClipStepSizeController(
             diffrax.PIDController(rtol=rtol, atol=rtol), step_ts=ts
         ),
+        adjoint=adjoint,
         max_steps=_MAX_STEPS,
         throw=False,
     )

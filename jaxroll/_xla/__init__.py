@@ -5,6 +5,7 @@ from ._collector import uncollected as uncollected
 from ._compute_once import as_it_is as as_it_is, once as once, sharing as sharing
 from ._loops import counted as counted, repeated as repeated
 from ._one_kernel import (
+    in_both_modes as in_both_modes,
     in_turn as in_turn,
     of_single as of_single,
     one_kernel as one_kernel,

@@ -101,27 +101,37 @@ def in_turn(function: Callable, shared: Any, *rows: Any) -> Any:
     def each(shared: Any, rows: Any) -> Any:
         return jax.lax.map(lambda row: function(shared, *row), rows)
 
+    return in_both_modes(lambda *args: one_kernel(each, *args), (shared, rows), forwards=each, backwards=each)
+
+
+def in_both_modes(function: Callable, args: Any, *, forwards: Callable, backwards: Callable) -> Any:
+    """`function(*args)`, differentiated forwards through `forwards` and backwards through `backwards`.
+
+    All work out the same, these two in ways that JAX can differentiate in their modes; once, not twice.
+    """
+
     @eqx.filter_custom_jvp
     def call(args: Any) -> Any:
-        return one_kernel(each, *args)
+        return function(*args)
 
     @call.def_jvp
     def _(primals: Any, tangents: Any) -> tuple[Any, Any]:
         moving, still, dots = perturbed(primals[0], tangents[0])
-        out = one_kernel(each, *primals[0])
+        out = function(*primals[0])
         moved = eqx.filter(out, eqx.is_inexact_array)
-        return out, linear_map(_pushed, _pulled, (Partial(each), moving, still), dots, like=moved)
+        at = Partial(forwards), Partial(backwards), moving, still
+        return out, linear_map(_pushed, _pulled, at, dots, like=moved)
 
-    return call((shared, rows))
+    return call(args)
 
 
 def _pushed(at: Any, dots: Any) -> Any:
-    function, moving, still = at
+    function, _, moving, still = at
     return jax.jvp(lambda moving: _moved(function, moving, still), (moving,), (dots,))[1]
 
 
 def _pulled(at: Any, bars: Any) -> Any:
-    function, moving, still = at
+    _, function, moving, still = at
     return jax.vjp(lambda moving: _moved(function, moving, still), moving)[1](bars)[0]
 
 

@@ -36,7 +36,7 @@ from ._integration import (
 from ._mechanics import check_grasp, check_states, Grasp, State
 from ._motion import closed_within, Formulation, residuals, worst
 from ._printing import code_name, entry
-from ._results import check_instance, on_host, traced
+from ._results import check_instance, on_host
 from ._types import Given
 from .contact import Contact
 from .stability import assess, Stability, VERDICTS
@@ -192,8 +192,6 @@ def why(
     ).checked(t1, ts)
     check_grasp(grasp)
     check_instance("state", state, (State, Trajectory), "a State, or a run of the grasp")
-    if traced((grasp, state)):
-        raise ValueError("argument state must be known numbers for a report, but was being traced")
     run = state if isinstance(state, Trajectory) else None
     begin = _start(state) if isinstance(state, Trajectory) else state
     check_states(grasp, begin)

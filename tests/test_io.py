@@ -482,7 +482,7 @@ def test_a_file_that_cannot_be_written_is_said_before_the_work(tmp_path, monkeyp
     ):
         kind = "stl" if "height" in options else "csv"
         for path in (tmp_path / "file" / f"out.{kind}", f"/dev/null/out.{kind}"):
-            with pytest.raises(ValueError, match="argument path must name a file that can be written, but: "):
+            with pytest.raises(ValueError, match="argument path must name a file that can be written, but '"):
                 write(jxr.Circle(0.01), path, **options)
 
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from .._mechanics import AbstractBody, AbstractFinger
 from .._printing import listed
-from .._results import as_count, as_floats, as_several, check_positive, concrete, on_host, shown, traced
+from .._results import as_count, as_floats, as_several, check_positive, concrete, on_host, shown
 from .._types import Given
 from ..geometry import AbstractContour, AbstractShape, AbstractSurface, check_shape
 from ._sheet import Frames, Sheet, sheet_of, shortened
@@ -131,8 +131,6 @@ def grasp_points(
 
 def _shapes_of(given: Any) -> tuple[tuple[Any, ...], np.ndarray | None]:
     """The shapes of an object, and the edge lengths of the box in which they count."""
-    if traced(given):
-        raise ValueError("argument object must be known before tracing, but was traced")
     box = None
     if isinstance(given, AbstractFinger):
         raise ValueError(f"argument object must be an object or its shapes, but was {shown(given)}")

@@ -27,7 +27,6 @@ from .._results import (
     on_host,
     RESULTS,
     shown,
-    traced,
 )
 from .._types import Given
 from ._choice import Choice, chosen_posture, Wish
@@ -160,8 +159,6 @@ def reach(
 def _check(grasp: Grasp, guess: State | None, hold_object: bool) -> None:
     check_flag("hold_object", hold_object)
     check_instance("grasp", grasp, Grasp, "a Grasp")
-    if traced((grasp, guess)):
-        raise ValueError("argument grasp must be known before tracing, but was traced")
     (check_spatial if grasp.spatial else check_planar)(grasp)
     if guess is not None:
         check_states(grasp, guess, "guess")

@@ -16,7 +16,7 @@ import jax
 import numpy as np
 from jaxtyping import Array
 
-from ..._results import as_floats, check_choice, check_flag, concrete, on_host
+from ..._results import as_floats, check_choice, check_flag, on_host
 from ..._types import Given
 from ..contours import check_points, chords, knot_count, spline_basis
 
@@ -63,17 +63,13 @@ def smoothing_for(
         >>> bool(abs(disc.curvature(0.0) / 100 - 1) < 0.01)
         True
     """
-    level = None if noise is None else concrete(as_floats("noise", noise, ()))
+    level = None if noise is None else float(as_floats("noise", noise, ()))
     if level is not None and not level >= 0.0:
         raise ValueError(f"argument noise must not be negative, but was {level:g}")
     if level is not None and level > 1e9:
         raise ValueError(f"argument noise must be a length in metres, but was {level:g}")
     given = as_floats("points", points, (None, 2))
-    data = concrete(given)
-    if data is None:
-        raise ValueError(
-            "argument points must be concrete numbers, but was traced: smoothing is set up outside jit"
-        )
+    data = np.asarray(given)
     closed, degree = check_flag("closed", closed), check_choice("degree", degree, (3, 5, 7, 9))
     check_points(data, closed, degree)
     knots = knot_count(knots, len(data), degree)
@@ -94,7 +90,7 @@ def smoothing_for(
         return float(waves[np.argmin(squares / freedom**2)])
     # The criterion of the docstring less a constant: -freedom is tr H - n. Both coordinates have noise, so
     # that the factor is 4, not 2.
-    return float(waves[np.argmin(squares - 4.0 * float(level) ** 2 * freedom)])
+    return float(waves[np.argmin(squares - 4.0 * level**2 * freedom)])
 
 
 @functools.partial(jax.jit, static_argnums=(1, 2, 3))

@@ -272,9 +272,7 @@ def _directions(normals: Given, cloud: np.ndarray) -> np.ndarray:
 
 def _cloud(name: str, value: Given, least: int = 100) -> np.ndarray:
     """An argument as numbers of shape (n, 3), so many rows at least."""
-    seen = concrete(as_floats(name, value, (None, 3)))
-    if seen is None:
-        raise ValueError(f"argument {name} must be concrete numbers, but was traced: fitting is set-up")
+    seen = np.asarray(as_floats(name, value, (None, 3)))
     if len(seen) < least:
         raise ValueError(f"argument {name} must have at least {least} rows, but had {len(seen)}")
     return np.asarray(seen, float)

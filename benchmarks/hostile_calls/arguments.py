@@ -79,7 +79,7 @@ _COUNTS = """
 _NOWHERE = ("NaN", "NaN among numbers", "itself and NaN", "infinity", "minus infinity")
 _NOWHERE += ("infinity among numbers", "itself and infinity")
 # Flags as parameters of a sweep.
-_FLAGS = ("True", "False", "NumPy's True", "flags", "flag among numbers")
+_FLAGS = ("True", "False", "NumPy's True", "flags", "flag among numbers", "flag array")
 _VECTORS = ("two numbers", "three numbers", "seven numbers", "whole numbers", "numbers of float32")
 _VECTORS += ("its last twice", "its last left out")
 # By name of the parameter, unless a call says otherwise.

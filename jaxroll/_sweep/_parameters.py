@@ -372,7 +372,7 @@ def _stretch(name: str, ends: Any) -> Callable[[np.ndarray], np.ndarray]:
     wanted = f"argument {name} must be (low, high) or (low, high, 'log'), but was {shown(ends)}"
     try:
         low, high = (float(as_array(name, x)) for x in (ends[:2] if log else ends[:]))
-    except (TypeError, ValueError, OverflowError):
+    except (TypeError, ValueError, OverflowError, IndexError):
         raise ValueError(wanted) from None
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
         raise ValueError(f"argument {name} must go up between finite numbers, but was {shown(ends)}")

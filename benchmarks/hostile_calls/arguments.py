@@ -474,7 +474,11 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         "damping": _is("number", 0.1),
     },
     "Steps": {"times": _is("array", (0.5,))},
-    "Ramps": {"times": _is("array", (0.0, 1.0))},
+    # As many of both are a ramp: two, three or seven.
+    "Ramps": {
+        "times": _is("array", (0.0, 1.0), "three numbers", "seven numbers"),
+        "values": _is("array", (0.5, 0.8), "three axes", "three numbers", "seven numbers"),
+    },
     # What a function of time gives is looked at where it is used: a run gives states.
     "Declared": {"function": _made("function", lambda: _constant, "run in the plane", "run in space")},
     "ClosedLoop": {

@@ -236,6 +236,9 @@ def test_gradients_of_lanes_are_those_of_single_runs(scene):
     np.testing.assert_allclose(np.stack(slopes, axis=-1), expected, rtol=1e-6, atol=1e-12)
     forward, _ = jax.jit(over_both(jax.jacfwd(found, argnums=(0, 1), has_aux=True)))(dampings, lows)
     np.testing.assert_allclose(np.stack(forward, axis=-1), expected, rtol=1e-6, atol=1e-12)
+    # A single lane, which is no batch, and a single one of a single one.
+    single, _ = reverse(dampings[:1], lows[:1])
+    np.testing.assert_allclose(np.stack(single, axis=-1), expected[:1, :1], rtol=1e-9)
     # Records of all six runs, of x and its slope alone, would be larger than all that the program works with.
     records = dampings.size * lows.size * 4096 * 2 * 7 * dampings.itemsize
     assert program.memory_analysis().temp_size_in_bytes < 0.75 * records

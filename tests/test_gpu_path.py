@@ -58,6 +58,19 @@ def test_the_ensemble_of_an_accelerator_gives_the_same(lane, whole, dampings, mo
 
 @pytest.mark.slow
 @pytest.mark.optimised
+def test_gradients_of_lanes_on_an_accelerator_are_the_same(lane, dampings, monkeypatch):
+    """Side by side there, each lane with its record."""
+    good = dampings[jnp.isfinite(dampings)]
+    slopes = lambda f: jax.jit(jax.vmap(f(lambda damping: jnp.sum(lane(damping).last.q))))(good)  # noqa: E731
+    known = [slopes(mode) for mode in (jax.grad, jax.jacfwd)]
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    jax.clear_caches()
+    for mode, wanted in zip((jax.grad, jax.jacfwd), known, strict=True):
+        np.testing.assert_allclose(slopes(mode), wanted, rtol=1e-5)
+
+
+@pytest.mark.slow
+@pytest.mark.optimised
 def test_a_run_of_one_kernel_is_the_run(scene, whole, dampings):
     """The kernel emulated, two blocks, the second one not full."""
     grasp, state = scene

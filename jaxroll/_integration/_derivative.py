@@ -37,7 +37,17 @@ from .._linalg import row, with_row
 from .._mechanics import Grasp
 from .._results import RESULTS
 from .._types import Scalar
-from .._xla import in_turn, linear_map, of_single, one_kernel, perturbed, pulled, pushed, repeated
+from .._xla import (
+    in_turn,
+    linear_map,
+    one_kernel,
+    perturbed,
+    pulled,
+    pushed,
+    repeated,
+    side_by_side,
+    with_lanes,
+)
 from ._backward_step import pulled_back
 from ._batch import Ensemble
 from ._bundle import Bundle, bundle, bundled_apart
@@ -53,18 +63,13 @@ def march(grasp: Grasp, y0: Flow, plan: Plan) -> Path:
     # Under `vmap` many runs are not one run with wider arrays: they take slots in turn (`_batch`).
     arrays, still = eqx.partition((bundle(grasp), y0, plan), eqx.is_array)
 
-    @jax.custom_batching.custom_vmap
     def alone(arrays: Any) -> Path:
         return one_kernel(solo, *eqx.combine(arrays, still))
 
-    @alone.def_vmap
-    def _(size: int, batched: list[Any], arrays: Any) -> tuple[Path, Any]:
-        if size == 1:
-            return of_single(alone, batched[0], arrays)
-        paths = _together(size, batched[0], arrays, still)
-        return paths, jax.tree.map(lambda _: True, paths)
+    def lanes(size: int, batched: Any, arrays: Any) -> Path:
+        return _together(size, batched, arrays, still)
 
-    return alone(arrays)
+    return with_lanes(alone, lanes, arrays)
 
 
 def _together(size: int, batched: Any, arrays: Any, still: Any) -> Path:
@@ -77,7 +82,6 @@ def _together(size: int, batched: Any, arrays: Any, still: Any) -> Path:
         still: All else of (grasp, start, plan).
     """
 
-    @jax.custom_batching.custom_vmap
     def found(arrays: Any) -> Path:
         plan = eqx.combine(arrays, still)[2]
         takes_lanes = on_tableau(plan.stepper.method) or is_rosenbrock(plan.stepper.method)
@@ -87,10 +91,9 @@ def _together(size: int, batched: Any, arrays: Any, still: Any) -> Path:
         # Each with its record: side by side 64 pivoted ones of a second take twenty times as long.
         if plan.dense and _on_processor():
             return _one_by_one(one, batched, arrays)
-        return jax.vmap(one, in_axes=(_axes(batched),))(arrays)
+        return side_by_side(one, size, batched)(arrays)
 
-    @found.def_vmap
-    def _(more: int, apart: list[Any], arrays: Any) -> tuple[Path, Any]:
+    def lanes(more: int, apart: Any, arrays: Any) -> Path:
         # Under `vmap` once more they are so many times as many runs. Side by side the loops of two ensembles
         # would wait for each other in every turn: 36 ms a run of 16 times 32, where 512 take 0.3 each.
         def laid_out(x: Array, inner: bool, outer: bool) -> Array:
@@ -100,13 +103,12 @@ def _together(size: int, batched: Any, arrays: Any, still: Any) -> Path:
             x = x if inner else x[:, None]
             return jnp.broadcast_to(x, (more, size, *x.shape[2:])).reshape(more * size, *x.shape[2:])
 
-        either = jax.tree.map(lambda inner, outer: inner or outer, batched, apart[0])
-        flat = jax.tree.map(laid_out, arrays, batched, apart[0])
+        either = jax.tree.map(lambda inner, outer: inner or outer, batched, apart)
+        flat = jax.tree.map(laid_out, arrays, batched, apart)
         paths = _together(more * size, either, flat, still)
-        paths = jax.tree.map(lambda x: x.reshape(more, size, *x.shape[1:]), paths)
-        return paths, jax.tree.map(lambda _: True, paths)
+        return jax.tree.map(lambda x: x.reshape(more, size, *x.shape[1:]), paths)
 
-    return found(arrays)
+    return with_lanes(found, lanes, arrays)
 
 
 @march.def_jvp
@@ -133,64 +135,49 @@ def _march_jvp(primals: Any, tangents: Any) -> tuple[Path, Path]:
 
 
 def _recorded(grasp: Bundle, y0: Flow, plan: Plan) -> tuple[Path, Record]:
-    """A run and its record; of many runs on a processor the paths alone, with records of zeros.
+    """A run and its record; of many runs on a processor the paths alone, with records that hold nothing.
 
     Records of all would not fit into memory: that of one pinch takes 2 MB. `_along_runs` makes each anew.
     """
     arrays, still = eqx.partition((grasp, y0, plan), eqx.is_array)
     one = lambda arrays: recorded(*eqx.combine(arrays, still))  # noqa: E731
 
-    @jax.custom_batching.custom_vmap
-    def alone(arrays: Any) -> tuple[Path, Record]:
-        return one_kernel(one, arrays)
-
-    @alone.def_vmap
-    def _(size: int, batched: list[Any], arrays: Any) -> tuple[Any, Any]:
+    def lanes(size: int, batched: Any, arrays: Any) -> tuple[Path, Record]:
         if not _on_processor():
-            found = jax.vmap(alone, in_axes=(_axes(batched[0]),))(arrays)
-        elif plan.dense:
-            found = _one_by_one(one, batched[0], arrays)
-        else:
-            none = jax.tree.map(lambda x: jnp.zeros((size, *x.shape), x.dtype), empty_record(plan, y0))
-            found = _together(size, batched[0], arrays, still), none
-        return found, jax.tree.map(lambda _: True, found)
+            return side_by_side(one, size, batched)(arrays)
+        if plan.dense:
+            return _one_by_one(one, batched, arrays)
+        # Infinity, so that a derivative that were to follow such a record would show it.
+        none = jax.tree.map(lambda x: jnp.full((size, *x.shape), jnp.inf, x.dtype), empty_record(plan, y0))
+        return _together(size, batched, arrays, still), none
 
-    return alone(arrays)
+    return with_lanes(lambda arrays: one_kernel(one, arrays), lanes, arrays)
 
 
 def _along_runs(function: Callable[["_Steps", Any], Any], steps: "_Steps", x: Any) -> Any:
     """`function(steps, x)` in one kernel; of many runs on a processor one after the other, recorded anew.
 
     Side by side all lanes would select between whole records in every turn: 109 ms a lane of 512 pinches,
-    where this takes 7 (`python -m benchmarks.gradients`). Many derivatives of one run go side by side.
+    where this takes 6 (`python -m benchmarks.gradients`). Many derivatives of one run go side by side.
     """
     arrays, still = eqx.partition((steps, x), eqx.is_array)
+    one = lambda arrays: function(*eqx.combine(arrays, still))  # noqa: E731
 
     def anew(arrays: Any) -> Any:
         steps, x = eqx.combine(arrays, still)
         return function(steps if steps.plan.dense else steps.recorded_anew(), x)
 
-    @jax.custom_batching.custom_vmap
-    def alone(arrays: Any) -> Any:
-        return one_kernel(lambda arrays: function(*eqx.combine(arrays, still)), arrays)
-
-    @alone.def_vmap
-    def _(size: int, batched: list[Any], arrays: Any) -> tuple[Any, Any]:
-        if size == 1:
-            return of_single(alone, batched[0], arrays)
-        of_steps, of_x = (_axes(part) for part in batched[0])
+    def lanes(size: int, batched: Any, arrays: Any) -> Any:
         if not _on_processor():
-            found = jax.vmap(alone, in_axes=((of_steps, of_x),))(arrays)
-        elif any(jax.tree.leaves(batched[0][0])):
-            # What a kernel is handed it holds, read or not: the records of zeros stay behind.
+            return side_by_side(one, size, batched)(arrays)
+        if any(jax.tree.leaves(batched[0])):
+            # What a kernel is handed it holds, read or not: the empty records stay behind.
             less = (lambda x: x) if steps.plan.dense else lambda x: eqx.tree_at(_record_of, x, (None, None))
-            found = _one_by_one(anew, less(batched[0]), less(arrays))
-        else:
-            many = lambda steps, x: jax.vmap(lambda x: function(steps, x), in_axes=(of_x,))(x)  # noqa: E731
-            found = _along_runs(many, *eqx.combine(arrays, still))
-        return found, jax.tree.map(lambda _: True, found)
+            return _one_by_one(anew, less(batched), less(arrays))
+        many = lambda steps, x: side_by_side(lambda x: function(steps, x), size, batched[1])(x)  # noqa: E731
+        return _along_runs(many, *eqx.combine(arrays, still))
 
-    return alone(arrays)
+    return with_lanes(lambda arrays: one_kernel(one, arrays), lanes, arrays)
 
 
 def _record_of(arrays: tuple["_Steps", Any]) -> tuple[Array, Array]:
@@ -200,21 +187,15 @@ def _record_of(arrays: tuple["_Steps", Any]) -> tuple[Array, Array]:
 def _one_by_one(function: Callable[[Any], Any], batched: Any, arrays: Any) -> Any:
     """`function(arrays)` for all lanes, in turn and in one kernel; lanes of lanes likewise."""
 
-    @jax.custom_batching.custom_vmap
-    def turns(own: Any, shared: Any) -> Any:
+    def turns(parts: tuple[Any, Any]) -> Any:
+        own, shared = parts
         return in_turn(lambda shared, own: function(eqx.combine(own, shared)), shared, own)
 
-    @turns.def_vmap
-    def _(size: int, batched: list[Any], *arrays: Any) -> tuple[Any, Any]:
+    def lanes(size: int, batched: Any, parts: Any) -> Any:
         del size
-        found = _one_by_one(lambda pair: turns(*pair), tuple(batched), arrays)
-        return found, jax.tree.map(lambda _: True, found)
+        return _one_by_one(turns, batched, parts)
 
-    return turns(*eqx.partition(arrays, batched))
-
-
-def _axes(batched: Any) -> Any:
-    return jax.tree.map(lambda b: 0 if b else None, batched)
+    return with_lanes(turns, lanes, eqx.partition(arrays, batched))
 
 
 def _on_processor() -> bool:

@@ -7,11 +7,12 @@ from ._loops import counted as counted, repeated as repeated
 from ._one_kernel import (
     in_both_modes as in_both_modes,
     in_turn as in_turn,
-    of_single as of_single,
     one_kernel as one_kernel,
     perturbed as perturbed,
+    side_by_side as side_by_side,
     VECTOR as VECTOR,
     WIDE as WIDE,
+    with_lanes as with_lanes,
 )
 from ._primitives import linear_map as linear_map
 from ._quick import briskly as briskly, QUICK as QUICK, quickly as quickly

@@ -53,31 +53,46 @@ def one_kernel(function: Callable, *args: Any) -> Any:
     `vmap` the mapped function is tried in its turn.
     """
     arrays, rest = eqx.partition(args, eqx.is_array)
+    whole = lambda arrays: function(*eqx.combine(arrays, rest))  # noqa: E731
+
+    def lanes(size: int, batched: Any, arrays: Any) -> Any:
+        return one_kernel(side_by_side(whole, size, batched), arrays)
+
+    return with_lanes(lambda arrays: _marked(whole, arrays), lanes, arrays)
+
+
+def with_lanes(function: Callable[[Any], Any], lanes: Callable[[int, Any, Any], Any], arrays: Any) -> Any:
+    """`function(arrays)`; under `vmap` what `lanes` gives, every result with a leading axis.
+
+    Args:
+        function: Of a pytree of arrays, to such a pytree.
+        lanes: Of how many lanes there are, of every array whether each lane has its own, and of the arrays.
+        arrays: The pytree.
+
+    A single lane is the function itself without the axis, as `jacfwd` in one number asks for: with it that
+    derivative of `scenes.pinch3d` takes 21 s to compile, so 13.
+    """
 
     @jax.custom_batching.custom_vmap
     def call(arrays: Any) -> Any:
-        return _marked(lambda found: function(*eqx.combine(found, rest)), arrays)
+        return function(arrays)
 
     @call.def_vmap
     def _(size: int, batched: list[Any], arrays: Any) -> tuple[Any, Any]:
         if size == 1:
-            return of_single(call, batched[0], arrays)
-        axes = jax.tree.map(lambda b: 0 if b else None, batched[0])
-        mapped = jax.vmap(lambda found: function(*eqx.combine(found, rest)), (axes,), axis_size=size)
-        out = one_kernel(mapped, arrays)
+            alone = jax.tree.map(lambda x, own: jnp.squeeze(x, 0) if own else x, arrays, batched[0])
+            out = jax.tree.map(lambda x: jnp.expand_dims(x, 0), call(alone))
+        else:
+            out = lanes(size, batched[0], arrays)
         return out, jax.tree.map(lambda _: True, out)
 
     return call(arrays)
 
 
-def of_single(function: Callable, batched: Any, arrays: Any) -> tuple[Any, Any]:
-    """What a rule for `vmap` returns of a single lane: the function without the axis, as `jacfwd` often asks.
-
-    With an axis of length one a derivative of `scenes.pinch3d` in one number takes 21 s to compile, so 13.
-    """
-    alone = jax.tree.map(lambda x, own: jnp.squeeze(x, 0) if own else x, arrays, batched)
-    out = jax.tree.map(lambda x: jnp.expand_dims(x, 0), function(alone))
-    return out, jax.tree.map(lambda _: True, out)
+def side_by_side(function: Callable[[Any], Any], size: int, batched: Any) -> Callable[[Any], Any]:
+    """The function of all lanes by `jax.vmap`; `batched` as `lanes` of `with_lanes` is given it."""
+    axes = jax.tree.map(lambda own: 0 if own else None, batched)
+    return jax.vmap(function, (axes,), axis_size=size)
 
 
 def perturbed(values: Any, tangents: Any) -> tuple[Any, Any, Any]:

@@ -111,6 +111,11 @@ def concrete(value: Any) -> np.ndarray | None:
     return None if traced(value) else np.asarray(value)
 
 
+def told(path: Any, error: OSError) -> str:
+    """A path and what the system says of it; its own words repeat the path, however long that is."""
+    return f"{shown(str(path))}: {error.strerror or type(error).__name__}"
+
+
 def shown(value: Any) -> str:
     """A value as an error's sentence quotes it: short, and on one line."""
     try:

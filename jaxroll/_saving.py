@@ -25,7 +25,7 @@ import numpy as np
 from jax.tree_util import PyTreeDef
 
 from ._printing import code_of, is_code, number_of
-from ._results import check_instance, shown, traced
+from ._results import check_instance, shown, told, traced
 
 # Number of the format; a file with a larger one comes from a later version.
 _FORMAT = 1
@@ -75,7 +75,7 @@ def save(path: str | Path, value: Any) -> Path:
         beside.replace(path)
     except OSError as error:
         raise ValueError(
-            f"argument path must name a file that can be written, but {shown(str(path))}: {error.strerror}"
+            f"argument path must name a file that can be written, but {told(path, error)}"
         ) from None
     return path
 

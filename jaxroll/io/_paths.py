@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from .._results import shown
+from .._results import shown, told
 
 
 def as_path(path: Any, kinds: tuple[str, ...]) -> Path:
@@ -19,15 +19,15 @@ def as_path(path: Any, kinds: tuple[str, ...]) -> Path:
 
 def readable(path: Path, holding: str = "points") -> Path:
     """The path, if it is a file that can be read and is not empty."""
+    if not os.path.isfile(path):  # of a name that is too long `path.is_file` raises
+        what = "is a folder" if os.path.isdir(path) else "is not there"
+        raise ValueError(f"argument path must name a file, but {shown(str(path))} {what}")
     try:
-        if not path.is_file():
-            what = "is a folder" if path.is_dir() else "is not there"
-            raise ValueError(f"argument path must name a file, but {shown(str(path))} {what}")
         with path.open("rb") as file:
             empty = not file.read(1)
     except OSError as error:
         raise ValueError(
-            f"argument path must name a file that can be read, but {_said(path, error)}"
+            f"argument path must name a file that can be read, but {told(path, error)}"
         ) from None
     if empty:
         raise ValueError(f"argument path must name a file with {holding}, but {shown(str(path))} is empty")
@@ -49,11 +49,6 @@ def writable(path: Path) -> Path:
             path.unlink()
     except OSError as error:
         raise ValueError(
-            f"argument path must name a file that can be written, but {_said(path, error)}"
+            f"argument path must name a file that can be written, but {told(path, error)}"
         ) from None
     return path
-
-
-def _said(path: Path, error: OSError) -> str:
-    """What the system says of a path; its own words repeat the path, however long that is."""
-    return f"{shown(str(path))}: {error.strerror or error}"

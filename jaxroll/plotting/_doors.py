@@ -16,8 +16,8 @@ from .._results import (
     check_callable,
     check_flag,
     check_instance,
-    check_known,
     check_positive,
+    on_host,
     shown,
 )
 from ..design import Design
@@ -40,8 +40,6 @@ def guarded(figure: _Function) -> _Function:
     def door(*args: Any, **options: Any) -> Any:
         # By name, however they were given; of an argument too many `figure` will say so itself.
         given = dict(zip(names, args, strict=False)) | options
-        for name, value in given.items():
-            check_known(name, value)
         grasp: Any = given.get("grasp")
         if "trajectory" in given:
             check_run(grasp, given["trajectory"])
@@ -55,7 +53,7 @@ def guarded(figure: _Function) -> _Function:
                 check(name, given[name])
         return figure(*args, **options)
 
-    return cast(_Function, door)
+    return cast(_Function, on_host(door))
 
 
 def _positive(name: str, value: Any) -> None:

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from .._results import shown
+from .._results import told
 
 # Okabe and Ito's palette: told apart in every common form of colour blindness.
 FINGER, OBJECT, CONTACT, FORCE_COLOUR, GUIDE = "#0072B2", "#E69F00", "#D55E00", "#CC3377", "#333333"
@@ -54,8 +54,7 @@ def save_figure(figure: Figure, folder: str | Path, name: str) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, dpi=DPI)
     except OSError as error:
-        why = error.strerror or type(error).__name__
         raise ValueError(
-            f"argument folder must be one that can be written to, but was {shown(str(folder))}: {why}"
+            f"argument folder must be one that can be written to, but was {told(folder, error)}"
         ) from None
     return path

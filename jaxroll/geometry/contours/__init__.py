@@ -24,7 +24,8 @@ from ._neural_curvature import NeuralCurvature as NeuralCurvature
 from ._neural_support import NeuralSupport as NeuralSupport
 from ._parametric import Parametric as Parametric
 from ._spline import (
-    check_points as check_points,
+    check_distinct as check_distinct,
+    check_enough as check_enough,
     chords as chords,
     knot_count as knot_count,
     Spline as Spline,

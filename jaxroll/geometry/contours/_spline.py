@@ -252,15 +252,17 @@ def _check(points: Array, closed: bool, degree: int, origin: int) -> None:
     """Raise unless the arguments make a contour; the points' places only where they are not traced."""
     if not isinstance(degree, int | np.integer) or degree not in (3, 5, 7, 9):
         raise ValueError(f"argument degree must be 3, 5, 7 or 9, but was {shown(degree)}")
-    seen, count = concrete(points), points.shape[0]
-    check_points(count if seen is None else seen, closed, degree)
+    count = points.shape[0]
+    check_enough(count, degree)
     whole = isinstance(origin, int | np.integer) and not isinstance(origin, bool)
     if not whole or not 0 <= origin < count:
         raise ValueError(
             f"argument origin must be the number of a point, below {count}, but was {shown(origin)}"
         )
+    seen = concrete(points)
     if seen is None:
         return
+    check_distinct(seen, closed)
     if closed and not (area := polygon_area(seen)) > 0.0:
         raise ValueError(
             f"argument points must run counter-clockwise, but the area on their left was {area:.3g} m^2"
@@ -274,21 +276,22 @@ def _length(smoothing: Given) -> Array | None:
     return None if seen is not None and seen == 0 else check_positive("smoothing", wavelength)
 
 
-def check_points(points: np.ndarray | int, closed: bool, degree: int) -> None:
-    """Raise unless a spline can go through points, or through so many where their places are not known."""
-    count = points if isinstance(points, int) else len(points)
+def check_enough(count: int, degree: int) -> None:
+    """Raise unless a spline of a degree can go through so many points."""
     if count < degree + 1:
         raise ValueError(
             f"argument points must have at least {degree + 1} points for degree {degree}, but had {count}"
         )
-    if isinstance(points, int):
-        return
+
+
+def check_distinct(points: np.ndarray, closed: bool) -> None:
+    """Raise if a point follows itself, where the polygon has no direction."""
     following = np.roll(points, -1, axis=0) if closed else points[1:]
     same = np.flatnonzero(np.all(points[: len(following)] == following, axis=1))
     if same.size:
         raise ValueError(
             f"argument points must not repeat a point (a closed contour joins its ends itself), "
-            f"but points {same[0]} and {(same[0] + 1) % count} are the same"
+            f"but points {same[0]} and {(same[0] + 1) % len(points)} are the same"
         )
 
 

@@ -426,6 +426,13 @@ def test_the_lowest_place_of_a_parabola_is_found_from_its_samples():
             assert found == np.inf
 
 
+def test_a_dip_that_no_parabola_tells_shortens_the_step():
+    """An ellipse that grazed lift-off: zero at a share of 0.799, and the parabola's lowest value is 2e-6."""
+    times = np.array([0.0, 0.1475, 0.375, 0.465, 0.56486545, 0.65, 0.92465628, 1.0])
+    margins = [1.107e-3, 6.685e-4, 2.441e-4, 1.426e-4, 6.530e-5, 2.462e-5, 1.529e-5, 3.739e-5]
+    assert 0.79 <= float(first_dip(times, [jnp.asarray(m) for m in margins])) <= 0.81
+
+
 class Blowing(eqx.Module):
     """A torque that grows without bound towards a moment: velocities diverge there, as its power says."""
 

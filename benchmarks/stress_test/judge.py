@@ -5,6 +5,7 @@ of the tolerance; from a start moved by 1e-10), and names of codes. Nothing here
 """
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -28,6 +29,8 @@ _POLE = 1e-9
 _QUARTERS = 12
 # Rounding of a length [m].
 _ROUNDED = 1e-16
+# Shortest steps of a search for an event, in roundings of the time.
+_SEARCHED = 2 * 64 * 8
 # Steps of the judge's own beyond an end.
 _AHEAD = 60
 _TABLED = ("support", "neural_support", "spline", "neural_curvature")
@@ -134,12 +137,13 @@ class Judge:
             if values.shape[-1]
         }
         m |= self._beyond(base.last, end)
-        m["depth"] = self._depths(base, whole, tight)
+        m["depth"] = self._depths(base, whole, (tight, moved))
         m["whole"], m["tight"] = whole.code, tight.code
         m["most_steps"] = np.full(len(base.steps), self.scene.get("max_steps", 4096))
         m["t_end"], m["t1"] = base.t_end, self.scene["t1"]
         m["t_whole"], m["t_tight"] = whole.t_end, tight.t_end
         m["rtol"] = self.scene["rtol"]
+        m["precision"] = np.full(len(base.steps), self.precision)
         # Forces are known to rounding over the square of the firmness: where that exceeds the tolerance, no
         # step is short enough.
         m["near"] = np.maximum(_NEARLY, np.sqrt(self.precision / self.scene["rtol"]))
@@ -190,12 +194,14 @@ class Judge:
         spectrum, running, _ = quadrature(run.ts.shape[1])
         half = 0.5 * (run.ts[:, -1] - run.ts[:, 0])[:, None, None]
         off, sharp = 0.0, True
-        pairs = [(run.saved.v, seen.rates), (run.saved.s, seen.rolling)]
-        for value, rate in pairs:
+        doubt = self.precision * seen.doubt
+        pairs = [(run.saved.v, seen.rates, doubt), (run.saved.s, seen.rolling, 0.0 * doubt)]
+        for value, rate, noise in pairs:
             gone = half * np.einsum("jk,lkn->ljn", running, rate)
             step = np.abs(value - value[:, :1] - gone) / (tol[..., None] * (1 + np.abs(value)))
             off = np.maximum(off, np.max(step, axis=(1, 2)))
             coarse = np.max(np.abs(half * rate), axis=(1, 2)) * _tail(spectrum, rate)
+            coarse = coarse + np.nanmax(half * noise, axis=(1, 2))
             sharp = sharp & (coarse < 10 * self.scene["rtol"])
         return {"defect": np.where(sharp, off, np.nan)}
 
@@ -266,17 +272,19 @@ class Judge:
                 which = np.nanargmin(np.where(np.isfinite(here), here, np.inf), axis=-1)
                 before, after = (side[name][np.arange(len(which)), 0, which] for side in sides)
                 found[f"drift_{name}"] = after - before
+                found[f"slope_{name}"] = np.abs(after - before) / (2.0 * step[:, 0])
         return found
 
-    def _depths(self, base: Run, whole: Run, tight: Run) -> np.ndarray:
+    def _depths(self, base: Run, whole: Run, others: Sequence[Run]) -> np.ndarray:
         """How far a limit is passed that ended the run with many saved times, and not the other one.
 
         From that end on, as far as the other one went, by the judge's own equations, in growing steps. Zero
         where there is none; infinite where the equations end too.
         """
         depth = np.zeros(len(base.code))
-        # One event has as many times as there are runs of it, by their errors.
-        same = np.where(tight.code == base.code, 10.0 * np.abs(tight.t_end - base.t_end), 0.0)
+        # One event has as many times as there are runs of it, by their errors and by what has grown of them.
+        apart = [np.where(r.code == base.code, np.abs(r.t_end - base.t_end), 0.0) for r in others]
+        same = 10.0 * np.max(apart, axis=0)
         sooner = base.t_end - whole.t_end
         early = sooner > np.maximum(1e-5 * base.t_end, same)
         depth[early & (whole.code == "singular_contact") & (sooner > _POLE)] = np.inf
@@ -330,7 +338,8 @@ class Judge:
         if not m["finite"] and code != "not_finite":
             wrong.append("not finite")
         # Forces are known no better than the precision and the conditioning let them be.
-        noise = 100.0 * self.precision / max(m["least_firmness"], 1e-12) ** 2
+        firm = np.nanmin([m["least_firmness"], m["end_firmness"]])
+        noise = 100.0 * self.precision / max(firm, 1e-12) ** 2
         rows, forces = self.slack.rows, max(self.slack.forces, noise / FORCE)
         limits = {
             "gap": rows * GAP,
@@ -356,8 +365,9 @@ class Judge:
 def _missed(code: str, m: dict[str, Any], slack: float) -> list[str]:
     """Limits that were crossed while the run went on."""
     found = []
-    for name, limit in (("force", 1e-6), ("cone", 1e-6), ("room", 1e-9), ("bend", 0.0)):
-        if m[f"least_{name}"] < -limit * slack:
+    known = _known_forces(m, slack)
+    for name, limit in (("force", known), ("cone", known), ("room", 1e-9 * slack), ("bend", 0.0)):
+        if m[f"least_{name}"] < -limit:
             found.append(f"missed: {name} fell to {m[f'least_{name}']:.1e}")
     if code == "successful" and m["t_end"] != m["t1"]:
         found.append("ended early")
@@ -369,6 +379,11 @@ def _missed(code: str, m: dict[str, Any], slack: float) -> list[str]:
             f"missed: many saved times end {m['whole']} at {m['t_whole']:.6g}, {m['depth']:.0e} deep"
         )
     return found
+
+
+def _known_forces(m: dict[str, Any], slack: float) -> float:
+    """How well forces are known: a step is judged where it ended, before its return to the constraints."""
+    return max(_ZERO * slack, m["rtol"])
 
 
 def picked(scene: Any, lanes: np.ndarray) -> Any:
@@ -389,9 +404,12 @@ def _cause(code: str, m: dict[str, Any], slack: float) -> list[str]:
     """Why a code is not the cause, if so."""
     if code in _LIMITS:
         name = _LIMITS[code]
-        limit = slack * (1e-9 if name == "room" else _ZERO)
         if f"end_{name}" not in m:
             return ["cause: nothing limits that"]
+        limit = slack * 1e-9 if name == "room" else _known_forces(m, slack)
+        # A search for an event that rounding misleads ends it within so much of its time.
+        slope = m[f"slope_{name}"]
+        limit += _SEARCHED * m["precision"] * m["t_end"] * slope if np.isfinite(slope) else 0.0
         value, drift = m[f"end_{name}"], m[f"drift_{name}"]
         at_start = m["t_end"] == 0.0
         if value > limit or (value < -limit and not at_start):

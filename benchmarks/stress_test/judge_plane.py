@@ -60,6 +60,7 @@ class Instant:
         loss: Power taken out by dampers [W].
         momentum: Mass matrix times velocities.
         inertial: Mass matrix times accelerations.
+        doubt: What accelerations are known to, over the rounding of one.
     """
 
     gap: np.ndarray
@@ -77,6 +78,7 @@ class Instant:
     loss: np.ndarray
     momentum: np.ndarray
     inertial: np.ndarray
+    doubt: np.ndarray
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -125,7 +127,7 @@ class Plane:
         rows = np.concatenate([np.stack([t["columns"].real, t["columns"].imag]) for t in touching])
         rows = np.moveaxis(rows, (0, 1), (-2, -1))
         wanted = -np.stack([x for t in touching for x in (t["bias"].real, t["bias"].imag)], axis=-1)
-        pushes, rates, firmness = solved(mass, drive - bias, rows, wanted)
+        pushes, rates, firmness, doubt = solved(mass, drive - bias, rows, wanted)
         forces = pushes[..., 0::2] + 1j * pushes[..., 1::2]
         kinetic = 0.5 * np.einsum("lti,ltij,ltj->lt", v, mass, v)
         normals, rubs, creeps = [], [], []
@@ -153,6 +155,7 @@ class Plane:
             loss=loss,
             momentum=np.einsum("ltij,ltj->lti", mass, v),
             inertial=np.einsum("ltij,ltj->lti", mass, rates),
+            doubt=doubt,
         )
 
     def velocity(self, motion: Motion) -> np.ndarray:
@@ -287,8 +290,8 @@ class Plane:
         }
 
 
-def solved(mass: Any, drive: Any, rows: Any, wanted: Any) -> tuple[Any, Any, Any]:
-    """Forces on the fingertips, accelerations and firmness, from one system scaled by the masses."""
+def solved(mass: Any, drive: Any, rows: Any, wanted: Any) -> tuple[Any, Any, Any, Any]:
+    """Forces on the fingertips, accelerations, firmness and doubt, from one system scaled by the masses."""
     n, m = drive.shape[-1], rows.shape[-2]
     scale = 1.0 / np.sqrt(np.einsum("...ii->...i", mass))
     unit = mass * scale[..., :, None] * scale[..., None, :]
@@ -312,7 +315,9 @@ def solved(mass: Any, drive: Any, rows: Any, wanted: Any) -> tuple[Any, Any, Any
     clean = np.where(good[..., None, None], rows, np.eye(m, n))
     spread = np.linalg.svd(np.linalg.solve(lower, np.swapaxes(clean, -1, -2)), compute_uv=False)
     firmness = np.where(good, spread[..., -1] / spread[..., 0], np.nan)
-    return pushes, found[..., :n] * scale, firmness
+    # A grasp that cannot move accelerates by the rounding of what its forces would do to it alone.
+    doubt = scale * np.linalg.norm(right, axis=-1, keepdims=True) / firmness[..., None] ** 2
+    return pushes, found[..., :n] * scale, firmness, doubt
 
 
 def _relative_sum(own: Place, face: Place) -> np.ndarray:

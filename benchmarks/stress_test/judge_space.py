@@ -128,7 +128,7 @@ class Space:
         ]
         rows = np.concatenate([t["rows"] for t in touching], axis=-2)
         wanted = -np.concatenate([t["bias"] for t in touching], axis=-1)
-        pushes, rates, firmness = solved(mass, drive - bias, rows, wanted)
+        pushes, rates, firmness, doubt = solved(mass, drive - bias, rows, wanted)
         given = np.concatenate([t["given"] for t in touching], axis=-1)
         creep = np.abs(np.einsum("ltmn,ltn->ltm", rows, v) + given)
         normals, rubs, at = [], [], 0
@@ -157,6 +157,7 @@ class Space:
             loss=loss,
             momentum=np.einsum("ltij,ltj->lti", mass, v),
             inertial=np.einsum("ltij,ltj->lti", mass, rates),
+            doubt=doubt,
         )
 
     def velocity(self, motion: Motion) -> np.ndarray:

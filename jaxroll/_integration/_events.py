@@ -56,9 +56,10 @@ _SAMPLES = 64
 # that close to the start are left out too.
 _APART = 0.07
 
-# A margin that falls below this part of the larger of its neighbours counts as close to zero. With a twentieth,
-# 3 of 8064 bodies that graze lift-off were lost, by up to 5e-6 of their force; the shorter steps that a quarter
-# asks for are less than one in a hundred (`python -m benchmarks.stress --structure graze-lift`, seeds 1 to 3).
+# A margin that falls below this part of the larger of its neighbours counts as close to zero. With a
+# twentieth, 3 of 8064 bodies that graze lift-off were lost, by up to 5e-6 of their force; the shorter steps
+# that a quarter asks for are less than one in a hundred (`python -m benchmarks.stress --structure graze-lift`,
+# seeds 1 to 3).
 _CLOSE = 0.25
 
 # Result codes by number: the flow vector holds numbers only, and diffrax's codes know nothing of contacts.

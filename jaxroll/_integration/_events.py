@@ -58,7 +58,7 @@ _APART = 0.07
 
 # A margin that falls below this part of the larger of its neighbours counts as close to zero. With a
 # twentieth, 3 of 8064 bodies that graze lift-off were lost, by up to 5e-6 of their force; the shorter steps
-# that a quarter asks for are less than one in a hundred (`python -m benchmarks.stress --structure graze-lift`,
+# that a quarter asks for are less than one in a hundred (`benchmarks.stress --structure graze-lift`,
 # seeds 1 to 3).
 _CLOSE = 0.25
 

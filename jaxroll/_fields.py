@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ._closures import as_tree
-from ._results import as_array, as_floats, check_callable, is_array_like, shown, traced
+from ._results import as_array, as_floats, check_callable, is_array_like, shown, traceable, traced
 from ._xla import in_arithmetic
 
 Check = Callable[[str, jax.Array], jax.Array]
@@ -76,7 +76,8 @@ def is_command(value: Any) -> bool:
 
 def shape_returned(function: Callable[[Any], Any], name: str = "t") -> tuple[int, ...]:
     """Shape of what a function of time returns; raise unless that is real numbers."""
-    return jax.eval_shape(lambda t: as_array(name, function(t)), jnp.zeros(())).shape
+    with traceable(name):
+        return jax.eval_shape(lambda t: as_array(name, function(t)), jnp.zeros(())).shape
 
 
 def shape_of(given: Any) -> tuple[int, ...]:

@@ -25,6 +25,7 @@ from ._results import (
     on_host,
     RESULTS,
     shown,
+    traceable,
 )
 from ._types import Given
 
@@ -32,8 +33,20 @@ from ._types import Given
 _FIRST, _FACTOR, _MOST = 1e-3, 10.0, 1e12
 # The last step is shorter than this many standard deviations, or than this share of each number.
 _LAST, _SHARE = 1e-3, 1e-9
-# Above this condition of the scaled Gauss-Newton matrix the data do not tell the numbers apart.
-_CONDITION = 1e14
+# Eigenvalues of the scaled Gauss-Newton matrix below this share of the largest are zero: of a direction that
+# belongs to one the data tell nothing, nor of a number that takes part in it by more than the second figure.
+_UNTOLD, _PART = 1e-14, 1e-6
+# A number whose deviation is so many times itself is none.
+_GUESSED = 1e6
+# Ends of a run that say that it is none; others, such as a lost contact, may have been measured.
+_BROKEN = (
+    RESULTS.max_steps_reached,
+    RESULTS.step_collapsed,
+    RESULTS.singular_contact,
+    RESULTS.not_finite,
+    RESULTS.unreachable,
+    RESULTS.solver_failed,
+)
 
 
 @dataclass(frozen=True)
@@ -42,14 +55,16 @@ class Identified:
 
     Attributes:
         values: By name, what was found.
-        deviations: By name, standard deviations in the same units; infinite where the data do not tell the
-            numbers apart.
-        covariance: Shape (n, n), in the order of `values`.
+        deviations: By name, standard deviations in the same units; infinite for numbers of which the data
+            tell nothing, or which they do not tell from others.
+        covariance: Shape (n, n), in the order of `values`; infinite in the rows and columns of such numbers.
         noise: Standard deviation of the measurements that was given, or that the misfit shows.
         misfit: Root mean square of measured minus computed, over the noise: about one where model and noise
             are right.
         steps: How many steps were tried.
-        result: `successful`, `max_steps_reached`, or `not_finite` where the run from the guess is not.
+        result: `successful`; `max_steps_reached`, of the search; `undetermined` where the data tell nothing
+            of any number; or why there is no run with what was found, such as `step_collapsed`. A run that an
+            event ended is one.
     """
 
     values: dict[str, float]
@@ -62,9 +77,13 @@ class Identified:
 
     @property
     def correlation(self) -> np.ndarray:
-        """Shape (n, n): between -1 and 1; near either, only a combination of two numbers is known."""
+        """Shape (n, n): between -1 and 1; near either, only a combination of two numbers is known.
+
+        NaN for a number of which the data tell nothing.
+        """
         spread = np.sqrt(np.diag(self.covariance))
-        return self.covariance / np.outer(spread, spread)
+        with np.errstate(invalid="ignore"):
+            return self.covariance / np.outer(spread, spread)
 
     def __repr__(self) -> str:
         width = max(map(len, self.values))
@@ -142,33 +161,52 @@ def identify(
         )
     sigma = _sigma(noise, data)
 
-    def left_over(x: jax.Array) -> tuple[jax.Array, jax.Array]:
-        grasp, state = _made(make(dict(zip(names, x * start, strict=True))))
+    def left_over(x: jax.Array) -> tuple[jax.Array, tuple[jax.Array, RESULTS]]:
+        with traceable("make"):
+            grasp, state = _made(make(dict(zip(names, x * start, strict=True))))
         run = simulate(grasp, state, times[-1], ts=times, rtol=rtol, throw=False).filled()
-        seen = jnp.asarray(_joints(grasp, run) if observe is None else observe(grasp, run))
+        with traceable("observe"):
+            seen = jnp.asarray(_joints(grasp, run) if observe is None else observe(grasp, run))
         if seen.shape != data.shape:
             raise ValueError(
                 f"argument measured must have the shape {seen.shape} of what is seen, but had {data.shape}"
             )
         left = ((seen - data) / sigma).ravel()
-        return left, left
+        return left, (left, run.result)
 
     slopes_and_left = jax.jit(jax.jacfwd(left_over, has_aux=True))
-    both = lambda x: slopes_and_left(x)[::-1]  # noqa: E731
+
+    def both(x: jax.Array) -> tuple[jax.Array, jax.Array]:
+        slopes, (left, _) = slopes_and_left(x)
+        return left, slopes
+
     x, count, result, (left, slopes) = _descend(both, np.ones(len(names)), steps, known=noise is not None)
     free = data.size - len(names)
     spread = 1.0 if noise is not None else np.sqrt(float(left @ left) / free)
     covariance = spread**2 * np.outer(start, start) * _inverse(slopes)
     deviations = np.sqrt(np.diag(covariance))
+    values, ended = x * start, slopes_and_left(jnp.asarray(x))[1][1]
+    told = np.any(deviations < _GUESSED * np.abs(values))
     return Identified(
-        dict(zip(names, (x * start).tolist(), strict=True)),
+        dict(zip(names, values.tolist(), strict=True)),
         dict(zip(names, deviations.tolist(), strict=True)),
         covariance,
         _given(sigma) if noise is not None else spread,
         float(np.sqrt(np.mean(left**2))) / spread,
         count,
-        result,
+        _outcome(result, ended, told=bool(told)),
     )
+
+
+def _outcome(search: RESULTS, ended: RESULTS, *, told: bool) -> RESULTS:
+    """How an identification ended: from the code of its search, and that of the run with what was found.
+
+    `told` says whether the data tell something of a number at least.
+    """
+    for code in _BROKEN:
+        if ended == code:
+            return code
+    return search if told or code_name(search) != "successful" else RESULTS.undetermined
 
 
 def _descend(
@@ -203,15 +241,18 @@ def _descend(
 
 
 def _inverse(slopes: np.ndarray) -> np.ndarray:
-    """The inverse of the Gauss-Newton matrix; infinite where the data do not tell the numbers apart."""
+    """The inverse of the Gauss-Newton matrix; infinite for numbers of which the data tell nothing."""
     matrix = slopes.T @ slopes
-    scale = np.sqrt(np.diag(matrix))
-    if not np.isfinite(matrix).all() or not (scale > 0.0).all():
+    if not np.isfinite(matrix).all():
         return np.full(matrix.shape, np.inf)
-    alike = matrix / np.outer(scale, scale)
-    if np.linalg.cond(alike) > _CONDITION:
-        return np.full(matrix.shape, np.inf)
-    return np.linalg.inv(alike) / np.outer(scale, scale)
+    size = np.sqrt(np.diag(matrix))
+    scale = np.where(size > 0.0, size, 1.0)
+    values, ways = np.linalg.eigh(matrix / np.outer(scale, scale))
+    told = values > _UNTOLD * values[-1]
+    inverse = ways[:, told] / values[told] @ ways[:, told].T / np.outer(scale, scale)
+    unknown = np.any(np.abs(ways[:, ~told]) > _PART, axis=1)
+    inverse[unknown, :] = inverse[:, unknown] = np.inf
+    return inverse
 
 
 def _joints(grasp: Grasp, run: Any) -> jax.Array:

@@ -2,7 +2,7 @@
 
 import dataclasses
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, cast, TypeVar
 
 import equinox as eqx
@@ -20,10 +20,46 @@ class _Probe(eqx.Enumeration):
 
 
 class _Code(type(_Probe.one)):  # pyright: ignore
-    """A code that prints as its short name; `CODES[code]` has its sentence."""
+    """A code, or an array of codes, that prints as its short name; `CODES[code]` has its sentence.
+
+    NumPy takes it for an array of whole numbers. Numbers of codes never change, so they may be stored.
+    """
 
     def __repr__(self) -> str:
         return code_name(self)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        return np.array(self._value, dtype=dtype, copy=copy)
+
+    def __int__(self) -> int:
+        return int(self._value)
+
+    def __bool__(self) -> bool:
+        raise TypeError(
+            "a code is neither true nor false: compare it, as in `run.result == RESULTS.successful`"
+        )
+
+    def __len__(self) -> int:
+        return len(self._value)
+
+    def __getitem__(self, index: Any) -> Any:
+        # NumPy raises beyond the end, where JAX takes the last one.
+        values = np.asarray(self._value) if _known(self._value) else self._value
+        return cast(Any, _Code)(values[index], self._enumeration)
+
+    def __iter__(self) -> Iterator[Any]:
+        return (self[i] for i in range(len(self)))
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of an array of codes, () of a single one."""
+        return np.shape(self._value)
+
+    @property
+    def names(self) -> np.ndarray:
+        """The names of all codes, as an array of strings."""
+        known = names_of(self._enumeration)
+        return np.vectorize(known.__getitem__, otypes=[str])(np.asarray(self._value))
 
 
 def entry(title: str, lines: Sequence[str], *, width: int = 100) -> list[str]:

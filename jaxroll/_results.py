@@ -32,11 +32,21 @@ _LENGTHS = (1e-12, 1e9)
 _FEW = 12
 
 
+# What JAX raises where a function asks for the value of what is being traced.
+_NO_VALUES = (
+    jax.errors.ConcretizationTypeError,
+    jax.errors.TracerArrayConversionError,
+    jax.errors.TracerIntegerConversionError,
+)
+
+
 @named
 class RESULTS(eqx.Enumeration):
     """Result codes of `jaxroll.simulate`: 'successful', or why a run ended early.
 
-    A code prints as its name; `RESULTS[code]` is the sentence.
+    A code prints as its name; `RESULTS[code]` is the sentence. Codes of a batch can be counted, sorted and
+    stored: `np.unique(runs.result.names, return_counts=True)` by name, `np.asarray(runs.result)` as numbers;
+    `runs.result[k]` is that of one lane, and `runs.result == RESULTS.slipping` selects lanes.
     """
 
     successful = ""
@@ -66,6 +76,7 @@ class RESULTS(eqx.Enumeration):
     joint_limit = "A joint is at the end of its range."
     torque_limit = "The controller asks for more than the largest torque of a joint."
     links_meet = "A finger's links meet the object or another finger's."
+    undetermined = "What was measured tells nothing of the numbers that were sought."
 
 
 def missing_library(library: str, extra: str) -> ImportError:
@@ -104,6 +115,19 @@ def check_known(name: str, value: Any) -> None:
             f"argument {name} must hold known numbers, but JAX is tracing some: this works outside of "
             f"`jax.jit`, derivatives and `jax.vmap` alone"
         )
+
+
+@contextlib.contextmanager
+def traceable(name: str) -> Iterator[None]:
+    """Say in one sentence that a caller's function asks for values where JAX has none yet."""
+    try:
+        yield
+    except _NO_VALUES as error:
+        raise ValueError(
+            f"argument {name} must compute with jax.numpy, and choose with jnp.where in the place of `if`: "
+            "what it is given has no values while JAX traces it, but its function asked for one "
+            f"({type(error).__name__})"
+        ) from error
 
 
 def concrete(value: Any) -> np.ndarray | None:

@@ -1,6 +1,7 @@
 """Callers' own laws, loads and commands: as quick as built-in ones, or told why not."""
 
 import functools
+import math
 import warnings
 
 import jax
@@ -184,3 +185,19 @@ def test_functions_that_hide_nothing_stay_as_they_are():
     assert jax.jit(looked_at)(3.0) == 6.0
     first, second, law = inside[0]
     assert jax.tree.structure(first) == jax.tree.structure(second) and first is not law
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        lambda t, angles, rates, tips: [np.sin(x) for x in angles],
+        lambda t, angles, rates, tips: [x if x[0] > 0 else -x for x in angles],
+        lambda t, angles, rates, tips: [math.sin(t) * x for x in angles],
+    ],
+)
+def test_a_law_that_asks_for_values_is_answered_in_a_sentence(function):
+    grasp, state = jxr.scenes.pivoted()
+    with pytest.raises(ValueError, match=r"argument controller must compute with jax\.numpy, and choose"):
+        jxr.simulate(grasp.with_(controller=function), state, 0.1, ts=1)
+    with pytest.raises(ValueError, match=r"argument force.* must compute with jax\.numpy"):
+        grasp.with_(force=lambda t: np.sin(t))

@@ -1,5 +1,8 @@
 """Dense output: states of a run at any time, by one more step of its own method."""
 
+import copy
+import pickle
+
 import diffrax
 import jax
 import jax.numpy as jnp
@@ -31,6 +34,10 @@ def test_dense_output_is_as_accurate_as_saved_states(scene):
     assert run(np.array([[0.1, 0.2]])).v.shape == (1, 2, 3)
     with pytest.raises(ValueError, match="kept its steps"):
         jxr.simulate(*scene, 0.1, ts=1)(0.05)
+    # Copies answer too, those from another process among them: what marks a tree's structure stays itself.
+    for again in (copy.deepcopy(run), pickle.loads(pickle.dumps(run))):
+        assert jax.tree.structure(again) == jax.tree.structure(run)
+        np.testing.assert_array_equal(again(0.1).q, run(0.1).q)
 
 
 def test_dense_output_has_the_methods_order(scene):

@@ -79,6 +79,29 @@ def test_a_search_without_a_start_or_an_end_says_so():
     assert np.isinf(_inverse(np.ones((4, 2)))).all() and np.isinf(_inverse(np.zeros((4, 1)))).all()
 
 
+def test_what_the_data_tell_nothing_of_leaves_the_others_known():
+    """An idle number, and two of which only the sum is seen: the others have their own covariance."""
+    own = np.random.default_rng(0).normal(size=(9, 2))
+    both = own[:, :1]
+    slopes = np.concatenate([own, np.zeros((9, 1)), np.random.default_rng(1).normal(size=(9, 1))], axis=1)
+    slopes = np.concatenate([slopes, slopes[:, 3:]], axis=1)
+    known, found = np.linalg.inv(own.T @ own), _inverse(slopes)
+    # What the last two add up to is told like a number of its own, and takes away from the others.
+    three = np.linalg.inv(slopes[:, [0, 1, 3]].T @ slopes[:, [0, 1, 3]])
+    np.testing.assert_allclose(found[:2, :2], three[:2, :2], rtol=1e-9)
+    assert np.isinf(found[2:]).all() and np.isinf(found[:, 2:]).all()
+    np.testing.assert_allclose(_inverse(np.concatenate([own, 0.0 * both], axis=1))[:2, :2], known, rtol=1e-9)
+
+
+@pytest.mark.parametrize("force", [TRUE["force"], 1.0])
+def test_a_search_that_runs_off_is_no_success(scene, force):
+    """From a finger driven by its own motion: to where there is no run, or where nothing moves any more."""
+    grasp, state = scene
+    data = angles(**TRUE | {"force": force})
+    found = jxr.identify(lambda p: (grasp.with_(**p), state), {"damping": -0.05}, TS, data, noise=1e-4)
+    assert found.result in (jxr.RESULTS.step_collapsed, jxr.RESULTS.undetermined) and found.misfit > 100.0
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

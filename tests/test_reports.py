@@ -161,8 +161,25 @@ def test_what_is_rounding_of_the_root_is_not_told_as_an_amount(run, code, past, 
     assert past in beyond and words not in beyond and "1e-09" in beyond
 
 
+def test_a_run_out_of_steps_tells_how_many_it_was_given(run):
+    """The first step, which has no length, is not one of them."""
+    stats = dataclasses.replace(run.stats, steps=jnp.asarray(101))
+    told = cause(dataclasses.replace(ended(run, "max_steps_reached"), stats=stats))
+    assert told.endswith("after 100 steps")
+
+
+def test_hardly_any_energy_has_no_share_that_is_off(run):
+    small = jax.tree.map(lambda x: 1e-33 * jnp.ones_like(x), run.energy)
+    odd = dataclasses.replace(run, energy=dataclasses.replace(small, residual=1e-18 + 0.0 * small.residual))
+    assert "balance within 1.0e-18 J" in str(odd) and "of its size" in str(run)
+
+
+def test_the_shapes_of_a_run_print(run):
+    assert str(jax.eval_shape(lambda: run)) == "Trajectory (shapes alone)"
+
+
 def test_every_code_of_a_run_has_a_remedy():
-    others = {"successful", "too_deep", "infeasible"}  # of other functions
+    others = {"successful", "too_deep", "infeasible", "undetermined"}  # of other functions
     assert set(jxr.RESULTS._name_to_item) - others == RUNNING
 
 
@@ -220,6 +237,27 @@ def test_codes_print_their_names_everywhere(codes):
     seen = []
     jax.jit(lambda x: seen.append(repr(codes.where(x, *items[:2]))) or x)(True)
     assert "traced" in seen[0] and codes.__name__ in seen[0]
+
+
+def test_codes_of_a_batch_are_an_array_to_numpy(tmp_path):
+    """They are counted, stored, taken apart and compared, by number or by name."""
+    items = [jxr.RESULTS.successful, jxr.RESULTS.slipping, jxr.RESULTS.successful]
+    codes = jax.tree.map(lambda *x: jnp.stack(x), *items)
+    numbers = [int(item) for item in items]
+    assert codes.shape == (3,) and len(codes) == 3 and items[0].shape == ()
+    assert np.asarray(codes).tolist() == numbers and np.asarray(codes, float).dtype == float
+    assert [list(x) for x in np.unique(codes.names, return_counts=True)] == [
+        ["slipping", "successful"],
+        [1, 2],
+    ]
+    np.savez(tmp_path / "codes.npz", codes=codes)
+    assert np.load(tmp_path / "codes.npz")["codes"].tolist() == numbers
+    assert codes[1] == jxr.RESULTS.slipping and repr(codes[1:]) == "[slipping, successful]"
+    assert [repr(code) for code in codes] == ["successful", "slipping", "successful"]
+    with pytest.raises(IndexError):
+        codes[3]
+    with pytest.raises(TypeError, match="compare it"):
+        bool(items[0])
 
 
 def records():

@@ -195,7 +195,11 @@ def tolerance(name: str, value: Any, dtype: np.dtype) -> Any:
     number = _scalar(name, value, dtype)
     _check_positive(name, number)
     seen = concrete(number)
-    if seen is None or name.endswith("atol"):
+    if seen is None:
+        # With a tolerance of NaN no step is accepted, so that what nobody can refuse yet is no success.
+        allowed = number > 0 if name.endswith("atol") else (number > 0) & (number < 1)
+        return jnp.where(allowed, number, jnp.nan)
+    if name.endswith("atol"):
         return number
     if not seen < 1:
         raise ValueError(f"argument {name} must be below 1, but was {seen:g}")

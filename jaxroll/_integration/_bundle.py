@@ -46,6 +46,17 @@ class Bundle(eqx.Module):
         leaves = [next(numbers if moves else constants) for moves in self.moves]
         return eqx.combine(jax.tree.unflatten(self.tree, leaves), self.rest)
 
+    def __reduce__(self) -> tuple[Any, tuple]:
+        # For copies and other processes. equinox marks fields that are missing by one object, which a copy of
+        # the structure would have a copy of, and that is no mark: so a tree of this structure is copied.
+        numbered = jax.tree.unflatten(self.tree, range(self.tree.num_leaves))
+        flags = (self.moves, self.jumps, self.sampled, self.audited)
+        return _of_parts, (self.numbers, self.constants, self.rest, numbered, *flags)
+
+
+def _of_parts(numbers: Any, constants: Any, rest: Any, numbered: Any, *flags: Any) -> Bundle:
+    return Bundle(numbers, constants, rest, jax.tree.structure(numbered), *flags)
+
 
 def bundle(grasp: Grasp, moving: Grasp | None = None) -> Bundle:
     """Gather the scalar leaves of a prepared grasp in arrays; other arrays, such as tables, stay.

@@ -44,8 +44,8 @@ _AT = {
 _ROUNDINGS = {"slipping": 1000.0, "contour_end": 100.0}
 # What helps against each code, in terms of the arguments of `simulate`; other callers may give others.
 REMEDIES = {
-    "max_steps_reached": "a larger `max_steps`, a larger `rtol`, or `solver=jaxroll.Rosenbrock()` where fast "
-    "rates that have died out hold the steps short",
+    "max_steps_reached": "a larger `max_steps` (each sample of a `Sampled` law ends a step), a larger "
+    "`rtol`, or `solver=jaxroll.Rosenbrock()` where fast rates that have died out hold the steps short",
     "step_collapsed": "`jaxroll.why(grasp, run)` says which contact or which arm is nearly singular there; "
     "what single precision cannot pass, double may",
     "singular_contact": "shapes whose curvatures add up to more than zero (a hollow flatter than what rolls "
@@ -58,7 +58,8 @@ REMEDIES = {
     "links_meet": "another start (`jaxroll.reach`), a smaller `link_radius` of the finger, or an "
     "earlier `t1`",
     "torque_limit": "a gentler controller, or larger `torque_limits` of the finger",
-    "not_finite": "look at the last state: a controller or a contour of your own gives NaN near there",
+    "not_finite": "look at the last state: a number of the grasp, a time, or a function of your own is or "
+    "gives NaN there",
     "unreachable": "`jaxroll.close(grasp, state)` first",
     "unresolved": "more `cells` for that contour, or points with less noise",
     "solver_failed": "another `solver`, or none: the default",
@@ -87,7 +88,8 @@ def report(run: Any) -> str:
     if run.energy is not None and saved.any():
         scale = np.nanmax(np.abs(np.asarray(run.energy.kinetic + run.energy.potential)))
         off = peak(run.energy.residual)
-        told = f"within {off / scale:.1e} of its size" if scale > 0 else f"within {off:.1e} J"
+        # Where there is hardly any energy, its rounding is no share of it.
+        told = f"within {off / scale:.1e} of its size" if off <= scale > 0 else f"within {off:.1e} J"
         lines.append(f"  energy    balance {told}")
     return "\n".join(lines)
 
@@ -110,7 +112,8 @@ def cause(run: Any) -> str:
     t, contact, margin = float(stats.t_end), int(stats.contact), float(stats.margin)
     when = f" at t = {t:.6g} s"
     if name == "max_steps_reached":
-        return f"the step limit was reached{when}, after {int(stats.steps)} steps"
+        # The first step has no length (`_step_size.StopAt`), and is not among those that are limited.
+        return f"the step limit was reached{when}, after {int(stats.steps) - 1} steps"
     if name not in _TOLD or (contact < 0 and name == "singular_contact"):
         return f"{_lower(message(run.result))}{when}"
     who = "a contact" if contact < 0 else contact_name(run.labels, contact)

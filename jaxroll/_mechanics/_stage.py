@@ -28,7 +28,7 @@ from .._linalg import (
     Vec3,
 )
 from .._printing import listed
-from .._results import as_array, check_callable, check_direction, shown
+from .._results import as_array, check_callable, check_direction, shown, traceable
 from .._types import Given, Scalar, Scalars
 from ..contact import Motion
 from ..geometry import AbstractSurface
@@ -76,7 +76,8 @@ def _as_motion(name: str, motion: Any) -> Any:
     if motion is None:
         return None
     check_callable(name, motion, "a function of time", takes=1)
-    jax.eval_shape(lambda t: _given_by(motion, t), jnp.zeros(()))
+    with traceable(name):
+        jax.eval_shape(lambda t: _given_by(motion, t), jnp.zeros(()))
     return as_tree(name, motion)
 
 

@@ -18,6 +18,7 @@ import jax.extend.core as jec
 import jax.numpy as jnp
 from jax import Array
 
+from .._results import traceable
 from ._one_kernel import inner_programs, misfits
 
 # Products of more terms than this, all together, are left to a library, which is the faster then.
@@ -31,8 +32,10 @@ def in_arithmetic(name: str, function: Callable, *args: Any) -> Any:
     function. One that has nothing to be written out is called as it is.
     """
     if jax.default_backend() != "cpu":
-        return function(*args)
-    closed, like, still = eqx.filter_make_jaxpr(function)(*args)
+        with traceable(name):
+            return function(*args)
+    with traceable(name):
+        closed, like, still = eqx.filter_make_jaxpr(function)(*args)
     if any(_rule(equation) for equation in _equations(closed.jaxpr)):
         flat = [leaf for leaf in jax.tree.leaves(args) if eqx.is_array(leaf)]
         written = functools.partial(_evaluated, closed.jaxpr, closed.consts)

@@ -19,7 +19,16 @@ from jaxtyping import Array, Float
 
 from ..._closures import as_tree
 from ..._linalg import Vec2
-from ..._results import as_count, as_floats, as_order, check_callable, check_flag, concrete, shown
+from ..._results import (
+    as_count,
+    as_floats,
+    as_order,
+    check_callable,
+    check_flag,
+    concrete,
+    shown,
+    traceable,
+)
 from ..._types import Given
 from ._arclength import arclength_at
 from ._given_points import polygon_area
@@ -151,7 +160,8 @@ def _check(contour: Parametric) -> None:
     span, origin = concrete(contour.span), None if contour.origin is None else concrete(contour.origin)
     # By shape alone, without evaluating the function.
     u = jax.ShapeDtypeStruct((), contour.span.dtype)
-    found = eqx.filter_eval_shape(lambda f, u: jnp.asarray(f(u)), contour.function, u)
+    with traceable("function"):
+        found = eqx.filter_eval_shape(lambda f, u: jnp.asarray(f(u)), contour.function, u)
     if found.shape != (2,) or not jnp.issubdtype(found.dtype, jnp.floating):
         raise ValueError(
             "argument function must give a point of shape (2,), but gave "

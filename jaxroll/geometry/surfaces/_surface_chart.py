@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 
 from ..._closures import as_tree
 from ..._linalg import outer, square, Vec3
-from ..._results import as_floats, as_order, check_callable, concrete, shown
+from ..._results import as_floats, as_order, check_callable, concrete, shown, traceable
 from ..._types import Given, Scalar, Scalars
 from ..._xla import once
 from ._gauss import Gauss3
@@ -161,7 +161,8 @@ Ends = tuple[tuple[float, float], tuple[float, float]]
 def _check_point(function: Callable[..., Any], kind: Any) -> None:
     """Raise unless a function of two numbers gives three."""
     place = jax.ShapeDtypeStruct((), kind)
-    found = jax.tree.leaves(eqx.filter_eval_shape(function, place, place))
+    with traceable("function"):
+        found = jax.tree.leaves(eqx.filter_eval_shape(function, place, place))
     shapes = [getattr(x, "shape", ()) for x in found]
     if shapes not in ([(3,)], [(), (), ()]):
         raise ValueError(

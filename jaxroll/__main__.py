@@ -26,7 +26,8 @@ _DESIGN = (
 _FIT = "Fit a smooth contour or surface to a file, print a report, and write its picture and the shape."
 _PINCH = (
     "Fit an object from a file, find where to hold it, pinch it, push it, print a report, and write figures: "
-    "in the plane for drawings, photographs and sections, in space for meshes and clouds."
+    "in the plane for drawings, photographs and sections, in space for meshes and clouds. No gravity acts. "
+    "The exit code is 0 if every contact held until the end, at rest or not: the report's outcome says which."
 )
 _FILE = (
     "a drawing (SVG, DXF), a table of points with two or three columns (CSV, TXT, NPY, XYZ), a mesh (STL, "
@@ -237,7 +238,7 @@ def _shape_parsers(commands: Any) -> None:
     for name, (default, what) in numbers.items():
         told = f"{what} (default: {default:g})"
         pinch.add_argument(f"--{name}", metavar="X", type=_number(1e-3, 1e5), default=default, help=told)
-    press = "of the fingers [N] (default: three times the object's weight)"
+    press = "of the fingers [N] (default: three times what the object would weigh; no gravity acts)"
     pinch.add_argument("--force", metavar="N", type=_number(1e-6, 1e6), help=press)
     pinch.add_argument("--no-animation", action="store_true", help="write no motion.gif")
 

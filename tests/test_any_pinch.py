@@ -10,7 +10,7 @@ import pytest
 import jaxroll as jxr
 from jaxroll import stability
 from jaxroll.__main__ import main
-from jaxroll._cli import ShapeOrder
+from jaxroll._cli import _pinch_command, ShapeOrder
 from jaxroll._cli._shape_file import fitted, read, size_told
 from jaxroll.scenes import _any_pinch, _pinch_targets
 from jaxroll.scenes._any_pinch import _turns
@@ -201,7 +201,7 @@ def test_jaxroll_pinch_writes_what_it_says(tmp_path, monkeypatch, capsys):
     folder = tmp_path / "out"
     assert main(["pinch", str(tmp_path / "egg.csv"), "--out", str(folder), "--seconds", "0.4"]) == 0
     text = capsys.readouterr().out
-    assert "outcome     held" in text
+    assert "outcome     held for 0.4 s, " in text and "no gravity acts" in text
     names = {"fit.png", "poses.png", "responses.png", "motion.gif", "pinch.npz"}
     assert {path.name for path in folder.iterdir()} == names
     kept = jxr.load(folder / "pinch.npz")
@@ -254,7 +254,7 @@ def test_jaxroll_pinch_takes_a_hand_from_a_file(tmp_path, monkeypatch, capsys):
         "5",
     ]
     assert main([*words, "--out", str(folder), "--seconds", "0.4", "--no-animation"]) == 0
-    assert "outcome     held" in capsys.readouterr().out
+    assert "outcome     held for 0.4 s, " in capsys.readouterr().out
     kept = jxr.load(folder / "pinch.npz")
     grasp, run = kept["grasp"], kept["run"]
     assert off(grasp, kept["state"]) < 1e-12
@@ -265,3 +265,47 @@ def test_jaxroll_pinch_takes_a_hand_from_a_file(tmp_path, monkeypatch, capsys):
     axes = np.asarray(run.states.q)[0, :3]
     pushed = np.asarray(run.states.q)[:, :3] - axes
     assert np.abs(pushed).max() > 1e-5
+
+
+OUTCOMES = {
+    "at rest": (
+        (0.0, 0.0, 0.0),
+        "asymptotically_stable",
+        r"held for 1 s, at rest at the end \(0 mm/s, 0 rad/s\)",
+    ),
+    "unstable": (
+        (0.0, 0.0, 0.0),
+        "unstable",
+        r"at rest .*, but some small disturbance grows; a larger --seconds",
+    ),
+    "undamped": (
+        (0.0, 0.0, 0.0),
+        "undamped",
+        ", but some small disturbance never dies out; a larger --seconds",
+    ),
+    "nowhere": (
+        (0.0, 0.0, 0.0),
+        "not_found",
+        ", but no equilibrium was found near the start; a larger --sec",
+    ),
+    "moving": (
+        (0.003, 0.004, 0.2),
+        "neutral",
+        r"still moving at the end \(5 mm/s, 0.2 rad/s\); a larger --sec",
+    ),
+    "in space": (
+        (0.0, 0.0, 0.005, 0.0, 0.3, 0.4),
+        None,
+        r"still moving at the end \(5 mm/s, 0.5 rad/s\); a l",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", OUTCOMES)
+def test_the_outcome_says_how_long_and_whether_at_rest(case):
+    v, verdict, words = OUTCOMES[case]
+    states = SimpleNamespace(q=np.zeros((3, len(v) + (len(v) == 6) + 5)), v=np.zeros((3, len(v) + 5)))
+    states.v[-1, : len(v)] = v
+    run = SimpleNamespace(result=jxr.RESULTS.successful, states=states, stats=SimpleNamespace(t_end=1.0))
+    told = _pinch_command.outcome(run, None if verdict is None else getattr(stability.VERDICTS, verdict))
+    assert re.search(words, told) and told.startswith("held for 1 s, ")

@@ -169,6 +169,46 @@ def test_outlines_of_files_of_every_kind(tmp_path):
     assert seen.report.length == pytest.approx(round_, rel=5e-3)
 
 
+TABLES = {
+    "planar": (
+        np.pad(EGG, ((0, 0), (0, 1))),
+        "lie in one plane: for an outline leave out column 3, which is con",
+    ),
+    "index": (
+        np.insert(EGG, 0, np.arange(200), axis=1),
+        "column 1 of table.csv counts its lines: leave that co",
+    ),
+    "tilted": (
+        EGG @ np.array([[1.0, 0.0, 0.0], [0.0, 0.6, 0.8]]),
+        "lie in one plane: for an outline leave out the",
+    ),
+    "four": (
+        np.pad(EGG, ((0, 0), (0, 2)), constant_values=0.5),
+        "3 (x, y, z) or 6 (x, y, z and outward normals), b",
+    ),
+    "one": (EGG[:, :1], "but table.csv has 1"),
+    "a line": (EGG[:, :1] * np.array([1.0, 2.0]), "those of table.csv lie on one line"),
+    "decimal commas": (
+        "-1,44,-1,08\n2,30,1,50\n",
+        "has 4; if its commas are decimal marks, part the columns by s",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", TABLES)
+def test_a_table_of_no_shape_is_told_which_column_must_go(case, tmp_path):
+    table, words = TABLES[case]
+    file = tmp_path / "table.csv"
+    if isinstance(table, str):
+        file.write_text(table)
+    else:
+        np.savetxt(file, table, delimiter=",")
+    with pytest.raises(ValueError, match=re.escape(words)) as refused:
+        read(ShapeOrder(str(file), "mm", None, None, None))
+    assert str(refused.value).startswith("argument FILE must ")
+    assert ("decimal marks" in str(refused.value)) == (case == "decimal commas")
+
+
 BAD = {
     "no file": (["fit", "none.csv"], "none.csv"),
     "another kind": (["fit", "text.doc"], "argument FILE must end in one of"),

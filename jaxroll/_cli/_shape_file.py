@@ -17,7 +17,7 @@ import numpy as np
 
 from .. import io
 from ..geometry import Fit, fit_contour, fit_surface, metres_per, SurfaceFit
-from ..io._tables import table_width
+from ..io._tables import first_numbers, table_width
 from ._waiting import say
 
 DRAWINGS, TABLES = (".svg", ".dxf"), (".csv", ".txt", ".dat", ".npy", ".xyz")
@@ -26,6 +26,10 @@ MESHES, PHOTOGRAPHS = (".stl", ".obj", ".ply", ".off"), (".png", ".jpg", ".jpeg"
 _HELD, _LIKELY = (2e-3, 2.0), (8e-3, 1.0)
 _UNITS = ("m", "mm", "um", "in")
 _SHARE = 0.1
+# How many columns a table may have.
+_WIDTHS = (2, 3, 6)
+# Points whose least extent is this share of their largest have none; steps as alike as this are even.
+_FLAT, _EVEN = 1e-6, 1e-6
 _AXES = "xyz"
 
 
@@ -71,8 +75,16 @@ def read(order: ShapeOrder) -> ShapePoints:
     """What a file holds.
 
     Raises:
-        ValueError: If the file holds no points.
+        ValueError: If the file holds no points, or they lie on a line or in a plane of space.
     """
+    found = _read(order)
+    path = Path(order.file)
+    _check_spread(found.points, path.name, table=path.suffix.lower() in TABLES)
+    return found
+
+
+def _read(order: ShapeOrder) -> ShapePoints:
+    """The points of a file, by its kind."""
     path, kind = Path(order.file), Path(order.file).suffix.lower()
     if kind in PHOTOGRAPHS:
         if order.pixel is None:
@@ -85,10 +97,52 @@ def read(order: ShapeOrder) -> ShapePoints:
     if kind not in TABLES:
         known = ", ".join(DRAWINGS + TABLES + MESHES + PHOTOGRAPHS)
         raise ValueError(f"argument FILE must end in one of {known}, but was {path.name}")
+    width = table_width(path)
+    _check_width(path, width)
     # A scan with a bad number in z is no outline: what decides is how many columns there are.
-    if kind == ".xyz" or table_width(path) > 2:
+    if kind == ".xyz" or width > 2:
         return ShapePoints(*_cloud(path, order.unit))
     return ShapePoints(io.read_points(path, unit=order.unit))
+
+
+def _check_width(path: Path, width: int) -> None:
+    """Refuse a table of other columns than x and y, x, y and z, or these with normals."""
+    if width in (0, *_WIDTHS):  # a table without numbers is refused where it is read
+        return
+    line = "" if path.suffix.lower() == ".npy" else first_numbers(path)
+    # Whole numbers between commas, twice as many as coordinates.
+    halved = width % 2 == 0 and "," in line and "." not in line and ";" not in line
+    hint = ""
+    if halved:
+        hint = "; if its commas are decimal marks, part the columns by semicolons or blanks"
+    raise ValueError(
+        "argument FILE must be a table of 2 columns (x, y), 3 (x, y, z) or 6 (x, y, z and outward normals), "
+        f"but {path.name} has {width}{hint}"
+    )
+
+
+def _check_spread(points: np.ndarray, name: str, *, table: bool) -> None:
+    """Refuse points that enclose nothing, and a table with a column that counts them."""
+    if table and points.shape[1] == 3 and len(points) > 3:
+        steps = np.diff(points, axis=0)
+        even = np.abs(steps - steps[0]).max(axis=0) <= _EVEN * np.abs(steps[0])
+        counts = np.flatnonzero(even & (steps[0] != 0.0))
+        if len(counts):
+            raise ValueError(
+                "argument FILE must hold columns of coordinates alone, but column "
+                f"{counts[0] + 1} of {name} counts its lines: leave that column out"
+            )
+    extents = _own_extents(points)
+    if extents.min() > _FLAT * extents.max():
+        return
+    if points.shape[1] == 2:
+        raise ValueError(f"argument FILE must hold points of an outline, but those of {name} lie on one line")
+    constant = np.flatnonzero(np.ptp(points, axis=0) <= _FLAT * extents.max())
+    which = f"column {constant[0] + 1}, which is constant" if len(constant) == 1 else "the column across it"
+    advice = f": for an outline leave out {which}" if table else ""
+    raise ValueError(
+        f"argument FILE must hold points all round a body, but those of {name} lie in one plane{advice}"
+    )
 
 
 def fitted(order: ShapeOrder, outline: ShapePoints | None = None) -> Fit | SurfaceFit:
@@ -156,10 +210,14 @@ def _cloud(path: Path, unit: str) -> tuple[np.ndarray, np.ndarray | None]:
 
 
 def _radius(points: np.ndarray) -> float:
-    """A tenth of the least extent of points, along their own axes."""
+    """A share of the least extent of points, along their own axes."""
+    return _SHARE * float(_own_extents(points).min())
+
+
+def _own_extents(points: np.ndarray) -> np.ndarray:
+    """From end to end [m] along the axes of inertia of points."""
     centred = points - points.mean(axis=0)
-    axes = np.linalg.eigh(centred.T @ centred)[1]
-    return _SHARE * float(np.ptp(centred @ axes, axis=0).min())
+    return np.ptp(centred @ np.linalg.eigh(centred.T @ centred)[1], axis=0)
 
 
 def _image(path: Path) -> np.ndarray:

@@ -21,7 +21,8 @@ _ABOUT = "Differentiable simulation of grasping under rolling contact."
 _DEMO = "Simulate a scene of the chapter, print a report, and write its figures."
 _DESIGN = (
     "Start from a fingertip that loses the grasp of a rectangle, change it within limits until it holds, and "
-    "write figures, animations of both, and the fingertip to draw or to make."
+    "write figures, animations of both, and the fingertip to draw or to make. The exit code is 1 if it "
+    "does not hold."
 )
 _FIT = "Fit a smooth contour or surface to a file, print a report, and write its picture and the shape."
 _PINCH = (
@@ -90,7 +91,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: Arguments after the program's name. Default: those of the process.
 
     Returns:
-        The exit code: 0 if all went well, 1 if the run failed, 2 for an argument that does not fit.
+        The exit code: 0 if all went well, 1 if the run failed or nothing holds, 2 for an argument that does
+        not fit.
 
     Example:
         >>> main(["demo", "--seconds", "-1"])
@@ -116,10 +118,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         folder = _folder(options)
         if options.command in _ORDERS:
             return _ORDERS[options.command](options, folder)
-        if options.command == "design":
-            _design(options, folder)
-        else:
-            _run(options, DEMOS[options.scene], folder)
+        _run(options, DEMOS[options.scene], folder)
     except (_Unfit, ValueError) as error:
         _cli.say(f"jaxroll {options.command}: {error}")
         return 2
@@ -203,7 +202,9 @@ def _design_parser(commands: Any) -> None:
         "friction; the last takes minutes to compile",
     )
     most, batch = _number(1, 100_000, int), _number(1, 1000, int)
-    design.add_argument("--steps", metavar="N", type=most, default=200, help="at most (default: 200)")
+    design.add_argument(
+        "--steps", metavar="N", type=most, default=200, help="at most, rounded up to tens (default: 200)"
+    )
     design.add_argument("--starts", metavar="N", type=batch, default=1, help="in one batch (default: 1)")
     design.add_argument(
         "--tip",
@@ -329,7 +330,7 @@ def _run(options: argparse.Namespace, demo: Demo, folder: Path) -> None:
     print("\n".join(["  " + ", ".join(names), *missing]))
 
 
-def _design(options: argparse.Namespace, folder: Path) -> None:
+def _design(options: argparse.Namespace, folder: Path) -> int:
     with _cli.timed("Loading"):
         _configure()
         from . import __version__
@@ -341,8 +342,9 @@ def _design(options: argparse.Namespace, folder: Path) -> None:
             f"argument --tip must be a file with the points of a closed outline, but: {error}"
         ) from None
     asked = DesignOrder(options.goal, tip, options.steps, options.starts, animated=not options.no_animation)
-    lines = order(asked, folder, _cli.timed)
-    print("\n".join([f"jaxroll {__version__}, design: a fingertip that holds a rectangle", *lines]))
+    lines, held = order(asked, folder, _cli.timed)
+    print("\n".join([f"jaxroll {__version__}, design: a fingertip to hold a rectangle", *lines]))
+    return 0 if held else 1
 
 
 def _fit(options: argparse.Namespace, folder: Path) -> int:
@@ -394,8 +396,9 @@ def _shape(options: argparse.Namespace) -> Any:
     return ShapeOrder(options.file, options.unit, radius, pixel, options.section)
 
 
-# What each command does that is no demo and no design.
+# What each command does that is no demo and no sweep.
 _ORDERS: dict[str, Callable[[argparse.Namespace, Path], int]] = {
+    "design": _design,
     "fit": _fit,
     "pinch": _pinch,
     "replay": _replay,

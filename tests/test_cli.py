@@ -13,7 +13,7 @@ from jax import monitoring
 from PIL import Image
 
 import jaxroll as jxr
-from jaxroll import plotting
+from jaxroll import _cli, plotting
 from jaxroll.__main__ import main
 from jaxroll._cli import _design_command, _waiting, DesignOrder, order
 from jaxroll._cli._design_command import fingertip
@@ -91,7 +91,8 @@ def test_a_cache_that_is_no_folder_is_named_before_any_work(command, tmp_path, m
 def test_a_design_names_the_files_that_it_wrote(animated, tmp_path, monkeypatch):
     """The search, the runs and the drawing left out."""
     tip = types.SimpleNamespace(points=np.eye(2))
-    found = types.SimpleNamespace(start=tip, tip=Circle(0.01), report=lambda remedy: "the report")
+    made = {"start": tip, "tip": Circle(0.01), "holds": np.array([False, animated]), "chosen": 1}
+    found = types.SimpleNamespace(**made, report=lambda remedy: "the report")
     monkeypatch.setattr(_design_command, "optimise_fingertip", lambda *args, **options: found)
     monkeypatch.setattr(_design_command, "simulate", lambda *args, **options: None)
     monkeypatch.setattr(_design_command, "make", lambda tip: (None, None))
@@ -100,12 +101,25 @@ def test_a_design_names_the_files_that_it_wrote(animated, tmp_path, monkeypatch)
     monkeypatch.setattr(plotting, "comparison", lambda runs, folder: (folder / "comparison.png").touch())
     monkeypatch.setattr(plotting, "animate", lambda grasp, run, path, **options: path.touch())
     asked = DesignOrder("margin", tip, steps=1, starts=1, animated=animated)
-    first, second, third, names, *missing = order(asked, tmp_path, lambda doing: contextlib.nullcontext())
-    assert (first, second, third) == ("the report", "the runs", f"Files in {tmp_path}:")
+    lines, held = order(asked, tmp_path, lambda doing: contextlib.nullcontext())
+    first, outcome, *others, names = lines[:5]
+    missing = lines[5:]
+    assert (first, *others) == ("the report", "the runs", f"Files in {tmp_path}:") and held == animated
+    assert outcome.startswith(
+        "  outcome   the fingertip " + ("holds" if held else "does not hold: more --steps")
+    )
     written = {path.name for path in tmp_path.iterdir()}
     assert names.startswith("  ") and set(names.strip().split(", ")) == written
     assert {"design.png", "comparison.png", "fingertip.csv"} <= written
     assert ({"before.gif", "after.gif"} <= written) == animated and all(" no " in line for line in missing)
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_a_design_that_does_not_hold_is_no_success(held, tmp_path, monkeypatch, capfd):
+    monkeypatch.setenv("JAXROLL_CACHE", "off")
+    monkeypatch.setattr(_cli, "order", lambda asked, folder, timed: (["the report"], held))
+    assert main(["design", "--out", str(tmp_path)]) == (0 if held else 1)
+    assert "the report" in capfd.readouterr().out
 
 
 def test_help_and_nothing_at_all(capfd):

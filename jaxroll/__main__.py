@@ -229,6 +229,8 @@ def _shape_parsers(commands: Any) -> None:
         parser.add_argument("--pixel", metavar="MM", type=size, help="of a photograph: size of a pixel [mm]")
         cut = "of a mesh: the section across an axis, such as z=12.5 [mm]"
         parser.add_argument("--section", metavar="AXIS=MM", type=_section, help=cut)
+        which = "of several outlines in a drawing, photograph or section: from 0, the largest (default), on"
+        parser.add_argument("--which", metavar="N", type=_number(0, 1e6, int), help=which)
     pinch.add_argument("--hand", metavar="FILE", help="URDF or MJCF (default: the chapter's fingers)")
     numbers = {
         "density": (1000.0, "of the object [kg/m^3]"),
@@ -393,7 +395,7 @@ def _shape(options: argparse.Namespace) -> Any:
 
     metres = lambda x: None if x is None else 1e-3 * x  # noqa: E731
     radius, pixel = metres(options.smallest_radius), metres(options.pixel)
-    return ShapeOrder(options.file, options.unit, radius, pixel, options.section)
+    return ShapeOrder(options.file, options.unit, radius, pixel, options.section, options.which)
 
 
 # What each command does that is no demo and no sweep.

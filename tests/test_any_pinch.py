@@ -169,6 +169,23 @@ def test_outlines_of_files_of_every_kind(tmp_path):
     assert seen.report.length == pytest.approx(round_, rel=5e-3)
 
 
+def test_of_several_outlines_the_report_says_which(tmp_path):
+    big, small = "M 0,0 H 60 V 40 H 0 Z", "M 100,0 H 120 V 10 H 100 Z"
+    file = tmp_path / "two.svg"
+    head = '<svg xmlns="http://www.w3.org/2000/svg" width="200mm" height="50mm" viewBox="0 0 200 50">'
+    file.write_text(f'{head}<path d="{small}"/><path d="{big}"/></svg>')
+    for which, size in ((None, "60 x 40 mm"), (1, "20 x 10 mm")):
+        order = ShapeOrder(str(file), "mm", None, None, None, which)
+        lines = size_told(order, read(order))
+        assert lines[0].endswith(size)
+        words = f"number {which or 0} of 2 was taken, from 0, the largest, to 1; --which N takes another"
+        assert lines[1:] == [f"  outline     {words}"]
+    with pytest.raises(
+        ValueError, match="which must be below the number of outlines in two.svg, 2, but was 2"
+    ):
+        read(ShapeOrder(str(file), "mm", None, None, None, 2))
+
+
 TABLES = {
     "planar": (
         np.pad(EGG, ((0, 0), (0, 1))),
@@ -214,6 +231,18 @@ BAD = {
     "another kind": (["fit", "text.doc"], "argument FILE must end in one of"),
     "photograph without a scale": (["fit", "flat.png"], "argument --pixel must be"),
     "section without a place": (["fit", "egg.stl", "--section", "w=3"], "must be an axis and a place"),
+    "section of a table": (
+        ["fit", "egg.csv", "--section", "z=3"],
+        "argument --section must be left out for all",
+    ),
+    "pixel of a table": (
+        ["fit", "egg.csv", "--pixel", "1"],
+        "--pixel must be left out for all but a photograph",
+    ),
+    "outline of a table": (
+        ["pinch", "egg.csv", "--which", "1"],
+        "--which must be left out for all but a draw",
+    ),
     "radius of words": (["pinch", "egg.csv", "--smallest-radius", "big"], "but was big"),
     "a hand in the plane": (["pinch", "egg.csv", "--hand", "hand.urdf"], "argument --hand must be left out"),
 }

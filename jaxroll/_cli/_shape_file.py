@@ -17,6 +17,7 @@ import numpy as np
 
 from .. import io
 from ..geometry import Fit, fit_contour, fit_surface, metres_per, SurfaceFit
+from ..io._files import count_outlines
 from ..io._tables import first_numbers, table_width
 from ._waiting import say
 
@@ -43,6 +44,7 @@ class ShapeOrder:
         radius: Smallest radius of curvature [m]; None: a tenth of the least extent.
         pixel: Size of a photograph's pixel [m].
         section: Of a mesh, what to cut it across: an axis, and where [m]; None for all of it.
+        which: Of a drawing, a photograph or a section, which outline, counting from the largest; None: 0.
     """
 
     file: str
@@ -50,6 +52,7 @@ class ShapeOrder:
     radius: float | None
     pixel: float | None
     section: tuple[str, float] | None
+    which: int | None = None
 
 
 class ShapePoints(NamedTuple):
@@ -59,11 +62,13 @@ class ShapePoints(NamedTuple):
         points: Shape (n, 2) or (n, 3) [m].
         normals: Those of a cloud, or None.
         faces: Those of a mesh, or None.
+        outlines: How many outlines there were to choose from.
     """
 
     points: np.ndarray
     normals: np.ndarray | None = None
     faces: np.ndarray | None = None
+    outlines: int = 1
 
     @property
     def extent(self) -> np.ndarray:
@@ -77,10 +82,31 @@ def read(order: ShapeOrder) -> ShapePoints:
     Raises:
         ValueError: If the file holds no points, or they lie on a line or in a plane of space.
     """
-    found = _read(order)
-    path = Path(order.file)
+    _check_options(order)
+    found, path = _read(order), Path(order.file)
     _check_spread(found.points, path.name, table=path.suffix.lower() in TABLES)
     return found
+
+
+def _check_options(order: ShapeOrder) -> None:
+    """Refuse options that are for files of another kind."""
+    path = Path(order.file)
+    kind = path.suffix.lower()
+    # By option: whether it was given, the kinds that it is for, and their name.
+    taken = {
+        "--pixel": (order.pixel, PHOTOGRAPHS, "a photograph"),
+        "--section": (order.section, MESHES, "a mesh"),
+        "--which": (
+            order.which,
+            DRAWINGS + PHOTOGRAPHS + (MESHES if order.section is not None else ()),
+            "a drawing, a photograph or a section",
+        ),
+    }
+    for option, (given, kinds, what) in taken.items():
+        if given is not None and kind not in kinds and kind in DRAWINGS + TABLES + MESHES + PHOTOGRAPHS:
+            raise ValueError(
+                f"argument {option} must be left out for all but {what}, but FILE was {path.name}"
+            )
 
 
 def _read(order: ShapeOrder) -> ShapePoints:
@@ -89,9 +115,10 @@ def _read(order: ShapeOrder) -> ShapePoints:
     if kind in PHOTOGRAPHS:
         if order.pixel is None:
             raise ValueError("argument --pixel must be the size of a pixel in mm, but was not given")
-        return ShapePoints(io.read_silhouette(_image(path), pixel=order.pixel))
+        return ShapePoints(io.read_silhouette(_image(path), pixel=order.pixel, which=order.which or 0))
     if kind in DRAWINGS:
-        return ShapePoints(io.read_points(path, unit=order.unit))
+        points = io.read_points(path, unit=order.unit, which=order.which or 0)
+        return ShapePoints(points, outlines=count_outlines(path, unit=order.unit))
     if kind in MESHES:
         return _of_mesh(path, order)
     if kind not in TABLES:
@@ -155,7 +182,7 @@ def fitted(order: ShapeOrder, outline: ShapePoints | None = None) -> Fit | Surfa
     Raises:
         ValueError: If the file holds no points, or they are no one smooth shape.
     """
-    points, normals, faces = read(order) if outline is None else outline
+    points, normals, faces, _ = read(order) if outline is None else outline
     radius = _radius(points) if order.radius is None else order.radius
     if points.shape[1] == 2:
         return fit_contour(points, smallest_radius=radius)
@@ -163,9 +190,13 @@ def fitted(order: ShapeOrder, outline: ShapePoints | None = None) -> Fit | Surfa
 
 
 def size_told(order: ShapeOrder, outline: ShapePoints) -> list[str]:
-    """A line about the size of what was read; where no hand holds it, another about its unit."""
+    """Lines about what was read: its size, where there are several outlines which, and a unit in doubt."""
     size = " x ".join(f"{1e3 * x:.4g}" for x in outline.extent)
     lines = [f"  size        {size} mm"]
+    if outline.outlines > 1:
+        last = outline.outlines - 1
+        told = f"number {order.which or 0} of {outline.outlines} was taken, from 0, the largest, to {last}"
+        lines.append(f"  outline     {told}; --which N takes another")
     largest = float(outline.extent.max())
     if _HELD[0] <= largest <= _HELD[1]:
         return lines
@@ -197,7 +228,14 @@ def _of_mesh(path: Path, order: ShapeOrder) -> ShapePoints:
         return ShapePoints(points, faces=faces)
     axis, height = order.section
     normal = np.eye(3)[_AXES.index(axis)]
-    return ShapePoints(io.section(points, faces, origin=height * normal, normal=normal)[0])
+    outlines = io.section(points, faces, origin=height * normal, normal=normal)
+    which = order.which or 0
+    if which >= len(outlines):
+        raise ValueError(
+            f"argument --which must be below the number of outlines of the section, {len(outlines)}, but was "
+            f"{which}"
+        )
+    return ShapePoints(outlines[which], outlines=len(outlines))
 
 
 def _cloud(path: Path, unit: str) -> tuple[np.ndarray, np.ndarray | None]:

@@ -120,15 +120,23 @@ def main(argv: Sequence[str] | None = None) -> int:
             return _ORDERS[options.command](options, folder)
         _run(options, DEMOS[options.scene], folder)
     except (_Unfit, ValueError) as error:
-        _cli.say(f"jaxroll {options.command}: {error}")
+        _cli.say(f"jaxroll {options.command}: {_told(error, options)}")
         return 2
     except KeyboardInterrupt:
         _cli.say(f"jaxroll {options.command}: interrupted")
         return 130
     except Exception as error:  # whatever went wrong, the command line answers in one line
-        _cli.say(f"jaxroll {options.command}: {' '.join(str(error).split()) or type(error).__name__}")
+        _cli.say(
+            f"jaxroll {options.command}: {' '.join(_told(error, options).split()) or type(error).__name__}"
+        )
         return 1
     return 0
+
+
+def _told(error: Exception, options: argparse.Namespace) -> str:
+    """What went wrong, by the names of this command's options."""
+    given = [text.partition("=")[0] for text in getattr(options, "set", [])]
+    return _cli.in_options(str(error), options.command, given)
 
 
 class _Unfit(Exception):
@@ -355,7 +363,8 @@ def _fit(options: argparse.Namespace, folder: Path) -> int:
         from . import __version__
         from ._cli import fit_order
     lines = fit_order(_shape(options), folder, _cli.timed)
-    print("\n".join([f"jaxroll {__version__}, fit: {options.file}", *lines]))
+    report = _cli.in_options("\n".join(lines), "fit")
+    print(f"jaxroll {__version__}, fit: {options.file}\n{report}")
     return 0
 
 
@@ -375,7 +384,8 @@ def _pinch(options: argparse.Namespace, folder: Path) -> int:
         animated=not options.no_animation,
     )
     lines, held = pinch_order(asked, folder, _cli.timed)
-    print("\n".join([f"jaxroll {__version__}, pinch: {options.file}", *lines]))
+    report = _cli.in_options("\n".join(lines), "pinch")
+    print(f"jaxroll {__version__}, pinch: {options.file}\n{report}")
     return 0 if held else 1
 
 

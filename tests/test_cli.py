@@ -181,6 +181,56 @@ def test_a_saved_run_is_drawn_again(saved, tmp_path, monkeypatch, capfd):
     assert "argument FILE must name a file, but there is none" in capfd.readouterr().err
 
 
+def test_a_replay_shows_and_tells_of_a_run_up_to_a_time(saved, tmp_path, monkeypatch, capfd):
+    monkeypatch.setenv("JAXROLL_CACHE", "off")
+    words = ["replay", str(saved / "run.npz"), "--out", str(tmp_path), "--no-animation", "--until"]
+    assert main([*words, "0.06"]) == 0
+    told = capfd.readouterr().out
+    assert "0 to 0.05 s, 2 of 2 states saved" in told and "  shown     up to 0.05 s, by --until" in told
+    for until in ("0.2", "0.01"):
+        assert main([*words, until]) == 2
+        complaint = capfd.readouterr().err
+        assert (
+            "argument --until must be a time by which two states were saved, of a run from 0 to 0.1 s"
+            in complaint
+        )
+
+
+WORDS = {
+    "radius": (
+        "fit",
+        "argument smallest_radius must be at most 0.00454 m here, but was 0.01 m",
+        "argument --smallest-radius must be at most 4.54 mm here, but was 10 mm",
+    ),
+    "recommendation": (
+        "fit",
+        "recommended: a smallest_radius below 0.00454 m, if the points\nare shape 3 m away; 12 1/m",
+        "recommended: a --smallest-radius below 4.54 mm, if the points\nare shape 3 m away; 12 1/m",
+    ),
+    "points": (
+        "pinch",
+        "argument points must go all round, but leave a gap of 2 mm (closed=False makes an open one)",
+        "the points of FILE must go all round, but leave a gap of 2 mm",
+    ),
+    "which": (
+        "fit",
+        "argument which must be below 2, but was 2",
+        "argument --which must be below 2, but was 2",
+    ),
+    "section": ("pinch", "argument origin must put the plane", "argument --section must put the plane"),
+    "hand": ("pinch", "argument fingers must reach the object", "argument --hand must reach the object"),
+    "store": ("sweep", "argument resume must be a folder", "argument --out must be a folder"),
+    "set": ("sweep", "argument beta must be positive", "argument --set beta must be positive"),
+    "another": ("demo", "argument points must be 6", "argument points must be 6"),
+}
+
+
+@pytest.mark.parametrize("case", WORDS)
+def test_sentences_name_options(case):
+    command, text, told = WORDS[case]
+    assert _cli.in_options(text, command, ["beta"]) == told
+
+
 def test_a_film_is_handed_to_ffmpeg_and_refused_without_it(saved, tmp_path, monkeypatch):
     grasp, run = (jxr.load(saved / "run.npz")[name] for name in ("grasp", "run"))
     monkeypatch.setenv("PATH", str(tmp_path))

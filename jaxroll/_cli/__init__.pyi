@@ -17,3 +17,4 @@ from ._shape_file import ShapeOrder as ShapeOrder
 from ._sweep_command import mapped as mapped, swept as swept
 from ._sweep_order import map_order as map_order, sweep_order as sweep_order, sweep_parser as sweep_parser
 from ._waiting import say as say, timed as timed
+from ._words import in_options as in_options

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import io, loads, plotting, scenes, stability
-from .._integration import cause, simulate
+from .._integration import cause, report, simulate
 from .._mechanics import FreeObject, FreeObject3, Grasp, State
 from .._printing import code_name
 from .._reaching import tip_origins
@@ -39,6 +39,20 @@ _DOUBTS = {
     "unstable": ", but some small disturbance grows",
     "undamped": ", but some small disturbance never dies out",
     "not_found": ", but no equilibrium was found near the start",
+}
+# What helps a run that ended early, in the words of the command line.
+_REMEDIES = {
+    "max_steps_reached": "fewer --seconds",
+    "step_collapsed": "fewer --seconds, or another --smallest-radius",
+    "not_finite": "fewer --seconds",
+    "singular_contact": "a larger --smallest-radius, which makes hollows flatter",
+    "contact_lost": "a larger --force",
+    "slipping": "a larger --friction",
+    "penetration": "fewer --seconds, or a larger --smallest-radius",
+    "joint_limit": "fewer --seconds, or a --hand with wider ranges",
+    "links_meet": "fewer --seconds, or another --hand",
+    "torque_limit": "a smaller --force, or another --hand",
+    "unresolved": "a larger --smallest-radius",
 }
 # The animation: pictures a second, and simulated seconds per second shown. In space a picture takes long.
 _FPS, _SPEED = 12.0, 0.5
@@ -108,7 +122,7 @@ def pinch_order(
         f"{found.report}",
         *_described(grasp, run, push),
         _verdict(verdict),
-        f"{run}",
+        report(run, _REMEDIES),
         f"  outcome     {outcome(run, verdict)}",
         *_checks(run),
         f"Files in {folder}:",

@@ -232,7 +232,8 @@ def _shape_parsers(commands: Any) -> None:
         units = ("m", "mm", "um", "in")
         parser.add_argument("--unit", choices=units, default="mm", help="of FILE (default: mm)")
         size = _number(1e-6, 1e6)
-        radius = "smallest radius of curvature [mm] (default: a tenth of the least extent)"
+        radius = "smallest radius of curvature [mm] (default: a tenth of the least extent along its axes of "
+        radius += "inertia)"
         parser.add_argument("--smallest-radius", metavar="MM", type=size, help=radius)
         parser.add_argument("--pixel", metavar="MM", type=size, help="of a photograph: size of a pixel [mm]")
         cut = "of a mesh: the section across an axis, such as z=12.5 [mm]"

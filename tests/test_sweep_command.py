@@ -138,6 +138,8 @@ def test_a_name_is_looked_for_in_the_scene():
     changed = maker("pinch", ("damping",))(jxr.Parameters(damping=[0.004])[0])
     np.testing.assert_array_equal(changed[1].q, alone[1].q)
     np.testing.assert_array_equal(changed[0].controller.damping, alone[0].controller.damping)
+    with pytest.raises(ValueError, match="argument --set must name one of s, base, .*damping.* but was NOPE"):
+        maker("pivoted", ("NOPE",))
     with pytest.raises(
         ValueError, match="argument --set must give tip_radius to a scene that takes fingertips"
     ):

@@ -2,7 +2,7 @@
 
 The file's ending says what it is: a drawing, a table of points of the plane or of space, a mesh, or a
 photograph. Of a mesh either the surface or a section is fitted. The smallest radius of curvature, unless it
-is given, is a tenth of the shape's least extent.
+is given, is a tenth of the shape's least extent along its axes of inertia, which need not be x and y.
 
 Reading comes before fitting: a file that was read in another unit than its own is a thousand times too large
 or too small, which `size_told` says before any time is spent on it.
@@ -41,7 +41,7 @@ class ShapeOrder:
     Attributes:
         file: Its name.
         unit: Of the numbers in it.
-        radius: Smallest radius of curvature [m]; None: a tenth of the least extent.
+        radius: Smallest radius of curvature [m]; None: a tenth of the least extent along its own axes.
         pixel: Size of a photograph's pixel [m].
         section: Of a mesh, what to cut it across: an axis, and where [m]; None for all of it.
         which: Of a drawing, a photograph or a section, which outline, counting from the largest; None: 0.

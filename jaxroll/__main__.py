@@ -4,6 +4,7 @@
 """
 
 import argparse
+import contextlib
 import math
 import os
 import sys
@@ -115,10 +116,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         if options.command in ("sweep", "map"):
             _sweep_or_map(options)
             return 0
-        folder = _folder(options)
-        if options.command in _ORDERS:
-            return _ORDERS[options.command](options, folder)
-        _run(options, DEMOS[options.scene], folder)
+        folder, made = _folder(options)
+        try:
+            if options.command in _ORDERS:
+                return _ORDERS[options.command](options, folder)
+            _run(options, DEMOS[options.scene], folder)
+        finally:
+            _without_empty(made)
     except (_Unfit, ValueError) as error:
         _cli.say(f"jaxroll {options.command}: {_told(error, options)}")
         return 2
@@ -143,15 +147,42 @@ class _Unfit(Exception):
     """An argument of the command line that does not fit."""
 
 
-def _folder(options: argparse.Namespace) -> Path:
-    """The folder to write to, made and tried before any work is done; and the files to read are there."""
+def _folder(options: argparse.Namespace) -> tuple[Path, list[Path]]:
+    """The folder to write to, made and tried before any work is done; and the files to read are there.
+
+    What folders were made for it is returned too, the inner ones first.
+    """
     for word, name in (("--tip", "tip"), ("FILE", "file"), ("--hand", "hand")):
         given = getattr(options, name, None)
         if given is not None and not os.path.isfile(given):
             what = "{!r} is a folder" if os.path.isdir(given) else "there is none called {!r}"
             raise _Unfit(f"argument {word} must name a file, but {what.format(given)}")
     name = options.scene if options.command == "demo" else options.command
-    return _writable(f"jaxroll-{name}" if options.out is None else options.out)
+    if options.command == "pinch":  # `demo pinch` has the other name
+        name = f"pinch-{Path(options.file).stem}"
+    given = f"jaxroll-{name}" if options.out is None else options.out
+    made = _missing(given)
+    return _writable(given), made
+
+
+def _missing(given: str) -> list[Path]:
+    """Which folders would be made for one, the inner ones first."""
+    return [each for each in (Path(given), *Path(given).parents) if given.strip() and not _there(each)]
+
+
+def _there(path: Path) -> bool:
+    """Whether there is such a file or folder; what has no such name is none to be made."""
+    try:
+        return path.exists()
+    except (OSError, ValueError):
+        return True
+
+
+def _without_empty(folders: list[Path]) -> None:
+    """Remove folders in which nothing was written."""
+    for folder in folders:
+        with contextlib.suppress(OSError):
+            folder.rmdir()
 
 
 def _writable(given: str) -> Path:
@@ -228,7 +259,8 @@ def _shape_parsers(commands: Any) -> None:
     pinch = commands.add_parser("pinch", help=_PINCH, description=_PINCH, epilog=_CACHE)
     for name, parser in (("fit", fit), ("pinch", pinch)):
         parser.add_argument("file", metavar="FILE", help=_FILE)
-        parser.add_argument("--out", metavar="FOLDER", help=f"where to write (default: jaxroll-{name})")
+        place = "jaxroll-fit" if name == "fit" else "jaxroll-pinch-NAME, of NAME.ENDING"
+        parser.add_argument("--out", metavar="FOLDER", help=f"where to write (default: {place})")
         units = ("m", "mm", "um", "in")
         parser.add_argument("--unit", choices=units, default="mm", help="of FILE (default: mm)")
         size = _number(1e-6, 1e6)
@@ -421,11 +453,15 @@ _ORDERS: dict[str, Callable[[argparse.Namespace, Path], int]] = {
 def _sweep_or_map(options: argparse.Namespace) -> None:
     order: Any = _cli.sweep_order(options) if options.command == "sweep" else _cli.map_order(options)
     filled = options.command == "sweep" and order.store
+    made = [] if filled else _missing(order.out)
     folder = Path(order.store) if filled else _writable(order.out)
-    with _cli.timed("Loading"):
-        _configure()
-        work = _cli.swept if options.command == "sweep" else _cli.mapped
-    print("\n".join(work(order, folder, _cli.timed)))
+    try:
+        with _cli.timed("Loading"):
+            _configure()
+            work = _cli.swept if options.command == "sweep" else _cli.mapped
+        print("\n".join(work(order, folder, _cli.timed)))
+    finally:
+        _without_empty(made)
 
 
 def _page(demo: Demo, folder: Path, names: list[str], *, plotting: Any, grasp: Any, run: Any) -> list[str]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxroll as jxr
-from jaxroll import stability
+from jaxroll import _cli, stability
 from jaxroll.__main__ import main
 from jaxroll._cli import _pinch_command, ShapeOrder
 from jaxroll._cli._shape_file import fitted, read, size_told
@@ -261,6 +261,31 @@ def test_what_does_not_fit_is_one_line(case, tmp_path, monkeypatch, capfd):
     out, complaint = capfd.readouterr()
     assert out == ""
     assert words in complaint.splitlines()[-1]
+    assert not list(tmp_path.glob("jaxroll-*"))
+
+
+@pytest.mark.parametrize("written", [True, False])
+def test_a_pinch_has_a_folder_of_its_files_name_unless_nothing_is_written(written, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("JAXROLL_CACHE", "off")
+    np.savetxt(tmp_path / "egg.csv", EGG, delimiter=",")
+    seen = []
+
+    def ordered(asked, folder, timed):
+        seen.append(folder)
+        assert folder.is_dir()
+        (folder / "fit.png").touch()
+        return ["the report"], True
+
+    def refused(asked, folder, timed):
+        seen.append(folder)
+        raise ValueError("argument points must fit")
+
+    monkeypatch.setattr(_cli, "pinch_order", ordered if written else refused)
+    assert main(["pinch", "egg.csv"]) == (0 if written else 2)
+    assert main(["pinch", "egg.csv", "--out", "deep/out"]) == (0 if written else 2)
+    assert [str(folder) for folder in seen] == ["jaxroll-pinch-egg", "deep/out"]
+    assert all(folder.exists() == written for folder in (*seen, tmp_path / "deep"))
 
 
 @pytest.mark.slow

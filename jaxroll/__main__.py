@@ -4,6 +4,7 @@
 """
 
 import argparse
+import contextlib
 import math
 import os
 import sys
@@ -21,16 +22,8 @@ _ABOUT = "Differentiable simulation of grasping under rolling contact."
 _DEMO = "Simulate a scene of the chapter, print a report, and write its figures."
 _DESIGN = (
     "Start from a fingertip that loses the grasp of a rectangle, change it within limits until it holds, and "
-    "write figures, animations of both, and the fingertip to draw or to make."
-)
-_FIT = "Fit a smooth contour or surface to a file, print a report, and write its picture and the shape."
-_PINCH = (
-    "Fit an object from a file, find where to hold it, pinch it, push it, print a report, and write figures: "
-    "in the plane for drawings, photographs and sections, in space for meshes and clouds."
-)
-_FILE = (
-    "a drawing (SVG, DXF), a table of points with two or three columns (CSV, TXT, NPY, XYZ), a mesh (STL, "
-    "OBJ, PLY, OFF) or a photograph (PNG, JPEG, TIFF)"
+    "write figures, animations of both, and the fingertip to draw or to make. The exit code is 1 if it "
+    "does not hold."
 )
 _CACHE = (
     "Compiled programs are kept in $XDG_CACHE_HOME/jaxroll or ~/.cache/jaxroll, so that the next "
@@ -89,7 +82,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: Arguments after the program's name. Default: those of the process.
 
     Returns:
-        The exit code: 0 if all went well, 1 if the run failed, 2 for an argument that does not fit.
+        The exit code: 0 if all went well, 1 if the run failed or nothing holds, 2 for an argument that does
+        not fit.
 
     Example:
         >>> main(["demo", "--seconds", "-1"])
@@ -112,38 +106,73 @@ def main(argv: Sequence[str] | None = None) -> int:
         if options.command in ("sweep", "map"):
             _sweep_or_map(options)
             return 0
-        folder = _folder(options)
-        if options.command in _ORDERS:
-            return _ORDERS[options.command](options, folder)
-        if options.command == "design":
-            _design(options, folder)
-        else:
+        folder, made = _folder(options)
+        try:
+            if options.command in _ORDERS:
+                return _ORDERS[options.command](options, folder)
             _run(options, DEMOS[options.scene], folder)
+        finally:
+            _without_empty(made)
     except (_Unfit, ValueError) as error:
-        _cli.say(f"jaxroll {options.command}: {error}")
+        _cli.say(f"jaxroll {options.command}: {_told(error, options)}")
         return 2
     except KeyboardInterrupt:
         _cli.say(f"jaxroll {options.command}: interrupted")
         return 130
     except Exception as error:  # whatever went wrong, the command line answers in one line
-        _cli.say(f"jaxroll {options.command}: {' '.join(str(error).split()) or type(error).__name__}")
+        _cli.say(
+            f"jaxroll {options.command}: {' '.join(_told(error, options).split()) or type(error).__name__}"
+        )
         return 1
     return 0
+
+
+def _told(error: Exception, options: argparse.Namespace) -> str:
+    """What went wrong, by the names of this command's options."""
+    given = [text.partition("=")[0] for text in getattr(options, "set", [])]
+    return _cli.in_options(str(error), options.command, given)
 
 
 class _Unfit(Exception):
     """An argument of the command line that does not fit."""
 
 
-def _folder(options: argparse.Namespace) -> Path:
-    """The folder to write to, made and tried before any work is done; and the files to read are there."""
+def _folder(options: argparse.Namespace) -> tuple[Path, list[Path]]:
+    """The folder to write to, made and tried before any work is done; and the files to read are there.
+
+    What folders were made for it is returned too, the inner ones first.
+    """
     for word, name in (("--tip", "tip"), ("FILE", "file"), ("--hand", "hand")):
         given = getattr(options, name, None)
         if given is not None and not os.path.isfile(given):
             what = "{!r} is a folder" if os.path.isdir(given) else "there is none called {!r}"
             raise _Unfit(f"argument {word} must name a file, but {what.format(given)}")
     name = options.scene if options.command == "demo" else options.command
-    return _writable(f"jaxroll-{name}" if options.out is None else options.out)
+    if options.command == "pinch":  # `demo pinch` has the other name
+        name = f"pinch-{Path(options.file).stem}"
+    given = f"jaxroll-{name}" if options.out is None else options.out
+    made = _missing(given)
+    return _writable(given), made
+
+
+def _missing(given: str) -> list[Path]:
+    """Which folders would be made for one, the inner ones first."""
+    return [each for each in (Path(given), *Path(given).parents) if given.strip() and not _there(each)]
+
+
+def _there(path: Path) -> bool:
+    """Whether there is such a file or folder; what has no such name is none to be made."""
+    try:
+        return path.exists()
+    except (OSError, ValueError):
+        return True
+
+
+def _without_empty(folders: list[Path]) -> None:
+    """Remove folders in which nothing was written."""
+    for folder in folders:
+        with contextlib.suppress(OSError):
+            folder.rmdir()
 
 
 def _writable(given: str) -> Path:
@@ -185,7 +214,7 @@ def _parser() -> _Parser:
     )
     demo.add_argument("--no-animation", action="store_true", help="write no motion.gif")
     _design_parser(commands)
-    _shape_parsers(commands)
+    _cli.shape_parsers(commands, _number, _CACHE)
     _cli.sweep_parser(commands, _number)
     _cli.replay_parser(commands, _number, _CACHE)
     return parser
@@ -202,7 +231,9 @@ def _design_parser(commands: Any) -> None:
         "friction; the last takes minutes to compile",
     )
     most, batch = _number(1, 100_000, int), _number(1, 1000, int)
-    design.add_argument("--steps", metavar="N", type=most, default=200, help="at most (default: 200)")
+    design.add_argument(
+        "--steps", metavar="N", type=most, default=200, help="at most, rounded up to tens (default: 200)"
+    )
     design.add_argument("--starts", metavar="N", type=batch, default=1, help="in one batch (default: 1)")
     design.add_argument(
         "--tip",
@@ -211,43 +242,6 @@ def _design_parser(commands: Any) -> None:
     )
     design.add_argument("--unit", choices=("m", "mm", "um", "in"), default="mm", help="of FILE (default: mm)")
     design.add_argument("--no-animation", action="store_true", help="write no before.gif and after.gif")
-
-
-def _shape_parsers(commands: Any) -> None:
-    fit = commands.add_parser("fit", help=_FIT, description=_FIT, epilog=_CACHE)
-    pinch = commands.add_parser("pinch", help=_PINCH, description=_PINCH, epilog=_CACHE)
-    for name, parser in (("fit", fit), ("pinch", pinch)):
-        parser.add_argument("file", metavar="FILE", help=_FILE)
-        parser.add_argument("--out", metavar="FOLDER", help=f"where to write (default: jaxroll-{name})")
-        units = ("m", "mm", "um", "in")
-        parser.add_argument("--unit", choices=units, default="mm", help="of FILE (default: mm)")
-        size = _number(1e-6, 1e6)
-        radius = "smallest radius of curvature [mm] (default: a tenth of the least extent)"
-        parser.add_argument("--smallest-radius", metavar="MM", type=size, help=radius)
-        parser.add_argument("--pixel", metavar="MM", type=size, help="of a photograph: size of a pixel [mm]")
-        cut = "of a mesh: the section across an axis, such as z=12.5 [mm]"
-        parser.add_argument("--section", metavar="AXIS=MM", type=_section, help=cut)
-    pinch.add_argument("--hand", metavar="FILE", help="URDF or MJCF (default: the chapter's fingers)")
-    numbers = {
-        "density": (1000.0, "of the object [kg/m^3]"),
-        "thickness": (20.0, "of an object of the plane [mm]"),
-        "friction": (0.8, "coefficient of friction"),
-        "seconds": (1.0, "to simulate"),
-    }
-    for name, (default, what) in numbers.items():
-        told = f"{what} (default: {default:g})"
-        pinch.add_argument(f"--{name}", metavar="X", type=_number(1e-3, 1e5), default=default, help=told)
-    press = "of the fingers [N] (default: three times the object's weight)"
-    pinch.add_argument("--force", metavar="N", type=_number(1e-6, 1e6), help=press)
-    pinch.add_argument("--no-animation", action="store_true", help="write no motion.gif")
-
-
-def _section(text: str) -> tuple[str, float]:
-    """An axis and a place on it [m]."""
-    axis, _, number = text.partition("=")
-    if axis not in ("x", "y", "z"):
-        raise argparse.ArgumentTypeError(f"must be an axis and a place, such as z=12.5, but was {text}")
-    return axis, 1e-3 * _number(-1e6, 1e6)(number)
 
 
 def _number(low: float, high: float, kind: type = float) -> Callable[[str], Any]:
@@ -328,7 +322,7 @@ def _run(options: argparse.Namespace, demo: Demo, folder: Path) -> None:
     print("\n".join(["  " + ", ".join(names), *missing]))
 
 
-def _design(options: argparse.Namespace, folder: Path) -> None:
+def _design(options: argparse.Namespace, folder: Path) -> int:
     with _cli.timed("Loading"):
         _configure()
         from . import __version__
@@ -340,8 +334,9 @@ def _design(options: argparse.Namespace, folder: Path) -> None:
             f"argument --tip must be a file with the points of a closed outline, but: {error}"
         ) from None
     asked = DesignOrder(options.goal, tip, options.steps, options.starts, animated=not options.no_animation)
-    lines = order(asked, folder, _cli.timed)
-    print("\n".join([f"jaxroll {__version__}, design: a fingertip that holds a rectangle", *lines]))
+    lines, held = order(asked, folder, _cli.timed)
+    print("\n".join([f"jaxroll {__version__}, design: a fingertip to hold a rectangle", *lines]))
+    return 0 if held else 1
 
 
 def _fit(options: argparse.Namespace, folder: Path) -> int:
@@ -350,7 +345,8 @@ def _fit(options: argparse.Namespace, folder: Path) -> int:
         from . import __version__
         from ._cli import fit_order
     lines = fit_order(_shape(options), folder, _cli.timed)
-    print("\n".join([f"jaxroll {__version__}, fit: {options.file}", *lines]))
+    report = _cli.in_options("\n".join(lines), "fit")
+    print(f"jaxroll {__version__}, fit: {options.file}\n{report}")
     return 0
 
 
@@ -370,7 +366,8 @@ def _pinch(options: argparse.Namespace, folder: Path) -> int:
         animated=not options.no_animation,
     )
     lines, held = pinch_order(asked, folder, _cli.timed)
-    print("\n".join([f"jaxroll {__version__}, pinch: {options.file}", *lines]))
+    report = _cli.in_options("\n".join(lines), "pinch")
+    print(f"jaxroll {__version__}, pinch: {options.file}\n{report}")
     return 0 if held else 1
 
 
@@ -390,11 +387,12 @@ def _shape(options: argparse.Namespace) -> Any:
 
     metres = lambda x: None if x is None else 1e-3 * x  # noqa: E731
     radius, pixel = metres(options.smallest_radius), metres(options.pixel)
-    return ShapeOrder(options.file, options.unit, radius, pixel, options.section)
+    return ShapeOrder(options.file, options.unit, radius, pixel, options.section, options.which)
 
 
-# What each command does that is no demo and no design.
+# What each command does that is no demo and no sweep.
 _ORDERS: dict[str, Callable[[argparse.Namespace, Path], int]] = {
+    "design": _design,
     "fit": _fit,
     "pinch": _pinch,
     "replay": _replay,
@@ -404,11 +402,15 @@ _ORDERS: dict[str, Callable[[argparse.Namespace, Path], int]] = {
 def _sweep_or_map(options: argparse.Namespace) -> None:
     order: Any = _cli.sweep_order(options) if options.command == "sweep" else _cli.map_order(options)
     filled = options.command == "sweep" and order.store
+    made = [] if filled else _missing(order.out)
     folder = Path(order.store) if filled else _writable(order.out)
-    with _cli.timed("Loading"):
-        _configure()
-        work = _cli.swept if options.command == "sweep" else _cli.mapped
-    print("\n".join(work(order, folder, _cli.timed)))
+    try:
+        with _cli.timed("Loading"):
+            _configure()
+            work = _cli.swept if options.command == "sweep" else _cli.mapped
+        print("\n".join(work(order, folder, _cli.timed)))
+    finally:
+        _without_empty(made)
 
 
 def _page(demo: Demo, folder: Path, names: list[str], *, plotting: Any, grasp: Any, run: Any) -> list[str]:

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import jaxroll as jxr
-from jaxroll import stability
+from jaxroll import _cli, stability
 from jaxroll.__main__ import main
-from jaxroll._cli import ShapeOrder
+from jaxroll._cli import _pinch_command, ShapeOrder
 from jaxroll._cli._shape_file import fitted, read, size_told
 from jaxroll.scenes import _any_pinch, _pinch_targets
 from jaxroll.scenes._any_pinch import _turns
@@ -169,11 +169,80 @@ def test_outlines_of_files_of_every_kind(tmp_path):
     assert seen.report.length == pytest.approx(round_, rel=5e-3)
 
 
+def test_of_several_outlines_the_report_says_which(tmp_path):
+    big, small = "M 0,0 H 60 V 40 H 0 Z", "M 100,0 H 120 V 10 H 100 Z"
+    file = tmp_path / "two.svg"
+    head = '<svg xmlns="http://www.w3.org/2000/svg" width="200mm" height="50mm" viewBox="0 0 200 50">'
+    file.write_text(f'{head}<path d="{small}"/><path d="{big}"/></svg>')
+    for which, size in ((None, "60 x 40 mm"), (1, "20 x 10 mm")):
+        order = ShapeOrder(str(file), "mm", None, None, None, which)
+        lines = size_told(order, read(order))
+        assert lines[0].endswith(size)
+        words = f"number {which or 0} of 2 was taken, from 0, the largest, to 1; --which N takes another"
+        assert lines[1:] == [f"  outline     {words}"]
+    with pytest.raises(
+        ValueError, match="which must be below the number of outlines in two.svg, 2, but was 2"
+    ):
+        read(ShapeOrder(str(file), "mm", None, None, None, 2))
+
+
+TABLES = {
+    "planar": (
+        np.pad(EGG, ((0, 0), (0, 1))),
+        "lie in one plane: for an outline leave out column 3, which is con",
+    ),
+    "index": (
+        np.insert(EGG, 0, np.arange(200), axis=1),
+        "column 1 of table.csv counts its lines: leave that co",
+    ),
+    "tilted": (
+        EGG @ np.array([[1.0, 0.0, 0.0], [0.0, 0.6, 0.8]]),
+        "lie in one plane: for an outline leave out the",
+    ),
+    "four": (
+        np.pad(EGG, ((0, 0), (0, 2)), constant_values=0.5),
+        "3 (x, y, z) or 6 (x, y, z and outward normals), b",
+    ),
+    "one": (EGG[:, :1], "but table.csv has 1"),
+    "a line": (EGG[:, :1] * np.array([1.0, 2.0]), "those of table.csv lie on one line"),
+    "decimal commas": (
+        "-1,44,-1,08\n2,30,1,50\n",
+        "has 4; if its commas are decimal marks, part the columns by s",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", TABLES)
+def test_a_table_of_no_shape_is_told_which_column_must_go(case, tmp_path):
+    table, words = TABLES[case]
+    file = tmp_path / "table.csv"
+    if isinstance(table, str):
+        file.write_text(table)
+    else:
+        np.savetxt(file, table, delimiter=",")
+    with pytest.raises(ValueError, match=re.escape(words)) as refused:
+        read(ShapeOrder(str(file), "mm", None, None, None))
+    assert str(refused.value).startswith("argument FILE must ")
+    assert ("decimal marks" in str(refused.value)) == (case == "decimal commas")
+
+
 BAD = {
     "no file": (["fit", "none.csv"], "none.csv"),
     "another kind": (["fit", "text.doc"], "argument FILE must end in one of"),
     "photograph without a scale": (["fit", "flat.png"], "argument --pixel must be"),
     "section without a place": (["fit", "egg.stl", "--section", "w=3"], "must be an axis and a place"),
+    "section of a table": (
+        ["fit", "egg.csv", "--section", "z=3"],
+        "argument --section must be left out for all",
+    ),
+    "pixel of a table": (
+        ["fit", "egg.csv", "--pixel", "1"],
+        "--pixel must be left out for all but a photograph",
+    ),
+    "outline of a table": (
+        ["pinch", "egg.csv", "--which", "1"],
+        "--which must be left out for all but a draw",
+    ),
     "radius of words": (["pinch", "egg.csv", "--smallest-radius", "big"], "but was big"),
     "a hand in the plane": (["pinch", "egg.csv", "--hand", "hand.urdf"], "argument --hand must be left out"),
 }
@@ -192,6 +261,31 @@ def test_what_does_not_fit_is_one_line(case, tmp_path, monkeypatch, capfd):
     out, complaint = capfd.readouterr()
     assert out == ""
     assert words in complaint.splitlines()[-1]
+    assert not list(tmp_path.glob("jaxroll-*"))
+
+
+@pytest.mark.parametrize("written", [True, False])
+def test_a_pinch_has_a_folder_of_its_files_name_unless_nothing_is_written(written, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("JAXROLL_CACHE", "off")
+    np.savetxt(tmp_path / "egg.csv", EGG, delimiter=",")
+    seen = []
+
+    def ordered(asked, folder, timed):
+        seen.append(folder)
+        assert folder.is_dir()
+        (folder / "fit.png").touch()
+        return ["the report"], True
+
+    def refused(asked, folder, timed):
+        seen.append(folder)
+        raise ValueError("argument points must fit")
+
+    monkeypatch.setattr(_cli, "pinch_order", ordered if written else refused)
+    assert main(["pinch", "egg.csv"]) == (0 if written else 2)
+    assert main(["pinch", "egg.csv", "--out", "deep/out"]) == (0 if written else 2)
+    assert [str(folder) for folder in seen] == ["jaxroll-pinch-egg", "deep/out"]
+    assert all(folder.exists() == written for folder in (*seen, tmp_path / "deep"))
 
 
 @pytest.mark.slow
@@ -201,7 +295,7 @@ def test_jaxroll_pinch_writes_what_it_says(tmp_path, monkeypatch, capsys):
     folder = tmp_path / "out"
     assert main(["pinch", str(tmp_path / "egg.csv"), "--out", str(folder), "--seconds", "0.4"]) == 0
     text = capsys.readouterr().out
-    assert "outcome     held" in text
+    assert "outcome     held for 0.4 s, " in text and "no gravity acts" in text
     names = {"fit.png", "poses.png", "responses.png", "motion.gif", "pinch.npz"}
     assert {path.name for path in folder.iterdir()} == names
     kept = jxr.load(folder / "pinch.npz")
@@ -254,7 +348,7 @@ def test_jaxroll_pinch_takes_a_hand_from_a_file(tmp_path, monkeypatch, capsys):
         "5",
     ]
     assert main([*words, "--out", str(folder), "--seconds", "0.4", "--no-animation"]) == 0
-    assert "outcome     held" in capsys.readouterr().out
+    assert "outcome     held for 0.4 s, " in capsys.readouterr().out
     kept = jxr.load(folder / "pinch.npz")
     grasp, run = kept["grasp"], kept["run"]
     assert off(grasp, kept["state"]) < 1e-12
@@ -265,3 +359,47 @@ def test_jaxroll_pinch_takes_a_hand_from_a_file(tmp_path, monkeypatch, capsys):
     axes = np.asarray(run.states.q)[0, :3]
     pushed = np.asarray(run.states.q)[:, :3] - axes
     assert np.abs(pushed).max() > 1e-5
+
+
+OUTCOMES = {
+    "at rest": (
+        (0.0, 0.0, 0.0),
+        "asymptotically_stable",
+        r"held for 1 s, at rest at the end \(0 mm/s, 0 rad/s\)",
+    ),
+    "unstable": (
+        (0.0, 0.0, 0.0),
+        "unstable",
+        r"at rest .*, but some small disturbance grows; a larger --seconds",
+    ),
+    "undamped": (
+        (0.0, 0.0, 0.0),
+        "undamped",
+        ", but some small disturbance never dies out; a larger --seconds",
+    ),
+    "nowhere": (
+        (0.0, 0.0, 0.0),
+        "not_found",
+        ", but no equilibrium was found near the start; a larger --sec",
+    ),
+    "moving": (
+        (0.003, 0.004, 0.2),
+        "neutral",
+        r"still moving at the end \(5 mm/s, 0.2 rad/s\); a larger --sec",
+    ),
+    "in space": (
+        (0.0, 0.0, 0.005, 0.0, 0.3, 0.4),
+        None,
+        r"still moving at the end \(5 mm/s, 0.5 rad/s\); a l",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", OUTCOMES)
+def test_the_outcome_says_how_long_and_whether_at_rest(case):
+    v, verdict, words = OUTCOMES[case]
+    states = SimpleNamespace(q=np.zeros((3, len(v) + (len(v) == 6) + 5)), v=np.zeros((3, len(v) + 5)))
+    states.v[-1, : len(v)] = v
+    run = SimpleNamespace(result=jxr.RESULTS.successful, states=states, stats=SimpleNamespace(t_end=1.0))
+    told = _pinch_command.outcome(run, None if verdict is None else getattr(stability.VERDICTS, verdict))
+    assert re.search(words, told) and told.startswith("held for 1 s, ")

@@ -13,7 +13,7 @@ from jax import monitoring
 from PIL import Image
 
 import jaxroll as jxr
-from jaxroll import plotting
+from jaxroll import _cli, plotting
 from jaxroll.__main__ import main
 from jaxroll._cli import _design_command, _waiting, DesignOrder, order
 from jaxroll._cli._design_command import fingertip
@@ -91,7 +91,8 @@ def test_a_cache_that_is_no_folder_is_named_before_any_work(command, tmp_path, m
 def test_a_design_names_the_files_that_it_wrote(animated, tmp_path, monkeypatch):
     """The search, the runs and the drawing left out."""
     tip = types.SimpleNamespace(points=np.eye(2))
-    found = types.SimpleNamespace(start=tip, tip=Circle(0.01), report=lambda remedy: "the report")
+    made = {"start": tip, "tip": Circle(0.01), "holds": np.array([False, animated]), "chosen": 1}
+    found = types.SimpleNamespace(**made, report=lambda remedy: "the report")
     monkeypatch.setattr(_design_command, "optimise_fingertip", lambda *args, **options: found)
     monkeypatch.setattr(_design_command, "simulate", lambda *args, **options: None)
     monkeypatch.setattr(_design_command, "make", lambda tip: (None, None))
@@ -100,12 +101,25 @@ def test_a_design_names_the_files_that_it_wrote(animated, tmp_path, monkeypatch)
     monkeypatch.setattr(plotting, "comparison", lambda runs, folder: (folder / "comparison.png").touch())
     monkeypatch.setattr(plotting, "animate", lambda grasp, run, path, **options: path.touch())
     asked = DesignOrder("margin", tip, steps=1, starts=1, animated=animated)
-    first, second, third, names, *missing = order(asked, tmp_path, lambda doing: contextlib.nullcontext())
-    assert (first, second, third) == ("the report", "the runs", f"Files in {tmp_path}:")
+    lines, held = order(asked, tmp_path, lambda doing: contextlib.nullcontext())
+    first, outcome, *others, names = lines[:5]
+    missing = lines[5:]
+    assert (first, *others) == ("the report", "the runs", f"Files in {tmp_path}:") and held == animated
+    assert outcome.startswith(
+        "  outcome   the fingertip " + ("holds" if held else "does not hold: more --steps")
+    )
     written = {path.name for path in tmp_path.iterdir()}
     assert names.startswith("  ") and set(names.strip().split(", ")) == written
     assert {"design.png", "comparison.png", "fingertip.csv"} <= written
     assert ({"before.gif", "after.gif"} <= written) == animated and all(" no " in line for line in missing)
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_a_design_that_does_not_hold_is_no_success(held, tmp_path, monkeypatch, capfd):
+    monkeypatch.setenv("JAXROLL_CACHE", "off")
+    monkeypatch.setattr(_cli, "order", lambda asked, folder, timed: (["the report"], held))
+    assert main(["design", "--out", str(tmp_path)]) == (0 if held else 1)
+    assert "the report" in capfd.readouterr().out
 
 
 def test_help_and_nothing_at_all(capfd):
@@ -165,6 +179,56 @@ def test_a_saved_run_is_drawn_again(saved, tmp_path, monkeypatch, capfd):
     assert "argument FILE must hold one grasp and one run of it" in capfd.readouterr().err
     assert main(["replay", "none.npz", "--out", str(tmp_path)]) == 2
     assert "argument FILE must name a file, but there is none" in capfd.readouterr().err
+
+
+def test_a_replay_shows_and_tells_of_a_run_up_to_a_time(saved, tmp_path, monkeypatch, capfd):
+    monkeypatch.setenv("JAXROLL_CACHE", "off")
+    words = ["replay", str(saved / "run.npz"), "--out", str(tmp_path), "--no-animation", "--until"]
+    assert main([*words, "0.06"]) == 0
+    told = capfd.readouterr().out
+    assert "0 to 0.05 s, 2 of 2 states saved" in told and "  shown     up to 0.05 s, by --until" in told
+    for until in ("0.2", "0.01"):
+        assert main([*words, until]) == 2
+        complaint = capfd.readouterr().err
+        assert (
+            "argument --until must be a time by which two states were saved, of a run from 0 to 0.1 s"
+            in complaint
+        )
+
+
+WORDS = {
+    "radius": (
+        "fit",
+        "argument smallest_radius must be at most 0.00454 m here, but was 0.01 m",
+        "argument --smallest-radius must be at most 4.54 mm here, but was 10 mm",
+    ),
+    "recommendation": (
+        "fit",
+        "recommended: a smallest_radius below 0.00454 m, if the points\nare shape 3 m away; 12 1/m",
+        "recommended: a --smallest-radius below 4.54 mm, if the points\nare shape 3 m away; 12 1/m",
+    ),
+    "points": (
+        "pinch",
+        "argument points must go all round, but leave a gap of 2 mm (closed=False makes an open one)",
+        "the points of FILE must go all round, but leave a gap of 2 mm",
+    ),
+    "which": (
+        "fit",
+        "argument which must be below 2, but was 2",
+        "argument --which must be below 2, but was 2",
+    ),
+    "section": ("pinch", "argument origin must put the plane", "argument --section must put the plane"),
+    "hand": ("pinch", "argument fingers must reach the object", "argument --hand must reach the object"),
+    "store": ("sweep", "argument resume must be a folder", "argument --out must be a folder"),
+    "set": ("sweep", "argument beta must be positive", "argument --set beta must be positive"),
+    "another": ("demo", "argument points must be 6", "argument points must be 6"),
+}
+
+
+@pytest.mark.parametrize("case", WORDS)
+def test_sentences_name_options(case):
+    command, text, told = WORDS[case]
+    assert _cli.in_options(text, command, ["beta"]) == told
 
 
 def test_a_film_is_handed_to_ffmpeg_and_refused_without_it(saved, tmp_path, monkeypatch):

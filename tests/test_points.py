@@ -1,6 +1,7 @@
 """Raw points: put in order, turned round, or refused in one sentence."""
 
 import contextlib
+from dataclasses import replace
 
 import jax
 import numpy as np
@@ -8,7 +9,8 @@ import pytest
 
 from jaxroll.geometry import clean_points, crossings
 from jaxroll.geometry.fitting._clean_points import check_spacing, distinct
-from jaxroll.geometry.fitting._ordering import nearest_points, ordered_already, repaired
+from jaxroll.geometry.fitting._limited_fit import limited, Wanted
+from jaxroll.geometry.fitting._ordering import nearest_points, order_given_up, ordered_already, repaired
 
 N = 200
 U = 2 * np.pi * np.arange(N) / N
@@ -277,3 +279,20 @@ def test_one_point_many_times_is_one_point():
     assert distinct(same, closed=True, anywhere=False).tolist() == [0]
     back = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 0.0]])
     assert distinct(back, closed=True, anywhere=False).tolist() == [0, 1]
+
+
+@pytest.mark.parametrize(("width", "height"), [(30e-3, 15e-3), (35e-3, 20e-3)])
+def test_an_eight_given_in_order_is_told_where_it_crosses(width, height):
+    """By nearness it is a dumbbell, or no curve: either way its order crosses itself."""
+    u = 2.0 * np.pi * np.arange(200) / 200
+    points = np.stack([width * np.sin(u), height * np.sin(2.0 * u)], axis=1)
+    wanted = Wanted(True, None, False, 2e-3, None, None, None)
+    if width == 30e-3:
+        (told,) = limited(points, wanted).clean.warnings
+        assert "The order given crosses itself near (0.0002356, 0.0002355) m and was given up" in told
+        assert not limited(points, replace(wanted, ordered=False)).clean.warnings
+    else:
+        with pytest.raises(ValueError, match="cross themselves, but in the order given they do near"):
+            limited(points, wanted)
+    shuffled = np.random.default_rng(0).permutation(points)
+    assert order_given_up(shuffled, closed=True) == []

@@ -188,6 +188,13 @@ def corner():
     return ends, np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 
 
+def test_points_that_stand_for_no_area_are_no_surface():
+    line = np.linspace(0.0, 1.0, 20)[:, None] * np.array([1.0, 2.0, 3.0])
+    scan = Scan(line, np.tile([0.0, 0.0, 1.0], (20, 1)), np.zeros(20), np.ones(20), 0.05)
+    with pytest.raises(ValueError, match="argument points must cover a surface, but some of them lie along"):
+        scan.averaged(0.2, np.zeros(20))
+
+
 @pytest.mark.parametrize("inside_out", [False, True])
 def test_samples_of_a_mesh(inside_out):
     """Middles of k^2 equal parts of each face: its mean, and its second moments but for 1 / k^2 of them."""

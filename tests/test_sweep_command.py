@@ -122,6 +122,14 @@ def test_an_order_that_does_not_fit_is_one_line(case, tmp_path, monkeypatch, cap
     assert not (tmp_path / "jaxroll-sweep").exists()
 
 
+def test_a_refusal_after_loading_leaves_no_folder(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("JAXROLL_CACHE", "off")
+    assert main(["sweep", "pivoted", "--set", "damping=0.004", "--keep", "nonsense"]) == 2
+    assert "argument --keep must be among result" in capfd.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_name_is_looked_for_in_the_scene():
     """Numbers of the controller without building it anew, and tips whose foremost points stay."""
     rows = jxr.Parameters(damping=[0.004], friction=[0.3], mass=[0.05], tip_radius=[0.006])
@@ -138,6 +146,8 @@ def test_a_name_is_looked_for_in_the_scene():
     changed = maker("pinch", ("damping",))(jxr.Parameters(damping=[0.004])[0])
     np.testing.assert_array_equal(changed[1].q, alone[1].q)
     np.testing.assert_array_equal(changed[0].controller.damping, alone[0].controller.damping)
+    with pytest.raises(ValueError, match="argument --set must name one of s, base, .*damping.* but was NOPE"):
+        maker("pivoted", ("NOPE",))
     with pytest.raises(
         ValueError, match="argument --set must give tip_radius to a scene that takes fingertips"
     ):

@@ -51,7 +51,7 @@ class DesignOrder:
     Attributes:
         goal: Name of the goal: 'margin', 'stiffness' or 'run'.
         tip: The fingertip to begin with.
-        steps: Most steps of the search.
+        steps: Most steps of the search, which rounds them up to tens.
         starts: Number of starts that are tried side by side.
         animated: Whether to write animations.
     """
@@ -96,8 +96,10 @@ def fingertip(path: str | None, unit: str) -> Spline:
     return Spline(contour.point(start + (s[-1] + s[1] - 2 * s[0]) * u / (2.0 * np.pi)), cells=128)
 
 
-def order(asked: DesignOrder, folder: Path, timed: Callable[[str], AbstractContextManager]) -> list[str]:
-    """Design, simulate, draw and write; returns the lines of the report.
+def order(
+    asked: DesignOrder, folder: Path, timed: Callable[[str], AbstractContextManager]
+) -> tuple[list[str], bool]:
+    """Design, simulate, draw and write; returns the lines of the report, and whether the fingertip holds.
 
     Args:
         asked: What to design.
@@ -129,7 +131,10 @@ def order(asked: DesignOrder, folder: Path, timed: Callable[[str], AbstractConte
                 names.append(name)
     written, missing = _write(found, folder)
     files = [f"Files in {folder}:", "  " + ", ".join(names + written), *missing]
-    return [found.report("--steps"), *_facts(runs), *files]
+    held = bool(found.holds[found.chosen])
+    told = "holds" if held else "does not hold: more --steps or --starts may bring one that does"
+    lines = [found.report("--steps"), f"  outcome   the fingertip {told}", *_facts(runs), *files]
+    return lines, held
 
 
 def _facts(runs: Sequence[Any]) -> list[str]:

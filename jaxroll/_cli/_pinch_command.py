@@ -17,8 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import io, loads, plotting, scenes, stability
-from .._integration import cause, simulate
+from .._integration import cause, report, simulate
 from .._mechanics import FreeObject, FreeObject3, Grasp, State
+from .._printing import code_name
 from .._reaching import tip_origins
 from .._results import RESULTS
 from .._saving import save
@@ -31,6 +32,28 @@ _BEGINS, _LASTS, _SHARE = 0.1, 0.1, 0.25
 _TIP = 0.01
 # Range of a joint for which a file has none [rad].
 _TURNS = 4.0 * np.pi
+# Below this speed [m/s] and this rate [rad/s] an object is said to be at rest.
+_STILL = (1e-4, 1e-2)
+# What a run that held leaves open, by the name of the verdict.
+_DOUBTS = {
+    "unstable": ", but some small disturbance grows",
+    "undamped": ", but some small disturbance never dies out",
+    "not_found": ", but no equilibrium was found near the start",
+}
+# What helps a run that ended early, in the words of the command line.
+_REMEDIES = {
+    "max_steps_reached": "fewer --seconds",
+    "step_collapsed": "fewer --seconds, or another --smallest-radius",
+    "not_finite": "fewer --seconds",
+    "singular_contact": "a larger --smallest-radius, which makes hollows flatter",
+    "contact_lost": "a larger --force",
+    "slipping": "a larger --friction",
+    "penetration": "fewer --seconds, or a larger --smallest-radius",
+    "joint_limit": "fewer --seconds, or a --hand with wider ranges",
+    "links_meet": "fewer --seconds, or another --hand",
+    "torque_limit": "a smaller --force, or another --hand",
+    "unresolved": "a larger --smallest-radius",
+}
 # The animation: pictures a second, and simulated seconds per second shown. In space a picture takes long.
 _FPS, _SPEED = 12.0, 0.5
 
@@ -82,10 +105,10 @@ def pinch_order(
     with timed("Finding where to hold it"):
         fingers = None if asked.hand is None else _fingers(asked.hand, flat)
         grasp, state = scenes.pinch_object(body, fingers=fingers, friction=asked.friction, force=asked.force)
-    verdict = []
+    verdict = None
     if flat:
         with timed("Judging the grasp"):
-            verdict = _verdict(grasp, state)
+            verdict = stability.assess(grasp, state).verdict
     with timed(f"Simulating {asked.seconds:g} s"):
         pushed, push = _pushed(grasp, state)
         record, count = ("multipliers", "energy"), 1 + round(100 * asked.seconds)
@@ -98,9 +121,9 @@ def pinch_order(
         *size,
         f"{found.report}",
         *_described(grasp, run, push),
-        *verdict,
-        f"{run}",
-        f"  outcome     {'held' if held else cause(run)}",
+        _verdict(verdict),
+        report(run, _REMEDIES),
+        f"  outcome     {outcome(run, verdict)}",
         *_checks(run),
         f"Files in {folder}:",
         "  " + ", ".join([*names, "pinch.npz"]),
@@ -134,10 +157,33 @@ def _limited(finger: Any, limits: Any) -> Any:
     return eqx.tree_at(lambda f: f.limits, finger, ranges, is_leaf=lambda x: x is None)
 
 
-def _verdict(grasp: Grasp, state: State) -> list[str]:
-    """What linearisation at the equilibrium says."""
-    found = stability.assess(grasp, state)
-    return [f"  verdict     {stability.VERDICTS[found.verdict]}"]
+def _verdict(verdict: Any) -> str:
+    """What linearisation at the equilibrium says; it is done in the plane alone."""
+    told = "not assessed in space" if verdict is None else stability.VERDICTS[verdict]
+    return f"  verdict     {told}"
+
+
+def outcome(run: Any, verdict: Any) -> str:
+    """How a run ended, whether the object was at rest by then, and what the verdict adds to that.
+
+    Args:
+        run: One run, whole or ended early.
+        verdict: One of `stability.VERDICTS`; None where stability was not assessed.
+    """
+    if run.result != RESULTS.successful:
+        return cause(run)
+    last = np.asarray(run.states.v)[-1]
+    # Of an object in the plane two velocities and a rate, in space three and a spin.
+    moves, turns = (
+        (last[:2], last[2:3]) if run.states.q.shape[-1] == run.states.v.shape[-1] else (last[:3], last[3:6])
+    )
+    speed, rate = float(np.linalg.norm(moves)), float(np.linalg.norm(turns))
+    still = speed < _STILL[0] and rate < _STILL[1]
+    state = "at rest at the end" if still else "still moving at the end"
+    told = f"held for {float(run.stats.t_end):g} s, {state} ({1e3 * speed:.2g} mm/s, {rate:.2g} rad/s)"
+    doubt = "" if verdict is None else _DOUBTS.get(code_name(verdict), "")
+    longer = "" if still and not doubt else "; a larger --seconds shows what becomes of it"
+    return f"{told}{doubt}{longer}"
 
 
 def _pushed(grasp: Grasp, state: State) -> tuple[Grasp, float]:
@@ -169,7 +215,7 @@ def _described(grasp: Grasp, run: Any, push: float) -> list[str]:
     left = run.residuals
     gap = max(float(np.abs(np.asarray(part)[0]).max()) for part in (left.normal, left.tangential))
     return [
-        f"  object      {1e3 * float(body.mass):.4g} g",
+        f"  object      {1e3 * float(body.mass):.4g} g; no gravity acts on it or on the fingers",
         f"  control     beta = {float(control.beta):.4g} N/m, c = {float(control.damping[0]):.3g} N m s; "
         f"pressed with {press:.3g} N, pushed aside with {push:.3g} N for {_LASTS:g} s",
         f"  closed      gaps of {gap:.1e} m",

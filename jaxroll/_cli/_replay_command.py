@@ -6,14 +6,18 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
+import jax
 import numpy as np
 
 from .. import plotting
-from .._integration import Trajectory
+from .._integration import REMEDIES, report, Trajectory
 from .._mechanics import Grasp
 from .._saving import load
 from ._replay_order import ReplayOrder
 
+# What helps a run that ended early is for whoever made it, and made it in Python.
+_REMEDIES = {name: f"in Python, where it was made: {text}" for name, text in REMEDIES.items()}
 # The animation takes no longer than this [s], unless a speed is asked for.
 _LONGEST = 12.0
 
@@ -28,6 +32,8 @@ def replayed(asked: ReplayOrder, folder: Path, timed: Callable[[str], AbstractCo
         raise ValueError("argument --film must be gif where there is no program ffmpeg, but was mp4")
     with timed("Reading"):
         grasp, run = _read(asked.file)
+    if asked.until is not None:
+        run = _until(run, asked.until)
     names, missing = [], []
     with timed("Drawing"):
         for name, picture in _pictures(grasp, run).items():
@@ -35,18 +41,47 @@ def replayed(asked: ReplayOrder, folder: Path, timed: Callable[[str], AbstractCo
             names.append(name)
     if asked.film is not None:
         ts = np.asarray(run.ts)
-        end = float(np.max(ts[np.isfinite(ts)], initial=0.0)) if asked.until is None else asked.until
+        end = float(np.max(ts[np.isfinite(ts)], initial=0.0))
         speed = asked.speed or max(1.0, (end - float(ts[0])) / _LONGEST)
         names.append(f"motion.{asked.film}")
         with timed("Animating"):
-            plotting.animate(grasp, run, folder / names[-1], fps=asked.fps, speed=speed, until=asked.until)
+            plotting.animate(grasp, run, folder / names[-1], fps=asked.fps, speed=speed)
     try:
         with timed("Writing the page"):
             plotting.page(grasp, run, folder / "page.html")
         names.append("page.html")
     except ImportError as error:
         missing.append(f"  no page.html: {error}")
-    return [f"{run}", f"Files in {folder}:", "  " + ", ".join(names), *missing]
+    shown = (
+        [] if asked.until is None else [f"  shown     up to {float(np.asarray(run.ts)[-1]):g} s, by --until"]
+    )
+    return [report(run, _REMEDIES), *shown, f"Files in {folder}:", "  " + ", ".join(names), *missing]
+
+
+def _until(run: Trajectory, until: float) -> Trajectory:
+    """A run's states up to a time, as a run that ended with the last of them.
+
+    Raises:
+        ValueError: If fewer than two states were saved by then, or the run ended before.
+    """
+    ts = np.asarray(run.ts)
+    reached = np.isfinite(np.asarray(run.states.q)).all(axis=-1)
+    first, last = float(ts[reached].min(initial=np.inf)), float(ts[reached].max(initial=-np.inf))
+    count = int(np.sum(reached & (ts <= until)))
+    if until > last or count < 2:
+        raise ValueError(
+            f"argument --until must be a time by which two states were saved, of a run from {first:g} to "
+            f"{last:g} s, but was {until:g}"
+        )
+    names = (
+        "ts",
+        "states",
+        "residuals",
+        *(n for n in ("multipliers", "energy") if getattr(run, n) is not None),
+    )
+    parts = lambda each: [getattr(each, name) for name in names]  # noqa: E731
+    shown = eqx.tree_at(parts, run, jax.tree.map(lambda x: x[:count], parts(run)))
+    return eqx.tree_at(lambda each: each.last, shown, jax.tree.map(lambda x: x[-1], shown.states))
 
 
 def _pictures(grasp: Grasp, run: Trajectory) -> dict[str, Any]:

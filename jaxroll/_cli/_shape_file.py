@@ -2,7 +2,7 @@
 
 The file's ending says what it is: a drawing, a table of points of the plane or of space, a mesh, or a
 photograph. Of a mesh either the surface or a section is fitted. The smallest radius of curvature, unless it
-is given, is a tenth of the shape's least extent.
+is given, is a tenth of the shape's least extent along its axes of inertia, which need not be x and y.
 
 Reading comes before fitting: a file that was read in another unit than its own is a thousand times too large
 or too small, which `size_told` says before any time is spent on it.
@@ -17,7 +17,8 @@ import numpy as np
 
 from .. import io
 from ..geometry import Fit, fit_contour, fit_surface, metres_per, SurfaceFit
-from ..io._tables import table_width
+from ..io._files import count_outlines
+from ..io._tables import first_numbers, table_width
 from ._waiting import say
 
 DRAWINGS, TABLES = (".svg", ".dxf"), (".csv", ".txt", ".dat", ".npy", ".xyz")
@@ -26,6 +27,10 @@ MESHES, PHOTOGRAPHS = (".stl", ".obj", ".ply", ".off"), (".png", ".jpg", ".jpeg"
 _HELD, _LIKELY = (2e-3, 2.0), (8e-3, 1.0)
 _UNITS = ("m", "mm", "um", "in")
 _SHARE = 0.1
+# How many columns a table may have.
+_WIDTHS = (2, 3, 6)
+# Points whose least extent is this share of their largest have none; steps as alike as this are even.
+_FLAT, _EVEN = 1e-6, 1e-6
 _AXES = "xyz"
 
 
@@ -36,9 +41,10 @@ class ShapeOrder:
     Attributes:
         file: Its name.
         unit: Of the numbers in it.
-        radius: Smallest radius of curvature [m]; None: a tenth of the least extent.
+        radius: Smallest radius of curvature [m]; None: a tenth of the least extent along its own axes.
         pixel: Size of a photograph's pixel [m].
         section: Of a mesh, what to cut it across: an axis, and where [m]; None for all of it.
+        which: Of a drawing, a photograph or a section, which outline, counting from the largest; None: 0.
     """
 
     file: str
@@ -46,6 +52,7 @@ class ShapeOrder:
     radius: float | None
     pixel: float | None
     section: tuple[str, float] | None
+    which: int | None = None
 
 
 class ShapePoints(NamedTuple):
@@ -55,11 +62,13 @@ class ShapePoints(NamedTuple):
         points: Shape (n, 2) or (n, 3) [m].
         normals: Those of a cloud, or None.
         faces: Those of a mesh, or None.
+        outlines: How many outlines there were to choose from.
     """
 
     points: np.ndarray
     normals: np.ndarray | None = None
     faces: np.ndarray | None = None
+    outlines: int = 1
 
     @property
     def extent(self) -> np.ndarray:
@@ -71,24 +80,96 @@ def read(order: ShapeOrder) -> ShapePoints:
     """What a file holds.
 
     Raises:
-        ValueError: If the file holds no points.
+        ValueError: If the file holds no points, or they lie on a line or in a plane of space.
     """
+    _check_options(order)
+    found, path = _read(order), Path(order.file)
+    _check_spread(found.points, path.name, table=path.suffix.lower() in TABLES)
+    return found
+
+
+def _check_options(order: ShapeOrder) -> None:
+    """Refuse options that are for files of another kind."""
+    path = Path(order.file)
+    kind = path.suffix.lower()
+    # By option: whether it was given, the kinds that it is for, and their name.
+    taken = {
+        "--pixel": (order.pixel, PHOTOGRAPHS, "a photograph"),
+        "--section": (order.section, MESHES, "a mesh"),
+        "--which": (
+            order.which,
+            DRAWINGS + PHOTOGRAPHS + (MESHES if order.section is not None else ()),
+            "a drawing, a photograph or a section",
+        ),
+    }
+    for option, (given, kinds, what) in taken.items():
+        if given is not None and kind not in kinds and kind in DRAWINGS + TABLES + MESHES + PHOTOGRAPHS:
+            raise ValueError(
+                f"argument {option} must be left out for all but {what}, but FILE was {path.name}"
+            )
+
+
+def _read(order: ShapeOrder) -> ShapePoints:
+    """The points of a file, by its kind."""
     path, kind = Path(order.file), Path(order.file).suffix.lower()
     if kind in PHOTOGRAPHS:
         if order.pixel is None:
             raise ValueError("argument --pixel must be the size of a pixel in mm, but was not given")
-        return ShapePoints(io.read_silhouette(_image(path), pixel=order.pixel))
+        return ShapePoints(io.read_silhouette(_image(path), pixel=order.pixel, which=order.which or 0))
     if kind in DRAWINGS:
-        return ShapePoints(io.read_points(path, unit=order.unit))
+        points = io.read_points(path, unit=order.unit, which=order.which or 0)
+        return ShapePoints(points, outlines=count_outlines(path, unit=order.unit))
     if kind in MESHES:
         return _of_mesh(path, order)
     if kind not in TABLES:
         known = ", ".join(DRAWINGS + TABLES + MESHES + PHOTOGRAPHS)
         raise ValueError(f"argument FILE must end in one of {known}, but was {path.name}")
+    width = table_width(path)
+    _check_width(path, width)
     # A scan with a bad number in z is no outline: what decides is how many columns there are.
-    if kind == ".xyz" or table_width(path) > 2:
+    if kind == ".xyz" or width > 2:
         return ShapePoints(*_cloud(path, order.unit))
     return ShapePoints(io.read_points(path, unit=order.unit))
+
+
+def _check_width(path: Path, width: int) -> None:
+    """Refuse a table of other columns than x and y, x, y and z, or these with normals."""
+    if width in (0, *_WIDTHS):  # a table without numbers is refused where it is read
+        return
+    line = "" if path.suffix.lower() == ".npy" else first_numbers(path)
+    # Whole numbers between commas, twice as many as coordinates.
+    halved = width % 2 == 0 and "," in line and "." not in line and ";" not in line
+    hint = ""
+    if halved:
+        hint = "; if its commas are decimal marks, part the columns by semicolons or blanks"
+    raise ValueError(
+        "argument FILE must be a table of 2 columns (x, y), 3 (x, y, z) or 6 (x, y, z and outward normals), "
+        f"but {path.name} has {width}{hint}"
+    )
+
+
+def _check_spread(points: np.ndarray, name: str, *, table: bool) -> None:
+    """Refuse points that enclose nothing, and a table with a column that counts them."""
+    if table and points.shape[1] == 3 and len(points) > 3:
+        steps = np.diff(points, axis=0)
+        even = np.abs(steps - steps[0]).max(axis=0) <= _EVEN * np.abs(steps[0])
+        counts = np.flatnonzero(even & (steps[0] != 0.0))
+        if len(counts):
+            raise ValueError(
+                "argument FILE must hold columns of coordinates alone, but column "
+                f"{counts[0] + 1} of {name} counts its lines: leave that column out"
+            )
+    extents = _own_extents(points)
+    if extents.min() > _FLAT * extents.max():
+        return
+    if points.shape[1] == 2:
+        raise ValueError(f"argument FILE must hold points of an outline, but those of {name} lie on one line")
+    constant = np.flatnonzero(np.ptp(points, axis=0) <= _FLAT * extents.max())
+    which = f"column {constant[0] + 1}, which is constant" if len(constant) == 1 else "the column across it"
+    advice = f": for an outline leave out {which}" if table else ""
+    raise ValueError(
+        f"argument FILE must hold points all round a body, but those of {name} lie in one plane{advice}"
+    )
 
 
 def fitted(order: ShapeOrder, outline: ShapePoints | None = None) -> Fit | SurfaceFit:
@@ -101,7 +182,7 @@ def fitted(order: ShapeOrder, outline: ShapePoints | None = None) -> Fit | Surfa
     Raises:
         ValueError: If the file holds no points, or they are no one smooth shape.
     """
-    points, normals, faces = read(order) if outline is None else outline
+    points, normals, faces, _ = read(order) if outline is None else outline
     radius = _radius(points) if order.radius is None else order.radius
     if points.shape[1] == 2:
         return fit_contour(points, smallest_radius=radius)
@@ -109,9 +190,13 @@ def fitted(order: ShapeOrder, outline: ShapePoints | None = None) -> Fit | Surfa
 
 
 def size_told(order: ShapeOrder, outline: ShapePoints) -> list[str]:
-    """A line about the size of what was read; where no hand holds it, another about its unit."""
+    """Lines about what was read: its size, where there are several outlines which, and a unit in doubt."""
     size = " x ".join(f"{1e3 * x:.4g}" for x in outline.extent)
     lines = [f"  size        {size} mm"]
+    if outline.outlines > 1:
+        last = outline.outlines - 1
+        told = f"number {order.which or 0} of {outline.outlines} was taken, from 0, the largest, to {last}"
+        lines.append(f"  outline     {told}; --which N takes another")
     largest = float(outline.extent.max())
     if _HELD[0] <= largest <= _HELD[1]:
         return lines
@@ -143,7 +228,14 @@ def _of_mesh(path: Path, order: ShapeOrder) -> ShapePoints:
         return ShapePoints(points, faces=faces)
     axis, height = order.section
     normal = np.eye(3)[_AXES.index(axis)]
-    return ShapePoints(io.section(points, faces, origin=height * normal, normal=normal)[0])
+    outlines = io.section(points, faces, origin=height * normal, normal=normal)
+    which = order.which or 0
+    if which >= len(outlines):
+        raise ValueError(
+            f"argument --which must be below the number of outlines of the section, {len(outlines)}, but was "
+            f"{which}"
+        )
+    return ShapePoints(outlines[which], outlines=len(outlines))
 
 
 def _cloud(path: Path, unit: str) -> tuple[np.ndarray, np.ndarray | None]:
@@ -156,10 +248,14 @@ def _cloud(path: Path, unit: str) -> tuple[np.ndarray, np.ndarray | None]:
 
 
 def _radius(points: np.ndarray) -> float:
-    """A tenth of the least extent of points, along their own axes."""
+    """A share of the least extent of points, along their own axes."""
+    return _SHARE * float(_own_extents(points).min())
+
+
+def _own_extents(points: np.ndarray) -> np.ndarray:
+    """From end to end [m] along the axes of inertia of points."""
     centred = points - points.mean(axis=0)
-    axes = np.linalg.eigh(centred.T @ centred)[1]
-    return _SHARE * float(np.ptp(centred @ axes, axis=0).min())
+    return np.ptp(centred @ np.linalg.eigh(centred.T @ centred)[1], axis=0)
 
 
 def _image(path: Path) -> np.ndarray:

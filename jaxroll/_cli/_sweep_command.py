@@ -45,7 +45,8 @@ def swept(asked: SweepOrder, folder: Path, timed: Timed) -> list[str]:
     make, parameters = maker(asked.scene, tuple(asked.ranges)), parameters_of(asked)
     options = {"ts": asked.times if keep.timed else 1, "rtol": asked.rtol, "record": keep.record}
     # A line of its own, for the bar takes the next one.
-    say(f"Sweeping {asked.scene} over {', '.join(parameters.names)} ...")
+    over = ", ".join(_with_unit(name) for name in parameters.names)
+    say(f"Sweeping {asked.scene} over {over} ...")
     start, done = time.perf_counter(), parameters.rows
     if asked.sampling == "adaptive":
 
@@ -71,7 +72,13 @@ def swept(asked: SweepOrder, folder: Path, timed: Timed) -> list[str]:
         with timed("Writing the table"):
             names = write_table(folder, SweepTable(parameters, values, asked.scene))
         said = [f"Files in {folder}:", "  " + ", ".join(names)]
-    return [f"{parameters}", pace, *_told(values), *said]
+    return [f"Sweep of {asked.scene} over {over}", f"{parameters}", pace, *_told(values), *said]
+
+
+def _with_unit(name: str) -> str:
+    """A parameter's name with its unit, where it is known."""
+    unit = unit_of(name)
+    return f"{name} [{unit}]" if unit else name
 
 
 @contextlib.contextmanager
@@ -157,9 +164,10 @@ def maker(scene: str, names: tuple[str, ...]) -> Callable[[Parameters], tuple[An
         return lambda p: function(**p)
     build = getattr(scenes, scene)
     grasp, state = build()
-    held = set(getattr(type(grasp.controller), "__dataclass_fields__", {}))
+    held = set(_fields(grasp.controller))
     arguments = {name for name in names if name in inspect.signature(build).parameters} - held
     changed = [name for name in names if name not in arguments and name != _TIP]
+    _check_names(changed, build, grasp)
     tips = _tips(build, grasp) if _TIP in names else None
 
     def make(p: Parameters) -> tuple[Any, Any]:
@@ -172,6 +180,27 @@ def maker(scene: str, names: tuple[str, ...]) -> Callable[[Parameters], tuple[An
         ), start
 
     return make
+
+
+def _check_names(names: list[str], build: Callable, grasp: Any) -> None:
+    """Refuse names that a scene has not, and say which it has."""
+    parts = (grasp, grasp.controller, grasp.object)
+    fields = [(name, getattr(part, name)) for part in parts for name in _fields(part)]
+    unknown = [name for name in names if name not in dict(fields)]
+    if not unknown:
+        return
+    # Of the scene's arguments and of the fields those that are numbers.
+    given = inspect.signature(build).parameters
+    numbers = [name for name, each in given.items() if isinstance(each.default, (int, float, tuple))]
+    numbers += [name for name, value in fields if isinstance(value, jax.Array)]
+    tip = [_TIP] if {"tips", "tip"} & set(given) else []
+    known = ", ".join(dict.fromkeys([*numbers, *tip]))
+    raise ValueError(f"argument --set must name one of {known}, but was {unknown[0]}")
+
+
+def _fields(part: Any) -> tuple[str, ...]:
+    """The names of a part's fields."""
+    return tuple(getattr(type(part), "__dataclass_fields__", {}))
 
 
 def _held(grasp: Any, name: str, value: Any) -> Any:

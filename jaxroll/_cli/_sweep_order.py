@@ -26,7 +26,8 @@ _SWEEP = (
 _MAP = "Draw what a sweep kept over two of its parameters, as a picture and as a page for a browser."
 _SET = (
     "a parameter's values: LOW:HIGH, LOW:HIGH:COUNT, either with :log, V1,V2,..., or one number. NAME is an "
-    "argument of the scene, a field of its controller or object, or tip_radius [m], of round fingertips"
+    "argument of the scene, a field of its controller or object, or tip_radius, of round fingertips. Unlike "
+    "lengths of other commands, values are in SI units: m, kg, s, N, rad"
 )
 _KINDS = {
     "damping": "N m s",
@@ -35,6 +36,8 @@ _KINDS = {
     "force": "N",
     "mass": "kg",
     "inertia": "kg m^2",
+    "gravity": "m/s^2",
+    "pivot": "m",
 }
 _KINDS |= dict.fromkeys(("tip_radius", "radius", "a", "b"), "m")
 

@@ -39,6 +39,7 @@ from ._report import (
     complaint as complaint,
     contact_name as contact_name,
     REMEDIES as REMEDIES,
+    report as report,
 )
 from ._resume import resume as resume
 from ._rosenbrock import Rosenbrock as Rosenbrock

@@ -66,12 +66,12 @@ REMEDIES = {
 }
 
 
-def report(run: Any) -> str:
-    """What `print` shows of one run."""
+def report(run: Any, remedies: Mapping[str, str] = REMEDIES) -> str:
+    """What `print` shows of one run; `remedies` are what helps, in the caller's words."""
     lines = [f"Trajectory: {code_name(run.result)}"]
     if _code(run):
         lines += entry("ended", [cause(run)])
-        lines += entry("remedy", [REMEDIES.get(code_name(run.result), "none known")])
+        lines += entry("remedy", [remedies.get(code_name(run.result), "none known")])
     saved = _reached(run.states.q)
     stats, end = run.stats, f"ended at {float(run.stats.t_end):.6g} s"
     if saved.any():

@@ -15,7 +15,7 @@ from ._mesh import read_ply_points
 from ._outline import outline, positive
 from ._paths import as_path, readable, writable
 from ._tables import read_csv, read_npy, write_csv
-from ._vector import read_dxf, read_svg, write_dxf, write_svg
+from ._vector import drawn_outline, read_dxf, read_svg, write_dxf, write_svg
 
 _READ = (".csv", ".txt", ".dat", ".npy", ".svg", ".dxf")
 _CLOUDS = (".csv", ".txt", ".dat", ".xyz", ".npy", ".ply")
@@ -74,11 +74,16 @@ def read_points(
     scale = positive("pixel", pixel) if unit == "px" else metres_per(unit)
     samples, which = as_count("samples", samples, least=6), as_count("which", which, least=0)
     chosen, fill = _columns("columns", columns, 2), check_flag("fill", fill)
-    if kind == ".svg":
-        return scale * read_svg(path, scale, which, samples, fill=fill)
-    if kind == ".dxf":
-        return scale * read_dxf(path, scale, which, samples, fill=fill)
+    if kind in (".svg", ".dxf"):
+        outlines = (read_svg if kind == ".svg" else read_dxf)(path, scale, samples, fill=fill)
+        return scale * drawn_outline(outlines, which, path)
     return scale * (read_npy if kind == ".npy" else read_csv)(path, chosen)
+
+
+def count_outlines(path: Path, *, unit: str) -> int:
+    """How many outlines a drawing has, SVG or DXF, which `read_points` has read."""
+    read = read_svg if path.suffix.lower() == ".svg" else read_dxf
+    return len(read(path, metres_per(unit), 6, fill=False))
 
 
 def read_cloud(

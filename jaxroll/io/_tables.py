@@ -55,11 +55,16 @@ def table_width(path: Path) -> int:
             shape = getattr(np.load(path, allow_pickle=False, mmap_mode="r"), "shape", ())
             return shape[1] if len(shape) == 2 else 0
         return 0
+    return len(_fields(first_numbers(path)))
+
+
+def first_numbers(path: Path) -> str:
+    """The first line of a text table with a number, without its remark; empty where there is none."""
     for line in _text(path).splitlines():
-        fields = _fields(line.split("#")[0])
-        if any(_number(field) is not None for field in fields):
-            return len(fields)
-    return 0
+        text = line.split("#")[0]
+        if any(_number(field) is not None for field in _fields(text)):
+            return text.strip()
+    return ""
 
 
 def _regular(lines: list[str], columns: tuple[int, ...]) -> np.ndarray | None:

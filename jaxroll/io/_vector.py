@@ -28,13 +28,12 @@ _CODES = {1: 0.0254, 2: 0.3048, 4: 1e-3, 5: 1e-2, 6: 1.0, 8: 2.54e-8, 9: 2.54e-5
 _CODE_OF = {"in": 1, "mm": 4, "m": 6, "um": 13}
 
 
-def read_svg(path: Path, scale: float, which: int, samples: int, *, fill: bool) -> np.ndarray:
-    """Points of one outline in the drawing's own unit, y up.
+def read_svg(path: Path, scale: float, samples: int, *, fill: bool) -> list[np.ndarray]:
+    """Points of every outline in the drawing's own unit, y up.
 
     Args:
         path: The file.
         scale: Metres in one unit of the drawing, according to the caller.
-        which: Which outline, counting from the largest.
         samples: Number of points on an outline with curved pieces.
         fill: Whether there are points along straight pieces, and one at every corner.
     """
@@ -47,8 +46,12 @@ def read_svg(path: Path, scale: float, which: int, samples: int, *, fill: bool) 
         drawing = Document(str(path))
         pieces = [piece for whole in drawing.paths() for piece in whole.continuous_subpaths() if len(piece)]
     _check_scale(scale, _svg_scale(drawing.tree.getroot(), path), path)
-    outlines = [_along(piece, samples, fill) for piece in pieces]
-    return _finite(chosen(outlines, which, f"outlines in {path.name}"), path) * np.array([1.0, -1.0])
+    return [_along(piece, samples, fill) * np.array([1.0, -1.0]) for piece in pieces]
+
+
+def drawn_outline(outlines: list[np.ndarray], which: int, path: Path) -> np.ndarray:
+    """One outline of a drawing, counting from the largest."""
+    return _finite(chosen(outlines, which, f"outlines in {path.name}"), path)
 
 
 @contextlib.contextmanager
@@ -149,8 +152,8 @@ def _ezdxf() -> Any:
     return ezdxf
 
 
-def read_dxf(path: Path, scale: float, which: int, samples: int, *, fill: bool) -> np.ndarray:
-    """Points of one outline in the drawing's own unit.
+def read_dxf(path: Path, scale: float, samples: int, *, fill: bool) -> list[np.ndarray]:
+    """Points of every outline in the drawing's own unit.
 
     Pieces (lines, arcs, splines) whose ends meet are joined to one outline, unless more than two meet at a
     point. The arguments are those of `read_svg`.
@@ -178,7 +181,7 @@ def read_dxf(path: Path, scale: float, which: int, samples: int, *, fill: bool) 
             outlines.append(filled_polygon(line, samples, closed=closed, sharp=_ALONG if curved else _ANY))
         else:
             outlines.append(even(line, samples, closed=closed) if curved else line)
-    return _finite(chosen(outlines, which, f"outlines in {path.name}"), path)
+    return outlines
 
 
 def _finite(points: np.ndarray, path: Path) -> np.ndarray:

@@ -20,8 +20,9 @@ _BESIDE: Any = {"textcoords": "offset points", "ha": "center", "va": "center"}
 def contours(grasp: Grasp) -> Figure:
     """Draw every fingertip and the object in their own frames, and curvature over arclength.
 
-    Dots along a contour count its arclength in millimetres, counter-clockwise round the body. A
-    contour without ends is drawn around its starting contact.
+    Dots along a contour count its arclength in millimetres, counter-clockwise round the body; the chapter's
+    $s_i$, as in `responses`, counts along $b_i$, and may have the other sign. A contour without ends is drawn
+    around its starting contact.
 
     Args:
         grasp: Whose contours to draw.
@@ -74,7 +75,10 @@ def contours(grasp: Grasp) -> Figure:
     figure.legend(
         # Drawn last were the dots of the arclength, the start of the contact, and the frame's origin.
         [axes[0, 0].lines[-2], axes[0, 0].lines[-3]],
-        ["starting contact", "arclength s [mm], counter-clockwise round the body"],
+        [
+            "starting contact",
+            "arclength s [mm], counter-clockwise round the body; the chapter's $s_i$ is along $b_i$",
+        ],
         loc="outside lower center",
         ncols=2,
         fontsize=8,

@@ -186,8 +186,9 @@ def _said(stream: io.StringIO, folder: str, name: str) -> dict[str, Any]:
 def ordered(goal: str) -> dict[str, Any]:
     """What `jaxroll design` asks for and prints, the work left out."""
     asked, run = _Asked(), runs.run("pinch", ended="slipping")
+    tips = {"start": jxr.Ellipse(0.018, 0.009), "tip": jxr.Circle(0.01)}
     found = SimpleNamespace(
-        start=jxr.Ellipse(0.018, 0.009), tip=jxr.Circle(0.01), report=lambda remedy: f"the report, {remedy}"
+        **tips, holds=np.array([True]), chosen=0, report=lambda remedy: f"the report, {remedy}"
     )
     tip = _cli.fingertip(None, "mm")
     order = _cli.DesignOrder(goal, tip, steps=7, starts=2, animated=goal == "margin")
@@ -205,10 +206,10 @@ def ordered(goal: str) -> dict[str, Any]:
         mock.patch.object(_design_command, "optimise_fingertip", search),
         mock.patch.object(_design_command.scenes, "pinch", asked("pinch", lambda **options: grasp)),
     ):
-        lines = _cli.order(order, Path(folder), timed)
+        lines, held = _cli.order(order, Path(folder), timed)
         written = sorted(path.name for path in Path(folder).iterdir())
     lines = [line.replace(folder, "FOLDER") for line in lines]
-    return {"asked": asked.calls, "lines": lines, "written": written, "tip": described(tip)}
+    return {"asked": asked.calls, "lines": lines, "held": held, "written": written, "tip": described(tip)}
 
 
 def fingertips() -> dict[str, Any]:

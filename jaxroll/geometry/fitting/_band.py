@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ._crossings import crossings
-from ._ordering import crust, nearest_points, place_text, zigzags
+from ._ordering import crosses_as_given, crust, nearest_points, place_text, zigzags
 
 _WIDER = 1.4  # factor from one scale that is tried to the next
 _THIN = 0.2  # most of the rms distance from the chain, in scales: a filled area has 0.29
@@ -85,6 +85,12 @@ def found_band(points: np.ndarray, scale: float, *, closed: bool, ordered: bool 
                 return band
         scale *= _WIDER
     worst = int(np.argmax(fourth))
+    place = crosses_as_given(points, closed=closed) if ordered is None else ""
+    if place:
+        raise ValueError(
+            f"argument points must not cross themselves, but in the order given they do near {place}, and by "
+            "nearness they follow no single curve"
+        )
     raise ValueError(
         "argument points must be in order, or lie near one curve, "
         f"{'closed' if closed else 'with two ends'}, but at no scale up to {1e3 * widest:.3g} mm do they "

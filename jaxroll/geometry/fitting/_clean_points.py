@@ -16,7 +16,7 @@ import numpy as np
 from ..._results import check_flag, shown
 from ..contours import numbers, polygon_area
 from ._crossings import crossings
-from ._ordering import order_points, place_text, turnings
+from ._ordering import order_given_up, order_points, place_text, turnings
 
 UNITS = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
 _FEWEST = 6  # as many as a quintic has coefficients
@@ -102,7 +102,9 @@ def clean_points(
     kept = given[distinct(given, closed=closed, anywhere=ordered is False)]
     check_number(kept)
     indices = _order(kept, closed=closed, ordered=ordered)
+    given_up = []
     if indices is not None:
+        given_up = order_given_up(kept, closed=closed) if ordered is None else []
         kept = kept[indices]
     against, doubt = _against(kept, closed=closed, reordered=indices is not None)
     # A closed contour's direction follows from its points; `reverse` has a meaning for open ones alone. The
@@ -110,7 +112,13 @@ def clean_points(
     if against != (reverse and not closed):
         kept = np.roll(kept[::-1], 1, axis=0) if closed else kept[::-1]
     check_spacing(kept, closed=closed)
-    warnings = [*doubt, *size_warnings(kept), *_spacing(kept, closed=closed), *_bends(kept, closed=closed)]
+    warnings = [
+        *given_up,
+        *doubt,
+        *size_warnings(kept),
+        *_spacing(kept, closed=closed),
+        *_bends(kept, closed=closed),
+    ]
     warnings += _crossed(kept, closed=closed)
     merged = len(given) - len(kept)
     return CleanPoints(kept, merged, indices is not None, bool(closed and against), tuple(warnings))

@@ -20,6 +20,7 @@ from ._bounded_curve import Bounded, bounded_curve
 from ._clean_points import check_number, check_one_unit, check_spacing, CleanPoints, distinct, size_warnings
 from ._departures import strays
 from ._even_spline import EvenSpline, low_passed
+from ._ordering import order_given_up
 from ._rolled_line import along, rolled_line, spread_along
 
 # Numbers of nodes; few of them, because programs are compiled for each.
@@ -158,7 +159,8 @@ def limited(points: np.ndarray, wanted: Wanted) -> Limited:
     check_spacing(band.chain, closed=closed)
     line, start = _started(ordered, band.chain, wanted)
     merged = len(points) - len(kept)
-    doubts = (*doubts, *size_warnings(ordered), *_sparse(ordered, wanted))
+    crossed = order_given_up(kept, closed=closed) if band.reordered and wanted.ordered is None else []
+    doubts = (*crossed, *doubts, *size_warnings(ordered), *_sparse(ordered, wanted))
     clean = CleanPoints(ordered, merged, band.reordered, bool(closed and against), doubts)
     return _judged(Limited(clean, kept[band.strays], line, start, wanted.noise or 0.0, wanted))
 

@@ -13,6 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ._crossings import crossings
+
 _NEAR = 24  # nearest points among which `crust` looks for a point's two neighbours on the curve
 _MOVES = 200_000  # points that all moves together look at
 _REPAIR = 8  # nearest points to which `repaired` may link a point
@@ -101,6 +103,31 @@ def zigzags(points: np.ndarray, *, closed: bool) -> bool:
     beside = np.roll(angles, -1)
     to_and_fro = (angles * beside < 0.0) & (np.minimum(np.abs(angles), np.abs(beside)) > np.pi / 6)
     return bool(np.mean(to_and_fro) > 0.2)
+
+
+def crosses_as_given(points: np.ndarray, *, closed: bool) -> str:
+    """Where points that look like one curve in their order cross themselves, as text; empty if not."""
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    if len(points) < 4 or steps.max() > 10.0 * np.median(steps) or zigzags(points, closed=closed):
+        return ""
+    pairs = crossings(points, closed=closed)
+    if not len(pairs):
+        return ""
+    # In the middle of all ends of the two sides that meet, to a ten-millionth of the size.
+    middle = points[np.concatenate([pairs[0], pairs[0] + 1]) % len(points)].mean(axis=0)
+    digits = 7 - int(np.ceil(np.log10(np.ptp(points, axis=0).max())))
+    return place_text(np.round(middle, digits) + 0.0)
+
+
+def order_given_up(points: np.ndarray, *, closed: bool) -> list[str]:
+    """A sentence where another order was taken, because the one given crosses itself; else none."""
+    place = crosses_as_given(points, closed=closed)
+    if not place:
+        return []
+    return [
+        f"The order given crosses itself near {place} and was given up: the contour joins the points by "
+        "nearness, which may be another shape."
+    ]
 
 
 def repaired(points: np.ndarray, near: np.ndarray, *, closed: bool) -> Order:

@@ -78,6 +78,8 @@ class Scan:
         """One mean of all points in a cell of this width [m], with the sum of their areas; and of levels."""
         count, inverse = _cells(self.points, self.normals, width)
         areas = np.bincount(inverse, self.areas, count)
+        if not areas.min() > 0.0:
+            raise ValueError("argument points must cover a surface, but some of them lie along a line")
         turned = self.areas * self.sure
         places = np.stack([np.bincount(inverse, self.areas * x, count) for x in self.points.T], axis=1)
         directions = np.stack([np.bincount(inverse, turned * x, count) for x in self.normals.T], axis=1)

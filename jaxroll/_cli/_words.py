@@ -1,0 +1,96 @@
+"""The library's sentences as the command line says them: options for arguments, and lengths in their units.
+
+A sentence of the library names the argument of a function, in metres; whoever reads it at a command line has
+options, in millimetres. JAX is not imported here.
+"""
+
+import re
+from collections.abc import Iterable, Mapping
+
+# What the arguments of functions are called by the commands that read a file of points.
+_OF_SHAPES = {
+    "path": "FILE",
+    "image": "FILE",
+    "points": "the points of FILE",
+    "vertices": "the vertices of FILE",
+    "faces": "the faces of FILE",
+    "normals": "the normals of FILE",
+    "unit": "--unit",
+    "pixel": "--pixel",
+    "which": "--which",
+    "origin": "--section",
+    "smallest_radius": "--smallest-radius",
+}
+OPTIONS: dict[str, dict[str, str]] = {
+    "fit": _OF_SHAPES,
+    "pinch": _OF_SHAPES
+    | {
+        "object": "FILE",
+        "contour": "FILE",
+        "surface": "FILE",
+        "fingers": "--hand",
+        "density": "--density",
+        "thickness": "--thickness",
+        "friction": "--friction",
+        "force": "--force",
+        "t1": "--seconds",
+    },
+    "design": {
+        "path": "--tip",
+        "tip": "--tip",
+        "points": "the points of --tip",
+        "unit": "--unit",
+        "steps": "--steps",
+    },
+    "replay": {"path": "FILE", "until": "--until", "speed": "--speed", "fps": "--fps"},
+    "sweep": {
+        "resume": "--out",
+        "store": "--store",
+        "names": "--keep",
+        "keep": "--keep",
+        "t1": "--seconds",
+        "ts": "--times",
+        "rtol": "--rtol",
+        "chunk": "--chunk",
+        "client": "--workers",
+        "make": "SCENE",
+        "parameters": "--set",
+    },
+    "map": {"x": "-x", "y": "-y", "at": "--at", "parameters": "STORE", "values": "--show"},
+}
+# Advice that only Python can follow.
+_IN_PYTHON = (
+    " (closed=False makes an open one)",
+    " (ordered=True keeps the order given; `fit_contour` with smallest_radius bears noise)",
+)
+_LENGTH = re.compile(r"(?<![\w.])(-?\d[\d.]*(?:e[+-]?\d+)?) m\b")
+
+
+def in_options(text: str, command: str, set_names: Iterable[str] = ()) -> str:
+    """A sentence or a report of the library as a command says it.
+
+    Args:
+        text: The sentence.
+        command: Which command says it.
+        set_names: Of a sweep, the names that `--set` has given.
+    """
+    options = OPTIONS.get(command, {}) | {name: f"--set {name}" for name in set_names}
+    for each in _IN_PYTHON:
+        text = text.replace(each, "")
+    text = re.sub(r"argument (\w+)", lambda found: _named(found[1], options), text)
+    if "smallest_radius" not in options:
+        return text
+    # A sentence about the radius has its lengths in metres; what else a report says is in millimetres.
+    lines = text.replace("smallest_radius", "--smallest-radius").split("\n")
+    return "\n".join(_in_millimetres(line) if "--smallest-radius" in line else line for line in lines)
+
+
+def _named(name: str, options: Mapping[str, str]) -> str:
+    """How a command begins a sentence about an argument."""
+    told = options.get(name, name)
+    return told if told.startswith("the ") else f"argument {told}"
+
+
+def _in_millimetres(line: str) -> str:
+    """A line whose lengths are in metres, with millimetres in their place."""
+    return _LENGTH.sub(lambda found: f"{1e3 * float(found[1]):.4g} mm", line)

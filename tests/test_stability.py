@@ -121,6 +121,17 @@ def test_hessian_of_u_against_central_differences(pinch):
     np.testing.assert_allclose(at.hessian, second, rtol=1e-6)
 
 
+def test_places_of_a_scene_are_counted_from_where_its_fingers_face_the_object():
+    """Those of the statics from the contour's zero: `contact_geometry` converts."""
+    grasp, state = jxr.scenes.pinch_ellipse()
+    at = jxr.contact_geometry(grasp, state)
+    s, apart = at.s, at.centre_0
+    half = 0.5 * float(grasp.object.contours[0].domain()[1])
+    beside = 0.5 * float(grasp.controller.beta) * float(jnp.sum((apart[0] - apart[1]) ** 2))
+    np.testing.assert_allclose(s, [0.004 + half, -0.003], atol=1e-12)
+    assert float(pinch_statics(grasp, s).potential) == pytest.approx(beside, rel=1e-12)
+
+
 @pytest.mark.slow
 def test_statics_agree_with_the_moving_grasp(pinch):
     """U(s_1, s_2), d and l from contact coordinates alone, against tip positions along a run."""

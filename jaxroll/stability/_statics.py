@@ -73,7 +73,9 @@ def pinch_statics(grasp: Grasp, s: Given) -> PinchStatics:
     Args:
         grasp: Two fingers, one contact each, driven by `control.Opposition`.
         s: Shape (..., 2), the chapter's $s_i$ [m]: arclength along the object in the direction of $b_{0i}$,
-            which is the contact's `sense` times the object contour's own.
+            which is the contact's `sense` times the object contour's own. It counts from that contour's zero,
+            while the `s` of `scenes.pinch_ellipse` counts from where each finger faces the ellipse: of a
+            state `contact_geometry(grasp, state).s` has the $s_i$ meant here.
 
     Raises:
         ValueError: If the grasp is not a two-finger pinch under `control.Opposition`, or `s` not pairs of

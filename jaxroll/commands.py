@@ -23,6 +23,13 @@ from ._printing import listed
 from ._results import as_array, check_callable, check_finite, concrete, shown
 from ._types import Given, Scalar
 
+__all__ = ("AbstractSchedule", "Declared", "Ramps", "Steps")
+
+
+# What the tab key offers: not the names that are imported here.
+def __dir__() -> tuple[str, ...]:
+    return __all__
+
 
 def _as_rising(name: str, times: Array) -> Array:
     """Raise unless there are one or more times, and they rise."""

@@ -22,6 +22,13 @@ from ._results import as_array, check_finite, check_positive, shown
 from ._types import Given, Scalar
 from ._xla import in_arithmetic
 
+__all__ = ("AbstractLoad", "Drag", "Impulse", "Pose", "Push", "Spring", "Twist")
+
+
+# What the tab key offers: not the names that are imported here.
+def __dir__() -> tuple[str, ...]:
+    return __all__
+
 
 class Pose(eqx.Module):
     """The object's place as a load of a user's own sees it.

@@ -16,6 +16,7 @@ import equinox as eqx
 import pytest
 
 import jaxroll as jxr
+from notebooks.extensions import public_names
 
 ROOT = pathlib.Path(jxr.__file__).parent
 RANKS = {
@@ -397,6 +398,21 @@ def test_public_names():
     assert not hasattr(jxr, "integration") and not hasattr(jxr, "mechanics")
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         _ = jxr.nothing
+
+
+def test_public_modules_complete_to_their_own_names():
+    """What the tab key offers in `jxr.loads.`: no library, no helper that the module imports for itself."""
+    modules = [value for name in PUBLIC if inspect.ismodule(value := getattr(jxr, name))]
+    assert len(modules) == 10
+    for module in modules:
+        offered = {name: getattr(module, name) for name in dir(module) if not name.startswith("_")}
+        # A package's subpackages are attributes of it, once they are imported.
+        parts = {name for name, value in offered.items() if inspect.ismodule(value)}
+        assert all(offered[name].__name__ == f"{module.__name__}.{name}" for name in parts)
+        assert set(offered) - parts == set(public_names.exported(module)), module
+    starred = {}
+    exec("from jaxroll.loads import *", starred)
+    assert set(starred) - {"__builtins__"} == set(jxr.loads.__all__)
 
 
 def test_public_things_have_docstrings():

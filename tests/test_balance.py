@@ -161,6 +161,18 @@ def test_other_grasps_are_refused():
         jxr.simulate(grasp.with_(controller=jxr.control.Opposition(1.0, 1.0, start=jnp.zeros(3))), _, 0.1)
 
 
+def test_the_controller_that_will_not_do_is_named_by_its_class():
+    """Not by its numbers, which are traced by the time that the sentence is made."""
+    pinch, pivoted = jxr.scenes.pinch(), jxr.scenes.pivoted()
+    with pytest.raises(ValueError, match=r"driven by control\.Press, but was by Opposition\b(?!\()"):
+        jxr.press_balance(pinch[0], 0.0, pinch[1])
+    sampled = pinch[0].with_(controller=jxr.control.Sampled(pinch[0].controller, 0.004))
+    with pytest.raises(ValueError, match=r"control\.Opposition itself, but was by Sampled\b(?!\()"):
+        jxr.stability.pinch_statics(sampled, (0.0, 0.0))
+    with pytest.raises(ValueError, match=r"under control\.Opposition, .* under Press\b(?!\()"):
+        jxr.pinch_balance(pivoted[0], 0.0, pivoted[1])
+
+
 def test_gradients_of_a_run_that_ended_early_are_those_of_what_it_reached():
     """The rows that were not reached are NaN, and leave the derivatives of the others alone."""
     wanted, found = gradients_with_and_without_an_end(jxr.pinch_balance, *jxr.scenes.pinch())

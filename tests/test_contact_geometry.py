@@ -187,6 +187,30 @@ def test_68_holds_along_a_run(moving):
     assert sum_ * rolled == pytest.approx(v[1] + v[2] - v[0], rel=1e-4)
 
 
+def test_fig_7_is_drawn_in_the_axes_of_the_frames():
+    """Fig. 7, (80)-(83): X_0 = -y, Y_0 = -x on the fingertip, X = x, Y = -y on the object, with `sense` 1."""
+    grasp, _ = jxr.scenes.pivoted()
+    tip, face = grasp.shapes(grasp.contacts[0])
+    for s in (-0.004, 0.0, 0.007):
+        (x0, y0), (x, y) = tip.point(-s), face.point(s)
+        np.testing.assert_allclose([-y0, -x0], Part2.tip_contour(s), atol=1e-16)
+        np.testing.assert_allclose([x, -y], Part2.object_contour(s), atol=1e-16)
+    np.testing.assert_allclose(tip.point(0.0), [0.0, -0.010], atol=1e-16)
+    assert [ax.get_xlabel() for ax in jxr.plotting.contours(grasp).axes[:2]] == ["x [mm]"] * 2
+
+
+def test_7_has_the_sign_of_the_sense_and_the_rolled_arclength_none():
+    """(7) for both fingers: (kappa_i + kappa_0i) s_i' = (-1)^i (theta' - p_i'); sigma' has one."""
+    grasp, state = jxr.scenes.pinch()
+    run = jxr.simulate(grasp, state, 0.0502, ts=np.array([0.05, 0.0501, 0.0502]), rtol=1e-11)
+    found, v = jxr.contact_geometry(grasp, run.states), np.asarray(run.states.v[1])
+    s, sigma = (np.asarray(x[2] - x[0]) / 2e-4 for x in (found.s, run.states.s))
+    bend, faster = np.asarray(found.kappa_0 + found.kappa_1)[1], np.array([v[3:6].sum(), v[6:].sum()]) - v[2]
+    assert [contact.sense for contact in grasp.contacts] == [1, -1]
+    np.testing.assert_allclose(bend * s, [faster[0], -faster[1]], rtol=1e-4)
+    np.testing.assert_allclose(bend * sigma, -faster, rtol=1e-4)
+
+
 def test_coefficients_of_73_and_74(moving):
     """(72) makes (73)-(74): levers as printed, which are the change of (64)-(65) while s follows (68)."""
     grasp, run, found = moving

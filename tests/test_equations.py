@@ -58,6 +58,22 @@ def test_examples_cite_nothing():
     assert dict(equations._docstrings(tree)) == {"f": "(5).\n"}
 
 
+def test_what_a_function_defines_inside_counts_as_its_own():
+    """A name with a point in it would be that of a test that nobody can run."""
+    tree = ast.parse('def f():\n    """(5)."""\n    def g():\n        """(6)."""\n')
+    assert dict(equations._docstrings(tree)) == {"f": "(5).\n\n(6)."}
+    assert not [place for row in TABLE for place in row.tests if "." in place.name]
+
+
+def test_every_function_and_test_is_in_its_row():
+    """None of them is cut off."""
+    lines = equations.page(TABLE).splitlines()[2:]
+    for row, line in zip(TABLE, lines, strict=True):
+        assert all(f"::{place.name}`" in line for place in row.tests), row.number
+        assert all(f"`{place.name or place.path}`" in line for place in row.functions), row.number
+        assert not re.search(r"and \d+ more", line)
+
+
 def test_the_table_is_a_table():
     lines = equations.page(TABLE).splitlines()
     assert len(lines) == 2 + len(TABLE)

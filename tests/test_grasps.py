@@ -101,6 +101,18 @@ def test_features_that_are_off_cost_nothing():
     assert lines(None) < lines((0.0, -9.81))
 
 
+def test_held_contacts_stay_and_those_that_roll_are_nearer(scene):
+    """In the metric of the guess: with held contacts the way is longer than it would have to be."""
+    grasp, state = scene
+    guess = jxr.State(state.q + jnp.array([0.05, -0.03, 0.04]), state.v, state.s)
+    weight, ways = jxr.equation_terms(grasp, guess).mass, {}
+    for hold in (True, False):
+        found = jxr.close(grasp, guess, hold_contacts=hold)[1]
+        ways[hold] = float((found.q - guess.q) @ weight @ (found.q - guess.q))
+        assert bool(found.s[0] == guess.s[0]) == hold
+    assert ways[False] < 0.6 * ways[True]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("hold", [True, False])
 def test_single_precision_closes_what_double_precision_closes(scene, hold):

@@ -159,6 +159,16 @@ def test_balance_is_the_chapters_own_quantities(scene, run):
         assert float(balance.delta_lam[i, 0]) == pytest.approx(float(lam + 50 * r1), abs=1e-12)
 
 
+def test_n1_falls_at_the_slowest_rate(scene):
+    """-4.16 1/s, as the site says, of the loop linearised at rest and of the run itself."""
+    grasp, state = scene
+    rates = np.asarray(jxr.stability.assess(grasp, state).rates)
+    np.testing.assert_allclose(rates, [-77.8, -4.16], rtol=2e-3)
+    run = jxr.simulate(grasp, state, 3.0, ts=np.array([2.5, 3.0]), rtol=1e-10)
+    n1 = np.asarray(jxr.press_balance(grasp, run.ts, run.states).n1)[:, 0]
+    assert float(np.log(n1[1] / n1[0]) / 0.5) == pytest.approx(rates[1].real, rel=1e-3)
+
+
 def test_n1_is_the_moment_of_the_pull_about_the_contact(scene):
     """Zero for a target on the line from the tip frame through the contact, not on that of the origins."""
     grasp, state = scene

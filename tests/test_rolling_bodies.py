@@ -74,6 +74,17 @@ def test_ball_on_an_incline():
     np.testing.assert_allclose(rubbing, 2 / 7 * weight * np.sin(0.3), rtol=1e-11)
 
 
+def test_the_contact_moves_by_the_normal_of_the_object():
+    """(L_A + L_B) s = (omega_A - omega_B) x n with the object's outward n: a ball on a slope that rests."""
+    scene = jxr.scenes.incline()
+    last, radius = run_of(scene, 0.2).last, float(scene[0].object.shapes[0].radius)
+    velocity, spin = np.asarray(last.v[:3]), closed.quaternion_matrix(last.q[3:7]) @ last.v[3:6]
+    # The contact goes over the slope as the ball's centre does. The ball's normal points into the slope.
+    normal = -np.asarray(scene[1].q[:3]) / radius
+    assert np.linalg.norm(velocity) > 0.1
+    np.testing.assert_allclose(velocity / radius, np.cross(-spin, normal), atol=1e-9)
+
+
 @pytest.mark.parametrize("tube", [0.01, 0.03])
 def test_steady_precession_of_a_wheel(tube):
     run = run_of(jxr.scenes.wheel(tube=tube), 3.0)

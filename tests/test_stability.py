@@ -121,6 +121,17 @@ def test_hessian_of_u_against_central_differences(pinch):
     np.testing.assert_allclose(at.hessian, second, rtol=1e-6)
 
 
+def test_places_of_a_scene_are_counted_from_where_its_fingers_face_the_object():
+    """Those of the statics from the contour's zero: `contact_geometry` converts."""
+    grasp, state = jxr.scenes.pinch_ellipse()
+    at = jxr.contact_geometry(grasp, state)
+    s, apart = at.s, at.centre_0
+    half = 0.5 * float(grasp.object.contours[0].domain()[1])
+    beside = 0.5 * float(grasp.controller.beta) * float(jnp.sum((apart[0] - apart[1]) ** 2))
+    np.testing.assert_allclose(s, [0.004 + half, -0.003], atol=1e-12)
+    assert float(pinch_statics(grasp, s).potential) == pytest.approx(beside, rel=1e-12)
+
+
 @pytest.mark.slow
 def test_statics_agree_with_the_moving_grasp(pinch):
     """U(s_1, s_2), d and l from contact coordinates alone, against tip positions along a run."""
@@ -243,6 +254,52 @@ def test_margin_of_41():
     slope = lambda u: (h(u + e) - h(u - e)) / (2 * e) / np.asarray(tip.curvature(u))  # noqa: E731
     second = (slope(s + e) - slope(s - e)) / (2 * e) / np.asarray(tip.curvature(s))
     np.testing.assert_allclose(margin(tip, s), second, rtol=1e-4)
+
+
+def test_rectangle_hessian_refuses_faces_that_are_not_straight_and_parallel(pinch):
+    """Where numbers are traced, a curved class is refused all the same, and what only numbers tell is NaN."""
+    grasp, state = jxr.scenes.pinch_ellipse()
+    s, _ = pinch_rest(grasp, state)
+    with pytest.raises(ValueError, match="straight, parallel faces, but its contours were Ellipse"):
+        rectangle_hessian(grasp, s)
+    with pytest.raises(ValueError, match="straight, parallel faces, but its contours were Ellipse"):
+        jax.jit(rectangle_hessian)(grasp, s)
+
+    flat = pinch[0]
+    face = lambda angle: flat.object.contours[1].moved(angle=angle)  # noqa: E731
+    wedge = lambda angle: eqx.tree_at(lambda g: g.object.contours[1], flat, face(angle))  # noqa: E731
+    with pytest.raises(ValueError, match="argument grasp must .* were -?2.865 degrees from opposite"):
+        rectangle_hessian(wedge(0.05), (0.0, 0.0))
+    traced = jax.jit(lambda angle: rectangle_hessian(wedge(angle), (0.0, 0.0)))
+    np.testing.assert_allclose(traced(0.0), rectangle_hessian(flat, (0.0, 0.0)), rtol=1e-12)
+    assert np.isnan(traced(0.05)).all()
+
+    round_ = jxr.Parametric(lambda u: 0.02 * jnp.array([jnp.cos(u), jnp.sin(u)]), (0.0, 6.28), closed=False)
+    bent = eqx.tree_at(lambda g: g.object.contours[1], flat, round_)
+    with pytest.raises(ValueError, match=r"curvatures at the contacts were \[0.0, 5\d"):
+        rectangle_hessian(bent, (0.0, 0.03))
+
+
+def test_rectangle_hessian_counts_places_as_the_contacts_do(pinch):
+    """With one `sense` for both contacts s_2 runs the other way, and the mixed term changes sign."""
+    grasp, _ = pinch
+    kept = lambda c: {"finger": c.finger, "contour": c.contour, "sense": 1}  # noqa: E731
+    other = grasp.with_contacts(*(jxr.Contact(c.s_tip, c.s_object, **kept(c)) for c in grasp.contacts))
+    found = rectangle_hessian(other, (0.0, 0.0))
+    np.testing.assert_allclose(found, pinch_statics(other, (0.0, 0.0)).hessian, rtol=1e-12)
+    assert found[0, 1] > 1.0
+
+
+def test_margin_ends_where_an_open_contour_does():
+    """At the ends themselves it has one; beyond them it is refused, and NaN where it is traced."""
+    tip = jxr.Catenary(1.0 / 40.0, (-0.03, 0.03)).moved((0.01, 0.0))
+    assert np.isfinite(margin(tip, np.array([-0.03, 0.0, 0.03]))).all()
+    with pytest.raises(ValueError, match=r"argument s must lie between .*-0.03 and 0.03 m, but was \[0.05\]"):
+        margin(tip, [0.0, 0.05])
+    found = jax.jit(lambda s: margin(tip, s))(jnp.array([0.0, 0.05]))
+    assert np.isfinite(found[0]) and np.isnan(found[1])
+    circle = jxr.Circle(0.01)  # closed: it has no end
+    np.testing.assert_allclose(margin(circle, 1.0), 0.0, atol=1e-15)
 
 
 def leans(grasp, state, t1, **options):

@@ -14,7 +14,6 @@ from jaxtyping import Array, Float
 from .._mechanics import check_planar, compiled, Grasp, State
 from .._motion import as_times, Index1, multipliers_at, over_time
 from .._printing import listed
-from .._results import shown
 from .._types import Scalar
 from ..control import law_of, Press
 from ._contact_geometry import geometry_at
@@ -77,7 +76,7 @@ def press_balance(grasp: Grasp, ts: Float[Array, "..."], states: State) -> Press
     check_planar(grasp)
     if not isinstance(law_of(grasp.controller), Press):
         raise ValueError(
-            f"argument grasp must be driven by control.Press, but was by {shown(grasp.controller)}"
+            f"argument grasp must be driven by control.Press, but was by {type(grasp.controller).__name__}"
         )
     ready, ts = grasp.prepared(), as_times(ts, states)
     return over_time(lambda state, t: _balance_at(ready, t, state), states, ts)

@@ -77,7 +77,7 @@ def roll(
     spin: Callable[[Any], Any] | None = None,
     rtol: float = 1e-12,
 ) -> Rolled:
-    r"""Roll one surface over another that lies still, its contact led along a path.
+    r"""Roll one surface over another that lies still, its contact led at a given velocity.
 
     Montana's equations in orthonormal frames: with the contact's velocity $s$ over either surface, the
     object's normal $n$ and the shape operators in common axes, the rolling body turns at

@@ -33,10 +33,15 @@ def close(
     locate: bool = False,
     hold: str | Sequence[str] = (),
 ) -> tuple[Grasp, State]:
-    r"""Move a guess onto the constraints: the nearest consistent state.
+    r"""Move a guess onto the constraints: the nearest pose with its contacts where the guess has them.
 
-    Positions minimise $\frac12 (q - q_0)^T M(q_0) (q - q_0)$ subject to gap (5)-(6), (64)-(65) and
-    tangency, by damped Gauss-Newton steps; velocities are then projected
+    By default every contact stays at the places on both shapes where `guess.s` puts it, and the bodies are
+    moved until these places touch: what is found is the nearest of the states with *those* contacts, and in
+    general not the nearest of all consistent states. That one is found with `hold_contacts=False`.
+
+    Positions minimise $\frac12 (q - q_0)^T M(q_0) (q - q_0)$ subject to gap (5)-(6), (64)-(65) and tangency,
+    by damped Gauss-Newton steps from the guess, and so locally; where contacts may roll, how far they do
+    counts besides, with a thousandth of the mean weight of a coordinate. Velocities are then projected
     onto $A v = 0$ in the same metric. The result is differentiable in both modes, by the implicit
     function theorem, with respect to every number in `grasp` and `guess`; leaving this out of a gradient
     through a simulation makes it wrong, not inexact.
@@ -45,7 +50,8 @@ def close(
         grasp: The grasp.
         guess: A state near the one wanted.
         hold_contacts: If True, contacts stay where `guess.s` puts them, and the pose is moved
-            until they touch. If False they may roll, and the pose is moved as little as possible.
+            until they touch. If False they may roll, and the pose is moved as little as possible. With
+            `locate` it counts as False.
         locate: If True, every contact starts from the closest points of its two contours at the
             guessed pose, found globally by `contact.locate`, whatever the guess says; from there it
             may roll. The grasp returned has the contacts' new arclengths, and `s` counts from them.

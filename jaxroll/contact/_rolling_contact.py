@@ -175,6 +175,8 @@ def tangency(tip: Pose2, object_: Pose2, touch: Touch) -> Scalar:
 def rolling_rate(bend: Scalar, tip_spin: Scalar, object_spin: Scalar) -> Scalar:
     r"""Rolling rate (7), (68): $(\kappa_A + \kappa_B)\,\dot\sigma = \dot\varphi_B - \dot\varphi_A$.
 
-    `bend` is $\kappa_A + \kappa_B$.
+    `bend` is $\kappa_A + \kappa_B$. $\sigma$ grows along the fingertip's contour. The chapter's $s$ counts on
+    the object along $b_{0i}$ or $b_1$: $\dot s = -\dot\sigma$ where the contact's `sense` is 1, and
+    $\dot s = \dot\sigma$ where it is -1. Hence the two signs of (7).
     """
     return (object_spin - tip_spin) / bend

@@ -18,11 +18,16 @@ _BESIDE: Any = {"textcoords": "offset points", "ha": "center", "va": "center"}
 
 @on_host
 def contours(grasp: Grasp) -> Figure:
-    """Draw every fingertip and the object in their own frames, and curvature over arclength.
+    r"""Draw every fingertip and the object in their own frames, and curvature over arclength.
 
     Dots along a contour count its arclength in millimetres, counter-clockwise round the body; the chapter's
     $s_i$, as in `responses`, counts along $b_i$, and may have the other sign. A contour without ends is drawn
     around its starting contact.
+
+    The axes x and y are those of the body's frame, with a fingertip's x along its last link. In Fig. 7 and
+    (80)-(83) they are turned and mirrored: with the contact's `sense` $\varsigma$, $X = x$ and
+    $Y = -\varsigma y$ on the object, $X_0 = -\varsigma y$ and $Y_0 = -x$ on the fingertip. So the vertex
+    of (82)-(83) in `scenes.pivoted`, at $X_0 = 10$ mm, is drawn at (0, -10) mm.
 
     Args:
         grasp: Whose contours to draw.
@@ -112,7 +117,7 @@ def _shape(ax: Axes, shape: Outline, colours: tuple[str, str]) -> None:
 
 def _arrows(ax: Axes, length: float, origin: str) -> None:
     arrow = {"arrowstyle": "-|>", "color": GUIDE, "lw": 1.0, "shrinkA": 0, "shrinkB": 0}
-    for tip, push, letter in (((length, 0.0), (-5, -9), "X"), ((0.0, length), (-8, 0), "Y")):
+    for tip, push, letter in (((length, 0.0), (-5, -9), "x"), ((0.0, length), (-8, 0), "y")):
         ax.annotate("", tip, (0.0, 0.0), arrowprops=arrow, zorder=6)
         ax.annotate(f"${letter}$", tip, push, fontsize=9, zorder=6, **_BESIDE)
     ax.plot(0, 0, "o", ms=5, mfc="white", mec=GUIDE, zorder=7)
@@ -120,9 +125,9 @@ def _arrows(ax: Axes, length: float, origin: str) -> None:
 
 
 def _label(above: Axes, below: Axes, name: str, *, first: bool) -> None:
-    shape, bend = ("Y [mm]", "curvature [1/m]") if first else ("", "")
+    shape, bend = ("y [mm]", "curvature [1/m]") if first else ("", "")
     title = f"{name[0].upper()}{name[1:]} in its own frame"
-    tidy(above, xlabel="X [mm]", ylabel=shape, title=title)
+    tidy(above, xlabel="x [mm]", ylabel=shape, title=title)
     tidy(below, xlabel="arclength s [mm]", ylabel=bend, title=f"Curvature of {name}")
     below.axhline(0.0, color="#BBBBBB", lw=0.7, zorder=0)
 

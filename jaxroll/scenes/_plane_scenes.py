@@ -143,8 +143,8 @@ def pinch(
         tips: Contour of both fingertips or one for each, about $O_i$, facing +x at its s = 0; the scene
             turns them to face each other. Default: the chapter's (82)-(83), which satisfies (41).
         object: With two contours: its left and its right face, each with s = 0 in the middle. With one
-            closed contour: it is held where it faces left and right, and `s` counts from there.
-            Default: `rectangle()`.
+            closed contour: it is held where it faces left and right, and `s` counts from there, not from the
+            contour's own zero as `stability.pinch_statics` does. Default: `rectangle()`.
         beta: $\beta$ of (16) [N/m].
         alpha: $\alpha_i$ of (16) [N m/rad], one or two. With 0 the grasp ends with $O_1, P_1, P_2, O_2$
             collinear.
@@ -249,7 +249,10 @@ def pinch_ellipse(
         a: Half axis between the fingers [m].
         b: The other half axis [m].
         mass: In kilograms.
-        s: Shape (2,), the chapter's $s_i$ at the starting contacts [m], as for `pinch`.
+        s: Shape (2,), distance of the starting contacts along the contour [m] from where the ellipse faces
+            left and from where it faces right, both downwards. `stability.pinch_statics` counts from the
+            contour's own zero, which lies where it faces right: its $s_i$ are
+            `contact_geometry(grasp, state).s`, on the left half a circumference more.
         tips: Contour of both fingertips or one for each, as for `pinch`. Default: the chapter's (82)-(83).
         beta: $\beta$ of (16) [N/m].
         alpha: $\alpha_i$ of (16) [N m/rad], one or two.

@@ -17,6 +17,7 @@ from typing import ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._analysis import check_pinch
@@ -24,10 +25,10 @@ from .._fields import is_command
 from .._linalg import Vec2
 from .._mechanics import compiled, Grasp, State
 from .._printing import listed
-from .._results import as_array, as_share, check_finite, check_instance, shown
+from .._results import as_array, as_share, check_finite, check_instance, concrete, shown
 from .._types import ByPrecision, Given, Scalar
 from ..control import Opposition
-from ..geometry import AbstractContour, Frenet2
+from ..geometry import AbstractContour, Catenary, Circle, Ellipse, Frenet2, Moved
 
 
 class PinchStatics(eqx.Module):
@@ -72,7 +73,9 @@ def pinch_statics(grasp: Grasp, s: Given) -> PinchStatics:
     Args:
         grasp: Two fingers, one contact each, driven by `control.Opposition`.
         s: Shape (..., 2), the chapter's $s_i$ [m]: arclength along the object in the direction of $b_{0i}$,
-            which is the contact's `sense` times the object contour's own.
+            which is the contact's `sense` times the object contour's own. It counts from that contour's zero,
+            while the `s` of `scenes.pinch_ellipse` counts from where each finger faces the ellipse: of a
+            state `contact_geometry(grasp, state).s` has the $s_i$ meant here.
 
     Raises:
         ValueError: If the grasp is not a two-finger pinch under `control.Opposition`, or `s` not pairs of
@@ -103,7 +106,7 @@ def _check_constant(grasp: Grasp) -> None:
     if not isinstance(grasp.controller, Opposition):
         raise ValueError(
             f"argument grasp must be driven by control.Opposition itself, "
-            f"but was by {shown(grasp.controller)}"
+            f"but was by {type(grasp.controller).__name__}"
         )
     if is_command(grasp.controller.beta):
         raise ValueError(
@@ -298,9 +301,21 @@ def rectangle_hessian(grasp: Grasp, s: Given) -> Float[Array, "2 2"]:
     with $\nabla d = (-\kappa_1 n_1 \cdot \gamma_1,\ \kappa_2 n_2 \cdot \gamma_2)$ [N/m]. The chapter prints
     it without the first term, which is why (41) for both fingers is sufficient and not necessary.
 
+    It is the Hessian where $d = 0$ and $b_i \cdot \gamma_i = 0$, both arms normal to the faces. Off such an
+    equilibrium the formula is evaluated as it stands, and lacks terms with the factors $d$ and
+    $b_i \cdot \gamma_i$: `pinch_statics` has the whole Hessian, at any places and on any object.
+
     Args:
-        grasp: A pinch of two parallel flat faces, as `pinch_statics` takes it.
+        grasp: A pinch, as `pinch_statics` takes it, of an object that is straight where the fingertips touch
+            it, on two parallel sides.
         s: Shape (2,), the chapter's $s_i$ [m] at an equilibrium with both arms normal to the faces, $d = 0$.
+
+    Returns:
+        The matrix [N/m]; NaN where the faces are not straight and parallel, and JAX traces their numbers.
+
+    Raises:
+        ValueError: If the grasp is not such a pinch, its faces are not straight and parallel, or `s` is not a
+            pair of finite numbers.
 
     Example:
         >>> import jax.numpy as jnp
@@ -312,24 +327,67 @@ def rectangle_hessian(grasp: Grasp, s: Given) -> Float[Array, "2 2"]:
     places = _as_places(s)
     if places.ndim != 1:
         raise ValueError(f"argument s must have shape (2,), but had shape {places.shape}")
-    return _rectangle_hessian(grasp, places)
+    found, bends, between = _rectangle_hessian(grasp, places)
+    wanted = "argument grasp must have an object with straight, parallel faces, but"
+    if any(isinstance(_unplaced(grasp.shapes(contact)[1]), _CURVED) for contact in grasp.contacts):
+        kinds = ", ".join(type(_unplaced(contour)).__name__ for contour in grasp.object.contours)
+        raise ValueError(f"{wanted} its contours were {kinds}")
+    if (seen := concrete(bends)) is not None and not np.all(_is_straight(seen)):
+        raise ValueError(f"{wanted} its curvatures at the contacts were {shown(seen[:, 0])} 1/m")
+    if (seen := concrete(between)) is not None and not _is_parallel(seen):
+        raise ValueError(
+            f"{wanted} its outward normals at the contacts were {np.degrees(seen):.4g} degrees from opposite"
+        )
+    return found
+
+
+# Contours that are nowhere straight, whatever their numbers.
+_CURVED = (Catenary, Circle, Ellipse)
+# Curvature of a face relative to its fingertip's, and angle [rad] between two faces, that count as none.
+_NONE = ByPrecision(1e-6, 1e-4)
+
+
+def _unplaced(contour: AbstractContour) -> AbstractContour:
+    """The contour inside of all its placements."""
+    return _unplaced(contour.contour) if isinstance(contour, Moved) else contour
+
+
+def _is_straight(bends: Array | np.ndarray) -> Array | np.ndarray:
+    """Whether faces are straight beside their fingertips; columns are the curvatures of both [1/m]."""
+    return abs(bends[:, 0]) <= _NONE.of(bends) * abs(bends[:, 1])
+
+
+def _is_parallel(between: Array | np.ndarray) -> Array | np.ndarray:
+    """Whether faces are parallel, by the angle [rad] of one outward normal from the other's opposite."""
+    return abs(between) <= _NONE.of(between)
 
 
 @compiled
-def _rectangle_hessian(grasp: Grasp, s: Array) -> Array:
-    """The formula of `rectangle_hessian` [N/m]."""
+def _rectangle_hessian(grasp: Grasp, s: Array) -> tuple[Array, Array, Array]:
+    """The formula of `rectangle_hessian` [N/m], and what tells whether it holds.
+
+    The latter are the curvatures of each face and its fingertip, and the angle of one face's outward normal
+    from the other's opposite.
+    """
     _check_constant(grasp)
     ready = grasp.prepared()
     _, l_ = _separation(ready, s)
-    slopes, terms = [], []
-    for i, sign in ((0, -1.0), (1, 1.0)):
-        contact = ready.contacts[i]
-        on_tip = ready.shapes(contact)[0].frame(contact.s_tip + contact.s_object - contact.sense * s[i])
+    first, second = (contact.sense for contact in ready.contacts)
+    slopes, terms, bends, tangents = [], [], [], []
+    # d is counted along b_01, to which b_02 is opposite where both contacts have one sense.
+    for i, sign in ((0, -1.0), (1, -1.0 * first * second)):
+        at, on_tip, _ = _touching(ready, i, s[i])
         kappa, reach = on_tip.curvature, inward_reach(on_tip.point, on_tip.tangent)
         slopes.append(sign * kappa * reach)
         terms.append(-l_ * kappa**2 * (1.0 / kappa + reach))
-    slope = jnp.stack(slopes)
-    return ready.controller.beta * (jnp.outer(slope, slope) + jnp.diag(jnp.stack(terms)))
+        bends.append(jnp.stack([jnp.asarray(at.curvature, s.dtype), jnp.asarray(kappa, s.dtype)]))
+        tangents.append(at.tangent)
+    one, other = tangents
+    between = jnp.arctan2(-one.cross(other), -one.dot(other))
+    slope, bend = jnp.stack(slopes), jnp.stack(bends)
+    hessian = ready.controller.beta * (jnp.outer(slope, slope) + jnp.diag(jnp.stack(terms)))
+    right = jnp.all(_is_straight(bend)) & _is_parallel(between)
+    return jnp.where(right, hessian, jnp.nan), bend, between
 
 
 def inward_reach(point: Vec2, tangent: Vec2) -> Scalar:
@@ -350,7 +408,13 @@ def margin(contour: AbstractContour, s: Given) -> Float[Array, "..."]:
 
     Args:
         contour: A fingertip's contour about $O_i$, in the tip frame.
-        s: Arclengths [m], shape (...).
+        s: Arclengths [m], shape (...), between the ends of an open contour.
+
+    Returns:
+        Margins [m], shape (...); NaN beyond an end, where JAX traces the arclengths or the ends.
+
+    Raises:
+        ValueError: If `contour` is none, or arclengths are not finite or beyond an end of an open contour.
 
     Example:
         >>> import jaxroll as jxr
@@ -361,4 +425,22 @@ def margin(contour: AbstractContour, s: Given) -> Float[Array, "..."]:
     check_instance("contour", contour, AbstractContour, "a contour")
     s = jnp.asarray(check_finite("s", as_array("s", s)), float)
     reach = jnp.sum(contour.normal(s) * contour.point(s), axis=-1)
-    return 1.0 / contour.curvature(s) - reach
+    found = 1.0 / contour.curvature(s) - reach
+    ends = None if contour.closed else contour.domain()
+    if ends is None:
+        return found
+    low, high = (jnp.asarray(end, float) for end in ends)
+    # An end itself may be computed in another way, and so be off by rounding.
+    slack = _ROUNDING.of(s) * (high - low)
+    beyond = (s < low - slack) | (s > high + slack)
+    seen = concrete(beyond)
+    if seen is not None and np.any(seen):
+        raise ValueError(
+            f"argument s must lie between the contour's ends, {low:g} and {high:g} m, but was "
+            f"{shown(np.asarray(s)[seen])}"
+        )
+    return jnp.where(beyond, jnp.nan, found)
+
+
+# Share of a contour's length by which its ends may be passed.
+_ROUNDING = ByPrecision(1e-12, 1e-6)

@@ -95,7 +95,7 @@ def assess(grasp: Grasp, state: State, *, t: Given = 0.0, tolerance: float = 1e-
     the verdict is that of the linearisation; a term of higher order could still move the grasp.
 
     Args:
-        grasp: The grasp.
+        grasp: A grasp in the plane; those of space have no verdict.
         state: Where to look: a start or the end of a run.
         t: Time [s] at which a time-dependent controller or load is held.
         tolerance: Relative size of curvatures and rates that count as zero. In single precision rounding is

@@ -191,11 +191,21 @@ def _prose(text: str) -> str:
 
 
 def _docstrings(node: ast.AST, names: tuple[str, ...] = ()) -> Iterator[tuple[str, str]]:
-    """Name and docstring of a module and of all that it defines."""
-    text = ast.get_docstring(node) if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) else None
+    """Name and docstring of a module and of all that it defines.
+
+    What a function defines inside of itself has no name that leads to it: its docstring is a part of the
+    function's own.
+    """
+    whole = isinstance(node, ast.FunctionDef)
+    said = [
+        ast.get_docstring(part)
+        for part in (ast.walk(node) if whole else [node])
+        if isinstance(part, ast.Module | ast.ClassDef | ast.FunctionDef)
+    ]
+    text = "\n\n".join(_prose(one) for one in said if one)
     if text:
-        yield ".".join(names), _prose(text)
-    for child in ast.iter_child_nodes(node):
+        yield ".".join(names), text
+    for child in () if whole else ast.iter_child_nodes(node):
         if isinstance(child, ast.ClassDef | ast.FunctionDef):
             yield from _docstrings(child, (*names, child.name))
 
@@ -257,21 +267,14 @@ def missing(rows: Iterable[Row]) -> list[str]:
     return without + [f"{row.number}: no test" for row in rows if not row.tests]
 
 
-# How many functions or tests a cell names.
-_SHOWN = 4
-
-
-def _cell(entries: list[str]) -> str:
-    rest = len(entries) - _SHOWN
-    return ", ".join(entries[:_SHOWN]) + (f" and {rest} more" if rest > 0 else "")
-
-
-def page(rows: Iterable[Row], link: Callable[[Place], str] = lambda place: f"`{place.name}`") -> str:
+def page(
+    rows: Iterable[Row], link: Callable[[Place], str] = lambda place: f"`{place.name or place.path}`"
+) -> str:
     """The table in Markdown; `link` says how a function is written."""
     lines = ["| number | says | computed by | tested by | correction |", "|---|---|---|---|---|"]
     for row in rows:
-        functions = _cell(list(dict.fromkeys(map(link, row.functions)))) or row.step
-        tests = _cell([f"`{pathlib.Path(place.path).name}::{place.name}`" for place in row.tests])
+        functions = ", ".join(dict.fromkeys(map(link, row.functions))) or row.step
+        tests = ", ".join(f"`{pathlib.Path(place.path).name}::{place.name}`" for place in row.tests)
         number = row.number if row.number[0] in "AF" else f"({row.number})"
         cells = (number, row.says, functions, tests, "; ".join(row.corrections))
         lines.append("| " + " | ".join(cells) + " |")

@@ -180,4 +180,7 @@ def _check_shape(name: str, value: Any, wanted: Any) -> None:
     # `Any` is a class, of which nothing is an instance.
     plain = Any in kinds or isinstance(value, int | float) and not isinstance(value, bool)
     if not plain and all(isinstance(kind, type) for kind in kinds) and not isinstance(value, kinds):
-        raise ValueError(f"argument {name} must be of the shape its class declares, but was {shown(value)}")
+        raise ValueError(
+            f"argument {name} must be of the shape its class declares, but was {shown(value)}: one of "
+            "many grasps, which run by `jax.vmap` of a function of one of them?"
+        )

@@ -39,6 +39,7 @@ from ._printing import code_name, entry
 from ._results import check_instance, on_host
 from ._types import Given
 from .contact import Contact
+from .control import Sampled
 from .stability import assess, Stability, VERDICTS
 
 # Relative size below which a sum of curvatures or a pivot counts as zero: the value that runs use.
@@ -56,7 +57,12 @@ _MEND = {
     "unstable": "fingertips that are blunter there: `stability.margin` is the chapter's measure, and "
     "`design.optimise_fingertip` finds them",
     "not_found": "another start, or a controller whose forces balance somewhere near it",
+    "sampled": "a shorter `period` of `Sampled`: the same law, asked all the time, holds it",
+    "heavy": "a stronger push against the weight: without `gravity` the same grasp holds",
+    "driven": "a controller with a potential, that takes energy out of every motion (`damping` above zero)",
 }
+# Ends of a run that say nothing of where the grasp goes.
+_NOWHERE = ("successful", "max_steps_reached", "step_collapsed", "not_finite", "solver_failed")
 
 
 @dataclass(frozen=True)
@@ -235,22 +241,25 @@ def _judged(grasp: Grasp, state: State, run: Trajectory) -> Why:
     code = code_name(run.result)
     failed = code != "successful"
     # An equilibrium is sought from where the run came to its end; a run that failed may have ended anywhere.
-    found = _assessed(grasp, run.last if finite and not failed else state)
+    near = run.last if finite and not failed else state
+    found = _assessed(grasp, near)
     contact = _culprit(grasp, run, end)
     ended = _ending(grasp, run, contact) if failed else ""
     direction = _direction(grasp, found, state, run)
     # The first of these findings that applies is the summary; the others are on the page below it.
-    early, verdict = _early(grasp, start), "" if found is None else code_name(found.verdict)
+    early = _early(grasp, start, int(run.stats.contact))
+    verdict = "" if found is None or early is not None else code_name(found.verdict)
+    mend = "" if found is None or verdict not in _MEND else _MEND[_blamed(grasp, found, near)]
     if early is not None:
         summary, remedy, contact = early
     elif failed:
         summary, remedy = f"fails: {ended}", REMEDIES.get(code, "")
         if verdict == "unstable":
             summary = f"{summary}; its equilibrium is unstable"
-            remedy = f"{_MEND[verdict]}; against the end alone, {remedy}"
-    elif found is not None and verdict in _MEND:
+            remedy = f"{mend}; against the end alone, {remedy}"
+    elif found is not None and mend:
         told = _lower(VERDICTS[found.verdict])
-        summary, remedy = f"holds until t = {float(t):.4g} s, but {told}", _MEND[verdict]
+        summary, remedy = f"holds until t = {float(t):.4g} s, but {told}", mend
     else:
         summary, remedy = "holds", ""
     gap = float(worst(residuals(grasp, state)))
@@ -277,16 +286,39 @@ def _assessed(grasp: Grasp, state: State) -> Stability | None:
     return assess(grasp, state) if _contours_roll(grasp) and free > 0 else None
 
 
+def _blamed(grasp: Grasp, found: Stability, near: State) -> str:
+    """Which of `_MEND` helps where no equilibrium is stable: against what the grasp would hold without."""
+    if isinstance(grasp.controller, Sampled) and _holds(grasp.with_(controller=grasp.controller.law), near):
+        return "sampled"
+    if grasp.gravity is not None and _holds(grasp.with_(gravity=None), near):
+        return "heavy"
+    verdict = code_name(found.verdict)
+    # A potential that bends down nowhere gives no energy: what grows is driven by rates, or by no potential.
+    return "driven" if verdict == "unstable" and not _bends_down(grasp, found) else verdict
+
+
+def _holds(grasp: Grasp, near: State) -> bool:
+    """Whether a grasp has an equilibrium near a state, and none of its disturbances grows."""
+    found = _assessed(grasp, State(near.q, near.v, near.s))
+    return found is not None and code_name(found.verdict) not in ("unstable", "not_found")
+
+
+def _bends_down(grasp: Grasp, found: Stability) -> bool:
+    """Whether the potential falls in some direction; of a law with a memory the rates alone decide."""
+    return not grasp.form.memory and float(found.curvatures[0]) < 0.0
+
+
 def _contours_roll(grasp: Grasp) -> bool:
     """Whether all contacts are between contours: only there is an equilibrium assessed."""
     return all(isinstance(contact, Contact) for contact in grasp.contacts)
 
 
-def _early(grasp: Grasp, start: Bearing) -> tuple[str, str, int] | None:
+def _early(grasp: Grasp, start: Bearing, ended: int) -> tuple[str, str, int] | None:
     """What is wrong at the start already: the sentence, what helps, and which contact; None if nothing is.
 
     In this order, because forces mean nothing at a singular state, nor friction at a contact that pulls.
-    Comparisons with zero are written so that NaN counts as a failure.
+    Comparisons with zero are written so that NaN counts as a failure. Of contacts that fail alike, to
+    rounding, it is the one at which the run `ended`.
     """
     curvature, f = np.asarray(start.curvature), _pressing(grasp, start)
     if not np.all(curvature > _SINGULAR):
@@ -300,16 +332,28 @@ def _early(grasp: Grasp, start: Bearing) -> tuple[str, str, int] | None:
         )
         return told, REMEDIES["singular_contact"], -1
     if not np.all(f > 0.0):
-        at = int(np.argmin(f))
+        at = _least(f, ended)
         name = contact_name(grasp.labels, at)
         return f"fails at the start: {name} pulls with {-f[at]:.3g} N", _MEND["pulls"], at
-    for i, (pressing, aside) in enumerate(_pairs(start.multipliers)):
-        limit = _friction(grasp, i)
-        if limit is not None and aside > limit * pressing:
-            name = contact_name(grasp.labels, i)
-            told = f"fails at the start: {name} needs friction {aside / pressing:.3g}, but has {limit:.3g}"
-            return told, _MEND["slips"], i
+    limits = [_friction(grasp, i) for i in range(len(grasp.contacts))]
+    pairs = _pairs(start.multipliers)
+    room = [
+        np.inf if limit is None else limit * pressing - aside
+        for limit, (pressing, aside) in zip(limits, pairs, strict=True)
+    ]
+    if min(room) < 0.0:
+        at = _least(np.array(room), ended)
+        name, need = contact_name(grasp.labels, at), pairs[at][1] / pairs[at][0]
+        told = f"fails at the start: {name} needs friction {need:.3g}, but has {limits[at]:.3g}"
+        return told, _MEND["slips"], at
     return None
+
+
+def _least(values: np.ndarray, preferred: int) -> int:
+    """Where the least of some values is; the preferred place if its value is the same but for rounding."""
+    least = int(np.argmin(values))
+    alike = preferred >= 0 and values[preferred] <= values[least] + 1e-9 * abs(values[least])
+    return preferred if alike else least
 
 
 def _pressing(grasp: Grasp, at: Bearing) -> np.ndarray:
@@ -396,36 +440,49 @@ def _direction(grasp: Grasp, found: Stability | None, start: State, run: Traject
     """The direction in which a grasp fails, in words; empty where it does not.
 
     Of an unstable equilibrium the mode in which the potential falls most, or the rate at which an oscillation
-    grows; otherwise by how much the coordinates changed in a run that failed.
+    grows; otherwise by how much the coordinates changed in a run that a limit ended.
     """
     if found is not None and code_name(found.verdict) == "unstable":
-        told = _named(grasp, np.asarray(found.modes)[:, 0])
-        return f"along {told}, where the potential bends down" if found.curvatures[0] < 0 else _growing(found)
+        told = _named(grasp, _scaled(grasp, np.asarray(found.modes)[:, 0]))
+        return (
+            f"along {told}, where the potential bends down" if _bends_down(grasp, found) else _growing(found)
+        )
     way = np.asarray(run.last.q) - np.asarray(start.q)
-    if code_name(run.result) == "successful" or not np.isfinite(way).all() or np.abs(way).max() < _STILL:
+    if code_name(run.result) in _NOWHERE or not np.isfinite(way).all() or np.abs(way).max() < _STILL:
         return ""
-    return f"it went along {_named(grasp, way)}"
+    return f"it had moved by {_named(grasp, way)}"
 
 
 def _growing(found: Stability) -> str:
     """Growth and frequency of the fastest growing mode; rates come by rising real part."""
-    rate = found.rates[-1]
+    rate = np.asarray(found.rates)[-1]
     return f"along a swing that grows at {float(rate.real):.3g} 1/s, {abs(float(rate.imag)):.3g} rad/s"
 
 
-def _named(grasp: Grasp, way: np.ndarray) -> str:
-    """A direction in words, coordinate by coordinate, body by body.
-
-    It is scaled so that its largest part is one radian, or the mean length of a link in metres, by which
-    angles and lengths become comparable. `way` has one number per coordinate of the grasp's state.
-    """
-    size, parts, at = float(np.mean([float(f.size) for f in grasp.fingers])), [], 0
+def _scales(grasp: Grasp) -> np.ndarray:
+    """What makes coordinates comparable: one radian, and the mean length of a link in metres."""
+    size = float(np.mean([float(f.size) for f in grasp.fingers]))
     units = [each.unit for _, labels in grasp.labels.bodies for each in labels]
-    scales = np.array([size if unit == "m" else 1.0 for unit in units])
+    return np.array([size if unit == "m" else 1.0 for unit in units])
+
+
+def _scaled(grasp: Grasp, way: np.ndarray) -> np.ndarray:
+    """A direction so long that its largest part is one radian, or the mean length of a link."""
+    scales = _scales(grasp)
     largest = np.argmax(np.abs(way / scales))
-    way = way / (way[largest] / scales[largest])
+    return way / (way[largest] / scales[largest])
+
+
+def _named(grasp: Grasp, way: np.ndarray) -> str:
+    """Changes in words, coordinate by coordinate, body by body, without those that are slight beside others.
+
+    `way` has one number per coordinate of the grasp's state.
+    """
+    parts, at = [], 0
+    sizes = np.abs(way / _scales(grasp))
+    large = sizes > _SLIGHT * sizes.max()
     for body, labels in grasp.labels.bodies:
-        seen = [(each, way[i]) for i, each in enumerate(labels, at) if abs(way[i]) > _SLIGHT * scales[i]]
+        seen = [(each, way[i]) for i, each in enumerate(labels, at) if large[i]]
         at += len(labels)
         told = ", ".join(f"{each.name} {amount(float(x), each.unit, signed=True)}" for each, x in seen)
         parts += [f"{body}: {told}"] if told else []

@@ -467,8 +467,25 @@ def test_why_names_the_contact_that_slips_and_by_how_much(scene, run, monkeypatc
     found = jxr.why(grasp, slipped)
     assert found.contact == 0 and "contact 0 (finger 0 on contour 0) needs more friction" in found.summary
     assert f"needs friction {demand[i]:.4g}; it has 0.1" in " ".join(str(found).split())
-    assert "it went along object: theta +1.0000 rad" in found.direction
+    turned = float(last.q[0] - run.states.q[0, 0])
+    assert f"it had moved by object: theta {turned:+.4f} rad" in found.direction
     assert "`friction`" in found.remedy
+
+
+def test_why_names_what_an_equilibrium_would_be_stable_without(scene, run):
+    """Damping that drives, samples that come too seldom: shapes are not the cause, and not what helps."""
+    grasp, state = scene
+    driven = jxr.why(grasp.with_(damping=-1e-4), run)
+    assert "`damping` above zero" in driven.remedy and "blunter" not in driven.remedy
+    assert "a swing that grows" in driven.direction
+    seldom = grasp.with_(controller=jxr.control.Sampled(grasp.controller, 0.05))
+    found = jxr.why(seldom, state, t1=0.02)
+    assert "a shorter `period` of `Sampled`" in found.remedy and "a swing that grows" in found.direction
+
+
+def test_why_a_run_that_was_cut_off_has_no_direction(scene, run):
+    found = jxr.why(scene[0], ended(run, "max_steps_reached"))
+    assert found.direction == "" and "step limit" in found.summary
 
 
 def test_why_a_guess_does_not_close(scene):

@@ -70,7 +70,8 @@ def close(
             and its size are named. If `locate` is asked for endless contours, or for two contacts of the
             same contours.
 
-    Accuracy: rows below 1e-14 m (rad), in single precision below 1e-6 m (rad); derivatives to rounding.
+    Accuracy: rows below 1e-14 m (rad), in single precision below 1e-6 m (rad); derivatives to rounding,
+    in both modes; second derivatives are refused.
 
     Example:
         >>> import jaxroll as jxr

@@ -114,6 +114,8 @@ def cause(run: Any) -> str:
     if name == "max_steps_reached":
         # The first step has no length (`_step_size.StopAt`), and is not among those that are limited.
         return f"the step limit was reached{when}, after {int(stats.steps) - 1} steps"
+    if name == "unreachable":  # of the start, whatever was run from it
+        return _lower(message(run.result))
     if name not in _TOLD or (contact < 0 and name == "singular_contact"):
         return f"{_lower(message(run.result))}{when}"
     who = "a contact" if contact < 0 else contact_name(run.labels, contact)

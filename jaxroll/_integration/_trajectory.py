@@ -69,6 +69,9 @@ class Trajectory(eqx.Module):
         energy: Energy balance at the saved times, if recorded.
         dense: Its steps, if 'dense' was recorded; `run(t)` reads them.
         labels: What its bodies, coordinates (with units) and contacts are called. Static.
+
+    Runs of `jax.vmap` are one `Trajectory` whose fields have a leading axis of lanes; lane k is
+    `jax.tree.map(lambda x: x[k], runs)`.
     """
 
     # What its fields begin with in a table; steps that were kept, and what they are called, are none of it.

@@ -83,7 +83,8 @@ def _as_row(name: str, value: Any) -> Array:
     return row
 
 
-_PRECISIONS = {np.dtype("float32"), np.dtype("float64")}
+_DOUBLE = np.dtype("float64")
+_PRECISIONS = {np.dtype("float32"), _DOUBLE}
 
 
 def check_shapes(states: State, form: "Form", name: str, axes: int) -> None:
@@ -103,6 +104,11 @@ def check_shapes(states: State, form: "Form", name: str, axes: int) -> None:
     if states.memory is not None:
         _check_memory(states, form, f"{name}.memory")
         kinds |= {getattr(states.memory, "dtype", None)}
+    if _DOUBLE in kinds and not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
+        raise ValueError(
+            f"argument {name} must be of single precision, as all is to JAX without x64, but was of double: "
+            "put jax.config.update('jax_enable_x64', True) first"
+        )
     if len(kinds) > 1 or not kinds <= _PRECISIONS:
         raise ValueError(
             f"argument {name} must be of single or double precision throughout, "

@@ -19,7 +19,7 @@ import jax.core
 import jax.numpy as jnp
 import numpy as np
 
-from ._printing import named
+from ._printing import is_code, named
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
@@ -179,7 +179,7 @@ def as_array(name: str, value: Any) -> jax.Array:
             hasattr(value, "__array__") or hasattr(value, "__jax_array__") or hasattr(value, "__float__")
         ):
             raise ValueError(wanted.format(shown(value)))
-        if isinstance(value, complex | str | bytes):
+        if isinstance(value, complex | str | bytes) or is_code(value):
             raise ValueError(wanted.format(shown(value)))
     try:
         # Numbers that are known stay known where something else is being traced: they can be checked there.
@@ -199,7 +199,7 @@ def as_array(name: str, value: Any) -> jax.Array:
 
 
 def _converted(value: Any) -> jax.Array:
-    """A JAX array; Python's own booleans among numbers are noticed, which NumPy would take for 0 and 1."""
+    """A JAX array; codes and Python's own booleans are noticed, which NumPy would take for whole numbers."""
     if isinstance(value, bool) or isinstance(value, list | tuple) and _holds_flag(value):
         raise TypeError("a boolean is no number")
     if is_array_like(value):
@@ -212,7 +212,8 @@ def _converted(value: Any) -> jax.Array:
 
 
 def _holds_flag(values: Any) -> bool:
-    return any(isinstance(x, bool) or (isinstance(x, list | tuple) and _holds_flag(x)) for x in values)
+    flag = lambda x: isinstance(x, bool) or is_code(x)  # noqa: E731
+    return any(flag(x) or (isinstance(x, list | tuple) and _holds_flag(x)) for x in values)
 
 
 def as_floats(name: str, value: Any, shape: tuple[int | None, ...]) -> jax.Array:

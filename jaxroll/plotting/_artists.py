@@ -131,7 +131,8 @@ class Drawing:
         if self.forces is not None:
             sign = Line2D([], [], marker=r"$\rightarrow$", ms=14, ls="none", color=FORCE_COLOUR)
             entries.append((sign, "contact force on the object"))
-            if self.forces.loaded:
+            # A push that acts at no time that is shown has no arrow to explain.
+            if self.forces.loaded and self.forces.vectors[:, -1].any():
                 sign = Line2D([], [], marker=r"$\rightarrow$", ms=14, ls="none", color=LOAD_COLOUR)
                 entries.append((sign, "load on the object"))
         return entries

@@ -14,7 +14,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from .._printing import shown_value
+from .._printing import is_code, shown_value
 from .._results import as_array, as_count, shown, traced
 
 # So many rows fit into a machine's memory.
@@ -335,8 +335,8 @@ def _column(name: str, value: Any) -> np.ndarray:
         array = np.array(value)  # a copy, which the caller cannot change later
     except (TypeError, ValueError, OverflowError):
         raise ValueError(wanted) from None
-    # NumPy would drop the mask of a masked array, and take the numbers under it for parameters.
-    if array.dtype.kind not in "fiub" or isinstance(value, np.ma.MaskedArray):
+    # NumPy would drop the mask of a masked array, and take the numbers under it for parameters, or those of codes.
+    if array.dtype.kind not in "fiub" or isinstance(value, np.ma.MaskedArray) or is_code(value):
         raise ValueError(wanted)
     if array.ndim and not array.size:
         raise ValueError(f"argument {name} must hold one number or more, but had shape {array.shape}")

@@ -166,7 +166,8 @@ def identify(
             grasp, state = _made(make(dict(zip(names, x * start, strict=True))))
         run = simulate(grasp, state, times[-1], ts=times, rtol=rtol, throw=False).filled()
         with traceable("observe"):
-            seen = jnp.asarray(_joints(grasp, run) if observe is None else observe(grasp, run))
+            given = _joints(grasp, run) if observe is None else observe(grasp, run)
+            seen = as_array("observe, in what it returns,", given)
         if seen.shape != data.shape:
             raise ValueError(
                 f"argument measured must have the shape {seen.shape} of what is seen, but had {data.shape}"

@@ -113,6 +113,10 @@ def test_a_search_that_runs_off_is_no_success(scene, force):
         ({"noise": -1.0}, "argument noise must be positive"),
         ({"make": lambda p: p}, "argument make must return a Grasp and a State"),
         ({"observe": lambda run: run}, "argument observe must be a function, but was"),
+        (
+            {"observe": lambda grasp, run: grasp},
+            "argument observe, in what it returns, must be a real number",
+        ),
     ],
 )
 def test_bad_arguments_are_one_sentence(scene, change, words):

@@ -335,7 +335,7 @@ def _column(name: str, value: Any) -> np.ndarray:
         array = np.array(value)  # a copy, which the caller cannot change later
     except (TypeError, ValueError, OverflowError):
         raise ValueError(wanted) from None
-    # NumPy would drop the mask of a masked array, and take the numbers under it for parameters, or those of codes.
+    # NumPy would drop the mask of a masked array and take the numbers under it for parameters, or codes' own.
     if array.dtype.kind not in "fiub" or isinstance(value, np.ma.MaskedArray) or is_code(value):
         raise ValueError(wanted)
     if array.ndim and not array.size:

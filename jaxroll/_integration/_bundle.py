@@ -46,7 +46,7 @@ class Bundle(eqx.Module):
         leaves = [next(numbers if moves else constants) for moves in self.moves]
         return eqx.combine(jax.tree.unflatten(self.tree, leaves), self.rest)
 
-    def __reduce__(self) -> tuple[Any, tuple]:
+    def __reduce__(self) -> tuple[Any, tuple[Any, ...]]:
         # For copies and other processes. equinox marks fields that are missing by one object, which a copy of
         # the structure would have a copy of, and that is no mark: so a tree of this structure is copied.
         numbered = jax.tree.unflatten(self.tree, range(self.tree.num_leaves))

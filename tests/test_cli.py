@@ -94,7 +94,9 @@ def test_a_design_names_the_files_that_it_wrote(animated, tmp_path, monkeypatch)
     made = {"start": tip, "tip": Circle(0.01), "holds": np.array([False, animated]), "chosen": 1}
     found = types.SimpleNamespace(**made, report=lambda remedy: "the report")
     monkeypatch.setattr(_design_command, "optimise_fingertip", lambda *args, **options: found)
-    monkeypatch.setattr(_design_command, "simulate", lambda *args, **options: None)
+    code = jxr.RESULTS.successful if animated else jxr.RESULTS.slipping
+    run = types.SimpleNamespace(result=code)
+    monkeypatch.setattr(_design_command, "simulate", lambda *args, **options: run)
     monkeypatch.setattr(_design_command, "make", lambda tip: (None, None))
     monkeypatch.setattr(_design_command, "_facts", lambda runs: ["the runs"])
     monkeypatch.setattr(plotting, "design", lambda found, folder: (folder / "design.png").touch())
@@ -105,9 +107,8 @@ def test_a_design_names_the_files_that_it_wrote(animated, tmp_path, monkeypatch)
     first, outcome, *others, names = lines[:5]
     missing = lines[5:]
     assert (first, *others) == ("the report", "the runs", f"Files in {tmp_path}:") and held == animated
-    assert outcome.startswith(
-        "  outcome   the fingertip " + ("holds" if held else "does not hold: more --steps")
-    )
+    lost = "does not hold; the search has not ended within its limits: more --steps or --starts may"
+    assert outcome == f"  outcome   the fingertip {'holds' if held else lost}"
     written = {path.name for path in tmp_path.iterdir()}
     assert names.startswith("  ") and set(names.strip().split(", ")) == written
     assert {"design.png", "comparison.png", "fingertip.csv"} <= written

@@ -131,8 +131,10 @@ def order(
                 names.append(name)
     written, missing = _write(found, folder)
     files = [f"Files in {folder}:", "  " + ", ".join(names + written), *missing]
-    held = bool(found.holds[found.chosen])
-    told = "holds" if held else "does not hold: more --steps or --starts may bring one that does"
+    held = bool(runs[1].result == RESULTS.successful)
+    told = "holds" if held else "does not hold"
+    if not bool(found.holds[found.chosen]):
+        told += "; the search has not ended within its limits: more --steps or --starts may"
     lines = [found.report("--steps"), f"  outcome   the fingertip {told}", *_facts(runs), *files]
     return lines, held
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from ._integration import RTOL, simulate
 from ._mechanics import Grasp, State
-from ._printing import code_name
+from ._printing import code_name, number_of
 from ._results import (
     as_array,
     as_count,
@@ -177,16 +177,17 @@ def identify(
 
     slopes_and_left = jax.jit(jax.jacfwd(left_over, has_aux=True))
 
-    def both(x: jax.Array) -> tuple[jax.Array, jax.Array]:
-        slopes, (left, _) = slopes_and_left(x)
-        return left, slopes
+    def all_of(x: jax.Array) -> tuple[jax.Array, jax.Array, RESULTS]:
+        slopes, (left, ended) = slopes_and_left(x)
+        return left, slopes, ended
 
-    x, count, result, (left, slopes) = _descend(both, np.ones(len(names)), steps, known=noise is not None)
+    x, count, result, seen = _descend(all_of, np.ones(len(names)), steps, known=noise is not None)
+    left, slopes, ended = seen
     free = data.size - len(names)
     spread = 1.0 if noise is not None else np.sqrt(float(left @ left) / free)
     covariance = spread**2 * np.outer(start, start) * _inverse(slopes)
     deviations = np.sqrt(np.diag(covariance))
-    values, ended = x * start, slopes_and_left(jnp.asarray(x))[1][1]
+    values = x * start
     told = np.any(deviations < _GUESSED * np.abs(values))
     return Identified(
         dict(zip(names, values.tolist(), strict=True)),
@@ -195,35 +196,38 @@ def identify(
         _given(sigma) if noise is not None else spread,
         float(np.sqrt(np.mean(left**2))) / spread,
         count,
-        _outcome(result, ended, told=bool(told)),
+        _outcome(result, int(ended), told=bool(told)),
     )
 
 
-def _outcome(search: RESULTS, ended: RESULTS, *, told: bool) -> RESULTS:
-    """How an identification ended: from the code of its search, and that of the run with what was found.
+def _outcome(search: RESULTS, ended: int, *, told: bool) -> RESULTS:
+    """How an identification ended: from the code of its search, and the number of the found run's code.
 
     `told` says whether the data tell something of a number at least.
     """
     for code in _BROKEN:
-        if ended == code:
+        if ended == int(number_of(code)[1]):
             return code
     return search if told or code_name(search) != "successful" else RESULTS.undetermined
 
 
 def _descend(
     both: Callable[[Any], Any], x: np.ndarray, steps: int, *, known: bool
-) -> tuple[np.ndarray, int, RESULTS, tuple[np.ndarray, np.ndarray]]:
-    """The numbers at a minimum, steps tried, how it ended, and misfits with their derivative there."""
+) -> tuple[np.ndarray, int, RESULTS, tuple[np.ndarray, ...]]:
+    """The numbers at a minimum, steps tried, how it ended, and what `both` gives there.
+
+    That is the misfits and their derivative first; whatever follows is handed on.
+    """
     evaluate = lambda x: tuple(map(np.asarray, both(jnp.asarray(x))))  # noqa: E731
-    left, slopes = evaluate(x)
+    left, slopes, *rest = evaluate(x)
     if not (np.isfinite(left).all() and np.isfinite(slopes).all()):
-        return x, 0, RESULTS.not_finite, (left, slopes)
+        return x, 0, RESULTS.not_finite, (left, slopes, *rest)
     damping, free = _FIRST, max(len(left) - len(x), 1)
     for count in range(1, steps + 1):
         matrix, downhill = slopes.T @ slopes, -slopes.T @ left
         scaled = matrix + damping * np.diag(np.maximum(np.diag(matrix), 1e-300))
         step = np.linalg.lstsq(scaled, downhill, rcond=None)[0]
-        new_left, new_slopes = evaluate(x + step)
+        new_left, new_slopes, *new_rest = evaluate(x + step)
         if (
             np.isfinite(new_left).all()
             and np.isfinite(new_slopes).all()
@@ -231,14 +235,15 @@ def _descend(
         ):
             unit = 1.0 if known else np.sqrt(left @ left / free)
             small = np.sqrt(step @ matrix @ step) < _LAST * unit
-            x, left, slopes, damping = x + step, new_left, new_slopes, damping / _FACTOR
+            x, left, slopes, rest = x + step, new_left, new_slopes, new_rest
+            damping /= _FACTOR
             if damping < _FIRST and (small or np.all(np.abs(step) < _SHARE * np.abs(x))):
-                return x, count, RESULTS.successful, (left, slopes)
+                return x, count, RESULTS.successful, (left, slopes, *rest)
         else:
             damping *= _FACTOR
             if damping > _MOST:  # no step goes down any more: rounding is all that is left
-                return x, count, RESULTS.successful, (left, slopes)
-    return x, steps, RESULTS.max_steps_reached, (left, slopes)
+                return x, count, RESULTS.successful, (left, slopes, *rest)
+    return x, steps, RESULTS.max_steps_reached, (left, slopes, *rest)
 
 
 def _inverse(slopes: np.ndarray) -> np.ndarray:

@@ -248,18 +248,17 @@ def _judged(grasp: Grasp, state: State, run: Trajectory) -> Why:
     direction = _direction(grasp, found, state, run)
     # The first of these findings that applies is the summary; the others are on the page below it.
     early = _early(grasp, start, int(run.stats.contact))
-    verdict = "" if found is None or early is not None else code_name(found.verdict)
-    mend = "" if found is None or verdict not in _MEND else _MEND[_blamed(grasp, found, near)]
+    verdict = "" if found is None else code_name(found.verdict)
     if early is not None:
         summary, remedy, contact = early
     elif failed:
         summary, remedy = f"fails: {ended}", REMEDIES.get(code, "")
-        if verdict == "unstable":
+        if found is not None and verdict == "unstable":
             summary = f"{summary}; its equilibrium is unstable"
-            remedy = f"{mend}; against the end alone, {remedy}"
-    elif found is not None and mend:
+            remedy = f"{_MEND[_blamed(grasp, found, near)]}; against the end alone, {remedy}"
+    elif found is not None and verdict in _MEND:
         told = _lower(VERDICTS[found.verdict])
-        summary, remedy = f"holds until t = {float(t):.4g} s, but {told}", mend
+        summary, remedy = f"holds until t = {float(t):.4g} s, but {told}", _MEND[_blamed(grasp, found, near)]
     else:
         summary, remedy = "holds", ""
     gap = float(worst(residuals(grasp, state)))

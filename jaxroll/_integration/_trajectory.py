@@ -192,7 +192,7 @@ class Trajectory(eqx.Module):
     def __str__(self) -> str:
         if concrete(self.stats.steps) is None:
             return "Trajectory (being traced)"
-        if not isinstance(self.stats.steps, jax.Array | np.ndarray | np.generic | int):
+        if isinstance(self.stats.steps, jax.ShapeDtypeStruct):
             return "Trajectory (shapes alone)"  # as `jax.eval_shape` gives it
         return batch_report(self) if np.ndim(self.stats.steps) else report(self)
 

@@ -31,10 +31,9 @@ def in_arithmetic(name: str, function: Callable, *args: Any) -> Any:
     Warns where operations are left that break up the kernel of a run; `name` is what the caller calls the
     function. One that has nothing to be written out is called as it is.
     """
-    if jax.default_backend() != "cpu":
-        with traceable(name):
-            return function(*args)
     with traceable(name):
+        if jax.default_backend() != "cpu":
+            return function(*args)
         closed, like, still = eqx.filter_make_jaxpr(function)(*args)
     if any(_rule(equation) for equation in _equations(closed.jaxpr)):
         flat = [leaf for leaf in jax.tree.leaves(args) if eqx.is_array(leaf)]

@@ -17,7 +17,8 @@ import numpy as np
 
 from .. import io
 from ..geometry import Fit, fit_contour, fit_surface, metres_per, SurfaceFit
-from ..io._files import count_outlines
+from ..io._files import drawn
+from ..io._paths import readable
 from ..io._tables import first_numbers, table_width
 from ._waiting import say
 
@@ -117,8 +118,8 @@ def _read(order: ShapeOrder) -> ShapePoints:
             raise ValueError("argument --pixel must be the size of a pixel in mm, but was not given")
         return ShapePoints(io.read_silhouette(_image(path), pixel=order.pixel, which=order.which or 0))
     if kind in DRAWINGS:
-        points = io.read_points(path, unit=order.unit, which=order.which or 0)
-        return ShapePoints(points, outlines=count_outlines(path, unit=order.unit))
+        points, count = drawn(readable(path), metres_per(order.unit), order.which or 0)
+        return ShapePoints(points, outlines=count)
     if kind in MESHES:
         return _of_mesh(path, order)
     if kind not in TABLES:

@@ -18,6 +18,8 @@ from ._tables import read_csv, read_npy, write_csv
 from ._vector import drawn_outline, read_dxf, read_svg, write_dxf, write_svg
 
 _READ = (".csv", ".txt", ".dat", ".npy", ".svg", ".dxf")
+# Points along an outline of a drawing with curved pieces, unless a caller asks for others.
+SAMPLES = 400
 _CLOUDS = (".csv", ".txt", ".dat", ".xyz", ".npy", ".ply")
 _WRITE = (".csv", ".npy", ".svg", ".dxf")
 
@@ -28,7 +30,7 @@ def read_points(
     unit: str,
     pixel: float | None = None,
     which: int = 0,
-    samples: int = 400,
+    samples: int = SAMPLES,
     fill: bool = False,
     columns: tuple[int, int] = (0, 1),
 ) -> np.ndarray:
@@ -75,15 +77,19 @@ def read_points(
     samples, which = as_count("samples", samples, least=6), as_count("which", which, least=0)
     chosen, fill = _columns("columns", columns, 2), check_flag("fill", fill)
     if kind in (".svg", ".dxf"):
-        outlines = (read_svg if kind == ".svg" else read_dxf)(path, scale, samples, fill=fill)
-        return scale * drawn_outline(outlines, which, path)
+        return drawn(path, scale, which, samples, fill=fill)[0]
     return scale * (read_npy if kind == ".npy" else read_csv)(path, chosen)
 
 
-def count_outlines(path: Path, *, unit: str) -> int:
-    """How many outlines a drawing has, SVG or DXF, which `read_points` has read."""
-    read = read_svg if path.suffix.lower() == ".svg" else read_dxf
-    return len(read(path, metres_per(unit), 6, fill=False))
+def drawn(
+    path: Path, scale: float, which: int, samples: int = SAMPLES, *, fill: bool = False
+) -> tuple[np.ndarray, int]:
+    """One outline of a drawing, SVG or DXF [m], counting from the largest, and how many there are.
+
+    The arguments are those of `read_svg`.
+    """
+    outlines = (read_svg if path.suffix.lower() == ".svg" else read_dxf)(path, scale, samples, fill=fill)
+    return scale * drawn_outline(outlines, which, path), len(outlines)
 
 
 def read_cloud(

@@ -233,22 +233,26 @@ def _copied(place: Path) -> Path:
     return place
 
 
-def covered(data: Path) -> Coverage:
+def covered(data: Path, jobs: int) -> Coverage:
     """What the default tests run, file by file; measured once and kept."""
-    for test in sorted(path.name for path in (ROOT / "tests").glob("test_*.py")):
-        kept = data / f"{test}.json"
-        if test in _SKIPPED or kept.exists():
-            continue
-        start = time.perf_counter()
-        with tempfile.TemporaryDirectory() as place:
-            tree, raw = _copied(Path(place)), Path(place) / "coverage"
-            prefix = ("-m", "coverage", "run", f"--data-file={raw}", "--source=jaxroll")
-            code = _pytest(tree, test, prefix=prefix, options=())
-            lines = _lines(tree, raw)
-        spent = time.perf_counter() - start
-        kept.write_text(json.dumps({"seconds": spent, "code": code, "functions": lines}))
-        print(f"{test}: {spent:.0f} s, exit code {code}", file=sys.stderr, flush=True)
+    tests = sorted(path.name for path in (ROOT / "tests").glob("test_*.py"))
+    left = [t for t in tests if t not in _SKIPPED and not (data / f"{t}.json").exists()]
+    with concurrent.futures.ThreadPoolExecutor(jobs) as pool:
+        for test, seen in zip(left, pool.map(_measured, left), strict=True):
+            (data / f"{test}.json").write_text(json.dumps(seen))
+            print(f"{test}: {seen['seconds']:.0f} s, exit code {seen['code']}", file=sys.stderr, flush=True)
     return _read(data)
+
+
+def _measured(test: str) -> dict[str, object]:
+    """One test file's seconds, exit code and the functions that it runs, in a copy of the checkout."""
+    start = time.perf_counter()
+    with tempfile.TemporaryDirectory() as place:
+        tree, raw = _copied(Path(place)), Path(place) / "coverage"
+        prefix = ("-m", "coverage", "run", f"--data-file={raw}", "--source=jaxroll")
+        code = _pytest(tree, test, prefix=prefix, options=())
+        functions = _lines(tree, raw)
+    return {"seconds": time.perf_counter() - start, "code": code, "functions": functions}
 
 
 def _read(data: Path) -> Coverage:
@@ -313,7 +317,7 @@ def tried(tree: Path, mutation: Mutation, reach: Coverage, budget: float) -> dic
 
 def run(chosen: list[Mutation], data: Path, jobs: int, budget: float) -> dict[str, dict[str, object]]:
     """Every mutation's fate; those already known are not tried again."""
-    reach, kept = covered(data), data / "results.json"
+    reach, kept = covered(data, jobs), data / "results.json"
     results: dict[str, dict[str, object]] = json.loads(kept.read_text()) if kept.exists() else {}
     trees: queue.Queue[Path] = queue.Queue()
 
@@ -374,7 +378,7 @@ def main() -> None:
         print(f"{sum(len(mutations(ROOT, f)) for f in (ROOT / 'jaxroll').rglob('*.py'))} in all")
         return
     if options.coverage:
-        covered(options.data)
+        covered(options.data, options.jobs)
         return
     found = run(chosen, options.data, options.jobs, options.budget)
     lived = [one for one in found.values() if not one["noticed"]]

@@ -76,7 +76,20 @@ _LOOKS = set(
     ]
 )
 # Functions whose order of two arguments does not matter.
-_SYMMETRIC = {"minimum", "maximum", "min", "max", "isinstance", "getattr", "hasattr", "plus", "hypot", "dot"}
+_SYMMETRIC = {
+    "minimum",
+    "maximum",
+    "min",
+    "max",
+    "smaller",
+    "larger",
+    "isinstance",
+    "getattr",
+    "hasattr",
+    "plus",
+    "hypot",
+    "dot",
+}
 
 
 @dataclasses.dataclass(frozen=True)

@@ -156,6 +156,56 @@ EQUIVALENT: dict[tuple[str, str, str, str], str] = {
         "2.0",
         "(4.0)",
     ): "how fast the longest step of a search grows again; its end is polished to rounding",
+    (
+        "jaxroll/geometry/contours/_neural_curvature.py",
+        "_start",
+        "1e-9 * len(points)",
+        "(1e-09 / len(points))",
+    ): "the start of a search whose end does not depend on it",
+    (
+        "jaxroll/contact/locating/_location.py",
+        "_verified",
+        "at.rise * scene.scale",
+        "(at.rise)",
+    ): "a bound at rounding level, which no valley of bodies larger than a micrometre comes near",
+    ("jaxroll/design/_minimise.py", "", "0.05", "(0.1)"): "how dull a search begins; it ends as sharp",
+    (
+        "jaxroll/_mechanics/_entry.py",
+        "compiled_for_many.called",
+        "given <= _FEW",
+        "(given > _FEW)",
+    ): "which of two machine codes is made, of one value",
+    (
+        "jaxroll/plotting/_responses.py",
+        "responses",
+        "axes[: len(shown)]",
+        "(axes)",
+    ): "those beyond were taken out of the figure",
+    (
+        "jaxroll/geometry/fitting/_contour_fit.py",
+        "_bent_at_most",
+        "0.98",
+        "(1.96)",
+    ): "how much a further try gives up at least; it ends where the table bends no more than it may",
+    (
+        "jaxroll/_reaching/_choice.py",
+        "_starts",
+        "0.2 * (high - low)",
+        "(0.2 / (high - low))",
+    ): "how far about the guess some of the searches start",
+    ("jaxroll/_reaching/_postures.py", "searched_postures", "1e-15", "(2e-15)"): "damping at rounding level",
+    (
+        "jaxroll/_cli/_shape_file.py",
+        "_check_spread",
+        "extents.min() > _FLAT * extents.max()",
+        "(extents.min() >= _FLAT * extents.max())",
+    ): "floating-point numbers that never are equal",
+    (
+        "jaxroll/_identify.py",
+        "_descend",
+        "1",
+        "(2)",
+    ): "how small the last step must be where there are no more data than numbers",
 }
 
 # Arguments that change nothing wherever they stand: before, after, what the line has, and why.

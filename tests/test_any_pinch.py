@@ -58,6 +58,33 @@ def test_an_object_is_turned_so_that_two_points_of_it_face_two_fingers():
         wanted = np.cross(ahead, wanted)
 
 
+def test_an_object_is_put_so_that_its_points_are_about_the_middle_of_the_hand():
+    # 0.06 m apart, in a frame far off: the hand is twice the chapter's, whose middle is (27.5, 115) mm.
+    points = np.array([[[0.32, 0.1], [0.38, 0.1]]])
+    normals = np.array([[[-1.0, 0.0], [1.0, 0.0]]])
+    pairs = SimpleNamespace(points=points, normals=normals, distance=np.array([0.06]))
+    for (_, pose, order), ahead in zip(
+        _any_pinch._placed(None, None, pairs, 0), (115, 115, 100), strict=False
+    ):
+        (x, y, angle), ends = pose, points[0, list(order)]
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        np.testing.assert_allclose(np.array([x, y]) + turn @ ends.mean(axis=0), [0.055, 2e-3 * ahead])
+        np.testing.assert_allclose(turn @ (ends[1] - ends[0]), [0.06, 0.0], atol=1e-15)
+
+
+def test_fingers_are_damped_as_their_own_inertia_asks():
+    """Each link's mass at a third of the square of the whole length: 47 % of what is critical."""
+    body = jxr.FreeObject.uniform(jxr.Circle(0.015), density=20.0)
+    grasp, state = jxr.scenes.pinch_object(body, force=2.0)
+    centres = _any_pinch.tip_origins(grasp, np.asarray(state.q))
+    stiffness = 2.0 / np.linalg.norm(centres[1] - centres[0])
+    for finger, damping in zip(grasp.fingers, grasp.controller.damping, strict=True):
+        length = float(np.sum(np.asarray(finger.lengths)))
+        inertia = float(np.sum(np.asarray(finger.masses))) * length**2 / 3.0
+        critical = 2.0 * np.sqrt(stiffness * length**2 * inertia)
+        assert float(damping) == pytest.approx(0.235 * critical)
+
+
 def test_fingers_of_ones_own_and_a_force():
     fingers = [
         jxr.Finger([0.08, 0.07], [0.03, 0.02], jxr.Circle(0.012), base=(x, 0.0)) for x in (-0.05, 0.05)
@@ -167,6 +194,15 @@ def test_outlines_of_files_of_every_kind(tmp_path):
     h = ((a - b) / (a + b)) ** 2
     round_ = np.pi * (a + b) * (1.0 + 3.0 * h / (10.0 + np.sqrt(4.0 - 3.0 * h)))
     assert seen.report.length == pytest.approx(round_, rel=5e-3)
+
+
+def test_a_cloud_and_a_mesh_are_fitted_with_their_normals_and_faces(monkeypatch):
+    monkeypatch.setattr(_cli._shape_file, "fit_surface", lambda *args, **options: (args, options))
+    points, normals, faces = np.diag([1.0, 2.0, 3.0]), np.eye(3), np.array([[0, 1, 2]])
+    order = ShapeOrder("body.stl", "m", 0.1, None, None)
+    args, options = fitted(order, _cli._shape_file.ShapePoints(points, normals, faces))
+    assert args[0] is points and args[1] is normals
+    assert options == {"faces": faces, "smallest_radius": 0.1}
 
 
 def test_of_several_outlines_the_report_says_which(tmp_path):

@@ -8,6 +8,7 @@ from scipy.special import ellipeinc
 
 import jaxroll as jxr
 from jaxroll.geometry import frenet
+from jaxroll.geometry.contours._support import smallest
 
 A, B = 0.02, 0.01
 CONTOURS = {
@@ -137,3 +138,10 @@ def test_public_shapes(contour, shape):
     s = np.zeros(shape)
     assert contour.point(s).shape == (*shape, 2)
     assert contour.curvature(s).shape == shape
+
+
+@pytest.mark.parametrize("lowest", [0.03, 0.52, 0.97])
+def test_the_smallest_value_is_found_between_samples_the_outer_ones_included(lowest):
+    ends = (jnp.asarray(0.0), jnp.asarray(1.0))
+    # A parabola through three of its samples is itself.
+    assert float(smallest(lambda x: 3.0 + (x - lowest) ** 2, ends, 9)) == pytest.approx(3.0, abs=1e-15)

@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
 import jaxroll as jxr
-from jaxroll._integration._events import first_dip
+from jaxroll._integration._events import first_dip, watched
 from jaxroll._integration._step import RollingStep
 from jaxroll._linalg._plane import Vec2
 from jaxroll.geometry import frenet
@@ -432,6 +432,11 @@ def test_a_dip_that_no_parabola_tells_shortens_the_step():
     times = np.array([0.0, 0.1475, 0.375, 0.465, 0.56486545, 0.65, 0.92465628, 1.0])
     margins = [1.107e-3, 6.685e-4, 2.441e-4, 1.426e-4, 6.530e-5, 2.462e-5, 1.529e-5, 3.739e-5]
     assert 0.79 <= float(first_dip(times, [jnp.asarray(m) for m in margins])) <= 0.81
+
+
+def test_stages_beyond_a_step_or_beside_another_tell_nothing_of_dips_within_it():
+    assert watched(np.array([0.0, 0.5, 1.2, 0.25, 1.0])).tolist() == [0, 3, 1, 4]
+    assert watched(np.array([0.0, 0.5, 0.5, 1.0])).tolist() == [0, 2, 3]
 
 
 class Blowing(eqx.Module):

@@ -10,6 +10,8 @@ import jaxroll as jxr
 from jaxroll import design
 from jaxroll._maps import Measures, MEASURES_KEPT
 from jaxroll._maps._cells import halved_lines
+from jaxroll.plotting._map_data import Side
+from jaxroll.plotting._map_figure import _edges
 
 ALL = jxr.measures(*MEASURES_KEPT, turned=lambda run: run.last.q[0])
 
@@ -226,3 +228,11 @@ def test_maps_that_do_not_fit(case):
 def test_progress_is_told(capsys):
     jxr.adaptive_map(lambda p: p.x > 0.1, square(9), progress=True)
     assert " runs" in capsys.readouterr().err
+
+
+def test_cells_of_a_map_end_half_way_between_values_also_at_its_borders():
+    np.testing.assert_allclose(
+        _edges(Side(np.array([1.0, 2.0, 4.0, 5.0]), "x", False)), [0.5, 1.5, 3.0, 4.5, 5.5]
+    )
+    rising = Side(np.array([1.0, 4.0, 64.0]), "x", True)
+    np.testing.assert_allclose(_edges(rising), [0.5, 2.0, 16.0, 256.0])

@@ -265,3 +265,19 @@ def test_a_surface_that_is_not_the_body_is_refused(name):
     change, words = BEYOND[name]
     with pytest.raises(ValueError, match="^argument " + words):
         judged(**FINE | change)
+
+
+@pytest.mark.parametrize("most", ["enough", "too few"])
+def test_a_shorter_wavelength_is_tried_if_its_grid_has_few_enough_cells(most, monkeypatch):
+    """The count beforehand is the grid's own, or up to one more along each axis."""
+    points, radius = np.array([[0.0, 0.0, 0.0], [0.1, 0.07, 0.05]]), 0.01
+    wavelength = _scan_fit._WAVE * radius
+    finer = wavelength / _scan_fit._LADDER
+    counts = np.array(_scan_fit._grid(points, finer / _scan_fit._CELLS).counts)
+    room = {"enough": np.prod(counts + 1), "too few": np.prod(counts - 1)}
+    monkeypatch.setattr(_scan_fit, "_FINER", room[most])
+    monkeypatch.setattr(_scan_fit, "_score", lambda problem, tried: tried)
+    problem: Any = types.SimpleNamespace(whole=types.SimpleNamespace(points=points))
+    found = _scan_fit._finer(problem, wavelength, radius)
+    assert found == (pytest.approx(finer) if most == "enough" else None)
+    assert _scan_fit._finer(problem, 1.1 * wavelength, radius) is None

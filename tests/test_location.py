@@ -120,6 +120,8 @@ def test_circle_in_a_notch_touches_twice():
     found = locate(jxr.Circle(0.012), trefoil, pose_a=(0.032 * np.cos(at), 0.032 * np.sin(at), 0.0))
     assert found.result == SUCCESS and not bool(found.unique) and int(found.others.count) == 1
     np.testing.assert_allclose(float(found.others.gap[0]), float(found.gap), atol=1e-14)
+    # Beyond those that there are, entries are as the docstring says.
+    assert np.isinf(found.others.gap[1:]).all() and not np.any(found.others.s[1:])
     length = float(trefoil.domain()[1])
     middle = float(found.s[1] + found.others.s[0, 1]) / 2
     np.testing.assert_allclose(middle, length / 6, atol=1e-12)

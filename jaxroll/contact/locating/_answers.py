@@ -16,7 +16,7 @@ class LocalMinima(eqx.Module):
 
     Attributes:
         gap: Signed distances [m]; infinite where there are no more.
-        s: Arclengths on both contours [m].
+        s: Arclengths on both contours [m]; zero where there are no more.
         there: Which entries hold a minimum.
     """
 

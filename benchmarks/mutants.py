@@ -206,6 +206,12 @@ EQUIVALENT: dict[tuple[str, str, str, str], str] = {
         "1",
         "(2)",
     ): "how small the last step must be where there are no more data than numbers",
+    (
+        "jaxroll/stability/_equilibrium.py",
+        "_memory_sizes",
+        "0",
+        "(1)",
+    ): "which sizes are taken for the units of a search; its end does not depend on them",
 }
 
 # Arguments that change nothing wherever they stand: before, after, what the line has, and why.

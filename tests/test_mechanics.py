@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import jaxroll as jxr
 from jaxroll._linalg import Vec3
+from jaxroll._linalg._space import Pose3, quaternion_of
 from jaxroll._mechanics import join, to_leaves
 from jaxroll._motion import bodies, Index1
 from jaxroll._motion._equations import evaluate
@@ -357,3 +358,15 @@ def test_a_finger_in_space_begins_at_the_origin_unless_told_otherwise():
         points = [[float(x) for x in point] for point in finger.skeleton((jnp.zeros(()), jnp.zeros(())))]
         wanted = base + np.concatenate([np.zeros((1, 3)), np.cumsum(offsets, axis=0)])
         np.testing.assert_allclose(points, wanted, atol=1e-16)
+
+
+@pytest.mark.parametrize("axis", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.6, -0.48, 0.64)])
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 0.3, 2.0, 3.1, np.pi])
+def test_the_quaternion_of_every_turn_against_scipy(axis, angle):
+    turn = Rotation.from_rotvec(angle * np.array(axis))
+    frame = Pose3(*(Vec3(*column) for column in ([0.0, 0.0, 0.0], *turn.as_matrix().T)))
+    found, expected = np.array(quaternion_of(frame)), turn.as_quat(scalar_first=True)
+    assert found[0] >= 0.0
+    if angle == np.pi:  # the two quaternions of half a turn differ in sign alone, which rounding decides
+        expected = expected * np.sign(expected @ found)
+    np.testing.assert_allclose(found, expected, atol=1e-15)

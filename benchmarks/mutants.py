@@ -212,6 +212,13 @@ EQUIVALENT: dict[tuple[str, str, str, str], str] = {
         "0",
         "(1)",
     ): "which sizes are taken for the units of a search; its end does not depend on them",
+    (
+        "jaxroll/plotting/_motion3.py",
+        "rotation_vectors",
+        "1e-12",
+        "(-1e-12)",
+    ): "where there is no turn at all both ways give zero",
+    ("jaxroll/plotting/_tubes.py", "tube_mesh", "0.5", "(-0.5)"): "a cosine of it",
 }
 
 # Arguments that change nothing wherever they stand: before, after, what the line has, and why.

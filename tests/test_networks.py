@@ -21,6 +21,11 @@ def network(amplitude, harmonics=3):
     return PeriodicNetwork(harmonics, width=6, key=jax.random.key(3), amplitude=amplitude)
 
 
+def test_a_network_has_the_features_that_its_docstring_tells():
+    """k^-p cos(k phi) and k^-p sin(k phi) for k = 1 to 4, by default with p = 0: eight numbers in."""
+    assert PeriodicNetwork(key=jax.random.key(0)).layers[0].in_features == 8
+
+
 FIELDS = {
     "support": jxr.SupportFunction(0.01, [1e-3, 5e-4, 3e-4], [-2e-3, 0.0, 2e-4], cells=512),
     "neural support": jxr.NeuralSupport(network(0.2), 0.01, (1e-3, -2e-3), cells=512),

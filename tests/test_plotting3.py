@@ -100,7 +100,7 @@ def test_endless_surfaces_are_drawn_about_a_point():
     np.testing.assert_allclose(found.vertices.mean(axis=0), about, atol=1e-12)
     assert np.linalg.norm(found.areas, axis=1).sum() / 2 == pytest.approx(0.04**2)
     for extent in (None, 0.0, -0.01, np.inf, np.nan):
-        with pytest.raises(ValueError, match="argument extent must be positive"):
+        with pytest.raises(ValueError, match="argument extent must be (positive|finite)"):
             mesh(plane, extent=extent)
 
 
@@ -331,6 +331,9 @@ def test_long_animations_have_few_frames():
     [
         ({"path": "motion.avi"}, "end in .gif or .mp4"),
         ({"fps": 0.0}, "argument fps must be positive"),
+        ({"fps": "20"}, "argument fps must be a real number"),
+        ({"speed": None}, "argument speed must be a real number"),
+        ({"size": [5.0]}, "argument size must have shape"),
         ({"ts": np.zeros(3)}, "argument ts must have shape"),
     ],
 )

@@ -10,6 +10,7 @@ from PIL import Image
 import jaxroll as jxr
 from jaxroll.plotting._artists import limits
 from jaxroll.plotting._forces import arrows
+from jaxroll.plotting._phase_one import phase_of_one
 from jaxroll.plotting._responses import _DASHES, _dashes, _stretch
 from jaxroll.plotting._views import views
 
@@ -151,3 +152,5 @@ def test_phase_of_one_direction_draws_the_path_downhill(scene):
     sampled = grasp.with_(controller=jxr.control.Sampled(grasp.controller, 0.01))
     again = jxr.plotting.phase(sampled, jxr.simulate(sampled, state, 0.1, ts=5), rest=state)
     assert len(again.axes[0].lines) == len(ax.lines)
+    # Where no equilibrium is known none is drawn.
+    assert len(phase_of_one(grasp, run, None).axes[0].lines) == len(ax.lines) - 1

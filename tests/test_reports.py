@@ -3,6 +3,8 @@
 import dataclasses
 import inspect
 import pickle
+from types import SimpleNamespace
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -18,6 +20,7 @@ from jaxroll._integration._trajectory import Stats
 from jaxroll._mechanics import AbstractBody, AbstractFinger
 from jaxroll._motion import Multipliers, Residuals
 from jaxroll._printing import listed
+from jaxroll._why import _early
 from jaxroll.design import ClosedLoop, Design, overshoot, settling_time, tracking_error
 from jaxroll.design._measures import MEASURES, PARTIAL
 from jaxroll.plotting._panels import panels
@@ -31,6 +34,21 @@ def ended(run, code, *, contact=-1, margin=np.nan, t=0.5):
     where = lambda r: (r.result, r.stats.contact, r.stats.margin, r.stats.t_end)  # noqa: E731
     parts = (jxr.RESULTS._name_to_item[code], np.array(contact), np.array(margin), np.array(t))
     return eqx.tree_at(where, run, parts)
+
+
+@pytest.mark.parametrize(
+    ("curvature", "pivot", "told"),
+    [
+        (0.0, 1.0, "contact 0 (finger 0 on contour 0) is singular"),
+        (1.0, 0.0, "contacts are redundant or an arm is straight"),
+        (1.0, np.nan, "contacts are redundant or an arm is straight"),
+    ],
+)
+def test_why_names_a_start_that_is_singular_before_its_forces(scene, curvature, pivot, told):
+    pulls = SimpleNamespace(f=np.array([-1.0]))
+    start: Any = SimpleNamespace(curvature=np.array([curvature]), pivot=pivot, multipliers=pulls)
+    sentence, remedy, _ = _early(scene[0], start, -1)
+    assert told in sentence and remedy == REMEDIES["singular_contact"]
 
 
 def moved(grasp, start, end, *, forces=None):

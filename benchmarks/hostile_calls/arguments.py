@@ -352,7 +352,8 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
     "Impulse": {
         "impulse": _is("array", (0.0, 1e-4), "two numbers", "three numbers", "its last twice"),
         "time": _is("number", 0.1),
-        "angular": _is("number", 1e-6),
+        # Three numbers beside an impulse in space, of three numbers.
+        "angular": _is("number", 1e-6, "three numbers"),
         "point": _is("array", (0.0, 0.01), "two numbers"),
     },
     "resume": {"run": _ANY_RUN},

@@ -286,7 +286,9 @@ class Judge:
         apart = [np.where(r.code == base.code, np.abs(r.t_end - base.t_end), 0.0) for r in others]
         same = 10.0 * np.max(apart, axis=0)
         sooner = base.t_end - whole.t_end
-        early = sooner > np.maximum(1e-5 * base.t_end, same)
+        # Where the steps of all others were too few, nothing tells the times of one event from two events.
+        told = np.any([r.code != "max_steps_reached" for r in others], axis=0)
+        early = told & (sooner > np.maximum(1e-5 * base.t_end, same))
         depth[early & (whole.code == "singular_contact") & (sooner > _POLE)] = np.inf
         lanes = np.flatnonzero(early & np.isin(whole.code, list(_LIMITS)))
         if not lanes.size:
@@ -346,7 +348,8 @@ class Judge:
             "tangency": rows * TANGENCY,
             # Velocities are put back with the rows of where the step ended, before positions were: what
             # these moved by, some part of the tolerance, turns the rows.
-            "creep": rows * max(CREEP, 1e-2 * m["rtol"]),
+            # Where curvatures cancel, that turns them by as much more: places move by gaps over their sum.
+            "creep": rows * max(CREEP, 1e-2 * m["rtol"] / np.clip(m["least_bend"], 1e-4, 1.0)),
             "force": forces * FORCE,
         }
         for name, limit in limits.items():

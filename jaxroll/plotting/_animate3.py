@@ -52,7 +52,8 @@ def animate3(
         ValueError: If `path` is neither, a number is not positive, times or forces do not fit the motion, or
             a surface cannot be drawn.
     """
-    path, view = _film.checked_path(path, fps=fps, speed=speed, size=size), View() if view is None else view
+    path, view = _film.checked_path(path), View() if view is None else view
+    fps, speed, size = _film.positive(fps=fps, speed=speed, size=size)
     ts = times_of(motion, ts)
     motion, reached = motion.reached()
     ts = ts[reached]

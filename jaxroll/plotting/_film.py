@@ -9,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from .._results import shown
+from .._results import as_floats, check_positive, shown
 from . import _gif
 
 # How long the last frame stays [ms].
@@ -43,11 +43,13 @@ def _mp4(path: Path, frames: list[Image.Image], delay: int) -> None:
             writer.grab_frame()
 
 
-def checked_path(path: str | Path, **positive: float) -> Path:
-    """The path of a film that can be written here, and numbers that must be positive."""
-    for name, value in positive.items():
-        if not (np.isfinite(value) and value > 0.0):
-            raise ValueError(f"argument {name} must be positive, but was {value:g}")
+def positive(**numbers: Any) -> tuple[float, ...]:
+    """Arguments as numbers, which must be positive."""
+    return tuple(float(check_positive(name, as_floats(name, x, ()))) for name, x in numbers.items())
+
+
+def checked_path(path: str | Path) -> Path:
+    """The path of a film that can be written here."""
     path = Path(path)
     kind = path.suffix.lower()
     if kind not in (".gif", ".mp4"):

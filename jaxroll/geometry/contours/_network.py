@@ -45,7 +45,7 @@ class PeriodicNetwork(eqx.Module):
     Its features are $k^{-p} \cos k\varphi$ and $k^{-p} \sin k\varphi$, k = 1..`harmonics`, p = `decay`.
 
     Args:
-        harmonics: Number of harmonics among the features.
+        harmonics: Number of harmonics among the features. Default: 4.
         decay: How fast their weight falls; the larger, the smoother the network. Static, as the last.
         width: Neurons of each hidden layer.
         depth: Hidden layers.

@@ -205,6 +205,17 @@ def test_a_cloud_and_a_mesh_are_fitted_with_their_normals_and_faces(monkeypatch)
     assert options == {"faces": faces, "smallest_radius": 0.1}
 
 
+def test_a_pinched_object_is_pushed_across_the_line_between_the_tips():
+    body = jxr.FreeObject.uniform(jxr.Circle(0.015), density=20.0)
+    grasp, state = jxr.scenes.pinch_object(body, force=2.0)
+    pushed, size = _pinch_command._pushed(grasp, state)
+    first, second = _any_pinch.tip_origins(grasp, np.asarray(state.q))
+    push = np.asarray(pushed.load[0].force)
+    # A share of what the fingers press with, 2 N along the line between their frames.
+    assert size == pytest.approx(2.0 * _pinch_command._SHARE)
+    assert np.linalg.norm(push) == pytest.approx(size) and abs(push @ (second - first)) < 1e-15
+
+
 def test_of_several_outlines_the_report_says_which(tmp_path):
     big, small = "M 0,0 H 60 V 40 H 0 Z", "M 100,0 H 120 V 10 H 100 Z"
     file = tmp_path / "two.svg"

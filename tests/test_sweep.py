@@ -164,3 +164,14 @@ def test_every_option_of_a_run_is_one_of_a_sweep_with_the_same_default():
     unlike = {name for name in set(one) & set(many) if one[name].default != many[name].default}
     assert unlike == {"ts"} and many["ts"].default == 1
     assert not any(p.kind is p.VAR_KEYWORD for p in (*one.values(), *many.values()))
+
+
+def test_of_many_compiled_programs_those_used_last_are_kept(monkeypatch):
+    monkeypatch.setattr(_program, "_KEPT", type(_program._KEPT)())
+    monkeypatch.setattr(_program, "_MOST", 2)
+    traced = [jax.make_jaxpr(lambda x, k=k: x + k)(1.0) for k in range(3)]
+    first, second = (_program._compiled(closed) for closed in traced[:2])
+    assert _program._compiled(traced[0]) is first
+    _program._compiled(traced[2])
+    assert len(_program._KEPT) == 2
+    assert _program._compiled(traced[0]) is first and _program._compiled(traced[1]) is not second

@@ -53,7 +53,7 @@ def animate3(
             a surface cannot be drawn.
     """
     path, view = _film.checked_path(path), View() if view is None else view
-    fps, speed, size = _film.positive(fps=fps, speed=speed, size=size)
+    fps, speed, size = _film.positive_numbers(fps=fps, speed=speed, size=size)
     ts = times_of(motion, ts)
     motion, reached = motion.reached()
     ts = ts[reached]

@@ -43,7 +43,7 @@ def _mp4(path: Path, frames: list[Image.Image], delay: int) -> None:
             writer.grab_frame()
 
 
-def positive(**numbers: Any) -> tuple[float, ...]:
+def positive_numbers(**numbers: Any) -> tuple[float, ...]:
     """Arguments as numbers, which must be positive."""
     return tuple(float(check_positive(name, as_floats(name, x, ()))) for name, x in numbers.items())
 

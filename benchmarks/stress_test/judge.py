@@ -27,7 +27,9 @@ _DENSE = 513
 _POLE = 1e-9
 # How often a step beside a pole is quartered.
 _QUARTERS = 12
-# Rounding of a length [m].
+# Part of their time by which ends of runs beside a pole may differ.
+_LAYER = 1e-3
+# Rounding of a length in double precision [m].
 _ROUNDED = 1e-16
 # Shortest steps of a search for an event, in roundings of the time.
 _SEARCHED = 2 * 64 * 8
@@ -186,7 +188,8 @@ class Judge:
         worst = np.where(judged, np.max(off, axis=1), np.nan)
         # Where nothing can move, energies are those of forces over lengths at rounding: a gap at rounding
         # leaves positions open by as much more as the rows are less firm.
-        none = _ROUNDED * self.size / np.nanmin(seen.firmness, axis=1)
+        rounded = _ROUNDED * self.precision / np.finfo(float).eps
+        none = rounded * self.size / np.nanmin(seen.firmness, axis=1)
         return {"energy": worst / (scale + none), "energy_units": worst / (unit + none)}
 
     def _defect(self, seen: Instant, run: Run, tol: np.ndarray) -> dict[str, np.ndarray]:
@@ -370,7 +373,7 @@ def _missed(code: str, m: dict[str, Any], slack: float) -> list[str]:
     found = []
     known = _known_forces(m, slack)
     for name, limit in (("force", known), ("cone", known), ("room", 1e-9 * slack), ("bend", 0.0)):
-        if m[f"least_{name}"] < -limit:
+        if m[f"least_{name}"] < -limit - _search_error(name, m):
             found.append(f"missed: {name} fell to {m[f'least_{name}']:.1e}")
     if code == "successful" and m["t_end"] != m["t1"]:
         found.append("ended early")
@@ -403,6 +406,26 @@ def rubbing(seen: Instant) -> np.ndarray:
     return np.abs(seen.lam) if seen.lam.ndim == seen.f.ndim else np.linalg.norm(seen.lam, axis=-1)
 
 
+def _search_error(name: str, m: dict[str, Any]) -> float:
+    """How far a limit may be from zero at an end: rounding misleads a search by so much time."""
+    slope = m.get(f"slope_{name}", np.nan)
+    return _SEARCHED * m["precision"] * m["t_end"] * slope if np.isfinite(slope) else 0.0
+
+
+def _beside_pole(m: dict[str, Any]) -> bool:
+    """Whether a run ended where its precision no longer tells forces, and others of it collapsed there.
+
+    Beside a pole the force grows without limit, and falls through zero, within less time than the runs'
+    ends are apart: that of the exact motion lies among them.
+    """
+    collapsed = [
+        abs(m[f"t_{other}"] - m["t_end"]) < _LAYER * m["t_end"]
+        for other in ("whole", "tight")
+        if m[other] in ("step_collapsed", "singular_contact")
+    ]
+    return m["end_firmness"] < m["near"] and any(collapsed)
+
+
 def _cause(code: str, m: dict[str, Any], slack: float) -> list[str]:
     """Why a code is not the cause, if so."""
     if code in _LIMITS:
@@ -410,13 +433,11 @@ def _cause(code: str, m: dict[str, Any], slack: float) -> list[str]:
         if f"end_{name}" not in m:
             return ["cause: nothing limits that"]
         limit = slack * 1e-9 if name == "room" else _known_forces(m, slack)
-        # A search for an event that rounding misleads ends it within so much of its time.
-        slope = m[f"slope_{name}"]
-        limit += _SEARCHED * m["precision"] * m["t_end"] * slope if np.isfinite(slope) else 0.0
+        limit += _search_error(name, m)
         value, drift = m[f"end_{name}"], m[f"drift_{name}"]
         at_start = m["t_end"] == 0.0
         if value > limit or (value < -limit and not at_start):
-            return [f"cause: {name} is {value:.1e} at the end"]
+            return [] if _beside_pole(m) else [f"cause: {name} is {value:.1e} at the end"]
         if not drift < 0 and not at_start:
             return [f"cause: {name} does not fall through zero ({drift:.1e})"]
         singular = min(m["end_bend"], m["end_firmness"])

@@ -12,7 +12,7 @@ from .._mechanics import Grasp
 from ._animate3 import animate3
 from ._artists import Drawing, limits
 from ._doors import check_frames, guarded
-from ._film import checked_path, positive_numbers, write_film
+from ._film import checked_path, write_film
 from ._forces import Arrows, arrows, key
 from ._forces3 import pushes
 from ._gif import nearest_rows
@@ -78,7 +78,7 @@ def animate(
         ...     path.name
         'motion.gif'
     """
-    path, (fps, speed, size) = checked_path(path), positive_numbers(fps=fps, speed=speed, size=size)
+    path = checked_path(path)
     trajectory = visible(grasp, trajectory)
     drawn = trajectory.multipliers is not None if forces is None else forces
     ts, rows = _shown(trajectory, until)

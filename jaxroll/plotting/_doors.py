@@ -31,7 +31,10 @@ _MOST = 5000
 
 
 def guarded(figure: _Function) -> _Function:
-    """Check a figure's arguments, by their names, before it is drawn; None only where it is the default."""
+    """Check a figure's arguments, by their names, before it is drawn; None only where it is the default.
+
+    The figure gets its numbers as Python's own, whatever library made them.
+    """
     parameters = inspect.signature(figure).parameters
     names = tuple(parameters)
     optional = {name for name, parameter in parameters.items() if parameter.default is None}
@@ -48,39 +51,49 @@ def guarded(figure: _Function) -> _Function:
         left_out = {name for name in optional if given.get(name) is None}
         if "rest" in given and "rest" not in left_out:
             check_states(grasp, given["rest"], "rest")
-        for name, check in _CHECKS.items():
+        for name, taken in _TAKEN.items():
             if name in given and name not in left_out:
-                check(name, given[name])
-        return figure(*args, **options)
+                given[name] = taken(name, given[name])
+        placed = [given[name] for name in names[: len(args)]]
+        return figure(*placed, *args[len(names) :], **{name: given[name] for name in options})
 
     return cast(_Function, on_host(door))
 
 
-def _positive(name: str, value: Any) -> None:
-    check_positive(name, as_floats(name, value, ()))
+def _number(name: str, value: Any) -> float:
+    return float(as_floats(name, value, ()))
 
 
-def _size(name: str, value: Any) -> None:
-    size = as_floats(name, value, ())
-    if not 0.0 < float(size) <= _LARGEST:
+def _positive(name: str, value: Any) -> float:
+    return float(check_positive(name, as_floats(name, value, ())))
+
+
+def _size(name: str, value: Any) -> float:
+    size = _number(name, value)
+    if not 0.0 < size <= _LARGEST:
         raise ValueError(f"argument {name} must be positive and at most {_LARGEST:g}, but was {shown(size)}")
+    return size
 
 
-def _times(name: str, value: Any) -> None:
-    if as_floats(name, value, (None,)).shape[0] == 0:
+def _times(name: str, value: Any) -> list[float]:
+    times = as_floats(name, value, (None,)).tolist()
+    if not times:
         raise ValueError(f"argument {name} must be one time or more, but there was none")
+    return times
 
 
-def _text(name: str, value: Any) -> None:
-    check_instance(name, value, str, "text")
+def _text(name: str, value: Any) -> str:
+    return check_instance(name, value, str, "text")
 
 
-def _place(name: str, value: Any) -> None:
+def _place(name: str, value: Any) -> Any:
     if not isinstance(value, str | os.PathLike) or not str(value) or "\0" in str(value):
         raise ValueError(f"argument {name} must be the name of a file or folder, but was {shown(value)}")
+    return value
 
 
-_CHECKS: dict[str, Callable[[str, Any], Any]] = {
+# By the name of an argument, what it is taken as, or refused.
+_TAKEN: dict[str, Callable[[str, Any], Any]] = {
     "design": lambda name, value: check_instance(name, value, Design, "a Design"),
     "fit": lambda name, value: check_instance(name, value, (Fit, SurfaceFit), "a Fit or a SurfaceFit"),
     "ax": lambda name, value: check_instance(name, value, Axes, "an axes of matplotlib"),
@@ -88,7 +101,7 @@ _CHECKS: dict[str, Callable[[str, Any], Any]] = {
     "forces": check_flag,
     "fps": _positive,
     "speed": _positive,
-    "until": lambda name, value: as_floats(name, value, ()),
+    "until": _number,
     "size": _size,
     "times": _times,
     "title": _text,

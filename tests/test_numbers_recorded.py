@@ -1,11 +1,11 @@
-"""Numbers of the scenes, defaults of all public names, and texts of the command line are as recorded."""
+"""Numbers of the scenes and of fits, defaults of all public names, and texts of the command line are as recorded."""
 
 import importlib.util
 
 import numpy as np
 import pytest
 
-from tests.recorded import compare, scene_numbers, signatures, texts
+from tests.recorded import compare, fits, scene_numbers, signatures, texts
 
 NEEDS_CAD = pytest.mark.skipif(
     any(importlib.util.find_spec(name) is None for name in ("ezdxf", "trimesh", "mapbox_earcut")),
@@ -29,6 +29,11 @@ def test_a_scene_starts_where_it_did(name):
     found, kept = scene_numbers.closed((name,))[name], scene_numbers.kept_states()[name]
     for part in "qvs":
         np.testing.assert_allclose(found[part], kept[part], rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", fits.FITS)
+def test_the_numbers_of_a_fit_are_as_recorded(name):
+    compare.check(f"fitted_{name}", fits.numbers(name), rtol=fits.RTOL, atol=1e-12)
 
 
 @pytest.mark.parametrize("module", signatures.modules())

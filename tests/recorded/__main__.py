@@ -9,7 +9,7 @@ from tests import conftest
 
 os.environ.setdefault("XLA_FLAGS", conftest.QUICKLY)
 
-from tests.recorded import compare, pictures, scene_numbers, signatures, texts  # noqa: E402
+from tests.recorded import compare, fits, pictures, scene_numbers, signatures, texts  # noqa: E402
 
 # Digits that a record keeps; the states from which pictures start keep all.
 _DIGITS = {"closed_states": 17, "scene": 12}
@@ -22,6 +22,7 @@ def records() -> dict[str, Callable[[], Any]]:
         found[f"scene_{name}"] = lambda name=name: scene_numbers.numbers(name)
     for module in signatures.modules():
         found[f"signatures_{module}"] = lambda module=module: signatures.signatures(module)
+    found |= {f"fitted_{name}": lambda name=name: fits.numbers(name) for name in fits.FITS}
     found |= {f"text_{name}": make for name, make in texts.TEXTS.items()}
     return found | pictures.PICTURES
 

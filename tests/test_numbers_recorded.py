@@ -1,4 +1,4 @@
-"""Numbers of the scenes and of fits, defaults of all public names, and texts of the command line are as recorded."""
+"""Numbers of scenes and fits, defaults of public names, texts of the command line are as recorded."""
 
 import importlib.util
 
@@ -33,7 +33,8 @@ def test_a_scene_starts_where_it_did(name):
 
 @pytest.mark.parametrize("name", fits.FITS)
 def test_the_numbers_of_a_fit_are_as_recorded(name):
-    compare.check(f"fitted_{name}", fits.numbers(name), rtol=fits.RTOL, atol=1e-12)
+    rtol = fits.SCANS if name.startswith("scan") else fits.RTOL
+    compare.check(f"fitted_{name}", fits.numbers(name), rtol=rtol, atol=1e-12)
 
 
 @pytest.mark.parametrize("module", signatures.modules())

@@ -39,6 +39,39 @@ _LONGEST = (60.0, 5.0)
 # Changes that no test can notice, by hand: (file, function, before, after) and why. Where the function has
 # the same text in other lines, in which a test would notice it, the line's text is the fifth.
 EQUIVALENT: dict[tuple[str, ...], str] = {
+    ("jaxroll/scenes/_pinch_targets.py", "", "1e-9", "(2e-09)"): "a length far below all that differ [m]",
+    (
+        "jaxroll/plotting/_contours.py",
+        "_count",
+        "1e-9",
+        "(2e-09)",
+    ): "a share of a step, for rounding",
+    (
+        "jaxroll/_integration/_run.py",
+        "judge",
+        "course.busy & keep",
+        "(course.busy | keep)",
+    ): "a step at a jump is always kept, and a run that is over asks for no more jumps",
+    (
+        "jaxroll/_integration/_contact_impulses.py",
+        "contact_impulses",
+        "jnp.where(jnp.isfinite(row), row, 0.0)",
+        "(jnp.where(row, jnp.isfinite(row), 0.0))",
+    ): "a state that stands in for rows whose results are left out",
+    ("jaxroll/plotting/_forces.py", "arrows", "2", "(-2)"): "of four columns the first two, either way",
+    (
+        "jaxroll/plotting/_artists.py",
+        "Drawing.show",
+        "1.5 * self.radius * _SQUARE",
+        "(1.5 * self.radius / _SQUARE)",
+    ): "all entries are one or minus one",
+    (
+        "jaxroll/geometry/fitting/_field_solve.py",
+        "",
+        "4",
+        "(5)",
+        "for a in range(4)",
+    ): "of the fifth there is no b",
     ("jaxroll/stability/_equilibrium.py", "", "100", "101"): "a bound that no search that arrives comes near",
     ("jaxroll/geometry/contours/_spline.py", "Spline._fit", "u[-1] - u[0]", "(u[-1])"): "u begins at zero",
     (

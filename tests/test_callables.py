@@ -2,6 +2,7 @@
 
 import functools
 import math
+import types
 import warnings
 
 import jax
@@ -185,6 +186,24 @@ def test_functions_that_hide_nothing_stay_as_they_are():
     assert jax.jit(looked_at)(3.0) == 6.0
     first, second, law = inside[0]
     assert jax.tree.structure(first) == jax.tree.structure(second) and first is not law
+
+
+def test_functions_of_one_text_with_other_variables_or_defaults_are_others():
+    def structures(x):
+        power = lambda t, n=2: x * t**n  # noqa: E731
+        same, other, bare = (types.FunctionType(*_parts(power)) for _ in range(3))
+        same.__defaults__, other.__defaults__, bare.__defaults__ = (2,), (3,), None
+        found.extend(jax.tree.structure(opened(each)) for each in (power, same, other, bare))
+        return x
+
+    found = []
+    jax.make_jaxpr(structures)(1.0)
+    power, same, other, bare = found
+    assert power == same and other != power and bare != power
+
+
+def _parts(function):
+    return function.__code__, function.__globals__, function.__name__, None, function.__closure__
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from scipy.optimize import minimize_scalar
 import jaxroll as jxr
 from jaxroll._linalg import Vec2
 from jaxroll.contact import locate
-from jaxroll.contact.locating._candidates import Feet, minima
+from jaxroll.contact.locating._candidates import _lone, Feet, minima
 from tests.helpers import in_single, slow_among
 from tests.measures import taylor_remainders
 from tests.oracles.outlines import gap_by_brute_force, KINDS, placed_points, points_of
@@ -245,6 +245,19 @@ def test_few_candidates_are_the_minima_and_not_what_lies_beside_them():
     found = minima(s, feet, rate, turn=jnp.inf, closed=False, count=4)
     dip = 0.006 - np.arcsin(0.01 / (1e-3 * number)) / number
     np.testing.assert_allclose(found.s[0], [dip, dip + 0.012, 0.027, 0.0], atol=2e-5)
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_a_sample_is_a_minimum_beside_two_higher_ones_unless_its_cell_is_one(way):
+    """Round a closed contour, whose last sample is the first again, and along an open one."""
+    value, none = jnp.array([3.0, 1.0, 2.0, 4.0, 2.5, 3.0])[::way], jnp.zeros(5, bool)
+    rate = jnp.array([-1.0, 1.0, 1.0, 0.0, 1.0, 1.0])
+    where = lambda *args: np.flatnonzero(_lone(value, rate, *args)).tolist()  # noqa: E731
+    dips = none.at[0 if way > 0 else 4].set(True)
+    assert where(none, True) == [1, 4] == where(none, False)
+    assert where(dips, True) == ([4] if way > 0 else [1]) == where(dips, False)
+    rate = -rate  # at the ends of an open contour: now the distance falls towards them
+    assert where(none, False) == [0, 1, 4, 5]
 
 
 def disc_on_finger():

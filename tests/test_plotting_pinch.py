@@ -1,6 +1,7 @@
 """Figures of a pinch: what they show is what was simulated."""
 
 import dataclasses
+import decimal
 
 import numpy as np
 import pytest
@@ -104,11 +105,21 @@ def test_forces_must_have_been_recorded(pinch, short, tmp_path):
 
 
 def test_animation_ends_where_it_is_told(pinch, short, tmp_path):
+    """Numbers may be those of any library."""
+    seen = []
     path = jxr.plotting.animate(
-        pinch[0], short, tmp_path / "motion.gif", fps=20, speed=0.1, until=0.025, size=3
+        pinch[0],
+        short,
+        tmp_path / "motion.gif",
+        fps=20,
+        speed=0.1,
+        until=decimal.Decimal("0.025"),
+        size=3,
+        progress=lambda done, total: seen.append((done, total)),
     )
     with Image.open(path) as image:
         assert image.n_frames == 6
+    assert seen == [(k, 6) for k in range(1, 7)]
     with pytest.raises(ValueError, match="until"):
         jxr.plotting.animate(pinch[0], short, path, until=-1.0)
 

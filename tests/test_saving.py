@@ -1,6 +1,7 @@
 """Files of grasps, states, runs, fits and designs: what is read is what was written."""
 
 import dataclasses
+import functools
 import json
 import subprocess
 import sys
@@ -145,6 +146,7 @@ def test_what_is_a_callers_own_is_named_when_it_is_read(tmp_path):
         ({"law": (1, lambda x: x)}, r"but value\['law'\]\[1\] was <function"),
         ([Note("x", np.array(["text"]))], r"value\[0\].numbers was ndarray of dtype <U4"),
         (object(), "value was <object"),
+        (functools.wraps(own_law)(lambda *args: 0.0), "value was <function own_law"),
     ],
 )
 def test_what_cannot_be_written_is_said(value, says, tmp_path):

@@ -400,7 +400,7 @@ def design_of(code):
     tip, numbers = jxr.Ellipse(0.02, 0.01), jnp.zeros(1)
     arrays = {"before": numbers, "after": numbers, "violation": numbers, "holds": jnp.array([True])}
     rest = {"chosen": 0, "history": jnp.zeros((1, 30)), "interval": jnp.zeros(2)}
-    figures, parts = {"worst margin [m]": (-0.1, 0.2)}, {"size": 0.1}
+    figures, parts = {"worst margin [m]": (-0.1, 0.2), "firmness": (1.0, 2.0)}, {"size": 0.1}
     return Design(tip=tip, start=tip, tips=tip, **arrays, **rest, result=code, figures=figures, parts=parts)
 
 
@@ -408,6 +408,13 @@ def test_a_design_names_the_callers_own_option():
     text = str(design_of(jxr.RESULTS.max_steps_reached))
     assert "all 30 steps were taken; `steps` allows more" in text and "max_steps`" not in text
     assert "--steps allows more" in design_of(jxr.RESULTS.max_steps_reached).report("--steps")
+    lines = str(design_of(jxr.RESULTS.successful)).splitlines()
+    small = design_of(jxr.RESULTS.successful).report(millimetres=True).splitlines()
+    assert [line.split() for line in lines[2:4]] == [
+        ["worst", "margin", "[m]", "-0.1", "0.2"],
+        ["firmness", "1", "2"],
+    ]
+    assert small[2].split() == ["worst", "margin", "[mm]", "-100", "200"] and small[3:] == lines[3:]
     assert str(design_of(jxr.RESULTS.successful)).splitlines()[0] == "Design: successful"
     assert "ended" not in str(design_of(jxr.RESULTS.successful))
     assert "widen" in str(design_of(jxr.RESULTS.infeasible))

@@ -135,7 +135,12 @@ def order(
     told = "holds" if held else "does not hold"
     if not bool(found.holds[found.chosen]):
         told += "; the search has not ended within its limits: more --steps or --starts may"
-    lines = [found.report("--steps"), f"  outcome   the fingertip {told}", *_facts(runs), *files]
+    lines = [
+        found.report("--steps", millimetres=True),
+        f"  outcome   the fingertip {told}",
+        *_facts(runs),
+        *files,
+    ]
     return lines, held
 
 

@@ -51,13 +51,16 @@ class Design(eqx.Module):
     def __str__(self) -> str:
         return self.report()
 
-    def report(self, steps: str = "`steps`") -> str:
-        """What is printed; `steps` is what the caller calls the number of steps allowed."""
+    def report(self, steps: str = "`steps`", *, millimetres: bool = False) -> str:
+        """What is printed, lengths in metres or `millimetres`; `steps` is the name of their number."""
+        figures = self.figures
+        if millimetres:
+            figures = dict(_in_millimetres(name, pair) for name, pair in figures.items())
         lines = [
             f"Design: {code_name(self.result)}",
             *self._remedy(steps),
             f"  {'':<28}{'before':>12}{'after':>12}",
-            *(f"  {name:<28}{a:>12.4g}{b:>12.4g}" for name, (a, b) in self.figures.items()),
+            *(f"  {name:<28}{a:>12.4g}{b:>12.4g}" for name, (a, b) in figures.items()),
             f"  steps {self.history.shape[1]}; {int(self.holds.sum())} of {self.after.shape[0]} starts hold",
         ]
         lines += [f"  limit on {name:<19}{_kept(excess)}" for name, excess in self.parts.items()]
@@ -73,6 +76,13 @@ class Design(eqx.Module):
         }
         text = told.get(code_name(self.result), RESULTS[self.result])
         return [f"  ended     {text}"] if text else []
+
+
+def _in_millimetres(name: str, pair: tuple[float, float]) -> tuple[str, tuple[float, float]]:
+    """A figure and its values; a length in millimetres."""
+    if not name.endswith("[m]"):
+        return name, pair
+    return f"{name.removesuffix('[m]')}[mm]", (1e3 * pair[0], 1e3 * pair[1])
 
 
 def _kept(excess: float) -> str:

@@ -188,7 +188,10 @@ def ordered(goal: str) -> dict[str, Any]:
     asked, run = _Asked(), runs.run("pinch", ended="slipping")
     tips = {"start": jxr.Ellipse(0.018, 0.009), "tip": jxr.Circle(0.01)}
     found = SimpleNamespace(
-        **tips, holds=np.array([True]), chosen=0, report=lambda remedy: f"the report, {remedy}"
+        **tips,
+        holds=np.array([True]),
+        chosen=0,
+        report=lambda *args, **options: f"the report, {args} {options}",
     )
     tip = _cli.fingertip(None, "mm")
     order = _cli.DesignOrder(goal, tip, steps=7, starts=2, animated=goal == "margin")

@@ -13,7 +13,7 @@ import jaxroll as jxr
 from jaxroll import scenes
 from jaxroll.__main__ import _parser, main
 from jaxroll._cli._sweep_command import maker, parameters_of
-from jaxroll._cli._sweep_order import _ENDS, _FILE, _fits, Range, SCENES, sweep_order
+from jaxroll._cli._sweep_order import _ENDS, _FILE, _fits, Range, SCENES, sweep_order, unit_of
 from jaxroll._cli._sweep_table import read_table
 from jaxroll.plotting import map_page, parameter_map
 
@@ -71,6 +71,18 @@ def test_what_the_command_line_says_comes_before_the_file(tmp_path):
     rows = parameters_of(ordered("--file", str(file)))
     assert rows.shape == (12, 2) and rows.units == {"damping": "N m s", "force": "N"}
     assert rows.damping.min() >= 0.002 and rows.damping.max() <= 0.02 and set(rows.force) == {0.4, 0.5}
+
+
+def test_every_number_that_a_scene_takes_has_a_unit():
+    other = {"object", "fingers", "friction", "tips", "tip", "contour", "count", "size", "stiffness"}
+    able = [getattr(scenes, name) for name in SCENES]
+    assert all(map(inspect.isfunction, able))
+    for scene in able:
+        assert [name for name in inspect.signature(scene).parameters if not unit_of(name)] == [
+            name for name in inspect.signature(scene).parameters if name in other
+        ]
+    found = {"beta": "N/m", "s": "m", "slope": "rad", "rate": "rad/s", "gravity": "m/s^2", "climb": "m/s"}
+    assert {name: unit_of(name) for name in found} == found
 
 
 BAD = {

@@ -39,7 +39,23 @@ _KINDS = {
     "gravity": "m/s^2",
     "pivot": "m",
 }
-_KINDS |= dict.fromkeys(("tip_radius", "radius", "a", "b"), "m")
+_LENGTHS = (
+    "tip_radius",
+    "radius",
+    "a",
+    "b",
+    "s",
+    "base",
+    "travel",
+    "bore",
+    "tube",
+    "position",
+    "axes",
+    "lowered",
+)
+_KINDS |= dict.fromkeys(_LENGTHS, "m") | dict.fromkeys(("climb", "velocity"), "m/s") | {"period": "s"}
+_KINDS |= dict.fromkeys(("slope", "tilt", "skew", "inclination"), "rad")
+_KINDS |= dict.fromkeys(("rate", "spin", "precession"), "rad/s")
 
 
 class Range(NamedTuple):

@@ -58,13 +58,14 @@ def controls(ts: np.ndarray) -> dict[str, Any]:
     ]
     steps = [{"label": f"{t:.3g}", "method": "animate", "args": [[str(k)], show]} for k, t in enumerate(ts)]
     menu = {"type": "buttons", "direction": "left", "x": 0.02, "y": 0.0, "xanchor": "left", "yanchor": "top"}
-    pad = {"t": 38, "b": 10}
+    # The buttons are as wide in any window: beside the slider they would cover its start in a narrow one.
+    above, below = {"t": 38, "b": 10}, {"t": 134, "b": 10}
     slider = {
         "steps": steps,
         "active": 0,
-        "x": 0.2,
-        "len": 0.76,
-        "pad": pad,
-        "currentvalue": {"prefix": "t = ", "suffix": " s"},
+        "x": 0.02,
+        "len": 0.96,
+        "pad": above,
+        "currentvalue": {"prefix": "t = ", "suffix": " s", "xanchor": "right"},
     }
-    return {"updatemenus": [menu | {"buttons": buttons, "pad": pad}], "sliders": [slider]}
+    return {"updatemenus": [menu | {"buttons": buttons, "pad": below}], "sliders": [slider]}

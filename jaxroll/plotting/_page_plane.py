@@ -14,8 +14,6 @@ from ._page_parts import controls, PAGE_FONT
 from ._style import CONTACT, FINGER, FORCE_COLOUR, LINK_FILL, OBJECT, OBJECT_FILL, ROLLED, TIP_FILL
 from ._views import place, Views, views
 
-# Every so many points of an outline are in the file.
-_EVERY = 3
 _GAP = np.full((1, 2), np.nan)
 
 
@@ -87,7 +85,7 @@ def _moving(seen: Views, shafts: Arrows | None, i: int) -> list[np.ndarray]:
 
 def _placed(shape: Outline, frame: np.ndarray) -> np.ndarray:
     """Closed outlines in the world."""
-    rings = [np.append(ring[::_EVERY], ring[:1], axis=0) for ring in shape.rings]
+    rings = [np.append(ring, ring[:1], axis=0) for ring in shape.rings]
     return np.concatenate([piece for ring in rings for piece in (place(frame, ring), _GAP)])
 
 
@@ -99,14 +97,15 @@ def _layout(corners: np.ndarray, title: str, ts: np.ndarray) -> dict[str, Any]:
     look = {"showgrid": True, "gridcolor": "#EDF0F2", "zeroline": False, "ticks": "outside"}
     across, up = corners.T
     return {
-        "title": {"text": title, "x": 0.5, "xanchor": "center", "font": {"size": 18}},
+        "title": {"text": title, "x": 0.5, "xanchor": "center", "y": 0.98, "font": {"size": 18}},
         "font": PAGE_FONT,
         "paper_bgcolor": "white",
         "plot_bgcolor": "white",
-        "margin": {"l": 60, "r": 20, "t": 60, "b": 40},
+        "margin": {"l": 60, "r": 20, "t": 90, "b": 40},
         "xaxis": look | {"title": {"text": "x [mm]"}, "range": across.tolist(), "constrain": "domain"},
         "yaxis": look
         | {"title": {"text": "y [mm]"}, "range": up.tolist(), "scaleanchor": "x", "constrain": "domain"},
-        "legend": {"x": 1.02, "y": 0.98},
+        # Above, so that button and slider have the whole width.
+        "legend": {"orientation": "h", "x": 0.5, "xanchor": "center", "y": 1.0, "yanchor": "bottom"},
         **controls(ts),
     }

@@ -329,6 +329,7 @@ PICTURES: dict[str, Callable[[], dict[str, Any]]] = {
     "animated_pinch": _animated("pinch", fps=4.0, size=3.5),
     "animated_turntable": _long_animated,
     "page_pinch3d": _page_of_run("pinch3d", frames=4, title="In space"),
+    "page_pivoted": _page_of_run("pivoted", frames=3),
     "page_turntable": _page_of_run("turntable", view=plotting.View(30.0, 20.0)),
     "page_stand_in": _page_of_stand_in,
     "meshes": meshes,

@@ -31,6 +31,10 @@ def test_a_scene_starts_where_it_did(name):
         np.testing.assert_allclose(found[part], kept[part], rtol=1e-9, atol=1e-12)
 
 
+def test_an_egg_is_pinched_as_recorded():
+    compare.check("pinched", scene_numbers.pinched(), atol=1e-9)
+
+
 @pytest.mark.parametrize("name", fits.FITS)
 def test_the_numbers_of_a_fit_are_as_recorded(name):
     rtol = fits.SCANS if name.startswith("scan") else fits.RTOL

@@ -73,6 +73,27 @@ def numbers(name: str) -> dict[str, Any]:
     return found
 
 
+def pinched() -> dict[str, Any]:
+    """An egg that is held where `pinch_object` finds that it can be, by default and otherwise.
+
+    Without what depends on the finger of three joints: rounding chooses its posture.
+    """
+    body = jxr.FreeObject.uniform(_egg(), density=20.0)
+    calls = {"defaults": {}, "varied": {"force": 2.0, "friction": 0.4, "gravity": (0.0, -1.0)}}
+    found = {}
+    for call, options in calls.items():
+        grasp, state = jxr.scenes.pinch_object(body, **options)
+        hand = [
+            {name: getattr(finger, name) for name in ("lengths", "masses", "inertias", "centres", "base")}
+            for finger in grasp.fingers
+        ]
+        places = [{"s_object": c.s_object, "friction": c.friction, "sense": c.sense} for c in grasp.contacts]
+        gains = {name: getattr(grasp.controller, name) for name in ("beta", "damping", "alpha")}
+        scene = {"pose": state.q[:3], "second": state.q[6:], "hand": hand, "places": places, "gains": gains}
+        found[call] = described(scene | {"object": grasp.object, "gravity": grasp.gravity})
+    return found
+
+
 def closed(names: tuple[str, ...] = CLOSED) -> dict[str, Any]:
     """The states in which contacts are closed."""
     found = {}

@@ -39,6 +39,12 @@ _LONGEST = (60.0, 5.0)
 # Changes that no test can notice, by hand: (file, function, before, after) and why. Where the function has
 # the same text in other lines, in which a test would notice it, the line's text is the fifth.
 EQUIVALENT: dict[tuple[str, ...], str] = {
+    (
+        "jaxroll/geometry/mass/_level_moments.py",
+        "_onto.one",
+        "first - 0.5 * first * first * way.dot(here.hessian.apply(way)) / square",
+        "(-(0.5 * first * first * way.dot(here.hessian.apply(way)) / square))",
+    ): "where Newton's method begins, which has a step to spare",
     ("jaxroll/scenes/_pinch_targets.py", "", "1e-9", "(2e-09)"): "a length far below all that differ [m]",
     (
         "jaxroll/plotting/_contours.py",

@@ -9,7 +9,7 @@ import pytest
 import jaxroll as jxr
 from jaxroll import design
 from jaxroll._maps import Measures, MEASURES_KEPT
-from jaxroll._maps._cells import halved_lines
+from jaxroll._maps._cells import halved_lines, Spread
 from jaxroll.plotting._map_data import Side
 from jaxroll.plotting._map_figure import _edges
 
@@ -173,6 +173,21 @@ def test_lines_of_a_level_are_those_of_the_one_before_and_halves():
     for coarse, fine in zip(lines[:-1], lines[1:], strict=True):
         assert all(set(a) <= set(b) for a, b in zip(coarse, fine, strict=True))
     assert [len(x) for x in lines[-1]] == [21, 17]
+
+
+def test_a_cell_changes_where_any_number_of_a_point_does():
+    """Values of two numbers, the second of which changes in one cell; one point is not known."""
+    values = np.zeros((3, 3, 2))
+    values[0, 0, 1], values[2, 2] = 1.0, 5.0
+    known = np.ones((3, 3), bool)
+    known[2, 2] = False
+    lines = (np.arange(3), np.arange(3))
+    np.testing.assert_array_equal(Spread(values, known).exceeds(lines, 0.5), [[True, False], [False, False]])
+    values[0, 0, 1] = np.nan
+    assert not Spread(values, known).exceeds(lines, 0.5).any()
+    whole = np.array([[0, 0, 0], [0, 0, 0], [0, 0, 3]])
+    assert Spread(whole, ~known | (whole == 0)).exceeds(lines, 2).tolist() == [[False, False], [False, True]]
+    assert not Spread(whole, known).exceeds(lines, 2).any()
 
 
 def test_a_map_of_runs_is_their_sweep(scene):

@@ -7,6 +7,7 @@ import pytest
 from scipy.interpolate import make_interp_spline
 
 import jaxroll as jxr
+from jaxroll._analysis._loci import _Jet, _locus
 from jaxroll._analysis._rolling_kinematics import _Rolling
 from tests.helpers import in_single
 from tests.oracles import closed_forms_space as closed
@@ -235,6 +236,24 @@ def test_spin_about_the_normal_is_counter_clockwise():
     )
     half = np.array([np.cos(0.35), 0.0, 0.0, np.sin(0.35)])
     np.testing.assert_allclose(rolled.pose[-1, 3:], half, atol=1e-12)
+
+
+def test_a_straight_locus_has_no_torsion_and_hinders_no_derivative():
+    """Along x over a plane at 0.1 m/s: nothing turns, and nothing that is not finite gets into a gradient."""
+    ts, zero = jnp.linspace(0.0, 1.0, 5), jnp.zeros((5, 1, 3))
+    ahead = zero.at[..., 0].set(0.1)
+
+    def length(velocity):
+        jet = _Jet(ahead * ts[:, None, None], velocity, zero, zero, zero.at[..., 2].set(1.0), zero)
+        locus = _locus(ts, jet)
+        return locus.arclength[0, -1] + jnp.where(
+            jnp.isfinite(locus.torsion), locus.torsion, 0.0
+        ).sum(), locus
+
+    (found, locus), slope = jax.value_and_grad(length, has_aux=True)(ahead)
+    assert found == pytest.approx(0.1) and np.isnan(locus.torsion).all()
+    np.testing.assert_allclose(slope[:, 0, 0], [0.125, 0.25, 0.25, 0.25, 0.125], atol=1e-12)
+    np.testing.assert_allclose(locus.curvature, 0.0)
 
 
 def test_torsion_is_geodesic_torsion_and_the_turning_of_the_normal():

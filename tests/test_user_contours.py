@@ -26,6 +26,7 @@ from jaxroll.geometry import (
     level_frame,
     tabled,
 )
+from jaxroll.geometry._contract import _field_errors
 
 
 class Curve(jxr.AbstractContour):
@@ -293,6 +294,13 @@ def test_surfaces_are_checked_too(name):
     surface, words = SURFACES[name]
     with pytest.raises(ValueError, match=f"argument tip must be a surface .*{words}"):
         check_surface("tip", surface)
+
+
+@pytest.mark.parametrize(("off", "there"), [(1e-10, 1.0), (1e-7, 0.0)])
+def test_a_place_beside_its_surface_says_nothing_of_it(off, there):
+    """A ball of 10 mm: at a millionth of the distance from the origin a search has arrived."""
+    at = tuple(jnp.asarray(x) for x in (0.01 + off, 0.0, 0.0))
+    assert float(_field_errors(Ball("nothing"), at, Vec3(1.0, 0.0, 0.0))["there"]) == there
 
 
 class Held(jxr.AbstractContour):

@@ -40,6 +40,25 @@ _LONGEST = (60.0, 5.0)
 # the same text in other lines, in which a test would notice it, the line's text is the fifth.
 EQUIVALENT: dict[tuple[str, ...], str] = {
     (
+        "jaxroll/stability/_equilibrium.py",
+        "_newton.improve",
+        "0",
+        "(1)",
+        "firm = jnp.where(nullity < 0, firm, place < size - nullity)",
+    ): "where no direction is neutral, all are firm either way",
+    (
+        "jaxroll/geometry/surfaces/_surface_chart.py",
+        "Chart.domain",
+        "1",
+        "(2)",
+    ): "JAX takes the last of two for it",
+    (
+        "jaxroll/geometry/contours/_support.py",
+        "Series.table",
+        "self.density + 1",
+        "(self.density - 1)",
+    ): "a grid from which Newton's method begins",
+    (
         "jaxroll/geometry/mass/_level_moments.py",
         "_onto.one",
         "first - 0.5 * first * first * way.dot(here.hessian.apply(way)) / square",

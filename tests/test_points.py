@@ -10,7 +10,13 @@ import pytest
 from jaxroll.geometry import clean_points, crossings
 from jaxroll.geometry.fitting._clean_points import check_spacing, distinct
 from jaxroll.geometry.fitting._limited_fit import limited, Wanted
-from jaxroll.geometry.fitting._ordering import nearest_points, order_given_up, ordered_already, repaired
+from jaxroll.geometry.fitting._ordering import (
+    _best_move,
+    nearest_points,
+    order_given_up,
+    ordered_already,
+    repaired,
+)
 
 N = 200
 U = 2 * np.pi * np.arange(N) / N
@@ -296,3 +302,27 @@ def test_an_eight_given_in_order_is_told_where_it_crosses(width, height):
             limited(points, wanted)
     shuffled = np.random.default_rng(0).permutation(points)
     assert order_given_up(shuffled, closed=True) == []
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_every_move_of_a_tour_shortens_it_until_none_does(seed):
+    """Of ten random points, against all reversals of a stretch and all moves of one point."""
+    points = np.random.default_rng(seed).uniform(size=(10, 2))
+    apart = lambda a, b: np.linalg.norm(points[a] - points[b], axis=-1)  # noqa: E731
+    length = lambda tour: float(apart(tour, np.roll(tour, -1)).sum())  # noqa: E731
+    near = np.argsort(apart(np.arange(10)[:, None], np.arange(10)), axis=1)[:, 1:]
+
+    def neighbours(tour):
+        for i in range(10):
+            for j in range(i + 2, 11):
+                yield np.concatenate([tour[:i], tour[i:j][::-1], tour[j:]])
+            for j in range(9):
+                yield np.insert(np.delete(tour, i), j, tour[i])
+
+    tour = np.arange(10)
+    while (better := _best_move(tour, near, apart)) is not None:
+        assert sorted(better) == list(range(10))
+        shortest = min(map(length, neighbours(tour)))
+        assert length(better) == pytest.approx(shortest) and shortest < length(tour)
+        tour = better
+    assert length(tour) <= min(map(length, neighbours(tour))) + 1e-12

@@ -44,8 +44,8 @@ EQUIVALENT: dict[tuple[str, ...], str] = {
         "_newton.improve",
         "0",
         "(1)",
-        "firm = jnp.where(nullity < 0, firm, place < size - nullity)",
-    ): "where no direction is neutral, all are firm either way",
+        "firm = sigma > _RANK.of(sigma) * sigma[0]",
+    ): "a limit near rounding, of the second largest value instead of the largest",
     (
         "jaxroll/geometry/surfaces/_surface_chart.py",
         "Chart.domain",

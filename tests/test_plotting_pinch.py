@@ -2,6 +2,7 @@
 
 import dataclasses
 import decimal
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from PIL import Image
 
 import jaxroll as jxr
 from jaxroll.plotting._artists import limits
+from jaxroll.plotting._contours import _name_contacts
 from jaxroll.plotting._forces import arrows
 from jaxroll.plotting._phase_one import phase_of_one
 from jaxroll.plotting._responses import _DASHES, _dashes, _stretch
@@ -165,3 +167,18 @@ def test_phase_of_one_direction_draws_the_path_downhill(scene):
     assert len(again.axes[0].lines) == len(ax.lines)
     # Where no equilibrium is known none is drawn.
     assert len(phase_of_one(grasp, run, None).axes[0].lines) == len(ax.lines) - 1
+
+
+@pytest.mark.parametrize(("apart", "sides"), [(8.0, (-8, 8)), (15.0, (0, 0))])
+def test_names_of_contacts_stand_apart_where_a_tenth_of_the_axis_is_not_between_them(apart, sides):
+    above, below = Figure().subplots(1, 2)
+    below.set_xlim(0.0, 100.0)
+    contacts = [SimpleNamespace(s_object=s) for s in (0.03, 0.03 + 1e-3 * apart)]
+    grasp = SimpleNamespace(contacts=contacts, shapes=lambda contact: (None, jxr.Circle(0.02)))
+    _name_contacts(above, below, grasp)
+    assert [text.get_text() for text in below.texts] == ["$P_{1}$", "$P_{2}$"]
+    assert [text.xyann for text in below.texts] == [(side, 11) for side in sides]
+    np.testing.assert_allclose([text.xy[0] for text in below.texts], [30.0, 30.0 + apart])
+    # In the upper picture inside the object, towards the middle of the circle.
+    for text in above.texts:
+        np.testing.assert_allclose(np.array(text.xyann) / 14.0, -np.array(text.xy) / 20.0, atol=1e-9)

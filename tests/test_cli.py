@@ -92,7 +92,7 @@ def test_a_design_names_the_files_that_it_wrote(animated, tmp_path, monkeypatch)
     """The search, the runs and the drawing left out."""
     tip = types.SimpleNamespace(points=np.eye(2))
     made = {"start": tip, "tip": Circle(0.01), "holds": np.array([False, animated]), "chosen": 1}
-    found = types.SimpleNamespace(**made, report=lambda remedy: "the report")
+    found = types.SimpleNamespace(**made, report=lambda *args, **options: "the report")
     monkeypatch.setattr(_design_command, "optimise_fingertip", lambda *args, **options: found)
     code = jxr.RESULTS.successful if animated else jxr.RESULTS.slipping
     run = types.SimpleNamespace(result=code)

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import jaxroll as jxr
 from jaxroll import _cli, stability
@@ -14,6 +15,7 @@ from jaxroll._cli import _pinch_command, ShapeOrder
 from jaxroll._cli._shape_file import fitted, read, size_told
 from jaxroll.scenes import _any_pinch, _pinch_targets
 from jaxroll.scenes._any_pinch import _turns
+from tests.recorded import runs
 
 ROUND = 2.0 * np.pi * np.arange(200) / 200
 EGG = np.stack([35.0 * np.cos(ROUND) + 4.0 * np.cos(2.0 * ROUND), 20.0 * np.sin(ROUND)], axis=-1)
@@ -56,6 +58,41 @@ def test_an_object_is_turned_so_that_two_points_of_it_face_two_fingers():
         np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-15)
         assert np.linalg.det(turn) > 0.0 and abs(turn @ long @ wanted) == pytest.approx(1.0)
         wanted = np.cross(ahead, wanted)
+
+
+def test_a_hand_in_space_is_the_chapters_times_its_size():
+    grasp, _ = runs.scene("pinch3d")
+    for finger, own in zip(_any_pinch._chapter_hand3(2.0), grasp.fingers, strict=True):
+        np.testing.assert_allclose(finger.offsets, 2.0 * np.asarray(own.offsets))
+        np.testing.assert_allclose(finger.masses, 8.0 * np.asarray(own.masses))
+        np.testing.assert_allclose(finger.base, 2.0 * np.asarray(own.base))
+        assert float(finger.tip.radius) == 0.02
+
+
+def test_joints_are_tried_within_their_ranges_and_within_a_turn():
+    free, held = SimpleNamespace(limits=None), SimpleNamespace(limits=[(-0.5, 9.0), (-4.0, 1.0)])
+    assert _any_pinch._ranges(free) == (-np.pi / 2, np.pi / 2)
+    np.testing.assert_allclose(_any_pinch._ranges(held), [(-0.5, -np.pi), (np.pi, 1.0)])
+
+
+@pytest.mark.parametrize("near", [(0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (0.6, 0.0, 0.8)])
+def test_a_frame_has_its_third_axis_as_near_as_may_be_and_turns_are_told_as_positions(near):
+    first = np.array([0.0, 0.6, 0.8])
+    frame = _any_pinch._frame(first, np.array(near))
+    np.testing.assert_allclose(frame.T @ frame, np.eye(3), atol=1e-15)
+    assert np.linalg.det(frame) > 0.0
+    np.testing.assert_allclose(frame[:, 0], first)
+    across = np.array(near) - (np.array(near) @ first) * first
+    np.testing.assert_allclose(frame[:, 2], across / np.linalg.norm(across), atol=1e-15)
+    along = _any_pinch._frame(first, first)  # nothing is across: any third axis will do
+    np.testing.assert_allclose(along.T @ along, np.eye(3), atol=1e-15)
+    w, x, y, z = _any_pinch._as_positions(frame)
+    turn = Rotation.from_quat([x, y, z, w]).as_matrix()
+    np.testing.assert_allclose(turn, frame, atol=1e-12)
+    place = np.array([0.1, -0.2, 0.3])
+    points = np.array([[0.01, 0.02, 0.03], [-0.01, 0.0, 0.05]])
+    at = _pinch_targets._in_world(points, points / 0.05, np.array([*place, w, x, y, z]))
+    np.testing.assert_allclose(at, [place + points @ frame.T, points @ frame.T / 0.05], atol=1e-12)
 
 
 def test_an_object_is_put_so_that_its_points_are_about_the_middle_of_the_hand():

@@ -1,6 +1,7 @@
 """`io.load_hand`: fingers of URDF and MJCF files against MuJoCo's own dynamics of the same files."""
 
 import re
+from types import SimpleNamespace
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import jaxroll as jxr
 from jaxroll._linalg import Vec3
+from jaxroll.io import _hand
 
 GRAVITY = (1.0, -2.0, -9.0)
 JOINTS = (3, 2, 4)  # of each finger
@@ -286,6 +288,56 @@ def test_the_tip_of_a_file_is_taken_where_that_is_asked_for(tmp_path):
     np.testing.assert_allclose(top, (0.0, 0.0, 0.042), atol=1e-15)
     with pytest.raises(ValueError, match="argument tips must be surfaces where"):
         jxr.io.load_hand(written(tmp_path, with_shape("<box size='0.01 0.01 0.01'/>")), "mesh")
+
+
+@pytest.mark.parametrize(
+    "name", ["package://mine/meshes/tip.stl", "package://meshes/tip.stl", "meshes/tip.stl"]
+)
+@pytest.mark.parametrize("options", [{"smoothing": 0.02}, {"smallest_radius": 0.005}])
+def test_what_is_fitted_is_the_mesh_of_the_tips_link(tmp_path, monkeypatch, name, options):
+    """An odd body of flat faces, 30 mm along z: its corners and faces, or points with normals all over it."""
+    trimesh = pytest.importorskip("trimesh")
+    corners = np.random.default_rng(0).normal(size=(12, 3)) * np.array([0.01, 0.008, 0.012])
+    (tmp_path / "meshes").mkdir()
+    body = trimesh.convex.convex_hull(corners)
+    body.export(tmp_path / "meshes" / "tip.stl")
+    asked = []
+
+    def fitted(points, normals=None, **given):
+        asked.append((points - np.array([0.0, 0.0, 0.03]), normals, given))
+        return SimpleNamespace(surface=jxr.geometry.Sphere(0.01))
+
+    monkeypatch.setattr(_hand, "fit_surface", fitted)
+    path = written(tmp_path, with_shape(f"<mesh filename='{name}'/>"))
+    tip = jxr.io.load_hand(path, "mesh", **options).fingers[0].tip
+    assert isinstance(tip, jxr.geometry.Sphere)
+    ((points, normals, given),) = asked
+    if "smallest_radius" in options:
+        assert given.pop("smallest_radius") == 0.005 and set(given) == {"faces"}
+        found = trimesh.Trimesh(points, given["faces"])
+        np.testing.assert_allclose(
+            np.unique(points.round(7), axis=0), np.unique(body.vertices.round(7), axis=0)
+        )
+        assert found.volume == pytest.approx(body.volume, rel=1e-5)
+        return
+    assert given == options and len(points) > 100
+    heights = body.face_normals @ points.T - np.sum(body.face_normals * body.triangles[:, 0], axis=1)[:, None]
+    assert np.abs(heights.max(axis=0)).max() < 1e-7  # on one face, and beyond none
+    on = body.face_normals[np.argmax(heights, axis=0)]
+    assert np.mean(np.sum(on * normals, axis=1) > 0.999) > 0.9
+
+
+def test_a_tip_that_cannot_be_fitted_is_named(tmp_path, monkeypatch):
+    trimesh = pytest.importorskip("trimesh")
+
+    def refused(*args, **given):
+        raise ValueError("argument smallest_radius must be smaller")
+
+    monkeypatch.setattr(_hand, "fit_surface", refused)
+    trimesh.creation.box((0.024, 0.020, 0.030)).export(tmp_path / "tip.stl")
+    path = written(tmp_path, with_shape("<mesh filename='tip.stl'/>"))
+    with pytest.raises(ValueError, match=r"argument smallest_radius must be smaller \(tip 'tip'\)"):
+        jxr.io.load_hand(path, "mesh", smallest_radius=0.02)
 
 
 @pytest.mark.slow

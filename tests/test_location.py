@@ -1,5 +1,7 @@
 """Closest points of two contours: closed forms, brute force, derivatives, ends, second contacts."""
 
+from types import SimpleNamespace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,12 +9,14 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 import jaxroll as jxr
+from jaxroll._closing import _close
 from jaxroll._linalg import Vec2
 from jaxroll.contact import locate
 from jaxroll.contact.locating._candidates import _lone, Feet, minima
 from tests.helpers import in_single, slow_among
 from tests.measures import taylor_remainders
 from tests.oracles.outlines import gap_by_brute_force, KINDS, placed_points, points_of
+from tests.recorded import runs
 from tests.subjects.polar_contours import compiled_location, compiled_placement, Polar, random_pairs
 
 SUCCESS = jxr.RESULTS.successful
@@ -264,6 +268,41 @@ def disc_on_finger():
     finger = jxr.Finger([0.065, 0.065], [0.045, 0.040], tip=jxr.Ellipse(0.012, 0.008, cells=128))
     disc = jxr.PivotedObject(jxr.Circle(0.02), inertia=1e-5, pivot=(0.03, 0.09))
     return jxr.Grasp(disc, finger, jxr.Contact())
+
+
+def test_contacts_go_to_the_closest_points_of_their_shapes_at_the_guess(monkeypatch):
+    """Each pair of shapes is asked for at the poses of fingertip and object, in this order."""
+    asked = []
+
+    def answer(a, b, *, pose_a, pose_b):
+        asked.append((type(a), type(b), np.asarray(pose_a), np.asarray(pose_b)))
+        k = float(len(asked))
+        return SimpleNamespace(s=(k, -k), at_a=jnp.array([k, 1.0, 2.0]), at_b=jnp.array([-k, 3.0, 4.0]))
+
+    monkeypatch.setattr(_close, "locate_contours", answer)
+    monkeypatch.setattr(_close, "locate_surfaces", answer)
+    guess = jxr.State(jnp.array([0.3, 0.5, 1.2]), jnp.array([1.0, 2.0, 3.0]), jnp.array([0.004]))
+    located, state = _close._at_closest_points(disc_on_finger(), guess)
+    tip, body = asked[0][2:]
+    np.testing.assert_allclose(body, [0.03, 0.09, 0.3])
+    ends = 0.065 * (np.exp(0.5j) + np.exp(1.7j))
+    np.testing.assert_allclose(tip, [ends.real, ends.imag, 1.7])
+    assert asked[0][:2] == (jxr.Ellipse, jxr.Circle)
+    contact = located.contacts[0]
+    assert (float(contact.s_tip), float(contact.s_object), float(state.s[0])) == (1.0, -1.0, 0.0)
+    np.testing.assert_array_equal(state.v, guess.v)
+    grasp, start = runs.scene("pinch3d")
+    asked.clear()
+    located, state = _close._at_closest_points(grasp, start)
+    assert located is grasp and len(asked) == 2
+    np.testing.assert_array_equal(state.s, [1, 1, 2, -1, 3, 4, 2, 1, 2, -2, 3, 4])
+    np.testing.assert_allclose(asked[1][3], start.q[:7])
+    np.testing.assert_array_equal(state.q, start.q)
+    endless = disc_on_finger().with_tip(0, jxr.Line())
+    with pytest.raises(
+        ValueError, match="argument locate must be False for endless contours, as those of co"
+    ):
+        _close._at_closest_points(endless, guess)
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
+import jax.numpy as jnp
 import numpy as np
 from matplotlib.figure import Figure
 from PIL import Image
@@ -21,7 +22,7 @@ from jaxroll.plotting import _loci_figure, _meshes, _page, _poses3, _rays, _styl
 from jaxroll.plotting._animate3 import animate3
 from jaxroll.plotting._forces3 import Pushes
 from jaxroll.plotting._scene3 import scene3
-from tests.recorded import artists, runs
+from tests.recorded import artists, fits, runs
 from tests.recorded.compare import described
 
 SCENES = (
@@ -245,7 +246,26 @@ def rays() -> dict[str, Any]:
     bean = geometry.Implicit(lambda x, y, z: x**2 / 9e-4 + (y - 8.0 * x**2) ** 2 / 4e-4 + z**2 / 1e-4 - 1.0)
     directions = np.eye(3)
     centre = _rays.inside(bean)
-    return described({"inside": centre, "radii": _rays.radii(bean, centre, directions)})
+    found = {"inside": centre, "radii": _rays.radii(bean, centre, directions)}
+    # A field of splines is asked on its grid.
+    fitted = _surface().surface
+    return described(found | {"inside a fit": _rays.inside(fitted)})
+
+
+@functools.cache
+def _surface() -> Any:
+    """The fit to a cloud, as `fits` has it."""
+    return fits.FITS["surface"]()
+
+
+def _loaded(name: str) -> dict[str, Any]:
+    """Forces on an object that a load pulls as well."""
+    grasp, _ = runs.scene(name)
+    given = {"controller": grasp.controller, "gravity": grasp.gravity}
+    force, torque = (0.5, 0.2, -0.3), (0.002, -0.004, 0.001)
+    load = lambda t, pose, twist: (jnp.asarray(force) * (1.0 + t), jnp.asarray(torque))  # noqa: E731
+    pulled = jxr.Grasp(grasp.object, grasp.fingers, grasp.contacts, load=load, **given)
+    return drawn(plotting.poses(pulled, runs.run(name), times=(0.0, 0.4), forces=True))
 
 
 def labels() -> dict[str, Any]:
@@ -319,6 +339,8 @@ PICTURES: dict[str, Callable[[], dict[str, Any]]] = {
     ),
     "fit_closed": lambda: drawn(plotting.fit(runs.fitted())),
     "fit_open": lambda: drawn(plotting.fit(runs.fitted(closed=False))),
+    "fit_surface": lambda: drawn(plotting.fit(_surface())),
+    "poses_loaded": lambda: _loaded("turntable"),
     "loci_turntable": _loci(1),
     "loci_pinch3d": _loci(2, whole=3e-5),
     "loci_at_rest": _loci(1, whole=0.0),

@@ -15,7 +15,7 @@ import numpy as np
 
 import jaxroll as jxr
 from jaxroll import __main__ as command_line, _analysis, _cli, _integration, plotting, stability
-from jaxroll._cli import _design_command
+from jaxroll._cli import _design_command, _pinch_command
 from tests.recorded import runs
 from tests.recorded.compare import described
 
@@ -226,6 +226,51 @@ def fingertips() -> dict[str, Any]:
     return described({"ends": tip.domain(), "points": tip.point(s), "bends": tip.curvature(s)})
 
 
+_RING = 2.0 * np.pi * np.arange(80) / 80
+_EGG = np.stack([30.0 * np.cos(_RING) + 5.0 * np.cos(2.0 * _RING), 20.0 * np.sin(_RING)], axis=-1)
+
+
+def fitted_file(*options: str) -> dict[str, Any]:
+    """What `jaxroll fit` writes and prints of an outline, the picture left out."""
+    asked = _Asked()
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        _instead(asked, None),
+        mock.patch.object(plotting, "fit", asked("fit", _picture(asked))),
+        contextlib.redirect_stdout(io.StringIO()) as out,
+    ):
+        np.savetxt(file := Path(folder) / "egg.csv", _EGG, delimiter=",")
+        code = command_line.main(["fit", str(file), "--out", folder, *options])
+        written = sorted(path.name for path in Path(folder).iterdir())
+    return {"code": code, "asked": asked.calls, "written": written, **_said(out, folder, "out")}
+
+
+def pinched_file(*options: str, ended: str | None = None) -> dict[str, Any]:
+    """What `jaxroll pinch` asks for and prints of an egg; all between its fit and its report is left out."""
+    asked, run, scene = _Asked(), runs.run("pinch", ended=ended), runs.scene("pinch")
+    verdict = SimpleNamespace(verdict=stability.VERDICTS.neutral)
+
+    def held(body: Any, **options: Any) -> Any:
+        asked(f"body of {float(body.mass):.4g} kg")()
+        return scene
+
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        _instead(asked, run),
+        mock.patch.object(plotting, "fit", asked("fit", _picture(asked))),
+        mock.patch.object(_pinch_command, "simulate", asked("simulate", lambda *a, **o: run)),
+        mock.patch.object(stability, "assess", asked("assess", lambda *a: verdict)),
+        mock.patch.object(jxr.scenes, "pinch_object", asked("pinch_object", held)),
+        contextlib.redirect_stdout(io.StringIO()) as out,
+    ):
+        np.savetxt(file := Path(folder) / "egg.csv", _EGG, delimiter=",")
+        code = command_line.main(["pinch", str(file), "--out", folder, *options])
+        load = described(jxr.load(Path(folder) / "pinch.npz")["grasp"].load)
+        written = sorted(path.name for path in Path(folder).iterdir())
+    found = {"code": code, "asked": asked.calls, "load": load, "written": written}
+    return found | _said(out, folder, "out")
+
+
 TEXTS: dict[str, Callable[[], dict[str, Any]]] = {
     "offered": offered,
     "demos": demos,
@@ -234,6 +279,14 @@ TEXTS: dict[str, Callable[[], dict[str, Any]]] = {
     "ordered_margin": lambda: ordered("margin"),
     "ordered_stiffness": lambda: ordered("stiffness"),
     "ordered_run": lambda: ordered("run"),
+    "fit": fitted_file,
+    "fit_radius": lambda: fitted_file("--smallest-radius", "8"),
+    "pinch": pinched_file,
+    "pinch_ended": lambda: pinched_file(
+        *("--density", "500", "--thickness", "20", "--friction", "0.4", "--force", "2"),
+        *("--seconds", "0.35", "--no-animation"),
+        ended="slipping",
+    ),
     "demo_pivoted": lambda: demonstrated("pivoted"),
     "demo_pinch": lambda: demonstrated("pinch"),
     "demo_pinch3d": lambda: demonstrated("pinch3d"),

@@ -10,6 +10,7 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll.design import (
+    _closed_loop_goal,
     _firmness,
     ClosedLoop,
     Fair,
@@ -26,6 +27,7 @@ from jaxroll.design import (
 )
 from jaxroll.design._limits import sampled
 from jaxroll.design._measures import PARTIAL
+from tests.recorded import runs
 from tests.subjects.fingertips import ellipse_pinched_by, INTERVAL, pivoted_with_tip
 
 
@@ -212,6 +214,87 @@ def test_the_cost_of_firmness_is_the_least_value_by_its_scale(monkeypatch, scale
     monkeypatch.setattr(Firmness, "values", lambda goal, tip, floor: jnp.array([3.0, 2.0, 8.0]))
     found = Firmness(on_plate, scale=scale).cost(jxr.Circle(0.01), None, 1.0, 1e4)
     assert float(found) == pytest.approx(-2.0 / scale)
+
+
+@pytest.mark.parametrize(
+    ("given", "wanted"),
+    [
+        ({}, (1, 1.0)),
+        ({"neutral": 2}, (2, 2.0)),
+        ({"scale": 0.7}, (1, 0.7)),
+        ({"neutral": 0, "scale": 3.0}, (0, 3.0)),
+    ],
+)
+def test_a_goal_aims_at_what_its_first_case_has(monkeypatch, given, wanted):
+    asked = []
+
+    def first(make, cases, measure, tip):
+        asked.append((cases, measure))
+        return jnp.array([[3.0, -1.0, 0.5, 2.0]]), jnp.array([1])
+
+    monkeypatch.setattr(_firmness, "_first", first)
+    goal = Firmness(lambda tip, case: None, cases=jnp.array([7.0, 8.0]), measure="rate", **given)
+    aimed = Fair(goal, weight=0.2).aimed(jxr.Circle(0.01))
+    assert float(aimed.weight) == 0.2 and aimed.merit == goal.merit and aimed.in_turn == goal.in_turn
+    assert (aimed.goal.neutral, float(aimed.goal.scale), aimed.goal.measure) == (*wanted, "rate")
+    np.testing.assert_array_equal(asked[0][0], [7.0])
+    np.testing.assert_array_equal(aimed.goal.cases, [7.0, 8.0])
+    monkeypatch.setattr(_firmness, "_first", lambda *args: (jnp.array([[jnp.nan, 1.0]]), jnp.array([0])))
+    with pytest.raises(ValueError, match="argument tip must have an equilibrium in the first case"):
+        goal.aimed(jxr.Circle(0.01))
+
+
+def test_what_firmness_measures_and_reports(monkeypatch):
+    at = types.SimpleNamespace(
+        curvatures=jnp.array([4.0, 5.0]),
+        rates=jnp.array([-2.0 + 1.0j, 3.0]),
+        neutral=jnp.array(1),
+        equilibrium=types.SimpleNamespace(found=jnp.array(True)),
+    )
+    monkeypatch.setattr(_firmness, "assess", lambda grasp, state: at)
+    monkeypatch.setattr(_firmness, "_stiffnesses", lambda grasp, state, floor: jnp.array([floor, 1.0]))
+    told = lambda measure: [np.asarray(x).tolist() for x in _firmness._values(measure, None, None, 0.5)]  # noqa: E731
+    assert told("curvature") == [[4.0, 5.0], 1] and told("rate") == [[2.0, -3.0], 1]
+    assert told("stiffness") == [[0.5, 1.0], 0]
+    at.equilibrium.found = jnp.array(False)
+    assert np.isnan(_firmness._values("rate", None, None)[0]).all()
+    goal = Firmness(lambda tip: (None, None), neutral=1)
+    monkeypatch.setattr(
+        _firmness, "each_case", lambda make, cases, tip, found: jnp.stack([found(None, None)] * 2)
+    )
+    np.testing.assert_allclose(goal.values(None, 0.25), [1.0, 1.0])
+    seen = sampled(jxr.Circle(0.01), jnp.array([-1e-3, 1e-3]))
+    figures = Fair(goal).figures(None, seen)
+    assert list(figures)[0] == goal.merit and float(figures[goal.merit]) == 1.0 and len(figures) == 2
+    assert bool(goal.reached(figures)) and not bool(Fair(goal).reached({goal.merit: jnp.array(0.0)}))
+
+
+def test_costs_of_closed_loops_are_weighed_measures_and_what_was_lost(monkeypatch):
+    """Two cases: one whole run, and one that ends after 0.4 of 0.6 s, whose own objective has no value."""
+    whole, short = runs.run("pinch"), runs.run("pinch", ended="slipping")
+    given, asked = iter([whole, short] * 2), []
+
+    def simulated(grasp, state, t1, *, ts, throw, record, **rest):
+        asked.append((float(t1), ts, throw, record))
+        return next(given)
+
+    monkeypatch.setattr(_closed_loop_goal, "simulate", simulated)
+    stacked = lambda parts: jax.tree.map(lambda *x: jnp.stack(x), *parts)  # noqa: E731
+    each = lambda make, cases, tip, found, in_turn: stacked([found(None, None) for _ in range(2)])  # noqa: E731
+    monkeypatch.setattr(_closed_loop_goal, "each_case", each)
+    goal = ClosedLoop(pivoted_with_tip, {"peak_force": 2.0, "friction_demand": 0.5}, t1=0.6, ts=13)
+    forces = [
+        2.0 * PARTIAL["peak_force"](run) + 0.5 * PARTIAL["friction_demand"](run) for run in (whole, short)
+    ]
+    lost = 1.0 - float(short.stats.t_end) / 0.6
+    np.testing.assert_allclose(goal._costs(None), [forces[0], forces[1] + _closed_loop_goal._LOST * lost])
+    assert [each[3] for each in asked] == [("multipliers",)] * 2 and asked[0][2] is False
+    own = ClosedLoop(pivoted_with_tip, lambda grasp, run: run.states.q[-1, 0] + 1.0, t1=0.6, ts=13)
+    first = float(whole.states.q[-1, 0]) + 1.0
+    np.testing.assert_allclose(own._costs(None), [first, _closed_loop_goal._LOST * lost])
+    assert own.merit == goal.merit and own.in_turn
+    assert bool(own.reached({_closed_loop_goal._EARLY: jnp.array(0)}))
+    assert not bool(own.reached({_closed_loop_goal._EARLY: jnp.array(1)}))
 
 
 def test_the_smallest_value_leaves_out_those_that_are_always_zero():

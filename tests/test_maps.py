@@ -9,6 +9,7 @@ import pytest
 import jaxroll as jxr
 from jaxroll import design
 from jaxroll._maps import Measures, MEASURES_KEPT
+from jaxroll._maps._adaptive import AdaptiveMap
 from jaxroll._maps._cells import halved_lines, Spread
 from jaxroll.plotting._map_data import Side
 from jaxroll.plotting._map_figure import _edges
@@ -251,3 +252,10 @@ def test_cells_of_a_map_end_half_way_between_values_also_at_its_borders():
     )
     rising = Side(np.array([1.0, 4.0, 64.0]), "x", True)
     np.testing.assert_allclose(_edges(rising), [0.5, 2.0, 16.0, 256.0])
+
+
+def test_a_map_prints_its_size_and_what_was_run():
+    grid = jxr.Parameters.grid(x=[0.0, 1.0], y=[0.0, 1.0, 2.0])
+    ran = np.array([[True, False, True], [True, True, False]])
+    found = AdaptiveMap(grid, {"z": np.arange(6.0).reshape(2, 3)}, ran, spent=8)
+    assert repr(found).startswith("AdaptiveMap(2 x 3 points, 4 of them run (66.7%); z: ")

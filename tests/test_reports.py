@@ -20,10 +20,11 @@ from jaxroll._integration._trajectory import Stats
 from jaxroll._mechanics import AbstractBody, AbstractFinger
 from jaxroll._motion import Multipliers, Residuals
 from jaxroll._printing import listed
-from jaxroll._why import _early
+from jaxroll._why import _culprit, _early, _MEND
 from jaxroll.design import ClosedLoop, Design, overshoot, settling_time, tracking_error
 from jaxroll.design._measures import MEASURES, PARTIAL
 from jaxroll.plotting._panels import panels
+from tests.recorded import runs
 
 RUNNING = set(REMEDIES)  # codes that a run can end with
 TURNED = np.array([np.cos(0.2), 0.0, 0.0, np.sin(0.2)])  # a quaternion: 0.4 rad about z
@@ -49,6 +50,52 @@ def test_why_names_a_start_that_is_singular_before_its_forces(scene, curvature, 
     start: Any = SimpleNamespace(curvature=np.array([curvature]), pivot=pivot, multipliers=pulls)
     sentence, remedy, _ = _early(scene[0], start, -1)
     assert told in sentence and remedy == REMEDIES["singular_contact"]
+
+
+def bearing(f, lam, curvature=(1.0, 1.0), ends=(1.0, 1.0), pivot=1.0):
+    """Forces and margins of two contacts."""
+    forces = SimpleNamespace(f=np.array(f), lam=np.array(lam))
+    return SimpleNamespace(
+        multipliers=forces, curvature=np.array(curvature), ends=np.array(ends), pivot=pivot
+    )
+
+
+def rubbing_pair(*frictions):
+    """Labels and contacts alone, of the pinch."""
+    grasp, _ = runs.scene("pinch")
+    contacts = [SimpleNamespace(friction=x, presses=True) for x in frictions]
+    return SimpleNamespace(contacts=contacts, labels=grasp.labels)
+
+
+def test_why_names_the_contact_that_would_slip_at_the_start_and_what_it_needs():
+    start = bearing((2.0, 3.0), (0.5, 1.8))
+    assert (
+        _early(rubbing_pair(0.7, 0.7), start, -1) is None
+        and _early(rubbing_pair(0.3, None), start, -1) is None
+    )
+    told, remedy, which = _early(rubbing_pair(0.3, 0.5), start, -1)
+    assert told == "fails at the start: contact 1 (finger 1 on contour 1) needs friction 0.6, but has 0.5"
+    assert which == 1 and remedy == _MEND["slips"]
+
+
+@pytest.mark.parametrize(
+    ("code", "end", "wanted"),
+    [
+        ("contact_lost", bearing((2.0, -3.0), (0.0, 0.0)), 1),
+        ("contact_lost", bearing((-2.0, 3.0), (0.0, 0.0)), 0),
+        ("contour_end", bearing((1.0, 1.0), (0.0, 0.0), ends=(0.1, -1e-9)), 1),
+        ("singular_contact", bearing((1.0, 1.0), (0.0, 0.0), curvature=(1e-5, 0.5)), 0),
+        ("singular_contact", bearing((1.0, 1.0), (0.0, 0.0), curvature=(0.3, 0.5), pivot=0.1), -1),
+        ("slipping", bearing((2.0, 1.0), (0.9, 0.6)), 1),
+        ("slipping", bearing((2.0, 1.0), (1.9, 0.6)), 0),
+        ("joint_limit", bearing((-2.0, 1.0), (1.9, 0.6)), -1),
+        ("contact_lost", None, -1),
+    ],
+)
+def test_why_finds_the_contact_that_ended_a_run_which_does_not_say(code, end, wanted):
+    run = ended(runs.run("pinch"), code)
+    assert _culprit(rubbing_pair(0.5, 0.5), run, end) == wanted
+    assert _culprit(rubbing_pair(0.5, 0.5), ended(run, code, contact=0), end) == 0
 
 
 def moved(grasp, start, end, *, forces=None):

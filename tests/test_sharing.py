@@ -11,7 +11,7 @@ import pytest
 import jaxroll as jxr
 from jaxroll._xla import counted, repeated, uncollected
 from jaxroll._xla._compute_once import once, sharing
-from jaxroll._xla._share_cotangents import shared
+from jaxroll._xla._share_cotangents import pulled, shared
 
 
 @jax.jit
@@ -124,3 +124,15 @@ def test_the_collector_is_left_as_it_was(was):
         assert gc.isenabled() is was
     finally:
         (gc.enable if before else gc.disable)()
+
+
+def test_a_pulled_function_has_the_cotangents_of_its_own():
+    def function(x, n, pair):
+        return jnp.sin(x) ** n * pair["a"] + jnp.cos(x) * pair["b"]
+
+    given = jnp.array([0.3, 0.7]), 3, {"a": jnp.array([2.0, 0.5]), "b": jnp.array(1.5)}
+    total = lambda call: lambda x, pair: jnp.sum(call(x, given[1], pair) ** 2)  # noqa: E731
+    np.testing.assert_allclose(pulled(function)(*given), function(*given))
+    found = jax.grad(total(pulled(function)), argnums=(0, 1))(given[0], given[2])
+    wanted = jax.grad(total(function), argnums=(0, 1))(given[0], given[2])
+    jax.tree.map(np.testing.assert_allclose, found, wanted)

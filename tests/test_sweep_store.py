@@ -3,6 +3,7 @@
 Nothing is compiled: a chunk's program is replaced by numbers that say which run they are of.
 """
 
+import collections
 import errno
 import json
 import pathlib
@@ -21,9 +22,11 @@ import pytest
 import jaxroll as jxr
 from jaxroll._cli._sweep_table import entries_of, read_table
 from jaxroll._integration._dataset import _Walk
+from jaxroll._motion import Multipliers
 from jaxroll._sweep import _store
 from jaxroll._sweep._program import Program
 from jaxroll.plotting import parameter_map
+from tests.recorded import runs
 
 xr = pytest.importorskip("xarray")
 zarr = pytest.importorskip("zarr")
@@ -403,3 +406,31 @@ def test_without_the_extra_there_is_one_sentence(run, calls, tmp_path, monkeypat
                 call()
         assert str(said.value) == f'this needs the library {library}: pip install "jaxroll[data]"'
     assert not (tmp_path / "x").exists()
+
+
+def test_a_run_in_space_as_a_table():
+    run = runs.run("pinch3d")
+    table = run.to_xarray()
+    assert table.axis.values.tolist() == ["x", "y", "z"]
+    assert table.lam.dims == ("time", "contact", "axis")
+    np.testing.assert_array_equal(table.lam, run.multipliers.lam)
+    assert table.q.dims == ("time", "position") and table.v.dims == ("time", "velocity")
+
+
+def test_what_has_no_names_is_named_by_its_place_and_numbered():
+    walk = _Walk((), {}, "kept")
+    pair = collections.namedtuple("Pair", "left right")  # noqa: PYI024
+    assert walk.parts(pair(1, 2)) == [("left_", 1), ("right_", 2)]
+    assert walk.parts({"a": 3}) == [("a_", 3)] and walk.parts((4, 5)) == [(0, 4), (1, 5)]
+    node = jax.tree_util.Partial(max, {"inner": 6.0}, key=7.0)
+    assert walk.parts(node) == [("0_0_inner_", 6.0), ("1_key_", 7.0)]
+    for _ in range(3):
+        walk.add("same name", np.zeros(()), (), {})
+    assert [each.name for each in walk.found] == ["same_name", "same_name_2", "same_name_3"]
+
+
+def test_forces_of_a_blow_are_impulses():
+    walk = _Walk((), {}, "kept")
+    walk.record(Multipliers(jnp.ones((3, 2)), jnp.zeros((3, 2))), "", "blow")
+    f = walk.found[0]
+    assert f.dims[0] == "blow" and f.attrs["units"] == "N s" and "impulse" in f.attrs["long_name"]

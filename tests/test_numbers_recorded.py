@@ -41,6 +41,11 @@ def test_the_numbers_of_a_fit_are_as_recorded(name):
     compare.check(f"fitted_{name}", fits.numbers(name), rtol=rtol, atol=1e-12)
 
 
+@pytest.mark.parametrize("name", fits.NETWORKS)
+def test_a_network_goes_where_it_did(name):
+    compare.check(f"network_{name}", fits.of_network(name), rtol=1e-4, atol=1e-10)
+
+
 @pytest.mark.parametrize("module", signatures.modules())
 def test_parameters_and_defaults_are_as_recorded(module):
     compare.check(f"signatures_{module}", signatures.signatures(module))

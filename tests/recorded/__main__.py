@@ -22,6 +22,7 @@ def records() -> dict[str, Callable[[], Any]]:
         found[f"scene_{name}"] = lambda name=name: scene_numbers.numbers(name)
     for module in signatures.modules():
         found[f"signatures_{module}"] = lambda module=module: signatures.signatures(module)
+    found |= {f"network_{name}": lambda name=name: fits.of_network(name) for name in fits.NETWORKS}
     found["pinched"] = scene_numbers.pinched
     found |= {f"fitted_{name}": lambda name=name: fits.numbers(name) for name in fits.FITS}
     found |= {f"text_{name}": make for name, make in texts.TEXTS.items()}

@@ -4,12 +4,14 @@ That a fit is near its data, within its bounds and right in what it says is for 
 Records tell what no bound notices: a smoothing a tenth stronger, a cell fewer, a region's other corner.
 """
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
+import jax
 import numpy as np
 
-from jaxroll.geometry import Fit, fit_contour, fit_surface, SurfaceFit
+from jaxroll.geometry import Fit, fit_contour, fit_surface, NeuralCurvature, NeuralSupport, SurfaceFit
 from tests.oracles.scanned_bodies import superellipsoid_cloud
 from tests.recorded.compare import described
 
@@ -151,6 +153,25 @@ FITS: dict[str, Callable[[], Fit | SurfaceFit]] = {
     "scan_normals": _turned,
     "scan_mesh": _meshed,
 }
+
+
+# Networks after a few steps of their descent: where it goes.
+NETWORKS = {
+    "curvature": lambda: NeuralCurvature.fit(_ring(40), key=jax.random.key(1), steps=3, harmonics=6, width=8),
+    "support": lambda: NeuralSupport.fit(
+        _ring(40, 0.0), key=jax.random.key(1), steps=3, harmonics=6, width=8
+    ),
+}
+
+
+def of_network(name: str) -> Any:
+    """A network's contour, and what its fit says of itself."""
+    fit = NETWORKS[name]()
+    s = np.linspace(*np.asarray(fit.field.domain()), 21)
+    told = {
+        field.name: getattr(fit, field.name) for field in dataclasses.fields(fit) if field.name != "field"
+    }
+    return described(told | {"points": fit.field.point(s), "curvatures": fit.field.curvature(s)})
 
 
 def numbers(name: str) -> Any:

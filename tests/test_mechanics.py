@@ -9,10 +9,12 @@ from scipy.spatial.transform import Rotation
 
 import jaxroll as jxr
 from jaxroll._linalg import Vec3
-from jaxroll._linalg._space import Pose3, quaternion_of
+from jaxroll._linalg._space import Pose3, quaternion_of, Sym3
 from jaxroll._mechanics import join, to_leaves
 from jaxroll._motion import bodies, Index1
 from jaxroll._motion._equations import evaluate
+from jaxroll.contact._contact3 import compliance, Touch3
+from jaxroll.geometry import Gauss3
 from tests.helpers import broadcasting
 from tests.oracles.chapter_part2 import Part2
 
@@ -370,3 +372,43 @@ def test_the_quaternion_of_every_turn_against_scipy(axis, angle):
     if angle == np.pi:  # the two quaternions of half a turn differ in sign alone, which rounding decides
         expected = expected * np.sign(expected @ found)
     np.testing.assert_allclose(found, expected, atol=1e-15)
+
+
+def test_a_common_generator_has_its_curvature_across_alone():
+    """A roll of 20 mm along the world's x on another of 30 mm, which lies along its own z, turned about y.
+
+    The normals meet along z. Across, along y, the curvatures 1/R add up; the tilt there is all that counts.
+    """
+    zero, one = jnp.zeros(()), jnp.ones(())
+    up, down = Vec3(zero, zero, one), Vec3(zero, zero, -one)
+    still = Pose3(Vec3(zero, zero, zero), Vec3(one, zero, zero), Vec3(zero, one, zero), up)
+    bent = lambda k: Sym3(zero, zero, zero, k * one, zero, zero)  # noqa: E731
+    point = Vec3(zero, zero, zero)
+    lower = Gauss3(point, up, bent(1.0 / 0.03))
+    # The upper roll in its own axes, which are the world's turned by a quarter about y: x is the world's -z.
+    quarter = Pose3(point, down, Vec3(zero, one, zero), Vec3(one, zero, zero))
+    upper = Gauss3(point, Vec3(one, zero, zero), bent(1.0 / 0.02))
+    touch, poses = Touch3(upper, lower), (quarter, still)
+    found = compliance(poses, touch, True)
+    wanted = 1.0 / (1.0 / 0.02 + 1.0 / 0.03)
+    parts = [float(x) for x in (found.xx, found.xy, found.xz, found.yy, found.yz, found.zz)]
+    np.testing.assert_allclose(parts, [0, 0, 0, wanted, 0, 0], atol=1e-12)
+    contact = jxr.Contact3(line=True)
+    assert contact.equation_names()[-1] == "tangency [rad]" and len(contact.equation_names()) == 4
+    np.testing.assert_allclose(contact.equations(poses, touch), np.zeros(4), atol=1e-15)
+    for angle in (0.1, -0.4):
+        c, s = np.cos(angle), np.sin(angle)
+        tilted = Vec3(one * 0.0, one * s, -one * c)  # the upper normal turned about x
+        leant = Pose3(point, tilted, Vec3(zero, one * c, one * s), Vec3(one, zero, zero))
+        *_, tilt = contact.equations((leant, still), touch)
+        # The sum of the normals, along the image of L_A + L_B, where the upper L is turned about x.
+        across = np.array([50.0 * c * c + 1e3 / 30.0, 50.0 * c * s])
+        both = 2.0 / (1.0 + c) * np.array([s, 1.0 - c])
+        assert float(tilt) == pytest.approx(both @ across / np.linalg.norm(across))
+        assert abs(float(tilt)) == pytest.approx(2.0 * np.tan(abs(angle) / 2.0), rel=0.03)
+        ahead, out = Vec3(one * c, zero, one * s), Vec3(one * s, zero, -one * c)
+        rocked = Pose3(point, out, Vec3(zero, one, zero), ahead)
+        *_, tilt = contact.equations((rocked, still), touch)  # about y: along the generator nothing counts
+        assert abs(float(tilt)) < 1e-12
+    margin = contact.curvature_margin(None, None, poses, touch)
+    assert float(margin) == pytest.approx((50.0 + 1e3 / 30.0) / np.hypot(50.0, 1e3 / 30.0))

@@ -8,6 +8,7 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll.geometry import polygon_area
+from jaxroll.io._mesh import spread_points
 from jaxroll.io._outline import even
 
 BODY = jxr.Ellipse(0.02, 0.014)
@@ -533,3 +534,19 @@ def test_points_of_a_ply(tmp_path):
     path.write_text("no ply")
     with pytest.raises(ValueError, match="argument path must name a mesh, but scan.ply could not be read"):
         jxr.io.read_cloud(path, unit="mm")
+
+
+def test_points_spread_over_a_mesh_lie_on_it_evenly():
+    pytest.importorskip("trimesh")
+    corners = np.array([[0, 0, 0], [3, 0, 0], [0, 1, 0], [0, 0, 2]]) * 0.01
+    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    points, normals = spread_points(corners, faces, 4000)
+    np.testing.assert_array_equal(points, spread_points(corners, faces, 4000)[0])
+    assert points.shape == normals.shape == (4000, 3)
+    np.testing.assert_allclose(
+        np.sum((points - 0.0) * normals, axis=1) * (np.abs(normals).max(axis=1) == 1), 0.0
+    )
+    floor = normals[:, 2] == -1.0
+    areas = [np.linalg.norm(np.cross(*(corners[f[1:]] - corners[f[0]]))) for f in faces]
+    assert floor.mean() == pytest.approx(areas[0] / sum(areas), abs=0.03)
+    assert np.all(points[floor][:, 2] == 0.0)

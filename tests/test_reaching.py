@@ -1,11 +1,16 @@
 """Points to grasp by, and hands that reach them: closed forms, SciPy, and residuals as runs measure them."""
 
+from types import SimpleNamespace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
 import jaxroll as jxr
+from jaxroll._reaching import _reach
+from jaxroll._reaching._choice import Choice
+from tests.recorded import runs
 from tests.subjects.random_hands import planar_case, spatial_case
 
 SUCCESS = jxr.RESULTS.successful
@@ -253,3 +258,69 @@ def test_arguments_that_do_not_fit_are_refused():
     for call in calls:
         with pytest.raises(ValueError):
             call()
+
+
+def test_an_object_in_space_is_asked_for_at_a_pose_of_length_one():
+    grasp, state = runs.scene("pinch3d")
+    upright = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    np.testing.assert_array_equal(_reach._object_at(grasp, None, None), upright)
+    np.testing.assert_array_equal(_reach._object_at(grasp, None, state), state.q[:7])
+    given = [0.1, 0.2, 0.3, 0.0, 3.0, 0.0, 4.0]
+    np.testing.assert_allclose(_reach._object_at(grasp, given, state), [0.1, 0.2, 0.3, 0.0, 0.6, 0.0, 0.8])
+    with pytest.raises(ValueError, match="argument pose must end with a quaternion, but was"):
+        _reach._object_at(grasp, np.zeros(7), None)
+    plane, start = runs.scene("pinch")
+    np.testing.assert_array_equal(_reach._object_at(plane, None, None), np.zeros(3))
+    np.testing.assert_array_equal(_reach._object_at(plane, [1.0, 2.0, 3.0], start), [1.0, 2.0, 3.0])
+
+
+@pytest.mark.parametrize("name", ["pinch", "pinch3d"])
+def test_postures_of_all_fingers_are_one_start(name):
+    """Of two fingers, the second of which is held up: its code and reason, and the worst of each number."""
+    grasp, state = runs.scene(name)
+    k = grasp.form.positions
+    chosen = []
+    for i, code in enumerate(("successful", "unreachable")):
+        places = np.full((1, 1, 3 if grasp.spatial else 1), 0.1 * (i + 1))
+        posture = SimpleNamespace(
+            q=np.full((1, k[1 + i]), 0.5 + i),
+            places=places,
+            gaps=np.array([1e-13 * i]),
+            tilts=np.array([2e-13]),
+        )
+        chosen.append(Choice(posture, code, "why not" * i, 1e-6 * i, 0.02 - 0.01 * i, 5 + i))
+    at = [np.full(3 if grasp.spatial else 1, -0.3), np.full(3 if grasp.spatial else 1, -0.4)]
+    found = _reach._assembled(grasp, np.asarray(state.q[: k[0]]), chosen, at)
+    np.testing.assert_allclose(found.state.q, [*state.q[: k[0]], *[0.5] * k[1], *[1.5] * k[2]])
+    if grasp.spatial:
+        np.testing.assert_allclose(found.state.s, np.repeat([0.1, -0.3, 0.2, -0.4], 3))
+    else:
+        places = [(float(c.s_tip), float(c.s_object)) for c in found.grasp.contacts]
+        np.testing.assert_allclose(places, [(0.1, -0.3), (0.2, -0.4)])
+    assert (found.result, found.reason) == (jxr.RESULTS.unreachable, "finger 1: why not")
+    assert (found.gap, found.tilt, found.overlap, found.links) == (1e-13, 2e-13, 1e-6, 0.01)
+    assert found.postures == (5, 6)
+
+
+@pytest.mark.parametrize("off", [0.0, 1e-3])
+def test_what_is_let_go_is_taken_where_it_closes(monkeypatch, off):
+    grasp, state = runs.scene("pinch")
+    asked = []
+
+    def closed(grasp, state, **options):
+        asked.append(options)
+        return grasp, state
+
+    left = SimpleNamespace(
+        normal=jnp.array([0.0, off]), tangential=jnp.zeros(2), tangency=jnp.array([-2e-14, 1e-14])
+    )
+    monkeypatch.setattr(_reach, "close", closed)
+    monkeypatch.setattr(_reach, "residuals", lambda grasp, state: left)
+    before = jxr.Reach(grasp, state, jxr.RESULTS.unreachable, "far", 1.0, 2.0, 0.1, 0.2, (3, 4))
+    found = _reach._let_go(before, "finger 0 q[1]")
+    assert asked == [{"hold_contacts": False, "throw": False, "hold": "finger 0 q[1]"}]
+    if off:
+        assert found is before
+        return
+    assert (found.result, found.reason, found.gap, found.tilt) == (jxr.RESULTS.successful, "", 0.0, 2e-14)
+    assert (found.overlap, found.links, found.postures) == (0.1, 0.2, (3, 4))

@@ -1,9 +1,11 @@
 """`jaxroll sweep` and `jaxroll map`: orders from options and files, tables, pictures of them."""
 
 import argparse
+import contextlib
 import csv
 import inspect
 import re
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -12,6 +14,7 @@ import pytest
 import jaxroll as jxr
 from jaxroll import scenes
 from jaxroll.__main__ import _parser, main
+from jaxroll._cli import _sweep_command
 from jaxroll._cli._sweep_command import maker, parameters_of
 from jaxroll._cli._sweep_order import _ENDS, _FILE, _fits, Range, SCENES, sweep_order, unit_of
 from jaxroll._cli._sweep_table import read_table
@@ -312,3 +315,33 @@ def test_entries_of_a_file_have_the_ends_of_their_options():
 def test_help_of_both():
     commands = next(a for a in _parser()._actions if isinstance(a, argparse._SubParsersAction)).choices
     assert {"sweep", "map"} <= set(commands) and "SCENE" in commands["sweep"].format_help()
+
+
+def test_an_adaptive_sweep_maps_what_is_kept_of_each_run(monkeypatch, tmp_path):
+    """Counts of steps are numbers to the map, not codes; what did not run is said."""
+    asked = {}
+
+    def mapped(outcome, grid, *, chunk, progress):
+        asked.update(chunk=chunk, kept=outcome(grid), progress=progress)
+        values = {"steps": np.arange(6.0).reshape(2, 3), "t_end": np.ones((2, 3))}
+        return SimpleNamespace(values=values, ran=np.array([[True] * 3, [False] * 3]), spent=4)
+
+    kept = {"steps": np.array([3, 4]), "t_end": np.array([0.1, 0.2])}
+    keep = lambda run: kept  # noqa: E731
+    keep.timed, keep.record = False, ()
+    monkeypatch.setattr(_sweep_command, "measures", lambda *names: keep)
+    monkeypatch.setattr(_sweep_command, "maker", lambda scene, names: lambda p: ("grasp", "state"))
+    monkeypatch.setattr(
+        _sweep_command, "simulate", lambda *args, **options: asked.update(run=(args, options))
+    )
+    monkeypatch.setattr(_sweep_command, "adaptive_map", mapped)
+    values = ("--set", "damping=0.001:0.002:2", "--set", "s=0:0.002:3")
+    order = ordered("pivoted", *values, "--sampling", "adaptive", "--seconds", "0.3", "--chunk", "4")
+    lines = _sweep_command.swept(order, tmp_path, lambda doing: contextlib.nullcontext())
+    assert asked["run"] == (("grasp", "state", 0.3), {"throw": False, "ts": 1, "rtol": 1e-6, "record": ()})
+    assert asked["chunk"] == 4 and asked["progress"] is True
+    assert asked["kept"]["steps"].dtype == float and asked["kept"]["t_end"] is kept["t_end"]
+    assert "  4 runs of 0.3 s in " in lines[2]
+    table = read_table(tmp_path)
+    np.testing.assert_array_equal(table.values["ran"], [True] * 3 + [False] * 3)
+    np.testing.assert_array_equal(table.values["steps"], np.arange(6.0))

@@ -323,7 +323,7 @@ def test_an_animation_has_its_frames(scene, tmp_path):
 def test_long_animations_have_few_frames():
     for seconds, times in ((1.5, 61), (10.0, 301), (1000.0, 61)):
         rows, delay = _paced(np.linspace(0.0, seconds, times), 50.0, 1.0)
-        assert len(rows) <= 60 and rows[-1] == times - 1
+        assert 45 < len(rows) <= 60 and rows[-1] == times - 1
         assert delay * (len(rows) - 1) == pytest.approx(1e3 * seconds, rel=0.05)
 
 

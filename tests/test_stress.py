@@ -4,9 +4,11 @@ import ast
 import dataclasses
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
+import jaxroll as jxr
 from benchmarks.stress_test.hard_scenes import grazing
 from benchmarks.stress_test.judge import Judge, picked
 from benchmarks.stress_test.judge_contours import along, length
@@ -252,3 +254,20 @@ def test_grazing_scenes_roll_and_graze(kind, friction):
     assert np.abs(seen.gap).max() < 1e-15
     assert np.abs(seen.tangency).max() < 1e-14
     assert np.abs(seen.creep).max() < 1e-14
+
+
+def test_a_force_that_dips_between_two_stages_is_not_hidden_by_a_small_pivot():
+    """Lane 1956 of seed 5: a contact pulls from 0.3223 to 0.3303 s, within one step of 0.04 s."""
+    from benchmarks.stress_test import engine_runs
+    from benchmarks.stress_test.one_batch import _NOT_GRASP, scene_of
+    from benchmarks.stress_test.structures import STRUCTURES
+
+    structure = STRUCTURES["tolerance-pinch"]
+    chunk, lane = divmod(1956, structure.lanes)
+    scene = picked(scene_of(structure, 5, chunk)[0], [lane])
+    one = jax.tree.map(lambda x: x[0] if engine_runs.is_number(x) else x, scene)
+    hand = engine_runs.grasp({name: x for name, x in one.items() if name not in _NOT_GRASP})
+    _, start = jxr.close(hand, jxr.State(one["q"], one["v"], one["s"]), throw=False, hold_contacts=False)
+    run = jxr.simulate(hand, start, one["t1"], ts=1, rtol=one["rtol"], throw=False)
+    assert run.result == jxr.RESULTS.contact_lost and int(run.stats.contact) == 1
+    assert abs(float(run.stats.t_end) - 0.3223009) < 1e-6

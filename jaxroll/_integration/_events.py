@@ -40,8 +40,11 @@ from ..contact import (
     TOLERANCE,
 )
 
-# Relative size below which a pivot of A M^-1 A^T counts as zero.
-_SINGULAR = 1e-9
+# Relative size below which a pivot of A M^-1 A^T counts as zero. Its margin is what it has beyond that, times
+# _FIRM: a pivot is small all along a run whose masses differ by decades, and the smallest margin would hide
+# forces that fall below zero and rise again between two stages (lane 1956 of the structure `tolerance-pinch`,
+# seed 5 of `benchmarks.stress`: a pivot of 0.004 beside forces of 0.2 N).
+_SINGULAR, _FIRM = 1e-9, 1e6
 # Relative size below which a sum of curvatures counts as zero. The rolling rate is proportional to its
 # inverse, (7), so that near zero the sum falls as the square root of the time that is left. At this size some
 # 1e-10 s are left, enough for a step to end there; at a smaller one it would be less than the shortest step.
@@ -248,7 +251,7 @@ def _geometry(grasp: Grasp, leaves: Leaves, instant: Instant) -> list[Limit]:
     # Added with its sign: a constant that is subtracted becomes a negation, which XLA moves (`_xla._loops`).
     limits += [Limit(m + -_FLAT, _numbered(_SINGULAR_CONTACT, i)) for i, m in enumerate(bends)]
     # The pivot belongs to all contacts together.
-    pivot = instant.line.schur.smallest_pivot + -_SINGULAR
+    pivot = (instant.line.schur.smallest_pivot + -_SINGULAR) * _FIRM
     return [*limits, Limit(pivot, _numbered(_SINGULAR_CONTACT, None))]
 
 

@@ -40,6 +40,13 @@ _LONGEST = (60.0, 5.0)
 # the same text in other lines, in which a test would notice it, the line's text is the fifth.
 EQUIVALENT: dict[tuple[str, ...], str] = {
     (
+        "jaxroll/geometry/contours/_support.py",
+        "fit_series",
+        "points - centre",
+        "(points)",
+        "size = np.sqrt(np.mean(np.sum((points - centre) ** 2, axis=-1)))",
+    ): "the unit of length in which the fit is worked out",
+    (
         "jaxroll/stability/_equilibrium.py",
         "_newton.improve",
         "0",

@@ -40,6 +40,18 @@ _LONGEST = (60.0, 5.0)
 # the same text in other lines, in which a test would notice it, the line's text is the fifth.
 EQUIVALENT: dict[tuple[str, ...], str] = {
     (
+        "jaxroll/_analysis/_link_clearance.py",
+        "_with_links",
+        "finger.joints and finger.turns",
+        "(finger.turns)",
+    ): "what has no joints, a stage, does not turn",
+    (
+        "jaxroll/io/_vector.py",
+        "_check_scale",
+        "abs(scale / stated - 1.0) > 1e-3",
+        "(abs(scale / stated - 1.0) >= 0.001)",
+    ): "no drawing states a unit that is off by just that",
+    (
         "jaxroll/geometry/contours/_support.py",
         "fit_series",
         "points - centre",

@@ -64,7 +64,7 @@ def test_drawings_that_state_another_unit_are_refused(tmp_path):
         ):
             jxr.io.read_points(path, unit="in")
     with pytest.raises(TypeError, match="unit"):
-        jxr.io.read_points(path)
+        jxr.io.read_points(path, unit="m")
 
 
 PLAIN = """<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="9" viewBox="0 0 {units} 60">
@@ -550,3 +550,9 @@ def test_points_spread_over_a_mesh_lie_on_it_evenly():
     areas = [np.linalg.norm(np.cross(*(corners[f[1:]] - corners[f[0]]))) for f in faces]
     assert floor.mean() == pytest.approx(areas[0] / sum(areas), abs=0.03)
     assert np.all(points[floor][:, 2] == 0.0)
+
+
+@pytest.mark.parametrize("path", [3, None, b"file.csv", "a\0b.csv", ["a.csv"]])
+def test_what_is_no_path_is_refused_in_one_sentence(path):
+    with pytest.raises(ValueError, match="argument path must be the name of a file, but was"):
+        jxr.io.read_points(path, unit="m")

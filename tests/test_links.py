@@ -158,3 +158,14 @@ def test_a_link_in_space_ends_the_run_and_is_told():
     local = (link - at[:3]) @ turn
     # The cuboid's faces towards the fingers are its two planes.
     assert abs((np.abs(local[:, 0]) - 0.015).min() - 0.003) <= 1e-5
+
+
+@pytest.mark.parametrize("height", [0.004, 0.03])
+def test_the_lowest_place_of_a_link_is_found_to_rounding(height):
+    """A ball of 1 mm below a link of 0.2 m, past which the distance bends within a few millimetres."""
+    zero, one = jnp.zeros(()), jnp.ones(())
+    pose = Pose3(Vec3(zero, zero, zero), Vec3(one, zero, zero), Vec3(zero, one, zero), Vec3(zero, zero, one))
+    place = lambda x, y: Vec3(x * one, y * one, height * one)  # noqa: E731
+    link = [[place(-0.0831, 0.02), place(0.1169, 0.02)]]
+    (found,) = links_clearance3(pose, link, [jxr.geometry.Sphere(0.001).moved((0.0, 0.02, 0.0))])
+    assert float(found) == pytest.approx(height - 0.001, abs=1e-15)

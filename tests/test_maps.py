@@ -11,6 +11,7 @@ from jaxroll import design
 from jaxroll._maps import Measures, MEASURES_KEPT
 from jaxroll._maps._adaptive import AdaptiveMap
 from jaxroll._maps._cells import halved_lines, Spread
+from jaxroll.plotting import _map_figure
 from jaxroll.plotting._map_data import Side
 from jaxroll.plotting._map_figure import _edges
 
@@ -259,3 +260,12 @@ def test_a_map_prints_its_size_and_what_was_run():
     ran = np.array([[True, False, True], [True, True, False]])
     found = AdaptiveMap(grid, {"z": np.arange(6.0).reshape(2, 3)}, ran, spent=8)
     assert repr(found).startswith("AdaptiveMap(2 x 3 points, 4 of them run (66.7%); z: ")
+
+
+def test_what_went_well_is_pale_and_what_is_not_known_grey():
+    codes = ("slipping", "successful", "contact_lost", _map_figure._MISSING, "penetration")
+    found = _map_figure.code_colours(codes)
+    assert found[1] == _map_figure.WELL and found[3] == _map_figure.NOTHING
+    assert [found[i] for i in (0, 2, 4)] == list(_map_figure.CODE_COLOURS[:3])
+    many = _map_figure.code_colours(tuple(f"code {i}" for i in range(40)))
+    assert len(many) == 40 and _map_figure.WELL not in many

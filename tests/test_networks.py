@@ -355,3 +355,14 @@ def test_neural_curvature_fits_an_ellipse_and_a_bean():
 def test_a_margin_is_asked_for_within_one_turn(low, high):
     with pytest.raises(ValueError, match=r"argument high must be at most a turn above low, .* rad"):
         jxr.SupportFunction(0.01, [0.0, 1e-4], [0.0, 0.0]).margin(low, high)
+
+
+def test_a_network_has_its_hidden_layers_and_a_last_one_of_its_amplitude():
+    """From the cosines and sines of four harmonics through two layers of six to one number."""
+    whole, half = (
+        PeriodicNetwork(4, width=6, depth=2, amplitude=size, key=jax.random.key(3)) for size in (1.0, 0.5)
+    )
+    assert [layer.weight.shape for layer in whole.layers] == [(6, 8), (6, 6), (1, 6)]
+    for k, share in enumerate((1.0, 1.0, 0.5)):
+        np.testing.assert_allclose(half.layers[k].weight, share * whole.layers[k].weight)
+        np.testing.assert_allclose(half.layers[k].bias, share * whole.layers[k].bias)

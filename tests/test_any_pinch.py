@@ -12,7 +12,7 @@ import jaxroll as jxr
 from jaxroll import _cli, stability
 from jaxroll.__main__ import main
 from jaxroll._cli import _pinch_command, ShapeOrder
-from jaxroll._cli._shape_file import fitted, read, size_told
+from jaxroll._cli._shape_file import _check_spread, fitted, read, size_told
 from jaxroll.scenes import _any_pinch, _pinch_targets
 from jaxroll.scenes._any_pinch import _turns
 from tests.recorded import runs
@@ -487,3 +487,17 @@ def test_the_outcome_says_how_long_and_whether_at_rest(case):
     run = SimpleNamespace(result=jxr.RESULTS.successful, states=states, stats=SimpleNamespace(t_end=1.0))
     told = _pinch_command.outcome(run, None if verdict is None else getattr(stability.VERDICTS, verdict))
     assert re.search(words, told) and told.startswith("held for 1 s, ")
+
+
+def test_a_column_that_counts_is_looked_for_in_longer_tables_of_space_alone():
+    rng = np.random.default_rng(0)
+    cloud = np.column_stack([np.arange(9.0), rng.normal(size=(9, 2))])
+    with pytest.raises(ValueError, match="column 1 of egg counts its lines"):
+        _check_spread(cloud, "egg", table=True)
+    _check_spread(cloud, "egg", table=False)  # a cloud of a mesh's format has no other columns
+    _check_spread(cloud[:, :2], "egg", table=True)  # points of a graph
+    with pytest.raises(ValueError, match="counts its lines"):
+        _check_spread(cloud[:4], "egg", table=True)
+    with pytest.raises(ValueError) as error:  # three points are in one plane, whatever they count
+        _check_spread(cloud[:3], "egg", table=True)
+    assert "counts" not in str(error.value)

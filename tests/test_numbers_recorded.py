@@ -52,7 +52,8 @@ def test_parameters_and_defaults_are_as_recorded(module):
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[NEEDS_CAD] * name.startswith("ordered")) for name in texts.TEXTS]
+    "name",
+    [pytest.param(name, marks=[NEEDS_CAD] * name.startswith(("ordered", "fit"))) for name in texts.TEXTS],
 )
 def test_what_the_command_line_says_and_asks_is_as_recorded(name):
     compare.check(f"text_{name}", texts.TEXTS[name]())

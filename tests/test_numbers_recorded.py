@@ -35,12 +35,15 @@ def test_an_egg_is_pinched_as_recorded():
     compare.check("pinched", scene_numbers.pinched(), atol=1e-9)
 
 
-@pytest.mark.parametrize("name", fits.FITS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in fits.SLOW)) for name in fits.FITS]
+)
 def test_the_numbers_of_a_fit_are_as_recorded(name):
     rtol = fits.SCANS if name.startswith("scan") else fits.RTOL
     compare.check(f"fitted_{name}", fits.numbers(name), rtol=rtol, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", fits.NETWORKS)
 def test_a_network_goes_where_it_did(name):
     compare.check(f"network_{name}", fits.of_network(name), rtol=1e-4, atol=1e-10)

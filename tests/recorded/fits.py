@@ -155,6 +155,8 @@ FITS: dict[str, Callable[[], Fit | SurfaceFit]] = {
 }
 
 
+# Those that take longest to no other end than the rest.
+SLOW = ("scan_mesh", "scan_strays")
 # Networks after a few steps of their descent: where it goes.
 NETWORKS = {
     "curvature": lambda: NeuralCurvature.fit(_ring(40), key=jax.random.key(1), steps=3, harmonics=6, width=8),

@@ -228,6 +228,11 @@ def as_floats(name: str, value: Any, shape: tuple[int | None, ...]) -> jax.Array
     return check_finite(name, array)
 
 
+def as_positive(name: str, value: Any) -> jax.Array:
+    """Convert an argument to a finite, positive floating number."""
+    return check_positive(name, as_floats(name, value, ()))
+
+
 def as_count(name: str, value: Any, *, least: int = 1, most: int = 10**6) -> int:
     """Convert an argument to a Python integer; booleans and fractions are refused.
 

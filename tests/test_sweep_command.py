@@ -77,7 +77,7 @@ def test_what_the_command_line_says_comes_before_the_file(tmp_path):
 
 
 def test_every_number_that_a_scene_takes_has_a_unit():
-    other = {"object", "fingers", "friction", "tips", "tip", "contour", "count", "size", "stiffness"}
+    other = {"object", "fingers", "friction", "tips", "tip", "contour", "count", "size"}
     able = [getattr(scenes, name) for name in SCENES]
     assert all(map(inspect.isfunction, able))
     for scene in able:

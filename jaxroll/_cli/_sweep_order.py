@@ -32,6 +32,7 @@ _SET = (
 _KINDS = {
     "damping": "N m s",
     "beta": "N/m",
+    "stiffness": "N/m",
     "alpha": "N m/rad",
     "force": "N",
     "mass": "kg",

@@ -30,8 +30,8 @@ class Stats(eqx.Module):
             'joint_limit' and 'torque_limit' which joint, counted over all fingers; -1 where none did.
         margin: What ran out there, at the end: normal force or distance to the friction cone [N], distance to
             the end of a contour or to the object [m], to the end of a joint's range [rad or m], what torque
-            is left [N m or N], or what the relative sum of curvatures has beyond 1e-4; NaN where nothing
-            did.
+            is left [N m or N], what the relative sum of curvatures has beyond 1e-4, or a million times what
+            the relative smallest pivot of A M^-1 A^T has beyond 1e-9; NaN where nothing did.
     """
 
     __repr__ = listed

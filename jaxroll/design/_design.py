@@ -55,7 +55,7 @@ class Design(eqx.Module):
         """What is printed, lengths in metres or `millimetres`; `steps` is the name of their number."""
         figures = self.figures
         if millimetres:
-            figures = dict(_in_millimetres(name, pair) for name, pair in figures.items())
+            figures = dict(_figure_in_millimetres(name, pair) for name, pair in figures.items())
         lines = [
             f"Design: {code_name(self.result)}",
             *self._remedy(steps),
@@ -78,7 +78,7 @@ class Design(eqx.Module):
         return [f"  ended     {text}"] if text else []
 
 
-def _in_millimetres(name: str, pair: tuple[float, float]) -> tuple[str, tuple[float, float]]:
+def _figure_in_millimetres(name: str, pair: tuple[float, float]) -> tuple[str, tuple[float, float]]:
     """A figure and its values; a length in millimetres."""
     if not name.endswith("[m]"):
         return name, pair

@@ -13,10 +13,10 @@ from .._mechanics import check_states
 from .._results import (
     as_count,
     as_floats,
+    as_positive,
     check_callable,
     check_flag,
     check_instance,
-    check_positive,
     on_host,
     shown,
 )
@@ -65,7 +65,7 @@ def _number(name: str, value: Any) -> float:
 
 
 def _positive(name: str, value: Any) -> float:
-    return float(check_positive(name, as_floats(name, value, ())))
+    return float(as_positive(name, value))
 
 
 def _size(name: str, value: Any) -> float:

@@ -9,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from .._results import as_floats, check_positive, shown
+from .._results import as_positive, shown
 from . import _gif
 
 # How long the last frame stays [ms].
@@ -45,7 +45,7 @@ def _mp4(path: Path, frames: list[Image.Image], delay: int) -> None:
 
 def positive_numbers(**numbers: Any) -> tuple[float, ...]:
     """Arguments as numbers, which must be positive."""
-    return tuple(float(check_positive(name, as_floats(name, x, ()))) for name, x in numbers.items())
+    return tuple(float(as_positive(name, x)) for name, x in numbers.items())
 
 
 def checked_path(path: str | Path) -> Path:

@@ -9,7 +9,7 @@ from functools import cached_property, singledispatch
 
 import numpy as np
 
-from .._results import as_floats, check_positive, shown
+from .._results import as_positive, shown
 from ..geometry import (
     AbstractChart,
     AbstractImplicit,
@@ -226,7 +226,7 @@ def _axes(surface: Ellipsoid | Superellipsoid) -> np.ndarray:
 def _given(extent: float | None) -> float:
     if extent is None:
         raise ValueError("argument extent must be positive for a surface without end, but was None")
-    return float(check_positive("extent", as_floats("extent", extent, ())))
+    return float(as_positive("extent", extent))
 
 
 def _ball(counts: tuple[int, int]) -> Mesh:

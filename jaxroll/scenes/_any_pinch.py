@@ -31,7 +31,7 @@ from .._reaching import (
     sheet_of,
     tip_origins,
 )
-from .._results import on_host, RESULTS, shown
+from .._results import as_positive, on_host, RESULTS, shown
 from .._types import Given
 from .._xla import quickly
 from ..contact import Contact, Contact3
@@ -39,7 +39,6 @@ from ..control import Opposition, orientations
 from ..geometry import Circle, Sphere
 from ._pinch_targets import FailedTargets, out_of_reach, SAME
 from ._plane_scenes import BASES, LINK_MASSES, LINKS
-from ._scene_arguments import as_positive
 from ._space_scenes import AXES3, LINKS3, MASSES3, SPAN3
 
 # Width of the chapter's objects [m], for which its fingers are made, and how far from the bases they are

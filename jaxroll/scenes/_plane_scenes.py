@@ -16,13 +16,13 @@ from jaxtyping import Array, Float
 from .._closing import close
 from .._linalg import Vec2
 from .._mechanics import Finger, FreeObject, Grasp, Jaw, PivotedObject, State
-from .._results import as_count, as_floats, as_length, check_instance, shown
+from .._results import as_count, as_floats, as_length, as_positive, check_instance, shown
 from .._types import Given
 from .._xla import quickly
 from ..contact import Contact
 from ..control import Opposition, orientations, Press
 from ..geometry import AbstractContour, Catenary, check_contour, Circle, Ellipse, Line, Moved, tabled
-from ._scene_arguments import as_pair, as_positive
+from ._scene_arguments import as_pair
 
 # Tables 1 and 2, in SI units.
 LENGTHS = (0.065, 0.065)

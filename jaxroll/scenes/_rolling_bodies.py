@@ -12,11 +12,11 @@ from jaxtyping import Array, Float
 
 from .._linalg import pose_at, Vec3
 from .._mechanics import FreeObject3, Grasp, Stage, State, Turning
-from .._results import as_floats, as_length, check_between, check_positive, concrete
+from .._results import as_floats, as_length, as_positive, check_between, check_positive, concrete
 from .._types import Given
 from ..contact import Contact3
 from ..geometry import Cylinder, Ellipsoid, Hollow, Plane, Sphere, Torus
-from ._scene_arguments import as_positive, check_below
+from ._scene_arguments import check_below
 
 _SOLID = 0.4  # k in the inertia k m r^2 of a solid ball
 

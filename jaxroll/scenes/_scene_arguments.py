@@ -2,15 +2,9 @@
 
 from typing import Any
 
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
-from .._results import as_floats, check_instance, check_positive, concrete, shown
-from .._types import Given
-
-
-def as_positive(name: str, value: Given) -> Float[Array, ""]:
-    """A positive number."""
-    return check_positive(name, as_floats(name, value, ()))
+from .._results import check_instance, concrete, shown
 
 
 def as_pair(name: str, value: Any, kind: type, what: str) -> tuple[Any, Any]:

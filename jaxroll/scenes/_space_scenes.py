@@ -14,12 +14,12 @@ from jaxtyping import Array
 
 from .._closing import close
 from .._mechanics import Finger3, FreeObject3, Grasp, State
-from .._results import as_length, check_instance, concrete
+from .._results import as_length, as_positive, check_instance, concrete
 from .._types import Given
 from ..contact import Contact3
 from ..control import Opposition
 from ..geometry import AbstractSurface, Plane, Sphere
-from ._scene_arguments import as_pair, as_positive
+from ._scene_arguments import as_pair
 
 # The chapter gives no numbers: the links of Table 1 on a short first one that swings out of the plane.
 AXES3 = ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 1.0))  # of the three joints

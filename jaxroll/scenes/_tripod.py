@@ -16,12 +16,11 @@ from jaxtyping import Array
 
 from .._closing import close
 from .._mechanics import Finger3, FreeObject3, Grasp, State
-from .._results import as_count, as_floats, check_instance, shown
+from .._results import as_count, as_floats, as_positive, check_instance, shown
 from .._types import Given
 from ..contact import Contact3
 from ..control import Carry
 from ..geometry import AbstractSurface, Ellipsoid, Sphere
-from ._scene_arguments import as_positive
 
 _AXES = (
     (1.0, 0.0, 0.0),

@@ -182,8 +182,7 @@ def numbers(name: str) -> Any:
     found: dict[str, Any] = {"report": fit.report, "text": str(fit.report)}
     if isinstance(fit, SurfaceFit):
         shape = fit.surface
-        found |= {name: getattr(shape, name, None) for name in ("origin", "step")}
-        found["shape"] = shape.coefficients.shape if hasattr(shape, "coefficients") else None
+        found |= {"origin": shape.origin, "step": shape.step, "shape": shape.coefficients.shape}
         found["feet"] = fit.feet
         found["trusted"] = np.asarray(fit.trusted(fit.feet), float)
     else:

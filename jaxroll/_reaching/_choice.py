@@ -17,6 +17,8 @@ from ._postures import poses_at, Postures, Reacher, searched_postures, touching,
 
 # An overlap below this is the contact itself [m].
 _TOLERANCE = 1e-7
+# Lengths and angles that differ by less are the same: rounding must not choose between postures.
+_EQUAL = 1e-9
 # Points on each link.
 _LINK = 16
 # Postures that are compared; of a finger with joints to spare there are many more.
@@ -83,6 +85,9 @@ def _best(
 ) -> tuple[Postures, float, float]:
     """The posture nearest to the guess or with links farthest away, its overlap and its links' distance.
 
+    Of postures whose links come as near, as do all that touch with one point of the last link, that is taken
+    whose links are farthest away on average, and of mirrored ones that with the smallest angles.
+
     Postures that overlap come last, and before them those whose links meet the object; they are looked at
     some at a time, until one does neither.
     """
@@ -93,11 +98,12 @@ def _best(
     best: tuple[Postures, float, float] | None = None
     for begin in range(0, len(found.q), _JUDGED):
         some = found.taken(slice(begin, begin + _JUDGED))
-        overlaps, links = _clearances(reacher, some, object_)
+        overlaps, links, average = _clearances(reacher, some, object_)
         # Without a guess they are in no order.
-        cost = np.arange(len(links)) if wish.guess is not None else -links
-        meets = np.maximum(wish.link_radius - links, 0.0)
-        i = int(np.lexsort((cost, meets, np.maximum(overlaps, _TOLERANCE)))[0])
+        away = [-links, -average, np.abs(some.q).sum(axis=1), *some.q.T]
+        costs = [np.round(cost / _EQUAL) for cost in away] if wish.guess is None else []
+        meets = np.maximum(np.round((wish.link_radius - links) / _EQUAL), 0.0)
+        i = int(np.lexsort((*costs[::-1], meets, np.maximum(overlaps, _TOLERANCE)))[0])
         worse = best is not None and (best[1], -best[2]) <= (overlaps[i], -links[i])
         if best is None or not worse:
             best = some.taken([i]), float(overlaps[i]), float(links[i])
@@ -168,8 +174,8 @@ def _beyond(found: Postures, limits: np.ndarray | None) -> str:
 
 def _clearances(
     reacher: Reacher, found: Postures, object_: tuple[SampledObject, np.ndarray, np.ndarray]
-) -> tuple[np.ndarray, np.ndarray]:
-    """How deep the tip overlaps the object, and how far the links stay from it, at each posture [m]."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """How deep the tip overlaps the object, how far the links stay from it and are on average [m]."""
     solid, origins, turns = object_
     local = reacher.samples.points
     tips, ways = poses_at(reacher.finger, found.q)
@@ -181,7 +187,8 @@ def _clearances(
     world = (both - origins[0]).reshape(-1, both.shape[2]) @ turns[0]
     away = heights(solid, world).reshape(both.shape[:2])
     count = len(local)
-    return np.maximum(0.0, -away[:, :count].min(axis=1)), away[:, count:].min(axis=1)
+    links = away[:, count:]
+    return np.maximum(0.0, -away[:, :count].min(axis=1)), links.min(axis=1), links.mean(axis=1)
 
 
 def _links(joints: np.ndarray) -> list[tuple[int, int]]:

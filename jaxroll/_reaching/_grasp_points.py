@@ -33,6 +33,8 @@ _STARTS, _STEPS, _MOST = 96, 24, 60_000
 _APART = 0.12
 # ... and exact ones, farther than this.
 _SAME = 1e-6
+# Demands that differ by less are one: symmetric shapes have many of the same, which rounding must not order.
+_EQUAL = 1e-9
 # Eigenvalues of H below this count as zero: a family of pairs.
 _SINGULAR = 1e-7
 # A pair is antipodal where the tangents of both angles are below this.
@@ -43,6 +45,8 @@ _SIZE = 0.05
 
 class GraspPoints(eqx.Module):
     """Pairs of points to hold an object by, the least friction demand first; of equal demand the narrowest.
+
+    Demands within 1e-9 count as equal. Which end of a pair comes first does not depend on rounding.
 
     Attributes:
         points: In the object's frame, shape (n, 2, d) [m]; a row is what `reach` takes as its contacts.
@@ -182,7 +186,7 @@ def _candidates(samples: _Pairs, limit: float) -> _Pairs:
     i, j = i[keep], j[keep]
     demand = _needed(points[i], points[j], normals[i], normals[j])
     # Samples are coarse: an antipodal pair may have none of small demand near it.
-    order = np.argsort(demand, kind="stable")[:_MOST]
+    order = np.argsort(np.round(demand / _EQUAL), kind="stable")[:_MOST]
     order = order[demand[order] <= max(limit, 1.0)]
     i, j = i[order], j[order]
     return _Pairs(*(np.concatenate([x[i], x[j]], axis=1) for x in samples))
@@ -291,10 +295,19 @@ def _newton(one: Frames, other: Frames) -> np.ndarray:
 
 
 def _merged(pairs: _Pairs, limit: float, size: float) -> _Pairs:
-    """Exact pairs, each once, the narrowest first."""
+    """Exact pairs, each once, the narrowest first.
+
+    Which end comes first, and which of several pairs of one width, is said by their coordinates, not by the
+    rounding of the search that found them.
+    """
+    coarse = np.round(pairs.points / (_SAME * size)) + 0.0
+    line = coarse[:, 1] - coarse[:, 0]
+    first = np.take_along_axis(line, np.argmax(np.abs(line) > 1.0, axis=1)[:, None], axis=1)[:, 0]
+    back = (pairs.faces[:, 0] == pairs.faces[:, 1]) & (first < 0.0)
+    pairs = _Pairs(*(np.where(back.reshape(-1, *(1,) * (x.ndim - 1)), x[:, ::-1], x) for x in pairs))
     width = np.linalg.norm(pairs.points[:, 1] - pairs.points[:, 0], axis=1)
-    # Widths that differ by rounding alone keep the order of their starts.
-    pairs = pairs.taken(np.argsort(np.round(width / (_SAME * size)), kind="stable"))
+    ends = np.round(pairs.points.reshape(len(width), -1) / (_SAME * size))
+    pairs = pairs.taken(np.lexsort((*ends.T[::-1], np.round(width / (_SAME * size)))))
     return pairs.taken(_thinned(pairs, len(pairs.points), _SAME * size))
 
 

@@ -32,6 +32,11 @@ _FACES = 96
 _TOUCHES = 1e-13
 # A search that is stuck at more than this is given up when its damping is large.
 _STUCK = 1e8
+# Least damping. A finger with joints to spare moves freely along a direction in which rounding alone says how
+# far: where damping is not far above rounding, the posture found depends on the processor.
+_DAMPING = 1e-9
+# Of angles [rad].
+_ROUNDING = 1e-12
 # Postures are one if no joint differs by more [rad or m].
 _ALIKE = 1e-6
 
@@ -111,7 +116,7 @@ def searched_postures(
             np.where(better.reshape(-1, *(1,) * (a.ndim - 1)), a, b)
             for a, b in zip(trial, state, strict=True)
         )
-        damping = np.where(better, np.maximum(0.1 * damping, 1e-15), 10.0 * damping + 1e-12)
+        damping = np.where(better, np.maximum(0.1 * damping, _DAMPING), 10.0 * damping + 1e-12)
         # Rounding alone is left, or no step helps.
         if np.all((state[2] < (0.01 * _TOUCHES) ** 2) | (damping > _STUCK)):
             break
@@ -126,7 +131,9 @@ def touching(reacher: Reacher, found: Postures) -> Postures:
     near = (found.gaps <= _TOUCHES * max(reacher.length, 1e-3)) & (found.tilts <= 1e-11)
     good = found.taken(near)
     if reacher.finger.turns:
-        good = good._replace(q=np.where(reacher.free, np.pi - (np.pi - good.q) % (2.0 * np.pi), good.q))
+        # Half a turn is pi, to rounding, and not at times -pi.
+        end = np.pi + _ROUNDING
+        good = good._replace(q=np.where(reacher.free, end - (end - good.q) % (2.0 * np.pi), good.q))
     kept: list[int] = []
     for i, q in enumerate(good.q):
         away = [np.abs(q - good.q[j]).max(initial=0.0) > _ALIKE for j in kept]

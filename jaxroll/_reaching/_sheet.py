@@ -88,7 +88,10 @@ class Sheet(NamedTuple):
             return at
         low, high = (float(end) for end in ends)
         if self.shape.closed:
-            return low + (at - low) % (high - low)
+            # A place at the seam, to rounding, is at its beginning.
+            length = high - low
+            along = (at - low) % length
+            return low + np.where(along < (1.0 - 1e-14) * length, along, 0.0)
         return np.clip(at, low, high)
 
     def sampled(self, count: int, extent: float) -> np.ndarray:

@@ -164,7 +164,8 @@ def _ranked(pairs: GraspPoints) -> np.ndarray:
     aside = middle - np.sum(middle * along, axis=1)[:, None] * along
     size = float(np.ptp(pairs.points.reshape(-1, middle.shape[1]), axis=0).max())
     narrow = _NARROW * pairs.distance / pairs.distance.max()
-    return np.argsort(pairs.demand + np.linalg.norm(aside, axis=1) / size + narrow)
+    worth = pairs.demand + np.linalg.norm(aside, axis=1) / size + narrow
+    return np.argsort(np.round(worth, 9), kind="stable")
 
 
 def _planar_contact(finger: int, contour: int, friction: Given) -> Contact:

@@ -74,10 +74,7 @@ def numbers(name: str) -> dict[str, Any]:
 
 
 def pinched() -> dict[str, Any]:
-    """An egg that is held where `pinch_object` finds that it can be, by default and otherwise.
-
-    Without what depends on the finger of three joints: rounding chooses its posture.
-    """
+    """An egg that is held where `pinch_object` finds that it can be, by default and otherwise."""
     body = jxr.FreeObject.uniform(_egg(), density=20.0)
     calls = {"defaults": {}, "varied": {"force": 2.0, "friction": 0.4, "gravity": (0.0, -1.0)}}
     found = {}
@@ -89,7 +86,7 @@ def pinched() -> dict[str, Any]:
         ]
         places = [{"s_object": c.s_object, "friction": c.friction, "sense": c.sense} for c in grasp.contacts]
         gains = {name: getattr(grasp.controller, name) for name in ("beta", "damping", "alpha")}
-        scene = {"pose": state.q[:3], "second": state.q[6:], "hand": hand, "places": places, "gains": gains}
+        scene = {"q": state.q, "hand": hand, "places": places, "gains": gains}
         found[call] = described(scene | {"object": grasp.object, "gravity": grasp.gravity})
     return found
 

@@ -1,0 +1,355 @@
+"""Parts of fits, each against brute force or by hand: what stands out, what crosses, orders, views, cells."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from jaxroll.geometry.fitting import (
+    _crossings,
+    _departures,
+    _limited_fit,
+    _ordering,
+    _rolled_line,
+    _scan,
+    _scan_fit,
+    _scan_verdict,
+    _surface_normals,
+    _visibility,
+)
+
+
+def on_circle(count, radius=0.02, turn=0.0):
+    angles = turn + 2.0 * np.pi * np.arange(count) / count
+    return radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+
+
+def stadium(per_side=40, half=0.02, radius=0.01, first=0):
+    """Two lines and two half circles, evenly spaced, counterclockwise from the middle of the lower line."""
+    step = 2.0 * half / per_side
+    arc = round(np.pi * radius / step)
+    line = (np.arange(per_side) + 0.5) / per_side * 2.0 * half - half
+    angles = (np.arange(arc) + 0.5) / arc * np.pi - 0.5 * np.pi
+    right = np.stack([half + radius * np.cos(angles), radius * np.sin(angles)], axis=1)
+    lower = np.stack([line, np.full(per_side, -radius)], axis=1)
+    return np.roll(np.concatenate([lower, right, -lower, -right]), -first, axis=0), arc
+
+
+def test_three_points_have_the_curvature_of_their_circle():
+    curvatures = _departures.three_point_curvatures(on_circle(30, 0.05), closed=True)
+    np.testing.assert_allclose(curvatures, 20.0, rtol=1e-12)
+    uneven = 0.05 * np.exp(1j * np.cumsum([0.0, 0.1, 0.3, 0.2, 0.5]))
+    points = np.stack([uneven.real, -uneven.imag], axis=1)
+    np.testing.assert_allclose(
+        _departures.three_point_curvatures(points, closed=False), [0.0, -20.0, -20.0, -20.0, 0.0], rtol=1e-12
+    )
+
+
+@pytest.mark.parametrize("first", [0, 18, 20, 39])
+def test_lines_that_meet_arcs_are_jumps_of_the_curvature(first):
+    points, arc = stadium(first=first)
+    feet = np.arange(len(points)) * 1e-3
+    found = _departures.jumps(points, feet, closed=True)
+    ends = [(0.02, -0.01), (0.02, 0.01), (-0.02, 0.01), (-0.02, -0.01)]
+    assert len(found) == 4 and arc == 31
+    for jump in found:
+        away = np.linalg.norm(np.array(ends) - jump.place, axis=1)
+        i = int(np.argmin(away))
+        ends.pop(i)
+        assert away[i] < 1.5e-3 and jump.angle == 0.0
+        assert sorted((jump.before, jump.after)) == pytest.approx([0.0, 100.0], abs=0.1)
+        # From a line into an arc at the right below and at the left above.
+        assert (jump.after > jump.before) == (jump.place[0] * jump.place[1] < 0.0)
+        k = int(np.flatnonzero((points == jump.place).all(axis=1))[0])
+        assert jump.arclength == feet[k]
+
+
+def test_corners_turn_by_their_angle_and_ends_of_open_points_are_none():
+    one = np.stack([np.linspace(0.0, 0.03, 31), np.zeros(31)], axis=1)
+    way = np.array([np.cos(0.7), np.sin(0.7)])
+    points = np.concatenate([one, one[-1] + np.arange(1, 31)[:, None] * 1e-3 * way])
+    (corner,) = _departures.jumps(points, np.arange(61.0), closed=False)
+    assert corner.place == pytest.approx((0.03, 0.0)) and corner.arclength == 30.0
+    assert corner.angle == pytest.approx(0.7, rel=1e-12)
+    (turned,) = _departures.jumps(points * (1.0, -1.0), np.arange(61.0), closed=False)
+    assert turned.angle == pytest.approx(-0.7, rel=1e-12)
+    # Noise that could make a corner of this angle hides it: 20 times the noise beside angle times step.
+    assert _departures.jumps(points, np.arange(61.0), closed=False, noise=0.7e-3 / 20.0 * 1.01) == ()
+    assert len(_departures.jumps(points, np.arange(61.0), closed=False, noise=0.7e-3 / 20.0 * 0.99)) == 1
+    # A corner of an arc counts by what it turns beyond the arc.
+    half = on_circle(60)[:31]
+    bent = np.concatenate([half, half[-1] + (half[-1] - half[0]) / 0.04 * np.arange(1, 31)[:, None] * 2e-3])
+    (met,) = _departures.jumps(bent, np.arange(61.0), closed=False)
+    steps = np.diff(bent, axis=0)
+    turning = np.arctan2(steps[29:31, 1], steps[29:31, 0])
+    reach = 0.5 * (np.linalg.norm(steps[29]) + np.linalg.norm(steps[30]))
+    bends = _departures.three_point_curvatures(bent, closed=False)
+    beyond = (turning[1] - turning[0] + np.pi) % (2.0 * np.pi) - np.pi - 0.5 * (bends[25] + bends[35]) * reach
+    assert met.place == pytest.approx(tuple(half[-1])) and met.angle == pytest.approx(beyond, rel=1e-9)
+
+
+def test_the_largest_of_neighbouring_flags_is_taken():
+    flags = np.zeros(20, bool)
+    flags[[0, 1, 6, 9, 13, 18]] = True
+    sizes = np.arange(20.0)
+    assert _departures._peaks(flags, sizes, closed=False) == [1, 9, 13, 18]
+    # Round the seam 18 and 0 are two apart.
+    assert _departures._peaks(flags, sizes, closed=True) == [9, 13, 18]
+    flags[[17, 18]] = True, False
+    flags[0] = False
+    # 17 and 1 are four apart.
+    assert _departures._peaks(flags, sizes, closed=True) == [1, 9, 13, 17]
+    assert _departures._peaks(np.zeros(5, bool), sizes[:5], closed=True) == []
+
+
+def test_neighbours_off_a_contour_are_a_departure_and_one_alone_is_not():
+    feet = np.arange(100) * 1e-3
+    points = np.stack([feet, np.zeros(100)], axis=1)
+    distances = np.zeros(100)
+    distances[[40, 41, 42]] = 4e-4, 6e-4, 4e-4
+    distances[60] = 9e-4
+    shuffled = np.random.default_rng(0).permutation(100)
+    options = {"noise": 1e-4, "radius": 2.5e-3}
+    (one,) = _departures.departures(points[shuffled], feet[shuffled], distances[shuffled], **options)
+    assert (one.start, one.end, one.place, one.distance) == (feet[40], feet[42], (feet[41], 0.0), 6e-4)
+    # Below three standard deviations, or a thousandth of the radius three times, nothing is off.
+    assert _departures.departures(points, feet, distances, noise=2.1e-4, radius=2.5e-3) == ()
+    assert len(_departures.departures(points, feet, distances, noise=0.0, radius=2.5e-3)) == 1
+    # Stretches closer than the radius are one; past s = 0 they go on.
+    distances[[45, 46]] = 5e-4
+    near, far = dict(options, radius=3.5e-3), dict(options, radius=2.5e-3)
+    assert [d.end for d in _departures.departures(points, feet, distances, **near)] == [feet[46]]
+    assert [d.end for d in _departures.departures(points, feet, distances, **far)] == [feet[42], feet[46]]
+    distances[[98, 99, 0, 1]] = 5e-4
+    found = _departures.departures(points, feet, distances, **far)
+    assert [(d.start, d.end) for d in found] == [
+        (feet[40], feet[42]),
+        (feet[45], feet[46]),
+        (feet[98], feet[1]),
+    ]
+    # At both ends, but too far apart round the seam.
+    distances[[98, 99, 0, 1, 2, 3]] = 0.0, 0.0, 0.0, 0.0, 5e-4, 5e-4
+    distances[[96, 97]] = 5e-4
+    assert len(_departures.departures(points, feet, distances, **far)) == 4
+
+
+def test_strays_stand_alone_and_far_off_where_the_curve_could_bend():
+    places, distances, bending = np.arange(50.0), np.full(50, 1e-5), np.zeros(50)
+    distances[[10, 20, 21, 30]] = 1e-3, 1e-3, 1e-3, -1e-3
+    bending[30] = 0.95
+    options = {"noise": 1e-4, "radius": 1e-3}
+    shuffled = np.random.default_rng(1).permutation(50)
+    found = _departures.strays(places[shuffled], distances[shuffled], bending[shuffled], **options)
+    assert sorted(shuffled[found]) == [10, 20, 21]
+    distances[[19, 22]] = 1e-3
+    found = _departures.strays(places, distances, bending, **options)
+    assert found.tolist() == [10]
+    bending[30] = -0.85
+    assert _departures.strays(places, distances, bending, **options).tolist() == [10, 30]
+    # Six standard deviations, or six times a two-hundredth of the radius.
+    assert _departures.strays(places, distances, bending, noise=1.7e-4, radius=1e-3).tolist() == []
+    assert _departures.strays(places, distances, bending, noise=1e-4, radius=0.034).tolist() == []
+    assert _departures.strays(places, distances, bending, noise=1e-4, radius=0.032).tolist() == [10, 30]
+
+
+@pytest.mark.parametrize("flip", [False, True])
+@pytest.mark.parametrize("ends", [(0, 1), (1, 0)])
+def test_a_side_that_ends_on_another_touches_it(flip, ends):
+    """Whichever of the two comes first, and whichever of its ends lies there."""
+    stem = np.array([(0.0, 0.0), (0.0, 1.0)])[list(ends)]
+    bar = np.array([(-1.0, 0.0), (1.0, 0.0)])
+    far = [(3.0, 2.0), (3.0, -2.0)]
+    first, second = (bar, stem) if flip else (stem, bar)
+    points = np.concatenate([first, far, second])
+    assert [0, 4] in _crossings.crossings(points, closed=False).tolist()
+    # A little apart they do not touch.
+    moved = points + np.where((points == stem[:, None]).all(axis=2).any(axis=0)[:, None], (0.0, 1e-9), 0.0)
+    assert [0, 4] not in _crossings.crossings(moved, closed=False).tolist()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_best_move_of_a_tour_is_the_best_of_all(seed):
+    x = np.random.default_rng(seed).uniform(size=(9, 2))
+    near = np.array([np.delete(np.arange(9), i) for i in range(9)])
+
+    def length(tour):
+        return np.linalg.norm(x[tour] - x[np.roll(tour, -1)], axis=1).sum()
+
+    tour = np.random.default_rng(seed + 10).permutation(9)
+    while True:
+        moves = [
+            np.concatenate([tour[:i], tour[i:j][::-1], tour[j:]])
+            for i, j in itertools.combinations(range(10), 2)
+        ]
+        for a, place in itertools.product(range(9), range(8)):
+            moves.append(np.insert(tour[tour != a], place + 1, a))
+        best = min(map(length, moves))
+        better = _ordering._best_move(tour, near, lambda a, b: np.linalg.norm(x[a] - x[b], axis=-1))
+        if better is None:
+            assert best >= length(tour) - 1e-9
+            break
+        assert sorted(better) == list(range(9)) and length(better) == pytest.approx(best, rel=1e-12)
+        tour = better
+
+
+def test_noise_is_what_a_line_through_both_neighbours_leaves():
+    rng = np.random.default_rng(3)
+    places = np.sort(rng.uniform(size=20_000))
+    order = rng.permutation(len(places))
+    errors = 3e-4 * rng.normal(size=len(places))
+    # A slope costs nothing, however uneven the places.
+    assert _limited_fit.estimated_noise(places[order], (2.0 + 5.0 * places)[order]) < 1e-14
+    measured = _limited_fit.estimated_noise(places[order], (5.0 * places + errors)[order])
+    assert measured == pytest.approx(3e-4, rel=0.03)
+
+
+def test_repeated_points_are_counted():
+    points = on_circle(80)
+    wanted = _limited_fit.Wanted(True, None, False, 5e-3, None, None, None)
+    found = _limited_fit.limited(np.concatenate([points, points[:7]]), wanted)
+    assert found.clean.merged == 7 and len(found.clean.points) == 80
+
+
+def test_stretches_of_a_line():
+    off = np.array([1, 1, 0, 0, 1, 0, 1, 1, 1], bool)
+    several = _rolled_line._stretches(off, closed=False)
+    assert [s.tolist() for s in several] == [[0, 1], [4], [6, 7, 8]]
+    assert [s.tolist() for s in _rolled_line._stretches(off, closed=True)] == [[4], [6, 7, 8, 0, 1]]
+    assert _rolled_line._stretches(np.ones(4, bool), closed=True) == []
+    assert _rolled_line._stretches(np.zeros(4, bool), closed=False) == []
+
+
+def test_chords_of_a_circle_have_its_normals():
+    points = on_circle(200)
+    inward = _rolled_line._normals(points, 0.02, closed=True)
+    np.testing.assert_allclose(inward, -points / 0.02, atol=1e-12)
+    # At the ends of open points the chord is one-sided.
+    ends = _rolled_line._normals(points[:100], 0.02, closed=False)
+    k = int(np.ceil(_rolled_line._ACROSS * 0.02 / np.linalg.norm(points[1] - points[0])))
+    chord = points[k] - points[0]
+    np.testing.assert_allclose(ends[0], np.array([-chord[1], chord[0]]) / np.linalg.norm(chord), atol=1e-12)
+    np.testing.assert_allclose(ends[50], inward[50], atol=1e-12)
+
+
+def test_ways_out_of_a_box_are_free_where_nothing_stands_in_them():
+    cells = np.random.default_rng(4).integers(4, 9, (12, 3))
+    found = _visibility._free_ways(cells)
+    taken = {tuple(cell) for cell in cells}
+    shape = cells.max(axis=0) + 1 + 4
+    assert found.shape == tuple(shape)
+    for start in itertools.product(*map(range, shape)):
+        free = 0
+        for way in itertools.product((-1, 0, 1), repeat=3):
+            if way == (0, 0, 0):
+                continue
+            place = np.add(start, way)
+            while np.all((place >= 0) & (place < shape)) and tuple(place) not in taken:
+                place = place + way
+            free += tuple(place) not in taken
+        assert found[start] == free
+
+
+def sphere_cloud(count, radius=0.02):
+    k = np.arange(count) + 0.5
+    height, angle = 1.0 - 2.0 * k / count, np.pi * (1.0 + np.sqrt(5.0)) * k
+    aside = np.sqrt(1.0 - height**2)
+    return radius * np.stack([aside * np.cos(angle), aside * np.sin(angle), height], axis=1)
+
+
+def test_a_cell_has_one_side_of_six():
+    rng = np.random.default_rng(5)
+    points, normals = rng.uniform(size=(400, 3)), rng.normal(size=(400, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    for given in (None, normals):
+        count, number = _scan._cells(points, given, 0.3)
+        names = []
+        for i, p in enumerate(points - points.min(axis=0)):
+            main = 0 if given is None else int(np.argmax(np.abs(normals[i])))
+            side = (0, 0) if given is None else (main, normals[i, main] > 0.0)
+            names.append((*np.floor(p / 0.3).astype(int), *side))
+        assert count == len(set(names)) == len(set(number))
+        assert len(set(zip(names, number, strict=True))) == count
+
+
+def test_a_thinned_cloud_keeps_area_and_leaves_out_what_lies_apart(monkeypatch):
+    points = sphere_cloud(4000)
+    far = np.array([[0.0, 0.0, 0.05]])
+    scan, numbers = _scan.thinned_scan(np.concatenate([points, far]), None, 2e-3)
+    assert numbers[-1] == -1 and np.all(numbers[:-1] >= 0) and len(numbers) == 4001
+    assert scan.areas.sum() == pytest.approx(4.0 * np.pi * 0.02**2, rel=0.06)
+    outward = np.sum(scan.points * scan.normals, axis=1) / np.linalg.norm(scan.points, axis=1)
+    assert outward.min() > 0.97 and np.all((scan.sure >= 0.0) & (scan.sure <= 1.0))
+    for i in (0, 17, 3000):
+        assert np.linalg.norm(scan.points[numbers[i]] - points[i]) < 2e-3 * np.sqrt(3.0)
+    # Too many cells are widened, not much beyond what is needed.
+    for most in (300, 700):
+        monkeypatch.setattr(_scan, "_LARGEST", most)
+        fewer, _ = _scan.thinned_scan(points, points / 0.02, 1e-3)
+        assert 0.4 * most < len(fewer.points) <= most
+        np.testing.assert_allclose(np.sum(fewer.points * fewer.normals, axis=1) > 0.0, True)
+
+
+def test_normals_are_sure_where_neighbours_lie_in_a_plane():
+    rng = np.random.default_rng(6)
+    points = np.concatenate([rng.uniform(-1.0, 1.0, (300, 2)), rng.normal(0.0, 0.02, (300, 1))], axis=1)
+    points[:150, 2] = 0.0
+    points[:150, 0] -= 1.2
+    points[150:, 0] += 1.2
+    near = np.argsort(np.linalg.norm(points[:, None] - points[None], axis=2), axis=1)[:, :12]
+    _, _, sure = _surface_normals.parted_normals(points, near, np.full(300, 0.01))
+    flat = np.abs(points[near][:, :, 2]).max(axis=1) == 0.0
+    assert flat.sum() > 80
+    np.testing.assert_allclose(sure[flat], 1.0, atol=1e-9)
+    for i in range(0, 300, 7):
+        least, middle, _ = np.linalg.eigvalsh(np.cov(points[near[i]].T))
+        expected = np.clip(1.0 - 10.0 * least / middle, 0.0, 1.0)
+        np.testing.assert_allclose(sure[i], expected, atol=1e-9)
+
+
+def test_neighbours_agree_along_the_tree_that_turns_least():
+    """The sum over its links of 1 - |n . n'|, against Prim's method by hand."""
+    rng = np.random.default_rng(7)
+    points = rng.uniform(size=(40, 3))
+    normals = rng.normal(size=(40, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    near = np.argsort(np.linalg.norm(points[:, None] - points[None], axis=2), axis=1)[:, :9]
+    order, before = _surface_normals._tree(normals, near)
+    assert sorted(order) == list(range(40))
+    cost = 1.0 - np.abs(normals @ normals.T)
+    linked = np.full((40, 40), np.inf)
+    for i, others in enumerate(near[:, 1:]):
+        linked[i, others] = linked[others, i] = cost[i, others]
+    reached, total = {int(order[0])}, 0.0
+    while len(reached) < 40:
+        i, j = min(itertools.product(reached, set(range(40)) - reached), key=lambda ij: linked[ij])
+        total += linked[i, j]
+        reached.add(j)
+    assert sum(cost[i, before[i]] for i in order[1:]) == pytest.approx(total, rel=1e-9)
+
+
+def test_a_grid_surrounds_its_points_with_room():
+    points = sphere_cloud(200) + (0.1, 0.0, -0.3)
+    grid = _scan_fit._grid(points, 1e-3)
+    cells = np.array(grid.counts) - (_scan_fit.ORDER - 1)
+    low, high = np.array(grid.origin), np.array(grid.origin) + 1e-3 * cells
+    room = _scan_fit._ROOM * 1e-3
+    assert np.all(low <= points.min(axis=0) - room + 1e-12) and np.all(
+        high >= points.max(axis=0) + room - 1e-12
+    )
+    assert np.all(high - low < np.ptp(points, axis=0) + 2.0 * room + 1e-3 + 1e-12)
+    np.testing.assert_allclose(low + high, points.min(axis=0) + points.max(axis=0), atol=1e-12)
+    with pytest.raises(
+        ValueError, match="argument smallest_radius must be larger for a body of 0.0398 m: it asks"
+    ):
+        _scan_fit._grid(points, 2e-5)
+
+
+def test_a_verdict_tells_what_is_kept_rounded_and_closed():
+    say = _scan_verdict._verdict
+    assert say(None, None, 0.0, 0.0005, 0.004) == "one smooth surface with radii of curvature from 4 mm up"
+    said = say((3e-4, 1e-3), (1e-4, 2e-3), 0.25, 0.0015, 0.004).split(", ")
+    assert said[1:] == [
+        "0.3 mm rms from 75 % of the points",
+        "the other 25 % rounded off by up to 2 mm",
+        "0.15 % of it closed without data",
+    ]

@@ -289,11 +289,37 @@ TABLES = {
     ),
     "one": (EGG[:, :1], "but table.csv has 1"),
     "a line": (EGG[:, :1] * np.array([1.0, 2.0]), "those of table.csv lie on one line"),
+    "five with commas": ("1,2,3,4,5\n2,3,4,5,6\n", "but table.csv has 5"),
+    "semicolons too": ("1,4;2;3;4\n2,3;4;5;6\n", "but table.csv has 4"),
     "decimal commas": (
         "-1,44,-1,08\n2,30,1,50\n",
         "has 4; if its commas are decimal marks, part the columns by s",
     ),
 }
+
+
+def test_a_ply_of_points_alone_is_a_cloud(tmp_path):
+    points = np.random.default_rng(9).normal(size=(20, 3)).round(3)
+    head = "ply\nformat ascii 1.0\nelement vertex 20\n" + "".join(f"property float {x}\n" for x in "xyz")
+    rows = "\n".join(" ".join(f"{x:.3f}" for x in row) for row in points)
+    (tmp_path / "cloud.ply").write_text(f"{head}end_header\n{rows}\n")
+    order = ShapeOrder(str(tmp_path / "cloud.ply"), "mm", None, None, None)
+    seen = _cli._shape_file._of_mesh(tmp_path / "cloud.ply", order)
+    np.testing.assert_allclose(seen.points, 1e-3 * points, atol=1e-9)
+    assert seen.normals is None and seen.faces is None
+    # Points have no section, and what is no file of triangles is no cloud either.
+    cut = ShapeOrder(str(tmp_path / "cloud.ply"), "mm", None, None, ("z", 0.0))
+    (tmp_path / "cloud.off").write_text("OFF\n0 0 0\n")
+    for name, which in (("cloud.ply", cut), ("cloud.off", order)):
+        with pytest.raises(ValueError, match="argument path must name a file with triangles, but cloud"):
+            _cli._shape_file._of_mesh(tmp_path / name, which)
+
+
+def test_what_to_beware_of_is_said_before_the_work(monkeypatch):
+    said = []
+    monkeypatch.setattr(_cli._shape_file, "say", said.append)
+    _cli._shape_file.warn(["  size        3 x 4 mm", "  outline     number 0", "  beware      of this"])
+    assert said == ["outline     number 0", "beware      of this"]
 
 
 @pytest.mark.parametrize("case", TABLES)

@@ -1,12 +1,14 @@
 """The command line: what does not fit is one line on stderr and exit code 2, before any work is done."""
 
 import contextlib
+import dataclasses
 import json
 import re
 import sys
 import time
 import types
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax import monitoring
@@ -15,7 +17,7 @@ from PIL import Image
 import jaxroll as jxr
 from jaxroll import _cli, plotting
 from jaxroll.__main__ import main
-from jaxroll._cli import _design_command, _waiting, DesignOrder, order
+from jaxroll._cli import _design_command, _replay_command, _waiting, DesignOrder, order
 from jaxroll._cli._design_command import fingertip
 from jaxroll.geometry import Circle
 
@@ -195,6 +197,22 @@ def test_a_replay_shows_and_tells_of_a_run_up_to_a_time(saved, tmp_path, monkeyp
             "argument --until must be a time by which two states were saved, of a run from 0 to 0.1 s"
             in complaint
         )
+
+
+def test_a_film_of_a_long_run_takes_twelve_seconds(saved, tmp_path, monkeypatch, capfd):
+    """Of a run whose first saved state is at 3 s and whose last is at 39 s: three times as fast as time."""
+    monkeypatch.setenv("JAXROLL_CACHE", "off")
+    kept = jxr.load(saved / "run.npz")
+    later = dataclasses.replace(kept["run"], ts=jnp.array([3.0, 20.0, 39.0]))
+    asked = []
+    monkeypatch.setattr(_replay_command, "_read", lambda _: (kept["grasp"], later))
+    monkeypatch.setattr(_replay_command, "_pictures", lambda *_: {})
+    monkeypatch.setattr(_replay_command.plotting, "animate", lambda *_, **options: asked.append(options))
+    monkeypatch.setattr(_replay_command.plotting, "page", lambda *_: None)
+    for speed in ([], ["--speed", "2"]):
+        assert main(["replay", str(saved / "run.npz"), "--out", str(tmp_path), "--fps", "9", *speed]) == 0
+    assert asked == [{"fps": 9, "speed": 3.0}, {"fps": 9, "speed": 2.0}]
+    assert "motion.gif, page.html" in capfd.readouterr().out
 
 
 WORDS = {

@@ -288,6 +288,17 @@ def test_the_tip_of_a_file_is_taken_where_that_is_asked_for(tmp_path):
     np.testing.assert_allclose(top, (0.0, 0.0, 0.042), atol=1e-15)
     with pytest.raises(ValueError, match="argument tips must be surfaces where"):
         jxr.io.load_hand(written(tmp_path, with_shape("<box size='0.01 0.01 0.01'/>")), "mesh")
+    # The tip's link has no shape, and its frame is elsewhere and turned: that of the finger's link is taken.
+    start = "<origin xyz='0.001 0.002 0.003' rpy='0.3 -0.2 0.5'/>"
+    bare = small_urdf(HINGE, ("end", "fixed", "finger", "tip")).replace("'fixed'>", f"'fixed'>{start}")
+    solid = "<collision><origin xyz='0 0 0.03'/><geometry><sphere radius='0.012'/></geometry></collision>"
+    moved = bare.replace("</link>\n<joint name='knuckle'", f"{solid}</link>\n<joint name='knuckle'")
+    surface = jxr.io.load_hand(written(tmp_path, moved), "mesh").fingers[0].tip
+    turn = Rotation.from_euler("xyz", (0.3, -0.2, 0.5))
+    centre = turn.inv().apply((-0.001, -0.002, 0.027))
+    for way in np.eye(3):
+        point = surface.point(surface.near(centre + 0.05 * way))
+        np.testing.assert_allclose(point, centre + 0.012 * way, atol=1e-14)
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll.geometry import polygon_area
+from jaxroll.io import _tables, _vector
 from jaxroll.io._mesh import spread_points
 from jaxroll.io._outline import even
 
@@ -110,11 +111,13 @@ def test_lengths_that_a_dxf_states(tmp_path):
     import ezdxf
 
     path = tmp_path / "plain.dxf"
-    for code in (1, 2, 4, 5, 6, 13, 14):
+    for code in (1, 2, 4, 5, 6, 8, 9, 13, 14):
         drawing = ezdxf.new(units=code)
         drawing.modelspace().add_lwpolyline([(0, 0), (3, 0), (0, 4)], close=True)
         drawing.saveas(path)
-        millimetres = 1e3 * ezdxf.units.conversion_factor(code, ezdxf.units.M)
+        # Millionths and thousandths of an inch, which ezdxf does not convert.
+        inches = {8: 25.4e-6, 9: 25.4e-3}
+        millimetres = inches.get(code) or 1e3 * ezdxf.units.conversion_factor(code, ezdxf.units.M)
         if code == 6:
             assert np.abs(jxr.io.read_points(path, unit="m")).max() == 4.0
             continue
@@ -517,6 +520,31 @@ def test_long_tables_that_are_not_regular_are_read_line_by_line(tmp_path):
     path.write_text("\n".join([*rows, "1,2"]))
     with pytest.raises(ValueError, match="line 2001 of cloud.csv was '1,2'"):
         jxr.io.read_cloud(path, unit="m")
+
+
+def test_which_tables_are_read_at_once(monkeypatch):
+    monkeypatch.setattr(_tables, "_LONG", 3)
+    plain, blanks = ["1,2,3", "4,5,6", "7,8,9"], ["1 2 3", "4 5 6", "7 8 9"]
+    for lines in (plain, blanks):
+        np.testing.assert_array_equal(_tables._regular(lines, (2, 0)), [[3, 1], [6, 4], [9, 7]])
+    others = [
+        plain[:2],
+        [],
+        ["x,y,z", *plain],
+        ["1;2;3", *plain],
+        ["1,2,3 # here", *plain],
+        [*plain, "1,nan,2"],
+    ]
+    others += [['"1",2,3', *plain], [*plain, "1,2"], ["1,2;3", *plain]]
+    assert all(_tables._regular(lines, (0, 1)) is None for lines in others[:5])
+    assert all(_tables._regular(lines, (0, 1, 2)) is None for lines in others[5:])
+
+
+def test_an_outline_that_is_not_finite_is_named():
+    points = np.array([[0.0, 1.0], [np.nan, 2.0]])
+    assert _vector._finite(points[:1], pathlib.Path("a.svg")) is not None
+    with pytest.raises(ValueError, match="outline of finite points, but that of a.svg is not"):
+        _vector._finite(points, pathlib.Path("a.svg"))
 
 
 def test_points_of_a_ply(tmp_path):

@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 import jaxroll as jxr
-from jaxroll._reaching import _reach
+from jaxroll._reaching import _postures, _reach
 from jaxroll._reaching._choice import Choice
 from tests.recorded import runs
 from tests.subjects.random_hands import planar_case, spatial_case
@@ -238,6 +238,84 @@ def test_an_object_that_is_let_go_turns_between_two_plates():
     free = jxr.reach(grasp, ends, pose=(0.0, 0.0, 0.3), hold_object=False)
     assert free.result == SUCCESS and worst_residual(free) <= 1e-12
     assert float(free.state.q[2]) < 0.3
+
+
+def test_a_finger_touches_two_walls_at_once():
+    """A round tip in a corner: its centre is one radius from both walls, which face down and aside."""
+    angles = np.radians([-60.0, -120.0])
+    walls = [jxr.Line().moved(angle=angle) for angle in angles]
+    finger = jxr.Finger(LINKS, MASSES, TIP, base=(-0.03, 0.0))
+    contacts = [jxr.Contact(finger=0, contour=0), jxr.Contact(finger=0, contour=1)]
+    grasp = jxr.Grasp(jxr.FreeObject(walls, mass=0.1, inertia=1e-5), [finger], contacts)
+    centre = np.array([0.0, -0.01 / np.cos(np.radians(30.0))])
+    points = centre - 0.01 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    found = jxr.reach(grasp, points, pose=(0.0, 0.08, 0.0), elbow=1)
+    assert found.result == SUCCESS, found.reason
+    wanted = two_links((-0.03, 0.0), centre + (0.0, 0.08), 1)
+    np.testing.assert_allclose(found.state.q[3:], wanted, atol=1e-12)
+    for contact, wall, point in zip(found.grasp.contacts, walls, points, strict=True):
+        np.testing.assert_allclose(wall.point(contact.s_object), point, atol=1e-14)
+
+
+def test_jaws_and_stages_without_limits_reach_what_is_before_them():
+    """A jaw along one axis and a stage along two: displacements are how far the faces are from the object."""
+    jaws = [
+        jxr.Jaw(jxr.Line().moved(angle=0.0), 0.1, [0.0], base=(-0.05, 0.0)),
+        jxr.Jaw(jxr.Circle(0.004), 0.1, [0.0, 0.5 * np.pi], base=(0.07, -0.03)),
+    ]
+    disc = jxr.FreeObject.uniform(jxr.Circle(A), density=20.0)
+    grasp = jxr.Grasp(disc, jaws, [jxr.Contact(finger=0), jxr.Contact(finger=1)])
+    found = jxr.reach(grasp, [(-A, 0.0), (A, 0.0)], pose=(0.001, 0.002, 0.0))
+    assert found.result == SUCCESS, found.reason
+    np.testing.assert_allclose(found.state.q[3:], [0.031, A + 0.004 + 0.001 - 0.07, 0.032], atol=1e-12)
+    assert worst_residual(found) <= 1e-14
+
+
+@pytest.mark.parametrize("shape", [0.0, 0.5])
+def test_pairs_of_one_width_are_in_the_order_of_their_ends(shape):
+    """A curve of four lobes has two pairs of each width, whichever way it is turned before it is sampled."""
+    angles = 2.0 * np.pi * (np.arange(160) + shape) / 160
+    radii = A * (1.0 + 0.02 * np.cos(4.0 * angles))
+    curve = jxr.Spline(np.stack([radii * np.cos(angles), radii * np.sin(angles)], axis=1))
+    found = jxr.grasp_points(curve, 0.5, count=4)
+    assert found.exact.all()
+    thin, thick = 0.98 * A * np.sqrt(0.5), 1.02 * A
+    wanted = [
+        [(-thin, -thin), (thin, thin)],
+        [(-thin, thin), (thin, -thin)],
+        [(-thick, 0.0), (thick, 0.0)],
+        [(0.0, -thick), (0.0, thick)],
+    ]
+    np.testing.assert_allclose(found.points, wanted, atol=2e-6)
+
+
+def test_many_postures_are_placed_in_parts():
+    finger = jxr.Finger(LINKS, MASSES, TIP, base=(0.01, 0.02))
+    q = np.random.default_rng(8).uniform(-3.0, 3.0, (150, 2))
+    origin, turn, origin_rate, turn_rate = _postures.placed_at(finger, q)
+    headings, base = np.cumsum(q, axis=1), np.asarray(finger.base)
+    ways = np.stack([np.cos(headings), np.sin(headings)], axis=2)
+    ends = base + np.einsum("k,nkd->nd", LINKS, ways)
+    np.testing.assert_allclose(origin, ends, atol=1e-15)
+    np.testing.assert_allclose(turn[:, :, 0], ways[:, 1], atol=1e-15)
+    # Each joint turns what is beyond it.
+    for joint, pivot in enumerate((base, base + LINKS[0] * ways[:, 0])):
+        arm = ends - pivot
+        np.testing.assert_allclose(origin_rate[..., joint], np.stack([-arm[:, 1], arm[:, 0]], 1), atol=1e-15)
+        np.testing.assert_allclose(turn_rate[:, :, 0, joint], turn[:, :, 1], atol=1e-15)
+
+
+def test_half_a_turn_is_pi_whatever_its_rounding():
+    grasp = two_fingers()
+    reacher = SimpleNamespace(length=0.1, finger=grasp.fingers[0], free=np.array([True, True]))
+    q = np.array([[-np.pi + 1e-14, 0.3], [np.pi - 1e-14, 0.3], [3.5, -4.0], [-np.pi + 1e-9, 0.3]])
+    found = _postures.Postures(q, np.zeros((4, 1, 1)), np.zeros(4), np.zeros(4))
+    kept = _postures.touching(reacher, found).q
+    wanted = [[np.pi, 0.3], [3.5 - 2.0 * np.pi, 2.0 * np.pi - 4.0], [-np.pi + 1e-9, 0.3]]
+    np.testing.assert_allclose(kept, wanted, atol=1e-13)
+    # A joint that is held keeps its angle.
+    reacher.free = np.array([False, True])
+    np.testing.assert_allclose(_postures.touching(reacher, found.taken([2])).q, [[3.5, 2.0 * np.pi - 4.0]])
 
 
 def test_arguments_that_do_not_fit_are_refused():

@@ -16,7 +16,7 @@ from jaxroll import scenes
 from jaxroll.__main__ import _parser, main
 from jaxroll._cli import _sweep_command
 from jaxroll._cli._sweep_command import maker, parameters_of
-from jaxroll._cli._sweep_order import _ENDS, _FILE, _fits, Range, SCENES, sweep_order, unit_of
+from jaxroll._cli._sweep_order import _ENDS, _FILE, _fits, map_order, Range, SCENES, sweep_order, unit_of
 from jaxroll._cli._sweep_table import read_table
 from jaxroll.plotting import map_page, parameter_map
 
@@ -167,6 +167,20 @@ def test_a_name_is_looked_for_in_the_scene():
         ValueError, match="argument --set must give tip_radius to a scene that takes fingertips"
     ):
         maker("pivoted", ("tip_radius",))
+
+
+def test_a_map_is_written_beside_a_store_of_zarr_and_into_a_folder(tmp_path):
+    for name in ("plain", "array.zarr"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "array.zarr" / "zarr.json").write_text("{}")
+    for name, beside in (("plain", tmp_path / "plain"), ("array.zarr", tmp_path)):
+        options = argparse.Namespace(
+            store=str(tmp_path / name), show=None, x=None, y=None, at=["b=2"], out=None
+        )
+        order = map_order(options)
+        assert order.out == str(beside) and order.at == {"b": 2.0} and order.store == str(tmp_path / name)
+        options.out = "elsewhere"
+        assert map_order(options).out == "elsewhere"
 
 
 def test_a_sweep_and_its_map(tmp_path, monkeypatch, capfd):

@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 import jaxroll as jxr
-from jaxroll._reaching import _postures, _reach
+from jaxroll._reaching import _choice, _postures, _reach
 from jaxroll._reaching._choice import Choice
 from tests.recorded import runs
 from tests.subjects.random_hands import planar_case, spatial_case
@@ -255,6 +255,63 @@ def test_a_finger_touches_two_walls_at_once():
     np.testing.assert_allclose(found.state.q[3:], wanted, atol=1e-12)
     for contact, wall, point in zip(found.grasp.contacts, walls, points, strict=True):
         np.testing.assert_allclose(wall.point(contact.s_object), point, atol=1e-14)
+
+
+def test_one_elbow_is_that_of_all_fingers():
+    one, each = (jxr.reach(two_fingers(), SIDES, pose=POSE, elbow=e) for e in (-1, (-1, -1)))
+    assert one.result == SUCCESS and np.all(np.asarray(one.state.q)[[4, 6]] < 0.0)
+    np.testing.assert_array_equal(one.state.q, each.state.q)
+
+
+def test_an_object_that_fingers_reach_is_not_moved_though_it_may_be(monkeypatch):
+    held = jxr.reach(two_fingers(), SIDES, pose=POSE)
+    monkeypatch.setattr(_reach, "close", None)
+    free = jxr.reach(two_fingers(), SIDES, pose=POSE, hold_object=False)
+    np.testing.assert_array_equal(free.state.q, held.state.q)
+
+
+# Postures by their overlaps, the distances of their links and these on average, joints, and which is taken.
+CLEARANCES = {
+    "the links that are farthest": ([0, 0], [2e-3, 3e-3], [9e-3, 3e-3], [[0.1], [0.9]], 1),
+    "of these on average": ([0, 0], [2e-3 + 1e-13, 2e-3], [3e-3, 4e-3], [[0.1], [0.9]], 1),
+    "of these with the smallest angles": ([0, 0], [2e-3, 2e-3], [3e-3 + 1e-13, 3e-3], [[0.9], [-0.1]], 1),
+    "of these the lower angle": ([0, 0], [2e-3, 2e-3], [3e-3, 3e-3], [[0.1 - 1e-13], [-0.1]], 1),
+    "before all one that overlaps less": ([2e-6, 1e-6], [3e-3, 2e-3], [3e-3, 2e-3], [[0.1], [0.9]], 1),
+    "touching is no overlap": ([2e-8, 1e-8], [3e-3, 2e-3], [3e-3, 2e-3], [[0.1], [0.9]], 0),
+}
+
+
+@pytest.mark.parametrize("case", CLEARANCES)
+@pytest.mark.parametrize("turned", [False, True])
+def test_which_posture_is_taken(case, turned, monkeypatch):
+    overlaps, links, average, q, wanted = (np.array(x) for x in CLEARANCES[case])
+    order = slice(None, None, -1 if turned else 1)
+    seen = tuple(np.asarray(x, float)[order] for x in (overlaps, links, average))
+    monkeypatch.setattr(_choice, "_clearances", lambda *_: seen)
+    found = _postures.Postures(q[order], np.zeros((2, 1, 1)), np.zeros(2), np.zeros(2))
+    wish = _choice.Wish(0, None, None, -np.inf)
+    one, overlap, away = _choice._best(None, found, wish, None)
+    assert one.q.tolist() == [q[wanted].tolist()]
+    assert (overlap, away) == (overlaps[wanted], links[wanted])
+
+
+def test_of_postures_whose_links_meet_the_object_that_is_taken_that_does_so_least(monkeypatch):
+    postures = _postures.Postures(
+        np.array([[0.1], [0.2], [0.3]]), np.zeros((3, 1, 1)), np.zeros(3), np.zeros(3)
+    )
+    seen = (np.zeros(3), np.array([1e-3, 2e-3, 5e-3]), np.zeros(3))
+    monkeypatch.setattr(_choice, "_clearances", lambda *_: seen)
+    reacher = SimpleNamespace(finger=SimpleNamespace(turns=True))
+    # With a guess the nearest of those that stay clear, without it the farthest away; if none does, the best.
+    for guess, radius, wanted in (
+        (0.0, 1.5e-3, 0.2),
+        (None, 1.5e-3, 0.3),
+        (0.0, 6e-3, 0.3),
+        (0.0, 1e-4, 0.1),
+    ):
+        near = None if guess is None else np.array([guess])
+        one, _, _ = _choice._best(reacher, postures, _choice.Wish(0, near, None, radius), None)
+        assert one.q.tolist() == [[wanted]]
 
 
 def test_jaws_and_stages_without_limits_reach_what_is_before_them():

@@ -4,10 +4,12 @@ import itertools
 
 import numpy as np
 import pytest
+from scipy.interpolate import BSpline, make_interp_spline
 
 from jaxroll.geometry.fitting import (
     _crossings,
     _departures,
+    _even_spline,
     _limited_fit,
     _ordering,
     _rolled_line,
@@ -353,3 +355,94 @@ def test_a_verdict_tells_what_is_kept_rounded_and_closed():
         "the other 25 % rounded off by up to 2 mm",
         "0.15 % of it closed without data",
     ]
+
+
+def wavy(count, closed=True):
+    """A closed curve with three lobes, or an open one with one bend."""
+    u = 2.0 * np.pi * np.arange(count) / count if closed else np.linspace(0.3, 2.5, count)
+    radius = 0.02 * (1.0 + 0.15 * np.cos(3.0 * u))
+    return np.stack([radius * np.cos(u), 1.3 * radius * np.sin(u)], axis=1)
+
+
+def crossed(one, other):
+    return one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
+
+
+@pytest.mark.parametrize("closed", [True, False])
+def test_an_even_spline_is_scipys_quintic(closed):
+    nodes = wavy(40, closed)
+    spline = _even_spline.EvenSpline(nodes, closed)
+    assert spline.pieces == (40 if closed else 39)
+    looped = np.concatenate([nodes, nodes[:1]]) if closed else nodes
+    options = {"bc_type": "periodic"} if closed else {}
+    other = make_interp_spline(np.arange(len(looped)), looped, k=5, **options)
+    u = np.linspace(0.0, spline.pieces, 333)[:-1]
+    frame = spline.frames(u)
+    np.testing.assert_allclose(frame.point, other(u), atol=1e-15)
+    rate, bend = other(u, 1), other(u, 2)
+    np.testing.assert_allclose(frame.speed, np.linalg.norm(rate, axis=1), rtol=1e-10)
+    np.testing.assert_allclose(np.sum(frame.normal * rate, axis=1), 0.0, atol=1e-15)
+    # To the left, of length one; curvature by the cross product.
+    np.testing.assert_allclose(crossed(rate, frame.normal), frame.speed, rtol=1e-10)
+    np.testing.assert_allclose(frame.curvature, crossed(rate, bend) / frame.speed**3, rtol=1e-6)
+    if closed:
+        np.testing.assert_allclose(spline.frames(u + 40.0).point, frame.point, atol=1e-15)
+    else:
+        np.testing.assert_array_equal(spline.frames(np.array([-3.0, 50.0])).point, nodes[[0, -1]])
+
+
+@pytest.mark.parametrize("closed", [True, False])
+def test_nodes_are_spread_at_equal_distances(closed):
+    spline = _even_spline.EvenSpline(wavy(40, closed), closed)
+    u, along = spline.arclengths()
+    fine = spline.frames(np.linspace(0.0, spline.pieces, 200_001)).point
+    whole = np.linalg.norm(np.diff(fine, axis=0), axis=1).sum()
+    assert along[0] == 0.0 and along[-1] == pytest.approx(whole, rel=1e-4) and u[-1] == spline.pieces
+    fewer = spline.spread(25)
+    feet = spline.feet(fewer.nodes)
+    lengths = np.interp(feet, u, along)
+    step = along[-1] / (25 if closed else 24)
+    wanted = step * np.arange(25)
+    away = (lengths - wanted + 0.5 * along[-1]) % along[-1] - 0.5 * along[-1] if closed else lengths - wanted
+    assert len(fewer.nodes) == 25 and np.abs(away).max() < 1e-3 * step
+
+
+@pytest.mark.parametrize("closed", [True, False])
+def test_feet_are_the_nearest_points(closed):
+    spline = _even_spline.EvenSpline(wavy(60, closed), closed)
+    points = np.random.default_rng(10).normal(0.0, 0.025, (200, 2))
+    points = points[np.linalg.norm(points, axis=1) > 0.012]
+    fine = np.linspace(0.0, spline.pieces, 60_001)
+    away = np.linalg.norm(spline.frames(fine).point[:, None] - points[None], axis=2).min(axis=0)
+    found = np.linalg.norm(spline.frames(spline.feet(points)).point - points, axis=1)
+    np.testing.assert_allclose(found, away, atol=2e-8)
+
+
+@pytest.mark.parametrize("closed", [True, False])
+@pytest.mark.parametrize("order", [0, 1, 2])
+def test_displacements_are_sums_of_bumps(closed, order):
+    u = np.concatenate([np.random.default_rng(11).uniform(0.0, 12.0, 50), [0.0, 12.0 - 1e-12, 5.0]])
+    matrix = _even_spline.displacements(u, 12, closed=closed, order=order).toarray()
+    assert matrix.shape == (53, 12 if closed else 17)
+    bump = BSpline.basis_element(np.arange(-3.0, 4.0), extrapolate=False)
+    bump = bump.derivative(order) if order else bump
+    each = np.nan_to_num(bump(u[:, None] - np.arange(-2, 15)))
+    if closed:
+        # Bumps about j and j + 12 are the same one.
+        each = np.stack([each[:, (np.arange(-2, 15) - j) % 12 == 0].sum(axis=1) for j in range(12)], axis=1)
+    np.testing.assert_allclose(matrix, each, atol=1e-14)
+
+
+def test_a_low_pass_halves_the_wave_of_its_length():
+    at = np.arange(240) / 240
+    waves = np.stack([np.cos(2.0 * np.pi * k * at) for k in (1, 4, 12)], axis=1)
+    passed = _even_spline.low_passed(waves, 0.24, 0.06, closed=True)
+    shares = 1.0 / (1.0 + (np.array([1, 4, 12]) / 4.0) ** 6)
+    np.testing.assert_allclose(passed, shares * waves, atol=1e-14)
+    # Between its ends an open curve is its chord and waves of half periods.
+    share = np.linspace(0.0, 1.0, 121)[:, None]
+    odd = np.sin(np.pi * np.array([2, 5, 9]) * share)
+    line = (1.0 - share) * np.array([[1.0, 2.0, 3.0]]) + share * np.array([[3.0, 5.0, 4.0]])
+    passed = _even_spline.low_passed(line + odd, 0.1, 0.04, closed=False)
+    shares = 1.0 / (1.0 + (0.04 * np.array([2, 5, 9]) / 0.2) ** 6)
+    np.testing.assert_allclose(passed, line + shares * odd, atol=1e-13)

@@ -5,8 +5,11 @@ import itertools
 import numpy as np
 import pytest
 from scipy.interpolate import BSpline, make_interp_spline
+from scipy.sparse import csr_matrix
 
 from jaxroll.geometry.fitting import (
+    _band,
+    _bounded_curve,
     _crossings,
     _departures,
     _even_spline,
@@ -446,3 +449,89 @@ def test_a_low_pass_halves_the_wave_of_its_length():
     passed = _even_spline.low_passed(line + odd, 0.1, 0.04, closed=False)
     shares = 1.0 / (1.0 + (0.04 * np.array([2, 5, 9]) / 0.2) ** 6)
     np.testing.assert_allclose(passed, line + shares * odd, atol=1e-13)
+
+
+@pytest.mark.parametrize("closed", [True, False])
+@pytest.mark.parametrize("n", [9, 10])
+def test_banded_systems_are_solved_round_a_closed_curve_too(closed, n):
+    rng = np.random.default_rng(12)
+    matrix = np.zeros((n, n))
+    for i, k in itertools.product(range(n), range(4)):
+        if closed or i + k < n:
+            matrix[i, (i + k) % n] = matrix[(i + k) % n, i] = rng.normal()
+    matrix += 12.0 * np.eye(n)
+    right = rng.normal(size=n)
+    found = _bounded_curve._solved(csr_matrix(matrix), right, closed=closed)
+    np.testing.assert_allclose(found, np.linalg.solve(matrix, right), rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.parametrize("bound", [0.3, 1e6])
+def test_the_least_price_of_an_excess_has_no_slope(bound):
+    """Where the bound is passed and where it is not; without it the minimum is that of the form alone."""
+    rng = np.random.default_rng(13)
+    half = rng.normal(size=(8, 8))
+    form, pull, bend = half @ half.T + np.eye(8), rng.normal(size=8), rng.normal(size=(12, 8))
+    now, rho = rng.normal(size=12), 3.0
+    options = {"closed": False}
+    w = _bounded_curve._minimum(csr_matrix(form), pull, csr_matrix(bend), now, bound, rho, **options)
+    after = now + bend @ w
+    excess = np.sign(after) * np.maximum(np.abs(after) - bound, 0.0)
+    assert np.any(excess != 0.0) == (bound < 1.0)
+    np.testing.assert_allclose(form @ w - pull + rho * bend.T @ excess, 0.0, atol=1e-6)
+    if bound > 1.0:
+        np.testing.assert_allclose(w, np.linalg.solve(form, pull), rtol=1e-6)
+
+
+@pytest.mark.parametrize("closed", [True, False])
+def test_points_off_the_way_are_detours(closed):
+    points = on_circle(120) if closed else on_circle(160)[:120]
+    out = 1.0 + np.where(np.isin(np.arange(120), [20, 50, 51, 90, 91, 92]), 1.0, 0.0)
+    kept, strays = _band._without_detours(points * out[:, None], 1e-3, closed=closed)
+    assert sorted(strays) == [20, 50, 51, 90, 91, 92]
+    assert kept.tolist() == [i for i in range(120) if i not in strays]
+    # Four together are shape; the first point of a closed curve may be one that is off.
+    out = 1.0 + np.where(np.isin(np.arange(120), [0, 60, 61, 62, 63]), 1.0, 0.0)
+    kept, strays = _band._without_detours(points * out[:, None], 1e-3, closed=closed)
+    assert sorted(strays) == ([0] if closed else [])
+    # Corners between long sides, and what is small beside the scale, are none.
+    square = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)])
+    share = np.arange(10)[:, None] / 10
+    sides = np.concatenate([a + (b - a) * share for a, b in zip(square, np.roll(square, -1, 0), strict=True)])
+    assert len(_band._without_detours(sides, 1e-3, closed=True)[1]) == 0
+    single = points * (1.0 + np.where(np.arange(120) == 20, 0.4, 0.0))[:, None]
+    for scale, expected in ((5e-3, [20]), (9e-3, [])):
+        assert _band._without_detours(single, scale, closed=closed)[1].tolist() == expected
+
+
+def test_stretches_of_points_are_strung_a_scale_apart():
+    line = np.stack([np.arange(10) * 1.0, np.zeros(10)], axis=1)
+    # A stretch ends with the first point farther than the scale from where it began.
+    chain = _band._strung(line, 2.5, closed=False)
+    np.testing.assert_allclose(chain[:, 0], [1.0, 4.0, 7.0, 9.0])
+    ring = on_circle(20, 1.0)
+    chain = _band._strung(ring, 0.8, closed=True)
+    step = 2.0 * np.sin(np.pi / 20)
+    assert step * 2 < 0.8 < step * 3
+    # Of seven stretches of three the last has two, and joins the first.
+    wanted = [ring[[0, 1, 2, 18, 19]].mean(axis=0)] + [
+        ring[3 * k : 3 * k + 3].mean(axis=0) for k in range(1, 6)
+    ]
+    np.testing.assert_allclose(chain, wanted, atol=1e-15)
+    labels = np.array([3, 0, 3, 1, 0])
+    np.testing.assert_allclose(_band._means(line[:5], labels, 5)[:, 0], [2.5, 3.0, 1.0])
+
+
+@pytest.mark.parametrize("closed", [True, False])
+def test_points_have_places_along_their_chain(closed):
+    chain = np.array([(0.0, 0.0), (2.0, 0.0), (2.0, 1.0), (0.0, 1.0)])
+    points = np.array([(0.5, -0.1), (2.2, 0.25), (1.0, 1.3), (-0.3, 0.5)])
+    along, off = _band._projected(points, chain, closed=closed)
+    # In sixteenths of a step; without the last side the fourth point is nearest to a corner.
+    ends = [3.5, 0.3] if closed else [0.0, np.hypot(0.3, 0.5)]
+    np.testing.assert_allclose(along / 16.0, [0.25, 1.25, 2.5, ends[0]], atol=1e-12)
+    np.testing.assert_allclose(off, [0.1, 0.2, 0.3, ends[1]], atol=1e-12)
+
+
+def test_a_chain_closes_where_its_ends_are_within_two_of_its_steps():
+    line = np.stack([np.arange(4.0), np.zeros(4)], axis=1)
+    assert _band._closes(line[:3]) and not _band._closes(line)

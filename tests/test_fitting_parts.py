@@ -7,12 +7,14 @@ import pytest
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.sparse import csr_matrix
 
+from jaxroll.geometry import clean_points
 from jaxroll.geometry.fitting import (
     _band,
     _bounded_curve,
     _crossings,
     _departures,
     _even_spline,
+    _indicator,
     _limited_fit,
     _ordering,
     _rolled_line,
@@ -535,3 +537,49 @@ def test_points_have_places_along_their_chain(closed):
 def test_a_chain_closes_where_its_ends_are_within_two_of_its_steps():
     line = np.stack([np.arange(4.0), np.zeros(4)], axis=1)
     assert _band._closes(line[:3]) and not _band._closes(line)
+
+
+def test_the_body_that_most_of_a_scan_lies_on_is_taken_and_its_cavities_filled():
+    """The second of two boxes, though the first has more cells; the other is a small part of the scan."""
+    values = np.full((20, 10, 10), 1.0)
+    values[1:9, 1:9, 1:9] = -2.0
+    values[12:17, 3:8, 3:8] = -3.0
+    values[14, 5, 5] = 1.0
+    places = np.array([(12.0, 5.0, 5.0), (16.0, 5.0, 5.0), (14.0, 3.0, 5.0), (1.0, 5.0, 5.0)])
+    outward = np.array([(-1.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (-1.0, 0.0, 0.0)])
+    areas = np.array([1.0, 1.0, 1.0, 0.01])
+    scan = _scan.Scan(places - 0.1 * outward, outward, areas, np.ones(4), 0.1)
+    found = _indicator._alone(values, scan, np.zeros(3), 1.0)
+    wanted = np.abs(values)
+    wanted[12:17, 3:8, 3:8] = -3.0
+    wanted[14, 5, 5] = -1.0
+    np.testing.assert_array_equal(found, wanted)
+    both = _scan.Scan(scan.points, outward, np.ones(4), np.ones(4), 0.1)
+    with pytest.raises(ValueError, match="must enclose one body, but 25 % of them lie on 1 others"):
+        _indicator._alone(values, both, np.zeros(3), 1.0)
+    with pytest.raises(ValueError, match="must enclose a body, but enclose none"):
+        _indicator._alone(np.ones((3, 3, 3)), scan, np.zeros(3), 1.0)
+
+
+def test_a_mesh_has_a_million_samples_or_two_at_most():
+    corners = np.array([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 1.0, 0.0), (0.0, 1.0, 0.0)])
+    points, normals = _scan.sampled_mesh(corners, np.array([(0, 1, 2), (0, 2, 3)]), 1e-9)
+    assert 1e6 < len(points) < 5e6 and len(normals) == len(points)
+
+
+def test_an_open_order_begins_after_its_cut():
+    """Points along an open arc, in any order, come out from one end to the other, none left out."""
+    arc = on_circle(60)[:40]
+    order = np.random.default_rng(14).permutation(40)
+    points = arc[order]
+    found = _ordering.repaired(points, _ordering.nearest_points(points, 8), closed=False)
+    along = order[found.indices]
+    assert along.tolist() in (list(range(40)), list(range(39, -1, -1)))
+
+
+def test_repeated_points_are_too_few():
+    five = on_circle(5)
+    with pytest.raises(
+        ValueError, match="must be 6 distinct points or more, but there were 5"
+    ):
+        clean_points(np.repeat(five, 2, axis=0), ordered=True)

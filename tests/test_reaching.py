@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 import jaxroll as jxr
-from jaxroll._reaching import _choice, _postures, _reach
+from jaxroll._reaching import _choice, _grasp_points, _postures, _reach, sheet_of
 from jaxroll._reaching._choice import Choice
 from tests.recorded import runs
 from tests.subjects.random_hands import planar_case, spatial_case
@@ -312,6 +312,27 @@ def test_of_postures_whose_links_meet_the_object_that_is_taken_that_does_so_leas
         near = None if guess is None else np.array([guess])
         one, _, _ = _choice._best(reacher, postures, _choice.Wish(0, near, None, radius), None)
         assert one.q.tolist() == [[wanted]]
+
+
+def test_joints_at_their_limits_are_within_them():
+    limits = np.array([[-0.5, 1.0], [0.0, 2.0]])
+    q = np.array([[-0.5, 2.0], [1.0, 0.0], [-0.5 - 1e-13, 2.0 + 1e-13], [-0.5 - 1e-10, 1.0], [0.0, 2.1]])
+    found = _postures.Postures(q, np.zeros((5, 1, 1)), np.zeros(5), np.zeros(5))
+    assert _choice._within(None, found, limits).tolist() == [True, True, True, False, False]
+    assert _choice._within(None, found, None).all()
+
+
+def test_samples_are_shared_among_the_faces_of_an_object():
+    sheets = [sheet_of(jxr.Circle(A).moved((x, 0.0))) for x in (-0.05, 0.0, 0.05)]
+    for count in (1, 2, 3):
+        found = _grasp_points._sampled(sheets[:count], None)
+        assert len(found.points) == 384 and np.bincount(found.faces[:, 0]).tolist() == [384 // count] * count
+
+
+def test_an_object_without_bounds_is_looked_at_within_its_outline():
+    boxed = SimpleNamespace(object=SimpleNamespace(outline=np.array([0.06, 0.08, 0.24])))
+    assert _reach._extent(boxed) == pytest.approx(0.13)
+    assert _reach._extent(SimpleNamespace(object=SimpleNamespace(outline=None))) == _reach._EXTENT
 
 
 def test_jaws_and_stages_without_limits_reach_what_is_before_them():

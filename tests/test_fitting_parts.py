@@ -579,7 +579,49 @@ def test_an_open_order_begins_after_its_cut():
 
 def test_repeated_points_are_too_few():
     five = on_circle(5)
-    with pytest.raises(
-        ValueError, match="must be 6 distinct points or more, but there were 5"
-    ):
+    with pytest.raises(ValueError, match="must be 6 distinct points or more, but there were 5"):
         clean_points(np.repeat(five, 2, axis=0), ordered=True)
+
+
+@pytest.mark.parametrize("shift", [0, 1, 20, 39, 40])
+def test_wherever_a_tour_is_cut_open_no_point_is_lost(shift, monkeypatch):
+    points = on_circle(60)[:40]
+    tour = np.roll(np.arange(41), shift)  # 40 is the additional point
+    monkeypatch.setattr(_ordering, "_shortened", lambda *_, **__: tour)
+    found = _ordering.repaired(points, _ordering.nearest_points(points, 8), closed=False)
+    assert found.indices.tolist() == list(range(40))
+
+
+@pytest.mark.parametrize("block", [1, 7, 10_000])
+def test_crossings_are_found_block_by_block(block, monkeypatch):
+    monkeypatch.setattr(_crossings, "_BLOCK", block)
+    points = np.random.default_rng(15).uniform(size=(25, 2))
+    wanted = []
+    for i, j in itertools.combinations(range(25), 2):
+        a, b, c, d = points[[i, (i + 1) % 25, j, (j + 1) % 25]]
+        # The place where both lines meet, as shares of both sides.
+        t, u = np.linalg.solve(np.stack([b - a, c - d], axis=1), c - a)
+        if j - i not in (1, 24) and 0.0 <= t <= 1.0 and 0.0 <= u <= 1.0:
+            wanted.append([i, j])
+    assert len(wanted) > 30 and _crossings.crossings(points, closed=True).tolist() == wanted
+
+
+def test_an_arc_that_runs_into_a_line_has_one_jump():
+    """What the ends of open points have beside them is not what the other end has."""
+    arc = on_circle(60)[:30]
+    way = (arc[-1] - arc[-2]) / np.linalg.norm(arc[-1] - arc[-2])
+    points = np.concatenate(
+        [arc, arc[-1] + np.arange(1, 31)[:, None] * np.linalg.norm(arc[1] - arc[0]) * way]
+    )
+    for given, sides in ((points, (50.0, 0.0)), (points[::-1], (0.0, -50.0))):
+        (jump,) = _departures.jumps(given, np.arange(60.0), closed=False)
+        assert abs(np.linalg.norm(np.array(jump.place) - arc[-1])) < 2.2e-3
+        assert (jump.before, jump.after) == pytest.approx(sides, abs=1e-6) and jump.angle == 0.0
+
+
+def test_an_order_that_is_to_be_believed_is_kept():
+    assert _band._plausible(on_circle(3), closed=True) and not _band._plausible(on_circle(2), closed=True)
+    zigzag = np.stack([np.arange(40) * 1e-3, np.where(np.arange(40) % 2, 8e-4, 0.0)], axis=1)
+    found = _band.found_band(zigzag, 1e-6, closed=False, ordered=True)
+    assert not found.reordered and found.indices.tolist() == list(range(40))
+    assert found.chain.shape[1] == 2 and len(found.strays) == 0

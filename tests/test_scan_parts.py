@@ -62,8 +62,8 @@ def sphere(count, radius=1.0):
 
 
 def test_a_field_of_least_squares():
-    """Against dense normal equations with SciPy's B-splines and Gauss's rule, on 13 x 3 x 3 cells."""
-    rng, cells, step, roughness, length = np.random.default_rng(0), (13, 3, 3), 0.004, 0.03, 0.4
+    """Against dense normal equations with SciPy's B-splines and Gauss's rule, on 13 x 4 x 3 cells."""
+    rng, cells, step, roughness, length = np.random.default_rng(0), (13, 4, 3), 0.004, 0.03, 0.4
     origin, size = np.array([-0.02, 0.01, 0.03]), step * np.array(cells)
     points = origin + size * rng.uniform(0.02, 0.98, (500, 3))
     arms = points - origin - [0.5, -0.3, -0.6] * size
@@ -71,7 +71,7 @@ def test_a_field_of_least_squares():
     normals = arms / np.linalg.norm(arms, axis=1, keepdims=True)
     weights, slopes = rng.uniform(0.5, 1.0, (2, 500)) * step**2
     slopes[::3] = 0.0
-    grid = Grid(origin, step, (18, 8, 8))
+    grid = Grid(origin, step, (18, 9, 8))
     places = (points - origin).T / step
     lines = [[values(quintics(n), x, k).T for k in (0, 1)] for n, x in zip(cells, places, strict=True)]
     orders = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]

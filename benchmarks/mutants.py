@@ -40,6 +40,68 @@ _LONGEST = (60.0, 5.0)
 # the same text in other lines, in which a test would notice it, the line's text is the fifth.
 EQUIVALENT: dict[tuple[str, ...], str] = {
     (
+        "jaxroll/_reaching/_postures.py",
+        "placed_at",
+        "np.resize(q, (count * _STARTS, q.shape[1])).reshape(count, _STARTS, -1)",
+        "(np.resize(q, (count * _STARTS, q.shape[1])).reshape(_STARTS, count, -1))",
+    ): "parts of another size, in the same order",
+    (
+        "jaxroll/_reaching/_postures.py",
+        "_damped",
+        "1e-300",
+        "(2e-300)",
+    ): "a number far below all that differ",
+    (
+        "jaxroll/_reaching/_grasp_points.py",
+        "_refined",
+        "1e-300",
+        "(2e-300)",
+    ): "a number far below all that differ",
+    (
+        "jaxroll/_reaching/_postures.py",
+        "searched_postures",
+        "1e-12",
+        "(2e-12)",
+    ): "what a damping of zero begins to grow from, and there is none",
+    (
+        "jaxroll/_reaching/_grasp_points.py",
+        "_merged",
+        "1.0",
+        "(2.0)",
+        "first = np.take_along_axis(line, np.argmax(np.abs(line) > 1.0, axis=1)[:, None], axis=1)[:, 0]",
+    ): "units of a millionth of the size, beyond rounding either way",
+    (
+        "jaxroll/io/_robot_file.py",
+        "_own_inertias",
+        "1.0",
+        "(2.0)",
+        "body.ipos, body.iquat, body.fullinertia = np.zeros(3), (1.0, 0.0, 0.0, 0.0), (np.nan, *[0.0] * 5)",
+    ): "MuJoCo brings quaternions to length one",
+    (
+        "jaxroll/geometry/fitting/_ordering.py",
+        "_best_move",
+        "flip.min() <= put.min()",
+        "(flip.min() < put.min())",
+    ): "of two changes that shorten a tour as much either may be made",
+    (
+        "jaxroll/geometry/fitting/_scan_fit.py",
+        "_grid",
+        "math.prod(counts) > _MOST",
+        "(math.prod(counts) >= _MOST)",
+    ): "no grid has just that many cells",
+    (
+        "jaxroll/geometry/fitting/_band.py",
+        "_without_detours",
+        "straight < 3.0 * (count + 1) * float(np.median(steps)) + scale",
+        "(straight <= 3.0 * (count + 1) * float(np.median(steps)) + scale)",
+    ): "no way is just that long",
+    (
+        "jaxroll/geometry/fitting/_departures.py",
+        "jumps",
+        "size > steady",
+        "(size >= steady)",
+    ): "no jump is just that large",
+    (
         "jaxroll/plotting/_contours.py",
         "_count",
         "marks < high - 0.3 * step",

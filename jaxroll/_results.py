@@ -357,7 +357,7 @@ def check_direction(name: str, vectors: jax.Array) -> jax.Array:
 
 def as_length(name: str, value: Any) -> jax.Array:
     """Convert an argument to a length [m] of a shape; beyond these bounds its square would lose digits."""
-    length = check_positive(name, as_floats(name, value, ()))
+    length = as_positive(name, value)
     check_between(name, length, *_LENGTHS, unit=" m")
     return length
 

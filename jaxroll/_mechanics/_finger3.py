@@ -15,6 +15,7 @@ from .._linalg import Pose3, total, unstack, Vec3
 from .._results import (
     as_count,
     as_floats,
+    as_positive,
     check_direction,
     check_instance,
     check_positive,
@@ -175,7 +176,7 @@ class Finger3(AbstractFinger):
             '0.020 kg at 10 mm'
         """
         i = self.joints - 1 if link is None else as_count("link", link, least=0, most=self.joints - 1)
-        p = check_positive("mass", as_floats("mass", mass, ()))
+        p = as_positive("mass", mass)
         place = self.offsets[i] if at is None else as_floats("at", at, (3,))
         own = jnp.zeros((3, 3)) if inertia is None else as_floats("inertia", inertia, (3, 3))
         m, apart = self.masses[i], place - self.centres[i]

@@ -9,7 +9,7 @@ from typing import Any
 from jaxtyping import Array, Float
 
 from .._fields import real, taken, through
-from .._results import as_floats, as_several, check_instance, check_positive
+from .._results import as_floats, as_positive, as_several, check_instance, check_positive
 from .._types import Given
 from ..geometry import AbstractContour, mass_properties
 from ._body import Contours
@@ -54,7 +54,7 @@ class PivotedObject(AbstractPivoted):
         self.weight_moment = None
         if mass is not None:
             # Of mass and centre the weight needs the product alone: their first moment about the pivot.
-            self.weight_moment = check_positive("mass", as_floats("mass", mass, ())) * middle
+            self.weight_moment = as_positive("mass", mass) * middle
 
 
 class FreeObject(AbstractFree):

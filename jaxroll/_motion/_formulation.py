@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from .._linalg import Vec2
 from .._mechanics import check_planar, Grasp
 from .._printing import listed
-from .._results import as_floats, check_instance, check_positive
+from .._results import as_positive, check_instance
 from .._types import Given
 from ..contact import gap, Motion, Rows, Touch
 
@@ -68,10 +68,10 @@ class CSM(eqx.Module):
         gamma_lambda: Given = 3000.0,
         omega_lambda: Given = 900.0e4,
     ) -> None:
-        self.gamma_f = check_positive("gamma_f", as_floats("gamma_f", gamma_f, ()))
-        self.omega_f = check_positive("omega_f", as_floats("omega_f", omega_f, ()))
-        self.gamma_lambda = check_positive("gamma_lambda", as_floats("gamma_lambda", gamma_lambda, ()))
-        self.omega_lambda = check_positive("omega_lambda", as_floats("omega_lambda", omega_lambda, ()))
+        self.gamma_f = as_positive("gamma_f", gamma_f)
+        self.omega_f = as_positive("omega_f", omega_f)
+        self.gamma_lambda = as_positive("gamma_lambda", gamma_lambda)
+        self.omega_lambda = as_positive("omega_lambda", omega_lambda)
 
     def restoring(
         self, grasp: Grasp, motions: Sequence[Motion], touching: Sequence[Touch], closing: Rows

@@ -20,7 +20,7 @@ import numpy as np
 
 from .._mechanics import AbstractBody, AbstractFinger
 from .._printing import listed
-from .._results import as_count, as_floats, as_several, check_positive, concrete, on_host, shown
+from .._results import as_count, as_positive, as_several, concrete, on_host, shown
 from .._types import Given
 from ..geometry import AbstractContour, AbstractShape, AbstractSurface, check_shape
 from ._sheet import Frames, Sheet, sheet_of, shortened
@@ -118,7 +118,7 @@ def grasp_points(
         >>> [f"{1e3 * width:.1f} mm, friction {mu:.0f}" for width, mu in zip(found.distance, found.demand)]
         ['20.0 mm, friction 0', '40.0 mm, friction 0']
     """
-    limit = float(check_positive("friction", as_floats("friction", friction, ())))
+    limit = float(as_positive("friction", friction))
     count = as_count("count", count, most=1000)
     shapes, box = _shapes_of(object)
     sheets = [sheet_of(shape) for shape in shapes]

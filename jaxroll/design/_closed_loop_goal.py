@@ -21,7 +21,7 @@ from .._integration import (
     Trajectory,
 )
 from .._motion import Formulation
-from .._results import as_count, as_floats, check_callable, check_known, check_positive, RESULTS, shown
+from .._results import as_count, as_floats, as_positive, check_callable, check_known, RESULTS, shown
 from .._types import Given, Scalar
 from ..geometry import AbstractContour
 from ._goals import (
@@ -113,7 +113,7 @@ class ClosedLoop(AbstractGoal):
         self.make = check_make(make, cases)
         self.objective = _as_objective(objective)
         self.cases = check_cases(cases)
-        self.t1 = check_positive("t1", as_floats("t1", t1, ()))
+        self.t1 = as_positive("t1", t1)
         self.ts = as_count("ts", ts, least=2)
         options = RunOptions(
             t0=t0,

@@ -8,7 +8,7 @@ the whole contour, with its size $\rho$: zero on a circle. `jaxroll design` adds
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .._results import as_floats, check_instance, check_positive
+from .._results import as_positive, check_instance
 from .._types import Given, Scalar
 from ..geometry import AbstractContour
 from ._goals import AbstractGoal
@@ -41,7 +41,7 @@ class Fair(AbstractGoal):
 
     def __init__(self, goal: AbstractGoal, *, weight: Given = 0.01) -> None:
         self.goal = check_instance("goal", goal, AbstractGoal, "a goal")
-        self.weight = check_positive("weight", as_floats("weight", weight, ()))
+        self.weight = as_positive("weight", weight)
 
     @property
     def in_turn(self) -> bool:

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from .._mechanics import Grasp, State
-from .._results import as_count, as_floats, check_choice, check_positive
+from .._results import as_count, as_positive, check_choice
 from .._types import Given, Scalar
 from .._xla import quickly
 from ..geometry import AbstractContour, tabled
@@ -106,7 +106,7 @@ class Firmness(AbstractGoal):
         self.cases = check_cases(cases)
         self.measure = check_choice("measure", measure, tuple(_NAMES))
         self.neutral = None if neutral is None else as_count("neutral", neutral, least=0)
-        self.scale = None if scale is None else check_positive("scale", as_floats("scale", scale, ()))
+        self.scale = None if scale is None else as_positive("scale", scale)
 
     def aimed(self, tip: AbstractContour) -> "Firmness":
         """This goal with neutral directions and scale as the first start has them in the first case."""

@@ -18,15 +18,7 @@ from jaxtyping import Array, Float
 from .._integration import check_one_run, Trajectory
 from .._linalg import larger, largest
 from .._motion import Multipliers
-from .._results import (
-    as_array,
-    as_floats,
-    check_positive,
-    is_array_like,
-    RESULTS,
-    shown,
-    traced,
-)
+from .._results import as_array, as_positive, is_array_like, RESULTS, shown, traced
 from .._types import Scalar
 
 Signal = Float[Array, "t k"]
@@ -57,7 +49,7 @@ def settling_time(run: Trajectory, *, band: float = 0.02, signal: Signal | None 
 def _settling(run: Trajectory, signal: Signal | None = None, band: float = 0.02) -> Scalar:
     """`settling_time` of the part of a run that was reached."""
     seen, left, whole = _approach(run, signal)
-    limit = check_positive("band", as_floats("band", band, ())) * whole
+    limit = as_positive("band", band) * whole
     outside = seen & (left > limit)
     # The last state outside of the band, and the one after it, inside: between them the distance is taken as
     # a straight line, so that the time has a derivative although the indices have none.

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 from .._linalg import conjugate, quaternion_product, rotation as axes_of
 from .._mechanics import Finger3
 from .._printing import listed
-from .._results import as_floats, check_direction, check_instance, check_positive, on_host, shown
+from .._results import as_floats, as_positive, check_direction, check_instance, on_host, shown
 from .._types import Given
 from ..geometry import AbstractSurface, Ellipsoid, fit_surface, Sphere
 from ._mesh import spread_points
@@ -166,7 +166,7 @@ def _as_tips(tips: Any) -> Tips:
 def _as_wish(smoothing: Any, smallest_radius: Any) -> _Wish:
     """How meshes are to be fitted."""
     found = [
-        None if value is None else float(check_positive(name, as_floats(name, value, ())))
+        None if value is None else float(as_positive(name, value))
         for name, value in (("smoothing", smoothing), ("smallest_radius", smallest_radius))
     ]
     if None not in found:

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._printing import listed
-from ..._results import as_array, as_floats, as_length, check_positive, shown, traced
+from ..._results import as_array, as_floats, as_length, as_positive, shown, traced
 from ..._types import Given
 from .._contract import check_shape
 from ..contours import AbstractContour
@@ -80,7 +80,7 @@ def mass_properties(
         >>> f"{1e3 * ball.mass:.2f} g, {1e6 * ball.inertia[0, 0]:.3f} kg mm^2"
         '33.51 g, 5.362 kg mm^2'
     """
-    per = check_positive("density", as_floats("density", density, ()))
+    per = as_positive("density", density)
     planar = isinstance(shape, AbstractContour)
     if thickness is not None:
         if not planar:

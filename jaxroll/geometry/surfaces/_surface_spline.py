@@ -8,7 +8,7 @@ them.
 from jaxtyping import Array, Float
 
 from ..._linalg import Sym3, unstack, Vec3
-from ..._results import as_floats, check_positive
+from ..._results import as_floats, as_positive
 from ..._types import Given, Scalars
 from ..._xla import once
 from ._gauss import Gauss3
@@ -48,7 +48,7 @@ class SplineSurface(AbstractImplicit):
     def __init__(self, coefficients: Given, origin: Given, step: Given) -> None:
         self.coefficients = as_floats("coefficients", coefficients, (None, None, None))
         self.origin = as_floats("origin", origin, (3,))
-        self.step = check_positive("step", as_floats("step", step, ()))
+        self.step = as_positive("step", step)
         if min(self.coefficients.shape) < ORDER:
             raise ValueError(
                 f"argument coefficients must have at least {ORDER} along every axis, "

@@ -40,6 +40,18 @@ _LONGEST = (60.0, 5.0)
 # the same text in other lines, in which a test would notice it, the line's text is the fifth.
 EQUIVALENT: dict[tuple[str, ...], str] = {
     (
+        "jaxroll/_closing/_search.py",
+        "searched.more",
+        "search.count < _STEPS",
+        "(search.count <= _STEPS)",
+    ): "a bound that a search that arrives does not come to",
+    (
+        "jaxroll/geometry/fitting/_rolled_line.py",
+        "_rolled_on",
+        "np.linalg.norm(moved - places[here], axis=1).max() > _FAR * radius",
+        "(np.linalg.norm(moved - places[here], axis=1).max() >= _FAR * radius)",
+    ): "no place is moved by just that",
+    (
         "jaxroll/_reaching/_postures.py",
         "placed_at",
         "np.resize(q, (count * _STARTS, q.shape[1])).reshape(count, _STARTS, -1)",

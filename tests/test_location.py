@@ -12,7 +12,7 @@ import jaxroll as jxr
 from jaxroll._closing import _close
 from jaxroll._linalg import Vec2
 from jaxroll.contact import locate
-from jaxroll.contact.locating._candidates import _lone, Feet, minima
+from jaxroll.contact.locating._candidates import _lone, Feet, feet, minima
 from tests.helpers import in_single, slow_among
 from tests.measures import taylor_remainders
 from tests.oracles.outlines import gap_by_brute_force, KINDS, placed_points, points_of
@@ -227,6 +227,20 @@ def test_derivative_at_an_end():
         return locate(jxr.Circle(0.02), line, pose_b=(0.05, 0.05, np.pi)).gap
 
     np.testing.assert_allclose(jax.grad(gap)(0.02), -0.03 / np.hypot(0.05, 0.03), rtol=1e-12)
+
+
+def test_feet_beyond_an_open_contour_are_its_ends():
+    """Of a line from -1 to 2 along y: whichever sample is nearest, and however few there are."""
+    line = jxr.Line((-1.0, 2.0)).prepared()
+    points = Vec2(jnp.array([0.3, 0.3, -0.3, 0.4]), jnp.array([-5.0, 1.2, 1.9, 6.0]))
+    for count in (2, 3, 7):
+        s = jnp.linspace(-1.0, 2.0, count)
+        for near in (0, count - 1):
+            found = feet(line, s, points, jnp.full(4, near))
+            np.testing.assert_allclose(found.s, [-1.0, 1.2, 1.9, 2.0], atol=1e-15)
+            assert found.ended.tolist() == [True, False, False, True]
+            ends = np.hypot([0.3, 0.4], 4.0)
+            np.testing.assert_allclose(np.abs(found.distance), [ends[0], 0.3, 0.3, ends[1]], atol=1e-15)
 
 
 def test_bad_arguments_raise_one_sentence():

@@ -14,6 +14,7 @@ from jaxroll.plotting._artists import limits
 from jaxroll.plotting._contours import _name_contacts
 from jaxroll.plotting._forces import arrows
 from jaxroll.plotting._phase_one import phase_of_one
+from jaxroll.plotting._phase_parts import on_contour
 from jaxroll.plotting._responses import _DASHES, _dashes, _stretch
 from jaxroll.plotting._views import views
 
@@ -182,3 +183,9 @@ def test_names_of_contacts_stand_apart_where_a_tenth_of_the_axis_is_not_between_
     # In the upper picture inside the object, towards the middle of the circle.
     for text in above.texts:
         np.testing.assert_allclose(np.array(text.xyann) / 14.0, -np.array(text.xy) / 20.0, atol=1e-9)
+
+
+def test_places_off_the_ends_of_a_contour_are_left_out():
+    s = np.array([-2.0, -1.0, 0.5, 1.0, 1.5])
+    assert on_contour(jxr.Line((-1.0, 1.0)), s).tolist() == [False, True, True, True, False]
+    assert on_contour(jxr.Line(), s).all() and on_contour(jxr.Circle(0.1), s).all()

@@ -40,6 +40,12 @@ _LONGEST = (60.0, 5.0)
 # the same text in other lines, in which a test would notice it, the line's text is the fifth.
 EQUIVALENT: dict[tuple[str, ...], str] = {
     (
+        "jaxroll/contact/_contact3.py",
+        "Contact3.shift",
+        "2",
+        "(-2)",
+    ): "of four the first or the last two, either way",
+    (
         "jaxroll/_closing/_search.py",
         "searched.more",
         "search.count < _STEPS",

@@ -76,19 +76,6 @@ EQUIVALENT: dict[tuple[str, ...], str] = {
         "(2e-300)",
     ): "a number far below all that differ",
     (
-        "jaxroll/_reaching/_postures.py",
-        "searched_postures",
-        "1e-12",
-        "(2e-12)",
-    ): "what a damping of zero begins to grow from, and there is none",
-    (
-        "jaxroll/_reaching/_grasp_points.py",
-        "_merged",
-        "1.0",
-        "(2.0)",
-        "first = np.take_along_axis(line, np.argmax(np.abs(line) > 1.0, axis=1)[:, None], axis=1)[:, 0]",
-    ): "units of a millionth of the size, beyond rounding either way",
-    (
         "jaxroll/io/_robot_file.py",
         "_own_inertias",
         "1.0",

@@ -24,6 +24,7 @@ from jaxroll.geometry.fitting import (
     _surface_normals,
     _visibility,
 )
+from tests.subjects.clouds import sphere
 
 
 def on_circle(count, radius=0.02, turn=0.0):
@@ -256,13 +257,6 @@ def test_ways_out_of_a_box_are_free_where_nothing_stands_in_them():
         assert found[start] == free
 
 
-def sphere_cloud(count, radius=0.02):
-    k = np.arange(count) + 0.5
-    height, angle = 1.0 - 2.0 * k / count, np.pi * (1.0 + np.sqrt(5.0)) * k
-    aside = np.sqrt(1.0 - height**2)
-    return radius * np.stack([aside * np.cos(angle), aside * np.sin(angle), height], axis=1)
-
-
 def test_a_cell_has_one_side_of_six():
     rng = np.random.default_rng(5)
     points, normals = rng.uniform(size=(400, 3)), rng.normal(size=(400, 3))
@@ -279,7 +273,7 @@ def test_a_cell_has_one_side_of_six():
 
 
 def test_a_thinned_cloud_keeps_area_and_leaves_out_what_lies_apart(monkeypatch):
-    points = sphere_cloud(4000)
+    points = sphere(4000, 0.02)
     far = np.array([[0.0, 0.0, 0.05]])
     scan, numbers = _scan.thinned_scan(np.concatenate([points, far]), None, 2e-3)
     assert numbers[-1] == -1 and np.all(numbers[:-1] >= 0) and len(numbers) == 4001
@@ -335,7 +329,7 @@ def test_neighbours_agree_along_the_tree_that_turns_least():
 
 
 def test_a_grid_surrounds_its_points_with_room():
-    points = sphere_cloud(200) + (0.1, 0.0, -0.3)
+    points = sphere(200, 0.02) + (0.1, 0.0, -0.3)
     grid = _scan_fit._grid(points, 1e-3)
     cells = np.array(grid.counts) - (_scan_fit.ORDER - 1)
     low, high = np.array(grid.origin), np.array(grid.origin) + 1e-3 * cells

@@ -18,6 +18,7 @@ from jaxroll.geometry.fitting._scan import normals_of_net, sampled_mesh, Scan, t
 from jaxroll.geometry.mass import mass_properties
 from jaxroll.geometry.mass._level_moments import _along_knots, _around, _on_grid, _sampled, _triangles
 from jaxroll.geometry.surfaces import Implicit, SplineSurface
+from tests.subjects.clouds import sphere
 
 BALL = 0.02
 SIZE = 4.0 / 3.0 * np.pi * BALL**3
@@ -51,14 +52,6 @@ def gram(cells, order):
     nodes, weights = np.polynomial.legendre.leggauss(6)
     at = values(quintics(cells), (np.arange(cells)[:, None] + 0.5 * (1.0 + nodes)).ravel(), order)
     return (at * np.tile(0.5 * weights, cells)) @ at.T
-
-
-def sphere(count, radius=1.0):
-    """Even directions, by the golden angle."""
-    height = 1.0 - 2.0 * (np.arange(count) + 0.5) / count
-    turn = np.pi * (1.0 + 5.0**0.5) * np.arange(count)
-    flat = np.sqrt(1.0 - height**2)
-    return radius * np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)
 
 
 def test_a_field_of_least_squares():

@@ -126,7 +126,7 @@ def grasp_points(
     size = float(np.ptp(samples.points, axis=0).max())
     pairs = _candidates(samples, limit)
     starts = pairs.taken(_thinned(pairs, _STARTS, _APART * size))
-    exact = _merged(_refined(sheets, starts, size), limit, size)
+    exact = _merged(_refined(sheets, starts, size), size)
     others = pairs.taken(_demand(pairs) <= limit)
     kept = _thinned(others, count, _APART * size, exact.points) if len(exact.faces) < count else []
     both = _Pairs(*(np.concatenate(x) for x in zip(exact, others.taken(kept), strict=True)))
@@ -294,21 +294,21 @@ def _newton(one: Frames, other: Frames) -> np.ndarray:
     return -(np.linalg.pinv(matrix, rcond=_SINGULAR, hermitian=True) @ slope[..., None])[..., 0]
 
 
-def _merged(pairs: _Pairs, limit: float, size: float) -> _Pairs:
+def _merged(pairs: _Pairs, size: float) -> _Pairs:
     """Exact pairs, each once, the narrowest first.
 
     Which end comes first, and which of several pairs of one width, is said by their coordinates, not by the
     rounding of the search that found them.
     """
-    coarse = np.round(pairs.points / (_SAME * size)) + 0.0
-    line = coarse[:, 1] - coarse[:, 0]
-    first = np.take_along_axis(line, np.argmax(np.abs(line) > 1.0, axis=1)[:, None], axis=1)[:, 0]
+    same = _SAME * size
+    line = pairs.points[:, 1] - pairs.points[:, 0]
+    first = np.take_along_axis(line, np.argmax(np.abs(line) > same, axis=1)[:, None], axis=1)[:, 0]
     back = (pairs.faces[:, 0] == pairs.faces[:, 1]) & (first < 0.0)
     pairs = _Pairs(*(np.where(back.reshape(-1, *(1,) * (x.ndim - 1)), x[:, ::-1], x) for x in pairs))
-    width = np.linalg.norm(pairs.points[:, 1] - pairs.points[:, 0], axis=1)
-    ends = np.round(pairs.points.reshape(len(width), -1) / (_SAME * size))
-    pairs = pairs.taken(np.lexsort((*ends.T[::-1], np.round(width / (_SAME * size)))))
-    return pairs.taken(_thinned(pairs, len(pairs.points), _SAME * size))
+    width = np.round(np.linalg.norm(line, axis=1) / same)
+    ends = np.round(pairs.points.reshape(len(width), -1) / same)
+    pairs = pairs.taken(np.lexsort((*ends.T[::-1], width)))
+    return pairs.taken(_thinned(pairs, len(pairs.points), same))
 
 
 def _reported(sheets: Sequence[Sheet], pairs: _Pairs, count: int) -> GraspPoints:

@@ -116,7 +116,7 @@ def searched_postures(
             np.where(better.reshape(-1, *(1,) * (a.ndim - 1)), a, b)
             for a, b in zip(trial, state, strict=True)
         )
-        damping = np.where(better, np.maximum(0.1 * damping, _DAMPING), 10.0 * damping + 1e-12)
+        damping = np.where(better, np.maximum(0.1 * damping, _DAMPING), 10.0 * damping)
         # Rounding alone is left, or no step helps.
         if np.all((state[2] < (0.01 * _TOUCHES) ** 2) | (damping > _STUCK)):
             break

@@ -165,6 +165,7 @@ def _ranked(pairs: GraspPoints) -> np.ndarray:
     size = float(np.ptp(pairs.points.reshape(-1, middle.shape[1]), axis=0).max())
     narrow = _NARROW * pairs.distance / pairs.distance.max()
     worth = pairs.demand + np.linalg.norm(aside, axis=1) / size + narrow
+    # Of pairs that are as good to rounding the first stays first.
     return np.argsort(np.round(worth, 9), kind="stable")
 
 

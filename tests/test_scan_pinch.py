@@ -1,5 +1,6 @@
 """A scanned body pinched by fingertips that are scans: constraints, energy, overlap by SciPy's B-splines."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -16,7 +17,8 @@ def test_a_banana_between_two_scanned_fingertips():
     vertices, faces = scanned.banana()
     body = jxr.geometry.fit_surface(vertices, faces=faces, smallest_radius=scanned.BODY_RADIUS).surface
     grasp, state = scanned.pinched(body, [scanned.thumb(seed).surface for seed in (1, 2)])
-    run = jxr.simulate(grasp, state, 1.0, ts=41, record=("multipliers", "energy"))
+    # A bump of the scan passes in 20 ms: that is how dense the states must be for lengths of loci.
+    run = jxr.simulate(grasp, state, 1.0, ts=161, record=("multipliers", "energy"))
     left = run.residuals
     for part in (left.normal, left.tangential, left.tangency):
         assert np.abs(part).max() <= 1e-12
@@ -34,7 +36,7 @@ def test_a_banana_between_two_scanned_fingertips():
             height = field.derivative(at) / np.linalg.norm(field.gradient(at), axis=1)
             assert np.abs(height).max() <= 1e-12
     # No sample of one is below the other: the lowest is as high as its distance from the contact lets it be.
-    clear = scanned.audited(grasp, run.states)
+    clear = scanned.audited(grasp, jax.tree.map(lambda part: part[::4], run.states))
     assert clear.min() >= -1e-9 and clear.max() <= 1e-3
 
     curves = jxr.loci(grasp, run)
@@ -43,6 +45,6 @@ def test_a_banana_between_two_scanned_fingertips():
     assert lengths[0][:, -1].min() > 1e-3
     for curve, side in ((curves.tip, 0), (curves.object, 1)):
         steps = np.linalg.norm(np.diff(places[:, :, side], axis=0), axis=2).sum(axis=0)
-        np.testing.assert_allclose(steps, np.asarray(curve.arclength)[:, -1], rtol=2e-2)
+        np.testing.assert_allclose(steps, np.asarray(curve.arclength)[:, -1], rtol=5e-3)
     torques = jxr.torques(grasp, run.ts, run.states)
     assert jnp.isfinite(jnp.concatenate([jnp.ravel(x) for x in torques])).all()

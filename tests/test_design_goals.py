@@ -65,6 +65,20 @@ def test_measures_of_forces(run):
         peak_force(eqx.tree_at(lambda r: r.multipliers, run, None, is_leaf=lambda x: x is None))
 
 
+def test_friction_demand_in_space_by_hand(run):
+    """Tangential forces of two numbers: none at first, and none at all in half of the contacts."""
+    f = jnp.full_like(run.multipliers.f, 4.0)
+    lam = jnp.zeros((*f.shape, 2)).at[3, 0].set(jnp.array([0.6, -0.8]))
+
+    def demand(lam):
+        return friction_demand(eqx.tree_at(lambda r: (r.multipliers.f, r.multipliers.lam), run, (f, lam)))
+
+    assert float(demand(lam)) == 0.25 and float(demand(0.0 * lam)) == 0.0
+    slope = np.asarray(jax.grad(demand)(lam))
+    np.testing.assert_allclose(slope[3, 0], [0.15, -0.2], rtol=1e-14)
+    assert np.count_nonzero(slope) == 2  # and nothing is NaN
+
+
 @pytest.mark.slow
 def test_measures_see_only_what_a_run_reached():
     """A run that slips: rows after its end hold NaN, measures and their derivatives do not."""

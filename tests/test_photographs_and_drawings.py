@@ -38,6 +38,16 @@ def test_a_shaded_disc_in_a_photograph(colours, quality):
     assert report.radius >= 5e-3 and report.largest < 1e-4
 
 
+def test_a_background_of_second_degree_is_no_part_of_a_shape():
+    """It changes along rows, columns and both by more than the shape stands out from it."""
+    y, x = np.mgrid[0:121, 0:121] / 60.0 - 1.0
+    back = np.stack([90.0 + 60.0 * x * y, 100.0 + 50.0 * x - 40.0 * y * y, 120.0 + 45.0 * y], axis=-1)
+    inside = np.hypot(60.0 * x - 7.0, 60.0 * y) < 35.0
+    points = jxr.io.read_silhouette(back + 30.0 * inside[..., None], pixel=1.0)
+    error = np.linalg.norm(points - [67.0, 60.0], axis=1) - 35.0
+    assert np.abs(error).max() < 1.0 and abs(error.mean()) < 0.3
+
+
 def test_images_that_show_nothing_are_refused():
     for image in (np.zeros((50, 50, 3)), np.random.default_rng(0).normal(size=(60, 60, 3))):
         with pytest.raises(ValueError, match="argument image must show a shape whose colour differs"):

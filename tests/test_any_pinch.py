@@ -307,6 +307,11 @@ def test_a_ply_of_points_alone_is_a_cloud(tmp_path):
     seen = _cli._shape_file._of_mesh(tmp_path / "cloud.ply", order)
     np.testing.assert_allclose(seen.points, 1e-3 * points, atol=1e-9)
     assert seen.normals is None and seen.faces is None
+    for count, row in ((20, "nan 0.0 0.0"), (20, "0.0 inf 0.0"), (0, "")):
+        text = head.replace("20", str(count)) + "end_header\n" + f"{row}\n" * count
+        (tmp_path / "odd.ply").write_text(text)
+        with pytest.raises(ValueError, match="argument path must name a file of finite vertices"):
+            jxr.io.read_cloud(tmp_path / "odd.ply", unit="mm")
     # Points have no section, and what is no file of triangles is no cloud either.
     cut = ShapeOrder(str(tmp_path / "cloud.ply"), "mm", None, None, ("z", 0.0))
     (tmp_path / "cloud.off").write_text("OFF\n0 0 0\n")

@@ -177,6 +177,8 @@ def test_a_page_of_the_plane_moves_what_moves(tmp_path):
     rows = np.array([0, 3, 12])
     figure = plane_figure(plotly, grasp, run, rows, title="A test")
     assert len(figure.frames) == 3 and {len(frame.data) for frame in figure.frames} == {len(figure.data)}
+    # One block, in which a legend of several lines cannot meet the title.
+    assert figure.layout.legend.title.text == "A test" and figure.layout.title.text is None
     names = [trace.name for trace in figure.data]
     body, points = names.index("object"), names.index("contact points")
     for row, frame in zip(rows, figure.frames, strict=True):

@@ -97,15 +97,22 @@ def _layout(corners: np.ndarray, title: str, ts: np.ndarray) -> dict[str, Any]:
     look = {"showgrid": True, "gridcolor": "#EDF0F2", "zeroline": False, "ticks": "outside"}
     across, up = corners.T
     return {
-        "title": {"text": title, "x": 0.5, "xanchor": "center", "y": 0.98, "font": {"size": 18}},
         "font": PAGE_FONT,
         "paper_bgcolor": "white",
         "plot_bgcolor": "white",
-        "margin": {"l": 60, "r": 20, "t": 90, "b": 40},
+        "margin": {"l": 60, "r": 20, "t": 20, "b": 40},
         "xaxis": look | {"title": {"text": "x [mm]"}, "range": across.tolist(), "constrain": "domain"},
         "yaxis": look
         | {"title": {"text": "y [mm]"}, "range": up.tolist(), "scaleanchor": "x", "constrain": "domain"},
-        # Above, so that button and slider have the whole width.
-        "legend": {"orientation": "h", "x": 0.5, "xanchor": "center", "y": 1.0, "yanchor": "bottom"},
+        # Above, so that button and slider have the whole width. What stands above the picture is the legend's
+        # own title: a figure's would be met by a legend of several lines, as narrow pages have it.
+        "legend": {
+            "title": {"text": title, "side": "top center", "font": {"size": 18}},
+            "orientation": "h",
+            "x": 0.5,
+            "xanchor": "center",
+            "y": 1.0,
+            "yanchor": "bottom",
+        },
         **controls(ts),
     }

@@ -40,6 +40,18 @@ _LONGEST = (60.0, 5.0)
 # the same text in other lines, in which a test would notice it, the line's text is the fifth.
 EQUIVALENT: dict[tuple[str, ...], str] = {
     (
+        "jaxroll/geometry/contours/_table.py",
+        "Table._cell",
+        "jnp.clip(whole, 0.0, cells - 1.0)",
+        "(jnp.clip(0.0, whole, cells - 1.0))",
+    ): "the larger of two numbers is the same either way",
+    (
+        "jaxroll/_reaching/_postures.py",
+        "",
+        "100",
+        "(101)",
+    ): "a bound that a search that arrives does not come to",
+    (
         "jaxroll/contact/_contact3.py",
         "Contact3.shift",
         "2",

@@ -181,6 +181,8 @@ def test_the_picture_shows_points_curvature_and_residuals(noisy):
     drawn = [line.get_xydata() for line in shape.lines]
     assert any(len(d) == N and np.allclose(d, 1e3 * np.asarray(fit.points)) for d in drawn)
     assert "curvature" in bend.get_ylabel()
+    ends = [1e3 * float(end) for end in fit.contour.domain()]
+    np.testing.assert_allclose(bend.lines[1].get_xdata()[[0, -1]], ends, atol=1e-12)
     residuals = miss.lines[-1].get_ydata()
     assert np.sqrt(np.mean(residuals**2)) == pytest.approx(1e6 * fit.report.rms, rel=1e-6)
     outside = off_ellipse(np.asarray(fit.points))

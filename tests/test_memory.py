@@ -1,6 +1,7 @@
 """Controllers with a memory: integral terms, samples that are held, laws of one's own with a state."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import equinox as eqx
 import jax
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 import jaxroll as jxr
+from jaxroll._mechanics import AbstractController
 from jaxroll.control import Integral, Sampled
 from tests.oracles import reference_space as reference
 from tests.oracles.chapter_part1 import JOINTS, Part1
@@ -487,6 +489,13 @@ def test_rates_with_a_memory_of_ones_own_and_sampled(pinch):
     np.testing.assert_allclose(
         np.sort(np.abs(often.rates)), np.sort(np.abs(slow.rates)), rtol=2e-3, atol=1e-3
     )
+
+
+def test_a_law_that_has_rates_alone_is_sampled_by_eulers_step():
+    law = SimpleNamespace(driven=lambda t, fingers, memory: ((fingers, t), (3.0, -4.0 * memory[1])))
+    torques, later = AbstractController.stepped(law, 0.5, "fingers", (1.0, 2.0), 0.1)
+    assert torques == ("fingers", 0.5)
+    np.testing.assert_allclose(later, [1.3, 1.2], rtol=1e-15)
 
 
 # --- sentences

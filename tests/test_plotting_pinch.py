@@ -166,6 +166,9 @@ def test_phase_of_one_direction_draws_the_path_downhill(scene):
     sampled = grasp.with_(controller=jxr.control.Sampled(grasp.controller, 0.01))
     again = jxr.plotting.phase(sampled, jxr.simulate(sampled, state, 0.1, ts=5), rest=state)
     assert len(again.axes[0].lines) == len(ax.lines)
+    # What hardly moves is not magnified without end: half a millimetre, a millimetre per second either way.
+    resting = phase_of_one(grasp, jxr.simulate(grasp, state, 1e-6, ts=5), None).axes[0]
+    np.testing.assert_allclose([np.ptp(resting.get_xlim()), np.ptp(resting.get_ylim())], [1.0, 2.0])
     # Where no equilibrium is known none is drawn.
     assert len(phase_of_one(grasp, run, None).axes[0].lines) == len(ax.lines) - 1
 

@@ -322,6 +322,12 @@ def test_joints_at_their_limits_are_within_them():
     assert _choice._within(None, found, None).all()
 
 
+def test_pairs_differ_by_the_larger_distance_of_their_ends_in_either_order():
+    one = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0]])
+    pairs = one + np.array([[[1.0, -1.0, 1.0], [0.0, 0.0, 0.0]], [[3.0, 2.0, 0.0], [-3.0, 0.0, 0.5]]])
+    np.testing.assert_allclose(_grasp_points._apart(pairs, one), [np.sqrt(3.0), 2.0])
+
+
 def test_samples_are_shared_among_the_faces_of_an_object():
     sheets = [sheet_of(jxr.Circle(A).moved((x, 0.0))) for x in (-0.05, 0.0, 0.05)]
     for count in (1, 2, 3):

@@ -23,7 +23,7 @@ from jaxroll._printing import listed
 from jaxroll._why import _culprit, _early, _MEND
 from jaxroll.design import ClosedLoop, Design, overshoot, settling_time, tracking_error
 from jaxroll.design._measures import MEASURES, PARTIAL
-from jaxroll.plotting._panels import panels
+from jaxroll.plotting._panels import _is_part_2, panels
 from tests.recorded import runs
 
 RUNNING = set(REMEDIES)  # codes that a run can end with
@@ -494,6 +494,14 @@ def test_a_run_lost_at_once_keeps_its_start_and_can_be_drawn(pulling, tmp_path):
         with pytest.raises(ValueError, match=r"ended at t = 0 s \(contact_lost\) before the first$"):
             draw(grasp, nowhere)
     pyplot.close("all")
+
+
+def test_quantities_of_part_2_are_those_of_one_finger_that_presses(scene):
+    """Another finger that touches nothing has torques of its own."""
+    grasp, _ = scene
+    idle = jxr.Grasp(grasp.object, grasp.fingers * 2, grasp.contacts, controller=grasp.controller)
+    bare = grasp.with_(controller=None)
+    assert [_is_part_2(each) for each in (grasp, idle, bare)] == [True, False, False]
 
 
 def test_plots_of_jaws_are_in_millimetres():

@@ -59,6 +59,13 @@ def axes(ax: Axes, *, placed: bool = True) -> dict[str, Any]:
     found["shared"] = [
         len(list(group.get_siblings(ax))) for group in (ax.get_shared_x_axes(), ax.get_shared_y_axes())
     ]
+    if (cells := ax.get_subplotspec()) is not None:
+        grid = cells.get_gridspec()
+        found["rows, columns"] = [[span.start, span.stop] for span in (cells.rowspan, cells.colspan)]
+        found["grid"] = [
+            *grid.get_geometry(),
+            *map(list, (grid.get_height_ratios(), grid.get_width_ratios())),
+        ]
     if space:
         view: Any = ax
         found["camera"] = described([float(view.elev), float(view.azim), float(view.roll)])

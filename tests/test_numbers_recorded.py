@@ -35,6 +35,10 @@ def test_an_egg_is_pinched_as_recorded():
     compare.check("pinched", scene_numbers.pinched(), atol=1e-9)
 
 
+def test_objects_would_be_held_where_they_were():
+    compare.check("held_at", scene_numbers.held_at(), atol=1e-9)
+
+
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in fits.SLOW)) for name in fits.FITS]
 )

@@ -24,6 +24,7 @@ def records() -> dict[str, Callable[[], Any]]:
         found[f"signatures_{module}"] = lambda module=module: signatures.signatures(module)
     found |= {f"network_{name}": lambda name=name: fits.of_network(name) for name in fits.NETWORKS}
     found["pinched"] = scene_numbers.pinched
+    found["held_at"] = scene_numbers.held_at
     found |= {f"fitted_{name}": lambda name=name: fits.numbers(name) for name in fits.FITS}
     found |= {f"text_{name}": make for name, make in texts.TEXTS.items()}
     return found | pictures.PICTURES

@@ -91,6 +91,23 @@ def pinched() -> dict[str, Any]:
     return found
 
 
+def held_at() -> dict[str, Any]:
+    """Where two fingers would hold objects of one face and of several, in the plane and in space."""
+    pair = [jxr.Circle(0.01), jxr.Ellipse(0.012, 0.006).moved((0.03, 0.004), 0.4)]
+    objects = {
+        "egg": (_egg(), 0.5),
+        "egg with little friction": (_egg(), 0.05),
+        "two": (pair, 0.3),
+        "plate": (jxr.scenes.rectangle(0.02, 0.07), 0.5),
+        "ellipsoid": (jxr.Ellipsoid(0.03, 0.02, 0.01), 0.2),
+        "cuboid": (jxr.scenes.cuboid(0.02, 0.03, 0.04), 0.4),
+    }
+    return {
+        name: described(jxr.grasp_points(each, friction, count=5))
+        for name, (each, friction) in objects.items()
+    }
+
+
 def closed(names: tuple[str, ...] = CLOSED) -> dict[str, Any]:
     """The states in which contacts are closed."""
     found = {}

@@ -418,11 +418,10 @@ def test_jaxroll_pinch_writes_what_it_says(tmp_path, monkeypatch, capsys):
     assert str(kept["run"]).splitlines()[0] in text
 
 
-def hand_file(path):
+def hand_file(path, ball="<collision><geometry><sphere radius='0.01'/></geometry></collision>"):
     """A hand of two fingers in space as URDF, tips of 10 mm; the first joint of the second has no range."""
     link = "<link name='{0}'><inertial><origin xyz='0 {1} 0'/><mass value='{2}'/>{3}</inertial>{4}</link>"
     inertia = "<inertia ixx='2e-5' iyy='4e-6' izz='2e-5' ixy='0' ixz='0' iyz='0'/>"
-    ball = "<collision><geometry><sphere radius='0.01'/></geometry></collision>"
     parts = ["<robot name='two'><link name='palm'/>"]
     for side, x in (("l", -0.0275), ("r", 0.0275)):
         parent, places = "palm", [(x, 0.0), (0.0, 0.010), (0.0, 0.065)]
@@ -443,6 +442,13 @@ def hand_file(path):
             "<origin xyz='0 0.065 0'/></joint>"
         )
     path.write_text("\n".join([*parts, "</robot>"]))
+
+
+def test_a_hand_without_tips_has_balls_of_10_mm(tmp_path):
+    hand_file(tmp_path / "hand.urdf", ball="")
+    for finger in _pinch_command._fingers(str(tmp_path / "hand.urdf"), flat=False):
+        assert isinstance(finger.tip, jxr.Sphere) or isinstance(finger.tip.surface, jxr.Sphere)
+        assert float(getattr(finger.tip, "surface", finger.tip).radius) == 0.01
 
 
 @pytest.mark.slow

@@ -16,10 +16,21 @@ from PIL import Image
 
 import jaxroll as jxr
 from jaxroll import _cli, plotting
-from jaxroll.__main__ import main
+from jaxroll.__main__ import _FPS, _save_times, main
 from jaxroll._cli import _design_command, _replay_command, _waiting, DesignOrder, order
 from jaxroll._cli._design_command import fingertip
 from jaxroll.geometry import Circle
+
+
+def test_what_is_shown_is_saved_densely():
+    """Every frame of the animation; as long as all is shown, 100 states a second, 301 at least."""
+    demo = types.SimpleNamespace(shown=5.0, speed=0.25)
+    assert [_save_times(demo, t) for t in (0.1, 3.0, 4.0, 5.0)] == [301, 301, 401, 501]
+    assert _save_times(types.SimpleNamespace(shown=np.inf), 100.0) == 3001
+    times = _save_times(demo, 9.0)
+    frames = np.arange(0.0, 5.0, 0.25 / _FPS)
+    np.testing.assert_allclose(times, [*frames, *np.linspace(5.0, 9.0, 301)])
+
 
 BAD = {
     "no such command": (["dance"], "invalid choice: 'dance'"),

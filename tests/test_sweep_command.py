@@ -97,6 +97,7 @@ BAD = {
     "no number": (["pinch", "--set", "a=1:x"], "argument --set must give a finite numbers, but one was 'x'"),
     "NaN": (["pinch", "--set", "a=nan"], "argument --set must give a finite numbers"),
     "falling": (["pinch", "--set", "a=2:1"], "argument --set must give a a range that goes up"),
+    "level": (["pinch", "--set", "a=2:2"], "argument --set must give a a range that goes up"),
     "log of zero": (["pinch", "--set", "a=0:1:log"], "a range that goes up above zero"),
     "half a value": (["pinch", "--set", "a=0:1:2.5"], "argument --set must give a a COUNT"),
     "too many parts": (["pinch", "--set", "a=0:1:2:3"], "argument --set must give a as LOW:HIGH"),

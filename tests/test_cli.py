@@ -16,10 +16,18 @@ from PIL import Image
 
 import jaxroll as jxr
 from jaxroll import _cli, plotting
-from jaxroll.__main__ import _FPS, _save_times, main
+from jaxroll.__main__ import _FPS, _save_times, _shape, main
 from jaxroll._cli import _design_command, _replay_command, _waiting, DesignOrder, order
 from jaxroll._cli._design_command import fingertip
 from jaxroll.geometry import Circle
+
+
+def test_lengths_of_a_shape_are_given_in_millimetres():
+    asked = {"file": "a.csv", "unit": "in", "smallest_radius": 2.5, "pixel": 0.25, "section": None, "which": 1}
+    order = _shape(types.SimpleNamespace(**asked))
+    assert (order.radius, order.pixel) == (2.5e-3, 2.5e-4) and order.unit == "in"
+    order = _shape(types.SimpleNamespace(**asked | {"smallest_radius": None, "pixel": None}))
+    assert order.radius is None and order.pixel is None
 
 
 def test_what_is_shown_is_saved_densely():

@@ -337,6 +337,22 @@ def test_neural_support_fits_an_ellipse():
     assert "um rms" in str(fit)
 
 
+def test_neural_curvature_fits_a_bean_somewhere():
+    """Few steps of a small network; how far the points are off is worked out anew."""
+    seen, points = [], bean(80) + (0.03, 0.01)
+    size = {"harmonics": 8, "width": 12, "depth": 1}
+    fit = jxr.NeuralCurvature.fit(
+        points, key=jax.random.key(0), steps=50, progress=lambda *at: seen.append(at), **size
+    )
+    assert fit.rms < 2e-5 and float(fit.field.closure()) < 1e-15
+    assert [step for step, _ in seen] == [25, 50] and fit.loss_history.shape == (fit.steps + 1,)
+    s = np.linspace(0.0, float(fit.field.length), 40001)
+    far = np.hypot(*(np.asarray(fit.field.point(s))[:, None] - points[None]).transpose(2, 0, 1)).min(axis=0)
+    np.testing.assert_allclose([fit.rms, fit.largest], [np.sqrt(np.mean(far**2)), far.max()], rtol=0.03)
+    through = jxr.NeuralCurvature.through(points, key=jax.random.key(0), steps=50, **size)
+    np.testing.assert_array_equal(through.point(s[::4000]), fit.field.point(s[::4000]))
+
+
 @pytest.mark.slow
 def test_neural_curvature_fits_an_ellipse_and_a_bean():
     for points, bound in ((ellipse(150), 1e-6), (bean(150), 1e-6)):

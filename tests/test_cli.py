@@ -23,7 +23,14 @@ from jaxroll.geometry import Circle
 
 
 def test_lengths_of_a_shape_are_given_in_millimetres():
-    asked = {"file": "a.csv", "unit": "in", "smallest_radius": 2.5, "pixel": 0.25, "section": None, "which": 1}
+    asked = {
+        "file": "a.csv",
+        "unit": "in",
+        "smallest_radius": 2.5,
+        "pixel": 0.25,
+        "section": None,
+        "which": 1,
+    }
     order = _shape(types.SimpleNamespace(**asked))
     assert (order.radius, order.pixel) == (2.5e-3, 2.5e-4) and order.unit == "in"
     order = _shape(types.SimpleNamespace(**asked | {"smallest_radius": None, "pixel": None}))

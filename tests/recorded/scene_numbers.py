@@ -58,6 +58,8 @@ VARIED = {
 def numbers(name: str) -> dict[str, Any]:
     """Grasp and state with the defaults and, where there are some in `VARIED`, with other arguments."""
     calls = {"defaults": {}} | ({"varied": VARIED[name]} if name in VARIED else {})
+    if name == "pinch3d":
+        calls["larger"] = {"size": 2.0}
     if name in ("pinch", "roller"):
         body = jxr.FreeObject(_egg(), 0.02, 1e-6)
         calls["egg"] = {"object": body} if name == "pinch" else {"contour": body.contours[0]}

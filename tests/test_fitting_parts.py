@@ -513,8 +513,27 @@ def test_stretches_of_points_are_strung_a_scale_apart():
         ring[3 * k : 3 * k + 3].mean(axis=0) for k in range(1, 6)
     ]
     np.testing.assert_allclose(chain, wanted, atol=1e-15)
+    # So does the last of three; of two it is the other side, and stays.
+    three = np.array([(0.0, 0.0), (0.2, 0.0), (1.1, 0.0), (1.1, 0.2), (0.4, 0.65)])
+    chain = _band._strung(three, 0.9, closed=True)
+    np.testing.assert_allclose(chain, [three[[0, 1, 4]].mean(axis=0), three[2:4].mean(axis=0)], atol=1e-15)
+    two = np.array([(0.0, 0.0), (0.0, 0.1), (0.0, 0.2), (1.0, 0.0), (0.5, 0.0)])
+    chain = _band._strung(two, 0.9, closed=True)
+    np.testing.assert_allclose(chain, [two[:3].mean(axis=0), two[3:].mean(axis=0)], atol=1e-15)
     labels = np.array([3, 0, 3, 1, 0])
     np.testing.assert_allclose(_band._means(line[:5], labels, 5)[:, 0], [2.5, 3.0, 1.0])
+
+
+def test_points_in_cells_with_few_are_strays_where_some_are_suspected():
+    rng = np.random.default_rng(0)
+    ring = on_circle(400, 1.0) * (1.0 + 0.01 * rng.normal(size=(400, 1)))
+    points = np.concatenate([[[0.0, 0.1]], ring, [[0.3, 0.2]]])
+    suspected = np.arange(len(points)) != 0
+    found = _band._by_nearness(points, suspected, 0.2, closed=True)
+    assert found.strays.tolist() == [0, 401] and sorted(found.indices.tolist()) == list(range(1, 401))
+    # Along the ring; within a tenth of the scale points may change places.
+    steps = np.diff(np.unwrap(np.arctan2(*points[found.indices].T[::-1])))
+    assert abs(abs(steps.sum()) - 2.0 * np.pi) < 0.1 and np.abs(steps).max() < 0.1
 
 
 @pytest.mark.parametrize("closed", [True, False])

@@ -501,7 +501,8 @@ def test_quantities_of_part_2_are_those_of_one_finger_that_presses(scene):
     grasp, _ = scene
     idle = jxr.Grasp(grasp.object, grasp.fingers * 2, grasp.contacts, controller=grasp.controller)
     bare = grasp.with_(controller=None)
-    assert [_is_part_2(each) for each in (grasp, idle, bare)] == [True, False, False]
+    free = jxr.Grasp(jxr.scenes.rectangle(), grasp.fingers, grasp.contacts, controller=grasp.controller)
+    assert [_is_part_2(each) for each in (grasp, idle, bare, free)] == [True, False, False, False]
 
 
 def test_plots_of_jaws_are_in_millimetres():

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from matplotlib.figure import Figure
@@ -100,6 +101,13 @@ def _of_run(draw: Callable[..., Figure], name: str, **options: Any) -> Callable[
 
 def _broken(name: str) -> Any:
     return runs.run(name, ended="slipping")
+
+
+def _stretched() -> dict[str, Any]:
+    """A run in which all rolling happens at once: later times are drawn on a logarithmic axis."""
+    grasp, run = runs.scene("pivoted")[0], runs.run("pivoted")
+    early = run.states.s[np.minimum(np.arange(len(run.ts)), 1)]
+    return drawn(plotting.responses(grasp, eqx.tree_at(lambda r: r.states.s, run, early)))
 
 
 def _before_the_first_state() -> dict[str, Any]:
@@ -316,6 +324,7 @@ PICTURES: dict[str, Callable[[], dict[str, Any]]] = {
     "responses_pivoted": lambda: written(
         lambda folder: plotting.responses(runs.scene("pivoted")[0], runs.run("pivoted"), folder)
     ),
+    "responses_stretched": _stretched,
     "responses_pinch": _of_run(plotting.responses, "pinch"),
     "responses_roller": _of_run(plotting.responses, "roller"),
     "responses_ring": _of_run(plotting.responses, "ring"),

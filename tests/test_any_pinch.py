@@ -446,8 +446,8 @@ def hand_file(path, ball="<collision><geometry><sphere radius='0.01'/></geometry
 
 def test_a_hand_without_tips_has_balls_of_10_mm(tmp_path):
     hand_file(tmp_path / "hand.urdf", ball="")
-    for finger in _pinch_command._fingers(str(tmp_path / "hand.urdf"), flat=False):
-        assert isinstance(finger.tip, jxr.Sphere) and float(finger.tip.radius) == 0.01
+    tips = [finger.tip for finger in _pinch_command._fingers(str(tmp_path / "hand.urdf"), flat=False)]
+    assert [(type(tip), float(tip.radius)) for tip in tips] == [(jxr.Sphere, 0.01)] * 2
 
 
 @pytest.mark.slow

@@ -21,32 +21,6 @@ from jaxroll._cli import _design_command, _replay_command, _waiting, DesignOrder
 from jaxroll._cli._design_command import fingertip
 from jaxroll.geometry import Circle
 
-
-def test_lengths_of_a_shape_are_given_in_millimetres():
-    asked = {
-        "file": "a.csv",
-        "unit": "in",
-        "smallest_radius": 2.5,
-        "pixel": 0.25,
-        "section": None,
-        "which": 1,
-    }
-    order = _shape(types.SimpleNamespace(**asked))
-    assert (order.radius, order.pixel) == (2.5e-3, 2.5e-4) and order.unit == "in"
-    order = _shape(types.SimpleNamespace(**asked | {"smallest_radius": None, "pixel": None}))
-    assert order.radius is None and order.pixel is None
-
-
-def test_what_is_shown_is_saved_densely():
-    """Every frame of the animation; as long as all is shown, 100 states a second, 301 at least."""
-    demo = types.SimpleNamespace(shown=5.0, speed=0.25)
-    assert [_save_times(demo, t) for t in (0.1, 3.0, 4.0, 5.0)] == [301, 301, 401, 501]
-    assert _save_times(types.SimpleNamespace(shown=np.inf), 100.0) == 3001
-    times = _save_times(demo, 9.0)
-    frames = np.arange(0.0, 5.0, 0.25 / _FPS)
-    np.testing.assert_allclose(times, [*frames, *np.linspace(5.0, 9.0, 301)])
-
-
 BAD = {
     "no such command": (["dance"], "invalid choice: 'dance'"),
     "no such scene": (["demo", "dance"], "invalid choice: 'dance'"),
@@ -333,3 +307,28 @@ def test_what_goes_wrong_ends_the_line(capsys):
     with pytest.raises(RuntimeError), _waiting.timed("Thinking"):
         raise RuntimeError
     assert capsys.readouterr().err == "Thinking ...\n"
+
+
+def test_lengths_of_a_shape_are_given_in_millimetres():
+    asked = {
+        "file": "a.csv",
+        "unit": "in",
+        "smallest_radius": 2.5,
+        "pixel": 0.25,
+        "section": None,
+        "which": 1,
+    }
+    order = _shape(types.SimpleNamespace(**asked))
+    assert (order.radius, order.pixel) == (2.5e-3, 2.5e-4) and order.unit == "in"
+    order = _shape(types.SimpleNamespace(**asked | {"smallest_radius": None, "pixel": None}))
+    assert order.radius is None and order.pixel is None
+
+
+def test_what_is_shown_is_saved_densely():
+    """Every frame of the animation; as long as all is shown, 100 states a second, 301 at least."""
+    demo = types.SimpleNamespace(shown=5.0, speed=0.25)
+    assert [_save_times(demo, t) for t in (0.1, 3.0, 4.0, 5.0)] == [301, 301, 401, 501]
+    assert _save_times(types.SimpleNamespace(shown=np.inf), 100.0) == 3001
+    times = _save_times(demo, 9.0)
+    frames = np.arange(0.0, 5.0, 0.25 / _FPS)
+    np.testing.assert_allclose(times, [*frames, *np.linspace(5.0, 9.0, 301)])

@@ -66,7 +66,7 @@ def test_measures_of_forces(run):
 
 
 def test_friction_demand_in_space_by_hand(run):
-    """Tangential forces of two numbers: none at first, and none at all in half of the contacts."""
+    """Tangential forces of two numbers, none of which acts but at one of the times."""
     f = jnp.full_like(run.multipliers.f, 4.0)
     lam = jnp.zeros((*f.shape, 2)).at[3, 0].set(jnp.array([0.6, -0.8]))
 

@@ -65,7 +65,7 @@ REFUSED = {
         "symmetric must be False unless an open spline's origin is its middle point, but that is 2 of 9",
     ),
     "negative noise": (lambda: geometry.smoothing_for(ROUND, noise=-1.0), "noise must not be negative"),
-    "noise of a light second": (
+    "noise of ten light seconds": (
         lambda: geometry.smoothing_for(ROUND, noise=3e9),
         "noise must be a length in metres, but was 3e\\+09",
     ),
@@ -89,7 +89,7 @@ REFUSED = {
         lambda: _section._faces([[0, 1, 2], [0, 1]], 3),
         "faces must be of shape \\(any, 3\\)",
     ),
-    "words for grey values": (
+    "grey values in rows of two lengths": (
         lambda: jxr.io.read_silhouette([[1, 2], [3]], pixel=1.0),
         "image must be grey values of one shape",
     ),
@@ -98,7 +98,7 @@ REFUSED = {
         "image must be finite",
     ),
     "many frames": (lambda: _doors.check_frames("frames", 1e9), "frames must leave at most .* asks for 1e"),
-    "a surface of nothing": (
+    "a number for a surface": (
         lambda: _meshes._mesh(3, (8, 8), None, np.zeros(3)),
         "surface must be a surface that can be drawn",
     ),
@@ -144,7 +144,6 @@ def test_seldom_arguments_are_refused_in_one_sentence(name):
 def test_what_a_run_of_ones_own_does_not_hold(scene, run):
     short = jax.tree.map(lambda x: x[:5] if jnp.ndim(x) and x.shape[0] == run.ts.size else x, run)
     cases = {
-        "must be given to a run that kept its steps": lambda: run(0.1),
         "must be one run, but its states have shape": lambda: design.settling_time(
             jax.tree.map(lambda x: jnp.stack([x, x]), run)
         ),
@@ -223,13 +222,9 @@ def test_a_drawing_without_a_box_counts_pixels_of_an_inch():
 
 def test_motions_that_do_not_fit_their_grasp():
     grasp = SimpleNamespace(fingers=(1, 2), contacts=(1, 2))
-    for tips, on_tip, times, words in (
-        (1, 2, 3, "2 tips, but had 1"),
-        (2, 3, 3, "2 contacts, but had 3"),
-        (2, 2, 0, "at least one time, but had none"),
-    ):
+    for on_tip, times, words in ((3, 3, "2 contacts, but had 3"), (2, 0, "at least one time, but had none")):
         with pytest.raises(ValueError, match=f"argument motion must have {words}"):
-            _scene3._matched(grasp, SimpleNamespace(tips=[0] * tips, on_tip=[0] * on_tip, times=times))
+            _scene3._matched(grasp, SimpleNamespace(tips=[0, 0], on_tip=[0] * on_tip, times=times))
     shapes = {"body": np.zeros((3, 7)), "tips": np.zeros((2, 3, 7)), "skeletons": ()}
     with pytest.raises(ValueError, match="skeletons must have one entry for each of 2 fingers, but had 0"):
         _motion3.Motion3D(**shapes, **dict.fromkeys(_motion3._AT_CONTACTS, np.zeros((2, 3, 3))))

@@ -62,10 +62,7 @@ def axes(ax: Axes, *, placed: bool = True) -> dict[str, Any]:
     if (cells := ax.get_subplotspec()) is not None:
         grid = cells.get_gridspec()
         found["rows, columns"] = [[span.start, span.stop] for span in (cells.rowspan, cells.colspan)]
-        found["grid"] = [
-            *grid.get_geometry(),
-            *map(list, (grid.get_height_ratios(), grid.get_width_ratios())),
-        ]
+        found["grid"] = [*grid.get_geometry(), list(grid.get_height_ratios()), list(grid.get_width_ratios())]
     if space:
         view: Any = ax
         found["camera"] = described([float(view.elev), float(view.azim), float(view.roll)])

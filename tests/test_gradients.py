@@ -142,6 +142,20 @@ def test_jit_and_transforms_in_any_order(scene):
     np.testing.assert_allclose(jax.jit(jax.vmap(jax.grad(f)))(batch)[1], slope, rtol=1e-9)
 
 
+@pytest.mark.slow
+def test_runs_and_derivatives_work_where_jax_stops_at_every_nan(scene):
+    """With `jax_debug_nans` no program may return a NaN, if only in a place that nobody reads."""
+    grasp, start = scene
+
+    def end(damping):
+        run = jxr.simulate(grasp.with_(damping=damping), start, t1=0.02, record=("multipliers", "energy"))
+        return run.last.q[0] + run.energy.residual[-1]
+
+    with jax.debug_nans(True):
+        assert np.isposinf(jxr.simulate(grasp, start, t1=0.02).stats.margin)
+        assert np.isfinite(jax.jit(jax.vmap(jax.value_and_grad(end)))(jnp.array([0.006, 0.007]))).all()
+
+
 def test_second_derivatives_are_refused_not_wrong(scene):
     grasp, state = scene
     with pytest.raises(RuntimeError, match="second derivatives"):

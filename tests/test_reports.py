@@ -253,6 +253,12 @@ def test_an_unknown_contact_is_not_invented(run):
         assert "contact 0" not in cause(ended(run, code)) and "nan" not in cause(ended(run, code))
 
 
+def test_nothing_of_a_run_that_got_there_is_nan(run):
+    """Else `jax_debug_nans` would stop every run."""
+    assert np.isposinf(run.stats.margin)
+    assert not any(np.isnan(leaf).any() for leaf in jax.tree.leaves(run))
+
+
 def test_a_run_with_one_state_or_none_says_where_it_is(run):
     none = eqx.tree_at(lambda r: r.states.q, run, jnp.full_like(run.states.q, jnp.nan))
     text = str(ended(none, "contact_lost", contact=0, margin=-1.5, t=0.0))

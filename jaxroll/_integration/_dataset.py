@@ -34,7 +34,7 @@ _WORDS = {
     "rejected": "rejected steps",
     "t_end": "time that the run reached",
     "ended_by": "which contact ended the run, or which finger overlaps; -1 where none did",
-    "margin": "what ran out at the end; NaN where nothing did",
+    "margin": "what ran out at the end; infinite where nothing did",
     "f": "normal contact force",
     "lam": "tangential contact force",
     "kinetic": "kinetic energy",

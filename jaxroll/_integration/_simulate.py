@@ -328,7 +328,7 @@ def _trajectory(
     attempted, accepted, rejected = path.steps
     # The number of the limit that ended the run is positive; a run that no limit ended has no margin.
     number = jax.lax.stop_gradient(path.last[-1])
-    margin = jnp.where(number > 0, path.last[lay.margin], jnp.nan)
+    margin = jnp.where(number > 0, path.last[lay.margin], jnp.inf)
     trajectory = Trajectory(
         ts,
         states,

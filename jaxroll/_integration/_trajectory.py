@@ -31,7 +31,7 @@ class Stats(eqx.Module):
         margin: What ran out there, at the end: normal force or distance to the friction cone [N], distance to
             the end of a contour or to the object [m], to the end of a joint's range [rad or m], what torque
             is left [N m or N], what the relative sum of curvatures has beyond 1e-4, or a million times what
-            the relative smallest pivot of A M^-1 A^T has beyond 1e-9; NaN where nothing did.
+            the relative smallest pivot of A M^-1 A^T has beyond 1e-9; infinite where nothing did.
     """
 
     __repr__ = listed
@@ -52,9 +52,9 @@ class Trajectory(eqx.Module):
     """States at the saved times, with what is needed to judge them.
 
     Under `vmap` every leaf gains a leading axis, `result` included: one code per lane. Rows after
-    the end of a failed run hold NaN; `last` is the final state it reached in any case, and `filled()` puts it
-    in their place, for losses. Printed, it says how the run went: where it ended early which contact ended
-    it, when, by how much, and what helps.
+    the end of a failed run hold NaN, at which `jax_debug_nans` stops a program; `last` is the final state it
+    reached in any case, and `filled()` puts it in their place, for losses. Printed, it says how the run went:
+    where it ended early which contact ended it, when, by how much, and what helps.
 
     Attributes:
         ts: Shape (t,), saved times [s].

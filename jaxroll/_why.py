@@ -37,13 +37,14 @@ from ._mechanics import check_grasp, check_states, Grasp, State
 from ._motion import closed_within, Formulation, residuals, worst
 from ._printing import code_name, entry
 from ._results import check_instance, on_host
-from ._types import Given
+from ._types import Given, Scalar
 from .contact import Contact
 from .control import Sampled
 from .stability import assess, Stability, VERDICTS
 
-# Relative size below which a sum of curvatures or a pivot counts as zero: the value that runs use.
-_SINGULAR = 1e-9
+# Relative sizes below which a sum of curvatures and a pivot count as zero: those at which runs end
+# (`_integration._events`).
+_FLAT, _SINGULAR = 1e-4, 1e-9
 # If no coordinate of a run changed by more than this [m or rad], no direction is given.
 _STILL = 1e-9
 # Coordinates that change by less than this share of the largest change are left out of a direction.
@@ -199,7 +200,7 @@ def why(
     check_grasp(grasp)
     check_instance("state", state, (State, Trajectory), "a State, or a run of the grasp")
     run = state if isinstance(state, Trajectory) else None
-    begin = _start(state) if isinstance(state, Trajectory) else state
+    begin, begins = _start(state) if isinstance(state, Trajectory) else (state, options.t0)
     check_states(grasp, begin)
     gap = float(worst(residuals(grasp, begin)))
     # A state that is on the constraints is taken as it is: closing it again would move it by rounding.
@@ -211,15 +212,18 @@ def why(
         return Why(told, False, gap, begin, grasp=grasp, **none, **rest)
     if run is None:
         run = simulate(grasp, closed, t1, ts=ts, throw=False, **options._asdict())
-    return _judged(grasp, closed, run)
+    return _judged(grasp, closed, begins, run)
 
 
-def _start(run: Trajectory) -> State:
-    """The first state that a run saved; where it saved none before it ended, its last state."""
+def _start(run: Trajectory) -> tuple[State, Scalar]:
+    """The first state that a run saved, and its time [s]; its last ones where none was saved."""
     check_one_run("state", run)
     # Rows of times that the run did not reach are NaN.
     saved = np.isfinite(np.asarray(run.states.q)).all(axis=1)
-    return jax.tree.map(lambda x: x[int(np.argmax(saved))], run.states) if saved.any() else run.last
+    if not saved.any():
+        return run.last, run.stats.t_end
+    first = int(np.argmax(saved))
+    return jax.tree.map(lambda x: x[first], run.states), run.ts[first]
 
 
 def _closed(grasp: Grasp, guess: State) -> State | str:
@@ -230,12 +234,12 @@ def _closed(grasp: Grasp, guess: State) -> State | str:
         return str(error).partition("but ")[2] or str(error)
 
 
-def _judged(grasp: Grasp, state: State, run: Trajectory) -> Why:
-    """The report on a grasp whose contacts close, from a start and the run from there.
+def _judged(grasp: Grasp, state: State, t0: Scalar, run: Trajectory) -> Why:
+    """The report on a grasp whose contacts close, from a start, its time [s] and the run from there.
 
     A failure at the start comes before one of the run, and that before an equilibrium that would not hold.
     """
-    start, t = bearing(grasp, 0.0, state), run.stats.t_end
+    start, t = bearing(grasp, t0, state), run.stats.t_end
     finite = bool(np.isfinite(run.last.q).all())
     end = bearing(grasp, t, run.last) if finite else None
     code = code_name(run.result)
@@ -320,10 +324,12 @@ def _early(grasp: Grasp, start: Bearing, ended: int) -> tuple[str, str, int] | N
     rounding, it is the one at which the run `ended`.
     """
     curvature, f = np.asarray(start.curvature), _pressing(grasp, start)
-    if not np.all(curvature > _SINGULAR):
+    if not np.all(curvature > _FLAT):
         at = int(np.argmin(curvature))
         name = contact_name(grasp.labels, at)
-        told = f"fails at the start: {name} is singular, the sum of its curvatures is not positive"
+        told = (
+            f"fails at the start: {name} is singular, the sum of its curvatures is not positive to {_FLAT:g}"
+        )
         return told, REMEDIES["singular_contact"], at
     if not float(start.pivot) > _SINGULAR:
         told = (
@@ -414,7 +420,7 @@ def _singular(grasp: Grasp, at: Bearing) -> str:
     """The line on whether a contact or an arm is singular."""
     curvature, pivot = np.asarray(at.curvature), float(at.pivot)
     least = int(np.argmin(curvature))
-    fine = curvature[least] > _SINGULAR and pivot > _SINGULAR
+    fine = curvature[least] > _FLAT and pivot > _SINGULAR
     told = f"curvatures add up to {curvature[least]:.3g} of their size (contact {least}, the least)"
     return f"{'no' if fine else 'yes'}, {told}; smallest pivot {pivot:.3g}"
 

@@ -14,13 +14,13 @@ import pytest
 from matplotlib import pyplot
 
 import jaxroll as jxr
-from jaxroll import _analysis, _mechanics, _motion, plotting
+from jaxroll import _analysis, _mechanics, _motion, _why, plotting
 from jaxroll._integration import cause, complaint, REMEDIES
 from jaxroll._integration._trajectory import Stats
 from jaxroll._mechanics import AbstractBody, AbstractFinger
 from jaxroll._motion import Multipliers, Residuals
 from jaxroll._printing import listed
-from jaxroll._why import _culprit, _early, _MEND
+from jaxroll._why import _culprit, _early, _MEND, _singular
 from jaxroll.design import ClosedLoop, Design, overshoot, settling_time, tracking_error
 from jaxroll.design._measures import MEASURES, PARTIAL
 from jaxroll.plotting._panels import _is_part_2, panels
@@ -41,6 +41,8 @@ def ended(run, code, *, contact=-1, margin=np.nan, t=0.5):
     ("curvature", "pivot", "told"),
     [
         (0.0, 1.0, "contact 0 (finger 0 on contour 0) is singular"),
+        (9e-5, 1.0, "contact 0 (finger 0 on contour 0) is singular"),  # runs end there already
+        (1.1e-4, 0.9e-9, "contacts are redundant or an arm is straight"),
         (1.0, 0.0, "contacts are redundant or an arm is straight"),
         (1.0, np.nan, "contacts are redundant or an arm is straight"),
     ],
@@ -50,6 +52,8 @@ def test_why_names_a_start_that_is_singular_before_its_forces(scene, curvature, 
     start: Any = SimpleNamespace(curvature=np.array([curvature]), pivot=pivot, multipliers=pulls)
     sentence, remedy, _ = _early(scene[0], start, -1)
     assert told in sentence and remedy == REMEDIES["singular_contact"]
+    assert _singular(scene[0], start).startswith("yes")
+    assert _singular(scene[0], bearing([1.0], [0.0], (1.1e-4,), pivot=1.1e-9)).startswith("no")
 
 
 def bearing(f, lam, curvature=(1.0, 1.0), ends=(1.0, 1.0), pivot=1.0):
@@ -193,6 +197,20 @@ def test_batches_print_names_units_and_which_contacts(run):
     assert "2 lanes: contact_lost at t = 0.2 to 0.3 s (contact 0: 2)" in text
     assert "object: theta 0.2841 rad" in text and repr(lanes.result).count("contact_lost") == 2
     assert "traced" in repr(lanes) or "3 x 301 states" in repr(lanes)
+
+
+@pytest.mark.parametrize(
+    ("code", "counted"),
+    [
+        ("joint_limit", "joint"),
+        ("torque_limit", "joint"),
+        ("penetration", "finger"),
+        ("links_meet", "finger"),
+    ],
+)
+def test_batches_say_what_the_number_of_what_ended_them_counts(run, code, counted):
+    lanes = jax.tree.map(lambda *x: jnp.stack(x), ended(run, code, contact=1, t=0.2), run)
+    assert f"1 lanes: {code} at t = 0.2 s ({counted} 1: 1)" in str(lanes)
 
 
 @pytest.mark.parametrize("code", sorted(RUNNING))
@@ -533,6 +551,14 @@ def test_why_a_grasp_is_lost_at_once(pulling):
     for words in ("closed    yes", "singular  no", "pulls with", "no longer presses at t = 0 s", "remedy"):
         assert words in text
     assert len(text.splitlines()) <= 30 and max(map(len, text.splitlines())) <= 100
+
+
+def test_why_judges_the_start_at_the_time_of_the_start(scene, run, monkeypatch):
+    """Commands, loads and laws may say another thing at another time."""
+    times, plain = [], _why.bearing
+    monkeypatch.setattr(_why, "bearing", lambda *given: times.append(float(given[1])) or plain(*given))
+    jxr.why(scene[0], eqx.tree_at(lambda r: r.ts, run, run.ts + 2.0))
+    assert times[0] == 2.0
 
 
 def test_why_a_grasp_holds(scene, run):

@@ -40,6 +40,13 @@ _AT = {
     "slipping": (_BY["slipping"], ": its force is at the edge of the friction cone"),
     "contour_end": ("ran past the end", "ran to the end"),
 }
+# What the number in `stats.contact` counts, where that is no contact.
+_COUNTED = {
+    "joint_limit": "joint",
+    "torque_limit": "joint",
+    "penetration": "finger",
+    "links_meet": "finger",
+}
 # How many roundings of 1 N or 1 m a located root leaves at most.
 _ROUNDINGS = {"slipping": 1000.0, "contour_end": 100.0}
 # What helps against each code, in terms of the arguments of `simulate`; other callers may give others.
@@ -101,7 +108,7 @@ def batch_report(runs: Any) -> str:
     names = {int(code): code_name(type(runs.result)(code, runs.result._enumeration)) for code in codes.flat}
     for code, name in sorted(names.items()):
         here = codes == code
-        lines.append(f"  {int(here.sum())} lanes: {name}{_where(runs, here) if code else ''}")
+        lines.append(f"  {int(here.sum())} lanes: {name}{_where(runs, here, name) if code else ''}")
     lines += _at_the_end(runs.labels, np.asarray(runs.last.q), "at end")
     return "\n".join(lines)
 
@@ -119,9 +126,9 @@ def cause(run: Any) -> str:
     if name not in _TOLD or (contact < 0 and name == "singular_contact"):
         return f"{_lower(message(run.result))}{when}"
     who = "a contact" if contact < 0 else contact_name(run.labels, contact)
-    if name in ("penetration", "links_meet"):  # an audit looks at fingers, whether they have a contact or not
+    if _COUNTED.get(name) == "finger":  # an audit looks at fingers, whether they have a contact or not
         who = f"finger {contact}"
-    if name in ("joint_limit", "torque_limit"):
+    if _COUNTED.get(name) == "joint":
         who = joint_name(run.labels, contact)
     told, by = _TOLD[name], _BY[name] if np.isfinite(margin) else ""
     if abs(margin) <= _ROUNDINGS.get(name, 0.0) * np.finfo(np.asarray(stats.margin).dtype).eps:
@@ -303,10 +310,11 @@ def _demand(run: Any, f: np.ndarray, aside: np.ndarray) -> str:
     return f"demand up to {most:.4g}, of contact {contact} at t = {t:.4g} s{warning}"
 
 
-def _where(runs: Any, here: np.ndarray) -> str:
-    """Of the lanes with one code: between which times they ended, and at which contacts."""
+def _where(runs: Any, here: np.ndarray, name: str) -> str:
+    """Of the lanes with one code: when they ended, and at which contacts, fingers or joints."""
     ends, contacts = np.asarray(runs.stats.t_end)[here], np.asarray(runs.stats.contact)[here]
     low, high = (f"{f(ends):.4g}" for f in (np.min, np.max))
     span = f" at t = {low} s" if low == high else f" at t = {low} to {high} s"
-    known = [f"contact {c}: {int(np.sum(contacts == c))}" for c in np.unique(contacts) if c >= 0]
+    what = _COUNTED.get(name, "contact")
+    known = [f"{what} {c}: {int(np.sum(contacts == c))}" for c in np.unique(contacts) if c >= 0]
     return span + (f" ({', '.join(known)})" if known else "")

@@ -66,8 +66,8 @@ def spaced(speed: Speed, shape: Any, parts: int, cells: int) -> tuple[Array, Arr
     beginning of every cell and at the end of the last, shape (parts + 1,) [m]. Arclength is integrated by
     five-point Gauss-Legendre over each cell.
     """
-    # Behind the barrier XLA does not work out, while it compiles, what depends on the grid alone: of an ellipse of
-    # 262 144 cells that takes 5 s, and the rest of its program 0.6 s.
+    # Behind the barrier XLA does not work out, while it compiles, what depends on the grid alone: of an
+    # ellipse of 262 144 cells that takes 5 s, and the rest of its program 0.6 s.
     begins = jax.lax.optimization_barrier(jnp.arange(parts)[:, None])
     lengths = speed(shape, begins, _PLACES[None, :]) @ _SHARES
     arcs = rising_sums(lengths)

@@ -42,7 +42,10 @@ _NO_VALUES = (
 
 @named
 class RESULTS(eqx.Enumeration):
-    """Result codes of `jaxroll.simulate`: 'successful', or why a run ended early.
+    """Result codes: 'successful', or why a run of `simulate` ended early.
+
+    `contact.locate`, `roll`, `reach`, `identify` and `design` have theirs here too: why something was not
+    found.
 
     A code prints as its name; `RESULTS[code]` is the sentence. Codes of a batch can be counted, sorted and
     stored: `np.unique(runs.result.names, return_counts=True)` by name, `np.asarray(runs.result)` as numbers;

@@ -1,11 +1,11 @@
 r"""Commands that change in time: numbers of a controller given as functions of time.
 
-Any function of time may stand for a number of a controller (`control.Press`, `control.Opposition`). One that
-jumps, or whose derivative does, costs a method its order unless a step ends at the jump. So jumps are
-*declared*: whatever part of a controller or of a load has an attribute `jumps` [s] declares them, as the
-classes here do. A run then ends a step just before each and begins anew just after it, and its derivative
-with respect to the time of the jump is right (`_integration/_jumps`). What is not declared is integrated as
-if it were smooth: the method loses its order there, and a jump can be stepped over.
+Any function of time may stand for a number of a controller (`control.Press`, `control.Opposition`,
+`control.Carry`). One that jumps, or whose derivative does, costs a method its order unless a step ends at the
+jump. So jumps are *declared*: whatever part of a controller or of a load has an attribute `jumps` [s]
+declares them, as the classes here do. A run then ends a step just before each and begins anew just after it,
+and its derivative with respect to the time of the jump is right (`_integration/_jumps`). What is not declared
+is integrated as if it were smooth: the method loses its order there, and a jump can be stepped over.
 """
 
 import abc

@@ -30,7 +30,7 @@ class LinkClearance(eqx.Module):
 
     Attributes:
         ts: Saved times [s].
-        object: Of each finger's links from the object, shape (t, f) [m].
+        object: Of the links of each finger that has some, in their order, from the object, shape (t, f) [m].
         pairs: Which two fingers a column of `links` is about.
         links: Of the links of two fingers from each other, shape (t, p) [m].
         least: The least of all [m].
@@ -65,10 +65,12 @@ def link_clearance(grasp: Grasp, trajectory: Trajectory) -> LinkClearance:
         `LinkClearance`.
 
     Raises:
-        ValueError: If the trajectory is a batch or none of this grasp, or a contour of the object is endless.
+        ValueError: If the trajectory is a batch or none of this grasp, a contour of the object is endless,
+            or no finger has links.
 
-    Accuracy: links from each other to rounding; from the object as 17 points of each link and a parabola
-    through the lowest three tell, some hundredths of a millimetre for links of 60 mm beside a disc of 20 mm.
+    Accuracy: links from each other to rounding; from the object below a nanometre where a link's lowest place
+    lies beside the lowest of 17 points along it. Beside an object thinner than their distances, a sixteenth
+    of the link, that place may be missed.
 
     Example:
         >>> import jaxroll as jxr

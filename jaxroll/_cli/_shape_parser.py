@@ -7,12 +7,13 @@ from typing import Any
 _FIT = "Fit a smooth contour or surface to a file, print a report, and write its picture and the shape."
 _PINCH = (
     "Fit an object from a file, find where to hold it, pinch it, push it, print a report, and write figures: "
-    "in the plane for drawings, photographs and sections, in space for meshes and clouds. No gravity acts. "
-    "The exit code is 0 if every contact held until the end, at rest or not: the report's outcome says which."
+    "in the plane for drawings, tables of x and y, photographs and sections, in space for meshes and clouds. "
+    "No gravity acts. The exit code is 0 if every contact held until the end, at rest or not: the report's "
+    "outcome says which."
 )
 _FILE = (
-    "a drawing (SVG, DXF), a table of points with two or three columns (CSV, TXT, NPY, XYZ), a mesh (STL, "
-    "OBJ, PLY, OFF) or a photograph (PNG, JPEG, TIFF)"
+    "a drawing (SVG, DXF), a table of points with two, three or six columns (CSV, TXT, DAT, NPY, XYZ), "
+    "a mesh (STL, OBJ, PLY, OFF) or a photograph (PNG, JPEG, TIFF, BMP)"
 )
 
 

@@ -21,13 +21,13 @@ SCENES = (
 _KEEP = ("result", "t_end", "settling_time")
 _SWEEP = (
     "Simulate a scene for many values of its parameters, on a grid or at samples, and write a table of what "
-    "is kept of each run. A sweep that was cut off goes on where it was."
+    "is kept of each run. A sweep that was cut off goes on where it was, but for adaptive ones."
 )
 _MAP = "Draw what a sweep kept over two of its parameters, as a picture and as a page for a browser."
 _SET = (
     "a parameter's values: LOW:HIGH, LOW:HIGH:COUNT, either with :log, V1,V2,..., or one number. NAME is an "
-    "argument of the scene, a field of its controller or object, or tip_radius, of round fingertips. Unlike "
-    "lengths of other commands, values are in SI units: m, kg, s, N, rad"
+    "argument of the scene, a field of its grasp, controller or object, or tip_radius, of round fingertips. "
+    "Unlike lengths of other commands, values are in SI units: m, kg, s, N, rad"
 )
 _KINDS = {
     "damping": "N m s",

@@ -1,12 +1,14 @@
 """From a closed state to a trajectory: steps, their lengths, events, batches and derivatives.
 
 `_simulate` is the entry point; `_arguments` and `_methods` check what it is given, and `_run_options` keeps
-most of it for callers who run later. `_state_vector` lays a
-state out as one vector, `_step` makes one step of a method of diffrax on it (`_rosenbrock` is a linearly
-implicit method), `_step_size` sets its length, `_events` determines where the model ends, within a step too.
-`_run` takes steps until a run is over, `_batch` takes those of many runs together, `_derivative`
-differentiates the recorded steps. `_jumps` has the steps at declared jumps, `_strike` a blow by itself,
-`_resume` what follows a lost contact or a touch. `_trajectory` is the result, `_report` its printed form.
+most of it for callers who run later. `_state_vector` lays a state out as one vector, `_bundle` the numbers of
+a grasp as one; `_step` makes one step of a method of diffrax on it (`_rosenbrock` is a linearly implicit
+method), `_step_size` sets its length, `_events` determines where the model ends, within a step too. `_run`
+takes steps until a run is over, `_batch` takes those of many runs together, `_derivative` differentiates the
+recorded steps, backwards by `_backward_step`. `_jumps` has the steps at declared jumps, `_strike` a blow by
+itself, `_contact_impulses` the blows of a run, `_resume` what follows a lost contact or a touch.
+`_trajectory` is the result, `_dense` reads it between its saved times, `_dataset` makes a table for xarray of
+it, and `_report` is its printed form.
 `_vector_field` and `_projected_method` offer the same equations, those of `_motion`, to diffrax's own
 `diffeqsolve`.
 """

@@ -172,7 +172,7 @@ def _touched(grasp: Grasp, run: Trajectory, friction: Given | None) -> tuple[Gra
     if code_name(hit.result) != "successful":
         raise ValueError(
             f"argument run must touch in a way that friction can answer, but the impulse of finger "
-            f"{finger} on contour {face} made a contact slip"
+            f"{finger} on face {face} of the object made a contact slip"
         )
     return closed, hit.state, run.stats.t_end - ends[0][-1]
 

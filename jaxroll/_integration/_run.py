@@ -146,7 +146,7 @@ def judge(
     whole = ~jnp.isnan(y1[-2]) | (jnp.arange(y1.shape[0]) == y1.shape[0] - 1)
     y = jnp.where(keep & whole, y1, course.y)
     holds, count = y[-1] <= 0, plan.ts.shape[0]
-    # `control` ends a step at a save time exactly, so that equality is the test for having reached it.
+    # `aim` ends a step at a save time exactly, so that equality is the test for having reached it.
     hit = course.busy & keep & holds & (course.saved < count) & (pace.t == _stop(plan, course.saved))
     saved = course.saved + jnp.where(hit, 1, 0)
     over = (saved == count) & (pace.t == plan.t1)

@@ -140,8 +140,8 @@ def simulate(
     Gradients: forward and reverse mode, of the discrete solution at frozen step sizes, with respect to
     `grasp` and `state`; in `t1` and `ts` with the slope of the motion there. In `t0`, tolerances and gains of
     the formulation, and twice, they are refused. A derivative records `max_steps` states.
-    Accuracy: with default settings about 1e-8 rad over the chapter's scenes; constraint rows below
-    1e-14 m there, and below 1e-13 m in all of `scenes`.
+    Accuracy: with default settings about 1e-10 rad and m over the chapter's scenes; constraint rows below
+    1e-15 m there, and below 1e-13 m in all of `scenes`.
     Recording energy puts the work into error control, and so can change the steps.
     Single precision: allowed from rtol 1e-5 up.
 

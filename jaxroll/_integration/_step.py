@@ -55,7 +55,7 @@ class RollingStep(eqx.Module):
             one loop too, any other one by its own `step`.
         formulation: Projection or stabilisation.
         lay: Layout of the flow vector.
-        events: What ends a run, besides the ends of contours and singular contacts.
+        events: What ends a run, besides ends of contours, singular contacts and the limits of joints.
         sweeps: How often a step's end returns to the constraints (`_arguments.sweeps`).
         reverse: Whether JAX is to transpose the loop over the stages, as in dense output.
     """

@@ -1,8 +1,8 @@
 r"""The equations of motion of a grasp for diffrax itself: terms, start and projection for `diffeqsolve`.
 
 `simulate` runs the methods of diffrax in a loop of its own, because one kernel for a whole run is several
-times as fast. This module is for what only `diffeqsolve` has: dense output, `SaveAt` with functions, its
-adjoints, events of one's own. The equations are the same,
+times as fast. This module is for what only `diffeqsolve` has: `SaveAt` with functions, its adjoints,
+events of one's own. The equations are the same,
 
 $$ y' = (\dot q, \dot v, \dot s), \quad M \dot v + h = u + A^T \mu, \quad A \dot v + \dot A v = 0 $$
 
@@ -104,7 +104,8 @@ class VectorField(eqx.Module):
     def margin(self, t: Scalar, y: Y, args: Any = None, **others: Any) -> Scalar:
         """How far the model still holds, positive while it does: `cond_fn` of `diffrax.Event`.
 
-        The smallest of forces [N], distances to ends [m] and relative curvatures, as for `simulate`.
+        The smallest of forces [N], distances to ends [m], relative curvatures, and what joints have left of
+        range [rad or m] and torque [N m or N], as for `simulate`.
         """
         leaves, instant = self._at(t, y)
         return jnp.asarray(regime(self.grasp, leaves, instant, self.events)[0], y.dtype)
@@ -120,14 +121,15 @@ def vector_field(
 ) -> VectorField:
     r"""The equations of motion of a grasp as terms, start and projection for `diffrax.diffeqsolve`.
 
-    For what `simulate` has not: dense output, `SaveAt` with functions and steps, diffrax's adjoints, events
+    For what `simulate` has not: `SaveAt` with functions and steps, diffrax's adjoints, events
     and controls of your own. A run costs some eight times what one of `simulate` does, which is one kernel
     (`python -m benchmarks.door`).
 
     Args:
         grasp: The grasp; every array in it is differentiable.
         formulation: `Index1()` (default), whose steps are to be projected, or `CSM(...)`, whose are not.
-        events: What `margin` watches besides contour ends and singular contacts: 'lift', 'friction'.
+        events: What `margin` watches besides contour ends, singular contacts and the limits of joints:
+            'lift', 'friction'.
 
     Returns:
         A `VectorField`: `terms`, `start(state)`, `projected(solver)`, `margin` and `states(ys)`.

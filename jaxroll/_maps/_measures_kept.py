@@ -45,8 +45,8 @@ def measures(*names: str, **own: Callable[[Trajectory], Any]) -> "Measures":
     | `result` | the code of `jaxroll.RESULTS` with which the run ended |
     | `t_end` | the time that it reached [s] |
     | `steps` | attempted steps |
-    | `first_event` | `result`, `time` [s] and `contact` of what ended it; NaN and -1 where nothing did |
-    | `margin` | what ran out at that end (`stats.margin`): zero but for rounding where it was located |
+    | `first_event` | `result`, `time` [s] and `contact` (finger or joint) of what ended it; NaN, -1 without |
+    | `margin` | what ran out at that end (`stats.margin`): zero, to rounding; infinite where nothing did |
     | `final_state` | the last `State` |
     | `final_pose` | its coordinates q: of the object, then of the fingers [m, rad] |
     | `settling_time` | of the contact coordinates [s], as `design.settling_time`: needs `ts` |

@@ -238,7 +238,7 @@ class Grasp(AbstractGrasp):
         return changed(self, changes)
 
     def with_tip(self, finger: int, tip: AbstractContour | AbstractSurface) -> "Grasp":
-        """A copy in which one finger carries another tip contour.
+        """A copy in which one finger carries another tip, a contour or in space a surface.
 
         Raises:
             ValueError: If there is no such finger, or the tip is not what the finger's constructor takes, or

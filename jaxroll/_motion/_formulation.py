@@ -39,13 +39,23 @@ class CSM(eqx.Module):
     contact frame, which $\ddot Q$ and $\ddot R$ of (64)-(65) have, are left out. So this is the chapter's
     equation on the constraint manifold, and off it where the frame rests; a gap $\epsilon$ in a frame that
     turns at $\omega$ is pulled back with errors of order $\omega \epsilon$ in its rate. The gains add rates
-    of $-750 \pm 1299i$ and $-1500 \pm 2598i$ 1/s, so explicit solvers take about ten times more steps.
+    of $-750 \pm 1299i$ and $-1500 \pm 2598i$ 1/s, so explicit solvers take twelve times (301 saved states)
+    to thirty times (one) as many steps.
 
     Args:
-        gamma_f: $\gamma_{f1}$, in 1/s.
-        omega_f: $\omega_{f1}$, in 1/s^2.
-        gamma_lambda: $\gamma_{\lambda 1}$, in 1/s.
-        omega_lambda: $\omega_{\lambda 1}$, in 1/s^2.
+        gamma_f: $\gamma_{f1}$ [1/s]. Default: 1500.
+        omega_f: $\omega_{f1}$ [1/s^2]. Default: 225e4.
+        gamma_lambda: $\gamma_{\lambda 1}$ [1/s]. Default: 3000.
+        omega_lambda: $\omega_{\lambda 1}$ [1/s^2]. Default: 900e4.
+
+    Raises:
+        ValueError: If a gain is not positive.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> grasp, state = jxr.scenes.pivoted()
+        >>> jxr.simulate(grasp, state, 0.1, ts=1, formulation=jxr.CSM()).result
+        successful
     """
 
     __repr__ = listed

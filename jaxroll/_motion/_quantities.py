@@ -1,9 +1,9 @@
 """Residuals, contact forces and energies of states, in the chapter's definitions and signs.
 
-`residuals`, `multipliers`, `torques`, `accelerations` and `energies` are public and take one state or many.
-Those that end in `_at` take one state of a prepared grasp; `simulate` maps them over its saved states.
-Contact forces cost one more evaluation of the equations of motion. `power` is what a run integrates where
-energy is recorded.
+`residuals`, `multipliers`, `torques`, `wrenches`, `accelerations` and `energies` are public and take one
+state or many. Those that end in `_at` take one state of a prepared grasp; `simulate` maps them over its saved
+states. Contact forces cost one more evaluation of the equations of motion. `power` is what a run integrates
+where energy is recorded.
 """
 
 import contextlib

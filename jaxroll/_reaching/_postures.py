@@ -28,7 +28,7 @@ from ._sheet import Frames, Sheet, shortened
 _STARTS, _STEPS = 64, 100
 # About so many places of the tip, of which a start takes the one that faces its target.
 _FACES = 96
-# A posture touches where no row is larger than this, relative to the tip's distance from its base.
+# A posture touches where no gap is larger than this share of the finger's length, and no tilt than 1e-11.
 _TOUCHES = 1e-13
 # A search that is stuck at more than this is given up when its damping is large.
 _STUCK = 1e8

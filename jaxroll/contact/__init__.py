@@ -2,8 +2,9 @@
 
 `_contact` declares what the dynamics needs of a contact, `_rolling_contact` has it for contours in the plane,
 of which users make a `Contact` (`_contact2`), and `_contact3` for surfaces in space, both with the gap of
-`_gap`. `_motion` calls them in every evaluation
-of the equations of motion. `locating` finds where two shapes are nearest, whether they touch or not.
+`_gap`. `_from_gap` derives the same for any contact from its gap and tangency. `_motion` calls them in every
+evaluation of the equations of motion. `locating` finds where two shapes are nearest, whether they touch or
+not.
 """
 
 from ._contact import AbstractContact as AbstractContact

@@ -67,7 +67,8 @@ def optimise_fingertip(
         tip: A fingertip about $O_i$ facing +x at s = 0, or several of one kind and size: they are optimised
             together in one batch, and the best is returned.
         interval: First and last arclength of the contact interval [m].
-        goal: `Margin()` (default), `ClosedLoop(...)` or `Firmness(...)`.
+        goal: `Margin()` (default), `ClosedLoop(...)`, `Firmness(...)`, any of them in `Fair(...)`, or an
+            `AbstractGoal` of one's own.
         limits: Default: `Limits(size=..., radius=..., ahead=...)` with the first start's own size, a tenth
             and a half of it.
         steps: At most so many, rounded up to tens; each is one evaluation with its gradient.

@@ -4,13 +4,13 @@ The only door to matplotlib; `import jaxroll` does not open it. `_outlines` and 
 what is where, `_artists` draws one instant of it, the other modules make figures. None touches
 pyplot.
 
-Of grasps in space, `_views3` works out what moves where (a `_motion3`), `_meshes` makes triangles of
+Of grasps in space, `_views3` works out what moves where (`_motion3.Motion3D`), `_meshes` makes triangles of
 surfaces (`_rays` where they have no closed form), `_scene3` puts both together and `_drawing3` draws one
-instant of it. `animate`, `pose`, `poses` and `responses` take either kind of grasp; `loci` and `page` (the
-only door to plotly, a page for a browser) one in space, `contours` and `phase` one in the plane.
-`contact_geometry` draws one contact with the chapter's names (its labels are put by `_tags`), `design` a
-fingertip before and after, `comparison` runs over each other. `parameter_map` draws what a sweep kept over
-two parameters, and `map_page` writes it for a browser.
+instant of it. `animate`, `pose`, `poses`, `responses` and `page` (for a browser, the only door to plotly)
+take either kind of grasp; `loci` one in space, `contours` and `phase` one in the plane. `fit` draws a contour
+or surface beside the points that it was made of. `contact_geometry` draws one contact with the chapter's
+names (its labels are put by `_tags`), `design` a fingertip before and after, `comparison` runs over each
+other. `parameter_map` draws what a sweep kept over two parameters, and `map_page` writes it for a browser.
 """
 
 from ._animate import animate as animate

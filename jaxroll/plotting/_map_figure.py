@@ -48,8 +48,7 @@ def parameter_map(
         x: Which parameter runs along the lower side. Default: the first that changes.
         y: Which one along the left side. Default: the next one.
         at: Of a grid of more axes, where the other parameters are held, by name: the nearest value of the
-        grid
-            is taken. Default: the one in the middle.
+            grid is taken. Default: the one in the middle.
         label: What the value is, with its unit.
         title: What stands above; where other parameters are held is told beside it.
         ax: Axes to draw on. Default: a new figure.

@@ -77,8 +77,8 @@ def mesh(
     """Triangles with their corners on a surface.
 
     Closed forms and charts are sampled in their own parameters, a field of splines at the nodes of its own
-    grid. Any other implicit surface is met along rays
-    from a point inside, which shows all of it if the rays from there meet it once.
+    grid. Any other implicit surface is met along rays from a point inside, which shows all of it if the rays
+    from there meet it once.
 
     Args:
         surface: What to draw.

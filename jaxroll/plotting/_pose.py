@@ -84,8 +84,7 @@ def poses(
         trajectory: One run of it.
         times: Times to draw [s]; each shows the saved state nearest to it. Default: first and last; of a run
             that ended before a state was saved, the state where it ended.
-        forces: Whether to draw the contact forces on the object and that of its loads, in the plane with
-            their scale.
+        forces: Whether to draw the contact forces on the object and that of its loads, with their scale.
         view: How to look at a grasp in space.
 
     Returns:

@@ -127,7 +127,7 @@ def _lowest(
 
 
 def _over(above: Array, below: Array) -> Array:
-    """A quotient; 0 where the divisor is not positive."""
+    """A quotient; 0 where the divisor is zero."""
     return jnp.where(below != 0, above / jnp.where(below != 0, below, 1.0), 0.0)
 
 
@@ -162,5 +162,5 @@ def links_apart(first: tuple[Any, Any], second: tuple[Any, Any]) -> Scalar:
 
 
 def _between(above: Scalar, below: Scalar) -> Scalar:
-    """A quotient kept between 0 and 1; 0 where the divisor is zero."""
+    """A quotient kept between 0 and 1; 0 where the divisor is not positive."""
     return jnp.where(below > 0, jnp.clip(above / jnp.where(below > 0, below, 1.0), 0.0, 1.0), 0.0)

@@ -51,15 +51,15 @@ class Parametric(AbstractTabulated):
         closed: Whether the curve ends where it began, as smoothly as it goes on elsewhere.
         origin: The u at which $s = 0$. Default: the first.
         smoothness: Continuous derivatives of $p$, two or more.
-        cells: Cells of the table. Static.
+        cells: Cells of the table. Default: 1024. Static.
 
     Raises:
         ValueError: If the function gives no point, one that is not finite, runs clockwise where it is
             closed, does not close, or another argument does not fit. A curve that stops, or bends more
             sharply than the cells resolve, is refused where it is first used.
 
-    Accuracy: the table's error falls as cells$^{-6}$ (`table_error`); with 1024 cells an ellipse of 20 by
-    14 mm is met to 1e-16 m in the point and 3e-8 1/m in the curvature.
+    Accuracy: the table's error falls as cells$^{-6}$ (`table_error`); with 1024 cells an ellipse with
+    half axes of 20 and 14 mm is met to 1e-16 m in the point and 3e-8 1/m in the curvature.
 
     Example:
         >>> import jax.numpy as jnp

@@ -206,7 +206,7 @@ class SupportFunction(AbstractSupport):
             somewhere.
 
     Accuracy: the table's, see `table_error`: point 1e-17 m, tangent 5e-13, curvature 5e-8 1/m for an
-    ellipse of 20 mm x 14 mm.
+    ellipse with half axes of 10 and 7 mm.
 
     Example:
         >>> import jaxroll as jxr
@@ -244,8 +244,8 @@ class SupportFunction(AbstractSupport):
         Raises:
             ValueError: If there are too few points, or the nearest series folds.
 
-        Accuracy: spectral for exact points of a smooth contour: for an ellipse of 20 mm x 14 mm the
-        largest error of $h$ is 0.08 um with 8 terms, 0.7 pm with 20.
+        Accuracy: spectral for exact points of a smooth contour: for an ellipse with half axes of 10 and 7 mm
+        the largest error of $h$ is 0.08 um with 8 terms, 0.7 pm with 20.
 
         Example:
             >>> import jaxroll as jxr

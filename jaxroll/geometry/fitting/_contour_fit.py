@@ -127,7 +127,8 @@ def fit_contour(
     of that. Such a contour is a spline through nodes of its own.
 
     Time and memory grow with the cube and the square of the number of knots, which is that of the points
-    where every point is met: some thousand at most. Ordering scattered points takes $O(n \log n)$ time.
+    where every point is met: some thousand at most. Ordering scattered points takes $O(n \log n)$ time,
+    and $O(n^2)$ where noise makes it try many orders.
 
     Args:
         points: Shape (n, 2), n >= 6, in `unit`.
@@ -140,8 +141,9 @@ def fit_contour(
             the smoothing by cross-validation, with `smallest_radius` the noise itself.
         smoothing: Wavelength [m] of wiggles to halve, instead of `noise`.
         smallest_radius: Smallest radius of curvature [m] that the contour may have.
-        knots: Number of knots; None: one at every point, but at most 512 where smoothing; with
-            `smallest_radius` five to that, at most 1024.
+        knots: Number of knots. Default: one at every point, at most 512 where smoothing; with
+            `smallest_radius` five to a length of that radius, at most 1024. Given with `smallest_radius` it
+            must be 48 to 1024, and is rounded up to one of the program's sizes (48, 64, 96, ...).
         unit: Of `points`: "m", "mm", "um" or "in". All else is in metres.
         reverse: Turn an open contour round, where the points have the body on their right.
 

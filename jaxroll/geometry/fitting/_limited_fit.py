@@ -79,7 +79,7 @@ class Limited:
         start: A smooth curve roughly among the points.
         noise: Standard deviation of each coordinate [m], given or estimated.
         wanted: What was asked for.
-        longer: How many times the wavelength that the radius asks for is halved.
+        longer: Factor from the wavelength that the radius asks for to the one that is halved.
     """
 
     clean: CleanPoints

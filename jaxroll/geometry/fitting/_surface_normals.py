@@ -2,7 +2,8 @@
 
 The normal at a point is that of the plane through its neighbours, whose sign is open. Signs are made to agree
 along a tree that connects all points, and then turned together so that the enclosed volume is positive (Hoppe
-et al., 1992). `_surface_fit` uses the result where the caller has no normals, and the areas always.
+et al., 1992). `_surface_fit` uses the result where the caller has no normals, and the areas always. `_scan`
+uses `parted_normals`, which are turned patch by patch (`_visibility`).
 """
 
 import numpy as np

@@ -222,7 +222,7 @@ class Superellipsoid(AbstractImplicit):
             $\lceil p \rceil - 1$ continuous derivatives, on the planes of symmetry. Static.
 
     Raises:
-        ValueError: If a length is not positive, or `exponent` below 2.
+        ValueError: If a length is not positive, or `exponent` is no known number from 2 to 32.
 
     Example:
         >>> import jaxroll as jxr

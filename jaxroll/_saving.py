@@ -87,6 +87,9 @@ def load(path: str | Path, *, own: Sequence[Any] = ()) -> Any:
         path: The file.
         own: Classes and functions of one's own that the file names. What it does not hold is not needed.
 
+    Returns:
+        What was saved.
+
     Raises:
         ValueError: If it is no such file, is damaged, was written by a version whose records had other
             fields, names what `own` has not, or is of double precision while JAX is set to single.

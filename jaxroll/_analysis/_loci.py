@@ -111,6 +111,9 @@ def loci(grasp: Grasp, trajectory: Trajectory) -> Loci:
         grasp: The grasp that was simulated, in space.
         trajectory: One run of it.
 
+    Returns:
+        `Loci`.
+
     Raises:
         ValueError: If the grasp lives in the plane, or the trajectory is a batch.
 

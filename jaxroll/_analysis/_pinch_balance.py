@@ -72,6 +72,9 @@ class PinchBalance(eqx.Module):
 def pinch_balance(grasp: Grasp, ts: Float[Array, "..."], states: State) -> PinchBalance:
     """Part 1's quantities at one time and state, or along a leading time axis.
 
+    Returns:
+        `PinchBalance`, of the states' leading shape.
+
     Raises:
         ValueError: If the grasp is not two fingers, one contact each, under `control.Opposition`.
 

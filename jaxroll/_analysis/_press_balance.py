@@ -62,6 +62,9 @@ class PressBalance(eqx.Module):
 def press_balance(grasp: Grasp, ts: Float[Array, "..."], states: State) -> PressBalance:
     """Part 2's quantities at one time and state, or along a leading time axis.
 
+    Returns:
+        `PressBalance`, of the states' leading shape.
+
     Raises:
         ValueError: If the grasp's controller is not `control.Press`, by itself or inside another one.
 

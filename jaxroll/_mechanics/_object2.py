@@ -31,6 +31,14 @@ class PivotedObject(AbstractPivoted):
         pivot: Shape (2,), position of the pivot in the world, in metres.
         mass: In kilograms; used by gravity alone, with `centre`. Default: no weight.
         centre: Shape (2,), centre of mass in the body frame, in metres.
+
+    Raises:
+        ValueError: If there is no contour, or a mass or inertia is not positive.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> jxr.PivotedObject(jxr.Circle(0.02), inertia=4e-6, pivot=(0.01, 0.05)).pivot.tolist()
+        [0.01, 0.05]
     """
 
     contours: Contours = through(_as_contours)
@@ -66,6 +74,14 @@ class FreeObject(AbstractFree):
         contours: One contour or several, in the body frame.
         mass: In kilograms.
         inertia: Moment about the centre of mass, in kg m^2.
+
+    Raises:
+        ValueError: If there is no contour, or a mass or inertia is not positive.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> float(jxr.FreeObject(jxr.Circle(0.02), mass=0.05, inertia=1e-5).mass)
+        0.05
     """
 
     contours: Contours = through(_as_contours)

@@ -44,8 +44,16 @@ class Turning(eqx.Module):
 
     Args:
         rate: $\Omega$ [rad/s].
-        axis: Shape (3,); scaled to unit length. Default: z.
+        axis: Shape (3,), of any length. Default: z.
         centre: Shape (3,), a point of the axis [m].
+
+    Raises:
+        ValueError: If an argument is not finite or of another shape, or `axis` is zero.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> jxr.Turning(2.0).axis.tolist()
+        [0.0, 0.0, 1.0]
     """
 
     __repr__ = listed

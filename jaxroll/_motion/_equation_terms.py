@@ -63,6 +63,12 @@ def equation_terms(grasp: Grasp, state: State) -> EquationTerms:
 
     Forces are those of `multipliers`: $f_i$, $\lambda_i$, and in space $\tau_i$ its `spin`.
 
+    Returns:
+        `EquationTerms`.
+
+    Raises:
+        ValueError: If `grasp` is no grasp, or the state is none of it.
+
     Example:
         >>> import jaxroll as jxr
         >>> grasp, state = jxr.scenes.pivoted()

@@ -228,6 +228,12 @@ def of_reached(function: Callable, states: State, start: State) -> Any:
 def residuals(grasp: Grasp, states: State) -> Residuals:
     """Constraint residuals of one state, or of states with a leading time axis.
 
+    Returns:
+        `Residuals`, of the states' leading shape.
+
+    Raises:
+        ValueError: If the states are none of this grasp.
+
     Example:
         >>> import jaxroll as jxr
         >>> grasp, state = jxr.scenes.pivoted()
@@ -242,6 +248,12 @@ def multipliers(
     grasp: Grasp, ts: Float[Array, "..."], states: State, formulation: Formulation | None = None
 ) -> Multipliers:
     """Contact forces [N] at one time and state, or along a leading time axis.
+
+    Returns:
+        `Multipliers`, of the states' leading shape.
+
+    Raises:
+        ValueError: If the states are none of this grasp, or `ts` has not one time for every state.
 
     Example:
         >>> import jaxroll as jxr
@@ -345,6 +357,9 @@ def accelerations(
     Returns:
         Shape (..., n) [m/s^2, rad/s^2].
 
+    Raises:
+        ValueError: If the states are none of this grasp, or `ts` has not one time for every state.
+
     Example:
         >>> import jaxroll as jxr
         >>> grasp, state = jxr.scenes.pivoted()
@@ -368,7 +383,20 @@ def _accelerations(
 
 @compiled_for_many
 def energies(grasp: Grasp, states: State) -> tuple[Array, Array]:
-    """Kinetic and potential energy [J] of one state, or of states with a leading time axis."""
+    """Kinetic and potential energy [J] of one state, or of states with a leading time axis.
+
+    Returns:
+        Two arrays [J], of the states' leading shape.
+
+    Raises:
+        ValueError: If the states are none of this grasp.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> kinetic, potential = jxr.energies(*jxr.scenes.pivoted())
+        >>> f"{1e3 * potential:.2f} mJ"
+        '22.70 mJ'
+    """
     ready = grasp.prepared()
     return over_time(lambda state: energies_at(ready, state), states)
 

@@ -106,7 +106,7 @@ def grasp_points(
         A `GraspPoints`; empty where no pair is held with this friction.
 
     Raises:
-        ValueError: If `object` is none, or a number is not positive.
+        ValueError: If `object` is none, a number is not positive, or `count` is above 1000.
 
     Accuracy: exact pairs to rounding; others are pairs of samples, 384 in the plane and 720 in space: their
     own demand is exact, that of the best pair of all may be lower. Antipodal pairs of features finer than the

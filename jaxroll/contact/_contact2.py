@@ -40,6 +40,11 @@ class Contact(AbstractRolling):
     Raises:
         ValueError: If an arclength is not one finite number, `finger` or `contour` is not a whole number from
             0 up, `sense` is neither, or `friction` is not positive.
+
+    Example:
+        >>> import jaxroll as jxr
+        >>> float(jxr.Contact(0.001, 0.004, friction=0.5).s_object)
+        0.004
     """
 
     s_tip: Float[Array, ""] = real()

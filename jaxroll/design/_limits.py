@@ -67,7 +67,7 @@ class Limits(eqx.Module):
         ahead: Least distance of the pad in front of $O_i$ [m], $-n \cdot \gamma$ on the contact interval:
             the last link ends behind it. (41) wants it small.
         flat: Largest radius of curvature on the contact interval [m]. Without it the best pad is a flat
-            one, which rolls on its ends alone; the interval is kept convex all the same.
+            one, which rolls on its ends alone; the interval is kept convex all the same. Default: 0.1.
         steepness: Largest $|d\kappa/ds|$ [1/m^2]: smoothness.
 
     Raises:

@@ -36,6 +36,12 @@ def settling_time(run: Trajectory, *, band: float = 0.02, signal: Signal | None 
         band: Share of the way.
         signal: Shape (t, k), NaN where it is not known. Default: the contact coordinates.
 
+    Returns:
+        One number [s].
+
+    Raises:
+        ValueError: If `run` is no run or a batch, `band` is not positive, or `signal` does not fit the run.
+
     Example:
         >>> import jaxroll as jxr
         >>> grasp, state = jxr.scenes.pivoted()
@@ -71,6 +77,12 @@ def overshoot(run: Trajectory, *, signal: Signal | None = None) -> Scalar:
         run: One run.
         signal: Shape (t, k), NaN where it is not known. Default: the contact coordinates.
 
+    Returns:
+        One number, without a unit.
+
+    Raises:
+        ValueError: If `run` is no run or a batch, or `signal` does not fit it.
+
     Example:
         >>> import jaxroll as jxr
         >>> grasp, state = jxr.scenes.pivoted()
@@ -100,6 +112,12 @@ def tracking_error(run: Trajectory, *, signal: Signal | None = None) -> Scalar:
         run: One run.
         signal: Shape (t, k), NaN where it is not known. Default: the contact coordinates.
 
+    Returns:
+        One number [s].
+
+    Raises:
+        ValueError: If `run` is no run or a batch, or `signal` does not fit it.
+
     Example:
         >>> import jaxroll as jxr
         >>> grasp, state = jxr.scenes.pivoted()
@@ -120,6 +138,12 @@ def _tracking(run: Trajectory, signal: Signal | None = None) -> Scalar:
 def peak_force(run: Trajectory) -> Scalar:
     """Largest normal force of any contact [N]; the run must have recorded its multipliers.
 
+    Returns:
+        One number [N].
+
+    Raises:
+        ValueError: If `run` is no run or a batch, or did not record its multipliers.
+
     Example:
         >>> import jaxroll as jxr
         >>> grasp, state = jxr.scenes.pivoted()
@@ -133,6 +157,12 @@ def peak_force(run: Trajectory) -> Scalar:
 
 def friction_demand(run: Trajectory) -> Scalar:
     r"""Friction coefficient that rolling needs, $\max |\lambda| / f$; the run must have recorded its forces.
+
+    Returns:
+        One number, without a unit.
+
+    Raises:
+        ValueError: If `run` is no run or a batch, or did not record its multipliers.
 
     Example:
         >>> import jaxroll as jxr

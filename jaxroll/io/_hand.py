@@ -99,6 +99,9 @@ def load_hand(
         smallest_radius: With 'mesh', the smallest radius of curvature [m] of the fit: edges of the mesh are
             rounded off by it and open sides closed. Not with `smoothing`.
 
+    Returns:
+        A `Hand`: its fingers, and ranges, torques, damping, friction and springs of their joints.
+
     Raises:
         ValueError: If the file cannot be read; a joint that is not held slides, has more than one axis,
             carries two others or is tied to another; a last link has no inertia; a tip cannot be told; or

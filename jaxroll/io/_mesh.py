@@ -90,6 +90,9 @@ def read_mesh(path: str | Path, *, unit: str) -> tuple[np.ndarray, np.ndarray]:
         path: The file.
         unit: Of the numbers in the file: "m", "mm", "um" or "in".
 
+    Returns:
+        Vertices [m], and faces as the numbers of their three vertices.
+
     Raises:
         ValueError: If the file holds no triangles.
         ImportError: Without the extra `cad`.

@@ -64,7 +64,8 @@ def animate(
 
     Raises:
         ValueError: If the trajectory is a batch, `path` ends otherwise or there is no ffmpeg, a number is not
-            positive, `view` is given for a grasp in the plane, or `forces` is True and the run was not
+            positive, `until` comes before the first saved state, there would be more than 5000 frames in the
+            plane, `view` is given for a grasp in the plane, or `forces` is True and the run was not
             simulated with `record=("multipliers",)`.
 
     Example:

@@ -19,7 +19,7 @@ class View:
     """How a grasp in space is looked at.
 
     Args:
-        elevation: Of the camera above the x-y plane, in degrees. Default: 22, in most cases.
+        elevation: Of the camera above the x-y plane, in degrees. Default: 22.
         azimuth: Of the camera about z, in degrees, as matplotlib counts. Default: it sees the first contact
             from the side.
         turn: By how much the camera goes round during an animation, in degrees.

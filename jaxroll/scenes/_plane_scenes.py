@@ -69,7 +69,7 @@ def pivoted(
         The grasp, and a state at rest with the contact closed.
 
     Raises:
-        ValueError: If the finger cannot reach that contact.
+        ValueError: If an argument does not fit, or the finger cannot reach that contact.
 
     Example:
         >>> import jaxroll as jxr
@@ -101,6 +101,12 @@ def rectangle(width: Given = 0.03, height: Given = 0.05, mass: Given = 0.02) -> 
         width: Distance of the faces, $l_w$ [m].
         height: Length of the faces [m].
         mass: In kilograms.
+
+    Returns:
+        The object.
+
+    Raises:
+        ValueError: If a number is not positive.
 
     Example:
         >>> import jaxroll as jxr
@@ -156,7 +162,7 @@ def pinch(
         The grasp, and a state at rest with both contacts closed.
 
     Raises:
-        ValueError: If the fingers cannot reach those contacts.
+        ValueError: If an argument does not fit, or the fingers cannot reach those contacts.
 
     Example:
         >>> import jaxroll as jxr
@@ -209,6 +215,9 @@ def ball_plate(
         friction: Coefficient of friction of both contacts; then a run that needs more of it ends.
         gravity: Shape (2,) [m/s^2]; the plane is horizontal by default.
 
+    Returns:
+        The grasp, and a state at rest with both contacts closed.
+
     Raises:
         ValueError: If an argument does not fit, or the fingers cannot reach the contacts.
 
@@ -259,6 +268,9 @@ def pinch_ellipse(
         damping: $c_i$ of (16) [N m s], one or two.
         friction: Coefficient of friction of both contacts; then a run that needs more of it ends.
         gravity: Shape (2,) [m/s^2]; the plane is horizontal by default.
+
+    Returns:
+        The grasp, and a state at rest with both contacts closed.
 
     Raises:
         ValueError: If an argument does not fit, or the fingers cannot reach the contacts.
@@ -442,6 +454,9 @@ def roller(
     Returns:
         The grasp, and a state at rest with both contacts closed. Coordinates: x, y and angle of the
         roller, then u and height of the plate.
+
+    Raises:
+        ValueError: If an argument does not fit, or the contour is not closed.
 
     Example:
         >>> import jaxroll as jxr

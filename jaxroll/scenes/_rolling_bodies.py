@@ -71,6 +71,9 @@ def turntable(
     Returns:
         The grasp, and a state that rolls. The last coordinate is the table's clock.
 
+    Raises:
+        ValueError: If an argument does not fit.
+
     Example:
         >>> import jaxroll as jxr
         >>> grasp, state = jxr.scenes.turntable()
@@ -109,6 +112,12 @@ def tube(
         mass: In kilograms.
         gravity: Downwards [m/s^2].
 
+    Returns:
+        The grasp, and a state that rolls.
+
+    Raises:
+        ValueError: If an argument does not fit.
+
     Example:
         >>> import jaxroll as jxr
         >>> grasp, state = jxr.scenes.tube()
@@ -136,6 +145,12 @@ def incline(
         radius: Of the ball [m].
         mass: In kilograms.
         gravity: Downwards [m/s^2].
+
+    Returns:
+        The grasp, and a state that rolls.
+
+    Raises:
+        ValueError: If an argument does not fit.
 
     Example:
         >>> import jaxroll as jxr
@@ -177,6 +192,12 @@ def wheel(
         tube: $\rho$, of the rim's cross-section [m].
         mass: In kilograms; the inertias are those of a thin disc of radius a.
         gravity: Downwards [m/s^2].
+
+    Returns:
+        The grasp, and a state that rolls.
+
+    Raises:
+        ValueError: If an argument does not fit.
 
     Example:
         >>> import jaxroll as jxr
@@ -236,6 +257,12 @@ def rattleback(
         inertia: Principal moments [kg m^2], shape (3,).
         mass: In kilograms.
         gravity: Downwards [m/s^2].
+
+    Returns:
+        The grasp, and a state that rolls.
+
+    Raises:
+        ValueError: If an argument does not fit.
 
     Example:
         >>> import jaxroll as jxr

@@ -41,6 +41,12 @@ def cuboid(width: Given = 0.03, height: Given = 0.05, depth: Given = 0.05, mass:
         depth: Along z [m].
         mass: In kilograms.
 
+    Returns:
+        The object.
+
+    Raises:
+        ValueError: If a number is not positive.
+
     Example:
         >>> import jaxroll as jxr
         >>> len(jxr.scenes.cuboid().surfaces)
@@ -104,7 +110,7 @@ def pinch3d(
         The grasp, and a state at rest with both contacts closed.
 
     Raises:
-        ValueError: If the fingers cannot close both contacts.
+        ValueError: If an argument does not fit, or the fingers cannot close both contacts.
 
     Example:
         >>> import jaxroll as jxr

@@ -41,6 +41,12 @@ def spheroid(radius: Given = 0.02, height: Given = 0.05, mass: Given = 0.05) -> 
         height: From end to end, along z [m].
         mass: In kilograms.
 
+    Returns:
+        The object.
+
+    Raises:
+        ValueError: If a number is not positive.
+
     Example:
         >>> import jaxroll as jxr
         >>> f"{jxr.scenes.spheroid().mass:.3f} kg"

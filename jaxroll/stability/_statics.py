@@ -77,6 +77,9 @@ def pinch_statics(grasp: Grasp, s: Given) -> PinchStatics:
             while the `s` of `scenes.pinch_ellipse` counts from where each finger faces the ellipse: of a
             state `contact_geometry(grasp, state).s` has the $s_i$ meant here.
 
+    Returns:
+        `PinchStatics`, of the leading shape of `s`.
+
     Raises:
         ValueError: If the grasp is not a two-finger pinch under `control.Opposition`, or `s` not pairs of
             finite numbers.

@@ -24,6 +24,9 @@ class Catenary(AbstractContour):
             `a` is.
         domain: First and last arclength [m]; None for a curve without ends.
 
+    Raises:
+        ValueError: If `a` is not positive or above 1000 m, or `domain` does not increase.
+
     Example:
         >>> import jaxroll as jxr
         >>> f"{jxr.Catenary(0.025).curvature(0.0):.0f} 1/m"

@@ -39,6 +39,9 @@ class Line(AbstractContour):
     Args:
         domain: First and last arclength [m]; None for an edge without ends.
 
+    Raises:
+        ValueError: If `domain` does not increase.
+
     Example:
         >>> import jaxroll as jxr
         >>> jxr.Line().point(0.3).tolist()
@@ -74,6 +77,9 @@ class Circle(AbstractContour):
 
     Args:
         radius: In metres, positive.
+
+    Raises:
+        ValueError: If the radius is not positive.
 
     Example:
         >>> import jaxroll as jxr

@@ -109,6 +109,9 @@ class Moved(AbstractContour):
         angle: Counter-clockwise turn in radians.
         origin: Arclength [m] at which the placed contour has the point that `contour` has at zero.
 
+    Raises:
+        ValueError: If `contour` is none, or another argument is no finite number or of another shape.
+
     Example:
         >>> import jaxroll as jxr
         >>> tip = jxr.Circle(0.01).moved(offset=(0.02, 0.0))

@@ -35,7 +35,14 @@ def numbers(name: str, value: Any, width: int) -> np.ndarray:
 
 
 def polygon_area(points: np.ndarray) -> float:
-    """Signed area of a polygon of at least three points; positive where it runs counter-clockwise."""
+    """Signed area of a polygon of at least three points; positive where it runs counter-clockwise.
+
+    Example:
+        >>> import numpy as np
+        >>> import jaxroll as jxr
+        >>> jxr.geometry.polygon_area(np.array([(0.0, 0.0), (2.0, 0.0), (0.0, 1.0)]))
+        1.0
+    """
     points = numbers("points", points, 2)
     if len(points) < 3:
         raise ValueError(f"argument points must have at least 3 rows, but had {len(points)}")

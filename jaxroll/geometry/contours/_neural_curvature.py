@@ -46,7 +46,7 @@ class NeuralCurvature(AbstractTabulated):
         cells: Cells of the table over arclength that its frame is read from, even. Static.
 
     Raises:
-        ValueError: If a shape is wrong, or the length isn't positive.
+        ValueError: If a shape is wrong, the length isn't positive, or `cells` is odd.
 
     Accuracy: the integrals are spectral in the number of cells; the table's error see `table_error`.
 

@@ -21,6 +21,13 @@ def crossings(points: np.ndarray, *, closed: bool) -> np.ndarray:
     """Pairs (m, 2) of sides, each named by its first point, that cross or touch without being neighbours.
 
     Only sides whose extents along x overlap are compared: O(n log n) and the number of those pairs.
+
+    Example:
+        >>> import numpy as np
+        >>> import jaxroll as jxr
+        >>> eight = np.array([(0.0, 0.0), (1.0, 1.0), (1.0, 0.0), (0.0, 1.0)])
+        >>> jxr.geometry.crossings(eight, closed=True).tolist()
+        [[0, 2]]
     """
     points, closed = numbers("points", points, 2), check_flag("closed", closed)
     if len(points) < 2:

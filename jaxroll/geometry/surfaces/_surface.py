@@ -336,6 +336,10 @@ class MovedSurface(AbstractSurfaceOf):
         rotation: Quaternion, scalar first, shape (4,); it is scaled to unit length. Default: None, a shift
             alone, whose program has no turn.
 
+    Raises:
+        ValueError: If `surface` is none, `rotation` is zero, or an argument is not finite or of another
+            shape.
+
     Example:
         >>> import jaxroll as jxr
         >>> tip = jxr.geometry.Sphere(0.01).moved(offset=(0.02, 0.0, 0.0))
@@ -398,6 +402,9 @@ class Hollow(AbstractSurfaceOf):
 
     Args:
         surface: The surface of the hole.
+
+    Raises:
+        ValueError: If `surface` is none.
 
     Example:
         >>> import jaxroll as jxr

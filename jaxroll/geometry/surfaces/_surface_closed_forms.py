@@ -52,6 +52,9 @@ class Sphere(AbstractImplicit):
     Args:
         radius: In metres, positive.
 
+    Raises:
+        ValueError: If the radius is not positive.
+
     Example:
         >>> import jaxroll as jxr
         >>> jxr.geometry.Sphere(0.01).principal_curvatures((0.0, 0.0, 0.01))[0].tolist()
@@ -84,6 +87,9 @@ class Cylinder(AbstractImplicit):
     Args:
         radius: In metres, positive.
 
+    Raises:
+        ValueError: If the radius is not positive.
+
     Example:
         >>> import jaxroll as jxr
         >>> jxr.geometry.Cylinder(0.01).principal_curvatures((0.01, 0.0, 0.5))[0].tolist()
@@ -115,6 +121,9 @@ class Torus(AbstractImplicit):
     Args:
         major: In metres, larger than `minor`.
         minor: In metres, positive.
+
+    Raises:
+        ValueError: If a radius is not positive, or `minor` not the smaller one.
 
     Example:
         >>> import jaxroll as jxr
@@ -174,6 +183,9 @@ class Ellipsoid(AbstractImplicit):
         a: Half axis along x, in metres, positive.
         b: Half axis along y.
         c: Half axis along z.
+
+    Raises:
+        ValueError: If a half axis is not positive.
 
     Example:
         >>> import jaxroll as jxr

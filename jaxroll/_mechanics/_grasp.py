@@ -224,7 +224,8 @@ class Grasp(AbstractGrasp):
         """A copy with fields replaced, by name.
 
         A name may belong to the grasp (`controller`, `gravity`, `load`), to its controller (`damping`,
-        `force`, ...) or to its object (`inertia`, `pivot`, ...); it must belong to just one of them.
+        `force`, ...) or the one inside it (of `control.Sampled` and `control.Integral`), or to its object
+        (`inertia`, `pivot`, ...); it must belong to just one of them.
 
         Raises:
             ValueError: For a name that there is not, and for whatever the constructors refuse.

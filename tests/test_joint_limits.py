@@ -53,6 +53,29 @@ def test_a_run_ends_where_a_joint_or_a_torque_does(scene):
         jxr.simulate(limited(grasp, limits=limits), state, 1.0, ts=101, rtol=1e-10)
 
 
+def test_wherever_a_joint_is_stopped_the_run_ends_there(scene):
+    """An angle is rounded more coarsely than time: for many steps of the search its margin may be zero."""
+    grasp, state = scene
+    start, found = float(state.q[1]), []
+    for way in np.geomspace(1e-4, 0.11, 24):
+        limits = WIDE.copy()
+        limits[0, 1] = start + way
+        run = jxr.simulate(limited(grasp, limits=limits), state, 1.0, ts=101, rtol=1e-10, throw=False)
+        found.append((run.result == jxr.RESULTS.joint_limit, run.stats.steps, run.last.q[1] - start - way))
+    ended, steps, beyond = np.array(found, float).T
+    assert ended.all() and steps.max() < 150 and np.abs(beyond).max() < 1e-13
+
+
+@pytest.mark.parametrize(("side", "code"), [(0, "successful"), (1, "joint_limit")])
+def test_a_joint_at_an_end_of_its_range_may_leave_it_and_not_pass_it(scene, side, code):
+    """A hand's joints often start there. The joint turns to larger angles; rounding moves it either way."""
+    grasp, state = scene
+    limits = WIDE.copy()
+    limits[0, side] = state.q[1]
+    run = jxr.simulate(limited(grasp, limits=limits), state, 1.0, ts=101, rtol=1e-10, throw=False)
+    assert run.result == jxr.RESULTS._name_to_item[code]
+
+
 def test_reach_keeps_limits_or_says_which_joint_would_pass():
     disc = jxr.FreeObject.uniform(jxr.Circle(0.02), density=20.0)
 

@@ -51,6 +51,10 @@ _SINGULAR, _FIRM = 1e-9, 1e6
 _FLAT = 1e-4
 # Share of the largest contact impulse that counts as zero: a blow often leaves a contact alone, to rounding.
 _BALANCED = 1e-9
+# A joint may start at an end of its range, as those of a hand do that is stretched out, and leave it: the
+# first return to the constraints moves it by rounding. A range ends so many rounding units of 1 beyond its
+# limits, 6e-14 rad or m.
+_SLACK = 256.0
 # Points on each contour or surface in the audit of penetration.
 _SAMPLES = 64
 
@@ -292,7 +296,8 @@ def _joints(grasp: Grasp, leaves: Leaves, instant: Instant) -> list[Limit]:
         largest: Any = getattr(finger, "torque_limits", None) or ()
         for j, (low, high) in enumerate(ranges):
             q, number = leaves.q[1 + i][j], _numbered(_JOINT, first + j)
-            limits += [Limit(q - low, number), Limit(high - q, number)]
+            slack = _SLACK * jnp.finfo(jnp.result_type(q)).eps
+            limits += [Limit(q - low + slack, number), Limit(high - q + slack, number)]
         for j, most in enumerate(largest):
             torque = instant.torques[i][j] if instant.torques[i] else 0.0
             limits.append(Limit(most - jnp.abs(torque), _numbered(_TORQUE, first + j)))

@@ -155,8 +155,12 @@ class StopAt(eqx.Module):
         # The root of the line through (0, low) and (beyond, -high); within the bracket by at least one grain.
         pace = self.pace
         hunt, least = pace.hunt, pace.hunt.grain * resolution(t0)
-        weight = hunt.low + hunt.high  # zero if the margin is, and the one ahead is not finite: bisect
-        guess = hunt.beyond * jnp.where(weight > 0, hunt.low / jnp.where(weight > 0, weight, 1.0), 0.5)
+        # A margin that is zero is so to rounding, at times for thousands of grains: where it is a difference,
+        # as of an angle from its limit, its own grains are coarser. The line then begins at rounding's size.
+        # Where the margin ahead is not finite, and this one stands for it, the secant still bisects.
+        low = jnp.where(hunt.low > 0, hunt.low, jnp.finfo(t0.dtype).eps)
+        high = jnp.where(hunt.high > 0, hunt.high, low)
+        guess = hunt.beyond * (low / (low + high))
         guess = jnp.clip(guess, least, jnp.maximum(hunt.beyond - least, least))
         return t0 + jnp.minimum(jnp.where(jnp.isfinite(hunt.beyond), guess, hunt.leap), pace.length)
 

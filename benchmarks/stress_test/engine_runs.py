@@ -168,7 +168,7 @@ def _finger(finger: dict[str, Any]) -> Any:
     if finger["kind"] == "jaw":
         place = {"base": finger["base"], "angle": finger["angle"]}
         return jxr.Jaw(tip, finger["mass"], finger["directions"], **place)
-    inside = {"centres": finger["centres"], "inertias": finger["inertias"]}
+    inside = {"centres": finger["centres"], "inertias": finger["inertias"], "limits": finger.get("limits")}
     return jxr.Finger(finger["lengths"], finger["masses"], tip, base=finger["base"], **inside)
 
 

@@ -37,7 +37,7 @@ _SEARCHED = 2 * 64 * 8
 _AHEAD = 60
 _TABLED = ("support", "neural_support", "spline", "neural_curvature")
 # What each code says has run out.
-_LIMITS = {"contact_lost": "force", "slipping": "cone", "contour_end": "room"}
+_LIMITS = {"contact_lost": "force", "slipping": "cone", "contour_end": "room", "joint_limit": "range"}
 
 
 @dataclass
@@ -89,6 +89,7 @@ class Judge:
     def __init__(self, equations: Any, scene: Any) -> None:
         self.equations, self.scene = equations, scene
         self.friction = [c["friction"] for c in scene["contacts"]]
+        self.ranges = _ranges(scene)
         shapes = scene.get("faces", []) + [finger["tip"] for finger in scene["fingers"]]
         # The engine reads these from tables, whose own error it states; the judge does not.
         tabled = any(shape["kind"] in _TABLED for shape in shapes)
@@ -130,9 +131,9 @@ class Judge:
         m |= self._energy(seen, rows, tol)
         m |= self._defect(seen, rows, tol)
         m |= self._agreement(base, tight, moved, start, shifted, tol)
-        margins = self._margins(seen)
+        margins = self._margins(seen, rows.saved)
         m |= {f"least_{name}": self._least(values) for name, values in margins.items()}
-        at_end = self._margins(end)
+        at_end = self._margins(end, base.last)
         m |= {
             f"end_{name}": np.min(values[:, 0], axis=-1)
             for name, values in at_end.items()
@@ -228,9 +229,10 @@ class Judge:
             "agreement": off / np.maximum(growth, 1.0) / np.maximum(base.steps, 1),
         }
 
-    def _margins(self, seen: Instant) -> dict[str, np.ndarray]:
+    def _margins(self, seen: Instant, motion: Motion) -> dict[str, np.ndarray]:
         """What has to stay positive, over what it is measured by: (lanes, times, any)."""
-        size = self.size[:, None, None]
+        low, high = self.ranges[:, None, :, 0], self.ranges[:, None, :, 1]
+        size, none = self.size[:, None, None], np.zeros((*seen.f.shape[:2], 0))
         cones = [
             (mu[:, None] * seen.f[..., k] - rubbing(seen)[..., k]) / (1.0 + mu[:, None])
             for k, mu in enumerate(self.friction)
@@ -238,8 +240,11 @@ class Judge:
         ]
         return {
             "force": seen.f / size,
-            "cone": np.stack(cones, axis=-1) / size if cones else np.zeros((*seen.f.shape[:2], 0)),
+            "cone": np.stack(cones, axis=-1) / size if cones else none,
             "room": seen.room,
+            "range": np.concatenate([motion.q - low, high - motion.q], axis=-1)
+            if np.isfinite(self.ranges).any()
+            else none,
             "bend": seen.bend,
             "firmness": seen.firmness[..., None],
         }
@@ -257,11 +262,10 @@ class Judge:
     def _beyond(self, last: Motion, end: Instant) -> dict[str, np.ndarray]:
         """How force, cone and room change through the end, by the judge's own equations of motion."""
         step = self._step(last, end)
-        bend, found = self._margins(end)["bend"][:, 0], {}
+        bend, found = self._margins(end, last)["bend"][:, 0], {}
         for _ in range(_QUARTERS):
-            sides = [
-                self._margins(self.equations.at(self._carried(last, sign * step))) for sign in (-1.0, 1.0)
-            ]
+            apart = [self._carried(last, sign * step) for sign in (-1.0, 1.0)]
+            sides = [self._margins(self.equations.at(side), side) for side in apart]
             # Beside a pole all that is asked for is what changes before it. Each side is compared with the
             # end: a step across the pole is thrown anywhere, back to the other side's value too.
             change = np.max(np.abs([side["bend"][:, 0] - bend for side in sides]), axis=0)
@@ -269,9 +273,9 @@ class Judge:
             if not far.any():
                 break
             step = np.where(far[:, None], 0.25 * step, step)
-        for name in ("force", "cone", "room", "bend"):
+        for name in ("force", "cone", "room", "range", "bend"):
             if sides[0][name].shape[-1]:
-                here = self._margins(end)[name][:, 0]
+                here = self._margins(end, last)[name][:, 0]
                 which = np.nanargmin(np.where(np.isfinite(here), here, np.inf), axis=-1)
                 before, after = (side[name][np.arange(len(which)), 0, which] for side in sides)
                 found[f"drift_{name}"] = after - before
@@ -304,7 +308,7 @@ class Judge:
         left = sooner[lanes]
         for _ in range(_AHEAD):
             at, left, step = other._carried(at, step), left - step[:, 0], 1.15 * step
-            margins = other._margins(other.equations.at(at))
+            margins = other._margins(other.equations.at(at), at)
             for i in np.flatnonzero(left > 0.0):
                 least = np.min(margins[_LIMITS[str(whole.code[lanes[i]])]][i], initial=np.inf)
                 depth[lanes[i]] = max(depth[lanes[i]], -least)
@@ -372,13 +376,14 @@ def _missed(code: str, m: dict[str, Any], slack: float) -> list[str]:
     """Limits that were crossed while the run went on."""
     found = []
     known = _known_forces(m, slack)
-    for name, limit in (("force", known), ("cone", known), ("room", 1e-9 * slack), ("bend", 0.0)):
+    ends = ("room", 1e-9 * slack), ("range", 1e-9 * slack)
+    for name, limit in (("force", known), ("cone", known), *ends, ("bend", 0.0)):
         if m[f"least_{name}"] < -limit - _search_error(name, m):
             found.append(f"missed: {name} fell to {m[f'least_{name}']:.1e}")
     if code == "successful" and m["t_end"] != m["t1"]:
         found.append("ended early")
     growth = m["growth"] if m["growth"] > 1.0 else 1.0
-    # Forces are relative, distances from an end in metres.
+    # Forces are relative, distances from an end in metres, and those of joints in radians.
     known = max(1e-6 * slack, 100.0 * m["rtol"] * growth) * (1e-2 if m["whole"] == "contour_end" else 1.0)
     if m["depth"] > known:
         found.append(
@@ -390,6 +395,19 @@ def _missed(code: str, m: dict[str, Any], slack: float) -> list[str]:
 def _known_forces(m: dict[str, Any], slack: float) -> float:
     """How well forces are known: a step is judged where it ended, before its return to the constraints."""
     return max(_ZERO * slack, m["rtol"])
+
+
+def _ranges(scene: Any) -> np.ndarray:
+    """Least and largest value of every coordinate, infinite but for joints with limits: (lanes, n, 2)."""
+    q = scene["q"]
+    found = np.stack([np.full(q.shape, -np.inf), np.full(q.shape, np.inf)], axis=-1)
+    last = q.shape[-1]
+    for finger in reversed(scene["fingers"]):
+        first = last - finger["joints"]
+        if "limits" in finger:
+            found[:, first:last] = finger["limits"]
+        last = first
+    return found
 
 
 def picked(scene: Any, lanes: np.ndarray) -> Any:
@@ -432,7 +450,7 @@ def _cause(code: str, m: dict[str, Any], slack: float) -> list[str]:
         name = _LIMITS[code]
         if f"end_{name}" not in m:
             return ["cause: nothing limits that"]
-        limit = slack * 1e-9 if name == "room" else _known_forces(m, slack)
+        limit = slack * 1e-9 if name in ("room", "range") else _known_forces(m, slack)
         limit += _search_error(name, m)
         value, drift = m[f"end_{name}"], m[f"drift_{name}"]
         at_start = m["t_end"] == 0.0

@@ -25,6 +25,7 @@ CODES = (
     "contour_end",
     "contact_lost",
     "slipping",
+    "joint_limit",
     "penetration",
     "not_finite",
     "unreachable",

@@ -364,7 +364,20 @@ class _Arranged:
             scene["rtol"] = spread(rng, 1e-4, 1e-3, lanes)
         if self.structure.twist == "long":
             self._long()
+        if self.structure.twist == "limits":
+            self._limit()
         scene["s"] = np.zeros((lanes, len(scene["contacts"])))
+
+    def _limit(self) -> None:
+        """Ranges of all joints, whose ends are far from the start, near it or just there."""
+        last = self.scene["q"].shape[1]
+        for finger in reversed(self.scene["fingers"]):
+            first = last - finger["joints"]
+            q = self.scene["q"][:, first:last, None]
+            room = spread(self.rng, 1e-5, 3.0, self.lanes, finger["joints"], 2)
+            room[..., 0][self.rng.uniform(size=room.shape[:2]) < 0.05] = 0.0
+            finger["limits"] = q + room * np.array([-1.0, 1.0])
+            last = first
 
     def _long(self) -> None:
         """A thousand seconds without damping, of periods about a third of one."""

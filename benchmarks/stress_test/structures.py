@@ -89,6 +89,8 @@ _HARD = (
     Structure(
         "graze-slip", ("circle",), ("line",), ("jaw0",), friction=True, twist="graze", chunks=7, **_FLAT
     ),
+    Structure("limits", ("ellipse",), ("circle",), (3,), gravity=True, twist="limits", **_PIVOT),
+    Structure("limits-pinch", ("ellipse",), ("circle", "circle"), (2, 3), touch=_TWO, twist="limits"),
     Structure("tolerance", ("catenary",), ("circle",), (2,), twist="tolerance", **_PIVOT),
     Structure("tolerance-pinch", ("ellipse",), ("circle", "circle"), (2, 2), touch=_TWO, twist="tolerance"),
     Structure("single", ("circle",), ("catenary",), (2,), twist="single", **_HELD),

@@ -271,10 +271,10 @@ def test_points_are_put_in_order_on_a_quarter_of_the_radius_or_four_noises(noise
     assert found.clean.warnings == ()
 
 
-def judged(distances, monkeypatch, noise=None, radius=0.01, **changes):
+def judged(distances, monkeypatch, noise=None, radius=0.01, off=0.0, **changes):
     """What is kept of points on a circle, if the curve through them is at these distances."""
     count = len(distances)
-    points = on_circle(count, 0.05)
+    points = on_circle(count, 0.05) * (1.0 + np.asarray(off) / 0.05)
     curve = EvenSpline(on_circle(40, 0.05), closed=True)
     asked = []
 
@@ -283,7 +283,7 @@ def judged(distances, monkeypatch, noise=None, radius=0.01, **changes):
         return _bounded_curve.Bounded(curve, np.arange(count) * 40.0 / count, np.asarray(distances))
 
     monkeypatch.setattr(_limited_fit.Limited, "solved", solved)
-    monkeypatch.setattr(_limited_fit, "_smoothest", lambda found: found)
+    monkeypatch.setattr(_limited_fit, "_smoothest", lambda found: (asked.append("smoothest"), found)[1])
     wanted = replace(ASKED, noise=noise, radius=radius, **changes)
     return _limited_fit._judged(ready(points, noise or 0.0, wanted)), asked
 
@@ -302,6 +302,10 @@ def test_noise_is_what_neighbours_differ_by_or_share():
         assert most.noise == pytest.approx(0.0025, rel=1e-12)
         given, _ = judged(np.full(60, size), patch, noise=3e-4)
         assert given.noise == 3e-4
+        # Before that, what the points differ by from the rough curve.
+        to_and_fro = size * (-1.0) ** np.arange(60)
+        _, asked = judged(np.zeros(60), patch, off=to_and_fro[:, None])
+        assert asked[0][2] == pytest.approx(1.4826 * 2.0 * size / 1.5**0.5, rel=1e-4)
 
 
 @pytest.mark.parametrize(("radius", "count", "smoothing"), [
@@ -311,7 +315,7 @@ def test_the_first_curve_is_as_smooth_as_the_radius_the_points_and_the_noise_ask
     radius, count, smoothing, monkeypatch
 ):
     """Not to follow every point, of which nothing of the noise would be left."""
-    _, ((share, used, noise),) = judged(
+    _, ((share, used, noise), *more) = judged(
         np.full(count, 1e-5),
         monkeypatch,
         noise=1e-3,
@@ -319,20 +323,20 @@ def test_the_first_curve_is_as_smooth_as_the_radius_the_points_and_the_noise_ask
         smoothing=0.05 if smoothing == 0.05 else None,
     )
     felt = 2.0 * np.pi * np.sqrt(1e-3 * radius)
-    assert share == 0.97 and noise == 1e-3
+    assert share == 0.97 and noise == 1e-3 and more == ([] if smoothing == 0.05 else ["smoothest"])
     wanted = {0.05: 0.05}.get(smoothing, max(felt, radius, 5.0 * LENGTH / count))
     assert used == pytest.approx(wanted if smoothing != 0.05 else max(0.05, 5.0 * LENGTH / count), rel=1e-9)
 
 
 @pytest.mark.parametrize("count", [6, 7])
 def test_a_tenth_of_the_points_at_most_are_left_out(count, monkeypatch):
-    """Of 61 with a noise of a tenth of a millimetre, those six tenths off: six, but not seven."""
-    distances = np.zeros(61)
+    """Of 60 with a noise of a tenth of a millimetre, those six tenths off: six, but not seven."""
+    distances = np.zeros(60)
     distances[8 * np.arange(count) + 3] = 7e-4
     found, _ = judged(distances, monkeypatch, noise=1e-4)
-    away = distances > 0.0 if count == 6 else np.zeros(61, bool)
-    np.testing.assert_array_equal(found.strays, on_circle(61, 0.05)[away])
-    np.testing.assert_array_equal(found.clean.points, on_circle(61, 0.05)[~away])
+    away = distances > 0.0 if count == 6 else np.zeros(60, bool)
+    np.testing.assert_array_equal(found.strays, on_circle(60, 0.05)[away])
+    np.testing.assert_array_equal(found.clean.points, on_circle(60, 0.05)[~away])
     assert found.start.nodes.shape == (40, 2)
 
 
@@ -362,11 +366,11 @@ def test_wavelengths_grow_while_the_estimate_of_the_error_falls(sizes, taken, mo
     np.testing.assert_allclose(found.start.nodes, (1.0 + taken) * on_circle(40, 0.05))
     # Where there is hardly any noise, nothing is tried.
     tried.clear()
-    calm = ready(np.zeros((count, 2)), 4.9e-5)
+    calm = ready(np.zeros((count, 2)), 5e-3 * 0.01)
     assert _limited_fit._smoothest(calm) is calm and not tried
 
 
-@pytest.mark.parametrize(("gain", "taken"), [(0.9, 0), (1.1, 1)])
+@pytest.mark.parametrize(("gain", "taken"), [(0.98, 0), (1.02, 1)])
 def test_the_estimate_is_that_of_mallows(gain, taken, monkeypatch):
     """A wavelength half as long again frees a third of 4 pi / 3 squares of the noise for every wave."""
     noise, count = 2e-4, 400
@@ -462,6 +466,9 @@ def test_a_disc_has_room_in_half_the_least_width_or_the_extent(closed, most):
     if not closed:
         most = np.ptp(points, axis=0).max()
         assert most > 0.06
+    _limited_fit._check_width(
+        box - (0.3, 0.1), replace(ASKED, closed=closed, radius=0.02 if closed else 0.06)
+    )
     for radius, fits in ((0.999 * most, True), (1.001 * most, False)):
         what = "half the least width of the points" if closed else "the extent of the points"
         with refused(f"must be at most {most:.4g} m here, {what}, but was", not fits):
@@ -469,6 +476,7 @@ def test_a_disc_has_room_in_half_the_least_width_or_the_extent(closed, most):
 
 
 def test_points_farther_apart_than_the_radius_are_doubted():
+    assert _limited_fit._sparse(row(2.0, 2.0, 5.0), replace(ASKED, radius=2.0)) == []
     for radius, doubted in ((0.0099, True), (0.0101, False)):
         told = _limited_fit._sparse(row(0.01, 0.01, 0.05, 0.01, 0.002), replace(ASKED, radius=radius))
         assert len(told) == doubted and all("The points are 10 mm apart" in text for text in told)
@@ -536,14 +544,49 @@ def test_a_first_curve_has_five_nodes_to_a_radius_and_is_smoothed_by_six(
 def test_an_open_chain_is_continued_to_the_last_points():
     """Straight on, as far as points within two of its steps go along it; not backwards."""
     chain = np.array([(1.0, 0.0), (2.0, 0.0), (3.0, 0.0), (3.0, 1.5)])
-    points = np.array([(0.3, 0.4), (-1.5, 0.0), (2.5, 0.1), (3.2, 3.4), (2.0, 4.6), (3.1, 1.0)])
+    points = np.array([(0.3, 0.4), (-1.0, 0.0), (-1.01, 0.0), (2.5, 0.1), (3.2, 3.4), (2.0, 4.6), (3.1, 1.0)])
     found = _limited_fit._to_the_ends(points, chain)
-    np.testing.assert_allclose(found, [(0.3, 0.0), *chain, (3.0, 3.4)], atol=1e-12)
-    found = _limited_fit._to_the_ends(points[[2, 5]], chain)
+    np.testing.assert_allclose(found, [(-1.0, 0.0), *chain, (3.0, 3.4)], atol=1e-12)
+    found = _limited_fit._to_the_ends(points[[3, 6]], chain)
     np.testing.assert_allclose(found, [chain[0], *chain, chain[-1]], atol=1e-12)
 
 
-# Where curvature jumps, and how often it changes its sign.
+@pytest.mark.parametrize("low", range(9))
+def test_numbers_of_nodes_are_a_few(low, monkeypatch):
+    """Programs are compiled for each; the next one up is taken, and the largest where none is."""
+    nodes = [48, 64, 96, 128, 192, 256, 384, 512, 768, 1024]
+    monkeypatch.setattr(_limited_fit, "rolled_line", lambda points, line, *_, **__: (points, line))
+    chain = on_circle(30, 0.05)
+    for knots, count in ((nodes[low], nodes[low]), (nodes[low] + 1, nodes[low + 1]), (1025, 1024)):
+        assert len(_limited_fit._started(chain, chain, replace(ASKED, knots=knots))[1].nodes) == count
+
+
+# What lies off, where curvature jumps, and how often it changes its sign.
+
+
+def test_at_their_limits_points_are_neither_off_nor_strays():
+    """Of whole numbers: three and six noises, two of the neighbours, gaps of just the radius."""
+    feet = np.arange(30.0)
+    points = np.stack([feet, 0.0 * feet], axis=1)
+    distances = np.zeros(30)
+    distances[[10, 11, 14, 15]] = 2.0
+    distances[12] = 1.5
+    found = _departures.departures(points, feet, distances, noise=0.5, radius=3.0)
+    assert [(d.start, d.end) for d in found] == [(10.0, 15.0)]
+    assert len(_departures.departures(points, feet, distances, noise=0.5, radius=2.9)) == 2
+    distances[[12, 26, 27, 1, 2]] = 1.5, 2.0, 2.0, 2.0, 2.0
+    # Round the seam, 29 long, from 27 to 1 it is 3.
+    assert len(_departures.departures(points, feet, distances, noise=0.5, radius=3.0)) == 3
+    assert len(_departures.departures(points, feet, distances, noise=0.5, radius=3.5)) == 2
+    off, bending = np.zeros(30), np.zeros(30)
+    off[[5, 10, 20]], off[[18, 19, 21, 22]] = (3.0, 4.0, 4.0), 1.0
+    options = {"noise": 0.5, "radius": 1.0}
+    assert _departures.strays(feet, off, bending, **options).tolist() == [10]
+    bending[10] = 0.9
+    assert _departures.strays(feet, off, bending, **options).tolist() == []
+
+
+# Where the curvature jumps.
 
 
 def turning(curvature, step=1e-3):
@@ -666,7 +709,7 @@ def test_nodes_for_a_natural_radius_are_even_along_the_polygon(monkeypatch):
 
 
 def test_changes_of_sign_below_a_hundredth_are_rounding():
-    bends = np.array([100.0, 5.0, -1.1, 3.0, -0.9, 2.0, -50.0, -2.0])
+    bends = np.array([100.0, 5.0, -1.1, 3.0, -1.0, 2.0, -50.0, -2.0])
     assert (
         _departures.inflections(bends, closed=False) == 3 and _departures.inflections(bends, closed=True) == 4
     )
@@ -684,6 +727,7 @@ CALM = _fit_report.FitReport(
     recommendation="", warnings=(),
 )  # fmt: skip
 LINE = row(0.01, 0.01, 0.03, 0.01)
+SPACING = float(np.median(np.diff(LINE[:, 0])))
 
 
 def said(distances=(1e-5, 2e-5, 1e-5, 0.0, 0.0), **changes):
@@ -694,7 +738,7 @@ def test_what_is_doubtful_of_a_contour_is_said_beyond_its_limit():
     assert said() == []
     assert "crosses itself" in said(self_intersecting=True)[0]
     # A radius below the median spacing, of a contour whose radius is free.
-    assert said(radius=0.0101) == [] and said(radius=0.0099, smallest_radius=0.005) == []
+    assert said(radius=SPACING) == [] and said(radius=0.0099, smallest_radius=0.005) == []
     assert said(radius=0.0099)[0].startswith(
         "The contour bends with a radius of 9.9 mm, less than the points' spacing of 10 mm"
     )
@@ -704,7 +748,7 @@ def test_what_is_doubtful_of_a_contour_is_said_beyond_its_limit():
     )
     assert "a larger smallest_radius leaves" in said(inflections=13, smallest_radius=0.005)[0]
     # Five times the rms distance, and a thousandth of the spacing.
-    assert said((0.0, 0.0, 4.9e-5, 0.0, 0.0)) == []
+    assert said((0.0, 0.0, 5e-5, 0.0, 0.0)) == []
     (text,) = said((0.0, 0.0, 5.1e-5, 0.0, 0.0))
     assert text == "The point (0.02, 0) m lies 0.051 mm off the contour, 5.1 times the rms distance."
     assert said((0.0, 0.0, 5.1e-5, 0.0, 0.0), smallest_radius=0.005) == []
@@ -760,7 +804,7 @@ def test_what_to_ask_for_instead(monkeypatch):
         _fit_report, "natural_radius", lambda points, *, closed: asked.append(closed) or 0.0123
     )
     instead = lambda **changes: _fit_report.recommended(replace(CALM, **changes), LINE)  # noqa: E731
-    assert instead() == "" and instead(inflections=12, jumps=JUMPS[:3], radius=0.0101) == "" and asked == []
+    assert instead() == "" and instead(inflections=12, jumps=JUMPS[:3], radius=SPACING) == "" and asked == []
     assert instead(jumps=JUMPS[2:]).startswith(
         "smallest_radius, as the radius that the points' 3 corners are"
     )
@@ -967,3 +1011,90 @@ def test_a_report_has_the_numbers_that_were_measured(monkeypatch):
     assert report.radius == np.inf and not report.self_intersecting and not report.closed
     with refused("but the fit to them is not finite"):
         _contour_fit._reported(contour, clean, known, seen._replace(curvatures=np.array([1.0, np.nan])))
+
+
+@pytest.mark.parametrize("name", ["closed", "smoothing", "knots", "smallest_radius"])
+def test_what_is_for_splines_is_refused_for_others(name):
+    options = {"closed": False, "smoothing": 0.01, "knots": 50, "smallest_radius": 0.01}
+    with refused("closed=False are for splines, but field was 'support'"):
+        jxr.fit_contour(on_circle(40), field="support", **{name: options[name]})
+
+
+@pytest.mark.parametrize(("smoothing", "fair"), [(3.99, True), (4.01, False)])
+def test_a_wavelength_is_no_longer_than_a_hundred_extents(smoothing, fair, monkeypatch):
+    made = []
+    monkeypatch.setitem(
+        _contour_fit.FIELDS, "spline", lambda points, wish: (made.append(wish), ("c", 0.7))[1]
+    )
+    monkeypatch.setattr(_contour_fit, "_resolved", lambda contour: contour + "r")
+    monkeypatch.setattr(_contour_fit, "tabled", lambda contour: contour + "t")
+    monkeypatch.setattr(_contour_fit, "_measured", lambda contour, points: (contour, points))
+    monkeypatch.setattr(_contour_fit, "_reported", lambda *args: args)
+    points = on_circle(40)
+    with refused("argument smoothing must lie between 0 and 4 m here", not fair):
+        contour, clean, known, (tabled_one, seen) = jxr.fit_contour(points, smoothing=smoothing)
+        assert (contour, tabled_one) == ("cr", "crt") and seen is clean.points
+        assert made == [wish(smoothing=smoothing)] and known == _contour_fit._Known("spline", 0.7, None)
+        known = jxr.fit_contour(points, noise=1e-4, knots=13, ordered=True)[2]
+        assert made[1] == wish(noise=1e-4, knots=13) and known == _contour_fit._Known("spline", 0.7, 1e-4)
+
+
+def test_networks_are_fitted_to_the_noise_or_to_ten_nanometres(monkeypatch):
+    asked = []
+    for kind in (jxr.geometry.NeuralSupport, jxr.geometry.NeuralCurvature):
+        monkeypatch.setattr(
+            kind, "through", lambda points, *, key, tolerance, kind=kind: asked.append((kind, tolerance))
+        )
+    for name in ("support network", "curvature network"):
+        for noise in (None, 0.0, 3e-4):
+            assert _contour_fit.FIELDS[name](np.zeros((9, 2)), wish(noise=noise)) == (None, 0.0)
+    wanted = [
+        (kind, off)
+        for kind in (jxr.geometry.NeuralSupport, jxr.geometry.NeuralCurvature)
+        for off in (1e-8, 1e-8, 3e-4)
+    ]
+    assert asked == wanted
+    assert set(_contour_fit.FIELDS) == {"spline", "support", "support network", "curvature network"}
+
+
+@pytest.mark.parametrize("closed", [True, False])
+def test_a_table_has_as_many_cells_as_a_spline_needs(closed, monkeypatch):
+    """1024, 4096 or 16384; what is refused for another reason, or is no spline, is not tried again."""
+    points = on_circle(30)[: 30 if closed else 20]
+    contour = jxr.Spline(points, closed=closed, smoothing=0.004, knots=17)
+    tried, told = [], {}
+
+    def table(given):
+        tried.append(given.cells)
+        if given.cells < told["enough"]:
+            raise ValueError(told["reason"])
+
+    def refusals(given, reason, cells):
+        tried.clear()
+        told.update(enough=20_000, reason=reason)
+        with refused("bends more sharply than its table can follow"):
+            _contour_fit._resolved(given)
+        assert tried == cells
+
+    monkeypatch.setattr(_contour_fit, "tabled", table)
+    for cells in (1024, 4096, 16384):
+        tried.clear()
+        told.update(enough=cells, reason="argument cells must be more")
+        found = _contour_fit._resolved(contour)
+        assert tried == [n for n in (1024, 4096, 16384) if n <= cells]
+        assert (found.cells, found.closed, found.knots) == (cells, closed, contour.knots)
+        assert found.wavelength == contour.wavelength
+        np.testing.assert_array_equal(found.points, contour.points)
+    refusals(contour, "argument cells must", [1024, 4096, 16384])
+    refusals(contour, "argument knots", [1024])
+    refusals(types.SimpleNamespace(cells=1024), "argument cells must", [1024])
+
+
+def test_what_is_wanted_of_a_smallest_radius_is_checked():
+    good = (False, None, True, 1e-4, 0.2, 0.03, 48)
+    assert _contour_fit._wanted(*good) == _limited_fit.Wanted(False, None, True, 0.03, 1e-4, 0.2, 48)
+    assert _contour_fit._wanted(*good[:6], None).knots is None
+    assert _contour_fit._wanted(*good[:6], 1024).knots == 1024
+    for place, value in ((0, "yes"), (1, "no"), (2, "no"), (5, -1.0), (5, 0.0), (6, 47), (6, 1025)):
+        with refused("^argument (closed|ordered|reverse|smallest_radius|knots) "):
+            _contour_fit._wanted(*good[:place], value, *good[place + 1 :])

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
+from jaxroll.geometry.fitting import _rolled_line
 from jaxroll.geometry.fitting._rolled_line import _stretches, along, rolled_line, spread_along
 
 RADIUS, COUNT = 1.0, 4001
@@ -72,7 +73,7 @@ def test_a_line_with_ends_keeps_them_and_loses_its_corner():
     np.testing.assert_allclose(moved, expected[::5], atol=allowed)
 
 
-@pytest.mark.parametrize(("radius", "noise"), [(6.0, 1e-3), (1.0, 0.13)])
+@pytest.mark.parametrize(("radius", "noise"), [(6.0, 1e-3), (1.0, 0.125)])
 def test_nothing_is_moved_where_no_disc_fits_or_noise_is_half_a_radius(radius, noise):
     corners, _ = triangle(45.0)
     line = spread_along(np.concatenate([corners, corners[:1]]), COUNT)
@@ -93,3 +94,23 @@ def test_stretches_of_a_closed_line_go_on_past_its_end():
     assert [list(each) for each in _stretches(off, closed=False)] == [[0, 1], [4], [6]]
     for all_alike in (np.ones(5, bool), np.zeros(5, bool)):
         assert _stretches(all_alike, closed=True) == _stretches(all_alike, closed=False) == []
+
+
+@pytest.mark.parametrize(("left", "moved"), [(70, True), (69, False)])
+def test_nothing_is_moved_where_three_tenths_of_the_line_would_be(left, moved, monkeypatch):
+    """By more than the radius: of a hundred places those beyond what is left, which is a unit away."""
+    line = np.stack([np.arange(100.0), np.zeros(100)], axis=1)
+    asked = []
+
+    def rolled(points, given, side, slack, *, closed):
+        asked.append((side, slack, closed))
+        return points + 1.0, given[:left] if len(asked) == 2 else given
+
+    monkeypatch.setattr(_rolled_line, "_rolled_on", rolled)
+    found, after = rolled_line(line[::5], line, 0.5, 0.02, closed=False)
+    assert asked == [(0.5, 0.08, False), (-0.5, 0.08, False)]
+    np.testing.assert_array_equal(found, line[::5] + (2.0 if moved else 0.0))
+    np.testing.assert_array_equal(after, line[:left] if moved else line)
+    asked.clear()
+    rolled_line(line[::5], line, 0.5, 0.001, closed=True)
+    assert asked == [(0.5, 0.01, True), (-0.5, 0.01, True)]

@@ -185,9 +185,9 @@ def test_regions_are_what_hangs_together():
 def test_a_place_is_trusted_near_points_that_are_near_the_surface():
     """The median of the five nearest counts, and the distance of the nearest."""
     points = np.arange(10.0)[:, None] * [1.0, 0.0, 0.0]
-    feet = points + np.where(np.arange(10)[:, None] < 5, 0.1, 0.5) * [0.0, 0.0, 1.0]
-    places = np.array([[0.0, 0.3, 0.0], [0.0, 0.7, 0.0], [4.1, 0.0, 0.0], [4.9, 0.0, 0.0], [9.0, 0.0, 0.0]])
-    found = trusted_places(points, feet, places, reach=0.5, tolerance=0.2)
+    feet = points + np.where(np.arange(10)[:, None] < 5, 0.25, 0.5) * [0.0, 0.0, 1.0]
+    places = np.array([[0.0, 0.5, 0.0], [0.0, 0.7, 0.0], [4.1, 0.0, 0.0], [4.9, 0.0, 0.0], [9.0, 0.0, 0.0]])
+    found = trusted_places(points, feet, places, reach=0.5, tolerance=0.25)
     assert found.tolist() == [True, False, True, False, False]
 
 

@@ -63,9 +63,9 @@ def test_what_is_loose_is_three_times_as_lonely_as_is_usual(monkeypatch):
     lattice += 1e-3 * np.random.default_rng(1).normal(size=lattice.shape)
     usual = np.median(distances_in_order(lattice)[:, 8])
     ways = np.linspace(2.0, 8.0, 6001)
-    eighths = [np.sort(np.linalg.norm(lattice - (11.0 + out, 5.5), axis=1))[7] for out in ways]
+    eighths = [np.sort(np.linalg.norm(lattice - (11.0 + out, 5.2), axis=1))[7] for out in ways]
     for factor, loose in ((2.95, False), (3.05, True)):
-        points = np.concatenate([lattice, [(11.0 + np.interp(factor * usual, eighths, ways), 5.5)]])
+        points = np.concatenate([lattice, [(11.0 + np.interp(factor * usual, eighths, ways), 5.2)]])
         tried: list[np.ndarray] = []
         keep_all = lambda _, keep, at, tried=tried, **__: tried.append(keep)  # noqa: E731
         monkeypatch.setattr(_band, "_by_nearness", keep_all)
@@ -204,6 +204,15 @@ def test_an_open_band_begins_behind_a_gap_that_stands_out(gap):
     assert {places[0], places[-1]} == {7, 6} and sorted(places) == list(range(30))
     np.testing.assert_array_equal(found.chain, points[places])
     assert found.reordered and len(found.strays) == 0
+
+
+def test_an_arc_is_a_band_with_two_ends_unless_these_are_near_each_other():
+    arc = on_circle(60, 5.0)[:30] + (1.0, 2.0)
+    found = _band._by_nearness(arc, np.ones(30, bool), 0.1, closed=False)
+    assert found.indices.tolist() in (list(range(30)), list(range(29, -1, -1)))
+    assert _band._by_nearness(arc, np.ones(30, bool), 0.1, closed=True) is None
+    line = row(3.0, 3.0, 3.0)
+    assert _band._closes(line[:3]) and not _band._closes(line) and _band._closes(0.1 * line[:3])
 
 
 @pytest.mark.parametrize("count", [7, 8])

@@ -647,6 +647,14 @@ def test_noise_may_hide_a_jump(share, found):
     assert len(_departures.jumps(points, np.arange(42.0), closed=False, noise=noise)) == found
 
 
+def test_flags_three_places_apart_are_of_one_run_round_the_seam_too():
+    flags, sizes = np.zeros(20, bool), np.arange(20.0)
+    flags[[0, 17]] = True
+    assert _departures._peaks(flags, sizes, closed=True) == [17]
+    flags[[0, 1]] = False, True
+    assert _departures._peaks(flags, sizes, closed=True) == [1, 17]
+
+
 def test_a_natural_radius_is_that_of_a_circle_to_two_digits_downwards():
     """No inflection at any wavelength: the sharpest bend of the least smoothed, whatever the size."""
     for size, radius in ((0.01239, 0.012), (1.998, 1.9), (354.0, 350.0)):

@@ -508,6 +508,8 @@ def test_two_groups_a_hundred_times_apart_are_in_two_units(factor, mixed):
     # One point near the origin is no group, nor is one at the origin; two are.
     for alone in ([0.0], [1e-6], [0.0, 1e-6]):
         _clean_points.check_one_unit(sizes(*alone, *small), closed=False)
+    with refused("but 4 lie within 1.3 m"):
+        _clean_points.check_one_unit(sizes(0.0, *small, 500.0, 510.0), closed=False)
     with refused("but 2 lie within 2e-06 m"):
         _clean_points.check_one_unit(sizes(1e-6, *small, 2e-6), closed=False)
 
@@ -517,6 +519,8 @@ def test_two_groups_a_hundred_times_apart_are_in_two_units(factor, mixed):
     ("width", "closed", "fair"), [(99.0, True, True), (101.0, True, False), (101.0, False, True)]
 )
 def test_a_closed_contour_is_no_hundred_times_as_long_as_wide(axes, width, closed, fair):
+    plate = np.array([(0.0, 3.0), (100.0, 3.0), (100.0, 4.0), (0.0, 4.0)])
+    _clean_points.check_one_unit(plate[:, axes], closed=True)
     points = (on_circle(40, 0.5) * (width, 1.0) + (0.0, 3.0))[:, axes]
     text = "by".join(rf" {np.ptp(x):.3g} m " for x in points.T).strip()
     with refused("both columns in one unit and enclose an area, but extend over " + text, not fair):
@@ -580,6 +584,7 @@ def test_sizes_from_a_tenth_of_a_millimetre_to_a_metre_are_plausible(size, doubt
 
 @pytest.mark.parametrize(("longest", "doubted"), [(4.9, False), (5.1, True)])
 def test_steps_of_five_to_one_are_uneven(longest, doubted):
+    assert _clean_points._spacing(row(2.0, 1.0, 5.0, 3.0), closed=False) == []
     told = _clean_points._spacing(1e-3 * row(2.0, 1.0, longest, 3.0), closed=False)
     assert len(told) == doubted and all(f"uneven, 1 to {longest:.3g} mm" in text for text in told)
 

@@ -4,6 +4,7 @@ import types
 from dataclasses import replace
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -951,10 +952,29 @@ def test_lengths_with_a_smallest_radius_are_those_of_the_points(monkeypatch):
             _contour_fit._bent_at_most(points, replace(ASKED, **inside))
 
 
+class Shifted(eqx.Module):
+    """A contour whose arclength begins elsewhere than at zero."""
+
+    contour: Any
+    start: float
+    closed: bool = eqx.field(static=True)
+
+    def prepared(self):
+        return self
+
+    def domain(self):
+        low, high = self.contour.domain()
+        return low + self.start, high + self.start
+
+    def frame(self, s):
+        return self.contour.frame(s - self.start)
+
+
 def test_an_open_contour_is_measured_between_its_ends():
     """Points beyond an end have that for their foot; the peak of curvature is looked for at 16385 places."""
     u = np.linspace(0.2, 2.0, 14)
     contour = tabled(jxr.Spline(0.03 * np.stack([np.cos(u), 0.6 * np.sin(u)], axis=1), closed=False))
+    contour = Shifted(contour, 0.37, closed=False)
     low, high = (float(x) for x in contour.domain())
     # All places in one call: each length of an array is a program of its own.
     everywhere = np.concatenate([[low, high], np.linspace(low, high, 2049), np.linspace(low, high, 16385)])

@@ -159,11 +159,12 @@ def test_cells_count_by_what_they_hold():
     )
 
 
-def test_triangles_without_area_have_no_samples():
-    ends = np.array([[0, 0, 0], [0.01, 0, 0], [0, 0.02, 0], [0, 0, 0.03], [0.005, 0, 1e-16]])
+@pytest.mark.parametrize("size", [1e-3, 1.0, 1e3])
+def test_triangles_without_area_have_no_samples(size):
+    ends = size * np.array([[0, 0, 0], [0.01, 0, 0], [0, 0.02, 0], [0, 0, 0.03], [0.005, 0, 1e-16]])
     faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3], [0, 1, 4]])
-    points, _ = _scan.sampled_mesh(ends, faces, 0.02)
-    fewer, normals = _scan.sampled_mesh(ends, faces[:4], 0.02)
+    points, _ = _scan.sampled_mesh(ends, faces, 0.02 * size)
+    fewer, normals = _scan.sampled_mesh(ends, faces[:4], 0.02 * size)
     np.testing.assert_array_equal(points, fewer)
     assert normals is not None and len(points) > 4
 

@@ -720,19 +720,19 @@ def test_regions_are_the_largest_without_data_or_off_them(monkeypatch):
     def regions(places, areas, link, reason):
         asked.append((places, areas, link, reason))
         sizes = [1.0, 17.0, 3.9, 30.0, 5.0, 6.0] if reason == "no data" else [40.0, 4.1, 7.0, 8.0, 9.0]
-        return [Region((0.0, 0.0, 0.0), 1.0, size, reason) for size in sizes]
+        return [Region((0.0, 0.0, 0.0), 1.0, 2.25 * size, reason) for size in sizes]
 
     monkeypatch.setattr(_scan_verdict, "regions_of", regions)
     near = np.arange(10) % 2 == 0
     monkeypatch.setattr(
         _scan_verdict, "trusted_places", lambda *args, **options: asked.append(options) or near
     )
-    found = closed(areas=np.array([0.9, 1.1, 0.1, 0.2, 7.0, 8.0, 9.0, 0.3, 0.4, 3.0]))
+    found = closed(areas=2.25 * np.array([0.9, 1.1, 0.1, 0.2, 7.0, 8.0, 9.0, 0.3, 0.4, 3.0]))
     covered = np.arange(10) < 7
     told = _scan_verdict._regions(found, np.zeros((6, 3)), np.zeros((6, 3)), covered, 0.25)
-    assert [region.area for region in told] == [40.0, 30.0, 17.0, 9.0, 8.0, 7.0, 6.0, 5.0]
+    assert [region.area / 2.25 for region in told] == [40.0, 30.0, 17.0, 9.0, 8.0, 7.0, 6.0, 5.0]
     assert asked[0] == {"reach": np.inf, "tolerance": 0.25}
-    link = 2.0
+    link = 3.0
     for (places, areas, given, reason), chosen, said in zip(
         asked[1:], (~covered, covered & ~near), ("no data", "rounded off"), strict=True
     ):
@@ -740,10 +740,12 @@ def test_regions_are_the_largest_without_data_or_off_them(monkeypatch):
         np.testing.assert_array_equal(areas, found.areas[chosen])
         assert given == pytest.approx(link) and reason == said
     monkeypatch.setattr(
-        _scan_verdict, "regions_of", lambda *_: [Region((0.0,) * 3, 1.0, x, "no data") for x in (4.1, 4.0)]
+        _scan_verdict,
+        "regions_of",
+        lambda *_: [Region((0.0,) * 3, 1.0, 2.25 * x, "no data") for x in (4.1, 4.0)],
     )
     told = _scan_verdict._regions(found, np.zeros((6, 3)), np.zeros((6, 3)), covered, 0.25)
-    assert [region.area for region in told] == [4.1, 4.1]
+    assert [region.area for region in told] == [2.25 * 4.1, 2.25 * 4.1]
 
 
 @pytest.mark.parametrize(("samples", "between"), [(59, False), (60, True), (61, True)])

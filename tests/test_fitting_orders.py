@@ -574,6 +574,16 @@ def test_a_point_twenty_spacings_from_both_neighbours_is_refused(closed, height,
         _clean_points.check_spacing(points, closed=closed)
 
 
+def test_steps_of_just_twenty_and_gaps_of_just_five_are_fair():
+    _clean_points.check_spacing(row(*[1.0] * 9, 20.0, 20.0, *[1.0] * 9), closed=False)
+    sides = [row(*[1.0] * 19), row(*[1.0] * 9)[:, ::-1] + (20.0, 0.0)]
+    ring = np.concatenate([*sides, *((20.0, 10.0) - side for side in sides)])
+    assert len(ring) == 60
+    _clean_points.check_spacing(np.delete(ring, np.s_[5:9], axis=0), closed=True)
+    with refused("leave a gap of 6e"):
+        _clean_points.check_spacing(np.delete(ring, np.s_[5:10], axis=0), closed=True)
+
+
 @pytest.mark.parametrize(("size", "doubted"), [(0.9e-4, True), (1.1e-4, False), (0.95, False), (1.05, True)])
 def test_sizes_from_a_tenth_of_a_millimetre_to_a_metre_are_plausible(size, doubted):
     """The diagonal counts."""

@@ -221,7 +221,7 @@ def test_a_verdict_says_what_was_kept_rounded_and_closed(name):
 
 
 FINE = {
-    "curvatures": (-100.0, 199.0),
+    "curvatures": (-100.0, 200.0),
     "thin": 0.2,
     "parts": (1, 1),
     "moved": 0.3,

@@ -272,6 +272,19 @@ def test_points_are_put_in_order_on_a_quarter_of_the_radius_or_four_noises(noise
     assert found.clean.warnings == ()
 
 
+@pytest.mark.parametrize("ordered", [None, False])
+@pytest.mark.parametrize("reordered", [True, False])
+def test_an_order_that_was_given_up_is_told_where_it_might_have_been_kept(ordered, reordered, monkeypatch):
+    asked = []
+    band = lambda points, *_, **__: Band(points, np.arange(len(points)), np.zeros(0, int), reordered)  # noqa: E731
+    monkeypatch.setattr(_limited_fit, "found_band", band)
+    monkeypatch.setattr(_limited_fit, "_judged", lambda found: found)
+    monkeypatch.setattr(_limited_fit, "order_given_up", lambda *_, closed: (asked.append(closed), ["so"])[1])
+    found = _limited_fit.limited(on_circle(120, 0.05), replace(ASKED, ordered=ordered))
+    assert found.clean.warnings == (("so",) if reordered and ordered is None else ())
+    assert found.clean.reordered == reordered and asked == [True] * len(found.clean.warnings)
+
+
 def judged(distances, monkeypatch, noise=None, radius=0.01, off=0.0, **changes):
     """What is kept of points on a circle, if the curve through them is at these distances."""
     count = len(distances)

@@ -114,3 +114,23 @@ def test_nothing_is_moved_where_three_tenths_of_the_line_would_be(left, moved, m
     asked.clear()
     rolled_line(line[::5], line, 0.5, 0.001, closed=True)
     assert asked == [(0.5, 0.01, True), (-0.5, 0.01, True)]
+
+
+@pytest.mark.parametrize("size", [1e-3, 250.0])
+def test_lines_of_any_size_are_rolled_alike(size):
+    corners, _ = triangle(45.0)
+    line = spread_along(np.concatenate([corners, corners[:1]]), 801)
+    line = np.concatenate([line[100:-1], line[:101]])
+    wanted = rolled_line(line[::7], line, RADIUS, 1e-3, closed=True)
+    assert np.abs(wanted[1] - line).max() > 0.5
+    found = rolled_line(size * line[::7], size * line, size * RADIUS, size * 1e-3, closed=True)
+    for one, other in zip(found, wanted, strict=True):
+        np.testing.assert_allclose(one, size * other, rtol=1e-9, atol=1e-9 * size)
+
+
+def test_points_are_drawn_onto_the_nearest_disc_unless_they_are_nearly_there():
+    middles = np.array([[0.0, 0.0], [10.0, 0.0]])
+    points = np.array([[0.0, 2.09], [0.0, 2.11], [1.0, 0.0], [13.0, 4.0], [6.0, 0.0]])
+    found = _rolled_line._drawn(points, middles, 2.0, 0.1)
+    wanted = [[0.0, 2.09], [0.0, 2.0], [1.0, 0.0], [11.2, 1.6], [8.0, 0.0]]
+    np.testing.assert_allclose(found, wanted, rtol=1e-12)

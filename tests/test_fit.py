@@ -211,6 +211,7 @@ def test_support_function_field():
         (1e-5, 31, [3, 4, 6, 8, 10]),  # a third of the points
         (0.0, 96, [20]),
         (None, 31, [10]),
+        (None, 30, [9]),  # three numbers to a term, and one more
     ],
 )
 def test_numbers_of_terms_are_tried_in_turn(monkeypatch, noise, count, tried):

@@ -1,5 +1,6 @@
 """Pytest's machinery: parameters that are marked slow, what is printed, and an oracle that may broadcast."""
 
+import contextlib
 import functools
 import re
 
@@ -44,3 +45,8 @@ def numbers_blurred(text):
     text = re.sub(r"\d(\.\d)?e-(1[1-9]|2\d)", "tiny", text)
     text = re.sub(r"steps \d+;", "steps;", text)
     return re.sub(r"\d+ accepted, \d+ rejected", "steps", text)
+
+
+def refused(words, when=True):
+    """A refusal with these words, or none at all."""
+    return pytest.raises(ValueError, match=words) if when else contextlib.nullcontext()

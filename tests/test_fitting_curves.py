@@ -22,8 +22,8 @@ from jaxroll.geometry.fitting import (
 )
 from jaxroll.geometry.fitting._band import Band
 from jaxroll.geometry.fitting._even_spline import EvenSpline
-from tests.test_fitting_orders import on_circle, path, refused, row
-from tests.test_fitting_parts import wavy
+from tests.helpers import refused
+from tests.subjects.polygons import on_circle, path, row, wavy
 
 
 def bumps(u, pieces, closed, order=0):

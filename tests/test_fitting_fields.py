@@ -24,9 +24,9 @@ from jaxroll.geometry.fitting import (
 )
 from jaxroll.geometry.fitting._field_fit import AXES, Grid, grid_around, offsets, rows
 from jaxroll.geometry.surfaces import SplineSurface
+from tests.helpers import refused
+from tests.oracles.bands import full
 from tests.subjects.clouds import sphere
-from tests.test_fitting_orders import refused
-from tests.test_surface_fit import full
 
 TALL = ((9, 7, 8), (8, 9, 7), (7, 8, 9), (9, 8, 7), (8, 7, 9), (7, 9, 8))
 

@@ -1,25 +1,13 @@
 """Orders of points, and what is refused or doubted of them: one case at either side of each limit."""
 
-import contextlib
 import itertools
 
 import numpy as np
 import pytest
 
 from jaxroll.geometry.fitting import _band, _clean_points, _ordering
-from tests.test_fitting_parts import on_circle
-
-
-def row(*steps, height=0.0):
-    """Points along the x axis with these steps between them."""
-    x = np.append(0.0, np.cumsum(steps))
-    return np.stack([x, np.full(len(x), height)], axis=1)
-
-
-def refused(words, when=True):
-    """A refusal with these words, or none at all."""
-    return pytest.raises(ValueError, match=words) if when else contextlib.nullcontext()
-
+from tests.helpers import refused
+from tests.subjects.polygons import on_circle, path, row
 
 # The band of points that scatter by more than their spacing.
 
@@ -597,13 +585,6 @@ def test_steps_of_five_to_one_are_uneven(longest, doubted):
     assert _clean_points._spacing(row(2.0, 1.0, 5.0, 3.0), closed=False) == []
     told = _clean_points._spacing(1e-3 * row(2.0, 1.0, longest, 3.0), closed=False)
     assert len(told) == doubted and all(f"uneven, 1 to {longest:.3g} mm" in text for text in told)
-
-
-def path(*degrees, step=1e-3):
-    """Points with these turnings between steps of one millimetre; the ends have none."""
-    heading = np.radians(np.cumsum([0.0, *degrees]))
-    steps = step * np.stack([np.cos(heading), np.sin(heading)], axis=1)
-    return np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
 
 
 @pytest.mark.parametrize(("count", "turn", "noise"), [(17, 37.0, True), (17, 35.0, False), (16, 37.0, False)])

@@ -25,11 +25,7 @@ from jaxroll.geometry.fitting import (
     _visibility,
 )
 from tests.subjects.clouds import sphere
-
-
-def on_circle(count, radius=0.02, turn=0.0):
-    angles = turn + 2.0 * np.pi * np.arange(count) / count
-    return radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+from tests.subjects.polygons import on_circle, wavy
 
 
 def stadium(per_side=40, half=0.02, radius=0.01, first=0):
@@ -354,13 +350,6 @@ def test_a_verdict_tells_what_is_kept_rounded_and_closed():
         "the other 25 % rounded off by up to 2 mm",
         "0.15 % of it closed without data",
     ]
-
-
-def wavy(count, closed=True):
-    """A closed curve with three lobes, or an open one with one bend."""
-    u = 2.0 * np.pi * np.arange(count) / count if closed else np.linspace(0.3, 2.5, count)
-    radius = 0.02 * (1.0 + 0.15 * np.cos(3.0 * u))
-    return np.stack([radius * np.cos(u), 1.3 * radius * np.sin(u)], axis=1)
 
 
 def crossed(one, other):

@@ -12,7 +12,7 @@ from jaxroll.geometry.fitting import _rolling, _scan, _scan_fit, _scan_verdict
 from jaxroll.geometry.fitting._field_fit import Grid
 from jaxroll.geometry.fitting._scan import Scan
 from jaxroll.geometry.fitting._surface_report import Region
-from tests.test_fitting_orders import refused
+from tests.helpers import refused
 
 
 def random_scan(count, seed=0, spread=0.4, **changes):

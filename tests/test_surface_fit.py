@@ -7,6 +7,7 @@ import pytest
 
 from jaxroll.geometry import Ellipsoid, fit_surface, Torus
 from jaxroll.geometry.fitting._field_fit import grid_around, normal_band, offsets, roughness_band, rows
+from tests.oracles.bands import full
 
 AXES = np.array([0.02, 0.014, 0.01])
 NOISE = 1e-4
@@ -34,16 +35,6 @@ def errors(fit, exact):
     off = np.linalg.norm(true - at, axis=1).max()
     size = np.abs(expected).max(axis=1, keepdims=True)
     return off, np.degrees(np.arccos(np.minimum(cos, 1.0))).max(), np.abs((curvature - expected) / size).max()
-
-
-def full(band):
-    """A symmetric matrix from its lower band."""
-    size = band.shape[1]
-    matrix = np.zeros((size, size))
-    for k, row in enumerate(band[:size]):
-        matrix[np.arange(k, size), np.arange(size - k)] = row[: size - k]
-        assert not row[size - k :].any() or k == 0
-    return matrix + np.tril(matrix, -1).T
 
 
 @pytest.mark.parametrize("sides", [(2.0, 1.0, 1.0), (1.0, 1.0, 2.0), (1.0, 2.0, 1.0)])

@@ -15,6 +15,7 @@ grasps and contours as are made with jaxroll lie in `tests.subjects`.
 | `dense_impacts` | velocities after an impulse, by one dense linear system |
 | `known_curves` | points of ellipse and circle, and how far a contour through them is from the curve |
 | `scanned_bodies` | clouds of points of bodies whose distances are known, and where balls fit into these |
+| `bands` | matrices in full of which only a band is stored |
 | `spline_fields` | fields of B-splines by SciPy, and all of the surface where one is zero |
 | `outlines` | random outlines as polygons, and the gap between two by a search over all vertices |
 """

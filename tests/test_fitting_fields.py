@@ -559,7 +559,8 @@ def test_places_are_looked_up_in_the_cells_of_a_box():
 
 
 @pytest.mark.parametrize(("area", "width"), [(1e-4, 2.0 / 80), (4e-2, 0.4)])
-def test_patches_of_normals_turn_to_where_more_ways_are_free(area, width, monkeypatch):
+@pytest.mark.parametrize("seen", [1.0, 0.01])
+def test_patches_of_normals_turn_to_where_more_ways_are_free(area, width, seen, monkeypatch):
     """By loops: patches of links that turn by a cosine of 0.8, their votes by area, twenty rounds."""
     rng, count = np.random.default_rng(12), 91
     points = rng.uniform(0.0, 1.0, (count, 3)) * (1.0, 2.0, 0.5)
@@ -569,7 +570,7 @@ def test_patches_of_normals_turn_to_where_more_ways_are_free(area, width, monkey
     near = np.argsort(np.linalg.norm(points[:, None] - points, axis=2), axis=1)[:, :24]
     areas = area * rng.uniform(0.5, 1.5, count) ** 2
     areas *= area / np.median(areas)
-    views, asked = rng.integers(-8, 9, (2, count)).astype(float), []
+    views, asked = seen * rng.integers(-8, 9, (2, count)), []
     monkeypatch.setattr(_visibility, "_free_ways", lambda cells: (asked.append(cells), "free")[1])
     monkeypatch.setattr(
         _visibility, "_at", lambda free, place: (asked.append(place), views[len(asked) - 2])[1]

@@ -552,6 +552,17 @@ def test_normals_point_out_by_gausss_theorem():
     np.testing.assert_array_equal(_surface_normals.outward(points, -mixed, areas), mixed)
 
 
+@pytest.mark.parametrize("first", [12, 30])
+def test_a_tree_joins_the_most_points_wherever_they_stand(first):
+    """Two clouds far apart, of twelve and of thirty points, whichever comes first."""
+    points = np.random.default_rng(13).normal(size=(42, 3))
+    points[first:] += 100.0
+    near = np.argsort(np.linalg.norm(points[:, None] - points, axis=2), axis=1)[:, :9]
+    order, before = _surface_normals._tree(sphere(42), near)
+    most = range(12, 42) if first == 12 else range(30)
+    assert sorted(order) == list(most) and set(before[order[1:]]) <= set(most)
+
+
 def test_places_are_looked_up_in_the_cells_of_a_box():
     free = np.arange(24).reshape(2, 3, 4)
     place = np.array([[0.9, 1.2, 3.99], [-2.0, 0.0, 0.0], [1.0, 7.0, 2.5]])

@@ -119,11 +119,12 @@ def test_a_short_chain_is_plausible_unless_it_crosses_itself():
     (2, 9.7, False), (2, 10.2, True),  # 2 (h^2 + 1)^(1/2) - 2 = 18 at h = 9.95
     (3, 12.7, False), (3, 13.3, True),  # 24 at h = 12.96
 ])  # fmt: skip
-def test_a_detour_is_six_usual_steps_for_every_step_of_it(count, height, stray):
+@pytest.mark.parametrize("size", [1.0, 0.01])
+def test_a_detour_is_six_usual_steps_for_every_step_of_it(count, height, stray, size):
     points = row(*[1.0] * 59)
     off = np.arange(20, 20 + count)
     points[off, 1] = height
-    kept, strays = _band._without_detours(points, 1e-3, closed=False)
+    kept, strays = _band._without_detours(size * points, 1e-3 * size, closed=False)
     assert strays.tolist() == (off.tolist() if stray else [])
     assert kept.tolist() == sorted(set(range(60)) - set(strays))
 
@@ -132,11 +133,12 @@ def test_a_detour_is_six_usual_steps_for_every_step_of_it(count, height, stray):
     (0.1, 6.0, 1), (0.1, 6.2, 2), (0.1, 8.0, 2), (0.1, 8.2, 3), (0.1, 10.0, 3), (0.1, 10.2, 0),
     (2.0, 7.8, 1), (2.0, 8.2, 2), (2.0, 12.2, 0),
 ])  # fmt: skip
-def test_a_corner_between_long_sides_is_no_detour(scale, gap, count):
+@pytest.mark.parametrize("size", [1.0, 0.01])
+def test_a_corner_between_long_sides_is_no_detour(scale, gap, count, size):
     """The way past strays is shorter than three usual steps for each of its own, and a scale."""
     points = row(*[1.0] * 29, 0.5 * gap, 0.5 * gap, *[1.0] * 29)
     points[30, 1] = 60.0
-    assert len(_band._without_detours(points, scale, closed=False)[1]) == count
+    assert len(_band._without_detours(size * points, scale * size, closed=False)[1]) == count
 
 
 def test_of_ten_points_one_may_be_a_stray():
@@ -702,3 +704,16 @@ def test_sides_of_one_line_touch_where_they_overlap():
             at = np.array([0.0, 1.0, 5.0, 5.0, 1.0 + gap, 2.0 + gap])
             points = at[:, None] * way + np.array([0, 0, 3, 4, 0, 0])[:, None] * (-way[1], way[0])
             assert ([0, 4] in _ordering.crossings(points, closed=False).tolist()) == found
+
+
+@pytest.mark.parametrize("ordered", [None, True, False])
+def test_points_are_compared_with_all_others_where_an_order_is_to_be_found(ordered, monkeypatch):
+    asked = []
+
+    def noted(points, *, closed, anywhere):
+        asked.append((closed, anywhere))
+        return np.arange(len(points))
+
+    monkeypatch.setattr(_clean_points, "distinct", noted)
+    clean = _clean_points.clean_points(on_circle(40), ordered=ordered)
+    assert asked[0] == (True, ordered is False) and len(clean.points) == 40

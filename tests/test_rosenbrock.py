@@ -7,7 +7,17 @@ import numpy as np
 import pytest
 
 import jaxroll as jxr
-from jaxroll._integration._rosenbrock import _GAMMA, inverted
+from jaxroll._integration import _rosenbrock
+from jaxroll._integration._rosenbrock import (
+    _ERROR,
+    _GAMMA,
+    _LAGS,
+    _ROWS,
+    _SLOPES,
+    advance,
+    inverted,
+    STAGE_TIMES,
+)
 from tests.measures import observed_order
 
 STIFF = jxr.Rosenbrock()
@@ -57,6 +67,80 @@ def test_the_inverse_and_its_derivative():
     _, slope = jax.jvp(inverted, (jnp.asarray(lanes),), (moved,))
     difference = (inverted(lanes + h * moved) - inverted(lanes - h * moved)) / (2 * h)
     np.testing.assert_allclose(slope, difference, rtol=1e-6, atol=1e-8)
+
+
+def test_its_numbers_meet_the_conditions_of_order_four_and_its_times_are_their_sums():
+    """Each row by its sum, as the u are mixed from the slopes k by gamma: u = gamma k."""
+    lower = np.linalg.inv(np.eye(8) / _GAMMA - _SLOPES)  # the gamma_ij
+    alpha, b = _ROWS[:8] @ lower, _ROWS[8] @ lower
+    beta = alpha + lower
+    late, sums = alpha.sum(axis=1), beta.sum(axis=1)
+    close = {"rtol": 0, "atol": 1e-12}
+    np.testing.assert_allclose(STAGE_TIMES, [*late, 1.0], **close)
+    np.testing.assert_allclose(_LAGS, lower.sum(axis=1), **close)
+    np.testing.assert_array_equal(np.triu(_ROWS[:8]) + np.triu(_SLOPES), 0.0)
+    # By trees, up to four nodes; the weights less those of the error's estimate have order four too.
+    conditions = [
+        (np.ones(8), 1.0),
+        (sums, 1.0 / 2.0),
+        (late**2, 1.0 / 3.0),
+        (beta @ sums, 1.0 / 6.0),
+        (late**3, 1.0 / 4.0),
+        (late * (alpha @ sums), 1.0 / 8.0),
+        (beta @ late**2, 1.0 / 12.0),
+        (beta @ beta @ sums, 1.0 / 24.0),
+    ]
+    for weights in (b, b - np.array(_ERROR) @ lower):
+        np.testing.assert_allclose([weights @ x for x, _ in conditions], [y for _, y in conditions], **close)
+    np.testing.assert_allclose(b @ late**4, 1.0 / 5.0, **close)
+    assert STIFF.order(None) == STIFF.error_order(None) == 5
+    # The end is the last stage but for its own u, so that what is stiff ends where it settles.
+    np.testing.assert_array_equal(_ROWS[8] - _ROWS[7], np.eye(8)[7])
+
+
+def crooked(t, x):
+    """A field without symmetry that depends on time, as NumPy or JAX has it, and two numbers besides."""
+    at = [x[1] * x[2] - 0.3 * t * x[0], t * t - x[0] * x[0] + 0.2 * x[2], -2.0 * x[2] + x[0] * x[1] + 0.7 * t]
+    return at, [x[0] + 10.0 * t, x[1] - x[2] + 3.0 * t]
+
+
+def one_step(t0, t1, x0):
+    """A step from t0 to t1 by the formula in `Rosenbrock`, in plain NumPy."""
+    field, beside = (lambda t, x: np.array(crooked(t, x)[0])), (lambda t, x: np.array(crooked(t, x)[1]))
+    h, n, here = t1 - t0, len(x0), field(t0, x0)
+    size = np.sqrt(np.finfo(float).eps) * np.maximum(np.abs([*x0, t0]), 0.1)
+    jacobian = np.stack([(field(t0, x0 + size[i] * np.eye(n)[i]) - here) / size[i] for i in range(n)], axis=1)
+    drift = (field(t0 + size[n], x0) - here) / size[n]
+    u, kept = np.zeros((8, n)), []
+    for k in range(8):
+        t, x = t0 + STAGE_TIMES[k] * h, x0 + _ROWS[k] @ u
+        kept.append(beside(t, x))
+        right = field(t, x) + _SLOPES[k] @ u / h + h * _LAGS[k] * drift
+        u[k] = np.linalg.solve(np.eye(n) / (h * _GAMMA) - jacobian, right)
+    end = x0 + _ROWS[8] @ u
+    return end, field(t1, end), u[7], beside(t1, end), np.array([*kept[1:], beside(t1, end)])
+
+
+def test_a_step_is_that_of_the_formula_alone_and_in_lanes(monkeypatch):
+    starts = [(0.4, 0.7, [0.3, -1.2, 0.02]), (2.0, 2.15, [-0.7, 0.4, 1.9]), (0.01, 0.11, [1.1, 0.6, -0.5])]
+    known = [one_step(t0, t1, np.array(x0)) for t0, t1, x0 in starts]
+    field = lambda t, x: tuple(jnp.stack(part) for part in crooked(t, x))  # noqa: E731
+    step = jax.jit(lambda t0, t1, x0, nothing: advance(field, (t0, t1), x0, nothing, kept=slice(2)))
+    t0, t1, x0 = (jnp.asarray(x) for x in zip(*starts, strict=True))
+    # What the differences lose to rounding depends on the order of operations: 1e-8 of the slopes.
+    close = {"rtol": 3e-8, "atol": 3e-9}
+    together = step(t0, t1, x0.T, jnp.zeros((2, 3)))
+    for found, *exact in zip(together, *known, strict=True):
+        np.testing.assert_allclose(found, np.stack(exact, axis=-1), **close)
+    for few in (3, 2):  # samples side by side, and in one loop with the stages
+        monkeypatch.setattr(_rosenbrock, "_FEW", few)
+        alone = jax.jit(lambda *given: advance(field, given[:2], *given[2:], kept=slice(2)))
+        for i, lane in enumerate(known):
+            for found, exact in zip(alone(t0[i], t1[i], x0[i], jnp.zeros(2)), lane, strict=True):
+                np.testing.assert_allclose(found, exact, **close)
+    resting = step(t0, t0, x0.T, jnp.zeros((2, 3)))
+    np.testing.assert_array_equal(resting[0], x0.T)
+    np.testing.assert_array_equal(resting[2], 0.0)
 
 
 def test_a_singular_matrix_shortens_the_step():

@@ -211,8 +211,8 @@ CAUSES = [
     (ended(R.not_finite), "the equations of motion gave a value that is not finite WHEN"),
     (
         ended(R.singular_contact, contact=-1),
-        "the rolling contact became singular: the sum of the two curvatures vanishes beside their size, or the "
-        "Schur complement of the constraints is no longer positive WHEN",
+        "the rolling contact became singular: the sum of the two curvatures vanishes beside their size, or "
+        "the Schur complement of the constraints is no longer positive WHEN",
     ),
     (
         ended(R.unreachable),

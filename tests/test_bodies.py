@@ -142,9 +142,8 @@ def test_links_are_rods_in_the_plane_and_cylinders_in_space_unless_told_otherwis
         if not length:
             wanted = mass * radius**2 / 4.0 * np.eye(3)
         np.testing.assert_allclose(tensor, wanted, rtol=1e-13, atol=1e-20)
-    for finger in (cylinders, cylinders.prepared()):
-        np.testing.assert_allclose(finger.size, lengths.sum() / 3.0, rtol=1e-14)
-        assert finger.turns and finger.joints == finger.freedoms == finger.positions == 3
+    np.testing.assert_allclose(jax.jit(lambda f: f.size)(cylinders), lengths.sum() / 3.0, rtol=1e-14)
+    assert cylinders.turns and cylinders.joints == cylinders.freedoms == cylinders.positions == 3
     assert cylinders.rotation.tolist() == [1.0, 0.0, 0.0, 0.0] and cylinders.base.tolist() == [0.0, 0.0, 0.0]
 
 
@@ -211,13 +210,6 @@ def test_joints_and_the_tip_are_the_skeleton():
     tip = first + 0.07 * np.array([np.cos(-0.8), np.sin(-0.8)])
     found = [p.array() for p in BODIES["finger"].prepared().skeleton(q)]
     np.testing.assert_allclose(found, [(0.1, -0.2), first, tip], rtol=1e-14)
-    space, q = BODIES["finger in space"], tuple(map(jnp.asarray, q))
-    found = [p.array() for p in space.skeleton(q)]
-    np.testing.assert_allclose(found[0], [0.1, 0.2, 0.3], rtol=1e-14)
-    np.testing.assert_allclose(found[-1], space.pose(q).origin.array(), rtol=1e-14)
-    np.testing.assert_allclose(
-        np.linalg.norm(np.diff(found, axis=0), axis=1), np.linalg.norm(LINKS, axis=1), rtol=1e-13
-    )
 
 
 def test_steady_rotation_keeps_its_axis_in_place():

@@ -83,6 +83,9 @@ def test_lines_of_a_run_that_hardly_began():
     ]
     here.stats.t_end = 0.0
     assert lines.report(here).splitlines()[3].startswith("  start     object")
+    none = np.full(1, NAN)
+    here.energy = SimpleNamespace(kinetic=none, potential=none, residual=none)
+    assert "energy" not in lines.report(here)
     here.multipliers = None
     assert lines.report(here).splitlines()[-1].startswith("  forces    not recorded")
     one = made(states=SimpleNamespace(q=Q[2:], s=np.zeros((2, 2))), ts=np.array([0.5, 0.75]))
@@ -90,6 +93,14 @@ def test_lines_of_a_run_that_hardly_began():
     told = lines.report(one).splitlines()
     assert told[1] == "  time      0.5 s, 1 of 2 states saved; ended at 0.625 s"
     assert not any("rolled" in line or "moved" in line for line in told)
+    one.stats.t_end = 0.0
+    assert lines.report(one).splitlines()[4].startswith("  at end    object")
+    two = made(states=SimpleNamespace(q=Q[1:], s=np.array([[0.0, 0.0], [0.001, -0.003], [NAN, NAN]])))
+    two.ts, two.multipliers = np.array([0.25, 0.5, 0.75]), None
+    told = lines.report(two).splitlines()
+    assert told[1] == "  time      0.25 to 0.5 s, 2 of 3 states saved; ended at 0.625 s"
+    assert told[4] == "  rolled    1.000, 3.000 mm"
+    assert told[5] == "  moved     object: x +3.500, y -39.900 mm, theta -0.3000 rad"
 
 
 @pytest.mark.parametrize(
@@ -112,7 +123,9 @@ def test_energy_that_is_off_is_told_as_a_share_of_it_where_there_is_some(kinetic
 def test_forces_in_space_and_what_is_rounding_beside_them():
     tangential = np.stack([0.6 * LAM, 0.8 * LAM], axis=-1)
     space = made(multipliers=SimpleNamespace(f=F, lam=tangential, spin=np.array([[0.01, -0.02], [NAN, 0.0]])))
+    space.residuals.tangential = np.zeros((4, 2, 2))
     told = lines.report(space).splitlines()
+    assert not any("rolled" in line for line in told)
     assert told[-3:] == [
         "  forces    normal 0.8 to 5 N, tangential 0.2 to 1.2 N",
         "  spin      prevented by up to 0.02 N m",
@@ -196,6 +209,8 @@ SLIPS = "contact 1 (right) needs more friction than there is WHEN: its force is 
 CAUSES = [
     (ended(R.contact_lost), "contact 1 (right) no longer presses WHEN: it pulls with 0.25 N"),
     (ended(R.contact_lost, contact=-1, margin=NAN), "a contact no longer presses WHEN"),
+    (ended(R.contact_lost, contact=0), "contact 0 (left) no longer presses WHEN: it pulls with 0.25 N"),
+    (ended(R.contact_lost, margin=-1e-16), "contact 1 (right) no longer presses WHEN: it pulls with 1e-16 N"),
     (ended(R.contact_lost, contact=2), "contact 2 no longer presses WHEN: it pulls with 0.25 N"),
     (ended(R.contact_lost, labels=None), "contact 1 no longer presses WHEN: it pulls with 0.25 N"),
     (ended(R.penetration), "finger 1 overlaps the object away from its contact WHEN: by 0.25 m"),
@@ -203,6 +218,10 @@ CAUSES = [
     (ended(R.joint_limit), "finger 0 q[1] passed the end of its range WHEN: by 0.25 rad or m"),
     (ended(R.torque_limit, contact=0), "finger 0 q[0] needs more torque than it has WHEN: by 0.25 N m or N"),
     (ended(R.joint_limit, contact=2), "joint 2 passed the end of its range WHEN: by 0.25 rad or m"),
+    (
+        ended(R.singular_contact, contact=0),
+        "contact 0 (left) became singular WHEN: its curvatures cancel, to 1e-4 of their size",
+    ),
     (
         ended(R.singular_contact),
         "contact 1 (right) became singular WHEN: its curvatures cancel, to 1e-4 of their size",
@@ -267,7 +286,7 @@ def test_amounts_are_in_millimetres_or_in_units_of_their_own():
 def test_an_orientation_is_told_by_how_far_it_turned():
     places = tuple(Coordinate(x, "m") for x in "xyz")
     parts = tuple(Coordinate(x, "") for x in ("qw", "qx", "qy", "qz"))
-    start = np.array([0.0, 0.0, 0.1, *(2.0 * np.array([0.5, 0.5, -0.5, 0.5]))])
+    start = np.array([0.0, 0.0, 0.1, *(2.0 * np.array([0.1, 0.5, -0.7, 0.5]))])
     half = np.array([np.cos(0.35), *(np.sin(0.35) * np.array([0.6, 0.0, 0.8]))])
     w, x, y, z = start[3:] / 2.0
     a, b, c, d = half
@@ -314,6 +333,8 @@ def test_lanes_are_told_by_their_codes_and_where_they_end():
     ]
     runs.last.q = np.full((4, 5), NAN)
     assert lines.batch_report(runs).splitlines()[-1].startswith("  2 lanes: slipping")
+    grid = np.array([[Q[:2], Q[1:3]], [Q[:2], Q[2:]]])  # two by two lanes, of which each has two times
+    assert lines._at_the_end(None, grid[..., :1], "at end") == ["  at end    state: q[0] 0.0010 to 0.0046"]
     runs.last.q, runs.labels = np.zeros((4, 2)), LABELS
     assert lines.batch_report(runs).splitlines()[-1] == "  at end    state: q[0] 0.0000, q[1] 0.0000"
 

@@ -3,6 +3,7 @@
 from types import SimpleNamespace
 from typing import ClassVar, NamedTuple
 
+import equinox as eqx
 import jax
 import numpy as np
 import pytest
@@ -48,6 +49,13 @@ class Whole:
 class Pair(NamedTuple):
     first: np.ndarray
     second: object
+
+
+class Kept(eqx.Module):
+    """What a caller keeps of a run, with no words of its own."""
+
+    a: object
+    b: object
 
 
 def brief(arrays):
@@ -96,6 +104,9 @@ def test_what_has_no_names_is_numbered_and_a_name_is_given_once():
     assert [each.name for each in named_arrays((rows, rows), ("lane",), base="out")] == ["out_0", "out_1"]
     assert [each.name for each in named_arrays(rows, ("lane",), base="out")] == ["out"]
     assert [each.name for each in named_arrays(rows, ("lane",))] == ["kept"]
+    kept = named_arrays(Kept(rows, {"x": rows, "y": [rows]}), ("lane",))
+    assert [each.name for each in kept] == ["a", "b_x", "b_y_0"]
+    assert [each.name for each in named_arrays({"end": jxr.RESULTS.slipping}, ())] == ["end"]
     taken = named_arrays({"time": rows, "lane": rows, "stored": rows}, ("lane",))
     assert [each.name for each in taken] == ["time_kept", "lane_kept", "stored_kept"]
     twice = named_arrays({"a b": rows, "a/b": rows, "a  b": rows}, ("lane",))

@@ -13,6 +13,7 @@ import pytest
 import jaxroll as jxr
 from jaxroll._integration import _events, _jumps
 from jaxroll._integration._batch import _slots
+from jaxroll._integration._contact_impulses import blow_times, merged, times_before
 from jaxroll._integration._run import aim, embark, empty_record, judge, path_of, Plan
 from jaxroll._integration._step import tableau_of
 from jaxroll._integration._step_size import Hunt, Pace
@@ -279,6 +280,7 @@ def test_the_smallest_margin_and_its_number(contact, pivot, fingers, wanted):
     ("end", "audit", "wanted"),
     [
         ((2.0, -4.0), [1.0], (1.0, -4.0)),
+        ((2.0, -4.0), [0.5], (0.5, -4.0)),
         ((2.0, -4.0), [-1.0, -3.0], (-3.0, 22.0)),
         ((-2.0, 4.0), [-1.0], (-2.0, 4.0)),
         ((-2.0, 4.0), [-3.0], (-3.0, 4.0)),
@@ -456,6 +458,11 @@ def test_what_a_run_makes_of_a_step():
     assert int(ended.loop) == CODES.event_occurred._value
     broken = judged(plan, under_way(plan, length=0.0), (0.2, 0.2), (NAN, 0.5, NAN, 1.0))
     same(broken.y, (*before[:3], 1.0))
+    assert not broken.busy
+    unjudged = judged(
+        planned(ts=[0.5], keep=False), under_way(plan, y=(0.5, 0.25, 1.0, 0.0)), (0.2, 0.5), good
+    )
+    assert unjudged.busy
 
 
 def test_short_steps_at_jumps_are_counted():
@@ -475,9 +482,21 @@ def test_short_steps_at_jumps_are_counted():
 
 def test_a_path_counts_what_was_tried_taken_and_left():
     counts = tuple(jnp.asarray(x) for x in (9.0, 7.0, float(CODES.dt_min_reached._value)))
-    path = path_of(jnp.zeros((2, 4)), jnp.array([0.0, 0.0, 1.0, -4.0]), jnp.asarray(0.5), counts)
+    path = path_of(jnp.zeros((2, 4)), jnp.array([0.0, 20.0, 1.0, -4.0]), jnp.asarray(0.5), counts)
     assert path.steps.tolist() == [9, 7, 2] and path.result == jxr.RESULTS.step_collapsed
     assert path.record is None and float(path.t_last) == 0.5
+
+
+def test_times_of_blows_come_among_the_save_times_just_before_their_jumps():
+    saves, more = jnp.array([0.5, 1.0, 2.0]), jnp.array([1.5, 0.75])
+    times, of_saves, of_more = merged(saves, more)
+    same(times, [0.5, 0.75, 1.0, 1.5, 2.0])
+    assert (of_saves.tolist(), of_more.tolist()) == ([0, 2, 4], [3, 1])
+    blows = tuple(jxr.loads.Impulse((1.0, 0.0), t) for t in (1.5, 0.25, 3.0))
+    grasp = SimpleNamespace(load=(jxr.loads.Drag(1.0), *blows))
+    same(blow_times(grasp), [1.5, 0.25, 3.0])
+    jumps, end = jnp.array([1.5, INF]), jnp.asarray(2.0)
+    same(times_before(grasp, jumps, jnp.asarray(0.5), end), [1.5 - 4 * EPS * 1.5, 0.5, 2.0])
 
 
 def test_a_record_has_room_for_all_steps_the_first_of_no_length_and_the_start():

@@ -13,7 +13,7 @@ from jaxroll._linalg import Twist2, Twist3, Vec2, Vec3
 from jaxroll.control import Integral, Opposition, Press, Sampled
 from jaxroll.control._carry import _turned
 from jaxroll.control._sensing import Sensed, tip_of
-from jaxroll.loads import Drag, Impulse, Push, Spring, total_wrench
+from jaxroll.loads import as_load, Drag, Impulse, Push, Spring, total_wrench
 
 EPS = np.finfo(float).eps
 RNG = np.random.default_rng(11)
@@ -334,3 +334,52 @@ def test_loads_refuse_points_of_another_space():
         with pytest.raises(ValueError, match=f"argument angular must have shape {shape}, but"):
             Impulse(impulse, 0.0, angular=angular)
     Impulse((1.0, 0.0, 0.0), 0.0, angular=(0.0, 0.0, 1.0))
+
+
+def acted_on(space):
+    """An object that moves, as a load sees it."""
+    size = 3 if space else 2
+    vec, number = (Vec3 if space else Vec2), jnp.asarray
+    draw = lambda k: tuple(map(number, RNG.normal(size=k)))  # noqa: E731
+    spin = vec(*draw(3)) if space else draw(1)[0]
+    twist = (Twist3 if space else Twist2)(vec(*draw(size)), spin)
+    pose = types.SimpleNamespace(origin=vec(*draw(size)))
+    return types.SimpleNamespace(pose=pose, orientation=draw(4 if space else 1), twist=twist)
+
+
+@pytest.mark.parametrize("space", [False, True])
+def test_a_load_of_ones_own_is_given_place_and_motion_and_its_answer_is_looked_at(space):
+    body, seen = acted_on(space), []
+    plain = lambda x: np.asarray(x.array() if hasattr(x, "array") else x)  # noqa: E731
+
+    def load(t, pose, twist):
+        seen.append((t, pose, twist))
+        return 2.0 * twist.velocity + pose.position, 3.0 * twist.spin
+
+    force, torque = as_load(load).wrench(0.7, body)
+    velocity, spin, origin = map(plain, (body.twist.velocity, body.twist.spin, body.pose.origin))
+    np.testing.assert_allclose(plain(force), 2.0 * velocity + origin, rtol=1e-14)
+    np.testing.assert_allclose(plain(torque), 3.0 * spin, rtol=1e-14)
+    t, pose, _ = seen[0]
+    assert float(t) == 0.7 and pose.orientation.shape == ((4,) if space else ())
+    wanted = body.orientation if space else body.orientation[0]
+    np.testing.assert_array_equal(
+        np.asarray(as_load(load_of_orientation).wrench(0.7, body)[0].array())[0],
+        np.ravel(np.asarray(wanted))[0],
+    )
+    shape = (3,) if space else (2,)
+    for bad, told in (
+        (lambda t, p, w: w.velocity, "a force and a torque, but returned"),
+        (lambda t, p, w: (w.velocity, w.spin, w.spin), "a force and a torque, but returned"),
+        (lambda t, p, w: (w.velocity[:1], w.spin), "a force and a torque of shapes"),
+        (lambda t, p, w: (jnp.zeros(shape), jnp.zeros(5)), "a force and a torque of shapes"),
+    ):
+        with pytest.raises(ValueError, match=f"argument load must return {told}"):
+            as_load(bad).wrench(0.7, body)
+    push = Push(np.ones(shape), 0.0, 1.0)
+    assert as_load(push) is push
+
+
+def load_of_orientation(t, pose, twist):
+    """As its force the first number of the orientation, in each coordinate."""
+    return jnp.ravel(pose.orientation)[0] + 0.0 * twist.velocity, 0.0 * twist.spin

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import jaxroll as jxr
 from jaxroll._linalg import Vec2, Vec3
@@ -43,7 +44,6 @@ BODIES = {
     "finger in space": finger3(armature=[1e-6, 2e-6]),
     "free in space": jxr.FreeObject3(BALL, 0.3, [1e-5, 2e-5, 3e-5]),
     "stage": jxr.Stage(BALL, wavering, base=(0.1, 0.2, 0.3), rotation=(1, 2, 0, 3)),
-    "turntable": jxr.Stage(BALL, Turning(1.7, axis=(1.0, 2.0, -2.0), centre=(0.1, 0.0, 0.3))),
 }
 
 
@@ -75,7 +75,9 @@ def test_a_body_moves_as_its_pose_does_and_weighs_as_its_potential_says(name):
     @jax.jit
     def found(q, v):
         motion, inertia = body.motion(q, v, gravity)
-        _, resting = body.motion(q, tuple(0.0 * x for x in v), gravity)
+        still = tuple(0.0 * x for x in v)
+        _, resting = body.motion(q, still, gravity)
+        afloat = body.motion(q, still, None)[1].force
         spin, zero = body.placed(q)[1](v), jnp.zeros(())
         arrays = lambda x: x.array() if hasattr(x, "array") else jnp.asarray(x)  # noqa: E731
         twists = [
@@ -88,9 +90,9 @@ def test_a_body_moves_as_its_pose_does_and_weighs_as_its_potential_says(name):
             tuple(a + s * b for a, b in zip(q, body.rates(q, v), strict=True)), gravity
         )
         slope = jax.grad(stored)(zero)
-        return twists, arrays(spin), pose, rate, bend, slope, resting.force, inertia.mass
+        return twists, arrays(spin), pose, rate, bend, slope, (resting.force, afloat), inertia.mass
 
-    twists, spin, pose, rate, bend, slope, force, mass = found(q, v)
+    twists, spin, pose, rate, bend, slope, (force, afloat), mass = found(q, v)
     (*units, twist, bias), size = twists, 2 if plane else 3
     close = {"rtol": 1e-12, "atol": 1e-13}
     np.testing.assert_allclose(rate[0], twist[0], **close)
@@ -108,6 +110,7 @@ def test_a_body_moves_as_its_pose_does_and_weighs_as_its_potential_says(name):
         np.testing.assert_allclose(bend[0], bias[0], rtol=1e-11, atol=1e-12)
         turned = _turning(bias[1], pose[1]) + _turning(twist[1], _turning(twist[1], pose[1]))
         np.testing.assert_allclose(bend[1], turned, rtol=1e-11, atol=1e-12)
+    assert not any(map(float, afloat))
     power = sum(float(f) * float(x) for f, x in zip(force, v, strict=True))
     np.testing.assert_allclose(slope, power, rtol=1e-11, atol=1e-15)
     rows = [len(row) for row in mass]
@@ -210,6 +213,24 @@ def test_joints_and_the_tip_are_the_skeleton():
     tip = first + 0.07 * np.array([np.cos(-0.8), np.sin(-0.8)])
     found = [p.array() for p in BODIES["finger"].prepared().skeleton(q)]
     np.testing.assert_allclose(found, [(0.1, -0.2), first, tip], rtol=1e-14)
+
+
+def test_a_stage_moves_relative_to_its_base_and_a_fixed_one_rests():
+    """Its frame is that of the motion, turned and moved as the base is."""
+    stage, t, arm = BODIES["stage"], 0.7, np.array([0.3, -0.2, 0.5])
+    of = lambda quaternion: Rotation.from_quat(np.array(quaternion)[[1, 2, 3, 0]])  # noqa: E731
+    point, own = wavering(t)
+    wanted = np.array([0.1, 0.2, 0.3]) + of([1, 2, 0, 3]).apply(np.array(point) + of(own).apply(arm))
+    found = jax.jit(lambda t: stage.pose((t,)).place(Vec3(*map(jnp.asarray, arm))).array())(t)
+    np.testing.assert_allclose(found, wanted, rtol=1e-13)
+    fixed = jxr.Stage(BALL, base=(0.1, 0.2, 0.3), rotation=(1, 2, 0, 3))
+    motion, inertia = fixed.motion((), (), None)
+    wanted = np.array([0.1, 0.2, 0.3]) + of([1, 2, 0, 3]).apply(arm)
+    np.testing.assert_allclose(motion.pose.place(Vec3(*map(jnp.asarray, arm))).array(), wanted, rtol=1e-13)
+    for twist in (motion.twist, motion.bias):
+        assert [*twist.velocity.array(), *twist.spin.array()] == 6 * [0.0]
+    assert (inertia.mass, inertia.force, motion.unit_twists) == ((), (), ())
+    assert float(jax.jit(lambda t: fixed.placed(())[1](()).array().sum() + t)(0.0)) == 0.0
 
 
 def test_steady_rotation_keeps_its_axis_in_place():

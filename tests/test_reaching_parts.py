@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxroll as jxr
-from jaxroll._reaching import _choice, _grasp_points, _overlap, _postures, _reach, _sheet, sheet_of
+from jaxroll._reaching import _choice, _grasp_points, _overlap, _postures, _reach, sheet_of
 from jaxroll._reaching._sheet import Frames
 from tests.recorded import runs
 
@@ -238,3 +238,436 @@ def test_pairs_that_do_not_become_antipodal_are_left_out():
     np.testing.assert_allclose(found.normals[0], [-line, line], atol=1e-12)
     np.testing.assert_allclose(found.points[0, 1], middle + 0.01 * line, atol=1e-14)
     np.testing.assert_allclose(found.points[0, 0], sheets[0].frames(found.places[:, 0]).points[0])
+
+
+# Sheets and what is outside of an object.
+
+
+def test_a_place_of_a_surface_after_a_step_is_on_it_beside_the_stepped_point():
+    """On a ball: below the end of the tangent step, which is any combination of both tangents."""
+    sheet = sheet_of(jxr.Sphere(0.03))
+    at = 0.03 * np.array([[0.6, 0.0, 0.8], [-0.48, 0.6, 0.64]])
+    steps = np.array([[0.004, -0.001], [0.002, 0.005]])
+    here = sheet.frames(at)
+    ends = at + np.einsum("nk,nkd->nd", steps, here.tangents)
+    wanted = 0.03 * ends / np.linalg.norm(ends, axis=1)[:, None]
+    np.testing.assert_allclose(sheet.moved(at, steps), wanted, atol=1e-15)
+
+
+def test_bends_of_a_surface_are_how_its_normals_turn():
+    sheet, h = sheet_of(jxr.Ellipsoid(0.03, 0.02, 0.012)), 1e-6
+    unit = np.array([[0.36, 0.48, 0.8], [-0.64, 0.6, 0.48]])
+    at = unit * [0.03, 0.02, 0.012]
+    here = sheet.frames(at)
+    np.testing.assert_allclose(here.points, at, atol=1e-15)
+    gradient = at / np.array([0.03, 0.02, 0.012]) ** 2
+    np.testing.assert_allclose(here.normals, gradient / np.linalg.norm(gradient, axis=1)[:, None], atol=1e-14)
+    axes = np.concatenate([here.normals[:, None], here.tangents], axis=1)
+    np.testing.assert_allclose(axes @ np.swapaxes(axes, 1, 2), [np.eye(3)] * 2, atol=1e-14)
+    for b in range(2):
+        ahead, behind = (sheet.frames(sheet.moved(at, s * h * np.eye(2)[[b, b]])).normals for s in (1, -1))
+        turning = np.einsum("nkd,nd->nk", here.tangents, (ahead - behind) / (2.0 * h))
+        np.testing.assert_allclose(here.bends[:, :, b], turning, rtol=1e-6, atol=1e-6)
+
+
+def test_frames_of_many_places_are_those_of_each():
+    at = np.linspace(-0.2, 0.7, 1300)[:, None]
+    here = sheet_of(jxr.Circle(0.05).moved((0.3, 0.1), 0.4)).frames(at)
+    out = ways(*(at[:, 0] / 0.05 + 0.4))
+    np.testing.assert_allclose(here.points, [0.3, 0.1] + 0.05 * out, atol=1e-15)
+    np.testing.assert_allclose(here.normals, out, atol=1e-14)
+    np.testing.assert_allclose(here.tangents[:, 0], out @ turned(np.pi / 2).T, atol=1e-14)
+    assert here.bends.shape == (1300, 1, 1) and np.allclose(here.bends, 20.0)
+
+
+def test_a_foot_is_found_from_the_far_side_too():
+    """A point in a disc, nearest to a place beyond the centre from where the search begins."""
+    sheet = sheet_of(jxr.Circle(0.02))
+    point = 0.015 * ways(0.3)
+    for start in (3.0, -2.2, 1.9):
+        found = sheet.feet(point, np.array([[0.02 * start]]), 60)
+        np.testing.assert_allclose(sheet.frames(found).points, 0.02 * ways(0.3), atol=1e-12)
+
+
+def test_points_are_outside_of_an_object_by_the_farthest_of_its_faces():
+    """Of a plate by both of its faces, of a disc by one; past ends by the way to them."""
+    points = np.array([[0.03, 0.002], [0.004, 0.01], [-0.06, 0.04], [0.0, 0.0]])
+    plate = _overlap.sampled_object([sheet_of(x) for x in jxr.scenes.rectangle(0.02, 0.05).contours], 0.1)
+    np.testing.assert_allclose(_overlap.heights(plate, points), [0.02, -0.006, np.hypot(0.07, 0.015), -0.01])
+    disc = _overlap.sampled_object([sheet_of(jxr.Circle(0.02).moved((0.01, 0.0)))], 0.1)
+    wanted = np.linalg.norm(points - [0.01, 0.0], axis=1) - 0.02
+    np.testing.assert_allclose(_overlap.heights(disc, points), wanted, atol=1e-12)
+    endless = _overlap.sampled_object([sheet_of(jxr.Line().moved((0.01, 0.0), 0.3))], 0.1)
+    np.testing.assert_allclose(_overlap.heights(endless, points), (points - [0.01, 0.0]) @ ways(0.3)[0])
+    # A line along y: beside its end the way counts where it is off the normal by some degrees.
+    line = _overlap.sampled_object([sheet_of(jxr.Line((-0.02, 0.03)))], 0.1)
+    off = np.radians([2.0, 3.0, 40.0, 110.0])
+    beside = [0.0, 0.03] + 0.05 * ways(*off)
+    np.testing.assert_allclose(_overlap.heights(line, beside), [0.05 * np.cos(off[0]), 0.05, 0.05, 0.05])
+
+
+def test_faces_with_ends_are_those_that_do_not_go_round():
+    shapes = [jxr.Line((-0.02, 0.03)), jxr.Line(), jxr.Circle(0.02), jxr.Plane(), jxr.Sphere(0.02)]
+    assert [_overlap._has_ends(sheet_of(shape)) for shape in shapes] == [True, False, False, False, False]
+
+
+# Postures.
+
+
+def damped(rows, slopes, damping):
+    square = slopes.T @ slopes
+    return -np.linalg.solve(square + damping * np.diag(np.diag(square)), slopes.T @ rows)
+
+
+def test_steps_are_damped_by_the_diagonal():
+    rng = np.random.default_rng(2)
+    rows, slopes = rng.normal(size=(3, 6)), rng.normal(size=(3, 6, 4)) * [0.1, 1.0, 7.0, 2.0]
+    damping = np.array([1e-3, 0.5, 30.0])
+    found = _postures._damped(rows, slopes, damping)
+    wanted = [damped(*each) for each in zip(rows, slopes, damping, strict=True)]
+    np.testing.assert_allclose(found, wanted, rtol=1e-9)
+    # A direction in which nothing changes is not gone.
+    slopes[..., 1] = 0.0
+    found = _postures._damped(rows, slopes, damping)
+    assert np.isfinite(found).all() and np.abs(found[:, 1]).max() == 0.0
+
+
+def reacher_of(free=(True, True), length=0.13):
+    """A finger of two links with an elliptic tip that is aside of its frame."""
+    tip = jxr.Ellipse(0.012, 0.008).moved((0.003, -0.002), 0.4)
+    finger = jxr.Finger([0.06, 0.05], [0.03, 0.02], tip, base=(0.01, 0.02))
+    sheet = sheet_of(tip)
+    places = sheet.sampled(384, 0.05)
+    return _postures.Reacher(finger, sheet, np.array(free), length, places, sheet.frames(places))
+
+
+def tip_at(reacher, q, places):
+    """Points and normals of the tip in the world, of one posture."""
+    headings = np.cumsum(q)
+    origin = np.array([0.01, 0.02]) + np.array([0.06, 0.05]) @ ways(*headings)
+    here = reacher.tip.frames(places)
+    turn = turned(headings[-1])
+    return origin + here.points @ turn.T, here.normals @ turn.T
+
+
+TARGETS = _postures.TouchPoints(np.array([[0.07, 0.04], [0.02, 0.11]]), ways(2.0, -0.7))
+
+
+def test_rows_and_slopes_of_postures_are_those_of_their_points():
+    """Two contacts of one tip; slopes by central differences. A joint that is held changes nothing."""
+    reacher, h = reacher_of(free=(True, False)), 1e-6
+    q, places = np.array([[0.3, 0.9], [-0.4, 1.7]]), np.array([[[0.004], [0.02]], [[0.011], [0.033]]])
+    _, _, error, rows, slopes = _postures._evaluated(reacher, TARGETS, q, places)
+
+    def rows_of(i, step):
+        points, normals = tip_at(reacher, q[i] + step[:2], places[i] + step[2:, None])
+        gaps = (points - TARGETS.points) / 0.13
+        return np.concatenate([gaps.ravel(), (normals + TARGETS.normals).ravel()])
+
+    for i in range(2):
+        np.testing.assert_allclose(rows[i], rows_of(i, np.zeros(4)), atol=1e-14)
+        np.testing.assert_allclose(error[i], np.sum(rows[i] ** 2))
+        for k, step in enumerate(h * np.eye(4)):
+            wanted = (rows_of(i, step) - rows_of(i, -step)) / (2.0 * h)
+            np.testing.assert_allclose(slopes[i, :, k], 0.0 * wanted if k == 1 else wanted, atol=1e-7)
+    # What is not a number is farther than all else.
+    q[0, 0] = np.nan
+    assert np.isinf(_postures._evaluated(reacher, TARGETS, q, places)[2]).tolist() == [True, False]
+
+
+def test_a_search_begins_where_the_tip_faces_its_targets():
+    reacher, q = reacher_of(), np.array([[0.3, 0.9], [-0.4, 1.7], [2.0, 0.1]])
+    found = _postures._facing(reacher, TARGETS, q)
+    assert found.shape == (3, 2, 1)
+    for posture, places in zip(q, found, strict=True):
+        _, normals = tip_at(reacher, posture, places)
+        np.testing.assert_allclose(np.sum(normals * TARGETS.normals, axis=1), -1.0, atol=0.01)
+
+
+def test_places_of_a_tip_are_shifted_by_less_than_half_its_radius():
+    reacher = reacher_of()
+    places = np.array([[[0.004], [0.02]], [[0.011], [0.033]]])
+    steps = np.array([[1e-4, -2e-4], [3e-4, 1.0]])
+    bend = reacher.tip.frames(places[1, 1:]).bends[0, 0, 0]
+    length = float(np.diff(reacher.tip.shape.domain())[0])
+    wanted = places[..., 0] + [[1e-4, -2e-4], [3e-4, 0.5 / bend]]
+    np.testing.assert_allclose(_postures._shifted(reacher, places, steps)[..., 0] % length, wanted % length)
+
+
+def test_what_a_search_leaves_is_told_in_metres_and_by_normals():
+    """Two targets that one tip cannot touch at once: the larger gap, and the larger sum of two normals."""
+    reacher, limits = reacher_of(), np.array([[-0.2, 0.6], [0.5, 1.1]])
+    starts = np.random.default_rng(5).uniform(-3.0, 3.0, (10, 2))
+    found = _postures.searched_postures(reacher, TARGETS, np.clip(starts, *limits.T), limits)
+    assert found.q.shape == (64, 2) and found.places.shape == (64, 2, 1)
+    assert np.all((found.q >= limits[:, 0]) & (found.q <= limits[:, 1]))
+    for i in (0, 5, 9):
+        points, normals = tip_at(reacher, found.q[i], found.places[i])
+        gaps = np.linalg.norm(points - TARGETS.points, axis=1)
+        tilts = np.linalg.norm(normals + TARGETS.normals, axis=1)
+        np.testing.assert_allclose((found.gaps[i], found.tilts[i]), (gaps.max(), tilts.max()), rtol=1e-9)
+
+
+def stands(q, gaps=None, tilts=None):
+    n = len(q)
+    zero = np.zeros(n)
+    return _postures.Postures(
+        np.array(q, float),
+        np.arange(n, dtype=float).reshape(n, 1, 1),
+        zero if gaps is None else np.array(gaps),
+        zero if tilts is None else np.array(tilts),
+    )
+
+
+def test_a_posture_touches_where_its_points_and_normals_meet_to_rounding():
+    q = [[0.1], [0.2], [0.3], [0.4], [0.1 + 0.9e-6], [0.3 + 1.5e-6]]
+    found = stands(q, [0.9e-14, 1.5e-14, 0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.8e-11, 1.5e-11, 0.0, 0.0])
+    reacher = SimpleNamespace(length=0.1, finger=SimpleNamespace(turns=False), free=np.array([True]))
+    assert _postures.touching(reacher, found).places.ravel().tolist() == [0.0, 2.0, 5.0]
+    # Of a tiny finger, to what is rounding of a millimetre.
+    small = SimpleNamespace(length=1e-5, finger=SimpleNamespace(turns=False), free=np.array([True]))
+    tiny = stands([[0.1], [0.2]], [0.9e-16, 1.5e-16])
+    assert _postures.touching(small, tiny).places.ravel().tolist() == [0.0]
+    # Displacements are not brought within a turn.
+    assert _postures.touching(reacher, stands([[7.0]])).q.tolist() == [[7.0]]
+
+
+def test_frames_in_space_have_their_axes_as_columns():
+    from scipy.spatial.transform import Rotation
+
+    body, turn = jxr.scenes.cuboid(), Rotation.from_rotvec([0.3, -0.8, 0.5])
+    q = np.concatenate([[0.1, -0.2, 0.3], np.roll(turn.as_quat(), 1)])
+    origin, way = _postures.poses_at(body, q[None])
+    np.testing.assert_allclose(origin, q[None, :3])
+    np.testing.assert_allclose(way[0], turn.as_matrix(), atol=1e-15)
+
+
+def test_origins_of_tips_are_the_ends_of_the_links():
+    grasp, _ = runs.scene("pinch")
+    q = np.array([0.3, 0.2, 0.1, 1.0, -0.5, 0.3, 0.9, 0.8])
+    found = _postures.tip_origins(grasp, q)
+    for finger, joints, end in zip(grasp.fingers, (q[3:6], q[6:]), found, strict=True):
+        links = np.asarray(finger.lengths) @ ways(*np.cumsum(joints))
+        np.testing.assert_allclose(end, np.asarray(finger.base) + links, atol=1e-15)
+
+
+# Which posture is taken, and what is said where none is.
+
+
+def chosen(monkeypatch, found, wish=None, *, clear=None, touches=None, targets=1, later=None):
+    """The choice among postures that a search is said to find, of which some are said to touch."""
+    answers = [found] + ([] if later is None else [later])
+    monkeypatch.setattr(_choice, "searched_postures", lambda *_: answers.pop(0))
+    kept = slice(None) if touches is None else touches
+    monkeypatch.setattr(_choice, "touching", lambda reacher, found: found.taken(kept))
+    overlaps, links = (np.zeros(9), np.full(9, 0.05)) if clear is None else clear
+    seen = lambda reacher, some, _: (overlaps[: len(some.q)], links[: len(some.q)], links[: len(some.q)])  # noqa: E731
+    monkeypatch.setattr(_choice, "_clearances", seen)
+    finger = SimpleNamespace(joints=2, turns=True, base=np.array([0.01, 0.02]))
+    reacher = SimpleNamespace(finger=finger, length=0.1, free=np.array([True, True]))
+    points = np.array([[0.04, 0.06], [0.07, 0.10]])[:targets]
+    wish = wish or _choice.Wish(0, None, None, -np.inf)
+    return _choice.chosen_posture(reacher, _postures.TouchPoints(points, 0.0 * points), wish, None)
+
+
+JOINTS = [[0.4, -1.0], [0.3, 1.2], [0.2, 0.7]]
+
+
+def test_a_posture_that_touches_and_overlaps_nothing_is_taken(monkeypatch):
+    one = chosen(monkeypatch, stands(JOINTS))
+    assert (one.code, one.reason, one.count, one.overlap, one.links) == ("successful", "", 3, 0.0, 0.05)
+    assert one.posture.q.tolist() == [[0.2, 0.7]]  # the smallest angles
+    for elbow, wanted in ((1, [0.2, 0.7]), (-1, [0.4, -1.0])):
+        one = chosen(monkeypatch, stands(JOINTS), _choice.Wish(elbow, None, None, -np.inf))
+        assert one.code == "successful" and one.posture.q.tolist() == [wanted]
+    one = chosen(monkeypatch, stands(JOINTS[1:]), _choice.Wish(-1, None, None, -np.inf))
+    assert (one.code, one.count, one.overlap, one.links) == ("unreachable", 2, 0.0, np.inf)
+    assert one.posture.q.tolist() == [[0.3, 1.2]] and "other sign than elbow=-1" in one.reason
+    # A finger that touches nothing may stay where its search began.
+    one = chosen(monkeypatch, stands(JOINTS), touches=[], targets=0)
+    assert one.code == "successful" and one.posture.q.tolist() == [[0.4, -1.0]]
+
+
+def test_where_none_touches_the_nearest_is_told(monkeypatch):
+    """By gaps over the finger's length and sums of normals together; why, by the target that is too far."""
+    nearest = stands(JOINTS, [0.03, 0.02, 0.06], [0.2, 0.25, 0.05])
+    one = chosen(monkeypatch, nearest, touches=[])
+    assert (one.code, one.overlap, one.links, one.count) == ("unreachable", 0.0, np.inf, 0)
+    assert one.posture.q.tolist() == [[0.3, 1.2]]
+    assert one.reason.startswith("its nearest posture leaves 0.02 m and normals that are 0.25 off")
+    far = SimpleNamespace(finger=SimpleNamespace(base=np.array([0.01, 0.02])), length=0.0999)
+    targets = _postures.TouchPoints(np.array([[0.04, 0.06], [0.07, 0.10]]), None)
+    said = _choice._too_far(far, targets, nearest.taken([1]))
+    assert said == "a target is 0.1 m from its base, and it reaches 0.0999 m at most"
+    far.length = 0.1001
+    assert _choice._too_far(far, targets, nearest.taken([1])).startswith("its nearest posture leaves 0.02 m")
+    baseless = SimpleNamespace(finger=SimpleNamespace(), length=0.01)
+    assert _choice._too_far(baseless, targets, nearest.taken([0])).startswith(
+        "its nearest posture leaves 0.03"
+    )
+
+
+def test_the_joint_that_is_least_beyond_its_limit_is_told(monkeypatch):
+    limits = np.array([[-0.1, 0.25], [-0.5, 0.6]])
+    one = chosen(
+        monkeypatch, stands(JOINTS), _choice.Wish(0, None, limits, -np.inf), later=stands(JOINTS[:2])
+    )
+    assert (one.code, one.count, one.overlap, one.links) == ("joint_limit", 3, 0.0, np.inf)
+    assert one.posture.q.tolist() == [[0.4, -1.0]]
+    assert one.reason == "joint 1 would have to be 0.1 beyond its limit"
+    below = _choice._beyond(stands([[-0.4, 0.0], [0.9, -0.7]]), limits)
+    assert below == "joint 0 would have to be 0.3 beyond its limit"
+    # A second search that stays within the limits may find one.
+    inside = stands([[0.9, 0.0], [0.1, 0.5]])
+    one = chosen(monkeypatch, stands(JOINTS), _choice.Wish(0, None, limits, -np.inf), later=inside)
+    assert (one.code, one.count, one.posture.q.tolist()) == ("successful", 3, [[0.1, 0.5]])
+
+
+def test_overlaps_and_links_that_meet_are_told(monkeypatch):
+    wish = _choice.Wish(0, None, None, 0.004)
+    for overlap, links, code in (
+        (0.9e-7, 0.004, "successful"),
+        (1.1e-7, 0.004, "penetration"),
+        (0.0, 0.0039, "links_meet"),
+        (2e-4, 0.0039, "penetration"),
+    ):
+        one = chosen(monkeypatch, stands(JOINTS[:1]), wish, clear=(np.array([overlap]), np.array([links])))
+        assert (one.code, one.overlap, one.links, one.count) == (code, overlap, links, 1)
+        assert (str(links) in one.reason) == (code == "links_meet")
+        assert (f"overlaps the object by {overlap:.3g} m" in one.reason) == (code == "penetration")
+
+
+def test_postures_are_looked_at_some_at_a_time_until_one_overlaps_nothing(monkeypatch):
+    """By a guess the nearest first: of the first dozen all overlap, one of the next does not."""
+    asked = []
+
+    def seen(reacher, some, _):
+        asked.append(len(some.q))
+        overlaps = np.where(some.q[:, 0] > 1.35, 0.0, 1e-3 * some.q[:, 0])
+        return overlaps, 0.02 + some.q[:, 0], some.q[:, 0]
+
+    monkeypatch.setattr(_choice, "_clearances", seen)
+    reacher = SimpleNamespace(finger=SimpleNamespace(turns=True))
+    many = stands(np.arange(40, 0, -1)[:, None] / 10)
+    wish = _choice.Wish(0, np.array([0.0]), None, 0.0)
+    one, overlap, links = _choice._best(reacher, many, wish, None)
+    assert asked == [12, 12] and one.q.tolist() == [[1.4]] and (overlap, links) == (0.0, 1.42)
+    # If all overlap, or links meet, the best of all.
+    one, overlap, links = _choice._best(reacher, many.taken(many.q[:, 0] < 1.35), wish, None)
+    assert asked[2:] == [12, 1] and one.q.tolist() == [[0.1]] and (overlap, links) == (1e-4, 0.12)
+    one, overlap, links = _choice._best(reacher, many, wish._replace(link_radius=9.0), None)
+    assert asked[4:] == [12, 12, 12, 4] and one.q.tolist() == [[4.0]] and (overlap, links) == (0.0, 4.02)
+
+
+def test_searches_start_within_the_limits_and_about_the_guess():
+    turning = SimpleNamespace(joints=2, turns=True)
+    reacher = SimpleNamespace(finger=turning, length=0.1, free=np.array([True, False]))
+    targets = _postures.TouchPoints(np.array([[0.3, -0.7]]), None)
+    spread = lambda starts: np.stack([starts.min(axis=0), starts.max(axis=0)])  # noqa: E731
+    free = _choice._starts(reacher, targets, _choice.Wish(0, None, None, 0.0))
+    assert free.shape == (64, 2)
+    np.testing.assert_allclose(spread(free), [[-np.pi] * 2, [np.pi] * 2], atol=0.3)
+    limits = np.array([[-0.5, 9.0], [1.0, 1.5]])
+    kept = _choice._starts(reacher, targets, _choice.Wish(0, None, limits, 0.0))
+    np.testing.assert_allclose(spread(kept), [[-0.5, 1.0], [np.pi, 1.5]], atol=0.2)
+    assert np.all(kept >= limits[:, 0]) and np.all(kept[:, 1] <= 1.5)
+    # Limits that are beyond a turn leave one number.
+    beyond = _choice._starts(
+        reacher, targets, _choice.Wish(0, None, np.array([[4.0, 5.0], [-1.0, 1.0]]), 0.0)
+    )
+    assert np.all(beyond[:, 0] == 4.0)
+    guess = np.array([0.3, 0.8])
+    near = _choice._starts(reacher, targets, _choice.Wish(0, guess, limits, 0.0))
+    assert near[0].tolist() == [0.3, 0.8] and np.all(near[:, 1] == 0.8)  # the second joint is held
+    about = near[1:16, 0] - 0.3
+    assert abs(about.mean()) < 0.6 and 0.3 < about.std() < 1.5
+    np.testing.assert_array_equal(near[16:, 0], kept[16:, 0])
+    jaw = SimpleNamespace(finger=SimpleNamespace(joints=1, turns=False), length=0.1, free=np.array([True]))
+    far = _choice._starts(jaw, targets, _choice.Wish(0, None, None, 0.0))
+    np.testing.assert_allclose(spread(far), [[-0.8], [0.8]], atol=0.1)
+    none = _postures.TouchPoints(np.zeros((0, 2)), None)
+    near = _choice._starts(jaw, none, _choice.Wish(0, None, None, 0.0))
+    np.testing.assert_allclose(spread(near), [[-0.15], [0.15]], atol=0.02)
+
+
+def test_how_deep_a_tip_overlaps_and_how_far_its_links_stay():
+    """Of a disc that is aside of the object's frame, which is turned; 70 postures, as more than one batch."""
+    reacher, middle, pose, angle = reacher_of(), np.array([0.01, -0.02]), np.array([0.05, 0.06]), 0.7
+    solid = _overlap.sampled_object([sheet_of(jxr.Circle(0.03).moved(middle))], 0.1)
+    q = np.random.default_rng(1).uniform(-1.0, 2.0, (70, 2))
+    found = _choice._clearances(
+        reacher, _postures.Postures(q, None, None, None), (solid, pose[None], turned(angle)[None])
+    )
+    centre = pose + turned(angle) @ middle
+    share = np.linspace(0.0, 1.0, 16)[:, None]
+    overlaps = []
+    for i in range(70):
+        headings = np.cumsum(q[i])
+        joints = np.array([0.01, 0.02]) + np.concatenate(
+            [[[0.0, 0.0]], np.cumsum(ways(*headings) * [[0.06], [0.05]], axis=0)]
+        )
+        links = np.concatenate([a + share * (b - a) for a, b in zip(joints[:-1], joints[1:], strict=True)])
+        away = np.linalg.norm(links - centre, axis=1) - 0.03
+        np.testing.assert_allclose((found[1][i], found[2][i]), (away.min(), away.mean()), atol=1e-6)
+        tip = joints[-1] + reacher.samples.points @ turned(headings[-1]).T
+        overlaps.append(max(0.0, 0.03 - np.linalg.norm(tip - centre, axis=1).min()))
+    np.testing.assert_allclose(found[0], overlaps, atol=1e-9)
+    assert 5 < np.count_nonzero(overlaps) < 65
+    assert _choice._links(np.zeros((3, 4, 2))) == [(0, 1), (1, 2), (2, 3)]
+    assert _choice._links(np.zeros((3, 1, 2))) == [(0, 0)]
+
+
+# What `reach` is asked for.
+
+
+def test_points_of_an_object_are_given_by_themselves_or_by_places():
+    body = jxr.FreeObject([jxr.Circle(0.02), jxr.Line((-0.03, 0.03)).moved((0.1, 0.0))], 0.1, 1e-5)
+    fingers = [jxr.Finger([0.05], [0.02], jxr.Circle(0.01))] * 2
+    contacts = [jxr.Contact(finger=0, contour=1), jxr.Contact(finger=1, contour=0)]
+    grasp = jxr.Grasp(body, fingers, contacts)
+    faces = [sheet_of(x) for x in body.contours]
+    solid = _overlap.sampled_object(faces, 0.1)
+    at = _reach._places_on(grasp, faces, solid, [(0.1, 0.013), 0.02 * ways(0.7)[0]])
+    np.testing.assert_allclose(np.ravel(at), [0.013, 0.02 * 0.7], atol=1e-12)
+    at = _reach._places_on(grasp, faces, solid, [0.013, 0.004])
+    assert [x.tolist() for x in at] == [[0.013], [0.004]]
+    for given in ([0.1], [[0.1, 0.2, 0.3]] * 2, 0.3, np.zeros((2, 1, 1)), np.zeros((1, 2))):
+        with pytest.raises(
+            ValueError, match=r"argument contacts must have shape \(2, 2\), or be a place for"
+        ):
+            _reach._places_on(grasp, faces, solid, given)
+    # By a hundredth of the object's size, 0.12 m, a point may be off.
+    _reach._foot(solid, 1, np.array([0.1011, 0.0]))
+    with pytest.raises(ValueError, match=r"argument contacts must be points of the object.* 0.0013 m from"):
+        _reach._foot(solid, 1, np.array([0.1013, 0.0]))
+    targets = _reach._targets(grasp, faces, at, np.array([0.3, -0.2, 0.4]))
+    points = np.array([[0.1, 0.013], 0.02 * ways(0.2)[0]])
+    normals = np.array([[1.0, 0.0], ways(0.2)[0]])
+    np.testing.assert_allclose(targets.points, [0.3, -0.2] + points @ turned(0.4).T, atol=1e-15)
+    np.testing.assert_allclose(targets.normals, normals @ turned(0.4).T, atol=1e-15)
+
+
+def test_a_finger_is_measured_by_its_links_and_its_tip():
+    grasp, state = runs.scene("pinch")
+    first, second = (_reach._reacher(grasp, i, (4, 7)) for i in (0, 1))
+    assert first.free.tolist() == [True, False, True] and second.free.tolist() == [True, False]
+    for reacher in (first, second):
+        tip = np.abs(reacher.tip.frames(reacher.places).points).max()
+        np.testing.assert_allclose(reacher.length, 0.13 + tip)
+        assert len(reacher.places) == 384
+    q = np.arange(8.0)
+    guess = jxr.State(q, state.v, state.s)
+    assert [_reach._joints(grasp, guess, i).tolist() for i in (0, 1)] == [[3.0, 4.0, 5.0], [6.0, 7.0]]
+    assert _reach._joints(grasp, None, 0) is None
+    plain, thick = SimpleNamespace(), SimpleNamespace(link_radius=0.003, limits=[(0, 1)])
+    assert [_reach._radius(x, r) for x in (plain, thick) for r in (None, 0.002)] == [
+        -np.inf,
+        0.002,
+        0.003,
+        0.002,
+    ]
+    assert _reach._limits(plain) is None and _reach._limits(thick).tolist() == [[0.0, 1.0]]
+    assert _reach._elbows(None, 3) == [0, 0, 0] and _reach._elbows((1, 0, -1), 3) == [1, 0, -1]
+    for elbow in (True, (1, 2), [1, 1.0], "up"):
+        with pytest.raises(ValueError, match="argument elbow must be 1, -1 or 0"):
+            _reach._elbows(elbow, 2)

@@ -483,6 +483,8 @@ def test_a_posture_that_touches_and_overlaps_nothing_is_taken(monkeypatch):
     one = chosen(monkeypatch, stands(JOINTS[1:]), _choice.Wish(-1, None, None, -np.inf))
     assert (one.code, one.count, one.overlap, one.links) == ("unreachable", 2, 0.0, np.inf)
     assert one.posture.q.tolist() == [[0.3, 1.2]] and "other sign than elbow=-1" in one.reason
+    one = chosen(monkeypatch, stands(JOINTS), _choice.Wish(0, np.array([0.3, 1.1]), None, -np.inf))
+    assert one.posture.q.tolist() == [[0.3, 1.2]]  # the nearest to the guess
     # A finger that touches nothing may stay where its search began.
     one = chosen(monkeypatch, stands(JOINTS), touches=[], targets=0)
     assert one.code == "successful" and one.posture.q.tolist() == [[0.4, -1.0]]
@@ -490,11 +492,11 @@ def test_a_posture_that_touches_and_overlaps_nothing_is_taken(monkeypatch):
 
 def test_where_none_touches_the_nearest_is_told(monkeypatch):
     """By gaps over the finger's length and sums of normals together; why, by the target that is too far."""
-    nearest = stands(JOINTS, [0.03, 0.02, 0.06], [0.2, 0.25, 0.05])
+    nearest = stands(JOINTS, [0.03, 0.02, 0.06], [0.2, 0.35, 0.05])
     one = chosen(monkeypatch, nearest, touches=[])
     assert (one.code, one.overlap, one.links, one.count) == ("unreachable", 0.0, np.inf, 0)
-    assert one.posture.q.tolist() == [[0.3, 1.2]]
-    assert one.reason.startswith("its nearest posture leaves 0.02 m and normals that are 0.25 off")
+    assert one.posture.q.tolist() == [[0.4, -1.0]]
+    assert one.reason.startswith("its nearest posture leaves 0.03 m and normals that are 0.2 off")
     far = SimpleNamespace(finger=SimpleNamespace(base=np.array([0.01, 0.02])), length=0.0999)
     targets = _postures.TouchPoints(np.array([[0.04, 0.06], [0.07, 0.10]]), None)
     said = _choice._too_far(far, targets, nearest.taken([1]))

@@ -285,3 +285,71 @@ def test_an_object_between_fingers_is_asked_for_pair_by_pair(monkeypatch):
         turn = np.array([[np.cos(pose[2]), -np.sin(pose[2])], [np.sin(pose[2]), np.cos(pose[2])]])
         np.testing.assert_allclose(turn @ (points[1] - points[0]), [0.04, 0.0], atol=1e-12)
     assert jxr.scenes.pinch_object(body)[2] is None
+
+
+class Pairs(SimpleNamespace):
+    """Pairs of points as `grasp_points` finds them."""
+
+    def __len__(self):
+        return len(self.points)
+
+
+@pytest.mark.parametrize("axes", [2, 3])
+def test_a_pinch_is_given_up_after_some_tries(monkeypatch, axes):
+    """What was found unreachable is not tried again; of fingers of one's own that are too short none is."""
+    if axes == 2:
+        body, hand = jxr.FreeObject(jxr.Circle(0.02), 0.1, 1e-5), _any_pinch._chapter_hand(1.0)
+    else:
+        body, hand = jxr.scenes.spheroid(), _any_pinch._chapter_hand3(1.0)
+    points = np.zeros((1, 2, axes))
+    points[0, :, 0] = -0.02, 0.02
+    pairs = Pairs(points=points, normals=points / 0.02, faces=np.zeros((1, 2), int))
+    pose = np.zeros(3) if axes == 2 else np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    tries, given = [], []
+    monkeypatch.setattr(_any_pinch, "grasp_points", lambda *args, **options: given.append(args[1:]) or pairs)
+    monkeypatch.setattr(_any_pinch, "_in_turn", lambda *_: ((0, (hand, pose, (0, 1))) for _ in range(99)))
+    monkeypatch.setattr(_any_pinch, "_tips_of", lambda fingers: None)
+    monkeypatch.setattr(_any_pinch, "out_of_reach", lambda *_: "it is too far")
+
+    def refused(code, **options):
+        tries.clear()
+        stuck = SimpleNamespace(result=getattr(jxr.RESULTS, code), reason="it is stuck")
+        monkeypatch.setattr(_any_pinch, "reach", lambda *args, **options: tries.append(args) or stuck)
+        with pytest.raises(ValueError) as told:
+            jxr.scenes.pinch_object(body, **options)
+        assert str(told.value).endswith("; an object of another size or shape may help")
+        return str(told.value).removeprefix("argument fingers must reach the object, but did not ").split(";")
+
+    most = 30 if axes == 2 else 40
+    assert refused("penetration")[:2] == [f"in {most} tries", " at the last it is stuck"]
+    assert len(tries) == most and given == [(0.8,)]
+    for code in ("unreachable", "joint_limit"):
+        assert refused(code)[:2] == ["in 1 try", " at the last it is stuck"] and len(tries) == 1
+    assert refused("links_meet", fingers=hand, friction=0.3)[0] == "and none was tried: it is too far"
+    assert tries == [] and given[-1] == (0.3,)
+    monkeypatch.setattr(_any_pinch, "_in_turn", lambda *_: iter(()))
+    assert refused("links_meet")[0].endswith("their tips are never about as far apart as it is wide")
+
+
+def test_an_object_is_put_at_four_distances_from_its_hand():
+    """As shares of the object's width of 90 mm, three times that of the chapter's; on the axis in space."""
+    points = np.array([[[0.0, 0.1, 0.0], [0.0, 0.19, 0.0]]])
+    body = SimpleNamespace(inertia=(1.0, 2.0, 3.0))
+    for axes, x in ((2, 0.0825), (3, 0.0)):
+        pairs = SimpleNamespace(
+            points=points[..., :axes], normals=points[..., :axes], distance=np.array([0.09])
+        )
+        spatial = jxr.scenes.cuboid() if axes == 3 else body
+        tried = list(_any_pinch._placed(spatial, None, pairs, 0))
+        turns = 4 if axes == 3 else 1
+        assert [order for _, _, order in tried] == ([(0, 1)] * turns + [(1, 0)] * turns) * 4
+        middles = []
+        for hand, pose, order in tried:
+            assert len(hand) == 2 and float(hand[0].tip.radius) == pytest.approx(0.03)
+            there = _pinch_targets._in_world(points[0, list(order), :axes], points[0, :, :axes], pose)[0]
+            np.testing.assert_allclose(there[1] - there[0], [0.09, 0.0, 0.0][:axes], atol=1e-12)
+            middles.append(there.mean(axis=0))
+        ahead = np.repeat([0.345, 0.3, 0.39, 0.255], 2 * turns)
+        np.testing.assert_allclose(
+            middles, np.stack([x + 0 * ahead, ahead, 0 * ahead], 1)[:, :axes], atol=1e-12
+        )

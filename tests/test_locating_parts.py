@@ -306,6 +306,86 @@ def test_what_is_left_of_the_conditions_depends_on_the_ends():
     np.testing.assert_allclose(_location._residual(line_scene(), at), [2.0 * np.sin(0.1), 0.07, beside, 0.0])
 
 
+@functools.cache
+def newton():
+    return jax.jit(
+        lambda shapes, s, held: _location._newton(scene_of(*shapes, at=(0.05, 0.004, 2.9)), s, held)
+    )
+
+
+def test_a_step_to_closest_points_is_newtons_wherever_a_place_is_held():
+    """Of two open arcs: what is left of an error is of its second order."""
+    shapes = jxr.Catenary(0.02, (-0.02, 0.011)), jxr.Catenary(0.03, (-0.013, 0.02))
+    held = np.array([False, False, True, True]), np.array([False, True, False, True])
+    root = np.array([0.003, 0.003, 0.011, 0.011]), np.array([-0.002, -0.013, -0.006, -0.013])
+    for _ in range(30):
+        root = tuple(np.asarray(x) for x in newton()(shapes, root, held))
+    scene = scene_of(*shapes, at=(0.05, 0.004, 2.9))
+    at = jax.jit(lambda s, held: _location._pairs(scene, s, held))(root, held)
+    arm, along_a, along_b = (np.stack([*x], axis=1) for x in (at.arm, at.a.tangent, at.b.tangent))
+    turned = along_a[:, 0] * along_b[:, 1] - along_a[:, 1] * along_b[:, 0]
+    aside = turned, np.sum(arm * along_a, axis=1), np.sum(arm * along_b, axis=1)
+    np.testing.assert_allclose(root[0][2:], 0.011, atol=1e-15)
+    np.testing.assert_allclose(root[1][1::2], -0.013, atol=1e-15)
+    np.testing.assert_allclose([aside[0][0], aside[2][0], aside[1][1], aside[2][2]], 0.0, atol=1e-14)
+    for step in ((1e-5, 0.0), (0.0, 1e-5), (1e-5, -2e-5)):
+        found = newton()(shapes, (root[0] + step[0], root[1] + step[1]), held)
+        for x, wanted in zip(found, root, strict=True):
+            assert np.abs(x - wanted).max() < 3e-8
+
+
+def test_between_parallel_lines_the_first_place_stays():
+    line = jxr.Line((-0.02, 0.03)).prepared()
+    scene = _location._Scene(line, line, pose(0.05, 0.004, np.pi), 0.02)
+    s, held = (jnp.array([0.01]), jnp.array([0.007])), (jnp.array([False]),) * 2
+    found = jax.jit(lambda s: _location._newton(scene, s, held))(s)
+    np.testing.assert_allclose(np.ravel(found), [0.01, 0.004 - 0.01], atol=1e-15)
+
+
+def test_pairs_are_minima_that_fit_in_every_respect():
+    """Of a line with samples 0.1 apart, in a scene of scale 2: some pairs just fit, others just fail."""
+    n, line = 16, jxr.Line((-1.0, 2.0)).prepared()
+    ones = np.ones(n)
+    side = float(line.frame(jnp.zeros(())).tangent.right().x)
+    s_a, s_b, distance, rise, bend, arm = (
+        0.4 * ones,
+        0.3 * ones,
+        0.5 * ones,
+        ones.copy(),
+        ones.copy(),
+        0.0 * ones,
+    )
+    held = np.zeros((2, n), bool)
+    bound, wanted = 0.0 * ones[1:], [True]
+    # Not stationary, falling along the contour, beyond a centre of curvature unless the place is an end.
+    arm[1:3], wanted = (1.9e-11, 2.1e-11), [*wanted, True, False]
+    rise[3:6], wanted = (-4e-10, -6e-10, -6e-10), [*wanted, True, False, True]
+    held[0, 5] = True
+    bend[6:8], wanted = -0.1, [*wanted, False, True]
+    held[1, 7] = True
+    # Another place of the contour is nearer, by where it is and by how far.
+    s_b[8:12], distance[8:12] = (0.324, 0.326, 0.276, 0.35), (0.6, 0.6, 0.6, 0.50009)
+    wanted = [*wanted, True, False, True, True]
+    s_b[12], distance[12], wanted = 0.35, 0.50011, [*wanted, False]
+    # Past the end, and not one of the estimates; the last pair is no minimum.
+    s_a[13], wanted = 2.0 + 2.1e-9, [*wanted, False]
+    bound[14], wanted = np.inf, [*wanted, False, False]
+    frame = Frenet2(Vec2(0.5 * side * ones, 0.3 * ones), Vec2(0 * ones, -ones), 0 * ones)
+    other = Frenet2(Vec2(0 * ones, 0.3 * ones), Vec2(0 * ones, ones), 0 * ones)
+    at = found_pairs(
+        bend=bend, distance=distance, rise=rise, a=frame, b=other, arm=Vec2(0.5 * ones, arm), held=tuple(held)
+    )
+    start = _candidates.Minima((bound, bound), (bound, bound), bound)
+
+    def verified(pairs):
+        samples = _candidates.spread(line, 31)
+        scene = _location._Scene(line, line, pose(0.0, 0.0, 0.0), 2.0)
+        return _location._verified(scene, (samples, line.frame(samples)), pairs, start)
+
+    found = jax.jit(verified)(((s_a, s_b), at))
+    assert found.tolist() == wanted
+
+
 # Pairs of places of two surfaces.
 
 

@@ -51,26 +51,25 @@ def test_the_nearest_sample_is_found_however_many_there_are(count):
 
 def test_feet_on_an_arc_are_to_second_order_and_beyond_its_ends_the_ends():
     """Of a circle of radius 2, whose feet are known, from places up to 0.1 rad off."""
-    disc = jxr.Circle(2.0).prepared()
+    toward = jax.jit(
+        lambda face, ends, at, points: _candidates.toward(face, ends, (at, face.frame(at)), points)
+    )
     angles, heights, off = np.array([0.3, 2.0, 4.0, 5.5]), np.array([0.5, -0.8, 1.5, -0.7]), 0.02
-    at = jnp.asarray(2.0 * (angles + off * np.array([1.0, -1.0, 0.5, 1.0])))
-    points = Vec2(*jnp.asarray(((2.0 + heights)[:, None] * ways(*angles)).T))
-    found = _candidates.toward(disc, (0.0, 4.0 * np.pi), (at, disc.frame(at)), points)
-    np.testing.assert_allclose(found.s, 2.0 * angles, atol=2e-3)
-    np.testing.assert_allclose(found.distance, heights, atol=2e-4)
-    np.testing.assert_allclose(np.stack([*found.slope], axis=1), ways(*angles), atol=2e-3)
-    assert not found.ended.any()
-    # Beyond the centre a step is cut, as if the bend were a half: along the tangent, by twice what is aside.
-    behind = Vec2(*jnp.asarray(-0.5 * ways(0.3 + 1.0).T))
-    start = jnp.array([0.6])
-    found = _candidates.toward(disc, (0.0, 4.0 * np.pi), (start, disc.frame(start)), behind)
+    # The last point is beyond the centre, where a step is cut: twice along the tangent what is aside there.
+    at = 2.0 * np.append(angles + off * np.array([1.0, -1.0, 0.5, 1.0]), 0.3)
+    points = np.concatenate([(2.0 + heights)[:, None] * ways(*angles), -0.5 * ways(0.3 + 1.0)])
+    found = toward(jxr.Circle(2.0).prepared(), (0.0, 4.0 * np.pi), at, Vec2(*points.T))
     aside = -0.5 * np.sin(1.0)
-    np.testing.assert_allclose(found.s, [0.6 + 2.0 * aside])
-    np.testing.assert_allclose(found.distance, [-0.5 * np.cos(1.0) - 2.0 + 0.25 * aside**2 * 2.0])
+    np.testing.assert_allclose(found.s[:4], 2.0 * angles, atol=2e-3)
+    np.testing.assert_allclose(found.distance[:4], heights, atol=2e-4)
+    np.testing.assert_allclose(np.stack([*found.slope], axis=1)[:4], ways(*angles), atol=2e-3)
+    np.testing.assert_allclose(
+        (found.s[4], found.distance[4]), (0.6 + 2.0 * aside, -0.5 * np.cos(1.0) - 2.0 + 0.5 * aside**2)
+    )
+    assert not found.ended.any()
     line = jxr.Line((-1.0, 2.0)).prepared()
-    points = Vec2(jnp.array([0.3, -0.4, 0.0, -0.6]), jnp.array([-1.4, 2.3, 2.0, 2.0]))
-    at = jnp.array([-1.0, 2.0, 2.0, 2.0])
-    found = _candidates.toward(line, (-1.0, 2.0), (at, line.frame(at)), points)
+    points = Vec2(np.array([0.3, -0.4, 0.0, -0.6]), np.array([-1.4, 2.3, 2.0, 2.0]))
+    found = toward(line, (-1.0, 2.0), np.array([-1.0, 2.0, 2.0, 2.0]), points)
     np.testing.assert_allclose(found.s, [-1.0, 2.0, 2.0, 2.0])
     # At the end itself the distance has the sign of its side.
     normal = float(line.frame(jnp.zeros(())).tangent.right().x)
@@ -80,18 +79,18 @@ def test_feet_on_an_arc_are_to_second_order_and_beyond_its_ends_the_ends():
 
 def test_the_least_of_samples_is_that_of_a_parabola():
     """Of a closed contour the last sample is the first again, so that its minimum may lie at the seam."""
+    least = jax.jit(_candidates.least, static_argnums=1)
     curve = lambda x, low: 3.0 + 2.0 * (x - low) ** 2  # noqa: E731
     x = np.arange(7.0)
-    assert float(_candidates.least(jnp.asarray(curve(x, 3.3)), False)) == pytest.approx(3.0)
-    assert float(_candidates.least(jnp.asarray(curve(x, 3.3)), True)) == pytest.approx(3.0)
+    for closed in (False, True):
+        assert float(least(curve(x, 3.3), closed)) == pytest.approx(3.0)
     # At an end of an open contour the sample itself is the least.
     for low, value in ((-0.2, 3.08), (0.2, 3.08), (6.2, 3.08), (5.8, 3.08)):
-        assert float(_candidates.least(jnp.asarray(curve(x, low)), False)) == pytest.approx(value)
+        assert float(least(curve(x, low), False)) == pytest.approx(value)
     around = 2.0 * np.minimum(np.abs(x - 0.3), np.abs(x - 6.3)) ** 2
-    np.testing.assert_allclose(float(_candidates.least(jnp.asarray(around), True)), 0.0, atol=1e-12)
-    np.testing.assert_allclose(float(_candidates.least(jnp.asarray(around[::-1]), True)), 0.0, atol=1e-12)
-    assert float(_candidates.least(jnp.array([1.0, 1.0, 1.0, 1.0]), True)) == 1.0
-    assert float(_candidates.least(jnp.array([3.0, 1.0, 1.0, 3.0]), False)) == pytest.approx(0.75)
+    np.testing.assert_allclose([least(around, True), least(around[::-1], True)], 0.0, atol=1e-12)
+    assert float(least(np.ones(7), True)) == 1.0
+    assert float(least(np.array([9.0, 3.0, 1.0, 1.0, 3.0, 9.0, 9.0]), False)) == pytest.approx(0.75)
 
 
 def test_a_dip_is_placed_by_its_rates_and_bounded_by_its_tangents():
@@ -566,8 +565,8 @@ def test_equal_gaps_and_missed_minima_are_not_unique():
 
 
 def test_quotients_are_kept_between_bounds_and_where_nothing_is_divided():
-    above, below = jnp.array([0.3, -1.0, 3.0, 1.0, 0.5]), jnp.array([0.6, 2.0, 2.0, 0.0, -1.0])
-    np.testing.assert_allclose(jax.vmap(_links._between)(above, below), [0.5, 0.0, 1.0, 0.0, 0.0])
+    above, below = np.array([0.3, -1.0, 3.0, 1.0, 0.5]), np.array([0.6, 2.0, 2.0, 0.0, -1.0])
+    np.testing.assert_allclose(_links._between(above, below), [0.5, 0.0, 1.0, 0.0, 0.0])
     np.testing.assert_allclose(_links._over(above, below), [0.5, -0.5, 1.5, 0.0, -0.5])
     heights = [(jnp.array([1.0, 5.0]), Vec2(jnp.array([1.0, 2.0]), jnp.array([3.0, 4.0])))]
     heights += [(jnp.array([2.0, 4.0]), Vec2(jnp.array([5.0, 6.0]), jnp.array([7.0, 8.0])))]
@@ -592,24 +591,27 @@ def plate_heights(points, width, height):
 def test_links_and_tips_stay_clear_of_a_plate_as_all_their_points_do():
     """The plate is turned and elsewhere; chains of two links and of one, the second into it."""
     body, turn = pose(0.02, -0.01, 0.4), np.array([[np.cos(0.4), -np.sin(0.4)], [np.sin(0.4), np.cos(0.4)]])
-    faces = [face.prepared() for face in jxr.scenes.rectangle(0.03, 0.08).contours]
+    faces = [jxr.Line((-0.04, 0.04)).moved((x, 0.0), angle) for x, angle in ((-0.015, np.pi), (0.015, 0.0))]
     own = [
         np.array([[0.05, -0.07], [0.031, 0.013], [0.06, 0.03]]),
         np.array([[-0.04, 0.01], [-0.006, 0.022]]),
     ]
     chains = [[Vec2(*(np.array([0.02, -0.01]) + turn @ point)) for point in chain] for chain in own]
-    program = jax.jit(lambda chains: _links.links_clearance(body, chains, faces, samples=64))
+    tip, at = jxr.Circle(0.012), np.array([0.024, 0.012])
+    place = pose(*(np.array([0.02, -0.01]) + turn @ at), 0.9)
+
+    def told(chains):
+        ready = [face.prepared() for face in faces]
+        links = _links.links_clearance(body, chains, ready, samples=64)
+        return links, _clearance.clearance((place, body), tip.prepared(), ready, samples=128)
+
+    links, tips = jax.jit(told)(chains)
     share = np.linspace(0.0, 1.0, 20_001)[:, None]
-    for chain, found in zip(own, program(chains), strict=True):
+    for chain, found in zip(own, links, strict=True):
         points = np.concatenate([a + share * (b - a) for a, b in zip(chain[:-1], chain[1:], strict=True)])
         np.testing.assert_allclose(found, plate_heights(points, 0.03, 0.08).min(), atol=1e-6)
-    tip, at = jxr.Ellipse(0.012, 0.008).prepared(), np.array([0.024, 0.012])
-    place = pose(*(np.array([0.02, -0.01]) + turn @ at), 0.9)
-    found = jax.jit(lambda: _clearance.clearance((place, body), tip, faces, samples=128))()
-    u = np.linspace(0.0, 2.0 * np.pi, 20_001)
-    half = np.array([[np.cos(0.5), -np.sin(0.5)], [np.sin(0.5), np.cos(0.5)]])
-    points = at + np.stack([0.012 * np.cos(u), 0.008 * np.sin(u)], axis=1) @ half.T
-    np.testing.assert_allclose(found, plate_heights(points, 0.03, 0.08).min(), atol=1e-6)
+    points = at + 0.012 * ways(*np.linspace(0.0, 2.0 * np.pi, 20_001))
+    np.testing.assert_allclose(tips, plate_heights(points, 0.03, 0.08).min(), atol=1e-6)
 
 
 def test_beside_an_end_of_a_surface_a_point_is_outside_by_its_distance(monkeypatch):

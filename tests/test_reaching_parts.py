@@ -1,5 +1,6 @@
 """Pieces of the searches for points to hold by and for postures, against hand-worked values and NumPy."""
 
+import functools
 from types import SimpleNamespace
 
 import numpy as np
@@ -332,6 +333,7 @@ def test_steps_are_damped_by_the_diagonal():
     assert np.isfinite(found).all() and np.abs(found[:, 1]).max() == 0.0
 
 
+@functools.cache
 def reacher_of(free=(True, True), length=0.13):
     """A finger of two links with an elliptic tip that is aside of its frame."""
     tip = jxr.Ellipse(0.012, 0.008).moved((0.003, -0.002), 0.4)

@@ -448,13 +448,32 @@ def test_equations_of_a_pair_are_derivatives_of_its_distance():
         follow = jnp.stack(equations.follow((0.0, 0.0), (0.3, -0.8)))
         basis = jnp.stack([vector.array() for vector in equations.basis[1]])
         slope, aside = equations.conditions(*frames)
-        return heights, feet, jnp.stack(slope), jnp.stack(aside), jnp.stack([*equations.rise]), follow, basis
+        # From a place beside the foot the slope is that at the foot, and the way back to it is known.
+        beside = _pair3.stepped(pair, at, equations.basis, ((0.0, 0.0), (5e-5, -3e-5)))
+        there = pair.frames(beside)
+        nearby = _pair3.linear(*there)
+        pulled, off = nearby.conditions(*there)
+        again = _pair3.stepped(pair, beside, nearby.basis, ((0.0, 0.0), nearby.follow(off, (0.0, 0.0))))
+        slips = [pair.frames(x)[1].point - frames[1].point for x in (beside, again)]
+        lost = jnp.stack([*(p - s for p, s in zip(pulled, slope, strict=True)), *(x.norm() for x in slips)])
+        return (
+            lost,
+            heights,
+            feet,
+            jnp.stack(slope),
+            jnp.stack(aside),
+            jnp.stack([*equations.rise]),
+            follow,
+            basis,
+        )
 
     found = jax.jit(jax.vmap(told))(np.array(origins), np.array(places))
-    for i, (height, feet, slope, aside, rise, follow, basis) in enumerate(
+    for i, (lost, height, feet, slope, aside, rise, follow, basis) in enumerate(
         zip(*map(np.asarray, found), strict=True)
     ):
         np.testing.assert_allclose(aside, 0.0, atol=1e-14)
+        np.testing.assert_allclose(lost[:2], 0.0, atol=3e-5)
+        np.testing.assert_allclose(lost[2:], [np.hypot(5e-5, 3e-5), 0.0], atol=3e-7)
         rates = np.array([height[1] - height[2], height[3] - height[4]]) / (2.0 * h)
         np.testing.assert_allclose(slope, rates, atol=5e-5)
         rates = np.stack([feet[1] - feet[2], feet[3] - feet[4]]) / (2.0 * h)

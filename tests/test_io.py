@@ -1,6 +1,7 @@
 """Files: what is written comes back; units; solids; silhouettes; sections."""
 
 import builtins
+import math
 import pathlib
 
 import numpy as np
@@ -8,9 +9,9 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll.geometry import polygon_area
-from jaxroll.io import _tables, _vector
+from jaxroll.io import _outline, _tables, _vector
 from jaxroll.io._mesh import spread_points
-from jaxroll.io._outline import even
+from jaxroll.io._outline import chosen, even, filled_places, filled_polygon
 
 BODY = jxr.Ellipse(0.02, 0.014)
 TOLERANCE = 2e-6
@@ -584,3 +585,333 @@ def test_points_spread_over_a_mesh_lie_on_it_evenly():
 def test_what_is_no_path_is_refused_in_one_sentence(path):
     with pytest.raises(ValueError, match="argument path must be the name of a file, but was"):
         jxr.io.read_points(path, unit="m")
+
+
+def test_chords_of_an_outline_leave_the_contour_equally_far_and_are_as_many_as_they_need_be():
+    """A fiftieth more than the integral of the root of curvature over eight tolerances, which is rounded up."""
+    circle = _outline.outline(jxr.Circle(0.02), TOLERANCE)
+    assert len(circle) == math.ceil(1.02 * 2.0 * np.pi * np.sqrt(0.02 / (8.0 * TOLERANCE)))
+    u = np.linspace(0.0, 2.0 * np.pi, 20001)
+    speed = np.hypot(0.02 * np.sin(u), 0.014 * np.cos(u))
+    bend = 0.02 * 0.014 / speed**3
+    points = _outline.outline(BODY, TOLERANCE)
+    assert len(points) == math.ceil(1.02 * np.trapezoid(np.sqrt(bend / (8.0 * TOLERANCE)) * speed, u))
+    off = off_ellipse(0.5 * (points + np.roll(points, -1, axis=0)))
+    assert off.min() > 0.97 * off.max()
+
+
+def test_an_outline_has_a_33rd_of_its_length_from_point_to_point_at_most():
+    straight = _outline.outline(jxr.Line((-0.01, 0.03)), 1.0)
+    np.testing.assert_allclose(straight[:, 1], np.linspace(-0.01, 0.03, 34), atol=1e-15)
+    assert len(_outline.outline(jxr.Circle(0.02), 0.1)) == 33
+
+
+def test_an_outline_that_is_found_too_far_off_is_cut_finer(monkeypatch):
+    """By the root of how much too far it is, and a twentieth more."""
+    found = iter([2.25, 1.0])
+    monkeypatch.setattr(_outline, "_off_chords", lambda ends, middles: np.array([0.1, next(found)]))
+    assert len(_outline.outline(jxr.Line((-0.01, 0.03)), 1.0)) == math.ceil(1.05 * 1.5 * 33) + 1
+
+
+def test_an_outline_has_200000_points_at_most():
+    """As many as there may be, and half a point more."""
+    needs = lambda count: 0.02 / 8.0 * (1.02 * 2.0 * np.pi / count) ** 2  # noqa: E731
+    assert len(_outline.outline(jxr.Circle(0.02), needs(199_999.5))) == 200_000
+    with pytest.raises(ValueError, match="argument tolerance must need at most 200000 points"):
+        _outline.outline(jxr.Circle(0.02), needs(200_000.5))
+
+
+def test_a_contour_is_written_to_a_micrometre_unless_asked_otherwise(tmp_path):
+    count = math.ceil(1.02 * 2.0 * np.pi * np.sqrt(0.01 / 8e-6))
+    path = jxr.io.write_outline(jxr.Circle(0.01), tmp_path / "disc.csv", unit="in")
+    assert len(jxr.io.read_points(path, unit="in")) == count
+    assert path.read_text().splitlines()[0] == "# x [in], y [in]"
+    path = jxr.io.write_stl(jxr.Circle(0.01), tmp_path / "disc.stl", height=0.003)
+    vertices, faces = jxr.io.read_mesh(path, unit="mm")
+    assert len(vertices) == 2 * count and set(vertices[:, 2].round(9)) == {0.0, 0.003}
+
+
+def test_how_far_points_are_from_chords():
+    ends = np.array([[1.0, 2.0], [4.0, 6.0], [4.0, 9.0]])
+    middles = ends[:-1] + [[3.0, 0.0], [-0.5, 1.0]]
+    np.testing.assert_allclose(_outline._off_chords(ends, middles), [12.0 / 5.0, 0.5], rtol=1e-15)
+
+
+@pytest.mark.parametrize("wrong", [[1.0, 2.0, 3.0], [[1.0, 2.0]], [[[1.0, 2.0, 3.0]]], [[1.0, 2.0, np.inf]]])
+def test_points_have_so_many_numbers_each(wrong):
+    with pytest.raises(ValueError, match=r"argument points must be finite numbers of shape \(any, 3\)"):
+        _outline.as_points("points", wrong, 3)
+    np.testing.assert_array_equal(_outline.as_points("points", [[1, 2, 3]], 3), [[1.0, 2.0, 3.0]])
+
+
+@pytest.mark.parametrize(
+    ("corners", "count", "closed", "wanted"),
+    [
+        ([1.0, 4.0], 10, True, [0, 1, 2, 3, 4, 5, 6, 7, 8, 9]),
+        ([1.0, 4.0], 5, True, [1, 2.5, 4, 5.75, 7.5, 9.25]),
+        ([1.0, 1.5], 5, True, [1, 1.5, 3.4, 5.3, 7.2, 9.1]),
+        ([], 4, True, [0, 2.5, 5, 7.5]),
+        ([4.0], 5, False, [0, 2, 4, 6, 8, 10]),
+        ([4.0, 4.2], 5, False, [0, 2, 4, 4.2, 4.2 + 5.8 / 3, 4.2 + 11.6 / 3, 10]),
+        ([], 4, False, [0, 2.5, 5, 7.5, 10]),
+    ],
+)
+def test_places_between_corners_are_evenly_spaced(corners, count, closed, wanted):
+    """On an outline ten long: all corners, and as many places on each part as its share of the length."""
+    np.testing.assert_allclose(filled_places(10.0, np.array(corners), count, closed=closed), wanted)
+
+
+def test_a_polygon_is_filled_between_its_corners():
+    """One vertex is straight and one turns by 0.1 to the right: a corner if a smaller angle is one."""
+    bent = np.array([[0, 0], [1.5, 0], [4, 0], [4, -3], [4 - 3 * np.sin(0.1), -3 - 3 * np.cos(0.1)]])
+    wanted = [[0, 0], [1, 0], [2, 0], [3, 0], [4, 0], [4, -1], [4, -2], [4, -3]]
+    last = [bent[3] + k * (bent[4] - bent[3]) / 3 for k in (1, 2, 3)]
+    found = filled_polygon(bent, 10, closed=False, sharp=0.09)
+    np.testing.assert_allclose(found, [*wanted, *last], atol=1e-12)
+    # Four points on four lengths, three on the six that follow: two each, on either side of the bend.
+    few = filled_polygon(bent, 5, closed=False, sharp=0.11)
+    ends = np.array([[0, 0], [2, 0], [4, 0], [4, -2], bent[3] + (bent[4] - bent[3]) / 3, bent[4]])
+    np.testing.assert_allclose(few, ends, atol=1e-12)
+    triangle = np.array([[1.0, 1.0], [1.0, 4.0], [5.0, 1.0]])
+    around = filled_polygon(triangle, 12, closed=True, sharp=1.0)
+    np.testing.assert_allclose(around[:4], [[1, 1], [1, 2], [1, 3], [1, 4]], atol=1e-12)
+    np.testing.assert_allclose(around[[6, 8, 11]], [[3.4, 2.2], [5, 1], [2, 1]], atol=1e-12)
+
+
+def test_outlines_are_counted_from_the_one_with_the_longest_diagonal():
+    sized = lambda x, y: np.array([[7.0, 3.0], [7.0 + x, 3.0 + y], [7.0, 3.0 + y]])  # noqa: E731
+    outlines = [sized(3.0, 3.0), sized(0.1, 5.0), sized(4.0, 1.0)]
+    for which, index in enumerate((1, 0, 2)):
+        assert chosen(outlines, which, "outlines") is outlines[index]
+    for which in (-1, 3):
+        with pytest.raises(ValueError, match=f"must be below the number of outlines, 3, but was {which}"):
+            chosen(outlines, which, "outlines")
+
+
+BLOCK = np.array([[x, y, z] for x in (0.01, 0.04) for y in (-0.02, 0.03) for z in (0.005, 0.025)])
+BLOCK_FACES = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1]]
+BLOCK_FACES += [[2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
+
+
+def test_an_oblique_section_of_a_block():
+    """Where the plane cuts the block's twelve edges, in the axes that the plane is said to have."""
+    origin, normal = np.array([0.02, 0.01, 0.017]), np.array([2.0, -1.0, 4.0])
+    (outline,) = jxr.io.section(BLOCK, BLOCK_FACES, origin=origin, normal=normal)
+    n = normal / np.linalg.norm(normal)
+    u = np.array([0.0, 1.0, 0.0]) - n[1] * n
+    u = u / np.linalg.norm(u)
+    v = np.cross(n, u)
+    arms, edges = BLOCK - origin, [(i, j) for i in range(8) for j in range(i) if (i ^ j) in (1, 2, 4)]
+    cut = []
+    for i, j in edges:
+        low, high = arms[i] @ n, arms[j] @ n
+        if low * high < 0.0:
+            cut.append(arms[i] + low / (low - high) * (arms[j] - arms[i]))
+    wanted = np.array([[u @ p, v @ p] for p in cut])
+    near = np.linalg.norm(outline[:, None] - wanted[None], axis=2)
+    assert near.min(axis=0).max() < 1e-15 and polygon_area(outline) > 0.0
+    # The rest are points of the diagonals, on the sides of the same polygon.
+    turn = np.argsort(np.arctan2(*(wanted - wanted.mean(axis=0)).T[::-1]))
+    assert polygon_area(outline) == pytest.approx(polygon_area(wanted[turn]), rel=1e-12)
+
+
+def test_the_larger_of_two_sections_comes_first():
+    small = 0.5 * BLOCK + [0.1, 0.0, 0.0]
+    both, faces = np.concatenate([small, BLOCK]), np.array(BLOCK_FACES)
+    cuts = jxr.io.section(
+        both, np.concatenate([faces, faces + 8]), origin=(0.0, 0.0, 0.01), normal=(0.0, 0.0, -3.0)
+    )
+    assert [polygon_area(cut) for cut in cuts] == pytest.approx([0.03 * 0.05, 0.015 * 0.025])
+
+
+def test_vertices_in_the_plane_count_as_above_it():
+    """A plane through the upper face cuts that out; one through the lower face cuts nothing."""
+    (top,) = jxr.io.section(BLOCK, BLOCK_FACES, origin=(0, 0, 0.025), normal=(0, 0, 1))
+    assert polygon_area(top) == pytest.approx(0.03 * 0.05)
+    with pytest.raises(ValueError, match="the mesh lies from 0 to 0.02 m of it"):
+        jxr.io.section(BLOCK, BLOCK_FACES, origin=(0, 0, 0.005), normal=(0, 0, 1))
+
+
+@pytest.mark.parametrize(
+    "faces",
+    [
+        [[0.0, 1.0, 2.0]],
+        [0, 1, 2],
+        [[0, 1, 2, 3]],
+        np.zeros((0, 3), int),
+        [[0, 1, -1]],
+        [[0, 1, 8]],
+        [[0, 1, 2], [0, 1]],
+    ],
+)
+def test_faces_are_indices_of_three_vertices(faces):
+    with pytest.raises(ValueError, match="argument faces must be (indices )?of shape"):
+        jxr.io.section(BLOCK, faces, origin=(0.02, 0.0, 0.01), normal=(0, 0, 1))
+
+
+@pytest.mark.parametrize("normal", [(1.0, 0.0), (0.0, 0.0, np.inf), np.eye(3), (0.0, np.nan, 1.0)])
+def test_a_normal_is_one_vector_of_three_numbers(normal):
+    with pytest.raises(ValueError, match="argument normal must"):
+        jxr.io.section(BLOCK, BLOCK_FACES, origin=(0.02, 0.0, 0.01), normal=normal)
+
+
+def test_solids_of_the_least_and_of_the_largest_height(tmp_path):
+    for height in (1e-9, 1e3):
+        path = jxr.io.write_stl(jxr.Circle(0.01), tmp_path / "a.stl", height=height, tolerance=1e-4)
+        assert np.ptp(jxr.io.read_mesh(path, unit="mm")[0][:, 2]) == pytest.approx(height, rel=1e-6)
+    for height in (0.9e-9, 1.1e3):
+        with pytest.raises(ValueError, match="argument height must lie between 1e-09 and 1000 m"):
+            jxr.io.write_stl(jxr.Circle(0.01), tmp_path / "a.stl", height=height, tolerance=1e-4)
+
+
+def test_points_of_a_ply_are_finite_and_have_three_numbers_as_normal(tmp_path):
+    path = tmp_path / "scan.ply"
+
+    def write(names, *rows):
+        lines = "".join(f"property float {name}\n" for name in names.split())
+        head = f"ply\nformat ascii 1.0\nelement vertex {len(rows)}\n{lines}end_header\n"
+        path.write_text(head + "".join(f"{row}\n" for row in rows))
+
+    write("x y z nx ny", "0 0 1 0 1", "2 0 0 1 0")
+    points, normals = jxr.io.read_cloud(path, unit="in")
+    np.testing.assert_allclose(points, [[0.0, 0.0, 0.0254], [0.0508, 0.0, 0.0]])
+    assert normals is None
+    write("x y z", "0 0 1", "2 nan 0")
+    with pytest.raises(ValueError, match="a file of finite vertices, but scan.ply has others"):
+        jxr.io.read_cloud(path, unit="in")
+    with pytest.raises(ValueError, match="a file with triangles, but scan.ply has none"):
+        jxr.io.read_mesh(path, unit="in")
+
+
+def test_the_width_and_the_first_numbers_of_a_table(tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text("# made by hand\nx, y, z\n 1.5, 2 ,3 # first\n4,5\n")
+    assert _tables.table_width(path) == 3 and _tables.first_numbers(path) == "1.5, 2 ,3"
+    path.write_text("x y\n")
+    assert _tables.table_width(path) == 0 and _tables.first_numbers(path) == ""
+    arrays = tmp_path / "table.NPY"
+    for array, width in ((np.zeros((2, 5)), 5), (np.zeros(4), 0), (np.zeros((2, 3, 4)), 0)):
+        with arrays.open("wb") as file:
+            np.save(file, array)
+        assert _tables.table_width(arrays) == width
+    arrays.write_text("none")
+    assert _tables.table_width(arrays) == 0
+
+
+def test_arrays_in_files_have_the_columns_that_are_asked_for(tmp_path):
+    path = tmp_path / "table.npy"
+    np.save(path, np.arange(8).reshape(2, 4))
+    np.testing.assert_array_equal(jxr.io.read_points(path, unit="m", columns=(3, 1)), [[3, 1], [7, 5]])
+    for array, columns in ((np.ones((2, 2)), (0, 2)), (np.ones((2, 2, 2)), (0, 1)), (np.ones(2), (0, 1))):
+        np.save(path, array)
+        with pytest.raises(ValueError, match="must name an array with columns"):
+            jxr.io.read_points(path, unit="m", columns=columns)
+    np.save(path, np.array([[1.0, 2.0], [3.0, 4.0], [np.nan, 5.0]]))
+    with pytest.raises(ValueError, match=r"in table.npy row 2 was \[nan, 5.0\]"):
+        jxr.io.read_points(path, unit="m")
+    np.save(path, np.ones((2, 2), bool))
+    with pytest.raises(ValueError, match="array of real numbers, but table.npy has bool"):
+        jxr.io.read_points(path, unit="m")
+    with path.open("wb") as file:
+        np.savez(file, a=np.ones((2, 2)))
+    with pytest.raises(ValueError, match="array of real numbers, but table.npy has several arrays"):
+        jxr.io.read_points(path, unit="m")
+
+
+@pytest.mark.parametrize("mark", [b"\xff\xfe", b"\xfe\xff"])
+def test_tables_in_two_bytes_a_character_either_way_round(mark, tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_bytes(mark + "1,2\n3,4\n".encode("utf-16-le" if mark[0] == 255 else "utf-16-be"))
+    np.testing.assert_array_equal(jxr.io.read_points(path, unit="m"), [[1, 2], [3, 4]])
+    path.write_bytes(b"1,2\0\n")
+    with pytest.raises(ValueError, match="a table of numbers, but table.csv is no text"):
+        jxr.io.read_points(path, unit="m")
+
+
+def test_an_svg_without_a_view_box_has_pixels_of_a_96th_of_an_inch(tmp_path):
+    path = tmp_path / "plain.svg"
+    path.write_text(PLAIN.format(width="120mm", units=120).replace('viewBox="0 0 120 60"', ""))
+    assert len(jxr.io.read_points(path, unit="px", pixel=0.0254 / 96)) == 4
+    with pytest.raises(ValueError, match="one unit is 0.264583 mm, but was 1 mm"):
+        jxr.io.read_points(path, unit="mm")
+
+
+def test_an_svg_states_its_size_in_millimetres(tmp_path):
+    path = jxr.io.write_outline(BODY, tmp_path / "body.svg", unit="in", tolerance=1e-4)
+    head = path.read_text().splitlines()[0]
+    size = [float(head.split(f'{name}="')[1].split('mm"')[0]) for name in (" width", " height")]
+    np.testing.assert_allclose(size, [40.0 + 4.0, 28.0 + 4.0], rtol=5e-3)
+
+
+def along(text, samples, fill=True):
+    """Points of one SVG path, by hand without a file."""
+    from svgpathtools import parse_path
+
+    return _vector._along(parse_path(text), samples, fill)
+
+
+def test_points_along_an_open_path_with_an_arc():
+    """A quarter of a circle, smoothly into a straight piece, a corner, another straight piece."""
+    path = "M 0,0 A 10,10 0 0 1 10,10 L 10,30 L -5,30"
+    first = 5.0 * np.pi + 20.0
+    points = along(path, 40)
+    counts = round(40 * first / (first + 15)), round(40 * 15 / (first + 15))
+    assert len(points) == sum(counts) + 1
+    np.testing.assert_allclose(points[[0, counts[0], -1]], [[0, 0], [10, 30], [-5, 30]], atol=1e-9)
+    s = np.arange(counts[0]) * first / counts[0]
+    angle = np.minimum(s, 5.0 * np.pi) / 10.0
+    wanted = [10.0 * np.sin(angle), 10.0 - 10.0 * np.cos(angle) + np.maximum(s - 5.0 * np.pi, 0.0)]
+    np.testing.assert_allclose(points[: counts[0]], np.transpose(wanted), atol=2e-3)
+    even_ones = along(path, 11, fill=False)
+    assert len(even_ones) == 11
+    np.testing.assert_allclose(even_ones[[0, 10]], [[0, 0], [-5, 30]], atol=1e-9)
+    np.testing.assert_allclose(even_ones[9], [-5.0 + (first + 15) / 10, 30], atol=2e-3)
+
+
+@pytest.mark.parametrize(("turn", "kind"), [(0.025, "curves"), (0.015, "curves"), (-0.025, "curves")])
+def test_how_sharp_a_corner_between_curved_pieces_is(turn, kind):
+    """A fiftieth of a radian; such a place is among the points, and others are where they happen to be."""
+    points = along(f"M 0,0 Q 5,0 10,0 Q 15,{5 * turn} 20,{10 * turn} Q 21,{11 * turn} 22,{12 * turn}", 9)
+    there = np.linalg.norm(points - [10.0, 0.0], axis=1).min() < 1e-9
+    assert there == (abs(turn) > 0.02)
+    closed = along("M 0,0 Q 5,0 10,0 Q 10,5 10,10 Q 5,5 0,0 Z", 7)
+    assert all(np.linalg.norm(closed - corner, axis=1).min() < 1e-9 for corner in ((0, 0), (10, 0), (10, 10)))
+
+
+@pytest.mark.parametrize(("turn", "corner"), [(1.5e-9, True), (0.7e-9, False), (-1.5e-9, True)])
+def test_straight_pieces_meet_in_a_corner_however_little_they_turn(turn, corner):
+    points = along(f"M 0,0 L 10,0 L 22,{12 * turn:.12g}", 9)
+    assert (np.abs(points[:, 0] - 10.0).min() < 1e-12) == corner
+    np.testing.assert_array_equal(along("M 0,0 L 10,0 L 22,3", 9, fill=False), [[0, 0], [10, 0], [22, 3]])
+
+
+@pytest.mark.parametrize(("turn", "corner"), [(0.12, True), (0.09, False)])
+def test_a_line_meets_an_arc_of_a_dxf_in_a_corner(turn, corner, tmp_path):
+    """Of which a polygon along the arc has many, but of less than a tenth of a radian."""
+    import ezdxf
+
+    drawing = ezdxf.new(units=ezdxf.units.MM)
+    drawing.modelspace().add_arc((0, 0), 10, -90, 0)
+    drawing.modelspace().add_line((10, 0), (10 - 12 * np.sin(turn), 12 * np.cos(turn)))
+    drawing.saveas(tmp_path / "bent.dxf")
+    points = 1e3 * jxr.io.read_points(tmp_path / "bent.dxf", unit="mm", fill=True, samples=9)
+    assert (np.linalg.norm(points - [10.0, 0.0], axis=1).min() < 1e-5) == corner
+    on_arc = points[points[:, 1] < 0.0]
+    np.testing.assert_allclose(np.linalg.norm(on_arc, axis=1), 10.0, atol=1e-7 * np.hypot(10.0, 22.0))
+
+
+@pytest.mark.parametrize(("gap", "corners"), [(0.7e-6, 4), (1.5e-6, 5)])
+def test_ends_of_a_dxf_meet_within_a_millionth_of_the_drawing(gap, corners, tmp_path):
+    """Four sides of 30 by 40, the last of which ends short of the first one's start by a share of 50."""
+    import ezdxf
+
+    drawing = ezdxf.new(units=ezdxf.units.MM)
+    ends = [(0, 0), (30, 0), (30, 40), (0, 40), (0, 50 * gap)]
+    for start, end in zip(ends, ends[1:], strict=False):
+        drawing.modelspace().add_line(start, end)
+    drawing.saveas(tmp_path / "box.dxf")
+    assert len(jxr.io.read_points(tmp_path / "box.dxf", unit="mm")) == corners
+    drawing.modelspace().delete_all_entities()
+    drawing.modelspace().add_lwpolyline(ends)  # one piece, closed already or not
+    drawing.saveas(tmp_path / "box.dxf")
+    assert len(jxr.io.read_points(tmp_path / "box.dxf", unit="mm")) == corners

@@ -1,5 +1,7 @@
 """Numbers of a grasp from measurements: against SciPy's least squares, and data of another formulation."""
 
+from types import SimpleNamespace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,6 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import curve_fit
 
 import jaxroll as jxr
+from jaxroll import _identify
 from jaxroll._identify import _descend, _inverse
 from tests.oracles.chapter_part2 import Part2
 
@@ -129,3 +132,138 @@ def test_bad_arguments_are_one_sentence(scene, change, words):
     }
     with pytest.raises(ValueError, match=words):
         jxr.identify(**given | change)
+
+
+def straight(size, end, rest=()):
+    """Misfits that are linear in one number, those of the rest being what they are."""
+    slopes = np.array([[size], *([0.0] for _ in rest)])
+    return lambda x: (np.array([size * (float(x[0]) - end), *rest]), slopes)
+
+
+def test_the_first_steps_are_damped_by_a_thousandth_and_by_a_tenth_of_that():
+    matrix, goal = np.array([[3.0, 1.0], [-1.0, 2.0], [0.5, 4.0]]), np.array([1.0, -2.0, 3.0])
+    both = lambda x: (matrix @ np.asarray(x) - goal, matrix)  # noqa: E731
+    x, square = np.array([1.0, -2.0]), matrix.T @ matrix
+    for steps, damping in ((1, 1e-3), (2, 1e-4)):
+        way = np.linalg.solve(square + damping * np.diag(np.diag(square)), matrix.T @ (goal - matrix @ x))
+        x = x + way
+        found = _descend(both, np.array([1.0, -2.0]), steps, known=True)
+        np.testing.assert_allclose(found[0], x, rtol=1e-12)
+        np.testing.assert_allclose(found[3][0], matrix @ x - goal, rtol=1e-9)
+        assert found[1:3] == (steps, jxr.RESULTS.max_steps_reached)
+
+
+@pytest.mark.parametrize(
+    ("first", "rest", "known", "count"),
+    [
+        # The k-th misfit is the one before times the damping d/(1 + d), 1e-3 and then a tenth each time: the
+        # third step is a ten millionth of the first misfit, in deviations.
+        (1.5e4, (), True, 4),
+        (0.7e4, (), True, 3),
+        # A deviation of ten, from four misfits that stay and from four degrees of freedom.
+        (1.5e5, (10.0, -10.0, 10.0, 10.0), False, 4),
+        (0.7e5, (10.0, -10.0, 10.0, 10.0), False, 3),
+        (0.7e5, (10.0, -10.0, 10.0, 10.0), True, 4),
+    ],
+)
+def test_a_search_ends_with_a_step_below_a_thousandth_of_a_deviation(first, rest, known, count):
+    found = _descend(straight(1e6, 1.0 + first / 1e6, rest), np.ones(1), 30, known=known)
+    assert found[1:3] == (count, jxr.RESULTS.successful)
+
+
+@pytest.mark.parametrize(("away", "count"), [(1.5e-2, 4), (0.7e-2, 3), (-1.5e-2, 4), (-0.7e-2, 3)])
+def test_a_search_ends_with_a_step_below_a_billionth_of_the_number(away, count):
+    """However small a deviation is: here a thousandth of it is far below rounding."""
+    for sign in (1.0, -1.0):
+        found = _descend(straight(1e18, sign * (1.0 + away)), sign * np.ones(1), 30, known=True)
+        assert found[1:3] == (count, jxr.RESULTS.successful)
+
+
+def test_a_search_ends_where_no_step_goes_down():
+    """The damping rises by ten from a thousandth, until it is above 1e12."""
+    start, damping, count = np.ones(1), 1e-3, 0
+    while damping <= 1e12:
+        damping, count = damping * 10.0, count + 1
+    edge = lambda x: (np.array([1.0 + (float(x[0]) != 1.0)]), np.ones((1, 1)))  # noqa: E731
+    assert _descend(edge, start, 30, known=True)[:3] == (start, count, jxr.RESULTS.successful)
+    # A step to where there is no number counts as one that goes up.
+    hole = lambda x: (np.array([1.0 if float(x[0]) == 1.0 else np.nan]), np.ones((1, 1)))  # noqa: E731
+    assert _descend(hole, start, 30, known=True)[:3] == (start, count, jxr.RESULTS.successful)
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.7e-14, False), (1.4e-14, True)])
+def test_two_numbers_are_told_apart_above_rounding(share, told):
+    """Columns of length 3 and 5 at a small angle; the scaled matrix has eigenvalues in this proportion."""
+    between = 1.0 - 2.0 * share
+    slopes = np.array([[1.0, between], [0.0, np.sqrt(1.0 - between**2)]]) * [3.0, 5.0]
+    assert np.isfinite(_inverse(slopes)).all() == told
+
+
+@pytest.mark.parametrize(("part", "told"), [(0.85e-6, True), (1.2e-6, False)])
+def test_a_number_that_hardly_takes_part_in_what_is_not_told_is_known(part, told):
+    first, third = np.eye(4)[0], np.eye(4)[2]
+    slopes = np.stack([first, first + np.sqrt(2.0) * part * third, third], axis=1)
+    found = _inverse(slopes)
+    assert np.isinf(found[:2]).all() and np.isfinite(found[2, 2]) == told
+
+
+@pytest.fixture
+def without_runs(scene, monkeypatch):
+    """An identification of a grasp's damping d from 2 d, -3 d and one, which no number changes."""
+    grasp, state = scene
+    ended = SimpleNamespace(result=jxr.RESULTS.successful)
+    asked = []
+
+    def simulated(grasp, state, t1, **options):
+        asked.append(options)
+        return SimpleNamespace(filled=lambda: ended)
+
+    monkeypatch.setattr(_identify, "simulate", simulated)
+    seen = lambda grasp, run: jnp.array([2.0, -3.0, 0.0]) * grasp.controller.damping + jnp.array([0, 0, 1.0])  # noqa: E731
+
+    def identified(measured, **options):
+        make = lambda p: (grasp.with_(**p), state)  # noqa: E731
+        return jxr.identify(make, {"damping": 0.5}, TS, measured, observe=seen, **options)
+
+    return identified, asked
+
+
+def test_what_is_found_and_how_sure_it_is_in_closed_form(without_runs):
+    """A straight line through the origin; of one noise, of three, and of one that the misfit shows."""
+    identified, asked = without_runs
+    ways, measured = np.array([2.0, -3.0, 0.0]), np.array([1.0, -1.3, 1.2])
+    value = ways @ measured / 13.0
+    left = np.append((value * ways - measured)[:2], 1.0 - 1.2)
+    one = identified(measured, noise=0.1, rtol=1e-3)
+    np.testing.assert_array_equal(asked[0]["ts"], TS)
+    assert asked[0]["rtol"] == 1e-3 and asked[0]["throw"] is False
+    assert one.values["damping"] == pytest.approx(value, rel=1e-6) and one.noise == 0.1
+    assert one.deviations["damping"] == pytest.approx(0.1 / np.sqrt(13.0), rel=1e-9)
+    assert one.misfit == pytest.approx(np.sqrt(np.mean(left**2)) / 0.1, rel=1e-6)
+    shown = identified(measured)
+    spread = np.sqrt(left @ left / 2.0)
+    assert shown.noise == pytest.approx(spread, rel=1e-6)
+    assert shown.deviations["damping"] == pytest.approx(spread / np.sqrt(13.0), rel=1e-6)
+    assert shown.misfit == pytest.approx(np.sqrt(2.0 / 3.0), rel=1e-6)
+    noise = np.array([0.1, 0.2, 0.3])
+    weights = 1.0 / noise**2
+    three = identified(measured, noise=noise)
+    best = (weights * ways) @ measured / (weights @ ways**2)
+    assert three.values["damping"] == pytest.approx(best, rel=1e-6)
+    assert three.covariance[0, 0] == pytest.approx(1.0 / (weights @ ways**2), rel=1e-9)
+    np.testing.assert_array_equal(three.noise, noise)
+    with pytest.raises(ValueError, match="must hold more numbers than the 1 of guess, but had 1"):
+        identified(measured[:1])
+
+
+@pytest.mark.parametrize(("times", "result"), [(0.7e6, "successful"), (1.5e6, "undetermined")])
+def test_a_number_with_a_deviation_of_a_million_times_itself_is_none(without_runs, times, result):
+    found = without_runs[0]([1.0, -1.5, 1.0], noise=times * 0.5 * np.sqrt(13.0))
+    assert repr(found.result) == result and found.values["damping"] == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("ts", [[], [-0.1, 0.2], [0.0], [0.1, 0.1], [0.2, 0.1]])
+def test_times_of_measurements_rise_from_zero_or_later(ts):
+    with pytest.raises(ValueError, match="argument ts must"):
+        _identify._times(ts)
+    np.testing.assert_array_equal(_identify._times([0.0, 0.3]), [0.0, 0.3])

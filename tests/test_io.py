@@ -588,7 +588,7 @@ def test_what_is_no_path_is_refused_in_one_sentence(path):
 
 
 def test_chords_of_an_outline_leave_the_contour_equally_far_and_are_as_many_as_they_need_be():
-    """A fiftieth more than the integral of the root of curvature over eight tolerances, which is rounded up."""
+    """A fiftieth more than the integral of the root of curvature over eight tolerances, rounded up."""
     circle = _outline.outline(jxr.Circle(0.02), TOLERANCE)
     assert len(circle) == math.ceil(1.02 * 2.0 * np.pi * np.sqrt(0.02 / (8.0 * TOLERANCE)))
     u = np.linspace(0.0, 2.0 * np.pi, 20001)
@@ -676,6 +676,9 @@ def test_a_polygon_is_filled_between_its_corners():
     around = filled_polygon(triangle, 12, closed=True, sharp=1.0)
     np.testing.assert_allclose(around[:4], [[1, 1], [1, 2], [1, 3], [1, 4]], atol=1e-12)
     np.testing.assert_allclose(around[[6, 8, 11]], [[3.4, 2.2], [5, 1], [2, 1]], atol=1e-12)
+    # A vertex on a side is none of the corners, which stand at 0, 3 and 8 of 12.
+    more = filled_polygon(np.insert(triangle, 1, [1.0, 2.2], axis=0), 5, closed=True, sharp=1.0)
+    np.testing.assert_allclose(more, [[1, 1], [1, 4], [3, 2.5], [5, 1], [3, 1]], atol=1e-12)
 
 
 def test_outlines_are_counted_from_the_one_with_the_longest_diagonal():
@@ -874,7 +877,9 @@ def test_how_sharp_a_corner_between_curved_pieces_is(turn, kind):
     points = along(f"M 0,0 Q 5,0 10,0 Q 15,{5 * turn} 20,{10 * turn} Q 21,{11 * turn} 22,{12 * turn}", 9)
     there = np.linalg.norm(points - [10.0, 0.0], axis=1).min() < 1e-9
     assert there == (abs(turn) > 0.02)
-    closed = along("M 0,0 Q 5,0 10,0 Q 10,5 10,10 Q 5,5 0,0 Z", 7)
+    outline = "M 0,0 Q 5,0 10,0 Q 10,5 10,10 Q 5,5 0,0 Z"
+    assert polygon_area(along(outline, 30, fill=False)) > 0.0
+    closed = along(outline, 7)
     assert all(np.linalg.norm(closed - corner, axis=1).min() < 1e-9 for corner in ((0, 0), (10, 0), (10, 10)))
 
 

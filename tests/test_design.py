@@ -1,5 +1,7 @@
 """Fingertips for condition (41): an analytic optimum, violating starts, limits that exclude it."""
 
+from types import SimpleNamespace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -11,9 +13,10 @@ from scipy.special import ellipe
 
 import jaxroll as jxr
 from jaxroll._linalg._plane import Vec2
-from jaxroll.design import Limits, optimise_fingertip
-from jaxroll.design._limits import sampled
-from jaxroll.design._minimise import minimise
+from jaxroll.design import _design, _fingertip, _minimise, Limits, optimise_fingertip
+from jaxroll.design._descent import _direction, _learnt, Bfgs, Optax, Walk
+from jaxroll.design._limits import check_interval, margins, sampled, soft_least
+from jaxroll.design._minimise import minimise, Search
 from jaxroll.geometry import Frenet2, PeriodicNetwork
 from jaxroll.geometry.contours._free_numbers import wavy_shift
 from tests.subjects.fingertips import INTERVAL, violating_points
@@ -400,3 +403,309 @@ def test_networks_are_designed_by_their_weights(kind):
     design = optimise_fingertip(start, INTERVAL, limits=Limits(size=0.02, radius=0.002), steps=60)
     assert float(design.before[0]) < 0.0 < float(design.after[0])
     assert bool(design.holds[0])
+
+
+def test_a_step_is_downhill_and_four_units_long_at_most():
+    """Where nothing is known the gradient, at most one long; else what the inverse Hessian makes of it."""
+    nothing, known = np.zeros((2, 2)), np.array([[2.0, 0.5], [0.5, 1.0]])
+    for slope in ([3.0, 4.0], [0.3, -0.4]):
+        slope = np.array(slope)
+        wanted = -slope / max(np.hypot(*slope), 1.0)
+        np.testing.assert_allclose(_direction(jnp.asarray(nothing), jnp.asarray(slope)), wanted, rtol=1e-15)
+        way = -known @ slope
+        wanted = way * min(1.0, 4.0 / np.hypot(*way))
+        np.testing.assert_allclose(_direction(jnp.asarray(known), jnp.asarray(slope)), wanted, rtol=1e-14)
+
+
+def test_what_a_step_teaches_of_the_inverse_hessian():
+    """The formula of Broyden, Fletcher, Goldfarb and Shanno; the first time from a multiple of one."""
+    step, change = np.array([0.3, -0.2]), np.array([1.0, 0.4])
+    along = step @ change
+    left = np.eye(2) - np.outer(step, change) / along
+    for before in (np.zeros((2, 2)), np.array([[2.0, 0.5], [0.5, 1.0]])):
+        start = before if before.any() else np.eye(2) * along / (change @ change)
+        wanted = left @ start @ left.T + np.outer(step, step) / along
+        found = _learnt(*map(jnp.asarray, (before, step, change)))
+        np.testing.assert_allclose(found, wanted, rtol=1e-13)
+        np.testing.assert_allclose(found @ change, step, rtol=1e-13)
+    known = jnp.array([[2.0, 0.5], [0.5, 1.0]])
+    for share, useful in ((0.7e-10, False), (1.5e-10, True), (-1.0, False)):
+        change = jnp.array([share, 1.0]) * 5.0
+        assert bool(jnp.any(_learnt(known, jnp.array([3.0, 0.0]), change) != known)) == useful
+
+
+def standing(**changes):
+    """A walk whose next trial is half a unit off along (0.6, -0.8), where the slope promises 0.7 per unit."""
+    walk = {"x": [1.0, 2.0], "cost": 3.0, "slope": [-0.1, 0.8], "trial": [1.3, 1.6], "share": 1.0}
+    walk |= {"memory": [[0.4, 0.1], [0.1, 0.3]]} | changes
+    return Walk(**{name: jnp.asarray(value, float) for name, value in walk.items()})
+
+
+onwards = eqx.filter_jit(lambda walk, cost, slope: Bfgs().ahead(walk, cost, slope, None))
+shorter = eqx.filter_jit(Bfgs()._shorter)
+after_chunk = eqx.filter_jit(lambda search: _minimise._judged(Bfgs(), search))
+with_point = eqx.filter_jit(_minimise._kept)
+
+
+def ahead(walk, cost, slope=(-0.05, 0.3)):
+    return onwards(walk, jnp.asarray(cost, float), jnp.asarray(slope, float))
+
+
+def test_a_trial_is_taken_if_it_brings_a_ten_thousandth_of_what_was_promised():
+    promise = -0.35
+    for share, wanted in ((0.7e-4, False), (1.5e-4, True), (0.5, True), (-0.5, False)):
+        walk, taken = ahead(standing(), 3.0 + share * promise)
+        assert bool(taken) == wanted
+        np.testing.assert_allclose(walk.x, [1.3, 1.6] if wanted else [1.0, 2.0])
+    for cost, slope in ((np.nan, (0.0, 1.0)), (-np.inf, (0.0, 1.0)), (0.0, (np.nan, 1.0))):
+        walk, taken = ahead(standing(), cost, slope)
+        assert not taken and float(walk.cost) == 3.0
+    again, taken = ahead(Bfgs().again(standing()), 7.0)
+    assert taken and float(again.cost) == 7.0 and np.array_equal(again.x, [1.0, 2.0])
+    np.testing.assert_array_equal(again.memory, standing().memory)  # nothing was learnt
+    begun = Bfgs().begin(jnp.array([5.0, 6.0]))
+    assert np.isinf(begun.cost) and np.array_equal(begun.trial, [5.0, 6.0]) and float(begun.share) == 1.0
+    assert not begun.memory.any() and not begun.slope.any()
+
+
+def test_after_a_trial_that_was_taken_the_next_step_is_that_of_what_was_learnt():
+    walk, slope = standing(), np.array([-0.05, 0.3])
+    found, _ = ahead(walk, 2.7, slope)
+    way = np.array([0.3, -0.4])
+    known = _learnt(walk.memory, jnp.asarray(way), jnp.asarray(slope - [-0.1, 0.8]))
+    np.testing.assert_allclose(found.memory, known, rtol=1e-14)
+    np.testing.assert_allclose(found.trial, np.array([1.3, 1.6]) - known @ slope, rtol=1e-14)
+    np.testing.assert_array_equal(found.slope, slope)
+    assert float(found.share) == 1.0 and float(found.cost) == 2.7
+    # The slope along the step has fallen: nothing is learnt, and the next step is twice as long at least.
+    bent, _ = ahead(walk, 2.5, (-0.2, 1.2))
+    np.testing.assert_array_equal(bent.memory, walk.memory)
+    usual = -np.asarray(walk.memory) @ [-0.2, 1.2]
+    np.testing.assert_allclose(bent.trial - bent.x, usual / np.linalg.norm(usual), rtol=1e-14)
+
+
+def test_a_step_onwards_is_as_long_as_asked_for_within_four_units_and_downhill():
+    onward = lambda known, least: Bfgs()._onward(  # noqa: E731
+        *map(jnp.asarray, (np.zeros(2), 1.0, np.array([0.0, 2.0]), np.array(known), least))
+    )
+    down = [[1.0, 0.0], [0.0, 0.25]]
+    for least, wanted in ((0.0, 0.5), (0.3, 0.5), (3.0, 3.0), (9.0, 4.0)):
+        np.testing.assert_allclose(onward(down, least).trial, [0.0, -wanted])
+    up = onward([[1.0, 0.0], [0.0, -0.25]], 0.0)
+    np.testing.assert_allclose(up.trial, [0.0, -1.0])
+    assert not up.memory.any() and onward(down, 0.0).memory.any()
+    still = Bfgs()._onward(*map(jnp.asarray, (np.ones(2), 1.0, np.zeros(2), np.array(down), 0.0)))
+    np.testing.assert_array_equal(still.trial, np.ones(2))
+
+
+def test_a_trial_that_was_not_taken_is_followed_by_one_at_the_bottom_of_a_parabola():
+    """Of the cost at both ends and the slope at the first, but from a tenth to a half of the way."""
+    promise = -0.35
+    for rise, share in ((0.35, 0.25), (-0.1, 0.5), (5.0, 0.1), (np.nan, 0.1), (np.inf, 0.1)):
+        found = shorter(standing(share=0.2), jnp.asarray(3.0 + rise), jnp.asarray(promise))
+        assert float(found.share) == pytest.approx(0.2 * share)
+        np.testing.assert_allclose(found.trial, [1.0 + 0.3 * share, 2.0 - 0.4 * share], rtol=1e-14)
+        assert float(found.cost) == 3.0 and np.array_equal(found.memory, standing().memory)
+    # A millionth of the first step is none: the gradient is followed.
+    for share, spent in ((1.6e-5, False), (0.9e-5, True)):
+        found = shorter(standing(share=share), jnp.asarray(8.0), jnp.asarray(promise))
+        if spent:
+            np.testing.assert_allclose(found.trial, [1.1, 1.2], rtol=1e-14)
+            assert float(found.share) == 1.0 and not found.memory.any()
+        else:
+            assert float(found.share) == pytest.approx(0.1 * share) and found.memory.any()
+
+
+def test_methods_of_optax_take_what_they_propose():
+    """Plain descent; to where there is no number half of the way is taken back."""
+    method = Optax(optax.with_extra_args_support(optax.sgd(0.5)))
+    walk = Walk(*map(jnp.asarray, ([1.0, 2.0], 3.0, [0.0, 0.0], [1.4, 1.8], 1.0)), method.fresh(jnp.ones(2)))
+    found, taken = method.ahead(walk, jnp.asarray(2.0), jnp.array([0.2, -1.0]), None)
+    assert taken and float(found.cost) == 2.0
+    np.testing.assert_allclose(found.x, [1.4, 1.8])
+    np.testing.assert_allclose(found.trial, [1.3, 2.3])
+    for cost, slope in ((np.nan, [0.2, -1.0]), (2.0, [np.inf, 1.0])):
+        back, taken = method.ahead(walk, jnp.asarray(cost), jnp.asarray(slope), None)
+        assert not taken and float(back.cost) == 3.0
+        np.testing.assert_allclose(back.x, [1.0, 2.0])
+        np.testing.assert_allclose(back.trial, [1.2, 1.9])
+
+
+def a_search(**changes):
+    """A search that has settled in the last chunk but one, with one limit of two that is kept."""
+    start = Bfgs().begin(jnp.array([1.0, 2.0]))
+    walk = eqx.tree_at(lambda w: w.memory, start, jnp.eye(2))
+    found = {"value": 5.0, "excess": [-0.2, 1e-8], "multipliers": [0.5, 0.25], "weight": 20.0}
+    found |= {"sharpness": 1.0, "best": [3.0, 4.0], "lowest": 4.0, "violation": 0.0, "last": 5.0}
+    found |= {"passed": 1e-8, "calm": 1, "done": False} | changes
+    return Search(
+        walk=walk, **{name: jnp.asarray(value, jnp.result_type(value)) for name, value in found.items()}
+    )
+
+
+def judged(**changes):
+    return after_chunk(a_search(**changes))
+
+
+def test_multipliers_and_weight_after_a_chunk():
+    """Multipliers follow the slopes of the penalty; the weight grows where they alone do not bring it in."""
+    found = judged(excess=[-0.2, 0.3], passed=0.4)
+    np.testing.assert_allclose(found.multipliers, [0.0, 6.25])
+    assert float(found.weight) == 60.0 and float(found.passed) == 0.3
+    assert float(judged(excess=[-0.2, 0.3], passed=0.61).weight) == 20.0
+    assert float(judged(excess=[-0.2, 0.3], passed=0.59).weight) == 60.0
+    assert float(judged(excess=[0.3, -0.2], passed=0.4, weight=5e4).weight) == 1e5
+    assert float(judged(excess=[0.3, -0.2], passed=0.4, weight=2e4).weight) == 6e4
+    for worst, weight in ((0.7e-7, 20.0), (1.5e-7, 60.0)):
+        assert float(judged(excess=[worst, -1.0], passed=0.0).weight) == weight
+    assert float(judged(excess=[-0.2, -0.3]).passed) == 0.0
+    np.testing.assert_allclose(judged(excess=[np.inf, -0.01]).multipliers, [0.0, 0.05])
+    first = _minimise._begin(half_disc, Bfgs(), jnp.array([[1.0, 2.0]]), jnp.zeros((1, 2)))
+    assert float(first.weight[0]) == 10.0 and first.excess.shape == (1, 2)
+    assert all(np.isinf(x[0]) for x in (first.value, first.lowest, first.violation, first.last, first.passed))
+    assert int(first.calm[0]) == 0 and not first.done[0] and not first.multipliers.any()
+
+
+def test_a_search_has_settled_when_nothing_changed_in_two_chunks_within_the_limits():
+    assert bool(judged().done) and bool(judged(done=True, calm=0).done)
+    assert not judged(calm=0).done and int(judged(calm=0).calm) == 1
+    for name in ("violation", "excess"):
+        for size, done in ((0.7e-7, True), (1.5e-7, False)):
+            assert bool(judged(**{name: [size, -1.0] if name == "excess" else size}).done) == done
+    for away, calm in ((0.7 * 6e-9, 2), (1.5 * 6e-9, 0), (-0.7 * 6e-9, 2), (-1.5 * 6e-9, 0)):
+        found = judged(last=5.0 + away)
+        assert int(found.calm) == calm and bool(found.done) == (calm == 2) and float(found.last) == 5.0
+        # What stands still forgets what it has learnt.
+        assert bool(found.walk.memory.any()) == (calm == 0)
+    for sharpness, then in ((0.4, 0.8), (0.6, 1.0), (1.0, 1.0)):
+        found = judged(sharpness=sharpness)
+        assert float(found.sharpness) == then and bool(found.done) == (sharpness == 1.0)
+
+
+@pytest.mark.parametrize(
+    ("was", "value", "excess", "better"),
+    [
+        ((4.0, 0.0), 3.0, -1.0, True),
+        ((4.0, 0.0), 5.0, -1.0, False),
+        ((4.0, 0.0), 3.0, 1e-3, False),
+        ((4.0, 0.0), 3.0, 0.7e-7, True),
+        ((4.0, 0.0), 3.0, 1.5e-7, False),
+        ((4.0, 0.2), 5.0, 0.1, True),
+        ((4.0, 0.2), 3.0, 0.3, False),
+        ((4.0, 1.5e-7), 5.0, 0.7e-7, True),
+        ((4.0, 0.2), np.nan, -1.0, False),
+        ((4.0, 0.0), -np.inf, -1.0, False),
+    ],
+)
+def test_the_best_point_is_the_lowest_within_the_limits_or_the_one_nearest_to_them(
+    was, value, excess, better
+):
+    search = a_search(lowest=was[0], violation=was[1])
+    found = with_point(search, jnp.asarray(value), jnp.array([-2.0, excess]))
+    np.testing.assert_array_equal(found.best, [1.0, 2.0] if better else [3.0, 4.0])
+    assert float(found.lowest) == (value if better else was[0])
+    assert float(found.violation) == (max(excess, 0.0) if better else was[1])
+
+
+def test_a_search_takes_chunks_of_ten_steps_until_all_have_settled():
+    """Sharpness begins at a twentieth and doubles to one; the multipliers are those of the chunk before."""
+    sharp = lambda x, data, sharpness: (sharpness * (1.0 + jnp.sum(x) ** 2), -jnp.ones(1))  # noqa: E731
+    found = minimise(sharp, jnp.array([[3.0, -1.0]]), jnp.zeros(1), steps=11)
+    assert found.steps == 20 and found.history.shape == (1, 20)
+    np.testing.assert_allclose(found.history[0, [9, 19]], [0.05, 0.1], rtol=1e-6)
+    assert float(found.search.sharpness[0]) == pytest.approx(0.2)
+
+
+def test_margins_go_on_through_flat_and_hollow_places():
+    """Of a contour of size a, below a curvature of 1/(50 a) with the same value and slope, and bounded."""
+    scale, least = 0.02, 1.0 / (50.0 * 0.02)
+    bends = np.array([50.0, 1.1, 0.9, 0.0, -3.0, -1e6]) * [1.0, *[least] * 5]
+    point, tangent = Vec2(0.003, -0.002), Vec2(0.6, 0.8)
+    frames = Frenet2(point, tangent, jnp.asarray(bends))
+    reach = 0.8 * 0.003 + 0.6 * 0.002  # along the outward normal (0.8, -0.6)
+    below = (2.0 - 1.0 / (2.0 - bends[2:] / least)) / least
+    wanted = np.concatenate([1.0 / bends[:2], below]) - reach
+    np.testing.assert_allclose(margins(frames, scale), wanted, rtol=1e-12)
+
+
+def test_the_smooth_least_of_some_values():
+    values = np.array([0.3, 0.25, 0.9])
+    wanted = -np.log(np.sum(np.exp(-20.0 * values))) / 20.0
+    assert float(soft_least(jnp.asarray(values), 20.0)) == pytest.approx(wanted, rel=1e-12)
+    assert float(soft_least(jnp.asarray(values) + 1e3, 20.0)) == pytest.approx(wanted + 1e3, rel=1e-12)
+
+
+@pytest.mark.parametrize("interval", [(-0.03, 0.01), (0.0, 0.0401), (0.01, 0.01), (0.02, 0.01)])
+def test_an_interval_rises_and_lies_on_its_contour(interval):
+    """Ends included; a closed contour has none."""
+    arc = jxr.Catenary(0.025, (-0.02, 0.04))
+    with pytest.raises(ValueError, match="argument interval must (be increasing|lie on the contour)"):
+        check_interval(arc, interval)
+    np.testing.assert_array_equal(check_interval(arc, (-0.02, 0.04)), [-0.02, 0.04])
+    np.testing.assert_array_equal(check_interval(jxr.Circle(0.001), (-9.0, 9.0)), [-9.0, 9.0])
+
+
+def test_in_which_words_a_limit_is_kept():
+    assert [_design._kept(x) for x in (np.nan, 1.5e-7, 0.7e-7, -0.7e-4, -1.5e-4, -0.25)] == [
+        "not finite",
+        "passed by 1.5e-05 %",
+        "met exactly",
+        "met exactly",
+        "kept, 0.015 % to spare",
+        "kept, 25 % to spare",
+    ]
+    assert _design._figure_in_millimetres("size [m]", (0.1, -0.2)) == ("size [mm]", (100.0, -200.0))
+    assert _design._figure_in_millimetres("force [N m]", (0.1, 0.2)) == ("force [N m]", (0.1, 0.2))
+
+
+@pytest.mark.parametrize(
+    ("violation", "done", "chosen", "result"),
+    [
+        ([0.0, 0.7e-7, 0.0, 0.3], [True, True, False, True], 1, "successful"),
+        ([0.0, 1.5e-7, 0.0, 0.3], [True, True, False, True], 2, "max_steps_reached"),
+        ([0.0, 1.0, 1.0, 0.3], [True, True, False, True], 0, "successful"),
+        ([0.9, 0.5, 0.2, 0.3], [True, True, True, True], 2, "infeasible"),
+    ],
+)
+def test_the_start_that_is_chosen(monkeypatch, violation, done, chosen, result):
+    """The lowest within the limits; where none is, the one that passes them least."""
+    lowest, merit = np.array([4.0, 1.0, 2.0, 0.5]), "rate [1/s]"
+    circles = jax.vmap(jxr.Circle)(jnp.array([0.01, 0.02, 0.03, 0.04]))
+    arrays, rest = eqx.partition(circles, eqx.is_inexact_array)
+
+    def outcomes(problem, x, data):
+        before = x == "start"
+        figures = {"size [m]": jnp.arange(4.0) + before, merit: 10.0 * jnp.arange(1.0, 5.0) - 30.0 * before}
+        return arrays, figures, {"length": jnp.arange(4.0) - 0.5}
+
+    monkeypatch.setattr(_fingertip, "_outcomes", outcomes)
+    goal = SimpleNamespace(merit=merit, reached=lambda figures: figures[merit] > 15.0)
+    problem = SimpleNamespace(goal=goal, rest=rest, interval=jnp.zeros(2))
+    search = SimpleNamespace(violation=np.array(violation), lowest=lowest, done=np.array(done), best="best")
+    found = _fingertip._design(
+        problem, "start", None, SimpleNamespace(search=search, history=np.zeros((4, 10)))
+    )
+    assert found.chosen == chosen and repr(found.result) == result
+    assert list(found.figures) == [merit, "size [m]"]
+    assert found.figures[merit] == (10.0 * (chosen + 1) - 30.0, 10.0 * (chosen + 1))
+    assert found.parts == {"length": chosen - 0.5} and float(found.tip.radius) == 0.01 * (chosen + 1)
+    inside = np.array(violation) <= 1e-7
+    np.testing.assert_array_equal(found.holds, inside & (np.arange(4) > 0))
+    np.testing.assert_array_equal(found.before, [-20.0, -10.0, 0.0, 10.0])
+
+
+def test_limits_by_default_are_shares_of_the_first_start(monkeypatch):
+    """Of its largest distance from O; and each start has its own size."""
+    asked = []
+    monkeypatch.setattr(
+        _fingertip, "minimise", lambda problem, start, data, **rest: asked.append((problem, data, rest))
+    )
+    monkeypatch.setattr(_fingertip, "_design", lambda *args: None)
+    tips = [jxr.Circle(0.01).moved((0.002, 0.0)), jxr.Circle(0.02).moved((0.001, 0.0))]
+    optimise_fingertip(tips, INTERVAL)
+    (problem, (arrays, sizes), rest) = asked[0]
+    limits = problem.limits
+    found = [float(x) for x in (limits.size, limits.radius, limits.ahead, limits.flat)]
+    np.testing.assert_allclose(found, [0.012, 0.0012, 0.006, 0.1], rtol=1e-9)
+    assert limits.length is None and limits.steepness is None and rest["in_turn"] is False
+    np.testing.assert_allclose(sizes, np.hypot([0.01, 0.02], [0.002, 0.001]), rtol=5e-3)

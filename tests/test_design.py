@@ -538,9 +538,7 @@ def a_search(**changes):
     found = {"value": 5.0, "excess": [-0.2, 1e-8], "multipliers": [0.5, 0.25], "weight": 20.0}
     found |= {"sharpness": 1.0, "best": [3.0, 4.0], "lowest": 4.0, "violation": 0.0, "last": 5.0}
     found |= {"passed": 1e-8, "calm": 1, "done": False} | changes
-    return Search(
-        walk=walk, **{name: jnp.asarray(value, jnp.result_type(value)) for name, value in found.items()}
-    )
+    return Search(walk=walk, **{name: jnp.asarray(np.asarray(value)) for name, value in found.items()})
 
 
 def judged(**changes):

@@ -14,7 +14,7 @@ import pytest
 from matplotlib import pyplot
 
 import jaxroll as jxr
-from jaxroll import _analysis, _mechanics, _motion, _why, plotting
+from jaxroll import _analysis, _mechanics, _motion, _printing, _why, plotting
 from jaxroll._integration import cause, complaint, REMEDIES
 from jaxroll._integration._trajectory import Stats
 from jaxroll._mechanics import AbstractBody, AbstractFinger
@@ -622,3 +622,253 @@ def test_why_says_what_it_cannot_judge(scene, run):
         jax.jit(lambda s: jxr.why(grasp, s).gap)(state)
     with pytest.raises(ValueError, match=r"argument state\.q must have shape"):
         jxr.why(grasp, jxr.State(state.q[:2], state.v, state.s))
+
+
+@pytest.mark.parametrize(
+    ("curvature", "pivot", "f", "told"),
+    [
+        ((0.7e-9, 1.0), 1.0, (1.0, 1.0), "contact 0 (finger 0 on contour 0) is singular"),
+        ((1.0, -1.0), 1.0, (1.0, 1.0), "contact 1 (finger 1 on contour 1) is singular"),
+        ((1.0, np.nan), 1.0, (1.0, 1.0), "contact 1 (finger 1 on contour 1) is singular"),
+        ((1.0, 1.0), 0.7e-9, (1.0, 1.0), "contacts are redundant or an arm is straight"),
+        ((1.0, 1.0), 1.0, (1.0, 0.0), "contact 1 (finger 1 on contour 1) pulls with -0 N"),
+        ((1.0, 1.0), 1.0, (-0.25, 1.0), "contact 0 (finger 0 on contour 0) pulls with 0.25 N"),
+        ((1.4e-9, 1.0), 1.4e-9, (1.0, 1e-9), None),
+    ],
+)
+def test_why_looks_at_curvatures_then_at_pivots_then_at_forces(curvature, pivot, f, told):
+    start = bearing(f, (0.0, 0.0), curvature=curvature, pivot=pivot)
+    found = _early(rubbing_pair(0.3, 0.3), start, -1)
+    assert (found is None) == (told is None)
+    if told is not None:
+        assert found[0] == f"fails at the start: {told}" + (
+            ", the sum of its curvatures is not positive" if "singular" in told else ""
+        ) + (", so that forces have no answer" if "redundant" in told else "")
+        assert found[2] == (-1 if "redundant" in told else int("contact 1" in told))
+
+
+def test_why_takes_of_contacts_that_fail_alike_the_one_that_ended_the_run():
+    alike = np.array([-2.0, -2.0 + 1.4e-9, -2.0 + 2.8e-9])
+    assert [_why._least(alike, ended) for ended in (-1, 0, 1, 2)] == [0, 0, 1, 0]
+    both = bearing((-2.0, -2.0), (0.0, 0.0))
+    assert (
+        _early(rubbing_pair(0.3, 0.3), both, 1)[2] == 1 and _early(rubbing_pair(0.3, 0.3), both, -1)[2] == 0
+    )
+    slips = bearing((2.0, 2.0), (1.0, 1.0))
+    assert _early(rubbing_pair(0.3, 0.3), slips, 1)[2] == 1
+    # Just as much friction as is needed will do.
+    assert _early(rubbing_pair(0.5, 0.5), slips, 1) is None
+
+
+def test_a_contact_that_holds_both_ways_cannot_be_lost():
+    pair = rubbing_pair(None, 0.2)
+    pair.contacts[0].presses = False
+    assert _early(pair, bearing((-3.0, 1.0), (5.0, 0.1)), -1) is None
+    assert _why._pressing(pair, bearing((-3.0, 1.0), (0.0, 0.0))).tolist() == [np.inf, 1.0]
+    assert _why._force(pair, 0, -3.0, 0.5) == (
+        "contact 0 (finger 0 on contour 0) holds both ways, with -3 N and 0.5 N beside"
+    )
+    assert _why._force(pair, 1, 2.0, 0.5) == (
+        "contact 1 (finger 1 on contour 1) presses with 2 N and needs friction 0.25; it has 0.2"
+    )
+    pair.contacts[0].presses = True
+    assert _why._force(pair, 0, 3.0, 0.0).endswith(
+        "presses with 3 N and needs friction 0; no limit was given"
+    )
+    assert _why._force(pair, 0, 0.0, 1.0).endswith("pulls with -0 N: no friction would do")
+    in_space = SimpleNamespace(f=np.array([2.0, 1.0]), lam=np.array([[0.6, 0.0, -0.8], [0.0, 2.0, 0.0]]))
+    assert _why._pairs(in_space) == [(2.0, 1.0), (1.0, 2.0)]
+    assert _why._pairs(SimpleNamespace(f=np.array([2.0]), lam=np.array([-0.5]))) == [(2.0, 0.5)]
+
+
+@pytest.mark.parametrize(
+    ("curvature", "pivot", "told"),
+    [
+        ((0.25, 0.125), 0.5, "no, curvatures add up to 0.125 of their size (contact 1, the least)"),
+        ((1.4e-9, 0.125), 1.4e-9, "no, curvatures add up to 1.4e-09 of their size (contact 0, the least)"),
+        ((0.7e-9, 0.125), 0.5, "yes, curvatures add up to 7e-10 of their size (contact 0, the least)"),
+        ((0.25, 0.125), 0.7e-9, "yes, curvatures add up to 0.125 of their size (contact 1, the least)"),
+    ],
+)
+def test_why_tells_the_least_curvature_and_pivot(curvature, pivot, told):
+    at = bearing((1.0, 1.0), (0.0, 0.0), curvature=curvature, pivot=pivot)
+    assert _why._singular(None, at) == f"{told}; smallest pivot {pivot:.3g}"
+
+
+def test_a_direction_is_told_without_what_is_slight_in_it():
+    """A link of the fingers is a fifth of a metre long: beside it, or beside a radian, parts count."""
+    labels = runs.scene("pinch")[0].labels
+    sized = SimpleNamespace(labels=labels, fingers=[SimpleNamespace(size=0.1), SimpleNamespace(size=0.3)])
+    np.testing.assert_allclose(_why._scales(sized), [0.2, 0.2, *[1.0] * 6])
+    way = np.array([0.1, 0.0038, -1.0, 0.019, -0.021, 0.0, 0.5, 0.0199])
+    assert _why._named(sized, way) == (
+        "object: x +100.000 mm, theta -1.0000 rad; finger 0: q[1] -0.0210 rad; finger 1: q[0] +0.5000 rad"
+    )
+    np.testing.assert_allclose(_why._scaled(sized, 0.4 * way), way / -1.0)
+    longer = np.where(np.arange(8) == 0, -0.4, way)
+    np.testing.assert_allclose(_why._scaled(sized, longer), -0.5 * longer)
+
+
+@pytest.mark.parametrize(
+    ("code", "move", "told"),
+    [
+        ("contact_lost", 2e-3, "it had moved by object: x +2.000 mm"),
+        ("contact_lost", 1.4e-9, "it had moved by object: x +0.000 mm"),
+        ("contact_lost", 0.7e-9, ""),
+        ("contact_lost", np.nan, ""),
+        ("successful", 2e-3, ""),
+        ("step_collapsed", 2e-3, ""),
+    ],
+)
+def test_why_tells_where_a_run_went_that_a_limit_ended(code, move, told):
+    run = ended(moved(on_a_plate(), [0, 0, 0], [0.5 + move, 0.1, 0.2]), code)
+    start = jxr.State(jnp.array([0.5, 0.1, 0.2]), jnp.zeros(3), jnp.zeros(1))
+    grasp = SimpleNamespace(labels=run.labels, fingers=[SimpleNamespace(size=1.0)])
+    assert _why._direction(grasp, None, start, run) == told
+
+
+def test_a_swing_grows_by_the_last_of_its_rates():
+    found = SimpleNamespace(rates=np.array([-3.0, 0.25 + 0.5j, 0.5 - 2.5j]))
+    assert _why._growing(found) == "along a swing that grows at 0.5 1/s, 2.5 rad/s"
+
+
+def test_the_first_saved_state_of_a_run_is_its_start(run):
+    q = run.states.q.at[0].set(jnp.nan).at[1, 1].set(jnp.nan)
+    late = eqx.tree_at(lambda r: r.states.q, run, q)
+    np.testing.assert_array_equal(_why._start(late).q, run.states.q[2])
+    none = eqx.tree_at(lambda r: r.states.q, run, jnp.full_like(q, jnp.nan))
+    assert _why._start(none) is none.last
+
+
+VERDICTS = jxr.stability.VERDICTS
+
+
+def assessed(verdict, curvature=1.0):
+    return SimpleNamespace(verdict=getattr(VERDICTS, verdict), curvatures=np.array([curvature, 5.0]))
+
+
+@pytest.mark.parametrize(
+    ("sampled", "weighs", "held_by", "verdict", "curvature", "wanted"),
+    [
+        (True, False, "law", "unstable", -1.0, "sampled"),
+        (True, True, "law", "unstable", -1.0, "sampled"),
+        (True, True, "no weight", "unstable", -1.0, "heavy"),
+        (False, True, "no weight", "not_found", -1.0, "heavy"),
+        (False, True, "", "not_found", -1.0, "not_found"),
+        (False, False, "", "unstable", -1.0, "unstable"),
+        (False, False, "", "unstable", 1e-9, "driven"),
+        (False, False, "", "not_found", 1.0, "not_found"),
+    ],
+)
+def test_what_helps_a_grasp_without_a_stable_equilibrium(
+    monkeypatch, scene, sampled, weighs, held_by, verdict, curvature, wanted
+):
+    """Another law, no weight, other shapes, or less of what drives it: whichever makes it hold."""
+    grasp, state = scene
+    law = grasp.controller
+    grasp = grasp.with_(controller=jxr.control.Sampled(law, 0.01)) if sampled else grasp
+    weight = np.array([0.0, -9.81]) if weighs else None
+    parts = (grasp.object, grasp.fingers, grasp.contacts)
+    grasp = jxr.Grasp(*parts, controller=grasp.controller, gravity=weight)
+    asked = []
+
+    def assess(grasp, near):
+        asked.append(near)
+        alone = not isinstance(grasp.controller, jxr.control.Sampled)
+        bare = weighs and grasp.gravity is None and not (sampled and alone)
+        held = {"law": sampled and alone, "no weight": bare}
+        return assessed("neutral" if held.get(held_by) else "unstable")
+
+    monkeypatch.setattr(_why, "_assessed", assess)
+    near = dataclasses.replace(state, memory=jnp.ones(2))
+    assert _why._blamed(grasp, assessed(verdict, curvature), near) == wanted
+    assert all(each.memory is not near.memory for each in asked)
+
+
+@pytest.mark.parametrize("verdict", ["not_found", "unstable", "neutral", "asymptotically_stable", "undamped"])
+def test_what_holds_has_an_equilibrium_from_which_nothing_grows(monkeypatch, scene, verdict):
+    monkeypatch.setattr(_why, "_assessed", lambda grasp, state: assessed(verdict))
+    assert _why._holds(*scene) == (verdict not in ("not_found", "unstable"))
+    monkeypatch.setattr(_why, "_assessed", lambda grasp, state: None)
+    assert not _why._holds(*scene)
+
+
+@pytest.mark.parametrize(
+    ("early", "code", "verdict", "summary", "remedy", "contact"),
+    [
+        (("fails at the start", "mend it", 3), "slipping", "unstable", "fails at the start", "mend it", 3),
+        (None, "slipping", "neutral", "fails: it slipped", REMEDIES["slipping"], 1),
+        (None, "slipping", "unstable", "fails: it slipped; its equilibrium is unstable", None, 1),
+        (None, "successful", "unstable", "holds until t = 0.25 s, but some small disturbance grows", None, 1),
+        (None, "successful", "neutral", "holds", "", 1),
+        (None, "successful", None, "holds", "", 1),
+    ],
+)
+def test_the_first_finding_makes_the_summary(
+    monkeypatch, scene, run, early, code, verdict, summary, remedy, contact
+):
+    grasp, state = scene
+    looked = []
+    monkeypatch.setattr(_why, "bearing", lambda grasp, t, state: bearing((1.0,), (0.0,)))
+    found = None if verdict is None else assessed(verdict)
+    monkeypatch.setattr(_why, "_assessed", lambda grasp, state: looked.append(state) or found)
+    monkeypatch.setattr(_why, "_culprit", lambda grasp, run, end: 1)
+    monkeypatch.setattr(_why, "_ending", lambda grasp, run, contact: "it slipped")
+    monkeypatch.setattr(_why, "_direction", lambda *args: "down")
+    monkeypatch.setattr(_why, "_early", lambda grasp, start, ended: early)
+    monkeypatch.setattr(_why, "_blamed", lambda grasp, found, near: "heavy")
+    judged = _why._judged(grasp, state, ended(run, code, t=0.25))
+    against = f"{_MEND['heavy']}" + (
+        f"; against the end alone, {REMEDIES['slipping']}" if code == "slipping" else ""
+    )
+    assert judged.summary == summary and judged.contact == contact
+    assert judged.remedy == (against if remedy is None else remedy)
+    assert judged.ended == ("it slipped" if code == "slipping" else "") and judged.direction == "down"
+    # An equilibrium is looked for where a run ended that reached its end, else where it began.
+    np.testing.assert_array_equal(looked[0].q, run.last.q if code == "successful" else state.q)
+
+
+def test_the_end_of_a_run_gets_the_name_of_the_contact_that_it_did_not_know(monkeypatch, run):
+    labels = SimpleNamespace(labels=run.labels)
+    unknown = ended(run, "contact_lost", contact=-1, margin=-0.5)
+    named = "contact 0 (finger 0 on contour 0)"
+    assert _why._ending(labels, unknown, 0) == cause(unknown).replace("a contact", named, 1) != cause(unknown)
+    assert _why._ending(labels, unknown, -1) == cause(unknown)
+    known = ended(run, "contact_lost", contact=0, margin=-0.5)
+    assert _why._ending(labels, known, 0) == cause(known)
+
+
+def test_which_grasps_have_an_equilibrium_that_is_assessed(monkeypatch, scene):
+    """Of contours alone, and where the contacts leave a coordinate free."""
+    monkeypatch.setattr(_why, "assess", lambda grasp, state: "assessed")
+    grasp, state = scene
+    assert _why._assessed(grasp, state) == "assessed"
+    for free, wanted in ((2, None), (3, "assessed")):
+        some = SimpleNamespace(coordinates=free, contacts=grasp.contacts)
+        assert _why._assessed(some, state) == wanted
+    assert _why._assessed(on_a_turntable(), None) is None
+
+
+def test_entries_of_a_report_are_broken_at_a_hundred_characters():
+    assert _printing.entry("run", ["a", "", "b"]) == ["  run       a", "            ", "            b"]
+    for width in (88, 89):
+        found = _printing.entry("run", [f"{'x' * (width - 2)} y"])
+        assert len(found) == (1 if width == 88 else 2) and max(map(len, found)) <= 100
+
+
+def test_values_are_told_in_full_up_to_twelve_numbers():
+    assert _printing.shown_value(np.arange(12.0)).startswith("[0, 1, 2") and "13, 0 to 12" in (
+        _printing.shown_value(np.arange(13.0), "m")
+    )
+    assert _printing.shown_value(np.arange(13.0), "m").endswith(" m")
+    assert _printing.shown_value(np.array(1.23456789), "s") == "1.23457 s"
+    assert _printing.shown_value([1, (2.5, "a"), None]) == "(1, (2.5, a), None)"
+    assert _printing.shown_value(np.array([True, False])) == "[True, False]"
+    assert _printing.shown_value(2.0 / 3.0) == "0.666667" and _printing.shown_value(True) == "True"
+    twelve, thirteen = (jnp.zeros(n, int) for n in (12, 13))
+    codes = lambda numbers: _printing.code_name(_printing.code_of(jxr.RESULTS, numbers))  # noqa: E731
+    assert codes(twelve) == f"[{', '.join(['successful'] * 12)}]" and codes(thirteen) == "13 successful"
+    assert codes(thirteen.at[3].set(1)).startswith("12 successful, 1 ")
+    big = np.where(np.arange(20) == 3, np.nan + 0j, (3.0 - 4.0j) * np.arange(20))
+    assert _printing._numbers(big) == "20, up to 95, 1 not finite"
+    assert _printing._numbers(np.arange(-5, 15)) == "20, -5 to 14"

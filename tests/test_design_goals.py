@@ -12,6 +12,7 @@ import jaxroll as jxr
 from jaxroll.design import (
     _closed_loop_goal,
     _firmness,
+    _goals,
     ClosedLoop,
     Fair,
     Firmness,
@@ -26,7 +27,7 @@ from jaxroll.design import (
     value_and_grad,
 )
 from jaxroll.design._limits import sampled
-from jaxroll.design._measures import PARTIAL
+from jaxroll.design._measures import FORCED, MEASURES, PARTIAL, SETTLED
 from tests.recorded import runs
 from tests.subjects.fingertips import ellipse_pinched_by, INTERVAL, pivoted_with_tip
 
@@ -455,3 +456,165 @@ def test_margin_is_the_default_goal():
     one = optimise_fingertip(jxr.Ellipse(0.02, 0.01), INTERVAL, **options)
     other = optimise_fingertip(jxr.Ellipse(0.02, 0.01), INTERVAL, goal=Margin(), **options)
     np.testing.assert_array_equal(one.history, other.history)
+
+
+def few_states(run, ts, y, reached):
+    """A run of a few saved states at odd times, of which so many were reached, and a signal along it."""
+    ts, y = jnp.asarray(ts), jnp.asarray(y)
+    states = jax.tree.map(lambda a: jnp.zeros((len(ts), *a.shape[1:])), run.states)
+    q = jnp.where(jnp.arange(len(ts))[:, None] < reached, states.q, jnp.nan)
+    run = eqx.tree_at(lambda r: (r.ts, r.states), run, (ts, states))
+    return eqx.tree_at(lambda r: r.states.q, run, q), y
+
+
+@jax.jit
+def measured(run, y, band):
+    """The measures of the part that was reached, and those of a run that reached its end."""
+    of_part = PARTIAL["settling_time"](run, y, band), PARTIAL["overshoot"](run, y)
+    whole = settling_time(run, signal=y, band=band), overshoot(run, signal=y), tracking_error(run, signal=y)
+    return (*of_part, PARTIAL["tracking_error"](run, y)), whole
+
+
+@pytest.mark.parametrize("reached", [5, 7])
+def test_measures_of_a_few_states_by_hand(run, reached):
+    """Along (0.6, -0.8) from the last value: 10, 4, -3 and 0.1, of which the rest may not be known."""
+    away = np.array([10.0, 4.0, -3.0, 0.1, 0.0, 0.0, 0.0])
+    y = np.array([1.0, 2.0]) + away[:, None] * [0.6, -0.8]
+    y[reached:] = 77.0
+    some, y = few_states(run, [1.0, 1.5, 2.5, 3.0, 5.0, 6.0, 7.0], y, reached)
+    area = 0.5 * 7.0 + 1.0 * 3.5 + 0.5 * 1.55 + 2.0 * 0.05
+    # From 3 to 0.1 in half a second: below one at 2 / 2.9 of that. From 4 to 3 in one: below 3.5 in a half.
+    for band, settled in ((0.1, 1.5 + 0.5 * 2.0 / 2.9), (0.35, 1.0)):
+        for found in measured(some, y, band):
+            np.testing.assert_allclose(found, [settled, 0.3, area / 10.0], rtol=1e-12)
+
+
+def test_a_signal_may_leave_its_band_with_the_last_state_but_one(run):
+    y = np.array([1.0, 2.0]) + np.array([8.0, 3.0, 0.0, 5.0, 6.0, 7.0, 8.0])[:, None] * [0.6, -0.8]
+    some, y = few_states(run, [0.0, 1.0, 3.0, 4.0, 5.0, 6.0, 7.0], y, 3)
+    for band, settled in ((0.25, 1.0 + 2.0 / 3.0), (0.375, 1.0), (0.02, 1.0 + 2.0 * 2.84 / 3.0)):
+        (found, *_), _ = measured(some, y, band)
+        assert float(found) == pytest.approx(settled, rel=1e-12)
+
+
+def test_what_is_asked_of_runs_for_each_measure():
+    assert set(MEASURES) == set(PARTIAL) == SETTLED | FORCED and not SETTLED & FORCED
+    assert {"settling_time", "overshoot", "tracking_error"} == SETTLED
+
+
+@pytest.mark.parametrize("floor", [0.0, 2.0, 30.0])
+def test_stiffnesses_stay_finite_where_flat_meets_flat(monkeypatch, floor):
+    r"""With a floor, one over the turning becomes $r / (r^2 + f^2)$."""
+    hessian, turning = np.array([[700.0, 90.0], [90.0, -300.0]]), np.array([50.0, -20.0])
+    rest, asked = types.SimpleNamespace(hessian=jnp.asarray(hessian), turning=jnp.asarray(turning)), []
+
+    def pinched(grasp, state, damping):
+        asked.append(damping)
+        return None, rest
+
+    monkeypatch.setattr(_firmness, "pinch_rest", pinched)
+    inverse = turning / (turning**2 + floor**2)
+    wanted = np.linalg.eigvalsh(hessian * np.outer(inverse, inverse))
+    np.testing.assert_allclose(_firmness._stiffnesses(None, None, floor), wanted, rtol=1e-12)
+    assert asked == [0.01]  # of the Hessian's size, below which the derivative is damped
+
+
+def test_a_search_for_firmness_has_a_floor_of_two_radians_per_metre(monkeypatch):
+    asked = []
+    monkeypatch.setattr(Firmness, "values", lambda goal, tip, floor=0.0: asked.append(floor) or jnp.ones(1))
+    monkeypatch.setattr(_firmness, "worst_margin", lambda seen: jnp.zeros(()))
+    goal = Firmness(on_plate, scale=1.0)
+    goal.cost(jxr.Circle(0.01), None, 1.0, 1.0)
+    goal.figures(jxr.Circle(0.01), None)
+    assert asked == [2.0, 0.0]
+
+
+@pytest.mark.parametrize("sharpness", [1.0, 0.05])
+def test_the_smooth_worst_of_some_costs(sharpness):
+    """Above the largest by the logarithm of how many come near it, within a fiftieth of the largest size."""
+    for costs in (np.array([0.3, -4.0, 0.25]), np.array([-2.0, -2.1]), np.array([5.0])):
+        size = np.abs(costs).max() / (50.0 * sharpness)
+        wanted = size * np.log(np.sum(np.exp(costs / size)))
+        found = float(_goals.soft_worst(jnp.asarray(costs), sharpness))
+        assert found == pytest.approx(wanted, rel=1e-9) and found >= costs.max()
+
+
+def test_the_cost_of_a_margin_is_its_smooth_least_by_the_size():
+    """Of a circle about (1, 2) mm of 10 mm the margin is minus the part of that along the normal."""
+    tip, interval = jxr.Circle(0.01).moved((0.001, 0.002)), jnp.array([-0.004, 0.009])
+    seen = sampled(tip, interval)
+    angle = np.linspace(-0.4, 0.9, 65)
+    margins = -(0.001 * np.cos(angle) + 0.002 * np.sin(angle))
+    unit, sharpness = 0.02, 0.3
+    k = 200.0 * sharpness
+    wanted = np.log(np.sum(np.exp(-k * margins / unit))) / k
+    assert float(Margin().cost(tip, seen, unit, sharpness)) == pytest.approx(wanted, rel=1e-9)
+    figures = Margin().figures(tip, seen)
+    assert figures == {"worst margin [m]": pytest.approx(margins.min(), rel=1e-9)}
+    assert not Margin().reached(figures) and Margin().reached({"worst margin [m]": 1e-9})
+    assert not Margin().reached({"worst margin [m]": 0.0}) and Margin().aimed(tip) is not None
+    # A quarter of the way round from end to end.
+    np.testing.assert_allclose(seen.whole.point.array()[64], [0.001, 0.012], atol=1e-12)
+    np.testing.assert_allclose([seen.step, seen.length], [2e-2 * np.pi / 256, 2e-2 * np.pi], rtol=1e-12)
+
+
+def test_cases_have_a_leading_axis_also_where_there_are_none(monkeypatch):
+    monkeypatch.setattr(_goals, "_made", lambda given: given)
+    found = lambda grasp, state: {"sum": grasp + 10.0 * state}  # noqa: E731
+    alone = _goals.each_case(lambda tip: (tip, 2.0), None, jnp.asarray(1.0), found)
+    np.testing.assert_array_equal(alone["sum"], [21.0])
+    for in_turn in (False, True):
+        made = lambda tip, case: (tip, case)  # noqa: E731
+        several = _goals.each_case(made, jnp.array([2.0, 3.0]), jnp.asarray(1.0), found, in_turn=in_turn)
+        np.testing.assert_array_equal(several["sum"], [21.0, 31.0])
+
+
+@pytest.mark.parametrize("given", [None, 3, (1, 2), [1], ()])
+def test_a_make_returns_a_grasp_and_a_state(given, scene):
+    with pytest.raises(ValueError, match="argument make must return a Grasp and a State"):
+        _goals._made(given)
+    with pytest.raises(ValueError, match="argument make must return a Grasp and a State"):
+        _goals._made(tuple(reversed(scene)))
+    assert _goals._made(list(scene)) == scene
+
+
+def test_the_figures_of_closed_loops_are_the_worst_of_all_cases(monkeypatch):
+    """By name of the measure; the cost with its weights, what was lost and an objective of one's own."""
+    measured = jnp.array([[1.0, 20.0, 3.0, 4.0, 0.5], [2.0, 10.0, 1.0, 8.0, 0.25]])
+    lost = jnp.array([0.0, 0.0])
+    monkeypatch.setattr(_closed_loop_goal, "worst_margin", lambda seen: jnp.asarray(0.125))
+    monkeypatch.setattr(ClosedLoop, "run", lambda goal, tip, names: (measured, jnp.array([0.5, 0.25]), lost))
+    goal = ClosedLoop(pivoted_with_tip, {"settling_time": 2.0, "peak_force": 0.5})
+    found = goal.figures(None, None)
+    assert {name: float(value) for name, value in found.items()} == {
+        "worst cost": 4.0 + 4.0 + 0.25,
+        "runs that end early": 0.0,
+        "settling time [s]": 2.0,
+        "overshoot": 20.0,
+        "tracking error [s]": 3.0,
+        "peak force [N]": 8.0,
+        "friction demand": 0.5,
+        "worst margin [m]": 0.125,
+    }
+    lost = jnp.array([0.5, 0.0])
+    assert float(goal.figures(None, None)["worst cost"]) == 2.0 + 2.0 + 0.5 + 5.0
+    assert int(goal.figures(None, None)["runs that end early"]) == 1
+
+
+def test_a_run_that_never_began_has_lost_all_of_its_time(monkeypatch, scene):
+    """However far its clock says; an objective of one's own that is no number counts as zero there alone."""
+    short = runs.run("pinch", ended="slipping")
+    unreachable = eqx.tree_at(lambda r: r.result, short, jxr.RESULTS.unreachable)
+    whole = runs.run("pinch")
+    monkeypatch.setattr(
+        _closed_loop_goal, "each_case", lambda make, cases, tip, found, in_turn: found(None, None)
+    )
+    given = []
+    monkeypatch.setattr(_closed_loop_goal, "simulate", lambda *args, **options: given[-1])
+    goal = ClosedLoop(pivoted_with_tip, lambda grasp, run: jnp.nan * run.ts[0], t1=0.6, ts=13)
+    for run, wanted in ((unreachable, 1.0), (short, 1.0 - float(short.stats.t_end) / 0.6)):
+        given.append(run)
+        measured, own, lost = goal.run(None, ())
+        assert measured.shape == (0,) and float(own) == 0.0 and float(lost) == pytest.approx(wanted)
+    given.append(whole)
+    assert np.isnan(goal.run(None, ())[1]) and float(goal.run(None, ())[2]) == 0.0

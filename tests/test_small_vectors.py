@@ -188,6 +188,9 @@ def test_tangents_stand_across_a_normal_and_on_each_other(normal):
     )
     np.testing.assert_allclose(np.stack([first, second]) @ np.stack([first, second]).T, np.eye(2), atol=1e-14)
     np.testing.assert_allclose(np.cross(first, second), normal, atol=1e-14)
+    # One formula to a third of the way below the equator, its mirror image from there on.
+    x, _, z = normal
+    assert first[0] == pytest.approx(1.0 - x * x / (1.0 + z if z > -0.5 else 1.0 - z), rel=1e-14)
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 4, 5])

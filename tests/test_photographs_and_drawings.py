@@ -7,6 +7,7 @@ import pytest
 from PIL import Image
 
 import jaxroll as jxr
+from jaxroll.io import _image
 
 SIDE = 300
 CENTRE, RADIUS = (150.5, 140.5), 110.0
@@ -109,3 +110,95 @@ def test_points_along_straight_sides(tmp_path):
     assert len(jxr.io.read_points(tmp_path / "box.dxf", unit="mm")) == 4
     with pytest.raises(ValueError, match="argument fill must be True or False"):
         jxr.io.read_points(tmp_path / "box.dxf", unit="mm", fill=1)
+
+
+@pytest.mark.parametrize(
+    ("shape", "width"), [((30, 40), 1), ((99, 300), 1), ((300, 100), 2), ((160, 155), 3)]
+)
+def test_the_border_of_an_image_is_a_fiftieth_of_its_shorter_side(shape, width):
+    rim = _image._border((*shape, 3))
+    assert rim.shape == shape and rim[:width].all() and rim[:, -width:].all()
+    assert rim[-width:].all() and rim[:, :width].all() and not rim[width:-width, width:-width].any()
+
+
+def test_a_background_is_found_though_a_shape_is_across_its_border():
+    """Exactly, where it is of second degree: pixels of a shape that is elsewhere lose their say."""
+    y, x = np.meshgrid(np.linspace(-1, 1, 60), np.linspace(-1, 1, 80), indexing="ij")
+    back = np.stack([3.0 + x - 2.0 * y, 1.0 + x * y + 0.5 * x * x, 2.0 - 0.7 * y * y], axis=-1)
+    seen = back.copy()
+    seen[20:40, :25] += [40.0, -30.0, 20.0]
+    np.testing.assert_allclose(_image._background(seen), back, atol=1e-9)
+
+
+def test_colours_are_smoothed_by_seven_tenths_of_a_pixel():
+    """One bright pixel on a black image: what is left of it in its place, in all colours together."""
+    image = np.zeros((41, 51, 3))
+    image[20, 25] = [30.0, 60.0, 60.0]
+    found, _ = _image._from_background(image)
+    weights = np.exp(-(np.arange(-3, 4) ** 2) / (2.0 * 0.7**2))
+    middle = 1.0 / weights.sum()
+    assert found.max() == found[20, 25] == pytest.approx(90.0 * middle**2, rel=1e-6)
+    assert found[20, 26] == pytest.approx(90.0 * middle**2 * weights[2], rel=1e-6)
+
+
+@pytest.mark.parametrize("back", [(0, 0, 0), (255, 255, 255)])
+def test_a_shape_is_seen_before_a_background_of_one_colour(back):
+    """Of a picture that was drawn, not taken, the border does not differ from itself at all."""
+    y, x = np.mgrid[0:81, 0:91]
+    inside = np.hypot(x - 44, y - 38) < 25.0
+    points = jxr.io.read_silhouette(np.where(inside[..., None], (200, 60, 40), back), pixel=1.0)
+    error = np.linalg.norm(points - [44.0, 42.0], axis=1) - 25.0
+    assert np.abs(error).max() < 0.7 and abs(error.mean()) < 0.3
+
+
+@pytest.mark.parametrize(("ahead", "level"), [(100, 50.0), (85, 50.0), (75, 25.0), (35, 25.0)])
+def test_a_shape_begins_at_half_of_what_four_fifths_of_it_exceed(monkeypatch, ahead, level):
+    """Of a shape of which so many of 100 rows are twice as far from the background as the others."""
+    image = np.ones((200, 140, 3)) / np.sqrt(3.0)
+    image[50:150, 20:120] *= 50.0
+    image[50 : 50 + ahead, 20:120] *= 2.0
+    monkeypatch.setattr(_image, "_background", np.zeros_like)
+    monkeypatch.setattr(_image, "_BLUR", 1e-3)
+    assert _image._from_background(image)[1] == pytest.approx(level)
+
+
+@pytest.mark.parametrize(("apart", "seen"), [(4.2, True), (3.8, False)])
+def test_a_shape_is_four_times_as_far_from_the_background_as_the_border(monkeypatch, apart, seen):
+    image = np.ones((60, 60, 3)) / np.sqrt(3.0)
+    image[15:45, 15:45] *= apart
+    monkeypatch.setattr(_image, "_background", np.zeros_like)
+    monkeypatch.setattr(_image, "_BLUR", 1e-3)
+    if seen:
+        assert _image._from_background(image)[1] == pytest.approx(0.5 * apart)
+        return
+    with pytest.raises(ValueError, match="along the border there is one of 1$"):
+        _image._from_background(image)
+
+
+def test_outlines_of_images_are_counted_by_their_area():
+    """Whether bright or dark; the image's last row is at the bottom, and outlines run counter-clockwise."""
+    grey = np.zeros((50, 80))
+    grey[5:9, 10:70] = 1.0
+    grey[20:45, 30:50] = 1.0
+    for image in (grey, 1.0 - grey):
+        first, second = (jxr.io.read_silhouette(image, pixel=2.0, threshold=0.5, which=k) for k in (0, 1))
+        np.testing.assert_allclose([first.min(axis=0), first.max(axis=0)], [[59, 9], [99, 59]])
+        np.testing.assert_allclose([second.min(axis=0), second.max(axis=0)], [[19, 81], [139, 89]])
+        for points in (first, second):
+            assert jxr.geometry.polygon_area(points) > 0.0 and np.any(points[0] != points[-1])
+
+
+@pytest.mark.parametrize(
+    "image",
+    [
+        np.zeros((5, 5, 5)),
+        np.zeros((5, 5, 1)),
+        np.zeros((1, 5)),
+        np.zeros((5, 5, 3, 2)),
+        np.full((5, 5), "a"),
+        np.zeros((5, 5), complex),
+    ],
+)
+def test_images_are_grey_or_in_colour(image):
+    with pytest.raises(ValueError, match="argument image must be grey values of shape"):
+        jxr.io.read_silhouette(image, pixel=1.0)

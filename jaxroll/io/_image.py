@@ -122,7 +122,9 @@ def _from_background(colours: np.ndarray) -> tuple[np.ndarray, float]:
     smooth = gaussian_filter(colours, sigma=(_BLUR, _BLUR, 0.0), mode="nearest")
     distances = np.linalg.norm(smooth - _background(smooth), axis=2)
     rim = _border(distances.shape)
-    usual = float(np.median(distances[rim])) + np.finfo(float).tiny
+    # Before a background of one colour it would be zero, or rounding, beside which blur is a shape too. A
+    # thousandth of the largest distance is less than one of 256 grey values.
+    usual = float(np.median(distances[rim]) + 1e-3 * distances.max()) + np.finfo(float).tiny
     # On a logarithmic scale a shape's bright and dark parts are one group, and the background another.
     apart = np.log(distances / usual + 1.0)
     inside = distances[apart > _otsu(apart)]

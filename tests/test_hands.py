@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import jaxroll as jxr
 from jaxroll._linalg import Vec3
-from jaxroll.io import _hand
+from jaxroll.io import _hand, _robot_file
 
 GRAVITY = (1.0, -2.0, -9.0)
 JOINTS = (3, 2, 4)  # of each finger
@@ -412,3 +412,195 @@ def test_a_rotor_adds_to_the_mass_matrix_alone():
     with pytest.raises(ValueError, match="argument armature must not be negative"):
         jxr.Finger3([(1, 0, 0), (0, 0, 1)], links, [0.03, 0.01], BALL, armature=[1e-4, -1e-4])
     assert eqx.tree_equal(bare.with_payload(0.01).armature, None)
+
+
+ODD = """<mujoco><compiler angle="radian" autolimits="true"/><worldbody><body name="palm">
+<body name="near" pos="0.01 -0.02 0.03">
+  <joint name="first" axis="1 0 0" range="-0.5 1.25" damping="0.02" frictionloss="0.03" stiffness="0.4"/>
+  <inertial mass="0.05" pos="0 0.01 0.02" diaginertia="1e-5 2e-5 2.5e-5"/>
+  <body name="far" pos="0 0.01 0.05">
+    <joint name="second" axis="0 2 0" armature="1e-4"/>
+    <inertial mass="0.03" pos="0.001 0.002 0.01" diaginertia="2e-6 3e-6 4e-6"/>
+    <geom type="sphere" size="0.02" contype="0" conaffinity="0"/>
+    <geom type="ellipsoid" size="0.008 0.009 0.012" pos="0.001 -0.002 0.02" quat="0.6 0.8 0 0"
+      contype="{contype}" conaffinity="{conaffinity}"/>
+  </body></body></body></worldbody><actuator>{motors}</actuator></mujoco>"""
+
+
+def odd(tmp_path, contype=1, conaffinity=0, motors=""):
+    text = ODD.format(contype=contype, conaffinity=conaffinity, motors=motors)
+    return written(tmp_path, text, "odd.xml")
+
+
+def test_what_a_file_says_of_its_joints(tmp_path):
+    """Of one with all of it, and of one with a rotor alone, whose axis is brought to length one."""
+    robot = _robot_file.read_robot(odd(tmp_path))
+    first, second = robot.joints
+    assert [link.name for link in robot.links] == ["world", "palm", "near", "far"]
+    assert [(link.parent, link.carrier) for link in robot.links] == [(0, None), (0, None), (1, 0), (2, 1)]
+    assert (first.name, first.kind, first.link, first.before) == ("first", "hinge", 2, None)
+    assert (second.name, second.kind, second.link, second.before) == ("second", "hinge", 3, 0)
+    assert (first.limits, first.torques) == ((-0.5, 1.25), (-np.inf, np.inf))
+    assert (second.limits, second.torques) == ((-np.inf, np.inf), (-np.inf, np.inf))
+    assert (first.damping, first.friction, first.stiffness, first.armature) == (0.02, 0.03, 0.4, 0.0)
+    assert (second.damping, second.friction, second.stiffness, second.armature) == (0.0, 0.0, 0.0, 1e-4)
+    np.testing.assert_allclose([first.anchor, second.anchor], [[0.01, -0.02, 0.03], [0.01, -0.01, 0.08]])
+    np.testing.assert_allclose([first.axis, second.axis], np.eye(3)[:2])
+    near, far = robot.links[2:]
+    assert (near.mass, far.mass) == (0.05, 0.03) and far.shapes == ()
+    np.testing.assert_allclose([near.centre, far.centre], [[0.01, -0.01, 0.05], [0.011, -0.008, 0.09]])
+    np.testing.assert_allclose(near.inertia, np.diag([1e-5, 2e-5, 2.5e-5]))
+    hand = jxr.io.load_hand(odd(tmp_path), BALL)
+    assert hand.friction[0].tolist() == [0.03, 0.0] and hand.stiffness[0].tolist() == [0.4, 0.0]
+    assert hand.damping[0].tolist() == [0.02, 0.0] and hand.tips == ("far",)
+    np.testing.assert_allclose(hand.fingers[0].armature, [0.0, 1e-4])
+
+
+def test_a_joint_that_is_held_is_turned_about_its_anchor(tmp_path):
+    robot = _robot_file.read_robot(odd(tmp_path), held={"first": 0.3})
+    (only,) = robot.joints
+    assert only.name == "second" and only.before is None
+    turned = Rotation.from_rotvec([0.3, 0.0, 0.0])
+    np.testing.assert_allclose(only.anchor, [0.01, -0.02, 0.03] + turned.apply([0.0, 0.01, 0.05]))
+    np.testing.assert_allclose(only.axis, turned.apply([0.0, 1.0, 0.0]), atol=1e-15)
+    np.testing.assert_allclose(robot.links[3].quaternion, np.roll(turned.as_quat(), 1), atol=1e-15)
+
+
+@pytest.mark.parametrize(("contype", "conaffinity", "touching"), [(1, 0, True), (0, 1, True), (0, 0, False)])
+def test_the_shapes_of_a_link_are_those_that_touch_where_any_does(tmp_path, contype, conaffinity, touching):
+    path = odd(tmp_path, contype, conaffinity)
+    shapes = _robot_file.read_robot(path, shapes_of={"far"}).links[3].shapes
+    assert [kind for kind, _ in shapes] == ["ellipsoid"] if touching else ["ball", "ellipsoid"]
+    half, place, quaternion = shapes[-1][1]
+    np.testing.assert_allclose(half, [0.008, 0.009, 0.012])
+    np.testing.assert_allclose(place, [0.001, -0.002, 0.02])
+    np.testing.assert_allclose(quaternion, [0.6, 0.8, 0.0, 0.0])
+    if not touching:
+        np.testing.assert_allclose(shapes[0][1][0], [0.02] * 3)
+        with pytest.raises(ValueError, match="one mesh, ball or ellipsoid, but 'far' has 2"):
+            jxr.io.load_hand(path, "mesh")
+        return
+    # Its foremost points along its own axes, which are turned about x.
+    tip = jxr.io.load_hand(path, "mesh").fingers[0].tip
+    for size, axis in zip(half, Rotation.from_quat([0.8, 0.0, 0.0, 0.6]).as_matrix().T, strict=True):
+        point = tip.point(tip.near(place + 3.0 * size * axis))
+        np.testing.assert_allclose(point, place + size * axis, atol=1e-12)
+
+
+PULLS = '<motor joint="first" gear="3" forcerange="-0.1 0.2"/>'
+MOTORS = {
+    "two that pull together": (2 * PULLS, (-0.6, 1.2)),
+    "one without a limit": (
+        '<motor joint="first" forcerange="-0.1 0.2"/><motor joint="first"/>',
+        (-np.inf, np.inf),
+    ),
+    "one of another joint": ('<motor joint="second" forcerange="-0.1 0.2"/>', (-np.inf, np.inf)),
+    "none": ("", (-np.inf, np.inf)),
+}
+
+
+@pytest.mark.parametrize("case", MOTORS)
+def test_motors_limit_the_torque_of_their_joint_if_all_are_limited(tmp_path, case):
+    motors, wanted = MOTORS[case]
+    found = _robot_file.read_robot(odd(tmp_path, motors=motors)).joints[0].torques
+    np.testing.assert_allclose(found, wanted)
+    strict = odd(tmp_path, motors=motors)
+    strict.write_text(strict.read_text().replace('name="first"', 'name="first" actuatorfrcrange="-0.5 0.7"'))
+    low, high = _robot_file.read_robot(strict).joints[0].torques
+    assert (low, high) == (max(-0.5, wanted[0]), min(0.7, wanted[1]))
+
+
+def joint(**changes):
+    given = {"name": "j", "axis": np.array([0.0, 0.0, 1.0]), "anchor": np.array([1.0, 2.0, 3.0])}
+    given |= {"armature": 0.0}
+    return SimpleNamespace(**given | changes)
+
+
+@pytest.mark.parametrize(
+    ("mass", "moments", "fine"),
+    [
+        (0.0, (0.0, 0.0, 0.0), True),
+        (0.1, (-0.7e-9, 0.5, 1.0), True),
+        (0.1, (-1.5e-9, 0.5, 1.0), False),
+        (-1e-9, (1.0, 1.0, 1.0), False),
+        (np.nan, (1.0, 1.0, 1.0), False),
+        (np.inf, (1.0, 1.0, 1.0), False),
+        (0.1, (-1e-3, -2e-3, 0.0), False),
+    ],
+)
+def test_masses_and_moments_are_not_below_zero_by_more_than_rounding(mass, moments, fine):
+    turned = Rotation.from_rotvec([0.3, 0.5, -0.2]).as_matrix()
+    check = lambda: _hand._check_inertia(joint(), mass, turned @ np.diag(moments) @ turned.T)  # noqa: E731
+    if fine:
+        return check()
+    with pytest.raises(ValueError, match="what joint 'j' moves has"):
+        check()
+
+
+@pytest.mark.parametrize(
+    ("mass", "centre", "inertia", "armature", "fine"),
+    [
+        (0.1, (1.0, 2.0, 7.0), (1.0, 1.0, 0.0), 0.0, False),  # a rod along the axis
+        (0.1, (1.0, 2.1, 7.0), (1.0, 1.0, 0.0), 0.0, True),
+        (0.1, (1.1, 2.0, 7.0), (1.0, 1.0, 0.0), 0.0, True),
+        (0.1, (1.0, 2.0, 7.0), (1.0, 1.0, 1e-9), 0.0, True),
+        (0.0, (1.0, 2.0, 7.0), (1.0, 1.0, 0.0), 1e-9, True),
+        (0.0, (2.0, 2.0, 7.0), (1.0, 1.0, 0.0), 0.0, False),
+        (0.1, (1.0, 2.0, 7.0), (0.0, 0.0, -1e-3), 0.0, False),
+    ],
+)
+def test_a_last_joint_moves_something(mass, centre, inertia, armature, fine):
+    given = joint(armature=armature), mass, np.array(centre), np.diag(inertia)
+    if fine:
+        return _hand._check_last(*given)
+    with pytest.raises(ValueError, match="joint 'j' moves none"):
+        _hand._check_last(*given)
+
+
+@pytest.mark.parametrize(("least", "added"), [(0.0, 2e-14), (0.7e-14, 2e-14), (1.5e-14, 0.0)])
+def test_moments_are_made_positive_beyond_rounding(least, added):
+    """Those of a rod, by two hundred-trillionths of the largest."""
+    rod = np.diag([3.0, 2.0, 3.0 * least])
+    np.testing.assert_allclose(_hand._definite(rod) - rod, 3.0 * added * np.eye(3), rtol=0.05, atol=1e-30)
+    nothing = _hand._definite(np.zeros((3, 3)))
+    np.testing.assert_allclose(nothing, 2e-30 * np.eye(3))
+    odd = np.array([[3.0, 0.2, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 1.0]])
+    np.testing.assert_allclose(_hand._definite(odd)[0, 1], 0.1)
+
+
+def test_links_of_one_joint_are_one_body():
+    """By Steiner's rule about the common centre; without mass about the joint."""
+    link = lambda mass, centre, moments, carrier: SimpleNamespace(  # noqa: E731
+        mass=mass, centre=np.array(centre), inertia=np.diag(moments), carrier=carrier
+    )
+    links = [link(1.0, (0, 0, 0), (1, 2, 3), 0), link(3.0, (4, 0, 0), (10, 20, 30), 0)]
+    links.append(link(9.0, (7, 7, 7), (5, 5, 5), 1))
+    robot = SimpleNamespace(links=links, joints=[joint(), joint()])
+    mass, centre, inertia = _hand._merged(robot, 0)
+    assert mass == 4.0
+    np.testing.assert_allclose(centre, [3.0, 0.0, 0.0])
+    np.testing.assert_allclose(inertia, np.diag([11.0, 22.0 + 9.0 + 3.0, 33.0 + 9.0 + 3.0]))
+    light = SimpleNamespace(links=[link(0.0, (0, 0, 0), (1, 2, 3), 0)], joints=[joint()])
+    mass, centre, inertia = _hand._merged(light, 0)
+    assert mass == 0.0 and centre.tolist() == [1.0, 2.0, 3.0]
+    np.testing.assert_allclose(inertia, np.diag([1.0, 2.0, 3.0]))
+
+
+@pytest.mark.parametrize("tips", [{}, {"tip": 3}, "ball", 3, None])
+def test_tips_are_surfaces_or_the_files_own(tips):
+    with pytest.raises(ValueError, match="argument tips"):
+        _hand._as_tips(tips)
+    assert _hand._as_tips("mesh") == "mesh" and _hand._as_tips({"tip": BALL}) == {"tip": BALL}
+
+
+@pytest.mark.parametrize("held", [3, [("j", 0.1)], {3: 0.1}, {"j": "far"}, {"j": np.nan}])
+def test_held_joints_have_names_and_angles(held):
+    with pytest.raises(ValueError, match="argument held"):
+        _hand._as_held(held)
+    assert _hand._as_held(None) == {} and _hand._as_held({"j": 1}) == {"j": 1.0}
+
+
+@pytest.mark.parametrize("tips", [{"far": BALL, "near": BALL}, {"palm": BALL}, {"far": BALL, "none": BALL}])
+def test_names_of_tips_are_of_last_links_one_for_each_finger(tmp_path, tips):
+    with pytest.raises(ValueError, match="argument tips must name tip links of fingers, one for each"):
+        jxr.io.load_hand(odd(tmp_path), tips)

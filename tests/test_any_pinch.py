@@ -537,3 +537,170 @@ def test_a_column_that_counts_is_looked_for_in_longer_tables_of_space_alone():
     with pytest.raises(ValueError) as error:  # three points are in one plane, whatever they count
         _check_spread(cloud[:3], "egg", table=True)
     assert "counts" not in str(error.value)
+
+
+def cuboid(*sizes):
+    """Points all over a box of these sizes, with all their mirror images; the corners are among them."""
+    corners = np.stack(np.meshgrid(*[[-1.0, 1.0]] * len(sizes)), axis=-1).reshape(-1, len(sizes))
+    inside = np.random.default_rng(0).uniform(size=(40, 1, len(sizes))) * corners
+    return 0.5 * np.concatenate([corners, inside.reshape(-1, len(sizes))]) * np.array(sizes)
+
+
+@pytest.mark.parametrize("extent", [(2.1e-3, True), (1.9e-3, False), (1.9, True), (2.1, False)])
+def test_what_a_hand_may_hold_is_between_two_millimetres_and_two_metres(extent):
+    size, fine = extent
+    points = _cli._shape_file.ShapePoints(np.array([[0.0, 0.0], [0.3 * size, size]]))
+    lines = size_told(ShapeOrder("body.csv", "mm", None, None, None), points)
+    assert lines[0] == f"  size        {300 * size:.4g} x {1e3 * size:.4g} mm" and (len(lines) == 1) == fine
+
+
+@pytest.mark.parametrize(
+    ("file", "unit", "size", "told"),
+    [
+        ("a.csv", "m", 15.0, "is --unit m right? (--unit mm: 15 mm long)"),
+        ("a.csv", "mm", 0.5e-3, "is --unit mm right? (--unit m: 500 mm long)"),
+        ("a.csv", "mm", 3.0, "is --unit mm right?"),
+        ("a.csv", "um", 9e-6, "is --unit um right? (--unit mm: 9 mm long)"),
+        ("a.csv", "um", 7e-6, "is --unit um right? (--unit in: 177.8 mm long)"),
+        ("a.csv", "um", 0.9e-6, "is --unit um right? (--unit m: 900 mm long)"),
+        ("a.csv", "um", 1.1e-6, "is --unit um right? (--unit in: 27.94 mm long)"),
+        ("a.PNG", "mm", 3.0, "is --pixel right?"),
+    ],
+)
+def test_another_unit_is_named_in_which_a_hand_is_likely_to_hold_it(file, unit, size, told):
+    points = _cli._shape_file.ShapePoints(np.array([[0.0, 0.0], [0.3 * size, size]]))
+    *_, last = size_told(ShapeOrder(file, unit, None, None, None), points)
+    assert last == f"  beware      no hand holds what is of this size: {told}"
+
+
+def test_the_smallest_radius_is_a_tenth_of_the_least_extent_along_the_points_own_axes():
+    turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    points = cuboid(0.06, 0.03, 0.02) @ turn.T + 5.0
+    assert _cli._shape_file._radius(points) == pytest.approx(2e-3, rel=1e-9)
+    flat = cuboid(0.06, 0.03) @ np.array([[0.8, -0.6], [0.6, 0.8]]) - 2.0
+    assert _cli._shape_file._radius(flat) == pytest.approx(3e-3, rel=1e-9)
+
+
+@pytest.mark.parametrize(("thin", "fine"), [(0.7e-6, False), (1.5e-6, True)])
+def test_points_enclose_something_if_they_are_a_millionth_as_thick_as_long(thin, fine):
+    for sizes in ((1.0, thin), (1.0, 0.8, thin)):
+        points = cuboid(*sizes)
+        if fine:
+            _check_spread(points, "egg", table=False)
+            continue
+        with pytest.raises(ValueError, match="lie on one line|lie in one plane$"):
+            _check_spread(points, "egg", table=False)
+
+
+@pytest.mark.parametrize(("uneven", "counts"), [(0.7e-6, True), (1.5e-6, False)])
+def test_steps_that_count_are_alike_to_a_millionth(uneven, counts):
+    points = np.random.default_rng(0).normal(size=(9, 3))
+    points[:, 1] = 3.0 * np.arange(9) + 2.0
+    points[5, 1] += 3.0 * uneven
+    if not counts:
+        return _check_spread(points, "egg", table=True)
+    with pytest.raises(ValueError, match="column 2 of egg counts its lines"):
+        _check_spread(points, "egg", table=True)
+
+
+@pytest.mark.parametrize(
+    ("length", "taken"), [(1.0009, True), (1.0011, False), (0.9991, True), (0.9989, False)]
+)
+def test_columns_of_unit_vectors_are_normals(length, taken, tmp_path):
+    table = np.random.default_rng(0).normal(size=(6, 6))
+    table[:, 3:] /= np.linalg.norm(table[:, 3:], axis=1)[:, None]
+    table[2, 3:] *= length
+    np.savetxt(tmp_path / "cloud.csv", table, delimiter=",", fmt="%.17g")
+    points, normals = _cli._shape_file._cloud(tmp_path / "cloud.csv", "mm")
+    np.testing.assert_allclose(points, 1e-3 * table[:, :3])
+    assert (normals is not None) == taken
+
+
+@pytest.mark.parametrize(
+    ("option", "file"),
+    [
+        ({"pixel": 0.1}, "a.svg"),
+        ({"pixel": 0.1}, "a.stl"),
+        ({"section": ("z", 0.0)}, "a.csv"),
+        ({"section": ("z", 0.0)}, "a.png"),
+        ({"which": 0}, "a.csv"),
+        ({"which": 1}, "a.ply"),
+    ],
+)
+def test_options_are_for_files_of_some_kinds(option, file):
+    kept = {"pixel": None, "section": None, "which": None}
+    name = next(iter(option))
+    with pytest.raises(
+        ValueError, match=f"argument --{name} must be left out for all but a .*, but FILE was"
+    ):
+        _cli._shape_file._check_options(ShapeOrder(file, "mm", None, **kept | option))
+    fits = {"pixel": ("a.PNG", "a.tiff"), "section": ("a.obj",), "which": ("a.dxf", "a.jpg")}[name]
+    for other in (*fits, "a.unknown"):
+        _cli._shape_file._check_options(ShapeOrder(other, "mm", None, **kept | option))
+    cut = kept | {"section": ("z", 0.0), "which": 1}
+    _cli._shape_file._check_options(ShapeOrder("a.stl", "mm", None, **cut))
+
+
+def test_a_section_across_an_axis_of_a_mesh(tmp_path):
+    """At a height along it, in the plane of the two others; the outline that is asked for."""
+    trimesh = pytest.importorskip("trimesh")
+    boxes = [trimesh.creation.box((20, 30, 40)).apply_translation((x, 7, 9)) for x in (0, 50)]
+    boxes[1].apply_scale(0.5)
+    trimesh.util.concatenate(boxes).export(tmp_path / "two.stl")
+    read_ = lambda cut, which: _cli._shape_file._of_mesh(  # noqa: E731
+        tmp_path / "two.stl", ShapeOrder("two.stl", "mm", None, None, cut, which)
+    )
+    for which, size in ((None, (0.02, 0.03)), (1, (0.01, 0.015))):
+        found = read_(("z", 0.008), which)
+        np.testing.assert_allclose(sorted(found.extent), size, rtol=1e-6)
+        assert found.outlines == 2
+    np.testing.assert_allclose(sorted(read_(("x", 0.025), None).extent), (0.015, 0.02), rtol=1e-6)
+    assert len(read_(None, None).faces) == 24
+    with pytest.raises(
+        ValueError, match="argument --which must be below the number of outlines .*, 2, but was 2"
+    ):
+        read_(("z", 0.008), 2)
+
+
+@pytest.mark.parametrize(
+    ("v", "still"),
+    [
+        ((0.9e-4, 0.0, 0.9e-2), True),
+        ((0.0, -1.1e-4, 0.0), False),
+        ((0.0, 0.0, 1.1e-2), False),
+        ((0.8e-4, 0.8e-4, 0.0), False),
+        ((0.0, 0.0, 0.9e-4, 0.0, 0.0, 0.9e-2), True),
+        ((0.0, 0.0, 1.1e-4, 0.0, 0.0, 0.0), False),
+        ((0.0, 0.0, 0.0, 0.0, 0.0, 1.1e-2), False),
+    ],
+)
+def test_an_object_is_at_rest_below_a_tenth_of_a_millimetre_a_second(v, still):
+    """And below a hundredth of a radian a second; what its fingers do does not count."""
+    in_space = len(v) == 6
+    states = SimpleNamespace(q=np.zeros((3, len(v) + in_space + 2)), v=np.ones((3, len(v) + 2)))
+    states.v[-1, : len(v)] = v
+    run = SimpleNamespace(result=jxr.RESULTS.successful, states=states, stats=SimpleNamespace(t_end=0.25))
+    told = _pinch_command.outcome(run, None)
+    assert told.startswith("held for 0.25 s, ") and ("at rest at the end" in told) == still
+    assert ("a larger --seconds" in told) == (not still)
+
+
+@pytest.mark.parametrize(
+    "line", [(3.0, 4.0), (-4.0, 3.0), (0.0, 0.0, 2.0), (1.0, 2.0, 3.0), (5.0, -1.0, 2.0)]
+)
+def test_a_push_is_across_the_line_between_the_tips(line):
+    """In the plane across it; in space along the two axes most across it, of which neither is preferred."""
+    line = np.array(line)
+    found = _pinch_command._aside(line)
+    assert np.linalg.norm(found) == pytest.approx(1.0) and abs(found @ line) < 1e-12
+    n = line / np.linalg.norm(line)
+    most = np.argsort(np.abs(n))[:-1]
+    wanted = sum(np.eye(len(line))[i] - n[i] * n for i in most)
+    np.testing.assert_allclose(found, wanted / np.linalg.norm(wanted), atol=1e-12)
+
+
+def test_joints_without_a_range_turn_twice_either_way():
+    finger = jxr.Finger3([(1, 0, 0), (0, 0, 1)], [(0, 0.06, 0)] * 2, [0.03, 0.01], jxr.Sphere(0.01))
+    limits = jnp.array([[-jnp.inf, 0.3], [-0.2, jnp.inf]])
+    found = _pinch_command._limited(finger, limits)
+    np.testing.assert_allclose(found.limits, [[-4.0 * np.pi, 0.3], [-0.2, 4.0 * np.pi]])

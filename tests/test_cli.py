@@ -15,8 +15,8 @@ from jax import monitoring
 from PIL import Image
 
 import jaxroll as jxr
-from jaxroll import _cli, plotting
-from jaxroll.__main__ import _FPS, _save_times, _shape, main
+from jaxroll import __main__ as command, _cli, plotting
+from jaxroll.__main__ import _FPS, _missing, _parser, _save_times, _shape, _without_empty, main
 from jaxroll._cli import _design_command, _replay_command, _waiting, DesignOrder, order
 from jaxroll._cli._design_command import fingertip
 from jaxroll.geometry import Circle
@@ -332,3 +332,156 @@ def test_what_is_shown_is_saved_densely():
     times = _save_times(demo, 9.0)
     frames = np.arange(0.0, 5.0, 0.25 / _FPS)
     np.testing.assert_allclose(times, [*frames, *np.linspace(5.0, 9.0, 301)])
+
+
+def test_folders_that_are_made_are_removed_again_where_nothing_was_written(tmp_path, monkeypatch):
+    """The inner ones first; what was there before stays, and what holds a file."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "old").mkdir()
+    made = _missing("old/new/deep")
+    assert [str(path) for path in made] == ["old/new/deep", "old/new"]
+    assert _missing("old") == [] and _missing(" ") == []
+    (tmp_path / "old/new/deep").mkdir(parents=True)
+    (tmp_path / "old/new/kept").touch()
+    _without_empty(made)
+    assert (tmp_path / "old/new/kept").exists() and not (tmp_path / "old/new/deep").exists()
+    (tmp_path / "old/new/kept").unlink()
+    _without_empty(made[1:])
+    assert (tmp_path / "old").exists() and not (tmp_path / "old/new").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "name", "least", "most"),
+    [
+        (["demo"], "seconds", 1e-3, 1e3),
+        (["demo"], "rtol", 1e-13, 1e-2),
+        (["design"], "steps", 1, 100_000),
+        (["design"], "starts", 1, 1000),
+        (["fit", "a.csv"], "smallest-radius", 1e-6, 1e6),
+        (["fit", "a.csv"], "pixel", 1e-6, 1e6),
+        (["fit", "a.csv"], "which", 0, 1_000_000),
+        (["pinch", "a.csv"], "density", 1e-3, 1e5),
+        (["pinch", "a.csv"], "thickness", 1e-3, 1e5),
+        (["pinch", "a.csv"], "friction", 1e-3, 1e5),
+        (["pinch", "a.csv"], "seconds", 1e-3, 1e5),
+        (["pinch", "a.csv"], "force", 1e-6, 1e6),
+    ],
+)
+def test_numbers_have_ends_which_belong_to_them(arguments, name, least, most, capfd):
+    whole = isinstance(least, int)
+    for value in (least, most):
+        found = _parser().parse_args([*arguments, f"--{name}", str(value)])
+        assert getattr(found, name.replace("-", "_")) == value
+    for beyond in (least - 1 if whole else 0.99 * least, most + 1 if whole else 1.01 * most):
+        with pytest.raises(SystemExit):
+            _parser().parse_args([*arguments, f"--{name}", str(beyond)])
+    capfd.readouterr()
+
+
+def test_what_is_not_given_has_a_default():
+    known = lambda *words: vars(_parser().parse_args(words))  # noqa: E731
+    demo, design, pinch, fit = known("demo"), known("design"), known("pinch", "a"), known("fit", "a")
+    assert (demo["scene"], demo["rtol"], demo["seconds"], demo["no_animation"]) == (
+        "pivoted",
+        1e-8,
+        None,
+        False,
+    )
+    assert [design[name] for name in ("goal", "steps", "starts", "unit", "tip")] == [
+        "margin",
+        200,
+        1,
+        "mm",
+        None,
+    ]
+    numbers = [pinch[name] for name in ("density", "thickness", "friction", "seconds", "force", "unit")]
+    assert numbers == [1000.0, 20.0, 0.8, 1.0, None, "mm"]
+    left = ("smallest_radius", "pixel", "section", "which", "out")
+    assert not any(given[name] is not None for given in (pinch, fit) for name in left)
+
+
+def test_a_section_is_an_axis_and_a_place_in_millimetres(capfd):
+    given = lambda text: _parser().parse_args(["fit", "a.stl", "--section", text]).section  # noqa: E731
+    assert given("y=-12.5") == ("y", pytest.approx(-0.0125)) and given("x=0") == ("x", 0.0)
+    assert given("z=1e6")[1] == pytest.approx(1e3) and given("z=-1e6")[1] == pytest.approx(-1e3)
+    for wrong in ("w=1", "z", "z=", "z=2e6", "z=-2e6", "12"):
+        with pytest.raises(SystemExit):
+            given(wrong)
+    capfd.readouterr()
+
+
+def test_a_page_that_needs_a_library_is_said_and_not_named(tmp_path, monkeypatch):
+    demo = types.SimpleNamespace(title="a title")
+    asked = []
+
+    def page(grasp, run, path, *, title):
+        asked.append((path, title))
+        if len(asked) > 1:
+            raise ImportError("argument: needs plotly")
+
+    names = ["run.npz"]
+    drawn = types.SimpleNamespace(page=page)
+    assert command._page(demo, tmp_path, names, plotting=drawn, grasp=1, run=2) == []
+    assert names == ["run.npz", "page.html"] and asked == [(tmp_path / "page.html", "a title")]
+    told = command._page(demo, tmp_path, names, plotting=drawn, grasp=1, run=2)
+    assert told == ["  no page.html: argument: needs plotly"] and names == ["run.npz", "page.html"]
+
+
+@pytest.mark.parametrize("cache", ["named", "default", "off"])
+def test_where_compiled_programs_are_kept(cache, tmp_path, monkeypatch):
+    set_, place = {}, tmp_path / ("own" if cache == "named" else "jaxroll")
+    monkeypatch.setattr("jax.config.update", set_.__setitem__)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.delenv("JAXROLL_CACHE", raising=False)
+    if cache != "default":
+        monkeypatch.setenv("JAXROLL_CACHE", "off" if cache == "off" else str(place))
+    command._configure()
+    kept = {
+        "jax_compilation_cache_dir": str(place),
+        "jax_persistent_cache_min_compile_time_secs": 0.0,
+    }
+    assert set_ == {"jax_enable_x64": True} | ({} if cache == "off" else kept)
+    assert place.is_dir() == (cache != "off")
+
+
+def test_parts_of_what_a_file_holds_are_taken_out_of_lists_and_dicts():
+    held = {"a": [1, (2, {"b": 3})], "c": "text"}
+    assert list(_replay_command._parts(held)) == [1, 2, 3, "text"]
+    assert list(_replay_command._parts(7)) == [7]
+
+
+@pytest.mark.parametrize("result", ["successful", "slipping"])
+def test_how_a_run_of_a_design_ended_is_told_without_an_amount(monkeypatch, result):
+    monkeypatch.setattr(_design_command, "cause", lambda run: "contact 0 slips at t = 1 s: by 3 N")
+    run = types.SimpleNamespace(result=getattr(jxr.RESULTS, result))
+    wanted = "successful" if result == "successful" else "contact 0 slips at t = 1 s"
+    assert _design_command._outcome(run) == wanted
+
+
+def test_runs_of_a_design_are_compared_line_by_line(monkeypatch):
+    names = ("settling_time", "overshoot", "peak_force", "friction_demand")
+    for k, name in enumerate(names):
+        monkeypatch.setattr(_design_command, name, lambda run, k=k: 10.0 * run.number + k)
+    monkeypatch.setattr(_design_command, "_outcome", lambda run: f"ended {run.number}")
+    runs = [types.SimpleNamespace(number=k, stats=types.SimpleNamespace(t_end=0.5 * k)) for k in (1, 2)]
+    head, *lines = _design_command._facts(runs)
+    assert head == "Runs of 1 s with friction 0.5"
+    assert [line.split()[-2:] for line in lines[:5]] == [
+        ["0.5", "1"],
+        *([f"{10 + k}", f"{20 + k}"] for k in range(4)),
+    ]
+    assert lines[5:] == ["  before  ended 1", "  after   ended 2"]
+
+
+def test_a_design_begins_with_an_ellipse_whose_sharp_end_is_in_front(tmp_path):
+    """24 points on half axes of 18 and 9 mm; an outline that is open is refused."""
+    points = np.asarray(fingertip(None, "mm").points)
+    u = 2.0 * np.pi * np.arange(24) / 24
+    np.testing.assert_allclose(points, np.stack([0.018 * np.cos(u), 0.009 * np.sin(u)], axis=-1), atol=1e-17)
+    np.savetxt(
+        tmp_path / "arc.csv",
+        np.stack([10.0 * np.cos(0.4 * u), 10.0 * np.sin(0.4 * u)], axis=-1),
+        delimiter=",",
+    )
+    with pytest.raises(ValueError):
+        fingertip(str(tmp_path / "arc.csv"), "mm")

@@ -8,9 +8,9 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll import design
-from jaxroll._maps import Measures, MEASURES_KEPT
+from jaxroll._maps import _adaptive, Measures, MEASURES_KEPT
 from jaxroll._maps._adaptive import AdaptiveMap
-from jaxroll._maps._cells import halved_lines, Spread
+from jaxroll._maps._cells import between, halved_lines, Spread, wanted_points
 from jaxroll.plotting import _map_figure
 from jaxroll.plotting._map_data import Side
 from jaxroll.plotting._map_figure import _edges
@@ -269,3 +269,87 @@ def test_what_went_well_is_pale_and_what_is_not_known_grey():
     assert [found[i] for i in (0, 2, 4)] == list(_map_figure.CODE_COLOURS[:3])
     many = _map_figure.code_colours(tuple(f"code {i}" for i in range(40)))
     assert len(many) == 40 and _map_figure.WELL not in many
+
+
+def test_what_stands_between_points_that_were_run():
+    """Of five and four lines, every second of which was run and the last: numbers in straight lines."""
+    lines = halved_lines((5, 4), 1)
+    known = np.zeros((5, 4), bool)
+    known[np.ix_([0, 2, 4], [0, 2, 3])] = True
+    known[1, 1] = True
+    x, y = np.meshgrid([0.0, 1.0, 4.0, 5.0, 9.0], [0.0, 2.0, 3.0, 7.0], indexing="ij")
+    values = np.where(known, x * y, -77.0)
+    found = between(values, known, lines)
+    np.testing.assert_array_equal(found[known], values[known])
+    assert found[1, 0] == 0.0 and found[3, 2] == 0.5 * (12.0 + 27.0) and found[4, 1] == 0.5 * 27.0
+    assert found[3, 1] == 0.25 * (0.0 + 12.0 + 0.0 + 27.0)
+    codes = np.where(known, 10 * np.arange(5)[:, None] + np.arange(4), 99)
+    whole = between(codes, known, lines)
+    assert whole[3, 2] == 22 and whole[0, 1] == 0 and whole[1, 1] == 11 and whole[1, 3] == 3
+    pairs = between(np.stack([values, 2.0 * values], axis=-1), known, lines)
+    np.testing.assert_allclose(pairs, np.stack([found, 2.0 * found], axis=-1))
+    values[2, 2] = np.nan
+    holes = between(values, known, lines)
+    assert np.isnan(holes[1, 2]) and holes[0, 1] == 0.0 and holes[4, 2] == 27.0
+
+
+def test_points_that_are_wanted_are_those_of_cells_that_were_split():
+    lines = halved_lines((9, 5), 2)
+    nothing = wanted_points(lines, lambda at: np.zeros(tuple(len(a) - 1 for a in at), bool))
+    np.testing.assert_array_equal(np.argwhere(nothing), [[i, j] for i in (0, 4, 8) for j in (0, 4)])
+
+    def first(at):
+        """Only the first cell changes, whatever its size."""
+        cells = np.zeros(tuple(len(a) - 1 for a in at), bool)
+        cells[0, 0] = True
+        return cells
+
+    found = wanted_points(lines, first)
+    wanted = nothing.copy()
+    wanted[np.ix_([0, 2, 4], [0, 2, 4])] = True
+    wanted[np.ix_([0, 1, 2], [0, 1, 2])] = True
+    np.testing.assert_array_equal(found, wanted)
+
+
+def test_tolerances_are_for_floating_values_by_name_or_for_all():
+    of = lambda kind: jax.ShapeDtypeStruct((), kind)  # noqa: E731
+    results = {"a": of(float), "b": {"c": of(int), "d": of(float)}, "e": of(float)}
+    assert _adaptive._limits(results, 0.5) == [0.5, None, 0.5, 0.5]
+    assert _adaptive._limits(results, {"b": 0.25, "e": 0}) == [None, None, 0.25, 0.0]
+    assert _adaptive._limits(results, None) == [None] * 4 and _adaptive._limits(of(int), 0.5) == [None]
+    for wrong in (of(float), {"a": of(float)}):
+        with pytest.raises(ValueError, match="argument tolerance must be given"):
+            _adaptive._limits(wrong, None)
+    with pytest.raises(ValueError, match="for names that the outcome has, .*no names"):
+        _adaptive._limits(of(float), {"a": 1.0})
+
+
+@pytest.mark.parametrize(("leaf", "real"), [(1, True), (True, True), (2.0, True), (1j, False), ("a", False)])
+def test_outcomes_are_real_numbers(leaf, real):
+    assert _adaptive._is_real(leaf) == real and _adaptive._is_real(np.asarray([leaf])) == real
+
+
+@pytest.mark.parametrize(("count", "fine"), [(2, False), (3, True)])
+def test_a_measure_over_time_looks_at_three_states_at_least(run, count, fine):
+    names = ("ts", "states", "residuals", "multipliers", "energy")
+    parts = lambda r: [getattr(r, name) for name in names]  # noqa: E731
+    short = eqx.tree_at(parts, run, jax.tree.map(lambda x: x[:count], parts(run)))
+    keep = jxr.measures("energy_lost", "least_force")
+    if fine:
+        energy = run.energy.kinetic + run.energy.potential
+        assert float(keep(short)["energy_lost"]) == float(energy[0] - energy[2])
+        return
+    with pytest.raises(ValueError, match="argument ts must ask for some tens of times .*run saved 2"):
+        keep(short)
+
+
+def test_kept_measures_are_in_the_order_given_each_once():
+    keep = jxr.measures("t_end", "result", "t_end", own=lambda run: run.ts)
+    assert keep.names == ("t_end", "result") and list(keep.own) == ["own"]
+    assert {name: (each.record, each.timed) for name, each in MEASURES_KEPT.items()} == {
+        **dict.fromkeys(("result", "t_end", "steps", "first_event", "margin"), ("", False)),
+        **dict.fromkeys(("final_state", "final_pose"), ("", False)),
+        **dict.fromkeys(("settling_time", "overshoot", "tracking_error"), ("", True)),
+        **dict.fromkeys(("peak_force", "least_force", "friction_demand"), ("multipliers", True)),
+        **dict.fromkeys(("energy_lost", "energy_residual"), ("energy", True)),
+    }

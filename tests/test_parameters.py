@@ -9,6 +9,7 @@ from scipy import stats
 
 import jaxroll as jxr
 from jaxroll import Parameters
+from jaxroll._sweep import _parameters
 
 
 def test_a_grid_is_the_product_of_its_axes_the_last_one_fastest():
@@ -127,3 +128,58 @@ def test_a_sweep_takes_them(scene):
     )
     np.testing.assert_array_equal(ends, plain)
     assert grid.shaped(ends).shape == (2, 3, 3) and (grid.shaped(ends)[1, 2] == plain[5]).all()
+
+
+def test_samples_are_those_of_scipy_stretched_to_their_ranges():
+    """The first of a power of two; on a scale of logarithms the ends are kept."""
+    ranges = {"a": (-2.0, 3.0), "b": (1e-3, 10.0, "log")}
+    unit = stats.qmc.Sobol(2, rng=3).random(8)[:5]
+    some = Parameters.sobol(5, seed=3, **ranges)
+    np.testing.assert_allclose(some.a, -2.0 + 5.0 * unit[:, 0], rtol=1e-14)
+    np.testing.assert_allclose(some.b, 1e-3 * 1e4 ** unit[:, 1], rtol=1e-12)
+    unit = stats.qmc.LatinHypercube(2, rng=3).random(5)
+    np.testing.assert_allclose(Parameters.latin_hypercube(5, seed=3, **ranges).a, -2.0 + 5.0 * unit[:, 0])
+    assert Parameters.sobol(1, a=(0.0, 1.0)).rows == 1 and Parameters.sobol(8, a=(0.0, 1.0)).rows == 8
+    plain = [draw(4, a=(0.0, 1.0)).a for draw in (Parameters.sobol, Parameters.latin_hypercube)]
+    again = [draw(4, seed=0, a=(0.0, 1.0)).a for draw in (Parameters.sobol, Parameters.latin_hypercube)]
+    np.testing.assert_array_equal(plain, again)
+    stretch = _parameters._stretch("b", (0.1, 0.7, "log"))
+    assert stretch(np.array([0.0, 1.0])).tolist() == [0.1, 0.7] and stretch(np.array([1.1])).tolist() == [0.7]
+
+
+@pytest.mark.parametrize(
+    "ends",
+    [(1.0, 1.0), (2.0, 1.0), (1.0,), (1.0, 2.0, 3.0), (0.0, np.inf), (-1.0, 1.0, "log"), "ab", (None, 1)],
+)
+def test_a_range_goes_from_a_number_up_to_another(ends):
+    with pytest.raises(ValueError, match="argument a must"):
+        Parameters.sobol(2, a=ends)
+
+
+def test_slices_of_a_grid_are_rows_and_single_rows_have_no_length():
+    grid = Parameters.grid(a=[1.0, 2.0], b=[3.0, 4.0, 5.0]).with_units(b="m")
+    for key, rows in ((slice(1, 5), [0, 1, 1, 1]), (np.array([True, False] * 3), [0, 0, 1])):
+        part = grid[key]
+        assert part.shape == (len(part.a),) and part.axes == (("a", "b"),) and part.units == grid.units
+        assert len(part) == len(rows if isinstance(key, slice) else [0, 2, 4])
+    row = grid[4]
+    assert (
+        (row.a, row.b) == (2.0, 4.0)
+        and row.shape == (2, 3)
+        and repr(row).startswith("Parameters(one row: a=2")
+    )
+    assert repr(grid).startswith("Parameters(6 rows as 2 x 3: a=[1, 1, 1, 2, 2, 2], b=[3, 4, 5, 3, 4, 5] m")
+    assert repr(Parameters(a=[1.0, 2.0])) == "Parameters(2 rows: a=[1, 2])"
+    assert Parameters(a=3.0).rows == 1 and Parameters(a=3.0, b=[1.0, 2.0]).a.tolist() == [3.0, 3.0]
+
+
+def test_the_values_along_an_axis_of_a_product_of_columns():
+    both = Parameters(a=[1.0, 2.0], v=[[1.0, 2.0], [3.0, 4.0]]) * Parameters.grid(c=[5.0, 6.0, 7.0])
+    assert both.axis("a").tolist() == [1.0, 2.0] and both.axis("c").tolist() == [5.0, 6.0, 7.0]
+    assert both.axis("v").tolist() == [[1.0, 2.0], [3.0, 4.0]]
+    with pytest.raises(ValueError, match="argument values must hold arrays of leading axis 6"):
+        both.shaped(np.ones((2, 3)))
+    assert both.shaped(np.ones((6, 4))).shape == (2, 3, 4)
+    assert _parameters._few_enough("a", 10**9) == 10**9
+    with pytest.raises(ValueError, match="argument a must leave at most 1000000000 rows"):
+        _parameters._few_enough("a", 10**9 + 1)

@@ -16,7 +16,7 @@ from jaxroll.stability import (
     rectangle_hessian,
     VERDICTS,
 )
-from jaxroll.stability._statics import _damped
+from jaxroll.stability._statics import _damped, _is_parallel, _is_straight, _solved
 from jaxroll.stability._verdict import _verdict
 from tests.helpers import in_single, slow_among
 from tests.oracles.chapter_part1 import Part1
@@ -503,3 +503,54 @@ def test_a_damped_solution_is_bounded_where_an_eigenvalue_is_small(share):
     size = share * np.sqrt(np.sum(values**2))
     wanted = turned @ (values / (values**2 + size**2) * (turned.T @ right))
     np.testing.assert_allclose(_damped(jnp.asarray(matrix), jnp.asarray(right), share), wanted, rtol=1e-9)
+
+
+def test_two_equations_by_hand():
+    matrix, right = jnp.array([[3.0, 0.5], [0.5, -2.0]]), jnp.array([0.7, -1.1])
+    np.testing.assert_allclose(_solved(matrix, right), np.linalg.solve(matrix, right), rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("share", "fine"), [(0.7e-6, True), (-0.7e-6, True), (1.5e-6, False), (-1.5e-6, False)]
+)
+def test_faces_are_straight_and_parallel_to_a_millionth(share, fine):
+    """Beside the curvature of the fingertip; of an angle in radians. In single precision to 1e-4."""
+    bends = np.array([[50.0 * share, 50.0], [0.0, -3.0]])
+    assert _is_straight(bends).tolist() == [fine, True] and bool(_is_parallel(np.array(share))) == fine
+    single = np.float32(100.0) * bends.astype(np.float32) * [[1.0, 0.01], [1.0, 0.01]]
+    assert _is_straight(single.astype(np.float32)).tolist() == [fine, True]
+
+
+def test_an_end_may_be_passed_by_rounding():
+    """By a part of 1e12 of the contour's length, at either end."""
+    tip = jxr.Catenary(1.0 / 40.0, (-0.02, 0.03)).moved((0.01, 0.0))
+    for share, fine in ((0.7e-12, True), (1.5e-12, False)):
+        for place in (-0.02 - 0.05 * share, 0.03 + 0.05 * share):
+            if fine:
+                assert np.isfinite(margin(tip, place))
+                continue
+            with pytest.raises(ValueError, match="argument s must lie between the contour's ends"):
+                margin(tip, place)
+
+
+@pytest.mark.parametrize(
+    ("rates", "curvature", "neutral", "verdict"),
+    [
+        ([-3.0, -1.0, -1.0, -0.5], 0.5, 0, "asymptotically_stable"),
+        ([-3.0, -1.0, 0.0, -0.5], 0.5, 1, "neutral"),
+        ([-3.0, 0.0, 0.0, -0.5], 0.5, 1, "undamped"),
+        ([-3.0, -1.0, 0.0, -0.5], 0.5, 0, "undamped"),
+        ([-3.0, -1.0, 0.1, -0.5], 0.5, 0, "unstable"),
+        ([-3.0, -1.0, -1.0, -0.5], -0.7e-7, 0, "asymptotically_stable"),
+        ([-3.0, -1.0, -1.0, -0.5], -1.5e-7, 0, "unstable"),
+        ([-3.0, -1.0, 3.0 * 0.7e-7, -0.5], 0.5, 1, "neutral"),
+        ([-3.0, -1.0, 3.0 * 1.5e-7, -0.5], 0.5, 1, "unstable"),
+        ([-3.0, -1.0, -3.0 * 1.5e-7, -0.5], 0.5, 0, "asymptotically_stable"),
+        ([-3.0, -1.0, -3.0 * 0.7e-7, -0.5], 0.5, 0, "undamped"),
+    ],
+)
+def test_a_verdict_follows_from_rates_and_the_least_curvature(rates, curvature, neutral, verdict):
+    found = _verdict(
+        jnp.array(rates) + 0.0j, jnp.array([curvature, 1.0]), jnp.asarray(neutral), jnp.asarray(1e-7)
+    )
+    assert repr(found) == verdict

@@ -489,3 +489,47 @@ def test_a_sweep_is_no_part_of_a_traced_program(sweep):
             jax.jit(lambda x, name=name: sweep(**{name: x * 2.0}, resume=None))(
                 ROWS if name == "rows" else 1.0
             )
+
+
+def marked(**digests):
+    return {name: _identity.Mark(digest, f"{digest}!") for name, digest in digests.items()}
+
+
+@pytest.mark.parametrize(
+    ("there", "here", "told"),
+    [
+        ({"t1": "1"}, {"t1": "1"}, ""),
+        ({"t1": "1"}, {"t1": "2"}, "t1 (1! there, 2! here)"),
+        ({"make": "1"}, {}, ""),
+        ({"make": "1", "keep": "1"}, {"make": "2", "keep": "2"}, "make (1! there, 2! here)"),
+        (
+            {"t1": "1", "make": "1", "keep": "1"},
+            {"t1": "2", "make": "1", "keep": "2"},
+            "t1 (1! there, 2! here)",
+        ),
+        (
+            {"t1": "1", "make": "1"},
+            {"t1": "2", "make": "2"},
+            "t1 (1! there, 2! here), make (1! there, 2! here)",
+        ),
+        ({"precision": "1", "make": "1"}, {"precision": "2", "make": "2"}, "precision (1! there, 2! here)"),
+        (
+            {"parameters": "1", "make": "1"},
+            {"parameters": "2", "make": "2"},
+            "parameters (1! there, 2! here)",
+        ),
+        ({"chunk": "1"}, {}, "chunk (1! there, not given here)"),
+    ],
+)
+def test_of_what_differs_the_causes_are_named_and_not_what_follows_from_them(there, here, told):
+    assert _identity.differences(marked(**there), marked(**here)) == told
+
+
+def test_of_many_differences_some_are_named_and_the_rest_counted():
+    names = [f"option {k}" for k in range(9)]
+    there, here = ({name: _identity.Mark(x, "same") for name in names} for x in "ab")
+    found = _identity.differences(there, here)
+    assert found == "option 0, option 1 and 7 more"
+    fewer = [{name: marks[name] for name in names[:2]} for marks in (there, here)]
+    assert _identity.differences(*fewer) == "option 0, option 1"
+    assert _identity._short("x" * 60) == "x" * 60 and _identity._short("x" * 61) == "x" * 56 + " ..."

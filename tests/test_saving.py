@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import jaxroll as jxr
+from jaxroll import _saving
 
 
 @pytest.fixture(scope="module")
@@ -229,3 +230,90 @@ def test_a_file_that_cannot_be_written_leaves_the_old_one(tmp_path):
     with pytest.raises(ValueError, match="argument value"):
         jxr.save(path, lambda: 0)
     assert_same(jxr.load(path), CONTOUR)
+
+
+@dataclasses.dataclass
+class Plain:
+    """A record with a field that is given, one by default and one that is made."""
+
+    given: int
+    usual: int = 7
+    made: list = dataclasses.field(default_factory=list)
+
+
+def test_fields_that_a_file_does_not_hold_take_their_defaults_whatever_kind(tmp_path):
+    def older(head):
+        del head["tree"]["fields"]["usual"], head["tree"]["fields"]["made"]
+
+    path = rewritten(jxr.save(tmp_path / "plain", Plain(3, 4, [5])), older)
+    found = jxr.load(path, own=[Plain])
+    assert found == Plain(3) and found.made is not jxr.load(path, own=[Plain]).made
+
+    def bare(head):
+        del head["tree"]["fields"]["given"]
+
+    with pytest.raises(ValueError, match="lacks its 'given'"):
+        jxr.load(rewritten(path, bare), own=[Plain])
+
+
+def test_records_of_jaxroll_have_their_shortest_public_names():
+    names = {
+        jxr.Circle: "jaxroll:Circle",
+        jxr.simulate: "jaxroll:simulate",
+        jxr.control.Press: "jaxroll.control:Press",
+        jxr.commands.Steps: "jaxroll.commands:Steps",
+        jxr.design.Limits: "jaxroll.design:Limits",
+        _saving._Writer: "jaxroll._saving:_Writer",
+        np.ndarray: "numpy:ndarray",
+        Plain: f"{__name__}:Plain",
+    }
+    assert {thing: _saving._name_of(thing) for thing in names} == names
+    assert _saving._attribute("jaxroll", "Circle.moved") is jxr.Circle.moved
+    assert _saving._attribute("jaxroll", "Circle.nothing.more") is None
+
+
+NAMED = [(own_law, True), (jxr.simulate, True), (lambda: 0, False), (3, False)]
+
+
+@pytest.mark.parametrize(("thing", "found"), [*NAMED, (functools.partial(own_law), False)])
+def test_functions_are_found_by_the_module_that_names_them(thing, found):
+    assert _saving._findable(thing) == found
+
+
+@pytest.mark.parametrize("own", ["Plain", [3], [lambda: 0], {Plain}, Plain])
+def test_ones_own_classes_and_functions_are_a_list(own, tmp_path):
+    path = jxr.save(tmp_path / "plain", Plain(3))
+    with pytest.raises(ValueError, match="argument own must be a list of classes and functions"):
+        jxr.load(path, own=own)
+    assert jxr.load(path, own=(Plain, own_law)) == Plain(3)
+
+
+def test_a_file_has_its_ending_once_and_a_folder_that_is_made(tmp_path):
+    for given, name in (("a", "a.npz"), ("a.npz", "a.npz"), ("a.b", "a.b.npz"), ("a.NPZ", "a.NPZ.npz")):
+        path = jxr.save(tmp_path / "new" / "deep" / given, [1])
+        assert path == tmp_path / "new" / "deep" / name and jxr.load(
+            path.with_suffix("") if given == "a" else path
+        ) == [1]
+    assert not [each for each in path.parent.iterdir() if each.suffix == ".part"]
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(ValueError, match="argument path must name a file that can be written"):
+        jxr.save(tmp_path / "file" / "a", [1])
+
+
+def test_numbers_of_numpy_and_views_of_one_array_come_back_as_what_they_were(tmp_path):
+    """An array that JAX and NumPy both hold is written once for each."""
+    array = np.arange(3.0)
+    value = (np.float32(0.1), np.int8(3), np.bool_(True), array, array, jnp.asarray(array), 2 + 0 * array[0])
+    found = jxr.load(jxr.save(tmp_path / "numbers", value))
+    assert_same(found, value)
+    assert found[3] is found[4] and isinstance(found[6], np.floating)
+
+
+@pytest.mark.parametrize(
+    "array", [np.array(["a"]), np.array([None]), np.ma.array([1.0], mask=[True]), np.array(["2020"], "M8[Y]")]
+)
+def test_arrays_hold_numbers_none_masked(array, tmp_path):
+    with pytest.raises(
+        ValueError, match="argument value must hold arrays of booleans and numbers, none masked"
+    ):
+        jxr.save(tmp_path / "odd", {"k": array})

@@ -14,7 +14,7 @@ import pytest
 import jaxroll as jxr
 from jaxroll import scenes
 from jaxroll.__main__ import _parser, main
-from jaxroll._cli import _sweep_command
+from jaxroll._cli import _sweep_command, _sweep_order, _sweep_table
 from jaxroll._cli._sweep_command import maker, parameters_of
 from jaxroll._cli._sweep_order import _ENDS, _FILE, _fits, map_order, Range, SCENES, sweep_order, unit_of
 from jaxroll._cli._sweep_table import read_table
@@ -360,3 +360,130 @@ def test_an_adaptive_sweep_maps_what_is_kept_of_each_run(monkeypatch, tmp_path):
     table = read_table(tmp_path)
     np.testing.assert_array_equal(table.values["ran"], [True] * 3 + [False] * 3)
     np.testing.assert_array_equal(table.values["steps"], np.arange(6.0))
+
+
+@pytest.mark.parametrize(
+    ("text", "fine"),
+    [("1", False), ("2", True), ("1000000", True), ("1000001", False), ("-3", False), ("3.0", False)],
+)
+def test_a_grid_has_two_to_a_million_values_along_an_axis(text, fine):
+    if fine:
+        assert _sweep_order._count("a", text) == int(text)
+        return
+    with pytest.raises(ValueError, match="argument --set must give a a COUNT from 2 to 1000000"):
+        _sweep_order._count("a", text)
+
+
+def test_what_is_not_said_of_a_sweep():
+    order = ordered("pivoted", "--set", "damping=1:2")
+    assert (order.number, order.sampling, order.seconds, order.times) == (None, "grid", 1.0, 101)
+    assert (order.rtol, order.chunk, order.seed, order.out) == (1e-6, 512, 0, "jaxroll-sweep")
+    assert (order.keep, order.store, order.workers) == (("result", "t_end", "settling_time"), None, None)
+    said = (
+        "--seconds",
+        "2",
+        "--times",
+        "3",
+        "--rtol",
+        "1e-5",
+        "--chunk",
+        "4",
+        "--seed",
+        "5",
+        "--workers",
+        "6",
+    )
+    order = ordered("pivoted", "--set", "damping=1:2", *said, "--store", "a.zarr", "--out", "b")
+    assert (order.seconds, order.times, order.rtol, order.chunk, order.seed, order.workers) == (
+        2,
+        3,
+        1e-5,
+        4,
+        5,
+        6,
+    )
+    assert (order.store, order.out) == ("a.zarr", "b")
+
+
+@pytest.mark.parametrize(
+    ("words", "shape"),
+    [
+        (("--set", "a=0:1", "--set", "b=0:1", "--number", "3"), (2, 2)),
+        (("--set", "a=0:1", "--set", "b=0:1", "--set", "c=1,2,3", "--number", "75"), (5, 5, 3)),
+        (("--set", "a=0:1", "--set", "b=0:1:10", "--number", "44"), (4, 10)),
+        (("--set", "a=0:1", "--set", "b=0:1:10", "--number", "46"), (5, 10)),
+        (("--set", "a=0:1", "--set", "b=0:1"), (32, 32)),
+        (("--set", "a=1", "--set", "b=0:1:7"), (1, 7)),
+    ],
+)
+def test_ranges_without_a_count_share_the_runs(words, shape):
+    assert parameters_of(ordered("pinch", *words)).shape == shape
+
+
+@pytest.mark.parametrize("sampling", ["sobol", "latin"])
+def test_samples_are_drawn_by_the_seed_for_each_combination_of_listed_values(sampling):
+    words = ("pinch", "--set", "a=1:100:log", "--set", "b=5,6", "--sampling", sampling, "--seed", "3")
+    rows = parameters_of(ordered(*words, "--number", "8"))
+    draw = jxr.Parameters.sobol if sampling == "sobol" else jxr.Parameters.latin_hypercube
+    np.testing.assert_array_equal(rows.axis("a"), draw(8, seed=3, a=(1.0, 100.0, "log")).a)
+    assert rows.shape == (8, 2) and rows.b.tolist() == [5.0, 6.0] * 8
+    many = parameters_of(ordered("pinch", "--set", "a=1:2", "--sampling", sampling))
+    assert many.shape == (1024,)
+    np.testing.assert_array_equal(many.a, draw(1024, seed=0, a=(1.0, 2.0)).a)
+
+
+def test_a_number_stands_for_all_that_a_controller_has_of_it():
+    grasp = SimpleNamespace(controller=SimpleNamespace(damping=np.ones(2), beta=np.ones(())))
+    np.testing.assert_array_equal(_sweep_command._held(grasp, "damping", np.array(3.0)), [3.0, 3.0])
+    for name, value in (("damping", np.array([1.0, 2.0])), ("beta", np.array(3.0)), ("mass", np.array(4.0))):
+        assert _sweep_command._held(grasp, name, value) is value
+
+
+def test_a_map_shows_the_result_or_what_comes_first(monkeypatch, tmp_path):
+    """With the label of a measure, and in a file of its name."""
+    asked, grid = [], jxr.Parameters.grid(a=[1.0, 2.0], b=[1.0, 2.0])
+    figure = SimpleNamespace(savefig=lambda path, dpi: asked.append((path.name, dpi)))
+    draw = lambda rows, values, **look: asked.append((values.tolist(), look)) or figure  # noqa: E731
+    monkeypatch.setattr(_sweep_command.plotting, "parameter_map", draw)
+    monkeypatch.setattr(
+        _sweep_command.plotting, "map_page", lambda *args, **look: asked.append((args[2].name, look))
+    )
+    values = {"speed": np.arange(4.0), "t_end": np.ones(4)}
+    for kept, show, name, label in (
+        (values, None, "speed", "speed"),
+        (values | {"result": np.arange(4)}, None, "result", "result"),
+        (values, "t_end", "t_end", "time reached [s]"),
+    ):
+        asked.clear()
+        table = _sweep_table.SweepTable(grid, kept, "some scene")
+        monkeypatch.setattr(_sweep_command, "read_table", lambda folder, table=table: table)
+        order = _sweep_order.MapOrder("store", show, "a", None, {"b": 1.0}, "out")
+        lines = _sweep_command.mapped(order, tmp_path, lambda doing: contextlib.nullcontext())
+        look = {"x": "a", "y": None, "at": {"b": 1.0}, "label": label, "title": "some scene"}
+        assert asked == [(kept[name].tolist(), look), (f"map_{name}.png", 150), (f"map_{name}.html", look)]
+        assert lines[-1] == f"  map_{name}.png, map_{name}.html"
+    with pytest.raises(ValueError, match="argument --show must be one of speed, t_end, but was 'nothing'"):
+        _sweep_command.mapped(
+            _sweep_order.MapOrder("store", "nothing", None, None, {}, "out"), tmp_path, None
+        )
+
+
+def test_columns_of_a_table_are_flat_and_named_by_their_places():
+    values = {
+        "last": {"q": np.arange(6.0).reshape(2, 3)},
+        "pair": np.arange(8).reshape(2, 2, 2),
+        "t": np.ones(2),
+    }
+    found = dict(_sweep_table.flat_values(values))
+    assert list(found) == [
+        *(f"last.q[{i}]" for i in range(3)),
+        *(f"pair[{i}, {j}]" for i in (0, 1) for j in (0, 1)),
+        "t",
+    ]
+    assert found["last.q[1]"].tolist() == [1.0, 4.0] and found["pair[1, 0]"].tolist() == [2, 6]
+    codes = slipping_above(np.array([0.0, 1.0, 0.0]))
+    assert _sweep_table.entries_of(codes) == ["successful", "slipping", "successful"]
+    assert _sweep_command._told({"code": codes, "t": np.array([1.0, 2.5])}) == [
+        "  code                2 successful, 1 slipping",
+        "  t                   [1, 2.5]",
+    ]

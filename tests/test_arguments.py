@@ -4,10 +4,12 @@ A table has one valid call of each; every argument in turn is replaced by every 
 values, and must be refused in one sentence unless the table says that the value means something.
 """
 
+import dataclasses
 import functools
 import inspect
 import os
 import re
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -16,8 +18,9 @@ import numpy as np
 import pytest
 
 import jaxroll as jxr
-from jaxroll import commands, control, design, loads, stability
+from jaxroll import _fields, commands, control, design, loads, stability
 from jaxroll._mechanics import AbstractController
+from jaxroll._results import check_positive
 from jaxroll.control import _user, Sensed, UserController
 from jaxroll.design._limits import sampled
 from jaxroll.design._minimise import _restored, check_checkpoint
@@ -910,3 +913,96 @@ def test_built_in_controllers_say_which_grasps_they_drive():
             return 0.0
 
     assert PLANE.with_(controller=Silent()).controller == Silent()
+
+
+class Numbers(eqx.Module):
+    """Fields of every kind."""
+
+    one: jax.Array = _fields.real(check=check_positive)
+    pair: jax.Array | None = _fields.real(2, optional=True)
+    rows: jax.Array = _fields.real(None, 3)
+    law: Any = _fields.command(2)
+    each: jax.Array = _fields.each(check_positive)
+    driven: Any = _fields.command(each_finger=True)
+    word: str = _fields.through(lambda name, value: f"{name} {value}", static=True)
+
+
+def taken(field, value, **options):
+    return _fields.taken(object.__new__(Numbers), field, value, **options)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "words"),
+    [
+        ("one", None, "argument one must be"),
+        ("one", [1.0], "argument one must have shape"),
+        ("one", -1.0, "argument one must be positive"),
+        ("one", np.nan, "argument one must be finite"),
+        ("pair", [1.0, 2.0, 3.0], "argument pair must have shape"),
+        ("rows", np.ones((4, 2)), "argument rows must have shape"),
+        ("law", [1.0, 2.0, 3.0], "argument law must have shape"),
+        ("law", lambda t: jnp.ones(3), r"argument law, in what it returns, must have shape \(2,\), but had"),
+        ("law", lambda t: jnp.ones(()), r"argument law, in what it returns, must have shape \(2,\), but had"),
+        ("each", [[1.0]], "argument each must have shape"),
+        ("each", [1.0, -1.0], "argument each must be positive"),
+        ("driven", lambda t: jnp.ones((2, 2)), r"must have shape \(any,\), but had shape \(2, 2\)"),
+    ],
+)
+def test_fields_take_numbers_of_their_shape_alone(field, value, words):
+    with pytest.raises(ValueError, match=words):
+        taken(field, value)
+
+
+def test_fields_convert_what_they_take():
+    assert float(taken("one", 2)) == 2.0 and taken("pair", None) is None
+    assert taken("pair", (1, 2)).tolist() == [1.0, 2.0] and taken("rows", np.ones((5, 3))).shape == (5, 3)
+    assert taken("rows", np.ones((5, 3)), shape=(5, 3)).shape == (5, 3)
+    with pytest.raises(ValueError, match="argument given must have shape"):
+        taken("rows", np.ones((5, 3)), shape=(4, 3), name="given")
+    assert taken("each", 3.0, shape=(2,)).tolist() == [3.0, 3.0]
+    assert taken("each", [1.0, 2.0], shape=(2,)).tolist() == [1.0, 2.0]
+    assert taken("word", "a") == "word a" and taken("word", "a", name="b") == "b a"
+    for field, value in (("law", jnp.ones(2)), ("driven", jnp.ones(())), ("driven", jnp.ones(3))):
+        function = taken(field, lambda t, value=value: t * value)
+        assert _fields.shape_of(function) == value.shape
+    assert _fields.shape_of(jnp.ones((2, 3))) == (2, 3)
+
+
+@pytest.mark.parametrize(
+    ("value", "command"), [(lambda t: t, True), (jxr.Circle, False), (np.ones(2), False), (3.0, False)]
+)
+def test_functions_of_time_are_told_from_numbers(value, command):
+    assert _fields.is_command(value) == command
+
+
+def test_commands_are_held_at_a_time():
+    held = eqx.tree_at(
+        lambda n: (n.law, n.one),
+        dataclasses.replace(bare_numbers(), law=0.0, one=0.0),
+        (jxr.commands.Steps([1.0], [[1.0, 2.0], [3.0, 4.0]]), jnp.asarray(5.0)),
+    )
+    assert _fields.changes_in_time(held, "one", "law") and not _fields.changes_in_time(held, "one", "each")
+    for t, wanted in ((0.5, [1.0, 2.0]), (1.5, [3.0, 4.0])):
+        now = _fields.held(held, t)
+        assert now.law.tolist() == wanted and float(now.one) == 5.0
+        assert _fields.held(now, t) is now
+
+
+def bare_numbers():
+    made = object.__new__(Numbers)
+    for field in dataclasses.fields(Numbers):
+        object.__setattr__(made, field.name, 0.0)
+    return made
+
+
+THREE = [1.0, 2.0, 3.0]
+ODD = [([], [1.0]), ([1.0, 1.0], THREE), ([2.0, 1.0], THREE), ([1.0], [1.0]), ([1.0], THREE)]
+
+
+@pytest.mark.parametrize(("times", "values"), ODD)
+def test_steps_rise_and_have_one_value_more_than_times(times, values):
+    with pytest.raises(ValueError, match="argument (times|values) must hold"):
+        jxr.commands.Steps(times, values)
+    with pytest.raises(ValueError, match="argument (times|values) must hold"):
+        jxr.commands.Ramps(times, np.ones(len(times) + 1))
+    assert jxr.commands.Ramps([1.0, 2.0], [1.0, 3.0]).times.shape == (2,)

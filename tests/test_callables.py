@@ -12,7 +12,7 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll._closures import opened
-from jaxroll._xla import in_arithmetic
+from jaxroll._xla import _arithmetic, in_arithmetic
 from jaxroll._xla._one_kernel import misfits
 
 
@@ -220,3 +220,27 @@ def test_a_law_that_asks_for_values_is_answered_in_a_sentence(function):
         jxr.simulate(grasp.with_(controller=function), state, 0.1, ts=1)
     with pytest.raises(ValueError, match=r"argument force.* must compute with jax\.numpy"):
         grasp.with_(force=lambda t: np.sin(t))
+
+
+@pytest.mark.parametrize(("rows", "columns", "written"), [(64, 64, True), (64, 65, False), (4096, 1, True)])
+def test_products_of_4096_terms_are_written_out_and_larger_ones_are_not(rows, columns, written):
+    """As many as rows times columns times the length that they share, here one."""
+    left, right = jnp.ones((rows, 1)), jnp.ones((1, columns))
+    program = jax.make_jaxpr(lambda a, b: jax.lax.dot(a, b))(left, right)
+    assert (_arithmetic._rule(program.eqns[0]) is not None) == written
+    shared = jax.make_jaxpr(lambda a: jax.lax.dot(a, a.T))(jnp.ones((8, 64 if written else 65)))
+    assert (_arithmetic._rule(shared.eqns[-1]) is not None) == written
+
+
+def test_products_over_other_axes_are_those_of_jax():
+    """Two axes summed, one in common, and the kind of number that is asked for."""
+    rng = np.random.default_rng(0)
+    left, right = jnp.asarray(rng.normal(size=(2, 3, 4, 5))), jnp.asarray(rng.normal(size=(5, 2, 6, 4)))
+    for numbers in ((((2, 3), (3, 0)), ((0,), (1,))), (((3,), (0,)), ((), ())), (((), ()), ((0,), (1,)))):
+        wanted = jax.lax.dot_general(left, right, numbers)
+        found = _arithmetic._product(left, right, dimension_numbers=numbers)
+        np.testing.assert_allclose(found, wanted, rtol=1e-12, atol=1e-13)
+    small = _arithmetic._product(
+        left, right, dimension_numbers=(((3,), (0,)), ((), ())), preferred_element_type=jnp.float32
+    )
+    assert small.dtype == jnp.float32

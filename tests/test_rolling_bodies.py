@@ -447,3 +447,71 @@ def test_a_path_has_derivatives_in_both_modes():
     np.testing.assert_allclose(jax.jit(jax.jacfwd(ends))(x), slope, rtol=1e-10)
     near = np.array([[float(ends(x + k * h * way)) for k in (-2, -1, 1, 2)] for way in np.eye(2)])
     np.testing.assert_allclose(near @ [1.0, -8.0, 8.0, -1.0] / (12.0 * h), slope, rtol=1e-8)
+
+
+locus_of = jax.jit(_locus)
+PHASE, RATE, CHANGE = 0.3, 2.0, 1.5  # of an angle that does not rise evenly
+
+
+def jets(curve, normal, bend):
+    """Jets of a locus given over an angle by its point and three derivatives, normal and shape operator."""
+    ts = np.linspace(0.0, 0.6, 4)
+    angle, rate = PHASE + RATE * ts + 0.5 * CHANGE * ts**2, RATE + CHANGE * ts
+    point, first, second, third = (np.array(x).T for x in curve(angle))
+    rate = rate[:, None]
+    velocity = first * rate
+    acceleration = second * rate**2 + first * CHANGE
+    jerk = third * rate**3 + 3.0 * second * rate * CHANGE
+    parts = (point, velocity, acceleration, jerk, np.array(normal(angle)).T, bend(velocity))
+    return ts, angle, rate[:, 0], _Jet(*(jnp.asarray(part)[:, None] for part in parts))
+
+
+def test_a_helix_on_a_cylinder_has_its_known_curvatures_and_torsions():
+    """A geodesic: all that it bends it bends with the surface; both torsions are one."""
+    radius, climb = 0.03, 0.01
+
+    def curve(u):
+        c, s, one = np.cos(u), np.sin(u), np.ones_like(u)
+        yield radius * c, radius * s, climb * u
+        yield -radius * s, radius * c, climb * one
+        yield -radius * c, -radius * s, 0.0 * one
+        yield radius * s, -radius * c, 0.0 * one
+
+    ts, angle, rate, jet = jets(
+        curve, lambda u: (np.cos(u), np.sin(u), 0.0 * u), lambda v: v * [1.0, 1.0, 0.0] / radius
+    )
+    found, squared = locus_of(jnp.asarray(ts), jet), radius**2 + climb**2
+    np.testing.assert_allclose(found.speed[0], rate * np.sqrt(squared), rtol=1e-12)
+    np.testing.assert_allclose(found.arclength[0], (angle - angle[0]) * np.sqrt(squared), rtol=1e-12)
+    np.testing.assert_allclose(found.normal_curvature[0], radius / squared, rtol=1e-12)
+    np.testing.assert_allclose(found.geodesic_curvature[0], 0.0, atol=1e-10)
+    np.testing.assert_allclose(found.curvature[0], radius / squared, rtol=1e-12)
+    np.testing.assert_allclose(found.geodesic_torsion[0], climb / squared, rtol=1e-12)
+    np.testing.assert_allclose(found.torsion[0], climb / squared, rtol=1e-12)
+
+
+def test_a_circle_of_latitude_has_its_known_curvatures():
+    """On a sphere, 0.7 rad from the pole, passed eastwards: it turns to the left of its way."""
+    radius, polar = 0.05, 0.7
+    across, up = radius * np.sin(polar), radius * np.cos(polar)
+
+    def curve(u):
+        c, s, none = np.cos(u), np.sin(u), np.zeros_like(u)
+        yield across * c, across * s, up + none
+        yield -across * s, across * c, none
+        yield -across * c, -across * s, none
+        yield across * s, -across * c, none
+
+    normal = lambda u: (  # noqa: E731
+        np.sin(polar) * np.cos(u),
+        np.sin(polar) * np.sin(u),
+        np.cos(polar) + 0.0 * u,
+    )
+    ts, angle, rate, jet = jets(curve, normal, lambda v: v / radius)
+    found = locus_of(jnp.asarray(ts), jet)
+    np.testing.assert_allclose(found.normal_curvature[0], 1.0 / radius, rtol=1e-12)
+    np.testing.assert_allclose(found.geodesic_curvature[0], 1.0 / (radius * np.tan(polar)), rtol=1e-12)
+    np.testing.assert_allclose(found.curvature[0], 1.0 / across, rtol=1e-12)
+    for none in (found.geodesic_torsion, found.torsion):
+        np.testing.assert_allclose(none[0], 0.0, atol=1e-10)
+    np.testing.assert_allclose(found.arclength[0], across * (angle - angle[0]), rtol=1e-12)

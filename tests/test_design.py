@@ -590,6 +590,7 @@ def test_a_search_has_settled_when_nothing_changed_in_two_chunks_within_the_limi
         ((4.0, 0.0), 3.0, 1.5e-7, False),
         ((4.0, 0.2), 5.0, 0.1, True),
         ((4.0, 0.2), 3.0, 0.3, False),
+        ((4.0, 0.2), 3.0, 0.2, False),
         ((4.0, 1.5e-7), 5.0, 0.7e-7, True),
         ((4.0, 0.2), np.nan, -1.0, False),
         ((4.0, 0.0), -np.inf, -1.0, False),

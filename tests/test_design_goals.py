@@ -542,7 +542,7 @@ def test_the_smooth_worst_of_some_costs(sharpness):
 def test_the_cost_of_a_margin_is_its_smooth_least_by_the_size():
     """Of a circle about (1, 2) mm of 10 mm the margin is minus the part of that along the normal."""
     tip, interval = jxr.Circle(0.01).moved((0.001, 0.002)), jnp.array([-0.004, 0.009])
-    seen = sampled(tip, interval)
+    seen = eqx.filter_jit(sampled)(tip, interval)
     angle = np.linspace(-0.4, 0.9, 65)
     margins = -(0.001 * np.cos(angle) + 0.002 * np.sin(angle))
     unit, sharpness = 0.02, 0.3

@@ -627,13 +627,13 @@ def test_why_says_what_it_cannot_judge(scene, run):
 @pytest.mark.parametrize(
     ("curvature", "pivot", "f", "told"),
     [
-        ((0.7e-9, 1.0), 1.0, (1.0, 1.0), "contact 0 (finger 0 on contour 0) is singular"),
+        ((0.7e-4, 1.0), 1.0, (1.0, 1.0), "contact 0 (finger 0 on contour 0) is singular"),
         ((1.0, -1.0), 1.0, (1.0, 1.0), "contact 1 (finger 1 on contour 1) is singular"),
         ((1.0, np.nan), 1.0, (1.0, 1.0), "contact 1 (finger 1 on contour 1) is singular"),
         ((1.0, 1.0), 0.7e-9, (1.0, 1.0), "contacts are redundant or an arm is straight"),
         ((1.0, 1.0), 1.0, (1.0, 0.0), "contact 1 (finger 1 on contour 1) pulls with -0 N"),
         ((1.0, 1.0), 1.0, (-0.25, 1.0), "contact 0 (finger 0 on contour 0) pulls with 0.25 N"),
-        ((1.4e-9, 1.0), 1.4e-9, (1.0, 1e-9), None),
+        ((1.4e-4, 1.0), 1.4e-9, (1.0, 1e-9), None),
     ],
 )
 def test_why_looks_at_curvatures_then_at_pivots_then_at_forces(curvature, pivot, f, told):
@@ -685,8 +685,8 @@ def test_a_contact_that_holds_both_ways_cannot_be_lost():
     ("curvature", "pivot", "told"),
     [
         ((0.25, 0.125), 0.5, "no, curvatures add up to 0.125 of their size (contact 1, the least)"),
-        ((1.4e-9, 0.125), 1.4e-9, "no, curvatures add up to 1.4e-09 of their size (contact 0, the least)"),
-        ((0.7e-9, 0.125), 0.5, "yes, curvatures add up to 7e-10 of their size (contact 0, the least)"),
+        ((1.4e-4, 0.125), 1.4e-9, "no, curvatures add up to 0.00014 of their size (contact 0, the least)"),
+        ((0.7e-4, 0.125), 0.5, "yes, curvatures add up to 7e-05 of their size (contact 0, the least)"),
         ((0.25, 0.125), 0.7e-9, "yes, curvatures add up to 0.125 of their size (contact 1, the least)"),
     ],
 )

@@ -24,8 +24,10 @@ def height(a, b, c, d):
 EVEN = {
     "a factor of three": ([1.0, 3.0, 9.0, 27.0], True),
     "a factor, in any order and more than once": ([9.0, 1.0, 3.0, 3.0], True),
-    "but for rounding": ([1.0, 3.0 * (1.0 + 3e-7), 9.0], True),
-    "a factor that is off": ([1.0, 3.0 * (1.0 + 1e-5), 9.0], False),
+    # Of the logarithm's step, a millionth for each of the steps.
+    "but for rounding": ([1.0, 3.0 * (1.0 + 0.8e-6), 9.0], True),
+    "a factor that is off": ([1.0, 3.0 * (1.0 + 1.4e-6), 9.0], False),
+    "a small factor that is off": ([1.0, 1.01, 1.01**2 * (1.0 + 1e-7)], False),
     "one step": ([1.0, 2.0, 3.0], False),
     "neither": ([1.0, 2.0, 5.0], False),
     "two values": ([1.0, 10.0], False),
@@ -50,6 +52,11 @@ def test_samples_are_logarithmic_where_their_logarithms_are_even_over_more_than_
     assert _logarithmic(np.array([1.0, 4.5, 9.0]), gridded=False) is False
     assert _logarithmic(np.array([1.0, 3.5, 9.0]), gridded=False) is True
     assert _logarithmic(np.array([0.0, 3.5, 9.0]), gridded=False) is False
+    assert _logarithmic(1e3 * np.array([2.0, 7.5, 20.0]), gridded=False) is True
+    assert _logarithmic(1e3 * np.array([2.0, 9.0, 20.0]), gridded=False) is False
+    # Twice the least of them, which is not one.
+    assert _logarithmic(1e3 * 1.9**u, gridded=False) is False
+    assert _logarithmic(np.array([1.0, 1.45, 2.05]), gridded=False) is True
 
 
 def test_a_map_shows_the_first_two_that_change_and_holds_the_others_in_the_middle():
@@ -118,7 +125,7 @@ def test_values_that_are_no_numbers_of_the_rows_are_refused(values):
 
 def test_samples_stand_where_they_are_and_what_else_changes_is_told():
     t = np.arange(5.0)
-    some = jxr.Parameters(a=t + 1.0, b=t**2, c=3.0 - t, d=2.0 * t, e=np.ones(5)).with_units(b="s")
+    some = jxr.Parameters(a=t + 1.0, b=t**2, c=3.0 - 0.1 * t, d=2.0 * t, e=np.ones(5)).with_units(b="s")
     data = map_data(some, 10.0 * t, x="b")
     assert not data.gridded and (data.x.label, data.y.label) == ("b [s]", "a")
     np.testing.assert_array_equal(data.x.values, t**2)
@@ -203,7 +210,7 @@ def test_samples_without_a_number_are_grey_dots_below_the_others():
         for n in (2000, 2001)
     )
     sizes = [ax.collections[1].get_sizes()[0] for ax in (few, many)]
-    assert sizes[0] == 4.0 * sizes[1] == known.get_sizes()[0] == unknown.get_sizes()[0]
+    assert sizes[0] == 4.0 * sizes[1] == known.get_sizes()[0] == unknown.get_sizes()[0] > 0.0
 
 
 def test_a_map_is_headed_by_its_title_and_where_others_are_held():
@@ -227,6 +234,7 @@ def test_a_page_of_a_grid_has_a_step_of_colour_for_each_code():
     assert (trace["zmin"], trace["zmax"], trace["showscale"]) == (-0.5, 2.5, True)
     bar = trace["colorbar"]
     assert (bar["tickvals"], bar["ticktext"], bar["title"]) == ([0, 1, 2], list(CODES), {"text": "end"})
+    assert bar["outlinewidth"] == 0.5
     assert trace["text"].tolist() == [
         ["successful", "slipping", "lost"],
         ["slipping", "slipping", "successful"],
@@ -257,7 +265,12 @@ def test_a_page_says_values_under_the_pointer():
 
 def test_a_page_of_a_map_is_laid_out_as_its_picture():
     layout = _layout(MapData(*SIDES, Z, (), True, "c = 3"), "Pinches")
-    assert layout["title"]["text"] == "Pinches<br><sup>c = 3</sup>"
+    assert layout["title"] == {
+        "text": "Pinches<br><sup>c = 3</sup>",
+        "x": 0.5,
+        "xanchor": "center",
+        "font": {"size": 18},
+    }
     assert (layout["xaxis"]["type"], layout["yaxis"]["type"]) == ("log", "linear")
     assert (layout["xaxis"]["title"], layout["yaxis"]["title"]) == ({"text": "a [m]"}, {"text": "b"})
     assert layout["plot_bgcolor"] == _map_figure.NOTHING and not layout["xaxis"]["showgrid"]

@@ -276,6 +276,16 @@ def _loaded(name: str) -> dict[str, Any]:
     return drawn(plotting.poses(pulled, runs.run(name), times=(0.0, 0.4), forces=True))
 
 
+def _map(codes: bool) -> dict[str, Any]:
+    """A grid of codes in cells, or samples with a value as dots."""
+    if codes:
+        grid = jxr.Parameters.grid(damping=np.geomspace(0.002, 0.02, 4), beta=[10.0, 20.0, 30.0])
+        return drawn(plotting.parameter_map(grid, grid.damping * grid.beta > 0.1, label="well"))
+    t = np.arange(1.0, 7.0)
+    some = jxr.Parameters(damping=t, beta=t**2)
+    return drawn(plotting.parameter_map(some, np.where(t == 3.0, np.nan, 0.1 * t), label="height [m]"))
+
+
 def labels() -> dict[str, Any]:
     """Where a label of 20 by 10 points goes, among lines and other labels."""
     line = np.array([[0.0, 50.0], [100.0, 50.0], [100.0, 80.0]])
@@ -363,6 +373,8 @@ PICTURES: dict[str, Callable[[], dict[str, Any]]] = {
     "page_pivoted": _page_of_run("pivoted", frames=3),
     "page_turntable": _page_of_run("turntable", view=plotting.View(30.0, 20.0)),
     "page_stand_in": _page_of_stand_in,
+    "map_of_codes": lambda: _map(True),
+    "map_of_samples": lambda: _map(False),
     "meshes": meshes,
     "rays": rays,
     "labels": labels,

@@ -1,0 +1,1072 @@
+"""Pieces of pictures by hand-worked cases: what is shown, how far axes go, which words stand where."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+from PIL import Image
+
+import jaxroll as jxr
+from jaxroll._motion import Energy
+from jaxroll.plotting import (
+    _animate,
+    _animate3,
+    _artists,
+    _contact_figure,
+    _contours,
+    _design_figure,
+    _doors,
+    _fit_figure,
+    _forces,
+    _forces3,
+    _gif,
+    _loci_figure,
+    _page,
+    _page_parts,
+    _page_plane,
+    _panels,
+    _phase,
+    _phase_one,
+    _phase_parts,
+    _poses3,
+    _responses,
+    _scene3,
+    _surface_fit_figure,
+    _tags,
+    _tubes,
+    _views,
+)
+from jaxroll.plotting._motion3 import Motion3D
+from jaxroll.plotting._outlines import _backed, _joined, Outline, OutlineSamples
+from tests.recorded import runs
+
+NAN = np.nan
+
+
+def axes():
+    return Figure().subplots()
+
+
+def lines_of(ax):
+    return [line.get_xydata() for line in ax.lines]
+
+
+# Times and files of animations and pages.
+
+
+def test_frames_are_the_saved_states_nearest_to_even_times_and_the_last():
+    """The last but one is at least half a step before the end."""
+    ts = 2.0 + np.array([0.0, 0.1, 0.25, 0.3, 0.55, 0.6, 1.0])
+    assert _gif.nearest_rows(ts, 0.3).tolist() == [0, 3, 5, 6]
+    even = 5.0 + np.linspace(0.0, 1.0, 21)
+    assert _gif.nearest_rows(even, 0.35).tolist() == [0, 7, 14, 20]
+    assert _gif.nearest_rows(even, 0.4).tolist() == [0, 8, 20]
+    assert _gif.nearest_rows(even, 1.5).tolist() == [0, 20]
+    assert _gif.nearest_rows(even[:1], 0.1).tolist() == [0]
+
+
+def test_a_film_keeps_small_colours_exactly_and_what_is_nearly_white_is_white(tmp_path):
+    """Its colours are those of the first, the middle and the last frame."""
+    colours = [(200, 30, 40), (120, 120, 120), (30, 160, 60), (10, 10, 10), (40, 60, 190)]
+    frames = [Image.new("RGB", (40, 30), colour) for colour in colours]
+    for frame, grey in ((frames[0], 248), (frames[2], 240)):
+        frame.paste((grey, grey, grey), (10, 0, 30, 20))
+    frames[1].paste((0x12, 0x34, 0x56), (30, 20, 32, 22))
+    path = tmp_path / "film.gif"
+    _gif.write(path, frames, [40, 50, 60, 70, 900], ("#123456", "white"))
+    seen, times = [], []
+    with Image.open(path) as film:
+        assert film.n_frames == 5 and film.info["loop"] == 0
+        for k in range(5):
+            film.seek(k)
+            times.append(film.info["duration"])
+            seen.append(np.asarray(film.convert("RGB"), int))
+    assert times == [40, 50, 60, 70, 900]
+    for k in (0, 2, 4):
+        assert np.abs(seen[k][25, 2] - colours[k]).max() <= 4
+    assert (seen[0][5, 20] == 255).all() and np.abs(seen[2][5, 20] - 240).max() <= 4
+    # A colour that is to be kept is there, whatever the three frames show; black gets the nearest there is.
+    assert tuple(seen[1][21, 31]) == tuple(seen[3][5, 5]) == (0x12, 0x34, 0x56)
+
+
+@pytest.mark.parametrize(
+    ("fps", "speed", "end", "delay", "rows"),
+    [
+        (25.0, 1.0, 0.4, 40, [0, 4, 8, 12, 16, 20, 24, 28, 32, 36, 40]),
+        (3.0, 0.1, 0.4, 330, [0, 3, 7, 10, 13, 16, 20, 23, 26, 30, 33, 36, 40]),
+        (1000.0, 5.0, 0.4, 20, [0, 10, 20, 30, 40]),
+        (25.0, 0.5, 59 * 0.05 * 0.5, 50, None),
+        (10.0, 2.0, 59 * 0.121 * 2.0, 130, None),
+    ],
+)
+def test_an_animation_in_space_has_at_most_sixty_frames_of_whole_hundredths(fps, speed, end, delay, rows):
+    ts = 1.0 + np.linspace(0.0, end, 41)
+    found, held = _animate3._paced(ts, fps, speed)
+    assert held == delay and found[-1] == 40
+    if rows is not None:
+        assert found.tolist() == rows
+    wanted = 1.0 + 1e-3 * delay * speed * np.arange(len(found) - 1)
+    assert np.abs(ts[found[:-1]] - wanted).max() <= 0.5 * end / 40 + 1e-9
+    assert len(found) <= 60
+
+
+def test_an_animation_shows_what_was_reached_until_a_time():
+    run = runs.run("pivoted", ended="slipping")
+    ts, rows = _animate._shown(run, None)
+    assert rows.tolist() == list(range(8)) and ts.tolist() == np.asarray(run.ts)[:8].tolist()
+    ts, rows = _animate._shown(run, float(run.ts[3]))
+    assert rows.tolist() == [0, 1, 2, 3] and ts[-1] == run.ts[3]
+    assert _animate._shown(run, 9.0)[1].tolist() == list(range(8))
+    with pytest.raises(ValueError, match="argument until must be at least the first saved time"):
+        _animate._shown(run, -0.01)
+
+
+@pytest.mark.parametrize(
+    ("span", "frames", "step"),
+    [
+        (0.7, 8, 0.1),
+        (7.5, 4, 2.5),
+        (7.0, 3, 5.0),
+        (12.0, 11, 2.0),
+        (0.9, 2, 1.0),
+        (30.0, 26, 2.0),
+        (0.02, 21, 0.001),
+    ],
+)
+def test_a_page_stands_at_the_least_round_step_that_leaves_few_enough(span, frames, step):
+    ts = 3.0 + np.linspace(0.0, span, 401)
+    rows = _page_parts.page_times(ts, frames)
+    expected = np.append(np.arange(0.0, span - 0.5 * step, step), span)
+    np.testing.assert_allclose(ts[rows] - 3.0, expected, atol=0.5 * span / 400 + 1e-12)
+    assert len(rows) <= frames
+    assert _page_parts.page_times(np.array([4.0, 4.0]), 5).tolist() == [0]
+
+
+def test_paths_of_pages_end_in_html_and_pages_have_not_too_many_frames():
+    assert _page_parts.checked_page("a/b.HTM", 5000) == (_page_parts.Path("a/b.HTM"), 5000)
+    with pytest.raises(ValueError, match="argument frames must leave at most 5000 frames"):
+        _page_parts.checked_page("b.html", 5001)
+
+
+def test_a_drawing_is_a_hundred_inches_wide_at_most():
+    assert _doors._size("size", 100) == 100.0 and _doors._size("size", 1e-3) == 1e-3
+    for size in (100.1, 0.0, -1.0):
+        with pytest.raises(ValueError, match="argument size must be positive and at most 100"):
+            _doors._size("size", size)
+
+
+# Panels over time.
+
+
+def panel(values, **more):
+    return _panels.Panel("some forces", "$f$ [N]", np.array(values), **more)
+
+
+def test_small_values_have_their_power_of_ten_on_the_label():
+    for values, power in (([2.5e-4, -9.0e-4], -4), ([NAN, -3e-8], -8)):
+        found = _panels.in_powers(panel(values))
+        np.testing.assert_allclose(found.values, np.array(values) / 10.0**power, rtol=1e-12)
+        assert found.label == f"$f$ [$10^{{{power}}}$ N]" and found.title == "some forces"
+    for values in ([1.1e-3, 0.0], [-5.0, 2.0]):
+        same = panel(values)
+        assert _panels.in_powers(same) is same
+
+
+def test_what_is_zero_but_for_rounding_is_said_to_be_zero_unless_it_should_be():
+    found = _panels.in_powers(panel([0.9e-10, -0.2e-10]))
+    assert (found.title, found.least, found.label) == ("some forces: zero", 1e-3, "$f$ [N]")
+    assert _panels.in_powers(panel([0.0, 0.0])).least == 1e-3
+    assert _panels.in_powers(panel([1.1e-10, 0.0])).label == "$f$ [$10^{-10}$ N]"
+    left = _panels.in_powers(panel([0.9e-12, 0.0], left_over=True))
+    assert left.label == "$f$ [$10^{-13}$ N]" and left.values[0] == pytest.approx(9.0) and left.least is None
+    nothing = panel([0.0, 0.0], left_over=True)
+    assert _panels.in_powers(nothing) is nothing
+
+
+def test_contacts_far_apart_that_move_little_are_drawn_since_the_start():
+    way = np.array([[0.0, 0.0], [1.0, -0.5], [NAN, NAN], [0.4, 0.2]])
+    apart = _panels._contacts(way + [5.0, 8.9])
+    assert apart.label == "$s_i - s_i(0)$ [mm]" and apart.names == ("$s_1$", "$s_2$")
+    np.testing.assert_allclose(apart.values, way, atol=1e-12)
+    near = _panels._contacts(way + [5.0, 8.7])
+    assert near.label == "$s_i$ [mm]"
+    np.testing.assert_array_equal(near.values, way + [5.0, 8.7])
+    still = np.tile([5.0, 90.0], (3, 1))
+    assert _panels._contacts(still).label == "$s_i$ [mm]"
+
+
+def test_what_is_left_over_is_said_to_be_rounding_by_its_own_scale():
+    for value, words in ((-0.9e-13, "gap (rounding level)"), (-1.1e-13, "gap")):
+        found = _panels.residual_panel("gap", "Q", [NAN, 7.0 * value], size=7.0, names=("a",))
+        assert (found.title, found.label, found.names) == (words, "Q", ("a",))
+        assert found.left_over and found.width == 0.8
+    # The scale of the balance is the largest energy, kinetic and potential together.
+    kinetic, potential = np.array([1.0, 2.0, NAN]), np.array([3.0, -5.0, NAN])
+    for left, words in ((3.9e-13, "energy balance (rounding level)"), (4.1e-13, "energy balance")):
+        energy = Energy(kinetic, potential, np.zeros(3), np.array([0.0, -left, NAN]))
+        assert _panels.balance_panel(energy).title == words
+
+
+def test_part_2_is_one_finger_of_two_joints_that_presses_on_a_pivoted_object():
+    grasp = runs.scene("pivoted")[0]
+    assert _panels._is_part_2(grasp) is True and _phase_one.has_one_direction(grasp) is True
+    bare = grasp.with_(controller=None)
+    assert not _panels._is_part_2(bare) and not _phase_one.has_one_direction(bare)
+
+
+def test_a_panel_of_nearly_constant_values_does_not_magnify_their_last_digits():
+    """Within a ten-thousandth of their size; else the values have some room below and above."""
+    ts, reached = np.arange(3.0), np.array([True, True, False, True])
+
+    def limits(*values, **more):
+        ax = axes()
+        _responses._draw(ax, ts, panel([*values[:2], NAN, values[2]], **more), reached)
+        return ax
+
+    np.testing.assert_allclose(limits(-5.0, -5.0, -5.0 + 4e-4).get_ylim(), [-5.5 + 2e-4, -4.5 + 2e-4])
+    low, high = -5.0, -5.0 + 5e-4
+    room = 0.08 * (high - low)
+    np.testing.assert_allclose(limits(low, low, high).get_ylim(), [low - room, high + room], rtol=1e-9)
+    assert len(limits(low, low, high).lines) == 1 and len(limits(0.0, 1.0, 2.0).lines) == 2
+    assert limits(1e-12, 0.0, 0.0, least=1e-3).get_ylim() == (-1e-3, 1e-3)
+
+
+def test_a_panel_has_room_for_its_legend_above_all_lines():
+    ts, reached = np.arange(3.0), np.ones(3, bool)
+    rows = {2: 1, 3: 1, 4: 2, 7: 3}
+    for count, high in rows.items():
+        ax = axes()
+        names = tuple(f"line {k}" for k in range(count))
+        _responses._draw(
+            ax, ts, panel(np.outer([0.0, 1.0, 3.0], 1.0 + np.arange(count)), names=names), reached
+        )
+        top = 3.0 * count
+        low, up = -0.08 * top, 1.08 * top
+        np.testing.assert_allclose(ax.get_ylim(), [low, up + 0.17 * high * (up - low)])
+        key = ax.get_legend()
+        assert [text.get_text() for text in key.get_texts()] == list(names) and key._ncols == min(3, count)
+        assert ax.get_xlim() == (0.0, 2.0)
+    ax = axes()
+    _responses._draw(ax, ts[1:2], panel([NAN, 4.0, NAN], names=("one",)), np.array([False, True, False]))
+    assert ax.get_legend() is None and ax.lines[0].get_marker() == "o"
+    np.testing.assert_array_equal(ax.lines[0].get_xydata(), [[1.0, 4.0]])
+
+
+# Loci.
+
+
+def test_a_locus_is_left_out_where_its_contact_all_but_rests():
+    speed = np.array([0.0, 0.019, 0.021, 1.0, NAN, -0.5])
+    assert _loci_figure._moving(3.0 * speed).tolist() == [False, False, True, True, False, False]
+    assert not _loci_figure._moving(np.zeros(3)).any() and not _loci_figure._moving(np.full(2, NAN)).any()
+
+
+def test_powers_of_ten_of_loci():
+    label = r"$\tau$ [1/mm]"
+    assert _loci_figure._powers(1e-3, label) == (1.0, label) and _loci_figure._powers(50.0, label)[0] == 1.0
+    scale, told = _loci_figure._powers(9e-4, label)
+    assert scale == pytest.approx(1e4) and told == r"$\tau$ [$10^{-4}$/mm]"
+    values, unit = _loci_figure._in_powers(np.array([2e-9, NAN, -3e-9]))
+    np.testing.assert_allclose(values, [2.0, NAN, -3.0])
+    assert unit == "$10^{-9}$ m"
+    values, unit = _loci_figure._in_powers(np.array([0.0, NAN]))
+    assert unit == "m" and values[0] == 0.0
+    assert _loci_figure._title("Torsion", 1, 2) == "Torsion, contact 2"
+    assert _loci_figure._title("Torsion", 0, 1) == "Torsion"
+
+
+def test_limits_of_loci_hold_most_of_the_way_and_zero():
+    """Of 101 values from -20 to 80 those from -13 to 73 are within 85 %."""
+    values, weights = np.arange(-20.0, 81.0), np.ones(101)
+    limits = _loci_figure._limits
+    mixed = np.random.default_rng(0).permutation(101)
+    # No farther than three tenths of the margin, 0.35 of the range, beyond the last value.
+    np.testing.assert_allclose(limits(values[mixed], weights, 0.1), [-20.0 - 9.03, 80.0 + 9.03])
+    far = values.copy()
+    far[[0, -1]] = -1e3, 2e3
+    np.testing.assert_allclose(limits(far[mixed], weights, 0.1), [-13.0 - 30.1, 73.0 + 30.1])
+    np.testing.assert_allclose(limits(far[mixed], weights, 40.0), [-53.0, 113.0])
+    # What has no speed has no weight: a hundred places at 500 where the contact rests.
+    slow = np.append(values, np.full(100, 500.0)), np.append(weights, np.zeros(100))
+    np.testing.assert_allclose(limits(*slow, 0.1), [-29.03, 103.1])
+    # Of one sign only, zero is the other end; what is not finite is left out.
+    above, ones = np.append(np.arange(50.0, 61.0), [NAN, NAN]), np.ones(13)
+    np.testing.assert_allclose(limits(above, ones, 0.1), [-6.3, 66.3])
+    np.testing.assert_allclose(limits(-above, ones, 0.1), [-66.3, 6.3])
+    np.testing.assert_allclose(limits(np.full(3, NAN), np.ones(3), 0.5), [-0.15, 0.15])
+
+
+# Forces.
+
+
+@pytest.mark.parametrize(
+    ("peak", "newtons"), [(7.3, "5 N"), (4.9, "2 N"), (1.0, "1 N"), (2.0, "2 N"), (0.043, "0.02 N")]
+)
+def test_the_key_of_forces_is_a_round_one_that_is_not_above_the_largest(peak, newtons):
+    ax = axes()
+    ax.set(xlim=(-10.0, 90.0), ylim=(20.0, 60.0))
+    forces = _forces.Arrows(np.zeros((1, 1, 2)), np.zeros((1, 1, 2)), False, 3.0, peak)
+    patch = _forces.key(ax, forces)
+    assert [text.get_text() for text in ax.texts] == [newtons]
+    end = (-7.0 + 3.0 * float(newtons[:-2]), 59.0)
+    np.testing.assert_allclose(patch._posA_posB, [(-7.0, 59.0), end])
+    np.testing.assert_allclose(ax.texts[0].xy, end)
+    none = _forces.Arrows(np.zeros((1, 1, 2)), np.zeros((1, 1, 2)), False, 0.0, 0.0)
+    assert _forces.key(ax, none) is None and len(ax.texts) == 1
+
+
+def test_forces_in_space_are_taken_at_some_times_with_where_their_load_acts():
+    contacts = np.arange(24.0).reshape(2, 4, 3)
+    load, at = 50.0 + np.arange(12.0).reshape(4, 3), np.arange(12.0).reshape(4, 3) / 9.0
+    some = _forces3.Pushes(contacts, load, at).rows(np.array([3, 1]))
+    np.testing.assert_array_equal(some.contacts, contacts[:, [3, 1]])
+    np.testing.assert_array_equal(some.load, load[[3, 1]])
+    np.testing.assert_array_equal(some.at, at[[3, 1]])
+    assert some.peak == pytest.approx(np.linalg.norm(load[3]))
+    alone = _forces3.Pushes(np.where(contacts > 22.0, NAN, contacts)).rows(np.array([3, 1]))
+    assert alone.load is None and alone.peak == pytest.approx(np.linalg.norm([15.0, 16.0, 17.0]))
+
+
+def test_the_longest_force_in_space_is_a_share_of_the_picture():
+    """0.14 of the diagonal, 7, for 5 N; places are in millimetres."""
+    scene = SimpleNamespace(on_object=[None], corners=np.array([[1.0, 1.0, 1.0], [3.0, 4.0, 7.0]]))
+    contacts = np.array([[[9.0, 9.0, 9.0], [3.0, 0.0, -4.0], [1.0, 0.0, 0.0]]])
+    found = _poses3.scaled(scene, _forces3.Pushes(contacts), np.array([1, 2]))
+    assert found.scale == pytest.approx(0.14 * 7.0 / 5.0) and found.load is None
+    np.testing.assert_allclose(found.contacts, 0.196 * contacts[:, 1:])
+    load, at = np.array([[0.0, 0.0, 0.0], [0.0, 6.0, 8.0], [0.0, 1.0, 0.0]]), np.full((3, 3), 0.02)
+    loaded = _poses3.scaled(scene, _forces3.Pushes(contacts, load, at), np.array([1, 2]))
+    np.testing.assert_allclose(loaded.load, 0.098 * load[1:])
+    np.testing.assert_allclose(loaded.at, 20.0 * np.ones((2, 3)))
+    assert _poses3.scaled(scene, _forces3.Pushes(0.0 * contacts), np.array([0])).scale == 0.0
+    for wrong in (contacts[:, :2], contacts[..., :2], contacts[[0, 0]], contacts[0]):
+        with pytest.raises(ValueError, match=r"argument forces must have shape \(1, t, 3\)"):
+            _poses3.scaled(scene, _forces3.Pushes(wrong), np.array([1, 2]))
+
+
+def test_instants_are_counted_from_either_end():
+    assert [_poses3.index(k, 3) for k in (-3, -1, 0, 2)] == [0, 2, 0, 2]
+    for k in (3, -4):
+        with pytest.raises(ValueError, match="argument at must be the number of one of 3 times"):
+            _poses3.index(k, 3)
+
+
+# Bodies in the plane.
+
+
+def test_a_link_is_a_strip_with_round_ends():
+    start, end, radius = np.array([1.0, 2.0]), np.array([4.0, 6.0]), 0.5
+    corners = _artists._capsule(start, end, radius)
+    along, across = np.array([0.6, 0.8]), np.array([-0.8, 0.6])
+    first, second = corners[:13] - end, corners[13:] - start
+    np.testing.assert_allclose(np.linalg.norm(np.concatenate([first, second]), axis=1), radius)
+    turn = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 13)
+    np.testing.assert_allclose(first @ along, radius * np.cos(turn), atol=1e-12)
+    np.testing.assert_allclose(first @ across, radius * np.sin(turn), atol=1e-12)
+    np.testing.assert_allclose(second, -first, atol=1e-12)
+
+
+def test_a_picture_holds_all_that_is_drawn_at_any_time():
+    ring = np.stack([np.linspace(-3.0, 4.0, 13), np.linspace(-1.0, 2.0, 13)], axis=1)
+    shape = Outline((ring,), (ring,))
+    still, moved = np.array([0.0, 0.0, 1.0, 0.0]), np.array([10.0, 20.0, 0.0, 1.0])
+    seen = SimpleNamespace(
+        body=shape,
+        tips=(shape,),
+        joints=[np.array([[[-30.0, 1.0], [0.0, 0.0]]])],
+        guides=(np.array([[[0.0, -40.0], [1.0, 1.0]]]),),
+        frames=(np.array([still]), np.array([still, moved])),
+    )
+    # A quarter turn takes (x, y) to (-y, x): the upper right corner is at (10 + 1, 20 + 4).
+    np.testing.assert_allclose(_artists.limits(seen), [[-36.0, -46.0], [17.0, 30.0]])
+    np.testing.assert_allclose(_artists.limits(seen, 1.0), [[-31.0, -41.0], [12.0, 25.0]])
+    np.testing.assert_allclose(_artists.limits(seen, 1.0, above=0.1), [[-31.0, -41.0], [12.0, 31.6]])
+
+
+def test_names_in_the_legend_count_contacts_and_fingers():
+    assert [_artists._point_name(k) for k in (1, 2, 3, 4)] == [
+        "contact point $P_1$",
+        "contact points $P_1$, $P_2$",
+        "contact points $P_i$",
+        "contact points $P_i$",
+    ]
+    names = [_artists._centre_name(1, True), *(_artists._centre_name(k, False) for k in (2, 1, 3))]
+    assert names == ["tip frame $O_{01}$", "finger centres $O_1$, $O_2$"] + 2 * ["finger centres $O_i$"]
+
+
+def bezier(a, b, c, d, u):
+    """By repeated halving of segments as de Casteljau did it, at shares u."""
+    points = [a, b, c, d]
+    while len(points) > 1:
+        points = [p + u * (q - p) for p, q in zip(points[:-1], points[1:], strict=True)]
+    return points[0]
+
+
+def test_an_open_face_gets_a_back_that_leaves_it_aslant():
+    """Half way between the face's own direction and the way into the body."""
+    face = np.array([[1.0, 2.0], [3.0, 1.0], [4.0, 6.0]])
+    tangents = np.array([[0.6, -0.8], [0.8, 0.6]])
+    ring = _backed(face, tangents)
+    inward = np.array([-0.8, 0.6])
+    leave, enter = tangents[1] + inward, inward - tangents[0]
+    leave, enter = leave / np.hypot(*leave), enter / np.hypot(*enter)
+    u = np.arange(1, 40)[:, None] / 40.0
+    arc = bezier(face[2], face[2] + 1.1 * leave, face[0] + 1.1 * enter, face[0], u)
+    np.testing.assert_allclose(ring, np.concatenate([face, arc]), atol=1e-12)
+
+
+def test_several_open_faces_are_joined_in_the_order_in_which_they_stand_round_the_body():
+    u = np.linspace(-1.0, 1.0, 241)[:, None]
+    middles, ways = (
+        np.array([[0.0, -3], [5, 0], [0, 4], [-6, 0]]),
+        np.array([[1.0, 0], [0, 1], [-1, 0], [0, -1]]),
+    )
+    faces = [[100.0, 7.0] + middle + 0.5 * u * way for middle, way in zip(middles, ways, strict=True)]
+    found = _joined([faces[k] for k in (2, 0, 3, 1)])
+    # From the left, which is a little below the middle of all: directions are counted from -180 degrees on.
+    np.testing.assert_array_equal(found, np.concatenate([faces[k] for k in (3, 0, 1, 2)]))
+
+
+def test_a_run_that_ended_says_how_at_the_time_where_it_did():
+    run = runs.run("pivoted", ended="slipping")
+    end = float(run.stats.t_end)
+    assert _views.how_it_ended(run, end) == ": slipping" and _views.how_it_ended(run, end - 0.01) == ""
+    assert _views.how_it_ended(runs.run("pivoted"), 9.0) == ""
+
+
+# The geometry of one contact.
+
+
+def sketched():
+    return _contact_figure._Sketch(axes(), 2.0)
+
+
+def arrows_of(sketch):
+    return [np.array(patch._posA_posB) for patch in sketch.ax.patches]
+
+
+def test_a_long_dimension_is_one_arrow_of_two_heads_beside_what_it_measures():
+    sketch = sketched()
+    start, end, aside = np.array([1.0, 2.0]), np.array([4.0, 6.0]), np.array([-1.6, 1.2])
+    sketch.dimension(start, end, aside, text="$l$", colour="red")
+    (arrow,) = arrows_of(sketch)
+    np.testing.assert_allclose(arrow, [[-0.6, 3.2], [2.4, 7.2]])
+    assert type(sketch.ax.patches[0].get_arrowstyle()).__name__ == "CurveFilledAB"
+    # Its lines go 0.15 units, here 0.3, beyond.
+    for line, point in zip(lines_of(sketch.ax), (start, end), strict=True):
+        np.testing.assert_allclose(line, [point, point + 1.15 * aside])
+    (tag,) = sketch.tags
+    np.testing.assert_allclose(tag.at, [0.9, 5.2])
+    assert (tag.text, tag.colour) == ("$l$", "red")
+
+
+@pytest.mark.parametrize("length", [0.9, 0.0])
+def test_a_short_dimension_has_its_arrows_outside(length):
+    """Along itself, or across its lines where it has no length at all."""
+    sketch, along, aside = sketched(), np.array([0.6, 0.8]), np.array([-1.6, 1.2])
+    start = np.array([1.0, 2.0])
+    sketch.tags.append("another")
+    sketch.dimension(start, start + length * along, aside, text="$l$", colour="red")
+    first = start + aside
+    last = first + length * along
+    before, after = arrows_of(sketch)
+    np.testing.assert_allclose(before, [first - 1.2 * along, first])
+    np.testing.assert_allclose(after, [last + 1.2 * along, last])
+    np.testing.assert_allclose(lines_of(sketch.ax)[2], [first, last])
+    assert sketch.tags[1] == "another"
+    np.testing.assert_allclose(sketch.tags[0].at, 0.5 * (first + last))
+
+
+def test_a_dimension_of_half_a_unit_vector_has_its_arrow_inside():
+    sketch = sketched()
+    sketch.dimension(np.zeros(2), np.array([1.01, 0.0]), np.array([0.0, 1.0]), text="", colour="red")
+    assert len(sketch.ax.patches) == 1
+
+
+def test_the_window_of_a_contact_is_neither_very_wide_nor_very_high():
+    points = np.array([[0.0, 10.0], [4.0, 12.0]])
+    np.testing.assert_allclose(_contact_figure._window(points, 1.0), [[-1.0, 9.0], [5.0, 13.0]])
+    # At least 0.6 of its width high, and as wide as it is high.
+    wide, high = np.array([[0.0, 0.0], [18.0, 2.0]]), np.array([[0.0, 0.0], [2.0, 18.0]])
+    np.testing.assert_allclose(_contact_figure._window(wide, 1.0), [[-1.0, -5.0], [19.0, 7.0]])
+    np.testing.assert_allclose(_contact_figure._window(high, 1.0), [[-9.0, -1.0], [11.0, 19.0]])
+
+
+def contact(l_b0, l_b1, l_n0, l_n1):
+    """Numbers of a contact whose tangent and normal are aslant, at (5, 3) mm; lengths in mm."""
+    b, n, point = np.array([0.8, 0.6]), np.array([0.6, -0.8]), np.array([5e-3, 3e-3])
+    lengths = {"l_b0": l_b0, "l_b1": l_b1, "l_n0": l_n0, "l_n1": l_n1}
+    # The origins stand off the feet along the tangent.
+    centre_0 = point - 1e-3 * (l_n0 * n + l_b0 * b)
+    centre_1 = point + 1e-3 * (l_n1 * n + l_b1 * b)
+    return SimpleNamespace(
+        point=point,
+        b_1=b,
+        n_1=n,
+        centre_0=centre_0,
+        centre_1=centre_1,
+        **{name: 1e-3 * length for name, length in lengths.items()},
+    )
+
+
+@pytest.mark.parametrize(
+    ("lengths", "aside"),
+    [
+        # Origins behind along b by 4 or ahead by 9: the dimensions stand on the other side.
+        ((4.0, -3.0, 7.0, 6.0), 2.2 + 0.8),
+        ((1.0, 9.0, 7.0, 6.0), -(1.0 + 1.1)),
+        ((-9.0, 2.0, 7.0, 6.0), -1.1),
+        ((2.0, -9.0, -7.0, -6.0), 2.2 + 0.8),
+    ],
+)
+def test_lengths_along_the_normal_stand_where_less_is_in_the_way(lengths, aside):
+    at, sketch = contact(*lengths), sketched()
+    l_b0, l_b1, l_n0, l_n1 = lengths
+    _contact_figure._lengths(sketch, at)
+    point, b, n = 1e3 * at.point, at.b_1, at.n_1
+    feet = {"$P_0'$": point - l_n0 * n, "$P_1'$": point + l_n1 * n}
+    tags = {tag.text: tag for tag in sketch.tags}
+    for name, foot in feet.items():
+        np.testing.assert_allclose(tags[name].at, foot)
+    np.testing.assert_allclose(tags["$l_{n0}$"].at, 0.5 * (feet["$P_0'$"] + point) + aside * b)
+    np.testing.assert_allclose(tags["$l_{n1}$"].at, 0.5 * (feet["$P_1'$"] + point) + aside * b)
+    # Lengths along b stand beyond their feet, away from the contact.
+    for name, foot, centre, away in (
+        ("$l_{b0}$", feet["$P_0'$"], 1e3 * at.centre_0, -np.sign(l_n0)),
+        ("$l_{b1}$", feet["$P_1'$"], 1e3 * at.centre_1, np.sign(l_n1)),
+    ):
+        np.testing.assert_allclose(tags[name].at, 0.5 * (foot + centre) + 2.1 * away * n)
+    ends = sorted([-l_n0, l_n1, 0.0])
+    normal, tangent = lines_of(sketch.ax)[:2]
+    np.testing.assert_allclose(normal, [point + (ends[0] - 0.5) * n, point + (ends[-1] + 0.5) * n])
+    np.testing.assert_allclose(tangent, [point - 3.2 * b, point + 3.2 * b])
+
+
+def test_position_vectors_tangents_and_normals_start_where_they_belong():
+    at = contact(1.0, 2.0, 7.0, 6.0)
+    at.gamma_0, at.gamma_1 = np.array([7e-3, -1e-3]), at.point - at.centre_1
+    at.n_0, at.b_0, at.misalignment = np.array([-0.6, 0.8]), np.array([0.0, 1.0]), 1.1e-3
+    sketch = sketched()
+    _contact_figure._vectors(sketch, at)
+    on_tip, on_body = 1e3 * (at.centre_0 + at.gamma_0), 1e3 * at.point
+    starts, ends = np.swapaxes(arrows_of(sketch), 0, 1)
+    wanted = [1e3 * at.centre_0, 1e3 * at.centre_1, on_tip, on_body, on_tip, on_body]
+    np.testing.assert_allclose(starts, wanted)
+    steps = [1e3 * at.gamma_0, 1e3 * at.gamma_1, *(2.0 * v for v in (at.n_0, at.n_1, at.b_0, at.b_1))]
+    np.testing.assert_allclose(ends - starts, steps)
+    np.testing.assert_allclose(sketch.tags[0].at, starts[0] + 0.45 * steps[0])
+    np.testing.assert_allclose(sketch.tags[1].at, starts[1] + 0.45 * steps[1])
+    np.testing.assert_allclose([tag.at for tag in sketch.tags[2:]], ends[2:])
+    assert [tag.size for tag in sketch.tags] == 6 * [11.0]
+    at.misalignment = -0.9e-3
+    alike = sketched()
+    _contact_figure._vectors(alike, at)
+    assert len(alike.tags) == 5 and "=" in alike.tags[-1].text
+    np.testing.assert_allclose(arrows_of(alike)[-1], [on_body, on_body + 2.0 * at.b_1])
+    at.misalignment = -1.1e-3
+    _contact_figure._vectors(other := sketched(), at)
+    assert len(other.tags) == 6
+
+
+def test_values_of_a_contact_are_listed_in_their_units():
+    at = contact(1.5, -2.25, 7.0, 6.5)
+    at.s, at.psi_0, at.theta_1, at.kappa_0, at.kappa_1 = 4e-3, 0.5 * np.pi, -1e-9, 50.0, -12.345
+    ax = axes()
+    _contact_figure._list_values(ax, at)
+    texts = [text.get_text() for text in ax.texts]
+    assert texts[1::3] == ["4.00", "90.00", "0.00", "1.50", "−2.25", "7.00", "6.50", "50.00", "−12.35"] or (
+        texts[1::3][-1] == "−12.34"
+    )
+    assert texts[2::3] == ["mm", "°", "°", "mm", "mm", "mm", "mm", "1/m", "1/m"]
+    assert texts[::3][3:7] == ["$l_{b0}$", "$l_{b1}$", "$l_{n0}$", "$l_{n1}$"]
+    assert [text.xyann[1] for text in ax.texts[::3]] == [-6.0 - 19.0 * k for k in range(9)]
+    assert not ax.axison
+
+
+# Contours and what was fitted.
+
+
+@pytest.mark.parametrize(
+    ("radius", "marks"),
+    [(0.0110, range(0, 70, 10)), (0.0115, range(0, 70, 10)), (0.004, range(0, 25, 5))],
+)
+def test_arclengths_are_counted_round_a_closed_contour_up_to_some_room_before_its_start(radius, marks):
+    """Once round are 69.1, 72.3 and 25.1 mm."""
+    ax, circle = axes(), jxr.Circle(radius)
+    _contours._count(ax, circle, tuple(map(float, circle.domain() or (0.0, 2.0 * np.pi * radius))))
+    texts = [text.get_text() for text in ax.texts]
+    assert texts == ["$s$ = 0", *(str(k) for k in marks[1:])]
+    dots = ax.lines[0].get_xydata()
+    np.testing.assert_allclose(np.linalg.norm(dots, axis=1), 1e3 * radius)
+    for dot, text in zip(dots, ax.texts, strict=True):
+        far = 17.0 if text.get_text() == "$s$ = 0" else 11.0
+        np.testing.assert_allclose(text.xyann, far * dot / np.linalg.norm(dot), atol=1e-9)
+
+
+def test_arclengths_of_an_open_contour_are_counted_from_end_to_end():
+    ax = axes()
+    _contours._count(ax, jxr.Line((-0.02, 0.011)), (-0.02, 0.0115))
+    assert [text.get_text() for text in ax.texts] == ["−20", "−15", "−10", "−5", "$s$ = 0", "5", "10"]
+    np.testing.assert_allclose(np.diff(ax.lines[0].get_xydata(), axis=0) ** 2 @ [1.0, 1.0], 25.0)
+
+
+def test_the_box_of_a_contour_holds_its_frame():
+    ring = np.array([[-3.0, -2.0], [1.0, 0.5]])
+    low, high = _contours._box(Outline((), (ring,)), 4.0, 0.25)
+    assert low.tolist() == [-3.25, -2.25] and high.tolist() == [4.25, 4.25]
+    low, high = _contours._box(Outline((), (ring + 10.0,)), 4.0, 0.25)
+    assert low.tolist() == [-0.25, -0.25] and high.tolist() == [11.25, 10.75]
+
+
+def curve(count):
+    """A quarter of a circle of 5 mm, counter-clockwise, with curvatures that grow along it."""
+    u = np.linspace(0.0, 0.5 * np.pi, count)
+    points, along = 5.0 * np.stack([np.cos(u), np.sin(u)], -1), np.stack([-np.sin(u), np.cos(u)], -1)
+    return OutlineSamples(points, along, 100.0 + 100.0 * u / u[-1])
+
+
+def test_the_teeth_of_a_fit_stand_on_the_outside_as_long_as_the_curvature():
+    """The longest tooth is 0.18 of the contour's size."""
+    made, ax = curve(301), axes()
+    points = made.points[::100] * 1.1
+    _fit_figure._shape(ax, made, points, closed=False)
+    tips, comb, contour, dots = lines_of(ax)
+    grow = 1.0 + 0.18 * made.curvatures / 200.0
+    np.testing.assert_allclose(tips, made.points * grow[:, None])
+    teeth = np.linspace(0, 300, 150).astype(int)
+    np.testing.assert_allclose(comb[::3], made.points[teeth])
+    np.testing.assert_allclose(comb[1::3], tips[teeth])
+    assert np.isnan(comb[2::3]).all() and not ax.patches
+    np.testing.assert_array_equal(contour, made.points)
+    np.testing.assert_array_equal(dots, points)
+    assert [line.get_label() for line in ax.lines[1:]] == [
+        "curvature, 200 1/m at most",
+        "contour",
+        "4 points",
+    ]
+    sizes = []
+    for count in (249, 250):
+        _fit_figure._shape(ax := axes(), made, np.zeros((count, 2)), closed=True)
+        assert len(ax.patches) == 1
+        sizes.append(ax.lines[-1].get_markersize())
+    assert sizes == [3.0, 1.8]
+
+
+def test_a_residual_is_positive_where_its_point_lies_outside():
+    made, ax = curve(3), axes()
+    off = 1e-3 * np.array([[2.0, 5.0], [-3.0 * 0.5**0.5, -3.0 * 0.5**0.5], [5.0, 7.0]])
+    _fit_figure._miss(ax, np.array([0.001, 0.004, 0.007]), off, made)
+    np.testing.assert_allclose(ax.lines[1].get_xydata(), [[1.0, 2.0], [4.0, -3.0], [7.0, 7.0]])
+    stems = np.array(ax.collections[0].get_segments())
+    np.testing.assert_allclose(stems, [[[1, 0], [1, 2]], [[4, 0], [4, -3]], [[7, 0], [7, 7]]], atol=1e-12)
+    assert ax.get_title(loc="left").endswith("outward: 4.5 \N{MICRO SIGN}m rms")  # sqrt(62 / 3)
+    seven = made._replace(curvatures=np.array([7.0]))
+    _fit_figure._bend(ax := axes(), np.array([0.0, 0.01, 0.02]), made, np.array([0.01]), seven)
+    np.testing.assert_allclose(ax.lines[1].get_xydata(), [[0.0, 100.0], [10.0, 150.0], [20.0, 200.0]])
+    np.testing.assert_allclose(ax.lines[2].get_xydata(), [[10.0, 7.0]])
+
+
+@pytest.mark.parametrize(
+    ("longest", "step"), [(8.0, 2.0), (30.0, 5.0), (45.0, 10.0), (0.6, 0.1), (6.0, 1.0), (1.9e3, 500.0)]
+)
+def test_ticks_of_a_surface_have_one_round_step(longest, step):
+    ticks = np.asarray(
+        _surface_fit_figure._few(np.array([0.3 * longest, longest, 0.5])).tick_values(0, longest)
+    )
+    np.testing.assert_allclose(np.diff(ticks), step, rtol=1e-9)
+
+
+def test_a_histogram_leaves_out_the_farthest_and_shows_the_limits():
+    values = np.append(np.arange(0.0, 1001.0), [NAN, np.inf])
+    for limits, ends in (([], (5.0, 995.0)), ([-200.0, 300.0], (-200.0, 995.0)), ([2000.0], (5.0, 2000.0))):
+        ax = axes()
+        _surface_fit_figure._histogram(ax, values, limits, "red")
+        assert len(ax.patches) == 60
+        bars = [ax.patches[0].get_x(), ax.patches[-1].get_x() + ax.patches[-1].get_width()]
+        np.testing.assert_allclose(bars, ends)
+        assert [line.get_xdata()[0] for line in ax.lines] == limits
+    same = axes()
+    _surface_fit_figure._histogram(same, np.full(7, 3.0), [], "red")
+    assert sum(bar.get_height() for bar in same.patches) == 7
+
+
+@pytest.mark.parametrize(("peak", "bend"), [(120.0, 100.0), (250.0, 200.0), (700.0, 500.0), (50.0, 50.0)])
+def test_the_bar_of_a_comb_is_a_round_curvature(peak, bend):
+    ax = axes()
+    ax.set(xlim=(-10.0, 90.0), ylim=(20.0, 70.0))
+    _design_figure._scale_of_comb(ax, 0.3, peak)
+    np.testing.assert_allclose(lines_of(ax), [[[-7.0, 73.0], [-7.0 + 0.3 * bend, 73.0]]])
+    assert ax.get_xlim() == (-10.0, 90.0) and ax.get_ylim() == (20.0, 76.0)
+    (text,) = ax.texts
+    assert text.get_text() == rf"comb: $\kappa$ = {bend / 1e3:g} /mm"
+    np.testing.assert_allclose(text.xy, (-7.0 + 0.3 * bend, 73.0))
+
+
+def test_the_search_of_a_design_shows_every_start_and_which_was_chosen():
+    history = np.array([[5.0, 3.0, np.inf], [4.0, 2.0, 1.0], [6.0, NAN, 2.0]])
+    ax = axes()
+    _design_figure._search(ax, history, 1)
+    np.testing.assert_array_equal(
+        [line.get_ydata() for line in ax.lines], [[5.0, 3.0, NAN], [4.0, 2.0, 1.0], [6.0, NAN, 2.0]]
+    )
+    assert all(line.get_xdata().tolist() == [1, 2, 3] for line in ax.lines)
+    own, others = ax.lines[1], ax.lines[::2]
+    assert own.get_color() == _design_figure._COLOURS[1] and own.get_linewidth() > others[0].get_linewidth()
+    assert {line.get_color() for line in others} == {"#BBBBBB"} and own.get_zorder() > others[1].get_zorder()
+    assert ax.get_title(loc="left") == "Search of 3 starts"
+    _design_figure._search(ax := axes(), history[:1], 0)
+    assert ax.get_title(loc="left") == "Search"
+
+
+def test_a_run_of_several_has_its_own_colour_until_they_are_used_up():
+    found = [_design_figure._colour(i) for i in range(6)]
+    assert len(set(found[:5])) == 5 and found[5] == found[1]
+    assert found[0] == _design_figure.CYCLE[4] and found[1:5] == list(_design_figure.CYCLE[:4])
+
+
+# Labels.
+
+
+def test_a_line_is_dotted_evenly_along_its_whole_length():
+    """Three and four long: of seven, four dots are two and a third apart."""
+    dots = _tags._dotted(np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 4.0]]))
+    np.testing.assert_allclose(dots, [[0.0, 0.0], [7 / 3, 0.0], [3.0, 5 / 3], [3.0, 4.0]])
+    assert len(_tags._dotted(np.array([[0.0, 0.0], [0.1, 0.0]]))) == 2
+    assert len(_tags._dotted(np.array([[0.0, 0.0], [1e6, 0.0]]))) == 20_000
+
+
+def best(place=(50.0, 50.0), high=(100.0, 100.0), low=(0.0, 0.0), taken=((0.0, 0.0),), boxes=()):
+    half, window = np.array([10.0, 5.0]), np.array([low, high])
+    return _tags._best(np.array(place), half, window, np.array(taken), [np.array(box) for box in boxes])
+
+
+def test_a_label_goes_to_the_first_free_place_nearby():
+    """On a ring round its place, that the label's edge is three points away from, counter-clockwise."""
+    for (shift, distance), angle in (
+        (best(), 0.0),
+        # Too near to the right border, then to the upper one too.
+        (best(high=(55.0, 100.0)), 120.0),
+        (best(high=(55.0, 54.0)), 195.0),
+        (best(low=(45.0, 0.0)), 0.0),
+        (best(low=(0.0, 52.0)), 75.0),
+        # Another label covers what is to the right and above.
+        (best(boxes=[[(50.0, 40.0), (90.0, 90.0)]]), 150.0),
+    ):
+        turn = np.radians(angle)
+        np.testing.assert_allclose(shift, [13.0 * np.cos(turn), 8.0 * np.sin(turn)], atol=1e-9)
+        assert distance == 3.0
+
+
+def test_a_label_rather_goes_farther_than_over_a_line():
+    """A dot under it costs as much as four points of distance."""
+    u = np.linspace(0.0, 2.0 * np.pi, 400)
+    ring = np.array([50.0, 50.0]) + np.stack([4.0 * np.cos(u), 4.0 * np.sin(u)], axis=1)
+    shift, distance = best(taken=ring)
+    assert distance == 5.5
+    np.testing.assert_allclose(shift, [15.5, 0.0])
+
+
+# Bodies in space.
+
+
+def test_a_tube_has_flat_strips_round_its_axis_that_face_outwards():
+    start, along, radius = np.array([1.0, -2.0, 3.0]), np.array([6.0, -2.0, 3.0]), 0.5
+    corners, normals = _tubes.tube_mesh(start, start + along, radius)
+    axis = along / 7.0
+    far = corners - start
+    height = far @ axis
+    np.testing.assert_allclose(np.linalg.norm(far - height[..., None] * axis, axis=-1), radius)
+    assert height.min() == pytest.approx(0.0) and height.max() == pytest.approx(7.0)
+    # Seven is three and a half times four radii: four pieces of fourteen strips of two triangles.
+    np.testing.assert_allclose(np.unique(np.round(height, 9)), np.linspace(0.0, 7.0, 5))
+    assert len(corners) == len(normals) == 4 * 28
+    areas = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    sizes = np.linalg.norm(areas, axis=1)
+    np.testing.assert_allclose(areas / sizes[:, None], normals, atol=1e-12)
+    assert sizes.sum() == pytest.approx(7.0 * 14 * 2.0 * radius * np.sin(np.pi / 14))
+    assert len(_tubes.tube_mesh(start, start + 1e-10 * axis, radius)[0]) == 0
+    assert len(_tubes.tube_mesh(start, start + 1e-9 * axis, radius)[0]) == 28
+
+
+def test_a_camera_stands_at_its_elevation_and_azimuth_with_a_light_to_its_upper_left():
+    """From the y axis: x is to the left."""
+    towards, light = _tubes.camera(0.0, 90.0)
+    np.testing.assert_allclose(towards, [0.0, 1.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(light, np.array([0.5, 1.0, 0.8]) / np.sqrt(1.89), atol=1e-12)
+    towards, light = _tubes.camera(30.0, -60.0)
+    three = 3.0**0.5
+    np.testing.assert_allclose(towards, [three / 4, -0.75, 0.5], atol=1e-12)
+    right, up = np.array([three / 2, 0.5, 0.0]), np.array([-0.25, three / 4, three / 2])
+    np.testing.assert_allclose(light, (towards - 0.5 * right + 0.8 * up) / np.sqrt(1.89), atol=1e-12)
+
+
+def test_light_is_ambient_diffuse_and_glossy():
+    """Light and camera 90 degrees apart: half way between them gloss is whole."""
+    light, towards = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
+    half = np.sqrt(0.5)
+    normals = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [half, 0.0, half], [0.0, 0.6, 0.8]])
+    found = _tubes.lit("#336699", normals, light, towards)
+    base = np.array([0.2, 0.4, 0.6])
+    np.testing.assert_allclose(found[:2], 0.66 * np.array([base, base]))
+    shaded = (0.66 + 0.38 * half) * base
+    np.testing.assert_allclose(found[2], shaded + 0.55 * (1.0 - shaded))
+    shaded, gloss = (0.66 + 0.38 * 0.8) * base, 0.55 * (0.8 * half) ** 24
+    np.testing.assert_allclose(found[3], shaded + gloss * (1.0 - shaded))
+    checked = _tubes.chequered(found, np.array([0, 1, 0, 1]))
+    np.testing.assert_allclose(checked, found * np.array([1.0, 0.93, 1.0, 0.93])[:, None])
+    assert _tubes.shades("#336699", np.array([1, 0])) == [to_hex(0.93 * base), "#336699"]
+
+
+def seeing(*normals):
+    """A scene with one contact, whose normal was another one at other times than the middle one."""
+    rows = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], normals[0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+    return SimpleNamespace(times=5, on_object=[SimpleNamespace(at=lambda i: (None, rows))])
+
+
+@pytest.mark.parametrize(("across", "azimuth"), [(10.0, -52.0), (-40.0, -102.0), (100.0, -18.0)])
+def test_the_camera_stands_aside_of_a_contacts_normal(across, azimuth):
+    """By 62 degrees, to that side from which the usual azimuth, -58, is nearest."""
+    angle = np.radians(across)
+    normal = np.array([0.3 * np.cos(angle), 0.3 * np.sin(angle), 0.91**0.5])
+    elevation, found = _scene3.looking(seeing(normal))
+    assert elevation == 22.0 and found == pytest.approx(azimuth)
+
+
+def test_the_camera_stands_as_usual_where_the_normal_is_nearly_vertical():
+    for aside, usual in ((0.19, True), (0.21, False)):
+        normal = np.array([0.6 * aside, 0.8 * aside, (1.0 - aside**2) ** 0.5])
+        assert (_scene3.looking(seeing(normal)) == (22.0, -58.0)) is usual
+    assert _scene3.looking(SimpleNamespace(times=5, on_object=[])) == (22.0, -58.0)
+
+
+def motion():
+    """Four times of two fingers with one contact on the second."""
+    t = np.arange(4.0)[:, None]
+    return {
+        "body": t + np.arange(7.0),
+        "tips": np.stack([t + 10.0 + np.arange(7.0), t + 20.0 + np.arange(7.0)]),
+        "skeletons": [t[..., None] + np.ones((2, 3)), t[..., None] + np.zeros((3, 3))],
+        **{name: t[None] + k + np.arange(3.0) for k, name in enumerate(_motion_names())},
+    }
+
+
+def _motion_names():
+    return ("on_tip", "on_object", "out_of_tip", "out_of_object")
+
+
+def test_a_motion_is_taken_at_some_of_its_times():
+    whole = Motion3D(**motion())
+    some = whole.at(np.array([3, 1]))
+    assert whole.times == 4 and some.times == 2
+    np.testing.assert_array_equal(some.body, whole.body[[3, 1]])
+    for name in ("tips", *_motion_names()):
+        np.testing.assert_array_equal(getattr(some, name), getattr(whole, name)[:, [3, 1]])
+    for found, given in zip(some.skeletons, whole.skeletons, strict=True):
+        np.testing.assert_array_equal(found, given[[3, 1]])
+
+
+def test_times_that_any_part_of_a_motion_did_not_reach_are_left_out():
+    given = motion()
+    given["body"][0, 6] = given["tips"][1, 1, 2] = given["on_object"][0, 3, 1] = NAN
+    reached, rows = Motion3D(**given).reached()
+    assert rows.tolist() == [2] and reached.times == 1
+    np.testing.assert_array_equal(reached.tips, given["tips"][:, 2:3])
+    given["on_tip"][0, 2, 0] = np.inf
+    with pytest.raises(ValueError, match="argument motion must hold at least one time that was reached"):
+        Motion3D(**given).reached()
+
+
+@pytest.mark.parametrize("name", ["body", "tips", *_motion_names(), "skeletons"])
+def test_parts_of_a_motion_that_do_not_fit_are_named(name):
+    given = motion()
+    given[name] = [x[:, :, :2] for x in given[name]] if name == "skeletons" else given[name][..., :-1]
+    with pytest.raises(ValueError, match=f"argument {name} must have shape"):
+        Motion3D(**given)
+    given["skeletons"] = motion()["skeletons"][:1]
+    given[name] = motion()[name] if name != "skeletons" else given["skeletons"]
+    with pytest.raises(ValueError, match="one entry for each of 2 fingers, but had 1"):
+        Motion3D(**given)
+
+
+# Pages in space and in the plane.
+
+
+def test_the_shaft_of_a_force_ends_where_it_acts_with_two_barbs():
+    """Of 7 N: across it stand barbs of 0.09 of its length, over the last 0.22 of it."""
+    point, force = np.array([1.0, 2.0, 3.0]), np.array([2.0, -3.0, 6.0])
+    aside = 0.63 * np.array([0.0, 2.0, 1.0]) / 5.0**0.5
+    foot = point - 0.22 * force
+    rows = [point - force, point, foot + aside, point, foot - aside, np.full(3, NAN)]
+    np.testing.assert_allclose(_page._shaft(point, force), rows)
+    np.testing.assert_allclose(_page._shaft(point, np.zeros(3))[:5], np.tile(point, (5, 1)))
+
+
+def locus(count):
+    """Points along x in a body that stands at (0, 10, 0), a quarter turn about z."""
+    points = np.stack([np.arange(float(count)), *np.zeros((2, count))], axis=1)
+    normals = np.tile([0.0, 0.6, 0.8], (count, 1))
+    frames = np.tile([0.0, 10.0, 0.0, 0.5**0.5, 0.0, 0.0, 0.5**0.5], (count, 1))
+    return _scene3.DrawnLocus(points, normals, frames, -1)
+
+
+def test_a_locus_on_a_page_is_lifted_off_and_thinned_out():
+    scene = SimpleNamespace(thickness=5.0)
+    short = _page._path(scene, locus(400), 3)
+    expected = np.array([[0.0, 10.0 + k, 0.0] for k in range(4)]) + 0.35 * np.array([-0.6, 0.0, 0.8])
+    np.testing.assert_allclose(short, expected, atol=1e-12)
+    long = _page._path(scene, locus(400), 399)
+    some = np.floor(np.linspace(0, 399, 161) + 1e-9)
+    np.testing.assert_allclose(long[:, 1], 10.0 + some)
+    assert len(_page._path(scene, locus(3), 0)) == 1
+
+
+def test_a_ring_on_a_page_lies_about_the_contact_of_its_time():
+    scene = SimpleNamespace(thickness=5.0)
+    ring = _page._ring(scene, locus(9), 4)
+    assert len(ring) == 38 and np.isnan(ring[-1]).all()
+    off = ring[:-1] - [0.0, 14.0, 0.0]
+    np.testing.assert_allclose(off @ [-0.6, 0.0, 0.8], 0.0, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(off, axis=1), 7.5)
+    np.testing.assert_allclose(ring[0], ring[36], atol=1e-9)
+    np.testing.assert_allclose(np.sum(off[:-1] * off[1:], axis=1), 7.5**2 * np.cos(np.pi / 18))
+
+
+def flat(vertices, faces):
+    mesh = _scene3.Mesh(np.array(vertices, float), np.array(faces), np.zeros(len(faces), int))
+    return SimpleNamespace(mesh=mesh, finger=-1)
+
+
+def test_a_page_lets_planes_be_seen_through():
+    corners = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
+    assert _page._flat(flat(corners, [[0, 1, 2], [0, 2, 3]]))
+    # One corner raised a little, or more; and a body that is closed.
+    for height, plane in ((0.03, True), (0.2, False)):
+        assert _page._flat(flat([*corners[:3], [0, 1, height]], [[0, 1, 2], [0, 2, 3]])) is plane
+    assert not _page._flat(
+        flat([*corners[:2], [0, 1, 0], [0, 0, 1]], [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
+    )
+
+
+def test_links_stand_once_in_the_legend_of_a_page_and_not_at_all_without_links():
+    skeletons = [np.zeros((5, count, 3)) for count in (1, 3, 2)]
+    found = [_page._limbs(SimpleNamespace(skeletons=skeletons), k) for k in range(3)]
+    assert [part["showlegend"] for part in found] == [False, True, False]
+    assert [part["mode"] for part in found] == ["markers", "lines+markers", "lines+markers"]
+    assert [part["marker"]["size"] for part in found] == [0.1, 9, 9]
+
+
+def test_a_page_fits_what_is_seen_of_a_scene_into_its_window():
+    """From 30 degrees above the x axis: width is that along y, height that of z and x as seen."""
+    corners = np.array([[-10.0, 0.0, 5.0], [30.0, 20.0, 35.0]])
+    scene = SimpleNamespace(corners=corners, thickness=2.0)
+    layout = _page._layout(scene, "Title", np.array([0.0, 0.5]), (30.0, 0.0))
+    box = layout["scene"]
+    ends = [[-13.0, 33.0], [-3.0, 23.0], [2.0, 38.0]]
+    assert [box[f"{axis}axis"]["range"] for axis in "xyz"] == ends
+    assert {box[f"{axis}axis"]["dtick"] for axis in "xyz"} == {10.0}
+    spans = np.array([46.0, 26.0, 36.0])
+    scale = min(2.3 / 26.0, 1.7 / (46.0 * 0.5 + 36.0 * 0.75**0.5))
+    np.testing.assert_allclose([box["aspectratio"][axis] for axis in "xyz"], scale * spans)
+    eye = [box["camera"]["eye"][axis] for axis in "xyz"]
+    np.testing.assert_allclose(eye, 2.2 * np.array([0.75**0.5, 0.0, 0.5]), atol=1e-12)
+    wide = SimpleNamespace(corners=np.array([[0.0, 0.0, 0.0], [1.0, 94.0, 1.0]]), thickness=2.0)
+    box = _page._layout(wide, "", np.zeros(1), (30.0, 0.0))["scene"]
+    assert box["aspectratio"]["y"] == pytest.approx(2.3)
+
+
+def test_what_moves_on_a_page_of_the_plane_has_gaps_between_its_pieces():
+    """Two fingers, the second of which touches; a quarter turn of the tip that rolled."""
+    ring = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 2.0]])
+    shape = Outline((ring,), (ring, ring + 5.0))
+    still, turned = np.array([3.0, 4.0, 1.0, 0.0]), np.array([0.0, 0.0, 0.0, 1.0])
+    frames = [np.array([still, still]), np.array([still, still]), np.array([still, turned])]
+    path = np.array([[1.0, 2.0], [3.0, 5.0], [9.0, 9.0]])
+    seen = SimpleNamespace(
+        joints=[np.array([[[0.0, 0], [0, 0]], [[1, 2], [3, 4]]]), np.array([[[0.0, 0]], [[7, 8]]])],
+        body=shape,
+        tips=(shape, shape),
+        frames=frames,
+        owners=(1,),
+        rolled=((path, -path),),
+        points=np.array([[[0.0, 0.0]], [[6.0, 7.0]]]),
+    )
+    shafts = SimpleNamespace(points=np.full((2, 1, 2), 2.0), vectors=np.array([[[0.0, 0.0]], [[1.0, -3.0]]]))
+    links, body, _, second, rolled, points, pushes = _page_plane._moving(seen, shafts, 1)
+    gap = [NAN, NAN]
+    np.testing.assert_array_equal(links, [[1, 2], [3, 4], gap, [7, 8], gap])
+    closed = [[0, 0], [1, 0], [0, 2], [0, 0], gap, [5, 5], [6, 5], [5, 7], [5, 5], gap]
+    np.testing.assert_array_equal(body, np.array(closed) + [3.0, 4.0])
+    np.testing.assert_array_equal(second, np.array(closed)[:, ::-1] * [-1.0, 1.0])
+    np.testing.assert_array_equal(rolled, [[-2, 1], [-5, 3], gap, [2, 2], [0, -1], gap, gap])
+    np.testing.assert_array_equal(points, [[6.0, 7.0]])
+    np.testing.assert_array_equal(pushes, [[2, 2], [3, -1], gap])
+
+
+# The picture of phases.
+
+
+def pair(tip, face, **contact):
+    """A grasp with one contact of two contours."""
+    one = SimpleNamespace(**contact)
+    return SimpleNamespace(contacts=[one], shapes=lambda given: (tip, face) if given is one else None)
+
+
+def test_the_chapters_s_counts_from_the_contact_in_its_sense():
+    contacts = [SimpleNamespace(s_object=0.01, sense=-1), SimpleNamespace(s_object=0.02, sense=1)]
+    states = SimpleNamespace(s=np.array([[0.001, 0.003], [0.0, -0.004]]))
+    found = _phase._chapter_s(SimpleNamespace(contacts=contacts), states)
+    np.testing.assert_allclose(found, [[-0.009, 0.017], [-0.01, 0.024]])
+
+
+def test_a_phase_picture_ends_where_either_contour_does():
+    at = {"s_tip": 0.001, "s_object": 0.004}
+    tip, wide = jxr.Line((-0.002, 0.003)), jxr.Line((-0.05, 0.05))
+    rolled = 1e-3 * np.array([-3.5, -2.5, 0.0, 1.5, 2.5])
+    grasp = pair(tip, wide, sense=-1, **at)
+    assert _phase_one._inside(grasp, rolled).tolist() == [False, True, True, True, False]
+    # The chapter's s = sense (s_object,0 - sigma).
+    assert _phase._inside(grasp, 0, rolled - 0.004).tolist() == [False, True, True, True, False]
+    turned = pair(tip, wide, sense=1, **at)
+    assert _phase._inside(turned, 0, 0.004 - rolled).tolist() == [False, True, True, True, False]
+    # A short object, from 2.4 mm to 5 mm.
+    short = pair(wide, jxr.Line((0.0024, 0.005)), sense=-1, **at)
+    assert _phase_one._inside(short, rolled).tolist() == [False, False, True, True, False]
+    assert _phase._inside(short, 0, rolled - 0.004).tolist() == [False, False, True, True, False]
+
+
+def test_energies_have_even_round_levels_round_all_of_them():
+    levels = _phase_parts.energy_levels(np.array([[0.31, NAN], [9.68, 4.0]]), 16)
+    np.testing.assert_allclose(np.diff(levels), 1.0, rtol=1e-9)
+    assert levels[0] == 0.0 and levels[-1] == 10.0
+    one = _phase_parts.energy_levels(np.full(3, 2.0), 16)
+    assert one[0] <= 2.0 < one[-1] and len(one) > 1
+
+
+@pytest.mark.parametrize(
+    ("step", "count", "labels"),
+    [(0.5, 11, ["0.0", "0.5", "1.0"]), (2.0, 12, ["0", "4", "8"]), (0.05, 3, ["0.00", "0.05", "0.10"])],
+)
+def test_the_bar_of_energies_names_every_level_or_every_second(step, count, labels):
+    ax, levels = axes(), step * np.arange(count)
+    ax.contourf(np.arange(2.0), np.arange(3.0), np.outer([0.0, 0.5, 1.0], [0.1, levels[-1]]), levels)
+    bar = _phase_parts.energy_bar(ax, levels, "U")
+    assert [text.get_text() for text in bar.ax.get_yticklabels()][:3] == labels
+    assert len(bar.ax.get_yticklabels()) == (count if count <= 11 else count // 2)
+    assert bar.ax.get_ylabel() == "U"
+
+
+def test_a_path_has_its_start_its_end_and_where_it_rests():
+    ax = axes()
+    path = np.array([[0.001, 0.002], [0.003, 0.007], [0.004, -0.001]])
+    _phase_parts.draw_path(ax, path, np.array([[0.005, 0.006]]), np.array([0.25, 1.0, 2.5]))
+    whole, start, end, rest = lines_of(ax)
+    np.testing.assert_allclose(whole, 1e3 * path)
+    np.testing.assert_allclose([start[0], end[0], rest[0]], [[1.0, 2.0], [4.0, -1.0], [5.0, 6.0]])
+    labels = [line.get_label() for line in ax.lines]
+    assert labels == ["path", "start, 0.25 s", "end, 2.5 s", "equilibrium"]
+    filled = [line.get_markerfacecolor() for line in ax.lines[1:3]]
+    assert filled == ["white", _phase_parts.CONTACT]
+    _phase_parts.draw_path(ax := axes(), path, np.zeros((0, 2)), np.arange(3.0))
+    assert len(ax.lines) == 3

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d import proj3d
 from PIL import Image
 
 import jaxroll as jxr
@@ -14,15 +15,19 @@ from jaxroll.plotting import (
     _animate,
     _animate3,
     _artists,
+    _artists3,
     _contact_figure,
     _contours,
     _design_figure,
     _doors,
+    _drawing3,
     _fit_figure,
     _forces,
     _forces3,
     _gif,
     _loci_figure,
+    _meshes,
+    _outlines,
     _page,
     _page_parts,
     _page_plane,
@@ -1070,3 +1075,331 @@ def test_a_path_has_its_start_its_end_and_where_it_rests():
     assert filled == ["white", _phase_parts.CONTACT]
     _phase_parts.draw_path(ax := axes(), path, np.zeros((0, 2)), np.arange(3.0))
     assert len(ax.lines) == 3
+
+
+def test_a_phase_picture_has_free_space_round_the_path_and_does_not_magnify_what_rests(monkeypatch):
+    """A fifth of the longer side either way, and half a millimetre at least."""
+    shown = []
+    monkeypatch.setattr(_phase, "_levels", lambda ax, grasp, middle, half: shown.append((middle, half)))
+    (grasp, state), run = runs.scene("pinch"), runs.run("pinch")
+    starts = np.array([float(contact.s_object) for contact in grasp.contacts])
+    senses = np.array([contact.sense for contact in grasp.contacts])
+    start = senses * starts
+    for size in (1.0, 1e-3):
+        way = size * np.linspace(0.0, 1.0, 13)[:, None] * [0.004, -0.001]
+        states = jxr.State(run.states.q, run.states.v, starts - senses * (start + way))
+        _phase.phase(grasp, runs.without(run, states=states), rest=jxr.State(state.q, state.v, 0.0 * state.s))
+    (middle, half), (still, least) = shown
+    np.testing.assert_allclose(middle, start + [0.002, -0.0005], atol=1e-12)
+    assert half == pytest.approx(0.7 * 0.004)
+    np.testing.assert_allclose(still, start + [2e-6, -5e-7], atol=1e-12)
+    assert least == 5e-4
+
+
+# Whole drawings of made bodies.
+
+RING = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 2.0]])
+
+
+def seen_twice():
+    """Two instants of two fingers, the first with two links, the second a jaw; two contacts."""
+    shape, other = Outline((RING,), (RING,)), Outline((2.0 * RING, -RING), (3.0 * RING,))
+    still, moved = np.array([0.0, 0.0, 1.0, 0.0]), np.array([10.0, 20.0, 0.0, 1.0])
+    path = np.array([[1.0, 2.0], [3.0, 5.0]])
+    return SimpleNamespace(
+        body=shape,
+        tips=(other, shape),
+        frames=(np.array([still, moved]), np.array([still, still + [1, 2, 0, 0]]), np.array([still, moved])),
+        joints=[
+            np.array([[[0.0, 0], [0, 0], [0, 0]], [[1, 2], [4, 6], [9, 6]]]),
+            np.array([[[0.0, 0]], [[7, 8]]]),
+        ],
+        points=np.array([[[0.0, 0.0], [0.0, 0.0]], [[6.0, 7.0], [5.0, 3.0]]]),
+        rolled=((path, 2.0 * path), (3.0 * path, 4.0 * path)),
+        guides=(np.array([[[0.0, 0.0], [0.0, 0.0]], [[9.0, 6.0], [7.0, 8.0]]]),),
+        owners=(1, 0),
+    )
+
+
+def drawing(load, **options):
+    """A drawing of it at the second instant, with a load that pulls so at the two."""
+    vectors = np.array([[[1.0, 0.0], [0.0, 0.0], load[0]], [[2.0, -1.0], [0.0, 0.0], load[1]]])
+    points = np.arange(12.0).reshape(2, 3, 2)
+    forces = _forces.Arrows(points, vectors, True, 1.0, 1.0)
+    grasp = SimpleNamespace(object=None, fingers=[SimpleNamespace(size=0.01), SimpleNamespace(size=0.03)])
+    made = _artists.Drawing(axes(), grasp, seen_twice(), **{"forces": forces, "traced": True} | options)
+    made.show(1)
+    return made
+
+
+def test_all_of_a_grasp_is_drawn_where_it_is_at_an_instant():
+    made = drawing([(0.0, 0.0), (0.0, 4.0)])
+    turned = np.stack([10.0 - RING[:, 1], 20.0 + RING[:, 0]], axis=1)
+    edges = [[edge.get_xydata() for edge in body.edges] for body in made.bodies]
+    np.testing.assert_allclose(edges[0][0], turned)
+    np.testing.assert_allclose(edges[1], [2.0 * RING + [1.0, 2.0], -RING + [1.0, 2.0]])
+    np.testing.assert_allclose(made.bodies[1].fills[0].get_xy()[:3], 3.0 * RING + [1.0, 2.0])
+    np.testing.assert_allclose(edges[2][0], turned)
+    # The radius of the links is 0.045 of the tips' mean size, 20 mm.
+    assert [len(links) for links in made.links] == [2, 0]
+    for link, ends in zip(made.links[0], ([[1.0, 2], [4, 6]], [[4.0, 6], [9, 6]]), strict=True):
+        np.testing.assert_allclose(link.get_xy()[:-1], _artists._capsule(*np.array(ends), 0.9))
+    np.testing.assert_allclose(made.pins[0].get_xydata(), [[1.0, 2.0], [4.0, 6.0]])
+    assert len(made.pins[1].get_xydata()) == 0
+    square = 1.35 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    np.testing.assert_allclose(made.bases[0].get_xy()[:4], [1.0, 2.0] + square)
+    assert [base.get_visible() for base in made.bases] == [True, False]
+    np.testing.assert_allclose(made.guides[0].get_xydata(), [[9.0, 6.0], [7.0, 8.0]])
+    np.testing.assert_allclose(made.centres.get_xydata(), [[9.0, 6.0], [7.0, 8.0]])
+    np.testing.assert_allclose(made.origin.get_xydata(), [[10.0, 20.0]])
+    np.testing.assert_allclose(made.points.get_xydata(), [[6.0, 7.0], [5.0, 3.0]])
+    assert made.origin.get_marker() == "P" and len(made.dot.get_xydata()) == 0
+    # The first contact is the second finger's; what has rolled lies on its body.
+    path = np.array([[1.0, 2.0], [3.0, 5.0]])
+    (first, on_object), (second, other) = ([line.get_xydata() for line in lines] for lines in made.stretches)
+    place = lambda points: np.stack([10.0 - points[:, 1], 20.0 + points[:, 0]], axis=1)  # noqa: E731
+    np.testing.assert_allclose(first, place(path))
+    np.testing.assert_allclose(on_object, place(2.0 * path))
+    np.testing.assert_allclose(second, 3.0 * path + [1.0, 2.0])
+    np.testing.assert_allclose(other, place(4.0 * path))
+    ends = [np.array(arrow._posA_posB) for arrow in made.arrows]
+    np.testing.assert_allclose(ends, [[[6, 7], [8, 6]], [[8, 9], [8, 9]], [[10, 11], [10, 15]]])
+    assert [arrow.get_visible() for arrow in made.arrows] == [True, False, True]
+    colours = [to_hex(arrow.get_edgecolor()) for arrow in made.arrows]
+    assert colours[0] == colours[1] == _artists.FORCE_COLOUR.lower() and colours[2] == "#7a4fb5"
+
+
+def test_the_legend_of_a_drawing_names_what_is_drawn():
+    names = [name for _, name in drawing([(0.0, 0.0), (0.0, 4.0)]).legend()]
+    assert names == [
+        "fingertip",
+        "object",
+        "fixed base",
+        "contact points $P_1$, $P_2$",
+        "finger centres $O_1$, $O_2$",
+        "centre of mass $O_m$",
+        "line $O_1O_2$",
+        "rolled so far: as long on both bodies",
+        "contact force on the object",
+        "load on the object",
+    ]
+    # A load that pulls at no time has no arrow to explain; nor has what is not asked for.
+    assert [name for _, name in drawing(np.zeros((2, 2))).legend()] == names[:-1]
+    assert [name for _, name in drawing(np.zeros((2, 2)), forces=None).legend()] == names[:-2]
+    bare = drawing(np.zeros((2, 2)), forces=None, traced=False)
+    assert [name for _, name in bare.legend()] == names[:-3]
+    assert all(len(line.get_xydata()) == 0 for pair in bare.stretches for line in pair)
+
+
+def test_a_labelled_point_takes_room_and_is_in_the_window():
+    sketch, at = sketched(), np.array([3.0, -1.0])
+    sketch.dot(at, "$P$", "red", filled=True)
+    sketch.dot(at, "$O$", "blue")
+    assert [line.get_markerfacecolor() for line in sketch.ax.lines] == ["red", "white"]
+    np.testing.assert_allclose(lines_of(sketch.ax), [[at], [at]])
+    corners = sketch.lines[0] - at
+    np.testing.assert_allclose(np.abs(corners), 0.12, atol=1e-12)
+    np.testing.assert_allclose(np.sum(corners[:4], axis=0), 0.0, atol=1e-12)
+    np.testing.assert_allclose(corners[4:], [corners[0], corners[2]])
+    assert [(tag.text, tag.colour) for tag in sketch.tags] == [("$P$", "red"), ("$O$", "blue")]
+    np.testing.assert_array_equal(sketch.reach, [at, at])
+
+
+def test_an_end_of_a_contour_that_is_a_mark_but_for_rounding_is_marked():
+    ax, near = axes(), 1.0 - 1e-12
+    _contours._count(ax, jxr.Line((-0.02, 0.01)), (-0.02 * near, 0.01 * near))
+    assert [text.get_text() for text in ax.texts] == ["−20", "−15", "−10", "−5", "$s$ = 0", "5", "10"]
+
+
+def test_a_film_of_one_frame_shows_it(tmp_path):
+    path = tmp_path / "one.gif"
+    _gif.write(path, [Image.new("RGB", (40, 30), (30, 160, 60))], [70], _gif.KEPT_COLOURS)
+    with Image.open(path) as film:
+        assert film.n_frames == 1 and film.size == (40, 30)
+        assert np.abs(np.asarray(film.convert("RGB"), int) - [30, 160, 60]).max() <= 4
+
+
+def test_contours_without_ends_are_drawn_where_they_were_touched():
+    """And 0.3 of the mean size of the tips, 20 mm, beyond; whole if they have ends."""
+    contacts = [
+        jxr.Contact(0.004, 0.02),
+        jxr.Contact(0.001, 0.05, finger=1, contour=1),
+        jxr.Contact(-0.03, 0.09, finger=0, contour=1),
+    ]
+    line = jxr.Line()
+    grasp = SimpleNamespace(
+        contacts=contacts,
+        object=SimpleNamespace(contours=(line, line, line)),
+        fingers=[
+            SimpleNamespace(tip=line, size=0.01),
+            SimpleNamespace(tip=jxr.Line((-0.1, 0.2)), size=0.03),
+        ],
+    )
+    sigmas = np.array([[-0.001, 0.002, 0.0], [0.003, 0.0, 0.001]])
+    assert _outlines.starts_of(grasp) == [
+        [[(0, 0.02, -1)], [(1, 0.05, -1), (2, 0.09, -1)], []],
+        [[(0, 0.004, 1), (2, -0.03, 1)]],
+        [[(1, 0.001, 1)]],
+    ]
+    body, first, second = _outlines.extents(grasp, sigmas)
+    np.testing.assert_allclose(body, [(0.011, 0.027), (0.042, 0.096), (-0.006, 0.006)])
+    np.testing.assert_allclose(first, [(-0.036, 0.013)])
+    np.testing.assert_allclose(second, [(-0.1, 0.2)])
+
+
+def test_rates_of_tangency_are_rounding_by_the_scale_of_a_sine():
+    for value, words in ((0.9e-13, "tangency (rounding level)"), (1.1e-13, "tangency")):
+        run = SimpleNamespace(energy=None, residuals=SimpleNamespace(tangency=np.array([[0.0], [value]])))
+        found = _panels._last(run, ("contact 1",))
+        assert (found.title, found.label, found.names) == (words, "sine [rad]", ("contact 1",))
+
+
+def finger(joints, unit):
+    return SimpleNamespace(joints=joints, labels=[SimpleNamespace(unit=unit)] * joints)
+
+
+def test_what_has_moved_since_the_first_state_is_told_body_by_body():
+    """A free object, a jaw and a finger; the first state was not reached."""
+    q = np.arange(21.0).reshape(3, 7) ** 2
+    q[0] = NAN
+    run = SimpleNamespace(states=SimpleNamespace(q=q, v=q + 1.0))
+    grasp = SimpleNamespace(sizes=(3, 1, 3), fingers=[finger(1, "m"), finger(3, "rad")])
+    turned, path, jaw, arm = _panels._moved(grasp, run)
+    moved = q - q[1]
+    np.testing.assert_array_equal(turned.values, moved[:, 2])
+    np.testing.assert_array_equal(path.values, 1e3 * moved[:, :2])
+    np.testing.assert_array_equal(jaw.values, 1e3 * moved[:, 3:4])
+    np.testing.assert_array_equal(arm.values, moved[:, 4:])
+    assert (jaw.title, jaw.label) == ("joint displacements of finger 1", "$q - q(0)$ [mm]")
+    assert (arm.title, arm.label) == ("joint angles of finger 2", "$q - q(0)$ [rad]")
+    assert jaw.names == ("$q_{11}$",) and arm.names == ("$q_{21}$", "$q_{22}$", "$q_{23}$")
+    rates = _panels._joint_rates(grasp, run)
+    assert [(p.title, p.label) for p in rates] == [
+        ("joint rates of finger 1", r"$\dot{q}$ [mm/s]"),
+        ("joint rates of finger 2", r"$\dot{q}$ [rad/s]"),
+    ]
+    np.testing.assert_array_equal(rates[0].values, 1e3 * (q[:, 3:4] + 1.0))
+    np.testing.assert_array_equal(rates[1].values, q[:, 4:] + 1.0)
+    pivoted = SimpleNamespace(sizes=(1, 0, 6), fingers=[finger(0, "rad"), finger(6, "rad")])
+    assert [p.title for p in _panels._moved(pivoted, run)][::2] == [
+        "rotation of the object",
+        "joint angles of finger 2",
+    ]
+    (only,) = _panels._joint_rates(pivoted, run)
+    np.testing.assert_array_equal(only.values, q[:, 1:] + 1.0)
+
+
+@pytest.mark.parametrize(
+    ("joints", "titles"),
+    [(3, ["rate of joint 1", "rate of joint 2", "rate of joint 3"]), (4, ["joint rates"])],
+)
+def test_few_joints_of_one_finger_have_a_panel_each(joints, titles):
+    v = np.arange(3.0 * (1 + joints)).reshape(3, -1)
+    run = SimpleNamespace(states=SimpleNamespace(v=v))
+    found = _panels._joint_rates(SimpleNamespace(sizes=(1, joints), fingers=[finger(joints, "rad")]), run)
+    assert [p.title for p in found] == titles
+    values = np.concatenate([np.reshape(p.values, (3, -1)) for p in found], axis=1)
+    np.testing.assert_array_equal(values, v[:, 1:])
+    (turning,) = _panels._object_rates(SimpleNamespace(sizes=(1, joints)), run)
+    np.testing.assert_array_equal(turning.values, v[:, 0])
+    turning, path = _panels._object_rates(SimpleNamespace(sizes=(3,)), run)
+    np.testing.assert_array_equal(turning.values, v[:, 2])
+    np.testing.assert_array_equal(path.values, 1e3 * v[:, :2])
+
+
+# Triangles.
+
+
+def solid(mesh, finger=0):
+    frames = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (2, 1))
+    return _scene3.Solid(mesh, frames, finger)
+
+
+def test_both_sides_of_an_open_surface_are_lit_and_of_a_closed_one_is_seen_what_faces_the_camera():
+    one = _scene3.Mesh(
+        np.eye(3)[[2, 0, 1]] - [0.0, 0.0, 1.0], np.array([[0, 1, 2], [0, 2, 1]]), np.array([0, 1])
+    )
+    sheet = _scene3.Mesh(one.vertices, one.faces[:1], np.array([1]))
+    normal = np.cross(*np.diff(sheet.vertices, axis=0))
+    normal /= np.linalg.norm(normal)
+    light = np.array([0.6, 0.0, 0.8])
+    for sign in (1.0, -1.0):
+        towards = sign * np.array([0.0, 0.6, 0.8])
+        front = normal * np.sign(normal @ towards)
+        for part, colour in ((0, _drawing3.TIP_BODY), (-1, _drawing3.OBJECT_BODY)):
+            corners, colours = _drawing3._faces(solid(sheet, part), 1, towards, light)
+            assert len(corners) == 1
+            np.testing.assert_allclose(colours, 0.93 * _tubes.lit(colour, front[None], light, towards))
+    box = _scene3.box_mesh(np.array([2.0, 4.0, 6.0]))
+    corners, _ = _drawing3._faces(solid(box), 0, np.array([0.6, -0.48, 0.64]), light)
+    middles = corners.mean(axis=1)
+    assert len(corners) == 6
+    assert np.isclose(middles, [1.0, -2.0, 3.0]).sum(axis=0).tolist() == [2, 2, 2]
+
+
+def test_a_finger_has_a_tube_for_each_link_and_a_ball_at_each_joint_but_the_tip():
+    joints = np.array([[0.0, 0.0, 0.0], [3.0, 4.0, 0.0], [3.0, 4.0, 6.0]])
+    towards = light = np.array([0.0, 0.0, 1.0])
+    parts = _drawing3._limbs(joints, 0.5, towards, light)
+    assert len(parts) == 4
+    for (corners, colours), centre in zip(parts[2:], joints[:2], strict=True):
+        apart = np.linalg.norm(corners - centre, axis=-1)
+        np.testing.assert_allclose(apart, 0.725)
+        assert len(corners) == len(colours) and (corners[..., 2].mean(axis=1) > centre[2] - 0.15).all()
+    assert np.linalg.norm(parts[0][0][..., :2], axis=-1).max() < 5.5 and parts[1][0][..., 2].max() == 6.0
+    assert len(_drawing3._limbs(joints[:2], 0.5, towards, light)) == 2
+    assert _drawing3._limbs(joints[:1], 0.5, towards, light) == []
+    # What is seen of a tube is a little more than the half that faces the camera: 8 of 14 strips.
+    whole, normals = _tubes.tube_mesh(joints[0], joints[1], 0.5)
+    np.testing.assert_allclose(parts[0][0], whole[normals @ towards > -0.1])
+    assert len(parts[0][0]) < len(whole)
+
+
+def test_what_is_hidden_or_empty_asks_the_renderer_for_nothing():
+    asked = []
+    context = SimpleNamespace(restore=lambda: asked.append("restored"))
+    renderer = SimpleNamespace(
+        new_gc=lambda: context,
+        _raster_depth=0,
+        _rasterizing=False,
+        draw_gouraud_triangles=lambda gc, points, colours, transform: asked.append((points, colours)),
+    )
+    ax = Figure().add_subplot(projection="3d")
+    ax.set_proj_type("ortho")
+    ax.M = ax.get_proj()
+    many = _artists3.Triangles()
+    ax.add_artist(many)
+    many.set_clip_on(False)
+    many.set_rasterized(False)
+    many.draw(renderer)
+    far = 0.01 * np.eye(3)
+    many.corners = np.stack([far, far + 0.5])
+    many.colours = np.array([[1.0, 0.0, 0.0, 0.3], [0.0, 1.0, 0.0, 0.3]])
+    many.set_visible(False)
+    many.draw(renderer)
+    assert asked == []
+    many.set_visible(True)
+    many.draw(renderer)
+    (points, colours), restored = asked
+    assert restored == "restored" and points.shape == (2, 3, 2)
+    # The first is farther from the camera, which stands at the corner (1, -1, 1); colours are opaque.
+    x, y, depth = proj3d.proj_transform(*many.corners.mean(axis=1).T, ax.M)
+    order = np.argsort(-np.asarray(depth))
+    np.testing.assert_allclose(points.mean(axis=1), ax.transData.transform(np.stack([x, y], -1))[order])
+    wanted = np.array([[1.0, 0.0, 0.0, 1.0], [0.0, 1.0, 0.0, 1.0]])[order]
+    np.testing.assert_allclose(colours, np.repeat(wanted[:, None], 3, axis=1))
+
+
+@pytest.mark.parametrize("size", [1e-4, 1.0, 1e4])
+def test_a_mesh_is_welded_alike_at_any_size(size):
+    found = _scene3.mesh(jxr.geometry.Torus(3.0 * size, size), rows=7, columns=10)
+    assert found.closed and found.vertices.shape == (70, 3) and found.faces.shape == (140, 3)
+
+
+def test_patches_of_a_body_are_octants_about_its_own_middle():
+    """A box far from the origin: its pattern is that of a box about it."""
+    corners, faces = _scene3.mesh(jxr.geometry.Sphere(1.0), rows=8, columns=8).vertices, None
+    faces = _scene3.mesh(jxr.geometry.Sphere(1.0), rows=8, columns=8).faces
+    shift = np.array([7.0, -3.0, 11.0])
+    found = _meshes._octants(_scene3.Mesh(corners + shift, faces, np.zeros(len(faces), int)))
+    np.testing.assert_array_equal(found, (corners[faces].mean(axis=1) > 0.0).sum(axis=1) % 2)

@@ -709,6 +709,34 @@ def test_the_bar_of_a_comb_is_a_round_curvature(peak, bend):
     np.testing.assert_allclose(text.xy, (-7.0 + 0.3 * bend, 73.0))
 
 
+def test_the_margin_of_a_design_is_cut_off_where_its_contour_is_nearly_flat():
+    """Beyond six times the contour's reach, here 20 mm; on an ellipse radii go up to 400 mm."""
+    t = np.linspace(0.0, 0.5 * np.pi, 20001)
+    stretch = np.hypot(0.02 * np.sin(t), 0.001 * np.cos(t))
+    s = np.append(0.0, np.cumsum(0.5 * (stretch[1:] + stretch[:-1]) * np.diff(t)))
+    # Radius of curvature less the distance of the tangent from the middle.
+    margin = stretch**3 / 2e-5 - 2e-5 / stretch
+    ax, ends = axes(), np.array([0.0, s[-1]])
+    _design_figure._margins(ax, [jxr.Ellipse(0.02, 0.001), jxr.Circle(0.01)], ends)
+    flat, round_one, _ = ax.lines
+    at, shown = flat.get_xdata(), flat.get_ydata()
+    np.testing.assert_allclose(at, 1e3 * np.linspace(0.0, s[-1], 257))
+    expected = 1e3 * np.interp(1e-3 * at, s, margin)
+    np.testing.assert_allclose(shown, np.where(expected < 120.0, expected, NAN), atol=1e-3)
+    assert np.isnan(shown).sum() > 100 and flat.get_label() == "before, -19.95 at least"
+    np.testing.assert_allclose(round_one.get_ydata(), 0.0, atol=1e-9)
+    assert np.isfinite(round_one.get_ydata()).all()
+
+
+def test_the_margin_of_a_design_has_no_value_where_its_contour_is_not_convex():
+    """A line has no curvature; a circle of two metres has little, and its margin is that of its middle."""
+    ax = axes()
+    tips = [jxr.Line((-0.1, 0.1)), jxr.Circle(2.0)]
+    with pytest.warns(RuntimeWarning, match="All-NaN"):
+        _design_figure._margins(ax, tips, np.array([-0.001, 0.001]))
+    assert np.isnan(ax.lines[0].get_ydata()).all() and np.isfinite(ax.lines[1].get_ydata()).all()
+
+
 def test_the_search_of_a_design_shows_every_start_and_which_was_chosen():
     history = np.array([[5.0, 3.0, np.inf], [4.0, 2.0, 1.0], [6.0, NAN, 2.0]])
     ax = axes()

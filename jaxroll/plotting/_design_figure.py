@@ -113,7 +113,7 @@ def _margins(ax: Axes, tips: Sequence[AbstractContour], ends: np.ndarray) -> Non
         bends, room = sample(tip, s).curvatures, MM * np.asarray(margin(tip, s))
         values.append(np.where(bends > 0.0, room, np.nan))
     # 1 / kappa has a pole where the contour is flat: beyond `reach` the line is cut.
-    reach = _FAR * MM * max(float(np.abs(sample(tip, s).points).max()) for tip in tips)
+    reach = _FAR * max(float(np.abs(sample(tip, s).points).max()) for tip in tips)
     for value, name, colour in zip(values, _NAMES, _COLOURS, strict=True):
         shown = np.where(np.abs(value) < reach, value, np.nan)
         ax.plot(MM * s, shown, color=colour, lw=1.8, label=f"{name}, {np.nanmin(value):+.2f} at least")

@@ -1,5 +1,6 @@
 """Pieces of pictures by hand-worked cases: what is shown, how far axes go, which words stand where."""
 
+import contextlib
 from types import SimpleNamespace
 
 import numpy as np
@@ -21,6 +22,7 @@ from jaxroll.plotting import (
     _design_figure,
     _doors,
     _drawing3,
+    _film,
     _fit_figure,
     _forces,
     _forces3,
@@ -32,10 +34,12 @@ from jaxroll.plotting import (
     _page_parts,
     _page_plane,
     _panels,
+    _panels3,
     _phase,
     _phase_one,
     _phase_parts,
     _poses3,
+    _rays,
     _responses,
     _scene3,
     _surface_fit_figure,
@@ -1431,3 +1435,146 @@ def test_patches_of_a_body_are_octants_about_its_own_middle():
     shift = np.array([7.0, -3.0, 11.0])
     found = _meshes._octants(_scene3.Mesh(corners + shift, faces, np.zeros(len(faces), int)))
     np.testing.assert_array_equal(found, (corners[faces].mean(axis=1) > 0.0).sum(axis=1) % 2)
+
+
+def test_friction_in_space_is_that_of_either_sign_and_none_without_a_force(monkeypatch):
+    normal = np.array([[2.0, -4.0], [0.0, 5.0]])
+    tangential = np.array([[[3.0, 0.0, 4.0], [1.0, 2.0, 2.0]], [[1.0, 0.0, 0.0], [0.0, 6.0, 8.0]]])
+    monkeypatch.setattr(_panels3, "forces_of", lambda grasp, run: (normal, tangential))
+    pressed, along, ratio = _panels3._forces(None, None, ("contact 1", "contact 2"))
+    np.testing.assert_array_equal(pressed.values, normal)
+    np.testing.assert_allclose(along.values, [[5.0, 3.0], [1.0, 10.0]])
+    np.testing.assert_allclose(ratio.values, [[2.5, 0.75], [NAN, 2.0]])
+
+
+def test_joints_in_space_are_counted_past_those_of_other_fingers():
+    """A finger of two joints, a stage without any, a finger with one, whose states have more numbers."""
+    fingers = [SimpleNamespace(joints=joints) for joints in (2, 0, 1)]
+    values = np.arange(30.0).reshape(3, 10)
+    words = ("joint angles", "$q$", "$q_{{{0}{1}}}$")
+    found = _panels3._joints(SimpleNamespace(fingers=fingers), values, (3, 2, 4, 1), words)
+    assert [(p.title, p.names) for p in found] == [
+        ("joint angles of finger 1", ("$q_{11}$", "$q_{12}$")),
+        ("joint angles of finger 3", ("$q_{31}$",)),
+    ]
+    np.testing.assert_array_equal(found[0].values, values[:, 3:5])
+    np.testing.assert_array_equal(found[1].values, values[:, 9:])
+    (only,) = _panels3._joints(SimpleNamespace(fingers=fingers[:1]), values, (3, 2), words)
+    assert only.title == "joint angles" and only.label == "$q$"
+
+
+def test_rays_leave_a_body_where_its_surface_is():
+    """A ball of 4.9 m: from near its surface there are 4 um one way, and the whole of it the other."""
+    middle = np.array([0.3, -0.2, 0.5])
+    big = jxr.geometry.Implicit(
+        lambda x, y, z: (x - middle[0]) ** 2 + (y - middle[1]) ** 2 + (z - middle[2]) ** 2 - 4.9**2
+    )
+    axis = np.array([0.6, 0.0, 0.8])
+    ways = np.stack([axis, -axis, [0.0, 1.0, 0.0]])
+    near = _rays.radii(big, middle + (4.9 - 4e-6) * axis, ways)
+    np.testing.assert_allclose(near, [4e-6, 9.8 - 4e-6, (2.0 * 4.9 * 4e-6 - 16e-12) ** 0.5], rtol=1e-8)
+    off = np.array([1.0, 2.0, -0.5])
+    along = ways @ off
+    found = _rays.radii(big, middle + off, ways)
+    np.testing.assert_allclose(found, -along + np.sqrt(along**2 + 4.9**2 - off @ off), rtol=1e-12)
+
+
+def test_a_film_holds_its_last_frame(monkeypatch, tmp_path):
+    """For a second and a half; of an MP4 the frame is written as often as that takes."""
+    frames = [Image.new("RGB", (60, 40), (10 * k, 0, 0)) for k in range(3)]
+    told = []
+    monkeypatch.setattr(_film._gif, "write", lambda *given: told.append(given))
+    _film.write_film(tmp_path / "a" / "film.GIF", frames, 40, ("white",))
+    assert told == [(tmp_path / "a" / "film.GIF", frames, [40, 40, 1500], ("white",))]
+    assert (tmp_path / "a").is_dir()
+    shown = []
+
+    class Writer:
+        def __init__(self, fps, codec, **options):
+            told.append((fps, codec))
+
+        @contextlib.contextmanager
+        def saving(self, figure, path, dpi):
+            self.figure = figure
+            told.append((path, dpi))
+            yield
+
+        def grab_frame(self):
+            (picture,) = self.figure.images
+            shown.append(int(np.asarray(picture.get_array())[0, 0, 0]))
+            assert (self.figure.bbox.size == (60, 40)).all()
+
+    monkeypatch.setattr(_film, "FFMpegWriter", Writer)
+    _film.write_film(tmp_path / "film.mp4", frames, 400)
+    assert told[1:] == [(2.5, "h264"), (str(tmp_path / "film.mp4"), 100)]
+    assert shown == [0, 10, 20, 20, 20, 20]
+
+
+def test_an_mp4_asks_for_ffmpeg(monkeypatch):
+    monkeypatch.setattr(_film.FFMpegWriter, "isAvailable", classmethod(lambda cls: False))
+    assert _film.checked_path("a.GIF") == _film.Path("a.GIF")
+    with pytest.raises(ValueError, match=r"argument path must end in .gif where there is no program ffmpeg"):
+        _film.checked_path("a.MP4")
+    monkeypatch.setattr(_film.FFMpegWriter, "isAvailable", classmethod(lambda cls: True))
+    assert _film.checked_path("a.MP4") == _film.Path("a.MP4")
+    assert _film.positive_numbers(fps=3, size=0.5) == (3.0, 0.5)
+
+
+def test_a_run_is_played_as_fast_as_is_asked_unless_that_takes_too_many_frames(monkeypatch, tmp_path):
+    """Times are those of the saved states; nothing is drawn here."""
+    shown, told = [], []
+    room = lambda seen, above: np.array([[0.0, above], [1.0, 2.0]])  # noqa: E731
+    stage = SimpleNamespace(frame=lambda i, t: (i, round(float(t), 2)))
+    monkeypatch.setattr(_animate, "views", lambda grasp, states: np.asarray(states.q))
+    monkeypatch.setattr(_animate, "limits", room)
+    monkeypatch.setattr(_animate, "_Stage", lambda *given, **options: shown.append((given, options)) or stage)
+    monkeypatch.setattr(_animate, "write_film", lambda *given: shown.append(given))
+    grasp, run = runs.scene("pivoted")[0], runs.run("pivoted")
+    path = tmp_path / "motion.gif"
+
+    def played(**options):
+        shown.clear()
+        options |= {"forces": False, "progress": lambda *given: told.append(given)}
+        assert _animate.animate(grasp, run, path, **options) == path
+        ((_, seen, forces), look), (_, frames, delay) = shown
+        assert forces is None and look["corners"][0, 1] == 0.0
+        np.testing.assert_allclose(seen, run.states.q[np.searchsorted(run.ts, [t - 0.01 for _, t in frames])])
+        return [t for _, t in frames], delay, look["speed"], look["size"]
+
+    # 0.6 s at once; at six times real time in five steps of 20 ms; in steps of 80 ms, saved every 50.
+    assert played(fps=25.0, speed=1e6, size=2.0) == ([0.6], 40, 1e6, 2.0)
+    assert played(fps=1000.0, speed=6.0) == ([0.0, 0.1, 0.25, 0.35, 0.5, 0.6], 20, 6.0, 5.5)
+    assert played(fps=12.0, until=0.4)[:3] == ([0.0, 0.1, 0.15, 0.25, 0.3, 0.4], 80, 1.0)
+    assert told == [(1, 1), *((k, 6) for k in range(1, 7)), *((k, 6) for k in range(1, 7))]
+    with pytest.raises(ValueError, match="argument speed must leave at most 5000 frames, but asks for 5.4e"):
+        played(fps=25.0, speed=0.6 / 0.04 / 5400.0)
+
+
+def test_labels_stand_beside_their_places_with_a_line_to_them_where_they_are_far():
+    """Three points and the label's own free space away, on an axes of two pixels to a point."""
+    figure = Figure(figsize=(5.0, 4.0), dpi=144.0)
+    ax = figure.subplots()
+    ax.set(xlim=(0.0, 100.0), ylim=(0.0, 100.0))
+    at, far = np.array([50.0, 50.0]), [np.array([[1.0, 1.0], [2.0, 1.0]])]
+    _tags.put_tags(ax, [_tags.Tag("$P$", at, "red", 12.0), _tags.Tag("$O$", at, "blue")], far)
+    first, second = ax.texts
+    box = first.get_window_extent()
+    np.testing.assert_allclose(first.xyann, [3.0 + 1.5 + 0.25 * box.width, 0.0], rtol=1e-6)
+    assert not box.overlaps(second.get_window_extent()) and first.arrow_patch is None
+    assert (first.get_color(), first.get_fontsize(), second.get_fontsize()) == ("red", 12.0, 10.0)
+    assert tuple(first.xy) == (50.0, 50.0) and not first.get_in_layout()
+    # Lines all round, closer than any label is wide: a dot of theirs weighs as much as four points.
+    point = 2.0 * np.abs(np.diff(ax.transData.inverted().transform([[0.0, 0.0], [1.0, 1.0]]), axis=0))[0]
+    u = np.linspace(-1.0, 1.0, 41)
+    hidden = [at + 25.0 * point * [[-1.0, y], [1.0, y]] for y in u]
+    _tags.put_tags(ax, [_tags.Tag("$Q$", at, "green")], hidden)
+    *_, last = ax.texts
+    assert np.abs(last.xyann).max() > 25.0 and last.arrow_patch is not None
+
+
+def test_the_angle_of_an_object_is_its_last_coordinate():
+    units = lambda *names: [SimpleNamespace(unit=name) for name in names]  # noqa: E731
+    for given, expected in ((units("m", "m", "rad"), 2), (units("rad"), 0), (units("m"), 0)):
+        run = SimpleNamespace(labels=SimpleNamespace(bodies=[("object", given), ("finger", units("rad"))]))
+        assert _design_figure._angle_of_object(run) == expected
+    assert _design_figure._angle_of_object(SimpleNamespace(labels=None)) == 0

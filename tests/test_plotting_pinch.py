@@ -156,6 +156,18 @@ def test_phase_of_one_direction_draws_the_path_downhill(scene):
     np.testing.assert_allclose(found[:, 0], s, atol=1e-12)
     np.testing.assert_allclose(np.gradient(s, np.asarray(run.ts))[40:-1], found[40:-1, 1], atol=0.05)
     np.testing.assert_allclose(start.get_xydata()[0], found[0])
+    # Free space of a fifth either way, round the equilibrium too; it is at rest.
+    goal = ax.lines[3].get_xydata()
+    at_rest = 1e3 * float(jxr.press_balance(grasp, 0.0, state).s[0])
+    np.testing.assert_allclose(goal, [[at_rest, 0.0]], atol=1e-9)
+    every = np.concatenate([found, goal])
+    middle, half = 0.5 * (every.min(axis=0) + every.max(axis=0)), 0.7 * np.ptp(every, axis=0)
+    np.testing.assert_allclose(
+        [ax.get_xlim(), ax.get_ylim()], np.stack([middle - half, middle + half], axis=1)
+    )
+    names = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert names == ["path", "start, 0 s", "end, 1 s", "equilibrium"]
+    assert figure.axes[1].get_ylabel() == "$K + U$ [mJ]" and 8 <= len(ax.collections[0].levels) <= 18
     # The level that the picture has under the path is the run's own energy.
     filled = ax.collections[0]
     energy = 1e3 * np.asarray(run.energy.kinetic + run.energy.potential)

@@ -38,6 +38,7 @@ from jaxroll.plotting import (
     _phase,
     _phase_one,
     _phase_parts,
+    _pose,
     _poses3,
     _rays,
     _responses,
@@ -1578,3 +1579,41 @@ def test_the_angle_of_an_object_is_its_last_coordinate():
         run = SimpleNamespace(labels=SimpleNamespace(bodies=[("object", given), ("finger", units("rad"))]))
         assert _design_figure._angle_of_object(run) == expected
     assert _design_figure._angle_of_object(SimpleNamespace(labels=None)) == 0
+
+
+def test_guides_lead_to_the_target_or_from_tip_to_tip():
+    """Of a target that moves, or of a jaw, there is none to draw."""
+    centres = [np.array([[1.0, 2.0], [3.0, 5.0]]), np.array([[7.0, 8.0], [9.0, 4.0]])]
+    turning, sliding = SimpleNamespace(turns=True), SimpleNamespace(turns=False)
+
+    def guides(law, *fingers):
+        grasp = SimpleNamespace(controller=law, fingers=fingers)
+        return _views._guides(grasp, centres[: len(fingers)])
+
+    press = jxr.control.Press(0.5, 0.01, 0.006, target=(0.02, 0.1))
+    first, second = guides(press, turning, sliding)
+    np.testing.assert_allclose(first, [[[1.0, 2.0], [20.0, 100.0]], [[3.0, 5.0], [20.0, 100.0]]])
+    np.testing.assert_allclose(second[1], [[9.0, 4.0], [20.0, 100.0]])
+    (line,) = guides(None, turning, turning)
+    np.testing.assert_allclose(line, [[[1.0, 2.0], [7.0, 8.0]], [[3.0, 5.0], [9.0, 4.0]]])
+    moving = jxr.control.Press(0.5, 0.01, 0.006, target=lambda t: (t, 0.1))
+    assert guides(None, turning, sliding) == guides(None, turning) == guides(moving, turning) == ()
+
+
+def test_panels_of_a_grasp_are_as_wide_as_it_is_high_within_limits():
+    """Two panels of a wide grasp and of a high one, in inches."""
+    for corners, size in (
+        ([[0.0, 0.0], [60.0, 40.0]], (4.2 * 2 + 0.6, 2.8 + 1.9 - 0.64)),
+        ([[0.0, 0.0], [30.0, 40.0]], (4.2 * 2 + 0.6, 5.6 + 1.9 - 0.64)),
+        ([[0.0, 0.0], [28.0, 40.0]], (3.92 * 2 + 0.6, 5.6 + 1.9 - 0.64)),
+        ([[0.0, 0.0], [10.0, 40.0]], (6.8, 2.9 * 4.0 + 1.9 - 0.64)),
+    ):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(_pose, "limits", lambda seen, above, corners=corners: np.array(corners))
+            grasp = SimpleNamespace(object=None, fingers=[SimpleNamespace(size=0.01)])
+            figure = _pose._side_by_side(grasp, seen_twice(), ["(a)", "(b)"])
+        np.testing.assert_allclose(figure.get_size_inches(), size)
+        first, second = figure.axes
+        assert (first.get_ylabel(), second.get_ylabel()) == ("y [mm]", "")
+        assert [ax.get_title(loc="left") for ax in figure.axes] == ["(a)", "(b)"]
+        assert figure.legends[0]._ncols == 4 and second.get_xlim() == (0.0, corners[1][0])

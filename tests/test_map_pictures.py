@@ -153,6 +153,11 @@ def drawn(data, label="height"):
     return ax, figure
 
 
+def test_a_dozen_codes_have_colours_of_their_own():
+    names = tuple(f"code {k}" for k in range(12))
+    assert len({*_map_figure.code_colours(names), _map_figure.WELL, _map_figure.NOTHING}) == 14
+
+
 def test_a_cell_has_the_colour_of_its_code():
     from matplotlib.colors import to_rgba
 
@@ -258,6 +263,7 @@ def test_a_page_says_values_under_the_pointer():
     assert samples["mode"] == "markers" and (marker["cmin"], marker["cmax"]) == (-0.5, 2.5)
     assert samples["text"].tolist() == ["lost", "successful", "slipping"]
     np.testing.assert_array_equal(marker["color"], [2, 0, 1])
+    assert marker["size"] == 6 and marker["line"] == {"width": 0.3, "color": "#555555"}
     values = _trace(dots._replace(codes=(), z=np.array([0.1, 0.2, np.nan])), "f")
     assert "f: %{marker.color:.5g}<extra>" in values["hovertemplate"] and values["marker"]["showscale"]
     np.testing.assert_array_equal(values["marker"]["color"], [0.1, 0.2, np.nan])
@@ -294,7 +300,7 @@ def test_a_page_of_a_map_is_one_file_in_a_new_folder(monkeypatch, tmp_path):
     )
     monkeypatch.setattr("jaxroll.plotting._map_page.plotly_door", lambda: plotly)
     some = jxr.Parameters.grid(a=[1.0, 2.0], b=[4.0, 5.0], c=[6.0, 7.0])
-    path = tmp_path / "new" / "map.HTM"
+    path = tmp_path / "new" / "one" / "map.HTM"
     assert jxr.plotting.map_page(some, some.a, path, x="c", at={"b": 4.0}, label="l") == path
     given, (written, options) = made
     assert written == path and path.parent.is_dir() and options["include_plotlyjs"] is True

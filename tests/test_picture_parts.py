@@ -622,6 +622,25 @@ def test_arclengths_of_an_open_contour_are_counted_from_end_to_end():
     np.testing.assert_allclose(np.diff(ax.lines[0].get_xydata(), axis=0) ** 2 @ [1.0, 1.0], 25.0)
 
 
+@pytest.mark.parametrize(
+    ("length", "step"),
+    [
+        (0.003, 0.5),
+        (0.0062, 1.0),
+        (0.012, 2.0),
+        (0.13, 20.0),
+        (0.4, 50.0),
+        (0.55, 100.0),
+        (1.2, 200.0),
+        (3.1, 500.0),
+    ],
+)
+def test_arclengths_are_counted_in_round_steps_of_which_there_are_some_six(length, step):
+    _contours._count(ax := axes(), jxr.Line((0.0, 4.0)), (0.0, length))
+    marks = [float(text.get_text().removeprefix("$s$ = ")) for text in ax.texts]
+    np.testing.assert_allclose(marks, np.arange(0.0, 1e3 * length + 1e-6, step))
+
+
 def test_the_box_of_a_contour_holds_its_frame():
     ring = np.array([[-3.0, -2.0], [1.0, 0.5]])
     low, high = _contours._box(Outline((), (ring,)), 4.0, 0.25)
@@ -1493,6 +1512,7 @@ def test_a_film_holds_its_last_frame(monkeypatch, tmp_path):
     class Writer:
         def __init__(self, fps, codec, **options):
             told.append((fps, codec))
+            assert options == {"bitrate": -1, "extra_args": ["-crf", "20"]}
 
         @contextlib.contextmanager
         def saving(self, figure, path, dpi):
@@ -1617,3 +1637,59 @@ def test_panels_of_a_grasp_are_as_wide_as_it_is_high_within_limits():
         assert (first.get_ylabel(), second.get_ylabel()) == ("y [mm]", "")
         assert [ax.get_title(loc="left") for ax in figure.axes] == ["(a)", "(b)"]
         assert figure.legends[0]._ncols == 4 and second.get_xlim() == (0.0, corners[1][0])
+
+
+def test_a_finger_of_one_link_stands_on_a_base():
+    seen = seen_twice()
+    seen.joints[0] = seen.joints[0][:, 1:]
+    grasp = SimpleNamespace(object=None, fingers=[SimpleNamespace(size=0.01)])
+    made = _artists.Drawing(axes(), grasp, seen)
+    made.show(1)
+    assert [base.get_visible() for base in made.bases] == [True, False] and len(made.links[0]) == 1
+    assert "fixed base" in [name for _, name in made.legend()]
+    seen.joints[0] = seen.joints[0][:, 1:]
+    jaws = _artists.Drawing(axes(), grasp, seen)
+    jaws.show(1)
+    assert not any(base.get_visible() for base in jaws.bases)
+    assert "fixed base" not in [name for _, name in jaws.legend()]
+
+
+def test_forces_of_contacts_and_loads_act_where_they_have_their_torque(monkeypatch):
+    """At two of four times; of two contacts the second is a caller's own, which is not drawn."""
+    force = np.array([[9.0, 9.0], [0.0, -2.0], [9.0, 9.0], [3.0, 4.0]])
+    torque = np.array([9.0, 0.06, 9.0, -0.1])
+    f = np.array([[9.0, 9.0], [2.0, 9.0], [9.0, 9.0], [1.0, 9.0]])
+    lam = np.array([[9.0, 9.0], [0.5, 9.0], [9.0, 9.0], [-1.0, 9.0]])
+    picks = np.array([1, 3])
+    touching = {0: SimpleNamespace(sense=-1)}
+    monkeypatch.setattr(_forces, "rolling_contacts", lambda grasp: touching)
+    monkeypatch.setattr(_forces, "acts", lambda grasp: True)
+    monkeypatch.setattr(_forces, "wrenches", lambda grasp, ts, states: (states.q, torque[picks]))
+    states = jxr.State(force, force, force)
+    run = SimpleNamespace(ts=np.arange(4.0), states=states, multipliers=SimpleNamespace(f=f, lam=lam))
+    along = np.array([[[1.0, 0.0]], [[0.6, 0.8]]])
+    body = np.array([[10.0, 20.0, 1.0, 0.0], [30.0, 50.0, 1.0, 0.0]])
+    seen = SimpleNamespace(points=np.array([[[1.0, 2.0]], [[3.0, 4.0]]]), tangents=along, frames=(body,))
+    corners = np.array([[10.0, 10.0], [40.0, 50.0]])
+    found = _forces.arrows(None, run, picks, seen, corners=corners)
+    # The outward normals are (0, -1) and (0.8, -0.6); lambda acts against the tangents here.
+    pushes = np.array([[[-0.5, 2.0], [0.0, -2.0]], [[0.6 - 0.8, 0.8 + 0.6], [3.0, 4.0]]])
+    assert found.loaded and found.peak == pytest.approx(5.0)
+    assert found.scale == pytest.approx(0.07 * 50.0 / 5.0)
+    np.testing.assert_allclose(found.vectors, found.scale * pushes)
+    np.testing.assert_array_equal(found.points[:, 0], seen.points[:, 0])
+    # r x F is the torque, and r stands across F: 30 mm to the left; and 20 mm across (3, 4).
+    np.testing.assert_allclose(found.points[:, 1], [[10.0 - 30.0, 20.0], [30.0 - 16.0, 50.0 + 12.0]])
+    monkeypatch.setattr(_forces, "acts", lambda grasp: False)
+    bare = _forces.arrows(None, run, picks, seen, corners=corners)
+    assert bare.vectors.shape == (2, 1, 2) and not bare.loaded
+    assert bare.peak == pytest.approx(np.hypot(0.5, 2.0))
+
+
+def test_a_run_may_be_compared_with_none():
+    figure = _design_figure.comparison([runs.run("pivoted")], ["alone"])
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["alone"]
+    assert figure.axes[1].get_ylabel() == "object turned by [rad]"
+    for names in ([], ["a", "b"]):
+        with pytest.raises(ValueError, match="argument names must have one for each of 1 runs"):
+            _design_figure.comparison([runs.run("pivoted")], names)

@@ -1148,6 +1148,12 @@ def test_a_phase_picture_has_free_space_round_the_path_and_does_not_magnify_what
     assert half == pytest.approx(0.7 * 0.004)
     np.testing.assert_allclose(still, start + [2e-6, -5e-7], atol=1e-12)
     assert least == 5e-4
+    # Where no equilibrium is found there is none to show.
+    monkeypatch.setattr(_phase, "equilibrium", lambda grasp, state: SimpleNamespace(found=False, state=state))
+    states = jxr.State(run.states.q, run.states.v, starts - senses * (start + [0.02, 0.0] + way))
+    figure = _phase.phase(grasp, runs.without(run, states=states))
+    np.testing.assert_allclose(shown[2][0], start + [0.02 + 2e-6, -5e-7], atol=1e-12)
+    assert len(figure.axes[0].lines) == 3
 
 
 # Whole drawings of made bodies.
@@ -1695,3 +1701,34 @@ def test_a_run_may_be_compared_with_none():
     for names in ([], ["a", "b"]):
         with pytest.raises(ValueError, match="argument names must have one for each of 1 runs"):
             _design_figure.comparison([runs.run("pivoted")], names)
+
+
+def test_a_picture_of_a_potential_has_no_value_off_either_pair_of_contours(monkeypatch):
+    """The first contact ends where s1 is 3 mm, the second where s2 is -6 mm."""
+    seen = []
+    potential = lambda grasp, s: SimpleNamespace(potential=2.0 * s[..., 0] + 7.0 * s[..., 1])  # noqa: E731
+    monkeypatch.setattr(_phase, "pinch_statics", potential)
+    levels = lambda energy, about: seen.append((energy, about)) or np.linspace(-80.0, 80.0, 5)  # noqa: E731
+    monkeypatch.setattr(_phase, "energy_levels", levels)
+    wide, at = jxr.Line((-0.5, 0.5)), {"s_tip": 0.0, "s_object": 0.0, "sense": 1}
+    first, second = SimpleNamespace(**at), SimpleNamespace(**at)
+    shapes = {id(first): (wide, jxr.Line((-0.5, 0.003))), id(second): (wide, jxr.Line((-0.006, 0.5)))}
+    grasp = SimpleNamespace(contacts=[first, second], shapes=lambda contact: shapes[id(contact)])
+    ax = axes()
+    _phase._levels(ax, grasp, np.array([0.002, -0.005]), 0.004)
+    ((energy, about),) = seen
+    s1, s2 = np.meshgrid(0.002 + np.linspace(-0.004, 0.004, 81), -0.005 + np.linspace(-0.004, 0.004, 81))
+    # In millijoules; off by a trillionth of a metre, the ends themselves are there or not.
+    clear = (np.abs(s1 - 0.003) > 1e-9) & (np.abs(s2 + 0.006) > 1e-9)
+    expected = np.where((s1 < 0.003) & (s2 > -0.006), 1e3 * (2.0 * s1 + 7.0 * s2), NAN)
+    np.testing.assert_allclose(energy[clear], expected[clear], rtol=1e-12)
+    assert about == 16 and ax.get_aspect() == 1.0
+    assert ax.figure.axes[1].get_ylabel() == "$U$ [mJ]" and len(ax.collections) == 2
+    assert ax.dataLim.x0 >= -2.0 - 1e-9 and ax.dataLim.x1 <= 6.0 + 1e-9
+
+
+def test_a_view_may_say_one_angle_and_leave_the_other():
+    scene = SimpleNamespace(times=5, on_object=[])
+    given = ((None, None, (22.0, -58.0)), (3.0, None, (3.0, -58.0)), (None, 0.0, (22.0, 0.0)))
+    for elevation, azimuth, found in (*given, (0.0, 9.0, (0.0, 9.0))):
+        assert _poses3.facing(scene, jxr.plotting.View(elevation, azimuth)) == found

@@ -827,6 +827,18 @@ def test_a_label_rather_goes_farther_than_over_a_line():
     np.testing.assert_allclose(shift, [15.5, 0.0])
 
 
+@pytest.mark.parametrize(
+    ("dots", "off", "distance"),
+    [(1, 4.0, 5.5), (1, 7.0, 3.0), (2, 7.0, 8.5), (3, 16.0, 3.0), (4, 16.0, 17.0)],
+)
+def test_a_dot_of_a_line_under_a_label_weighs_as_much_as_four_points_of_distance(dots, off, distance):
+    """There is room to the right alone; dots are that far from the label's place."""
+    taken = np.tile([50.0 + off, 50.5], (dots, 1))
+    shift, found = best(low=(50.0, 44.5), high=(200.0, 55.5), taken=taken)
+    assert found == distance
+    np.testing.assert_allclose(shift, [distance + 10.0, 0.0])
+
+
 # Bodies in space.
 
 
@@ -845,7 +857,8 @@ def test_a_tube_has_flat_strips_round_its_axis_that_face_outwards():
     sizes = np.linalg.norm(areas, axis=1)
     np.testing.assert_allclose(areas / sizes[:, None], normals, atol=1e-12)
     assert sizes.sum() == pytest.approx(7.0 * 14 * 2.0 * radius * np.sin(np.pi / 14))
-    assert len(_tubes.tube_mesh(start, start + 1e-10 * axis, radius)[0]) == 0
+    nothing = _tubes.tube_mesh(start, start + 1e-10 * axis, radius)
+    assert [part.shape for part in nothing] == [(0, 3, 3), (0, 3)]
     assert len(_tubes.tube_mesh(start, start + 1e-9 * axis, radius)[0]) == 28
 
 

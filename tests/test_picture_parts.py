@@ -1162,11 +1162,18 @@ def test_a_phase_picture_has_free_space_round_the_path_and_does_not_magnify_what
     np.testing.assert_allclose(still, start + [2e-6, -5e-7], atol=1e-12)
     assert least == 5e-4
     # Where no equilibrium is found there is none to show.
-    monkeypatch.setattr(_phase, "equilibrium", lambda grasp, state: SimpleNamespace(found=False, state=state))
+    ends = []
+
+    def sought(given, state):
+        ends.append((given, state))
+        return SimpleNamespace(found=False, state=state)
+
+    monkeypatch.setattr(_phase, "equilibrium", sought)
     states = jxr.State(run.states.q, run.states.v, starts - senses * (start + [0.02, 0.0] + way))
     figure = _phase.phase(grasp, runs.without(run, states=states))
     np.testing.assert_allclose(shown[2][0], start + [0.02 + 2e-6, -5e-7], atol=1e-12)
     assert len(figure.axes[0].lines) == 3
+    assert ends[0][0] is grasp and ends[0][1] is run.last
 
 
 # Whole drawings of made bodies.
@@ -1745,3 +1752,35 @@ def test_a_view_may_say_one_angle_and_leave_the_other():
     given = ((None, None, (22.0, -58.0)), (3.0, None, (3.0, -58.0)), (None, 0.0, (22.0, 0.0)))
     for elevation, azimuth, found in (*given, (0.0, 9.0, (0.0, 9.0))):
         assert _poses3.facing(scene, jxr.plotting.View(elevation, azimuth)) == found
+
+
+def test_pieces_of_a_link_as_near_as_the_tip_itself_go_where_the_tip_goes():
+    """Of an object before all of the finger; corners of the tip are sqrt(14) from its frame."""
+    towards = light = np.array([1.0, 0.0, 0.0])
+    ahead = np.tile([10.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (2, 1))
+    body = _scene3.Solid(_scene3.box_mesh(np.array([1.0, 1.0, 1.0])), ahead, -1)
+    tip = solid(_scene3.box_mesh(np.array([2.0, 4.0, 6.0])))
+    skeleton = np.array([[0.0, 0.0, -20.0], [0.0, 0.0, 0.0]])
+    scene = SimpleNamespace(
+        solids=(body, tip), skeletons=[np.stack([skeleton + 50.0, skeleton])], thickness=0.5
+    )
+    pieces = [corners for corners, _ in _drawing3._limbs(skeleton, 0.5, towards, light)]
+    near = np.concatenate(pieces)
+    near = near[np.linalg.norm(near.mean(axis=1), axis=1) < 14.0**0.5]
+    faces, _ = _drawing3._faces(tip, 1, towards, light)
+    for nearer in (True, False):
+        seen = SimpleNamespace(scene=scene, _nearer=lambda i, finger, way, nearer=nearer: nearer)
+        behind, own, before = (part for part, _ in _drawing3.Drawing3.parts(seen, 1, towards, light))
+        assert len(own) == 2 and len(behind) + len(before) == len(faces) + sum(map(len, pieces))
+        expected = np.concatenate([faces, near]) if nearer else np.zeros((0, 3, 3))
+        np.testing.assert_array_equal(before, expected)
+
+
+def test_a_design_stands_in_its_own_part_of_the_figure():
+    """Both contours on the left, margins above the search on the right."""
+    figure = _design_figure.design(runs.designed())
+    cells = [ax.get_subplotspec().get_topmost_subplotspec() for ax in figure.axes]
+    assert [list(cell.colspan) for cell in cells] == [[0], [0], [1], [1]]
+    assert [list(cell.rowspan) for cell in cells] == [[0, 1], [0, 1], [0], [1]]
+    columns = [list(ax.get_subplotspec().colspan) for ax in figure.axes[:2]]
+    assert columns == [[0], [1]]

@@ -1760,7 +1760,7 @@ def test_pieces_of_a_link_as_near_as_the_tip_itself_go_where_the_tip_goes():
     ahead = np.tile([10.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (2, 1))
     body = _scene3.Solid(_scene3.box_mesh(np.array([1.0, 1.0, 1.0])), ahead, -1)
     tip = solid(_scene3.box_mesh(np.array([2.0, 4.0, 6.0])))
-    skeleton = np.array([[0.0, 0.0, -20.0], [0.0, 0.0, 0.0]])
+    skeleton = np.array([[0.0, 0.0, -20.0], [0.0, 4.0, -10.0], [0.0, 0.0, 0.0]])
     scene = SimpleNamespace(
         solids=(body, tip), skeletons=[np.stack([skeleton + 50.0, skeleton])], thickness=0.5
     )

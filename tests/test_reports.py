@@ -642,7 +642,7 @@ def test_why_looks_at_curvatures_then_at_pivots_then_at_forces(curvature, pivot,
     assert (found is None) == (told is None)
     if told is not None:
         assert found[0] == f"fails at the start: {told}" + (
-            ", the sum of its curvatures is not positive" if "singular" in told else ""
+            ", the sum of its curvatures is not positive to 0.0001" if "singular" in told else ""
         ) + (", so that forces have no answer" if "redundant" in told else "")
         assert found[2] == (-1 if "redundant" in told else int("contact 1" in told))
 
@@ -735,9 +735,11 @@ def test_a_swing_grows_by_the_last_of_its_rates():
 def test_the_first_saved_state_of_a_run_is_its_start(run):
     q = run.states.q.at[0].set(jnp.nan).at[1, 1].set(jnp.nan)
     late = eqx.tree_at(lambda r: r.states.q, run, q)
-    np.testing.assert_array_equal(_why._start(late).q, run.states.q[2])
+    start, begins = _why._start(late)
+    np.testing.assert_array_equal(start.q, run.states.q[2])
+    assert begins == run.ts[2]
     none = eqx.tree_at(lambda r: r.states.q, run, jnp.full_like(q, jnp.nan))
-    assert _why._start(none) is none.last
+    assert _why._start(none)[0] is none.last and _why._start(none)[1] == run.stats.t_end
 
 
 VERDICTS = jxr.stability.VERDICTS
@@ -817,7 +819,7 @@ def test_the_first_finding_makes_the_summary(
     monkeypatch.setattr(_why, "_direction", lambda *args: "down")
     monkeypatch.setattr(_why, "_early", lambda grasp, start, ended: early)
     monkeypatch.setattr(_why, "_blamed", lambda grasp, found, near: "heavy")
-    judged = _why._judged(grasp, state, ended(run, code, t=0.25))
+    judged = _why._judged(grasp, state, 0.0, ended(run, code, t=0.25))
     against = f"{_MEND['heavy']}" + (
         f"; against the end alone, {REMEDIES['slipping']}" if code == "slipping" else ""
     )

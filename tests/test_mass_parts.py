@@ -10,8 +10,9 @@ from scipy.spatial import ConvexHull
 from scipy.special import gamma
 
 import jaxroll as jxr
-from jaxroll.geometry import Chart, mass_properties, SplineSurface
-from jaxroll.geometry.mass import _level_moments as level, _surface_moments as surface
+from jaxroll.geometry import Chart, mass_properties, Patch, SplineSurface
+from jaxroll.geometry.mass import _level_moments as level
+from jaxroll.geometry.mass import _surface_moments as surface
 from jaxroll.geometry.mass._mesh_moments import mesh_moments
 from jaxroll.geometry.mass._moments import centred, checked, difference, from_cones, inertia_of, Moments
 from jaxroll.geometry.surfaces import Ellipsoid
@@ -286,6 +287,54 @@ def test_a_rule_on_panels_is_exact_to_the_fifteenth_power():
     for power in (0, 1, 8, 15):
         whole = (2.0 ** (power + 1) - 0.5 ** (power + 1)) / (power + 1)
         assert places**power @ weights == pytest.approx(whole, rel=1e-13)
+
+
+def chart_of(kind, periodic=(False, False)):
+    domain = ((0.0, np.pi), (0.0, 2.0 * np.pi)) if kind == "turned" else ((0.0, 2.0), (0.0, 3.0))
+    return Chart(lambda u, v: (u, v, u * v), domain=domain, periodic=periodic)
+
+
+def panels(monkeypatch, chart, changes):
+    """How many panels a chart is integrated on, if each refinement changes the volume by such a share."""
+    counts, sizes = [], iter(np.cumprod([1.0, *(1.0 + np.array(changes))]))
+    monkeypatch.setattr(surface, "_check_edges", lambda *_: None)
+
+    def on_panels(_, ends, given):
+        np.testing.assert_array_equal(ends, np.asarray(chart.domain()))
+        counts.append(tuple(given))
+        return body(next(sizes), np.zeros(3), np.eye(3))
+
+    monkeypatch.setattr(surface, "_on_panels", on_panels)
+    return surface._chart_moments(chart), counts
+
+
+def test_panels_of_a_chart_are_halved_until_the_moments_settle(monkeypatch):
+    chart = chart_of("flat")
+    found, counts = panels(monkeypatch, chart, [1e-3, 1.8e-12, 0.0])
+    assert counts == [(4, 4), (8, 8), (16, 16)]
+    assert found.error == pytest.approx(0.9e-12, rel=1e-3)
+    found, counts = panels(monkeypatch, chart, [1e-3, 3e-12, 1e-5, 1e-6, 1e-7])
+    assert counts == [(n, n) for n in (4, 8, 16, 32, 64, 128)]
+    assert found.error == pytest.approx(0.5e-7, rel=1e-3)
+    with pytest.raises(ValueError, match="still change"):
+        panels(monkeypatch, chart, [1e-3, 1e-3, 1e-3, 1e-3, 4e-6])
+
+
+@pytest.mark.parametrize(
+    ("shape", "expected"),
+    [
+        ((7, 9), [(6, 8), (12, 16), (24, 32), (48, 64), (96, 128)]),
+        ((80, 71), [(79, 70), (158, 140)]),
+        # At least one refinement, however many cells a patch has.
+        ((150, 140), [(149, 139), (298, 278)]),
+        ((7, 201), [(6, 200), (12, 400)]),
+    ],
+)
+def test_panels_of_a_patch_are_its_cells(monkeypatch, shape, expected):
+    patch = Patch(np.random.default_rng(0).normal(size=(*shape, 3)))
+    found, counts = panels(monkeypatch, patch, [1e-7] * (len(expected) - 1))
+    assert counts == expected
+    assert found.error == pytest.approx(0.5e-7, rel=1e-3)
 
 
 def lune(u, v):

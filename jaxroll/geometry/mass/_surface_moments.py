@@ -99,8 +99,10 @@ def _chart_moments(chart: AbstractChart) -> Moments:
     counts = [_PANELS, _PANELS]
     if isinstance(chart, Patch):
         counts = [round(float(high - low)) for low, high in ends]
+    # A patch of many cells is refined once all the same.
+    most = max(_MOST, 2 * max(counts))
     before, change = None, math.inf
-    while max(counts) <= max(_MOST, 2 * min(counts)):
+    while max(counts) <= most:
         found = _on_panels(chart, ends, counts)
         if before is not None:
             change = difference(found, before)

@@ -11,8 +11,7 @@ from scipy.special import gamma
 
 import jaxroll as jxr
 from jaxroll.geometry import Chart, mass_properties, Patch, SplineSurface
-from jaxroll.geometry.mass import _level_moments as level
-from jaxroll.geometry.mass import _surface_moments as surface
+from jaxroll.geometry.mass import _level_moments as level, _surface_moments as surface
 from jaxroll.geometry.mass._mesh_moments import mesh_moments
 from jaxroll.geometry.mass._moments import centred, checked, difference, from_cones, inertia_of, Moments
 from jaxroll.geometry.surfaces import Ellipsoid
@@ -118,6 +117,29 @@ def test_triangles_of_a_plane_through_a_grid_of_uneven_cells_have_its_area():
     assert area == pytest.approx(4.0 * np.hypot(1.8, 0.9))
 
 
+def test_a_field_that_is_zero_at_nodes_has_its_triangles_there_once():
+    axes = [np.linspace(0.0, 2.0, 5), np.linspace(1.0, 2.0, 3), np.linspace(-1.0, 3.0, 6)]
+    x, _, _ = np.meshgrid(*axes, indexing="ij")
+    for sign in (1.0, -1.0):
+        triangles = level._triangles(sign * (x - 1.0), axes)
+        np.testing.assert_allclose(triangles[..., 0], 1.0, atol=1e-15)
+        sides = triangles[:, 1:] - triangles[:, :1]
+        assert 0.5 * np.linalg.norm(np.cross(*np.moveaxis(sides, 1, 0)), axis=1).sum() == pytest.approx(4.0)
+
+
+def test_triangles_that_are_carried_nowhere_have_the_moments_of_the_polyhedron(monkeypatch):
+    """A tetrahedron, two of whose faces run clockwise: their area vectors are turned by their signs."""
+    corners, faces = tetrahedron()
+    faces[[1, 2]] = faces[[1, 2], ::-1]
+    turned = np.repeat([1.0, -3.0, -0.2, 2.0], 9)
+    monkeypatch.setattr(
+        level, "_carried_over", lambda _, places, one, other: (places, np.cross(one, other), turned)
+    )
+    found = level._on_grid(None, corners[faces], 3)
+    assert found.size == pytest.approx(5.0)
+    np.testing.assert_allclose(found.centre, [10.5, 20.75, 31.25])
+
+
 def test_places_beside_an_ellipsoid_are_carried_onto_it_along_the_gradient_with_their_sides():
     """A third beside it they still arrive to rounding; the area vector is that of differences."""
     egg = Ellipsoid(0.02, 0.03, 0.05)
@@ -155,10 +177,10 @@ def test_rows_go_through_a_program_in_batches_of_one_length(monkeypatch):
 
 def test_a_grid_about_points_has_its_cells_along_the_longest_side_and_is_never_symmetric():
     known = np.array([[0.0, 2.0, -1.0], [4.0, 3.0, 9.0], [1.0, 2.5, 0.0]])
-    axes = level._around(known, 20, 0.1)
+    axes = level._around(known, 20, 0.2)
     assert [len(axis) - 1 for axis in axes] == [8, 6, 20]
-    np.testing.assert_allclose([axis[0] for axis in axes], [-1.0, 1.0, -2.0])
-    np.testing.assert_allclose([axis[-1] for axis in axes], [5.03, 4.03, 10.03])
+    np.testing.assert_allclose([axis[0] for axis in axes], [-2.0, 0.0, -3.0])
+    np.testing.assert_allclose([axis[-1] for axis in axes], [6.06, 5.06, 11.06])
     for axis in axes:
         np.testing.assert_allclose(np.diff(axis), (axis[-1] - axis[0]) / (len(axis) - 1))
 
@@ -179,6 +201,21 @@ def test_a_grid_is_widened_until_the_inside_does_not_reach_its_ends(monkeypatch,
     np.testing.assert_allclose(asked, paddings)
     x, y, z = np.meshgrid(*axes, indexing="ij")
     np.testing.assert_allclose(values, np.sqrt(x**2 + y**2 + z**2) - radius, atol=1e-14)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("end", [-0.6, 0.6])
+def test_a_grid_is_widened_also_if_the_inside_reaches_one_end_alone(monkeypatch, axis, end):
+    middle = jnp.zeros((1, 3)).at[0, axis].set(end)
+    monkeypatch.setattr(level, "_values", lambda _, rows: (jnp.linalg.norm(rows - middle, axis=1) - 0.5,))
+    asked = []
+
+    def axes_with(padding):
+        asked.append(padding)
+        return [np.linspace(-1.0 - padding, 1.0 + padding, 21)] * 3
+
+    level._sampled(None, axes_with)
+    np.testing.assert_allclose(asked, [0.08, 0.16])
 
 
 @pytest.mark.parametrize("radius", [-0.1, 9.0])
@@ -247,8 +284,8 @@ def test_grids_of_a_field_of_splines_are_its_own_and_their_halves(monkeypatch):
         ([[1, 1, 1, 1], [1, 1, 1, 1]], [1.0, 1.0], True),
         ([[1, 1, 1, 1], [-1, -1, -1, -1]], [1.0, 1.0], True),
         ([[1, 1, 1, 1], [1, 1, 1, -1]], [1.0, 1.0], False),
-        ([[1, 1, 1, 1], [1, 1, 1, -1]], [1.0, 0.5e-6], True),
-        ([[1, 1, 1, 1], [1, 1, 1, -1]], [1.0, 3e-6], False),
+        ([[1, 1, 1, 1], [1, 1, 1, -1]], [1.0, 0.2e-6], True),
+        ([[1, 1, 1, 1], [1, 1, 1, -1]], [1.0, 0.35e-6], False),
         ([[1, 1, 1, 1], [1, 1, 1, 1]], [1.0, np.nan], False),
     ],
 )
@@ -261,7 +298,7 @@ def test_triangles_that_are_folded_do_not_resolve_a_surface_unless_they_are_sliv
         return points, np.nan_to_num(areas), np.array(sides, float).ravel()
 
     monkeypatch.setattr(level, "_carried_over", carried)
-    corners = np.array([[[1.0, 0, 0], [0, 1, 0], [0, 0, 1]], [[1, 0, 0], [0, 1, 0], [0, 0, -1]]], float)
+    corners = np.array([[[1.0, 0, 0], [0, 1, 0], [0, 0, 1]], [[1, 0, 0], [0, 2, 0], [0, 0, -3]]])
     assert (level._on_grid(None, corners, 2) is not None) == resolved
 
 
@@ -420,7 +457,5 @@ def test_a_contour_of_ones_own_is_integrated_without_a_table_and_must_run_counte
     np.testing.assert_allclose(found.mass, 2.0 * np.pi * 0.02**2, rtol=1e-13)
     np.testing.assert_allclose(found.centre, [0.5, 0.3], rtol=1e-13)
     np.testing.assert_allclose(found.inertia, np.pi * 0.02**4, rtol=1e-12)
-    with pytest.raises(
-        ValueError, match=r"counter-clockwise round its body, but the area in this Disc was -0.0"
-    ):
+    with pytest.raises(ValueError, match="run counter-clockwise round its body, .* this Disc was -0.0"):
         mass_properties(Disc(-1.0), 2.0)

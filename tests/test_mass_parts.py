@@ -2,6 +2,7 @@
 
 import types
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -418,7 +419,7 @@ def test_a_tetrahedron_has_the_moments_of_textbooks_also_with_empty_triangles():
     [
         [[0, 2, 1, 3]],
         [0, 2, 1],
-        [[0, 2, -1], [0, 1, 3], [0, 3, 2], [1, 2, 3]],
+        [[0, 2, 1], [0, 1, -1], [0, -1, 2], [1, 2, -1]],
         [[0, 2, 4], [0, 1, 3], [0, 3, 2], [1, 2, 3]],
         np.zeros((0, 3)),
     ],
@@ -426,6 +427,37 @@ def test_a_tetrahedron_has_the_moments_of_textbooks_also_with_empty_triangles():
 def test_faces_that_are_no_triples_of_corners_are_refused(faces):
     with pytest.raises(ValueError, match="argument shape must"):
         mass_properties((tetrahedron()[0], faces), 1.0)
+
+
+def test_a_hole_is_found_by_its_edges_however_their_ends_are_numbered():
+    """A cube without a side whose corners are 0, 5, 1 and 6, in this order: low and high ones in turn."""
+    corners = np.array(
+        [[0, 0, 0], [1, 1, 0], [1, 0, 1], [1, 1, 1], [0, 1, 1], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
+    )
+    faces = [(2, 3, 4), (2, 4, 7), (0, 5, 2), (0, 2, 7), (5, 1, 3), (5, 3, 2), (1, 6, 4), (1, 4, 3)]
+    faces += [(6, 0, 7), (6, 7, 4)]
+    words = r"must be a watertight mesh, but 4 of its 17 edges .* the first between vertices \(0, 5\)"
+    with pytest.raises(ValueError, match=words):
+        mesh_moments(corners, np.array(faces))
+    whole = mesh_moments(corners, np.array([*faces, (0, 6, 1), (0, 1, 5)]))
+    assert whole.size == pytest.approx(1.0)
+
+
+class Rows:
+    """What is an array to NumPy alone."""
+
+    def __init__(self, rows):
+        self.rows = rows
+
+    def __array__(self, dtype=None, copy=None):
+        return np.asarray(self.rows, dtype)
+
+
+def test_a_mesh_of_anything_that_numpy_reads_but_not_of_traced_numbers():
+    corners, faces = tetrahedron()
+    assert float(mass_properties((Rows(corners), Rows(faces)), 1.0).mass) == pytest.approx(5.0)
+    with pytest.raises(ValueError, match="argument shape must be known before tracing"):
+        jax.eval_shape(lambda x: mass_properties((x, faces), 1.0).mass, corners)
 
 
 def test_a_mesh_may_be_given_as_lists_with_whole_numbers_as_floats():

@@ -18,8 +18,8 @@ def mesh_moments(vertices: np.ndarray, faces: np.ndarray) -> Moments:
         vertices: Shape (n, 3) [m]. Those at the same place count as one.
         faces: Shape (m, 3), indices of the corners.
     """
-    _, which = np.unique(vertices, axis=0, return_inverse=True)
-    joined = which.reshape(-1)[faces]
+    _, first, which = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
+    joined = first[which.reshape(-1)][faces]
     # Triangles without area, which exported meshes have, enclose nothing.
     real = (joined != np.roll(joined, 1, axis=1)).all(axis=1)
     _check_watertight(joined[real], len(vertices))

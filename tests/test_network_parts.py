@@ -1,5 +1,6 @@
 """Parts of contours by networks: integrals and closure, starts, feet and residuals of fits, the descent."""
 
+import inspect
 import types
 
 import equinox as eqx
@@ -358,3 +359,96 @@ def test_fields_by_networks_have_their_defaults_and_free_numbers(monkeypatch):
     for kind in (jxr.NeuralSupport, jxr.NeuralCurvature):
         with pytest.raises(ValueError, match="argument points must have more than 8 rows, but had 8"):
             kind.fit(oval(TURN * np.arange(8) / 8), key=jax.random.key(0))
+
+
+KINDS = {
+    jxr.NeuralSupport: {"harmonics": 4, "width": 16, "smallest_radius": None},
+    jxr.NeuralCurvature: {"harmonics": 12, "width": 24},
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_field_through_points_is_that_of_the_fit_with_its_defaults(monkeypatch, kind):
+    usual = {"depth": 2, "steps": 100, "tolerance": 1e-8, "progress": False, "cells": 1024} | KINDS[kind]
+    own = inspect.signature(kind.fit).parameters
+    assert {name: own[name].default for name in usual} == usual
+    fit = classmethod(lambda cls, points, **options: types.SimpleNamespace(field=(points, options)))
+    monkeypatch.setattr(kind, "fit", fit)
+    assert kind.through("points", key="key") == ("points", {"key": "key"} | usual)
+    other = {name: f"another {name}" for name in usual}
+    assert kind.through("points", key="key", **other) == ("points", {"key": "key"} | other)
+
+
+def disc_and_points():
+    """A disc of 0.2 m off the origin, and points at known heights above it; by their mean and scale."""
+    radius, centre = 0.2, np.array([3.0, -2.0])
+    angle = np.array([0.1, 0.8, 1.4, 2.2, 3.0, 3.7, 4.4, 5.0, 5.8])
+    height = 0.01 * np.array([1.0, -2.0, 0.5, 0.0, 3.0, -1.0, 2.0, -0.5, 0.3])
+    points = centre + (radius + height)[:, None] * np.stack([np.cos(angle), np.sin(angle)], -1)
+    middle = points.mean(axis=0)
+    size = np.hypot(*(points - middle).T).mean()
+    return radius, centre, angle, height, points, middle, size
+
+
+def given_to(monkeypatch, module, rest, refresh):
+    """What a fit gives its descent, which answers with a disc."""
+    given = {}
+
+    def answered(problem, start, data, **options):
+        given.update(options, problem=problem, start=start, data=data)
+        history = np.array([2.0, 1.0])
+        return descent.Descent(flat(), rest, refresh(data), 25, history)
+
+    monkeypatch.setattr(module, "descend", answered)
+    return given
+
+
+def test_a_fit_by_curvature_is_worked_out_about_the_points_and_told_in_metres(monkeypatch):
+    radius, centre, angle, height, points, middle, size = disc_and_points()
+    rest = curvature._Pose(TURN * radius / size, jnp.asarray(0.6), jnp.asarray((centre - middle) / size))
+    feet = (angle - 0.6 + 0.25 * TURN) / TURN
+    refresh = lambda cloud: eqx.tree_at(lambda c: c.places, cloud, jnp.asarray(feet))  # noqa: E731
+    given = given_to(monkeypatch, curvature, rest, refresh)
+    options = {"harmonics": 3, "width": 5, "depth": 1, "tolerance": 2e-3, "progress": "told", "steps": 7}
+    fit = jxr.NeuralCurvature.fit(points, key=jax.random.key(1), cells=64, **options)
+    assert (fit.field.cells, fit.steps, given["steps"], given["progress"]) == (64, 25, 7, "told")
+    assert given["target"] == pytest.approx((2e-3 / size) ** 2)
+    np.testing.assert_allclose(fit.field.length, TURN * radius)
+    np.testing.assert_allclose([fit.field.angle, *fit.field.centre], [0.6, *centre])
+    assert fit.rms == pytest.approx(np.sqrt(np.mean(height**2)), rel=1e-6)
+    assert fit.largest == pytest.approx(0.03, rel=1e-6)
+    network, pose = given["start"]
+    assert [layer.weight.shape for layer in network.layers] == [(5, 6), (1, 5)]
+    slope, wanted, places = curvature._start((points - middle) / size)
+    np.testing.assert_allclose(jax.tree.leaves(pose)[0], jax.tree.leaves(wanted)[0])
+    np.testing.assert_allclose(given["data"].points, (points - middle) / size)
+    np.testing.assert_allclose(given["data"].places, places)
+    best = networks.with_readout(PeriodicNetwork(3, width=5, depth=1, key=jax.random.key(1)), slope)
+    np.testing.assert_allclose(network.layers[-1].weight, best.layers[-1].weight, rtol=1e-6)
+
+
+def test_a_fit_by_support_function_is_worked_out_about_the_points_and_told_in_metres(monkeypatch):
+    monkeypatch.setattr(support, "check_convex", lambda name, contour: None)
+    radius, centre, angle, height, points, middle, size = disc_and_points()
+    rest = (jnp.asarray(radius / size), jnp.asarray((centre - middle) / size))
+    refresh = lambda cloud: eqx.tree_at(lambda c: c.angles, cloud, jnp.asarray(angle))  # noqa: E731
+    given = given_to(monkeypatch, support, rest, refresh)
+    options = {"harmonics": 3, "width": 5, "depth": 1, "tolerance": 2e-3, "progress": "told", "steps": 7}
+    fit = jxr.NeuralSupport.fit(points, key=jax.random.key(1), cells=64, **options)
+    assert (fit.field.cells, fit.steps, given["steps"], given["progress"]) == (64, 25, 7, "told")
+    assert given["target"] == pytest.approx((2e-3 / size) ** 2)
+    np.testing.assert_allclose(fit.field.radius, radius)
+    np.testing.assert_allclose(fit.field.centre, centre)
+    assert fit.rms == pytest.approx(np.sqrt(np.mean(height**2)), rel=1e-6)
+    assert fit.largest == pytest.approx(0.03, rel=1e-6)
+    network, (first, offset) = given["start"]
+    assert [layer.weight.shape for layer in network.layers] == [(5, 6), (1, 5)] and network.decay == 1.0
+    assert (float(first), offset.tolist(), float(given["data"].floor)) == (1.0, [0.0, 0.0], 0.01)
+    waves, angles = support._start((points - middle) / size)
+    np.testing.assert_allclose(given["data"].points, (points - middle) / size)
+    np.testing.assert_allclose(given["data"].angles, angles)
+    plain = PeriodicNetwork(3, decay=1.0, width=5, depth=1, key=jax.random.key(1))
+    best = networks.with_readout(plain, waves - 1.0, bends=0.1)
+    np.testing.assert_allclose(network.layers[-1].weight, best.layers[-1].weight, rtol=1e-6)
+    jxr.NeuralSupport.fit(points, key=jax.random.key(1), cells=64, smallest_radius=0.05, **options)
+    assert float(given["data"].floor) == pytest.approx(0.05 / size)

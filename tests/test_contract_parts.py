@@ -7,6 +7,7 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll.geometry import _contract as contract, Chart, Extruded, Frenet2, Hollow, Vec2
+from tests.helpers import in_single
 
 TURN = 2.0 * np.pi
 
@@ -236,3 +237,38 @@ def test_what_a_contact_starts_on_is_told_otherwise_than_what_is_given():
         contract.check_shape("tip", Bend(closed=True))
     with pytest.raises(ValueError, match="^argument tip must be a contour with ends, as Bend claims"):
         contract.check_shape("tip", Extruded(Bend(closed=True)).moved())
+
+
+def test_what_is_let_pass_in_single_precision():
+    """A ten thousandth of speed, a tenth of the curvature; a hundredth of what a surface has."""
+
+    def along(**parts):
+        return in_single(lambda: contract._along(Bend(**parts), PLACES.astype(np.float32)))
+
+    assert along(fast=0.8e-4) is None and "unit speed" in along(fast=1.2e-4)
+    assert along(bend=0.09) is None and "the curvature" in along(bend=0.12)
+
+
+def test_errors_of_tables_are_let_pass_four_times_over(monkeypatch):
+    monkeypatch.setattr(contract, "_tables", lambda contour: [0.3e-6, 1e-6])
+    monkeypatch.setattr(contract, "unevenness", lambda table: table)
+    assert contract._along(Bend(fast=3.9e-6), PLACES) is None
+    assert contract._along(Bend(fast=4.1e-6), PLACES) is not None
+
+
+def test_an_error_at_the_first_place_is_there_only_where_a_contact_starts():
+    class Straight(Bend):
+        def curve(self, s):
+            return Vec2(s, 0.0 * s)
+
+        def frame(self, s):
+            away = 1e-3 - 0.01 * (s - 0.5)
+            tangent = Vec2(1.0 + 0.0 * s, self.lean * away)
+            return Frenet2(Vec2(s, 0.0 * s), tangent, self.bend * away)
+
+    falling, rising = np.array([0.5, 0.51, 0.52]), np.array([0.5, 0.4, 0.45])
+    for parts, words in (({"lean": 1.0}, "tangent of {kind} "), ({"bend": 1e3}, "curvature of {kind} ")):
+        assert f"{words}at s = 0.5 m was" in contract._along(Straight(**parts), falling)
+        assert f"{words}there was" in contract._along(Straight(**parts), falling, there=True)
+        assert f"{words}at s = 0.4 m was" in contract._along(Straight(**parts), rising)
+        assert f"{words}there was" in contract._along(Straight(**parts), rising, there=True)

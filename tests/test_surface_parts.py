@@ -79,21 +79,29 @@ def test_a_net_of_a_slanted_plane_lies_on_it_and_faces_where_the_field_is_positi
         corners = [inside[i : i + 3, j : j + 4, k : k + 5] for i in (0, 1) for j in (0, 1) for k in (0, 1)]
         mixed = np.any(corners, axis=0) & ~np.all(corners, axis=0)
         assert len(vertices) == mixed.sum()
+        # Two triangles for each edge that it crosses within the grid.
+        inner = tuple(slice(1, -1) for _ in range(3))
+        whole = (slice(None),) * 3
+        crossed = 0
+        for axis in range(3):
+            along = tuple(whole[k] if k == axis else inner[k] for k in range(3))
+            crossed += np.sum(np.diff(inside[along].astype(int), axis=axis) != 0)
+        assert len(triangles) == 2 * crossed > 10
         assert {tuple(cell) for cell in np.floor(vertices).astype(int)} == set(map(tuple, np.argwhere(mixed)))
 
 
 def test_a_vertex_is_the_mean_of_where_the_field_vanishes_along_the_edges_of_its_cell():
     values = np.ones((2, 2, 2))
-    values[0, 0, 0], values[1, 0, 0], values[0, 1, 0], values[0, 0, 1] = -1.0, 3.0, 1.0, 0.25
+    values[0, 0, 0], values[1, 0, 0], values[0, 1, 0], values[0, 0, 1] = -1.0, 3.0, 1.0, 0.0
     vertices, triangles = nets.net(values)
-    np.testing.assert_allclose(vertices, [[0.25 / 3, 0.5 / 3, 0.8 / 3]])
+    np.testing.assert_allclose(vertices, [[0.25 / 3, 0.5 / 3, 1.0 / 3]])
     assert triangles.shape == (0, 3)
 
 
 def test_quadrangles_are_cut_along_the_shorter_diagonal():
-    corners = np.array([[0.0, 0, 0], [1, 0, 0], [3, 2, 0], [0, 1, 0]])
+    corners = np.array([[5.0, 7, 9], [6, 7, 9], [8, 9, 9], [5, 8, 9]])
     assert nets._halved(corners, np.array([[0, 1, 2, 3]])).tolist() == [[1, 2, 3], [1, 3, 0]]
-    corners[2] = [0.5, 0.5, 0.0]
+    corners[2] = [5.5, 7.5, 9.0]
     assert nets._halved(corners, np.array([[0, 1, 2, 3]])).tolist() == [[0, 1, 2], [0, 2, 3]]
 
 
@@ -176,6 +184,9 @@ def plane_frame(form):
         ((30.0, 7.0, 12.0), (0.02, -0.05, 0.01), True, "cut"),
         ((-30.0, 0.0, 12.0), (1e-3, -2e-3, 0.05), True, "damped"),
         ((-40.0, 0.0, -38.0), (1e-4, -2e-4, 0.024), True, "damped"),
+        ((-34.0, 0.0, -34.0), (1e-4, -2e-4, 0.025), True, "newton"),
+        ((-35.6, 0.0, -35.6), (1e-4, -2e-4, 0.025), True, "newton"),
+        ((-30.0, 8.0, -30.0), (1e-5, -2e-5, 0.025), True, "newton"),
         ((0.0, 0.0, 0.0), (0.3, -0.4, 0.2), True, "newton"),
     ],
 )
@@ -192,6 +203,9 @@ def test_steps_to_a_foot_are_newtons_in_the_tangent_plane(form, away, careful, k
         wanted = wanted * 0.5 / (size * np.linalg.norm(wanted))
         assert kind == "cut"
     np.testing.assert_allclose(found, [*wanted, 0.0], rtol=1e-9)
+    if kind != "newton":
+        usual = gauss.approach(frame, frame.point + Vec3(*away))
+        np.testing.assert_array_equal(usual.array(), found)
 
 
 @pytest.mark.parametrize("p", [2.0, 2.5, 3.0, 4.0, 7.0])

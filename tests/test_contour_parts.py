@@ -20,6 +20,12 @@ from jaxroll.geometry.contours._given_points import numbers, polygon_area
 TURN = 2.0 * np.pi
 
 
+@pytest.fixture
+def unlooked(monkeypatch):
+    """Support functions without the look whether they fold, a program of its own for each size."""
+    monkeypatch.setattr(support, "check_convex", lambda name, contour: None)
+
+
 class Loaded:
     """A random generator whose numbers are known: 1, 2, 3, ... over ten, on and on."""
 
@@ -126,14 +132,14 @@ def test_the_grid_of_a_series_has_sixteen_places_to_its_shortest_wave():
     assert [made(m).density for m in (1, 6)] == [80, 160]
 
 
-def test_cells_of_a_support_function_are_four_to_its_shortest_wave_and_eight_at_least():
+def test_cells_of_a_support_function_are_four_to_its_shortest_wave_and_eight_at_least(unlooked):
     for waves, least in ((1, 8), (3, 12)):
         assert jxr.SupportFunction(0.01, [0.0] * waves, [0.0] * waves, cells=least).cells == least
         with pytest.raises(ValueError, match=f"argument cells must be .* at least {least}, but"):
             jxr.SupportFunction(0.01, [0.0] * waves, [0.0] * waves, cells=least - 1)
 
 
-def test_a_support_function_goes_through_more_than_twice_as_many_points_as_it_has_terms():
+def test_a_support_function_goes_through_more_than_twice_as_many_points_as_it_has_terms(unlooked):
     points = oval_points(TURN * np.arange(9) / 9)
     fit = jxr.SupportFunction.through(points, terms=4, cells=64)
     assert (fit.cells, fit.cosines.shape, fit.sines.shape) == (64, (4,), (4,))
@@ -144,7 +150,7 @@ def test_a_support_function_goes_through_more_than_twice_as_many_points_as_it_ha
             jxr.SupportFunction.through(points[:count], terms=terms)
 
 
-def test_free_numbers_of_a_support_function_are_its_series_divided_by_what_waves_bend():
+def test_free_numbers_of_a_support_function_are_its_series_divided_by_what_waves_bend(unlooked):
     tip = jxr.SupportFunction(0.01, [1e-3, 2e-4, 1e-4], [3e-3, -1e-4, 5e-5])
     assert [x is y for x, y in zip(tip.free_numbers(), (tip.radius, tip.cosines, tip.sines), strict=True)]
     each = [1.0, 2.0 / 5.0, 2.0 / 10.0]
@@ -186,7 +192,7 @@ def test_numbers_of_a_contour_of_ones_own_are_measured_against_themselves():
         shape.symmetrised()
 
 
-def test_a_placed_contour_has_the_free_numbers_of_what_it_places():
+def test_a_placed_contour_has_the_free_numbers_of_what_it_places(unlooked):
     tip = jxr.SupportFunction(0.01, [1e-3, 2e-4], [3e-3, -1e-4])
     placed = tip.moved((0.1, 0.2), 0.3, origin=0.004)
     assert placed.free_numbers()[0] is tip.radius
@@ -258,14 +264,14 @@ def square(count):
 
 def test_powers_and_derivatives_of_polynomials_in_pieces():
     rng = np.random.default_rng(0)
-    for order in (4, 6, 10):
+    for order in (4, 10):
         x = rng.uniform(size=(2, 3))
         np.testing.assert_allclose(bspline.powers(jnp.asarray(x), order), x[..., None] ** np.arange(order))
         coefficients = rng.normal(size=(4, order, 2))
         piece = np.array([[3, 0, 2], [1, 1, 0]])
         places = x[0]
-        found = bspline.jet_of_pieces(jnp.asarray(coefficients), piece, jnp.asarray(x))
-        everywhere = bspline.jets(jnp.asarray(coefficients), places)
+        made = jax.jit(lambda c, x: (bspline.jet_of_pieces(c, piece, x), bspline.jets(c, places)))  # noqa: B023
+        found, everywhere = made(coefficients, x)
         for k in range(3):
             for d, (one, other) in enumerate(
                 zip((found[k].x, found[k].y), (everywhere[k].x, everywhere[k].y), strict=True)
@@ -308,8 +314,9 @@ def test_roughness_of_a_closed_spline_is_the_integral_of_its_third_derivative_sq
 
 def test_chords_of_points_with_and_without_the_last_one():
     points = jnp.array([[1.0, 1.0], [4.0, 5.0], [4.0, 7.0], [1.0, 3.0]])
-    np.testing.assert_allclose(spline.chords(points, False), [0.0, 5.0, 7.0, 12.0])
-    np.testing.assert_allclose(spline.chords(points, True), [0.0, 5.0, 7.0, 12.0, 14.0])
+    open_, closed = jax.jit(lambda x: (spline.chords(x, False), spline.chords(x, True)))(points)
+    np.testing.assert_allclose(open_, [0.0, 5.0, 7.0, 12.0])
+    np.testing.assert_allclose(closed, [0.0, 5.0, 7.0, 12.0, 14.0])
 
 
 def test_fewer_knots_lie_evenly_among_the_data():
@@ -326,7 +333,7 @@ def test_fewer_knots_lie_evenly_among_the_data():
 def test_half_pieces_are_the_cells_of_a_curve():
     coefficients = np.random.default_rng(5).normal(size=(3, 6, 2))
     half, x = np.array([0, 3, 4]), np.array([0.2, 0.7, 0.9])
-    found = spline._halves(jnp.asarray(coefficients), jnp.asarray(half), jnp.asarray(x))
+    found = jax.jit(spline._halves)(coefficients, half, x)
     places, pieces = np.array([0.1, 0.85, 0.45]), [0, 1, 2]
     rates = []
     for d in range(2):
@@ -335,7 +342,7 @@ def test_half_pieces_are_the_cells_of_a_curve():
             wanted = [factor * line.deriv(k)(at) for line, at in zip(lines, places, strict=True)]
             np.testing.assert_allclose((found[k].x, found[k].y)[d], wanted, rtol=1e-12)
         rates.append([line.deriv(1)(at) for line, at in zip(lines, places, strict=True)])
-    speed = spline._speed(jnp.asarray(coefficients), np.array(pieces), jnp.asarray(places))
+    speed = jax.jit(spline._speed)(coefficients, np.array(pieces), places)
     np.testing.assert_allclose(speed, np.hypot(*rates))
 
 
@@ -485,7 +492,7 @@ def test_a_table_is_read_in_its_cells_and_goes_on_beyond_its_ends_or_round():
         (True, [2, 0, 0, 1, 2, 0, 0], [0.25, 0.0, 0.7, 0.25, 0.95, 0.3, 0.2]),
     ):
         table = tables.Table(jnp.asarray(rows), length, length, jnp.asarray(-1.0), closed)
-        frame, point = table.frame(jnp.asarray(s)), table.point(jnp.asarray(s))
+        frame, point = jax.jit(lambda table, s: (table.frame(s), table.point(s)))(table, s)
         jets = [
             [[line.deriv(k)(x) for line in lines[c]] for c, x in zip(cells, local, strict=True)]
             for k in range(3)

@@ -7,6 +7,7 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll.geometry import _contract as contract, Chart, Extruded, Frenet2, Hollow, Vec2
+from jaxroll.geometry.contours import Table
 from tests.helpers import in_single
 
 TURN = 2.0 * np.pi
@@ -154,7 +155,12 @@ def test_shapes_within_shapes_are_found_but_not_those_in_ones_own():
 
 
 def test_tables_are_found_at_any_depth():
-    one, other = (jxr.SupportFunction(r, cells=8).prepared() for r in (0.01, 0.02))
+    rows, length = jnp.ones((8, 12)), jnp.asarray(0.1)
+    table = lambda: Table(rows, length, length, 0.0 * length, True)  # noqa: E731
+    spline = jxr.Spline([[1, 0], [1, 1], [0, 1], [-1, 1], [-1, 0], [0, -1]])
+    one, other = (
+        eqx.tree_at(lambda c: c.table, spline, table(), is_leaf=lambda x: x is None) for _ in range(2)
+    )
 
     class Pair(Bend):
         first: jxr.AbstractContour = None

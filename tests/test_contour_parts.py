@@ -286,7 +286,8 @@ def test_powers_and_derivatives_of_polynomials_in_pieces():
 
 def test_intervals_of_parameters_at_and_beyond_breaks():
     breaks = jnp.array([1.0, 1.5, 3.0, 7.0])
-    index, local = bspline.interval_of(breaks, jnp.array([[0.5, 1.0, 1.25], [1.5, 2.0, 8.0]]))
+    places = jnp.array([[0.5, 1.0, 1.25], [1.5, 2.0, 8.0]])
+    index, local = jax.jit(bspline.interval_of)(breaks, places)
     np.testing.assert_array_equal(index, [[0, 0, 0], [1, 1, 2]])
     np.testing.assert_allclose(local, [[-1.0, 0.0, 0.5], [0.0, 1.0 / 3.0, 1.25]])
 

@@ -176,7 +176,7 @@ def test_a_run_begins_at_rest():
         ((0.2, 0.15, 0.05, 0.0, INF, 1.0), 0.25, 0.15),
         ((0.2, 0.0, 0.0, 0.0, INF, 1.0), 0.25, 0.1),  # nothing known of its ends: the middle
         ((0.2, 0.0, 1.0, 0.0, INF, 64.0), 0.25, 64.0 * rounding(2.0)),
-        ((0.2, 0.0, 1e-9, 0.0, INF, 1.0), 0.25, 0.2e9 * SMALLEST),  # a margin of zero is known to rounding
+        ((0.2, 0.0, 1e-9, 0.0, INF, 1.0), 0.25, 0.2 * SMALLEST / (1e-9 + SMALLEST)),  # zero to rounding
         ((1e-15, 1.0, 0.0, 0.0, INF, 1.0), 0.25, rounding(2.0)),  # too short to halve
     ],
 )

@@ -11,6 +11,7 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll._mechanics import AbstractController
+from jaxroll._motion import check_due
 from jaxroll.control import Integral, Sampled
 from tests.oracles import reference_space as reference
 from tests.oracles.chapter_part1 import JOINTS, Part1
@@ -529,6 +530,22 @@ def test_memories_that_do_not_fit(pinch):
         jxr.vector_field(grasp.with_(controller=Sampled(grasp.controller, 0.1)))
     with pytest.raises(ValueError, match="memory must have shape"):
         grasp.with_(controller=PI(jnp.zeros((1, 1))))
+
+
+def test_a_state_goes_on_at_its_own_time(pinch):
+    """At another one its torques would be held until a sample that is periods away."""
+    grasp, state = pinch
+    sampled = grasp.with_(controller=Sampled(grasp.controller, 0.01))
+    waiting = lambda due: jxr.State(state.q, state.v, state.s, [*[0.0] * 5, due])  # noqa: E731
+    check_due(sampled, waiting(0.11), 0.1)
+    check_due(sampled, waiting(0.1), 0.3)  # overdue: it is asked at once
+    check_due(sampled, state, 7.0)
+    check_due(sampled.with_(first=0.5), waiting(0.5), 0.0)
+    check_due(grasp, state, 0.0)
+    with pytest.raises(
+        ValueError, match="t0 must be at most the period of 0.01 s before .* at 0.11 s, but was 0.09"
+    ):
+        jxr.simulate(sampled, waiting(0.11), 0.2, t0=0.09)
 
 
 def test_other_numbers_of_a_law_inside(pinch):

@@ -24,6 +24,7 @@ from .._mechanics import check_states, Grasp, State, tabled_grasp
 from .._motion import (
     as_formulation,
     begun,
+    check_due,
     check_rolling,
     check_tasks,
     closed_within,
@@ -171,6 +172,7 @@ def simulate(
         check_rolling(grasp, state)
     if grasp.form.memory:
         check_tasks(grasp, state)
+        check_due(grasp, state, numbers.t0)
     if "penetration" in setup.events:
         check_overlaps(grasp)
     run = _run_plain if _is_plain(grasp, setup) else _run_any

@@ -62,5 +62,10 @@ from ._quantities import (
     worst as worst,
     wrenches as wrenches,
 )
-from ._sampling import begun as begun, memory_after_sample as memory_after_sample, sample_due as sample_due
+from ._sampling import (
+    begun as begun,
+    check_due as check_due,
+    memory_after_sample as memory_after_sample,
+    sample_due as sample_due,
+)
 from ._task_errors import check_tasks as check_tasks

@@ -23,7 +23,8 @@ from jaxtyping import Array
 
 from .._linalg import factorise, inner, minus, solve, stacked, total
 from .._mechanics import Blocks, Grasp, Leaves, State, to_leaves
-from .._types import Scalar, Scalars
+from .._results import traced
+from .._types import resolution, Scalar, Scalars
 from ..control import joint_angles, sense
 from ._equations import bodies
 from ._linearisation import apply_jacobian, balance, combine, Linearisation, negative, respond
@@ -43,6 +44,23 @@ class Sample(NamedTuple):
     gained: Blocks
     power: Scalar
     late: Scalar
+
+
+def check_due(grasp: Grasp, state: State, t0: Scalar) -> None:
+    """Raise where the next sample that a state waits for is more than a period away.
+
+    The state is of another time then, and its torques would be held all along. A first sample may be as far
+    away as one likes.
+    """
+    law = grasp.controller
+    if not grasp.form.sampled or state.memory is None or traced((law, state, t0)):
+        return
+    due, latest = float(state.memory[-1]), float(t0 + law.period)
+    if due > max(latest, float(law.first)) + float(resolution(t0 + law.period)):
+        raise ValueError(
+            f"argument t0 must be at most the period of {float(law.period):g} s before the next sample of "
+            f"the state, at {due:g} s, but was {float(t0):g} s"
+        )
 
 
 def begun(grasp: Grasp, state: State, t0: Scalar) -> State:

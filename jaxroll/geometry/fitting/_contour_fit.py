@@ -20,7 +20,7 @@ from ..._results import as_count, as_floats, check_flag, on_host, shown
 from ..._types import Given
 from ..._xla import quickly
 from .._tabled import tabled
-from ..contours import AbstractContour, NeuralCurvature, NeuralSupport, Spline, SupportFunction
+from ..contours import AbstractTabulated, NeuralCurvature, NeuralSupport, Spline, SupportFunction, Table
 from ._clean_points import clean_points, CleanPoints, given_points
 from ._crossings import crossings
 from ._departures import departures, inflections, jumps
@@ -50,10 +50,10 @@ class _Wish:
     knots: int | None
 
 
-Maker = Callable[[np.ndarray, _Wish], tuple[AbstractContour, float]]
+Maker = Callable[[np.ndarray, _Wish], tuple[AbstractTabulated, float]]
 
 
-def _spline(points: np.ndarray, wish: _Wish) -> tuple[AbstractContour, float]:
+def _spline(points: np.ndarray, wish: _Wish) -> tuple[AbstractTabulated, float]:
     """A spline, through every point without noise, otherwise smoothed as `smoothing_for` finds it."""
     smoothing, knots = wish.smoothing, wish.knots
     # Order matters: whether there is any smoothing decides on the knots, and the knots on how much.
@@ -67,7 +67,7 @@ def _spline(points: np.ndarray, wish: _Wish) -> tuple[AbstractContour, float]:
     return contour, smoothing
 
 
-def _support(points: np.ndarray, wish: _Wish) -> tuple[AbstractContour, float]:
+def _support(points: np.ndarray, wish: _Wish) -> tuple[AbstractTabulated, float]:
     """A support function of as few terms as leave residuals no larger than the noise.
 
     Without noise it has as many terms as there may be at all: 20, or a third of the number of points.
@@ -76,7 +76,7 @@ def _support(points: np.ndarray, wish: _Wish) -> tuple[AbstractContour, float]:
     tried = [terms for terms in _TERMS if terms < most] if wish.noise else []
     for terms in (*tried, most):
         contour = SupportFunction.through(points, terms=terms)
-        distances = np.asarray(measured_contour(tabled(contour), jnp.asarray(points))[1])
+        distances = np.asarray(measured_contour(tabled(contour).read(), jnp.asarray(points))[1])
         if wish.noise and np.sqrt(np.mean(distances**2)) <= wish.noise:
             break
     return contour, 0.0
@@ -85,7 +85,7 @@ def _support(points: np.ndarray, wish: _Wish) -> tuple[AbstractContour, float]:
 def _network(kind: type[NeuralSupport] | type[NeuralCurvature]) -> Maker:
     """A maker of networks of one kind; training stops at residuals as small as the noise, or 1e-8 m."""
 
-    def make(points: np.ndarray, wish: _Wish) -> tuple[AbstractContour, float]:
+    def make(points: np.ndarray, wish: _Wish) -> tuple[AbstractTabulated, float]:
         return kind.through(points, key=jax.random.key(0), tolerance=wish.noise or 1e-8), 0.0
 
     return make
@@ -194,7 +194,7 @@ def fit_contour(
     return _reported(contour, clean, _Known(field, wavelength, known), seen)
 
 
-def _resolved(contour: AbstractContour) -> AbstractContour:
+def _resolved(contour: AbstractTabulated) -> AbstractTabulated:
     """The contour with as many cells as its table needs: 1024, 4096 or 16384 for a spline.
 
     A table is refused with a sentence about `cells` where the contour bends too sharply for its cells.
@@ -274,7 +274,7 @@ class _Known:
     rejected: tuple[tuple[float, float], ...] = ()
 
 
-def _reported(contour: AbstractContour, clean: CleanPoints, known: _Known, seen: Measured) -> Fit:
+def _reported(contour: AbstractTabulated, clean: CleanPoints, known: _Known, seen: Measured) -> Fit:
     """The fit with its report: the contour measured, and what the numbers make doubtful."""
     feet, distances, outline, curvatures, ends, _ = seen
     if not np.all(np.isfinite(curvatures)):
@@ -315,33 +315,31 @@ def _reported(contour: AbstractContour, clean: CleanPoints, known: _Known, seen:
     return Fit(contour, jnp.asarray(clean.points), jnp.asarray(feet), report)
 
 
-def _measured(contour: AbstractContour, points: np.ndarray) -> Measured:
-    """What `measured` says of a tabled contour, in NumPy.
+def _measured(contour: AbstractTabulated, points: np.ndarray) -> Measured:
+    """What `measured_contour` says of a contour with its table, in NumPy.
 
     The number of points is rounded up to a power of two: JAX compiles anew for every length of an array.
     """
     room = 1 << int(np.ceil(np.log2(len(points))))
     padded = np.pad(points, ((0, room - len(points)), (0, 0)), mode="edge")
-    feet, distances, *rest = (np.asarray(x) for x in measured_contour(contour, jnp.asarray(padded)))
+    feet, distances, *rest = (np.asarray(x) for x in measured_contour(contour.read(), jnp.asarray(padded)))
     return Measured(feet[: len(points)], distances[: len(points)], *rest)
 
 
 @quickly
-def measured_contour(contour: AbstractContour, points: Array) -> Measured:
+def measured_contour(table: Table, points: Array) -> Measured:
     r"""Feet and distances of points, and the contour itself at evenly spaced places.
 
     A foot solves $(p - c(s)) \cdot t(s) = 0$, by Newton's method from the nearest of those places. The slope
     of the left side is $-(1 - \kappa\,(p - c) \cdot n)$ with the normal n to the left.
 
-    Compiled quickly: the first call takes 0.5 s instead of 1.1 s of 256 points, and as long of 65 000.
+    Compiled quickly: the first call takes 0.5 s instead of 1.1 s of 256 points, and as long of 65 000. It
+    reads the table alone, so that one program does for contours of all kinds.
     """
-    ready = contour.prepared()
-    domain = ready.domain()
-    assert domain is not None, "a contour through points has ends"
-    low, high = domain
+    low, high = table.start, table.start + table.length
     step = (high - low) / _SAMPLES
     places = low + step * jnp.arange(_SAMPLES + 1)
-    frames = ready.frame(places)
+    frames = table.frame(places)
     outline = frames.point.array()
 
     def near(point: Array) -> Array:
@@ -350,20 +348,20 @@ def measured_contour(contour: AbstractContour, points: Array) -> Measured:
     # In blocks of 256 points: all at once would hold n times 2049 distances.
     start = jax.lax.map(near, points, batch_size=256)
     first, last = start - step, start + step
-    if not contour.closed:
+    if not table.closed:
         first, last = jnp.maximum(first, low), jnp.minimum(last, high)
     s = start
     # Four quadratic steps from within half a cell reach rounding. A foot stays between the neighbours of its
     # place; the slope is kept from zero for points near the centre of curvature, whose foot is not unique.
     for _ in range(4):
-        frame = ready.frame(s)
+        frame = table.frame(s)
         x, y = points[:, 0] - frame.point.x, points[:, 1] - frame.point.y
         along = x * frame.tangent.x + y * frame.tangent.y
         inward = y * frame.tangent.x - x * frame.tangent.y
         s = jnp.clip(s + along / jnp.maximum(1.0 - frame.curvature * inward, 0.1), first, last)
-    foot = ready.frame(s).point
+    foot = table.frame(s).point
     distances = jnp.hypot(points[:, 0] - foot.x, points[:, 1] - foot.y)
-    sharpest = jnp.max(jnp.abs(ready.frame(jnp.linspace(low, high, _PLACES)).curvature))
+    sharpest = jnp.max(jnp.abs(table.frame(jnp.linspace(low, high, _PLACES)).curvature))
     return Measured(s, distances, outline, frames.curvature, jnp.stack([low, high]), sharpest)
 
 

@@ -8,6 +8,7 @@ from PIL import Image
 
 import jaxroll as jxr
 from jaxroll.io import _image
+from jaxroll.geometry import polygon_area
 
 SIDE = 300
 CENTRE, RADIUS = (150.5, 140.5), 110.0
@@ -202,3 +203,126 @@ def test_outlines_of_images_are_counted_by_their_area():
 def test_images_are_grey_or_in_colour(image):
     with pytest.raises(ValueError, match="argument image must be grey values of shape"):
         jxr.io.read_silhouette(image, pixel=1.0)
+def drawing(tmp_path, content, attributes=""):
+    """An SVG with this content, as a path."""
+    path = tmp_path / "drawing.svg"
+    names = 'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"'
+    path.write_text(f"<svg {names} {attributes}>{content}</svg>")
+    return path
+
+
+MATRICES = {
+    "scale(1,-1)": [[1, 0], [0, -1]],
+    "scale(-1,1)": [[-1, 0], [0, 1]],
+    "matrix(1 0 0.5463 1 0 0)": [[1, 0.5463], [0, 1]],
+    "scale(2,1)": [[2, 0], [0, 1]],
+    "scale(3,-1) matrix(1 0.2 0.4 1 0 0)": [[3, 1.2], [-0.2, -1]],
+}
+
+
+@pytest.mark.parametrize("transform", MATRICES)
+def test_a_tilted_arc_is_mirrored_stretched_and_sheared_as_its_points_are(transform, tmp_path):
+    """Mapped back, the points lie on the ellipse that was drawn, or on the two straight pieces."""
+    track = '<path d="M 0 0 A 10 5 30 0 1 15 5 L 3 8 Z" {}/>'
+    plain = jxr.io.read_points(drawing(tmp_path, track.format("")), unit="mm", samples=2000)
+    path = drawing(tmp_path, f'<g transform="{transform}">{track.format("")}</g>')
+    matrix = np.array(MATRICES[transform], float)
+    for fill in (False, True):
+        points = 1e3 * jxr.io.read_points(path, unit="mm", samples=300, fill=fill) * [1.0, -1.0]
+        back = np.linalg.solve(matrix, points.T).T
+        away = np.linalg.norm(back[:, None] - 1e3 * plain * [1.0, -1.0], axis=2).min(axis=1)
+        assert away.max() < 0.02
+        steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        assert steps.max() < 1.02 * steps.mean()
+    sheared = abs(polygon_area(points)) / abs(np.linalg.det(matrix))
+    assert sheared == pytest.approx(1e6 * abs(polygon_area(plain)), rel=1e-3)
+    assert sheared == pytest.approx(79.172, rel=1e-3)
+
+
+SMALL = '<rect width="4" height="3"/>'
+
+
+def big(attributes=""):
+    return f'<rect width="100" height="100" {attributes}/>'
+
+
+# What an SVG shows besides a rectangle of 4 by 3, and the box of the largest outline: left, bottom, right,
+# top.
+SHOWN = {
+    "a use": (
+        '<defs><rect id="a" width="10" height="5"/></defs><use xlink:href="#a" x="1" y="2"/>',
+        (1, -7, 11, -2),
+    ),
+    "a use of a group": (
+        '<g transform="translate(1,0)"><use href="#g" transform="scale(2)"/></g>'
+        '<defs><g id="g"><rect width="10" height="5"/></g></defs>',
+        (1, -10, 21, 0),
+    ),
+    "a symbol with a size": (
+        '<symbol id="s" viewBox="0 0 10 10"><rect width="10" height="5"/></symbol>'
+        '<use href="#s" x="1" y="2" width="20" height="40"/>',
+        (1, -22, 21, -12),
+    ),
+    "a drawing within": ('<svg x="5" y="1"><rect width="10" height="5"/></svg>', (5, -6, 15, -1)),
+    "a stretched drawing within": (
+        '<svg x="5" width="20" height="40" viewBox="0 0 10 10" preserveAspectRatio="none">'
+        '<rect width="10" height="5"/></svg>',
+        (5, -20, 25, 0),
+    ),
+    "a covering drawing within": (
+        '<svg width="20" height="40" viewBox="10 0 10 10" preserveAspectRatio="xMaxYMin slice">'
+        '<rect x="10" width="10" height="5"/></svg>',
+        (-20, -20, 20, 0),
+    ),
+    "a link": ('<a><rect width="9" height="9"/></a>', (0, -9, 9, 0)),
+    "an attribute that hides": (big('display="none"'), (0, -3, 4, 0)),
+    "a style that hides": (f'<g style="fill:red; display: none">{big()}</g>', (0, -3, 4, 0)),
+    "a sheet that hides": (
+        "<style>/* off */ .a, .b {fill:red;display:none} #c{display:none}</style>"
+        + big('class="x b"')
+        + big('id="c"'),
+        (0, -3, 4, 0),
+    ),
+    "a part made visible": (
+        f'<g visibility="hidden">{big()}<rect visibility="visible" width="9" height="9"/></g>',
+        (0, -9, 9, 0),
+    ),
+    "what is pressed flat": (big('transform="scale(1,0)"'), (0, -3, 4, 0)),
+    "a symbol within a group": (
+        f'<g id="g" transform="scale(3)"><symbol>{big()}</symbol></g><use href="#g"/>',
+        (0, -3, 4, 0),
+    ),
+    "words in a place of their own": ('<text style="transform: scale(2)">none</text>', (0, -3, 4, 0)),
+    "what is only defined": (
+        f"<defs>{big()}</defs><symbol>{big()}</symbol>",
+        (0, -3, 4, 0),
+    ),
+    "radii beyond half the sides": ('<rect width="40" height="10" rx="900"/>', (0, -10, 40, 0)),
+    "a radius of zero": ('<rect width="40" height="10" rx="0" ry="3"/>', (0, -10, 40, 0)),
+}
+
+
+@pytest.mark.parametrize("case", SHOWN)
+def test_what_an_svg_shows_is_read_and_what_it_hides_is_not(case, tmp_path):
+    content, box = SHOWN[case]
+    points = 1e3 * jxr.io.read_points(drawing(tmp_path, SMALL + content), unit="mm")
+    np.testing.assert_allclose([*points.min(axis=0), *points.max(axis=0)], box, atol=1e-9)
+
+
+# What an SVG holds that cannot be read, with words of the reason.
+UNREAD = {
+    "<text>none</text>": "argument path must name a drawing with an outline, but drawing.svg has none",
+    '<use href="#b"/>': "what a use refers to, '#b', is not in the file",
+    '<g id="a"><use href="#a"/></g>': "a use of #a stands within what it refers to",
+    '<rect width="4" height="3" transform="scale(2) turn(3)"/>': "invalid SVG transform",
+    '<rect width="4" height="3" style="transform: scale(2)"/>': "the transform of a rect stands in its style",
+    f'<svg viewBox="0 0 9 9" width="9">{SMALL}</svg>': "a svg with a viewBox has no height",
+    f'<svg viewBox="0 0 0 9" width="9" height="9">{SMALL}</svg>': "within it has no positive, finite size",
+}
+
+
+@pytest.mark.parametrize("content", UNREAD)
+def test_an_svg_that_cannot_be_understood_is_refused(content, tmp_path):
+    with pytest.raises(ValueError, match=r"^argument path must name a drawing") as error:
+        jxr.io.read_points(drawing(tmp_path, content), unit="mm")
+    assert UNREAD[content] in str(error.value)

@@ -7,10 +7,13 @@ follows it within 1e-7 of the drawing's size. `_files` calls the readers and wri
 """
 
 import contextlib
+import re
+import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
@@ -21,6 +24,7 @@ from ._outline import chosen, even, filled_places, filled_polygon
 # Least angles [rad] of a corner: between straight pieces, between any, and in a polygon along a curve.
 _ANY, _SHARP, _ALONG = 1e-9, 0.02, 0.1
 _FINE = 64  # intervals of the parameter of a curved piece, from which its length is summed
+_GROUPS = ("svg", "g", "a", "switch")  # parts of an SVG that show what is in them
 # Metres in the units in which an SVG may state its width; metres in a DXF's unit by the code that it states
 # ($INSUNITS), and the code of each unit that is written.
 _LENGTHS = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "pt": 0.0254 / 72, "pc": 0.0254 / 6}
@@ -38,15 +42,164 @@ def read_svg(path: Path, scale: float, samples: int, *, fill: bool) -> list[np.n
         fill: Whether there are points along straight pieces, and one at every corner.
     """
     try:
-        from svgpathtools import Document
+        from svgpathtools import parse_path
     except ImportError:
         raise missing("svgpathtools") from None
     with _read(path):
-        # `paths` applies the transforms of all groups; one path may hold several outlines.
-        drawing = Document(str(path))
-        pieces = [piece for whole in drawing.paths() for piece in whole.continuous_subpaths() if len(piece)]
-    _check_scale(scale, _svg_scale(drawing.tree.getroot(), path), path)
-    return [_along(piece, samples, fill) * np.array([1.0, -1.0]) for piece in pieces]
+        root = ElementTree.parse(path).getroot()
+        # One path may hold several outlines.
+        drawn = [
+            (piece, matrix)
+            for text, matrix in _Walk(root).tracks()
+            for piece in parse_path(text).continuous_subpaths()
+            if len(piece)
+        ]
+    _check_scale(scale, _svg_scale(root, path), path)
+    if not drawn:
+        raise _without_outline(path)
+    return [_along(piece, matrix, samples, fill) for piece, matrix in drawn]
+
+
+class _Walk:
+    """Every shape that an SVG shows, as the text of a path, with the matrix to the drawing's coordinates.
+
+    The matrices are not applied to the curves but to points on them: an ellipse's arc that is tilted and then
+    mirrored or stretched has other axes, which svgpathtools gets wrong.
+    """
+
+    def __init__(self, root: Element) -> None:
+        self.root = root
+        self.named = {part.get("id"): part for part in root.iter() if part.get("id")}
+        # Programs hide layers by rules for a class (".a") or a name ("#a") too; no others are known here.
+        sheets = " ".join(part.text or "" for part in root.iter() if _kind(part) == "style")
+        self.hidden = {
+            name.strip()
+            for names, rules in re.findall(
+                r"([^{}]*){([^{}]*)}", re.sub(r"/\*.*?\*/", "", sheets, flags=re.S)
+            )
+            if _rules(rules).get("display") == "none"
+            for name in names.split(",")
+        }
+
+    def tracks(self) -> Iterator[tuple[str, np.ndarray]]:
+        """Texts of paths and their matrices, y up."""
+        yield from self._below(self.root, np.diag([1.0, -1.0, 1.0]), "visible", ())
+
+    def _below(
+        self, part: Element, matrix: np.ndarray, visibility: str, users: tuple[Element, ...]
+    ) -> Iterator[tuple[str, np.ndarray]]:
+        """The shapes of one part of the drawing.
+
+        Args:
+            part: A shape, a group or a reference; what is none of these shows nothing.
+            matrix: From the coordinates around it to those of the drawing.
+            visibility: What it is where the part does not say: unlike `display`, it may be overruled below.
+            users: The references by which the part was reached, the last one last.
+        """
+        from svgpathtools.document import CONVERSIONS
+        from svgpathtools.parser import parse_transform
+
+        kind, style = _kind(part), _rules(part.get("style", ""))
+        referred = bool(users) and self._target(users[-1]) is part
+        if kind not in (*CONVERSIONS, "use", *_GROUPS) and not (kind == "symbol" and referred):
+            return
+        visibility = style.get("visibility", part.get("visibility", visibility))
+        names = [f".{name}" for name in part.get("class", "").split()] + [f"#{part.get('id')}"]
+        by_name = None if self.hidden.isdisjoint(names) else "none"
+        if style.get("display", by_name or part.get("display")) == "none":
+            return
+        if style.get("transform", "none") != "none":
+            raise ValueError(f"the transform of a {kind} stands in its style")
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # a transform that is not understood would be left out
+            matrix = matrix @ parse_transform(part.get("transform"))
+        if np.linalg.det(matrix) == 0.0:  # pressed flat, it is not drawn
+            return
+        if kind in CONVERSIONS and visibility == "visible":
+            yield CONVERSIONS[kind](_rounded(part) if kind == "rect" else part), matrix
+        elif kind == "use":
+            target = self._target(part)
+            if part in users:
+                raise ValueError(f"a use of #{target.get('id')} stands within what it refers to")
+            matrix = matrix @ _shift(_number(part, "x", "0"), _number(part, "y", "0"))
+            yield from self._below(target, matrix, visibility, (*users, part))
+        if kind in ("svg", "symbol") and part is not self.root:
+            matrix = matrix @ _window(part, users[-1] if referred else part)
+        for child in part if kind in (*_GROUPS, "symbol") else ():
+            yield from self._below(child, matrix, visibility, users)
+
+    def _target(self, use: Element) -> Element:
+        """The part that a `use` refers to."""
+        name = use.get("href", use.get("{http://www.w3.org/1999/xlink}href", ""))
+        if not name.startswith("#") or name[1:] not in self.named:
+            raise ValueError(f"what a use refers to, {name!r}, is not in the file")
+        return self.named[name[1:]]
+
+
+def _kind(part: Element) -> str:
+    """The name of a part of an SVG; empty for parts of other kinds of files, and for remarks."""
+    name = part.tag if isinstance(part.tag, str) else ""
+    name = name.removeprefix("{http://www.w3.org/2000/svg}")
+    return "" if "}" in name else name
+
+
+def _rules(text: str) -> dict[str, str]:
+    """The rules of a style by name, `display: none; ...`."""
+    pairs = (rule.split(":", 1) for rule in text.split(";") if ":" in rule)
+    return {name.strip(): value.replace("!important", "").strip() for name, value in pairs}
+
+
+def _number(part: Element, name: str, default: str | None = None) -> float:
+    """A length in the drawing's unit; a ValueError where it has another unit, or none is given."""
+    text = part.get(name, default)
+    if text is None:
+        raise ValueError(f"a {_kind(part)} with a viewBox has no {name}")
+    return float(text.strip().removesuffix("px"))
+
+
+def _shift(x: float, y: float) -> np.ndarray:
+    """The matrix of a displacement."""
+    return np.array([[1.0, 0.0, x], [0.0, 1.0, y], [0.0, 0.0, 1.0]])
+
+
+def _window(part: Element, sized: Element) -> np.ndarray:
+    """The matrix from the coordinates within a drawing that stands in another to those around it.
+
+    Args:
+        part: The inner drawing, `svg` or `symbol`.
+        sized: What says how large it is, if it does: itself, or the `use` that refers to it.
+    """
+    place = _shift(_number(part, "x", "0"), _number(part, "y", "0"))
+    box = np.array(part.get("viewBox", "").replace(",", " ").split(), float)
+    if len(box) != 4:
+        return place
+    sized = sized if {"width", "height"} <= set(sized.keys()) else part
+    size = np.array([_number(sized, "width"), _number(sized, "height")])
+    if not (min(*size, *box[2:]) > 0.0 and np.all(np.isfinite([*size, *box]))):
+        raise ValueError(f"a {_kind(part)} within it has no positive, finite size")
+    scales, fit = size / box[2:], part.get("preserveAspectRatio", "xMidYMid")
+    if not fit.startswith("none"):
+        scales[:] = scales.max() if fit.endswith("slice") else scales.min()
+    # What is left free at both sides is parted as it says.
+    shares = {"Min": 0.0, "Mid": 0.5, "Max": 1.0}
+    free = size - scales * box[2:]
+    at = np.array([shares.get(fit[1:4], 0.0), shares.get(fit[5:8], 0.0)]) * free - scales * box[:2]
+    return place @ _shift(*at.tolist()) @ np.diag([*scales, 1.0])
+
+
+def _rounded(rect: Element) -> Element:
+    """A rectangle whose radii are at most half its sides, as the standard has it."""
+    given = {name: float(rect.get(name, "auto")) for name in ("rx", "ry") if rect.get(name, "auto") != "auto"}
+    others = {name: value for name, value in rect.items() if name not in ("rx", "ry")}
+    if not given or min(given.values()) <= 0.0:
+        return Element(rect.tag, others)
+    halves = {"rx": 0.5 * _number(rect, "width", "0"), "ry": 0.5 * _number(rect, "height", "0")}
+    radii = {name: min(given.get(name, max(given.values())), half) for name, half in halves.items()}
+    return Element(rect.tag, others | {name: repr(radius) for name, radius in radii.items()})
+
+
+def _without_outline(path: Path) -> ValueError:
+    return ValueError(f"argument path must name a drawing with an outline, but {path.name} has none")
 
 
 def drawn_outline(outlines: list[np.ndarray], which: int, path: Path) -> np.ndarray:
@@ -86,34 +239,39 @@ def _check_scale(scale: float, stated: float | None, path: Path) -> None:
         )
 
 
-def _along(piece: Any, samples: int, fill: bool) -> np.ndarray:
+def _along(piece: Any, matrix: np.ndarray, samples: int, fill: bool) -> np.ndarray:
     """Corners of a path of straight pieces; of any other, points at equal distances on the curve itself.
 
-    svgpathtools has points as complex numbers, x + iy.
+    svgpathtools has points as complex numbers, x + iy. Distances are those after the matrix.
     """
     closed = bool(piece.isclosed())
+
+    def moved(points: Any) -> np.ndarray:
+        plane = np.stack([np.real(points), np.imag(points)], axis=-1) @ matrix[:2, :2].T + matrix[:2, 2]
+        return plane[..., 0] + 1j * plane[..., 1]
+
     if all(type(segment).__name__ == "Line" for segment in piece):
-        corners = np.array([segment.start for segment in piece] + ([] if closed else [piece[-1].end]))
+        corners = moved([segment.start for segment in piece] + ([] if closed else [piece[-1].end]))
         corners = np.stack([np.real(corners), np.imag(corners)], axis=1)
         return filled_polygon(corners, samples, closed=closed, sharp=_ANY) if fill else corners
     # Length along the path against its parameter, which is the number of the piece plus the parameter within
     # it; then the parameters at equal lengths.
     t = np.linspace(0.0, 1.0, _FINE + 1)
-    fine = np.array([[segment.point(x) for x in t] for segment in piece])
+    fine = moved([[segment.point(x) for x in t] for segment in piece])
     steps = np.abs(np.diff(fine, axis=1)).ravel()
     along = np.concatenate([[0.0], np.cumsum(steps)])
     at = np.linspace(0.0, along[-1], samples + 1)[:-1] if closed else np.linspace(0.0, along[-1], samples)
     if fill:
         # Directions at both ends of every piece, from its first and last thousandth.
-        out = np.array([segment.point(1e-3) - segment.start for segment in piece])
-        end = np.array([segment.end - segment.point(1.0 - 1e-3) for segment in piece])
+        out = moved([segment.point(1e-3) for segment in piece]) - fine[:, 0]
+        end = fine[:, -1] - moved([segment.point(1.0 - 1e-3) for segment in piece])
         turn = np.abs(np.angle(out * np.conj(np.roll(end, 1))))
         turn[0] = turn[0] if closed else 0.0
         corners = along[::_FINE][:-1][turn > _SHARP]
         at = filled_places(float(along[-1]), corners, samples, closed=closed)
     place = np.interp(at, along, np.arange(len(along)) / _FINE)
     which = np.minimum(place.astype(int), len(piece) - 1)
-    points = np.array([piece[i].point(x - i) for i, x in zip(which.tolist(), place.tolist(), strict=True)])
+    points = moved([piece[i].point(x - i) for i, x in zip(which.tolist(), place.tolist(), strict=True)])
     return np.stack([np.real(points), np.imag(points)], axis=1)
 
 
@@ -129,7 +287,7 @@ def write_svg(path: Path, points: np.ndarray, scale: float, *, closed: bool) -> 
     width, height = np.array([np.ptp(x), np.ptp(y)]) + 2.0 * margin
     track = " L ".join(f"{a:.12g},{b:.12g}" for a, b in zip(x.tolist(), y.tolist(), strict=True))
     millimetres = 1e3 * scale
-    drawing = ElementTree.Element(
+    drawing = Element(
         "svg",
         xmlns="http://www.w3.org/2000/svg",
         width=f"{width * millimetres:.12g}mm",
@@ -167,7 +325,7 @@ def read_dxf(path: Path, scale: float, samples: int, *, fill: bool) -> list[np.n
     _check_scale(scale, _CODES.get(unit), path)
     tracks = [track for track in tracks if len(track)]
     if not tracks:
-        raise ValueError(f"argument path must name a drawing with an outline, but {path.name} has none")
+        raise _without_outline(path)
     corners = [(v.x, v.y) for track in tracks for v in track.control_vertices()]
     corners = _finite(np.array(corners), path)
     size = float(np.linalg.norm(np.ptp(corners, axis=0)))

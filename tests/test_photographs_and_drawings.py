@@ -326,3 +326,46 @@ def test_an_svg_that_cannot_be_understood_is_refused(content, tmp_path):
     with pytest.raises(ValueError, match=r"^argument path must name a drawing") as error:
         jxr.io.read_points(drawing(tmp_path, content), unit="mm")
     assert UNREAD[content] in str(error.value)
+
+
+# How an SVG states its size, and the millimetres in one unit that follow.
+SIZES = {
+    'width="30MM" viewBox="0 0 10 10"': "3 mm",
+    'width="120Q" viewBox="0 0 10 10"': "3 mm",
+    'height="30mm" viewBox="0 0 5 10"': "3 mm",
+    'width="100%" height="30mm" viewBox="0 0 5 10"': "3 mm",
+    'width="60mm" height="30mm" viewBox="0 0 10 10"': "3 mm",
+    'width="30mm" height="5mm" viewBox="0 0 10 10" preserveAspectRatio="xMidYMid slice"': "3 mm",
+    'height="30mm"': "0.264583 mm",
+}
+
+
+@pytest.mark.parametrize("attributes", SIZES)
+def test_a_unit_is_compared_however_an_svg_states_it(attributes, tmp_path):
+    with pytest.raises(ValueError, match=f"states that one unit is {SIZES[attributes]}, but was 25.4 mm"):
+        jxr.io.read_points(drawing(tmp_path, SMALL, attributes), unit="in")
+
+
+@pytest.mark.parametrize(
+    "attributes",
+    [
+        'width="0mm" viewBox="0 0 10 10"',
+        'height="0mm"',
+        'width="20mm" viewBox="0 0 inf 20"',
+        'width="20mm" viewBox="0 0 0 20"',
+        'width="nanmm" viewBox="0 0 20 20"',
+        'width="-20mm" viewBox="0 0 20 20"',
+    ],
+)
+def test_an_svg_without_a_size_is_refused(attributes, tmp_path):
+    words = (
+        "^argument path must name a drawing of a positive, finite size, but drawing.svg has (width|height) '"
+    )
+    with pytest.raises(ValueError, match=words):
+        jxr.io.read_points(drawing(tmp_path, SMALL, attributes), unit="mm")
+
+
+def test_an_svg_that_is_stretched_is_refused(tmp_path):
+    path = drawing(tmp_path, SMALL, 'width="9mm" height="18mm" viewBox="0 0 9 9" preserveAspectRatio="none"')
+    with pytest.raises(ValueError, match="stretched: one unit is 1 mm along x and 2 mm along y"):
+        jxr.io.read_points(path, unit="mm")

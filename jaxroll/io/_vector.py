@@ -27,7 +27,7 @@ _FINE = 64  # intervals of the parameter of a curved piece, from which its lengt
 _GROUPS = ("svg", "g", "a", "switch")  # parts of an SVG that show what is in them
 # Metres in the units in which an SVG may state its width; metres in a DXF's unit by the code that it states
 # ($INSUNITS), and the code of each unit that is written.
-_LENGTHS = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "pt": 0.0254 / 72, "pc": 0.0254 / 6}
+_LENGTHS = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "pt": 0.0254 / 72, "pc": 0.0254 / 6, "q": 2.5e-4}
 _CODES = {1: 0.0254, 2: 0.3048, 4: 1e-3, 5: 1e-2, 6: 1.0, 8: 2.54e-8, 9: 2.54e-5, 13: 1e-6, 14: 0.1}
 _CODE_OF = {"in": 1, "mm": 4, "m": 6, "um": 13}
 
@@ -219,15 +219,39 @@ def _read(path: Path) -> Iterator[None]:
 
 
 def _svg_scale(root: Any, path: Path) -> float | None:
-    """Metres in one unit of the drawing, or None where it states no length."""
-    width, box = root.get("width", "").strip(), root.get("viewBox", "").replace(",", " ").split()
-    size = _LENGTHS.get(width[-2:])
-    if size is None:
-        return None
-    if len(box) != 4:  # without a viewBox one unit is a pixel of CSS
-        return 0.0254 / 96
+    """Metres in one unit of the drawing, or None where it states no length.
+
+    Width and height may state it, or one of them. Where both do and disagree, the drawing is as large as fits
+    into both, unless it is to cover both.
+    """
+    box, fit = root.get("viewBox", "").replace(",", " ").split(), root.get("preserveAspectRatio", "")
     with _read(path):
-        return float(width[:-2]) * size / float(box[2])
+        sizes = [_metres(root.get(name, "")) for name in ("width", "height")]
+        spans = [float(text) for text in box[2:]] if len(box) == 4 else [1.0, 1.0]
+    pairs = [(size, span) for size, span in zip(sizes, spans, strict=True) if size is not None]
+    if not all(0.0 < number < np.inf for pair in pairs for number in pair):
+        told = ", ".join(
+            f"{name} {root.get(name)!r}" for name in ("width", "height", "viewBox") if root.get(name)
+        )
+        raise ValueError(
+            f"argument path must name a drawing of a positive, finite size, but {path.name} has {told}"
+        )
+    if not pairs or len(box) != 4:  # without a viewBox one unit is a pixel of CSS
+        return 0.0254 / 96 if pairs else None
+    scales = [size / span for size, span in pairs]
+    if fit.strip().startswith("none") and max(scales) > 1.001 * min(scales):
+        raise ValueError(
+            f"argument path must name a drawing in one unit, but {path.name} is stretched: one unit is "
+            f"{1e3 * scales[0]:.6g} mm along x and {1e3 * scales[1]:.6g} mm along y"
+        )
+    return max(scales) if fit.strip().endswith("slice") else min(scales)
+
+
+def _metres(text: str) -> float | None:
+    """A stated length [m], or None where it has no unit of length."""
+    text = text.strip().lower()
+    unit = next((unit for unit in _LENGTHS if text.endswith(unit)), None)
+    return None if unit is None else float(text.removesuffix(unit)) * _LENGTHS[unit]
 
 
 def _check_scale(scale: float, stated: float | None, path: Path) -> None:

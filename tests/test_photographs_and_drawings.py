@@ -64,6 +64,42 @@ def test_a_transparent_image_is_cut_by_its_opacity():
     np.testing.assert_allclose(np.linalg.norm(points - 40.0, axis=1), 25.0, atol=0.02)
 
 
+def soft_disc(width, top=1.0):
+    """Grey values of a disc of 60 pixels on black; its edge rises from a tenth to nine over 4.4 widths."""
+    y, x = np.mgrid[:200, :220]
+    return top / (1.0 + np.exp(np.clip((np.hypot(x - 105, y - 98) - 60.0) / width, -300.0, 300.0)))
+
+
+def radius(points):
+    return np.sqrt(polygon_area(points) / np.pi)
+
+
+@pytest.mark.parametrize(("width", "off"), [(0.05, 0.1), (0.3, 0.1), (1.0, 0.1), (2.0, 0.3), (4.0, 2.0)])
+def test_a_disc_on_a_clean_background(width, off):
+    """Black or white, as numbers of 8 bits, as these after JPEG, and as fractions."""
+    disc = soft_disc(width)
+    for grey in (disc, 1.0 - disc):
+        eight = Image.fromarray((255 * grey).astype(np.uint8)).convert("RGB")
+        file = io.BytesIO()
+        eight.save(file, "JPEG", quality=75)
+        for image in (np.asarray(eight), np.asarray(Image.open(file)), np.stack([grey] * 3, axis=-1)):
+            assert radius(jxr.io.read_silhouette(image, pixel=1.0)) == pytest.approx(60.0, abs=off)
+
+
+def test_a_shape_with_a_dark_part_on_black():
+    """A quarter of it is three tenths as bright as the rest."""
+    disc = soft_disc(0.5) * np.where(np.arange(220) < 81, 0.3, 1.0)
+    points = jxr.io.read_silhouette(np.stack([disc] * 3, axis=-1), pixel=1.0)
+    assert np.ptp(points[:, 0]) == pytest.approx(120.0, abs=1.5)
+
+
+def test_an_opaque_border_leaves_a_shape_to_its_colours():
+    image = np.full((200, 220, 4), 255.0)
+    image[..., :3] -= soft_disc(0.3, 200.0)[..., None]
+    image[:5, :5, 3], image[100, 100, 3] = 0.0, 254.0
+    assert radius(jxr.io.read_silhouette(image, pixel=1.0)) == pytest.approx(60.0, abs=0.1)
+
+
 SVG = """<svg xmlns="http://www.w3.org/2000/svg" width="60mm" height="60mm" viewBox="0 0 60 60">
 <path d="M 0,0 L 40,0 A 10,10 0 0 1 40,20 L 0,20 Z"/></svg>"""
 

@@ -16,6 +16,7 @@ from ._outline import positive
 
 _BLUR = 0.7  # standard deviation [pixels] by which a colour image is smoothed
 _CONTRAST = 4.0  # least distance of a shape's colours from the background, in the border's own
+_STEP = 1.0 / 255.0  # least distance that is not taken for zero, in the largest
 
 
 @on_host
@@ -46,8 +47,10 @@ def read_silhouette(
             differs from its border.
         ImportError: Without the extra `cad`.
 
-    Accuracy: a shaded disc of 150 pixels before a background with a gradient, saved as JPEG of quality 80,
-    is found within 0.8 pixels everywhere and 0.3 in the mean.
+    Accuracy: a shaded disc of 220 pixels before a background with a gradient, saved as JPEG of quality 80,
+    is found within 0.8 pixels everywhere and 0.3 in the mean. The radius of a disc of 120 pixels before a
+    clean background is found within 0.1 pixels where its edge is sharp or rises over 4, within 0.2 where over
+    9, and 2 pixels too large where over 18.
 
     Example:
         >>> import jaxroll as jxr, numpy as np
@@ -115,26 +118,42 @@ def _from_background(colours: np.ndarray) -> tuple[np.ndarray, float]:
 
     if colours.shape[2] == 4:
         opacity = colours[..., 3]
-        if np.ptp(opacity) > 0.0:
-            return opacity, float(0.5 * (opacity.min() + opacity.max()))
+        middle = float(0.5 * (opacity.min() + opacity.max()))
+        # The corners of a window, or a pixel that is not quite opaque, are no shape.
+        if float(np.median(opacity[_border(opacity.shape)])) < middle:
+            return opacity, middle
         colours = colours[..., :3]
     # JPEG's noise is mostly in single pixels and in blocks of eight; this takes the former out.
     smooth = gaussian_filter(colours, sigma=(_BLUR, _BLUR, 0.0), mode="nearest")
     distances = np.linalg.norm(smooth - _background(smooth), axis=2)
-    rim = _border(distances.shape)
-    # Before a background of one colour it would be zero, or rounding, beside which blur is a shape too. A
-    # thousandth of the largest distance is less than one of 256 grey values.
-    usual = float(np.median(distances[rim]) + 1e-3 * distances.max()) + np.finfo(float).tiny
-    # On a logarithmic scale a shape's bright and dark parts are one group, and the background another.
-    apart = np.log(distances / usual + 1.0)
-    inside = distances[apart > _otsu(apart)]
-    least = float(np.quantile(inside, 0.2)) if inside.size else 0.0
-    if least < _CONTRAST * usual:
+    largest = float(distances.max())
+    # Of a clean background the border's distances are rounding, or exactly zero: what is less than a grey
+    # value of 8 bits is none.
+    usual = max(float(np.median(distances[_border(distances.shape)])), _STEP * largest)
+    level = _level(distances, usual) if largest > 0.0 else 0.0
+    if 2.0 * level < _CONTRAST * usual or largest == 0.0:
         raise ValueError(
             "argument image must show a shape whose colour differs from the border's, but the largest "
-            f"difference is {distances.max():.3g}, and along the border there is one of {usual:.3g}"
+            f"difference is {largest:.3g}, and along the border there is one of {usual:.3g}"
         )
-    return distances, 0.5 * least
+    return distances, level
+
+
+def _level(distances: np.ndarray, usual: float) -> float:
+    """Half the distance that four fifths of the shape exceed: the distance at which the shape begins.
+
+    Otsu's threshold finds the shape first, on a logarithmic scale, where its bright and dark parts are one
+    group, and the background another. Where the background has no noise, this takes soft edges and the
+    traces that JPEG leaves along sharp ones for the shape too, which then exceeds too little. So long as the
+    level is above where the shape was said to begin, it is found anew from what exceeds the level.
+    """
+    begin = usual * float(np.expm1(_otsu(np.log1p(distances / usual))))
+    while True:
+        inside = distances[distances > begin]
+        level = 0.5 * float(np.quantile(inside, 0.2)) if inside.size else 0.0
+        if level <= begin:
+            return level
+        begin = level
 
 
 def _border(shape: tuple[int, ...]) -> np.ndarray:

@@ -8,6 +8,7 @@ from PIL import Image
 
 import jaxroll as jxr
 from jaxroll.io import _image
+from jaxroll._cli._shape_file import read, ShapeOrder
 from jaxroll.geometry import polygon_area
 
 SIDE = 300
@@ -98,6 +99,32 @@ def test_an_opaque_border_leaves_a_shape_to_its_colours():
     image[..., :3] -= soft_disc(0.3, 200.0)[..., None]
     image[:5, :5, 3], image[100, 100, 3] = 0.0, 254.0
     assert radius(jxr.io.read_silhouette(image, pixel=1.0)) == pytest.approx(60.0, abs=0.1)
+
+
+def cut_out(mode):
+    image = np.full((200, 220, 4), 90, np.uint8)
+    image[..., 3] = soft_disc(0.3, 255.0)
+    return Image.fromarray(image).convert(mode)
+
+
+# Photographs as files of many kinds, each of the same disc.
+PICTURES = {
+    "16 bits.png": lambda: Image.fromarray(soft_disc(1.0, 65535.0).astype(np.uint16)),
+    "16 bits and dim.png": lambda: Image.fromarray(soft_disc(1.0, 300.0).astype(np.uint16)),
+    "32 bits.tif": lambda: Image.fromarray(soft_disc(1.0, 1e6).astype(np.int32)),
+    "fractions.tif": lambda: Image.fromarray(soft_disc(1.0).astype(np.float32)),
+    "black and white.png": lambda: Image.fromarray(soft_disc(1.0) > 0.5),
+    "a palette.png": lambda: Image.fromarray(soft_disc(1.0, 200.0).astype(np.uint8)).convert("P"),
+    "cut out.png": lambda: cut_out("RGBA"),
+    "cut out of grey.png": lambda: cut_out("LA"),
+}
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_photographs_of_every_kind_are_read_as_they_are(name, tmp_path):
+    PICTURES[name]().save(tmp_path / name)
+    order = ShapeOrder(str(tmp_path / name), "mm", None, pixel=1.0, section=None)
+    assert radius(read(order).points) == pytest.approx(60.0, abs=0.15)
 
 
 SVG = """<svg xmlns="http://www.w3.org/2000/svg" width="60mm" height="60mm" viewBox="0 0 60 60">

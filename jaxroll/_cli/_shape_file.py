@@ -260,12 +260,18 @@ def _own_extents(points: np.ndarray) -> np.ndarray:
 
 
 def _image(path: Path) -> np.ndarray:
-    """The colours of a photograph's pixels."""
+    """The colours of a photograph's pixels, with their opacity where the file has one."""
     from PIL import Image
 
     try:
         with Image.open(path) as picture:
-            return np.asarray(picture.convert("RGB"))
+            if picture.mode.startswith(
+                ("I", "F")
+            ):  # grey values of more than 8 bits, which "RGB" would cut off
+                grey = np.asarray(picture, float)
+                return np.stack([grey, grey, grey], axis=-1)
+            clear = picture.mode in ("RGBA", "LA", "PA", "RGBa", "La") or "transparency" in picture.info
+            return np.asarray(picture.convert("RGBA" if clear else "RGB"))
     except OSError as error:
         raise ValueError(
             f"argument FILE must be a photograph, but {path.name} could not be read: {error}"

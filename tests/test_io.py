@@ -3,6 +3,7 @@
 import builtins
 import math
 import pathlib
+import re
 
 import numpy as np
 import pytest
@@ -108,21 +109,23 @@ def test_an_svg_has_a_margin_all_round(tmp_path):
 
 
 def test_lengths_that_a_dxf_states(tmp_path):
-    """Every code that a drawing may give its unit by; ezdxf's own factors are the oracle."""
+    """Every code that a drawing may give its unit by; ezdxf's own factors are the oracle, if it has them."""
     import ezdxf
 
     path = tmp_path / "plain.dxf"
-    for code in (1, 2, 4, 5, 6, 8, 9, 13, 14):
+    for code in range(1, 25):
         drawing = ezdxf.new(units=code)
         drawing.modelspace().add_lwpolyline([(0, 0), (3, 0), (0, 4)], close=True)
         drawing.saveas(path)
-        # Millionths and thousandths of an inch, which ezdxf does not convert.
-        inches = {8: 25.4e-6, 9: 25.4e-3}
-        millimetres = inches.get(code) or 1e3 * ezdxf.units.conversion_factor(code, ezdxf.units.M)
+        # Millionths and thousandths of an inch, light years and parsecs, and lengths of the United States'
+        # survey, whose foot is longer by two millionths.
+        inches = {8: 25.4e-6, 9: 25.4e-3, 22: 25.4 * 1.000002, 21: 304.8 * 1.000002, 23: 914.4 * 1.000002}
+        others = inches | {24: 1609344 * 1.000002, 19: 9.46073e18, 20: 3.08568e19}
+        millimetres = others.get(code) or 1e3 * ezdxf.units.conversion_factor(code, ezdxf.units.M)
         if code == 6:
             assert np.abs(jxr.io.read_points(path, unit="m")).max() == 4.0
             continue
-        with pytest.raises(ValueError, match=rf"one unit is {millimetres:.6g} mm, but was 1000 mm"):
+        with pytest.raises(ValueError, match=re.escape(f"one unit is {millimetres:.6g} mm, but was 1000")):
             jxr.io.read_points(path, unit="m")
 
 

@@ -432,3 +432,37 @@ def test_an_svg_that_is_stretched_is_refused(tmp_path):
     path = drawing(tmp_path, SMALL, 'width="9mm" height="18mm" viewBox="0 0 9 9" preserveAspectRatio="none"')
     with pytest.raises(ValueError, match="stretched: one unit is 1 mm along x and 2 mm along y"):
         jxr.io.read_points(path, unit="mm")
+
+
+def test_blocks_and_layers_of_a_dxf(tmp_path):
+    """Of blocks within blocks each part is in its place; what is frozen, off or invisible is not there."""
+    import ezdxf
+
+    drawing = ezdxf.new(units=ezdxf.units.MM)
+    for name in ("frozen", "off", "shown"):
+        drawing.layers.add(name)
+    drawing.layers.get("frozen").freeze()
+    drawing.layers.get("off").off()
+    inner, outer = drawing.blocks.new("inner"), drawing.blocks.new("outer")
+    inner.add_circle((1, 0), 2)
+    inner.add_circle((0, 0), 50, dxfattribs={"layer": "off"})
+    outer.add_blockref("inner", (10, 0), dxfattribs={"xscale": 2, "yscale": -1, "rotation": 90})
+    space = drawing.modelspace()
+    space.add_lwpolyline([(0, 0), (1, 0), (1, 1), (0, 1)], close=True)
+    space.add_blockref("outer", (100, 30), dxfattribs={"layer": "shown"})
+    for layer in ("frozen", "off"):
+        space.add_circle((0, 0), 60, dxfattribs={"layer": layer})
+        space.add_blockref("outer", (0, 0), dxfattribs={"layer": layer})
+    space.add_circle((0, 0), 70, dxfattribs={"invisible": 1})
+    grid = space.add_blockref("inner", (0, 200))
+    grid.dxf.column_count, grid.dxf.column_spacing = 3, 20
+    drawing.saveas(tmp_path / "blocks.dxf")
+    boxes = []
+    for which in range(5):
+        points = 1e3 * jxr.io.read_points(tmp_path / "blocks.dxf", unit="mm", which=which)
+        boxes.append([*points.min(axis=0), *points.max(axis=0)])
+    # An ellipse of 2 by 4 about (110, 32), three circles in a row, and the square.
+    expected = [[108, 28, 112, 36], *([20 * i - 1, 198, 20 * i + 3, 202] for i in range(3)), [0, 0, 1, 1]]
+    np.testing.assert_allclose(sorted(boxes), sorted(expected), atol=1e-3)
+    with pytest.raises(ValueError, match="below the number of outlines in blocks.dxf, 5, but was 5"):
+        jxr.io.read_points(tmp_path / "blocks.dxf", unit="mm", which=5)

@@ -9,7 +9,7 @@ follows it within 1e-7 of the drawing's size. `_files` calls the readers and wri
 import contextlib
 import re
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -28,7 +28,15 @@ _GROUPS = ("svg", "g", "a", "switch")  # parts of an SVG that show what is in th
 # Metres in the units in which an SVG may state its width; metres in a DXF's unit by the code that it states
 # ($INSUNITS), and the code of each unit that is written.
 _LENGTHS = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "pt": 0.0254 / 72, "pc": 0.0254 / 6, "q": 2.5e-4}
-_CODES = {1: 0.0254, 2: 0.3048, 4: 1e-3, 5: 1e-2, 6: 1.0, 8: 2.54e-8, 9: 2.54e-5, 13: 1e-6, 14: 0.1}
+_CODES = {
+    **{1: 0.0254, 2: 0.3048, 3: 1609.344, 4: 1e-3, 5: 1e-2, 6: 1.0, 7: 1e3, 8: 2.54e-8, 9: 2.54e-5},
+    **{10: 0.9144, 11: 1e-10, 12: 1e-9, 13: 1e-6, 14: 0.1, 15: 10.0, 16: 100.0, 17: 1e9},
+    **{18: 1.495978707e11, 19: 9.4607304725808e15, 20: 3.0856775814913673e16},
+    # Foot, inch, yard and mile of the survey of the United States.
+    **{21: 1200 / 3937, 22: 100 / 3937, 23: 3600 / 3937, 24: 6_336_000 / 3937},
+}
+# Kinds of a DXF's entities that are outlines, or parts of one.
+_CURVES = ("LWPOLYLINE", "POLYLINE", "SPLINE", "ARC", "CIRCLE", "ELLIPSE", "LINE")
 _CODE_OF = {"in": 1, "mm": 4, "m": 6, "um": 13}
 
 
@@ -341,11 +349,11 @@ def read_dxf(path: Path, scale: float, samples: int, *, fill: bool) -> list[np.n
     point. The arguments are those of `read_svg`.
     """
     ezdxf = _ezdxf()
-    kinds = "LWPOLYLINE POLYLINE SPLINE ARC CIRCLE ELLIPSE LINE"
     with _read(path):
         drawing = ezdxf.readfile(str(path))
         unit = int(drawing.header.get("$INSUNITS", 0))
-        tracks = [ezdxf.path.make_path(e, segments=8, level=8) for e in drawing.modelspace().query(kinds)]
+        pieces = _pieces(drawing.modelspace(), drawing.layers)
+        tracks = [ezdxf.path.make_path(piece, segments=8, level=8) for piece in pieces]
     _check_scale(scale, _CODES.get(unit), path)
     tracks = [track for track in tracks if len(track)]
     if not tracks:
@@ -364,6 +372,27 @@ def read_dxf(path: Path, scale: float, samples: int, *, fill: bool) -> list[np.n
         else:
             outlines.append(even(line, samples, closed=closed) if curved else line)
     return outlines
+
+
+def _pieces(entities: Iterable[Any], layers: Any, around: str = "0") -> Iterator[Any]:
+    """The lines and curves that a DXF shows, those of blocks where these are inserted.
+
+    Args:
+        entities: Of the drawing, or of one block in its place.
+        layers: The drawing's table of layers.
+        around: The layer of the block, on which stands what its parts have on layer "0".
+    """
+    for entity in entities:
+        name = around if entity.dxf.layer == "0" else entity.dxf.layer
+        layer = layers.get(name) if name in layers else None
+        if entity.dxf.get("invisible", 0) or (layer is not None and layer.is_frozen()):
+            continue
+        # A block on a layer that is off, unlike on a frozen one, shows what it has on other layers.
+        if entity.dxftype() == "INSERT":
+            for block in entity.multi_insert():
+                yield from _pieces(block.virtual_entities(), layers, name)
+        elif entity.dxftype() in _CURVES and (layer is None or layer.is_on()):
+            yield entity
 
 
 def _finite(points: np.ndarray, path: Path) -> np.ndarray:

@@ -216,6 +216,8 @@ def test_a_dxf_of_one_circle(tmp_path):
         ('"x","y"\n"1","2"\n"3", "4"\n', {}),
         ('"1,0"; "2,0"\n"3,0"; "4"\n', {}),
         ('"left, top",1,2\n"right, top",3,4\n', {"columns": (1, 2)}),
+        ("3D scan\nof 2nd May\nx1,y1\n1,2\n3,4\n", {}),
+        ("1st,x,y\na,1,2\nb,3,4\n", {"columns": (1, 2)}),
     ],
 )
 def test_tables_of_many_makes(text, options, tmp_path):
@@ -412,6 +414,15 @@ BAD_TABLES = {
     "thousands in quotes": ('"1,000",2\n"3,000",4\n', "line 1 of bad.csv"),
     "one long word": ("1,2\n3," + 200_000 * "4" + "x\n", "line 2 of bad.csv"),
     "words alone": ("x,y\n", "in bad.csv there was none"),
+    "a typographic minus first": ("\u22121,\u22122\n1,2\n3,4\n", "line 1 of bad.csv was '\u22121,\u22122'"),
+    "a typographic minus below a header": ("x;y\n\u22121;\u22122\n1;2\n", "line 2 of bad.csv"),
+    "decimal commas in quotes": ('"1,5","2,5"\n1,2\n3,4\n', "line 1 of bad.csv"),
+    "exponents of Fortran": ("1D0 2D0\n3 4\n5 9\n", "line 1 of bad.csv was '1D0 2D0'"),
+    "units in the first row": ("1mm 2mm\n3 4\n5 9\n", "line 1 of bad.csv was '1mm 2mm'"),
+    "half a row that begins like a number": (".5mm,none\n3,4\n", "line 1 of bad.csv"),
+    "digits parted by a stroke": ("1_0,2\n3,4\n", "line 1 of bad.csv was '1_0,2'"),
+    "nothing but units": ("3D scan\n1mm,2mm\n3mm,4mm\n", "line 2 of bad.csv was '1mm,2mm'"),
+    "digits parted by a stroke, later": ("1,2\n3_0,4\n", "line 2 of bad.csv was '3_0,4'"),
 }
 
 

@@ -16,6 +16,8 @@ from .._results import shown
 
 # Tables of fewer lines are read line by line.
 _LONG = 1000
+# What begins like a number: a digit, perhaps after signs of any typography, brackets and a decimal mark.
+_LIKE = re.compile(r"""[\s("'+\-\u00b1\u2010-\u2015\u2212\ufe63\uff0b\uff0d]*[.,]?\d""")
 
 
 def read_csv(path: Path, columns: tuple[int, ...]) -> np.ndarray:
@@ -26,26 +28,41 @@ def read_csv(path: Path, columns: tuple[int, ...]) -> np.ndarray:
 
     Raises:
         ValueError: If a line is not finite numbers, or has too few; its number is named. A line of words is
-            one of whose fields none is a number, a NaN or an infinity.
+            one of whose fields none is a number, a NaN or an infinity; and where a field in these columns
+            begins like one, the line is not parted as the rows below it are.
     """
     lines = _text(path).splitlines()
     table = _regular(lines, columns)
     if table is not None:
         return _table(table, path)
-    rows = []
+    rows: list[list[float]] = []
+    doubtful: dict[tuple[str, int], tuple[int, str]] = {}  # by what parts a line, and into how many fields
     for number, line in enumerate(lines, start=1):
-        fields = _fields(line.split("#")[0])
+        text = line.split("#")[0]
+        fields = _fields(text)
         if not fields:
             continue
-        row = _numbers(fields, columns)
+        row, parted = _numbers(fields, columns), (_mark(text), len(fields))
         if row is None and (rows or any(_number(field) is not None for field in fields)):
-            raise ValueError(
-                f"argument path must name a table of finite numbers, but line {number} of {path.name} "
-                f"was {shown(line)}"
-            )
+            raise _no_numbers(number, line, path)
         if row is not None:
+            # A number that is not understood, as with a unit or a typographic minus, is no word: with the
+            # head a row of the table would be left out. A title such as "3D scan" is parted otherwise.
+            if parted in doubtful:
+                raise _no_numbers(*doubtful[parted], path)
             rows.append(row)
+        elif any(_LIKE.match(fields[i]) for i in columns if i < len(fields)):
+            doubtful.setdefault(parted, (number, line))
+    if not rows and doubtful:
+        raise _no_numbers(*list(doubtful.values())[-1], path)
     return _table(np.array(rows).reshape(-1, len(columns)), path)
+
+
+def _no_numbers(number: int, line: str, path: Path) -> ValueError:
+    return ValueError(
+        f"argument path must name a table of finite numbers, but line {number} of {path.name} "
+        f"was {shown(line)}"
+    )
 
 
 def table_width(path: Path) -> int:
@@ -107,6 +124,11 @@ def _fields(line: str) -> list[str]:
     return _parted(line, ",") if "," in line else line.split()
 
 
+def _mark(line: str) -> str:
+    """What parts a line's fields: semicolons, commas or, as an empty text, blanks."""
+    return next((mark for mark in ";," if mark in line), "")
+
+
 def _parted(line: str, mark: str) -> list[str]:
     """The fields of a line that a character separates; a separator within quotes does not count."""
     try:
@@ -116,6 +138,9 @@ def _parted(line: str, mark: str) -> list[str]:
 
 
 def _number(field: str) -> float | None:
+    # Python takes 1_0 for 10.
+    if "_" in field:
+        return None
     try:
         return float(field)
     except ValueError:

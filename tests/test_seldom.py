@@ -97,6 +97,22 @@ REFUSED = {
         lambda: jxr.io.read_silhouette(np.full((9, 9), np.nan), pixel=1.0),
         "image must be finite",
     ),
+    "grey values beyond measure": (
+        lambda: jxr.io.read_silhouette(1e200 * np.eye(9), pixel=1.0),
+        "image must have values of at most 1e\\+100, but had one of 1e\\+200",
+    ),
+    "grey values all alike": (
+        lambda: jxr.io.read_silhouette(np.ones((9, 9)), pixel=1.0),
+        "image must show a shape, but its values, 1 to 1, are all alike",
+    ),
+    "grey values below the threshold": (
+        lambda: jxr.io.read_silhouette(np.eye(9), pixel=1.0, threshold=5.0),
+        "image must show a shape, but its values, 0 to 1, do not cross the threshold of 5",
+    ),
+    "a shape in an image's corner": (
+        lambda: jxr.io.read_silhouette(np.pad([[1.0]], ((0, 8), (0, 8))), pixel=1.0),
+        "image must show the whole shape, but the border cuts outline 0",
+    ),
     "many frames": (lambda: _doors.check_frames("frames", 1e9), "frames must leave at most .* asks for 1e"),
     "a number for a surface": (
         lambda: _meshes._mesh(3, (8, 8), None, np.zeros(3)),

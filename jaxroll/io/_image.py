@@ -16,6 +16,7 @@ from ._outline import positive
 
 _BLUR = 0.7  # standard deviation [pixels] by which a colour image is smoothed
 _CONTRAST = 4.0  # least distance of a shape's colours from the background, in the border's own
+_MOST = 1e100  # largest value in an image
 _STEP = 1.0 / 255.0  # least distance that is not taken for zero, in the largest
 
 
@@ -74,6 +75,10 @@ def read_silhouette(
     grey = grey.astype(float)
     if not np.all(np.isfinite(grey)):
         raise ValueError("argument image must be finite, but had a value that is not")
+    if np.abs(grey).max() > _MOST:  # squares of differences would overflow
+        raise ValueError(
+            f"argument image must have values of at most {_MOST:g}, but had one of {np.abs(grey).max():.3g}"
+        )
     pixel, which = positive("pixel", pixel), as_count("which", which, least=0)
     if threshold is not None:
         threshold = float(as_floats("threshold", threshold, ()))
@@ -82,8 +87,13 @@ def read_silhouette(
         threshold = level if threshold is None else threshold
     # Shapes may be brighter or darker than what surrounds them: outlines run either way, and their areas have
     # either sign.
-    found = sorted(_outlines(grey, threshold), key=lambda points: -abs(polygon_area(points)))
-    if not 0 <= which < len(found):
+    found = sorted(_outlines(grey, threshold), key=_area, reverse=True)
+    if not found:
+        why = "are all alike" if threshold is None else f"do not cross the threshold of {threshold:.6g}"
+        raise ValueError(
+            f"argument image must show a shape, but its values, {grey.min():.6g} to {grey.max():.6g}, {why}"
+        )
+    if which >= len(found):
         raise ValueError(
             f"argument which must be below the number of outlines, {len(found)}, but was {which}"
         )
@@ -97,6 +107,11 @@ def read_silhouette(
         )
     points = points[:-1]
     return points if polygon_area(points) > 0.0 else points[::-1]
+
+
+def _area(points: np.ndarray) -> float:
+    """The size of the area that an outline encloses; none for one that cuts the image's corner."""
+    return abs(float(polygon_area(points))) if len(points) > 2 else 0.0
 
 
 def _outlines(grey: np.ndarray, threshold: float | None) -> list[np.ndarray]:

@@ -864,7 +864,7 @@ def along(text, samples, fill=True):
     """Points of one SVG path, by hand without a file."""
     from svgpathtools import parse_path
 
-    return _vector._along(parse_path(text), samples, fill)
+    return _vector._along(parse_path(text), np.eye(3), samples, fill)
 
 
 def test_points_along_an_open_path_with_an_arc():

@@ -7,9 +7,9 @@ import pytest
 from PIL import Image
 
 import jaxroll as jxr
-from jaxroll.io import _image
 from jaxroll._cli._shape_file import read, ShapeOrder
 from jaxroll.geometry import polygon_area
+from jaxroll.io import _image
 
 SIDE = 300
 CENTRE, RADIUS = (150.5, 140.5), 110.0
@@ -266,6 +266,8 @@ def test_outlines_of_images_are_counted_by_their_area():
 def test_images_are_grey_or_in_colour(image):
     with pytest.raises(ValueError, match="argument image must be grey values of shape"):
         jxr.io.read_silhouette(image, pixel=1.0)
+
+
 def drawing(tmp_path, content, attributes=""):
     """An SVG with this content, as a path."""
     path = tmp_path / "drawing.svg"

@@ -5,6 +5,7 @@ import math
 import pathlib
 import re
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -280,6 +281,20 @@ def test_a_solid_is_watertight_and_has_its_volume(tmp_path):
     for height in (1e-300, 1e300):  # neither is there in single precision
         with pytest.raises(ValueError, match="argument height must lie between 1e-09 and 1000 m, but was"):
             jxr.io.write_stl(BODY, path, height=height)
+
+
+def test_a_contour_that_crosses_itself_is_no_solid(tmp_path, monkeypatch):
+    """Nor is one whose straight pieces cross each other in a neck, where they may leave it so far."""
+    path = tmp_path / "body.stl"
+    snail = lambda u: 0.01 * (1 + 2 * jnp.cos(u)) * jnp.stack([jnp.cos(u), jnp.sin(u)])  # noqa: E731
+    crossed = jxr.Parametric(snail, (0.0, 2.0 * np.pi), closed=True, cells=128)
+    with pytest.raises(ValueError, match="^argument contour must be a contour that runs once round its body"):
+        jxr.io.write_stl(crossed, path, height=0.01)
+    bow = np.array([(0.0, 0.0), (0.01, 0.01), (0.01, 0.0), (0.0, 0.01)])
+    monkeypatch.setattr("jaxroll.io._mesh.outline", lambda contour, tolerance: bow)
+    with pytest.raises(ValueError, match="^argument tolerance must keep .* each other, but was 0.001 m"):
+        jxr.io.write_stl(BODY, path, height=0.01, tolerance=1e-3)
+    assert not path.exists()
 
 
 def torus(n=64, m=48, big=0.03, small=0.01):

@@ -55,6 +55,51 @@ def test_a_polar_curve():
     np.testing.assert_allclose(slope, wanted, rtol=1e-8)
 
 
+def through(x, y):
+    """A spline by 192 points, by which `test_an_ellipse_in_every_form` has compiled its program."""
+    return jxr.Spline(0.01 * np.stack([x, y], -1))
+
+
+def dented(depth):
+    """A disc of 10 mm with a dent at its top, so deep: through its underside beyond 20 mm."""
+    u = 2.0 * np.pi * np.arange(192) / 192
+    return through(np.cos(u), np.sin(u) - 100.0 * depth * np.exp(-(((u - np.pi / 2.0) / 0.3) ** 2)))
+
+
+def eight():
+    u = 2.0 * np.pi * np.arange(192) / 192
+    return through(np.sin(2.0 * u) + 0.2 * np.cos(u), 2.0 * np.sin(u))
+
+
+def twice_round():
+    return jxr.Parametric(jax.tree_util.Partial(snail, jnp.array([0.4])), (0.0, 4.0 * np.pi), closed=True)
+
+
+NO_BODY = {
+    "twice round": (twice_round, "the tangent of this Parametric turned round 2 times"),
+    "a loop inside": (
+        lambda: snails(jnp.asarray(2.0)),
+        "the tangent of this Parametric turned round 2 times",
+    ),
+    "figure eight": (eight, "the tangent of this Spline turned round 0 times"),
+    "dent through the far side": (lambda: dented(0.0205), r"this Spline did near \[-?0.00"),
+    "placed elsewhere": (lambda: eight().moved((0.1, 0.0), 0.3), "turned round 0 times"),
+}
+
+
+@pytest.mark.parametrize("name", NO_BODY)
+def test_a_contour_that_crosses_itself_or_runs_round_twice_has_no_mass(name):
+    make, words = NO_BODY[name]
+    words = f"^argument shape must be a contour that runs once round its body .* itself, but .*{words}"
+    with pytest.raises(ValueError, match=words):
+        mass_properties(make(), 1.0)
+
+
+def test_a_contour_that_nearly_meets_itself_has_its_mass():
+    """By a neck of a micrometre."""
+    assert 0.0 < float(mass_properties(dented(0.019999), 1.0).size) < np.pi * 0.01**2
+
+
 def test_an_ellipse_in_every_form():
     """Closed form, table and spline, each placed elsewhere; the plate's mass counts its thickness."""
     size, inertia = np.pi * A * B, np.pi * A * B * (A**2 + B**2) / 4.0

@@ -9,11 +9,14 @@ import pytest
 import jaxroll as jxr
 from jaxroll._linalg._plane import Vec2
 from jaxroll._linalg._space import Sym3, Vec3
+from jaxroll._mechanics import tabled_grasp
 from jaxroll.geometry import (
+    _contract,
     AbstractChart,
     AbstractImplicit,
     Chart,
     check_contour,
+    check_once_round,
     check_surface,
     Extruded,
     frenet,
@@ -226,6 +229,20 @@ def test_it_is_paid_for_once(scene):
     check_contour("tip", contour)
     assert len(calls) == seen > 0
     jax.jit(lambda x: (check_contour("tip", Wrapped(jxr.Circle(x), 2.0)), x)[1])(0.01)
+
+
+def test_a_contour_that_runs_round_twice_is_no_object(monkeypatch):
+    """It comes back to itself, at unit speed: for a fingertip that will do."""
+    twice = Curve(circle, (0.0, 2.0 * TURN), closed=True)
+    grasp = jxr.Grasp(jxr.FreeObject(twice, 0.1, 1e-5), jxr.Jaw(twice), jxr.Contact())
+    with pytest.raises(ValueError, match=r"^argument grasp.object must .* this Curve turned round 2 times"):
+        tabled_grasp(grasp)
+    check_once_round("object", GOOD["closed curve"].moved())
+    # Where chords cross and the contour itself does not, a second look with shorter ones decides.
+    turn = np.exp(2j * np.pi * np.arange(64) / 64)
+    looks = {1: np.stack([turn.real, turn.imag * turn.real], -1), 8: np.stack([turn.real, turn.imag], -1)}
+    monkeypatch.setattr(_contract, "_polygon", lambda contour, parts: looks[parts])
+    check_once_round("object", Curve(circle, (0.0, TURN), closed=True))
 
 
 class Ball(AbstractImplicit):

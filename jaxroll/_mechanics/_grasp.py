@@ -19,7 +19,7 @@ from .._results import as_array, as_count, as_several, check_finite, shown, trac
 from .._types import Given
 from .._xla import remembered
 from ..contact import AbstractContact, Contact, Contact3
-from ..geometry import AbstractContour, AbstractSurface, check_shape, tabled
+from ..geometry import AbstractContour, AbstractSurface, check_once_round, check_shape, tabled
 from ._assembly import AbstractGrasp
 from ._body import AbstractBody, AbstractFinger, Coordinate
 from ._changes import changed
@@ -287,13 +287,19 @@ def _check_shapes(grasp: Grasp) -> None:
 
 @remembered
 def _with_tables(grasp: Grasp) -> Grasp:
-    """A copy with the missing tables, or the grasp itself; kept, for caches go by identity."""
+    """A copy with the missing tables, or the grasp itself; kept, for caches go by identity.
+
+    By its tables the object is seen to have an inside. A fingertip may cross itself on its far side, as the
+    last one of a search may, which is worth a run all the same.
+    """
     grasp = _strongly_typed(grasp)
     new = [i for i, shape in enumerate(_all_shapes(grasp)) if tabled(shape) is not shape]
-    if not new:
-        return grasp
-    where = lambda g: [_all_shapes(g)[i] for i in new]  # noqa: E731
-    return eqx.tree_at(where, grasp, [tabled(shape) for shape in where(grasp)])
+    if new:
+        where = lambda g: [_all_shapes(g)[i] for i in new]  # noqa: E731
+        grasp = eqx.tree_at(where, grasp, [tabled(shape) for shape in where(grasp)])
+    for shape in grasp.object.shapes:
+        check_once_round("grasp.object", shape)
+    return grasp
 
 
 def _strongly_typed(grasp: Grasp) -> Grasp:

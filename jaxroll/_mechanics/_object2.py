@@ -112,7 +112,7 @@ class FreeObject(AbstractFree):
             thickness: Of the plate [m].
 
         Raises:
-            ValueError: If the contour is not closed, or a number is not positive.
+            ValueError: If the contour is not closed or crosses itself, or a number is not positive.
 
         Example:
             >>> import jaxroll as jxr

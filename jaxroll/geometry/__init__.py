@@ -9,6 +9,7 @@ knows of bodies, time or contact; `contact` reads the frames.
 from .._linalg import Sym3 as Sym3, Vec2 as Vec2, Vec3 as Vec3
 from ._contract import (
     check_contour as check_contour,
+    check_once_round as check_once_round,
     check_shape as check_shape,
     check_surface as check_surface,
 )

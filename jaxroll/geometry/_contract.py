@@ -9,6 +9,9 @@ Shapes of the package keep this by construction, but for the periods of a `Chart
 shape of a caller's own class, at any depth in wrappers, is checked once before a grasp or a search for
 contacts uses it; the verdict is kept by identity (`remembered`). Numbers that JAX traces cannot be checked;
 the next use with concrete ones is.
+
+What no class can promise, `check_once_round` looks at: that a closed curve, whoever gave its numbers, runs
+once round a body and does not cross itself. Without that it has no inside, and no mass.
 """
 
 from collections.abc import Iterator
@@ -26,6 +29,7 @@ from .._types import Given, Scalars
 from .._xla import quickly, remembered
 from ._tabled import tabled
 from .contours import AbstractContour, AbstractTabulated, frenet, Frenet2, Table, unevenness
+from .fitting import crossings
 from .surfaces import AbstractChart, AbstractImplicit, AbstractSurface, Chart, Gauss3, lattice
 
 _PLACES = 1024  # along a contour
@@ -35,6 +39,9 @@ _RANGE = 0.1
 # Nearest look about a start [m]; it also keeps the sizes by which errors are divided from being zero.
 _NEAREST = 1e-6
 _SPREAD = 48  # places on a surface
+# Places to a cell at which a closed contour is looked at for crossings. Where the coarse polygon crosses
+# itself, the fine one decides, whose chords are 64 times as near to the curve.
+_PARTS = (1, 8)
 # Relative errors allowed in double and in single precision: of first derivatives, and of second ones.
 _ALLOWED = {np.dtype(np.float64): (1e-9, 1e-6), np.dtype(np.float32): (1e-4, 1e-2)}
 # The same for surfaces, where every error has this bound.
@@ -90,6 +97,30 @@ def check_shape(name: str, shape: Any) -> None:
         check_contour(name, shape)
     elif isinstance(shape, AbstractSurface):
         check_surface(name, shape)
+
+
+def check_once_round(name: str, shape: Any) -> None:
+    """Raise where a closed contour crosses itself, or runs round its body more than once.
+
+    For what asks of a contour which side of it is inside. Circles and ellipses need no look; numbers that
+    JAX traces are let pass.
+
+    Args:
+        name: Of the argument, for the message.
+        shape: A contour, or whatever holds some; one of a caller's own class has passed `check_contour`.
+
+    Raises:
+        ValueError: If there is such a contour, or its cells do not resolve it.
+    """
+    for part in _members(shape):
+        given = _foreign(part) or isinstance(part, AbstractTabulated)
+        if given and isinstance(part, AbstractContour) and part.closed and not traced(part):
+            fault = _doubled(part)
+            if fault is not None:
+                raise ValueError(
+                    f"argument {name} must be a contour that runs once round its body without crossing "
+                    f"itself, but {fault}"
+                )
 
 
 def _foreign(shape: Any) -> bool:
@@ -223,6 +254,46 @@ def _open(contour: AbstractContour, ends: np.ndarray) -> str | None:
         f"s = {places[worst]:.4g} m was {shown(here[:2, worst])}, and {shown(later[:2, worst])} a length of "
         f"{length:.6g} m later"
     )
+
+
+@remembered
+def _doubled(contour: AbstractContour) -> str | None:
+    """How a closed contour fails to run once round its body, as the end of a message, or None.
+
+    The tangent of one that does not cross itself turns round once (Hopf); one whose does may cross itself.
+    """
+    kind, fault = type(contour).__name__, None
+    for parts in _PARTS:
+        points = _polygon(contour, parts)
+        sides = np.roll(points, -1, axis=0) - points
+        ways = sides[:, 0] + 1j * sides[:, 1]
+        turns = round(float(np.angle(np.roll(ways, -1) * np.conj(ways)).sum()) / (2.0 * np.pi))
+        if abs(turns) != 1:
+            fault = f"the tangent of this {kind} turned round {turns} times"
+        elif len(pairs := crossings(points, closed=True)):
+            fault = f"this {kind} did near {shown(points[pairs[0]].mean(axis=0).round(9))} m"
+        else:
+            return None
+    return fault
+
+
+def _polygon(contour: AbstractContour, parts: int) -> np.ndarray:
+    """Points of a closed contour in order, so many to a cell of its table or to one of `_PLACES` parts."""
+    share = (np.arange(parts) + 0.5) / parts
+    with jax.ensure_compile_time_eval():
+        ready = tabled(contour)
+        if isinstance(ready, AbstractTabulated):
+            # In NumPy, by the polynomials of the cells: there is nothing to compile.
+            rows = np.asarray(ready.read().coefficients, float)
+            powers = share ** np.arange(6)[:, None]
+            return np.stack([(rows[:, k : k + 6] @ powers).ravel() for k in (0, 6)], axis=-1)
+        ends = ready.domain()
+        assert ends is not None  # `check_contour` has looked
+        low, high = (float(np.asarray(end)) for end in ends)
+        places = low + (high - low) / _PLACES * (np.arange(_PLACES) + share[:, None])
+        # As many places at a time as `_along` takes, whose program this is.
+        found = [np.asarray(_measured(_ready(ready), jnp.asarray(row))[0], float) for row in places]
+        return np.stack(found, axis=1).reshape(-1, 2)
 
 
 @remembered

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from .._results import check_between, on_host, shown
-from ..geometry import AbstractContour, metres_per
+from ..geometry import AbstractContour, check_contour, check_once_round, crossings, metres_per
 from ._extra import missing
 from ._outline import outline, positive
 from ._paths import as_path, readable, writable
@@ -61,7 +61,8 @@ def write_stl(
         The path.
 
     Raises:
-        ValueError: If the contour is open or crosses itself, or an argument is out of range.
+        ValueError: If the contour is open or crosses itself, straight pieces within the tolerance would, or
+            an argument is out of range.
         ImportError: Without the extra `cad`.
 
     Example:
@@ -74,8 +75,15 @@ def write_stl(
     check_between("height", height, *_HEIGHTS, unit=" m")  # before anything is worked out
     if not isinstance(contour, AbstractContour) or not contour.closed:
         raise ValueError(f"argument contour must be closed, but was {shown(contour)}")
+    check_contour("contour", contour)
+    check_once_round("contour", contour)
     trimesh, path = _trimesh(), writable(path)
     points = outline(contour, tolerance) / scale
+    if len(crossings(points, closed=True)):
+        raise ValueError(
+            "argument tolerance must keep the outline's straight pieces from crossing each other, but was "
+            f"{shown(tolerance)} m"
+        )
     solid = trimesh.creation.extrude_triangulation(points, _triangles(points), height / scale)
     if not solid.is_watertight or solid.volume <= 0.0:
         raise ValueError("argument contour must not cross itself, but its solid is not watertight")

@@ -36,7 +36,8 @@ class NeuralCurvature(AbstractTabulated):
       \theta = \theta_0 + \alpha\cos\theta_0 + \beta\sin\theta_0,$$
     $\kappa = d\theta/ds$, and the point is the integral of $(\cos\theta, \sin\theta)$. It turns once round
     whatever the weights; $\alpha$ and $\beta$, the two numbers that close it, are found by Newton's method
-    and differentiated through. It may cross itself: that isn't checked.
+    and differentiated through. It may cross itself: an object's contour is checked for that, a fingertip's
+    is not.
 
     Args:
         network: $N$, without dimension; zero gives a circle.

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from ..._printing import listed
 from ..._results import as_array, as_floats, as_length, as_positive, shown, traced
 from ..._types import Given
-from .._contract import check_shape
+from .._contract import check_once_round, check_shape
 from ..contours import AbstractContour
 from ..surfaces import AbstractSurface
 from ._contour_moments import contour_moments
@@ -65,7 +65,8 @@ def mass_properties(
         in the shape's numbers, of every shape in `density` and `thickness`.
 
     Raises:
-        ValueError: If a shape has ends or no bounds, a mesh has holes, or the normal points inward.
+        ValueError: If a shape has ends or no bounds, a contour crosses itself or runs round more than once, a
+            mesh has holes, or the normal points inward.
 
     Accuracy: closed forms and meshes to rounding. A contour is integrated as its table has it: an ellipse as
     a `Parametric` to 1e-14. Charts and patches settle to 1e-12, implicit surfaces of any genus to 1e-9 or
@@ -95,6 +96,7 @@ def mass_properties(
 def _moments_of(shape: Any) -> Moments:
     if isinstance(shape, AbstractContour | AbstractSurface):
         check_shape("shape", shape)
+        check_once_round("shape", shape)
         return contour_moments(shape) if isinstance(shape, AbstractContour) else surface_moments(shape)
     pair = shape if isinstance(shape, tuple | list) else _fields(shape)
     if pair is None or len(pair) != 2:

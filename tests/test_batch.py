@@ -173,6 +173,19 @@ print(jax.device_count())
 """
 
 
+def test_of_no_runs_there_are_no_results(scene):
+    """As from a filter that left nothing: empty arrays, of the shapes that those of one run would have."""
+    grasp, state = scene
+    none = jnp.zeros((0,))
+    end = lambda damping: jxr.simulate(grasp.with_(damping=damping), state, 0.2, ts=1).last.q  # noqa: E731
+    assert jax.vmap(end)(none).shape == (0, 3)
+    assert jax.vmap(jax.grad(lambda damping: end(damping)[0]))(none).shape == (0,)
+    assert jax.vmap(jax.vmap(end))(jnp.zeros((2, 0))).shape == (2, 0, 3)
+    states = jax.tree.map(lambda x: jnp.zeros((0, *x.shape)), state)
+    assert jxr.multipliers(grasp, none, states).f.shape == (0, 1)
+    assert jxr.residuals(grasp, states).normal.shape == (0, 1)
+
+
 @pytest.mark.slow
 @pytest.mark.optimised
 def test_lanes_shared_out_among_devices_are_those_of_one():

@@ -424,4 +424,6 @@ def over_time(function: Callable, states: State, *beside: Array) -> Any:
     if states.q.ndim == 1:
         return one(states, *beside)
     each = jax.vmap(one)
+    if not states.q.shape[0]:  # there is no first state, nor one that was not reached
+        return each(states, *beside)
     return of_reached(lambda rows: each(rows, *beside), states, jax.tree.map(lambda rows: rows[0], states))

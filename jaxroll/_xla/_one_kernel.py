@@ -70,7 +70,8 @@ def with_lanes(function: Callable[[Any], Any], lanes: Callable[[int, Any, Any], 
         arrays: The pytree.
 
     A single lane is the function itself without the axis, as `jacfwd` in one number asks for: with it that
-    derivative of `scenes.pinch3d` takes 21 s to compile, so 13.
+    derivative of `scenes.pinch3d` takes 21 s to compile, so 13. Of no lanes there is nothing to work out, and
+    loops over them could not begin: the results are empty arrays.
     """
 
     @jax.custom_batching.custom_vmap
@@ -82,11 +83,20 @@ def with_lanes(function: Callable[[Any], Any], lanes: Callable[[int, Any, Any], 
         if size == 1:
             alone = jax.tree.map(lambda x, own: jnp.squeeze(x, 0) if own else x, arrays, batched[0])
             out = jax.tree.map(lambda x: jnp.expand_dims(x, 0), call(alone))
+        elif size == 0:
+            out = _of_none(function, batched[0], arrays)
         else:
             out = lanes(size, batched[0], arrays)
         return out, jax.tree.map(lambda _: True, out)
 
     return call(arrays)
+
+
+def _of_none(function: Callable[[Any], Any], batched: Any, arrays: Any) -> Any:
+    """What a function gives for an empty batch, from the shapes of what it gives for one lane."""
+    alone = lambda x, own: jax.ShapeDtypeStruct(x.shape[1:] if own else x.shape, x.dtype)  # noqa: E731
+    like = jax.eval_shape(function, jax.tree.map(alone, arrays, batched))
+    return jax.tree.map(lambda x: jnp.zeros((0, *x.shape), x.dtype), like)
 
 
 def side_by_side(function: Callable[[Any], Any], size: int, batched: Any) -> Callable[[Any], Any]:

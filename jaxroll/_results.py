@@ -27,7 +27,7 @@ _R = TypeVar("_R")
 # Longest quotation of a bad argument in an error's sentence.
 _QUOTED = 80
 # Lengths [m] that a shape may have.
-_LENGTHS = (1e-12, 1e9)
+SHAPE_LENGTHS = (1e-12, 1e9)
 # Arrays with more numbers than this are quoted by their shape.
 _FEW = 12
 
@@ -361,7 +361,7 @@ def check_direction(name: str, vectors: jax.Array) -> jax.Array:
 def as_length(name: str, value: Any) -> jax.Array:
     """Convert an argument to a length [m] of a shape; beyond these bounds its square would lose digits."""
     length = as_positive(name, value)
-    check_between(name, length, *_LENGTHS, unit=" m")
+    check_between(name, length, *SHAPE_LENGTHS, unit=" m")
     return length
 
 

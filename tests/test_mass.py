@@ -281,6 +281,7 @@ REFUSED = {
     "faces beyond": lambda: (box()[0][:-1], box()[1]),
     "fractions": lambda: (box()[0], box()[1] + 0.5),
     "chart with an edge": lambda: Chart(bulb, domain=(ROUND[0], (0.0, 3.0)), periodic=(True, False)),
+    "field beyond its bounds": lambda: Implicit(lambda x, y, z: x * x + y * y + z * z - 1e-4, radius=0.005),
     "nothing": lambda: None,
     "one of three": lambda: box() + (1,),
 }

@@ -419,10 +419,17 @@ def test_arguments_that_do_not_fit_are_refused():
         lambda: jxr.grasp_points([jxr.Circle(0.01), jxr.Sphere(0.01)]),
         lambda: jxr.grasp_points(jxr.Circle(0.01), 0.0),
         lambda: jxr.grasp_points(jxr.Circle(0.01), count=0),
+        lambda: jxr.grasp_points(
+            jxr.geometry.Implicit(lambda x, y, z: x * x + y * y + z * z - 1e-4, radius=0.005)
+        ),
     ]
     for call in calls:
         with pytest.raises(ValueError):
             call()
+
+
+def test_of_a_straight_line_there_are_no_pairs():
+    assert len(jxr.grasp_points(jxr.Line((0.0, 0.1)))) == 0
 
 
 def test_an_object_in_space_is_asked_for_at_a_pose_of_length_one():

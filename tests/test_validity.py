@@ -92,6 +92,31 @@ def test_lengths_have_bounds(make):
             make(x)
 
 
+TURN = 2.0 * np.pi * np.arange(128) / 128
+RING = np.stack([np.cos(TURN), np.sin(TURN)], -1)
+
+
+@pytest.mark.parametrize("size", [1e-200, 1e-20, 1e20, 1e200, 1e308])
+@pytest.mark.parametrize(
+    "make",
+    [
+        jxr.Spline,
+        jxr.fit_contour,
+        lambda points: jxr.fit_contour(points, ordered=False),
+        lambda points: jxr.fit_contour(points, smallest_radius=0.01),
+        lambda points: jxr.SupportFunction.through(points, terms=6),
+        lambda points: jxr.NeuralSupport.through(points, key=jax.random.key(0)),
+        lambda points: jxr.NeuralCurvature.through(points, key=jax.random.key(0)),
+        jxr.geometry.smoothing_for,
+        lambda points: jxr.geometry.fit_surface(np.pad(points, ((0, 0), (0, 1)))),
+    ],
+)
+def test_points_are_as_far_apart_as_shapes_may_be_long(make, size):
+    """Their squares would be infinite, or zero, in what libraries do with them."""
+    with pytest.raises(ValueError, match="^argument points must extend over 1e-12 m or more, within 1e.09 m"):
+        make(size * RING)
+
+
 def test_closest_points_that_are_not_found_are_nan():
     """A needle: Newton's method arrives from some places; from the others it says so."""
     needle, ways = Ellipsoid(1.0, 1e-2, 1e-2), np.random.default_rng(0).normal(size=(64, 3))

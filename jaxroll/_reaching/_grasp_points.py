@@ -106,7 +106,8 @@ def grasp_points(
         A `GraspPoints`; empty where no pair is held with this friction.
 
     Raises:
-        ValueError: If `object` is none, a number is not positive, or `count` is above 1000.
+        ValueError: If `object` is none or has no boundary within its bounds, a number is not positive, or
+            `count` is above 1000.
 
     Accuracy: exact pairs to rounding; others are pairs of samples, 384 in the plane and 720 in space: their
     own demand is exact, that of the best pair of all may be lower. Antipodal pairs of features finer than the
@@ -123,7 +124,11 @@ def grasp_points(
     shapes, box = _shapes_of(object)
     sheets = [sheet_of(shape) for shape in shapes]
     samples = _sampled(sheets, box)
-    size = float(np.ptp(samples.points, axis=0).max())
+    size = float(np.ptp(samples.points, axis=0).max()) if len(samples.points) else 0.0
+    if not size > 0.0:  # a search that finds nothing gives one place again and again
+        raise ValueError(
+            "argument object must have a boundary within its bounds, but no points of one were found there"
+        )
     pairs = _candidates(samples, limit)
     starts = pairs.taken(_thinned(pairs, _STARTS, _APART * size))
     exact = _merged(_refined(sheets, starts, size), size)
@@ -306,7 +311,7 @@ def _merged(pairs: _Pairs, size: float) -> _Pairs:
     back = (pairs.faces[:, 0] == pairs.faces[:, 1]) & (first < 0.0)
     pairs = _Pairs(*(np.where(back.reshape(-1, *(1,) * (x.ndim - 1)), x[:, ::-1], x) for x in pairs))
     width = np.round(np.linalg.norm(line, axis=1) / same)
-    ends = np.round(pairs.points.reshape(len(width), -1) / same)
+    ends = np.round(np.concatenate([pairs.points[:, 0], pairs.points[:, 1]], axis=1) / same)
     pairs = pairs.taken(np.lexsort((*ends.T[::-1], width)))
     return pairs.taken(_thinned(pairs, len(pairs.points), same))
 

@@ -18,7 +18,11 @@ from ._closed_forms import Circle as Circle, Ellipse as Ellipse, Line as Line
 from ._contour import AbstractContour as AbstractContour, Moved as Moved
 from ._free_numbers import divided as divided
 from ._frenet import frenet as frenet, Frenet2 as Frenet2
-from ._given_points import numbers as numbers, polygon_area as polygon_area
+from ._given_points import (
+    check_extent as check_extent,
+    numbers as numbers,
+    polygon_area as polygon_area,
+)
 from ._network import NetworkFit as NetworkFit, PeriodicNetwork as PeriodicNetwork
 from ._neural_curvature import NeuralCurvature as NeuralCurvature
 from ._neural_support import NeuralSupport as NeuralSupport

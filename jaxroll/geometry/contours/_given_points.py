@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from ..._results import as_array, shown, traced
+from ..._results import as_array, SHAPE_LENGTHS, shown, traced
 
 
 def numbers(name: str, value: Any, width: int) -> np.ndarray:
@@ -32,6 +32,21 @@ def numbers(name: str, value: Any, width: int) -> np.ndarray:
     if len(array) > 1 and np.all(array == array[0]):
         raise ValueError(f"argument {name} must not be one point again and again, but was {shown(array[0])}")
     return array
+
+
+def check_extent(name: str, points: np.ndarray) -> None:
+    """Raise unless points [m] extend over a length that a shape may have, and no farther from the origin.
+
+    Whoever fits a shape to them takes for granted that their squares and higher powers are numbers still.
+    """
+    with np.errstate(over="ignore"):
+        size, far = float(np.ptp(points, axis=0).max()), float(np.abs(points).max())
+    least, most = SHAPE_LENGTHS
+    if not (size >= least and far <= most):
+        raise ValueError(
+            f"argument {name} must extend over {least:g} m or more, within {most:g} m of the origin, but "
+            f"were {size:.3g} m long or wide and reached {far:.3g} m"
+        )
 
 
 def polygon_area(points: np.ndarray) -> float:

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from ..._linalg import sincos
 from ..._results import as_count, as_floats, as_length, check_instance
 from ..._types import Given
-from ._given_points import numbers
+from ._given_points import check_extent, numbers
 from ._network import network_fit, NetworkFit, PeriodicNetwork, with_readout
 from ._network_descent import descend, FitProgress, NetworkProblem
 from ._support import AbstractSupport, check_convex, fit_series, Series
@@ -155,6 +155,7 @@ class NeuralSupport(AbstractSupport):
         data = numbers("points", points, 2)
         if len(data) <= 8:
             raise ValueError(f"argument points must have more than 8 rows, but had {len(data)}")
+        check_extent("points", data)
         centre = data.mean(axis=0)
         size = float(np.mean(np.hypot(*(data - centre).T)))
         scaled = (data - centre) / size

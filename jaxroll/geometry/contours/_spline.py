@@ -23,7 +23,7 @@ from ..._types import Given
 from ._arclength import arclength_at, rising_sums
 from ._bspline import Basis, basis, interval_of, jet_of_pieces, jets, Pieces
 from ._free_numbers import point_waves, wavy_shift
-from ._given_points import polygon_area
+from ._given_points import check_extent, polygon_area
 from ._table import AbstractTabulated, FEWEST_CELLS, Table, tabulated
 
 # Exponents b of the curvature in the successive parameters, whose rate is about kappa^b: arclength (b = 0)
@@ -66,7 +66,7 @@ class Spline(AbstractTabulated):
 
     Raises:
         ValueError: If there are too few points, two neighbours are the same, a closed contour runs
-            clockwise, or a number is not finite.
+            clockwise, or a number is not finite, far too large or too small for a length.
 
     Accuracy: an interpolating spline errs by $h^{p+1}$ in the point, $h^p$ in the tangent and $h^{p-1}$ in
     the curvature for degree $p$ and spacing $h$. 64 exact points of an ellipse of half axes 20 and 14 mm at
@@ -263,6 +263,7 @@ def _check(points: Array, closed: bool, degree: int, origin: int) -> None:
     if seen is None:
         return
     check_distinct(seen, closed)
+    check_extent("points", seen)
     if closed and not (area := polygon_area(seen)) > 0.0:
         raise ValueError(
             f"argument points must run counter-clockwise, but the area on their left was {area:.3g} m^2"

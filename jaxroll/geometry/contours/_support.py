@@ -24,7 +24,7 @@ from ..._results import as_array, as_count, as_floats, as_length, concrete, trac
 from ..._types import Given
 from ._arclength import parameters_reaching
 from ._free_numbers import damping, PERTURBED
-from ._given_points import numbers
+from ._given_points import check_extent, numbers
 from ._table import AbstractTabulated, FEWEST_CELLS, from_frames, Table
 
 # A support function with its first two derivatives, at normal angles of any shape.
@@ -257,6 +257,7 @@ class SupportFunction(AbstractSupport):
         if not 0 < 2 * terms < len(data):
             most = (len(data) - 1) // 2
             raise ValueError(f"argument terms must lie between 1 and {most} (by the points), but was {terms}")
+        check_extent("points", data)
         # In one array: the mean, then the cosines, then the sines.
         series, _ = fit_series(data, terms)
         return cls(series[0], series[1 : terms + 1], series[terms + 1 :], cells=cells)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..._results import check_flag, shown
-from ..contours import numbers, polygon_area
+from ..contours import check_extent, numbers, polygon_area
 from ._crossings import crossings
 from ._ordering import order_given_up, order_points, place_text, turnings
 
@@ -125,10 +125,12 @@ def clean_points(
 
 
 def given_points(points: Any, unit: Any) -> np.ndarray:
-    """The points as finite numbers of shape (n, 2) in metres, at least six of them."""
+    """The points in metres, shape (n, 2): finite, at least six, and as far apart as shapes may be long."""
     array = numbers("points", points, 2)
     check_number(array)
-    return array * metres_per(unit)
+    array = array * metres_per(unit)
+    check_extent("points", array)
+    return array
 
 
 def check_number(points: np.ndarray) -> None:

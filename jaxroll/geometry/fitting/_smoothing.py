@@ -18,7 +18,7 @@ from jaxtyping import Array
 
 from ..._results import as_floats, check_choice, check_flag, on_host
 from ..._types import Given
-from ..contours import check_distinct, check_enough, chords, knot_count, spline_basis
+from ..contours import check_distinct, check_enough, check_extent, chords, knot_count, spline_basis
 
 # Wavelengths tried, in geometric progression.
 _TRIALS = 600
@@ -73,6 +73,7 @@ def smoothing_for(
     closed, degree = check_flag("closed", closed), check_choice("degree", degree, (3, 5, 7, 9))
     check_enough(len(data), degree)
     check_distinct(data, closed)
+    check_extent("points", data)
     knots = knot_count(knots, len(data), degree)
     if level == 0.0:
         return 0.0

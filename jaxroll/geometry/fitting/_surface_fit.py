@@ -21,6 +21,7 @@ from threadpoolctl import threadpool_limits
 
 from ..._results import as_floats, as_length, check_direction, concrete, on_host, shown
 from ..._types import Given
+from ..contours import check_extent
 from ..surfaces import SplineSurface
 from ._field_fit import AXES, DataRows, Grid, grid_around, normal_band, offsets, roughness_band, rows
 from ._measured import angles, evenly, measured
@@ -99,6 +100,7 @@ def fit_surface(
         True
     """
     cloud = _cloud("points", points, 100 if faces is None or smallest_radius is None else 4)
+    check_extent("points", cloud)
     given = None if normals is None else _directions(normals, cloud)
     triangles = None if faces is None else as_faces(faces, len(cloud))
     if smallest_radius is not None:

@@ -57,6 +57,12 @@ def level_moments(surface: AbstractImplicit) -> Moments:
     found, change, at = None, math.inf, surface.spread(_SPREAD)
     assert at is not None  # the caller has looked
     known = np.stack([np.asarray(x, float) for x in at], axis=-1)
+    # Where a search finds no point of the surface at all, it gives one place again and again.
+    if not np.ptp(known, axis=0).max() > 0.0:
+        raise ValueError(
+            f"argument shape must lie within its bounds (of an `Implicit` its radius), but no point of this "
+            f"{type(surface).__name__} was found there"
+        )
     settled = _OWN_SETTLED if isinstance(surface, SplineSurface) else _SETTLED
     for corners, nodes in _nets(surface, known):
         before, found = found, _on_grid(surface, corners, nodes)

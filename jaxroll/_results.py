@@ -347,14 +347,19 @@ def check_positive(name: str, value: jax.Array) -> jax.Array:
 
 
 def check_direction(name: str, vectors: jax.Array) -> jax.Array:
-    """Raise if a concrete vector of the last axis has no direction: its length is zero, or overflows."""
+    """Raise if a concrete vector of the last axis has no direction: its length is zero, or overflows.
+
+    So is that of a vector whose squares the precision does not hold: who asks for a direction divides by it.
+    """
     seen = concrete(vectors)
     if seen is None:
         return vectors
     with np.errstate(over="ignore"):
         lengths = np.sqrt(np.sum(seen * seen, axis=-1))
     if not np.all((lengths > 0) & np.isfinite(lengths)):
-        raise ValueError(f"argument {name} must not be zero, but was {shown(seen)}")
+        worst = seen[~((lengths > 0) & np.isfinite(lengths))].reshape(-1, seen.shape[-1])[0]
+        what = "must not be zero" if not worst.any() else "must be of a length whose square is a number"
+        raise ValueError(f"argument {name} {what}, but was {shown(worst)}")
     return vectors
 
 
@@ -365,13 +370,26 @@ def as_length(name: str, value: Any) -> jax.Array:
     return length
 
 
+def told_apart(*values: Any) -> list[str]:
+    """Numbers as a sentence compares them: in six digits, or as many as show that they differ."""
+    # Of single precision a number's own digits, not those of its conversion.
+    known = [np.asarray(value)[()] for value in values]
+    texts: list[str] = []
+    for digits in range(6, 18):
+        texts = [f"{value:.{digits}g}" for value in known]
+        if len(set(texts)) == len({repr(float(value)) for value in known}):
+            break
+    return texts
+
+
 def check_between(name: str, value: Any, low: Any, high: Any, *, unit: str = "") -> None:
     """Raise if a concrete value lies outside a closed interval."""
     seen, lows, highs = concrete(value), concrete(low), concrete(high)
     if seen is None or lows is None or highs is None:
         return
     if not np.all((lows <= seen) & (seen <= highs)):
-        raise ValueError(f"argument {name} must lie between {lows:g} and {highs:g}{unit}, but was {seen:g}")
+        least, most, was = told_apart(lows, highs, seen)
+        raise ValueError(f"argument {name} must lie between {least} and {most}{unit}, but was {was}")
 
 
 def message(result: RESULTS) -> str:

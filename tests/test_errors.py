@@ -123,6 +123,8 @@ def bad_runs(grasp, state):
         (lambda: sim(grasp, state, 1.0, ts=[[0.5]]), r"argument ts must be a number of times"),
         (lambda: sim(grasp, state, 1.0, ts=[]), r"argument ts must be a number of times"),
         (lambda: sim(grasp, state, 1.0, ts=[0.5, 0.5]), "argument ts must rise strictly"),
+        (lambda: sim(grasp, state, 1.0, ts=[np.nan]), "argument ts must be finite, but was .nan."),
+        (lambda: sim(grasp, state, 1.0, ts=[1.0 + 1e-13]), "within .0, 1., but ran from 1.0000000000001 to"),
         (lambda: sim(grasp, state, 1.0, ts=0), "argument ts must be a whole number of at least 1, but was 0"),
         (lambda: sim(grasp, state, 1.0, rtol=-1.0), "argument rtol must be positive, but was -1"),
         (lambda: sim(*single, 1.0), "argument rtol must be at least 1e-05 in single precision"),

@@ -557,7 +557,7 @@ def test_the_body_that_most_of_a_scan_lies_on_is_taken_and_its_cavities_filled()
     wanted[14, 5, 5] = -1.0
     np.testing.assert_array_equal(found, wanted)
     both = _scan.Scan(scan.points, outward, np.ones(4), np.ones(4), 0.1)
-    with pytest.raises(ValueError, match="must enclose one body, but 25 % of them lie on 1 others"):
+    with pytest.raises(ValueError, match="must enclose one body, but 25 % of them lie on 1 other$"):
         _indicator._alone(values, both, np.zeros(3), 1.0)
     with pytest.raises(ValueError, match="must enclose a body, but enclose none"):
         _indicator._alone(np.ones((3, 3, 3)), scan, np.zeros(3), 1.0)

@@ -323,6 +323,26 @@ def test_sections_of_a_torus():
     assert polygon_area(through) > 0
 
 
+def test_where_a_plane_only_touches_a_mesh_it_cuts_nothing_off():
+    """A roof, whose ridge is touched; beside a taller one, which is cut, that is no outline."""
+    roof = np.array([(x, y, 0.0) for y in (0, 2) for x in (0, 1)] + [(0.5, 0, 1.0), (0.5, 2, 1.0)])
+    faces = np.array([(0, 2, 1), (1, 2, 3), (0, 1, 4), (3, 2, 5), (0, 4, 2), (2, 4, 5), (1, 3, 4), (3, 5, 4)])
+    ridge = {"origin": (0, 0, 1.0), "normal": (0, 0, 1)}
+    with pytest.raises(ValueError, match="^argument origin must put .* the normal it only touches it"):
+        jxr.io.section(roof, faces, **ridge)
+    taller = roof * np.array([1.0, 1.0, 1.5]) + np.array([3.0, 0.0, 0.0])
+    (cut,) = jxr.io.section(np.concatenate([roof, taller]), np.concatenate([faces, faces + 6]), **ridge)
+    np.testing.assert_allclose(polygon_area(cut), 2.0 / 3.0)
+
+
+@pytest.mark.parametrize("length", [1e-320, 1e-200, 1e200, 1e300])
+def test_the_normal_of_a_section_may_have_any_length(length):
+    vertices, faces = torus(8, 6)
+    wanted = jxr.io.section(vertices, faces, origin=(1e-4, 0, 0), normal=(1, 0, 0))
+    found = jxr.io.section(vertices, faces, origin=(1e-4, 0, 0), normal=(length, 0, 0))
+    np.testing.assert_allclose(found, wanted)
+
+
 def test_sections_through_vertices_and_past_the_mesh():
     vertices, faces = torus()
     assert len(jxr.io.section(vertices, faces, origin=(0, 0, 0), normal=(0, 0, 1))) == 2
@@ -332,6 +352,8 @@ def test_sections_through_vertices_and_past_the_mesh():
         jxr.io.section(vertices, faces[1:], origin=(0, 0, 1e-4), normal=(0, 0, 1))
     with pytest.raises(ValueError, match="argument normal must be a vector"):
         jxr.io.section(vertices, faces, origin=(0, 0, 0), normal=(0, 0, 0))
+    with pytest.raises(ValueError, match="argument faces must be indices from 0 to 3071, but one was -1"):
+        jxr.io.section(vertices, [*faces, (0, 1, -1)], origin=(0, 0, 0), normal=(0, 0, 1))
     with pytest.raises(ValueError, match="argument vertices must be finite"):
         jxr.io.section(vertices * np.nan, faces, origin=(0, 0, 0), normal=(0, 0, 1))
 

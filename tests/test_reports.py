@@ -288,6 +288,13 @@ def test_a_run_with_one_state_or_none_says_where_it_is(run):
     assert "at end    object: theta 0.2841 rad" in text and "rolled" not in text and "moved" not in text
 
 
+def test_the_start_alone_says_nothing_of_the_energy_balance(run):
+    where = lambda r: (r.ts, r.states, r.residuals, r.multipliers, r.energy)  # noqa: E731
+    first, last = (jax.tree.map(lambda x, k=k: x[k][None], where(run)) for k in (0, -1))
+    assert "balance not known: the start alone was saved" in str(eqx.tree_at(where, run, first))
+    assert "balance within" in str(eqx.tree_at(where, run, last))
+
+
 def test_the_friction_demand_is_stated_and_warned_of(run):
     f, lam = np.asarray(run.multipliers.f), np.asarray(run.multipliers.lam)
     i = int(np.argmax(np.abs(lam / f)))

@@ -13,6 +13,7 @@ import numpy as np
 from .. import plotting
 from .._integration import REMEDIES, report, Trajectory
 from .._mechanics import Grasp
+from .._results import told_apart
 from .._saving import load
 from ._replay_order import ReplayOrder
 
@@ -69,9 +70,10 @@ def _until(run: Trajectory, until: float) -> Trajectory:
     first, last = float(ts[reached].min(initial=np.inf)), float(ts[reached].max(initial=-np.inf))
     count = int(np.sum(reached & (ts <= until)))
     if until > last or count < 2:
+        begin, end, was = told_apart(first, last, until)
         raise ValueError(
-            f"argument --until must be a time by which two states were saved, of a run from {first:g} to "
-            f"{last:g} s, but was {until:g}"
+            f"argument --until must be a time by which two states were saved, of a run from {begin} to "
+            f"{end} s, but was {was}"
         )
     names = (
         "ts",

@@ -13,7 +13,7 @@ import jax.core
 import jax.numpy as jnp
 import numpy as np
 
-from .._results import as_array, as_count, check_instance, concrete, shown
+from .._results import as_array, as_count, check_instance, concrete, shown, told_apart
 
 # What diffrax calls these, for the signatures of packages that leave diffrax to this one.
 Solver = diffrax.AbstractSolver[Any]
@@ -126,7 +126,8 @@ def save_times(t0: Any, t1: Any, ts: Any, dtype: np.dtype) -> tuple[Any, Any, An
     start, end = _scalar("t0", t0, dtype), _scalar("t1", t1, dtype)
     bounds = concrete((start, end))
     if bounds is not None and not bounds[1] > bounds[0]:
-        raise ValueError(f"argument t1 must be above t0 = {bounds[0]:g}, but was {bounds[1]:g}")
+        first, was = told_apart(*bounds)
+        raise ValueError(f"argument t1 must be above t0 = {first}, but was {was}")
     if not isinstance(ts, int | np.integer) or isinstance(ts, bool):
         saved = as_number("ts", ts, dtype)
         check_times(saved, bounds)
@@ -145,13 +146,13 @@ def check_times(saved: Any, bounds: np.ndarray | None = None) -> None:
     seen = concrete(saved)
     if seen is None:
         return
-    if not (np.all(np.diff(seen) > 0) and np.all(np.isfinite(seen))):
+    if not np.all(np.isfinite(seen)):
+        raise ValueError(f"argument ts must be finite, but was {shown(seen)}")
+    if not np.all(np.diff(seen) > 0):
         raise ValueError(f"argument ts must rise strictly, but was {shown(seen)}")
     if bounds is not None and (seen[0] < bounds[0] or seen[-1] > bounds[1]):
-        raise ValueError(
-            f"argument ts must lie within [{bounds[0]:g}, {bounds[1]:g}], "
-            f"but ran from {seen[0]:g} to {seen[-1]:g}"
-        )
+        low, high, first, last = told_apart(*bounds, seen[0], seen[-1])
+        raise ValueError(f"argument ts must lie within [{low}, {high}], but ran from {first} to {last}")
 
 
 def check_choices(name: str, given: Any, known: tuple[str, ...]) -> tuple[str, ...]:
@@ -183,9 +184,9 @@ def _tolerances(rtol: Any, atol: Any, control: Any, dtype: np.dtype) -> tuple[An
     for name, asked, has in zip(("rtol", "atol"), given, own, strict=True):
         seen = None if asked is None else concrete((asked, has))
         if seen is not None and seen[0] != seen[1]:
+            was, its = told_apart(*seen)
             raise ValueError(
-                f"argument {name} must be left to the stepsize_controller, whose own is {seen[1]:g}, "
-                f"but was {seen[0]:g}"
+                f"argument {name} must be left to the stepsize_controller, whose own is {its}, but was {was}"
             )
     return own[0], own[1]
 
@@ -202,10 +203,11 @@ def tolerance(name: str, value: Any, dtype: np.dtype) -> Any:
     if name.endswith("atol"):
         return number
     if not seen < 1:
-        raise ValueError(f"argument {name} must be below 1, but was {seen:g}")
+        raise ValueError(f"argument {name} must be below 1, but was {told_apart(1.0, seen)[1]}")
     if dtype == np.float32 and seen < np.float32(_FLOAT32_FLOOR):
+        floor, was = told_apart(_FLOAT32_FLOOR, seen)
         raise ValueError(
-            f"argument {name} must be at least {_FLOAT32_FLOOR:g} in single precision, but was {seen:g}; "
+            f"argument {name} must be at least {floor} in single precision, but was {was}; "
             "for double precision put jax.config.update('jax_enable_x64', True) first"
         )
     return number

@@ -17,6 +17,9 @@ from .._results import as_array, as_floats, on_host, shown
 from ..geometry import polygon_area
 from ._outline import as_points
 
+# Area below which an outline has none, relative to the square of its extent.
+_NO_AREA = 1e-12
+
 
 @on_host
 def section(vertices: Any, faces: Any, *, origin: Any, normal: Any) -> tuple[np.ndarray, ...]:
@@ -37,7 +40,7 @@ def section(vertices: Any, faces: Any, *, origin: Any, normal: Any) -> tuple[np.
         area first; holes are among them. Consecutive points may coincide, which `fit_contour` mends.
 
     Raises:
-        ValueError: If the plane misses the mesh, or the mesh is not closed there.
+        ValueError: If the plane misses the mesh or only touches it, or the mesh is not closed there.
 
     Example:
         >>> import jaxroll as jxr, numpy as np
@@ -63,6 +66,13 @@ def section(vertices: Any, faces: Any, *, origin: Any, normal: Any) -> tuple[np.
     cut = (1.0 - part) * arms[nodes[:, 0]] + part * arms[nodes[:, 1]]
     points = cut @ _axes(normal).T
     outlines = [points[loop] for loop in _loops(links, len(nodes))]
+    # A plane that only touches a vertex or an edge cuts nothing off: what it leaves there has no area.
+    outlines = [outline for outline in outlines if _has_area(outline)]
+    if not outlines:
+        raise ValueError(
+            "argument origin must put the plane through the mesh, but along the normal it only touches it, "
+            f"and the mesh lies from {heights.min():.4g} to {heights.max():.4g} m of it"
+        )
     outlines = [outline if polygon_area(outline) >= 0.0 else outline[::-1] for outline in outlines]
     return tuple(sorted(outlines, key=polygon_area, reverse=True))
 
@@ -71,12 +81,17 @@ def _unit(normal: Any) -> np.ndarray:
     """The normal scaled to length one."""
     as_array("normal", normal)
     normal = np.asarray(normal, float)
-    length = np.linalg.norm(normal)
-    if normal.shape != (3,) or not 0.0 < length < np.inf:
-        raise ValueError(
-            f"argument normal must be a vector of shape (3,), not zero, but was {normal.tolist()}"
-        )
-    return normal / length
+    if normal.shape != (3,) or not np.all(np.isfinite(normal)) or not normal.any():
+        raise ValueError(f"argument normal must be a vector of shape (3,), not zero, but was {shown(normal)}")
+    # By its largest entry first, whose square may be infinite or zero.
+    normal = normal / np.abs(normal).max()
+    return normal / np.linalg.norm(normal)
+
+
+def _has_area(outline: np.ndarray) -> bool:
+    """Whether an outline encloses more than rounding."""
+    size = float(np.ptp(outline, axis=0).max())
+    return size > 0.0 and abs(polygon_area(outline)) > _NO_AREA * size**2
 
 
 def _faces(faces: Any, count: int) -> np.ndarray:
@@ -86,18 +101,14 @@ def _faces(faces: Any, count: int) -> np.ndarray:
     except (TypeError, ValueError):
         raise ValueError(f"argument faces must be of shape (any, 3), but was {shown(faces)}") from None
     whole = np.issubdtype(faces.dtype, np.integer)
-    if (
-        not whole
-        or faces.ndim != 2
-        or faces.shape[1] != 3
-        or not faces.size
-        or faces.min() < 0
-        or faces.max() >= count
-    ):
+    if not whole or faces.ndim != 2 or faces.shape[1] != 3 or not faces.size:
         raise ValueError(
             f"argument faces must be indices of shape (any, 3) below {count}, but were {faces.dtype} of "
             f"shape {faces.shape}"
         )
+    wrong = faces[(faces < 0) | (faces >= count)]
+    if len(wrong):
+        raise ValueError(f"argument faces must be indices from 0 to {count - 1}, but one was {wrong[0]}")
     return faces.astype(int)
 
 

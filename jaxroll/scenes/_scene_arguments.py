@@ -4,7 +4,7 @@ from typing import Any
 
 from jaxtyping import Array
 
-from .._results import check_instance, concrete, shown
+from .._results import check_instance, concrete, shown, told_apart
 
 
 def as_pair(name: str, value: Any, kind: type, what: str) -> tuple[Any, Any]:
@@ -21,4 +21,5 @@ def check_below(name: str, value: Array, other: str, bound: Array) -> None:
     """Raise unless a concrete value is smaller than another argument."""
     seen, most = concrete(value), concrete(bound)
     if seen is not None and most is not None and not seen < most:
-        raise ValueError(f"argument {name} must be smaller than {other}, {most:g}, but was {seen:g}")
+        limit, was = told_apart(most, seen)
+        raise ValueError(f"argument {name} must be smaller than {other}, {limit}, but was {was}")

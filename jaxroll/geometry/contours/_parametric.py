@@ -27,6 +27,7 @@ from ..._results import (
     check_flag,
     concrete,
     shown,
+    told_apart,
     traceable,
 )
 from ..._types import Given
@@ -172,7 +173,8 @@ def _check(contour: Parametric) -> None:
     if not span[1] > span[0]:
         raise ValueError(f"argument domain must be two numbers that rise, but was {shown(span)}")
     if origin is not None and not span[0] <= origin <= span[1]:
-        raise ValueError(f"argument origin must lie within {span.tolist()}, but was {origin:g}")
+        low, high, was = told_apart(*span, origin)
+        raise ValueError(f"argument origin must lie within [{low}, {high}], but was {was}")
     places = jnp.linspace(span[0], span[1], _LOOKED_AT)
     points = concrete(jax.vmap(lambda u: jnp.asarray(contour.function(u)))(places))
     if points is None:

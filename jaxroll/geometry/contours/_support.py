@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._linalg import sincos, Vec2
-from ..._results import as_array, as_count, as_floats, as_length, concrete, traced
+from ..._results import as_array, as_count, as_floats, as_length, concrete, told_apart, traced
 from ..._types import Given
 from ._arclength import parameters_reaching
 from ._free_numbers import damping, PERTURBED
@@ -159,8 +159,9 @@ class AbstractSupport(AbstractTabulated):
         ends = as_floats("low", low, ()), as_floats("high", high, ())
         seen = concrete(ends[0]), concrete(ends[1])
         if seen[0] is not None and seen[1] is not None and not seen[0] <= seen[1] <= seen[0] + 1.001 * _TURN:
+            least, was = told_apart(*seen)
             raise ValueError(
-                f"argument high must be at most a turn above low, {seen[0]:g} rad, but was {seen[1]:g} rad"
+                f"argument high must be at most a turn above low, {least} rad, but was {was} rad"
             )
         return _margin(self, *ends)
 

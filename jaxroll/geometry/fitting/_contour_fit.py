@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ..._results import as_count, as_floats, check_flag, on_host, shown
+from ..._results import as_count, as_floats, check_flag, on_host, shown, told_apart
 from ..._types import Given
 from ..._xla import quickly
 from .._tabled import tabled
@@ -231,7 +231,8 @@ def _check_length(name: str, value: Any, most: float) -> None:
         else:
             raise ValueError(f"argument {name} must be a length in metres, but was {shown(value)}") from None
     if not 0.0 <= seen <= most:
-        raise ValueError(f"argument {name} must lie between 0 and {most:.3g} m here, but was {seen:g}")
+        limit, was = told_apart(most, seen)
+        raise ValueError(f"argument {name} must lie between 0 and {limit} m here, but was {was}")
 
 
 class Measured(NamedTuple):

@@ -139,7 +139,7 @@ def _alone(values: np.ndarray, scan: Scan, origin: np.ndarray, step: float) -> n
     if others > _SECOND:
         raise ValueError(
             f"argument points must enclose one body, but {100.0 * others:.0f} % of them lie on "
-            f"{count - 1} others"
+            f"{count - 1} other{'s' * (count > 2)}"
         )
     body = np.asarray(binary_fill_holes(numbers == largest + 1))
     size = np.abs(values)

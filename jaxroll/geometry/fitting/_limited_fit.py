@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..._results import told_apart
 from ..contours import polygon_area
 from ._band import Band, found_band
 from ._bounded_curve import Bounded, bounded_curve
@@ -257,10 +258,8 @@ def _check_width(points: np.ndarray, wanted: Wanted) -> None:
     most = 0.5 * width if wanted.closed else float(np.ptp(points, axis=0).max())
     if wanted.radius > most:
         what = "half the least width of the points" if wanted.closed else "the extent of the points"
-        raise ValueError(
-            f"argument smallest_radius must be at most {most:.4g} m here, {what}, but was "
-            f"{wanted.radius:.4g} m"
-        )
+        limit, was = told_apart(most, wanted.radius)
+        raise ValueError(f"argument smallest_radius must be at most {limit} m here, {what}, but was {was} m")
 
 
 def _sparse(points: np.ndarray, wanted: Wanted) -> list[str]:

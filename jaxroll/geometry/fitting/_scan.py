@@ -193,12 +193,12 @@ def as_faces(faces: Given, count: int) -> np.ndarray:
         seen: Any = np.asarray(faces)
     except (TypeError, ValueError):
         seen = np.zeros((0, 3))
-    fair = np.issubdtype(seen.dtype, np.integer) and seen.ndim == 2 and seen.shape[1] == 3 and seen.size
-    if not fair or seen.min() < 0 or seen.max() >= count:
-        raise ValueError(
-            f"argument faces must be whole numbers of shape (any, 3) from 0 to {count - 1}, "
-            f"but was {shown(faces)}"
-        )
+    wanted = f"argument faces must be whole numbers of shape (any, 3) from 0 to {count - 1}, but "
+    if not (np.issubdtype(seen.dtype, np.integer) and seen.ndim == 2 and seen.shape[1] == 3 and seen.size):
+        raise ValueError(f"{wanted}was {shown(faces)}")
+    wrong = seen[(seen < 0) | (seen >= count)]
+    if len(wrong):
+        raise ValueError(f"{wanted}one was {wrong[0]}")
     return seen.astype(int)
 
 

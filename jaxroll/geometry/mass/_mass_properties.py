@@ -118,10 +118,10 @@ def _mesh(vertices: Any, faces: Any) -> tuple[np.ndarray, np.ndarray]:
     given = [x if isinstance(x, np.ndarray | list | tuple) else np.asarray(x) for x in (vertices, faces)]
     corners = np.asarray(as_floats("shape, in its vertices,", given[0], (None, 3)), float)
     whole = np.asarray(as_array("shape, in its faces,", given[1]), float)
-    fits = whole.ndim == 2 and whole.shape[1] == 3 and np.all(whole == np.round(whole))
-    if not fits or whole.size and not (whole.min() >= 0 and whole.max() < len(corners)):
-        raise ValueError(
-            f"argument shape must have faces of three whole numbers from 0 to {len(corners) - 1}, but they "
-            f"were {shown(whole)}"
-        )
+    wanted = f"argument shape must have faces of three whole numbers from 0 to {len(corners) - 1}, but "
+    if whole.ndim != 2 or whole.shape[1] != 3:
+        raise ValueError(f"{wanted}they were {shown(whole)}")
+    wrong = whole[~((whole == np.round(whole)) & (whole >= 0) & (whole < len(corners)))]
+    if len(wrong):
+        raise ValueError(f"{wanted}one was {wrong[0]:g}")
     return corners, whole.astype(int)

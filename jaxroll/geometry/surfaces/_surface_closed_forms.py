@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._linalg import square, Sym3, Vec3
-from ..._results import as_length, concrete, shown, traced
+from ..._results import as_length, concrete, shown, told_apart, traced
 from ..._types import Given, Scalar, Scalars
 from ..._xla import once
 from ._gauss import Gauss3
@@ -138,7 +138,8 @@ class Torus(AbstractImplicit):
         self.major, self.minor = as_length("major", major), as_length("minor", minor)
         seen = concrete(self.major), concrete(self.minor)
         if seen[0] is not None and seen[1] is not None and not seen[0] > seen[1]:
-            raise ValueError(f"argument major must be larger than minor, {seen[1]:g}, but was {seen[0]:g}")
+            was, minor = told_apart(*seen)
+            raise ValueError(f"argument major must be larger than minor, {minor}, but was {was}")
 
     @property
     def smoothness(self) -> float:

@@ -57,7 +57,8 @@ class Parametric(AbstractTabulated):
     Raises:
         ValueError: If the function gives no point, one that is not finite, runs clockwise where it is
             closed, does not close, or another argument does not fit. A curve that stops, or bends more
-            sharply than the cells resolve, is refused where it is first used.
+            sharply than the cells resolve, is refused where it is first used; one that crosses itself where
+            it is to bound an object.
 
     Accuracy: the table's error falls as cells$^{-6}$ (`table_error`); with 1024 cells an ellipse with
     half axes of 20 and 14 mm is met to 1e-16 m in the point and 3e-8 1/m in the curvature.

@@ -257,9 +257,12 @@ def test_positive_numbers_directions_lengths_and_intervals():
     assert said(checks.check_positive, "x", np.array([1.0, -2.0])).endswith("but was [1.0, -2.0]")
     for good in ([0.0, 1e-100], [[3.0, 0.0], [0.0, -4.0]]):
         np.testing.assert_array_equal(checks.check_direction("way", np.array(good)), good)
-    for bad in ([0.0, 0.0], [[1.0, 0.0], [0.0, 0.0]], [1e200, 1e200]):
-        told = f"argument way must not be zero, but was {bad}"
-        assert said(checks.check_direction, "way", np.array(bad)) == told
+    for bad, told in (
+        ([0.0, 0.0], "not be zero, but was [0.0, 0.0]"),
+        ([[1.0, 0.0], [0.0, 0.0]], "not be zero, but was [0.0, 0.0]"),
+        ([1e200, 1e200], "be of a length whose square is a number, but was [1e+200, 1e+200]"),
+    ):
+        assert said(checks.check_direction, "way", np.array(bad)) == f"argument way must {told}"
     assert [float(checks.as_length("a", x)) for x in (1e-12, 1e9)] == [1e-12, 1e9]
     for bad in (0.9e-12, 1.1e9):
         told = f"argument a must lie between 1e-12 and 1e+09 m, but was {bad:g}"
@@ -350,8 +353,8 @@ REFUSED_TIMES = {
     "late": ((1.0, 2.0, [1.5, 2.5]), {}, "argument ts must lie within [1, 2], but ran from 1.5 to 2.5"),
     "early": ((1.0, 2.0, [0.5, 1.5]), {}, "argument ts must lie within [1, 2], but ran from 0.5 to 1.5"),
     "equal": ((1.0, 2.0, [1.5, 1.5]), {}, "argument ts must rise strictly, but was [1.5, 1.5]"),
-    "no number": ((1.0, 2.0, [1.5, math.nan]), {}, "argument ts must rise strictly, but was [1.5, nan]"),
-    "only infinite": ((1.0, 2.0, [math.inf]), {}, "argument ts must rise strictly, but was [inf]"),
+    "no number": ((1.0, 2.0, [1.5, math.nan]), {}, "argument ts must be finite, but was [1.5, nan]"),
+    "only infinite": ((1.0, 2.0, [math.inf]), {}, "argument ts must be finite, but was [inf]"),
     "none": (
         (1.0, 2.0, []),
         {},

@@ -287,7 +287,7 @@ def test_a_twentieth_of_a_scan_may_lie_on_other_bodies(share, fair):
     outward = np.array([(-1.0, 0.0, 0.0), (1.0, 0.0, 0.0)])
     points = np.array([(2.0, 4.0, 4.0), (14.0, 4.0, 4.0)]) + 0.9 * outward
     scan = _scan.Scan(points + (0.5, 0.0, 0.0), outward, np.array([1.0 - share, share]), np.ones(2), 1.0)
-    with refused(r"but 5 % of them lie on 1 others", not fair):
+    with refused(r"but 5 % of them lie on 1 other$", not fair):
         found = _indicator._alone(values, scan, np.array([0.5, 0.0, 0.0]), 1.0)
         assert (found < 0.0).sum() == 6 * 16 and (found[12:15] > 0.0).all()
 

@@ -799,7 +799,7 @@ def test_vertices_in_the_plane_count_as_above_it():
     ],
 )
 def test_faces_are_indices_of_three_vertices(faces):
-    with pytest.raises(ValueError, match="argument faces must be (indices )?of shape"):
+    with pytest.raises(ValueError, match="argument faces must be (indices )?(of shape|from 0 to 7)"):
         jxr.io.section(BLOCK, faces, origin=(0.02, 0.0, 0.01), normal=(0, 0, 1))
 
 

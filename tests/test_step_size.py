@@ -174,9 +174,9 @@ def test_a_run_begins_at_rest():
         ((0.2, 3.0, 1.0, 0.0, INF, 1.0), 0.25, 0.15),  # the root of a line that falls from 3 to -1
         ((0.2, 0.15, 0.05, 0.0, INF, 1.0), 0.125, 0.125),
         ((0.2, 0.15, 0.05, 0.0, INF, 1.0), 0.25, 0.15),
-        ((0.2, 0.0, 0.0, 0.0, INF, 1.0), 0.25, 0.1),  # nothing known of its ends: the middle
-        ((0.2, 0.0, 1.0, 0.0, INF, 64.0), 0.25, 64.0 * rounding(2.0)),
-        ((0.2, 0.0, 1e-9, 0.0, INF, 1.0), 0.25, 0.2 * SMALLEST / (1e-9 + SMALLEST)),  # zero to rounding
+        ((0.2, 0.0, 1.0, 0.0, INF, 64.0), 0.25, np.sqrt(0.2 * 64.0 * rounding(2.0))),  # zero, to rounding
+        ((0.2, 0.0, 0.0, 1.0, INF, 1.0), 0.25, np.sqrt(0.2 * rounding(2.0))),
+        ((0.2, 0.0, 1.0, -1.0, INF, 1.0), 0.25, 0.1),
         ((1e-15, 1.0, 0.0, 0.0, INF, 1.0), 0.25, rounding(2.0)),  # too short to halve
     ],
 )

@@ -155,12 +155,14 @@ class StopAt(eqx.Module):
         # The root of the line through (0, low) and (beyond, -high); within the bracket by at least one grain.
         pace = self.pace
         hunt, least = pace.hunt, pace.hunt.grain * resolution(t0)
-        # A margin that is zero is so to rounding, at times for thousands of grains: where it is a difference,
-        # as of an angle from its limit, its own grains are coarser. The line then begins at rounding's size.
-        # Where the margin ahead is not finite, and this one stands for it, the secant still bisects.
-        low = jnp.where(hunt.low > 0, hunt.low, jnp.finfo(t0.dtype).eps)
-        high = jnp.where(hunt.high > 0, hunt.high, low)
-        guess = hunt.beyond * (low / (low + high))
+        # A margin of zero is so to rounding, at times for thousands of grains: where it is a difference, as
+        # of an angle from its limit, its own grains are coarser. The secant knows nothing then. The root is
+        # near: the guess is the geometric mean of one grain and the bracket, or its middle where that was
+        # too near.
+        weight = hunt.low + hunt.high
+        secant = hunt.beyond * (hunt.low / jnp.where(weight > 0, weight, 1.0))
+        near = jnp.where(hunt.side < 0, 0.5 * hunt.beyond, jnp.sqrt(hunt.beyond * least))
+        guess = jnp.where(hunt.low > 0, secant, near)
         guess = jnp.clip(guess, least, jnp.maximum(hunt.beyond - least, least))
         return t0 + jnp.minimum(jnp.where(jnp.isfinite(hunt.beyond), guess, hunt.leap), pace.length)
 

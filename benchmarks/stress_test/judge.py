@@ -280,7 +280,7 @@ class Judge:
                 before, after = (side[name][np.arange(len(which)), 0, which] for side in sides)
                 found[f"drift_{name}"] = after - before
                 found[f"slope_{name}"] = np.abs(after - before) / (2.0 * step[:, 0])
-        return found
+        return found | {"aside": step[:, 0]}
 
     def _depths(self, base: Run, whole: Run, others: Sequence[Run]) -> np.ndarray:
         """How far a limit is passed that ended the run with many saved times, and not the other one.
@@ -456,7 +456,9 @@ def _cause(code: str, m: dict[str, Any], slack: float) -> list[str]:
         at_start = m["t_end"] == 0.0
         if value > limit or (value < -limit and not at_start):
             return [] if _beside_pole(m) else [f"cause: {name} is {value:.1e} at the end"]
-        if not drift < 0 and not at_start:
+        # So near the start the judge's step leads before it, and what sets off from rest comes from where it
+        # goes to.
+        if not drift < 0 and m["t_end"] > m["aside"]:
             return [f"cause: {name} does not fall through zero ({drift:.1e})"]
         singular = min(m["end_bend"], m["end_firmness"])
         return [f"cause: singular ({singular:.1e})"] if singular < _ZERO else []

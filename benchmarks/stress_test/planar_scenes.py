@@ -369,13 +369,14 @@ class _Arranged:
         scene["s"] = np.zeros((lanes, len(scene["contacts"])))
 
     def _limit(self) -> None:
-        """Ranges of all joints, whose ends are far from the start, near it or just there."""
-        last = self.scene["q"].shape[1]
+        """Ranges of all joints: ends near the start or just there, of half the scenes out of reach."""
+        last, far = self.scene["q"].shape[1], self.rng.uniform(size=self.lanes) < 0.5
         for finger in reversed(self.scene["fingers"]):
             first = last - finger["joints"]
             q = self.scene["q"][:, first:last, None]
             room = spread(self.rng, 1e-5, 3.0, self.lanes, finger["joints"], 2)
             room[..., 0][self.rng.uniform(size=room.shape[:2]) < 0.05] = 0.0
+            room[far] = 30.0
             finger["limits"] = q + room * np.array([-1.0, 1.0])
             last = first
 

@@ -17,7 +17,7 @@ _PIVOT: dict[str, Any] = {"free": False, "control": "servo"}
 # Scenes with nothing against them but the spread of their numbers.
 _RANDOM = (
     Structure("pinch-circle", ("circle",), ("circle", "circle"), (2, 2), touch=_TWO),
-    Structure("pinch-ellipse", ("ellipse",), ("ellipse", "circle"), (2, 3), touch=_TWO),
+    Structure("pinch-ellipse", ("ellipse",), ("ellipse", "circle"), (2, 3), touch=_TWO, twist="limits"),
     Structure("pinch-faces", ("line", "line"), ("catenary", "catenary"), (3, 2), friction=True, gravity=True),
     Structure("pinch-four", ("ellipse",), ("circle", "circle"), (4, 4), touch=_TWO),
     Structure("pinch-one", ("circle",), ("circle", "circle"), (1, 1), touch=_TWO, friction=True),
@@ -44,7 +44,7 @@ _RANDOM = (
     ),
     Structure("pivot-catenary", ("catenary",), ("catenary",), (2,), chunks=7, **_HELD),
     Structure("pivot-circle", ("circle",), ("circle",), (2,), gravity=True, friction=True, chunks=7, **_HELD),
-    Structure("pivot-ellipse", ("ellipse",), ("circle",), (4,), **_PIVOT),
+    Structure("pivot-ellipse", ("ellipse",), ("circle",), (4,), twist="limits", **_PIVOT),
     Structure("pivot-support", ("support",), ("ellipse",), (3,), gravity=True, friction=True, **_PIVOT),
     Structure("pivot-spline", ("spline",), ("spline",), (2,), friction=True, chunks=3, **_HELD),
     Structure(
@@ -89,8 +89,6 @@ _HARD = (
     Structure(
         "graze-slip", ("circle",), ("line",), ("jaw0",), friction=True, twist="graze", chunks=7, **_FLAT
     ),
-    Structure("limits", ("ellipse",), ("circle",), (3,), gravity=True, twist="limits", **_PIVOT),
-    Structure("limits-pinch", ("ellipse",), ("circle", "circle"), (2, 3), touch=_TWO, twist="limits"),
     Structure("tolerance", ("catenary",), ("circle",), (2,), twist="tolerance", **_PIVOT),
     Structure("tolerance-pinch", ("ellipse",), ("circle", "circle"), (2, 2), touch=_TWO, twist="tolerance"),
     Structure("single", ("circle",), ("catenary",), (2,), twist="single", **_HELD),

@@ -23,12 +23,14 @@ from ._integration import (
     check_choices,
     check_one_run,
     contact_name,
+    FLAT,
     ProgressMeter,
     RECORDS,
     REMEDIES,
     RTOL,
     RunOptions,
     simulate,
+    SINGULAR,
     Solver,
     StepSizeControl,
     Trajectory,
@@ -42,9 +44,6 @@ from .contact import Contact
 from .control import Sampled
 from .stability import assess, Stability, VERDICTS
 
-# Relative sizes below which a sum of curvatures and a pivot count as zero: those at which runs end
-# (`_integration._events`).
-_FLAT, _SINGULAR = 1e-4, 1e-9
 # If no coordinate of a run changed by more than this [m or rad], no direction is given.
 _STILL = 1e-9
 # Coordinates that change by less than this share of the largest change are left out of a direction.
@@ -324,14 +323,14 @@ def _early(grasp: Grasp, start: Bearing, ended: int) -> tuple[str, str, int] | N
     rounding, it is the one at which the run `ended`.
     """
     curvature, f = np.asarray(start.curvature), _pressing(grasp, start)
-    if not np.all(curvature > _FLAT):
+    if not np.all(curvature > FLAT):
         at = int(np.argmin(curvature))
         name = contact_name(grasp.labels, at)
         told = (
-            f"fails at the start: {name} is singular, the sum of its curvatures is not positive to {_FLAT:g}"
+            f"fails at the start: {name} is singular, the sum of its curvatures is not positive to {FLAT:g}"
         )
         return told, REMEDIES["singular_contact"], at
-    if not float(start.pivot) > _SINGULAR:
+    if not float(start.pivot) > SINGULAR:
         told = (
             "fails at the start: contacts are redundant or an arm is straight, so that forces have no answer"
         )
@@ -420,7 +419,7 @@ def _singular(grasp: Grasp, at: Bearing) -> str:
     """The line on whether a contact or an arm is singular."""
     curvature, pivot = np.asarray(at.curvature), float(at.pivot)
     least = int(np.argmin(curvature))
-    fine = curvature[least] > _FLAT and pivot > _SINGULAR
+    fine = curvature[least] > FLAT and pivot > SINGULAR
     told = f"curvatures add up to {curvature[least]:.3g} of their size (contact {least}, the least)"
     return f"{'no' if fine else 'yes'}, {told}; smallest pivot {pivot:.3g}"
 

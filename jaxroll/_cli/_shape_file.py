@@ -265,9 +265,8 @@ def _image(path: Path) -> np.ndarray:
 
     try:
         with Image.open(path) as picture:
-            if picture.mode.startswith(
-                ("I", "F")
-            ):  # grey values of more than 8 bits, which "RGB" would cut off
+            # Grey values of more than 8 bits, which "RGB" would cut off.
+            if picture.mode.startswith(("I", "F")):
                 grey = np.asarray(picture, float)
                 return np.stack([grey, grey, grey], axis=-1)
             clear = picture.mode in ("RGBA", "LA", "PA", "RGBa", "La") or "transparency" in picture.info

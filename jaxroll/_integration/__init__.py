@@ -34,7 +34,7 @@ from ._dataset import (
     open_table as open_table,
     xarray_module as xarray_module,
 )
-from ._events import link_distances as link_distances
+from ._events import FLAT as FLAT, link_distances as link_distances, SINGULAR as SINGULAR
 from ._report import (
     amount as amount,
     cause as cause,

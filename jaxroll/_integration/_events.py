@@ -44,11 +44,11 @@ from ..contact import (
 # _FIRM: a pivot is small all along a run whose masses differ by decades, and the smallest margin would hide
 # forces that fall below zero and rise again between two stages (lane 1956 of the structure `tolerance-pinch`,
 # seed 5 of `benchmarks.stress`: a pivot of 0.004 beside forces of 0.2 N).
-_SINGULAR, _FIRM = 1e-9, 1e6
+SINGULAR, _FIRM = 1e-9, 1e6
 # Relative size below which a sum of curvatures counts as zero. The rolling rate is proportional to its
 # inverse, (7), so that near zero the sum falls as the square root of the time that is left. At this size some
 # 1e-10 s are left, enough for a step to end there; at a smaller one it would be less than the shortest step.
-_FLAT = 1e-4
+FLAT = 1e-4
 # Share of the largest contact impulse that counts as zero: a blow often leaves a contact alone, to rounding.
 _BALANCED = 1e-9
 # A joint may start at an end of its range, as those of a hand do that is stretched out, and leave it: the
@@ -253,9 +253,9 @@ def _geometry(grasp: Grasp, leaves: Leaves, instant: Instant) -> list[Limit]:
         for (c, pair, t), place in zip(_each_contact(grasp, instant), leaves.s, strict=True)
     ]
     # Added with its sign: a constant that is subtracted becomes a negation, which XLA moves (`_xla._loops`).
-    limits += [Limit(m + -_FLAT, _numbered(_SINGULAR_CONTACT, i)) for i, m in enumerate(bends)]
+    limits += [Limit(m + -FLAT, _numbered(_SINGULAR_CONTACT, i)) for i, m in enumerate(bends)]
     # The pivot belongs to all contacts together.
-    pivot = (instant.line.schur.smallest_pivot + -_SINGULAR) * _FIRM
+    pivot = (instant.line.schur.smallest_pivot + -SINGULAR) * _FIRM
     return [*limits, Limit(pivot, _numbered(_SINGULAR_CONTACT, None))]
 
 
@@ -322,7 +322,7 @@ def refused_blow(grasp: Grasp, done: Struck, events: tuple[str, ...]) -> tuple[S
 def are_redundant(done: Struck) -> Scalar:
     """Whether contacts hold some motion twice, so that their impulses are not determined."""
     pivot = done.line.schur.smallest_pivot
-    return jnp.isnan(pivot) | (pivot < _SINGULAR)
+    return jnp.isnan(pivot) | (pivot < SINGULAR)
 
 
 def _clearances(grasp: Grasp, leaves: Leaves) -> list[Scalar]:

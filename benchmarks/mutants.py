@@ -131,8 +131,8 @@ EQUIVALENT: dict[tuple[str, ...], str] = {
         "(finger.turns)",
     ): "what has no joints, a stage, does not turn",
     (
-        "jaxroll/io/_vector.py",
-        "_check_scale",
+        "jaxroll/io/_drawing.py",
+        "check_scale",
         "abs(scale / stated - 1.0) > 1e-3",
         "(abs(scale / stated - 1.0) >= 0.001)",
     ): "no drawing states a unit that is off by just that",

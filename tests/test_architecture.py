@@ -65,8 +65,8 @@ DOORS = {
 # Libraries of the extras `cad`, `viz`, `data` and `cluster`: one file each, imported with the first use; dask
 # is nowhere imported, since whoever has a client of it has imported it.
 LAZY_DOORS = {
-    "svgpathtools": "io/_vector.py",
-    "ezdxf": "io/_vector.py",
+    "svgpathtools": "io/_svg.py",
+    "ezdxf": "io/_dxf.py",
     "trimesh": "io/_mesh.py",
     "mapbox_earcut": "io/_mesh.py",
     "skimage": "io/_image.py",
@@ -153,7 +153,7 @@ def test_libraries_of_the_extra_have_one_lazy_door_each():
     trees = {p: ast.parse(p.read_text()) for p in FILES}
     assert not [v for p, tree in trees.items() for v in lazy_violations(p, tree)]
     bad = ast.parse("import ezdxf\ndef f():\n    import trimesh\n")
-    assert len(list(lazy_violations(ROOT / "io" / "_vector.py", bad))) == 2
+    assert len(list(lazy_violations(ROOT / "io" / "_svg.py", bad))) == 2
 
 
 def test_the_import_check_sees_a_bad_import():

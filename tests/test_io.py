@@ -11,7 +11,7 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll.geometry import polygon_area
-from jaxroll.io import _outline, _tables, _vector
+from jaxroll.io import _drawing, _outline, _svg, _tables
 from jaxroll.io._mesh import spread_points
 from jaxroll.io._outline import chosen, even, filled_places, filled_polygon
 
@@ -594,9 +594,9 @@ def test_which_tables_are_read_at_once(monkeypatch):
 
 def test_an_outline_that_is_not_finite_is_named():
     points = np.array([[0.0, 1.0], [np.nan, 2.0]])
-    assert _vector._finite(points[:1], pathlib.Path("a.svg")) is not None
+    assert _drawing.finite(points[:1], pathlib.Path("a.svg")) is not None
     with pytest.raises(ValueError, match="outline of finite points, but that of a.svg is not"):
-        _vector._finite(points, pathlib.Path("a.svg"))
+        _drawing.finite(points, pathlib.Path("a.svg"))
 
 
 def test_points_of_a_ply(tmp_path):
@@ -901,7 +901,7 @@ def along(text, samples, fill=True):
     """Points of one SVG path, by hand without a file."""
     from svgpathtools import parse_path
 
-    return _vector._along(parse_path(text), np.eye(3), samples, fill)
+    return _svg._along(parse_path(text), np.eye(3), samples, fill)
 
 
 def test_points_along_an_open_path_with_an_arc():

@@ -1,6 +1,7 @@
 """Outlines from colour photographs, and from drawings with arcs and corners, to contours."""
 
 import io
+import re
 
 import numpy as np
 import pytest
@@ -374,10 +375,49 @@ def test_what_an_svg_shows_is_read_and_what_it_hides_is_not(case, tmp_path):
     np.testing.assert_allclose([*points.min(axis=0), *points.max(axis=0)], box, atol=1e-9)
 
 
+# Clip paths: two squares side by side, and one stated in shares; a class for the first.
+SHEET = """<style>.cut, .other {clip-path: url('#near')} g .a {fill: red} circle {display: none}</style>
+<clipPath id="near"><rect width="10" height="10"/><rect width="10" height="10" transform="translate(10 0)"/>
+</clipPath><clipPath id="shares" clipPathUnits="objectBoundingBox"><rect width="1" height="1"/></clipPath>
+<circle r="50"/>"""
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        '<rect width="20" height="10" class="cut"/>',
+        '<rect width="15" height="9.5" class="cut"/>',
+        '<rect width="6" height="3" transform="scale(3)" class="cut"/>',
+        '<g class="cut" transform="translate(2 5)"><path d="M 1 1 L 15 1 A 4 4 0 0 1 15 9 Z"/></g>',
+        '<rect width="90" height="90" class="cut" style="clip-path: none"/>',
+        '<circle r="80" style="display: inline"/>',
+        '<clipPath id="hole"><path d="M 0 0 H 99 V 99 H 0 Z M 40 40 V 60 H 60 V 40 Z"/></clipPath>'
+        '<rect width="39" height="99" clip-path="url(#hole)"/>',
+    ],
+)
+def test_a_clip_path_that_cuts_nothing_off_changes_nothing(content, tmp_path):
+    """The outline is the same where its clip is taken away."""
+    path = drawing(tmp_path, SHEET + content)
+    points = jxr.io.read_points(path, unit="mm")
+    alone = re.sub(r'class="cut"|clip-path=".*?"', "", content.split("</clipPath>")[-1])
+    np.testing.assert_array_equal(points, jxr.io.read_points(drawing(tmp_path, alone), unit="mm"))
+
+
 # What an SVG holds that cannot be read, with words of the reason.
 UNREAD = {
+    '<clipPath id="hole"><path d="M 0 0 H 99 V 99 H 0 Z M 40 40 V 60 H 60 V 40 Z"/></clipPath>'
+    '<rect x="45" y="45" width="9" height="9" clip-path="url(#hole)"/>': "cut off by a clip path",
     "<text>none</text>": "argument path must name a drawing with an outline, but drawing.svg has none",
-    '<use href="#b"/>': "what a use refers to, '#b', is not in the file",
+    '<use href="#b"/>': "what a use or a clip refers to, '#b', is not in the file",
+    f'<g clip-path="url(#b)">{SMALL}</g>': "what a use or a clip refers to, '#b', is not in the file",
+    f'<g clip-path="circle(50%)">{SMALL}</g>': "what a use or a clip refers to, 'circle(50%)', is not",
+    f'{SHEET}<g style="clip-path: url(#near)"><rect width="9" height="30"/></g>': "is cut off by a clip path",
+    f'{SHEET}<rect class="cut" width="30" height="9"/>': "an outline is cut off by a clip path",
+    f'{SHEET}<g class="cut"><rect transform="scale(3)" width="8" height="3"/></g>': "cut off by a clip path",
+    f'{SHEET}<rect width="4" height="3" clip-path="url(#shares)"/>': "#shares clips in shares of what",
+    '<rect width="4" height="3" mask="url(#b)"/>': "a rect has a mask",
+    f"<style>g .a {{display: none}}</style>{SMALL}": "rule for g .a is not for one class, name or kind",
+    '<style>rect {transform: scale(2)}</style><rect width="4" height="3"/>': "a rect stands in its style",
     '<g id="a"><use href="#a"/></g>': "a use of #a stands within what it refers to",
     '<rect width="4" height="3" transform="scale(2) turn(3)"/>': "invalid SVG transform",
     '<rect width="4" height="3" style="transform: scale(2)"/>': "the transform of a rect stands in its style",
@@ -439,6 +479,7 @@ def test_an_svg_that_is_stretched_is_refused(tmp_path):
 def test_blocks_and_layers_of_a_dxf(tmp_path):
     """Of blocks within blocks each part is in its place; what is frozen, off or invisible is not there."""
     import ezdxf
+    from ezdxf.xclip import XClip
 
     drawing = ezdxf.new(units=ezdxf.units.MM)
     for name in ("frozen", "off", "shown"):
@@ -466,5 +507,15 @@ def test_blocks_and_layers_of_a_dxf(tmp_path):
     # An ellipse of 2 by 4 about (110, 32), three circles in a row, and the square.
     expected = [[108, 28, 112, 36], *([20 * i - 1, 198, 20 * i + 3, 202] for i in range(3)), [0, 0, 1, 1]]
     np.testing.assert_allclose(sorted(boxes), sorted(expected), atol=1e-3)
+    XClip(grid).set_block_clipping_path([(0, 0), (1, 1)])
+    drawing.saveas(tmp_path / "clipped.dxf")
+    with pytest.raises(ValueError, match="clipped.dxf could not be read: \"block 'inner' is clipped\""):
+        jxr.io.read_points(tmp_path / "clipped.dxf", unit="mm")
+    XClip(grid).disable_clipping()
+    drawing.saveas(tmp_path / "clipped.dxf")
+    np.testing.assert_array_equal(
+        jxr.io.read_points(tmp_path / "clipped.dxf", unit="mm"),
+        jxr.io.read_points(tmp_path / "blocks.dxf", unit="mm"),
+    )
     with pytest.raises(ValueError, match="below the number of outlines in blocks.dxf, 5, but was 5"):
         jxr.io.read_points(tmp_path / "blocks.dxf", unit="mm", which=5)

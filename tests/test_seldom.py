@@ -26,7 +26,7 @@ from jaxroll.geometry.contours._given_points import numbers, polygon_area
 from jaxroll.geometry.fitting import _surface_fit
 from jaxroll.geometry.fitting._surface_fit import _deviation
 from jaxroll.geometry.mass._moments import checked
-from jaxroll.io import _outline, _section, _tables, _vector
+from jaxroll.io import _outline, _section, _svg, _tables
 from jaxroll.plotting import _doors, _meshes, _motion3, _scene3, _style
 
 TURN = 2.0 * np.pi * np.arange(40) / 40
@@ -231,9 +231,9 @@ def test_tables_have_as_many_columns_as_their_first_line_with_a_number(tmp_path)
 
 
 def test_a_drawing_without_a_box_counts_pixels_of_an_inch():
-    assert _vector._svg_scale({"width": "60mm"}, None) == 0.0254 / 96
-    assert _vector._svg_scale({"width": "60mm", "viewBox": "0,0,30,30"}, None) == pytest.approx(2e-3)
-    assert _vector._svg_scale({"width": "60"}, None) is None
+    assert _svg._svg_scale({"width": "60mm"}, None) == 0.0254 / 96
+    assert _svg._svg_scale({"width": "60mm", "viewBox": "0,0,30,30"}, None) == pytest.approx(2e-3)
+    assert _svg._svg_scale({"width": "60"}, None) is None
 
 
 def test_motions_that_do_not_fit_their_grasp():

@@ -1,6 +1,6 @@
 """Points from files and outlines to files; the file's ending says which kind it is.
 
-The readers and writers of `_tables` and `_vector` work in the file's own unit; here their numbers are
+The readers and writers of `_tables`, `_svg` and `_dxf` work in the file's own unit; here their numbers are
 converted from and to metres.
 """
 
@@ -11,11 +11,13 @@ import numpy as np
 
 from .._results import as_count, check_flag, check_instance, on_host, shown
 from ..geometry import AbstractContour, metres_per
+from ._drawing import drawn_outline
+from ._dxf import read_dxf, write_dxf
 from ._mesh import read_ply_points
 from ._outline import outline, positive
 from ._paths import as_path, readable, writable
+from ._svg import read_svg, write_svg
 from ._tables import read_csv, read_npy, write_csv
-from ._vector import drawn_outline, read_dxf, read_svg, write_dxf, write_svg
 
 _READ = (".csv", ".txt", ".dat", ".npy", ".svg", ".dxf")
 # Points along an outline of a drawing with curved pieces, unless a caller asks for others.

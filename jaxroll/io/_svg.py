@@ -1,43 +1,37 @@
-"""Outlines as drawings, SVG and DXF; the only file that imports svgpathtools and ezdxf.
+"""Outlines in SVG files; the only file that imports svgpathtools.
 
 Everything here is in the drawing's own unit; `scale` is the caller's statement of it, in metres, and is
 compared with what the drawing says of itself. A path of straight pieces gives its corners; one with curved
-pieces gives points at equal distances along it: of an SVG on the curve itself, of a DXF on a polygon that
-follows it within 1e-7 of the drawing's size. `_files` calls the readers and writers.
+pieces gives points at equal distances on the curve itself. `_files` calls the reader and the writer; `_dxf`
+has the like for DXF.
 """
 
-import contextlib
 import re
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from .._results import shown
+from ._drawing import check_scale, reading, without_outline
 from ._extra import missing
-from ._outline import chosen, even, filled_places, filled_polygon
+from ._outline import filled_places, filled_polygon
 
-# Least angles [rad] of a corner: between straight pieces, between any, and in a polygon along a curve.
-_ANY, _SHARP, _ALONG = 1e-9, 0.02, 0.1
+# Least angles [rad] of a corner: between straight pieces, and between any.
+_ANY, _SHARP = 1e-9, 0.02
 _FINE = 64  # intervals of the parameter of a curved piece, from which its length is summed
-_GROUPS = ("svg", "g", "a", "switch")  # parts of an SVG that show what is in them
-# Metres in the units in which an SVG may state its width; metres in a DXF's unit by the code that it states
-# ($INSUNITS), and the code of each unit that is written.
-_LENGTHS = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "pt": 0.0254 / 72, "pc": 0.0254 / 6, "q": 2.5e-4}
-_CODES = {
-    **{1: 0.0254, 2: 0.3048, 3: 1609.344, 4: 1e-3, 5: 1e-2, 6: 1.0, 7: 1e3, 8: 2.54e-8, 9: 2.54e-5},
-    **{10: 0.9144, 11: 1e-10, 12: 1e-9, 13: 1e-6, 14: 0.1, 15: 10.0, 16: 100.0, 17: 1e9},
-    **{18: 1.495978707e11, 19: 9.4607304725808e15, 20: 3.0856775814913673e16},
-    # Foot, inch, yard and mile of the survey of the United States.
-    **{21: 1200 / 3937, 22: 100 / 3937, 23: 3600 / 3937, 24: 6_336_000 / 3937},
+# How a part of an SVG may be shown, by attributes, styles and rules, and the values that do nothing.
+_SHOWN = {
+    "display": ("inline", "block"),
+    "visibility": ("visible",),
+    **dict.fromkeys(("transform", "clip-path", "mask"), ("none",)),
 }
-# Kinds of a DXF's entities that are outlines, or parts of one.
-_CURVES = ("LWPOLYLINE", "POLYLINE", "SPLINE", "ARC", "CIRCLE", "ELLIPSE", "LINE")
-_CODE_OF = {"in": 1, "mm": 4, "m": 6, "um": 13}
+_GROUPS = ("svg", "g", "a", "switch")  # parts of an SVG that show what is in them
+# Metres in the units in which a drawing may state its width.
+_LENGTHS = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "pt": 0.0254 / 72, "pc": 0.0254 / 6, "q": 2.5e-4}
 
 
 def read_svg(path: Path, scale: float, samples: int, *, fill: bool) -> list[np.ndarray]:
@@ -53,23 +47,39 @@ def read_svg(path: Path, scale: float, samples: int, *, fill: bool) -> list[np.n
         from svgpathtools import parse_path
     except ImportError:
         raise missing("svgpathtools") from None
-    with _read(path):
+    with reading(path):
         root = ElementTree.parse(path).getroot()
         # One path may hold several outlines.
         drawn = [
-            (piece, matrix)
-            for text, matrix in _Walk(root).tracks()
-            for piece in parse_path(text).continuous_subpaths()
+            (piece, track)
+            for track in _Walk(root).tracks()
+            for piece in parse_path(track.text).continuous_subpaths()
             if len(piece)
         ]
-    _check_scale(scale, _svg_scale(root, path), path)
+    check_scale(scale, _svg_scale(root, path), path)
     if not drawn:
-        raise _without_outline(path)
-    return [_along(piece, matrix, samples, fill) for piece, matrix in drawn]
+        raise without_outline(path)
+    outlines = [_along(piece, track.matrix, samples, fill) for piece, track in drawn]
+    with reading(path):
+        for outline, (_, track) in zip(outlines, drawn, strict=True):
+            for clip in track.clips:
+                _check_within(outline, clip)
+    return outlines
+
+
+class _Track(NamedTuple):
+    """A shape of an SVG: the text of a path, the matrix to the drawing's coordinates, and what clips it.
+
+    Of each clip path the shapes: what lies in none of them is not shown.
+    """
+
+    text: str
+    matrix: np.ndarray
+    clips: tuple[tuple["_Track", ...], ...]
 
 
 class _Walk:
-    """Every shape that an SVG shows, as the text of a path, with the matrix to the drawing's coordinates.
+    """Every shape that an SVG shows.
 
     The matrices are not applied to the curves but to points on them: an ellipse's arc that is tilted and then
     mirrored or stretched has other axes, which svgpathtools gets wrong.
@@ -78,24 +88,27 @@ class _Walk:
     def __init__(self, root: Element) -> None:
         self.root = root
         self.named = {part.get("id"): part for part in root.iter() if part.get("id")}
-        # Programs hide layers by rules for a class (".a") or a name ("#a") too; no others are known here.
-        sheets = " ".join(part.text or "" for part in root.iter() if _kind(part) == "style")
-        self.hidden = {
-            name.strip()
-            for names, rules in re.findall(
-                r"([^{}]*){([^{}]*)}", re.sub(r"/\*.*?\*/", "", sheets, flags=re.S)
-            )
-            if _rules(rules).get("display") == "none"
-            for name in names.split(",")
-        }
+        self.rules = _style_rules(root)
 
-    def tracks(self) -> Iterator[tuple[str, np.ndarray]]:
-        """Texts of paths and their matrices, y up."""
-        yield from self._below(self.root, np.diag([1.0, -1.0, 1.0]), "visible", ())
+    def _said(self, part: Element, rule: str, default: str) -> str:
+        """How a part is shown, by its style, else by the drawing's rules, else by its attribute."""
+        said, classes = part.get(rule, default), part.get("class", "").split()
+        for name in (_kind(part), *(f".{name}" for name in classes), f"#{part.get('id')}"):
+            said = self.rules.get(name, {}).get(rule, said)
+        return _rules(part.get("style", "")).get(rule, said)
+
+    def tracks(self) -> Iterator[_Track]:
+        """The shapes, y up."""
+        yield from self._below(self.root, np.diag([1.0, -1.0, 1.0]), "visible", (), ())
 
     def _below(
-        self, part: Element, matrix: np.ndarray, visibility: str, users: tuple[Element, ...]
-    ) -> Iterator[tuple[str, np.ndarray]]:
+        self,
+        part: Element,
+        matrix: np.ndarray,
+        visibility: str,
+        users: tuple[Element, ...],
+        clips: tuple[tuple[_Track, ...], ...],
+    ) -> Iterator[_Track]:
         """The shapes of one part of the drawing.
 
         Args:
@@ -103,44 +116,58 @@ class _Walk:
             matrix: From the coordinates around it to those of the drawing.
             visibility: What it is where the part does not say: unlike `display`, it may be overruled below.
             users: The references by which the part was reached, the last one last.
+            clips: What the parts around it are clipped to.
         """
         from svgpathtools.document import CONVERSIONS
         from svgpathtools.parser import parse_transform
 
-        kind, style = _kind(part), _rules(part.get("style", ""))
-        referred = bool(users) and self._target(users[-1]) is part
-        if kind not in (*CONVERSIONS, "use", *_GROUPS) and not (kind == "symbol" and referred):
+        kind, referred = _kind(part), bool(users) and self._target(users[-1]) is part
+        if kind not in (*CONVERSIONS, "use", *_GROUPS) and not (kind in ("symbol", "clipPath") and referred):
             return
-        visibility = style.get("visibility", part.get("visibility", visibility))
-        names = [f".{name}" for name in part.get("class", "").split()] + [f"#{part.get('id')}"]
-        by_name = None if self.hidden.isdisjoint(names) else "none"
-        if style.get("display", by_name or part.get("display")) == "none":
+        visibility = self._said(part, "visibility", visibility)
+        if self._said(part, "display", "inline") == "none":
             return
-        if style.get("transform", "none") != "none":
+        if self._said(part, "transform", "none") != part.get("transform", "none"):
             raise ValueError(f"the transform of a {kind} stands in its style")
+        if self._said(part, "mask", "none") != "none":
+            raise ValueError(f"a {kind} has a mask")
         with warnings.catch_warnings():
             warnings.simplefilter("error")  # a transform that is not understood would be left out
             matrix = matrix @ parse_transform(part.get("transform"))
         if np.linalg.det(matrix) == 0.0:  # pressed flat, it is not drawn
             return
+        clips += self._clip(part, matrix, users)
         if kind in CONVERSIONS and visibility == "visible":
-            yield CONVERSIONS[kind](_rounded(part) if kind == "rect" else part), matrix
+            yield _Track(CONVERSIONS[kind](_rounded(part) if kind == "rect" else part), matrix, clips)
         elif kind == "use":
             target = self._target(part)
             if part in users:
                 raise ValueError(f"a use of #{target.get('id')} stands within what it refers to")
             matrix = matrix @ _shift(_number(part, "x", "0"), _number(part, "y", "0"))
-            yield from self._below(target, matrix, visibility, (*users, part))
+            yield from self._below(target, matrix, visibility, (*users, part), clips)
         if kind in ("svg", "symbol") and part is not self.root:
             matrix = matrix @ _window(part, users[-1] if referred else part)
-        for child in part if kind in (*_GROUPS, "symbol") else ():
-            yield from self._below(child, matrix, visibility, users)
+        for child in part if kind in (*_GROUPS, "symbol", "clipPath") else ():
+            yield from self._below(child, matrix, visibility, users, clips)
+
+    def _clip(
+        self, part: Element, matrix: np.ndarray, users: tuple[Element, ...]
+    ) -> tuple[tuple[_Track, ...], ...]:
+        """What a part is clipped to by itself: nothing, or the shapes of one clip path."""
+        said = self._said(part, "clip-path", "none")
+        if said == "none":
+            return ()
+        name = re.fullmatch(r"""url\(\s*["']?(#.+?)["']?\s*\)""", said)
+        user = Element("use", {"href": name[1] if name else said})
+        if self._target(user).get("clipPathUnits") == "objectBoundingBox":
+            raise ValueError(f"{user.get('href')} clips in shares of what it clips")
+        return (tuple(self._below(self._target(user), matrix, "visible", (*users, user), ())),)
 
     def _target(self, use: Element) -> Element:
         """The part that a `use` refers to."""
         name = use.get("href", use.get("{http://www.w3.org/1999/xlink}href", ""))
         if not name.startswith("#") or name[1:] not in self.named:
-            raise ValueError(f"what a use refers to, {name!r}, is not in the file")
+            raise ValueError(f"what a use or a clip refers to, {name!r}, is not in the file")
         return self.named[name[1:]]
 
 
@@ -149,6 +176,24 @@ def _kind(part: Element) -> str:
     name = part.tag if isinstance(part.tag, str) else ""
     name = name.removeprefix("{http://www.w3.org/2000/svg}")
     return "" if "}" in name else name
+
+
+def _style_rules(root: Element) -> dict[str, dict[str, str]]:
+    """How style sheets show the parts of a class (".a"), of a name ("#a") or of a kind ("path").
+
+    Programs hide layers by such rules. Others may be there if they say nothing of how parts are shown.
+    """
+    sheets = " ".join(part.text or "" for part in root.iter() if _kind(part) == "style")
+    sheets = re.sub(r"/\*.*?\*/", "", sheets, flags=re.S)
+    found: dict[str, dict[str, str]] = {}
+    for names, text in re.findall(r"([^{};]*){([^{}]*)}", sheets):
+        rules = {rule: value for rule, value in _rules(text).items() if rule in _SHOWN}
+        changing = any(value not in _SHOWN[rule] for rule, value in rules.items())
+        for name in map(str.strip, names.split(",")):
+            if changing and not re.fullmatch(r"[.#]?[\w-]+", name):
+                raise ValueError(f"its style rule for {name} is not for one class, name or kind of shape")
+            found[name] = found.get(name, {}) | rules
+    return found
 
 
 def _rules(text: str) -> dict[str, str]:
@@ -206,24 +251,35 @@ def _rounded(rect: Element) -> Element:
     return Element(rect.tag, others | {name: repr(radius) for name, radius in radii.items()})
 
 
-def _without_outline(path: Path) -> ValueError:
-    return ValueError(f"argument path must name a drawing with an outline, but {path.name} has none")
+def _check_within(outline: np.ndarray, clip: tuple[_Track, ...]) -> None:
+    """Raise where a part of an outline lies in none of the shapes that it is clipped to."""
+    near = 1e-3 * np.ptp(outline, axis=0).max()  # both are told by points
+    places = outline @ [1.0, 1.0j]
+    covered = np.zeros(len(places), bool)
+    for track in clip:
+        covered |= _covers(_polygons(track), places, near)
+    if not covered.all():
+        raise ValueError("an outline is cut off by a clip path")
 
 
-def drawn_outline(outlines: list[np.ndarray], which: int, path: Path) -> np.ndarray:
-    """One outline of a drawing, counting from the largest."""
-    return _finite(chosen(outlines, which, f"outlines in {path.name}"), path)
+def _polygons(track: _Track) -> list[np.ndarray]:
+    """The pieces of a shape that clips others, by places as complex numbers."""
+    from svgpathtools import parse_path
+
+    pieces = [piece for piece in parse_path(track.text).continuous_subpaths() if len(piece)]
+    return [_along(piece, track.matrix, 4 * _FINE, False) @ [1.0, 1.0j] for piece in pieces]
 
 
-@contextlib.contextmanager
-def _read(path: Path) -> Iterator[None]:
-    """Turn whatever a library raises on a file that it cannot read into one sentence, a ValueError."""
-    try:
-        yield
-    except Exception as error:
-        raise ValueError(
-            f"argument path must name a drawing, but {path.name} could not be read: {shown(str(error))}"
-        ) from None
+def _covers(polygons: list[np.ndarray], places: np.ndarray, near: float) -> np.ndarray:
+    """Whether polygons together run round each place, or are near it; all are complex numbers."""
+    turns, distance = np.zeros(len(places)), np.full(len(places), np.inf)
+    for polygon in polygons:
+        start, side = polygon - places[:, None], np.roll(polygon, -1) - polygon
+        square = np.maximum(np.abs(side) ** 2, np.finfo(float).tiny)
+        nearest = start + side * np.clip(-np.real(start * side.conj()) / square, 0.0, 1.0)
+        turns += np.angle((start + side) * start.conj()).sum(axis=1) / (2.0 * np.pi)
+        distance = np.minimum(distance, np.abs(nearest).min(axis=1))
+    return (np.abs(turns) > 0.5) | (distance <= near)
 
 
 def _svg_scale(root: Any, path: Path) -> float | None:
@@ -233,7 +289,7 @@ def _svg_scale(root: Any, path: Path) -> float | None:
     into both, unless it is to cover both.
     """
     box, fit = root.get("viewBox", "").replace(",", " ").split(), root.get("preserveAspectRatio", "")
-    with _read(path):
+    with reading(path):
         sizes = [_metres(root.get(name, "")) for name in ("width", "height")]
         spans = [float(text) for text in box[2:]] if len(box) == 4 else [1.0, 1.0]
     pairs = [(size, span) for size, span in zip(sizes, spans, strict=True) if size is not None]
@@ -260,15 +316,6 @@ def _metres(text: str) -> float | None:
     text = text.strip().lower()
     unit = next((unit for unit in _LENGTHS if text.endswith(unit)), None)
     return None if unit is None else float(text.removesuffix(unit)) * _LENGTHS[unit]
-
-
-def _check_scale(scale: float, stated: float | None, path: Path) -> None:
-    """Raise where the drawing states a unit that differs from the caller's by more than rounding."""
-    if stated is not None and abs(scale / stated - 1.0) > 1e-3:
-        raise ValueError(
-            f"argument unit must agree with {path.name}, which states that one unit is "
-            f"{1e3 * stated:.6g} mm, but was {1e3 * scale:.6g} mm"
-        )
 
 
 def _along(piece: Any, matrix: np.ndarray, samples: int, fill: bool) -> np.ndarray:
@@ -330,127 +377,3 @@ def write_svg(path: Path, points: np.ndarray, scale: float, *, closed: bool) -> 
     ElementTree.SubElement(drawing, "path", {"d": f"M {track}{' Z' if closed else ''}", **pen})
     ElementTree.indent(drawing, "")
     ElementTree.ElementTree(drawing).write(path, encoding="utf-8")
-
-
-def _ezdxf() -> Any:
-    """The library ezdxf, imported with the first use."""
-    try:
-        import ezdxf
-        import ezdxf.path
-    except ImportError:
-        raise missing("ezdxf") from None
-    return ezdxf
-
-
-def read_dxf(path: Path, scale: float, samples: int, *, fill: bool) -> list[np.ndarray]:
-    """Points of every outline in the drawing's own unit.
-
-    Pieces (lines, arcs, splines) whose ends meet are joined to one outline, unless more than two meet at a
-    point. The arguments are those of `read_svg`.
-    """
-    ezdxf = _ezdxf()
-    with _read(path):
-        drawing = ezdxf.readfile(str(path))
-        unit = int(drawing.header.get("$INSUNITS", 0))
-        pieces = _pieces(drawing.modelspace(), drawing.layers)
-        tracks = [ezdxf.path.make_path(piece, segments=8, level=8) for piece in pieces]
-    _check_scale(scale, _CODES.get(unit), path)
-    tracks = [track for track in tracks if len(track)]
-    if not tracks:
-        raise _without_outline(path)
-    corners = [(v.x, v.y) for track in tracks for v in track.control_vertices()]
-    corners = _finite(np.array(corners), path)
-    size = float(np.linalg.norm(np.ptp(corners, axis=0)))
-    # Relative to the drawing: curves are followed to 1e-7 of its size, and ends within 1e-6 of it meet.
-    joined = _joined([_flat(track, 1e-7 * size) for track in tracks], 1e-6 * size)
-    outlines = []
-    for line, curved in joined:
-        closed = bool(np.linalg.norm(line[0] - line[-1]) <= 1e-6 * size)
-        line = line[:-1] if closed else line
-        if fill:
-            outlines.append(filled_polygon(line, samples, closed=closed, sharp=_ALONG if curved else _ANY))
-        else:
-            outlines.append(even(line, samples, closed=closed) if curved else line)
-    return outlines
-
-
-def _pieces(entities: Iterable[Any], layers: Any, around: str = "0") -> Iterator[Any]:
-    """The lines and curves that a DXF shows, those of blocks where these are inserted.
-
-    Args:
-        entities: Of the drawing, or of one block in its place.
-        layers: The drawing's table of layers.
-        around: The layer of the block, on which stands what its parts have on layer "0".
-    """
-    for entity in entities:
-        name = around if entity.dxf.layer == "0" else entity.dxf.layer
-        layer = layers.get(name) if name in layers else None
-        if entity.dxf.get("invisible", 0) or (layer is not None and layer.is_frozen()):
-            continue
-        # A block on a layer that is off, unlike on a frozen one, shows what it has on other layers.
-        if entity.dxftype() == "INSERT":
-            for block in entity.multi_insert():
-                yield from _pieces(block.virtual_entities(), layers, name)
-        elif entity.dxftype() in _CURVES and (layer is None or layer.is_on()):
-            yield entity
-
-
-def _finite(points: np.ndarray, path: Path) -> np.ndarray:
-    """The points, if all are finite."""
-    if not np.all(np.isfinite(points)):
-        raise ValueError(
-            f"argument path must name an outline of finite points, but that of {path.name} is not"
-        )
-    return points
-
-
-def _flat(track: Any, distance: float) -> tuple[np.ndarray, bool]:
-    """A path as a polygon that stays within a distance of it, and whether the path has curved pieces."""
-    vertices = track.flattening(distance) if track.has_curves else track.control_vertices()
-    return np.array([(v.x, v.y) for v in vertices]), bool(track.has_curves)
-
-
-def _joined(lines: Sequence[tuple[np.ndarray, bool]], near: float) -> list[tuple[np.ndarray, bool]]:
-    """Join open polygons where exactly two ends meet; one that was drawn twice counts once.
-
-    Args:
-        lines: Polygons, each with whether it follows a curve.
-        near: Distance below which two ends meet.
-
-    Returns:
-        Polygons, each with whether a part of it follows a curve; those that are closed already come first.
-    """
-    from ezdxf import edgeminer
-
-    done = [line for line in lines if np.linalg.norm(line[0][0] - line[0][-1]) <= near]
-    pieces = [line for line in lines if np.linalg.norm(line[0][0] - line[0][-1]) > near]
-    if not pieces:
-        return done
-    edges = [edgeminer.make_edge(line[0], line[-1], payload=(line, curved)) for line, curved in pieces]
-    deposit = edgeminer.Deposit(edges, gap_tol=near)
-
-    def same(one: edgeminer.Edge, other: edgeminer.Edge) -> bool:
-        (line, _), (twin, _) = one.payload, other.payload
-        return len(line) == len(twin) and any(np.abs(line - t).max() <= near for t in (twin, twin[::-1]))
-
-    deposit = edgeminer.Deposit(edgeminer.filter_coincident_edges(deposit, same), gap_tol=near)
-    # `left` is an ordered set: the order of the outlines must not depend on hashes.
-    left = dict.fromkeys(sorted(deposit.edges, key=lambda edge: edge.id))
-    while left:
-        chain = edgeminer.find_simple_chain(deposit, next(iter(left)))
-        for edge in chain:
-            del left[edge]
-        # Each part begins where the one before it ended: that point is kept once.
-        parts = [edge.payload[0][::-1] if edge.is_reverse else edge.payload[0] for edge in chain]
-        whole = np.concatenate([parts[0][:1], *(part[1:] for part in parts)])
-        done.append((whole, any(edge.payload[1] for edge in chain)))
-    return done
-
-
-def write_dxf(path: Path, points: np.ndarray, unit: str, *, closed: bool) -> None:
-    """Write a polygon as one polyline, in a drawing that states its unit."""
-    ezdxf = _ezdxf()
-    drawing = ezdxf.new()
-    drawing.header["$INSUNITS"] = _CODE_OF[unit]
-    drawing.modelspace().add_lwpolyline(points.tolist(), close=closed)
-    drawing.saveas(str(path))

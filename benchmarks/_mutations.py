@@ -89,6 +89,8 @@ _SYMMETRIC = {
     "plus",
     "hypot",
     "dot",
+    "times",
+    "inner",
 }
 
 

@@ -320,6 +320,21 @@ def _takes(function: Callable[..., Any], count: int) -> bool:
     return True
 
 
+def as_faces(faces: Any, count: int) -> np.ndarray:
+    """A caller's triangles as numbers of vertices, shape (m, 3)."""
+    try:
+        seen: Any = np.asarray(faces)
+    except (TypeError, ValueError):
+        seen = np.zeros((0, 3))
+    wanted = f"argument faces must be whole numbers of shape (any, 3) from 0 to {count - 1}, but "
+    if not (np.issubdtype(seen.dtype, np.integer) and seen.ndim == 2 and seen.shape[1] == 3 and seen.size):
+        raise ValueError(f"{wanted}was {shown(faces)}")
+    wrong = seen[(seen < 0) | (seen >= count)]
+    if len(wrong):
+        raise ValueError(f"{wanted}one was {wrong[0]}")
+    return seen.astype(int)
+
+
 def as_share(name: str, value: Any) -> float:
     """Convert an argument that a program is compiled for to a Python number from 0 to 1."""
     array = as_array(name, value)

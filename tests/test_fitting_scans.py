@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from jaxroll import _results
 from jaxroll.geometry.fitting import _rolling, _scan, _scan_fit, _scan_verdict
 from jaxroll.geometry.fitting._field_fit import Grid
 from jaxroll.geometry.fitting._scan import Scan
@@ -193,7 +194,7 @@ def test_a_fiftieth_of_a_meshs_edges_may_be_run_along_twice(double, alike):
 ])  # fmt: skip
 def test_faces_are_numbers_of_vertices(faces, fair):
     with refused(r"faces must be whole numbers of shape \(any, 3\) from 0 to 5", not fair):
-        assert _scan.as_faces(faces, 6).tolist() == [[0, 1, 5]]
+        assert _results.as_faces(faces, 6).tolist() == [[0, 1, 5]]
 
 
 @pytest.mark.parametrize("parts", [1, 2, 5])

@@ -352,7 +352,9 @@ def test_sections_through_vertices_and_past_the_mesh():
         jxr.io.section(vertices, faces[1:], origin=(0, 0, 1e-4), normal=(0, 0, 1))
     with pytest.raises(ValueError, match="argument normal must be a vector"):
         jxr.io.section(vertices, faces, origin=(0, 0, 0), normal=(0, 0, 0))
-    with pytest.raises(ValueError, match="argument faces must be indices from 0 to 3071, but one was -1"):
+    with pytest.raises(
+        ValueError, match="faces must be whole numbers of shape .* from 0 to 3071, but one was -1"
+    ):
         jxr.io.section(vertices, [*faces, (0, 1, -1)], origin=(0, 0, 0), normal=(0, 0, 1))
     with pytest.raises(ValueError, match="argument vertices must be finite"):
         jxr.io.section(vertices * np.nan, faces, origin=(0, 0, 0), normal=(0, 0, 1))
@@ -799,7 +801,9 @@ def test_vertices_in_the_plane_count_as_above_it():
     ],
 )
 def test_faces_are_indices_of_three_vertices(faces):
-    with pytest.raises(ValueError, match="argument faces must be (indices )?(of shape|from 0 to 7)"):
+    with pytest.raises(
+        ValueError, match="argument faces must be whole numbers of shape .* from 0 to 7, but "
+    ):
         jxr.io.section(BLOCK, faces, origin=(0.02, 0.0, 0.01), normal=(0, 0, 1))
 
 

@@ -26,7 +26,7 @@ from jaxroll.geometry.contours._given_points import numbers, polygon_area
 from jaxroll.geometry.fitting import _surface_fit
 from jaxroll.geometry.fitting._surface_fit import _deviation
 from jaxroll.geometry.mass._moments import checked
-from jaxroll.io import _outline, _section, _svg, _tables
+from jaxroll.io import _outline, _svg, _tables
 from jaxroll.plotting import _doors, _meshes, _motion3, _scene3, _style
 
 TURN = 2.0 * np.pi * np.arange(40) / 40
@@ -85,10 +85,6 @@ REFUSED = {
         "shape must be known before tracing unless in closed form, but was a SplineSurface",
     ),
     "points without end": (lambda: _outline.outline(jxr.Circle(1.0), 1e-19), "tolerance must need at most"),
-    "faces of two lengths": (
-        lambda: _section._faces([[0, 1, 2], [0, 1]], 3),
-        "faces must be of shape \\(any, 3\\)",
-    ),
     "grey values in rows of two lengths": (
         lambda: jxr.io.read_silhouette([[1, 2], [3]], pixel=1.0),
         "image must be grey values of one shape",

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from .._results import as_array, as_floats, on_host, shown
+from .._results import as_array, as_faces, as_floats, on_host, shown
 from ..geometry import polygon_area
 from ._outline import as_points
 
@@ -51,7 +51,7 @@ def section(vertices: Any, faces: Any, *, origin: Any, normal: Any) -> tuple[np.
         ['0.005', '0.005']
     """
     vertices, normal = as_points("vertices", vertices, 3), _unit(normal)
-    faces = _faces(faces, len(vertices))
+    faces = as_faces(faces, len(vertices))
     arms = vertices - np.asarray(as_floats("origin", origin, (3,)), float)
     heights = arms @ normal
     nodes, links = _cuts(faces, heights >= 0.0)
@@ -92,24 +92,6 @@ def _has_area(outline: np.ndarray) -> bool:
     """Whether an outline encloses more than rounding."""
     size = float(np.ptp(outline, axis=0).max())
     return size > 0.0 and abs(polygon_area(outline)) > _NO_AREA * size**2
-
-
-def _faces(faces: Any, count: int) -> np.ndarray:
-    """The faces as whole numbers of shape (m, 3) below the number of vertices."""
-    try:
-        faces = np.asarray(faces)
-    except (TypeError, ValueError):
-        raise ValueError(f"argument faces must be of shape (any, 3), but was {shown(faces)}") from None
-    whole = np.issubdtype(faces.dtype, np.integer)
-    if not whole or faces.ndim != 2 or faces.shape[1] != 3 or not faces.size:
-        raise ValueError(
-            f"argument faces must be indices of shape (any, 3) below {count}, but were {faces.dtype} of "
-            f"shape {faces.shape}"
-        )
-    wrong = faces[(faces < 0) | (faces >= count)]
-    if len(wrong):
-        raise ValueError(f"argument faces must be indices from 0 to {count - 1}, but one was {wrong[0]}")
-    return faces.astype(int)
 
 
 def _axes(normal: np.ndarray) -> np.ndarray:

@@ -6,12 +6,9 @@ points lie apart from all others is decided here too. `_scan_fit` uses it.
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
-from ..._results import shown
-from ..._types import Given
 from ._surface_normals import neighbourhoods, parted_normals
 
 _LARGEST = 50_000  # most points of a thinned scan
@@ -185,21 +182,6 @@ def sampled_mesh(
     # Gauss's theorem: three times the volume, from the triangles themselves.
     volume = np.sum((corners.mean(axis=1) - vertices.mean(axis=0)) * across)
     return cloud, directions if volume > 0.0 else -directions
-
-
-def as_faces(faces: Given, count: int) -> np.ndarray:
-    """A caller's triangles as numbers of vertices, shape (m, 3)."""
-    try:
-        seen: Any = np.asarray(faces)
-    except (TypeError, ValueError):
-        seen = np.zeros((0, 3))
-    wanted = f"argument faces must be whole numbers of shape (any, 3) from 0 to {count - 1}, but "
-    if not (np.issubdtype(seen.dtype, np.integer) and seen.ndim == 2 and seen.shape[1] == 3 and seen.size):
-        raise ValueError(f"{wanted}was {shown(faces)}")
-    wrong = seen[(seen < 0) | (seen >= count)]
-    if len(wrong):
-        raise ValueError(f"{wanted}one was {wrong[0]}")
-    return seen.astype(int)
 
 
 def _middles(parts: int) -> np.ndarray:

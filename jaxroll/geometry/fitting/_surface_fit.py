@@ -19,13 +19,13 @@ import jax.numpy as jnp
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ..._results import as_floats, as_length, check_direction, concrete, on_host, shown
+from ..._results import as_faces, as_floats, as_length, check_direction, concrete, on_host, shown
 from ..._types import Given
 from ..contours import check_extent
 from ..surfaces import SplineSurface
 from ._field_fit import AXES, DataRows, Grid, grid_around, normal_band, offsets, roughness_band, rows
 from ._measured import angles, evenly, measured
-from ._scan import as_faces, normals_of_net, thinned_scan
+from ._scan import normals_of_net, thinned_scan
 from ._scan_verdict import fit_scan
 from ._surface_normals import estimated, neighbourhoods, outward
 from ._surface_report import SurfaceFit, SurfaceReport

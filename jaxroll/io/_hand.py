@@ -54,6 +54,8 @@ class Hand(eqx.Module):
         damping: Of each finger, shape (k,): damping of its joints [N m s].
         friction: Likewise the torque of dry friction [N m].
         stiffness: Likewise of springs at the joints [N m/rad].
+        rest: Likewise the angles at which these springs are relaxed [rad].
+        left_out: What the file says of the hand's motion besides, such as springs of tendons; nothing mostly.
     """
 
     __repr__ = listed
@@ -66,6 +68,8 @@ class Hand(eqx.Module):
     damping: tuple[Float[Array, " k"], ...]
     friction: tuple[Float[Array, " k"], ...]
     stiffness: tuple[Float[Array, " k"], ...]
+    rest: tuple[Float[Array, " k"], ...]
+    left_out: tuple[str, ...] = eqx.field(static=True)
 
 
 @on_host
@@ -85,6 +89,9 @@ def load_hand(
     and is fixed in the world. Links that fixed joints join are one body. The tip's frame is that of the last
     link: of one that is fixed to the last link that moves, such as 'fingertip', if there is just one.
 
+    Joints and links without a name are called as 'joint0' and 'link2', by their places in the file. What a
+    URDF holds for other programs (`gazebo`, `transmission`, `ros2_control`) is not read.
+
     Args:
         path: A file that ends in .urdf, .xml or .mjcf.
         tips: A surface for every finger, about the origin of its tip's frame; or a dict of surfaces by the
@@ -100,12 +107,14 @@ def load_hand(
             rounded off by it and open sides closed. Not with `smoothing`.
 
     Returns:
-        A `Hand`: its fingers, and ranges, torques, damping, friction and springs of their joints.
+        A `Hand`: its fingers, ranges, torques, damping, friction and springs of their joints, and what else
+        the file says of its motion.
 
     Raises:
         ValueError: If the file cannot be read; a joint that is not held slides, has more than one axis,
-            carries two others or is tied to another; a last link has no inertia; a tip cannot be told; or
-            its mesh is none of a body that has such a radius.
+            carries two others, is tied to another or has no range that it could move in; a joint is held out
+            of its range; a last link has no inertia; a tip cannot be told; or its mesh is none of a body that
+            has such a radius.
         ImportError: Without the extra `hands`.
 
     Accuracy: mass matrices, biases and poses agree with MuJoCo's and Pinocchio's to 1e-14 of their size.
@@ -150,7 +159,8 @@ def load_hand(
         tuple(fingers),
         tuple(robot.links[i].name for i in chosen),
         tuple(tuple(joint.name for joint in joints) for joints in each),
-        *(of(name) for name in ("limits", "torques", "damping", "friction", "stiffness")),
+        *(of(name) for name in ("limits", "torques", "damping", "friction", "stiffness", "rest")),
+        left_out=robot.left_out,
     )
 
 

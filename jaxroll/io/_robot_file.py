@@ -10,7 +10,7 @@ its shapes, as the format has it.
 
 import os
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,9 @@ import numpy as np
 
 from .._results import shown
 from ._extra import missing
+from ._motors import ends, joint_torques, left_out, rotors
 from ._paths import as_path, readable
+from ._urdf import plain_urdf, refuse_nan, UnclearRobot
 
 _KINDS = (".urdf", ".xml", ".mjcf")
 _UNLIMITED = (-np.inf, np.inf)
@@ -38,9 +40,10 @@ class RobotJoint:
         axis: Shape (3,), in world axes.
         limits: Smallest and largest angle [rad], infinite where there is no limit.
         torques: Smallest and largest torque [N m], likewise.
-        damping: [N m s].
+        damping: [N m s], that of its motors too.
         friction: Torque of dry friction [N m].
         stiffness: Of a spring at the joint [N m/rad].
+        rest: Angle at which that spring is relaxed [rad].
         armature: Inertia of the rotor, as the joint feels it [kg m^2].
     """
 
@@ -55,6 +58,7 @@ class RobotJoint:
     damping: float
     friction: float
     stiffness: float
+    rest: float
     armature: float
 
 
@@ -95,12 +99,14 @@ class Robot:
         joints: Those that move, from the base outwards.
         followers: Joints whose angle another one's gives, held or not.
         loops: Names of what closes a loop: two links that a file ties to each other, or two tendons.
+        left_out: What the file says of its motion besides, one by one.
     """
 
     links: tuple[RobotLink, ...]
     joints: tuple[RobotJoint, ...]
     followers: tuple[str, ...]
     loops: tuple[str, ...]
+    left_out: tuple[str, ...]
 
 
 def _mujoco() -> Any:
@@ -129,17 +135,21 @@ def read_robot(
     path = readable(as_path(path, _KINDS), "a robot")
     mujoco, held = _mujoco(), dict(held or {})
     try:
-        spec, described = _parsed(mujoco, path, shapes_of)
+        spec, described = _parsed(mujoco, path, held, shapes_of)
         own = _own_inertias(mujoco, spec, described)
         ties = [(e.type == mujoco.mjtEq.mjEQ_JOINT, e.name1) for e in spec.equalities if e.active]
         _lighten(mujoco, spec, shapes_of)
         model = spec.compile()
+    except UnclearRobot as error:
+        raise ValueError(f"argument path must name a robot, but {path.name}: {error}") from None
     except (ValueError, ElementTree.ParseError) as error:
         said = str(error).replace(f"{path.resolve().parent}{os.sep}", "").splitlines()[0]
         raise ValueError(f"argument path must name a robot, but {path.name}: {shown(said)}") from None
     known = {model.joint(i).name: i for i in range(model.njnt)}
     if unknown := [name for name in held if name not in known]:
         raise ValueError(f"argument held must name joints of the file, but named {shown(unknown[0])}")
+    for name, angle in held.items():
+        _check_held(name, angle, _range(model, known[name]))
     data = mujoco.MjData(model)
     # Zero of every hinge and slide, but for those that are held; where a file measures a joint's angle from
     # elsewhere than its drawing (`ref`), this is not the drawing. Orientations stay as drawn.
@@ -155,41 +165,31 @@ def read_robot(
         for i in range(model.nbody)
     )
     followers = tuple(name for of_joint, name in ties if of_joint)
-    return Robot(links, joints, followers, tuple(name for of_joint, name in ties if not of_joint))
+    _check_finite(path, links, joints)
+    loops = tuple(name for of_joint, name in ties if not of_joint)
+    return Robot(links, joints, followers, loops, left_out(mujoco, model, moving))
 
 
-def _parsed(mujoco: Any, path: Path, shapes_of: Collection[str]) -> tuple[Any, bool]:
+def _parsed(
+    mujoco: Any, path: Path, held: Mapping[str, float], shapes_of: Collection[str]
+) -> tuple[Any, bool]:
     """MuJoCo's description of the file, and whether that is a URDF."""
     root = ElementTree.parse(path).getroot()
-    if root.tag != "robot":
-        return mujoco.MjSpec.from_file(str(path)), False
-    for link in root.iter("link"):
-        # Visual shapes count where there are no others, and only where shapes are asked for.
-        solid = link.findall("collision")
-        drop = ["visual"] if solid else []
-        if link.get("name") not in shapes_of:
-            drop = ["visual", "collision"]
-        for shape in [each for kind in drop for each in link.findall(kind)]:
-            link.remove(shape)
-    for mesh in root.iter("mesh"):
-        mesh.set("filename", _mesh_file(path, mesh.get("filename", "")))
-    for old in root.findall("mujoco"):
-        root.remove(old)
-    settings = {"fusestatic": "false", "inertiafromgeom": "false", "strippath": "false"}
-    settings |= {"discardvisual": "false"}
-    ElementTree.SubElement(ElementTree.SubElement(root, "mujoco"), "compiler", settings)
-    spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
-    return spec, True
-
-
-def _mesh_file(path: Path, name: str) -> str:
-    """Where a mesh of a URDF lies: beside the file, or below a folder above it, as those of a package do."""
-    name = name.removeprefix("file://")
-    package, _, rest = name.removeprefix("package://").partition("/")
-    tries = [name] if "://" not in name else [rest, f"{package}/{rest}"]
-    folders = [path.resolve().parent, *path.resolve().parents]
-    found = [folder / each for folder in folders for each in tries if (folder / each).is_file()]
-    return str(found[0]) if found else os.path.join(path.resolve().parent, tries[0])
+    described = root.tag.rpartition("}")[2] == "robot"
+    if described:
+        spec = mujoco.MjSpec.from_string(plain_urdf(root, path, held, shapes_of))
+    else:
+        refuse_nan(root)
+        spec = mujoco.MjSpec.from_file(str(path))
+        # Links that MuJoCo would make one body keep the inertias and names that the file gives them.
+        spec.compiler.fusestatic = False
+    for kind, parts in (("joint", spec.joints), ("link", spec.bodies)):
+        taken = {part.name for part in parts}
+        for i, part in enumerate(parts):
+            if not part.name:
+                names = (f"{kind}{i}{more}" for more in ("", *(f"_{k}" for k in range(len(parts)))))
+                part.name = next(name for name in names if name not in taken)
+    return spec, described
 
 
 _Inertial = tuple[float, np.ndarray, np.ndarray]
@@ -201,9 +201,8 @@ def _own_inertias(mujoco: Any, spec: Any, described: bool) -> dict[str, _Inertia
     Such links are given a ball's inertia for MuJoCo, which thus neither checks nor changes their own.
     """
     settings = spec.compiler
-    inferred = settings.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
-    changed = (settings.boundmass, settings.boundinertia, settings.balanceinertia)
-    if inferred or any(changed) or settings.settotalmass > 0.0:
+    changed = (settings.boundmass, settings.boundinertia, settings.balanceinertia, _damped(spec))
+    if _inferred(mujoco, spec) or any(changed) or settings.settotalmass > 0.0:
         return {}  # as MuJoCo compiles them
     found = {}
     for body in spec.bodies:
@@ -216,6 +215,16 @@ def _own_inertias(mujoco: Any, spec: Any, described: bool) -> dict[str, _Inertia
         body.ipos, body.iquat, body.fullinertia = np.zeros(3), (1.0, 0.0, 0.0, 0.0), (np.nan, *[0.0] * 5)
         body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
     return found
+
+
+def _inferred(mujoco: Any, spec: Any) -> bool:
+    """Whether shapes give the inertia of links that state one, too."""
+    return spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+
+
+def _damped(spec: Any) -> bool:
+    """Whether a joint has its spring and damping from its inertia, as MuJoCo works it out."""
+    return any(np.any(np.asarray(joint.springdamper) > 0.0) for joint in spec.joints)
 
 
 def _inertial(mujoco: Any, spec: Any, body: Any) -> _Inertial:
@@ -239,10 +248,16 @@ def _inertial(mujoco: Any, spec: Any, body: Any) -> _Inertial:
 def _lighten(mujoco: Any, spec: Any, shapes_of: Collection[str]) -> None:
     """Leave out what a tree of links does not need: files of meshes, images, contacts, sensors."""
     heavy = (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD, mujoco.mjtGeom.mjGEOM_SDF)
+    stated = not _inferred(mujoco, spec)
     for geom in spec.geoms:
         geom.material = ""
         # Where the link states its inertia, a ball may stand for a mesh.
-        if geom.type in heavy and geom.parent.explicitinertial and geom.parent.name not in shapes_of:
+        if (
+            geom.type in heavy
+            and stated
+            and geom.parent.explicitinertial
+            and geom.parent.name not in shapes_of
+        ):
             geom.type, geom.meshname, geom.hfieldname = mujoco.mjtGeom.mjGEOM_SPHERE, "", ""
             geom.size = np.full(3, 1e-3)
     for each in (*spec.sites, *spec.tendons):
@@ -258,6 +273,32 @@ def _kind(mujoco: Any, model: Any, joint: int) -> str:
     return mujoco.mjtJoint(model.jnt_type[joint]).name.removeprefix("mjJNT_").lower()
 
 
+def _range(model: Any, joint: int) -> tuple[float, float]:
+    return ends(model.jnt_range[joint]) if model.jnt_limited[joint] else _UNLIMITED
+
+
+def _check_held(name: str, angle: float, limits: tuple[float, float]) -> None:
+    """Raise for a joint that is held out of its range, as by an angle in degrees."""
+    low, high = limits
+    beyond = 1e-6 * (high - low) if np.isfinite(high - low) else 0.0
+    if not low - beyond <= angle <= high + beyond:
+        raise ValueError(
+            f"argument held[{shown(name)}] must be in the joint's range, {low:g} to {high:g}, but was "
+            f"{shown(angle)}"
+        )
+
+
+def _check_finite(path: Path, links: Sequence[RobotLink], joints: Sequence[RobotJoint]) -> None:
+    """Raise where a number of a link or a joint is none."""
+    for each in (*links, *joints):
+        numbers = [value for name, value in vars(each).items() if name not in ("limits", "torques", "shapes")]
+        if not all(np.all(np.isfinite(x)) for x in numbers if isinstance(x, float | np.ndarray)):
+            raise ValueError(
+                f"argument path must name a robot of finite numbers, but {path.name} has others at "
+                f"{shown(each.name)}"
+            )
+
+
 def _joints(
     mujoco: Any, model: Any, data: Any, moving: list[int]
 ) -> tuple[tuple[RobotJoint, ...], list[int | None]]:
@@ -270,6 +311,7 @@ def _joints(
             if i not in moving:
                 continue
             dof = model.jnt_dofadr[i]
+            rotor, brake = rotors(mujoco, model, i)
             joints.append(
                 RobotJoint(
                     name=model.joint(i).name,
@@ -278,12 +320,13 @@ def _joints(
                     before=carrier,
                     anchor=data.xanchor[i].copy(),
                     axis=data.xaxis[i].copy(),
-                    limits=_ends(model.jnt_range[i]) if model.jnt_limited[i] else _UNLIMITED,
-                    torques=_torques(mujoco, model, i),
-                    damping=_number(model.dof_damping[dof]),
+                    limits=_range(model, i),
+                    torques=joint_torques(mujoco, model, i),
+                    damping=_number(model.dof_damping[dof]) + brake,
                     friction=float(model.dof_frictionloss[dof]),
                     stiffness=_number(model.jnt_stiffness[i]),
-                    armature=float(model.dof_armature[dof]),
+                    rest=float(model.qpos_spring[model.jnt_qposadr[i]]),
+                    armature=float(model.dof_armature[dof]) + rotor,
                 )
             )
             carrier = len(joints) - 1
@@ -291,28 +334,9 @@ def _joints(
     return tuple(joints), carriers
 
 
-def _ends(interval: np.ndarray) -> tuple[float, float]:
-    return float(interval[0]), float(interval[1])
-
-
 def _number(value: Any) -> float:
     """The first of a polynomial's coefficients, or the one number there is."""
     return float(np.ravel(value)[0])
-
-
-def _torques(mujoco: Any, model: Any, joint: int) -> tuple[float, float]:
-    """Smallest and largest torque at a joint: its own limit, and that of the motors which drive it alone."""
-    low, high = _ends(model.jnt_actfrcrange[joint]) if model.jnt_actfrclimited[joint] else _UNLIMITED
-    kinds = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
-    motors = [
-        i
-        for i in range(model.nu)
-        if mujoco.mjtTrn(model.actuator_trntype[i]) in kinds and model.actuator_trnid[i][0] == joint
-    ]
-    if motors and all(model.actuator_forcelimited[i] for i in motors):
-        ends = [np.sort(model.actuator_gear[i][0] * model.actuator_forcerange[i]) for i in motors]
-        low, high = max(low, float(sum(e[0] for e in ends))), min(high, float(sum(e[1] for e in ends)))
-    return low, high
 
 
 def _link(

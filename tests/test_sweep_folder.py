@@ -86,6 +86,7 @@ CHANGES = {
     "closed-over array": ({"table": changed(TABLE)}, "make"),
     "closed-over kind": ({"table": TABLE.astype(np.float32)}, "make"),
     "keep": ({"keep": lambda run: run.last.q * 1.5000000001}, "keep"),
+    "keep of another array": ({"keep": lambda run: run.last.v * 1.5}, "keep"),
     "keep's tree": ({"keep": lambda run: [run.last.q * 1.5]}, "keep"),
     "nothing kept": ({"keep": None}, "keep"),
     "rtol": ({"rtol": 1e-8}, "option rtol (1e-07 there, not given here)"),
@@ -160,6 +161,13 @@ def test_what_is_inside_of_things_counts(name, scene, tmp_path):
     marks = [_marks(scene, changes, rows) for changes in (before, after, before)]
     assert _identity.differences(marks[0], marks[2]) == ""
     assert _identity.differences(marks[0], marks[1]).split(" (")[0] == wanted
+
+
+def test_which_of_two_like_parameters_is_read_counts(scene):
+    """Without the arguments that it does not use, a program is the same for either."""
+    row = {"first": 0.004, "second": 0.005}
+    first, second = (of_make(lambda p, n=name: (scene[0].with_(damping=p[n]), scene[1]), row) for name in row)
+    assert first != second
 
 
 def _marks(scene, changes, rows):

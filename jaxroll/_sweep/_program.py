@@ -147,9 +147,10 @@ def program(job: Job, rows: Any) -> Program:
 def _traced(function: Callable, *args: Any) -> Any:
     """The traced program of a function, which must have been created for this call.
 
-    For a function that it has traced before, JAX would return that trace.
+    For a function that it has traced before, JAX would return that trace. Its lowered program takes all
+    arguments: without those that it does not use, it is the same whichever of two parameters it reads.
     """
-    found = jax.jit(function).trace(*args)
+    found = jax.jit(function, keep_unused=True).trace(*args)
     # Inside an outer `jit` or derivative, JAX passes what the function closes over of the outer trace as
     # additional arguments.
     if len(found.jaxpr.jaxpr.invars) != len(jax.tree.leaves(args)):

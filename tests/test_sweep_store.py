@@ -186,6 +186,18 @@ def test_a_finished_store_is_read_and_a_damaged_chunk_worked_out_again(copied, c
     xr.testing.assert_identical(again, whole)
 
 
+@pytest.mark.parametrize(
+    "name", ["zarr.json", "end_q/zarr.json", "damping/zarr.json", "stored/zarr.json", "damping/c/1"]
+)
+def test_what_describes_the_arrays_is_written_again_where_it_is_damaged(name, copied, calls):
+    """And the parameters too, without which no chunk could be checked."""
+    whole = _store.open_table(copied).load()
+    (copied / name).write_bytes(b"")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        xr.testing.assert_identical(swept(copied).load(), whole)
+
+
 def test_more_parameters_are_appended(copied, calls):
     """The chunk that was not full is worked out again, and those before it are left alone."""
     more = np.r_[ROWS, np.linspace(0.01, 0.02, 5)]

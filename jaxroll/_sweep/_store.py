@@ -20,6 +20,7 @@ import secrets
 import time
 import warnings
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -269,17 +270,19 @@ class Store:
         self.parameters = [x.name for x in given]
         told = {"long_name": "whether the run is in the store"}
         all_of_them = [*arrays, *given, Named(_STORED, (_RUN,), np.zeros(count, bool), told)]
-        if self._is_laid_out([x.name for x in all_of_them]):
+        if self._is_laid_out([x.name for x in all_of_them], given):
             return
         self._arrays.clear()
-        group = self._group() or _zarr().open_group(self.path, mode="a", zarr_format=3)
-        known = int(group.attrs.get("runs", 0))
+        group = self._group()
+        if group is None:
+            _unmade(self.path)
+            group = _zarr().open_group(self.path, mode="a", zarr_format=3)
         for each in (Named(_SWEEP, (), np.zeros((), np.int8), {}), *all_of_them):
             self._make(group, each)
         words = {name: mark.words for name, mark in here.items() if name not in _EFFECTS}
         group[_SWEEP].attrs.put({"fingerprint": self.folder.sweep} | words)
         for each in given:
-            group[each.name][known:] = each.values[known:]
+            group[each.name][:] = each.values  # those that are there are the same, or damaged
         labels = label_arrays(self.labels, {dim for x in arrays for dim in x.dims}, self.times)
         if not all(x.name in group for x in labels):
             as_dataset([], labels, {}).to_zarr(self.path, mode="a", zarr_format=3, consolidated=False)
@@ -294,13 +297,14 @@ class Store:
         # Last: readers go by that list, and see the shorter arrays until it is written anew.
         _zarr().consolidate_metadata(self.path)
 
-    def _is_laid_out(self, names: Sequence[str]) -> bool:
-        """Whether all arrays are there, of the length of this sweep, and readers know it."""
+    def _is_laid_out(self, names: Sequence[str], given: Sequence[Named]) -> bool:
+        """Whether all arrays are there, of this sweep's length and parameters, and readers know it."""
         try:
             listed = _zarr().open_group(self.path, mode="r", use_consolidated=True)
             lengths = {x.shape[0] for name in names for x in (listed[name], self._array(name))}
             grid = laid_out(self.rows) if isinstance(self.rows, Parameters) else {}
             same = all(listed.attrs.get(name) == value for name, value in grid.items())
+            same = same and all(self._array(x.name)[:].tobytes() == x.values.tobytes() for x in given)
             return same and lengths == {self.extent.count} == {listed.attrs["runs"]}
         except Exception:  # not there, or damaged, which may raise anything
             return False
@@ -316,11 +320,18 @@ class Store:
             alike = (there.dtype, there.chunks, there.shape[1:], there.metadata.dimension_names or ())
             if alike == (each.values.dtype, chunks, rest, each.dims) and there.shape <= shape:
                 return there.resize(shape)
+        _unmade(self.path / each.name)
         blank = _BLANKS.get(each.values.dtype.kind, 0)
         options = {"dimension_names": each.dims, "fill_value": blank, "attributes": each.attrs}
         # The folder of `sweep` holds the manifest, which an array that overwrites another would remove.
         options |= {"chunks": chunks, "overwrite": along, "compressors": None, "filters": None}
         group.create_array(each.name, shape=shape, dtype=each.values.dtype, **options)
+
+
+def _unmade(path: Path) -> None:
+    """Remove what says what a folder holds, where that is damaged: Zarr reads it before it writes it anew."""
+    with contextlib.suppress(OSError):
+        (path / "zarr.json").unlink(missing_ok=True)
 
 
 def _apart(name: str, taken: set[str]) -> str:

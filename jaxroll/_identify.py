@@ -33,6 +33,8 @@ from ._types import Given
 _FIRST, _FACTOR, _MOST = 1e-3, 10.0, 1e12
 # The last step is shorter than this many standard deviations, or than this share of each number.
 _LAST, _SHARE = 1e-3, 1e-9
+# Where no step goes down, rounding makes the derivative ask for one of at most this share of each number.
+_ROUNDING = 1e-6
 # Eigenvalues of the scaled Gauss-Newton matrix below this share of the largest are zero: of a direction that
 # belongs to one the data tell nothing, nor of a number that takes part in it by more than the second figure.
 _UNTOLD, _PART = 1e-14, 1e-6
@@ -62,9 +64,10 @@ class Identified:
         misfit: Root mean square of measured minus computed, over the noise: about one where model and noise
             are right.
         steps: How many steps were tried.
-        result: `successful`; `max_steps_reached`, of the search; `undetermined` where the data tell nothing
-            of any number; or why there is no run with what was found, such as `step_collapsed`. A run that an
-            event ended is one.
+        result: `successful`; `max_steps_reached`, of the search; `solver_failed` where it ended at a kink, a
+            jump or beside numbers without a run, though no minimum is there; `undetermined` where the data
+            tell nothing of any number; or why there is no run with what was found, such as `step_collapsed`.
+            A run that an event ended is one.
     """
 
     values: dict[str, float]
@@ -208,7 +211,8 @@ def _outcome(search: RESULTS, ended: int, *, told: bool) -> RESULTS:
     for code in _BROKEN:
         if ended == int(number_of(code)[1]):
             return code
-    return search if told or code_name(search) != "successful" else RESULTS.undetermined
+    over = code_name(search) in ("successful", "solver_failed")
+    return RESULTS.undetermined if over and not told else search
 
 
 def _descend(
@@ -220,7 +224,7 @@ def _descend(
     """
     evaluate = lambda x: tuple(map(np.asarray, both(jnp.asarray(x))))  # noqa: E731
     left, slopes, *rest = evaluate(x)
-    if not (np.isfinite(left).all() and np.isfinite(slopes).all()):
+    if not (_has_squares(left) and _has_squares(slopes)):
         return x, 0, RESULTS.not_finite, (left, slopes, *rest)
     damping, free = _FIRST, max(len(left) - len(x), 1)
     for count in range(1, steps + 1):
@@ -228,11 +232,7 @@ def _descend(
         scaled = matrix + damping * np.diag(np.maximum(np.diag(matrix), 1e-300))
         step = np.linalg.lstsq(scaled, downhill, rcond=None)[0]
         new_left, new_slopes, *new_rest = evaluate(x + step)
-        if (
-            np.isfinite(new_left).all()
-            and np.isfinite(new_slopes).all()
-            and new_left @ new_left <= left @ left
-        ):
+        if _has_squares(new_left) and _has_squares(new_slopes) and new_left @ new_left <= left @ left:
             unit = 1.0 if known else np.sqrt(left @ left / free)
             small = np.sqrt(step @ matrix @ step) < _LAST * unit
             x, left, slopes, rest = x + step, new_left, new_slopes, new_rest
@@ -241,9 +241,27 @@ def _descend(
                 return x, count, RESULTS.successful, (left, slopes, *rest)
         else:
             damping *= _FACTOR
-            if damping > _MOST:  # no step goes down any more: rounding is all that is left
-                return x, count, RESULTS.successful, (left, slopes, *rest)
+            if damping > _MOST:  # no step goes down any more
+                return x, count, _at_an_end(x, left, slopes, known=known), (left, slopes, *rest)
     return x, steps, RESULTS.max_steps_reached, (left, slopes, *rest)
+
+
+def _has_squares(values: np.ndarray) -> bool:
+    """Whether values are finite, and their squares too."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return bool(np.isfinite(np.sum(np.square(values))))
+
+
+def _at_an_end(x: np.ndarray, left: np.ndarray, slopes: np.ndarray, *, known: bool) -> RESULTS:
+    """Whether rounding is all that is left where no step goes down, or the derivative is none of a slope.
+
+    The latter is so at a kink, at a jump, and beside numbers for which there is no run: the derivative there
+    promises more than rounding, but neither leads to a minimum nor says how well numbers are known.
+    """
+    step = np.linalg.lstsq(slopes, -left, rcond=None)[0]
+    unit = 1.0 if known else np.sqrt(left @ left / max(len(left) - len(x), 1))
+    promised = np.linalg.norm(slopes @ step) > _LAST * unit and np.any(np.abs(step) > _ROUNDING * np.abs(x))
+    return RESULTS.solver_failed if promised else RESULTS.successful
 
 
 def _inverse(slopes: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ from scipy.optimize import curve_fit
 
 import jaxroll as jxr
 from jaxroll import _identify
-from jaxroll._identify import _descend, _inverse
+from jaxroll._identify import _at_an_end, _descend, _inverse
 from tests.oracles.chapter_part2 import Part2
 
 ELBOW = 1
@@ -180,15 +180,33 @@ def test_a_search_ends_with_a_step_below_a_billionth_of_the_number(away, count):
 
 
 def test_a_search_ends_where_no_step_goes_down():
-    """The damping rises by ten from a thousandth, until it is above 1e12."""
+    """The damping rises by ten from a thousandth, until it is above 1e12; no slope is there, but an edge."""
     start, damping, count = np.ones(1), 1e-3, 0
     while damping <= 1e12:
         damping, count = damping * 10.0, count + 1
     edge = lambda x: (np.array([1.0 + (float(x[0]) != 1.0)]), np.ones((1, 1)))  # noqa: E731
-    assert _descend(edge, start, 30, known=True)[:3] == (start, count, jxr.RESULTS.successful)
+    assert _descend(edge, start, 30, known=True)[:3] == (start, count, jxr.RESULTS.solver_failed)
     # A step to where there is no number counts as one that goes up.
     hole = lambda x: (np.array([1.0 if float(x[0]) == 1.0 else np.nan]), np.ones((1, 1)))  # noqa: E731
-    assert _descend(hole, start, 30, known=True)[:3] == (start, count, jxr.RESULTS.successful)
+    assert _descend(hole, start, 30, known=True)[:3] == (start, count, jxr.RESULTS.solver_failed)
+
+
+@pytest.mark.parametrize(
+    ("left", "known", "promised"),
+    [(1e-2, True, True), (0.9e-3, True, False), (0.9e-6, False, False), (1.1e-6, False, True)],
+)
+def test_rounding_asks_for_a_millionth_of_a_number_or_a_thousandth_of_its_deviation(left, known, promised):
+    """One number, whose slope is one, may take away all that is left but for as much again."""
+    found = _at_an_end(np.ones(1), np.array([left, left]), np.array([[1.0], [0.0]]), known=known)
+    assert found == (jxr.RESULTS.solver_failed if promised else jxr.RESULTS.successful)
+
+
+@pytest.mark.parametrize("size", [1e200, 1e-200])
+def test_misfits_beyond_all_squares_are_not_finite(size):
+    """As those by a noise that no measurement has."""
+    both = lambda x: (np.full(3, size) * np.asarray(x), np.full((3, 1), size))  # noqa: E731
+    wanted = jxr.RESULTS.not_finite if size > 1.0 else jxr.RESULTS.successful
+    assert _descend(both, np.ones(1), 30, known=True)[2] == wanted
 
 
 @pytest.mark.parametrize(("share", "told"), [(0.7e-14, False), (1.4e-14, True)])

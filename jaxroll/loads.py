@@ -266,7 +266,8 @@ class Impulse(AbstractLoad):
 
     Args:
         impulse: Shape (2,), in space (3,), in world axes [N s].
-        time: When it acts [s]; a run that begins later has no part of it.
+        time: When it acts [s]. A run that ends or begins at that time has it: of two runs that meet there one
+            is given the grasp without it. A run that begins later has no part of it.
         angular: Angular impulse besides, a number, in space shape (3,) in world axes [N m s]. Default: none.
         point: Shape (2,), in space (3,): where it acts, in the object's frame [m]. Default: its origin.
 

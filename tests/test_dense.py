@@ -31,7 +31,7 @@ def test_dense_output_is_as_accurate_as_saved_states(scene):
     there = run(run.ts)
     np.testing.assert_allclose(there.q, run.states.q, rtol=0, atol=1e-14)
     assert np.isnan(run(-0.1).q).all() and np.isnan(run([0.1, 0.5]).q[1]).all()
-    assert run(np.array([[0.1, 0.2]])).v.shape == (1, 2, 3)
+    assert run(np.array([[0.1, 0.2]])).v.shape == (1, 2, 3) and run([]).v.shape == (0, 3)
     with pytest.raises(ValueError, match="kept its steps"):
         jxr.simulate(*scene, 0.1, ts=1)(0.05)
     # Copies answer too, those from another process among them: what marks a tree's structure stays itself.

@@ -151,6 +151,9 @@ def test_what_cannot_go_on_is_said(pushed):
     grasp, _, _, run = pushed[-1]
     with pytest.raises(ValueError, match="contact_lost or penetration, .* but was successful"):
         jxr.resume(grasp, run)
+    for friction, words in ((-1.0, "positive"), ("much", "a real number"), (np.nan, "finite")):
+        with pytest.raises(ValueError, match=f"argument friction must be {words}"):
+            jxr.resume(grasp, run, friction=friction)
     alone, start = jxr.scenes.pivoted()
     lost = jxr.simulate(alone.with_(force=-0.5), start, 0.1, throw=False)
     with pytest.raises(ValueError, match="must leave the grasp a contact, but lost its only one"):

@@ -45,7 +45,7 @@ def states_at(dense: Dense, ts: Float[Array, "..."]) -> State:
     lay = dense.stepper.lay
     found = in_turn(_vector_at, dense, jnp.ravel(ts))
     found = moving_in_time(lay.width, found, jnp.ravel(ts))
-    return states_of(lay, found.reshape(*ts.shape, -1))
+    return states_of(lay, found.reshape(*ts.shape, found.shape[-1]))
 
 
 def _vector_at(dense: Dense, t: Scalar) -> Array:

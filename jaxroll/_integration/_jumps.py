@@ -17,6 +17,9 @@ they move together. `_run` asks `stop` and `passed_at`, `_simulate` the rest; a 
 none of it.
 """
 
+from typing import Any
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
@@ -24,6 +27,7 @@ from jaxtyping import Array
 from .._linalg import row
 from .._mechanics import Grasp
 from .._types import Scalar
+from ..loads import Impulse
 
 
 def grain(t: Scalar) -> Scalar:
@@ -40,6 +44,21 @@ def ordered(grasp: Grasp, t0: Scalar, t1: Scalar) -> Array:
     # The difference of two infinities is NaN, which is not above anything.
     apart = jnp.diff(times) > 4.0 * grain(times[1:])
     return jnp.sort(jnp.where(jnp.concatenate([jnp.array([True]), apart]), times, jnp.inf))
+
+
+def with_blows(grasp: Grasp, jumps: Array, t0: Scalar, t1: Scalar) -> Grasp:
+    """A grasp whose blows from t0 to t1 are at one of these jumps each: that as one with which they count."""
+
+    def at_jump(load: Any) -> Any:
+        if not isinstance(load, Impulse):
+            return load
+        time = jax.lax.stop_gradient(load.time).astype(jumps.dtype)
+        inside = (time >= t0 - grain(t0)) & (time <= t1 + grain(t1))
+        at = jnp.max(jnp.where(jumps <= time, jumps, -jnp.inf))
+        apart = jnp.where(inside & jnp.isfinite(at), at - time, 0.0)
+        return eqx.tree_at(lambda blow: blow.time, load, load.time + jax.lax.stop_gradient(apart))
+
+    return eqx.tree_at(lambda g: g.load, grasp, tuple(map(at_jump, grasp.load)))
 
 
 def beside(jumps: Array, t: Array, way: float) -> Array:

@@ -16,6 +16,7 @@ from .._linalg import seven, three, total
 from .._mechanics import check_states, compiled, Grasp, split, State, to_leaves
 from .._motion import accelerations, bodies, world_poses
 from .._printing import code_name
+from .._results import as_positive
 from .._types import Given, Scalar
 from ..contact import Contact, Contact3, locate, locate_surfaces, Location, SurfaceLocation
 from ..loads import Impulse
@@ -70,6 +71,8 @@ def resume(grasp: Grasp, run: Trajectory, *, friction: Given | None = None) -> t
         ([1], '0.103 s')
     """
     check_one_run("run", run)
+    if friction is not None:
+        as_positive("friction", friction)
     check_states(grasp, run.last, "run.last")
     name = code_name(run.result)
     if name == "contact_lost":

@@ -61,7 +61,7 @@ from ._contact_impulses import blow_times, contact_impulses, merged, times_befor
 from ._dense import Dense
 from ._derivative import march, moving_as, moving_if_successful, moving_in_time
 from ._events import check_overlaps, decode_joints, EVENTS, whose
-from ._jumps import beside, lateness, ordered
+from ._jumps import beside, lateness, ordered, with_blows
 from ._methods import check_method, Seeing, Steady, with_tolerances
 from ._report import complaint
 from ._run import Path, Plan
@@ -220,6 +220,8 @@ def _run(
     jumps, begin, end, saves = None, given.t0, given.t1, given.ts
     if ready.jumps:
         jumps = jax.lax.stop_gradient(ordered(ready, given.t0, given.t1))
+        if impulses(ready.load):
+            ready = with_blows(ready, jumps, *jax.lax.stop_gradient((given.t0, given.t1)))
         # A run begins before a jump at its start; a state saved at a jump is the one after it.
         begin, (end, saves) = beside(jumps, begin, -1.0), (beside(jumps, t, 1.0) for t in (end, saves))
     end, saves = jax.lax.stop_gradient((end, saves))

@@ -94,6 +94,10 @@ BAD = {
     "no such file": (["none.py:make", "--set", "a=1:2"], "argument SCENE must be one of"),
     "nothing to set": (["pinch"], "argument --set must be given"),
     "no name": (["pinch", "--set", "1:2"], "argument --set must be NAME=VALUES, but was '1:2'"),
+    "a name twice": (
+        ["pinch", "--set", "a=1", "--set", "a=1:2"],
+        "must be given once for a, but was for 1:2",
+    ),
     "no number": (["pinch", "--set", "a=1:x"], "argument --set must give a finite numbers, but one was 'x'"),
     "NaN": (["pinch", "--set", "a=nan"], "argument --set must give a finite numbers"),
     "falling": (["pinch", "--set", "a=2:1"], "argument --set must give a a range that goes up"),

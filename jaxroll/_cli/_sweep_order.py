@@ -8,7 +8,7 @@ imported here, so that complaints come at once; `_sweep_command` does the work.
 import argparse
 import math
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -189,7 +189,7 @@ def sweep_order(options: argparse.Namespace) -> SweepOrder:
     """
     given = {} if options.file is None else _read(options.file)
     ranges = {name: _range(name, value) for name, value in given.pop("set", {}).items()}
-    ranges |= {name: _range(name, value) for name, value in (_pair("--set", text) for text in options.set)}
+    ranges |= {name: _range(name, value) for name, value in _pairs("--set", options.set).items()}
     named = {name: value for name, value in vars(options).items() if value is not None}
     given |= {name: value for name, value in named.items() if name in SweepOrder.__dataclass_fields__}
     given |= {"keep": tuple(given["keep"])} if "keep" in given else {}
@@ -213,7 +213,7 @@ def map_order(options: argparse.Namespace) -> MapOrder:
         raise ValueError(
             f"argument STORE must name the folder of a sweep, but there is none called {options.store!r}"
         )
-    at = {name: _number("--at", name, text) for name, text in (_pair("--at", each) for each in options.at)}
+    at = {name: _number("--at", name, text) for name, text in _pairs("--at", options.at).items()}
     # Nothing but its arrays belongs into a store of Zarr.
     store = Path(options.store).absolute()
     beside = store.parent if (store / "zarr.json").is_file() else store
@@ -226,6 +226,15 @@ def _pair(option: str, text: str) -> tuple[str, str]:
     if not (mark and name.isidentifier() and value):
         raise ValueError(f"argument {option} must be NAME=VALUES, but was {text!r}")
     return name, value
+
+
+def _pairs(option: str, texts: Sequence[str]) -> dict[str, str]:
+    found: dict[str, str] = {}
+    for name, value in (_pair(option, text) for text in texts):
+        if name in found:
+            raise ValueError(f"argument {option} must be given once for {name}, but was for {value} too")
+        found[name] = value
+    return found
 
 
 def _number(option: str, name: str, value: Any) -> float:

@@ -1,5 +1,6 @@
 """Objects of any shape between two fingers, and the commands that begin with a file."""
 
+import dataclasses
 import re
 from types import SimpleNamespace
 
@@ -446,8 +447,17 @@ def hand_file(path, ball="<collision><geometry><sphere radius='0.01'/></geometry
 
 def test_a_hand_without_tips_has_balls_of_10_mm(tmp_path):
     hand_file(tmp_path / "hand.urdf", ball="")
-    tips = [finger.tip for finger in _pinch_command._fingers(str(tmp_path / "hand.urdf"), flat=False)]
-    assert [(type(tip), float(tip.radius)) for tip in tips] == [(jxr.Sphere, 0.01)] * 2
+    hand, own = _pinch_command._hand(str(tmp_path / "hand.urdf"), flat=False)
+    tips = [finger.tip for finger in _pinch_command._fingers(hand)]
+    assert [(type(tip), float(tip.radius)) for tip in tips] == [(jxr.Sphere, 0.01)] * 2 and not own
+    (line,) = _pinch_command._hand_told(hand, own)
+    assert "its tips are balls of 10 mm" in line
+    nothing = dataclasses.replace(hand, torques=(np.full((1, 2), np.inf),), damping=(), left_out=())
+    assert _pinch_command._hand_told(nothing, True) == []
+    more = dataclasses.replace(nothing, stiffness=(np.array([0.0, 0.1]),), left_out=("range of tendon 't'",))
+    assert _pinch_command._hand_told(more, True) == [
+        "  hand        its file's springs, range of tendon 't' not counted"
+    ]
 
 
 @pytest.mark.slow

@@ -103,7 +103,8 @@ def pinch_order(
     with timed("Weighing"):
         body = _body(found, asked)
     with timed("Finding where to hold it"):
-        fingers = None if asked.hand is None else _fingers(asked.hand, flat)
+        hand = None if asked.hand is None else _hand(asked.hand, flat)
+        fingers = None if hand is None else _fingers(hand[0])
         grasp, state = scenes.pinch_object(body, fingers=fingers, friction=asked.friction, force=asked.force)
     verdict = None
     if flat:
@@ -121,6 +122,7 @@ def pinch_order(
         *size,
         f"{found.report}",
         *_described(grasp, run, push),
+        *([] if hand is None else _hand_told(*hand)),
         _verdict(verdict),
         report(run, _REMEDIES),
         f"  outcome     {outcome(run, verdict)}",
@@ -140,15 +142,33 @@ def _body(found: Fit | SurfaceFit, asked: PinchOrder) -> FreeObject | FreeObject
     return FreeObject.uniform(found.contour, asked.density, thickness=asked.thickness)
 
 
-def _fingers(path: str, flat: bool) -> list[Any]:
-    """The fingers of a hand's file with their ranges, and its own tips where they can be used, else balls."""
+def _hand(path: str, flat: bool) -> tuple[io.Hand, bool]:
+    """The hand of a file, and whether its tips are its own: else they are balls."""
     if flat:
         raise ValueError("argument --hand must be left out for an object of the plane")
     try:
-        hand = io.load_hand(path, "mesh")
+        return io.load_hand(path, "mesh"), True
     except ValueError:
-        hand = io.load_hand(path, Sphere(_TIP))
+        return io.load_hand(path, Sphere(_TIP)), False
+
+
+def _fingers(hand: io.Hand) -> list[Any]:
+    """The fingers of a hand with their ranges."""
     return [_limited(*each) for each in zip(hand.fingers, hand.limits, strict=True)]
+
+
+def _hand_told(hand: io.Hand, own: bool) -> list[str]:
+    """A line on what of a hand's file its fingers have not, if there is anything."""
+    parts = {
+        "largest torques": any(np.isfinite(x).any() for x in hand.torques),
+        "damping": any(np.any(x) for x in hand.damping),
+        "dry friction": any(np.any(x) for x in hand.friction),
+        "springs": any(np.any(x) for x in hand.stiffness),
+    }
+    left = [*(name for name, given in parts.items() if given), *hand.left_out]
+    told = [] if own else [f"its tips are balls of {1e3 * _TIP:g} mm, for its file has none that can be used"]
+    told += [f"its file's {', '.join(left)} not counted"] if left else []
+    return [f"  hand        {'; '.join(told)}"] if told else []
 
 
 def _limited(finger: Any, limits: Any) -> Any:

@@ -21,7 +21,7 @@ from .._results import shown
 from ._extra import missing
 from ._motors import ends, joint_torques, left_out, rotors
 from ._paths import as_path, readable
-from ._urdf import plain_urdf, refuse_nan, UnclearRobot
+from ._urdf import followers, Inertial, plain_urdf, refuse_nan, stated_inertias, UnclearRobot
 
 _KINDS = (".urdf", ".xml", ".mjcf")
 _UNLIMITED = (-np.inf, np.inf)
@@ -135,9 +135,10 @@ def read_robot(
     path = readable(as_path(path, _KINDS), "a robot")
     mujoco, held = _mujoco(), dict(held or {})
     try:
-        spec, described = _parsed(mujoco, path, held, shapes_of)
-        own = _own_inertias(mujoco, spec, described)
+        spec, root = _parsed(mujoco, path, held, shapes_of)
+        own = _own_inertias(mujoco, spec, None if root is None else stated_inertias(root))
         ties = [(e.type == mujoco.mjtEq.mjEQ_JOINT, e.name1) for e in spec.equalities if e.active]
+        ties += [] if root is None else [(True, name) for name in followers(root)]
         _lighten(mujoco, spec, shapes_of)
         model = spec.compile()
     except UnclearRobot as error:
@@ -164,16 +165,16 @@ def read_robot(
         _link(mujoco, model, data, i, own.get(model.body(i).name), carriers[i], shapes_of)
         for i in range(model.nbody)
     )
-    followers = tuple(name for of_joint, name in ties if of_joint)
+    tied = tuple(dict.fromkeys(name for of_joint, name in ties if of_joint))
     _check_finite(path, links, joints)
     loops = tuple(name for of_joint, name in ties if not of_joint)
-    return Robot(links, joints, followers, loops, left_out(mujoco, model, moving))
+    return Robot(links, joints, tied, loops, left_out(mujoco, model, moving))
 
 
 def _parsed(
     mujoco: Any, path: Path, held: Mapping[str, float], shapes_of: Collection[str]
-) -> tuple[Any, bool]:
-    """MuJoCo's description of the file, and whether that is a URDF."""
+) -> tuple[Any, ElementTree.Element | None]:
+    """MuJoCo's description of the file, and what is in that if it is a URDF."""
     root = ElementTree.parse(path).getroot()
     described = root.tag.rpartition("}")[2] == "robot"
     if described:
@@ -189,14 +190,13 @@ def _parsed(
             if not part.name:
                 names = (f"{kind}{i}{more}" for more in ("", *(f"_{k}" for k in range(len(parts)))))
                 part.name = next(name for name in names if name not in taken)
-    return spec, described
+    return spec, root if described else None
 
 
-_Inertial = tuple[float, np.ndarray, np.ndarray]
-
-
-def _own_inertias(mujoco: Any, spec: Any, described: bool) -> dict[str, _Inertial]:
+def _own_inertias(mujoco: Any, spec: Any, stated: Mapping[str, Inertial] | None) -> dict[str, Inertial]:
     """By link: mass, centre and tensor in the link's axes, where the file states them, and not its shapes.
+
+    `stated` are those of a URDF.
 
     Such links are given a ball's inertia for MuJoCo, which thus neither checks nor changes their own.
     """
@@ -204,13 +204,11 @@ def _own_inertias(mujoco: Any, spec: Any, described: bool) -> dict[str, _Inertia
     changed = (settings.boundmass, settings.boundinertia, settings.balanceinertia, _damped(spec))
     if _inferred(mujoco, spec) or any(changed) or settings.settotalmass > 0.0:
         return {}  # as MuJoCo compiles them
-    found = {}
+    found, nothing = {}, (0.0, np.zeros(3), np.zeros((3, 3)))
     for body in spec.bodies:
-        if body.name == "world" or not (body.explicitinertial or described):
+        if body.name == "world" or not (body.explicitinertial or stated is not None):
             continue
-        found[body.name] = (0.0, np.zeros(3), np.zeros((3, 3)))
-        if body.explicitinertial:
-            found[body.name] = _inertial(mujoco, spec, body)
+        found[body.name] = _inertial(mujoco, spec, body) if stated is None else stated.get(body.name, nothing)
         body.explicitinertial, body.mass, body.inertia = True, 1.0, np.ones(3)
         body.ipos, body.iquat, body.fullinertia = np.zeros(3), (1.0, 0.0, 0.0, 0.0), (np.nan, *[0.0] * 5)
         body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
@@ -227,7 +225,7 @@ def _damped(spec: Any) -> bool:
     return any(np.any(np.asarray(joint.springdamper) > 0.0) for joint in spec.joints)
 
 
-def _inertial(mujoco: Any, spec: Any, body: Any) -> _Inertial:
+def _inertial(mujoco: Any, spec: Any, body: Any) -> Inertial:
     quaternion = np.array(body.iquat, float)
     if body.ialt.type != mujoco.mjtOrientation.mjORIENTATION_QUAT:
         settings = spec.compiler
@@ -344,7 +342,7 @@ def _link(
     model: Any,
     data: Any,
     body: int,
-    own: _Inertial | None,
+    own: Inertial | None,
     carrier: int | None,
     shapes_of: Collection[str],
 ) -> RobotLink:

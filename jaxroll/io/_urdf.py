@@ -1,7 +1,8 @@
 """A URDF's text for MuJoCo's parser, and what that parser leaves unsaid.
 
 MuJoCo takes for no range what the format calls one from zero, renames what is called alike, and passes over
-what it does not know. Here such files are completed or refused, by the names in them.
+what it does not know. Here such files are completed or refused, by the names in them. Joints that follow
+others and inertias are read here too: versions of MuJoCo leave out the former, and turns of the latter.
 """
 
 import math
@@ -11,7 +12,12 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from urllib.parse import unquote
 
+import numpy as np
+
 from .._results import shown
+
+# Mass, centre and tensor about it, in the axes of a link.
+Inertial = tuple[float, np.ndarray, np.ndarray]
 
 # Parts of other programs, whose attributes no reader of a URDF knows.
 _FOREIGN = ("gazebo", "transmission", "ros2_control", "mujoco")
@@ -78,6 +84,8 @@ def _check_names(root: ElementTree.Element, joints: Mapping[str, ElementTree.Ele
     """Raise where names are used twice, lead nowhere, or do not make one tree."""
     for kind in ("joint", "link"):
         names = [part.get("name", "") for part in root.findall(kind)]
+        if not all(names):
+            raise UnclearRobot(f"it has a {kind} without a name")
         if again := [name for i, name in enumerate(names) if name in names[:i]]:
             raise UnclearRobot(f"it has two {kind}s named {shown(again[0])}")
     for name, joint in joints.items():
@@ -106,6 +114,35 @@ def _complete_range(name: str, joint: ElementTree.Element) -> None:
         )
     limit.set("lower", low)
     limit.set("upper", high)
+
+
+def followers(root: ElementTree.Element) -> tuple[str, ...]:
+    """Joints whose angle another one's gives."""
+    return tuple(joint.get("name", "") for joint in root.findall("joint") if joint.find("mimic") is not None)
+
+
+def stated_inertias(root: ElementTree.Element) -> dict[str, Inertial]:
+    """Mass, centre and tensor of each link of a file that MuJoCo has read; zero without `inertial`."""
+    return {link.get("name", ""): _stated(link.find("inertial")) for link in root.findall("link")}
+
+
+def _stated(inertial: ElementTree.Element | None) -> Inertial:
+    if inertial is None:
+        return 0.0, np.zeros(3), np.zeros((3, 3))
+    part = lambda name: getattr(inertial.find(name), "attrib", {})  # noqa: E731
+    place, six = part("origin"), {name: float(value) for name, value in part("inertia").items()}
+    centre, (r, p, y) = (np.array(_numbers(place.get(name, "")) or [0.0] * 3) for name in ("xyz", "rpy"))
+    about = lambda i, a: np.roll(np.roll(_turn(a), i, 0), i, 1)  # noqa: E731
+    turn = about(2, y) @ about(1, p) @ about(0, r)
+    xy, xz, yz = (six.get(name, 0.0) for name in ("ixy", "ixz", "iyz"))
+    tensor = np.array([[six["ixx"], xy, xz], [xy, six["iyy"], yz], [xz, yz, six["izz"]]])
+    return float(part("mass")["value"]), centre, turn @ tensor @ turn.T
+
+
+def _turn(angle: float) -> np.ndarray:
+    """A rotation about the first axis."""
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
 
 
 def _mesh_file(path: Path, name: str) -> str:

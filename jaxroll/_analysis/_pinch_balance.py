@@ -106,13 +106,13 @@ def _balance_at(grasp: Grasp, t: Scalar, state: State) -> PinchBalance:
     at, forces = geometry_at(grasp, state), multipliers_at(grasp, t, state, Index1())
     control = law_of(grasp.controller).at(t)
     kept = orientations(grasp, state) - control.start
-    odd = jnp.array([-1, 1])  # (-1)^i as the chapter counts; whole numbers take any precision
+    odd = jnp.array([-1.0, 1.0], state.q.dtype)  # (-1)^i as the chapter counts
     arm = at.centre_0[0] - at.centre_0[1]  # r_1 - r_2
     d, l_ = at.b_1 @ arm, -odd * (at.n_1 @ arm)
     # (53), where b_i . gamma_i is l_b0 and n_i . gamma_i is -l_n0.
     n = odd * at.l_b0 * l_ + at.l_n0 * d
     # Which way the chapter counts angles: its n_01 is +90 degrees from b_01, its n_02 -90 from b_02.
-    way = -odd * jnp.array([contact.sense for contact in grasp.contacts])
+    way = -odd * jnp.array([contact.sense for contact in grasp.contacts], state.q.dtype)
     return PinchBalance(
         s=at.s,
         d=d,

@@ -51,7 +51,7 @@ def states_at(dense: Dense, ts: Float[Array, "..."]) -> State:
 def _vector_at(dense: Dense, t: Scalar) -> Array:
     """The flow vector at one time."""
     # The first step has no length: of two that begin at one time the later one carries a slope.
-    k = jnp.clip(jnp.searchsorted(dense.ts, t, side="right") - 1, 0, dense.count)
+    k = jnp.clip(jnp.searchsorted(dense.ts, t, side="right").astype(dense.count.dtype) - 1, 0, dense.count)
     begin = row(dense.ts, k)
     inside = (t >= begin) & (t <= row(dense.ts, dense.count))
     end = dense.stepper.advance(dense.grasp, begin, jnp.where(inside, t, begin), row(dense.ys, k))[0]

@@ -141,14 +141,16 @@ def _recorded(grasp: Bundle, y0: Flow, plan: Plan) -> tuple[Path, Record]:
     """
     arrays, still = eqx.partition((grasp, y0, plan), eqx.is_array)
     one = lambda arrays: recorded(*eqx.combine(arrays, still))  # noqa: E731
+    # What the lanes need to know of the plan: a program keeps them, and traced arrays with them.
+    dense, empty = plan.dense, eqx.filter_eval_shape(empty_record, plan, y0)
 
     def lanes(size: int, batched: Any, arrays: Any) -> tuple[Path, Record]:
         if not _on_processor():
             return side_by_side(one, size, batched)(arrays)
-        if plan.dense:
+        if dense:
             return _one_by_one(one, batched, arrays)
         # Infinity, so that a derivative that were to follow such a record would show it.
-        none = jax.tree.map(lambda x: jnp.full((size, *x.shape), jnp.inf, x.dtype), empty_record(plan, y0))
+        none = jax.tree.map(lambda x: jnp.full((size, *x.shape), jnp.inf, x.dtype), empty)
         return _together(size, batched, arrays, still), none
 
     return with_lanes(lambda arrays: one_kernel(one, arrays), lanes, arrays)
@@ -162,17 +164,18 @@ def _along_runs(function: Callable[["_Steps", Any], Any], steps: "_Steps", x: An
     """
     arrays, still = eqx.partition((steps, x), eqx.is_array)
     one = lambda arrays: function(*eqx.combine(arrays, still))  # noqa: E731
+    dense = steps.plan.dense
 
     def anew(arrays: Any) -> Any:
         steps, x = eqx.combine(arrays, still)
-        return function(steps if steps.plan.dense else steps.recorded_anew(), x)
+        return function(steps if dense else steps.recorded_anew(), x)
 
     def lanes(size: int, batched: Any, arrays: Any) -> Any:
         if not _on_processor():
             return side_by_side(one, size, batched)(arrays)
         if any(jax.tree.leaves(batched[0])):
             # What a kernel is handed it holds, read or not: the empty records stay behind.
-            less = (lambda x: x) if steps.plan.dense else lambda x: eqx.tree_at(_record_of, x, (None, None))
+            less = (lambda x: x) if dense else lambda x: eqx.tree_at(_record_of, x, (None, None))
             return _one_by_one(anew, less(batched), less(arrays))
         many = lambda steps, x: side_by_side(lambda x: function(steps, x), size, batched[1])(x)  # noqa: E731
         return _along_runs(many, *eqx.combine(arrays, still))
@@ -281,7 +284,7 @@ class _Steps(eqx.Module):
 
     def saved_at(self) -> tuple[Array, Array]:
         """Which step each save time ends, and whether it was reached."""
-        index = jnp.searchsorted(self.ts, self.plan.ts)
+        index = jnp.searchsorted(self.ts, self.plan.ts).astype(self.count.dtype)
         return jnp.minimum(index, self.count), index <= self.count
 
     def tangents(self, start: tuple[Bundle, Flow]) -> tuple[Array, ...]:

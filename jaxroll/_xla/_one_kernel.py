@@ -169,7 +169,8 @@ def _marked(function: Callable, arrays: Any) -> Any:
     """The call as one operation, with the attributes if it fits."""
     leaves, form = jax.tree.flatten(arrays)
     kinds = [jnp.result_type(leaf) for leaf in leaves]
-    if jax.default_backend() != "cpu" or not _exact(kinds):
+    widest = _widest(kinds)
+    if jax.default_backend() != "cpu" or widest is None:
         return function(arrays)
     shapes = [jnp.shape(leaf) for leaf in leaves]
 
@@ -181,7 +182,6 @@ def _marked(function: Callable, arrays: Any) -> Any:
         return function(jax.tree.unflatten(form, [part.astype(kind) for part, kind in parts])), numbers[:1]
 
     # One operand: XLA's emitter aborts on operands of such a call that are not used.
-    widest = jnp.result_type(*kinds)
     numbers = jnp.concatenate([jnp.ravel(leaf).astype(widest) for leaf in leaves])
     compiled = jax.jit(unpacked)
     out, tree = jax.tree.flatten(compiled(numbers)[0])
@@ -190,10 +190,11 @@ def _marked(function: Callable, arrays: Any) -> Any:
     return jax.tree.unflatten(tree, out)
 
 
-def _exact(kinds: list[Any]) -> bool:
-    """Whether one vector can hold numbers of these kinds: whole ones are below 2^53."""
+def _widest(kinds: list[Any]) -> Any:
+    """The kind of one vector that can hold numbers of all these, or None: whole ones are below 2^53."""
     floats = {kind for kind in kinds if jnp.issubdtype(kind, jnp.floating)}
-    return floats == {jnp.dtype("float64")} or (len(floats) == 1 and len(set(kinds)) == 1)
+    exact = floats == {jnp.dtype("float64")} or (len(floats) == 1 and len(set(kinds)) == 1)
+    return floats.pop() if exact else None
 
 
 def _split(numbers: jax.Array, shapes: list[tuple[int, ...]]) -> list[jax.Array]:

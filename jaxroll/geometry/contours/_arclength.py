@@ -48,15 +48,20 @@ def tabulate(rate: Callable[[Any, Array], Array], shape: Any, *, period: float, 
     width = period / cells
 
     def speed(shape: Any, cell: Array, x: Array) -> Array:
-        return width * rate(shape, width * (cell + x))
+        return width * rate(shape, width * in_cells(cell, x))
 
     cell, x, arcs = spaced(speed, shape, cells, cells)
     # With speed v(u): du/ds = 1 / v and d2u/ds2 = -(dv/du) / v^3. `hermite` wants both per cell, of length
     # step.
-    nodes, step = width * (cell + x), arcs[-1] / cells
+    nodes, step = width * in_cells(cell, x), arcs[-1] / cells
     value, slope = jax.jvp(lambda u: rate(shape, u), (nodes,), (jnp.ones_like(nodes),))
     rows = hermite(nodes, step / value, -slope * step**2 / value**3)
     return ArclengthTable(rows, arcs[-1], period)
+
+
+def in_cells(cell: Any, x: Any) -> Array:
+    """Places x of cells counted from the first cell's beginning: whole numbers become of the kind of x."""
+    return jnp.asarray(cell, jnp.result_type(x)) + x
 
 
 def spaced(speed: Speed, shape: Any, parts: int, cells: int) -> tuple[Array, Array, Array]:

@@ -31,7 +31,7 @@ from ..._results import (
     traceable,
 )
 from ..._types import Given
-from ._arclength import arclength_at
+from ._arclength import arclength_at, in_cells
 from ._given_points import polygon_area
 from ._table import AbstractTabulated, FEWEST_CELLS, Table, tabulated
 
@@ -123,13 +123,13 @@ class Parametric(AbstractTabulated):
         # The arclength from the first parameter to the origin is subtracted, so that s = 0 lies there.
         # Which cell that is has no derivative.
         place = (self.origin - self.span[0]) / (self.span[1] - self.span[0]) * cells
-        cell = jnp.clip(jnp.floor(jax.lax.stop_gradient(place)), 0, cells - 1).astype(int)
+        before = jnp.clip(jnp.floor(jax.lax.stop_gradient(place)), 0, cells - 1)
 
         def speed(given: Any, cell: Array, x: Array) -> Array:
             _, rate, _ = _jet(cells)(given, cell, x)
             return jnp.sqrt(rate.dot(rate))
 
-        begin = arclength_at(speed, given, arcs, cell=cell, x=place - cell)
+        begin = arclength_at(speed, given, arcs, cell=before.astype(int), x=place - before)
         return eqx.tree_at(lambda t: t.start, table, -begin)
 
 
@@ -141,7 +141,7 @@ def _jet(parts: int) -> Callable[[Any, Any, Any], tuple[Vec2, Vec2, Vec2]]:
         # u = u_0 + width (cell + x), so that every derivative in x brings a factor of `width`. Forward over
         # forward gives point, p' and p'' in one pass.
         width = (span[1] - span[0]) / parts
-        u = jnp.asarray(span[0] + width * (cell + x))
+        u = jnp.asarray(span[0] + width * in_cells(cell, x))
         point = lambda u: jnp.asarray(function(u))  # noqa: E731
         rate = lambda u: jax.jvp(point, (u,), (jnp.ones_like(u),))  # noqa: E731
         (at, first), (_, second) = jax.vmap(lambda u: jax.jvp(rate, (u,), (jnp.ones_like(u),)))(u.ravel())

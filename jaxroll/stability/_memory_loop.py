@@ -66,7 +66,8 @@ def rates_with_memory(
     z = jnp.linalg.eigvals(jnp.block([[over], [sensed @ over + jnp.pad(kept, ((0, 0), (2 * count, 0)))]]))
     # As many as the loop has states of its own: the torques follow from the others.
     z = z[jnp.argsort(-jnp.abs(z))][: 2 * count + held - sum(f.joints for f in grasp.fingers)]
-    return _sorted(jnp.log(jnp.where(jnp.abs(z) > _AT_ONCE, z, _AT_ONCE)) / period)
+    rates = jnp.log(jnp.where(jnp.abs(z) > _AT_ONCE, z, _AT_ONCE))
+    return _sorted(rates / jnp.asarray(period, rates.dtype))
 
 
 def _sorted(rates: Array) -> Array:

@@ -126,7 +126,8 @@ def _adam(problem: NetworkProblem, params: tuple[Any, Any], data: Any) -> tuple:
     def step(carry: tuple, _: None) -> tuple:
         params, state = carry
         value, slope = jax.value_and_grad(lambda p: _loss(problem, p, data))(params)
-        update, state = method.update(slope, state)
+        with jax.numpy_dtype_promotion("standard"):  # optax multiplies by how many steps there were
+            update, state = method.update(slope, state)
         return (optax.apply_updates(params, update), state), value
 
     (params, _), losses = jax.lax.scan(step, (params, method.init(params)), None, length=CHUNK)

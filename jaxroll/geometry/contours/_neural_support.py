@@ -186,7 +186,8 @@ def _series(network: PeriodicNetwork, radius: Array, centre: Array, terms: int) 
     # Twice as many samples as `terms` harmonics need, against aliasing. With X the discrete transform,
     # a_k = 2 Re X_k / count and b_k = -2 Im X_k / count. The centre adds c . n: the first harmonic.
     count = 4 * terms
-    waves = jnp.fft.rfft(network.values(_uniform(count)))[: terms + 1] * (2.0 * radius / count)
+    waves = jnp.fft.rfft(network.values(_uniform(count)))[: terms + 1]
+    waves = waves * (2.0 * radius / count).astype(waves.dtype)
     first = jnp.zeros(terms).at[0].set(1.0)
     cosines = waves[1:].real + first * centre[0]
     return Series(radius + 0.5 * waves[0].real, cosines, first * centre[1] - waves[1:].imag)
@@ -259,8 +260,8 @@ def _residuals(values: Array, rest: tuple[Array, Array], cloud: _Cloud) -> Array
     reach = (cloud.points[:, 0] - centre[0]) * cos + (cloud.points[:, 1] - centre[1]) * sin
     distance = reach - radius * (1.0 + values[:count])
     # rho = h + h'' multiplies wave k by 1 - k^2; c . n, of k = 1, drops out.
-    order = np.fft.rfftfreq(128, 1.0 / 128)
-    bends = radius * (1.0 + jnp.fft.irfft(jnp.fft.rfft(values[count:]) * (1.0 - order**2), 128))
+    order, waves = np.fft.rfftfreq(128, 1.0 / 128), jnp.fft.rfft(values[count:])
+    bends = radius * (1.0 + jnp.fft.irfft(waves * jnp.asarray(1.0 - order**2, waves.dtype), 128))
     lack = jnp.maximum(cloud.floor - bends[::2], 0.0)
     return jnp.concatenate([distance / np.sqrt(count), lack / np.sqrt(64.0)])
 

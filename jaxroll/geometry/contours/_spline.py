@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 from ..._linalg import Vec2
 from ..._results import as_count, as_floats, check_flag, check_positive, concrete, shown
 from ..._types import Given
-from ._arclength import arclength_at, rising_sums
+from ._arclength import arclength_at, in_cells, rising_sums
 from ._bspline import Basis, basis, interval_of, jet_of_pieces, jets, Pieces
 from ._free_numbers import point_waves, wavy_shift
 from ._given_points import check_extent, polygon_area
@@ -244,7 +244,7 @@ def _speed(coefficients: Array, piece: Array, x: Array) -> Array:
 
 def _halves(coefficients: Array, half: Array, x: Array) -> tuple[Vec2, Vec2, Vec2]:
     """Half pieces as the cells of a curve: points and two derivatives at x in [0, 1] of cells `half`."""
-    point, rate, bend = jet_of_pieces(coefficients, half // 2, 0.5 * (half % 2 + x))
+    point, rate, bend = jet_of_pieces(coefficients, half // 2, 0.5 * in_cells(half % 2, x))
     return point, rate * 0.5, bend * 0.25
 
 

@@ -96,3 +96,21 @@ def test_programs_keep_no_traced_arrays(scene):
     maps = [e.params["there"] for e in equations(program) if e.primitive.name == "linear_map"]
     assert rules and maps
     assert not [x for rule in (*rules, *maps) for x in kept(rule, {})]
+
+
+@pytest.mark.parametrize("leaf", [None, (3,), "x", object(), True, 1.5])
+def test_what_is_no_run_and_no_grasp_prints_all_the_same(scene, run, leaf):
+    """As trees of `in_axes` or of shardings are, and what `equinox.partition` leaves."""
+    for thing in (*scene, run):
+        other = jax.tree.map(lambda _: leaf, thing)
+        assert str(other).startswith(type(thing).__name__) and repr(other).startswith(type(thing).__name__)
+
+
+def test_grasps_of_numpys_arrays_run_as_those_of_jax(scene):
+    """`jax.device_get` leaves such ones."""
+    grasp, state = scene
+    there = jxr.energies(*jax.device_get(scene))
+    np.testing.assert_array_equal(there, jxr.energies(grasp, state))
+    odd = jax.tree.map(lambda x: np.asarray(x)[None], grasp)
+    with pytest.raises(ValueError, match=r"^argument grasp.object.*must (be of the shape|have shape)"):
+        jxr.energies(odd, state)

@@ -194,6 +194,9 @@ class Trajectory(eqx.Module):
             return "Trajectory (being traced)"
         if isinstance(self.stats.steps, jax.ShapeDtypeStruct):
             return "Trajectory (shapes alone)"  # as `jax.eval_shape` gives it
+        parts = self.ts, self.states.q, self.last.q, self.result, self.stats
+        if not all(map(is_array_like, jax.tree.leaves(parts, is_leaf=lambda x: x is None))):
+            return repr(self)  # something else in the places of its numbers, as `jax.tree.map` may leave it
         return batch_report(self) if np.ndim(self.stats.steps) else report(self)
 
     def __repr__(self) -> str:

@@ -205,9 +205,13 @@ class Grasp(AbstractGrasp):
         return f"Grasp({kinds}; {count} contact{'s' * (count != 1)}; {control})"
 
     def __str__(self) -> str:
+        try:
+            labels = self.labels
+        except TypeError:  # something else in the places of its numbers, as in a tree of `in_axes`
+            return repr(self)
         lines = [f"Grasp {'in space' if self.spatial else 'in the plane'}"]
-        for (name, labels), body in zip(self.labels.bodies, self.bodies, strict=True):
-            moves = ", ".join(f"{each.name} [{each.unit}]" if each.unit else each.name for each in labels)
+        for (name, parts), body in zip(labels.bodies, self.bodies, strict=True):
+            moves = ", ".join(f"{each.name} [{each.unit}]" if each.unit else each.name for each in parts)
             lines.append(f"  {name:<10}{type(body).__name__}: {moves or 'fixed'}")
         lines += [f"  contact {i} {contact}" for i, contact in enumerate(self.contacts)]
         lines.append(f"  control   {shown_value(self.controller)}")

@@ -115,3 +115,18 @@ def test_a_kernel_whose_only_result_is_large(within):
         for _ in range(2):
             wanted = wanted[:, :1] * wanted + wanted
     np.testing.assert_allclose(found, wanted, rtol=1e-14)
+
+
+@pytest.mark.parametrize(("names", "marked"), [(None, False), ({"x"}, False), ({"x", "y"}, True)])
+def test_a_program_that_is_shared_out_among_devices_has_no_kernel(names, marked):
+    """It cannot hold the exchanges that XLA puts into it; within `shard_map` over all axes there are none."""
+    mesh = jax.sharding.AbstractMesh((2, 2), ("x", "y"))
+    lanes = jax.P("x")
+    x = jax.ShapeDtypeStruct((8,), float, sharding=jax.NamedSharding(mesh, lanes))
+
+    def call(x):
+        return one_kernel(jnp.sin, x)
+
+    split = dict(mesh=mesh, in_specs=lanes, out_specs=lanes, check_vma=False)
+    whole = call if names is None else jax.shard_map(call, axis_names=names, **split)
+    assert (MARK in jax.jit(whole).trace(x).lower(lowering_platforms=("cpu",)).as_text()) is marked

@@ -169,6 +169,9 @@ for one in (end, jax.value_and_grad(end)):
         np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-9)
     kernels = [p.as_text().count("xla_cpu_small_call") for p in (program, plain)]
     assert kernels[0] == kernels[1] > 0, kernels
+auto = jax.make_mesh((jax.device_count(),), ("lanes",), (jax.sharding.AxisType.Auto,))
+merely = jax.jit(jax.vmap(end))(jax.device_put(dampings, jax.NamedSharding(auto, lanes)))
+np.testing.assert_allclose(merely, found[0], rtol=1e-6, atol=1e-9)
 print(jax.device_count())
 """
 

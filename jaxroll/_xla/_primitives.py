@@ -1,4 +1,4 @@
-"""Two operations of our own for JAX: a barrier, and a linear map with a given transpose.
+"""Operations of our own for JAX: a barrier, a mark for the compiler, a linear map with a given transpose.
 
 As primitives they are one entry each of a traced program, and the insides of a map are traced only where
 they are compiled: a gradient in reverse mode does not trace the forward map beside it.
@@ -19,7 +19,7 @@ from jax.interpreters import ad, batching, mlir
 
 from ._collector import uncollected
 
-_BARRIER, _MAP = jec.Primitive("barrier"), jec.Primitive("linear_map")
+_BARRIER, _MARK, _MAP = jec.Primitive("barrier"), jec.Primitive("mark"), jec.Primitive("linear_map")
 _MAP.multiple_results = True
 
 
@@ -55,6 +55,38 @@ _BARRIER.def_abstract_eval(lambda x: x)
 mlir.register_lowering(_BARRIER, _divided, cacheable=False)
 ad.deflinear2(_BARRIER, lambda bar, _: [_BARRIER.bind(bar)])
 batching.defvectorized(_BARRIER)
+
+
+def mark(x: Any, attributes: tuple[tuple[str, str], ...]) -> jax.Array:
+    """The same array; what it comes from has these attributes where one device alone runs the program.
+
+    A program that JAX shares out among devices is cut up by XLA, with exchanges between the parts: a call
+    that was to become one function of the processor could not hold these, and would not compile. Within
+    `jax.shard_map` every device runs its own.
+    """
+    return _MARK.bind(x, attributes=attributes)
+
+
+def _attached(context: mlir.LoweringRuleContext, x: Any, *, attributes: tuple) -> list[Any]:
+    where: Any = context.module_context.axis_context
+    shared_out = getattr(where, "num_devices", 1) != 1
+    if hasattr(where, "manual_axes"):
+        shared_out = set(where.manual_axes) != set(where.mesh.axis_names)
+    if not shared_out and not isinstance(x.owner, ir.Block):
+        given = x.owner.attributes
+        more = {key: ir.StringAttr.get(value) for key, value in attributes}
+        more |= {a.name: a.attr for a in given.get(_ATTRIBUTES, ())}
+        given[_ATTRIBUTES] = ir.DictAttr.get(more)
+    return [x]
+
+
+_ATTRIBUTES = "mhlo.frontend_attributes"
+_MARK.def_impl(lambda x, **_: x)
+_MARK.def_abstract_eval(lambda x, **_: x)
+# Not kept and called by JAX: what the mark is for would be out of sight.
+mlir.register_lowering(_MARK, _attached, cacheable=False)
+ad.deflinear2(_MARK, lambda bar, _, **__: [bar])
+batching.defvectorized(_MARK)
 
 
 def linear_map(apply: Callable, transpose: Callable, at: Any, x: Any, *, like: Any) -> Any:

@@ -229,6 +229,27 @@ def test_derivative_at_an_end():
     np.testing.assert_allclose(jax.grad(gap)(0.02), -0.03 / np.hypot(0.05, 0.03), rtol=1e-12)
 
 
+@pytest.mark.slow
+def test_derivatives_of_the_lowest_sample_where_no_pair_is_the_answer():
+    """A disc pressed in beyond the centres of curvature: a start for `close`, and so is its derivative."""
+    face = jxr.Catenary(0.01, (-0.03, 0.03))
+
+    @jax.jit
+    def both(angle, rate):
+        def found(angle):
+            pose = jnp.stack([0.02 * angle, -0.003 + 0.01 * angle, angle])
+            at = locate(jxr.Circle(0.02), face, pose_a=pose, samples=32, candidates=1)
+            return at.s, at.result
+
+        return jax.jvp(lambda x: found(x)[0], (angle,), (rate,)), found(angle)[1]
+
+    h = 1e-5
+    (low, _), (high, _) = (both(angle, 1.0)[0] for angle in (0.4 - h, 0.4 + h))
+    (_, slope), code = both(0.4, 1.0)
+    assert code == jxr.RESULTS.too_deep and abs(slope[1]) > 1e-3
+    np.testing.assert_allclose(slope, (high - low) / (2.0 * h), rtol=1e-6, atol=1e-9)
+
+
 def test_feet_beyond_an_open_contour_are_its_ends():
     """Of a line from -1 to 2 along y: whichever sample is nearest, and however few there are."""
     line = jxr.Line((-1.0, 2.0)).prepared()

@@ -163,7 +163,7 @@ def _locate(
     fixed = _constant(scene)
     s_b = spread(fixed.b, samples)
     outline = fixed.b.frame(s_b)
-    start, sample = _estimate(fixed, (s_b, outline), candidates)
+    start, lowest, depth = _estimate(fixed, (s_b, outline), candidates)
     s = _refine(fixed, start)
     held = _pairs(fixed, s).held
     # One step to finish, then two from a root s. As the residual F is zero there, a step s - J^-1 F has the
@@ -172,10 +172,11 @@ def _locate(
     # needs.
     s = jax.lax.fori_loop(0, 3, lambda _, s: _newton(scene, s, held), s)
     # The lowest sample becomes the last pair: it is the answer where no other pair is.
+    sample = _sampled(scene, samples, lowest)
     s = (jnp.append(s[0], sample[0]), jnp.append(s[1], sample[1]))
     found = _pairs(scene, s, (jnp.append(held[0], False), jnp.append(held[1], False)))
     fair = _verified(fixed, (s_b, outline), (_constant(s), _constant(found)), start)
-    return _report(scene, world, (s, found, fair), (start, sample[2]))
+    return _report(scene, world, (s, found, fair), (start, depth))
 
 
 def _constant(tree: Any) -> Any:
@@ -210,8 +211,8 @@ def _length(contour: AbstractContour) -> Scalar:
 
 def _estimate(
     scene: _Scene, outline: tuple[Array, Frenet2], candidates: int
-) -> tuple[Minima, tuple[Array, Array, Array]]:
-    """Estimated local minima, and the lowest sample: arclengths on both contours, and signed distance [m].
+) -> tuple[Minima, tuple[Array, Array], Array]:
+    """Estimated local minima; the lowest sample's number, and that of `b` nearest; its signed distance [m].
 
     `outline` holds the samples of `b`: arclengths and frames.
     """
@@ -227,7 +228,14 @@ def _estimate(
     turn = _length(scene.b) if scene.b.closed else jnp.inf
     best = minima(s, found, rate, turn=turn, closed=scene.a.closed, count=candidates)
     i = jnp.argmin(found.distance)
-    return best, (s[i], found.s[i], found.distance[i])
+    return best, (i, near[i]), found.distance[i]
+
+
+def _sampled(scene: _Scene, count: int, lowest: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Arclengths of the lowest sample and its foot as `_estimate` finds it, here with their derivatives."""
+    s_a, s_b = (spread(contour, count)[i] for contour, i in zip((scene.a, scene.b), lowest, strict=True))
+    point = scene.pose.place(scene.a.frame(s_a).point)
+    return s_a, toward(scene.b, _ends(scene.b), (s_b, scene.b.frame(s_b)), point).s
 
 
 def _inside(contour: AbstractContour, s: Array) -> Array:

@@ -74,7 +74,7 @@ def _attached(context: mlir.LoweringRuleContext, x: Any, *, attributes: tuple) -
         shared_out = set(where.manual_axes) != set(where.mesh.axis_names)
     if not shared_out and not isinstance(x.owner, ir.Block):
         given = x.owner.attributes
-        more = {key: ir.StringAttr.get(value) for key, value in attributes}
+        more: dict[str, Any] = {key: ir.StringAttr.get(value) for key, value in attributes}
         more |= {a.name: a.attr for a in given.get(_ATTRIBUTES, ())}
         given[_ATTRIBUTES] = ir.DictAttr.get(more)
     return [x]

@@ -187,7 +187,7 @@ def _series(network: PeriodicNetwork, radius: Array, centre: Array, terms: int) 
     # a_k = 2 Re X_k / count and b_k = -2 Im X_k / count. The centre adds c . n: the first harmonic.
     count = 4 * terms
     waves = jnp.fft.rfft(network.values(_uniform(count)))[: terms + 1]
-    waves = waves * (2.0 * radius / count).astype(waves.dtype)
+    waves = waves * jnp.asarray(2.0 * radius / count, waves.dtype)
     first = jnp.zeros(terms).at[0].set(1.0)
     cosines = waves[1:].real + first * centre[0]
     return Series(radius + 0.5 * waves[0].real, cosines, first * centre[1] - waves[1:].imag)

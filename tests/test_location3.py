@@ -230,6 +230,29 @@ def test_overlap_without_a_single_nearest_point_is_reported():
     assert found.result == jxr.RESULTS.too_deep and not bool(found.unique)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("swapped", [False, True])
+def test_derivatives_of_the_lowest_sample_where_no_pair_is_the_answer(swapped):
+    """The sample is one of either surface, or stays there; its foot on the other one moves."""
+    shapes = (Ellipsoid(0.03, 0.02, 0.01), Sphere(0.02))[:: 1 if swapped else -1]
+    start = jnp.array([0.0031, 0.002, 0.0015, 1.0, 0.1, 0.2, 0.0])
+    way = jnp.array([1.0, 0.3, 0.2, 0.0, 0.0, 0.5, 0.0])
+
+    @jax.jit
+    def both(x):
+        def found(x):
+            at = locate_surfaces(*shapes, pose_a=start + x * way, samples=128, candidates=1)
+            return jnp.append(jnp.ravel(jnp.asarray(at.points)), at.gap), at.result
+
+        return jax.jvp(lambda x: found(x)[0], (x,), (1.0,)), found(x)[1]
+
+    h = 1e-6
+    (low, _), (high, _) = (both(x)[0] for x in (-h, h))
+    (_, slope), code = both(0.0)
+    assert code == jxr.RESULTS.too_deep and abs(slope[-1]) > 0.1
+    np.testing.assert_allclose(slope, (high - low) / (2.0 * h), rtol=1e-6, atol=1e-7)
+
+
 def sphere_piece(n, radius):
     u, v = np.meshgrid(np.linspace(-0.6, 0.6, n), np.linspace(-0.5, 0.5, n), indexing="ij")
     return radius * np.stack([np.cos(u) * np.cos(v), np.sin(u) * np.cos(v), np.sin(v)], -1)

@@ -157,11 +157,11 @@ def _locate(
     start = _starts(fixed, covers, candidates)
     at = jax.vmap(lambda at, reach: _refine(fixed, at, reach))(start.at, start.reach)
     at, fair, missed = _sorted(fixed, covers[1], at, start, candidates)
-    # Where no pair is the answer, the lowest sample is; it is no root, and makes no steps.
+    # Where no pair is the answer, the lowest sample is; it is no root, and its foot alone moves.
     first = jnp.arange(candidates) == 0
     at = jax.tree.map(lambda x, y: jnp.where(missed & first, y, x), at, start.sample)
     root = fair & ~(missed & first)
-    at = jax.vmap(lambda at, root: polished(pair, at, root, _POLISH))(at, root)
+    at = jax.vmap(lambda at, root: polished(pair, at, root, start.of_b, _POLISH))(at, root)
     return _report(pair, (worlds[1], swapped), (at, fair, missed), start)
 
 
@@ -191,7 +191,8 @@ def _starts(pair: Pair3, covers: tuple[Cover | None, Cover | None], count: int) 
     reach = jnp.concatenate([first.reach, second.reach])
     below = second.distance < first.distance
     sample = jax.tree.map(lambda x, y: jnp.where(below, y, x), first.sample, second.sample[::-1])
-    return Starts(at, there, reach, sample, jnp.minimum(first.distance, second.distance), first.bound)
+    lowest = jnp.minimum(first.distance, second.distance)
+    return Starts(at, there, reach, sample, below, lowest, first.bound)
 
 
 def _refine(pair: Pair3, at: Places, reach: Scalar) -> Places:

@@ -113,8 +113,8 @@ class Linear3:
 
     def conditions(self, a: Gauss3, b: Gauss3) -> tuple[Plane2, Plane2]:
         """What Newton's method makes zero: the distance's slope along `a`, the arm's part tangent to `b`."""
-        arm, both = a.point - b.point, a.normal + b.normal
-        aside = _along(self.basis[1], arm - b.normal * arm.dot(b.normal))
+        both = a.normal + b.normal
+        aside = _across(self.basis[1], b, a.point)
         # The slope is n . u along a tangent u of `a`, with the normal n at the foot: n_b turned on the way
         # there by `outside` times `aside`. As n_a . u = 0, it is computed from n_a + n_b, which loses no
         # digits near a root.
@@ -169,22 +169,28 @@ def summed(left: Scalars, right: Scalars) -> Scalars:
     return tuple(a + b for a, b in zip(left, right, strict=True))
 
 
-def polished(pair: Pair3, at: Places, root: Scalar, steps: int) -> Places:
+def polished(pair: Pair3, at: Places, root: Scalar, of_b: Scalar, steps: int) -> Places:
     """A pair after some Newton steps from a root, with the derivatives of the implicit function theorem.
 
     The conditions F are zero at a root, and their Jacobian J there is kept constant. A step x - J^-1 F then
     has the derivative -J^-1 dF of the implicit function theorem, and each further step makes one more order
-    of derivatives right. A pair that is no root (`root` is false) makes no steps.
+    of derivatives right. Of a pair that is no root (`root` is false) one place stays, that on `b` if `of_b`;
+    the other one is its foot, within the ends of the surface.
     """
     fixed, at = constant(pair), constant(at)
-    equations = constant(linear(*fixed.frames(at)))
+    frames = fixed.frames(at)
+    equations, bend = constant((linear(*frames), _bend(*frames)))
 
     def step(at: Places, _: None) -> tuple[Places, None]:
-        slope, aside = equations.conditions(*pair.frames(at))
-        x = equations.rise.solve((-slope[0], -slope[1]))
-        y = equations.follow(aside, x)
-        x, y = ((jnp.where(root, u, 0.0), jnp.where(root, v, 0.0)) for u, v in (x, y))
-        return stepped(pair, at, equations.basis, (x, y)), None
+        a, b = pair.frames(at)
+        slope, aside = equations.conditions(a, b)
+        down = equations.rise.solve((-slope[0], -slope[1]))
+        back = bend.solve(_across(equations.basis[0], a, b.point))
+        x = tuple(jnp.where(root, u, jnp.where(of_b, v, 0.0)) for u, v in zip(down, back, strict=True))
+        y = tuple(jnp.where(of_b & ~root, 0.0, v) for v in equations.follow(aside, (x[0], x[1])))
+        on_a, on_b = stepped(pair, at, equations.basis, ((x[0], x[1]), (y[0], y[1])))
+        ends = pair.a.within(on_a), pair.b.within(on_b)
+        return jax.tree.map(lambda free, cut: jnp.where(root, free, cut), (on_a, on_b), ends), None
 
     # Coordinates on an implicit surface first follow it along its normal as its numbers change: the steps,
     # which are tangent, could not do that.
@@ -192,11 +198,23 @@ def polished(pair: Pair3, at: Places, root: Scalar, steps: int) -> Places:
     return jax.lax.scan(step, at, None, length=steps)[0]
 
 
+def _bend(a: Gauss3, b: Gauss3) -> TangentForm:
+    """$1 + h L_a$ of the step on `a` to the foot of the point of `b`, at the height h above it."""
+    form, height = _form(a, tangents(a.normal)), (b.point - a.point).dot(a.normal)
+    return TangentForm(height * form.xx, height * form.xy, height * form.yy).plus(jnp.ones_like(height))
+
+
 def _form(frame: Gauss3, basis: tuple[Vec3, Vec3]) -> TangentForm:
     """The shape operator of a frame in a basis of its tangent plane."""
     u, v = basis
     first, second = frame.shape.apply(u), frame.shape.apply(v)
     return TangentForm(u.dot(first), u.dot(second), v.dot(second))
+
+
+def _across(basis: tuple[Vec3, Vec3], frame: Gauss3, point: Vec3) -> Plane2:
+    """The tangent part of the arm from a frame to a point, along two tangents that stay as it turns."""
+    arm = point - frame.point
+    return _along(basis, arm - frame.normal * arm.dot(frame.normal))
 
 
 def _along(basis: tuple[Vec3, Vec3], vector: Vec3) -> Plane2:

@@ -59,6 +59,7 @@ class Starts:
         there: Which entries hold a pair.
         reach: Longest step from a pair [m].
         sample: The pair with the lowest signed distance of all samples.
+        of_b: Whether that sample is one of `b`, and its foot on `a`.
         distance: That signed distance [m].
         bound: The lowest signed distance of a sample of `a` [m]: the gap cannot be above it.
     """
@@ -67,6 +68,7 @@ class Starts:
     there: Array
     reach: Array
     sample: Places
+    of_b: Array
     distance: Scalar
     bound: Scalar
 
@@ -159,7 +161,7 @@ def starts(pair: Pair3, walked: Cover, other: Cover | None, count: int) -> Start
     at = jax.tree.map(lambda x: x[order], pairs)
     reach = jnp.full(count, walked.width)
     sample = jax.tree.map(lambda x: x[best], pairs)
-    return Starts(at, there, reach, sample, value[best], value[best])
+    return Starts(at, there, reach, sample, jnp.array(False), value[best], value[best])
 
 
 def _apart(left: Vec3, right: Vec3) -> Array:

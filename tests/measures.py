@@ -18,6 +18,27 @@ def taylor_remainders(function, point, direction, slope, steps):
     return np.array([float(abs(function(move(h)) - base - h * slope)) for h in steps])
 
 
+def both_slopes(function):
+    """A compiled function of (x, direction): a scalar, its derivative along the direction, and its gradient.
+
+    Forwards and backwards, of one linearisation, `jax.linearize` and its transpose, so that what leads to
+    the value is compiled once; and along one direction, since a derivative along each axis costs as much
+    again.
+    """
+
+    @jax.jit
+    def found(x, direction):
+        value, push = jax.linearize(function, x)
+        (slopes,) = jax.linear_transpose(push, x)(jnp.ones_like(value))
+        return value, push(direction), slopes
+
+    return lambda x, direction=None: found(*_floats(x, jnp.ones_like(x) if direction is None else direction))
+
+
+def _floats(*arrays):
+    return [jnp.asarray(x, float) for x in arrays]
+
+
 def gradients_with_and_without_an_end(observed, grasp, state):
     """Gradients in a finger's lengths of what `observed(grasp, ts, states)` says of two states.
 

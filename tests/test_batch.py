@@ -42,7 +42,7 @@ def make(x):
             contact.s_object + 1e-2 * x[5],
         ),
     )
-    return jxr.close(grasp, state)
+    return grasp, state
 
 
 @pytest.fixture(scope="module")
@@ -50,18 +50,27 @@ def draws():
     return jnp.asarray(np.random.default_rng(1).uniform(-0.2, 0.2, (LANES, 6)))
 
 
-def adaptive(x):
-    return jxr.simulate(*make(x), t1=0.2, ts=1, rtol=1e-8)
+@pytest.fixture(scope="module")
+def scenes(draws):
+    """All of them closed, in one program."""
+    return jax.jit(jax.vmap(lambda x: jxr.close(*make(x))))(draws)
 
 
-def fixed(x):
-    controller = diffrax.ConstantStepSize()
-    return jxr.simulate(*make(x), t1=0.05, ts=1, stepsize_controller=controller, dt0=2e-3)
+def lane(tree, i):
+    return jax.tree.map(lambda x: x[i], tree)
+
+
+ADAPTIVE = {"t1": 0.2, "ts": 1, "rtol": 1e-8}
+FIXED = {"t1": 0.05, "ts": 1, "stepsize_controller": diffrax.ConstantStepSize(), "dt0": 2e-3}
+
+
+def all_runs(scenes, options):
+    return jax.jit(jax.vmap(lambda scene: jxr.simulate(*scene, **options)))(scenes)
 
 
 @pytest.fixture(scope="module")
-def batch(draws):
-    return jax.jit(jax.vmap(adaptive))(draws)
+def batch(scenes):
+    return all_runs(scenes, ADAPTIVE)
 
 
 def test_every_lane_succeeds_with_its_own_code(batch):
@@ -73,16 +82,23 @@ def test_every_lane_succeeds_with_its_own_code(batch):
     assert str(LANES) in str(batch)
 
 
-def test_adaptive_lanes_equal_single_runs_to_tolerance(batch, draws):
-    single = jax.jit(adaptive)
+def test_closed_lanes_equal_single_ones(scenes, draws):
     for i in range(0, LANES, 128):
-        np.testing.assert_allclose(batch.states.q[i], single(draws[i]).states.q, atol=1e-8)
+        alone = jxr.close(*make(draws[i]))
+        same = lambda a, b: np.testing.assert_allclose(a, b, rtol=0, atol=1e-14)  # noqa: E731
+        jax.tree.map(same, lane(scenes, i), alone)
 
 
-def test_fixed_step_lanes_equal_single_runs_to_1e_12(draws):
-    lanes, single = jax.jit(jax.vmap(fixed))(draws), jax.jit(fixed)
+def test_adaptive_lanes_equal_single_runs_to_tolerance(batch, scenes):
     for i in range(0, LANES, 128):
-        one = single(draws[i])
+        one = jxr.simulate(*lane(scenes, i), **ADAPTIVE)
+        np.testing.assert_allclose(batch.states.q[i], one.states.q, atol=1e-8)
+
+
+def test_fixed_step_lanes_equal_single_runs_to_1e_12(scenes):
+    lanes = all_runs(scenes, FIXED)
+    for i in range(0, LANES, 128):
+        one = jxr.simulate(*lane(scenes, i), **FIXED)
         np.testing.assert_allclose(lanes.states.q[i], one.states.q, rtol=0, atol=1e-12)
         np.testing.assert_allclose(lanes.states.s[i], one.states.s, rtol=0, atol=1e-12)
 

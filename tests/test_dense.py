@@ -10,18 +10,21 @@ import numpy as np
 import pytest
 
 import jaxroll as jxr
+from tests.measures import both_slopes
 
 
 def dense_error(scene, tight, loose, **ways):
     """Largest error of dense output between saved times, and of what the same run saved."""
     grasp, state = scene
-    ts = np.linspace(0.0, 0.4, 41)
-    run = jxr.simulate(grasp, state, 0.4, ts=3, rtol=loose, record=("dense",), **ways)
+    ts = np.linspace(0.0, 0.4, 42)
+    run = jxr.simulate(grasp, state, 0.4, ts=[0.0, ts[20], 0.4], rtol=loose, record=("dense",), **ways)
     found = run(ts)
     assert np.abs(jxr.residuals(grasp, found).normal).max() <= 1e-12
-    true = jxr.simulate(grasp, state, 0.4, ts=ts, rtol=tight).states
-    saved = np.abs(run.states.q - np.asarray(true.q)[[0, 20, 40]]).max()
-    return np.abs(found.q - true.q).max(), saved, run
+    # Three times a run, in a program that many tests use.
+    true = [jxr.simulate(grasp, state, 0.4, ts=each, rtol=tight).states.q for each in ts.reshape(-1, 3)]
+    true = np.concatenate(true)
+    saved = np.abs(run.states.q - true[[0, 20, 41]]).max()
+    return np.abs(found.q - true).max(), saved, run
 
 
 def test_dense_output_is_as_accurate_as_saved_states(scene):
@@ -60,14 +63,14 @@ def test_dense_output_is_differentiated(scene):
 
     moving = jxr.close(grasp, jxr.State(state.q, state.v.at[0].set(1.0), state.s))[1]
     compatible, x, size = moving.v, jnp.array([0.006, 0.1, 0.17]), np.array([1e-5, 1e-3, 1e-4])
-    # One program for the values and the derivative forwards.
-    both = jax.jit(jax.jacfwd(lambda x: (value(x),) * 2, has_aux=True))
-    ends = [[both(x + k * h * e)[1] for h, e in zip(size, np.eye(3), strict=True)] for k in (-2, -1, 1, 2)]
-    slopes = (8 * (np.array(ends[2]) - ends[1]) - (np.array(ends[3]) - ends[0])) / (12 * size)
-    np.testing.assert_allclose(jax.jit(jax.grad(value))(x), slopes, rtol=1e-6)
-    np.testing.assert_allclose(both(x)[0], slopes, rtol=1e-6)
+    along, both = np.array([1e-3, 1.0, -1.0]), both_slopes(value)
+    ends = [[both(x + k * h * e)[0] for h, e in zip(size, np.eye(3), strict=True)] for k in (-2, -1, 1, 2)]
+    wanted = (8 * (np.array(ends[2]) - ends[1]) - (np.array(ends[3]) - ends[0])) / (12 * size)
+    here, forwards, backwards = both(x, along)
+    np.testing.assert_allclose(backwards, wanted, rtol=1e-6)
+    np.testing.assert_allclose(forwards, backwards @ along, rtol=1e-10)
     each = jax.jit(jax.vmap(value))(jnp.stack([x, 1.1 * x]))
-    np.testing.assert_allclose(each, [both(x)[1], both(1.1 * x)[1]], rtol=1e-12)
+    np.testing.assert_allclose(each, [here, both(1.1 * x)[0]], rtol=1e-12)
 
 
 def test_dense_output_across_samples_jumps_and_an_early_end(scene):
@@ -76,9 +79,11 @@ def test_dense_output_across_samples_jumps_and_an_early_end(scene):
     harder = jxr.commands.Steps([0.0513], [0.5, 0.7])
     law = jxr.control.Sampled(grasp.with_(force=harder).controller, 0.01)
     at = np.array([0.0049, 0.0051, 0.01, 0.055, 0.0651, 0.0849])
+    at_end = np.linspace(0.0995, 0.1, 6)
     for acted in (grasp.with_(controller=law), grasp.with_(force=harder)):
-        run = jxr.simulate(acted, state, 0.1, ts=1, rtol=1e-10, record=("dense",))
-        true = jxr.simulate(acted, state, 0.1, ts=at, rtol=1e-11).states
+        # One program: another run, which saves at these times; this one saves close to its end alone.
+        run = jxr.simulate(acted, state, 0.1, ts=at_end, rtol=1e-10, record=("dense",))
+        true = jxr.simulate(acted, state, 0.1, ts=at, rtol=1e-11, record=("dense",)).states
         found = run(at)
         for part in ("q", "v", "s"):
             np.testing.assert_allclose(getattr(found, part), getattr(true, part), rtol=0, atol=2e-8)
@@ -88,7 +93,7 @@ def test_dense_output_across_samples_jumps_and_an_early_end(scene):
         grasp.with_(force=jxr.commands.Steps([0.05], [0.5, -0.5])),
         state,
         0.3,
-        ts=1,
+        ts=6,
         record=("dense",),
         throw=False,
     )

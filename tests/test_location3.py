@@ -42,9 +42,24 @@ def matrix(pose):
     return Rotation.from_quat(np.roll(pose[3:], -1)).as_matrix()
 
 
-@jax.jit
 def spheres(radii, pose_a, pose_b):
     return locate_surfaces(Sphere(radii[0]), Sphere(radii[1]), pose_a=pose_a, pose_b=pose_b)
+
+
+@jax.jit
+def spheres_and_slope(radii, pose_a, pose_b):
+    """Where two spheres are nearest, and the derivative of the gap in the first one's pose."""
+
+    def met(pose_a):
+        found = spheres(radii, pose_a, pose_b)
+        return found.gap, found
+
+    slope, found = jax.grad(met, has_aux=True)(pose_a)
+    return found, slope
+
+
+def near(radii, pose_a, pose_b):
+    return spheres_and_slope(radii, pose_a, pose_b)[0]
 
 
 @pytest.mark.parametrize("offset", [(0.05, 0.02, -0.01), (0.018, 0.024, 0.0), (0.02, -0.01, 0.005)])
@@ -52,7 +67,7 @@ def test_two_spheres(offset):
     base = np.array([0.1, -0.2, 0.3])
     away = np.linalg.norm(offset)
     normal = np.asarray(offset) / away
-    found = spheres((0.01, 0.02), posed(base + offset), posed(base, TURN[::-1]))
+    found = near((0.01, 0.02), posed(base + offset), posed(base, TURN[::-1]))
     assert found.result == SUCCESS and bool(found.unique) and int(found.others.count) == 0
     np.testing.assert_allclose(float(found.gap), away - 0.03, atol=2e-16)
     np.testing.assert_allclose(found.normal, normal, atol=1e-14)
@@ -66,17 +81,17 @@ def test_a_grain_on_a_boulder():
     """The grain's samples find the place; inside, the grain has a deepest point and the boulder has none."""
     normal = np.array([0.48, -0.6, 0.64])
     for radii in ((1.0, 0.001), (0.001, 1.0)):
-        found = spheres(radii, STILL, posed((1.001 + 1e-4) * normal))
+        found = near(radii, STILL, posed((1.001 + 1e-4) * normal))
         assert found.result == SUCCESS and bool(found.unique)
         np.testing.assert_allclose(float(found.gap), 1e-4, atol=1e-15)
 
-    inside = spheres((0.001, 1.0), STILL, posed(0.99 * normal))
+    inside = near((0.001, 1.0), STILL, posed(0.99 * normal))
     assert inside.result == SUCCESS and abs(float(inside.gap) + 0.011) <= 1e-15
-    assert spheres((1.0, 0.001), STILL, posed(0.99 * normal)).result == jxr.RESULTS.too_deep
+    assert near((1.0, 0.001), STILL, posed(0.99 * normal)).result == jxr.RESULTS.too_deep
 
 
 def test_concentric_spheres_are_not_unique():
-    found = spheres((0.01, 0.02), STILL, STILL)
+    found = near((0.01, 0.02), STILL, STILL)
     assert not bool(found.unique)
     np.testing.assert_allclose(float(found.gap), -0.01, atol=1e-15)
 
@@ -139,12 +154,15 @@ def widest(axes, poses, starts):
     return -1e-3 * best.fun
 
 
+@jax.jit
+@jax.vmap
+def met(axes_a, axes_b, pose_a, pose_b):
+    return locate_surfaces(Ellipsoid(*axes_a), Ellipsoid(*axes_b), pose_a=pose_a, pose_b=pose_b)
+
+
 def test_two_ellipsoids_against_scipy():
     axes, poses, gaps = ellipsoids()
-    many = jax.jit(
-        jax.vmap(lambda x, y, p, q: locate_surfaces(Ellipsoid(*x), Ellipsoid(*y), pose_a=p, pose_b=q))
-    )
-    found = many(axes[0], axes[1], poses[0], poses[1])
+    found = met(axes[0], axes[1], poses[0], poses[1])
     assert np.all(np.asarray(found.result == SUCCESS)) and np.all(np.asarray(found.unique))
     assert float(found.residual.max()) <= 1e-12
     np.testing.assert_allclose(found.gap, gaps, atol=1e-15)
@@ -226,8 +244,9 @@ def test_sphere_placed_along_a_normal(name):
 
 
 def test_overlap_without_a_single_nearest_point_is_reported():
-    found = locate_surfaces(Sphere(0.004), Ellipsoid(0.03, 0.03, 0.012))
-    assert found.result == jxr.RESULTS.too_deep and not bool(found.unique)
+    ball, disc = np.full((40, 3), 0.004), np.tile([0.03, 0.03, 0.012], (40, 1))
+    found = met(ball, disc, *np.tile(STILL, (2, 40, 1)))
+    assert np.all(np.asarray(found.result == jxr.RESULTS.too_deep)) and not np.any(np.asarray(found.unique))
 
 
 @pytest.mark.slow
@@ -360,7 +379,7 @@ def test_second_derivative_of_the_gap():
     p = np.array([0.04, 0.03, 0.02])
     away = np.linalg.norm(p)
     exact = (np.eye(3) - np.outer(p, p) / away**2) / away
-    np.testing.assert_allclose(jax.hessian(gap)(jnp.asarray(p)), exact, atol=1e-10)
+    np.testing.assert_allclose(jax.jit(jax.hessian(gap))(jnp.asarray(p)), exact, atol=1e-10)
 
 
 @pytest.mark.slow
@@ -394,10 +413,8 @@ def test_bad_arguments_say_what_they_must_be(pair, options, words):
 
 @pytest.mark.parametrize("height", [0.02, 0.021, 0.0199])
 def test_gradient_of_the_gap_is_one_along_the_normal_where_surfaces_touch_too(height):
-    ball = jxr.Sphere(0.01)
-    gap = lambda z: locate_surfaces(ball, ball, pose_a=jnp.array([0, 0, z, 1, 0, 0, 0])).gap  # noqa: E731
-    found = jax.jit(jax.value_and_grad(gap))(height)
-    np.testing.assert_allclose(found, (height - 0.02, 1.0), atol=1e-12)
+    found, slope = spheres_and_slope((0.01, 0.01), np.array([0.0, 0.0, height, 1.0, 0.0, 0.0, 0.0]), STILL)
+    np.testing.assert_allclose((found.gap, slope[2]), (height - 0.02, 1.0), atol=1e-12)
 
 
 BESIDE = np.array(
@@ -441,8 +458,9 @@ def test_steps_of_a_search_go_downhill(lowest):
 
 
 def test_two_spheres_in_single_precision():
+    once = jax.jit(spheres)
     for pose in BESIDE:
-        found = in_single(spheres, (np.array(0.01), np.array(0.02)), pose, STILL)
+        found = in_single(once, (np.array(0.01), np.array(0.02)), pose, STILL)
         away = np.linalg.norm(pose[:3])
         assert found.gap.dtype == jnp.float32 and found.result == SUCCESS and bool(found.unique)
         assert abs(float(found.gap) - (away - 0.03)) <= 1e-8 and int(found.others.count) == 0
@@ -454,6 +472,6 @@ def test_two_spheres_in_single_precision():
 def test_rounded_poses_of_shapes_in_double_precision(both):
     pose = BESIDE[1].astype(np.float32)
     still = STILL.astype(np.float32) if both else STILL
-    single = spheres((0.01, 0.02), pose, still)
-    found = spheres((0.01, 0.02), BESIDE[1], STILL)
+    single = near((0.01, 0.02), pose, still)
+    found = near((0.01, 0.02), BESIDE[1], STILL)
     assert single.result == SUCCESS and abs(float(single.gap - found.gap)) <= 3e-8

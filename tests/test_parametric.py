@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxroll as jxr
-from tests.measures import taylor_remainders
+from tests.measures import both_slopes, taylor_remainders
 
 A, B = 0.02, 0.014
 TURN = 2.0 * np.pi
@@ -67,10 +67,10 @@ def test_runs_batches_and_gradients_go_through_the_curve():
         tip = own(0.012, b, origin=0.0, cells=256)
         return jxr.simulate(*jxr.close(grasp.with_tip(0, tip), state), 0.05, ts=1).last.q[0]
 
-    backwards, forwards = jax.jit(jax.value_and_grad(turned)), jax.jit(jax.jacfwd(turned))
-    value, slope = backwards(0.01)
-    for each in (slope, forwards(0.01)):
-        left = taylor_remainders(lambda b: backwards(b)[0], 0.01, 1.0, float(each), (2e-4, 1e-4, 5e-5))
+    both = both_slopes(turned)
+    value, *slopes = both(0.01)
+    for slope in slopes:
+        left = taylor_remainders(lambda b: both(b)[0], 0.01, 1.0, float(slope), (2e-4, 1e-4, 5e-5))
         np.testing.assert_allclose(np.log2(left[:-1] / left[1:]), 2.0, atol=0.1)
     many = jax.jit(jax.vmap(turned))(jnp.array([0.009, 0.01, 0.011]))
     np.testing.assert_allclose(many[1], value, rtol=0, atol=1e-9)

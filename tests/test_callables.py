@@ -109,9 +109,8 @@ def test_what_a_law_closes_over_has_a_derivative_and_lanes():
         own = jxr.Grasp(grasp.object, grasp.fingers, grasp.contacts, controller=law)
         return jxr.simulate(own, state, 0.02, ts=1, rtol=1e-11, throw=False).last.q[0]
 
-    def wanted(gain):
-        return end(jax.tree_util.Partial(lambda gain, *given: pushing(gain)(*given), jnp.asarray(gain)))
-
+    law = lambda gain, *given: pushing(gain)(*given)  # noqa: E731
+    wanted = lambda gain: end(jax.tree_util.Partial(law, jnp.asarray(gain)))  # noqa: E731
     found = lambda gain: end(pushing(gain))  # noqa: E731
     value, slope = jax.jit(jax.value_and_grad(found))(30.0)
     assert abs(slope) > 1e-6

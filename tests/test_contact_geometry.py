@@ -37,13 +37,14 @@ def test_angles_lengths_and_curvatures_are_the_chapters(moving):
     """(56)-(57), (60)-(63) and (69)-(70), from the printed contours at the same s."""
     _, _, found = moving
     chapter = Part2()
+    slopes = jax.jit(jax.jacfwd(lambda s: jnp.stack(chapter.angles(s))))
     for i, s in enumerate(np.asarray(found.s[:, 0])):
         theta1, psi0 = chapter.angles(s)
         np.testing.assert_allclose([found.theta_1[i, 0], found.psi_0[i, 0]], [theta1, psi0], atol=1e-13)
         here = [getattr(found, name)[i, 0] for name in LENGTHS]
         np.testing.assert_allclose(here, chapter.lengths(s), atol=1e-15)
         # theta_1' = kappa_1 of (70); psi_0' = -kappa_0 of (69), corrected.
-        turning = np.asarray(jax.jacfwd(lambda s: jnp.stack(chapter.angles(s)))(s))
+        turning = np.asarray(slopes(s))
         np.testing.assert_allclose([found.kappa_1[i, 0], -found.kappa_0[i, 0]], turning, rtol=1e-11)
 
 
@@ -224,8 +225,9 @@ def test_coefficients_of_73_and_74(moving):
         q = dx * jnp.cos(turn) - dy * jnp.sin(turn) + l_n0 + l_n1
         return jnp.stack([q, dx * jnp.sin(turn) + dy * jnp.cos(turn) + l_b0 + l_b1])
 
+    changed = jax.jit(lambda at, along: jax.jvp(printed, at, along)[1])
     for i in (0, 2, 4):
-        state, at = (jax.tree.map(lambda x: x[i], tree) for tree in (run.states, found))  # noqa: B023
+        state, at = (jax.tree.map(lambda x: np.asarray(x)[i], tree) for tree in (run.states, found))  # noqa: B023
         outer = np.asarray(at.centre_0[0]) - np.asarray(grasp.fingers[0].base)
         inner = outer - lengths[1] * np.array([np.cos(state.q[1:].sum()), np.sin(state.q[1:].sum())])
         jacobian = np.stack([[-arm[1], arm[0]] for arm in (outer, outer - inner)], axis=-1)
@@ -236,7 +238,7 @@ def test_coefficients_of_73_and_74(moving):
         np.testing.assert_allclose(terms.tangential[0], by_lam, atol=1e-14)
         for direction in np.eye(3):
             rolled = (direction[1] + direction[2] - direction[0]) / (at.kappa_0[0] + at.kappa_1[0])
-            _, change = jax.jvp(printed, (state.q, at.s[0]), (jnp.asarray(direction), rolled))
+            change = changed((state.q, at.s[0]), (direction, rolled))
             np.testing.assert_allclose(change, [by_f @ direction, by_lam @ direction], atol=1e-12)
 
 

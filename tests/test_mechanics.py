@@ -278,6 +278,18 @@ def test_a_finger_in_space_is_its_links_one_by_one(gravity):
 
 def test_equation_terms_in_space_are_rates_of_the_contact_and_balance():
     """Gradients against twists of single links; and with forces, torques and accelerations the equations."""
+
+    @jax.jit
+    def asked(grasp, state):
+        """In one program, in which XLA sees that the equations are the same."""
+        given = grasp, 0.0, state
+        return (
+            jxr.equation_terms(grasp, state),
+            jxr.multipliers(*given),
+            jxr.accelerations(*given),
+            jxr.torques(*given),
+        )
+
     rng = np.random.default_rng(6)
     finger = jxr.Finger3(
         rng.normal(size=(3, 3)), 0.05 * rng.normal(size=(3, 3)), [0.05, 0.03, 0.02], jxr.Sphere(0.01)
@@ -295,8 +307,8 @@ def test_equation_terms_in_space_are_rates_of_the_contact_and_balance():
     q[3:7] = turn / np.linalg.norm(turn)
     places = [0.01 * ways[0], 0.02 * ways[1], grasp.fingers[1].tip.near(ways[0]), 0.02 * ways[2]]
     v = rng.normal(size=9)
-    state = jxr.State(jnp.asarray(q), jnp.asarray(v), jnp.concatenate([jnp.asarray(p) for p in places]))
-    terms = jxr.equation_terms(grasp, state)
+    state = jxr.State(jnp.asarray(q), jnp.asarray(v), jnp.asarray(np.concatenate(places)))
+    terms, forces, change, drive = asked(grasp, state)
     # The rate of the gap of the first contact, from the twists of both bodies.
     (at, axes), (rate, spin), _, _ = links_one_by_one(finger, q[7:], v[6:])
     body = Rotation.from_quat(q[[4, 5, 6, 3]])
@@ -308,12 +320,11 @@ def test_equation_terms_in_space_are_rates_of_the_contact_and_balance():
     near(terms.spin[0] @ v, n @ (spin - turning))
     near(terms.spin[1], 0.0)
     # M v' + h + f Q + lambda R + tau S = u.
-    forces = jxr.multipliers(grasp, 0.0, state)
-    assert float(jnp.abs(forces.spin[0])) > 1e-4 and float(forces.spin[1]) == 0.0
-    pushed = forces.f @ terms.normal + jnp.einsum("ci,cin->n", forces.lam, terms.tangential)
-    left = terms.mass @ jxr.accelerations(grasp, 0.0, state) + terms.bias + pushed
+    assert float(abs(forces.spin[0])) > 1e-4 and float(forces.spin[1]) == 0.0
+    pushed = forces.f @ terms.normal + np.einsum("ci,cin->n", forces.lam, terms.tangential)
+    left = terms.mass @ change + terms.bias + pushed
     left += forces.spin @ terms.spin
-    driven = np.concatenate([np.zeros(6), jxr.torques(grasp, 0.0, state)[0]])
+    driven = np.concatenate([np.zeros(6), drive[0]])
     np.testing.assert_allclose(left, driven, atol=1e-10 * np.abs(np.asarray(pushed)).max())
 
 

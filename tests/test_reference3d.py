@@ -205,7 +205,7 @@ def test_forces_move_the_object(pinch, no_spin):
 def test_no_direction_is_special(pinch):
     """Everything turned as one moves turned."""
     scene, q = pinch()
-    v, T, ts = moving(scene, q), cf.exponential(np.array([0.3, -0.5, 0.8])), np.array([0.0, 0.2])
+    v, T, ts = moving(scene, q), cf.exponential(np.array([0.3, -0.5, 0.8])), np.array([0.0, 0.1])
     other = replace(scene, fingers=tuple(ref.turned_finger(f, T) for f in scene.fingers))
     half = np.array([0.3, -0.5, 0.8]) / 2
     angle = np.linalg.norm(half)
@@ -256,7 +256,7 @@ def test_the_chapters_pinch_with_round_tips():
     second = ref.joints_reaching(fingers[1], np.array([0.0525, 0.098, 0]), np.array([0.9, 1.2]))
     start = [[0.0275, 0.10, 0, np.cos(theta / 2), 0, 0, np.sin(theta / 2)], first, second]
     q = ref.closed_coordinates(scene, np.concatenate(start), np.concatenate([np.zeros(6), np.ones(5)]))
-    ts = np.linspace(0, 0.3, 4)
+    ts = np.linspace(0, 0.2, 4)
     qs, vs = ref.simulate(scene, q, np.zeros(11), ts)
 
     def arclengths(q):
@@ -318,7 +318,7 @@ def test_ball_on_an_incline_and_on_a_ball():
 
 def test_rattleback():
     body, p, w = cf.rattleback()
-    ts = np.linspace(0, 1, 5)
+    ts = np.linspace(0, 0.5, 5)
     P, x, W = body.simulate(p, w, ts)
     shape = ref.Ellipsoid((0.20, 0.03, 0.02), (0, 0, 0.01))
     plane = table(ref.Plane((0, 0, 0), (0, 0, 1.0)))

@@ -143,15 +143,16 @@ def widest(axes, poses, starts):
     half = [(matrix(pose) * own).T for pose, own in zip(poses, axes, strict=True)]
 
     def overlap(v):
-        n = v / np.sqrt(v @ v)
-        one, other = half[0] @ n, half[1] @ n
-        return 1e3 * (between @ n + np.sqrt(one @ one) + np.sqrt(other @ other))
+        """In units of a millimetre, and its derivative."""
+        size = np.sqrt(v @ v)
+        n = v / size
+        ends = [rows @ n for rows in half]
+        reach = [np.sqrt(end @ end) for end in ends]
+        slope = between + sum(rows.T @ end / r for rows, end, r in zip(half, ends, reach, strict=True))
+        return 1e3 * (between @ n + sum(reach)), 1e3 * (slope - n * (n @ slope)) / size
 
-    options = {"xatol": 1e-13, "fatol": 1e-13, "maxiter": 4000, "maxfev": 4000}
-    found = [minimize(overlap, v, method="BFGS", options={"gtol": 1e-9}) for v in starts]
-    best = min(found, key=lambda f: f.fun)
-    best = minimize(overlap, best.x / np.linalg.norm(best.x), method="Nelder-Mead", options=options)
-    return -1e-3 * best.fun
+    found = [minimize(overlap, v, jac=True, method="BFGS", options={"gtol": 1e-10}) for v in starts]
+    return -1e-3 * min(f.fun for f in found)
 
 
 @jax.jit

@@ -34,8 +34,8 @@ def rubbing(grasp, friction):
 
 @pytest.fixture(scope="module")
 def forces(scene):
-    """f(t) and lambda(t) of the pivoted scene without limits, as splines through 601 points."""
-    run = jxr.simulate(*scene, 0.6, ts=601, rtol=RTOL, record=("multipliers",))
+    """f(t) and lambda(t) of the pivoted scene without limits, as splines through 301 points."""
+    run = jxr.simulate(*scene, 0.6, rtol=RTOL, record=("multipliers", "energy"))
     return (CubicSpline(run.ts, values[:, 0]) for values in (run.multipliers.f, run.multipliers.lam))
 
 
@@ -146,11 +146,11 @@ def test_contour_ends_to_rounding(scene, face, tip):
 
 
 def friction_time(grasp, state, mu, damping):
-    return ends(rubbing(grasp.with_(damping=damping), mu), state).stats.t_end
+    return ends(rubbing(grasp.with_(damping=damping), mu), state)
 
 
 def end_time(grasp, state, low, damping):
-    return ends(shortened(grasp.with_(damping=damping), low), state, t1=2.0).stats.t_end
+    return ends(shortened(grasp.with_(damping=damping), low), state, t1=2.0)
 
 
 @pytest.mark.parametrize(
@@ -158,28 +158,28 @@ def end_time(grasp, state, low, damping):
     [(friction_time, 0.12), pytest.param(end_time, -0.0065, marks=pytest.mark.slow)],
 )
 def test_gradient_of_the_event_time(scene, time, first):
-    """Both modes, in the limit and in a parameter of the motion, against central differences."""
+    """Both modes, in the limit and in a parameter of the motion, against central differences.
+
+    The derivative of the last state is total: the event shifts as well.
+    """
     grasp, state = scene
     point = jnp.array([first, 0.006])
-    when = lambda p: time(grasp, state, p[0], p[1])  # noqa: E731
-    reverse = jax.jit(jax.grad(when))(point)
+
+    def ended(p):
+        run = time(grasp, state, p[0], p[1])
+        return jnp.stack([run.stats.t_end, run.last.q[0]])
+
+    reverse = jax.jit(jax.grad(lambda p: ended(p)[0]))(point)
     # One program for the values and the derivative forwards.
-    both = jax.jit(jax.jacfwd(lambda p: (when(p),) * 2, has_aux=True))
-    np.testing.assert_allclose(reverse, both(point)[0], rtol=1e-9)
-    for i, step in enumerate((1e-3 * abs(first), 1e-5)):
-        move = jnp.zeros(2).at[i].set(step)
+    along = jax.jit(lambda p, way: jax.jvp(ended, (p,), (way,)))
+    for way, found, step in zip(np.eye(2), reverse, (1e-3 * abs(first), 1e-5), strict=True):
+        slopes = along(point, way)[1]
+        np.testing.assert_allclose(slopes[0], found, rtol=1e-9)
         # Fourth-order differences: truncation and rounding both below 1e-7.
-        near, far = (both(point + k * move)[1] - both(point - k * move)[1] for k in (1, 2))
-        assert abs((8 * near - far) / (12 * step) / reverse[i] - 1) <= 1e-6
-
-
-def test_state_at_an_event_moves_with_its_time(scene):
-    """The derivative of the last state is total: the event shifts as well."""
-    grasp, state = scene
-    angle = lambda mu: ends(rubbing(grasp, mu), state).last.q[0]  # noqa: E731
-    step, both = 1e-4, jax.jit(jax.jacfwd(lambda mu: (angle(mu),) * 2, has_aux=True))
-    slope = (both(0.12 + step)[1] - both(0.12 - step)[1]) / (2 * step)
-    assert abs(both(0.12)[0] / slope - 1) <= 1e-5
+        values = np.array([along(point + k * step * way, way)[0] for k in (-2, -1, 1, 2)])
+        differences = np.array([1.0, -8.0, 8.0, -1.0]) @ values / (12 * step)
+        assert abs(slopes[0] / differences[0] - 1) <= 1e-6
+        assert abs(slopes[1] / differences[1] - 1) <= 1e-5
 
 
 def test_what_a_run_reached_has_a_gradient_though_the_rest_is_nan(scene):
@@ -202,18 +202,6 @@ def test_what_a_run_reached_has_a_gradient_though_the_rest_is_nan(scene):
     assert 1 < seen < 13 and abs(slope / expected - 1) <= 1e-6
 
 
-def test_lanes_end_each_on_its_own(scene):
-    grasp, state = scene
-    limits = jnp.array([0.12, 0.5, 0.13])
-    together = jax.jit(jax.vmap(lambda mu: ends(rubbing(grasp, mu), state)))
-    runs = together(limits)
-    codes = [runs.result._value[i] for i in range(3)]
-    wanted = [jxr.RESULTS.slipping, jxr.RESULTS.successful, jxr.RESULTS.slipping]
-    assert codes == [w._value for w in wanted]
-    alone = together(limits.at[0].set(0.6))
-    np.testing.assert_array_equal(runs.last.q[1:], alone.last.q[1:])
-
-
 def test_gradients_of_lanes_are_those_of_single_runs(scene):
     """Lanes of lanes, some of which end on a contour's end: in both modes, with one record at a time."""
     grasp, state = scene
@@ -223,22 +211,25 @@ def test_gradients_of_lanes_are_those_of_single_runs(scene):
         run = ends(shortened(grasp.with_(damping=damping), low), state)
         return jnp.sum(run.last.q) + run.stats.t_end, run.result._value
 
-    alone = jax.jit(jax.value_and_grad(found, argnums=(0, 1), has_aux=True))
-    each = [[alone(damping, low) for low in lows] for damping in dampings]
-    expected = np.array([[row[1] for row in rows] for rows in each])
-    codes = np.array([[row[0][1] for row in rows] for rows in each])
-    assert len(np.unique(codes)) == 2 and (expected[codes > 0][:, 1] != 0).all()
-    over_both = lambda f: jax.vmap(jax.vmap(f, (None, 0)), (0, None))  # noqa: E731
+    over_both = lambda f, *rest: jax.vmap(jax.vmap(f, (None, 0, *rest)), (0, None, *rest))  # noqa: E731
     reverse = jax.jit(over_both(jax.grad(found, argnums=(0, 1), has_aux=True)))
+    # A single lane, which is no batch, and a single one of a single one.
+    each = [[reverse(damping[None], low[None]) for low in lows] for damping in dampings]
+    expected = np.array([[np.ravel(slopes) for slopes, _ in row] for row in each])
+    codes = np.array([[int(code[0, 0]) for _, code in row] for row in each])
+    assert len(np.unique(codes)) == 2 and (expected[codes > 0][:, 1] != 0).all()
     program = reverse.lower(dampings, lows).compile()
     slopes, ended = program(dampings, lows)
     np.testing.assert_array_equal(ended, codes)
     np.testing.assert_allclose(np.stack(slopes, axis=-1), expected, rtol=1e-6, atol=1e-12)
-    forward, _ = jax.jit(over_both(jax.jacfwd(found, argnums=(0, 1), has_aux=True)))(dampings, lows)
-    np.testing.assert_allclose(np.stack(forward, axis=-1), expected, rtol=1e-6, atol=1e-12)
-    # A single lane, which is no batch, and a single one of a single one.
-    single, _ = reverse(dampings[:1], lows[:1])
-    np.testing.assert_allclose(np.stack(single, axis=-1), expected[:1, :1], rtol=1e-9)
+    along = lambda damping, low, way: jax.jvp(found, (damping, low), tuple(way), has_aux=True)[:2]  # noqa: E731
+    forward = jax.jit(over_both(along, None))
+    for i, way in enumerate(np.eye(2)):
+        # A row of `expected` holds the slopes in the damping and in the end.
+        np.testing.assert_allclose(forward(dampings, lows, way)[1], expected[..., i], rtol=1e-6, atol=1e-12)
+    near = [forward(dampings + k * 1e-5, lows, way)[0] for k in (-2, -1, 1, 2)]
+    differences = np.tensordot([1.0, -8.0, 8.0, -1.0], near, 1) / (12 * 1e-5)
+    np.testing.assert_allclose(differences, expected[..., 0], rtol=1e-5)
     # Records of all six runs, of x and its slope alone, would be larger than all that the program works with.
     records = dampings.size * lows.size * 4096 * 2 * 7 * dampings.itemsize
     assert program.memory_analysis().temp_size_in_bytes < 0.75 * records
@@ -311,13 +302,12 @@ def test_a_ten_thousandth_of_a_curvature_is_none(excess, code):
     assert float(relative_sum(hollow, run)) == pytest.approx(excess / (2.0 + excess), rel=1e-6)
 
 
-def rolled_into_a_hollow(grasp, state, numbers):
+def rolled_into_a_hollow(grasp, start, numbers):
     """Code, time, and at the end: relative sum of curvatures, normal force, distance to the cone's sides."""
     spin, damping, force = numbers
     friction = 0.5
-    given = rubbing(grasp.with_(damping=damping, force=force), friction)
-    scene, start = on_hollow(given, jxr.State(state.q, spin * jnp.array([1.0, 0.0, 0.0]), state.s), Hollow())
-    run = ends(scene, start, t1=1.0)
+    scene = rubbing(grasp.with_(damping=damping, force=force), friction)
+    run = ends(scene, jxr.State(start.q, spin * start.v, start.s), t1=1.0)
     at_end = jxr.multipliers(scene, run.stats.t_end, run.last)
     f, lam = at_end.f[0], at_end.lam[0]
     return run.result._value, run.stats.t_end, relative_sum(scene, run), f, friction * f - abs(lam)
@@ -327,7 +317,10 @@ def test_every_end_is_at_the_limit_that_its_code_names(scene):
     """Where the sum of curvatures runs out, forces have a pole: that is no lost contact, and no slip."""
     draw = np.random.default_rng(0).uniform
     numbers = (draw(-60.0, 60.0, 64), 10.0 ** draw(-4.0, -2.0, 64), 10.0 ** draw(-1.0, 1.0, 64))
-    batch = jax.jit(jax.vmap(lambda *row: rolled_into_a_hollow(*scene, row)))
+    # Closed once: how fast it moves is one number.
+    turning = jxr.State(scene[1].q, jnp.array([1.0, 0.0, 0.0]), scene[1].s)
+    begun = on_hollow(scene[0], turning, Hollow())
+    batch = jax.jit(jax.vmap(lambda *row: rolled_into_a_hollow(*begun, row)))
     codes, when, left, f, cone = map(np.asarray, batch(*map(jnp.asarray, numbers)))
     singular = codes == jxr.RESULTS.singular_contact._value
     slips = codes == jxr.RESULTS.slipping._value
@@ -336,6 +329,11 @@ def test_every_end_is_at_the_limit_that_its_code_names(scene):
     assert (left[singular] < 1e-3).all() and (left[~singular] > 1e-3).all()
     later = slips & (when > 0)
     assert later.sum() >= 5 and (abs(cone[later]) <= 1e-8 * abs(f[later])).all()
+    # Each lane ends on its own: what another one does changes nothing.
+    others = batch(*(jnp.asarray(x).at[np.argmax(slips)].multiply(0.5) for x in numbers))
+    assert others[1][np.argmax(slips)] != when[np.argmax(slips)]
+    for x, same in zip((codes, when, left, f, cone), others, strict=True):
+        np.testing.assert_array_equal(*(np.delete(each, np.argmax(slips)) for each in (x, same)))
 
 
 class Tug(eqx.Module):
@@ -360,12 +358,10 @@ def pulls(scene):
     """48 pulls, some deep enough to lose the contact, some not, and the lowest of 500 forces of each."""
     draw = np.random.default_rng(1).uniform
     given = jnp.asarray(draw(0.9, 1.1, 48)), jnp.asarray(draw(0.1, 0.35, 48))
-
-    def lowest(depth, when):
-        options = {"ts": 500, "events": (), "record": ("multipliers",)}
-        return jnp.min(pulled(scene, depth, when, **options).multipliers.f)
-
-    return given, np.asarray(jax.jit(jax.vmap(lowest))(*given))
+    options = {"ts": 500, "events": (), "record": ("multipliers",)}
+    # One by one: a batch takes twice as long to compile.
+    runs = [pulled(scene, *pull, **options) for pull in zip(*given, strict=True)]
+    return given, np.array([np.min(run.multipliers.f) for run in runs])
 
 
 @pytest.mark.parametrize(
@@ -387,32 +383,39 @@ def test_a_force_that_falls_below_zero_and_rises_within_a_step_is_seen(scene, pu
     np.testing.assert_array_equal(lost[sure], force[sure] < 0)
 
 
-def passing(t, angles, rates, tips):
-    """The first finger is damped, the other one swings free."""
-    return (-0.006 * rates[0], 0.0 * rates[1])
+def swinging(numbers, t, angles, rates, tips):
+    """The first finger is damped; the other one swings free, or is driven."""
+    torque, damping = numbers
+    return (-0.006 * rates[0], torque - damping * rates[1])
+
+
+def swung(base, rate, numbers, t1, events=("penetration",)):
+    """A run of a held disc past which, or at which, another finger of 50 mm swings."""
+    disc = jxr.PivotedObject(jxr.Circle(0.02), inertia=1e-5, pivot=(0.03, 0.1))
+    holder = jxr.Finger([0.065, 0.065], [0.045, 0.040], jxr.Circle(0.01))
+    other = jxr.Finger([0.05], [0.045], jxr.Circle(0.008), base=base)
+    controller = jax.tree_util.Partial(swinging, numbers)
+    grasp = jxr.Grasp(disc, [holder, other], jxr.Contact(0.0, 0.06), controller=controller)
+    rates = jnp.zeros(4).at[3].set(rate)
+    start = jxr.close(grasp, jxr.State(jnp.array([0.0, 1.9, -0.7, jnp.pi - 0.6]), rates, jnp.zeros(1)))
+    return ends(*start, t1=t1, events=events)
+
+
+def distance_of_centres(run, base):
+    """From the disc's to that of the other finger's tip [m]: 28 mm where both circles touch."""
+    angle = float(run.last.q[3])
+    tip = np.asarray(base) + 0.05 * np.array([np.cos(angle), np.sin(angle)])
+    return np.linalg.norm(tip - np.array([0.03, 0.1]))
 
 
 def test_a_finger_that_passes_through_the_object_within_a_step_is_penetration():
     """It overlaps by half a millimetre for four milliseconds; one that keeps clear by that does not."""
-    disc = jxr.PivotedObject(jxr.Circle(0.02), inertia=1e-5, pivot=(0.03, 0.1))
-    holder = jxr.Finger([0.065, 0.065], [0.045, 0.040], jxr.Circle(0.01))
-    contact = jxr.Contact(0.0, 0.06)
-
-    @jax.jit
-    def pass_by(base):
-        other = jxr.Finger([0.05], [0.045], jxr.Circle(0.008), base=base)
-        grasp = jxr.Grasp(disc, [holder, other], contact, controller=passing)
-        rates = jnp.zeros(4).at[3].set(40.0)
-        start = jxr.close(grasp, jxr.State(jnp.array([0.0, 1.9, -0.7, jnp.pi - 0.6]), rates, jnp.zeros(1)))
-        return ends(*start, t1=0.03, events=("penetration",))
-
-    through = pass_by(jnp.array([0.03 + 0.0275 + 0.05, 0.1]))
+    base, free = jnp.array([0.03 + 0.0275 + 0.05, 0.1]), jnp.zeros(2)
+    through = swung(base, 40.0, free, 0.03)
     assert through.result == jxr.RESULTS.penetration
-    # The tip's centre is where both circles touch.
-    angle = float(through.last.q[3])
-    tip = np.array([0.1075, 0.1]) + 0.05 * np.array([np.cos(angle), np.sin(angle)])
-    assert abs(np.linalg.norm(tip - np.array([0.03, 0.1])) - 0.028) <= 2e-7
-    assert pass_by(jnp.array([0.03 + 0.0285 + 0.05, 0.1])).result == jxr.RESULTS.successful
+    assert abs(distance_of_centres(through, base) - 0.028) <= 2e-7
+    apart = base + jnp.array([1e-3, 0.0])
+    assert swung(apart, 40.0, free, 0.03).result == jxr.RESULTS.successful
 
 
 def test_the_lowest_place_of_a_parabola_is_found_from_its_samples():
@@ -472,39 +475,24 @@ def test_a_stretched_finger_is_a_singular_grasp():
     assert np.isfinite(np.asarray(run.last.q)).all()
 
 
-def swinging(t, angles, rates, tips):
-    """One finger rests, the other one is driven at the object."""
-    return (-0.006 * rates[0], 2e-4 * jnp.ones(2) - 1e-4 * rates[1])
-
-
 def test_a_finger_that_hits_the_object_elsewhere_is_penetration():
-    disc = jxr.PivotedObject(jxr.Circle(0.02), inertia=1e-5, pivot=(0.03, 0.1))
-    holder = jxr.Finger([0.065, 0.065], [0.045, 0.040], jxr.Circle(0.01))
-    other = jxr.Finger([0.05, 0.05], [0.045, 0.040], jxr.Circle(0.008), base=(0.09, 0.1))
-    grasp = jxr.Grasp(disc, [holder, other], jxr.Contact(0.0, 0.06), controller=swinging)
-    guess = jxr.State(jnp.array([0.0, 1.9, -0.7, 1.2, 1.0]), jnp.zeros(5), jnp.zeros(1))
-    grasp, state = jxr.close(grasp, guess)
-    run = ends(grasp, state, t1=2.0, events=("penetration",))
+    base, driven = jnp.array([0.09, 0.1]), jnp.array([2e-4, 1e-4])
+    run = swung(base, 0.1, driven, 2.0)
     assert run.result == jxr.RESULTS.penetration
-    q = np.asarray(run.last.q[3:])
-    tip = np.array([0.09, 0.1]) + 0.05 * np.array(
-        [np.cos(q[0]) + np.cos(q[0] + q[1]), np.sin(q[0]) + np.sin(q[0] + q[1])]
-    )
-    overlap = 0.028 - np.linalg.norm(tip - np.array([0.03, 0.1]))
-    assert 0 <= overlap <= 2e-7
-    assert ends(grasp, state, t1=2.0, events=()).result == jxr.RESULTS.successful
+    assert 0 <= 0.028 - distance_of_centres(run, base) <= 2e-7
+    assert swung(base, 0.1, driven, 2.0, events=()).result == jxr.RESULTS.successful
 
 
 def test_limits_that_are_off_leave_the_program_no_larger(scene):
     grasp, state = scene
 
     def lines(grasp, **options):
-        run = jax.jit(lambda g, s: jxr.simulate(g, s, 1.0, ts=3, throw=False, **options))
-        return len(run.lower(grasp, state).as_text().splitlines())
+        run = jax.make_jaxpr(lambda g, s: jxr.simulate(g, s, 1.0, ts=3, throw=False, **options))
+        return len(str(run(grasp, state)).splitlines())
 
     off = lines(grasp, events=())
     assert off < lines(grasp) < lines(rubbing(grasp, 0.3))
     assert off == lines(grasp, events=("friction",))
     assert off < lines(grasp, events=(), record=("multipliers",))
     assert off < lines(grasp, events=(), record=("energy",))
-    assert off < lines(jxr.scenes.pivoted(gravity=(0.0, -9.81))[0], events=())
+    assert off < lines(grasp.with_(gravity=(0.0, -9.81)), events=())

@@ -1,5 +1,7 @@
 """Single bodies that roll in space, against the closed forms of the textbooks."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -78,7 +80,7 @@ def test_ball_on_an_incline():
 def test_the_contact_moves_by_the_normal_of_the_object():
     """(L_A + L_B) s = (omega_A - omega_B) x n with the object's outward n: a ball on a slope that rests."""
     scene = jxr.scenes.incline()
-    last, radius = run_of(scene, 0.2).last, float(scene[0].object.shapes[0].radius)
+    last, radius = run_of(scene, 0.2, record=("multipliers",)).last, float(scene[0].object.shapes[0].radius)
     velocity, spin = np.asarray(last.v[:3]), closed.quaternion_matrix(last.q[3:7]) @ last.v[3:6]
     # The contact goes over the slope as the ball's centre does. The ball's normal points into the slope.
     normal = -np.asarray(scene[1].q[:3]) / radius
@@ -115,13 +117,13 @@ def test_rattleback_reverses_its_spin_and_keeps_its_energy():
     assert spin[0] == -5.0 and spin[30] > 4.5  # 3 s later it goes round the other way
     assert np.abs(run.energy.residual).max() <= 1e-9 * np.abs(run.energy.kinetic + run.energy.potential).max()
     assert off(run) <= 1e-13
-    right_way = run_of(jxr.scenes.rattleback(spin=5.0), 4.0, ts=41, rtol=1e-9)
+    right_way = run_of(jxr.scenes.rattleback(spin=5.0), 4.0, ts=201, rtol=1e-9, record=("energy",))
     assert np.asarray(right_way.states.v[:, 5]).min() > 4.5
 
 
 def test_rattleback_against_an_independent_formulation():
     body, quaternion, spin = closed.rattleback()
-    run = run_of(jxr.scenes.rattleback(), 2.0, ts=21)
+    run = run_of(jxr.scenes.rattleback(), 2.0, ts=201, record=("energy",))
     np.testing.assert_allclose(run.states.q[0, 3:7], quaternion, atol=1e-12)
     _, centres, spins = body.simulate(quaternion, spin, np.asarray(run.ts))
     assert np.abs(run.states.v[:, 3:] - spins).max() <= 1e-8
@@ -129,14 +131,23 @@ def test_rattleback_against_an_independent_formulation():
     assert np.abs(x - x[0] - (centres - centres[0])).max() <= 1e-9
 
 
-def swaying(t):
-    """A table that is shaken to and fro."""
-    return jnp.stack([0.02 * jnp.sin(3 * t), 0 * t, 0 * t]), jnp.stack([1 + 0 * t, 0 * t, 0 * t, 0 * t])
+def moving(numbers, t):
+    """A table that is shaken to and fro, falls, and tilts to and fro: from rest, so its turning changes."""
+    shake, fall, tilt = numbers
+    half = tilt * (1.0 - jnp.cos(3 * t))
+    place = jnp.stack([shake * jnp.sin(3 * t), 0 * t, -fall * t**3])
+    return place, jnp.stack([jnp.cos(half), jnp.sin(half), 0 * t, 0 * t])
+
+
+def on_a_table(shake=0.0, fall=0.0, tilt=0.0):
+    """A ball on it, and where it rests on a level plane; one program serves all motions."""
+    grasp, state = jxr.scenes.incline(slope=0.0)
+    table = jxr.Stage(jxr.Plane(), jax.tree_util.Partial(moving, jnp.array([shake, fall, tilt])))
+    return jxr.Grasp(grasp.object, table, grasp.contacts, gravity=grasp.gravity), state
 
 
 def test_ball_on_a_shaken_table_follows_two_sevenths_of_it():
-    grasp, state = jxr.scenes.incline(slope=0.0)
-    shaken = jxr.Grasp(grasp.object, jxr.Stage(jxr.Plane(), swaying), grasp.contacts, gravity=grasp.gravity)
+    shaken, state = on_a_table(shake=0.02)
     # At t = 0 the table moves at 0.06 m/s: a ball that is to stay where it is turns below it.
     v = state.v.at[4].set(-0.06 / 0.05)
     start = jxr.State(jnp.append(state.q, 0.0), v, state.s)
@@ -147,17 +158,17 @@ def test_ball_on_a_shaken_table_follows_two_sevenths_of_it():
     assert np.abs(run.states.q[:, 0] - expected).max() <= 1e-9
 
 
-def circle(t):
-    return -0.07 * jnp.sin(t), 0.07 * jnp.cos(t), 0.0
+def loop(sizes, t):
+    waves = jnp.stack([-jnp.sin(t), jnp.cos(t), jnp.cos(2 * t), -jnp.sin(3 * t)])
+    first = sizes * waves
+    return first[0] + first[2], first[1] + first[3], 0.0
 
 
-def smooth(t):
-    return jnp.stack(
-        [-0.03 * jnp.sin(t) + 0.012 * jnp.cos(2 * t), 0.02 * jnp.cos(t) - 0.009 * jnp.sin(3 * t), 0 * t]
-    )
+circle = jax.tree_util.Partial(loop, jnp.array([0.07, 0.07, 0.0, 0.0]))
+smooth = jax.tree_util.Partial(loop, jnp.array([0.03, 0.02, 0.012, 0.009]))
 
 
-@pytest.mark.parametrize("path", [circle, smooth])
+@pytest.mark.parametrize("path", [circle, smooth], ids=["circle", "smooth"])
 def test_holonomy_of_a_closed_path(path):
     at = (0.07, 0.0, 0.0) if path is circle else (0.0, 0.0, 0.0)
     options = {"at_tip": (0.0, 0.0, -0.1), "at_object": at}
@@ -189,19 +200,11 @@ def test_loci_of_a_rolling_ball_agree_in_length_but_not_in_curvature():
     np.testing.assert_allclose(sides[0], 2.0 / bent * np.sin(0.5 * bent * R * ts[1]), rtol=1e-9)
 
 
-def rocking(t):
-    """A table that tilts to and fro, at rest at first: its rate of turning changes."""
-    half = 0.1 * (1.0 - jnp.cos(3 * t))
-    return jnp.zeros(3), jnp.stack([jnp.cos(half), jnp.sin(half), 0 * t, 0 * t])
-
-
 def test_loci_on_a_rocking_table_have_the_curvature_of_their_points():
     """What the table's acceleration adds to that of the loci, by a spline through the points of a run."""
-    grasp, state = jxr.scenes.incline(slope=0.0)
-    table = jxr.Stage(jxr.Plane(), rocking)
-    rocked = jxr.Grasp(grasp.object, table, grasp.contacts, gravity=grasp.gravity)
+    rocked, state = on_a_table(tilt=0.1)
     v = jnp.array([0.1, 0.05, 0.0, -1.0, 2.0, 0.0])  # it rolls on a table that does not move yet
-    run = run_of((rocked, jxr.State(jnp.append(state.q, 0.0), v, state.s)), 1.0, events=())
+    run = run_of((rocked, jxr.State(jnp.append(state.q, 0.0), v, state.s)), 1.0)
     found = jxr.loci(rocked, run)
     middle = slice(8, -8)
     for locus in (found.tip, found.object):
@@ -216,17 +219,19 @@ def test_loci_on_a_rocking_table_have_the_curvature_of_their_points():
 def test_loci_that_begin_at_rest_have_derivatives_in_both_modes():
     """A ball on an incline sets off with a constant acceleration; at rest nothing curves."""
     grasp, state = jxr.scenes.incline()
+    run = run_of((grasp, state), 0.3, rtol=1e-10, record=("multipliers",))
 
-    def length(t1):
-        run = jxr.simulate(grasp, state, t1, ts=4, rtol=1e-10)
-        found = jxr.loci(grasp, run)
+    def length(late):
+        """Way and speed where all takes so many times as long, along which velocities grow as times do."""
+        states = jxr.State(run.states.q, late * run.states.v, run.states.s)
+        found = jxr.loci(grasp, dataclasses.replace(run, ts=late * run.ts, states=states))
         return found.tip.arclength[0, -1], found.tip.speed[0, -1]
 
-    pair, slopes = length(0.3), jax.jacfwd(lambda t1: jnp.stack(length(t1)))(0.3)
-    rate = pair[1] / 0.3
-    np.testing.assert_allclose(pair[0], 0.5 * rate * 0.3**2, rtol=1e-9)
-    np.testing.assert_allclose(slopes, [pair[1], rate], rtol=1e-8)
-    np.testing.assert_allclose(jax.grad(lambda t1: length(t1)[0])(0.3), pair[1], rtol=1e-8)
+    # Of programs as a whole: what the rest of the loci takes falls away.
+    pair, slopes = jax.jit(lambda late: jax.jvp(length, (late,), (1.0,)))(1.0)
+    np.testing.assert_allclose(pair[0], 0.5 * pair[1] * 0.3, rtol=1e-9)
+    np.testing.assert_allclose(slopes, [2.0 * pair[0], pair[1]], rtol=1e-8)
+    np.testing.assert_allclose(jax.jit(jax.grad(lambda late: length(late)[0]))(1.0), 2.0 * pair[0], rtol=1e-8)
 
 
 def test_spin_about_the_normal_is_counter_clockwise():
@@ -259,7 +264,7 @@ def test_a_straight_locus_has_no_torsion_and_hinders_no_derivative():
 def test_torsion_is_geodesic_torsion_and_the_turning_of_the_normal():
     r"""$\tau = \tau_g + d\alpha/ds$, with the angle of the principal normal in the Darboux frame."""
     scene = jxr.scenes.rattleback(spin=2.0, tilt=0.3, axes=(0.05, 0.03, 0.04))
-    run = run_of(scene, 0.5, ts=401, rtol=1e-11)
+    run = run_of(scene, 0.25, ts=201, rtol=1e-11, record=("energy",))
     locus = jxr.loci(scene[0], run).object
     angle = np.unwrap(np.arctan2(-locus.normal_curvature[0], locus.geodesic_curvature[0]))
     rate = make_interp_spline(run.ts, angle, k=7)(run.ts, 1) / np.asarray(locus.speed[0])
@@ -360,14 +365,9 @@ def test_bad_input_is_told_in_one_sentence():
 
 def test_ball_leaves_a_table_that_falls_away():
     """The normal force runs out, and the run says when: the table drops faster than the ball may."""
-
-    def falling(t):
-        return jnp.stack([0 * t, 0 * t, -2.0 * t**3]), jnp.stack([1 + 0 * t, 0 * t, 0 * t, 0 * t])
-
-    grasp, state = jxr.scenes.incline(slope=0.0)
-    lowered = jxr.Grasp(grasp.object, jxr.Stage(jxr.Plane(), falling), grasp.contacts, gravity=grasp.gravity)
+    lowered, state = on_a_table(fall=2.0)
     start = jxr.State(jnp.append(state.q, 0.0), state.v, state.s)
-    run = jxr.simulate(lowered, start, t1=2.0, throw=False)
+    run = run_of((lowered, start), 2.0, throw=False)
     assert run.result == jxr.RESULTS.contact_lost
     assert float(run.stats.t_end) == pytest.approx(9.81 / 12, abs=1e-9)
 
@@ -384,23 +384,11 @@ def test_a_batch_of_balls_is_the_balls():
     grasp, state = jxr.scenes.incline()
     masses = jnp.array([0.1, 0.3, 0.5])
 
-    def end(mass):
-        return jxr.simulate(grasp.with_(mass=mass), state, t1=0.5, ts=3, throw=False).last.q
+    def end(mass, **options):
+        return run_of((grasp.with_(mass=mass), state), 0.5, rtol=1e-8, **options).last.q
 
-    together = jax.vmap(end)(masses)
-    np.testing.assert_allclose(together, [end(m) for m in masses], atol=1e-12)
-
-
-def test_gradients_of_a_path_that_begins_at_rest():
-    """A ball led by k t from rest is k / 2 away at t = 1, and so is its path long."""
-
-    def end(k):
-        led = jax.tree_util.Partial(lambda k, t: (k * t, 0.0, 0.0), k)
-        options = {"at_tip": (0.0, 0.0, -0.1), "at_object": (0.0, 0.0, 0.0)}
-        found = jxr.roll(jxr.Sphere(0.1), jxr.Plane(), led, jnp.linspace(0.0, 1.0, 3), **options)
-        return jnp.stack([found.pose[-1, 0], found.arclength[-1]])
-
-    np.testing.assert_allclose(jax.jit(jax.jacrev(end))(0.3), [0.5, 0.5], atol=1e-9)
+    alone = [end(mass, record=("multipliers",)) for mass in masses]
+    np.testing.assert_allclose(jax.vmap(end)(masses), alone, atol=1e-12)
 
 
 def test_single_precision_turns_a_ball_that_faces_the_wrong_way():
@@ -429,24 +417,40 @@ def test_returns_to_the_constraints_leave_rounding(scene, rtol):
     assert off(run_of(getattr(jxr.scenes, scene)(), 2.0, ts=300, rtol=rtol)) <= 1e-14
 
 
+def rolled_sum(numbers, fixed):
+    """A sum with weights of pose, place and arclength of an ellipsoid at the end of a path."""
+    (half, start, hastening), (halves, ahead, sway, t1, weights) = numbers, fixed
+    still, numbers = jnp.zeros(2), (ahead, hastening, sway)
+    led = jax.tree_util.Partial(lambda a, t: (a[0] + a[1] * t, a[2] * jnp.sin(5.0 * t), 0.0), numbers)
+    places = {"at_tip": jnp.append(still, -halves[1]), "at_object": jnp.append(start, still)}
+    ball = jxr.Ellipsoid(half, halves[0], halves[1])
+    path = jxr.roll(ball, jxr.Plane(), led, jnp.stack([0.0 * t1, t1]), **places)
+    return weights @ jnp.concatenate([path.pose[-1], path.at_tip[-1], path.arclength[-1:]])
+
+
+backwards = jax.jit(jax.grad(rolled_sum))
+along = jax.jit(lambda x, way, fixed: jax.jvp(lambda x: rolled_sum(x, fixed), (x,), (way,)))
+
+
 def test_a_path_has_derivatives_in_both_modes():
     """In a half axis of the rolling ellipsoid and in where it starts: both modes, and differences."""
+    weights = jnp.array([1.0] * 7 + [10.0] * 3 + [3.0])
+    fixed = (jnp.array([0.02, 0.015]), 0.1, 0.05, 0.3, weights)
+    x, h = jnp.array([0.02, 0.001, 0.02]), 1e-5
+    for way, found in zip(jnp.eye(3)[:2], backwards(x, fixed)[:2], strict=True):
+        assert float(along(x, way, fixed)[1]) == pytest.approx(float(found), rel=1e-10)
+        near = [float(along(x + k * h * way, way, fixed)[0]) for k in (-2, -1, 1, 2)]
+        wanted = np.dot(near, [1.0, -8.0, 8.0, -1.0]) / (12.0 * h)
+        assert float(found) == pytest.approx(wanted, rel=1e-8)
 
-    led = lambda t: (0.1, 0.05 * jnp.sin(5.0 * t), 0.0)  # noqa: E731
 
-    @jax.jit
-    def ends(numbers):
-        half, start = numbers
-        ball, still = jxr.Ellipsoid(half, 0.02, 0.015), jnp.zeros(2)
-        places = {"at_tip": jnp.append(still, -0.015), "at_object": jnp.append(start, still)}
-        path = jxr.roll(ball, jxr.Plane(), led, jnp.array([0.0, 0.3]), **places)
-        return jnp.sum(path.pose) + 10.0 * jnp.sum(path.at_tip)
-
-    x, h = jnp.array([0.02, 0.001]), 1e-5
-    slope = jax.grad(ends)(x)
-    np.testing.assert_allclose(jax.jit(jax.jacfwd(ends))(x), slope, rtol=1e-10)
-    near = np.array([[float(ends(x + k * h * way)) for k in (-2, -1, 1, 2)] for way in np.eye(2)])
-    np.testing.assert_allclose(near @ [1.0, -8.0, 8.0, -1.0] / (12.0 * h), slope, rtol=1e-8)
+def test_gradients_of_a_path_that_begins_at_rest():
+    """A ball led by k t from rest is k / 2 away at t = 1, and so is its path long."""
+    for row in (0, -1):
+        fixed = (jnp.array([0.1, 0.1]), 0.0, 0.0, 1.0, jnp.zeros(11).at[row].set(1.0))
+        x = jnp.array([0.1, 0.0, 0.3])
+        slopes = backwards(x, fixed)[2], along(x, jnp.array([0.0, 0.0, 1.0]), fixed)[1]
+        np.testing.assert_allclose(slopes, 0.5, atol=1e-9)
 
 
 locus_of = jax.jit(_locus)

@@ -125,34 +125,57 @@ def saved(scene, time, **told):
     return flow(stepped(scene, time, **told).states)
 
 
-def test_derivatives_in_the_time_of_a_step_and_of_a_ramp_that_begins_with_it(scene):
+@pytest.fixture(scope="module")
+def jumping(scene):
+    """Derivatives in the time of a step and of a ramp of the damping that begins with it.
+
+    Of what a run says, forwards with its values, and of a sum of it with weights backwards; one program each.
+    """
+
+    def told(time, numbers):
+        force, damping = numbers
+        changes = {
+            "force": Steps(time[None], force),
+            "damping": Ramps(jnp.stack([time, time + 0.2]), damping),
+        }
+        run = run_of(scene, (JUMP, END), throw=False, **changes)
+        return (flow(run.states), flow(run.last), run.stats.t_end), run.result._value
+
+    def weighed(time, numbers, weights):
+        return sum(jnp.sum(a * b) for a, b in zip(told(time, numbers)[0], weights, strict=True))
+
+    def forwards(time, numbers):
+        return jax.jvp(lambda t: told(t, numbers), (time,), (jnp.ones(()),), has_aux=True)
+
+    # Python's numbers are another type to JAX, and so would make another program.
+    as_number = lambda function: lambda time, *rest: function(np.asarray(time, float), *rest)  # noqa: E731
+    return as_number(jax.jit(forwards)), as_number(jax.jit(jax.grad(weighed)))
+
+
+def test_derivatives_in_the_time_of_a_step_and_of_a_ramp_that_begins_with_it(scene, jumping):
     """Both modes against differences; of a state saved at the jump they are those of a jump a little earlier.
 
     Two parts that jump at one time are moved together; a ramp's slope jumps at its other end too.
     """
-    ts = (JUMP, END)
-
-    def at(time):
-        damping = Ramps(jnp.stack([time, time + 0.2]), [0.006, 0.002])
-        return flow(run_of(scene, ts, force=Steps(time[None], [0.5, AFTER]), damping=damping).states)
-
-    # One program for the values and the derivative forwards.
-    both, jump = jax.jit(jax.jacfwd(lambda time: (at(time),) * 2, has_aux=True)), jnp.asarray(JUMP)
-    forward, slope = both(jump)[0], differences(lambda time: both(time)[1][-1], jump)
+    forwards, backwards = jumping
+    numbers = jnp.array([0.5, AFTER]), jnp.array([0.006, 0.002])
+    values = lambda time: np.asarray(forwards(time, numbers)[0][0])  # noqa: E731
+    forward = np.asarray(forwards(JUMP, numbers)[1][0])
+    slope = differences(lambda time: values(time)[-1], JUMP)
     assert np.abs(forward[-1] - slope).max() <= 1e-8 * np.abs(slope).max()
-    weights = jnp.asarray(np.random.default_rng(0).normal(size=forward.shape))
-    backward = jax.jit(jax.grad(lambda time: jnp.sum(weights * at(time))))(jump)
-    assert float(backward) == pytest.approx(float(jnp.sum(weights * forward)), rel=1e-11)
+    weights = np.random.default_rng(0).normal(size=forward.shape)
+    backward = backwards(JUMP, numbers, (weights, np.zeros(forward.shape[1]), np.zeros(())))
+    assert float(backward) == pytest.approx(float(np.sum(weights * forward)), rel=1e-11)
     # At the jump itself velocities alone move, by the accelerations before it less those after it.
     count = scene[0].coordinates
-    earlier = [both(jump - n * 1e-4)[1][0] for n in range(4)]
+    earlier = [values(JUMP - n * 1e-4)[0] for n in range(4)]
     onesided = (11 * earlier[0] - 18 * earlier[1] + 9 * earlier[2] - 2 * earlier[3]) / 6e-4
     np.testing.assert_allclose(forward[0], onesided, rtol=0, atol=1e-6 * np.abs(onesided).max())
     assert np.abs(forward[0][:count]).max() <= 1e-12 < np.abs(forward[0][count : 2 * count]).max()
     # At the start it is that of a jump a little later.
-    later = [both(jnp.asarray(n * 1e-3))[1][-1] for n in range(5)]
+    later = [values(n * 1e-3)[-1] for n in range(5)]
     onesided = (-25 * later[0] + 48 * later[1] - 36 * later[2] + 16 * later[3] - 3 * later[4]) / 12e-3
-    found = both(jnp.zeros(()))[0][-1]
+    found = forwards(0.0, numbers)[1][0][-1]
     np.testing.assert_allclose(found, onesided, rtol=0, atol=1e-6 * np.abs(onesided).max())
 
 
@@ -182,25 +205,20 @@ def test_derivatives_with_rosenbrocks_method(scene):
         assert np.abs(found - wanted).max() <= 1e-7 * np.abs(wanted).max()
 
 
-def test_a_jump_that_ends_a_run_ends_it_at_its_time(scene):
+def test_a_jump_that_ends_a_run_ends_it_at_its_time(scene, jumping):
     """The force turns negative, and pulls the fingertip off: the end moves with the jump and nothing else."""
-
-    def end(time):
-        # The damping's ramp is level; with it the program is that of the test before.
-        time = jnp.asarray(time)
-        damping = Ramps(jnp.stack([time, time + 0.2]), [0.006, 0.006])
-        run = run_of(scene, force=Steps(time[None], [0.5, -0.5]), damping=damping, throw=False)
-        return run.stats.t_end, run
-
-    times, run = end(JUMP)
-    assert run.result == jxr.RESULTS.contact_lost and float(times) == pytest.approx(JUMP, abs=1e-14)
+    forwards, backwards = jumping
+    # The damping's ramp is level.
+    numbers = jnp.array([0.5, -0.5]), jnp.array([0.006, 0.006])
+    (_, last, time), (_, slope, rate), code = forwards(JUMP, numbers)
+    assert int(code) == int(jxr.RESULTS.contact_lost._value) and float(time) == pytest.approx(JUMP, abs=1e-14)
     whole = run_of(scene, (0.5 * JUMP, JUMP), force=0.5)
-    np.testing.assert_allclose(flow(run.last), flow(whole.last), rtol=0, atol=1e-12)
-    assert float(jax.jacfwd(lambda time: end(time)[0])(JUMP)) == 1.0
-    assert float(jax.grad(lambda time: end(time)[0])(JUMP)) == 1.0
-    last = jax.jacfwd(lambda time: flow(end(time)[1].last))(JUMP)
-    wanted = differences(lambda time: flow(end(time)[1].last), JUMP)
-    np.testing.assert_allclose(last, wanted, rtol=0, atol=1e-8 * np.abs(wanted).max())
+    np.testing.assert_allclose(last, flow(whole.last), rtol=0, atol=1e-12)
+    assert float(rate) == 1.0
+    nothing = np.zeros((2, last.size)), np.zeros(last.size)
+    assert float(backwards(JUMP, numbers, (*nothing, np.ones(())))) == 1.0
+    wanted = differences(lambda time: forwards(time, numbers)[0][1], JUMP)
+    np.testing.assert_allclose(slope, wanted, rtol=0, atol=1e-8 * np.abs(wanted).max())
 
 
 # --- controllers

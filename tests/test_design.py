@@ -260,12 +260,14 @@ def test_transform_is_the_mathematics_that_it_tells(kind):
     np.testing.assert_allclose(transform.unknowns(transform.contour(x)), x, rtol=1e-9)
     assert jax.tree.structure(transform.contour(x)) == jax.tree.structure(tip)
 
+    @jax.jit
+    @jax.value_and_grad
     def radius(x):
         return 1.0 / transform.contour(x).curvature(0.002)
 
     way = jnp.cos(jnp.arange(x.size))
-    central = (radius(x + 1e-3 * way) - radius(x - 1e-3 * way)) / 2e-3
-    np.testing.assert_allclose(jnp.vdot(jax.grad(radius)(x), way), central, rtol=1e-4, atol=1e-12)
+    central = (radius(x + 1e-3 * way)[0] - radius(x - 1e-3 * way)[0]) / 2e-3
+    np.testing.assert_allclose(jnp.vdot(radius(x)[1], way), central, rtol=1e-4, atol=1e-12)
 
 
 def test_transform_keeps_the_mirror_image():

@@ -179,7 +179,8 @@ def test_gradient_of_the_event_time(scene, time, first):
         values = np.array([along(point + k * step * way, way)[0] for k in (-2, -1, 1, 2)])
         differences = np.array([1.0, -8.0, 8.0, -1.0]) @ values / (12 * step)
         assert abs(slopes[0] / differences[0] - 1) <= 1e-6
-        assert abs(slopes[1] / differences[1] - 1) <= 1e-5
+        # At a contour's end the damping does not move it at all.
+        np.testing.assert_allclose(slopes[1], differences[1], rtol=1e-5, atol=1e-9)
 
 
 def test_what_a_run_reached_has_a_gradient_though_the_rest_is_nan(scene):

@@ -19,14 +19,22 @@ TS = np.linspace(0.02, 0.16, 8)
 TRUE = {"damping": 0.006, "force": 0.5}
 
 
-def angles(damping, force):
-    """Joint angles of Part 2 in one coordinate, integrated by SciPy, shape (8, 2)."""
+@jax.jit
+def field(s, rate, damping, force):
+    """Acceleration of Part 2 in one coordinate."""
     chapter = Part2()
     chapter.c, chapter.stiffness = damping, force / 0.010
-    field = chapter.acceleration(ELBOW)
-    slope = lambda t, y: [y[1], float(field(y[0], y[1]))]  # noqa: E731
+    return chapter.acceleration(ELBOW)(s, rate)
+
+
+poses = jax.jit(jax.vmap(lambda s: Part2().pose(s, ELBOW)))
+
+
+def angles(damping, force):
+    """Joint angles of Part 2 in one coordinate, integrated by SciPy, shape (8, 2)."""
+    slope = lambda t, y: [y[1], float(field(*y, damping, force))]  # noqa: E731
     answer = solve_ivp(slope, (0.0, TS[-1]), [0.003, 0.0], "DOP853", TS, rtol=1e-11, atol=1e-13)
-    return np.asarray(jax.vmap(lambda s: chapter.pose(s, ELBOW))(jnp.asarray(answer.y[0])))[:, 1:]
+    return np.asarray(poses(answer.y[0]))[:, 1:]
 
 
 def test_part_2_from_data_of_another_formulation(scene):

@@ -147,14 +147,14 @@ def test_phase_refuses_other_grasps(scene, short):
 def test_phase_of_one_direction_draws_the_path_downhill(scene):
     """Along it the energy that the levels show falls by what damping takes; the same for a sampled law."""
     grasp, state = scene
-    run = jxr.simulate(grasp, state, 1.0, ts=101, record=("energy",))
+    run = jxr.simulate(grasp, state, 1.0, record=("multipliers", "energy"))
     figure = jxr.plotting.phase(grasp, run, rest=state)
     ax = figure.axes[0]
     path, start, end = ax.lines[:3]
     s = 1e3 * np.asarray(jxr.press_balance(grasp, run.ts, run.states).s)[:, 0]
     found = path.get_xydata()
     np.testing.assert_allclose(found[:, 0], s, atol=1e-12)
-    np.testing.assert_allclose(np.gradient(s, np.asarray(run.ts))[40:-1], found[40:-1, 1], atol=0.05)
+    np.testing.assert_allclose(np.gradient(s, np.asarray(run.ts))[120:-1], found[120:-1, 1], atol=0.05)
     np.testing.assert_allclose(start.get_xydata()[0], found[0])
     # Free space of a fifth either way, round the equilibrium too; it is at rest.
     goal = ax.lines[3].get_xydata()
@@ -171,7 +171,7 @@ def test_phase_of_one_direction_draws_the_path_downhill(scene):
     # The level that the picture has under the path is the run's own energy.
     filled = ax.collections[0]
     energy = 1e3 * np.asarray(run.energy.kinetic + run.energy.potential)
-    for k in (20, 60, 100):
+    for k in (60, 180, 300):
         inside = [i for i, each in enumerate(filled.get_paths()) if each.contains_point(found[k])]
         low, high = filled.levels[inside[-1]], filled.levels[inside[-1] + 1]
         assert low - 1e-3 <= energy[k] <= high + 1e-3
@@ -179,10 +179,11 @@ def test_phase_of_one_direction_draws_the_path_downhill(scene):
     again = jxr.plotting.phase(sampled, jxr.simulate(sampled, state, 0.1, ts=5), rest=state)
     assert len(again.axes[0].lines) == len(ax.lines)
     # What hardly moves is not magnified without end: half a millimetre, a millimetre per second either way.
-    resting = phase_of_one(grasp, jxr.simulate(grasp, state, 1e-6, ts=5), None).axes[0]
+    still = jxr.simulate(grasp, state, 1e-6, record=("multipliers", "energy"))
+    resting = phase_of_one(grasp, still, None).axes[0]
     np.testing.assert_allclose([np.ptp(resting.get_xlim()), np.ptp(resting.get_ylim())], [1.0, 2.0])
     # Where no equilibrium is known none is drawn.
-    assert len(phase_of_one(grasp, run, None).axes[0].lines) == len(ax.lines) - 1
+    assert len(resting.lines) == len(ax.lines) - 1
 
 
 @pytest.mark.parametrize(("apart", "sides"), [(8.0, (-8, 8)), (15.0, (0, 0))])

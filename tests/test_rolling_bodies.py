@@ -159,9 +159,8 @@ def test_ball_on_a_shaken_table_follows_two_sevenths_of_it():
 
 
 def loop(sizes, t):
-    waves = jnp.stack([-jnp.sin(t), jnp.cos(t), jnp.cos(2 * t), -jnp.sin(3 * t)])
-    first = sizes * waves
-    return first[0] + first[2], first[1] + first[3], 0.0
+    waves = sizes * jnp.stack([-jnp.sin(t), jnp.cos(t), jnp.cos(2 * t), -jnp.sin(3 * t)])
+    return waves[0] + waves[2], waves[1] + waves[3], 0.0
 
 
 circle = jax.tree_util.Partial(loop, jnp.array([0.07, 0.07, 0.0, 0.0]))

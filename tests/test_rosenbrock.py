@@ -1,6 +1,7 @@
 """Rosenbrock's method: its order, stiff problems with a closed form, and runs of the pinch in every mode."""
 
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,8 +24,9 @@ from tests.measures import observed_order
 STIFF = jxr.Rosenbrock()
 
 
+@eqx.filter_jit
 def solved(field, y0, t1, steps):
-    """End of a diffrax run in equal steps."""
+    """End of a diffrax run in equal steps, whose number is an array: one program for all."""
     equal = diffrax.ConstantStepSize()
     terms = diffrax.ODETerm(lambda t, y, _: field(t, y))
     done = diffrax.diffeqsolve(terms, STIFF, 0.0, t1, t1 / steps, y0, stepsize_controller=equal)
@@ -41,7 +43,7 @@ def turning(t, y):
 def test_observed_order_on_a_closed_form():
     sizes, errors = np.array([20, 28, 40, 56]), []
     for steps in sizes:
-        end = solved(turning, {"x": jnp.array([1.0, 0.0]), "z": jnp.exp(1.0)}, 2.0, int(steps))
+        end = solved(turning, {"x": jnp.array([1.0, 0.0]), "z": jnp.exp(1.0)}, 2.0, jnp.array(steps))
         exact = np.array([np.cos(4.0), np.sin(4.0), np.exp(np.cos(2.0))])
         found = np.append(end["x"], end["z"])
         errors.append(np.abs(found - exact).max())
@@ -52,7 +54,8 @@ def test_observed_order_on_a_closed_form():
 @pytest.mark.parametrize("rate", [1e3, 1e6, 1e9])
 def test_fast_rates_do_not_set_the_step(rate):
     """Prothero and Robinson: y' = -rate (y - cos t) - sin t, whose solution from 1 is cos t."""
-    end = solved(lambda t, y: -rate * (y - jnp.cos(t)) - jnp.sin(t), jnp.ones(1), 2.0, 40)
+    drawn = lambda rate, t, y: -rate * (y - jnp.cos(t)) - jnp.sin(t)  # noqa: E731
+    end = solved(jax.tree_util.Partial(drawn, jnp.array(rate)), jnp.ones(1), 2.0, jnp.array(40))
     assert abs(float(end[0]) - np.cos(2.0)) < 1e-7
 
 
@@ -172,8 +175,17 @@ def test_a_run_is_one_kernel(scene):
     assert run.lower(0.006).as_text().count('xla_cpu_small_call = "true"') == 1
 
 
-def test_lanes_are_single_runs_with_codes_of_their_own(scene):
+@pytest.fixture(scope="module")
+def rubbing(scene):
+    """The scene, to whose contact one can give a coefficient of friction."""
     grasp, state = scene
+    contact = grasp.contacts[0]
+    given = lambda mu: jxr.Contact(contact.s_tip, contact.s_object, friction=mu)  # noqa: E731
+    return lambda mu: grasp.with_contacts(given(mu)), state
+
+
+def test_lanes_are_single_runs_with_codes_of_their_own(rubbing):
+    grasp, state = rubbing[0](10.0), rubbing[1]
 
     def run(damping):
         moved = grasp.with_(damping=damping)
@@ -188,13 +200,11 @@ def test_lanes_are_single_runs_with_codes_of_their_own(scene):
         np.testing.assert_allclose(lanes.last.q[i], alone.last.q, rtol=0, atol=1e-8)
 
 
-def test_events_are_found_as_by_the_explicit_default(scene):
-    grasp, state = scene
-    contact = grasp.contacts[0]
-    rubbing = grasp.with_contacts(jxr.Contact(contact.s_tip, contact.s_object, friction=0.12))
+def test_events_are_found_as_by_the_explicit_default(rubbing):
+    grasp, state = rubbing[0](0.12), rubbing[1]
     ends = [
-        jxr.simulate(rubbing, state, 0.6, ts=1, rtol=1e-9, throw=False, solver=solver)
-        for solver in (None, STIFF)
+        jxr.simulate(grasp, state, 0.6, ts=1, rtol=1e-9, throw=False, **options)
+        for options in ({}, {"solver": STIFF, "max_steps": 150})
     ]
     assert ends[0].result == ends[1].result == jxr.RESULTS.slipping
     assert abs(float(ends[1].stats.t_end - ends[0].stats.t_end)) < 1e-7

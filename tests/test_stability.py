@@ -20,6 +20,7 @@ from jaxroll.stability._statics import _damped, _is_parallel, _is_straight, _sol
 from jaxroll.stability._verdict import _verdict
 from tests.helpers import in_single, slow_among
 from tests.oracles.chapter_part1 import Part1
+from tests.recorded import runs
 
 VIOLATING = jxr.Circle(0.005).moved((0.005, 0.0))  # centre ahead of O_i: h = 10 mm, 1/kappa = 5 mm
 BLUNT = jxr.Circle(0.015).moved((-0.005, 0.0))  # centre behind: h = 10 mm, 1/kappa = 15 mm
@@ -44,7 +45,8 @@ def collinear(grasp, guess):
 @pytest.mark.parametrize("tips", [(BLUNT, VIOLATING), None, (jxr.Ellipse(0.012, 0.009), BLUNT)])
 def test_hessian_of_u_is_the_corrected_39_and_40(tips):
     """(39)-(40) where Fig. 3 comes to rest, on one line; the chapter's own form lacks the rank-one term."""
-    grasp, _ = jxr.scenes.pinch(tips=tips, s=(0.001, -0.0005))
+    with runs.not_closed():
+        grasp, _ = jxr.scenes.pinch(tips=tips, s=(0.001, -0.0005))
     s = collinear(grasp, (0.0002, 0.0001))
     at, closed = pinch_statics(grasp, s), rectangle_hessian(grasp, s)
     scale = np.abs(closed).max()
@@ -123,7 +125,7 @@ def test_hessian_of_u_against_central_differences(pinch):
 
 def test_places_of_a_scene_are_counted_from_where_its_fingers_face_the_object():
     """Those of the statics from the contour's zero: `contact_geometry` converts."""
-    grasp, state = jxr.scenes.pinch_ellipse()
+    grasp, state = runs.scene("pinch_ellipse")
     at = jxr.contact_geometry(grasp, state)
     s, apart = at.s, at.centre_0
     half = 0.5 * float(grasp.object.contours[0].domain()[1])
@@ -212,18 +214,20 @@ def test_reduced_hessian_is_that_of_u_on_a_rectangle(pinch):
     np.testing.assert_allclose(found.hessian, wanted, atol=1e-9 * np.abs(wanted).max())
 
 
-def test_verdicts(pinch):
+def test_verdicts(pinch, scene):
     """(41) holds: stable but for the redundant joints; circles about O_i: one more neutral direction."""
-    good, circles = assess(*pinch), assess(*jxr.scenes.ball_plate(alpha=0.0))
+    plate, start = runs.scene("ball_plate")
+    free = plate.with_(alpha=0.0 * plate.controller.alpha)
+    good, circles = assess(*pinch), assess(free, start)
     assert good.verdict == VERDICTS.neutral and int(good.neutral) == 2
     assert circles.verdict == VERDICTS.neutral and int(circles.neutral) == 3
     assert np.asarray(good.curvatures[2:]).min() > 1.0
     # alpha_i holds the rotation of the object: two neutral directions fewer with centred circles.
-    held = assess(*jxr.scenes.ball_plate())
+    held = assess(plate, start)
     assert held.verdict == VERDICTS.neutral and int(held.neutral) == 1
-    assert assess(*jxr.scenes.pivoted()).verdict == VERDICTS.asymptotically_stable
-    assert int(assess(*jxr.scenes.pivoted()).neutral) == 0
-    grasp, state = jxr.scenes.pivoted()
+    grasp, state = scene
+    damped = assess(grasp, state)
+    assert damped.verdict == VERDICTS.asymptotically_stable and int(damped.neutral) == 0
     swinging = assess(grasp.with_(damping=0.0), state)
     assert swinging.verdict == VERDICTS.undamped and int(swinging.neutral) == 0
     assert np.abs(swinging.rates.real).max() < 1e-9 < 1.0 < np.abs(swinging.rates.imag).min()
@@ -258,8 +262,7 @@ def test_margin_of_41():
 
 def test_rectangle_hessian_refuses_faces_that_are_not_straight_and_parallel(pinch):
     """Where numbers are traced, a curved class is refused all the same, and what only numbers tell is NaN."""
-    grasp, state = jxr.scenes.pinch_ellipse()
-    s, _ = pinch_rest(grasp, state)
+    grasp, s = runs.scene("pinch_ellipse")[0], jnp.zeros(2)
     with pytest.raises(ValueError, match="straight, parallel faces, but its contours were Ellipse"):
         rectangle_hessian(grasp, s)
     with pytest.raises(ValueError, match="straight, parallel faces, but its contours were Ellipse"):
@@ -332,8 +335,10 @@ def test_grasps_do_what_the_verdict_says(pinch):
 
 def test_slowest_rate_is_the_decay_of_a_run(pinch):
     grasp, state = pinch
-    run = jxr.simulate(grasp, state, 10.0, ts=jnp.array([6.0, 9.0]), rtol=1e-10)
-    lean = np.abs(jxr.pinch_balance(grasp, run.ts, run.states).lean[:, 0])
+    run = jxr.simulate(grasp, state, 10.0, rtol=1e-10)
+    at = np.array([180, 270])  # 6 s and 9 s
+    np.testing.assert_allclose(run.ts[at], [6.0, 9.0], rtol=1e-14)
+    lean = np.abs(jxr.pinch_balance(grasp, run.ts, run.states).lean[at, 0])
     rates = np.sort(assess(grasp, run.last).rates.real)
     slowest = rates[:-2][-1]  # two neutral directions
     assert abs(np.log(lean[1] / lean[0]) / 3.0 / slowest - 1) <= 1e-3
@@ -380,8 +385,8 @@ def test_gradient_and_batch():
     assert abs(many[1] - firmness(0.014)) <= 1e-9 * many[1]
 
 
-def test_what_is_not_found_is_said(pinch):
-    grasp, state = pinch
+def test_what_is_not_found_is_said(scene):
+    grasp, state = scene
     with pytest.raises(ValueError, match="argument state.q must be finite"):
         assess(grasp, jxr.State(state.q * jnp.nan, state.v, state.s))
 
@@ -393,7 +398,7 @@ def test_what_is_not_found_is_said(pinch):
     said, found = looked_for(state.q * jnp.nan)
     assert said and not found
     with pytest.raises(ValueError, match="argument grasp must be two fingers with one contact each"):
-        pinch_statics(jxr.scenes.pivoted()[0], jnp.zeros(2))
+        pinch_statics(grasp, jnp.zeros(2))
 
 
 def test_hessian_of_u_where_contacts_begin_elsewhere(pinch):
@@ -437,11 +442,11 @@ def test_equilibrium_moves_with_the_time_at_which_a_controller_is_held():
 
     rest = lambda t: equilibrium(grasp.with_(controller=Growing()), state, t=t).state.q  # noqa: E731
     # One program for the values and the derivative forwards.
-    both = jax.jit(jax.jacfwd(lambda t: (rest(t),) * 2, has_aux=True))
+    both = jax.jit(lambda t: jax.jvp(rest, (t,), (1.0,)))
     h, t = 1e-3, 0.5
-    wanted = (both(t + h)[1] - both(t - h)[1]) / (2 * h)
+    wanted = (both(t + h)[0] - both(t - h)[0]) / (2 * h)
     assert np.abs(wanted).max() >= 1e-3
-    np.testing.assert_allclose(both(t)[0], wanted, rtol=1e-5, atol=1e-9)
+    np.testing.assert_allclose(both(t)[1], wanted, rtol=1e-5, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", slow_among(("pivoted", "pinch_ellipse"), "pinch_ellipse"))
@@ -476,16 +481,18 @@ def test_single_precision_finds_the_equilibria_of_a_batch(scene):
 
 def test_single_precision_finds_where_a_pinch_rests():
     """In a batch of starts, at a distance of the centres of some centimetres."""
-    grasp, state = jxr.scenes.pinch_ellipse()
+    grasp, state = runs.scene("pinch_ellipse")
     away = np.array([[0.0, 0.0], [1e-3, -2e-3], [-3e-3, -1e-3]])
 
     def rests(grasp, state, away):
         return jax.vmap(lambda d: pinch_rest(grasp, jxr.State(state.q, state.v, state.s + d)))(away)
 
-    (found, statics), (single, near) = rests(grasp, state, away), in_single(rests, grasp, state, away)
+    alone = [pinch_rest(grasp, jxr.State(state.q, state.v, state.s + d)) for d in away]
+    single, near = in_single(rests, grasp, state, away)
     assert single.dtype == jnp.float32
-    np.testing.assert_allclose(single, found, rtol=0, atol=1e-7)
-    np.testing.assert_allclose(near.hessian, statics.hessian, rtol=1e-5)
+    for i, (found, statics) in enumerate(alone):
+        np.testing.assert_allclose(single[i], found, rtol=0, atol=1e-7)
+        np.testing.assert_allclose(near.hessian[i], statics.hessian, rtol=1e-5)
 
 
 def test_a_plain_function_as_controller_has_no_precision(scene):

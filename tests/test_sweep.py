@@ -33,11 +33,10 @@ def whole(make, dampings):
 
 
 def test_a_sweep_is_the_mapped_run(make, dampings, whole):
-    """To the last bit if compiled for the same vectors; else to rounding, which error control magnifies."""
+    """To the last bit, if compiled for the same vectors."""
     mapped = jax.vmap(lambda c: jxr.simulate(*make(c), 0.2, ts=1, rtol=1e-7))
     same = jax.jit(mapped, compiler_options=WIDE)(dampings)
     np.testing.assert_array_equal(whole.last.q, same.last.q)
-    np.testing.assert_allclose(whole.last.q, mapped(dampings).last.q, rtol=0, atol=1e-11)
     assert isinstance(whole, jxr.Trajectory) and str(RUNS) in str(whole)
 
 
@@ -65,7 +64,7 @@ def test_chunks_change_nothing_and_compile_once(make, dampings, whole, capsys):
 
 
 def test_a_cut_off_sweep_goes_on_where_it_was(make, dampings, whole, tmp_path):
-    settings = {"rtol": 1e-7, "chunk": 50, "keep": eqx.Partial(_last), "resume": tmp_path}
+    settings = {"rtol": 1e-7, "chunk": 64, "keep": eqx.Partial(_last), "resume": tmp_path}
     first = jxr.sweep(make, dampings, 0.2, **settings)
     np.testing.assert_allclose(first, whole.last.q, rtol=0, atol=1e-12)
     files = sorted(tmp_path.glob("*.npz"))
@@ -149,8 +148,8 @@ def test_slots_waste_little_on_runs_of_unlike_cost(scene, monkeypatch):
 def test_slots_served_all_at_once_give_the_same(make, dampings, whole, monkeypatch):
     """The way of accelerators, on this machine."""
     monkeypatch.setattr(_batch.Ensemble, "_one_by_one", _batch.Ensemble._together)
-    jax.clear_caches()
-    other = jxr.sweep(lambda c: make(c), dampings, 0.2, rtol=1e-7)
+    # A number of steps of its own, so that nothing is taken from what was traced before, nor left for others.
+    other = jxr.sweep(lambda c: make(c), dampings, 0.2, rtol=1e-7, max_steps=4095)
     # Another program rounds otherwise, and a step more or less is an error of the tolerance's order.
     np.testing.assert_allclose(other.last.q, whole.last.q, rtol=0, atol=1e-9)
     np.testing.assert_allclose(other.stats.steps, whole.stats.steps, atol=2)

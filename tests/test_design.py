@@ -167,13 +167,15 @@ def test_a_pad_stays_ahead_of_the_finger():
     np.testing.assert_allclose([a, b**2 / a], [0.008, 0.02 / 0.008 * 0.02], rtol=2e-2)
 
 
-def test_goes_on_from_a_checkpoint(tmp_path):
+def test_goes_on_from_a_checkpoint(tmp_path, caplog):
     limits = Limits(length=0.1, radius=0.004, flat=None)
     options = {"limits": limits, "checkpoint": tmp_path / "design.eqx"}
     optimise_fingertip(jxr.Ellipse(0.02, 0.01), INTERVAL, steps=20, **options)
     seen = []
     report = lambda step, value, violation: seen.append(step)  # noqa: E731
-    whole = optimise_fingertip(jxr.Ellipse(0.02, 0.01), INTERVAL, steps=40, progress=report, **options)
+    with jax.log_compiles():
+        whole = optimise_fingertip(jxr.Ellipse(0.02, 0.01), INTERVAL, steps=40, progress=report, **options)
+    assert not [line for line in caplog.messages if line.startswith("Compiling jit(_advance)")]
     assert seen == [30, 40]
     straight = optimise_fingertip(jxr.Ellipse(0.02, 0.01), INTERVAL, steps=40, limits=limits)
     np.testing.assert_array_equal(whole.history, straight.history)

@@ -156,7 +156,8 @@ def _begin(problem: DesignProblem, method: AbstractDescent, start: Array, data: 
     def each(x: Array) -> Search:
         far, zeros = jnp.full((), jnp.inf, x.dtype), jnp.zeros(excess.shape, x.dtype)
         weight, dull = jnp.full((), _FIRST_WEIGHT, x.dtype), jnp.full((), _DULL, x.dtype)
-        walk, none, off = method.begin(x), jnp.array(0), jnp.array(False)
+        # Not `jnp.array(0)`, of a weak type, which a checkpoint does not keep: it would be compiled for anew.
+        walk, none, off = method.begin(x), jnp.zeros((), int), jnp.array(False)
         return Search(walk, far, zeros, zeros, weight, dull, x, far, far, far, far, none, off)
 
     return jax.vmap(each)(start)

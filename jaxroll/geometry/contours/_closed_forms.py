@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 from ..._linalg import sincos, unstack, Vec2
 from ..._results import as_count, as_floats, as_length, concrete, shown
 from ..._types import Given, Scalar, Scalars
+from ..._xla import quickly
 from ._arclength import ArclengthTable, invert, tabulate
 from ._contour import AbstractContour
 from ._frenet import Frenet2
@@ -190,14 +191,7 @@ class Ellipse(AbstractContour):
 
     def arclengths(self) -> ArclengthTable:
         """The table of the eccentric angle over arclength."""
-        if self.table is not None:
-            return self.table
-        table = tabulate(_ellipse_speed, (self.a, self.b), period=2.0 * np.pi, cells=self.cells)
-        # Axes may have been traced when the cells were chosen, or replaced since. If the cells are too few
-        # for them, the length is NaN rather than inaccurate. The factor leaves room for rounding.
-        longer, shorter = jnp.maximum(self.a, self.b), jnp.minimum(self.a, self.b)
-        fine = _RESOLVED * longer * longer <= self.cells * (1.0 + 1e-6) * shorter * shorter
-        return eqx.tree_at(lambda t: t.length, table, jnp.where(fine, table.length, jnp.nan))
+        return _arclengths(self) if self.table is None else self.table
 
     @property
     def closed(self) -> bool:
@@ -223,3 +217,13 @@ class Ellipse(AbstractContour):
 
     def domain(self) -> tuple[Scalar, Scalar]:
         return 0.0, self.arclengths().length
+
+
+@quickly
+def _arclengths(ellipse: Ellipse) -> ArclengthTable:
+    table = tabulate(_ellipse_speed, (ellipse.a, ellipse.b), period=2.0 * np.pi, cells=ellipse.cells)
+    # Axes may have been traced when the cells were chosen, or replaced since. If the cells are too few
+    # for them, the length is NaN rather than inaccurate. The factor leaves room for rounding.
+    longer, shorter = jnp.maximum(ellipse.a, ellipse.b), jnp.minimum(ellipse.a, ellipse.b)
+    fine = _RESOLVED * longer * longer <= ellipse.cells * (1.0 + 1e-6) * shorter * shorter
+    return eqx.tree_at(lambda t: t.length, table, jnp.where(fine, table.length, jnp.nan))

@@ -536,7 +536,14 @@ def reports():
 
 def begun(**given):
     """Where a search of three pairs began."""
-    known = {"at": None, "there": None, "reach": np.full(3, 0.1), "distance": 0.3, "bound": 0.3}
+    known = {
+        "at": None,
+        "there": None,
+        "reach": np.full(3, 0.1),
+        "distance": 0.3,
+        "bound": 0.3,
+        "of_b": False,
+    }
     known["sample"] = ((np.zeros(()),) * 3, (np.zeros(()),) * 3)
     return _samples3.Starts(**(known | given))
 

@@ -161,7 +161,7 @@ def _locate(
     first = jnp.arange(candidates) == 0
     at = jax.tree.map(lambda x, y: jnp.where(missed & first, y, x), at, start.sample)
     root = fair & ~(missed & first)
-    at = jax.vmap(lambda at, root: polished(pair, at, root, start.of_b, _POLISH))(at, root)
+    at = jax.vmap(lambda at, root: polished(pair, at, root, start.of_b, steps=_POLISH))(at, root)
     return _report(pair, (worlds[1], swapped), (at, fair, missed), start)
 
 

@@ -169,7 +169,7 @@ def summed(left: Scalars, right: Scalars) -> Scalars:
     return tuple(a + b for a, b in zip(left, right, strict=True))
 
 
-def polished(pair: Pair3, at: Places, root: Scalar, of_b: Scalar, steps: int) -> Places:
+def polished(pair: Pair3, at: Places, root: Scalar, of_b: Scalar, *, steps: int) -> Places:
     """A pair after some Newton steps from a root, with the derivatives of the implicit function theorem.
 
     The conditions F are zero at a root, and their Jacobian J there is kept constant. A step x - J^-1 F then

@@ -823,7 +823,7 @@ def test_a_checkpoint_of_other_bytes_is_refused(tmp_path):
     path = tmp_path / "search.npy"
     for content in (b"", b"not a search", bytes(1000)):
         path.write_bytes(content)
-        check_sentence(refusal(lambda: _restored(path, jnp.zeros(3))), "checkpoint")
+        check_sentence(refusal(lambda: _restored(path, jnp.zeros(3), {})), "checkpoint")
 
 
 def test_a_checkpoint_is_a_file_in_a_folder_to_write_to(tmp_path, monkeypatch):

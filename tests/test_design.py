@@ -1,5 +1,6 @@
 """Fingertips for condition (41): an analytic optimum, violating starts, limits that exclude it."""
 
+import functools
 from types import SimpleNamespace
 
 import equinox as eqx
@@ -13,7 +14,7 @@ from scipy.special import ellipe
 
 import jaxroll as jxr
 from jaxroll._linalg._plane import Vec2
-from jaxroll.design import _design, _fingertip, _minimise, Limits, optimise_fingertip
+from jaxroll.design import _design, _fingertip, _minimise, Fair, Limits, optimise_fingertip
 from jaxroll.design._descent import _direction, _learnt, Bfgs, Optax, Walk
 from jaxroll.design._limits import check_interval, margins, sampled, soft_least
 from jaxroll.design._minimise import minimise, Search
@@ -179,6 +180,23 @@ def test_goes_on_from_a_checkpoint(tmp_path, caplog):
     assert seen == [30, 40]
     straight = optimise_fingertip(jxr.Ellipse(0.02, 0.01), INTERVAL, steps=40, limits=limits)
     np.testing.assert_array_equal(whole.history, straight.history)
+
+
+def test_a_checkpoint_is_of_one_search_alone(tmp_path):
+    """Of another one with arrays of the same shapes it was taken for this one's."""
+    limits = Limits(length=0.1, radius=0.004, flat=None)
+    search = functools.partial(optimise_fingertip, steps=10, checkpoint=tmp_path / "design")
+    search(jxr.Ellipse(0.02, 0.01), INTERVAL, limits=limits)
+    search(jxr.Ellipse(0.02, 0.01), INTERVAL, limits=limits, goal=jxr.design.Margin(), mode="forward")
+    for tip, options, name in [
+        (jxr.Ellipse(0.03, 0.01), {"limits": limits}, "tip"),
+        (jxr.Ellipse(0.02, 0.01), {"limits": Limits(length=0.2, radius=0.004, flat=None)}, "limits"),
+        (jxr.Ellipse(0.02, 0.01), {"limits": limits, "optimiser": optax.adam(0.1)}, "optimiser"),
+        (jxr.Ellipse(0.02, 0.01), {"limits": limits, "starts": 2}, "starts"),
+        (jxr.Ellipse(0.02, 0.01), {"limits": limits, "goal": Fair(jxr.design.Margin())}, "goal"),
+    ]:
+        with pytest.raises(ValueError, match=f"^argument checkpoint must .* of one with another {name}$"):
+            search(tip, INTERVAL, **options)
 
 
 @pytest.mark.parametrize(
@@ -640,12 +658,18 @@ def test_the_smooth_least_of_some_values():
 
 @pytest.mark.parametrize("interval", [(-0.03, 0.01), (0.0, 0.0401), (0.01, 0.01), (0.02, 0.01)])
 def test_an_interval_rises_and_lies_on_its_contour(interval):
-    """Ends included; a closed contour has none."""
+    """Ends included; on a closed contour it may lie anywhere, but is no longer than once round."""
     arc = jxr.Catenary(0.025, (-0.02, 0.04))
     with pytest.raises(ValueError, match="argument interval must (be increasing|lie on the contour)"):
         check_interval(arc, interval)
     np.testing.assert_array_equal(check_interval(arc, (-0.02, 0.04)), [-0.02, 0.04])
-    np.testing.assert_array_equal(check_interval(jxr.Circle(0.001), (-9.0, 9.0)), [-9.0, 9.0])
+    disc = jxr.Circle(0.001)
+    for round_ in ((-0.009, -0.003), (-0.001 * np.pi, 0.001 * np.pi)):
+        np.testing.assert_array_equal(check_interval(disc, round_), round_)
+    with pytest.raises(
+        ValueError, match="^argument interval must be no longer than the contour, 0.00628319 m"
+    ):
+        check_interval(disc, (-4.0, 4.0))  # in millimetres
 
 
 def test_in_which_words_a_limit_is_kept():

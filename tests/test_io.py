@@ -283,6 +283,19 @@ def test_a_solid_is_watertight_and_has_its_volume(tmp_path):
             jxr.io.write_stl(BODY, path, height=height)
 
 
+def test_a_solid_far_from_the_origin_keeps_its_tolerance_or_is_refused(tmp_path):
+    """STL holds single precision: of a disc of 1 mm 1 km away corners fell together, and left holes."""
+    far = jxr.Circle(0.001).moved((1000.0, 0.0))
+    with pytest.raises(ValueError, match="^argument tolerance must be at least 3.16e-05 m, as STL's"):
+        jxr.io.write_stl(far, tmp_path / "far.stl", height=0.001)
+    path = jxr.io.write_stl(far, tmp_path / "far.stl", height=0.001, tolerance=3.16e-5)
+    vertices, faces = jxr.io.read_mesh(path, unit="mm")
+    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    assert set(np.unique(edges, axis=0, return_counts=True)[1].tolist()) == {2}
+    ends = np.linalg.norm(vertices[:, :2] - (1000.0, 0.0), axis=1)
+    np.testing.assert_allclose(ends, 0.001, atol=5e-5)
+
+
 def test_a_contour_that_crosses_itself_is_no_solid(tmp_path, monkeypatch):
     """Nor is one whose straight pieces cross each other in a neck, where they may leave it so far."""
     path = tmp_path / "body.stl"

@@ -8,5 +8,6 @@ others than this process compute, `_dispatch` sends them chunks, and `_sending` 
 `_parameters` has the parameters of many runs by name.
 """
 
+from ._fingerprint import fingerprint as fingerprint
 from ._parameters import Parameters as Parameters
 from ._sweep import sweep as sweep

@@ -89,8 +89,9 @@ def optimise_fingertip(
 
     Raises:
         ValueError: If a contour is endless or already prepared, contours differ in kind or size, or the
-            interval leaves one; if another argument is not what it must be, or `checkpoint` cannot be written
-            or holds another search; for `Firmness`, if the first start has no equilibrium in the first case.
+            interval leaves one or is longer than it; if another argument is not what it must be, or
+            `checkpoint` cannot be written or is of another search (`steps`, `mode` and `progress` may
+            differ); for `Firmness`, if the first start has no equilibrium in the first case.
 
     Example:
         >>> import jaxroll as jxr, numpy as np
@@ -104,21 +105,14 @@ def optimise_fingertip(
     tips = list(as_several("tip", tip, AbstractContour, "contours"))
     for one in tips:
         check_tip(one)
-    if goal is not None:
-        check_instance("goal", goal, AbstractGoal, "a goal, such as design.Margin()")
-    if limits is not None:
-        check_instance("limits", limits, Limits, "design.Limits(...)")
+    _check_parts(goal, limits, progress, optimiser, mode, checkpoint)
     steps, symmetric = as_count("steps", steps), check_flag("symmetric", symmetric)
-    if not isinstance(progress, bool):
-        check_callable("progress", progress, "True, False or a function of step, cost and violation", takes=3)
-    if optimiser is not None:
-        check_instance("optimiser", optimiser, optax.GradientTransformation, "one of optax")
-    check_choice("mode", mode, ("auto", "forward", "reverse"))
-    if checkpoint is not None:
-        check_checkpoint(checkpoint)
     count, seed = as_count("starts", starts, most=10_000), as_count("seed", seed, least=0, most=2**63 - 1)
     # The interval must lie on every one of the contours.
     ends = jnp.stack([check_interval(one, interval) for one in tips])[0]
+    goal = Margin() if goal is None else goal
+    asked = {"tip": tips, "interval": np.asarray(ends), "goal": goal, "limits": limits, "starts": count}
+    asked |= {"symmetric": symmetric, "seed": seed, "optimiser": optimiser}
     transform = ShapeTransform(tips[0], symmetric=symmetric)
     arrays, rest = as_batch(varied(tips, max(count, len(tips)), seed))
     sizes, reaches = body_radii(arrays, rest)
@@ -127,7 +121,7 @@ def optimise_fingertip(
         size = float(reaches[0])
         limits = Limits(size=size, radius=0.1 * size, ahead=0.5 * size)
     # Before anything is traced, the goal takes what it needs from the first start, such as a scale.
-    wanted = (Margin() if goal is None else goal).aimed(tips[0])
+    wanted = goal.aimed(tips[0])
     data, problem = (arrays, sizes), _Problem(transform, rest, ends, limits, wanted)
     start = jax.vmap(lambda *one: problem.of(one).start)(*data)
     found = minimise(
@@ -140,8 +134,26 @@ def optimise_fingertip(
         optimiser=optimiser,
         mode=mode,
         checkpoint=checkpoint,
+        asked=asked,
     )
     return _design(problem, start, data, found)
+
+
+def _check_parts(
+    goal: Any, limits: Any, progress: Any, optimiser: Any, mode: Any, checkpoint: str | Path | None
+) -> None:
+    """Raise unless each of these arguments of `optimise_fingertip` is what it must be."""
+    if goal is not None:
+        check_instance("goal", goal, AbstractGoal, "a goal, such as design.Margin()")
+    if limits is not None:
+        check_instance("limits", limits, Limits, "design.Limits(...)")
+    if not isinstance(progress, bool):
+        check_callable("progress", progress, "True, False or a function of step, cost and violation", takes=3)
+    if optimiser is not None:
+        check_instance("optimiser", optimiser, optax.GradientTransformation, "one of optax")
+    check_choice("mode", mode, ("auto", "forward", "reverse"))
+    if checkpoint is not None:
+        check_checkpoint(checkpoint)
 
 
 class _Problem(eqx.Module):

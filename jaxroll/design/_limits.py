@@ -173,4 +173,11 @@ def check_interval(contour: AbstractContour, interval: Given) -> Array:
             f"argument interval must lie on the contour, between {float(domain[0]):g} and "
             f"{float(domain[1]):g} m, but was {[float(low), float(high)]}"
         )
+    # A closed contour goes on beyond its ends; but samples of more than one round, such as of an interval in
+    # millimetres, are places that nobody chose.
+    if high - low > (1.0 + 1e-9) * (length := float(domain[1]) - float(domain[0])):
+        raise ValueError(
+            f"argument interval must be no longer than the contour, {length:g} m, but was "
+            f"{[float(low), float(high)]}"
+        )
     return ends

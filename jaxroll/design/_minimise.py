@@ -27,6 +27,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._linalg import larger
 from .._results import check_instance, shown
+from .._sweep import fingerprint
 from ._descent import AbstractDescent, descent, Walk
 from ._gradient import Mode, value_and_grad
 
@@ -104,6 +105,7 @@ def minimise(
     in_turn: bool = False,
     progress: DesignProgress = False,
     checkpoint: str | Path | None = None,
+    asked: dict[str, Any] | None = None,
 ) -> Found:
     r"""Minimise from many starts in one batch.
 
@@ -122,20 +124,23 @@ def minimise(
         in_turn: Whether starts are taken one after the other instead of side by side.
         progress: True prints; a function is called with step, best value and violation after every chunk.
         checkpoint: A file that is written after every chunk, and read to begin with where it exists.
+        asked: What the search is of, by the names of the caller's arguments: a checkpoint of another is
+            refused.
     """
     method = descent(optimiser)
     search = _begin(problem, method, start, data)
     done, history = 0, []
     path = None if checkpoint is None else Path(checkpoint)
+    marks = {} if path is None else {name: fingerprint(value) for name, value in (asked or {}).items()}
     if path is not None and path.exists():
-        search, done, history = _restored(path, search)
+        search, done, history = _restored(path, search, marks)
     report = progress if callable(progress) else (_printed if progress else None)
     while done < steps and not bool(jnp.all(search.done)):
         search, values = _advance(problem, method, search, data, mode=mode, in_turn=in_turn)
         history.append(np.asarray(values))
         done += STEPS_PER_CHUNK
         if path is not None:
-            _saved(path, search, done, history)
+            _saved(path, search, done, history, marks)
         if report is not None:
             report(done, float(jnp.min(search.lowest)), float(jnp.min(search.violation)))
     rows = np.concatenate(history, axis=1) if history else np.zeros((start.shape[0], 0))
@@ -244,10 +249,11 @@ def _kept(search: Search, value: Array, excess: Array) -> Search:
     return eqx.tree_at(lambda s: (s.best, s.lowest, s.violation), search, best)
 
 
-def _saved(path: Path, search: Search, steps: int, history: list[np.ndarray]) -> None:
-    """Write the checkpoint: steps taken, history, state of every start."""
+def _saved(path: Path, search: Search, steps: int, history: list[np.ndarray], marks: dict[str, str]) -> None:
+    """Write the checkpoint: what the search is of, steps taken, history, state of every start."""
     part = path.with_suffix(path.suffix + ".part")
     with part.open("wb") as file:
+        np.save(file, np.array(list(marks.items()), str).reshape(-1, 2))
         np.save(file, np.array(steps))
         np.save(file, np.concatenate(history, axis=1))
         eqx.tree_serialise_leaves(file, search)
@@ -268,13 +274,22 @@ def check_checkpoint(path: Any) -> None:
         raise ValueError(f"argument checkpoint must be a file in a folder to write to, but was {shown(path)}")
 
 
-def _restored(path: Path, like: Search) -> tuple[Search, int, list[np.ndarray]]:
-    """Read a checkpoint whose arrays have the shapes of those in `like`."""
+def _restored(path: Path, like: Search, marks: dict[str, str]) -> tuple[Search, int, list[np.ndarray]]:
+    """Read a checkpoint of a search with these marks, whose arrays have the shapes of those in `like`."""
     try:
         with path.open("rb") as file:
+            there = dict(np.load(file).tolist())
             steps, history = int(np.load(file)), np.load(file)
-            return eqx.tree_deserialise_leaves(file, like), steps, [history]
+            # Where another optimiser or number of starts was asked for, the arrays have other shapes too.
+            others = [name for name in marks if there.get(name) != marks[name]]
+            search = like if others else eqx.tree_deserialise_leaves(file, like)
     except Exception as error:  # whatever NumPy and equinox make of bytes that are not theirs
         raise ValueError(
             f"argument checkpoint must be a new file, or of a search like this one, but was {shown(path)}"
         ) from error
+    if others:
+        raise ValueError(
+            f"argument checkpoint must be a new file, or of a search like this one, but {shown(path)} is of "
+            f"one with another {', '.join(others)}"
+        )
+    return search, steps, [history]

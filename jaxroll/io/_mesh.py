@@ -62,7 +62,8 @@ def write_stl(
 
     Raises:
         ValueError: If the contour is open or crosses itself, straight pieces within the tolerance would, or
-            an argument is out of range.
+            the contour lies so far out that single precision passes the tolerance, or an argument is out of
+            range.
         ImportError: Without the extra `cad`.
 
     Example:
@@ -83,6 +84,13 @@ def write_stl(
         raise ValueError(
             "argument tolerance must keep the outline's straight pieces from crossing each other, but was "
             f"{shown(tolerance)} m"
+        )
+    # Half of what the last binary digit of the largest coordinate is worth: by so much corners are moved.
+    rounded = 0.5 * scale * float(np.spacing(np.float32(np.abs(points).max())))
+    if rounded > tolerance:
+        raise ValueError(
+            f"argument tolerance must be at least {1.01 * rounded:.3g} m, as STL's single precision rounds a "
+            f"contour that reaches this far from the origin, but was {shown(tolerance)} m"
         )
     solid = trimesh.creation.extrude_triangulation(points, _triangles(points), height / scale)
     if not solid.is_watertight or solid.volume <= 0.0:

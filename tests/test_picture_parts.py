@@ -199,14 +199,14 @@ def test_what_is_zero_but_for_rounding_is_said_to_be_zero_unless_it_should_be():
 
 def test_contacts_far_apart_that_move_little_are_drawn_since_the_start():
     way = np.array([[0.0, 0.0], [1.0, -0.5], [NAN, NAN], [0.4, 0.2]])
-    apart = _panels._contacts(way + [5.0, 8.9])
+    apart = _panels._contacts(way + [5.0, 8.9], "0")
     assert apart.label == "$s_i - s_i(0)$ [mm]" and apart.names == ("$s_1$", "$s_2$")
     np.testing.assert_allclose(apart.values, way, atol=1e-12)
-    near = _panels._contacts(way + [5.0, 8.7])
+    near = _panels._contacts(way + [5.0, 8.7], "0")
     assert near.label == "$s_i$ [mm]"
     np.testing.assert_array_equal(near.values, way + [5.0, 8.7])
     still = np.tile([5.0, 90.0], (3, 1))
-    assert _panels._contacts(still).label == "$s_i$ [mm]"
+    assert _panels._contacts(still, "0").label == "$s_i$ [mm]"
 
 
 def test_what_is_left_over_is_said_to_be_rounding_by_its_own_scale():
@@ -1342,16 +1342,18 @@ def test_what_has_moved_since_the_first_state_is_told_body_by_body():
     """A free object, a jaw and a finger; the first state was not reached."""
     q = np.arange(21.0).reshape(3, 7) ** 2
     q[0] = NAN
-    run = SimpleNamespace(states=SimpleNamespace(q=q, v=q + 1.0))
+    run: Any = SimpleNamespace(ts=np.array([0.0, 0.25, 0.5]), states=SimpleNamespace(q=q, v=q + 1.0))
     grasp = SimpleNamespace(sizes=(3, 1, 3), fingers=[finger(1, "m"), finger(3, "rad")])
     turned, path, jaw, arm = _panels._moved(grasp, run)
+    then = r"0.25\,\mathrm{s}"
+    assert turned.label == rf"$\theta - \theta({then})$ [rad]" and path.names[1] == f"$y - y({then})$"
     moved = q - q[1]
     np.testing.assert_array_equal(turned.values, moved[:, 2])
     np.testing.assert_array_equal(path.values, 1e3 * moved[:, :2])
     np.testing.assert_array_equal(jaw.values, 1e3 * moved[:, 3:4])
     np.testing.assert_array_equal(arm.values, moved[:, 4:])
-    assert (jaw.title, jaw.label) == ("joint displacements of finger 1", "$q - q(0)$ [mm]")
-    assert (arm.title, arm.label) == ("joint angles of finger 2", "$q - q(0)$ [rad]")
+    assert (jaw.title, jaw.label) == ("joint displacements of finger 1", f"$q - q({then})$ [mm]")
+    assert (arm.title, arm.label) == ("joint angles of finger 2", f"$q - q({then})$ [rad]")
     assert jaw.names == ("$q_{11}$",) and arm.names == ("$q_{21}$", "$q_{22}$", "$q_{23}$")
     rates = _panels._joint_rates(grasp, run)
     assert [(p.title, p.label) for p in rates] == [

@@ -78,6 +78,16 @@ def test_energy_identity(scene):
     assert float(run.energy.work[-1]) < -0.01 * size  # it does dissipate
 
 
+def test_the_balance_counts_from_the_start_whatever_is_saved(scene):
+    """Of a run that saved its end alone it was zero."""
+    ts = np.linspace(1.0, 3.0, 301)
+    later = jxr.simulate(*scene, t1=3.0, ts=ts, rtol=1e-4, record=("energy",)).energy
+    start, size = sum(map(float, jxr.energies(*scene))), float(later.potential[0])
+    wanted = later.kinetic + later.potential - later.work - start
+    np.testing.assert_allclose(later.residual, wanted, atol=1e-15 * size)
+    assert abs(float(later.residual[0])) > 1e-9 * size
+
+
 def test_recorded_energy_is_the_chapters(scene, run):
     """(71) and U below (83), from the chapter's formulas at every tenth state."""
     chapter = Part2()

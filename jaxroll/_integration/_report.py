@@ -189,12 +189,13 @@ def _left(left: Any) -> str:
 def _balance(run: Any, saved: np.ndarray) -> str:
     """By how much the energy is off, of a run that saved more than its start."""
     off, stats = peak(run.energy.residual), run.stats
-    # The balance counts from the start, where it is zero by definition: alone it says nothing.
-    if saved.sum() == 1 and off == 0.0:
+    scale = np.nanmax(np.abs(np.asarray(run.energy.kinetic + run.energy.potential)))
+    # The balance counts from the start, where it is zero but for rounding: alone it says nothing.
+    rounding = 8.0 * np.finfo(np.asarray(run.energy.residual).dtype).eps * scale
+    if saved.sum() == 1 and off <= rounding and not np.asarray(run.energy.work)[saved].any():
         there = float(np.asarray(run.ts)[saved][0])
         if float(stats.t_end) > there or int(stats.accepted) <= 1:
             return "balance not known: the start alone was saved"
-    scale = np.nanmax(np.abs(np.asarray(run.energy.kinetic + run.energy.potential)))
     # Where there is hardly any energy, its rounding is no share of it.
     told = f"{off / scale:.1e} of its size" if off <= scale > 0 else f"{off:.1e} J"
     return f"balance within {told}"

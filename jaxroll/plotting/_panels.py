@@ -110,7 +110,7 @@ def _pinch(grasp: Grasp, run: Trajectory) -> list[Panel]:
     return [
         Panel("normal forces", "$f_i$ [N]", f, _both("f")),
         Panel("tangential forces", r"$\lambda_i$ [N]", lam, _both(r"\lambda")),
-        _contacts(MM * np.asarray(found.s)),
+        _contacts(MM * np.asarray(found.s), first_of(run)),
         Panel("unbalanced normal forces", r"$\Delta f_i$ [N]", np.asarray(found.delta_f), _both(r"\Delta f")),
         Panel(
             "unbalanced tangential forces",
@@ -130,12 +130,19 @@ def _both(symbol: str) -> tuple[str, str]:
     return f"${symbol}_1$", f"${symbol}_2$"
 
 
-def _contacts(s: np.ndarray) -> Panel:
-    """Both contacts [mm]; since the start, where that is too far apart for one scale."""
+def first_of(run: Trajectory) -> str:
+    """The first saved time, since which motion is counted, as the argument of a symbol."""
+    reached = np.isfinite(np.asarray(run.states.q)).all(axis=1)
+    t = float(np.asarray(run.ts)[reached][0])
+    return f"{t:.4g}" + r"\,\mathrm{s}" * (t != 0.0)
+
+
+def _contacts(s: np.ndarray, then: str) -> Panel:
+    """Both contacts [mm]; since the first state, where that is too far apart for one scale."""
     # On a closed object both lie far apart and move little: one scale for both would show two straight lines.
     title, reached = "contacts on the object's contour", s[np.isfinite(s).all(axis=1)]
     if 0.0 < 4.0 * np.ptp(reached, axis=0).max() < np.ptp(reached):
-        return Panel(title, "$s_i - s_i(0)$ [mm]", s - reached[0], _both("s"))
+        return Panel(title, f"$s_i - s_i({then})$ [mm]", s - reached[0], _both("s"))
     return Panel(title, "$s_i$ [mm]", s, _both("s"))
 
 
@@ -143,12 +150,12 @@ def _moved(grasp: Grasp, run: Trajectory) -> list[Panel]:
     """How far object and joints have moved since the first state."""
     q = np.asarray(run.states.q)
     start = q[np.flatnonzero(np.isfinite(q).all(axis=1))[0]]
-    moved, at = q - start, grasp.sizes[0]
+    moved, at, then = q - start, grasp.sizes[0], first_of(run)
     # The last of the object's coordinates is its angle, whether it is pivoted or free.
-    turned = Panel("rotation of the object", r"$\theta - \theta(0)$ [rad]", moved[:, at - 1])
+    turned = Panel("rotation of the object", rf"$\theta - \theta({then})$ [rad]", moved[:, at - 1])
     found = [turned]
     if at > 1:
-        names = ("$x - x(0)$", "$y - y(0)$")
+        names = (f"$x - x({then})$", f"$y - y({then})$")
         found.append(Panel("path of the object", "moved [mm]", MM * moved[:, :2], names))
     for i, finger in enumerate(grasp.fingers):
         mine = slice(at, at + finger.joints)
@@ -156,7 +163,7 @@ def _moved(grasp: Grasp, run: Trajectory) -> list[Panel]:
         names = tuple(f"$q_{{{i + 1}{j + 1}}}$" for j in range(finger.joints))
         what, unit, scale = _joint_words(finger)
         title = f"joint {what} of finger {i + 1}"
-        found.append(Panel(title, f"$q - q(0)$ [{unit}]", scale * moved[:, mine], names))
+        found.append(Panel(title, f"$q - q({then})$ [{unit}]", scale * moved[:, mine], names))
     return found
 
 

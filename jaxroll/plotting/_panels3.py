@@ -7,7 +7,7 @@ import numpy as np
 from .._integration import Trajectory
 from .._mechanics import Grasp
 from ._motion3 import rotation_vectors
-from ._panels import balance_panel, forces_of, in_powers, numbered, Panel, residual_panel, sentence
+from ._panels import balance_panel, first_of, forces_of, in_powers, numbered, Panel, residual_panel, sentence
 from ._style import MM
 
 _AXES = ("$x$", "$y$", "$z$")
@@ -34,7 +34,10 @@ def _moved(grasp: Grasp, run: Trajectory) -> list[Panel]:
         place,
         Panel("orientation of the object", r"$\theta\,a$ [rad]", turns, _ABOUT),
         *_joints(
-            grasp, q - start, grasp.form.positions, ("joint angles", "$q - q(0)$ [rad]", "$q_{{{0}{1}}}$")
+            grasp,
+            q - start,
+            grasp.form.positions,
+            ("joint angles", f"$q - q({first_of(run)})$ [rad]", "$q_{{{0}{1}}}$"),
         ),
     ]
 

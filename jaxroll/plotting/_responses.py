@@ -34,13 +34,13 @@ def responses(grasp: Grasp, trajectory: Trajectory, folder: str | Path | None = 
     object rate [rad/s], $R$ and $Q$ [m], $U$ [mJ]. For a pinch of two fingers under
     `control.Opposition`, those of Part 1 for both contacts: $f_i$ and $\lambda_i$ [N], $s_i$ [mm],
     $\Delta f_i$ and $\Delta\lambda_i$ [N], $\Delta N_i$ and $S_N$ [mN m], $U$ [mJ], the angles [rad]
-    between $O_i P_i$ and $O_1 O_2$, motion of object and joints since the start, $Q_i$ and $R_i$ [m].
-    For any other grasp: contact forces, rolling coordinates, rates, residuals. The energy balance
+    between $O_i P_i$ and $O_1 O_2$, motion of object and joints since the first saved time, $Q_i$ and
+    $R_i$ [m]. For any other grasp: contact forces, rolling coordinates, rates, residuals. The energy balance
     is added if it was recorded.
 
     In space: position of the object, its orientation as the vector $\theta a$ of axis and angle in world
-    axes, and joint angles, all since the start; of each contact the normal force $f$, the size of the
-    tangential one $|\lambda|$ and their ratio, the friction that rolling needs; velocity and spin of the
+    axes, and joint angles, all since the first saved time; of each contact the normal force $f$, the size of
+    the tangential one $|\lambda|$ and their ratio, the friction that rolling needs; velocity and spin of the
     object, joint rates, $Q$ and $|R|$.
 
     Where the contacts are nearly through with their motion in a tenth of the time, the time axis is

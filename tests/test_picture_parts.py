@@ -397,6 +397,20 @@ def test_a_picture_holds_all_that_is_drawn_at_any_time():
     np.testing.assert_allclose(_artists.limits(seen, 1.0, above=0.1), [[-31.0, -41.0], [12.0, 31.6]])
 
 
+@pytest.mark.parametrize(("size", "share"), [(1e-2, 0.2), (1.0, 6.0 / 80.0), (1e3, 0.036), (1e3, 0.02)])
+def test_there_is_room_around_what_is_small_or_large(size, share):
+    """The squares at bases of long links were cut off; what was small lay far from the edges."""
+    ring = size * np.array([[-1.0, -1.0], [1.0, 1.0]])
+    shape, still = Outline((ring,), (ring,)), np.array([[0.0, 0.0, 1.0, 0.0]])
+    joints = [np.array([size * np.array([[-40.0, 0.0], [40.0, 0.0], [-10.0, 0.0]])])][: share != 0.02]
+    guide = np.array([[[-40.0 * size, 0.0], [40.0 * size, 0.0]]])
+    seen: Any = SimpleNamespace(body=shape, tips=(), joints=joints, guides=(guide,), frames=(still,))
+    if joints:
+        share = max(share, 1.6 * 0.045 * 65.0 / 80.0)
+    low, high = _artists.limits(seen)
+    np.testing.assert_allclose([-40.0 * size - low[0], high[0] - 40.0 * size], 80.0 * size * share)
+
+
 def test_names_in_the_legend_count_contacts_and_fingers():
     assert [_artists._point_name(k) for k in (1, 2, 3, 4)] == [
         "contact point $P_1$",
@@ -627,6 +641,8 @@ def test_arclengths_of_an_open_contour_are_counted_from_end_to_end():
 @pytest.mark.parametrize(
     ("length", "step"),
     [
+        (6.5e-6, 1e-3),
+        (7e-4, 0.1),
         (0.003, 0.5),
         (0.0062, 1.0),
         (0.012, 2.0),
@@ -635,12 +651,13 @@ def test_arclengths_of_an_open_contour_are_counted_from_end_to_end():
         (0.55, 100.0),
         (1.2, 200.0),
         (3.1, 500.0),
+        (31.0, 5000.0),
     ],
 )
 def test_arclengths_are_counted_in_round_steps_of_which_there_are_some_six(length, step):
-    _contours._count(ax := axes(), jxr.Line((0.0, 4.0)), (0.0, length))
+    _contours._count(ax := axes(), jxr.Line((0.0, 40.0)), (0.0, length))
     marks = [float(text.get_text().removeprefix("$s$ = ")) for text in ax.texts]
-    np.testing.assert_allclose(marks, np.arange(0.0, 1e3 * length + 1e-6, step))
+    np.testing.assert_allclose(marks, np.arange(0.0, 1e3 * length * (1.0 + 1e-6), step), atol=1e-12)
 
 
 def test_the_box_of_a_contour_holds_its_frame():

@@ -26,6 +26,8 @@ from ._style import (
 )
 from ._views import place, Views
 
+# Radius of links as a share of the fingers' size. The square at a base is one and a half times as large.
+_RADIUS = 0.045
 _SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 _TURN = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 13)
 
@@ -53,7 +55,7 @@ class Drawing:
         self.seen, self.forces, self.traced = seen, forces, traced
         self.jointed = any(joints.shape[1] > 1 for joints in seen.joints)
         self.pivoted = isinstance(grasp.object, PivotedObject)
-        self.radius = 0.045 * MM * float(np.mean([f.size for f in grasp.fingers]))
+        self.radius = _RADIUS * MM * float(np.mean([f.size for f in grasp.fingers]))
         # All artists are made once, empty; `show` gives them their places.
         fill = partial(_polygon, ax, np.zeros((3, 2)))
         line = lambda *args, **style: ax.plot([], [], *args, **style)[0]  # noqa: E731
@@ -186,10 +188,14 @@ def _capsule(start: np.ndarray, end: np.ndarray, radius: float) -> np.ndarray:
     return np.concatenate([end + arc(heading + _TURN), start + arc(heading + _TURN + np.pi)])
 
 
-def limits(seen: Views, margin: float = 6.0, *, above: float = 0.0) -> np.ndarray:
+def limits(seen: Views, margin: float | None = None, *, above: float = 0.0) -> np.ndarray:
     """Lower left and upper right corner [mm] of all that is drawn at any time, shape (2, 2).
 
-    `above` is a strip to leave free at the top, as a share of the height.
+    Args:
+        seen: What is drawn.
+        margin: Around skeletons, shapes and guides [mm]. Default: 6 mm, and more or less for what is larger
+            or smaller than a gripper.
+        above: A strip to leave free at the top, as a share of the height.
     """
     shapes = (seen.body, *seen.tips)
     cloud = [joints.reshape(-1, 2) for joints in seen.joints]
@@ -198,5 +204,11 @@ def limits(seen: Views, margin: float = 6.0, *, above: float = 0.0) -> np.ndarra
         rough = np.concatenate([ring[::6] for ring in shape.rings])
         cloud += [place(frame, rough) for frame in frames]
     every = np.concatenate(cloud)
-    low, high = every.min(axis=0) - margin, every.max(axis=0) + margin
+    low, high = every.min(axis=0), every.max(axis=0)
+    if margin is None:
+        across = float(np.max(high - low))
+        links = [np.linalg.norm(np.diff(j[0], axis=0), axis=-1) for j in seen.joints if j.shape[1] > 1]
+        base = 1.6 * _RADIUS * max((float(lengths.mean()) for lengths in links), default=0.0)
+        margin = max(min(6.0, 0.2 * across), 0.02 * across, base)
+    low, high = low - margin, high + margin
     return np.stack([low, high + np.array([0.0, above * (high[1] - low[1])])])

@@ -12,7 +12,8 @@ from ..geometry import AbstractContour
 from ._outlines import contours_of, extents, Outline, outlines, sample, starts_of, Window
 from ._style import CONTACT, FINGER, GUIDE, MM, OBJECT, OBJECT_FILL, Picture, tidy, TIP_FILL
 
-_STEPS = np.array([0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500])
+# Between numbers along a contour [mm]: of a grain of sand and of a ship.
+_STEPS = np.outer(10.0 ** np.arange(-6, 9), [1.0, 2.0, 5.0]).ravel()
 _BESIDE: Any = {"textcoords": "offset points", "ha": "center", "va": "center"}
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import equinox as eqx
@@ -16,6 +17,7 @@ from jaxroll._mechanics import to_leaves
 from jaxroll._motion import bodies
 from jaxroll.contact import AbstractContact
 from jaxroll.contact._from_gap import derived_bias
+from jaxroll.plotting._panels import _rolled
 
 # What `Contact` and `Contact3` give in closed form, and the base class derives.
 _DERIVED = ("gap_rate", "pfaffian", "rolling", "place_rate", "bias", "bend", "unknown_bend", "settled")
@@ -281,7 +283,8 @@ def test_a_pin_has_no_place() -> None:
     grasp = jxr.Grasp(jxr.FreeObject(jxr.Circle(0.02), 0.2, 1e-4), finger, Pin(), gravity=(0.0, -9.81))
     grasp, state = jxr.close(grasp, jxr.State([0.1, 0.0, 0.0, 0.0], [0.0] * 4, np.zeros(0)))
     run = jxr.simulate(grasp, state, 0.3, ts=4, record=("energy",))
-    assert run.states.s.shape == (4, 0)
+    assert run.states.s.shape == (4, 0) and "rolled" not in str(run)
+    assert jxr.plotting.responses(grasp, run).axes[0].get_title(loc="left") == "Rate of joint 1"
     np.testing.assert_allclose(run.energy.residual, 0.0, atol=1e-8)
 
     def rate(t: float, y: np.ndarray) -> np.ndarray:
@@ -337,6 +340,19 @@ def test_own_contacts_that_do_not_fit_are_refused(teeth: Any) -> None:
         jxr.stability.assess(grasp, state)
     with pytest.raises(ValueError, match="locate must be False for contacts of one's own"):
         jxr.close(grasp, state, locate=True)
+
+
+def test_places_of_own_contacts_stand_apart_under_their_own_names() -> None:
+    """Columns of states were taken for one rolling coordinate [mm] of each contact in turn."""
+    finger = jxr.Finger([0.1], [0.01], jxr.Circle(0.01))
+    contacts = [Pin(), jxr.Contact(), Belt(jnp.asarray(1.0)), Teeth()]
+    grasp = jxr.Grasp(jxr.FreeObject(jxr.Circle(0.02), 0.2, 1e-4), finger, contacts)
+    run: Any = SimpleNamespace(states=SimpleNamespace(s=np.arange(8.0).reshape(2, 4)))
+    rolled, others = _rolled(grasp, run, ("a", "b", "c", "d"))
+    assert (rolled.names, rolled.label) == (("b",), r"$\sigma$ [mm]")
+    assert (others.names, others.label) == (("c, 1", "c, 2", "d"), "place")
+    np.testing.assert_array_equal(rolled.values, [[0.0], [4e3]])
+    np.testing.assert_array_equal(others.values, [[1.0, 2.0, 3.0], [5.0, 6.0, 7.0]])
 
 
 def test_own_contacts_are_drawn_and_explained(teeth: Any, tmp_path: Path) -> None:

@@ -206,6 +206,12 @@ def _rolled(run: Any, saved: np.ndarray) -> list[str]:
     if run.residuals.tangential.ndim > run.residuals.normal.ndim or saved.sum() < 2:
         return []
     travel = 1e3 * np.ptp(np.asarray(run.states.s)[saved], axis=0)
+    # Places of a caller's own contacts have units that only the caller knows, and may be none.
+    places = getattr(run.labels, "places", ())
+    if len(places) == len(travel):
+        travel = travel[[place.unit == "m" for place in places]]
+    if not len(travel):
+        return []
     return [f"  rolled    {', '.join(f'{x:.3f}' for x in travel)} mm"]
 
 

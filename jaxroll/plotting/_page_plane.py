@@ -79,7 +79,9 @@ def _moving(seen: Views, shafts: Arrows | None, i: int) -> list[np.ndarray]:
     found = [np.concatenate(links), *bodies, np.concatenate([*rolled, _GAP]), seen.points[i]]
     if shafts is not None:
         ends = zip(shafts.points[i], shafts.points[i] + shafts.vectors[i], strict=True)
-        found.append(np.concatenate([piece for pair in ends for piece in (np.stack(pair), _GAP)]))
+        # Of a caller's own contacts no forces are drawn: there may be none.
+        pieces = [piece for pair in ends for piece in (np.stack(pair), _GAP)]
+        found.append(np.concatenate(pieces or [_GAP]))
     return found
 
 

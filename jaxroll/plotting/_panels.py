@@ -8,6 +8,7 @@ from .._analysis import check_pinch, pinch_balance, press_balance
 from .._integration import Trajectory
 from .._mechanics import AbstractFinger, Grasp, PivotedObject
 from .._motion import Energy, multipliers
+from ..contact import Contact
 from ..control import law_of, Press
 from ._style import MM
 
@@ -46,8 +47,8 @@ def panels(grasp: Grasp, run: Trajectory) -> list[Panel]:
         found = [*first, *_motion(grasp, run, contacts), potential, *_forces(grasp, run, contacts)]
         figures = 10 if _is_part_2(grasp) else 0
     else:
-        rolled = Panel("rolling coordinate", r"$\sigma$ [mm]", MM * np.asarray(run.states.s), contacts)
-        found = [rolled, *_motion(grasp, run, contacts), *_forces(grasp, run, contacts)]
+        rolled = _rolled(grasp, run, contacts)
+        found = [*rolled, *_motion(grasp, run, contacts), *_forces(grasp, run, contacts)]
     found.append(_last(run, contacts))
     return [
         replace(p, title=f"Fig. {9 + i}: {p.title}" if i < figures else sentence(p.title))
@@ -67,6 +68,26 @@ def is_pinch(grasp: Grasp) -> bool:
 def _motion(grasp: Grasp, run: Trajectory, contacts: tuple[str, ...]) -> list[Panel]:
     normal, tangential = _gaps(grasp, run, contacts, contacts)
     return [*_joint_rates(grasp, run), *_object_rates(grasp, run), tangential, normal]
+
+
+def _rolled(grasp: Grasp, run: Trajectory, contacts: tuple[str, ...]) -> list[Panel]:
+    """Contact coordinates: of contours in millimetres, and apart from them those of a caller's own contacts.
+
+    Of these there may be any number, or none, and only the caller knows their units.
+    """
+    own: list[bool] = []
+    names: list[str] = []
+    for name, contact, part in zip(contacts, grasp.contacts, grasp.form.places.children(), strict=True):
+        count = part.num_leaves
+        names += [name] if count == 1 else [f"{name}, {k + 1}" for k in range(count)]
+        own += [not isinstance(contact, Contact)] * count
+    s, found = np.asarray(run.states.s), []
+    titles = ("rolling coordinate", r"$\sigma$ [mm]", MM), ("places of own contacts", "place", 1.0)
+    for (title, label, scale), mine in zip(titles, (~np.array(own, bool), np.array(own, bool)), strict=True):
+        if mine.any():
+            kept = tuple(name for name, one in zip(names, mine, strict=True) if one)
+            found.append(Panel(title, label, scale * s[:, mine], kept))
+    return found
 
 
 def in_powers(panel: Panel) -> Panel:

@@ -329,7 +329,7 @@ def _trajectory(
     found = of_reached(lambda rows: in_turn(observe, (grasp, way), rows, *times), both, state)
     off = worst(jax.tree.map(lambda a: a[0], found[0]))
     on_constraints = isinstance(way, CSM) | (off <= closed_within(state.q.dtype))
-    energy = None if found[2] is None else _balance(*found[2], path.saved[:, lay.width - 1])
+    energy = None if found[2] is None else _balance(found[2], path.saved[:, lay.width - 1])
     left, forces = jax.tree.map(lambda a: a[1:], found[:2])
     attempted, accepted, rejected = path.steps
     # The number of the limit that ended the run is positive; a run that no limit ended has no margin.
@@ -368,13 +368,13 @@ def _observed_at(
         return residuals_at(grasp, state), forces, jax.tree.map(jnp.asarray, energies)
 
 
-def _balance(kinetic: Array, potential: Array, work: Array) -> Energy:
+def _balance(energies: tuple[Array, Array], work: Array) -> Energy:
     """Energy balance (20) at the saved states, from energies of the start and of these [J].
 
     `work` is what the run has integrated from the start up to each saved state [J].
     """
-    start = kinetic[0] + potential[0]
-    kinetic, potential = kinetic[1:], potential[1:]
+    start = energies[0][0] + energies[1][0]
+    kinetic, potential = (each[1:] for each in energies)
     return Energy(kinetic, potential, work, kinetic + potential - work - start)
 
 

@@ -187,12 +187,11 @@ def test_a_checkpoint_is_of_one_search_alone(tmp_path):
     limits = Limits(length=0.1, radius=0.004, flat=None)
     search = functools.partial(optimise_fingertip, steps=10, checkpoint=tmp_path / "design")
     search(jxr.Ellipse(0.02, 0.01), INTERVAL, limits=limits)
-    search(jxr.Ellipse(0.02, 0.01), INTERVAL, limits=limits, goal=jxr.design.Margin(), mode="forward")
+    search(jxr.Ellipse(0.02, 0.01), INTERVAL, limits=limits, goal=jxr.design.Margin())
     for tip, options, name in [
         (jxr.Ellipse(0.03, 0.01), {"limits": limits}, "tip"),
         (jxr.Ellipse(0.02, 0.01), {"limits": Limits(length=0.2, radius=0.004, flat=None)}, "limits"),
         (jxr.Ellipse(0.02, 0.01), {"limits": limits, "optimiser": optax.adam(0.1)}, "optimiser"),
-        (jxr.Ellipse(0.02, 0.01), {"limits": limits, "starts": 2}, "starts"),
         (jxr.Ellipse(0.02, 0.01), {"limits": limits, "goal": Fair(jxr.design.Margin())}, "goal"),
     ]:
         with pytest.raises(ValueError, match=f"^argument checkpoint must .* of one with another {name}$"):

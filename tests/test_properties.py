@@ -19,8 +19,8 @@ OF_NO_USE = ("thing", "NaN", "minus one", "zero", "two numbers", "empty list")
 # Of these, something that takes long is made before they are looked at: the drawn examples try them.
 DEAR = {("design", "folder"), ("optimise_fingertip", "interval")}
 DEAR |= {("loci", "grasp"), ("link_clearance", "grasp"), ("pinch_balance", "grasp")}
-# Here another argument is at fault: a function without cases does not take any; values are one more than their
-# times.
+# Here another argument is at fault: a function without cases does not take any; values are one more than
+# their times.
 OTHERS = {("ClosedLoop", "cases"), ("Firmness", "cases"), ("Steps", "times")}
 # Numbers that decide what a program is made of: these classes ask for them before anything is traced.
 KNOWN = {("ClosedLoop", name) for name in ("t0", "rtol", "atol", "dt0")} | {("PeriodicNetwork", "decay")}

@@ -18,6 +18,7 @@ _OF_TENDONS = {
 
 
 def ends(interval: np.ndarray) -> tuple[float, float]:
+    """Both ends of an interval."""
     return float(interval[0]), float(interval[1])
 
 
@@ -35,6 +36,7 @@ def joint_torques(mujoco: Any, model: Any, joint: int) -> tuple[float, float]:
 
 
 def _motors(mujoco: Any, model: Any, joint: int) -> list[int]:
+    """The motors that drive a joint."""
     kinds = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
     return [
         i

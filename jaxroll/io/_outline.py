@@ -1,6 +1,6 @@
 """A contour as a polygon within a tolerance; polygons with evenly spaced points; checks of numbers for `io`.
 
-`_files` and `_mesh` write what `outline` makes; `_vector` uses the functions on polygons below it.
+`_files` and `_mesh` write what `outline` makes; `_svg` and `_dxf` use the functions on polygons below it.
 """
 
 from typing import Any

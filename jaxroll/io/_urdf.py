@@ -74,10 +74,11 @@ def refuse_nan(root: ElementTree.Element) -> None:
 
 
 def _numbers(text: str) -> list[float]:
+    """The numbers of an attribute; none where it has words."""
     try:
         return [float(word) for word in text.split()]
     except ValueError:
-        return []  # words
+        return []
 
 
 def _check_names(root: ElementTree.Element, joints: Mapping[str, ElementTree.Element]) -> None:

@@ -42,22 +42,35 @@ def is_one_sentence(error):
 pytest.raises = raises
 
 
-# Each program takes some of the maps of memory that Linux lets a process have, 65 530 unless it is told.
-_MAPS, _MOST_MAPS = pathlib.Path("/proc/self/maps"), 30_000
+# Each program takes some of the maps of memory that Linux lets a process have, 65 530 unless it is told, and
+# about a megabyte of memory: what a process may gather of both before it forgets its programs.
+_MOST_MAPS, _MOST_BYTES = 30_000, 10**9
+_PROCESS = pathlib.Path("/proc/self")
+_bytes_before = 0
 
 
 @pytest.fixture(scope="module", autouse=True)
 def _forgotten():
-    """Forget programs after a file that brings their maps near the limit, or after every file elsewhere.
+    """Forget programs after a file that brings a process near its limits, or after every file elsewhere.
 
     Files use many of the same programs: to keep them as long as that goes saves a sixteenth of the time.
     """
+    global _bytes_before
     yield
-    if not _MAPS.exists() or _MAPS.read_bytes().count(b"\n") > _MOST_MAPS:
+    full = not _PROCESS.exists() or _PROCESS.joinpath("maps").read_bytes().count(b"\n") > _MOST_MAPS
+    if full or _bytes_in_memory() - _bytes_before > _MOST_BYTES:
         jax.clear_caches()
         gc.unfreeze()
+        gc.collect()
+        _bytes_before = _bytes_in_memory()
     gc.collect()
     gc.freeze()  # what is kept is not looked through again
+
+
+def _bytes_in_memory():
+    """Memory of this process, where Linux tells it; what was forgotten is not always given back."""
+    told = _PROCESS / "statm"
+    return int(told.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") if told.exists() else 0
 
 
 # Compilation is most of the time that tests take. The default ones are compiled with fewer optimisations,

@@ -223,8 +223,11 @@ def test_a_state_of_less_precision_than_its_grasp_is_refused(scene):
 
 def test_the_balance_is_what_energy_and_work_leave_since_the_start():
     kinetic, potential, work = np.array([[1.0, 3.0, 2.0], [0.5, 0.25, 4.0], [0.0, 1.5, 6.0]])
-    found = _simulate._balance((jnp.asarray(kinetic), jnp.asarray(potential)), jnp.asarray(work))
-    np.testing.assert_allclose(found.residual, [0.0, 0.25, -1.5])
+    # The energies begin with those of the start, which is no saved state.
+    begin = np.array([[0.75], [0.125]])
+    energies = jnp.asarray(np.concatenate([begin, [kinetic, potential]], axis=1))
+    found = _simulate._balance((energies[0], energies[1]), jnp.asarray(work))
+    np.testing.assert_allclose(found.residual, [0.625, 0.875, -0.875])
     for part, wanted in ((found.kinetic, kinetic), (found.potential, potential), (found.work, work)):
         np.testing.assert_array_equal(part, wanted)
 

@@ -365,10 +365,10 @@ EQUIVALENT: dict[tuple[str, ...], str] = {
     ): "floating-point numbers that never are equal",
     (
         "jaxroll/_identify.py",
-        "_descend",
+        "_deviation",
         "1",
         "(2)",
-        "damping, free = _FIRST, max(len(left) - len(x), 1)",
+        "return 1.0 if known else float(np.sqrt(left @ left / max(len(left) - numbers, 1)))",
     ): "how small the last step must be where there are no more data than numbers",
     (
         "jaxroll/stability/_equilibrium.py",

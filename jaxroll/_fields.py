@@ -177,9 +177,9 @@ def _is_known(array: Any) -> bool:
 def _check_shape(name: str, value: Any, wanted: Any) -> None:
     """Raise unless a value is of the class and shape that its field is annotated with, or a plain number."""
     kinds = get_args(wanted) or (wanted,)
-    # `Any` is a class, of which nothing is an instance.
     if isinstance(value, np.ndarray | np.generic):
         value = jnp.asarray(value)  # as `jax.device_get` leaves them
+    # `Any` is a class, of which nothing is an instance.
     plain = Any in kinds or isinstance(value, int | float) and not isinstance(value, bool)
     if not plain and all(isinstance(kind, type) for kind in kinds) and not isinstance(value, kinds):
         raise ValueError(

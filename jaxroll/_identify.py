@@ -226,15 +226,14 @@ def _descend(
     left, slopes, *rest = evaluate(x)
     if not (_has_squares(left) and _has_squares(slopes)):
         return x, 0, RESULTS.not_finite, (left, slopes, *rest)
-    damping, free = _FIRST, max(len(left) - len(x), 1)
+    damping = _FIRST
     for count in range(1, steps + 1):
         matrix, downhill = slopes.T @ slopes, -slopes.T @ left
         scaled = matrix + damping * np.diag(np.maximum(np.diag(matrix), 1e-300))
         step = np.linalg.lstsq(scaled, downhill, rcond=None)[0]
         new_left, new_slopes, *new_rest = evaluate(x + step)
         if _has_squares(new_left) and _has_squares(new_slopes) and new_left @ new_left <= left @ left:
-            unit = 1.0 if known else np.sqrt(left @ left / free)
-            small = np.sqrt(step @ matrix @ step) < _LAST * unit
+            small = np.sqrt(step @ matrix @ step) < _LAST * _deviation(left, len(x), known=known)
             x, left, slopes, rest = x + step, new_left, new_slopes, new_rest
             damping /= _FACTOR
             if damping < _FIRST and (small or np.all(np.abs(step) < _SHARE * np.abs(x))):
@@ -244,6 +243,11 @@ def _descend(
             if damping > _MOST:  # no step goes down any more
                 return x, count, _at_an_end(x, left, slopes, known=known), (left, slopes, *rest)
     return x, steps, RESULTS.max_steps_reached, (left, slopes, *rest)
+
+
+def _deviation(left: np.ndarray, numbers: int, *, known: bool) -> float:
+    """The standard deviation of the misfits: one, or where the noise is not known an estimate."""
+    return 1.0 if known else float(np.sqrt(left @ left / max(len(left) - numbers, 1)))
 
 
 def _has_squares(values: np.ndarray) -> bool:
@@ -259,7 +263,7 @@ def _at_an_end(x: np.ndarray, left: np.ndarray, slopes: np.ndarray, *, known: bo
     promises more than rounding, but neither leads to a minimum nor says how well numbers are known.
     """
     step = np.linalg.lstsq(slopes, -left, rcond=None)[0]
-    unit = 1.0 if known else np.sqrt(left @ left / max(len(left) - len(x), 1))
+    unit = _deviation(left, len(x), known=known)
     promised = np.linalg.norm(slopes @ step) > _LAST * unit and np.any(np.abs(step) > _ROUNDING * np.abs(x))
     return RESULTS.solver_failed if promised else RESULTS.successful
 

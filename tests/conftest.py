@@ -58,12 +58,13 @@ def _forgotten():
     global _bytes_before
     yield
     full = not _PROCESS.exists() or _PROCESS.joinpath("maps").read_bytes().count(b"\n") > _MOST_MAPS
-    if full or _bytes_in_memory() - _bytes_before > _MOST_BYTES:
+    full = full or _bytes_in_memory() - _bytes_before > _MOST_BYTES
+    if full:
         jax.clear_caches()
         gc.unfreeze()
-        gc.collect()
-        _bytes_before = _bytes_in_memory()
     gc.collect()
+    if full:
+        _bytes_before = _bytes_in_memory()
     gc.freeze()  # what is kept is not looked through again
 
 

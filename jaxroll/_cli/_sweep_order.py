@@ -229,6 +229,7 @@ def _pair(option: str, text: str) -> tuple[str, str]:
 
 
 def _pairs(option: str, texts: Sequence[str]) -> dict[str, str]:
+    """Names and values of an option that is given once for each name."""
     found: dict[str, str] = {}
     for name, value in (_pair(option, text) for text in texts):
         if name in found:

@@ -99,10 +99,8 @@ def lateness(grasp: Grasp, t: Scalar) -> Scalar:
         times = jnp.ravel(jumps).astype(t.dtype)
         fixed = jax.lax.stop_gradient(times)
         here = jnp.abs(t - fixed) <= 0.5 * grain(fixed)
-        late, count = (
-            late + jnp.sum(jnp.where(here, times - fixed, 0.0)),
-            count + jnp.sum(here, dtype=t.dtype),
-        )
+        late = late + jnp.sum(jnp.where(here, times - fixed, 0.0))
+        count = count + jnp.sum(here, dtype=t.dtype)
     return late / jnp.maximum(count, 1.0)
 
 

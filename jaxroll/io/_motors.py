@@ -7,7 +7,6 @@ import numpy as np
 
 from .._results import shown
 
-_UNLIMITED = (-np.inf, np.inf)
 _OF_TENDONS = {
     "stiffness": "stiffness",
     "damping": "damping",
@@ -17,14 +16,14 @@ _OF_TENDONS = {
 }
 
 
-def ends(interval: np.ndarray) -> tuple[float, float]:
-    """Both ends of an interval."""
-    return float(interval[0]), float(interval[1])
+def bounds(interval: np.ndarray, limited: bool) -> tuple[float, float]:
+    """Both ends of an interval, infinite where it is no limit."""
+    return (float(interval[0]), float(interval[1])) if limited else (-np.inf, np.inf)
 
 
 def joint_torques(mujoco: Any, model: Any, joint: int) -> tuple[float, float]:
     """Smallest and largest torque at a joint: its own limit, and that of the motors which drive it alone."""
-    low, high = ends(model.jnt_actfrcrange[joint]) if model.jnt_actfrclimited[joint] else _UNLIMITED
+    low, high = bounds(model.jnt_actfrcrange[joint], model.jnt_actfrclimited[joint])
     pulls = [
         np.sort(gear * np.array(_force(mujoco, model, i)))
         for i in _motors(mujoco, model, joint)
@@ -47,7 +46,7 @@ def _motors(mujoco: Any, model: Any, joint: int) -> list[int]:
 
 def _force(mujoco: Any, model: Any, motor: int) -> tuple[float, float]:
     """Smallest and largest force of a motor, by its signal's range too where that is all it depends on."""
-    low, high = ends(model.actuator_forcerange[motor]) if model.actuator_forcelimited[motor] else _UNLIMITED
+    low, high = bounds(model.actuator_forcerange[motor], model.actuator_forcelimited[motor])
     plain = (
         model.actuator_gaintype[motor] == mujoco.mjtGain.mjGAIN_FIXED
         and model.actuator_biastype[motor] == mujoco.mjtBias.mjBIAS_NONE

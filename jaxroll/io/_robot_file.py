@@ -19,12 +19,11 @@ import numpy as np
 
 from .._results import shown
 from ._extra import missing
-from ._motors import ends, joint_torques, left_out, rotors
+from ._motors import bounds, joint_torques, left_out, rotors
 from ._paths import as_path, readable
 from ._urdf import followers, Inertial, plain_urdf, refuse_nan, stated_inertias, UnclearRobot
 
 _KINDS = (".urdf", ".xml", ".mjcf")
-_UNLIMITED = (-np.inf, np.inf)
 
 
 @dataclass(frozen=True)
@@ -272,7 +271,8 @@ def _kind(mujoco: Any, model: Any, joint: int) -> str:
 
 
 def _range(model: Any, joint: int) -> tuple[float, float]:
-    return ends(model.jnt_range[joint]) if model.jnt_limited[joint] else _UNLIMITED
+    """Smallest and largest angle of a joint."""
+    return bounds(model.jnt_range[joint], model.jnt_limited[joint])
 
 
 def _check_held(name: str, angle: float, limits: tuple[float, float]) -> None:

@@ -44,18 +44,12 @@ def read_svg(path: Path, scale: float, samples: int, *, fill: bool) -> list[np.n
         fill: Whether there are points along straight pieces, and one at every corner.
     """
     try:
-        from svgpathtools import parse_path
+        import svgpathtools  # noqa: F401
     except ImportError:
         raise missing("svgpathtools") from None
     with reading(path):
         root = ElementTree.parse(path).getroot()
-        # One path may hold several outlines.
-        drawn = [
-            (piece, track)
-            for track in _Walk(root).tracks()
-            for piece in parse_path(track.text).continuous_subpaths()
-            if len(piece)
-        ]
+        drawn = [(piece, track) for track in _Walk(root).tracks() for piece in _pieces(track.text)]
     check_scale(scale, _svg_scale(root, path), path)
     if not drawn:
         raise without_outline(path)
@@ -67,15 +61,19 @@ def read_svg(path: Path, scale: float, samples: int, *, fill: bool) -> list[np.n
     return outlines
 
 
+# The shapes of a clip path, each by the polygons of its pieces, whose places are complex numbers.
+_Clip = list[list[np.ndarray]]
+
+
 class _Track(NamedTuple):
     """A shape of an SVG: the text of a path, the matrix to the drawing's coordinates, and what clips it.
 
-    Of each clip path the shapes: what lies in none of them is not shown.
+    What lies in none of a clip path's shapes is not shown.
     """
 
     text: str
     matrix: np.ndarray
-    clips: tuple[tuple["_Track", ...], ...]
+    clips: tuple[_Clip, ...]
 
 
 class _Walk:
@@ -107,7 +105,7 @@ class _Walk:
         matrix: np.ndarray,
         visibility: str,
         users: tuple[Element, ...],
-        clips: tuple[tuple[_Track, ...], ...],
+        clips: tuple[_Clip, ...],
     ) -> Iterator[_Track]:
         """The shapes of one part of the drawing.
 
@@ -150,9 +148,7 @@ class _Walk:
         for child in part if kind in (*_GROUPS, "symbol", "clipPath") else ():
             yield from self._below(child, matrix, visibility, users, clips)
 
-    def _clip(
-        self, part: Element, matrix: np.ndarray, users: tuple[Element, ...]
-    ) -> tuple[tuple[_Track, ...], ...]:
+    def _clip(self, part: Element, matrix: np.ndarray, users: tuple[Element, ...]) -> tuple[_Clip, ...]:
         """What a part is clipped to by itself: nothing, or the shapes of one clip path."""
         said = self._said(part, "clip-path", "none")
         if said == "none":
@@ -161,7 +157,8 @@ class _Walk:
         user = Element("use", {"href": name[1] if name else said})
         if self._target(user).get("clipPathUnits") == "objectBoundingBox":
             raise ValueError(f"{user.get('href')} clips in shares of what it clips")
-        return (tuple(self._below(self._target(user), matrix, "visible", (*users, user), ())),)
+        tracks = self._below(self._target(user), matrix, "visible", (*users, user), ())
+        return ([_polygons(track) for track in tracks],)
 
     def _target(self, use: Element) -> Element:
         """The part that a `use` refers to."""
@@ -251,22 +248,27 @@ def _rounded(rect: Element) -> Element:
     return Element(rect.tag, others | {name: repr(radius) for name, radius in radii.items()})
 
 
-def _check_within(outline: np.ndarray, clip: tuple[_Track, ...]) -> None:
+def _pieces(text: str) -> list[Any]:
+    """The connected pieces of a path, each an outline."""
+    from svgpathtools import parse_path
+
+    return [piece for piece in parse_path(text).continuous_subpaths() if len(piece)]
+
+
+def _check_within(outline: np.ndarray, clip: _Clip) -> None:
     """Raise where a part of an outline lies in none of the shapes that it is clipped to."""
     near = 1e-3 * np.ptp(outline, axis=0).max()  # both are told by points
     places = outline @ [1.0, 1.0j]
     covered = np.zeros(len(places), bool)
-    for track in clip:
-        covered |= _covers(_polygons(track), places, near)
+    for shape in clip:
+        covered |= _covers(shape, places, near)
     if not covered.all():
         raise ValueError("an outline is cut off by a clip path")
 
 
 def _polygons(track: _Track) -> list[np.ndarray]:
     """The pieces of a shape that clips others, by places as complex numbers."""
-    from svgpathtools import parse_path
-
-    pieces = [piece for piece in parse_path(track.text).continuous_subpaths() if len(piece)]
+    pieces = _pieces(track.text)
     return [_along(piece, track.matrix, 4 * _FINE, False) @ [1.0, 1.0j] for piece in pieces]
 
 

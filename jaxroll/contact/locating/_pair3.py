@@ -66,6 +66,10 @@ class TangentForm(NamedTuple):
         """The form times a vector."""
         return self.xx * v[0] + self.xy * v[1], self.xy * v[0] + self.yy * v[1]
 
+    def times(self, size: Scalar) -> "TangentForm":
+        """The form scaled."""
+        return TangentForm(size * self.xx, size * self.xy, size * self.yy)
+
     def plus(self, size: Scalar) -> "TangentForm":
         """The form with a multiple of the identity added."""
         return TangentForm(self.xx + size, self.xy, self.yy + size)
@@ -138,7 +142,7 @@ def linear(a: Gauss3, b: Gauss3) -> Linear3:
     basis = tangents(a.normal), tangents(b.normal)
     facing = (_along(basis[0], basis[1][0]), _along(basis[0], basis[1][1]))
     gap, shape = (a.point - b.point).dot(b.normal), _form(b, basis[1])
-    bend = TangentForm(gap * shape.xx, gap * shape.xy, gap * shape.yy).plus(1.0)
+    bend = shape.times(gap).plus(1.0)
     least = bend.eigenvalues()[0]
     # Beyond a centre of curvature the foot is no nearest point, and Newton's step would lead away: the form
     # is shifted until its least eigenvalue is _BEND.
@@ -178,8 +182,11 @@ def polished(pair: Pair3, at: Places, root: Scalar, of_b: Scalar, *, steps: int)
     the other one is its foot, within the ends of the surface.
     """
     fixed, at = constant(pair), constant(at)
-    frames = fixed.frames(at)
-    equations, bend = constant((linear(*frames), _bend(*frames)))
+    still_a, still_b = fixed.frames(at)
+    equations = constant(linear(still_a, still_b))
+    # 1 + h L_a of the step on `a` to the foot of the point of `b`, at the height h above it.
+    height = (still_b.point - still_a.point).dot(still_a.normal)
+    bend = constant(_form(still_a, equations.basis[0]).times(height).plus(1.0))
 
     def step(at: Places, _: None) -> tuple[Places, None]:
         a, b = pair.frames(at)
@@ -196,12 +203,6 @@ def polished(pair: Pair3, at: Places, root: Scalar, of_b: Scalar, *, steps: int)
     # which are tangent, could not do that.
     at = pair.a.settled(at[0]), pair.b.settled(at[1])
     return jax.lax.scan(step, at, None, length=steps)[0]
-
-
-def _bend(a: Gauss3, b: Gauss3) -> TangentForm:
-    """$1 + h L_a$ of the step on `a` to the foot of the point of `b`, at the height h above it."""
-    form, height = _form(a, tangents(a.normal)), (b.point - a.point).dot(a.normal)
-    return TangentForm(height * form.xx, height * form.xy, height * form.yy).plus(jnp.ones_like(height))
 
 
 def _form(frame: Gauss3, basis: tuple[Vec3, Vec3]) -> TangentForm:

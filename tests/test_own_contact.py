@@ -16,7 +16,7 @@ import jaxroll as jxr
 from jaxroll._mechanics import to_leaves
 from jaxroll._motion import bodies
 from jaxroll.contact import AbstractContact
-from jaxroll.contact._from_gap import derived_bias
+from jaxroll.contact._from_gap import derived_bias, derived_margin
 from jaxroll.plotting._panels import _rolled
 
 # What `Contact` and `Contact3` give in closed form, and the base class derives.
@@ -79,6 +79,34 @@ def _anywhere(contact: Any) -> Any:
 
 def _numbers(tree: Any) -> np.ndarray:
     return np.array([float(x) for x in jax.tree.leaves(tree)])
+
+
+def test_a_margin_is_the_sine_between_the_directions_of_the_place() -> None:
+    # A place of two numbers, of which what touches, its tangencies and its gap are linear functions.
+    rng = np.random.default_rng(5)
+    touch, tangency, gap = (rng.normal(size=shape) for shape in ((5, 2), (2, 5), (1, 5)))
+    touch[:, 1] *= 0.3
+
+    def times(matrix: np.ndarray, numbers: Any) -> tuple[Any, ...]:
+        return tuple(sum(a * x for a, x in zip(row, numbers, strict=True)) for row in matrix)
+
+    contact = SimpleNamespace(
+        slack=2,
+        shift=lambda shapes, place, step: tuple(a + b for a, b in zip(place, step, strict=True)),
+        touch=lambda shapes, place: times(touch, place),
+        tangency=lambda poses, touch: times(tangency, touch),
+        gap=lambda poses, touch: times(gap, touch),
+    )
+    found = derived_margin(contact, (None, None), (0.3, -0.7), (None, None))
+    # A direction's length if none of its terms cancelled: of the tangencies all sizes together, the largest
+    # of which is one, and of the gap as it is. Its part across the others is what determines the place.
+    sizes = (np.abs(tangency) @ np.abs(touch)).sum(axis=0)
+    weight = 1.0 / sizes.max()
+    columns = np.concatenate([weight * tangency @ touch, gap @ touch])
+    columns = columns / np.hypot(weight * sizes, (gap @ touch)[0])
+    wanted = np.abs(np.diag(np.linalg.qr(columns)[1])).min()
+    assert wanted < 0.9 and np.ptp(sizes) > 0.1 * sizes.max()
+    np.testing.assert_allclose(found, wanted, rtol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["pivoted", "pinch", "pinch3d"])

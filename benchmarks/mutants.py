@@ -30,7 +30,6 @@ _COPIED = ("jaxroll", "tests", "benchmarks", "notebooks", "pyproject.toml", "REA
 _SKIPPED = {
     "test_architecture.py",
     "test_examples.py",
-    "test_backend.py",
     "test_oracles.py",
     "test_properties.py",
 }

@@ -39,6 +39,12 @@ _LONGEST = (60.0, 5.0)
 # the same text in other lines, in which a test would notice it, the line's text is the fifth.
 EQUIVALENT: dict[tuple[str, ...], str] = {
     (
+        "jaxroll/_linalg/_plane.py",
+        "root",
+        "1.0",
+        "(2.0)",
+    ): "what the branch that is not taken is worked out of",
+    (
         "jaxroll/geometry/contours/_table.py",
         "Table._cell",
         "jnp.clip(whole, 0.0, cells - 1.0)",

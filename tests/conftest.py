@@ -1,6 +1,7 @@
 """Strict numerics, a persistent compilation cache, and the runs that many tests share."""
 
 import collections
+import ctypes
 import gc
 import os
 import pathlib
@@ -86,6 +87,24 @@ QUICKLY = (
 )
 
 
+# The C library gives freed memory back to Linux at once, and takes it again for the next program that is
+# compiled: to keep it is a tenth of the time. By name, with its number for `mallopt`; in bytes.
+KEPT = {
+    "MALLOC_TRIM_THRESHOLD_": (-1, 2**30),
+    "MALLOC_TOP_PAD_": (-2, 2**26),
+    "MALLOC_MMAP_THRESHOLD_": (-3, 2**25),
+}
+
+
+def keep_memory():
+    """Let this process and those that it starts keep what they free, where the C library has such limits."""
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if os.name == "posix" else None
+    for name, (number, size) in KEPT.items():
+        if mallopt is not None and name not in os.environ:
+            mallopt(number, size)
+            os.environ[name] = str(size)
+
+
 def pytest_addoption(parser):
     parser.addoption("--slow", action="store_true", help="run the slow tests too, all fully optimised")
     quickly = "with --slow: compile with few optimisations, and leave out the tests marked optimised"
@@ -98,6 +117,7 @@ def compiled_quickly(config):
 
 def pytest_configure(config):
     """Choose how programs are compiled, before anything makes XLA read it."""
+    keep_memory()
     # Two test processes share the cores: threads of BLAS would only wait for each other.
     threadpoolctl.threadpool_limits(limits=1, user_api="blas")
     if compiled_quickly(config) and "XLA_FLAGS" not in os.environ:

@@ -21,22 +21,26 @@ def taylor_remainders(function, point, direction, slope, steps):
 def both_slopes(function):
     """A compiled function of (x, direction): a scalar, its derivative along the direction, and its gradient.
 
+    As `both_ways` has them; and along one direction, since a derivative along each axis costs as much again.
+    """
+    found = both_ways(function)
+    return lambda x, direction=None: found(x, jnp.ones_like(x) if direction is None else direction, 1.0)
+
+
+def both_ways(function):
+    """A compiled function of (x, direction, bar): a value, its derivative along the direction, x's cotangent.
+
     Forwards and backwards, of one linearisation, `jax.linearize` and its transpose, so that what leads to
-    the value is compiled once; and along one direction, since a derivative along each axis costs as much
-    again.
+    the value is compiled once. `bar` is the cotangent of the value.
     """
 
     @jax.jit
-    def found(x, direction):
+    def found(x, direction, bar):
         value, push = jax.linearize(function, x)
-        (slopes,) = jax.linear_transpose(push, x)(jnp.ones_like(value))
+        (slopes,) = jax.linear_transpose(push, x)(bar)
         return value, push(direction), slopes
 
-    return lambda x, direction=None: found(*_floats(x, jnp.ones_like(x) if direction is None else direction))
-
-
-def _floats(*arrays):
-    return [jnp.asarray(x, float) for x in arrays]
+    return lambda *given: found(*jax.tree.map(lambda x: jnp.asarray(x, float), given))
 
 
 def gradients_with_and_without_an_end(observed, grasp, state):

@@ -14,7 +14,7 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll._integration._methods import check_method, on_tableau, Steady, with_tolerances
-from tests.measures import observed_order
+from tests.measures import both_slopes, observed_order
 
 T1 = 0.02
 SPLIT = "must take one ordinary differential equation, neither split into parts nor driven by noise"
@@ -333,10 +333,11 @@ def test_methods_that_are_not_run_on_their_tableau_have_derivatives_in_both_mode
     def end(damping):
         return jxr.simulate(grasp.with_(damping=damping), state, 0.02, ts=1, solver=solver).last.q @ WEIGHTS
 
-    forwards = jax.jvp(end, (here,), (1.0,))[1]
-    np.testing.assert_allclose(forwards, jax.grad(end)(here), rtol=1e-10)
-    step = 1e-3 * here
-    np.testing.assert_allclose(forwards, (end(here + step) - end(here - step)) / (2.0 * step), rtol=1e-4)
+    both, step = both_slopes(end), 1e-3 * here
+    _, forwards, backwards = both(here)
+    np.testing.assert_allclose(forwards, backwards, rtol=1e-10)
+    wanted = (both(here + step)[0] - both(here - step)[0]) / (2.0 * step)
+    np.testing.assert_allclose(forwards, wanted, rtol=1e-4)
 
 
 @pytest.mark.slow

@@ -110,7 +110,7 @@ def test_a_finger_touches_in_space():
     assert [c.finger for c in both.contacts] == [0, 1] and 0.0 < float(run.stats.t_end) - float(t) < 1e-5
     left = jxr.residuals(both, start)
     assert max(np.abs(left.normal).max(), np.abs(left.tangential).max()) < 1e-14
-    before = jxr.simulate(one, apart, float(t), ts=1, rtol=1e-12).last
+    before = jxr.simulate(one, apart, float(t), ts=3, events=EVENTS, rtol=1e-12).last
     np.testing.assert_allclose(start.q, before.q, rtol=0, atol=1e-13)
     terms = reference.equations(same_in_reference(both), np.asarray(start.q), np.asarray(before.v))
     v, _ = dense_strike(terms[0], terms[3], np.asarray(before.v), np.zeros(12))

@@ -28,6 +28,7 @@ from jaxroll.design import (
 )
 from jaxroll.design._limits import sampled
 from jaxroll.design._measures import FORCED, MEASURES, PARTIAL, SETTLED
+from tests.measures import both_ways
 from tests.recorded import runs
 from tests.subjects.fingertips import ellipse_pinched_by, INTERVAL, pivoted_with_tip
 
@@ -91,8 +92,12 @@ def test_measures_see_only_what_a_run_reached():
         settled = jnp.stack([settling_time(run), overshoot(run), tracking_error(run)])
         return jnp.stack([measure(run) for measure in PARTIAL.values()]), (run.stats.t_end, settled)
 
-    values, (end, settled) = jax.jit(all_of)(20.0)
-    slopes, _ = jax.jit(jax.jacrev(all_of))(20.0)
+    @jax.jit
+    def with_slopes(beta):
+        values, pull, seen = jax.vjp(all_of, beta, has_aux=True)
+        return values, jax.vmap(pull)(jnp.eye(values.size))[0], seen
+
+    values, slopes, (end, settled) = with_slopes(20.0)
     assert float(end) < 1.0
     assert np.all(np.isfinite(values)) and np.all(np.isfinite(slopes))
     assert 0.4 < float(values[-1]) <= 0.5
@@ -174,10 +179,12 @@ def test_rest_of_a_pinch_answers_changes_of_the_fingertip():
         s, rest = jxr.stability.pinch_rest(*ellipse_pinched_by(tip))
         return jnp.concatenate([s, rest.hessian.ravel()])
 
-    run, h = jax.jit(place), 1e-6
-    expected = (run(0.012 + h) - run(0.012 - h)) / (2 * h)
-    np.testing.assert_allclose(jax.jit(jax.jacfwd(place))(0.012), expected, rtol=1e-6, atol=1e-6)
-    np.testing.assert_allclose(jax.jit(jax.jacrev(place))(0.012), expected, rtol=1e-6, atol=1e-6)
+    every, h, bars = both_ways(place), 1e-6, np.eye(6)
+    low, high = (every(0.012 + side * h, 1.0, bars[0])[0] for side in (-1, 1))
+    expected = (high - low) / (2 * h)
+    np.testing.assert_allclose(every(0.012, 1.0, bars[0])[1], expected, rtol=1e-6, atol=1e-6)
+    backwards = [every(0.012, 1.0, bar)[2] for bar in bars]
+    np.testing.assert_allclose(backwards, expected, rtol=1e-6, atol=1e-6)
 
 
 def test_without_a_place_at_rest_there_is_no_number():

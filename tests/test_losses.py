@@ -157,13 +157,17 @@ def test_gradients_of_settling_time_and_peak_force_in_spline_points(solver, aske
         peak = jnp.max(jnp.abs(run.multipliers.lam[1:]))
         return jnp.stack([jxr.design.settling_time(run), peak, jnp.max(run.multipliers.f[20:])])
 
-    values, along = jax.jit(values), np.random.default_rng(0).normal(size=points.shape)
+    @jax.jit
+    def both(x, bar):
+        seen, pull = jax.vjp(values, x)
+        return seen, pull(bar)[0]
+
+    along, bars = np.random.default_rng(0).normal(size=points.shape), np.eye(3)
     # Of eighth order, so that steps may be long: `Rosenbrock` has a noise of its own, of its Jacobian.
     size, weights = 1.5e-2, (4 / 5, -1 / 5, 4 / 105, -1 / 280)
     slopes = 0.0
     for k, weight in enumerate(weights, start=1):
-        ends = [np.asarray(values(side * k * size * along)) for side in (-1, 1)]
+        ends = [np.asarray(both(side * k * size * along, bars[0])[0]) for side in (-1, 1)]
         slopes += weight * (ends[1] - ends[0]) / size
-    slow = jax.jit(lambda x, bar: jax.vjp(values, x)[1](bar)[0])
-    found = [np.sum(np.asarray(slow(jnp.zeros(points.shape), bar)) * along) for bar in np.eye(3)]
+    found = [np.sum(np.asarray(both(jnp.zeros(points.shape), bar)[1]) * along) for bar in bars]
     np.testing.assert_allclose(found, slopes, rtol=asked)

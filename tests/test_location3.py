@@ -27,7 +27,7 @@ from jaxroll.geometry import (
     Torus,
 )
 from tests.helpers import in_single, slow_among
-from tests.measures import taylor_remainders
+from tests.measures import both_ways, taylor_remainders
 
 SUCCESS = jxr.RESULTS.successful
 STILL = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
@@ -318,7 +318,9 @@ def gap_and_all(*point):
 
 # The derivative of the gap in both poses, and everything else.
 GAP_SLOPES = jax.jit(jax.grad(gap_and_all, argnums=(1, 2), has_aux=True))
-VALUE, FORWARD, REVERSE = (jax.jit(f) for f in (measure, jax.jacfwd(measure), jax.jacrev(measure)))
+# The value, its derivative along a direction, and a row of all its derivatives.
+EVERY = both_ways(measure)
+BARS = np.eye(10)
 
 
 @pytest.mark.parametrize("name", PLACES)
@@ -351,14 +353,14 @@ def test_derivatives_in_shapes_and_poses(name):
     """Taylor remainders of gap, coordinates and normal fall as the square of the step; both modes agree."""
     point, rng = case(name), np.random.default_rng(0)
     direction = tuple(0.01 * rng.standard_normal(x.shape) for x in point)
-    forward, reverse = (
-        sum(np.asarray(row) @ d for row, d in zip(rows(point), direction, strict=True))
-        for rows in (FORWARD, REVERSE)
-    )
+    value = lambda point: EVERY(point, direction, BARS[0])[0]  # noqa: E731
+    _, forward, _ = EVERY(point, direction, BARS[0])
+    rows = [EVERY(point, direction, bar)[2] for bar in BARS]
+    reverse = [sum(x @ d for x, d in zip(row, direction, strict=True)) for row in rows]
     np.testing.assert_allclose(reverse, forward, rtol=1e-9, atol=1e-12)
     steps = np.array([1e-1, 1e-2, 1e-3])
     for i, slope in enumerate(forward):
-        left = taylor_remainders(lambda p, i=i: VALUE(p)[i], point, direction, slope, steps)
+        left = taylor_remainders(lambda p, i=i: value(p)[i], point, direction, slope, steps)
         assert np.polyfit(np.log(steps), np.log(left), 1)[0] > 1.85, (i, left)
 
 
@@ -366,11 +368,11 @@ def test_derivatives_in_shapes_and_poses(name):
 @pytest.mark.parametrize("name", PLACES)
 def test_coordinates_against_central_differences(name):
     sizes, pose_a, pose_b = case(name)
-    slope = np.asarray(FORWARD(case(name))[1])[1:7]
-    for i, step in enumerate([1e-6] * 3 + [1e-5] * 4):
-        move = step * np.eye(7)[i]
-        ends = [np.asarray(VALUE((sizes, pose_a + s * move, pose_b)))[1:7] for s in (1.0, -1.0)]
-        np.testing.assert_allclose(slope[:, i], (ends[0] - ends[1]) / (2.0 * step), rtol=1e-6, atol=1e-6)
+    for way, step in zip(np.eye(7), [1e-6] * 3 + [1e-5] * 4, strict=True):
+        direction = (np.zeros(5), way, np.zeros(7))
+        at = lambda x: EVERY((sizes, pose_a + x * way, pose_b), direction, BARS[0])  # noqa: B023, E731
+        wanted = (at(step)[0] - at(-step)[0]) / (2.0 * step)
+        np.testing.assert_allclose(at(0.0)[1][1:7], wanted[1:7], rtol=1e-6, atol=1e-6)
 
 
 @pytest.mark.slow

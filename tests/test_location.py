@@ -17,7 +17,7 @@ from tests.helpers import in_single, slow_among
 from tests.measures import both_ways, taylor_remainders
 from tests.oracles.outlines import gap_by_brute_force, KINDS, placed_points, points_of
 from tests.recorded import runs
-from tests.subjects.polar_contours import compiled_location, compiled_placement, Polar, random_pairs
+from tests.subjects.polar_contours import compiled_search, Polar, random_pairs
 
 SUCCESS = jxr.RESULTS.successful
 # Vertices of the polygons lie on the curves; between them both bend away by this much [m].
@@ -26,10 +26,10 @@ POLYGON = 2e-7
 
 def compare(kinds, count, seed):
     """Locate `count` random pairs and compare every gap with that of 10^4-vertex polygons."""
-    shapes, pose_a, pose_b = random_pairs(
-        np.random.default_rng(seed), kinds, count, compiled_placement(kinds)
-    )
-    found = compiled_location(kinds)(shapes, pose_a, pose_b)
+    search = compiled_search(kinds)
+    rng, place = np.random.default_rng(seed), lambda *given: search(*given)[0]
+    shapes, pose_a, pose_b = random_pairs(rng, kinds, count, place)
+    _, found = search(shapes, pose_a, pose_b, np.zeros((2, count)))
     errors = []
     for i in range(count):
         outlines = [

@@ -1,22 +1,30 @@
 """Random outlines as polygons, in NumPy, and the gap between two of them by a search over all vertices."""
 
+import functools
+
 import numpy as np
 from scipy.spatial import cKDTree
 
 KINDS = (("ellipse", "ellipse"), ("ellipse", "polar"), ("polar", "ellipse"), ("polar", "polar"))
 
 
+@functools.cache
+def waves(orders, count):
+    """Cosines and sines of 1, 2, ... times the angle, at equal steps of it."""
+    angles = np.arange(1, orders + 1)[:, None] * (np.arange(count) * (2.0 * np.pi / count))
+    return np.cos(angles), np.sin(angles)
+
+
 def points_of_polar(size, cosines, sines, count):
     """Points of the same curve, at equal steps of the angle, in NumPy."""
-    u = np.arange(count) * (2.0 * np.pi / count)
-    k = np.arange(1, len(cosines) + 1)[:, None]
-    r = size * (1.0 + np.asarray(cosines) @ np.cos(k * u) + np.asarray(sines) @ np.sin(k * u))
-    return np.stack([r * np.cos(u), r * np.sin(u)], -1)
+    cos, sin = waves(len(cosines), count)
+    r = size * (1.0 + np.asarray(cosines) @ cos + np.asarray(sines) @ sin)
+    return np.stack([r * cos[0], r * sin[0]], -1)
 
 
 def points_of_ellipse(a, b, count):
-    u = np.arange(count) * (2.0 * np.pi / count)
-    return np.stack([a * np.cos(u), b * np.sin(u)], -1)
+    (cos,), (sin,) = waves(1, count)
+    return np.stack([a * cos, b * sin], -1)
 
 
 def placed_points(points, pose):
@@ -45,7 +53,7 @@ def gap_by_brute_force(a, b, *, block=50):
     is farther than the best by more than the block's reach holds no lower one. Returns the distance and
     the vertex.
     """
-    tree, count = cKDTree(b, balanced_tree=False, compact_nodes=False), len(a)
+    tree, count = cKDTree(b, leafsize=64, balanced_tree=False, compact_nodes=False), len(a)
     middles = np.arange(block // 2, count, block)
     blocks = a.reshape(-1, block, 2)
     reach = np.linalg.norm(blocks - a[middles][:, None], axis=-1).max(axis=1)

@@ -1,5 +1,7 @@
 """Contours of random outlines, and their location, compiled: what `tests.oracles.outlines` judges."""
 
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -94,7 +96,7 @@ def contour_of(kind, numbers):
 def random_pairs(rng, kinds, count, place):
     """Shapes and poses: a third apart, a third touching, a third overlapping moderately.
 
-    `place` is that of `compiled_placement`.
+    `place` is that of `compiled_placement`, or the first of what `compiled_search` gives.
     """
     shapes = tuple(random_outlines(rng, kind, count) for kind in kinds)
     turn = rng.uniform(-np.pi, np.pi, (3, count))
@@ -108,21 +110,42 @@ def random_pairs(rng, kinds, count, place):
     return shapes, np.asarray(place(shapes, pose_a, pose_b, (apart, depth))), pose_b
 
 
-def compiled_placement(kinds):
-    """Compiled `place` of `random_pairs`.
+def _searched(kinds):
+    """Where a pair of shapes is to be placed, and how it is located before.
 
     Shapes that start apart are moved along the normal at their closest points, so that no point is
     deeper than asked for; depth counts in the smallest radius of curvature.
     """
 
-    def place(shapes, pose_a, pose_b, gap):
+    def search(shapes, pose_a, pose_b, gap):
         a, b = (contour_of(kind, numbers).prepared() for kind, numbers in zip(kinds, shapes, strict=True))
         found = jxr.contact.locate(a, b, pose_a=pose_a, pose_b=pose_b)
         bends = [c.frame(jnp.linspace(0.0, 1.0, 400) * c.domain()[1]).curvature for c in (a, b)]
         sharpest = jnp.max(jnp.stack(bends))
-        return pose_a.at[:2].add((gap[0] - gap[1] / sharpest - found.gap) * found.normal)
+        return pose_a.at[:2].add((gap[0] - gap[1] / sharpest - found.gap) * found.normal), found
 
-    return jax.jit(jax.vmap(place))
+    return search
+
+
+def compiled_placement(kinds):
+    """Compiled `place` of `random_pairs`."""
+    return jax.jit(jax.vmap(lambda *given: _searched(kinds)(*given)[0]))
+
+
+@functools.cache
+def compiled_search(kinds, lanes=250):
+    """Compiled `place` of `random_pairs`, and location: one program for any number of pairs, in parts."""
+    search = jax.jit(jax.vmap(_searched(kinds)))
+
+    def searched(*given):
+        count = len(given[1])
+        # The last pair once more where there are no others.
+        rows = np.minimum(np.arange(-(-count // lanes) * lanes), count - 1).reshape(-1, lanes)
+        given = given[:3] + (tuple(given[3]),)
+        parts = [search(*jax.tree.map(lambda x: x[some], given)) for some in rows]  # noqa: B023
+        return jax.tree.map(lambda *x: jnp.concatenate(x)[:count], *parts)
+
+    return searched
 
 
 def compiled_location(kinds, **options):

@@ -366,6 +366,7 @@ moment, folder, cache = sys.argv[1:]
 import jax
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_compilation_cache_dir", cache or None)
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)  # each process compiles the same
 import jaxroll as jxr
 from jaxroll._sweep import _folder
 from jaxroll._sweep._program import Program

@@ -495,7 +495,8 @@ def test_a_design_names_the_callers_own_option():
     assert small[2].split() == ["worst", "margin", "[mm]", "-100", "200"] and small[3:] == lines[3:]
     assert str(design_of(jxr.RESULTS.successful)).splitlines()[0] == "Design: successful"
     assert "ended" not in str(design_of(jxr.RESULTS.successful))
-    assert "widen" in str(design_of(jxr.RESULTS.infeasible))
+    told = str(design_of(jxr.RESULTS.infeasible))
+    assert "no start came within the limits in 30 steps: `steps` allows more, or widen" in told
     assert repr(design_of(jxr.RESULTS.infeasible)) == "Design(infeasible; Ellipse)"
 
 

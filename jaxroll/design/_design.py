@@ -72,7 +72,8 @@ class Design(eqx.Module):
             return []
         told = {
             "max_steps_reached": f"all {self.history.shape[1]} steps were taken; {steps} allows more",
-            "infeasible": "no point keeps every limit: widen those passed below, or begin with another tip",
+            "infeasible": f"no start came within the limits in {self.history.shape[1]} steps: {steps} allows "
+            "more, or widen those passed below, or begin with another tip",
         }
         text = told.get(code_name(self.result), RESULTS[self.result])
         return [f"  ended     {text}"] if text else []

@@ -192,14 +192,26 @@ def test_numbers_of_a_contour_of_ones_own_are_measured_against_themselves():
         shape.symmetrised()
 
 
+def test_a_placed_contour_is_its_mirror_image_about_the_x_axis_of_the_body_or_has_none():
+    tip = jxr.SupportFunction(0.01, [1e-3, 2e-4], [3e-3, -1e-4])
+    for angle in (0.0, np.pi):
+        placed = tip.moved((0.1, 0.0), angle)
+        image = placed.symmetrised()
+        np.testing.assert_array_equal(image.contour.sines, np.zeros(2))
+        assert image.offset is placed.offset
+    for offset, angle in (((0.1, 0.0), 1e-9), ((0.1, 1e-9), 0.0), ((0.0, -0.1), np.pi)):
+        with pytest.raises(
+            ValueError, match="symmetric must be False unless a contour is placed with its x ax"
+        ):
+            tip.moved(offset, angle).symmetrised()
+
+
 def test_a_placed_contour_has_the_free_numbers_of_what_it_places(unlooked):
     tip = jxr.SupportFunction(0.01, [1e-3, 2e-4], [3e-3, -1e-4])
     placed = tip.moved((0.1, 0.2), 0.3, origin=0.004)
     assert placed.free_numbers()[0] is tip.radius
     np.testing.assert_array_equal(placed.preconditioner(2.0), tip.preconditioner(2.0))
-    np.testing.assert_array_equal(placed.symmetrised().contour.sines, np.zeros(2))
     np.testing.assert_array_equal(placed.perturbed(Loaded()).contour.sines, tip.perturbed(Loaded()).sines)
-    assert placed.symmetrised().offset is placed.offset
     assert (placed.closed, placed.smoothness) == (True, np.inf)
     line = jxr.Line((-0.01, 0.03)).moved(origin=0.1)
     np.testing.assert_allclose(np.stack(line.domain()), [0.09, 0.13])

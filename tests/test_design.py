@@ -92,7 +92,10 @@ def test_limits_look_at_either_side(side):
     most = max(abs(50.0 + 2e3 * s) for s in ends)
     limits = Limits(size=0.02, length=0.05, radius=0.004, flat=0.05, steepness=500.0)
     found = limits.excess(sampled(contour, pad))
-    assert sorted(found) == ["flat", "length", "radius", "size", "steepness"]
+    assert sorted(found) == ["flat", "interval", "length", "radius", "size", "steepness"]
+    np.testing.assert_allclose(found["interval"], [-0.5, -0.5])
+    past = limits.excess(sampled(contour, jnp.array([-0.015, 0.035])))
+    np.testing.assert_allclose(past["interval"], [0.1, 0.1])
     assert float(found["size"].max()) == pytest.approx(0.03 / 0.02 - 1.0)
     assert float(found["length"].max()) == pytest.approx(0.04 / 0.05 - 1.0)
     assert float(found["radius"].max()) == pytest.approx(most * 0.004 - 1.0)
@@ -101,6 +104,18 @@ def test_limits_look_at_either_side(side):
     assert float(found["flat"].max()) == pytest.approx(1.0 - least * 0.05)
     convex = Limits(flat=None).excess(sampled(contour, pad))["convex"]
     assert float(convex.max()) == pytest.approx(-least * 0.04)
+
+
+def test_the_contact_interval_stays_between_the_ends_of_an_open_contour():
+    """A catenary shorter than its interval was found within a limit of 15 mm, with its ends exchanged."""
+    tip = jxr.Catenary(1.0 / 40.0, (-0.012, 0.012)).moved((0.01, 0.0))
+    for length, code in ((0.015, jxr.RESULTS.infeasible), (0.022, jxr.RESULTS.max_steps_reached)):
+        limits = Limits(length=length, ahead=0.005, flat=0.2)
+        design = optimise_fingertip(tip, (-0.01, 0.01), limits=limits, steps=60)
+        assert design.result == code
+    low, high = design.tip.domain()
+    assert low <= -0.01 + 1e-8 and high >= 0.01 - 1e-8 and high - low <= 0.022 + 1e-8
+    assert "limit on interval" in str(design)
 
 
 def test_ellipse_has_the_analytic_optimum():
@@ -372,7 +387,7 @@ def test_a_perturbed_spline_is_moved_by_its_first_three_waves_each_less_than_the
 def test_placed_contours_are_designed_as_what_they_place():
     points = violating_points(1)
     inner = jxr.Spline(points, cells=128)
-    placed = inner.moved(offset=(0.001, 0.0), angle=0.1)
+    placed = inner.moved(offset=(0.001, 0.0), angle=np.pi)
     assert placed.free_numbers()[0] is inner.points and len(placed.free_numbers()) == 1
     np.testing.assert_array_equal(placed.preconditioner(0.01), inner.preconditioner(0.01))
     np.testing.assert_array_equal(placed.symmetrised().contour.points, inner.symmetrised().points)

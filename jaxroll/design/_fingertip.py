@@ -37,7 +37,7 @@ from ._goals import AbstractGoal, Margin
 from ._gradient import Mode
 from ._limits import check_interval, ContourSamples, Limits, sampled
 from ._minimise import check_checkpoint, DesignProgress, Found, KEPT, minimise
-from ._shape_transform import as_batch, body_radii, check_tip, ShapeTransform, varied
+from ._shape_transform import as_batch, body_radii, check_image, check_tip, ShapeTransform, varied
 
 
 @on_host
@@ -72,7 +72,7 @@ def optimise_fingertip(
         limits: Default: `Limits(size=..., radius=..., ahead=...)` with the first start's own size, a tenth
             and a half of it.
         steps: At most so many, rounded up to tens; each is one evaluation with its gradient.
-        symmetric: Keep the contour its own mirror image about the x axis.
+        symmetric: Keep the contour its own mirror image about the x axis, where a placed one has its own.
         progress: True prints after every ten steps; a function is called with step, cost, violation.
     Args (rarely changed):
         starts: How many in all: those not given are smooth variations of the given ones.
@@ -114,6 +114,8 @@ def optimise_fingertip(
     asked = {"tip": tips, "interval": np.asarray(ends), "goal": goal, "limits": limits, "starts": count}
     asked |= {"symmetric": symmetric, "seed": seed, "optimiser": optimiser}
     transform = ShapeTransform(tips[0], symmetric=symmetric)
+    for one in tips[1:] if symmetric else ():
+        check_image(one)
     arrays, rest = as_batch(varied(tips, max(count, len(tips)), seed))
     sizes, reaches = body_radii(arrays, rest)
     # Default limits: the first start's largest distance from O, and shares of it.

@@ -33,12 +33,15 @@ class ContourSamples(eqx.Module):
         whole: Frames from end to end of the contour, or once round it.
         step: Arclength between two neighbours of the latter [m].
         length: Arclength of the contour [m].
+        beyond: Shape (2,), how far the contact interval reaches beyond either end, over its own length; None
+            of a closed contour, which goes on there.
     """
 
     pad: Frenet2
     whole: Frenet2
     step: Scalar
     length: Scalar
+    beyond: Array | None
 
 
 def sampled(contour: AbstractContour, interval: Array) -> ContourSamples:
@@ -49,7 +52,10 @@ def sampled(contour: AbstractContour, interval: Array) -> ContourSamples:
     length = ends[1] - ends[0]
     pad = _frames(ready, interval[0] + (interval[1] - interval[0]) * jnp.linspace(0.0, 1.0, _PAD))
     whole = _frames(ready, ends[0] + length * jnp.linspace(0.0, 1.0, _WHOLE))
-    return ContourSamples(pad, whole, length / (_WHOLE - 1), length)
+    # A search moves the ends of an open contour too, and its frame goes on beyond them: places that no finger
+    # has.
+    over = jnp.stack([ends[0] - interval[0], interval[1] - ends[1]]) / (interval[1] - interval[0])
+    return ContourSamples(pad, whole, length / (_WHOLE - 1), length, None if contour.closed else over)
 
 
 def _frames(contour: AbstractContour, s: Array) -> Frenet2:
@@ -59,6 +65,8 @@ def _frames(contour: AbstractContour, s: Array) -> Frenet2:
 
 class Limits(eqx.Module):
     r"""Bounds on a fingertip; None leaves one out. All are kept on samples, 257 all round and 65 on the pad.
+
+    That the contact interval stays between the ends of an open contour is a limit in any case.
 
     Args:
         size: Largest distance of a point from $O_i$ [m].
@@ -107,6 +115,8 @@ class Limits(eqx.Module):
     def excess(self, seen: ContourSamples) -> dict[str, Array]:
         """By how much each bound is passed at each sample, relative to it: not positive where it is kept."""
         found, point, bends = {}, seen.whole.point, seen.whole.curvature
+        if seen.beyond is not None:
+            found["interval"] = seen.beyond
         if self.size is not None:
             found["size"] = jnp.sqrt(point.dot(point)) / self.size - 1.0
         if self.length is not None:

@@ -42,7 +42,7 @@ class ShapeTransform(eqx.Module):
 
     Args:
         tip: The contour to begin with, with ends or closed, not prepared. It may be of your own class.
-        symmetric: Make each contour its own mirror image about its x axis (`symmetrised` of its class).
+        symmetric: Make each contour its own mirror image about the x axis (`symmetrised` of its class).
 
     Attributes:
         size: The contour's size [m].
@@ -78,7 +78,7 @@ class ShapeTransform(eqx.Module):
         self.tip = check_tip(check_instance("tip", tip, AbstractContour, "a contour"))
         self.symmetric = check_flag("symmetric", symmetric)
         if self.symmetric:
-            _check_image(tip)
+            check_image(tip)
         self.size = body_radii(*as_batch([tip]))[0][0]
         self.matrix = _matrix(tip, float(self.size))
 
@@ -149,7 +149,7 @@ def check_tip(tip: AbstractContour) -> AbstractContour:
     return tip
 
 
-def _check_image(tip: AbstractContour) -> None:
+def check_image(tip: AbstractContour) -> None:
     """Raise unless the mirror image that a class gives is a contour of it, with the same arrays."""
     image = tip.symmetrised()
     if jax.tree.structure(image) != jax.tree.structure(tip):

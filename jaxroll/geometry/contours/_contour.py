@@ -16,8 +16,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._linalg import Pose2, sincos, unstack, Vec2
-from ..._results import as_array, as_floats, shown
-from ..._types import Given, Points, Scalar
+from ..._results import as_array, as_floats, concrete, shown
+from ..._types import ByPrecision, Given, Points, Scalar
 from .._tabled import tabled
 from ._free_numbers import AbstractDesigned
 from ._frenet import frenet, Frenet2
@@ -100,6 +100,11 @@ def _frame_arrays(contour: AbstractContour, s: Array) -> tuple[Array, Array, Arr
     return jax.tree.map(lambda leaf: leaf.reshape(s.shape + leaf.shape[1:]), found)
 
 
+# Angle [rad] between two axes, or of an offset to the side, that counts as none; and a length [m] that does.
+_LEVEL = ByPrecision(1e-12, 1e-6)
+_NEARBY = 1e-12
+
+
 class Moved(AbstractContour):
     """A contour placed in its body's frame: turned by `angle`, then shifted by `offset`.
 
@@ -178,6 +183,16 @@ class Moved(AbstractContour):
         return self.contour.preconditioner(size)
 
     def symmetrised(self) -> "Moved":
+        # What is placed becomes the mirror image about its own x axis, which must lie on the body's.
+        angle, offset = concrete(self.angle), concrete(self.offset)
+        none = _LEVEL.of(self.angle, self.offset)
+        turned = angle is not None and abs(np.sin(angle)) > none
+        if turned or offset is not None and abs(offset[1]) > none * abs(offset[0]) + _NEARBY:
+            raise ValueError(
+                f"argument symmetric must be False unless a contour is placed with its x axis on that of "
+                f"the fingertip, but this {type(self.contour).__name__} was turned by "
+                f"{shown(self.angle)} rad and moved by {shown(self.offset)} m"
+            )
         return eqx.tree_at(lambda m: m.contour, self, self.contour.symmetrised())
 
     def perturbed(self, rng: np.random.Generator) -> "Moved":

@@ -67,6 +67,14 @@ def test_measures_of_forces(run):
         peak_force(eqx.tree_at(lambda r: r.multipliers, run, None, is_leaf=lambda x: x is None))
 
 
+def test_a_run_that_reached_nothing_has_no_forces_to_measure(run):
+    """Its cost in a search stays finite; what was reported, zero, is less than that of a grasp that holds."""
+    nothing = jnp.full_like(run.multipliers.f, jnp.nan)
+    lost = eqx.tree_at(lambda r: (r.multipliers.f, r.multipliers.lam), run, (nothing, nothing))
+    assert np.isnan(peak_force(lost)) and np.isnan(friction_demand(lost))
+    assert float(PARTIAL["peak_force"](lost)) == 0.0 and float(PARTIAL["friction_demand"](lost)) == 0.0
+
+
 def test_friction_demand_in_space_by_hand(run):
     """Tangential forces of two numbers, none of which acts but at one of the times."""
     f = jnp.full_like(run.multipliers.f, 4.0)
@@ -608,6 +616,11 @@ def test_the_figures_of_closed_loops_are_the_worst_of_all_cases(monkeypatch):
     lost = jnp.array([0.5, 0.0])
     assert float(goal.figures(None, None)["worst cost"]) == 2.0 + 2.0 + 0.5 + 5.0
     assert int(goal.figures(None, None)["runs that end early"]) == 1
+    assert float(goal.figures(None, None)["peak force [N]"]) == 8.0
+    # A run that ended where it began has no force to report; zero is no demand of friction.
+    lost = jnp.array([1.0, 0.0])
+    found = goal.figures(None, None)
+    assert np.isnan(found["peak force [N]"]) and np.isnan(found["friction demand"])
 
 
 def test_a_run_that_never_began_has_lost_all_of_its_time(monkeypatch, scene):

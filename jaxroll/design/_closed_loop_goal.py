@@ -174,9 +174,11 @@ class ClosedLoop(AbstractGoal):
         weights = {} if callable(self.objective) else dict(self.objective)
         costs = measured @ jnp.asarray([weights.get(name, 0.0) for name in names]) + own + _LOST * lost
         found = {_COST: jnp.max(costs), _EARLY: jnp.sum(lost > 0.0)}
+        # Of a run that ended where it began, at `t0`, no state was saved.
+        never = lost >= 1.0 - jnp.asarray(self.options.t0) / self.t1
         for i, name in enumerate(names):
             # The largest value of all cases; NaN where one has none, as `jnp.max` passes NaN on.
-            lacking = (lost > 0.0) if name in SETTLED else jnp.zeros_like(lost, bool)
+            lacking = (lost > 0.0) if name in SETTLED else never
             found[MEASURES[name][1]] = jnp.max(jnp.where(lacking, jnp.nan, measured[:, i]))
         return found | {WORST_MARGIN: worst_margin(seen)}
 

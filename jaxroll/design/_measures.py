@@ -139,7 +139,7 @@ def peak_force(run: Trajectory) -> Scalar:
     """Largest normal force of any contact [N]; the run must have recorded its multipliers.
 
     Returns:
-        One number [N].
+        One number [N]; not a number for a run that ended before the first saved time.
 
     Raises:
         ValueError: If `run` is no run or a batch, or did not record its multipliers.
@@ -151,6 +151,11 @@ def peak_force(run: Trajectory) -> Scalar:
         >>> f"{jxr.design.peak_force(run):.3f} N"
         '1.551 N'
     """
+    return _of_some(run, _peak(run))
+
+
+def _peak(run: Trajectory) -> Scalar:
+    """`peak_force` of the part of a run that was reached, zero if that is nothing."""
     forces, seen = _forces(run)
     return largest(jnp.where(seen, forces.f, 0.0))
 
@@ -158,8 +163,10 @@ def peak_force(run: Trajectory) -> Scalar:
 def friction_demand(run: Trajectory) -> Scalar:
     r"""Friction coefficient that rolling needs, $\max |\lambda| / f$; the run must have recorded its forces.
 
+    Of a contact that pulls there is none: it does not count.
+
     Returns:
-        One number, without a unit.
+        One number, without a unit; not a number for a run that ended before the first saved time.
 
     Raises:
         ValueError: If `run` is no run or a batch, or did not record its multipliers.
@@ -171,6 +178,11 @@ def friction_demand(run: Trajectory) -> Scalar:
         >>> f"{jxr.design.friction_demand(run):.3f}"
         '0.171'
     """
+    return _of_some(run, _demand(run))
+
+
+def _demand(run: Trajectory) -> Scalar:
+    """`friction_demand` of the part of a run that was reached, zero if that is nothing."""
     forces, seen = _forces(run)
     aside = forces.lam
     if aside.ndim > forces.f.ndim:  # in space
@@ -184,6 +196,11 @@ def friction_demand(run: Trajectory) -> Scalar:
 def _of_whole(run: Trajectory, measure: Scalar) -> Scalar:
     """A measure of a run that reached its end; else not a number, with a derivative of zero."""
     return jnp.where(run.result == RESULTS.successful, measure, jnp.nan)
+
+
+def _of_some(run: Trajectory, measure: Scalar) -> Scalar:
+    """A measure of a run that reached a saved time; else not a number, with a derivative of zero."""
+    return jnp.where(jnp.any(_forces(run)[1]), measure, jnp.nan)
 
 
 def _forces(run: Trajectory) -> tuple[Multipliers, Array]:
@@ -248,8 +265,8 @@ PARTIAL = {
     "settling_time": _settling,
     "overshoot": _overshoot,
     "tracking_error": _tracking,
-    "peak_force": peak_force,
-    "friction_demand": friction_demand,
+    "peak_force": _peak,
+    "friction_demand": _demand,
 }
 # Those measured against the last value, at rest, which a run that ended early has not reached.
 SETTLED = frozenset(("settling_time", "overshoot", "tracking_error"))

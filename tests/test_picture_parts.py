@@ -3,6 +3,7 @@
 import contextlib
 from types import SimpleNamespace
 
+import equinox as eqx
 import numpy as np
 import pytest
 from matplotlib.colors import to_hex
@@ -1740,6 +1741,17 @@ def test_a_run_may_be_compared_with_none():
     for names in ([], ["a", "b"]):
         with pytest.raises(ValueError, match="argument names must have one for each of 1 runs"):
             _design_figure.comparison([runs.run("pivoted")], names)
+
+
+def test_a_run_that_was_lost_at_once_is_compared_without_a_line():
+    whole = runs.run("pivoted")
+    nothing = whole.states.q * np.nan, whole.multipliers.f * np.nan, np.asarray(0.0)
+    lost = eqx.tree_at(lambda run: (run.states.q, run.multipliers.f, run.stats.t_end), whole, nothing)
+    figure = _design_figure.comparison([lost, whole])
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["before", "after", "ended early"]
+    assert {line.get_label() for ax in figure.axes for line in ax.lines if len(line.get_xdata()) > 2} == {
+        "after"
+    }
 
 
 def test_a_picture_of_a_potential_has_no_value_off_either_pair_of_contours(monkeypatch):

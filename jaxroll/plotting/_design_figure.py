@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from .._integration import Trajectory
+from .._integration import check_one_run, Trajectory
 from .._results import check_instance
 from ..design import Design
 from ..geometry import AbstractContour, tabled
@@ -16,7 +16,6 @@ from ..stability import margin
 from ._doors import guarded
 from ._outlines import OutlineSamples, sample
 from ._style import CYCLE, GUIDE, MM, Picture, save_figure, tidy, TIP_FILL
-from ._views import single
 
 _PLACES, _TEETH = 2049, 150
 _NAMES = ("before", "after")
@@ -141,7 +140,8 @@ def comparison(
 
     Rolling coordinates [mm]; angle of the object since the start [rad], or distance of the object's place
     from it [mm] in space; normal forces [N]; $|\lambda| / f$, the friction that rolling needs. A cross marks
-    where a run ended early. Each run has a colour, each contact a style of line.
+    where a run ended early; one that ended before its first saved time has no line. Each run has a colour,
+    each contact a style of line.
 
     Args:
         runs: Single runs that recorded their multipliers.
@@ -218,9 +218,12 @@ def _angle_of_object(run: Trajectory) -> int:
 
 
 def _responses(axes: np.ndarray, run: Trajectory, name: str, colour: str) -> None:
-    ts, reached = single(run)
+    check_one_run("runs", run)
     if run.multipliers is None:
         raise ValueError(f"argument runs must have recorded their multipliers, but the run {name!r} has none")
+    ts, reached = np.asarray(run.ts), np.isfinite(np.asarray(run.states.q)).all(axis=1)
+    if not reached.any():
+        return
     f, lam = np.asarray(run.multipliers.f)[reached], np.asarray(run.multipliers.lam)[reached]
     aside = np.abs(lam) if lam.ndim == f.ndim else np.linalg.norm(lam, axis=-1)
     q, s = np.asarray(run.states.q)[reached], np.asarray(run.states.s)[reached]

@@ -238,7 +238,8 @@ def _design_parser(commands: Any) -> None:
     design.add_argument(
         "--tip",
         metavar="FILE",
-        help="points of a closed outline about the finger's end, facing +x, to start from",
+        help="points of a closed outline about the finger's end, facing +x, to start from, "
+        "made symmetric about x",
     )
     design.add_argument("--unit", choices=("m", "mm", "um", "in"), default="mm", help="of FILE (default: mm)")
     design.add_argument("--no-animation", action="store_true", help="write no before.gif and after.gif")
@@ -330,9 +331,10 @@ def _design(options: argparse.Namespace, folder: Path) -> int:
     try:
         tip = fingertip(options.tip, options.unit)
     except (ValueError, OSError, ImportError) as error:
-        raise _Unfit(
-            f"argument --tip must be a file with the points of a closed outline, but: {error}"
-        ) from None
+        told = str(error)
+        if not told.startswith("argument --tip "):
+            told = f"argument --tip must be a file with the points of a closed outline, but: {told}"
+        raise _Unfit(told) from None
     asked = DesignOrder(options.goal, tip, options.steps, options.starts, animated=not options.no_animation)
     lines, held = order(asked, folder, _cli.timed)
     print("\n".join([f"jaxroll {__version__}, design: a fingertip to hold a rectangle", *lines]))

@@ -93,7 +93,8 @@ def test_a_cache_that_is_no_folder_is_named_before_any_work(command, tmp_path, m
 def test_a_design_names_the_files_that_it_wrote(animated, tmp_path, monkeypatch):
     """The search, the runs and the drawing left out."""
     tip = types.SimpleNamespace(points=np.eye(2))
-    made = {"start": tip, "tip": Circle(0.01), "holds": np.array([False, animated]), "chosen": 1}
+    made = {"start": tip, "tip": Circle(0.01), "holds": np.array([animated, False]), "chosen": 0}
+    made["result"] = jxr.RESULTS.successful if animated else jxr.RESULTS.infeasible
     found = types.SimpleNamespace(**made, report=lambda *args, **options: "the report")
     monkeypatch.setattr(_design_command, "optimise_fingertip", lambda *args, **options: found)
     code = jxr.RESULTS.successful if animated else jxr.RESULTS.slipping
@@ -115,6 +116,66 @@ def test_a_design_names_the_files_that_it_wrote(animated, tmp_path, monkeypatch)
     assert names.startswith("  ") and set(names.strip().split(", ")) == written
     assert {"design.png", "comparison.png", "fingertip.csv"} <= written
     assert ({"before.gif", "after.gif"} <= written) == animated and all(" no " in line for line in missing)
+
+
+@pytest.mark.parametrize(
+    ("made", "begun", "outcome"),
+    [
+        (
+            {"chosen": 0, "start": 0.0},
+            "",
+            "; the search has not reached its goal: more --steps or --starts may",
+        ),
+        (
+            {"chosen": 0, "start": 1e-3, "result": jxr.RESULTS.infeasible},
+            "the outline made symmetric about x, which moved it by up to 1.4 mm",
+            "; the search has not ended within its limits: more --steps or --starts may",
+        ),
+        ({"chosen": 2, "start": 0.0, "holds": [0, 0, 1]}, "start 3 of 4, a variation of the outline", ""),
+    ],
+)
+def test_a_design_says_what_its_start_is_and_how_its_search_ended(
+    made, begun, outcome, tmp_path, monkeypatch
+):
+    """A start made symmetric is another than was given; and a fingertip within limits may not hold."""
+    tip = types.SimpleNamespace(points=np.eye(2))
+    made = {"tip": Circle(0.01), "holds": [0], "result": jxr.RESULTS.max_steps_reached} | made
+    made["start"] = types.SimpleNamespace(points=np.eye(2) + made["start"])
+    found = types.SimpleNamespace(**made, report=lambda *args, **options: "the report")
+    run = types.SimpleNamespace(result=jxr.RESULTS.successful)
+    for name, given in {
+        "optimise_fingertip": lambda *args, **options: found,
+        "simulate": lambda *args, **options: run,
+        "make": lambda tip: (None, None),
+        "_facts": lambda runs: [],
+        "_write": lambda found, folder: ([], []),
+    }.items():
+        monkeypatch.setattr(_design_command, name, given)
+    monkeypatch.setattr(plotting, "design", lambda found, folder: None)
+    monkeypatch.setattr(plotting, "comparison", lambda runs, folder: None)
+    asked = DesignOrder("margin", tip, steps=1, starts=4, animated=False)
+    lines, _ = order(asked, tmp_path, lambda doing: contextlib.nullcontext())
+    assert lines[-3] == f"  outcome   the fingertip holds{outcome}"
+    assert begun in lines[1] and (len(lines) == 5) == bool(begun)
+
+
+def test_a_tip_out_of_the_fingers_reach_is_refused_before_any_search(tmp_path, monkeypatch):
+    def beyond(tip):
+        raise ValueError("argument guess must be near a pose, but the best found leaves the x gap at 0.34")
+
+    monkeypatch.setattr(_design_command, "make", beyond)
+    tip = types.SimpleNamespace(points=np.eye(2))
+    asked = DesignOrder("margin", tip, steps=1, starts=1, animated=False)
+    with pytest.raises(
+        ValueError, match="tip must be one with which the fingers reach, but the best found leav"
+    ):
+        order(asked, tmp_path, None)
+    u = 2.0 * np.pi * np.arange(24) / 24
+    np.savetxt(tmp_path / "small.csv", np.stack([np.cos(u), np.sin(u)], axis=-1), delimiter=",")
+    with pytest.raises(
+        ValueError, match="argument --tip must be no shorter than the 12 mm that are judged, but"
+    ):
+        fingertip(str(tmp_path / "small.csv"), "mm")
 
 
 @pytest.mark.parametrize("held", [True, False])

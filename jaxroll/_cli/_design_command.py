@@ -39,6 +39,7 @@ from ..geometry import fit_contour, Spline
 _LONG, _WIDE, _POINTS = 0.018, 0.009, 24
 _INTERVAL = (-0.006, 0.006)  # arclengths of the fingertip that are judged [m]
 _FRICTION = 0.5
+_SEEN = 1e-6  # by which a point is moved for it to be told [m]
 # Animations: time shown [s], its speed; thickness of the solid fingertip [m].
 _SHOWN, _SPEED, _THICK = 0.15, 0.05, 0.01
 _OUT = ("fingertip.csv", "fingertip.svg", "fingertip.dxf")
@@ -91,6 +92,12 @@ def fingertip(path: str | None, unit: str) -> Spline:
     # A spline of few points, as the search wants it, at equal arclengths from the foremost point, its s = 0.
     ends = contour.domain()
     assert ends is not None  # a closed contour has a length
+    long, least = float(ends[1] - ends[0]), _INTERVAL[1] - _INTERVAL[0]
+    if long < least:
+        raise ValueError(
+            f"argument --tip must be no shorter than the {1e3 * least:g} mm that are judged, but {path} is "
+            f"{1e3 * long:.4g} mm round"
+        )
     s = np.linspace(float(ends[0]), float(ends[1]), 1 + 40 * _POINTS)[:-1]
     start = s[np.argmax(np.asarray(contour.point(s))[:, 0])]
     return Spline(contour.point(start + (s[-1] + s[1] - 2 * s[0]) * u / (2.0 * np.pi)), cells=128)
@@ -114,8 +121,11 @@ def order(
         "starts": asked.starts,
         "goal": Fair(GOALS[asked.goal]()),
     }
+    _check_reach(tip)
     with timed(f"Designing for {asked.goal}"):
         found = optimise_fingertip(tip, _INTERVAL, limits=limits, symmetric=True, **options)
+    # First of all: whatever becomes of the runs, the outline is there.
+    written, missing = _write(found, folder)
     with timed("Simulating both"):
         pairs = [make(one) for one in (found.start, found.tip)]
         settings = {"t1": 1.0, "ts": 401, "throw": False, "record": ("multipliers",)}
@@ -129,19 +139,41 @@ def order(
             for pair, run, name in zip(pairs, runs, ("before.gif", "after.gif"), strict=True):
                 plotting.animate(pair[0], run, folder / name, fps=10.0, speed=_SPEED, until=_SHOWN, size=4.5)
                 names.append(name)
-    written, missing = _write(found, folder)
     files = [f"Files in {folder}:", "  " + ", ".join(names + written), *missing]
     held = bool(runs[1].result == RESULTS.successful)
     told = "holds" if held else "does not hold"
     if not bool(found.holds[found.chosen]):
-        told += "; the search has not ended within its limits: more --steps or --starts may"
+        short = "ended within its limits" if found.result == RESULTS.infeasible else "reached its goal"
+        told += f"; the search has not {short}: more --steps or --starts may"
     lines = [
         found.report("--steps", millimetres=True),
+        *_begun(found, asked),
         f"  outcome   the fingertip {told}",
         *_facts(runs),
         *files,
     ]
     return lines, held
+
+
+def _check_reach(tip: Any) -> None:
+    """Raise unless the fingers reach the rectangle with a fingertip, before a search that takes minutes."""
+    try:
+        make(tip)
+    except ValueError as error:
+        told = str(error).partition("but ")[2] or str(error)
+        raise ValueError(f"argument tip must be one with which the fingers reach, but {told}") from None
+
+
+def _begun(found: Design, asked: DesignOrder) -> list[str]:
+    """A line that says what `before` is of, where that is not the outline as it was given."""
+    if found.chosen:
+        return [
+            f"  before    of start {found.chosen + 1} of {asked.starts}, a variation of the outline at random"
+        ]
+    start: Any = found.start
+    moved = float(np.max(np.hypot(*np.asarray(start.points - asked.tip.points).T)))
+    told = f"the outline made symmetric about x, which moved it by up to {1e3 * moved:.2g} mm"
+    return [f"  before    of {told}"] if moved > _SEEN else []
 
 
 def _facts(runs: Sequence[Any]) -> list[str]:

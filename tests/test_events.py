@@ -169,7 +169,8 @@ def test_gradient_of_the_event_time(scene, time, first):
         run = time(grasp, state, p[0], p[1])
         return jnp.stack([run.stats.t_end, run.last.q[0]])
 
-    reverse = jax.jit(jax.grad(lambda p: ended(p)[0]))(point)
+    reverse_of = jax.jit(jax.grad(lambda p: ended(p)[0]))
+    reverse = reverse_of(point)
     # One program for the values and the derivative forwards.
     along = jax.jit(lambda p, way: jax.jvp(ended, (p,), (way,)))
     for way, found, step in zip(np.eye(2), reverse, (1e-3 * abs(first), 1e-5), strict=True):
@@ -181,6 +182,11 @@ def test_gradient_of_the_event_time(scene, time, first):
         assert abs(slopes[0] / differences[0] - 1) <= 1e-6
         # At a contour's end the damping does not move it at all.
         np.testing.assert_allclose(slopes[1], differences[1], rtol=1e-5, atol=1e-9)
+    if time is friction_time:  # a run that is lost at once ends then whatever its numbers are
+        lost = jnp.array([0.002, 0.006])
+        for way in np.eye(2):
+            values, slopes = along(lost, way)
+            assert values[0] == 0.0 and not slopes.any() and not reverse_of(lost).any()
 
 
 def test_what_a_run_reached_has_a_gradient_though_the_rest_is_nan(scene):

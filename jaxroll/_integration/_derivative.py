@@ -270,9 +270,10 @@ class _Steps(eqx.Module):
     def postponed(self, drift: Scalar, change: Array) -> Array:
         """Delay of an event's time per change of the margin, which drifts so much per second, times `change`.
 
-        Zero for a run that no event ended.
+        Zero for a run that no event ended, and for one that was lost where it began: that time stays.
         """
         ended = (row(self.ys, self.count)[self.margin + 1] > 0) & jnp.isfinite(drift) & (drift != 0)
+        ended &= row(self.ts, self.count) > row(self.ts, 0)
         if self.plan.jumps is not None:  # a run that a jump ended moves with the jump alone (`_simulate`)
             ended &= ~is_short(row(self.ts, self.count - 1), row(self.ts, self.count))
         return jnp.where(ended, -change / jnp.where(ended, drift, 1.0), 0.0)

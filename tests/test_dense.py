@@ -74,11 +74,11 @@ def test_dense_output_is_differentiated(scene):
 
 
 def test_dense_output_across_samples_jumps_and_an_early_end(scene):
-    """Steps end at all of them, so that what is between is smooth."""
+    """Steps end at all of them, so that what is between is smooth; at a jump it is the state after it."""
     grasp, state = scene
-    harder = jxr.commands.Steps([0.0513], [0.5, 0.7])
+    harder = jxr.commands.Steps([0.0513, 0.07], [0.5, 0.7, 0.6])
     law = jxr.control.Sampled(grasp.with_(force=harder).controller, 0.01)
-    at = np.array([0.0049, 0.0051, 0.01, 0.055, 0.0651, 0.0849])
+    at = np.array([0.0049, 0.0051, 0.01, 0.055, 0.07, 0.0849])
     at_end = np.linspace(0.0995, 0.1, 6)
     for acted in (grasp.with_(controller=law), grasp.with_(force=harder)):
         # One program: another run, which saves at these times; this one saves close to its end alone.

@@ -12,7 +12,9 @@ import pytest
 import jaxroll as jxr
 from jaxroll._mechanics import AbstractController
 from jaxroll._motion import check_due
+from jaxroll.commands import Steps
 from jaxroll.control import Integral, Sampled
+from jaxroll.loads import Impulse
 from tests.measures import both_slopes
 from tests.oracles import reference_space as reference
 from tests.oracles.chapter_part1 import JOINTS, Part1
@@ -301,6 +303,34 @@ def test_before_the_first_sample_nothing_is_pressed_and_late_ones_are_not_made_u
     begun = jxr.simulate(late, state, 0.105, t0=0.095, ts=[0.096, 0.104, 0.105], events=(), throw=False)
     np.testing.assert_allclose(begun.states.memory[:, 5], [0.1, 0.11, 0.11], rtol=1e-14)
     assert np.all(begun.states.memory[0, :5])
+
+
+def test_a_sample_at_a_jump_is_asked_after_it(scene):
+    """Of a command that steps there it is told the later value, and it sees velocities after a blow.
+
+    The derivative in the time of the blow is that of one a little earlier, which the same sample sees.
+    """
+    grasp, state = scene
+    law = Sampled(grasp.with_(force=Steps([0.006], [0.5, 0.8])).controller, 0.002)
+
+    ts = jnp.array([0.004, 0.006, 0.01])
+
+    def told(time):
+        acted = grasp.with_(controller=law, load=Impulse((0.0, 0.0), time, angular=2e-5))
+        run = jxr.simulate(acted, state, 0.017, ts=ts, rtol=1e-12, events=(), throw=False)
+        return run.last.q, run.states
+
+    found = jax.jit(lambda time: jax.jvp(told, (time,), (1.0,), has_aux=True))
+    end, slope, states = found(0.01)
+    bare = jxr.State(states.q, states.v, states.s)
+    for i, force in enumerate((0.5, 0.8, 0.8)):
+        (asked,) = jxr.torques(grasp.with_(force=force), ts, bare)
+        np.testing.assert_allclose(states.memory[i, :2], asked[i], rtol=1e-12)
+    np.testing.assert_allclose(states.memory[:, 2], ts + 0.002, rtol=1e-14)
+    step = 1e-5
+    earlier = [found(0.01 - k * step)[0] for k in (1, 2, 3)]
+    onesided = (11 * end - 18 * earlier[0] + 9 * earlier[1] - 2 * earlier[2]) / (6 * step)
+    np.testing.assert_allclose(slope, onesided, rtol=1e-5)
 
 
 class PI(eqx.Module):

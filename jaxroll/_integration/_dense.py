@@ -17,6 +17,7 @@ from .._types import Scalar
 from .._xla import in_turn
 from ._bundle import Bundle
 from ._derivative import moving_in_time
+from ._jumps import grain, pending
 from ._state_vector import states_of
 from ._step import RollingStep
 
@@ -50,6 +51,10 @@ def states_at(dense: Dense, ts: Float[Array, "..."]) -> State:
 
 def _vector_at(dense: Dense, t: Scalar) -> Array:
     """The flow vector at one time."""
+    if dense.grasp.sampled and dense.grasp.jumps:
+        # At a jump it is the state after it, as saved ones are: a sample that is due there comes after both.
+        waits = pending(dense.grasp(), t)
+        t = jnp.where(waits, jnp.minimum(t + 2.0 * grain(t), row(dense.ts, dense.count)), t)
     # The first step has no length: of two that begin at one time the later one carries a slope.
     k = jnp.clip(jnp.searchsorted(dense.ts, t, side="right").astype(dense.count.dtype) - 1, 0, dense.count)
     begin = row(dense.ts, k)

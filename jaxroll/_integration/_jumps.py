@@ -92,6 +92,19 @@ def _next(jumps: Array, passed: Scalar) -> Scalar:
     return jnp.where(passed // 2 < count, ahead, jnp.inf)
 
 
+def pending(grasp: Grasp, t: Scalar) -> Scalar:
+    """Whether a step that ends at t is the first or the second of the three at a jump: it is not over yet.
+
+    A sample that is due there is taken after the third, when commands have jumped and blows were dealt.
+    """
+    found = jnp.asarray(False)
+    for jumps in grasp.jumps:
+        times = jax.lax.stop_gradient(jnp.ravel(jumps)).astype(t.dtype)
+        ahead = (times - t) / grain(times)
+        found |= jnp.any((ahead > -0.5) & (ahead < 1.5))
+    return found
+
+
 def lateness(grasp: Grasp, t: Scalar) -> Scalar:
     """A zero whose derivative is that of the time of the jump at t; no derivative elsewhere."""
     late, count = jnp.zeros_like(t), jnp.zeros_like(t)

@@ -120,6 +120,10 @@ def aim(plan: Plan, course: Course) -> tuple[Scalar, Scalar]:
     if lay.form.sampled:
         # A save time that is a sample, but for rounding, stays: `judge` looks for it exactly.
         due = course.y[lay.due]
+        if plan.jumps is not None:
+            # After a jump at its time; one that had to wait for another jump comes soon (`_jumps.pending`).
+            after = _jumps.beside(plan.jumps, due, 1.0)
+            due = jnp.maximum(after, pace.t + 2.0 * _jumps.grain(pace.t))
         stop = jnp.where(due < stop - resolution(stop), due, stop)
     if plan.jumps is not None:
         stop = jnp.minimum(stop, _jumps.stop(plan.jumps, course.passed, pace.t))

@@ -167,7 +167,8 @@ class RollingStep(eqx.Module):
         """The vector x and its slope after a sample, if one is due."""
         leaves, work = unpack(self.lay, x)
         slopes, power = unpack(self.lay, rates)
-        done = sample_due(grasp, t, leaves, slopes, line=line)
+        waits = _jumps.pending(grasp, t) if grasp.jumps else False
+        done = sample_due(grasp, t, leaves, slopes, line=line, waits=waits)
         x = pack(Leaves(leaves.q, leaves.v, leaves.s, done.memory), work)
         slopes = Leaves(slopes.q, combine(slopes.v, done.gained), slopes.s, slopes.memory)
         after = pack(slopes, None if power is None else power + done.power)

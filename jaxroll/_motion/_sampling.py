@@ -111,13 +111,16 @@ def _beside(blocks: tuple[Scalars, ...], more: Scalars) -> tuple[Scalars, ...]:
     return tuple(tuple(x + next(rest) for x in block) for block in blocks)
 
 
-def sample_due(grasp: Grasp, t: Scalar, leaves: Leaves, rates: Leaves, *, line: Linearisation) -> Sample:
+def sample_due(
+    grasp: Grasp, t: Scalar, leaves: Leaves, rates: Leaves, *, line: Linearisation, waits: Scalar = False
+) -> Sample:
     """The sample that is due at a time, or one that changes nothing.
 
-    `rates` is the slope before it, `line` the linearised constraints there.
+    `rates` is the slope before it, `line` the linearised constraints there; `waits` is whether something
+    else comes first, so that none is taken yet.
     """
-    law = grasp.controller
-    due, joints = law.due(t, leaves.memory), tuple(finger.joints for finger in grasp.fingers)
+    law, joints = grasp.controller, tuple(finger.joints for finger in grasp.fingers)
+    due = law.due(t, leaves.memory) & jnp.logical_not(waits)
     planned = leaves.memory[-1]
     late = jnp.where(due, planned - jax.lax.stop_gradient(planned), 0.0)
     ahead = lambda blocks, slopes: combine(blocks, slopes, late)  # noqa: E731

@@ -162,6 +162,17 @@ def test_noise_is_refused(scene):
         ),
         (lambda grasp, state: jxr.vector_field(grasp, formulation="csm"), "argument formulation must be"),
         (lambda grasp, state: jxr.vector_field(grasp).start(grasp), "argument state must be a State"),
+        (
+            lambda grasp, state: jxr.vector_field(grasp).start(jxr.State(state.q + 1e-3, state.v, state.s)),
+            "argument state must be on the constraints",
+        ),
+        (lambda grasp, state: jxr.vector_field(grasp).states(np.zeros(3)), "argument y must hold 7 numbers"),
+        (lambda grasp, state: jxr.vector_field(grasp)(0.0, np.zeros((7, 2))), "argument y must hold 7"),
+        (lambda grasp, state: jxr.vector_field(grasp).margin(0.0, 1.0), "argument y must hold 7 numbers"),
+        (
+            lambda grasp, state: jxr.vector_field(grasp.with_(load=jxr.loads.Impulse((0.0, 1.0), 0.1))),
+            "argument grasp must have no blows",
+        ),
     ],
 )
 def test_bad_arguments_get_one_sentence(asked, wanted, scene):

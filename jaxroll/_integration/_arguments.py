@@ -13,6 +13,7 @@ import jax.core
 import jax.numpy as jnp
 import numpy as np
 
+from .._motion import closed_within
 from .._results import as_array, as_count, check_instance, concrete, shown, told_apart
 
 # What diffrax calls these, for the signatures of packages that leave diffrax to this one.
@@ -153,6 +154,14 @@ def check_times(saved: Any, bounds: np.ndarray | None = None) -> None:
     if bounds is not None and (seen[0] < bounds[0] or seen[-1] > bounds[1]):
         low, high, first, last = told_apart(*bounds, seen[0], seen[-1])
         raise ValueError(f"argument ts must lie within [{low}, {high}], but ran from {first} to {last}")
+
+
+def unclosed(off: Any) -> str:
+    """What is said of a start whose worst row is so far off the constraints [m or rad]."""
+    return (
+        f"argument state must be on the constraints to {closed_within(off.dtype):g}, but its worst row "
+        f"is {float(off):.3g} m or rad off; jaxroll.close makes it consistent"
+    )
 
 
 def check_choices(name: str, given: Any, known: tuple[str, ...]) -> tuple[str, ...]:

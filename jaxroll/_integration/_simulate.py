@@ -55,6 +55,7 @@ from ._arguments import (
     RTOL,
     step_limit,
     sweeps,
+    unclosed,
 )
 from ._bundle import bundle
 from ._contact_impulses import blow_times, contact_impulses, merged, times_before
@@ -384,8 +385,5 @@ def _checked(trajectory: Trajectory, off: Array) -> Trajectory:
     if codes is None or not codes.any():
         return trajectory
     if codes == RESULTS.unreachable._value:
-        raise ValueError(
-            f"argument state must be on the constraints to {closed_within(off.dtype):g}, but its worst row "
-            f"is {float(off):.3g} m or rad off; jaxroll.close makes it consistent"
-        )
+        raise ValueError(unclosed(off))
     raise RuntimeError(complaint(trajectory))

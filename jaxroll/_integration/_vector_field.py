@@ -25,15 +25,19 @@ from .._motion import (
     begun,
     check_rolling,
     check_tasks,
+    closed_within,
     evaluate,
     Formulation,
     Index1,
     Instant,
+    residuals,
+    worst,
 )
 from .._printing import listed
-from .._results import check_instance, shown
+from .._results import check_instance, shown, traced
 from .._types import Scalar
-from ._arguments import check_choices, SWEEPS
+from ..loads import impulses
+from ._arguments import check_choices, SWEEPS, unclosed
 from ._events import EVENTS, regime
 from ._methods import check_method, Steady, with_tolerances
 from ._projected_method import Projected
@@ -64,21 +68,32 @@ class VectorField(eqx.Module):
 
     def __call__(self, t: Scalar, y: Y, args: Any = None) -> Y:
         """Time derivative of $y$ [1/s of its units]."""
+        self._check(y)
         return slope(self._lay, self.grasp, jnp.asarray(t, y.dtype), y, formulation=self.formulation)[0]
 
     def start(self, state: State) -> Y:
-        """$y$ of a state on the constraints, as `close` returns it: `y0` of `diffeqsolve`."""
+        """$y$ of a state on the constraints, as `close` returns it: `y0` of `diffeqsolve`.
+
+        Raises:
+            ValueError: If the state does not fit the grasp, or is off the constraints where these are not
+                stabilised.
+        """
         check_states(self.grasp, state)
+        if isinstance(self.formulation, Index1) and not traced((self.grasp, state)):
+            off = worst(residuals(self.grasp, state))
+            if not off <= closed_within(off.dtype):
+                raise ValueError(unclosed(off))
         if self.grasp.own_contacts:
             check_rolling(self.grasp, state)
         if self._lay.form.memory:
             check_tasks(self.grasp, state)
             state = begun(self.grasp, state, jnp.zeros((), state.q.dtype))
-        return vector_of(self._lay, state)[: self._lay.width]
+        return vector_in(self, state)
 
     def states(self, ys: Float[Array, "... y"]) -> State:
         """The states of solutions $y$ along any leading axes: of `solution.ys`, or of `evaluate(t)`."""
-        return states_of(self._lay, jnp.asarray(ys))
+        self._check(ys)
+        return states_of(self._lay, ys)
 
     def project(self, t: Scalar, y: Y) -> Y:
         """The nearest $y$, in the mass metric, with every gap, tangency and rate of a gap at zero."""
@@ -110,10 +125,25 @@ class VectorField(eqx.Module):
         leaves, instant = self._at(t, y)
         return jnp.asarray(regime(self.grasp, leaves, instant, self.events)[0], y.dtype)
 
+    def _check(self, y: Any) -> None:
+        """Raise unless this is an array whose last axis holds what is integrated."""
+        shape = getattr(y, "shape", ())
+        if shape[-1:] != (self._lay.width,):
+            raise ValueError(
+                f"argument y must hold {self._lay.width} numbers along its last axis, but was {shown(y)}"
+            )
+
     def _at(self, t: Scalar, y: Y) -> tuple[Leaves, Instant]:
         """The state of y as scalars, and the equations of motion evaluated there."""
+        self._check(y)
         leaves, _ = unpack(self._lay, y)
         return leaves, evaluate(self.grasp, jnp.asarray(t, y.dtype), leaves, self.formulation)
+
+
+def vector_in(field: VectorField, state: State) -> Y:
+    """$y$ of a state as it is, with a memory where the controller has one."""
+    lay = layout(field.grasp, False)
+    return vector_of(lay, state)[: lay.width]
 
 
 def vector_field(
@@ -135,7 +165,8 @@ def vector_field(
         A `VectorField`: `terms`, `start(state)`, `projected(solver)`, `margin` and `states(ys)`.
 
     Raises:
-        ValueError: If an argument does not fit.
+        ValueError: If an argument does not fit, or the grasp has what `diffeqsolve` cannot give it: a sampled
+            controller, or blows (`loads.Impulse`).
 
     Accuracy: that of the method and the tolerances given; constraint rows at rounding after every step, and
     between steps, in dense output, at the method's error.
@@ -163,6 +194,11 @@ def vector_field(
         raise ValueError(
             f"argument grasp must not have a sampled controller, which only `simulate` asks at its samples, "
             f"but was driven by {shown(grasp.controller)}"
+        )
+    if blows := impulses(grasp.load):
+        raise ValueError(
+            f"argument grasp must have no blows, which only `simulate` deals between two steps, "
+            f"but had {shown(blows[0])}"
         )
     return held_field(grasp, formulation, events)
 

@@ -71,7 +71,7 @@ def _chapter_s(grasp: Grasp, states: State) -> np.ndarray:
 
 def _rates(grasp: Grasp, states: State) -> np.ndarray:
     """The rate of the chapter's s [m/s]."""
-    field = vector_field(grasp.with_(controller=None), events=())
+    field = vector_field(grasp.with_(controller=None, load=None), events=())
     ys = jnp.concatenate([states.q, states.v, states.s], axis=-1)
     rolled = field.states(jax.jit(jax.vmap(lambda y: field(0.0, y)))(ys)).s[:, 0]
     return -grasp.contacts[0].sense * np.asarray(rolled)

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -72,6 +73,23 @@ def test_a_finger_lifts_off_and_returns(pushed):
     np.testing.assert_allclose(third[1].q, before.q, rtol=0, atol=1e-9)
     energy = [float(jxr.energies(g, s)[0]) for g, s in ((second[0], before), (third[0], third[1]))]
     assert energy[1] < energy[0]
+
+
+def test_samples_are_those_of_the_time_of_the_touch(pushed):
+    """Held torques stay, at times before zero too, and a sample between touch and overlap is still due."""
+    _, (grasp, _, _, run), (_, start, touch, _) = pushed
+    period, early, end = 1e-3, 1.0, float(run.stats.t_end)
+    between = 0.5 * (touch + end) - early
+    law = jxr.control.Sampled(grasp.controller, period, first=between - 100 * period)
+    held = jnp.concatenate([*jxr.torques(grasp, run.stats.t_end, run.last), jnp.array([between + period])])
+    last = jxr.State(run.last.q, run.last.v, run.last.s, held)
+    parts = lambda r: (r.last, r.stats.t_end)  # noqa: E731
+    sampled = eqx.tree_at(parts, run, (last, run.stats.t_end - early))
+    _, state, t = jxr.resume(grasp.with_(controller=law, load=None), sampled)
+    assert float(t) == pytest.approx(touch - early, abs=1e-12)
+    np.testing.assert_allclose(state.q, start.q, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(state.memory[:-1], held[:-1])
+    assert float(state.memory[-1]) == pytest.approx(between, abs=1e-14)
 
 
 def test_three_fingers_hand_over_to_two():

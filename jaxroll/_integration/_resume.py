@@ -14,7 +14,7 @@ from jaxtyping import Array
 
 from .._linalg import seven, three, total
 from .._mechanics import check_states, compiled, Grasp, split, State, to_leaves
-from .._motion import accelerations, bodies, world_poses
+from .._motion import accelerations, bodies, memory_waiting, world_poses
 from .._printing import code_name
 from .._results import as_positive
 from .._types import Given, Scalar
@@ -23,7 +23,7 @@ from ..loads import Impulse
 from ._report import contact_name
 from ._strike import strike
 from ._trajectory import check_one_run, Trajectory
-from ._vector_field import held_field
+from ._vector_field import held_field, vector_in
 
 # Tolerance of the motion followed back from an overlap [m, rad, and these per second].
 _BACK = 1e-12
@@ -59,7 +59,8 @@ def resume(grasp: Grasp, run: Trajectory, *, friction: Given | None = None) -> t
             friction cannot answer a touch; if contours or surfaces without bounds touch each other.
 
     Accuracy: gaps of a touch below 1e-14 m. Not differentiable: which contacts there are is decided on the
-    way; the pieces of a run are.
+    way; the pieces of a run are. Torques of `control.Sampled` are held on the way back; a sample between the
+    touch and the end of the run is taken again.
 
     Example:
         >>> import jaxroll as jxr
@@ -160,7 +161,10 @@ def _touched(grasp: Grasp, run: Trajectory, friction: Given | None) -> tuple[Gra
         ahead = jnp.maximum(t1 - g1 * (t1 - t0) / (g1 - g0), 0.0)
     contact, place = _contact_at(found, finger, face, friction)
     closed = grasp.with_contacts(*grasp.contacts, contact)
-    start = State(state.q, state.v, jnp.concatenate([state.s, place]), state.memory)
+    touched, memory = run.stats.t_end - ends[0][-1], state.memory
+    if grasp.form.sampled:
+        memory = memory_waiting(grasp, touched, state)
+    start = State(state.q, state.v, jnp.concatenate([state.s, place]), memory)
     nothing = Impulse((0.0,) * (3 if grasp.spatial else 2), 0.0)
     hit = strike(closed, start, nothing)
     while code_name(hit.result) == "contact_lost":
@@ -177,7 +181,7 @@ def _touched(grasp: Grasp, run: Trajectory, friction: Given | None) -> tuple[Gra
             f"argument run must touch in a way that friction can answer, but the impulse of finger "
             f"{finger} on face {face} of the object made a contact slip"
         )
-    return closed, hit.state, run.stats.t_end - ends[0][-1]
+    return closed, hit.state, touched
 
 
 def _nearest(grasp: Grasp, state: State, finger: int, face: int) -> Location | SurfaceLocation:
@@ -205,7 +209,7 @@ def _contact_at(
 def _earlier(grasp: Grasp, state: State, t: Scalar, back: Scalar) -> State:
     """The state so much earlier [s], by the same equations backwards in time."""
     field = held_field(grasp, None, ())
-    y0 = field.start(state)
+    y0 = vector_in(field, state)
     control = diffrax.PIDController(rtol=_BACK, atol=_BACK)
     ends = (t, t - back)
     found = diffrax.diffeqsolve(

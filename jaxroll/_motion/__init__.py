@@ -66,6 +66,7 @@ from ._sampling import (
     begun as begun,
     check_due as check_due,
     memory_after_sample as memory_after_sample,
+    memory_waiting as memory_waiting,
     sample_due as sample_due,
 )
 from ._task_errors import check_tasks as check_tasks

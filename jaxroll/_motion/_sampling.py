@@ -87,6 +87,14 @@ def memory_after_sample(grasp: Grasp, t: Scalar, state: State) -> Array:
     return stacked(_asked(quiet, t, to_leaves(state, grasp.form)))
 
 
+def memory_waiting(grasp: Grasp, t: Scalar, state: State) -> Array:
+    """The memory of a state that was followed back to a time [s]: it waits for the next sample there."""
+    law, memory = grasp.controller, state.memory
+    assert memory is not None
+    following = law.first + (jnp.maximum(law.number(t), -1.0) + 1.0) * law.period
+    return memory.at[-1].min(following)
+
+
 def _asked(grasp: Grasp, t: Scalar, leaves: Leaves) -> Scalars:
     """The memory after a sample at a time [s]."""
     law = grasp.controller

@@ -99,8 +99,9 @@ def test_lines_of_a_run_that_hardly_began():
     two.ts, two.multipliers = np.array([0.25, 0.5, 0.75]), None
     told = lines.report(two).splitlines()
     assert told[1] == "  time      0.25 to 0.5 s, 2 of 3 states saved; ended at 0.625 s"
-    assert told[4] == "  rolled    1.000, 3.000 mm"
-    assert told[5] == "  moved     object: x +3.500, y -39.900 mm, theta -0.3000 rad"
+    assert told[4] == "  rolled    1.000, 3.000 mm since 0.25 s"
+    assert told[5] == "  moved     since 0.25 s:"
+    assert told[6] == "            object: x +3.500, y -39.900 mm, theta -0.3000 rad"
 
 
 @pytest.mark.parametrize(

@@ -212,7 +212,13 @@ def _rolled(run: Any, saved: np.ndarray) -> list[str]:
         travel = travel[[place.unit == "m" for place in places]]
     if not len(travel):
         return []
-    return [f"  rolled    {', '.join(f'{x:.3f}' for x in travel)} mm"]
+    return [f"  rolled    {', '.join(f'{x:.3f}' for x in travel)} mm{_since(run, saved)}"]
+
+
+def _since(run: Any, saved: np.ndarray) -> str:
+    """From when on motion is counted, which is the first saved time, if that is not zero."""
+    first = float(np.asarray(run.ts)[saved][0])
+    return f" since {first:g} s" if first else ""
 
 
 def _motion(run: Any, saved: np.ndarray) -> list[str]:
@@ -221,7 +227,8 @@ def _motion(run: Any, saved: np.ndarray) -> list[str]:
     labels = _labels(run.labels, end.shape[-1])
     if saved.sum() < 2:
         return _at_the_end(labels, end[None], "at end" if saved.any() or run.stats.t_end > 0 else "start")
-    start, lines, at = np.asarray(run.states.q)[saved][0], [], 0
+    since = _since(run, saved)
+    start, lines, at = np.asarray(run.states.q)[saved][0], [f"{since.strip()}:"] if since else [], 0
     for body, coordinates in labels.bodies:
         here = slice(at, at := at + len(coordinates))
         if coordinates:

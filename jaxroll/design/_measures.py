@@ -1,6 +1,7 @@
 """How good a run is: settling time, overshoot, peak force, friction demand; differentiable.
 
-All look at the saved states that the run reached; save some tens of states over the time of interest. A run
+All look at the saved states that the run reached; save some tens of states over the time of interest, the
+start among them: "first" is the first saved one, from which times count, and "last" the last one. A run
 that ended early has come to rest nowhere: what is measured against its last value is not a number then.
 `ClosedLoop` needs a finite cost of such runs, and uses the measures in `PARTIAL`, of the part that was
 reached.
@@ -25,11 +26,12 @@ Signal = Float[Array, "t k"]
 
 
 def settling_time(run: Trajectory, *, band: float = 0.02, signal: Signal | None = None) -> Scalar:
-    r"""Time [s] after which a signal stays near its last value.
+    r"""Time [s] after which a signal stays near its last value, counted from the first saved state.
 
-    The last time at which $|y(t) - y(t_1)|$ is above `band` times $|y(t_0) - y(t_1)|$, on straight lines
-    between the saved states. Its derivative is that of this time; it jumps where one more swing leaves the
-    band. Zero for a signal that ends where it began; not a number for a run that ended early.
+    The last time at which $|y(t) - y_1|$ is above `band` times $|y_0 - y_1|$, on straight lines between the
+    saved states; $y_0$ and $y_1$ are of the first and the last of these. Its derivative is that of this time;
+    it jumps where one more swing leaves the band. Zero for a signal that ends where it began; not a number
+    for a run that ended early.
 
     Args:
         run: One run.
@@ -70,8 +72,8 @@ def _settling(run: Trajectory, signal: Signal | None = None, band: float = 0.02)
 def overshoot(run: Trajectory, *, signal: Signal | None = None) -> Scalar:
     r"""By how much a signal goes past its last value, as a share of the way there.
 
-    The largest of $-(y(t) - y_1) \cdot (y_0 - y_1) / |y_0 - y_1|^2$, at least zero; not a number for a run
-    that ended early.
+    The largest of $-(y(t) - y_1) \cdot (y_0 - y_1) / |y_0 - y_1|^2$, at least zero, with $y_0$ and $y_1$ of
+    the first and the last saved state; not a number for a run that ended early.
 
     Args:
         run: One run.
@@ -106,7 +108,8 @@ def _overshoot(run: Trajectory, signal: Signal | None = None) -> Scalar:
 def tracking_error(run: Trajectory, *, signal: Signal | None = None) -> Scalar:
     r"""Mean time to the end [s], $\int |y(t) - y_1| dt / |y_0 - y_1|$: smooth where `settling_time` jumps.
 
-    For a signal that decays as $e^{-t/T}$ it is T; not a number for a run that ended early.
+    For a signal that decays as $e^{-t/T}$ it is T. The integral begins at the first saved state, of which
+    $y_0$ is, and ends at the last one, of which $y_1$ is; not a number for a run that ended early.
 
     Args:
         run: One run.
@@ -163,7 +166,9 @@ def _peak(run: Trajectory) -> Scalar:
 def friction_demand(run: Trajectory) -> Scalar:
     r"""Friction coefficient that rolling needs, $\max |\lambda| / f$; the run must have recorded its forces.
 
-    Of a contact that pulls there is none: it does not count.
+    Of the contacts and saved states at which a contact presses, $f > 0$: where it pulls no coefficient would
+    do, and nothing is counted, so that the demand of a contact that always pulls is zero. Printed runs say
+    which contact pulls, and a run whose `events` name 'lift' ends there.
 
     Returns:
         One number, without a unit; not a number for a run that ended before the first saved time.

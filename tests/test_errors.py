@@ -200,6 +200,11 @@ def test_step_limit_keeps_what_was_computed(scene):
     assert "step limit" in str(cut)
     with pytest.raises(RuntimeError, match="The step limit was reached"):
         jxr.simulate(grasp, state, 1.0, ts=11, max_steps=8)
+    # With the last of its steps a run may come to its end, and has not run out of them.
+    within = lambda t1: jxr.simulate(grasp, state, t1, ts=1, max_steps=8, throw=False)  # noqa: E731
+    limit = within(1.0).stats
+    assert within(float(limit.t_end)).result == jxr.RESULTS.successful
+    assert within(1.001 * float(limit.t_end)).result == jxr.RESULTS.max_steps_reached
 
 
 def test_end_of_an_open_contour_is_a_code(scene):

@@ -154,6 +154,9 @@ def judge(
     hit = course.busy & keep & holds & (course.saved < count) & (pace.t == _stop(plan, course.saved))
     saved = course.saved + jnp.where(hit, 1, 0)
     over = (saved == count) & (pace.t == plan.t1)
+    # A run that is over with the last of its steps has not run out of them.
+    spent = loop == diffrax.RESULTS.max_steps_reached._value
+    loop = jnp.where(over & spent, jnp.asarray(diffrax.RESULTS.successful._value, loop.dtype), loop)
     busy = course.busy & holds & (loop == diffrax.RESULTS.successful._value) & ~over
     pick = lambda new, old: jnp.where(course.busy, new, old)  # noqa: E731
     y, pace, loop = jax.tree.map(pick, (y, pace, loop), (course.y, course.pace, course.loop))

@@ -203,6 +203,16 @@ def test_joints_that_follow_others_are_those_of_the_file(tmp_path):
     assert read_robot(written(tmp_path, urdf(far=far), "hand.urdf")).followers == ("b",)
 
 
+def test_warnings_of_mujoco_leave_no_file_behind(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    more = '<link name="three"/><joint name="c" type="planar"><parent link="two"/><child link="three"/>'
+    path = written(tmp_path, urdf(more=f'{more}<mimic joint="a"/></joint>'), "hand.urdf")
+    with pytest.warns(UserWarning, match="hand.urdf: <mimic> on joint 'c'"):
+        read_robot(path)
+    assert [each.name for each in tmp_path.iterdir()] == ["hand.urdf"]
+    assert mujoco.get_mju_user_warning() is None
+
+
 @pytest.mark.parametrize("case", REFUSED)
 def test_what_a_urdf_leaves_open_is_refused(tmp_path, case):
     text, said = REFUSED[case]

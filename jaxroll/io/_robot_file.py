@@ -8,9 +8,11 @@ In URDF a link without `<inertial>` has no mass, whatever its collision shapes; 
 its shapes, as the format has it.
 """
 
+import contextlib
 import os
+import warnings
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -131,8 +133,27 @@ def read_robot(
         ValueError: If the file cannot be read, or there is no such joint to be held.
         ImportError: Without the extra `hands`.
     """
-    path = readable(as_path(path, _KINDS), "a robot")
-    mujoco, held = _mujoco(), dict(held or {})
+    path, mujoco = readable(as_path(path, _KINDS), "a robot"), _mujoco()
+    with _warning(mujoco, path):
+        return _read(mujoco, path, dict(held or {}), shapes_of)
+
+
+@contextlib.contextmanager
+def _warning(mujoco: Any, path: Path) -> Iterator[None]:
+    """MuJoCo's warnings as those of Python: by itself it writes them to a file in the working folder."""
+    said: list[str] = []
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(said.append)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
+    for each in dict.fromkeys(said):
+        warnings.warn(f"{path.name}: {each}", stacklevel=5)
+
+
+def _read(mujoco: Any, path: Path, held: dict[str, float], shapes_of: Collection[str]) -> Robot:
+    """The robot in a file."""
     try:
         spec, root = _parsed(mujoco, path, held, shapes_of)
         own = _own_inertias(mujoco, spec, None if root is None else stated_inertias(root))

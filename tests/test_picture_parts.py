@@ -610,6 +610,9 @@ def test_values_of_a_contact_are_listed_in_their_units():
     assert texts[::3][3:7] == ["$l_{b0}$", "$l_{b1}$", "$l_{n0}$", "$l_{n1}$"]
     assert [text.xyann[1] for text in ax.texts[::3]] == [-6.0 - 19.0 * k for k in range(9)]
     assert not ax.axison
+    at.psi_0, at.theta_1 = -np.pi + 1e-5, -np.pi + 1e-3
+    _contact_figure._list_values(other := axes(), at)
+    assert [text.get_text() for text in other.texts][4:8:3] == ["180.00", "−179.94"]
 
 
 # Contours and what was fitted.

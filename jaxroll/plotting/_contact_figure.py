@@ -263,7 +263,10 @@ def _list_values(ax: Axes, at: _Numbers) -> None:
     ax.set_axis_off()
     ax.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0))
     for k, (name, value, unit) in enumerate(rows):
-        number = f"{round(float(value), 2) + 0.0:.2f}".replace("-", "\N{MINUS SIGN}")
+        rounded = round(float(value), 2) + 0.0
+        if unit == "°" and rounded <= -180.0:  # the angle of opposite directions has one sign
+            rounded += 360.0
+        number = f"{rounded:.2f}".replace("-", "\N{MINUS SIGN}")
         row: Any = {"textcoords": "offset points", "va": "top", "color": GUIDE}
         for x, text, size, side in (
             (0.0, name, 10, "left"),

@@ -134,9 +134,7 @@ def report(rounds: int) -> str:
     }
     gains = "; ".join(f"{name} up to {gain:.2g} times" for name, gain in pays.items())
     head = f"**Conclusion.** Without a piece, or with the plain thing in its place, these calls take: {gains}"
-    return (
-        f"{head}.\n\n{table(['1 s', *MEASURES], rows)}\n\n{device()}; {versions('jax', 'jaxlib')}."
-    )
+    return f"{head}.\n\n{table(['1 s', *MEASURES], rows)}\n\n{device()}; {versions('jax', 'jaxlib')}."
 
 
 def _cell(value: float, usual: float) -> str:

@@ -39,6 +39,12 @@ _LONGEST = (60.0, 5.0)
 # the same text in other lines, in which a test would notice it, the line's text is the fifth.
 EQUIVALENT: dict[tuple[str, ...], str] = {
     (
+        "jaxroll/plotting/_forces3.py",
+        "Pushes.rows",
+        "self.load is None or self.at is None",
+        "(self.load is None and self.at is None)",
+    ): "a load and where it acts are given together",
+    (
         "jaxroll/_linalg/_plane.py",
         "root",
         "1.0",

@@ -80,6 +80,8 @@ def test_a_barrier_changes_no_number_and_no_derivative():
     f, g = lambda x: jnp.sin(barrier(x)) * barrier(x), lambda x: jnp.sin(x) * x  # noqa: E731
     for derived in (jax.jacfwd, jax.jacrev, jax.hessian, jax.vmap):
         same(derived(f)(X["a"]), derived(g)(X["a"]))
+    with jax.disable_jit():
+        same(jax.grad(f)(0.3), jax.grad(g)(0.3))
 
 
 def test_rows_in_turn_are_differentiated_in_all_that_is_given():

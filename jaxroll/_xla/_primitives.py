@@ -49,7 +49,8 @@ def _divided(context: mlir.LoweringRuleContext, x: Any) -> list[Any]:
     return [stablehlo.divide(x, known[key])]
 
 
-_BARRIER.def_impl(jax.jit(lambda x: _BARRIER.bind(x)))
+# Outside of programs, as where JAX compiles none (`jax.disable_jit`), there is nothing to work out once.
+_BARRIER.def_impl(lambda x: x)
 _BARRIER.def_abstract_eval(lambda x: x)
 # Not kept and called by JAX: what a barrier divides by belongs to its block.
 mlir.register_lowering(_BARRIER, _divided, cacheable=False)

@@ -11,6 +11,7 @@ as long as the fields that it holds still exist and the others have defaults.
 
 import contextlib
 import dataclasses
+import functools
 import importlib
 import json
 import os
@@ -34,8 +35,10 @@ _TEXT = "structure"
 _DOORS = ("", ".geometry", ".contact", ".control", ".loads", ".commands", ".design", ".stability", ".scenes")
 _KNOWN = ("jaxroll", "diffrax", "equinox", "optimistix", "lineax")
 # The first word of every node, which is the name of what reads it.
-_KINDS = ("record", "array", "code", "tuple", "list", "dict", "structure", "dtype", "name", "key")
+_KINDS = ("record", "array", "code", "tuple", "list", "dict", "structure", "dtype", "name", "key", "bound")
 _PLAIN = (bool, int, float, str, type(None))
+# Functions with arguments that are bound, by their numbers in a file, and what they are made of.
+_BOUND, _PARTS = (functools.partial, jax.tree_util.Partial), ("func", "args", "keywords")
 
 
 def save(path: str | Path, value: Any) -> Path:
@@ -185,12 +188,22 @@ class _Writer:
             return {"record": _name_of(type(value)), "fields": fields}
         if isinstance(value, np.dtype):
             return {"dtype": value.str}
+        if type(value) in _BOUND:  # as fields keep a caller's function
+            return self._bound(value, where)
         if isinstance(value, type) or _findable(value):
             return {"name": _name_of(value)}
         raise ValueError(
             f"argument value must be made of records, arrays, plain values and functions that a module "
             f"names, but {where} was {shown(value)}"
         )
+
+    def _bound(self, value: Any, where: str) -> dict[str, Any]:
+        """The node of a function with bound arguments."""
+        # A `functools.partial` in one of JAX's stands in a shell, which JAX puts round it again.
+        inner = getattr(value.func, "fun", None)
+        held = (inner if type(inner) in _BOUND else value.func, value.args, value.keywords)
+        parts = {name: self.node(x, f"{where}.{name}") for name, x in zip(_PARTS, held, strict=True)}
+        return {"bound": parts, "of": _BOUND.index(type(value))}
 
     def _array(self, value: Any, where: str) -> dict[str, Any]:
         if traced(value):
@@ -286,6 +299,10 @@ class _Reader:
 
     def _key(self, node: dict[str, Any]) -> Any:
         return jax.random.wrap_key_data(self.value(node["key"]), impl=node["of"])
+
+    def _bound(self, node: dict[str, Any]) -> Any:
+        function, args, named = (self.value(node["bound"][name]) for name in _PARTS)
+        return _BOUND[node["of"]](function, *args, **named)
 
     def _code(self, node: dict[str, Any]) -> Any:
         return code_of(self._found(node["code"]), self.value(node["is"]))

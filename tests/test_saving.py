@@ -121,6 +121,29 @@ def test_shapes_laws_and_spatial_grasps(tmp_path):
     assert_same(jxr.load(jxr.save(tmp_path / "value", value)), value)
 
 
+def own_load(t, pose, twist, *, size=0.5):
+    return size * pose.position, jnp.zeros(())
+
+
+def own_motion(rate, t):
+    return (0.1 * jnp.sin(rate * t), 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
+
+
+def test_a_grasps_own_functions_are_found_again(tmp_path):
+    """Loads, motions and commands are kept as a function with its arguments, of which there may be some."""
+    shaken = jxr.Stage(jxr.Plane(), jax.tree_util.Partial(own_motion, jnp.array(20.0)))
+    loads = [own_load, functools.partial(own_load, size=0.25)]
+    value = (jxr.scenes.pivoted()[0].with_(load=loads), shaken, jxr.commands.Declared(jnp.sin, [0.1]))
+    path = jxr.save(tmp_path / "functions", value)
+    found = jxr.load(path, own=[own_load, own_motion, jnp.sin])
+    assert_same(found[1:], value[1:])
+    at = jxr.loads.Pose(jnp.array([2.0, 4.0]), jnp.zeros(()))
+    assert [load(0.0, at, None)[0].tolist() for load in found[0].load] == [[1.0, 2.0], [0.5, 1.0]]
+    np.testing.assert_array_equal(found[1].motion_of(0.3)[0], value[1].motion_of(0.3)[0])
+    with pytest.raises(ValueError, match=r"value\.motion_of\.func was <function"):
+        jxr.save(path, jxr.Stage(jxr.Plane(), lambda t: own_motion(20.0, t)))
+
+
 def test_an_array_that_stands_twice_is_written_once(tmp_path):
     array = jnp.arange(1000.0)
     path = jxr.save(tmp_path / "twice", [array, {"again": array}])

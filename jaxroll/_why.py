@@ -296,18 +296,13 @@ def _blamed(grasp: Grasp, found: Stability, near: State) -> str:
         return "heavy"
     verdict = code_name(found.verdict)
     # A potential that bends down nowhere gives no energy: what grows is driven by rates, or by no potential.
-    return "driven" if verdict == "unstable" and not _bends_down(grasp, found) else verdict
+    return "driven" if verdict == "unstable" and not found.bends_down else verdict
 
 
 def _holds(grasp: Grasp, near: State) -> bool:
     """Whether a grasp has an equilibrium near a state, and none of its disturbances grows."""
     found = _assessed(grasp, State(near.q, near.v, near.s))
     return found is not None and code_name(found.verdict) not in ("unstable", "not_found")
-
-
-def _bends_down(grasp: Grasp, found: Stability) -> bool:
-    """Whether the potential falls in some direction; of a law with a memory the rates alone decide."""
-    return not grasp.form.memory and float(found.curvatures[0]) < 0.0
 
 
 def _contours_roll(grasp: Grasp) -> bool:
@@ -448,9 +443,7 @@ def _direction(grasp: Grasp, found: Stability | None, start: State, run: Traject
     """
     if found is not None and code_name(found.verdict) == "unstable":
         told = _named(grasp, _scaled(grasp, np.asarray(found.modes)[:, 0]))
-        return (
-            f"along {told}, where the potential bends down" if _bends_down(grasp, found) else _growing(found)
-        )
+        return f"along {told}, where the potential bends down" if found.bends_down else _growing(found)
     way = np.asarray(run.last.q) - np.asarray(start.q)
     if code_name(run.result) in _NOWHERE or not np.isfinite(way).all() or np.abs(way).max() < _STILL:
         return ""

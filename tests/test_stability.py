@@ -17,7 +17,7 @@ from jaxroll.stability import (
     VERDICTS,
 )
 from jaxroll.stability._statics import _damped, _is_parallel, _is_straight, _solved
-from jaxroll.stability._verdict import _verdict
+from jaxroll.stability._verdict import _bent_down, _verdict
 from tests.helpers import in_single, slow_among
 from tests.oracles.chapter_part1 import Part1
 from tests.recorded import runs
@@ -423,9 +423,9 @@ def test_rates_are_slow_beside_the_fastest():
     for fastest in (1e-3, 1.0, 1e4):
         for share, verdict in ((1e-8, VERDICTS.undamped), (1e-6, VERDICTS.asymptotically_stable)):
             rates = fastest * jnp.array([-share, -1.0])
-            found = _verdict(rates, jnp.array([0.5, 1.0]), jnp.asarray(0), jnp.asarray(1e-7))
+            found = _verdict(rates, jnp.asarray(False), jnp.asarray(0), jnp.asarray(1e-7))
             assert found == verdict, (fastest, share)
-            grows = _verdict(-rates, jnp.array([0.5, 1.0]), jnp.asarray(0), jnp.asarray(1e-7))
+            grows = _verdict(-rates, jnp.asarray(False), jnp.asarray(0), jnp.asarray(1e-7))
             assert grows == VERDICTS.unstable
 
 
@@ -540,24 +540,60 @@ def test_an_end_may_be_passed_by_rounding():
                 margin(tip, place)
 
 
+class Coupled(eqx.Module):
+    """Springs and dampers at all joints; one angle pulls at another joint besides, which has no potential."""
+
+    angles: jax.Array
+    torques: jax.Array
+    stiffness: jax.Array
+
+    def __call__(self, t, angles, rates, tips):
+        away, turning = jnp.concatenate(angles) - self.angles, jnp.concatenate(rates)
+        torques = self.torques - self.stiffness @ away - 0.05 * turning
+        return [torques[:3], torques[3:]]
+
+
+def test_without_a_potential_the_rates_alone_decide(pinch):
+    """The symmetric part of the Hessian has a negative eigenvalue, and every disturbance dies out."""
+    grasp, state = pinch
+    rest = equilibrium(grasp, state).state
+    torques = jnp.concatenate(jxr.torques(grasp, jnp.zeros(()), rest))
+    law = Coupled(rest.q[3:], torques, jnp.eye(5).at[0, 2].set(4.0))
+    found = assess(grasp.with_(controller=law), state)
+    assert found.verdict == VERDICTS.asymptotically_stable and found.rates.real.max() < -5.0
+    assert found.curvatures[0] < -0.1 * found.curvatures[-1] and not found.bends_down
+
+
 @pytest.mark.parametrize(
-    ("rates", "curvature", "neutral", "verdict"),
+    ("rates", "bent", "neutral", "verdict"),
     [
-        ([-3.0, -1.0, -1.0, -0.5], 0.5, 0, "asymptotically_stable"),
-        ([-3.0, -1.0, 0.0, -0.5], 0.5, 1, "neutral"),
-        ([-3.0, 0.0, 0.0, -0.5], 0.5, 1, "undamped"),
-        ([-3.0, -1.0, 0.0, -0.5], 0.5, 0, "undamped"),
-        ([-3.0, -1.0, 0.1, -0.5], 0.5, 0, "unstable"),
-        ([-3.0, -1.0, -1.0, -0.5], -0.7e-7, 0, "asymptotically_stable"),
-        ([-3.0, -1.0, -1.0, -0.5], -1.5e-7, 0, "unstable"),
-        ([-3.0, -1.0, 3.0 * 0.7e-7, -0.5], 0.5, 1, "neutral"),
-        ([-3.0, -1.0, 3.0 * 1.5e-7, -0.5], 0.5, 1, "unstable"),
-        ([-3.0, -1.0, -3.0 * 1.5e-7, -0.5], 0.5, 0, "asymptotically_stable"),
-        ([-3.0, -1.0, -3.0 * 0.7e-7, -0.5], 0.5, 0, "undamped"),
+        ([-3.0, -1.0, -1.0, -0.5], False, 0, "asymptotically_stable"),
+        ([-3.0, -1.0, 0.0, -0.5], False, 1, "neutral"),
+        ([-3.0, 0.0, 0.0, -0.5], False, 1, "undamped"),
+        ([-3.0, -1.0, 0.0, -0.5], False, 0, "undamped"),
+        ([-3.0, -1.0, 0.1, -0.5], False, 0, "unstable"),
+        ([-3.0, -1.0, -1.0, -0.5], True, 0, "unstable"),
+        ([-3.0, -1.0, 3.0 * 0.7e-7, -0.5], False, 1, "neutral"),
+        ([-3.0, -1.0, 3.0 * 1.5e-7, -0.5], False, 1, "unstable"),
+        ([-3.0, -1.0, -3.0 * 1.5e-7, -0.5], False, 0, "asymptotically_stable"),
+        ([-3.0, -1.0, -3.0 * 0.7e-7, -0.5], False, 0, "undamped"),
     ],
 )
-def test_a_verdict_follows_from_rates_and_the_least_curvature(rates, curvature, neutral, verdict):
-    found = _verdict(
-        jnp.array(rates) + 0.0j, jnp.array([curvature, 1.0]), jnp.asarray(neutral), jnp.asarray(1e-7)
-    )
+def test_a_verdict_follows_from_rates_and_whether_the_potential_bends_down(rates, bent, neutral, verdict):
+    found = _verdict(jnp.array(rates) + 0.0j, jnp.asarray(bent), jnp.asarray(neutral), jnp.asarray(1e-7))
     assert repr(found) == verdict
+
+
+@pytest.mark.parametrize(
+    ("least", "skew", "bent"),
+    [
+        (-0.7e-7, 0.0, False),
+        (-1.5e-7, 0.0, True),
+        (-0.5, 0.9e-7, True),
+        (-0.5, 2e-7, False),
+        (0.5, 0.0, False),
+    ],
+)
+def test_a_potential_bends_down_where_there_is_one(least, skew, bent):
+    hessian = 4.0 * jnp.array([[least, 0.5 * skew], [-0.5 * skew, 1.0]])
+    assert bool(_bent_down(hessian, 4.0 * jnp.array([least, 1.0]), 1e-7)) == bent

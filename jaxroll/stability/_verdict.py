@@ -18,19 +18,23 @@ from typing import Any, ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Complex, Float, Int
+from jaxtyping import Array, Bool, Complex, Float, Int
 
 from .._closing import constraint_rows
 from .._mechanics import compiled, Grasp, State, to_leaves
 from .._motion import bodies, generalised_force, mass_matrix
 from .._printing import listed, named
 from .._results import as_floats, check_between
-from .._types import ByPrecision, Given
+from .._types import ByPrecision, Given, Scalar
 from ._equilibrium import contact_force, Equilibrium, equilibrium
 from ._memory_loop import rates_with_memory
 
 # Least relative size of curvatures and rates that can be told from zero.
 _TOLD = ByPrecision(0.0, 1e-5)
+# Difference of a Hessian from its transpose, relative to its curvatures, that is rounding.
+_SYMMETRIC = ByPrecision(1e-7, 1e-3)
+# What `assess` tells from zero if it is not told otherwise, and `Stability.bends_down`.
+_TOLERANCE = ByPrecision(1e-7, 1e-5)
 
 
 @named
@@ -80,6 +84,15 @@ class Stability(eqx.Module):
     curvatures: Float[Array, " m"]
     modes: Float[Array, "n m"]
     rates: Complex[Array, " 2m"]
+
+    @property
+    def bends_down(self) -> Bool[Array, "..."]:
+        """Whether the potential falls in some direction; False where a controller or load has no potential.
+
+        Nor has one with a memory, by which disturbances grow or not.
+        """
+        bent = _bent_down(self.hessian, self.curvatures, _TOLERANCE.of(self.hessian))
+        return bent & (self.equilibrium.state.memory is None)
 
 
 def assess(grasp: Grasp, state: State, *, t: Given = 0.0, tolerance: float = 1e-7) -> Stability:
@@ -142,25 +155,40 @@ def _assess(grasp: Grasp, state: State, t: Given, tolerance: Array) -> Stability
     # differ. It is a count, and svdvals has no derivative where singular values coincide: none is taken.
     size = jnp.max(jnp.abs(curvatures))
     neutral = jnp.sum(jnp.linalg.svdvals(jax.lax.stop_gradient(hessian)) <= tolerance * size)
-    relative = curvatures / size
+    bent = _bent_down(hessian, curvatures, tolerance)
     if still is not None:
         # H alone, with the memory held, decides nothing: the rates of the whole loop do.
-        neutral, relative = still, jnp.zeros_like(curvatures)
-    verdict = _verdict(rates, relative, neutral, tolerance)
+        neutral, bent = still, jnp.zeros_like(bent)
+    verdict = _verdict(rates, bent, neutral, tolerance)
     verdict = VERDICTS.where(rest.found, verdict, VERDICTS.not_found)
     modes = tangent @ vectors
     return Stability(verdict, neutral, rest, hessian, tangent, curvatures, modes, rates)
 
 
-def _verdict(rates: Array, curvatures: Array, neutral: Array, tolerance: Array) -> VERDICTS:
-    """The verdict from rates [1/s], curvatures over the largest, and the number of neutral directions."""
+def _bent_down(hessian: Array, curvatures: Array, tolerance: Scalar) -> Bool[Array, "..."]:
+    """Whether the potential bends down in some direction; False where a controller or a load has none.
+
+    Then H is not symmetric, and its symmetric part decides nothing: the grasp may come to rest though that
+    has a negative curvature, or leave though it has none.
+    """
+    size, skew = jnp.max(jnp.abs(curvatures), axis=-1), hessian - jnp.swapaxes(hessian, -1, -2)
+    symmetric = jnp.max(jnp.abs(skew), axis=(-2, -1)) <= _SYMMETRIC.of(hessian) * size
+    return symmetric & (curvatures[..., 0] < -tolerance * size)
+
+
+def _verdict(rates: Array, bent: Array, neutral: Array, tolerance: Array) -> VERDICTS:
+    """The verdict from rates [1/s], whether the potential bends down, and the number of neutral directions.
+
+    The rate at which heavy damping lets a grasp leave may be too slow beside the fastest to be told from
+    zero; how the potential bends then tells.
+    """
     fastest = jnp.max(jnp.abs(rates))
     growing = jnp.max(rates.real) > tolerance * fastest
     # Every neutral direction gives one rate that is zero: the grasp stays there. The others must decay.
     decaying = jnp.sum(rates.real < -tolerance * fastest) >= rates.shape[0] - neutral
     verdict = VERDICTS.where(neutral > 0, VERDICTS.neutral, VERDICTS.asymptotically_stable)
     verdict = VERDICTS.where(decaying, verdict, VERDICTS.undamped)
-    return VERDICTS.where(growing | (curvatures[0] < -tolerance), VERDICTS.unstable, verdict)
+    return VERDICTS.where(growing | bent, VERDICTS.unstable, verdict)
 
 
 def _tangent(grasp: Grasp, state: State) -> tuple[Array, Array]:

@@ -240,7 +240,8 @@ def _descend(
                 return x, count, RESULTS.successful, (left, slopes, *rest)
         else:
             damping *= _FACTOR
-            if damping > _MOST:  # no step goes down any more
+            # No step goes down any more; or rounding alone decides which ones do, and would for ever.
+            if damping > _MOST or _arrived(x, left, slopes):
                 return x, count, _at_an_end(x, left, slopes, known=known), (left, slopes, *rest)
     return x, steps, RESULTS.max_steps_reached, (left, slopes, *rest)
 
@@ -254,6 +255,12 @@ def _has_squares(values: np.ndarray) -> bool:
     """Whether values are finite, and their squares too."""
     with np.errstate(over="ignore", invalid="ignore"):
         return bool(np.isfinite(np.sum(np.square(values))))
+
+
+def _arrived(x: np.ndarray, left: np.ndarray, slopes: np.ndarray) -> bool:
+    """Whether the derivative asks for a step of next to nothing, though no damping shortens it."""
+    step = np.linalg.lstsq(slopes, -left, rcond=None)[0]
+    return bool(np.all(np.abs(step) < _SHARE * np.abs(x)))
 
 
 def _at_an_end(x: np.ndarray, left: np.ndarray, slopes: np.ndarray, *, known: bool) -> RESULTS:

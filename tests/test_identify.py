@@ -187,6 +187,20 @@ def test_a_search_ends_with_a_step_below_a_billionth_of_the_number(away, count):
         assert found[1:3] == (count, jxr.RESULTS.successful)
 
 
+def test_a_search_ends_where_rounding_alone_is_left():
+    """Of data without noise, as a model gives them: which steps go down there is by chance."""
+    count = [0]
+
+    def both(x):
+        count[0] += 1
+        rounding = 0.9e-13 * 0.99 ** count[0] if count[0] % 2 else 1e-13
+        return np.array([float(x[0]) - 1.0, rounding, rounding]), np.array([[1.0], [0.0], [0.0]])
+
+    x, steps, result, _ = _descend(both, np.ones(1), 30, known=False)
+    assert result == jxr.RESULTS.successful and steps <= 3
+    np.testing.assert_allclose(x, 1.0, rtol=1e-12)
+
+
 def test_a_search_ends_where_no_step_goes_down():
     """The damping rises by ten from a thousandth, until it is above 1e12; no slope is there, but an edge."""
     start, damping, count = np.ones(1), 1e-3, 0

@@ -43,7 +43,9 @@ class AbstractGoal(eqx.Module):
     def cost(self, tip: AbstractContour, seen: ContourSamples, unit: Scalar, sharpness: Scalar) -> Scalar:
         """What is minimised, without dimension and of order one.
 
-        `unit` is the fingertip's size; `sharpness` rises to one in the course of the search.
+        `unit` is the fingertip's size; `sharpness` rises to one in the course of the search. What a fingertip
+        costs must not rise with it, as no upper bound of a largest value does: the lowest cost of all steps
+        decides which fingertip is returned.
         """
 
     @property

@@ -101,3 +101,5 @@ def test_dense_output_across_samples_jumps_and_an_early_end(scene):
     end = lost(lost.stats.t_end)
     np.testing.assert_allclose(end.q, lost.last.q, rtol=0, atol=1e-13)
     assert np.isnan(lost(lost.stats.t_end + 1e-6).q).all()
+    with jax.enable_x64(False), pytest.raises(ValueError, match="argument run must be of single precision"):
+        lost(0.01)

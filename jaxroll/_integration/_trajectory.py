@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._mechanics import Labels, State
+from .._mechanics import check_not_cut, Labels, State
 from .._motion import Energy, Multipliers, Residuals
 from .._printing import code_name, listed
 from .._results import as_array, check_instance, concrete, is_array_like, RESULTS, shown
@@ -127,6 +127,7 @@ class Trajectory(eqx.Module):
                 f"argument t must be given to one run, but these were {self.dense.count.shape}; "
                 "jax.vmap(lambda run: run(t))(runs) asks each"
             )
+        check_not_cut("run", (self.ts.dtype,))
         return states_at(self.dense, as_array("t", t).astype(self.ts.dtype))
 
     def filled(self) -> "Trajectory":

@@ -38,6 +38,7 @@ from ._object3 import FreeObject3 as FreeObject3
 from ._stage import Stage as Stage, Turning as Turning
 from ._state import (
     Blocks as Blocks,
+    check_not_cut as check_not_cut,
     Form as Form,
     join as join,
     Leaves as Leaves,

@@ -5,6 +5,7 @@ The dynamics works on scalars because XLA fuses them (`_linalg`). `Form` says ho
 """
 
 import itertools
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
@@ -104,15 +105,20 @@ def check_shapes(states: State, form: "Form", name: str, axes: int) -> None:
     if states.memory is not None:
         _check_memory(states, form, f"{name}.memory")
         kinds |= {getattr(states.memory, "dtype", None)}
-    if _DOUBLE in kinds and not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
-        raise ValueError(
-            f"argument {name} must be of single precision, as all is to JAX without x64, but was of double: "
-            "put jax.config.update('jax_enable_x64', True) first"
-        )
+    check_not_cut(name, kinds)
     if len(kinds) > 1 or not kinds <= _PRECISIONS:
         raise ValueError(
             f"argument {name} must be of single or double precision throughout, "
             f"but was of {', '.join(sorted(map(str, kinds)))}"
+        )
+
+
+def check_not_cut(name: str, kinds: Collection[Any]) -> None:
+    """Raise for numbers of double precision where JAX knows single precision only."""
+    if _DOUBLE in kinds and not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
+        raise ValueError(
+            f"argument {name} must be of single precision, as all is to JAX without x64, but was of double: "
+            "put jax.config.update('jax_enable_x64', True) first"
         )
 
 

@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 import jaxroll as jxr
 from jaxroll._linalg import pose_at, Vec3
 from jaxroll.contact import clearance3
-from jaxroll.loads import Push
+from jaxroll.loads import Impulse, Push
 from tests.oracles import reference_space as reference
 from tests.oracles.dense_impacts import dense_strike
 from tests.recorded import runs
@@ -90,6 +90,18 @@ def test_samples_are_those_of_the_time_of_the_touch(pushed):
     np.testing.assert_allclose(state.q, start.q, rtol=0, atol=1e-12)
     np.testing.assert_array_equal(state.memory[:-1], held[:-1])
     assert float(state.memory[-1]) == pytest.approx(between, abs=1e-14)
+
+
+def test_a_contact_that_a_blow_knocks_off_is_dropped_before_the_blow(pushed):
+    """It presses until then; the run that goes on deals the blow to the grasp without it."""
+    grasp, state, _, _ = pushed[0]
+    hit = grasp.with_(load=Impulse((0.01, 0.0), 0.0))
+    lost = jxr.simulate(hit, state, 0.1, ts=1, throw=False)
+    assert bool(lost.result == jxr.RESULTS.contact_lost)
+    left, start, t = jxr.resume(hit, lost)
+    assert [c.finger for c in left.contacts] == [1] and float(t) == pytest.approx(0.0, abs=1e-15)
+    np.testing.assert_array_equal(start.v, lost.last.v)
+    assert bool(jxr.strike(left, start, hit.load[0]).result == jxr.RESULTS.successful)
 
 
 def test_three_fingers_hand_over_to_two():

@@ -36,7 +36,8 @@ _AGAIN = 1e-6
 def resume(grasp: Grasp, run: Trajectory, *, friction: Given | None = None) -> tuple[Grasp, State, Scalar]:
     r"""The grasp, the state and the time with which a run that an event ended goes on.
 
-    After `contact_lost` it is the grasp without that contact, at the end of the run, with its velocities.
+    After `contact_lost` it is the grasp without that contact, at the end of the run, with its velocities;
+    where a blow knocked it off, those before the blow, which the run that goes on begins with.
     After `penetration` it has one contact more, between the finger that overlaps and the face that it
     overlaps, at the time when they touched: all gaps stop closing there, by an inelastic impulse
     $v_+ = v_- - M^{-1} A^T (A M^{-1} A^T)^{-1} A v_-$, and the positions are those of the touch.
@@ -94,6 +95,10 @@ def _dropped(grasp: Grasp, run: Trajectory) -> tuple[Grasp, State, Scalar]:
             f"{contact_name(run.labels, lost)}"
         )
     left, state = _without(grasp, run.last, lost)
+    # A margin of minus infinity is that of a blow (`_step.moved`), which the next run begins with: until then
+    # the contact presses, and what opens it are velocities.
+    if np.isneginf(float(run.stats.margin)):
+        return left, state, run.stats.t_end
     pressed = float(_overlap_rate(grasp, run.last, accelerations(left, run.stats.t_end, state), lost))
     if pressed > _AGAIN:
         raise ValueError(

@@ -71,6 +71,15 @@ def test_every_line_of_a_run():
     ]
 
 
+def test_contacts_that_bear_no_force_do_not_pull():
+    none = SimpleNamespace(
+        f=np.array([[-0.0, 0.0], [NAN, NAN]]), lam=np.array([[0.0, -0.0], [NAN, NAN]]), spin=None
+    )
+    told = lines.report(made(multipliers=none)).splitlines()
+    assert told[-2] == "  forces    normal 0 to 0 N, tangential 0 to 0 N"
+    assert told[-1] == "  friction  none needed: no contact bears a force"
+
+
 def test_lines_of_a_run_that_hardly_began():
     nothing = np.full((1, 5), NAN)
     here = made(states=SimpleNamespace(q=nothing, s=nothing[:, :2]), ts=np.array([0.5]))

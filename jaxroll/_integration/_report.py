@@ -303,7 +303,7 @@ def _forces(run: Any, saved: np.ndarray) -> list[str]:
         return []
     # Rounding beside the largest normal force is told as zero: the report is the same on all machines.
     least = 1e-12 * np.nanmax(np.abs(f))
-    ranges = [[0.0 if abs(x) < least else x for x in (np.nanmin(y), np.nanmax(y))] for y in (f, lam)]
+    ranges = [[0.0 if abs(x) <= least else x for x in (np.nanmin(y), np.nanmax(y))] for y in (f, lam)]
     (low, high), (aside, most) = ranges
     lines = [f"  forces    normal {low:.4g} to {high:.4g} N, tangential {aside:.4g} to {most:.4g} N"]
     if run.multipliers.spin is not None:
@@ -321,6 +321,9 @@ def _demand(run: Any, f: np.ndarray, aside: np.ndarray) -> str:
     seen = np.isfinite(f) & np.isfinite(aside) & np.array(presses or (True,))
     if not seen.any():
         return "none needed: no contact can only press"
+    seen &= (f != 0.0) | (aside != 0.0)  # where there is no force at all, nothing is asked of friction
+    if not seen.any():
+        return "none needed: no contact bears a force"
     pulls = seen & ~(f > 0.0)
     need = np.where(seen & ~pulls, aside, -np.inf) / np.where(pulls | ~seen, 1.0, f)
     if pulls.any():

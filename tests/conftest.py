@@ -68,6 +68,7 @@ def _forgotten():
         gc.unfreeze()
     gc.collect()
     if full:
+        give_back()
         _bytes_before = _bytes_in_memory()
     gc.freeze()  # what is kept is not looked through again
 
@@ -84,7 +85,7 @@ def _forget_what_was_compiled():
 
 
 def _bytes_in_memory():
-    """Memory of this process, where Linux tells it; what was forgotten is not always given back."""
+    """Memory of this process, where Linux tells it; not all that was forgotten is given back."""
     told = _PROCESS / "statm"
     return int(told.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") if told.exists() else 0
 
@@ -117,6 +118,13 @@ def keep_memory():
         if mallopt is not None and name not in os.environ:
             mallopt(number, size)
             os.environ[name] = str(size)
+
+
+def give_back():
+    """Give the memory of forgotten programs back to Linux, where the C library can."""
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == "posix" else None
+    if trim is not None:
+        trim(0)
 
 
 def pytest_addoption(parser):

@@ -323,6 +323,20 @@ def test_points_may_reach_into_a_ball_by_the_tolerance(radius, fits):
     assert (found is not None and bool(found.free.all())) == fits
 
 
+def test_thin_parts_are_seen_where_normals_are_sure():
+    """A thick part, two plates at a distance of two, and beside it a thin one of 0.8."""
+    x = np.linspace(-2.0, 2.0, 9)
+    u, v = (grid.ravel() for grid in np.meshgrid(x, x))
+    parts = [(0.0, 1.0, 1.0), (0.0, -1.0, -1.0), (10.0, 0.4, 1.0), (10.0, -0.4, -1.0)]
+    points = np.concatenate(
+        [np.stack([u + along, v, height + 0.0 * u], axis=1) for along, height, _ in parts]
+    )
+    normals = np.repeat([[0.0, 0.0, up] for *_, up in parts], len(u), axis=0)
+    sure = np.where(np.arange(len(points)) % 3 == 0, 0.3, 1.0)
+    found = _rolling.rolled(Scan(points, normals, np.ones(len(points)), sure, 0.5), 0.9, 0.01)
+    np.testing.assert_array_equal(found.thin, (points[:, 0] > 5.0) & (sure > 0.3))
+
+
 # Rounds of a fit.
 
 

@@ -753,25 +753,25 @@ def test_the_first_saved_state_of_a_run_is_its_start(run):
 VERDICTS = jxr.stability.VERDICTS
 
 
-def assessed(verdict, curvature=1.0):
-    return SimpleNamespace(verdict=getattr(VERDICTS, verdict), curvatures=np.array([curvature, 5.0]))
+def assessed(verdict, bends_down=False):
+    return SimpleNamespace(verdict=getattr(VERDICTS, verdict), bends_down=bends_down)
 
 
 @pytest.mark.parametrize(
-    ("sampled", "weighs", "held_by", "verdict", "curvature", "wanted"),
+    ("sampled", "weighs", "held_by", "verdict", "bends_down", "wanted"),
     [
-        (True, False, "law", "unstable", -1.0, "sampled"),
-        (True, True, "law", "unstable", -1.0, "sampled"),
-        (True, True, "no weight", "unstable", -1.0, "heavy"),
-        (False, True, "no weight", "not_found", -1.0, "heavy"),
-        (False, True, "", "not_found", -1.0, "not_found"),
-        (False, False, "", "unstable", -1.0, "unstable"),
-        (False, False, "", "unstable", 1e-9, "driven"),
-        (False, False, "", "not_found", 1.0, "not_found"),
+        (True, False, "law", "unstable", True, "sampled"),
+        (True, True, "law", "unstable", True, "sampled"),
+        (True, True, "no weight", "unstable", True, "heavy"),
+        (False, True, "no weight", "not_found", True, "heavy"),
+        (False, True, "", "not_found", True, "not_found"),
+        (False, False, "", "unstable", True, "unstable"),
+        (False, False, "", "unstable", False, "driven"),
+        (False, False, "", "not_found", False, "not_found"),
     ],
 )
 def test_what_helps_a_grasp_without_a_stable_equilibrium(
-    monkeypatch, scene, sampled, weighs, held_by, verdict, curvature, wanted
+    monkeypatch, scene, sampled, weighs, held_by, verdict, bends_down, wanted
 ):
     """Another law, no weight, other shapes, or less of what drives it: whichever makes it hold."""
     grasp, state = scene
@@ -791,7 +791,7 @@ def test_what_helps_a_grasp_without_a_stable_equilibrium(
 
     monkeypatch.setattr(_why, "_assessed", assess)
     near = dataclasses.replace(state, memory=jnp.ones(2))
-    assert _why._blamed(grasp, assessed(verdict, curvature), near) == wanted
+    assert _why._blamed(grasp, assessed(verdict, bends_down), near) == wanted
     assert all(each.memory is not near.memory for each in asked)
 
 

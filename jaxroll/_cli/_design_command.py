@@ -170,9 +170,7 @@ def _begun(found: Design, asked: DesignOrder) -> list[str]:
         return [
             f"  before    of start {found.chosen + 1} of {asked.starts}, a variation of the outline at random"
         ]
-    start = found.start
-    if not isinstance(start, Spline):
-        return []  # a shape of few numbers is symmetric as it is
+    start: Any = found.start
     moved = float(np.max(np.hypot(*np.asarray(start.points - asked.tip.points).T)))
     told = f"the outline made symmetric about x, which moved it by up to {1e3 * moved:.2g} mm"
     return [f"  before    of {told}"] if moved > _SEEN else []

@@ -186,14 +186,14 @@ def _said(stream: io.StringIO, folder: str, name: str) -> dict[str, Any]:
 def ordered(goal: str) -> dict[str, Any]:
     """What `jaxroll design` asks for and prints, the work left out."""
     asked, run = _Asked(), runs.run("pinch", ended="slipping")
-    tips = {"start": jxr.Ellipse(0.018, 0.009), "tip": jxr.Circle(0.01)}
+    tip = _cli.fingertip(None, "mm")
     found = SimpleNamespace(
-        **tips,
+        start=tip,
+        tip=jxr.Circle(0.01),
         holds=np.array([True]),
         chosen=0,
         report=lambda *args, **options: f"the report, {args} {options}",
     )
-    tip = _cli.fingertip(None, "mm")
     order = _cli.DesignOrder(goal, tip, steps=7, starts=2, animated=goal == "margin")
 
     @contextlib.contextmanager

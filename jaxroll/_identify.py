@@ -259,8 +259,12 @@ def _has_squares(values: np.ndarray) -> bool:
 
 def _arrived(x: np.ndarray, left: np.ndarray, slopes: np.ndarray) -> bool:
     """Whether the derivative asks for a step of next to nothing, though no damping shortens it."""
-    step = np.linalg.lstsq(slopes, -left, rcond=None)[0]
-    return bool(np.all(np.abs(step) < _SHARE * np.abs(x)))
+    return bool(np.all(np.abs(_undamped(left, slopes)) < _SHARE * np.abs(x)))
+
+
+def _undamped(left: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """The step of Gauss and Newton, which no damping shortens."""
+    return np.linalg.lstsq(slopes, -left, rcond=None)[0]
 
 
 def _at_an_end(x: np.ndarray, left: np.ndarray, slopes: np.ndarray, *, known: bool) -> RESULTS:
@@ -269,8 +273,7 @@ def _at_an_end(x: np.ndarray, left: np.ndarray, slopes: np.ndarray, *, known: bo
     The latter is so at a kink, at a jump, and beside numbers for which there is no run: the derivative there
     promises more than rounding, but neither leads to a minimum nor says how well numbers are known.
     """
-    step = np.linalg.lstsq(slopes, -left, rcond=None)[0]
-    unit = _deviation(left, len(x), known=known)
+    step, unit = _undamped(left, slopes), _deviation(left, len(x), known=known)
     promised = np.linalg.norm(slopes @ step) > _LAST * unit and np.any(np.abs(step) > _ROUNDING * np.abs(x))
     return RESULTS.solver_failed if promised else RESULTS.successful
 

@@ -111,9 +111,14 @@ KEPT = {
 }
 
 
+def of_c_library(name):
+    """A function of the C library; None where it has none of this name."""
+    return getattr(ctypes.CDLL(None), name, None) if os.name == "posix" else None
+
+
 def keep_memory():
     """Let this process and those that it starts keep what they free, where the C library has such limits."""
-    mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if os.name == "posix" else None
+    mallopt = of_c_library("mallopt")
     for name, (number, size) in KEPT.items():
         if mallopt is not None and name not in os.environ:
             mallopt(number, size)
@@ -122,7 +127,7 @@ def keep_memory():
 
 def give_back():
     """Give the memory of forgotten programs back to Linux, where the C library can."""
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == "posix" else None
+    trim = of_c_library("malloc_trim")
     if trim is not None:
         trim(0)
 

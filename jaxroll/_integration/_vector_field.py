@@ -142,8 +142,7 @@ class VectorField(eqx.Module):
 
 def vector_in(field: VectorField, state: State) -> Y:
     """$y$ of a state as it is, with a memory where the controller has one."""
-    lay = layout(field.grasp, False)
-    return vector_of(lay, state)[: lay.width]
+    return vector_of(field._lay, state)[: field._lay.width]
 
 
 def vector_field(

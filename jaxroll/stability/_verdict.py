@@ -34,7 +34,7 @@ _TOLD = ByPrecision(0.0, 1e-5)
 # Difference of a Hessian from its transpose, relative to its curvatures, that is rounding.
 _SYMMETRIC = ByPrecision(1e-7, 1e-3)
 # What `assess` tells from zero if it is not told otherwise, and `Stability.bends_down`.
-_TOLERANCE = ByPrecision(1e-7, 1e-5)
+_TOLERANCE = 1e-7
 
 
 @named
@@ -91,11 +91,11 @@ class Stability(eqx.Module):
 
         Nor has one with a memory, by which disturbances grow or not.
         """
-        bent = _bent_down(self.hessian, self.curvatures, _TOLERANCE.of(self.hessian))
+        bent = _bent_down(self.hessian, self.curvatures, max(_TOLERANCE, _TOLD.of(self.hessian)))
         return bent & (self.equilibrium.state.memory is None)
 
 
-def assess(grasp: Grasp, state: State, *, t: Given = 0.0, tolerance: float = 1e-7) -> Stability:
+def assess(grasp: Grasp, state: State, *, t: Given = 0.0, tolerance: float = _TOLERANCE) -> Stability:
     r"""Stability of a grasp near a state: find its equilibrium and linearise the closed loop there.
 
     On the manifold of closed, rolling contacts, with tangent directions N, $N^T M N = 1$:

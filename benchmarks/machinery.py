@@ -71,12 +71,13 @@ def measured(patch: str) -> dict[str, float]:
     exec(patch, {"xla": xla, "jax": jax, "jnp": jnp, "contextlib": contextlib})
     import jaxroll as jxr
 
+    def end_of(grasp: Any, state: Any) -> Callable[[Any], Any]:
+        """The first coordinate at the end of a run, as a function of the damping of the joints."""
+        return lambda damping: jxr.simulate(grasp.with_(damping=damping), state, 1.0, ts=1).last.q[0]
+
     grasp, state = jxr.scenes.pivoted()
+    ended = end_of(grasp, state)
     found: dict[str, float] = {}
-
-    def ended(damping: Any) -> Any:
-        return jxr.simulate(grasp.with_(damping=damping), state, 1.0, ts=1).last.q[0]
-
     found["first call [s]"] = _seconds(lambda: jxr.simulate(grasp, state, 1.0, ts=1).last.q)
     found["public call [ms]"] = 1e3 * _best(lambda: jxr.simulate(grasp, state, 1.0, ts=1).last.q, 40)
     run, many = jax.jit(ended), jax.jit(jax.vmap(ended))
@@ -87,12 +88,8 @@ def measured(patch: str) -> dict[str, float]:
     found["gradient, first [s]"] = _seconds(lambda: slope(0.006))
     found["gradient [ms]"] = 1e3 * _best(lambda: slope(0.006), 20)
     # What keeps a program small shows where it is large.
-    spatial, closed = jxr.scenes.pinch3d()
-
-    def turned(damping: Any) -> Any:
-        return jxr.simulate(spatial.with_(damping=damping), closed, 1.0, ts=1).last.q[0]
-
-    found["gradient in space, first [s]"] = _seconds(lambda: jax.jit(jax.value_and_grad(turned))(0.01))
+    spatial = jax.jit(jax.value_and_grad(end_of(*jxr.scenes.pinch3d())))
+    found["gradient in space, first [s]"] = _seconds(lambda: spatial(0.01))
     return found
 
 

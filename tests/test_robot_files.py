@@ -242,6 +242,18 @@ def test_joints_are_held_in_their_range(tmp_path):
     assert [joint.name for joint in read_robot(path, held={"a": 1.5}).joints] == ["b"]
 
 
+@pytest.mark.parametrize("low, high", [(0.5, 1.5), (-1.5, -0.5)])
+def test_a_joint_may_be_held_at_an_end_of_its_range_up_to_rounding(tmp_path, low, high):
+    """Beyond it by a millionth of the range, on whichever side of zero that lies."""
+    path = written(tmp_path, urdf(f'<limit lower="{low}" upper="{high}"/>'), "hand.urdf")
+    beyond = 0.9e-6 * (high - low)
+    for angle in (low, high, low - beyond, high + beyond):
+        assert [joint.name for joint in read_robot(path, held={"a": angle}).joints] == ["b"]
+    for angle in (low - 2.0 * beyond, high + 2.0 * beyond):
+        with pytest.raises(ValueError, match=r"argument held\['a'\] must be in the joint's range"):
+            read_robot(path, held={"a": angle})
+
+
 def test_a_namespace_of_the_whole_file_changes_nothing(tmp_path):
     plain, spaced = urdf(), urdf(attributes='xmlns="http://example.org/urdf"')
     first, second = (read_robot(written(tmp_path, text, "hand.urdf")) for text in (plain, spaced))

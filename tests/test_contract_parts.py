@@ -55,7 +55,7 @@ PLACES = np.linspace(-0.02, 0.03, 16)
         ("bend", 0.9e-5, 1.2e-5, "but the curvature of"),
         ("bend", -0.9e-5, -1.2e-5, "but the curvature of"),
         # A millionth of the largest coordinate, 0.06 m at most.
-        ("aside", 0.3e-7, 0.7e-7, "with finite points"),
+        ("aside", 0.3e-7, 0.7e-7, "but the point of"),
     ],
 )
 def test_what_belongs_together_may_be_off_by_so_much(part, allowed, refused, words):
@@ -278,3 +278,17 @@ def test_an_error_at_the_first_place_is_there_only_where_a_contact_starts():
         assert f"{words}there was" in contract._along(Straight(**parts), falling, there=True)
         assert f"{words}at s = 0.4 m was" in contract._along(Straight(**parts), rising)
         assert f"{words}there was" in contract._along(Straight(**parts), rising, there=True)
+
+
+def test_the_place_is_named_at_which_a_curve_has_no_number():
+    class Broken(Bend):
+        def curve(self, s):
+            circle = super().curve(s)
+            return Vec2(circle.x, jnp.where(s == PLACES[11], jnp.nan, circle.y))
+
+        def frame(self, s):
+            frame = super().frame(s)
+            return Frenet2(self.curve(s), frame.tangent, frame.curvature)
+
+    found = contract._along(Broken(), PLACES)
+    assert found.startswith("with finite points") and f"at s = {PLACES[11]:.4g} m" in found

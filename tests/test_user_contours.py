@@ -122,7 +122,11 @@ FAULTS = {
     "curvature": (Curve(circle, bend=1.0001), 0.0, "frame is that of its curve, but the curvature of Curve"),
     "sign of the curvature": (Curve(circle, bend=-1.0), 0.0, "but the curvature of Curve there was -100 1/m"),
     "tangent": (Curve(circle, lean=1e-6), 0.0, "frame is that of its curve, but the tangent of Curve"),
-    "point": (Curve(circle, aside=1e-5), 0.0, "with finite points and derivatives"),
+    "point": (
+        Curve(circle, aside=1e-5),
+        0.0,
+        r"but the point of Curve there was \[0.01001, 0.0\] where the curve's is \[0.01, 0.0\]",
+    ),
     "not closed": (Curve(circle, (0.0, 0.06), closed=True), 0.0, "comes back to itself where it claims"),
     "closed without ends": (Curve(circle, closed=True), 0.0, "with ends, as Curve claims to be closed"),
     "domain the wrong way": (

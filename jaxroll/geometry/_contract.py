@@ -42,6 +42,7 @@ _SPREAD = 48  # places on a surface
 # Places to a cell at which a closed contour is looked at for crossings. Where the coarse polygon crosses
 # itself, the fine one decides, whose chords are 64 times as near to the curve.
 _PARTS = (1, 8)
+_APART = 1e-6  # how far a frame's point may be from the curve's, relative to its largest coordinate
 # Relative errors allowed in double and in single precision: of first derivatives, and of second ones.
 _ALLOWED = {np.dtype(np.float64): (1e-9, 1e-6), np.dtype(np.float32): (1e-4, 1e-2)}
 # The same for surfaces, where every error has this bound.
@@ -195,7 +196,7 @@ def _along(contour: AbstractContour, places: np.ndarray, *, there: bool = False)
     With `there`, the first place is a contact's start: an error at it comes before larger ones elsewhere.
     """
     found = [np.asarray(x) for x in _measured(contour, jnp.asarray(places))]
-    point, rate, tangent, own, curvature = found
+    point, tangent, own, place, rate, curvature = found
     # What is read from a table may be off by the table's own error.
     slack = 4.0 * max((unevenness(table) for table in _tables(contour)), default=0.0)
     first, second = (allowed + slack for allowed in _ALLOWED[point.dtype])
@@ -208,6 +209,13 @@ def _along(contour: AbstractContour, places: np.ndarray, *, there: bool = False)
     if not finite.all():
         return (
             f"with finite points and derivatives, but those of {{kind}} {at(1.0 - finite, 0.5)[1]} were not"
+        )
+    apart = np.abs(point - place).max(axis=1) / (np.abs(place).max(axis=1) + _NEAREST)
+    if apart.max() > _APART:
+        i, where = at(apart, _APART)
+        return (
+            f"whose frame is that of its curve, but the point of {{kind}} {where} was "
+            f"{shown(point[i])} where the curve's is {shown(place[i])}"
         )
     speed = np.hypot(*rate.T)
     if (off := np.abs(speed - 1.0)).max() > first:
@@ -308,16 +316,12 @@ def _prepared(contour: AbstractContour) -> AbstractContour:
 
 @quickly
 def _measured(contour: AbstractContour, places: Array) -> tuple[Array, ...]:
-    """Points, derivatives of the curve, tangents, curvatures of the frame, and those of the curve."""
+    """Points, tangents and curvatures: of the frame, and of the curve, whose tangent is its derivative."""
 
     def one(s: Array) -> tuple[Array, ...]:
         frame, curve = _frame(contour, s), frenet(contour.curve, s)
-        gap = frame.point.array() - curve.point.array()
-        # A frame whose point is not the curve's is reported by way of a NaN, as a point that is not finite.
-        away = jnp.max(jnp.abs(gap)) > 1e-6 * (jnp.max(jnp.abs(curve.point.array())) + _NEAREST)
-        point = jnp.where(away, jnp.nan, frame.point.array())
-        own = jnp.asarray(frame.curvature, point.dtype)
-        return point, curve.tangent.array(), frame.tangent.array(), own, curve.curvature
+        own = frame.point.array(), frame.tangent.array(), jnp.asarray(frame.curvature, s.dtype)
+        return *own, curve.point.array(), curve.tangent.array(), curve.curvature
 
     return jax.vmap(one)(places)
 

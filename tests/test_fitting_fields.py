@@ -611,15 +611,15 @@ def test_patches_of_normals_turn_to_where_more_ways_are_free(area, width, seen, 
 # How much to smooth from the noise.
 
 
-@pytest.mark.parametrize("noise", [None, 4e-4, 2e-5])
+@pytest.mark.parametrize("noise, degree", [(None, 5), (4e-4, 5), (2e-5, 5), (4e-4, 3), (4e-4, 7), (4e-4, 9)])
 @pytest.mark.parametrize("closed", [True, False])
-def test_smoothing_is_the_best_of_six_hundred_wavelengths(noise, closed):
+def test_smoothing_is_the_best_of_six_hundred_wavelengths(noise, degree, closed):
     """By the matrix that maps data to fit, for each of them: from two knots a wave, halved, to the length."""
     rng, n = np.random.default_rng(11), 60
     u = 2.0 * np.pi * np.arange(n) / n if closed else np.linspace(0.0, 4.0, n)
     points = 0.03 * np.stack([np.cos(u), 0.7 * np.sin(u + 0.1 * np.sin(2.0 * u))], axis=1) + (0.1, 0.05)
     points += 2e-4 * rng.normal(size=(n, 2))
-    matrix, rough, length = (np.asarray(x) for x in _smoothing._forms(points, 20, 5, closed))
+    matrix, rough, length = (np.asarray(x) for x in _smoothing._forms(points, 20, degree, closed))
     normal = matrix.T @ matrix / n
     waves = np.geomspace(length / matrix.shape[1], length, 600)
     scores = []
@@ -628,7 +628,7 @@ def test_smoothing_is_the_best_of_six_hundred_wavelengths(noise, closed):
         trace = np.sum(matrix.T * inverse)
         square = np.sum((points - matrix @ (inverse @ points)) ** 2)
         scores.append(square / (n - trace) ** 2 if noise is None else square + 4.0 * noise**2 * trace)
-    found = smoothing_for(points, closed=closed, noise=noise, knots=20)
+    found = smoothing_for(points, closed=closed, noise=noise, knots=20, degree=degree)
     best = int(np.argmin(scores))
     assert found == pytest.approx(waves[best], rel=1e-6)
     assert 0 < best < 599 or noise == 2e-5

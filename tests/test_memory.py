@@ -15,7 +15,7 @@ from jaxroll._motion import check_due
 from jaxroll.commands import Steps
 from jaxroll.control import Integral, Sampled
 from jaxroll.loads import Impulse
-from tests.measures import both_slopes
+from tests.measures import both_slopes, both_ways
 from tests.oracles import reference_space as reference
 from tests.oracles.chapter_part1 import JOINTS, Part1
 from tests.subjects.pinches_in_space import same_in_reference
@@ -423,6 +423,31 @@ def test_derivatives_of_a_sampled_run(scene):
         assert abs(slope) > 1e-6
         np.testing.assert_allclose(backwards[i], slope, rtol=1e-7)
     np.testing.assert_allclose(forwards, backwards @ along, rtol=1e-10)
+
+
+def test_the_end_of_a_run_that_a_sample_ended_moves_with_the_sample(scene):
+    """The pull that is held from there on opens the contact, however strong: the period alone moves it."""
+    grasp, state = scene
+
+    def ended(x):
+        period, force, when, damping = x
+        fading = jax.tree_util.Partial(lambda p, t: p[0] * (1.0 - (t / p[1]) ** 2), (force, when))
+        law = Sampled(grasp.with_(force=fading, damping=damping).controller, period)
+        run = jxr.simulate(grasp.with_(controller=law), state, 0.2, ts=1, rtol=1e-11, throw=False)
+        return jnp.concatenate([run.stats.t_end[None], run.last.q, 0.1 * run.last.v, run.last.memory[:1]])
+
+    x, steps = np.array([0.0203, 0.5, 0.07, 0.006]), np.array([2e-6, 1e-4, 1e-5, 1e-6])
+    weights = np.cos(np.arange(8.0))
+    both = both_ways(ended)
+    value, _, backwards = both(x, steps, weights)
+    assert float(value[0]) == pytest.approx(4 * x[0], rel=1e-14)
+    np.testing.assert_allclose(both(x, steps, np.eye(8)[0])[2], [4.0, 0.0, 0.0, 0.0], rtol=0, atol=1e-12)
+    for i, step in enumerate(steps * np.eye(4)):
+        near = [both(x + k * step, step, weights)[0] for k in (-2, -1, 1, 2)]
+        slopes = np.array([1.0, -8.0, 8.0, -1.0]) @ np.array(near) / 12
+        forwards = both(x, step, weights)[1]
+        np.testing.assert_allclose(forwards, slopes, rtol=0, atol=1e-6 * np.abs(slopes).max())
+        assert float(weights @ forwards) == pytest.approx(float(backwards[i] * steps[i]), rel=1e-9)
 
 
 def test_a_batch_of_periods_and_keys(scene):

@@ -51,7 +51,7 @@ from .._xla import (
 from ._backward_step import pulled_back
 from ._batch import Ensemble
 from ._bundle import Bundle, bundle, bundled_apart
-from ._jumps import is_short
+from ._jumps import is_at
 from ._methods import is_rosenbrock, on_tableau, without_checkpoints
 from ._run import empty_record, Path, Plan, Record, recorded, solo
 from ._state_vector import Flow
@@ -275,8 +275,20 @@ class _Steps(eqx.Module):
         ended = (row(self.ys, self.count)[self.margin + 1] > 0) & jnp.isfinite(drift) & (drift != 0)
         ended &= row(self.ts, self.count) > row(self.ts, 0)
         if self.plan.jumps is not None:  # a run that a jump ended moves with the jump alone (`_simulate`)
-            ended &= ~is_short(row(self.ts, self.count - 1), row(self.ts, self.count))
+            ended &= ~is_at(self.plan.jumps, row(self.ts, self.count - 1), row(self.ts, self.count))
+        if self.plan.stepper.lay.form.sampled:  # and one that a sample ended with the sample alone
+            ended &= ~self.by_sample
         return jnp.where(ended, -change / jnp.where(ended, drift, 1.0), 0.0)
+
+    @property
+    def by_sample(self) -> Scalar:
+        """Whether a sample's torques ended the run: its last step, of some rounding units, begins there.
+
+        The time that it was planned for is part of the state two steps before the end.
+        """
+        lay = self.plan.stepper.lay
+        planned, following = (row(self.ys, jnp.maximum(self.count - n, 0))[lay.due] for n in (2, 1))
+        return (following != planned) & (row(self.ys, self.count)[lay.margin + 1] > 0)
 
     @property
     def margin(self) -> int:
@@ -304,9 +316,12 @@ def _pushed(steps: _Steps, start: tuple[Bundle, Flow]) -> tuple[Array, ...]:
     """Tangents of the ends of a run, as `_Steps.tangents` has them."""
     (moving_dot, y_dot), dense, saves = start, steps.plan.dense, steps.plan.ts
 
-    def step(k: Scalar, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        saved, here, drift = carry
-        within = k < steps.count
+    lay, count = steps.plan.stepper.lay, steps.count
+
+    def step(k: Scalar, carry: tuple[Array, ...]) -> tuple[Array, ...]:
+        saved, here, drift, *planned = carry
+        planned = [jnp.where(k == count - 2, here[lay.due], dot) for dot in planned]
+        within = k < count
         along = (
             jax.tree.map(lambda dot: jnp.where(within, dot, 0.0), moving_dot),
             jnp.where(within, here, steps.passing),
@@ -314,25 +329,30 @@ def _pushed(steps: _Steps, start: tuple[Bundle, Flow]) -> tuple[Array, ...]:
         )
         here_now = (steps.moving, row(steps.ys, k), jnp.zeros((), here.dtype))
         _, ahead = jax.jvp(steps.step(k, pushed, forwards=True), here_now, along)
-        drift = jnp.where(k == steps.count, ahead, drift)
+        drift = jnp.where(k == count, ahead, drift)
         ahead = jnp.where(within, ahead, here)
         if dense:
-            return with_row(saved, ahead, k + 1), ahead, drift
+            return with_row(saved, ahead, k + 1), ahead, drift, *planned
         t0, t1 = steps.span(k)
-        return jnp.where(((t0 < saves) & (saves <= t1))[:, None], ahead, saved), ahead, drift
+        return jnp.where(((t0 < saves) & (saves <= t1))[:, None], ahead, saved), ahead, drift, *planned
 
     # With dense output the tangents of all recorded states, else of those at the save times.
     if dense:
         first = with_row(jnp.zeros_like(steps.ys), y_dot, 0)
     else:
         first = jnp.where((saves <= steps.ts[0])[:, None], y_dot, jnp.zeros((saves.shape[0], y_dot.shape[0])))
-    longest = eqxi.unvmap_max(steps.count)
+    longest = eqxi.unvmap_max(count)
     start_at = first, y_dot, jnp.zeros_like(y_dot)
-    rows, last, drift = jax.lax.fori_loop(0, longest + 1, step, start_at)
+    if lay.form.sampled:  # and the tangent of the time of the sample with which the last step begins
+        start_at = *start_at, y_dot[lay.due]
+    rows, last, drift, *planned = jax.lax.fori_loop(0, longest + 1, step, start_at)
     saved = rows[steps.saved_at()[0]] if dense else rows
     later = steps.postponed(drift[steps.margin], last[steps.margin])
     moved = steps.postponed(drift[steps.margin], last[steps.margin] * drift)
-    reached = saves <= row(steps.ts, steps.count)
+    for dot in planned:
+        later += jnp.where(steps.by_sample, dot, 0.0)
+        moved += jnp.where(steps.by_sample, dot * drift, 0.0)
+    reached = saves <= row(steps.ts, count)
     ends = jnp.where(reached[:, None], saved, 0.0), last + moved, later
     return (*ends, rows) if dense else ends
 
@@ -345,6 +365,11 @@ def _pulled(steps: _Steps, ends: tuple[Array, ...]) -> tuple[Bundle, Flow]:
     saved_bar, last_bar, later_bar, *rows_bar = ends
     longest, end = eqxi.unvmap_max(steps.count), steps.count
     zero, unit = jnp.zeros((), last_bar.dtype), jnp.arange(last_bar.shape[0]) == steps.margin
+    # Where the cotangent of a delay goes: to the margin of the end, or to the time of the sample that was it.
+    delayed, entry = end, unit
+    if (lay := steps.plan.stepper.lay).form.sampled:
+        delayed = jnp.where(steps.by_sample, end - 2, end)
+        entry = jnp.arange(last_bar.shape[0]) == jnp.where(steps.by_sample, lay.due, lay.margin)
     # Each recorded vector gets the cotangents of all save times that it serves.
     index, reached = steps.saved_at()
     saved_bar = jnp.where(reached[:, None], saved_bar, 0.0)
@@ -360,10 +385,13 @@ def _pulled(steps: _Steps, ends: tuple[Array, ...]) -> tuple[Bundle, Flow]:
         # How fast time alone moves what `ahead` weighs: turn 0 weighs the margin, turn 1 the end's cotangent.
         along = jnp.sum(back * steps.passing) + shift
         drift = jnp.where(i == 0, along, drift)
-        late = jnp.where(i == 1, steps.postponed(drift, later_bar + along), late)
+        delay = steps.postponed(drift, later_bar + along)
+        if lay.form.sampled:
+            delay = jnp.where(steps.by_sample, later_bar + along, delay)
+        late = jnp.where(i == 1, delay, late)
         used, here = (i > 1) & (k < end), jnp.where(i == 1, longest, k)
         ahead = row(track, here) + jnp.where(used, back, 0.0)
-        ahead += jnp.where(here == end, last_bar + jnp.where(unit, late, 0.0), 0.0)
+        ahead += jnp.where(here == end, last_bar, 0.0) + jnp.where((here == delayed) & entry, late, 0.0)
         moving_bar = jax.tree.map(lambda total, part: total + jnp.where(used, part, 0.0), moving_bar, more)
         return i + 1, moving_bar, jnp.where(i == 0, last_bar, ahead), drift, late
 

@@ -122,6 +122,13 @@ def is_short(t0: Scalar, t1: Scalar) -> Scalar:
     return (t1 > t0) & (t1 - t0 <= 2.0 * grain(t1))
 
 
+def is_at(jumps: Array, t0: Scalar, t1: Scalar) -> Scalar:
+    """Whether a step is one of the two short ones at one of these jumps; an event's last step is as short."""
+    at = jnp.where(jnp.isfinite(jumps), jumps, 0.0)
+    ends = (t1 == at) | (t1 == at + grain(at))
+    return is_short(t0, t1) & jnp.any(ends & jnp.isfinite(jumps))
+
+
 def hits(t0: Scalar, t1: Scalar, time: Scalar) -> Scalar:
     """Whether a step is the second of the three at a time, which a blow at that time acts in."""
     t0, t1, time = jax.lax.stop_gradient((t0, t1, time))

@@ -120,7 +120,7 @@ def _march_jvp(primals: Any, tangents: Any) -> tuple[Path, Path]:
     moving, still, moving_dot = bundled_apart(grasp, *perturbed(grasp, grasp_dot)[::2])
     # With tangents asked for, the run is made once, recording; without, `march` itself runs.
     path, record = _recorded(eqx.combine(moving, still), y0, plan)
-    steps = _Steps(moving, still, plan, y0, record, path.steps[1])
+    steps = _Steps(moving, still, plan, y0, record, _led(path, record))
     steps = eqxi.nondifferentiable(steps, name="the state of a run (second derivatives)")
     start_dot = moving_dot, jnp.zeros_like(y0) if y0_dot is None else y0_dot
     ends: tuple[Array, ...] = (path.saved, path.last, path.t_last)
@@ -205,6 +205,17 @@ def _on_processor() -> bool:
     return jax.default_backend() == "cpu"
 
 
+def _led(path: Path, record: Record) -> Int[Array, ""]:
+    """How many of the recorded steps led to the last state.
+
+    One to where something is not finite leaves the state as it was: its derivative is not finite either.
+    """
+    count = path.steps[1]
+    before, end = (row(record.ys, jnp.maximum(count + -n, 0)) for n in (1, 0))
+    stayed = (count > 0) & (end[-1] > 0) & jnp.all(end[:-1] == before[:-1])
+    return jnp.where(stayed, count + -1, count)
+
+
 class _Steps(eqx.Module):
     """The recorded steps of a run, as a linear map between perturbations of its ends.
 
@@ -223,7 +234,7 @@ class _Steps(eqx.Module):
     def recorded_anew(self) -> "_Steps":
         """The same, from a run made once more: of many, none has kept its record."""
         path, record = recorded(eqx.combine(self.moving, self.still), self.start, self.plan)
-        return replace(self, record=record, count=path.steps[1])
+        return replace(self, record=record, count=_led(path, record))
 
     @property
     def ts(self) -> Float[Array, " steps"]:

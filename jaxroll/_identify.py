@@ -27,17 +27,17 @@ from ._results import (
     shown,
     traceable,
 )
-from ._types import Given
+from ._types import ByPrecision, Given
 
 # Damping of the first step, over the diagonal of the Gauss-Newton matrix; its factor up and down; its most.
 _FIRST, _FACTOR, _MOST = 1e-3, 10.0, 1e12
 # The last step is shorter than this many standard deviations, or than this share of each number.
-_LAST, _SHARE = 1e-3, 1e-9
+_LAST, _SHARE = ByPrecision(1e-3, 1e-2), ByPrecision(1e-9, 1e-6)
 # Where no step goes down, rounding makes the derivative ask for one of at most this share of each number.
-_ROUNDING = 1e-6
-# Eigenvalues of the scaled Gauss-Newton matrix below this share of the largest are zero: of a direction that
+_ROUNDING = ByPrecision(1e-6, 1e-3)
+# Singular values of the scaled derivative below the first share of the largest are zero: of a direction that
 # belongs to one the data tell nothing, nor of a number that takes part in it by more than the second figure.
-_UNTOLD, _PART = 1e-14, 1e-6
+_UNTOLD, _PART = ByPrecision(1e-7, 1e-5), ByPrecision(1e-6, 1e-3)
 # A number whose deviation is so many times itself is none.
 _GUESSED = 1e6
 # Ends of a run that say that it is none; others, such as a lost contact, may have been measured.
@@ -233,15 +233,16 @@ def _descend(
         step = np.linalg.lstsq(scaled, downhill, rcond=None)[0]
         new_left, new_slopes, *new_rest = evaluate(x + step)
         if _has_squares(new_left) and _has_squares(new_slopes) and new_left @ new_left <= left @ left:
-            small = np.sqrt(step @ matrix @ step) < _LAST * _deviation(left, len(x), known=known)
+            last = _LAST.of(slopes) * _deviation(left, len(x), known=known)
+            small = np.sqrt(step @ matrix @ step) < last
             x, left, slopes, rest = x + step, new_left, new_slopes, new_rest
             damping /= _FACTOR
-            if damping < _FIRST and (small or np.all(np.abs(step) < _SHARE * np.abs(x))):
+            if damping < _FIRST and (small or np.all(np.abs(step) < _SHARE.of(slopes) * np.abs(x))):
                 return x, count, RESULTS.successful, (left, slopes, *rest)
         else:
             damping *= _FACTOR
             # No step goes down any more; or rounding alone decides which ones do, and would for ever.
-            if damping > _MOST or _arrived(x, left, slopes):
+            if damping > _MOST or _arrived(x, left, slopes, known=known):
                 return x, count, _at_an_end(x, left, slopes, known=known), (left, slopes, *rest)
     return x, steps, RESULTS.max_steps_reached, (left, slopes, *rest)
 
@@ -257,9 +258,14 @@ def _has_squares(values: np.ndarray) -> bool:
         return bool(np.isfinite(np.sum(np.square(values))))
 
 
-def _arrived(x: np.ndarray, left: np.ndarray, slopes: np.ndarray) -> bool:
-    """Whether the derivative asks for a step of next to nothing, though no damping shortens it."""
-    return bool(np.all(np.abs(_undamped(left, slopes)) < _SHARE * np.abs(x)))
+def _arrived(x: np.ndarray, left: np.ndarray, slopes: np.ndarray, *, known: bool) -> bool:
+    """Whether the derivative asks for a step of next to nothing, though no damping shortens it.
+
+    That is a step as short as the last one, of which the errors of the runs may decide whether it goes down.
+    """
+    step, unit = _undamped(left, slopes), _deviation(left, len(x), known=known)
+    near = np.linalg.norm(slopes @ step) < _LAST.of(slopes) * unit
+    return bool(near or np.all(np.abs(step) < _SHARE.of(slopes) * np.abs(x)))
 
 
 def _undamped(left: np.ndarray, slopes: np.ndarray) -> np.ndarray:
@@ -274,21 +280,27 @@ def _at_an_end(x: np.ndarray, left: np.ndarray, slopes: np.ndarray, *, known: bo
     promises more than rounding, but neither leads to a minimum nor says how well numbers are known.
     """
     step, unit = _undamped(left, slopes), _deviation(left, len(x), known=known)
-    promised = np.linalg.norm(slopes @ step) > _LAST * unit and np.any(np.abs(step) > _ROUNDING * np.abs(x))
+    last, share = _LAST.of(slopes), _ROUNDING.of(slopes)
+    promised = np.linalg.norm(slopes @ step) > last * unit and np.any(np.abs(step) > share * np.abs(x))
     return RESULTS.solver_failed if promised else RESULTS.successful
 
 
 def _inverse(slopes: np.ndarray) -> np.ndarray:
-    """The inverse of the Gauss-Newton matrix; infinite for numbers of which the data tell nothing."""
-    matrix = slopes.T @ slopes
-    if not np.isfinite(matrix).all():
-        return np.full(matrix.shape, np.inf)
-    size = np.sqrt(np.diag(matrix))
+    """The inverse of the Gauss-Newton matrix; infinite for numbers of which the data tell nothing.
+
+    By the singular values of its root, the derivative: what is below a thousandth of the largest is lost in
+    rounding where it is squared in single precision.
+    """
+    count, least, part = slopes.shape[1], _UNTOLD.of(slopes), _PART.of(slopes)
+    if not _has_squares(slopes):
+        return np.full((count, count), np.inf)
+    root = slopes.astype(float)
+    size = np.linalg.norm(root, axis=0)
     scale = np.where(size > 0.0, size, 1.0)
-    values, ways = np.linalg.eigh(matrix / np.outer(scale, scale))
-    told = values > _UNTOLD * values[-1]
-    inverse = ways[:, told] / values[told] @ ways[:, told].T / np.outer(scale, scale)
-    unknown = np.any(np.abs(ways[:, ~told]) > _PART, axis=1)
+    _, values, ways = np.linalg.svd(root / scale, full_matrices=False)
+    told = values > least * values[0]
+    inverse = ways[told].T / values[told] ** 2 @ ways[told] / np.outer(scale, scale)
+    unknown = np.any(np.abs(ways[~told]) > part, axis=0)
     inverse[unknown, :] = inverse[:, unknown] = np.inf
     return inverse
 

@@ -201,6 +201,14 @@ def test_a_search_ends_where_rounding_alone_is_left():
     np.testing.assert_allclose(x, 1.0, rtol=1e-12)
 
 
+@pytest.mark.parametrize(("dtype", "away"), [(float, 0.9e-3), (np.float32, 0.9e-2)])
+def test_a_search_ends_where_the_errors_of_runs_decide_which_steps_go_down(dtype, away):
+    """Every step costs more than it brings, but for steps that rounding makes none of, which cost nothing."""
+    start, slopes = np.array([1.0 + away], dtype), np.array([[1.0], [0.0]], dtype)
+    both = lambda x: (np.array([float(x[0]) - 1.0, 3.0 + 1e-3 * (float(x[0]) != start[0])], dtype), slopes)  # noqa: E731
+    assert _descend(both, start, 30, known=True)[:3] == (start, 1, jxr.RESULTS.successful)
+
+
 def test_a_search_ends_where_no_step_goes_down():
     """The damping rises by ten from a thousandth, until it is above 1e12; no slope is there, but an edge."""
     start, damping, count = np.ones(1), 1e-3, 0
@@ -237,6 +245,20 @@ def test_two_numbers_are_told_apart_above_rounding(share, told):
     between = 1.0 - 2.0 * share
     slopes = np.array([[1.0, between], [0.0, np.sqrt(1.0 - between**2)]]) * [3.0, 5.0]
     assert np.isfinite(_inverse(slopes)).all() == told
+
+
+@pytest.mark.parametrize("dtype", [float, np.float32])
+def test_of_numbers_whose_ratios_alone_count_nothing_is_told_in_single_precision_too(dtype):
+    """The squares of such a derivative are singular to rounding, of which the root is above a thousandth."""
+    t, rng = np.linspace(0.1, 1.0, 40), np.random.default_rng(0)
+    one, other, alone = np.exp(-t), t * np.exp(-t), np.cos(9.0 * t)
+    for first, second in rng.uniform(0.2, 5.0, (20, 2)):
+        ratios = [first * one, second * other, -first * one - second * other]
+        slopes = np.stack([*ratios, alone], axis=1).astype(dtype)
+        found = _inverse(slopes)
+        assert np.isinf(found[:3]).all()
+        root = np.linalg.inv(np.linalg.qr(np.stack([one, other, alone], axis=1), "r"))
+        np.testing.assert_allclose(found[3, 3], root[2] @ root[2], rtol=1e-5)
 
 
 @pytest.mark.parametrize(("part", "told"), [(0.85e-6, True), (1.2e-6, False)])

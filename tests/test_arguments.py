@@ -48,6 +48,7 @@ SPACE = jxr.Grasp(
     controller=control.Opposition(**OPPOSITION),
 )
 STATE = jxr.State([0.1, 1.0, 0.5], [0, 0, 0], [0])
+ALONE = PINCH.with_(gravity=(0, 0), alpha=0.0)
 PINCHED = jxr.State(np.zeros(7), np.zeros(7), np.zeros(2))
 
 BAD = {
@@ -653,7 +654,7 @@ GIVEN_STATES = {
     "equilibrium": lambda state: stability.equilibrium(PLANE, state),
     "assess": lambda state: stability.assess(PLANE, state),
     "orientations": lambda state: control.orientations(PLANE, state),
-    "pinch_rest": lambda state: stability.pinch_rest(PINCH, STATE if state is PINCHED else state),
+    "pinch_rest": lambda state: stability.pinch_rest(ALONE, STATE if state is PINCHED else state),
     "pinch_balance": lambda state: jxr.pinch_balance(PINCH, 0.0, STATE if state is PINCHED else state),
 }
 FOREIGN = {
@@ -711,7 +712,7 @@ FUNCTIONS = {
         {"grasp": GRASP, "s": PAIR | {"many": np.zeros((3, 2))}},
     ),
     stability.pinch_rest: (
-        {"grasp": PINCH, "state": PINCHED, "damping": 0.0},
+        {"grasp": ALONE, "state": PINCHED, "damping": 0.0},
         {},
         {"grasp": GRASP, "damping": {"negative": -0.1, "large": 1.5, "two": (0.1, 0.1)}},
     ),

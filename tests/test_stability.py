@@ -479,9 +479,67 @@ def test_single_precision_finds_the_equilibria_of_a_batch(scene):
     np.testing.assert_allclose(single.state.q, found.state.q, rtol=0, atol=1e-5)
 
 
+def pinched_alone(**given):
+    """A pinch of which the potential U alone says where it rests, but for what is given."""
+    grasp, state = runs.scene("pinch_ellipse")
+    return grasp.with_(**{"alpha": 0.0} | given), state
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"alpha": 1e-3}, "must have alpha = 0 "),
+        ({"alpha": (0.0, -1e-3)}, "must have alpha = 0 "),
+        ({"alpha": lambda t: 0.0 * t}, "must have alpha = 0 "),
+        ({"gravity": (0.0, -9.81)}, "must have no gravity "),
+        ({"load": jxr.loads.Push((0.0, 1.0), 0.1, 0.1)}, "must have no loads "),
+    ],
+)
+def test_where_more_than_its_potential_acts_a_pinch_rests_elsewhere(given, words):
+    """Under gravity U bends up where the grasp falls; with alpha it rests a tenth of a millimetre further."""
+    with pytest.raises(ValueError, match=f"argument grasp {words}") as caught:
+        pinch_rest(*pinched_alone(**given))
+    assert "\n" not in str(caught.value)
+
+
+def test_what_does_nothing_at_rest_is_no_reason_to_refuse_a_pinch():
+    loads = (jxr.loads.Drag(0.1), jxr.loads.Impulse((0.0, 1e-3), 0.1))
+    s, _ = pinch_rest(*pinched_alone(gravity=(0.0, 0.0), load=loads))
+    np.testing.assert_array_equal(s, pinch_rest(*pinched_alone())[0])
+
+
+def test_numbers_that_jax_traces_leave_no_place_of_rest_where_they_are_not_zero():
+    at = jax.jit(lambda alpha, g: pinch_rest(*pinched_alone(alpha=alpha, gravity=g)))
+    for alpha, g in ((1e-3, (0.0, 0.0)), (0.0, (0.0, -9.81))):
+        assert all(np.isnan(x).all() for x in jax.tree.leaves(at(alpha, jnp.array(g))))
+    np.testing.assert_allclose(at(0.0, jnp.zeros(2))[0], pinch_rest(*pinched_alone())[0], atol=1e-14)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ways", [1, 2])
+def test_jaws_that_keep_their_angles_do_not_rest_where_their_potential_is_least(ways):
+    """Rolling on one jaw turns the object, and so rolls it on the other: U is least along one line only."""
+    held, state = pinched_alone()
+    middle, tip = np.asarray(state.q[:2]), jxr.Ellipse(0.012, 0.02).moved((0.002, 0.001))
+    jaws = [
+        jxr.Jaw(tip, 0.1, [0.0, np.pi / 2][:ways], base=middle + np.array(base), angle=angle)
+        for base, angle in (((-0.029, 0.002), 0.0), ((0.029, -0.001), np.pi))
+    ]
+    gripper = jxr.Grasp(
+        held.object, jaws, held.contacts, controller=jxr.control.Opposition(20.0, 0.006, start=(0.0, 0.0))
+    )
+    guess = jxr.State(jnp.append(state.q[:3], np.zeros(2 * ways)), np.zeros(3 + 2 * ways), state.s)
+    gripper, closed = jxr.close(gripper, guess, locate=True)
+    rest = equilibrium(gripper, closed).state
+    slope = pinch_statics(gripper, jxr.contact_geometry(gripper, rest).s).gradient
+    assert np.max(np.abs(slope)) > 1e-3
+    with pytest.raises(ValueError, match="must have fingertips that roll independently of each other"):
+        pinch_rest(gripper, closed)
+
+
 def test_single_precision_finds_where_a_pinch_rests():
     """In a batch of starts, at a distance of the centres of some centimetres."""
-    grasp, state = runs.scene("pinch_ellipse")
+    grasp, state = pinched_alone()
     away = np.array([[0.0, 0.0], [1e-3, -2e-3], [-3e-3, -1e-3]])
 
     def rests(grasp, state, away):

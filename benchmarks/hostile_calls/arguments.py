@@ -694,6 +694,9 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         grasp=_PINCH,
         s=_is("array", (0.0, 0.0), "empty rows", "itself, one axis more"),
     ),
-    "pinch_rest": {"grasp": _PINCH, "state": _made("state", pinch_state)},
+    "pinch_rest": {
+        "grasp": _made("grasp", lambda: pinch()[0].with_(alpha=0.0), "None in it"),
+        "state": _made("state", pinch_state),
+    },
     "assess": {"tolerance": _is("not negative", 1e-7)},
 }

@@ -57,7 +57,7 @@ class Firmness(AbstractGoal):
 
     - 'stiffness': the smaller eigenvalue of the Hessian of $U(s_1, s_2)$, (39)-(40) on any contours, over the
       angles by which the fingertips turn against the object [N m/rad]: for a pinch of two fingers under
-      `control.Opposition` with $\alpha_i = 0$ and without gravity. Seconds to compile
+      `control.Opposition` with $\alpha_i = 0$ and without gravity and loads. Seconds to compile
       (`stability.pinch_rest`). On a rectangle with two like fingertips it is $\beta |l|$ times the margin of
       (41).
     - 'curvature': the smallest eigenvalue of the Hessian of the potential on the constraint manifold, per
@@ -77,12 +77,13 @@ class Firmness(AbstractGoal):
 
     Raises:
         ValueError: If `make` cannot be called so, `cases` have no common leading axis, `measure` is none of
-            the three, `neutral` is not a whole number from 0 up, or `scale` is not positive.
+            the three, `neutral` is not a whole number from 0 up, or `scale` is not positive; and when the
+            search begins, if there is no equilibrium in the first case, or 'stiffness' does not apply there.
 
     Example:
         >>> import jaxroll as jxr, jax.numpy as jnp
         >>> goal = jxr.design.Firmness(
-        ...     lambda tip, a: jxr.scenes.pinch_ellipse(a, 0.02, tips=tip),
+        ...     lambda tip, a: jxr.scenes.pinch_ellipse(a, 0.02, tips=tip, alpha=0.0),
         ...     cases=jnp.linspace(0.012, 0.018, 4),
         ... )
     """
@@ -113,7 +114,12 @@ class Firmness(AbstractGoal):
         case = jax.tree.map(lambda x: x[:1], self.cases)
         values, neutral = _first(self.make, case, self.measure, tabled(tip))
         if not np.all(np.isfinite(values)):
-            raise ValueError("argument tip must have an equilibrium in the first case, but none was found")
+            alone = (
+                ", for 'stiffness' with alpha = 0 and without gravity" if self.measure == "stiffness" else ""
+            )
+            raise ValueError(
+                f"argument tip must have an equilibrium in the first case{alone}, but none was found"
+            )
         left_out = int(neutral[0]) if self.neutral is None else self.neutral
         scale = np.sort(np.abs(values[0]))[left_out] if self.scale is None else self.scale
         more = {"measure": self.measure, "neutral": left_out, "scale": scale}

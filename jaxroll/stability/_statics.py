@@ -23,12 +23,13 @@ from jaxtyping import Array, Float
 from .._analysis import check_pinch
 from .._fields import is_command
 from .._linalg import Vec2
-from .._mechanics import compiled, Grasp, State
+from .._mechanics import check_grasp, compiled, Grasp, State
 from .._printing import listed
 from .._results import as_array, as_share, check_finite, check_instance, concrete, shown
 from .._types import ByPrecision, Given, Scalar
 from ..control import Opposition
 from ..geometry import AbstractContour, Catenary, Circle, Ellipse, Frenet2, Moved
+from ..loads import Drag, Impulse
 
 
 class PinchStatics(eqx.Module):
@@ -68,7 +69,7 @@ def pinch_statics(grasp: Grasp, s: Given) -> PinchStatics:
     The distance of the two finger centres depends only on where both fingertips touch, since tangency
     fixes their orientations relative to the object. Its stationary points are where $O_1, P_1, P_2, O_2$ are
     collinear (on parallel faces $d = 0$ and $b_i \cdot \gamma_i = 0$); the chapter's (37) is not
-    sufficient. With $\alpha_i = 0$ they are the equilibria of the grasp.
+    sufficient. They are the equilibria of a grasp that has nothing besides: `pinch_rest` says what that is.
 
     Args:
         grasp: Two fingers, one contact each, driven by `control.Opposition`.
@@ -170,8 +171,9 @@ def pinch_rest(grasp: Grasp, state: State, *, damping: float = 0.0) -> tuple[Flo
     r"""Where a pinch comes to rest under control (16), and the statics there: $\partial U/\partial s_i = 0$.
 
     Newton's method on the two contact places alone: no pose, no masses, so that it costs next to nothing
-    beside `equilibrium`. It holds without gravity and with $\alpha_i = 0$. The stationary point
-    found near the start need not be a minimum: the eigenvalues of its Hessian tell.
+    beside `equilibrium`. It holds where U is all that decides: without gravity and loads, with
+    $\alpha_i = 0$, and where fingertips roll independently of each other, which the two jaws of a gripper do
+    not. The stationary point found near the start need not be a minimum: the eigenvalues of its Hessian tell.
 
     Args:
         grasp: A pinch, as `pinch_statics` takes it.
@@ -180,23 +182,47 @@ def pinch_rest(grasp: Grasp, state: State, *, damping: float = 0.0) -> tuple[Flo
             the derivative: where the place at rest is neutral, it is not differentiable. By default exact.
 
     Returns:
-        The chapter's $s_i$ at rest [m], as `pinch_statics` takes them and NaN where none was found, and the
-        statics there. Derivatives, in both
-        modes, are those of the implicit function theorem.
+        The chapter's $s_i$ at rest [m], as `pinch_statics` takes them, and the statics there; NaN where none
+        was found, or where $\alpha_i$ or gravity, unknown while JAX traces them, are not zero. Derivatives,
+        in both modes, are those of the implicit function theorem.
 
     Raises:
-        ValueError: If the grasp is not such a pinch, the state is not one of it, or `damping` is no share.
+        ValueError: If the grasp is not such a pinch, more than U decides where it rests, the state is not one
+            of it, or `damping` is no share.
 
     Accuracy: to rounding, in single precision places to some 1e-6 of the distance of the finger centres.
 
     Example:
         >>> import jax.numpy as jnp
         >>> import jaxroll as jxr
-        >>> s, rest = jxr.stability.pinch_rest(*jxr.scenes.pinch_ellipse())
+        >>> s, rest = jxr.stability.pinch_rest(*jxr.scenes.pinch_ellipse(alpha=0.0))
         >>> bool(jnp.all(jnp.linalg.eigvalsh(rest.hessian) > 0))
         True
     """
+    check_grasp(grasp)
+    _check_alone(grasp)
     return _pinch_rest(grasp, state, as_share("damping", damping))
+
+
+def _check_alone(grasp: Grasp) -> None:
+    """Raise where it is known that more than U decides where a pinch rests."""
+    _check_constant(grasp)
+    wanted, other = "for its potential U alone to say where it rests", "`stability.equilibrium` takes any"
+    if is_command(alpha := grasp.controller.alpha) or np.any(concrete(alpha)):
+        raise ValueError(f"argument grasp must have alpha = 0 {wanted}, but had {shown(alpha)}; {other}")
+    if grasp.gravity is not None and np.any(seen := concrete(grasp.gravity)):
+        raise ValueError(f"argument grasp must have no gravity {wanted}, but had {shown(seen)}; {other}")
+    # Blows and drag do nothing at rest.
+    if acting := [load for load in grasp.load if not isinstance(load, Drag | Impulse)]:
+        raise ValueError(f"argument grasp must have no loads {wanted}, but had {shown(acting[0])}; {other}")
+    # The motions that closed contacts leave; what does not turn fixes how both places go with the object.
+    ways = grasp.coordinates - 2 * len(grasp.contacts)
+    if ways < 2 or not any(finger.joints and finger.turns for finger in grasp.fingers):
+        raise ValueError(
+            f"argument grasp must have fingertips that roll independently of each other {wanted}, but its "
+            f"fingers were {shown([type(finger).__name__ for finger in grasp.fingers])} with "
+            f"{shown([finger.joints for finger in grasp.fingers])} joints; {other}"
+        )
 
 
 @compiled
@@ -217,7 +243,14 @@ def _pinch_rest(grasp: Grasp, state: State, damping: float) -> tuple[Array, Pinc
     # beta times the distance of the centres: the force with which the fingers pull [N].
     size = jnp.sqrt(2.0 * still.controller.beta * statics.potential)
     firm = jnp.max(jnp.abs(_rolled(still, found).gradient)) <= _AT_REST.of(size) * size
+    firm = firm & _is_alone(still)
     return jax.tree.map(lambda x: jnp.where(firm, x, jnp.nan), (rest, statics))
+
+
+def _is_alone(grasp: Grasp) -> Array:
+    """Whether alpha and gravity of a pinch are zero, so that U decides where it rests."""
+    gravity = 0.0 if grasp.gravity is None else grasp.gravity
+    return jnp.all(jnp.asarray(grasp.controller.alpha) == 0.0) & jnp.all(jnp.asarray(gravity) == 0.0)
 
 
 # Gradient of U below which a place counts as one of rest, relative to the force between the centres.

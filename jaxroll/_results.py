@@ -80,6 +80,7 @@ class RESULTS(eqx.Enumeration):
     torque_limit = "The controller asks for more than the largest torque of a joint."
     links_meet = "A finger's links meet the object or another finger's."
     undetermined = "What was measured tells nothing of the numbers that were sought."
+    unordered_times = "The run's save times do not rise from its start to its end."
 
 
 def missing_library(library: str, extra: str) -> ImportError:

@@ -62,7 +62,14 @@ _MEND = {
     "driven": "a controller with a potential, that takes energy out of every motion (`damping` above zero)",
 }
 # Ends of a run that say nothing of where the grasp goes.
-_NOWHERE = ("successful", "max_steps_reached", "step_collapsed", "not_finite", "solver_failed")
+_NOWHERE = (
+    "successful",
+    "max_steps_reached",
+    "step_collapsed",
+    "not_finite",
+    "solver_failed",
+    "unordered_times",
+)
 
 
 @dataclass(frozen=True)

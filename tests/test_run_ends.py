@@ -19,6 +19,7 @@ from jaxroll._integration._state_vector import Layout, pack, states_of, unpack, 
 from jaxroll._integration._step import RollingStep, sample_times
 from jaxroll._mechanics import Form, State
 from jaxroll._motion import _quantities
+from tests.recorded import runs
 
 NAN, INF = math.nan, math.inf
 PLACES = jax.tree.structure(((0.0, 0.0), 0.0))
@@ -383,3 +384,48 @@ def test_one_run_is_told_from_many_and_from_what_is_none():
         assert str(error.value).startswith(told)
     with pytest.raises(ValueError, match="argument t must be given to a run that kept its steps"):
         one(0.5)
+
+
+@pytest.fixture(scope="module")
+def of_traced_times():
+    """A run whose times are unknown until its program runs."""
+    grasp, state = runs.scene("pivoted")
+    return jax.jit(lambda t0, t1, ts, dt0: jxr.simulate(grasp, state, t1, t0=t0, ts=ts, dt0=dt0, throw=False))
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"ts": [0.01, 0.02, 0.04]},
+        {"ts": [0.04, 0.05, 0.06]},
+        {"ts": [0.01, 0.03, 0.02]},
+        {"ts": [-0.01, 0.01, 0.02]},
+        {"ts": [0.01, np.nan, 0.02]},
+        {"ts": [0.01, 0.02, np.inf]},
+        {"t1": -0.03},
+        {"t1": np.nan},
+        {"t0": -np.inf},
+        {"t0": np.nan},
+        {"dt0": -1e-4},
+        {"dt0": 0.0},
+        {"dt0": np.inf},
+    ],
+    ids=str,
+)
+def test_times_that_only_a_program_sees_and_that_do_not_rise_are_no_run(of_traced_times, changed):
+    """Known ones are refused; these were said to have collapsed the steps, with states beyond the end."""
+    given = {"t0": 0.0, "t1": 0.03, "ts": [0.01, 0.02, 0.03], "dt0": 1e-4}
+    asked = lambda given: of_traced_times(*(jnp.asarray(x) for x in given.values()))  # noqa: E731
+    assert asked(given).result == jxr.RESULTS.successful
+    run = asked(given | changed)
+    assert run.result == jxr.RESULTS.unordered_times and int(run.stats.accepted) <= 1
+    assert np.isnan(run.states.q).all() and np.isnan(run.last.q).all()
+
+
+def test_one_lane_whose_times_do_not_rise_leaves_the_others_theirs():
+    grasp, state = runs.scene("pivoted")
+    run = jax.vmap(lambda t1: jxr.simulate(grasp, state, t1, ts=2, throw=False))(jnp.array([0.02, -0.02]))
+    assert repr(run.result) == "[successful, unordered_times]"
+    alone = jxr.simulate(grasp, state, 0.02, ts=2)
+    np.testing.assert_allclose(run.states.q[0], alone.states.q, rtol=0, atol=1e-10)
+    assert np.isnan(run.states.q[1]).all()

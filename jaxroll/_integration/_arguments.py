@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._motion import closed_within
-from .._results import as_array, as_count, check_instance, concrete, shown, told_apart
+from .._results import as_array, as_count, check_instance, concrete, shown, told_apart, traced
 
 # What diffrax calls these, for the signatures of packages that leave diffrax to this one.
 Solver = diffrax.AbstractSolver[Any]
@@ -154,6 +154,15 @@ def check_times(saved: Any, bounds: np.ndarray | None = None) -> None:
     if bounds is not None and (seen[0] < bounds[0] or seen[-1] > bounds[1]):
         low, high, first, last = told_apart(*bounds, seen[0], seen[-1])
         raise ValueError(f"argument ts must lie within [{low}, {high}], but ran from {first} to {last}")
+
+
+def ordered_times(numbers: Numbers) -> Any:
+    """Whether traced times rise from start to end and the first step moves time; None where all are known."""
+    t0, t1, ts, dt0 = numbers[:4]
+    if not traced(numbers[:4]):
+        return None
+    rises = jnp.all(ts[1:] >= ts[:-1]) & (ts[0] >= t0) & (ts[-1] <= t1) & (t1 > t0)
+    return rises & jnp.isfinite(t0) & jnp.isfinite(t1) & jnp.isfinite(dt0) & (t0 + dt0 > t0)
 
 
 def unclosed(off: Any) -> str:

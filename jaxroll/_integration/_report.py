@@ -68,6 +68,8 @@ REMEDIES = {
     "not_finite": "look at the last state: a number of the grasp, a time, or a function of your own is or "
     "gives NaN there",
     "unreachable": "`jaxroll.close(grasp, state)` first",
+    "unordered_times": "`ts` that rises from `t0` to a later `t1`, and a `dt0` above zero: unknown before a "
+    "compiled function runs, they are first looked at there",
     "unresolved": "more `cells` for that contour, or points with less noise",
     "solver_failed": "another `solver`, or none: the default",
 }

@@ -51,6 +51,7 @@ from ._arguments import (
     check_meter,
     check_solver,
     Numbers,
+    ordered_times,
     RECORDS,
     RTOL,
     step_limit,
@@ -133,7 +134,8 @@ def simulate(
         RuntimeError: If `throw` and the run ended early; with `throw=False` all that was computed is
             returned with its code.
 
-    Batching: `vmap` over any array; each lane has its own code, and no lane changes another.
+    Batching: `vmap` over any array; each lane has its own code, and no lane changes another. Of times that
+    JAX traces and that do not rise from `t0` to `t1` the code is `unordered_times`, and every row NaN.
     Events: a run ends where its model does, at the root of the force, distance or angle that runs out, to
     rounding in time; `stats.t_end` and `last` carry the derivative of that time. A limit that is crossed and
     recrossed within one step is seen from the step's stages, as far as the solver sees it: a push of your own
@@ -176,9 +178,16 @@ def simulate(
         check_due(grasp, state, numbers.t0)
     if "penetration" in setup.events:
         check_overlaps(grasp)
+    ordered = ordered_times(numbers)
+    if ordered is not None:
+        # From a start that is not a number a run ends at once, whatever its times are.
+        state = jax.tree.map(lambda x: jnp.where(ordered, x, jnp.nan), state)
     run = _run_plain if _is_plain(grasp, setup) else _run_any
     with uncollected():
         trajectory, off = run(tabled_grasp(grasp), state, way, numbers, setup)
+    if ordered is not None:
+        code = RESULTS.where(ordered, trajectory.result, RESULTS.unordered_times)
+        trajectory = eqx.tree_at(lambda run: run.result, trajectory, code)
     return _checked(trajectory, off) if throw else trajectory
 
 

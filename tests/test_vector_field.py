@@ -53,6 +53,24 @@ def test_other_methods_and_rows_at_rounding_after_every_step(solver, scene, run)
     assert len(states.q) > 10
 
 
+def test_an_implicit_method_inside_another_needs_tolerances_of_its_own(scene, run):
+    """diffrax gives it none, and asks for them where it is solved."""
+    field = jxr.vector_field(scene[0])
+    with pytest.raises(ValueError, match="argument solver must have a root finder with tolerances"):
+        field.projected(diffrax.HalfSolver(diffrax.ImplicitEuler()))
+    tight = diffrax.HalfSolver(diffrax.ImplicitEuler(root_finder=diffrax.VeryChord(1e-8, 1e-8)))
+    loose = {"stepsize_controller": diffrax.PIDController(rtol=1e-5, atol=1e-5)}
+    field, found = solved(*scene, solver=tight, **loose)
+    np.testing.assert_allclose(field.states(found.ys[-1]).q, run.last.q, rtol=0, atol=1e-4)
+
+
+def test_an_implicit_method_with_tolerances_takes_constant_steps(scene, run):
+    tight = diffrax.ImplicitEuler(root_finder=diffrax.VeryChord(1e-8, 1e-8))
+    equal = {"stepsize_controller": diffrax.ConstantStepSize(), "dt0": 1e-3}
+    field, found = solved(*scene, solver=tight, **equal)
+    np.testing.assert_allclose(field.states(found.ys[-1]).q, run.last.q, rtol=0, atol=1e-5)
+
+
 def test_without_projection_rows_drift(scene):
     field = jxr.vector_field(scene[0])
     found = diffrax.diffeqsolve(field.terms, diffrax.Tsit5(), 0.0, T1, 5e-3, field.start(scene[1]))

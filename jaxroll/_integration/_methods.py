@@ -150,12 +150,27 @@ def with_tolerances(method: Any, rtol: Any, atol: Any) -> Any:
     if finder is None:
         return method
     given = {"rtol": rtol, "atol": atol, "norm": optimistix.max_norm}
-    # diffrax marks what is to be taken from elsewhere by an object that is neither number nor function.
-    free = [n for n in given if not _is_set(getattr(finder, n, 0.0))]
+    free = _free(finder)
     if not free:
         return method
     where = lambda m: [getattr(m.root_finder, n) for n in free]  # noqa: E731
     return eqx.tree_at(where, method, [given[n] for n in free])
+
+
+def waits_for_tolerances(method: Any) -> bool:
+    """Whether the root finder of a method, or of one inside of it, has a tolerance to be set by a run."""
+    if issubclass(type(method), diffrax.AbstractWrappedSolver):
+        return waits_for_tolerances(method.solver)
+    finder = getattr(method, "root_finder", None)
+    return finder is not None and bool(_free(finder))
+
+
+def _free(finder: Any) -> list[str]:
+    """Names of a root finder's settings that are to be taken from elsewhere.
+
+    diffrax marks these by an object that is neither number nor function.
+    """
+    return [name for name in ("rtol", "atol", "norm") if not _is_set(getattr(finder, name, 0.0))]
 
 
 def _is_set(value: Any) -> bool:

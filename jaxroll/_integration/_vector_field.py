@@ -39,7 +39,7 @@ from .._types import Scalar
 from ..loads import impulses
 from ._arguments import check_choices, SWEEPS, unclosed
 from ._events import EVENTS, regime
-from ._methods import check_method, Steady, with_tolerances
+from ._methods import check_method, Steady, waits_for_tolerances, with_tolerances
 from ._projected_method import Projected
 from ._state_vector import Layout, layout, slope, states_of, unpack, vector_of
 from ._step import returned
@@ -106,12 +106,23 @@ class VectorField(eqx.Module):
     def projected(self, solver: diffrax.AbstractSolver[Any] | None = None) -> Projected:
         """A method of diffrax that projects after every step; None: `diffrax.Dopri8()`.
 
+        An implicit method takes the tolerances of an adaptive step-size control. For constant steps, where
+        diffrax raises an error else, its root finder has to have its own, as in
+        `diffrax.ImplicitEuler(root_finder=diffrax.VeryChord(1e-8, 1e-8))`.
+
         Raises:
             ValueError: If `solver` does not solve one ordinary differential equation step by step, as methods
-                for stochastic or split equations do not, nor those that remember earlier steps.
+                for stochastic or split equations do not, nor those that remember earlier steps; or if it
+                wraps an implicit method whose root finder has no tolerances, which diffrax cannot give it.
         """
         solver = diffrax.Dopri8() if solver is None else solver
         check_instance("solver", solver, diffrax.AbstractSolver, "a diffrax solver")
+        # diffrax gives a method its control's tolerances, but none that is inside of another.
+        if issubclass(type(solver), diffrax.AbstractWrappedSolver) and waits_for_tolerances(solver):
+            raise ValueError(
+                f"argument solver must have a root finder with tolerances of its own, such as "
+                f"diffrax.VeryChord(1e-8, 1e-8), in what it wraps, but was {shown(solver)}"
+            )
         # Tolerances are diffrax's affair; any will do for the check. `Steady` asks for no error estimate.
         check_method(with_tolerances(solver, 1e-6, 1e-6), Steady(), jnp.zeros(self._lay.width))
         return Projected(solver, self.project, self._lay.width)

@@ -537,6 +537,24 @@ def test_jaws_that_keep_their_angles_do_not_rest_where_their_potential_is_least(
         pinch_rest(gripper, closed)
 
 
+@pytest.mark.parametrize(("first", "there"), [(0.003, False), (-0.001, True), (0.0, True)])
+def test_no_grasp_rests_beyond_the_ends_of_its_contours(first, there):
+    """Held from above on faces that begin so far above the middle, where the pinch would come to rest."""
+    grasp, state = jxr.scenes.pinch(alpha=0.0, s=(0.008, 0.004))
+    faces = (
+        jxr.Line((first, 0.025)).moved((-0.015, 0.0), np.pi),
+        jxr.Line((-0.025, -first)).moved((0.015, 0.0)),
+    )
+    held = jxr.Grasp(
+        jxr.FreeObject(faces, 0.02, 1e-5), grasp.fingers, grasp.contacts, controller=grasp.controller
+    )
+    found = assess(held, state)
+    assert bool(found.equilibrium.found) == there
+    assert (found.verdict == VERDICTS.neutral) == there and (found.verdict == VERDICTS.not_found) != there
+    places, statics = pinch_rest(held, state)
+    assert np.isnan(places).any() != there and bool(np.isnan(statics.potential)) != there
+
+
 def test_single_precision_finds_where_a_pinch_rests():
     """In a batch of starts, at a distance of the centres of some centimetres."""
     grasp, state = pinched_alone()

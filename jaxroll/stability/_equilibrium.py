@@ -13,7 +13,7 @@ and the conditions of this minimum (`_nearest`) are what the implicit function t
 determine $z$ even where $R(z) = 0$ does not. `_verdict` linearises the closed loop at what is found here.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -49,6 +49,8 @@ _NEAR = ByPrecision(1e-9, 1e-4)
 _DONE = ByPrecision(1e-13, 1e-5)
 # Largest scaled residual of an equilibrium.
 _BALANCED = ByPrecision(1e-9, 1e-5)
+# How far beyond an end of its contour a contact may be found for rounding, relative to a length.
+_AT_END = ByPrecision(1e-9, 1e-5)
 # Longest step of one iteration, in radians or mean link lengths.
 _LONGEST = 0.1
 
@@ -62,7 +64,7 @@ class Equilibrium(eqx.Module):
         multipliers: The same forces as $f$ and $\lambda$ of the chapter.
         imbalance: Largest scaled residual of force balance and constraints; about 1e-15 when found, in single
             precision about 1e-7.
-        found: Whether Newton's method converged.
+        found: Whether Newton's method converged, to contacts between the ends of their contours.
     """
 
     __repr__ = listed
@@ -120,7 +122,16 @@ def _equilibrium(grasp: Grasp, state: State, t: Array) -> Equilibrium:
     worst = jnp.max(jnp.abs(left))
     forces = _multipliers(ready, q, s, push)
     at = _resting(ready, q, s, memory, t)
-    return Equilibrium(at, push, forces, worst, worst < _BALANCED.of(worst))
+    found_there = (worst < _BALANCED.of(worst)) & between_ends(ready, unstack(s), _sizes(ready)[0])
+    return Equilibrium(at, push, forces, worst, found_there)
+
+
+def between_ends(grasp: Grasp, places: Sequence[Scalar], length: Scalar) -> Bool[Array, ""]:
+    """Whether every contact lies between the ends of its contours, to rounding of a length [m]."""
+    each = zip(grasp.contacts, places, strict=True)
+    margins = [margin for c, place in each for margin in c.ends(grasp.shapes(c), place)]
+    # Beyond an end a contour goes on as a formula, where there is nothing to touch.
+    return jnp.all(jnp.stack([*margins, length]) >= -_AT_END.of(length) * length)
 
 
 @eqx.filter_custom_jvp

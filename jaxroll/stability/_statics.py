@@ -30,6 +30,7 @@ from .._types import ByPrecision, Given, Scalar
 from ..control import Opposition
 from ..geometry import AbstractContour, Catenary, Circle, Ellipse, Frenet2, Moved
 from ..loads import Drag, Impulse
+from ._equilibrium import between_ends
 
 
 class PinchStatics(eqx.Module):
@@ -183,8 +184,8 @@ def pinch_rest(grasp: Grasp, state: State, *, damping: float = 0.0) -> tuple[Flo
 
     Returns:
         The chapter's $s_i$ at rest [m], as `pinch_statics` takes them, and the statics there; NaN where none
-        was found, or where $\alpha_i$ or gravity, unknown while JAX traces them, are not zero. Derivatives,
-        in both modes, are those of the implicit function theorem.
+        was found between the contours' ends, or where $\alpha_i$ or gravity, unknown while JAX traces them,
+        are not zero. Derivatives, in both modes, are those of the implicit function theorem.
 
     Raises:
         ValueError: If the grasp is not such a pinch, more than U decides where it rests, the state is not one
@@ -243,7 +244,8 @@ def _pinch_rest(grasp: Grasp, state: State, damping: float) -> tuple[Array, Pinc
     # beta times the distance of the centres: the force with which the fingers pull [N].
     size = jnp.sqrt(2.0 * still.controller.beta * statics.potential)
     firm = jnp.max(jnp.abs(_rolled(still, found).gradient)) <= _AT_REST.of(size) * size
-    firm = firm & _is_alone(still)
+    reached = [c.s_object - c.sense * s for c, s in zip(still.contacts, found, strict=True)]
+    firm = firm & _is_alone(still) & between_ends(still, reached, size / jnp.abs(still.controller.beta))
     return jax.tree.map(lambda x: jnp.where(firm, x, jnp.nan), (rest, statics))
 
 

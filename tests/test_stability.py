@@ -537,6 +537,13 @@ def test_jaws_that_keep_their_angles_do_not_rest_where_their_potential_is_least(
         pinch_rest(gripper, closed)
 
 
+def test_a_grasp_that_no_force_holds_is_neutral():
+    """Its curvatures are rounding of nothing, of which one that is negative looks large beside the others."""
+    grasp, state = pinched_alone(beta=0.0)
+    found = assess(grasp, state)
+    assert found.verdict == VERDICTS.neutral and int(found.neutral) == 4 and not bool(found.bends_down)
+
+
 @pytest.mark.parametrize(("first", "there"), [(0.003, False), (-0.001, True), (0.0, True)])
 def test_no_grasp_rests_beyond_the_ends_of_its_contours(first, there):
     """Held from above on faces that begin so far above the middle, where the pinch would come to rest."""

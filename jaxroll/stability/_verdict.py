@@ -91,7 +91,8 @@ class Stability(eqx.Module):
 
         Nor has one with a memory, by which disturbances grow or not.
         """
-        bent = _bent_down(self.hessian, self.curvatures, max(_TOLERANCE, _TOLD.of(self.hessian)))
+        share = max(_TOLERANCE, _TOLD.of(self.hessian))
+        bent = _bent_down(self.hessian, self.curvatures, share, least=_rounding(self.rates))
         return bent & (self.equilibrium.state.memory is None)
 
 
@@ -153,9 +154,10 @@ def _assess(grasp: Grasp, state: State, t: Given, tolerance: Array) -> Stability
         still = jnp.sum(jnp.abs(rates) <= tolerance * size)
     # The rank is that of H itself, not of its symmetric part: a controller without a potential makes them
     # differ. It is a count, and svdvals has no derivative where singular values coincide: none is taken.
-    size = jnp.max(jnp.abs(curvatures))
+    least = _rounding(rates)
+    size = jnp.maximum(jnp.max(jnp.abs(curvatures)), least)
     neutral = jnp.sum(jnp.linalg.svdvals(jax.lax.stop_gradient(hessian)) <= tolerance * size)
-    bent = _bent_down(hessian, curvatures, tolerance)
+    bent = _bent_down(hessian, curvatures, tolerance, least=least)
     if still is not None:
         # H alone, with the memory held, decides nothing: the rates of the whole loop do.
         neutral, bent = still, jnp.zeros_like(bent)
@@ -165,13 +167,22 @@ def _assess(grasp: Grasp, state: State, t: Given, tolerance: Array) -> Stability
     return Stability(verdict, neutral, rest, hessian, tangent, curvatures, modes, rates)
 
 
-def _bent_down(hessian: Array, curvatures: Array, tolerance: Scalar) -> Bool[Array, "..."]:
+def _rounding(rates: Array) -> Scalar:
+    """Curvature [1/s^2] that rounding hides beside the fastest rate: all of them, where no force acts."""
+    fastest = jax.lax.stop_gradient(jnp.max(jnp.abs(rates), axis=-1))
+    return jnp.finfo(fastest.dtype).eps * fastest**2
+
+
+def _bent_down(
+    hessian: Array, curvatures: Array, tolerance: Scalar, *, least: Scalar = 0.0
+) -> Bool[Array, "..."]:
     """Whether the potential bends down in some direction; False where a controller or a load has none.
 
     Then H is not symmetric, and its symmetric part decides nothing: the grasp may come to rest though that
-    has a negative curvature, or leave though it has none.
+    has a negative curvature, or leave though it has none. Curvatures count by the largest, or by `least`.
     """
-    size, skew = jnp.max(jnp.abs(curvatures), axis=-1), hessian - jnp.swapaxes(hessian, -1, -2)
+    size = jnp.maximum(jnp.max(jnp.abs(curvatures), axis=-1), least)
+    skew = hessian - jnp.swapaxes(hessian, -1, -2)
     symmetric = jnp.max(jnp.abs(skew), axis=(-2, -1)) <= _SYMMETRIC.of(hessian) * size
     return symmetric & (curvatures[..., 0] < -tolerance * size)
 

@@ -14,6 +14,7 @@ from ..design import Design
 from ..geometry import AbstractContour, tabled
 from ..stability import margin
 from ._doors import guarded
+from ._motion3 import rotation_vectors
 from ._outlines import OutlineSamples, sample
 from ._style import CYCLE, GUIDE, MM, Picture, save_figure, tidy, TIP_FILL
 
@@ -21,7 +22,18 @@ _PLACES, _TEETH = 2049, 150
 _NAMES = ("before", "after")
 _COLOURS = (CYCLE[4], CYCLE[0])
 _DASHES = ("-", "--", ":")
-_TITLES = ("Rolled by the contacts", "Motion of the object", "Normal forces", "Friction that rolling needs")
+# Titles and labels in the plane and in space: places on surfaces are no lengths that were rolled.
+_PANELS = (
+    (
+        ("Rolled by the contacts", r"rolled $\sigma_i$ [mm]"),
+        ("Motion of the object", "object turned by [rad]"),
+    ),
+    (("Turn of the object", "object turned by [rad]"), ("Motion of the object", "object moved by [mm]")),
+)
+_FORCES = (
+    ("Normal forces", "normal force $f_i$ [N]"),
+    ("Friction that rolling needs", r"$|\lambda_i| / f_i$"),
+)
 # Radii above this share of the picture's range are cut off: a flat place has none.
 _FAR = 6.0
 
@@ -138,13 +150,13 @@ def comparison(
 ) -> Figure:
     r"""Draw the same responses of several runs over each other, say with a fingertip before and after.
 
-    Rolling coordinates [mm]; angle of the object since the start [rad], or distance of the object's place
-    from it [mm] in space; normal forces [N]; $|\lambda| / f$, the friction that rolling needs. A cross marks
-    where a run ended early; one that ended before its first saved time has no line. Each run has a colour,
-    each contact a style of line.
+    In the plane rolling coordinates $\sigma_i$ [mm] and the angle of the object [rad], in space that angle
+    and how far the object is [mm], all since the first saved time; normal forces [N]; $|\lambda| / f$, the
+    friction that rolling needs. A cross marks where a run ended early; one that ended before its first saved
+    time has no line. Each run has a colour, each contact a style of line.
 
     Args:
-        runs: Single runs that recorded their multipliers.
+        runs: Single runs that recorded their multipliers, all in the plane or all in space.
         names: One for each.
         folder: Where to write the figure too, as `comparison.png`. Default: nowhere.
 
@@ -152,7 +164,8 @@ def comparison(
         The figure.
 
     Raises:
-        ValueError: If a run is a batch or has no multipliers, or the numbers of runs and names differ.
+        ValueError: If a run is a batch or has no multipliers, some runs are of the plane and some of space,
+            or the numbers of runs and names differ.
 
     Example:
         >>> import jaxroll as jxr
@@ -170,15 +183,12 @@ def comparison(
         check_instance(f"names[{i}]", name, str, "text")
     if not runs or len(runs) != len(names):
         raise ValueError(f"argument names must have one for each of {len(runs)} runs, but had {len(names)}")
+    _check_comparable(runs, names)
     figure = Picture(10.0, 6.0)
     axes = figure.subplots(2, 2, sharex=True)
-    titles = iter(_TITLES)
-    labels = ("rolled $s_i$ [mm]", "object moved by", "normal force $f_i$ [N]", r"$|\lambda_i| / f_i$")
     for i, (run, name) in enumerate(zip(runs, names, strict=True)):
         _responses(axes.ravel(), run, name, _colour(i))
-    unit = "object moved by [mm]" if _spatial(runs[0]) else "object turned by [rad]"
-    for ax, label in zip(axes.ravel(), (labels[0], unit, *labels[2:]), strict=True):
-        title = next(titles)
+    for ax, (title, label) in zip(axes.ravel(), _PANELS[_spatial(runs[0])] + _FORCES, strict=True):
         tidy(ax, xlabel="time $t$ [s]" if ax in axes[1] else "", ylabel=label, title=title)
         ax.axhline(0.0, color="#BBBBBB", lw=0.7, zorder=0)
     _key(figure, runs, names)
@@ -207,6 +217,21 @@ def _key(figure: Picture, runs: Sequence[Trajectory], names: Sequence[str]) -> N
     figure.legend(handles=signs, loc="outside lower center", ncols=len(signs), fontsize=8.5, frameon=False)
 
 
+def _check_comparable(runs: Sequence[Trajectory], names: Sequence[str]) -> None:
+    for run, name in zip(runs, names, strict=True):
+        check_one_run("runs", run)
+        if run.multipliers is None:
+            raise ValueError(
+                f"argument runs must have recorded their multipliers, but the run {name!r} has none"
+            )
+        if _spatial(run) != _spatial(runs[0]):
+            told = "space", "the plane"
+            raise ValueError(
+                f"argument runs must all live in the plane or all in space, but the run {name!r} lives in "
+                f"{told[not _spatial(run)]} and {names[0]!r} in {told[_spatial(run)]}"
+            )
+
+
 def _spatial(run: Trajectory) -> bool:
     return run.multipliers is not None and np.ndim(run.multipliers.lam) > 2
 
@@ -217,26 +242,34 @@ def _angle_of_object(run: Trajectory) -> int:
     return next((i for i, each in enumerate(labels) if each.unit == "rad"), 0)
 
 
+def _rolled(run: Trajectory, s: np.ndarray) -> list[tuple[int, np.ndarray]]:
+    """Of contacts of contours their numbers and what they rolled [m]: places of others are no lengths."""
+    places = run.labels.places if run.labels is not None else ()
+    if len(places) != s.shape[1]:
+        return []
+    lengths = {place.name: k for k, place in enumerate(places) if place.unit == "m"}
+    return [(int(name.split()[1]), s[:, k] - s[0, k]) for name, k in lengths.items()]
+
+
 def _responses(axes: np.ndarray, run: Trajectory, name: str, colour: str) -> None:
-    check_one_run("runs", run)
-    if run.multipliers is None:
-        raise ValueError(f"argument runs must have recorded their multipliers, but the run {name!r} has none")
     ts, reached = np.asarray(run.ts), np.isfinite(np.asarray(run.states.q)).all(axis=1)
+    assert run.multipliers is not None
     if not reached.any():
         return
     f, lam = np.asarray(run.multipliers.f)[reached], np.asarray(run.multipliers.lam)[reached]
-    aside = np.abs(lam) if lam.ndim == f.ndim else np.linalg.norm(lam, axis=-1)
     q, s = np.asarray(run.states.q)[reached], np.asarray(run.states.s)[reached]
-    if lam.ndim > f.ndim:
-        moved, rolled = MM * np.linalg.norm(q[:, :3] - q[0, :3], axis=1), np.linalg.norm(s - s[0], axis=1)
+    if _spatial(run):
+        aside, moved = np.linalg.norm(lam, axis=-1), MM * np.linalg.norm(q[:, :3] - q[0, :3], axis=1)
+        first = [(0, np.linalg.norm(rotation_vectors(q[:, 3:7]), axis=1))]
     else:
-        turned = q[:, _angle_of_object(run)]
-        moved, rolled = turned - turned[0], s - s[0]
+        angle = q[:, _angle_of_object(run)]
+        aside, moved = np.abs(lam), angle - angle[0]
+        first = [(contact, MM * rolled) for contact, rolled in _rolled(run, s)]
+    panels = first, [(0, moved)], list(enumerate(f.T)), list(enumerate((aside / f).T))
     end = float(run.stats.t_end)
-    for ax, values in zip(axes, (MM * rolled, moved, f, aside / f), strict=True):
-        columns = np.reshape(values, (len(f), -1)).T
-        for k, column in enumerate(columns):
+    for ax, lines in zip(axes, panels, strict=True):
+        for k, values in lines:
             label = name if k == 0 else None
-            ax.plot(ts[reached], column, color=colour, lw=1.5, ls=_DASHES[k % 3], label=label)
+            ax.plot(ts[reached], values, color=colour, lw=1.5, ls=_DASHES[k % 3], label=label)
             if end < float(ts[-1]):
-                ax.plot(ts[reached][-1], column[-1], "x", color=colour, ms=7, mew=1.8)
+                ax.plot(ts[reached][-1], values[-1], "x", color=colour, ms=7, mew=1.8)

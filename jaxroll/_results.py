@@ -386,12 +386,12 @@ def as_length(name: str, value: Any) -> jax.Array:
     return length
 
 
-def told_apart(*values: Any) -> list[str]:
-    """Numbers as a sentence compares them: in six digits, or as many as show that they differ."""
+def told_apart(*values: Any, least: int = 6) -> list[str]:
+    """Numbers as a sentence compares them: in `least` digits, or as many as show that they differ."""
     # Of single precision a number's own digits, not those of its conversion.
     known = [np.asarray(value)[()] for value in values]
     texts: list[str] = []
-    for digits in range(6, 18):
+    for digits in range(least, 18):
         texts = [f"{value:.{digits}g}" for value in known]
         if len(set(texts)) == len({repr(float(value)) for value in known}):
             break

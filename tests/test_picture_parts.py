@@ -1,6 +1,7 @@
 """Pieces of pictures by hand-worked cases: what is shown, how far axes go, which words stand where."""
 
 import contextlib
+import dataclasses
 from types import SimpleNamespace
 
 import equinox as eqx
@@ -12,6 +13,7 @@ from mpl_toolkits.mplot3d import proj3d
 from PIL import Image
 
 import jaxroll as jxr
+from jaxroll._mechanics import Coordinate
 from jaxroll._motion import Energy
 from jaxroll.plotting import (
     _animate,
@@ -196,6 +198,33 @@ def test_what_is_zero_but_for_rounding_is_said_to_be_zero_unless_it_should_be():
     assert left.label == "$f$ [$10^{-13}$ N]" and left.values[0] == pytest.approx(9.0) and left.least is None
     nothing = panel([0.0, 0.0], left_over=True)
     assert _panels.in_powers(nothing) is nothing
+
+
+def test_a_tiny_grasp_is_not_told_to_have_no_forces():
+    """Of micronewtons and links of 30 micrometres, rounding is a share of these."""
+    assert _panels.in_powers(panel([0.9e-12, 0.0]), 1e-6).label == "$f$ [$10^{-13}$ N]"
+    assert _panels.in_powers(panel([0.9e-16, 0.0]), 1e-6).title == "some forces: zero"
+    bodies = [SimpleNamespace(mass=1e-8), SimpleNamespace(masses=np.array([2e-8, 1e-8])), SimpleNamespace()]
+    grasp = SimpleNamespace(bodies=bodies, fingers=[SimpleNamespace(size=3e-5), SimpleNamespace(size=2e-5)])
+    scales = _panels.scales_of(grasp, np.array([[NAN], [-2e-6]]))
+    expected = {"N": 2e-6, "mm": 0.03, "mm/s": 0.03, "mN m": 6e-8, "mJ": 6e-8}
+    assert scales == pytest.approx(expected, rel=1e-12)
+    # Without any force its weight is what forces are beside.
+    assert _panels.scales_of(grasp, np.zeros((2, 1)))["N"] == pytest.approx(9.81 * 4e-8)
+    large = SimpleNamespace(bodies=[SimpleNamespace()], fingers=[SimpleNamespace(size=2.0)])
+    assert set(_panels.scales_of(large, np.array([[1e6]])).values()) == {1.0}
+
+
+def test_each_panel_is_seen_beside_the_scale_of_its_unit(monkeypatch):
+    monkeypatch.setattr(_panels, "forces_of", lambda grasp, run: (np.zeros((2, 1)), None))
+    monkeypatch.setattr(_panels, "scales_of", lambda grasp, normal: {"N": 1e-6, "mm/s": 1e-3})
+    labels = ("$f$ [N]", "velocity [mm/s]", r"$\omega$ [rad/s]", "place")
+    given = [_panels.Panel("it", label, np.array([5e-17, 0.0])) for label in labels]
+    found = _panels.all_in_powers(SimpleNamespace(), SimpleNamespace(), given)
+    assert [each.title for each in found] == ["it: zero"] * 4
+    given = [_panels.Panel("it", label, np.array([5e-12, 0.0])) for label in labels]
+    found = _panels.all_in_powers(SimpleNamespace(), SimpleNamespace(), given)
+    assert [each.title for each in found] == ["it", "it", "it: zero", "it: zero"]
 
 
 def test_contacts_far_apart_that_move_little_are_drawn_since_the_start():
@@ -1150,6 +1179,45 @@ def test_the_bar_of_energies_names_every_level_or_every_second(step, count, labe
     assert bar.ax.get_ylabel() == "U"
 
 
+@pytest.mark.parametrize(
+    ("levels", "labels", "unit"),
+    [
+        (3.698e-8 + 2e-11 * np.arange(3), ["3.698", "3.700", "3.702"], "$U$ [$10^{-8}$ mJ]"),
+        (4.62e15 + 1e13 * np.arange(3), ["4.62", "4.63", "4.64"], "$U$ [$10^{15}$ mJ]"),
+        (20000.0 * np.arange(3), ["0", "20000", "40000"], "$U$ [mJ]"),
+    ],
+)
+def test_the_bar_of_tiny_and_of_huge_energies_has_their_power_of_ten_on_its_label(levels, labels, unit):
+    ax = axes()
+    ax.contourf(np.arange(2.0), np.arange(3.0), np.outer([0.0, 0.5, 1.0], [levels[0], levels[-1]]), levels)
+    bar = _phase_parts.energy_bar(ax, levels, "$U$ [mJ]")
+    assert [text.get_text() for text in bar.ax.get_yticklabels()] == labels
+    assert bar.ax.get_ylabel() == unit
+
+
+def test_the_picture_of_a_tiny_path_is_as_tiny_as_its_fingers():
+    sized = lambda *sizes: SimpleNamespace(fingers=[SimpleNamespace(size=x) for x in sizes])  # noqa: E731
+    assert _phase_parts.least_of(sized(1e-5, 4e-5), 5e-4) == pytest.approx(5e-7)
+    assert _phase_parts.least_of(sized(0.02, 0.05), 5e-4) == 5e-4
+
+
+def test_times_far_from_zero_are_told_apart():
+    """As of a run from 1000 s to 1000.1 s: three digits would name all of its instants alike."""
+    ts = np.array([1000.0, 1000.05, 1000.1])
+    steps = _page_parts.controls(ts)["sliders"][0]["steps"]
+    assert [step["label"] for step in steps] == ["1000", "1000.05", "1000.1"]
+    ax = axes()
+    _phase_parts.draw_path(ax, np.zeros((3, 2)), np.zeros((0, 2)), ts)
+    assert [line.get_label() for line in ax.lines[1:]] == ["start, 1000 s", "end, 1000.1 s"]
+
+
+def test_the_clock_of_a_short_film_has_as_many_digits_as_it_needs():
+    assert _film.clock_texts(np.array([0.0, 0.5, 12.345])) == ["t = 0.00 s", "t = 0.50 s", "t = 12.35 s"]
+    assert _film.clock_texts(np.array([3.0, 3.0002])) == ["t = 3.00000 s", "t = 3.00020 s"]
+    assert _film.clock_texts(np.array([0.0])) == ["t = 0.00 s"]
+    assert _film.clock_texts(np.array([2e-3])) == ["t = 0.0020 s"]
+
+
 def test_a_path_has_its_start_its_end_and_where_it_rests():
     ax = axes()
     path = np.array([[0.001, 0.002], [0.003, 0.007], [0.004, -0.001]])
@@ -1596,7 +1664,7 @@ def test_a_run_is_played_as_fast_as_is_asked_unless_that_takes_too_many_frames(m
     """Times are those of the saved states; nothing is drawn here."""
     shown, told = [], []
     room = lambda seen, above: np.array([[0.0, above], [1.0, 2.0]])  # noqa: E731
-    stage = SimpleNamespace(frame=lambda i, t: (i, round(float(t), 2)))
+    stage = SimpleNamespace(frame=lambda i, clock: (i, float(clock.split()[2])))
     monkeypatch.setattr(_animate, "views", lambda grasp, states: np.asarray(states.q))
     monkeypatch.setattr(_animate, "limits", room)
     monkeypatch.setattr(_animate, "_Stage", lambda *given, **options: shown.append((given, options)) or stage)
@@ -1755,6 +1823,37 @@ def test_a_run_that_was_lost_at_once_is_compared_without_a_line():
     assert {line.get_label() for ax in figure.axes for line in ax.lines if len(line.get_xdata()) > 2} == {
         "after"
     }
+
+
+def test_runs_in_space_are_compared_by_the_turn_of_their_object():
+    """Places on surfaces are points on both of them: their changes are no length that was rolled."""
+    run = runs.run("pinch3d")
+    figure = _design_figure.comparison([run], ["alone"])
+    turn, moved = figure.axes[:2]
+    assert (turn.get_title(loc="left"), turn.get_ylabel()) == ("Turn of the object", "object turned by [rad]")
+    assert moved.get_ylabel() == "object moved by [mm]"
+    # The scalar part of the turn from one unit quaternion to another is their product, as vectors.
+    q = np.asarray(run.states.q)[:, 3:7]
+    (line,) = (line for line in turn.lines if len(line.get_xdata()) > 2)
+    np.testing.assert_allclose(line.get_ydata(), 2.0 * np.arccos(np.clip(q @ q[0], -1.0, 1.0)), atol=1e-7)
+    with pytest.raises(ValueError, match="run 'b' lives in the plane and 'a' in space"):
+        _design_figure.comparison([run, runs.run("pivoted")], ["a", "b"])
+
+
+def test_places_of_own_contacts_are_not_compared_as_lengths():
+    """Of three places the first two are of a contact of one's own, whose units nobody knows."""
+    run = runs.run("ring")
+    places = [
+        Coordinate("contact 0 s[0]", ""),
+        Coordinate("contact 0 s[1]", ""),
+        Coordinate("contact 1", "m"),
+    ]
+    labels = run.labels._replace(places=tuple(places))
+    figure = _design_figure.comparison([dataclasses.replace(run, labels=labels)], ["alone"])
+    (line,) = (line for line in figure.axes[0].lines if len(line.get_xdata()) > 2)
+    s = np.asarray(run.states.s)
+    np.testing.assert_allclose(line.get_ydata(), 1e3 * (s[:, 2] - s[0, 2]), atol=1e-12)
+    assert line.get_linestyle() == "--"  # of the second contact
 
 
 def test_a_picture_of_a_potential_has_no_value_off_either_pair_of_contours(monkeypatch):

@@ -12,7 +12,7 @@ from .._mechanics import Grasp
 from ._animate3 import animate3
 from ._artists import Drawing, limits
 from ._doors import check_frames, guarded
-from ._film import checked_path, write_film
+from ._film import checked_path, clock_texts, write_film
 from ._forces import Arrows, arrows, key
 from ._forces3 import pushes
 from ._gif import nearest_rows
@@ -100,8 +100,8 @@ def animate(
     shafts = arrows(grasp, trajectory, picks, seen, corners=corners) if drawn else None
     stage = _Stage(grasp, seen, shafts, corners=corners, size=size, speed=speed)
     frames = []
-    for i, t in enumerate(ts):
-        frames.append(stage.frame(i, t))
+    for i, clock in enumerate(clock_texts(ts)):
+        frames.append(stage.frame(i, clock))
         if progress is not None:
             progress(i + 1, len(ts))
     write_film(path, frames, 10 * delay)
@@ -138,6 +138,7 @@ class _Stage:
         self.ax = ax = figure.subplots()
         self.drawing = Drawing(ax, grasp, seen, forces=forces, traced=True)
         ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+        ax.ticklabel_format(style="plain")  # a power of ten would stand where the clock is
         tidy(ax, xlabel="x [mm]", ylabel="y [mm]")
         self.clock = ax.text(0.0, 1.02, "t", transform=ax.transAxes, fontsize=10)
         pace = "real time" if speed == 1.0 else f"shown at {speed:g} x real time"
@@ -162,9 +163,9 @@ class _Stage:
         self.canvas.draw()
         self.background = self.canvas.copy_from_bbox(figure.bbox)
 
-    def frame(self, i: int, t: float) -> Image.Image:
+    def frame(self, i: int, clock: str) -> Image.Image:
         self.drawing.show(i)
-        self.clock.set_text(f"t = {t:.2f} s")
+        self.clock.set_text(clock)
         self.canvas.restore_region(self.background)
         for artist in self.moving:
             self.ax.draw_artist(artist)

@@ -69,10 +69,11 @@ def animate3(
     pace = "real time" if speed == 1.0 else f"shown at {speed:g} x real time"
     heading(figure, pace, 0.96, ha="right", fontsize=8.5, color="#555555")
     frames = []
-    for done, (row, turn) in enumerate(zip(rows, azimuths, strict=True), 1):
+    texts = _film.clock_texts(ts[rows])
+    for done, (row, turn, told) in enumerate(zip(rows, azimuths, texts, strict=True), 1):
         ax.view_init(elevation, turn)
         drawing.show(int(row))
-        clock.set_text(f"t = {ts[row]:.2f} s")
+        clock.set_text(told)
         figure.agg.draw()
         frames.append(Image.fromarray(np.asarray(figure.agg.buffer_rgba())[..., :3].copy()))
         if progress is not None:

@@ -43,6 +43,13 @@ def _mp4(path: Path, frames: list[Image.Image], delay: int) -> None:
             writer.grab_frame()
 
 
+def clock_texts(ts: np.ndarray) -> list[str]:
+    """What the clock of a film shows at its times: hundredths of a second, or finer where it is short."""
+    span = float(ts[-1] - ts[0]) or abs(float(ts[-1])) or 1.0
+    digits = max(2, 1 - int(np.floor(np.log10(span))))
+    return [f"t = {t:.{digits}f} s" for t in ts]
+
+
 def positive_numbers(**numbers: Any) -> tuple[float, ...]:
     """Arguments as numbers, which must be positive."""
     return tuple(float(as_positive(name, x)) for name, x in numbers.items())

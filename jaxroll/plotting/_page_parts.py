@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from .._results import as_count, shown
+from .._results import as_count, shown, told_apart
 from ._doors import check_frames
 from ._gif import nearest_rows
 from ._style import GUIDE
@@ -56,7 +56,8 @@ def controls(ts: np.ndarray) -> dict[str, Any]:
         {"label": "\u25b6 play", "method": "animate", "args": [None, play]},
         {"label": "\u275a\u275a stop", "method": "animate", "args": [[None], show]},
     ]
-    steps = [{"label": f"{t:.3g}", "method": "animate", "args": [[str(k)], show]} for k, t in enumerate(ts)]
+    labels = enumerate(told_apart(*ts, least=3))
+    steps = [{"label": label, "method": "animate", "args": [[str(k)], show]} for k, label in labels]
     menu = {"type": "buttons", "direction": "left", "x": 0.02, "y": 0.0, "xanchor": "left", "yanchor": "top"}
     # The buttons are as wide in any window: beside the slider they would cover its start in a narrow one.
     above, below = {"t": 38, "b": 10}, {"t": 134, "b": 10}

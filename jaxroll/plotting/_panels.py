@@ -1,5 +1,6 @@
 """What there is to plot over time: one panel for each quantity of the chapter."""
 
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +17,10 @@ from ._style import MM
 _ROUNDING = 1e-13
 _SMALL = 1e-3
 # Forces, motions and rates below this are rounding in the units that panels have, and their axis ends here.
+# Of a grasp whose own forces or lengths are smaller than these units it is a share of those, see `scales_of`.
 _NOTHING, _FLAT = 1e-10, 1e-3
+_GRAVITY = 9.81
+_UNIT = re.compile(r"\[([^$\]]*)\]$")
 
 
 @dataclass(frozen=True)
@@ -52,7 +56,7 @@ def panels(grasp: Grasp, run: Trajectory) -> list[Panel]:
     found.append(_last(run, contacts))
     return [
         replace(p, title=f"Fig. {9 + i}: {p.title}" if i < figures else sentence(p.title))
-        for i, p in enumerate(map(in_powers, found))
+        for i, p in enumerate(all_in_powers(grasp, run, found))
     ]
 
 
@@ -90,10 +94,38 @@ def _rolled(grasp: Grasp, run: Trajectory, contacts: tuple[str, ...]) -> list[Pa
     return found
 
 
-def in_powers(panel: Panel) -> Panel:
-    """Small values in a power of ten that the axis label states; zero but for rounding is drawn as zero."""
+def all_in_powers(grasp: Grasp, run: Trajectory, panels: list[Panel]) -> list[Panel]:
+    """Panels of a run, their small values in powers of ten, beside the scales of its grasp."""
+    scales = scales_of(grasp, forces_of(grasp, run)[0])
+    units = [found[1] if (found := _UNIT.search(panel.label)) else "" for panel in panels]
+    return [in_powers(panel, scales.get(unit, 1.0)) for panel, unit in zip(panels, units, strict=True)]
+
+
+def scales_of(grasp: Grasp, normal: np.ndarray) -> dict[str, float]:
+    """By unit of a panel how large its values may be, at most one: of a tiny grasp all forces are tiny.
+
+    Args:
+        grasp: Whose fingers have a size, and bodies a weight.
+        normal: Normal forces of a run.
+    """
+    held = [getattr(body, "mass", getattr(body, "masses", None)) for body in grasp.bodies]
+    weights = [_GRAVITY * float(np.sum(np.asarray(mass))) for mass in held if mass is not None]
+    force = max(float(np.max(np.abs(normal), initial=0.0, where=np.isfinite(normal))), sum(weights))
+    force = min(1.0, force) if weights else 1.0
+    length = MM * max(float(finger.size) for finger in grasp.fingers)
+    units = {"N": force, "mm": length, "mm/s": length, "mN m": force * length, "mJ": force * length}
+    return {unit: min(1.0, scale) for unit, scale in units.items()}
+
+
+def in_powers(panel: Panel, scale: float = 1.0) -> Panel:
+    """Small values in a power of ten that the axis label states; zero but for rounding is drawn as zero.
+
+    Args:
+        panel: With values in its own units.
+        scale: How large such values may be.
+    """
     peak = float(np.nanmax(np.abs(panel.values)))
-    if peak < _NOTHING and not panel.left_over:
+    if peak < _NOTHING * scale and not panel.left_over:
         return replace(panel, title=f"{panel.title}: zero", least=_FLAT)
     if not 0.0 < peak < _SMALL:
         return panel

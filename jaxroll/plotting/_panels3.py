@@ -7,7 +7,16 @@ import numpy as np
 from .._integration import Trajectory
 from .._mechanics import Grasp
 from ._motion3 import rotation_vectors
-from ._panels import balance_panel, first_of, forces_of, in_powers, numbered, Panel, residual_panel, sentence
+from ._panels import (
+    all_in_powers,
+    balance_panel,
+    first_of,
+    forces_of,
+    numbered,
+    Panel,
+    residual_panel,
+    sentence,
+)
 from ._style import MM
 
 _AXES = ("$x$", "$y$", "$z$")
@@ -19,7 +28,7 @@ def panels3(grasp: Grasp, run: Trajectory) -> list[Panel]:
     contacts = numbered("contact", len(grasp.contacts))
     found = [*_moved(grasp, run), *_forces(grasp, run, contacts), *_rates(grasp, run)]
     found += _left(grasp, run, contacts)
-    return [replace(p, title=sentence(p.title)) for p in map(in_powers, found)]
+    return [replace(p, title=sentence(p.title)) for p in all_in_powers(grasp, run, found)]
 
 
 def _moved(grasp: Grasp, run: Trajectory) -> list[Panel]:

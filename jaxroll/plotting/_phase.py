@@ -11,13 +11,13 @@ from ..control import law_of
 from ..stability import equilibrium, pinch_statics
 from ._doors import guarded
 from ._phase_one import has_one_direction, phase_of_one
-from ._phase_parts import draw_path, energy_bar, energy_levels, on_contour
+from ._phase_parts import draw_path, energy_bar, energy_levels, least_of, on_contour
 from ._style import MM, Picture, tidy
 from ._views import single, visible
 
 _GRID = 81
 _LEVELS = 16
-# Free space round the path, and the smallest half width of the picture [m].
+# Free space round the path, and the smallest half width of the picture of a gripper [m].
 _MARGIN, _LEAST = 0.2, 5e-4
 
 
@@ -68,7 +68,7 @@ def phase(grasp: Grasp, trajectory: Trajectory, *, rest: State | None = None) ->
     goal = np.zeros((0, 2)) if rest is None else _chapter_s(grasp, rest)
     every = np.concatenate([path, goal])
     middle = 0.5 * (every.min(axis=0) + every.max(axis=0))
-    half = max((0.5 + _MARGIN) * float(np.ptp(every, axis=0).max()), _LEAST)
+    half = max((0.5 + _MARGIN) * float(np.ptp(every, axis=0).max()), least_of(grasp, _LEAST))
     figure = Picture(6.4, 5.4)
     ax = figure.subplots()
     _levels(ax, grasp, middle, half)

@@ -17,12 +17,12 @@ from .._integration import Trajectory, vector_field
 from .._mechanics import Grasp, State
 from .._motion import energies
 from ..control import law_of, Press
-from ._phase_parts import draw_path, energy_bar, energy_levels, on_contour
+from ._phase_parts import draw_path, energy_bar, energy_levels, least_of, on_contour
 from ._style import MM, Picture, tidy
 from ._views import single
 
 _PLACES, _RATES, _LEVELS = 61, 81, 16
-# Free space round the path, as a share of it, and the smallest half widths of the picture [m; m/s].
+# Free space round the path, as a share of it, and a gripper's smallest half widths of the picture [m; m/s].
 _MARGIN, _LEAST = 0.2, (5e-4, 1e-3)
 
 
@@ -43,7 +43,8 @@ def phase_of_one(grasp: Grasp, trajectory: Trajectory, rest: State | None) -> Fi
     goal = np.zeros((0, 2)) if rest is None else np.array([[_chapter_s(held, _bare(rest)), 0.0]])
     every = np.concatenate([path, goal])
     middle = 0.5 * (every.min(axis=0) + every.max(axis=0))
-    half = np.maximum((0.5 + _MARGIN) * np.ptp(every, axis=0), _LEAST)
+    least = [least_of(grasp, each) for each in _LEAST]
+    half = np.maximum((0.5 + _MARGIN) * np.ptp(every, axis=0), least)
     figure = Picture(6.4, 5.0)
     ax = figure.subplots()
     _levels(ax, held, states, middle, half)

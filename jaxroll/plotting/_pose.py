@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 from .._integration import Trajectory
 from .._mechanics import check_states, Grasp, State
+from .._results import told_apart
 from ._artists import Drawing, limits
 from ._doors import guarded
 from ._forces import Arrows, arrows, key
@@ -109,7 +110,8 @@ def poses(
     wanted = ends if times is None else tuple(times)
     picks = [int(np.argmin(np.abs(ts - t))) for t in wanted]
     titles = [
-        f"({chr(97 + k)})  t = {ts[i]:.4g} s{how_it_ended(trajectory, ts[i])}" for k, i in enumerate(picks)
+        f"({chr(97 + k)})  t = {told} s{how_it_ended(trajectory, ts[i])}"
+        for k, (i, told) in enumerate(zip(picks, told_apart(*ts[picks], least=4), strict=True))
     ]
     if grasp.spatial:
         motion = scene_motion(grasp, trajectory.states)

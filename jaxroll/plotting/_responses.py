@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 from .._integration import Trajectory
 from .._mechanics import Grasp
+from .._results import told_apart
 from ._doors import guarded
 from ._panels import Panel, panels
 from ._panels3 import panels3
@@ -86,7 +87,8 @@ def responses(grasp: Grasp, trajectory: Trajectory, folder: str | Path | None = 
     beyond = _stretch(axes[0], ts[reached], np.asarray(trajectory.states.s)[reached])
     for ax in axes[: len(shown)] if beyond else ():
         if ax.get_xlabel():
-            ax.set_xlabel(f"time $t$ [s], logarithmic beyond {beyond:.2g} s", fontsize=9)
+            _, told = told_apart(ts[reached][0], beyond, least=2)
+            ax.set_xlabel(f"time $t$ [s], logarithmic beyond {told} s", fontsize=9)
         ax.axvline(beyond, color="#BBBBBB", lw=0.7, ls=(0, (1, 3)), zorder=0)
     figure.align_ylabels()
     if folder is not None:
@@ -153,6 +155,6 @@ def _stretch(ax: Axes, ts: np.ndarray, s: np.ndarray) -> float | None:
     powers = np.floor(np.log10([early, whole]))
     steps = 10.0 ** np.arange(powers[0], powers[1] + 1)
     marks = np.array([0.0, *(k * step for step in steps for k in (1, 3))])
-    ax.set_xticks(start + marks[marks <= whole], [f"{start + mark:.3g}" for mark in marks[marks <= whole]])
+    ax.set_xticks(start + marks[marks <= whole], told_apart(*(start + marks[marks <= whole]), least=3))
     ax.set_xlim(start, ts[-1])
     return float(start + early)

@@ -2,6 +2,7 @@
 
 from types import SimpleNamespace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -67,6 +68,15 @@ def test_a_map_shows_the_first_two_that_change_and_holds_the_others_in_the_middl
     x, y = np.meshgrid([1.0, 2.0, 3.0], [10.0, 20.0])
     np.testing.assert_allclose(data.z, height(x, y, 0.4, 6.0), rtol=1e-14)
     assert data.held == "c = 0.4 N, d = 6"
+
+
+@pytest.mark.parametrize("number", [np.float32(0.2), np.int64(0), jnp.asarray(0.2), np.array(0.2), 0.2, 0])
+def test_a_parameter_is_held_at_a_number_of_any_library(number):
+    data = map_data(GRID, height(GRID.a, GRID.b, GRID.c, GRID.d), at={"c": number})
+    assert data.held == f"c = {0.2 if float(number) else 0.1:g} N, d = 6"
+    for bad in (np.array([0.2]), np.nan, True, "0.2", np.float32(np.inf), 1j):
+        with pytest.raises(ValueError, match="argument at must hold parameters that are no side"):
+            map_data(GRID, GRID.a, at={"c": bad})
 
 
 @pytest.mark.parametrize(

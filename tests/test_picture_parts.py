@@ -5,6 +5,7 @@ import dataclasses
 from types import SimpleNamespace
 
 import equinox as eqx
+import jax
 import numpy as np
 import pytest
 from matplotlib.colors import to_hex
@@ -1209,6 +1210,60 @@ def test_times_far_from_zero_are_told_apart():
     ax = axes()
     _phase_parts.draw_path(ax, np.zeros((3, 2)), np.zeros((0, 2)), ts)
     assert [line.get_label() for line in ax.lines[1:]] == ["start, 1000 s", "end, 1000.1 s"]
+
+
+@pytest.mark.parametrize("name", ["motion.gif", "grasp.html", "map.html"])
+def test_a_film_or_a_page_that_cannot_be_written_is_refused_before_it_is_drawn(name, tmp_path):
+    if name != "motion.gif":
+        pytest.importorskip("plotly")
+    (tmp_path / "file").write_text("")
+    grid = jxr.Parameters.grid(a=[1.0, 2.0], b=[3.0, 4.0])
+    grasp, run = runs.scene("pivoted")[0], runs.run("pivoted")
+    write = {
+        "motion.gif": lambda path: jxr.plotting.animate(grasp, run, path),
+        "grasp.html": lambda path: jxr.plotting.page(grasp, run, path),
+        "map.html": lambda path: jxr.plotting.map_page(grid, grid.a, path),
+    }[name]
+    for path in (tmp_path / "file" / name, tmp_path / f"{'n' * 300}{name}"):
+        with pytest.raises(ValueError, match="argument path must name a file that can be written, but '"):
+            write(path)
+
+
+def test_titles_of_tall_poses_are_within_their_picture(tmp_path):
+    grasp, state = runs.scene("pivoted")
+    run = runs.run("pivoted")
+    twice = jax.tree.map(lambda x: np.stack([x, x]), state)  # as after a short time: hardly anything moved
+    still = eqx.tree_at(lambda run: (run.ts, run.states), run, (np.array([0.0, 0.1]), twice))
+    figure = jxr.plotting.poses(grasp, still)
+    figure.savefig(tmp_path / "poses.png", dpi=figure.dpi)
+    for ax in figure.axes:
+        above = figure.bbox.height - ax._left_title.get_window_extent().y1
+        below = ax.xaxis.label.get_window_extent().y0 - figure.legends[0].get_window_extent().y1
+        assert above > 0.0 and below > 0.0
+
+
+def test_marks_of_late_times_do_not_meet():
+    for start, most in ((0.0, 12), (1000.0, 4)):
+        ax = axes()
+        ax.plot(start + np.linspace(0.0, 3.0, 7), np.zeros(7))
+        _responses._thin(ax)
+        low, high = ax.get_xlim()
+        seen = [x for x in ax.get_xticks() if low <= x <= high]
+        assert 3 <= len(seen) <= most
+
+
+def test_a_frame_is_shown_no_longer_than_a_gif_can_say():
+    assert _film.check_delay("fps", 0.002, 500.0) == 500.0
+    with pytest.raises(
+        ValueError, match="argument fps must show no frame for more than 655 s, but was 0.001"
+    ):
+        _film.check_delay("fps", 0.001, 1000.0)
+    with pytest.raises(
+        ValueError, match="argument speed must show no frame for more than 655 s, but was 1e-05"
+    ):
+        _animate3._paced(np.linspace(0.0, 3.0, 300), 25.0, 1e-5)
+    with pytest.raises(ValueError, match="argument fps must show no frame"):
+        _animate3._paced(np.linspace(0.0, 3.0, 300), 1e-3, 1.0)
 
 
 def test_the_clock_of_a_short_film_has_as_many_digits_as_it_needs():

@@ -10,10 +10,13 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from .._results import as_positive, shown
+from ..io._paths import writable
 from . import _gif
 
 # How long the last frame stays [ms].
 _HOLD = 1500
+# How long a frame of a GIF may stay [s]: it counts hundredths in 16 bits.
+_LONGEST = 655.0
 _DPI = 100
 
 
@@ -43,6 +46,15 @@ def _mp4(path: Path, frames: list[Image.Image], delay: int) -> None:
             writer.grab_frame()
 
 
+def check_delay(name: str, value: float, delay: float) -> float:
+    """How long a frame stays [s], unless an argument makes it longer than a GIF can say."""
+    if delay > _LONGEST:
+        raise ValueError(
+            f"argument {name} must show no frame for more than {_LONGEST:g} s, but was {value:g}"
+        )
+    return delay
+
+
 def clock_texts(ts: np.ndarray) -> list[str]:
     """What the clock of a film shows at its times: hundredths of a second, or finer where it is short."""
     span = float(ts[-1] - ts[0]) or abs(float(ts[-1])) or 1.0
@@ -66,4 +78,4 @@ def checked_path(path: str | Path) -> Path:
             "argument path must end in .gif where there is no program ffmpeg, which writes an MP4, but was "
             f"{shown(str(path))}"
         )
-    return path
+    return writable(path)

@@ -130,13 +130,13 @@ def _place(parameters: Parameters, sides: tuple[int, int], at: Mapping[str, floa
     place: list[Any] = [slice(None) if k in sides else n // 2 for k, n in enumerate(parameters.shape)]
     for name, value in at.items():
         along = [k for k, names in enumerate(parameters.axes) if name in names and k not in sides]
-        number = isinstance(value, int | float) and math.isfinite(value)
+        number = _is_number(value)
         if not along or not number or np.ndim(parameters[name]) != 1:
             raise ValueError(
                 f"argument at must hold parameters that are no side of the map at a number each, but had "
                 f"{shown(name)}: {shown(value)}"
             )
-        place[along[0]] = int(np.argmin(np.abs(parameters.axis(name) - value)))
+        place[along[0]] = int(np.argmin(np.abs(parameters.axis(name) - float(value))))
     told = [
         f"{name} = {parameters.axis(name)[k]:.4g} {parameters.units[name]}".strip()
         for names, k, n in zip(parameters.axes, place, parameters.shape, strict=True)
@@ -144,6 +144,14 @@ def _place(parameters: Parameters, sides: tuple[int, int], at: Mapping[str, floa
         if not isinstance(k, slice) and n > 1 and np.ndim(parameters[name]) == 1
     ]
     return tuple(place), ", ".join(told)
+
+
+def _is_number(value: Any) -> bool:
+    """Whether this is one finite number, of any library."""
+    if isinstance(value, str) or not (isinstance(value, int | float) or hasattr(value, "dtype")):
+        return False
+    array = np.asarray(value)
+    return array.ndim == 0 and array.dtype.kind in "fiu" and bool(np.isfinite(array))
 
 
 def _spread(parameters: Parameters, sides: tuple[str, str]) -> str:

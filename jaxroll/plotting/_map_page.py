@@ -8,6 +8,7 @@ import numpy as np
 
 from .._results import shown
 from .._sweep import Parameters
+from ..io._paths import writable
 from ._doors import guarded
 from ._map_data import map_data, MapData
 from ._map_figure import code_colours, NOTHING
@@ -62,9 +63,9 @@ def map_page(
     if path.suffix.lower() not in (".html", ".htm"):
         raise ValueError(f"argument path must end in .html, but was {shown(str(path))}")
     plotly, data = plotly_door(), map_data(parameters, values, x=x, y=y, at=at)
+    writable(path)
     kind = plotly.Heatmap if data.gridded else plotly.Scattergl
     figure = plotly.Figure(data=[kind(_trace(data, label))], layout=_layout(data, title))
-    path.parent.mkdir(parents=True, exist_ok=True)
     config = {"displaylogo": False, "responsive": True, "scrollZoom": True}
     figure.write_html(path, include_plotlyjs=True, config=config, **WHOLE_WINDOW)
     return path

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from .._results import as_count, shown, told_apart
+from ..io._paths import writable
 from ._doors import check_frames
 from ._gif import nearest_rows
 from ._style import GUIDE
@@ -23,6 +24,7 @@ def checked_page(path: str | Path, frames: Any) -> tuple[Path, int]:
     path = Path(path)
     if path.suffix.lower() not in (".html", ".htm"):
         raise ValueError(f"argument path must end in .html, but was {shown(str(path))}")
+    writable(path)
     frames = as_count("frames", frames)
     check_frames("frames", frames)
     return path, frames

@@ -145,6 +145,8 @@ def _side_by_side(grasp: Grasp, seen: Views, titles: list[str], forces: Arrows |
             ax.set_ylabel("")
     handles, names = zip(*drawing.legend(), strict=True)
     figure.legend(handles, names, loc="outside lower center", ncols=columns, fontsize=8, frameon=False)
+    # The first layout leaves too little room for the titles of a tall grasp; the next one does not.
+    figure.draw_without_rendering()
     return figure
 
 

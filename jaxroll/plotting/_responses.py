@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from .._integration import Trajectory
 from .._mechanics import Grasp
@@ -21,6 +22,8 @@ _COLUMNS = 3
 _ABREAST, _LEGEND = 3, 0.17
 # Dashes of a line that lies on an earlier one, within this share of the panel's range: both are seen.
 _ON, _DASHES = 0.01, ((0, (4, 4)), (0, (1.2, 6.8)))
+# Characters of a number beside a mark of time, of which there is room for as many as matplotlib takes.
+_SHORT = 5
 # A run whose contacts are through with this share of their way in a tenth of the time gets a
 # stretched time axis.
 _SHARE = 0.9
@@ -85,6 +88,8 @@ def responses(grasp: Grasp, trajectory: Trajectory, folder: str | Path | None = 
     for ax in axes[len(shown) :]:
         ax.remove()
     beyond = _stretch(axes[0], ts[reached], np.asarray(trajectory.states.s)[reached])
+    if not beyond:
+        _thin(axes[0])
     for ax in axes[: len(shown)] if beyond else ():
         if ax.get_xlabel():
             _, told = told_apart(ts[reached][0], beyond, least=2)
@@ -94,6 +99,13 @@ def responses(grasp: Grasp, trajectory: Trajectory, folder: str | Path | None = 
     if folder is not None:
         save_figure(figure, folder, "responses.png")
     return figure
+
+
+def _thin(ax: Axes) -> None:
+    """Fewer marks along the shared time axis where their numbers are long, as of times far from zero."""
+    texts = ax.xaxis.get_major_formatter().format_ticks(list(ax.get_xticks()))
+    if max(map(len, texts), default=0) > _SHORT:
+        ax.xaxis.set_major_locator(MaxNLocator(3))
 
 
 def _draw(ax: Axes, ts: np.ndarray, panel: Panel, reached: np.ndarray) -> None:

@@ -7,6 +7,7 @@ import re
 import sys
 import time
 import types
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
@@ -17,7 +18,15 @@ from PIL import Image
 import jaxroll as jxr
 from jaxroll import __main__ as command, _cli, plotting
 from jaxroll.__main__ import _FPS, _missing, _parser, _save_times, _shape, _without_empty, main
-from jaxroll._cli import _design_command, _replay_command, _waiting, DesignOrder, order
+from jaxroll._cli import (
+    _design_command,
+    _pinch_command,
+    _replay_command,
+    _run_pictures,
+    _waiting,
+    DesignOrder,
+    order,
+)
 from jaxroll._cli._design_command import fingertip
 from jaxroll.geometry import Circle
 
@@ -267,13 +276,49 @@ def test_a_film_of_a_long_run_takes_twelve_seconds(saved, tmp_path, monkeypatch,
     later = dataclasses.replace(kept["run"], ts=jnp.array([3.0, 20.0, 39.0]))
     asked = []
     monkeypatch.setattr(_replay_command, "_read", lambda _: (kept["grasp"], later))
-    monkeypatch.setattr(_replay_command, "_pictures", lambda *_: {})
+    monkeypatch.setattr(_replay_command, "run_pictures", lambda *_: {})
     monkeypatch.setattr(_replay_command.plotting, "animate", lambda *_, **options: asked.append(options))
     monkeypatch.setattr(_replay_command.plotting, "page", lambda *_: None)
     for speed in ([], ["--speed", "2"]):
         assert main(["replay", str(saved / "run.npz"), "--out", str(tmp_path), "--fps", "9", *speed]) == 0
     assert asked == [{"fps": 9, "speed": 3.0}, {"fps": 9, "speed": 2.0}]
     assert "motion.gif, page.html" in capfd.readouterr().out
+
+
+def test_a_film_is_as_long_as_the_run_not_as_what_was_asked_of_it():
+    """Asked up to 100 s, ended after 3 s; and nothing reached at all."""
+    q = np.array([[1.0, 2.0], [1.0, 2.0], [np.nan, np.nan]])
+    run = SimpleNamespace(ts=np.array([0.0, 3.0, 100.0]), states=SimpleNamespace(q=q))
+    assert _run_pictures.pace(run, 1.0, 12.0) == 1.0 and _run_pictures.pace(run, 0.1, 12.0) == 0.25
+    lost = SimpleNamespace(ts=run.ts, states=SimpleNamespace(q=np.nan * q))
+    assert _run_pictures.pace(lost, 0.5, 12.0) == 0.5
+
+
+def test_a_pinch_that_ends_before_the_push_says_so():
+    """And it has two states or more, the first of them the start, however short it is."""
+    left = SimpleNamespace(normal=np.zeros((2, 2)), tangential=np.zeros((2, 2)))
+    forces = SimpleNamespace(f=np.array([[2.0, 3.0], [1.0, 1.0]]))
+    control = SimpleNamespace(beta=20.0, damping=np.array([0.006]))
+    grasp = SimpleNamespace(object=SimpleNamespace(mass=0.02), controller=control)
+    for end, told in (
+        (0.1, "not pushed by then: that begins at 0.1 s"),
+        (0.11, "pushed aside with 0.5 N for 0.1 s"),
+    ):
+        run = SimpleNamespace(multipliers=forces, residuals=left, stats=SimpleNamespace(t_end=end))
+        assert _pinch_command._described(grasp, run, 0.5)[1].endswith(f"pressed with 2 N, {told}")
+    assert [_pinch_command._count(seconds) for seconds in (1e-3, 0.02, 1.0, 1e5)] == [2, 3, 101, 20_001]
+
+
+def test_a_run_in_space_with_one_state_is_drawn_without_its_loci(monkeypatch):
+    drawn = ("poses", "responses", "loci")
+    for name in drawn:
+        monkeypatch.setattr(_run_pictures.plotting, name, lambda *_, name=name, **options: name)
+    states = lambda *rows: SimpleNamespace(q=np.array(rows))  # noqa: E731
+    run = lambda *rows: SimpleNamespace(ts=np.arange(2.0), states=states(*rows), multipliers=None)  # noqa: E731
+    space, plane = SimpleNamespace(spatial=True), SimpleNamespace(spatial=False)
+    assert list(_run_pictures.run_pictures(space, run([1.0], [2.0])).values()) == list(drawn)
+    assert list(_run_pictures.run_pictures(space, run([1.0], [np.nan])).values()) == list(drawn[:2])
+    assert list(_run_pictures.run_pictures(plane, run([1.0], [2.0])).values()) == list(drawn[:2])
 
 
 WORDS = {

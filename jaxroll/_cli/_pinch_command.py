@@ -24,6 +24,7 @@ from .._reaching import tip_origins
 from .._results import RESULTS
 from .._saving import save
 from ..geometry import Fit, Sphere, SurfaceFit
+from ._run_pictures import pace, run_pictures
 from ._shape_file import fitted, read, ShapeOrder, size_told, warn
 
 # The push: when it begins and how long it lasts [s], its size beside that of the fingers.
@@ -56,6 +57,8 @@ _REMEDIES = {
 }
 # The animation: pictures a second, and simulated seconds per second shown. In space a picture takes long.
 _FPS, _SPEED = 12.0, 0.5
+# A film takes no longer than this [s], and no more states are saved.
+_LONGEST, _MOST = 60.0, 20_001
 
 
 @dataclass(frozen=True)
@@ -112,8 +115,8 @@ def pinch_order(
             verdict = stability.assess(grasp, state).verdict
     with timed(f"Simulating {asked.seconds:g} s"):
         pushed, push = _pushed(grasp, state)
-        record, count = ("multipliers", "energy"), 1 + round(100 * asked.seconds)
-        run = simulate(pushed, state, asked.seconds, ts=count, record=record, throw=False)
+        record = ("multipliers", "energy")
+        run = simulate(pushed, state, asked.seconds, ts=_count(asked.seconds), record=record, throw=False)
         jax.block_until_ready(run)
     names = _written(asked, folder, timed, found=found, grasp=pushed, run=run)
     save(folder / "pinch.npz", {"grasp": pushed, "state": state, "run": run})
@@ -131,6 +134,11 @@ def pinch_order(
         "  " + ", ".join([*names, "pinch.npz"]),
     ]
     return lines, held
+
+
+def _count(seconds: float) -> int:
+    """How many states are saved, the start and the end among them."""
+    return min(max(2, 1 + round(100 * seconds)), _MOST)
 
 
 def _body(found: Fit | SurfaceFit, asked: PinchOrder) -> FreeObject | FreeObject3:
@@ -234,10 +242,13 @@ def _described(grasp: Grasp, run: Any, push: float) -> list[str]:
     body, control = grasp.object, grasp.controller
     left = run.residuals
     gap = max(float(np.abs(np.asarray(part)[0]).max()) for part in (left.normal, left.tangential))
+    pushed = f"pushed aside with {push:.3g} N for {_LASTS:g} s"
+    if float(run.stats.t_end) <= _BEGINS:
+        pushed = f"not pushed by then: that begins at {_BEGINS:g} s"
     return [
         f"  object      {1e3 * float(body.mass):.4g} g; no gravity acts on it or on the fingers",
         f"  control     beta = {float(control.beta):.4g} N/m, c = {float(control.damping[0]):.3g} N m s; "
-        f"pressed with {press:.3g} N, pushed aside with {push:.3g} N for {_LASTS:g} s",
+        f"pressed with {press:.3g} N, {pushed}",
         f"  closed      gaps of {gap:.1e} m",
     ]
 
@@ -258,18 +269,13 @@ def _written(
     """Draw the fit, the poses, the responses and the motion; returns the names of the files."""
     grasp, run = made["grasp"], made["run"]
     with timed("Drawing"):
-        pictures = {
-            "fit.png": plotting.fit(made["found"]),
-            "poses.png": plotting.poses(grasp, run, forces=True),
-            "responses.png": plotting.responses(grasp, run),
-        }
-        if grasp.spatial:
-            pictures["loci.png"] = plotting.loci(grasp, run)
+        pictures = {"fit.png": plotting.fit(made["found"])} | run_pictures(grasp, run)
         for name, picture in pictures.items():
             picture.savefig(folder / name, dpi=150)
     names = list(pictures)
     if asked.animated:
         with timed("Animating"):
-            plotting.animate(grasp, run, folder / "motion.gif", fps=_FPS, speed=_SPEED)
+            speed = pace(run, _SPEED, _LONGEST)
+            plotting.animate(grasp, run, folder / "motion.gif", fps=_FPS, speed=speed)
         names.append("motion.gif")
     return names

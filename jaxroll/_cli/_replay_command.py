@@ -16,6 +16,7 @@ from .._mechanics import Grasp
 from .._results import told_apart
 from .._saving import load
 from ._replay_order import ReplayOrder
+from ._run_pictures import pace, run_pictures
 
 # What helps a run that ended early is for whoever made it, and made it in Python.
 _REMEDIES = {name: f"in Python, where it was made: {text}" for name, text in REMEDIES.items()}
@@ -37,13 +38,11 @@ def replayed(asked: ReplayOrder, folder: Path, timed: Callable[[str], AbstractCo
         run = _until(run, asked.until)
     names, missing = [], []
     with timed("Drawing"):
-        for name, picture in _pictures(grasp, run).items():
+        for name, picture in run_pictures(grasp, run).items():
             picture.savefig(folder / name, dpi=150)
             names.append(name)
     if asked.film is not None:
-        ts = np.asarray(run.ts)
-        end = float(np.max(ts[np.isfinite(ts)], initial=0.0))
-        speed = asked.speed or max(1.0, (end - float(ts[0])) / _LONGEST)
+        speed = asked.speed or pace(run, 1.0, _LONGEST)
         names.append(f"motion.{asked.film}")
         with timed("Animating"):
             plotting.animate(grasp, run, folder / names[-1], fps=asked.fps, speed=speed)
@@ -84,16 +83,6 @@ def _until(run: Trajectory, until: float) -> Trajectory:
     parts = lambda each: [getattr(each, name) for name in names]  # noqa: E731
     shown = eqx.tree_at(parts, run, jax.tree.map(lambda x: x[:count], parts(run)))
     return eqx.tree_at(lambda each: each.last, shown, jax.tree.map(lambda x: x[-1], shown.states))
-
-
-def _pictures(grasp: Grasp, run: Trajectory) -> dict[str, Any]:
-    """The figures of a run, by the names of their files."""
-    forces = run.multipliers is not None
-    pictures = {"poses.png": plotting.poses(grasp, run, forces=forces)}
-    pictures["responses.png"] = plotting.responses(grasp, run)
-    if grasp.spatial:
-        pictures["loci.png"] = plotting.loci(grasp, run)
-    return pictures
 
 
 def _read(file: str) -> tuple[Grasp, Trajectory]:

@@ -404,7 +404,8 @@ _ORDERS: dict[str, Callable[[argparse.Namespace, Path], int]] = {
 def _sweep_or_map(options: argparse.Namespace) -> None:
     order: Any = _cli.sweep_order(options) if options.command == "sweep" else _cli.map_order(options)
     filled = options.command == "sweep" and order.store
-    made = [] if filled else _missing(order.out)
+    # Runs of a sweep are kept in a folder within, which stands empty where a first one failed.
+    made = [] if filled else [Path(order.out, "chunks"), *_missing(order.out)]
     folder = Path(order.store) if filled else _writable(order.out)
     try:
         with _cli.timed("Loading"):

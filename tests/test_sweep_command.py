@@ -148,6 +148,10 @@ def test_a_refusal_after_loading_leaves_no_folder(tmp_path, monkeypatch, capfd):
     assert main(["sweep", "pivoted", "--set", "damping=0.004", "--keep", "nonsense"]) == 2
     assert "argument --keep must be among result" in capfd.readouterr().err
     assert not list(tmp_path.iterdir())
+    # What only the scene knows is refused after the folder of its runs was made.
+    assert main(["sweep", "pivoted", "--set", "pivot=0.03", "--out", "a/b"]) == 2
+    assert "argument --set pivot must have shape (2)" in capfd.readouterr().err
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_name_is_looked_for_in_the_scene():

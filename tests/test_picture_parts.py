@@ -1242,6 +1242,17 @@ def test_titles_of_tall_poses_are_within_their_picture(tmp_path):
         assert above > 0.0 and below > 0.0
 
 
+def test_a_push_in_space_is_explained_where_it_acts_at_a_time_that_is_shown():
+    grasp, _ = runs.scene("turntable")
+    load = jxr.loads.Push((0.5, 0.2, -0.3), 0.08, 0.1)
+    pushed = jxr.Grasp(grasp.object, grasp.fingers, grasp.contacts, load=load, gravity=grasp.gravity)
+    run = runs.run("turntable")
+    for times, told in (((0.0, 0.6), False), ((0.0, 0.1), True)):
+        figure = jxr.plotting.poses(pushed, run, times=times, forces=True)
+        names = [text.get_text() for text in figure.legends[0].get_texts()]
+        assert ("load on the object" in names) == told
+
+
 def test_marks_of_late_times_do_not_meet():
     for start, most in ((0.0, 12), (1000.0, 4)):
         ax = axes()

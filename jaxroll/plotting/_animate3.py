@@ -64,7 +64,7 @@ def animate3(
     figure, (ax,) = stage(scene, (elevation, azimuth), size, azimuths)
     figure.set_dpi(100)
     drawing = Drawing3(ax, scene, arrows=None if forces is None else scaled(scene, forces, reached))
-    legend(figure, drawing)
+    legend(figure, drawing, rows.tolist())
     clock = heading(figure, "", 0.04, ha="left")
     pace = "real time" if speed == 1.0 else f"shown at {speed:g} x real time"
     heading(figure, pace, 0.96, ha="right", fontsize=8.5, color="#555555")

@@ -1,5 +1,6 @@
 """One instant of a spatial grasp on matplotlib's axes in space."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -115,8 +116,8 @@ class Drawing3:
         apart = self.scene.skeletons[finger][i, -1] - self.scene.solids[0].frames[i, :3]
         return bool(apart @ towards > 0.0)
 
-    def legend(self) -> list[tuple[Any, str]]:
-        """Handles and names of what is drawn."""
+    def legend(self, instants: Sequence[int]) -> list[tuple[Any, str]]:
+        """Handles and names of what is drawn at some instants."""
         tip = self.scene.tip_name
         entries = [
             (Patch(fc=TIP_BODY, ec=FINGER, lw=1.0), tip),
@@ -129,7 +130,12 @@ class Drawing3:
         if self.forces:
             sign = Line2D([], [], marker=r"$\rightarrow$", ms=14, ls="none", color=FORCE_COLOUR)
             entries.append((sign, f"contact force on the object{self._scale()}"))
-        if self.load:
+        # A push that acts at no time that is shown has no arrow to explain.
+        if (
+            self.arrows is not None
+            and self.arrows.load is not None
+            and self.arrows.load[list(instants)].any()
+        ):
             sign = Line2D([], [], marker=r"$\rightarrow$", ms=14, ls="none", color=LOAD_COLOUR)
             entries.append((sign, "load on the object"))
         return entries

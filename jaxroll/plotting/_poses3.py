@@ -65,7 +65,7 @@ def snapshots3(
         drawing.show(instant)
         if title:
             heading(figure, title, (k + 0.5) / len(instants))
-    legend(figure, drawing)
+    legend(figure, drawing, instants)
     return figure
 
 
@@ -162,9 +162,9 @@ def tick_step(spans: np.ndarray) -> float:
     return power * min((1.0, 2.0, 5.0, 10.0), key=lambda k: abs(np.log(k * power / rough)))
 
 
-def legend(figure: Picture, drawing: Drawing3) -> None:
-    """What the colours are, below all."""
-    handles, names = zip(*drawing.legend(), strict=True)
+def legend(figure: Picture, drawing: Drawing3, instants: Sequence[int]) -> None:
+    """What the colours are at the instants that are shown, below all."""
+    handles, names = zip(*drawing.legend(instants), strict=True)
     anchor = (0.5, 0.03 / figure.get_figheight())
     columns = _columns(figure.get_figwidth())
     figure.legend(

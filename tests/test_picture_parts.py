@@ -51,6 +51,7 @@ from jaxroll.plotting import (
     _tags,
     _tubes,
     _views,
+    _views3,
 )
 from jaxroll.plotting._motion3 import Motion3D
 from jaxroll.plotting._outlines import _backed, _joined, Outline, OutlineSamples
@@ -1253,10 +1254,25 @@ def test_a_push_in_space_is_explained_where_it_acts_at_a_time_that_is_shown():
         assert ("load on the object" in names) == told
 
 
+@pytest.mark.parametrize("size", [2.5, 4.0, 5.5, 8.0])
+def test_the_legend_of_a_narrow_picture_in_space_is_within_it(size):
+    grasp, _ = runs.scene("pinch3d")
+    run = runs.run("pinch3d")
+    motion = _views3.scene_motion(grasp, run.states)
+    forces = _forces3.pushes(grasp, run, motion)
+    forces = _forces3.Pushes(1e-9 * forces.contacts)  # a long number: the scale is for one newton
+    figure = _poses3.snapshots3(grasp, motion, forces=forces, size=size)
+    figure.draw_without_rendering()
+    (legend,) = figure.legends
+    box = legend.get_window_extent()
+    assert box.x0 >= 0.0 and box.x1 <= figure.bbox.width
+    assert any("1 N as" in text.get_text() for text in legend.get_texts())
+
+
 def test_marks_of_late_times_do_not_meet():
-    for start, most in ((0.0, 12), (1000.0, 4)):
+    for start, span, most in ((0.0, 3.0, 12), (1000.0, 3.0, 4), (0.0, 0.0158, 4)):
         ax = axes()
-        ax.plot(start + np.linspace(0.0, 3.0, 7), np.zeros(7))
+        ax.plot(start + np.linspace(0.0, span, 7), np.zeros(7))
         _responses._thin(ax)
         low, high = ax.get_xlim()
         seen = [x for x in ax.get_xticks() if low <= x <= high]

@@ -23,7 +23,8 @@ _LONGEST = 0.14
 _WIDE, _TALL, _LABELS = 0.76, 0.84, 0.16
 # Heights of a row of the legend and of the title in inches; more columns if there is width for them.
 _ROW, _TITLE = 0.19, 0.3
-_ENTRIES, _BROAD = 7, 8.0
+_ENTRIES, _NARROW, _BROAD = 7, 5.4, 8.0
+_SIZE, _FULL = 8.0, 0.96  # of the letters, in points, unless that is wider than this share of the figure
 
 
 def snapshots3(
@@ -167,14 +168,17 @@ def legend(figure: Picture, drawing: Drawing3, instants: Sequence[int]) -> None:
     handles, names = zip(*drawing.legend(instants), strict=True)
     anchor = (0.5, 0.03 / figure.get_figheight())
     columns = _columns(figure.get_figwidth())
-    figure.legend(
-        handles, names, loc="lower center", ncols=columns, fontsize=8, frameon=False, bbox_to_anchor=anchor
-    )
+    look = {"loc": "lower center", "frameon": False, "bbox_to_anchor": anchor}
+    shown = figure.legend(handles, names, ncols=columns, fontsize=_SIZE, **look)
+    across = shown.get_window_extent(figure.agg.get_renderer()).width / figure.bbox.width
+    if across > _FULL:
+        shown.remove()
+        figure.legend(handles, names, ncols=columns, fontsize=_SIZE * _FULL / across, **look)
 
 
 def _columns(width: float) -> int:
     """Of the legend of a figure of this width in inches."""
-    return 2 if width < _BROAD else 4
+    return 1 if width < _NARROW else 2 if width < _BROAD else 4
 
 
 def heading(figure: Picture, text: str, x: float, **style: Any) -> Text:

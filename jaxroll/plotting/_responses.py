@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import AutoLocator, MaxNLocator
 
 from .._integration import Trajectory
 from .._mechanics import Grasp
@@ -103,8 +103,9 @@ def responses(grasp: Grasp, trajectory: Trajectory, folder: str | Path | None = 
 
 def _thin(ax: Axes) -> None:
     """Fewer marks along the shared time axis where their numbers are long, as of times far from zero."""
-    texts = ax.xaxis.get_major_formatter().format_ticks(list(ax.get_xticks()))
-    if max(map(len, texts), default=0) > _SHORT:
+    # As many as there may be, whatever the layout.
+    finest = AutoLocator().tick_values(*ax.get_xlim())
+    if max(map(len, ax.xaxis.get_major_formatter().format_ticks(list(finest))), default=0) > _SHORT:
         ax.xaxis.set_major_locator(MaxNLocator(3))
 
 

@@ -571,6 +571,13 @@ def test_single_precision_finds_where_a_pinch_rests():
         return jax.vmap(lambda d: pinch_rest(grasp, jxr.State(state.q, state.v, state.s + d)))(away)
 
     alone = [pinch_rest(grasp, jxr.State(state.q, state.v, state.s + d)) for d in away]
+    # By the frames alone, against U differentiated automatically.
+    found, statics = alone[1]
+    there = pinch_statics(grasp, found)
+    np.testing.assert_allclose(there.gradient, [0.0, 0.0], atol=1e-14)
+    np.testing.assert_allclose(statics.hessian, there.hessian, rtol=1e-11)
+    np.testing.assert_allclose(statics.potential, there.potential, rtol=1e-13)
+    np.testing.assert_allclose([statics.d, statics.l], [there.d, there.l], rtol=0, atol=1e-14)
     single, near = in_single(rests, grasp, state, away)
     assert single.dtype == jnp.float32
     for i, (found, statics) in enumerate(alone):

@@ -39,6 +39,18 @@ _LONGEST = (60.0, 5.0)
 # the same text in other lines, in which a test would notice it, the line's text is the fifth.
 EQUIVALENT: dict[tuple[str, ...], str] = {
     (
+        "jaxroll/geometry/contours/_table.py",
+        "Table.frame",
+        "row[:6]",
+        "(row)",
+    ): "a quintic reads its first six coefficients alone",
+    (
+        "jaxroll/geometry/fitting/_bounded_curve.py",
+        "_minimum",
+        "1e-4 * share",
+        "(0.0001)",
+    ): "by how much a shortened step has to go down: the search comes to the same minimum",
+    (
         "jaxroll/plotting/_forces3.py",
         "Pushes.rows",
         "self.load is None or self.at is None",

@@ -110,7 +110,8 @@ def test_a_search_that_runs_off_is_no_success(scene, force):
     grasp, state = scene
     data = angles(**TRUE | {"force": force})
     found = jxr.identify(lambda p: (grasp.with_(**p), state), {"damping": -0.05}, TS, data, noise=1e-4)
-    assert found.result in (jxr.RESULTS.step_collapsed, jxr.RESULTS.undetermined) and found.misfit > 100.0
+    codes = jxr.RESULTS.step_collapsed, jxr.RESULTS.not_finite, jxr.RESULTS.undetermined
+    assert found.result in codes and found.misfit > 100.0
 
 
 @pytest.mark.parametrize(

@@ -156,7 +156,7 @@ def test_where_a_value_ends_to_be_a_number_is_a_boundary():
     grid = jxr.Parameters.grid(x=np.linspace(-1, 1, 33), y=np.linspace(-1, 1, 40), z=np.linspace(0, 1, 17))
     found = jxr.adaptive_map(lambda p: jnp.where(p.x > p.y, jnp.nan, p.z), grid, levels=3, tolerance=5.0)
     exact = grid.shaped(np.where(grid.x > grid.y, np.nan, grid.z))
-    np.testing.assert_allclose(found.values, exact, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(found.values, exact, rtol=0, atol=1e-14, equal_nan=True)
     assert found.runs < 0.4 * grid.rows
 
 

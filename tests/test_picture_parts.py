@@ -184,7 +184,7 @@ def panel(values, **more):
 def test_small_values_have_their_power_of_ten_on_the_label():
     for values, power in (([2.5e-4, -9.0e-4], -4), ([NAN, -3e-8], -8)):
         found = _panels.in_powers(panel(values))
-        np.testing.assert_allclose(found.values, np.array(values) / 10.0**power, rtol=1e-12)
+        np.testing.assert_allclose(found.values, np.array(values) / 10.0**power, rtol=1e-12, equal_nan=True)
         assert found.label == f"$f$ [$10^{{{power}}}$ N]" and found.title == "some forces"
     for values in ([1.1e-3, 0.0], [-5.0, 2.0]):
         same = panel(values)
@@ -233,7 +233,7 @@ def test_contacts_far_apart_that_move_little_are_drawn_since_the_start():
     way = np.array([[0.0, 0.0], [1.0, -0.5], [NAN, NAN], [0.4, 0.2]])
     apart = _panels._contacts(way + [5.0, 8.9], "0")
     assert apart.label == "$s_i - s_i(0)$ [mm]" and apart.names == ("$s_1$", "$s_2$")
-    np.testing.assert_allclose(apart.values, way, atol=1e-12)
+    np.testing.assert_allclose(apart.values, way, atol=1e-12, equal_nan=True)
     near = _panels._contacts(way + [5.0, 8.7], "0")
     assert near.label == "$s_i$ [mm]"
     np.testing.assert_array_equal(near.values, way + [5.0, 8.7])
@@ -313,7 +313,7 @@ def test_powers_of_ten_of_loci():
     scale, told = _loci_figure._powers(9e-4, label)
     assert scale == pytest.approx(1e4) and told == r"$\tau$ [$10^{-4}$/mm]"
     values, unit = _loci_figure._in_powers(np.array([2e-9, NAN, -3e-9]))
-    np.testing.assert_allclose(values, [2.0, NAN, -3.0])
+    np.testing.assert_allclose(values, [2.0, NAN, -3.0], equal_nan=True)
     assert unit == "$10^{-9}$ m"
     values, unit = _loci_figure._in_powers(np.array([0.0, NAN]))
     assert unit == "m" and values[0] == 0.0
@@ -800,7 +800,7 @@ def test_the_margin_of_a_design_is_cut_off_where_its_contour_is_nearly_flat():
     at, shown = flat.get_xdata(), flat.get_ydata()
     np.testing.assert_allclose(at, 1e3 * np.linspace(0.0, s[-1], 257))
     expected = 1e3 * np.interp(1e-3 * at, s, margin)
-    np.testing.assert_allclose(shown, np.where(expected < 120.0, expected, NAN), atol=1e-3)
+    np.testing.assert_allclose(shown, np.where(expected < 120.0, expected, NAN), atol=1e-3, equal_nan=True)
     assert np.isnan(shown).sum() > 100 and flat.get_label() == "before, -19.95 at least"
     np.testing.assert_allclose(round_one.get_ydata(), 0.0, atol=1e-9)
     assert np.isfinite(round_one.get_ydata()).all()
@@ -1023,7 +1023,7 @@ def test_the_shaft_of_a_force_ends_where_it_acts_with_two_barbs():
     aside = 0.63 * np.array([0.0, 2.0, 1.0]) / 5.0**0.5
     foot = point - 0.22 * force
     rows = [point - force, point, foot + aside, point, foot - aside, np.full(3, NAN)]
-    np.testing.assert_allclose(_page._shaft(point, force), rows)
+    np.testing.assert_allclose(_page._shaft(point, force), rows, equal_nan=True)
     np.testing.assert_allclose(_page._shaft(point, np.zeros(3))[:5], np.tile(point, (5, 1)))
 
 
@@ -1665,7 +1665,7 @@ def test_friction_in_space_is_that_of_either_sign_and_none_without_a_force(monke
     pressed, along, ratio = _panels3._forces(None, None, ("contact 1", "contact 2"))
     np.testing.assert_array_equal(pressed.values, normal)
     np.testing.assert_allclose(along.values, [[5.0, 3.0], [1.0, 10.0]])
-    np.testing.assert_allclose(ratio.values, [[2.5, 0.75], [NAN, 2.0]])
+    np.testing.assert_allclose(ratio.values, [[2.5, 0.75], [NAN, 2.0]], equal_nan=True)
 
 
 def test_joints_in_space_are_counted_past_those_of_other_fingers():
@@ -1956,7 +1956,7 @@ def test_a_picture_of_a_potential_has_no_value_off_either_pair_of_contours(monke
     # In millijoules; off by a trillionth of a metre, the ends themselves are there or not.
     clear = (np.abs(s1 - 0.003) > 1e-9) & (np.abs(s2 + 0.006) > 1e-9)
     expected = np.where((s1 < 0.003) & (s2 > -0.006), 1e3 * (2.0 * s1 + 7.0 * s2), NAN)
-    np.testing.assert_allclose(energy[clear], expected[clear], rtol=1e-12)
+    np.testing.assert_allclose(energy[clear], expected[clear], rtol=1e-12, equal_nan=True)
     assert about == 16 and ax.get_aspect() == 1.0
     assert ax.figure.axes[1].get_ylabel() == "$U$ [mJ]" and len(ax.collections) == 2
     assert ax.dataLim.x0 >= -2.0 - 1e-9 and ax.dataLim.x1 <= 6.0 + 1e-9

@@ -264,13 +264,13 @@ def test_what_a_run_did_not_reach_is_not_a_number_and_has_no_part_in_derivatives
     roots = lambda scale: _quantities.of_reached(lambda x: jnp.sqrt(scale * x.q) * x.v, rows, start)  # noqa: E731
     summed = lambda scale: (jnp.nansum(found := roots(scale)), found)  # noqa: E731
     (_, found), slope = jax.jit(jax.value_and_grad(summed, has_aux=True))(4.0)
-    np.testing.assert_allclose(found, [[36.0, 18.0], [NAN, NAN]])
+    np.testing.assert_allclose(found, [[36.0, 18.0], [NAN, NAN]], equal_nan=True)
     np.testing.assert_allclose(slope, 54.0 / 8.0)
 
 
 def steps_of(ts, ys, *, saves=(), jumps=None, margin=2):
     """Recorded steps, as far as delays and save times are asked of them."""
-    lay = SimpleNamespace(margin=margin, width=1)
+    lay = SimpleNamespace(margin=margin, width=1, form=SimpleNamespace(sampled=False))
     plan = SimpleNamespace(stepper=SimpleNamespace(lay=lay), ts=jnp.asarray(saves), jumps=jumps, dense=False)
     record = Record(
         jnp.asarray(np.array([*ts, INF, INF])), jnp.asarray(np.array([*ys, [0.0] * 4, [0.0] * 4]))

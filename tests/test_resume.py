@@ -216,6 +216,15 @@ def test_what_cannot_go_on_is_said(pushed):
         jxr.resume(ring, rubbing)
 
 
+def test_what_jax_traces_cannot_be_resumed(pushed):
+    """Which contacts there are is decided on the way: in a derivative that gave JAX's own error."""
+    grasp, _, _, lost = pushed[0]
+    after = lambda scale: jxr.resume(grasp, eqx.tree_at(lambda r: r.last.v, lost, lost.last.v * scale))[2]  # noqa: E731
+    for way in (jax.grad, jax.jit):
+        with pytest.raises(ValueError, match="argument run must hold known numbers, but JAX is tracing some"):
+            way(after)(1.0)
+
+
 def test_a_contact_lost_in_space_is_dropped():
     """With the places of the contacts that stay, and no change of the state: fingers that let go."""
     grasp, state = runs.scene("pinch3d")

@@ -16,7 +16,7 @@ from .._linalg import seven, three, total
 from .._mechanics import check_states, compiled, Grasp, split, State, to_leaves
 from .._motion import accelerations, bodies, memory_waiting, world_poses
 from .._printing import code_name
-from .._results import as_positive
+from .._results import as_positive, on_host
 from .._types import Given, Scalar
 from ..contact import Contact, Contact3, locate, locate_surfaces, Location, SurfaceLocation
 from ..loads import Impulse
@@ -33,6 +33,7 @@ _TOUCHING, _PASSES = 1e-15, 12
 _AGAIN = 1e-6
 
 
+@on_host
 def resume(grasp: Grasp, run: Trajectory, *, friction: Given | None = None) -> tuple[Grasp, State, Scalar]:
     r"""The grasp, the state and the time with which a run that an event ended goes on.
 
@@ -57,7 +58,8 @@ def resume(grasp: Grasp, run: Trajectory, *, friction: Given | None = None) -> t
         ValueError: If the run ended otherwise, lost its only contact, or one that would close again at once,
             as a contact without a coefficient of friction may that rubs where it no longer presses; if a
             touch makes the contacts redundant, as of a ball that rolls into a corner; if
-            friction cannot answer a touch; if contours or surfaces without bounds touch each other.
+            friction cannot answer a touch; if contours or surfaces without bounds touch each other; or if
+            JAX is tracing some number.
 
     Accuracy: gaps of a touch below 1e-14 m. Not differentiable: which contacts there are is decided on the
     way; the pieces of a run are. Torques of `control.Sampled` are held on the way back; a sample between the

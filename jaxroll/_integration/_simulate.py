@@ -178,16 +178,18 @@ def simulate(
         check_due(grasp, state, numbers.t0)
     if "penetration" in setup.events:
         check_overlaps(grasp)
-    ordered = ordered_times(numbers)
+    ordered, begin = ordered_times(numbers), numbers.t0
     if ordered is not None:
-        # From a start that is not a number a run ends at once, whatever its times are.
+        # From a start that is not a number a run ends at once, whatever its other times are.
         state = jax.tree.map(lambda x: jnp.where(ordered, x, jnp.nan), state)
+        numbers = numbers._replace(t0=jnp.where(ordered, begin, 0.0))
     run = _run_plain if _is_plain(grasp, setup) else _run_any
     with uncollected():
         trajectory, off = run(tabled_grasp(grasp), state, way, numbers, setup)
     if ordered is not None:
         code = RESULTS.where(ordered, trajectory.result, RESULTS.unordered_times)
-        trajectory = eqx.tree_at(lambda run: run.result, trajectory, code)
+        end = jnp.where(ordered, trajectory.stats.t_end, begin)
+        trajectory = eqx.tree_at(lambda run: (run.result, run.stats.t_end), trajectory, (code, end))
     return _checked(trajectory, off) if throw else trajectory
 
 

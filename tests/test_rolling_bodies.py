@@ -518,3 +518,18 @@ def test_a_circle_of_latitude_has_its_known_curvatures():
     for none in (found.geodesic_torsion, found.torsion):
         np.testing.assert_allclose(none[0], 0.0, atol=1e-10)
     np.testing.assert_allclose(found.arclength[0], across * (angle - angle[0]), rtol=1e-12)
+
+
+@pytest.mark.parametrize("mode", [jax.jacfwd, jax.jacrev])
+def test_numbers_that_a_velocity_or_a_spin_closes_over_have_their_derivatives(mode):
+    """A ball led straight rolls as far as it is led, and one that only spins turns by its angle."""
+
+    def ends(given):
+        speed, rate = given
+        places = {"at_tip": (0.0, 0.0, -0.1), "at_object": (0.0, 0.0, 0.0)}
+        ball, table, ts = jxr.Sphere(0.1), jxr.Plane(), jnp.array([0.0, 0.8])
+        led = jxr.roll(ball, table, lambda t: (speed, 0.0, 0.0), ts, **places)
+        spun = jxr.roll(ball, table, lambda t: (1e-9, 0.0, 0.0), ts, spin=lambda t: rate, **places)
+        return jnp.stack([led.pose[-1, 0], 2.0 * jnp.arctan2(spun.pose[-1, 6], spun.pose[-1, 3])])
+
+    np.testing.assert_allclose(mode(ends)(jnp.array([0.1, 0.7])), 0.8 * np.eye(2), rtol=0, atol=1e-8)

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._closures import opened
 from .._integration import check_times, tolerance
 from .._linalg import (
     normalised,
@@ -131,7 +132,9 @@ def roll(
         raise ValueError(f"argument rotation must be a quaternion with a direction, but was {shown(turn)}")
     check_times(times)
     limit = tolerance("rtol", rtol, np.dtype(times.dtype))
-    return _roll((tip, object), (velocity, spin), times, (turn, *places), limit)
+    # What a function closes over and JAX traces has its part in derivatives: as a pytree it is seen.
+    given = opened(velocity), opened(spin)
+    return _roll((tip, object), given, times, (turn, *places), limit)
 
 
 class _Rolling(eqx.Module):

@@ -211,6 +211,7 @@ def _led(path: Path, record: Record) -> Int[Array, ""]:
     One to where something is not finite leaves the state as it was: its derivative is not finite either.
     """
     count = path.steps[1]
+    # `+ -n`: a constant that is subtracted becomes a negation, which XLA moves about (`_xla._loops`).
     before, end = (row(record.ys, jnp.maximum(count + -n, 0)) for n in (1, 0))
     stayed = (count > 0) & (end[-1] > 0) & jnp.all(end[:-1] == before[:-1])
     return jnp.where(stayed, count + -1, count)

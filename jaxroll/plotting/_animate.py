@@ -12,7 +12,7 @@ from .._mechanics import Grasp
 from ._animate3 import animate3
 from ._artists import Drawing, limits
 from ._doors import check_frames, guarded
-from ._film import check_delay, checked_path, clock_texts, write_film
+from ._film import checked_path, clock_texts, hundredths, write_film
 from ._forces import Arrows, arrows, key
 from ._forces3 import pushes
 from ._gif import nearest_rows
@@ -89,8 +89,7 @@ def animate(
         pace = {"fps": fps, "speed": speed, "progress": progress}
         return animate3(grasp, motion.at(rows), ts, path, forces=pushed, size=size, view=view, **pace)
     check_options(grasp, view=view)
-    # In hundredths of a second, as GIF files count; browsers slow down what asks for less than two.
-    delay = max(2, round(100.0 * check_delay("fps", fps, 1.0 / fps)))
+    delay = hundredths(fps)
     check_frames("speed", (ts[-1] - ts[0]) / (0.01 * delay * speed))
     seen_at = nearest_rows(ts, 0.01 * delay * speed)
     ts, picks = ts[seen_at], rows[seen_at]

@@ -84,8 +84,7 @@ def animate3(
 
 def _paced(ts: np.ndarray, fps: float, speed: float) -> tuple[np.ndarray, int]:
     """The rows to show and how long each stays [ms]."""
-    # A GIF counts hundredths of a second.
-    delay = 0.01 * max(2, round(100.0 * _film.check_delay("fps", fps, 1.0 / fps)))
+    delay = 0.01 * _film.hundredths(fps)
     slowest = (ts[-1] - ts[0]) / speed / (_MOST - 1)
     delay = max(delay, 0.01 * np.ceil(100.0 * _film.check_delay("speed", speed, slowest) - 1e-9))
     return _gif.nearest_rows(ts, delay * speed), round(1000.0 * delay)

@@ -55,6 +55,11 @@ def check_delay(name: str, value: float, delay: float) -> float:
     return delay
 
 
+def hundredths(fps: float) -> int:
+    """How long a frame stays, as a GIF counts: in hundredths of a second, of which browsers want two."""
+    return max(2, round(100.0 * check_delay("fps", fps, 1.0 / fps)))
+
+
 def clock_texts(ts: np.ndarray) -> list[str]:
     """What the clock of a film shows at its times: hundredths of a second, or finer where it is short."""
     span = float(ts[-1] - ts[0]) or abs(float(ts[-1])) or 1.0

@@ -6,14 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from .._results import shown
 from .._sweep import Parameters
 from ..io._paths import writable
 from ._doors import guarded
 from ._map_data import map_data, MapData
 from ._map_figure import code_colours, NOTHING
 from ._page import plotly_door
-from ._page_parts import PAGE_FONT, WHOLE_WINDOW
+from ._page_parts import html_path, PAGE_FONT, WHOLE_WINDOW
 
 _SCALE = "Viridis"
 
@@ -59,9 +58,7 @@ def map_page(
         >>> plotting.map_page(grid, grid.damping * grid.beta > 0.1, "map.html").name
         'map.html'
     """
-    path = Path(path)
-    if path.suffix.lower() not in (".html", ".htm"):
-        raise ValueError(f"argument path must end in .html, but was {shown(str(path))}")
+    path = html_path(path)
     plotly, data = plotly_door(), map_data(parameters, values, x=x, y=y, at=at)
     writable(path)
     kind = plotly.Heatmap if data.gridded else plotly.Scattergl

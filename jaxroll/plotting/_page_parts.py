@@ -19,12 +19,17 @@ WHOLE_WINDOW = {
 PAGE_FONT = {"family": "Helvetica, Arial, sans-serif", "color": GUIDE, "size": 13}
 
 
-def checked_page(path: str | Path, frames: Any) -> tuple[Path, int]:
-    """The path of a page and how many instants it may show."""
+def html_path(path: str | Path) -> Path:
+    """The path of a page, which must have the ending of one."""
     path = Path(path)
     if path.suffix.lower() not in (".html", ".htm"):
         raise ValueError(f"argument path must end in .html, but was {shown(str(path))}")
-    writable(path)
+    return path
+
+
+def checked_page(path: str | Path, frames: Any) -> tuple[Path, int]:
+    """The path of a page and how many instants it may show."""
+    path = writable(html_path(path))
     frames = as_count("frames", frames)
     check_frames("frames", frames)
     return path, frames

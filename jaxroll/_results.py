@@ -206,10 +206,14 @@ def _converted(value: Any) -> jax.Array:
     """A JAX array; codes and Python's own booleans are noticed, which NumPy would take for whole numbers."""
     if isinstance(value, bool) or isinstance(value, list | tuple) and _holds_flag(value):
         raise TypeError("a boolean is no number")
-    if is_array_like(value):
+    if isinstance(value, list | tuple | range) and not traced(value):
+        value = np.asarray(value)
+    if type(value) is np.ndarray:
+        # `jnp.asarray` would compile a program for every new shape, of 10 ms. A copy, because JAX may go on
+        # to use the caller's memory, which may change.
+        return jax.device_put(value.copy())
+    if is_array_like(value) or isinstance(value, list | tuple):
         return jnp.asarray(value)
-    if isinstance(value, list | tuple | range):
-        return jnp.asarray(value if traced(value) else np.asarray(value))
     if hasattr(value, "__jax_array__"):
         return jnp.asarray(value)
     return jnp.asarray(np.asarray(value) if hasattr(value, "__array__") else float(value))

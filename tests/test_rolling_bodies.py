@@ -522,14 +522,25 @@ def test_a_circle_of_latitude_has_its_known_curvatures():
 
 @pytest.mark.parametrize("mode", [jax.jacfwd, jax.jacrev])
 def test_numbers_that_a_velocity_or_a_spin_closes_over_have_their_derivatives(mode):
-    """A ball led straight rolls as far as it is led, and one that only spins turns by its angle."""
+    """A ball led straight while it spins turns about one axis at one rate, as far as both say."""
+    radius, end = 0.1, 0.8
 
-    def ends(given):
+    def reached(given):
         speed, rate = given
-        places = {"at_tip": (0.0, 0.0, -0.1), "at_object": (0.0, 0.0, 0.0)}
-        ball, table, ts = jxr.Sphere(0.1), jxr.Plane(), jnp.array([0.0, 0.8])
-        led = jxr.roll(ball, table, lambda t: (speed, 0.0, 0.0), ts, **places)
-        spun = jxr.roll(ball, table, lambda t: (1e-9, 0.0, 0.0), ts, spin=lambda t: rate, **places)
-        return jnp.stack([led.pose[-1, 0], 2.0 * jnp.arctan2(spun.pose[-1, 6], spun.pose[-1, 3])])
+        places = {"at_tip": (0.0, 0.0, -radius), "at_object": (0.0, 0.0, 0.0)}
+        ball, table, ts = jxr.Sphere(radius), jxr.Plane(), jnp.array([0.0, end])
+        led = lambda t: (speed, 0.0, 0.0)  # noqa: E731
+        run = jxr.roll(ball, table, led, ts, spin=lambda t: rate, **places)
+        return jnp.concatenate([run.pose[-1], run.arclength[-1:]])
 
-    np.testing.assert_allclose(mode(ends)(jnp.array([0.1, 0.7])), 0.8 * np.eye(2), rtol=0, atol=1e-8)
+    def closed(given):
+        """Rolling by x turns the ball by x / r about y, spinning by its rate about z: a constant vector."""
+        speed, rate = given
+        spin = jnp.array([0.0, speed / radius, rate])
+        size = jnp.linalg.norm(spin)
+        half = 0.5 * end * size
+        turn = jnp.concatenate([jnp.cos(half)[None], jnp.sin(half) * spin / size])
+        return jnp.concatenate([jnp.array([speed * end, 0.0, radius]), turn, speed[None] * end])
+
+    at = jnp.array([0.1, 0.7])
+    np.testing.assert_allclose(mode(reached)(at), jax.jacfwd(closed)(at), rtol=0, atol=1e-8)

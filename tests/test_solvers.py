@@ -323,7 +323,7 @@ def test_a_meter_under_vmap_and_in_derivatives(scene, capfd):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "solver",
-    [diffrax.Kvaerno3(), diffrax.HalfSolver(diffrax.Kvaerno3()), diffrax.HalfSolver(diffrax.Heun())],
+    [diffrax.Kvaerno3(), diffrax.HalfSolver(diffrax.ImplicitEuler()), diffrax.HalfSolver(diffrax.Heun())],
     ids=["implicit", "implicit, in halves", "explicit, in halves"],
 )
 def test_methods_that_are_not_run_on_their_tableau_have_derivatives_in_both_modes(scene, solver):
@@ -331,7 +331,8 @@ def test_methods_that_are_not_run_on_their_tableau_have_derivatives_in_both_mode
     here = grasp.controller.damping
 
     def end(damping):
-        return jxr.simulate(grasp.with_(damping=damping), state, 0.02, ts=1, solver=solver).last.q @ WEIGHTS
+        changed = grasp.with_(damping=damping)
+        return jxr.simulate(changed, state, 0.02, ts=1, solver=solver).last.q @ WEIGHTS
 
     both, step = both_slopes(end), 1e-3 * here
     _, forwards, backwards = both(here)

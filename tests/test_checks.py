@@ -171,7 +171,7 @@ def test_numbers_of_single_precision_stay_so_and_known_ones_stay_known():
 
 
 def test_tables_of_numpy_are_copied_and_compile_nothing(caplog):
-    given = [np.arange(1000.0 + k)[:, None] for k in range(8)]  # some of them lie where JAX would share the memory
+    given = [np.arange(1000.0 + k)[:, None] for k in range(8)]  # some where JAX would share memory
     with jax.log_compiles():
         found = [checks.as_array("x", x) for x in given]
     assert [record for record in caplog.records if record.getMessage().startswith("Compiling")] == []

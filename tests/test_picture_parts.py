@@ -54,7 +54,7 @@ from jaxroll.plotting import (
     _views3,
 )
 from jaxroll.plotting._motion3 import Motion3D
-from jaxroll.plotting._outlines import _backed, _joined, Outline, OutlineSamples
+from jaxroll.plotting._outlines import _backed, _joined, Outline, OutlineSamples, sample
 from tests.recorded import runs
 
 NAN = np.nan
@@ -460,6 +460,21 @@ def bezier(a, b, c, d, u):
     while len(points) > 1:
         points = [p + u * (q - p) for p, q in zip(points[:-1], points[1:], strict=True)]
     return points[0]
+
+
+@pytest.mark.parametrize("count", [0, 1, 256, 600])
+def test_samples_of_a_contour_are_its_own_and_compile_once(count, caplog):
+    contour = jxr.Ellipse(0.02, 0.01)
+    sample(contour, np.zeros(3))
+    s = np.linspace(-0.01, 0.05, count)
+    with jax.log_compiles():
+        found = sample(contour, s)
+    assert [record for record in caplog.records if record.getMessage().startswith("Compiling")] == []
+    frames = jax.vmap(contour.frame)(s) if count else None
+    assert found.points.shape == found.tangents.shape == (count, 2) and found.curvatures.shape == (count,)
+    if frames is not None:
+        np.testing.assert_allclose(found.points, 1e3 * np.stack([*frames.point], axis=1), rtol=0, atol=1e-12)
+        np.testing.assert_allclose(found.curvatures, frames.curvature, rtol=1e-12)
 
 
 def test_an_open_face_gets_a_back_that_leaves_it_aslant():

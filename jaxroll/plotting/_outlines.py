@@ -16,6 +16,8 @@ from ..geometry import AbstractContour, tabled
 from ._style import MM
 
 _SAMPLES = 241
+# Arclengths that are evaluated at a time.
+_BLOCK = 256
 Window = tuple[float, float]
 
 
@@ -37,7 +39,11 @@ class OutlineSamples(NamedTuple):
 
 def sample(contour: AbstractContour, s: np.ndarray) -> OutlineSamples:
     """A contour at arclengths [m] of shape (n,)."""
-    points, tangents, curvatures = map(np.asarray, _sampled(tabled(contour), jnp.asarray(s, float)))
+    # In blocks of one length, the last filled up: figures ask for many lengths, and one program serves all.
+    ready, count = tabled(contour), len(s)
+    blocks = np.resize(np.asarray(s, float), (max(-(-count // _BLOCK), 1), _BLOCK))
+    parts = zip(*(map(np.asarray, _sampled(ready, jnp.asarray(block))) for block in blocks), strict=True)
+    points, tangents, curvatures = (np.concatenate(each)[:count] for each in parts)
     return OutlineSamples(MM * points, tangents, curvatures)
 
 

@@ -641,3 +641,15 @@ def test_a_run_that_never_began_has_lost_all_of_its_time(monkeypatch, scene):
         assert measured.shape == (0,) and float(own) == 0.0 and float(lost) == pytest.approx(wanted)
     given.append(whole)
     assert np.isnan(goal.run(None, ())[1]) and float(goal.run(None, ())[2]) == 0.0
+
+
+def test_a_measure_is_one_program(scene, caplog):
+    """By themselves its small operations would be dozens, of 10 ms each."""
+    run = jxr.simulate(*scene, 0.1, ts=17, record=("multipliers",))
+    with jax.log_compiles():
+        for name in ("settling_time", "overshoot", "tracking_error", "peak_force"):
+            MEASURES[name][0](run)
+    said = [record.getMessage().split(" with ")[0] for record in caplog.records]
+    programs = [line.removeprefix("Compiling ") for line in said if line.startswith("Compiling")]
+    # A number of Python's that was not met before, such as a band, is one more.
+    assert 4 <= len([name for name in programs if name != "jit(stage)"]) <= 5

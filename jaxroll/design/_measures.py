@@ -11,6 +11,9 @@ does not choose still makes the gradient NaN, so that it is replaced first (`_re
 later.
 """
 
+from collections.abc import Callable
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,6 +24,7 @@ from .._linalg import larger, largest
 from .._motion import Multipliers
 from .._results import as_array, as_positive, is_array_like, RESULTS, shown, traced
 from .._types import Scalar
+from .._xla import quickly
 
 Signal = Float[Array, "t k"]
 
@@ -51,13 +55,13 @@ def settling_time(run: Trajectory, *, band: float = 0.02, signal: Signal | None 
         >>> f"{jxr.design.settling_time(run):.2f} s"
         '1.60 s'
     """
-    return _of_whole(run, _settling(run, signal, band))
+    return _of_whole(_settling, run, _checked(run, signal), as_positive("band", band))
 
 
-def _settling(run: Trajectory, signal: Signal | None = None, band: float = 0.02) -> Scalar:
+def _settling(run: Trajectory, signal: Signal | None = None, band: Scalar | float = 0.02) -> Scalar:
     """`settling_time` of the part of a run that was reached."""
     seen, left, whole = _approach(run, signal)
-    limit = as_positive("band", band) * whole
+    limit = band * whole
     outside = seen & (left > limit)
     # The last state outside of the band, and the one after it, inside: between them the distance is taken as
     # a straight line, so that the time has a derivative although the indices have none.
@@ -92,7 +96,7 @@ def overshoot(run: Trajectory, *, signal: Signal | None = None) -> Scalar:
         >>> f"{jxr.design.overshoot(run):.3f}"
         '0.000'
     """
-    return _of_whole(run, _overshoot(run, signal))
+    return _of_whole(_overshoot, run, _checked(run, signal))
 
 
 def _overshoot(run: Trajectory, signal: Signal | None = None) -> Scalar:
@@ -128,7 +132,7 @@ def tracking_error(run: Trajectory, *, signal: Signal | None = None) -> Scalar:
         >>> f"{jxr.design.tracking_error(run):.3f} s"
         '0.626 s'
     """
-    return _of_whole(run, _tracking(run, signal))
+    return _of_whole(_tracking, run, _checked(run, signal))
 
 
 def _tracking(run: Trajectory, signal: Signal | None = None) -> Scalar:
@@ -154,7 +158,8 @@ def peak_force(run: Trajectory) -> Scalar:
         >>> f"{jxr.design.peak_force(run):.3f} N"
         '1.551 N'
     """
-    return _of_some(run, _peak(run))
+    _check_forces(run)
+    return _of_some(_peak, run)
 
 
 def _peak(run: Trajectory) -> Scalar:
@@ -183,7 +188,8 @@ def friction_demand(run: Trajectory) -> Scalar:
         >>> f"{jxr.design.friction_demand(run):.3f}"
         '0.171'
     """
-    return _of_some(run, _demand(run))
+    _check_forces(run)
+    return _of_some(_demand, run)
 
 
 def _demand(run: Trajectory) -> Scalar:
@@ -198,18 +204,23 @@ def _demand(run: Trajectory) -> Scalar:
     return largest(jnp.where(pressing, jnp.abs(aside) / jnp.where(pressing, forces.f, 1.0), 0.0))
 
 
-def _of_whole(run: Trajectory, measure: Scalar) -> Scalar:
+# Compiled as one program each: of their small operations by themselves a first call would compile dozens.
+
+
+@quickly
+def _of_whole(measure: Callable[..., Scalar], run: Trajectory, *given: Any) -> Scalar:
     """A measure of a run that reached its end; else not a number, with a derivative of zero."""
-    return jnp.where(run.result == RESULTS.successful, measure, jnp.nan)
+    return jnp.where(run.result == RESULTS.successful, measure(run, *given), jnp.nan)
 
 
-def _of_some(run: Trajectory, measure: Scalar) -> Scalar:
+@quickly
+def _of_some(measure: Callable[..., Scalar], run: Trajectory) -> Scalar:
     """A measure of a run that reached a saved time; else not a number, with a derivative of zero."""
-    return jnp.where(jnp.any(_forces(run)[1]), measure, jnp.nan)
+    return jnp.where(jnp.any(_forces(run)[1]), measure(run), jnp.nan)
 
 
-def _forces(run: Trajectory) -> tuple[Multipliers, Array]:
-    """Contact forces, zero where they are not known, and where they are known."""
+def _check_forces(run: Trajectory) -> Multipliers:
+    """The contact forces of a run; raise unless it holds some for each of its times."""
     check_one_run("run", run)
     if run.multipliers is None:
         raise ValueError("argument run must have recorded its multipliers, but has none")
@@ -221,16 +232,21 @@ def _forces(run: Trajectory) -> tuple[Multipliers, Array]:
             f"argument run must hold forces for each of its {len(run.ts)} times, but had "
             f"{shown(run.multipliers.f.shape)}"
         )
-    seen = jnp.isfinite(run.multipliers.f)
-    f = jnp.where(seen, run.multipliers.f, 0.0)
-    lam = run.multipliers.lam
-    known = seen.reshape(*seen.shape, *(1,) * (lam.ndim - f.ndim))
-    lam = jnp.where(known, lam, 0.0)
+    return run.multipliers
+
+
+def _forces(run: Trajectory) -> tuple[Multipliers, Array]:
+    """Contact forces, zero where they are not known, and where they are known."""
+    recorded = _check_forces(run)
+    seen = jnp.isfinite(recorded.f)
+    f = jnp.where(seen, recorded.f, 0.0)
+    known = seen.reshape(*seen.shape, *(1,) * (recorded.lam.ndim - f.ndim))
+    lam = jnp.where(known, recorded.lam, 0.0)
     return Multipliers(f, lam), seen  # no measure asks for the torques that prevent spin
 
 
-def _reached(run: Trajectory, signal: Signal | None) -> tuple[Array, Array]:
-    """Which saved states were reached, shape (t,), and the signal, shape (t, k), zero where they were not."""
+def _checked(run: Trajectory, signal: Signal | None) -> Array:
+    """The signal as an array, shape (t, k), by default the contact coordinates; raise unless it fits."""
     check_one_run("run", run)
     y = run.states.s if signal is None else as_array("signal", signal)
     if y.ndim not in (1, 2) or y.shape[0] != run.states.q.shape[0] or not y.size:
@@ -239,7 +255,12 @@ def _reached(run: Trajectory, signal: Signal | None) -> tuple[Array, Array]:
         )
     if not traced(y) and np.isinf(np.asarray(y)).any():
         raise ValueError(f"argument signal must hold numbers, NaN where there is none, but was {shown(y)}")
-    y = y[:, None] if y.ndim == 1 else y
+    return y[:, None] if y.ndim == 1 else y
+
+
+def _reached(run: Trajectory, signal: Signal | None) -> tuple[Array, Array]:
+    """Which saved states were reached, shape (t,), and the signal, shape (t, k), zero where they were not."""
+    y = _checked(run, signal)
     seen = jnp.all(jnp.isfinite(y), axis=-1) & jnp.all(jnp.isfinite(run.states.q), axis=-1)
     return seen, jnp.where(seen[:, None], y, 0.0)
 

@@ -28,6 +28,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._linalg import larger
 from .._results import check_instance, shown
 from .._sweep import fingerprint
+from .._xla import quickly
 from ._descent import AbstractDescent, descent, Walk
 from ._gradient import Mode, value_and_grad
 
@@ -157,9 +158,15 @@ def _begin(problem: DesignProblem, method: AbstractDescent, start: Array, data: 
     # How many limits there are is known from shapes alone, without running the problem.
     one = jax.tree.map(lambda a: a[0], (start, data))
     _, excess = jax.eval_shape(problem, *one, jnp.ones((), start.dtype))
+    return _fresh(method, start, excess.shape)
+
+
+@quickly
+def _fresh(method: AbstractDescent, start: Array, limits: tuple[int, ...]) -> Search:
+    """The state of every start of a problem with so many limits."""
 
     def each(x: Array) -> Search:
-        far, zeros = jnp.full((), jnp.inf, x.dtype), jnp.zeros(excess.shape, x.dtype)
+        far, zeros = jnp.full((), jnp.inf, x.dtype), jnp.zeros(limits, x.dtype)
         weight, dull = jnp.full((), _FIRST_WEIGHT, x.dtype), jnp.full((), _DULL, x.dtype)
         # Not `jnp.array(0)`, of a weak type, which a checkpoint does not keep: it would be compiled for anew.
         walk, none, off = method.begin(x), jnp.zeros((), int), jnp.array(False)

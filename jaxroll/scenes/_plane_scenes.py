@@ -24,6 +24,8 @@ from ..control import Opposition, orientations, Press
 from ..geometry import AbstractContour, Catenary, check_contour, Circle, Ellipse, Line, Moved, tabled
 from ._scene_arguments import as_pair
 
+# Of the contacts of a pinch, on the left face and on the right one.
+_SENSES = (1, -1)
 # Tables 1 and 2, in SI units.
 LENGTHS = (0.065, 0.065)
 MASSES = (0.045, 0.040)
@@ -90,7 +92,7 @@ def pivoted(
         controller=Press(FORCE, RADIUS, DAMPING, target=pivot),
         gravity=gravity,
     )
-    guess = State(jnp.array([-0.5, 1.9, -0.7]), np.zeros(3), jnp.zeros(1))
+    guess = State(np.array([-0.5, 1.9, -0.7]), np.zeros(3), np.zeros(1))
     return close(grasp, guess)
 
 
@@ -117,6 +119,13 @@ def rectangle(width: Given = 0.03, height: Given = 0.05, mass: Given = 0.02) -> 
     along, across, inertia = _rectangle(width, height, mass)
     face = Line(along)
     return FreeObject((face.moved(across[0], np.pi), face.moved(across[1])), mass, inertia)
+
+
+@jax.jit  # one small program, not seven
+def _starts(s: Array, middles: tuple[Any, Any]) -> list[tuple[Array, Array]]:
+    """Arclengths of the starting contacts of a pinch on fingertip and object, from the chapter's $s_i$."""
+    along = [sense * s[i] for i, sense in enumerate(_SENSES)]
+    return [(-a, middle + a) for a, middle in zip(along, middles, strict=True)]
 
 
 @jax.jit  # one small program, not nine
@@ -180,14 +189,12 @@ def pinch(
     ]
     # The chapter's s_i runs along the object's contour on the left face and against it on the right one
     # (`sense`); on the fingertips, whose contours run the other way at the contact, it has the opposite sign.
-    start, contacts = as_floats("s", s, (2,)), []
-    for i, (sense, middle) in enumerate(zip((1, -1), _middles(body), strict=True)):
+    contacts = []
+    for i, (on_tip, on_body) in enumerate(_starts(as_floats("s", s, (2,)), _middles(body))):
         face = i if len(body.contours) > 1 else 0
-        along = sense * start[i]
-        contacts.append(
-            Contact(-along, middle + along, finger=i, contour=face, sense=sense, friction=friction)
-        )
-    guess = State(jnp.array(_POSE), np.zeros(8), jnp.zeros(2))
+        sense = _SENSES[i]
+        contacts.append(Contact(on_tip, on_body, finger=i, contour=face, sense=sense, friction=friction))
+    guess = State(np.array(_POSE), np.zeros(8), np.zeros(2))
     control: dict[str, Any] = {"damping": damping, "alpha": alpha}
     return _opposed(body, fingers, contacts, guess, beta, control, gravity)
 

@@ -462,22 +462,34 @@ def margin(contour: AbstractContour, s: Given) -> Float[Array, "..."]:
     """
     check_instance("contour", contour, AbstractContour, "a contour")
     s = jnp.asarray(check_finite("s", as_array("s", s)), float)
-    reach = jnp.sum(contour.normal(s) * contour.point(s), axis=-1)
-    found = 1.0 / contour.curvature(s) - reach
+    found = _margins(contour.normal(s), contour.point(s), contour.curvature(s))
     ends = None if contour.closed else contour.domain()
     if ends is None:
         return found
     low, high = (jnp.asarray(end, float) for end in ends)
-    # An end itself may be computed in another way, and so be off by rounding.
-    slack = _ROUNDING.of(s) * (high - low)
-    beyond = (s < low - slack) | (s > high + slack)
+    found, beyond = _without(found, s, low, high)
     seen = concrete(beyond)
     if seen is not None and np.any(seen):
         raise ValueError(
             f"argument s must lie between the contour's ends, {low:g} and {high:g} m, but was "
             f"{shown(np.asarray(s)[seen])}"
         )
-    return jnp.where(beyond, jnp.nan, found)
+    return found
+
+
+@jax.jit  # this and the next: one small program each, not seven
+def _margins(normal: Array, point: Array, curvature: Array) -> Array:
+    """Margins from what a contour has at some places; the sum is the support function, negated."""
+    return 1.0 / curvature - jnp.sum(normal * point, axis=-1)
+
+
+@jax.jit
+def _without(margins: Array, s: Array, low: Array, high: Array) -> tuple[Array, Array]:
+    """Margins, NaN beyond the ends of a contour, and which are."""
+    # An end itself may be computed in another way, and so be off by rounding.
+    slack = _ROUNDING.of(s) * (high - low)
+    beyond = (s < low - slack) | (s > high + slack)
+    return jnp.where(beyond, jnp.nan, margins), beyond
 
 
 # Share of a contour's length by which its ends may be passed.

@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 from ..._linalg import Pose2, sincos, unstack, Vec2
 from ..._results import as_array, as_floats, concrete, shown
 from ..._types import ByPrecision, Given, Points, Scalar
+from ..._xla import quickly
 from .._tabled import tabled
 from ._free_numbers import AbstractDesigned
 from ._frenet import frenet, Frenet2
@@ -72,32 +73,40 @@ class AbstractContour(AbstractDesigned):
 
     def normal(self, s: Given) -> Points:
         """Outward unit normals at arclengths `s` [m] of shape (...): shape (..., 2)."""
-        tangent = _frame_arrays(tabled(self), as_array("s", s))[1]
-        return jnp.stack([tangent[..., 1], -tangent[..., 0]], axis=-1)
+        return _frame_arrays(tabled(self), as_array("s", s))[2]
 
     def curvature(self, s: Given) -> Float[Array, "..."]:
         """Curvatures [1/m] at arclengths `s` [m] of shape (...); positive where convex."""
-        return _frame_arrays(tabled(self), as_array("s", s))[2]
+        return _frame_arrays(tabled(self), as_array("s", s))[3]
 
     def moved(self, offset: Given = (0.0, 0.0), angle: Given = 0.0, *, origin: Given = 0.0) -> "Moved":
         """This contour turned by `angle` [rad], shifted by `offset` [m], its s = 0 put at `origin`."""
         return Moved(self, offset, angle, origin=origin)
 
 
-@eqx.filter_jit
-def _frame_arrays(contour: AbstractContour, s: Array) -> tuple[Array, Array, Array]:
-    """Points (..., 2), tangents (..., 2) and curvatures (...) at arclengths of any shape, compiled.
+def _frame_arrays(contour: AbstractContour, s: Array) -> tuple[Array, Array, Array, Array]:
+    """Points, tangents, normals (..., 2) and curvatures (...) at arclengths of any shape, compiled.
 
     The public methods of a contour call this. `curve` and `frame` themselves see one scalar at a time.
     """
+    return (_few_frames if s.size <= _FEW else _many_frames)(contour, s)
+
+
+def _frames_at(contour: AbstractContour, s: Array) -> tuple[Array, Array, Array, Array]:
     ready = contour.prepared()
 
-    def one(s: Array) -> tuple[Array, Array, Array]:
+    def one(s: Array) -> tuple[Array, Array, Array, Array]:
         frame = ready.frame(s)
-        return frame.point.array(), frame.tangent.array(), jnp.asarray(frame.curvature)
+        arrays = (frame.point.array(), frame.tangent.array(), frame.tangent.right().array())
+        return *arrays, jnp.asarray(frame.curvature)
 
     found = jax.vmap(one)(s.ravel())
     return jax.tree.map(lambda leaf: leaf.reshape(s.shape + leaf.shape[1:]), found)
+
+
+# At so few places the wait for quick machine code is longer than what it saves.
+_FEW = 4096
+_few_frames, _many_frames = quickly(_frames_at), eqx.filter_jit(_frames_at)
 
 
 # Angle [rad] between two axes, or of an offset to the side, that counts as none; and a length [m] that does.

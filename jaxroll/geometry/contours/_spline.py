@@ -160,9 +160,8 @@ class Spline(AbstractTabulated):
                 f"but that is {self.origin} of {count}"
             )
         # The mirror image negates y and takes the points in reverse order about point number `origin`.
-        partner = (2 * self.origin - jnp.arange(count)) % count
-        flipped = self.points[partner] * jnp.array([1.0, -1.0])[None, :]
-        return eqx.tree_at(lambda c: c.points, self, 0.5 * (self.points + flipped))
+        partner = (2 * self.origin - np.arange(count)) % count
+        return eqx.tree_at(lambda c: c.points, self, _mean_with_image(self.points, partner))
 
     def perturbed(self, rng: np.random.Generator) -> "Spline":
         points = np.asarray(self.points)
@@ -246,6 +245,13 @@ def _halves(coefficients: Array, half: Array, x: Array) -> tuple[Vec2, Vec2, Vec
     """Half pieces as the cells of a curve: points and two derivatives at x in [0, 1] of cells `half`."""
     point, rate, bend = jet_of_pieces(coefficients, half // 2, 0.5 * in_cells(half % 2, x))
     return point, rate * 0.5, bend * 0.25
+
+
+@jax.jit  # one small program, not sixteen
+def _mean_with_image(points: Array, partner: Array) -> Array:
+    """The mean of points and their mirror images, of which number i is that of point `partner[i]`."""
+    flipped = points[partner] * jnp.array([[1.0, -1.0]], points.dtype)
+    return 0.5 * (points + flipped)
 
 
 def _check(points: Array, closed: bool, degree: int, origin: int) -> None:

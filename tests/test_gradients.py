@@ -166,6 +166,21 @@ def test_second_derivatives_are_refused_not_wrong(scene):
         jax.hessian(lambda c: final(grasp.with_(damping=c), state))(0.006)
 
 
+def test_second_derivatives_in_times_are_refused_not_zero(scene):
+    grasp, state = scene
+
+    def end(c, t1):
+        return jxr.simulate(grasp.with_(damping=c), state, t1, ts=1, throw=False).states.q[-1, 0]
+
+    run = jxr.simulate(grasp, state, 0.02, ts=1, record=("dense",))
+    along = lambda t: run(t).q[0]  # noqa: E731
+    for twice in (jax.grad(jax.grad(end, 0), 1), jax.grad(jax.grad(end, 1), 0), jax.hessian(end, 1)):
+        with pytest.raises(RuntimeError, match="second derivatives"):
+            twice(0.006, 0.02)
+    with pytest.raises(RuntimeError, match="second derivatives"):
+        jax.jvp(lambda t: jax.jvp(along, (t,), (1.0,))[1], (0.01,), (1.0,))
+
+
 def test_derivatives_in_the_start_are_refused_not_zero(scene):
     with pytest.raises(RuntimeError, match="start's time, tolerances and gains"):
         jax.grad(lambda t0: jxr.simulate(*scene, 0.05, t0=t0, ts=1).states.q[-1, 0])(0.01)

@@ -421,7 +421,9 @@ def moving_in_time(width: int, ys: Float[Array, "... flow"], ts: Float[Array, ".
 
 @moving_in_time.defjvp
 def _moving_in_time(width: int, primals: tuple, tangents: tuple) -> tuple[Array, Array]:
-    ys, (dot, ts_dot) = primals[0], tangents
+    dot, ts_dot = tangents
+    # The slope that comes next is not among the numbers of a run: its place would be taken by zero.
+    ys, _ = eqxi.nondifferentiable(primals, name="a run in its times (second derivatives)")
     rates = ys[..., width : 2 * width]
     # Rows that a run did not reach are not finite, and do not move.
     moved = jnp.where(jnp.isfinite(rates), rates, 0.0) * ts_dot[..., None]

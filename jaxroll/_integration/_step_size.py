@@ -20,6 +20,8 @@ from .._xla import once, sharing
 
 # Steps shorter than this part of what error control asks for are not shortened for dips of the margin.
 _FINEST = 1.0 / 1024.0
+# A dip within this share of a step from its end is at its end: deeper than that it is by a square of this.
+_AT_END = 1e-6
 # A run whose margin at the start is below _BESIDE begins with a step of _CAREFUL dt0. It may cross that limit
 # and come back at once, and at all stages of a longer step another limit may have the smallest margin.
 _BESIDE, _CAREFUL = 1e-6, 1e-3
@@ -112,7 +114,9 @@ class StopAt(eqx.Module):
         near = self.dip * (t1 - t0)
         # If the margin dips below zero within an accepted step, the next try ends where it is lowest. Steps
         # far below the usual length are exempt: on them the margin is smooth, and a dip is rounding.
-        dips = keep & ~past & ~first & (self.dip < 1.0) & (near > _FINEST * pace.length)
+        # So are dips at its very end: there the next try would be the same step again, without end.
+        inside = near + _AT_END * (t1 - t0) + resolution(t1) < t1 - t0
+        dips = keep & ~past & ~first & inside & (near > _FINEST * pace.length)
         keep = first | ends | keep & ~back & ~dips
         # The outcome as one number: `once` has it computed once, where XLA would copy the comparisons into
         # all that depends on them.

@@ -430,3 +430,26 @@ def test_one_lane_whose_times_do_not_rise_leaves_the_others_theirs():
     alone = jxr.simulate(grasp, state, 0.02, ts=2)
     np.testing.assert_allclose(run.states.q[0], alone.states.q, rtol=0, atol=1e-10)
     assert np.isnan(run.states.q[1]).all()
+
+
+def test_a_limit_that_is_met_just_where_a_run_ends_or_saves_uses_up_no_steps(scene):
+    """A run to the end of another: all tries within 1e-10 s of its end went to that end, past the limit."""
+    grasp, state = scene
+    lets_go = jxr.commands.Ramps([0.0, 0.2], [grasp.controller.force, -0.3])
+
+    @jax.jit
+    @jax.vmap
+    def run(t1, more):
+        ts = jnp.stack([t1, t1 + more])
+        run = jxr.simulate(grasp.with_(force=lets_go), state, ts[1], ts=ts, throw=False)
+        return run.result._value, run.stats.steps, run.stats.t_end
+
+    whole = jxr.simulate(grasp.with_(force=lets_go), state, 1.0, ts=1, throw=False)
+    assert whole.result == jxr.RESULTS.contact_lost
+    beyond = np.concatenate([[0.0], np.geomspace(1e-15, 1e-9, 40)])
+    for more in (1e-12, 0.01):  # at the end of the run, at a save time within it
+        codes, steps, ends = run(jnp.asarray(whole.stats.t_end + beyond), jnp.full(beyond.size, more))
+        lost = np.asarray(codes) == int(jxr.RESULTS.contact_lost._value)
+        assert np.all(lost | (np.asarray(codes) == 0)) and lost[beyond > 1e-11].all()
+        assert np.max(steps) < 60
+        np.testing.assert_allclose(ends, whole.stats.t_end, rtol=0, atol=1e-11)

@@ -128,8 +128,10 @@ def aim(plan: Plan, course: Course) -> tuple[Scalar, Scalar]:
     if plan.jumps is not None:
         stop = jnp.minimum(stop, _jumps.stop(plan.jumps, course.passed, pace.t))
     ahead = plan.control(pace).ahead(pace.t)
-    # The first step has no length, however near the first stop is.
-    t1 = jnp.where((ahead > stop + -_SAME_TIME) & (pace.length > 0), stop, ahead)
+    # The first step has no length, however near the first stop is. A search for an event goes on up to the
+    # stop: drawn to it, all tries would be the one that passed the event.
+    near = jnp.where(pace.hunt.on, 0.0, _SAME_TIME)
+    t1 = jnp.where((ahead > stop - near) & (pace.length > 0), stop, ahead)
     return pace.t, jnp.where(course.busy, t1, pace.t)
 
 

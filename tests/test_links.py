@@ -175,3 +175,22 @@ def test_the_lowest_place_of_a_link_is_found_to_rounding(height):
     link = [[place(-0.0831, 0.02), place(0.1169, 0.02)]]
     (found,) = links_clearance3(pose, link, [jxr.geometry.Sphere(0.001).moved((0.0, 0.02, 0.0))])
     assert float(found) == pytest.approx(height - 0.001, abs=1e-15)
+
+
+def test_links_beside_the_ends_of_faces_keep_away_as_all_their_points_do():
+    """Of the pinch's rectangle: past the ends of both faces the one on the other side counted."""
+    grasp, state = jxr.scenes.pinch()
+    run = jxr.simulate(grasp, state, 0.2, ts=5)
+    found = np.asarray(jxr.link_clearance(grasp, run).object)
+    for q, row in zip(np.asarray(run.states.q), found, strict=True):
+        sin, cos = np.sin(q[2]), np.cos(q[2])
+        for finger, angles, away in zip(grasp.fingers, (q[3:6], q[6:]), row, strict=True):
+            joints = (chain(np.asarray(finger.base), angles, finger.lengths) - q[:2]) @ [
+                [cos, -sin],
+                [sin, cos],
+            ]
+            links = np.concatenate(
+                [along(ends, 100_001) for ends in zip(joints[:-1], joints[1:], strict=True)]
+            )
+            beyond = np.maximum(np.abs(links[:, 1]) - 0.025, 0.0)
+            assert abs(np.hypot(np.abs(np.abs(links[:, 0]) - 0.015), beyond).min() - away) <= 1e-9

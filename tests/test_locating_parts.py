@@ -594,10 +594,17 @@ def test_quotients_are_kept_between_bounds_and_where_nothing_is_divided():
     above, below = np.array([0.3, -1.0, 3.0, 1.0, 0.5]), np.array([0.6, 2.0, 2.0, 0.0, -1.0])
     np.testing.assert_allclose(_links._between(above, below), [0.5, 0.0, 1.0, 0.0, 0.0])
     np.testing.assert_allclose(_links._over(above, below), [0.5, -0.5, 1.5, 0.0, -0.5])
-    heights = [(jnp.array([1.0, 5.0]), Vec2(jnp.array([1.0, 2.0]), jnp.array([3.0, 4.0])))]
-    heights += [(jnp.array([2.0, 4.0]), Vec2(jnp.array([5.0, 6.0]), jnp.array([7.0, 8.0])))]
-    height, slope = _links._farthest(heights)
-    assert height.tolist() == [2.0, 5.0] and slope.x.tolist() == [5.0, 2.0] and slope.y.tolist() == [7.0, 4.0]
+    # Over the farther face where it is over one, else past the nearer of the ends that it is past.
+    flags = lambda *values: jnp.array(values)  # noqa: E731
+    heights = [(jnp.array([1.0, 5.0, 3.0, -1.0, -2.0]), flags(False, False, True, False, False))]
+    heights += [(jnp.array([2.0, 4.0, 2.0, 7.0, -1.0]), flags(False, True, True, True, False))]
+    one, two = (Vec2(k * jnp.ones(5), k * jnp.full(5, 3.0)) for k in (1.0, 2.0))
+    found = [(height, way, ended) for (height, ended), way in zip(heights, (one, two), strict=True)]
+    height, slope = _links._from_body(found)
+    assert height.tolist() == [2.0, 5.0, 2.0, 7.0, -1.0]
+    assert slope.x.tolist() == [2.0, 1.0, 2.0, 2.0, 2.0] and slope.y.tolist() == [6.0, 3.0, 6.0, 6.0, 6.0]
+    crossed = _links._crossing(np.zeros(3), np.array([-1.0, 1.0, 0.0]), np.ones(3), np.array([3.0, 2.0, 0.0]))
+    np.testing.assert_allclose(crossed, [0.25, 0.0, 0.0])
     # Of chains the closest links: parallel ones 0.3 apart, which begin 0.1 apart along them.
     chain = [Vec2(0.0, 5.0), Vec2(0.0, 0.0), Vec2(1.0, 0.0)]
     other = [Vec2(1.1, 0.4), Vec2(2.0, 0.4), Vec2(2.0, -9.0)]
@@ -646,5 +653,5 @@ def test_beside_an_end_of_a_surface_a_point_is_outside_by_its_distance(monkeypat
     for margin, wanted in ((0.9e-9, 0.5), (1.1e-9, -0.4), (-1.0, 0.5)):
         monkeypatch.setattr(_clearance, "_foot", lambda surface, point, m=margin: ((jnp.asarray(m),), foot))
         surface = SimpleNamespace(margins=lambda at: (jnp.asarray(1.0), at[0]))
-        height, normal = _clearance.height3(point, surface)
+        height, normal, _ = _clearance.height3(point, surface)
         assert float(height) == pytest.approx(wanted) and normal is foot.normal

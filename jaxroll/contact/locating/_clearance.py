@@ -15,6 +15,7 @@ from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array
 
 from ..._linalg import larger, Pose2, Pose3, root, row, smaller, square, Sym3, Vec3
 from ..._types import Scalar, Scalars
@@ -109,17 +110,19 @@ def _outside(poses: tuple[Pose3, Pose3], point: Vec3, others: Sequence[AbstractS
     return functools.reduce(larger, [height3(there, other)[0] for other in others])
 
 
-def height3(point: Vec3, surface: AbstractSurface) -> tuple[Scalar, Vec3]:
-    """Signed distance of a point in a surface's frame from it [m], and the normal at the foot.
+def height3(point: Vec3, surface: AbstractSurface) -> tuple[Scalar, Vec3, Array]:
+    """Signed distance of a point in a surface's frame from it [m], normal at the foot, whether at an end.
 
     Beside an end of the surface a point is outside, by its distance.
     """
     at, foot = _foot(surface, point)
     arm = point - foot.point
     height = arm.dot(foot.normal)
+    ended = jnp.asarray(False)
     for margin in surface.margins(at):
         height = jnp.where(margin <= _AT_END, larger(height, root(arm.dot(arm))), height)
-    return height, foot.normal
+        ended = ended | (margin <= _AT_END)
+    return height, foot.normal, ended
 
 
 def _foot(surface: AbstractSurface, point: Vec3) -> tuple[Scalars, Gauss3]:

@@ -1,7 +1,7 @@
 r"""How far the links of fingers stay clear of an object and of each other.
 
 Links are straight, from joint to joint and to the tip frame. Their distance from an object is that of points
-along them, from the lowest of which a secant goes on; of two links it is in closed form.
+along them, between which the lowest place is looked for; of two links it is in closed form.
 """
 
 import functools
@@ -23,8 +23,8 @@ from ._clearance import height3
 
 # Points along each link, both ends included.
 _ALONG = 17
-# Steps of the secant from the lowest of them.
-_SECANTS = 5
+# Steps of the Illinois method beside the lowest of them.
+_TRIES = 10
 
 
 def links_clearance(
@@ -46,8 +46,8 @@ def links_clearance(
         for face in faces:
             s = spread(face, samples)
             foot = feet(face, s, points, nearest_dense(face.frame(s).point, points))
-            found.append((foot.distance, foot.slope))
-        return _farthest(found)
+            found.append((foot.distance, foot.slope, foot.ended))
+        return _from_body(found)
 
     own = [[into(body, point) for point in chain] for chain in chains]
     return _lowest(own, Vec2, heights, faces)
@@ -59,19 +59,30 @@ def links_clearance3(
     """The same in space; the object's surfaces need no bounds."""
 
     def heights(points: Any, faces: Any) -> tuple[Array, Any]:
-        return jax.vmap(lambda point: _farthest([height3(point, face) for face in faces]))(points)
+        return jax.vmap(lambda point: _from_body([height3(point, face) for face in faces]))(points)
 
     return _lowest([[body.local(point) for point in chain] for chain in chains], Vec3, heights, faces)
 
 
-def _farthest(found: Sequence[tuple[Array, Any]]) -> tuple[Array, Any]:
-    """The largest of several heights, and its gradient."""
-    height, slope = found[0]
-    for other, way in found[1:]:
-        higher = other > height
-        height = jnp.where(higher, other, height)
-        slope = jax.tree.map(lambda a, b, higher=higher: jnp.where(higher, a, b), way, slope)
-    return height, slope
+def _from_body(found: Sequence[tuple[Array, Any, Array]]) -> tuple[Array, Any]:
+    """Signed distance of points from a convex body, and its gradient, from those of its faces.
+
+    Over some face it is the largest height. A point that is over none, but past ends of some, is as far away
+    as the nearest of these ends: from a face on the other side it is farther.
+
+    Args:
+        found: Of every face the distance, its gradient, and whether the foot is at an end.
+    """
+    (first, slope, ended), *rest = found
+    height, nearest = jnp.where(ended, -jnp.inf, first), jnp.where(ended, first, jnp.inf)
+    along = slope
+    for other, way, ended in rest:
+        higher, nearer = ~ended & (other > height), ended & (other < nearest)
+        height, nearest = jnp.where(higher, other, height), jnp.where(nearer, other, nearest)
+        pick = lambda now, new, old: jax.tree.map(lambda a, b: jnp.where(now, a, b), new, old)  # noqa: E731
+        slope, along = pick(higher, way, slope), pick(nearer, way, along)
+    past = (height <= 0) & (nearest < jnp.inf)
+    return jnp.where(past, nearest, height), jax.tree.map(lambda a, b: jnp.where(past, a, b), along, slope)
 
 
 def _lowest(
@@ -79,8 +90,8 @@ def _lowest(
 ) -> list[Scalar]:
     """The least height of each chain of links.
 
-    From the lowest of a link's points a secant goes on, between the points beside it, to where the height's
-    slope along the link is zero.
+    Between the lowest of a link's points and the one beside it is where the height's slope along the link is
+    zero: found by the Illinois method, as beside an end of a face the slope bends, and secants would stay.
 
     Args:
         chains: Points in the object's frame.
@@ -104,26 +115,34 @@ def _lowest(
     held = (starts, stops - starts, list(faces))
     sampled, slopes = at(jnp.broadcast_to(share, (len(ends), _ALONG)), held)
     i = jnp.argmin(sampled, axis=1)
-    low, high = jnp.maximum(i - 1, 0), jnp.minimum(i + 1, _ALONG - 1)
     of = lambda values, k: jnp.take_along_axis(values, k[:, None], axis=1)[:, 0]  # noqa: E731
-    bend = (of(slopes, high) - of(slopes, low)) / (share[high] - share[low])
-    first, slope = share[i], of(slopes, i)
-    second = jnp.clip(first - _over(slope, bend), share[low], share[high])
+    # The slope changes its sign between the lowest point and the one beside it that lies downhill.
+    down = of(slopes, i) < 0
+    low = jnp.where(down, i, jnp.maximum(i - 1, 0))
+    high = jnp.where(down, jnp.minimum(i + 1, _ALONG - 1), i)
 
     def turn(_: Any, carry: Any, held: Any) -> Any:
-        before, slope, place = carry
-        bounds, rest = held
-        _, here = at(place[:, None], rest)
-        bend = _over(here[:, 0] - slope, place - before)
-        return place, here[:, 0], jnp.clip(place - _over(here[:, 0], bend), *bounds)
+        low, fall, high, rise, side = carry
+        place = _crossing(low, fall, high, rise)
+        here = at(place[:, None], held)[1][:, 0]
+        up = here > 0
+        fall, rise = jnp.where(side > 0, 0.5 * fall, fall), jnp.where(side < 0, 0.5 * rise, rise)
+        before = jnp.where(up, low, place), jnp.where(up, fall, here)
+        after = jnp.where(up, place, high), jnp.where(up, here, rise)
+        return *before, *after, jnp.where(up, 1.0, -1.0)
 
-    bounds = (share[low], share[high])
-    _, _, place = counted(_SECANTS, turn, (first, slope, second), (bounds, held))
+    start = share[low], of(slopes, low), share[high], of(slopes, high), jnp.zeros_like(share[low])
+    place = _crossing(*counted(_TRIES, turn, start, held)[:4])
     # At the lowest place the height does not depend on it, to first order.
     found, _ = at(jax.lax.stop_gradient(place)[:, None], held)
     each = smaller(found[:, 0], of(sampled, i))
     counts = np.cumsum([0, *(len(chain) - 1 for chain in chains)])
     return [-largest(-each[a:b]) for a, b in itertools.pairwise(counts)]
+
+
+def _crossing(low: Array, fall: Array, high: Array, rise: Array) -> Array:
+    """Where the line through a slope that falls at one place and one that rises at another is zero."""
+    return low + (high - low) * jnp.clip(_over(-fall, rise - fall), 0.0, 1.0)
 
 
 def _over(above: Array, below: Array) -> Array:

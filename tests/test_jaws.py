@@ -97,3 +97,29 @@ def test_jaws_are_drawn():
 def test_bad_jaws(arguments, message):
     with pytest.raises(ValueError, match=message):
         jxr.Jaw(*arguments)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.3, 2.0])
+def test_held_contacts_of_parallel_plates_have_derivatives(angle):
+    """Both tangencies ask the same of the roller's angle: their multipliers are open, the pose is not."""
+    along, across = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+
+    def closed(p):
+        radius, quarter = p[0], 0.5 * np.pi
+        upper = jxr.Jaw(
+            jxr.Line(), 0.2, (angle, angle + quarter), base=0.02 * across + p[1:], angle=angle - quarter
+        )
+        plates = (upper, jxr.Jaw(jxr.Line(), angle=angle + quarter))
+        contacts = [
+            jxr.Contact(0.0, radius * (angle + way * quarter), finger=i) for i, way in enumerate((1, -1))
+        ]
+        grasp = jxr.Grasp(jxr.FreeObject(jxr.Circle(radius), 0.02, 1e-6), plates, contacts)
+        guess = jxr.State(jnp.zeros(5).at[:2].set(0.01 * across), jnp.zeros(5), jnp.zeros(2))
+        return jxr.close(grasp, guess)[1].q
+
+    given = jnp.array([0.01, 0.0, 0.0])
+    # The lower plate stays, the roller's centre is a radius above it, the upper plate two.
+    wanted = np.zeros((5, 3))
+    wanted[:2, 0], wanted[4, 0], wanted[3, 1:], wanted[4, 1:] = across, 2.0, -along, -across
+    for derivative in (jax.jacfwd, jax.jacrev):
+        np.testing.assert_allclose(derivative(closed)(given), wanted, rtol=0, atol=1e-10)

@@ -71,7 +71,8 @@ def close(
             same contours.
 
     Accuracy: rows below 1e-14 m (rad), in single precision below 1e-6 m (rad); derivatives to rounding,
-    in both modes; second derivatives are refused.
+    in both modes, of redundant rows, as between parallel plates, in changes that leave them so; second
+    derivatives are refused.
 
     Example:
         >>> import jaxroll as jxr

@@ -19,13 +19,14 @@ import equinox as eqx
 import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
+from jax.scipy.linalg import lu_factor, lu_solve
 from jaxtyping import Array
 
 from .._linalg import factorise
 from .._mechanics import Grasp, join, State, to_leaves
 from .._motion import bodies, compatible, linearise, touches
 from .._xla import linear_map, one_kernel, perturbed, shared, sharing
-from ._search import after_step, ClosingProblem, constraint_rows, metric_at, searched, solve_schur
+from ._search import added, after_step, ClosingProblem, constraint_rows, metric_at, searched, solve_schur
 
 
 def settled(
@@ -120,6 +121,7 @@ class _Response(eqx.Module):
         moving: These arrays.
         z: Displacement and multipliers of the rows; where `square`, the displacement alone.
         slopes: Second derivative of the Lagrangian in z; where `square`, the Jacobian of the rows.
+        added: What makes `slopes` invertible where rows are redundant, on its diagonal; None where `square`.
         size: Length of the displacement.
     """
 
@@ -127,12 +129,13 @@ class _Response(eqx.Module):
     moving: Any
     z: Array
     slopes: Array
+    added: Array | None
     size: int = eqx.field(static=True)
 
     def tangents(self, dots: Any) -> State:
         """Tangent of the closed state, from tangents `dots` of the arrays."""
         change = one_kernel(_misfit, self, dots)
-        step = -jnp.linalg.solve(self.slopes, change)[: self.size]
+        step = -self._solved(change)[: self.size]
         return one_kernel(_carried, self, dots, step)
 
     def cotangents(self, bars: State) -> Any:
@@ -140,8 +143,19 @@ class _Response(eqx.Module):
         direct, step = one_kernel(_ending_pulled, self, bars)
         # The state depends on the displacement alone: the cotangents of the multipliers are zero.
         wide = jnp.pad(step, (0, self.slopes.shape[0] - self.size))
-        turned = one_kernel(_conditions_pulled, self, -jnp.linalg.solve(self.slopes.T, wide))
+        turned = one_kernel(_conditions_pulled, self, -self._solved(wide, transposed=True))
         return jax.tree.map(jnp.add, direct, turned)
+
+    def _solved(self, right: Array, *, transposed: bool = False) -> Array:
+        """`right` over the matrix, or over its transpose."""
+        matrix = self.slopes.T if transposed else self.slopes
+        if self.added is None:
+            return jnp.linalg.solve(matrix, right)
+        # Redundant rows, as of parallel plates, leave their multipliers open, and nothing else. As in the
+        # search one step of iterative refinement reduces the error of what is added.
+        factors = lu_factor(matrix - jnp.diag(self.added))
+        first = lu_solve(factors, right)
+        return first + lu_solve(factors, right - matrix @ first)
 
     @property
     def step(self) -> Array:
@@ -159,13 +173,15 @@ def _response(question: _Question, moving: Any, minimum: _Minimum) -> _Response:
     step, metric, jacobian = minimum
     size = step.shape[0]
     if size == jacobian.shape[0]:
-        return _Response(question, moving, step, jacobian, size)
+        return _Response(question, moving, step, jacobian, None, size)
     # The search does not compute multipliers. From M d + A^T p = 0, multiplied by A M^-1: S p = -A d.
     pressures, _ = solve_schur(jacobian, metric, -(jacobian @ step)[:, None])
     z = jnp.concatenate([step, pressures[:, 0]])
     grasp, guess = eqx.combine(moving, question.still)
     problem = ClosingProblem(grasp, guess, metric, question.held)
-    return _Response(question, moving, z, one_kernel(ClosingProblem.slopes, problem, z, jacobian), size)
+    slopes = one_kernel(ClosingProblem.slopes, problem, z, jacobian)
+    small = jnp.concatenate([jnp.zeros_like(step), added(jacobian, metric)])
+    return _Response(question, moving, z, slopes, small, size)
 
 
 def _misfit(response: _Response, dots: Any) -> Array:

@@ -127,6 +127,11 @@ def solve_schur(jacobian: Array, metric: Array, right: Array) -> tuple[Array, Ar
     return pressures, weighed @ pressures
 
 
+def added(jacobian: Array, metric: Array) -> Array:
+    """What `solve_schur` adds to every row's share in $A M^{-1} A^T$, by rows."""
+    return _ADDED.of(jacobian) * jnp.sum(jacobian * jnp.linalg.solve(metric, jacobian.T).T, axis=1)
+
+
 class _Search(NamedTuple):
     """State of the loop in `searched`.
 

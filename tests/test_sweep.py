@@ -1,6 +1,7 @@
 """Sweeps: chunks, failures, resumption, and lanes that wait for nobody."""
 
 import inspect
+import types
 
 import equinox as eqx
 import jax
@@ -105,6 +106,63 @@ def test_what_make_closes_over_is_seen_as_it_is_now(scene, monkeypatch):
 
 def _last(run):
     return run.last.q
+
+
+def test_what_functions_in_the_grasp_hold_is_seen_as_it_is_now(scene):
+    """A law's own list, and what its class reads of a module: the program of the run inside is another."""
+    grasp, state = scene
+    own, module = [0.5], types.ModuleType("settings")
+    module.gain, spring = 1.0, 50.0
+
+    def pull(share, tips, rates):
+        force = -spring * share * (tips[0].position - grasp.controller.target)
+        return [tips[0].jacobian.T @ force - 0.006 * rates[0]]
+
+    class Law(eqx.Module):
+        def __call__(self, t, angles, rates, tips):
+            return pull(module.gain, tips, rates)
+
+    laws = [lambda t, angles, rates, tips: pull(own[0], tips, rates), Law()]
+
+    def ends(law):
+        make = lambda v: (grasp.with_(controller=law), eqx.tree_at(lambda s: s.v, state, v))  # noqa: E731
+        return jxr.sweep(make, np.zeros((1, 3)), 0.05, keep=_last, events=())
+
+    for law in laws:
+        own[0] = module.gain = 0.5
+        first = ends(law)
+        own[0] = module.gain = 0.7
+        second = ends(law)
+        fresh = lambda t, angles, rates, tips: pull(0.7, tips, rates)  # noqa: E731
+        np.testing.assert_allclose(second, ends(fresh), rtol=0, atol=1e-12)
+        assert np.abs(second - first).max() > 1e-4
+        own[0] = module.gain = 0.5
+        np.testing.assert_array_equal(ends(law), first)
+
+
+def test_what_cannot_be_read_to_its_end_is_traced_anew():
+    chain = None
+    for _ in range(100_000):
+        chain = [chain]
+    assert _program._held(chain) != _program._held(chain)
+    assert _program._held([1, "a"]) == _program._held([1, "a"])
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"make": lambda c: 1 if c > 0.005 else 2}, "argument make must compute with jax.numpy"),
+        ({"keep": lambda run: float(run.last.q[0])}, "argument keep must compute with jax.numpy"),
+        (
+            {"keep": lambda run: {1: run.last.q, "a": run.last.q}},
+            "argument keep must return arrays of numbers",
+        ),
+    ],
+)
+def test_functions_that_ask_for_values_are_refused_by_name(make, dampings, changed, words):
+    given = {"make": make, "keep": None} | changed
+    with pytest.raises(ValueError, match=words):
+        jxr.sweep(given["make"], dampings, 0.2, keep=given["keep"])
 
 
 def test_runs_that_fail_keep_their_codes(scene, dampings):

@@ -215,6 +215,9 @@ class _Reader:
             yield self.read(value.__code__)
             named = {name: value.__globals__.get(name, _NOTHING) for name in _globals_of(value.__code__)}
             yield self.read({name: found for name, found in named.items() if found is not _NOTHING})
+            held = (*named.values(), *map(_content, value.__closure__ or ()))
+            modules = [found for found in held if isinstance(found, types.ModuleType)]
+            yield self.read([_read_of(module, value.__code__) for module in modules])
         yield self.read(value.__defaults__)
         yield self.read(value.__kwdefaults__)
         for cell in value.__closure__ or ():
@@ -284,6 +287,13 @@ def _root(value: Any) -> str:
     return (getattr(value, "__module__", None) or "").split(".")[0]
 
 
+def _read_of(module: types.ModuleType, code: types.CodeType) -> dict[str, Any]:
+    """What some code may read of a module, by name; nothing of those that are digested by name alone."""
+    if module.__name__.split(".")[0] in _LIBRARIES:
+        return {}
+    return {name: vars(module)[name] for name in _names_in(code) if name in vars(module)}
+
+
 def _title(value: Any) -> str:
     """Full name of a function or a class."""
     return f"{value.__module__}.{value.__qualname__}"
@@ -305,3 +315,10 @@ def _globals_of(code: types.CodeType) -> tuple[str, ...]:
         if isinstance(inner, types.CodeType):
             names.update(_globals_of(inner))
     return tuple(sorted(names))
+
+
+@functools.lru_cache(1024)
+def _names_in(code: types.CodeType) -> tuple[str, ...]:
+    """All names in some code, those of attributes too, together with those of functions defined within it."""
+    inner = [name for part in code.co_consts if isinstance(part, types.CodeType) for name in _names_in(part)]
+    return tuple(sorted({*code.co_names, *inner}))

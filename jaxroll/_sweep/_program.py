@@ -4,7 +4,9 @@ A chunk is `vmap` over its rows of: `make` a grasp and a state of the row, `simu
 JAX would look for the compiled program under the identity of the Python function, which is a trap: a function
 that closes over a variable keeps its identity when the variable changes, so that the old numbers would be
 computed again. Therefore the function is traced anew every time, and the compiled program is looked for under
-the fingerprint of the jaxpr, its constants included.
+the fingerprint of the jaxpr, its constants included. The same holds of functions in the grasp, such as a
+law, within the program of a run, which JAX keeps too: a run is traced in a context (`_AS_NOW`) that names
+what they hold now.
 
 `_sweep` calls the `Program`; `of_make` and `of_keep` serve `_identity`, which must say which of the caller's
 functions has changed.
@@ -22,7 +24,7 @@ import numpy as np
 
 from .._integration import simulate
 from .._mechanics import Grasp, State
-from .._results import shown
+from .._results import shown, traceable
 from .._xla import WIDE
 from ._fingerprint import fingerprint, of_lowered
 
@@ -33,6 +35,10 @@ _MOST = 64
 # Operations whose numbers come from Python code, which no fingerprint of a program can tell.
 _CALLBACKS = frozenset(("pure_callback", "io_callback"))
 _FACTORISATIONS = frozenset(("lu", "cholesky", "triangular_solve", "eigh", "eig", "svd", "geqrf", "schur"))
+
+
+# What callers' functions hold, as fingerprints: JAX traces a function anew where the context is another.
+_AS_NOW: Any = jax.make_user_context(default_value=None)
 
 
 class Job(eqx.Module):
@@ -52,16 +58,27 @@ class Job(eqx.Module):
 
         def one(row: Any) -> Any:
             grasp, state = made(self.make, row)
-            run = simulate(grasp, state, self.t1, **self.options)
-            seen.append(jax.tree.map(_form, run))
-            return run if self.keep is None else kept(self.keep, run)
+            still = eqx.filter((grasp, self.keep, self.options), eqx.is_array, inverse=True)
+            with _AS_NOW(_held(still)):
+                run = simulate(grasp, state, self.t1, **self.options)
+                seen.append(jax.tree.map(_form, run))
+                return run if self.keep is None else kept(self.keep, run)
 
         return jax.vmap(one)(rows)
 
 
+def _held(still: Any) -> Any:
+    """What stands for all that functions hold: a fingerprint; of what nests too deeply, nothing else."""
+    try:
+        return fingerprint(still)
+    except RecursionError:
+        return object()
+
+
 def made(make: Callable, row: Any) -> tuple[Grasp, State]:
     """The grasp and the state that `make` returns for one row of parameters, checked."""
-    out = make(row)
+    with traceable("make"):
+        out = make(row)
     if not (isinstance(out, tuple | list) and len(out) == 2):
         raise ValueError(f"argument make must return a grasp and a state, but returned {shown(out)}")
     if not (isinstance(out[0], Grasp) and isinstance(out[1], State)):
@@ -72,8 +89,12 @@ def made(make: Callable, row: Any) -> tuple[Grasp, State]:
 
 def kept(keep: Callable, run: Any) -> Any:
     """What `keep` returns for a trajectory, checked."""
-    out = keep(run)
-    leaves = jax.tree.leaves(out)
+    with traceable("keep"):
+        out = keep(run)
+    try:
+        leaves = jax.tree.leaves(out)
+    except (TypeError, ValueError):  # a dict whose keys have no order
+        leaves = []
     if not leaves or not all(map(_is_numbers, leaves)):
         raise ValueError(f"argument keep must return arrays of numbers, but returned {shown(out)}")
     return out

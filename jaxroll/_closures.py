@@ -6,8 +6,13 @@ radius that a derivative is taken in, or that a batch varies, is none: a law suc
 around from the runs and tables that are compiled apart from it. `opened` makes it a pytree that shows the
 number. Functions that hide nothing stay as they are. Fields that take functions, and the controllers' check,
 call this.
+
+The number may be in a function inside, in bound arguments, or an attribute of an object: one with a method
+`__call__`, one whose method is the function, or one that the function closes over. When such a pytree is
+called, all of these are made again with the numbers of that call, as the functions and objects they were.
 """
 
+import abc
 import functools
 import types
 from collections.abc import Callable
@@ -15,8 +20,13 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import numpy as np
 
 from ._results import shown, traced
+
+_JITTED = type(jax.jit(abs))
+# Objects and functions that are looked into for one function: what holds more is more than a law.
+_MOST = 256
 
 
 def as_tree(name: str, function: Any) -> Callable[..., Any]:
@@ -28,17 +38,18 @@ def as_tree(name: str, function: Any) -> Callable[..., Any]:
 
 
 def opened(function: Any) -> Any:
-    """The function; a pytree in its place if it hides traced arrays in its closure or its defaults.
+    """The function; a pytree in its place if it hides traced arrays: in closure, defaults or attributes.
 
-    So are functions that it closes over in their turn, and the bound arguments of a `functools.partial`.
+    So are functions and objects that it closes over in their turn, the bound arguments of a
+    `functools.partial`, the object of a method, and what `jax.jit` wraps.
     """
-    return _opened(function, ())
+    return _opened(function, {})
 
 
-def _opened(value: Any, around: tuple[Any, ...]) -> Any:
-    """The same for any pytree, whose leaves may be functions; those in `around` are being looked at."""
+def _opened(value: Any, seen: dict[int, Any]) -> Any:
+    """The same for any pytree, whose leaves may be functions or objects; those in `seen` were looked at."""
     try:
-        return jax.tree.map(lambda leaf: _opened_leaf(leaf, around), value, is_leaf=_is_function)
+        return jax.tree.map(lambda leaf: _opened_leaf(leaf, seen), value, is_leaf=_is_function)
     except (TypeError, ValueError):  # no pytree, such as a dictionary with keys that have no order
         return value
 
@@ -47,22 +58,63 @@ def _is_function(value: Any) -> bool:
     return isinstance(value, types.FunctionType | functools.partial)
 
 
-def _opened_leaf(leaf: Any, around: tuple[Any, ...]) -> Any:
-    if not _is_function(leaf) or any(leaf is one for one in around):
+def _opened_leaf(leaf: Any, seen: dict[int, Any]) -> Any:
+    if id(leaf) in seen:
+        return seen[id(leaf)][1]
+    kind = _opener(leaf)
+    if kind is None or len(seen) >= _MOST:
         return leaf
-    around = (*around, leaf)
-    if isinstance(leaf, functools.partial):
-        inner, args, named = _opened((leaf.func, leaf.args, leaf.keywords), around)
-        return _Bound(inner, args, named) if _hides((inner, args, named)) else leaf
+    # Inside itself it is itself. It is held, so that no other object gets its `id`.
+    seen[id(leaf)] = (leaf, leaf)
+    found = kind(leaf, seen)
+    seen[id(leaf)] = (leaf, found)
+    return found
+
+
+def _opener(leaf: Any) -> Callable[[Any, dict[int, Any]], Any] | None:
+    """What opens a leaf of this kind; None for numbers, text, classes, modules and what has no attributes."""
+    if isinstance(leaf, types.FunctionType):
+        return _opened_function
+    if isinstance(leaf, functools.partial | types.MethodType):
+        return _opened_bound
+    if isinstance(leaf, type | types.ModuleType | np.ndarray | jax.Array):
+        return None
+    if isinstance(leaf, _JITTED):
+        return _opened_jitted
+    return _opened_object if hasattr(leaf, "__dict__") else None
+
+
+def _opened_bound(leaf: Any, seen: dict[int, Any]) -> Any:
+    """A `functools.partial`, or a method of an object."""
+    method = isinstance(leaf, types.MethodType)
+    whole = (leaf.__func__, (leaf.__self__,), {}) if method else (leaf.func, leaf.args, leaf.keywords)
+    inner, args, named = _opened(whole, seen)
+    return _Bound(inner, args, named) if _hides((inner, args, named)) else leaf
+
+
+def _opened_jitted(leaf: Any, seen: dict[int, Any]) -> Any:
+    """What `jax.jit` made of a function: the function itself, where that hides anything."""
+    inner = _opened(leaf.__wrapped__, seen)
+    return inner if _hides(inner) else leaf
+
+
+def _opened_function(leaf: Any, seen: dict[int, Any]) -> Any:
     closure = leaf.__closure__ or ()
-    parts = {i: _opened(cell.cell_contents, around) for i, cell in enumerate(closure) if _full(cell)}
+    parts = {i: _opened(cell.cell_contents, seen) for i, cell in enumerate(closure) if _full(cell)}
     found = {i: part for i, part in parts.items() if _hides(part)}
-    defaults = _opened((leaf.__defaults__, leaf.__kwdefaults__), around)
+    defaults = _opened((leaf.__defaults__, leaf.__kwdefaults__), seen)
     if not found and not _hides(defaults):
         return leaf
     cells = [None if i in found else cell for i, cell in enumerate(closure)]
     kept = defaults if _hides(defaults) else None
     return _Opened(found, kept, _Frame(leaf, tuple(cells), kept is not None))
+
+
+def _opened_object(leaf: Any, seen: dict[int, Any]) -> Any:
+    parts = {name: _opened(part, seen) for name, part in vars(leaf).items()}
+    found = {name: part for name, part in parts.items() if _hides(part)}
+    others = {name: part for name, part in vars(leaf).items() if name not in found}
+    return _Object(found, _Rest(type(leaf), others)) if found else leaf
 
 
 def _hides(value: Any) -> bool:
@@ -79,6 +131,17 @@ def _full(cell: Any) -> bool:
         return cell.cell_contents is not None
     except ValueError:
         return False
+
+
+def _closed(value: Any) -> Any:
+    """A pytree with what was opened in it made again."""
+    made = lambda part: part.made() if isinstance(part, AbstractOpened) else part  # noqa: E731
+    return jax.tree.map(made, value, is_leaf=lambda part: isinstance(part, AbstractOpened))
+
+
+def _same(mine: list[Any], theirs: list[Any]) -> bool:
+    """Whether these are the same things one by one."""
+    return len(mine) == len(theirs) and all(a is b for a, b in zip(mine, theirs, strict=True))
 
 
 class _Frame:
@@ -105,14 +168,41 @@ class _Frame:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, _Frame) or self.code != other.code or len(self.cells) != len(other.cells):
             return False
-        mine, theirs = self._others(), other._others()
-        return len(mine) == len(theirs) and all(a is b for a, b in zip(mine, theirs, strict=True))
+        return _same(self._others(), other._others())
 
     def __hash__(self) -> int:
         return hash(self.code)
 
 
-class _Opened(eqx.Module):
+class _Rest:
+    """All of an object but what is traced; equal if class and other attributes are the same ones."""
+
+    def __init__(self, kind: type, others: dict[str, Any]) -> None:
+        self.kind, self.others = kind, others
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, _Rest) or self.kind is not other.kind:
+            return False
+        return self.others.keys() == other.others.keys() and _same(
+            list(self.others.values()), [other.others[name] for name in self.others]
+        )
+
+    def __hash__(self) -> int:
+        return hash(self.kind)
+
+
+class AbstractOpened(eqx.Module):
+    """What stands for a function or an object, as a pytree."""
+
+    @abc.abstractmethod
+    def made(self) -> Any:
+        """The function or object, with the arrays that the pytree holds now."""
+
+    def __call__(self, *args: Any, **named: Any) -> Any:
+        return self.made()(*args, **named)
+
+
+class _Opened(AbstractOpened):
     """A plain function as a pytree.
 
     Attributes:
@@ -125,16 +215,38 @@ class _Opened(eqx.Module):
     defaults: Any
     frame: _Frame = eqx.field(static=True)
 
-    def __call__(self, *args: Any, **named: Any) -> Any:
-        return self.frame.function(self.found, self.defaults)(*args, **named)
+    def made(self) -> Callable[..., Any]:
+        return self.frame.function(_closed(self.found), _closed(self.defaults))
 
 
-class _Bound(eqx.Module):
-    """A `functools.partial` as a pytree."""
+class _Bound(AbstractOpened):
+    """A `functools.partial`, or a method of an object, as a pytree."""
 
     function: Any
     args: tuple[Any, ...]
     named: dict[str, Any]
 
-    def __call__(self, *args: Any, **named: Any) -> Any:
-        return self.function(*self.args, *args, **{**self.named, **named})
+    def made(self) -> Callable[..., Any]:
+        function, args, named = _closed((self.function, self.args, self.named))
+        return functools.partial(function, *args, **named)
+
+
+class _Object(AbstractOpened):
+    """An object as a pytree.
+
+    Attributes:
+        found: Its attributes that hold traced arrays.
+        rest: All else.
+    """
+
+    found: dict[str, Any]
+    rest: _Rest = eqx.field(static=True)
+
+    def made(self) -> Any:
+        kind: Any = self.rest.kind
+        try:
+            made = object.__new__(kind)
+        except TypeError:  # a class that is not written in Python has its own way
+            made = kind.__new__(kind)
+        vars(made).update(self.rest.others | _closed(self.found))
+        return made

@@ -1,5 +1,6 @@
 """Callers' own laws, loads and commands: as quick as built-in ones, or told why not."""
 
+import dataclasses
 import functools
 import math
 import types
@@ -120,6 +121,19 @@ def test_what_a_law_closes_over_has_a_derivative_and_lanes():
     np.testing.assert_allclose(jax.jit(jax.vmap(found))(jnp.array([30.0, 30.0])), value, rtol=1e-12)
 
 
+@dataclasses.dataclass
+class Square:
+    """A function with a number, as Python writes one: no pytree, and compared by its number."""
+
+    gain: float
+
+    def __call__(self, x):
+        return self.gain * x**2
+
+    def of(self, x):
+        return self(x)
+
+
 @pytest.mark.parametrize(
     "hiding",
     [
@@ -130,6 +144,16 @@ def test_what_a_law_closes_over_has_a_derivative_and_lanes():
         lambda gain: functools.partial(lambda x, gain: gain * x**2, gain=gain),
         lambda gain: (lambda inner: lambda x: inner(x) * x)(lambda x: gain * x),
         lambda gain: (lambda held: lambda x: held["gain"][0] * x**2)({"gain": (gain, "N")}),
+        lambda gain: Square(gain),
+        lambda gain: Square(gain).of,
+        lambda gain: (lambda held: lambda x: held.of(x))(Square(gain)),
+        lambda gain: types.SimpleNamespace(held=Square(gain)).held.of,
+        lambda gain: (lambda held: lambda x: held.inner.gain * x**2)(
+            types.SimpleNamespace(inner=Square(gain))
+        ),
+        lambda gain: jax.jit(Square(gain).of),
+        lambda gain: (lambda inner: lambda x: inner(x))(jax.jit(lambda x: gain * x**2)),
+        lambda gain: jax.checkpoint(lambda x: gain * x**2),
     ],
 )
 def test_traced_numbers_are_found_wherever_a_function_hides_them(hiding):
@@ -139,6 +163,41 @@ def test_traced_numbers_are_found_wherever_a_function_hides_them(hiding):
         return function(3.0)
 
     assert jax.value_and_grad(square)(2.0) == (18.0, 9.0)
+
+
+def test_an_object_that_refers_to_itself_or_to_much_is_looked_into_and_ends():
+    def square(gain):
+        held = Square(gain)
+        held.again, held.many = held, [types.SimpleNamespace(of=[k]) for k in range(2000)]
+        function = opened(held.of)
+        assert any(leaf is gain for leaf in jax.tree.leaves(function))
+        return function(3.0)
+
+    assert jax.value_and_grad(square)(2.0) == (18.0, 9.0)
+
+
+@dataclasses.dataclass
+class Law:
+    """A law as a dataclass of Python's, which has no hash."""
+
+    gain: float
+
+    def __call__(self, *given):
+        return pushing(self.gain)(*given)
+
+
+def test_a_law_may_be_an_object_of_python():
+    """Its runs are those of a function with the same number; so is the derivative in it."""
+    grasp, state = jxr.scenes.pivoted()
+
+    def end(law):
+        return jxr.simulate(grasp.with_(controller=law), state, 0.02, ts=1, throw=False).last.q[0]
+
+    for gain in (30.0, 60.0):
+        np.testing.assert_allclose(end(Law(gain)), end(pushing(gain)), rtol=1e-12)
+    assert abs(end(Law(30.0)) - end(Law(60.0))) > 1e-6
+    found, wanted = (jax.grad(lambda gain: end(make(gain)))(30.0) for make in (Law, pushing))  # noqa: B023
+    np.testing.assert_allclose(found, wanted, rtol=1e-12)
 
 
 def test_what_curves_loads_and_commands_close_over_has_a_derivative():

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import equinox as eqx
+import jax
 from jaxtyping import Array, Float
 
 from .._closures import opened
@@ -75,7 +76,10 @@ def as_drive(name: str, controller: Any) -> Any:
         )
     if own_memory(name, controller) is None:
         what = "a controller, or callable as f(t, angles, rates, tips)"
-        return opened(check_callable(name, controller, what, takes=4))
+        drive = opened(check_callable(name, controller, what, takes=4))
+        # JAX compares leaves that are no arrays by their hash. What has none, as an object that Python's
+        # dataclasses compare by fields, is structure.
+        return drive if getattr(type(drive), "__hash__", None) else jax.tree_util.Partial(drive)
     what = "a controller, or with a memory callable as f(t, angles, rates, tips, memory)"
     return check_callable(name, controller, what, takes=5)
 

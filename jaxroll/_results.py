@@ -33,7 +33,7 @@ _FEW = 12
 
 
 # What JAX raises where a function asks for the value of what is being traced.
-_NO_VALUES = (
+NO_VALUES = (
     jax.errors.ConcretizationTypeError,
     jax.errors.TracerArrayConversionError,
     jax.errors.TracerIntegerConversionError,
@@ -126,7 +126,7 @@ def traceable(name: str) -> Iterator[None]:
     """Say in one sentence that a caller's function asks for values where JAX has none yet."""
     try:
         yield
-    except _NO_VALUES as error:
+    except NO_VALUES as error:
         raise ValueError(
             f"argument {name} must compute with jax.numpy, and choose with jnp.where in the place of `if`: "
             "what it is given has no values while JAX traces it, but its function asked for one "

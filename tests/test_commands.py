@@ -308,6 +308,10 @@ def test_a_users_own_controller_declares_jumps(scene):
     texts = eqx.tree_at(lambda c: c.jumps, listed, "soon")
     with pytest.raises(ValueError, match="argument jumps must be a real number or an array of them"):
         run_of(scene, controller=texts)
+    for never in (jnp.nan, jnp.inf):
+        odd = eqx.tree_at(lambda c: c.jumps, listed, [0.1, never])
+        with pytest.raises(ValueError, match="argument jumps must be finite, but was"):
+            grasp.with_(controller=odd)
 
 
 class Changing(Part1):

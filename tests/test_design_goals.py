@@ -653,3 +653,49 @@ def test_a_measure_is_one_program(scene, caplog):
     programs = [line.removeprefix("Compiling ") for line in said if line.startswith("Compiling")]
     # A number of Python's that was not met before, such as a band, is one more.
     assert 4 <= len([name for name in programs if name != "jit(stage)"]) <= 5
+
+
+class Bend(jxr.design.AbstractGoal):
+    """A goal of a caller's own: the curvature in front."""
+
+    merit = "bend [1/m]"
+
+    def cost(self, tip, seen, unit, sharpness):
+        return (tip.frame(0.0).curvature * unit - 1.0) ** 2
+
+    def figures(self, tip, seen):
+        return {"bend [1/m]": tip.frame(0.0).curvature}
+
+    def reached(self, figures):
+        return figures["bend [1/m]"] < 1e3
+
+
+@pytest.mark.parametrize(
+    ("member", "value", "words"),
+    [
+        ("cost", lambda *given: None, "goal, in what `cost` returns, must be a real number"),
+        (
+            "cost",
+            lambda *given: jnp.ones(2),
+            r"goal must have a `cost` of one number, but it had shape \(2,\)",
+        ),
+        ("cost", lambda self, tip, seen, unit, sharpness: np.sin(unit), "goal must compute with jax.numpy"),
+        ("figures", lambda *given: [1.0], "goal must have `figures` that are a dict with its `merit`"),
+        ("figures", lambda *given: {"a": 1.0}, "goal must have `figures` that are a dict with its `merit`"),
+        ("figures", lambda *given: {"bend [1/m]": "a"}, "goal, in its figure 'bend .*must be a real number"),
+        (
+            "figures",
+            lambda *given: {"bend [1/m]": jnp.ones(3)},
+            "goal must have `figures` of one number each",
+        ),
+        ("reached", lambda *given: None, "goal must have `reached` that is True or False, but it was None"),
+        ("reached", lambda *given: 0.3, "goal must have `reached` that is True or False, but it was 0.3"),
+        ("aimed", lambda *given: None, "goal(.aimed, in what it returns,)? must be a goal, but was None"),
+    ],
+)
+@pytest.mark.parametrize("inside", [False, True])
+def test_answers_of_own_goals_that_are_none_are_refused_before_a_search(member, value, words, inside):
+    goal = type("Odd", (Bend,), {member: value})()
+    goal = Fair(goal) if inside else goal
+    with pytest.raises(ValueError, match=f"^argument {words}"):
+        jxr.design.optimise_fingertip(jxr.Ellipse(0.018, 0.009), (-0.002, 0.002), goal=goal, steps=10)

@@ -370,6 +370,36 @@ def test_own_contacts_that_do_not_fit_are_refused(teeth: Any) -> None:
         jxr.close(grasp, state, locate=True)
 
 
+@pytest.mark.parametrize(
+    ("member", "value", "words"),
+    [
+        ("friction", -0.5, r"contacts\[0\].friction must be positive, but was -0.5"),
+        ("friction", float("nan"), r"contacts\[0\].friction must be finite, but was nan"),
+        ("friction", (1.0, 2.0), r"contacts\[0\].friction must have shape \(\)"),
+        ("finger", "0", r"contacts\[0\].finger must be a whole number of at least 0, but was '0'"),
+        ("finger", 0.0, r"contacts\[0\].finger must be a whole number"),
+        ("rows", "1", r"contacts\[0\].rows must be a whole number of at least 1, but was '1'"),
+        ("gap", lambda *given: Teeth.gap(*given)[0], r"contacts\[0\] must give its gaps as a tuple"),
+        ("gap", lambda *given: ("a",), r"contacts\[0\], in its gap, must be a real number"),
+        ("tangency", lambda *given: 1j * Teeth.tangency(*given), "in its tangency, must be a real number"),
+        ("tangency", lambda *given: (Teeth.tangency(*given),) * 2, "for each of 1 directions .* had 2"),
+        (
+            "tangency",
+            lambda *given: float(Teeth.tangency(*given)),
+            r"contacts\[0\] must compute with jax.numpy",
+        ),
+    ],
+)
+def test_members_of_own_contacts_that_are_none_are_refused_by_name(
+    teeth: Any, member: str, value: Any, words: str
+) -> None:
+    grasp, _ = teeth
+    fields = {"__annotations__": {member: Any}} if member in ("friction", "finger") else {}
+    contact = type("Odd", (Teeth,), {member: value, **fields})()
+    with pytest.raises(ValueError, match=f"^argument .*{words}"):
+        grasp.with_contacts(contact)
+
+
 def test_places_of_own_contacts_stand_apart_under_their_own_names() -> None:
     """Columns of states were taken for one rolling coordinate [mm] of each contact in turn."""
     finger = jxr.Finger([0.1], [0.01], jxr.Circle(0.01))

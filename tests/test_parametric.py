@@ -82,6 +82,10 @@ def test_runs_batches_and_gradients_go_through_the_curve():
     [
         (lambda: jxr.Parametric(3.0, (0.0, 1.0)), "argument function must be a function"),
         (lambda: jxr.Parametric(lambda u: u, (0.0, 1.0)), "argument function must give a point of shape"),
+        (
+            lambda: jxr.Parametric(lambda u: jxr.geometry.Vec2(u, u), (0.0, 1.0)),
+            r"argument function must give a point of shape \(2,\), but gave Vec2",
+        ),
         (lambda: jxr.Parametric(lambda u: ellipse((A, B), u), (1.0, 0.0)), "argument domain must be two"),
         (
             lambda: jxr.Parametric(lambda u: ellipse((A, B), u), (0.0, np.inf)),

@@ -142,6 +142,41 @@ FAULTS = {
 }
 
 
+@pytest.mark.parametrize(
+    ("member", "value", "words"),
+    [
+        (
+            "curve",
+            lambda self, s: jnp.stack(circle(s)),
+            "`curve` returns a geometry.Vec2, but that of Odd ret",
+        ),
+        (
+            "curve",
+            lambda self, s: circle(s),
+            "`curve` returns a geometry.Vec2, but that of Odd returned a tuple",
+        ),
+        (
+            "curve",
+            lambda self, s: Vec2(s[None], 0.0),
+            r"returns two numbers, but one of Odd had shape \(1,\)",
+        ),
+        ("curve", lambda self, s: Vec2(np.cos(s), s), "computes with jax.numpy, but that of Odd asked for a"),
+        (
+            "curve",
+            lambda self, s: Vec2(s if s > 0 else -s, s),
+            "computes with jax.numpy, but that of Odd asked",
+        ),
+        ("closed", "yes", "`closed` is True or False, but that of Odd was a str"),
+        ("smoothness", None, "`smoothness` is a number of derivatives, but that of Odd was a NoneType"),
+    ],
+)
+def test_members_that_give_what_they_must_not_are_named(member, value, words):
+    fields = {"__annotations__": {member: str}} if member == "closed" else {}
+    odd = type("Odd", (Curve,), {member: value, **fields})(circle)
+    with pytest.raises(ValueError, match=f"^argument tip must be a contour whose .*{words}"):
+        check_contour("tip", odd)
+
+
 @pytest.mark.parametrize("fault", FAULTS)
 def test_what_breaks_the_contract_is_named(fault):
     contour, start, words = FAULTS[fault]

@@ -145,7 +145,7 @@ class Grasp(AbstractGrasp):
         for i, contact in enumerate(self.contacts):
             counts = ("finger", contact.finger, len(self.fingers))
             for kind, index, count in (counts, (contact.kind, contact.touched, len(self.object.shapes))):
-                if not 0 <= index < count:
+                if not as_count(f"contacts[{i}].{kind}", index, least=0) < count:
                     raise ValueError(f"argument contacts[{i}].{kind} must be below {count}, but was {index}")
             contact.check(f"contacts[{i}]", self.shapes(contact))
         for i, finger in enumerate(self.fingers):
@@ -176,6 +176,8 @@ class Grasp(AbstractGrasp):
         for load in self.load:
             if isinstance(load, AbstractLoad):
                 load.check("load", self._axes)
+        for times in self.jumps:  # those of a caller's own part have passed no check
+            check_finite("jumps", times)
 
     @property
     def labels(self) -> Labels:

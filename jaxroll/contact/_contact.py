@@ -24,7 +24,7 @@ from jaxtyping import Array, Float
 
 from .._linalg import root, total, unknown_factor, Vec3
 from .._printing import listed
-from .._results import as_count
+from .._results import as_count, as_positive
 from .._types import Scalar, Scalars
 from ..geometry import check_shape
 from . import _from_gap as from_gap
@@ -107,6 +107,10 @@ class AbstractContact(eqx.Module):
     def check(self, name: str, shapes: Shapes) -> None:
         """Raise unless the contact fits these shapes; `name` is what the message calls the contact."""
         self.check_shapes(name, shapes)
+        as_count(f"{name}.rows", self.rows)
+        as_count(f"{name}.slack", self.slack, least=0)
+        if self.friction is not None:
+            as_positive(f"{name}.friction", self.friction)
         from_gap.check_numbers(self, name, shapes)
 
     def check_shapes(self, name: str, shapes: Shapes) -> None:

@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._linalg import Factor, factorise, inner, Pose2, Pose3, solve, total, Vec2, Vec3
+from .._results import as_array, shown, traceable
 from .._types import Scalar, Scalars
 from ._gap import Motion, row_wise, Rows
 
@@ -197,17 +198,25 @@ def derived_slip(contact: Any, shapes: _Shapes, place: Any, poses: _Pair) -> Sca
 def check_numbers(contact: Any, name: str, shapes: _Shapes) -> None:
     """Raise unless the gap and the tangency of a caller's own contact have as many numbers as it says."""
 
-    def found(shapes: _Shapes) -> tuple[list[Any], list[Any]]:
+    def found(shapes: _Shapes) -> tuple[list[Any], list[Any], Any]:
         ready = tuple(shape.prepared() for shape in shapes)
         poses = (_still(contact.axes),) * 2
         place = contact.shift(ready, _arrays(contact.form(ready)), (0.0,) * contact.slack)
         touch = contact.touch(ready, place)
-        return list(contact.gap(poses, touch)), jax.tree.leaves(contact.tangency(poses, touch))
+        gap = contact.gap(poses, touch)
+        if not isinstance(gap, tuple | list) and not jnp.ndim(gap):
+            raise ValueError(f"argument {name} must give its gaps as a tuple, but gave {shown(gap)}")
+        parts = [as_array(f"{name}, in its gap,", part) for part in gap]
+        leaves = jax.tree.leaves(contact.tangency(poses, touch))
+        tangency = [as_array(f"{name}, in its tangency,", part) for part in leaves]
+        return parts, tangency, contact.equations(poses, touch)
 
-    gap, tangency = eqx.filter_eval_shape(found, shapes)
+    with traceable(name):
+        gap, tangency, equations = eqx.filter_eval_shape(found, shapes)
     if len(gap) != contact.rows:
         raise ValueError(f"argument {name} must have {contact.rows} gaps, its `rows`, but had {len(gap)}")
-    if bool(tangency) != bool(contact.slack):
+    closes = len(equations) == len(contact.equation_names())
+    if bool(tangency) != bool(contact.slack) or not closes:
         raise ValueError(
             f"argument {name} must have a tangency for each of {contact.slack} directions of its place, "
             f"but had {len(tangency)}"

@@ -28,12 +28,13 @@ from .._results import (
     check_instance,
     on_host,
     RESULTS,
+    traceable,
 )
 from .._types import Given
 from .._xla import quickly
 from ..geometry import AbstractContour, tabled
 from ._design import Design
-from ._goals import AbstractGoal, Margin
+from ._goals import AbstractGoal, check_answers, Margin
 from ._gradient import Mode
 from ._limits import check_interval, ContourSamples, Limits, sampled
 from ._minimise import check_checkpoint, DesignProgress, Found, KEPT, minimise
@@ -123,9 +124,10 @@ def optimise_fingertip(
         size = float(reaches[0])
         limits = Limits(size=size, radius=0.1 * size, ahead=0.5 * size)
     # Before anything is traced, the goal takes what it needs from the first start, such as a scale.
-    wanted = goal.aimed(tips[0])
+    wanted = check_instance("goal.aimed, in what it returns,", goal.aimed(tips[0]), AbstractGoal, "a goal")
     data, problem = (arrays, sizes), _Problem(transform, rest, ends, limits, wanted)
     start = jax.vmap(lambda *one: problem.of(one).start)(*data)
+    _check_answers(problem, start, data)
     found = minimise(
         problem,
         start,
@@ -156,6 +158,16 @@ def _check_parts(
     check_choice("mode", mode, ("auto", "forward", "reverse"))
     if checkpoint is not None:
         check_checkpoint(checkpoint)
+
+
+def _check_answers(problem: "_Problem", start: Array, data: Any) -> None:
+    """Raise unless a goal of a caller's own class, or one inside another, answers as it must."""
+    goals = (problem.goal, getattr(problem.goal, "goal", None))
+    own = [goal for goal in goals if goal is not None and not type(goal).__module__.startswith("jaxroll.")]
+    x, one = jax.tree.map(lambda a: a[0], (start, data))
+    for goal in own:
+        with traceable("goal"):
+            jax.eval_shape(lambda x, one: check_answers(goal, *problem.seen(x, one), one[1]), x, one)  # noqa: B023
 
 
 class _Problem(eqx.Module):

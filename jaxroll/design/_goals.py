@@ -13,6 +13,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool
 
 from .._mechanics import Grasp, State
@@ -65,6 +66,28 @@ class AbstractGoal(eqx.Module):
         """This goal with what it takes from the first start; called once, before anything is traced."""
         del tip
         return self
+
+
+def check_answers(goal: AbstractGoal, tip: AbstractContour, seen: ContourSamples, unit: Scalar) -> Scalar:
+    """Raise unless a goal answers with what the search can use; called while JAX traces, returns the cost."""
+    name = "argument goal must have"
+    cost = as_array("goal, in what `cost` returns,", goal.cost(tip, seen, unit, jnp.ones(())))
+    if cost.ndim:
+        raise ValueError(f"{name} a `cost` of one number, but it had shape {cost.shape}")
+    figures = goal.figures(tip, seen)
+    if not isinstance(figures, dict) or goal.merit not in figures:
+        raise ValueError(
+            f"{name} `figures` that are a dict with its `merit` {shown(goal.merit)}, but they were "
+            f"{shown(figures)}"
+        )
+    found = {key: as_array(f"goal, in its figure {shown(key)},", value) for key, value in figures.items()}
+    if shapes := [value.shape for value in found.values() if value.shape]:
+        raise ValueError(f"{name} `figures` of one number each, but one had shape {shapes[0]}")
+    # Asked of all starts at once.
+    reached = goal.reached({key: value[None] for key, value in found.items()})
+    if not eqx.is_array_like(reached) or not jnp.issubdtype(jnp.result_type(reached), np.bool_):
+        raise ValueError(f"{name} `reached` that is True or False, but it was {shown(reached)}")
+    return cost
 
 
 class Margin(AbstractGoal):

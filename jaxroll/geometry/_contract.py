@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Array
 
 from .._linalg import tangents, Vec2, Vec3
-from .._results import shown, traced
+from .._results import as_order, NO_VALUES, shown, traced
 from .._types import Given, Scalars
 from .._xla import quickly, remembered
 from ._tabled import tabled
@@ -163,6 +163,8 @@ def _fault(contour: AbstractContour) -> str | None:
 
     An endless contour is not evaluated here, but about a contact's start (`_about`).
     """
+    if (fault := _members_fault(contour)) is not None:
+        return fault
     with jax.ensure_compile_time_eval():
         ready = _ready(tabled(contour))
         domain = ready.domain()
@@ -175,6 +177,31 @@ def _fault(contour: AbstractContour) -> str | None:
         share = (np.arange(_PLACES) + 0.5) / _PLACES
         fault = _along(ready, ends[0] + (ends[1] - ends[0]) * share)
         return fault or (_open(ready, ends) if contour.closed else None)
+
+
+def _members_fault(contour: AbstractContour) -> str | None:
+    """Which member of a contour's class gives what it must not, as the end of a message, or None."""
+    if not isinstance(contour.closed, bool | np.bool_):
+        return f"whose `closed` is True or False, but that of {{kind}} was a {type(contour.closed).__name__}"
+    try:
+        as_order(contour.smoothness)
+    except ValueError:
+        kind = type(contour.smoothness).__name__
+        return f"whose `smoothness` is a number of derivatives, but that of {{kind}} was a {kind}"
+    try:
+        found = eqx.filter_eval_shape(contour.curve, jax.ShapeDtypeStruct((), jnp.result_type(float)))
+    except NO_VALUES as error:
+        return (
+            "whose `curve` computes with jax.numpy, but that of {kind} asked for a value while JAX traces it "
+            f"({type(error).__name__})"
+        )
+    if not isinstance(found, Vec2):
+        return (
+            f"whose `curve` returns a geometry.Vec2, but that of {{kind}} returned a {type(found).__name__}"
+        )
+    if shapes := [jnp.shape(part) for part in (found.x, found.y) if jnp.shape(part)]:
+        return f"whose `curve` returns two numbers, but one of {{kind}} had shape {shapes[0]}"
+    return None
 
 
 def _about(contour: AbstractContour, start: Given) -> str | None:

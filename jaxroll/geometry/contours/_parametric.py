@@ -154,6 +154,18 @@ def _jet(parts: int) -> Callable[[Any, Any, Any], tuple[Vec2, Vec2, Vec2]]:
     return jet
 
 
+def _point(given: Any) -> Array:
+    """What a function returned, as an array."""
+    try:
+        return jnp.asarray(given)
+    except (TypeError, ValueError) as error:
+        if isinstance(error, jax.errors.JAXTypeError):
+            raise
+        raise ValueError(
+            f"argument function must give a point of shape (2,), but gave {shown(given)}"
+        ) from None
+
+
 def _check(contour: Parametric) -> None:
     """Raise unless the function gives finite points, closes if it should, and runs counter-clockwise.
 
@@ -163,7 +175,7 @@ def _check(contour: Parametric) -> None:
     # By shape alone, without evaluating the function.
     u = jax.ShapeDtypeStruct((), contour.span.dtype)
     with traceable("function"):
-        found = eqx.filter_eval_shape(lambda f, u: jnp.asarray(f(u)), contour.function, u)
+        found = eqx.filter_eval_shape(lambda f, u: _point(f(u)), contour.function, u)
     if found.shape != (2,) or not jnp.issubdtype(found.dtype, jnp.floating):
         raise ValueError(
             "argument function must give a point of shape (2,), but gave "

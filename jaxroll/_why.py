@@ -271,11 +271,10 @@ def _judged(grasp: Grasp, state: State, t0: Scalar, run: Trajectory) -> Why:
         summary, remedy = f"holds until t = {float(t):.4g} s, but {told}", _MEND[_blamed(grasp, found, near)]
     else:
         summary, remedy = "holds", ""
-    gap = float(worst(residuals(grasp, state)))
     return Why(
         summary=summary,
         closed=True,
-        gap=gap,
+        gap=float(worst(residuals(grasp, state))),
         state=state,
         start=start,
         run=run,
@@ -321,8 +320,8 @@ def _early(grasp: Grasp, start: Bearing, ended: int) -> tuple[str, str, int] | N
     """What is wrong at the start already: the sentence, what helps, and which contact; None if nothing is.
 
     In this order, because forces mean nothing at a singular state, nor friction at a contact that pulls.
-    Comparisons with zero are written so that NaN counts as a failure. Of contacts that fail alike, to
-    rounding, it is the one at which the run `ended`.
+    Comparisons with zero are written so that NaN counts as a failure. A contact without force does not pull.
+    Of contacts that fail alike, to rounding, it is the one at which the run `ended`.
     """
     curvature, f = np.asarray(start.curvature), _pressing(grasp, start)
     if not np.all(curvature > FLAT):
@@ -337,12 +336,14 @@ def _early(grasp: Grasp, start: Bearing, ended: int) -> tuple[str, str, int] | N
             "fails at the start: contacts are redundant or an arm is straight, so that forces have no answer"
         )
         return told, REMEDIES["singular_contact"], -1
-    if not np.all(f > 0.0):
-        at = _least(f, ended)
-        name = contact_name(grasp.labels, at)
-        return f"fails at the start: {name} pulls with {-f[at]:.3g} N", _MEND["pulls"], at
-    limits = [_friction(grasp, i) for i in range(len(grasp.contacts))]
     pairs = _pairs(start.multipliers)
+    if not all(pressing > 0.0 or pair == (0.0, 0.0) for pressing, pair in zip(f, pairs, strict=True)):
+        lost = np.isnan(f)
+        at = int(np.argmax(lost)) if lost.any() else _least(f, ended)
+        does = "bears a force that is no number" if lost[at] else f"pulls with {abs(f[at]):.3g} N"
+        what = REMEDIES["not_finite"] if lost[at] else _MEND["pulls"]
+        return f"fails at the start: {contact_name(grasp.labels, at)} {does}", what, at
+    limits = [_friction(grasp, i) for i in range(len(grasp.contacts))]
     room = [
         np.inf if limit is None else limit * pressing - aside
         for limit, (pressing, aside) in zip(limits, pairs, strict=True)
@@ -437,8 +438,10 @@ def _force(grasp: Grasp, contact: int, pressing: float, aside: float) -> str:
     has = "no limit was given" if limit is None else f"it has {limit:.3g}"
     if not grasp.contacts[contact].presses:
         return f"{name} holds both ways, with {pressing:.4g} N and {aside:.4g} N beside"
+    if np.isnan(pressing) or pressing == 0.0 == aside:
+        return f"{name} bears {'a force that is no number' if pressing else 'no force'}"
     if not pressing > 0.0:
-        return f"{name} pulls with {-pressing:.4g} N: no friction would do"
+        return f"{name} pulls with {abs(pressing):.4g} N: no friction would do"
     return f"{name} presses with {pressing:.4g} N and needs friction {round(aside / pressing, 9):.4g}; {has}"
 
 

@@ -618,6 +618,15 @@ def test_why_a_guess_does_not_close(scene):
     assert "hold_contacts" in found.remedy and str(found).count("\n") < 10
 
 
+def test_why_of_a_grasp_without_forces_is_what_its_run_says(scene):
+    """It rests: nothing pulls, and nothing ends the run. Forces that are no numbers are named as such."""
+    grasp, state = scene
+    idle = jxr.why(grasp.with_(force=0.0), state, t1=0.1)
+    assert idle.summary == "holds" and "bears no force" in str(idle) and "pulls" not in str(idle)
+    lost = jxr.why(grasp.with_(force=lambda t: jnp.nan * t), state, t1=0.1)
+    assert lost.summary.endswith("bears a force that is no number") and "NaN" in lost.remedy
+
+
 def test_why_says_what_it_cannot_judge(scene, run):
     grasp, state = scene
     with pytest.raises(ValueError, match="argument state must be a State, or a run of the grasp"):
@@ -639,7 +648,9 @@ def test_why_says_what_it_cannot_judge(scene, run):
         ((1.0, -1.0), 1.0, (1.0, 1.0), "contact 1 (finger 1 on contour 1) is singular"),
         ((1.0, np.nan), 1.0, (1.0, 1.0), "contact 1 (finger 1 on contour 1) is singular"),
         ((1.0, 1.0), 0.7e-9, (1.0, 1.0), "contacts are redundant or an arm is straight"),
-        ((1.0, 1.0), 1.0, (1.0, 0.0), "contact 1 (finger 1 on contour 1) pulls with -0 N"),
+        ((1.0, 1.0), 1.0, (1.0, 0.0), None),
+        ((1.0, 1.0), 1.0, (np.nan, 0.0), "contact 0 (finger 0 on contour 0) bears a force that is no number"),
+        ((1.0, 1.0), 1.0, (0.0, np.nan), "contact 1 (finger 1 on contour 1) bears a force that is no number"),
         ((1.0, 1.0), 1.0, (-0.25, 1.0), "contact 0 (finger 0 on contour 0) pulls with 0.25 N"),
         ((1.4e-4, 1.0), 1.4e-9, (1.0, 1e-9), None),
     ],
@@ -683,7 +694,11 @@ def test_a_contact_that_holds_both_ways_cannot_be_lost():
     assert _why._force(pair, 0, 3.0, 0.0).endswith(
         "presses with 3 N and needs friction 0; no limit was given"
     )
-    assert _why._force(pair, 0, 0.0, 1.0).endswith("pulls with -0 N: no friction would do")
+    assert _why._force(pair, 0, 0.0, 1.0).endswith("pulls with 0 N: no friction would do")
+    assert _why._force(pair, 0, -0.0, 0.0).endswith("contour 0) bears no force")
+    assert _why._force(pair, 0, np.nan, 0.0).endswith("contour 0) bears a force that is no number")
+    pushed = _early(rubbing_pair(0.3, 0.3), bearing((1.0, 0.0), (0.0, 1.0)), -1)
+    assert pushed[0] == "fails at the start: contact 1 (finger 1 on contour 1) pulls with 0 N"
     in_space = SimpleNamespace(f=np.array([2.0, 1.0]), lam=np.array([[0.6, 0.0, -0.8], [0.0, 2.0, 0.0]]))
     assert _why._pairs(in_space) == [(2.0, 1.0), (1.0, 2.0)]
     assert _why._pairs(SimpleNamespace(f=np.array([2.0]), lam=np.array([-0.5]))) == [(2.0, 0.5)]

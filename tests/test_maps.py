@@ -225,6 +225,8 @@ def test_a_map_of_runs_is_their_sweep(scene):
 BAD = {
     "outcome": ({"outcome": 3}, "argument outcome must be a function"),
     "text": ({"outcome": lambda p: "x"}, "argument outcome must return arrays"),
+    "values": ({"outcome": lambda p: float(p["x"])}, "argument outcome must compute with jax.numpy"),
+    "names": ({"outcome": lambda p: {"x": p["x"], 1: 1.0}}, "argument outcome must return arrays"),
     "grid": ({"grid": (1, 2)}, "argument grid must be Parameters"),
     "one value": ({"grid": jxr.Parameters.grid(x=[1.0], y=[1.0, 2.0])}, "argument grid must have two values"),
     "levels": ({"levels": -1}, "argument levels must be a whole number"),
@@ -355,3 +357,28 @@ def test_kept_measures_are_in_the_order_given_each_once():
         **dict.fromkeys(("peak_force", "least_force", "friction_demand"), ("multipliers", True)),
         **dict.fromkeys(("energy_lost", "energy_residual"), ("energy", True)),
     }
+
+
+def test_a_map_sees_what_a_law_holds_now():
+    """JAX keeps the trace of a run by the law's function, whatever the list that it reads holds since."""
+    grasp, state = jxr.scenes.pivoted()
+    share = [0.0]
+
+    def law(t, angles, rates, tips):
+        force = -share[0] * (tips[0].position - grasp.controller.target)
+        return [tips[0].jacobian.T @ force]
+
+    def outcome(p):
+        start = eqx.tree_at(lambda s: s.v, state, state.v + 0.0 * p["x"])
+        run = jxr.simulate(grasp.with_(controller=law), start, 0.05, ts=1, events=(), throw=False)
+        return {"moved": run.last.q[0] - state.q[0]}
+
+    def moved():
+        found = jxr.adaptive_map(outcome, jxr.Parameters.grid(x=[0.0, 1.0]), levels=0, tolerance=1.0)
+        return abs(found.values["moved"][0])
+
+    share[0] = 25.0
+    first = moved()
+    share[0] = 50.0
+    second = moved()
+    assert second > 1.5 * first > 1e-6

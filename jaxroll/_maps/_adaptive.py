@@ -26,8 +26,9 @@ from .._results import (
     is_array_like,
     on_host,
     shown,
+    traceable,
 )
-from .._sweep import Parameters
+from .._sweep import as_now, Parameters
 from .._xla import WIDE
 from ._cells import between, halved_lines, Spread, wanted_points
 
@@ -199,8 +200,12 @@ def _tolerance(value: Any) -> float | None:
 
 def _outcome_of(outcome: Callable, row: Any) -> Any:
     """What the outcome returns for one row, checked."""
-    found = outcome(row)
-    leaves = jax.tree.leaves(found)
+    with traceable("outcome"):
+        found = outcome(row)
+    try:
+        leaves = jax.tree.leaves(found)
+    except (TypeError, ValueError):  # a dict whose keys have no order
+        leaves = []
     if not leaves or not all(map(_is_real, leaves)):
         raise ValueError(f"argument outcome must return arrays of real numbers, but returned {shown(found)}")
     return found
@@ -215,9 +220,11 @@ class _Program:
 
     def __init__(self, outcome: Callable, grid: Parameters, size: int) -> None:
         self.grid, self.size = grid, size
-        traced = jax.jit(jax.vmap(lambda p: _outcome_of(outcome, p)), compiler_options=WIDE).trace(
-            self._rows(np.zeros(size, int))
-        )
+        # JAX keeps traces of the runs inside by their functions, whatever these hold since.
+        with as_now(outcome):
+            traced = jax.jit(jax.vmap(lambda p: _outcome_of(outcome, p)), compiler_options=WIDE).trace(
+                self._rows(np.zeros(size, int))
+            )
         self.results = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), traced.out_info)
         self.leaves, self.structure = jax.tree.leaves(self.results), jax.tree.structure(self.results)
         self._call = traced.lower().compile()

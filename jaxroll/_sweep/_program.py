@@ -14,6 +14,7 @@ functions has changed.
 
 from collections import OrderedDict
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -59,12 +60,17 @@ class Job(eqx.Module):
         def one(row: Any) -> Any:
             grasp, state = made(self.make, row)
             still = eqx.filter((grasp, self.keep, self.options), eqx.is_array, inverse=True)
-            with _AS_NOW(_held(still)):
+            with as_now(still):
                 run = simulate(grasp, state, self.t1, **self.options)
                 seen.append(jax.tree.map(_form, run))
                 return run if self.keep is None else kept(self.keep, run)
 
         return jax.vmap(one)(rows)
+
+
+def as_now(still: Any) -> AbstractContextManager[Any]:
+    """A context in which JAX traces what these functions, and all that they refer to, hold now."""
+    return _AS_NOW(_held(still))
 
 
 def _held(still: Any) -> Any:

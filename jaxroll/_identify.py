@@ -27,6 +27,7 @@ from ._results import (
     shown,
     traceable,
 )
+from ._sweep import as_now
 from ._types import ByPrecision, Given
 
 # Damping of the first step, over the diagonal of the Gauss-Newton matrix; its factor up and down; its most.
@@ -152,11 +153,9 @@ def identify(
         >>> round(found.values["damping"], 6)
         0.006
     """
-    names, start = _checked(make, guess)
+    names, start = _checked(make, guess, observe)
     times = _times(ts)
     data = check_finite("measured", as_array("measured", measured))
-    if observe is not None:
-        check_callable("observe", observe, takes=2)
     steps = as_count("steps", steps)
     if data.size <= len(names):
         raise ValueError(
@@ -181,7 +180,9 @@ def identify(
     slopes_and_left = jax.jit(jax.jacfwd(left_over, has_aux=True))
 
     def all_of(x: jax.Array) -> tuple[jax.Array, jax.Array, RESULTS]:
-        slopes, (left, ended) = slopes_and_left(x)
+        # JAX keeps the trace of the run inside by the functions in the grasp, whatever these hold since.
+        with as_now((make, observe)):
+            slopes, (left, ended) = slopes_and_left(x)
         return left, slopes, ended
 
     x, count, result, seen = _descend(all_of, np.ones(len(names)), steps, known=noise is not None)
@@ -318,9 +319,11 @@ def _made(given: Any) -> tuple[Grasp, State]:
     return pair[0], pair[1]
 
 
-def _checked(make: Any, guess: Any) -> tuple[tuple[str, ...], np.ndarray]:
+def _checked(make: Any, guess: Any, observe: Any) -> tuple[tuple[str, ...], np.ndarray]:
     """Names and first values."""
     check_callable("make", make, takes=1)
+    if observe is not None:
+        check_callable("observe", observe, takes=2)
     if not isinstance(guess, Mapping) or not guess or not all(isinstance(name, str) for name in guess):
         raise ValueError(f"argument guess must be a dict of numbers by their names, but was {shown(guess)}")
     values = [np.asarray(check_finite("guess", as_floats("guess", value, ()))) for value in guess.values()]

@@ -62,6 +62,25 @@ def test_part_2_from_data_of_another_formulation(scene):
     assert lines[0] == "Identified: successful" and lines[1].startswith("  damping  0.006 +- ")
 
 
+def test_what_a_law_holds_is_seen_as_it_is_now(scene):
+    """The list from which a law has its stiffness; measured is the chapter's law with the same one."""
+    grasp, state = scene
+    stiffness = [0.0]
+
+    def law(t, angles, rates, tips, damping):
+        force = -stiffness[0] * (tips[0].position - grasp.controller.target)
+        return [tips[0].jacobian.T @ force - damping * rates[0]]
+
+    def make(p):
+        return grasp.with_(controller=lambda *given: law(*given, p["damping"])), state
+
+    for value in (50.0, 60.0):
+        stiffness[0] = value
+        measured = angles(TRUE["damping"], 0.01 * value)
+        found = jxr.identify(make, {"damping": 0.005}, TS, measured, noise=1e-4)
+        assert found.values["damping"] == pytest.approx(TRUE["damping"], rel=1e-5)
+
+
 @pytest.mark.parametrize("known", [True, False])
 def test_the_search_ends_where_scipys_does(known):
     t, rng = np.linspace(0.0, 3.0, 40), np.random.default_rng(0)

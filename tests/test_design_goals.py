@@ -699,3 +699,20 @@ def test_answers_of_own_goals_that_are_none_are_refused_before_a_search(member, 
     goal = Fair(goal) if inside else goal
     with pytest.raises(ValueError, match=f"^argument {words}"):
         jxr.design.optimise_fingertip(jxr.Ellipse(0.018, 0.009), (-0.002, 0.002), goal=goal, steps=10)
+
+
+def test_a_search_sees_what_its_goal_holds_now():
+    """The list from which a goal has its target: a blunter fingertip is found where it asks for one."""
+    target = [1.0]
+
+    class Aimed(Bend):
+        def cost(self, tip, seen, unit, sharpness):
+            return (tip.frame(0.0).curvature * unit - target[0]) ** 2
+
+    start, limits = jxr.Ellipse(0.018, 0.009), jxr.design.Limits(size=0.03, radius=0.001, ahead=0.001)
+    settings = {"goal": Aimed(), "limits": limits, "steps": 10}
+    bends = []
+    for target[0] in (3.0, 1.5):
+        found = jxr.design.optimise_fingertip(start, (-0.002, 0.002), **settings)
+        bends.append(found.figures["bend [1/m]"][1])
+    np.testing.assert_allclose(bends[0] / bends[1], 2.0, rtol=0.05)

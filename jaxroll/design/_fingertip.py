@@ -30,6 +30,7 @@ from .._results import (
     RESULTS,
     traceable,
 )
+from .._sweep import as_now
 from .._types import Given
 from .._xla import quickly
 from ..geometry import AbstractContour, tabled
@@ -127,20 +128,22 @@ def optimise_fingertip(
     wanted = check_instance("goal.aimed, in what it returns,", goal.aimed(tips[0]), AbstractGoal, "a goal")
     data, problem = (arrays, sizes), _Problem(transform, rest, ends, limits, wanted)
     start = jax.vmap(lambda *one: problem.of(one).start)(*data)
-    _check_answers(problem, start, data)
-    found = minimise(
-        problem,
-        start,
-        data,
-        steps=steps,
-        in_turn=wanted.in_turn,
-        progress=progress,
-        optimiser=optimiser,
-        mode=mode,
-        checkpoint=checkpoint,
-        asked=asked,
-    )
-    return _design(problem, start, data, found)
+    # JAX keeps what it traced for the functions of a goal, whatever these hold since.
+    with as_now(goal):
+        _check_answers(problem, start, data)
+        found = minimise(
+            problem,
+            start,
+            data,
+            steps=steps,
+            in_turn=wanted.in_turn,
+            progress=progress,
+            optimiser=optimiser,
+            mode=mode,
+            checkpoint=checkpoint,
+            asked=asked,
+        )
+        return _design(problem, start, data, found)
 
 
 def _check_parts(

@@ -70,6 +70,16 @@ def test_what_calls_a_library_is_named_and_large_products_stay():
         in_arithmetic("law", lambda a: jnp.sin(a) @ B, A)
 
 
+@pytest.mark.parametrize(
+    "given",
+    [np.array([object(), 1.0]), np.array(["a", "b"]), np.ma.masked_array([1.0, 2.0], [False, True])],
+)
+def test_arrays_without_numbers_are_refused_by_name(given):
+    grasp, state = jxr.scenes.pivoted()
+    with pytest.raises(ValueError, match="^argument controller, in what it returns, must be a real number"):
+        jxr.simulate(grasp.with_(controller=lambda t, angles, rates, tips: [given]), state, 0.1)
+
+
 def test_a_law_of_ones_own_keeps_a_run_in_one_kernel():
     """The built-in law written with arrays: its motion, and no operation that would break up the kernel."""
     grasp, state = jxr.scenes.pivoted()

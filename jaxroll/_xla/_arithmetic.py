@@ -16,9 +16,10 @@ import equinox as eqx
 import jax
 import jax.extend.core as jec
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
-from .._results import traceable
+from .._results import shown, traceable
 from ._one_kernel import inner_programs, misfits
 
 # Products of more terms than this, all together, are left to a library, which is the faster then.
@@ -34,7 +35,7 @@ def in_arithmetic(name: str, function: Callable, *args: Any) -> Any:
     with traceable(name):
         if jax.default_backend() != "cpu":
             return function(*args)
-        closed, like, still = eqx.filter_make_jaxpr(function)(*args)
+        closed, like, still = eqx.filter_make_jaxpr(lambda *args: _numeric(name, function(*args)))(*args)
     if any(_rule(equation) for equation in _equations(closed.jaxpr)):
         flat = [leaf for leaf in jax.tree.leaves(args) if eqx.is_array(leaf)]
         written = functools.partial(_evaluated, closed.jaxpr, closed.consts)
@@ -49,6 +50,18 @@ def in_arithmetic(name: str, function: Callable, *args: Any) -> Any:
             stacklevel=2,
         )
     return out
+
+
+def _numeric(name: str, given: Any) -> Any:
+    """What a function returned, if its arrays hold numbers, all of them, as JAX wants them."""
+    for leaf in jax.tree.leaves(given):
+        odd = isinstance(leaf, np.ndarray) and leaf.dtype.kind not in "biufc"
+        if odd or isinstance(leaf, np.ma.MaskedArray):
+            raise ValueError(
+                f"argument {name}, in what it returns, must be a real number or an array of them, but was "
+                f"{shown(leaf)}"
+            )
+    return given
 
 
 def _equations(program: jec.Jaxpr) -> Iterator[Any]:

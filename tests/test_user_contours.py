@@ -18,11 +18,13 @@ from jaxroll.geometry import (
     check_contour,
     check_once_round,
     check_surface,
+    differentiated,
     Extruded,
     frenet,
     Frenet2,
     Gauss3,
     Hollow,
+    Implicit,
     Jet,
     jet,
     Level,
@@ -350,6 +352,44 @@ def test_surfaces_are_checked_too(name):
     surface, words = SURFACES[name]
     with pytest.raises(ValueError, match=f"argument tip must be a surface .*{words}"):
         check_surface("tip", surface)
+
+
+FIELDS = {
+    "of NumPy": (lambda x, y, z: np.hypot(x, y) + z, "must compute with jax.numpy"),
+    "with if": (lambda x, y, z: x if z > 0.0 else y, "must compute with jax.numpy"),
+    "text": (lambda x, y, z: "x", ", in what it returns, must be a real number"),
+    "nothing": (lambda x, y, z: None, ", in what it returns, must be a real number"),
+    "complex": (lambda x, y, z: x + 1j * y, ", in what it returns, must be a real number"),
+    "two numbers": (lambda x, y, z: jnp.stack([x, y]), r"must return one number, but returned shape \(2,\)"),
+}
+
+
+class Field(AbstractImplicit):
+    """A user's body, whose derivatives are those of a field."""
+
+    function: object
+
+    smoothness = float("inf")
+
+    def derivatives(self, point):
+        return differentiated(self.function, point)
+
+    def frame(self, at):
+        return level_frame(Vec3(*at), self.derivatives(Vec3(*at)))
+
+
+@pytest.mark.parametrize("name", FIELDS)
+def test_fields_that_give_no_number_are_refused(name):
+    field, words = FIELDS[name]
+    with pytest.raises(ValueError, match=f"^argument function ?{words}"):
+        Implicit(field)
+    with pytest.raises(ValueError, match=f"^argument field ?{words}"):
+        check_surface("tip", Field(field))
+
+
+def test_a_field_takes_three_numbers():
+    with pytest.raises(ValueError, match="^argument function must be a function, but was"):
+        Implicit(lambda x, y: x)
 
 
 @pytest.mark.parametrize(("off", "there"), [(1e-10, 1.0), (1e-7, 0.0)])

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 
 from ..._closures import as_tree
 from ..._linalg import outer, square, Sym3, tangents, Vec3
-from ..._results import as_length, as_order
+from ..._results import as_array, as_length, as_order, check_callable, traceable
 from ..._types import Given, Scalar, Scalars
 from ..._xla import briskly, once
 from ._spread import lattice, SEEDS, thinned
@@ -55,7 +55,7 @@ def differentiated(field: Callable[[Scalar, Scalar, Scalar], Scalar], point: Vec
     axes = ((one, zero, zero), (zero, one, zero), (zero, zero, one))
 
     def slope(axis: int) -> Callable[..., tuple[Scalar, Scalar]]:
-        return lambda *p: jax.jvp(field, p, axes[axis])
+        return lambda *p: jax.jvp(lambda *p: _value("field", field, p), p, axes[axis])
 
     def second(i: int, j: int) -> tuple[Scalar, Scalar, Scalar]:
         (value, first), (_, bend) = jax.jvp(slope(i), place, axes[j])
@@ -64,6 +64,15 @@ def differentiated(field: Callable[[Scalar, Scalar, Scalar], Scalar], point: Vec
     value, x, xx = second(0, 0)
     (_, y, yy), (_, z, zz) = second(1, 1), second(2, 2)
     return Level(value, Vec3(x, y, z), Sym3(xx, second(0, 1)[2], second(0, 2)[2], yy, second(1, 2)[2], zz))
+
+
+def _value(name: str, field: Callable[..., Any], place: tuple[Any, ...]) -> Array:
+    """What a field returns at a place, if that is one real number."""
+    with traceable(name):
+        value = as_array(f"{name}, in what it returns,", field(*place))
+    if value.ndim:
+        raise ValueError(f"argument {name} must return one number, but returned shape {value.shape}")
+    return value
 
 
 class AbstractImplicit(AbstractSurface):
@@ -149,7 +158,7 @@ class Implicit(AbstractImplicit):
         smoothness: Its continuous derivatives.
 
     Raises:
-        ValueError: If `function` cannot be called, or `radius` is not positive.
+        ValueError: If `function` gives no number where it is called with three, or `radius` is not positive.
 
     Example:
         >>> import jaxroll as jxr
@@ -169,7 +178,8 @@ class Implicit(AbstractImplicit):
         radius: Given | None = None,
         smoothness: float = float("inf"),
     ) -> None:
-        self.function = as_tree("function", function)
+        self.function = as_tree("function", check_callable("function", function, takes=3))
+        jax.eval_shape(lambda *place: _value("function", self.function, place), *(jnp.zeros(()),) * 3)
         self.radius = None if radius is None else as_length("radius", radius)
         self.order = as_order(smoothness)
 

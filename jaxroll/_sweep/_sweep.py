@@ -76,7 +76,8 @@ def sweep(
     Args (daily use):
         make: From one row of parameters to a grasp and a state on its constraints, by JAX operations;
             `close` may be inside. Every sweep traces it anew, in milliseconds, and so sees what it closes
-            over as that is now; what has been compiled is used again for whatever is the same program.
+            over, and laws and loads of its grasp do, as that is now; what has been compiled is used again
+            for whatever is the same program.
         parameters: A pytree of arrays with a leading axis n.
         t1: Final time [s].
         keep: What to keep of every `Trajectory`, as a pytree of arrays. Default: all of it.

@@ -206,14 +206,14 @@ def _converted(value: Any) -> jax.Array:
     """A JAX array; codes and Python's own booleans are noticed, which NumPy would take for whole numbers."""
     if isinstance(value, bool) or isinstance(value, list | tuple) and _holds_flag(value):
         raise TypeError("a boolean is no number")
-    if isinstance(value, list | tuple | range) and not traced(value):
-        value = np.asarray(value)
+    if isinstance(value, list | tuple | range):
+        return _converted(np.asarray(value)) if not traced(value) else jnp.asarray(value)
     if type(value) is np.ndarray and value.ndim > 1:
         # For a table of every new length `jnp.asarray` would compile a program, of 10 ms; for vectors, whose
         # lengths are few, it is the faster by 0.03 ms. A copy, because JAX may go on to use the caller's
         # memory, which may change.
         return jax.device_put(value.copy())
-    if is_array_like(value) or isinstance(value, list | tuple):
+    if is_array_like(value):
         return jnp.asarray(value)
     if hasattr(value, "__jax_array__"):
         return jnp.asarray(value)

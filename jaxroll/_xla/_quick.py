@@ -14,8 +14,13 @@ import jax
 import jax.extend.core as jec
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
-# No optimisation by LLVM, and XLA's older way from fusions to LLVM, which writes less for small ones.
-QUICK = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
+# No optimisation by LLVM, XLA's older way from fusions to LLVM, which writes less for small ones, and machine
+# code in one piece, not 32: a sixteenth less processor time, and no longer a wait, for most is one function.
+QUICK = {
+    "xla_backend_optimization_level": 0,
+    "xla_cpu_use_fusion_emitters": False,
+    "xla_cpu_parallel_codegen_split_count": 1,
+}
 # LLVM's first level with that older way: as quick a program as by default, in half the time to compile.
 BRISK = QUICK | {"xla_backend_optimization_level": 1}
 

@@ -1,12 +1,14 @@
 """The path of a pinch over the level lines of its potential U(s1, s2); `_phase_one` draws that of Part 2."""
 
 import numpy as np
+from jaxtyping import Array
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from .._analysis import check_pinch
 from .._integration import Trajectory
-from .._mechanics import check_planar, Grasp, State
+from .._mechanics import check_planar, compiled, Grasp, State
+from .._types import Given
 from ..control import law_of
 from ..stability import equilibrium, pinch_statics
 from ._doors import guarded
@@ -86,10 +88,16 @@ def _chapter_s(grasp: Grasp, states: State) -> np.ndarray:
     return senses * (starts - np.asarray(states.s).reshape(-1, 2))
 
 
+@compiled  # a program without the derivatives, which take three quarters of the time to compile
+def _potential(grasp: Grasp, s: Given) -> Array:
+    """$U(s_1, s_2)$ [J] of a pinch."""
+    return pinch_statics(grasp, s).potential
+
+
 def _levels(ax: Axes, grasp: Grasp, middle: np.ndarray, half: float) -> None:
     line = np.linspace(-half, half, _GRID)
     s1, s2 = np.meshgrid(middle[0] + line, middle[1] + line)
-    u = 1e3 * np.array(pinch_statics(grasp, np.stack([s1, s2], axis=-1)).potential)
+    u = 1e3 * np.array(_potential(grasp, np.stack([s1, s2], axis=-1)))
     u[~(_inside(grasp, 0, s1) & _inside(grasp, 1, s2))] = np.nan
     levels = energy_levels(u, _LEVELS)
     ax.contourf(MM * s1, MM * s2, u, levels, cmap="Blues", alpha=0.8)

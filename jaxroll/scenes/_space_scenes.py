@@ -4,7 +4,7 @@ Fingertips are balls and the object a cuboid, unless others are given. As in the
 are given by hand, and `close` moves everything from there until the contacts are closed.
 """
 
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -119,22 +119,22 @@ def pinch3d(
         (6, 3, 3)
     """
     k = as_positive("size", size)
-    own, shapes = object, Sphere(0.01 * k) if tips is None else tips
+    sizes = _sizes(k)
+    own, shapes = object, Sphere(sizes.tip) if tips is None else tips
     if own is None:
-        own = cuboid(0.03 * k, 0.05 * k, 0.05 * k, 0.02 * k**3)
+        own = cuboid(*sizes.cuboid)
     body = check_instance("object", own, FreeObject3, "a FreeObject3")
     pair = as_pair("tips", shapes, AbstractSurface, "a surface or a pair of them")
-    links, masses = k * np.array(LINKS3), k**3 * np.array(MASSES3)
     fingers = [
-        Finger3(AXES3, links, masses, tip, base=k * np.array([side * SPAN3, 0.0, 0.0]))
-        for tip, side in zip(pair, (-1.0, 1.0), strict=True)
+        Finger3(AXES3, sizes.links, sizes.masses, tip, base=base)
+        for tip, base in zip(pair, sizes.bases, strict=True)
     ]
     # Two surfaces: a finger on each; a single one that goes all round is touched by both.
     faces = range(2) if len(body.surfaces) > 1 else (0, 0)
     contacts = [Contact3(i, face, spin=spin, friction=friction) for i, face in enumerate(faces)]
     # Without alpha the values of `start` have no effect; its length says how many fingers there are.
-    control = Opposition(beta, damping, start=jnp.zeros(2))
-    guess = _guess(pair, [body.surfaces[face] for face in faces], k)
+    control = Opposition(beta, damping, start=np.zeros(2))
+    guess = _guess(pair, [body.surfaces[face] for face in faces], sizes)
     if tips is object is None and concrete(k) != 1.0:
         # The pose of size one itself: another, as near to its own guess, would not be similar to it.
         _, one = pinch3d()
@@ -144,19 +144,57 @@ def pinch3d(
     gains = lambda c: [c.beta, c.damping]  # noqa: E731
     scaled = [
         gain if callable(gain) else gain * factor
-        for gain, factor in zip(gains(control), (k**2, k**4.5), strict=True)
+        for gain, factor in zip(gains(control), sizes.gains, strict=True)
     ]
     control = eqx.tree_at(gains, control, scaled)
     return Grasp(body, fingers, contacts, controller=control, gravity=gravity), state
 
 
-def _guess(tips: tuple[AbstractSurface, ...], faces: list[AbstractSurface], size: Array) -> State:
+class _Sizes(NamedTuple):
+    """What goes with the size k of a pinch: lengths [m] with k, masses [kg] with its third power.
+
+    Attributes:
+        tip: Radius of the fingertips.
+        cuboid: Edges and mass of the object.
+        links: From joint to joint, shape (3, 3).
+        masses: Of the links.
+        bases: Of both fingers.
+        near_tips: Points in the fingertips' own axes, roughly where they face the object.
+        near_faces: The same in the object's axes.
+        positions: Of the guess: the object's position and quaternion, then both fingers' joints.
+        gains: Factors of beta and of damping.
+    """
+
+    tip: Array
+    cuboid: tuple[Array, Array, Array, Array]
+    links: Array
+    masses: Array
+    bases: list[Array]
+    near_tips: list[Array]
+    near_faces: list[Array]
+    positions: Array
+    gains: tuple[Array, Array]
+
+
+@jax.jit  # one small program, not twenty
+def _sizes(k: Array) -> _Sizes:
+    sides, joints = (-1.0, 1.0), np.array(_JOINTS)
+    return _Sizes(
+        tip=0.01 * k,
+        cuboid=(0.03 * k, 0.05 * k, 0.05 * k, 0.02 * k**3),
+        links=k * np.array(LINKS3),
+        masses=k**3 * np.array(MASSES3),
+        bases=[k * np.array([side * SPAN3, 0.0, 0.0]) for side in sides],
+        near_tips=[k * np.array([-0.02 * side, 0.0, 0.0]) for side in sides],
+        near_faces=[k * np.array([0.025 * side, -0.002, -0.004 * side]) for side in sides],
+        positions=jnp.concatenate([k * np.array(_CENTRE), np.array((1.0, 0.0, 0.0, 0.0)), joints, -joints]),
+        gains=(k**2, k**4.5),
+    )
+
+
+def _guess(tips: tuple[AbstractSurface, ...], faces: list[AbstractSurface], sizes: _Sizes) -> State:
     """Tips on both sides of the object, about 8 mm apart along z, times the size."""
-    # Places are points in the bodies' own axes, roughly where tip and object face each other.
     places = []
-    for tip, face, side in zip(tips, faces, (-1.0, 1.0), strict=True):
-        start = size * np.array([0.025 * side, -0.002, -0.004 * side])
-        places += [tip.near(size * np.array([-0.02 * side, 0.0, 0.0])), face.near(start)]
-    joints = np.array(_JOINTS)
-    q = jnp.concatenate([size * np.array(_CENTRE), np.array((1.0, 0.0, 0.0, 0.0)), joints, -joints])
-    return State(q, np.zeros(12), jnp.concatenate(places))
+    for tip, face, on_tip, on_face in zip(tips, faces, sizes.near_tips, sizes.near_faces, strict=True):
+        places += [tip.near(on_tip), face.near(on_face)]
+    return State(sizes.positions, np.zeros(12), jnp.concatenate(places))

@@ -18,7 +18,6 @@ from jaxtyping import Array, Float
 from ..._linalg import Pose2, sincos, unstack, Vec2
 from ..._results import as_array, as_floats, concrete, shown
 from ..._types import ByPrecision, Given, Points, Scalar
-from ..._xla import quickly
 from .._tabled import tabled
 from ._free_numbers import AbstractDesigned
 from ._frenet import frenet, Frenet2
@@ -84,15 +83,12 @@ class AbstractContour(AbstractDesigned):
         return Moved(self, offset, angle, origin=origin)
 
 
+@eqx.filter_jit  # not `quickly`, whose calls take 0.5 ms longer: here they are many, and compiling is short
 def _frame_arrays(contour: AbstractContour, s: Array) -> tuple[Array, Array, Array, Array]:
     """Points, tangents, normals (..., 2) and curvatures (...) at arclengths of any shape, compiled.
 
     The public methods of a contour call this. `curve` and `frame` themselves see one scalar at a time.
     """
-    return (_few_frames if s.size <= _FEW else _many_frames)(contour, s)
-
-
-def _frames_at(contour: AbstractContour, s: Array) -> tuple[Array, Array, Array, Array]:
     ready = contour.prepared()
 
     def one(s: Array) -> tuple[Array, Array, Array, Array]:
@@ -102,11 +98,6 @@ def _frames_at(contour: AbstractContour, s: Array) -> tuple[Array, Array, Array,
 
     found = jax.vmap(one)(s.ravel())
     return jax.tree.map(lambda leaf: leaf.reshape(s.shape + leaf.shape[1:]), found)
-
-
-# At so few places the wait for quick machine code is longer than what it saves.
-_FEW = 4096
-_few_frames, _many_frames = quickly(_frames_at), eqx.filter_jit(_frames_at)
 
 
 # Angle [rad] between two axes, or of an offset to the side, that counts as none; and a length [m] that does.

@@ -112,6 +112,9 @@ def load(path: str | Path, *, own: Sequence[Any] = ()) -> Any:
     if not os.path.isfile(path):  # of a name that is too long `path.is_file` raises
         raise ValueError(f"argument path must name a file, but there is none called {shown(str(path))}")
     try:
+        with path.open("rb") as file:  # of another file NumPy says how it could be loaded unsafely
+            if not zipfile.is_zipfile(file):
+                raise zipfile.BadZipFile("it is no archive of NumPy's")
         with np.load(path, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
         head = json.loads(arrays.pop(_TEXT).tobytes())

@@ -222,7 +222,7 @@ def test_files_that_are_damaged_are_said(tmp_path):
         wanted = "argument path must name a file that `jaxroll.save` wrote"
         with pytest.raises(ValueError, match=wanted) as refused:
             jxr.load(path)
-        assert "unsafe" not in str(refused.value)  # which NumPy offers for what is no archive
+        assert "pickle" not in str(refused.value)  # of which NumPy speaks where there is no archive
 
     def odd(head):
         head["tree"]["fields"]["a"] = {"run": "this"}

@@ -1956,8 +1956,7 @@ def test_places_of_own_contacts_are_not_compared_as_lengths():
 def test_a_picture_of_a_potential_has_no_value_off_either_pair_of_contours(monkeypatch):
     """The first contact ends where s1 is 3 mm, the second where s2 is -6 mm."""
     seen = []
-    potential = lambda grasp, s: SimpleNamespace(potential=2.0 * s[..., 0] + 7.0 * s[..., 1])  # noqa: E731
-    monkeypatch.setattr(_phase, "pinch_statics", potential)
+    monkeypatch.setattr(_phase, "_potential", lambda grasp, s: 2.0 * s[..., 0] + 7.0 * s[..., 1])
     levels = lambda energy, about: seen.append((energy, about)) or np.linspace(-80.0, 80.0, 5)  # noqa: E731
     monkeypatch.setattr(_phase, "energy_levels", levels)
     wide, at = jxr.Line((-0.5, 0.5)), {"s_tip": 0.0, "s_object": 0.0, "sense": 1}

@@ -26,9 +26,8 @@ from .._results import (
     is_array_like,
     on_host,
     shown,
-    traceable,
 )
-from .._sweep import as_now, Parameters
+from .._sweep import answer, as_now, Parameters
 from .._xla import WIDE
 from ._cells import between, halved_lines, Spread, wanted_points
 
@@ -200,12 +199,7 @@ def _tolerance(value: Any) -> float | None:
 
 def _outcome_of(outcome: Callable, row: Any) -> Any:
     """What the outcome returns for one row, checked."""
-    with traceable("outcome"):
-        found = outcome(row)
-    try:
-        leaves = jax.tree.leaves(found)
-    except (TypeError, ValueError):  # a dict whose keys have no order
-        leaves = []
+    found, leaves = answer("outcome", outcome, row)
     if not leaves or not all(map(_is_real, leaves)):
         raise ValueError(f"argument outcome must return arrays of real numbers, but returned {shown(found)}")
     return found

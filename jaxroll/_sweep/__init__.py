@@ -10,5 +10,5 @@ others than this process compute, `_dispatch` sends them chunks, and `_sending` 
 
 from ._fingerprint import fingerprint as fingerprint
 from ._parameters import Parameters as Parameters
-from ._program import as_now as as_now
+from ._program import answer as answer, as_now as as_now
 from ._sweep import sweep as sweep

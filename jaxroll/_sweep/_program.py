@@ -93,14 +93,19 @@ def made(make: Callable, row: Any) -> tuple[Grasp, State]:
     return out[0], out[1]
 
 
+def answer(name: str, function: Callable, given: Any) -> tuple[Any, list[Any]]:
+    """What a caller's function returns, and its leaves; of what is no pytree there are none."""
+    with traceable(name):
+        out = function(given)
+    try:
+        return out, jax.tree.leaves(out)
+    except (TypeError, ValueError):  # a dict whose keys have no order
+        return out, []
+
+
 def kept(keep: Callable, run: Any) -> Any:
     """What `keep` returns for a trajectory, checked."""
-    with traceable("keep"):
-        out = keep(run)
-    try:
-        leaves = jax.tree.leaves(out)
-    except (TypeError, ValueError):  # a dict whose keys have no order
-        leaves = []
+    out, leaves = answer("keep", keep, run)
     if not leaves or not all(map(_is_numbers, leaves)):
         raise ValueError(f"argument keep must return arrays of numbers, but returned {shown(out)}")
     return out

@@ -180,12 +180,12 @@ def identify(
     slopes_and_left = jax.jit(jax.jacfwd(left_over, has_aux=True))
 
     def all_of(x: jax.Array) -> tuple[jax.Array, jax.Array, RESULTS]:
-        # JAX keeps the trace of the run inside by the functions in the grasp, whatever these hold since.
-        with as_now((make, observe)):
-            slopes, (left, ended) = slopes_and_left(x)
+        slopes, (left, ended) = slopes_and_left(x)
         return left, slopes, ended
 
-    x, count, result, seen = _descend(all_of, np.ones(len(names)), steps, known=noise is not None)
+    # JAX keeps the trace of the run inside by the functions in the grasp, whatever these hold since.
+    with as_now((make, observe)):
+        x, count, result, seen = _descend(all_of, np.ones(len(names)), steps, known=noise is not None)
     left, slopes, ended = seen
     free = data.size - len(names)
     spread = 1.0 if noise is not None else np.sqrt(float(left @ left) / free)

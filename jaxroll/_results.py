@@ -165,6 +165,11 @@ def _quoted(value: Any) -> str:
     return f"an array of shape {seen.shape} that begins with {seen.ravel()[:3].tolist()}"
 
 
+def is_foreign(value: Any) -> bool:
+    """Whether a value's class is a caller's own, and none of this package."""
+    return not type(value).__module__.startswith("jaxroll.")
+
+
 def is_array_like(value: Any) -> bool:
     """Whether a value is one array already, of NumPy or of JAX."""
     return isinstance(value, np.ndarray | np.generic | jax.Array)

@@ -439,7 +439,7 @@ def _force(grasp: Grasp, contact: int, pressing: float, aside: float) -> str:
     if not grasp.contacts[contact].presses:
         return f"{name} holds both ways, with {pressing:.4g} N and {aside:.4g} N beside"
     if np.isnan(pressing) or pressing == 0.0 == aside:
-        return f"{name} bears {'a force that is no number' if pressing else 'no force'}"
+        return f"{name} bears {'a force that is no number' if np.isnan(pressing) else 'no force'}"
     if not pressing > 0.0:
         return f"{name} pulls with {abs(pressing):.4g} N: no friction would do"
     return f"{name} presses with {pressing:.4g} N and needs friction {round(aside / pressing, 9):.4g}; {has}"

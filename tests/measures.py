@@ -6,6 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 
 
+def programs(caplog):
+    """Names of the programs that were compiled where `jax.log_compiles` told it, such as `jit(_run)`."""
+    return [line.split()[1] for line in caplog.messages if line.startswith("Compiling ")]
+
+
 def observed_order(sizes, errors):
     """Slope of log error over log size."""
     return np.polyfit(np.log(sizes), np.log(errors), 1)[0]

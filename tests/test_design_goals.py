@@ -28,7 +28,7 @@ from jaxroll.design import (
 )
 from jaxroll.design._limits import sampled
 from jaxroll.design._measures import FORCED, MEASURES, PARTIAL, SETTLED
-from tests.measures import both_ways
+from tests.measures import both_ways, programs
 from tests.recorded import runs
 from tests.subjects.fingertips import ellipse_pinched_by, INTERVAL, pivoted_with_tip
 
@@ -363,9 +363,7 @@ def test_a_fingertip_that_violates_41_may_hold_all_the_same():
 
 def compiled(caplog):
     """Which programs of a design were compiled."""
-    names = ("_advance", "_outcomes", "_first")
-    messages = [record.message for record in caplog.records]
-    return {name for name in names if any(f"Compiling jit({name})" in message for message in messages)}
+    return {name for name in ("_advance", "_outcomes", "_first") if f"jit({name})" in programs(caplog)}
 
 
 @pytest.mark.slow
@@ -649,10 +647,8 @@ def test_a_measure_is_one_program(scene, caplog):
     with jax.log_compiles():
         for name in ("settling_time", "overshoot", "tracking_error", "peak_force"):
             MEASURES[name][0](run)
-    said = [record.getMessage().split(" with ")[0] for record in caplog.records]
-    programs = [line.removeprefix("Compiling ") for line in said if line.startswith("Compiling")]
     # A number of Python's that was not met before, such as a band, is one more.
-    assert 4 <= len([name for name in programs if name != "jit(stage)"]) <= 5
+    assert 4 <= len([name for name in programs(caplog) if name != "jit(stage)"]) <= 5
 
 
 class Bend(jxr.design.AbstractGoal):

@@ -310,15 +310,19 @@ def _content(cell: Any) -> Any:
 @functools.lru_cache(1024)
 def _globals_of(code: types.CodeType) -> tuple[str, ...]:
     """Names of the globals that some code reads, together with those read by functions defined within it."""
-    names = {i.argval for i in dis.get_instructions(code) if i.opname in ("LOAD_GLOBAL", "LOAD_NAME")}
-    for inner in code.co_consts:
-        if isinstance(inner, types.CodeType):
-            names.update(_globals_of(inner))
-    return tuple(sorted(names))
+    read = [i for part in _within(code) for i in dis.get_instructions(part)]
+    return tuple(sorted({i.argval for i in read if i.opname in ("LOAD_GLOBAL", "LOAD_NAME")}))
 
 
 @functools.lru_cache(1024)
 def _names_in(code: types.CodeType) -> tuple[str, ...]:
     """All names in some code, those of attributes too, together with those of functions defined within it."""
-    inner = [name for part in code.co_consts if isinstance(part, types.CodeType) for name in _names_in(part)]
-    return tuple(sorted({*code.co_names, *inner}))
+    return tuple(sorted({name for part in _within(code) for name in part.co_names}))
+
+
+def _within(code: types.CodeType) -> Iterator[types.CodeType]:
+    """Some code, and that of all functions defined within it."""
+    yield code
+    for part in code.co_consts:
+        if isinstance(part, types.CodeType):
+            yield from _within(part)

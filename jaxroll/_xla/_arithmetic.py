@@ -32,10 +32,11 @@ def in_arithmetic(name: str, function: Callable, *args: Any) -> Any:
     Warns where operations are left that break up the kernel of a run; `name` is what the caller calls the
     function. One that has nothing to be written out is called as it is.
     """
+    checked = lambda *args: _numeric(name, function(*args))  # noqa: E731
     with traceable(name):
         if jax.default_backend() != "cpu":
-            return function(*args)
-        closed, like, still = eqx.filter_make_jaxpr(lambda *args: _numeric(name, function(*args)))(*args)
+            return checked(*args)
+        closed, like, still = eqx.filter_make_jaxpr(checked)(*args)
     if any(_rule(equation) for equation in _equations(closed.jaxpr)):
         flat = [leaf for leaf in jax.tree.leaves(args) if eqx.is_array(leaf)]
         written = functools.partial(_evaluated, closed.jaxpr, closed.consts)

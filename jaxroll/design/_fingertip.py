@@ -26,6 +26,7 @@ from .._results import (
     check_choice,
     check_flag,
     check_instance,
+    is_foreign,
     on_host,
     RESULTS,
     traceable,
@@ -166,7 +167,7 @@ def _check_parts(
 def _check_answers(problem: "_Problem", start: Array, data: Any) -> None:
     """Raise unless a goal of a caller's own class, or one inside another, answers as it must."""
     goals = (problem.goal, getattr(problem.goal, "goal", None))
-    own = [goal for goal in goals if goal is not None and not type(goal).__module__.startswith("jaxroll.")]
+    own = [goal for goal in goals if goal is not None and is_foreign(goal)]
     x, one = jax.tree.map(lambda a: a[0], (start, data))
     for goal in own:
         with traceable("goal"):

@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Array
 
 from .._linalg import tangents, Vec2, Vec3
-from .._results import as_order, NO_VALUES, shown, traced
+from .._results import as_order, is_foreign, NO_VALUES, shown, traced
 from .._types import Given, Scalars
 from .._xla import quickly, remembered
 from ._tabled import tabled
@@ -60,7 +60,7 @@ def check_contour(name: str, contour: AbstractContour, *, start: Given | None = 
     Raises:
         ValueError: If speed, frame, ends or closedness are not those of a contour given by arclength.
     """
-    kind = next((type(c).__name__ for c in _members(contour) if _foreign(c)), None)
+    kind = next((type(c).__name__ for c in _members(contour) if is_foreign(c)), None)
     if kind is None or traced(contour):
         return
     fault = _fault(contour)
@@ -85,7 +85,7 @@ def check_surface(name: str, surface: AbstractSurface) -> None:
         if isinstance(part, AbstractContour):
             check_contour(name, part)
             continue
-        given = _foreign(part) or (isinstance(part, Chart) and any(part.periodic))
+        given = is_foreign(part) or (isinstance(part, Chart) and any(part.periodic))
         fault = _surface_fault(part) if given and not traced(part) else None
         if fault is not None:
             kind = type(part).__name__
@@ -114,7 +114,7 @@ def check_once_round(name: str, shape: Any) -> None:
         ValueError: If there is such a contour, or its cells do not resolve it.
     """
     for part in _members(shape):
-        given = _foreign(part) or isinstance(part, AbstractTabulated)
+        given = is_foreign(part) or isinstance(part, AbstractTabulated)
         if given and isinstance(part, AbstractContour) and part.closed and not traced(part):
             fault = _doubled(part)
             if fault is not None:
@@ -124,16 +124,11 @@ def check_once_round(name: str, shape: Any) -> None:
                 )
 
 
-def _foreign(shape: Any) -> bool:
-    """Whether a contour's or surface's class is a caller's own."""
-    return not type(shape).__module__.startswith("jaxroll.")
-
-
 def _members(value: Any) -> Iterator[Any]:
     """A contour or surface, and those inside it; what is in a foreign one is its own affair."""
     if isinstance(value, AbstractContour | AbstractSurface):
         yield value
-        if _foreign(value):
+        if is_foreign(value):
             return
     for part in _parts(value):
         yield from _members(part)

@@ -93,8 +93,8 @@ def _frame_arrays(contour: AbstractContour, s: Array) -> tuple[Array, Array, Arr
 
     def one(s: Array) -> tuple[Array, Array, Array, Array]:
         frame = ready.frame(s)
-        arrays = (frame.point.array(), frame.tangent.array(), frame.tangent.right().array())
-        return *arrays, jnp.asarray(frame.curvature)
+        point, tangent, normal = frame.point, frame.tangent, frame.tangent.right()
+        return point.array(), tangent.array(), normal.array(), jnp.asarray(frame.curvature)
 
     found = jax.vmap(one)(s.ravel())
     return jax.tree.map(lambda leaf: leaf.reshape(s.shape + leaf.shape[1:]), found)

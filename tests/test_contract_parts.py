@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import jaxroll as jxr
+from jaxroll._results import is_foreign
 from jaxroll.geometry import _contract as contract, Chart, Extruded, Frenet2, Hollow, Vec2
 from jaxroll.geometry.contours import Table
 from tests.helpers import in_single
@@ -151,7 +152,7 @@ def test_shapes_within_shapes_are_found_but_not_those_in_ones_own():
     names = ["Hollow", "MovedSurface", "Extruded", "Moved", "Circle"]
     assert [type(x).__name__ for x in contract._members(bar)] == names
     assert [type(x).__name__ for x in contract._members([circle, (own, 3)])] == ["Circle", "Bend"]
-    assert contract._foreign(own) and not contract._foreign(circle)
+    assert is_foreign(own) and not is_foreign(circle)
 
 
 def test_tables_are_found_at_any_depth():

@@ -16,6 +16,7 @@ from jaxroll.stability import (
     rectangle_hessian,
     VERDICTS,
 )
+from jaxroll.stability._memory_loop import eigenvalues
 from jaxroll.stability._statics import _damped, _is_parallel, _is_straight, _solved
 from jaxroll.stability._verdict import _bent_down, _verdict
 from tests.helpers import in_single, slow_among
@@ -600,6 +601,19 @@ def test_a_damped_solution_is_bounded_where_an_eigenvalue_is_small(share):
     size = share * np.sqrt(np.sum(values**2))
     wanted = turned @ (values / (values**2 + size**2) * (turned.T @ right))
     np.testing.assert_allclose(_damped(jnp.asarray(matrix), jnp.asarray(right), share), wanted, rtol=1e-9)
+
+
+@pytest.mark.parametrize("c", [3.0, 1.0])
+def test_second_derivatives_of_rates_are_those_of_a_quadratic_equation(c):
+    """The roots of x^2 + c x + k, real and complex: x_k = -1/r, x_kk = -2/r^3 with r = 2 x + c."""
+    rate = lambda k: eigenvalues(jnp.array([[0.0, 1.0], [-k, -c]]))[0]  # noqa: E731
+    part = lambda k: rate(k).real - 2.0 * rate(k).imag  # noqa: E731
+    r = 2.0 * rate(1.1) + c
+    first, second = -1.0 / r, -2.0 / r**3
+    assert abs(r.imag if c < 2.0 else r.real) > 0.5
+    np.testing.assert_allclose(jax.grad(part)(1.1), first.real - 2.0 * first.imag, rtol=1e-13)
+    for way in (jax.hessian, lambda f: jax.grad(jax.grad(f))):
+        np.testing.assert_allclose(way(part)(1.1), second.real - 2.0 * second.imag, rtol=1e-12)
 
 
 def test_two_equations_by_hand():

@@ -57,17 +57,28 @@ def rates_with_memory(
 
     sensed, kept = jax.jacfwd(moved, argnums=(0, 1))(jnp.zeros(2 * count, at.q.dtype), at.memory)
     if not grasp.form.sampled:
-        return _sorted(jnp.linalg.eigvals(jnp.block([[motion, entry], [sensed, kept]])))
+        return _sorted(eigenvalues(jnp.block([[motion, entry], [sensed, kept]])))
     # The time of the next sample is no part of the loop.
     entry, sensed, kept = entry[:, :-1], sensed[:-1], kept[:-1, :-1]
     period, held = grasp.controller.period, entry.shape[1]
     both = jnp.block([[motion, entry], [jnp.zeros((held, 2 * count + held), motion.dtype)]])
     over = jax.scipy.linalg.expm(both * period)[: 2 * count]
-    z = jnp.linalg.eigvals(jnp.block([[over], [sensed @ over + jnp.pad(kept, ((0, 0), (2 * count, 0)))]]))
+    z = eigenvalues(jnp.block([[over], [sensed @ over + jnp.pad(kept, ((0, 0), (2 * count, 0)))]]))
     # As many as the loop has states of its own: the torques follow from the others.
     z = z[jnp.argsort(-jnp.abs(z))][: 2 * count + held - sum(f.joints for f in grasp.fingers)]
     rates = jnp.log(jnp.where(jnp.abs(z) > _AT_ONCE, z, _AT_ONCE))
     return _sorted(rates / jnp.asarray(period, rates.dtype))
+
+
+def eigenvalues(matrix: Array) -> Array:
+    """Of a square matrix of real numbers, in no order; derivatives of any order where they are distinct.
+
+    A first derivative reads eigenvectors, and JAX differentiates these only where it is told to: how long
+    they are and which way they point does not matter here.
+    """
+    return jax.lax.linalg.eig(
+        matrix, compute_left_eigenvectors=False, compute_right_eigenvectors=False, enable_eigvec_derivs=True
+    )[0]
 
 
 def _sorted(rates: Array) -> Array:

@@ -27,7 +27,7 @@ from .._printing import listed, named
 from .._results import as_floats, check_between
 from .._types import ByPrecision, Given, Scalar
 from ._equilibrium import contact_force, Equilibrium, equilibrium
-from ._memory_loop import rates_with_memory
+from ._memory_loop import eigenvalues, rates_with_memory
 
 # Least relative size of curvatures and rates that can be told from zero.
 _TOLD = ByPrecision(0.0, 1e-5)
@@ -117,7 +117,7 @@ def assess(grasp: Grasp, state: State, *, t: Given = 0.0, tolerance: float = _TO
 
     Returns:
         A `Stability`. Works under `jit`, `vmap` and differentiation; the eigenvalues' derivatives need
-        them to be distinct.
+        them to be distinct. Second derivatives take long to compile: minutes for a pinch.
 
     Raises:
         ValueError: If the grasp lives in space, the state is not one of it, `t` is not a finite number, or
@@ -254,5 +254,5 @@ def _damping(grasp: Grasp, rest: Equilibrium, t: Given) -> Array:
 def _rates(hessian: Array, damping: Array) -> Any:
     r"""Eigenvalues [1/s] of the first-order system of $\xi$ and its rate, by rising real part."""
     zero, one = jnp.zeros_like(hessian), jnp.eye(hessian.shape[0], dtype=hessian.dtype)
-    rates = jnp.linalg.eigvals(jnp.block([[zero, one], [-hessian, -damping]]))
+    rates = eigenvalues(jnp.block([[zero, one], [-hessian, -damping]]))
     return rates[jnp.argsort(rates.real)]

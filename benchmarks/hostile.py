@@ -38,6 +38,8 @@ from benchmarks.hostile_calls.values import made, names_for, sensible
 
 # Longest sentence that is still one.
 LONGEST = 300
+# What shortens a column of numbers.
+_SHORTER = "its last left out"
 _PATIENCE = 60
 _SENTENCE = re.compile(r"argument[s]? \S+.*")
 _GOOD = ("result", "sentence", "code")
@@ -119,6 +121,9 @@ def outcome(example: Example) -> Outcome:
         arguments[parameter] = value
         if name not in argument.taken and not sensible(argument.kind, name, value, valid):
             odd.append(parameter)
+    # Two columns of one table that both lose their last number are those of a shorter table.
+    if len(odd) > 1 and {replaced[parameter] for parameter in odd} == {_SHORTER}:
+        odd = []
     with _patience():
         return _judged(call, arguments, odd)
 

@@ -75,6 +75,13 @@ def test_offences_once_met_are_answered(tmp_path, monkeypatch):
     assert len(seen) == 22 and all(ended.good for _, ended in seen), hostile.report(seen)
 
 
+def test_columns_that_are_shortened_alike_make_a_table():
+    shorter = "its last left out"
+    alone = hostile.outcome(hostile.Example("Ramps", (("times", shorter),)))
+    both = hostile.outcome(hostile.Example("Ramps", (("times", shorter), ("values", shorter))))
+    assert (alone.kind, both.kind) == ("sentence", "result")
+
+
 @pytest.mark.slow
 def test_a_twelfth_of_all_single_values_is_answered(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -260,28 +260,9 @@ def _number(low: float, high: float, kind: type = float) -> Callable[[str], Any]
     return convert
 
 
-def _configure() -> None:
-    # SciPy's OpenBLAS, to which XLA hands factorisations, may wait for itself for ever when several threads
-    # call it, as those of a sweep do. It reads this when it is loaded.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    import jax
-
-    jax.config.update("jax_enable_x64", True)
-    home = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
-    cache = os.environ.get("JAXROLL_CACHE") or f"{home}/jaxroll"
-    if cache != "off":
-        place = Path(cache).expanduser()
-        try:
-            place.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise _Unfit(f"environment variable JAXROLL_CACHE must name a folder, but: {error}") from None
-        jax.config.update("jax_compilation_cache_dir", str(place))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-
-
 def _run(options: argparse.Namespace, demo: Demo, folder: Path) -> None:
     with _cli.timed("Loading"):
-        _configure()
+        _cli.configure()
         import jax
 
         from . import __version__, plotting, scenes
@@ -325,7 +306,7 @@ def _run(options: argparse.Namespace, demo: Demo, folder: Path) -> None:
 
 def _design(options: argparse.Namespace, folder: Path) -> int:
     with _cli.timed("Loading"):
-        _configure()
+        _cli.configure()
         from . import __version__
         from ._cli import DesignOrder, fingertip, order
     try:
@@ -343,7 +324,7 @@ def _design(options: argparse.Namespace, folder: Path) -> int:
 
 def _fit(options: argparse.Namespace, folder: Path) -> int:
     with _cli.timed("Loading"):
-        _configure()
+        _cli.configure()
         from . import __version__
         from ._cli import fit_order
     lines = fit_order(_shape(options), folder, _cli.timed)
@@ -354,7 +335,7 @@ def _fit(options: argparse.Namespace, folder: Path) -> int:
 
 def _pinch(options: argparse.Namespace, folder: Path) -> int:
     with _cli.timed("Loading"):
-        _configure()
+        _cli.configure()
         from . import __version__
         from ._cli import pinch_order, PinchOrder
     asked = PinchOrder(
@@ -375,7 +356,7 @@ def _pinch(options: argparse.Namespace, folder: Path) -> int:
 
 def _replay(options: argparse.Namespace, folder: Path) -> int:
     with _cli.timed("Loading"):
-        _configure()
+        _cli.configure()
         from . import __version__
         from ._cli import replayed
     lines = replayed(_cli.replay_order(options), folder, _cli.timed)
@@ -409,7 +390,7 @@ def _sweep_or_map(options: argparse.Namespace) -> None:
     folder = Path(order.store) if filled else _writable(order.out)
     try:
         with _cli.timed("Loading"):
-            _configure()
+            _cli.configure()
             work = _cli.swept if options.command == "sweep" else _cli.mapped
         print("\n".join(work(order, folder, _cli.timed)))
     finally:

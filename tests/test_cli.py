@@ -23,6 +23,7 @@ from jaxroll._cli import (
     _pinch_command,
     _replay_command,
     _run_pictures,
+    _settings,
     _waiting,
     DesignOrder,
     order,
@@ -95,7 +96,10 @@ def test_a_cache_that_is_no_folder_is_named_before_any_work(command, tmp_path, m
     (tmp_path / "empty.csv").write_text("")
     monkeypatch.setenv("JAXROLL_CACHE", "file/cache")
     assert main(command) == 2
-    assert "environment variable JAXROLL_CACHE must name a folder, but" in capfd.readouterr().err
+    assert (
+        "environment variable JAXROLL_CACHE must name a folder that can be written to, but"
+        in capfd.readouterr().err
+    )
 
 
 @pytest.mark.parametrize("animated", [True, False])
@@ -541,13 +545,37 @@ def test_where_compiled_programs_are_kept(cache, tmp_path, monkeypatch):
     monkeypatch.delenv("JAXROLL_CACHE", raising=False)
     if cache != "default":
         monkeypatch.setenv("JAXROLL_CACHE", "off" if cache == "off" else str(place))
-    command._configure()
+    _settings.configure()
     kept = {
         "jax_compilation_cache_dir": str(place),
         "jax_persistent_cache_min_compile_time_secs": 0.0,
     }
     assert set_ == {"jax_enable_x64": True} | ({} if cache == "off" else kept)
     assert place.is_dir() == (cache != "off")
+
+
+@pytest.mark.parametrize("home", ["no folder", "nobody's"])
+def test_without_a_home_to_write_to_nothing_is_kept(home, tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("in the way")
+    monkeypatch.delenv("JAXROLL_CACHE", raising=False)
+    monkeypatch.setenv(
+        "XDG_CACHE_HOME", str(tmp_path / "file") if home == "no folder" else "~nobody-of-this-name"
+    )
+    assert _settings._kept_in() is None
+
+
+@pytest.mark.parametrize("words", ["", "no such thing"])
+def test_a_platform_that_jax_cannot_run_on_is_named(words, monkeypatch):
+    def missing():
+        raise AssertionError(words)
+
+    monkeypatch.setattr("jax.default_backend", missing)
+    monkeypatch.setattr("jax.config.update", lambda *_: None)
+    monkeypatch.setenv("JAXROLL_CACHE", "off")
+    monkeypatch.setenv("JAX_PLATFORMS", "cuda")
+    told = "environment variable JAX_PLATFORMS must name what JAX can run on here, but was 'cuda'"
+    with pytest.raises(ValueError, match=f"^{told}{f'; JAX said: {words}' if words else ''}$", check=bool):
+        _settings.configure()
 
 
 def test_parts_of_what_a_file_holds_are_taken_out_of_lists_and_dicts():

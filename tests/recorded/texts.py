@@ -147,7 +147,7 @@ def _instead(asked: _Asked, run: Any) -> Iterator[None]:
             stack.enter_context(mock.patch.object(plotting, name, asked(name, _picture(asked))))
         for name in ("animate", "page", "design", "comparison"):
             stack.enter_context(mock.patch.object(plotting, name, asked(name)))
-        for home, name, answer in ((_cli, "timed", timed), (command_line, "_configure", lambda: None)):
+        for home, name, answer in ((_cli, "timed", timed), (_cli, "configure", lambda: None)):
             stack.enter_context(mock.patch.object(home, name, answer))
         for home in (_integration, _design_command):
             stack.enter_context(mock.patch.object(home, "simulate", asked("simulate", lambda *a, **o: run)))

@@ -2,6 +2,7 @@
 
 import ast
 import dataclasses
+import types
 from pathlib import Path
 
 import jax
@@ -271,3 +272,24 @@ def test_a_force_that_dips_between_two_stages_is_not_hidden_by_a_small_pivot():
     run = jxr.simulate(hand, start, one["t1"], ts=1, rtol=one["rtol"], throw=False)
     assert run.result == jxr.RESULTS.contact_lost and int(run.stats.contact) == 1
     assert abs(float(run.stats.t_end) - 0.3223009) < 1e-6
+
+
+def test_the_judge_leaves_out_what_its_own_integral_cannot_tell():
+    """Of a loss 1/(a^2 + x^2), whose integral is an arctangent; energies may be right, or wrong by 1e-8."""
+    x, a = -np.cos(np.pi * np.arange(65) / 64), 0.38
+    gone = (np.arctan(x / a) - np.arctan(-1.0 / a)) / a
+    judge = Judge.__new__(Judge)
+    judge.precision, judge.size = np.finfo(float).eps, 0.0
+    one, found = np.ones((1, 65, 1)), []
+    run = types.SimpleNamespace(ts=x[None], saved=types.SimpleNamespace(v=0.0 * one))
+    for wrong in (0.0, 1e-8):
+        seen = types.SimpleNamespace(
+            loss=(1.0 / (a**2 + x**2))[None],
+            kinetic=(10.0 - gone + wrong * (x > 0.5))[None],
+            potential=0.0 * x[None],
+            momentum=one,
+            inertial=one,
+            firmness=one[..., 0],
+        )
+        found.append(judge._energy(seen, run, 1e-15 * one[..., 0])["energy_units"][0])
+    assert found[0] < 10.0 and found[1] > 1e6

@@ -179,14 +179,16 @@ class Judge:
         )
         whole = np.isfinite(total).all(axis=1)
         most = np.nanmax(np.abs(lost), axis=1, initial=0.0)
-        sharp = _tail(spectrum, seen.loss) * most < 1e-9 * (scale + 1e-300)
+        # How far the judge's own integral may be off, which tolerances of 1e-13 are finer than.
+        blind = _tail(spectrum, seen.loss) * most
+        sharp = blind < 1e-9 * (scale + 1e-300)
         # What a tolerance of every velocity and position is worth.
         unit = np.nanmax(
             np.sum(np.abs(seen.momentum) * tol[..., None] * (1 + np.abs(run.saved.v)), axis=-1), axis=1
         )
         unit += np.nanmax(np.sum(np.abs(seen.inertial), axis=-1) * tol, axis=1)
         judged = whole & sharp
-        worst = np.where(judged, np.max(off, axis=1), np.nan)
+        worst = np.where(judged, np.maximum(np.max(off, axis=1) - blind, 0.0), np.nan)
         # Where nothing can move, energies are those of forces over lengths at rounding: a gap at rounding
         # leaves positions open by as much more as the rows are less firm.
         rounded = _ROUNDED * self.precision / np.finfo(float).eps

@@ -248,11 +248,10 @@ def _judged(grasp: Grasp, state: State, t0: Scalar, run: Trajectory) -> Why:
     start, t = bearing(grasp, t0, state), run.stats.t_end
     finite = bool(np.isfinite(run.last.q).all())
     end = bearing(grasp, t, run.last) if finite else None
-    code = code_name(run.result)
-    failed = code != "successful"
+    failed = (code := code_name(run.result)) != "successful"
     # An equilibrium is sought from where the run came to its end; a run that failed may have ended anywhere.
-    near = run.last if finite and not failed else state
-    found = _assessed(grasp, near)
+    near, when = (run.last, t) if finite and not failed else (state, t0)
+    found = _assessed(grasp, near, when)
     contact = _culprit(grasp, run, end)
     ended = _ending(grasp, run, contact) if failed else ""
     direction = _direction(grasp, found, state, run)
@@ -265,10 +264,10 @@ def _judged(grasp: Grasp, state: State, t0: Scalar, run: Trajectory) -> Why:
         summary, remedy = f"fails: {ended}", REMEDIES.get(code, "")
         if found is not None and verdict == "unstable":
             summary = f"{summary}; its equilibrium is unstable"
-            remedy = f"{_MEND[_blamed(grasp, found, near)]}; against the end alone, {remedy}"
+            remedy = f"{_MEND[_blamed(grasp, found, near, when)]}; against the end alone, {remedy}"
     elif found is not None and verdict in _MEND:
-        told = _lower(VERDICTS[found.verdict])
-        summary, remedy = f"holds until t = {float(t):.4g} s, but {told}", _MEND[_blamed(grasp, found, near)]
+        summary = f"holds until t = {float(t):.4g} s, but {_lower(VERDICTS[found.verdict])}"
+        remedy = _MEND[_blamed(grasp, found, near, when)]
     else:
         summary, remedy = "holds", ""
     return Why(
@@ -288,26 +287,27 @@ def _judged(grasp: Grasp, state: State, t0: Scalar, run: Trajectory) -> Why:
     )
 
 
-def _assessed(grasp: Grasp, state: State) -> Stability | None:
+def _assessed(grasp: Grasp, state: State, t: Scalar) -> Stability | None:
     """Equilibrium and verdict; None where no contour rolls, or the contacts leave no coordinate free."""
     free = grasp.coordinates - sum(contact.rows for contact in grasp.contacts)
-    return assess(grasp, state) if _contours_roll(grasp) and free > 0 else None
+    return assess(grasp, state, t=t) if _contours_roll(grasp) and free > 0 else None
 
 
-def _blamed(grasp: Grasp, found: Stability, near: State) -> str:
+def _blamed(grasp: Grasp, found: Stability, near: State, t: Scalar) -> str:
     """Which of `_MEND` helps where no equilibrium is stable: against what the grasp would hold without."""
-    if isinstance(grasp.controller, Sampled) and _holds(grasp.with_(controller=grasp.controller.law), near):
+    law = grasp.controller
+    if isinstance(law, Sampled) and _holds(grasp.with_(controller=law.law), near, t):
         return "sampled"
-    if grasp.gravity is not None and _holds(grasp.with_(gravity=None), near):
+    if grasp.gravity is not None and _holds(grasp.with_(gravity=None), near, t):
         return "heavy"
     verdict = code_name(found.verdict)
     # A potential that bends down nowhere gives no energy: what grows is driven by rates, or by no potential.
     return "driven" if verdict == "unstable" and not found.bends_down else verdict
 
 
-def _holds(grasp: Grasp, near: State) -> bool:
+def _holds(grasp: Grasp, near: State, t: Scalar) -> bool:
     """Whether a grasp has an equilibrium near a state, and none of its disturbances grows."""
-    found = _assessed(grasp, State(near.q, near.v, near.s))
+    found = _assessed(grasp, State(near.q, near.v, near.s), t)
     return found is not None and code_name(found.verdict) not in ("unstable", "not_found")
 
 

@@ -569,6 +569,15 @@ def test_why_judges_the_start_at_the_time_of_the_start(scene, run, monkeypatch):
     assert times[0] == 2.0
 
 
+def test_why_judges_what_is_near_under_the_forces_of_that_time(scene, run):
+    """A pull that turned into a push by the end of the run: with it the equilibrium there falls."""
+    grasp = scene[0].with_(force=lambda t: jnp.where(t < 2.0, 0.5, -0.5))
+    found = jxr.why(grasp, run)
+    at_the_end = jxr.stability.assess(grasp, run.last, t=3.0)
+    assert repr(found.stability.verdict) == repr(at_the_end.verdict) == "unstable"
+    assert found.summary.startswith("holds until t = 3 s, but some small disturbance grows")
+
+
 def test_why_a_grasp_holds(scene, run):
     found = jxr.why(scene[0], run)
     assert found.summary == "holds" and not found.remedy and not found.direction and found.contact == -1
@@ -578,7 +587,7 @@ def test_why_a_grasp_holds(scene, run):
 
 def test_why_names_the_contact_that_slips_and_by_how_much(scene, run, monkeypatch):
     """The scene's run with a friction that it needs more than: judged where it stands."""
-    monkeypatch.setattr("jaxroll._why.assess", lambda grasp, state: jxr.stability.assess(scene[0], state))
+    monkeypatch.setattr("jaxroll._why.assess", lambda grasp, state, t: jxr.stability.assess(scene[0], state))
     contact = jxr.Contact(-0.003, 0.003, friction=0.1)
     grasp = scene[0].with_contacts(contact)
     demand = np.abs(np.asarray(run.multipliers.lam / run.multipliers.f))[:, 0]
@@ -797,7 +806,7 @@ def test_what_helps_a_grasp_without_a_stable_equilibrium(
     grasp = jxr.Grasp(*parts, controller=grasp.controller, gravity=weight)
     asked = []
 
-    def assess(grasp, near):
+    def assess(grasp, near, t):
         asked.append(near)
         alone = not isinstance(grasp.controller, jxr.control.Sampled)
         bare = weighs and grasp.gravity is None and not (sampled and alone)
@@ -806,16 +815,16 @@ def test_what_helps_a_grasp_without_a_stable_equilibrium(
 
     monkeypatch.setattr(_why, "_assessed", assess)
     near = dataclasses.replace(state, memory=jnp.ones(2))
-    assert _why._blamed(grasp, assessed(verdict, bends_down), near) == wanted
+    assert _why._blamed(grasp, assessed(verdict, bends_down), near, 0.0) == wanted
     assert all(each.memory is not near.memory for each in asked)
 
 
 @pytest.mark.parametrize("verdict", ["not_found", "unstable", "neutral", "asymptotically_stable", "undamped"])
 def test_what_holds_has_an_equilibrium_from_which_nothing_grows(monkeypatch, scene, verdict):
-    monkeypatch.setattr(_why, "_assessed", lambda grasp, state: assessed(verdict))
-    assert _why._holds(*scene) == (verdict not in ("not_found", "unstable"))
-    monkeypatch.setattr(_why, "_assessed", lambda grasp, state: None)
-    assert not _why._holds(*scene)
+    monkeypatch.setattr(_why, "_assessed", lambda grasp, state, t: assessed(verdict))
+    assert _why._holds(*scene, 0.0) == (verdict not in ("not_found", "unstable"))
+    monkeypatch.setattr(_why, "_assessed", lambda grasp, state, t: None)
+    assert not _why._holds(*scene, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -836,21 +845,23 @@ def test_the_first_finding_makes_the_summary(
     looked = []
     monkeypatch.setattr(_why, "bearing", lambda grasp, t, state: bearing((1.0,), (0.0,)))
     found = None if verdict is None else assessed(verdict)
-    monkeypatch.setattr(_why, "_assessed", lambda grasp, state: looked.append(state) or found)
+    monkeypatch.setattr(_why, "_assessed", lambda grasp, state, t: looked.append((state, t)) or found)
     monkeypatch.setattr(_why, "_culprit", lambda grasp, run, end: 1)
     monkeypatch.setattr(_why, "_ending", lambda grasp, run, contact: "it slipped")
     monkeypatch.setattr(_why, "_direction", lambda *args: "down")
     monkeypatch.setattr(_why, "_early", lambda grasp, start, ended: early)
-    monkeypatch.setattr(_why, "_blamed", lambda grasp, found, near: "heavy")
-    judged = _why._judged(grasp, state, 0.0, ended(run, code, t=0.25))
+    monkeypatch.setattr(_why, "_blamed", lambda grasp, found, near, t: "heavy")
+    judged = _why._judged(grasp, state, 2.0, ended(run, code, t=0.25))
     against = f"{_MEND['heavy']}" + (
         f"; against the end alone, {REMEDIES['slipping']}" if code == "slipping" else ""
     )
     assert judged.summary == summary and judged.contact == contact
     assert judged.remedy == (against if remedy is None else remedy)
     assert judged.ended == ("it slipped" if code == "slipping" else "") and judged.direction == "down"
-    # An equilibrium is looked for where a run ended that reached its end, else where it began.
-    np.testing.assert_array_equal(looked[0].q, run.last.q if code == "successful" else state.q)
+    # An equilibrium is looked for where and when a run ended that reached its end, else where it began.
+    (near, when), reached = looked[0], code == "successful"
+    np.testing.assert_array_equal(near.q, run.last.q if reached else state.q)
+    assert when == (0.25 if reached else 2.0)  # loads and commands may say another thing at another time
 
 
 def test_the_end_of_a_run_gets_the_name_of_the_contact_that_it_did_not_know(monkeypatch, run):
@@ -865,13 +876,13 @@ def test_the_end_of_a_run_gets_the_name_of_the_contact_that_it_did_not_know(monk
 
 def test_which_grasps_have_an_equilibrium_that_is_assessed(monkeypatch, scene):
     """Of contours alone, and where the contacts leave a coordinate free."""
-    monkeypatch.setattr(_why, "assess", lambda grasp, state: "assessed")
+    monkeypatch.setattr(_why, "assess", lambda grasp, state, t: ("assessed", t))
     grasp, state = scene
-    assert _why._assessed(grasp, state) == "assessed"
-    for free, wanted in ((2, None), (3, "assessed")):
+    assert _why._assessed(grasp, state, 0.5) == ("assessed", 0.5)
+    for free, wanted in ((2, None), (3, ("assessed", 0.5))):
         some = SimpleNamespace(coordinates=free, contacts=grasp.contacts)
-        assert _why._assessed(some, state) == wanted
-    assert _why._assessed(on_a_turntable(), None) is None
+        assert _why._assessed(some, state, 0.5) == wanted
+    assert _why._assessed(on_a_turntable(), None, 0.5) is None
 
 
 def test_entries_of_a_report_are_broken_at_a_hundred_characters():

@@ -1351,8 +1351,8 @@ def test_a_phase_picture_has_free_space_round_the_path_and_does_not_magnify_what
     # Where no equilibrium is found there is none to show.
     ends = []
 
-    def sought(given, state):
-        ends.append((given, state))
+    def sought(given, state, t):
+        ends.append((given, state, t))
         return SimpleNamespace(found=False, state=state)
 
     monkeypatch.setattr(_phase, "equilibrium", sought)
@@ -1361,6 +1361,8 @@ def test_a_phase_picture_has_free_space_round_the_path_and_does_not_magnify_what
     np.testing.assert_allclose(shown[2][0], start + [0.02 + 2e-6, -5e-7], atol=1e-12)
     assert len(figure.axes[0].lines) == 3
     assert ends[0][0] is grasp and ends[0][1] is run.last
+    # Loads may be others than at the start.
+    assert ends[0][2] is run.stats.t_end
 
 
 # Whole drawings of made bodies.

@@ -141,7 +141,10 @@ def test_phase_refuses_other_grasps(scene, short):
     with pytest.raises(ValueError, match=r"argument trajectory.states.q must have shape \(3,\)"):
         jxr.plotting.phase(scene[0], short)
     with pytest.raises(ValueError, match=r"control\.Opposition"):
-        jxr.plotting.phase(scene[0].with_(controller=None), jxr.simulate(*scene, 0.1, ts=3))
+        jxr.plotting.phase(scene[0].with_(controller=None), run := jxr.simulate(*scene, 0.1, ts=3))
+    for number in ({"force": lambda t: 0.5 + t}, {"target": jxr.commands.Steps([1.0], np.zeros((2, 2)))}):
+        with pytest.raises(ValueError, match="of which there is no potential; .* holds it"):
+            jxr.plotting.phase(scene[0].with_(**number), run)
 
 
 def test_phase_of_one_direction_draws_the_path_downhill(scene):

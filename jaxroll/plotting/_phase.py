@@ -12,7 +12,7 @@ from .._types import Given
 from ..control import law_of
 from ..stability import equilibrium, pinch_statics
 from ._doors import guarded
-from ._phase_one import has_one_direction, phase_of_one
+from ._phase_one import check_potential, has_one_direction, phase_of_one
 from ._phase_parts import draw_path, energy_bar, energy_levels, least_of, on_contour
 from ._style import MM, Picture, tidy
 from ._views import single, visible
@@ -37,13 +37,14 @@ def phase(grasp: Grasp, trajectory: Trajectory, *, rest: State | None = None) ->
             direction of motion under `control.Press`. Both laws may be inside another one.
         trajectory: One run of it.
         rest: The equilibrium to mark, such as `stability.assess(...).equilibrium.state`. Default: the
-            one that `stability.equilibrium` finds from the end of the run, if it finds one.
+            one that `stability.equilibrium` finds from the end of the run at its time, if it finds one.
 
     Returns:
         The figure: $s_i$ in millimetres, energies in millijoules; start, end and equilibrium are marked.
 
     Raises:
-        ValueError: If the grasp is no such pinch, or lives in space, or the trajectory is a batch.
+        ValueError: If the grasp is no such pinch, or lives in space, the law has no potential since its
+            numbers are functions of time, or the trajectory is a batch.
 
     Example:
         >>> import jaxroll as jxr
@@ -55,11 +56,10 @@ def phase(grasp: Grasp, trajectory: Trajectory, *, rest: State | None = None) ->
     """
     check_planar(grasp)
     alone = has_one_direction(grasp)
-    if not alone:
-        check_pinch(grasp)
+    (check_potential if alone else check_pinch)(grasp)
     trajectory = visible(grasp, trajectory)
     if rest is None:
-        found = equilibrium(grasp, trajectory.last)
+        found = equilibrium(grasp, trajectory.last, t=trajectory.stats.t_end)
         rest = found.state if bool(found.found) else None
     if alone:
         return phase_of_one(grasp, trajectory, rest)

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from .._analysis import press_balance
 from .._closing import close
+from .._fields import changes_in_time
 from .._integration import Trajectory, vector_field
 from .._mechanics import Grasp, State
 from .._motion import energies
@@ -31,6 +32,16 @@ def has_one_direction(grasp: Grasp) -> bool:
     free = grasp.coordinates - sum(contact.rows for contact in grasp.contacts)
     pressed = isinstance(law_of(grasp.controller), Press) and len(grasp.contacts) == 1
     return pressed and free == 1 and not grasp.spatial
+
+
+def check_potential(grasp: Grasp) -> None:
+    """Raise unless the law of such a grasp has a potential, whose level lines are to be drawn."""
+    if changes_in_time(law_of(grasp.controller), "force", "radius", "target"):
+        raise ValueError(
+            "argument grasp must have numbers as its controller's force, radius and target, but one was a "
+            "function of time, of which there is no potential; "
+            "grasp.with_(controller=grasp.controller.at(t)) holds it"
+        )
 
 
 def phase_of_one(grasp: Grasp, trajectory: Trajectory, rest: State | None) -> Figure:

@@ -195,6 +195,11 @@ def test_noise_is_drawn_for_angles_then_for_rates_with_the_key_of_the_sample():
     for bad in (jnp.stack([old, old]), old.astype(int), 3, jax.random.split(key, 2)):
         with pytest.raises(ValueError, match="argument key must be one key of jax.random"):
             Sampled(None, 0.25, key=bad)
+    # Of another kind the numbers would be read as a key of this one, or be too many.
+    other = jax.random.key(5, impl="rbg")
+    for bad in (other, jax.random.key_data(other)):
+        with pytest.raises(ValueError, match="key of jax.random of the kind .* threefry2x32, but was"):
+            Sampled(None, 0.25, key=bad)
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.5e-4, 0.99e-4, 1.01e-4, 2e-4, 1.3, 3.0])

@@ -34,11 +34,18 @@ def _as_key(name: str, value: Any) -> Any:
     """A key of `jax.random` as the numbers in it, which any program may carry; None without noise."""
     if value is None:
         return None
-    key = value
+    # `Sampled.noise` draws from the numbers as from a key of the kind that JAX is set to.
+    kind = jax.config.jax_default_prng_impl  # pyright: ignore[reportAttributeAccessIssue]
+    key, own = value, kind
     if isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jax.dtypes.prng_key):
-        key = jax.random.key_data(value)
+        key, own = jax.random.key_data(value), str(jax.random.key_impl(value))
     if not eqx.is_array(key) or key.dtype != jnp.uint32 or key.ndim != 1:
         raise ValueError(f"argument {name} must be one key of jax.random, but was {shown(value)}")
+    if own != kind or key.shape != jax.eval_shape(lambda: jax.random.key_data(jax.random.key(0))).shape:
+        raise ValueError(
+            f"argument {name} must be one key of jax.random of the kind that jax_default_prng_impl names, "
+            f"{kind}, but was {shown(value)}"
+        )
     return jnp.asarray(key)
 
 

@@ -441,6 +441,15 @@ def test_what_has_no_names_is_named_by_its_place_and_numbered():
     assert [each.name for each in walk.found] == ["same_name", "same_name_2", "same_name_3"]
 
 
+def test_every_name_is_one_folder_of_a_store():
+    """A backslash divides paths of Zarr's too: what was kept under such a name was not found again."""
+    walk = _Walk((), {}, "kept")
+    for name in (r"$\theta$ [rad]", r"\theta", "a/b", "x\0y", ".", "..", "zarr.json", ".5"):
+        walk.add(name, np.zeros(()), (), {})
+    wanted = ["$_theta$_[rad]", "_theta", "a_b", "x_y", "._kept", ".._kept", "zarr.json_kept", ".5"]
+    assert [each.name for each in walk.found] == wanted
+
+
 def test_forces_of_a_blow_are_impulses():
     walk = _Walk((), {}, "kept")
     walk.record(Multipliers(jnp.ones((3, 2)), jnp.zeros((3, 2))), "", "blow")

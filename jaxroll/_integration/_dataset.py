@@ -46,7 +46,7 @@ _WORDS = {
 _RENAMED = {"contact": "ended_by"}
 # Names of dimensions, of what stands along them, and of what a store says of its runs.
 _TAKEN = {"time", "position", "velocity", "place", "contact", "axis", "number", "blow"}
-_TAKEN |= {"position_unit", "velocity_unit", "place_unit", "contact_name", "sweep", "stored"}
+_TAKEN |= {"position_unit", "velocity_unit", "place_unit", "contact_name", "sweep", "stored", "zarr.json"}
 # The code of a run that is not in a store yet, by name; codes themselves are zero or more.
 ABSENT = -1
 _ABSENT_WORD = "not_stored"
@@ -227,9 +227,12 @@ class _Walk:
 
     def add(self, name: str, values: Any, dims: tuple[str, ...], attrs: dict[str, Any]) -> None:
         """Gather one array; a dimension of another size than the run's gets a name of its own."""
-        # Neither spaces nor slashes: lists of names are divided at the former, paths at the latter.
-        name = re.sub(r"[\s/]+", "_", name)
-        name = name if name not in _TAKEN | set(self.lead) else f"{name}_{self.base}"
+        # Neither spaces nor slashes of either kind: lists of names are divided at the former, paths at the
+        # latter, so that Zarr looks for what one divides in another folder. No path has a null character.
+        name = re.sub(r"[\s/\\\0]+", "_", name)
+        # Points alone name folders that every folder has.
+        taken = name in _TAKEN | set(self.lead) or not name.strip(".")
+        name = f"{name}_{self.base}" if taken else name
         name = next(n for n in _numbered(name) if n not in self.names)
         self.names.add(name)
         own = values.shape[len(self.lead) :]

@@ -240,6 +240,10 @@ def saved(tmp_path_factory):
     return folder
 
 
+def _own_law(t, angles, rates, tips):
+    return [-0.01 * rates[0]]
+
+
 def test_a_saved_run_is_drawn_again(saved, tmp_path, monkeypatch, capfd):
     monkeypatch.setenv("JAXROLL_CACHE", "off")
     assert main(["replay", str(saved / "run.npz"), "--out", str(tmp_path), "--fps", "20"]) == 0
@@ -256,6 +260,13 @@ def test_a_saved_run_is_drawn_again(saved, tmp_path, monkeypatch, capfd):
     assert "argument FILE must hold one grasp and one run of it" in capfd.readouterr().err
     assert main(["replay", "none.npz", "--out", str(tmp_path)]) == 2
     assert "argument FILE must name a file, but there is none" in capfd.readouterr().err
+    # No option gives a command the caller's own functions.
+    jxr.save(tmp_path / "law.npz", _own_law)
+    assert main(["replay", str(tmp_path / "law.npz"), "--out", str(tmp_path)]) == 2
+    told = capfd.readouterr().err
+    assert (
+        "names _own_law of " in told and "which is the caller's own: in Python `jaxroll.load(FILE, " in told
+    )
 
 
 def test_a_replay_shows_and_tells_of_a_run_up_to_a_time(saved, tmp_path, monkeypatch, capfd):
@@ -271,6 +282,11 @@ def test_a_replay_shows_and_tells_of_a_run_up_to_a_time(saved, tmp_path, monkeyp
             "argument --until must be a time by which two states were saved, of a run from 0 to 0.1 s"
             in complaint
         )
+
+
+def test_a_run_before_zero_is_shown_up_to_a_time_before_zero():
+    asked = _parser().parse_args(["replay", "run.npz", "--until", "-0.7"])
+    assert asked.until == -0.7
 
 
 def test_a_film_of_a_long_run_takes_twelve_seconds(saved, tmp_path, monkeypatch, capfd):

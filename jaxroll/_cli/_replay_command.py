@@ -20,6 +20,12 @@ from ._run_pictures import pace, run_pictures
 
 # What helps a run that ended early is for whoever made it, and made it in Python.
 _REMEDIES = {name: f"in Python, where it was made: {text}" for name, text in REMEDIES.items()}
+# A command cannot be given the caller's own classes and functions, which `load` asks for.
+_OWN = (
+    "which argument own must hold",
+    "which is the caller's own: in Python `jaxroll.load(FILE, own=[...])` reads it, and `jaxroll.plotting` "
+    "draws it",
+)
 # The animation takes no longer than this [s], unless a speed is asked for.
 _LONGEST = 12.0
 
@@ -90,7 +96,8 @@ def _read(file: str) -> tuple[Grasp, Trajectory]:
     try:
         held = load(file)
     except ValueError as error:
-        raise ValueError(str(error).replace("argument path", "argument FILE", 1)) from None
+        told = str(error).replace("argument path", "argument FILE", 1)
+        raise ValueError(told.replace(*_OWN)) from None
     found = list(_parts(held))
     grasps = [each for each in found if isinstance(each, Grasp)]
     runs = [each for each in found if isinstance(each, Trajectory)]

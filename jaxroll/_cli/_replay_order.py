@@ -39,7 +39,7 @@ def replay_parser(commands: Any, number: Callable[..., Any], about: str) -> None
     replay.add_argument("--fps", metavar="N", type=number(1.0, 50.0), default=25.0, help="(default: 25)")
     pace = "simulated seconds per second shown (default: 1, or more if the film were longer than 12 s)"
     replay.add_argument("--speed", metavar="X", type=number(1e-4, 1e4), help=pace)
-    replay.add_argument("--until", metavar="T", type=number(0.0, 1e4), help="last time shown [s]")
+    replay.add_argument("--until", metavar="T", type=number(-1e4, 1e4), help="last time shown [s]")
     replay.add_argument("--no-animation", action="store_true", help="write no motion.gif")
 
 

@@ -178,6 +178,21 @@ def test_a_name_is_looked_for_in_the_scene():
         maker("pivoted", ("tip_radius",))
 
 
+def test_names_are_those_that_ones_own_scene_takes(tmp_path):
+    (tmp_path / "own.py").write_text("def egg(mass, size=1.0): ...\ndef any_of(**given): ...")
+    egg = f"{tmp_path / 'own.py'}:egg"
+    with pytest.raises(
+        ValueError, match="argument --set must name what .*egg takes, mass, size, but .*'masss'"
+    ):
+        maker(egg, ("mass", "masss"))
+    with pytest.raises(
+        ValueError, match="argument --set must name .* but missing a required argument: 'mass'"
+    ):
+        maker(egg, ("size",))
+    maker(egg, ("size", "mass"))
+    maker(f"{tmp_path / 'own.py'}:any_of", ("size",))
+
+
 def test_a_map_is_written_beside_a_store_of_zarr_and_into_a_folder(tmp_path):
     for name in ("plain", "array.zarr"):
         (tmp_path / name).mkdir()

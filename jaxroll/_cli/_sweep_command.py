@@ -161,6 +161,7 @@ def maker(scene: str, names: tuple[str, ...]) -> Callable[[Parameters], tuple[An
     """From one row of parameters to a grasp and a state, by what the names are in the scene."""
     if ":" in scene:
         function = _from_file(scene)
+        _check_taken(function, scene, names)
         return lambda p: function(**p)
     build = getattr(scenes, scene)
     grasp, state = build()
@@ -180,6 +181,17 @@ def maker(scene: str, names: tuple[str, ...]) -> Callable[[Parameters], tuple[An
         ), start
 
     return make
+
+
+def _check_taken(function: Callable, scene: str, names: tuple[str, ...]) -> None:
+    """Refuse names that a caller's own scene does not take, and such as leave out what it needs."""
+    given = inspect.signature(function)
+    try:
+        given.bind(**dict.fromkeys(names))
+    except TypeError as error:
+        raise ValueError(
+            f"argument --set must name what {scene} takes, {', '.join(given.parameters)}, but {error}"
+        ) from None
 
 
 def _check_names(names: list[str], build: Callable, grasp: Any) -> None:

@@ -36,6 +36,9 @@ _FIRST, _FACTOR, _MOST = 1e-3, 10.0, 1e12
 _LAST, _SHARE = ByPrecision(1e-3, 1e-2), ByPrecision(1e-9, 1e-6)
 # Where no step goes down, rounding makes the derivative ask for one of at most this share of each number.
 _ROUNDING = ByPrecision(1e-6, 1e-3)
+# After a step that does not go down the derivative asks for next to nothing below this share of each number.
+# In single precision that is what rounding makes it ask for, of data without noise again and again.
+_NOTHING = ByPrecision(1e-9, 1e-3)
 # Singular values of the scaled derivative below the first share of the largest are zero: of a direction that
 # belongs to one the data tell nothing, nor of a number that takes part in it by more than the second figure.
 _UNTOLD, _PART = ByPrecision(1e-7, 1e-5), ByPrecision(1e-6, 1e-3)
@@ -266,7 +269,7 @@ def _arrived(x: np.ndarray, left: np.ndarray, slopes: np.ndarray, *, known: bool
     """
     step, unit = _undamped(left, slopes), _deviation(left, len(x), known=known)
     near = np.linalg.norm(slopes @ step) < _LAST.of(slopes) * unit
-    return bool(near or np.all(np.abs(step) < _SHARE.of(slopes) * np.abs(x)))
+    return bool(near or np.all(np.abs(step) < _NOTHING.of(slopes) * np.abs(x)))
 
 
 def _undamped(left: np.ndarray, slopes: np.ndarray) -> np.ndarray:

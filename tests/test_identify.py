@@ -229,6 +229,20 @@ def test_a_search_ends_where_the_errors_of_runs_decide_which_steps_go_down(dtype
     assert _descend(both, start, 30, known=True)[:3] == (start, 1, jxr.RESULTS.successful)
 
 
+@pytest.mark.parametrize(("away", "steps"), [(0.9e-3, 1), (1.1e-3, 30)])
+def test_in_single_precision_rounding_decides_below_a_thousandth_of_a_number(away, steps):
+    """Of data without noise, whose misfits are rounding alone and ask for other steps at every place."""
+    seen = []
+
+    def both(x):
+        seen.append(np.float32(1e-6) * np.float32(1.0 + 1e-3 * (len(seen) % 2)))
+        slopes = np.array([[1e-6 / away], [0.0]], np.float32)
+        return np.array([seen[-1], seen[-1]]), slopes
+
+    _, count, result, _ = _descend(both, np.ones(1, np.float32), 30, known=False)
+    assert count == steps and (repr(result) == "successful") == (steps == 1)
+
+
 def test_a_search_ends_where_no_step_goes_down():
     """The damping rises by ten from a thousandth, until it is above 1e12; no slope is there, but an edge."""
     start, damping, count = np.ones(1), 1e-3, 0

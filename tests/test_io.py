@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import jaxroll as jxr
-from jaxroll.geometry import polygon_area
+from jaxroll.geometry import mass_properties, polygon_area
 from jaxroll.io import _drawing, _outline, _svg, _tables
 from jaxroll.io._mesh import spread_points
 from jaxroll.io._outline import chosen, even, filled_places, filled_polygon
@@ -988,3 +988,59 @@ def test_ends_of_a_dxf_meet_within_a_millionth_of_the_drawing(gap, corners, tmp_
     drawing.modelspace().add_lwpolyline(ends)  # one piece, closed already or not
     drawing.saveas(tmp_path / "box.dxf")
     assert len(jxr.io.read_points(tmp_path / "box.dxf", unit="mm")) == corners
+
+
+# A cube's corners, and the four of each side from outside.
+CORNERS = [(i & 1, i >> 1 & 1, i >> 2) for i in range(8)]
+SIDES = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
+
+
+def _cube(form, between="", corners=CORNERS):
+    """A cube as OBJ: how it names a corner's vertex, place in the texture and normal, and a word half way."""
+    rows = [*(f"v {x} {y} {z}" for x, y, z in corners), "vt 0 0", "vt 1 0", "vt 1 1", "vt 0 1"]
+    rows += ["vn 0 0 -1", "vn 0 0 1", "vn 0 -1 0", "vn 0 1 0", "vn -1 0 0", "vn 1 0 0"]
+    for k, side in enumerate(SIDES):
+        rows += [between] if k == 3 else []
+        rows.append("f " + " ".join(form.format(v + 1, t + 1, k + 1) for t, v in enumerate(side)))
+    return "\n".join(["usemtl red", *rows]) + "\n"
+
+
+@pytest.mark.parametrize("between", ["", "usemtl blue", "o other"])
+@pytest.mark.parametrize("form", ["{0}", "{0}//{2}", "{0}/{1}", "{0}/{1}/{2}"])
+def test_materials_textures_and_normals_leave_a_mesh_closed(form, between, tmp_path):
+    pytest.importorskip("trimesh")
+    path = tmp_path / "cube.obj"
+    path.write_text(_cube(form, between))
+    vertices, faces = jxr.io.read_mesh(path, unit="mm")
+    assert vertices.shape == (8, 3) and faces.shape == (12, 3)
+    (outline,) = jxr.io.section(vertices, faces, origin=(0, 0, 4e-4), normal=(0, 0, 1))
+    assert polygon_area(outline) == pytest.approx(1e-6)
+    assert float(mass_properties((vertices, faces), 1.0).mass) == pytest.approx(1e-9)
+
+
+def test_all_solids_of_an_stl_are_read(tmp_path):
+    trimesh = pytest.importorskip("trimesh")
+    boxes = [trimesh.creation.box((2, 2, 2)), trimesh.creation.box((2, 2, 2)).apply_translation((9, 0, 0))]
+    path = tmp_path / "two.stl"
+    path.write_text("\n".join(trimesh.exchange.stl.export_stl_ascii(box) for box in boxes))
+    vertices, faces = jxr.io.read_mesh(path, unit="m")
+    assert vertices.shape == (16, 3) and len(faces) == 24
+    assert np.ptp(vertices, axis=0).tolist() == [11.0, 2.0, 2.0]
+
+
+def test_a_mesh_with_a_vertex_that_is_no_number_is_refused(tmp_path):
+    pytest.importorskip("trimesh")
+    path = tmp_path / "cube.obj"
+    path.write_text(_cube("{0}", corners=[*CORNERS[:7], (1, "nan", 1)]))
+    with pytest.raises(ValueError, match="a file of finite vertices, but cube.obj has others"):
+        jxr.io.read_mesh(path, unit="mm")
+
+
+@pytest.mark.parametrize("size", [1e-9, 1.0, 1e9])
+def test_vertices_are_alike_within_a_share_of_a_meshs_extent(size, tmp_path):
+    """Whatever the unit: fine meshes in metres keep their vertices."""
+    pytest.importorskip("trimesh")
+    path = tmp_path / "cube.obj"
+    path.write_text(_cube("{0}", corners=[(size * x, size * y, size * z) for x, y, z in CORNERS]))
+    vertices, _ = jxr.io.read_mesh(path, unit="m")
+    np.testing.assert_allclose(np.sort(vertices.ravel()), np.sort(size * np.ravel(CORNERS)), rtol=1e-12)

@@ -15,6 +15,8 @@ _KINDS = (".stl", ".obj", ".ply", ".off")
 # Least and largest height of a solid [m]. STL holds single precision, in which a much lower solid would have
 # no volume, and a much higher one no finite coordinates.
 _HEIGHTS = (1e-9, 1e3)
+# Vertices nearer to each other than this share of a mesh's extent are one.
+_ALIKE = 1e-8
 
 
 def _trimesh() -> Any:
@@ -102,6 +104,9 @@ def write_stl(
 def read_mesh(path: str | Path, *, unit: str) -> tuple[np.ndarray, np.ndarray]:
     """Vertices [m] of shape (n, 3) and faces of shape (m, 3) of a mesh file: STL, OBJ, PLY, OFF.
 
+    All solids and materials of a file are one mesh. Vertices in the same place are one, as where an STL or a
+    texture repeats them, and those of no face are left out.
+
     Args:
         path: The file.
         unit: Of the numbers in the file: "m", "mm", "um" or "in".
@@ -110,7 +115,7 @@ def read_mesh(path: str | Path, *, unit: str) -> tuple[np.ndarray, np.ndarray]:
         Vertices [m], and faces as the numbers of their three vertices.
 
     Raises:
-        ValueError: If the file holds no triangles.
+        ValueError: If the file holds no triangles, or a vertex of theirs that is not finite.
         ImportError: Without the extra `cad`.
 
     Example:
@@ -121,17 +126,24 @@ def read_mesh(path: str | Path, *, unit: str) -> tuple[np.ndarray, np.ndarray]:
         ['0.0100', '0.0100', '0.0050']
     """
     scale, path = metres_per(unit), readable(as_path(path, _KINDS))
-    mesh = _loaded(path, merged=True)
-    faces = np.asarray(getattr(mesh, "faces", np.zeros((0, 3))), int)
-    if not len(faces):
+    loaded = _loaded(path)
+    # Several solids or materials come as a scene of as many meshes.
+    parts = [part for part in getattr(loaded, "geometry", {"": loaded}).values() if hasattr(part, "faces")]
+    if not any(len(part.faces) for part in parts):
         raise ValueError(f"argument path must name a file with triangles, but {path.name} has none")
-    return scale * _vertices(mesh, path), faces
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    corners = np.concatenate(
+        [start + np.asarray(part.faces, int) for start, part in zip(starts, parts, strict=False)]
+    )
+    vertices = np.concatenate([np.asarray(part.vertices, float) for part in parts])[corners.ravel()]
+    kept, numbers = _alike(_finite(vertices, path))
+    return scale * vertices[kept], numbers.reshape(-1, 3)
 
 
 def read_ply_points(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
     """Points of a PLY, shape (n, 3), in the file's own unit, and their normals if it has some."""
-    cloud = _loaded(path, merged=False)
-    points = _vertices(cloud, path)
+    cloud = _loaded(path)
+    points = _finite(np.asarray(getattr(cloud, "vertices", np.zeros((0, 3))), float).reshape(-1, 3), path)
     # A dictionary of columns from a file of text, an array of records from a binary one.
     raw: Any = getattr(cloud, "metadata", {}).get("_ply_raw", {}).get("vertex", {}).get("data", {})
     named = raw if isinstance(raw, dict) else raw.dtype.names or ()
@@ -140,22 +152,39 @@ def read_ply_points(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
     return points, np.stack([np.asarray(raw[name], float).ravel() for name in ("nx", "ny", "nz")], axis=-1)
 
 
-def _loaded(path: Path, merged: bool) -> Any:
-    """What trimesh makes of a file; an STL repeats its vertices in every triangle, until they are merged."""
+def _loaded(path: Path) -> Any:
+    """What trimesh makes of a file as it stands.
+
+    Its processing is left out: that drops vertices that are not finite, with their faces, and keeps apart
+    those that differ in texture or normal alone.
+    """
     trimesh = _trimesh()
     try:
-        return trimesh.load(str(path), process=merged)
+        return trimesh.load(str(path), process=False)
     except Exception as error:  # whatever the library raises on what it cannot read
         raise ValueError(
             f"argument path must name a mesh, but {path.name} could not be read: {shown(str(error))}"
         ) from None
 
 
-def _vertices(mesh: Any, path: Path) -> np.ndarray:
-    vertices = np.asarray(getattr(mesh, "vertices", np.zeros((0, 3))), float).reshape(-1, 3)
+def _finite(vertices: np.ndarray, path: Path) -> np.ndarray:
+    """The vertices, if there are any and all are finite."""
     if not len(vertices) or not np.all(np.isfinite(vertices)):
         raise ValueError(f"argument path must name a file of finite vertices, but {path.name} has others")
     return vertices
+
+
+def _alike(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points that are in the same place as none before them, and for every point the number of its one."""
+    extent = float(np.ptp(points, axis=0).max())
+    cells = np.round((points - points.min(axis=0)) / (_ALIKE * extent or 1.0))
+    order = np.lexsort(cells.T)  # stable: of points alike the first comes first
+    fresh = np.append(True, np.any(np.diff(cells[order], axis=0) != 0.0, axis=1))
+    firsts = order[fresh]
+    kept = np.sort(firsts)
+    numbers = np.empty(len(points), int)
+    numbers[order] = np.searchsorted(kept, firsts)[np.cumsum(fresh) - 1]
+    return kept, numbers
 
 
 def spread_points(vertices: np.ndarray, faces: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:

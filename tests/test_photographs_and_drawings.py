@@ -519,3 +519,31 @@ def test_blocks_and_layers_of_a_dxf(tmp_path):
     )
     with pytest.raises(ValueError, match="below the number of outlines in blocks.dxf, 5, but was 5"):
         jxr.io.read_points(tmp_path / "blocks.dxf", unit="mm", which=5)
+
+
+# Paths whose largest piece has the same four corners.
+PIECES = [
+    "M 0 0 h 10 v 10 h -10 z M 0 0 h -30 v -30 h 30 z",
+    "M 0 0 h 10 v 10 h -10 z m 0 0 h -30 v -30 h 30 z",
+    "M 0 0 h 10 v 10 h -10 z h -30 v -30 h 30 z",
+    "M 0 0 h 10 v 10 h -10 v -10 M 0 0 h -30 v -30 h 30 z",
+    "m 1 1 m -1 -1 h 10 v 10 h -10 z m 1 1 z m -1 -1 h -30 v -30 h 30 z",
+    "M 0 0 H -30 M -30 0 V -30 M -30 -30 H 0 M 0 -30 V 0",
+    "M 0 0 H -30 M -30 0 V -30 M -30 -30 L 0 -30",
+]
+
+
+@pytest.mark.parametrize("text", PIECES)
+def test_a_closed_piece_of_a_path_ends_where_it_is_closed(text, tmp_path):
+    points = 1e3 * jxr.io.read_points(drawing(tmp_path, f'<path d="{text}"/>'), unit="mm")
+    assert points.shape == (4, 2)
+    np.testing.assert_allclose([points.min(axis=0), points.max(axis=0)], [[-30, 0], [0, 30]], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "text, words",
+    [("M 0 0 L 9 0 L NaN 9 z", "a path holds 'N'"), ("M 0 0 A 5 5 0 0 1 0 0 L 9 0 L 9 9 Z", "ends where it")],
+)
+def test_a_path_that_cannot_be_understood_is_refused(text, words, tmp_path):
+    with pytest.raises(ValueError, match=words):
+        jxr.io.read_points(drawing(tmp_path, f'<path d="{text}"/>'), unit="mm")

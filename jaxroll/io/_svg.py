@@ -249,10 +249,35 @@ def _rounded(rect: Element) -> Element:
 
 
 def _pieces(text: str) -> list[Any]:
-    """The connected pieces of a path, each an outline."""
-    from svgpathtools import parse_path
+    """The connected pieces of a path, each an outline: a closed one ends where it is closed.
 
-    return [piece for piece in parse_path(text).continuous_subpaths() if len(piece)]
+    svgpathtools alone would join a closed piece to one that begins where that ends, and passes over what is
+    neither a command nor a number.
+    """
+    from svgpathtools import parse_path, Path as Track
+
+    if text.strip() == "none":
+        return []
+    if wrong := re.search(r"[^MZLHVCSQTAE\d.,+\-\s]+", text, re.I):
+        raise ValueError(f"a path holds {wrong[0]!r}")
+    found: list[list[Any]] = []
+    here = 0j
+    for part in re.findall(r"[Mm][^MmZz]*[Zz]?|[^MmZz\s][^MmZz]*[Zz]?", text):
+        begun = part if part[0] in "Mm" else f"M {here.real!r} {here.imag!r} {part}"
+        try:
+            piece = list(parse_path(begun, here))
+        except AssertionError:
+            raise ValueError(f"a path has an arc that ends where it begins: {part!r}") from None
+        if not piece:  # a move that nothing follows: a step after it tells where that leads
+            here = parse_path(f"{begun.rstrip('Zz ')} h 1", here)[0].start
+            continue
+        here = piece[-1].end
+        # Some programs write a move before every line and arc.
+        if found and found[-1][-1].end == piece[0].start != found[-1][0].start:
+            found[-1] += piece
+        else:
+            found.append(piece)
+    return [Track(*piece) for piece in found]
 
 
 def _check_within(outline: np.ndarray, clip: _Clip) -> None:

@@ -364,8 +364,43 @@ SHOWN = {
         (0, -3, 4, 0),
     ),
     "radii beyond half the sides": ('<rect width="40" height="10" rx="900"/>', (0, -10, 40, 0)),
+    "a frame without paint": (big('fill="none"'), (0, -3, 4, 0)),
+    "a frame in a group without paint": (f'<g style="fill: none">{big()}</g>', (0, -3, 4, 0)),
+    "a frame of a class without paint": ("<style>.a {fill:none}</style>" + big('class="a"'), (0, -3, 4, 0)),
+    "a frame that paints at no strength": (
+        big('fill-opacity="0"') + big('opacity="0.0"') + big('fill="none" stroke="red" stroke-width="0px"'),
+        (0, -3, 4, 0),
+    ),
+    "a line around nothing": (big('fill="none" stroke="red"'), (0, -100, 100, 0)),
+    "a line that a group gives": (f'<g stroke="red" fill="none">{big()}</g>', (0, -100, 100, 0)),
+    "paint that is taken over": (
+        "<g stroke='red'>" + big('fill="none" stroke="inherit"') + "</g>",
+        (0, -100, 100, 0),
+    ),
+    "paint of a rule for others": (
+        "<style>g > .a {stroke: red}</style>" + big('fill="none"'),
+        (0, -100, 100, 0),
+    ),
+    "the last of two rules": (
+        "<style>.a {display: none} .b {display: inline}</style>" + big('class="b a"'),
+        (0, -100, 100, 0),
+    ),
+    "a switch": (
+        f'<switch><g systemLanguage="tlh">{big()}</g><rect width="9" height="9"/>{big()}</switch>',
+        (0, -9, 9, 0),
+    ),
+    "an origin of no transform": (big('style="transform-origin: center"'), (0, -100, 100, 0)),
+    "an origin of a displacement": (
+        '<rect width="9" height="9" transform="translate(1 0)" transform-origin="3 3"/>',
+        (1, -9, 10, 0),
+    ),
     "a radius of zero": ('<rect width="40" height="10" rx="0" ry="3"/>', (0, -10, 40, 0)),
 }
+
+
+def test_a_drawing_without_any_paint_is_one_of_bare_outlines(tmp_path):
+    content = SMALL + "<style>rect {fill: none}</style>"
+    assert jxr.io.read_points(drawing(tmp_path, content), unit="mm").shape == (4, 2)
 
 
 @pytest.mark.parametrize("case", SHOWN)
@@ -420,6 +455,7 @@ UNREAD = {
     '<style>rect {transform: scale(2)}</style><rect width="4" height="3"/>': "a rect stands in its style",
     '<g id="a"><use href="#a"/></g>': "a use of #a stands within what it refers to",
     '<rect width="4" height="3" transform="scale(2) turn(3)"/>': "invalid SVG transform",
+    '<rect width="4" height="3" transform="scale(2)" transform-origin="5 5"/>': "rect has the origin '5 5'",
     '<rect width="4" height="3" style="transform: scale(2)"/>': "the transform of a rect stands in its style",
     f'<svg viewBox="0 0 9 9" width="9">{SMALL}</svg>': "a svg with a viewBox has no height",
     f'<svg viewBox="0 0 0 9" width="9" height="9">{SMALL}</svg>': "within it has no positive, finite size",

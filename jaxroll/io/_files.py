@@ -41,8 +41,8 @@ def read_points(
     Paths made of straight pieces give their corners, others `samples` points at equal distances; with `fill`
     both give all corners and about so many points between them. That is what `fit_contour` wants of a drawing
     with corners, and a `smallest_radius` to round them to. An SVG's y, which points down, is turned up. A
-    drawing's own unit, where it states one, must agree with `unit`. What a drawing hides is left out, and
-    text and pictures are no outlines.
+    drawing's own unit, where it states one, must agree with `unit`. What a drawing hides or shows
+    without any paint is left out, and text and pictures are no outlines.
 
     Args:
         path: The file.

@@ -8,7 +8,7 @@ has the like for DXF.
 
 import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
@@ -19,16 +19,11 @@ import numpy as np
 from ._drawing import check_scale, reading, without_outline
 from ._extra import missing
 from ._outline import filled_places, filled_polygon
+from ._svg_style import inherited, is_zero, kind_of, OUTERMOST, StyleSheet
 
 # Least angles [rad] of a corner: between straight pieces, and between any.
 _ANY, _SHARP = 1e-9, 0.02
 _FINE = 64  # intervals of the parameter of a curved piece, from which its length is summed
-# How a part of an SVG may be shown, by attributes, styles and rules, and the values that do nothing.
-_SHOWN = {
-    "display": ("inline", "block"),
-    "visibility": ("visible",),
-    **dict.fromkeys(("transform", "clip-path", "mask"), ("none",)),
-}
 _GROUPS = ("svg", "g", "a", "switch")  # parts of an SVG that show what is in them
 # Metres in the units in which a drawing may state its width.
 _LENGTHS = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "pt": 0.0254 / 72, "pc": 0.0254 / 6, "q": 2.5e-4}
@@ -49,7 +44,10 @@ def read_svg(path: Path, scale: float, samples: int, *, fill: bool) -> list[np.n
         raise missing("svgpathtools") from None
     with reading(path):
         root = ElementTree.parse(path).getroot()
-        drawn = [(piece, track) for track in _Walk(root).tracks() for piece in _pieces(track.text)]
+        tracks = list(_Walk(root).tracks())
+        # Frames round icons have no paint. A drawing in which nothing has any is one of bare outlines.
+        tracks = [track for track in tracks if track.painted] or tracks
+        drawn = [(piece, track) for track in tracks for piece in _pieces(track.text)]
     check_scale(scale, _svg_scale(root, path), path)
     if not drawn:
         raise without_outline(path)
@@ -66,14 +64,19 @@ _Clip = list[list[np.ndarray]]
 
 
 class _Track(NamedTuple):
-    """A shape of an SVG: the text of a path, the matrix to the drawing's coordinates, and what clips it.
+    """A shape of an SVG.
 
-    What lies in none of a clip path's shapes is not shown.
+    Attributes:
+        text: Of a path.
+        matrix: To the drawing's coordinates.
+        clips: What clips it: what lies in none of a clip path's shapes is not shown.
+        painted: Whether it has a fill or a stroke.
     """
 
     text: str
     matrix: np.ndarray
     clips: tuple[_Clip, ...]
+    painted: bool
 
 
 class _Walk:
@@ -86,24 +89,17 @@ class _Walk:
     def __init__(self, root: Element) -> None:
         self.root = root
         self.named = {part.get("id"): part for part in root.iter() if part.get("id")}
-        self.rules = _style_rules(root)
-
-    def _said(self, part: Element, rule: str, default: str) -> str:
-        """How a part is shown, by its style, else by the drawing's rules, else by its attribute."""
-        said, classes = part.get(rule, default), part.get("class", "").split()
-        for name in (_kind(part), *(f".{name}" for name in classes), f"#{part.get('id')}"):
-            said = self.rules.get(name, {}).get(rule, said)
-        return _rules(part.get("style", "")).get(rule, said)
+        self.sheet = StyleSheet(root)
 
     def tracks(self) -> Iterator[_Track]:
         """The shapes, y up."""
-        yield from self._below(self.root, np.diag([1.0, -1.0, 1.0]), "visible", (), ())
+        yield from self._below(self.root, np.diag([1.0, -1.0, 1.0]), OUTERMOST, (), ())
 
     def _below(
         self,
         part: Element,
         matrix: np.ndarray,
-        visibility: str,
+        around: Mapping[str, str],
         users: tuple[Element, ...],
         clips: tuple[_Clip, ...],
     ) -> Iterator[_Track]:
@@ -112,52 +108,49 @@ class _Walk:
         Args:
             part: A shape, a group or a reference; what is none of these shows nothing.
             matrix: From the coordinates around it to those of the drawing.
-            visibility: What it is where the part does not say: unlike `display`, it may be overruled below.
+            around: How the parts around it are shown, where it may say otherwise.
             users: The references by which the part was reached, the last one last.
             clips: What the parts around it are clipped to.
         """
         from svgpathtools.document import CONVERSIONS
-        from svgpathtools.parser import parse_transform
 
-        kind, referred = _kind(part), bool(users) and self._target(users[-1]) is part
+        kind, referred = kind_of(part), bool(users) and self._target(users[-1]) is part
         if kind not in (*CONVERSIONS, "use", *_GROUPS) and not (kind in ("symbol", "clipPath") and referred):
             return
-        visibility = self._said(part, "visibility", visibility)
-        if self._said(part, "display", "inline") == "none":
+        said = self.sheet.said(part, around)
+        if said.get("display") == "none" or is_zero(said.get("opacity", "1")):
             return
-        if self._said(part, "transform", "none") != part.get("transform", "none"):
-            raise ValueError(f"the transform of a {kind} stands in its style")
-        if self._said(part, "mask", "none") != "none":
-            raise ValueError(f"a {kind} has a mask")
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")  # a transform that is not understood would be left out
-            matrix = matrix @ parse_transform(part.get("transform"))
+        matrix = matrix @ _transform(part, said)
         if np.linalg.det(matrix) == 0.0:  # pressed flat, it is not drawn
             return
-        clips += self._clip(part, matrix, users)
-        if kind in CONVERSIONS and visibility == "visible":
-            yield _Track(CONVERSIONS[kind](_rounded(part) if kind == "rect" else part), matrix, clips)
+        clips += self._clip(said, matrix, users)
+        around = inherited(said)
+        if kind in CONVERSIONS and said["visibility"] == "visible":
+            text = CONVERSIONS[kind](_rounded(part) if kind == "rect" else part)
+            yield _Track(text, matrix, clips, self.sheet.painted(said))
         elif kind == "use":
             target = self._target(part)
             if part in users:
                 raise ValueError(f"a use of #{target.get('id')} stands within what it refers to")
             matrix = matrix @ _shift(_number(part, "x", "0"), _number(part, "y", "0"))
-            yield from self._below(target, matrix, visibility, (*users, part), clips)
+            yield from self._below(target, matrix, around, (*users, part), clips)
         if kind in ("svg", "symbol") and part is not self.root:
             matrix = matrix @ _window(part, users[-1] if referred else part)
-        for child in part if kind in (*_GROUPS, "symbol", "clipPath") else ():
-            yield from self._below(child, matrix, visibility, users, clips)
+        for child in _children(part) if kind in (*_GROUPS, "symbol", "clipPath") else ():
+            yield from self._below(child, matrix, around, users, clips)
 
-    def _clip(self, part: Element, matrix: np.ndarray, users: tuple[Element, ...]) -> tuple[_Clip, ...]:
+    def _clip(
+        self, said: Mapping[str, str], matrix: np.ndarray, users: tuple[Element, ...]
+    ) -> tuple[_Clip, ...]:
         """What a part is clipped to by itself: nothing, or the shapes of one clip path."""
-        said = self._said(part, "clip-path", "none")
-        if said == "none":
+        clip = said.get("clip-path", "none")
+        if clip == "none":
             return ()
-        name = re.fullmatch(r"""url\(\s*["']?(#.+?)["']?\s*\)""", said)
-        user = Element("use", {"href": name[1] if name else said})
+        name = re.fullmatch(r"""url\(\s*["']?(#.+?)["']?\s*\)""", clip)
+        user = Element("use", {"href": name[1] if name else clip})
         if self._target(user).get("clipPathUnits") == "objectBoundingBox":
             raise ValueError(f"{user.get('href')} clips in shares of what it clips")
-        tracks = self._below(self._target(user), matrix, "visible", (*users, user), ())
+        tracks = self._below(self._target(user), matrix, OUTERMOST, (*users, user), ())
         return ([_polygons(track) for track in tracks],)
 
     def _target(self, use: Element) -> Element:
@@ -168,42 +161,36 @@ class _Walk:
         return self.named[name[1:]]
 
 
-def _kind(part: Element) -> str:
-    """The name of a part of an SVG; empty for parts of other kinds of files, and for remarks."""
-    name = part.tag if isinstance(part.tag, str) else ""
-    name = name.removeprefix("{http://www.w3.org/2000/svg}")
-    return "" if "}" in name else name
+def _children(part: Element) -> list[Element]:
+    """The parts of a part; of a switch the first that is for every reader alone."""
+    if kind_of(part) != "switch":
+        return list(part)
+    tests = ("requiredExtensions", "systemLanguage")
+    return [child for child in part if kind_of(child) and not any(child.get(test) for test in tests)][:1]
 
 
-def _style_rules(root: Element) -> dict[str, dict[str, str]]:
-    """How style sheets show the parts of a class (".a"), of a name ("#a") or of a kind ("path").
+def _transform(part: Element, said: Mapping[str, str]) -> np.ndarray:
+    """The matrix of a part's own transform, which must stand in its attribute."""
+    from svgpathtools.parser import parse_transform
 
-    Programs hide layers by such rules. Others may be there if they say nothing of how parts are shown.
-    """
-    sheets = " ".join(part.text or "" for part in root.iter() if _kind(part) == "style")
-    sheets = re.sub(r"/\*.*?\*/", "", sheets, flags=re.S)
-    found: dict[str, dict[str, str]] = {}
-    for names, text in re.findall(r"([^{};]*){([^{}]*)}", sheets):
-        rules = {rule: value for rule, value in _rules(text).items() if rule in _SHOWN}
-        changing = any(value not in _SHOWN[rule] for rule, value in rules.items())
-        for name in map(str.strip, names.split(",")):
-            if changing and not re.fullmatch(r"[.#]?[\w-]+", name):
-                raise ValueError(f"its style rule for {name} is not for one class, name or kind of shape")
-            found[name] = found.get(name, {}) | rules
-    return found
-
-
-def _rules(text: str) -> dict[str, str]:
-    """The rules of a style by name, `display: none; ...`."""
-    pairs = (rule.split(":", 1) for rule in text.split(";") if ":" in rule)
-    return {name.strip(): value.replace("!important", "").strip() for name, value in pairs}
+    if said.get("transform", "none") != part.get("transform", "none"):
+        raise ValueError(f"the transform of a {kind_of(part)} stands in its style")
+    if said.get("mask", "none") != "none":
+        raise ValueError(f"a {kind_of(part)} has a mask")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # a transform that is not understood would be left out
+        matrix = parse_transform(part.get("transform"))
+    origin = said.get("transform-origin", "0 0")
+    if not all(map(is_zero, origin.split())) and np.any(matrix[:2, :2] != np.eye(2)):
+        raise ValueError(f"the transform of a {kind_of(part)} has the origin {origin!r}")
+    return matrix
 
 
 def _number(part: Element, name: str, default: str | None = None) -> float:
     """A length in the drawing's unit; a ValueError where it has another unit, or none is given."""
     text = part.get(name, default)
     if text is None:
-        raise ValueError(f"a {_kind(part)} with a viewBox has no {name}")
+        raise ValueError(f"a {kind_of(part)} with a viewBox has no {name}")
     return float(text.strip().removesuffix("px"))
 
 
@@ -226,7 +213,7 @@ def _window(part: Element, sized: Element) -> np.ndarray:
     sized = sized if {"width", "height"} <= set(sized.keys()) else part
     size = np.array([_number(sized, "width"), _number(sized, "height")])
     if not (min(*size, *box[2:]) > 0.0 and np.all(np.isfinite([*size, *box]))):
-        raise ValueError(f"a {_kind(part)} within it has no positive, finite size")
+        raise ValueError(f"a {kind_of(part)} within it has no positive, finite size")
     scales, fit = size / box[2:], part.get("preserveAspectRatio", "xMidYMid")
     if not fit.startswith("none"):
         scales[:] = scales.max() if fit.endswith("slice") else scales.min()

@@ -583,3 +583,69 @@ def test_a_closed_piece_of_a_path_ends_where_it_is_closed(text, tmp_path):
 def test_a_path_that_cannot_be_understood_is_refused(text, words, tmp_path):
     with pytest.raises(ValueError, match=words):
         jxr.io.read_points(drawing(tmp_path, f'<path d="{text}"/>'), unit="mm")
+
+
+@pytest.fixture
+def modelspace(tmp_path):
+    """An empty DXF in millimetres, and what reads the points [mm] of its largest outline."""
+    ezdxf = pytest.importorskip("ezdxf")
+    dxf = ezdxf.new("R2010", units=4)
+
+    def points(samples=400):
+        dxf.saveas(tmp_path / "drawing.dxf")
+        return 1e3 * jxr.io.read_points(tmp_path / "drawing.dxf", unit="mm", samples=samples)
+
+    return dxf.modelspace(), points
+
+
+def _spline(space):
+    """A circle of 10 mm as a rational spline of second degree."""
+    places = [(10, 0), (10, 10), (0, 10), (-10, 10), (-10, 0), (-10, -10), (0, -10), (10, -10), (10, 0)]
+    weights, knots = [1.0, 0.5**0.5] * 4 + [1.0], [0, 0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 4]
+    space.add_rational_spline(places, weights=weights, degree=2, knots=knots)
+
+
+CIRCLES = {
+    "circle": lambda space: space.add_circle((0, 0), 10),
+    "ellipse": lambda space: space.add_ellipse((0, 0), (10, 0), 1.0),
+    "bulges": lambda space: space.add_lwpolyline([(-10, 0, 1), (10, 0, 1)], format="xyb", close=True),
+    "spline": _spline,
+}
+
+
+@pytest.mark.parametrize("kind", CIRCLES)
+def test_curves_of_a_dxf_are_followed_within_a_ten_millionth_of_its_size(kind, modelspace):
+    space, points = modelspace
+    CIRCLES[kind](space)
+    assert np.abs(np.hypot(*points(4000).T) - 10.0).max() < 1e-7 * np.hypot(20.0, 20.0)
+
+
+def test_the_frame_of_a_fitted_polyline_is_no_part_of_it(modelspace):
+    """A curve through points at 4 mm from (5, 5), and the square from which a program made it."""
+    space, points = modelspace
+    line = space.add_polyline2d([], dxfattribs={"flags": 1 | 4})
+    line.append_vertices([(0, 0), (10, 0), (10, 10), (0, 10)], dxfattribs={"flags": 16})
+    turns = np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False)
+    curve = [(5.0 + 4.0 * np.cos(turn), 5.0 + 4.0 * np.sin(turn)) for turn in turns]
+    line.append_vertices(curve, dxfattribs={"flags": 8})
+    np.testing.assert_allclose(points(), curve, atol=1e-9)
+
+
+def test_meshes_in_a_dxf_are_no_outlines(modelspace):
+    space, points = modelspace
+    space.add_lwpolyline([(0, 0), (5, 0), (5, 5)], close=True)
+    space.add_polyface().append_faces([[(0, 0, 0), (9, 0, 0), (9, 9, 0), (0, 9, 9)]])
+    space.add_polymesh((3, 3))
+    assert points().shape == (3, 2)
+
+
+@pytest.mark.parametrize("across", [(1, 0, 0), (0.6, 0, 0.8)])
+def test_a_dxf_out_of_the_plane_is_refused(across, modelspace):
+    space, points = modelspace
+    space.add_circle((0, 0, 7), 10)
+    space.add_circle((0, 0, 7), 5, dxfattribs={"extrusion": (0, 0, -1)})
+    assert len(points()) == 400
+    space.add_circle((0, 0), 5, dxfattribs={"extrusion": across})
+    words = "a drawing in the plane of x and y, but an outline of drawing.dxf rises by .* along z"
+    with pytest.raises(ValueError, match=words):
+        points()

@@ -18,6 +18,13 @@ from ._outline import even, filled_polygon
 
 # Least angles [rad] of a corner: between straight pieces, and in a polygon along a curve.
 _ANY, _ALONG = 1e-9, 0.1
+# Of how many pieces ezdxf makes an arc, and by how many halvings a span of a spline: with these the pieces
+# are nearer to the curve than the polygon that follows them.
+_PIECES = {"segments": 64, "level": 10}
+# Least rise of an outline from the drawing's plane, relative to the drawing's size, that is more than a slip.
+_RISE = 1e-3
+# A vertex of a polyline that only frames the curve fitted to it.
+_FRAME = 16
 # Metres in the unit that a drawing states by its code ($INSUNITS); further down the codes that are written.
 _CODES = {
     **{1: 0.0254, 2: 0.3048, 3: 1609.344, 4: 1e-3, 5: 1e-2, 6: 1.0, 7: 1e3, 8: 2.54e-8, 9: 2.54e-5},
@@ -52,7 +59,7 @@ def read_dxf(path: Path, scale: float, samples: int, *, fill: bool) -> list[np.n
         drawing = ezdxf.readfile(str(path))
         unit = int(drawing.header.get("$INSUNITS", 0))
         pieces = _pieces(drawing.modelspace(), drawing.layers)
-        tracks = [ezdxf.path.make_path(piece, segments=8, level=8) for piece in pieces]
+        tracks = [ezdxf.path.make_path(piece, **_PIECES) for piece in pieces]
     check_scale(scale, _CODES.get(unit), path)
     tracks = [track for track in tracks if len(track)]
     if not tracks:
@@ -60,8 +67,14 @@ def read_dxf(path: Path, scale: float, samples: int, *, fill: bool) -> list[np.n
     corners = [(v.x, v.y) for track in tracks for v in track.control_vertices()]
     corners = finite(np.array(corners), path)
     size = float(np.linalg.norm(np.ptp(corners, axis=0)))
-    # Relative to the drawing: curves are followed to 1e-7 of its size, and ends within 1e-6 of it meet.
-    joined = _joined([_flat(track, 1e-7 * size) for track in tracks], 1e-6 * size)
+    rise = max(np.ptp([v.z for v in track.control_vertices()]) for track in tracks)
+    if not rise <= _RISE * max(size, rise):
+        raise ValueError(
+            f"argument path must name a drawing in the plane of x and y, but an outline of {path.name} rises "
+            f"by {rise:.4g} along z"
+        )
+    # Relative to the drawing: polygons leave curves by half of 1e-7 of its size, and ends within 1e-6 meet.
+    joined = _joined([_flat(track, 5e-8 * size) for track in tracks], 1e-6 * size)
     outlines = []
     for line, curved in joined:
         closed = bool(np.linalg.norm(line[0] - line[-1]) <= 1e-6 * size)
@@ -96,7 +109,16 @@ def _pieces(entities: Iterable[Any], layers: Any, around: str = "0") -> Iterator
             for block in entity.multi_insert():
                 yield from _pieces(block.virtual_entities(), layers, name)
         elif entity.dxftype() in _CURVES and (layer is None or layer.is_on()):
-            yield entity
+            yield from _plain(entity)
+
+
+def _plain(curve: Any) -> Iterator[Any]:
+    """A curve as it is shown: a polyline without what frames it; a mesh, which is written as one, is none."""
+    if curve.dxftype() == "POLYLINE":
+        if curve.is_polygon_mesh or curve.is_poly_face_mesh:
+            return
+        curve.vertices[:] = [vertex for vertex in curve.vertices if not vertex.dxf.flags & _FRAME]
+    yield curve
 
 
 def _flat(track: Any, distance: float) -> tuple[np.ndarray, bool]:

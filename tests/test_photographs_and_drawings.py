@@ -128,6 +128,25 @@ def test_photographs_of_every_kind_are_read_as_they_are(name, tmp_path):
     assert radius(read(order).points) == pytest.approx(60.0, abs=0.15)
 
 
+@pytest.mark.parametrize("turned", range(1, 9))
+@pytest.mark.parametrize("kind", ["png", "jpg", "tif"])
+def test_a_photograph_is_read_as_it_is_shown(kind, turned, tmp_path):
+    """An L, however the camera was held that took it: its corner is at the lower left."""
+    y, x = np.mgrid[0:120, 0:200]
+    shown = np.where((x > 30) & (y < 90) & (y > 20) & (x < 170) & ((x < 60) | (y > 60)), 20, 230)
+    # How what is shown is stored, for each way in which EXIF has it turned back.
+    stored = [shown, shown[:, ::-1], shown[::-1, ::-1], shown[::-1], shown.T]
+    stored += [np.rot90(shown), shown[::-1, ::-1].T, np.rot90(shown, -1)]
+    exif = Image.Exif()
+    exif[0x0112] = turned
+    path = tmp_path / f"shape.{kind}"
+    Image.fromarray(stored[turned - 1].astype(np.uint8)).convert("RGB").save(path, exif=exif)
+    points = read(ShapeOrder(str(path), "mm", None, pixel=1.0, section=None)).points
+    assert np.ptp(points, axis=0).tolist() == pytest.approx([139.0, 69.0], abs=0.5)
+    assert points.min(axis=0).tolist() == pytest.approx([30.5, 29.5], abs=0.3)
+    assert float(polygon_area(points)) == pytest.approx(139 * 29 + 29 * 40, rel=0.02)
+
+
 SVG = """<svg xmlns="http://www.w3.org/2000/svg" width="60mm" height="60mm" viewBox="0 0 60 60">
 <path d="M 0,0 L 40,0 A 10,10 0 0 1 40,20 L 0,20 Z"/></svg>"""
 
@@ -649,3 +668,11 @@ def test_a_dxf_out_of_the_plane_is_refused(across, modelspace):
     words = "a drawing in the plane of x and y, but an outline of drawing.dxf rises by .* along z"
     with pytest.raises(ValueError, match=words):
         points()
+
+
+def test_a_photograph_that_is_too_large_is_refused_in_a_sentence(tmp_path, monkeypatch):
+    Image.new("L", (100, 100)).save(tmp_path / "large.png")
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 1000)
+    order = ShapeOrder(str(tmp_path / "large.png"), "mm", None, pixel=1.0, section=None)
+    with pytest.raises(ValueError, match="a photograph, but large.png could not be read: Image size"):
+        read(order)

@@ -260,18 +260,20 @@ def _own_extents(points: np.ndarray) -> np.ndarray:
 
 
 def _image(path: Path) -> np.ndarray:
-    """The colours of a photograph's pixels, with their opacity where the file has one."""
-    from PIL import Image
+    """The colours of a photograph's pixels as it is shown, with their opacity where the file has one."""
+    from PIL import Image, ImageOps
 
     try:
-        with Image.open(path) as picture:
+        with Image.open(path) as file:
+            # Cameras that are held upright or upside down store what they see, and how it is to be turned.
+            picture = ImageOps.exif_transpose(file)
             # Grey values of more than 8 bits, which "RGB" would cut off.
             if picture.mode.startswith(("I", "F")):
                 grey = np.asarray(picture, float)
                 return np.stack([grey, grey, grey], axis=-1)
             clear = picture.mode in ("RGBA", "LA", "PA", "RGBa", "La") or "transparency" in picture.info
             return np.asarray(picture.convert("RGBA" if clear else "RGB"))
-    except OSError as error:
+    except (OSError, Image.DecompressionBombError) as error:
         raise ValueError(
             f"argument FILE must be a photograph, but {path.name} could not be read: {error}"
         ) from None

@@ -491,3 +491,38 @@ def test_a_contour_of_ones_own_is_integrated_without_a_table_and_must_run_counte
     np.testing.assert_allclose(found.inertia, np.pi * 0.02**4, rtol=1e-12)
     with pytest.raises(ValueError, match="run counter-clockwise round its body, .* this Disc was -0.0"):
         mass_properties(Disc(-1.0), 2.0)
+
+
+def _boxes(*placed):
+    """Cuboids of 1, 2 and 3 cm as a mesh: scale and place along x of each, and whether it is inside out."""
+    cube = np.array([(i & 1, i >> 1 & 1, i >> 2) for i in range(8)]) - 0.5
+    sides = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
+    faces = np.array([f for a, b, c, d in sides for f in ((a, b, c), (a, c, d))])
+    corners = [scale * cube * (0.01, 0.02, 0.03) + np.array([x, 0.0, 0.0]) for scale, x, _ in placed]
+    whole = [(faces[:, ::-1] if turned else faces) + 8 * i for i, (_, _, turned) in enumerate(placed)]
+    return np.concatenate(corners), np.concatenate(whole)
+
+
+@pytest.mark.parametrize(
+    ("other", "share"),
+    [
+        ((1.0, 0.03, False), 2.0),
+        ((1.0, 0.01, False), 2.0),
+        ((0.5, 0.0, True), 0.875),
+        ((0.5, 0.0075, False), 1.125),
+    ],
+)
+def test_a_mesh_of_two_bodies_or_with_a_cavity(other, share):
+    """Apart, side by side, one within the other."""
+    found = mesh_moments(*_boxes((1.0, 0.0, False), other))
+    assert float(found.size) == pytest.approx(6e-6 * share, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("other", "times"),
+    [((1.0, 0.004, False), 2), ((0.5, 0.0, False), 2), ((1.0, 0.0, False), 2), ((0.9, 0.05, True), -1)],
+)
+def test_a_mesh_that_encloses_a_place_twice_or_inside_out_is_refused(other, times):
+    """Overlapping, one within the other, all faces twice, and a part that is inside out beside another."""
+    with pytest.raises(ValueError, match=f"places which it encloses {times} times: parts of it overlap"):
+        mesh_moments(*_boxes((1.0, 0.0, False), other))

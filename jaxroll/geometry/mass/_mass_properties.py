@@ -66,7 +66,7 @@ def mass_properties(
 
     Raises:
         ValueError: If a shape has ends or no bounds, a contour crosses itself or runs round more than once, a
-            mesh has holes, or the normal points inward.
+            mesh has holes, or parts that overlap more than a little, or the normal points inward.
 
     Accuracy: closed forms and meshes to rounding. A contour is integrated as its table has it: an ellipse as
     a `Parametric` to 1e-14. Charts and patches settle to 1e-12, implicit surfaces of any genus to 1e-9 or

@@ -10,6 +10,10 @@ import numpy as np
 from ..._results import shown
 from ._moments import centred, Moments
 
+# At how many triangles, spread over the area, and of how many parts at most is asked what lies at both sides;
+# how far from the triangle, in roots of its area; and how many triangles are looked at together.
+_ASKED, _ASIDE, _TOGETHER = 12, 1e-3, 1024
+
 
 def mesh_moments(vertices: np.ndarray, faces: np.ndarray) -> Moments:
     """Moments of the body within a watertight mesh, its faces counter-clockwise seen from outside.
@@ -35,6 +39,7 @@ def mesh_moments(vertices: np.ndarray, faces: np.ndarray) -> Moments:
             f"argument shape must have faces that are counter-clockwise from outside, but the volume within "
             f"them was {size:.3g} m^3"
         )
+    _check_counted_once(np.stack([a, b, c], axis=1), _parts(joined[real], len(vertices)))
     return centred(size, cones @ total / 4.0, second, about)
 
 
@@ -51,3 +56,60 @@ def _check_watertight(faces: np.ndarray, count: int) -> None:
             f"argument shape must be a watertight mesh, but {len(uneven)} of its {len(edges)} edges have "
             f"faces on one side alone or faces that disagree, the first between vertices {shown(first)}"
         )
+
+
+def _parts(faces: np.ndarray, count: int) -> np.ndarray:
+    """The number of the part to which each triangle belongs: those that share a corner are of one."""
+    from scipy.sparse import coo_array  # imported with the first use
+    from scipy.sparse.csgraph import connected_components
+
+    begin, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    links = coo_array((np.ones(len(begin), np.int8), (begin, end)), shape=(count, count))
+    return connected_components(links, directed=False)[1][faces[:, 0]]
+
+
+def _check_counted_once(triangles: np.ndarray, parts: np.ndarray) -> None:
+    """Raise where a body is not there once or not at all, beside some of its triangles.
+
+    What parts have in common counts twice, and a part that is turned inside out beside others counts less
+    than nothing: sums over triangles do not see that. A small overlap may lie between those asked.
+
+    Args:
+        triangles: Shape (m, 3, 3), corners [m].
+        parts: Shape (m,), the part of each.
+    """
+    a, b, c = np.moveaxis(triangles, 1, 0)
+    normals = np.cross(b - a, c - a)
+    areas = np.linalg.norm(normals, axis=1)
+    along = np.cumsum(areas)
+    spread = np.searchsorted(along, along[-1] * (np.arange(_ASKED) + 0.5) / _ASKED)
+    # The largest triangle of each part, of the parts with the most triangles.
+    order = np.lexsort([-areas, parts])
+    largest = order[np.unique(parts[order], return_index=True)[1]]
+    largest = largest[np.argsort(-np.bincount(parts)[parts[largest]], kind="stable")][:_ASKED]
+    asked = np.unique([*spread, *largest])
+    asked = asked[areas[asked] > 0.0]
+    away = _ASIDE * normals[asked] / np.sqrt(areas[asked])[:, None]
+    middles = triangles[asked].mean(axis=1)
+    times = _times_enclosed(np.stack([middles - away, middles + away], axis=1).reshape(-1, 3), triangles)
+    wrong = times[(times < 0) | (times > 1)]
+    if len(wrong):
+        raise ValueError(
+            "argument shape must be a mesh that encloses its body once, but there are places which it "
+            f"encloses {wrong[0]} times: parts of it overlap, are there twice, or are inside out"
+        )
+
+
+def _times_enclosed(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """How often a closed mesh runs round each point: the solid angle of its triangles over a sphere's."""
+    total = np.zeros(len(points))
+    dot = lambda x, y: x[0] * y[0] + x[1] * y[1] + x[2] * y[2]  # noqa: E731
+    for start in range(0, len(triangles), _TOGETHER):
+        # Corners as seen from each point, coordinate by coordinate: shape (points, triangles).
+        some = triangles[start : start + _TOGETHER]
+        a, b, c = ([some[:, i, k] - points[:, k, None] for k in range(3)] for i in range(3))
+        la, lb, lc = (np.sqrt(dot(x, x)) for x in (a, b, c))
+        across = [b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]]
+        cosine = la * lb * lc + dot(a, b) * lc + dot(b, c) * la + dot(c, a) * lb
+        total += np.arctan2(dot(a, across), cosine).sum(axis=1) / (2.0 * np.pi)
+    return np.round(total).astype(int)

@@ -219,6 +219,9 @@ def test_a_dxf_of_one_circle(tmp_path):
         ('"left, top",1,2\n"right, top",3,4\n', {"columns": (1, 2)}),
         ("3D scan\nof 2nd May\nx1,y1\n1,2\n3,4\n", {}),
         ("1st,x,y\na,1,2\nb,3,4\n", {"columns": (1, 2)}),
+        ("1,2,3\n3,4,\n", {}),
+        ("1,2\n3,4,corner\n", {}),
+        ("1 2\n3 4 5\n", {}),
     ],
 )
 def test_tables_of_many_makes(text, options, tmp_path):
@@ -474,6 +477,11 @@ BAD_TABLES = {
     "half a row that begins like a number": (".5mm,none\n3,4\n", "line 1 of bad.csv"),
     "digits parted by a stroke": ("1_0,2\n3,4\n", "line 1 of bad.csv was '1_0,2'"),
     "nothing but units": ("3D scan\n1mm,2mm\n3mm,4mm\n", "line 2 of bad.csv was '1mm,2mm'"),
+    "decimal commas in some rows": ("1,2\n1,5,2,5\n3,4\n", "line 1 of bad.csv has 2 between its commas"),
+    "a comma too many in a long table": (
+        "1,2\n" * 1200 + "1,5,2\n",
+        "and line 1201 has 3; if commas are dec",
+    ),
     "digits parted by a stroke, later": ("1,2\n3_0,4\n", "line 2 of bad.csv was '3_0,4'"),
 }
 

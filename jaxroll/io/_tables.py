@@ -29,7 +29,8 @@ def read_csv(path: Path, columns: tuple[int, ...]) -> np.ndarray:
     Raises:
         ValueError: If a line is not finite numbers, or has too few; its number is named. A line of words is
             one of whose fields none is a number, a NaN or an infinity; and where a field in these columns
-            begins like one, the line is not parted as the rows below it are.
+            begins like one, the line is not parted as the rows below it are. Or if commas part some rows into
+            more numbers than others: then they may be decimal ones.
     """
     lines = _text(path).splitlines()
     table = _regular(lines, columns)
@@ -37,6 +38,7 @@ def read_csv(path: Path, columns: tuple[int, ...]) -> np.ndarray:
         return _table(table, path)
     rows: list[list[float]] = []
     doubtful: dict[tuple[str, int], tuple[int, str]] = {}  # by what parts a line, and into how many fields
+    widths: dict[int, int] = {}  # of lines that commas part into numbers alone, the first of each width
     for number, line in enumerate(lines, start=1):
         text = line.split("#")[0]
         fields = _fields(text)
@@ -51,11 +53,25 @@ def read_csv(path: Path, columns: tuple[int, ...]) -> np.ndarray:
             if parted in doubtful:
                 raise _no_numbers(*doubtful[parted], path)
             rows.append(row)
+            if parted[0] == "," and None not in map(_number, fields):
+                widths.setdefault(len(fields), number)
         elif any(_LIKE.match(fields[i]) for i in columns if i < len(fields)):
             doubtful.setdefault(parted, (number, line))
     if not rows and doubtful:
         raise _no_numbers(*list(doubtful.values())[-1], path)
+    _check_widths(widths, path)
     return _table(np.array(rows).reshape(-1, len(columns)), path)
+
+
+def _check_widths(widths: dict[int, int], path: Path) -> None:
+    """Refuse a table whose commas part its rows into several numbers of numbers, given one line of each."""
+    if len(widths) > 1:
+        (width, line), (other, later) = list(widths.items())[:2]
+        raise ValueError(
+            f"argument path must name a table of finite numbers, but line {line} of {path.name} has {width} "
+            f"between its commas, and line {later} has {other}; if commas are decimal marks, part columns "
+            f"by semicolons or blanks"
+        )
 
 
 def _no_numbers(number: int, line: str, path: Path) -> ValueError:
@@ -89,6 +105,8 @@ def _regular(lines: list[str], columns: tuple[int, ...]) -> np.ndarray | None:
     first = lines[0] if lines else ""
     marks = [mark for mark in ',;#"' if mark in first]
     if len(lines) < _LONG or marks not in ([], [","]) or None in map(_number, _fields(first)):
+        return None
+    if marks and len({line.count(",") for line in lines if line}) > 1:
         return None
     try:
         table = np.loadtxt(lines, delimiter="," if marks else None, usecols=columns, ndmin=2)

@@ -10,7 +10,7 @@ import pytest
 from scipy.linalg import cho_solve
 from scipy.special import erf
 
-from jaxroll.geometry import smoothing_for
+from jaxroll.geometry import fit_surface, smoothing_for
 from jaxroll.geometry.fitting import (
     _field_fit,
     _field_solve,
@@ -550,6 +550,16 @@ def test_normals_point_out_by_gausss_theorem():
     areas = np.where(np.arange(50) < 40, 1e-3, 1.0)
     mixed = np.where(np.arange(50)[:, None] < 40, -normals, normals)
     np.testing.assert_array_equal(_surface_normals.outward(points, -mixed, areas), mixed)
+
+
+@pytest.mark.parametrize("radius", [None, 0.3])
+@pytest.mark.parametrize("count", [300, 9000])
+def test_normals_that_point_into_the_body_are_refused(count, radius):
+    """Whatever their lengths; some of very many tell."""
+    normals = sphere(count)
+    points = normals * (1.0, 0.8, 1.2) + (3.0, 1.0, -2.0)
+    with pytest.raises(ValueError, match="^argument normals must point out of the body, but on the whole"):
+        fit_surface(points, -2.0 * normals, smallest_radius=radius)
 
 
 @pytest.mark.parametrize("first", [12, 30])

@@ -252,6 +252,12 @@ def test_the_verdict_on_a_fitted_surface_names_what_speaks_against_it():
     assert far == "not to be trusted: a point is 2 mm off it; give smallest_radius"
     both = _surface_fit._verdict((-50.0, 400.0), 0.02, 1e-5, 2e-3)
     assert both.endswith("radius of 2.5 mm and a point is 2 mm off it; give smallest_radius")
+    for degrees, told in (
+        (57.0, good),
+        (58.0, "not to be trusted: its normals are 58 degrees rms off those"),
+    ):
+        found = _surface_fit._verdict((-50.0, 200.0), 0.02, 1e-5, 5e-5, turned=np.radians(degrees))
+        assert found.startswith(told)
 
 
 def test_arrays_are_told_by_what_they_hold():

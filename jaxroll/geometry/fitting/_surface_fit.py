@@ -27,7 +27,7 @@ from ._field_fit import AXES, DataRows, Grid, grid_around, normal_band, offsets,
 from ._measured import angles, evenly, measured
 from ._scan import normals_of_net, thinned_scan
 from ._scan_verdict import fit_scan
-from ._surface_normals import estimated, neighbourhoods, outward
+from ._surface_normals import estimated, neighbourhoods, outward, volume_within
 from ._surface_report import SurfaceFit, SurfaceReport
 
 _CELLS = 2.5  # cells per wavelength of smoothing
@@ -38,6 +38,8 @@ _PROBES = 2  # random vectors by which the trace of the influence matrix is esti
 _MANY = 50_000  # clouds of more points are thinned
 _MEANS = 120  # cells of the thinning along the largest extent
 _FAR = 5.0  # a point this many times farther away than is usual deserves a word
+_TOLD = 4000  # normals, spread over the given ones, that tell which way these point
+_ASTRAY = 1.0  # angle to given normals [rad] at which the surface and they do not belong together
 _GAIN = 0.99  # a finer field must lower the estimated error by 1 %, or the coarser one is kept
 
 
@@ -87,10 +89,10 @@ def fit_surface(
     without bias; elsewhere details shorter than $\ell$ are lost.
 
     Raises:
-        ValueError: If the points are not finite, too few or in parts, a normal is zero, `smoothing` is no
-            length, `noise` is negative, or the grid is too fine for the memory. With `smallest_radius` also
-            if the points enclose no body or more than one, too much of it is thinner than two radii, too
-            little is covered by points, or the curvature cannot be met.
+        ValueError: If the points are not finite, too few or in parts, a normal is zero, the given ones point
+            into the body, `smoothing` is no length, `noise` is negative, or the grid is too fine for the
+            memory. With `smallest_radius` also if the points enclose no body or more than one, too much of it
+            is thinner than two radii, too little is covered by points, or the curvature cannot be met.
 
     Example:
         >>> import jaxroll as jxr, numpy as np
@@ -101,8 +103,8 @@ def fit_surface(
     """
     cloud = _cloud("points", points, 100 if faces is None or smallest_radius is None else 4)
     check_extent("points", cloud)
-    given = None if normals is None else _directions(normals, cloud)
     triangles = None if faces is None else as_faces(faces, len(cloud))
+    given = None if normals is None else _directions(normals, cloud, triangles)
     if smallest_radius is not None:
         radius = float(as_length("smallest_radius", smallest_radius))
         for name, value in (("smoothing", smoothing), ("noise", noise)):
@@ -263,13 +265,24 @@ def _deviation(noise: Given) -> float:
     return float(seen)
 
 
-def _directions(normals: Given, cloud: np.ndarray) -> np.ndarray:
-    """The given normals scaled to length one."""
+def _directions(normals: Given, cloud: np.ndarray, triangles: np.ndarray | None) -> np.ndarray:
+    """The given normals scaled to length one, if they point out of the body, as far as some of them tell.
+
+    Of a mesh those of vertices that no triangle has tell nothing.
+    """
     given = _cloud("normals", normals, 1)
     if given.shape != cloud.shape:
         raise ValueError(f"argument normals must have shape {cloud.shape}, but had shape {given.shape}")
     check_direction("normals", jnp.asarray(given))
-    return given / np.linalg.norm(given, axis=1, keepdims=True)
+    unit = given / np.linalg.norm(given, axis=1, keepdims=True)
+    used = np.arange(len(cloud)) if triangles is None else np.unique(triangles)
+    some = used[:: -(-len(used) // _TOLD)]
+    if volume_within(cloud[some], unit[some], neighbourhoods(cloud[some])[1]) < 0.0:
+        raise ValueError(
+            "argument normals must point out of the body, but on the whole they point into it; without them "
+            "they are found from the points"
+        )
+    return unit
 
 
 def _cloud(name: str, value: Given, least: int = 100) -> np.ndarray:
@@ -297,6 +310,7 @@ def _reported(
     curvature = (float(curvatures.min()), float(curvatures.max()))
     spacing = float(np.median(np.sqrt(problem.areas)))
     rms, largest = float(np.sqrt(np.mean(distances**2))), float(distances.max())
+    turned = None if given is None else angles(normals, given[each])
     report = SurfaceReport(
         points=len(cloud),
         area=float(problem.areas.sum()),
@@ -305,18 +319,25 @@ def _reported(
         step=float(surface.step),
         rms=rms,
         largest=largest,
-        normals=None if given is None else angles(normals, given[each]),
+        normals=turned,
         curvature=curvature,
         smoothness=surface.smoothness,
-        verdict=_verdict(curvature, wavelength, rms, largest),
+        verdict=_verdict(curvature, wavelength, rms, largest, turned=0.0 if turned is None else turned[0]),
         reach=3.0 * spacing,
         tolerance=max(_FAR * rms, 1e-3 * wavelength),
     )
     return SurfaceFit(surface, jnp.asarray(cloud[each]), jnp.asarray(feet), report)
 
 
-def _verdict(curvature: tuple[float, float], wavelength: float, rms: float, largest: float) -> str:
-    """Whether a surface of one wavelength looks like its points."""
+def _verdict(
+    curvature: tuple[float, float], wavelength: float, rms: float, largest: float, *, turned: float = 0.0
+) -> str:
+    """Whether a surface of one wavelength looks like its points; `turned`: from given normals, rms [rad]."""
+    if turned > _ASTRAY:
+        return (
+            f"not to be trusted: its normals are {np.degrees(turned):.3g} degrees rms off those given, which "
+            f"do not all point out of one body; without them they are found from the points"
+        )
     signs = []
     # No wave that smoothing leaves is shorter than its wavelength by much; its sharpest bend has a radius
     # about that over 2 pi.

@@ -59,12 +59,16 @@ def parted_normals(
 
 
 def outward(points: np.ndarray, normals: np.ndarray, areas: np.ndarray) -> np.ndarray:
-    """Normals turned round together if they point into the closed body.
+    """Normals turned round together if they point into the closed body."""
+    return normals if volume_within(points, normals, areas) > 0.0 else -normals
 
-    By Gauss's theorem three times its volume is the sum of area times (p - centre) . n over the points.
+
+def volume_within(points: np.ndarray, normals: np.ndarray, areas: np.ndarray) -> float:
+    """The volume within the points [m^3]; below zero if their normals point into the body.
+
+    By Gauss's theorem three times the volume is the sum of area times (p - centre) . n over the points.
     """
-    flux = np.sum(areas[:, None] * (points - points.mean(axis=0)) * normals)
-    return normals if flux > 0.0 else -normals
+    return float(np.sum(areas[:, None] * (points - points.mean(axis=0)) * normals)) / 3.0
 
 
 def _agreeing(points: np.ndarray, neighbours: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -353,7 +353,7 @@ BAD = {
     ),
     "pixel of a table": (
         ["fit", "egg.csv", "--pixel", "1"],
-        "--pixel must be left out for all but a photograph",
+        "--pixel must be left out for all but a photograph or an SVG",
     ),
     "outline of a table": (
         ["pinch", "egg.csv", "--which", "1"],
@@ -564,6 +564,19 @@ def test_what_a_hand_may_hold_is_between_two_millimetres_and_two_metres(extent):
     assert lines[0] == f"  size        {300 * size:.4g} x {1e3 * size:.4g} mm" and (len(lines) == 1) == fine
 
 
+def test_an_svg_in_a_unit_of_its_own_is_read_by_its_pixel(tmp_path):
+    """An icon of 24 units that is to be 60 mm wide: no unit is 2.5 mm."""
+    file = tmp_path / "icon.svg"
+    size = 'width="60mm" height="60mm" viewBox="0 0 24 24"'
+    file.write_text(f'<svg xmlns="http://www.w3.org/2000/svg" {size}><rect width="8" height="6"/></svg>')
+    with pytest.raises(ValueError, match="one unit is 2.5 mm, but was 1 mm; say that a pixel is 2.5 mm$"):
+        read(ShapeOrder(str(file), "mm", None, None, None))
+    order = ShapeOrder(str(file), "mm", None, 2.5e-3, None)
+    assert read(order).extent == pytest.approx([20e-3, 15e-3])
+    huge = _cli._shape_file.ShapePoints(np.array([[0.0, 0.0], [9.0, 9.0]]))
+    assert size_told(order, huge)[-1].endswith("is --pixel right?")
+
+
 @pytest.mark.parametrize(
     ("file", "unit", "size", "told"),
     [
@@ -629,7 +642,7 @@ def test_columns_of_unit_vectors_are_normals(length, taken, tmp_path):
 @pytest.mark.parametrize(
     ("option", "file"),
     [
-        ({"pixel": 0.1}, "a.svg"),
+        ({"pixel": 0.1}, "a.dxf"),
         ({"pixel": 0.1}, "a.stl"),
         ({"section": ("z", 0.0)}, "a.csv"),
         ({"section": ("z", 0.0)}, "a.png"),
@@ -644,7 +657,7 @@ def test_options_are_for_files_of_some_kinds(option, file):
         ValueError, match=f"argument --{name} must be left out for all but a .*, but FILE was"
     ):
         _cli._shape_file._check_options(ShapeOrder(file, "mm", None, **kept | option))
-    fits = {"pixel": ("a.PNG", "a.tiff"), "section": ("a.obj",), "which": ("a.dxf", "a.jpg")}[name]
+    fits = {"pixel": ("a.PNG", "a.tiff", "a.svg"), "section": ("a.obj",), "which": ("a.dxf", "a.jpg")}[name]
     for other in (*fits, "a.unknown"):
         _cli._shape_file._check_options(ShapeOrder(other, "mm", None, **kept | option))
     cut = kept | {"section": ("z", 0.0), "which": 1}

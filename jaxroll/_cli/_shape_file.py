@@ -43,7 +43,7 @@ class ShapeOrder:
         file: Its name.
         unit: Of the numbers in it.
         radius: Smallest radius of curvature [m]; None: a tenth of the least extent along its own axes.
-        pixel: Size of a photograph's pixel [m].
+        pixel: Size of a photograph's pixel, or of one unit of an SVG [m]; None: of an SVG the unit.
         section: Of a mesh, what to cut it across: an axis, and where [m]; None for all of it.
         which: Of a drawing, a photograph or a section, which outline, counting from the largest; None: 0.
     """
@@ -95,7 +95,7 @@ def _check_options(order: ShapeOrder) -> None:
     kind = path.suffix.lower()
     # By option: whether it was given, the kinds that it is for, and their name.
     taken = {
-        "--pixel": (order.pixel, PHOTOGRAPHS, "a photograph"),
+        "--pixel": (order.pixel, (*PHOTOGRAPHS, ".svg"), "a photograph or an SVG"),
         "--section": (order.section, MESHES, "a mesh"),
         "--which": (
             order.which,
@@ -118,7 +118,9 @@ def _read(order: ShapeOrder) -> ShapePoints:
             raise ValueError("argument --pixel must be the size of a pixel in mm, but was not given")
         return ShapePoints(io.read_silhouette(_image(path), pixel=order.pixel, which=order.which or 0))
     if kind in DRAWINGS:
-        points, count = drawn(readable(path), metres_per(order.unit), order.which or 0)
+        # An SVG may be in a unit of its own, which is a pixel to it.
+        scale = metres_per(order.unit) if order.pixel is None else order.pixel
+        points, count = drawn(readable(path), scale, order.which or 0)
         return ShapePoints(points, outlines=count)
     if kind in MESHES:
         return _of_mesh(path, order)
@@ -201,7 +203,7 @@ def size_told(order: ShapeOrder, outline: ShapePoints) -> list[str]:
     largest = float(outline.extent.max())
     if _HELD[0] <= largest <= _HELD[1]:
         return lines
-    if Path(order.file).suffix.lower() in PHOTOGRAPHS:
+    if order.pixel is not None or Path(order.file).suffix.lower() in PHOTOGRAPHS:
         return [*lines, "  beware      no hand holds what is of this size: is --pixel right?"]
     others = {unit: largest * metres_per(unit) / metres_per(order.unit) for unit in _UNITS}
     likely = [

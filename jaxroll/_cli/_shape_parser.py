@@ -31,7 +31,8 @@ def shape_parsers(commands: Any, number: Callable[..., Any], about: str) -> None
         radius = "smallest radius of curvature [mm] (default: a tenth of the least extent along its axes of "
         radius += "inertia)"
         parser.add_argument("--smallest-radius", metavar="MM", type=size, help=radius)
-        parser.add_argument("--pixel", metavar="MM", type=size, help="of a photograph: size of a pixel [mm]")
+        pixel = "of a photograph, or of an SVG in pixels: size of one [mm]"
+        parser.add_argument("--pixel", metavar="MM", type=size, help=pixel)
         cut = "of a mesh: the section across an axis, such as z=12.5 [mm]"
         parser.add_argument("--section", metavar="AXIS=MM", type=_section(number), help=cut)
         which = "of several outlines in a drawing, photograph or section: from 0, the largest (default), on"

@@ -42,7 +42,9 @@ def without_outline(path: Path) -> ValueError:
 def check_scale(scale: float, stated: float | None, path: Path) -> None:
     """Raise where the drawing states a unit that differs from the caller's by more than rounding."""
     if stated is not None and abs(scale / stated - 1.0) > 1e-3:
+        # Most programs that draw SVGs count in pixels, or in a unit of no name.
+        remedy = f"; say that a pixel is {1e3 * stated:.6g} mm" if path.suffix.lower() == ".svg" else ""
         raise ValueError(
             f"argument unit must agree with {path.name}, which states that one unit is "
-            f"{1e3 * stated:.6g} mm, but was {1e3 * scale:.6g} mm"
+            f"{1e3 * stated:.6g} mm, but was {1e3 * scale:.6g} mm{remedy}"
         )

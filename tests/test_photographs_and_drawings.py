@@ -1,6 +1,7 @@
 """Outlines from colour photographs, and from drawings with arcs and corners, to contours."""
 
 import io
+import math
 import re
 
 import numpy as np
@@ -676,3 +677,29 @@ def test_a_photograph_that_is_too_large_is_refused_in_a_sentence(tmp_path, monke
     order = ShapeOrder(str(tmp_path / "large.png"), "mm", None, pixel=1.0, section=None)
     with pytest.raises(ValueError, match="a photograph, but large.png could not be read: Image size"):
         read(order)
+
+
+# Images of two grey values, or of two and noise, where a disc of 60 pixels is and where it is not.
+MASKS = {
+    "true and false": lambda inside: inside,
+    "dark on bright": lambda inside: ~inside,
+    "bytes": lambda inside: np.where(inside, 255, 0).astype(np.uint8),
+    "two greys": lambda inside: np.where(inside, 20, 230),
+    "fractions": lambda inside: np.where(inside, 0.7, -0.1),
+    "noise": lambda inside: inside + 0.05 * np.random.default_rng(0).normal(size=inside.shape),
+}
+
+
+@pytest.mark.parametrize("kind", MASKS)
+def test_the_outline_of_a_mask_runs_midway_between_pixels(kind):
+    y, x = np.mgrid[0:200, 0:220]
+    image = MASKS[kind](np.hypot(x - 110.3, y - 99.6) < 60.0)
+    points = jxr.io.read_silhouette(image, pixel=1.0)
+    assert math.sqrt(polygon_area(points) / math.pi) == pytest.approx(60.0, abs=0.05)
+
+
+def test_a_shape_is_parted_midway_between_both_means_where_that_parts_it_as_otsu_does():
+    cases = {(0, 0, 0, 4): 2.0, (0, 0, 2, 9, 9, 9): 29 / 6, (0, 6, 90): 46.5, (0, 50, 51, 52): 25.5}
+    for values, level in cases.items():
+        assert _image._parting(np.array([values], float)) == pytest.approx(level)
+    assert _image._parting(np.full((2, 2), 3.0)) == 3.0

@@ -36,8 +36,8 @@ def read_silhouette(
         image: Shape (rows, columns), or (rows, columns, 3) or (rows, columns, 4) with red, green, blue and
             opacity, in any range; row 0 at the top.
         pixel: Size of a pixel [m].
-        threshold: Grey value of the outline. None: Otsu's, which parts the histogram best in two; in colour
-            half the distance that four fifths of the shape exceed.
+        threshold: Grey value of the outline. None: Otsu's, which parts the histogram best in two, and midway
+            between both where no pixel is; in colour half the distance that four fifths of the shape exceed.
         which: Which shape, counting from the one of the largest area.
 
     Returns:
@@ -120,7 +120,7 @@ def _outlines(grey: np.ndarray, threshold: float | None) -> list[np.ndarray]:
         from skimage.measure import find_contours
     except ImportError:
         raise missing("scikit-image") from None
-    return find_contours(grey, _otsu(grey) if threshold is None else threshold)
+    return find_contours(grey, _parting(grey) if threshold is None else threshold)
 
 
 def _from_background(colours: np.ndarray) -> tuple[np.ndarray, float]:
@@ -195,6 +195,20 @@ def _background(colours: np.ndarray) -> np.ndarray:
         off = np.linalg.norm(seen - matrix @ found, axis=1)
         kept = off <= 3.0 * np.median(off) + np.finfo(float).tiny
     return terms @ found
+
+
+def _parting(grey: np.ndarray) -> float:
+    """The grey value that parts pixels as Otsu's threshold does, as near the middle of both means as may be.
+
+    Where no pixel has a value between the dark and the bright ones, Otsu's is that of the last dark one, and
+    an outline there would run half a pixel beside the edge.
+    """
+    # Otsu's is the middle of one of 256 bins, all of which is dark.
+    bright = grey > _otsu(grey) + float(np.ptp(grey)) / 512.0
+    if bright.all() or not bright.any():
+        return float(grey.max())
+    light, dark = grey[bright], grey[~bright]
+    return float(np.clip(0.5 * (light.mean() + dark.mean()), dark.max(), light.min()))
 
 
 def _otsu(values: np.ndarray) -> float:

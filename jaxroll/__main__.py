@@ -241,7 +241,9 @@ def _design_parser(commands: Any) -> None:
         help="points of a closed outline about the finger's end, facing +x, to start from, "
         "made symmetric about x",
     )
-    design.add_argument("--unit", choices=("m", "mm", "um", "in"), default="mm", help="of FILE (default: mm)")
+    design.add_argument(
+        "--unit", choices=("m", "cm", "mm", "um", "in"), default="mm", help="of FILE (default: mm)"
+    )
     design.add_argument("--no-animation", action="store_true", help="write no before.gif and after.gif")
 
 

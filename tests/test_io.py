@@ -28,7 +28,7 @@ def off_ellipse(points):
 
 
 @pytest.mark.parametrize("kind", ["csv", "npy", "svg", "dxf"])
-@pytest.mark.parametrize("unit", ["mm", "in", "um", "m"])
+@pytest.mark.parametrize("unit", ["mm", "cm", "in", "um", "m"])
 def test_an_outline_comes_back(kind, unit, tmp_path):
     path = jxr.io.write_outline(BODY, tmp_path / "new" / f"body.{kind}", unit=unit, tolerance=TOLERANCE)
     points = jxr.io.read_points(path, unit=unit)

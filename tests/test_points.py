@@ -127,7 +127,9 @@ def test_closed_points_run_counter_clockwise_from_the_first():
     np.testing.assert_array_equal(clean_points(arc, closed=False, reverse=True).points, arc[::-1])
 
 
-@pytest.mark.parametrize(("unit", "size"), [("m", 1.0), ("mm", 1e-3), ("um", 1e-6), ("in", 0.0254)])
+@pytest.mark.parametrize(
+    ("unit", "size"), [("m", 1.0), ("cm", 1e-2), ("mm", 1e-3), ("um", 1e-6), ("in", 0.0254)]
+)
 def test_units(unit, size):
     np.testing.assert_allclose(clean_points(RING / size, unit=unit).points, RING, rtol=1e-14)
 
@@ -160,7 +162,7 @@ REFUSED = {
     "NaN": (np.where(np.arange(400).reshape(200, 2) == 33, np.nan, RING), {}, "finite, but row 16 was"),
     "too few": (RING[:5], {}, "6 distinct points or more, but there were 5"),
     "too few distinct": (np.repeat(RING[:3], 3, axis=0), {}, "but there were 3"),
-    "unit": (RING, {"unit": "cm"}, "argument unit must be one of 'm', 'mm', 'um', 'in', but was 'cm'"),
+    "unit": (RING, {"unit": "ft"}, "argument unit must be one of 'm', 'cm', 'mm', 'um', 'in', but was 'ft'"),
     "rows in mm": (
         changed(slice(50, 80), 1e3),
         {},

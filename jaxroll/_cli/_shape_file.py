@@ -26,7 +26,7 @@ DRAWINGS, TABLES = (".svg", ".dxf"), (".csv", ".txt", ".dat", ".npy", ".xyz")
 MESHES, PHOTOGRAPHS = (".stl", ".obj", ".ply", ".off"), (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 # Sizes [m] of what a hand may hold at all, and of what it is likely to hold; units in the order to try.
 _HELD, _LIKELY = (2e-3, 2.0), (8e-3, 1.0)
-_UNITS = ("m", "mm", "um", "in")
+_UNITS = ("m", "mm", "um", "in", "cm")
 _SHARE = 0.1
 # How many columns a table may have.
 _WIDTHS = (2, 3, 6)

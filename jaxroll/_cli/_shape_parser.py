@@ -25,7 +25,7 @@ def shape_parsers(commands: Any, number: Callable[..., Any], about: str) -> None
         parser.add_argument("file", metavar="FILE", help=_FILE)
         place = "jaxroll-fit" if name == "fit" else "jaxroll-pinch-NAME, of NAME.ENDING"
         parser.add_argument("--out", metavar="FOLDER", help=f"where to write (default: {place})")
-        units = ("m", "mm", "um", "in")
+        units = ("m", "cm", "mm", "um", "in")
         parser.add_argument("--unit", choices=units, default="mm", help="of FILE (default: mm)")
         size = number(1e-6, 1e6)
         radius = "smallest radius of curvature [mm] (default: a tenth of the least extent along its axes of "

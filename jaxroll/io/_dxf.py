@@ -35,7 +35,7 @@ _CODES = {
 }
 # Kinds of a DXF's entities that are outlines, or parts of one.
 _CURVES = ("LWPOLYLINE", "POLYLINE", "SPLINE", "ARC", "CIRCLE", "ELLIPSE", "LINE")
-_CODE_OF = {"in": 1, "mm": 4, "m": 6, "um": 13}
+_CODE_OF = {"in": 1, "mm": 4, "cm": 5, "m": 6, "um": 13}
 
 
 def _ezdxf() -> Any:

@@ -46,7 +46,7 @@ def read_points(
 
     Args:
         path: The file.
-        unit: Of the numbers in the file: "m", "mm", "um" or "in"; in an SVG also "px", of size `pixel`.
+        unit: Of the numbers in the file: "m", "cm", "mm", "um" or "in"; in an SVG also "px", of size `pixel`.
         pixel: Size of a pixel [m] with `unit` "px"; the standard says 0.0254 / 96.
         which: SVG and DXF: which outline, counting from the largest.
         samples: SVG and DXF: number of points along an outline with curved pieces.
@@ -106,7 +106,7 @@ def read_cloud(
 
     Args:
         path: The file.
-        unit: Of the coordinates in the file: "m", "mm", "um" or "in".
+        unit: Of the coordinates in the file: "m", "cm", "mm", "um" or "in".
         columns: Tables: the columns of x, y and z, counting from 0.
         normals: Tables: the columns of the outward normals, if they are there.
 
@@ -142,7 +142,7 @@ def write_outline(contour: AbstractContour, path: str | Path, *, unit: str, tole
     Args:
         contour: Closed, or open with ends.
         path: The file; its ending says which kind. Folders are made if need be.
-        unit: Of the numbers written: "m", "mm", "um" or "in". SVG and DXF also state it themselves.
+        unit: Of the numbers written: "m", "cm", "mm", "um" or "in". SVG and DXF also state it themselves.
         tolerance: Largest distance [m] of the outline's straight pieces from the contour.
 
     Returns:

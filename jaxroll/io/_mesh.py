@@ -109,7 +109,7 @@ def read_mesh(path: str | Path, *, unit: str) -> tuple[np.ndarray, np.ndarray]:
 
     Args:
         path: The file.
-        unit: Of the numbers in the file: "m", "mm", "um" or "in".
+        unit: Of the numbers in the file: "m", "cm", "mm", "um" or "in".
 
     Returns:
         Vertices [m], and faces as the numbers of their three vertices.

@@ -18,7 +18,7 @@ from ..contours import check_extent, numbers, polygon_area
 from ._crossings import crossings
 from ._ordering import order_given_up, order_points, place_text, turnings
 
-UNITS = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
+UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
 _FEWEST = 6  # as many as a quintic has coefficients
 _SAME = 1e-9  # times the larger extent: points nearer than that are one point
 
@@ -46,7 +46,7 @@ def metres_per(unit: Any) -> float:
     """Metres in one unit of length.
 
     Raises:
-        ValueError: If the unit is none of "m", "mm", "um" and "in".
+        ValueError: If the unit is none of "m", "cm", "mm", "um" and "in".
 
     Example:
         >>> from jaxroll.geometry import metres_per
@@ -76,7 +76,7 @@ def clean_points(
         points: Shape (n, 2), n >= 6, in `unit`.
         closed: Whether the contour is to close on itself. An open one has the body on its left.
         ordered: True to believe the given order, False to find one, None to find out which.
-        unit: Of the numbers given: "m", "mm", "um" or "in".
+        unit: Of the numbers given: "m", "cm", "mm", "um" or "in".
         reverse: Turn an open contour round, where the points have the body on their right.
 
     Returns:

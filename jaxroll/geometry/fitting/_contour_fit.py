@@ -144,7 +144,7 @@ def fit_contour(
         knots: Number of knots. Default: one at every point, at most 512 where smoothing; with
             `smallest_radius` five to a length of that radius, at most 1024. Given with `smallest_radius` it
             must be 48 to 1024, and is rounded up to one of the program's sizes (48, 64, 96, ...).
-        unit: Of `points`: "m", "mm", "um" or "in". All else is in metres.
+        unit: Of `points`: "m", "cm", "mm", "um" or "in". All else is in metres.
         reverse: Turn an open contour round, where the points have the body on their right.
 
     Returns:

@@ -151,6 +151,8 @@ LEFT_OUT = {
         mjcf(more=TENDON.format('stiffness="3" range="-0.1 0.1" limited="true"')),
         ("stiffness and range of tendon 't'",),
     ),
+    "water": (mjcf(more='<option density="1000"/>'), ("drag of a medium with density or viscosity",)),
+    "oil": (mjcf(more='<option viscosity="0.1"/>'), ("drag of a medium with density or viscosity",)),
     "a motor of two joints": (
         mjcf(more=TENDON.format("") + '<actuator><motor name="m" tendon="t"/><motor joint="a"/></actuator>'),
         ("motor 'm', which drives no joint alone",),

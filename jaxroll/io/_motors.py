@@ -83,6 +83,8 @@ def left_out(mujoco: Any, model: Any, moving: Collection[int]) -> tuple[str, ...
         for i in range(model.nbody)
         if model.body_gravcomp[i]
     ]
+    if model.opt.density or model.opt.viscosity:
+        said.append("drag of a medium with density or viscosity")
     for i in moving:
         joint, motors = shown(model.joint(i).name), _motors(mujoco, model, i)
         if _bends(model, "jnt_stiffness", i):

@@ -14,6 +14,9 @@ where $H$ and $D$ are those without the law. Its eigenvalues z decide: the loop 
 the unit circle; $\log z / T$ are its rates. `_verdict` has the loop without a memory, and judges the rates.
 """
 
+import inspect
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
@@ -22,6 +25,10 @@ from .._mechanics import Grasp, State
 from .._motion import generalised_force, memory_after_sample, memory_rates
 from .._types import Given
 
+# That eigenvectors may be differentiated.
+_TWICE: dict[str, Any] = {"enable_eigvec_derivs": True}
+if not _TWICE.keys() <= inspect.signature(jax.lax.linalg.eig).parameters.keys():
+    _TWICE = {}
 # Modes that a sample brings to rest have z = 0: a rate of minus infinity, which this stands for.
 _AT_ONCE = 1e-12
 
@@ -74,10 +81,11 @@ def eigenvalues(matrix: Array) -> Array:
     """Of a square matrix of real numbers, in no order; derivatives of any order where they are distinct.
 
     A first derivative reads eigenvectors, and JAX differentiates these only where it is told to: how long
-    they are and which way they point does not matter here.
+    they are and which way they point does not matter here. Its first versions of 0.10 cannot be told; then
+    there are first derivatives alone.
     """
     return jax.lax.linalg.eig(
-        matrix, compute_left_eigenvectors=False, compute_right_eigenvectors=False, enable_eigvec_derivs=True
+        matrix, compute_left_eigenvectors=False, compute_right_eigenvectors=False, **_TWICE
     )[0]
 
 

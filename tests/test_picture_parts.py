@@ -293,6 +293,11 @@ def test_a_panel_has_room_for_its_legend_above_all_lines():
         key = ax.get_legend()
         assert [text.get_text() for text in key.get_texts()] == list(names) and key._ncols == min(3, count)
         assert ax.get_xlim() == (0.0, 2.0)
+    figure = Figure(figsize=(2.35, 1.5))  # as wide as a panel of three in a row
+    ax = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    _responses._draw(ax, ts, panel(np.zeros((3, 3)), names=_panels.numbered("contact", 3)), reached)
+    figure.draw_without_rendering()
+    assert ax.get_legend().get_window_extent().x0 > 0.0 and ax.get_legend()._ncols == 2
     ax = axes()
     _responses._draw(ax, ts[1:2], panel([NAN, 4.0, NAN], names=("one",)), np.array([False, True, False]))
     assert ax.get_legend() is None and ax.lines[0].get_marker() == "o"

@@ -18,8 +18,11 @@ from ._style import CYCLE, Picture, save_figure, tidy
 from ._views import how_it_ended, single, visible
 
 _COLUMNS = 3
-# Names side by side in a legend, and the height of a row of them as a share of the range of values.
-_ABREAST, _LEGEND = 3, 0.17
+# Names side by side in a legend, long words among them or not, and the height of a row of them as a share of
+# the range of values.
+_ABREAST, _LEGEND = (3, 2), 0.17
+# Letters of a word of which three fit beside each other.
+_WORD = 7
 # Dashes of a line that lies on an earlier one, within this share of the panel's range: both are seen.
 _ON, _DASHES = 0.01, ((0, (4, 4)), (0, (1.2, 6.8)))
 # Characters of a number beside a mark of time, of which there is room for as many as matplotlib takes.
@@ -129,10 +132,11 @@ def _draw(ax: Axes, ts: np.ndarray, panel: Panel, reached: np.ndarray) -> None:
         ax.axhline(0.0, color="#BBBBBB", lw=0.7, zorder=0)
     if len(panel.names) > 1:
         # Above all lines: no free place need be left among them.
-        rows = -(-len(panel.names) // _ABREAST)
+        abreast = _ABREAST[any(len(name) > _WORD for name in panel.names if "$" not in name)]
+        rows = -(-len(panel.names) // abreast)
         ax.set_ylim(low, high + _LEGEND * rows * (high - low))
         ax.legend(
-            ncols=min(_ABREAST, len(panel.names)),
+            ncols=min(abreast, len(panel.names)),
             loc="upper right",
             borderaxespad=0.1,
             fontsize=7.5,

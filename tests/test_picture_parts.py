@@ -667,6 +667,17 @@ def test_values_of_a_contact_are_listed_in_their_units():
     assert [text.get_text() for text in other.texts][4:8:3] == ["180.00", "−179.94"]
 
 
+def test_values_of_a_contact_of_any_size_have_digits_that_tell_them():
+    """Of a finger of 0.1 mm lengths in mm, and curvatures in 1/m, have other decimals than of a gripper."""
+    at = contact(1.5e-3, -2.25e-3, 7e-3, 6.5e-3)
+    at.s, at.psi_0, at.theta_1, at.kappa_0, at.kappa_1 = 4e-6, 0.5 * np.pi, 0.0, 5e4, -12345.6
+    _contact_figure._list_values(ax := axes(), at)
+    small = ["0.00400", "90.00", "0.00", "0.00150", "−0.00225", "0.00700", "0.00650", "50000", "−12346"]
+    assert [text.get_text() for text in ax.texts][1::3] == small
+    sizes = (0.0, 0.004, -9999.0, 1e4, np.nan)
+    assert [_contact_figure._decimals([x, 0.0]) for x in sizes] == [2, 5, 2, 0, 2]
+
+
 # Contours and what was fitted.
 
 

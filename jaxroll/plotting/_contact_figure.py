@@ -27,6 +27,8 @@ _SHORT = 0.5
 _WIDTH = 7.4
 # Tangents that differ by no more [rad] are drawn as one.
 _ALIKE = 1e-3
+# From this size on a value has no decimals, for which there is no room.
+_LONG = 1e4
 
 
 @guarded
@@ -260,13 +262,14 @@ def _list_values(ax: Axes, at: _Numbers) -> None:
         (r"$\kappa_0$", at.kappa_0, "1/m"),
         (r"$\kappa_1$", at.kappa_1, "1/m"),
     ]
+    digits = {unit: _decimals([value for _, value, other in rows if other == unit]) for *_, unit in rows}
     ax.set_axis_off()
     ax.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0))
     for k, (name, value, unit) in enumerate(rows):
-        rounded = round(float(value), 2) + 0.0
+        rounded = round(float(value), digits[unit]) + 0.0
         if unit == "°" and rounded <= -180.0:  # the angle of opposite directions has one sign
             rounded += 360.0
-        number = f"{rounded:.2f}".replace("-", "\N{MINUS SIGN}")
+        number = f"{rounded:.{digits[unit]}f}".replace("-", "\N{MINUS SIGN}")
         row: Any = {"textcoords": "offset points", "va": "top", "color": GUIDE}
         for x, text, size, side in (
             (0.0, name, 10, "left"),
@@ -274,3 +277,11 @@ def _list_values(ax: Axes, at: _Numbers) -> None:
             (0.8, unit, 9, "left"),
         ):
             ax.annotate(text, (x, 1.0), xytext=(0.0, -6.0 - 19.0 * k), fontsize=size, ha=side, **row)
+
+
+def _decimals(values: list[Any]) -> int:
+    """How many decimals values of one unit have: two, more where all are small, none where they are long."""
+    peak = float(np.max(np.abs(values)))
+    if not 0.0 < peak < np.inf:
+        return 2
+    return 0 if peak >= _LONG else max(2, 2 - int(np.floor(np.log10(peak))))

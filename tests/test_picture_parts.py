@@ -1323,6 +1323,15 @@ def test_a_frame_is_shown_no_longer_than_a_gif_can_say():
         _animate3._paced(np.linspace(0.0, 3.0, 300), 25.0, 1e-5)
     with pytest.raises(ValueError, match="argument fps must show no frame"):
         _animate3._paced(np.linspace(0.0, 3.0, 300), 1e-3, 1.0)
+    # Frames of one saved state are one frame of a GIF.
+    with pytest.raises(ValueError, match="argument speed must show no frame for more than 655 s, but was 0"):
+        _animate3._paced(np.array([0.0, 0.5]), 25.0, 2e-4)
+    rows = np.array([0, 0, 0, 1, 1])
+    _film.check_stays("speed", 0.5, rows, 218.0)
+    with pytest.raises(ValueError, match="argument speed"):
+        _film.check_stays("speed", 0.5, rows, 219.0)
+    with pytest.raises(ValueError, match="argument speed"):  # the last one is held
+        _film.check_stays("speed", 0.5, rows[2:], 654.0)
 
 
 def test_the_clock_of_a_short_film_has_as_many_digits_as_it_needs():
@@ -1804,6 +1813,8 @@ def test_a_run_is_played_as_fast_as_is_asked_unless_that_takes_too_many_frames(m
     assert told == [(1, 1), *((k, 6) for k in range(1, 7)), *((k, 6) for k in range(1, 7))]
     with pytest.raises(ValueError, match="argument speed must leave at most 5000 frames, but asks for 5.4e"):
         played(fps=25.0, speed=0.6 / 0.04 / 5400.0)
+    with pytest.raises(ValueError, match="argument speed must show no frame for more than 655 s, but was 5"):
+        played(fps=0.1, speed=5e-5)
 
 
 def test_labels_stand_beside_their_places_with_a_line_to_them_where_they_are_far():

@@ -12,7 +12,7 @@ from .._mechanics import Grasp
 from ._animate3 import animate3
 from ._artists import Drawing, limits
 from ._doors import check_frames, guarded
-from ._film import checked_path, clock_texts, hundredths, write_film
+from ._film import check_stays, checked_path, clock_texts, hundredths, write_film
 from ._forces import Arrows, arrows, key
 from ._forces3 import pushes
 from ._gif import nearest_rows
@@ -65,8 +65,9 @@ def animate(
     Raises:
         ValueError: If the trajectory is a batch, `path` ends otherwise or there is no ffmpeg, a number is not
             positive, `until` comes before the first saved state, there would be more than 5000 frames in the
-            plane, `view` is given for a grasp in the plane, or `forces` is True and the run was not
-            simulated with `record=("multipliers",)`.
+            plane, a saved state would stay for more than the 655 s that a GIF can say, `view` is given for a
+            grasp in the plane, or `forces` is True and the run was not simulated with
+            `record=("multipliers",)`.
 
     Example:
         >>> import tempfile
@@ -92,6 +93,7 @@ def animate(
     delay = hundredths(fps)
     check_frames("speed", (ts[-1] - ts[0]) / (0.01 * delay * speed))
     seen_at = nearest_rows(ts, 0.01 * delay * speed)
+    check_stays("speed", speed, seen_at, 0.01 * delay)
     ts, picks = ts[seen_at], rows[seen_at]
     states = jax.tree.map(lambda a: np.asarray(a)[picks], trajectory.states)
     seen = views(grasp, states)

@@ -87,4 +87,6 @@ def _paced(ts: np.ndarray, fps: float, speed: float) -> tuple[np.ndarray, int]:
     delay = 0.01 * _film.hundredths(fps)
     slowest = (ts[-1] - ts[0]) / speed / (_MOST - 1)
     delay = max(delay, 0.01 * np.ceil(100.0 * _film.check_delay("speed", speed, slowest) - 1e-9))
-    return _gif.nearest_rows(ts, delay * speed), round(1000.0 * delay)
+    rows = _gif.nearest_rows(ts, delay * speed)
+    _film.check_stays("speed", speed, rows, delay)
+    return rows, round(1000.0 * delay)

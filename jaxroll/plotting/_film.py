@@ -55,6 +55,20 @@ def check_delay(name: str, value: float, delay: float) -> float:
     return delay
 
 
+def check_stays(name: str, value: float, rows: np.ndarray, delay: float) -> None:
+    """Raise if one saved state stays for longer than a GIF can say, whose like frames are one.
+
+    Args:
+        name: The argument that makes it so.
+        value: What that was.
+        rows: The saved state that each frame shows.
+        delay: How long a frame stays [s].
+    """
+    stays = delay * np.unique(rows, return_counts=True)[1]
+    stays[-1] += 1e-3 * _HOLD - delay
+    check_delay(name, value, float(stays.max()))
+
+
 def hundredths(fps: float) -> int:
     """How long a frame stays, as a GIF counts: in hundredths of a second, of which browsers want two."""
     return max(2, round(100.0 * check_delay("fps", fps, 1.0 / fps)))

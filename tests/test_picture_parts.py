@@ -1817,6 +1817,18 @@ def test_a_run_is_played_as_fast_as_is_asked_unless_that_takes_too_many_frames(m
         played(fps=0.1, speed=5e-5)
 
 
+@pytest.mark.parametrize(("size", "above"), [(3.0, True), (5.5, False)])
+def test_the_pace_of_a_film_keeps_clear_of_its_clock(size, above):
+    """Over a narrow grasp it has a line of its own."""
+    grasp, run = runs.scene("pivoted")[0], runs.run("pivoted")
+    seen = _views.views(grasp, run.states)
+    look = {"corners": _artists.limits(seen), "size": size, "speed": 0.5, "clock": "t = 0.60 s"}
+    stage = _animate._Stage(grasp, seen, None, **look)
+    clock, pace = (text.get_window_extent() for text in (stage.clock, stage.pace))
+    assert (pace.y0 > clock.y1, pace.x0 > clock.x1) == (above, not above)
+    assert pace.y1 < stage.ax.figure.bbox.height
+
+
 def test_labels_stand_beside_their_places_with_a_line_to_them_where_they_are_far():
     """Three points and the label's own free space away, on an axes of two pixels to a point."""
     figure = Figure(figsize=(5.0, 4.0), dpi=144.0)

@@ -99,9 +99,10 @@ def animate(
     seen = views(grasp, states)
     corners = limits(seen, above=0.05 * drawn)
     shafts = arrows(grasp, trajectory, picks, seen, corners=corners) if drawn else None
-    stage = _Stage(grasp, seen, shafts, corners=corners, size=size, speed=speed)
+    clocks, look = clock_texts(ts), {"corners": corners, "size": size, "speed": speed}
+    stage = _Stage(grasp, seen, shafts, **look, clock=max(clocks, key=len))
     frames = []
-    for i, clock in enumerate(clock_texts(ts)):
+    for i, clock in enumerate(clocks):
         frames.append(stage.frame(i, clock))
         if progress is not None:
             progress(i + 1, len(ts))
@@ -131,6 +132,7 @@ class _Stage:
         corners: np.ndarray,
         size: float,
         speed: float,
+        clock: str,
     ) -> None:
         low, high = corners
         width, height = size * (high - low) / (high - low).max()
@@ -141,9 +143,10 @@ class _Stage:
         ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
         ax.ticklabel_format(style="plain")  # a power of ten would stand where the clock is
         tidy(ax, xlabel="x [mm]", ylabel="y [mm]")
-        self.clock = ax.text(0.0, 1.02, "t", transform=ax.transAxes, fontsize=10)
+        # With its longest text, which says what room there is beside it.
+        self.clock = ax.text(0.0, 1.02, clock, transform=ax.transAxes, fontsize=10)
         pace = "real time" if speed == 1.0 else f"shown at {speed:g} x real time"
-        ax.text(1.0, 1.02, pace, transform=ax.transAxes, fontsize=8, ha="right", color="#555555")
+        self.pace = ax.text(1.0, 1.02, pace, transform=ax.transAxes, fontsize=8, ha="right", color="#555555")
         # Drawn by hand in every frame, and so in the order in which matplotlib would draw them.
         moving = sorted([*ax.lines, *ax.patches], key=lambda a: a.get_zorder())
         self.moving = [*moving, self.clock]
@@ -156,6 +159,9 @@ class _Stage:
     def _freeze(self, figure: Picture) -> None:
         # Laid out once: the axes must not move from frame to frame.
         figure.draw_without_rendering()
+        clock, pace, axes = (each.get_window_extent() for each in (self.clock, self.pace, self.ax))
+        if clock.x1 + clock.height > pace.x0:  # of a narrow grasp it has a line of its own
+            self.pace.set_y(1.02 + 1.4 * clock.height / axes.height)
         figure.draw_without_rendering()
         figure.set_layout_engine("none")
         for artist in self.moving:

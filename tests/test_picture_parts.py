@@ -428,11 +428,14 @@ def test_a_picture_holds_all_that_is_drawn_at_any_time():
         joints=[np.array([[[-30.0, 1.0], [0.0, 0.0]]])],
         guides=(np.array([[[0.0, -40.0], [1.0, 1.0]]]),),
         frames=(np.array([still]), np.array([still, moved])),
+        radii=(None,),
     )
     # A quarter turn takes (x, y) to (-y, x): the upper right corner is at (10 + 1, 20 + 4).
     np.testing.assert_allclose(_artists.limits(seen), [[-36.0, -46.0], [17.0, 30.0]])
     np.testing.assert_allclose(_artists.limits(seen, 1.0), [[-31.0, -41.0], [12.0, 25.0]])
     np.testing.assert_allclose(_artists.limits(seen, 1.0, above=0.1), [[-31.0, -41.0], [12.0, 31.6]])
+    seen.radii = (10.0,)  # the square at the base of such links is 30 mm wide
+    np.testing.assert_allclose(_artists.limits(seen), [[-46.0, -56.0], [27.0, 40.0]])
 
 
 @pytest.mark.parametrize(("size", "share"), [(1e-2, 0.2), (1.0, 6.0 / 80.0), (1e3, 0.036), (1e3, 0.02)])
@@ -443,10 +446,30 @@ def test_there_is_room_around_what_is_small_or_large(size, share):
     joints = [np.array([size * np.array([[-40.0, 0.0], [40.0, 0.0], [-10.0, 0.0]])])][: share != 0.02]
     guide = np.array([[[-40.0 * size, 0.0], [40.0 * size, 0.0]]])
     seen: Any = SimpleNamespace(body=shape, tips=(), joints=joints, guides=(guide,), frames=(still,))
+    seen.radii = ()
     if joints:
         share = max(share, 1.6 * 0.045 * 65.0 / 80.0)
     low, high = _artists.limits(seen)
     np.testing.assert_allclose([-40.0 * size - low[0], high[0] - 40.0 * size], 80.0 * size * share)
+
+
+def test_links_that_have_a_radius_are_drawn_with_it():
+    """As runs and `link_clearance` take them; others are as wide as looks well."""
+    wider = lambda grasp, i: eqx.tree_at(  # noqa: E731
+        lambda g: g.fingers[i].link_radius, grasp, np.array(0.006), is_leaf=lambda x: x is None
+    )
+    grasp = wider(runs.scene("pinch")[0], 0)
+    seen = _views.views(grasp, runs.run("pinch").states)
+    made = _artists.Drawing(axes(), grasp, seen)
+    made.show(0)
+    wide, slim = (links[0].get_xy()[:-1] for links in made.links)
+    np.testing.assert_allclose(wide, _artists._capsule(*seen.joints[0][0, :2], 6.0))
+    assert 2.0 < 0.5 * np.linalg.norm(slim[0] - slim[12]) < 3.0
+    grasp = wider(runs.scene("pinch3d")[0], 1)
+    scene = _scene3.scene3(grasp, _views3.scene_motion(grasp, runs.run("pinch3d").states))
+    np.testing.assert_array_equal(scene.radii, (None, 6.0))
+    lowest = min(skeleton[..., 2].min() for skeleton in scene.skeletons)
+    assert scene.thickness < 6.0 and scene.corners[0, 2] <= lowest - 6.0
 
 
 def test_names_in_the_legend_count_contacts_and_fingers():
@@ -1412,6 +1435,7 @@ def seen_twice():
         rolled=((path, 2.0 * path), (3.0 * path, 4.0 * path)),
         guides=(np.array([[[0.0, 0.0], [0.0, 0.0]], [[9.0, 6.0], [7.0, 8.0]]]),),
         owners=(1, 0),
+        radii=(None, None),
     )
 
 
@@ -1636,15 +1660,15 @@ def test_both_sides_of_an_open_surface_are_lit_and_of_a_closed_one_is_seen_what_
 def test_a_finger_has_a_tube_for_each_link_and_a_ball_at_each_joint_but_the_tip():
     joints = np.array([[0.0, 0.0, 0.0], [3.0, 4.0, 0.0], [3.0, 4.0, 6.0]])
     towards = light = np.array([0.0, 0.0, 1.0])
-    parts = _drawing3._limbs(joints, 0.5, towards, light)
+    parts = _drawing3._limbs(joints, (0.5, 1.45), towards, light)
     assert len(parts) == 4
     for (corners, colours), centre in zip(parts[2:], joints[:2], strict=True):
         apart = np.linalg.norm(corners - centre, axis=-1)
         np.testing.assert_allclose(apart, 0.725)
         assert len(corners) == len(colours) and (corners[..., 2].mean(axis=1) > centre[2] - 0.15).all()
     assert np.linalg.norm(parts[0][0][..., :2], axis=-1).max() < 5.5 and parts[1][0][..., 2].max() == 6.0
-    assert len(_drawing3._limbs(joints[:2], 0.5, towards, light)) == 2
-    assert _drawing3._limbs(joints[:1], 0.5, towards, light) == []
+    assert len(_drawing3._limbs(joints[:2], (0.5, 1.45), towards, light)) == 2
+    assert _drawing3._limbs(joints[:1], (0.5, 1.45), towards, light) == []
     # What is seen of a tube is a little more than the half that faces the camera: 8 of 14 strips.
     whole, normals = _tubes.tube_mesh(joints[0], joints[1], 0.5)
     np.testing.assert_allclose(parts[0][0], whole[normals @ towards > -0.1])
@@ -2025,17 +2049,21 @@ def test_a_view_may_say_one_angle_and_leave_the_other():
         assert _poses3.facing(scene, jxr.plotting.View(elevation, azimuth)) == found
 
 
-def test_pieces_of_a_link_as_near_as_the_tip_itself_go_where_the_tip_goes():
-    """Of an object before all of the finger; corners of the tip are sqrt(14) from its frame."""
+@pytest.mark.parametrize(("radius", "look"), [(None, (0.5, 1.45)), (0.8, (0.8, 1.0))])
+def test_pieces_of_a_link_as_near_as_the_tip_itself_go_where_the_tip_goes(radius, look):
+    """Of an object before all of the finger; corners of the tip are sqrt(14) from its frame.
+
+    Links that have a radius have joints as wide as they are.
+    """
     towards = light = np.array([1.0, 0.0, 0.0])
     ahead = np.tile([10.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (2, 1))
     body = _scene3.Solid(_scene3.box_mesh(np.array([1.0, 1.0, 1.0])), ahead, -1)
     tip = solid(_scene3.box_mesh(np.array([2.0, 4.0, 6.0])))
     skeleton = np.array([[0.0, 0.0, -20.0], [0.0, 4.0, -10.0], [0.0, 0.0, 0.0]])
     scene = SimpleNamespace(
-        solids=(body, tip), skeletons=[np.stack([skeleton + 50.0, skeleton])], thickness=0.5
+        solids=(body, tip), skeletons=[np.stack([skeleton + 50.0, skeleton])], thickness=0.5, radii=(radius,)
     )
-    pieces = [corners for corners, _ in _drawing3._limbs(skeleton, 0.5, towards, light)]
+    pieces = [corners for corners, _ in _drawing3._limbs(skeleton, look, towards, light)]
     near = np.concatenate(pieces)
     near = near[np.linalg.norm(near.mean(axis=1), axis=1) < 14.0**0.5]
     faces, _ = _drawing3._faces(tip, 1, towards, light)

@@ -26,7 +26,8 @@ from ._style import (
 )
 from ._views import place, Views
 
-# Radius of links as a share of the fingers' size. The square at a base is one and a half times as large.
+# Radius of links that have none of their own, as a share of the fingers' size. The square at a base is one
+# and a half times as large as they are wide.
 _RADIUS = 0.045
 _SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 _TURN = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 13)
@@ -55,7 +56,8 @@ class Drawing:
         self.seen, self.forces, self.traced = seen, forces, traced
         self.jointed = any(joints.shape[1] > 1 for joints in seen.joints)
         self.pivoted = isinstance(grasp.object, PivotedObject)
-        self.radius = _RADIUS * MM * float(np.mean([f.size for f in grasp.fingers]))
+        slim = _RADIUS * MM * float(np.mean([f.size for f in grasp.fingers]))
+        self.radii = [slim if radius is None else radius for radius in seen.radii]
         # All artists are made once, empty; `show` gives them their places.
         fill = partial(_polygon, ax, np.zeros((3, 2)))
         line = lambda *args, **style: ax.plot([], [], *args, **style)[0]  # noqa: E731
@@ -85,11 +87,12 @@ class Drawing:
         seen = self.seen
         for body, frames in zip(self.bodies, seen.frames, strict=True):
             body.show(frames[i])
-        for links, pins, base, joints in zip(self.links, self.pins, self.bases, seen.joints, strict=True):
+        limbs = zip(self.links, self.pins, self.bases, self.radii, seen.joints, strict=True)
+        for links, pins, base, radius, joints in limbs:
             for link, ends in zip(links, zip(joints[i, :-1], joints[i, 1:], strict=True), strict=True):
-                link.set_xy(_capsule(*ends, self.radius))
+                link.set_xy(_capsule(*ends, radius))
             pins.set_data(*joints[i, :-1].T)
-            base.set_xy(joints[i, 0] + 1.5 * self.radius * _SQUARE)
+            base.set_xy(joints[i, 0] + 1.5 * radius * _SQUARE)
             base.set_visible(joints.shape[1] > 1)  # a jaw has none to show
         for guide, ends in zip(self.guides, seen.guides, strict=True):
             guide.set_data(*ends[i].T)
@@ -209,6 +212,7 @@ def limits(seen: Views, margin: float | None = None, *, above: float = 0.0) -> n
         across = float(np.max(high - low))
         links = [np.linalg.norm(np.diff(j[0], axis=0), axis=-1) for j in seen.joints if j.shape[1] > 1]
         base = 1.6 * _RADIUS * max((float(lengths.mean()) for lengths in links), default=0.0)
-        margin = max(min(6.0, 0.2 * across), 0.02 * across, base)
+        thick = 1.6 * max((radius for radius in seen.radii if radius is not None), default=0.0)
+        margin = max(min(6.0, 0.2 * across), 0.02 * across, base, thick)
     low, high = low - margin, high + margin
     return np.stack([low, high + np.array([0.0, above * (high[1] - low[1])])])

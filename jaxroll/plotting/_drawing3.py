@@ -30,6 +30,8 @@ from ._tubes import ball, camera, chequered, lit, tube_mesh
 Axes3 = Any
 # How much of what is behind a body is hidden.
 _OPAQUE = 0.86
+# Radius of joints over that of links that have none of their own.
+_SWOLLEN = 1.45
 _WHITE = {"color": "white", "solid_capstyle": "round"}
 
 
@@ -99,7 +101,10 @@ class Drawing3:
             (before if nearer else behind).append(faces)
             # Pieces of links as near to the tip's frame as its own triangles go where the tip goes.
             reach = np.linalg.norm(faces[0] - skeleton[-1], axis=-1).max(initial=0.0)
-            for corners, colours in _limbs(skeleton, scene.thickness, towards, light):
+            radius = scene.radii[solid.finger]
+            # Links with a radius are capsules, whose ends are no wider than they are.
+            look = (scene.thickness, _SWOLLEN) if radius is None else (radius, 1.0)
+            for corners, colours in _limbs(skeleton, look, towards, light):
                 middles = corners.mean(axis=1)
                 within = np.linalg.norm(middles - skeleton[-1], axis=-1) < reach
                 first = np.where(within, nearer, middles @ towards > centre)
@@ -205,12 +210,14 @@ def _faces(solid: Solid, i: int, towards: np.ndarray, light: np.ndarray) -> tupl
 
 
 def _limbs(
-    joints: np.ndarray, radius: float, towards: np.ndarray, light: np.ndarray
+    joints: np.ndarray, look: tuple[float, float], towards: np.ndarray, light: np.ndarray
 ) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Links of a radius, and joints of some times that radius: the numbers of `look`."""
     if len(joints) < 2:
         return []
+    radius, swell = look
     parts = [(*tube_mesh(a, b, radius), LINK_BODY) for a, b in zip(joints[:-1], joints[1:], strict=True)]
-    parts += [(*ball(joint, 1.45 * radius), JOINT_BODY) for joint in joints[:-1]]
+    parts += [(*ball(joint, swell * radius), JOINT_BODY) for joint in joints[:-1]]
     found = []
     for corners, normals, colour in parts:
         # A little beyond the edge that is seen, since each strip has one normal.

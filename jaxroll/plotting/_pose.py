@@ -24,9 +24,9 @@ from ._views3 import check_options, scene_motion, View
 def pose(grasp: Grasp, state: State, *, ax: Axes | None = None, view: View | None = None) -> Figure:
     """Draw one pose with its true contours or surfaces, to scale.
 
-    Open contours are closed by a thin rounded back, which is drawing only. The dashed line joins
-    what must fall in line with the contact at rest: under `control.Press` the tip frame and the
-    target, for two fingers their tip frames.
+    Open contours are closed by a thin rounded back, which is drawing only, as is the width of links without a
+    `link_radius`. The dashed line joins what must fall in line with the contact at rest: under
+    `control.Press` the tip frame and the target, for two fingers their tip frames.
 
     In space, surfaces have a pattern of patches that shows how they turn; those without end are drawn about
     the contact.

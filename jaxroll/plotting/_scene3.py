@@ -9,6 +9,7 @@ from ..geometry import AbstractSurface
 from ._meshes import box_mesh, endless, Mesh, mesh
 from ._motion3 import Motion3D, placed, turned
 from ._style import MM
+from ._views import link_radii
 
 # Half the width of an endless surface, over the size of what is bounded.
 _BEYOND = 0.75
@@ -69,9 +70,10 @@ class Scene3:
         skeletons: Points from base to tip for each finger, shape (t, points, 3) [mm].
         on_tips: For each contact its locus on the fingertip.
         on_object: For each contact its locus on the object.
-        thickness: Radius of the links [mm].
+        thickness: Radius of links that have none of their own [mm].
         corners: Least and largest coordinates at any time, shape (2, 3) [mm].
         tip_name: What the object touches is called: a fingertip or a stage.
+        radii: Of each finger's links [mm]; None where they have none of their own.
     """
 
     solids: tuple[Solid, ...]
@@ -81,6 +83,7 @@ class Scene3:
     thickness: float
     corners: np.ndarray
     tip_name: str
+    radii: tuple[float | None, ...]
 
     @property
     def times(self) -> int:
@@ -110,8 +113,10 @@ def scene3(
     skeletons = tuple(MM * skeleton[:, first:] for skeleton in motion.skeletons)
     sizes = [_size(s.mesh) for s in solids if s.finger >= 0 and s.mesh.closed] or [MM * _DEFAULT_SIZE]
     thickness = _SLIM * min(sizes)
-    corners = _corners(solids, skeletons, thickness)
-    return Scene3(solids, skeletons, tuple(on_tips), tuple(on_object), thickness, corners, tip_name(grasp))
+    radii = link_radii(grasp)
+    corners = _corners(solids, skeletons, max(thickness, *(radius or 0.0 for radius in radii)))
+    loci, name = (tuple(on_tips), tuple(on_object)), tip_name(grasp)
+    return Scene3(solids, skeletons, *loci, thickness, corners, name, radii)
 
 
 def tip_name(grasp: Grasp) -> str:

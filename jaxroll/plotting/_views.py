@@ -32,6 +32,7 @@ class Views:
         rolled: For each contact, its path on the fingertip and on the object, each of shape (t, 2).
         guides: Shape (t, 2, 2) for each line that equilibrium asks for.
         owners: For each contact, which finger it belongs to.
+        radii: Of each finger's links [mm]; None where they have none of their own.
     """
 
     tips: tuple[Outline, ...]
@@ -43,6 +44,7 @@ class Views:
     rolled: tuple[tuple[np.ndarray, np.ndarray], ...]
     guides: tuple[np.ndarray, ...]
     owners: tuple[int, ...]
+    radii: tuple[float | None, ...]
 
 
 def place(frame: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -117,7 +119,14 @@ def views(grasp: Grasp, states: State) -> Views:
         tuple(rolled),
         _guides(grasp, [j[:, -1] for j in joints]),
         tuple(contact.finger for contact in contacts.values()),
+        link_radii(grasp),
     )
+
+
+def link_radii(grasp: Grasp) -> tuple[float | None, ...]:
+    """Radius of each finger's links [mm], as runs take it; None where they have none."""
+    given = [getattr(finger, "link_radius", None) for finger in grasp.fingers]
+    return tuple(None if radius is None else MM * float(radius) for radius in given)
 
 
 @compiled

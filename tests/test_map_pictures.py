@@ -159,7 +159,7 @@ def drawn(data, label="height"):
     """The axes of a map, and the figure with what was added to it."""
     figure = Figure()
     ax = figure.subplots()
-    _map_figure._draw(ax, data, label)
+    _map_figure._draw(ax, data, label, alone=True)
     return ax, figure
 
 
@@ -190,6 +190,20 @@ def test_a_cell_has_the_colour_of_its_code():
     assert key.get_title().get_text() == "height" and key._ncols == 3
     shown = [patch.get_facecolor() for patch in key.get_patches()]
     np.testing.assert_allclose(shown, colours)
+
+
+def test_maps_that_share_a_figure_have_a_legend_each():
+    """Below the figure one lay over the other."""
+    figure = Figure(figsize=(9.0, 4.0))
+    axes = figure.subplots(1, 2)
+    grid = jxr.Parameters.grid(a=[1.0, 2.0, 3.0], b=[4.0, 5.0])
+    for ax, values, label in zip(axes, (grid.a > 1.5, grid.b > 4.5), ("one", "two"), strict=True):
+        parameter_map(grid, values, ax=ax, label=label)
+    figure.draw_without_rendering()
+    assert not figure.legends and [ax.get_legend().get_title().get_text() for ax in axes] == ["one", "two"]
+    for ax in axes:
+        inner, outer = ax.get_legend().get_window_extent(), ax.get_window_extent()
+        assert outer.x0 < inner.x0 and inner.x1 < outer.x1 and outer.y0 < inner.y0 and inner.y1 < outer.y1
 
 
 def test_values_have_a_bar_and_cells_without_one_are_grey():

@@ -51,7 +51,7 @@ def parameter_map(
             grid is taken. Default: the one in the middle.
         label: What the value is, with its unit.
         title: What stands above; where other parameters are held is told beside it.
-        ax: Axes to draw on. Default: a new figure.
+        ax: Axes to draw on, with the legend of codes within them. Default: a new figure, with it below.
 
     Returns:
         The figure.
@@ -70,7 +70,7 @@ def parameter_map(
     data = map_data(parameters, values, x=x, y=y, at=at)
     figure: Any = Picture(6.4, 4.6) if ax is None else ax.figure
     axes: Any = figure.add_subplot() if ax is None else ax
-    _draw(axes, data, label)
+    _draw(axes, data, label, alone=ax is None)
     told = f"{title}; {data.held}" if title and data.held else title or data.held
     tidy(axes, xlabel=data.x.label, ylabel=data.y.label, title=told)
     return figure
@@ -83,7 +83,7 @@ def code_colours(codes: tuple[str, ...]) -> list[str]:
     return [plain.get(code) or next(rest) for code in codes]
 
 
-def _draw(ax: Axes, data: MapData, label: str) -> None:
+def _draw(ax: Axes, data: MapData, label: str, *, alone: bool) -> None:
     look: dict[str, Any] = {"cmap": SCALE}
     if data.codes:
         colours = code_colours(data.codes)
@@ -113,10 +113,22 @@ def _draw(ax: Axes, data: MapData, label: str) -> None:
         bar.set_label(label, fontsize=9)
         bar.ax.tick_params(labelsize=8, length=3, width=0.7, color="#777777")
         bar.outline.set_linewidth(0.5)  # pyright: ignore[reportCallIssue]
-    _legend(ax, data, label)
+    entries = _entries(data)
+    if entries:
+        # Of maps that share a figure each has its own within it: below, they would lie over each other.
+        below = {"loc": "outside lower center", "frameon": False}
+        where: dict[str, Any] = below if alone else {"loc": "upper right"}
+        (ax.figure if alone else ax).legend(
+            handles=entries,
+            title=label if data.codes else None,
+            ncols=min(len(entries), 3) if alone else 1,
+            fontsize=8,
+            title_fontsize=8,
+            **where,
+        )
 
 
-def _legend(ax: Axes, data: MapData, label: str) -> None:
+def _entries(data: MapData) -> list[Patch]:
     """Codes with their shares, and what grey means where something is grey."""
     share = lambda mask: f"{100.0 * np.mean(mask):.3g} %"  # noqa: E731
     entries = [
@@ -126,16 +138,7 @@ def _legend(ax: Axes, data: MapData, label: str) -> None:
     missing = ~np.isfinite(data.z)
     if missing.any():
         entries.append(Patch(fc=NOTHING, ec="#888888", lw=0.4, label=f"no number, {share(missing)}"))
-    if entries:
-        ax.figure.legend(
-            handles=entries,
-            title=label if data.codes else None,
-            loc="outside lower center",
-            ncols=min(len(entries), 3),
-            fontsize=8,
-            title_fontsize=8,
-            frameon=False,
-        )
+    return entries
 
 
 def _edges(axis: Side) -> np.ndarray:

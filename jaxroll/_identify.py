@@ -66,7 +66,7 @@ class Identified:
         covariance: Shape (n, n), in the order of `values`; infinite in the rows and columns of such numbers.
         noise: Standard deviation of the measurements that was given, or that the misfit shows.
         misfit: Root mean square of measured minus computed, over the noise: about one where model and noise
-            are right.
+            are right; zero where they fit exactly.
         steps: How many steps were tried.
         result: `successful`; `max_steps_reached`, of the search; `solver_failed` where it ended at a kink, a
             jump or beside numbers without a run, though no minimum is there; `undetermined` where the data
@@ -192,7 +192,7 @@ def identify(
     left, slopes, ended = seen
     free = data.size - len(names)
     spread = 1.0 if noise is not None else np.sqrt(float(left @ left) / free)
-    covariance = spread**2 * np.outer(start, start) * _inverse(slopes)
+    covariance = _covariance(slopes, spread * start)
     deviations = np.sqrt(np.diag(covariance))
     values = x * start
     told = np.any(deviations < _GUESSED * np.abs(values))
@@ -201,7 +201,7 @@ def identify(
         dict(zip(names, deviations.tolist(), strict=True)),
         covariance,
         _given(sigma) if noise is not None else spread,
-        float(np.sqrt(np.mean(left**2))) / spread,
+        float(np.sqrt(np.mean(left**2))) / (spread or 1.0),
         count,
         _outcome(result, int(ended), told=bool(told)),
     )
@@ -307,6 +307,16 @@ def _inverse(slopes: np.ndarray) -> np.ndarray:
     unknown = np.any(np.abs(ways[~told]) > part, axis=0)
     inverse[unknown, :] = inverse[:, unknown] = np.inf
     return inverse
+
+
+def _covariance(slopes: np.ndarray, units: np.ndarray) -> np.ndarray:
+    """The covariance of numbers, from the derivative and what each is scaled by, times the noise.
+
+    What the data tell nothing of stays infinite where they fit exactly, and the noise they show is zero.
+    """
+    inverse = _inverse(slopes)
+    told = np.isfinite(inverse)
+    return np.multiply(np.outer(units, units), inverse, out=np.full_like(inverse, np.inf), where=told)
 
 
 def _joints(grasp: Grasp, run: Any) -> jax.Array:

@@ -363,3 +363,14 @@ def test_times_of_measurements_rise_from_zero_or_later(ts):
     with pytest.raises(ValueError, match="argument ts must"):
         _identify._times(ts)
     np.testing.assert_array_equal(_identify._times([0.0, 0.3]), [0.0, 0.3])
+
+
+@pytest.mark.filterwarnings("error")
+def test_data_that_fit_exactly_leave_a_misfit_of_zero_and_unknown_numbers_infinite(scene, without_runs):
+    """The noise that they show is zero, which says nothing of a number that they do not depend on."""
+    seen = lambda grasp, run: jnp.array([2.0, -3.0, 1.0]) * grasp.controller.damping  # noqa: E731
+    make = lambda p: (scene[0].with_(damping=p["damping"]), scene[1])  # noqa: E731
+    guess = {"damping": 0.5, "unused": 2.0}
+    found = jxr.identify(make, guess, TS, np.array([1.0, -1.5, 0.5]), observe=seen)
+    assert found.deviations == {"damping": 0.0, "unused": np.inf}
+    assert found.misfit == 0.0 and found.noise == 0.0 and found.result == jxr.RESULTS.successful

@@ -1977,6 +1977,27 @@ def test_a_run_may_be_compared_with_none():
             _design_figure.comparison([runs.run("pivoted")], names)
 
 
+def test_many_contacts_and_runs_are_told_apart_and_named_within_the_picture():
+    run = runs.run("ring")
+    many = eqx.tree_at(
+        lambda r: (r.multipliers.f, r.multipliers.lam),
+        run,
+        tuple(np.tile(np.asarray(x)[:, :1], (1, 8)) for x in (run.multipliers.f, run.multipliers.lam)),
+    )
+    names = [f"a name of a run that is long, {k}" for k in range(4)]
+    figure = _design_figure.comparison([many] * 4, names)
+    figure.draw_without_rendering()
+    (key,) = figure.legends
+    looks = [line._unscaled_dash_pattern for line in key.get_lines()]
+    assert len(set(map(str, looks[4:]))) == 8
+    box = key.get_window_extent()
+    assert box.x0 >= 0.0 and box.x1 <= figure.bbox.width
+    ax, ts = axes(), np.arange(3.0)
+    names = tuple(f"line {k}" for k in range(12))
+    _responses._draw(ax, ts, panel(np.outer(ts, 1.0 + np.arange(12)), names=names), np.ones(3, bool))
+    assert len({line.get_color() for line in ax.get_legend().get_lines()}) == 12
+
+
 def test_a_run_that_was_lost_at_once_is_compared_without_a_line():
     whole = runs.run("pivoted")
     nothing = whole.states.q * np.nan, whole.multipliers.f * np.nan, np.asarray(0.0)

@@ -20,8 +20,13 @@ from ._style import CYCLE, GUIDE, MM, Picture, save_figure, tidy, TIP_FILL
 
 _PLACES, _TEETH = 2049, 150
 _NAMES = ("before", "after")
+# Widths [inch] of a line in a legend with the space around it, and of a letter beside it.
+_SIGN, _LETTER = 0.7, 0.075
 _COLOURS = (CYCLE[4], CYCLE[0])
-_DASHES = ("-", "--", ":")
+# Of contacts. The first few are plain; later ones have more and more dots between their dashes, and need a
+# longer line in a legend to be seen whole.
+_DASHES = ("-", "--", ":", "-.", *((0, (6, 2) + (1, 1.6) * dots) for dots in range(2, 6)))
+_PLAIN = 4
 # Titles and labels in the plane and in space: places on surfaces are no lengths that were rolled.
 _PANELS = (
     (
@@ -209,12 +214,22 @@ def _key(figure: Picture, runs: Sequence[Trajectory], names: Sequence[str]) -> N
     contacts = max(np.shape(run.multipliers.f)[-1] for run in runs if run.multipliers is not None)
     if contacts > 1:
         signs += [
-            Line2D([], [], color=GUIDE, lw=1.2, ls=_DASHES[k % 3], label=f"contact {k + 1}")
+            Line2D([], [], color=GUIDE, lw=1.2, ls=_DASHES[k % len(_DASHES)], label=f"contact {k + 1}")
             for k in range(contacts)
         ]
     if any(float(run.stats.t_end) < float(np.asarray(run.ts)[-1]) for run in runs):
         signs.append(Line2D([], [], color=GUIDE, ls="none", marker="x", mew=1.8, label="ended early"))
-    figure.legend(handles=signs, loc="outside lower center", ncols=len(signs), fontsize=8.5, frameon=False)
+    # As many side by side as there is room for, whatever their names.
+    widest = max(len(str(sign.get_label())) for sign in signs)
+    abreast = max(1, min(len(signs), int(figure.get_figwidth() / (_SIGN + _LETTER * widest))))
+    figure.legend(
+        handles=signs,
+        loc="outside lower center",
+        ncols=abreast,
+        fontsize=8.5,
+        frameon=False,
+        handlelength=2.0 if contacts <= _PLAIN else 3.2,
+    )
 
 
 def _check_comparable(runs: Sequence[Trajectory], names: Sequence[str]) -> None:
@@ -270,6 +285,6 @@ def _responses(axes: np.ndarray, run: Trajectory, name: str, colour: str) -> Non
     for ax, lines in zip(axes, panels, strict=True):
         for k, values in lines:
             label = name if k == 0 else None
-            ax.plot(ts[reached], values, color=colour, lw=1.5, ls=_DASHES[k % 3], label=label)
+            ax.plot(ts[reached], values, color=colour, lw=1.5, ls=_DASHES[k % len(_DASHES)], label=label)
             if end < float(ts[-1]):
                 ax.plot(ts[reached][-1], values[-1], "x", color=colour, ms=7, mew=1.8)

@@ -12,11 +12,11 @@ from matplotlib.patches import Patch
 from .._sweep import Parameters
 from ._doors import guarded
 from ._map_data import map_data, MapData, Side
-from ._style import CYCLE, Picture, tidy
+from ._style import CYCLE, MANY, Picture, tidy
 
 # What is well, what was not worked out, and codes in the order in which they appear.
 WELL, NOTHING = "#DCEBF5", "#C8CCD0"
-CODE_COLOURS = (*CYCLE[1:], CYCLE[0], "#882255", "#999933", "#44AA99", "#332288", "#AA4499", "#117733")
+CODE_COLOURS = (*CYCLE[1:], CYCLE[0], *MANY[len(CYCLE) :])
 SCALE = "viridis"
 _GOOD = ("successful", "stable", "asymptotically stable", "true")
 # Of runs that a store does not hold yet.

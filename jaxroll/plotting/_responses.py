@@ -14,7 +14,7 @@ from .._results import told_apart
 from ._doors import guarded
 from ._panels import Panel, panels
 from ._panels3 import panels3
-from ._style import CYCLE, Picture, save_figure, tidy
+from ._style import MANY, Picture, save_figure, tidy
 from ._views import how_it_ended, single, visible
 
 _COLUMNS = 3
@@ -117,7 +117,7 @@ def _draw(ax: Axes, ts: np.ndarray, panel: Panel, reached: np.ndarray) -> None:
     peak = float(np.max(np.abs(values)))
     for k, line in enumerate(values.T):
         name = panel.names[k] if len(panel.names) > 1 else None
-        mark, color = "o" if len(ts) == 1 else None, CYCLE[k % len(CYCLE)]
+        mark, color = "o" if len(ts) == 1 else None, MANY[k % len(MANY)]
         ax.plot(
             ts, line, marker=mark, ls=_dashes(values, k, panel.least), color=color, lw=panel.width, label=name
         )

@@ -12,6 +12,8 @@ from .._results import told
 # Okabe and Ito's palette: told apart in every common form of colour blindness.
 FINGER, OBJECT, CONTACT, FORCE_COLOUR, GUIDE = "#0072B2", "#E69F00", "#D55E00", "#CC3377", "#333333"
 CYCLE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+# Paul Tol's: told apart from these and from each other, where there are more to name.
+MANY = (*CYCLE, "#882255", "#999933", "#44AA99", "#332288", "#AA4499", "#117733")
 ROLLED = "#009E73"
 # Dark enough for thin lines and letters on the fill of the object.
 OBJECT_DARK = "#8A5A00"

@@ -177,3 +177,10 @@ def test_gradients_of_a_run_that_ended_early_are_those_of_what_it_reached():
     """The rows that were not reached are NaN, and leave the derivatives of the others alone."""
     wanted, found = gradients_with_and_without_an_end(jxr.pinch_balance, *jxr.scenes.pinch())
     np.testing.assert_allclose(found, wanted, rtol=1e-12)
+
+
+def test_the_moment_of_part_2_turns_the_object_against_it():
+    """It stands on the left of (76); at rest the object sets off the other way."""
+    grasp, state = jxr.scenes.pivoted()
+    moment = float(jxr.press_balance(grasp, 0.0, state).moment[0])
+    assert moment * float(jxr.accelerations(grasp, 0.0, state)[0]) < 0.0

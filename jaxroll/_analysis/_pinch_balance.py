@@ -31,7 +31,7 @@ class PinchBalance(eqx.Module):
         delta_lam: $\Delta\lambda_i = \lambda_i - (-1)^i \beta d_i$ [N], (43).
         n: $N_i = (-1)^i (b_i \cdot \gamma_i) l_i - (n_i \cdot \gamma_i) d_i$ [m^2], (53).
         delta_n: $\Delta N_i = \beta N_i + \alpha_i (p_i - p_i(0))$ [N m], (46).
-        s_n: $S_N$ [N m], the moment on the object in (48)-(49).
+        s_n: $S_N$ [N m], a moment on the left of (48): its forces turn the object by $-S_N$.
         potential: $U = \frac\beta2 \|r_1 - r_2\|^2$ [J], (27).
         lean: Angle [rad] between $O_i P_i$ and the line through both centres: zero when
             $O_1, P_1, P_2, O_2$ are collinear.

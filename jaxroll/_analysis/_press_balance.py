@@ -29,9 +29,9 @@ class PressBalance(eqx.Module):
         n1: $N_1 = l_{b0} Q_1 - l_{n0} R_1$ [m^2], (78): zero when the line from the tip frame to the target
             passes through the contact.
         moment: $(f_d/r) N_1$ [N m], the moment of Fig. 11, which drives the $q_i$ of (77), and $\theta$ of
-            (76) where the target is the object's origin. It counts clockwise where $n_1$ lies clockwise of
-            $b_1$, as in the chapter's figures, and counter-clockwise in their mirror image, which
-            `scenes.pivoted` is.
+            (76) where the target is the object's origin. It stands on the left of both: what it drives turns
+            against it. It counts clockwise where $n_1$ lies clockwise of $b_1$, as in the chapter's figures,
+            and counter-clockwise in their mirror image, which `scenes.pivoted` is.
         potential: $U = \frac{f_d}{2r}(Q_1^2 + R_1^2)$ [J] (Fig. 18).
 
     $Q_1$ and $R_1$ are the parts along $n_1$ and $b_1$ of the vector from the target to the tip frame. The

@@ -230,6 +230,13 @@ def test_close_out_of_reach_names_the_worst_row():
         jxr.close(apart, state)
 
 
+def test_close_refuses_an_object_without_an_orientation():
+    grasp, state = jxr.scenes.pinch3d()
+    guess = jxr.State(state.q.at[3:7].set(0.0), state.v, state.s)
+    with pytest.raises(ValueError, match=r"argument guess must have a quaternion .* in q\[3:7\]"):
+        jxr.close(grasp, guess)
+
+
 @pytest.mark.slow
 def test_batch_of_grasps_is_the_grasps():
     grasp, state = jxr.scenes.pinch3d()

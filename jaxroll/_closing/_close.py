@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array
 
 from .._linalg import Pose3, seven, three
-from .._mechanics import check_states, compiled, Grasp, split, State
+from .._mechanics import check_states, compiled, FreeObject3, Grasp, split, State
 from .._motion import closed_within, world_poses
 from .._results import check_flag, concrete, shown
 from ..contact import Contact, Contact3, locate as locate_contours, locate_surfaces
@@ -83,6 +83,7 @@ def close(
         True
     """
     check_states(grasp, guess, "guess")
+    _check_turned(grasp, guess)
     for name, flag in (("hold_contacts", hold_contacts), ("throw", throw), ("locate", locate)):
         check_flag(name, flag)
     held = held_velocities(grasp, hold)
@@ -103,6 +104,15 @@ def close(
                 f"found leaves {row_name(grasp, worst)} at {abs(seen[worst]):.3g}"
             )
     return grasp, state
+
+
+def _check_turned(grasp: Grasp, guess: State) -> None:
+    """Raise for an object in space whose quaternion is zero: it has no orientation, and no way to one."""
+    known = concrete(guess.q)
+    if isinstance(grasp.object, FreeObject3) and known is not None and not np.any(known[3:7]):
+        raise ValueError(
+            "argument guess must have a quaternion of the object's orientation in q[3:7], but it was zero"
+        )
 
 
 def _at_closest_points(grasp: Grasp, guess: State) -> tuple[Grasp, State]:

@@ -703,3 +703,10 @@ def test_a_shape_is_parted_midway_between_both_means_where_that_parts_it_as_otsu
     for values, level in cases.items():
         assert _image._parting(np.array([values], float)) == pytest.approx(level)
     assert _image._parting(np.full((2, 2), 3.0)) == 3.0
+
+
+def test_the_threshold_of_a_photograph_is_otsus_own():
+    """Where pixels have values on either side of it; midway in a gap that none is in."""
+    ramp = np.add.outer(np.arange(64.0), np.arange(192.0))
+    assert _image._parting(ramp) == _image._otsu(ramp)
+    assert _image._parting(np.where(ramp > 127.0, 200.0, 20.0)) == pytest.approx(110.0)

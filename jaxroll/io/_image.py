@@ -198,16 +198,19 @@ def _background(colours: np.ndarray) -> np.ndarray:
 
 
 def _parting(grey: np.ndarray) -> float:
-    """The grey value that parts pixels as Otsu's threshold does, as near the middle of both means as may be.
+    """The grey value that parts pixels as Otsu's threshold does; midway where values are far apart there.
 
-    Where no pixel has a value between the dark and the bright ones, Otsu's is that of the last dark one, and
-    an outline there would run half a pixel beside the edge.
+    Where no pixel has a value between the dark and the bright ones, as in a mask, Otsu's is that of the last
+    dark one, and an outline there would run half a pixel beside the edge.
     """
+    level, bin_width = _otsu(grey), float(np.ptp(grey)) / 256.0
     # Otsu's is the middle of one of 256 bins, all of which is dark.
-    bright = grey > _otsu(grey) + float(np.ptp(grey)) / 512.0
+    bright = grey > level + 0.5 * bin_width
     if bright.all() or not bright.any():
         return float(grey.max())
     light, dark = grey[bright], grey[~bright]
+    if light.min() - dark.max() <= 2.0 * bin_width:  # values of all sizes, as in a photograph
+        return level
     return float(np.clip(0.5 * (light.mean() + dark.mean()), dark.max(), light.min()))
 
 

@@ -8,7 +8,6 @@ import contextlib
 import math
 import os
 import sys
-import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -179,12 +178,9 @@ def _writable(given: str) -> Path:
     try:
         if not given.strip():
             raise ValueError("it was empty")
-        folder = Path(given)
-        folder.mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=folder).close()
+        return _cli.tried_folder(Path(given))
     except (OSError, ValueError) as error:
         raise _Unfit(f"argument --out must name a folder that can be written to, but: {error}") from None
-    return folder
 
 
 def _parser() -> _Parser:
@@ -241,9 +237,7 @@ def _design_parser(commands: Any) -> None:
         help="points of a closed outline about the finger's end, facing +x, to start from, "
         "made symmetric about x",
     )
-    design.add_argument(
-        "--unit", choices=("m", "cm", "mm", "um", "in"), default="mm", help="of FILE (default: mm)"
-    )
+    design.add_argument("--unit", choices=_cli.FILE_UNITS, default="mm", help="of FILE (default: mm)")
     design.add_argument("--no-animation", action="store_true", help="write no before.gif and after.gif")
 
 

@@ -13,9 +13,9 @@ from ._fit_command import fit_order as fit_order
 from ._pinch_command import pinch_order as pinch_order, PinchOrder as PinchOrder
 from ._replay_command import replayed as replayed
 from ._replay_order import replay_order as replay_order, replay_parser as replay_parser
-from ._settings import configure as configure
+from ._settings import configure as configure, tried_folder as tried_folder
 from ._shape_file import ShapeOrder as ShapeOrder
-from ._shape_parser import shape_parsers as shape_parsers
+from ._shape_parser import FILE_UNITS as FILE_UNITS, shape_parsers as shape_parsers
 from ._sweep_command import mapped as mapped, swept as swept
 from ._sweep_order import map_order as map_order, sweep_order as sweep_order, sweep_parser as sweep_parser
 from ._waiting import say as say, timed as timed

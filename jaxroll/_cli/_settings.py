@@ -36,9 +36,7 @@ def _kept_in() -> str | None:
         return None
     home = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
     try:
-        place = Path(asked or f"{home}/jaxroll").expanduser()
-        place.mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=place).close()
+        place = tried_folder(Path(asked or f"{home}/jaxroll").expanduser())
     except (OSError, ValueError, RuntimeError) as error:  # the last where nobody knows a home
         if not asked:
             return None
@@ -46,3 +44,10 @@ def _kept_in() -> str | None:
             f"environment variable JAXROLL_CACHE must name a folder that can be written to, but: {error}"
         ) from None
     return str(place)
+
+
+def tried_folder(folder: Path) -> Path:
+    """The folder, made where there is none and tried; the system's error where it cannot be written to."""
+    folder.mkdir(parents=True, exist_ok=True)
+    tempfile.TemporaryFile(dir=folder).close()
+    return folder

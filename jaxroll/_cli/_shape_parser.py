@@ -15,6 +15,8 @@ _FILE = (
     "a drawing (SVG, DXF), a table of points with two, three or six columns (CSV, TXT, DAT, NPY, XYZ), "
     "a mesh (STL, OBJ, PLY, OFF) or a photograph (PNG, JPEG, TIFF, BMP)"
 )
+# Units of files. Those of `geometry` are the same, but help is to be there before JAX is.
+FILE_UNITS = ("m", "cm", "mm", "um", "in")
 
 
 def shape_parsers(commands: Any, number: Callable[..., Any], about: str) -> None:
@@ -25,8 +27,7 @@ def shape_parsers(commands: Any, number: Callable[..., Any], about: str) -> None
         parser.add_argument("file", metavar="FILE", help=_FILE)
         place = "jaxroll-fit" if name == "fit" else "jaxroll-pinch-NAME, of NAME.ENDING"
         parser.add_argument("--out", metavar="FOLDER", help=f"where to write (default: {place})")
-        units = ("m", "cm", "mm", "um", "in")
-        parser.add_argument("--unit", choices=units, default="mm", help="of FILE (default: mm)")
+        parser.add_argument("--unit", choices=FILE_UNITS, default="mm", help="of FILE (default: mm)")
         size = number(1e-6, 1e6)
         radius = "smallest radius of curvature [mm] (default: a tenth of the least extent along its axes of "
         radius += "inertia)"

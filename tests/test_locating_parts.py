@@ -500,6 +500,24 @@ def test_a_cover_tells_its_size_and_the_widest_distance_of_its_samples():
     assert _samples3.cover(jxr.Plane().prepared(), 40) is None
 
 
+def test_surfaces_are_compared_by_the_mean_of_their_sizes(monkeypatch):
+    """Of those that are bounded: what counts as equal is a share of it."""
+
+    class Made(Exception):
+        pass
+
+    def made(a, b, pose, scale):
+        raise Made(float(scale))
+
+    monkeypatch.setattr(_location3, "Pair3", made)
+    small, large = jxr.Sphere(0.01), jxr.Sphere(0.04)
+    with jax.disable_jit():
+        for pair, wanted in (((small, large), 0.025), ((small, jxr.Plane()), 0.01)):
+            with pytest.raises(Made) as caught:
+                jxr.contact.locate_surfaces(*pair, samples=64)
+            assert caught.value.args[0] == pytest.approx(wanted, rel=2e-3)
+
+
 def test_a_place_is_ended_where_any_margin_is_small():
     surface = SimpleNamespace(margins=lambda at: (at[0], 1.0 - at[0]))
     found = [bool(_samples3.ended(surface, (x,), 0.1)) for x in (0.05, 0.1, 0.2, 0.8, 0.95, -3.0)]

@@ -293,6 +293,12 @@ def test_the_start_alone_says_nothing_of_the_energy_balance(run):
     first, last = (jax.tree.map(lambda x, k=k: x[k][None], where(run)) for k in (0, -1))
     assert "balance not known: the start alone was saved" in str(eqx.tree_at(where, run, first))
     assert "balance within" in str(eqx.tree_at(where, run, last))
+    # One that moved for two steps, nothing being off: the state that is saved is not its start.
+    still = eqx.tree_at(lambda energy: (energy.residual, energy.work), last[4], (jnp.zeros(1), jnp.zeros(1)))
+    count = lambda n: (*last[:4], still, jnp.asarray(n))  # noqa: E731
+    stepped = lambda r: (*where(r), r.stats.accepted)  # noqa: E731
+    assert "balance within 0.0e+00 of its size" in str(eqx.tree_at(stepped, run, count(2)))
+    assert "balance not known" in str(eqx.tree_at(stepped, run, count(1)))
 
 
 def test_the_friction_demand_is_stated_and_warned_of(run):

@@ -586,6 +586,21 @@ def test_single_precision_finds_where_a_pinch_rests():
         np.testing.assert_allclose(near.hessian[i], statics.hessian, rtol=1e-5)
 
 
+def test_derivative_of_the_nearest_equilibrium_of_a_family(scene):
+    """Without a controller every state in contact is one: forwards against central differences.
+
+    The start is off contact by so much that the bend of the family counts: of its two terms in the
+    derivative the smaller one is a fortieth.
+    """
+    grasp, state = scene
+    slack = grasp.with_(controller=None)
+    rest = lambda d: equilibrium(slack, jxr.State(state.q.at[0].add(d), state.v, state.s)).state.q  # noqa: E731
+    both = jax.jit(lambda d: jax.jvp(rest, (d,), (1.0,)))
+    h, far = 1e-4, 0.1
+    wanted = (both(far + h)[0] - both(far - h)[0]) / (2 * h)
+    np.testing.assert_allclose(both(far)[1], wanted, rtol=1e-7)
+
+
 def test_a_plain_function_as_controller_has_no_precision(scene):
     """Its place among a grasp's leaves is no array, and no reason to fail."""
     grasp, state = scene

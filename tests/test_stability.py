@@ -8,6 +8,7 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll.stability import (
+    _equilibrium,
     assess,
     equilibrium,
     margin,
@@ -599,6 +600,21 @@ def test_derivative_of_the_nearest_equilibrium_of_a_family(scene):
     h, far = 1e-4, 0.1
     wanted = (both(far + h)[0] - both(far - h)[0]) / (2 * h)
     np.testing.assert_allclose(both(far)[1], wanted, rtol=1e-7)
+
+
+@pytest.mark.parametrize(("far", "reached"), [(8.95, True), (11.0, False)])
+def test_newtons_method_goes_a_tenth_of_a_radian_at_once_and_a_hundred_times(far, reached):
+    """To the root of two linear equations, of one angle and one force: at first the force alone moves."""
+    find = jax.jit(
+        lambda start: _equilibrium._newton(
+            lambda z: jnp.stack([z[0] - 1.0, z[1] + 2.0 * z[0]]), start, 1, jnp.zeros(2)
+        )
+    )
+    found = find(jnp.array([1.0 - far, 0.5]))
+    if reached:
+        np.testing.assert_allclose(found, [1.0, -2.0], rtol=1e-13)
+    else:
+        np.testing.assert_allclose(found[0], 1.0 - far + 0.1 * 99, rtol=1e-12)
 
 
 def test_a_plain_function_as_controller_has_no_precision(scene):

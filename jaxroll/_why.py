@@ -250,7 +250,7 @@ def _judged(grasp: Grasp, state: State, t0: Scalar, run: Trajectory) -> Why:
     end = bearing(grasp, t, run.last) if finite else None
     failed = (code := code_name(run.result)) != "successful"
     # An equilibrium is sought from where the run came to its end; a run that failed may have ended anywhere.
-    near, when = (run.last, t) if finite and not failed else (state, t0)
+    near, when = (state, t0) if failed else (run.last, t)
     found = _assessed(grasp, near, when)
     contact = _culprit(grasp, run, end)
     ended = _ending(grasp, run, contact) if failed else ""

@@ -148,6 +148,32 @@ def test_the_search_for_a_closed_state_ends_in_single_precision(scene, hold, mon
         assert int(ends[-1].count) <= 20, away
 
 
+@pytest.mark.parametrize("hold", [True, False])
+def test_displacements_are_measured_by_the_mass_matrix_and_those_along_contours_hardly(scene, hold):
+    grasp, state = scene
+    found = jax.jit(lambda state: _search.metric_at(grasp.prepared(), state, hold))(state)
+    n, slack = len(state.q), 0 if hold else 1
+    assert found.shape == (n + slack, n + slack)
+    # The object turns about its pivot by itself; finger and object are coupled by nothing but forces.
+    assert float(found[0, 0]) > 0.0 and not np.asarray(found[0, 1:]).any()
+    moving = np.asarray(found[:n, :n])
+    np.testing.assert_allclose(np.trace(moving), n)
+    held = _search.metric_at(grasp.prepared(), state, hold, (1,))
+    np.testing.assert_allclose(held, np.delete(np.delete(found, 1, axis=0), 1, axis=1))
+    # Of two rods in a row, by hand; q[1] is the angle between them.
+    links = grasp.fingers[0]
+    (l, _), (m1, m2), (c1, c2), (i1, i2) = (
+        np.asarray(x) for x in (links.lengths, links.masses, links.centres, links.inertias)
+    )
+    last = m2 * c2**2 + i2
+    first = m1 * c1**2 + i1 + last + m2 * (l**2 + 2.0 * l * c2 * np.cos(state.q[2]))
+    coupled = last + m2 * l * c2 * np.cos(state.q[2])
+    wanted = np.array([[first, coupled], [coupled, last]]) / np.asarray(grasp.object.inertia)
+    np.testing.assert_allclose(moving[1:, 1:] / moving[0, 0], wanted, rtol=1e-12)
+    if not hold:
+        np.testing.assert_allclose(found[n], 1e-3 * (np.arange(n + 1) == n))
+
+
 def test_redundant_rows_are_solved_in_single_precision():
     """A row twice: the shortest step in the metric, by the pseudo-inverse."""
     rng = np.random.default_rng(0)

@@ -162,12 +162,12 @@ def test_displacements_are_measured_by_the_mass_matrix_and_those_along_contours_
     np.testing.assert_allclose(held, np.delete(np.delete(found, 1, axis=0), 1, axis=1))
     # Of two rods in a row, by hand; q[1] is the angle between them.
     links = grasp.fingers[0]
-    (l, _), (m1, m2), (c1, c2), (i1, i2) = (
+    (length, _), (m1, m2), (c1, c2), (i1, i2) = (
         np.asarray(x) for x in (links.lengths, links.masses, links.centres, links.inertias)
     )
     last = m2 * c2**2 + i2
-    first = m1 * c1**2 + i1 + last + m2 * (l**2 + 2.0 * l * c2 * np.cos(state.q[2]))
-    coupled = last + m2 * l * c2 * np.cos(state.q[2])
+    first = m1 * c1**2 + i1 + last + m2 * (length**2 + 2.0 * length * c2 * np.cos(state.q[2]))
+    coupled = last + m2 * length * c2 * np.cos(state.q[2])
     wanted = np.array([[first, coupled], [coupled, last]]) / np.asarray(grasp.object.inertia)
     np.testing.assert_allclose(moving[1:, 1:] / moving[0, 0], wanted, rtol=1e-12)
     if not hold:

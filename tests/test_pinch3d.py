@@ -237,6 +237,32 @@ def test_close_refuses_an_object_without_an_orientation():
         jxr.close(grasp, guess)
 
 
+@pytest.mark.parametrize("length", [1.0 - 2e-4, 1.0 + 2e-4, 2.0])
+def test_a_quaternion_that_would_bend_the_object_is_refused(length):
+    """Of one state and of several; four decimals, steps of differences and rows without numbers are not."""
+    grasp, state = jxr.scenes.pinch3d()
+    at = lambda q: jxr.State(q, state.v, state.s)  # noqa: E731
+    many = lambda q: jax.tree.map(lambda x: jnp.stack([x, x]), at(q))  # noqa: E731
+    words = r"argument states?\.q must hold a unit quaternion in q\[3:7\], but its length was "
+    bent = state.q.at[3:7].multiply(length)
+    calls = (
+        lambda: jxr.residuals(grasp, at(bent)),
+        lambda: jxr.residuals(grasp, many(bent)),
+        lambda: jxr.multipliers(grasp, 0.0, at(bent)),
+        lambda: jxr.simulate(grasp, at(bent), 0.01),
+        lambda: jxr.control.orientations(grasp, at(bent)),
+    )
+    for call in calls:
+        with pytest.raises(ValueError, match=f"{words}{length:.4g}"):
+            call()
+    rounded = state.q.at[3].add(5e-5)
+    lost = jax.tree.map(lambda x: x.at[1].set(jnp.nan), many(rounded))
+    np.testing.assert_allclose(jxr.residuals(grasp, lost).normal[0], jxr.residuals(grasp, at(rounded)).normal)
+    # Whatever its length is, a guess is scaled.
+    closed = jxr.close(grasp, at(bent))[1]
+    np.testing.assert_allclose(np.linalg.norm(closed.q[3:7]), 1.0, rtol=1e-14)
+
+
 @pytest.mark.slow
 def test_batch_of_grasps_is_the_grasps():
     grasp, state = jxr.scenes.pinch3d()

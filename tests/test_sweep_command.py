@@ -221,7 +221,11 @@ def test_a_sweep_and_its_map(tmp_path, monkeypatch, capfd):
     out, err = capfd.readouterr()
     assert "6 successful" in out and "6 of 6 runs" in err and "table.npz, table.csv" in out
     # What a further call goes on from lies in a folder of its own, beside the tables.
-    assert {path.name for path in (tmp_path / "jaxroll-sweep").iterdir()} == {"chunks", "table.npz", "table.csv"}
+    assert {path.name for path in (tmp_path / "jaxroll-sweep").iterdir()} == {
+        "chunks",
+        "table.npz",
+        "table.csv",
+    }
     table = read_table(tmp_path / "jaxroll-sweep")
     assert table.parameters.shape == (3, 2) and table.values["final_pose"].shape == (6, 3)
     grasp, state = scenes.pivoted()

@@ -82,7 +82,7 @@ def close(
         >>> bool(abs(jxr.residuals(moved, start).tangential[0]) < 1e-14)
         True
     """
-    check_states(grasp, guess, "guess")
+    check_states(grasp, guess, "guess", unit=False)
     _check_turned(grasp, guess)
     for name, flag in (("hold_contacts", hold_contacts), ("throw", throw), ("locate", locate)):
         check_flag(name, flag)

@@ -14,10 +14,11 @@ import jax
 import numpy as np
 
 from .._fields import check_module
-from .._results import as_array, check_finite, check_instance
+from .._results import as_array, check_finite, check_instance, concrete
 from .._xla import quickly, remembered, uncollected
 from ..contact import Contact, Contact3
 from ._grasp import Grasp, tabled_grasp
+from ._object3 import FreeObject3
 from ._state import check_shapes, State
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -25,6 +26,8 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 _STATES = {"state": 0, "guess": 0, "states": 1}
 # States and times of at most so many numbers are few.
 _FEW = 256
+# By how much the length of a quaternion may differ from one: four decimals, or a step of differences.
+_UNIT = 1e-4
 
 
 def check_grasp(grasp: Any) -> None:
@@ -64,14 +67,32 @@ def _check_kind(grasp: Grasp, kind: type) -> None:
             )
 
 
-def check_states(grasp: Any, states: Any, name: str = "state", *, axes: int = 0) -> None:
-    """Raise unless a grasp is given, and a finite state, or several along leading axes, that fit it."""
+def check_states(grasp: Any, states: Any, name: str = "state", *, axes: int = 0, unit: bool = True) -> None:
+    """Raise unless a grasp is given, and a finite state, or several along leading axes, that fit it.
+
+    With `unit`, quaternions must have unit length; what closes a guess scales them by itself.
+    """
     check_grasp(grasp)
     check_instance(name, states, State, "a State")
     check_shapes(states, grasp.form, name, axes)
     if not axes:  # of several, some may be times that a run did not reach
         for part in "qvs":
             check_finite(f"{name}.{part}", getattr(states, part))
+    if unit and isinstance(grasp.object, FreeObject3):
+        _check_turned(f"{name}.q", states.q)
+
+
+def _check_turned(name: str, q: Any) -> None:
+    """Raise for quaternions that are not of unit length: by them an object would be bent, not turned."""
+    known = concrete(q)
+    if known is None:
+        return
+    length = np.linalg.norm(known[..., 3:7], axis=-1)
+    if (np.abs(length - 1.0) > _UNIT).any():  # which NaN, of times that were not reached, is not
+        worst = float(length.flat[np.nanargmax(np.abs(length - 1.0))])
+        raise ValueError(
+            f"argument {name} must hold a unit quaternion in q[3:7], but its length was {worst:.6g}"
+        )
 
 
 def _finite_times(name: str, value: Any) -> Any:
@@ -112,7 +133,7 @@ def _guarded(function: _Function, jitted: Callable[..., Any]) -> _Function:
         for at, name in places:
             if at < len(args) or name in options:
                 given = options[name] if name in options else args[at]
-                check_states(grasp, given, name, axes=_STATES[name])
+                check_states(grasp, given, name, axes=_STATES[name], unit=name != "guess")
         # What is too many goes on as it is: `jitted` refuses it.
         known = [_finite_times(name, x) for name, x in zip(names[1:], args, strict=False)]
         args = (*known, *args[len(known) :])

@@ -161,7 +161,7 @@ def _check(grasp: Grasp, guess: State | None, hold_object: bool) -> None:
     check_instance("grasp", grasp, Grasp, "a Grasp")
     (check_spatial if grasp.spatial else check_planar)(grasp)
     if guess is not None:
-        check_states(grasp, guess, "guess")
+        check_states(grasp, guess, "guess", unit=False)
 
 
 def _object_at(grasp: Grasp, pose: Given | None, guess: State | None) -> np.ndarray:

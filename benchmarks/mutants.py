@@ -63,6 +63,12 @@ EQUIVALENT: dict[tuple[str, ...], str] = {
         "(eqx.combine(problem.rest, arrays))",
     ): "either has what the other has not",
     (
+        "jaxroll/scenes/_any_pinch.py",
+        "_blunted",
+        "6",
+        "(-6)",
+    ): "of two contacts the second one's places are the last, however they are counted",
+    (
         "jaxroll/_integration/_step.py",
         "RollingStep.stages",
         "self.reverse or unrolled",

@@ -792,6 +792,18 @@ def test_an_oblique_section_of_a_block():
     assert polygon_area(outline) == pytest.approx(polygon_area(wanted[turn]), rel=1e-12)
 
 
+@pytest.mark.parametrize(("share", "cut"), [(0.9e-12, False), (1.1e-12, True)])
+def test_what_a_plane_cuts_has_an_area_of_a_share_of_its_extents_square(share, cut):
+    thin = BLOCK / np.ptp(BLOCK, axis=0) * [share, 1.0, 1.0]
+    across = {"origin": (0.0, 0.0, thin[:, 2].mean()), "normal": (0.0, 0.0, 1.0)}
+    if not cut:
+        with pytest.raises(ValueError, match="^argument origin must "):
+            jxr.io.section(thin, BLOCK_FACES, **across)
+        return
+    (outline,) = jxr.io.section(thin, BLOCK_FACES, **across)
+    assert polygon_area(outline) == pytest.approx(share, rel=1e-3)
+
+
 def test_the_larger_of_two_sections_comes_first():
     small = 0.5 * BLOCK + [0.1, 0.0, 0.0]
     both, faces = np.concatenate([small, BLOCK]), np.array(BLOCK_FACES)

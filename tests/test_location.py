@@ -15,6 +15,7 @@ from jaxroll.contact import locate
 from jaxroll.contact.locating._candidates import _lone, Feet, feet, minima
 from tests.helpers import in_single, slow_among
 from tests.measures import both_ways, taylor_remainders
+from tests.oracles.closed_forms_space import quaternion_matrix
 from tests.oracles.outlines import gap_by_brute_force, KINDS, placed_points, points_of
 from tests.recorded import runs
 from tests.subjects.polar_contours import compiled_search, Polar, random_pairs
@@ -331,6 +332,12 @@ def test_contacts_go_to_the_closest_points_of_their_shapes_at_the_guess(monkeypa
     assert located is grasp and len(asked) == 2
     np.testing.assert_array_equal(state.s, [1, 1, 2, -1, 3, 4, 2, 1, 2, -2, 3, 4])
     np.testing.assert_allclose(asked[1][3], start.q[:7])
+    # At these poses of fingertip and object their surfaces meet at the places that the state has.
+    placed = lambda pose, point: pose[:3] + quaternion_matrix(pose[3:]) @ np.asarray(point)  # noqa: E731
+    for i, (s, (_, _, tip, body)) in enumerate(zip(np.reshape(start.s, (2, 6)), asked, strict=True)):
+        touching, held = grasp.shapes(grasp.contacts[i])
+        met = placed(body, held.point(s[3:]))
+        np.testing.assert_allclose(placed(tip, touching.point(s[:3])), met, rtol=0, atol=1e-12)
     np.testing.assert_array_equal(state.q, start.q)
     endless = disc_on_finger().with_tip(0, jxr.Line())
     with pytest.raises(

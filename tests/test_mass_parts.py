@@ -526,3 +526,13 @@ def test_a_mesh_that_encloses_a_place_twice_or_inside_out_is_refused(other, time
     """Overlapping, one within the other, all faces twice, and a part that is inside out beside another."""
     with pytest.raises(ValueError, match=f"places which it encloses {times} times: parts of it overlap"):
         mesh_moments(*_boxes((1.0, 0.0, False), other))
+
+
+def test_a_part_of_a_mesh_without_area_encloses_nothing():
+    """Two triangles of three corners in a row, back to back: without a word of what has no direction."""
+    corners, faces = _boxes((1.0, 0.0, False))
+    row = np.array([(0.1, 0.0, 0.0), (0.2, 0.0, 0.0), (0.3, 0.0, 0.0)])
+    both = faces.max() + 1 + np.array([(0, 1, 2), (0, 2, 1)])
+    with np.errstate(all="raise"):
+        found = mesh_moments(np.concatenate([corners, row]), np.concatenate([faces, both]))
+    assert float(found.size) == pytest.approx(6e-6, rel=1e-12)

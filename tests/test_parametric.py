@@ -45,6 +45,11 @@ def test_an_open_curve_is_the_catenary_that_it_follows():
     def hanging(u):
         return jnp.stack([-c * (jnp.cosh(u / c) - 1.0), u])
 
+    # The error of a coarse table is looked for between its ends alone, beyond which it goes on as a formula.
+    rough = jxr.Parametric(hanging, (-0.005, 0.03), origin=0.0, cells=16)
+    between = jnp.linspace(*rough.domain(), 1001)
+    off = np.linalg.norm(rough.point(between) - jxr.Catenary(c).point(between), axis=1)
+    assert rough.table_error().point == pytest.approx(off.max(), rel=0.1)
     mine = jxr.Parametric(hanging, (-0.03, 0.03), origin=0.0)
     s = jnp.linspace(-0.02, 0.02, 9)
     np.testing.assert_allclose(mine.point(s), jxr.Catenary(c).point(s), rtol=0, atol=1e-15)

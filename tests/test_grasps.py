@@ -143,9 +143,9 @@ def test_the_search_for_a_closed_state_ends_in_single_precision(scene, hold, mon
         metric = _search.metric_at(ready, guess, hold)
         return _search.searched(_search.ClosingProblem(ready, guess, metric, ()))
 
-    for away in (0.0, 1e-3, 1e-2):
+    for away, least in ((0.0, 0), (1e-3, 2), (1e-2, 2)):
         in_single(searched, grasp, state.q + away, state.s)
-        assert int(ends[-1].count) <= 20, away
+        assert least <= int(ends[-1].count) <= 20, away
 
 
 @pytest.mark.parametrize("hold", [True, False])

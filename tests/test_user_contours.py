@@ -150,7 +150,7 @@ FAULTS = {
         (
             "curve",
             lambda self, s: jnp.stack(circle(s)),
-            "`curve` returns a geometry.Vec2, but that of Odd ret",
+            r"`curve` returns a geometry.Vec2, but that of Odd returned an array of shape \(2,\)",
         ),
         (
             "curve",
@@ -186,6 +186,18 @@ def test_what_breaks_the_contract_is_named(fault):
         check_contour("tip", contour, start=start)
     text = str(caught.value)
     assert text.startswith("argument tip must lie on a contour ") and text.count(". ") == 0
+
+
+def test_a_tip_that_ends_before_the_contact_is_told_its_ends_though_it_is_no_number_beyond(scene):
+    grasp, state = scene
+    tip = Curve(lambda s: (jnp.sqrt(s) * 0.0, s), (0.002, 0.02))
+    words = r"^argument contacts\[0\].s_tip must lie between 0.002 and 0.02 m, but was "
+    with pytest.raises(ValueError, match=words):
+        grasp.with_tip(0, tip)
+    contact = jxr.Contact(0.01, 0.003)
+    jxr.residuals(grasp.with_contacts(contact).with_tip(0, tip), state)
+    with pytest.raises(ValueError, match=words):
+        grasp.with_contacts(contact).with_tip(0, tip).with_contacts(jxr.Contact(0.0, 0.003))
 
 
 def ring(count=48):

@@ -191,19 +191,24 @@ def _members_fault(contour: AbstractContour) -> str | None:
             f"({type(error).__name__})"
         )
     if not isinstance(found, Vec2):
-        return (
-            f"whose `curve` returns a geometry.Vec2, but that of {{kind}} returned a {type(found).__name__}"
-        )
+        array = isinstance(found, jax.ShapeDtypeStruct)
+        was = f"an array of shape {found.shape}" if array else f"a {type(found).__name__}"
+        return f"whose `curve` returns a geometry.Vec2, but that of {{kind}} returned {was}"
     if shapes := [jnp.shape(part) for part in (found.x, found.y) if jnp.shape(part)]:
         return f"whose `curve` returns two numbers, but one of {{kind}} had shape {shapes[0]}"
     return None
 
 
 def _about(contour: AbstractContour, start: Given) -> str | None:
-    """What is wrong with a contour at a contact's start, and near it if it has no ends."""
+    """What is wrong with a contour at a contact's start, and near it if it has no ends.
+
+    A start beyond an end is nothing to be said of the contour: it may be no number there.
+    """
     with jax.ensure_compile_time_eval():
-        here = float(np.asarray(start))
-        if contour.domain() is not None:
+        here, ends = float(np.asarray(start)), contour.domain()
+        if ends is not None:
+            if not (contour.closed or ends[0] <= here <= ends[1]):
+                return None
             return _along(_ready(tabled(contour)), np.full(_PLACES, here), there=True)
         # From `_NEAREST` to `_RANGE` on either side. The start comes first, as `_along` wants it, and twice,
         # which makes the number of places the same as in all other calls.

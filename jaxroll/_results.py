@@ -157,6 +157,9 @@ def shown(value: Any) -> str:
 def _quoted(value: Any) -> str:
     if isinstance(value, jax.core.Tracer):
         return f"a traced array of shape {value.shape}"
+    if type(value) in (tuple, list) and traced(value):
+        parts = ", ".join(map(_quoted, value))
+        return f"[{parts}]" if isinstance(value, list) else f"({parts})"
     if not is_array_like(value):
         return repr(value)
     seen = np.asarray(value)

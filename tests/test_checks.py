@@ -63,6 +63,10 @@ def test_what_is_quoted_is_short_and_on_one_line():
     assert checks.shown(jnp.array([2.5])) == "[2.5]" and checks.shown(np.float64(0.25)) == "0.25"
     assert checks.shown([1, 2]) == "[1, 2]" and checks.shown("word") == "'word'"
     assert while_traced(checks.shown) == "a traced array of shape ()"
+    assert while_traced(lambda x: checks.shown([x, 2])) == "[a traced array of shape (), 2]"
+    assert while_traced(lambda x: checks.shown((x, [x[None]]))) == (
+        "(a traced array of shape (), [a traced array of shape (1,)])"
+    )
 
 
 def test_what_the_system_says_of_a_path_is_quoted_without_the_path():

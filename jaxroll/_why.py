@@ -132,7 +132,8 @@ class Why:
         """The lines on the equilibrium: its verdict, and the forces at each contact there."""
         found = self.stability
         if found is None:
-            told = "no direction is free to move" if _contours_roll(self.grasp) else "asked of contours alone"
+            none = "not assessed: verdicts are of contacts of class Contact, in the plane"
+            told = "no direction is free to move" if _contours_roll(self.grasp) else none
             return [told] if self.closed else []
         verdict = f"{code_name(found.verdict)}: {VERDICTS[found.verdict]}"
         if not bool(found.equilibrium.found):
@@ -437,7 +438,7 @@ def _force(grasp: Grasp, contact: int, pressing: float, aside: float) -> str:
     name, limit = contact_name(grasp.labels, contact), _friction(grasp, contact)
     has = "no limit was given" if limit is None else f"it has {limit:.3g}"
     if not grasp.contacts[contact].presses:
-        return f"{name} holds both ways, with {pressing:.4g} N and {aside:.4g} N beside"
+        return f"{name} holds both ways, with {pressing:z.4g} N and {aside:.4g} N beside"
     if np.isnan(pressing) or pressing == 0.0 == aside:
         return f"{name} bears {'a force that is no number' if np.isnan(pressing) else 'no force'}"
     if not pressing > 0.0:

@@ -420,4 +420,4 @@ def test_own_contacts_are_drawn_and_explained(teeth: Any, tmp_path: Path) -> Non
     jxr.plotting.animate(grasp, run, tmp_path / "teeth.gif", fps=5.0, until=1.0, size=3.0)
     told = str(jxr.why(grasp, state))
     assert "holds both ways" in told
-    assert "asked of contours alone" in told
+    assert "rest      not assessed: verdicts are of contacts of class Contact, in the plane" in told

@@ -702,6 +702,7 @@ def test_a_contact_that_holds_both_ways_cannot_be_lost():
     assert _why._force(pair, 0, -3.0, 0.5) == (
         "contact 0 (finger 0 on contour 0) holds both ways, with -3 N and 0.5 N beside"
     )
+    assert "with 0 N and 0 N" in _why._force(pair, 0, -0.0, 0.0)
     assert _why._force(pair, 1, 2.0, 0.5) == (
         "contact 1 (finger 1 on contour 1) presses with 2 N and needs friction 0.25; it has 0.2"
     )

@@ -147,8 +147,8 @@ def _folder(options: argparse.Namespace) -> tuple[Path, list[Path]]:
             what = "{!r} is a folder" if os.path.isdir(given) else "there is none called {!r}"
             raise _Unfit(f"argument {word} must name a file, but {what.format(given)}")
     name = options.scene if options.command == "demo" else options.command
-    if options.command == "pinch":  # `demo pinch` has the other name
-        name = f"pinch-{Path(options.file).stem}"
+    if options.command in ("fit", "pinch"):  # `demo pinch` has the other name
+        name = f"{name}-{Path(options.file).stem}"
     given = f"jaxroll-{name}" if options.out is None else options.out
     made = _missing(given)
     return _writable(given), made

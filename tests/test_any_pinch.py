@@ -381,7 +381,10 @@ def test_what_does_not_fit_is_one_line(case, tmp_path, monkeypatch, capfd):
 
 
 @pytest.mark.parametrize("written", [True, False])
-def test_a_pinch_has_a_folder_of_its_files_name_unless_nothing_is_written(written, tmp_path, monkeypatch):
+@pytest.mark.parametrize("command", ["fit", "pinch"])
+def test_each_file_has_a_folder_of_its_name_unless_nothing_is_written(
+    command, written, tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("JAXROLL_CACHE", "off")
     np.savetxt(tmp_path / "egg.csv", EGG, delimiter=",")
@@ -391,16 +394,16 @@ def test_a_pinch_has_a_folder_of_its_files_name_unless_nothing_is_written(writte
         seen.append(folder)
         assert folder.is_dir()
         (folder / "fit.png").touch()
-        return ["the report"], True
+        return ["the report"] if command == "fit" else (["the report"], True)
 
     def refused(asked, folder, timed):
         seen.append(folder)
         raise ValueError("argument points must fit")
 
-    monkeypatch.setattr(_cli, "pinch_order", ordered if written else refused)
-    assert main(["pinch", "egg.csv"]) == (0 if written else 2)
-    assert main(["pinch", "egg.csv", "--out", "deep/out"]) == (0 if written else 2)
-    assert [str(folder) for folder in seen] == ["jaxroll-pinch-egg", "deep/out"]
+    monkeypatch.setattr(_cli, f"{command}_order", ordered if written else refused)
+    assert main([command, "egg.csv"]) == (0 if written else 2)
+    assert main([command, "egg.csv", "--out", "deep/out"]) == (0 if written else 2)
+    assert [str(folder) for folder in seen] == [f"jaxroll-{command}-egg", "deep/out"]
     assert all(folder.exists() == written for folder in (*seen, tmp_path / "deep"))
 
 

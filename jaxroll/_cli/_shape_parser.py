@@ -25,8 +25,8 @@ def shape_parsers(commands: Any, number: Callable[..., Any], about: str) -> None
     pinch = commands.add_parser("pinch", help=_PINCH, description=_PINCH, epilog=about)
     for name, parser in (("fit", fit), ("pinch", pinch)):
         parser.add_argument("file", metavar="FILE", help=_FILE)
-        place = "jaxroll-fit" if name == "fit" else "jaxroll-pinch-NAME, of NAME.ENDING"
-        parser.add_argument("--out", metavar="FOLDER", help=f"where to write (default: {place})")
+        place = f"where to write (default: jaxroll-{name}-NAME, of NAME.ENDING)"
+        parser.add_argument("--out", metavar="FOLDER", help=place)
         parser.add_argument("--unit", choices=FILE_UNITS, default="mm", help="of FILE (default: mm)")
         size = number(1e-6, 1e6)
         radius = "smallest radius of curvature [mm] (default: a tenth of the least extent along its axes of "

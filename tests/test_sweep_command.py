@@ -247,6 +247,22 @@ def test_a_sweep_and_its_map(tmp_path, monkeypatch, capfd):
     assert "argument STORE must be the folder of a sweep that is done" in complaints
 
 
+def test_what_a_scene_of_ones_own_makes_without_its_parameters_is_known_to_it(tmp_path):
+    """The scene of the how-to was refused: `pinch_object` takes no numbers that JAX is tracing."""
+    (tmp_path / "egg.py").write_text(
+        "import jaxroll as jxr\n"
+        "def egg(force, damping):\n"
+        "    body = jxr.FreeObject.uniform(jxr.Ellipse(0.015, 0.02), density=50.0)\n"
+        "    grasp, state = jxr.scenes.pinch_object(body)\n"
+        "    return jxr.close(grasp.with_(damping=damping * force), state)\n"
+    )
+    make = maker(f"{tmp_path}/egg.py:egg", ("damping", "force"))
+    given = jxr.Parameters(damping=np.array([0.002, 0.02]), force=np.array([2.0, 3.0]))
+    grasp, state = jax.jit(jax.vmap(make))(given)
+    np.testing.assert_allclose(grasp.controller.damping[:, 0], [0.004, 0.06], rtol=1e-12)
+    assert state.q.shape == (2, 8)
+
+
 @pytest.fixture(scope="module")
 def grid():
     return jxr.Parameters.grid(
@@ -368,7 +384,7 @@ def test_an_adaptive_sweep_maps_what_is_kept_of_each_run(monkeypatch, tmp_path):
     def mapped(outcome, grid, *, chunk, progress):
         asked.update(chunk=chunk, kept=outcome(grid), progress=progress)
         values = {"steps": np.arange(6.0).reshape(2, 3), "t_end": np.ones((2, 3))}
-        return SimpleNamespace(values=values, ran=np.array([[True] * 3, [False] * 3]), spent=4)
+        return SimpleNamespace(values=values, ran=np.array([[True] * 3, [False] * 3]), runs=3, spent=4)
 
     kept = {"steps": np.array([3, 4]), "t_end": np.array([0.1, 0.2])}
     keep = lambda run: kept  # noqa: E731
@@ -385,7 +401,7 @@ def test_an_adaptive_sweep_maps_what_is_kept_of_each_run(monkeypatch, tmp_path):
     assert asked["run"] == (("grasp", "state", 0.3), {"throw": False, "ts": 1, "rtol": 1e-6, "record": ()})
     assert asked["chunk"] == 4 and asked["progress"] is True
     assert asked["kept"]["steps"].dtype == float and asked["kept"]["t_end"] is kept["t_end"]
-    assert "  4 runs of 0.3 s in " in lines[2]
+    assert "  3 runs of 0.3 s in " in lines[2]
     table = read_table(tmp_path)
     np.testing.assert_array_equal(table.values["ran"], [True] * 3 + [False] * 3)
     np.testing.assert_array_equal(table.values["steps"], np.arange(6.0))

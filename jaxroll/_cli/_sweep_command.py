@@ -57,7 +57,7 @@ def swept(asked: SweepOrder, folder: Path, timed: Timed) -> list[str]:
 
         found = adaptive_map(outcome, parameters, chunk=min(asked.chunk, _CHUNK), progress=True)
         flat = lambda x: x.reshape(parameters.rows, *x.shape[len(parameters.shape) :])  # noqa: E731
-        values, done = jax.tree.map(flat, found.values) | {"ran": found.ran.ravel()}, found.spent
+        values, done = jax.tree.map(flat, found.values) | {"ran": found.ran.ravel()}, found.runs
     else:
         place = {"store": folder} if asked.store else {"resume": folder / "chunks"}
         with _workers(asked.workers) as client:
@@ -162,7 +162,7 @@ def maker(scene: str, names: tuple[str, ...]) -> Callable[[Parameters], tuple[An
     if ":" in scene:
         function = _from_file(scene)
         _check_taken(function, scene, names)
-        return lambda p: function(**p)
+        return _known_where_it_can_be(function)
     build = getattr(scenes, scene)
     grasp, state = build()
     held = set(_fields(grasp.controller))
@@ -179,6 +179,16 @@ def maker(scene: str, names: tuple[str, ...]) -> Callable[[Parameters], tuple[An
         return (
             built.with_(**{name: _held(built, name, p[name]) for name in changed}) if changed else built
         ), start
+
+    return make
+
+
+def _known_where_it_can_be(function: Callable) -> Callable[[Parameters], tuple[Any, Any]]:
+    """A caller's own scene, in which JAX traces only what the parameters change."""
+
+    def make(p: Parameters) -> tuple[Any, Any]:
+        with jax.ensure_compile_time_eval():
+            return function(**p)
 
     return make
 

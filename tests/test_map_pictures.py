@@ -1,5 +1,6 @@
 """Maps over two parameters: which numbers stand where, what their axes say, and what a page holds of them."""
 
+import itertools
 from types import SimpleNamespace
 
 import jax.numpy as jnp
@@ -336,3 +337,28 @@ def test_a_page_of_a_map_is_one_file_in_a_new_folder(monkeypatch, tmp_path):
     t = np.arange(4.0)
     jxr.plotting.map_page(jxr.Parameters(a=t, b=t**2), t, path)
     assert made[2]["data"][0][0] == "dots"
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "shown"),
+    [
+        (0.002, 0.02, "0.002 0.005 0.01 0.02"),
+        (3e-6, 0.5, "1e-05 0.0001 0.001 0.01 0.1 1"),
+        (0.004, 0.007, "0.004 0.005 0.006 0.007"),
+        (1.0, 8.0, "1 2 5"),
+    ],
+)
+def test_numbers_at_logarithmic_axes_are_of_one_size_and_lie_apart(low, high, shown):
+    """Those between powers of ten were larger than these, and were written over each other."""
+    grid = jxr.Parameters.grid(a=np.geomspace(low, high, 9), b=np.geomspace(low, high, 9))
+    figure = parameter_map(grid, grid.a)
+    figure.draw_without_rendering()
+    ax = figure.axes[0]
+    for axis, k in ((ax.xaxis, 0), (ax.yaxis, 1)):
+        low, high = axis.get_view_interval()
+        ticks = [*axis.get_ticklabels(), *axis.get_ticklabels(minor=True)]
+        seen = [tick for tick in ticks if tick.get_text() and low <= tick.get_position()[k] <= high]
+        assert " ".join(tick.get_text() for tick in seen) == shown
+        assert {tick.get_fontsize() for tick in seen} == {8.0}
+        boxes = [tick.get_window_extent() for tick in seen]
+        assert min(b.min[k] - a.max[k] for a, b in itertools.pairwise(boxes)) > 2.0

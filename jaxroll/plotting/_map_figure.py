@@ -5,9 +5,11 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
+from matplotlib.ticker import FuncFormatter, Locator, LogLocator, MaxNLocator, NullFormatter
 
 from .._sweep import Parameters
 from ._doors import guarded
@@ -23,6 +25,8 @@ _GOOD = ("successful", "stable", "asymptotically stable", "true")
 _MISSING = "not stored"
 # Samples are dots of this area [pt^2], of more than so many of a quarter of it.
 _DOT, _MANY = 26.0, 2000
+# A logarithmic axis has 1, 2 and 5 of every decade, if its values span factors between these.
+_FEW_NUMBERS, _MANY_NUMBERS = 5.0, 100.0
 
 
 @guarded
@@ -108,6 +112,9 @@ def _draw(ax: Axes, data: MapData, label: str, *, alone: bool) -> None:
             **look,
         )
     ax.set(xscale="log" if data.x.log else "linear", yscale="log" if data.y.log else "linear")
+    for axis, side in ((ax.xaxis, data.x), (ax.yaxis, data.y)):
+        if side.log:
+            _number(axis, side.values.max() / side.values.min())
     if not data.codes:
         bar = ax.figure.colorbar(drawn, ax=ax, pad=0.02)
         bar.set_label(label, fontsize=9)
@@ -126,6 +133,17 @@ def _draw(ax: Axes, data: MapData, label: str, *, alone: bool) -> None:
             title_fontsize=8,
             **where,
         )
+
+
+def _number(axis: Axis, factor: float) -> None:
+    """Plain numbers of one size at a logarithmic axis; `factor` is from its least value to its largest."""
+    nice: Locator = MaxNLocator(6, steps=[1, 2, 5, 10])
+    if factor >= _FEW_NUMBERS:
+        nice = LogLocator(subs=(1.0, 2.0, 5.0) if factor <= _MANY_NUMBERS else (1.0,), numticks=9)
+    axis.set_major_locator(nice)
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+    axis.set_tick_params(which="minor", length=2, width=0.5, color="#777777")
 
 
 def _entries(data: MapData) -> list[Patch]:

@@ -816,6 +816,36 @@ def test_ticks_of_a_surface_have_one_round_step(longest, step):
     np.testing.assert_allclose(np.diff(ticks), step, rtol=1e-9)
 
 
+def over_a_turned_label(label, number):
+    """Whether a number lies over a label, whose box is upright again once the label is."""
+    turn = np.deg2rad(label.get_rotation())
+    label.set_rotation(0.0)
+    box, other = label.get_window_extent(), number.get_window_extent()
+    label.set_rotation(np.rad2deg(turn))
+    x, y = np.subtract(np.mean(other.get_points(), axis=0), np.mean(box.get_points(), axis=0))
+    along, across = np.cos(turn) * x + np.sin(turn) * y, np.cos(turn) * y - np.sin(turn) * x
+    return abs(along) < 0.5 * (box.width + other.width) and abs(across) < 0.5 * (box.height + other.height)
+
+
+@pytest.mark.parametrize(
+    "size", [(180.0, 70.0, 36.0), (40.0, 180.0, 40.0), (40.0, 40.0, 160.0), (60.0, 70.0, 56.0)]
+)
+def test_axes_of_a_fitted_surface_are_labelled_beside_their_numbers_and_one_axes_hides_no_other(size):
+    """Beside flat bodies "x [mm]" stood on a number, and the second view hid "z [mm]" of the first."""
+    figure = Figure(figsize=(11.0, 4.6), layout="constrained")
+    corners = 0.5 * np.array(size) * np.array([[[1, -1, -1], [-1, 1, -1], [1, 1, 1]], [[-1, -1, 1]] * 3])
+    for k, view in enumerate(_surface_fit_figure._VIEWS):
+        ax = figure.add_subplot(1, 3, k + 1, projection="3d", computed_zorder=False)
+        _surface_fit_figure._seen(ax, corners, view)
+    figure.draw_without_rendering()
+    for ax in figure.axes:
+        assert not ax.patch.get_visible()
+        for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
+            low, high = axis.get_view_interval()
+            numbers = [tick.label1 for tick in axis.majorTicks if low < tick.get_loc() < high]
+            assert numbers and not any(over_a_turned_label(axis.label, one) for one in numbers)
+
+
 def test_a_histogram_leaves_out_the_farthest_and_shows_the_limits():
     values = np.append(np.arange(0.0, 1001.0), [NAN, np.inf])
     for limits, ends in (([], (5.0, 995.0)), ([-200.0, 300.0], (-200.0, 995.0)), ([2000.0], (5.0, 2000.0))):

@@ -18,6 +18,8 @@ _VIEWS = ((22.0, -60.0), (22.0, 120.0))
 _ZOOM = 0.8  # leaves room for the labels
 _BINS = 60
 _SEEN = 99.5  # per cent of the numbers that a histogram shows
+# How far labels and ticks stand from the axes of a cube, and at most [pt]; matplotlib adds the last to all.
+_LABEL, _TICK, _FARTHEST, _OWN = 12.0, 8.0, 36.0, 8.0
 _WHITE = (1.0, 1.0, 1.0, 0.0)
 
 
@@ -63,10 +65,15 @@ def _seen(ax: Any, corners: np.ndarray, view: tuple[float, float]) -> None:
     ax.set_box_aspect(high - low, zoom=_ZOOM)
     ax.set_proj_type("ortho")
     ax.view_init(*view)
-    for axis, name in zip((ax.xaxis, ax.yaxis, ax.zaxis), "xyz", strict=True):
+    ax.patch.set_visible(False)  # it hid the label that the axes before have beside them
+    size = (high - low) / max(high - low)
+    for k, axis in enumerate((ax.xaxis, ax.yaxis, ax.zaxis)):
+        # Labels move out along the two other axes, and by so much less as the body is short along these.
+        across = max(np.delete(size, k))
         axis.set_pane_color(_WHITE)
-        axis.set_label_text(f"{name} [mm]", fontsize=8, color=GUIDE)
-        axis.set_tick_params(labelsize=7, color="#999999", pad=0)
+        axis.labelpad = min(_LABEL / across, _FARTHEST) - _OWN
+        axis.set_label_text(f"{'xyz'[k]} [mm]", fontsize=8, color=GUIDE)
+        axis.set_tick_params(labelsize=7, color="#999999", pad=min(_TICK / across, 0.6 * _FARTHEST) - _OWN)
         axis.set_major_locator(_few(high - low))
         axis._axinfo["grid"] |= {"color": "#E2E5E8", "linewidth": 0.6}
 

@@ -397,6 +397,10 @@ def test_silhouettes_that_are_not_whole_are_refused():
         jxr.io.read_silhouette(disc_image()[:50], pixel=1e-4, threshold=0.5)
     with pytest.raises(ValueError, match="argument which must be below the number of outlines, 1"):
         jxr.io.read_silhouette(disc_image(), pixel=1e-4, which=1)
+    words = "^argument image must be the values .* and no path, but was .*photo"
+    for path in ("photo.png", pathlib.Path("photo.png")):
+        with pytest.raises(ValueError, match=words):
+            jxr.io.read_silhouette(path, pixel=1e-4)
     for none in (np.zeros((4, 4, 2)), np.zeros((1, 9)), np.zeros((9, 1)), np.zeros(9)):
         with pytest.raises(ValueError, match=r"must be grey values of shape \(rows, columns\)"):
             jxr.io.read_silhouette(none, pixel=1e-4)

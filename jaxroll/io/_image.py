@@ -5,6 +5,7 @@ across the image, as light does, by a polynomial of second degree. The distance 
 it is an image of grey values again, dark outside the shape and bright within, however the shape is shaded.
 """
 
+import os
 from typing import Any
 
 import numpy as np
@@ -61,6 +62,11 @@ def read_silhouette(
         >>> f"{0.5 * np.ptp(points[:, 0]):.4f} m"
         '0.0100 m'
     """
+    if isinstance(image, str | os.PathLike):
+        raise ValueError(
+            "argument image must be the values of an image, such as matplotlib.image.imread reads, and no "
+            f"path, but was {shown(image)}"
+        )
     try:
         grey = np.asarray(image)
     except (TypeError, ValueError):

@@ -17,6 +17,11 @@ from jaxroll.io import _hand, _robot_file
 GRAVITY = (1.0, -2.0, -9.0)
 JOINTS = (3, 2, 4)  # of each finger
 BALL = jxr.Sphere(0.01)
+# Earlier ones leave a URDF's moments of inertia in the link's axes, whatever the turn of their own frame, and
+# find principal axes to 1e-7. What `load_hand` takes from a file is the same with all of them.
+of_exact_mujoco = pytest.mark.skipif(
+    tuple(map(int, mujoco.__version__.split(".")[:2])) < (3, 14), reason="an earlier MuJoCo is no measure"
+)
 
 
 def numbers(values):
@@ -155,6 +160,7 @@ def without_meshes(text):
     )
 
 
+@of_exact_mujoco
 def test_a_hand_from_urdf_moves_as_in_mujoco(tmp_path):
     text = as_urdf(random_links(1))
     tips = {f"e{i}{k - 1}": BALL for i, k in enumerate(JOINTS)}
@@ -165,6 +171,7 @@ def test_a_hand_from_urdf_moves_as_in_mujoco(tmp_path):
     assert hand.damping[2].tolist() == [0.02] * 4
 
 
+@of_exact_mujoco
 def test_the_same_hand_from_mjcf(tmp_path):
     """To the same fingers; then with rotors, and angles that are measured from elsewhere than the drawing."""
     links = random_links(1)

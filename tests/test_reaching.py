@@ -441,6 +441,12 @@ def test_an_object_in_space_is_asked_for_at_a_pose_of_length_one():
     np.testing.assert_allclose(_reach._object_at(grasp, given, state), [0.1, 0.2, 0.3, 0.0, 0.6, 0.0, 0.8])
     with pytest.raises(ValueError, match="argument pose must end with a quaternion, but was"):
         _reach._object_at(grasp, np.zeros(7), None)
+    # So is that of a guess, whose quaternion may have any length.
+    long = jxr.State(state.q.at[3:7].multiply(2.5), state.v, state.s)
+    np.testing.assert_allclose(_reach._object_at(grasp, None, long), state.q[:7], rtol=1e-15)
+    none = jxr.State(state.q.at[3:7].set(0.0), state.v, state.s)
+    with pytest.raises(ValueError, match=r"argument guess must have in q\[3:7\] a quaternion, but was"):
+        jxr.reach(grasp, np.zeros((2, 3)), guess=none)
     plane, start = runs.scene("pinch")
     np.testing.assert_array_equal(_reach._object_at(plane, None, None), np.zeros(3))
     np.testing.assert_array_equal(_reach._object_at(plane, [1.0, 2.0, 3.0], start), [1.0, 2.0, 3.0])

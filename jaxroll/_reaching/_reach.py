@@ -167,18 +167,23 @@ def _check(grasp: Grasp, guess: State | None, hold_object: bool) -> None:
 def _object_at(grasp: Grasp, pose: Given | None, guess: State | None) -> np.ndarray:
     """Positions of the object, a quaternion at unit length."""
     count = grasp.form.positions[0]
-    if pose is None:
+    turns = grasp.spatial and count == 7
+    if pose is guess is None:
         rest = np.zeros(count)
-        if grasp.spatial and count == 7:
+        if turns:
             rest[3] = 1.0
-        return rest if guess is None else np.array(guess.q, float)[:count]
-    given = np.array(as_floats("pose", pose, (count,)), float)
-    if grasp.spatial and count == 7:
-        size = np.linalg.norm(given[3:])
+        return rest
+    if pose is not None:
+        told, positions = "pose must end with", np.array(as_floats("pose", pose, (count,)), float)
+    else:
+        assert guess is not None
+        told, positions = "guess must have in q[3:7]", np.array(guess.q, float)[:count]
+    if turns:
+        size = np.linalg.norm(positions[3:])
         if not size > 0:
-            raise ValueError(f"argument pose must end with a quaternion, but was {shown(given)}")
-        given[3:] /= size
-    return given
+            raise ValueError(f"argument {told} a quaternion, but was {shown(positions)}")
+        positions[3:] /= size
+    return positions
 
 
 def _extent(grasp: Grasp) -> float:

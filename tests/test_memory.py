@@ -624,3 +624,27 @@ def test_the_chapters_quantities_are_those_of_the_law_inside(pinch):
     plain = jxr.pinch_balance(grasp, 0.0, state)
     np.testing.assert_allclose(inside.n, plain.n, rtol=1e-14)
     np.testing.assert_allclose(inside.delta_f, plain.delta_f, rtol=1e-10)
+
+
+@pytest.mark.parametrize("sampled", [False, True], ids=["integral", "sampled"])
+def test_loci_have_the_accelerations_of_a_controller_with_a_memory(sampled):
+    """By differences of the contact points, which a run gives under the torques that its memory asks for."""
+    finger = jxr.Finger3([(1, 0, 0), (0, 0, 1)], [(0, 0.05, 0), (0, 0.05, 0)], [0.02, 0.02], jxr.Sphere(0.01))
+    ball = jxr.FreeObject3(jxr.Sphere(0.02), 0.05, 8e-6)
+    grasp = jxr.Grasp(ball, [finger], [jxr.Contact3()], gravity=(0, 0, -9.81))
+    q, places = [0.03, 0.1, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.01, 0.0, 0.0, -0.02, 0.0, 0.0]
+    law = jxr.control.Integral(lambda t, q, v, tip: (-0.01 * v[0],), {"x": 0.0}, 2.0)
+    if sampled:
+        law = jxr.control.Sampled(lambda t, q, v, tip: (0.01 * q[0] - 0.002 * v[0],), 0.02)
+    grasp, state = jxr.close(
+        grasp.with_(controller=law), jxr.State(q, [0.0, 0.1, 0.1, *4 * [1.0], 2.0], places)
+    )
+    h = 1e-4
+    ts = 0.035 + h * np.arange(-2.0, 3.0)
+    run = jxr.simulate(grasp, state, 0.04, ts=ts, events=(), rtol=1e-11)
+    locus = jxr.loci(grasp, run).object
+    p = np.asarray(locus.point)[0]
+    v = (p[0] - 8 * p[1] + 8 * p[3] - p[4]) / (12 * h)
+    a = (-p[0] + 16 * p[1] - 30 * p[2] + 16 * p[3] - p[4]) / (12 * h**2)
+    bent = a @ np.cross(ball.surfaces[0].normal(p[2]), v) / np.linalg.norm(v) ** 3
+    np.testing.assert_allclose(locus.geodesic_curvature[0, 2], bent, rtol=1e-6)

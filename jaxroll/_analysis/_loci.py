@@ -148,7 +148,9 @@ def _loci(grasp: Grasp, ts: Array, states: State) -> Loci:
 def _jets(grasp: Grasp, t: Scalar, state: State) -> tuple[_Jet, _Jet]:
     """Derivatives of the loci on the fingertips and on the object at one time [s] and state."""
     lay = layout(grasp, audited=False)
-    x = jnp.concatenate([state.q, state.v, state.s])
+    # With the controller's memory, where the run has saved one: its torques are part of the accelerations.
+    memory = [] if state.memory is None else [state.memory]
+    x = jnp.concatenate([state.q, state.v, state.s, *memory])
 
     def moving(t: Scalar, x: Array) -> tuple[Array, Array, Array]:
         """Velocities of the contact points, their derivatives in time, and the rates of the whole state x.

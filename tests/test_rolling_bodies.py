@@ -362,6 +362,25 @@ def test_bad_input_is_told_in_one_sentence():
         jxr.loci(planar[0], None)
 
 
+@pytest.mark.parametrize("on_tip", [False, True])
+def test_rolling_past_an_end_is_told(on_tip):
+    """Of a sheet of 0.1 m, from its middle on: nothing is known of it beyond."""
+    x = np.linspace(-0.05, 0.05, 8)
+    sheet = jxr.geometry.Patch(np.stack([*np.meshgrid(x, x, indexing="ij"), np.zeros((8, 8))], axis=-1))
+    pair, places = (jxr.Sphere(0.01), sheet), ((0.0, 0.0, -0.01), (3.5, 3.5))
+    if on_tip:  # two planes, over which the contact moves all the same
+        pair, places = (sheet, jxr.Plane()), ((3.5, 3.5), (0.0, 0.0, 0.0))
+
+    def ended(way):
+        ts, given = np.linspace(0.0, 1.0, 3), {"at_tip": places[0], "at_object": places[1]}
+        found = jxr.roll(*pair, jax.tree_util.Partial(lambda way, t: (way, 0.0, 0.0), way), ts, **given)
+        assert found.arclength[-1] == pytest.approx(way)
+        return found.result
+
+    assert ended(0.0499) == ended(0.05) == jxr.RESULTS.successful
+    assert ended(0.0501) == ended(0.2) == jxr.RESULTS.contour_end
+
+
 def test_ball_leaves_a_table_that_falls_away():
     """The normal force runs out, and the run says when: the table drops faster than the ball may."""
     lowered, state = on_a_table(fall=2.0)

@@ -7,6 +7,7 @@ no unknown: it follows from the contact point's being on both surfaces, so that 
 rounding however large the steps are. diffrax integrates; `RESULTS` says how it went.
 """
 
+import functools
 from collections.abc import Callable
 from typing import Any, ClassVar
 
@@ -41,6 +42,8 @@ _MAX_STEPS = 65536
 # Unit vectors are opposite if one plus their inner product is below this, which is
 # half the square of the angle that is missing.
 _OPPOSITE = ByPrecision(1e-12, 1e-6)
+# A contact not farther than this past an end of its surface is at the end [m].
+_AT_END = ByPrecision(1e-9, 1e-6)
 
 
 class Rolled(eqx.Module):
@@ -99,7 +102,8 @@ def roll(
         rtol: Relative tolerance of the integration (Dopri8).
 
     Returns:
-        A `Rolled`. Its code is `solver_failed` where the integration did not reach the end.
+        A `Rolled`. Its code is `solver_failed` where the integration did not reach the end, and
+        `contour_end` where a contact is past an end of its surface at one of these times.
 
     Raises:
         ValueError: If an argument does not fit.
@@ -180,6 +184,13 @@ class _Rolling(eqx.Module):
         at = jnp.concatenate([origin.array(), jnp.stack(normalised(unstack(y[:4])))])
         return at, jnp.stack(places[0]), jnp.stack(places[1])
 
+    def ended(self, y: Array) -> Array:
+        """Whether a contact is past an end of its surface, where nothing is known of it."""
+        _, (at_tip, at_object), _ = self.frames(y)
+        past = -_AT_END.of(y)
+        margins = (*self.tip.margins(at_tip), *self.object.margins(at_object))
+        return functools.reduce(jnp.logical_or, [m < past for m in margins], jnp.array(False))
+
     def start(self, rotation: Array, at_tip: Array, at_object: Array) -> Array:
         r"""`y` with the body turned by the smallest angle that makes the surfaces tangent.
 
@@ -247,8 +258,8 @@ def _integrated(
         max_steps=_MAX_STEPS,
         throw=False,
     )
-    fine = solution.result == diffrax.RESULTS.successful
-    result = RESULTS.where(fine, RESULTS.successful, RESULTS.solver_failed)
-    ys = jnp.asarray(solution.ys)
+    fine, ys = solution.result == diffrax.RESULTS.successful, jnp.asarray(solution.ys)
+    over = RESULTS.where(jnp.any(jax.vmap(rolling.ended)(ys)), RESULTS.contour_end, RESULTS.successful)
+    result = RESULTS.where(fine, over, RESULTS.solver_failed)
     at, at_tip, at_object = jax.vmap(rolling.answer)(ys)
     return Rolled(ts, at, at_tip, at_object, ys[:, -1], result)

@@ -681,3 +681,24 @@ def test_a_finger_is_measured_by_its_links_and_its_tip():
     for elbow in (True, (1, 2), [1, 1.0], "up"):
         with pytest.raises(ValueError, match="argument elbow must be 1, -1 or 0"):
             _reach._elbows(elbow, 2)
+
+
+def test_places_past_an_end_of_their_face_are_refused():
+    """Of an open contour and of a sheet in space; round a closed contour a place may go on."""
+    box = jxr.scenes.rectangle(0.03, 0.05)
+    fingers = [jxr.Finger([0.06, 0.05], [0.03, 0.02], jxr.Circle(0.01), base=(x, 0.0)) for x in (-0.03, 0.03)]
+    contacts = [jxr.Contact(finger=i, contour=i) for i in (0, 1)]
+    with pytest.raises(
+        ValueError, match=r"argument contacts must be .*, but .*0.03.* is 0.005 m past .* face 1"
+    ):
+        jxr.reach(jxr.Grasp(box, fingers, contacts), [-0.025, 0.03])
+    sheet = jxr.geometry.Patch(
+        np.stack([*np.meshgrid(*2 * [0.01 * np.arange(6)], indexing="ij"), np.zeros((6, 6))], -1)
+    )
+    for place in ((0.0, 5.0), (2.5, 2.5)):
+        _reach._check_on(sheet_of(sheet), 0, np.array(place))
+    for place in ((-0.1, 2.5), (2.5, 5.1)):
+        with pytest.raises(ValueError, match=r"is 0.001 m past one of face 2"):
+            _reach._check_on(sheet_of(sheet), 2, np.array(place))
+    _reach._check_on(sheet_of(jxr.Circle(0.01)), 0, np.array([3.0]))
+    _reach._check_on(sheet_of(jxr.Catenary(0.01)), 0, np.array([3.0]))

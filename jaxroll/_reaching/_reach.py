@@ -36,6 +36,8 @@ from ._sheet import Sheet, sheet_of
 
 # A point given counts as one of the object if it is off by no more than this share of the object's size.
 _NEAR = 0.01
+# A place not farther than this past an end of its face is at the end [m].
+_AT_END = 1e-9
 # Samples of a fingertip, in the plane and in space.
 _TIP = (384, 720)
 # Extent of an object whose faces have no bounds, and of a tip [m].
@@ -115,7 +117,7 @@ def reach(
 
     Raises:
         ValueError: If an argument does not fit, a point is off the object by more than a hundredth of its
-            size, or contacts are of one's own class.
+            size, a place is past an end of its face, or contacts are of one's own class.
 
     Accuracy: gaps below 1e-12 m. Searches go on from 64 starts; a posture may be missed whose joints are
     nearly stretched. Overlap is that of samples, 384 of a contour and 720 of a surface.
@@ -251,7 +253,24 @@ def _places_on(grasp: Grasp, faces: list[Sheet], solid: SampledObject, contacts:
             f"argument contacts must have shape ({count}, {axes}), or be a place for each contact, but had "
             f"shape {given.shape}"
         )
+    for contact, face, row in zip(grasp.contacts, touched, rows, strict=True):
+        _check_on(face, contact.touched, row)
     return list(rows)
+
+
+def _check_on(face: Sheet, which: int, place: np.ndarray) -> None:
+    """Raise for a place past an end of its face, where nothing is known of it."""
+    if face.spatial:
+        margins = face.shape.margins(tuple(map(jnp.asarray, place)))
+    else:
+        ends = face.shape.domain()
+        margins = () if ends is None or face.shape.closed else (place[0] - ends[0], ends[1] - place[0])
+    past = -min((float(margin) for margin in margins), default=0.0)
+    if past > _AT_END:
+        raise ValueError(
+            f"argument contacts must be places between the ends of faces, but {shown(place)} is {past:.3g} m "
+            f"past one of face {which}"
+        )
 
 
 def _foot(solid: SampledObject, which: int, point: np.ndarray) -> np.ndarray:

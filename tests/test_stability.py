@@ -546,6 +546,20 @@ def test_a_grasp_that_no_force_holds_is_neutral():
     assert found.verdict == VERDICTS.neutral and int(found.neutral) == 4 and not bool(found.bends_down)
 
 
+def test_a_grasp_rests_where_it_does_however_weak_its_forces_are():
+    """All forces and masses times a power of two: rounding is the same, in places and in rates."""
+    grasp, state = jxr.scenes.pinch_ellipse()
+    weights = lambda g: (  # noqa: E731
+        [g.object.mass, g.object.inertia, g.controller.beta, g.controller.alpha, g.controller.damping]
+        + [x for f in g.fingers for x in (f.masses, f.inertias)]
+    )
+    weak = eqx.tree_at(weights, grasp, [2.0**-50 * x for x in weights(grasp)])
+    here, there = assess(grasp, state), assess(weak, state)
+    assert bool(there.equilibrium.found) and here.verdict == there.verdict
+    assert jnp.array_equal(here.equilibrium.state.q, there.equilibrium.state.q)
+    assert jnp.abs(there.rates / here.rates - 1.0).max() <= 1e-12
+
+
 @pytest.mark.parametrize(("first", "there"), [(0.003, False), (-0.001, True), (0.0, True)])
 def test_no_grasp_rests_beyond_the_ends_of_its_contours(first, there):
     """Held from above on faces that begin so far above the middle, where the pinch would come to rest."""

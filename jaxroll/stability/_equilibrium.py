@@ -51,6 +51,8 @@ _DONE = ByPrecision(1e-13, 1e-5)
 _BALANCED = ByPrecision(1e-9, 1e-5)
 # How far beyond an end of its contour a contact may be found for rounding, relative to a length.
 _AT_END = ByPrecision(1e-9, 1e-5)
+# Forces at the start below this share of what they change by over a radian and a length are rounding.
+_SLIGHT = 1e-6
 # Longest step of one iteration, in radians or mean link lengths.
 _LONGEST = 0.1
 
@@ -192,10 +194,9 @@ class _Scale(eqx.Module):
 def _start(grasp: Grasp, state: State, t: Given) -> tuple[Array, _Scale]:
     """The first guess of the scaled unknowns, with contact forces zero, and the scales."""
     contacts, kept = len(grasp.contacts), _kept(grasp, state)
-    drive, _ = _drive(grasp, state.q, state.s, kept, t=t)
     one, (length, coordinates) = jnp.ones((), state.q.dtype), _sizes(grasp)
-    # Torques over a length, and forces, of controller, loads and gravity; not zero where neither acts.
-    force = jnp.maximum(jnp.max(jnp.abs(drive * coordinates)) / length, 1e-6)
+    drive = _drive(grasp, state.q, state.s, kept, t=t)[0]
+    force = _force_size(grasp, state, kept, t=t)
     ones = jnp.ones(contacts, state.q.dtype)
     unknowns = jnp.concatenate([coordinates, ones * length, jnp.tile(ones, 2) * force])
     rows = jnp.tile(jnp.stack([length, length, one]), contacts)
@@ -207,6 +208,18 @@ def _start(grasp: Grasp, state: State, t: Given) -> tuple[Array, _Scale]:
         unknowns, equations = jnp.concatenate([unknowns, unit]), jnp.concatenate([equations, size])
         start = jnp.concatenate([start, kept])
     return start / unknowns, _Scale(unknowns, equations)
+
+
+def _force_size(grasp: Grasp, state: State, kept: Array, *, t: Given) -> Scalar:
+    """The largest force of controller, loads and gravity [N], or torque over a length, whatever the units.
+
+    One where none of them acts.
+    """
+    length, coordinates = _sizes(grasp)
+    drive = lambda q: _drive(grasp, q, state.s, kept, t=t)[0] * coordinates / length  # noqa: E731
+    stiff = jnp.max(jnp.abs(jax.jacfwd(drive)(state.q) * coordinates[None]))
+    size = jnp.maximum(jnp.max(jnp.abs(drive(state.q))), _SLIGHT * stiff)
+    return jnp.where(size > 0.0, size, 1.0)
 
 
 def _memory_sizes(

@@ -14,6 +14,7 @@ from jaxroll._motion import bodies, Index1
 from jaxroll._motion._equations import evaluate, sensed
 from jaxroll._motion._quantities import power
 from jaxroll.control import Sensed
+from jaxroll.scenes._facing_place import facing_place
 from tests.oracles.chapter_part1 import Part1, STEP
 
 SENSE = np.array([1.0, -1.0])
@@ -215,3 +216,68 @@ def test_trajectory_against_the_chapters_equations(pinch, chapter):
     np.testing.assert_allclose(START - SENSE * np.asarray(run.states.s), s, rtol=0, atol=1e-9)
     np.testing.assert_allclose(run.multipliers.f, forces[:, :2], rtol=0, atol=1e-7)
     np.testing.assert_allclose(run.multipliers.lam, forces[:, 2:], rtol=0, atol=1e-7)
+
+
+def superellipse(u):
+    """Half axes of 10 and 25 mm, of the eighth degree: without curvature where it faces along an axis."""
+    x, y = jnp.cos(u), jnp.sin(u)
+    return jnp.stack([0.01 * x, 0.025 * y]) * (x**8 + y**8) ** -0.125
+
+
+def stadium(s):
+    """By arclength from the middle of the right side, 30 mm long and straight; half circles of 10 mm."""
+    radius, half = 0.01, 0.015
+    rest = s % (2 * half + np.pi * radius)
+    t = jnp.clip((rest - half) / radius, 0.0, np.pi)
+    y = jnp.where(rest < half, rest, jnp.where(t < np.pi, half, 2 * half + np.pi * radius - rest))
+    point = jnp.stack([radius * jnp.cos(t), y + radius * jnp.sin(t)])
+    return jnp.where((s % STADIUM) < 0.5 * STADIUM, point, -point)
+
+
+STADIUM = 0.06 + 0.02 * np.pi
+
+
+def rounded_rectangle():
+    """Points of a rectangle with corners of 1 mm radius; a spline bends its sides by noise alone."""
+    turns = np.pi / 2 * np.arange(4)[:, None] + np.pi / 2 * np.linspace(0.0, 1.0, 13)
+    middles = np.array([[0.014, 0.024], [-0.014, 0.024], [-0.014, -0.024], [0.014, -0.024]])
+    corners = middles[:, None] + 1e-3 * np.stack([np.cos(turns), np.sin(turns)], axis=-1)
+    ring = corners.reshape(-1, 2)
+    pairs = zip(ring, np.roll(ring, -1, axis=0), strict=True)
+    return np.concatenate(
+        [
+            a + (b - a) * np.arange(n)[:, None] / n
+            for a, b in pairs
+            for n in [max(1, int(np.hypot(*(b - a)) / 3e-4))]
+        ]
+    )
+
+
+@pytest.mark.parametrize(
+    ("contour", "left"),
+    [
+        (jxr.Parametric(superellipse, (0.0, 2 * np.pi), closed=True), None),
+        (jxr.Parametric(stadium, (0.0, STADIUM), closed=True), 0.5 * STADIUM),
+        (jxr.Spline(rounded_rectangle()), None),
+    ],
+    ids=["superellipse", "stadium", "corners"],
+)
+@pytest.mark.parametrize("angle", [np.pi, 0.0, 3.124062163134476, 0.5])
+def test_a_closed_contour_faces_a_finger_where_it_reaches_farthest_though_it_is_straight(
+    contour, left, angle
+):
+    low, high = contour.domain()
+    place = facing_place("object", contour, angle)
+    assert low - 0.01 <= place <= high + 0.01
+    along = np.array([np.cos(angle), np.sin(angle)])
+    every = np.asarray(jax.vmap(contour.point)(jnp.linspace(low, high, 20001))) @ along
+    assert every.max() - contour.point(place) @ along <= 1e-6
+    if left is not None and angle == np.pi:
+        assert abs(place - left) <= 1e-12
+
+
+def test_the_place_that_faces_a_finger_moves_with_the_contour():
+    turned = lambda b: facing_place("object", jxr.Ellipse(0.02, b), 0.7)  # noqa: E731
+    h = 1e-5
+    slope = (turned(0.013 + h) - turned(0.013 - h)) / (2 * h)
+    assert abs(jax.grad(turned)(0.013) / slope - 1.0) <= 1e-6

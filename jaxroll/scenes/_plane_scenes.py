@@ -14,14 +14,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._closing import close
-from .._linalg import Vec2
 from .._mechanics import Finger, FreeObject, Grasp, Jaw, PivotedObject, State
-from .._results import as_count, as_floats, as_length, as_positive, check_instance, shown
+from .._results import as_count, as_floats, as_length, as_positive, check_instance
 from .._types import Given
-from .._xla import quickly
 from ..contact import Contact
 from ..control import Opposition, orientations, Press
-from ..geometry import AbstractContour, Catenary, check_contour, Circle, Ellipse, Line, Moved, tabled
+from ..geometry import AbstractContour, Catenary, Circle, Ellipse, Line, Moved
+from ._facing_place import facing_place
 from ._scene_arguments import as_pair
 
 # Of the contacts of a pinch, on the left face and on the right one.
@@ -348,8 +347,8 @@ def ring(
         angle = 2.0 * np.pi * i / count
         out = np.array([np.cos(angle), np.sin(angle)])
         # The finger stands outside the object; the base is moved aside, so that the arm is bent.
-        rim = _facing("object", body.contours[0], angle)
-        inward = _facing("tip", shape, np.pi)
+        rim = facing_place("object", body.contours[0], angle)
+        inward = facing_place("tip", shape, np.pi)
         base = 0.1 * out + 0.02 * np.array([-out[1], out[0]])
         # The last link points at the object, so the side of the tip that its x axis meets touches.
         fingers.append(Finger((0.05, 0.05), (0.05, 0.04), shape.moved(angle=np.pi), base=base))
@@ -390,38 +389,11 @@ def _middles(body: FreeObject) -> tuple[Any, Any]:
     """
     if len(body.contours) != 1:
         return 0.0, 0.0
-    return _facing("object", body.contours[0], np.pi), _facing("object", body.contours[0], 0.0)
+    return facing_place("object", body.contours[0], np.pi), facing_place("object", body.contours[0], 0.0)
 
 
 def _free(body: FreeObject) -> FreeObject:
     return check_instance("object", body, FreeObject, "a FreeObject")
-
-
-def _facing(name: str, contour: AbstractContour, angle: float) -> Any:
-    """Arclength at which a closed contour reaches farthest in a direction [rad]."""
-    if not contour.closed:
-        what = "have two faces or one closed contour" if name == "object" else "be a closed contour"
-        raise ValueError(f"argument {name} must {what}, but had {shown(contour)}")
-    check_contour(name, contour)
-    return _farthest(tabled(contour), jnp.array([np.cos(angle), np.sin(angle)]))
-
-
-@quickly
-def _farthest(contour: AbstractContour, along: Array) -> Array:
-    r"""Arclength [m] at which a closed contour reaches farthest along a unit vector d.
-
-    There $t(s) \cdot d = 0$; its derivative is $\kappa\, n \cdot d$ with n to the left. Newton's method from
-    the best of 257 places.
-    """
-    ready = contour.prepared()
-    ends = ready.domain()
-    assert ends is not None  # a closed contour has a length
-    s = ends[0] + (ends[1] - ends[0]) * jnp.linspace(0.0, 1.0, 257)
-    s = s[jnp.argmax(ready.frame(s).point.array() @ along)]
-    for _ in range(6):
-        frame, way = ready.frame(s), Vec2(along[0], along[1])
-        s = s + frame.tangent.dot(way) / (frame.curvature * frame.tangent.right().dot(way))
-    return s
 
 
 class Conveyor(eqx.Module):
@@ -476,7 +448,7 @@ def roller(
     )
     force, travel = as_floats("force", force, ()), as_floats("travel", travel, ())
     period, mass = as_positive("period", period), as_positive("mass", mass)
-    top, bottom = _facing("contour", shape, 0.5 * np.pi), _facing("contour", shape, -0.5 * np.pi)
+    top, bottom = facing_place("contour", shape, 0.5 * np.pi), facing_place("contour", shape, -0.5 * np.pi)
     height = shape.point(top)[1] - shape.point(bottom)[1]
     radius = 0.5 * height
     inertia = 0.5 * mass * radius**2

@@ -77,20 +77,31 @@ def test_feet_on_an_arc_are_to_second_order_and_beyond_its_ends_the_ends():
     np.testing.assert_allclose(np.stack([*found.slope], 1)[:2], [[0.6, -0.8], [-0.8, 0.6]])
 
 
-def test_the_least_of_samples_is_that_of_a_parabola():
-    """Of a closed contour the last sample is the first again, so that its minimum may lie at the seam."""
-    least = jax.jit(_candidates.least, static_argnums=1)
-    curve = lambda x, low: 3.0 + 2.0 * (x - low) ** 2  # noqa: E731
-    x = np.arange(7.0)
-    for closed in (False, True):
-        assert float(least(curve(x, 3.3), closed)) == pytest.approx(3.0)
-    # At an end of an open contour the sample itself is the least.
-    for low, value in ((-0.2, 3.08), (0.2, 3.08), (6.2, 3.08), (5.8, 3.08)):
-        assert float(least(curve(x, low), False)) == pytest.approx(value)
-    around = 2.0 * np.minimum(np.abs(x - 0.3), np.abs(x - 6.3)) ** 2
-    np.testing.assert_allclose([least(around, True), least(around[::-1], True)], 0.0, atol=1e-12)
-    assert float(least(np.ones(7), True)) == 1.0
-    assert float(least(np.array([9.0, 3.0, 1.0, 1.0, 3.0, 9.0, 9.0]), False)) == pytest.approx(0.75)
+@pytest.mark.parametrize(
+    ("tip", "face"),
+    [
+        (jxr.Ellipse(0.01, 0.02), jxr.Line((-0.1, 0.1))),
+        (jxr.Circle(0.01), jxr.Ellipse(0.015, 0.025)),
+        (jxr.Ellipse(0.01, 0.05), jxr.Circle(0.01)),
+        (jxr.Catenary(1 / 40, (-0.03, 0.03)), jxr.Ellipse(1.5, 2.5)),
+        (jxr.Circle(1.0), jxr.Circle(0.01)),  # its samples are further apart than the face is wide
+    ],
+)
+def test_shapes_that_touch_do_not_overlap(tip, face):
+    """A fingertip laid against a face from outside, wherever both are touched: to rounding."""
+
+    def overlap(u, w):
+        s, z = (ends[0] + (ends[1] - ends[0]) * x for ends, x in ((tip.domain(), u), (face.domain(), w)))
+        at, on = tip.frame(s), face.frame(z)
+        # The tangents are opposite, the points the same.
+        cos, sin = -at.tangent.dot(on.tangent), -at.tangent.cross(on.tangent)
+        turned = Pose2(Vec2(0.0, 0.0), cos, sin)
+        place = Pose2(on.point - turned.turn(at.point), cos, sin)
+        still = Pose2(Vec2(jnp.zeros(()), jnp.zeros(())), jnp.ones(()), jnp.zeros(()))
+        return -_clearance.clearance((place, still), tip.prepared(), [face.prepared()], samples=64)
+
+    u, w = np.random.default_rng(0).uniform(0.1, 0.9, (2, 200))
+    assert np.asarray(jax.jit(jax.vmap(overlap))(u, w)).max() <= 1e-14
 
 
 def test_a_dip_is_placed_by_its_rates_and_bounded_by_its_tangents():

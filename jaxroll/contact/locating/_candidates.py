@@ -77,8 +77,12 @@ def spread(contour: AbstractContour, count: int) -> Float[Array, " samples"]:
 
 def into(pose: Pose2, point: Vec2) -> Vec2:
     """A point of the world in the frame of a body, which has this pose."""
-    arm = point - pose.origin
-    return Vec2(pose.cos * arm.x + pose.sin * arm.y, pose.cos * arm.y - pose.sin * arm.x)
+    return back(pose, point - pose.origin)
+
+
+def back(pose: Pose2, vector: Vec2) -> Vec2:
+    """A direction of the world in the axes of a body, which has this pose."""
+    return Vec2(pose.cos * vector.x + pose.sin * vector.y, pose.cos * vector.y - pose.sin * vector.x)
 
 
 def nearest_dense(samples: Vec2, points: Vec2) -> Array:
@@ -156,21 +160,6 @@ def toward(
     away = jnp.where(size > 0.0, size, 1.0)
     slope = Vec2(jnp.where(ended, arm.x / away, slope.x), jnp.where(ended, arm.y / away, slope.y))
     return Feet(held, jnp.where(ended, size, out), slope, ended)
-
-
-def least(values: Array, closed: bool) -> Scalar:
-    """Least value of a sampled function, by the parabola through the smallest sample and its neighbours.
-
-    With $f_-, f_0, f_+$ its vertex lies $(f_+ - f_-)^2 / (8 (f_- + f_+ - 2 f_0))$ below $f_0$.
-    """
-    last = values.shape[0] - 1  # on a closed contour this is the first sample again
-    i = jnp.argmin(values)
-    before = values[(i - 1) % last if closed else jnp.maximum(i - 1, 0)]
-    after = values[(i + 1) % last if closed else jnp.minimum(i + 1, last)]
-    bend = before + after - 2.0 * values[i]
-    inside = closed | ((i > 0) & (i < last))
-    drop = (after - before) ** 2 / (8.0 * jnp.where(bend > 0, bend, 1.0))
-    return values[i] - jnp.where(inside & (bend > 0), drop, 0.0)
 
 
 def minima(s: Array, found: Feet, rate: Array, *, turn: Scalar, closed: bool, count: int) -> Minima:

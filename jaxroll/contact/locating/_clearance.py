@@ -2,9 +2,10 @@ r"""How far a fingertip stays clear of an object, away from their contact too.
 
 A run that is asked for the event 'penetration' calls `clearance` with its poses, in space `clearance3`: the
 samples of the fingertip are compared with the object's faces, and the smallest signed distance is returned.
+Samples are too far apart for that to be accurate: from the lowest one some Newton steps go down the signed
+distance h of one shape's points from the other.
 
-In space samples are too far apart for that to be accurate: from the lowest one some Newton steps go down the
-signed distance h of one surface's points from the other. With the foot's normal $n$ and the shape operators
+In space, with the foot's normal $n$ and the shape operators
 $L$ of both, a tangent step $\delta$ changes it by
 $n \cdot \delta + \frac12 \delta \cdot (L_A + L_B)\, \delta$ where the normals are nearly opposite, so that
 $\delta = -(L_A + L_B)^{-1} n$ in the tangent plane.
@@ -12,6 +13,7 @@ $\delta = -(L_A + L_B)^{-1} n$ in the tangent plane.
 
 import functools
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -20,12 +22,14 @@ from jaxtyping import Array
 from ..._linalg import larger, Pose2, Pose3, root, row, smaller, square, Sym3, Vec3
 from ..._types import Scalar, Scalars
 from ...geometry import AbstractContour, AbstractSurface, Gauss3
-from ._candidates import feet, into, least, nearest_dense, spread
+from ._candidates import back, Feet, feet, into, nearest_dense, spread, toward
 from ._pair3 import summed
 from ._samples3 import footed
 
 # An overlap below this is taken for the contact itself, whose gap a run keeps at zero to rounding [m].
 TOLERANCE = 1e-7
+# Newton steps down the distance in the plane, from the lowest sample.
+_STEPS = 3
 
 
 def clearance(
@@ -47,19 +51,67 @@ def clearance(
         faces: The object's contours, with ends or closed.
         samples: Points on each contour.
     """
-    points = into(poses[1], poses[0].place(tip.frame(spread(tip, samples)).point))
-    outside = []
+    walked = spread(tip, samples)
+    points = into(poses[1], poses[0].place(tip.frame(walked).point))
+    found: list[tuple[AbstractContour, Any, Feet]] = []
     for face in faces:
         s = spread(face, samples)
         # Inside the single kernel of a run, one reduction is cheaper than the loop of `nearest_blocked`.
         near = nearest_dense(face.frame(s).point, points)
-        outside.append(feet(face, s, points, near).distance)
+        found.append((face, (s[0], s[-1]), feet(face, s, points, near)))
     # A point is inside a convex body where it is inside of all its faces: the largest distance counts.
-    return least(functools.reduce(larger, outside), tip.closed)
+    heights = functools.reduce(larger, [foot.distance for _, _, foot in found])
+    lowest = jnp.argmin(heights)
+    nearest = [(face, ends, foot.s[lowest]) for face, ends, foot in found]
+    most, smallest = walked[1] - walked[0], heights[lowest]
+    for along in range(len(nearest)):
+        at = walked[lowest], nearest
+        for _ in range(_STEPS):
+            at = _down(poses, tip, at, along, most)
+        place = at[0] if tip.closed else jnp.clip(at[0], walked[0], walked[-1])
+        smallest = smaller(smallest, _apart(poses, tip, (place, at[1])))
+    return smallest
+
+
+# Arclength of a fingertip [m], and of each face with its ends the arclength of its foot.
+_Place = tuple[Array, list[tuple[AbstractContour, Any, Array]]]
+
+
+def _down(poses: tuple[Pose2, Pose2], tip: AbstractContour, at: _Place, along: int, most: Scalar) -> _Place:
+    r"""A place of a fingertip after one Newton step down its distance h from one of the faces.
+
+    With the foot's normal n, $h' = n \cdot t$, and close to a contact
+    $h'' = \kappa\, n \cdot t_\perp + \kappa_f (t \cdot t_f)^2$. No step is longer than `most`.
+    """
+    frame = tip.frame(at[0])
+    point, tangent = into(poses[1], poses[0].place(frame.point)), back(poses[1], poses[0].turn(frame.tangent))
+    feet = [(face, ends, toward(face, ends, (s, face.frame(s)), point)) for face, ends, s in at[1]]
+    face, _, foot = feet[along]
+    there = face.frame(foot.s)
+    slope, across = foot.slope.dot(tangent), tangent.dot(there.tangent)
+    bend = frame.curvature * foot.slope.dot(tangent.left()) + there.curvature * across * across
+    bend = larger(bend, jnp.abs(slope) / most)
+    step = jnp.where(bend > 0.0, slope / jnp.where(bend > 0.0, bend, 1.0), 0.0)
+    return at[0] - step, [(face, ends, foot.s) for face, ends, foot in feet]
+
+
+def _apart(poses: tuple[Pose2, Pose2], tip: AbstractContour, at: _Place) -> Scalar:
+    """How far a place of a fingertip is outside of the convex body that the faces bound."""
+    point = into(poses[1], poses[0].place(tip.frame(at[0]).point))
+    distances = []
+    for face, ends, s in at[1]:
+        near = toward(face, ends, (s, face.frame(s)), point).s
+        foot = toward(face, ends, (near, face.frame(near)), point)
+        # Where the foot has not been found there is no distance; that of the samples stays.
+        found = jnp.abs(foot.s - near) <= _FOUND * (ends[1] - ends[0])
+        distances.append(jnp.where(found, foot.distance, jnp.inf))
+    return functools.reduce(larger, distances)
 
 
 # Newton steps down the distance, of the foot for each of them, and of the feet of all samples.
 _DOWN, _FOOT = 4, 6
+# A foot that the last step moves by less than this share of its contour has been found.
+_FOUND = 1e-5
 # A foot not farther than this from an end of its surface is at the end [m].
 _AT_END = 1e-9
 

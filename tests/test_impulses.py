@@ -179,6 +179,25 @@ def test_a_blow_that_contacts_cannot_answer_ends_the_run(pivoted):
     assert bool(held.result == jxr.RESULTS.successful)
 
 
+@pytest.mark.parametrize("when", [0.02, 0.9], ids=["after a blow", "before a blow"])
+def test_an_end_moves_with_what_brings_it_about_in_runs_with_blows_too(pivoted, when):
+    """A torque that turns the object until a contour ends: time and state of the end, in both modes."""
+    grasp, state = pivoted
+
+    def end(pull):
+        twist = jax.tree_util.Partial(lambda pull, t, pose, twist: (jnp.zeros(2), pull * t), pull)
+        hit = grasp.with_(load=(Impulse((0.0, 0.0), when, angular=1e-6), twist))
+        run = jxr.simulate(hit, state, 1.0, ts=1, throw=False, rtol=1e-10)
+        return jnp.append(run.last.q, run.stats.t_end)
+
+    end, pull, step = jax.jit(end), 0.2, 1e-5
+    assert 0.02 < float(end(pull)[-1]) < 0.9
+    wanted = (end(pull + step) - end(pull - step)) / (2.0 * step)
+    assert abs(wanted[-1]) > 0.1
+    np.testing.assert_allclose(jax.jacfwd(end)(pull), wanted, rtol=1e-5, atol=1e-8)
+    np.testing.assert_allclose(jax.jacrev(end)(pull), wanted, rtol=1e-5, atol=1e-8)
+
+
 def test_blows_at_one_time_add_up(pivoted):
     grasp, state = pivoted
     halves = grasp.with_(load=[Impulse((0.0, 0.0), 0.3, angular=1e-5)] * 2)

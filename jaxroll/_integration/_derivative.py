@@ -252,6 +252,16 @@ class _Steps(eqx.Module):
         t0 = row(self.ts, k)
         return t0, jnp.where(k < self.count, row(self.ts, k + 1), t0)
 
+    def begun(self, k: Scalar) -> Flow:
+        """The flow vector with which step k begins.
+
+        A step that begins with a code is one whose blow was refused, and keeps the margin as it is
+        (`_step.advance_lanes`). The one of no length after the last must not begin with the code that ended
+        the run: that margin would not drift, and the end's time have no derivative.
+        """
+        y = row(self.ys, k)
+        return y if self.plan.jumps is None else y.at[-1].set(0.0)
+
     def step(
         self, k: Scalar, over: Callable, *, forwards: bool = False
     ) -> Callable[[Bundle, Flow, Scalar], Flow]:
@@ -268,7 +278,7 @@ class _Steps(eqx.Module):
 
     def cotangents_of_step(self, k: Scalar, bar: Flow) -> tuple[Bundle, Flow, Scalar]:
         """Cotangents of (moving, y, shift) from those of where step k ends."""
-        stepper, y = self.plan.stepper, row(self.ys, k)
+        stepper, y = self.plan.stepper, self.begun(k)
         if on_tableau(stepper.method):
             return pulled_back(stepper, (self.moving, self.still), self.span(k), y, bar=bar)
         return jax.vjp(self.step(k, pulled), self.moving, y, jnp.zeros((), y.dtype))[1](bar)
@@ -339,7 +349,7 @@ def _pushed(steps: _Steps, start: tuple[Bundle, Flow]) -> tuple[Array, ...]:
             jnp.where(within, here, steps.passing),
             jnp.where(within, 0.0, 1.0).astype(here.dtype),
         )
-        here_now = (steps.moving, row(steps.ys, k), jnp.zeros((), here.dtype))
+        here_now = (steps.moving, steps.begun(k), jnp.zeros((), here.dtype))
         _, ahead = jax.jvp(steps.step(k, pushed, forwards=True), here_now, along)
         drift = jnp.where(k == count, ahead, drift)
         ahead = jnp.where(within, ahead, here)

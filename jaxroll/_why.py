@@ -247,8 +247,7 @@ def _judged(grasp: Grasp, state: State, t0: Scalar, run: Trajectory) -> Why:
     A failure at the start comes before one of the run, and that before an equilibrium that would not hold.
     """
     start, t = bearing(grasp, t0, state), run.stats.t_end
-    finite = bool(np.isfinite(run.last.q).all())
-    end = bearing(grasp, t, run.last) if finite else None
+    end = bearing(grasp, t, run.last) if np.isfinite(run.last.q).all() else None
     failed = (code := code_name(run.result)) != "successful"
     # An equilibrium is sought from where the run came to its end; a run that failed may have ended anywhere.
     near, when = (state, t0) if failed else (run.last, t)

@@ -806,7 +806,9 @@ def test_functions_refuse_in_one_sentence(function):
 
 
 def test_quantities_of_the_plane_are_refused_in_space():
-    at = jxr.State(*map(np.zeros, SPACE.form.counts))
+    q, v, s = map(np.zeros, SPACE.form.counts)
+    q[3] = 1.0  # of the unit quaternion
+    at = jxr.State(q, v, s)
     for call in (
         lambda: stability.pinch_statics(SPACE, (0, 0)),
         lambda: stability.rectangle_hessian(SPACE, (0, 0)),

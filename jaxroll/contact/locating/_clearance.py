@@ -5,9 +5,9 @@ samples of the fingertip are compared with the object's faces, and the smallest 
 Samples are too far apart for that to be accurate: from the lowest one some Newton steps go down the signed
 distance h of one shape's points from the other.
 
-In space, with the foot's normal $n$ and the shape operators $L$ of both, a tangent step $\delta$ changes it by
-$n \cdot \delta + \frac12 \delta \cdot (L_A + L_B)\, \delta$ where the normals are nearly opposite, so that
-$\delta = -(L_A + L_B)^{-1} n$ in the tangent plane.
+In space, with the foot's normal $n$ and the shape operators $L$ of both, a tangent step $\delta$ changes it
+by $n \cdot \delta + \frac12 \delta \cdot (L_A + L_B)\, \delta$ where the normals are nearly opposite, so
+that $\delta = -(L_A + L_B)^{-1} n$ in the tangent plane.
 """
 
 import functools

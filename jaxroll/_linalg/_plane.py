@@ -144,6 +144,10 @@ class Pose2:
         """A body-frame direction in world axes."""
         return Vec2(self.cos * vector.x - self.sin * vector.y, self.sin * vector.x + self.cos * vector.y)
 
+    def back(self, vector: Vec2) -> Vec2:
+        """A world direction in the body's axes."""
+        return Vec2(self.cos * vector.x + self.sin * vector.y, self.cos * vector.y - self.sin * vector.x)
+
     def place(self, point: Vec2) -> Vec2:
         """A body-frame point in world coordinates."""
         return self.origin + self.turn(point)

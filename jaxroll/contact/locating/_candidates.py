@@ -77,12 +77,7 @@ def spread(contour: AbstractContour, count: int) -> Float[Array, " samples"]:
 
 def into(pose: Pose2, point: Vec2) -> Vec2:
     """A point of the world in the frame of a body, which has this pose."""
-    return back(pose, point - pose.origin)
-
-
-def back(pose: Pose2, vector: Vec2) -> Vec2:
-    """A direction of the world in the axes of a body, which has this pose."""
-    return Vec2(pose.cos * vector.x + pose.sin * vector.y, pose.cos * vector.y - pose.sin * vector.x)
+    return pose.back(point - pose.origin)
 
 
 def nearest_dense(samples: Vec2, points: Vec2) -> Array:

@@ -21,7 +21,7 @@ from jaxtyping import Array
 from ..._linalg import larger, Pose2, Pose3, root, row, smaller, square, Sym3, Vec3
 from ..._types import Scalar, Scalars
 from ...geometry import AbstractContour, AbstractSurface, Gauss3
-from ._candidates import back, Feet, feet, into, nearest_dense, spread, toward
+from ._candidates import Feet, feet, into, nearest_dense, spread, toward
 from ._pair3 import summed
 from ._samples3 import footed
 
@@ -83,7 +83,7 @@ def _down(poses: tuple[Pose2, Pose2], tip: AbstractContour, at: _Place, along: i
     $h'' = \kappa\, n \cdot t_\perp + \kappa_f (t \cdot t_f)^2$. No step is longer than `most`.
     """
     frame = tip.frame(at[0])
-    point, tangent = into(poses[1], poses[0].place(frame.point)), back(poses[1], poses[0].turn(frame.tangent))
+    point, tangent = into(poses[1], poses[0].place(frame.point)), poses[1].back(poses[0].turn(frame.tangent))
     feet = [(face, ends, toward(face, ends, (s, face.frame(s)), point)) for face, ends, s in at[1]]
     face, _, foot = feet[along]
     there = face.frame(foot.s)

@@ -195,7 +195,6 @@ def _start(grasp: Grasp, state: State, t: Given) -> tuple[Array, _Scale]:
     """The first guess of the scaled unknowns, with contact forces zero, and the scales."""
     contacts, kept = len(grasp.contacts), _kept(grasp, state)
     one, (length, coordinates) = jnp.ones((), state.q.dtype), _sizes(grasp)
-    drive = _drive(grasp, state.q, state.s, kept, t=t)[0]
     force = _force_size(grasp, state, kept, t=t)
     ones = jnp.ones(contacts, state.q.dtype)
     unknowns = jnp.concatenate([coordinates, ones * length, jnp.tile(ones, 2) * force])
@@ -203,7 +202,7 @@ def _start(grasp: Grasp, state: State, t: Given) -> tuple[Array, _Scale]:
     equations = jnp.concatenate([force * length / coordinates, rows])
     start = jnp.concatenate([state.q, state.s, jnp.zeros(2 * contacts, state.q.dtype)])
     if kept.size:
-        sizes = {"drives": equations[: drive.shape[0]], "coordinates": coordinates}
+        sizes = {"drives": equations[: grasp.coordinates], "coordinates": coordinates}
         unit, size = _memory_sizes(grasp, state, kept, t=t, **sizes)
         unknowns, equations = jnp.concatenate([unknowns, unit]), jnp.concatenate([equations, size])
         start = jnp.concatenate([start, kept])

@@ -35,8 +35,8 @@ CALLS: dict[str, dict[str, float | None]] = {
 # Of the scene itself, its closing included, and of a value with its gradient where the cache is full.
 SCENES = {"pinch": 2.0, "pinch3d": 4.0}
 SECOND = {"pivoted": 1.5, "pinch": 2.0, "pinch3d": 4.0}
-# Scene and run together over those of two fingers; the largest ring there is stands in for one of 20.
-RINGS = {5: 1.3, 16: 2.0}
+# Scene and run together over those of two fingers.
+RINGS = {5: 1.3, 20: 2.0}
 COMMANDS = {"demo": 7.0, "demo pinch": 12.0, "demo pinch3d": 20.0, "design": 18.0}
 
 

@@ -1,5 +1,6 @@
 """Vectors, poses, quaternions and symmetric forms number by number, against NumPy and SciPy."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -213,6 +214,30 @@ def test_small_systems_are_solved_by_their_factors(size):
     assert [len(row) for row in empty.lower] == list(range(size)) and len(empty.inverse_pivots) == size
     assert not any(map(float, (*empty.inverse_pivots, empty.smallest_pivot, *sum(empty.lower, ()))))
     assert la.solve(la.factorise([]), []) == () and float(la.factorise([]).smallest_pivot) == 1.0
+
+
+def test_large_systems_are_solved_by_their_factors_in_a_loop():
+    matrix = RNG.normal(size=(7, 7))
+    matrix = jnp.asarray(matrix @ matrix.T + np.diag(np.arange(1.0, 8.0)))
+    right, ways = jnp.asarray(RNG.normal(size=7)), jnp.asarray(RNG.normal(size=(2, 7, 7)))
+    written = la.factorise([[matrix[i, j] for j in range(i + 1)] for i in range(7)])
+
+    def solved(t):
+        changed = matrix + t * (ways[0] + ways[0].T)
+        factor = la.factorise_in_loop(changed)
+        return la.solve_in_loop(factor, right), factor.smallest_pivot
+
+    (found, pivot), (slope, _) = jax.jvp(solved, (0.0,), (1.0,))
+    np.testing.assert_allclose(found, np.linalg.solve(matrix, right), rtol=1e-11)
+    assert float(pivot) == pytest.approx(float(written.smallest_pivot), rel=1e-12)
+    # d(A^-1) b = -A^-1 dA A^-1 b, forwards and backwards.
+    wanted = -np.linalg.solve(matrix, (ways[0] + ways[0].T) @ np.linalg.solve(matrix, right))
+    np.testing.assert_allclose(slope, wanted, rtol=1e-10)
+    np.testing.assert_allclose(jax.grad(lambda t: solved(t)[0] @ right)(0.0), wanted @ right, rtol=1e-10)
+    empty = la.unknown_loop_factor(7)
+    assert jax.tree.map(jnp.shape, empty) == jax.tree.map(jnp.shape, la.factorise_in_loop(matrix))
+    singular = la.factorise_in_loop(jnp.ones((3, 3)))
+    assert not float(singular.smallest_pivot) > 0.0
 
 
 def test_rows_of_arrays():

@@ -11,6 +11,7 @@ is worth a factor of two in a run and four in a batch. `_run` and `_batch` take 
 differentiates them.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -325,13 +326,21 @@ class Ending(eqx.Module):
 
     def packed(self, dtype: Any) -> Array:
         """All numbers as one vector: a loop carries it with one copy."""
-        return jnp.stack([jnp.asarray(leaf, dtype) for leaf in jax.tree.leaves(self)])
+        # Arrays, such as a large system's factor, before the numbers: the last two are margin and code.
+        leaves = jax.tree.leaves(self)
+        arrays, numbers = ([x for x in leaves if bool(jnp.ndim(x)) is kind] for kind in (True, False))
+        vector = jnp.stack([jnp.asarray(number, dtype) for number in numbers])
+        return jnp.concatenate([*map(jnp.ravel, arrays), vector]) if arrays else vector
 
     @classmethod
     def unpacked(cls, grasp: Grasp, numbers: Array) -> "Ending":
         """The way back."""
-        form = jax.tree.structure(cls.unknown(grasp))
-        return jax.tree.unflatten(form, scalars(numbers))
+        leaves, form = jax.tree.flatten(cls.unknown(grasp))
+        shapes = [jnp.shape(leaf) for leaf in leaves if jnp.ndim(leaf)]
+        sizes = [math.prod(shape) for shape in shapes]
+        *parts, rest = jnp.split(numbers, np.cumsum(sizes)) if sizes else [numbers]
+        arrays, singles = iter(map(jnp.reshape, parts, shapes)), iter(scalars(rest))
+        return jax.tree.unflatten(form, [next(arrays if jnp.ndim(leaf) else singles) for leaf in leaves])
 
 
 @eqx.filter_custom_jvp
@@ -354,7 +363,7 @@ def sample_times(bundle: Bundle, t1: Scalar) -> tuple[Scalar, ...]:
 
 
 def ending_size(bundle: Bundle) -> int:
-    return len(jax.tree.leaves(Ending.unknown(bundle.rest)))
+    return sum(map(jnp.size, jax.tree.leaves(Ending.unknown(bundle.rest))))
 
 
 # How far the projection may carry a contact at any rate [m].

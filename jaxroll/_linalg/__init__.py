@@ -1,7 +1,8 @@
 """Small vectors, poses and solves, as pytrees of scalars: `_plane` in the plane, `_space` in space.
 
 XLA fuses and batches scalars well, and small arrays badly (see `_plane`). `_plane` also holds what both need:
-sums and products of scalars, and the solution of small linear systems. `_arrays` has rows and stacks of them.
+sums and products of scalars, and the solution of small linear systems. `_arrays` has rows and stacks of them,
+`_loop_factor` the solution of systems too large for scalars.
 """
 
 from ._arrays import (
@@ -14,6 +15,12 @@ from ._arrays import (
     weighted_sum as weighted_sum,
     with_row as with_row,
     with_row_selected as with_row_selected,
+)
+from ._loop_factor import (
+    factorise_in_loop as factorise_in_loop,
+    LoopFactor as LoopFactor,
+    solve_in_loop as solve_in_loop,
+    unknown_loop_factor as unknown_loop_factor,
 )
 from ._plane import (
     Factor as Factor,

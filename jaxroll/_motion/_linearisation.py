@@ -12,13 +12,33 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
 
-from .._linalg import Factor, factorise, inner, plus, solve, times, total, unknown_factor
+from .._linalg import (
+    Factor,
+    factorise,
+    factorise_in_loop,
+    inner,
+    LoopFactor,
+    plus,
+    scalars,
+    solve,
+    solve_in_loop,
+    stacked,
+    times,
+    total,
+    unknown_factor,
+    unknown_loop_factor,
+)
 from .._mechanics import Blocks, Grasp
 from .._types import Scalar, Scalars
 from ..contact import Motion, Rows
 
 Pair = tuple[Rows, Rows]
+# Most rows whose factorisation is written out number by number, which runs faster (`_linalg._loop_factor`):
+# those of `scenes.ring(16)`, which takes half a minute to compile.
+_WRITTEN_OUT = 32
 
 
 @jax.tree_util.register_dataclass
@@ -30,14 +50,14 @@ class Linearisation:
         jacobian: For each contact its rows of $A$: the block over the finger's velocities, then the one over
             the object's. All other blocks of these rows are zero.
         weighted: The rows of $A M^{-1}$, in the same blocks.
-        schur: Factor of the Schur complement.
+        schur: The Schur complement, factorised: written out, or of many rows in a loop.
         drift: For each contact the rate at which a prescribed motion of its fingertip changes its gap, row by
             row [m/s]; None for a contact whose finger has no prescribed motion.
     """
 
     jacobian: tuple[Pair, ...]
     weighted: tuple[Pair, ...]
-    schur: Factor
+    schur: Factor | LoopFactor
     drift: tuple[Scalars | None, ...]
 
 
@@ -62,6 +82,14 @@ def linearise(
         moving = grasp.fingers[contact.finger].prescribed
         poses, twists = (pair[0].pose, pair[1].pose), (pair[0].twist, pair[1].resting().twist)
         drift.append(contact.gap_rate(poses, twists, t) if moving else None)
+    schur = _schur_factor(grasp, jacobian, weighted)
+    return Linearisation(tuple(jacobian), tuple(weighted), schur, tuple(drift))
+
+
+def _schur_factor(grasp: Grasp, jacobian: Sequence[Pair], weighted: Sequence[Pair]) -> Factor | LoopFactor:
+    """$A M^{-1} A^T$, factorised number by number, or where its rows are many in a loop."""
+    if sum(contact.rows for contact in grasp.contacts) > _WRITTEN_OUT:
+        return factorise_in_loop(_schur_array(grasp, jacobian, weighted))
     # Lower triangle of A M^-1 A^T: each entry is a row of A times a row of A M^-1. Two contacts always share
     # the object's block (1), and the finger's (0) only if both are on the same finger.
     rows = []
@@ -75,7 +103,26 @@ def linearise(
                     for k in range(other.rows if j < i else axis + 1)
                 ]
             rows.append(tuple(row))
-    return Linearisation(tuple(jacobian), tuple(weighted), factorise(rows), tuple(drift))
+    return factorise(rows)
+
+
+def _schur_array(grasp: Grasp, jacobian: Sequence[Pair], weighted: Sequence[Pair]) -> Float[Array, "m m"]:
+    """$A M^{-1} A^T$ as the sum, over all columns of A, of a column times its like of A M^-1."""
+    owners = [contact.finger for contact in grasp.contacts for _ in range(contact.rows)]
+    together = np.equal.outer(owners, owners)
+    terms = []
+    for block in (0, 1):
+        left, right = ([row for pair in pairs for row in pair[block]] for pairs in (jacobian, weighted))
+        for k in range(max(map(len, left))):
+            product = _column(left, k)[:, None] * _column(right, k)[None, :]
+            # Columns of one number belong to as many fingers: rows of two fingers share the object's alone.
+            terms.append(product if block else jnp.where(together, product, 0.0))
+    return total(terms)
+
+
+def _column(rows: Sequence[Scalars], k: int) -> Float[Array, " m"]:
+    """Entry k of every row; zero for those of fingers with fewer joints."""
+    return stacked([row[k] if k < len(row) else 0.0 for row in rows])
 
 
 def unknown_line(grasp: Grasp) -> Linearisation:
@@ -86,7 +133,8 @@ def unknown_line(grasp: Grasp) -> Linearisation:
         pairs.append(tuple(((zero,) * k,) * c.rows for k in (grasp.sizes[1 + c.finger], grasp.sizes[0])))
         drift.append((zero,) * c.rows if grasp.fingers[c.finger].prescribed else None)
     m = sum(c.rows for c in grasp.contacts)
-    return Linearisation(tuple(pairs), tuple(pairs), unknown_factor(m), tuple(drift))
+    schur = unknown_loop_factor(m) if m > _WRITTEN_OUT else unknown_factor(m)
+    return Linearisation(tuple(pairs), tuple(pairs), schur, tuple(drift))
 
 
 def _solve(mass: Factor, rows: Rows) -> Rows:
@@ -116,7 +164,11 @@ def add(left: Scalars, right: Scalars) -> Scalars:
 
 def balance(line: Linearisation, wanted: Rows) -> Rows:
     r"""Solve $A M^{-1} A^T \mu = w$ for forces or impulses $\mu$, contact by contact; $w$ is `wanted`."""
-    flat, found = list(solve(line.schur, [component for rows in wanted for component in rows])), []
+    right, found = [component for rows in wanted for component in rows], []
+    if isinstance(line.schur, LoopFactor):
+        flat = scalars(solve_in_loop(line.schur, stacked(right).astype(line.schur.matrix.dtype)))
+    else:
+        flat = list(solve(line.schur, right))
     for rows in wanted:
         found.append(tuple(flat[: len(rows)]))
         flat = flat[len(rows) :]

@@ -1,6 +1,6 @@
 """Grasps of many fingers, whose constraints are factorised in a loop, against the same written out.
 
-A ring of three is put into the loop for that: what is compiled is small, and there is something to compare with.
+A ring of three is put into the loop for that: what is compiled is small, and there is what to compare with.
 """
 
 import jax

@@ -2,8 +2,9 @@ r"""Symmetric positive definite matrices of many rows: the factorisation of `_pl
 
 Written out number by number, $L D L^T$ of m rows is $m^3/6$ operations, each of which is compiled: the
 program of a run with sixteen planar fingers, which have 32 rows, takes half a minute, and of more soon longer
-than anybody waits. As a loop it is as long for any number of rows, but it goes over whole rows and columns: runs with nine
-and twelve fingers took one and a half times as long so, and batches of them two and a half to four times.
+than anybody waits. As a loop it is as long for any number of rows, but it goes over whole rows and columns:
+runs with nine and twelve fingers took one and a half times as long so, and batches of them two and a half to
+four times.
 """
 
 import functools

@@ -145,9 +145,11 @@ def shown_value(value: Any, unit: str = "") -> str:
         return f"{value}"
     if isinstance(value, tuple | list):
         return f"({', '.join(shown_value(part) for part in value)})"
+    if isinstance(value, float):
+        return f"{value:.6g} {unit}" if unit else f"{value:.6g}"
     if not hasattr(value, "shape") or not hasattr(value, "dtype"):
         plain = isinstance(value, eqx.Module) and type(value).__repr__ is eqx.Module.__repr__
-        return type(value).__name__ if plain else f"{value:.6g}" if isinstance(value, float) else repr(value)
+        return type(value).__name__ if plain else repr(value)
     if not _known(value):
         kind = "traced" if isinstance(value, jax.core.Tracer) else "unknown"
         return f"{kind} {np.dtype(value.dtype).name}{list(value.shape)}"

@@ -15,7 +15,10 @@ from matplotlib import pyplot
 
 import jaxroll as jxr
 from jaxroll import _analysis, _mechanics, _motion, _printing, _why, plotting
+from jaxroll._analysis import LinkClearance
+from jaxroll._analysis._loci import Locus
 from jaxroll._integration import cause, complaint, REMEDIES
+from jaxroll._integration._strike import Strike
 from jaxroll._integration._trajectory import Stats
 from jaxroll._mechanics import AbstractBody, AbstractFinger
 from jaxroll._motion import Multipliers, Residuals
@@ -255,6 +258,19 @@ def test_hardly_any_energy_has_no_share_that_is_off(run):
     small = jax.tree.map(lambda x: 1e-33 * jnp.ones_like(x), run.energy)
     odd = dataclasses.replace(run, energy=dataclasses.replace(small, residual=1e-18 + 0.0 * small.residual))
     assert "balance within 1.0e-18 J" in str(odd) and "of its size" in str(run)
+
+
+def test_records_print_their_units():
+    """What a class says of the units of its attributes, its record prints."""
+    one = jnp.ones(())
+    disc, above = jxr.Circle(0.01), (0.0, 0.04, 0.0)
+    place = jxr.contact.locate(disc, jxr.Circle(0.02), pose_a=above, pose_b=(0.0, 0.0, 0.0))
+    assert "gap=0.01 m, s=[" in str(place) and "] m, normal=" in str(place)
+    blow = Strike(one, Multipliers(one, one, one), one, jxr.RESULTS.successful)
+    assert "f=1 N s, lam=1 N s, spin=1 N m s), work=1 J" in str(blow)
+    assert str(Locus(*[one] * 8)).count("1/m") == 5
+    assert "size=0.02 m, " in str(jxr.design.Limits(size=0.02, steepness=4.0))
+    assert "least=0.5 m, time=2 s" in str(LinkClearance(one, one, one, ((0, 1),), 0.5, 2.0, "there"))
 
 
 def test_the_shapes_of_a_run_print(run):

@@ -5,6 +5,7 @@ The audit of a run after the fact: of the same distances a run makes an event wh
 """
 
 import itertools
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -39,6 +40,7 @@ class LinkClearance(eqx.Module):
     """
 
     __repr__ = listed
+    UNITS: ClassVar[dict[str, str]] = {"ts": "s", "object": "m", "links": "m", "least": "m", "time": "s"}
 
     ts: Times
     object: Float[Array, "t f"]

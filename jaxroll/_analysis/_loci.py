@@ -12,7 +12,7 @@ v is what a contact calls its `rolling` in space; a is its derivative along the 
 `plotting` draws the loci.
 """
 
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -51,6 +51,16 @@ class Locus(eqx.Module):
     """
 
     __repr__ = listed
+    UNITS: ClassVar[dict[str, str]] = {
+        "point": "m",
+        "arclength": "m",
+        "speed": "m/s",
+        "normal_curvature": "1/m",
+        "geodesic_curvature": "1/m",
+        "geodesic_torsion": "1/m",
+        "curvature": "1/m",
+        "torsion": "1/m",
+    }
 
     point: Float[Array, "c t 3"]
     arclength: Float[Array, "c t"]
@@ -72,6 +82,7 @@ class Loci(eqx.Module):
     """
 
     __repr__ = listed
+    UNITS: ClassVar[dict[str, str]] = {"ts": "s"}
 
     ts: Times
     tip: Locus

@@ -3,7 +3,9 @@ r"""`strike`: a blow on the object of a grasp at rest or in motion, without a ru
 Runs apply the same blow at its time (`_step.moved`); `_motion._impulse` has the equations.
 """
 
+import re
 from collections.abc import Collection
+from typing import ClassVar
 
 import diffrax
 import equinox as eqx
@@ -34,7 +36,11 @@ class Strike(eqx.Module):
             the rest then means nothing.
     """
 
-    __repr__ = listed
+    UNITS: ClassVar[dict[str, str]] = {"work": "J"}
+
+    def __repr__(self) -> str:
+        # What acts for no time is an impulse: of forces the numbers have the unit times a second.
+        return re.sub(r" (N|N m)(?=[,)])", r" \1 s", listed(self))
 
     state: State
     multipliers: Multipliers

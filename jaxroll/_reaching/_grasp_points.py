@@ -13,7 +13,7 @@ On a ball every diameter is stationary, and H singular: its pseudo-inverse moves
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -59,6 +59,7 @@ class GraspPoints(eqx.Module):
     """
 
     __repr__ = listed
+    UNITS: ClassVar[dict[str, str]] = {"points": "m", "distance": "m"}
 
     points: np.ndarray
     normals: np.ndarray

@@ -7,7 +7,7 @@ fingers have too few joints, the object may be let go: then `close` moves it too
 """
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -64,6 +64,7 @@ class Reach(eqx.Module):
     """
 
     __repr__ = listed
+    UNITS: ClassVar[dict[str, str]] = {"gap": "m", "overlap": "m", "links": "m"}
 
     grasp: Grasp
     state: State

@@ -8,6 +8,8 @@ relative to its bound, as `_minimise` takes it: without dimension, so that one w
 minimum, for the goal `Margin`.
 """
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -87,6 +89,14 @@ class Limits(eqx.Module):
     """
 
     __repr__ = listed
+    UNITS: ClassVar[dict[str, str]] = {
+        "size": "m",
+        "length": "m",
+        "radius": "m",
+        "ahead": "m",
+        "flat": "m",
+        "steepness": "1/m^2",
+    }
 
     size: Float[Array, ""] | None = real(check=check_positive, optional=True)
     length: Float[Array, ""] | None = real(check=check_positive, optional=True)

@@ -3,6 +3,8 @@
 Arrays have fixed shapes under `jit`, so that minima that were not found are masked (`there`), not left out.
 """
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -21,6 +23,7 @@ class LocalMinima(eqx.Module):
     """
 
     __repr__ = listed
+    UNITS: ClassVar[dict[str, str]] = {"gap": "m", "s": "m"}
 
     gap: Float[Array, " candidates"]
     s: Float[Array, "candidates 2"]
@@ -47,6 +50,7 @@ class Location(eqx.Module):
     """
 
     __repr__ = listed
+    UNITS: ClassVar[dict[str, str]] = {"gap": "m", "s": "m", "points": "m", "residual": "m"}
 
     gap: Float[Array, ""]
     s: Float[Array, "2"]
@@ -74,6 +78,7 @@ class SurfaceMinima(eqx.Module):
     """
 
     __repr__ = listed
+    UNITS: ClassVar[dict[str, str]] = {"gap": "m"}
 
     gap: Float[Array, " candidates"]
     at_a: Float[Array, "candidates coordinates_a"]
@@ -103,6 +108,7 @@ class SurfaceLocation(eqx.Module):
     """
 
     __repr__ = listed
+    UNITS: ClassVar[dict[str, str]] = {"gap": "m", "points": "m"}
 
     gap: Float[Array, ""]
     at_a: Float[Array, " coordinates_a"]

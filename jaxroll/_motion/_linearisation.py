@@ -12,8 +12,6 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Float
 
 from .._linalg import (
     Factor,
@@ -34,8 +32,8 @@ from .._linalg import (
 from .._mechanics import Blocks, Grasp
 from .._types import Scalar, Scalars
 from ..contact import Motion, Rows
+from ._schur_array import Pair, schur_array
 
-Pair = tuple[Rows, Rows]
 # Most rows whose factorisation is written out number by number, which runs faster (`_linalg._loop_factor`):
 # those of `scenes.ring(16)`, which takes half a minute to compile.
 _WRITTEN_OUT = 32
@@ -89,7 +87,7 @@ def linearise(
 def _schur_factor(grasp: Grasp, jacobian: Sequence[Pair], weighted: Sequence[Pair]) -> Factor | LoopFactor:
     """$A M^{-1} A^T$, factorised number by number, or where its rows are many in a loop."""
     if sum(contact.rows for contact in grasp.contacts) > _WRITTEN_OUT:
-        return factorise_in_loop(_schur_array(grasp, jacobian, weighted))
+        return factorise_in_loop(schur_array(grasp, jacobian, weighted))
     # Lower triangle of A M^-1 A^T: each entry is a row of A times a row of A M^-1. Two contacts always share
     # the object's block (1), and the finger's (0) only if both are on the same finger.
     rows = []
@@ -104,25 +102,6 @@ def _schur_factor(grasp: Grasp, jacobian: Sequence[Pair], weighted: Sequence[Pai
                 ]
             rows.append(tuple(row))
     return factorise(rows)
-
-
-def _schur_array(grasp: Grasp, jacobian: Sequence[Pair], weighted: Sequence[Pair]) -> Float[Array, "m m"]:
-    """$A M^{-1} A^T$ as the sum, over all columns of A, of a column times its like of A M^-1."""
-    owners = [contact.finger for contact in grasp.contacts for _ in range(contact.rows)]
-    together = np.equal.outer(owners, owners)
-    terms = []
-    for block in (0, 1):
-        left, right = ([row for pair in pairs for row in pair[block]] for pairs in (jacobian, weighted))
-        for k in range(max(map(len, left))):
-            product = _column(left, k)[:, None] * _column(right, k)[None, :]
-            # Columns of one number belong to as many fingers: rows of two fingers share the object's alone.
-            terms.append(product if block else jnp.where(together, product, 0.0))
-    return total(terms)
-
-
-def _column(rows: Sequence[Scalars], k: int) -> Float[Array, " m"]:
-    """Entry k of every row; zero for those of fingers with fewer joints."""
-    return stacked([row[k] if k < len(row) else 0.0 for row in rows])
 
 
 def unknown_line(grasp: Grasp) -> Linearisation:

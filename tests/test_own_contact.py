@@ -17,7 +17,7 @@ from jaxroll._mechanics import to_leaves
 from jaxroll._motion import bodies
 from jaxroll.contact import AbstractContact
 from jaxroll.contact._from_gap import derived_bias, derived_margin
-from jaxroll.plotting._panels import _rolled
+from jaxroll.plotting._panels import _rolled, panels
 
 # What `Contact` and `Contact3` give in closed form, and the base class derives.
 _DERIVED = ("gap_rate", "pfaffian", "rolling", "place_rate", "bias", "bend", "unknown_bend", "settled")
@@ -266,6 +266,9 @@ def test_teeth_turn_by_their_ratio_and_report_no_friction(teeth: Any) -> None:
     assert np.max(np.abs(run.energy.residual)) < 1e-14
     assert "no contact can only press" in str(run)
     assert float(np.max(np.abs(run.residuals.normal))) < 1e-15
+    # Pictures of it have no tangential force or gap either.
+    titles = [panel.title for panel in panels(teeth[0], run)]
+    assert any("Normal force" in title for title in titles) and not any("angential" in t for t in titles)
 
 
 def test_teeth_in_a_gradient_and_in_a_batch(teeth: Any) -> None:

@@ -70,8 +70,8 @@ def is_pinch(grasp: Grasp) -> bool:
 
 
 def _motion(grasp: Grasp, run: Trajectory, contacts: tuple[str, ...]) -> list[Panel]:
-    normal, tangential = _gaps(grasp, run, contacts, contacts)
-    return [*_joint_rates(grasp, run), *_object_rates(grasp, run), tangential, normal]
+    normal, *tangential = _gaps(grasp, run, contacts, contacts)
+    return [*_joint_rates(grasp, run), *_object_rates(grasp, run), *tangential, normal]
 
 
 def _rolled(grasp: Grasp, run: Trajectory, contacts: tuple[str, ...]) -> list[Panel]:
@@ -258,21 +258,28 @@ def _object_rates(grasp: Grasp, run: Trajectory) -> list[Panel]:
 
 def _gaps(grasp: Grasp, run: Trajectory, normal: tuple[str, ...], tangential: tuple[str, ...]) -> list[Panel]:
     left, size = run.residuals, float(grasp.fingers[0].size)
-    return [
-        residual_panel("normal gap", r"$Q$ [m]", left.normal, size=size, names=normal),
-        residual_panel("tangential gap", r"$R$ [m]", left.tangential, size=size, names=tangential),
-    ]
+    found = [residual_panel("normal gap", r"$Q$ [m]", left.normal, size=size, names=normal)]
+    if beside := _beside(grasp):
+        values, names = np.asarray(left.tangential)[:, beside], tuple(tangential[i] for i in beside)
+        found.append(residual_panel("tangential gap", r"$R$ [m]", values, size=size, names=names))
+    return found
+
+
+def _beside(grasp: Grasp) -> list[int]:
+    """Which contacts have tangential gaps and forces: one of a caller's own may have a single row."""
+    return [i for i, contact in enumerate(grasp.contacts) if contact.rows > 1]
 
 
 def _forces(grasp: Grasp, run: Trajectory, contacts: tuple[str, ...]) -> list[Panel]:
-    f, lam = forces_of(grasp, run)
-    if len(contacts) == 1:
+    (f, lam), beside = forces_of(grasp, run), _beside(grasp)
+    if len(contacts) == 1 and beside:
         both = np.concatenate([f, lam], axis=1)
         return [Panel("contact force", "force [N]", both, ("normal $f$", r"tangential $\lambda$"))]
-    return [
-        Panel("normal force", "$f$ [N]", f, contacts),
-        Panel("tangential force", r"$\lambda$ [N]", lam, contacts),
-    ]
+    found = [Panel("normal force", "$f$ [N]", f, contacts)]
+    if beside:
+        names = tuple(contacts[i] for i in beside)
+        found.append(Panel("tangential force", r"$\lambda$ [N]", lam[:, beside], names))
+    return found
 
 
 def forces_of(grasp: Grasp, run: Trajectory) -> tuple[np.ndarray, np.ndarray]:

@@ -68,7 +68,7 @@ class ClosingProblem(eqx.Module):
 
     def linearised(self, step: Array) -> tuple[Array, Array]:
         """The rows, and their Jacobian with respect to the displacement, shape (rows, unknowns)."""
-        # `jax.linearize` would trace the rows twice more, which is a third of the time that this program takes.
+        # `jax.linearize` goes once more through all: so `close` in space took 1.2 s to trace, and now 0.8 s.
         along = lambda way: jax.jvp(self.rows, (step,), (way,))  # noqa: E731
         with sharing():
             return jax.vmap(along, out_axes=(None, -1))(jnp.eye(step.shape[0], dtype=step.dtype))

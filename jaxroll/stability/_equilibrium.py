@@ -368,11 +368,12 @@ def _newton(equations: Callable[[Array], Array], start: Array, moving: int, weig
     # step before it was shortened, and the number of passes.
     def improve(carry: tuple[Any, ...]) -> tuple[Any, ...]:
         z, nullity, moved, i = carry
-        left, push = jax.linearize(equations, z)
+        along = lambda way: jax.jvp(equations, (z,), (way,))  # noqa: E731
+        left, jacobian = jax.vmap(along, out_axes=(None, 1))(basis)
         # The first pass solves for the contact forces alone, by least squares: the Jacobian contains the
         # change of A^T mu with the configuration, which would be that of zero forces.
         known = (i > 0) | (place[None, :] >= moving)
-        u, sigma, vt = jnp.linalg.svd(jnp.where(known, jax.vmap(push, out_axes=1)(basis), 0.0))
+        u, sigma, vt = jnp.linalg.svd(jnp.where(known, jacobian, 0.0))
         firm = sigma > _RANK.of(sigma) * sigma[0]
         # Away from a family its directions are not exactly neutral: their number is counted once Newton's
         # method has converged, and kept from then on. The last `nullity` singular values then count as zero.

@@ -49,6 +49,22 @@ def test_rows_are_parameters_too():
     np.testing.assert_allclose(summed, [9.0, 14.0, 19.0])
 
 
+def test_rows_are_chosen_by_numbers_slices_and_lists_alone():
+    some = Parameters.grid(a=[1.0, 2.0], b=[3.0, 4.0, 5.0])
+    for key, rows in ((-1, [5]), ([4, -6], [4, 0]), (np.arange(6) % 2 == 1, [1, 3, 5]), ([], [])):
+        np.testing.assert_array_equal(np.atleast_1d(some[key].b), [[3.0, 4.0, 5.0][k % 3] for k in rows])
+    for key in ((0, 1), None, True, ..., 0.5, [[0, 1]], [True, False], [0.0], b"a", [[0], [1, 2]]):
+        with pytest.raises(ValueError, match="argument key must be a name, a row, a slice or a list of rows"):
+            some[key]
+    for key in (6, -7, [0, 6]):
+        with pytest.raises(IndexError, match="argument key must be one of 6 rows"):
+            some[key]
+    with pytest.raises(IndexError, match="argument key must be a name, of one row"):
+        some[0][0]
+    with pytest.raises(TypeError, match="one row of Parameters"):
+        len(some[0])
+
+
 def test_columns_are_copies():
     given = np.array([1.0, 2.0])
     some = Parameters(a=given)

@@ -265,14 +265,17 @@ class Parameters(eqx.Module):
     def __getitem__(self, key: Any) -> Any:
         if isinstance(key, str):
             if key not in self.names:
-                raise KeyError(key)
+                raise KeyError(f"there is no {key!r} among {', '.join(self.names)}")
             return getattr(self, key)
+        key = _as_rows(key, np.shape(self.columns[0])[:1])
         columns = tuple(x[key] for x in self.columns)
         if not np.ndim(columns[0]) or np.ndim(key) == 0 and not isinstance(key, slice):
             return _changed(self, columns=columns)
         return _changed(self, columns=columns, shape=(len(columns[0]),), axes=(self.names,))
 
     def __len__(self) -> int:
+        if not np.ndim(self.columns[0]):
+            raise TypeError("one row of Parameters has no rows itself")
         return len(self.columns[0])
 
     def __bool__(self) -> bool:
@@ -350,6 +353,25 @@ def _axis(name: str, values: Any) -> np.ndarray:
     if not array.ndim:
         raise ValueError(f"argument {name} must be the values along an axis, but was {shown(values)}")
     return array
+
+
+def _as_rows(key: Any, count: tuple[int, ...]) -> Any:
+    """What chooses rows of `count` ones: one number, a slice, or a list of numbers or of truth values."""
+    if not count:
+        raise IndexError(f"argument key must be a name, of one row, but was {shown(key)}")
+    if isinstance(key, slice) or traced(key):
+        return key
+    wanted = f"argument key must be a name, a row, a slice or a list of rows, but was {shown(key)}"
+    try:
+        rows = np.asarray(key) if np.size(key) else np.zeros(np.shape(key), int)
+    except ValueError:
+        raise ValueError(wanted) from None
+    masked = rows.dtype.kind == "b" and rows.ndim == 1 and rows.shape == count
+    if isinstance(key, tuple) or not masked and (rows.dtype.kind not in "iu" or rows.ndim > 1):
+        raise ValueError(wanted)
+    if not masked and rows.size and not (-count[0] <= rows.min() and rows.max() < count[0]):
+        raise IndexError(f"argument key must be one of {count[0]} rows, but was {shown(key)}")
+    return rows if rows.ndim else int(rows)
 
 
 def _few_enough(name: str, count: int) -> int:

@@ -73,6 +73,18 @@ def test_columns_are_copies():
 
 
 @pytest.mark.parametrize("draw", [Parameters.sobol, Parameters.latin_hypercube])
+def test_samples_of_logarithms_fill_ranges_whose_ends_lie_far_apart(draw):
+    """The quotient of these ends is beyond all floating numbers."""
+    some = np.log10(draw(512, a=(1e-200, 1e200, "log")).a)
+    assert stats.kstest((some + 200.0) / 400.0, "uniform").pvalue > 0.5
+
+
+def test_a_sobol_sequence_has_no_more_axes_than_scipy_knows():
+    with pytest.raises(ValueError, match="argument ranges must be at most 21201, but were 21202"):
+        Parameters.sobol(2, seed=0, **{f"x{k}": (0.0, 1.0) for k in range(21202)})
+
+
+@pytest.mark.parametrize("draw", [Parameters.sobol, Parameters.latin_hypercube])
 def test_samples_fill_their_ranges(draw):
     """Uniform by Kolmogorov and Smirnov's test, of numbers and of logarithms; the same for the same seed."""
     ranges = {"a": (-2.0, 3.0), "b": (1e-3, 10.0, "log")}

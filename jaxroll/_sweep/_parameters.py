@@ -116,6 +116,9 @@ class Parameters(eqx.Module):
         """
         from scipy.stats import qmc
 
+        if len(ranges) > qmc.Sobol.MAXDIM:
+            raise ValueError(f"argument ranges must be at most {qmc.Sobol.MAXDIM}, but were {len(ranges)}")
+
         def points(count: int, axes: int, seed: int) -> np.ndarray:
             # A power of two and a part of it: SciPy warns of other counts, for which these are the same.
             return qmc.Sobol(axes, rng=seed).random_base2(max(count - 1, 0).bit_length())[:count]
@@ -404,5 +407,5 @@ def _stretch(name: str, ends: Any) -> Callable[[np.ndarray], np.ndarray]:
         raise ValueError(
             f"argument {name} must begin above zero on a scale of logarithms, but was {shown(ends)}"
         )
-    # Rounding must not lead past the ends.
-    return lambda u: np.clip(low * (high / low) ** u, low, high)
+    # Rounding must not lead past the ends; the quotient of far ones may be no number.
+    return lambda u: np.clip(low ** (1.0 - u) * high**u, low, high)

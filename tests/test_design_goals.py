@@ -59,6 +59,16 @@ def test_measures_of_signals_in_closed_form(run):
     assert float(tracking_error(constant, signal=flat)) == 0.0
 
 
+@pytest.mark.parametrize("missing", [0, 1, 7, -1, slice(None)])
+def test_a_signal_that_is_not_known_throughout_has_no_measure(run, missing):
+    decay = np.exp(-np.linspace(0.0, 5.0, len(run.ts)))
+    for measure in (settling_time, overshoot, tracking_error):
+        assert np.isfinite(measure(run, signal=decay))
+        some = decay.copy()
+        some[missing] = np.nan
+        assert np.isnan(measure(run, signal=some))
+
+
 def test_measures_of_forces(run):
     f, lam = np.asarray(run.multipliers.f), np.asarray(run.multipliers.lam)
     assert float(peak_force(run)) == f.max()

@@ -35,7 +35,7 @@ def settling_time(run: Trajectory, *, band: float = 0.02, signal: Signal | None 
     The last time at which $|y(t) - y_1|$ is above `band` times $|y_0 - y_1|$, on straight lines between the
     saved states; $y_0$ and $y_1$ are of the first and the last of these. Its derivative is that of this time;
     it jumps where one more swing leaves the band. Zero for a signal that ends where it began; not a number
-    for a run that ended early.
+    for a run that ended early, or a signal that holds NaN.
 
     Args:
         run: One run.
@@ -77,7 +77,7 @@ def overshoot(run: Trajectory, *, signal: Signal | None = None) -> Scalar:
     r"""By how much a signal goes past its last value, as a share of the way there.
 
     The largest of $-(y(t) - y_1) \cdot (y_0 - y_1) / |y_0 - y_1|^2$, at least zero, with $y_0$ and $y_1$ of
-    the first and the last saved state; not a number for a run that ended early.
+    the first and the last saved state; not a number for a run that ended early, or a signal that holds NaN.
 
     Args:
         run: One run.
@@ -113,7 +113,8 @@ def tracking_error(run: Trajectory, *, signal: Signal | None = None) -> Scalar:
     r"""Mean time to the end [s], $\int |y(t) - y_1| dt / |y_0 - y_1|$: smooth where `settling_time` jumps.
 
     For a signal that decays as $e^{-t/T}$ it is T. The integral begins at the first saved state, of which
-    $y_0$ is, and ends at the last one, of which $y_1$ is; not a number for a run that ended early.
+    $y_0$ is, and ends at the last one, of which $y_1$ is; not a number for a run that ended early, or a
+    signal that holds NaN.
 
     Args:
         run: One run.
@@ -208,9 +209,13 @@ def _demand(run: Trajectory) -> Scalar:
 
 
 @quickly
-def _of_whole(measure: Callable[..., Scalar], run: Trajectory, *given: Any) -> Scalar:
-    """A measure of a run that reached its end; else not a number, with a derivative of zero."""
-    return jnp.where(run.result == RESULTS.successful, measure(run, *given), jnp.nan)
+def _of_whole(measure: Callable[..., Scalar], run: Trajectory, signal: Signal, *given: Any) -> Scalar:
+    """A measure of a run that reached its end; else not a number, with a derivative of zero.
+
+    So is one of a signal that is not known throughout, whose first and last values may be missing.
+    """
+    known = (run.result == RESULTS.successful) & jnp.all(jnp.isfinite(signal))
+    return jnp.where(known, measure(run, signal, *given), jnp.nan)
 
 
 @quickly

@@ -125,6 +125,16 @@ def test_hessian_of_u_against_central_differences(pinch):
     np.testing.assert_allclose(at.hessian, second, rtol=1e-6)
 
 
+@pytest.mark.parametrize("function", [pinch_statics, rectangle_hessian])
+def test_statics_beyond_an_end_of_a_contour_are_no_numbers(function, pinch):
+    """The rectangle's sides are 50 mm long: 25 mm off their middles there is nothing to touch."""
+    grasp, _ = pinch
+    at = lambda s: np.concatenate([np.ravel(x) for x in jax.tree.leaves(function(grasp, s))])  # noqa: E731
+    assert np.isfinite(at((0.0249, -0.0249))).all()
+    for beyond in ((0.0251, 0.0), (0.0, -0.0251), (1.0, 0.0)):
+        assert np.isnan(at(beyond)).all()
+
+
 def test_places_of_a_scene_are_counted_from_where_its_fingers_face_the_object():
     """Those of the statics from the contour's zero: `contact_geometry` converts."""
     grasp, state = runs.scene("pinch_ellipse")

@@ -136,6 +136,12 @@ def between_ends(grasp: Grasp, places: Sequence[Scalar], length: Scalar) -> Bool
     return jnp.all(jnp.stack([*margins, length]) >= -_AT_END.of(length) * length)
 
 
+def on_contours(grasp: Grasp, s: Array, length: Scalar) -> Bool[Array, ""]:
+    """Whether the chapter's $s_i$ of all contacts lie so: places on the object, counted along its senses."""
+    places = [c.s_object - c.sense * at for c, at in zip(grasp.contacts, s, strict=True)]
+    return between_ends(grasp, places, length)
+
+
 @eqx.filter_custom_jvp
 def rest_state(grasp: Grasp, state: State, t: Given) -> tuple[Array, Array]:
     """The unknowns at rest, in SI units, and the scaled residual of the equations.

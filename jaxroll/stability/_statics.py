@@ -30,7 +30,7 @@ from .._types import ByPrecision, Given, Scalar
 from ..control import Opposition
 from ..geometry import AbstractContour, Catenary, Circle, Ellipse, Frenet2, Moved
 from ..loads import Drag, Impulse
-from ._equilibrium import between_ends
+from ._equilibrium import on_contours
 
 
 class PinchStatics(eqx.Module):
@@ -80,7 +80,7 @@ def pinch_statics(grasp: Grasp, s: Given) -> PinchStatics:
             state `contact_geometry(grasp, state).s` has the $s_i$ meant here.
 
     Returns:
-        `PinchStatics`, of the leading shape of `s`.
+        `PinchStatics`, of the leading shape of `s`; NaN where a place lies beyond an end of a contour.
 
     Raises:
         ValueError: If the grasp is not a two-finger pinch under `control.Opposition`, or `s` not pairs of
@@ -129,7 +129,9 @@ def _pinch_statics(grasp: Grasp, s: Array) -> PinchStatics:
     def at(s: Array) -> PinchStatics:
         d, l_ = _separation(ready, s)
         energy, turning = lambda s: _potential(ready, s), _rolled(ready, s).turning  # noqa: E731
-        return PinchStatics(d, l_, energy(s), jax.grad(energy)(s), jax.hessian(energy)(s), turning)
+        found = PinchStatics(d, l_, energy(s), jax.grad(energy)(s), jax.hessian(energy)(s), turning)
+        there = on_contours(ready, s, jnp.hypot(d, l_))
+        return jax.tree.map(lambda x: jnp.where(there, x, jnp.nan), found)
 
     many = at
     for _ in range(s.ndim - 1):
@@ -244,8 +246,7 @@ def _pinch_rest(grasp: Grasp, state: State, damping: float) -> tuple[Array, Pinc
     # beta times the distance of the centres: the force with which the fingers pull [N].
     size = jnp.sqrt(2.0 * still.controller.beta * statics.potential)
     firm = jnp.max(jnp.abs(_rolled(still, found).gradient)) <= _AT_REST.of(size) * size
-    reached = [c.s_object - c.sense * s for c, s in zip(still.contacts, found, strict=True)]
-    firm = firm & _is_alone(still) & between_ends(still, reached, size / jnp.abs(still.controller.beta))
+    firm = firm & _is_alone(still) & on_contours(still, found, size / jnp.abs(still.controller.beta))
     return jax.tree.map(lambda x: jnp.where(firm, x, jnp.nan), (rest, statics))
 
 
@@ -349,7 +350,8 @@ def rectangle_hessian(grasp: Grasp, s: Given) -> Float[Array, "2 2"]:
         s: Shape (2,), the chapter's $s_i$ [m] at an equilibrium with both arms normal to the faces, $d = 0$.
 
     Returns:
-        The matrix [N/m]; NaN where the faces are not straight and parallel, and JAX traces their numbers.
+        The matrix [N/m]; NaN where a place lies beyond an end of a contour, or the faces are not straight and
+        parallel, and JAX traces their numbers.
 
     Raises:
         ValueError: If the grasp is not such a pinch, its faces are not straight and parallel, or `s` is not a
@@ -409,7 +411,7 @@ def _rectangle_hessian(grasp: Grasp, s: Array) -> tuple[Array, Array, Array]:
     """
     _check_constant(grasp)
     ready = grasp.prepared()
-    _, l_ = _separation(ready, s)
+    d, l_ = _separation(ready, s)
     first, second = (contact.sense for contact in ready.contacts)
     slopes, terms, bends, tangents = [], [], [], []
     # d is counted along b_01, to which b_02 is opposite where both contacts have one sense.
@@ -424,7 +426,7 @@ def _rectangle_hessian(grasp: Grasp, s: Array) -> tuple[Array, Array, Array]:
     between = jnp.arctan2(-one.cross(other), -one.dot(other))
     slope, bend = jnp.stack(slopes), jnp.stack(bends)
     hessian = ready.controller.beta * (jnp.outer(slope, slope) + jnp.diag(jnp.stack(terms)))
-    right = jnp.all(_is_straight(bend)) & _is_parallel(between)
+    right = jnp.all(_is_straight(bend)) & _is_parallel(between) & on_contours(ready, s, jnp.hypot(d, l_))
     return jnp.where(right, hessian, jnp.nan), bend, between
 
 

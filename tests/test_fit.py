@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy import special
 
 import jaxroll as jxr
 from jaxroll.geometry import tabled
@@ -122,6 +123,16 @@ BAD = {
     "smoothing": (ELLIPSE, {"smoothing": np.nan}, "argument smoothing must lie between 0"),
     "both": (ELLIPSE, {"smoothing": 0.01, "noise": 1e-5}, "argument noise must be None where smoothing"),
 }
+
+
+@pytest.mark.parametrize("times", [2, 5])
+def test_points_at_the_origin_are_of_no_other_unit(times):
+    """An outline that begins and ends there, to rounding: as a drawing whose corner lies at zero."""
+    u = np.linspace(-np.pi, np.pi, 61)
+    round_ = np.stack([0.02 + 0.02 * np.cos(u), 0.014 * np.sin(u)], axis=-1)
+    fit = jxr.fit_contour(np.concatenate([round_, np.repeat(round_[:1], times - 2, axis=0)]), noise=0.0)
+    around = 0.08 * special.ellipe(1.0 - 0.7**2)
+    assert float(fit.contour.domain()[1]) == pytest.approx(around, rel=1e-7)
 
 
 @pytest.mark.parametrize("case", BAD)

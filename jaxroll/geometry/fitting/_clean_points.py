@@ -21,6 +21,9 @@ from ._ordering import order_given_up, order_points, place_text, turnings
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
 _FEWEST = 6  # as many as a quintic has coefficients
 _SAME = 1e-9  # times the larger extent: points nearer than that are one point
+_AT_ORIGIN = (
+    1e-7  # times the largest distance from the origin: points nearer than that lie at it, to rounding
+)
 
 
 @dataclass(frozen=True)
@@ -148,7 +151,8 @@ def check_one_unit(points: np.ndarray, *, closed: bool) -> None:
     wide.
     """
     sizes = np.sort(np.linalg.norm(points, axis=1))
-    sizes = sizes[sizes > 0.0]
+    # Points at the origin, to rounding, are none of another unit, however often one is there.
+    sizes = sizes[sizes > _AT_ORIGIN * sizes[-1]]
     ratios = sizes[1:] / sizes[:-1]
     jump = int(np.argmax(ratios)) if len(ratios) else 0
     # A single point near the origin is no group: any contour may pass close by it.

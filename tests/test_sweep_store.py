@@ -441,6 +441,24 @@ def test_what_has_no_names_is_named_by_its_place_and_numbered():
     assert [each.name for each in walk.found] == ["same_name", "same_name_2", "same_name_3"]
 
 
+@pytest.mark.parametrize(
+    ("more", "kept"), [((), ("damping", "parameter_damping")), (("parameter_damping",), ("damping",))]
+)
+def test_parameters_have_names_of_their_own_beside_results_and_others(more, kept, tmp_path):
+    """What is kept may be called as a parameter, and as the name that the parameter would have then."""
+    grasp, state = jxr.scenes.pivoted()
+    some = jxr.Parameters(damping=[0.004, 0.005], **{name: [1.0, 2.0] for name in more})
+    keep = lambda run: {name: run.last.q[0] for name in kept}  # noqa: E731
+    make = lambda p: (grasp.with_(damping=p.damping), state)  # noqa: E731
+    for _ in range(2):  # the second time as what it is, a store of the same sweep
+        table = jxr.sweep(make, some, t1=0.02, keep=keep, store=tmp_path / "some.zarr")
+    again = jxr.Parameters.of_table(table)
+    for name in some.names:
+        np.testing.assert_array_equal(again[name], some[name])
+    for name in kept:
+        np.testing.assert_array_equal(table[name], table[kept[0]])
+
+
 def test_every_name_is_one_folder_of_a_store():
     """A backslash divides paths of Zarr's too: what was kept under such a name was not found again."""
     walk = _Walk((), {}, "kept")

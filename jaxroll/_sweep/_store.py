@@ -266,7 +266,7 @@ class Store:
         forms = [np.broadcast_to(np.zeros((), x.dtype), x.shape) for x in jax.tree.leaves(self.results)]
         arrays = self._named(forms)
         taken, count = {x.name for x in arrays} | {_STORED}, self.extent.count
-        given = [x._replace(name=_apart(x.name, taken), values=_plain(x.values)) for x in self._parameters()]
+        given = [x._replace(values=_plain(x.values)) for x in _apart(self._parameters(), taken)]
         self.parameters = [x.name for x in given]
         told = {"long_name": "whether the run is in the store"}
         all_of_them = [*arrays, *given, Named(_STORED, (_RUN,), np.zeros(count, bool), told)]
@@ -334,9 +334,17 @@ def _unmade(path: Path) -> None:
         (path / "zarr.json").unlink(missing_ok=True)
 
 
-def _apart(name: str, taken: set[str]) -> str:
-    """The name of a parameter, another than that of any result."""
-    return name if name not in taken else f"parameter_{name}"
+def _apart(parameters: Sequence[Named], taken: set[str]) -> list[Named]:
+    """Parameters under names that no result has, nor another parameter."""
+    found, known = [], taken | {each.name for each in parameters}
+    for each in parameters:
+        name = each.name
+        if name in taken:
+            while name in known:
+                name = f"parameter_{name}"
+        known.add(name)
+        found.append(each._replace(name=name))
+    return found
 
 
 def _plain(values: Any) -> np.ndarray:

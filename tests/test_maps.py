@@ -28,6 +28,15 @@ def swept(scene):
     return jxr.sweep(make, two, 2.0, keep=lambda run: (run, ALL(run)), **settings)
 
 
+def test_infinite_values_are_filled_in_as_such():
+    """As the margin of runs that nothing ends; and without NumPy's warning of infinity less infinity."""
+    grid = jxr.Parameters.grid(x=np.linspace(-1.0, 1.0, 33), y=np.linspace(-1.0, 1.0, 17))
+    steep = lambda x, y: np.where(x + y > 0.3, np.inf, x)  # noqa: E731
+    found = jxr.adaptive_map(lambda p: jnp.where(p.x + p.y > 0.3, jnp.inf, p.x), grid, tolerance=0.2)
+    assert found.runs < grid.rows / 2
+    np.testing.assert_allclose(found.values, grid.shaped(steep(grid.x, grid.y)), atol=1e-15)
+
+
 def test_measures_are_those_of_the_trajectory(swept):
     """Worked out here from what the run saved, but for those that `design` has and tests."""
     runs, kept = swept

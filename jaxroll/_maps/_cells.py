@@ -103,6 +103,8 @@ def _stretched(block: np.ndarray, axis: int, coarse: np.ndarray, fine: np.ndarra
     gap = np.maximum(coarse[above] - coarse[below], 1)
     share = ((fine - coarse[below]) / gap).astype(block.dtype)
     share = share.reshape(*(-1 if k == axis else 1 for k in range(block.ndim)))
-    # On a line the next one has no part, not even one that is NaN.
-    mixed = low + share * (np.take(block, above, axis=axis) - low)
-    return np.where(share > 0.0, mixed, low)
+    high = np.take(block, above, axis=axis)
+    with np.errstate(invalid="ignore"):  # infinity less infinity
+        mixed = low + share * (high - low)
+    # On a line the next one has no part, not even one that is NaN; between two infinities it is as they are.
+    return np.where((share > 0.0) & (low != high), mixed, low)

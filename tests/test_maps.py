@@ -28,6 +28,17 @@ def swept(scene):
     return jxr.sweep(make, two, 2.0, keep=lambda run: (run, ALL(run)), **settings)
 
 
+def test_values_without_an_order_are_all_run():
+    """Order counts where something is filled in; values that fall have one, and rows of arrays are taken."""
+    some = jxr.Parameters.grid(x=[0.0, 1.0, 0.2, 0.7, 0.1], y=[0.0, 1.0])
+    found = jxr.adaptive_map(lambda p: p.x > 0.5, some, levels=0)
+    np.testing.assert_array_equal(found.values, some.shaped(some.x > 0.5))
+    line = np.linspace(1.0, 0.0, 17)
+    falling = jxr.Parameters(x=line, y=np.sin(20.0 * line)) * jxr.Parameters.grid(z=[[0.0, 1.0], [1.0, 0.0]])
+    found = jxr.adaptive_map(lambda p: p.x > 0.53, falling)
+    np.testing.assert_array_equal(found.values, falling.shaped(falling.x > 0.53))
+
+
 def test_infinite_values_are_filled_in_as_such():
     """As the margin of runs that nothing ends; and without NumPy's warning of infinity less infinity."""
     grid = jxr.Parameters.grid(x=np.linspace(-1.0, 1.0, 33), y=np.linspace(-1.0, 1.0, 17))
@@ -238,6 +249,11 @@ BAD = {
     "names": ({"outcome": lambda p: {"x": p["x"], 1: 1.0}}, "argument outcome must return arrays"),
     "grid": ({"grid": (1, 2)}, "argument grid must be Parameters"),
     "one value": ({"grid": jxr.Parameters.grid(x=[1.0], y=[1.0, 2.0])}, "argument grid must have two values"),
+    "no order": ({"grid": jxr.Parameters.grid(x=[0.0, 1.0, 0.2], y=[1.0, 2.0])}, "rise or fall .* but x was"),
+    "samples": (
+        {"grid": jxr.Parameters.sobol(64, x=(0.0, 1.0), y=(0.0, 1.0))},
+        "rise or fall along each axis",
+    ),
     "levels": ({"levels": -1}, "argument levels must be a whole number"),
     "chunk": ({"chunk": 0}, "argument chunk must be a whole number"),
     "progress": ({"progress": 1}, "argument progress must be True or False"),

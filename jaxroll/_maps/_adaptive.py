@@ -91,7 +91,7 @@ def adaptive_map(
             as `simulate(*make(p), t1, throw=False).result` or `stability.assess(*make(p)).verdict`. Whole
             numbers, truth values and codes are codes (make a count floating), and so is whether a value with
             a tolerance is finite.
-        grid: From `Parameters.grid`, or products of such.
+        grid: From `Parameters.grid`, or products of such, with values that rise or fall along each axis.
         levels: How often a coarse cell is halved.
         tolerance: For floating values, one number for all or by name where the outcome is a dict: cells are
             halved where they change by more. Default: only codes decide, and values are interpolated.
@@ -124,6 +124,8 @@ def adaptive_map(
     if min(grid.shape) < 2:
         raise ValueError(f"argument grid must have two values or more along each axis, but had {grid.shape}")
     levels = as_count("levels", levels, least=0, most=_MOST_LEVELS)
+    if levels:
+        _check_order(grid)
     size = as_count("chunk", chunk, most=sys.maxsize)
     check_flag("progress", progress)
     program = _Program(outcome, grid, min(size, grid.rows))
@@ -146,6 +148,23 @@ def adaptive_map(
             known.flat[todo] = True
     filled = [between(values, known, lines) for values in found]
     return AdaptiveMap(grid, jax.tree.unflatten(program.structure, filled), known, spent)
+
+
+def _check_order(grid: Parameters) -> None:
+    """Raise where an axis has no order, as samples have none: what lies between its points says nothing."""
+    for names in grid.axes:
+        along = {name: np.asarray(grid.axis(name)) for name in names}
+        if not any(values.ndim > 1 or _is_ordered(values.astype(float)) for values in along.values()):
+            name, values = next(iter(along.items()))
+            raise ValueError(
+                f"argument grid must have values that rise or fall along each axis, unless levels = 0, but "
+                f"{name} was {shown(values)}"
+            )
+
+
+def _is_ordered(values: np.ndarray) -> bool:
+    steps = np.diff(values)
+    return bool(np.all(steps >= 0.0) or np.all(steps <= 0.0))
 
 
 def _any_exceeds(spreads: list[tuple[Spread, float]], lines: Any) -> np.ndarray:

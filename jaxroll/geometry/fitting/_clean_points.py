@@ -21,9 +21,7 @@ from ._ordering import order_given_up, order_points, place_text, turnings
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
 _FEWEST = 6  # as many as a quintic has coefficients
 _SAME = 1e-9  # times the larger extent: points nearer than that are one point
-_AT_ORIGIN = (
-    1e-7  # times the largest distance from the origin: points nearer than that lie at it, to rounding
-)
+_AT_ORIGIN = 1e-7  # times the largest distance from the origin: points nearer than that lie at it
 
 
 @dataclass(frozen=True)

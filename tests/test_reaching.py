@@ -78,6 +78,19 @@ def test_two_faces_and_a_ball_have_families_of_pairs():
     assert apart[np.triu_indices(6, 1)].min() > 0.1 * A
 
 
+def test_pairs_of_a_family_lie_apart_and_leave_room_for_others():
+    """Of a spheroid every diameter of the waist is one, and so is its axis."""
+    found = jxr.grasp_points(jxr.Ellipsoid(0.02, 0.02, 0.025), 0.3, count=12)
+    wide = found.distance > 0.045
+    round_, along = found.points[found.exact & ~wide], found.points[wide]
+    np.testing.assert_allclose(along, [[[0.0, 0.0, -0.025], [0.0, 0.0, 0.025]]], atol=1e-12)
+    np.testing.assert_allclose(round_[:, 0], -round_[:, 1], atol=1e-12)
+    angles = np.sort(np.arctan2(round_[:, 0, 1], round_[:, 0, 0]) % np.pi)
+    # As pairs of points that lie on the waist within 0.12 of the size, 50 mm, would be one.
+    assert 8 <= len(angles) <= 10
+    assert np.diff([*angles, angles[0] + np.pi]).min() > 2 * np.arcsin(0.0029 / 0.02)
+
+
 def test_an_ellipsoid_has_three():
     found = jxr.grasp_points(jxr.Ellipsoid(0.03, 0.02, 0.01), 0.3, count=4)
     assert found.exact.tolist() == [True, True, True, False]

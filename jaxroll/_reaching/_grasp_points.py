@@ -10,6 +10,7 @@ $$ g = (-T_1 d,\; T_2 d), \qquad
    -T_2 T_1^T & 1 - (d \cdot n_2) K_2 \end{pmatrix}. $$
 
 On a ball every diameter is stationary, and H singular: its pseudo-inverse moves a pair as little as it can.
+Searches end anywhere in such a family of pairs, and of those that end near each other one is kept.
 """
 
 from collections.abc import Sequence
@@ -31,7 +32,7 @@ _SAMPLES = (384, 720)
 _STARTS, _STEPS, _MOST = 96, 24, 60_000
 # Pairs are different if an end of theirs is farther apart than this share of the object's size ...
 _APART = 0.12
-# ... and exact ones, farther than this.
+# ... and exact ones that belong to no family, farther than this.
 _SAME = 1e-6
 # Demands that differ by less are one: symmetric shapes have many of the same, which rounding must not order.
 _EQUAL = 1e-9
@@ -92,8 +93,9 @@ def grasp_points(
     r"""Pairs of points at which two fingers hold an object with least friction.
 
     The antipodal pairs of its boundary come first: there the line between the points is normal to both sides,
-    and no friction is needed. Where they are fewer than `count`, the best other pairs follow that the
-    friction holds, each apart from all before. Fingers press inwards at both points; whether they get there,
+    and no friction is needed; of a family of such pairs, as all round a bottle, some that lie apart. Where
+    they are fewer than `count`, the best other pairs follow that the friction holds, each apart from all
+    before. Fingers press inwards at both points; whether they get there,
     `reach` says.
 
     Args:
@@ -132,7 +134,7 @@ def grasp_points(
         )
     pairs = _candidates(samples, limit)
     starts = pairs.taken(_thinned(pairs, _STARTS, _APART * size))
-    exact = _merged(_refined(sheets, starts, size), size)
+    exact = _spread(sheets, _merged(_refined(sheets, starts, size), size), _APART * size)
     others = pairs.taken(_demand(pairs) <= limit)
     kept = _thinned(others, count, _APART * size, exact.points) if len(exact.faces) < count else []
     both = _Pairs(*(np.concatenate(x) for x in zip(exact, others.taken(kept), strict=True)))
@@ -217,8 +219,13 @@ def _demand(pairs: _Pairs) -> np.ndarray:
     return _needed(one, other, out_one, out_other)
 
 
-def _thinned(pairs: _Pairs, count: int, apart: float, known: np.ndarray | None = None) -> np.ndarray:
-    """Indices of the first pairs that are all different from each other, and from known ones."""
+def _thinned(
+    pairs: _Pairs, count: int, apart: float | np.ndarray, known: np.ndarray | None = None
+) -> np.ndarray:
+    """Indices of the first pairs that are all different from each other, and from known ones.
+
+    How far a pair must be from those before it, `apart`, is one number or that of each pair.
+    """
     left = np.ones(len(pairs.points), bool)
     for points in () if known is None else known:
         left &= _apart(pairs.points, points) > apart
@@ -287,6 +294,12 @@ def _frames_at(sheets: Sequence[Sheet], faces: np.ndarray, places: np.ndarray) -
 
 def _newton(one: Frames, other: Frames) -> np.ndarray:
     """Steps to where the distance is stationary, shape (n, 2 k): -H^+ g."""
+    slope, matrix = _derivatives(one, other)
+    return -(np.linalg.pinv(matrix, rcond=_SINGULAR, hermitian=True) @ slope[..., None])[..., 0]
+
+
+def _derivatives(one: Frames, other: Frames) -> tuple[np.ndarray, np.ndarray]:
+    """Of half the squared distance the gradient g, shape (n, 2 k), and H, (n, 2 k, 2 k)."""
     line = other.points - one.points
     k = one.bends.shape[1]
     slope = np.concatenate(
@@ -297,7 +310,15 @@ def _newton(one: Frames, other: Frames) -> np.ndarray:
     matrix[:, k:, k:] -= np.einsum("nd,nd->n", line, other.normals)[:, None, None] * other.bends
     mixed = -np.einsum("nad,nbd->nab", one.tangents, other.tangents)
     matrix[:, :k, k:], matrix[:, k:, :k] = mixed, np.swapaxes(mixed, 1, 2)
-    return -(np.linalg.pinv(matrix, rcond=_SINGULAR, hermitian=True) @ slope[..., None])[..., 0]
+    return slope, matrix
+
+
+def _spread(sheets: Sequence[Sheet], pairs: _Pairs, apart: float) -> _Pairs:
+    """Exact pairs without those of a family, which have a singular H, that lie near one before them."""
+    ends = [_frames_at(sheets, pairs.faces[:, e], pairs.places[:, e]) for e in (0, 1)]
+    sizes = np.abs(np.linalg.eigvalsh(_derivatives(*ends)[1]))
+    in_family = sizes.min(axis=1) <= _SINGULAR * sizes.max(axis=1)
+    return pairs.taken(_thinned(pairs, len(pairs.points), np.where(in_family, apart, 0.0)))
 
 
 def _merged(pairs: _Pairs, size: float) -> _Pairs:

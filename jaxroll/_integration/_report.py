@@ -56,7 +56,7 @@ REMEDIES = {
     "step_collapsed": "`jaxroll.why(grasp, run)` says which contact or which arm is nearly singular there; "
     "what single precision cannot pass, double may",
     "singular_contact": "shapes whose curvatures add up to more than zero (a hollow flatter than what rolls "
-    "in it), or joints away from a straight arm",
+    "in it), joints away from a straight arm, or fewer contacts where two of one finger hold a motion twice",
     "contour_end": "a longer contour there, or an earlier `t1`",
     "contact_lost": "press harder there, or leave 'lift' out of `events` to let contacts pull",
     "slipping": "a larger `friction` of that contact, or leave 'friction' out of `events`",

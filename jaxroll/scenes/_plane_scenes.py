@@ -315,7 +315,7 @@ def ring(
 
     Args:
         count: How many fingers, 2 to 60. Scene and first run of 5 take twice as long to compile as those of
-            2, of 20 seven times, and of 60 two minutes.
+            2, of 20 seven times, and of 60 two minutes; derivatives and batches take several times as long.
         object: With one closed contour about its origin. Default: a disc of 20 mm radius, 50 g.
         tip: Closed contour of every fingertip about $O_i$. Default: a circle of 10 mm radius.
         beta: $\beta$ of (16) [N/m].

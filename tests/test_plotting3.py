@@ -147,16 +147,6 @@ def test_rotations_agree_with_scipy():
     np.testing.assert_allclose(found, angles[:, None] * np.array([0.6, 0.0, 0.8]), atol=1e-12)
 
 
-@pytest.mark.parametrize(("pace", "tilt"), [(1.0, 0.0), (0.97, 0.05)])
-def test_rotation_vectors_go_on_over_many_turns(pace, tilt):
-    """Three turns and back beyond the start; through whole turns exactly, and nearby about axes that tilt."""
-    angles = pace * np.pi * np.concatenate([np.arange(0, 61), np.arange(60, -31, -1)]) / 10.0
-    axes = np.array([0.0, 0.6, 0.8]) + tilt * np.array([1.0, 0.0, 0.0]) * np.sin(angles)[:, None]
-    axes /= np.linalg.norm(axes, axis=1)[:, None]
-    path = np.concatenate([np.cos(angles / 2)[:, None], np.sin(angles / 2)[:, None] * axes], axis=1)
-    np.testing.assert_allclose(rotation_vectors(path), angles[:, None] * axes, atol=1e-11)
-
-
 def test_rotation_vectors_go_on_beyond_half_a_turn():
     angles = np.linspace(0.0, 6.0, 60)
     path = stand_in_grasp.quaternion_about((0.0, 0.6, 0.8), angles)

@@ -116,7 +116,7 @@ def turned(pose: np.ndarray, vectors: np.ndarray) -> np.ndarray:
 def rotation_vectors(quaternions: np.ndarray) -> np.ndarray:
     """Axis times angle [rad] of the turns since the first, in world axes, shape (t, 3).
 
-    Continuous over any number of turns: the quaternions, shape (t, 4), may change sign from one to the next.
+    Continuous up to a whole turn: the quaternions, shape (t, 4), may change sign from one to the next.
     """
     q = np.asarray(quaternions, float)
     # q and -q are one rotation: each takes the sign that is nearer to the one before. Without these flips the
@@ -129,13 +129,5 @@ def rotation_vectors(quaternions: np.ndarray) -> np.ndarray:
     vector = q[:, :1] * v0 + w0 * q[:, 1:] + np.cross(q[:, 1:], v0)
     sine = np.linalg.norm(vector, axis=1)
     angle = 2.0 * np.arctan2(sine, scalar)
-    turns = np.zeros_like(vector)
-    for i in range(1, len(q)):
-        before = turns[i - 1]
-        # Near whole turns there is no axis but the one before; at the start none is needed.
-        near = vector[i] if sine[i] > 1e-12 else before
-        axis = near / (np.linalg.norm(near) or 1.0)
-        # Quaternions whose signs follow each other come back after two turns.
-        whole = np.round((axis @ before - angle[i]) / (4.0 * np.pi))
-        turns[i] = (angle[i] + 4.0 * np.pi * whole) * axis
-    return turns
+    # Near no turn at all, angle / sin(angle / 2) is 2.
+    return vector * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 2.0)[:, None]

@@ -273,6 +273,15 @@ def test_records_print_their_units():
     assert "least=0.5 m, time=2 s" in str(LinkClearance(one, one, one, ((0, 1),), 0.5, 2.0, "there"))
 
 
+@pytest.mark.parametrize("missing", [slice(None), 1])
+def test_pictures_want_saved_times(scene, run, missing, tmp_path):
+    times = eqx.tree_at(lambda r: r.ts, run, run.ts.at[missing].set(np.nan))
+    for draw in (plotting.page, plotting.animate, plotting.poses, plotting.responses):
+        file = (tmp_path / "it",) if draw in (plotting.page, plotting.animate) else ()
+        with pytest.raises(ValueError, match=r"argument trajectory\.ts must be finite, but was"):
+            draw(scene[0], times, *file)
+
+
 def test_the_shapes_of_a_run_print(run):
     assert str(jax.eval_shape(lambda: run)) == "Trajectory (shapes alone)"
 

@@ -24,6 +24,7 @@ from .._linalg import Pose3, root, Twist3, Vec3
 from .._mechanics import check_spatial, check_states, compiled, Grasp, Leaves, State
 from .._motion import evaluate, Index1, touches
 from .._printing import listed
+from .._results import check_finite
 from .._types import Scalar, Scalars, Times
 from .._xla import in_turn, once, sharing
 from ..contact import Motion
@@ -142,9 +143,10 @@ def loci(grasp: Grasp, trajectory: Trajectory) -> Loci:
 
 
 def check_run(grasp: Grasp, trajectory: Trajectory) -> None:
-    """Raise unless a trajectory is one run, and one that could be of this grasp."""
+    """Raise unless a trajectory is one run, and one that could be of this grasp, with saved times."""
     check_one_run("trajectory", trajectory)
     check_states(grasp, trajectory.states, "trajectory.states", axes=1)
+    check_finite("trajectory.ts", trajectory.ts)
 
 
 @compiled

@@ -12,6 +12,7 @@ from ._arrays import (
     smaller as smaller,
     stacked as stacked,
     three as three,
+    value_and_jacobian as value_and_jacobian,
     weighted_sum as weighted_sum,
     with_row as with_row,
     with_row_selected as with_row_selected,

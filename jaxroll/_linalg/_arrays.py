@@ -4,7 +4,7 @@ Inside of the equations of motion all numbers are scalars (`_plane`); what carri
 arrays.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -56,6 +56,17 @@ def smaller(left: Any, right: Any) -> jax.Array:
 def stacked(values: Sequence[Scalar]) -> jax.Array:
     """Scalars as one vector, which may be empty."""
     return jnp.stack(tuple(values)) if len(values) else jnp.zeros(0)
+
+
+def value_and_jacobian(
+    function: Callable[[jax.Array], jax.Array], at: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """A vector function's value, shape (m,), and its Jacobian, shape (m, n).
+
+    `jax.linearize` goes once more through all: with it `close` in space took 1.2 s to trace, and now 0.8 s.
+    """
+    along = lambda way: jax.jvp(function, (at,), (way,))  # noqa: E731
+    return jax.vmap(along, out_axes=(None, -1))(jnp.eye(at.shape[0], dtype=at.dtype))
 
 
 def three(frame: Pose2) -> jax.Array:

@@ -22,7 +22,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from .._closing import constraint_rows
-from .._linalg import unstack, Vec2
+from .._linalg import unstack, value_and_jacobian, Vec2
 from .._mechanics import check_planar, compiled, Grasp, split, State
 from .._motion import (
     generalised_force,
@@ -368,14 +368,13 @@ def _newton(equations: Callable[[Array], Array], start: Array, moving: int, weig
         weights: Diagonal of W.
     """
     size = start.shape[0]
-    basis, place = jnp.eye(size, dtype=start.dtype), jnp.arange(size)
+    place = jnp.arange(size)
 
     # The loop carries z, the number of neutral directions (-1 while unknown), the largest entry of the last
     # step before it was shortened, and the number of passes.
     def improve(carry: tuple[Any, ...]) -> tuple[Any, ...]:
         z, nullity, moved, i = carry
-        along = lambda way: jax.jvp(equations, (z,), (way,))  # noqa: E731
-        left, jacobian = jax.vmap(along, out_axes=(None, 1))(basis)
+        left, jacobian = value_and_jacobian(equations, z)
         # The first pass solves for the contact forces alone, by least squares: the Jacobian contains the
         # change of A^T mu with the configuration, which would be that of zero forces.
         known = (i > 0) | (place[None, :] >= moving)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxroll as jxr
-from jaxroll._motion import _linearisation
+from jaxroll._motion import _linearisation, _projection
 
 # A friction that no force comes near makes a grasp of another structure, so that JAX traces its runs anew.
 NEVER = 1e3
@@ -19,7 +19,8 @@ def both(monkeypatch):
     """A ring that moves, its contacts written out; and the same for the loop, with its limit lowered."""
     grasp, state = jxr.scenes.ring(2, gravity=(0.3, -0.7))
     written = jax.block_until_ready(ways(grasp, state))
-    monkeypatch.setattr(_linearisation, "_WRITTEN_OUT", 3)
+    for module in (_linearisation, _projection):
+        monkeypatch.setattr(module, "WRITTEN_OUT", 3)
     calls = []
     solve = _linearisation.solve_in_loop
     monkeypatch.setattr(_linearisation, "solve_in_loop", lambda *args: calls.append(1) or solve(*args))

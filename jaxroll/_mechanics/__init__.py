@@ -12,7 +12,6 @@ from ._body import (
     AbstractFinger as AbstractFinger,
     Coordinate as Coordinate,
     Inertia as Inertia,
-    QUATERNION as QUATERNION,
 )
 from ._controller import (
     AbstractController as AbstractController,
@@ -34,7 +33,7 @@ from ._grasp import Grasp as Grasp, Labels as Labels, tabled_grasp as tabled_gra
 from ._jaw import Jaw as Jaw
 from ._load import AbstractLoad as AbstractLoad, as_loads as as_loads, Moving as Moving, Wrench as Wrench
 from ._object2 import FreeObject as FreeObject, PivotedObject as PivotedObject
-from ._object3 import FreeObject3 as FreeObject3
+from ._object3 import FreeObject3 as FreeObject3, QUATERNION as QUATERNION
 from ._stage import Stage as Stage, Turning as Turning
 from ._state import (
     Blocks as Blocks,

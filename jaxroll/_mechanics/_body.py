@@ -44,10 +44,6 @@ class Coordinate(NamedTuple):
     unit: str
 
 
-# Names of the four numbers of an orientation in space, scalar first.
-QUATERNION = ("qw", "qx", "qy", "qz")
-
-
 class AbstractBody(eqx.Module):
     r"""The object, or a driven mechanism with a fingertip: a frame that its own coordinates place.
 

@@ -19,9 +19,11 @@ from .._types import Given, Scalar, Scalars
 from .._xla import once
 from ..contact import Motion
 from ..geometry import AbstractSurface, mass_properties
-from ._body import AbstractBody, Coordinate, Inertia, QUATERNION, Spin
+from ._body import AbstractBody, Coordinate, Inertia, Spin
 
 Surfaces = tuple[AbstractSurface, ...]
+# Names of the four numbers of an orientation in space, scalar first.
+QUATERNION = ("qw", "qx", "qy", "qz")
 
 
 def _as_surfaces(name: str, surfaces: Any) -> Surfaces:

@@ -7,6 +7,8 @@ is the torque that the motion needs at zero joint accelerations. `_body` says wh
 `_chain3` and `_object3` are the same in space.
 """
 
+import itertools
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -50,9 +52,8 @@ class AbstractChain(AbstractFinger):
 
     def directions(self, q: Scalars) -> tuple[Vec2, ...]:
         """Unit vectors along the links, in the world: the only sines and cosines of a finger."""
-        angle, along = q[0], []
-        for i in range(self.joints):
-            angle = q[0] if i == 0 else angle + q[i]
+        along = []
+        for angle in itertools.accumulate(q):
             sin, cos = sincos(angle)
             along.append(Vec2(cos, sin))
         return tuple(along)
@@ -77,7 +78,7 @@ class AbstractChain(AbstractFinger):
         points = self.joint_positions(along)
         # Link i has the spin w_i = v_0 + ... + v_i. Without joint accelerations joint i + 1 has the
         # acceleration of joint i, plus -w_i^2 l_i along the link; the base rests, and adds nothing.
-        spins = _running_sums(v)
+        spins = list(itertools.accumulate(v))
         centripetal = [-(w * w) for w in spins]
         joint_pull = [_STILL]
         for i, length in enumerate(self.lengths):
@@ -167,9 +168,8 @@ class AbstractPivoted(AbstractObject):
         return Pose2(Vec2(self.pivot[0], self.pivot[1]), cos, sin), lambda v: v[0]
 
     def motion(self, q: Scalars, v: Scalars, gravity: Vec2 | None) -> tuple[Motion, Inertia]:
-        pose, still = self.pose(q), Vec2(0.0, 0.0)
-        unit = Twist2(still, 1.0)
-        motion = Motion(pose, (unit,), Twist2(still, v[0]), Twist2(still, 0.0))
+        pose, unit = self.pose(q), Twist2(_STILL, 1.0)
+        motion = Motion(pose, (unit,), Twist2(_STILL, v[0]), Twist2(_STILL, 0.0))
         force = 0.0
         if gravity is not None and self.weight_moment is not None:
             # h is minus the torque of the weight, -(c x m g) = g x (m c), with the moment m c in world axes.
@@ -205,10 +205,9 @@ class AbstractFree(AbstractObject):
         return Pose2(Vec2(q[0], q[1]), cos, sin), lambda v: v[2]
 
     def motion(self, q: Scalars, v: Scalars, gravity: Vec2 | None) -> tuple[Motion, Inertia]:
-        still = Vec2(0.0, 0.0)
-        units = (Twist2(Vec2(1.0, 0.0), 0.0), Twist2(Vec2(0.0, 1.0), 0.0), Twist2(still, 1.0))
+        units = (Twist2(Vec2(1.0, 0.0), 0.0), Twist2(Vec2(0.0, 1.0), 0.0), Twist2(_STILL, 1.0))
         twist = Twist2(Vec2(v[0], v[1]), v[2])
-        motion = Motion(self.pose(q), units, twist, Twist2(still, 0.0))
+        motion = Motion(self.pose(q), units, twist, Twist2(_STILL, 0.0))
         # A lower triangle, row by row. The frame sits at the centre of mass: there are no velocity terms.
         mass = ((self.mass,), (0.0, self.mass), (0.0, 0.0, self.inertia))
         if gravity is None:
@@ -217,10 +216,3 @@ class AbstractFree(AbstractObject):
 
     def gravity_potential(self, q: Scalars, gravity: Vec2) -> Scalar:
         return -self.mass * gravity.dot(Vec2(q[0], q[1]))
-
-
-def _running_sums(values: Scalars) -> list[Scalar]:
-    sums = [values[0]]
-    for value in values[1:]:
-        sums.append(sums[-1] + value)
-    return sums

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 
 from .._linalg import (
     Factor,
@@ -26,8 +25,6 @@ from .._linalg import (
     stacked,
     times,
     total,
-    unknown_factor,
-    unknown_loop_factor,
 )
 from .._mechanics import Blocks, Grasp
 from .._types import Scalar, Scalars
@@ -36,7 +33,7 @@ from ._schur_array import Pair, schur_array
 
 # Most rows whose factorisation is written out number by number, which runs faster (`_linalg._loop_factor`):
 # those of `scenes.ring(16)`, which takes half a minute to compile.
-_WRITTEN_OUT = 32
+WRITTEN_OUT = 32
 
 
 @jax.tree_util.register_dataclass
@@ -86,7 +83,7 @@ def linearise(
 
 def _schur_factor(grasp: Grasp, jacobian: Sequence[Pair], weighted: Sequence[Pair]) -> Factor | LoopFactor:
     """$A M^{-1} A^T$, factorised number by number, or where its rows are many in a loop."""
-    if sum(contact.rows for contact in grasp.contacts) > _WRITTEN_OUT:
+    if sum(contact.rows for contact in grasp.contacts) > WRITTEN_OUT:
         return factorise_in_loop(schur_array(grasp, jacobian, weighted))
     # Lower triangle of A M^-1 A^T: each entry is a row of A times a row of A M^-1. Two contacts always share
     # the object's block (1), and the finger's (0) only if both are on the same finger.
@@ -102,18 +99,6 @@ def _schur_factor(grasp: Grasp, jacobian: Sequence[Pair], weighted: Sequence[Pai
                 ]
             rows.append(tuple(row))
     return factorise(rows)
-
-
-def unknown_line(grasp: Grasp) -> Linearisation:
-    """A linearisation of the right structure, full of zeros: the carry of a loop before its first turn."""
-    zero = jnp.zeros(())
-    pairs, drift = [], []
-    for c in grasp.contacts:
-        pairs.append(tuple(((zero,) * k,) * c.rows for k in (grasp.sizes[1 + c.finger], grasp.sizes[0])))
-        drift.append((zero,) * c.rows if grasp.fingers[c.finger].prescribed else None)
-    m = sum(c.rows for c in grasp.contacts)
-    schur = unknown_loop_factor(m) if m > _WRITTEN_OUT else unknown_factor(m)
-    return Linearisation(tuple(pairs), tuple(pairs), schur, tuple(drift))
 
 
 def _solve(mass: Factor, rows: Rows) -> Rows:

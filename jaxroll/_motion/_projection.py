@@ -14,12 +14,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 
+from .._linalg import unknown_factor, unknown_loop_factor
 from .._mechanics import Blocks, Grasp, Leaves
 from .._xla import once
 from ..contact import Rows
 from ._equations import Instant, touches
-from ._linearisation import balance, closing, combine, Linearisation, negative, respond, unknown_line
+from ._linearisation import balance, closing, combine, Linearisation, negative, respond, WRITTEN_OUT
 
 
 @jax.tree_util.register_dataclass
@@ -53,7 +55,15 @@ def anchor_of(instant: Instant) -> Anchor:
 
 def unknown_anchor(grasp: Grasp) -> Anchor:
     """An anchor of the right structure, full of zeros: the carry of a loop before its first turn."""
-    return Anchor(unknown_line(grasp), tuple(c.unknown_bend() for c in grasp.contacts))
+    zero = jnp.zeros(())
+    pairs, drift = [], []
+    for c in grasp.contacts:
+        pairs.append(tuple(((zero,) * k,) * c.rows for k in (grasp.sizes[1 + c.finger], grasp.sizes[0])))
+        drift.append((zero,) * c.rows if grasp.fingers[c.finger].prescribed else None)
+    m = sum(c.rows for c in grasp.contacts)
+    schur = unknown_loop_factor(m) if m > WRITTEN_OUT else unknown_factor(m)
+    line = Linearisation(tuple(pairs), tuple(pairs), schur, tuple(drift))
+    return Anchor(line, tuple(c.unknown_bend() for c in grasp.contacts))
 
 
 def settle(grasp: Grasp, leaves: Leaves, anchor: Anchor) -> Leaves:

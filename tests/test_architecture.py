@@ -20,6 +20,7 @@ from notebooks.extensions import public_names
 
 ROOT = pathlib.Path(jxr.__file__).parent
 RANKS = {
+    "_fingerprint": 0,
     "_types": 0,
     "_printing": 0,
     "_results": 1,

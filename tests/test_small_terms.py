@@ -12,9 +12,9 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll import plotting
+from jaxroll._fingerprint import fingerprint
 from jaxroll._integration._step import RollingStep
 from jaxroll._linalg import pose_at, unstack, Vec3
-from jaxroll._sweep._fingerprint import fingerprint
 from jaxroll._why import _pairs
 from jaxroll.contact import Touch3
 from jaxroll.geometry.contours._neural_curvature import _Cloud, _residuals, _start

@@ -19,7 +19,8 @@ import numpy as np
 import pytest
 
 import jaxroll as jxr
-from jaxroll._sweep import _fingerprint, _folder, _identity
+from jaxroll import _fingerprint
+from jaxroll._sweep import _folder, _identity
 from jaxroll._sweep._program import of_make, Program
 from tests.helpers import slow_among
 
@@ -208,7 +209,7 @@ def test_another_machine_is_refused_by_name(what, sweep, finished, monkeypatch):
 def test_all_that_is_known_by_name_alone_is_compared_by_version(monkeypatch):
     """Another version of any of these packages is another sweep, and named."""
     marks, real = _identity.identity(ROWS, 0.2, 2, {}), _identity._version
-    for name in sorted(_fingerprint._LIBRARIES - sys.stdlib_module_names):
+    for name in sorted(_fingerprint.LIBRARIES - sys.stdlib_module_names):
         with monkeypatch.context() as patch:
             patch.setattr(_identity, "_version", lambda n, name=name: "another" if n == name else real(n))
             found = _identity.differences(marks, _identity.identity(ROWS, 0.2, 2, {}))

@@ -2,13 +2,12 @@
 
 `_sweep` has the public function: it cuts the parameters into chunks and hands these to worker threads.
 `_program` traces and compiles what one chunk does. Only where a folder or a store is given are these needed:
-`_fingerprint` digests values and programs, `_identity` gathers the digests that tell one sweep from another,
-`_folder` reads and writes the finished chunks, `_store` writes them to a table that xarray opens. Where
-others than this process compute, `_dispatch` sends them chunks, and `_sending` is what they do with these.
+`_identity` gathers the digests (`_fingerprint`) that tell one sweep from another, `_folder` reads and writes
+the finished chunks, `_store` writes them to a table that xarray opens. Where others than this process
+compute, `_dispatch` sends them chunks, and `_sending` is what they do with these.
 `_parameters` has the parameters of many runs by name.
 """
 
-from ._fingerprint import fingerprint as fingerprint
 from ._parameters import Parameters as Parameters
 from ._program import answer as answer, as_now as as_now
 from ._sweep import sweep as sweep

@@ -20,9 +20,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .._fingerprint import fingerprint, PACKAGES
 from .._integration import simulate
 from .._results import shown
-from ._fingerprint import fingerprint, PACKAGES
 
 # Beginnings of the names of instruction sets that XLA compiles for. The other flags of a processor are left
 # out: which of them are listed depends on the version of the operating system's kernel.

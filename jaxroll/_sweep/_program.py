@@ -23,11 +23,11 @@ import jax.extend.core as jec
 import jax.numpy as jnp
 import numpy as np
 
+from .._fingerprint import fingerprint, of_lowered
 from .._integration import simulate
 from .._mechanics import Grasp, State
 from .._results import shown, traceable
-from .._xla import WIDE
-from ._fingerprint import fingerprint, of_lowered
+from .._xla import unstored, WIDE
 
 # Compiled programs by fingerprint, and by the precision in which they were traced; the one used last comes
 # last, and the first goes when there are more than `_MOST`.
@@ -153,7 +153,7 @@ class Program(NamedTuple):
 
     def fingerprint(self) -> str:
         """Fingerprint of the program as it is handed to the compiler."""
-        return of_lowered(self.traced.lower().as_text())
+        return _of_lowered(self.traced)
 
 
 def program(job: Job, rows: Any) -> Program:
@@ -223,7 +223,7 @@ def of_make(make: Callable, row: Any) -> str:
 
     given, still = eqx.partition(make, eqx.is_array)
     found = _traced(arrays, given, row)
-    return fingerprint((given, static[-1], of_lowered(found.lower().as_text())))
+    return fingerprint((given, static[-1], _of_lowered(found)))
 
 
 def of_keep(keep: Callable | None, trajectory: Any) -> str:
@@ -237,8 +237,13 @@ def of_keep(keep: Callable | None, trajectory: Any) -> str:
         return "everything"
     given, still = eqx.partition(keep, eqx.is_array)
     found = _traced(lambda given, run: kept(eqx.combine(given, still), run), given, trajectory)
-    text = found.lower().as_text()
-    return fingerprint((given, jax.tree.structure(found.out_info), of_lowered(text)))
+    return fingerprint((given, jax.tree.structure(found.out_info), _of_lowered(found)))
+
+
+def _of_lowered(found: Any) -> str:
+    """The fingerprint of a traced program's lowered one, whether JAX has a folder for programs or not."""
+    with unstored():
+        return of_lowered(found.lower().as_text())
 
 
 def calls_back(closed: Any) -> bool:

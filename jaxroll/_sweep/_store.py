@@ -26,9 +26,9 @@ from typing import Any
 import jax
 import numpy as np
 
+from .._fingerprint import fingerprint
 from .._integration import about, as_dataset, label_arrays, Named, named_arrays, open_table, xarray_module
 from .._results import missing_library
-from ._fingerprint import fingerprint
 from ._folder import Folder
 from ._identity import Identity, Mark
 from ._parameters import laid_out, Parameters

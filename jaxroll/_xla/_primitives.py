@@ -5,6 +5,7 @@ they are compiled: a gradient in reverse mode does not trace the forward map bes
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import equinox as eqx
@@ -18,6 +19,7 @@ from jax.extend.mlir.dialects import stablehlo
 from jax.interpreters import ad, batching, mlir
 
 from ._collector import uncollected
+from ._stored import stored
 
 _BARRIER, _MARK, _MAP = jec.Primitive("barrier"), jec.Primitive("mark"), jec.Primitive("linear_map")
 _MAP.multiple_results = True
@@ -104,31 +106,55 @@ def linear_map(apply: Callable, transpose: Callable, at: Any, x: Any, *, like: A
     fixed, at_form = jax.tree.flatten(arrays)
     given, x_form = jax.tree.flatten(x)
     wanted, out_form = jax.tree.flatten(like)
-    whole = lambda leaves: eqx.combine(jax.tree.unflatten(at_form, leaves), still)  # noqa: E731
-    there = _flattened(apply, whole, x_form, out_form)
-    back = _flattened(transpose, whole, out_form, x_form)
+    there = _Way(apply, still, at_form, x_form, out_form)
+    back = _Way(transpose, still, at_form, out_form, x_form)
     kinds = tuple(ShapedArray(jnp.shape(leaf), jnp.result_type(leaf)) for leaf in wanted)
     out = _MAP.bind(*fixed, *given, there=there, back=back, kinds=kinds, fixed=len(fixed))
     return jax.tree.unflatten(out_form, out)
 
 
-def _flattened(function: Callable, whole: Callable, x_form: Any, out_form: Any) -> Callable:
-    """A function of lists of arrays."""
+@dataclass(frozen=True, eq=False)
+class _Way:
+    """One way of a linear map, as a function of lists of arrays."""
 
-    def flat(at: Sequence[Any], x: Sequence[Any]) -> list[Any]:
-        return out_form.flatten_up_to(function(whole(at), jax.tree.unflatten(x_form, x)))
+    function: Callable
+    still: Any
+    at_form: Any
+    x_form: Any
+    out_form: Any
 
-    return flat
+    def __call__(self, at: Sequence[Any], x: Sequence[Any]) -> list[Any]:
+        whole = eqx.combine(jax.tree.unflatten(self.at_form, at), self.still)
+        return self.out_form.flatten_up_to(self.function(whole, jax.tree.unflatten(self.x_form, x)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Ways:
+    """A way for many lanes: those of `at` along the axes `dims`, None where they share it."""
+
+    one: Callable
+    dims: tuple[int | None, ...]
+    size: int
+
+    def __call__(self, at: Sequence[Any], x: Sequence[Any]) -> list[Any]:
+        return jax.vmap(self.one, in_axes=(self.dims, 0), axis_size=self.size)(at, x)
 
 
 def _mapped(*args: Any, there: Callable, back: Callable, kinds: tuple, fixed: int) -> list[Any]:
     return there(args[:fixed], args[fixed:])
 
 
-def _compiled(context: mlir.LoweringRuleContext, *args: Any, **params: Any) -> Any:
-    # Here the insides of a map are traced.
+def _compiled(
+    context: mlir.LoweringRuleContext, *args: Any, there: Callable, back: Callable, kinds: tuple, fixed: int
+) -> Any:
+    """The way that is asked for, traced here or read from a file."""
+    del back, kinds
+    module, way = context.module_context, lambda *args: there(args[:fixed], args[fixed:])
+    # A stored program is one for a single processor.
+    alone = module.platforms == ("cpu",) and getattr(module.axis_context, "num_devices", 0) == 1
     with uncollected():
-        return mlir.lower_fun(_mapped, multiple_results=True)(context, *args, **params)
+        program = stored(way, (there, fixed), context.avals_in) if alone else way
+        return mlir.lower_fun(program, multiple_results=True)(context, *args)
 
 
 def _tangents(primals: Sequence[Any], dots: Sequence[Any], **params: Any) -> tuple[Any, Any]:
@@ -158,7 +184,7 @@ def _lanes(
         jnp.moveaxis(x, d, 0) if d is not None else jnp.broadcast_to(x, (size, *jnp.shape(x)))
         for x, d in zip(args[fixed:], dims[fixed:], strict=True)
     ]
-    each = [jax.vmap(f, in_axes=(tuple(dims[:fixed]), 0), axis_size=size) for f in (there, back)]
+    each = [_Ways(f, tuple(dims[:fixed]), size) for f in (there, back)]
     kinds = tuple(ShapedArray((size, *kind.shape), kind.dtype) for kind in params["kinds"])
     out = _MAP.bind(*args[:fixed], *own, there=each[0], back=each[1], kinds=kinds, fixed=fixed)
     return out, [0] * len(out)

@@ -25,9 +25,9 @@ import numpy as np
 import optax
 from jaxtyping import Array, Bool, Float, Int
 
+from .._fingerprint import fingerprint
 from .._linalg import larger
 from .._results import check_instance, shown
-from .._sweep import fingerprint
 from .._xla import quickly
 from ._descent import AbstractDescent, descent, Walk
 from ._gradient import Mode, value_and_grad

@@ -5,10 +5,11 @@ compute the same with different code have different fingerprints. Python's `hash
 differs from process to process, and neither does `pickle`, which stores a function by its name and so misses
 its code.
 
-`_Reader` walks through a value and everything that it refers to, and feeds a SHA-256 digest. A traced program
+`Reader` walks through a value and everything that it refers to, and feeds a SHA-256 digest. A traced program
 (a jaxpr) is read operation by operation; a lowered one (`of_lowered`) is text, and is digested as text with
-the accidental names left out. `_program` finds a program that was compiled before by its fingerprint,
-`_identity` decides by fingerprints whether a folder belongs to a sweep.
+the accidental names left out. In `_sweep`, `_program` finds a program that was compiled before by its
+fingerprint, `_identity` decides by fingerprints whether a folder belongs to a sweep. `_xla._stored` finds
+derivatives by them, of what no caller wrote.
 """
 
 import dataclasses
@@ -44,7 +45,7 @@ PACKAGES = (
     "beartype",
     "jaxtyping",
 )
-_LIBRARIES = sys.stdlib_module_names | set(PACKAGES)
+LIBRARIES = sys.stdlib_module_names | set(PACKAGES)
 # Memory addresses in what an object prints, which differ from process to process.
 _ADDRESS = re.compile(r"\b0x[0-9a-f]+")
 # Types whose `repr` says everything about a value.
@@ -93,7 +94,7 @@ def fingerprint(value: Any) -> str:
     Numbers and arrays count by value, objects by class and fields, functions by their code and what they
     close over, traced programs by operations and constants.
     """
-    return _Reader().read(value).hex()
+    return Reader().read(value).hex()
 
 
 def of_lowered(text: str) -> str:
@@ -124,7 +125,7 @@ def _sha(*parts: bytes | str) -> bytes:
     return digest.digest()
 
 
-class _Reader:
+class Reader:
     """One reading of a value, in which no object is read twice and cycles of references end."""
 
     def __init__(self) -> None:
@@ -201,7 +202,7 @@ class _Reader:
         inner = getattr(value, "__wrapped__", None)
         if inner is not None:
             yield self.read(inner)
-        elif _root(type(value)) in ("jax", "jaxlib") or not hasattr(value, "__dict__"):
+        elif root_of(type(value)) in ("jax", "jaxlib") or not hasattr(value, "__dict__"):
             yield _ADDRESS.sub("", getattr(value, "__qualname__", None) or repr(value))
         else:
             yield self.read(vars(value))
@@ -209,7 +210,7 @@ class _Reader:
     def function(self, value: types.FunctionType) -> Iterator[bytes | str]:
         """Parts of a function: its code, the globals that it reads, its defaults and what it closes over."""
         self.mutable += 1
-        if _root(value) in _LIBRARIES:
+        if root_of(value) in LIBRARIES:
             yield _title(value)
         else:
             yield self.read(value.__code__)
@@ -232,7 +233,7 @@ class _Reader:
     def kind(self, value: type) -> Iterator[bytes | str]:
         """Parts of a class: its name; of a caller's own also its bases, methods and constants."""
         yield _title(value)
-        if _root(value) in _LIBRARIES:
+        if root_of(value) in LIBRARIES:
             return
         yield from map(self.read, value.__bases__)
         for name, held in sorted(vars(value).items()):
@@ -282,14 +283,14 @@ def _array(value: Any) -> Iterator[bytes | str]:
     yield repr(seen.tolist()) if seen.dtype.hasobject else np.ascontiguousarray(seen).tobytes()
 
 
-def _root(value: Any) -> str:
+def root_of(value: Any) -> str:
     """Name of the top-level package in which a function or a class was defined."""
     return (getattr(value, "__module__", None) or "").split(".")[0]
 
 
 def _read_of(module: types.ModuleType, code: types.CodeType) -> dict[str, Any]:
     """What some code may read of a module, by name; nothing of those that are digested by name alone."""
-    if module.__name__.split(".")[0] in _LIBRARIES:
+    if module.__name__.split(".")[0] in LIBRARIES:
         return {}
     return {name: vars(module)[name] for name in _names_in(code) if name in vars(module)}
 

@@ -7,6 +7,7 @@ import pytest
 
 from jaxroll._xla._one_kernel import in_turn
 from jaxroll._xla._primitives import barrier, linear_map
+from jaxroll._xla._traced_once import traced_once
 
 MATRIX = jnp.asarray([[1.0, -2.0, 0.5], [0.3, 4.0, -1.0]])
 X = {"a": jnp.asarray([0.2, 1.0]), "b": jnp.asarray(-0.7)}
@@ -102,3 +103,30 @@ def test_rows_in_turn_are_differentiated_in_all_that_is_given():
         same(*(jax.jit(derived(through(way), (0, 1)))(shared, rows) for way in (turn, side)))
     many = jnp.stack([rows, 2.0 * rows])
     same(*(jax.vmap(jax.grad(through(way), (0, 1)), (None, 0))(shared, many) for way in (turn, side)))
+
+
+def test_a_value_and_the_rule_for_its_derivative_are_traced_once():
+    count = []
+
+    @traced_once
+    def shared(x, power):
+        count.append(power)
+        return x**power
+
+    @jax.custom_jvp
+    def call(x):
+        return shared(x, 3)
+
+    @call.defjvp
+    def _(primals, tangents):
+        (x,), (dot,) = primals, tangents
+        return call(x), 3.0 * shared(x, 2) * dot
+
+    x = jnp.asarray(2.0)
+    value, slope = jax.jit(jax.value_and_grad(jax.jit(call)))(x)
+    assert (value, slope) == (8.0, 12.0) and sorted(count) == [2, 3]
+    assert jax.jit(jax.grad(jax.grad(call)))(x) == 12.0
+    assert jax.vmap(call)(jnp.arange(3.0)).tolist() == [0.0, 1.0, 8.0]
+    mesh = jax.make_mesh((1,), ("lanes",))
+    with jax.set_mesh(mesh):
+        assert jax.jit(call)(jnp.asarray(3.0)) == 27.0

@@ -25,7 +25,7 @@ from jaxtyping import Array
 from .._linalg import factorise
 from .._mechanics import Grasp, join, State, to_leaves
 from .._motion import bodies, compatible, linearise, touches
-from .._xla import linear_map, one_kernel, perturbed, shared, sharing
+from .._xla import linear_map, one_kernel, perturbed, shared, sharing, traced_once
 from ._search import added, after_step, ClosingProblem, constraint_rows, metric_at, searched, solve_schur
 
 
@@ -77,6 +77,7 @@ class _Minimum(NamedTuple):
     jacobian: Array
 
 
+@traced_once
 def _found(
     grasp: Grasp, guess: State, hold: bool, *, resting: bool, held: tuple[int, ...]
 ) -> tuple[tuple[State, Array], _Minimum]:

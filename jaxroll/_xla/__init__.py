@@ -19,4 +19,5 @@ from ._quick import briskly as briskly, QUICK as QUICK, quickly as quickly
 from ._remembered import remembered as remembered
 from ._share_cotangents import pulled as pulled, pushed as pushed, shared as shared
 from ._stored import unstored as unstored
+from ._traced_once import traced_once as traced_once
 from ._trigonometry import inverse_sinh as inverse_sinh, sine_cosine as sine_cosine

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._types import Scalar
-from ..._xla import perturbed
+from ..._xla import perturbed, traced_once
 
 # ds/dx at places of a curve's cells: `speed(shape, cell, x)`, with x in [0, 1] along each cell.
 Speed = Callable[[Any, Any, Any], Array]
@@ -134,6 +134,11 @@ def parameters_reaching(progress: RisingFunction, shape: Any, start: Array, targ
 @eqx.filter_custom_jvp
 def _placed(given: tuple[Any, Array], start: Array, progress: RisingFunction) -> Array:
     """The iteration of `parameters_reaching`, whose derivative rule is below."""
+    return _iterated(given, start, progress)
+
+
+@traced_once
+def _iterated(given: tuple[Any, Array], start: Array, progress: RisingFunction) -> Array:
     shape, targets = given
 
     def newton(_: int, x: Array) -> Array:

@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 from ..._linalg import normalised, Pose3, pose_at, tangents, UNIT_AXES, unstack, Vec3
 from ..._results import as_array, as_floats, concrete, shown
 from ..._types import Given, Scalars
-from ..._xla import once, perturbed, quickly
+from ..._xla import once, perturbed, quickly, traced_once
 from .._tabled import AbstractShape, tabled
 from ._gauss import approach, Gauss3, principal
 
@@ -237,7 +237,11 @@ def _bases(surface: AbstractSurface, at: Array) -> tuple[Vec3, Vec3]:
 @eqx.filter_custom_jvp
 def _closest(surface: AbstractSurface, point: Vec3, start: Scalars) -> Scalars:
     """The search of `AbstractSurface.closest`, whose derivative rule is below."""
+    return _searched(surface, point, start)
 
+
+@traced_once
+def _searched(surface: AbstractSurface, point: Vec3, start: Scalars) -> Scalars:
     # The number of steps is fixed: all searches of a batch are equally long.
     def step(at: Scalars, _: None) -> tuple[Scalars, None]:
         return _stepped(surface, point, at, careful=True), None

@@ -124,6 +124,23 @@ def test_the_adjoint_that_integrates_backwards_is_refused(scene):
         jax.grad(turned, argnums=1)(0.0, 0.006)
 
 
+def test_steps_end_at_declared_jumps_where_diffrax_is_given_them():
+    """A ball at rest that is pushed for 10 ms rolls on with 5/7 of what a sliding one would have.
+
+    Left to itself, diffrax passes over such a push.
+    """
+    ball, state = jxr.scenes.incline(slope=0.0)
+    pushed = ball.with_(load=jxr.loads.Push((2.0, 0.0, 0.0), 1.0, 0.01))
+    jumps = jxr.vector_field(pushed).jumps
+    np.testing.assert_array_equal(jumps, [1.0, 1.01])
+    control = diffrax.ClipStepSizeController(TIGHT, jump_ts=jumps)
+    field, found = solved(pushed, state, t1=1.5, stepsize_controller=control)
+    speed = 5.0 / 7.0 * 0.5 * 2.0 * 0.01 / float(ball.object.mass)
+    moved = field.states(found.ys[0]).q[0] - state.q[0]
+    np.testing.assert_allclose(moved, speed * (1.5 - 1.005), rtol=1e-9)
+    assert jxr.vector_field(ball).jumps.shape == (0,)
+
+
 def test_an_event_ends_where_simulate_does(scene):
     """A finger that pulls itself along: it runs off its contour."""
     grasp, state = scene

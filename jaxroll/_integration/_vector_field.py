@@ -15,6 +15,7 @@ from typing import Any
 
 import diffrax
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -65,6 +66,12 @@ class VectorField(eqx.Module):
     def terms(self) -> diffrax.ODETerm[Any]:
         """$y' = f(t, y)$, for `terms` of `diffeqsolve`; its `args` are not looked at."""
         return diffrax.ODETerm(self)
+
+    @property
+    def jumps(self) -> Float[Array, " k"]:
+        """Times [s] that commands and loads declare: `jump_ts` of `diffrax.ClipStepSizeController`."""
+        times = [jnp.asarray(each, float) for each in self.grasp.jumps]
+        return jax.lax.stop_gradient(jnp.sort(jnp.concatenate([jnp.zeros(0), *times])))
 
     def __call__(self, t: Scalar, y: Y, args: Any = None) -> Y:
         """Time derivative of $y$ [1/s of its units]."""
@@ -177,6 +184,9 @@ def vector_field(
     Raises:
         ValueError: If an argument does not fit, or the grasp has what `diffeqsolve` cannot give it: a sampled
             controller, or blows (`loads.Impulse`).
+
+    Declared jumps: diffrax's steps do not end at them by themselves, and may pass over a short push. Give
+    them to it, as `stepsize_controller=diffrax.ClipStepSizeController(control, jump_ts=field.jumps)`.
 
     Accuracy: that of the method and the tolerances given; constraint rows at rounding after every step, and
     between steps, in dense output, at the method's error.

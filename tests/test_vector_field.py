@@ -141,6 +141,20 @@ def test_steps_end_at_declared_jumps_where_diffrax_is_given_them():
     assert jxr.vector_field(ball).jumps.shape == (0,)
 
 
+def test_a_derivative_in_the_time_of_a_step_is_refused_not_zero(scene):
+    grasp, state = scene
+
+    def slope(time, force):
+        steps = jxr.commands.Steps([time], jnp.stack([jnp.asarray(0.5), force]))
+        field = jxr.vector_field(grasp.with_(force=steps))
+        return field(0.1, field.start(state))[3]
+
+    jax.grad(slope, argnums=1)(0.05, 0.6)
+    for way in (jax.grad, jax.jacfwd):
+        with pytest.raises(RuntimeError, match="the time of a jump, .* cannot be autodifferentiated"):
+            way(slope)(0.05, 0.6)
+
+
 def test_an_event_ends_where_simulate_does(scene):
     """A finger that pulls itself along: it runs off its contour."""
     grasp, state = scene

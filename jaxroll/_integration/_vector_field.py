@@ -15,6 +15,7 @@ from typing import Any
 
 import diffrax
 import equinox as eqx
+import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -37,6 +38,7 @@ from .._motion import (
 from .._printing import listed
 from .._results import check_instance, shown, traced
 from .._types import Scalar
+from ..commands import Declared, Steps
 from ..loads import impulses
 from ._arguments import check_choices, SWEEPS, unclosed
 from ._events import EVENTS, regime
@@ -76,7 +78,8 @@ class VectorField(eqx.Module):
     def __call__(self, t: Scalar, y: Y, args: Any = None) -> Y:
         """Time derivative of $y$ [1/s of its units]."""
         self._check(y)
-        return slope(self._lay, self.grasp, jnp.asarray(t, y.dtype), y, formulation=self.formulation)[0]
+        grasp = _held_jumps(self.grasp) if self.grasp.jumps else self.grasp
+        return slope(self._lay, grasp, jnp.asarray(t, y.dtype), y, formulation=self.formulation)[0]
 
     def start(self, state: State) -> Y:
         """$y$ of a state on the constraints, as `close` returns it: `y0` of `diffeqsolve`.
@@ -194,6 +197,7 @@ def vector_field(
     `BacksolveAdjoint` fails, with a sentence where the start is differentiated, else with diffrax's own. Not
     to be used is `DirectAdjoint`: in reverse mode what diffrax 0.7.2 returns is silently off, of some runs by
     a hundredth (the loop over a method's stages is at fault; with `scan_kind="checkpointed"` it is right).
+    In times of `commands.Steps` and `Declared` a derivative is refused: only `simulate` carries it.
 
     Example:
         >>> import diffrax
@@ -228,3 +232,17 @@ def held_field(grasp: Grasp, formulation: Formulation | None, events: Collection
     watched = check_choices("events", events, tuple(e for e in EVENTS if e != "penetration"))
     way, ready = as_formulation(grasp, formulation), tabled_grasp(grasp).prepared()
     return VectorField(ready, way, watched, layout(grasp, False))
+
+
+def _held_jumps(grasp: Grasp) -> Grasp:
+    """The grasp, with times at which numbers jump that refuse a derivative: it would be zero."""
+
+    def held(part: Any) -> Any:
+        if not jumping(part):
+            return part
+        times = (lambda p: p.times) if isinstance(part, Steps) else (lambda p: p.jumps)
+        name = "the time of a jump, which `simulate` alone differentiates in,"
+        return eqx.tree_at(times, part, eqxi.nondifferentiable(times(part), name=name))
+
+    jumping = lambda part: isinstance(part, Steps | Declared)  # noqa: E731
+    return jax.tree.map(held, grasp, is_leaf=jumping)

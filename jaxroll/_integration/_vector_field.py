@@ -193,10 +193,12 @@ def vector_field(
 
     Accuracy: that of the method and the tolerances given; constraint rows at rounding after every step, and
     between steps, in dense output, at the method's error.
-    Gradients: `RecursiveCheckpointAdjoint` (diffrax's default) and `ForwardMode` go through the steps.
-    `BacksolveAdjoint` fails, with a sentence where the start is differentiated, else with diffrax's own. Not
-    to be used is `DirectAdjoint`: in reverse mode what diffrax 0.7.2 returns is silently off, of some runs by
-    a hundredth (the loop over a method's stages is at fault; with `scan_kind="checkpointed"` it is right).
+    Gradients: `ForwardMode` goes through the steps; so does, backwards, with n the `max_steps` of the run,
+    `RecursiveCheckpointAdjoint(checkpoints=n)`. Fewer, as by default, and `DirectAdjoint` are for steps of
+    given lengths alone: they take steps again on the way back, and rounding, which is all the error estimate
+    of the first ones, gives these another length. What diffrax 0.7.2 returns is silently off then, of some
+    runs by a hundredth.
+    `BacksolveAdjoint` fails, with a sentence where the start is differentiated, else with diffrax's own.
     In times of `commands.Steps` and `Declared` a derivative is refused: only `simulate` carries it.
 
     Example:

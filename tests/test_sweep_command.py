@@ -5,6 +5,7 @@ import contextlib
 import csv
 import inspect
 import re
+import sys
 from types import SimpleNamespace
 
 import jax
@@ -261,6 +262,25 @@ def test_what_a_scene_of_ones_own_makes_without_its_parameters_is_known_to_it(tm
     grasp, state = jax.jit(jax.vmap(make))(given)
     np.testing.assert_allclose(grasp.controller.damping[:, 0], [0.004, 0.06], rtol=1e-12)
     assert state.q.shape == (2, 8)
+
+
+def test_a_scene_of_ones_own_may_lie_anywhere_and_import_what_lies_beside_it(tmp_path, monkeypatch):
+    """As where Python runs it: no neighbours were found, and annotations in words ended dataclasses."""
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    (tmp_path / "beside_it.py").write_text("DAMPING = 0.25\n")
+    (tmp_path / "study.py").write_text(
+        "from __future__ import annotations\nfrom dataclasses import dataclass\n"
+        "import jaxroll as jxr\nfrom beside_it import DAMPING\n"
+        "@dataclass\nclass Numbers:\n    force: float = 3.0\n"
+        "def make(damping):\n    grasp, state = jxr.scenes.pivoted()\n"
+        "    return grasp.with_(damping=damping * DAMPING, force=Numbers().force), state\n"
+    )
+    grasp, _ = maker(f"{tmp_path}/study.py:make", ("damping",))(jxr.Parameters(damping=np.array([0.02]))[0])
+    assert (float(grasp.controller.damping), float(grasp.controller.force)) == (0.005, 3.0)
+    assert "study" not in sys.modules  # workers are sent its functions, not its name
+    (tmp_path / "broken.py").write_text("import nothing_of_this_name\n")
+    with pytest.raises(ValueError, match="SCENE must name a file that runs, but .* raised ModuleNotFound"):
+        maker(f"{tmp_path}/broken.py:make", ())
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,9 @@ import contextlib
 import importlib.util
 import inspect
 import math
+import sys
 import time
+import types
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
@@ -261,13 +263,36 @@ def _from_file(scene: str) -> Callable[..., Any]:
     spec = importlib.util.spec_from_file_location(Path(path).stem, path)
     assert spec is not None and spec.loader is not None, path  # a file whose name ends in .py has both
     module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    # What lies beside the file is found by its name, now and later, as where Python runs the file.
+    sys.path.insert(0, str(Path(path).absolute().parent))
+    try:
+        with _known_by_name(module):
+            spec.loader.exec_module(module)
+    except Exception as error:  # whatever a caller's own file raises
+        told = f"{type(error).__name__}: {error}"
+        raise ValueError(f"argument SCENE must name a file that runs, but {path} raised {told}") from error
     function = getattr(module, name, None)
     if not callable(function):
         raise ValueError(
             f"argument SCENE must name a function in its file, but {path} has none called {name!r}"
         )
     return function
+
+
+@contextlib.contextmanager
+def _known_by_name(module: types.ModuleType) -> Iterator[None]:
+    """Context in which a module is found by its name, as dataclasses do that read annotations in words.
+
+    Afterwards it is not: no other process would find it, and so its functions are sent whole to workers.
+    """
+    before = sys.modules.get(module.__name__)
+    sys.modules[module.__name__] = module
+    try:
+        yield
+    finally:
+        sys.modules.pop(module.__name__, None)
+        if before is not None:
+            sys.modules[module.__name__] = before
 
 
 def _told(values: Any) -> list[str]:

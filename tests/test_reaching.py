@@ -10,6 +10,7 @@ from scipy.optimize import minimize_scalar
 import jaxroll as jxr
 from jaxroll._reaching import _choice, _grasp_points, _postures, _reach, sheet_of
 from jaxroll._reaching._choice import Choice
+from tests.helpers import in_single
 from tests.recorded import runs
 from tests.subjects.random_hands import planar_case, spatial_case
 
@@ -136,6 +137,19 @@ def test_two_links_against_the_law_of_cosines():
             goal = POSE[:2] + side * 0.03 * np.array([cos, sin])
             wanted = two_links((-0.03 + 0.06 * i, 0.0), goal, elbow[i])
             np.testing.assert_allclose(found.state.q[3 + 2 * i : 5 + 2 * i], wanted, atol=1e-12)
+
+
+def test_single_precision_has_the_same_pairs_and_postures():
+    """No posture closed contacts to 1e-13 there, and no pair counted as antipodal."""
+    pairs = in_single(lambda: jxr.grasp_points(jxr.Ellipse(A, B), count=3))
+    assert pairs.exact.tolist() == [True, True, False]
+    np.testing.assert_allclose(pairs.points[:2], [[[0, -B], [0, B]], [[-A, 0], [A, 0]]], atol=1e-7)
+    found = in_single(lambda: jxr.reach(two_fingers(), SIDES, pose=POSE, elbow=(1, -1)))
+    assert found.result == SUCCESS and found.postures == (2, 2), found.reason
+    for i, side in enumerate((-1.0, 1.0)):
+        goal = POSE[:2] + side * 0.03 * np.array([np.cos(POSE[2]), np.sin(POSE[2])])
+        wanted = two_links((-0.03 + 0.06 * i, 0.0), goal, (1, -1)[i])
+        np.testing.assert_allclose(found.state.q[3 + 2 * i : 5 + 2 * i], wanted, atol=1e-5)
 
 
 def test_a_start_stays_near_the_guess_and_holds_joints():

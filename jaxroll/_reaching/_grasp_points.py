@@ -22,7 +22,7 @@ import numpy as np
 from .._mechanics import AbstractBody, AbstractFinger
 from .._printing import listed
 from .._results import as_count, as_positive, as_several, concrete, on_host, shown
-from .._types import Given
+from .._types import ByPrecision, Given
 from ..geometry import AbstractContour, AbstractShape, AbstractSurface, check_shape
 from ._sheet import Frames, Sheet, sheet_of, shortened
 
@@ -33,13 +33,13 @@ _STARTS, _STEPS, _MOST = 96, 24, 60_000
 # Pairs are different if an end of theirs is farther apart than this share of the object's size ...
 _APART = 0.12
 # ... and exact ones that belong to no family, farther than this.
-_SAME = 1e-6
+_SAME = ByPrecision(1e-6, 1e-4)
 # Demands that differ by less are one: symmetric shapes have many of the same, which rounding must not order.
-_EQUAL = 1e-9
+_EQUAL = ByPrecision(1e-9, 1e-6)
 # Eigenvalues of H below this count as zero: a family of pairs.
-_SINGULAR = 1e-7
+_SINGULAR = ByPrecision(1e-7, 1e-5)
 # A pair is antipodal where the tangents of both angles are below this.
-_EXACT = 1e-9
+_EXACT = ByPrecision(1e-9, 1e-5)
 # What stands for the size of an object whose faces have no bounds [m].
 _SIZE = 0.05
 
@@ -47,7 +47,8 @@ _SIZE = 0.05
 class GraspPoints(eqx.Module):
     """Pairs of points to hold an object by, the least friction demand first; of equal demand the narrowest.
 
-    Demands within 1e-9 count as equal. Which end of a pair comes first does not depend on rounding.
+    Demands within 1e-9, in single precision 1e-6, count as equal. Which end of a pair comes first does not
+    depend on rounding.
 
     Attributes:
         points: In the object's frame, shape (n, 2, d) [m]; a row is what `reach` takes as its contacts.
@@ -194,7 +195,7 @@ def _candidates(samples: _Pairs, limit: float) -> _Pairs:
     i, j = i[keep], j[keep]
     demand = _needed(points[i], points[j], normals[i], normals[j])
     # Samples are coarse: an antipodal pair may have none of small demand near it.
-    order = np.argsort(np.round(demand / _EQUAL), kind="stable")[:_MOST]
+    order = np.argsort(np.round(demand / _EQUAL.of(demand)), kind="stable")[:_MOST]
     order = order[demand[order] <= max(limit, 1.0)]
     i, j = i[order], j[order]
     return _Pairs(*(np.concatenate([x[i], x[j]], axis=1) for x in samples))
@@ -259,7 +260,7 @@ def _refined(sheets: Sequence[Sheet], starts: _Pairs, size: float) -> _Pairs:
             break
     points, normals = (np.stack([getattr(end, x) for end in ends], axis=1) for x in ("points", "normals"))
     found = _Pairs(faces, places, points, normals)
-    return found.taken(_demand(found) <= _EXACT)
+    return found.taken(_demand(found) <= _EXACT.of(points))
 
 
 def _moved_on(
@@ -283,7 +284,7 @@ def _frames_at(sheets: Sequence[Sheet], faces: np.ndarray, places: np.ndarray) -
             continue
         here = sheet.frames(places[on, : sheet.coordinates])
         if parts is None:
-            parts = [np.zeros((len(faces), *x.shape[1:])) for x in here]
+            parts = [np.zeros((len(faces), *x.shape[1:]), x.dtype) for x in here]
         for whole, part in zip(parts, here, strict=True):
             whole[on] = part
     if parts is None:
@@ -295,7 +296,8 @@ def _frames_at(sheets: Sequence[Sheet], faces: np.ndarray, places: np.ndarray) -
 def _newton(one: Frames, other: Frames) -> np.ndarray:
     """Steps to where the distance is stationary, shape (n, 2 k): -H^+ g."""
     slope, matrix = _derivatives(one, other)
-    return -(np.linalg.pinv(matrix, rcond=_SINGULAR, hermitian=True) @ slope[..., None])[..., 0]
+    inverse = np.linalg.pinv(matrix, rcond=_SINGULAR.of(one), hermitian=True)
+    return -(inverse @ slope[..., None])[..., 0]
 
 
 def _derivatives(one: Frames, other: Frames) -> tuple[np.ndarray, np.ndarray]:
@@ -317,7 +319,7 @@ def _spread(sheets: Sequence[Sheet], pairs: _Pairs, apart: float) -> _Pairs:
     """Exact pairs without those of a family, which have a singular H, that lie near one before them."""
     ends = [_frames_at(sheets, pairs.faces[:, e], pairs.places[:, e]) for e in (0, 1)]
     sizes = np.abs(np.linalg.eigvalsh(_derivatives(*ends)[1]))
-    in_family = sizes.min(axis=1) <= _SINGULAR * sizes.max(axis=1)
+    in_family = sizes.min(axis=1) <= _SINGULAR.of(ends) * sizes.max(axis=1)
     return pairs.taken(_thinned(pairs, len(pairs.points), np.where(in_family, apart, 0.0)))
 
 
@@ -327,7 +329,7 @@ def _merged(pairs: _Pairs, size: float) -> _Pairs:
     Which end comes first, and which of several pairs of one width, is said by their coordinates, not by the
     rounding of the search that found them.
     """
-    same = _SAME * size
+    same = _SAME.of(pairs.points) * size
     line = pairs.points[:, 1] - pairs.points[:, 0]
     first = np.take_along_axis(line, np.argmax(np.abs(line) > same, axis=1)[:, None], axis=1)[:, 0]
     back = (pairs.faces[:, 0] == pairs.faces[:, 1]) & (first < 0.0)
@@ -341,7 +343,7 @@ def _merged(pairs: _Pairs, size: float) -> _Pairs:
 def _reported(sheets: Sequence[Sheet], pairs: _Pairs, count: int) -> GraspPoints:
     pairs = pairs.taken(slice(count))
     demand = _demand(pairs)
-    exact = demand <= _EXACT
+    exact = demand <= _EXACT.of(pairs.points)
     counts = np.array([sheet.coordinates for sheet in sheets])[pairs.faces]
     each = zip(pairs.places, counts, strict=True)
     places = tuple((at[0, : count[0]], at[1, : count[1]]) for at, count in each)

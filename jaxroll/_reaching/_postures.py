@@ -20,6 +20,7 @@ from jaxtyping import Array
 
 from .._linalg import Pose2, unstack
 from .._mechanics import AbstractBody, Finger, Finger3, Grasp
+from .._types import ByPrecision
 from .._xla import quickly
 from ..geometry import Circle, Sphere
 from ._sheet import Frames, Sheet, shortened
@@ -28,8 +29,8 @@ from ._sheet import Frames, Sheet, shortened
 _STARTS, _STEPS = 64, 100
 # About so many places of the tip, of which a start takes the one that faces its target.
 _FACES = 96
-# A posture touches where no gap is larger than this share of the finger's length, and no tilt than 1e-11.
-_TOUCHES = 1e-13
+# A posture touches where no gap is larger than this share of the finger's length, and no tilt than the other.
+_TOUCHES, _TILTS = ByPrecision(1e-13, 1e-6), ByPrecision(1e-11, 1e-5)
 # A search that is stuck at more than this is given up when its damping is large.
 _STUCK = 1e8
 # Least damping. A finger with joints to spare moves freely along a direction in which rounding alone says how
@@ -103,7 +104,7 @@ def searched_postures(
     starts = np.resize(starts, (_STARTS, starts.shape[1]))
     places = _facing(reacher, targets, starts)
     state = _evaluated(reacher, targets, starts, places)
-    damping = np.full(_STARTS, 1e-3)
+    damping, rounding = np.full(_STARTS, 1e-3), (0.01 * _TOUCHES.of(state)) ** 2
     for _ in range(_STEPS):
         q, places, error, rows, slopes = state
         step = _damped(rows, slopes, damping)
@@ -118,7 +119,7 @@ def searched_postures(
         )
         damping = np.where(better, np.maximum(0.1 * damping, _DAMPING), 10.0 * damping)
         # Rounding alone is left, or no step helps.
-        if np.all((state[2] < (0.01 * _TOUCHES) ** 2) | (damping > _STUCK)):
+        if np.all((state[2] < rounding) | (damping > _STUCK)):
             break
     q, places, _, rows, _ = state
     c = len(targets.points)
@@ -128,7 +129,8 @@ def searched_postures(
 
 def touching(reacher: Reacher, found: Postures) -> Postures:
     """Those postures that touch all targets, each once; angles between -pi and pi."""
-    near = (found.gaps <= _TOUCHES * max(reacher.length, 1e-3)) & (found.tilts <= 1e-11)
+    gap, tilt = _TOUCHES.of(found.gaps) * max(reacher.length, 1e-3), _TILTS.of(found.tilts)
+    near = (found.gaps <= gap) & (found.tilts <= tilt)
     good = found.taken(near)
     if reacher.finger.turns:
         # Half a turn is pi, to rounding, and not at times -pi.

@@ -28,7 +28,7 @@ from .._results import (
     RESULTS,
     shown,
 )
-from .._types import Given
+from .._types import ByPrecision, Given
 from ._choice import Choice, chosen_posture, Wish
 from ._overlap import sampled_object, SampledObject
 from ._postures import poses_at, Reacher, TouchPoints
@@ -43,7 +43,7 @@ _TIP = (384, 720)
 # Extent of an object whose faces have no bounds, and of a tip [m].
 _EXTENT, _LENGTH = 0.1, 0.05
 # Contacts count as closed, of postures and of what `close` found [m or rad].
-_CLOSED = 1e-12
+_CLOSED = ByPrecision(1e-12, 1e-6)
 
 
 class Reach(eqx.Module):
@@ -120,8 +120,9 @@ def reach(
         ValueError: If an argument does not fit, a point is off the object by more than a hundredth of its
             size, a place is past an end of its face, or contacts are of one's own class.
 
-    Accuracy: gaps below 1e-12 m. Searches go on from 64 starts; a posture may be missed whose joints are
-    nearly stretched. Overlap is that of samples, 384 of a contour and 720 of a surface.
+    Accuracy: gaps below 1e-12 m, in single precision below 1e-6 m. Searches go on from 64 starts; a posture
+    may be missed whose joints are nearly stretched. Overlap is that of samples, 384 of a contour and 720 of a
+    surface.
 
     Example:
         >>> import jaxroll as jxr
@@ -332,6 +333,6 @@ def _let_go(found: Reach, hold: str | Sequence[str]) -> Reach:
     left = residuals(grasp, state)
     gap = max(float(jnp.max(jnp.abs(part))) for part in (left.normal, left.tangential))
     tilt = float(jnp.max(jnp.abs(left.tangency)))
-    if not max(gap, tilt) <= _CLOSED:
+    if not max(gap, tilt) <= _CLOSED.of(state):
         return found
     return Reach(grasp, state, RESULTS.successful, "", gap, tilt, found.overlap, found.links, found.postures)

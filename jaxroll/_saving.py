@@ -119,10 +119,12 @@ def load(path: str | Path, *, own: Sequence[Any] = ()) -> Any:
             arrays = {name: archive[name] for name in archive.files}
         head = json.loads(arrays.pop(_TEXT).tobytes())
         written, form = head["jaxroll"], int(head["format"])
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+    # A damaged archive may also say that it is encrypted, or of a later version of the format.
+    except (OSError, ValueError, KeyError, TypeError, EOFError, RuntimeError, zipfile.BadZipFile) as error:
+        told = f"it has no {error}" if isinstance(error, KeyError) else str(error)
         raise ValueError(
             f"argument path must name a file that `jaxroll.save` wrote, but {path.name} could not be read as "
-            f"one: {shown(str(error))}"
+            f"one: {shown(told)}"
         ) from None
     if form > _FORMAT:
         raise ValueError(

@@ -217,12 +217,17 @@ def test_a_field_that_is_new_takes_its_default(run, tmp_path):
 def test_files_that_are_damaged_are_said(tmp_path):
     path = jxr.save(tmp_path / "c", CONTOUR)
     whole = path.read_bytes()
-    for damaged in (whole[:-100], whole[:200] + bytes([whole[200] ^ 255]) + whole[201:], b"", b"PK", b"junk"):
+    entry = whole.rindex(b"PK\x01\x02")  # in the list of an archive: version, password
+    wrong = [whole[:i] + bytes([whole[i] ^ 255]) + whole[i + 1 :] for i in (200, entry + 6, entry + 8)]
+    for damaged in (whole[:-100], *wrong, b"", b"PK", b"junk"):
         path.write_bytes(damaged)
         wanted = "argument path must name a file that `jaxroll.save` wrote"
         with pytest.raises(ValueError, match=wanted) as refused:
             jxr.load(path)
         assert "pickle" not in str(refused.value)  # of which NumPy speaks where there is no archive
+    np.savez(path, numbers=np.ones(3))
+    with pytest.raises(ValueError, match="it has no 'structure'"):
+        jxr.load(path)
 
     def odd(head):
         head["tree"]["fields"]["a"] = {"run": "this"}

@@ -102,8 +102,8 @@ def test_a_map_has_the_sides_that_are_asked_for(x, y, sides):
 
 def test_what_has_several_numbers_to_a_row_is_no_side_of_a_map():
     some = jxr.Parameters.grid(place=[[0.0, 1.0], [2.0, 3.0]], a=[1.0, 2.0], b_c=[4.0, 5.0, 9.0])
-    data = map_data(some, np.arange(12))
-    assert (data.x.label, data.y.label, data.held) == ("a", "b c", "")
+    data = map_data(some.with_units(place="m"), np.arange(12))
+    assert (data.x.label, data.y.label, data.held) == ("a", "b c", "place = (2, 3) m")  # was not said
     np.testing.assert_array_equal(data.z, [[6.0, 9.0], [7.0, 10.0], [8.0, 11.0]])
     with pytest.raises(ValueError, match="argument at must hold parameters that are no side"):
         map_data(some, np.arange(12), at={"place": 1.0})
@@ -147,7 +147,7 @@ def test_samples_stand_where_they_are_and_what_else_changes_is_told():
     assert map_data(jxr.Parameters(a=t, b=-t, c=np.ones(5)), t).held == ""
     with pytest.raises(ValueError, match="argument at must be left out where samples are shown"):
         map_data(some, t, at={"c": 1.0})
-    with pytest.raises(ValueError, match="argument parameters must have two that change"):
+    with pytest.raises(ValueError, match="argument parameters must have two of one number each that change"):
         map_data(jxr.Parameters(a=t, b=np.ones(5)), t, x="a")
 
 

@@ -99,7 +99,9 @@ def _sides(parameters: Parameters, x: Any, y: Any) -> tuple[str, str]:
         raise ValueError(f"argument y must be another parameter than x, but was {shown(y)}")
     left = [name for name in free if name not in (x, y)]
     if len(left) + (x is not None) + (y is not None) < 2:
-        raise ValueError(f"argument parameters must have two that change, but those were {shown(free)}")
+        raise ValueError(
+            f"argument parameters must have two of one number each that change, but those were {shown(free)}"
+        )
     x = left.pop(0) if x is None else x
     return x, left.pop(0) if y is None else y
 
@@ -138,12 +140,19 @@ def _place(parameters: Parameters, sides: tuple[int, int], at: Mapping[str, floa
             )
         place[along[0]] = int(np.argmin(np.abs(parameters.axis(name) - float(value))))
     told = [
-        f"{name} = {parameters.axis(name)[k]:.4g} {parameters.units[name]}".strip()
+        f"{name} = {_few_digits(parameters.axis(name)[k])} {parameters.units[name]}".strip()
         for names, k, n in zip(parameters.axes, place, parameters.shape, strict=True)
         for name in names
-        if not isinstance(k, slice) and n > 1 and np.ndim(parameters[name]) == 1
+        if not isinstance(k, slice) and n > 1
     ]
     return tuple(place), ", ".join(told)
+
+
+def _few_digits(value: np.ndarray) -> str:
+    """A number, or several in parentheses."""
+    if np.ndim(value) == 0:
+        return f"{value:.4g}"
+    return f"({', '.join(f'{each:.4g}' for each in np.ravel(value).tolist())})"
 
 
 def _is_number(value: Any) -> bool:

@@ -942,7 +942,7 @@ def along(text, samples, fill=True):
     """Points of one SVG path, by hand without a file."""
     from svgpathtools import parse_path
 
-    return _svg._along(parse_path(text), np.eye(3), samples, fill)
+    return _svg._along([_svg._Segment(curve, np.eye(3)) for curve in parse_path(text)], samples, fill)
 
 
 def test_points_along_an_open_path_with_an_arc():
@@ -980,6 +980,39 @@ def test_straight_pieces_meet_in_a_corner_however_little_they_turn(turn, corner)
     points = along(f"M 0,0 L 10,0 L 22,{12 * turn:.12g}", 9)
     assert (np.abs(points[:, 0] - 10.0).min() < 1e-12) == corner
     np.testing.assert_array_equal(along("M 0,0 L 10,0 L 22,3", 9, fill=False), [[0, 0], [10, 0], [22, 3]])
+
+
+def read_shapes(path, shapes, samples=9):
+    """Outlines of an SVG with these shapes, in its own unit."""
+    path.write_text(f'<svg xmlns="http://www.w3.org/2000/svg">{shapes}</svg>')
+    return _svg.read_svg(path, 1e-3, samples, fill=False)
+
+
+def test_pieces_of_an_svg_whose_ends_meet_are_one_outline(tmp_path):
+    """Drawn in any order and either way, and each in coordinates of its own."""
+    path = tmp_path / "pieces.svg"
+    quarters = """<path d="M 10,0 A 10,10 0 0 1 0,10"/><path d="M -10,0 A 10,10 0 0 1 0,-10"/>
+        <path d="M -10,0 A 10,10 0 0 0 0,10"/><path transform="rotate(-90)" d="M 10,0 A 10,10 0 0 1 0,10"/>"""
+    (circle,) = read_shapes(path, quarters, samples=400)
+    assert len(circle) == 400
+    np.testing.assert_allclose(np.linalg.norm(circle, axis=1), 10.0, rtol=1e-6)
+    np.testing.assert_allclose(abs(polygon_area(circle)), 100.0 * np.pi, rtol=1e-4)
+    sides = """<line x1="0" y1="0" x2="4" y2="0"/><line x1="4" y1="3" x2="4" y2="0"/>
+        <g transform="translate(0 3)"><polyline points="0,-3 0,0 4,0.000001"/></g>"""
+    (box,) = read_shapes(path, sides)
+    assert len(box) == 4 and abs(abs(polygon_area(box)) - 12.0) < 1e-5
+    # An open chain, of which the second piece comes first.
+    (chain,) = read_shapes(path, '<path d="M 4,0 L 4,3"/><path d="M 0,0 L 4,0"/>')
+    assert sorted(map(tuple, chain[[0, -1]].tolist())) == [(0.0, 0.0), (4.0, -3.0)] and len(chain) == 3
+
+
+def test_ends_of_an_svg_that_do_not_meet_by_twos_are_left_apart(tmp_path):
+    path = tmp_path / "apart.svg"
+    star = '<path d="M 0,0 L 4,0"/><path d="M 0,0 L 0,4"/><path d="M 0,0 L -4,-4"/>'
+    assert len(read_shapes(path, star)) == 3
+    assert len(read_shapes(path, '<path d="M 0,0 L 4,0"/><path d="M 4,0.0001 L 0,4"/>')) == 2
+    ring = '<circle r="2"/><path d="M 2,0 L 9,0"/><path d="M 0,0 L 0,1 L 1,1 Z"/>'
+    assert len(read_shapes(path, ring)) == 3
 
 
 @pytest.mark.parametrize(("turn", "corner"), [(0.12, True), (0.09, False)])

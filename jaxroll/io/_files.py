@@ -42,7 +42,8 @@ def read_points(
     both give all corners and about so many points between them. That is what `fit_contour` wants of a drawing
     with corners, and a `smallest_radius` to round them to. An SVG's y, which points down, is turned up. A
     drawing's own unit, where it states one, must agree with `unit`. What a drawing hides or shows
-    without any paint is left out, and text and pictures are no outlines.
+    without any paint is left out, and text and pictures are no outlines. Lines and curves whose ends meet, to
+    a millionth of the drawing's size, are one outline, unless more than two meet at a place.
 
     Args:
         path: The file.

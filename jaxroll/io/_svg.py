@@ -1,9 +1,9 @@
 """Outlines in SVG files; the only file that imports svgpathtools.
 
 Everything here is in the drawing's own unit; `scale` is the caller's statement of it, in metres, and is
-compared with what the drawing says of itself. A path of straight pieces gives its corners; one with curved
-pieces gives points at equal distances on the curve itself. `_files` calls the reader and the writer; `_dxf`
-has the like for DXF.
+compared with what the drawing says of itself. An outline of straight segments gives its corners; one with
+curved ones gives points at equal distances on the curve itself. `_files` calls the reader and the writer;
+`_dxf` has the like for DXF.
 """
 
 import re
@@ -23,6 +23,7 @@ from ._svg_style import inherited, is_zero, kind_of, OUTERMOST, StyleSheet
 
 # Least angles [rad] of a corner: between straight pieces, and between any.
 _ANY, _SHARP = 1e-9, 0.02
+_NEAR = 1e-6  # ends of lines and curves meet within this share of the drawing's size
 _FINE = 64  # intervals of the parameter of a curved piece, from which its length is summed
 _GROUPS = ("svg", "g", "a", "switch")  # parts of an SVG that show what is in them
 # Metres in the units in which a drawing may state its width.
@@ -47,16 +48,15 @@ def read_svg(path: Path, scale: float, samples: int, *, fill: bool) -> list[np.n
         tracks = list(_Walk(root).tracks())
         # Frames round icons have no paint. A drawing in which nothing has any is one of bare outlines.
         tracks = [track for track in tracks if track.painted] or tracks
-        drawn = [(piece, track) for track in tracks for piece in _pieces(track.text)]
+        drawn = [(_placed(piece, track), track.clips) for track in tracks for piece in _pieces(track.text)]
     check_scale(scale, _svg_scale(root, path), path)
     if not drawn:
         raise without_outline(path)
-    outlines = [_along(piece, track.matrix, samples, fill) for piece, track in drawn]
     with reading(path):
-        for outline, (_, track) in zip(outlines, drawn, strict=True):
-            for clip in track.clips:
-                _check_within(outline, clip)
-    return outlines
+        for piece, clips in drawn:
+            for clip in clips:
+                _check_within(_along(piece, samples, fill), clip)
+    return [_along(piece, samples, fill) for piece in _joined([piece for piece, _ in drawn])]
 
 
 # The shapes of a clip path, each by the polygons of its pieces, whose places are complex numbers.
@@ -77,6 +77,32 @@ class _Track(NamedTuple):
     matrix: np.ndarray
     clips: tuple[_Clip, ...]
     painted: bool
+
+
+class _Segment(NamedTuple):
+    """A line, an arc or a Bezier curve of svgpathtools, and the matrix to the drawing's coordinates."""
+
+    curve: Any
+    matrix: np.ndarray
+
+    @property
+    def straight(self) -> bool:
+        return type(self.curve).__name__ == "Line"
+
+    def at(self, t: Any) -> np.ndarray:
+        """Places in the drawing, as complex numbers, where the parameter is `t`, from 0 to 1."""
+        points = np.array([self.curve.point(x) for x in np.ravel(t).tolist()])
+        plane = (
+            np.stack([np.real(points), np.imag(points)], axis=-1) @ self.matrix[:2, :2].T + self.matrix[:2, 2]
+        )
+        return (plane[:, 0] + 1j * plane[:, 1]).reshape(np.shape(t))
+
+    def reversed(self) -> "_Segment":
+        return self._replace(curve=self.curve.reversed())
+
+
+# Segments each of which begins where the one before it ends.
+_Piece = list[_Segment]
 
 
 class _Walk:
@@ -267,6 +293,44 @@ def _pieces(text: str) -> list[Any]:
     return [Track(*piece) for piece in found]
 
 
+def _placed(piece: Any, track: _Track) -> _Piece:
+    """The segments of a piece of a path, each with the path's matrix."""
+    return [_Segment(curve, track.matrix) for curve in piece]
+
+
+def _joined(pieces: list[_Piece]) -> list[_Piece]:
+    """Pieces with those joined whose ends meet, unless more than two meet at a place.
+
+    Programs for drawing write lines and arcs one by one. Ends meet within a millionth of the drawing's size.
+    """
+    from scipy.spatial import KDTree
+
+    ends = np.array([(piece[0].at(0.0), piece[-1].at(1.0)) for piece in pieces])
+    places = np.stack([np.real(ends), np.imag(ends)], axis=-1).reshape(-1, 2)
+    near = _NEAR * float(np.linalg.norm(np.ptp(places, axis=0)))
+    pairs = KDTree(places).query_pairs(near, output_type="ndarray")
+    met = np.bincount(pairs.ravel(), minlength=len(places))
+    # End 2 k + 1 of piece k, or its beginning 2 k, with the one end of another piece that it meets.
+    other = {int(a): int(b) for pair in pairs for a, b in (pair, pair[::-1]) if met[a] == met[b] == 1}
+    done: list[_Piece] = []
+    left = dict.fromkeys(range(len(pieces)))
+    while left:
+        k, first = next(iter(left)), 0
+        # Back to where the chain begins, or once round it.
+        seen = {k}
+        while (before := other.get(2 * k + first)) is not None and before // 2 not in seen:
+            k, first = before // 2, 1 - before % 2
+            seen.add(k)
+        chain: _Piece = []
+        while k in left:
+            del left[k]
+            chain += [each.reversed() for each in reversed(pieces[k])] if first else pieces[k]
+            following = other.get(2 * k + 1 - first, 2 * k)
+            k, first = following // 2, following % 2
+        done.append(chain)
+    return done
+
+
 def _check_within(outline: np.ndarray, clip: _Clip) -> None:
     """Raise where a part of an outline lies in none of the shapes that it is clipped to."""
     near = 1e-3 * np.ptp(outline, axis=0).max()  # both are told by points
@@ -281,7 +345,7 @@ def _check_within(outline: np.ndarray, clip: _Clip) -> None:
 def _polygons(track: _Track) -> list[np.ndarray]:
     """The pieces of a shape that clips others, by places as complex numbers."""
     pieces = _pieces(track.text)
-    return [_along(piece, track.matrix, 4 * _FINE, False) @ [1.0, 1.0j] for piece in pieces]
+    return [_along(_placed(piece, track), 4 * _FINE, False) @ [1.0, 1.0j] for piece in pieces]
 
 
 def _covers(polygons: list[np.ndarray], places: np.ndarray, near: float) -> np.ndarray:
@@ -332,39 +396,35 @@ def _metres(text: str) -> float | None:
     return None if unit is None else float(text.removesuffix(unit)) * _LENGTHS[unit]
 
 
-def _along(piece: Any, matrix: np.ndarray, samples: int, fill: bool) -> np.ndarray:
-    """Corners of a path of straight pieces; of any other, points at equal distances on the curve itself.
+def _along(piece: _Piece, samples: int, fill: bool) -> np.ndarray:
+    """Corners of a piece of straight segments; of any other, points at equal distances on the curve itself.
 
-    svgpathtools has points as complex numbers, x + iy. Distances are those after the matrix.
+    Distances are those after the matrices. A piece is closed whose ends meet to a millionth of its size.
     """
-    closed = bool(piece.isclosed())
-
-    def moved(points: Any) -> np.ndarray:
-        plane = np.stack([np.real(points), np.imag(points)], axis=-1) @ matrix[:2, :2].T + matrix[:2, 2]
-        return plane[..., 0] + 1j * plane[..., 1]
-
-    if all(type(segment).__name__ == "Line" for segment in piece):
-        corners = moved([segment.start for segment in piece] + ([] if closed else [piece[-1].end]))
+    straight = all(segment.straight for segment in piece)
+    fine = np.array([segment.at(np.linspace(0.0, 1.0, 2 if straight else _FINE + 1)) for segment in piece])
+    size = max(np.ptp(np.real(fine)), np.ptp(np.imag(fine)))
+    closed = bool(np.abs(fine[0, 0] - fine[-1, -1]) <= _NEAR * size)
+    if straight:
+        corners = np.append(fine[:, 0], [] if closed else fine[-1, -1:])
         corners = np.stack([np.real(corners), np.imag(corners)], axis=1)
         return filled_polygon(corners, samples, closed=closed, sharp=_ANY) if fill else corners
-    # Length along the path against its parameter, which is the number of the piece plus the parameter within
-    # it; then the parameters at equal lengths.
-    t = np.linspace(0.0, 1.0, _FINE + 1)
-    fine = moved([[segment.point(x) for x in t] for segment in piece])
+    # Length along the piece against its parameter, which is the number of the segment plus the parameter
+    # within it; then the parameters at equal lengths.
     steps = np.abs(np.diff(fine, axis=1)).ravel()
     along = np.concatenate([[0.0], np.cumsum(steps)])
     at = np.linspace(0.0, along[-1], samples + 1)[:-1] if closed else np.linspace(0.0, along[-1], samples)
     if fill:
-        # Directions at both ends of every piece, from its first and last thousandth.
-        out = moved([segment.point(1e-3) for segment in piece]) - fine[:, 0]
-        end = fine[:, -1] - moved([segment.point(1.0 - 1e-3) for segment in piece])
+        # Directions at both ends of every segment, from its first and last thousandth.
+        out = np.array([segment.at(1e-3) for segment in piece]) - fine[:, 0]
+        end = fine[:, -1] - np.array([segment.at(1.0 - 1e-3) for segment in piece])
         turn = np.abs(np.angle(out * np.conj(np.roll(end, 1))))
         turn[0] = turn[0] if closed else 0.0
         corners = along[::_FINE][:-1][turn > _SHARP]
         at = filled_places(float(along[-1]), corners, samples, closed=closed)
     place = np.interp(at, along, np.arange(len(along)) / _FINE)
     which = np.minimum(place.astype(int), len(piece) - 1)
-    points = moved([piece[i].point(x - i) for i, x in zip(which.tolist(), place.tolist(), strict=True)])
+    points = np.array([piece[i].at(x - i) for i, x in zip(which.tolist(), place.tolist(), strict=True)])
     return np.stack([np.real(points), np.imag(points)], axis=1)
 
 

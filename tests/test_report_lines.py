@@ -20,6 +20,8 @@ LABELS = Labels(
     ("contact 0 (left)", "contact 1 (right)"),
     (True, True),
 )
+SLIDING = (Coordinate("reach", "m"), Coordinate("own", "deg"))
+SLIDES = LABELS._replace(bodies=(("object", BODY), ("finger 0", SLIDING)))
 Q = np.array(
     [
         [0.001, 0.02, 0.3, 1.0, -2.0],
@@ -225,8 +227,20 @@ CAUSES = [
     (ended(R.contact_lost, labels=None), "contact 1 no longer presses WHEN: it pulls with 0.25 N"),
     (ended(R.penetration), "finger 1 overlaps the object away from its contact WHEN: by 0.25 m"),
     (ended(R.links_meet), "links of finger 1 meet the object or those of another finger WHEN: by 0.25 m"),
-    (ended(R.joint_limit), "finger 0 q[1] passed the end of its range WHEN: by 0.25 rad or m"),
-    (ended(R.torque_limit, contact=0), "finger 0 q[0] needs more torque than it has WHEN: by 0.25 N m or N"),
+    (ended(R.joint_limit), "finger 0 q[1] passed the end of its range WHEN: by 0.25 rad"),
+    (ended(R.torque_limit, contact=0), "finger 0 q[0] needs more torque than it has WHEN: by 0.25 N m"),
+    (
+        ended(R.joint_limit, contact=0, labels=SLIDES),
+        "finger 0 reach passed the end of its range WHEN: by 0.25 m",
+    ),
+    (
+        ended(R.torque_limit, contact=0, labels=SLIDES),
+        "finger 0 reach needs more torque than it has WHEN: by 0.25 N",
+    ),
+    (
+        ended(R.torque_limit, contact=1, labels=SLIDES),
+        "finger 0 own needs more torque than it has WHEN: by 0.25 N m or N",
+    ),
     (ended(R.joint_limit, contact=2), "joint 2 passed the end of its range WHEN: by 0.25 rad or m"),
     (
         ended(R.singular_contact, contact=0),

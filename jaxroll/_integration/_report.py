@@ -31,9 +31,14 @@ _BY = {
     "contour_end": ": by {:.3g} m",
     "singular_contact": "",
     "penetration": ": by {:.3g} m",
-    "joint_limit": ": by {:.3g} rad or m",
-    "torque_limit": ": by {:.3g} N m or N",
+    "joint_limit": ": by {:.3g} {unit}",
+    "torque_limit": ": by {:.3g} {unit}",
     "links_meet": ": by {:.3g} m",
+}
+# Units of joints whose coordinates are angles, lengths, or not known to be either.
+_JOINT_UNITS = {
+    "joint_limit": {"rad": "rad", "m": "m", "": "rad or m"},
+    "torque_limit": {"rad": "N m", "m": "N", "": "N m or N"},
 }
 # What is said instead where the margin is zero but for rounding: words in place of others.
 _AT = {
@@ -126,13 +131,16 @@ def cause(run: Any) -> str:
     who = "a contact" if contact < 0 else contact_name(run.labels, contact)
     if _COUNTED.get(name) == "finger":  # an audit looks at fingers, whether they have a contact or not
         who = f"finger {contact}"
+    unit = ""
     if _COUNTED.get(name) == "joint":
-        who = joint_name(run.labels, contact)
+        who, of = joint_name(run.labels, contact), _joint(run.labels, contact)
+        units = _JOINT_UNITS[name]
+        unit = units.get("" if of is None else of.unit, units[""])
     told, by = _TOLD[name], _BY[name] if np.isfinite(margin) else ""
     if abs(margin) <= _ROUNDINGS.get(name, 0.0) * np.finfo(np.asarray(stats.margin).dtype).eps:
         past, at = _AT[name]
         told, by = told.replace(past, at), at if by == past else ""
-    return told.format(who=who, when=when, by=by.format(0.0 - margin))
+    return told.format(who=who, when=when, by=by.format(0.0 - margin, unit=unit))
 
 
 def complaint(run: Any, remedies: Mapping[str, str] = REMEDIES) -> str:
@@ -150,13 +158,21 @@ def contact_name(labels: Labels | None, contact: int) -> str:
 
 def joint_name(labels: Labels | None, joint: int) -> str:
     """What a joint is called, counted over all fingers."""
-    if labels is None:
-        return f"joint {joint}"
+    found = _joint(labels, joint)
+    return f"joint {joint}" if found is None else found.name
+
+
+def _joint(labels: Labels | None, joint: int) -> Coordinate | None:
+    """Name, its finger's before it, and unit of a joint, counted over all fingers; None where not known."""
+    bodies = () if labels is None else labels.bodies[1:]
     # A stage's clock is a position, but no joint.
-    names = [
-        f"{body} {label.name}" for body, parts in labels.bodies[1:] for label in parts if label.unit != "s"
+    joints = [
+        Coordinate(f"{body} {part.name}", part.unit)
+        for body, parts in bodies
+        for part in parts
+        if part.unit != "s"
     ]
-    return names[joint] if 0 <= joint < len(names) else f"joint {joint}"
+    return joints[joint] if 0 <= joint < len(joints) else None
 
 
 def amount(value: float, unit: str, *, signed: bool = False) -> str:

@@ -118,10 +118,12 @@ def _march_jvp(primals: Any, tangents: Any) -> tuple[Path, Path]:
     # Numbers of the grasp in which no derivative is asked come apart from the others: with cotangents of all
     # of them the program of the pinch's gradient in one gain had 12 762 lines instead of 11 779.
     moving, still, moving_dot = bundled_apart(grasp, *perturbed(grasp, grasp_dot)[::2])
+    # Before the run: its loop has no derivative in reverse mode, and JAX's own words do not say why.
+    given = eqxi.nondifferentiable((moving, still, y0, plan), name="the state of a run (second derivatives)")
+    moving, still, y0, plan = given
     # With tangents asked for, the run is made once, recording; without, `march` itself runs.
     path, record = _recorded(eqx.combine(moving, still), y0, plan)
     steps = _Steps(moving, still, plan, y0, record, _led(path, record))
-    steps = eqxi.nondifferentiable(steps, name="the state of a run (second derivatives)")
     start_dot = moving_dot, jnp.zeros_like(y0) if y0_dot is None else y0_dot
     ends: tuple[Array, ...] = (path.saved, path.last, path.t_last)
     where = lambda p: (p.saved, p.last, p.t_last)  # noqa: E731

@@ -1,7 +1,9 @@
 """Derivatives stored beside JAX's compiled programs: read instead of traced, and never another one's."""
 
 import contextlib
+import importlib
 import os
+import pkgutil
 import subprocess
 import sys
 
@@ -189,6 +191,10 @@ def test_what_a_caller_wrote_is_not_stored(folder, monkeypatch):
 
 def test_nothing_is_stored_while_a_function_of_the_package_is_another_one(folder, monkeypatch):
     monkeypatch.setattr(_stored, "LIBRARIES", _stored.LIBRARIES - {__name__.split(".")[0]})
+    # Whatever a caller has imported.
+    for module in pkgutil.walk_packages(jxr.__path__, "jaxroll."):
+        if module.name != "jaxroll.__main__":
+            importlib.import_module(module.name)
     assert _stored._as_installed()
     monkeypatch.setattr(_equations, "net_force", lambda inertia, drive: drive)
     assert not _stored._as_installed()

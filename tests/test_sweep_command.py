@@ -266,7 +266,7 @@ def test_what_a_scene_of_ones_own_makes_without_its_parameters_is_known_to_it(tm
 
 def test_a_scene_of_ones_own_may_lie_anywhere_and_import_what_lies_beside_it(tmp_path, monkeypatch):
     """As where Python runs it: no neighbours were found, and annotations in words ended dataclasses."""
-    monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.syspath_prepend(str(tmp_path / "elsewhere"))  # afterwards the path is as it was
     (tmp_path / "beside_it.py").write_text("DAMPING = 0.25\n")
     (tmp_path / "study.py").write_text(
         "from __future__ import annotations\nfrom dataclasses import dataclass\n"

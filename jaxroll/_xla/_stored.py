@@ -32,7 +32,9 @@ import jax.extend.core as jec
 from .._fingerprint import LIBRARIES, PACKAGES, Reader, root_of
 
 _OFF: contextvars.ContextVar[bool] = contextvars.ContextVar("off", default=False)
-_PACKAGE = __name__.split(".")[0] + "."
+_PACKAGE = __name__.split(".")[0]
+# Parts of it that no derivative is made of; they hold functions of libraries that draw and print.
+_ASIDE = ("plotting", "_cli")
 # Settings of JAX that change what is traced or lowered.
 _SETTINGS = (
     "default_matmul_precision",
@@ -122,7 +124,9 @@ def _folder() -> pathlib.Path | None:
 
 def _as_installed() -> bool:
     """Whether all functions in the modules of this package are a library's, and none is a caller's."""
-    modules = [module for name, module in sys.modules.items() if name.startswith(_PACKAGE)]
+    package, aside = _PACKAGE + ".", tuple(f"{_PACKAGE}.{part}" for part in _ASIDE)
+    names = [name for name in sys.modules if name.startswith(package) and not name.startswith(aside)]
+    modules = [sys.modules[name] for name in names]
     held = [x for module in modules for x in vars(module).values() if isinstance(x, types.FunctionType)]
     return all(root_of(x) in LIBRARIES for x in held)
 

@@ -38,8 +38,10 @@ from benchmarks.hostile_calls.values import made, names_for, sensible
 
 # Longest sentence that is still one.
 LONGEST = 300
-# How arguments may be replaced together, so that they have as many numbers each.
-_AS_MANY = {"its last left out", "two numbers", "three numbers", "seven numbers"}
+# What shortens a column of numbers.
+_SHORTER = "its last left out"
+# Counts of numbers that an argument may have if another one has them, too.
+_COUNTS = {"three numbers", "seven numbers"}
 _PATIENCE = 60
 _SENTENCE = re.compile(r"argument[s]? \S+.*")
 _GOOD = ("result", "sentence", "code")
@@ -121,10 +123,12 @@ def outcome(example: Example) -> Outcome:
         arguments[parameter] = value
         if name not in argument.taken and not sensible(argument.kind, name, value, valid):
             odd.append(parameter)
-    # Two arguments with as many numbers each fit together: as columns of a shorter table, as a blow in space,
-    # as gains and angles of seven fingers.
     told = set(replaced.values())
-    if len(replaced) > 1 and len(told) == 1 and told <= _AS_MANY:
+    # Two columns of one table that both lose their last number are those of a shorter table.
+    if len(odd) > 1 and told == {_SHORTER}:
+        odd = []
+    # A count that one argument may have fits the other one with it: a blow in space, gains of seven fingers.
+    if len(odd) == 1 and len(replaced) > 1 and len(told) == 1 and told <= _COUNTS:
         odd = []
     with _patience():
         return _judged(call, arguments, odd)

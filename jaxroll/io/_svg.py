@@ -92,10 +92,8 @@ class _Segment(NamedTuple):
     def at(self, t: Any) -> np.ndarray:
         """Places in the drawing, as complex numbers, where the parameter is `t`, from 0 to 1."""
         points = np.array([self.curve.point(x) for x in np.ravel(t).tolist()])
-        plane = (
-            np.stack([np.real(points), np.imag(points)], axis=-1) @ self.matrix[:2, :2].T + self.matrix[:2, 2]
-        )
-        return (plane[:, 0] + 1j * plane[:, 1]).reshape(np.shape(t))
+        x, y, _ = self.matrix @ [np.real(points), np.imag(points), np.ones(len(points))]
+        return (x + 1j * y).reshape(np.shape(t))
 
     def reversed(self) -> "_Segment":
         return self._replace(curve=self.curve.reversed())

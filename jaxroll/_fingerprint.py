@@ -17,6 +17,7 @@ import dis
 import enum
 import functools
 import hashlib
+import importlib.metadata
 import re
 import sys
 import types
@@ -113,6 +114,14 @@ def of_lowered(text: str) -> str:
 
     rest = _FUNCTION.sub("", text)
     return _sha(rest, digest("main")).hex()
+
+
+def version_of(package: str) -> str:
+    """The version of a package that is installed; "unknown" of one that is not."""
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return "unknown"
 
 
 def _sha(*parts: bytes | str) -> bytes:

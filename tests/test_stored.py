@@ -48,11 +48,9 @@ def folder(tmp_path, monkeypatch):
     for module in (_stored, _fingerprint):
         monkeypatch.setattr(module, "LIBRARIES", libraries)
     CALLS.clear()
-    before = _stored._setting("compilation_cache_dir")
     path = tmp_path / "programs"
-    jax.config.update("jax_compilation_cache_dir", str(path))
-    yield path
-    jax.config.update("jax_compilation_cache_dir", before)
+    with setting("jax_compilation_cache_dir", str(path)):
+        yield path
 
 
 def files(folder):
@@ -125,30 +123,31 @@ def test_where_nothing_can_be_stored_all_is_as_without(folder):
 def setting(name, value):
     before = getattr(jax.config, name)
     jax.config.update(name, value)
-    yield
-    jax.config.update(name, before)
+    try:
+        yield
+    finally:
+        jax.config.update(name, before)
 
 
 @pytest.mark.parametrize(
-    "without",
+    ("name", "value"),
     [
-        unstored,
-        lambda: setting("jax_enable_compilation_cache", False),
-        lambda: setting("jax_compilation_cache_max_size", 10**9),
-        lambda: setting("jax_compilation_cache_dir", None),
-        lambda: setting("jax_compilation_cache_dir", "gs://bucket/programs"),
+        ("jax_enable_compilation_cache", False),
+        ("jax_compilation_cache_max_size", 10**9),
+        ("jax_compilation_cache_dir", None),
+        ("jax_compilation_cache_dir", "gs://bucket/programs"),
     ],
 )
-def test_nothing_is_stored_where_jax_stores_nothing_or_little(folder, without, monkeypatch):
-    monkeypatch.setattr(_stored, "_written", None)
-    if without is not unstored:  # JAX itself would reach for such a folder
-        monkeypatch.setattr(jax.export, "export", None)
-        with without():
-            assert _stored._folder() is None
-    else:
-        with without():
-            mapped(MATRIX, X)
-    assert not files(folder)
+def test_there_is_no_folder_where_jax_stores_nothing_or_little(folder, name, value):
+    assert _stored._folder() == folder
+    with setting(name, value):
+        assert _stored._folder() is None
+
+
+def test_without_a_folder_nothing_is_stored(folder):
+    with unstored():
+        mapped(MATRIX, X)
+    assert CALLS == ["doubled"] and not files(folder)
 
 
 def test_what_calls_python_is_not_stored(folder):

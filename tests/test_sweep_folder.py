@@ -198,20 +198,20 @@ def test_other_precision_is_refused_by_name(sweep, finished):
         sweep(rtol=1e-4)
 
 
-@pytest.mark.parametrize("what", ["_version", "_processor", "_flags"])
+@pytest.mark.parametrize("what", ["version_of", "_processor", "_flags"])
 def test_another_machine_is_refused_by_name(what, sweep, finished, monkeypatch):
     monkeypatch.setattr(_identity, what, lambda *_: "another")
-    names = {"_version": "version of jaxroll", "_processor": "processor", "_flags": "XLA_FLAGS"}
+    names = {"version_of": "version of jaxroll", "_processor": "processor", "_flags": "XLA_FLAGS"}
     with pytest.raises(ValueError, match=rf"differs in {names[what]} \(.* there, another here\)"):
         sweep()
 
 
 def test_all_that_is_known_by_name_alone_is_compared_by_version(monkeypatch):
     """Another version of any of these packages is another sweep, and named."""
-    marks, real = _identity.identity(ROWS, 0.2, 2, {}), _identity._version
+    marks, real = _identity.identity(ROWS, 0.2, 2, {}), _identity.version_of
     for name in sorted(_fingerprint.LIBRARIES - sys.stdlib_module_names):
         with monkeypatch.context() as patch:
-            patch.setattr(_identity, "_version", lambda n, name=name: "another" if n == name else real(n))
+            patch.setattr(_identity, "version_of", lambda n, name=name: "another" if n == name else real(n))
             found = _identity.differences(marks, _identity.identity(ROWS, 0.2, 2, {}))
         assert found.startswith(f"version of {name} (") and found.endswith("there, another here)")
 

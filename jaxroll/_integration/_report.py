@@ -133,9 +133,8 @@ def cause(run: Any) -> str:
         who = f"finger {contact}"
     unit = ""
     if _COUNTED.get(name) == "joint":
-        who, of = joint_name(run.labels, contact), _joint(run.labels, contact)
-        units = _JOINT_UNITS[name]
-        unit = units.get("" if of is None else of.unit, units[""])
+        who, of = _joint(run.labels, contact)
+        unit = _JOINT_UNITS[name].get(of, _JOINT_UNITS[name][""])
     told, by = _TOLD[name], _BY[name] if np.isfinite(margin) else ""
     if abs(margin) <= _ROUNDINGS.get(name, 0.0) * np.finfo(np.asarray(stats.margin).dtype).eps:
         past, at = _AT[name]
@@ -158,12 +157,11 @@ def contact_name(labels: Labels | None, contact: int) -> str:
 
 def joint_name(labels: Labels | None, joint: int) -> str:
     """What a joint is called, counted over all fingers."""
-    found = _joint(labels, joint)
-    return f"joint {joint}" if found is None else found.name
+    return _joint(labels, joint).name
 
 
-def _joint(labels: Labels | None, joint: int) -> Coordinate | None:
-    """Name, its finger's before it, and unit of a joint, counted over all fingers; None where not known."""
+def _joint(labels: Labels | None, joint: int) -> Coordinate:
+    """Name, its finger's before it, and unit of a joint, counted over all fingers; '' where none is known."""
     bodies = () if labels is None else labels.bodies[1:]
     # A stage's clock is a position, but no joint.
     joints = [
@@ -172,7 +170,7 @@ def _joint(labels: Labels | None, joint: int) -> Coordinate | None:
         for part in parts
         if part.unit != "s"
     ]
-    return joints[joint] if 0 <= joint < len(joints) else None
+    return joints[joint] if 0 <= joint < len(joints) else Coordinate(f"joint {joint}", "")
 
 
 def amount(value: float, unit: str, *, signed: bool = False) -> str:

@@ -8,7 +8,6 @@ gives. `identity` gathers all of it that is known before anything is traced; `_s
 """
 
 import hashlib
-import importlib.metadata
 import inspect
 import os
 import pathlib
@@ -20,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .._fingerprint import fingerprint, PACKAGES
+from .._fingerprint import fingerprint, PACKAGES, version_of
 from .._integration import simulate
 from .._results import shown
 
@@ -72,7 +71,7 @@ def identity(rows: Any, t1: Any, chunk: int, options: dict[str, Any]) -> Identit
 
 def machine() -> Identity:
     """Marks of where a sweep is computed: versions, processor, flags and precision of this process."""
-    marks = {f"version of {name}": _text(_version(name)) for name in PACKAGES}
+    marks = {f"version of {name}": _text(version_of(name)) for name in PACKAGES}
     marks["version of python"] = _text(f"{sys.version_info.major}.{sys.version_info.minor}")
     marks["processor"] = _text(_processor())
     marks["XLA_FLAGS"] = _text(_flags())
@@ -137,13 +136,6 @@ def _form(rows: Any) -> str:
     leaves = jax.tree.leaves(rows)
     forms = ", ".join(f"{x.dtype}{list(x.shape)}" for x in leaves)
     return _short(forms)
-
-
-def _version(name: str) -> str:
-    try:
-        return importlib.metadata.version(name)
-    except importlib.metadata.PackageNotFoundError:
-        return "unknown"
 
 
 def _flags() -> str:

@@ -4,6 +4,7 @@ As primitives they are one entry each of a traced program, and the insides of a 
 they are compiled: a gradient in reverse mode does not trace the forward map beside it.
 """
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -144,16 +145,13 @@ def _mapped(*args: Any, there: Callable, back: Callable, kinds: tuple, fixed: in
     return there(args[:fixed], args[fixed:])
 
 
-def _compiled(
-    context: mlir.LoweringRuleContext, *args: Any, there: Callable, back: Callable, kinds: tuple, fixed: int
-) -> Any:
+def _compiled(context: mlir.LoweringRuleContext, *args: Any, **params: Any) -> Any:
     """The way that is asked for, traced here or read from a file."""
-    del back, kinds
-    module, way = context.module_context, lambda *args: there(args[:fixed], args[fixed:])
+    module, way = context.module_context, functools.partial(_mapped, **params)
     # A stored program is one for a single processor.
     alone = module.platforms == ("cpu",) and getattr(module.axis_context, "num_devices", 0) == 1
     with uncollected():
-        program = stored(way, (there, fixed), context.avals_in) if alone else way
+        program = stored(way, (params["there"], params["fixed"]), context.avals_in) if alone else way
         return mlir.lower_fun(program, multiple_results=True)(context, *args)
 
 

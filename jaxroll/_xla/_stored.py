@@ -16,8 +16,6 @@ import contextlib
 import contextvars
 import functools
 import hashlib
-import importlib.metadata
-import os
 import pathlib
 import sys
 import tempfile
@@ -29,7 +27,7 @@ import jax
 import jax.export
 import jax.extend.core as jec
 
-from .._fingerprint import LIBRARIES, PACKAGES, Reader, root_of
+from .._fingerprint import LIBRARIES, PACKAGES, Reader, root_of, version_of
 
 _OFF: contextvars.ContextVar[bool] = contextvars.ContextVar("off", default=False)
 _PACKAGE = __name__.split(".")[0]
@@ -148,9 +146,14 @@ def _written(path: pathlib.Path, data: bytearray) -> bytearray:
     """The same, after it was put into a file, whole or not at all; not every folder takes it."""
     with contextlib.suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=path.name, delete=False) as file:
-            file.write(hashlib.sha256(data).digest() + data)
-        os.replace(file.name, path)
+        file = tempfile.NamedTemporaryFile(dir=path.parent, prefix=".", delete=False)
+        part = pathlib.Path(file.name)
+        try:
+            with file:
+                file.write(hashlib.sha256(data).digest() + data)
+            part.replace(path)
+        finally:  # a full disk leaves no pieces
+            part.unlink(missing_ok=True)
     return data
 
 
@@ -160,7 +163,5 @@ def _package() -> str:
     digest, folder = hashlib.sha256(), pathlib.Path(__file__).parents[1]
     for path in sorted(folder.rglob("*.py")):
         digest.update(str(path.relative_to(folder)).encode() + b"\0" + path.read_bytes() + b"\0")
-    for name in PACKAGES[1:]:
-        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
-            digest.update(f"{name} {importlib.metadata.version(name)}\0".encode())
+    digest.update(repr([version_of(name) for name in PACKAGES]).encode())
     return digest.hexdigest()

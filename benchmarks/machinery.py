@@ -41,6 +41,7 @@ xla.counted = lambda count, turn, start, held: jax.lax.fori_loop(
     0, count, lambda i, x: turn(i, x, held), start
 )
 """,
+    "without `SOON`": "xla.SOON = {}",
     "without `uncollected`": "xla.uncollected = xla._primitives.uncollected = contextlib.nullcontext",
     "without closed forms of contacts": """
 from jaxroll.contact import AbstractContact, Contact, Contact3

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import jaxroll as jxr
+from jaxroll._integration import _simulate
 from jaxroll._xla import _one_kernel, _quick, quickly
 from jaxroll._xla._one_kernel import one_kernel
 
@@ -79,18 +80,34 @@ def test_quick_programs_are_outermost_ones_alone():
     seen = []
 
     def doubled(x):
-        seen.append(_quick._outermost(x))
+        seen.append(_quick.takes_options(x))
         return 2.0 * x
 
     quick = quickly(lambda x: jnp.sum(x * x))
     x = jnp.arange(3.0)
     doubled(x), jax.jit(doubled)(x), jax.vmap(doubled)(x), jax.grad(lambda x: jnp.sum(doubled(x)))(x)
     assert seen == [True, False, False, False]
-    jax.jit(lambda: seen.append(_quick._outermost(())))()
+    jax.jit(lambda: seen.append(_quick.takes_options(())))()
     assert seen[-1] is False
     assert quick(x) == jax.jit(quick)(x) == jax.jit(lambda: quick(x))() == 5.0
     np.testing.assert_array_equal(jax.grad(quick)(x), 2.0 * x)
     np.testing.assert_array_equal(jax.vmap(quick)(x[:, None]), x * x)
+
+
+def test_a_run_has_options_of_its_own_where_it_is_the_whole_program(scene, monkeypatch):
+    asked, runs = [], _simulate._RUNS
+
+    def noted(key):
+        return lambda *given: asked.append(key) or runs[key](*given)
+
+    monkeypatch.setattr(_simulate, "_RUNS", {key: noted(key) for key in runs})
+    grasp, state = scene
+    end = lambda grasp, state: jxr.simulate(grasp, state, 0.1, ts=2).last.q  # noqa: E731
+    alone, within = end(grasp, state), jax.jit(lambda state: end(grasp, state))(state)
+    np.testing.assert_allclose(alone, within, rtol=1e-12)
+    jax.eval_shape(lambda grasp: end(grasp, state), grasp)
+    jax.eval_shape(lambda: end(grasp, state))
+    assert asked == [(True, True)] + 3 * [(True, False)]
 
 
 def test_quick_programs_are_compiled_with_their_options(monkeypatch):

@@ -39,9 +39,9 @@ from .._motion import (
     residuals_at,
     worst,
 )
-from .._results import check_flag, concrete, RESULTS
+from .._results import check_flag, concrete, RESULTS, traced
 from .._types import Given, Scalar
-from .._xla import in_turn, once, remembered, sharing, uncollected
+from .._xla import in_turn, once, remembered, sharing, SOON, takes_options, uncollected
 from ..geometry import as_it_is_resolved
 from ..loads import impulses
 from ._arguments import (
@@ -183,7 +183,8 @@ def simulate(
         # From a start that is not a number a run ends at once, whatever its other times are.
         state = jax.tree.map(lambda x: jnp.where(ordered, x, jnp.nan), state)
         numbers = numbers._replace(t0=jnp.where(ordered, begin, 0.0))
-    run = _run_plain if _is_plain(grasp, setup) else _run_any
+    whole = _is_known(grasp) and takes_options((state, numbers))
+    run = _RUNS[_is_plain(grasp, setup), whole]
     with uncollected():
         trajectory, off = run(tabled_grasp(grasp), state, way, numbers, setup)
     if ordered is not None:
@@ -215,6 +216,12 @@ def _is_plain(grasp: Grasp, setup: Setup) -> bool:
 @remembered
 def _holds_arrays_alone(grasp: Grasp) -> bool:
     return all(map(eqx.is_array, jax.tree.leaves(grasp)))
+
+
+@remembered
+def _is_known(grasp: Grasp) -> bool:
+    """Whether JAX is tracing none of a grasp's numbers: going over them is a twentieth of a public call."""
+    return not traced(grasp)
 
 
 def _run(
@@ -279,8 +286,13 @@ def _moving_with(path: Path, lay: Layout, given: Numbers) -> Path:
     return eqx.tree_at(lambda p: (p.saved, p.last, p.t_last), path, (saved, last, t_last))
 
 
-_run_plain = jax.jit(_run, static_argnames="setup")
-_run_any = eqx.filter_jit(_run)
+# By whether all leaves of the arguments are arrays, and whether the run is the whole of a program.
+_RUNS = {
+    (True, False): jax.jit(_run, static_argnames="setup"),
+    (True, True): jax.jit(_run, static_argnames="setup", compiler_options=SOON),
+    (False, False): eqx.filter_jit(_run),
+    (False, True): eqx.filter_jit(_run, compiler_options=SOON),  # pyright: ignore
+}
 
 
 def _plan(stepper: RollingStep, y0: Array, numbers: Numbers, setup: Setup, *, jumps: Array | None) -> Plan:

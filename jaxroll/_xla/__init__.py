@@ -15,7 +15,14 @@ from ._one_kernel import (
     with_lanes as with_lanes,
 )
 from ._primitives import linear_map as linear_map
-from ._quick import briskly as briskly, QUICK as QUICK, quickly as quickly
+from ._quick import (
+    briskly as briskly,
+    QUICK as QUICK,
+    quickly as quickly,
+    SOON as SOON,
+    soon as soon,
+    takes_options as takes_options,
+)
 from ._remembered import remembered as remembered
 from ._share_cotangents import pulled as pulled, pushed as pushed, shared as shared
 from ._stored import unstored as unstored

@@ -28,7 +28,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._fingerprint import fingerprint
 from .._linalg import larger
 from .._results import check_instance, shown
-from .._xla import quickly
+from .._xla import quickly, soon
 from ._descent import AbstractDescent, descent, Walk
 from ._gradient import Mode, value_and_grad
 
@@ -175,7 +175,7 @@ def _fresh(method: AbstractDescent, start: Array, limits: tuple[int, ...]) -> Se
     return jax.vmap(each)(start)
 
 
-@eqx.filter_jit
+@soon
 def _advance(
     problem: DesignProblem,
     method: AbstractDescent,

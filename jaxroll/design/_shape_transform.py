@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 
 from .._results import as_floats, check_flag, check_instance, traced
 from .._types import Given
+from .._xla import quickly
 from ..geometry import AbstractContour, ArclengthTable, check_contour, Table, tabled
 from ..geometry.contours import divided
 
@@ -189,7 +190,7 @@ def as_batch(contours: Sequence[AbstractContour]) -> tuple[Any, Any]:
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *arrays), parts[0][1]
 
 
-@eqx.filter_jit
+@quickly
 def body_radii(arrays: Any, rest: Any) -> tuple[Array, Array]:
     """Root mean square and largest distance of the points of every contour of a batch from its origin [m].
 

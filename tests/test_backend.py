@@ -7,7 +7,7 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll._integration import _simulate
-from jaxroll._xla import _one_kernel, _quick, quickly
+from jaxroll._xla import _one_kernel, _quick, at_once, quickly
 from jaxroll._xla._one_kernel import one_kernel
 
 MARK = "xla_cpu_small_call"
@@ -108,6 +108,30 @@ def test_a_run_has_options_of_its_own_where_it_is_the_whole_program(scene, monke
     jax.eval_shape(lambda grasp: end(grasp, state), grasp)
     jax.eval_shape(lambda: end(grasp, state))
     assert asked == [(True, True)] + 3 * [(True, False)]
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_small_functions_of_known_numbers_are_computed_by_numpy(dtype):
+    modules = []
+
+    @at_once
+    def longer(xp, x, by, parts):
+        modules.append(xp)
+        return xp.concatenate([0.5 * x, parts[0] + by]), {"square": x * x}
+
+    x = jnp.arange(1.0, 3.0, dtype=dtype)
+    found = longer(x, 2.0, [x])
+    assert all(isinstance(leaf, jax.Array) and leaf.dtype == dtype for leaf in jax.tree.leaves(found))
+    np.testing.assert_allclose(found[0], [0.5, 1.0, 3.0, 4.0])
+    np.testing.assert_allclose(found[1]["square"], [1.0, 4.0])
+    # Known numbers stay known where something else is traced; traced ones have derivatives.
+    inside = jax.jit(lambda y: y + float(np.asarray(longer(x, 2.0, [x])[0])[0]))(1.0)
+    assert inside == 1.5 and modules == [np, np]
+    by = jnp.asarray(2.0, dtype)
+    slopes = jax.jacfwd(lambda x: longer(x, by, [x])[0])(x), jax.jacrev(lambda by: longer(x, by, [x])[0])(by)
+    np.testing.assert_allclose(slopes[0], [[0.5, 0], [0, 0.5], [1, 0], [0, 1]])
+    np.testing.assert_allclose(slopes[1], [0, 0, 1, 1])
+    assert modules[2:] and set(modules[2:]) == {jnp}
 
 
 def test_quick_programs_are_compiled_with_their_options(monkeypatch):

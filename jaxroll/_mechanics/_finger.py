@@ -6,7 +6,6 @@ Constructor, checks and copies are here; `_plane_bodies` has kinematics, mass ma
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -22,6 +21,7 @@ from .._results import (
     shown,
 )
 from .._types import Given
+from .._xla import at_once
 from ..geometry import AbstractContour
 from ._plane_bodies import AbstractChain
 
@@ -158,7 +158,7 @@ class Finger(AbstractChain):
         return eqx.tree_at(fields, self, tuple(arrays))
 
 
-@jax.jit  # one small program, not three
-def _rods(masses: Array, lengths: Array) -> tuple[Array, Array]:
+@at_once
+def _rods(xp: Any, masses: Array, lengths: Array) -> tuple[Array, Array]:
     """Centres of slender rods and their moments about these."""
     return 0.5 * lengths, masses * lengths**2 / 12.0

@@ -6,7 +6,6 @@
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -23,10 +22,11 @@ from .._results import (
     shown,
 )
 from .._types import Given, Scalar, Scalars
+from .._xla import at_once
 from ..contact import Motion
 from ..geometry import AbstractSurface
 from ._body import AbstractFinger, Inertia, Spin
-from ._chain3 import Chain3, chain_of, unit
+from ._chain3 import Chain3, chain_of
 from ._finger import check_limits, check_links
 from ._object3 import check_inertia
 
@@ -42,7 +42,12 @@ def as_surface(name: str, surface: Any) -> AbstractSurface:
 def as_direction(name: str, vectors: Array) -> Array:
     """Vectors scaled to unit length."""
     check_direction(name, vectors)
-    return unit(vectors)
+    return _unit(vectors)
+
+
+@at_once
+def _unit(xp: Any, vectors: Array) -> Array:
+    return vectors / xp.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
 def _as_axes(name: str, axes: Array) -> Array:
@@ -216,17 +221,17 @@ class Finger3(AbstractFinger):
         return self.prepared().gravity_potential(q, gravity)
 
 
-@jax.jit  # one small program, not twenty
-def _cylinders(masses: Array, offsets: Array) -> tuple[Array, Array]:
+@at_once
+def _cylinders(xp: Any, masses: Array, offsets: Array) -> tuple[Array, Array]:
     """Centres of solid cylinders along the offsets, and their inertia tensors about these: shape (k, 3, 3).
 
     With length l along the unit vector e and radius r: m l^2/12 (1 - e e^T) + m r^2/4 (1 + e e^T).
     """
-    square_ = jnp.sum(offsets**2, axis=-1)
-    radius = _THICKNESS * jnp.mean(jnp.sqrt(square_))
+    square_ = xp.sum(offsets**2, axis=-1)
+    radius = _THICKNESS * xp.mean(xp.sqrt(square_))
     along = offsets[:, :, None] * offsets[:, None, :]
-    eye = jnp.eye(3, dtype=offsets.dtype)[None]
+    eye = xp.eye(3, dtype=offsets.dtype)[None]
     rod = (square_[:, None, None] * eye - along) / 12.0
     # An offset of no length has no direction e: m r^2/4 about every axis is left.
-    unit = along / jnp.where(square_ > 0, square_, 1.0)[:, None, None]
+    unit = along / xp.where(square_ > 0, square_, 1.0)[:, None, None]
     return 0.5 * offsets, masses[:, None, None] * (rod + radius**2 * (eye + unit) / 4.0)

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -16,7 +15,7 @@ from .._fields import real, taken, through
 from .._linalg import normalised, Pose3, pose_at, quaternion_product, Sym3, Twist3, UNIT_AXES, unstack, Vec3
 from .._results import as_array, as_floats, as_several, check_instance, check_positive, concrete, shown
 from .._types import Given, Scalar, Scalars
-from .._xla import once
+from .._xla import at_once, once
 from ..contact import Motion
 from ..geometry import AbstractSurface, mass_properties
 from ._body import AbstractBody, Coordinate, Inertia, Spin
@@ -33,12 +32,16 @@ def _as_surfaces(name: str, surfaces: Any) -> Surfaces:
 def _as_inertia(name: str, inertia: Any) -> Array:
     """An inertia given as one number, three or a matrix, as a matrix."""
     array = as_array(name, inertia)
-    if array.ndim == 0:
+    if array.ndim < 2:
         # One number is a ball's moment about any axis.
-        array = array * jnp.eye(3, dtype=array.dtype)
-    elif array.ndim == 1:
-        array = jnp.diag(as_floats(name, array, (3,)))
+        array = _on_diagonal(array if array.ndim == 0 else as_floats(name, array, (3,)))
     return check_inertia(name, as_floats(name, array, (3, 3)))
+
+
+@at_once
+def _on_diagonal(xp: Any, moments: Array) -> Array:
+    """A matrix with these moments, or with one three times, on its diagonal."""
+    return xp.broadcast_to(moments, (3,))[:, None] * xp.eye(3, dtype=moments.dtype)
 
 
 def check_inertia(name: str, tensors: Array) -> Array:

@@ -16,6 +16,7 @@ from ._one_kernel import (
 )
 from ._primitives import linear_map as linear_map
 from ._quick import (
+    at_once as at_once,
     briskly as briskly,
     QUICK as QUICK,
     quickly as quickly,

@@ -12,6 +12,7 @@ from .._linalg import total
 from .._mechanics import Blocks, check_states, Grasp, split, State
 from .._printing import listed
 from .._types import Scalars
+from .._xla import quickly
 from ..contact import Motion
 
 
@@ -63,7 +64,12 @@ def orientations(grasp: Grasp, state: State) -> Float[Array, " m"]:
         True
     """
     check_states(grasp, state)
-    angles = joint_angles(grasp, split(state.q, grasp.form.positions))
+    return _orientations(grasp, state.q)
+
+
+@quickly
+def _orientations(grasp: Grasp, q: Array) -> Array:
+    angles = joint_angles(grasp, split(q, grasp.form.positions))
     return jnp.stack([jnp.asarray(total(block)) for block in angles])
 
 

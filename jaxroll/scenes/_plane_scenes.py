@@ -8,7 +8,6 @@ nearest one at which all contacts are closed. `pinch` and `ring` then start thei
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -17,6 +16,7 @@ from .._closing import close
 from .._mechanics import Finger, FreeObject, Grasp, Jaw, PivotedObject, State
 from .._results import as_count, as_floats, as_length, as_positive, check_instance
 from .._types import Given
+from .._xla import at_once
 from ..contact import Contact
 from ..control import Opposition, orientations, Press
 from ..geometry import AbstractContour, Catenary, Circle, Ellipse, Line, Moved
@@ -120,19 +120,20 @@ def rectangle(width: Given = 0.03, height: Given = 0.05, mass: Given = 0.02) -> 
     return FreeObject((face.moved(across[0], np.pi), face.moved(across[1])), mass, inertia)
 
 
-@jax.jit  # one small program, not seven
-def _starts(s: Array, middles: tuple[Any, Any]) -> list[tuple[Array, Array]]:
+@at_once
+def _starts(xp: Any, s: Array, middles: tuple[Any, Any]) -> list[tuple[Array, Array]]:
     """Arclengths of the starting contacts of a pinch on fingertip and object, from the chapter's $s_i$."""
+    del xp
     along = [sense * s[i] for i, sense in enumerate(_SENSES)]
     return [(-a, middle + a) for a, middle in zip(along, middles, strict=True)]
 
 
-@jax.jit  # one small program, not nine
-def _rectangle(width: Array, height: Array, mass: Array) -> tuple[Array, Array, Array]:
+@at_once
+def _rectangle(xp: Any, width: Array, height: Array, mass: Array) -> tuple[Array, tuple[Array, Array], Array]:
     """Ends of a rectangle's faces along them, the middles of both faces, and its moment of inertia."""
-    sides = jnp.array([-0.5, 0.5], width.dtype)
-    middles = jnp.stack([sides * width, jnp.zeros_like(sides)], axis=-1)
-    return sides * height, middles, mass * (width**2 + height**2) / 12.0
+    sides = xp.array([-0.5, 0.5], width.dtype)
+    middles = xp.stack([sides * width, xp.zeros_like(sides)], axis=-1)
+    return sides * height, (middles[0], middles[1]), mass * (width**2 + height**2) / 12.0
 
 
 def pinch(
@@ -377,7 +378,7 @@ def _opposed(
     grasp.
     """
     # Its numbers are looked at before the contacts are closed, which takes longer.
-    opposition = Opposition(beta, **control, start=jnp.zeros(len(fingers)))
+    opposition = Opposition(beta, **control, start=np.zeros(len(fingers)))
     grasp, state = close(Grasp(body, fingers, contacts, gravity=gravity), guess, hold_contacts=hold_contacts)
     opposition = eqx.tree_at(lambda law: law.start, opposition, orientations(grasp, state))
     return Grasp(body, fingers, contacts, controller=opposition, gravity=gravity), state

@@ -4,10 +4,9 @@ Fingertips are balls and the object a cuboid, unless others are given. As in the
 are given by hand, and `close` moves everything from there until the contacts are closed.
 """
 
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -16,6 +15,7 @@ from .._closing import close
 from .._mechanics import Finger3, FreeObject3, Grasp, State
 from .._results import as_length, as_positive, check_instance, concrete
 from .._types import Given
+from .._xla import at_once
 from ..contact import Contact3
 from ..control import Opposition
 from ..geometry import AbstractSurface, Plane, Sphere
@@ -62,13 +62,12 @@ def cuboid(width: Given = 0.03, height: Given = 0.05, depth: Given = 0.05, mass:
     return FreeObject3((left, right), mass, inertia, outline=edges)
 
 
-@jax.jit  # one small program, not twelve
-def _cuboid(lengths: list[Array], mass: Array) -> tuple[Array, Array, Array]:
+@at_once
+def _cuboid(xp: Any, lengths: list[Array], mass: Array) -> tuple[Array, Array, tuple[Array, Array]]:
     """Edges of a cuboid, its principal moments, and the centres of its faces along x."""
-    edges = jnp.stack(lengths)
-    squares = edges**2
-    face = jnp.zeros((2, 3), edges.dtype).at[:, 0].set(edges[0] * jnp.array([-0.5, 0.5], edges.dtype))
-    return edges, mass * (squares.sum() - squares) / 12.0, face
+    edges = xp.stack(lengths)
+    squares, right = edges**2, edges * xp.array([0.5, 0.0, 0.0], edges.dtype)
+    return edges, mass * (squares.sum() - squares) / 12.0, (-right, right)
 
 
 def pinch3d(
@@ -143,7 +142,7 @@ def pinch3d(
     grasp, state = close(Grasp(body, fingers, contacts, gravity=gravity), guess, hold_contacts=False)
     gains = lambda c: [c.beta, c.damping]  # noqa: E731
     scaled = [
-        gain if callable(gain) else gain * factor
+        gain if callable(gain) else _product(gain, factor)
         for gain, factor in zip(gains(control), sizes.gains, strict=True)
     ]
     control = eqx.tree_at(gains, control, scaled)
@@ -176,8 +175,8 @@ class _Sizes(NamedTuple):
     gains: tuple[Array, Array]
 
 
-@jax.jit  # one small program, not twenty
-def _sizes(k: Array) -> _Sizes:
+@at_once
+def _sizes(xp: Any, k: Array) -> _Sizes:
     sides, joints = (-1.0, 1.0), np.array(_JOINTS)
     return _Sizes(
         tip=0.01 * k,
@@ -187,7 +186,7 @@ def _sizes(k: Array) -> _Sizes:
         bases=[k * np.array([side * SPAN3, 0.0, 0.0]) for side in sides],
         near_tips=[k * np.array([-0.02 * side, 0.0, 0.0]) for side in sides],
         near_faces=[k * np.array([0.025 * side, -0.002, -0.004 * side]) for side in sides],
-        positions=jnp.concatenate([k * np.array(_CENTRE), np.array((1.0, 0.0, 0.0, 0.0)), joints, -joints]),
+        positions=xp.concatenate([k * np.array(_CENTRE), np.array((1.0, 0.0, 0.0, 0.0)), joints, -joints]),
         gains=(k**2, k**4.5),
     )
 
@@ -197,4 +196,15 @@ def _guess(tips: tuple[AbstractSurface, ...], faces: list[AbstractSurface], size
     places = []
     for tip, face, on_tip, on_face in zip(tips, faces, sizes.near_tips, sizes.near_faces, strict=True):
         places += [tip.near(on_tip), face.near(on_face)]
-    return State(sizes.positions, np.zeros(12), jnp.concatenate(places))
+    return State(sizes.positions, np.zeros(12), _joined(places))
+
+
+@at_once
+def _joined(xp: Any, vectors: list[Array]) -> Array:
+    return xp.concatenate(vectors)
+
+
+@at_once
+def _product(xp: Any, a: Array, b: Array) -> Array:
+    del xp
+    return a * b

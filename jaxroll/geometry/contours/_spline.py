@@ -20,6 +20,7 @@ from jaxtyping import Array, Float
 from ..._linalg import Vec2
 from ..._results import as_count, as_floats, check_flag, check_positive, concrete, shown
 from ..._types import Given
+from ..._xla import at_once
 from ._arclength import arclength_at, in_cells, rising_sums
 from ._bspline import Basis, basis, interval_of, jet_of_pieces, jets, Pieces
 from ._free_numbers import point_waves, wavy_shift
@@ -247,10 +248,10 @@ def _halves(coefficients: Array, half: Array, x: Array) -> tuple[Vec2, Vec2, Vec
     return point, rate * 0.5, bend * 0.25
 
 
-@jax.jit  # one small program, not sixteen
-def _mean_with_image(points: Array, partner: Array) -> Array:
+@at_once
+def _mean_with_image(xp: Any, points: Array, partner: np.ndarray) -> Array:
     """The mean of points and their mirror images, of which number i is that of point `partner[i]`."""
-    flipped = points[partner] * jnp.array([[1.0, -1.0]], points.dtype)
+    flipped = points[partner] * xp.array([[1.0, -1.0]], points.dtype)
     return 0.5 * (points + flipped)
 
 

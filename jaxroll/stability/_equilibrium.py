@@ -110,7 +110,9 @@ def equilibrium(grasp: Grasp, state: State, *, t: Given = 0.0) -> Equilibrium:
         >>> bool(rest.found), f"{1e3 * (0.003 - rest.state.s[0]):.3f} mm"
         (True, '-4.788 mm')
     """
-    return _equilibrium(grasp, state, as_floats("t", t, ()))
+    # Not of a weak type, like a number of Python: it would be another program than that for a run's end.
+    held = as_floats("t", t, ())
+    return _equilibrium(grasp, state, jnp.asarray(held, held.dtype))
 
 
 @compiled

@@ -131,15 +131,16 @@ def assess(grasp: Grasp, state: State, *, t: Given = 0.0, tolerance: float = _TO
     """
     share = as_floats("tolerance", tolerance, ())
     check_between("tolerance", share, 0.0, 1.0)
-    return _assess(grasp, state, as_floats("t", t, ()), share)
+    held = as_floats("t", t, ())
+    # By its public function: whoever asks for it beside the verdict, as pictures do, waits for one program.
+    return _linearised(grasp, equilibrium(grasp, state, t=held), held, share)
 
 
 @compiled
-def _assess(grasp: Grasp, state: State, t: Given, tolerance: Array) -> Stability:
-    """The whole assessment, compiled as one program."""
-    if least := _TOLD.of(grasp, state):
+def _linearised(grasp: Grasp, rest: Equilibrium, t: Given, tolerance: Array) -> Stability:
+    """The closed loop linearised at an equilibrium, and the verdict, compiled as one program."""
+    if least := _TOLD.of(grasp, rest.state):
         tolerance = jnp.maximum(tolerance, least)
-    rest = equilibrium(grasp, state, t=t)
     ready = grasp.prepared()
     tangent, rolling = _tangent(ready, rest.state)
     hessian = -tangent.T @ _along(ready, rest, t, tangent, rolling)

@@ -1015,6 +1015,16 @@ def test_ends_of_an_svg_that_do_not_meet_by_twos_are_left_apart(tmp_path):
     assert len(read_shapes(path, ring)) == 3
 
 
+def test_closed_pieces_of_an_svg_that_begin_at_one_place_stay_apart(tmp_path):
+    path = tmp_path / "washer.svg"
+    twice = '<circle r="5"/><circle r="5"/>'
+    for body, areas in ((twice, [25.0, 25.0]), (f'{twice}<circle cx="5" r="10"/>', [100.0, 25.0, 25.0])):
+        path.write_text(f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="-20 -20 40 40">{body}</svg>')
+        read = [jxr.io.read_points(path, unit="m", which=i, samples=2000) for i in range(len(areas))]
+        found = [abs(float(polygon_area(outline))) / np.pi for outline in read]
+        np.testing.assert_allclose(found, areas, rtol=1e-5)
+
+
 @pytest.mark.parametrize(("turn", "corner"), [(0.12, True), (0.09, False)])
 def test_a_line_meets_an_arc_of_a_dxf_in_a_corner(turn, corner, tmp_path):
     """Of which a polygon along the arc has many, but of less than a tenth of a radian."""

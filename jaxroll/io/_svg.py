@@ -16,7 +16,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from ._drawing import check_scale, reading, without_outline
+from ._drawing import check_scale, finite, reading, without_outline
 from ._extra import missing
 from ._outline import filled_places, filled_polygon
 from ._svg_style import inherited, is_zero, kind_of, OUTERMOST, StyleSheet
@@ -24,6 +24,7 @@ from ._svg_style import inherited, is_zero, kind_of, OUTERMOST, StyleSheet
 # Least angles [rad] of a corner: between straight pieces, and between any.
 _ANY, _SHARP = 1e-9, 0.02
 _NEAR = 1e-6  # ends of lines and curves meet within this share of the drawing's size
+_ROUGH = np.linspace(0.0, 1.0, 5)  # parameters of a segment that tell how large a drawing is
 _FINE = 64  # intervals of the parameter of a curved piece, from which its length is summed
 _GROUPS = ("svg", "g", "a", "switch")  # parts of an SVG that show what is in them
 # Metres in the units in which a drawing may state its width.
@@ -52,6 +53,7 @@ def read_svg(path: Path, scale: float, samples: int, *, fill: bool) -> list[np.n
     check_scale(scale, _svg_scale(root, path), path)
     if not drawn:
         raise without_outline(path)
+    finite(np.concatenate([segment.at(_ROUGH) for piece, _ in drawn for segment in piece]), path)
     with reading(path):
         for piece, clips in drawn:
             for clip in clips:
@@ -297,16 +299,18 @@ def _placed(piece: Any, track: _Track) -> _Piece:
 
 
 def _joined(pieces: list[_Piece]) -> list[_Piece]:
-    """Pieces with those joined whose ends meet, unless more than two meet at a place.
+    """Pieces with those joined whose ends meet, unless more than two meet at a place; closed ones stay alone.
 
     Programs for drawing write lines and arcs one by one. Ends meet within a millionth of the drawing's size.
     """
     from scipy.spatial import KDTree
 
+    drawn = np.concatenate([segment.at(_ROUGH) for piece in pieces for segment in piece])
+    near = _NEAR * float(np.hypot(np.ptp(np.real(drawn)), np.ptp(np.imag(drawn))))
     ends = np.array([(piece[0].at(0.0), piece[-1].at(1.0)) for piece in pieces])
     places = np.stack([np.real(ends), np.imag(ends)], axis=-1).reshape(-1, 2)
-    near = _NEAR * float(np.linalg.norm(np.ptp(places, axis=0)))
-    pairs = KDTree(places).query_pairs(near, output_type="ndarray")
+    free = np.flatnonzero(np.repeat(np.abs(ends[:, 0] - ends[:, 1]) > near, 2))
+    pairs = free[KDTree(places[free]).query_pairs(near, output_type="ndarray")]
     met = np.bincount(pairs.ravel(), minlength=len(places))
     # End 2 k + 1 of piece k, or its beginning 2 k, with the one end of another piece that it meets.
     other = {int(a): int(b) for pair in pairs for a, b in (pair, pair[::-1]) if met[a] == met[b] == 1}

@@ -1025,6 +1025,27 @@ def test_closed_pieces_of_an_svg_that_begin_at_one_place_stay_apart(tmp_path):
         np.testing.assert_allclose(found, areas, rtol=1e-5)
 
 
+@pytest.mark.parametrize("fill", [False, True])
+@pytest.mark.parametrize("kind", ["svg", "dxf"])
+def test_a_line_from_a_point_to_itself_is_no_outline(kind, fill, tmp_path):
+    path = tmp_path / f"dot.{kind}"
+    if kind == "svg":
+        body = '<path d="M9 9 L9 9"/><path d="M8 9 C8 9 8 9 8 9"/><circle cx="9" r="0"/><circle r="5"/>'
+        path.write_text(f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="-10 -10 20 20">{body}</svg>')
+    else:
+        import ezdxf
+
+        drawing = ezdxf.new()
+        drawing.modelspace().add_line((9, 9), (9, 9))
+        drawing.modelspace().add_lwpolyline([(8, 9), (8, 9)])
+        drawing.modelspace().add_circle((0, 0), 5)
+        drawing.saveas(path)
+    points = jxr.io.read_points(path, unit="m", fill=fill, samples=12)
+    np.testing.assert_allclose(np.linalg.norm(points, axis=1), 5.0, rtol=1e-6)
+    with pytest.raises(ValueError, match=r"which must be below the number of outlines in dot\.\w+, 1, but"):
+        jxr.io.read_points(path, unit="m", fill=fill, which=1)
+
+
 @pytest.mark.parametrize(("turn", "corner"), [(0.12, True), (0.09, False)])
 def test_a_line_meets_an_arc_of_a_dxf_in_a_corner(turn, corner, tmp_path):
     """Of which a polygon along the arc has many, but of less than a tenth of a radian."""

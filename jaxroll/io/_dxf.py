@@ -61,7 +61,8 @@ def read_dxf(path: Path, scale: float, samples: int, *, fill: bool) -> list[np.n
         pieces = _pieces(drawing.modelspace(), drawing.layers)
         tracks = [ezdxf.path.make_path(piece, **_PIECES) for piece in pieces]
     check_scale(scale, _CODES.get(unit), path)
-    tracks = [track for track in tracks if len(track)]
+    # A line from a point to itself shows nothing.
+    tracks = [track for track in tracks if len(set(track.control_vertices())) > 1]
     if not tracks:
         raise without_outline(path)
     corners = [(v.x, v.y) for track in tracks for v in track.control_vertices()]

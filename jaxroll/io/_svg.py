@@ -49,7 +49,7 @@ def read_svg(path: Path, scale: float, samples: int, *, fill: bool) -> list[np.n
         tracks = list(_Walk(root).tracks())
         # Frames round icons have no paint. A drawing in which nothing has any is one of bare outlines.
         tracks = [track for track in tracks if track.painted] or tracks
-        drawn = [(_placed(piece, track), track.clips) for track in tracks for piece in _pieces(track.text)]
+        drawn = [(piece, track.clips) for track in tracks for piece in _placed(track)]
     check_scale(scale, _svg_scale(root, path), path)
     if not drawn:
         raise without_outline(path)
@@ -293,9 +293,15 @@ def _pieces(text: str) -> list[Any]:
     return [Track(*piece) for piece in found]
 
 
-def _placed(piece: Any, track: _Track) -> _Piece:
-    """The segments of a piece of a path, each with the path's matrix."""
-    return [_Segment(curve, track.matrix) for curve in piece]
+def _placed(track: _Track) -> list[_Piece]:
+    """The pieces of a path, each segment with the path's matrix; without those from a point to itself."""
+    extended = [[curve for curve in piece if _extends(curve)] for piece in _pieces(track.text)]
+    return [[_Segment(curve, track.matrix) for curve in piece] for piece in extended if piece]
+
+
+def _extends(curve: Any) -> bool:
+    """Whether a line or a Bezier curve has more than one point, as arcs always have."""
+    return type(curve).__name__ == "Arc" or len(set(curve.bpoints())) > 1
 
 
 def _joined(pieces: list[_Piece]) -> list[_Piece]:
@@ -346,8 +352,7 @@ def _check_within(outline: np.ndarray, clip: _Clip) -> None:
 
 def _polygons(track: _Track) -> list[np.ndarray]:
     """The pieces of a shape that clips others, by places as complex numbers."""
-    pieces = _pieces(track.text)
-    return [_along(_placed(piece, track), 4 * _FINE, False) @ [1.0, 1.0j] for piece in pieces]
+    return [_along(piece, 4 * _FINE, False) @ [1.0, 1.0j] for piece in _placed(track)]
 
 
 def _covers(polygons: list[np.ndarray], places: np.ndarray, near: float) -> np.ndarray:

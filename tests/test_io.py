@@ -1046,6 +1046,24 @@ def test_a_line_from_a_point_to_itself_is_no_outline(kind, fill, tmp_path):
         jxr.io.read_points(path, unit="m", fill=fill, which=1)
 
 
+@pytest.mark.parametrize("kind", ["svg", "dxf"])
+def test_a_corner_that_is_written_twice_is_one(kind, tmp_path):
+    path, corners = tmp_path / f"triangle.{kind}", [(0, 0), (10, 0), (10, 0), (10, 10), (0, 0)]
+    if kind == "svg":
+        text = " ".join(f"{x},{-y}" for x, y in corners)
+        body = f'<polygon points="{text}"/>'
+        path.write_text(f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 20 20">{body}</svg>')
+    else:
+        import ezdxf
+
+        drawing = ezdxf.new()
+        drawing.modelspace().add_lwpolyline(corners, close=True)
+        drawing.saveas(path)
+    assert jxr.io.read_points(path, unit="m").tolist() == [[0, 0], [10, 0], [10, 10]]
+    filled = jxr.io.read_points(path, unit="m", fill=True, samples=9)
+    assert abs(float(polygon_area(filled)) - 50.0) < 1e-12
+
+
 @pytest.mark.parametrize(("turn", "corner"), [(0.12, True), (0.09, False)])
 def test_a_line_meets_an_arc_of_a_dxf_in_a_corner(turn, corner, tmp_path):
     """Of which a polygon along the arc has many, but of less than a tenth of a radian."""

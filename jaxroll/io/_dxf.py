@@ -14,7 +14,7 @@ import numpy as np
 
 from ._drawing import check_scale, finite, reading, without_outline
 from ._extra import missing
-from ._outline import even, filled_polygon
+from ._outline import even, filled_polygon, without_repeats
 
 # Least angles [rad] of a corner: between straight pieces, and in a polygon along a curve.
 _ANY, _ALONG = 1e-9, 0.1
@@ -79,7 +79,7 @@ def read_dxf(path: Path, scale: float, samples: int, *, fill: bool) -> list[np.n
     outlines = []
     for line, curved in joined:
         closed = bool(np.linalg.norm(line[0] - line[-1]) <= 1e-6 * size)
-        line = line[:-1] if closed else line
+        line = without_repeats(line[:-1] if closed else line, closed=closed)
         if fill:
             outlines.append(filled_polygon(line, samples, closed=closed, sharp=_ALONG if curved else _ANY))
         else:

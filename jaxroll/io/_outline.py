@@ -100,6 +100,14 @@ def as_points(name: str, value: Any, width: int) -> np.ndarray:
     return array
 
 
+def without_repeats(polygon: np.ndarray, *, closed: bool) -> np.ndarray:
+    """The points that differ from the one before them; of a closed polygon the first from the last."""
+    before = np.roll(polygon, 1, axis=0)
+    fresh = np.any(polygon != before, axis=1)
+    fresh[0] |= not closed
+    return polygon[fresh] if fresh.any() else polygon[:1]
+
+
 def even(polygon: np.ndarray, count: int, *, closed: bool) -> np.ndarray:
     """So many points at equal distances along a polygon; a closed one's first point is not repeated."""
     around = np.concatenate([polygon, polygon[:1]]) if closed else polygon

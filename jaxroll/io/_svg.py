@@ -18,7 +18,7 @@ import numpy as np
 
 from ._drawing import check_scale, finite, reading, without_outline
 from ._extra import missing
-from ._outline import filled_places, filled_polygon
+from ._outline import filled_places, filled_polygon, without_repeats
 from ._svg_style import inherited, is_zero, kind_of, OUTERMOST, StyleSheet
 
 # Least angles [rad] of a corner: between straight pieces, and between any.
@@ -414,7 +414,7 @@ def _along(piece: _Piece, samples: int, fill: bool) -> np.ndarray:
     closed = bool(np.abs(fine[0, 0] - fine[-1, -1]) <= _NEAR * size)
     if straight:
         corners = np.append(fine[:, 0], [] if closed else fine[-1, -1:])
-        corners = np.stack([np.real(corners), np.imag(corners)], axis=1)
+        corners = without_repeats(np.stack([np.real(corners), np.imag(corners)], axis=1), closed=closed)
         return filled_polygon(corners, samples, closed=closed, sharp=_ANY) if fill else corners
     # Length along the piece against its parameter, which is the number of the segment plus the parameter
     # within it; then the parameters at equal lengths.

@@ -7,6 +7,8 @@ import re
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.interpolate import BSpline
+from scipy.spatial import KDTree
 
 import jaxroll as jxr
 from jaxroll._cli._shape_file import read, ShapeOrder
@@ -638,6 +640,27 @@ def test_curves_of_a_dxf_are_followed_within_a_ten_millionth_of_its_size(kind, m
     space, points = modelspace
     CIRCLES[kind](space)
     assert np.abs(np.hypot(*points(4000).T) - 10.0).max() < 1e-7 * np.hypot(20.0, 20.0)
+
+
+@pytest.mark.parametrize("degree", [2, 3, 4])
+@pytest.mark.parametrize("weights", [None, (1.0, 2.0, 0.5, 3.0, 1.0)])
+def test_a_spline_of_a_dxf_ends_where_its_knots_say(degree, weights, modelspace):
+    """A closed one whose knots do not repeat at its ends, as programs write it; by SciPy's splines."""
+    space, points = modelspace
+    corners = np.array([(10, 0, 0), (10, 10, 0), (0, 10, 0), (-3, 2, 0), (4, -5, 0)], float)
+    places, knots = np.concatenate([corners, corners[:degree]]), 0.5 * np.arange(2 * degree + 6) - 7.0
+    spline = space.add_spline()
+    spline.dxf.degree, spline.control_points, spline.knots = degree, places, knots
+    heavy = np.ones(5) if weights is None else np.array(weights)
+    if weights is not None:
+        spline.weights = [*weights, *weights[:degree]]
+    found = points(4000)
+    heavy = np.append(heavy, heavy[:degree])
+    whole = BSpline(knots, np.column_stack([places[:, :2] * heavy[:, None], heavy]), degree)
+    curve = whole(np.linspace(knots[degree], knots[len(places)], 100_001))
+    curve = curve[:, :2] / curve[:, 2:]
+    assert max(KDTree(curve).query(found)[0].max(), KDTree(found).query(curve)[0].max()) < 0.01
+    np.testing.assert_allclose(abs(polygon_area(found)), polygon_area(curve), rtol=1e-5)
 
 
 def test_the_frame_of_a_fitted_polyline_is_no_part_of_it(modelspace):

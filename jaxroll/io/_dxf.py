@@ -114,12 +114,39 @@ def _pieces(entities: Iterable[Any], layers: Any, around: str = "0") -> Iterator
 
 
 def _plain(curve: Any) -> Iterator[Any]:
-    """A curve as it is shown: a polyline without what frames it; a mesh, which is written as one, is none."""
+    """A curve as it is shown: a polyline without what frames it; a mesh, which is written as one, is none.
+
+    ezdxf follows splines past their ends whose knots do not repeat there.
+    """
     if curve.dxftype() == "POLYLINE":
         if curve.is_polygon_mesh or curve.is_poly_face_mesh:
             return
         curve.vertices[:] = [vertex for vertex in curve.vertices if not vertex.dxf.flags & _FRAME]
+    if curve.dxftype() == "SPLINE" and len(curve.control_points):
+        _clamp(curve)
     yield curve
+
+
+def _clamp(spline: Any) -> None:
+    """Give a spline knots that repeat at both its ends, and the control points of the same curve by these."""
+    from scipy.interpolate import BSpline, make_interp_spline
+
+    degree, count, knots = spline.dxf.degree, len(spline.control_points), np.array(spline.knots, float)
+    if len(knots) != count + degree + 1:
+        return  # ezdxf says so, or chooses knots where there are none
+    low, high = knots[degree], knots[count]
+    if np.all(knots[:degree] == low) and np.all(knots[count:] == high):
+        return
+    # A rational spline is a plain one of its weights and of its weighted points.
+    weights = np.array(spline.weights, float) if len(spline.weights) else np.ones(count)
+    points = np.array(spline.control_points, float).reshape(count, 3) * weights[:, None]
+    curve = BSpline(knots, np.column_stack([points, weights]), degree)
+    inner = knots[(knots > low) & (knots < high)]
+    clamped = np.concatenate([np.full(degree + 1, low), inner, np.full(degree + 1, high)])
+    at = np.array([clamped[i + 1 : i + degree + 1].mean() for i in range(len(clamped) - degree - 1)])
+    same = make_interp_spline(at, curve(at), k=degree, t=clamped).c
+    spline.knots, spline.control_points = clamped - low, same[:, :3] / same[:, 3:]
+    spline.weights = same[:, 3] if len(spline.weights) else []
 
 
 def _flat(track: Any, distance: float) -> tuple[np.ndarray, bool]:

@@ -53,12 +53,13 @@ def read_svg(path: Path, scale: float, samples: int, *, fill: bool) -> list[np.n
     check_scale(scale, _svg_scale(root, path), path)
     if not drawn:
         raise without_outline(path)
-    finite(np.concatenate([segment.at(_ROUGH) for piece, _ in drawn for segment in piece]), path)
+    seen = finite(np.concatenate([segment.at(_ROUGH) for piece, _ in drawn for segment in piece]), path)
+    near = _NEAR * float(np.hypot(np.ptp(np.real(seen)), np.ptp(np.imag(seen))))
     with reading(path):
         for piece, clips in drawn:
             for clip in clips:
                 _check_within(_along(piece, samples, fill), clip)
-    return [_along(piece, samples, fill) for piece in _joined([piece for piece, _ in drawn])]
+    return [_along(piece, samples, fill) for piece in _joined([piece for piece, _ in drawn], near)]
 
 
 # The shapes of a clip path, each by the polygons of its pieces, whose places are complex numbers.
@@ -304,15 +305,13 @@ def _extends(curve: Any) -> bool:
     return type(curve).__name__ == "Arc" or len(set(curve.bpoints())) > 1
 
 
-def _joined(pieces: list[_Piece]) -> list[_Piece]:
+def _joined(pieces: list[_Piece], near: float) -> list[_Piece]:
     """Pieces with those joined whose ends meet, unless more than two meet at a place; closed ones stay alone.
 
-    Programs for drawing write lines and arcs one by one. Ends meet within a millionth of the drawing's size.
+    Programs for drawing write lines and arcs one by one. Ends meet that are nearer than `near` to each other.
     """
     from scipy.spatial import KDTree
 
-    drawn = np.concatenate([segment.at(_ROUGH) for piece in pieces for segment in piece])
-    near = _NEAR * float(np.hypot(np.ptp(np.real(drawn)), np.ptp(np.imag(drawn))))
     ends = np.array([(piece[0].at(0.0), piece[-1].at(1.0)) for piece in pieces])
     places = np.stack([np.real(ends), np.imag(ends)], axis=-1).reshape(-1, 2)
     free = np.flatnonzero(np.repeat(np.abs(ends[:, 0] - ends[:, 1]) > near, 2))

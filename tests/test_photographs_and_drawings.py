@@ -393,6 +393,18 @@ SHOWN = {
         big('fill-opacity="0"') + big('opacity="0.0"') + big('fill="none" stroke="red" stroke-width="0px"'),
         (0, -3, 4, 0),
     ),
+    "frames in colours that are seen through": (
+        big('fill="rgba(9, 9, 9, 0)"')
+        + big('style="fill: #12f0"')
+        + big('fill="rgb(9 9 9 / 0.0%)"')
+        # Three numbers, of which none is an opacity.
+        + '<rect width="9" height="9" fill="rgb(9,9,0)"/>',
+        (0, -9, 9, 0),
+    ),
+    "words in capitals": (
+        big('style="Display: NONE"') + big('fill="None"') + big('visibility="Hidden"'),
+        (0, -3, 4, 0),
+    ),
     "a line around nothing": (big('fill="none" stroke="red"'), (0, -100, 100, 0)),
     "a line that a group gives": (f'<g stroke="red" fill="none">{big()}</g>', (0, -100, 100, 0)),
     "paint that is taken over": (

@@ -61,7 +61,7 @@ class StyleSheet:
 
     def said(self, part: Element, around: Mapping[str, str]) -> dict[str, str]:
         """How a part is shown, by its style, else by rules, else by attributes, else by what it inherits."""
-        found = {**around, **{name: part.attrib[name] for name in _SAID if name in part.attrib}}
+        found = {**around, **{name: _word(part.attrib[name]) for name in _SAID if name in part.attrib}}
         classes = dict.fromkeys(f".{name}" for name in part.get("class", "").split())
         for level in (("*",), (kind_of(part),), classes, (f"#{part.get('id')}",)):
             several = [rule for name in level for rule in self._rules.get(name, ())]
@@ -75,7 +75,8 @@ class StyleSheet:
         """Whether a shape has a fill or a stroke, so far as the sheet tells."""
         width = {"fill": "1", "stroke": said.get("stroke-width", "1")}
         return not self._paints or any(
-            said[name] not in ("none", "transparent")
+            said[name] != "none"
+            and not _is_clear(said[name])
             and not any(map(is_zero, (width[name], said.get(f"{name}-opacity", "1"))))
             for name in width
         )
@@ -84,7 +85,20 @@ class StyleSheet:
 def _rules(text: str) -> dict[str, str]:
     """The rules of a style by name, `display: none; ...`."""
     pairs = (rule.split(":", 1) for rule in text.split(";") if ":" in rule)
-    return {name.strip(): value.replace("!important", "").strip() for name, value in pairs}
+    return {name.strip().lower(): _word(value.replace("!important", "").strip()) for name, value in pairs}
+
+
+def _word(value: str) -> str:
+    """A value in small letters if it is one word, whose case does not matter."""
+    return value.lower() if re.fullmatch(r"\s*[A-Za-z]+\s*", value) else value
+
+
+def _is_clear(colour: str) -> bool:
+    """Whether nothing is seen of a colour: by its word, its last digits or the last of its four numbers."""
+    inside = re.fullmatch(r"\s*\w+\(([^()]*)\)\s*", colour)
+    numbers = re.split(r"[\s,/]+", inside[1].strip()) if inside else []
+    digits = re.fullmatch(r"\s*#([0-9a-fA-F]{3}0|[0-9a-fA-F]{6}00)\s*", colour)
+    return colour == "transparent" or digits is not None or (len(numbers) == 4 and is_zero(numbers[3]))
 
 
 def is_zero(text: str) -> bool:

@@ -675,6 +675,20 @@ def test_a_spline_of_a_dxf_ends_where_its_knots_say(degree, weights, modelspace)
     np.testing.assert_allclose(abs(polygon_area(found)), polygon_area(curve), rtol=1e-5)
 
 
+def test_a_closed_spline_of_a_dxf_has_control_points_or_ends_where_it_begins(modelspace):
+    """Through points alone it would be read as open: how a program closes it is not in the file."""
+    space, points = modelspace
+    places = [(10, 0), (10, 10), (0, 10), (-3, 2)]
+    spline = space.add_spline(places)
+    assert len(points()) == 400
+    spline.closed = True
+    with pytest.raises(ValueError, match="a closed spline has no control points"):
+        points()
+    spline.fit_points = [(x, y, 0) for x, y in [*places, places[0]]]
+    found = points()
+    assert np.linalg.norm(found[0] - found[-1]) < 2.0 * np.linalg.norm(found[0] - found[1])
+
+
 def test_the_frame_of_a_fitted_polyline_is_no_part_of_it(modelspace):
     """A curve through points at 4 mm from (5, 5), and the square from which a program made it."""
     space, points = modelspace

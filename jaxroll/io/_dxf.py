@@ -124,6 +124,10 @@ def _plain(curve: Any) -> Iterator[Any]:
         curve.vertices[:] = [vertex for vertex in curve.vertices if not vertex.dxf.flags & _FRAME]
     if curve.dxftype() == "SPLINE" and len(curve.control_points):
         _clamp(curve)
+    elif curve.dxftype() == "SPLINE" and curve.closed:
+        ends = np.array(curve.fit_points)[[0, -1]]
+        if np.any(ends[0] != ends[1]):
+            raise ValueError("a closed spline has no control points")
     yield curve
 
 

@@ -533,7 +533,8 @@ def test_a_section_is_an_axis_and_a_place_in_millimetres(capfd):
     for wrong in ("w=1", "z", "z=", "z=2e6", "z=-2e6", "12"):
         with pytest.raises(SystemExit):
             given(wrong)
-    capfd.readouterr()
+        said = capfd.readouterr().err
+        assert ("such as z=12.5, but was " + wrong in said) == (wrong in ("w=1", "z", "z=", "12"))
 
 
 def test_a_page_that_needs_a_library_is_said_and_not_named(tmp_path, monkeypatch):

@@ -58,7 +58,7 @@ def _section(number: Callable[..., Any]) -> Callable[[str], tuple[str, float]]:
 
     def convert(text: str) -> tuple[str, float]:
         axis, _, place = text.partition("=")
-        if axis not in ("x", "y", "z"):
+        if axis not in ("x", "y", "z") or not place:
             raise argparse.ArgumentTypeError(f"must be an axis and a place, such as z=12.5, but was {text}")
         return axis, 1e-3 * number(-1e6, 1e6)(place)
 

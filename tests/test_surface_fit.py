@@ -155,3 +155,12 @@ def test_points_given_twice_count_once_and_normals_stay_with_their_points():
     assert fit.report.normals[1] < np.radians(10.0)  # turned at random they would be 90 degrees off
     with pytest.raises(ValueError, match="argument"):
         fit_surface(cloud, normals[:0], smoothing=0.02)
+
+
+@pytest.mark.parametrize("pressed", [(1.0, 0.0, 0.0), (1.0, 1.0, 0.0)])
+def test_points_exactly_on_a_line_or_in_a_plane_are_refused_in_a_sentence(pressed):
+    """Squares of the distance from a plane are zero on it with their slopes, without third derivatives."""
+    u = np.random.default_rng(0).normal(size=(162, 3))
+    u = 0.01 * u / np.linalg.norm(u, axis=1)[:, None]
+    with pytest.raises(ValueError, match="argument points must tell the field of a surface, but they leave"):
+        fit_surface(u * np.array(pressed))

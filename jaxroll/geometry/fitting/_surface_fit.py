@@ -181,7 +181,7 @@ class _Problem:
             where H maps the points' heights to those of the fit, estimated as the mean of $z^T H z / n$
             (Hutchinson).
         """
-        from scipy.linalg import cho_solve_banded, cholesky_banded
+        from scipy.linalg import cho_solve_banded
 
         grid = grid_around(self.points, wavelength / _CELLS, _ROOM)
         scale = wavelength / (2.0 * np.pi * grid.step)
@@ -193,7 +193,7 @@ class _Problem:
         flat = np.eye(3) - (1.0 - _LENGTH) * self.normals[:, :, None] * self.normals[:, None, :]
         band = normal_band(grid, data, value, np.sqrt(slope)[:, None, None] * flat)
         band += 3.0 / 16.0 * scale**5 * roughness_band(grid)
-        factor = (cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False), True)
+        factor = (_factor(band), True)
         # The right-hand side G^T G n: `flat` times itself takes n to a hundredth of n.
         right = np.zeros(band.shape[1])
         for k, axis in enumerate(AXES):
@@ -217,6 +217,23 @@ class _Problem:
             answer = cho_solve_banded(factor, right, check_finite=False)
             used += float(probe @ np.sum(functions * answer[places], axis=1)) / probes.size
         return surface, square, used
+
+
+def _factor(band: np.ndarray) -> np.ndarray:
+    """The triangular factor of the normal equations, which takes their place.
+
+    Raises:
+        ValueError: If the points leave some of the field open.
+    """
+    from scipy.linalg import cholesky_banded
+
+    try:
+        return cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False)
+    except np.linalg.LinAlgError:
+        raise ValueError(
+            "argument points must tell the field of a surface, but they leave it open, as those do that lie "
+            "exactly in a plane or on a line"
+        ) from None
 
 
 def _surface(grid: Grid, found: np.ndarray) -> SplineSurface:

@@ -19,7 +19,7 @@ import numpy as np
 from ._drawing import check_scale, finite, reading, without_outline
 from ._extra import missing
 from ._outline import filled_places, filled_polygon, without_repeats
-from ._svg_style import inherited, is_zero, kind_of, OUTERMOST, StyleSheet
+from ._svg_style import GEOMETRY, inherited, is_zero, kind_of, OUTERMOST, StyleSheet
 
 # Least angles [rad] of a corner: between straight pieces, and between any.
 _ANY, _SHARP = 1e-9, 0.02
@@ -153,6 +153,7 @@ class _Walk:
         clips += self._clip(said, matrix, users)
         around = inherited(said)
         if kind in CONVERSIONS and said["visibility"] == "visible":
+            _check_size(part, said)
             text = CONVERSIONS[kind](_rounded(part) if kind == "rect" else part)
             yield _Track(text, matrix, clips, self.sheet.painted(said))
         elif kind == "use":
@@ -200,8 +201,9 @@ def _transform(part: Element, said: Mapping[str, str]) -> np.ndarray:
     """The matrix of a part's own transform, which must stand in its attribute."""
     from svgpathtools.parser import parse_transform
 
-    if said.get("transform", "none") != part.get("transform", "none"):
-        raise ValueError(f"the transform of a {kind_of(part)} stands in its style")
+    for name in ("transform", "rotate", "translate", "scale"):
+        if said.get(name, "none") != part.get(name, "none"):
+            raise ValueError(f"the {name} of a {kind_of(part)} stands in its style")
     if said.get("mask", "none") != "none":
         raise ValueError(f"a {kind_of(part)} has a mask")
     with warnings.catch_warnings():
@@ -249,6 +251,19 @@ def _window(part: Element, sized: Element) -> np.ndarray:
     free = size - scales * box[2:]
     at = np.array([shares.get(fit[1:4], 0.0), shares.get(fit[5:8], 0.0)]) * free - scales * box[:2]
     return place @ _shift(*at.tolist()) @ np.diag([*scales, 1.0])
+
+
+def _check_size(part: Element, said: Mapping[str, str]) -> None:
+    """Raise for a shape that is made by its style, or has a size below zero; of none it shows nothing."""
+    for name in GEOMETRY:
+        text = part.get(name)
+        if said.get(name, "auto").strip().lower() != (text or "auto").strip().lower():
+            raise ValueError(f"the {name} of a {kind_of(part)} stands in its style")
+        if name in ("r", "rx", "ry", "width", "height") and text and text.strip().startswith("-"):
+            raise ValueError(f"a {kind_of(part)} has the {name} {text}")
+    for name in {"circle": ("r",), "ellipse": ("rx", "ry")}.get(kind_of(part), ()):
+        if part.get(name, "auto") == "auto":
+            raise ValueError(f"a shape of kind {kind_of(part)} has no {name}")
 
 
 def _rounded(rect: Element) -> Element:

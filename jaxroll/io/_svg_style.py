@@ -11,11 +11,13 @@ from xml.etree.ElementTree import Element
 _SHOWN = {
     "display": ("inline", "block"),
     "visibility": ("visible",),
-    **dict.fromkeys(("transform", "clip-path", "mask"), ("none",)),
+    **dict.fromkeys(("transform", "rotate", "translate", "scale", "clip-path", "mask"), ("none",)),
 }
+# What makes a shape, which is read from its attributes alone.
+GEOMETRY = ("d", "r", "cx", "cy", "rx", "ry", "x", "y", "width", "height")
 # What is said of paint, and of the point that a transform leaves where it is.
 _PAINT = ("fill", "fill-opacity", "stroke", "stroke-opacity", "stroke-width", "opacity")
-_SAID = (*_SHOWN, *_PAINT, "transform-origin")
+_SAID = (*_SHOWN, *_PAINT, *GEOMETRY, "transform-origin")
 _INHERITED = ("visibility", *_PAINT[:-1])
 _SIMPLE = re.compile(r"[.#]?[\w-]+|\*")
 # What the outermost part inherits.

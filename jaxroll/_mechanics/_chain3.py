@@ -25,7 +25,7 @@ from jaxtyping import Array
 
 from .._linalg import plus, Pose3, rotation, sincos, square, Sym3, tangents, total, Twist3, unstack, Vec3
 from .._types import Scalar, Scalars
-from .._xla import once
+from .._xla import at_once, once
 from ..contact import Motion
 from ..geometry import AbstractSurface
 from ._body import AbstractFinger, Inertia, Spin
@@ -262,10 +262,10 @@ def _work(axis: Vec3, rate: Vec3, torque: Vec3, force: Vec3) -> Scalar:
     return plus(axis.dot(torque), rate.dot(force))
 
 
-@functools.partial(jax.jit, inline=True)
-def unit(vectors: Array) -> Array:
+@at_once
+def unit(xp: Any, vectors: Array) -> Array:
     """Vectors along the last axis, scaled to unit length."""
-    return vectors / jnp.linalg.norm(vectors, axis=-1, keepdims=True)
+    return vectors / xp.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
 def chain_of(finger: Any) -> Chain3:

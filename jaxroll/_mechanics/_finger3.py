@@ -26,7 +26,7 @@ from .._xla import at_once
 from ..contact import Motion
 from ..geometry import AbstractSurface
 from ._body import AbstractFinger, Inertia, Spin
-from ._chain3 import Chain3, chain_of
+from ._chain3 import Chain3, chain_of, unit
 from ._finger import check_limits, check_links
 from ._object3 import check_inertia
 
@@ -42,12 +42,7 @@ def as_surface(name: str, surface: Any) -> AbstractSurface:
 def as_direction(name: str, vectors: Array) -> Array:
     """Vectors scaled to unit length."""
     check_direction(name, vectors)
-    return _unit(vectors)
-
-
-@at_once
-def _unit(xp: Any, vectors: Array) -> Array:
-    return vectors / xp.linalg.norm(vectors, axis=-1, keepdims=True)
+    return unit(vectors)
 
 
 def _as_axes(name: str, axes: Array) -> Array:

@@ -19,7 +19,7 @@ import numpy as np
 from ._drawing import check_scale, finite, reading, without_outline
 from ._extra import missing
 from ._outline import filled_places, filled_polygon, without_repeats
-from ._svg_style import GEOMETRY, inherited, is_zero, kind_of, OUTERMOST, StyleSheet
+from ._svg_style import GEOMETRY, inherited, is_zero, kind_of, OUTERMOST, StyleSheet, TRANSFORMS
 
 # Least angles [rad] of a corner: between straight pieces, and between any.
 _ANY, _SHARP = 1e-9, 0.02
@@ -153,7 +153,7 @@ class _Walk:
         clips += self._clip(said, matrix, users)
         around = inherited(said)
         if kind in CONVERSIONS and said["visibility"] == "visible":
-            _check_size(part, said)
+            _check_shape(part, said)
             text = CONVERSIONS[kind](_rounded(part) if kind == "rect" else part)
             yield _Track(text, matrix, clips, self.sheet.painted(said))
         elif kind == "use":
@@ -201,7 +201,7 @@ def _transform(part: Element, said: Mapping[str, str]) -> np.ndarray:
     """The matrix of a part's own transform, which must stand in its attribute."""
     from svgpathtools.parser import parse_transform
 
-    for name in ("transform", "rotate", "translate", "scale"):
+    for name in TRANSFORMS:
         if said.get(name, "none") != part.get(name, "none"):
             raise ValueError(f"the {name} of a {kind_of(part)} stands in its style")
     if said.get("mask", "none") != "none":
@@ -253,7 +253,7 @@ def _window(part: Element, sized: Element) -> np.ndarray:
     return place @ _shift(*at.tolist()) @ np.diag([*scales, 1.0])
 
 
-def _check_size(part: Element, said: Mapping[str, str]) -> None:
+def _check_shape(part: Element, said: Mapping[str, str]) -> None:
     """Raise for a shape that is made by its style, or has a size below zero; of none it shows nothing."""
     for name in GEOMETRY:
         text = part.get(name)

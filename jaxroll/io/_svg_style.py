@@ -7,11 +7,13 @@ import re
 from collections.abc import Mapping
 from xml.etree.ElementTree import Element
 
+# What moves a part, which is read from the attribute `transform` alone.
+TRANSFORMS = ("transform", "rotate", "translate", "scale")
 # How a part may be shown, by attributes, styles and rules, and the values that do nothing.
 _SHOWN = {
     "display": ("inline", "block"),
     "visibility": ("visible",),
-    **dict.fromkeys(("transform", "rotate", "translate", "scale", "clip-path", "mask"), ("none",)),
+    **dict.fromkeys((*TRANSFORMS, "clip-path", "mask"), ("none",)),
 }
 # What makes a shape, which is read from its attributes alone.
 GEOMETRY = ("d", "r", "cx", "cy", "rx", "ry", "x", "y", "width", "height")

@@ -108,8 +108,7 @@ def each(check: Check | None = None) -> Any:
     def converted(name: str, value: Any, wanted: Shape | None) -> Any:
         array = as_array(name, value)
         if array.ndim == 0 and wanted is not None:
-            filled = jnp.full if traced(array) else np.full  # NumPy has no program to compile
-            array = as_array(name, filled(wanted, array))  # pyright: ignore
+            array = jnp.full(wanted, array)
         array = as_floats(name, array, (None,) if wanted is None else wanted)
         return array if check is None else check(name, array)
 

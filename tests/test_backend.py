@@ -1,5 +1,6 @@
 """One kernel per run: the attribute is there, changes no result, and stays away from what does not fit."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -132,6 +133,17 @@ def test_small_functions_of_known_numbers_are_computed_by_numpy(dtype):
     np.testing.assert_allclose(slopes[0], [[0.5, 0], [0, 0.5], [1, 0], [0, 1]])
     np.testing.assert_allclose(slopes[1], [0, 0, 1, 1])
     assert modules[2:] and set(modules[2:]) == {jnp}
+
+
+def test_numbers_of_python_do_not_take_a_scene_out_of_single_precision():
+    """They are of a weak type, which JAX fits to that of the arrays that they meet; NumPy's are not."""
+    single = np.float32
+    bodies = jxr.scenes.rectangle(single(0.03), single(0.05)), jxr.scenes.cuboid(single(0.03), single(0.05))
+    assert [body.inertia.dtype for body in bodies] == [single, single]
+    law = jxr.control.Opposition(20.0, damping=0.006, alpha=1e-3, start=np.zeros(2, single))
+    grasp, state = jax.tree.map(lambda x: x.astype(single), jxr.scenes.pinch())
+    run = jxr.simulate(eqx.tree_at(lambda g: g.controller, grasp, law), state, 0.01, rtol=1e-4, atol=1e-5)
+    assert run.last.q.dtype == single and run.result == jxr.RESULTS.successful
 
 
 def test_quick_programs_are_compiled_with_their_options(monkeypatch):

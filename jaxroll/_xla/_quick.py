@@ -77,7 +77,9 @@ def at_once(function: Callable[Concatenate[Any, _P], _R]) -> Callable[_P, _R]:
 
     @functools.wraps(function)
     def call(*args: _P.args, **named: _P.kwargs) -> _R:
-        if traced((args, named)):
+        # Numbers of Python, of a weak type, take the precision of arrays that they meet; NumPy's do not.
+        kinds = {leaf.weak_type for leaf in jax.tree.leaves((args, named)) if isinstance(leaf, jax.Array)}
+        if len(kinds) > 1 or traced((args, named)):
             return compiled(*args, **named)
         # Python's own numbers stay what they are, and have no precision of their own.
         known, options = jax.tree.map(lambda x: np.asarray(x) if eqx.is_array(x) else x, (args, named))

@@ -142,7 +142,7 @@ def pinch3d(
     grasp, state = close(Grasp(body, fingers, contacts, gravity=gravity), guess, hold_contacts=False)
     gains = lambda c: [c.beta, c.damping]  # noqa: E731
     scaled = [
-        gain if callable(gain) else _product(gain, factor)
+        gain if callable(gain) else gain * factor
         for gain, factor in zip(gains(control), sizes.gains, strict=True)
     ]
     control = eqx.tree_at(gains, control, scaled)
@@ -202,9 +202,3 @@ def _guess(tips: tuple[AbstractSurface, ...], faces: list[AbstractSurface], size
 @at_once
 def _joined(xp: Any, vectors: list[Array]) -> Array:
     return xp.concatenate(vectors)
-
-
-@at_once
-def _product(xp: Any, a: Array, b: Array) -> Array:
-    del xp
-    return a * b

@@ -428,6 +428,10 @@ SHOWN = {
         '<rect width="9" height="9" transform="translate(1 0)" transform-origin="3 3"/>',
         (1, -9, 10, 0),
     ),
+    "numbers that signs and points keep apart": (
+        '<rect width="9" height="8" transform="translate(1-2)scale(2.5.5)"/>',
+        (1, -2, 23.5, 2),
+    ),
     "a radius of zero": ('<rect width="40" height="10" rx="0" ry="3"/>', (0, -10, 40, 0)),
 }
 

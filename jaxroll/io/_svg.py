@@ -27,6 +27,7 @@ _NEAR = 1e-6  # ends of lines and curves meet within this share of the drawing's
 _ROUGH = np.linspace(0.0, 1.0, 5)  # parameters of a segment that tell how large a drawing is
 _FINE = 64  # intervals of the parameter of a curved piece, from which its length is summed
 _GROUPS = ("svg", "g", "a", "switch")  # parts of an SVG that show what is in them
+_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
 # Metres in the units in which a drawing may state its width.
 _LENGTHS = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "pt": 0.0254 / 72, "pc": 0.0254 / 6, "q": 2.5e-4}
 
@@ -208,7 +209,8 @@ def _transform(part: Element, said: Mapping[str, str]) -> np.ndarray:
         raise ValueError(f"a {kind_of(part)} has a mask")
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # a transform that is not understood would be left out
-        matrix = parse_transform(part.get("transform"))
+        # Numbers that only a sign or a second point keeps apart, `scale(.5.25)`, get spaces between them.
+        matrix = parse_transform(_NUMBER.sub(r" \g<0> ", part.get("transform", "")))
     origin = said.get("transform-origin", "0 0")
     if not all(map(is_zero, origin.split())) and np.any(matrix[:2, :2] != np.eye(2)):
         raise ValueError(f"the transform of a {kind_of(part)} has the origin {origin!r}")

@@ -701,6 +701,19 @@ def test_a_closed_spline_of_a_dxf_has_control_points_or_ends_where_it_begins(mod
     assert np.linalg.norm(found[0] - found[-1]) < 2.0 * np.linalg.norm(found[0] - found[1])
 
 
+def test_a_spline_of_a_dxf_may_go_through_a_point_twice_in_a_row(modelspace):
+    """The second time counts for nothing, and a spline through no other point shows nothing."""
+    space, points = modelspace
+    places = [(10, 0), (10, 10), (0, 10), (-3, 2)]
+    spline = space.add_spline(places)
+    once = points()
+    spline.fit_points = [place for place in places for _ in range(2)]
+    np.testing.assert_array_equal(points(), once)
+    for nothing in (places[:1] * 2, []):
+        space.add_spline(nothing or places).fit_points = nothing
+    np.testing.assert_array_equal(points(), once)
+
+
 def test_the_frame_of_a_fitted_polyline_is_no_part_of_it(modelspace):
     """A curve through points at 4 mm from (5, 5), and the square from which a program made it."""
     space, points = modelspace

@@ -124,10 +124,15 @@ def _plain(curve: Any) -> Iterator[Any]:
         curve.vertices[:] = [vertex for vertex in curve.vertices if not vertex.dxf.flags & _FRAME]
     if curve.dxftype() == "SPLINE" and len(curve.control_points):
         _clamp(curve)
-    elif curve.dxftype() == "SPLINE" and curve.closed:
-        ends = np.array(curve.fit_points)[[0, -1]]
-        if np.any(ends[0] != ends[1]):
+    elif curve.dxftype() == "SPLINE":
+        points = np.array(curve.fit_points, float)
+        if curve.closed and len(points) and np.any(points[0] != points[-1]):
             raise ValueError("a closed spline has no control points")
+        # Of a point twice in a row the second counts for nothing; ezdxf would divide by its distance.
+        again = np.append(False, np.all(points[1:] == points[:-1], axis=1)) if len(points) else []
+        curve.fit_points = [point for point, skipped in zip(points, again, strict=True) if not skipped]
+        if len(curve.fit_points) < 2:
+            return
     yield curve
 
 

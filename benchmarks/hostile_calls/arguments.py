@@ -354,7 +354,7 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
         "time": _is("number", 0.1),
         # Three numbers beside an impulse in space, of three numbers.
         "angular": _is("number", 1e-6, "three numbers"),
-        "point": _is("array", (0.0, 0.01), "two numbers"),
+        "point": _is("array", (0.0, 0.01), "two numbers", "three numbers", "its last twice"),
     },
     "resume": {"run": _ANY_RUN},
     "strike": {"blow": _made("part", lambda: jxr.loads.Impulse((0.0, 1e-4), 0.1))},
@@ -468,10 +468,10 @@ EXCEPTIONS: dict[str, dict[str, Argument]] = {
     "Push": {
         "force": _is("array", (0.2, 0.0), "three numbers", "its last twice"),
         "start": _is("number", 0.1),
-        "point": _is("array", (0.0, 0.01), "three numbers"),
+        "point": _is("array", (0.0, 0.01), "three numbers", "its last twice"),
     },
     "Spring": {
-        "point": _is("array", (0.0, 0.01), "three numbers"),
+        "point": _is("array", (0.0, 0.01), "three numbers", "its last twice"),
         "damping": _is("number", 0.1),
     },
     "Steps": {"times": _is("array", (0.5,))},

@@ -164,7 +164,11 @@ def test_judge_sees_an_event_that_success_hides(few):
     lane = lane_of(runs, "contact_lost")
     # What a run over the event would say, which the one with many saved times stops at.
     runs[0].code[lane], runs[0].t_end[lane] = "successful", scene["t1"][lane]
-    assert any(text.startswith("missed: many saved times") for text in verdicts(scene, runs).wrong[lane])
+    missed = lambda: [text for text in verdicts(scene, runs).wrong[lane] if "many saved times" in text]  # noqa: E731
+    assert len(missed()) == 1
+    # A chaotic motion comes to it at another time in every run: it need not come in all of them.
+    runs[2].t_end[lane] *= 1.01
+    assert not missed()
 
 
 @pytest.mark.parametrize("limit", ["force", "cone", "room", "bend"])

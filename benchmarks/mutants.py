@@ -40,10 +40,16 @@ _LONGEST = (60.0, 5.0)
 EQUIVALENT: dict[tuple[str, ...], str] = {
     (
         "jaxroll/geometry/contours/_table.py",
-        "Table.frame",
-        "row[:6]",
-        "(row)",
+        "Table._cell",
+        "each[:6]",
+        "(each)",
     ): "a quintic reads its first six coefficients alone",
+    (
+        "jaxroll/_fingerprint.py",
+        "of_lowered",
+        '_sha(rest, digest("main"))',
+        "(_sha(digest('main'), rest))",
+    ): "a digest of the same two parts in another order tells programs apart as well",
     (
         "jaxroll/geometry/fitting/_bounded_curve.py",
         "_minimum",

@@ -149,9 +149,8 @@ class Limits(eqx.Module):
         return found
 
     def all(self, seen: ContourSamples) -> Array:
-        """All of `excess` in one vector; without limits one entry that is kept, as none may be empty."""
-        parts = list(self.excess(seen).values())
-        return jnp.concatenate(parts) if parts else jnp.full(1, -1.0)
+        """All of `excess` in one vector."""
+        return jnp.concatenate(list(self.excess(seen).values()))
 
 
 def margins(frames: Frenet2, scale: Scalar) -> Array:

@@ -134,8 +134,13 @@ def looking(scene: Scene3) -> tuple[float, float]:
     # from behind, the one nearest to the usual azimuth is taken.
     across = np.degrees(np.arctan2(normal[1], normal[0]))
     choices = across + np.array([_ASIDE, -_ASIDE, 180.0 - _ASIDE, 180.0 + _ASIDE])
-    off = np.abs((choices - _VIEW[1] + 180.0) % 360.0 - 180.0)
-    return _VIEW[0], float((choices[np.argmin(off)] + 180.0) % 360.0 - 180.0)
+    nearest = choices[np.argmin(np.abs(_within_a_turn(choices - _VIEW[1])))]
+    return _VIEW[0], float(_within_a_turn(nearest))
+
+
+def _within_a_turn(degrees: np.ndarray) -> np.ndarray:
+    """The same directions, from -180 to 180 degrees."""
+    return degrees - 360.0 * np.round(degrees / 360.0)
 
 
 def _matched(grasp: Grasp, motion: Motion3D) -> None:

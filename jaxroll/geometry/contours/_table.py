@@ -61,8 +61,8 @@ class Table(eqx.Module):
 
         The tangent is normalised, so that the frame is orthonormal to rounding on the coarsest table.
         """
-        row, local = self._cell(s)
-        point, first, second = zip(_horner(row[:6], local), _horner(row[6:], local), strict=True)
+        x, y, local = self._cell(s)
+        point, first, second = zip(_horner(x, local), _horner(y, local), strict=True)
         direction, bend = Vec2(*first), Vec2(*second)
         inverse = 1.0 / jnp.sqrt(direction.dot(direction))
         curvature = direction.cross(bend) * inverse**3
@@ -70,11 +70,11 @@ class Table(eqx.Module):
 
     def point(self, s: Scalar) -> Vec2:
         """The point alone."""
-        row, local = self._cell(s)
-        return Vec2(_value(row[:6], local), _value(row[6:], local))
+        x, y, local = self._cell(s)
+        return Vec2(_value(x, local), _value(y, local))
 
-    def _cell(self, s: Scalar) -> tuple[list[Scalar], Scalar]:
-        """Coefficients of the cell of s, and the position in it: in [0, 1) unless beyond an open end."""
+    def _cell(self, s: Scalar) -> tuple[list[Scalar], list[Scalar], Scalar]:
+        """Coefficients of x and y in the cell of s, and the place in it: in [0, 1) unless beyond an end."""
         cells = self.coefficients.shape[0]
         position = (s - self.start) * (cells / self.length)
         # floor is constant between cells; stop_gradient keeps JAX from tracing its derivative, zero.
@@ -86,7 +86,8 @@ class Table(eqx.Module):
             # Beyond an end the last polynomial is continued.
             index = whole = jnp.clip(whole, 0.0, cells - 1.0)
         row = self.coefficients[index.astype(int)]
-        return [row[..., i] for i in range(12)], position - whole
+        each = [row[..., i] for i in range(12)]
+        return each[:6], each[6:], position - whole
 
 
 def _value(c: list[Scalar], x: Scalar) -> Scalar:

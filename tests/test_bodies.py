@@ -324,6 +324,23 @@ def test_bodies_near_what_is_refused():
     assert given.prescribed
 
 
+def test_turned_inertia_is_symmetric_to_rounding_in_single_precision():
+    """Of an ellipsoid, m/5 (b^2 + c^2) along its own axes, which are turned by SciPy's matrix."""
+    axes, turn = np.array([0.02, 0.03, 0.025]), np.array([1.0, 0.2, 0.3, 0.4], np.float32)
+    matrix = Rotation.from_quat(turn[[1, 2, 3, 0]]).as_matrix()
+    mass = 4.0 / 3.0 * np.pi * 1000.0 * axes.prod()
+    expected = matrix @ np.diag(0.2 * mass * ((axes**2).sum() - axes**2)) @ matrix.T
+    given = matrix.astype(np.float32) @ np.float32(np.diag(np.diag(matrix.T @ expected @ matrix)))
+    given = given @ matrix.T.astype(np.float32)
+    assert abs(given - given.T).max() > 1e-9 * abs(given).max()
+    body = jxr.FreeObject3(BALL, np.float32(mass), given)
+    np.testing.assert_allclose(body.inertia, expected, rtol=1e-4, atol=1e-10)
+    surface = jxr.Ellipsoid(*np.float32(axes)).moved(np.zeros(3, np.float32), turn)
+    uniform = jxr.FreeObject3.uniform(surface, np.float32(1000.0))
+    assert uniform.inertia.dtype == np.float32
+    np.testing.assert_allclose(uniform.inertia, expected, rtol=1e-4, atol=1e-10)
+
+
 def test_what_functions_of_a_grasp_look_at_before_they_are_compiled(scene):
     grasp, state = scene
 

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from .._fields import real, taken, through
 from .._linalg import normalised, Pose3, pose_at, quaternion_product, Sym3, Twist3, UNIT_AXES, unstack, Vec3
 from .._results import as_array, as_floats, as_several, check_instance, check_positive, concrete, shown
-from .._types import Given, Scalar, Scalars
+from .._types import ByPrecision, Given, Scalar, Scalars
 from .._xla import at_once, once
 from ..contact import Motion
 from ..geometry import AbstractSurface, mass_properties
@@ -23,6 +23,8 @@ from ._body import AbstractBody, Coordinate, Inertia, Spin
 Surfaces = tuple[AbstractSurface, ...]
 # Names of the four numbers of an orientation in space, scalar first.
 QUATERNION = ("qw", "qx", "qy", "qz")
+# Of a symmetric tensor that was turned, rounding leaves this difference, relative to its largest entry.
+_SYMMETRIC = ByPrecision(1e-9, 1e-5)
 
 
 def _as_surfaces(name: str, surfaces: Any) -> Surfaces:
@@ -50,7 +52,8 @@ def check_inertia(name: str, tensors: Array) -> Array:
     if seen is None:
         return tensors
     gaps = abs(seen - seen.swapaxes(-1, -2)).max(initial=0.0)
-    if gaps > 1e-9 * abs(seen).max(initial=0.0) or not np.all(np.linalg.eigvalsh(seen) > 0):
+    most = _SYMMETRIC.of(tensors) * abs(seen).max(initial=0.0)
+    if gaps > most or not np.all(np.linalg.eigvalsh(seen) > 0):
         raise ValueError(f"argument {name} must be symmetric and positive definite, but was {shown(seen)}")
     return tensors
 

@@ -426,6 +426,17 @@ def test_public_shapes(name, shape):
     assert surface.normal_curvature(at, np.ones((*shape, 3))).shape == shape
 
 
+def test_leading_axes_that_do_not_fit_are_named():
+    ball = Sphere(A)
+    with pytest.raises(ValueError, match="arguments at and direction must have shapes that fit"):
+        ball.normal_curvature(np.full((4, 3), A), np.ones((3, 3)))
+    with pytest.raises(ValueError, match="arguments point and guess must have shapes that fit"):
+        ball.near(np.full((2, 4, 3), A), np.full((3, 3), A))
+    # What can be broadcast is: three directions at each of two places.
+    found = ball.normal_curvature(np.full((2, 1, 3), A / np.sqrt(3.0)), np.eye(3))
+    np.testing.assert_allclose(found, np.full((2, 3), 1.0 / A), rtol=1e-12)
+
+
 def test_moved_surface_is_the_surface_moved():
     """Against the rotation matrix of SciPy."""
     rotations = pytest.importorskip("scipy.spatial.transform").Rotation

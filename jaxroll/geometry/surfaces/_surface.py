@@ -16,6 +16,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ..._linalg import normalised, Pose3, pose_at, tangents, UNIT_AXES, unstack, Vec3
@@ -116,7 +117,8 @@ class AbstractSurface(AbstractShape):
         points = _last("point", point, 3)
         if guess is None:
             return _near(tabled(self), points, None)
-        return _near(tabled(self), points, _last("guess", guess, self.coordinates))
+        begin = _last("guess", guess, self.coordinates)
+        return _near(tabled(self), *_broadcast(point=points, guess=begin))
 
     def point(self, at: Given) -> Float[Array, "... 3"]:
         """Points [m] at coordinates `at` of shape (..., coordinates)."""
@@ -146,7 +148,8 @@ class AbstractSurface(AbstractShape):
 
         What `direction` has along the normal is left out.
         """
-        return _normal_curvature(self._frames(at), _last("direction", direction, 3))
+        places, along = _broadcast(at=self._at(at), direction=_last("direction", direction, 3))
+        return _normal_curvature(self._frames(places), along)
 
     def forms(self, at: Given) -> tuple[Float[Array, "... 2 2"], Float[Array, "... 2 2"]]:
         """First and second fundamental form, in the chart's own tangents or else in `tangents`.
@@ -209,6 +212,19 @@ def _last(name: str, value: Given, size: int) -> Array:
     if array.ndim == 0 or array.shape[-1] != size:
         raise ValueError(f"argument {name} must have shape (..., {size}), but had shape {array.shape}")
     return as_floats(name, array, (None,) * array.ndim)
+
+
+def _broadcast(**given: Array) -> list[Array]:
+    """Arguments by name, broadcast along all axes but the last."""
+    shapes = [array.shape for array in given.values()]
+    try:
+        leading = np.broadcast_shapes(*(shape[:-1] for shape in shapes))
+    except ValueError:
+        raise ValueError(
+            f"arguments {' and '.join(given)} must have shapes that fit but for the last axis, "
+            f"but had shapes {' and '.join(map(str, shapes))}"
+        ) from None
+    return [jnp.broadcast_to(array, (*leading, array.shape[-1])) for array in given.values()]
 
 
 def _mapped(function: Callable[..., Any], *arrays: Array) -> Any:

@@ -180,6 +180,17 @@ def test_where_a_value_ends_to_be_a_number_is_a_boundary():
     assert found.runs < 0.4 * grid.rows
 
 
+def test_infinities_of_either_sign_and_nan_are_boundaries_between_each_other():
+    """As of margins: minus infinity where a blow ends a run, infinity where nothing does."""
+    grid = jxr.Parameters.grid(x=np.linspace(-1.0, 1.0, 65), y=np.linspace(-1.0, 1.0, 33))
+    outcomes = ((-jnp.inf, jnp.inf), (jnp.nan, jnp.inf), (-jnp.inf, jnp.nan))
+    for low, high in outcomes:
+        found = jxr.adaptive_map(lambda p: jnp.where(p.x > p.y, high, low), grid, tolerance=1.0)  # noqa: B023
+        exact = grid.shaped(np.where(grid.x > grid.y, high, low))
+        np.testing.assert_array_equal(found.values, exact)
+        assert found.runs < grid.rows / 2
+
+
 def test_all_chunks_are_of_one_shape_and_compile_once():
     traced = []
 

@@ -90,7 +90,7 @@ def adaptive_map(
         outcome: From one row of the parameters, `p.damping`, to a pytree of arrays, by JAX operations: such
             as `simulate(*make(p), t1, throw=False).result` or `stability.assess(*make(p)).verdict`. Whole
             numbers, truth values and codes are codes (make a count floating), and so is whether a value with
-            a tolerance is finite.
+            a tolerance is a number, NaN, or infinite with either sign.
         grid: From `Parameters.grid`, or products of such, with values that rise or fall along each axis.
         levels: How often a coarse cell is halved.
         tolerance: For floating values, one number for all or by name where the outcome is a dict: cells are
@@ -174,15 +174,21 @@ def _any_exceeds(spreads: list[tuple[Spread, float]], lines: Any) -> np.ndarray:
 def _spreads(
     found: list[np.ndarray], known: np.ndarray, limits: list[float | None]
 ) -> list[tuple[Spread, float]]:
-    """What decides where to refine: codes, values with their limits, and which of these are finite."""
+    """What decides where to refine: codes, values with their limits, and which of these are no numbers."""
     spreads = []
     for values, limit in zip(found, limits, strict=True):
         if values.dtype.kind != "f":
             spreads.append((Spread(values.astype(np.int64), known), 0.0))
         elif limit is not None:
             spreads.append((Spread(values, known), limit))
-            spreads.append((Spread(np.isfinite(values).astype(np.int64), known), 0.0))
+            spreads.append((Spread(_endless(values), known), 0.0))
     return spreads
+
+
+def _endless(values: np.ndarray) -> np.ndarray:
+    """A code that tells infinity, minus infinity and NaN from each other, and from numbers, which have 0."""
+    signs = np.where(np.isinf(values), np.sign(values), 0.0)
+    return np.where(np.isnan(values), 2.0, signs).astype(np.int64)
 
 
 def _limits(results: Any, tolerance: Any) -> list[float | None]:

@@ -207,6 +207,19 @@ def test_step_limit_keeps_what_was_computed(scene):
     assert within(1.001 * float(limit.t_end)).result == jxr.RESULTS.max_steps_reached
 
 
+@pytest.mark.parametrize("derivative", [jax.grad, jax.jacfwd])
+def test_runs_that_fail_in_a_derivative_say_why(scene, derivative):
+    """Outside of `jit` the code is known there, though what is differentiated is traced."""
+    grasp, state = scene
+
+    def turned(damping, **options):
+        return jxr.simulate(grasp.with_(damping=damping), state, 1.0, ts=1, max_steps=8, **options).last.q[0]
+
+    with pytest.raises(RuntimeError, match=r"The step limit was reached at t = 0\.\d+ s, after 8 steps"):
+        derivative(turned)(0.006)
+    assert np.isfinite(derivative(lambda damping: turned(damping, throw=False))(0.006))
+
+
 def test_end_of_an_open_contour_is_a_code(scene):
     """The same motion on an object contour that ends where the contact will pass."""
     _, state = scene

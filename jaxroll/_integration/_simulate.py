@@ -407,6 +407,8 @@ def _checked(trajectory: Trajectory, off: Array) -> Trajectory:
     codes = concrete(trajectory.result._value)
     if codes is None or not codes.any():
         return trajectory
+    # In a derivative outside of `jit` the code is known, and so are the values of what is differentiated.
+    off, stats = jax.lax.stop_gradient((off, trajectory.stats))
     if codes == RESULTS.unreachable._value:
         raise ValueError(unclosed(off))
-    raise RuntimeError(complaint(trajectory))
+    raise RuntimeError(complaint(eqx.tree_at(lambda run: run.stats, trajectory, stats)))

@@ -282,6 +282,20 @@ def test_pictures_want_saved_times(scene, run, missing, tmp_path):
             draw(scene[0], times, *file)
 
 
+def test_runs_print_in_a_derivative(scene):
+    """Where their counts are known and all else is traced."""
+    grasp, state = scene
+    seen = []
+
+    def turned(force):
+        run = jxr.simulate(grasp.with_(force=force), state, 0.1, ts=3, throw=False)
+        seen.append(str(run))
+        return run.last.q[0]
+
+    jax.grad(turned)(0.5), jax.grad(turned)(-0.5)  # the second one ends at its start
+    assert seen == 2 * ["Trajectory (being traced)"]
+
+
 def test_the_shapes_of_a_run_print(run):
     assert str(jax.eval_shape(lambda: run)) == "Trajectory (shapes alone)"
 

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 from .._mechanics import check_not_cut, Labels, State
 from .._motion import Energy, Multipliers, Residuals
 from .._printing import code_name, listed
-from .._results import as_array, check_instance, concrete, is_array_like, RESULTS, shown
+from .._results import as_array, check_instance, is_array_like, RESULTS, shown, traced
 from .._types import Given, Times
 from ._dataset import dataset_of
 from ._dense import Dense, states_at
@@ -191,7 +191,7 @@ class Trajectory(eqx.Module):
         return dataset_of(self)
 
     def __str__(self) -> str:
-        if concrete(self.stats.steps) is None:
+        if traced(self):  # a derivative traces what moves alone, and so not the counts
             return "Trajectory (being traced)"
         if isinstance(self.stats.steps, jax.ShapeDtypeStruct):
             return "Trajectory (shapes alone)"  # as `jax.eval_shape` gives it

@@ -311,6 +311,8 @@ def test_margin_ends_where_an_open_contour_does():
     assert np.isfinite(margin(tip, np.array([-0.03, 0.0, 0.03]))).all()
     with pytest.raises(ValueError, match=r"argument s must lie between .*-0.03 and 0.03 m, but was \[0.05\]"):
         margin(tip, [0.0, 0.05])
+    with pytest.raises(ValueError, match=r"argument s must lie between .*-0.03 and 0.03 m, but was \[0.05\]"):
+        jax.grad(lambda s: margin(tip, s))(0.05)
     found = jax.jit(lambda s: margin(tip, s))(jnp.array([0.0, 0.05]))
     assert np.isfinite(found[0]) and np.isnan(found[1])
     circle = jxr.Circle(0.01)  # closed: it has no end

@@ -472,6 +472,7 @@ def margin(contour: AbstractContour, s: Given) -> Float[Array, "..."]:
     found, beyond = _without(found, s, low, high)
     seen = concrete(beyond)
     if seen is not None and np.any(seen):
+        s, low, high = jax.lax.stop_gradient((s, low, high))  # their values, in a derivative too
         raise ValueError(
             f"argument s must lie between the contour's ends, {low:g} and {high:g} m, but was "
             f"{shown(np.asarray(s)[seen])}"

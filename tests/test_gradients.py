@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.tree_util import Partial
 
 import jaxroll as jxr
 from tests.measures import both_slopes, taylor_remainders
@@ -262,3 +263,26 @@ def test_a_run_that_ends_where_nothing_is_finite_has_the_derivative_of_what_it_r
     np.testing.assert_allclose(forwards, slopes, rtol=1e-6)
     # The second of them leaves out the lane that failed, by a weight of zero.
     np.testing.assert_allclose([backwards for *_, backwards in both], forwards, rtol=1e-9)
+
+
+def test_runs_with_gains_or_whole_numbers_beside_the_grasp_have_both_derivatives(scene):
+    """The gains of `CSM` and numbers of a caller's table are arrays without a derivative, in every loop."""
+    grasp, state = scene
+
+    def turned(damping, table, method, formulation, rtol=1e-8):
+        push = lambda table, t, pose, twist: (jnp.zeros(2), 1e-4 * table[1] * jnp.cos(40.0 * t))  # noqa: E731
+        pushed = grasp.with_(damping=damping, load=Partial(push, table))
+        options = {"solver": method, "formulation": formulation, "rtol": rtol}
+        return jxr.simulate(pushed, state, 0.03, ts=1, **options).last.q[0]
+
+    table, whole = jnp.arange(1.0, 4.0), jnp.arange(1, 4)
+    sides = [turned(0.006 + h, table, None, jxr.Index1(), 1e-11) for h in (-1e-5, 1e-5)]
+    exact = (sides[1] - sides[0]) / 2e-5
+    cases = (
+        (jax.jacfwd, None, jxr.Index1(), whole),
+        (jax.jacfwd, None, jxr.CSM(), table),
+        (jax.grad, jxr.Rosenbrock(), jxr.CSM(), whole),
+    )
+    for derivative, method, formulation, numbers in cases:
+        along = jax.jit(derivative(lambda d: turned(d, numbers, method, formulation)))  # noqa: B023
+        assert float(along(0.006)) == pytest.approx(float(exact), rel=1e-6)

@@ -51,12 +51,11 @@ def pulled(function: Callable) -> Callable:
     """
 
     def mapped(*args: Any) -> Any:
-        moving, still = eqx.partition(args, eqx.is_inexact_array)
-        plain = lambda moving: function(*eqx.combine(moving, still))  # noqa: E731
+        plain, moving, still = _apart(function, args)
         call = jax.custom_vjp(plain)
-        back = lambda moving, bars: jax.vjp(plain, moving)[1](bars)  # noqa: E731
-        call.defvjp(lambda moving: (call(moving), moving), shared(back))
-        return call(moving)
+        back = shared(lambda moving, still, bars: jax.vjp(lambda x: plain(x, still), moving)[1](bars)[0])
+        call.defvjp(lambda *both: (call(*both), both), lambda both, bars: (back(*both, bars), None))
+        return call(moving, still)
 
     return mapped
 
@@ -65,13 +64,29 @@ def pushed(function: Callable) -> Callable:
     """A function whose tangents share what they use more than once."""
 
     def mapped(*args: Any) -> Any:
-        moving, still = eqx.partition(args, eqx.is_inexact_array)
-        plain = lambda moving: function(*eqx.combine(moving, still))  # noqa: E731
+        plain, moving, still = _apart(function, args)
         call = jax.custom_jvp(plain)
-        call.defjvp(shared(lambda here, ways: jax.jvp(plain, here, ways)))
-        return call(moving)
+        ahead = shared(lambda moving, still, ways: jax.jvp(lambda x: plain(x, still), (moving,), (ways,)))
+        call.defjvp(lambda both, ways: ahead(*both, ways[0]))
+        return call(moving, still)
 
     return mapped
+
+
+def _apart(function: Callable, args: Any) -> tuple[Callable, Any, Any]:
+    """A function of the arguments that have a derivative, and of all other arrays; and both of them.
+
+    Its rule for a derivative may not close over the latter, such as whole numbers in a caller's law, or gains
+    of a formulation where `function` is a method: those of a loop are traced no more when the rule is asked.
+    """
+    moving, still = eqx.partition(args, eqx.is_inexact_array)
+    arrays, rest = eqx.partition((function, still), eqx.is_array)
+
+    def plain(moving: Any, arrays: Any) -> Any:
+        function, still = eqx.combine(arrays, rest)
+        return function(*eqx.combine(moving, still))
+
+    return plain, moving, arrays
 
 
 def _run(jaxpr: jec.Jaxpr, consts: Sequence[Any], args: Sequence[Any]) -> list[Any]:

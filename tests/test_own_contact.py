@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 
 import jaxroll as jxr
 from jaxroll._mechanics import to_leaves
-from jaxroll._motion import bodies
+from jaxroll._motion import bodies, check_rolling
 from jaxroll.contact import AbstractContact
 from jaxroll.contact._from_gap import derived_bias, derived_margin
 from jaxroll.plotting._panels import _rolled, panels
@@ -353,6 +353,21 @@ class NoTangency(Teeth):
 
     def tangency(self, poses: Any, touch: Any) -> Any:
         return ()
+
+
+# What a contact of surfaces is by itself: its place, its gap and its tangency.
+_BARE = ("axes", "touched", "rows", "slack", "form", "touch", "gap", "tangency", "onto", "shift")
+_BARE = {name: vars(jxr.Contact3)[name] for name in (*_BARE, "equations", "equation_names")}
+
+
+def test_an_own_contact_of_surfaces_rolls_though_its_gap_takes_part_in_that() -> None:
+    """Its place has four numbers and its tangency three: the gap changes as either point alone moves."""
+    fields = {"__annotations__": {"finger": int, "surface": int, "friction": Any}, "friction": None}
+    kind = type("Surfaces", (jxr.AbstractContact,), {**_BARE, **fields, "spin": "free", "line": False})
+    grasp, state = jxr.scenes.pinch3d()
+    own = grasp.with_contacts(*(kind(c.finger, c.surface) for c in grasp.contacts))
+    assert own.own_contacts == (0, 1)
+    check_rolling(own, state)
 
 
 def test_own_contacts_that_do_not_fit_are_refused(teeth: Any) -> None:

@@ -105,8 +105,8 @@ def derived_settled(
 ) -> Any:
     """The place at which tangency holds, to first order, after a small turn of the fingertip."""
     touch = contact.touch(shapes, place)
-    # The turn alone: what the displacement of the origins does to the tangency is of the size of the gap that
-    # was removed, and is left to the next call.
+    # Only the turn is taken into account: the change of the tangency by the displacement of the origins is of
+    # the size of the gap that was removed, and is left to the next call.
     rates = poses[0].turning(turned), jax.tree.map(lambda _: 0.0, poses[1])
     change = _tangency_rate(contact, poses, rates, touch)
     left = [a + b for a, b in zip(jax.tree.leaves(tangency), change, strict=True)]
@@ -162,7 +162,7 @@ def _slopes(contact: Any, shapes: _Shapes, place: Any, poses: _Pair) -> tuple[li
 
 
 def _sizes(contact: Any, shapes: _Shapes, place: Any, poses: _Pair) -> tuple[list[Scalar], list[Scalar]]:
-    """Along each direction of `shift`: the sizes of all terms of both parts of `_slopes`, signs left out."""
+    """Sums of the absolute values of all terms of both parts of `_slopes`, by directions of `shift`."""
     leaves, structure = jax.tree.flatten(_arrays(contact.touch(shapes, place)))
 
     def both(*leaves: Any) -> tuple[list[Any], Scalars]:
@@ -180,12 +180,13 @@ def _sizes(contact: Any, shapes: _Shapes, place: Any, poses: _Pair) -> tuple[lis
 
 
 def derived_slip(contact: Any, shapes: _Shapes, place: Any, poses: _Pair) -> Scalar:
-    """How much the gap changes as the place alone moves, against the terms of that: zero where it rolls.
+    """How much the gap changes as the place alone moves, over the terms of that: zero where it rolls.
 
-    Asked only where the tangency determines the place by itself; else the gap takes part in that.
+    Zero too for a place with more numbers than the tangency, as of two surfaces: its rate is found such that
+    the gap does not change (`_normal_matrix`).
     """
     tilts, gaps = _slopes(contact, shapes, place, poses)
-    if not contact.slack or len(tilts[0]) > contact.slack:
+    if not contact.slack or len(tilts[0]) < contact.slack:
         return jnp.zeros(())
     _, sizes = _sizes(contact, shapes, place, poses)
     shares = [
@@ -196,7 +197,7 @@ def derived_slip(contact: Any, shapes: _Shapes, place: Any, poses: _Pair) -> Sca
 
 
 def check_numbers(contact: Any, name: str, shapes: _Shapes) -> None:
-    """Raise unless the gap and the tangency of a caller's own contact have as many numbers as it says."""
+    """Raise unless gap and tangency of a contact have the numbers that `rows` and `slack` promise."""
 
     def found(shapes: _Shapes) -> tuple[list[Any], list[Any], Any]:
         ready = tuple(shape.prepared() for shape in shapes)
@@ -229,7 +230,7 @@ def check_numbers(contact: Any, name: str, shapes: _Shapes) -> None:
 
 
 def _still(axes: int) -> Any:
-    """The pose of a frame that is the world's."""
+    """The pose of the world's own frame."""
     if axes == 2:
         return _arrays(Pose2(Vec2(0.0, 0.0), 1.0, 0.0))
     return _arrays(Pose3(*(Vec3(*row) for row in np.eye(4, 3, -1).tolist())))
@@ -238,8 +239,8 @@ def _still(axes: int) -> Any:
 def _normal_matrix(tilts: list[Scalars], gaps: list[Scalars]) -> Factor:
     r"""Factor of $J^T J$, where $J$ holds the derivatives of tangencies and gaps along the place.
 
-    Where the place has as many numbers as the tangency, the gaps' part vanishes in contact. In space it is
-    what holds the points on both surfaces to one velocity.
+    Where the place has as many numbers as the tangency, the gaps' part vanishes in contact. Between two
+    surfaces it is what makes the points on both move with one velocity.
     """
     columns = [(*(x * _ARM for x in tilt), *gap) for tilt, gap in zip(tilts, gaps, strict=True)]
     return factorise([[inner(a, b) for b in columns[: i + 1]] for i, a in enumerate(columns)])

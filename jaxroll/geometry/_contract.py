@@ -125,7 +125,7 @@ def check_once_round(name: str, shape: Any) -> None:
 
 
 def _members(value: Any) -> Iterator[Any]:
-    """A contour or surface, and those inside it; what is in a foreign one is its own affair."""
+    """A contour or surface, and those inside it; not those inside a caller's own, which is checked whole."""
     if isinstance(value, AbstractContour | AbstractSurface):
         yield value
         if is_foreign(value):
@@ -202,7 +202,7 @@ def _members_fault(contour: AbstractContour) -> str | None:
 def _about(contour: AbstractContour, start: Given) -> str | None:
     """What is wrong with a contour at a contact's start, and near it if it has no ends.
 
-    A start beyond an end is nothing to be said of the contour: it may be no number there.
+    Nothing is, where the start lies beyond an end: there the contour need not be defined.
     """
     with jax.ensure_compile_time_eval():
         here, ends = float(np.asarray(start)), contour.domain()

@@ -1,4 +1,4 @@
-"""What contours and surfaces have in common: work that is done once for a shape, and not in every evaluation.
+"""What contours and surfaces have in common: work that is done once for a shape, not in every evaluation.
 
 There are two kinds. `tabled` builds tables over arclength by a program of its own, kept by the shape's
 identity, so that all runs with the shape share it. `prepared` works out the rest that does not depend on the

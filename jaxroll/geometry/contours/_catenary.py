@@ -20,8 +20,8 @@ class Catenary(AbstractContour):
     and $s$ in (82) as $s^2$ (unit speed needs both).
 
     Args:
-        a: Radius of curvature at the vertex, in metres, positive; at most 1000 m, since points are rounded as
-            `a` is.
+        a: Radius of curvature at the vertex, in metres, positive; at most 1000 m, since points have the
+            rounding error of `a`.
         domain: First and last arclength [m]; None for a curve without ends.
 
     Raises:

@@ -144,7 +144,7 @@ class Ellipse(AbstractContour):
 
     Raises:
         ValueError: If an axis is not a length, or the cells are too few. Axes that JAX traces get 1024 cells
-            by default, and a table of NaN beyond a ratio of 16: no run with it is successful.
+            by default, and beyond a ratio of 16 a length of NaN: no run with it is successful.
 
     Example:
         >>> import jaxroll as jxr

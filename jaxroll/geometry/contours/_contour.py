@@ -3,7 +3,7 @@ r"""The contract of a contour: a plane curve $c(s)$ by its arclength $s$, so tha
 Unit tangent $b = c'$ and curvature $\kappa = b \times b'$ follow from the point alone, (8)-(10), by
 `_frenet`. Every contour of the package is an `AbstractContour`: `_closed_forms` and `_catenary` write point
 and frame out, `_table` reads them from a table. `contact` takes a `Frenet2` of each of two contours, and
-design its free numbers (`_free_numbers`).
+`design` changes a contour's free numbers (`_free_numbers`).
 """
 
 import abc
@@ -29,8 +29,8 @@ class AbstractContour(AbstractDesigned):
     With tangent $b = c'(s)$, the outward normal is $b$ turned by -90 degrees and the curvature
     $\kappa$ is positive where the body is convex. Lengths are in metres, in the body's frame.
 
-    To add a contour, subclass this and give `curve`, `domain`, `closed` and `smoothness`; nothing
-    else in the package has to be told of it. Everything else has a default, which a class overrides where it
+    To add a contour, subclass this and give `curve`, `domain`, `closed` and `smoothness`; no other
+    module of the package needs a change. Everything else has a default, which a class overrides where it
     knows better:
 
     - `frame`, where there is a closed form. `curve` and `frame` take and return scalars (`Vec2`), since they
@@ -48,7 +48,7 @@ class AbstractContour(AbstractDesigned):
     @property
     @abc.abstractmethod
     def smoothness(self) -> float:
-        """Continuous derivatives of the point; fewer than the solver's order plus one lower it."""
+        """How many continuous derivatives the point has; fewer than a solver's order plus one lower it."""
 
     @abc.abstractmethod
     def curve(self, s: Scalar) -> Vec2:
@@ -100,7 +100,7 @@ def _frame_arrays(contour: AbstractContour, s: Array) -> tuple[Array, Array, Arr
     return jax.tree.map(lambda leaf: leaf.reshape(s.shape + leaf.shape[1:]), found)
 
 
-# Angle [rad] between two axes, or of an offset to the side, that counts as none; and a length [m] that does.
+# Angle [rad] between two axes, or of an offset against one, that counts as zero; and a length [m] that does.
 _LEVEL = ByPrecision(1e-12, 1e-6)
 _NEARBY = 1e-12
 
@@ -115,7 +115,7 @@ class Moved(AbstractContour):
         origin: Arclength [m] at which the placed contour has the point that `contour` has at zero.
 
     Raises:
-        ValueError: If `contour` is none, or another argument is no finite number or of another shape.
+        ValueError: If `contour` is not a contour, or another argument is not finite or of another shape.
 
     Example:
         >>> import jaxroll as jxr
@@ -183,7 +183,7 @@ class Moved(AbstractContour):
         return self.contour.preconditioner(size)
 
     def symmetrised(self) -> "Moved":
-        # What is placed becomes the mirror image about its own x axis, which must lie on the body's.
+        # The placed contour becomes its mirror image about its own x axis, which must lie on the body's.
         angle, offset = concrete(self.angle), concrete(self.offset)
         none = _LEVEL.of(self.angle, self.offset)
         turned = angle is not None and abs(np.sin(angle)) > none

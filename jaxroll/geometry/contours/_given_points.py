@@ -1,4 +1,4 @@
-"""Points that a caller gives, checked and converted to double precision of NumPy: set-up, never traced."""
+"""Points that a caller gives, checked and converted to NumPy's double precision: never traced by JAX."""
 
 from typing import Any
 
@@ -37,7 +37,7 @@ def numbers(name: str, value: Any, width: int) -> np.ndarray:
 def check_extent(name: str, points: np.ndarray) -> None:
     """Raise unless points [m] extend over a length that a shape may have, and no farther from the origin.
 
-    Whoever fits a shape to them takes for granted that their squares and higher powers are numbers still.
+    Fits take for granted that squares and higher powers of the points are finite and not zero.
     """
     with np.errstate(over="ignore"):
         size, far = float(np.ptp(points, axis=0).max()), float(np.abs(points).max())

@@ -45,7 +45,7 @@ class Table(eqx.Module):
     Attributes:
         coefficients: Shape (cells, 12): of x, then of y [m], rising powers of the position in the cell.
         length: Total arclength [m]; NaN where the cells do not resolve the contour.
-        span: The same, a number even there.
+        span: The total arclength [m], also where `length` is NaN.
         start: Arclength at the first cell's beginning [m].
         closed: Whether the last cell joins the first.
     """
@@ -131,8 +131,8 @@ def from_frames(
 def as_it_is_resolved(tree: Any) -> tuple[Any, Array | None]:
     """A pytree whose tables can all be read, and whether one of them does not resolve its contour.
 
-    Where one does not, what is read of it is as far off as its speed is from one, and its length is its span:
-    finite numbers with finite derivatives, for a run that says so by its code. None without tables.
+    A table that does not is given its span for its length. What is then read from it is as inaccurate as its
+    speed is off one, but finite, with finite derivatives; the run says so by its code. None without tables.
     """
     is_table = lambda x: isinstance(x, Table)  # noqa: E731
     tables = [leaf for leaf in jax.tree.leaves(tree, is_leaf=is_table) if is_table(leaf)]
@@ -151,7 +151,7 @@ def as_it_is_resolved(tree: Any) -> tuple[Any, Array | None]:
 
 
 def _unevenness(coefficients: Any, length: Any) -> Any:
-    """Largest difference of a table's speed from one at the quarters of its cells; of NumPy's or JAX's."""
+    """Largest difference of a table's speed from one at the quarters of its cells; for NumPy and for JAX."""
     # dx/ds = (cells / length) sum_p p c_p q^(p - 1) at the quarters q: one product of matrices for all cells.
     power = np.arange(1.0, 6.0)
     weights = (power[:, None] * _BETWEEN[None, :] ** (power[:, None] - 1.0)).astype(coefficients.dtype)

@@ -1,8 +1,9 @@
 r"""Area, centre and second moments of the body within a closed contour, by Green's theorem.
 
-$r \cdot n\,\mathrm{d}s = r \times \mathrm{d}c$ is integrated piece by piece with Gauss-Legendre's rule. The
-derivative is that of the contour's point, not its unit tangent: so that the integral belongs to the curve as
-it is evaluated, a closed one, whatever the error of its table. Circles and ellipses have closed forms.
+$r \cdot n\,\mathrm{d}s = r \times \mathrm{d}c$ is integrated piece by piece with Gauss-Legendre's rule.
+$\mathrm{d}c$ is the derivative of the contour's point and not its unit tangent, so that the integral is that
+of the closed curve as it is evaluated, whatever the error of its table. Circles and ellipses have closed
+forms.
 """
 
 import math

@@ -10,8 +10,8 @@ import numpy as np
 from ..._results import shown
 from ._moments import centred, Moments
 
-# At how many triangles, spread over the area, and of how many parts at most is asked what lies at both sides;
-# how far from the triangle, in roots of its area; and how many triangles are looked at together.
+# At how many triangles, spread over the area, and of how many parts at most, it is checked what lies on both
+# sides; how far from the triangle, in roots of its area; and how many triangles are summed up at a time.
 _ASKED, _ASIDE, _TOGETHER = 12, 1e-3, 1024
 
 

@@ -83,7 +83,7 @@ def difference(one: Moments, other: Moments) -> float:
 
 
 def checked(found: Moments | None, change: float, surface: Any) -> Moments:
-    """Moments of a surface with `change` as their estimated error, if they are those of a body."""
+    """Moments of a surface, with `change` as their estimated error; raise if they are not those of a body."""
     kind = type(surface).__name__
     if found is None or not change <= _ACCURATE:
         raise ValueError(

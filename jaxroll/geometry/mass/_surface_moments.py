@@ -2,7 +2,7 @@ r"""Volume, centre and second moments of the body within a closed surface.
 
 Balls, ellipsoids and superellipsoids are Dirichlet's integrals, a torus has closed forms too. A chart is
 integrated over its domain, $n\,\mathrm{d}A = P_u \times P_v\,\mathrm{d}u\,\mathrm{d}v$, by Gauss-Legendre's
-rule on panels, which are halved until nothing changes. Any other implicit surface is `_level_moments`'.
+rule on panels, which are halved until nothing changes. Any other implicit surface goes to `_level_moments`.
 """
 
 import math
@@ -33,7 +33,7 @@ from ._moments import checked, difference, from_cones, Moments
 
 # Points of Gauss-Legendre's rule along either side of a panel.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
-# Panels along each parameter at first, and at most [of the larger number].
+# Panels along each parameter at first, and at most along the parameter that has more.
 _PANELS, _MOST = 4, 128
 # Panels are halved until the moments change by less than this, relative to their size.
 _SETTLED = 1e-12
@@ -99,7 +99,7 @@ def _chart_moments(chart: AbstractChart) -> Moments:
     counts = [_PANELS, _PANELS]
     if isinstance(chart, Patch):
         counts = [round(float(high - low)) for low, high in ends]
-    # A patch of many cells is refined once all the same.
+    # A patch of more cells than that is still refined once: the change is the estimate of the error.
     most = max(_MOST, 2 * max(counts))
     before, change = None, math.inf
     while max(counts) <= most:

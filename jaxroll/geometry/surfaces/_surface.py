@@ -26,7 +26,7 @@ from ..._xla import once, perturbed, quickly, traced_once
 from .._tabled import AbstractShape, tabled
 from ._gauss import approach, Gauss3, principal
 
-# Steps of Newton's method in `closest`: so many for far starts, and for surfaces far from round.
+# Steps of Newton's method in `closest`: this many, because starts may be far and surfaces far from round.
 _SEARCH = 32
 # A search that ends farther off than this has not arrived; relative to the distances of the point.
 _NEAR = 1e-6
@@ -269,9 +269,10 @@ def _searched(surface: AbstractSurface, point: Vec3, start: Scalars) -> Scalars:
 
 @_closest.def_jvp
 def _closest_jvp(primals: Any, tangents: Any) -> tuple[Scalars, Scalars]:
-    """The derivative of one more Newton step from the closest point, whose own derivative there is zero.
+    """The derivative of one more Newton step from the closest point.
 
-    That of all steps, backwards, is a program ten times as long.
+    It is that of the closest point, since at a root the step does not depend on where it begins, to first
+    order. The derivative of all steps, backwards, is a program ten times as long.
     """
     surface, point, start = primals
     at = _closest(surface, point, start)
@@ -357,8 +358,8 @@ class MovedSurface(AbstractSurfaceOf):
             alone, whose program has no turn.
 
     Raises:
-        ValueError: If `surface` is none, `rotation` is zero, or an argument is not finite or of another
-            shape.
+        ValueError: If `surface` is not a surface, `rotation` is zero, or an argument is not finite or of
+            another shape.
 
     Example:
         >>> import jaxroll as jxr
@@ -398,7 +399,7 @@ class MovedSurface(AbstractSurfaceOf):
         return pose_at(origin, normalised(unstack(self.rotation)))
 
     def frame(self, at: Scalars) -> Gauss3:
-        # Once: XLA would place it again for each number that is made of it.
+        # `once`, because XLA would place the frame again for each number that is computed from it.
         return once(self.surface.frame(at).placed(self.placed()))
 
     def rate(self, at: Scalars, velocity: Vec3) -> Scalars:
@@ -424,7 +425,7 @@ class Hollow(AbstractSurfaceOf):
         surface: The surface of the hole.
 
     Raises:
-        ValueError: If `surface` is none.
+        ValueError: If `surface` is not a surface.
 
     Example:
         >>> import jaxroll as jxr

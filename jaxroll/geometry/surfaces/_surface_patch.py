@@ -21,7 +21,7 @@ from ._tensor_bspline import Axis, axis, block, contracted, ORDER
 class Patch(AbstractChart):
     r"""A surface through a grid of points, $P(i, j) = p_{ij}$, by a tensor product of quintic B-splines.
 
-    The parameters count grid steps. With $u$ along the rows' number and $v$ along the columns',
+    The parameters count grid steps: $u$ runs along the first axis of `points` and $v$ along the second, and
     $P_u \times P_v$ must point out of the body. Differentiable with respect to the points. Beyond an open
     end the last polynomials are continued.
 

@@ -135,7 +135,7 @@ class AbstractContact(eqx.Module):
 
     @abc.abstractmethod
     def tangency(self, poses: tuple[Any, Any], touch: Any) -> Any:
-        """By how much the place misses the one that fits the poses, such as the angle of two tangents."""
+        """By how much the place misses the one that fits the poses: the sine of an angle of two tangents."""
 
     def form(self, shapes: Shapes) -> Any:
         """A place with the right structure for these shapes; its numbers mean nothing. By default one."""
@@ -147,7 +147,7 @@ class AbstractContact(eqx.Module):
         return 1
 
     def shift(self, shapes: Shapes, place: Any, step: Scalars) -> Any:
-        """A place moved over both shapes by a step, `slack` lengths [m]. By default their sum."""
+        """A place moved over both shapes by a step, `slack` lengths [m]; by default number by number."""
         parts, structure = jax.tree.flatten(place)
         if len(parts) != len(step):
             kind = type(self).__name__
@@ -176,7 +176,7 @@ class AbstractContact(eqx.Module):
     ) -> Any:
         """How fast the contact moves over the shapes [m/s], in the directions of `shift`.
 
-        `bend` is what `bend` returned there.
+        The argument `bend` is what the method `bend` returned at this place.
         """
         return from_gap.derived_rolling(self, shapes, place, bodies, touch=touch, bend=bend)
 
@@ -234,7 +234,7 @@ class AbstractContact(eqx.Module):
         return from_gap.derived_margin(self, shapes, place, poses)
 
     def slip(self, shapes: Shapes, place: Any, poses: tuple[Any, Any]) -> Scalar:
-        """How much the gap changes as the place alone moves, over the size of its terms: 0 if it rolls."""
+        """How much the gap changes as the place alone moves, relative to the terms of that: 0 if it rolls."""
         return from_gap.derived_slip(self, shapes, place, poses)
 
     @property
@@ -259,9 +259,9 @@ class AbstractContact(eqx.Module):
         return self._beside(tuple(jax.tree.leaves(tangency)))
 
     def _beside(self, parts: Scalars) -> Any:
-        """Several numbers as the one (or, in space, the vector) that a report has room for.
+        """Several numbers as the one number (in space, the vector) that a report has room for.
 
-        One stands as it is, and so do three in space. Others are given by the root of the sum of squares.
+        Where they fit they are filled up with zeros; more are replaced by the root of their sum of squares.
         """
         room = 1 if self.axes == 2 else 3
         if len(parts) > room:

@@ -1,9 +1,10 @@
 r"""Two surfaces rolling on each other in space: tangency, rolling velocity, and the contact that has them.
 
-The contact points of a fingertip A and an object B move over both with one velocity $s$ (A-1 and A-2: they
-coincide, and so do the tangent planes). The outward normals stay opposite, $n_A = -n_B = -n$. With the shape
-operators $L = \mathrm{d}n$ in world axes their rates are $\dot n_A = -\omega_A \times n + L_A s$ and
-$\dot n_B = \omega_B \times n + L_B s$; their sum is zero, so that in the tangent plane
+The contact points of a fingertip A and an object B move over both with one velocity $s$ (the chapter's
+conditions A-1 and A-2: the points coincide, and so do the tangent planes). The outward normals stay opposite,
+$n_A = -n_B = -n$. With the shape operators $L = \mathrm{d}n$ in world axes, the normals have the rates
+$\dot n_A = -\omega_A \times n + L_A s$ and $\dot n_B = \omega_B \times n + L_B s$. The sum of these is
+zero, so that in the tangent plane
 
 $$ (L_A + L_B)\,s = (\omega_A - \omega_B) \times n. $$
 
@@ -54,7 +55,7 @@ class Touch3:
 def compliance(poses: tuple[Pose3, Pose3], touch: Touch3, line: bool) -> Sym3:
     r"""Inverse of $L_A + L_B$ in the tangent plane, as a matrix in world axes, zero along the normal.
 
-    Two surfaces that touch along a generator have no curvature in it: with `line`, the inverse across it.
+    Two surfaces that touch along a line do not curve along it: with `line`, the inverse is that across it.
     """
     # H = L_A + L_B maps the normal to zero, and is a 2x2 matrix in the tangent plane, with H^-1 =
     # (tr H - H) / det H. With a line its only eigenvalue is k = tr H, and its pseudo-inverse is H / k^2.
@@ -77,8 +78,8 @@ def _as_spin(name: str, spin: Any) -> str:
 class Contact3(AbstractContact):
     r"""A fingertip's surface that rolls on one of the object's surfaces.
 
-    Its place is the point on each surface, in the surface's own coordinates (of an implicit surface three,
-    in the body's frame), so that no chart and no pole comes in.
+    Its place is the point on each surface, in the surface's own coordinates. Those of an implicit surface are
+    the point itself in the body's frame, three numbers, so that there is no chart and no pole.
 
     Args:
         finger: Which finger touches. Static.

@@ -7,7 +7,7 @@ points over both bodies with one velocity, $R_A \dot c_A = R_B \dot c_B$, which 
 $$ \dot g = (v_A + \omega_A \times R_A c_A) - (v_B + \omega_B \times R_B c_B) = A v. $$
 
 The Pfaffian rows $A$ are thus the derivative of the gap **at frozen contact coordinates**: velocities that
-a twist gives at the end of an arm $R c$ (`Twist2.at`, `Twist3.at`). The bias $\dot A v$ is autodiff of them.
+a twist gives at the end of an arm $R c$ (`Twist2.at`, `Twist3.at`). `gap_bias` is the bias $\dot A v$.
 """
 
 from collections.abc import Sequence
@@ -66,7 +66,7 @@ def pfaffian(
     return tuple(unit.at(arms[0]) for unit in tip), tuple(-unit.at(arms[1]) for unit in object_)  # pyright: ignore
 
 
-def gap_bias(bodies: tuple[Motion, Motion], arms: tuple[_Vec, _Vec], drift: tuple[_Vec, _Vec]) -> _Vec:
+def gap_bias(bodies: tuple[Motion, Motion], arms: tuple[_Vec, _Vec], rolling: tuple[_Vec, _Vec]) -> _Vec:
     r"""Second derivative of the gap at $\dot v = 0$, which is $\dot A v$: the product rule on `gap_rate`.
 
     With $\dot g = v + \omega \times r$ at both points: $\dot v + \dot\omega \times r + \omega \times \dot r$.
@@ -74,12 +74,12 @@ def gap_bias(bodies: tuple[Motion, Motion], arms: tuple[_Vec, _Vec], drift: tupl
     Args:
         bodies: Motions of fingertip and object.
         arms: From the frames' origins to the contact points, in world axes.
-        drift: Velocities of these points over their bodies, in world axes.
+        rolling: Velocities of these points over their bodies, in world axes.
     """
-    # An arm R c changes by omega x R c, a twist without velocity at its end, and by R c', the drift.
+    # An arm R c changes by omega x R c, which a twist without velocity gives at its end, and by R c'.
     still = bodies[0].resting().twist.velocity
     first, second = (type(motion.twist)(still, motion.twist.spin) for motion in bodies)
-    moves = first.at(arms[0]) + drift[0], second.at(arms[1]) + drift[1]
+    moves = first.at(arms[0]) + rolling[0], second.at(arms[1]) + rolling[1]
     return gap_rate((bodies[0].bias, bodies[1].bias), arms) + gap_rate((first, second), moves)
 
 

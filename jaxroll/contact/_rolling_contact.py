@@ -42,7 +42,7 @@ class Touch:
 
 
 class AbstractRolling(AbstractContact):
-    """What `Contact` is to a run; its fields are told there."""
+    """What a run reads of a `Contact`, which documents the fields."""
 
     s_tip: eqx.AbstractVar[Float[Array, ""]]
     s_object: eqx.AbstractVar[Float[Array, ""]]
@@ -85,8 +85,8 @@ class AbstractRolling(AbstractContact):
     ) -> Scalars:
         # Velocities of the contact points over their bodies: b_A sigma' and -b_B sigma'.
         tip, body = bodies
-        drift = (tip.pose.turn(touch.tip.tangent) * rolling, body.pose.turn(touch.object.tangent) * -rolling)
-        return tuple(gap_bias(bodies, arms_of((tip.pose, body.pose), touch.points), drift))
+        over = (tip.pose.turn(touch.tip.tangent) * rolling, body.pose.turn(touch.object.tangent) * -rolling)
+        return tuple(gap_bias(bodies, arms_of((tip.pose, body.pose), touch.points), over))
 
     def rolling(
         self,
@@ -124,12 +124,12 @@ class AbstractRolling(AbstractContact):
         tangency: Scalar,
         bend: Scalar,
     ) -> Scalar:
-        # Rolling by sigma turns b_A against -b_B by (kappa_A + kappa_B) sigma. That is to cancel the angle
-        # which is left, `tangency`, and the one by which the bodies turn.
+        # Rolling by sigma turns b_A against -b_B by (kappa_A + kappa_B) sigma. This must cancel the angle
+        # that is left, `tangency`, and the angle `turned` by which the bodies turn.
         return place - (turned + tangency) / bend
 
     def equations(self, poses: tuple[Pose2, Pose2], touch: Touch) -> Scalars:
-        # The whole angle, not its sine, which vanishes too where the shapes overlap with tangents alike.
+        # The angle, not its sine, which is zero also for equal tangents, where the shapes overlap.
         tip, face = poses
         cosine = -tip.turn(touch.tip.tangent).dot(face.turn(touch.object.tangent))
         return (*self.gap(poses, touch), jnp.arctan2(self.tangency(poses, touch), cosine))
@@ -158,7 +158,7 @@ class AbstractRolling(AbstractContact):
         return True
 
     def split_force(self, poses: tuple[Pose2, Pose2], touch: Touch, force: Scalars) -> tuple[Scalar, Scalar]:
-        # The object pushes the fingertip along its outward normal with f, and along -b_0 with lambda.
+        # On the fingertip f acts along the object's outward normal, and lambda along -b_0.
         tangent, push = poses[1].turn(touch.object.tangent), Vec2(*force)
         return push.dot(tangent.right()), -self.sense * push.dot(tangent)
 

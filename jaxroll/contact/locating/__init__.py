@@ -2,8 +2,8 @@
 
 Minima of the sampled distance (`_candidates`, `_samples3`) are refined by Newton's method and checked:
 `_location` in the plane, `_location3` in space, with the equations of `_pair3`. `_answers` holds what both
-return. `_clearance` is the check for overlap that a run makes where it watches for 'penetration'. `close`
-locates contacts so where it is asked to.
+return. `_clearance` is the check for overlap that a run makes where it watches for 'penetration', `_links`
+that of links. `close` locates contacts with this if called with `locate=True`.
 """
 
 from ._answers import (

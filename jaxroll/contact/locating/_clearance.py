@@ -2,10 +2,10 @@ r"""How far a fingertip stays clear of an object, away from their contact too.
 
 A run that is asked for the event 'penetration' calls `clearance` with its poses, in space `clearance3`: the
 samples of the fingertip are compared with the object's faces, and the smallest signed distance is returned.
-Samples are too far apart for that to be accurate: from the lowest one some Newton steps go down the signed
-distance h of one shape's points from the other.
+Samples are too far apart for that to be accurate, so that some Newton steps go down from the lowest one: down
+the signed distance h of one shape's points from the other.
 
-In space, with the foot's normal $n$ and the shape operators $L$ of both, a tangent step $\delta$ changes it
+In space, with the foot's normal $n$ and the shape operators $L$ of both, a tangent step $\delta$ changes h
 by $n \cdot \delta + \frac12 \delta \cdot (L_A + L_B)\, \delta$ where the normals are nearly opposite, so
 that $\delta = -(L_A + L_B)^{-1} n$ in the tangent plane.
 """
@@ -120,8 +120,9 @@ def clearance3(
 ) -> Scalar:
     """Smallest signed distance [m] of a fingertip from an object in space.
 
-    Of a bounded fingertip its points against the object's faces, which must bound a convex body, as in the
-    plane; of one without bounds the points of the object's faces, which must be bounded, against it.
+    The points of a bounded fingertip are measured against the object's faces, which must bound a convex body,
+    as in the plane. With an unbounded fingertip the points of the object's faces, which must then be bounded,
+    are measured against the fingertip.
 
     Args:
         poses: World poses of fingertip and object.

@@ -67,8 +67,8 @@ def links_clearance3(
 def _from_body(found: Sequence[tuple[Array, Any, Array]]) -> tuple[Array, Any]:
     """Signed distance of points from a convex body, and its gradient, from those of its faces.
 
-    Over some face it is the largest height. A point that is over none, but past ends of some, is as far away
-    as the nearest of these ends: from a face on the other side it is farther.
+    Of a point that lies over some faces it is the largest height over these. A point outside that is past
+    the ends of faces instead is as far from the body as from the nearest of these ends.
 
     Args:
         found: Of every face the distance, its gradient, and whether the foot is at an end.
@@ -90,8 +90,9 @@ def _lowest(
 ) -> list[Scalar]:
     """The least height of each chain of links.
 
-    Between the lowest of a link's points and the one beside it is where the height's slope along the link is
-    zero: found by the Illinois method, as beside an end of a face the slope bends, and secants would stay.
+    The slope of the height along a link is zero between the lowest of the link's points and the one beside
+    it. That place is found by the Illinois method: beside an end of a face the slope bends, and plain secants
+    would hardly move.
 
     Args:
         chains: Points in the object's frame.
@@ -133,7 +134,7 @@ def _lowest(
 
     start = share[low], of(slopes, low), share[high], of(slopes, high), jnp.zeros_like(share[low])
     place = _crossing(*counted(_TRIES, turn, start, held)[:4])
-    # At the lowest place the height does not depend on it, to first order.
+    # At the lowest place the height does not change with the place, to first order.
     found, _ = at(jax.lax.stop_gradient(place)[:, None], held)
     each = smaller(found[:, 0], of(sampled, i))
     counts = np.cumsum([0, *(len(chain) - 1 for chain in chains)])
@@ -176,7 +177,7 @@ def links_apart(first: tuple[Any, Any], second: tuple[Any, Any]) -> Scalar:
     s = _between(b * t - c, a)
     left = apart + one * s - two * t
     square = left.dot(left)
-    # Not by `square > 0`: what is not a number stays so.
+    # Not by `square > 0`, with which NaN would become zero.
     return jnp.where(square == 0, 0.0, jnp.sqrt(jnp.where(square == 0, 1.0, square)))
 
 

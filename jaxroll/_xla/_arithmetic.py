@@ -22,7 +22,7 @@ from jax import Array
 from .._results import shown, traceable
 from ._one_kernel import inner_programs, misfits
 
-# Products of more terms than this, all together, are left to a library, which is the faster then.
+# Products of more terms than this in all are left to a library, which is then faster.
 _SMALL = 4096
 
 
@@ -30,7 +30,7 @@ def in_arithmetic(name: str, function: Callable, *args: Any) -> Any:
     """`function(*args)` with small matrix products and updates at one index written out.
 
     Warns where operations are left that break up the kernel of a run; `name` is what the caller calls the
-    function. One that has nothing to be written out is called as it is.
+    function. A function in which there is nothing to write out is called as it is.
     """
     checked = lambda *args: _numeric(name, function(*args))  # noqa: E731
     with traceable(name):

@@ -1,9 +1,9 @@
 """Python's cyclic garbage collector, kept from looking at programs in the making.
 
-A traced program is some hundred thousand objects that all live until it is compiled. The collector counts new
-ones, and goes over the living ones ever again to find cycles among them: a third of the time that tracing and
-lowering take (a gradient of the spatial pinch: 3.8 s without it, 5.4 s with it), and those no cache of
-compiled programs spares.
+A traced program is some hundred thousand objects that all live until it is compiled. As their number grows,
+the collector goes over all of them again and again to find cycles. That is a third of the time that tracing
+and lowering take (a gradient of the spatial pinch: 3.8 s without it, 5.4 s with it), which a cache of
+compiled programs does not save.
 """
 
 import contextlib
@@ -13,7 +13,7 @@ from collections.abc import Iterator
 
 @contextlib.contextmanager
 def uncollected() -> Iterator[None]:
-    """While inside, no cycles are collected; objects without cycles are freed as ever."""
+    """Inside, no cycles are collected; objects outside of cycles are freed as always."""
     was = gc.isenabled()
     gc.disable()
     try:

@@ -38,5 +38,5 @@ def once(tree: Any) -> Any:
 
 
 def as_it_is(function: Callable) -> Callable:
-    """The function itself: where `pulled` may stand, and nothing is differentiated backwards."""
+    """The function itself, given in the place of `pulled` where nothing is differentiated backwards."""
     return function

@@ -4,7 +4,7 @@ XLA's simplification goes over a program until nothing changes any more. Out of 
 not change in it, turn constants included, then folds and sinks the constants again, loop by loop and one
 level a pass: a run of a spatial pinch took eleven passes over the whole program, a fifth of its compilation,
 for machine code that is no faster. So a loop here hands on what it is given (`held`) through a barrier in
-every turn, with which XLA takes it for changing, and counts up to a number that stands in its condition.
+every turn, so that XLA takes it for changing, and counts up to a number that stands in its condition.
 
 Where the condition depends on one number of the state alone, XLA takes that for a counter, and several of its
 passes copy all of a turn that leads to its next value, to find out how many turns there will be: a tenth of
@@ -26,8 +26,8 @@ def repeated(going: Callable[[Any], Any], turn: Callable[[Any, Any], Any], start
         going: Whether there is another turn.
         turn: The next carry.
         start: The first carry.
-        held: A pytree that every turn reads, and none changes. What `turn` closes over beside it is moved by
-            XLA.
+        held: A pytree that every turn reads, and none changes. XLA would move what `turn` closes over
+            instead.
     """
     arrays, still = eqx.partition(held, eqx.is_array)
 

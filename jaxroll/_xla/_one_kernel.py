@@ -33,9 +33,9 @@ shift_right_logical sign sin sinh sqrt square sub tan tanh xor
 _RANDOM = "erf_inv random_bits random_fold_in random_unwrap random_wrap threefry2x32"
 _KNOWN = frozenset((_STRUCTURE + _ARITHMETIC + _RANDOM).split())
 _REDUCTIONS = frozenset(("reduce_max", "reduce_min", "reduce_sum"))
-# For `jax.jit`: XLA keeps to vectors of 256 bits unless told; of 512 a batch takes a tenth less time.
+# For `jax.jit`: XLA uses vectors of 256 bits unless told otherwise; with 512 a batch takes a tenth less time.
 WIDE = {"xla_cpu_prefer_vector_width": 512}
-# Numbers of such a vector.
+# How many numbers of double precision such a vector holds.
 VECTOR = 8
 # Larger reductions of numbers are handed to a library.
 _SMALL = 1024
@@ -68,9 +68,9 @@ def with_lanes(function: Callable[[Any], Any], lanes: Callable[[int, Any, Any], 
         lanes: Of how many lanes there are, of every array whether each lane has its own, and of the arrays.
         arrays: The pytree.
 
-    A single lane is the function itself without the axis, as `jacfwd` in one number asks for: with it that
-    derivative of `scenes.pinch3d` takes 21 s to compile, so 13. Of no lanes there is nothing to work out, and
-    loops over them could not begin: the results are empty arrays.
+    A single lane, as `jacfwd` in one number asks for, is the function itself without the axis: such a
+    derivative of `scenes.pinch3d` then takes 13 s to compile, not 21 s. With no lanes there is nothing to
+    compute, and loops over them could not begin: the results are empty arrays.
     """
 
     @jax.custom_batching.custom_vmap
@@ -108,7 +108,7 @@ def perturbed(values: Any, tangents: Any) -> tuple[Any, Any, Any]:
     """Of the values in a rule of `equinox.filter_custom_jvp`: the arrays that move, all else, the tangents.
 
     Each has None in the places of what it leaves out. A derivative in few of many numbers is then a program
-    of these alone; nothing that `one_kernel` computes is left out for not being read.
+    of these alone. That matters because a kernel computes all its results, whether they are read or not.
     """
     moves = lambda x, dot: x if dot is not None and eqx.is_inexact_array(x) else None  # noqa: E731
     moving = jax.tree.map(moves, values, tangents)
@@ -131,7 +131,8 @@ def in_turn(function: Callable, shared: Any, *rows: Any) -> Any:
 def in_both_modes(function: Callable, args: Any, *, forwards: Callable, backwards: Callable) -> Any:
     """`function(*args)`, differentiated forwards through `forwards` and backwards through `backwards`.
 
-    All work out the same, these two in ways that JAX can differentiate in their modes; once, not twice.
+    All three compute the same; JAX can differentiate `forwards` forwards and `backwards` backwards. There are
+    no second derivatives.
     """
 
     @eqx.filter_custom_jvp
@@ -160,7 +161,7 @@ def _pulled(at: Any, bars: Any) -> Any:
 
 
 def _moved(function: Callable, moving: Any, still: Any) -> Any:
-    """What comes out and has a derivative."""
+    """The floating-point arrays of the result."""
     return eqx.filter(function(*eqx.combine(moving, still)), eqx.is_inexact_array)
 
 
@@ -190,7 +191,7 @@ def _marked(function: Callable, arrays: Any) -> Any:
 
 
 def _widest(kinds: list[Any]) -> Any:
-    """The kind of one vector that can hold numbers of all these, or None: whole ones are below 2^53."""
+    """The dtype of one vector that can hold numbers of all these, or None; integers are below 2^53."""
     floats = {kind for kind in kinds if jnp.issubdtype(kind, jnp.floating)}
     exact = floats == {jnp.dtype("float64")} or (len(floats) == 1 and len(set(kinds)) == 1)
     return floats.pop() if exact else None

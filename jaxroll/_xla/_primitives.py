@@ -55,7 +55,7 @@ def _divided(context: mlir.LoweringRuleContext, x: Any) -> list[Any]:
 # Outside of programs, as where JAX compiles none (`jax.disable_jit`), there is nothing to work out once.
 _BARRIER.def_impl(lambda x: x)
 _BARRIER.def_abstract_eval(lambda x: x)
-# Not kept and called by JAX: what a barrier divides by belongs to its block.
+# Not cacheable: JAX would share a lowered barrier among blocks, and what it divides by belongs to one.
 mlir.register_lowering(_BARRIER, _divided, cacheable=False)
 ad.deflinear2(_BARRIER, lambda bar, _: [_BARRIER.bind(bar)])
 batching.defvectorized(_BARRIER)
@@ -87,21 +87,21 @@ def _attached(context: mlir.LoweringRuleContext, x: Any, *, attributes: tuple) -
 _ATTRIBUTES = "mhlo.frontend_attributes"
 _MARK.def_impl(lambda x, **_: x)
 _MARK.def_abstract_eval(lambda x, **_: x)
-# Not kept and called by JAX: what the mark is for would be out of sight.
+# Not cacheable: JAX would put the mark into a function, where it does not see the operation to be marked.
 mlir.register_lowering(_MARK, _attached, cacheable=False)
 ad.deflinear2(_MARK, lambda bar, _, **__: [bar])
 batching.defvectorized(_MARK)
 
 
 def linear_map(apply: Callable, transpose: Callable, at: Any, x: Any, *, like: Any) -> Any:
-    """`apply(at, x)`, linear in x and differentiable in it, in both modes: `transpose(at, bar)` takes back.
+    """`apply(at, x)`, linear in x and differentiable in both modes; its transpose is `transpose(at, bar)`.
 
     Args:
         apply: Of two pytrees of arrays, to one as `like`; it must not close over traced arrays.
-        transpose: From `at` and cotangents of what comes out, to cotangents as x.
+        transpose: From `at` and cotangents of the result, to cotangents of x.
         at: What else the map depends on; its own derivative is refused.
         x: Floating-point arrays.
-        like: Arrays, of whose shapes and kinds what comes out is.
+        like: Arrays with the shapes and dtypes of the result.
     """
     arrays, still = eqx.partition(at, eqx.is_array)
     fixed, at_form = jax.tree.flatten(arrays)

@@ -1,6 +1,6 @@
-"""What a function made of its last few arguments, kept: tables and checks of contours and grasps.
+"""A cache of what a function made of its last few arguments: tables and checks of contours and grasps.
 
-Two runs with one grasp then share its tables. `_compute_once` is for values within a program.
+`_compute_once` is for values within a program.
 """
 
 import functools
@@ -18,14 +18,14 @@ def remembered(build: Build) -> Build:
 
     For contours and grasps, which never change: two runs with one of them then share its tables.
     """
-    # By identity. The value is kept with what was made of it, so that its number stays its own.
+    # Keyed by `id`. The argument is kept with its result, so that Python gives the id to nothing else.
     kept: dict[int, tuple[Any, Any]] = {}
 
     @functools.wraps(build)
     def door(value: Any) -> Any:
         found = kept.get(id(value))
         if found is not None:
-            # Put last, so that what is still asked for stays, however much else is made beside it.
+            # Moved to the end, so that entries in use stay, however many others are added.
             kept[id(value)] = kept.pop(id(value))
             return found[1]
         made = build(value)

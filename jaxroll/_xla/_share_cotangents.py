@@ -16,7 +16,7 @@ from jax.interpreters.partial_eval import dce_jaxpr
 
 from ._primitives import barrier
 
-# Operations on one number that are as cheap as to read it.
+# Operations on one number that cost no more than to read it, or that XLA does not copy.
 _FREE = frozenset(
     ("neg", "broadcast_in_dim", "convert_element_type", "squeeze", "reshape", "copy", "div", "barrier")
 )
@@ -47,7 +47,8 @@ def shared(function: Callable) -> Callable:
 def pulled(function: Callable) -> Callable:
     """A function whose cotangents share what they use more than once.
 
-    It is worked out again for them: to keep what it leaves costs more, to compile above all.
+    The function is evaluated again for them: to keep its intermediate values takes longer, above all to
+    compile.
     """
 
     def mapped(*args: Any) -> Any:

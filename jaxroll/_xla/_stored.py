@@ -1,4 +1,4 @@
-"""Lowered derivatives beside JAX's cache of compiled programs: another process reads them.
+"""Lowered derivatives, stored beside JAX's cache of compiled programs for other processes.
 
 What JAX stores spares a second process the compiler, but neither tracing nor lowering: for the gradient of a
 spatial pinch these are more than half of its first call, and most of them is the derivative of a run, which
@@ -31,7 +31,7 @@ from .._fingerprint import LIBRARIES, PACKAGES, Reader, root_of, version_of
 
 _OFF: contextvars.ContextVar[bool] = contextvars.ContextVar("off", default=False)
 _PACKAGE = __name__.split(".")[0]
-# Parts of it that no derivative is made of; they hold functions of libraries that draw and print.
+# Parts of this package that no derivative uses; they hold functions of libraries that draw and print.
 _ASIDE = ("plotting", "_cli")
 # Settings of JAX that change what is traced or lowered.
 _SETTINGS = (
@@ -52,7 +52,7 @@ class _Strict(Reader):
     """A reading that ends at functions and classes other than a library's, as the library has them."""
 
     def parts(self, value: Any) -> Iterator[bytes | str]:
-        # Of a traced program rules for derivatives are not read.
+        # `Reader` does not read the rules for derivatives in a traced program.
         if isinstance(value, jec.Jaxpr | jec.ClosedJaxpr | types.ModuleType):
             raise _OwnError
         return super().parts(value)
@@ -65,7 +65,7 @@ class _Strict(Reader):
 
     def kind(self, value: type) -> Iterator[bytes | str]:
         held = [x for base in value.__mro__ for x in vars(base).values()]
-        # Of a named tuple the constructor has a module of its own.
+        # The constructor of a named tuple has a module of its own.
         methods = [x for x in held if isinstance(x, types.FunctionType) and x.__name__ != "__new__"]
         if any(root_of(x) not in LIBRARIES for x in (value, *methods)):
             raise _OwnError
@@ -87,8 +87,8 @@ def stored(function: Callable, about: Any, avals: Sequence[Any]) -> Callable:
 
     Args:
         function: Of arrays, to a list of arrays.
-        about: All that makes it what it is. Of what a caller wrote in it `function` itself is returned.
-        avals: Shapes and kinds of the arrays.
+        about: All that it depends on. If that holds what a caller wrote, `function` itself is returned.
+        avals: Shapes and dtypes of the arrays.
     """
     folder = _folder()
     if folder is None or not _as_installed():
@@ -106,7 +106,7 @@ def stored(function: Callable, about: Any, avals: Sequence[Any]) -> Callable:
             found = jax.export.export(jax.jit(function), platforms=["cpu"])(*kinds)
         except (ValueError, NotImplementedError):  # it calls Python, or a routine of this process
             return function
-        # As another process will read it, so that what is compiled is the same in both.
+        # Read back as another process will read it, so that the same program is compiled in both.
         found = jax.export.deserialize(_written(path, found.serialize()))
     return found.call
 
@@ -143,7 +143,7 @@ def _read(path: pathlib.Path) -> jax.export.Exported | None:
 
 
 def _written(path: pathlib.Path, data: bytearray) -> bytearray:
-    """The same, after it was put into a file, whole or not at all; not every folder takes it."""
+    """The same data, after writing it to a file, whole or not at all; a folder may refuse it."""
     with contextlib.suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
         file = tempfile.NamedTemporaryFile(dir=path.parent, prefix=".", delete=False)

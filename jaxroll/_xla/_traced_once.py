@@ -1,8 +1,8 @@
 """What a value and its derivative have in common, traced once.
 
 Of a function with a rule for its derivative JAX traces the function, and then the rule, which begins by
-computing the same. A compiled function that both call is still traced twice: JAX looks for what it has traced
-by the mesh of devices besides, which in rules is an empty one, and elsewhere none.
+computing the same. A compiled function that both call is still traced twice: the mesh of devices is part of
+the key of JAX's cache of traces, and inside a rule that is an empty mesh, elsewhere none.
 """
 
 import functools

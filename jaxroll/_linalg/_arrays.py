@@ -1,7 +1,6 @@
 """Arrays where a run or its caller wants some: rows of arrays in loops, scalars stacked, sums of rows.
 
-Inside of the equations of motion all numbers are scalars (`_plane`); what carries them from step to step are
-arrays.
+Inside the equations of motion all numbers are scalars (`_plane`); arrays carry them from step to step.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,7 +24,7 @@ def with_row(rows: jax.Array, new: jax.Array, i: Scalar) -> jax.Array:
 
 
 def with_row_selected(rows: jax.Array, new: jax.Array, i: Scalar) -> jax.Array:
-    """The same by a mask: of an update in place JAX makes a scatter under `vmap`, which no kernel holds."""
+    """The same by a mask: under `vmap` JAX makes a scatter of an update in place, which no kernel holds."""
     chosen = jnp.arange(rows.shape[0]) == i
     return jnp.where(chosen[(slice(None), *(None,) * new.ndim)], new, rows)
 
@@ -33,8 +32,8 @@ def with_row_selected(rows: jax.Array, new: jax.Array, i: Scalar) -> jax.Array:
 def largest(values: jax.Array) -> jax.Array:
     """The largest of all numbers of an array; its derivative is that of the first one that is as large.
 
-    To differentiate `jnp.max` JAX compares all numbers with the largest. A program may have worked them out
-    twice and rounded differently: then none is the largest, and the derivative is NaN. A place stays a place.
+    To differentiate `jnp.max` JAX compares all numbers with the largest. A program may have computed them
+    twice, with different rounding: then none equals the largest, and the derivative is NaN. An index is safe.
     """
     flat = jnp.ravel(values)
     return row(flat, jnp.argmax(flat))
@@ -63,7 +62,7 @@ def value_and_jacobian(
 ) -> tuple[jax.Array, jax.Array]:
     """A vector function's value, shape (m,), and its Jacobian, shape (m, n).
 
-    `jax.linearize` goes once more through all: with it `close` in space took 1.2 s to trace, and now 0.8 s.
+    `jax.linearize` goes over all of it once more: with it `close` in space took 1.2 s to trace, not 0.8 s.
     """
     along = lambda way: jax.jvp(function, (at,), (way,))  # noqa: E731
     return jax.vmap(along, out_axes=(None, -1))(jnp.eye(at.shape[0], dtype=at.dtype))

@@ -1,10 +1,10 @@
 r"""Symmetric positive definite matrices of many rows: the factorisation of `_plane` as a loop over an array.
 
 Written out number by number, $L D L^T$ of m rows is $m^3/6$ operations, each of which is compiled: the
-program of a run with sixteen planar fingers, which have 32 rows, takes half a minute, and of more soon longer
-than anybody waits. As a loop it is as long for any number of rows, but it goes over whole rows and columns:
-runs with nine and twelve fingers took one and a half times as long so, and batches of them two and a half to
-four times.
+program of a run with sixteen planar fingers, which have 32 rows, takes half a minute, and one with more
+fingers soon longer than anybody waits. A loop is as long a program for any number of rows, but it goes over
+whole rows and columns: with it runs of nine and twelve fingers took one and a half times as long, and batches
+of them two and a half to four times.
 """
 
 import functools
@@ -39,7 +39,7 @@ def factorise_in_loop(matrix: Float[Array, "m m"]) -> LoopFactor:
         return left - (beyond / row(own, j))[:, None] * beyond[None, :]
 
     left = jax.lax.fori_loop(0, matrix.shape[0], eliminated, matrix)
-    # Not reductions, which of many lanes XLA hands to a library, out of the kernel of a run.
+    # Not reductions: with many lanes XLA hands them to a library, which breaks up the kernel of a run.
     smallest = functools.reduce(jnp.minimum, scalars(_diagonal(left)))
     largest = functools.reduce(jnp.maximum, scalars(_diagonal(matrix)))
     return LoopFactor(left, smallest / largest)

@@ -23,7 +23,7 @@ Triangle = Sequence[Sequence[Scalar]]
 def times(left: Scalar, right: Scalar) -> Scalar:
     """Product; nothing is traced where a factor is Python's own 0.0 or 1.0, as constant entries are.
 
-    Of -1.0 the sign alone is: XLA would join products with constants, and then move the constants about.
+    For -1.0 it is a negation: XLA would join products with constants, and then move the constants about.
     """
     for a, b in ((left, right), (right, left)):
         if isinstance(a, float) and a in (0.0, 1.0, -1.0):
@@ -39,7 +39,7 @@ def plus(left: Scalar, right: Scalar) -> Scalar:
 
 
 def minus(left: Scalar, right: Scalar) -> Scalar:
-    """Difference; of a term that is Python's own 0.0 nothing is traced."""
+    """Difference; where a term is Python's own 0.0, at most a negation is traced."""
     if isinstance(right, float) and right == 0.0:
         return left
     return opposite(right) if isinstance(left, float) and left == 0.0 else left - right
@@ -53,8 +53,8 @@ def opposite(value: Scalar) -> Scalar:
 def root(square: Any) -> Any:
     """Square root, with a derivative of zero at zero.
 
-    There the derivative is infinite, and backwards a cotangent of zero would make NaN of it: of a length that
-    does not count where it vanishes, or that stands behind a `where`.
+    The true one is infinite there, and zero times it is NaN in reverse mode. Take this for a length that does
+    not count where it vanishes, or whose zero a `where` does not select.
     """
     # `where` inside as well: a NaN of the branch that is not taken would be kept.
     zero = square == 0.0
@@ -241,8 +241,8 @@ def unknown_factor(size: int) -> Factor:
 
 def solve(factor: Factor, right: Sequence[Scalar]) -> Scalars:
     """Solve A x = b with a factorised matrix: L y = b, D z = y, L^T x = z."""
-    # Every number of a triangular solve goes into all that follow: of more than three, a copy of each in its
-    # consumers would be many.
+    # Every number of a triangular solve goes into all that follow. With more than three of them, XLA would
+    # make too many copies.
     kept = once if len(factor.lower) > 3 else as_it_is
     forward: list[Scalar] = []
     for row, value in zip(factor.lower, right, strict=True):

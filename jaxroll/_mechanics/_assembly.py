@@ -23,7 +23,7 @@ GraspType = TypeVar("GraspType", bound="AbstractGrasp")
 
 
 class AbstractGrasp(eqx.Module):
-    """What `Grasp` is to a run; its fields are told there."""
+    """What a run reads of a `Grasp`, which documents the fields."""
 
     object: eqx.AbstractVar[Any]
     fingers: eqx.AbstractVar[tuple[AbstractFinger, ...]]
@@ -94,7 +94,7 @@ class AbstractGrasp(eqx.Module):
 
 
 def _jumps(part: Any) -> bool:
-    """Whether a part of a controller or load declares jumps, its own and those of all that is in it."""
+    """Whether a part of a controller or load declares jumps: its own, and those of all parts inside it."""
     return isinstance(part, eqx.Module) and getattr(part, "jumps", None) is not None
 
 

@@ -166,8 +166,8 @@ class AbstractFinger(AbstractBody):
     def prescribed(self) -> bool:
         """Whether its frame moves as a given function of time; then it has no joints (`Grasp` checks it).
 
-        What joints and a given motion add to a gap together would need the twist of either by itself, and a
-        `Motion` has their sum alone.
+        With both, the rate of a gap that is due to the given motion could not be found: it needs the twist of
+        that motion alone, and a `Motion` holds only the sum.
         """
         return False
 

@@ -107,7 +107,7 @@ class Chain3(AbstractFinger):
         armature: Inertias of the joints' rotors [kg m^2]; None without any.
         limits: Least and largest angle of every joint [rad], where there are limits.
         torque_limits: Largest torque of every joint [N m], where there are limits.
-        link_radius: Of the links [m], where it counts.
+        link_radius: Radius of the links as capsules [m]; None without.
     """
 
     base: Scalars
@@ -168,7 +168,7 @@ class Chain3(AbstractFinger):
 
     def _posture(self, q: Scalars) -> _Posture:
         """The chain at these joint angles, from the base to the tip."""
-        # The frame that comes next, before its joint turns: first that of the first joint.
+        # `origin`, `x` and `y` are the next frame before its joint turns: at first that of the first joint.
         origin, x, y, frames = _STILL, Vec3(*self.links[0].x), Vec3(*self.links[0].y), []
         ahead = [
             *((Vec3(*link.x), Vec3(*link.y)) for link in self.links[1:]),

@@ -33,7 +33,7 @@ class AbstractController(eqx.Module):
     def torques(self, t: Scalar, fingers: Sequence[Any]) -> Torques:
         """Joint torques [N m] of every finger at a time [s], from what is sensed of each.
 
-        Of a controller with a memory those with the memory that it begins with.
+        A controller with a memory gives those that belong to the memory that it begins with.
         """
 
     @abc.abstractmethod
@@ -45,7 +45,7 @@ class AbstractController(eqx.Module):
         del joints
 
     def driven(self, t: Scalar, fingers: Sequence[Any], memory: Scalars) -> tuple[Torques, Scalars]:
-        """Joint torques, and the time derivative of the memory; an empty memory is what it begins with."""
+        """Joint torques, and the time derivative of the memory; an empty one stands for the initial one."""
         del memory
         return self.torques(t, fingers), ()
 
@@ -77,8 +77,8 @@ def as_drive(name: str, controller: Any) -> Any:
     if own_memory(name, controller) is None:
         what = "a controller, or callable as f(t, angles, rates, tips)"
         drive = opened(check_callable(name, controller, what, takes=4))
-        # JAX compares leaves that are no arrays by their hash. What has none, as an object that Python's
-        # dataclasses compare by fields, is structure.
+        # JAX compares leaves that are no arrays by their hash. A function without one, such as a dataclass
+        # compared by its fields, becomes structure of the pytree.
         return drive if getattr(type(drive), "__hash__", None) else jax.tree_util.Partial(drive)
     what = "a controller, or with a memory callable as f(t, angles, rates, tips, memory)"
     return check_callable(name, controller, what, takes=5)

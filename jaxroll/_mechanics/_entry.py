@@ -24,7 +24,7 @@ from ._state import check_shapes, State
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 # Names of the arguments that are states, and how many leading axes each may have (one: time).
 _STATES = {"state": 0, "guess": 0, "states": 1}
-# States and times of at most so many numbers are few.
+# States and times with at most this many numbers count as few.
 _FEW = 256
 # By how much the length of a quaternion may differ from one: four decimals, or a step of differences.
 _UNIT = 1e-4
@@ -88,7 +88,7 @@ def _check_turned(name: str, q: Any) -> None:
     if known is None:
         return
     length = np.linalg.norm(known[..., 3:7], axis=-1)
-    if (np.abs(length - 1.0) > _UNIT).any():  # which NaN, of times that were not reached, is not
+    if (np.abs(length - 1.0) > _UNIT).any():  # false for NaN, of times that were not reached
         worst = float(length.flat[np.nanargmax(np.abs(length - 1.0))])
         raise ValueError(
             f"argument {name} must hold a unit quaternion in q[3:7], but its length was {worst:.6g}"
@@ -111,7 +111,7 @@ def compiled(function: _Function) -> _Function:
 
 
 def compiled_for_many(function: _Function) -> _Function:
-    """`compiled` for a function of one state or of many, of which quick machine code is worth the wait."""
+    """`compiled` for a function of one state or of many; for many it is fully optimised."""
     few, many = quickly(function), eqx.filter_jit(function)
 
     def called(grasp: Grasp, *args: Any, **options: Any) -> Any:
@@ -134,7 +134,7 @@ def _guarded(function: _Function, jitted: Callable[..., Any]) -> _Function:
             if at < len(args) or name in options:
                 given = options[name] if name in options else args[at]
                 check_states(grasp, given, name, axes=_STATES[name], unit=name != "guess")
-        # What is too many goes on as it is: `jitted` refuses it.
+        # Arguments beyond the function's own are passed on: `jitted` refuses them.
         known = [_finite_times(name, x) for name, x in zip(names[1:], args, strict=False)]
         args = (*known, *args[len(known) :])
         options = {name: _finite_times(name, x) for name, x in options.items()}

@@ -69,9 +69,9 @@ class Finger(AbstractChain):
             `joint_limit`. Default: none, and then it costs nothing.
         torque_limits: Shape (k,), largest torque of every joint [N m]: a run ends with `torque_limit` where
             the controller asks for more. Default: none, and then it costs nothing.
-        link_radius: Of the links, as capsules from joint to joint and to the tip frame [m]: a run ends with
-            `links_meet` where one meets the object, away from which `reach` keeps them too, or a link of
-            another finger that has a radius. Default: none, and then it costs nothing.
+        link_radius: Radius of the links as capsules, from joint to joint and to the tip frame [m]. A run ends
+            with `links_meet` where one meets the object, or a link of another finger that has a radius.
+            `reach` keeps links away from the object. Default: none, and then it costs nothing.
 
     Raises:
         ValueError: If a shape does not fit, there is no link, a length, mass, inertia, torque limit or the

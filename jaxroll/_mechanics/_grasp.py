@@ -68,7 +68,7 @@ def _as_contacts(name: str, value: Any) -> tuple[Any, ...]:
 
 
 def _as_gravity(name: str, value: Any) -> Any:
-    """None, or a finite array; how long its rows and columns are to be, only the whole grasp knows."""
+    """None, or a finite array; `_check_actions` checks its shape, which depends on the whole grasp."""
     if value is None:
         return None
     array = as_array(name, value)
@@ -114,7 +114,7 @@ class Grasp(AbstractGrasp):
         3
     """
 
-    object: Any = through(_as_object)  # an `AbstractBody`; which one, whoever reads its fields knows
+    object: Any = through(_as_object)  # an `AbstractBody`; `Any`, since readers know which class it is
     fingers: tuple[AbstractFinger, ...] = through(_as_fingers)
     contacts: tuple[Any, ...] = through(_as_contacts)  # `Contact`, `Contact3`, or a caller's own
     controller: Any = through(as_drive)
@@ -163,7 +163,7 @@ class Grasp(AbstractGrasp):
                 )
 
     def _check_actions(self) -> None:
-        """Raise unless controller, gravity and loads are those of such bodies."""
+        """Raise unless controller, gravity and loads fit the bodies and contacts."""
         if isinstance(self.controller, AbstractController):
             self.controller.check(len(self.fingers), self._axes)
             self.controller.check_freedoms(self.coordinates - sum(c.rows for c in self.contacts))
@@ -272,7 +272,7 @@ class Grasp(AbstractGrasp):
 def tabled_grasp(grasp: Grasp) -> Grasp:
     """A grasp, its shapes checked, with the tables of its contours built by a program of their own.
 
-    Not a method, which equinox makes a pytree with each use: that takes 0.08 ms of every call.
+    A function, because equinox makes a pytree of a method with each use, which takes 0.08 ms of every call.
     """
     _check_shapes(grasp)
     return _with_tables(grasp)
@@ -293,10 +293,10 @@ def _check_shapes(grasp: Grasp) -> None:
 
 @remembered
 def _with_tables(grasp: Grasp) -> Grasp:
-    """A copy with the missing tables, or the grasp itself; kept, for caches go by identity.
+    """A copy with the missing tables, or the grasp itself; kept, because other caches go by identity.
 
-    By its tables the object is seen to have an inside. A fingertip may cross itself on its far side, as the
-    last one of a search may, which is worth a run all the same.
+    The object's contours are checked to have an inside. A fingertip may cross itself on its far side, as the
+    last one of a search may: runs with it are still valid.
     """
     grasp = _strongly_typed(grasp)
     new = [i for i, shape in enumerate(_all_shapes(grasp)) if tabled(shape) is not shape]
@@ -309,10 +309,11 @@ def _with_tables(grasp: Grasp) -> Grasp:
 
 
 def _strongly_typed(grasp: Grasp) -> Grasp:
-    """A copy whose numbers no longer tell whether they came as Python's own: their JAX types are not weak.
+    """A copy in which numbers that came as Python's own have JAX types that are not weak.
 
     JAX compiles once more for a number of a weak type: for `with_(damping=0.006)` after an array was there.
-    A weak type that no other array of the grasp has may give way to a state of less precision: it stays.
+    A weak number stays weak where no other array of the grasp has its type: a state may be of less precision,
+    which it then takes.
     """
     leaves, structure = jax.tree.flatten(grasp)
     kinds = {leaf.dtype for leaf in leaves if isinstance(leaf, jax.Array) and not _is_weak(leaf)}
@@ -332,5 +333,5 @@ def _typed(leaves: list[Array]) -> list[Array]:
 
 
 def _is_weak(leaf: Any) -> bool:
-    """Whether a leaf is an array of a weak type; a key is an array that has no word for that."""
+    """Whether a leaf is an array of a weak type; random keys are arrays without the attribute."""
     return isinstance(leaf, jax.Array) and getattr(leaf, "weak_type", False)

@@ -22,7 +22,7 @@ from ._finger import as_tip, check_limits
 _SIZE = 0.05
 
 
-# Axes within this angle of one line [rad] count as parallel: the mass matrix would be singular.
+# Axes that make a smaller angle than this [rad] count as parallel: the mass matrix would be singular.
 _APART = 1e-6
 
 

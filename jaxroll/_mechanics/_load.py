@@ -20,7 +20,7 @@ from .._types import Scalar, Scalars
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, slots=True)
 class Moving:
-    """The object as its loads find it, in scalars.
+    """What loads are told of the object, in scalars.
 
     Attributes:
         pose: Its frame in the world.

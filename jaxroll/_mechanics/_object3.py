@@ -69,8 +69,8 @@ class FreeObject3(AbstractBody):
         surfaces: One surface or several, in the body frame.
         mass: In kilograms.
         inertia: About the centre of mass, in body axes [kg m^2]: one number (a ball), shape (3,) along the
-            axes, or shape (3, 3). Any that is symmetric and positive definite: of a real body each principal
-            moment is at most the sum of the other two, but the equations do not need it.
+            axes, or shape (3, 3). It must be symmetric and positive definite; that no principal moment of a
+            real body exceeds the sum of the other two is not checked, since the equations do not need it.
         outline: Shape (3,), edge lengths of a cuboid about the centre [m], for drawing alone.
 
     Raises:

@@ -1,7 +1,7 @@
 r"""The bodies of the plane as a run evaluates them: a serial chain, an object on a pivot, a free object.
 
 The classes here hold formulas alone; users make `Finger` (`_finger`), `PivotedObject` and `FreeObject`
-(`_object2`), which add constructors and checks. Of a chain, mass matrix $G(q)$ and bias
+(`_object2`), which add constructors and checks. For a chain, mass matrix $G(q)$ and bias
 $(\dot G/2 + S)\,\dot q$ of (3) and (74) come from one pass over the links, from the tip to the base; the bias
 is the torque that the motion needs at zero joint accelerations. `_body` says what is asked of a body,
 `_chain3` and `_object3` are the same in space.
@@ -24,7 +24,7 @@ _STILL = Vec2(0.0, 0.0)
 
 
 class AbstractChain(AbstractFinger):
-    """A planar serial chain of revolute joints, which `Finger` is: its fields are told there."""
+    """The formulas of a planar serial chain of revolute joints; `Finger` documents the fields."""
 
     tip: eqx.AbstractVar[AbstractContour]
     lengths: eqx.AbstractVar[Float[Array, " k"]]
@@ -143,7 +143,7 @@ class AbstractChain(AbstractFinger):
 
 
 class AbstractPivoted(AbstractObject):
-    """An object that turns about a fixed point, which `PivotedObject` is: its fields are told there."""
+    """The formulas of an object that turns about a fixed point; `PivotedObject` documents the fields."""
 
     inertia: eqx.AbstractVar[Float[Array, ""]]
     pivot: eqx.AbstractVar[Float[Array, "2"]]
@@ -184,7 +184,7 @@ class AbstractPivoted(AbstractObject):
 
 
 class AbstractFree(AbstractObject):
-    """An object free in the plane, which `FreeObject` is: its fields are told there."""
+    """The formulas of an object free in the plane; `FreeObject` documents the fields."""
 
     mass: eqx.AbstractVar[Float[Array, ""]]
     inertia: eqx.AbstractVar[Float[Array, ""]]

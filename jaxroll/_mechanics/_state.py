@@ -38,8 +38,8 @@ class State(eqx.Module):
         memory: Shape (k,), of a controller with a memory; None otherwise, and at a start that is to begin
             with the controller's own.
 
-    Lists and whole numbers become floating arrays, all three of one precision. Leading axes are those of a
-    batch or of time; what is not finite may stand, as saved states that a run did not reach are.
+    Lists and whole numbers become floating arrays, all of one precision. Leading axes are those of a batch or
+    of time. Numbers need not be finite, as those of saved states that a run did not reach are not.
 
     Raises:
         ValueError: If one of them is not an array of real numbers with at least one axis.
@@ -91,8 +91,8 @@ _PRECISIONS = {np.dtype("float32"), _DOUBLE}
 def check_shapes(states: State, form: "Form", name: str, axes: int) -> None:
     """Raise unless states have the lengths of a grasp's, one precision, and at most `axes` leading axes.
 
-    A state of another grasp is noticed only here, and only by these lengths. Where two grasps have the same
-    lengths, its residuals are what differs.
+    A state of another grasp is noticed only here, and only by these lengths. If both grasps have the same
+    lengths, only large residuals show it.
     """
     # Attributes of arrays instead of functions of JAX, each call of which takes 10 us.
     parts = (states.q, states.v, states.s)
@@ -137,7 +137,7 @@ class Leaves:
     """A `State` in which every number is a leaf of its own; block 0 is the object's, the others the fingers'.
 
     `s` holds the place of each contact: a number in the plane, two tuples of numbers in space. `memory` is
-    empty where the controller has none, or is to begin with its own.
+    empty where the controller has none, or where it is to begin with the controller's own.
     """
 
     q: Blocks
@@ -149,8 +149,8 @@ class Leaves:
 class Form(NamedTuple):
     """How many positions and velocities each body has, and the structure of all places; hashable.
 
-    `memory` numbers of the controller's follow, of which the last is the time of the next sample if it is
-    `sampled`.
+    `memory` is how many numbers the controller's memory has. If the controller is `sampled`, the last of them
+    is the time of the next sample.
     """
 
     positions: tuple[int, ...]

@@ -57,8 +57,8 @@ def close(
             may roll. The grasp returned has the contacts' new arclengths, and `s` counts from them.
         hold: Names of bodies ('object', 'finger 0') and of single coordinates with their body's ('object x',
             'finger 0 q[1]', as `grasp.labels.coordinates` lists them) whose positions stay at the guess, and
-            the shortest displacement of the others is found. An orientation in space is held with its body
-            alone. Velocities are projected as without.
+            the shortest displacement of the others is found. An orientation in space can be held only with
+            its whole body. Velocities are projected as without `hold`.
         throw: If False, or while JAX traces, an unreachable pose is returned as it is, and
             `simulate` gives it the code `unreachable`.
 
@@ -70,9 +70,9 @@ def close(
             and its size are named. If `locate` is asked for endless contours, or for two contacts of the
             same contours.
 
-    Accuracy: rows below 1e-14 m (rad), in single precision below 1e-6 m (rad); derivatives to rounding,
-    in both modes, of redundant rows, as between parallel plates, in changes that leave them so; second
-    derivatives are refused.
+    Accuracy: rows below 1e-14 m (rad), in single precision below 1e-6 m (rad); derivatives to rounding, in
+    both modes. Where rows are redundant, as between parallel plates, this holds for changes that leave them
+    redundant. Second derivatives are refused.
 
     Example:
         >>> import jaxroll as jxr
@@ -187,6 +187,6 @@ def _close(
     state, rows = settled(ready, start, hold, resting=resting, held=held)
     if not hold:
         return state, rows
-    # Where contacts are held, their places come straight from the start: a program around this one that asks
-    # for no more than these, as that of `design.Firmness` does, is compiled without the search.
+    # Where contacts are held, their places come straight from the start: a program around this one that reads
+    # only these, as that of `design.Firmness` does, is compiled without the search.
     return State(state.q, state.v, start.s, state.memory), rows

@@ -21,7 +21,7 @@ def held_velocities(grasp: Grasp, hold: str | Sequence[str]) -> tuple[int, ...]:
     known: dict[str, range] = {}
     for (body, labels), begin, size in zip(grasp.labels.bodies, first, grasp.sizes, strict=False):
         known[body] = range(begin, begin + size)
-        # Positions that are no angles or lengths of their own, a quaternion's, have no velocity each.
+        # The numbers of a quaternion are no angles or lengths, and have no velocities of their own.
         for i, label in enumerate(labels[:size]):
             if label.unit in ("m", "rad"):
                 known[f"{body} {label.name}"] = range(begin + i, begin + i + 1)

@@ -56,10 +56,10 @@ class EquationTerms(eqx.Module):
 def equation_terms(grasp: Grasp, state: State) -> EquationTerms:
     r"""Mass matrix, bias force and constraint gradients of one state.
 
-    The gradients are autodiff of the world-frame gap at frozen contact coordinates, projected on the
-    object's inward normal $n_0$ and on $b_0$; in space on $n_0$ and on the tangent plane. The chapter's
-    partial derivative of Q at fixed s (11), (15), (72) would give other coefficients than its own (2)-(3) and
-    (73)-(74), which these are.
+    The gradients are derivatives of the world-frame gap at frozen contact coordinates, projected on the
+    object's inward normal $n_0$ and on $b_0$; in space on $n_0$ and on the tangent plane. These are the
+    coefficients of the chapter's (2)-(3) and (73)-(74); its partial derivative of Q at fixed s (11), (15),
+    (72) would give others.
 
     Forces are those of `multipliers`: $f_i$, $\lambda_i$, and in space $\tau_i$ its `spin`.
 
@@ -67,7 +67,7 @@ def equation_terms(grasp: Grasp, state: State) -> EquationTerms:
         `EquationTerms`.
 
     Raises:
-        ValueError: If `grasp` is no grasp, or the state is none of it.
+        ValueError: If `grasp` is not a grasp, or the state does not fit it.
 
     Example:
         >>> import jaxroll as jxr
@@ -116,7 +116,7 @@ def _gradients2(grasp: Grasp, contact: Any, rows: tuple[Rows, Rows], place: tupl
 
 
 def _gradients3(grasp: Grasp, contact: Any, rows: tuple[Rows, Rows], place: tuple[Any, Any]) -> _Gradients:
-    """Of Q, shape (n,), of what keeps the tangential components, shape (3, n), and the spin, at zero."""
+    """Of Q, shape (n,), of the tangential parts of the gap, shape (3, n), and of the spin, shape (n,)."""
     pose, touch = place
     n = pose.turn(touch.object.normal)
     tip, face = ([Vec3(*column) for column in zip(*block[:3], strict=True)] for block in rows)
@@ -129,7 +129,7 @@ def _gradients3(grasp: Grasp, contact: Any, rows: tuple[Rows, Rows], place: tupl
     )
     if contact.rows == 3:
         return normal, tangential, jnp.zeros_like(normal)
-    # A multiplier of one is this torque on the object: its coefficients are the row's by unit torque.
+    # The torque on the object by a multiplier of one. The row divided by it has the coefficients of a torque.
     torque = contact.spin_torque((0.0, 0.0, 0.0, 1.0))
     turning = {0: rows[1][3], 1 + contact.finger: rows[0][3]}
     return normal, tangential, _row(grasp, {k: [-x / torque for x in v] for k, v in turning.items()})
@@ -145,7 +145,7 @@ def _row(grasp: Grasp, blocks: dict[int, list]) -> Array:
 
 def mass_matrix(masses: list, n: int) -> Float[Array, "n n"]:
     """Block-diagonal mass matrix, shape (n, n), from the lower triangles of the bodies."""
-    # Python's own zeros have no precision: the masses decide.
+    # Python's own zeros have no precision, so that the matrix has that of the masses.
     entries: list[list[Any]] = [[0.0] * n for _ in range(n)]
     at = 0
     for mass in masses:

@@ -125,7 +125,7 @@ def check_formulation(given: Any) -> None:
 
 
 def as_formulation(grasp: Grasp, given: Any) -> Formulation:
-    """The formulation asked for, by default `Index1`; raise for what is none, or not for such a grasp."""
+    """The formulation asked for, by default `Index1`; raise unless it is one, and one for this grasp."""
     check_formulation(given)
     if given is None:
         return _DEFAULT

@@ -6,8 +6,8 @@ $\mu$ that keep every gap from changing, $A v_+ = -b$ with $b$ what prescribed m
 $$ M (v_+ - v_-) = p + A^T \mu, \qquad A M^{-1} A^T \mu = -(A (v_- + M^{-1} p) + b). $$
 
 Without $p$ this is an inelastic impact: gaps that close with a speed $A v_- + b$ stop closing. The energy
-changes by the work $p \cdot (v_- + v_+)/2$ of the blow, the half of $\mu \cdot (A v_- + b)$ that is lost, and
-the work $-\mu \cdot b$ on bodies that move as prescribed. `_integration` applies `struck` at the times of
+changes by the work $p \cdot (v_- + v_+)/2$ of the blow, by $\mu \cdot (A v_- + b)/2$, which is lost, and by
+the work $-\mu \cdot b$ of bodies that move as prescribed. `_integration` applies `struck` at the times of
 `loads.Impulse` (`_jumps`), and makes it public as `strike`.
 """
 
@@ -47,9 +47,9 @@ class Struck:
         motions: Kinematics of the object and of every fingertip before it.
         touching: Contact frames.
         line: Constraint Jacobian and factorised Schur complement.
-        momentum: Impulse of each contact that the sizes of all terms of $A v$ would take [N s], next to which
-            an impulse may be rounding alone.
-        work: Of the blow, and on bodies that move as prescribed [J].
+        momentum: What the impulse of each contact would be if all terms of $A v$ had one sign [N s]: an
+            impulse that is small beside it may be rounding alone.
+        work: Work of the blow, and of bodies that move as prescribed [J].
     """
 
     leaves: Leaves
@@ -62,7 +62,7 @@ class Struck:
 
 
 def struck(grasp: Grasp, leaves: Leaves, blows: Sequence[tuple[Impulse, Scalar]]) -> Struck:
-    """A prepared grasp after some blows on its object at once, each as so many times itself."""
+    """A prepared grasp after some blows on its object at once; the number beside a blow multiplies it."""
     motions, inertias = bodies(grasp, leaves)
     touching = touches(grasp, leaves.s)
     masses = [factorise(inertia.mass) for inertia in inertias]
@@ -87,7 +87,7 @@ def struck(grasp: Grasp, leaves: Leaves, blows: Sequence[tuple[Impulse, Scalar]]
 
 def _pushed(grasp: Grasp, motion: Motion, blows: Sequence[tuple[Impulse, Scalar]]) -> Scalars:
     """Generalised impulse $p$ of some blows."""
-    # A blow reads the pose alone.
+    # A blow reads nothing but the pose.
     here = Moving(motion.pose, (), motion.twist)
     each = [[times * p for p in object_force(motion, blow.impulse(here))] for blow, times in blows]
     return tuple(total(list(parts)) for parts in zip(*each, strict=True))

@@ -45,7 +45,7 @@ class Linearisation:
         jacobian: For each contact its rows of $A$: the block over the finger's velocities, then the one over
             the object's. All other blocks of these rows are zero.
         weighted: The rows of $A M^{-1}$, in the same blocks.
-        schur: The Schur complement, factorised: written out, or of many rows in a loop.
+        schur: The Schur complement, factorised: number by number, or in a loop where its rows are many.
         drift: For each contact the rate at which a prescribed motion of its fingertip changes its gap, row by
             row [m/s]; None for a contact whose finger has no prescribed motion.
     """
@@ -82,7 +82,7 @@ def linearise(
 
 
 def _schur_factor(grasp: Grasp, jacobian: Sequence[Pair], weighted: Sequence[Pair]) -> Factor | LoopFactor:
-    """$A M^{-1} A^T$, factorised number by number, or where its rows are many in a loop."""
+    """$A M^{-1} A^T$, factorised number by number, or in a loop where its rows are many."""
     if sum(contact.rows for contact in grasp.contacts) > WRITTEN_OUT:
         return factorise_in_loop(schur_array(grasp, jacobian, weighted))
     # Lower triangle of A M^-1 A^T: each entry is a row of A times a row of A M^-1. Two contacts always share

@@ -14,7 +14,7 @@ from .._results import traced
 from ._equations import world_poses
 from ._quantities import closed_within, residuals_at, worst
 
-# Largest share of its terms by which a gap may change, in double precision; an error of a sign gives 1.
+# Largest share of its terms by which a gap may change, in double precision; a wrong sign gives 1.
 _ROLLS = 1e-6
 _ROLLS_SINGLE = 1e-3
 
@@ -25,7 +25,7 @@ def check_rolling(grasp: Grasp, state: State) -> None:
         return
     shares, off = map(np.asarray, _slips(grasp, state))
     if not off <= closed_within(off.dtype):
-        return  # off the constraints, which the run says itself
+        return  # the state is off the constraints, for which the run has its own message
     allowed = _ROLLS if shares.dtype == np.float64 else _ROLLS_SINGLE
     for i in grasp.own_contacts:
         if not shares[i] <= allowed:

@@ -49,7 +49,7 @@ class Anchor:
 
 
 def anchor_of(instant: Instant) -> Anchor:
-    """The anchor of an evaluation, of which all else may be forgotten."""
+    """The anchor of an evaluation: what the return to the constraints reads of it."""
     return Anchor(instant.line, instant.bends)
 
 
@@ -74,7 +74,7 @@ def settle(grasp: Grasp, leaves: Leaves, anchor: Anchor) -> Leaves:
     """
     line = anchor.line
     # In space a quaternion can be off unit length, and a place off its surface (an implicit one has three
-    # coordinates): they return first. Left to the end, that would turn gaps and normals to first order anew.
+    # coordinates): they return first. At the end their return would change gaps and normals to first order.
     q = tuple(body.onto(block) for body, block in zip(grasp.bodies, leaves.q, strict=True))
     shapes = [grasp.shapes(c) for c in grasp.contacts]
     places = [c.onto(*pair) for c, *pair in zip(grasp.contacts, shapes, leaves.s, strict=True)]
@@ -83,8 +83,8 @@ def settle(grasp: Grasp, leaves: Leaves, anchor: Anchor) -> Leaves:
     left = once(residual(grasp, frames, touches(grasp, places)))
     # The displacement -M^-1 A^T (A M^-1 A^T)^-1 g, given as velocities are.
     back = once(negative(respond(grasp, line, balance(line, left.gaps))))
-    # Tangency is restored by the place of each contact alone. Moving it over both shapes changes the gap to
-    # second order only. It makes up for the tangency that is left, and for the turn of the displacement.
+    # Tangency is restored by the place of each contact alone, which changes the gap to second order only when
+    # it moves over both shapes. It makes up for the tangency that is left, and for the turn in `back`.
     body, *tips = [spin(step) for (_, spin), step in zip(placed, back, strict=True)]
     s = []
     for i, c in enumerate(grasp.contacts):

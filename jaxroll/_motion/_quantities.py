@@ -37,8 +37,8 @@ class Residuals(eqx.Module):
             and $Q_{ni}$ of (5)-(6). The gap runs from the object's contact point to the fingertip's.
         tangential: $R$, the gap along the object's tangent $b_1$, $b_{0i}$ [m]: (64), and $Q_{bi}$ of
             (5)-(6). In space, shape (..., c, 3): its part in the object's tangent plane, in world axes.
-        tangency: Sine of the angle between the two tangents [rad]. In space, shape (..., c, 3): the sum of
-            the two outward normals, in world axes.
+        tangency: Sine of the angle between the two tangents. In space, shape (..., c, 3): the sum of the two
+            outward normals, in world axes.
     """
 
     __repr__ = listed
@@ -83,10 +83,10 @@ class Energy(eqx.Module):
 
     Attributes:
         kinetic: $K$ [J], (13), (71).
-        potential: Artificial and gravitational potential energy [J], (22). Of a controller with numbers that
-            change in time none is counted.
-        work: Work of all else [J]: of loads and blows, less the dissipation with a built-in controller; all
-            work of the joint torques with any other, and with numbers that change in time.
+        potential: Artificial and gravitational potential energy [J], (22). That of a controller with numbers
+            that change in time is left out.
+        work: Work of all else [J]: of loads and blows, less the dissipation with a built-in controller. With
+            any other, and with numbers that change in time, it has all work of the joint torques.
         residual: $(K + P - W) - (K + P)(t_0)$ [J], with the total energy $K + P$ of (21); zero in the exact
             motion.
     """
@@ -215,8 +215,8 @@ def power(grasp: Grasp, t: Scalar, leaves: Leaves, instant: Instant) -> Scalar:
 def of_reached(function: Callable, states: State, start: State) -> Any:
     """`function` of states along a leading axis, NaN for those that a run did not reach.
 
-    The function itself is given `start` in their place. With NaN as its argument its derivative would be NaN,
-    and reverse mode would multiply that by the cotangent zero of these rows, which is NaN again.
+    The function itself is given `start` in their place. At NaN its derivative would be NaN, and in reverse
+    mode the product of that with the zero cotangent of these rows would be NaN too.
     """
     reached = jnp.all(jnp.isfinite(states.q), axis=-1)
     where = lambda a, b: jnp.where(reached.reshape(-1, *(1,) * (a.ndim - 1)), a, b)  # noqa: E731
@@ -232,7 +232,7 @@ def residuals(grasp: Grasp, states: State) -> Residuals:
         `Residuals`, of the states' leading shape.
 
     Raises:
-        ValueError: If the states are none of this grasp.
+        ValueError: If the states do not fit this grasp.
 
     Example:
         >>> import jaxroll as jxr
@@ -253,7 +253,7 @@ def multipliers(
         `Multipliers`, of the states' leading shape.
 
     Raises:
-        ValueError: If the states are none of this grasp, or `ts` has not one time for every state.
+        ValueError: If the states do not fit this grasp, or `ts` has not one time for every state.
 
     Example:
         >>> import jaxroll as jxr
@@ -276,9 +276,9 @@ def torques(grasp: Grasp, ts: Float[Array, "..."], states: State) -> tuple[Array
     r"""Joint torques $u$ of the grasp's controller at one time and state, or along a leading time axis.
 
     (16) of `control.Opposition` and (75) of `control.Press`; what a caller's own controller returns. At a
-    declared jump they are those after it. Of a controller with a memory they are those with the memory in
-    the states: of `control.Sampled` what is held. States without one give what the memory begins with, and
-    of `control.Sampled` what a sample there would.
+    declared jump they are those after it. A controller with a memory is given the memory in the states:
+    `control.Sampled` gives the torques that it holds. With states that have no memory it is given the initial
+    one, and `control.Sampled` gives what a sample there would.
 
     Returns:
         One array per finger, shape (..., k) for its k joints [N m]; of a `Jaw` forces [N].
@@ -358,7 +358,7 @@ def accelerations(
         Shape (..., n) [m/s^2, rad/s^2].
 
     Raises:
-        ValueError: If the states are none of this grasp, or `ts` has not one time for every state.
+        ValueError: If the states do not fit this grasp, or `ts` has not one time for every state.
 
     Example:
         >>> import jaxroll as jxr
@@ -389,7 +389,7 @@ def energies(grasp: Grasp, states: State) -> tuple[Array, Array]:
         Two arrays [J], of the states' leading shape.
 
     Raises:
-        ValueError: If the states are none of this grasp.
+        ValueError: If the states do not fit this grasp.
 
     Example:
         >>> import jaxroll as jxr
@@ -412,9 +412,9 @@ def as_times(ts: Any, states: State) -> Array:
 def over_time(function: Callable, states: State, *beside: Array) -> Any:
     """`function` of one state, or of each along a leading time axis (see `of_reached`).
 
-    `beside` are further arguments, such as times, one for every state. What asks for times evaluates the
-    equations of motion, whose values are computed once: of the spatial pinch the multipliers of 101 states
-    compile in a quarter of the time. The rest is too little for that to pay.
+    `beside` are further arguments, such as times, one for every state. A function that takes times evaluates
+    the equations of motion, and is traced with `sharing`: so the multipliers of 101 states of the spatial
+    pinch compile in a quarter of the time. Other functions are too small for that to pay.
     """
 
     def one(*given: Any) -> Any:

@@ -9,9 +9,9 @@ $$ \delta \dot v = M^{-1} (\delta u + A^T \delta\mu), \qquad
 which the factors of the step's last evaluation give: a sample takes no evaluation of the equations of
 motion. The step that ends there carries the slope before it, the next one begins with the slope after it.
 
-If the sample comes $\delta$ later, the law sees $x + \delta f_-$ at $t + \delta$, and $\delta$ further back
-in time from what follows the state is $x + \delta (f_- - f_+)$: so derivatives with respect to period and
-first sample are right. $\delta$ is a zero with the derivative of the planned time.
+If the sample comes $\delta$ later, the law sees $x + \delta f_-$ at $t + \delta$. The motion after it has the
+slope $f_+$ and, continued back to $t$, begins at $x + \delta (f_- - f_+)$. With these terms derivatives with
+respect to period and first sample are right: $\delta$ is a zero that has the derivative of the planned time.
 """
 
 from typing import NamedTuple
@@ -49,8 +49,8 @@ class Sample(NamedTuple):
 def check_due(grasp: Grasp, state: State, t0: Scalar) -> None:
     """Raise where the next sample that a state waits for is more than a period away.
 
-    The state is of another time then, and its torques would be held all along. A first sample may be as far
-    away as one likes.
+    Such a state is one of another time, and its torques would be held that long. A first sample may be
+    as far away as one likes.
     """
     law = grasp.controller
     if not grasp.form.sampled or state.memory is None or traced((law, state, t0)):
@@ -64,9 +64,9 @@ def check_due(grasp: Grasp, state: State, t0: Scalar) -> None:
 
 
 def begun(grasp: Grasp, state: State, t0: Scalar) -> State:
-    """The state at the start of a run whose controller has a memory: its own, or what that begins with.
+    """The state at the start of a run whose controller has a memory: with its own memory, or the initial one.
 
-    Where a sample is due there, it is taken.
+    If a sample is due there, it is taken.
     """
     memory, first = state.memory, grasp.memory
     if memory is None:
@@ -81,7 +81,7 @@ def begun(grasp: Grasp, state: State, t0: Scalar) -> State:
 
 
 def memory_after_sample(grasp: Grasp, t: Scalar, state: State) -> Array:
-    """The memory after a sample without noise of a state with a memory."""
+    """The memory of a state after a sample, without noise."""
     noise = lambda g: (g.controller.angle_noise, g.controller.rate_noise)  # noqa: E731
     quiet = eqx.tree_at(noise, grasp, (None, None), is_leaf=lambda x: x is None)
     return stacked(_asked(quiet, t, to_leaves(state, grasp.form)))
@@ -105,7 +105,7 @@ def _asked(grasp: Grasp, t: Scalar, leaves: Leaves) -> Scalars:
     if law.noisy:
         more = law.noise(number, sum(counts))
         angles, rates = _beside(angles, more[0]), _beside(rates, more[1])
-        # Tips that fit the angles as measured. What a finger has besides joints is known.
+        # Tips are computed from the measured angles. Positions of a finger that are no joints have no noise.
         q = tuple((*new, *block[len(new) :]) for new, block in zip(angles, q, strict=True))
         v = rates
     motions = [f.motion(place, rate, None)[0] for f, place, rate in zip(grasp.fingers, q, v, strict=True)]
@@ -124,8 +124,8 @@ def sample_due(
 ) -> Sample:
     """The sample that is due at a time, or one that changes nothing.
 
-    `rates` is the slope before it, `line` the linearised constraints there; `waits` is whether something
-    else comes first, so that none is taken yet.
+    `rates` is the slope before it and `line` has the linearised constraints there. With `waits` something
+    else comes first, and no sample is taken yet.
     """
     law, joints = grasp.controller, tuple(finger.joints for finger in grasp.fingers)
     due = law.due(t, leaves.memory) & jnp.logical_not(waits)

@@ -19,7 +19,7 @@ Pair = tuple[Rows, Rows]
 
 
 def schur_array(grasp: Grasp, jacobian: Sequence[Pair], weighted: Sequence[Pair]) -> Float[Array, "m m"]:
-    """The sum, over all columns of $A$, of a column times its like of $A M^{-1}$."""
+    """The sum, over all columns of $A$, of the outer product of a column with the same one of $A M^{-1}$."""
     owners = [contact.finger for contact in grasp.contacts for _ in range(contact.rows)]
     together = np.equal.outer(owners, owners)
     terms = []

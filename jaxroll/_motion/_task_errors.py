@@ -1,8 +1,8 @@
 """A check of the task errors of `control.Integral` that needs a state: can each of them move at all?
 
 Contacts leave some directions of motion free, the null space N of $A$. With E the derivatives of the errors,
-$E N$ tells how far these directions move them. Where a singular value of it is zero, some mixture of errors
-is held fast by the contacts: its integral would grow for ever, and with it forces between the fingers.
+$E N$ tells how far these directions move them. If a singular value of $E N$ is zero, the contacts hold some
+mixture of errors fast: its integral would grow for ever, and with it forces between the fingers.
 `simulate` and `vector_field` ask before a run whose controller has a memory.
 """
 

@@ -29,7 +29,7 @@ _DEVICE_SLOTS = 65536
 def _slots(size: int, most: int) -> int:
     """Number of slots for `size` runs, at most `most`, in whole vectors of the processor.
 
-    With as few slots as need no more rounds than `most` of them would.
+    It is the smallest number with which the runs take as few rounds as with `most` slots.
     """
     rounds = -(-size // most)
     return min(size, -(-size // (rounds * VECTOR)) * VECTOR)
@@ -124,8 +124,8 @@ class Ensemble:
         """One attempted step of every slot; a slot that is not busy stays as it is."""
         over = lambda function: jax.vmap(function, in_axes=-1, out_axes=-1)  # noqa: E731
 
-        # The step asks for functions of a bundled grasp to be mapped over lanes. Of the grasp's numbers only
-        # some may have lanes, so each lane rebuilds its own from its task, and the one handed in is ignored.
+        # The step asks for functions of a bundled grasp to be mapped over lanes. Only some of the grasp's
+        # numbers may have lanes, so each lane makes its own bundle from its task and ignores the one given.
         def over_bundles(function: Callable) -> Callable:
             def mapped(_: Bundle, *args: Array) -> Any:
                 one = lambda task, *rest: function(self.problem(task)[0], *rest)  # noqa: E731

@@ -21,13 +21,14 @@ class Bundle(eqx.Module):
     """A grasp whose scalars are two arrays, for loops; calling it gives the grasp, ready for evaluation.
 
     Attributes:
-        numbers: The scalars that move where a run is differentiated, elsewhere all; None if there are none.
+        numbers: The scalars in which a run is differentiated, or all of them; None if there are none.
         constants: The other scalars, likewise.
         rest: The grasp without its scalars.
         moves: Of each scalar, whether it is among `numbers`.
+        tree: Structure of the grasp's scalars.
         jumps: Whether the grasp declares jumps, which `rest` cannot tell.
         sampled: Whether its controller is sampled.
-        audited: Whether its fingers have links with a radius.
+        thick: Whether its fingers have links with a radius.
     """
 
     numbers: Float[Array, " numbers"] | None
@@ -37,7 +38,7 @@ class Bundle(eqx.Module):
     moves: tuple[bool, ...] = eqx.field(static=True)
     jumps: bool = eqx.field(static=True)
     sampled: bool = eqx.field(static=True)
-    audited: bool = eqx.field(static=True)
+    thick: bool = eqx.field(static=True)
 
     def __call__(self) -> Grasp:
         numbers, constants = (
@@ -47,10 +48,10 @@ class Bundle(eqx.Module):
         return eqx.combine(jax.tree.unflatten(self.tree, leaves), self.rest)
 
     def __reduce__(self) -> tuple[Any, tuple[Any, ...]]:
-        # For copies and other processes. equinox marks fields that are missing by one object, which a copy of
-        # the structure would have a copy of, and that is no mark: so a tree of this structure is copied.
+        # For copies and other processes. equinox marks missing fields by one object, and a copy of that, in a
+        # copy of the structure, would not count as the mark: so a tree of this structure is copied instead.
         numbered = jax.tree.unflatten(self.tree, range(self.tree.num_leaves))
-        flags = (self.moves, self.jumps, self.sampled, self.audited)
+        flags = (self.moves, self.jumps, self.sampled, self.thick)
         return _of_parts, (self.numbers, self.constants, self.rest, numbered, *flags)
 
 

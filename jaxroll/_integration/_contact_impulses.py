@@ -18,7 +18,7 @@ from ._jumps import beside, grain
 
 
 def times_before(grasp: Grasp, jumps: Array, begin: Scalar, end: Scalar) -> Float[Array, " blows"]:
-    """When each blow is still to come, within a run."""
+    """Times just before each blow [s], kept within the run."""
     return jnp.clip(beside(jumps, jax.lax.stop_gradient(blow_times(grasp)), -1.0), begin, end)
 
 
@@ -35,7 +35,7 @@ def merged(saves: Times, more: Times) -> tuple[Times, Array, Array]:
 
 
 def contact_impulses(grasp: Grasp, states: State, spans: tuple[Scalar, Scalar]) -> Multipliers:
-    """Contact impulses [N s] of every blow from the states before them; not a number of one that was not.
+    """Contact impulses [N s] of every blow from the states before them; NaN for one outside the run.
 
     `spans` are the times from which and up to which the run went.
     """

@@ -20,7 +20,7 @@ from .._mechanics import Coordinate, Labels
 from .._printing import is_code, names_of, number_of
 from .._results import missing_library, traced
 
-# What fields are, in words; after the units the only thing that a stranger to the class cannot look up.
+# What fields are, in words, for those who have the table without this package.
 _WORDS = {
     "q": "position",
     "v": "velocity",

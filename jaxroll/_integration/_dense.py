@@ -52,7 +52,7 @@ def states_at(dense: Dense, ts: Float[Array, "..."]) -> State:
 def _vector_at(dense: Dense, t: Scalar) -> Array:
     """The flow vector at one time."""
     if dense.grasp.sampled and dense.grasp.jumps:
-        # At a jump it is the state after it, as saved ones are: a sample that is due there comes after both.
+        # At a jump it is the state after the jump, as saved ones are, and after a sample that is due there.
         waits = pending(dense.grasp(), t)
         t = jnp.where(waits, jnp.minimum(t + 2.0 * grain(t), row(dense.ts, dense.count)), t)
     # The first step has no length: of two that begin at one time the later one carries a slope.

@@ -73,7 +73,7 @@ def march(grasp: Grasp, y0: Flow, plan: Plan) -> Path:
 
 
 def _together(size: int, batched: Any, arrays: Any, still: Any) -> Path:
-    """Many runs: as an ensemble, or one beside or after the other where the method does not allow it.
+    """Many runs: as an ensemble; side by side or one after the other where the method does not allow that.
 
     Args:
         size: How many.
@@ -88,14 +88,14 @@ def _together(size: int, batched: Any, arrays: Any, still: Any) -> Path:
         if takes_lanes and not plan.dense and isinstance(plan.progress, diffrax.NoProgressMeter):
             return one_kernel(lambda found: Ensemble(size, batched, found, still).run(), arrays)
         one = lambda arrays: solo(*eqx.combine(arrays, still))  # noqa: E731
-        # Each with its record: side by side 64 pivoted ones of a second take twenty times as long.
+        # With records: 64 runs of `scenes.pivoted` over a second take twenty times as long side by side.
         if plan.dense and _on_processor():
             return _one_by_one(one, batched, arrays)
         return side_by_side(one, size, batched)(arrays)
 
     def lanes(more: int, apart: Any, arrays: Any) -> Path:
-        # Under `vmap` once more they are so many times as many runs. Side by side the loops of two ensembles
-        # would wait for each other in every turn: 36 ms a run of 16 times 32, where 512 take 0.3 each.
+        # Under another `vmap` all runs become one ensemble. Side by side the loops of several ensembles would
+        # wait for each other in every turn: 36 ms a run for 16 times 32 of them, where 512 take 0.3 ms each.
         def laid_out(x: Array, inner: bool, outer: bool) -> Array:
             if not (inner or outer):
                 return x
@@ -151,7 +151,7 @@ def _recorded(grasp: Bundle, y0: Flow, plan: Plan) -> tuple[Path, Record]:
             return side_by_side(one, size, batched)(arrays)
         if dense:
             return _one_by_one(one, batched, arrays)
-        # Infinity, so that a derivative that were to follow such a record would show it.
+        # Infinite, so that it would show if a derivative followed such a record.
         none = jax.tree.map(lambda x: jnp.full((size, *x.shape), jnp.inf, x.dtype), empty)
         return _together(size, batched, arrays, still), none
 
@@ -210,7 +210,8 @@ def _on_processor() -> bool:
 def _led(path: Path, record: Record) -> Int[Array, ""]:
     """How many of the recorded steps led to the last state.
 
-    One to where something is not finite leaves the state as it was: its derivative is not finite either.
+    A last step to where something is not finite is not among them: it leaves the state as it was, and its
+    derivative is not finite.
     """
     count = path.steps[1]
     # `+ -n`: a constant that is subtracted becomes a negation, which XLA moves about (`_xla._loops`).
@@ -222,9 +223,9 @@ def _led(path: Path, record: Record) -> Int[Array, ""]:
 class _Steps(eqx.Module):
     """The recorded steps of a run, as a linear map between perturbations of its ends.
 
-    A run that an event ended moves its end: time by so much per change of the margin at fixed time, and the
-    flow vector with it, by its time derivative. That derivative comes from a step of no length, so that no
-    second derivative program has to be compiled.
+    The end of a run that an event ended moves: its time by minus the change of the margin at fixed time over
+    the margin's rate, and with the time the flow vector, by its time derivative. That derivative comes from a
+    step of no length, so that no second program for derivatives has to be compiled.
     """
 
     moving: Bundle
@@ -267,7 +268,7 @@ class _Steps(eqx.Module):
     def step(
         self, k: Scalar, over: Callable, *, forwards: bool = False
     ) -> Callable[[Bundle, Flow, Scalar], Flow]:
-        """Step k of (moving, y, shift), so much later; `forwards` where its tangent is wanted."""
+        """Step k as a function of (moving, y, shift), `shift` later; `forwards` if for tangents."""
         (t0, t1), stepper = self.span(k), self.plan.stepper
         if forwards:
             stepper = replace(stepper, method=without_checkpoints(stepper.method))
@@ -292,9 +293,9 @@ class _Steps(eqx.Module):
         return jnp.concatenate([last[width : 2 * width], jnp.zeros_like(last[width:])])
 
     def postponed(self, drift: Scalar, change: Array) -> Array:
-        """Delay of an event's time per change of the margin, which drifts so much per second, times `change`.
+        """-`change` / `drift`: the delay of an event's time, from a change of the margin and its rate.
 
-        Zero for a run that no event ended, and for one that was lost where it began: that time stays.
+        Zero for a run that no event ended, and for one that ended where it began, whose time stays.
         """
         ended = (row(self.ys, self.count)[self.margin + 1] > 0) & jnp.isfinite(drift) & (drift != 0)
         ended &= row(self.ts, self.count) > row(self.ts, 0)
@@ -384,7 +385,7 @@ def _pushed(steps: _Steps, start: tuple[Bundle, Flow]) -> tuple[Array, ...]:
 def _pulled(steps: _Steps, ends: tuple[Array, ...]) -> tuple[Bundle, Flow]:
     """Cotangents of grasp and start, backwards from those of the ends of a run.
 
-    Two steps of no length come first: for the drift of the margin, and for that of all that is looked at.
+    Two steps of no length come first: for the rate of the margin, and for that of what the cotangent weighs.
     """
     saved_bar, last_bar, later_bar, *rows_bar = ends
     longest, end = eqxi.unvmap_max(steps.count), steps.count
@@ -445,7 +446,7 @@ def _moving_in_time(width: int, primals: tuple, tangents: tuple) -> tuple[Array,
 
 @jax.custom_jvp
 def moving_as(value: Array, other: Array) -> Array:
-    """A value that moves as another one does besides, such as a time that a run was told."""
+    """A value with the derivative of another one added to its own, such as that of a time given to a run."""
     del other
     return value
 

@@ -51,9 +51,9 @@ SINGULAR, _FIRM = 1e-9, 1e6
 FLAT = 1e-4
 # Share of the largest contact impulse that counts as zero: a blow often leaves a contact alone, to rounding.
 _BALANCED = 1e-9
-# A joint may start at an end of its range, as those of a hand do that is stretched out, and leave it: the
-# first return to the constraints moves it by rounding. A range ends so many rounding units of 1 beyond its
-# limits, 6e-14 rad or m.
+# A joint may start at an end of its range, as in a hand that is stretched out, and the first return to the
+# constraints may then move it past that end by rounding. So a range ends this many rounding units of 1 beyond
+# its limits, 6e-14 rad or m.
 _SLACK = 256.0
 # Points on each contour or surface in the audit of penetration.
 _SAMPLES = 64
@@ -145,7 +145,7 @@ def with_clearance(
 
 
 def smallest_clearance(grasp: Grasp, leaves: Leaves, events: tuple[str, ...]) -> Scalar:
-    """How far the nearest fingertip or link that is audited stays clear [m]; negative in an overlap."""
+    """Clearance of the nearest fingertip or link that is audited [m]; negative in an overlap."""
     return functools.reduce(jnp.minimum, [limit.margin for limit in _audits(grasp, leaves, events)])
 
 
@@ -204,7 +204,7 @@ def coded(x: Array, margin: Scalar, number: Scalar) -> Array:
 def decode(number: Scalar, loop: diffrax.RESULTS) -> RESULTS:
     """The result code of a run, from diffrax's code of its loop and the number in its last state.
 
-    A limit that was passed is the cause, whatever became of the steps; those of fingers `decode_joints` adds.
+    A limit that was passed is the cause, whatever became of the steps; `decode_joints` adds those of fingers.
     """
     result = RESULTS.where(loop == diffrax.RESULTS.successful, RESULTS.successful, RESULTS.solver_failed)
     steps = loop == diffrax.RESULTS.max_steps_reached
@@ -215,7 +215,7 @@ def decode(number: Scalar, loop: diffrax.RESULTS) -> RESULTS:
 
 
 def decode_joints(grasp: Grasp, number: Scalar, result: RESULTS) -> RESULTS:
-    """A run's code where a limit of a finger ended it; as it is for a grasp whose fingers have none."""
+    """A run's code, replaced where a limit of a finger ended it; unchanged where no finger has limits."""
     limited = [getattr(f, name, None) is not None for f in grasp.fingers for name in _LIMITS]
     return _by_number(number, result, (_JOINT, _TORQUE, _LINKS)) if any(limited) else result
 
@@ -306,9 +306,9 @@ def _joints(grasp: Grasp, leaves: Leaves, instant: Instant) -> list[Limit]:
 
 
 def refused_blow(grasp: Grasp, done: Struck, events: tuple[str, ...]) -> tuple[Scalar, Scalar]:
-    """Whether contacts cannot answer a blow, and the number of the contact and code that say so.
+    """Whether contacts cannot answer a blow, and the number of the limit that says so, if one does.
 
-    The contact impulses are subject to the limits of contact forces, to the rounding of momentum.
+    Contact impulses have the limits of contact forces, which they may pass by the rounding of momentum.
     """
     limits = _forces(grasp, done, events)
     if not limits:

@@ -1,20 +1,20 @@
 r"""Declared jumps: a run ends a step just before each, and begins anew just after it.
 
 A right-hand side $f$ that jumps at $t_j$ costs a method its order in the step that has the jump inside. So
-three steps stand there, apart from each other by one `grain` $\epsilon$ of time, some rounding units:
+three steps end there, one `grain` $\epsilon$ of time after each other, which is some rounding units:
 
 $$ \ldots \to t_j - \epsilon, \qquad t_j - \epsilon \to t_j, \qquad t_j \to t_j + \epsilon, \qquad
    t_j + \epsilon \to \ldots $$
 
 The first ends with $f$ as it is before the jump, the second evaluates it anew. They also carry the
-derivative in $t_j$. If the jump comes $\delta$ later, the state there is $x + \delta f_-$, and $\delta$
-further back in time from what follows: $x + \delta f_- - \delta f_+$. The second step adds the one, the third
-takes the other: each is the slope that its flow vector begins with (`moved`), and $\delta$ is a zero with a
-derivative.
+derivative in $t_j$. If the jump comes $\delta$ later, the state there is $x + \delta f_-$. The motion after
+it, continued back to $t_j$, begins at $x + \delta f_- - \delta f_+$. The second step adds $\delta f_-$, the
+third subtracts $\delta f_+$: each takes the slope with which its flow vector begins (`moved`). $\delta$ is a
+zero with a derivative.
 
-Jumps at one time count as one: a derivative in one of their times is shared among all, and so is right where
-they move together. `_run` asks `stop` and `passed_at`, `_simulate` the rest; a run without declared jumps has
-none of it.
+Jumps at one time count as one. The derivative in their time is shared out equally among them, which is right
+where they move together. `_run` and `_step` call this module in a run, `_simulate` before and after; a run
+without declared jumps has none of it.
 """
 
 from typing import Any
@@ -47,7 +47,7 @@ def ordered(grasp: Grasp, t0: Scalar, t1: Scalar) -> Array:
 
 
 def with_blows(grasp: Grasp, jumps: Array, t0: Scalar, t1: Scalar) -> Grasp:
-    """A grasp whose blows from t0 to t1 are at one of these jumps each: that as one with which they count."""
+    """A grasp whose blows from t0 to t1 have the time of the jump that each counts as one with."""
 
     def at_jump(load: Any) -> Any:
         if not isinstance(load, Impulse):
@@ -62,7 +62,7 @@ def with_blows(grasp: Grasp, jumps: Array, t0: Scalar, t1: Scalar) -> Grasp:
 
 
 def beside(jumps: Array, t: Array, way: float) -> Array:
-    """Times, but those at a jump just after it (`way` is 1) or just before it (-1)."""
+    """The times, those at a jump replaced by one just after it (`way` is 1) or just before it (-1)."""
     at = jnp.where(jnp.isfinite(jumps), jumps, 0.0)
 
     def one(t: Scalar) -> Scalar:
@@ -73,7 +73,7 @@ def beside(jumps: Array, t: Array, way: float) -> Array:
 
 
 def stop(jumps: Array, passed: Scalar, t: Scalar) -> Scalar:
-    """Where the next jump has a step end; `passed` counts two for every jump that is over."""
+    """Where a step must end for the next jump; `passed` counts two for every jump that is over."""
     at = _next(jumps, passed)
     ahead = jnp.where(t < at - grain(at), at - grain(at), at)
     return jnp.where(jnp.isfinite(at), jnp.where(passed % 2 == 1, at + grain(at), ahead), jnp.inf)
@@ -130,7 +130,7 @@ def is_at(jumps: Array, t0: Scalar, t1: Scalar) -> Scalar:
 
 
 def hits(t0: Scalar, t1: Scalar, time: Scalar) -> Scalar:
-    """Whether a step is the second of the three at a time, which a blow at that time acts in."""
+    """Whether a step is the second of the three at a time: the one in which a blow at that time acts."""
     t0, t1, time = jax.lax.stop_gradient((t0, t1, time))
     near = 0.5 * grain(time)
     return is_short(t0, t1) & (jnp.abs(t1 - time) <= near) & (time - t0 > near)

@@ -133,7 +133,7 @@ def is_rosenbrock(method: Method) -> bool:
 
 
 def without_checkpoints(method: Any) -> Any:
-    """The method, with a plain loop over stages for diffrax's own, which has a derivative backwards alone."""
+    """The method with a plain loop over its stages; diffrax's own loop has a derivative only backwards."""
     if issubclass(type(method), diffrax.AbstractWrappedSolver):
         return eqx.tree_at(lambda m: m.solver, method, without_checkpoints(method.solver))
     if getattr(method, "scan_kind", "lax") is not None:

@@ -29,7 +29,7 @@ from ._vector_field import held_field, vector_in
 _BACK = 1e-12
 # A distance that counts as none [m], and how many times the time of touch is corrected at most.
 _TOUCHING, _PASSES = 1e-15, 12
-# A contact that is lost where it does not rub opens with no acceleration; this share of it counts as none.
+# The gap of a contact that is lost where it does not rub has no acceleration, up to this share of its terms.
 _AGAIN = 1e-6
 
 
@@ -148,7 +148,7 @@ def _without(grasp: Grasp, state: State, lost: int) -> tuple[Grasp, State]:
 def _touched(grasp: Grasp, run: Trajectory, friction: Given | None) -> tuple[Grasp, State, Scalar]:
     """The grasp with the contact that the run found, at the time of the touch, without closing speed."""
     finger = int(run.stats.contact)
-    # The face that is overlapped least, in depth or by being apart, is the one that was just passed.
+    # The face with the gap of the smallest size is the one that was just passed.
     each = [_nearest(grasp, run.last, finger, i) for i in range(len(grasp.object.shapes))]
     face = int(np.argmin([abs(float(found.gap)) for found in each]))
     state, found = run.last, each[face]
@@ -175,7 +175,7 @@ def _touched(grasp: Grasp, run: Trajectory, friction: Given | None) -> tuple[Gra
     nothing = Impulse((0.0,) * (3 if grasp.spatial else 2), 0.0)
     hit = strike(closed, start, nothing)
     while code_name(hit.result) == "contact_lost":
-        # The impact knocks a contact off, that which would have to pull most: without it, once more.
+        # The impact knocks a contact off: without the one that would have to pull most, once more.
         closed, start = _without(closed, start, int(np.argmin(hit.multipliers.f)))
         hit = strike(closed, start, nothing)
     if code_name(hit.result) == "singular_contact":

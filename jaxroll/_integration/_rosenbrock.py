@@ -178,7 +178,7 @@ def _with_samples(
             lambda: next_place(k, u, line),
         )
         rates, end = at(t, x)
-        # A row more than samples takes the evaluations of the stages, which are not wanted there.
+        # The row after the samples takes the evaluations of the stages, which are no samples.
         samples = with_row_selected(samples, rates, jnp.minimum(i, count))
         return samples, line, u, rates, end, with_row_selected(parts, end[kept], k), x
 

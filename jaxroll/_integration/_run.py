@@ -146,9 +146,9 @@ def judge(
     keep, _, _, _, pace, code = plan.control(course.pace, dip, at_jump).adapt_step_size(
         *times, course.y, y1, None, error, plan.stepper.error_order, course.pace
     )
-    # diffrax's codes are enumerations, which no loop's state can hold: the number in it can.
+    # A loop's state cannot hold diffrax's codes, which are enumerations; it holds their numbers.
     loop = code._value
-    # A run that ends where something is not finite keeps the state before, and the code.
+    # A run that ends where something is not finite keeps the state before that; its code is the new one.
     whole = ~jnp.isnan(y1[-2]) | (jnp.arange(y1.shape[0]) == y1.shape[0] - 1)
     y = jnp.where(keep & whole, y1, course.y)
     holds, count = y[-1] <= 0, plan.ts.shape[0]
@@ -156,7 +156,7 @@ def judge(
     hit = course.busy & keep & holds & (course.saved < count) & (pace.t == _stop(plan, course.saved))
     saved = course.saved + jnp.where(hit, 1, 0)
     over = (saved == count) & (pace.t == plan.t1)
-    # A run that is over with the last of its steps has not run out of them.
+    # A run that arrives with the last step that it may take has not failed.
     spent = loop == diffrax.RESULTS.max_steps_reached._value
     loop = jnp.where(over & spent, jnp.asarray(diffrax.RESULTS.successful._value, loop.dtype), loop)
     busy = course.busy & holds & (loop == diffrax.RESULTS.successful._value) & ~over
@@ -208,12 +208,12 @@ def _solo(grasp: Bundle, y0: Flow, plan: Plan, record: Record | None) -> tuple[P
         times = aim(plan, course)
         step = plan.stepper.advance(grasp, *times, course.y)
         course = judge(plan, course, times, step)
-        # One row more than save times takes what is not wanted: a write that always happens needs no branch.
+        # The row after those of the save times takes states that are not saved: a write without a branch.
         # `+ -1`: a constant that is subtracted becomes a negation, which XLA moves about (`_xla._loops`).
         place = jnp.where(course.hit, course.saved + -1, plan.ts.shape[0])
         saved = with_row(saved, course.y, place)
         if record is not None:
-            # A step that was not taken writes the state before it once more, where that stands already.
+            # After a step that was not taken, the state before it is written once more, to its own row.
             count = course.pace.accepted
             record = Record(with_row(record.ts, course.pace.t, count), with_row(record.ys, course.y, count))
         meter = plan.progress.step(meter, (course.pace.t - plan.t0) / (plan.t1 - plan.t0))

@@ -170,7 +170,7 @@ def simulate(
         check_choices("events", events, EVENTS),
         sweeps(numbers, own_control=control is not None),
     )
-    # What a grasp does not have costs nothing, and neither does a reader have to know of it.
+    # Asked for here, so that nothing is entered for what a grasp does not have.
     if grasp.own_contacts:
         check_rolling(grasp, state)
     if grasp.form.memory:
@@ -322,7 +322,7 @@ class _Norm(eqx.Module):
     lay: Layout = eqx.field(static=True)
 
     def __call__(self, error: Array) -> Array:
-        # Not a reduction: XLA hands the larger ones of a batch to a library, out of the kernel of its loop.
+        # Not a reduction: XLA hands those of a batch to a library, which breaks up the kernel of its loop.
         seen = self.lay.controlled(error)
         parts = jax.lax.split(seen, (1,) * seen.shape[0])
         return jnp.sqrt(total([e * e for e in parts]) * (1.0 / len(parts)))[0]
@@ -356,7 +356,7 @@ def _trajectory(
     energy = None if found[2] is None else _balance(found[2], path.saved[:, lay.width - 1])
     left, forces = jax.tree.map(lambda a: a[1:], found[:2])
     attempted, accepted, rejected = path.steps
-    # The number of the limit that ended the run is positive; a run that no limit ended has no margin.
+    # The number of the limit that ended the run is positive; without one the margin is told as infinite.
     number = jax.lax.stop_gradient(path.last[-1])
     margin = jnp.where(number > 0, path.last[lay.margin], jnp.inf)
     trajectory = Trajectory(

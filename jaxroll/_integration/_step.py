@@ -87,7 +87,7 @@ class RollingStep(eqx.Module):
     def advance_lanes(
         self, bundle: Bundle, times: tuple[Array, Array], y0: Array, over: Callable[[Callable], Callable]
     ) -> tuple[Array, Array, Array]:
-        """The same for lanes along the last axis; `over` maps a function of one lane's (bundle, ...)."""
+        """The same for lanes along the last axis; `over` maps a function of one lane, of (bundle, ...)."""
         if bundle.jumps:
             y0 = over(self.moved)(bundle, *times, y0)
         # `raw` is the end as the method gives it, `rates` the derivative there, `end` the packed `Ending`.
@@ -95,7 +95,7 @@ class RollingStep(eqx.Module):
         y1 = over(self.finish)(bundle, raw, rates, end, *sample_times(bundle, times[1]))
         if bundle.jumps and impulses(bundle.rest.load):  # a blow declares its time as a jump
             y1 = jnp.concatenate([y1[:-2], jnp.where(y0[-1:] > 0, y0[-2:], y1[-2:])])
-        if "penetration" in self.events or bundle.audited:
+        if "penetration" in self.events or bundle.thick:
             dip = jnp.minimum(dip, over(self._clearance_dip)(bundle, *times, y0, y1))
         # XLA would work both out again in everything that looks at them (see `_events`).
         with sharing():
@@ -140,7 +140,7 @@ class RollingStep(eqx.Module):
             no, number = refused_blow(grasp, done, self.events)
         after = pack(done.leaves, None if work is None else work + done.work)
         x0 = jnp.where(hit & ~no, after, x0)
-        # A margin of minus infinity: what is refused is an impulse, no force.
+        # A margin of minus infinity marks a refused impulse; a force has a finite one.
         end = jnp.stack([jnp.asarray(-jnp.inf, x0.dtype), number.astype(x0.dtype)])
         return jnp.concatenate([x0, y0[width:-2], jnp.where(hit & no, end, y0[-2:])])
 
@@ -173,7 +173,7 @@ class RollingStep(eqx.Module):
         x = pack(Leaves(leaves.q, leaves.v, leaves.s, done.memory), work)
         slopes = Leaves(slopes.q, combine(slopes.v, done.gained), slopes.s, slopes.memory)
         after = pack(slopes, None if power is None else power + done.power)
-        # Seen from where the step ends the state is x + late (f_- - f_+), and its slope that of this place.
+        # Continued back to the step's end the state is x + late (f_- - f_+), and the slope is the one there.
         way = rates - after
         slope_at = (self.lay, self.formulation, grasp, t, x, way)
         return x + done.late * way, after + _elsewhere(done.late, slope_at)
@@ -188,7 +188,7 @@ class RollingStep(eqx.Module):
         return x0 + share * (rise + rest * bent)
 
     def _clearance_dip(self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow, y1: Flow) -> Scalar:
-        """Where something overlaps within a step that is audited: the audit at some places of it."""
+        """Where something overlaps within a step, by an audit of clearance at some places of it."""
         # The audit of clearance is long: in a loop it is compiled once, whatever the number of places.
         grasp, shares = bundle(), jnp.asarray(_AUDITED, y0.dtype)
         clear = lambda leaves: smallest_clearance(grasp, leaves, self.events)  # noqa: E731
@@ -219,9 +219,9 @@ class RollingStep(eqx.Module):
     ) -> tuple[Array, Array, Array]:
         """The slopes of all stages, the last stage's x, which is the step's end, and what is left of it.
 
-        A column more than x has takes the margins of the stages along: what is mixed of it is not read.
+        The slopes have one column more than x, for the margins of the stages; its part of x is not read.
         """
-        # Frozen: a step is moved in time as a whole, never stretched.
+        # The length of a step is not differentiated: a step is only moved in time, as a whole.
         dt, width = jax.lax.stop_gradient(times[1] - times[0]), self.lay.width
         rows, shares, _ = tableau_of(self.method, y0.dtype)
         shares, count = jnp.asarray(shares, y0.dtype), len(shares)
@@ -237,8 +237,8 @@ class RollingStep(eqx.Module):
             return put(slopes, jnp.concatenate([rates, margin[None]]), i), x, end
 
         start = slopes, x0, jnp.zeros((size, *dt.shape), y0.dtype)
-        # On accelerators every turn launches all its kernels anew: there they stand side by side, but for
-        # a single run, whose derivative would take long to compile.
+        # On accelerators every turn launches all its kernels anew: there the turns are written out, except
+        # for a single run, whose derivative would take long to compile.
         unrolled = dt.ndim > 0 and jax.default_backend() != "cpu"
         if self.reverse or unrolled:
             plain = lambda i, carry: stage(i, carry, bundle)  # noqa: E731
@@ -271,7 +271,7 @@ class RollingStep(eqx.Module):
         rates, end = self.at(bundle, t1, raw)
         if error is None:
             error = jnp.zeros_like(raw)
-        # Stages that could not be solved for: a shorter step may have them.
+        # Where the equations of the stages were not solved, a shorter step may succeed.
         error = jnp.where(code == diffrax.RESULTS.successful, error, jnp.inf)
         at = lambda t, x: self.at(bundle, t, x)  # noqa: E731
         return raw, rates, error, end, self._dip_between(at, (t0, t1), y0, (raw, rates, end))
@@ -345,7 +345,7 @@ class Ending(eqx.Module):
 
 @eqx.filter_custom_jvp
 def _elsewhere(late: Scalar, slope_at: tuple) -> Array:
-    """Zero, with the derivative of the slope as x moves by so many times a way (`slope_at` ends with it)."""
+    """Zero, with the derivative of the slope as x moves by `late` times the way that ends `slope_at`."""
     return jnp.zeros_like(slope_at[-1])
 
 
@@ -366,11 +366,11 @@ def ending_size(bundle: Bundle) -> int:
     return sum(map(jnp.size, jax.tree.leaves(Ending.unknown(bundle.rest))))
 
 
-# How far the projection may carry a contact at any rate [m].
+# How far the projection may carry a contact in any case [m].
 _NEAR = 1e-4
 # Where the packed `Ending` has the margin: before the number of its limit.
 _MARGIN = -2
-# Where a step is looked at if no stages serve, as shares of it.
+# Where a step is audited, or its margin evaluated if its stages cannot be used, as shares of it.
 _AUDITED = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
 
 

@@ -20,7 +20,7 @@ from .._xla import once, sharing
 
 # Steps shorter than this part of what error control asks for are not shortened for dips of the margin.
 _FINEST = 1.0 / 1024.0
-# A dip within this share of a step from its end is at its end: deeper than that it is by a square of this.
+# A dip within this share of a step from its end counts as the end: it is lower only by the square of this.
 _AT_END = 1e-6
 # A run whose margin at the start is below _BESIDE begins with a step of _CAREFUL dt0. It may cross that limit
 # and come back at once, and at all stages of a longer step another limit may have the smallest margin.
@@ -114,7 +114,7 @@ class StopAt(eqx.Module):
         near = self.dip * (t1 - t0)
         # If the margin dips below zero within an accepted step, the next try ends where it is lowest. Steps
         # far below the usual length are exempt: on them the margin is smooth, and a dip is rounding.
-        # So are dips at its very end: there the next try would be the same step again, without end.
+        # So are dips at the very end of a step: the next try would be the same step again, for ever.
         inside = near + _AT_END * (t1 - t0) + resolution(t1) < t1 - t0
         dips = keep & ~past & ~first & inside & (near > _FINEST * pace.length)
         keep = first | ends | keep & ~back & ~dips
@@ -159,10 +159,10 @@ class StopAt(eqx.Module):
         # The root of the line through (0, low) and (beyond, -high); within the bracket by at least one grain.
         pace = self.pace
         hunt, least = pace.hunt, pace.hunt.grain * resolution(t0)
-        # A margin of zero is so to rounding, at times for thousands of grains: where it is a difference, as
-        # of an angle from its limit, its own grains are coarser. The secant knows nothing then. The root is
-        # near: the guess is the geometric mean of one grain and the bracket, or its middle where that was
-        # too near.
+        # A margin may be zero by rounding, at times over thousands of grains: as a difference, such as that
+        # of an angle from its limit, it is rounded more coarsely than time. Then the secant says nothing, but
+        # the root is near: the guess is the geometric mean of one grain and the bracket, or the bracket's
+        # middle where that was too near.
         weight = hunt.low + hunt.high
         secant = hunt.beyond * (hunt.low / jnp.where(weight > 0, weight, 1.0))
         near = jnp.where(hunt.side < 0, 0.5 * hunt.beyond, jnp.sqrt(hunt.beyond * least))
@@ -181,15 +181,15 @@ def _narrowed(
     # Passed: the far end moves to t1, and the near end's margin is halved if it stays for the second time.
     # Not reached: the near end moves to t1, and the far end's margin is halved likewise.
     spent = t1 - t0
-    # A margin that is not finite says nothing: the near one in its place makes the secant bisect.
+    # A margin that is not finite says nothing: minus the near one in its place makes the secant bisect.
     high = jnp.where(jnp.isfinite(after), -after, before)
     low = jnp.where(hunt.side > 0, 0.5 * hunt.low, before)
     never = jnp.full_like(spent, jnp.inf)
     taken_back = Hunt(spent, low, high, jnp.ones_like(spent), never, hunt.grain)
     weighed = jnp.where(hunt.side < 0, 0.5 * hunt.high, hunt.high)
     # Short steps end a little elsewhere than the long one did, by its error or by rounding, and may use up
-    # the bracket without an event. Then another one is looked for, in steps that grow by a factor of 8, and
-    # with a coarser grain.
+    # the bracket without an event. Then another bracket is looked for, in steps that grow by a factor of 8,
+    # and with a coarser grain.
     with sharing():
         left, least = once((hunt.beyond - spent, hunt.grain * resolution(t1)))
     used_up = left <= 2.0 * least

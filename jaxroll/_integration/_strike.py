@@ -28,18 +28,18 @@ class Strike(eqx.Module):
         state: The state after it, at the same positions and places.
         multipliers: Contact impulses [N s], in the chapter's signs for forces: normal ones are positive where
             contacts press.
-        work: Of the blow, $p \cdot (v_- + v_+)/2$ [J], and of contact impulses on bodies that move as
-            prescribed.
+        work: Work of the blow, $p \cdot (v_- + v_+)/2$, and of bodies that move as prescribed, through their
+            contact impulses [J].
         result: `successful`; `contact_lost` where a contact that can only press would have to pull;
-            `slipping` where one with a coefficient of friction would need more. The rest is then what
-            contacts that hold in any case would do. `singular_contact` where contacts hold some motion twice;
-            the rest then means nothing.
+            `slipping` where one with a coefficient of friction would need more. The other fields then say
+            what contacts without these limits would do. `singular_contact` where contacts hold some motion
+            twice; the other fields then mean nothing.
     """
 
     UNITS: ClassVar[dict[str, str]] = {"work": "J"}
 
     def __repr__(self) -> str:
-        # What acts for no time is an impulse: of forces the numbers have the unit times a second.
+        # What acts for no time is an impulse: its unit is that of a force times a second.
         return re.sub(r" (N|N m)(?=[,)])", r" \1 s", listed(self))
 
     state: State
@@ -53,8 +53,8 @@ def strike(
 ) -> Strike:
     r"""Velocities after a blow on the object: $v_+ = v_- + (1 - M^{-1} A^T (A M^{-1} A^T)^{-1} A) M^{-1} p$.
 
-    Contacts answer with the impulses that keep every gap from changing. Gaps that were closing are brought to
-    rest by it too: a blow of no size makes the velocities of any state consistent, as an inelastic impact
+    Contacts answer with the impulses that keep every gap from changing. These also bring gaps that were
+    closing to rest: a blow of size zero makes the velocities of any state consistent, as an inelastic impact
     does.
 
     Args:

@@ -74,7 +74,7 @@ class Trajectory(eqx.Module):
     `jax.tree.map(lambda x: x[k], runs)`.
     """
 
-    # What its fields begin with in a table; steps that were kept, and what they are called, are none of it.
+    # What the names of its fields begin with in a table; `dense` and `labels` are not in one.
     PARTS: ClassVar[dict[str, str]] = {
         "states": "",
         "last": "last_",

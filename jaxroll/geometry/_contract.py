@@ -10,7 +10,7 @@ shape of a caller's own class, at any depth in wrappers, is checked once before 
 contacts uses it; the verdict is kept by identity (`remembered`). Numbers that JAX traces cannot be checked;
 the next use with concrete ones is.
 
-What no class can promise, `check_once_round` looks at: that a closed curve, whoever gave its numbers, runs
+`check_once_round` looks at what no class can promise: that a closed curve, whoever gave its numbers, runs
 once round a body and does not cross itself. Without that it has no inside, and no mass.
 """
 
@@ -295,7 +295,7 @@ def _open(contour: AbstractContour, ends: np.ndarray) -> str | None:
 def _doubled(contour: AbstractContour) -> str | None:
     """How a closed contour fails to run once round its body, as the end of a message, or None.
 
-    The tangent of one that does not cross itself turns round once (Hopf); one whose does may cross itself.
+    If it does not cross itself, its tangent turns round once (Hopf); the converse does not hold.
     """
     kind, fault = type(contour).__name__, None
     for parts in _PARTS:

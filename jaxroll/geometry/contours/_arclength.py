@@ -60,7 +60,7 @@ def tabulate(rate: Callable[[Any, Array], Array], shape: Any, *, period: float, 
 
 
 def in_cells(cell: Any, x: Any) -> Array:
-    """Places x of cells counted from the first cell's beginning: whole numbers become of the kind of x."""
+    """Places x in cells as numbers of cells from the beginning of the first, with the dtype of x."""
     return jnp.asarray(cell, jnp.result_type(x)) + x
 
 

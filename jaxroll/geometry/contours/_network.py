@@ -46,7 +46,8 @@ class PeriodicNetwork(eqx.Module):
 
     Args:
         harmonics: Number of harmonics among the features. Default: 4.
-        decay: How fast their weight falls; the larger, the smoother the network. Static, as the last.
+        decay: How fast their weight falls; the larger, the smoother the network. It is static, as are
+            `harmonics` and `activation`.
         width: Neurons of each hidden layer.
         depth: Hidden layers.
         activation: "tanh", "softplus" or "sine".

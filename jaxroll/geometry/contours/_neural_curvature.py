@@ -49,7 +49,7 @@ class NeuralCurvature(AbstractTabulated):
     Raises:
         ValueError: If a shape is wrong, the length isn't positive, or `cells` is odd.
 
-    Accuracy: the integrals are spectral in the number of cells; the table's error see `table_error`.
+    Accuracy: the integrals are spectral in the number of cells; for the table's error see `table_error`.
 
     Example:
         >>> import jax, jaxroll as jxr

@@ -63,7 +63,8 @@ class Spline(AbstractTabulated):
             and more want 5 or above.
         knots: How many knots the smoothing spline has, evenly among the points; None: at every point.
         origin: Number of the point at which s = 0.
-        cells: Cells of the table. Static, as are the last four: changing one recompiles.
+        cells: Cells of the table. Static, as are `closed`, `degree`, `knots` and `origin`: changing one
+            recompiles.
 
     Raises:
         ValueError: If there are too few points, two neighbours are the same, a closed contour runs

@@ -112,8 +112,8 @@ def smallest(field: Callable[[Array], Array], ends: tuple[Array, Array], density
     # the middle. Where the three do not bend upwards the middle stays.
     bend = before - 2.0 * here + after
     step = 0.5 * (before - after) / jnp.where(bend > 0, bend, jnp.inf)
-    # Beyond the neighbours there is no minimum inside: an end is the least. An angle that rounding set beside
-    # it would be held fixed, and could be taken for it.
+    # Beyond the neighbours there is no minimum inside: an end is the least. An angle that is beside that end
+    # by rounding would be held fixed, and could be chosen in its place.
     vertex = grid[at] + jnp.where(jnp.abs(step) < 1.0, step, 0.0) * (grid[1] - grid[0])
     found = field(jnp.stack([low, high, grid[at], vertex]))
     # Not `min`, which shares the derivative out where two are equal.

@@ -34,12 +34,12 @@ _CELLS = (16, 32, 64, 96)
 # Refinements end when the moments change by less than this, relative to their size; the finer grid errs by a
 # hundredth of that or less.
 _SETTLED = 1e-9
-# Of a field of splines: parts of its own cells, and nodes of the rule, one after the other. Two nodes more
-# leave a hundredth of what they change or less, so that a larger change is let pass.
+# For a field of splines: parts into which its own cells are cut, and nodes of the rule, one refinement after
+# the other. Two more nodes leave a hundredth of their change or less, so that a larger change is accepted.
 _OWN_CELLS, _OWN_SETTLED = ((1, (5, 7)), (2, (7,))), 1e-6
 _BATCH = 2048
-# Places that find the box, as many as `_reaching` asks for (one program); what is added to it on every side,
-# and how often that is tried, doubled each time.
+# Places on the surface that find the box around it, as many as `_reaching` asks for, whose program serves;
+# what share of its size is added on every side, and how often that is tried, doubled each time.
 _SPREAD, _PADDING, _WIDER = 720, 0.08, 4
 # A triangle this much smaller than the largest may be folded by rounding.
 _SLIVER = 1e-6

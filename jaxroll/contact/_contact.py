@@ -47,7 +47,8 @@ class AbstractContact(eqx.Module):
     - `touch(shapes, place)`: what gap and tangency read of both shapes, such as their frames at a place;
     - `gap(poses, touch)`: a tuple of `rows` lengths [m], zero while the contact is closed;
     - `tangency(poses, touch)`: numbers without unit, zero where the place fits the poses; as many as the
-      place has, which is one unless `form` says otherwise.
+      place has, which is one unless `form` says otherwise, or fewer where the gap determines the rest of the
+      place (`equation_names` is then given too).
 
     A place moves without slipping if, at vanishing tangency, the gap does not change to first order as the
     place alone moves: so one coordinate that runs along both contours at the same rate is a rolling contact.

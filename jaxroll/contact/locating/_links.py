@@ -67,8 +67,9 @@ def links_clearance3(
 def _from_body(found: Sequence[tuple[Array, Any, Array]]) -> tuple[Array, Any]:
     """Signed distance of points from a convex body, and its gradient, from those of its faces.
 
-    Of a point that lies over some faces it is the largest height over these. A point outside that is past
-    the ends of faces instead is as far from the body as from the nearest of these ends.
+    It is the largest height of a point above the faces that it lies over, if that is positive. Otherwise a
+    point past the ends of other faces is as far from the body as from the nearest of these ends, and any
+    other point is inside.
 
     Args:
         found: Of every face the distance, its gradient, and whether the foot is at an end.

@@ -150,7 +150,7 @@ def starts(pair: Pair3, walked: Cover, other: Cover | None, count: int) -> Start
     value = jnp.where(jnp.isfinite(value), value, jnp.inf)
     number = jnp.arange(value.shape[0])
     close = _apart(walked.points, walked.points) <= (_NEIGHBOURS * walked.width) ** 2
-    # Of equal neighbours the first is the lowest one: a level row of samples would else have no lowest
+    # Of equal neighbours the first counts as lower: otherwise a level row of samples would have no lowest
     # sample, or as many as it is long.
     before = number[None, :] < number[:, None]
     beaten = (value[None, :] < value[:, None]) | ((value[None, :] == value[:, None]) & before)

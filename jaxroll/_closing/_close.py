@@ -40,8 +40,8 @@ def close(
     general not the nearest of all consistent states. That one is found with `hold_contacts=False`.
 
     Positions minimise $\frac12 (q - q_0)^T M(q_0) (q - q_0)$ subject to gap (5)-(6), (64)-(65) and tangency,
-    by damped Gauss-Newton steps from the guess, and so locally; where contacts may roll, how far they do
-    counts besides, with a thousandth of the mean weight of a coordinate. Velocities are then projected
+    by damped Gauss-Newton steps from the guess, and so locally; where contacts may roll, how far they roll
+    counts too, with a thousandth of the mean weight of a coordinate. Velocities are then projected
     onto $A v = 0$ in the same metric. The result is differentiable in both modes, by the implicit
     function theorem, with respect to every number in `grasp` and `guess`; leaving this out of a gradient
     through a simulation makes it wrong, not inexact.

@@ -61,7 +61,7 @@ class PivotedObject(AbstractPivoted):
         middle = as_floats("centre", centre, (2,))
         self.weight_moment = None
         if mass is not None:
-            # Of mass and centre the weight needs the product alone: their first moment about the pivot.
+            # The weight needs only the product of mass and centre: the first moment about the pivot.
             self.weight_moment = as_positive("mass", mass) * middle
 
 

@@ -121,7 +121,7 @@ def world_poses(grasp: Grasp, q: Blocks) -> tuple[Any, ...]:
 
 def sensed(grasp: Grasp, leaves: Leaves, motions: Sequence[Motion]) -> list[Sensed]:
     """What the controller is given of every finger: joint angles, rates, and its tip's kinematics."""
-    # Of the positions the joint angles alone: a stage that moves has its clock besides.
+    # Only the joint angles among the positions: that of a moving stage is its clock.
     each = zip(grasp.fingers, leaves.q[1:], leaves.v[1:], motions[1:], strict=True)
     return [Sensed(q[: f.joints], v, m.pose.origin, m.unit_twists) for f, q, v, m in each]
 

@@ -310,7 +310,7 @@ def wrenches(
 ) -> tuple[Float[Array, "... d"], Float[Array, "..."]]:
     """Force and torque of all loads on the object, at one time and state or along a leading time axis.
 
-    Of a grasp without loads they are zero. Blows (`loads.Impulse`) act at no time, and are no part of them.
+    They are zero for a grasp without loads. Blows (`loads.Impulse`) act for no time and are left out.
 
     Returns:
         Force [N], shape (..., d), and torque [N m] about the object's origin, in space of shape (..., 3).

@@ -14,7 +14,7 @@ from .._mechanics import Grasp
 from .._types import Scalars
 from ..contact import Rows
 
-# Of a contact its rows of A, or of A M^-1: the block over the finger's velocities, and over the object's.
+# A contact's rows of A, or of A M^-1: the block over the finger's velocities, then that over the object's.
 Pair = tuple[Rows, Rows]
 
 

@@ -51,7 +51,7 @@ def as_numbers(
 ) -> Numbers:
     """Times, first step and tolerances, checked; an adaptive step-size control has its own tolerances."""
     given = {"dt0": dt0, "rtol": rtol, "atol": atol, "control": control, "dtype": dtype}
-    # Of Python's own numbers, as most calls have them, the answer is kept: it takes longer than a short run.
+    # The answer for Python's own numbers, which most calls give, is kept: finding it takes as long as a run.
     absolute = rtol if atol is None else atol
     if control is None and all(map(_plain, (t0, t1, ts, dt0, rtol, absolute))):
         return _kept_numbers(t0, t1, ts, **given)

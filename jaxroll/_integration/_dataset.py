@@ -209,7 +209,7 @@ class _Walk:
     def record(self, value: Any, prefix: str, extra: str) -> None:
         """Gather the fields of a record that says what its axes are.
 
-        The first field has all of its own; what it has besides is a time (or a blow) for every record here.
+        An axis that the first field has before those in `AXES` belongs to all fields: of times, or of blows.
         """
         axes: dict[str, tuple[str, ...]] = type(value).AXES
         units: dict[str, str] = getattr(type(value), "UNITS", {})

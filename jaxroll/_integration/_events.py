@@ -172,10 +172,10 @@ def _link_limits(grasp: Grasp, leaves: Leaves) -> list[Limit]:
 def link_distances(
     grasp: Grasp, leaves: Leaves, which: Sequence[int], *, samples: int
 ) -> tuple[list[Scalar], list[Scalar]]:
-    """Of some fingers' links from the object, and of every two of these fingers' links from each other [m].
+    """Distances [m] of some fingers' links from the object, and of every two of these fingers.
 
-    Links are capsules; those of a finger without a `link_radius` have no thickness. Of a contour of the
-    object as many points are looked at as `samples` says.
+    Links are capsules; those of a finger without a `link_radius` have no thickness. `samples` is how many
+    points of each contour of the object are looked at.
     """
     fingers: list[Any] = [grasp.fingers[i] for i in which]
     chains: Any = [finger.skeleton(leaves.q[1 + i]) for i, finger in zip(which, fingers, strict=True)]

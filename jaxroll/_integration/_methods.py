@@ -74,7 +74,7 @@ class Steady(diffrax.AbstractStepSizeController):
 
 
 class Seeing(diffrax.AbstractStepSizeController):
-    """A caller's own control of the error, which is shown q, v and work only, as the default one is.
+    """A caller's own control of the error, which is shown what the default one sees (`Layout.controlled`).
 
     Attributes:
         inner: The control.

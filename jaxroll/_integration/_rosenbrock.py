@@ -125,8 +125,8 @@ def advance(
         # (I/(h gamma) - J) u_k = f + sum_j c_kj u_j / h + h d_k df/dt. Its f is the last evaluation; then
         # comes the place of the next stage, after the last stage the step's end. Entries of u that are not
         # known yet are zero, and have zero weight.
-        rates, inverse, drift = line
-        right = rates + weighted_sum(row(slopes, k), u) / h + h * row(lags, k) * drift
+        rates, inverse, in_time = line
+        right = rates + weighted_sum(row(slopes, k), u) / h + h * row(lags, k) * in_time
         u = with_row_selected(u, weighted_sum(right[:, None], inverse), k)
         # A step of no length stays where it is, whatever its stages say.
         x = x0 + jnp.where(moving, weighted_sum(row(rows, k + 1), u), 0.0)
@@ -197,7 +197,7 @@ def _no_stages(x0: Array, part: Array) -> tuple[Array, Array]:
 def _samples(at: Field, t0: Array, x0: Array, nudges: Array) -> Array:
     """The field at all nudged places: of one lane in one evaluation, padded to whole vectors.
 
-    Of many lanes, which fill the vectors already, one place after the other.
+    With many lanes, which fill the vectors already, one place after the other.
     """
     n, idle = x0.shape[0], -nudges.shape[0] % VECTOR
     sample = lambda nudge: at(t0 + nudge[n], x0 + nudge[:n])[0]  # noqa: E731
@@ -310,5 +310,5 @@ _STAGES = len(_ERROR)
 # Up to so many components of x the samples of a single run are taken side by side, in a program of their own.
 # Planar runs take half to two thirds of the time that way, and compile in 2 s instead of 1 (pivoted) or 5 s
 # instead of 2 (pinch); the spatial pinch, of 37 components, would take two thirds too, but 30 s instead of 7.
-# Of many lanes one loop for samples and stages would be slower by a third.
+# With many lanes one loop for samples and stages would be slower by a third.
 _FEW = 24

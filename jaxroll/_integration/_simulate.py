@@ -103,7 +103,7 @@ def simulate(
         t1: Final time [s].
         ts: Times to save at, shape (t,), rising, within [t0, t1]; or how many, evenly spaced. Steps
             end at them, so a saved state is as accurate as the solver.
-        rtol: Relative tolerance of the local error of q and v.
+        rtol: Relative tolerance of the local error of q, v and a memory that is integrated.
         record: Any of 'multipliers' and 'energy', worked out at the saved times, and 'dense', which keeps
             every step, so that `run(t)` is the state at any time (`Trajectory`). Default: none.
         throw: If True, raise when the run ends early; if False, or under `vmap`, read `result`.
@@ -317,7 +317,7 @@ def _plan(stepper: RollingStep, y0: Array, numbers: Numbers, setup: Setup, *, ju
 
 
 class _Norm(eqx.Module):
-    """Root mean square of the scaled error over what error control looks at: q, v and work."""
+    """Root mean square of the scaled error over what error control looks at (`Layout.controlled`)."""
 
     lay: Layout = eqx.field(static=True)
 

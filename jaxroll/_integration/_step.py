@@ -110,7 +110,7 @@ class RollingStep(eqx.Module):
         """Whether the projection carried a contact elsewhere than the step had: such a step is too long.
 
         Where a sum of curvatures runs out, tangency has no solution any more, and its Newton steps end
-        somewhere else on the shapes. Error control does not see that: it looks at q and v alone.
+        somewhere else on the shapes. Error control does not see that: it does not look at places.
         """
         positions, velocities, places = self.lay.form.counts
         start, stop = positions + velocities, positions + velocities + places

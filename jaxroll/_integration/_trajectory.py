@@ -53,8 +53,8 @@ class Trajectory(eqx.Module):
 
     Under `vmap` every leaf gains a leading axis, `result` included: one code per lane. Rows after
     the end of a failed run hold NaN, at which `jax_debug_nans` stops a program; `last` is the final state it
-    reached in any case, and `filled()` puts it in their place, for losses. Printed, it says how the run went:
-    where it ended early which contact ended it, when, by how much, and what helps.
+    reached in any case, and `filled()` puts it in their place, for losses. Printed, it says how the run went,
+    and if it ended early which contact ended it, when, by how much, and what helps.
 
     Attributes:
         ts: Shape (t,), saved times [s].

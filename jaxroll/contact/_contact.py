@@ -136,7 +136,7 @@ class AbstractContact(eqx.Module):
 
     @abc.abstractmethod
     def tangency(self, poses: tuple[Any, Any], touch: Any) -> Any:
-        """By how much the place misses the one that fits the poses: the sine of an angle of two tangents."""
+        """By how much the place misses the one that fits the poses, such as the sine between two tangents."""
 
     def form(self, shapes: Shapes) -> Any:
         """A place with the right structure for these shapes; its numbers mean nothing. By default one."""

@@ -8,7 +8,7 @@ and the curvature $\kappa$, foot and signed distance are
 $$ s + \frac{u}{1 + \kappa w}, \qquad w + \frac{\kappa u^2}{2 (1 + \kappa w)}. $$
 
 `minima` then estimates where this distance is least along the first contour. `_location` refines these
-estimates; `_clearance` and `_links` take the distances alone; `_location3` and `_samples3` take `lowest`.
+estimates; `_clearance` and `_links` need only the feet; `_location3` and `_samples3` take `lowest`.
 """
 
 from dataclasses import dataclass

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.tree_util import Partial
 from scipy.spatial.transform import Rotation
 
 import jaxroll as jxr
@@ -388,3 +389,26 @@ def test_a_load_of_ones_own_is_given_place_and_motion_and_its_answer_is_looked_a
 def load_of_orientation(t, pose, twist):
     """As its force the first number of the orientation, in each coordinate."""
     return jnp.ravel(pose.orientation)[0] + 0.0 * twist.velocity, 0.0 * twist.spin
+
+
+def test_loads_may_hold_a_key_of_jax_random(scene):
+    """As `jax.random.key` makes them, which are no numbers to JAX; the noise is that of the key's numbers."""
+    grasp, state = scene
+    key = jax.random.key(3)
+
+    def noisy(key, t, pose, twist):
+        now = jax.random.fold_in(key, jnp.floor(t / 0.01).astype(int))
+        return jnp.zeros(2), 1e-4 * jax.random.normal(now, ())
+
+    def end(load):
+        run = jxr.simulate(grasp.with_(load=load), state, 0.008, ts=1)
+        return np.asarray(run.last.q)
+
+    plain = end(
+        lambda t, pose, twist: (jnp.zeros(2), 1e-4 * jax.random.normal(jax.random.fold_in(key, 0), ()))
+    )
+    np.testing.assert_allclose(end(Partial(noisy, key)), plain, rtol=0, atol=1e-9)
+    with pytest.raises(ValueError, match="argument q must be a real number or an array of them"):
+        jxr.State(key, key, key)
+    with pytest.raises(ValueError, match="argument outcome must return arrays of real numbers"):
+        jxr.adaptive_map(lambda p: key, jxr.Parameters.grid(x=[0.0, 1.0]))

@@ -231,7 +231,9 @@ def _outcome_of(outcome: Callable, row: Any) -> Any:
 
 
 def _is_real(leaf: Any) -> bool:
-    return isinstance(leaf, bool | int | float) or is_array_like(leaf) and leaf.dtype.kind in "fiub"
+    # The dtype of keys of `jax.random` has no kind.
+    kind = getattr(leaf.dtype, "kind", "V") if is_array_like(leaf) else "V"
+    return isinstance(leaf, bool | int | float) or kind in "fiub"
 
 
 class _Program:

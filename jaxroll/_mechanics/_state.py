@@ -77,7 +77,8 @@ class State(eqx.Module):
 
 def _as_row(name: str, value: Any) -> Array:
     # States are made inside traced programs too: a floating array passes without any operation.
-    ready = isinstance(value, jax.Array) and value.dtype.kind == "f"
+    # The dtype of keys of `jax.random` has no kind.
+    ready = isinstance(value, jax.Array) and getattr(value.dtype, "kind", "") == "f"
     row = value if ready else as_array(name, value)
     if not row.ndim:
         raise ValueError(f"argument {name} must have one axis or more, but was {shown(value)}")

@@ -191,9 +191,13 @@ def _marked(function: Callable, arrays: Any) -> Any:
 
 
 def _widest(kinds: list[Any]) -> Any:
-    """The dtype of one vector that can hold numbers of all these, or None; integers are below 2^53."""
+    """The dtype of one vector that can hold numbers of all these, or None; integers are below 2^53.
+
+    Keys of `jax.random` are no numbers to JAX, and nothing else holds them.
+    """
     floats = {kind for kind in kinds if jnp.issubdtype(kind, jnp.floating)}
-    exact = floats == {jnp.dtype("float64")} or (len(floats) == 1 and len(set(kinds)) == 1)
+    keys = any(jnp.issubdtype(kind, jax.dtypes.prng_key) for kind in kinds)
+    exact = floats == {jnp.dtype("float64")} and not keys or len(floats) == len(set(kinds)) == 1
     return floats.pop() if exact else None
 
 

@@ -273,6 +273,14 @@ def test_torsion_is_geodesic_torsion_and_the_turning_of_the_normal():
     np.testing.assert_allclose(np.asarray(locus.torsion[0])[middle], twist, rtol=1e-4, atol=1e-3)
 
 
+def test_a_locus_on_a_table_has_no_torsion_in_single_precision():
+    scene = jxr.scenes.rattleback(spin=2.0, tilt=0.3, axes=(0.05, 0.03, 0.04))
+    locus = in_single(jxr.loci, scene[0], run_of(scene, 0.25, ts=9, rtol=1e-8)).tip
+    assert locus.torsion.dtype == np.float32
+    assert np.abs(locus.curvature).max() > 300.0
+    np.testing.assert_allclose(locus.torsion, 0.0, atol=0.01)
+
+
 def test_rolled_body_touches_where_it_says():
     """A-1: both points coincide, and the normals are opposite."""
     egg, bump = jxr.Ellipsoid(0.03, 0.02, 0.015), jxr.Sphere(0.05)

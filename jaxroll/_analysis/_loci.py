@@ -25,13 +25,13 @@ from .._mechanics import check_spatial, check_states, compiled, Grasp, Leaves, S
 from .._motion import evaluate, Index1, touches
 from .._printing import listed
 from .._results import check_finite
-from .._types import Scalar, Scalars, Times
+from .._types import ByPrecision, Scalar, Scalars, Times
 from .._xla import in_turn, once, sharing
 from ..contact import Motion
 
 # Distance in time of the accelerations whose difference is the jerk [s]. The difference is of fourth order,
-# so that its error and, in double precision, the rounding of accelerations divided by it are both small.
-_STEP = 1e-4
+# so that its error and the rounding of accelerations divided by it are both small.
+_STEP = ByPrecision(1e-4, 2e-3)
 
 
 class Locus(eqx.Module):
@@ -115,9 +115,9 @@ def loci(grasp: Grasp, trajectory: Trajectory) -> Loci:
 
     Velocity and acceleration of the contact points over their surfaces are those of the equations of motion,
     not differences of states; the jerk, which the torsion alone needs, is a difference of fourth order of
-    accelerations along the motion, over 0.4 ms. The arclength is integrated from speed and its
-    rate at the saved times by Hermite's rule, whose error is of fourth order in their distance; both
-    surfaces' arclengths come from their own points, so that A-2 can be seen to hold.
+    accelerations along the motion, over 0.4 ms, in single precision over 8 ms. The arclength is integrated
+    from speed and its rate at the saved times by Hermite's rule, whose error is of fourth order in their
+    distance; both surfaces' arclengths come from their own points, so that A-2 can be seen to hold.
 
     Args:
         grasp: The grasp that was simulated, in space.
@@ -189,10 +189,11 @@ def _jets(grasp: Grasp, t: Scalar, state: State) -> tuple[_Jet, _Jet]:
         velocities, changes, rates = moving(t + step, x + step * line)
         return jnp.where(step == 0.0, rates, line), (velocities, changes)
 
-    steps = _STEP * jnp.array([0.0, -2.0, -1.0, 1.0, 2.0], x.dtype)
+    apart = _STEP.of(x)
+    steps = apart * jnp.array([0.0, -2.0, -1.0, 1.0, 2.0], x.dtype)
     _, (velocities, near) = jax.lax.scan(later, jnp.zeros_like(x), steps)
     velocity, acceleration = velocities[0], near[0]
-    jerk = (near[1] - 8.0 * near[2] + 8.0 * near[3] - near[4]) / (12.0 * _STEP)
+    jerk = (near[1] - 8.0 * near[2] + 8.0 * near[3] - near[4]) / (12.0 * apart)
     points, normals, bends = _frames(grasp, unpack(lay, x)[0], velocity)
     parts = (points, velocity, acceleration, jerk, normals, bends)
     tip, face = (_Jet(*(part[:, i] for part in parts)) for i in (0, 1))  # pyright: ignore

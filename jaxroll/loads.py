@@ -7,7 +7,7 @@ works too (see `Grasp`). `_motion/_equations` calls `wrench` in every evaluation
 none of it in its program. `Impulse` acts at one time, between two steps (`_motion._impulse`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -67,13 +67,19 @@ def _as_vector(name: str, vector: Array) -> Array:
     return vector
 
 
-def _check_axes(load: AbstractLoad, name: str, fields: Sequence[str], axes: int) -> None:
-    """Raise unless vectors have as many coordinates as the grasp's points."""
+def _check_axes(
+    load: AbstractLoad, name: str, fields: Sequence[str], axes: int, *, said: Mapping[str, str] | None = None
+) -> None:
+    """Raise unless vectors have as many coordinates as the grasp's points.
+
+    `said` has the name of an argument where the field has another.
+    """
     for field in fields:
         array = getattr(load, field)
         if array is not None and array.shape[-1] != axes:
+            called = (said or {}).get(field, field)
             raise ValueError(
-                f"argument {name} must have {axes} numbers as {field}, as the grasp's points have, "
+                f"argument {name} must have {axes} numbers as {called}, as the grasp's points have, "
                 f"but had {array.shape[-1]}"
             )
 
@@ -283,7 +289,7 @@ class Impulse(AbstractLoad):
         '0.10 m/s'
     """
 
-    UNITS: ClassVar[dict[str, str]] = {"impulse": "N s", "time": "s", "angular": "N m s", "point": "m"}
+    UNITS: ClassVar[dict[str, str]] = {"linear": "N s", "time": "s", "angular": "N m s", "point": "m"}
 
     linear: Float[Array, "d"] = real(None, check=_as_vector)
     time: Float[Array, ""] = real()
@@ -319,7 +325,7 @@ class Impulse(AbstractLoad):
         return object_.twist.velocity * 0.0, None
 
     def check(self, name: str, axes: int) -> None:
-        _check_axes(self, name, ("linear", "point"), axes)
+        _check_axes(self, name, ("linear", "point"), axes, said={"linear": "impulse"})
 
 
 class UserLoad(AbstractLoad):

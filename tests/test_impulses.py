@@ -253,3 +253,10 @@ def test_a_run_that_records_forces_has_the_contact_impulses(pivoted):
     np.testing.assert_allclose(run.states.q, [first.q, second.q], rtol=0, atol=1e-12)
     forces = jxr.multipliers(hit, run.ts, run.states)
     np.testing.assert_allclose(run.multipliers.f, forces.f, rtol=1e-12)
+
+
+def test_an_impulse_is_called_what_its_argument_is_called_and_has_units(pivoted):
+    blow = Impulse((0.0, 1e-4, 0.0), 0.1)
+    assert "0.0001, 0] N s, time=0.1 s" in repr(blow)
+    with pytest.raises(ValueError, match="argument blow must have 2 numbers as impulse, as the grasp's"):
+        jxr.strike(*pivoted, blow)

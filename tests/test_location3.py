@@ -241,6 +241,22 @@ def test_overlap_without_a_single_nearest_point_is_reported():
     assert np.all(np.asarray(found.result == jxr.RESULTS.too_deep)) and not np.any(np.asarray(found.unique))
 
 
+@pytest.mark.parametrize("x", [(0.0, 0.0, 0.0), (0.009, 0.0, 0.0), (0.012, 0.002, 0.001)])
+def test_what_is_deep_inside_says_how_deep_its_lowest_sample_is(x):
+    """Of a small body in a large one: the nearest of a million points of the large one, by brute force."""
+    axes, small = np.array([0.02, 0.012, 0.011]), np.array([0.0015, 0.001, 0.0008])
+    place = posed(np.array(x))
+    found = locate_surfaces(Ellipsoid(*axes), Ellipsoid(*small), pose_b=place, samples=60)
+    assert found.result == jxr.RESULTS.too_deep
+    on_large, on_small = np.asarray(found.points)
+    np.testing.assert_allclose(((on_large / axes) ** 2).sum(), 1.0, atol=1e-12)
+    np.testing.assert_allclose((((on_small - x) @ matrix(place) / small) ** 2).sum(), 1.0, atol=1e-12)
+    u, v = np.meshgrid(np.linspace(-np.pi, np.pi, 1601), np.linspace(-np.pi / 2, np.pi / 2, 801))
+    points = axes * np.stack([np.cos(u) * np.cos(v), np.sin(u) * np.cos(v), np.sin(v)], axis=-1)
+    depth = np.linalg.norm(points - on_small, axis=-1).min()
+    np.testing.assert_allclose(-float(found.gap), depth, atol=1e-6)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("swapped", [False, True])
 def test_derivatives_of_the_lowest_sample_where_no_pair_is_the_answer(swapped):

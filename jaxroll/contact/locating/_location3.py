@@ -310,17 +310,20 @@ def _report(
     at, fair, missed = pairs
     found = jax.vmap(lambda at: _measured(pair, at))(at)
     best = jax.tree.map(lambda x: x[0], found)
+    # A sample of `b` has its foot on `a`, and its signed distance along the normal there.
+    over_a = (best.points[1] - best.points[0]).dot(best.normals[0])
+    gap = jnp.where(missed & start.of_b, over_a, best.gap)
     # The other minima are the entries after the first one, moved up by one place.
     there = jnp.append(fair[1:], False)
     gaps = jnp.where(there, jnp.roll(found.gap, -1), jnp.inf)
-    alike = jnp.min(gaps) <= best.gap + _ALIKE.of(at, pair.pose) * pair.scale
+    alike = jnp.min(gaps) <= gap + _ALIKE.of(at, pair.pose) * pair.scale
     points, normal = [world[0].place(p).array() for p in best.points], best.normals[1]
     places = [jnp.stack(x, axis=-1) for x in at]
     if world[1]:
         points, places, normal = points[::-1], places[::-1], best.normals[0]
     others = [jnp.where(there[:, None], jnp.roll(x, -1, axis=0), 0.0) for x in places]
     return SurfaceLocation(
-        gap=best.gap,
+        gap=gap,
         at_a=places[0][0],
         at_b=places[1][0],
         points=jnp.stack(points),

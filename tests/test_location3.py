@@ -241,7 +241,7 @@ def test_overlap_without_a_single_nearest_point_is_reported():
     assert np.all(np.asarray(found.result == jxr.RESULTS.too_deep)) and not np.any(np.asarray(found.unique))
 
 
-@pytest.mark.parametrize("x", [(0.0, 0.0, 0.0), (0.009, 0.0, 0.0), (0.012, 0.002, 0.001)])
+@pytest.mark.parametrize("x", [(0.003, 0.001, 0.0005), (0.009, 0.0, 0.0), (0.012, 0.002, 0.001)])
 def test_what_is_deep_inside_says_how_deep_its_lowest_sample_is(x):
     """Of a small body in a large one: the nearest of a million points of the large one, by brute force."""
     axes, small = np.array([0.02, 0.012, 0.011]), np.array([0.0015, 0.001, 0.0008])

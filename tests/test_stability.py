@@ -17,6 +17,7 @@ from jaxroll.stability import (
     rectangle_hessian,
     VERDICTS,
 )
+from jaxroll.stability._equilibrium import _force_size
 from jaxroll.stability._memory_loop import _TWICE, eigenvalues
 from jaxroll.stability._statics import _damped, _is_parallel, _is_straight, _solved
 from jaxroll.stability._verdict import _bent_down, _verdict
@@ -759,3 +760,13 @@ def test_a_verdict_follows_from_rates_and_whether_the_potential_bends_down(rates
 def test_a_potential_bends_down_where_there_is_one(least, skew, bent):
     hessian = 4.0 * jnp.array([[least, 0.5 * skew], [-0.5 * skew, 1.0]])
     assert bool(_bent_down(hessian, 4.0 * jnp.array([least, 1.0]), 1e-7)) == bent
+
+
+def test_forces_that_vanish_at_the_start_are_sized_by_their_stiffness():
+    """Of springs that are at rest at the object's origin: stiffness times the fingers' mean size, slightly."""
+    grasp, state = jxr.scenes.pinch()
+    spring = jxr.loads.Spring(80.0, anchor=state.q[:2])
+    held = grasp.with_(controller=None, load=spring)
+    size = float(_force_size(held, state, jnp.zeros(0), t=0.0))
+    mean = sum(float(finger.lengths.mean()) for finger in grasp.fingers) / 2.0
+    np.testing.assert_allclose(size, 1e-6 * 80.0 * mean, rtol=1e-12)

@@ -51,8 +51,8 @@ REFUSED = {
         lambda: jxr.scenes.wheel(radius=0.1, tube=0.1),
         "tube must be smaller than radius, 0.1, but was 0.1",
     ),
-    "a wheel that lies flat": (lambda: jxr.scenes.wheel(inclination=0.0), "inclination must lie between 1e-06"),
-    "a wheel on its other side": (lambda: jxr.scenes.wheel(inclination=np.pi), "inclination must lie between"),
+    "a wheel that lies flat": (lambda: jxr.scenes.wheel(inclination=0.0), "inclination must lie"),
+    "a wheel on its other side": (lambda: jxr.scenes.wheel(inclination=np.pi), "inclination must lie"),
     "a wheel that does not turn": (lambda: jxr.scenes.wheel(precession=0.0), "precession must not be zero"),
     "an object of one line": (
         lambda: jxr.scenes.pinch(object=jxr.FreeObject([jxr.Line()], 0.02, 1e-6)),

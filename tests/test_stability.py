@@ -763,7 +763,7 @@ def test_a_potential_bends_down_where_there_is_one(least, skew, bent):
 
 
 def test_forces_that_vanish_at_the_start_are_sized_by_their_stiffness():
-    """Of springs that are at rest at the object's origin: stiffness times the fingers' mean size, slightly."""
+    """Of a spring that is at rest: a millionth of its stiffness times the mean length of a link."""
     grasp, state = jxr.scenes.pinch()
     spring = jxr.loads.Spring(80.0, anchor=state.q[:2])
     held = grasp.with_(controller=None, load=spring)

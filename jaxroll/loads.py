@@ -7,7 +7,7 @@ works too (see `Grasp`). `_motion/_equations` calls `wrench` in every evaluation
 none of it in its program. `Impulse` acts at one time, between two steps (`_motion._impulse`).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -67,19 +67,12 @@ def _as_vector(name: str, vector: Array) -> Array:
     return vector
 
 
-def _check_axes(
-    load: AbstractLoad, name: str, fields: Sequence[str], axes: int, *, said: Mapping[str, str] | None = None
-) -> None:
-    """Raise unless vectors have as many coordinates as the grasp's points.
-
-    `said` has the name of an argument where the field has another.
-    """
-    for field in fields:
-        array = getattr(load, field)
+def _check_axes(name: str, axes: int, **vectors: Array | None) -> None:
+    """Raise unless vectors, named as a load's arguments are, have the coordinates of the grasp's points."""
+    for argument, array in vectors.items():
         if array is not None and array.shape[-1] != axes:
-            called = (said or {}).get(field, field)
             raise ValueError(
-                f"argument {name} must have {axes} numbers as {called}, as the grasp's points have, "
+                f"argument {name} must have {axes} numbers as {argument}, as the grasp's points have, "
                 f"but had {array.shape[-1]}"
             )
 
@@ -159,7 +152,7 @@ class Push(AbstractLoad):
         return _acting_at(_vector(self.force) * (sin * sin), self.point, object_)
 
     def check(self, name: str, axes: int) -> None:
-        _check_axes(self, name, ("force", "point"), axes)
+        _check_axes(name, axes, force=self.force, point=self.point)
 
 
 class Drag(AbstractLoad):
@@ -258,7 +251,7 @@ class Spring(AbstractLoad):
         return _acting_at(stretched * -pull - moves * self.damping, self.point, object_)
 
     def check(self, name: str, axes: int) -> None:
-        _check_axes(self, name, ("anchor", "point"), axes)
+        _check_axes(name, axes, anchor=self.anchor, point=self.point)
 
 
 class Impulse(AbstractLoad):
@@ -325,7 +318,7 @@ class Impulse(AbstractLoad):
         return object_.twist.velocity * 0.0, None
 
     def check(self, name: str, axes: int) -> None:
-        _check_axes(self, name, ("linear", "point"), axes, said={"linear": "impulse"})
+        _check_axes(name, axes, impulse=self.linear, point=self.point)
 
 
 class UserLoad(AbstractLoad):

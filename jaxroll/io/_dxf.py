@@ -126,11 +126,12 @@ def _plain(curve: Any) -> Iterator[Any]:
         _clamp(curve)
     elif curve.dxftype() == "SPLINE":
         points = np.array(curve.fit_points, float)
-        if curve.closed and len(points) and np.any(points[0] != points[-1]):
+        if not len(points):
+            return
+        if curve.closed and np.any(points[0] != points[-1]):
             raise ValueError("a closed spline has no control points")
         # Of a point twice in a row the second counts for nothing; ezdxf would divide by its distance.
-        again = np.append(False, np.all(points[1:] == points[:-1], axis=1)) if len(points) else []
-        curve.fit_points = [point for point, skipped in zip(points, again, strict=True) if not skipped]
+        curve.fit_points = without_repeats(points, closed=False)
         if len(curve.fit_points) < 2:
             return
     yield curve

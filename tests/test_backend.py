@@ -50,6 +50,17 @@ def test_arguments_of_any_kind_come_through(kind):
     assert same.dtype == y.dtype and same == 2
 
 
+@pytest.mark.parametrize("y", [np.int64(2**60 + 1), np.int64(-3), np.uint64(2**64 - 1)])
+def test_whole_numbers_that_no_double_is_come_through(y):
+    def last_digit(x, y):
+        return x, y % y.dtype.type(10), y
+
+    x = jnp.linspace(0.0, 1.0, 3)
+    lanes = jax.vmap(lambda y: one_kernel(last_digit, x, y)[1:])(jnp.stack([y, y]))
+    for digit, same in (one_kernel(last_digit, x, jnp.asarray(y))[1:], [out[1] for out in lanes]):
+        assert digit == y % y.dtype.type(10) and same == y
+
+
 def test_vmap_maps_inside_the_kernel():
     x, y = jnp.linspace(0.0, 1.0, 12).reshape(4, 3), jnp.asarray(2.0)
     mapped = jax.vmap(lambda x: one_kernel(march, x, y)[0])

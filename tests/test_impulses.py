@@ -99,6 +99,9 @@ def test_a_ball_that_is_hit_rolls_on_with_five_sevenths():
     assert bool(hit_at(0.042, 0.0, 0.0).result == jxr.RESULTS.slipping)
     assert bool(hit_at(0.042, 0.0, -0.042).result == jxr.RESULTS.successful)
     assert bool(hit_at(0.042, 0.0, 0.0, events=()).result == jxr.RESULTS.successful)
+    # What a blow cannot cause is not watched for: it moves nothing.
+    with pytest.raises(ValueError, match="argument events must .*'penetration'"):
+        hit_at(0.042, 0.0, 0.0, events=("penetration",))
     up = hit_at(0.0, 0.0, 0.042)
     assert bool(up.result == jxr.RESULTS.contact_lost)
     assert float(up.multipliers.f[0]) == pytest.approx(-0.042)

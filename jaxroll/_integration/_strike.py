@@ -80,7 +80,8 @@ def strike(
     check_states(grasp, state)
     check_instance("blow", blow, Impulse, "a loads.Impulse")
     blow.check("blow", 3 if grasp.spatial else 2)
-    return _strike(grasp, state, blow, check_choices("events", events, EVENTS))
+    watched = check_choices("events", events, tuple(e for e in EVENTS if e != "penetration"))
+    return _strike(grasp, state, blow, watched)
 
 
 @compiled

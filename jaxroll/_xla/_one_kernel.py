@@ -179,10 +179,10 @@ def _marked(function: Callable, arrays: Any) -> Any:
         # Two results at least. XLA cuts large operations into parts for its threads, and where the single
         # result is one of them its emitter fails ("Incorrect number of arguments passed to called function"):
         # 2048 starts closed at once did not compile.
-        return function(jax.tree.unflatten(form, [part.astype(kind) for part, kind in parts])), numbers[:1]
+        return function(jax.tree.unflatten(form, [_as_kind(*part) for part in parts])), numbers[:1]
 
     # One operand: XLA's emitter aborts on operands of such a call that are not used.
-    numbers = jnp.concatenate([jnp.ravel(leaf).astype(widest) for leaf in leaves])
+    numbers = jnp.concatenate([_as_kind(jnp.ravel(leaf), widest) for leaf in leaves])
     compiled = jax.jit(unpacked)
     out, tree = jax.tree.flatten(compiled(numbers)[0])
     if not misfits(compiled.trace(numbers).jaxpr.jaxpr):
@@ -190,8 +190,19 @@ def _marked(function: Callable, arrays: Any) -> Any:
     return jax.tree.unflatten(tree, out)
 
 
+def _as_kind(numbers: jax.Array, kind: Any) -> jax.Array:
+    """The numbers as those of another kind, or back: whole numbers of 64 bits keep their bits.
+
+    Above 2^53 not every whole number is a double.
+    """
+    kinds = {jnp.dtype(kind), numbers.dtype}
+    if len(kinds) == 2 and kinds & {jnp.dtype("int64"), jnp.dtype("uint64")}:
+        return jax.lax.bitcast_convert_type(numbers, kind)
+    return numbers.astype(kind)
+
+
 def _widest(kinds: list[Any]) -> Any:
-    """The dtype of one vector that can hold numbers of all these, or None; integers are below 2^53.
+    """The dtype of one vector that can hold numbers of all these, or None.
 
     Keys of `jax.random` are no numbers to JAX, and nothing else holds them.
     """

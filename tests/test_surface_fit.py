@@ -164,3 +164,14 @@ def test_points_exactly_on_a_line_or_in_a_plane_are_refused_in_a_sentence(presse
     u = 0.01 * u / np.linalg.norm(u, axis=1)[:, None]
     with pytest.raises(ValueError, match="argument points must tell the field of a surface, but they leave"):
         fit_surface(u * np.array(pressed))
+
+
+@pytest.mark.parametrize(
+    "lowest, words", [(0.0, "not to be trusted: it encloses no body"), (-1.0, "the points lie")]
+)
+def test_a_fit_that_encloses_no_body_says_so(lowest, words):
+    """Half a ball without its bottom, whose field leaves the grid open, and a whole one."""
+    u = np.random.default_rng(0).normal(size=(2000, 3))
+    u /= np.linalg.norm(u, axis=1)[:, None]
+    fit = fit_surface(0.02 * u[u[:, 2] >= lowest], smoothing=0.02)
+    assert fit.report.verdict.startswith(words)

@@ -22,7 +22,7 @@ from threadpoolctl import threadpool_limits
 from ..._results import as_faces, as_floats, as_length, check_direction, concrete, on_host, shown
 from ..._types import Given
 from ..contours import check_extent
-from ..surfaces import SplineSurface
+from ..surfaces import SplineSurface, surface_values
 from ._field_fit import AXES, DataRows, Grid, grid_around, normal_band, offsets, roughness_band, rows
 from ._measured import angles, evenly, measured
 from ._scan import normals_of_net, thinned_scan
@@ -339,15 +339,35 @@ def _reported(
         normals=turned,
         curvature=curvature,
         smoothness=surface.smoothness,
-        verdict=_verdict(curvature, wavelength, rms, largest, turned=0.0 if turned is None else turned[0]),
+        verdict=_verdict(
+            curvature,
+            wavelength,
+            rms,
+            largest,
+            turned=0.0 if turned is None else turned[0],
+            closed=_is_closed(surface),
+        ),
         reach=3.0 * spacing,
         tolerance=max(_FAR * rms, 1e-3 * wavelength),
     )
     return SurfaceFit(surface, jnp.asarray(cloud[each]), jnp.asarray(feet), report)
 
 
+def _is_closed(surface: SplineSurface) -> bool:
+    """Whether all faces of the grid are outside of the body."""
+    values = surface_values(surface, 1)
+    values[1:-1, 1:-1, 1:-1] = np.inf
+    return bool(values.min() > 0.0)
+
+
 def _verdict(
-    curvature: tuple[float, float], wavelength: float, rms: float, largest: float, *, turned: float = 0.0
+    curvature: tuple[float, float],
+    wavelength: float,
+    rms: float,
+    largest: float,
+    *,
+    turned: float = 0.0,
+    closed: bool = True,
 ) -> str:
     """Whether a surface of one wavelength looks like its points; `turned`: from given normals, rms [rad]."""
     if turned > _ASTRAY:
@@ -355,7 +375,7 @@ def _verdict(
             f"not to be trusted: its normals are {np.degrees(turned):.3g} degrees rms off those given, which "
             f"do not all point out of one body; without them they are found from the points"
         )
-    signs = []
+    signs = [] if closed else ["it encloses no body, as the points are not all round one"]
     # No wave that smoothing leaves is shorter than its wavelength by much; its sharpest bend has a radius
     # about that over 2 pi.
     sharpest = max(-curvature[0], curvature[1])

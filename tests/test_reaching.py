@@ -297,6 +297,33 @@ def test_an_object_that_fingers_reach_is_not_moved_though_it_may_be(monkeypatch)
     np.testing.assert_array_equal(free.state.q, held.state.q)
 
 
+@pytest.mark.parametrize("limited", [False, True])
+def test_letting_the_object_go_hides_nothing_that_was_asked_of_the_fingers(limited):
+    """Fingers that get there, beyond their limits or with links in the object, start from there as little."""
+    limits = [(-0.2, 0.2)] * 2 if limited else None
+    fingers = [jxr.Finger(LINKS, MASSES, TIP, base=(x, 0.0), limits=limits) for x in (-0.03, 0.03)]
+    grasp = jxr.Grasp(two_fingers().object, fingers, two_fingers().contacts)
+    wanted = jxr.RESULTS.joint_limit if limited else jxr.RESULTS.links_meet
+    radius = None if limited else 0.1
+    for hold in (True, False):
+        found = jxr.reach(grasp, SIDES, pose=(0.0, 0.08, 0.0), hold_object=hold, link_radius=radius)
+        assert found.result == wanted and found.reason.startswith("finger 0: ")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ends, wanted", [((-1.0, 1.0), "successful"), ((0.0, 0.001), "joint_limit")])
+def test_fingers_that_an_object_was_let_go_for_keep_what_they_were_asked_for(ends, wanted):
+    """The plates of `test_an_object_that_is_let_go_turns_between_two_plates`, one with a limit."""
+    tilted = [jxr.Line().moved(angle=angle) for angle in (0.0, np.pi)]
+    plates = [jxr.Jaw(tilted[0], 0.1, [0.0], base=(-0.05, 0.0), limits=[ends])]
+    plates.append(jxr.Jaw(tilted[1], 0.1, [0.0], base=(0.05, 0.0)))
+    body = jxr.FreeObject.uniform(jxr.Ellipse(A, 0.7 * A), 20.0)
+    grasp = jxr.Grasp(body, plates, [jxr.Contact(finger=0), jxr.Contact(finger=1)])
+    found = jxr.reach(grasp, [(-A, 0.0), (A, 0.0)], pose=(0.0, 0.0, 0.3), hold_object=False)
+    assert found.result == getattr(jxr.RESULTS, wanted), found.reason
+    assert worst_residual(found) <= 1e-12 and np.isfinite(found.links)
+
+
 # Postures by their overlaps, the distances of their links and these on average, joints, and which is taken.
 CLEARANCES = {
     "the links that are farthest": ([0, 0], [2e-3, 3e-3], [9e-3, 3e-3], [[0.1], [0.9]], 1),

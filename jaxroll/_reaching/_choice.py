@@ -80,6 +80,24 @@ def chosen_posture(
     return Choice(one, "penetration", reason, overlap, links, len(good.q))
 
 
+def judged_posture(
+    reacher: Reacher, q: np.ndarray, wish: Wish, object_: tuple[SampledObject, np.ndarray, np.ndarray]
+) -> Choice:
+    """One posture that touches, joints of shape (k,), which no search here found: what is wrong with it."""
+    one = Postures(q[None], np.zeros((1, 0, 0)), np.zeros(1), np.zeros(1))
+    (overlap,), (links,), _ = (x.tolist() for x in _clearances(reacher, one, object_))
+    wrong = ("successful", "")
+    if links < wish.link_radius:
+        wrong = ("links_meet", f"its links come within {links:.3g} m of the object")
+    if overlap > _TOLERANCE:
+        wrong = ("penetration", f"its tip overlaps the object by {overlap:.3g} m")
+    if wish.elbow * q[-1:].sum() < 0.0:
+        wrong = ("unreachable", f"its last joint has the other sign than elbow={wish.elbow}")
+    if not _within(reacher, one, wish.limits)[0]:
+        wrong = ("joint_limit", _beyond(one, wish.limits))
+    return Choice(one, *wrong, overlap, links, 1)
+
+
 def _best(
     reacher: Reacher, found: Postures, wish: Wish, object_: tuple[SampledObject, np.ndarray, np.ndarray]
 ) -> tuple[Postures, float, float]:

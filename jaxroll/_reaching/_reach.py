@@ -3,7 +3,8 @@ r"""`reach`: joint angles at which the fingertips touch given points of an objec
 The object is held. Each finger is searched for all of its postures that touch what its contacts are to touch
 (`_postures`); of these one is taken (`_choice`) that keeps joint limits and elbow sides, overlaps the object
 nowhere (`_overlap`), and is nearest to the guess, or else keeps its links farthest from the object. Where
-fingers have too few joints, the object may be let go: then `close` moves it too.
+fingers have too few joints, the object may be let go: then `close` moves it too, and the postures at which it
+ends must keep the same limits.
 """
 
 from collections.abc import Sequence
@@ -29,7 +30,7 @@ from .._results import (
     shown,
 )
 from .._types import ByPrecision, Given
-from ._choice import Choice, chosen_posture, Wish
+from ._choice import Choice, chosen_posture, judged_posture, Wish
 from ._overlap import sampled_object, SampledObject
 from ._postures import poses_at, Reacher, TouchPoints
 from ._sheet import Sheet, sheet_of
@@ -108,7 +109,7 @@ def reach(
         hold: Joints that keep the values of `guess`, by name: 'finger 0', 'finger 1 q[0]'.
         elbow: Sign of the last joint's angle, 1 or -1, for all fingers or for each; 0 (default) for either.
         hold_object: If False, and a finger does not get there, `close` may move the object and roll the
-            contacts.
+            contacts; limits, elbows and links are then looked at where that ends.
         link_radius: Of the links, as capsules from joint to joint [m]: postures in which they meet the object
             are not taken. Default: the finger's own `link_radius`; where it has none, links may pass through
             the object, and `links` of the result says whether they do.
@@ -146,18 +147,20 @@ def reach(
     targets = _targets(ready, faces, at, positions)
     elbows = _elbows(elbow, len(grasp.fingers))
     radius = None if link_radius is None else float(as_length("link_radius", link_radius))
-    chosen = []
+    asked, chosen = [], []
     for i in range(len(grasp.fingers)):
         own = [j for j, contact in enumerate(grasp.contacts) if contact.finger == i]
         finger = grasp.fingers[i]
         wish = Wish(elbows[i], _joints(grasp, guess, i), _limits(finger), _radius(finger, radius))
         reacher = _reacher(ready, i, held)
         mine = TouchPoints(targets.points[own], targets.normals[own])
+        asked.append((reacher, wish))
         chosen.append(chosen_posture(reacher, mine, wish, (solid, *poses_at(ready.object, positions[None]))))
     found = _assembled(grasp, positions, chosen, at)
-    if hold_object or found.result == RESULTS.successful:
+    if hold_object or found.result != RESULTS.unreachable:
         return found
-    return _let_go(found, hold)
+    free = _let_go(found, hold)
+    return found if free is found else _judged(free, ready, solid, asked)
 
 
 def _check(grasp: Grasp, guess: State | None, hold_object: bool) -> None:
@@ -312,12 +315,11 @@ def _assembled(grasp: Grasp, positions: np.ndarray, chosen: list[Choice], at: li
         values = [jnp.asarray(x[0]) for pair in zip(tips, at, strict=True) for x in pair]
         new = eqx.tree_at(fields, grasp, values)
     state = State(jnp.asarray(q), np.zeros(grasp.coordinates), jnp.asarray(s))
-    worst = next((i for i, one in enumerate(chosen) if one.code != "successful"), None)
-    reason = "" if worst is None else f"finger {worst}: {chosen[worst].reason}"
+    result, reason = _verdict(chosen)
     return Reach(
         new,
         state,
-        RESULTS.successful if worst is None else getattr(RESULTS, chosen[worst].code),
+        result,
         reason,
         max(float(one.posture.gaps[0]) for one in chosen),
         max(float(one.posture.tilts[0]) for one in chosen),
@@ -325,6 +327,14 @@ def _assembled(grasp: Grasp, positions: np.ndarray, chosen: list[Choice], at: li
         min(one.links for one in chosen),
         tuple(one.count for one in chosen),
     )
+
+
+def _verdict(chosen: list[Choice]) -> tuple[RESULTS, str]:
+    """The code of the first finger with which something is wrong, and the reason."""
+    worst = next((i for i, one in enumerate(chosen) if one.code != "successful"), None)
+    if worst is None:
+        return RESULTS.successful, ""
+    return getattr(RESULTS, chosen[worst].code), f"finger {worst}: {chosen[worst].reason}"
 
 
 def _let_go(found: Reach, hold: str | Sequence[str]) -> Reach:
@@ -336,3 +346,15 @@ def _let_go(found: Reach, hold: str | Sequence[str]) -> Reach:
     if not max(gap, tilt) <= _CLOSED.of(state):
         return found
     return Reach(grasp, state, RESULTS.successful, "", gap, tilt, found.overlap, found.links, found.postures)
+
+
+def _judged(free: Reach, ready: Grasp, solid: SampledObject, asked: list[tuple[Reacher, Wish]]) -> Reach:
+    """A closed start with what is wrong with its postures, and how far from the object they stay."""
+    position, *joints = np.split(np.asarray(free.state.q), np.cumsum(ready.form.positions)[:-1])
+    there = (solid, *poses_at(ready.object, position[None]))
+    judged = [
+        judged_posture(reacher, q, wish, there) for (reacher, wish), q in zip(asked, joints, strict=True)
+    ]
+    result, reason = _verdict(judged)
+    overlap, links = max(one.overlap for one in judged), min(one.links for one in judged)
+    return Reach(free.grasp, free.state, result, reason, free.gap, free.tilt, overlap, links, free.postures)

@@ -13,7 +13,7 @@ from jaxtyping import Array
 from .._linalg import unstack
 from .._xla import quickly
 from ._overlap import heights, SampledObject
-from ._postures import poses_at, Postures, Reacher, searched_postures, touching, TouchPoints
+from ._postures import poses_at, Postures, Reacher, searched_postures, STARTS, touching, TouchPoints
 
 # An overlap below this is the contact itself [m].
 _TOLERANCE = 1e-7
@@ -23,9 +23,7 @@ _EQUAL = 1e-9
 _LINK = 16
 # Postures that are compared; of a finger with joints to spare there are many more.
 _JUDGED = 12
-# Starts of a search.
-_STARTS = 64
-# Displacements are measured against this length [m], and what has no bounds is looked at within it.
+# Displacements of a jaw are measured against this length, and searched for at least as far [m].
 _LENGTH = 0.05
 
 
@@ -103,11 +101,12 @@ def _best(
 ) -> tuple[Postures, float, float]:
     """The posture nearest to the guess or with links farthest away, its overlap and its links' distance.
 
-    Of postures whose links come as near, as do all that touch with one point of the last link, that is taken
-    whose links are farthest away on average, and of mirrored ones that with the smallest angles.
+    Of postures whose links come equally near, as where the end of the last link is nearest in all of them,
+    the one is taken whose links are farthest away on average, and of mirrored ones the one with the smallest
+    angles.
 
-    Postures that overlap come last, and before them those whose links meet the object; they are looked at
-    some at a time, until one does neither.
+    Postures that overlap come last, and before them those whose links meet the object. Some postures at a
+    time are looked at, until one does neither.
     """
     if wish.guess is not None:
         scale = 2.0 * np.pi if reacher.finger.turns else _LENGTH
@@ -150,9 +149,9 @@ def _starts(reacher: Reacher, targets: TouchPoints, wish: Wish) -> np.ndarray:
     if wish.limits is not None:
         low, high = np.maximum(low, wish.limits[:, 0]), np.minimum(high, wish.limits[:, 1])
         high = np.maximum(low, high)
-    starts = rng.uniform(low, high, (_STARTS, k))
+    starts = rng.uniform(low, high, (STARTS, k))
     if wish.guess is not None:
-        near = wish.guess + 0.2 * (high - low) * rng.normal(size=(_STARTS // 4, k))
+        near = wish.guess + 0.2 * (high - low) * rng.normal(size=(STARTS // 4, k))
         starts[: len(near)] = near
         starts[0] = wish.guess
         starts = np.where(reacher.free, starts, wish.guess)
@@ -217,7 +216,7 @@ def _links(joints: np.ndarray) -> list[tuple[int, int]]:
 
 def _skeletons(finger: Any, q: np.ndarray) -> np.ndarray:
     """Joints and tip frames of postures, shape (n, points, d)."""
-    padded = np.resize(q, (_STARTS * max(1, -(-len(q) // _STARTS)), q.shape[1]))
+    padded = np.resize(q, (STARTS * max(1, -(-len(q) // STARTS)), q.shape[1]))
     return np.asarray(_chains(finger, jnp.asarray(padded)))[: len(q)]
 
 

@@ -96,8 +96,7 @@ def grasp_points(
     The antipodal pairs of its boundary come first: there the line between the points is normal to both sides,
     and no friction is needed; of a family of such pairs, as all round a bottle, some that lie apart. Where
     they are fewer than `count`, the best other pairs follow that the friction holds, each apart from all
-    before. Fingers press inwards at both points; whether they get there,
-    `reach` says.
+    before. Fingers press inwards at both points; `reach` says whether they get there.
 
     Args:
         object: A `FreeObject`, `PivotedObject` or `FreeObject3`, or one or more contours or surfaces. Faces
@@ -110,8 +109,8 @@ def grasp_points(
         A `GraspPoints`; empty where no pair is held with this friction.
 
     Raises:
-        ValueError: If `object` is none or has no boundary within its bounds, a number is not positive, or
-            `count` is above 1000.
+        ValueError: If `object` is none of these or has no boundary within its bounds, a number is not
+            positive, or `count` is above 1000.
 
     Accuracy: exact pairs to rounding; others are pairs of samples, 384 in the plane and 720 in space: their
     own demand is exact, that of the best pair of all may be lower. Antipodal pairs of features finer than the

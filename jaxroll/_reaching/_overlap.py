@@ -60,6 +60,6 @@ def heights(solid: SampledObject, points: np.ndarray) -> np.ndarray:
 
 def _has_ends(face: Sheet) -> bool:
     if face.spatial:
-        at = tuple(np.zeros(face.coordinates) + 0.1)
+        at = tuple(np.zeros(face.coordinates) + 0.1)  # any place: asked is whether there are margins at all
         return bool(face.shape.margins(at))
     return face.shape.domain() is not None and not face.shape.closed

@@ -6,8 +6,8 @@ of the tip are sought at which the tip's points X and normals m meet them,
 $$ X(q, s) = P, \qquad m(q, s) = -N, $$
 
 which in the plane are three equations for each contact, in space five. A step solves them linearised, damped
-as by Levenberg and Marquardt; where a finger has more joints than it needs, it is the shortest. All starts go
-on together.
+as by Levenberg and Marquardt; where a finger has more joints than it needs, the step is the shortest. All
+starts go on together.
 """
 
 from typing import Any, NamedTuple
@@ -25,18 +25,19 @@ from .._xla import quickly
 from ..geometry import Circle, Sphere
 from ._sheet import Frames, Sheet, shortened
 
-# Starts of a search and most steps of each.
-_STARTS, _STEPS = 64, 100
+# Starts of a search, which are also the rows of one call of a compiled program, and most steps of each.
+STARTS, _STEPS = 64, 100
 # About so many places of the tip, of which a start takes the one that faces its target.
 _FACES = 96
-# A posture touches where no gap is larger than this share of the finger's length, and no tilt than the other.
+# A posture touches where no gap is larger than the first, a share of the finger's length, and no tilt larger
+# than the second.
 _TOUCHES, _TILTS = ByPrecision(1e-13, 1e-6), ByPrecision(1e-11, 1e-5)
-# A search that is stuck at more than this is given up when its damping is large.
+# A search whose damping has grown beyond this is stuck, and given up.
 _STUCK = 1e8
 # Least damping. A finger with joints to spare moves freely along a direction in which rounding alone says how
 # far: where damping is not far above rounding, the posture found depends on the processor.
 _DAMPING = 1e-9
-# Of angles [rad].
+# Rounding of angles [rad].
 _ROUNDING = 1e-12
 # Postures are one if no joint differs by more [rad or m].
 _ALIKE = 1e-6
@@ -101,10 +102,10 @@ def searched_postures(
 
     All that were found are returned: those that touch, and those that came as near as they could.
     """
-    starts = np.resize(starts, (_STARTS, starts.shape[1]))
+    starts = np.resize(starts, (STARTS, starts.shape[1]))
     places = _facing(reacher, targets, starts)
     state = _evaluated(reacher, targets, starts, places)
-    damping, rounding = np.full(_STARTS, 1e-3), (0.01 * _TOUCHES.of(state)) ** 2
+    damping, rounding = np.full(STARTS, 1e-3), (0.01 * _TOUCHES.of(state)) ** 2
     for _ in range(_STEPS):
         q, places, error, rows, slopes = state
         step = _damped(rows, slopes, damping)
@@ -222,8 +223,8 @@ def placed_at(body: Any, q: np.ndarray) -> tuple[np.ndarray, ...]:
     # With round tips, which move nothing: one program for fingers with tips of any class.
     if isinstance(body, Finger | Finger3):
         body = eqx.tree_at(lambda f: f.tip, body, Circle(1.0) if isinstance(body, Finger) else Sphere(1.0))
-    count = -(-len(q) // _STARTS)
-    padded = np.resize(q, (count * _STARTS, q.shape[1])).reshape(count, _STARTS, -1)
+    count = -(-len(q) // STARTS)
+    padded = np.resize(q, (count * STARTS, q.shape[1])).reshape(count, STARTS, -1)
     found = [_poses(body, jnp.asarray(batch)) for batch in padded]
     return tuple(np.concatenate([np.asarray(x) for x in part])[: len(q)] for part in zip(*found, strict=True))
 

@@ -107,7 +107,8 @@ def reach(
         guess: A state with joints to stay near; `hold` takes its joints from there. Default: none; then links
             stay as far from the object as they can.
         hold: Joints that keep the values of `guess`, by name: 'finger 0', 'finger 1 q[0]'.
-        elbow: Sign of the last joint's angle, 1 or -1, for all fingers or for each; 0 (default) for either.
+        elbow: Sign of the last joint's angle, 1 or -1, or 0 for either; one for all fingers, or one for each.
+            Default: either.
         hold_object: If False, and a finger does not get there, `close` may move the object and roll the
             contacts; limits, elbows and links are then looked at where that ends.
         link_radius: Of the links, as capsules from joint to joint [m]: postures in which they meet the object

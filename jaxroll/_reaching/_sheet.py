@@ -27,7 +27,7 @@ _BATCH = 512
 _TABLE = 1000
 # How often a place returns to an implicit surface after a step.
 _RETURNS = 2
-# The last sheets that were made, with the arrays and the structure of their shapes.
+# So many of the last sheets are kept, each with the arrays and the structure of its shape.
 _KEPT = 16
 _KNOWN: list[tuple[list[Any], Any, "Sheet"]] = []
 
@@ -171,7 +171,7 @@ def sheet_of(shape: AbstractContour | AbstractSurface) -> Sheet:
 
 @remembered
 def _spreads(shape: Any) -> dict[int, np.ndarray | None]:
-    """What is known of a surface's places by their count, to be added to: who asks once asks again."""
+    """Places spread over a surface, by their count; empty at first, `Sheet.spread` adds what it finds."""
     return {}
 
 

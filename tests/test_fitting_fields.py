@@ -15,10 +15,10 @@ from jaxroll.geometry.fitting import (
     _field_fit,
     _field_solve,
     _indicator,
-    _measured,
     _scan,
     _smoothing,
     _surface_fit,
+    _surface_measured,
     _surface_normals,
     _visibility,
 )
@@ -298,25 +298,25 @@ def test_a_twentieth_of_a_scan_may_lie_on_other_bodies(share, fair):
 def test_angles_between_normals():
     turn = np.radians([0.0, 10.0, 50.0])
     normals = np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1)
-    mean, most = _measured.angles(normals * (1.0 + 1e-15), np.tile([1.0, 0.0, 0.0], (3, 1)))
+    mean, most = _surface_measured.angles(normals * (1.0 + 1e-15), np.tile([1.0, 0.0, 0.0], (3, 1)))
     assert mean == pytest.approx(np.radians((2600.0 / 3.0) ** 0.5), rel=1e-9)
     assert most == pytest.approx(np.radians(50.0), rel=1e-9)
-    assert _measured.angles(-normals[:1], normals[:1])[1] == pytest.approx(np.pi)
+    assert _surface_measured.angles(-normals[:1], normals[:1])[1] == pytest.approx(np.pi)
 
 
 @pytest.mark.parametrize("batch", [3, 7, 100])
 def test_levels_are_worked_out_batch_by_batch(batch, monkeypatch):
     """Of a linear field; the middle of the first function is two cells before the grid."""
-    monkeypatch.setattr(_measured, "_BATCH", batch)
+    monkeypatch.setattr(_surface_measured, "_BATCH", batch)
     step, origin = 0.5, np.array([1.0, 2.0, 3.0])
     nodes = [o + step * (np.arange(n) - 2.0) for o, n in zip(origin, (9, 8, 7), strict=True)]
     field = np.add.outer(np.add.outer(2.0 * nodes[0], 3.0 * nodes[1]), -1.0 * nodes[2]) - 7.0
     surface = SplineSurface(field, tuple(origin), step)
     points = origin + np.random.default_rng(4).uniform(0.0, 1.0, (7, 3)) * step * np.array([4.0, 3.0, 2.0])
     np.testing.assert_allclose(
-        _measured.levels_at(surface, points), points @ [2.0, 3.0, -1.0] - 7.0, rtol=1e-9
+        _surface_measured.levels_at(surface, points), points @ [2.0, 3.0, -1.0] - 7.0, rtol=1e-9
     )
-    assert _measured.levels_at(surface, points[:0]).shape == (0,)
+    assert _surface_measured.levels_at(surface, points[:0]).shape == (0,)
 
 
 # Surfaces of clouds.
@@ -365,7 +365,7 @@ def test_a_cloud_is_fitted_by_least_squares():
     found = inverse[:, 0]
     lengths = np.linalg.norm(slopes @ found, axis=1)
     heights = step * (matrix @ found) / np.median(lengths)
-    np.testing.assert_allclose(_measured.levels_at(surface, points), heights, atol=1e-6 * step)
+    np.testing.assert_allclose(_surface_measured.levels_at(surface, points), heights, atol=1e-6 * step)
     assert square == pytest.approx(np.mean((step * (matrix @ found) / lengths) ** 2), rel=1e-6)
     assert used == pytest.approx(np.mean(np.sum(probes.T * (matrix @ inverse[:, 1:]), axis=0)) / 70, rel=1e-6)
     np.testing.assert_allclose(surface.origin, grid.origin)

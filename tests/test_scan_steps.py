@@ -9,9 +9,9 @@ import pytest
 from jaxroll.geometry.fitting import _scan_fit, _scan_verdict
 from jaxroll.geometry.fitting._field_fit import Grid
 from jaxroll.geometry.fitting._indicator import Body
-from jaxroll.geometry.fitting._measured import evenly
 from jaxroll.geometry.fitting._rolling import _cores, centres, rolled
 from jaxroll.geometry.fitting._scan import Scan
+from jaxroll.geometry.fitting._surface_measured import evenly
 from jaxroll.geometry.fitting._surface_report import regions_of, trusted_places
 
 HALF, STEP = np.array([0.02, 0.015, 0.012]), 0.001

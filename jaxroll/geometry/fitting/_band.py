@@ -75,7 +75,7 @@ def found_band(points: np.ndarray, scale: float, *, closed: bool, ordered: bool 
             return Band(chain, exact.indices, np.zeros(0, int), reordered=True)
     apart = np.linalg.norm(points[near[:, min(_DENSE, near.shape[1]) - 1]] - points, axis=1)
     loose = apart > _LOOSE * float(np.median(apart))
-    # Within the distance to the fourth nearest point there are no means, only points.
+    # Cells narrower than the distance to the fourth nearest point hold too few points for a mean.
     fourth = np.linalg.norm(points[near[:, min(4, near.shape[1]) - 1]] - points, axis=1)
     scale, widest = max(scale, float(np.median(fourth))), _WIDEST * float(np.ptp(points, axis=0).max())
     while scale < widest:
@@ -146,14 +146,14 @@ def _without_detours(points: np.ndarray, scale: float, *, closed: bool) -> tuple
 
 
 def _strung(points: np.ndarray, scale: float, *, closed: bool) -> np.ndarray:
-    """Means of stretches of points in order; a stretch ends with the first point a scale from its start."""
+    """Means of stretches of points in order; a point over a scale from a stretch's start begins the next."""
     groups, start, group = [], points[0], 0
     for point in points:
         if np.hypot(*(point - start)) > scale:
             group, start = group + 1, point
         groups.append(group)
     labels = np.array(groups)
-    if closed and group and np.hypot(*(points[-1] - points[0])) < scale and group > 1:
+    if closed and group > 1 and np.hypot(*(points[-1] - points[0])) < scale:
         # The last stretch was cut short by the first one.
         labels[labels == group] = 0 if np.sum(labels == group) < np.sum(labels == 0) else group
     return _means(points, labels, int(labels.max()) + 1)

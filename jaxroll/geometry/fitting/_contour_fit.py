@@ -25,7 +25,7 @@ from ._clean_points import clean_points, CleanPoints, given_points
 from ._crossings import crossings
 from ._departures import departures, inflections, jumps
 from ._fit_report import doubts, Fit, FitReport, recommended
-from ._limited_fit import limited, NODES, Wanted
+from ._limited_fit import limited, NODES, SHARE, Wanted
 from ._ordering import place_text
 from ._smoothing import smoothing_for
 
@@ -34,8 +34,7 @@ _SAMPLES = 2048  # intervals between the places at which a contour is measured
 _CELLS = (4096, 16384)
 _DENSE = 512  # most knots of a smoothing spline, unless told; the cost grows with their cube
 _PLACES = 16385  # at which the curvature is compared with what is allowed
-_SHARE = 0.97  # of the allowed curvature, tried first
-_SPARE = 0.01  # half of how far below the bound the next try aims
+_AIM = 0.98  # share of the allowed curvature at which every try but the first aims
 _TRIES = 8
 _TERMS = (3, 4, 6, 8, 11, 15, 20)  # numbers of Fourier terms of a support function, tried in turn
 
@@ -402,7 +401,7 @@ def _bent_at_most(points: np.ndarray, wanted: Wanted) -> Fit:
     size = float(np.ptp(points, axis=0).max())
     _check_length("noise", wanted.noise, 0.1 * size)
     _check_length("smoothing", wanted.smoothing, size)
-    ready, share = limited(points, wanted), _SHARE
+    ready, share = limited(points, wanted), SHARE
     for _ in range(_TRIES):
         found = ready.solved(share)
         peak = wanted.radius * found.sharpest()
@@ -413,7 +412,7 @@ def _bent_at_most(points: np.ndarray, wanted: Wanted) -> Fit:
             peak = wanted.radius * float(seen.peak)
             if peak <= 1.0:
                 break
-        ready, share = ready.onwards(found), share * min(0.98, (1.0 - 2.0 * _SPARE) / peak)
+        ready, share = ready.onwards(found), share * min(_AIM, _AIM / peak)
     else:
         raise ValueError(
             f"argument smallest_radius must leave room for a smooth contour among the points, but with "

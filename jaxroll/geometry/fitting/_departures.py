@@ -15,8 +15,8 @@ from ._ordering import turnings
 
 _OFF = 3.0  # standard deviations beyond which a point counts as off the contour
 _STRAY = 6.0  # standard deviations beyond which a point alone is a stray
-# Least standard deviations reckoned with, in smallest radii: for stretches, and for single points, of which
-# those of a scan have errors that neighbours share.
+# Least standard deviations that are reckoned with, in smallest radii: for stretches, and for single points;
+# the latter is larger, since neighbouring points of a scan share errors.
 _FINEST = 1e-3
 _ALONE = 5e-3
 _SIDE = 4  # points on either side of a jump from which curvature is taken

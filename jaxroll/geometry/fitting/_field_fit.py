@@ -7,7 +7,7 @@ equations are a banded matrix, of which only the lower band is stored, as SciPy'
 `band[i - j, j]` is the entry in row i and column j, for i >= j.
 
 Points are in metres; derivatives and integrals count lengths in cells. `_surface_fit` adds up the two bands
-that are made here, and solves.
+that are made here, and solves. `_field_solve` uses `rows` and `gram_tables` alone.
 """
 
 import itertools

@@ -18,7 +18,7 @@ import numpy as np
 from ..surfaces import ORDER
 from ._field_fit import AXES, gram_tables, Grid, rows
 
-_COARSEST = 6  # most cells along the longest axis of the coarsest grid
+_COARSEST = 6  # a grid with no more cells along its longest axis is the coarsest
 _FEW = 1500  # points by which the preconditioner knows the data
 _ENOUGH = 1e-4  # residual relative to the right-hand side at which the iteration stops
 _MOST = 30  # iterations

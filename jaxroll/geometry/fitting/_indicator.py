@@ -77,9 +77,8 @@ def _potential(scan: Scan, origin: np.ndarray, step: float, shape: tuple[int, in
     from scipy.fft import irfftn, rfftn
 
     kernel = max(step, scan.spacing)  # standard deviation of K, a Gaussian
-    waves = [2.0 * np.pi * np.fft.fftfreq(n, step) for n in shape]
-    waves[2] = waves[2][: shape[2] // 2 + 1]
-    waves[2] = np.abs(waves[2])
+    waves = [2.0 * np.pi * np.fft.fftfreq(n, step) for n in shape[:2]]
+    waves.append(2.0 * np.pi * np.fft.rfftfreq(shape[2], step))
     grid = np.meshgrid(*waves, indexing="ij", sparse=True)
     square = grid[0] ** 2 + grid[1] ** 2 + grid[2] ** 2
     square[0, 0, 0] = 1.0

@@ -27,20 +27,20 @@ from ._rolled_line import along, rolled_line, spread_along
 # Numbers of nodes; few of them, because programs are compiled for each.
 NODES = (48, 64, 96, 128, 192, 256, 384, 512, 768, 1024)
 _PER_RADIUS = 5.0  # nodes to a smallest radius
-_SCALE = 0.25  # of the means that order the points, in smallest radii
+_SCALE = 0.25  # of the means that order the points, and most noise that is believed, in smallest radii
 _BROAD = 6.0  # wavelength of the first curve, in smallest radii
 # Where there are fewer than _STEPS points to the wavelength, it is up to _LONGER times as long.
 _STEPS = 5.0
 _LONGER = 1.5
 _MORE = 6  # powers of _LONGER that are tried where the points allow more smoothing
-# Neighbours that are looked at together, at least; and their largest mean, in its standard deviations, that
-# is put down to chance.
+# How many neighbours are looked at together at least; and up to how many of its standard deviations their
+# mean distance from the curve is put down to chance.
 _FEWEST, _CHANCE = 5, 3.0
 # Least noise that is reckoned with, in smallest radii: in smoothing, which leaves a tenth of it, and in how
 # far points may lie off.
 _SMOOTH = 5e-3
 _EXACT = 5e-4
-_SHARE = 0.97  # of the allowed curvature in the first fit
+SHARE = 0.97  # of the allowed curvature, in all fits here and in the first of `_contour_fit`
 _FEW_STRAYS = 0.1  # largest share of the points that may be strays
 _ROUGH = 0.01  # noise of the first rough line, in smallest radii
 _DIRECTIONS = 64  # in which the width of the points is measured
@@ -96,8 +96,8 @@ class Limited:
         """Wavelength of the wiggles that are halved [m]."""
         if self.wanted.smoothing is not None:
             return self.wanted.smoothing
-        felt = max(self.noise, _SMOOTH * self.wanted.radius)
-        shortest = 2.0 * np.pi * float(np.sqrt(felt * self.wanted.radius))
+        noise = max(self.noise, _SMOOTH * self.wanted.radius)
+        shortest = 2.0 * np.pi * float(np.sqrt(noise * self.wanted.radius))
         return self.longer * float(np.clip(self.sparse, shortest, _LONGER * shortest))
 
     @property
@@ -121,7 +121,7 @@ class Limited:
             rolled[0],
             self.start,
             line=rolled[1],
-            bound=share / self.wanted.radius,
+            bound=share / wanted.radius,
             noise=self._felt,
             wavelength=self.wavelength,
         )
@@ -129,7 +129,7 @@ class Limited:
         frame = found.curve.frames(feet)
         away = np.sum((points - frame.point) * frame.normal, axis=1)
         found = found._replace(feet=feet, distances=away)
-        if not self.wanted.closed:
+        if not wanted.closed:
             return found
         u = np.arange(found.curve.pieces) + float(found.feet[0])
         curve = EvenSpline(found.curve.frames(u).point, closed=True)
@@ -179,7 +179,7 @@ def _judged(ready: Limited) -> Limited:
     # A curve that follows every point would leave nothing to estimate the noise from; and errors that
     # neighbours share, as in silhouettes and meshes, are seen on the scale of the radius alone.
     wide = replace(wanted, smoothing=max(ready.wavelength, ready.sparse, wanted.radius))
-    found = replace(ready, wanted=wide).solved(_SHARE)
+    found = replace(ready, wanted=wide).solved(SHARE)
     if wanted.noise is None:
         shared = 1.4826 * float(np.median(np.abs(found.distances)))
         noise = max(estimated_noise(found.feet, found.distances), shared)
@@ -212,13 +212,13 @@ def _smoothest(ready: Limited) -> Limited:
         square = np.minimum(distances**2, 9.0 * sigma**2)
         return float(square.sum() + 4.0 * np.pi / 3.0 * sigma**2 * length / wavelength)
 
-    first = ready.solved(_SHARE)
+    first = ready.solved(SHARE)
     least = estimate(ready.wavelength, first.distances)
     together = max(_FEWEST, round(0.5 * ready.wavelength / length * len(first.distances)))
     most = max(_CHANCE * sigma / np.sqrt(together), _leaning(first, together))
     for longer in _LONGER ** np.arange(1, _MORE):
         trial = replace(ready, longer=float(longer))
-        found = trial.solved(_SHARE)
+        found = trial.solved(SHARE)
         value = estimate(trial.wavelength, found.distances)
         if value >= least or _leaning(found, together) > most or trial.wavelength > 0.5 * length:
             break

@@ -2,7 +2,7 @@
 
 All points in one cubic cell whose normals share their largest component are one `Scan` point, their mean: a
 million points become some ten thousand, whose noise is smaller by the square root of what was averaged. Which
-points lie apart from all others is decided here too. `_scan_fit` uses it.
+points lie apart from all others is decided here too. `_scan_fit` uses it, and `_surface_fit` of large clouds.
 """
 
 from dataclasses import dataclass, replace
@@ -72,7 +72,10 @@ class Scan:
         return replace(self, points=self.points + np.where(double, mean, 0.0)[:, None] * self.normals)
 
     def averaged(self, width: float, levels: np.ndarray) -> tuple["Scan", np.ndarray]:
-        """One mean of all points in a cell of this width [m], with the sum of their areas; and of levels."""
+        """One mean of all points in a cell of this width [m], with the sum of their areas.
+
+        Beside it come the means over each cell of `levels`, numbers of the points, weighted by area.
+        """
         count, inverse = _cells(self.points, self.normals, width)
         areas = np.bincount(inverse, self.areas, count)
         if not areas.min() > 0.0:

@@ -19,9 +19,9 @@ from ..surfaces import ORDER, SplineSurface, surface_net, surface_values
 from ._field_fit import Grid
 from ._field_solve import FieldTargets, solved
 from ._indicator import Body, enclosed
-from ._measured import levels_at, measured
 from ._rolling import rolled, RolledBody
 from ._scan import normals_of_net, Scan, thinned_scan
+from ._surface_measured import levels_at, measured
 
 _FINE = 0.25  # width of the scan's cells, in smallest radii
 _WAVE = 2.4  # shortest wavelength of smoothing, in smallest radii
@@ -31,7 +31,7 @@ _PER_CELL = 2.5  # data per cell, along an axis, of a scan of
 _DATA = 12_000  # points; more of smaller ones
 _ROOM = 2.5  # cells between the points and the end of the grid
 _MOST = 1_500_000  # most coefficients
-_SLOPE, _LENGTH = 0.005, 0.3  # weights of the normals' term, and of its part along the normal in that
+_SLOPE, _LENGTH = 0.005, 0.3  # weight of the normals' term, and factor of the error along the normal in it
 _AWAY, _HOLD = 1.5, 1e-4  # cells from the surface where the distance is asked for, and with what weight
 _BRIDGE = 0.1  # weight of a hole's filling
 _FINER = 60_000  # most coefficients for which shorter wavelengths are tried
@@ -42,8 +42,9 @@ _NOISE = 0.02  # how far a point may reach into a ball that touches another one,
 _BALLS = 1.1  # radius of the first balls, in smallest radii: the fit to what was rolled is a little sharper
 _LARGER = (1.03, 1.3)  # least and largest factor of the next balls
 _ROUNDS = 6
-_OFF = 2.5  # a point so many nodes off the body that all enclose is left out,
-_LOST = 0.03  # if they are no more than this share
+# Points this many steps of the grid off the body that all enclose, and half a smallest radius, are left out
+# if they are less than this share.
+_OFF, _LOST = 2.5, 0.03
 _TURNS = 4  # times that normals are turned round
 
 
@@ -266,7 +267,7 @@ def _distances(grid: Grid, body: Body) -> tuple[np.ndarray, np.ndarray]:
 def _chosen(problem: _Problem, points: np.ndarray, radius: float) -> float:
     """The longest wavelength of a ladder [m] below which the error at points not used hardly falls.
 
-    The ladder ends at 2.4 smallest radii.
+    The ladder ends at 2.4 smallest radii; one rung more is for `_finer`.
     """
     size = float(np.ptp(points, axis=0).max())
     rungs = max(int(np.log(0.6 * size / (_WAVE * radius)) / np.log(_LADDER)), 0)

@@ -7,9 +7,9 @@ looked at, and the fit is refused where it would not be the body that was scanne
 import jax.numpy as jnp
 import numpy as np
 
-from ._measured import angles, evenly, measured
 from ._scan import sampled_mesh
 from ._scan_fit import Closed, closed_through
+from ._surface_measured import angles, evenly, measured
 from ._surface_report import Region, regions_of, SurfaceFit, SurfaceReport, trusted_places
 
 _MESH = 0.25  # distance of samples on a mesh, in smallest radii
@@ -31,7 +31,7 @@ def fit_scan(
         cloud: Points or vertices [m], shape (n, 3).
         normals: Outward unit normals of the same shape, or None.
         faces: Triangles of a mesh, shape (m, 3), or None.
-        radius: Smallest radius of curvature.
+        radius: Smallest radius of curvature [m].
 
     Raises:
         ValueError: If the scan is not one that a smooth closed surface of such a curvature could be.
@@ -117,10 +117,10 @@ def _refused(
     found: Closed, points: np.ndarray, distances: np.ndarray, uncovered: float, turned: float, radius: float
 ) -> None:
     """Raise where the surface is not the body that was scanned."""
-    sharpest = float(np.abs(found.curvatures).max())
-    thin = float(np.mean(found.rolled.thin))
     from scipy.spatial import KDTree
 
+    sharpest = float(np.abs(found.curvatures).max())
+    thin = float(np.mean(found.rolled.thin))
     near = KDTree(points).query(found.vertices, workers=-1)[1]
     moved = float(found.areas[distances[near] > 0.5 * radius].sum() / found.areas.sum())
     if thin > _THIN:

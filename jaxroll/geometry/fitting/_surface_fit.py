@@ -24,9 +24,9 @@ from ..._types import Given
 from ..contours import check_extent
 from ..surfaces import SplineSurface, surface_values
 from ._field_fit import AXES, DataRows, Grid, grid_around, normal_band, offsets, roughness_band, rows
-from ._measured import angles, evenly, measured
 from ._scan import normals_of_net, thinned_scan
 from ._scan_verdict import fit_scan
+from ._surface_measured import angles, evenly, measured
 from ._surface_normals import estimated, neighbourhoods, outward, volume_within
 from ._surface_report import SurfaceFit, SurfaceReport
 
@@ -65,14 +65,15 @@ def fit_surface(
 
     With `smallest_radius` r, for scans: no principal curvature of the surface exceeds 1/r anywhere, which is
     looked at all over it. Holes, missing bottoms and open sides are closed smoothly. $\ell$ is the longest
-    from 2.4 r up that predicts points not used as well as the shortest. What a ball of radius r cannot touch
+    from 2.4 r up that predicts points not used as well as the shortest; it may be 1.6 r where that predicts
+    them better still and keeps the bound. What a ball of radius r cannot touch
     from inside and from outside, edges and notches, is rounded off, and nothing else moved; parts thinner
     than 2 r are thickened, or rounded off where they are thinner than r. The report says how far and where,
     and `SurfaceFit.trusted` where the surface is known.
 
     Args:
         points: Shape (n, 3) [m], n at least 100, all over a closed surface; with `smallest_radius` it may
-            have holes. With `faces` the vertices of a mesh; of four or more with both.
+            have holes. With `faces` the vertices of a mesh; with both, four are enough.
         normals: Outward normals, shape (n, 3); None: of the faces, or from planes through neighbours, turned
             alike.
         faces: Triangles of a mesh, shape (m, 3): numbers of its vertices.

@@ -16,7 +16,7 @@ _MOST = 200_000  # most points that are measured one by one
 
 
 def evenly(count: int) -> slice:
-    """Every k-th of so many points, k as small as leaves 200 000."""
+    """Every k-th of so many points, k as small as leaves no more than 200 000."""
     return slice(None, None, -(-count // _MOST))
 
 

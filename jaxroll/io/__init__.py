@@ -2,9 +2,9 @@
 
 `_tables` reads and writes CSV and NPY, `_svg` and `_dxf` drawings (`_drawing` has what these share), `_mesh`
 solids; `_section` cuts a mesh by a plane, `_image` finds silhouettes, `_outline` makes polygons of contours;
-`_files` chooses by the file's ending. The unit of every number in a file is stated by the caller, and all
-points here are in metres. Reading SVG, DXF, meshes and images, and writing DXF and STL, wants
-`pip install "jaxroll[cad]"`.
+`_files` chooses by the file's ending, and `_paths` refuses files that cannot be read or written. The unit of
+every number in a file is stated by the caller, and all points here are in metres. Reading SVG, DXF, meshes
+and images, and writing DXF and STL, wants `pip install "jaxroll[cad]"`.
 
 `_hand` makes fingers of a robot's description, URDF or MJCF, which `_robot_file` reads: `_urdf` makes a URDF
 complete for MuJoCo, `_motors` has what motors and tendons do. That wants `pip install "jaxroll[hands]"`.

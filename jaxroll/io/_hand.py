@@ -33,7 +33,7 @@ Tips = AbstractSurface | Mapping[str, AbstractSurface] | Literal["mesh"]
 
 
 class _Wish(NamedTuple):
-    """What is asked of the fit to a tip's mesh, one of both at most [m]."""
+    """What is asked of the fit to a tip's mesh [m]: one of the two, or neither."""
 
     smoothing: float | None
     smallest_radius: float | None

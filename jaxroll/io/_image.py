@@ -38,7 +38,8 @@ def read_silhouette(
             opacity, in any range; row 0 at the top.
         pixel: Size of a pixel [m].
         threshold: Grey value of the outline. None: Otsu's, which parts the histogram best in two, and midway
-            between both where no pixel is; in colour half the distance that four fifths of the shape exceed.
+            between both where no pixel is; in colour half the distance that four fifths of the shape exceed,
+            of an opacity the middle of its range.
         which: Which shape, counting from the one of the largest area.
 
     Returns:
@@ -164,9 +165,10 @@ def _level(distances: np.ndarray, usual: float) -> float:
     """Half the distance that four fifths of the shape exceed: the distance at which the shape begins.
 
     Otsu's threshold finds the shape first, on a logarithmic scale, where its bright and dark parts are one
-    group, and the background another. Where the background has no noise, this takes soft edges and the
-    traces that JPEG leaves along sharp ones for the shape too, which then exceeds too little. So long as the
-    level is above where the shape was said to begin, it is found anew from what exceeds the level.
+    group, and the background another. Where the background has no noise, Otsu's threshold takes soft edges
+    and the traces that JPEG leaves along sharp ones for the shape too, and four fifths of that exceed too
+    little. So long as the level is above where the shape was said to begin, it is found anew from the pixels
+    that exceed the level.
     """
     begin = usual * float(np.expm1(_otsu(np.log1p(distances / usual))))
     while True:

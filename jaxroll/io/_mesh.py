@@ -175,7 +175,7 @@ def _finite(vertices: np.ndarray, path: Path) -> np.ndarray:
 
 
 def _alike(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points that are in the same place as none before them, and for every point the number of its one."""
+    """Indices of the points that repeat none before them, and for every point which of these it repeats."""
     extent = float(np.ptp(points, axis=0).max())
     cells = np.round((points - points.min(axis=0)) / (_ALIKE * extent or 1.0))
     order = np.lexsort(cells.T)  # stable: of points alike the first comes first

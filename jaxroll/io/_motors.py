@@ -7,6 +7,7 @@ import numpy as np
 
 from .._results import shown
 
+# What a model may say of a tendon (MuJoCo's `tendon_...`), and how it is called in `left_out`.
 _OF_TENDONS = {
     "stiffness": "stiffness",
     "damping": "damping",

@@ -214,11 +214,11 @@ def _parsed(
 
 
 def _own_inertias(mujoco: Any, spec: Any, stated: Mapping[str, Inertial] | None) -> dict[str, Inertial]:
-    """By link: mass, centre and tensor in the link's axes, where the file states them, and not its shapes.
+    """By link: mass, centre and tensor in the link's axes, where the file itself states them.
 
-    `stated` are those of a URDF.
-
-    Such links are given a ball's inertia for MuJoCo, which thus neither checks nor changes their own.
+    Links whose inertia follows from their shapes are left out. Those that state one are given a ball's
+    inertia in the description for MuJoCo, which thus neither checks nor changes their own. `stated` has what
+    a URDF says; for an MJCF, where it is None, the description says it.
     """
     settings = spec.compiler
     changed = (settings.boundmass, settings.boundinertia, settings.balanceinertia, _damped(spec))

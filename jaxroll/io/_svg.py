@@ -191,7 +191,7 @@ class _Walk:
 
 
 def _children(part: Element) -> list[Element]:
-    """The parts of a part; of a switch the first that is for every reader alone."""
+    """The parts of a part; of a switch the one that is shown: the first that is for every reader."""
     if kind_of(part) != "switch":
         return list(part)
     tests = ("requiredExtensions", "systemLanguage")
@@ -256,7 +256,7 @@ def _window(part: Element, sized: Element) -> np.ndarray:
 
 
 def _check_shape(part: Element, said: Mapping[str, str]) -> None:
-    """Raise for a shape that is made by its style, or has a size below zero; of none it shows nothing."""
+    """Raise for geometry that stands in a style, a size below zero, and a circle without a radius."""
     for name in GEOMETRY:
         text = part.get(name)
         if said.get(name, "auto").strip().lower() != (text or "auto").strip().lower():
@@ -357,7 +357,7 @@ def _joined(pieces: list[_Piece], near: float) -> list[_Piece]:
 
 def _check_within(outline: np.ndarray, clip: _Clip) -> None:
     """Raise where a part of an outline lies in none of the shapes that it is clipped to."""
-    near = 1e-3 * np.ptp(outline, axis=0).max()  # both are told by points
+    near = 1e-3 * np.ptp(outline, axis=0).max()  # curves are polygons here
     places = outline @ [1.0, 1.0j]
     covered = np.zeros(len(places), bool)
     for shape in clip:

@@ -21,7 +21,7 @@ _LIKE = re.compile(r"""[\s("'+\-\u00b1\u2010-\u2015\u2212\ufe63\uff0b\uff0d]*[.,
 
 
 def read_csv(path: Path, columns: tuple[int, ...]) -> np.ndarray:
-    """Columns of a text table, shape (n, any); text after '#' and lines of words at the head are skipped.
+    """These columns of a text table, shape (n, k); text after '#' and lines of words at the head are skipped.
 
     Fields are parted by commas, semicolons (then a comma may be the decimal point), tabs or blanks; between
     commas or semicolons they may stand in double quotes.
@@ -173,7 +173,7 @@ def _numbers(fields: list[str], columns: tuple[int, ...]) -> list[float] | None:
 
 
 def read_npy(path: Path, columns: tuple[int, ...]) -> np.ndarray:
-    """Columns of an array of shape (n, any) in an NPY file, shape (n, 2 or more)."""
+    """These columns of an array of shape (n, any) in an NPY file, shape (n, k)."""
     try:
         # A pickle in a file from elsewhere could run any code.
         array = np.load(path, allow_pickle=False)

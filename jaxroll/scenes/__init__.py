@@ -2,9 +2,8 @@
 
 `_plane_scenes` has those of Parts 1 and 2, a ring of fingers and a roller; `_space_scenes` that of Part 3;
 `_tripod` a hand in space that carries what it holds; `_rolling_bodies` single bodies on a surface;
-`_any_pinch` objects of any shape between two fingers. Every
-scene is a grasp and a state at which its contacts are closed, as `simulate` takes them; `rectangle`, `cuboid`
-and `spheroid` are objects to be held.
+`_any_pinch` objects of any shape between two fingers. Every scene is a grasp and a state at which its
+contacts are closed, as `simulate` takes them; `rectangle`, `cuboid` and `spheroid` are objects to be held.
 """
 
 from ._any_pinch import pinch_object as pinch_object

@@ -41,19 +41,19 @@ from ._pinch_targets import FailedTargets, out_of_reach, SAME
 from ._plane_scenes import BASES, LINK_MASSES, LINKS
 from ._space_scenes import AXES3, LINKS3, MASSES3, SPAN3
 
-# Width of the chapter's objects [m], for which its fingers are made, and how far from the bases they are
-# held, as shares of it: at first where the chapter holds them.
+# Width of the chapter's objects, for which its fingers are made, and how far from the bases objects of that
+# width are held, first where the chapter holds them [m].
 _WIDTH = 0.03
 _AHEAD = (0.115, 0.100, 0.130, 0.085)
-# Damping of the fingers' opening and closing beside the critical one.
+# Damping of the fingers' opening and closing, as a share of the critical one.
 _ZETA = 0.235
-# Force of a pinch beside the object's weight.
+# Force of a pinch, as a multiple of the object's weight, and the acceleration of gravity [m/s^2].
 _WEIGHTS, _GRAVITY = 3.0, 9.81
-# (16)'s moment that keeps orientations, for a turn by one, beside that of the force at a finger's length.
+# alpha of (16), which keeps orientations, as a share of the moment of the force at a finger's length.
 _ALPHA = 0.008
-# Pairs of points that are looked at, and what their width counts beside friction and arm.
+# Pairs of points that are looked at, and the weight of their width against friction and arm.
 _PAIRS, _NARROW = 24, 0.3
-# By how much the round tips are larger than the distance of O_i from the contact, beside it.
+# By what share of the distance of O_i from the contact the radius of the round tips is larger than it.
 _BLUNT = 0.5
 # Fingers of one's own: postures that are looked at, and object poses that are tried for each pair of points.
 _POSTURES, _TRIED = 4000, 6
@@ -156,8 +156,8 @@ def _helps(tips: "list[_Tips] | None", spatial: bool) -> str:
 def _ranked(pairs: GraspPoints) -> np.ndarray:
     """Numbers of the pairs: first those of little friction demand, near the centre of mass, and narrow.
 
-    Of the critical points of the width those where it is least are the stable ones: fingers that draw each
-    other together come apart wherever they roll from there.
+    Where the width is stationary a grasp is stable if it is least there: fingers that draw each other
+    together are then moved apart wherever they roll.
     """
     along = (pairs.points[:, 1] - pairs.points[:, 0]) / pairs.distance[:, None]
     middle = pairs.points.mean(axis=1)
@@ -296,10 +296,10 @@ def _lines_between(
 ) -> Iterator[tuple[list[Any], tuple[np.ndarray, np.ndarray], _Held | None]]:
     """Pairs of fingers, and lines on which both hold something between them: its middle and direction.
 
-    Random postures of both are compared: their tips should be as far apart as the object is wide, and the
-    tips' sizes more. Where that is out by as much as itself in all postures, nothing comes of trying.
-    A finger of fewer joints than there are axes has its tip on a surface or a line: what is off by little is
-    off in all of its postures then, unless both tips are put in place exactly (`_apart`).
+    Random postures of both are compared: the middles of their tips should be as far apart as the object is
+    wide, and the tips' radii more. Postures in which that distance is wrong by as much as itself are not
+    tried. The tip of a finger with fewer joints than there are axes stays on a line or a surface, so that no
+    posture near a random one need fit: both tips are then put in place exactly (`_apart`).
     """
     found = []
     for one, other in itertools.combinations(tips, 2):

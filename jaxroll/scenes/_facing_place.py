@@ -15,7 +15,7 @@ from ..geometry import AbstractContour, check_contour, tabled
 
 # It is sought first among so many places, then between the neighbours of the best one.
 _PLACES, _HALVINGS = 256, 60
-# Heights over the length of the contour, and slopes, that are rounding, in units of it.
+# Heights over the length of the contour, and slopes, that count as rounding, in machine epsilons.
 _ROUNDING = 64.0
 
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from .._reaching import sheet_of
 
-# Targets that differ by less are the same, in metres and of normals.
+# Targets that differ by less are the same, in metres and in their normals. To `_any_pinch` a tip is round if
+# its centres of curvature differ by less, relative to its radius.
 SAME = 1e-9
 
 

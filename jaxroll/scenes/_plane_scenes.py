@@ -23,7 +23,7 @@ from ..geometry import AbstractContour, Catenary, Circle, Ellipse, Line, Moved
 from ._facing_place import facing_place
 from ._scene_arguments import as_pair
 
-# Of the contacts of a pinch, on the left face and on the right one.
+# `sense` of the contacts of a pinch, on the left face and on the right one.
 _SENSES = (1, -1)
 # Tables 1 and 2, in SI units.
 LENGTHS = (0.065, 0.065)

@@ -310,6 +310,17 @@ def test_letting_the_object_go_hides_nothing_that_was_asked_of_the_fingers(limit
         assert found.result == wanted and found.reason.startswith("finger 0: ")
 
 
+def test_fingers_that_do_not_get_there_are_not_wound_up():
+    """A search may end whole turns off; the limits are those of the angles next to zero."""
+    limits = [(-3.1, 3.1)] * 2
+    fingers = [jxr.Finger(LINKS, MASSES, TIP, base=(x, 0.0), limits=limits) for x in (-0.03, 0.03)]
+    grasp = jxr.Grasp(two_fingers().object, fingers, two_fingers().contacts)
+    far = jxr.reach(grasp, SIDES, pose=(0.0, 0.13, 0.0))
+    assert far.result == jxr.RESULTS.unreachable and np.abs(far.state.q[3:]).max() <= np.pi + 1e-12
+    free = jxr.reach(grasp, SIDES, pose=(0.0, 0.13, 0.0), hold_object=False)
+    assert free.result == SUCCESS, free.reason
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("ends, wanted", [((-1.0, 1.0), "successful"), ((0.0, 0.001), "joint_limit")])
 def test_fingers_that_an_object_was_let_go_for_keep_what_they_were_asked_for(ends, wanted):

@@ -13,7 +13,16 @@ from jaxtyping import Array
 from .._linalg import unstack
 from .._xla import quickly
 from ._overlap import heights, SampledObject
-from ._postures import poses_at, Postures, Reacher, searched_postures, STARTS, touching, TouchPoints
+from ._postures import (
+    poses_at,
+    Postures,
+    Reacher,
+    searched_postures,
+    STARTS,
+    touching,
+    TouchPoints,
+    unwound,
+)
 
 # An overlap below this is the contact itself [m].
 _TOLERANCE = 1e-7
@@ -40,11 +49,11 @@ class Choice(NamedTuple):
     """The posture taken of one finger, and what is wrong with it."""
 
     posture: Postures
-    code: str
-    reason: str
-    overlap: float
-    links: float
-    count: int
+    code: str  # the name of one of `RESULTS`
+    reason: str  # why, after the finger's number; empty where nothing is wrong
+    overlap: float  # of the tip and the object [m]
+    links: float  # least distance of the links from the object [m]
+    count: int  # postures that touch
 
 
 def chosen_posture(
@@ -57,7 +66,7 @@ def chosen_posture(
     if not len(good.q) and not len(targets.points):
         good = found.taken([0])
     if not len(good.q):
-        nearest = found.taken([int(np.argmin(found.gaps / reacher.length + found.tilts))])
+        nearest = unwound(reacher, found.taken([int(np.argmin(found.gaps / reacher.length + found.tilts))]))
         return Choice(nearest, "unreachable", _too_far(reacher, targets, nearest), 0.0, np.inf, 0)
     fair = good.taken(_within(reacher, good, wish.limits))
     if not len(fair.q) and wish.limits is not None:

@@ -132,17 +132,22 @@ def touching(reacher: Reacher, found: Postures) -> Postures:
     """Those postures that touch all targets, each once; angles between -pi and pi."""
     gap, tilt = _TOUCHES.of(found.gaps) * max(reacher.length, 1e-3), _TILTS.of(found.tilts)
     near = (found.gaps <= gap) & (found.tilts <= tilt)
-    good = found.taken(near)
-    if reacher.finger.turns:
-        # Half a turn is pi, to rounding, and not at times -pi.
-        end = np.pi + _ROUNDING
-        good = good._replace(q=np.where(reacher.free, end - (end - good.q) % (2.0 * np.pi), good.q))
+    good = unwound(reacher, found.taken(near))
     kept: list[int] = []
     for i, q in enumerate(good.q):
         away = [np.abs(q - good.q[j]).max(initial=0.0) > _ALIKE for j in kept]
         if all(away):
             kept.append(i)
     return good.taken(np.array(kept, int))
+
+
+def unwound(reacher: Reacher, found: Postures) -> Postures:
+    """The same postures with the angles of free joints between -pi and pi."""
+    if not reacher.finger.turns:
+        return found
+    # Half a turn is pi, to rounding, and not at times -pi.
+    turns = np.ceil((found.q - np.pi - _ROUNDING) / (2.0 * np.pi))
+    return found._replace(q=np.where(reacher.free, found.q - 2.0 * np.pi * turns, found.q))
 
 
 def poses_at(body: AbstractBody, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -199,6 +199,10 @@ def segment(one, other, point):
 def test_why_a_start_is_not_closed_is_said():
     far = jxr.reach(two_fingers(), SIDES, pose=(0.0, 0.2, 0.0))
     assert far.result == jxr.RESULTS.unreachable and "reaches 0.12 m at most" in far.reason
+    # The farthest point of a tip counts: here it is 10 mm from a middle 50 mm from the last link's end.
+    aside = [jxr.Finger(LINKS, MASSES, TIP.moved((0.03, 0.04)), base=(x, 0.0)) for x in (-0.03, 0.03)]
+    grasp = jxr.Grasp(two_fingers().object, aside, two_fingers().contacts)
+    assert "reaches 0.17 m at most" in jxr.reach(grasp, SIDES, pose=(0.0, 0.3, 0.0)).reason
     # A large fingertip does not fit into a hollow.
     bean = lambda u: 0.02 * (1.0 + 0.45 * jnp.cos(2.0 * u)) * jnp.stack([jnp.cos(u), jnp.sin(u)])  # noqa: E731
     body = jxr.FreeObject.uniform(jxr.Parametric(bean, (0.0, 2.0 * np.pi), closed=True), 20.0)

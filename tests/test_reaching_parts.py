@@ -499,16 +499,17 @@ def test_where_none_touches_the_nearest_is_told(monkeypatch):
     assert (one.code, one.overlap, one.links, one.count) == ("unreachable", 0.0, np.inf, 0)
     assert one.posture.q.tolist() == [[0.4, -1.0]]
     assert one.reason.startswith("its nearest posture leaves 0.03 m and normals that are 0.2 off")
-    far = SimpleNamespace(finger=SimpleNamespace(base=np.array([0.01, 0.02])), length=0.0999)
+    far = SimpleNamespace(finger=SimpleNamespace(base=np.array([0.01, 0.02]), turns=True), length=0.0999)
     targets = _postures.TouchPoints(np.array([[0.04, 0.06], [0.07, 0.10]]), None)
     said = _choice._too_far(far, targets, nearest.taken([1]))
     assert said == "a target is 0.1 m from its base, and it reaches 0.0999 m at most"
     far.length = 0.1001
     assert _choice._too_far(far, targets, nearest.taken([1])).startswith("its nearest posture leaves 0.02 m")
-    baseless = SimpleNamespace(finger=SimpleNamespace(), length=0.01)
-    assert _choice._too_far(baseless, targets, nearest.taken([0])).startswith(
-        "its nearest posture leaves 0.03"
-    )
+    # Jaws slide as far as they must, and a stage has no base.
+    jaw = SimpleNamespace(base=far.finger.base, turns=False)
+    for finger in (jaw, SimpleNamespace(turns=True)):
+        said = _choice._too_far(SimpleNamespace(finger=finger, length=0.01), targets, nearest.taken([0]))
+        assert said.startswith("its nearest posture leaves 0.03")
 
 
 def test_the_joint_that_is_least_beyond_its_limit_is_told(monkeypatch):
@@ -662,7 +663,7 @@ def test_a_finger_is_measured_by_its_links_and_its_tip():
     first, second = (_reach._reacher(grasp, i, (4, 7)) for i in (0, 1))
     assert first.free.tolist() == [True, False, True] and second.free.tolist() == [True, False]
     for reacher in (first, second):
-        tip = np.abs(reacher.tip.frames(reacher.places).points).max()
+        tip = np.hypot(*reacher.tip.frames(reacher.places).points.T).max()
         np.testing.assert_allclose(reacher.length, 0.13 + tip)
         assert len(reacher.places) == 384
     q = np.arange(8.0)

@@ -179,7 +179,7 @@ def _within(reacher: Reacher, found: Postures, limits: np.ndarray | None) -> np.
 def _too_far(reacher: Reacher, targets: TouchPoints, nearest: Postures) -> str:
     """Why no posture touches, in numbers."""
     base = getattr(reacher.finger, "base", None)
-    if base is not None:
+    if base is not None and reacher.finger.turns:  # a jaw slides as far as it must
         away = float(np.linalg.norm(targets.points - np.asarray(base), axis=1).max())
         if away > reacher.length:
             return f"a target is {away:.3g} m from its base, and it reaches {reacher.length:.3g} m at most"

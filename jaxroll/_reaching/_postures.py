@@ -82,7 +82,7 @@ class Reacher(NamedTuple):
         finger: The finger.
         tip: Its tip.
         free: Which joints may move, shape (k,).
-        length: What distances are measured against [m].
+        length: What distances are measured against [m]; a finger that turns reaches no farther from its base.
         places: Of the tip, spread over it.
         samples: The tip's frames there.
     """

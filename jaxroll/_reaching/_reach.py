@@ -240,7 +240,7 @@ def _reacher(grasp: Grasp, i: int, held: tuple[int, ...]) -> Reacher:
     tip = sheet_of(finger.tip)
     places = tip.sampled(_TIP[tip.spatial], _LENGTH)
     samples = tip.frames(places)
-    length = float(finger.size) * max(1, finger.joints) + float(np.abs(samples.points).max())
+    length = float(finger.size) * max(1, finger.joints) + float(np.linalg.norm(samples.points, axis=1).max())
     return Reacher(finger, tip, free, length, places, samples)
 
 

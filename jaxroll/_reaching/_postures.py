@@ -218,7 +218,7 @@ def _damped(rows: np.ndarray, slopes: np.ndarray, damping: np.ndarray) -> np.nda
     scale = np.maximum(size, 1e-12 * size.max(axis=1, keepdims=True) + 1e-300)
     square += np.eye(size.shape[1]) * (scale * damping[:, None])[:, None, :]
     right = np.einsum("nru,nr->nu", slopes, rows)
-    # Rounding may leave a matrix of no rank where the damping is least.
+    # Rounding may leave a singular matrix where the damping is least.
     square += np.eye(size.shape[1]) * (1e-15 * size.max(axis=1))[:, None, None]
     return -np.linalg.solve(square, right[..., None])[..., 0]
 

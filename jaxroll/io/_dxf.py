@@ -93,7 +93,7 @@ def _pieces(entities: Iterable[Any], layers: Any, around: str = "0") -> Iterator
     Args:
         entities: Of the drawing, or of one block in its place.
         layers: The drawing's table of layers.
-        around: The layer of the block, on which stands what its parts have on layer "0".
+        around: The layer of the block; its parts on layer "0" count as on that.
     """
     from ezdxf.xclip import XClip
 

@@ -23,7 +23,7 @@ def bounds(interval: np.ndarray, limited: bool) -> tuple[float, float]:
 
 
 def joint_torques(mujoco: Any, model: Any, joint: int) -> tuple[float, float]:
-    """Smallest and largest torque at a joint: its own limit, and that of the motors which drive it alone."""
+    """Smallest and largest torque at a joint: its own limit, and that of the motors that drive no other."""
     low, high = bounds(model.jnt_actfrcrange[joint], model.jnt_actfrclimited[joint])
     pulls = [
         np.sort(gear * np.array(_force(mujoco, model, i)))

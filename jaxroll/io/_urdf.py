@@ -1,8 +1,9 @@
 """A URDF's text for MuJoCo's parser, and what that parser leaves unsaid.
 
-MuJoCo takes for no range what the format calls one from zero, renames what is called alike, and passes over
-what it does not know. Here such files are completed or refused, by the names in them. Joints that follow
-others and inertias are read here too: versions of MuJoCo leave out the former, and turns of the latter.
+MuJoCo takes a range with an end left out for none, where the format has that end at zero; it renames parts
+that share a name, and passes over what it does not know. Here such files are completed or refused, by the
+names in them. Joints that follow others and inertias are read here too: some versions of MuJoCo leave out the
+former, and the turns of the latter's axes.
 """
 
 import math

@@ -180,7 +180,7 @@ def wheel(
     r"""A rolling wheel (a disc with a round rim) in steady precession: its inclination stays.
 
     With $\theta$ between axis and vertical, a and $\rho$ the rim's radii, A and C the inertias across and
-    about the axis and $\Omega$ the precession, the spin about the axis is that of
+    about the axis and $\Omega$ the precession, the spin $w_3$ about the axis solves
     $w_3 \Omega\,(C \sin\theta + m (a + \rho \sin\theta)(a \sin\theta + \rho)) =
     A \Omega^2 \sin\theta \cos\theta - m g a \cos\theta
     + m \Omega^2 \rho \sin\theta \cos\theta\,(a \sin\theta + \rho)$.

@@ -202,8 +202,8 @@ def _form(
     from scipy.sparse import vstack
 
     matrix, _ = _data(grid, targets)
-    # `_data` counts lengths in its own cells: weights per area in those of the finest are scale^2 as large;
-    # slopes, per length, are so already.
+    # `_data` divides by the width of its own cells, but lengths count in the finest ones: rows of values are
+    # multiplied by the scale. In rows of slopes the width cancels.
     values = len(targets.points)
     matrix = vstack([matrix[:values] * scale, matrix[values:]], format="csr")
     if not whole:

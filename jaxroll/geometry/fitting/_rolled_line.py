@@ -1,10 +1,10 @@
 r"""What a disc can touch: data of the plane moved to where discs roll inside and outside. NumPy, SciPy.
 
 As in space (`_rolling`): the union of all discs of radius r inside a body is its opening, which rounds
-corners and cuts off thin ends; rolled outside, the closing fills notches. A curve of bounded curvature
-through points in a sharp corner would bulge out beside it, since points aside of it count little: through the
-points moved onto the discs it does not. `_limited_fit` fits those, and reports distances from the points
-themselves. What is thin between two thick parts is left alone: its sides may be straight.
+corners and cuts off thin ends; rolled outside, the closing fills notches. A curve of bounded curvature that
+is fitted to points in a sharp corner bulges out beside the corner, since points far off it count little;
+fitted to points that were moved onto the discs it does not. `_limited_fit` fits those, and reports distances
+from the points themselves. What is thin between two thick parts is left alone: its sides may be straight.
 """
 
 import numpy as np
@@ -59,7 +59,7 @@ def spread_along(line: np.ndarray, count: int) -> np.ndarray:
 def _rolled_on(
     points: np.ndarray, line: np.ndarray, side: float, slack: float, *, closed: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Points and line with discs rolled on the left of the line, on its right for a `side` below zero."""
+    """Points and line with discs rolled on the left of the line, or on its right: there `side` is -radius."""
     from scipy.spatial import KDTree
 
     radius, line = abs(side), spread_along(line, len(line))

@@ -105,7 +105,7 @@ def _cores(
 def _drawn(
     points: np.ndarray, normals: np.ndarray, middles: np.ndarray, radius: float, tolerance: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Points moved onto the nearest ball about `middles`, and the normals there; nearly there: not moved."""
+    """Points moved onto the nearest ball about `middles`, unless nearly there, and the normals at them."""
     from scipy.spatial import KDTree
 
     distances, near = KDTree(middles).query(points, k=min(_NEAR, len(middles)), workers=-1)

@@ -45,7 +45,7 @@ class Scan:
         return Scan(*found, self.spacing)
 
     def without(self, left_out: np.ndarray, numbers: np.ndarray) -> tuple["Scan", np.ndarray]:
-        """The scan without some points, and the numbers of what its points are means of made anew."""
+        """The scan without some points, and the `numbers` of `thinned_scan` counted anew."""
         kept = ~left_out
         after = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)  # what was -1 remains so
         return self.part(kept), after[numbers]

@@ -55,8 +55,8 @@ class Closed:
     Attributes:
         surface: The surface.
         wavelength: Wavelength of smoothing [m].
-        scan: The scan as it was used, holes filled from the body; `filled` of its last points are that.
-        filled: Number of points in holes.
+        scan: The scan as it was used; its last points fill holes, and lie on the body that the scan encloses.
+        filled: Number of those points.
         rolled: Where balls of the smallest radius can touch the scan.
         vertices: Of a net on the surface [m], shape (n, 3).
         areas: That its vertices stand for [m^2].
@@ -208,8 +208,8 @@ class _Problem:
         Args:
             scan: Its points may be means of many.
             wavelength: Of smoothing.
-            base: A surface near the solution, and means of its field over what each point of the scan is a
-                mean of: the mean of points lies below a curved surface, and is raised by as much.
+            base: A surface near the solution, and the mean of its field over those points that each point of
+                the scan is the mean of: that lies below a convex surface, and is raised by as much.
         """
         step = wavelength / _CELLS
         levels = np.zeros(len(scan.points)) if base is None else base[1]
@@ -333,7 +333,7 @@ def _looked_at(surface: SplineSurface) -> _Shape:
 def _extremes(surface: SplineSurface, feet: np.ndarray, curvatures: np.ndarray) -> tuple[float, float]:
     """The least and the largest principal curvature [1/m], between the vertices of a net too.
 
-    From the vertices where either is most extreme one goes up, in steps that are halved.
+    The search climbs from the vertices where either is most extreme, in steps that are halved.
     """
     if not np.all(np.isfinite(curvatures)):
         return np.nan, np.nan

@@ -13,7 +13,7 @@ from ._surface_measured import angles, evenly, measured
 from ._surface_report import Region, regions_of, SurfaceFit, SurfaceReport, trusted_places
 
 _MESH = 0.25  # distance of samples on a mesh, in smallest radii
-_FEW = 20  # samples to a vertex from which on a mesh is looked at between its vertices
+_FEW = 20  # samples to a vertex, below which distances are taken at a mesh's vertices, else at the samples
 _THIN = 0.2  # largest share of the scan in parts thinner than two radii
 _MOVED = 0.3  # largest share of the area that may be moved by more than half a radius
 _BARE = 0.6  # largest share of the surface without data

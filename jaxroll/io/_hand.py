@@ -42,8 +42,8 @@ class _Wish(NamedTuple):
 class Hand(eqx.Module):
     """The fingers of a hand, and what its file says of their joints beside: finger by finger, joint by joint.
 
-    Limits, damping, friction and springs are no part of the fingers: a controller, an event or a designer may
-    use them.
+    Limits, damping, friction and springs are no part of the fingers, whose own `limits` are None: a
+    controller, an event or a designer may use them.
 
     Attributes:
         fingers: Each with its tip's surface, in the frame of its tip's link.

@@ -585,13 +585,13 @@ def test_at_their_limits_points_are_neither_off_nor_strays():
     distances = np.zeros(30)
     distances[[10, 11, 14, 15]] = 2.0
     distances[12] = 1.5
-    found = _departures.departures(points, feet, distances, noise=0.5, radius=3.0)
+    found = _departures.departures(points, feet, distances, closed=True, noise=0.5, radius=3.0)
     assert [(d.start, d.end) for d in found] == [(10.0, 15.0)]
-    assert len(_departures.departures(points, feet, distances, noise=0.5, radius=2.9)) == 2
+    assert len(_departures.departures(points, feet, distances, closed=True, noise=0.5, radius=2.9)) == 2
     distances[[12, 26, 27, 1, 2]] = 1.5, 2.0, 2.0, 2.0, 2.0
     # Round the seam, 29 long, from 27 to 1 it is 3.
-    assert len(_departures.departures(points, feet, distances, noise=0.5, radius=3.0)) == 3
-    assert len(_departures.departures(points, feet, distances, noise=0.5, radius=3.5)) == 2
+    assert len(_departures.departures(points, feet, distances, closed=True, noise=0.5, radius=3.0)) == 3
+    assert len(_departures.departures(points, feet, distances, closed=True, noise=0.5, radius=3.5)) == 2
     off, bending = np.zeros(30), np.zeros(30)
     off[[5, 10, 20]], off[[18, 19, 21, 22]] = (3.0, 4.0, 4.0), 1.0
     options = {"noise": 0.5, "radius": 1.0}
@@ -1027,7 +1027,8 @@ def test_a_report_has_the_numbers_that_were_measured(monkeypatch):
     assert (report.points, report.merged, report.reordered, report.reversed) == (8, 3, True, False)
     assert report.self_intersecting and report.rejected == ((0.1, 0.2),) and report.smallest_radius == 0.005
     assert report.warnings[0] == "so" and len(report.warnings) > 1
-    assert asked == [{"noise": 0.0, "radius": 0.005}, {"closed": True, "noise": pytest.approx(1.25**0.5)}]
+    of_departures = {"closed": True, "noise": 0.0, "radius": 0.005}
+    assert asked == [of_departures, {"closed": True, "noise": pytest.approx(1.25**0.5)}]
     asked.clear()
     other = _contour_fit._reported(contour, clean, replace(known, noise=0.3, radius=None), seen).report
     assert asked == [{"closed": True, "noise": 0.3}] and other.noise == 0.3

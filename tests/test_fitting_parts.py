@@ -113,18 +113,19 @@ def test_neighbours_off_a_contour_are_a_departure_and_one_alone_is_not():
     distances[[40, 41, 42]] = 4e-4, 6e-4, 4e-4
     distances[60] = 9e-4
     shuffled = np.random.default_rng(0).permutation(100)
-    options = {"noise": 1e-4, "radius": 2.5e-3}
+    options = {"closed": True, "noise": 1e-4, "radius": 2.5e-3}
     (one,) = _departures.departures(points[shuffled], feet[shuffled], distances[shuffled], **options)
     assert (one.start, one.end, one.place, one.distance) == (feet[40], feet[42], (feet[41], 0.0), 6e-4)
     # Below three standard deviations, or a thousandth of the radius three times, nothing is off.
-    assert _departures.departures(points, feet, distances, noise=2.1e-4, radius=2.5e-3) == ()
-    assert len(_departures.departures(points, feet, distances, noise=0.0, radius=2.5e-3)) == 1
+    assert _departures.departures(points, feet, distances, closed=True, noise=2.1e-4, radius=2.5e-3) == ()
+    assert len(_departures.departures(points, feet, distances, closed=True, noise=0.0, radius=2.5e-3)) == 1
     # Stretches closer than the radius are one; past s = 0 they go on.
     distances[[45, 46]] = 5e-4
     near, far = dict(options, radius=3.5e-3), dict(options, radius=2.5e-3)
     assert [d.end for d in _departures.departures(points, feet, distances, **near)] == [feet[46]]
     assert [d.end for d in _departures.departures(points, feet, distances, **far)] == [feet[42], feet[46]]
     distances[[98, 99, 0, 1]] = 5e-4
+    assert len(_departures.departures(points, feet, distances, **dict(far, closed=False))) == 4
     found = _departures.departures(points, feet, distances, **far)
     assert [(d.start, d.end) for d in found] == [
         (feet[40], feet[42]),

@@ -121,6 +121,16 @@ def test_a_stray_lies_off_where_its_neighbours_do_not(off, bending, noise, found
     assert rows.tolist() == sorted(rows.tolist()) and sorted(order[rows].tolist()) == found
 
 
+def test_hooks_at_both_ends_of_an_open_line_are_two_places():
+    """Each is nearer to its end than the radius; of a closed contour they would be one, past s = 0."""
+    up, along = np.linspace(3.0, 0.0, 15, endpoint=False), np.linspace(0.0, 60.0, 301)
+    left = np.stack([0.0 * up, up], axis=1)
+    points = np.concatenate([left, np.stack([along, 0.0 * along], axis=1), [60.0, 0.0] + left[::-1]])
+    fit = jxr.fit_contour(points, unit="mm", closed=False, ordered=True, smallest_radius=5e-3)
+    first, last = fit.report.rounded
+    assert 0.0 <= first.start < first.end < 0.01 and 0.05 < last.start < last.end
+
+
 @pytest.mark.parametrize("count", [4, 6])
 def test_corners_are_rounded_and_the_sides_left_alone(count):
     """Of a regular polygon with noise of 0.1 mm: off its corners it is met within two of it.

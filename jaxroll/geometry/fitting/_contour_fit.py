@@ -285,7 +285,8 @@ def _reported(contour: AbstractTabulated, clean: CleanPoints, known: _Known, see
     rms = float(np.sqrt(np.mean(distances**2)))
     rounded = ()
     if radius is not None:
-        rounded = departures(clean.points, feet, distances, noise=known.noise or 0.0, radius=radius)
+        limits = {"noise": known.noise or 0.0, "radius": radius}
+        rounded = departures(clean.points, feet, distances, closed=closed, **limits)
     report = FitReport(
         field=known.field,
         closed=closed,

@@ -63,7 +63,7 @@ class CurvatureJump:
 
 
 def departures(
-    points: np.ndarray, feet: np.ndarray, distances: np.ndarray, *, noise: float, radius: float
+    points: np.ndarray, feet: np.ndarray, distances: np.ndarray, *, closed: bool, noise: float, radius: float
 ) -> tuple[Departure, ...]:
     """Stretches of at least two neighbouring points off the contour by more than noise explains.
 
@@ -71,6 +71,7 @@ def departures(
         points: Shape (n, 2) [m].
         feet: Arclengths of their feet [m].
         distances: From the contour [m].
+        closed: Whether a stretch may run past the contour's end.
         noise: Standard deviation of each coordinate [m].
         radius: Smallest radius that was asked for [m]; stretches nearer to each other than that are one.
     """
@@ -81,7 +82,7 @@ def departures(
     parts = np.split(off, np.flatnonzero(np.diff(feet[off]) > radius) + 1)
     # A stretch that runs past s = 0 comes in two parts, at both ends of the order.
     length = float(np.max(feet)) - float(np.min(feet))
-    if len(parts) > 1 and feet[parts[0][0]] - feet[parts[-1][-1]] + length < radius:
+    if closed and len(parts) > 1 and feet[parts[0][0]] - feet[parts[-1][-1]] + length < radius:
         parts = [*parts[1:-1], np.concatenate([parts[-1], parts[0]])]
     found = []
     for part in parts:

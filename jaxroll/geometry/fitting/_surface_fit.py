@@ -73,7 +73,8 @@ def fit_surface(
 
     Args:
         points: Shape (n, 3) [m], n at least 100, all over a closed surface; with `smallest_radius` it may
-            have holes. With `faces` the vertices of a mesh; with both, four are enough.
+            have holes. With `faces` the vertices of a mesh, of which those of no face are left out; with
+            both, four are enough.
         normals: Outward normals, shape (n, 3); None: of the faces, or from planes through neighbours, turned
             alike.
         faces: Triangles of a mesh, shape (m, 3): numbers of its vertices.
@@ -115,11 +116,12 @@ def fit_surface(
                 )
         with _one_thread():
             return fit_scan(cloud, given, triangles, radius)
-    if given is None and triangles is not None:
+    if triangles is not None:
         used = np.unique(triangles)
-        directions = normals_of_net(cloud, triangles)[0]
-        # Gauss's theorem, as in `outward`: whichever way the faces run round.
-        cloud, given = cloud[used], outward(cloud[used], directions[used], np.ones(len(used)))
+        directions = normals_of_net(cloud, triangles)[0][used] if given is None else given[used]
+        cloud = cloud[used]
+        # Those of faces are turned outward, whichever way the faces run round.
+        given = outward(cloud, directions, np.ones(len(used))) if given is None else directions
     if given is None:
         cloud = np.unique(cloud, axis=0)
     with _one_thread():

@@ -45,7 +45,7 @@ _SIZE = 0.05
 
 
 class GraspPoints(eqx.Module):
-    """Pairs of points to hold an object by, the least friction demand first; of equal demand the narrowest.
+    """Pairs of points to hold an object by: antipodal ones, narrowest first, then others by rising demand.
 
     Demands within 1e-9, in single precision 1e-6, count as equal. Which end of a pair comes first does not
     depend on rounding.

@@ -537,14 +537,16 @@ class Rounds:
     """A fit whose surfaces are as sharp as told, one after the other; all else is noted."""
 
     def __init__(
-        self, monkeypatch, sharp, *, radius=1.0, finer=None, off=(), count=100, size=40.0, body_step=0.2
-    ):
+        self, monkeypatch, sharp, *, radius=1.0, finer=None, off=(), count=100, size=40.0, body_step=0.2,
+        spacing=0.3,
+    ):  # fmt: skip
         self.said: list[tuple[Any, ...]] = []
         points = np.zeros((count, 3))
         points[:] = (0.0, 3.0, -70.0)
         points[:, 0] = np.linspace(0.0, size, count)
         self.points = points
-        self.scan = scan_of(points, spacing=0.3)
+        self.scan = scan_of(points, spacing=spacing)
+        self.sharpest_of = {}
         self.body = types.SimpleNamespace(vertices=points + [0.0, 0.0, 0.0], step=body_step)
         shifted = points.copy()
         for k, distance in off:
@@ -559,8 +561,9 @@ class Rounds:
             return call
 
         def looked(surface):
+            self.sharpest_of[surface] = next(sharpest)
             return types.SimpleNamespace(
-                sharpest=next(sharpest) / radius,
+                sharpest=self.sharpest_of[surface] / radius,
                 vertices=surface,
                 areas="areas",
                 curvatures="bends",
@@ -628,6 +631,7 @@ def test_a_finer_fit_is_taken_if_it_is_smooth_enough(sharp, number, monkeypatch)
 
 def test_balls_grow_until_the_surface_is_smooth_enough(monkeypatch):
     """From a tenth more than the radius: by what is lacking, between 3 and 30 per cent each time."""
+    monkeypatch.setattr(_scan_fit, "_misfit", lambda scan, shape: 0.0)
     told = Rounds(monkeypatch, [2.0, 1.2, 1.01, 1.5, 1.0], radius=2.0)
     balls = [args[1] for args in told.args("_rolled")[1:]]
     np.testing.assert_allclose(balls, 2.2 * np.cumprod([1.0, 1.2, 1.03, 1.3]), rtol=1e-12)
@@ -635,10 +639,70 @@ def test_balls_grow_until_the_surface_is_smooth_enough(monkeypatch):
     assert [(args[1], args[2]) for args in later] == [(4.8, None)] * 4
     np.testing.assert_array_equal(later[0][0].points, 2.0 * told.points)
     np.testing.assert_array_equal(later[0][0].normals, -told.scan.normals)
+    assert len(told.args("_rolled")) == 5
     assert told.found.surface == 6 and told.found.wavelength == pytest.approx(4.8)
     assert not told.args("_finer")
-    never = Rounds(monkeypatch, [2.0] * 7, radius=2.0)
-    assert len(never.args("_rolled")) == 7 and never.found.surface == 8
+
+
+@pytest.mark.parametrize(
+    ("spacing", "sharp", "met", "fitted", "surface"),
+    [
+        (0.3, [1.0], True, 3, 3),  # dense, and the scan leads to a surface
+        (
+            1.01,
+            [1.0, 2.0, 1.0],
+            True,
+            5,
+            5,
+        ),  # points too far apart: both lead to one, that of the net is nearer
+        (1.01, [1.0] + [2.0] * 6, True, 9, 3),  # the net leads to none
+        (0.3, [2.0] * 6 + [1.0], True, 9, 9),  # the scan leads to none
+        (0.3, [2.0] * 12, False, 14, 14),  # nothing does: the nearer one is told
+    ],
+)
+def test_balls_roll_on_the_net_too_where_the_scan_does_not_do(
+    spacing, sharp, met, fitted, surface, monkeypatch
+):
+    """Two fits to the scan itself; then six at most by balls on it, and six by balls on the surface's net."""
+    monkeypatch.setattr(_scan_fit, "_rounded_by_net", lambda scan, shape, balls: scan)
+    # The later a fit, the nearer it is.
+    monkeypatch.setattr(_scan_fit, "_misfit", lambda scan, shape: -shape.vertices)
+    told = Rounds(monkeypatch, [2.0, *sharp], radius=2.0, spacing=spacing)
+    assert (told.found.surface, len(told.args("fitted"))) == (surface, fitted)
+    assert (told.sharpest_of[told.found.surface] <= 1.0) == met
+
+
+def test_a_net_that_no_ball_rolls_on_is_not_tried_further(monkeypatch):
+    def refuse(*_):
+        raise ValueError("none fits")
+
+    monkeypatch.setattr(_scan_fit, "_rounded_by_net", refuse)
+    monkeypatch.setattr(_scan_fit, "_misfit", lambda scan, shape: 0.0)
+    assert Rounds(monkeypatch, [2.0, 1.0], radius=2.0, spacing=1.5).found.surface == 3
+
+
+def test_what_bends_too_much_gives_way_to_its_surface_rolled(monkeypatch):
+    """Points nearest to a free vertex stay; vertices that are not free come in, where they roll."""
+    points = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
+    scan = scan_of(points, spacing=0.3)
+    vertices = points + [0.1, 0.0, 0.5]
+    shape = _scan_fit._Shape(vertices, -points, np.array([5.0, 6.0, 7.0]), (0.0, 1.0), (1, 1))
+    free = np.array([True, False, True])
+    rolled = types.SimpleNamespace(points=vertices + 1.0, normals=points + 3.0, free=free)
+    seen = []
+    monkeypatch.setattr(_scan_fit, "_rolled", lambda net, balls: seen.append((net, balls)) or rolled)
+    found = _scan_fit._rounded_by_net(scan, shape, 2.5)
+    np.testing.assert_array_equal(seen[0][0].points, vertices)
+    assert seen[0][1] == 2.5 and found.spacing == 0.3
+    np.testing.assert_array_equal(found.points, [points[0], points[2], vertices[1] + 1.0])
+    np.testing.assert_array_equal(found.normals[2], points[1] + 3.0)
+    np.testing.assert_array_equal(found.areas, [*scan.areas[[0, 2]], 6.0])
+
+
+def test_misfit_is_by_area():
+    scan = scan_of(np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0]]), spacing=0.3)
+    shape = _scan_fit._Shape(np.array([[0.0, 0.0, 2.0], [3.0, 0.0, -1.0]]), None, None, None, None)
+    assert _scan_fit._misfit(replace(scan, areas=np.array([3.0, 5.0])), shape) == pytest.approx(3 * 4 + 5)
 
 
 @pytest.mark.parametrize(("off", "step", "radius", "apart"), [
@@ -662,8 +726,8 @@ def test_a_ball_has_room_in_the_extent_of_a_scan(radius, fair, monkeypatch):
 
 
 def test_a_surface_through_the_points_begins_at_that_through_their_means(monkeypatch):
-    assert _scan_fit._Shape(None, None, (-3.0, 2.0), (1, 1)).sharpest == 3.0
-    assert _scan_fit._Shape(None, None, (-1.0, 2.0), (1, 1)).sharpest == 2.0
+    assert _scan_fit._Shape(None, None, None, (-3.0, 2.0), (1, 1)).sharpest == 3.0
+    assert _scan_fit._Shape(None, None, None, (-1.0, 2.0), (1, 1)).sharpest == 2.0
 
 
 # What is said of it.

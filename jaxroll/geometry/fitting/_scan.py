@@ -44,6 +44,14 @@ class Scan:
         found = (self.points[chosen], self.normals[chosen], self.areas[chosen], self.sure[chosen])
         return Scan(*found, self.spacing)
 
+    def with_others(self, others: "Scan") -> "Scan":
+        """The points of both."""
+        both = lambda mine, theirs: np.concatenate([mine, theirs])  # noqa: E731
+        points, normals = both(self.points, others.points), both(self.normals, others.normals)
+        return Scan(
+            points, normals, both(self.areas, others.areas), both(self.sure, others.sure), self.spacing
+        )
+
     def without(self, left_out: np.ndarray, numbers: np.ndarray) -> tuple["Scan", np.ndarray]:
         """The scan without some points, and the `numbers` of `thinned_scan` counted anew."""
         kept = ~left_out

@@ -1,15 +1,15 @@
 """A caller's function, with what it closes over as leaves where JAX is tracing that.
 
-To JAX a plain function is structure, and arrays that it closes over are constants of a program. A gain or a
-radius that a derivative is taken in, or that a batch varies, is none: a law such as
-`lambda t, angles, rates, tips: tuple(-gain * rate for rate in rates)` then hides a number of the program
-around from the runs and tables that are compiled apart from it. `opened` makes it a pytree that shows the
-number. Functions that hide nothing stay as they are. Fields that take functions, and the controllers' check,
-call this.
+To JAX a plain function is structure, and arrays that it closes over are constants of a program. But a gain
+or a radius in which a derivative is taken, or which a batch varies, is no constant. A law such as
+`lambda t, angles, rates, tips: tuple(-gain * rate for rate in rates)` then hides a traced number from runs
+and tables, which are compiled as programs of their own. `opened` makes the law a pytree that shows the
+number. Functions that hide nothing stay as they are. Fields that take functions, and the check of
+controllers, call this.
 
-The number may be in a function inside, in bound arguments, or an attribute of an object: one with a method
-`__call__`, one whose method is the function, or one that the function closes over. When such a pytree is
-called, all of these are made again with the numbers of that call, as the functions and objects they were.
+The number may stand in a function inside, in bound arguments, or in an attribute of an object: one with a
+method `__call__`, one whose method is the function, or one that the function closes over. When such a pytree
+is called, all of these are made again, as the functions and objects they were, with the numbers of that call.
 """
 
 import abc
@@ -25,7 +25,7 @@ import numpy as np
 from ._results import shown, traced
 
 _JITTED = type(jax.jit(abs))
-# Objects and functions that are looked into for one function: what holds more is more than a law.
+# At most so many objects and functions are looked into for one function: what refers to more is no mere law.
 _MOST = 256
 
 
@@ -40,17 +40,17 @@ def as_tree(name: str, function: Any) -> Callable[..., Any]:
 def opened(function: Any) -> Any:
     """The function; a pytree in its place if it hides traced arrays: in closure, defaults or attributes.
 
-    So are functions and objects that it closes over in their turn, the bound arguments of a
-    `functools.partial`, the object of a method, and what `jax.jit` wraps.
+    The same is done to the functions and objects that it closes over, to the bound arguments of a
+    `functools.partial`, to the object of a method, and to what `jax.jit` wraps.
     """
     return _opened(function, {})
 
 
 def _opened(value: Any, seen: dict[int, Any]) -> Any:
-    """The same for any pytree, whose leaves may be functions or objects; those in `seen` were looked at."""
+    """The same for any pytree, whose leaves may be functions or objects; `seen` has those already opened."""
     try:
         return jax.tree.map(lambda leaf: _opened_leaf(leaf, seen), value, is_leaf=_is_function)
-    except (TypeError, ValueError):  # no pytree, such as a dictionary with keys that have no order
+    except (TypeError, ValueError):  # JAX cannot flatten it, such as a dictionary whose keys have no order
         return value
 
 
@@ -64,7 +64,7 @@ def _opened_leaf(leaf: Any, seen: dict[int, Any]) -> Any:
     kind = _opener(leaf)
     if kind is None or len(seen) >= _MOST:
         return leaf
-    # Inside itself it is itself. It is held, so that no other object gets its `id`.
+    # Where it is met within itself it stays as it is. `seen` holds it, so that no other object gets its `id`.
     seen[id(leaf)] = (leaf, leaf)
     found = kind(leaf, seen)
     seen[id(leaf)] = (leaf, found)
@@ -89,44 +89,36 @@ def _opened_bound(leaf: Any, seen: dict[int, Any]) -> Any:
     method = isinstance(leaf, types.MethodType)
     whole = (leaf.__func__, (leaf.__self__,), {}) if method else (leaf.func, leaf.args, leaf.keywords)
     inner, args, named = _opened(whole, seen)
-    return _Bound(inner, args, named) if _hides((inner, args, named)) else leaf
+    return _Bound(inner, args, named) if traced((inner, args, named)) else leaf
 
 
 def _opened_jitted(leaf: Any, seen: dict[int, Any]) -> Any:
     """What `jax.jit` made of a function: the function itself, where that hides anything."""
     inner = _opened(leaf.__wrapped__, seen)
-    return inner if _hides(inner) else leaf
+    return inner if traced(inner) else leaf
 
 
 def _opened_function(leaf: Any, seen: dict[int, Any]) -> Any:
     closure = leaf.__closure__ or ()
     parts = {i: _opened(cell.cell_contents, seen) for i, cell in enumerate(closure) if _full(cell)}
-    found = {i: part for i, part in parts.items() if _hides(part)}
+    found = {i: part for i, part in parts.items() if traced(part)}
     defaults = _opened((leaf.__defaults__, leaf.__kwdefaults__), seen)
-    if not found and not _hides(defaults):
+    if not found and not traced(defaults):
         return leaf
     cells = [None if i in found else cell for i, cell in enumerate(closure)]
-    kept = defaults if _hides(defaults) else None
+    kept = defaults if traced(defaults) else None
     return _Opened(found, kept, _Frame(leaf, tuple(cells), kept is not None))
 
 
 def _opened_object(leaf: Any, seen: dict[int, Any]) -> Any:
     parts = {name: _opened(part, seen) for name, part in vars(leaf).items()}
-    found = {name: part for name, part in parts.items() if _hides(part)}
+    found = {name: part for name, part in parts.items() if traced(part)}
     others = {name: part for name, part in vars(leaf).items() if name not in found}
     return _Object(found, _Rest(type(leaf), others)) if found else leaf
 
 
-def _hides(value: Any) -> bool:
-    """Whether JAX is tracing anything in a value that has been opened."""
-    try:
-        return traced(value)
-    except (TypeError, ValueError):
-        return False
-
-
 def _full(cell: Any) -> bool:
-    """Whether a variable of a closure has been given a value yet."""
+    """Whether a variable of a closure has a value yet, and one other than None."""
     try:
         return cell.cell_contents is not None
     except ValueError:
@@ -134,18 +126,18 @@ def _full(cell: Any) -> bool:
 
 
 def _closed(value: Any) -> Any:
-    """A pytree with what was opened in it made again."""
+    """A pytree in which everything that was opened is made again."""
     made = lambda part: part.made() if isinstance(part, AbstractOpened) else part  # noqa: E731
     return jax.tree.map(made, value, is_leaf=lambda part: isinstance(part, AbstractOpened))
 
 
 def _same(mine: list[Any], theirs: list[Any]) -> bool:
-    """Whether these are the same things one by one."""
+    """Whether these are the same objects one by one."""
     return len(mine) == len(theirs) and all(a is b for a, b in zip(mine, theirs, strict=True))
 
 
 class _Frame:
-    """All of a function but what is traced; equal if code, module and other variables are the same ones."""
+    """All of a function but what is traced; equal if code, module and the other variables are the same."""
 
     def __init__(self, function: types.FunctionType, cells: tuple[Any, ...], without_defaults: bool) -> None:
         self.code, self.space, self.name = function.__code__, function.__globals__, function.__name__
@@ -175,7 +167,7 @@ class _Frame:
 
 
 class _Rest:
-    """All of an object but what is traced; equal if class and other attributes are the same ones."""
+    """All of an object but what is traced; equal if class and the other attributes are the same."""
 
     def __init__(self, kind: type, others: dict[str, Any]) -> None:
         self.kind, self.others = kind, others
@@ -207,7 +199,7 @@ class _Opened(AbstractOpened):
 
     Attributes:
         found: Values of the variables that hold traced arrays, by their places in the closure.
-        defaults: Its arguments' defaults, if there are such among them.
+        defaults: Its arguments' defaults, if traced arrays are among them; else None.
         frame: All else.
     """
 

@@ -14,13 +14,20 @@ import jax.numpy as jnp
 import numpy as np
 
 from ._closures import as_tree
-from ._results import as_array, as_floats, check_callable, is_array_like, shown, traceable, traced
+from ._results import as_array, as_floats, check_callable, is_array_like, is_foreign, shown, traceable, traced
+from ._types import Given
 from ._xla import in_arithmetic
 
 Check = Callable[[str, jax.Array], jax.Array]
 Shape = tuple[int | None, ...]
 # From the argument's name, the value and the shape wanted to what is kept.
 Converter = Callable[[str, Any, Shape | None], Any]
+
+# What a field of `command` holds: an array, or a function of time that returns one. Laws compute with what
+# `held` returns, in which there are arrays alone.
+Commanded = Any
+# What a constructor takes for such a field.
+Command = Given | Callable[[Any], Any]
 
 # Equinox keeps "converter" for its own, which knows no names of arguments.
 _CONVERTER = "named converter"
@@ -47,7 +54,7 @@ def real(*shape: int | None, check: Check | None = None, optional: bool = False)
 def command(*shape: int | None, check: Check | None = None, each_finger: bool = False) -> Any:
     """A field for what `real` or `each` takes, or for a function of time that returns it.
 
-    `held` puts numbers in the place of functions. What they return is not checked but for its shape.
+    `held` puts numbers in the place of functions. Of what these return only the shape is checked.
     """
     numbers = (each(check) if each_finger else real(*shape, check=check)).metadata[_CONVERTER]
 
@@ -88,7 +95,7 @@ def shape_of(given: Any) -> tuple[int, ...]:
 def changes_in_time(owner: Any, *names: str) -> bool:
     """Whether one of these numbers is a function of time.
 
-    A controller's potential of numbers that change is none: the whole power of its torques counts as work.
+    A controller whose numbers change has no potential: the whole power of its torques counts as work.
     """
     return any(is_command(getattr(owner, name)) for name in names)
 
@@ -126,7 +133,7 @@ def converter_of(owner: Any, name: str) -> Converter | None:
 
 
 def taken(owner: Any, field: str, value: Any, *, shape: Shape | None = None, name: str | None = None) -> Any:
-    """What is given for a field of a module, converted and checked.
+    """What a caller gave for a field of a module, converted and checked.
 
     Args:
         owner: The module, finished or not.
@@ -143,10 +150,10 @@ def taken(owner: Any, field: str, value: Any, *, shape: Shape | None = None, nam
 def check_module(name: str, module: eqx.Module) -> None:
     """Raise for what went past the converters into a module, as `equinox.tree_at` lets it.
 
-    Fields with a converter are converted once more. Of the others in classes of jaxroll, such as contours,
-    it is known that arrays are real and hold numbers; of a caller's own classes nothing.
+    Fields with a converter are converted once more. In the others of jaxroll's own classes, such as contours,
+    arrays must be real, without NaN, and of the shape declared; of a caller's own classes nothing is known.
     """
-    own = type(module).__module__.partition(".")[0] == __package__
+    own = not is_foreign(module)
     for field in dataclasses.fields(module):
         value, place = getattr(module, field.name), f"{name}.{field.name}"
         if converter_of(module, field.name) is not None:
@@ -165,13 +172,13 @@ def _check_leaves(name: str, tree: Any) -> None:
     for leaf in jax.tree.leaves(tree, is_leaf=lambda x: isinstance(x, eqx.Module)):
         odd = isinstance(leaf, str | bytes | complex)
         if is_array_like(leaf):
-            odd = leaf.dtype.kind not in "iufV" or leaf.dtype.kind == "f" and not _is_known(leaf)
+            odd = leaf.dtype.kind not in "iufV" or leaf.dtype.kind == "f" and _has_nan(leaf)
         if odd:
             raise ValueError(f"argument {name} must be real numbers, but was {shown(leaf)}")
 
 
-def _is_known(array: Any) -> bool:
-    return traced(array) or not np.isnan(np.asarray(array)).any()
+def _has_nan(array: Any) -> bool:
+    return not traced(array) and bool(np.isnan(np.asarray(array)).any())
 
 
 def _check_shape(name: str, value: Any, wanted: Any) -> None:

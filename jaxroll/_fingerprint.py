@@ -8,8 +8,8 @@ its code.
 `Reader` walks through a value and everything that it refers to, and feeds a SHA-256 digest. A traced program
 (a jaxpr) is read operation by operation; a lowered one (`of_lowered`) is text, and is digested as text with
 the accidental names left out. In `_sweep`, `_program` finds a program that was compiled before by its
-fingerprint, `_identity` decides by fingerprints whether a folder belongs to a sweep. `_xla._stored` finds
-derivatives by them, of what no caller wrote.
+fingerprint, and `_identity` decides by fingerprints whether a folder belongs to a sweep. `_xla._stored` finds
+derivatives by them, and `design._minimise` tells of which search a checkpoint is.
 """
 
 import dataclasses
@@ -32,7 +32,7 @@ import jax.numpy as jnp
 import numpy as np
 
 # Functions and classes of these packages, and of Python's own modules, are digested by name alone, not by
-# their code. What a name stands for changes with a version only: `_identity` compares the version of each.
+# their code. What a name stands for changes with a version only: `_identity` compares the versions of these.
 PACKAGES = (
     "jaxroll",
     "jax",

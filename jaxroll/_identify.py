@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ._integration import RTOL, simulate
-from ._mechanics import Grasp, State
+from ._mechanics import as_start, Grasp, State
 from ._printing import code_name, number_of
 from ._results import (
     as_array,
@@ -30,21 +30,21 @@ from ._results import (
 from ._sweep import as_now
 from ._types import ByPrecision, Given
 
-# Damping of the first step, over the diagonal of the Gauss-Newton matrix; its factor up and down; its most.
+# Damping of the first step, over the diagonal of the Gauss-Newton matrix; its factor up and down; its limit.
 _FIRST, _FACTOR, _MOST = 1e-3, 10.0, 1e12
-# The last step is shorter than this many standard deviations, or than this share of each number.
+# The search ends with a step shorter than this many standard deviations, or than this share of each number.
 _LAST, _SHARE = ByPrecision(1e-3, 1e-2), ByPrecision(1e-9, 1e-6)
-# Where no step goes down, rounding makes the derivative ask for one of at most this share of each number.
+# Where no step goes down, the step that the derivative asks for is rounding up to this share of each number.
 _ROUNDING = ByPrecision(1e-6, 1e-3)
-# After a step that does not go down the derivative asks for next to nothing below this share of each number.
-# In single precision that is what rounding makes it ask for, of data without noise again and again.
+# After a step that does not go down, the search has arrived if the derivative asks for less than this share
+# of each number. In single precision, of data without noise, rounding would ask for as much for ever.
 _NOTHING = ByPrecision(1e-9, 1e-3)
-# Singular values of the scaled derivative below the first share of the largest are zero: of a direction that
-# belongs to one the data tell nothing, nor of a number that takes part in it by more than the second figure.
+# Singular values of the scaled derivative below the first share of the largest count as zero. The data tell
+# nothing of their directions, nor of a number whose part in such a direction exceeds the second figure.
 _UNTOLD, _PART = ByPrecision(1e-7, 1e-5), ByPrecision(1e-6, 1e-3)
-# A number whose deviation is so many times itself is none.
+# A number counts as undetermined if its standard deviation is so many times itself.
 _GUESSED = 1e6
-# Ends of a run that say that it is none; others, such as a lost contact, may have been measured.
+# Codes of runs that broke off; what ended otherwise, such as with a lost contact, may have been measured.
 _BROKEN = (
     RESULTS.max_steps_reached,
     RESULTS.step_collapsed,
@@ -64,14 +64,14 @@ class Identified:
         deviations: By name, standard deviations in the same units; infinite for numbers of which the data
             tell nothing, or which they do not tell from others.
         covariance: Shape (n, n), in the order of `values`; infinite in the rows and columns of such numbers.
-        noise: Standard deviation of the measurements that was given, or that the misfit shows.
+        noise: Standard deviation of the measurements: the one given, or the one that the misfit shows.
         misfit: Root mean square of measured minus computed, over the noise: about one where model and noise
             are right; zero where they fit exactly.
         steps: How many steps were tried.
         result: `successful`; `max_steps_reached`, of the search; `solver_failed` where it ended at a kink, a
             jump or beside numbers without a run, though no minimum is there; `undetermined` where the data
-            tell nothing of any number; or why there is no run with what was found, such as `step_collapsed`.
-            A run that an event ended is one.
+            tell nothing of any number; or why the run with the numbers found broke off, such as
+            `step_collapsed`. A run that an event ended did not break off.
     """
 
     values: dict[str, float]
@@ -124,7 +124,7 @@ def identify(
 
     Args:
         make: From the numbers, a dict by name, to a grasp and its start. `close` may be part of it.
-        guess: By name, where to begin; none zero, for numbers are scaled by it.
+        guess: By name, where to begin; none may be zero, as the search scales each number by its guess.
         ts: Shape (t,), times of the measurements [s], the first not negative; the run starts at 0.
         measured: What was measured, of the shape that `observe` returns; by default joint angles of all
             fingers, shape (t, k) [rad].
@@ -141,9 +141,9 @@ def identify(
         ValueError: If an argument does not fit: no names, a guess of zero, shapes that differ, or no more
             measurements than numbers.
 
-    Accuracy: from data without noise of another formulation, integrated by another library, damping and the
-    pull on the object of Part 2 come back to 1e-6 of themselves. What is found is a minimum near the guess,
-    not always the least one.
+    Accuracy: from data without noise, made by another formulation and integrated by another library, damping
+    and the pull on the object of Part 2 are found to 1e-6 of themselves. What is found is a minimum near the
+    guess, not always the least one.
 
     Example:
         >>> import jax.numpy as jnp
@@ -168,7 +168,7 @@ def identify(
 
     def left_over(x: jax.Array) -> tuple[jax.Array, tuple[jax.Array, RESULTS]]:
         with traceable("make"):
-            grasp, state = _made(make(dict(zip(names, x * start, strict=True))))
+            grasp, state = as_start(make(dict(zip(names, x * start, strict=True))))
         run = simulate(grasp, state, times[-1], ts=times, rtol=rtol, throw=False).filled()
         with traceable("observe"):
             given = _joints(grasp, run) if observe is None else observe(grasp, run)
@@ -224,7 +224,7 @@ def _descend(
 ) -> tuple[np.ndarray, int, RESULTS, tuple[np.ndarray, ...]]:
     """The numbers at a minimum, steps tried, how it ended, and what `both` gives there.
 
-    That is the misfits and their derivative first; whatever follows is handed on.
+    `both` gives the misfits and their derivative first; what follows these is handed on.
     """
     evaluate = lambda x: tuple(map(np.asarray, both(jnp.asarray(x))))  # noqa: E731
     left, slopes, *rest = evaluate(x)
@@ -265,7 +265,7 @@ def _has_squares(values: np.ndarray) -> bool:
 def _arrived(x: np.ndarray, left: np.ndarray, slopes: np.ndarray, *, known: bool) -> bool:
     """Whether the derivative asks for a step of next to nothing, though no damping shortens it.
 
-    That is a step as short as the last one, of which the errors of the runs may decide whether it goes down.
+    Whether so short a step goes down may be decided by the errors of the runs.
     """
     step, unit = _undamped(left, slopes), _deviation(left, len(x), known=known)
     near = np.linalg.norm(slopes @ step) < _LAST.of(slopes) * unit
@@ -278,7 +278,7 @@ def _undamped(left: np.ndarray, slopes: np.ndarray) -> np.ndarray:
 
 
 def _at_an_end(x: np.ndarray, left: np.ndarray, slopes: np.ndarray, *, known: bool) -> RESULTS:
-    """Whether rounding is all that is left where no step goes down, or the derivative is none of a slope.
+    """`successful` if only rounding keeps steps from going down, `solver_failed` if something else does.
 
     The latter is so at a kink, at a jump, and beside numbers for which there is no run: the derivative there
     promises more than rounding, but neither leads to a minimum nor says how well numbers are known.
@@ -292,8 +292,8 @@ def _at_an_end(x: np.ndarray, left: np.ndarray, slopes: np.ndarray, *, known: bo
 def _inverse(slopes: np.ndarray) -> np.ndarray:
     """The inverse of the Gauss-Newton matrix; infinite for numbers of which the data tell nothing.
 
-    By the singular values of its root, the derivative: what is below a thousandth of the largest is lost in
-    rounding where it is squared in single precision.
+    It is made of the singular values of the derivative: those below a thousandth of the largest would be lost
+    in rounding if they were squared in single precision.
     """
     count, least, part = slopes.shape[1], _UNTOLD.of(slopes), _PART.of(slopes)
     if not _has_squares(slopes):
@@ -310,9 +310,9 @@ def _inverse(slopes: np.ndarray) -> np.ndarray:
 
 
 def _covariance(slopes: np.ndarray, units: np.ndarray) -> np.ndarray:
-    """The covariance of numbers, from the derivative and what each is scaled by, times the noise.
+    """The covariance of numbers, from the derivative and `units`: what each is scaled by, times the noise.
 
-    What the data tell nothing of stays infinite where they fit exactly, and the noise they show is zero.
+    Of what the data tell nothing it stays infinite, even where they fit exactly and `units` are zero.
     """
     inverse = _inverse(slopes)
     told = np.isfinite(inverse)
@@ -324,14 +324,6 @@ def _joints(grasp: Grasp, run: Any) -> jax.Array:
     return run.states.q[:, grasp.form.positions[0] :]
 
 
-def _made(given: Any) -> tuple[Grasp, State]:
-    """What a caller's `make` returned, checked."""
-    pair = given if isinstance(given, tuple | list) else ()
-    if len(pair) != 2 or not isinstance(pair[0], Grasp) or not isinstance(pair[1], State):
-        raise ValueError(f"argument make must return a Grasp and a State, but returned {shown(given)}")
-    return pair[0], pair[1]
-
-
 def _checked(make: Any, guess: Any, observe: Any) -> tuple[tuple[str, ...], np.ndarray]:
     """Names and first values."""
     check_callable("make", make, takes=1)
@@ -339,14 +331,14 @@ def _checked(make: Any, guess: Any, observe: Any) -> tuple[tuple[str, ...], np.n
         check_callable("observe", observe, takes=2)
     if not isinstance(guess, Mapping) or not guess or not all(isinstance(name, str) for name in guess):
         raise ValueError(f"argument guess must be a dict of numbers by their names, but was {shown(guess)}")
-    values = [np.asarray(check_finite("guess", as_floats("guess", value, ()))) for value in guess.values()]
+    values = [np.asarray(as_floats("guess", value, ())) for value in guess.values()]
     if not all(value != 0.0 for value in values):
         raise ValueError(f"argument guess must have no zero, by which nothing scales, but was {shown(guess)}")
     return tuple(guess), np.array(values, float)
 
 
 def _times(ts: Any) -> jax.Array:
-    times = check_finite("ts", as_floats("ts", ts, (None,)))
+    times = as_floats("ts", ts, (None,))
     if (
         not len(times)
         or float(times[0]) < 0.0
@@ -362,7 +354,7 @@ def _sigma(noise: Any, data: jax.Array) -> jax.Array:
         return jnp.ones(())
     given = as_array("noise", noise)
     shape = () if given.ndim == 0 else data.shape
-    return check_positive("noise", check_finite("noise", as_floats("noise", given, shape)))
+    return check_positive("noise", as_floats("noise", given, shape))
 
 
 def _given(sigma: jax.Array) -> float | np.ndarray:

@@ -15,6 +15,7 @@ Codes = TypeVar("Codes", bound=type[eqx.Enumeration])
 _FEW = 12
 
 
+# The class of an enumeration's codes is not public in equinox: a code of this one has it.
 class _Probe(eqx.Enumeration):
     one = ""
 
@@ -99,7 +100,7 @@ def names_of(codes: type[eqx.Enumeration]) -> dict[int, str]:
 
 
 def code_of(codes: type[eqx.Enumeration], value: Any) -> Any:
-    """The code of a number, or codes of an array of numbers, whichever of them there are."""
+    """The code that belongs to a number, or the codes that belong to an array of numbers."""
     make = cast(Any, type(next(iter(codes._name_to_item.values()))))  # pyright: ignore
     return make(value, codes)
 
@@ -109,8 +110,7 @@ def code_name(code: Any) -> str:
     kind = code._enumeration
     if not _known(code._value):
         return f"{kind.__name__} ({shown_value(code._value)})"
-    names = {int(item._value): name for name, item in kind._name_to_item.items()}
-    found = np.asarray(code._value)
+    names, found = names_of(kind), np.asarray(code._value)
     if found.ndim == 0:
         return names[int(found)]
     if found.size <= _FEW:
@@ -121,14 +121,14 @@ def code_name(code: Any) -> str:
 def listed(self: Any) -> str:
     """A record as one line: its class, and its fields with their values and units.
 
-    Units are those of the class variable `UNITS`, by field. It works on what is traced, batched, or a
-    structure without numbers.
+    Units are those of the class variable `UNITS`, by field. Fields may be traced or batched, and may be
+    missing, as in a structure without numbers.
     """
     return _line(self, {f.name: getattr(self, f.name, None) for f in dataclasses.fields(self)})
 
 
 def listed_without_none(self: Any) -> str:
-    """As `listed`, without the fields that are None: of a shape, what was left out and what is worked out."""
+    """As `listed`, but without the fields that are None, such as arguments of a shape that were not given."""
     values = {f.name: getattr(self, f.name, None) for f in dataclasses.fields(self)}
     return _line(self, {name: value for name, value in values.items() if value is not None})
 

@@ -71,7 +71,7 @@ class RESULTS(eqx.Enumeration):
     unreachable = "The initial state is off the constraints: no pose near the guess closes them."
     infeasible = "No point that keeps every limit was found; the one that passes them least is given."
     solver_failed = "The solver reported a failure of its own."
-    # Codes are numbered in this order, and kept results hold the numbers: a new one comes last.
+    # Codes are numbered in this order, and stored results hold the numbers: a new code must come last.
     unresolved = (
         "A contour bends more sharply than the cells of its table resolve: the run is that of a somewhat "
         "other shape."
@@ -97,7 +97,7 @@ def traced(value: Any) -> bool:
 
 
 def on_host(function: Callable[_P, _R]) -> Callable[_P, _R]:
-    """A function of numbers that are known: an argument that JAX is tracing is refused, by its name.
+    """The function, refusing any argument that JAX is tracing, by the argument's name.
 
     For set-up, pictures and files, which no compiled program can hold.
     """
@@ -140,7 +140,7 @@ def concrete(value: Any) -> np.ndarray | None:
 
 
 def told(path: Any, error: OSError) -> str:
-    """A path and what the system says of it; its own words repeat the path, however long that is."""
+    """A path, shortened, and what the system says of it: its own message has the path at full length."""
     return f"{shown(str(path))}: {error.strerror or type(error).__name__}"
 
 
@@ -217,9 +217,9 @@ def _converted(value: Any) -> jax.Array:
     if isinstance(value, list | tuple | range):
         return _converted(np.asarray(value)) if not traced(value) else jnp.asarray(value)
     if type(value) is np.ndarray and value.ndim > 1:
-        # For a table of every new length `jnp.asarray` would compile a program, of 10 ms; for vectors, whose
-        # lengths are few, it is the faster by 0.03 ms. A copy, because JAX may go on to use the caller's
-        # memory, which may change.
+        # `jnp.asarray` would compile a program, of 10 ms, for tables of every new length; for vectors, which
+        # have few lengths, it is faster by 0.03 ms. This copies, because JAX might otherwise go on reading
+        # the caller's memory, which may change.
         return jax.device_put(value.copy())
     if is_array_like(value):
         return jnp.asarray(value)
@@ -311,7 +311,7 @@ def check_callable(name: str, value: Any, what: str = "a function", *, takes: in
 def as_order(smoothness: Any, *, least: int = 0) -> float:
     """Convert argument `smoothness` to a number of continuous derivatives, infinity among them."""
     real = isinstance(smoothness, int | float | np.integer | np.floating) and not isinstance(smoothness, bool)
-    # A whole number may be larger than any floating one, and is no count of anything.
+    # A Python integer may be larger than any float.
     if not real or not smoothness >= least or sys.float_info.max < smoothness < math.inf:
         few = f" of {least} or more," if least else ""
         raise ValueError(
@@ -376,9 +376,9 @@ def check_positive(name: str, value: jax.Array) -> jax.Array:
 
 
 def check_direction(name: str, vectors: jax.Array) -> jax.Array:
-    """Raise if a concrete vector of the last axis has no direction: its length is zero, or overflows.
+    """Raise if a concrete vector, along the last axis, has no direction: its length is zero or overflows.
 
-    So is that of a vector whose squares the precision does not hold: who asks for a direction divides by it.
+    A length whose square is lost in the precision counts as zero: callers divide by the length.
     """
     seen = concrete(vectors)
     if seen is None:
@@ -393,15 +393,15 @@ def check_direction(name: str, vectors: jax.Array) -> jax.Array:
 
 
 def as_length(name: str, value: Any) -> jax.Array:
-    """Convert an argument to a length [m] of a shape; beyond these bounds its square would lose digits."""
+    """Convert an argument to a length [m] of a shape, within `SHAPE_LENGTHS`, so that its square is one."""
     length = as_positive(name, value)
     check_between(name, length, *SHAPE_LENGTHS, unit=" m")
     return length
 
 
 def told_apart(*values: Any, least: int = 6) -> list[str]:
-    """Numbers as a sentence compares them: in `least` digits, or as many as show that they differ."""
-    # Of single precision a number's own digits, not those of its conversion.
+    """Numbers as texts for one sentence: in `least` digits, or in as many as show that they differ."""
+    # A number of single precision keeps its type: as a `float` it would show digits of the conversion.
     known = [np.asarray(value)[()] for value in values]
     texts: list[str] = []
     for digits in range(least, 18):

@@ -37,7 +37,7 @@ _KNOWN = ("jaxroll", "diffrax", "equinox", "optimistix", "lineax")
 # The first word of every node, which is the name of what reads it.
 _KINDS = ("record", "array", "code", "tuple", "list", "dict", "structure", "dtype", "name", "key", "bound")
 _PLAIN = (bool, int, float, str, type(None))
-# Functions with arguments that are bound, by their numbers in a file, and what they are made of.
+# Classes of functions with bound arguments: a file holds their place here; and the parts of each.
 _BOUND, _PARTS = (functools.partial, jax.tree_util.Partial), ("func", "args", "keywords")
 
 
@@ -50,11 +50,11 @@ def save(path: str | Path, value: Any) -> Path:
             plain values. Functions must be named in a module: a lambda has no name by which to find it.
 
     Returns:
-        The path.
+        The path, with its ending.
 
     Raises:
-        ValueError: If something in `value` cannot be written; the sentence says what, and where it is. If
-            the file cannot be written.
+        ValueError: If something in `value` cannot be written (the sentence says what, and where it is), or
+            the file cannot be.
 
     Example:
         >>> import jaxroll as jxr
@@ -69,7 +69,7 @@ def save(path: str | Path, value: Any) -> Path:
     head = {"format": _FORMAT, "jaxroll": _version(), "tree": tree}
     text = np.frombuffer(json.dumps(head).encode(), np.uint8)
     named: dict[str, Any] = {_TEXT: text, **{str(i): a for i, a in enumerate(writer.arrays)}}
-    # A file that is there is replaced in one step, so that one which is cut off leaves the old one whole.
+    # A file that is there is replaced in one step, so that a call which is cut off leaves the old one whole.
     beside = path.with_name(f".{path.name}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -88,14 +88,15 @@ def load(path: str | Path, *, own: Sequence[Any] = ()) -> Any:
 
     Args:
         path: The file.
-        own: Classes and functions of one's own that the file names. What it does not hold is not needed.
+        own: Those of your own classes and functions that the file names. Others may be among them.
 
     Returns:
         What was saved.
 
     Raises:
-        ValueError: If it is no such file, is damaged, was written by a version whose records had other
-            fields, names what `own` has not, or is of double precision while JAX is set to single.
+        ValueError: If the file is none that `save` wrote, is damaged, was written by a version whose records
+            had other fields, names what `own` does not hold, or is of double precision while JAX is set to
+            single.
 
     Example:
         >>> import jaxroll as jxr
@@ -121,10 +122,10 @@ def load(path: str | Path, *, own: Sequence[Any] = ()) -> Any:
         written, form = head["jaxroll"], int(head["format"])
     # A damaged archive may also say that it is encrypted, or of a later version of the format.
     except (OSError, ValueError, KeyError, TypeError, EOFError, RuntimeError, zipfile.BadZipFile) as error:
-        told = f"it has no {error}" if isinstance(error, KeyError) else str(error)
+        said = f"it has no {error}" if isinstance(error, KeyError) else str(error)
         raise ValueError(
             f"argument path must name a file that `jaxroll.save` wrote, but {path.name} could not be read as "
-            f"one: {shown(told)}"
+            f"one: {shown(said)}"
         ) from None
     if form > _FORMAT:
         raise ValueError(
@@ -313,7 +314,7 @@ class _Reader:
         return code_of(self._found(node["code"]), self.value(node["is"]))
 
     def _array(self, node: dict[str, Any]) -> Any:
-        """An array as what it was: JAX's, NumPy's, or one of NumPy's numbers. One that stood twice is one."""
+        """An array as it was: JAX's, NumPy's, or a number of NumPy; the same object wherever it stood."""
         at = node["array"], node["kind"]
         if at not in self._made:
             stored = self._arrays[str(at[0])]
@@ -336,10 +337,10 @@ class _Reader:
         bare = (name for name, f in fields.items() if name not in held and not _has_default(f))
         strange, missing = sorted(held.keys() - fields.keys()), sorted(bare)
         if strange or missing:
-            told = f"holds {strange[0]!r}, which it has not" if strange else f"lacks its {missing[0]!r}"
+            said = f"holds {strange[0]!r}, which it has not" if strange else f"lacks its {missing[0]!r}"
             raise ValueError(
                 f"argument path must hold the fields of {kind.__name__} in jaxroll {_version()}, but "
-                f"{self.file}, written by {self.written}, {told}"
+                f"{self.file}, written by {self.written}, {said}"
             )
         made = object.__new__(kind)
         for name, item in held.items():

@@ -1,10 +1,13 @@
-"""Array aliases and the axis alphabet shared by every signature in the package; limits by precision.
+"""Array aliases, letters for axes, and limits by precision.
+
+In signatures these letters stand for the same axes, unless a docstring says otherwise:
 
 | letter | axis |
 |---|---|
 | `n` | generalised coordinates (object first, then the fingers in order) |
 | `c` | contacts |
 | `m` | constraint rows |
+| `f` | fingers |
 | `k` | joints of one finger |
 | `t` | saved times |
 """
@@ -28,7 +31,7 @@ Times = Float[Array, " t"]
 
 
 def resolution(t: Scalar) -> Scalar:
-    """Eight rounding units of t, or of 1 ms if t is less [s]: nearer times are one, steps are longer."""
+    """Eight rounding units of t, or of 1 ms if t is less [s]: nearer times count as one, steps are longer."""
     return 8.0 * jnp.finfo(jnp.result_type(t)).eps * jnp.maximum(jnp.abs(t), 1e-3)
 
 

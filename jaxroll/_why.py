@@ -1,10 +1,10 @@
 """`why`: one page on why a grasp fails, or that it holds.
 
 The questions come in the order in which one failure hides the next: without closed contacts there is no
-start; without positive margins at the start no run; without a run no end; and only a grasp that holds is
-worth an equilibrium. `close` answers the first, `bearing` has margins and forces at the start and the end,
-`simulate` makes the run, `stability.assess` finds the equilibrium. The first failure found makes the summary
-and the remedy; all numbers that were computed on the way are printed.
+start; without positive margins at the start there is no run; without a run there is no end; and only of a
+grasp that holds an equilibrium is of use. `close` answers the first, `bearing` has margins and forces at the
+start and the end, `simulate` makes the run, `stability.assess` finds the equilibrium. The first failure found
+makes the summary and the remedy; all numbers that were computed on the way are printed.
 """
 
 import textwrap
@@ -79,14 +79,14 @@ class Why:
     Attributes:
         summary: What comes first, in one sentence; 'holds' where nothing was found.
         closed: Whether the contacts close.
-        gap: Largest residual of the start looked at [m or rad]; where they do not close, of the guess.
-        state: The start looked at, on the constraints where it closes.
+        gap: Largest residual of `state` [m or rad].
+        state: The start of the run, on the constraints; the guess where its contacts do not close.
         start: How the grasp bears there: curvatures, pivot, forces; None where it does not close.
         run: The run from there; None where there was nothing to run.
         end: How it bears where the run ended.
         contact: Which contact failed; -1 where none did.
         ended: Which contact ended the run, when and by how much; empty if it reached its end.
-        stability: Equilibrium and verdict, in the plane; None in space and where no direction is free.
+        stability: Equilibrium and verdict; None unless all contacts are `Contact`s and a direction is free.
         direction: In which direction it falls, by coordinate; empty where none does.
         remedy: What helps, in the words of this package's arguments; empty where nothing is needed.
         grasp: The grasp.
@@ -169,13 +169,13 @@ def why(
 
     Args (daily use):
         grasp: The grasp.
-        state: A state or a guess of one; or a run of this grasp, and then no other one is made: the
+        state: A state, or a guess of one; or a run of this grasp: then no other run is made, and the
             arguments below are checked, but not used.
         t1: Final time of the run that is made [s].
     Args (rarely changed):
         t0, ts, formulation, solver, rtol, atol, dt0, max_steps, events, stepsize_controller, progress_meter,
-            record: As for `simulate`, and with its defaults. With the same ones as yours the run costs no new
-            compilation.
+            record: As for `simulate`, and with its defaults. If they are those of your own run, nothing is
+            compiled anew for this one.
 
     Returns:
         A `Why`; print it.
@@ -294,14 +294,14 @@ def _assessed(grasp: Grasp, state: State, t: Scalar) -> Stability | None:
 
 
 def _blamed(grasp: Grasp, found: Stability, near: State, t: Scalar) -> str:
-    """Which of `_MEND` helps where no equilibrium is stable: against what the grasp would hold without."""
+    """The key of the remedy in `_MEND`: the part without which the grasp would hold, or else the verdict."""
     law = grasp.controller
     if isinstance(law, Sampled) and _holds(grasp.with_(controller=law.law), near, t):
         return "sampled"
     if grasp.gravity is not None and _holds(grasp.with_(gravity=None), near, t):
         return "heavy"
     verdict = code_name(found.verdict)
-    # A potential that bends down nowhere gives no energy: what grows is driven by rates, or by no potential.
+    # Where the potential bends down nowhere, what grows is driven by rates or by forces without potential.
     return "driven" if verdict == "unstable" and not found.bends_down else verdict
 
 
@@ -321,7 +321,7 @@ def _early(grasp: Grasp, start: Bearing, ended: int) -> tuple[str, str, int] | N
 
     In this order, because forces mean nothing at a singular state, nor friction at a contact that pulls.
     Comparisons with zero are written so that NaN counts as a failure. A contact without force does not pull.
-    Of contacts that fail alike, to rounding, it is the one at which the run `ended`.
+    Of contacts that fail by the same to rounding, the one at which the run `ended` is named.
     """
     curvature, f = np.asarray(start.curvature), _pressing(grasp, start)
     if not np.all(curvature > FLAT):
@@ -448,8 +448,8 @@ def _force(grasp: Grasp, contact: int, pressing: float, aside: float) -> str:
 def _direction(grasp: Grasp, found: Stability | None, start: State, run: Trajectory) -> str:
     """The direction in which a grasp fails, in words; empty where it does not.
 
-    Of an unstable equilibrium the mode in which the potential falls most, or the rate at which an oscillation
-    grows; otherwise by how much the coordinates changed in a run that a limit ended.
+    At an unstable equilibrium this is the mode in which the potential falls most, or the rate at which an
+    oscillation grows; otherwise it is how far the coordinates moved in a run that a limit ended.
     """
     if found is not None and code_name(found.verdict) == "unstable":
         told = _named(grasp, _scaled(grasp, np.asarray(found.modes)[:, 0]))

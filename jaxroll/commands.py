@@ -1,11 +1,11 @@
 r"""Commands that change in time: numbers of a controller given as functions of time.
 
 Any function of time may stand for a number of a controller (`control.Press`, `control.Opposition`,
-`control.Carry`). One that jumps, or whose derivative does, costs a method its order unless a step ends at the
-jump. So jumps are *declared*: whatever part of a controller or of a load has an attribute `jumps` [s]
-declares them, as the classes here do. A run then ends a step just before each and begins anew just after it,
-and its derivative with respect to the time of the jump is right (`_integration/_jumps`). What is not declared
-is integrated as if it were smooth: the method loses its order there, and a jump can be stepped over.
+`control.Carry`). Where such a function or a derivative of it jumps, an integration method loses its order
+unless a step ends there. So jumps are *declared*: any part of a controller or of a load declares them by an
+attribute `jumps` [s], as the classes here do. A run then ends a step just before each jump and begins anew
+just after it, and its derivative with respect to the time of the jump is right (`_integration/_jumps`). What
+is not declared is integrated as if it were smooth: the method loses its order, and may step over a jump.
 """
 
 import abc
@@ -58,7 +58,7 @@ def _check_count(values: Array, count: int, words: str) -> None:
 
 
 class AbstractSchedule(eqx.Module):
-    """A function of time given by values at times, all of which it declares as jumps."""
+    """A function of time given by values at times, and all of these times are its jumps."""
 
     __repr__ = listed
     UNITS: ClassVar[dict[str, str]] = {"times": "s"}
@@ -77,14 +77,14 @@ class AbstractSchedule(eqx.Module):
 
 
 class Steps(AbstractSchedule):
-    """A value that jumps: the first one before the first time, the next one from there on, and so on.
+    """A value that jumps: before the first time it is the first value, from then on the second, and so on.
 
     Args:
         times: Shape (k,), when it jumps [s]; rising. Differentiable.
-        values: Shape (k + 1,) or (k + 1, ...): what it is before, between and after.
+        values: Shape (k + 1, ...): what it is before, between and after the times. Differentiable.
 
     Raises:
-        ValueError: If times do not rise, or the values are not one more than they.
+        ValueError: If times do not rise, or there is not one value more than there are times.
 
     Example:
         >>> import jaxroll as jxr
@@ -111,14 +111,14 @@ class Steps(AbstractSchedule):
 
 
 class Ramps(AbstractSchedule):
-    """A value that runs in straight lines from one to the next, and rests before the first and after all.
+    """A value on straight lines from one to the next, at rest before the first and after the last.
 
     Args:
-        times: Shape (k,), when it is at the values [s]; rising. Differentiable.
-        values: Shape (k,) or (k, ...).
+        times: Shape (k,), when it has the values [s]; rising. Differentiable.
+        values: Shape (k, ...). Differentiable.
 
     Raises:
-        ValueError: If times do not rise, or the values are not as many.
+        ValueError: If times do not rise, or there are not as many values.
 
     Example:
         >>> import jaxroll as jxr
@@ -151,7 +151,7 @@ class Declared(eqx.Module):
     Args:
         function: `function(t)`, any callable pytree.
         jumps: Shape (k,), when it or a derivative of it jumps [s]. At a jump it must have its later value.
-            A derivative with respect to them is right if `function` jumps where they say.
+            A derivative with respect to these times is right if `function` jumps at them.
 
     Example:
         >>> import jax.numpy as jnp

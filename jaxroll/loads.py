@@ -3,8 +3,8 @@ r"""What pushes, pulls or brakes the object besides gravity and contacts: a wren
 A load is a function of time, pose and twist of the object. Its generalised force $J^T w$ joins the joint
 torques on the right of $M \dot v + h = u + A^T \mu$, and its power $F \cdot v + T \cdot \omega$ the work in
 the energy balance (20). `Push`, `Drag` and `Spring` are ready-made; any callable pytree `f(t, pose, twist)`
-works too (see `Grasp`). `_motion/_equations` calls `wrench` in every evaluation; a grasp without loads has
-none of it in its program. `Impulse` acts at one time, between two steps (`_motion._impulse`).
+works too (see `Grasp`). `_motion/_equations` calls `total_wrench` in every evaluation; the program of a grasp
+without loads has nothing of it. `Impulse` acts at one time, between two steps (`_motion._impulse`).
 """
 
 from collections.abc import Sequence
@@ -61,7 +61,7 @@ class Twist(eqx.Module):
 
 
 def _as_vector(name: str, vector: Array) -> Array:
-    """A vector of two or three coordinates; `AbstractLoad.check` compares their number with the grasp's."""
+    """A vector of two or three coordinates; the load's `check` compares their number with the grasp's."""
     if vector.shape[0] not in (2, 3):
         raise ValueError(f"argument {name} must have shape (2) or (3), but had shape {vector.shape}")
     return vector
@@ -89,7 +89,7 @@ def _as_angular(name: str, value: Any) -> Array | None:
 
 
 def _taken_beside(load: AbstractLoad, vector: Array, point: Given | None) -> Array | None:
-    """Argument `point` of a load, or None; of as many numbers as its other vector."""
+    """Argument `point` of a load, or None; it must have as many numbers as the load's other vector."""
     array = taken(load, "point", point)
     if array is not None and array.shape != vector.shape:
         raise ValueError(f"argument point must have shape {vector.shape}, but had shape {array.shape}")
@@ -162,7 +162,10 @@ class Drag(AbstractLoad):
         linear: $c$ [N s/m], of the velocity of the object's origin.
         angular: $d$ [N m s], of its spin.
 
-    Negative ones feed energy in.
+    Negative coefficients feed energy in.
+
+    Raises:
+        ValueError: If a coefficient is not one finite number.
 
     Example:
         >>> import jaxroll as jxr
@@ -187,16 +190,16 @@ class Drag(AbstractLoad):
 class Spring(AbstractLoad):
     r"""A linear spring, with a damper beside it, from a point of the object to a point of the world.
 
-    $F = -k\,(1 - l/|d|)\,d - c\,\dot d$ with $d$ from the anchor to the point; of a natural length $l = 0$
-    just $-k\,d - c\,\dot d$.
+    $F = -k\,(1 - l/|d|)\,d - c\,\dot d$ with $d$ from the anchor to the point; $-k\,d - c\,\dot d$ if the
+    natural length $l$ is zero.
 
     Args:
         stiffness: $k$ [N/m].
         anchor: Shape (2,), in space (3,): the point of the world [m].
         point: The point of the object, in its frame [m]. Default: its origin.
         length: Natural length $l$ [m], positive. Default: zero. Where the spring has no length its direction
-            is not defined, and then it pulls not at all.
-        damping: $c$ [N s/m], of all motion of the point, across the spring too.
+            is not defined, and it does not pull.
+        damping: $c$ [N s/m], of any motion of the point, across the spring too.
 
     Raises:
         ValueError: If a number is not finite, a shape does not fit, or the length is not positive.
@@ -265,8 +268,8 @@ class Impulse(AbstractLoad):
 
     Args:
         impulse: Shape (2,), in space (3,), in world axes [N s].
-        time: When it acts [s]. A run that ends or begins at that time has it: of two runs that meet there one
-            is given the grasp without it. A run that begins later has no part of it.
+        time: When it acts [s]. It acts in a run that ends or begins at that time: of two runs that meet
+            there, give one the grasp without it. It has no part in a run that begins later.
         angular: Angular impulse besides, a number, in space shape (3,) in world axes [N m s]. Default: none.
         point: Shape (2,), in space (3,): where it acts, in the object's frame [m]. Default: its origin.
 
@@ -314,7 +317,7 @@ class Impulse(AbstractLoad):
         return push, own if turn is None else turn + own
 
     def wrench(self, t: Scalar, object_: Moving) -> Wrench:
-        # At no time is there a force of it.
+        # Abstract, so it must be here; `total_wrench` leaves impulses out, as they have no force at any time.
         return object_.twist.velocity * 0.0, None
 
     def check(self, name: str, axes: int) -> None:
@@ -331,7 +334,7 @@ class UserLoad(AbstractLoad):
         spatial = isinstance(pose.origin, Vec3)
         orientation = jnp.stack(object_.orientation) if spatial else jnp.asarray(object_.orientation[0])
         place = Pose(pose.origin.array(), orientation)
-        # What rests may be Python's own zeros, which have no precision of their own.
+        # Velocities of what rests may be Python's own zeros, which have no precision of their own.
         kind = place.position.dtype
         spin = moves.spin.array() if spatial else jnp.asarray(moves.spin)
         twist = Twist(moves.velocity.array().astype(kind), spin.astype(kind))
@@ -353,7 +356,7 @@ def as_load(load: Any) -> AbstractLoad:
 
 
 def impulses(loads: Sequence[Any]) -> tuple[Impulse, ...]:
-    """Those of some loads that act at one time each; the others act all along."""
+    """Those loads that act at one time each; the others act all along."""
     return tuple(load for load in loads if isinstance(load, Impulse))
 
 

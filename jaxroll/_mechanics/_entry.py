@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 from .._fields import check_module
-from .._results import as_array, check_finite, check_instance, concrete
+from .._results import as_array, check_finite, check_instance, concrete, shown
 from .._xla import quickly, remembered, uncollected
 from ..contact import Contact, Contact3
 from ._grasp import Grasp, tabled_grasp
@@ -56,6 +56,14 @@ def check_spatial(grasp: Grasp) -> None:
     if not grasp.spatial:
         raise ValueError("argument grasp must live in space, but its contacts are those of the plane")
     _check_kind(grasp, Contact3)
+
+
+def as_start(given: Any) -> tuple[Grasp, State]:
+    """The grasp and the state that a caller's `make` returned; raise if it returned anything else."""
+    pair = given if isinstance(given, tuple | list) else ()
+    if len(pair) != 2 or not isinstance(pair[0], Grasp) or not isinstance(pair[1], State):
+        raise ValueError(f"argument make must return a Grasp and a State, but returned {shown(given)}")
+    return pair[0], pair[1]
 
 
 def _check_kind(grasp: Grasp, kind: type) -> None:

@@ -7,8 +7,8 @@ callable pytree `f(t, angles, rates, tips)` works too (see `Grasp`).
 The chapter's are `Press` (75) and `Opposition` (16)-(17). `Carry` moves what the tips hold as commands say.
 `Integral` adds an integral term to any law, `Sampled` asks any law at samples only and holds its torques
 between them; both have a memory, which is a part of the state. `_sensing` is what a law gets, `_user` adapts
-a caller's function and has what stands for none. `_motion/_equations` asks for torques in every evaluation,
-`_motion/_sampling` has samples.
+a caller's function and has `Passive`, for a grasp without a controller. `_motion/_equations` asks for torques
+in every evaluation, `_motion/_sampling` takes the samples.
 """
 
 from .._mechanics import AbstractController as AbstractController

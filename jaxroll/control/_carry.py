@@ -2,8 +2,8 @@ r"""Carrying an object: the opposition of (16) about a frame that commands move.
 
 The tips are drawn together as by `Opposition`, which presses them on the object, and each is held by a spring
 to its place in a frame that is commanded: moving and turning the frame moves and turns what the tips hold.
-That is impedance control of the tips, blind to the object as all of the chapter's laws: the frame that it
-moves is not the object's, which rolls on the tips besides.
+That is impedance control of the tips, blind to the object as the chapter's laws are: the frame that commands
+move is not the object's, as the object also rolls on the tips.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from .._fields import changes_in_time, command, held, shape_of, taken
+from .._fields import changes_in_time, Command, command, Commanded, held, shape_of, taken
 from .._linalg import root, sincos, total, unstack, Vec3
 from .._mechanics import AbstractController, Torques
 from .._results import check_positive
@@ -21,9 +21,7 @@ from .._types import Given, Scalar, Scalars
 from .._xla import once
 from ._sensing import Sensed
 
-# What a field holds: an array, or a function of time that returns one.
-_Numbers = Any
-# Squared angle [rad^2] below which the series of a turn are exact in double precision.
+# Squared angle [rad^2] below which `_turned` takes series, which are exact there in double precision.
 _SMALL = 1e-8
 
 
@@ -44,8 +42,8 @@ class Carry(AbstractController):
 
     from the potential
     $P = \frac\beta2 \sum_{i<j} |r_i - r_j|^2 + \frac k2 \sum_i |r_i - p - R h_i|^2 - F \cdot \bar r$, with
-    the mean $\bar r$ of the tips. With numbers that change in time there is no potential, and all that the
-    joint torques do counts as work.
+    the mean $\bar r$ of the tips. If one of its numbers changes in time there is no potential, and the
+    whole power of the joint torques counts as work.
 
     Args:
         beta: $\beta$ [N/m]: as in `Opposition`, every pair of tips attracts.
@@ -68,24 +66,24 @@ class Carry(AbstractController):
         [0.0, 0.0, 0.11]
     """
 
-    beta: _Numbers = command()
-    damping: _Numbers = command(each_finger=True)
-    stiffness: _Numbers = command(check=check_positive)
-    home: _Numbers = command(None, 3, check=_as_home)
-    position: _Numbers = command(3)
-    turn: _Numbers = command(3)
-    force: _Numbers = command(3)
+    beta: Commanded = command()
+    damping: Commanded = command(each_finger=True)
+    stiffness: Commanded = command(check=check_positive)
+    home: Commanded = command(None, 3, check=_as_home)
+    position: Commanded = command(3)
+    turn: Commanded = command(3)
+    force: Commanded = command(3)
 
     def __init__(
         self,
-        beta: _Numbers,
-        damping: _Numbers,
-        stiffness: _Numbers,
+        beta: Command,
+        damping: Command,
+        stiffness: Command,
         *,
-        home: _Numbers,
-        position: _Numbers = (0.0, 0.0, 0.0),
-        turn: _Numbers = (0.0, 0.0, 0.0),
-        force: _Numbers = (0.0, 0.0, 0.0),
+        home: Command,
+        position: Command = (0.0, 0.0, 0.0),
+        turn: Command = (0.0, 0.0, 0.0),
+        force: Command = (0.0, 0.0, 0.0),
     ) -> None:
         self.beta = taken(self, "beta", beta)
         self.home = taken(self, "home", home)

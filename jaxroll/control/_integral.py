@@ -29,7 +29,7 @@ _ORIENTATION = "orientation_"
 
 
 class Targets(eqx.Module):
-    """Names of task errors, and from what each is measured [m or rad], in the order given."""
+    """Names of task errors, and the value from which each is measured [m or rad], in the order given."""
 
     __repr__ = listed
 
@@ -38,7 +38,7 @@ class Targets(eqx.Module):
 
 
 def _as_targets(name: str, value: Any) -> Targets:
-    """Targets of a dict; those that are made stay."""
+    """Targets from a dict; `Targets` stay as they are."""
     if isinstance(value, Targets):
         return value
     if not isinstance(value, Mapping) or not value:
@@ -55,16 +55,16 @@ def _as_targets(name: str, value: Any) -> Targets:
 class Integral(AbstractController):
     r"""A law with an integral term, $u = u_{law} - \sum_k g_k z_k\, \partial e_k/\partial q$.
 
-    Its memory are the integrals, $\dot z_k = e_k$, zero at the start; they are integrated with the run,
+    Its memory holds the integrals, $\dot z_k = e_k$, zero at the start; they are integrated with the run,
     recorded as `states.memory` and differentiated. Where the closed loop is stable, every $e_k$ comes to
     zero, whatever constant load acts.
 
     Args:
         law: The controller beside which it stands, any that a grasp takes; None for none.
-        targets: What each task error is measured from, by name: 'x', 'y', in space 'z': coordinates of the
-            mean of all tips' positions [m]; 'opening': distance of the tips of fingers 0 and 1 [m];
-            'tilt', in the plane: direction of the line from tip 0 to tip 1 [rad]; 'orientation_0', ...: sum
-            of one finger's joint angles [rad], the $p_i$ of (17).
+        targets: The value from which each task error is measured, by name: 'x', 'y', in space 'z': one
+            coordinate of the mean of all tips' positions [m]; 'opening': distance of the tips of fingers 0
+            and 1 [m]; 'tilt', in the plane: direction of the line from tip 0 to tip 1 [rad];
+            'orientation_0', ...: sum of one finger's joint angles [rad], the $p_i$ of (17).
         gain: $g_k$ [N/(m s), N m/(rad s)], one for all or shape (errors,).
 
     Raises:
@@ -120,7 +120,7 @@ class Integral(AbstractController):
                 )
 
     def check_freedoms(self, free: int) -> None:
-        # What is fed back by an integral term inside takes its directions too.
+        # The errors of an integral term inside need directions of their own.
         as_controller(self.law).check_freedoms(free - len(self.errors))
         if len(self.errors) > free:
             raise ValueError(

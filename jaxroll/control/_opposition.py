@@ -1,28 +1,22 @@
 r"""The chapter's control of two fingers, (16)-(17): joint damping, and tips that attract each other.
 
 The torques besides damping are the negative gradient of a potential of tips and joint angles, which
-`_motion/_quantities` counts among the energies, and with which it finds the dissipation. `_press` has the
+`_motion/_quantities` counts among the energies and needs to find the dissipation. `_press` has the
 chapter's law for one finger.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from .._fields import changes_in_time, command, held, shape_of, taken
+from .._fields import changes_in_time, Command, command, Commanded, held, shape_of, taken
 from .._linalg import total
 from .._mechanics import AbstractController, Torques
 from .._types import Given, Scalar, Scalars
 from ._sensing import Sensed
-
-# What a field holds: an array, or a function of time that returns one. `held` leaves arrays alone, so that
-# the arithmetic below has no others.
-_Number = Any
-# What a constructor takes for it.
-_Command = Given | Callable[[Any], Any]
 
 
 def _as_start(name: str, start: Array) -> Array:
@@ -61,12 +55,12 @@ class Opposition(AbstractController):
         [0.006, 0.006]
     """
 
-    beta: _Number = command()
-    damping: _Number = command(each_finger=True)
-    alpha: _Number = command(each_finger=True)
-    start: _Number = command(None, check=_as_start)
+    beta: Commanded = command()
+    damping: Commanded = command(each_finger=True)
+    alpha: Commanded = command(each_finger=True)
+    start: Commanded = command(None, check=_as_start)
 
-    def __init__(self, beta: _Command, damping: _Command, alpha: _Command = 0.0, *, start: _Command) -> None:
+    def __init__(self, beta: Command, damping: Command, alpha: Command = 0.0, *, start: Command) -> None:
         self.beta = taken(self, "beta", beta)
         self.start = taken(self, "start", start)
         self.damping = taken(self, "damping", damping, shape=shape_of(self.start))

@@ -1,27 +1,21 @@
 r"""The chapter's control of one finger, (75): joint damping, and a pull of the fingertip to a fixed point.
 
 The pull is the negative gradient of a potential of the tips, which `_motion/_quantities` counts among the
-energies, and with which it finds the dissipation. `_opposition` has the chapter's law for two fingers.
+energies and needs to find the dissipation. `_opposition` has the chapter's law for two fingers.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from .._fields import changes_in_time, command, held, shape_of, taken
+from .._fields import changes_in_time, Command, command, Commanded, held, shape_of, taken
 from .._linalg import total, unstack
 from .._mechanics import AbstractController, Torques
 from .._results import check_positive
 from .._types import Given, Scalar, Scalars
 from ._sensing import Sensed
-
-# What a field holds: an array, or a function of time that returns one. `held` leaves arrays alone, so that
-# the arithmetic below has no others.
-_Number = Any
-# What a constructor takes for it.
-_Command = Given | Callable[[Any], Any]
 
 
 def _check_held(controller: AbstractController, *names: str) -> None:
@@ -62,12 +56,12 @@ class Press(AbstractController):
         '50 N/m'
     """
 
-    force: _Number = command()
-    radius: _Number = command(check=check_positive)
-    damping: _Number = command()
-    target: _Number = command(None, check=_as_point)
+    force: Commanded = command()
+    radius: Commanded = command(check=check_positive)
+    damping: Commanded = command()
+    target: Commanded = command(None, check=_as_point)
 
-    def __init__(self, force: _Command, radius: _Command, damping: _Command, *, target: _Command) -> None:
+    def __init__(self, force: Command, radius: Command, damping: Command, *, target: Command) -> None:
         self.force = taken(self, "force", force)
         self.radius = taken(self, "radius", radius)
         self.damping = taken(self, "damping", damping)
@@ -86,7 +80,7 @@ class Press(AbstractController):
 
     @property
     def _commanded(self) -> bool:
-        """Whether any of its numbers is a function of time; most have none."""
+        """Whether any of its numbers is a function of time."""
         return any(map(callable, (self.force, self.radius, self.damping, self.target)))
 
     @property

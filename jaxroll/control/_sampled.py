@@ -53,10 +53,10 @@ class Sampled(AbstractController):
     r"""A law under zero-order hold: asked at $t_k = t_0 + k T$, its torques are held until $t_{k+1}$.
 
     A run ends a step at every sample: the hold is exact, the method keeps its order, and a derivative with
-    respect to period, first sample and all of the law is right. What is held is a part of the state
-    (`states.memory`: the memory of the law inside, the torques, the time of the next sample [s]), so that a
-    run that goes on from a saved state goes on with what was held there. Before the first sample torques are
-    zero; a state without memory begins with a sample, unless the first one is yet to come.
+    respect to the period, the first sample or anything in the law is right. What is held is a part of the
+    state (`states.memory`: the memory of the law inside, the torques, the time of the next sample [s]), so
+    that a run that goes on from a saved state goes on with what was held there. Before the first sample
+    torques are zero; a state without memory begins with a sample, unless the first one is yet to come.
 
     Between samples a law inside with a memory is at rest: that of `Integral` moves at samples by the period
     times its rate (Euler's step), and a function of your own returns as its second result the memory of the
@@ -69,10 +69,10 @@ class Sampled(AbstractController):
         angle_noise: Standard deviation of what is added to every joint angle at a sample [rad; of a jaw m].
             The law gets tips that fit these angles. Default: none, and then it costs nothing.
         rate_noise: The same for joint rates [rad/s; m/s].
-        key: Key of `jax.random`, needed for noise. Sample k draws from the key folded with k: the same noise
-            whatever the steps between, and another one for each lane with a key of its own.
+        key: Key of `jax.random`, needed for noise. Sample k draws from the key folded with k: the noise does
+            not depend on the steps between samples, and each lane with a key of its own has its own noise.
 
-    Every sample is a step at least: `max_steps` must be above $(t_1 - t_0)/T$.
+    Every sample ends a step: `max_steps` must be above the number of samples in a run.
 
     Raises:
         ValueError: If an argument is not what it must be, noise has no key, or the law is sampled itself.
@@ -144,7 +144,7 @@ class Sampled(AbstractController):
 
     @property
     def noisy(self) -> bool:
-        """Whether anything is added to what is measured."""
+        """Whether noise is added to what is measured."""
         return self.angle_noise is not None or self.rate_noise is not None
 
     def due(self, t: Scalar, memory: Scalars) -> Scalar:
@@ -152,12 +152,12 @@ class Sampled(AbstractController):
         return jax.lax.stop_gradient(memory[-1]) <= t + resolution(t)
 
     def number(self, t: Scalar) -> Scalar:
-        """Which sample a due one is, counted from zero: of overdue ones the last."""
+        """The number of the sample that is due, counted from zero; the last one's if several are overdue."""
         t, first, period = jax.lax.stop_gradient((t, self.first, self.period))
         return jnp.floor((t + resolution(t) - first) / period)
 
     def noise(self, number: Scalar, count: int) -> tuple[Scalars, Scalars]:
-        """What is added to so many joint angles and rates at a sample."""
+        """What is added to `count` joint angles and as many rates at the sample of this number."""
         key = jax.random.fold_in(jax.random.wrap_key_data(self.key), number.astype(jnp.uint32))
         drawn = scalars(jax.random.normal(key, (2 * count,), number.dtype))
         sizes = (0.0 if size is None else size for size in (self.angle_noise, self.rate_noise))

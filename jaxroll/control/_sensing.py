@@ -1,4 +1,4 @@
-"""What controllers sense: joint data of their own fingers, and the tip frames that these imply."""
+"""What controllers sense: joint data of the grasp's fingers, and the tip frames that these imply."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -53,7 +53,7 @@ def sense(motion: Motion, angles: Scalars, rates: Scalars) -> Sensed:
     return Sensed(angles, rates, motion.pose.origin, motion.unit_twists)
 
 
-def orientations(grasp: Grasp, state: State) -> Float[Array, " m"]:
+def orientations(grasp: Grasp, state: State) -> Float[Array, " f"]:
     r"""Orientation $p_i = e_i^T q_i$ [rad] of each finger's last link: $p_i(0)$ of (17) at the start.
 
     Example:

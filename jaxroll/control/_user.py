@@ -29,7 +29,7 @@ class UserController(AbstractController):
     """Adapter that calls a user's `f(t, angles, rates, tips)` with ordinary arrays.
 
     With an attribute `memory` it is `f(t, angles, rates, tips, memory)`, and returns torques and the time
-    derivative of the memory; inside `Sampled` the memory of the next sample in its place.
+    derivative of the memory; inside `Sampled`, in place of the derivative, the memory of the next sample.
     """
 
     function: Any
@@ -105,7 +105,7 @@ def law_of(controller: Any) -> Any:
 
 
 def laws_of(controller: Any) -> list[Any]:
-    """A controller, and what is inside of it, law by law."""
+    """A controller, the law inside it, the law inside that, and so on."""
     found = [controller]
     while isinstance(found[-1], AbstractController) and hasattr(found[-1], "law"):
         found.append(getattr(found[-1], "law"))  # noqa: B009, which classes have it pyright cannot know

@@ -4,7 +4,7 @@
 `_press_balance` combine them with the contact forces to the quantities that Parts 1 and 2 plot. `_loci` has
 the curves that contacts trace on both surfaces in space (Part 3). `_rolling_kinematics` rolls one surface
 over another by a given velocity, without forces. `_link_clearance` says how far links stay clear of the
-object. `_bearing` has the margins of one state, for `why`.
+object. `_bearing` has the margins and contact forces of one state, for `why`.
 """
 
 from ._bearing import Bearing as Bearing, bearing as bearing

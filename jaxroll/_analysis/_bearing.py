@@ -50,7 +50,7 @@ def bearing(grasp: Grasp, t: Scalar, state: State) -> Bearing:
     for contact, touching, place in zip(ready.contacts, instant.touching, leaves.s, strict=True):
         shapes, poses = ready.shapes(contact), (frames[1 + contact.finger], frames[0])
         curvature.append(contact.curvature_margin(shapes, place, poses, touching))
-        # None for closed contours, and for those without ends.
+        # Empty for contours without ends: closed or endless ones.
         margins = contact.ends(shapes, place)
         ends.append(jnp.min(jnp.stack([jnp.asarray(m) for m in margins])) if margins else jnp.inf)
     forces = split_forces(ready, frames, instant.touching, instant.forces)

@@ -1,7 +1,7 @@
 """How far fingers' links stay clear of the object and of each other along a run.
 
-The audit of a run after the fact: of the same distances a run makes an event where fingers have a
-`link_radius` (`_integration._events`).
+This looks at saved states, after the run. A run itself watches the same distances where fingers have a
+`link_radius`, and ends as `links_meet` (`_integration/_events`).
 """
 
 import itertools
@@ -27,16 +27,17 @@ _SAMPLES = 128
 class LinkClearance(eqx.Module):
     """Distances of links as capsules, over a run; negative in an overlap.
 
-    A finger without a `link_radius` has links without thickness. Not finite where a run did not get.
+    A finger without a `link_radius` has links without thickness. Distances are not finite at times that a run
+    did not reach.
 
     Attributes:
         ts: Saved times [s].
-        object: Of the links of each finger that has some, in their order, from the object, shape (t, f) [m].
-        pairs: Which two fingers a column of `links` is about.
-        links: Of the links of two fingers from each other, shape (t, p) [m].
-        least: The least of all [m].
-        time: When that is [s].
-        where: Between what.
+        object: Shape (t, f), distance from the object of the links of each finger that has links [m].
+        links: Shape (t, p), distance between the links of two fingers [m].
+        pairs: Which two fingers each column of `links` is about.
+        least: The least of all these distances [m].
+        time: When it occurs [s].
+        where: In words, between which two it occurs.
     """
 
     __repr__ = listed
@@ -67,12 +68,12 @@ def link_clearance(grasp: Grasp, trajectory: Trajectory) -> LinkClearance:
         `LinkClearance`.
 
     Raises:
-        ValueError: If the trajectory is a batch or none of this grasp, a contour of the object is endless,
+        ValueError: If the trajectory is a batch or not of this grasp, a contour of the object is endless,
             or no finger has links.
 
-    Accuracy: links from each other to rounding; from the object below a nanometre where a link's lowest place
-    lies beside the lowest of 17 points along it. Beside an object thinner than their distances, a sixteenth
-    of the link, that place may be missed.
+    Accuracy: distances between links are exact to rounding. Those from the object are right to a nanometre
+    where the lowest place of a link lies beside the lowest of 17 points along the link; beside an object
+    thinner than the spacing of these points, a sixteenth of the link, that place may be missed.
 
     Example:
         >>> import jaxroll as jxr
@@ -99,7 +100,7 @@ def link_clearance(grasp: Grasp, trajectory: Trajectory) -> LinkClearance:
 
 @compiled
 def _distances(grasp: Grasp, states: State) -> tuple[Array, Array]:
-    """Of every finger with links from the object, and of every two of them, state by state."""
+    """Distances [m] of every finger with links from the object, and of every two of these, state by state."""
     ready = grasp.prepared()
     return jax.lax.map(lambda state: _at(ready, state), states)
 

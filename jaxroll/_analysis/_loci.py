@@ -153,7 +153,7 @@ def check_run(grasp: Grasp, trajectory: Trajectory) -> None:
 def _loci(grasp: Grasp, ts: Array, states: State) -> Loci:
     """Loci from saved times and states: derivatives state by state, then curvatures of all at once."""
     ready = grasp.prepared()
-    # State by state: by `vmap` they would take ten times as long to compile.
+    # State by state: under `vmap` the derivatives would take ten times as long to compile.
     tip, face = in_turn(_jets, ready, ts, states)
     return Loci(ts, _locus(ts, tip), _locus(ts, face))
 
@@ -172,7 +172,7 @@ def _jets(grasp: Grasp, t: Scalar, state: State) -> tuple[_Jet, _Jet]:
         of the velocities along that change is one jvp.
         """
         with sharing():
-            # The vector as a whole, once: XLA would work it out again for each of its numbers.
+            # Without `once` XLA would work out the whole vector again for each of its numbers.
             x = once(x)
             leaves = unpack(lay, x)[0]
             now = evaluate(grasp, t, leaves, Index1())
@@ -182,9 +182,9 @@ def _jets(grasp: Grasp, t: Scalar, state: State) -> tuple[_Jet, _Jet]:
             found = jax.jvp(lambda at: _velocities(grasp, *at), (_arrays(at, x),), (_arrays(along, x),))
         return *found, rates
 
-    # On the straight line x + step dx/dt instead of the motion itself: at step 0 both have the same
-    # derivative, and the difference quotient's error is of fourth order in the step on either. Step 0 comes
-    # first and gives the line to the others, so that the equations of motion stand in the program once.
+    # The states lie on the straight line x + step dx/dt, not on the motion itself: at step 0 both have the
+    # same derivative, and on either the error of the difference quotient is of fourth order in the step.
+    # Step 0 comes first and gives dx/dt to the others, so that the program has the equations of motion once.
     def later(line: Array, step: Scalar) -> tuple[Array, tuple[Array, Array]]:
         velocities, changes, rates = moving(t + step, x + step * line)
         return jnp.where(step == 0.0, rates, line), (velocities, changes)
@@ -246,8 +246,8 @@ def _frames(grasp: Grasp, leaves: Leaves, velocity: Array) -> tuple[Array, Array
 def _locus(ts: Array, jet: _Jet) -> Locus:
     """One surface's loci from their derivatives, whose axes are time, contact, vector.
 
-    The formulas are those at the top of the file. Where the contact rests they are 0/0, and so NaN; these
-    stand behind a `where` within another, so that no derivative of anything else becomes NaN by them.
+    The formulas are those at the top of the file. Where the contact rests they are 0/0, and so NaN. A first
+    `where` keeps the zeros out of the division, a second one puts in the NaN: so no other derivative is NaN.
     """
     jet = jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), jet)
     dot = lambda a, b: jnp.sum(a * b, axis=-1)  # noqa: E731

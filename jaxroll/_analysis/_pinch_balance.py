@@ -72,6 +72,11 @@ class PinchBalance(eqx.Module):
 def pinch_balance(grasp: Grasp, ts: Float[Array, "..."], states: State) -> PinchBalance:
     """Part 1's quantities at one time and state, or along a leading time axis.
 
+    Args:
+        grasp: The pinch.
+        ts: Time [s], or one per state: a number of the controller may change in time.
+        states: One state, or states with a leading time axis.
+
     Returns:
         `PinchBalance`, of the states' leading shape.
 

@@ -62,6 +62,11 @@ class PressBalance(eqx.Module):
 def press_balance(grasp: Grasp, ts: Float[Array, "..."], states: State) -> PressBalance:
     """Part 2's quantities at one time and state, or along a leading time axis.
 
+    Args:
+        grasp: A grasp in the plane under `control.Press`.
+        ts: Time [s], or one per state: a number of the controller may change in time.
+        states: One state, or states with a leading time axis.
+
     Returns:
         `PressBalance`, of the states' leading shape.
 
@@ -91,10 +96,10 @@ def _balance_at(grasp: Grasp, t: Scalar, state: State) -> PressBalance:
     control = law_of(grasp.controller).at(t)
     stiffness = control.stiffness
     arm = at.centre_0 - control.target[None]
-    # (79), with Q and R of (64)-(65) left out, which vanish at a closed contact. The chapter's target is the
-    # pivot; about any other the vector from the target to the tip frame is what (75) pulls along.
+    # At a closed contact, where Q and R of (64)-(65) vanish, these are (79) if the target is the object's
+    # origin, as in the chapter. About any target they are parts of the vector along which (75) pulls.
     q1, r1 = jnp.sum(arm * at.n_1, axis=-1), jnp.sum(arm * at.b_1, axis=-1)
-    # The first form of (78): the last one has put (79) in, of lengths from the object's origin.
+    # The first form of (78): the last form has (79) in it, which holds for the object's origin alone.
     n1 = at.l_b0 * q1 - at.l_n0 * r1
     return PressBalance(
         s=at.s,

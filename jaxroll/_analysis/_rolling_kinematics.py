@@ -3,8 +3,8 @@ r"""Rolling kinematics alone: one surface rolled over another along a given path
 The unknowns are the rolling body's quaternion, both places and the arclength. With the contact's velocity s
 in the tangent plane of the surface that lies still, the body turns at $\omega = n \times (L_A + L_B)\,s +
 \omega_n n$: the normals of both surfaces must stay opposite, and turn at $L_A s$ and $L_B s$. Its position is
-no unknown: it follows from the contact point's being on both surfaces, so that they stay in contact to
-rounding however large the steps are. diffrax integrates; `RESULTS` says how it went.
+no unknown: it is where the contact points of both surfaces coincide, so that they stay in contact to rounding
+however large the steps are. diffrax integrates; `RESULTS` says how it went.
 """
 
 import functools
@@ -39,10 +39,10 @@ from ..geometry import AbstractSurface, Gauss3
 
 # Most steps of the integration.
 _MAX_STEPS = 65536
-# Unit vectors are opposite if one plus their inner product is below this, which is
-# half the square of the angle that is missing.
+# Unit vectors count as opposite if one plus their inner product, half the squared angle that they lack to it,
+# is below this.
 _OPPOSITE = ByPrecision(1e-12, 1e-6)
-# A contact not farther than this past an end of its surface is at the end [m].
+# A contact that is past an end of its surface by no more than this [m] counts as at the end.
 _AT_END = ByPrecision(1e-9, 1e-6)
 
 
@@ -91,7 +91,7 @@ def roll(
     Args:
         tip: The rolling surface.
         object: The one that lies still.
-        velocity: `velocity(t)` [m per unit of t], three numbers in the object's axes; what it has along the
+        velocity: `velocity(t)` [m per unit of t], three numbers in the object's axes; the part along the
             normal is left out.
         ts: Shape (t,), rising: where the answer is wanted; the first is the start.
         at_tip: Coordinates of the starting contact on the rolling surface.
@@ -136,7 +136,7 @@ def roll(
         raise ValueError(f"argument rotation must be a quaternion with a direction, but was {shown(turn)}")
     check_times(times)
     limit = tolerance("rtol", rtol, np.dtype(times.dtype))
-    # What a function closes over and JAX traces has its part in derivatives: as a pytree it is seen.
+    # Traced numbers that a function closes over take part in derivatives: as pytrees the functions show them.
     given = opened(velocity), opened(spin)
     return _roll((tip, object), given, times, (turn, *places), limit)
 
@@ -201,11 +201,11 @@ class _Rolling(eqx.Module):
         y = jnp.concatenate([jnp.stack(turn), at_tip, at_object, jnp.zeros(1)])
         limit = _OPPOSITE.of(rotation, at_tip, at_object)
         met = self._tangent(y, turn, limit)
-        # Half a turn misses by the angle of the limit, in single precision 1e-3 rad: a second one follows.
+        # Half a turn may miss by the angle of the limit, 1e-3 rad in single precision: a second turn follows.
         return met if limit == _OPPOSITE.double else self._tangent(met, unstack(met[:4]), limit)
 
     def _tangent(self, y: Array, turn: Scalars, limit: float) -> Array:
-        """`y`, whose unit quaternion is `turn`, with the body turned so; `limit` is that of `_OPPOSITE`."""
+        """One such turn of the body of `y`; `turn` is its unit quaternion, `limit` that of `_OPPOSITE`."""
         axes, _, (tip, face) = self.frames(y)
         own, wanted = axes.turn(tip.normal), -face.normal
         cosine, axis = own.dot(wanted), own.cross(wanted)

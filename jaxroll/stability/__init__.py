@@ -1,7 +1,7 @@
 """When a grasp comes to rest, and whether it stays: statics of a pinch, equilibria, verdicts.
 
 `_statics` has the chapter's static quantities (25)-(29), (32), (39)-(41), `_equilibrium` finds where forces
-balance, and `_verdict` says what happens near there.
+balance, `_verdict` says what happens near there, by `_memory_loop` for a controller with a memory.
 """
 
 from ._equilibrium import Equilibrium as Equilibrium, equilibrium as equilibrium

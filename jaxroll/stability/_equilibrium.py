@@ -1,9 +1,10 @@
 r"""Equilibria: configurations where joint torques, loads, gravity and contact forces balance.
 
-The unknowns $z$ are configuration, contact coordinates and contact forces, scaled to be comparable
-(`_Scale`). The equations are the balance of forces $F(q) + A^T \mu = 0$ and the constraint rows (gap and
-tangency, of `_closing`). `_newton` solves them with the pseudo-inverse of their Jacobian, since neutral
-directions, such as redundant joints, make it singular: the equilibria are then a family.
+The unknowns $z$ are configuration, contact coordinates, contact forces and a controller's memory, scaled to
+be comparable (`_Scale`). The equations are the balance of forces $F(q) + A^T \mu = 0$, the constraint rows
+(gap and tangency, of `_closing`), and zero for the rates of the memory. `_newton` solves them with the
+pseudo-inverse of their Jacobian, since neutral directions, such as redundant joints, make it singular: the
+equilibria are then a family.
 
 Of a family the member nearest to the given state is returned, with $W$ the weights of `_weights`,
 
@@ -40,18 +41,18 @@ from .._xla import perturbed
 from ..contact import gap
 
 _STEPS = 100
-# Singular values below this, relative to the largest, count as zero: their directions are neutral, the
-# residual does not change along them.
+# Singular values below this, relative to the largest, count as zero: along their directions, the neutral
+# ones, the residual does not change.
 _RANK = ByPrecision(1e-9, 1e-5)
-# Newton's method is near enough for them to be counted when no scaled unknown moves by more than this, ...
+# Newton's method is near enough to count neutral directions if no scaled unknown moves by more than this, ...
 _NEAR = ByPrecision(1e-9, 1e-4)
 # ... and has converged when none moves by more than this.
 _DONE = ByPrecision(1e-13, 1e-5)
 # Largest scaled residual of an equilibrium.
 _BALANCED = ByPrecision(1e-9, 1e-5)
-# How far beyond an end of its contour a contact may be found for rounding, relative to a length.
+# How far rounding may put a contact beyond an end of its contour, relative to a length.
 _AT_END = ByPrecision(1e-9, 1e-5)
-# Forces at the start below this share of what they change by over a radian and a length are rounding.
+# Forces at the start count as rounding below this share of their change over a radian or a length.
 _SLIGHT = 1e-6
 # Longest step of one iteration, in radians or mean link lengths.
 _LONGEST = 0.1
@@ -83,8 +84,8 @@ def equilibrium(grasp: Grasp, state: State, *, t: Given = 0.0) -> Equilibrium:
     r"""Find an equilibrium of the closed loop near a state: Newton on the constrained problem.
 
     Solves $F(q) + A^T \mu = 0$ with gap and tangency closed, for configuration, contact coordinates and
-    contact forces together; $F$ are joint torques at rest, loads and gravity. With a built-in controller and
-    no loads these are the stationary points of the potential (22) on the constraint manifold, stable or not.
+    contact forces together; $F$ are joint torques at rest, loads and gravity. Where all of $F$ derives from a
+    potential, such as (22), equilibria are its stationary points on the constraint manifold, stable or not.
     Where neutral directions make a whole family of equilibria, the one returned is the nearest to `state` in
     the coordinates (lengths measured in mean link lengths).
 
@@ -110,7 +111,7 @@ def equilibrium(grasp: Grasp, state: State, *, t: Given = 0.0) -> Equilibrium:
         >>> bool(rest.found), f"{1e3 * (0.003 - rest.state.s[0]):.3f} mm"
         (True, '-4.788 mm')
     """
-    # Not of a weak type, like a number of Python: it would be another program than that for a run's end.
+    # A Python number would be of JAX's weak type, and compile a second program beside that for a run's end.
     held = as_floats("t", t, ())
     return _equilibrium(grasp, state, jnp.asarray(held, held.dtype))
 
@@ -131,15 +132,16 @@ def _equilibrium(grasp: Grasp, state: State, t: Array) -> Equilibrium:
 
 
 def between_ends(grasp: Grasp, places: Sequence[Scalar], length: Scalar) -> Bool[Array, ""]:
-    """Whether every contact lies between the ends of its contours, to rounding of a length [m]."""
+    """Whether every contact lies between the ends of its contours, to rounding of a positive length [m]."""
     each = zip(grasp.contacts, places, strict=True)
     margins = [margin for c, place in each for margin in c.ends(grasp.shapes(c), place)]
-    # Beyond an end a contour goes on as a formula, where there is nothing to touch.
+    # Beyond an end a contour goes on as a formula, where there is nothing to touch. `length` is among the
+    # margins because these may be none.
     return jnp.all(jnp.stack([*margins, length]) >= -_AT_END.of(length) * length)
 
 
 def on_contours(grasp: Grasp, s: Array, length: Scalar) -> Bool[Array, ""]:
-    """Whether the chapter's $s_i$ of all contacts lie so: places on the object, counted along its senses."""
+    """The same for places as the chapter's $s_i$: on the object, counted along each contact's `sense`."""
     places = [c.s_object - c.sense * at for c, at in zip(grasp.contacts, s, strict=True)]
     return between_ends(grasp, places, length)
 
@@ -200,7 +202,7 @@ class _Scale(eqx.Module):
 
 
 def _start(grasp: Grasp, state: State, t: Given) -> tuple[Array, _Scale]:
-    """The first guess of the scaled unknowns, with contact forces zero, and the scales."""
+    """The first guess of the scaled unknowns, in which contact forces are zero, and the scales."""
     contacts, kept = len(grasp.contacts), _kept(grasp, state)
     one, (length, coordinates) = jnp.ones((), state.q.dtype), _sizes(grasp)
     force = _force_size(grasp, state, kept, t=t)
@@ -366,7 +368,8 @@ def _newton(equations: Callable[[Array], Array], start: Array, moving: int, weig
     Args:
         equations: The residual R of the scaled unknowns.
         start: The scaled unknowns to start from.
-        moving: How many of them, the first ones, are no contact forces: their steps are bounded.
+        moving: How many of them, the first ones, are configuration and contact coordinates: these make
+            bounded steps.
         weights: Diagonal of W.
     """
     size = start.shape[0]
@@ -377,8 +380,8 @@ def _newton(equations: Callable[[Array], Array], start: Array, moving: int, weig
     def improve(carry: tuple[Any, ...]) -> tuple[Any, ...]:
         z, nullity, moved, i = carry
         left, jacobian = value_and_jacobian(equations, z)
-        # The first pass solves for the contact forces alone, by least squares: the Jacobian contains the
-        # change of A^T mu with the configuration, which would be that of zero forces.
+        # The first pass solves for contact forces and memory alone, by least squares: the Jacobian contains
+        # the change of A^T mu with the configuration, which would be that of zero forces.
         known = (i > 0) | (place[None, :] >= moving)
         u, sigma, vt = jnp.linalg.svd(jnp.where(known, jacobian, 0.0))
         firm = sigma > _RANK.of(sigma) * sigma[0]

@@ -25,11 +25,11 @@ from .._mechanics import Grasp, State
 from .._motion import generalised_force, memory_after_sample, memory_rates
 from .._types import Given
 
-# That eigenvectors may be differentiated.
+# The option of `eig` that lets eigenvectors be differentiated, if JAX has it; `eigenvalues` says what for.
 _TWICE: dict[str, Any] = {"enable_eigvec_derivs": True}
 if not _TWICE.keys() <= inspect.signature(jax.lax.linalg.eig).parameters.keys():
     _TWICE = {}
-# Modes that a sample brings to rest have z = 0: a rate of minus infinity, which this stands for.
+# A mode that a sample brings to rest has z = 0 and a rate of minus infinity: this z stands for zero.
 _AT_ONCE = 1e-12
 
 
@@ -71,18 +71,18 @@ def rates_with_memory(
     both = jnp.block([[motion, entry], [jnp.zeros((held, 2 * count + held), motion.dtype)]])
     over = jax.scipy.linalg.expm(both * period)[: 2 * count]
     z = eigenvalues(jnp.block([[over], [sensed @ over + jnp.pad(kept, ((0, 0), (2 * count, 0)))]]))
-    # As many as the loop has states of its own: the torques follow from the others.
+    # The loop has fewer states than there are z, as the torques follow from the others: those z are zero.
     z = z[jnp.argsort(-jnp.abs(z))][: 2 * count + held - sum(f.joints for f in grasp.fingers)]
     rates = jnp.log(jnp.where(jnp.abs(z) > _AT_ONCE, z, _AT_ONCE))
     return _sorted(rates / jnp.asarray(period, rates.dtype))
 
 
 def eigenvalues(matrix: Array) -> Array:
-    """Of a square matrix of real numbers, in no order; derivatives of any order where they are distinct.
+    """Eigenvalues of a square real matrix, in no order; derivatives of any order where they are distinct.
 
-    A first derivative reads eigenvectors, and JAX differentiates these only where it is told to: how long
-    they are and which way they point does not matter here. Its first versions of 0.10 cannot be told; then
-    there are first derivatives alone.
+    A first derivative reads eigenvectors, and a second one differentiates them, which JAX does only where it
+    is told to: their lengths and signs are arbitrary, but do not matter here. The first versions of JAX 0.10
+    cannot be told, and then there are first derivatives alone.
     """
     return jax.lax.linalg.eig(
         matrix, compute_left_eigenvectors=False, compute_right_eigenvectors=False, **_TWICE
@@ -90,5 +90,5 @@ def eigenvalues(matrix: Array) -> Array:
 
 
 def _sorted(rates: Array) -> Array:
-    """By rising real part."""
+    """The rates by rising real part."""
     return rates[jnp.argsort(rates.real)]

@@ -5,11 +5,11 @@ $U = \frac\beta2 \|O_1 - O_2\|^2$ (27). Tangency fixes how a fingertip stands on
 centres are known in the object's frame from the places $s_1, s_2$ of contact alone, and with them
 $U(s_1, s_2)$: no pose is needed, no mass, and none of the rest of the finger.
 
-The derivatives of U are computed twice. `pinch_statics` takes them by autodiff, right everywhere. `_rolled`
-has them in closed form from the Frenet frames, without derivatives of the curvature: its Hessian is right
-where the gradient vanishes, costs little, and can be differentiated once more. `pinch_rest` is built on it;
-`design.Firmness` maximises its eigenvalues. `rectangle_hessian` and `margin` are the chapter's special case
-of flat parallel faces.
+The derivatives of U are computed in two ways. `pinch_statics` takes them by autodiff, right everywhere.
+`_rolled` has them in closed form from the Frenet frames, without derivatives of the curvature: its Hessian is
+right where the gradient vanishes, costs little, and can be differentiated once more. `pinch_rest` is built on
+it, and `design.Firmness` on that. `rectangle_hessian` and `margin` are the chapter's special case of flat
+parallel faces.
 """
 
 from typing import ClassVar
@@ -70,7 +70,7 @@ def pinch_statics(grasp: Grasp, s: Given) -> PinchStatics:
     The distance of the two finger centres depends only on where both fingertips touch, since tangency
     fixes their orientations relative to the object. Its stationary points are where $O_1, P_1, P_2, O_2$ are
     collinear (on parallel faces $d = 0$ and $b_i \cdot \gamma_i = 0$); the chapter's (37) is not
-    sufficient. They are the equilibria of a grasp that has nothing besides: `pinch_rest` says what that is.
+    sufficient. They are the equilibria of a grasp in which U alone decides: `pinch_rest` says of which.
 
     Args:
         grasp: Two fingers, one contact each, driven by `control.Opposition`.
@@ -181,8 +181,8 @@ def pinch_rest(grasp: Grasp, state: State, *, damping: float = 0.0) -> tuple[Flo
     Args:
         grasp: A pinch, as `pinch_statics` takes it.
         state: Where to start; only its contact coordinates count.
-        damping: Share of its size, from 0 to 1, below which an eigenvalue of the Hessian counts as none in
-            the derivative: where the place at rest is neutral, it is not differentiable. By default exact.
+        damping: In the derivative an eigenvalue $x$ of the Hessian counts as $x + e^2/x$ with $e$ this share,
+            from 0 to 1, of the Hessian's size. By default exact: infinite where the place is neutral.
 
     Returns:
         The chapter's $s_i$ at rest [m], as `pinch_statics` takes them, and the statics there; NaN where none
@@ -218,7 +218,7 @@ def _check_alone(grasp: Grasp) -> None:
     # Blows and drag do nothing at rest.
     if acting := [load for load in grasp.load if not isinstance(load, Drag | Impulse)]:
         raise ValueError(f"argument grasp must have no loads {wanted}, but had {shown(acting[0])}; {other}")
-    # The motions that closed contacts leave; what does not turn fixes how both places go with the object.
+    # How many motions the contacts leave free. If no fingertip turns, the object's angle gives both places.
     ways = grasp.coordinates - 2 * len(grasp.contacts)
     if ways < 2 or not any(finger.joints and finger.turns for finger in grasp.fingers):
         raise ValueError(
@@ -303,7 +303,7 @@ def _solved(matrix: Array, right: Array) -> Array:
 
 
 def _damped(matrix: Array, right: Array, share: float) -> Array:
-    """The same with eigenvalues x of the matrix replaced by x + e^2/x, e a share of its size.
+    """`_solved` with eigenvalues x of the matrix replaced by x + e^2/x, where e is a share of its size.
 
     As $1/(x + e^2/x) = x/(x^2 + e^2)$, this is H (H^2 + e^2 1)^-1: bounded where an eigenvalue passes through
     zero.
@@ -417,7 +417,7 @@ def _rectangle_hessian(grasp: Grasp, s: Array) -> tuple[Array, Array, Array]:
     # d is counted along b_01, to which b_02 is opposite where both contacts have one sense.
     for i, sign in ((0, -1.0), (1, -1.0 * first * second)):
         at, on_tip, _ = _touching(ready, i, s[i])
-        kappa, reach = on_tip.curvature, inward_reach(on_tip.point, on_tip.tangent)
+        kappa, reach = on_tip.curvature, _inward_reach(on_tip.point, on_tip.tangent)
         slopes.append(sign * kappa * reach)
         terms.append(-l_ * kappa**2 * (1.0 / kappa + reach))
         bends.append(jnp.stack([jnp.asarray(at.curvature, s.dtype), jnp.asarray(kappa, s.dtype)]))
@@ -430,7 +430,7 @@ def _rectangle_hessian(grasp: Grasp, s: Array) -> tuple[Array, Array, Array]:
     return jnp.where(right, hessian, jnp.nan), bend, between
 
 
-def inward_reach(point: Vec2, tangent: Vec2) -> Scalar:
+def _inward_reach(point: Vec2, tangent: Vec2) -> Scalar:
     r"""$n \cdot \gamma$ with $n$ the inward normal: minus the support function about the frame's origin."""
     return point.dot(tangent.left())
 
@@ -454,7 +454,7 @@ def margin(contour: AbstractContour, s: Given) -> Float[Array, "..."]:
         Margins [m], shape (...); NaN beyond an end, where JAX traces the arclengths or the ends.
 
     Raises:
-        ValueError: If `contour` is none, or arclengths are not finite or beyond an end of an open contour.
+        ValueError: If `contour` is no contour, or arclengths are not finite or beyond an end of an open one.
 
     Example:
         >>> import jaxroll as jxr
@@ -480,7 +480,7 @@ def margin(contour: AbstractContour, s: Given) -> Float[Array, "..."]:
     return found
 
 
-@jax.jit  # this and the next: one small program each, not seven
+@jax.jit  # this and the next function are one small program each, instead of seven
 def _margins(normal: Array, point: Array, curvature: Array) -> Array:
     """Margins from what a contour has at some places; the sum is the support function, negated."""
     return 1.0 / curvature - jnp.sum(normal * point, axis=-1)

@@ -63,9 +63,9 @@ class Stability(eqx.Module):
             directions of `tangent`; not symmetric for a user's controller or load without potential. The
             memory of a controller is held: of a sampled one it is that of all but the controller.
         tangent: Shape (n, m), directions that keep every contact rolling, orthonormal in the mass metric.
-            Which ones is arbitrary, and may change from call to call: derivatives are those in directions
-            that turn as little as they can. What does not depend on the choice, as all below but signs of
-            `modes`, has its own.
+            This basis is arbitrary and may change from call to call: the derivatives of `hessian` and
+            `tangent` are those of a basis that turns as little as it can. The fields below depend on it in
+            nothing but the signs of `modes`.
         curvatures: Shape (m,), eigenvalues of the (symmetric part of the) Hessian, rising.
         modes: Shape (n, m), the coordinates' part in each of them.
         rates: Shape (2m,), eigenvalues of the linearised closed loop [1/s], by rising real part; shape
@@ -89,7 +89,7 @@ class Stability(eqx.Module):
     def bends_down(self) -> Bool[Array, "..."]:
         """Whether the potential falls in some direction; False where a controller or load has no potential.
 
-        Nor has one with a memory, by which disturbances grow or not.
+        A controller with a memory counts as one without: there `rates` alone decide.
         """
         share = max(_TOLERANCE, _TOLD.of(self.hessian))
         bent = _bent_down(self.hessian, self.curvatures, share, least=_rounding(self.rates))
@@ -105,7 +105,7 @@ def assess(grasp: Grasp, state: State, *, t: Given = 0.0, tolerance: float = _TO
     On flat parallel faces $H$ is the Hessian of $U(s_1, s_2)$, (39)-(40) corrected, in other
     coordinates, plus what $\alpha_i$ adds; unlike (41) it decides, and on any contours.
 
-    Neutral directions are told by their curvature, below `tolerance` of the largest. Along them
+    A direction is neutral if its curvature is below `tolerance` of the largest. Along neutral directions
     the verdict is that of the linearisation; a term of higher order could still move the grasp.
 
     Args:
@@ -132,7 +132,7 @@ def assess(grasp: Grasp, state: State, *, t: Given = 0.0, tolerance: float = _TO
     share = as_floats("tolerance", tolerance, ())
     check_between("tolerance", share, 0.0, 1.0)
     held = as_floats("t", t, ())
-    # By its public function: whoever asks for it beside the verdict, as pictures do, waits for one program.
+    # By the public function: callers that ask for the equilibrium too, as pictures do, share its program.
     return _linearised(grasp, equilibrium(grasp, state, t=held), held, share)
 
 

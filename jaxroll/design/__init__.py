@@ -1,11 +1,11 @@
-"""Fingertips by gradient: contours that hold a grasp, within limits of size and making.
+"""Fingertips by gradient: contours that hold a grasp, within limits of size and manufacture.
 
-`_fingertip` has the entry point and `_design` its result. `_shape_transform` makes a contour of a vector:
-which numbers of it are free its own class says (`geometry.AbstractContour`). `_limits` is what it must keep
-to. What is wanted is a goal of `_goals`: the margin of condition (41); runs of the closed loop
-(`_closed_loop_goal`, by the `_measures` of a run); stability at rest (`_firmness`); any of these and a
-contour without waves (`_fair`). `_minimise` is the loop over starts and limits, `_descent` the steps in it,
-`_gradient` the mode of differentiation.
+`_fingertip` has the entry point and `_design` its result. `_shape_transform` makes a contour of a vector: the
+class of the contour says which of its numbers are free (`geometry.AbstractContour`). `_limits` has what it
+must keep to, `_goals` what a search is for: the margin of condition (41); or runs of the closed loop
+(`_closed_loop_goal`, by the `_measures` of a run); or stability at rest (`_firmness`); or any of these with a
+contour without waves (`_fair`). `_minimise` searches from all starts within the limits, by steps of
+`_descent`; `_gradient` chooses the mode of differentiation.
 """
 
 from ._closed_loop_goal import ClosedLoop as ClosedLoop

@@ -1,8 +1,8 @@
 """Goals of the closed loop: what runs of the grasp are like, in the worst of several cases.
 
-For every case the caller's `make` gives a grasp and a state with the fingertip, `simulate` runs it, and the
-measures of `_measures` are weighed into one cost. `_goals` has what goals share: the contract, the loop over
-the cases, the smooth maximum. The gradient goes through the run.
+For every case the caller's `make` gives a grasp with the fingertip and a state, `simulate` runs it, and the
+measures of `_measures`, times weights, add up to one cost. `_goals` has what goals share: the contract, the
+loop over the cases, the smooth maximum. The gradient goes through the run.
 """
 
 from collections.abc import Callable, Collection, Mapping
@@ -38,7 +38,7 @@ from ._limits import ContourSamples
 from ._measures import FORCED, MEASURES, PARTIAL, SETTLED
 
 Objective = Mapping[str, float] | Callable[[Any, Trajectory], Scalar]
-# Cost of a run that ends at once, above its measures: more than that of a run that lasts, whose weighed
+# Cost of a run that ends at once, besides its measures: more than that of a run that lasts, whose weighted
 # measures are of order one.
 _LOST = 10.0
 _COST, _EARLY = "worst cost", "runs that end early"
@@ -50,21 +50,21 @@ class ClosedLoop(AbstractGoal):
     Every case is simulated, all in one program, and the worst one counts: a smooth upper bound of the
     largest cost, within $\log n / 50$ of it. A run that ends before `t1` costs $10\,(1 - t_{end}/t_1)$ more,
     so that fingertips which lose the grasp are changed to hold it for longer; its measures are those of the
-    part that was reached, and an objective of your own counts as zero where it is not a number there.
-    The figures that are reported (`Design.figures`) are not a number where one of the cases has none.
+    part that was reached, and an objective of your own counts as zero for a run for which it is NaN. A figure
+    that is reported (`Design.figures`) is NaN if one of the cases does not have it.
 
     Args:
         make: From a fingertip, and a case if there are any, to a grasp and a state on its constraints, by JAX
             operations; a scene or `close` may be inside.
         objective: Weights by name: 'settling_time', 'overshoot', 'tracking_error', 'peak_force',
-            'friction_demand', each in one over its unit, so that the sum is of order one. Or a function of
-            the grasp and its run.
+            'friction_demand', each in one over the measure's unit, so that the sum is of order one. Or a
+            function of the grasp and its run that returns such a cost.
         cases: A pytree of arrays with a leading axis: objects, poses, gains. Default: one case.
         t1: Length of the runs [s].
         ts: How many states are saved, evenly spaced; at least two.
         rtol: Relative tolerance of the runs, looser than `simulate`'s own.
-        record: What is worked out at the saved times, as for `simulate`. Default: the contact forces where a
-            measure needs them, or an objective of your own may.
+        record: What is worked out at the saved times, as for `simulate`. Default: the contact forces, if a
+            measure needs them or the objective is a function of your own.
         t0, formulation, solver, atol, dt0, max_steps, events, stepsize_controller, progress_meter: As for
             `simulate`, and with its defaults; numbers must be known when the goal is made.
 
@@ -132,14 +132,14 @@ class ClosedLoop(AbstractGoal):
 
     @property
     def in_turn(self) -> bool:
-        """True: see `each_case`."""
+        """True: runs that are differentiated side by side gain nothing, as `each_case` says."""
         return True
 
     def run(self, tip: AbstractContour, names: tuple[str, ...]) -> tuple[Array, Array, Array]:
-        """Of every case: the measures by name, shape (n, m), the own objective, and what share was lost."""
+        """Of every case: the named measures, shape (n, m), a caller's objective, the share of time lost."""
 
         def found(grasp: Any, state: Any) -> tuple[Array, Array, Array]:
-            # Contact forces cost time to record: only where a measure needs them, or an own objective may.
+            # Contact forces cost time to record: only if a measure needs them, or the caller's objective may.
             forced = ("multipliers",) if FORCED & set(names) or callable(self.objective) else ()
             asked = self.options.record
             told = self.options._replace(record=forced if asked is None else asked)
@@ -148,7 +148,7 @@ class ClosedLoop(AbstractGoal):
             own = self.objective(grasp, run) if callable(self.objective) else jnp.zeros_like(self.t1)
             closed = run.result != RESULTS.unreachable
             lost = jnp.where(closed, 1.0 - run.stats.t_end / self.t1, 1.0)
-            # An own objective need not know of runs that end early; a NaN must not hide their cost.
+            # The caller's objective need not know of runs that end early; a NaN must not hide their cost.
             own = jnp.where((lost > 0.0) & jnp.isnan(own), 0.0, own)
             return jnp.stack(measured) if measured else jnp.zeros(0), own, lost
 

@@ -17,7 +17,7 @@ class Design(eqx.Module):
         tip: The best contour of all starts.
         start: The contour that it began as.
         tips: The best of every start, with a leading axis on every array.
-        before: Shape (starts,), figure of merit at the start: with `Margin`, the worst margin of (41) [m].
+        before: Shape (starts,), figure of merit of the starts: with `Margin`, the worst margin of (41) [m].
         after: Shape (starts,), that of the best contours.
         violation: Shape (starts,), by how much the most violated limit is passed, relative to it.
         holds: Shape (starts,), which starts ended within the limits with a fingertip that holds.
@@ -27,7 +27,7 @@ class Design(eqx.Module):
         result: `successful`, `max_steps_reached`, or `infeasible` where no start came within the limits; the
             contour is then the one that passes them least.
         figures: What the goal reports of `start` and of `tip`, by name with unit.
-        parts: By how much `tip` keeps each limit (negative) or passes it, relative to the limit.
+        parts: By how much `tip` passes each limit, relative to it; negative where it is kept.
         interval: First and last arclength of the contact interval [m].
     """
 
@@ -52,7 +52,7 @@ class Design(eqx.Module):
         return self.report()
 
     def report(self, steps: str = "`steps`", *, millimetres: bool = False) -> str:
-        """What is printed, lengths in metres or `millimetres`; `steps` is the name of their number."""
+        """What is printed, lengths in metres or `millimetres`; `steps` is the name of the argument."""
         figures = self.figures
         if millimetres:
             figures = dict(_figure_in_millimetres(name, pair) for name, pair in figures.items())
@@ -67,7 +67,7 @@ class Design(eqx.Module):
         return "\n".join(lines)
 
     def _remedy(self, steps: str) -> list[str]:
-        """A line that says why the search was no success, and what helps; none if it was one."""
+        """A line that says why the search did not succeed, and what helps; none if it did."""
         if concrete(self.result._value) is None:
             return []
         told = {

@@ -1,4 +1,4 @@
-r"""A goal's companion: a fingertip whose back is not wavy.
+r"""A goal within a goal: a fingertip whose back is not wavy besides.
 
 A goal such as the margin of (41) asks nothing of the contour where it is not touched, and the search leaves
 there whatever its first steps made. `Fair` adds the mean of $(\rho^2\,\mathrm{d}\kappa/\mathrm{d}s)^2$ over
@@ -24,11 +24,11 @@ class Fair(AbstractGoal):
 
     Args:
         goal: What the fingertip is for.
-        weight: $w$, without dimension. By a hundredth the margin of (41) ends within 0.3 % of what it is
-            without, and the back follows the limits smoothly.
+        weight: $w$, without dimension. With a hundredth, the default, the margin of (41) ends within 0.3 %
+            of what it is without, and the back follows the limits smoothly.
 
     Raises:
-        ValueError: If `goal` is none, or `weight` is not positive.
+        ValueError: If `goal` is not a goal, or `weight` is not positive.
 
     Example:
         >>> import jaxroll as jxr
@@ -48,7 +48,7 @@ class Fair(AbstractGoal):
         return self.goal.in_turn
 
     def cost(self, tip: AbstractContour, seen: ContourSamples, unit: Scalar, sharpness: Scalar) -> Scalar:
-        # From end to end: of a closed contour the last sample is the first one again.
+        # From end to end: the last sample of a closed contour is its first one again.
         slopes = jnp.diff(jnp.asarray(seen.whole.curvature)) / seen.step
         uneven = jnp.mean((unit**2 * slopes) ** 2)
         return self.goal.cost(tip, seen, unit, sharpness) + self.weight * uneven

@@ -61,9 +61,9 @@ def optimise_fingertip(
 ) -> Design:
     r"""Change a fingertip until it is as good as it can be.
 
-    By default until condition (41), $1/\kappa + n \cdot \gamma > 0$, holds by as much as it can on the
-    contact interval; another `goal` looks at runs of the closed loop or at the Hessian at rest. What changes
-    are the free numbers of the contour: points of a spline, terms of a support function, weights of a
+    By default the margin of condition (41), $1/\kappa + n \cdot \gamma > 0$, becomes as large as it can on
+    the contact interval; another `goal` looks at runs of the closed loop or at the Hessian at rest. What
+    changes are the free numbers of the contour: points of a spline, terms of a support function, weights of a
     network, half axes of an ellipse. `limits` are kept by an augmented Lagrangian.
 
     Args (daily use):
@@ -72,18 +72,18 @@ def optimise_fingertip(
         interval: First and last arclength of the contact interval [m].
         goal: `Margin()` (default), `ClosedLoop(...)`, `Firmness(...)`, any of them in `Fair(...)`, or an
             `AbstractGoal` of one's own.
-        limits: Default: `Limits(size=..., radius=..., ahead=...)` with the first start's own size, a tenth
-            and a half of it.
+        limits: Default: `Limits(size=..., radius=..., ahead=...)` with the first start's largest distance
+            from $O_i$, a tenth and a half of it.
         steps: At most so many, rounded up to tens; each is one evaluation with its gradient.
-        symmetric: Keep the contour its own mirror image about the x axis, where a placed one has its own.
+        symmetric: Keep the contour its own mirror image about the x axis; of a placed one, about its own.
         progress: True prints after every ten steps; a function is called with step, cost, violation.
     Args (rarely changed):
         starts: How many in all: those not given are smooth variations of the given ones.
         seed: Of NumPy, for these variations.
         optimiser: Any of optax, with its schedule; its unknowns are in units of a twentieth of the contour's
             size, and waves of points and terms of series are divided by about their order squared, so that
-            all bend the contour alike (Sobolev's gradient; `ShapeTransform`). Default: BFGS with
-            backtracking, one point a step.
+            all bend the contour alike (a Sobolev gradient; see `ShapeTransform`). Default: BFGS with
+            backtracking, which evaluates one point a step.
         mode: How to differentiate, 'auto', 'forward' or 'reverse': see `value_and_grad`.
         checkpoint: A file to write after every ten steps, and to go on from where it exists.
 
@@ -178,7 +178,7 @@ class _Problem(eqx.Module):
     """The search's problem: from a vector of unknowns to the cost of its contour and what the limits ask.
 
     Attributes:
-        transform: That of the first start. Other starts have the same matrix, but arrays and size of their
+        transform: That of the first start. Other starts share its matrix, but have arrays and size of their
             own.
         rest: What the contours of all starts share: everything but their floating-point arrays.
         interval: First and last arclength of the contact interval [m].

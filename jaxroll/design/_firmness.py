@@ -1,6 +1,6 @@
-r"""Stability on any objects, where condition (41) does not apply: the Hessian, or the slowest rate.
+r"""The goal of stability on any objects, where (41) does not apply: by the Hessian, or by the slowest rate.
 
-A goal of `optimise_fingertip` (see `_goals`): the measure comes from `stability.pinch_rest` or
+The measure comes from `stability.pinch_rest` or
 `stability.assess`, at the equilibrium of every case, and is differentiated through it. For 'stiffness' the
 Hessian $U_{ij}$ is taken over the angles $\theta_i$ by which the fingertips turn against the object,
 $d\theta_i = (\kappa_i + \kappa_{0i})\, ds_i$: on a rectangle with like fingertips this leaves
@@ -45,13 +45,13 @@ _NONE = 1e-7
 # rest changes infinitely fast with the shape: below this share of the Hessian's size that derivative is
 # damped (`pinch_rest`).
 _DAMPED = 0.01
-# Sum of curvatures c below which dividing by it brings no more gain [rad/m]: 1 / c becomes
-# c / (c^2 + _FLAT^2).
+# In the cost, 1 / c with the sum c of curvatures [rad/m] becomes c / (c^2 + _FLAT^2): a fingertip gains
+# nothing by a sum smaller than this.
 _FLAT = 2.0
 
 
 class Firmness(AbstractGoal):
-    r"""The grasp at rest as firm as it can be: on any object, and without the detour over (41).
+    r"""The grasp at rest as firm as it can be, on any object: (41) has no part in it.
 
     Maximises, in the worst of all cases, at the equilibrium near the start, one of
 
@@ -73,7 +73,7 @@ class Firmness(AbstractGoal):
         cases: A pytree of arrays with a leading axis. Default: one case.
         measure: 'stiffness' (default), 'curvature' or 'rate'.
         neutral: How many directions are left out. Default: as many as the first start has.
-        scale: What counts as one in the cost, in the measure's unit. Default: the first start's size of it.
+        scale: What counts as one in the cost, in the measure's unit. Default: its size at the first start.
 
     Raises:
         ValueError: If `make` cannot be called so, `cases` have no common leading axis, `measure` is none of
@@ -110,7 +110,7 @@ class Firmness(AbstractGoal):
         self.scale = None if scale is None else as_positive("scale", scale)
 
     def aimed(self, tip: AbstractContour) -> "Firmness":
-        """This goal with neutral directions and scale as the first start has them in the first case."""
+        """This goal; `neutral` and `scale`, unless given, are as at the first start in the first case."""
         case = jax.tree.map(lambda x: x[:1], self.cases)
         values, neutral = _first(self.make, case, self.measure, tabled(tip))
         if not np.all(np.isfinite(values)):
@@ -161,8 +161,8 @@ def _values(measure: Measure, grasp: Grasp, state: State, floor: float = 0.0) ->
 def _stiffnesses(grasp: Grasp, state: State, floor: float) -> Array:
     """Eigenvalues of the Hessian of U at rest, over the angles of the fingertips [N m/rad].
 
-    Where flat meets flat a fingertip rolls without turning, and the division by its turning would be one by
-    zero: `floor` [rad/m] keeps the values finite.
+    Where flat meets flat a fingertip rolls without turning, and dividing by its turning would divide by zero:
+    `floor` [rad/m] keeps the values finite.
     """
     rest = pinch_rest(grasp, state, damping=_DAMPED)[1]
     # H_ij / (c_i c_j) with c the turning per arclength; 1 / c where the floor is zero.
@@ -178,8 +178,8 @@ def _stiffnesses(grasp: Grasp, state: State, floor: float) -> Array:
 def _smallest(values: Array, neutral: int) -> Array:
     """The smallest value, apart from `neutral` zeros that are there whatever the fingertip.
 
-    A value that is negative counts as it is. Else the first `neutral` values are those zeros, to rounding,
-    and the next one counts: it passes through zero without a jump, where it changes places with them.
+    If a value is negative, the smallest one counts. Otherwise the first `neutral` values are those zeros, to
+    rounding, and the next one counts: where it passes through zero it becomes the smallest, without a jump.
     """
     rising = jnp.sort(values)
     least = -_NONE * jnp.max(jnp.abs(values))

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool
 
-from .._mechanics import Grasp, State
+from .._mechanics import as_start
 from .._results import as_array, check_callable, check_finite, shown
 from .._types import Scalar
 from ..geometry import AbstractContour
@@ -45,8 +45,8 @@ class AbstractGoal(eqx.Module):
         """What is minimised, without dimension and of order one.
 
         `unit` is the fingertip's size; `sharpness` rises to one in the course of the search. What a fingertip
-        costs must not rise with it, as no upper bound of a largest value does: the lowest cost of all steps
-        decides which fingertip is returned.
+        costs must not rise with `sharpness` (a smooth upper bound of a largest value falls), as the lowest
+        cost of all steps decides which fingertip is returned.
         """
 
     @property
@@ -63,7 +63,7 @@ class AbstractGoal(eqx.Module):
         """Whether a fingertip with these figures holds the grasp."""
 
     def aimed(self, tip: AbstractContour) -> "AbstractGoal":
-        """This goal with what it takes from the first start; called once, before anything is traced."""
+        """This goal, with what it needs from the first start; called once, before anything is traced."""
         del tip
         return self
 
@@ -91,7 +91,7 @@ def check_answers(goal: AbstractGoal, tip: AbstractContour, seen: ContourSamples
 
 
 class Margin(AbstractGoal):
-    r"""The least margin $1/\kappa + n \cdot \gamma$ of condition (41) on the contact interval, to be large.
+    r"""The least margin $1/\kappa + n \cdot \gamma$ of (41) on the contact interval, as large as it can be.
 
     (41) makes a pinch of parallel flat faces stable; it is sufficient, not necessary. What is maximised is a
     smooth lower bound of the least margin, $-\frac{1}{k} \log \sum_i e^{-k m_i}$ over 65 points with k = 200
@@ -138,17 +138,9 @@ def each_case(
             side, by `jax.vmap`, take as long, and their program half as long again to compile.
     """
     if cases is None:
-        return jax.tree.map(lambda x: x[None], found(*_made(make(tip))))
-    each = lambda case: found(*_made(make(tip, case)))  # noqa: E731
+        return jax.tree.map(lambda x: x[None], found(*as_start(make(tip))))
+    each = lambda case: found(*as_start(make(tip, case)))  # noqa: E731
     return jax.lax.map(each, cases) if in_turn else jax.vmap(each)(cases)
-
-
-def _made(given: Any) -> tuple[Grasp, State]:
-    """The grasp and the state that a caller's `make` returned, checked."""
-    pair = given if isinstance(given, tuple | list) else ()
-    if len(pair) != 2 or not isinstance(pair[0], Grasp) or not isinstance(pair[1], State):
-        raise ValueError(f"argument make must return a Grasp and a State, but returned {shown(given)}")
-    return pair[0], pair[1]
 
 
 def soft_worst(costs: Array, sharpness: Scalar) -> Scalar:
@@ -156,9 +148,9 @@ def soft_worst(costs: Array, sharpness: Scalar) -> Scalar:
 
     $v$ is the largest cost, $a$ the largest absolute value, and $k$ is 50 times `sharpness`.
     """
-    # The exponents are at most zero, and cannot overflow. Whatever v is, the sum is the same: it needs no
-    # derivative, and that of a maximum is NaN where rounding has made it none of the values. a only sets how
-    # smooth the bound is: no derivative.
+    # The exponents are at most zero, and cannot overflow. Whatever v is, the result is the same: it needs no
+    # derivative, and that of a maximum is NaN where rounding has made it none of the values. Nor does a,
+    # which only sets how smooth the bound is.
     worst = jnp.max(jax.lax.stop_gradient(costs))
     size = (jnp.max(jnp.abs(jax.lax.stop_gradient(costs))) + 1e-12) / (_WORST * sharpness)
     return worst + size * jnp.log(jnp.sum(jnp.exp((costs - worst) / size)))

@@ -17,7 +17,7 @@ from .._results import as_array, check_callable, check_choice, check_flag, shown
 
 Mode = Literal["auto", "forward", "reverse"]
 # "auto" is forward mode up to so many numbers; `value_and_grad` says what both modes cost.
-FEW = 1
+_FEW = 1
 
 
 def value_and_grad(function: Callable[[Any], Any], mode: Mode = "auto", *, has_aux: bool = False) -> Callable:
@@ -26,8 +26,8 @@ def value_and_grad(function: Callable[[Any], Any], mode: Mode = "auto", *, has_a
     Reverse mode records the steps of a run and goes back over them once, whatever the number of parameters;
     forward mode sends one tangent per parameter along with it. "auto" is forward mode for one number.
     Both are the derivative of the same discrete run, to rounding, and in both `close` is differentiated
-    implicitly, not through its iterations. Backwards, the stages of a step are worked out again; to keep what
-    they leave costs more, to compile above all.
+    implicitly, not through its iterations. Reverse mode works out the stages of a step again: keeping their
+    values would cost more, above all to compile.
 
     Measured on two cores, in multiples of the time of the run itself, with one number and with four: Part 2
     forward 3.0 and 3.8, back 2.9 and 2.6; Part 1 forward 3.8 and 5.3, back 3.3 and 3.4. Reverse mode
@@ -43,8 +43,8 @@ def value_and_grad(function: Callable[[Any], Any], mode: Mode = "auto", *, has_a
         A function as `jax.value_and_grad` makes it.
 
     Raises:
-        ValueError: If `mode` is none of the three or `function` no function; by what is returned, if it is
-            given anything but floating-point arrays or the function returns no scalar.
+        ValueError: If `mode` is none of the three or `function` no function. The function that is returned
+            raises it if it is given anything but real arrays, or `function` does not return a scalar.
 
     Example:
         >>> import jax.numpy as jnp
@@ -62,7 +62,7 @@ def value_and_grad(function: Callable[[Any], Any], mode: Mode = "auto", *, has_a
     def both(x: Any) -> Any:
         x = jax.tree.map(lambda leaf: as_array("x", leaf), x)
         count = sum(jnp.size(leaf) for leaf in jax.tree.leaves(x))
-        backwards = mode == "reverse" or (mode == "auto" and count > FEW)
+        backwards = mode == "reverse" or (mode == "auto" and count > _FEW)
         if backwards:
             return jax.value_and_grad(wanted, has_aux=has_aux)(x)
         return _forward(wanted, x, has_aux)

@@ -1,8 +1,9 @@
 r"""What a fingertip must keep to: size, length, radii and smoothness.
 
-A contour is evaluated once, on its contact interval (the pad) and from end to end (`sampled`). Both the
-limits and the goals look at these samples alone. A limit is written as an excess $g \le 0$ at every sample,
-relative to its bound, as `_minimise` takes it: without dimension, so that one weight suits all limits.
+A contour is evaluated once, on its contact interval (the pad) and from end to end (`sampled`). The limits,
+and the goals that judge the contour itself, look at these samples alone. A limit is written as an excess
+$g \le 0$ at every sample, relative to its bound, as `_minimise` takes it: without dimension, so that one
+weight suits all limits.
 
 `margins` has the margin of (41), bounded where the contour is flat or hollow, and `soft_least` its smooth
 minimum, for the goal `Margin`.
@@ -33,7 +34,7 @@ class ContourSamples(eqx.Module):
     Attributes:
         pad: Frames on the contact interval.
         whole: Frames from end to end of the contour, or once round it.
-        step: Arclength between two neighbours of the latter [m].
+        step: Arclength between neighbours in `whole` [m].
         length: Arclength of the contour [m].
         beyond: Shape (2,), how far the contact interval reaches beyond either end, over its own length; None
             of a closed contour, which goes on there.
@@ -61,7 +62,7 @@ def sampled(contour: AbstractContour, interval: Array) -> ContourSamples:
 
 
 def _frames(contour: AbstractContour, s: Array) -> Frenet2:
-    """Frames with one curvature for each arclength, of a circle too, which has one for all."""
+    """Frames with one curvature for each arclength; by itself a circle gives one for all."""
     return jax.vmap(lambda s: jax.tree.map(jnp.asarray, contour.frame(s)))(s)
 
 
@@ -76,8 +77,8 @@ class Limits(eqx.Module):
         radius: Smallest radius of curvature anywhere, hollow or not [m]: what a nozzle or cutter can make.
         ahead: Least distance of the pad in front of $O_i$ [m], $-n \cdot \gamma$ on the contact interval:
             the last link ends behind it. (41) wants it small.
-        flat: Largest radius of curvature on the contact interval [m]. Without it the best pad is a flat
-            one, which rolls on its ends alone; the interval is kept convex all the same. Default: 0.1.
+        flat: Largest radius of curvature on the contact interval [m]. Without it the best pad is flat and
+            rolls on its ends alone; with None the interval is still kept convex. Default: 0.1.
         steepness: Largest $|d\kappa/ds|$ [1/m^2]: smoothness.
 
     Raises:
@@ -170,8 +171,9 @@ def margins(frames: Frenet2, scale: Scalar) -> Array:
 
 def soft_least(values: Array, sharpness: float) -> Array:
     r"""Smooth lower bound of the least of dimensionless values: $-\log\sum_i e^{-k v_i}/k$."""
-    # Whatever the least is, the sum is the same: it needs no derivative. That of a minimum compares values,
-    # which a program may have computed twice and rounded differently, and is NaN where none is the least.
+    # Whatever `least` is, the result is the same: it needs no derivative. The derivative of a minimum
+    # compares values, which a program may have computed twice and rounded differently, and is NaN where none
+    # is equal.
     least = jnp.min(jax.lax.stop_gradient(values))
     return least - jnp.log(jnp.sum(jnp.exp(-sharpness * (values - least)))) / sharpness
 

@@ -1,14 +1,13 @@
-"""How good a run is: settling time, overshoot, peak force, friction demand; differentiable.
+"""How good a run is: settling time, overshoot, tracking error, peak force, friction demand; differentiable.
 
 All look at the saved states that the run reached; save some tens of states over the time of interest, the
-start among them: "first" is the first saved one, from which times count, and "last" the last one. A run
-that ended early has come to rest nowhere: what is measured against its last value is not a number then.
-`ClosedLoop` needs a finite cost of such runs, and uses the measures in `PARTIAL`, of the part that was
-reached.
+start among them: "first" is the first saved one, from which times count, and "last" the last one. A run that
+ended early has not come to rest: what is measured against its last value is not a number then. `ClosedLoop`
+needs a finite cost of such runs, and uses the measures in `PARTIAL`, of the part that was reached.
 
 Arrays keep their length when a run ends early, and hold NaN from there on. A NaN in a branch that `jnp.where`
-does not choose still makes the gradient NaN, so that it is replaced first (`_reached`, `_forces`) and masked
-later.
+does not choose still makes the gradient NaN: so NaNs are replaced first (`_reached`, `_forces`), and the
+places masked later.
 """
 
 from collections.abc import Callable
@@ -33,9 +32,9 @@ def settling_time(run: Trajectory, *, band: float = 0.02, signal: Signal | None 
     r"""Time [s] after which a signal stays near its last value, counted from the first saved state.
 
     The last time at which $|y(t) - y_1|$ is above `band` times $|y_0 - y_1|$, on straight lines between the
-    saved states; $y_0$ and $y_1$ are of the first and the last of these. Its derivative is that of this time;
-    it jumps where one more swing leaves the band. Zero for a signal that ends where it began; not a number
-    for a run that ended early, or a signal that holds NaN.
+    saved states; $y_0$ and $y_1$ belong to the first and the last of these. Its derivative is that of this
+    time; the time jumps where one more swing leaves the band. Zero for a signal that ends where it began; not
+    a number for a run that ended early, or a signal that holds NaN.
 
     Args:
         run: One run.
@@ -76,7 +75,7 @@ def _settling(run: Trajectory, signal: Signal | None = None, band: Scalar | floa
 def overshoot(run: Trajectory, *, signal: Signal | None = None) -> Scalar:
     r"""By how much a signal goes past its last value, as a share of the way there.
 
-    The largest of $-(y(t) - y_1) \cdot (y_0 - y_1) / |y_0 - y_1|^2$, at least zero, with $y_0$ and $y_1$ of
+    The largest of $-(y(t) - y_1) \cdot (y_0 - y_1) / |y_0 - y_1|^2$, at least zero; $y_0$ and $y_1$ belong to
     the first and the last saved state; not a number for a run that ended early, or a signal that holds NaN.
 
     Args:
@@ -112,9 +111,9 @@ def _overshoot(run: Trajectory, signal: Signal | None = None) -> Scalar:
 def tracking_error(run: Trajectory, *, signal: Signal | None = None) -> Scalar:
     r"""Mean time to the end [s], $\int |y(t) - y_1| dt / |y_0 - y_1|$: smooth where `settling_time` jumps.
 
-    For a signal that decays as $e^{-t/T}$ it is T. The integral begins at the first saved state, of which
-    $y_0$ is, and ends at the last one, of which $y_1$ is; not a number for a run that ended early, or a
-    signal that holds NaN.
+    For a signal that decays as $e^{-t/T}$ it is T. The integral runs from the first saved state, which $y_0$
+    belongs to, to the last one, which $y_1$ belongs to; not a number for a run that ended early, or a signal
+    that holds NaN.
 
     Args:
         run: One run.
@@ -172,8 +171,8 @@ def _peak(run: Trajectory) -> Scalar:
 def friction_demand(run: Trajectory) -> Scalar:
     r"""Friction coefficient that rolling needs, $\max |\lambda| / f$; the run must have recorded its forces.
 
-    Of the contacts and saved states at which a contact presses, $f > 0$: where it pulls no coefficient would
-    do, and nothing is counted, so that the demand of a contact that always pulls is zero. Printed runs say
+    Only contacts count that press, $f > 0$, at each saved state: where one pulls no coefficient would do, so
+    that the demand of a contact that always pulls is zero. Printed runs say
     which contact pulls, and a run whose `events` name 'lift' ends there.
 
     Returns:
@@ -205,7 +204,7 @@ def _demand(run: Trajectory) -> Scalar:
     return largest(jnp.where(pressing, jnp.abs(aside) / jnp.where(pressing, forces.f, 1.0), 0.0))
 
 
-# Compiled as one program each: of their small operations by themselves a first call would compile dozens.
+# Each measure is compiled as one program: of single operations a first call would compile dozens.
 
 
 @quickly
@@ -299,7 +298,7 @@ PARTIAL = {
     "peak_force": _peak,
     "friction_demand": _demand,
 }
-# Those measured against the last value, at rest, which a run that ended early has not reached.
+# Those measured against the value at rest, which a run that ended early has not reached.
 SETTLED = frozenset(("settling_time", "overshoot", "tracking_error"))
 # Those that need the contact forces.
 FORCED = frozenset(("peak_force", "friction_demand"))

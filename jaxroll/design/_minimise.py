@@ -7,7 +7,7 @@ $$ f + \frac{1}{2\mu} \sum_i \left(\max(0, \lambda_i + \mu g_i)^2 - \lambda_i^2\
 is descended for a chunk of steps (`_chunk`, with a method of `_descent`); then multipliers $\lambda$ and
 weight $\mu$ are updated (`_judged`). A chunk is one call of a compiled program, which takes all starts;
 between chunks Python prints progress, writes the checkpoint, and ends the loop when every start has settled.
-`optimise_fingertip` poses the problem.
+`_fingertip` poses the problem.
 
 Progress is printed here, not drawn by tqdm as a sweep's is, because it tells how the objective and the
 violation fall, and a search that settles ends before its last step.
@@ -112,21 +112,21 @@ def minimise(
 
     The augmented Lagrangian $f + \frac{1}{2\mu} \sum_i (\max(0, \lambda_i + \mu g_i)^2 - \lambda_i^2)$ is
     descended for a chunk of ten steps; then $\lambda_i \leftarrow \max(0, \lambda_i + \mu g_i)$, and $\mu$
-    grows threefold where that alone does not halve what limits are passed by. A step is one evaluation with
-    its gradient.
+    grows threefold unless the chunk has halved the largest excess. A step is one evaluation with its
+    gradient.
 
     Args:
         problem: Objective and excess, compiled once for each function and shape.
         start: One row per start.
         data: Any pytree that the functions need, with a leading axis of starts.
-        optimiser: Any of optax; its learning rate is in units of `start`. Default: `Bfgs`.
+        optimiser: Any of optax; its steps are in the units of `start`. Default: `Bfgs`.
         steps: At most so many, rounded up to tens; ends also when every start has settled.
         mode: How to differentiate, as `value_and_grad` takes it.
         in_turn: Whether starts are taken one after the other instead of side by side.
         progress: True prints; a function is called with step, best value and violation after every chunk.
         checkpoint: A file that is written after every chunk, and read to begin with where it exists.
-        asked: What the search is of, by the names of the caller's arguments: a checkpoint of another is
-            refused.
+        asked: What the search depends on, by the names of the caller's arguments: a checkpoint of another
+            search is refused.
     """
     method = descent(optimiser)
     search = _begin(problem, method, start, data)
@@ -168,7 +168,7 @@ def _fresh(method: AbstractDescent, start: Array, limits: tuple[int, ...]) -> Se
     def each(x: Array) -> Search:
         far, zeros = jnp.full((), jnp.inf, x.dtype), jnp.zeros(limits, x.dtype)
         weight, dull = jnp.full((), _FIRST_WEIGHT, x.dtype), jnp.full((), _DULL, x.dtype)
-        # Not `jnp.array(0)`, of a weak type, which a checkpoint does not keep: it would be compiled for anew.
+        # Not `jnp.array(0)`, of a weak type: a checkpoint does not keep that, and would be compiled for anew.
         walk, none, off = method.begin(x), jnp.zeros((), int), jnp.array(False)
         return Search(walk, far, zeros, zeros, weight, dull, x, far, far, far, far, none, off)
 
@@ -257,7 +257,7 @@ def _kept(search: Search, value: Array, excess: Array) -> Search:
 
 
 def _saved(path: Path, search: Search, steps: int, history: list[np.ndarray], marks: dict[str, str]) -> None:
-    """Write the checkpoint: what the search is of, steps taken, history, state of every start."""
+    """Write the checkpoint: what the search depends on, steps taken, history, state of every start."""
     part = path.with_suffix(path.suffix + ".part")
     with part.open("wb") as file:
         np.save(file, np.array(list(marks.items()), str).reshape(-1, 2))

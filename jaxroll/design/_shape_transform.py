@@ -51,9 +51,9 @@ class ShapeTransform(eqx.Module):
 
     Raises:
         ValueError: If `tip` is endless, prepared, traced or has no free numbers, its class has no mirror
-            image where one is asked for, or what its class says of itself does not fit.
+            image where one is asked for, or its class gives free numbers or a preconditioner that do not fit.
 
-    Accuracy: `contour(start)` is the given one to rounding of $W$'s solve; made symmetric if asked for.
+    Accuracy: `contour(start)` is `tip`, made symmetric if asked for, to rounding in the solution for $x$.
 
     Example:
         >>> import jax, jaxroll as jxr, optax
@@ -91,7 +91,7 @@ class ShapeTransform(eqx.Module):
     def contour(self, x: Given) -> AbstractContour:
         """The contour of a vector, shape (n,); differentiable, inside `jit` and `vmap` too.
 
-        What is not free is that of the contour given. It may fold or cross itself: limits are yours to keep.
+        What is not free is as in `tip`. The contour may fold or cross itself: limits are yours to keep.
 
         Raises:
             ValueError: If the vector has another shape, or a known one is not finite.
@@ -103,9 +103,9 @@ class ShapeTransform(eqx.Module):
         return contour.symmetrised() if self.symmetric else contour
 
     def unknowns(self, contour: AbstractContour) -> Float[Array, " n"]:
-        """The vector of a contour of the given one's class and size; the inverse of `contour`.
+        """The vector of a contour of the class of `tip`, with as many free numbers; the inverse of `contour`.
 
-        Of a contour that is its own mirror image, where that is asked for.
+        With `symmetric` it is the inverse for contours that are their own mirror image alone.
 
         Raises:
             ValueError: If the contour is of another class, or has other free numbers.

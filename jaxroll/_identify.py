@@ -326,9 +326,9 @@ def _joints(grasp: Grasp, run: Any) -> jax.Array:
 
 def _checked(make: Any, guess: Any, observe: Any) -> tuple[tuple[str, ...], np.ndarray]:
     """Names and first values."""
-    check_callable("make", make, takes=1)
+    check_callable("make", make, "a function of a dict of numbers", takes=1)
     if observe is not None:
-        check_callable("observe", observe, takes=2)
+        check_callable("observe", observe, "a function of a grasp and its run", takes=2)
     if not isinstance(guess, Mapping) or not guess or not all(isinstance(name, str) for name in guess):
         raise ValueError(f"argument guess must be a dict of numbers by their names, but was {shown(guess)}")
     values = [np.asarray(as_floats("guess", value, ())) for value in guess.values()]

@@ -449,6 +449,7 @@ def test_a_fingertip_that_loses_its_objects_is_changed_to_hold_them():
         (lambda: Fair(Margin), "goal must be a goal"),
         (lambda: Fair(Margin(), weight=-1.0), "weight must be"),
         (lambda: value_and_grad(jnp.sum, "sideways"), "mode must be"),
+        (lambda: value_and_grad(lambda: 0.0), "function must be a function of one argument, but was"),
     ],
 )
 def test_bad_goals(wrong, message):

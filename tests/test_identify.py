@@ -143,7 +143,8 @@ def test_a_search_that_runs_off_is_no_success(scene, force):
         ({"ts": TS[::-1]}, "argument ts must be rising times"),
         ({"noise": -1.0}, "argument noise must be positive"),
         ({"make": lambda p: p}, "argument make must return a Grasp and a State"),
-        ({"observe": lambda run: run}, "argument observe must be a function, but was"),
+        ({"make": lambda a, b: a}, "argument make must be a function of a dict of numbers, but was"),
+        ({"observe": lambda run: run}, "argument observe must be a function of a grasp and its run, but was"),
         (
             {"observe": lambda grasp, run: grasp},
             "argument observe, in what it returns, must be a real number",

@@ -389,6 +389,25 @@ def test_rolling_past_an_end_is_told(on_tip):
     assert ended(0.0501) == ended(0.2) == jxr.RESULTS.contour_end
 
 
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"velocity": lambda: (0.1, 0.0, 0.0)}, "argument velocity must be a function of t, but was"),
+        ({"spin": lambda t, y: 0.0}, "argument spin must be a function of t, but was"),
+        (
+            {"velocity": lambda t: (0.1, 0.0, 0.0) if t > 0 else (0.0, 0.0, 0.0)},
+            "argument velocity must compute",
+        ),
+        ({"spin": lambda t: 1.0 if t > 0 else 0.0}, "argument spin must compute with jax.numpy"),
+    ],
+)
+def test_functions_that_do_not_lead_a_rolling_body_are_refused_in_a_sentence(given, words):
+    places = {"at_tip": (0.0, 0.0, -0.1), "at_object": (0.0, 0.0, 0.0)}
+    asked = {"velocity": lambda t: (0.1, 0.0, 0.0), "ts": jnp.array([0.0, 1.0])} | places | given
+    with pytest.raises(ValueError, match=words):
+        jxr.roll(jxr.Sphere(0.1), jxr.Plane(), **asked)
+
+
 def test_ball_leaves_a_table_that_falls_away():
     """The normal force runs out, and the run says when: the table drops faster than the ball may."""
     lowered, state = on_a_table(fall=2.0)

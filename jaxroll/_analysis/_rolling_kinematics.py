@@ -32,7 +32,7 @@ from .._linalg import (
     Vec3,
 )
 from .._printing import listed
-from .._results import as_floats, check_callable, check_instance, concrete, RESULTS, shown
+from .._results import as_floats, check_callable, check_instance, concrete, RESULTS, shown, traceable
 from .._types import ByPrecision, Given, Scalar, Scalars, Times
 from .._xla import in_both_modes
 from ..geometry import AbstractSurface, Gauss3
@@ -125,7 +125,7 @@ def roll(
         check_instance(name, surface, AbstractSurface, "a surface")
     for name, function in (("velocity", velocity), ("spin", spin)):
         if name == "velocity" or function is not None:
-            check_callable(name, function, "a function of t")
+            check_callable(name, function, "a function of t", takes=1)
     places = (
         as_floats("at_tip", at_tip, (tip.coordinates,)),
         as_floats("at_object", at_object, (object.coordinates,)),
@@ -166,12 +166,16 @@ class _Rolling(eqx.Module):
         """Rates of everything in `y`."""
         axes, (at_tip, at_object), (tip, face) = self.frames(y)
         # Only the part of the caller's velocity in the tangent plane.
-        given = Vec3(*unstack(as_floats("velocity(t)", self.velocity(t), (3,)).astype(y.dtype)))
+        with traceable("velocity"):
+            led = as_floats("velocity(t)", self.velocity(t), (3,))
+        given = Vec3(*unstack(led.astype(y.dtype)))
         velocity = given - face.normal * given.dot(face.normal)
         bend = tip.shape.turned(axes) + face.shape
         turning = face.normal.cross(bend.apply(velocity))
         if self.spin is not None:
-            turning = turning + face.normal * as_floats("spin(t)", self.spin(t), ()).astype(y.dtype)
+            with traceable("spin"):
+                spin = as_floats("spin(t)", self.spin(t), ())
+            turning = turning + face.normal * spin.astype(y.dtype)
         turned = quaternion_rate(normalised(unstack(y[:4])), turning)
         # Both places move with the same velocity, which the rolling body sees in its own axes.
         places = (*self.tip.rate(at_tip, axes.back(velocity)), *self.object.rate(at_object, velocity))

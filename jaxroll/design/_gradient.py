@@ -53,7 +53,7 @@ def value_and_grad(function: Callable[[Any], Any], mode: Mode = "auto", *, has_a
         >>> slope.tolist()
         [2.0, 4.0]
     """
-    check_callable("function", function, takes=1)
+    check_callable("function", function, "a function of one argument", takes=1)
     check_choice("mode", mode, ("auto", "forward", "reverse"))
     check_flag("has_aux", has_aux)
     wanted = _scalar(function, has_aux)

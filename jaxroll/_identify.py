@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ._integration import RTOL, simulate
-from ._mechanics import as_start, Grasp, State
+from ._mechanics import as_grasp_and_state, Grasp, State
 from ._printing import code_name, number_of
 from ._results import (
     as_array,
@@ -168,7 +168,7 @@ def identify(
 
     def left_over(x: jax.Array) -> tuple[jax.Array, tuple[jax.Array, RESULTS]]:
         with traceable("make"):
-            grasp, state = as_start(make(dict(zip(names, x * start, strict=True))))
+            grasp, state = as_grasp_and_state(make(dict(zip(names, x * start, strict=True))))
         run = simulate(grasp, state, times[-1], ts=times, rtol=rtol, throw=False).filled()
         with traceable("observe"):
             given = _joints(grasp, run) if observe is None else observe(grasp, run)

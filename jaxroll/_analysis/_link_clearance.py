@@ -112,4 +112,5 @@ def _at(grasp: Grasp, state: State) -> tuple[Array, Array]:
 
 
 def _with_links(grasp: Grasp) -> list[int]:
+    """Numbers of the fingers that have links: whose joints turn, not those of jaws."""
     return [i for i, finger in enumerate(grasp.fingers) if finger.joints and finger.turns]

@@ -20,7 +20,7 @@ from ._controller import (
     Torques as Torques,
 )
 from ._entry import (
-    as_start as as_start,
+    as_grasp_and_state as as_grasp_and_state,
     check_grasp as check_grasp,
     check_planar as check_planar,
     check_spatial as check_spatial,

@@ -58,7 +58,7 @@ def check_spatial(grasp: Grasp) -> None:
     _check_kind(grasp, Contact3)
 
 
-def as_start(given: Any) -> tuple[Grasp, State]:
+def as_grasp_and_state(given: Any) -> tuple[Grasp, State]:
     """The grasp and the state that a caller's `make` returned; raise if it returned anything else."""
     pair = given if isinstance(given, tuple | list) else ()
     if len(pair) != 2 or not isinstance(pair[0], Grasp) or not isinstance(pair[1], State):

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool
 
-from .._mechanics import as_start
+from .._mechanics import as_grasp_and_state
 from .._results import as_array, check_callable, check_finite, shown
 from .._types import Scalar
 from ..geometry import AbstractContour
@@ -27,6 +27,9 @@ from ._limits import ContourSamples, margins, soft_least
 _SHARPNESS = 200.0
 # k of the smooth worst case, over the largest cost: cases within a fiftieth of it count too.
 _WORST = 50.0
+
+# Name of the figure that all goals of this package report.
+WORST_MARGIN = "worst margin [m]"
 
 # From a fingertip, and a case where there are several, to a grasp and its start.
 Make = Callable[..., tuple[Any, Any]]
@@ -116,9 +119,6 @@ class Margin(AbstractGoal):
         return figures[WORST_MARGIN] > 0.0
 
 
-WORST_MARGIN = "worst margin [m]"
-
-
 def worst_margin(seen: ContourSamples) -> Array:
     """Least margin of (41) on the contact interval [m], bounded where the contour is hollow or flat."""
     return jnp.min(margins(seen.pad, jnp.max(jnp.sqrt(seen.whole.point.dot(seen.whole.point)))))
@@ -138,8 +138,8 @@ def each_case(
             side, by `jax.vmap`, take as long, and their program half as long again to compile.
     """
     if cases is None:
-        return jax.tree.map(lambda x: x[None], found(*as_start(make(tip))))
-    each = lambda case: found(*as_start(make(tip, case)))  # noqa: E731
+        return jax.tree.map(lambda x: x[None], found(*as_grasp_and_state(make(tip))))
+    each = lambda case: found(*as_grasp_and_state(make(tip, case)))  # noqa: E731
     return jax.lax.map(each, cases) if in_turn else jax.vmap(each)(cases)
 
 

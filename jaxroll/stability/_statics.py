@@ -32,6 +32,19 @@ from ..geometry import AbstractContour, Catenary, Circle, Ellipse, Frenet2, Move
 from ..loads import Drag, Impulse
 from ._equilibrium import on_contours
 
+# Gradient of U below which a place counts as one of rest, relative to the force between the centres.
+_AT_REST = ByPrecision(1e-9, 1e-4)
+# Newton's method has converged when a step is below this share of the longest one.
+_ARRIVED = ByPrecision(1e-13, 1e-5)
+# Most steps of Newton's method.
+_STEPS = 60
+# Contours that are nowhere straight, whatever their numbers.
+_CURVED = (Catenary, Circle, Ellipse)
+# Curvature of a face relative to its fingertip's, and angle [rad] between two faces, that count as none.
+_NONE = ByPrecision(1e-6, 1e-4)
+# Share of a contour's length by which its ends may be passed.
+_ROUNDING = ByPrecision(1e-12, 1e-6)
+
 
 class PinchStatics(eqx.Module):
     r"""The opposition potential as a function of where two fingertips touch.
@@ -256,14 +269,6 @@ def _is_alone(grasp: Grasp) -> Array:
     return jnp.all(jnp.asarray(grasp.controller.alpha) == 0.0) & jnp.all(jnp.asarray(gravity) == 0.0)
 
 
-# Gradient of U below which a place counts as one of rest, relative to the force between the centres.
-_AT_REST = ByPrecision(1e-9, 1e-4)
-# Newton's method has converged when a step is below this share of the longest one.
-_ARRIVED = ByPrecision(1e-13, 1e-5)
-# Most steps of Newton's method.
-_STEPS = 60
-
-
 def _rolled(grasp: Grasp, s: Array) -> PinchStatics:
     r"""U and its derivatives from the frames alone; the Hessian is right where the gradient vanishes.
 
@@ -381,12 +386,6 @@ def rectangle_hessian(grasp: Grasp, s: Given) -> Float[Array, "2 2"]:
     return found
 
 
-# Contours that are nowhere straight, whatever their numbers.
-_CURVED = (Catenary, Circle, Ellipse)
-# Curvature of a face relative to its fingertip's, and angle [rad] between two faces, that count as none.
-_NONE = ByPrecision(1e-6, 1e-4)
-
-
 def _unplaced(contour: AbstractContour) -> AbstractContour:
     """The contour inside of all its placements."""
     return _unplaced(contour.contour) if isinstance(contour, Moved) else contour
@@ -493,7 +492,3 @@ def _without(margins: Array, s: Array, low: Array, high: Array) -> tuple[Array, 
     slack = _ROUNDING.of(s) * (high - low)
     beyond = (s < low - slack) | (s > high + slack)
     return jnp.where(beyond, jnp.nan, margins), beyond
-
-
-# Share of a contour's length by which its ends may be passed.
-_ROUNDING = ByPrecision(1e-12, 1e-6)

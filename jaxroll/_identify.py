@@ -320,8 +320,11 @@ def _covariance(slopes: np.ndarray, units: np.ndarray) -> np.ndarray:
 
 
 def _joints(grasp: Grasp, run: Any) -> jax.Array:
-    """Joint angles of all fingers, shape (t, k)."""
-    return run.states.q[:, grasp.form.positions[0] :]
+    """Joint angles of all fingers, shape (t, k), without the clock of a moving stage."""
+    starts = np.cumsum(grasp.form.positions)[:-1]
+    each = zip(starts, grasp.fingers, strict=True)
+    columns = [start + joint for start, finger in each for joint in range(finger.joints)]
+    return run.states.q[:, np.array(columns, int)]
 
 
 def _checked(make: Any, guess: Any, observe: Any) -> tuple[tuple[str, ...], np.ndarray]:

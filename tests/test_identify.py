@@ -11,7 +11,7 @@ from scipy.optimize import curve_fit
 
 import jaxroll as jxr
 from jaxroll import _identify
-from jaxroll._identify import _at_an_end, _descend, _inverse
+from jaxroll._identify import _at_an_end, _descend, _inverse, _joints
 from tests.oracles.chapter_part2 import Part2
 
 ELBOW = 1
@@ -161,6 +161,16 @@ def test_bad_arguments_are_one_sentence(scene, change, words):
     }
     with pytest.raises(ValueError, match=words):
         jxr.identify(**given | change)
+
+
+def test_what_is_seen_by_default_are_joint_angles_and_not_the_clock_of_a_moving_stage():
+    grasp, _ = jxr.scenes.incline(slope=0.0)
+    table = jxr.Stage(jxr.Plane(), lambda t: ((0.0, 0.0, -t), (1.0, 0.0, 0.0, 0.0)))
+    moved = jxr.Grasp(grasp.object, table, grasp.contacts)
+    assert moved.form.positions == (7, 1)
+    runs = [SimpleNamespace(states=SimpleNamespace(q=jnp.arange(3.0 * n).reshape(3, n))) for n in (8, 3)]
+    assert _joints(moved, runs[0]).shape == (3, 0)
+    np.testing.assert_array_equal(_joints(jxr.scenes.pivoted()[0], runs[1]), runs[1].states.q[:, 1:])
 
 
 def straight(size, end, rest=()):

@@ -97,7 +97,7 @@ def traced(value: Any) -> bool:
 
 
 def on_host(function: Callable[_P, _R]) -> Callable[_P, _R]:
-    """The function, refusing any argument that JAX is tracing, by the argument's name.
+    """The function, which then refuses an argument that JAX is tracing, and names it.
 
     For set-up, pictures and files, which no compiled program can hold.
     """
@@ -393,7 +393,7 @@ def check_direction(name: str, vectors: jax.Array) -> jax.Array:
 
 
 def as_length(name: str, value: Any) -> jax.Array:
-    """Convert an argument to a length [m] of a shape, within `SHAPE_LENGTHS`, so that its square is one."""
+    """Convert an argument to a length [m] of a shape; out of `SHAPE_LENGTHS` its square would lose digits."""
     length = as_positive(name, value)
     check_between(name, length, *SHAPE_LENGTHS, unit=" m")
     return length

@@ -37,7 +37,7 @@ _KNOWN = ("jaxroll", "diffrax", "equinox", "optimistix", "lineax")
 # The first word of every node, which is the name of what reads it.
 _KINDS = ("record", "array", "code", "tuple", "list", "dict", "structure", "dtype", "name", "key", "bound")
 _PLAIN = (bool, int, float, str, type(None))
-# Classes of functions with bound arguments: a file holds their place here; and the parts of each.
+# Classes of functions with bound arguments, which a file names by their place here; and the parts of each.
 _BOUND, _PARTS = (functools.partial, jax.tree_util.Partial), ("func", "args", "keywords")
 
 

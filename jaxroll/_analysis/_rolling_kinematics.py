@@ -39,8 +39,8 @@ from ..geometry import AbstractSurface, Gauss3
 
 # Most steps of the integration.
 _MAX_STEPS = 65536
-# Unit vectors count as opposite if one plus their inner product, half the squared angle that they lack to it,
-# is below this.
+# Unit vectors count as opposite if one plus their inner product is below this: the sum is half the square of
+# the angle that is missing.
 _OPPOSITE = ByPrecision(1e-12, 1e-6)
 # A contact that is past an end of its surface by no more than this [m] counts as at the end.
 _AT_END = ByPrecision(1e-9, 1e-6)

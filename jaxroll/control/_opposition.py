@@ -1,8 +1,8 @@
 r"""The chapter's control of two fingers, (16)-(17): joint damping, and tips that attract each other.
 
 The torques besides damping are the negative gradient of a potential of tips and joint angles, which
-`_motion/_quantities` counts among the energies and needs to find the dissipation. `_press` has the
-chapter's law for one finger.
+`_motion/_quantities` counts among the energies and needs to find the dissipation. `_press` has the chapter's
+law for one finger.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-r"""A goal within a goal: a fingertip whose back is not wavy besides.
+r"""A goal round another one: the back of the fingertip is not to be wavy.
 
 A goal such as the margin of (41) asks nothing of the contour where it is not touched, and the search leaves
 there whatever its first steps made. `Fair` adds the mean of $(\rho^2\,\mathrm{d}\kappa/\mathrm{d}s)^2$ over

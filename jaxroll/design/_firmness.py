@@ -1,10 +1,9 @@
 r"""The goal of stability on any objects, where (41) does not apply: by the Hessian, or by the slowest rate.
 
-The measure comes from `stability.pinch_rest` or
-`stability.assess`, at the equilibrium of every case, and is differentiated through it. For 'stiffness' the
-Hessian $U_{ij}$ is taken over the angles $\theta_i$ by which the fingertips turn against the object,
-$d\theta_i = (\kappa_i + \kappa_{0i})\, ds_i$: on a rectangle with like fingertips this leaves
-$\beta |l|$ times the margin of (41).
+The measure comes from `stability.pinch_rest` or `stability.assess`, at the equilibrium of every case, and is
+differentiated through it. For 'stiffness' the Hessian $U_{ij}$ is taken over the angles $\theta_i$ by which
+the fingertips turn against the object, $d\theta_i = (\kappa_i + \kappa_{0i})\, ds_i$: on a rectangle with
+like fingertips this leaves $\beta |l|$ times the margin of (41).
 """
 
 from typing import Any, Literal

@@ -172,8 +172,8 @@ def friction_demand(run: Trajectory) -> Scalar:
     r"""Friction coefficient that rolling needs, $\max |\lambda| / f$; the run must have recorded its forces.
 
     Only contacts count that press, $f > 0$, at each saved state: where one pulls no coefficient would do, so
-    that the demand of a contact that always pulls is zero. Printed runs say
-    which contact pulls, and a run whose `events` name 'lift' ends there.
+    that the demand of a contact that always pulls is zero. Printed runs say which contact pulls, and a run
+    whose `events` name 'lift' ends there.
 
     Returns:
         One number, without a unit; not a number for a run that ended before the first saved time.

@@ -112,8 +112,8 @@ def minimise(
 
     The augmented Lagrangian $f + \frac{1}{2\mu} \sum_i (\max(0, \lambda_i + \mu g_i)^2 - \lambda_i^2)$ is
     descended for a chunk of ten steps; then $\lambda_i \leftarrow \max(0, \lambda_i + \mu g_i)$, and $\mu$
-    grows threefold unless the chunk has halved the largest excess. A step is one evaluation with its
-    gradient.
+    grows threefold unless limits are kept or the chunk has halved the largest excess. A step is one
+    evaluation with its gradient.
 
     Args:
         problem: Objective and excess, compiled once for each function and shape.

@@ -1,10 +1,10 @@
 """Many runs of one family of grasps, in chunks of fixed size; folders from which a sweep can be resumed.
 
 `_sweep` has the public function: it cuts the parameters into chunks and hands these to worker threads.
-`_program` traces and compiles what one chunk does. Only where a folder or a store is given are these needed:
-`_identity` gathers the digests (`_fingerprint`) that tell one sweep from another, `_folder` reads and writes
-the finished chunks, `_store` writes them to a table that xarray opens. Where others than this process
-compute, `_dispatch` sends them chunks, and `_sending` is what they do with these.
+`_program` traces and compiles what one chunk does. Where a folder or a store is given, `_identity` gathers
+the digests (`_fingerprint`) that tell one sweep from another, `_folder` reads and writes the finished chunks,
+and `_store` writes them to a table that xarray opens. Where other processes compute, `_dispatch` sends them
+chunks, `_sending` is what they do with these, and `_identity` tells whether they are like this process.
 `_parameters` has the parameters of many runs by name.
 """
 

@@ -1,10 +1,10 @@
 """Chunks as tasks of somebody else's processes: a cluster of dask, or any `concurrent.futures.Executor`.
 
 A client of dask offers itself as an executor, so that there is one way for all: submit chunks, a few more
-than there are workers, and see what comes back. Results go from the worker to the folder or the store
-(`_sending`); a receipt comes back. What is lost with a worker that was killed is the chunk that it had under
-way: dask gives it to another worker, and other executors say that they are broken, after which the same call
-goes on.
+than there are workers, and see what comes back. A worker writes its results to the folder or the store
+(`_sending`) and sends back a receipt; without either, the receipt holds the results. A worker that is killed
+loses only the chunk that it was computing: dask gives that chunk to another worker; any other executor says
+that it is broken, and then the same call of `sweep` with a new one goes on where this one stopped.
 """
 
 import concurrent.futures as futures
@@ -24,22 +24,24 @@ from ._program import Job, Program
 from ._sending import chunk_done, greeting, Parcel, parcel_of, Receipt
 from ._store import Store
 
-# How often a chunk is sent at most; dask by itself gives a chunk to four workers, each of which died with it.
+# How often a chunk is sent at most. Each time dask by itself tries up to four workers, if each dies with it.
 _TRIES = 6
-# Chunks under way: of dask so many for each thread, and at least; of other executors.
+# How many chunks are under way: with dask `_AHEAD` for each thread, but at least `_LEAST`; with any other
+# executor, which does not say how many workers it has, `_USUAL`.
 _AHEAD, _LEAST, _USUAL = 3, 8, 256
 # What dask raises where every worker that was given a chunk has died.
 _KILLED = "KilledWorker"
-# Marks that must be those of this process, since they decide what the program is.
+# Beginnings of the names of marks in which workers must agree with this process, since they decide what the
+# program is. Processors may differ from this one's, but must be alike among the workers (`_sending`).
 _ALIKE = ("version", "precision")
 
 
 class Party(NamedTuple):
-    """Those who compute.
+    """The processes that compute.
 
     Attributes:
-        executor: What takes tasks.
-        room: How many tasks to have under way now.
+        executor: Takes the tasks.
+        room: Gives how many tasks to have under way now.
     """
 
     executor: futures.Executor
@@ -67,10 +69,10 @@ def party_of(client: Any) -> Party:
 
 
 def met(party: Party, job: Job, size: int) -> Parcel:
-    """A parcel for the job, with the marks of the workers, one of which has unpacked it.
+    """A parcel for the job, with the marks of the worker that has unpacked it, which all others must share.
 
     Raises:
-        ValueError: If the job cannot be sent, or workers have other versions than this process.
+        ValueError: If the job cannot be sent, or the worker has other versions or another precision.
     """
     parcel = parcel_of(job, size)
     there = _result(party.executor.submit(greeting, parcel))
@@ -82,7 +84,7 @@ def met(party: Party, job: Job, size: int) -> Parcel:
 
 
 def addressed(parcel: Parcel, run: Program, keeper: Folder | Store | None) -> Parcel:
-    """A parcel with where results go, and with what the program must be."""
+    """The parcel, which now says where results go and which program it must be."""
     kept = pickle.dumps(keeper) if keeper is not None else b""
     lowered = (run.fingerprint(), jax.local_devices()[0].platform)
     return parcel._replace(keeper=kept, key=run.key(), lowered=lowered)
@@ -97,10 +99,11 @@ def dispatched(
     """Have chunks computed.
 
     Args:
-        party: Those who compute.
+        party: The processes that compute.
         parcel: What they need to know.
-        wanted: The first run of every chunk that is wanted, and what gives its parameters.
-        settle: Takes what came back for a chunk; whether it will do. Else the chunk is sent again.
+        wanted: By the first run of every chunk that is wanted, a function that gives the chunk's parameters.
+        settle: Takes the first run and the receipt of a chunk, and says whether the chunk is done; if not, it
+            is sent again.
     """
     flight = _Flight(party, parcel, wanted, settle)
     try:
@@ -125,7 +128,7 @@ class _Flight:
         self.party, self.parcel, self.wanted, self.settle = party, parcel, wanted, settle
         self.todo, self.under_way = deque(wanted), dict[futures.Future, int]()
         self.tries: Counter[int] = Counter()
-        # With a cache of compiled programs the first chunk compiles for all who share the cache.
+        # With a cache of compiled programs one chunk is sent alone: it compiles for all who share the cache.
         self.alone = parcel.settings["jax_compilation_cache_dir"] is not None
 
     def fill(self) -> None:
@@ -141,7 +144,7 @@ class _Flight:
             self.under_way[sent] = start
 
     def take(self, future: futures.Future) -> None:
-        """Settle a chunk, or see that it is sent again; after the last try raise what came in its place."""
+        """Settle a chunk, or put it back to be sent again; after the last try raise the error of that try."""
         start = self.under_way.pop(future)
         lost = self._lost(future, start)
         if lost is None:
@@ -153,7 +156,7 @@ class _Flight:
         self.todo.append(start)
 
     def _lost(self, future: futures.Future, start: int) -> Exception | None:
-        """What came in the place of a chunk, if it may pass: a full disk, a worker that died; else None."""
+        """The error of a chunk that is worth another try (a full disk, a dead worker); None if it is done."""
         try:
             settled = self.settle(start, _result(future))
         except (OSError, futures.CancelledError) as error:
@@ -167,7 +170,7 @@ class _Flight:
 
 
 def _result(future: futures.Future) -> Any:
-    """What a task gave; raises what it raised."""
+    """What a task returned; raises the error that it raised."""
     try:
         return future.result()
     except futures.BrokenExecutor as error:

@@ -7,7 +7,9 @@ altered is recognised, and computed again.
 Every file is first written under a temporary name and then renamed in one step, so that a process that is
 killed leaves no half-written file under a final name. Several processes may work on one folder: whoever
 computes a chunk holds a lock on a file beside it (`flock`), which the operating system releases when the
-process ends, however it ends. `_sweep` calls `check` and `open` once, and the other methods for every chunk.
+process ends, however it ends. `_sweep` calls `check` and `open` once, and `work_on`, `load` and `store` for
+every chunk; workers (`_sending`) call `write`, and report its failures. A `Store` has a `Folder` too, for its
+manifest, its locks and the checksums of its chunks.
 """
 
 import contextlib
@@ -40,9 +42,9 @@ class Folder:
 
     Args:
         given: Its path.
-        name: Of the argument that it was given as.
-        suffix: Of the files that say which chunks there are.
-        inner: The folder within the one that was given in which these files are.
+        name: The name of the argument that gave it, for errors.
+        suffix: The ending of the files that say which chunks there are.
+        inner: A folder within the given one, where these files are; "" for the given one itself.
     """
 
     def __init__(self, given: Any, name: str = "resume", suffix: str = ".npz", inner: str = "") -> None:
@@ -118,7 +120,7 @@ class Folder:
         self.put(start, held.getbuffer())
 
     def put(self, start: int, data: Any) -> None:
-        """Write the file of a chunk, whatever is in it."""
+        """Write bytes as the file of a chunk."""
         _written(self.chunk(start), data, os.replace)
 
     def warn_of_failure(self, start: int, why: str) -> None:
@@ -156,7 +158,7 @@ class Folder:
                 lock.unlink(missing_ok=True)
 
     def chunk(self, start: int) -> Path:
-        """The file that says that there is a chunk."""
+        """The path of the file of the chunk that begins at a run."""
         return self.path / f"runs_{start:010d}{self.suffix}"
 
     @contextlib.contextmanager

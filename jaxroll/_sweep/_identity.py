@@ -82,7 +82,7 @@ def machine() -> Identity:
 def differences(there: Identity, here: Identity) -> str:
     """What differs between two sweeps, as part of a sentence; empty where nothing does.
 
-    A mark of a program that only one of them has is not compared: it has not been lowered yet.
+    A mark of a program that only one of them has is not compared: the other's is not lowered yet.
     """
     names = [*there, *(name for name in here if name not in there)]
     causes = [n for n in names if n not in _EFFECTS and there.get(n) != here.get(n)]

@@ -2,8 +2,8 @@ r"""Parameters of many runs, by name: columns, grids, products, and samples that
 
 `Parameters` holds one array for each name, with a common leading axis of rows, as `sweep` takes them: it is a
 pytree, so that the `make` of a sweep gets one row of the same class, and reads `p.damping`. A grid is the
-product of its axes, the last of which changes fastest, and remembers their lengths: `shaped` gives what was
-kept of the rows the axes of the grid. Samples are SciPy's (`scipy.stats.qmc`).
+product of its axes, the last of which changes fastest, and remembers their lengths: `shaped` turns an axis of
+rows into the axes of the grid. Samples are SciPy's (`scipy.stats.qmc`).
 """
 
 import math
@@ -17,7 +17,7 @@ import numpy as np
 from .._printing import is_code, shown_value
 from .._results import as_array, as_count, shown, traced
 
-# So many rows fit into a machine's memory.
+# The most rows: more would not fit into a machine's memory.
 _MOST = 10**9
 
 
@@ -38,8 +38,8 @@ class Parameters(eqx.Module):
     Attributes:
         names: In the order in which they were given.
         columns: One array for each name.
-        shape: Lengths of the axes along which rows are laid out: (n,), but one for each axis of a grid.
-        axes: For each of these which names change along it.
+        shape: Lengths of the axes along which rows are laid out: (n,), or of a grid one for each of its axes.
+        axes: For each of these axes, the names that change along it.
         units: By name, "" where none was given; pictures and tables write them.
 
     Raises:
@@ -101,8 +101,8 @@ class Parameters(eqx.Module):
         random, where n is a power of two. More points with the same seed begin with the same ones.
 
         Args:
-            count: How many.
-            seed: Of the scrambling.
+            count: How many points.
+            seed: Seeds the scrambling.
             **ranges: By name (low, high), or (low, high, "log") for numbers whose logarithm is even.
 
         Raises:
@@ -127,11 +127,11 @@ class Parameters(eqx.Module):
 
     @classmethod
     def latin_hypercube(cls, count: int, /, *, seed: int = 0, **ranges: Any) -> "Parameters":
-        """Points of which each name has one in every n-th part of its range.
+        """Points of a Latin hypercube: each of n equal parts of each name's range holds one of the n points.
 
         Args:
-            count: How many.
-            seed: Of the order in which parts are taken, and of the places in them.
+            count: How many points.
+            seed: Seeds the order in which the parts are taken, and the places within them.
             **ranges: By name (low, high), or (low, high, "log") for numbers whose logarithm is even.
 
         Raises:
@@ -195,7 +195,7 @@ class Parameters(eqx.Module):
         return dict(zip(self.names, self._units, strict=True))
 
     def with_units(self, **units: str) -> "Parameters":
-        """A copy that knows the units of some of its names.
+        """A copy with units for some of its names.
 
         Raises:
             ValueError: If there is no such name, or a unit is not text.
@@ -209,7 +209,7 @@ class Parameters(eqx.Module):
         return _changed(self, _units=tuple((self.units | units).values()))
 
     def shaped(self, values: Any) -> Any:
-        """What was kept of the rows, with the axes of the grid in the place of the axis of rows.
+        """Arrays with one entry for each row, with the axes of the grid in the place of the axis of rows.
 
         Args:
             values: A pytree of arrays with leading axis n, such as what `sweep` returns.
@@ -319,7 +319,7 @@ def _changed(parameters: Parameters, **fields: Any) -> Parameters:
 
 
 def _named(given: dict[str, Any]) -> dict[str, Any]:
-    """What is given by name, if there is any, and no name is one that the class has itself."""
+    """What was given by name; raises if that is nothing, or a name is an attribute of the class."""
     if not given:
         raise ValueError("argument columns must be one or more arrays by name, but there was none")
     own = {*Parameters.__dataclass_fields__, *vars(Parameters)}
@@ -333,7 +333,7 @@ def _named(given: dict[str, Any]) -> dict[str, Any]:
 
 
 def _column(name: str, value: Any) -> np.ndarray:
-    """A column as a NumPy array of finite numbers or truth values; of no axes where it is one number."""
+    """A column as a NumPy array of finite numbers or truth values; without axes if it is a single number."""
     wanted = f"argument {name} must be a number or an array of numbers, but was {shown(value)}"
     if traced(value):
         raise ValueError(f"{wanted}: parameters are known before anything is traced")
@@ -341,7 +341,7 @@ def _column(name: str, value: Any) -> np.ndarray:
         array = np.array(value)  # a copy, which the caller cannot change later
     except (TypeError, ValueError, OverflowError):
         raise ValueError(wanted) from None
-    # NumPy would drop the mask of a masked array and take the numbers under it for parameters, or codes' own.
+    # NumPy would take the numbers under the mask of a masked array for parameters, and those of codes too.
     if array.dtype.kind not in "fiub" or isinstance(value, np.ma.MaskedArray) or is_code(value):
         raise ValueError(wanted)
     if array.ndim and not array.size:
@@ -359,7 +359,12 @@ def _axis(name: str, values: Any) -> np.ndarray:
 
 
 def _as_rows(key: Any, count: tuple[int, ...]) -> Any:
-    """What chooses rows of `count` ones: one number, a slice, or a list of numbers or of truth values."""
+    """A key that chooses rows, checked: one number, a slice, or a list of numbers or of truth values.
+
+    Args:
+        key: What was asked for.
+        count: The number of rows, as a shape (n,); () for a single row, which has none.
+    """
     if not count:
         raise IndexError(f"argument key must be a name, of one row, but was {shown(key)}")
     if isinstance(key, slice) or traced(key):
@@ -407,5 +412,5 @@ def _stretch(name: str, ends: Any) -> Callable[[np.ndarray], np.ndarray]:
         raise ValueError(
             f"argument {name} must begin above zero on a scale of logarithms, but was {shown(ends)}"
         )
-    # Rounding must not lead past the ends; the quotient of far ones may be no number.
+    # Clipped, for rounding must not lead past the ends; by powers, for the quotient high / low may overflow.
     return lambda u: np.clip(low ** (1.0 - u) * high**u, low, high)

@@ -4,12 +4,12 @@ A chunk is `vmap` over its rows of: `make` a grasp and a state of the row, `simu
 JAX would look for the compiled program under the identity of the Python function, which is a trap: a function
 that closes over a variable keeps its identity when the variable changes, so that the old numbers would be
 computed again. Therefore the function is traced anew every time, and the compiled program is looked for under
-the fingerprint of the jaxpr, its constants included. The same holds of functions in the grasp, such as a
-law, within the program of a run, which JAX keeps too: a run is traced in a context (`_AS_NOW`) that names
-what they hold now.
+the fingerprint of the jaxpr, its constants included. Functions in the grasp, such as a law, are the same
+trap: JAX keeps the trace of a run by their identity. So a run is traced in a context (`_AS_NOW`) that names
+what these functions hold now.
 
-`_sweep` calls the `Program`; `of_make` and `of_keep` serve `_identity`, which must say which of the caller's
-functions has changed.
+`_sweep` and `_sending` call the `Program`. By `of_make` and `of_keep` `_sweep` marks the caller's functions,
+so that a folder can say which of them has changed.
 """
 
 from collections import OrderedDict
@@ -74,10 +74,10 @@ def as_now(still: Any) -> AbstractContextManager[Any]:
 
 
 def _held(still: Any) -> Any:
-    """What stands for all that functions hold: a fingerprint; of what nests too deeply, nothing else."""
+    """A fingerprint of all that functions hold."""
     try:
         return fingerprint(still)
-    except RecursionError:
+    except RecursionError:  # it nests too deeply: a context like no other, so that JAX traces anew
         return object()
 
 
@@ -94,7 +94,7 @@ def made(make: Callable, row: Any) -> tuple[Grasp, State]:
 
 
 def answer(name: str, function: Callable, given: Any) -> tuple[Any, list[Any]]:
-    """What a caller's function returns, and its leaves; of what is no pytree there are none."""
+    """What a caller's function returns, and its leaves: none if that is not a pytree."""
     with traceable(name):
         out = function(given)
     try:
@@ -179,8 +179,9 @@ def program(job: Job, rows: Any) -> Program:
 def _traced(function: Callable, *args: Any) -> Any:
     """The traced program of a function, which must have been created for this call.
 
-    For a function that it has traced before, JAX would return that trace. Its lowered program takes all
-    arguments: without those that it does not use, it is the same whichever of two parameters it reads.
+    For a function that it has traced before, JAX would return that trace. The lowered program takes all
+    arguments, unused ones too: else a program that reads one of two parameters would be the same as a program
+    that reads the other.
     """
     found = jax.jit(function, keep_unused=True).trace(*args)
     # Inside an outer `jit` or derivative, JAX passes what the function closes over of the outer trace as

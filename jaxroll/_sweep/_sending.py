@@ -1,13 +1,13 @@
 """What is sent to other processes to have chunks computed there, and what is done with it on arrival.
 
 A `Parcel` holds the job as bytes (`packed`), so that whatever carries it, a scheduler of dask or a pipe, need
-know nothing of JAX. A worker unpacks and traces a job once, and compiles it with its first chunk; every
-further chunk is parameters in, results to the folder or the store, and a `Receipt` back. `_dispatch` is the
-other end.
+know nothing of JAX. A worker unpacks and traces a job once, and compiles it with its first chunk. For every
+chunk it takes parameters, writes the results to the folder or the store, and sends back a `Receipt`.
+`_dispatch` is the other end.
 
 Two processes compute the same numbers if they have the same versions, processor, flags and precision, and
-trace the same program. All of it is compared before the first run of a worker, so that a function which is
-another one there, as a module of the caller's that was not brought up to date, is an error and no result.
+trace the same program. All of it is compared before a worker computes anything. So if a function is another
+one there, because a module of the caller's is out of date on that machine, that is an error.
 """
 
 import contextlib
@@ -61,7 +61,7 @@ class Parcel(NamedTuple):
         job: The pickled `Job`.
         settings: Settings of JAX.
         size: Runs in a chunk.
-        keeper: The pickled `Folder` or `Store`; None where results are sent back.
+        keeper: The pickled `Folder` or `Store`; empty where results are sent back.
         there: Marks of the processes that compute; None as long as they are not known.
         key: Fingerprint of the traced program.
         lowered: Fingerprint of the lowered program, and the kind of device that it was lowered for.
@@ -86,7 +86,7 @@ class Receipt(NamedTuple):
 
     Attributes:
         leaves: Its results, where they were not written by the worker.
-        failure: Why they were not, although they should have been.
+        failure: Why the worker could not write them, if it was to; else empty.
     """
 
     leaves: list[Any] | None = None
@@ -130,7 +130,7 @@ def _dumps_by_name(job: Any) -> bytes:
     try:
         return pickle.dumps(job)
     except Exception as error:
-        # Functions defined within others, or at the prompt, are what this is mostly about.
+        # Mostly these are functions that were defined within others, or at the prompt.
         raise missing_library("cloudpickle", "cluster") from error
 
 
@@ -168,7 +168,7 @@ def _parts_of(value: Any) -> dict[str, Any]:
 
 
 def greeting(parcel: Parcel) -> Identity:
-    """Marks of the process that is asked, once it has unpacked the job."""
+    """Marks of the worker that runs this; raises if it cannot unpack the job."""
     _check_fresh()
     with _set_as(parcel.settings):
         _unpickled(parcel.job)
@@ -176,7 +176,7 @@ def greeting(parcel: Parcel) -> Identity:
 
 
 def chunk_done(parcel: Parcel, start: int, rows: Any) -> Receipt:
-    """Have the chunk that begins at a run where it belongs: computed here, unless it is there already."""
+    """Compute the chunk that begins at a run and write it or send it back, unless it is written already."""
     _check_fresh()
     with _set_as(parcel.settings):
         return _ready(parcel, rows).chunk(start, rows)
@@ -225,7 +225,7 @@ def _ready(parcel: Parcel, rows: Any) -> "_Ready":
 
 
 class _Ready:
-    """A job in a process that computes: its program, and where results go."""
+    """A job in a worker: its program, and where results go."""
 
     def __init__(self, parcel: Parcel, rows: Any) -> None:
         here = machine()

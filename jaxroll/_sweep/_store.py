@@ -3,13 +3,14 @@
 Every array has the runs as its first dimension and one Zarr chunk for each chunk of the sweep, so that
 writers never meet in a file. All arrays are laid out before the first run, with names, units, parameters and
 what the sweep is, so that the store can be opened while it fills: runs that are not there yet have `stored`
-False, NaN for numbers and the code -1.
+False, NaN for floating numbers, and -1 for whole numbers and codes.
 
 One array, `sweep`, has no numbers: its attributes say what the sweep is. In its folder, where Zarr looks for
 nothing else, lie the manifest and the locks of a `Folder`, and for each finished chunk a file with the
-checksum of its parameters and results, written last. A chunk without it, or with other contents than it says,
-is worked out again. The manifest says which sweep the store is of but for the parameters: these stand in the
-store, and more of them may follow. This is the only door to zarr, which is imported with its first use.
+checksum of its parameters and results, written last. A chunk without this file, or whose contents do not have
+that checksum, is worked out again. The manifest says which sweep the store is of, all but the values of its
+parameters: these stand in the store, and more of them may follow. This is the only door to zarr, which is
+imported with its first use.
 """
 
 import contextlib
@@ -34,11 +35,11 @@ from ._identity import Identity, Mark
 from ._parameters import laid_out, Parameters
 
 _RUN = "run"
-# Whether the store has a run yet, by run; and what it says of the sweep.
+# Names of arrays: whether the store has a run yet, and the one whose attributes say what the sweep is.
 _STORED, _SWEEP = "stored", "sweep"
-# What results have for the times that they save.
+# Name and dimensions of the saved times among results.
 _TIMES = ("ts", (_RUN, "time"))
-# Marks whose words say nothing, or what the arrays do.
+# Marks that are not written as attributes: their words say nothing, or what the arrays say themselves.
 _EFFECTS = ("make", "keep", "program", "parameters")
 # Seconds after which writing a chunk is tried again: what was full for a moment, or a server that did not
 # answer, may be there again.
@@ -75,7 +76,7 @@ class Store:
             )
 
     def __getstate__(self) -> dict[str, Any]:
-        """Other processes open the arrays, and trace the structure of what they hold, for themselves."""
+        """All but the rows, the open arrays, and what `fit` takes from the program of another process."""
         return vars(self) | {"results": None, "labels": None, "_arrays": {}, "rows": None}
 
     def check(self, here: Identity) -> None:
@@ -102,7 +103,7 @@ class Store:
             raise self._failure(error) from error
 
     def fit(self, run: Any) -> None:
-        """Take over from a program how its results are made up, and what they are called."""
+        """Take from a program the structure of its results and their names."""
         if getattr(run.results, "dense", None) is not None:
             raise ValueError(
                 "argument record must not hold 'dense' where store is given, since steps make no table; keep "
@@ -136,7 +137,7 @@ class Store:
         if whole:
             path.with_suffix(".lock").unlink(missing_ok=True)
             return []
-        # A last chunk with fewer runs than it is to have now is none that something has happened to.
+        # If parameters were appended, the last chunk has fewer runs than it is to have: that is no damage.
         missing = self._span(start).stop - start - told.get("runs", 0)
         grown = missing > 0 and told.get("sweep") == self.folder.sweep
         if not quiet and not grown:

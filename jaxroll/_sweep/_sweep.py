@@ -75,9 +75,9 @@ def sweep(
 
     Args (daily use):
         make: From one row of parameters to a grasp and a state on its constraints, by JAX operations;
-            `close` may be inside. Every sweep traces it anew, in milliseconds, and so sees what it closes
-            over, and laws and loads of its grasp do, as that is now; what has been compiled is used again
-            for whatever is the same program.
+            `close` may be inside. Every sweep traces it anew, in milliseconds, and so sees the present values
+            of variables that it, or a law or load of its grasp, closes over; a compiled program is used again
+            where the traced one is the same.
         parameters: A pytree of arrays with a leading axis n.
         t1: Final time [s].
         keep: What to keep of every `Trajectory`, as a pytree of arrays. Default: all of it.
@@ -85,8 +85,8 @@ def sweep(
         chunk: Runs per program call.
         progress: Whether to report chunks, speed and time left on standard error.
         resume: A folder where finished chunks are written, and looked for first (see below).
-        store: A folder that becomes a table of all runs, in the format of Zarr, chunk by chunk; resumed like
-            `resume`, in the place of which it stands. Needs the extra `data`.
+        store: A folder that becomes a table of all runs, in the format of Zarr, chunk by chunk. It stands in
+            the place of `resume`, and is resumed in the same way. Needs the extra `data`.
         client: Who computes instead of this process: a `dask.distributed.Client`, or any
             `concurrent.futures.Executor` whose processes start afresh. Needs the extra `cluster` for
             functions that no module names. The page jaxroll/_sweep/README.md has recipes.
@@ -101,25 +101,25 @@ def sweep(
     Raises:
         ValueError: If an argument does not fit, the arrays of `parameters` have no common leading axis,
             `resume` or `store` hold a different sweep, something cannot be sent to the processes of `client`,
-            or these are not like this one.
+            or these differ from this one in versions or precision, or from each other.
         OSError: If `store` cannot be written, after several tries.
         ImportError: Without the extras.
 
     Runs that fail carry their code (`result`); the others are untouched.
     Resuming: the folder's `sweep.json` says which sweep it is of: lowered programs and constants of `make`
     and `keep`, options, `t1`, parameters, size of chunks, versions, precision and processor. If any of these
-    is another the sweep is refused, and the sentence names it. A chunk that is damaged or not of this sweep
+    differs, the sweep is refused, and the error names it. A chunk that is damaged or not of this sweep
     is worked out again, with a warning that names the file. A process may be killed at any moment; several
-    processes with one folder share the work. Before anything is compiled a resumed sweep lowers its program
-    once more to know it, which takes some tenths of a second; other sweeps pay nothing for that.
-    Stores: named arrays with the dimension `run`, one for each array that is kept, called what its record
-    calls it (`Trajectory.to_xarray`), after the key of a dict, or `kept`; the parameters under their names;
+    processes with one folder share the work. With a folder, store or client the program is lowered once more
+    for its fingerprint, before anything is compiled, which takes some tenths of a second.
+    Stores: named arrays with the dimension `run`, one for each array that is kept. Its name is the one that
+    its record gives it (`Trajectory.to_xarray`), the key of a dict, or `kept`. Then the parameters by name;
     `stored`, whether a run is there; and `sweep`, whose attributes are versions, options and processor.
     `xarray.open_zarr(path, chunks=None)` opens it at any time. Longer `parameters` that begin with those
     that are stored append their runs.
     Clients: a chunk is a task; where a folder or a store is given, workers write there and only a receipt
-    comes back. A worker that dies costs its chunk, which dask sends to another. The numbers are those of a
-    sweep in this process, to the last bit, if the processors have the same instructions.
+    comes back. Of a worker that dies dask sends the chunk to another one. The numbers are those of a sweep in
+    this process, to the last bit, if the processors have the same instructions.
 
     Example:
         >>> import jax.numpy as jnp
@@ -214,7 +214,7 @@ def _keeper(
 
 
 def _resumed(keeper: Folder | Store, job: Job, rows: Any, extent: Extent, there: Identity) -> Program:
-    """The program, once folder or store are checked or claimed for this sweep; nothing is compiled.
+    """The program, after folder or store is checked and claimed for this sweep; nothing is compiled.
 
     The cheapest comparisons come first: values and versions, then the lowered program of `make`, and last the
     program of the runs. `there` are marks of the workers, where others than this process compute.
@@ -256,7 +256,7 @@ def _pieces(
         keeper: Where finished chunks are; None if the sweep is not to be resumed. Of chunks in a store there
             is an empty list each: their results stay there.
         progress: Whether to report on standard error.
-        helpers: Who computes instead of this process, and what they are sent.
+        helpers: The processes that compute instead of this one, and what they are sent; None for none.
     """
     forms, tree = jax.tree.leaves(run.results), jax.tree.structure(run.results)
     found: dict[int, Any] = {}
@@ -276,7 +276,7 @@ def _pieces(
         return leaves is not None
 
     def settle(start: int, receipt: Receipt) -> bool:
-        """Take over what a worker made of a chunk; whether it can be read here."""
+        """Note the results of a chunk, sent back or written by the worker; whether they were found."""
         if receipt.failure and isinstance(keeper, Folder):
             keeper.warn_of_failure(start, receipt.failure)
         if receipt.leaves is not None or keeper is None:

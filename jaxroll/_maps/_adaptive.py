@@ -31,9 +31,9 @@ from .._sweep import answer, as_now, Parameters
 from .._xla import WIDE
 from ._cells import between, halved_lines, Spread, wanted_points
 
-# Runs in a chunk by default: less than a sweep's, since of each round's last chunk a part is run for nothing.
+# Runs in a chunk by default: fewer than in a sweep, since part of each round's last chunk is run for nothing.
 _CHUNK = 256
-# Halvings: a coarse cell of a million steps along each axis is the whole of any grid.
+# The most halvings: a coarse cell of 2^20 steps along each axis is as large as any grid.
 _MOST_LEVELS = 20
 
 
@@ -44,7 +44,8 @@ class AdaptiveMap(eqx.Module):
         parameters: The grid.
         values: What the outcome returned, with the axes of the grid first; filled in where nothing was run.
         ran: Shape of the grid: which points were run.
-        spent: How many runs the program did: those of `ran`, and those that filled its last chunks.
+        spent: How many runs the program did: those of `ran`, and copies that filled the last chunk of a
+            round.
     """
 
     parameters: Parameters
@@ -79,8 +80,8 @@ def adaptive_map(
     all axes, and the new points are run, wherever the points known on it or on its border differ in a code,
     or in a value by more than its tolerance; and so on, down to the cells of the grid. A cell that was left
     whole is halved later where a neighbour's point on their border differs. So a boundary that is met
-    anywhere is followed to both of its ends, each point of it between two neighbouring points of the grid
-    that were run.
+    anywhere is followed to both of its ends, and each point of it lies between two neighbouring points of the
+    grid that were run.
 
     **What is missed**: whatever no point shows. A region that lies between the coarse points, so narrower
     than 2**levels steps of the grid along some axis, and does not reach one of them or a boundary that is
@@ -97,11 +98,11 @@ def adaptive_map(
             halved where they change by more. Default: only codes decide, and values are interpolated.
     Args (rarely changed):
         chunk: Runs per program call; each round of halving fills its last chunk with repeated runs.
-        progress: Whether to report runs and speed on standard error; how many there will be nobody knows.
+        progress: Whether to report runs and speed on standard error; their number is not known beforehand.
 
     Returns:
-        An `AdaptiveMap`. Where nothing was run a code is that of the cell's corners, which have one, and a
-        value is interpolated between them, linearly by the places of the points in the grid.
+        An `AdaptiveMap`. At points that were not run, a code is the one that all corners of the cell have,
+        and a value is interpolated between the corners, linearly in the indices of the grid.
 
     Raises:
         ValueError: If an argument does not fit, or the outcome has neither a code nor a value with a
@@ -151,7 +152,7 @@ def adaptive_map(
 
 
 def _check_order(grid: Parameters) -> None:
-    """Raise where an axis has no order, as samples have none: what lies between its points says nothing."""
+    """Raise where the values along an axis neither rise nor fall: then nothing lies between its points."""
     for names in grid.axes:
         along = {name: np.asarray(grid.axis(name)) for name in names}
         if not any(values.ndim > 1 or _is_ordered(values.astype(float)) for values in along.values()):
@@ -174,7 +175,7 @@ def _any_exceeds(spreads: list[tuple[Spread, float]], lines: Any) -> np.ndarray:
 def _spreads(
     found: list[np.ndarray], known: np.ndarray, limits: list[float | None]
 ) -> list[tuple[Spread, float]]:
-    """What decides where to refine: codes, values with their limits, and which of these are no numbers."""
+    """What decides where to refine, with limits: codes, values, and codes of values that are not finite."""
     spreads = []
     for values, limit in zip(found, limits, strict=True):
         if values.dtype.kind != "f":
@@ -200,7 +201,7 @@ def _limits(results: Any, tolerance: Any) -> list[float | None]:
             f"argument tolerance must be for names that the outcome has, {shown(known)}, but was for "
             f"{shown(list(tolerance))}"
         )
-    # Every number is looked at, also one that is for values which decide by their codes alone.
+    # Every tolerance is checked, also one for codes, which have no use for it.
     each = {name: _tolerance(given) for name, given in tolerance.items()} if named else _tolerance(tolerance)
     limits = []
     for path, form in jax.tree.leaves_with_path(results):
@@ -241,7 +242,7 @@ class _Program:
 
     def __init__(self, outcome: Callable, grid: Parameters, size: int) -> None:
         self.grid, self.size = grid, size
-        # JAX keeps traces of the runs inside by their functions, whatever these hold since.
+        # JAX keeps the trace of a run by the identity of its functions, though what these hold may change.
         with as_now(outcome):
             traced = jax.jit(jax.vmap(lambda p: _outcome_of(outcome, p)), compiler_options=WIDE).trace(
                 self._rows(np.zeros(size, int))
@@ -254,7 +255,7 @@ class _Program:
         return jax.tree.map(lambda x: jnp.asarray(x[index]), self.grid)
 
     def run(self, todo: np.ndarray, found: list[np.ndarray]) -> Iterator[int]:
-        """Run some rows and put what comes of them into the map's arrays; how many each chunk had."""
+        """Run rows, put their outcomes into the arrays of the map, and yield how many each chunk had."""
         for start in range(0, len(todo), self.size):
             # Copies of the last row fill the last chunk.
             index = todo[np.minimum(np.arange(start, start + self.size), len(todo) - 1)]

@@ -1,8 +1,9 @@
-"""Cells of a grid, halved again and again: which of them hold a change, and what stands between known points.
+"""Cells of a grid, halved again and again: which of them hold a change, and values between known points.
 
-A level is one list of indices for each axis of the grid, its lines; between them lie its cells. Each level
-has the lines of the one before, and one more in the middle of every cell that is wider than one step of the
-grid. Any number of axes. `_adaptive` runs what is asked for here.
+A level has for each axis of the grid a list of indices, its lines; between these lie its cells. Each level
+has the lines of the one before, and those half way between them. The last cell of an axis may be narrower
+than the others, and is then halved later. A grid may have any number of axes. `_adaptive` runs the points
+that are wanted here.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,12 +14,12 @@ Lines = tuple[np.ndarray, ...]
 
 
 def halved_lines(shape: Sequence[int], levels: int) -> list[Lines]:
-    """Lines of all levels: every 2**levels-th index and the last one, then every half of it, down to all."""
+    """Lines of all levels: every 2**levels-th index and the last one, with half that step each time, to 1."""
     return [tuple(np.unique([*range(0, n, 2**k), n - 1]) for n in shape) for k in range(levels, -1, -1)]
 
 
 class Spread:
-    """Least and largest of what is known, where `known` is True; values elsewhere count for nothing."""
+    """Least and largest of the values in each cell, of those that are `known` and finite."""
 
     def __init__(self, values: np.ndarray, known: np.ndarray) -> None:
         # Further axes of one point's value count one by one.
@@ -44,7 +45,8 @@ class Spread:
 def _over_cells(choose: np.ufunc, values: np.ndarray, lines: Lines) -> np.ndarray:
     """The extreme of every closed cell: one axis after the other."""
     for axis, at in enumerate(lines):
-        # From each line to before the next one, then with that; the last stretch has its own end already.
+        # `reduceat` takes a cell from its first line up to the second one, which is added here. Its last
+        # stretch goes to the end of the axis, and so holds that line already.
         inside = choose.reduceat(values, at[:-1], axis=axis)
         values = choose(inside, np.take(values, at[1:], axis=axis))
     return values
@@ -53,9 +55,10 @@ def _over_cells(choose: np.ufunc, values: np.ndarray, lines: Lines) -> np.ndarra
 def wanted_points(lines: list[Lines], changed: Callable[[Lines], np.ndarray]) -> np.ndarray:
     """Which points of the grid are to be known, given which cells hold a change by what is known so far.
 
-    All of the coarsest level; and of a cell with a change, if it was made by splitting one, those of its
-    halves. Points on a border belong to both sides, so that a change which leaves a cell that was split is
-    followed into its neighbour, however coarse that one is.
+    These are all points of the coarsest level, and the corners of the halves of every cell that holds a
+    change and is one of the coarsest, or a half of another such cell. A point on a border belongs to the
+    cells on both sides, so that a change that leaves a halved cell is followed into the next one, however
+    coarse.
     """
     wanted = np.zeros(tuple(len(at) for at in lines[-1]), bool)
     wanted[np.ix_(*lines[0])] = True
@@ -94,7 +97,7 @@ def between(values: np.ndarray, known: np.ndarray, lines: list[Lines]) -> np.nda
 
 
 def _stretched(block: np.ndarray, axis: int, coarse: np.ndarray, fine: np.ndarray) -> np.ndarray:
-    """Values along one axis at more lines."""
+    """Values at more lines along one axis."""
     below = np.searchsorted(coarse, fine, side="right") - 1
     above = np.minimum(below + 1, len(coarse) - 1)
     low = np.take(block, below, axis=axis)
@@ -106,5 +109,5 @@ def _stretched(block: np.ndarray, axis: int, coarse: np.ndarray, fine: np.ndarra
     high = np.take(block, above, axis=axis)
     with np.errstate(invalid="ignore"):  # infinity less infinity
         mixed = low + share * (high - low)
-    # On a line the next one has no part, not even one that is NaN; between two infinities it is as they are.
+    # On a line the next one has no share, and must not pass on its NaN; two equal infinities give no NaN.
     return np.where((share > 0.0) & (low != high), mixed, low)

@@ -1,8 +1,9 @@
 r"""Named reductions: what to keep of every run of a sweep, worked out inside the compiled program.
 
 `measures("settling_time", "result")` is a function of a trajectory for the `keep` of `sweep`: states that
-nobody asked for never leave the program. The measures of motion and force are those of `jaxroll.design`; here
-are those of a run's end and of its energy, and the table of all with what each needs to be recorded.
+nobody asked for never leave the program. Most measures of motion and force are those of `jaxroll.design`;
+here are those of a run's end, its least force and its energy, and the table of all measures, which says what
+a run must record for each.
 """
 
 from collections.abc import Callable
@@ -17,7 +18,7 @@ from .._results import check_callable, RESULTS, shown
 from .._types import Scalar
 from ..design import friction_demand, overshoot, peak_force, settling_time, tracking_error
 
-# A measure over time is none of one saved state; `ts` of `sweep` is 1 by default.
+# The fewest saved states for a measure over time. By default `sweep` saves one, which is too few.
 _LEAST_TIMES = 3
 
 
@@ -45,8 +46,8 @@ def measures(*names: str, **own: Callable[[Trajectory], Any]) -> "Measures":
     | `result` | the code of `jaxroll.RESULTS` with which the run ended |
     | `t_end` | the time that it reached [s] |
     | `steps` | attempted steps |
-    | `first_event` | `result`, `time` [s] and `contact` (finger or joint) of what ended it; NaN, -1 without |
-    | `margin` | what ran out at that end (`stats.margin`): zero, to rounding; infinite where nothing did |
+    | `first_event` | `result`, `time` [s] and `contact` (finger or joint) of an early end; else NaN, -1 |
+    | `margin` | the margin that ended it (`stats.margin`): zero, to rounding; infinite where none did |
     | `final_state` | the last `State` |
     | `final_pose` | its coordinates q: of the object, then of the fingers [m, rad] |
     | `settling_time` | of the contact coordinates [s], as `design.settling_time`: needs `ts` |
@@ -58,10 +59,10 @@ def measures(*names: str, **own: Callable[[Trajectory], Any]) -> "Measures":
     | `energy_lost` | energy at the first saved state less that at the last [J]: needs `ts`, and "energy" |
     | `energy_residual` | largest error of the energy balance [J]: needs the same |
 
-    What `ts` is needed for looks at the saved states, some tens of them; extremes between two of these are
-    not seen. `Measures.record` is the `record` that the names need. A run that ended early has come to rest
-    nowhere: its settling time, overshoot and tracking error are NaN, its forces and energies those of the
-    part that was reached.
+    Measures that need `ts` look at the saved states, which should be some tens; extremes between two of these
+    are not seen. `Measures.record` is the `record` that the names need. A run that ended early has not come
+    to rest: its settling time, overshoot and tracking error are NaN, and its forces and energies are those of
+    the part that was reached.
 
     Args:
         *names: From the table.

@@ -13,6 +13,8 @@ from matplotlib.colors import to_rgb
 from PIL import Image
 
 from jaxroll import plotting
+from jaxroll.plotting import _page
+from jaxroll.plotting._forces3 import Pushes
 from jaxroll.plotting._page import write_page
 from jaxroll.plotting._page_parts import controls, page_times
 from jaxroll.plotting._page_plane import plane_figure
@@ -196,6 +198,19 @@ def test_a_page_of_the_plane_moves_what_moves(tmp_path):
     assert "1 N as" in names[-1] and figure.data[-1].x[0] == figure.frames[0].data[-1].x[0]
     path = plotting.page(grasp, run, tmp_path / "plane.html")
     assert path.stat().st_size > 3e6
+
+
+def test_a_page_in_space_shows_the_force_of_loads_where_it_acts():
+    grasp, motion, _ = stand_in_grasp.stand_in(5)
+    scene = scene3(grasp, motion, rows=6, columns=8)
+    contacts, load, at = np.ones((2, 5, 3)), np.full((5, 3), 2.0), np.full((5, 3), 7.0)
+    alone = _page._moving(scene, 3, Pushes(contacts))[-1]
+    loaded = _page._moving(scene, 3, Pushes(contacts, load, at))[-1]
+    for axis in "xyz":  # each arrow has six points: it begins at the first and ends at the second
+        assert len(alone[axis]) == 12 and len(loaded[axis]) == 18
+        np.testing.assert_array_equal(loaded[axis][12:14], [5.0, 7.0])
+    names = [_page._still(scene, Pushes(contacts, *more))[-1]["name"] for more in ((), (load, at))]
+    assert names[0].startswith("contact force on") and names[1].startswith("force on")
 
 
 def test_a_page_without_plotly_says_what_to_install(monkeypatch, tmp_path):

@@ -80,8 +80,8 @@ def page(
 
     It opens at the start. The file needs nothing else, no network either: plotly's script is within, 4.8 MB,
     and each frame adds some 40 kB for an object and two fingertips in space. Every frame is the saved state
-    nearest to a round time. Contact forces on the object are drawn, with their scale, where they were
-    recorded.
+    nearest to a round time. Where contact forces were recorded, they and the force of all loads are drawn on
+    the object, with their scale.
 
     Args:
         grasp: The grasp that was simulated.
@@ -174,7 +174,8 @@ def _still(scene: Scene3, arrows: Pushes | None) -> list[dict[str, Any]]:
     found.append({"mode": "lines", "line": line, "name": "contact: ring in the tangent plane"})
     if arrows is not None:
         line = {"color": FORCE_COLOUR, "width": 7}
-        name = f"contact force on the object, 1 N as {arrows.scale:.2g} mm"
+        what = "contact force" if arrows.load is None else "force"
+        name = f"{what} on the object, 1 N as {arrows.scale:.2g} mm"
         found.append({"mode": "lines", "line": line, "name": name})
     return found
 
@@ -193,9 +194,12 @@ def _moving(scene: Scene3, i: int, arrows: Pushes | None) -> list[dict[str, Any]
 
 
 def _acting(scene: Scene3, i: int, arrows: Pushes) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Where each contact force acts, and the force as an arrow that ends there [mm]."""
+    """Where each force acts, and its arrow, which ends there [mm]: those of contacts, then that of loads."""
     points = [locus.at(i)[0][i] for locus in scene.on_object]
-    return list(zip(points, arrows.contacts[:, i], strict=True))
+    found = list(zip(points, arrows.contacts[:, i], strict=True))
+    if arrows.load is not None and arrows.at is not None:
+        found.append((arrows.at[i], arrows.load[i]))
+    return found
 
 
 def _shaft(point: np.ndarray, force: np.ndarray) -> np.ndarray:

@@ -169,7 +169,7 @@ def test_pinch3d_demo_writes_its_figures_and_a_report(tmp_path):
 
 
 def test_the_command_line_says_how_to_get_a_page(monkeypatch, tmp_path):
-    monkeypatch.setattr(_page_module, "_plotly", _no_plotly)
+    monkeypatch.setattr(_page_module, "plotly_door", _no_plotly)
     grasp, state = jxr.scenes.incline()
     run = jxr.simulate(grasp, state, t1=0.1, ts=3)
     names = []

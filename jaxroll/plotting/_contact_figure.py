@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, Polygon
 
 from .._analysis import contact_geometry
-from .._mechanics import check_planar, check_states, Grasp, State
+from .._mechanics import check_planar, Grasp, State
 from .._results import as_count
 from ._doors import guarded
 from ._outlines import Outline
@@ -62,7 +62,6 @@ def contact_figure(grasp: Grasp, state: State, *, contact: int = 0, ax: Axes | N
         2
     """
     check_planar(grasp)
-    check_states(grasp, state)
     contact = as_count("contact", contact, least=0)
     if contact >= len(grasp.contacts):
         raise ValueError(f"argument contact must be below {len(grasp.contacts)}, but was {contact}")

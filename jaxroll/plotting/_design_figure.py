@@ -15,10 +15,11 @@ from ..geometry import AbstractContour, tabled
 from ..stability import margin
 from ._doors import guarded
 from ._motion3 import rotation_vectors
-from ._outlines import OutlineSamples, sample
+from ._outlines import comb, OutlineSamples, sample
 from ._style import CYCLE, GUIDE, MM, Picture, save_figure, tidy, TIP_FILL
 
-_PLACES, _TEETH = 2049, 150
+# Arclengths at which a contour is drawn.
+_PLACES = 2049
 _NAMES = ("before", "after")
 # Widths [inch] of a line in a legend with the space around it, and of a letter beside it.
 _SIGN, _LETTER = 0.7, 0.075
@@ -94,15 +95,10 @@ def _curve(tip: AbstractContour) -> OutlineSamples:
 
 
 def _shape(ax: Axes, curve: OutlineSamples, pad: OutlineSamples, tooth: float, colour: str) -> None:
-    outward = np.stack([curve.tangents[:, 1], -curve.tangents[:, 0]], axis=1)
-    tips = curve.points + tooth * curve.curvatures[:, None] * outward
-    teeth = np.linspace(0, len(tips) - 1, _TEETH).astype(int)
-    # NaN lifts the pen between two teeth.
-    nothing = np.full((len(teeth), 2), np.nan)
-    comb = np.stack([curve.points[teeth], tips[teeth], nothing], axis=1).reshape(-1, 2)
+    ends, teeth = comb(curve, tooth)
     ax.fill(*curve.points.T, fc=TIP_FILL, ec="none", alpha=0.6)
-    ax.plot(*comb.T, color=colour, lw=0.5, alpha=0.7)
-    ax.plot(*tips.T, color=colour, lw=0.8)
+    ax.plot(*teeth.T, color=colour, lw=0.5, alpha=0.7)
+    ax.plot(*ends.T, color=colour, lw=0.8)
     ax.plot(*curve.points.T, color=GUIDE, lw=1.0)
     ax.plot(*pad.points.T, color=colour, lw=3.0, solid_capstyle="butt")
     ax.plot(0, 0, "o", ms=5, mfc="white", mec=GUIDE)

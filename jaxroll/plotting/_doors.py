@@ -47,7 +47,7 @@ def guarded(figure: _Function) -> _Function:
         if "trajectory" in given:
             check_run(grasp, given["trajectory"])
         if "state" in given:
-            check_states(grasp, given["state"], axes=1)
+            check_states(grasp, given["state"])
         left_out = {name for name in optional if given.get(name) is None}
         if "rest" in given and "rest" not in left_out:
             check_states(grasp, given["rest"], "rest")

@@ -9,12 +9,12 @@ from matplotlib.figure import Figure
 
 from ..geometry import Fit, SurfaceFit, tabled
 from ._doors import guarded
-from ._outlines import OutlineSamples, sample
+from ._outlines import comb, OutlineSamples, sample
 from ._style import CONTACT, FINGER, MM, OBJECT, Picture, tidy, TIP_FILL
 from ._surface_fit_figure import surface_figure
 
+# Arclengths at which the contour is drawn.
 _PLACES = 4097
-_TEETH = 150
 
 
 @guarded
@@ -65,17 +65,11 @@ def fit(fit: Fit | SurfaceFit) -> Figure:
 def _shape(ax: Axes, curve: OutlineSamples, points: np.ndarray, *, closed: bool) -> None:
     if closed:
         ax.fill(*curve.points.T, fc=TIP_FILL, ec="none", alpha=0.5)
-    # The tangent turned right; where the contour is convex the curvature is positive.
-    outward = np.stack([curve.tangents[:, 1], -curve.tangents[:, 0]], axis=1)
     peak = max(float(np.abs(curve.curvatures).max()), 1e-12)
     length = 0.18 * float(np.ptp(curve.points, axis=0).max()) / peak
-    tips = curve.points + length * curve.curvatures[:, None] * outward
-    ax.plot(*tips.T, color=OBJECT, lw=1.0)
-    teeth = np.linspace(0, len(tips) - 1, _TEETH).astype(int)
-    # NaN lifts the pen between two teeth: one line instead of 150.
-    nothing = np.full((len(teeth), 2), np.nan)
-    comb = np.stack([curve.points[teeth], tips[teeth], nothing], axis=1).reshape(-1, 2)
-    ax.plot(*comb.T, color=OBJECT, lw=0.5, label=f"curvature, {peak:.4g} 1/m at most")
+    ends, teeth = comb(curve, length)
+    ax.plot(*ends.T, color=OBJECT, lw=1.0)
+    ax.plot(*teeth.T, color=OBJECT, lw=0.5, label=f"curvature, {peak:.4g} 1/m at most")
     ax.plot(*curve.points.T, color=FINGER, lw=1.6, label="contour")
     size = 3.0 if len(points) < 250 else 1.8
     ax.plot(*points.T, "o", ms=size, color=CONTACT, mew=0.0, label=f"{len(points)} points", zorder=4)
@@ -90,8 +84,7 @@ def _bend(ax: Axes, s: np.ndarray, curve: OutlineSamples, at: np.ndarray, feet: 
 
 
 def _miss(ax: Axes, at: np.ndarray, off: np.ndarray, feet: OutlineSamples) -> None:
-    outward = np.stack([feet.tangents[:, 1], -feet.tangents[:, 0]], axis=1)
-    residuals = MM * np.sum(off * outward, axis=1)
+    residuals = MM * np.sum(off * feet.outward, axis=1)
     ax.axhline(0.0, color="#BBBBBB", lw=0.7, zorder=0)
     ax.vlines(MM * at, 0.0, residuals, color=CONTACT, lw=0.7)
     ax.plot(MM * at, residuals, "o", ms=2.2, color=CONTACT, mew=0.0)

@@ -26,14 +26,12 @@ from ..geometry import (
 )
 from ..geometry.surfaces import surface_net
 from ._motion3 import matrices
-from ._rays import inside, radii
+from ._rays import inside, OVERHANG, radii
 
 # Vertices closer than this share of the mesh's size are one.
 # The digits are arbitrary: a round number would put the vertices of regular grids right between two cells of
 # the rounding in `_welded`, where two that are one could fall to either side.
 _SAME = 1.2345e-7
-# How many more coefficients than cells a field of splines has along each axis.
-_OVERHANG = 5
 # Patches along u and v.
 _PATCHES = (8, 4)
 
@@ -194,7 +192,7 @@ def _(surface: AbstractChart, counts, extent, about):
 def _(surface: SplineSurface, counts, extent, about):
     # At the field's own resolution, two nodes to a cell or more: whatever the shape, it is not star-shaped
     # about any point that one could choose.
-    cells = np.array(surface.coefficients.shape) - _OVERHANG
+    cells = np.array(surface.coefficients.shape) - OVERHANG
     fine = int(np.clip(np.ceil(counts[1] / cells.max()), 2, 6))
     vertices, faces = surface_net(surface, fine)
     if not len(faces):

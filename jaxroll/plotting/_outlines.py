@@ -36,6 +36,26 @@ class OutlineSamples(NamedTuple):
     tangents: np.ndarray
     curvatures: np.ndarray
 
+    @property
+    def outward(self) -> np.ndarray:
+        """Outward unit normals, shape (n, 2): the tangents turned right."""
+        return np.stack([self.tangents[:, 1], -self.tangents[:, 0]], axis=1)
+
+
+def comb(curve: OutlineSamples, tooth: float, count: int = 150) -> tuple[np.ndarray, np.ndarray]:
+    """A comb of curvature: the line along the ends of its teeth, and some teeth as one line with gaps.
+
+    Args:
+        curve: A contour.
+        tooth: Length of a tooth over the curvature [mm m]; where that is negative, a tooth points inwards.
+        count: How many teeth are drawn.
+    """
+    ends = curve.points + tooth * curve.curvatures[:, None] * curve.outward
+    some = np.linspace(0, len(ends) - 1, count).astype(int)
+    # NaN lifts the pen between two teeth.
+    gaps = np.full((count, 2), np.nan)
+    return ends, np.stack([curve.points[some], ends[some], gaps], axis=1).reshape(-1, 2)
+
 
 def sample(contour: AbstractContour, s: np.ndarray) -> OutlineSamples:
     """A contour at arclengths [m] of shape (n,)."""

@@ -7,6 +7,7 @@ import numpy as np
 
 from .._integration import Trajectory
 from .._mechanics import Grasp
+from .._results import missing_library
 from ._doors import guarded
 from ._forces3 import Pushes, pushes
 from ._motion3 import Motion3D, times_of
@@ -55,14 +56,10 @@ _POINTS = 160
 
 def plotly_door() -> Any:
     """Plotly's graph objects, imported with their first use."""
-    return _plotly()
-
-
-def _plotly() -> Any:
     try:
         import plotly.graph_objects as plotly
     except ImportError:
-        raise ImportError('this needs the library plotly: pip install "jaxroll[viz]"') from None
+        raise missing_library("plotly", "viz") from None
     return plotly
 
 
@@ -114,7 +111,7 @@ def page(
     if not grasp.spatial:
         path, frames = checked_page(path, frames)
         rows = np.flatnonzero(reached)[page_times(ts[reached], frames)]
-        return write_html(plane_figure(_plotly(), grasp, trajectory, rows, title=title), path)
+        return write_html(plane_figure(plotly_door(), grasp, trajectory, rows, title=title), path)
     motion = scene_motion(grasp, trajectory.states)
     forces = None if trajectory.multipliers is None else pushes(grasp, trajectory, motion)
     return write_page(grasp, motion, ts, path, title=title, frames=frames, view=view, forces=forces)
@@ -132,7 +129,7 @@ def write_page(
     forces: Pushes | None = None,
 ) -> Path:
     """Write a motion at the times `ts`, as `page` does."""
-    plotly, view = _plotly(), View() if view is None else view
+    plotly, view = plotly_door(), View() if view is None else view
     ts = times_of(motion, ts)
     path, frames = checked_page(path, frames)
     motion, reached = motion.reached()

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from .._integration import Trajectory
-from .._mechanics import check_states, Grasp, State
+from .._mechanics import Grasp, State
 from .._results import told_apart
 from ._artists import Drawing, limits
 from ._doors import guarded
@@ -50,7 +50,6 @@ def pose(grasp: Grasp, state: State, *, ax: Axes | None = None, view: View | Non
         >>> figure.axes[0].get_xlabel()
         'x [mm]'
     """
-    check_states(grasp, state)
     if grasp.spatial:
         check_options(grasp, ax=ax)
         return snapshots3(grasp, scene_motion(grasp, state), view=view)

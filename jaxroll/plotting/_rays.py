@@ -13,7 +13,8 @@ from ..geometry import AbstractImplicit, SplineSurface
 # Along a ray, the first sign change is looked for at distances from 10 um to 10 m, 5 % apart.
 _NEAREST, _STEP, _COUNT = 1e-5, 1.05, 284
 _HALVINGS = 60
-_OVERHANG = 5  # how many more coefficients than cells a field of splines has along each axis
+# How many more coefficients than cells a field of splines has along each axis.
+OVERHANG = 5
 _SEEDS = np.array([[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)], float)
 _SCALES = (1e-3, 1e-2, 1e-1)
 _DEPTHS = np.linspace(0.02, 0.5, 25)
@@ -36,7 +37,7 @@ def inside(surface: AbstractImplicit) -> np.ndarray:
 
 def _lattice(surface: SplineSurface) -> np.ndarray:
     """Points of the grid of a field, which means nothing beyond it; first the middle of those inside."""
-    low, cells = np.asarray(surface.origin), np.array(surface.coefficients.shape) - _OVERHANG
+    low, cells = np.asarray(surface.origin), np.array(surface.coefficients.shape) - OVERHANG
     shares = np.stack(np.meshgrid(*3 * [np.linspace(0.0, 1.0, 17)], indexing="ij"), axis=-1).reshape(-1, 3)
     points = low + float(surface.step) * cells * shares
     values = np.asarray(_values(surface, jnp.asarray(points)))

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MultipleLocator
 
 from ..geometry import SurfaceFit
 from ..geometry.fitting import measured
@@ -80,8 +81,6 @@ def _seen(ax: Any, corners: np.ndarray, view: tuple[float, float]) -> None:
 
 def _few(extent: np.ndarray) -> Any:
     """Ticks at one step along all axes, some five along the longest."""
-    from matplotlib.ticker import MultipleLocator
-
     step = float(extent.max()) / 5.0
     power = 10.0 ** np.floor(np.log10(step))
     return MultipleLocator(float(power * min((1.0, 2.0, 5.0, 10.0), key=lambda k: abs(k * power - step))))

@@ -37,24 +37,23 @@ def animate(
 ) -> Path:
     """Write a run as an animated GIF or an MP4 with true contours or surfaces, to scale.
 
-    Shows, as thick stretches of equal length, what has rolled off each contour, in space the loci of the
-    contacts on both surfaces and, if recorded, the forces on the object. Every frame is the saved
-    state nearest to its time, never a blend of two; save at least `fps / speed` states per second for
-    smooth motion. A run that ended before a state was saved is one frame: where it ended. In space a frame is
-    some 0.3 s of work, and there are at most 60: for more time than these last, the file has fewer frames per
-    second.
+    In the plane thick stretches of equal length on both contours show what has rolled; in space the loci of
+    the contacts on both surfaces do. Forces on the object are drawn if they were recorded. Every frame is the
+    saved state nearest to its time, never a blend of two; save at least `fps / speed` states per second for
+    smooth motion. A run that ended before a state was saved is one frame: where it ended. In space a frame
+    takes some 0.3 s to draw, and there are at most 60: a longer animation has fewer frames per second.
 
     Args:
         grasp: The grasp that was simulated.
         trajectory: One run of it.
         path: The file to write, ending in `.gif`, or in `.mp4` where the program ffmpeg is installed; its
             folder is made if need be.
-        fps: Frames per second of the file, at most 50: a GIF counts hundredths of a second, so the
-            nearest rate that it can hold is taken, of an MP4 too.
+        fps: Frames per second of the file, at most 50. A GIF counts in hundredths of a second: the nearest
+            rate that this allows is taken, for an MP4 too.
         speed: Simulated seconds per second shown: 0.5 plays at half speed.
         until: Last time shown [s]. Default: the end of the run.
-        forces: Whether to draw the contact forces on the object and that of its loads, with their scale;
-            contact forces must have been recorded. Default: if they were.
+        forces: Whether to draw the contact forces on the object and the force of its loads, with their
+            scale. Contact forces must have been recorded; by default forces are drawn if they were.
         size: Longer side of the drawing, without its legend, in inches of 100 pixels; in space its width.
         view: How to look at a grasp in space.
         progress: Called after each frame with the frames done and the frames in all.
@@ -143,7 +142,7 @@ class _Stage:
         ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
         ax.ticklabel_format(style="plain")  # a power of ten would stand where the clock is
         tidy(ax, xlabel="x [mm]", ylabel="y [mm]")
-        # With its longest text, which says what room there is beside it.
+        # Made with the longest text of all frames, which says what room is left beside it (`_freeze`).
         self.clock = ax.text(0.0, 1.02, clock, transform=ax.transAxes, fontsize=10)
         pace = "real time" if speed == 1.0 else f"shown at {speed:g} x real time"
         self.pace = ax.text(1.0, 1.02, pace, transform=ax.transAxes, fontsize=8, ha="right", color="#555555")
@@ -160,7 +159,7 @@ class _Stage:
         # Laid out once: the axes must not move from frame to frame.
         figure.draw_without_rendering()
         clock, pace, axes = (each.get_window_extent() for each in (self.clock, self.pace, self.ax))
-        if clock.x1 + clock.height > pace.x0:  # of a narrow grasp it has a line of its own
+        if clock.x1 + clock.height > pace.x0:  # a narrow picture: the pace goes to a line above the clock
             self.pace.set_y(1.02 + 1.4 * clock.height / axes.height)
         figure.draw_without_rendering()
         figure.set_layout_engine("none")

@@ -16,8 +16,9 @@ from ._scene3 import scene3
 from ._style import CONTACT, FINGER, FORCE_COLOUR, GUIDE, LOCUS_OBJECT, LOCUS_TIP, OBJECT
 from ._views3 import View
 
-# Each frame is drawn afresh, some 0.3 s: no more of them than this.
+# The most frames, since each is drawn afresh, which takes some 0.3 s.
 _MOST = 60
+# Colours that the palette of a GIF keeps as they are.
 _KEPT = ("white", CONTACT, FINGER, FORCE_COLOUR, GUIDE, LOCUS_OBJECT, LOCUS_TIP, OBJECT)
 
 
@@ -49,8 +50,8 @@ def animate3(
         progress: Called after each frame with the frames done and the frames in all.
 
     Raises:
-        ValueError: If `path` is neither, a number is not positive, times or forces do not fit the motion, or
-            a surface cannot be drawn.
+        ValueError: If `path` ends neither in .gif nor in .mp4, a number is not positive, times or forces do
+            not fit the motion, or a surface cannot be drawn.
     """
     path, view = _film.checked_path(path), View() if view is None else view
     fps, speed, size = _film.positive_numbers(fps=fps, speed=speed, size=size)

@@ -27,7 +27,7 @@ from ._style import (
 from ._views import place, Views
 
 # Radius of links that have none of their own, as a share of the fingers' size. The square at a base is one
-# and a half times as large as they are wide.
+# and a half times as wide as the links.
 _RADIUS = 0.045
 _SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 _TURN = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 13)
@@ -196,8 +196,8 @@ def limits(seen: Views, margin: float | None = None, *, above: float = 0.0) -> n
 
     Args:
         seen: What is drawn.
-        margin: Around skeletons, shapes and guides [mm]. Default: 6 mm, and more or less for what is larger
-            or smaller than a gripper.
+        margin: Around skeletons, shapes and guides [mm]. Default: 6 mm, or more for a grasp much larger than
+            a gripper, and less for a much smaller one.
         above: A strip to leave free at the top, as a share of the height.
     """
     shapes = (seen.body, *seen.tips)

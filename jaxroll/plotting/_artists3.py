@@ -1,4 +1,4 @@
-"""What is drawn on matplotlib's axes in space and matplotlib has not: arrows, and many triangles at once."""
+"""Artists for axes in space that matplotlib does not have: arrows, and many triangles at once."""
 
 from typing import Any
 
@@ -33,8 +33,8 @@ class Triangles(Artist):
     matplotlib's `Poly3DCollection` makes a path of each triangle, and an animation of some thousands of them
     takes more than twice as long. Here all go to the renderer in one call, as triangles whose colour is
     interpolated between their corners, which are of the same colour. The renderer lets them overlap by half
-    a pixel, so that no background shows through their seams. Where a file holds no pixels, as SVG and PDF,
-    the triangles stand in it as a picture.
+    a pixel, so that no background shows through their seams. In a file of lines, such as an SVG or a PDF,
+    the triangles are an embedded picture.
 
     Attributes:
         corners: Shape (k, 3, 3), in the units of the axes.

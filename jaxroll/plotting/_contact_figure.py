@@ -21,9 +21,9 @@ from ._views import along_time, place, views
 _Numbers = Any
 # Length of a unit vector, over the largest distance between the points that are drawn.
 _UNIT = 0.2
-# A dimension whose length over that of a unit vector is less has its arrows outside.
+# A dimension shorter than this share of a unit vector has its arrows outside.
 _SHORT = 0.5
-# Of the figure [inch].
+# Width of the figure [inch].
 _WIDTH = 7.4
 # Tangents that differ by no more [rad] are drawn as one.
 _ALIKE = 1e-3

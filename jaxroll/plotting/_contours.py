@@ -12,7 +12,7 @@ from ..geometry import AbstractContour
 from ._outlines import contours_of, extents, Outline, outlines, sample, starts_of, Window
 from ._style import CONTACT, FINGER, GUIDE, MM, OBJECT, OBJECT_FILL, Picture, tidy, TIP_FILL
 
-# Between numbers along a contour [mm]: of a grain of sand and of a ship.
+# Steps between the numbers along a contour [mm]: enough for a grain of sand and for a ship.
 _STEPS = np.outer(10.0 ** np.arange(-6, 9), [1.0, 2.0, 5.0]).ravel()
 _BESIDE: Any = {"textcoords": "offset points", "ha": "center", "va": "center"}
 
@@ -137,10 +137,10 @@ def _count(ax: Axes, contour: AbstractContour, window: Window) -> None:
     """Dots with the arclength beside them, on the outside."""
     low, high = MM * window[0], MM * window[1]
     step = _STEPS[np.argmin(np.abs(_STEPS - (high - low) / 6))]
-    # 1e-9 of a step: an end that is a mark, but for rounding, counts as one.
+    # By 1e-9 of a step more: an end that misses a mark by rounding still has it.
     marks = step * np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1)
     if contour.closed:
-        # Once round, the end is s = 0 again, whose number is there already.
+        # After one turn the end is the start again, where a number stands already.
         marks = marks[marks < high - 0.3 * step]
     there = sample(contour, marks / MM)
     ax.plot(*there.points.T, "o", ms=3.5, color=GUIDE, zorder=4)

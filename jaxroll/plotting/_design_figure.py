@@ -24,11 +24,12 @@ _NAMES = ("before", "after")
 # Widths [inch] of a line in a legend with the space around it, and of a letter beside it.
 _SIGN, _LETTER = 0.7, 0.075
 _COLOURS = (CYCLE[4], CYCLE[0])
-# Of contacts. The first few are plain; later ones have more and more dots between their dashes, and need a
-# longer line in a legend to be seen whole.
+# Styles of line, one for each contact. The first few are plain; later ones have more and more dots between
+# their dashes, and need a longer line in a legend to be seen whole.
 _DASHES = ("-", "--", ":", "-.", *((0, (6, 2) + (1, 1.6) * dots) for dots in range(2, 6)))
 _PLAIN = 4
-# Titles and labels in the plane and in space: places on surfaces are no lengths that were rolled.
+# Titles and labels of the upper two panels, in the plane and in space, where places on surfaces do not say
+# how far a contact has rolled.
 _PANELS = (
     (
         ("Rolled by the contacts", r"rolled $\sigma_i$ [mm]"),
@@ -40,7 +41,7 @@ _FORCES = (
     ("Normal forces", "normal force $f_i$ [N]"),
     ("Friction that rolling needs", r"$|\lambda_i| / f_i$"),
 )
-# Radii above this share of the picture's range are cut off: a flat place has none.
+# Margins beyond so many times the size of the fingertip are cut off: where it is flat, they are infinite.
 _FAR = 6.0
 
 
@@ -124,7 +125,7 @@ def _margins(ax: Axes, tips: Sequence[AbstractContour], ends: np.ndarray) -> Non
     for tip in tips:
         bends, room = sample(tip, s).curvatures, MM * np.asarray(margin(tip, s))
         values.append(np.where(bends > 0.0, room, np.nan))
-    # 1 / kappa has a pole where the contour is flat: beyond `reach` the line is cut.
+    # 1 / kappa has a pole where the contour is flat: beyond `reach` no line is drawn.
     reach = _FAR * max(float(np.abs(sample(tip, s).points).max()) for tip in tips)
     for value, name, colour in zip(values, _NAMES, _COLOURS, strict=True):
         shown = np.where(np.abs(value) < reach, value, np.nan)
@@ -200,7 +201,7 @@ def comparison(
 
 
 def _colour(i: int) -> str:
-    """Of the run i."""
+    """The colour of the run i."""
     return CYCLE[4] if i == 0 else CYCLE[(i - 1) % 4]
 
 
@@ -248,13 +249,13 @@ def _spatial(run: Trajectory) -> bool:
 
 
 def _angle_of_object(run: Trajectory) -> int:
-    """Which coordinate is the object's angle in the plane: the last of its own."""
+    """Which coordinate of an object in the plane is its angle: the first in radians."""
     labels = run.labels.bodies[0][1] if run.labels is not None else ()
     return next((i for i, each in enumerate(labels) if each.unit == "rad"), 0)
 
 
 def _rolled(run: Trajectory, s: np.ndarray) -> list[tuple[int, np.ndarray]]:
-    """Of contacts of contours their numbers and what they rolled [m]: places of others are no lengths."""
+    """Numbers of the contacts of contours, and how far each rolled [m]; places of others are no lengths."""
     places = run.labels.places if run.labels is not None else ()
     if len(places) != s.shape[1]:
         return []

@@ -33,7 +33,7 @@ _MOST = 5000
 def guarded(figure: _Function) -> _Function:
     """Check a figure's arguments, by their names, before it is drawn; None only where it is the default.
 
-    The figure gets its numbers as Python's own, whatever library made them.
+    The figure gets numbers as Python's own, whatever library made them.
     """
     parameters = inspect.signature(figure).parameters
     names = tuple(parameters)
@@ -41,7 +41,7 @@ def guarded(figure: _Function) -> _Function:
 
     @functools.wraps(figure)
     def door(*args: Any, **options: Any) -> Any:
-        # By name, however they were given; of an argument too many `figure` will say so itself.
+        # By name, however they were given; of an argument too many the call of `figure` complains itself.
         given = dict(zip(names, args, strict=False)) | options
         grasp: Any = given.get("grasp")
         if "trajectory" in given:
@@ -92,7 +92,8 @@ def _place(name: str, value: Any) -> Any:
     return value
 
 
-# By the name of an argument, what it is taken as, or refused.
+# For each name of an argument a function that takes the name and the value, and returns the value that the
+# figure gets or raises.
 _TAKEN: dict[str, Callable[[str, Any], Any]] = {
     "design": lambda name, value: check_instance(name, value, Design, "a Design"),
     "fit": lambda name, value: check_instance(name, value, (Fit, SurfaceFit), "a Fit or a SurfaceFit"),

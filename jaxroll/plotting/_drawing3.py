@@ -30,7 +30,7 @@ from ._tubes import ball, camera, chequered, lit, tube_mesh
 Axes3 = Any
 # How much of what is behind a body is hidden.
 _OPAQUE = 0.86
-# Radius of joints over that of links that have none of their own.
+# Radius of a joint over that of its links, where these have no radius of their own.
 _SWOLLEN = 1.45
 _WHITE = {"color": "white", "solid_capstyle": "round"}
 
@@ -46,8 +46,8 @@ class Drawing3:
 
     def __init__(self, ax: Axes3, scene: Scene3, *, arrows: Pushes | None = None) -> None:
         self.ax, self.scene, self.arrows = ax, scene, arrows
-        # What of the fingers is behind the object, the object, and what is before it.
-        # matplotlib has no depth buffer: a layer sorts its triangles, layers go by `zorder`.
+        # One layer for the parts of the fingers behind the object, one for the object, and one for the parts
+        # before it. matplotlib has no depth buffer: a layer sorts its triangles, layers go by `zorder`.
         self.layers = [_layer(ax, zorder) for zorder in (1, 10, 20)]
         self.lines = [
             (_Trace(ax, on_tip, LOCUS_TIP), _Trace(ax, on_object, LOCUS_OBJECT))
@@ -99,7 +99,7 @@ class Drawing3:
             skeleton, faces = scene.skeletons[solid.finger][i], _faces(solid, i, towards, light)
             nearer = self._nearer(i, solid.finger, towards)
             (before if nearer else behind).append(faces)
-            # Pieces of links as near to the tip's frame as its own triangles go where the tip goes.
+            # Pieces of links as near to the tip's frame as the tip's triangles go into the tip's layer.
             reach = np.linalg.norm(faces[0] - skeleton[-1], axis=-1).max(initial=0.0)
             radius = scene.radii[solid.finger]
             # Links with a radius are capsules, whose ends are no wider than they are.
@@ -181,7 +181,7 @@ def _joined(parts: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.
 
 
 def _layer(ax: Axes3, zorder: float) -> Triangles:
-    """A body whose triangles are opaque to each other, and as a whole a little translucent."""
+    """An artist whose triangles hide each other, but as a whole let through a little of what is behind."""
     triangles = Triangles(zorder=zorder)
     triangles.set_agg_filter(_softened)
     ax.add_artist(triangles)
@@ -220,7 +220,7 @@ def _limbs(
     parts += [(*ball(joint, swell * radius), JOINT_BODY) for joint in joints[:-1]]
     found = []
     for corners, normals, colour in parts:
-        # A little beyond the edge that is seen, since each strip has one normal.
+        # A little past the visible edge too, since each flat strip has a single normal.
         seen = normals @ towards > -0.1
         found.append((corners[seen], lit(colour, normals[seen], light, towards)))
     return found

@@ -56,11 +56,11 @@ def check_delay(name: str, value: float, delay: float) -> float:
 
 
 def check_stays(name: str, value: float, rows: np.ndarray, delay: float) -> None:
-    """Raise if one saved state stays for longer than a GIF can say, whose like frames are one.
+    """Raise if one saved state stays for longer than a GIF can say, which makes one of equal frames in a row.
 
     Args:
-        name: The argument that makes it so.
-        value: What that was.
+        name: The argument to blame, for the error.
+        value: The value of that argument.
         rows: The saved state that each frame shows.
         delay: How long a frame stays [s].
     """
@@ -70,7 +70,7 @@ def check_stays(name: str, value: float, rows: np.ndarray, delay: float) -> None
 
 
 def hundredths(fps: float) -> int:
-    """How long a frame stays, as a GIF counts: in hundredths of a second, of which browsers want two."""
+    """How long a frame stays in hundredths of a second, as a GIF counts: at least two, for browsers."""
     return max(2, round(100.0 * check_delay("fps", fps, 1.0 / fps)))
 
 

@@ -25,9 +25,9 @@ class Arrows:
     """Contact forces and the load on the object, drawn to one scale.
 
     Attributes:
-        points: Shape (t, c, 2), where they act [mm]; of a grasp with loads their force is the last of c.
+        points: Shape (t, c, 2), where they act [mm]: at the contacts, and for a grasp with loads one more.
         vectors: Shape (t, c, 2), arrows [mm].
-        loaded: Whether the last of them is a load's.
+        loaded: Whether the last of c is the force of the loads.
         scale: Millimetres for one newton; zero if there is no force.
         peak: The largest force [N].
     """
@@ -44,8 +44,8 @@ def arrows(
 ) -> Arrows:
     """Recorded forces at the saved states `picks`, scaled to a picture with these corners [mm].
 
-    All loads together are one force, drawn where it alone has their torque too: at the point of its line that
-    is nearest to the object's origin.
+    All loads together are one force. It is drawn on the line on which it alone has their torque too, at the
+    point nearest to the object's origin.
 
     Raises:
         ValueError: If the run has no recorded multipliers.

@@ -19,7 +19,8 @@ class Pushes(NamedTuple):
         contacts: Those of the contacts, shape (c, t, 3) [N].
         load: The force of all loads, shape (t, 3) [N], or None.
         at: Where it acts, shape (t, 3) [m].
-        scale: Of forces as arrows: millimetres for one newton; zero if these are newtons.
+        scale: Millimetres for one newton if forces are arrows and `at` is a place in mm, as `scaled` makes
+            them; zero if they are in newtons and metres.
     """
 
     contacts: np.ndarray
@@ -41,7 +42,7 @@ class Pushes(NamedTuple):
 
 
 def pushes(grasp: Grasp, trajectory: Trajectory, motion: Motion3D) -> Pushes:
-    """Recorded contact forces on the object; and the force of its loads, on its line nearest to the object.
+    """Recorded contact forces on the object, and the force of its loads, placed as in `_forces.arrows`.
 
     Raises:
         ValueError: If the run has no recorded multipliers.

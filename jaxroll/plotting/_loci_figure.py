@@ -23,8 +23,8 @@ _ROWS = (
 _WIDTH, _HEIGHT = 4.2, 1.7
 # Below this share of a contact's greatest speed it all but rests, and its locus has no curvature.
 _SLOW = 0.02
-# Share of a locus whose values must be seen, and how far the picture goes beyond them, over their range:
-# towards a turning point curvature and torsion grow beyond all bounds.
+# Share of a locus whose values must be seen, and how far the axis goes beyond these values, over their range.
+# Not all are shown, since towards a turning point curvature and torsion grow beyond all bounds.
 _SEEN, _BEYOND = 0.85, 0.35
 # A locus that bends by less than this angle is straight.
 _STRAIGHT = 1e-3
@@ -142,7 +142,7 @@ def _powers(size: float, label: str) -> tuple[float, str]:
 
 
 def _limits(values: np.ndarray, weights: np.ndarray, least: float) -> np.ndarray:
-    """What to show: the values on most of the way, and zero; those far below `least` are zero."""
+    """Ends of an axis that shows zero and values on most of the way, with a margin of at least `least`."""
     order = np.argsort(values)[: np.isfinite(values).sum()]
     values, share = np.append(values[order], 0.0), np.cumsum(weights[order])
     ends = 0.5 + np.array([-0.5, 0.5]) * _SEEN

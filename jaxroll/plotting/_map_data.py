@@ -1,7 +1,7 @@
-"""What a map over two parameters shows: a slice of a grid, or scattered samples, of one kept value or code.
+"""What a map over two parameters shows of one kept value or code: a slice of a grid, or scattered samples.
 
-`_map_figure` draws it, `_map_page` writes it for a browser. Parameters that the map does not show are held
-where the caller says, or in the middle of their axis.
+`_map_figure` draws it, `_map_page` writes it for a browser. The other parameters of a grid are held where the
+caller says, or in the middle of their axis.
 """
 
 import math
@@ -42,7 +42,7 @@ class MapData(NamedTuple):
         z: Shape (len(y), len(x)) on a grid, (n,) of samples; codes as numbers from 0 up, values as they are.
         codes: Names of the codes, by these numbers; none for values.
         gridded: Whether it is a grid.
-        held: Which other parameters are held where, as text; empty if there are none.
+        held: In words, where other parameters are held, or that they change among samples; empty if none do.
     """
 
     x: Side

@@ -16,16 +16,16 @@ from ._doors import guarded
 from ._map_data import map_data, MapData, Side
 from ._style import CYCLE, MANY, Picture, tidy
 
-# What is well, what was not worked out, and codes in the order in which they appear.
+# Colours: of codes that say that all is well, of what was not worked out, and of other codes in their order.
 WELL, NOTHING = "#DCEBF5", "#C8CCD0"
 CODE_COLOURS = (*CYCLE[1:], CYCLE[0], *MANY[len(CYCLE) :])
 SCALE = "viridis"
 _GOOD = ("successful", "stable", "asymptotically stable", "true")
-# Of runs that a store does not hold yet.
+# The code of runs that a store does not hold yet.
 _MISSING = "not stored"
-# Samples are dots of this area [pt^2], of more than so many of a quarter of it.
+# Samples are dots of the area `_DOT` [pt^2], or of a quarter of it where there are more than `_MANY`.
 _DOT, _MANY = 26.0, 2000
-# A logarithmic axis has 1, 2 and 5 of every decade, if its values span factors between these.
+# A logarithmic axis has numbers at 1, 2 and 5 of every decade, if its values span a factor between these.
 _FEW_NUMBERS, _MANY_NUMBERS = 5.0, 100.0
 
 
@@ -122,7 +122,7 @@ def _draw(ax: Axes, data: MapData, label: str, *, alone: bool) -> None:
         bar.outline.set_linewidth(0.5)  # pyright: ignore[reportCallIssue]
     entries = _entries(data)
     if entries:
-        # Of maps that share a figure each has its own within it: below, they would lie over each other.
+        # On the caller's axes the legend goes within: below, legends of several maps would cover each other.
         below = {"loc": "outside lower center", "frameon": False}
         where: dict[str, Any] = below if alone else {"loc": "upper right"}
         (ax.figure if alone else ax).legend(

@@ -78,7 +78,7 @@ def _trace(data: MapData, label: str) -> dict[str, Any]:
         words = np.asarray(data.codes)[data.z]
         named, what = {"text": words}, "%{text}"
     said = f"{data.x.label}: %{{x:.5g}}<br>{data.y.label}: %{{y:.5g}}<br>{what}<extra></extra>"
-    # JSON has no NaN; plotly leaves a gap for None.
+    # plotly writes NaN as null, for which it leaves a gap.
     z = np.where(np.isfinite(data.z), data.z, np.nan)
     if data.gridded:
         return sides | named | colours | {"z": z, "hovertemplate": said}

@@ -28,9 +28,9 @@ from ..geometry.surfaces import surface_net
 from ._motion3 import matrices
 from ._rays import inside, OVERHANG, radii
 
-# Vertices closer than this share of the mesh's size are one.
-# The digits are arbitrary: a round number would put the vertices of regular grids right between two cells of
-# the rounding in `_welded`, where two that are one could fall to either side.
+# Vertices closer than this share of the mesh's size count as one.
+# The digits are arbitrary. With a round number the vertices of regular grids would lie right between two
+# cells of the rounding in `_welded`, and two vertices that should be one could fall into different cells.
 _SAME = 1.2345e-7
 # Patches along u and v.
 _PATCHES = (8, 4)
@@ -80,8 +80,8 @@ def mesh(
 
     Args:
         surface: What to draw.
-        rows: Triangles from pole to pole, or along v of a chart.
-        columns: Triangles round, or along u of a chart.
+        rows: How many cells from pole to pole, or along v of a chart; each is two triangles.
+        columns: How many cells around, or along u of a chart.
         extent: How far from `about` to draw a plane or a cylinder, which have no end [m].
         about: The middle of what is drawn of these, shape (3,) [m]. Default: the body's origin.
 

@@ -16,8 +16,9 @@ from ._style import MM
 # Below this share of its scale, a residual is what floating-point arithmetic leaves over.
 _ROUNDING = 1e-13
 _SMALL = 1e-3
-# Forces, motions and rates below this are rounding in the units that panels have, and their axis ends here.
-# Of a grasp whose own forces or lengths are smaller than these units it is a share of those, see `scales_of`.
+# Forces, motions and rates below `_NOTHING`, in the units of their panels, are rounding, and are drawn on an
+# axis from -`_FLAT` to `_FLAT`. For a grasp whose own forces or lengths are smaller than these units, the
+# first is a share of these forces or lengths (`scales_of`).
 _NOTHING, _FLAT = 1e-10, 1e-3
 _GRAVITY = 9.81
 _UNIT = re.compile(r"\[([^$\]]*)\]$")
@@ -27,8 +28,8 @@ _UNIT = re.compile(r"\[([^$\]]*)\]$")
 class Panel:
     """One panel: values of shape (t,) or (t, lines), with a name for each line.
 
-    `left_over` says that the values should be zero, and `least` is the half height of the axis where those of
-    another panel are zero but for rounding.
+    `left_over` says that the values should be zero: what they are is the error of a run. Where the values of
+    any other panel are zero but for rounding, `least` is the half height of its axis.
     """
 
     title: str
@@ -75,9 +76,9 @@ def _motion(grasp: Grasp, run: Trajectory, contacts: tuple[str, ...]) -> list[Pa
 
 
 def _rolled(grasp: Grasp, run: Trajectory, contacts: tuple[str, ...]) -> list[Panel]:
-    """Contact coordinates: of contours in millimetres, and apart from them those of a caller's own contacts.
+    """Contact coordinates: a panel for those of contours [mm], and one for places of a caller's own contacts.
 
-    Of these there may be any number, or none, and only the caller knows their units.
+    An own contact may have any number of coordinates, or none, and only the caller knows their units.
     """
     own: list[bool] = []
     names: list[str] = []
@@ -102,7 +103,7 @@ def all_in_powers(grasp: Grasp, run: Trajectory, panels: list[Panel]) -> list[Pa
 
 
 def scales_of(grasp: Grasp, normal: np.ndarray) -> dict[str, float]:
-    """By unit of a panel how large its values may be, at most one: of a tiny grasp all forces are tiny.
+    """For each unit of a panel how large its values may be, at most one: the forces of a tiny grasp are tiny.
 
     Args:
         grasp: Whose fingers have a size, and bodies a weight.
@@ -135,7 +136,7 @@ def in_powers(panel: Panel, scale: float = 1.0) -> Panel:
 
 
 def sentence(words: str) -> str:
-    """With a capital first letter."""
+    """The words with a capital first letter."""
     return words[0].upper() + words[1:]
 
 
@@ -191,7 +192,7 @@ def first_of(run: Trajectory) -> str:
 
 
 def _contacts(s: np.ndarray, then: str) -> Panel:
-    """Both contacts [mm]; since the first state, where that is too far apart for one scale."""
+    """Places of both contacts [mm]; since the first state, where they are too far apart for one scale."""
     # On a closed object both lie far apart and move little: one scale for both would show two straight lines.
     title, reached = "contacts on the object's contour", s[np.isfinite(s).all(axis=1)]
     if 0.0 < 4.0 * np.ptp(reached, axis=0).max() < np.ptp(reached):
@@ -314,5 +315,5 @@ def residual_panel(
 
 
 def numbered(noun: str, count: int) -> tuple[str, ...]:
-    """A name for each."""
+    """The noun with each number from 1 to `count`."""
     return tuple(f"{noun} {i + 1}" for i in range(count))

@@ -19,7 +19,7 @@ from ._views import single, visible
 
 _GRID = 81
 _LEVELS = 16
-# Free space round the path, and the smallest half width of the picture of a gripper [m].
+# Free space round the path, as a share of it, and the smallest half width of a gripper's picture [m].
 _MARGIN, _LEAST = 0.2, 5e-4
 
 
@@ -28,9 +28,9 @@ def phase(grasp: Grasp, trajectory: Trajectory, *, rest: State | None = None) ->
     r"""Draw the path of $(s_1, s_2)$ over levels of $U(s_1, s_2)$, (27); of Part 2 that of $(s, \dot s)$.
 
     A pinch rolls downhill; with $\alpha_i = 0$ it ends at a minimum of U, where $O_1, P_1, P_2, O_2$ are
-    collinear, otherwise a little off. One finger on a pivoted object has one direction of motion: drawn are
-    the contact coordinate and its rate, over level lines of kinetic and potential energy, which the motion
-    crosses downwards. White is beyond the end of a contour.
+    collinear, otherwise near it. One finger on a pivoted object has one direction of motion: its contact
+    coordinate and the rate of that are drawn over level lines of the sum of kinetic and potential energy,
+    which the motion crosses downwards. White is beyond the end of a contour.
 
     Args:
         grasp: A pinch of two fingers under `control.Opposition`; or a grasp with one contact and one
@@ -88,7 +88,7 @@ def _chapter_s(grasp: Grasp, states: State) -> np.ndarray:
     return senses * (starts - np.asarray(states.s).reshape(-1, 2))
 
 
-@compiled  # a program without the derivatives, which take three quarters of the time to compile
+@compiled  # without the derivatives of `pinch_statics`, which take three quarters of the time to compile
 def _potential(grasp: Grasp, s: Given) -> Array:
     """$U(s_1, s_2)$ [J] of a pinch."""
     return pinch_statics(grasp, s).potential

@@ -46,7 +46,7 @@ def check_potential(grasp: Grasp) -> None:
 
 def phase_of_one(grasp: Grasp, trajectory: Trajectory, rest: State | None) -> Figure:
     r"""Draw $(s, \dot s)$ over the level lines of kinetic and potential energy; see `phase`."""
-    # Without what acts, whose energy does not count; a sampled or added law has that of the law inside.
+    # Without loads, whose energy does not count; of a law in another one only the inner law has a potential.
     held = grasp.with_(controller=law_of(grasp.controller), load=None)
     ts, reached = single(trajectory)
     states = jax.tree.map(lambda a: np.asarray(a)[reached], _bare(trajectory.states))
@@ -93,7 +93,7 @@ def _levels(ax: Axes, grasp: Grasp, states: State, middle: np.ndarray, half: np.
     """Level lines of the energy; nothing where the contact would be past the end of a contour."""
     contact = grasp.contacts[0]
     line = middle[0] + np.linspace(-half[0], half[0], _PLACES)
-    # The chapter's s is sense (s_object,0 - sigma). Poses come from the saved ones that are nearest.
+    # The chapter's s is sense (s_object,0 - sigma). Each pose is guessed as the saved one nearest in sigma.
     rolled = float(contact.s_object) - contact.sense * line
     near = np.argmin(np.abs(np.asarray(states.s)[:, 0][None] - rolled[:, None]), axis=1)
     fastest = states.v[np.argmax(np.abs(states.v).sum(axis=1))]

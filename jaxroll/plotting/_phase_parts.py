@@ -10,12 +10,13 @@ from .._results import told_apart
 from ..geometry import AbstractContour
 from ._style import CONTACT, GUIDE, MM
 
-# Length of the links of a gripper [m]; from this power of ten on numbers beside a bar have it on the label.
+# Length of the links of a gripper [m]. Numbers beside a bar of energies that reach this power of ten, or are
+# as small, have the power on its label.
 _SIZE, _POWERS = 0.04, 5
 
 
 def least_of(grasp: Grasp, gripper: float) -> float:
-    """The smallest half width of a picture, which that of a gripper is, of a grasp that may be tiny."""
+    """The smallest half width of a picture: a gripper's, or less in proportion for smaller fingers."""
     return gripper * min(1.0, max(float(finger.size) for finger in grasp.fingers) / _SIZE)
 
 

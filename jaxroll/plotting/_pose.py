@@ -24,8 +24,8 @@ from ._views3 import check_options, scene_motion, View
 def pose(grasp: Grasp, state: State, *, ax: Axes | None = None, view: View | None = None) -> Figure:
     """Draw one pose with its true contours or surfaces, to scale.
 
-    Open contours are closed by a thin rounded back, which is drawing only, as is the width of links without a
-    `link_radius`. The dashed line joins what must fall in line with the contact at rest: under
+    Open contours are closed by a thin rounded back, which is not part of the model, nor is the width of links
+    without a `link_radius`. The dashed line joins what is in line with the contact at rest: under
     `control.Press` the tip frame and the target, for two fingers their tip frames.
 
     In space, surfaces have a pattern of patches that shows how they turn; those without end are drawn about
@@ -75,16 +75,16 @@ def poses(
 ) -> Figure:
     """Draw the poses at several times side by side, as Fig. 8 does for the first and the last.
 
-    In space each has the loci of the contacts up to its time (Fig. 20): each on its own body, where that body
-    is then. Rolling makes the two touch with a common tangent at the contact. What of a locus is on the far
-    side of its body is dotted.
+    In space each picture has the loci of the contacts up to its time (Fig. 20), each on its body, where that
+    body is then. Rolling makes both loci touch with a common tangent at the contact. The part of a locus on
+    the far side of its body is dotted.
 
     Args:
         grasp: What is drawn.
         trajectory: One run of it.
         times: Times to draw [s]; each shows the saved state nearest to it. Default: first and last; of a run
             that ended before a state was saved, the state where it ended.
-        forces: Whether to draw the contact forces on the object and that of its loads, with their scale.
+        forces: Whether to draw the contact forces on the object and the force of its loads, with their scale.
         view: How to look at a grasp in space.
 
     Returns:

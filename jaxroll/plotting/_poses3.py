@@ -21,10 +21,13 @@ from ._views3 import View
 _LONGEST = 0.14
 # What part of the picture the box of the axes fills at most, and what its labels take below and above.
 _WIDE, _TALL, _LABELS = 0.76, 0.84, 0.16
-# Heights of a row of the legend and of the title in inches; more columns if there is width for them.
+# Heights of a row of the legend and of the title [inch].
 _ROW, _TITLE = 0.19, 0.3
+# Room is left for so many entries of a legend, which is in one column in figures narrower than `_NARROW`
+# [inch], in two below `_BROAD`, else in four.
 _ENTRIES, _NARROW, _BROAD = 7, 5.4, 8.0
-_SIZE, _FULL = 8.0, 0.96  # of the letters, in points, unless that is wider than this share of the figure
+# Size of the letters of a legend [pt], or less where it would be wider than this share of the figure.
+_SIZE, _FULL = 8.0, 0.96
 
 
 def snapshots3(
@@ -40,7 +43,7 @@ def snapshots3(
     """Draw a spatial grasp at some instants side by side, with the loci of the contacts on both surfaces.
 
     Each locus lies on its own body, where that body is at the instant; rolling makes them touch with a common
-    tangent at the contact. What of a locus is on the far side of its body is dotted.
+    tangent at the contact. The part of a locus on the far side of its body is dotted.
 
     Args:
         grasp: What is drawn.
@@ -85,7 +88,7 @@ def index(at: int, times: int) -> int:
 
 
 def scaled(scene: Scene3, forces: Pushes, rows: np.ndarray) -> Pushes:
-    """Forces at these rows as arrows, and where they act, in mm; the longest a fixed share of the picture."""
+    """Forces at these rows as arrows and where loads act, in mm; the longest is a share of the picture."""
     shape, contacts = forces.contacts.shape, len(scene.on_object)
     if len(shape) != 3 or shape[::2] != (contacts, 3) or shape[1] <= rows[-1]:
         raise ValueError(f"argument forces must have shape ({contacts}, t, 3), but had shape {shape}")
@@ -164,7 +167,7 @@ def tick_step(spans: np.ndarray) -> float:
 
 
 def legend(figure: Picture, drawing: Drawing3, instants: Sequence[int]) -> None:
-    """What the colours are at the instants that are shown, below all."""
+    """Put a legend below the axes, of what is drawn at the instants that are shown."""
     handles, names = zip(*drawing.legend(instants), strict=True)
     anchor = (0.5, 0.03 / figure.get_figheight())
     columns = _columns(figure.get_figwidth())
@@ -177,7 +180,7 @@ def legend(figure: Picture, drawing: Drawing3, instants: Sequence[int]) -> None:
 
 
 def _columns(width: float) -> int:
-    """Of the legend of a figure of this width in inches."""
+    """How many columns the legend has in a figure of this width [inch]."""
     return 1 if width < _NARROW else 2 if width < _BROAD else 4
 
 

@@ -31,7 +31,7 @@ def inside(surface: AbstractImplicit) -> np.ndarray:
     within = np.flatnonzero(values < 0.0)
     if not len(within):
         raise ValueError(f"argument surface must have an inside to be drawn, but was {shown(surface)}")
-    # The first two are middles: rays from there meet the surface most evenly.
+    # The first two points tried are middles: rays from there meet the surface most evenly.
     return tried[within[0] if within[0] < 2 else within[np.argmin(values[within])]]
 
 
@@ -106,7 +106,7 @@ def _first(surface: AbstractImplicit, centre: jax.Array, directions: jax.Array) 
             return jnp.where(out, low, middle), jnp.where(out, middle, high)
 
         high = jax.lax.fori_loop(0, _COUNT, step, jnp.asarray(jnp.inf, direction.dtype))
-        # One step before was inside still, or is the point itself. Sixty halvings leave nothing but rounding.
+        # One step before, the ray was inside, or at its start. Sixty halvings leave nothing but rounding.
         low = jnp.where(high > _NEAREST, high / _STEP, 0.0)
         low, high = jax.lax.fori_loop(0, _HALVINGS, halve, (low, high))
         return 0.5 * (low + high)

@@ -18,17 +18,16 @@ from ._style import MANY, Picture, save_figure, tidy
 from ._views import how_it_ended, single, visible
 
 _COLUMNS = 3
-# Names side by side in a legend, long words among them or not, and the height of a row of them as a share of
-# the range of values.
+# How many names stand side by side in a legend, without and with long words among them, and the height of a
+# row of them as a share of the range of values.
 _ABREAST, _LEGEND = (3, 2), 0.17
-# Letters of a word of which three fit beside each other.
+# The most letters of a word that is not long: three such fit beside each other.
 _WORD = 7
-# Dashes of a line that lies on an earlier one, within this share of the panel's range: both are seen.
+# A line that lies on earlier ones, within this share of the panel's range, is dashed so that both are seen.
 _ON, _DASHES = 0.01, ((0, (4, 4)), (0, (1.2, 6.8)))
-# Characters of a number beside a mark of time, of which there is room for as many as matplotlib takes.
+# If numbers at the time axis have more characters than this, there is no room for all that matplotlib writes.
 _SHORT = 5
-# A run whose contacts are through with this share of their way in a tenth of the time gets a
-# stretched time axis.
+# A run whose contacts have gone this share of their way in a tenth of the time gets a stretched time axis.
 _SHARE = 0.9
 
 
@@ -53,8 +52,8 @@ def responses(grasp: Grasp, trajectory: Trajectory, folder: str | Path | None = 
     Where the contacts are nearly through with their motion in a tenth of the time, the time axis is
     stretched: linear at first, then logarithmic; its label says from when on, and a dotted line marks it. A
     line that lies on another one is dashed, so that both are seen; what is zero but for rounding is drawn as
-    zero. Where only one state was saved, or none and the run has but the one where it ended, that is a dot; a
-    run that ended early says when, and its code.
+    zero. If only one state was saved, or none, so that only the end of the run is known, it is drawn as dots.
+    The title of a run that ended early says when, and its code.
 
     Args:
         grasp: The grasp that was simulated.

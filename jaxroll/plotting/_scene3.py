@@ -16,7 +16,7 @@ _BEYOND = 0.75
 _DEFAULT_SIZE = 0.04
 # Radius of the links, over the size of the tips.
 _SLIM = 0.16
-# Where the camera stands, if nothing says otherwise, and how far round from a contact's normal, in degrees.
+# Elevation and azimuth of the camera by default, and its angle from the normal of a contact, all in degrees.
 _VIEW, _ASIDE = (22.0, -58.0), 62.0
 
 

@@ -19,7 +19,8 @@ _VIEWS = ((22.0, -60.0), (22.0, 120.0))
 _ZOOM = 0.8  # leaves room for the labels
 _BINS = 60
 _SEEN = 99.5  # per cent of the numbers that a histogram shows
-# How far labels and ticks stand from the axes of a cube, and at most [pt]; matplotlib adds the last to all.
+# Distances of labels and ticks from the axes of a cube, the largest that labels have, and what matplotlib
+# adds to each [pt].
 _LABEL, _TICK, _FARTHEST, _OWN = 12.0, 8.0, 36.0, 8.0
 _WHITE = (1.0, 1.0, 1.0, 0.0)
 
@@ -32,7 +33,7 @@ def surface_figure(fit: SurfaceFit) -> Figure:
     corners = MM * drawn.vertices[drawn.faces]
     for k, view in enumerate(_VIEWS):
         _seen(figure.add_subplot(grid[:, k], projection="3d", computed_zorder=False), corners, view)
-    # By the program of the fit, which has compiled it.
+    # `measured` is a program that the fit has compiled already.
     feet, normals, bends = measured(fit.surface, fit.feet)
     away = 1e6 * np.sum((np.asarray(fit.points) - feet) * normals, axis=1)
     _histogram(figure.add_subplot(grid[0, 2]), away, [], CONTACT)
@@ -66,7 +67,7 @@ def _seen(ax: Any, corners: np.ndarray, view: tuple[float, float]) -> None:
     ax.set_box_aspect(high - low, zoom=_ZOOM)
     ax.set_proj_type("ortho")
     ax.view_init(*view)
-    ax.patch.set_visible(False)  # it hid the label that the axes before have beside them
+    ax.patch.set_visible(False)  # it would hide a label of the axes to the left
     size = (high - low) / max(high - low)
     for k, axis in enumerate((ax.xaxis, ax.yaxis, ax.zaxis)):
         # Labels move out along the two other axes, and by so much less as the body is short along these.

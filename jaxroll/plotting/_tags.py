@@ -12,12 +12,12 @@ _DIRECTIONS = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
 _DISTANCES = np.array([3.0, 5.5, 8.5, 12.0, 17.0, 23.0, 31.0, 40.0])
 # From this distance on [points] a thin line leads to the label.
 _FAR = 14.0
-# Free space round a label, and between the points that stand for a line [points].
+# Free space round a label, and between the dots that stand for a line [points].
 _CLEAR, _SPACING = 1.5, 1.5
-# Points of one line at most: what is far longer than the axes are wide lies outside of them.
+# The most dots of one line: a line that would need more is far longer than the axes are wide.
 _MOST_POINTS = 20_000
-# What a label costs: for each point of a line under it; for each point [points] away from its place; where
-# it covers another or leaves the axes.
+# What a label costs: for each dot of a line that it covers, for each typographic point away from its place,
+# and for covering another label or leaving the axes.
 _ON_LINE, _AWAY, _FORBIDDEN = 1.0, 0.25, 1e4
 
 
@@ -81,7 +81,7 @@ def _size(ax: Axes, tag: Tag) -> np.ndarray:
 
 
 def _dotted(line: np.ndarray) -> np.ndarray:
-    """Points along a polyline, evenly spaced."""
+    """Dots along a polyline, evenly spaced."""
     lengths = np.linalg.norm(np.diff(line, axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(lengths)])
     wanted = np.linspace(0.0, along[-1], int(np.clip(along[-1] / _SPACING, 2, _MOST_POINTS)))

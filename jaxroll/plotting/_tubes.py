@@ -17,7 +17,7 @@ def tube_mesh(start: np.ndarray, end: np.ndarray, radius: float) -> tuple[np.nda
     length = np.linalg.norm(along)
     if length < 1e-9 * radius:
         return np.zeros((0, 3, 3)), np.zeros((0, 3))
-    # The axis that is farthest from the tube's own direction: the cross product is then never near zero.
+    # With the axis that is farthest from the tube's own direction the cross product is never near zero.
     across = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
     across /= np.linalg.norm(across)
     other = np.cross(along / length, across)

@@ -1,4 +1,4 @@
-"""Where everything is at every time, in millimetres."""
+"""Where everything of a grasp in the plane is at every time, in millimetres; checks of runs to be drawn."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ class Views:
         points: Shape (t, c, 2), contact points.
         tangents: Shape (t, c, 2), tangents of the object's contour.
         rolled: For each contact, its path on the fingertip and on the object, each of shape (t, 2).
-        guides: Shape (t, 2, 2) for each line that equilibrium asks for.
+        guides: Shape (t, 2, 2) for each dashed line, on which a contact lies at rest.
         owners: For each contact, which finger it belongs to.
         radii: Of each finger's links [mm]; None where they have none of their own.
     """
@@ -71,7 +71,7 @@ def single(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
 
 
 def visible(grasp: Grasp, trajectory: Trajectory) -> Trajectory:
-    """The run; of one that ended before a state was saved, the one state that it has: where it ended."""
+    """The run; if it ended before a state was saved, a run of the one state that it has: where it ended."""
     q = np.asarray(trajectory.states.q)
     if q.ndim != 2 or np.isfinite(q).all(axis=1).any() or not np.isfinite(trajectory.last.q).all():
         return trajectory
@@ -83,7 +83,7 @@ def visible(grasp: Grasp, trajectory: Trajectory) -> Trajectory:
 
 
 def how_it_ended(trajectory: Trajectory, t: float) -> str:
-    """What a title says besides the time: nothing but where a run ended early, at that time."""
+    """What a title says after the time t: the code of a run that had ended early by then, else nothing."""
     early = int(np.asarray(trajectory.result._value)) != 0 and t >= float(trajectory.stats.t_end)
     return f": {code_name(trajectory.result)}" if early else ""
 

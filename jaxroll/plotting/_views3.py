@@ -22,7 +22,7 @@ class View:
         elevation: Of the camera above the x-y plane, in degrees. Default: 22.
         azimuth: Of the camera about z, in degrees, as matplotlib counts. Default: it sees the first contact
             from the side.
-        turn: By how much the camera goes round during an animation, in degrees.
+        turn: The angle through which the camera goes round during an animation, in degrees.
         links: Whether to draw the links of the fingers; without them the bodies in contact, and what has
             rolled, fill the picture.
 

@@ -304,7 +304,7 @@ def _design(options: argparse.Namespace, folder: Path) -> int:
     with _cli.timed("Loading"):
         _cli.configure()
         from . import __version__
-        from ._cli import DesignOrder, fingertip, order
+        from ._cli import designed, DesignOrder, fingertip
     try:
         tip = fingertip(options.tip, options.unit)
     except (ValueError, OSError, ImportError) as error:
@@ -313,7 +313,7 @@ def _design(options: argparse.Namespace, folder: Path) -> int:
             told = f"argument --tip must be a file with the points of a closed outline, but: {told}"
         raise _Unfit(told) from None
     asked = DesignOrder(options.goal, tip, options.steps, options.starts, animated=not options.no_animation)
-    lines, held = order(asked, folder, _cli.timed)
+    lines, held = designed(asked, folder, _cli.timed)
     print("\n".join([f"jaxroll {__version__}, design: a fingertip to hold a rectangle", *lines]))
     return 0 if held else 1
 
@@ -322,8 +322,8 @@ def _fit(options: argparse.Namespace, folder: Path) -> int:
     with _cli.timed("Loading"):
         _cli.configure()
         from . import __version__
-        from ._cli import fit_order
-    lines = fit_order(_shape(options), folder, _cli.timed)
+        from ._cli import fitted
+    lines = fitted(_shape(options), folder, _cli.timed)
     report = _cli.in_options("\n".join(lines), "fit")
     print(f"jaxroll {__version__}, fit: {options.file}\n{report}")
     return 0
@@ -333,7 +333,7 @@ def _pinch(options: argparse.Namespace, folder: Path) -> int:
     with _cli.timed("Loading"):
         _cli.configure()
         from . import __version__
-        from ._cli import pinch_order, PinchOrder
+        from ._cli import pinched, PinchOrder
     asked = PinchOrder(
         _shape(options),
         options.hand,
@@ -344,7 +344,7 @@ def _pinch(options: argparse.Namespace, folder: Path) -> int:
         seconds=options.seconds,
         animated=not options.no_animation,
     )
-    lines, held = pinch_order(asked, folder, _cli.timed)
+    lines, held = pinched(asked, folder, _cli.timed)
     report = _cli.in_options("\n".join(lines), "pinch")
     print(f"jaxroll {__version__}, pinch: {options.file}\n{report}")
     return 0 if held else 1

@@ -13,7 +13,7 @@ import jaxroll as jxr
 from jaxroll import _cli, stability
 from jaxroll.__main__ import main
 from jaxroll._cli import _pinch_command, ShapeOrder
-from jaxroll._cli._shape_file import _check_spread, fitted, read, size_told
+from jaxroll._cli._shape_file import _check_spread, read, size_told, smooth_shape
 from jaxroll.scenes import _any_pinch, _pinch_targets
 from jaxroll.scenes._any_pinch import _turns
 from tests.recorded import runs
@@ -211,7 +211,7 @@ def test_a_file_read_in_another_unit_than_its_own_is_told_before_it_is_fitted(un
 def test_outlines_of_files_of_every_kind(tmp_path):
     """A table, a drawing, a photograph and a section of a mesh give one contour."""
     np.savetxt(tmp_path / "egg.csv", EGG, delimiter=",")
-    first = fitted(ShapeOrder(str(tmp_path / "egg.csv"), "mm", 5e-3, None, None))
+    first = smooth_shape(ShapeOrder(str(tmp_path / "egg.csv"), "mm", 5e-3, None, None))
     assert first.report.radius >= 5e-3
     length = first.report.length
     jxr.io.write_outline(first.contour, tmp_path / "egg.svg", unit="mm")
@@ -222,11 +222,11 @@ def test_outlines_of_files_of_every_kind(tmp_path):
 
     photograph = np.where(inside[..., None], (180, 60, 40), (230, 230, 225)).astype(np.uint8)
     Image.fromarray(photograph).save(tmp_path / "egg.png")
-    drawn = fitted(ShapeOrder(str(tmp_path / "egg.svg"), "mm", 5e-3, None, None))
+    drawn = smooth_shape(ShapeOrder(str(tmp_path / "egg.svg"), "mm", 5e-3, None, None))
     assert drawn.report.length == pytest.approx(length, rel=2e-3)
-    cut = fitted(ShapeOrder(str(solid), "mm", 5e-3, None, ("z", 5e-3)))
+    cut = smooth_shape(ShapeOrder(str(solid), "mm", 5e-3, None, ("z", 5e-3)))
     assert cut.report.length == pytest.approx(length, rel=2e-3)
-    seen = fitted(ShapeOrder(str(tmp_path / "egg.png"), "mm", 5e-3, 2e-4, None))
+    seen = smooth_shape(ShapeOrder(str(tmp_path / "egg.png"), "mm", 5e-3, 2e-4, None))
     # Ramanujan's perimeter of the ellipse with half axes 35 and 20 mm.
     a, b = 0.035, 0.020
     h = ((a - b) / (a + b)) ** 2
@@ -238,7 +238,7 @@ def test_a_cloud_and_a_mesh_are_fitted_with_their_normals_and_faces(monkeypatch)
     monkeypatch.setattr(_cli._shape_file, "fit_surface", lambda *args, **options: (args, options))
     points, normals, faces = np.diag([1.0, 2.0, 3.0]), np.eye(3), np.array([[0, 1, 2]])
     order = ShapeOrder("body.stl", "m", 0.1, None, None)
-    args, options = fitted(order, _cli._shape_file.ShapePoints(points, normals, faces))
+    args, options = smooth_shape(order, _cli._shape_file.ShapePoints(points, normals, faces))
     assert args[0] is points and args[1] is normals
     assert options == {"faces": faces, "smallest_radius": 0.1}
 
@@ -400,7 +400,7 @@ def test_each_file_has_a_folder_of_its_name_unless_nothing_is_written(
         seen.append(folder)
         raise ValueError("argument points must fit")
 
-    monkeypatch.setattr(_cli, f"{command}_order", ordered if written else refused)
+    monkeypatch.setattr(_cli, {"fit": "fitted", "pinch": "pinched"}[command], ordered if written else refused)
     assert main([command, "egg.csv"]) == (0 if written else 2)
     assert main([command, "egg.csv", "--out", "deep/out"]) == (0 if written else 2)
     assert [str(folder) for folder in seen] == [f"jaxroll-{command}-egg", "deep/out"]

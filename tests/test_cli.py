@@ -25,8 +25,8 @@ from jaxroll._cli import (
     _run_pictures,
     _settings,
     _waiting,
+    designed,
     DesignOrder,
-    order,
 )
 from jaxroll._cli._design_command import fingertip
 from jaxroll.geometry import Circle
@@ -119,7 +119,7 @@ def test_a_design_names_the_files_that_it_wrote(animated, tmp_path, monkeypatch)
     monkeypatch.setattr(plotting, "comparison", lambda runs, folder: (folder / "comparison.png").touch())
     monkeypatch.setattr(plotting, "animate", lambda grasp, run, path, **options: path.touch())
     asked = DesignOrder("margin", tip, steps=1, starts=1, animated=animated)
-    lines, held = order(asked, tmp_path, lambda doing: contextlib.nullcontext())
+    lines, held = designed(asked, tmp_path, lambda doing: contextlib.nullcontext())
     first, outcome, *others, names = lines[:5]
     missing = lines[5:]
     assert (first, *others) == ("the report", "the runs", f"Files in {tmp_path}:") and held == animated
@@ -167,7 +167,7 @@ def test_a_design_says_what_its_start_is_and_how_its_search_ended(
     monkeypatch.setattr(plotting, "design", lambda found, folder: None)
     monkeypatch.setattr(plotting, "comparison", lambda runs, folder: None)
     asked = DesignOrder("margin", tip, steps=1, starts=4, animated=False)
-    lines, _ = order(asked, tmp_path, lambda doing: contextlib.nullcontext())
+    lines, _ = designed(asked, tmp_path, lambda doing: contextlib.nullcontext())
     assert lines[-3] == f"  outcome   the fingertip holds{outcome}"
     assert begun in lines[1] and (len(lines) == 5) == bool(begun)
 
@@ -182,7 +182,7 @@ def test_a_tip_out_of_the_fingers_reach_is_refused_before_any_search(tmp_path, m
     with pytest.raises(
         ValueError, match="tip must be one with which the fingers reach, but the best found leav"
     ):
-        order(asked, tmp_path, None)
+        designed(asked, tmp_path, None)
     u = 2.0 * np.pi * np.arange(24) / 24
     np.savetxt(tmp_path / "small.csv", np.stack([np.cos(u), np.sin(u)], axis=-1), delimiter=",")
     with pytest.raises(
@@ -194,7 +194,7 @@ def test_a_tip_out_of_the_fingers_reach_is_refused_before_any_search(tmp_path, m
 @pytest.mark.parametrize("held", [True, False])
 def test_a_design_that_does_not_hold_is_no_success(held, tmp_path, monkeypatch, capfd):
     monkeypatch.setenv("JAXROLL_CACHE", "off")
-    monkeypatch.setattr(_cli, "order", lambda asked, folder, timed: (["the report"], held))
+    monkeypatch.setattr(_cli, "designed", lambda asked, folder, timed: (["the report"], held))
     assert main(["design", "--out", str(tmp_path)]) == (0 if held else 1)
     assert "the report" in capfd.readouterr().out
 

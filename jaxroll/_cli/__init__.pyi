@@ -1,6 +1,6 @@
 """What `_cli` holds, and where; `__init__.py` reads it, and so do type checkers."""
 
-from ._design_command import DesignOrder as DesignOrder, fingertip as fingertip, order as order
+from ._design_command import designed as designed, DesignOrder as DesignOrder, fingertip as fingertip
 from ._facts import (
     pinch3d_facts as pinch3d_facts,
     pinch3d_scene as pinch3d_scene,
@@ -9,8 +9,8 @@ from ._facts import (
     pivoted_facts as pivoted_facts,
     pivoted_scene as pivoted_scene,
 )
-from ._fit_command import fit_order as fit_order
-from ._pinch_command import pinch_order as pinch_order, PinchOrder as PinchOrder
+from ._fit_command import fitted as fitted
+from ._pinch_command import pinched as pinched, PinchOrder as PinchOrder
 from ._replay_command import replayed as replayed
 from ._replay_order import replay_order as replay_order, replay_parser as replay_parser
 from ._settings import configure as configure, tried_folder as tried_folder

@@ -1,8 +1,8 @@
 """What `jaxroll design` does: a fingertip that loses a grasp, a better one, and runs with both.
 
-`fingertip` makes the start from a file or takes the built-in one; `order` has `design.optimise_fingertip`
-improve it, simulates the pinch with both, writes figures, animations and the new outline, and returns the
-report.
+`fingertip` makes the start from a file or takes the built-in one. `designed` improves it by
+`design.optimise_fingertip`, simulates the pinch with both, writes figures, animations and the new outline,
+and returns the report.
 """
 
 from collections.abc import Callable, Sequence
@@ -103,7 +103,7 @@ def fingertip(path: str | None, unit: str) -> Spline:
     return Spline(contour.point(start + (s[-1] + s[1] - 2 * s[0]) * u / (2.0 * np.pi)), cells=128)
 
 
-def order(
+def designed(
     asked: DesignOrder, folder: Path, timed: Callable[[str], AbstractContextManager]
 ) -> tuple[list[str], bool]:
     """Design, simulate, draw and write; returns the lines of the report, and whether the fingertip holds.

@@ -7,12 +7,12 @@ from pathlib import Path
 from .. import io, plotting
 from .._saving import save
 from ..geometry import Fit
-from ._shape_file import fitted, read, ShapeOrder, size_told, warn
+from ._shape_file import read, ShapeOrder, size_told, smooth_shape, warn
 
 _OUTLINES = ("contour.csv", "contour.svg", "contour.dxf")
 
 
-def fit_order(asked: ShapeOrder, folder: Path, timed: Callable[[str], AbstractContextManager]) -> list[str]:
+def fitted(asked: ShapeOrder, folder: Path, timed: Callable[[str], AbstractContextManager]) -> list[str]:
     """Fit, draw and write; returns the lines of the report.
 
     Args:
@@ -25,7 +25,7 @@ def fit_order(asked: ShapeOrder, folder: Path, timed: Callable[[str], AbstractCo
     size = size_told(asked, outline)
     warn(size)
     with timed("Fitting"):
-        found = fitted(asked, outline)
+        found = smooth_shape(asked, outline)
     with timed("Drawing"):
         plotting.fit(found).savefig(folder / "fit.png", dpi=150)
     names, missing = ["fit.png"], []

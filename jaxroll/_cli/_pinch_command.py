@@ -1,8 +1,8 @@
 """What `jaxroll pinch` does: an object from a file is held between two fingers, pushed, and watched.
 
-`fitted` makes the object's shape, `uniform` its mass, `scenes.pinch_object` finds where to hold it and how
-the fingers get there. A grasp in which nothing moves shows nothing: a tenth of a second after the start the
-object is pushed aside for a moment, so that it must come to rest again if the grasp is firm.
+`smooth_shape` makes the object's shape, `uniform` its mass, `scenes.pinch_object` finds where to hold it and
+how the fingers get there. A grasp in which nothing moves shows nothing: a tenth of a second after the start
+the object is pushed aside for a moment, so that it must come to rest again if the grasp is firm.
 """
 
 from collections.abc import Callable
@@ -25,7 +25,7 @@ from .._results import RESULTS
 from .._saving import save
 from ..geometry import Fit, Sphere, SurfaceFit
 from ._run_pictures import pace, run_pictures
-from ._shape_file import fitted, read, ShapeOrder, size_told, warn
+from ._shape_file import read, ShapeOrder, size_told, smooth_shape, warn
 
 # The push: when it begins and how long it lasts [s], its size beside that of the fingers.
 _BEGINS, _LASTS, _SHARE = 0.1, 0.1, 0.25
@@ -86,7 +86,7 @@ class PinchOrder:
     animated: bool
 
 
-def pinch_order(
+def pinched(
     asked: PinchOrder, folder: Path, timed: Callable[[str], AbstractContextManager]
 ) -> tuple[list[str], bool]:
     """Fit, find where to hold, close, run, draw and write; returns the report's lines, and whether it held.
@@ -101,7 +101,7 @@ def pinch_order(
     size = size_told(asked.shape, outline)
     warn(size)
     with timed("Fitting"):
-        found = fitted(asked.shape, outline)
+        found = smooth_shape(asked.shape, outline)
     flat = isinstance(found, Fit)
     with timed("Weighing"):
         body = _body(found, asked)

@@ -77,29 +77,29 @@ class ShapePoints(NamedTuple):
         return np.ptp(self.points, axis=0)
 
 
-def read(order: ShapeOrder) -> ShapePoints:
+def read(asked: ShapeOrder) -> ShapePoints:
     """What a file holds.
 
     Raises:
         ValueError: If the file holds no points, or they lie on a line or in a plane of space.
     """
-    _check_options(order)
-    found, path = _read(order), Path(order.file)
+    _check_options(asked)
+    found, path = _read(asked), Path(asked.file)
     _check_spread(found.points, path.name, table=path.suffix.lower() in TABLES)
     return found
 
 
-def _check_options(order: ShapeOrder) -> None:
+def _check_options(asked: ShapeOrder) -> None:
     """Refuse options that are for files of another kind."""
-    path = Path(order.file)
+    path = Path(asked.file)
     kind = path.suffix.lower()
     # By option: whether it was given, the kinds that it is for, and their name.
     taken = {
-        "--pixel": (order.pixel, (*PHOTOGRAPHS, ".svg"), "a photograph or an SVG"),
-        "--section": (order.section, MESHES, "a mesh"),
+        "--pixel": (asked.pixel, (*PHOTOGRAPHS, ".svg"), "a photograph or an SVG"),
+        "--section": (asked.section, MESHES, "a mesh"),
         "--which": (
-            order.which,
-            DRAWINGS + PHOTOGRAPHS + (MESHES if order.section is not None else ()),
+            asked.which,
+            DRAWINGS + PHOTOGRAPHS + (MESHES if asked.section is not None else ()),
             "a drawing, a photograph or a section",
         ),
     }
@@ -110,20 +110,20 @@ def _check_options(order: ShapeOrder) -> None:
             )
 
 
-def _read(order: ShapeOrder) -> ShapePoints:
+def _read(asked: ShapeOrder) -> ShapePoints:
     """The points of a file, by its kind."""
-    path, kind = Path(order.file), Path(order.file).suffix.lower()
+    path, kind = Path(asked.file), Path(asked.file).suffix.lower()
     if kind in PHOTOGRAPHS:
-        if order.pixel is None:
+        if asked.pixel is None:
             raise ValueError("argument --pixel must be the size of a pixel in mm, but was not given")
-        return ShapePoints(io.read_silhouette(_image(path), pixel=order.pixel, which=order.which or 0))
+        return ShapePoints(io.read_silhouette(_image(path), pixel=asked.pixel, which=asked.which or 0))
     if kind in DRAWINGS:
         # An SVG may be in a unit of its own, which is a pixel to it.
-        scale = metres_per(order.unit) if order.pixel is None else order.pixel
-        points, count = drawn(readable(path), scale, order.which or 0)
+        scale = metres_per(asked.unit) if asked.pixel is None else asked.pixel
+        points, count = drawn(readable(path), scale, asked.which or 0)
         return ShapePoints(points, outlines=count)
     if kind in MESHES:
-        return _of_mesh(path, order)
+        return _of_mesh(path, asked)
     if kind not in TABLES:
         known = ", ".join(DRAWINGS + TABLES + MESHES + PHOTOGRAPHS)
         raise ValueError(f"argument FILE must end in one of {known}, but was {path.name}")
@@ -131,8 +131,8 @@ def _read(order: ShapeOrder) -> ShapePoints:
     _check_width(path, width)
     # A scan with a bad number in z is no outline: what decides is how many columns there are.
     if kind == ".xyz" or width > 2:
-        return ShapePoints(*_cloud(path, order.unit))
-    return ShapePoints(io.read_points(path, unit=order.unit))
+        return ShapePoints(*_cloud(path, asked.unit))
+    return ShapePoints(io.read_points(path, unit=asked.unit))
 
 
 def _check_width(path: Path, width: int) -> None:
@@ -175,42 +175,42 @@ def _check_spread(points: np.ndarray, name: str, *, table: bool) -> None:
     )
 
 
-def fitted(order: ShapeOrder, outline: ShapePoints | None = None) -> Fit | SurfaceFit:
+def smooth_shape(asked: ShapeOrder, outline: ShapePoints | None = None) -> Fit | SurfaceFit:
     """The smooth shape near what a file holds.
 
     Args:
-        order: Which shape to make of which file.
+        asked: Which shape to make of which file.
         outline: What `read` has of it. Default: it is read here.
 
     Raises:
         ValueError: If the file holds no points, or they are no one smooth shape.
     """
-    points, normals, faces, _ = read(order) if outline is None else outline
-    radius = _radius(points) if order.radius is None else order.radius
+    points, normals, faces, _ = read(asked) if outline is None else outline
+    radius = _radius(points) if asked.radius is None else asked.radius
     if points.shape[1] == 2:
         return fit_contour(points, smallest_radius=radius)
     return fit_surface(points, normals, faces=faces, smallest_radius=radius)
 
 
-def size_told(order: ShapeOrder, outline: ShapePoints) -> list[str]:
+def size_told(asked: ShapeOrder, outline: ShapePoints) -> list[str]:
     """Lines about what was read: its size, where there are several outlines which, and a unit in doubt."""
     size = " x ".join(f"{1e3 * x:.4g}" for x in outline.extent)
     lines = [f"  size        {size} mm"]
     if outline.outlines > 1:
         last = outline.outlines - 1
-        told = f"number {order.which or 0} of {outline.outlines} was taken, from 0, the largest, to {last}"
+        told = f"number {asked.which or 0} of {outline.outlines} was taken, from 0, the largest, to {last}"
         lines.append(f"  outline     {told}; --which N takes another")
     largest = float(outline.extent.max())
     if _HELD[0] <= largest <= _HELD[1]:
         return lines
-    if order.pixel is not None or Path(order.file).suffix.lower() in PHOTOGRAPHS:
+    if asked.pixel is not None or Path(asked.file).suffix.lower() in PHOTOGRAPHS:
         return [*lines, "  beware      no hand holds what is of this size: is --pixel right?"]
-    others = {unit: largest * metres_per(unit) / metres_per(order.unit) for unit in _UNITS}
+    others = {unit: largest * metres_per(unit) / metres_per(asked.unit) for unit in _UNITS}
     likely = [
         f"--unit {unit}: {1e3 * x:.4g} mm" for unit, x in others.items() if _LIKELY[0] <= x <= _LIKELY[1]
     ]
     told = f" ({likely[0]} long)" if likely else ""
-    return [*lines, f"  beware      no hand holds what is of this size: is --unit {order.unit} right?{told}"]
+    return [*lines, f"  beware      no hand holds what is of this size: is --unit {asked.unit} right?{told}"]
 
 
 def warn(lines: list[str]) -> None:
@@ -219,20 +219,20 @@ def warn(lines: list[str]) -> None:
         say(line.strip())
 
 
-def _of_mesh(path: Path, order: ShapeOrder) -> ShapePoints:
+def _of_mesh(path: Path, asked: ShapeOrder) -> ShapePoints:
     """A surface or a section of a mesh; of a PLY that has points alone, these."""
     try:
-        points, faces = io.read_mesh(path, unit=order.unit)
+        points, faces = io.read_mesh(path, unit=asked.unit)
     except ValueError:
-        if path.suffix.lower() != ".ply" or order.section is not None:
+        if path.suffix.lower() != ".ply" or asked.section is not None:
             raise
-        return ShapePoints(*io.read_cloud(path, unit=order.unit))
-    if order.section is None:
+        return ShapePoints(*io.read_cloud(path, unit=asked.unit))
+    if asked.section is None:
         return ShapePoints(points, faces=faces)
-    axis, height = order.section
+    axis, height = asked.section
     normal = np.eye(3)[_AXES.index(axis)]
     outlines = io.section(points, faces, origin=height * normal, normal=normal)
-    which = order.which or 0
+    which = asked.which or 0
     if which >= len(outlines):
         raise ValueError(
             f"argument --which must be below the number of outlines of the section, {len(outlines)}, but was "

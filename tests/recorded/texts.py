@@ -209,7 +209,7 @@ def ordered(goal: str) -> dict[str, Any]:
         mock.patch.object(_design_command, "optimise_fingertip", search),
         mock.patch.object(_design_command.scenes, "pinch", asked("pinch", lambda **options: grasp)),
     ):
-        lines, held = _cli.order(order, Path(folder), timed)
+        lines, held = _cli.designed(order, Path(folder), timed)
         written = sorted(path.name for path in Path(folder).iterdir())
     lines = [line.replace(folder, "FOLDER") for line in lines]
     return {"asked": asked.calls, "lines": lines, "held": held, "written": written, "tip": described(tip)}

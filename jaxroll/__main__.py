@@ -47,12 +47,12 @@ class Demo:
         title: What it shows.
         seconds: Time to simulate by default [s].
         speed: Simulated seconds per second of animation.
-        figures: File name of each figure, with the chapter's number if it has one, and how
-            `plotting` draws it from the grasp and its run.
-        scene: Which function of `_cli` has lines about a grasp and its start.
-        facts: The same about a run of it.
-        shown: The first seconds, which are animated and saved densely. Default: the whole run.
-        animated: What else `plotting.animate` is told.
+        figures: By the file name of each figure, which has the chapter's number if there is one, a function
+            of `plotting`, the grasp and its run that draws it.
+        scene: Name of the function in `_cli` that gives lines about a grasp and its start.
+        facts: Name of the function in `_cli` that gives lines about a run.
+        shown: How many of the first seconds are animated, and saved densely. Default: the whole run.
+        animated: From `plotting`, further arguments of `plotting.animate`.
         page: Whether there is a page for a browser too.
     """
 
@@ -82,7 +82,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     Returns:
         The exit code: 0 if all went well, 1 if the run failed or nothing holds, 2 for an argument that does
-        not fit.
+        not fit, 130 if it was interrupted.
 
     Example:
         >>> main(["demo", "--seconds", "-1"])
@@ -137,9 +137,9 @@ class _Unfit(Exception):
 
 
 def _folder(options: argparse.Namespace) -> tuple[Path, list[Path]]:
-    """The folder to write to, made and tried before any work is done; and the files to read are there.
+    """The folder to write to, made and tried before any work is done, and the folders that were made for it.
 
-    What folders were made for it is returned too, the inner ones first.
+    The inner folders come first. Raises unless the files to read are there, too.
     """
     for word, name in (("--tip", "tip"), ("FILE", "file"), ("--hand", "hand")):
         given = getattr(options, name, None)
@@ -160,7 +160,7 @@ def _missing(given: str) -> list[Path]:
 
 
 def _there(path: Path) -> bool:
-    """Whether there is such a file or folder; what has no such name is none to be made."""
+    """Whether there is such a file or folder; True for a name that none can have, which cannot be made."""
     try:
         return path.exists()
     except (OSError, ValueError):
@@ -369,7 +369,7 @@ def _shape(options: argparse.Namespace) -> Any:
     return ShapeOrder(options.file, options.unit, radius, pixel, options.section, options.which)
 
 
-# What each command does that is no demo and no sweep.
+# The function of each command but `demo`, `sweep` and `map`; it returns the exit code.
 _ORDERS: dict[str, Callable[[argparse.Namespace, Path], int]] = {
     "design": _design,
     "fit": _fit,
@@ -381,7 +381,7 @@ _ORDERS: dict[str, Callable[[argparse.Namespace, Path], int]] = {
 def _sweep_or_map(options: argparse.Namespace) -> None:
     order: Any = _cli.sweep_order(options) if options.command == "sweep" else _cli.map_order(options)
     filled = options.command == "sweep" and order.store
-    # Runs of a sweep are kept in a folder within, which stands empty where a first one failed.
+    # A sweep keeps its chunks in a folder within, which is empty if its first chunk failed.
     made = [] if filled else [Path(order.out, "chunks"), *_missing(order.out)]
     folder = Path(order.store) if filled else _writable(order.out)
     try:
@@ -405,7 +405,7 @@ def _page(demo: Demo, folder: Path, names: list[str], *, plotting: Any, grasp: A
 
 
 def _save_times(demo: Demo, seconds: float) -> Any:
-    """How many times to save, or which: every frame of the animation, then fewer."""
+    """How many states to save, evenly spaced; or at which times: at each frame of the film, then fewer."""
     if seconds <= demo.shown:
         return min(max(301, round(100 * seconds) + 1), 3001)
     import numpy as np

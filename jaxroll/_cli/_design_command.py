@@ -34,12 +34,12 @@ from ..design import (
 )
 from ..geometry import fit_contour, Spline
 
-# The built-in start: half axes [m] of an ellipse whose end, sharper than a circle about O_i, faces the
-# object; and the number of points on any start.
+# The built-in start: half axes [m] of an ellipse whose sharp end faces the object, sharper than a circle
+# about O_i; and the number of points on any start.
 _LONG, _WIDE, _POINTS = 0.018, 0.009, 24
 _INTERVAL = (-0.006, 0.006)  # arclengths of the fingertip that are judged [m]
 _FRICTION = 0.5
-_SEEN = 1e-6  # by which a point is moved for it to be told [m]
+_SEEN = 1e-6  # a point that was moved farther than this is mentioned in the report [m]
 # Animations: time shown [s], its speed; thickness of the solid fingertip [m].
 _SHOWN, _SPEED, _THICK = 0.15, 0.05, 0.01
 _OUT = ("fingertip.csv", "fingertip.svg", "fingertip.dxf")
@@ -124,7 +124,7 @@ def designed(
     _check_reach(tip)
     with timed(f"Designing for {asked.goal}"):
         found = optimise_fingertip(tip, _INTERVAL, limits=limits, symmetric=True, **options)
-    # First of all: whatever becomes of the runs, the outline is there.
+    # Written before the runs, so that the outline is there even if these fail.
     written, missing = _write(found, folder)
     with timed("Simulating both"):
         pairs = [make(one) for one in (found.start, found.tip)]
@@ -165,7 +165,7 @@ def _check_reach(tip: Any) -> None:
 
 
 def _begun(found: Design, asked: DesignOrder) -> list[str]:
-    """A line that says what `before` is of, where that is not the outline as it was given."""
+    """A line that says which outline `before` is, unless it is the given one."""
     if found.chosen:
         return [
             f"  before    of start {found.chosen + 1} of {asked.starts}, a variation of the outline at random"

@@ -1,10 +1,14 @@
 """What `jaxroll demo` says of the chapter's scenes and of runs of them: lines of numbers, as text.
 
-For each part of the chapter, `..._scene` describes a scene and `..._facts` a run of it. Nothing that imports
-jax is imported at the top, so that the command line can answer before jax is loaded (see `__main__`).
+For each part of the chapter, `..._scene` describes a scene and `..._facts` a run of it.
 """
 
 from typing import Any
+
+import numpy as np
+
+from .. import stability
+from .._analysis import loci, pinch_balance, press_balance
 
 
 def _row(array: Any) -> str:
@@ -30,8 +34,6 @@ def pivoted_scene(grasp: Any, state: Any) -> list[str]:
 
 def pivoted_facts(grasp: Any, run: Any) -> list[str]:
     """What the chapter plots of Part 2, at the start and the end of a run."""
-    from .._analysis import press_balance
-
     found = press_balance(grasp, run.ts, run.states)
     rows = (
         ("Delta f [N]", found.delta_f, 1.0),
@@ -61,10 +63,6 @@ def pinch_scene(grasp: Any, state: Any) -> list[str]:
 
 def _verdict(grasp: Any, state: Any) -> list[str]:
     """What linearisation at the equilibrium says, before anything is simulated."""
-    import numpy as np
-
-    from .. import stability
-
     found = stability.assess(grasp, state)
     neutral, rates = int(found.neutral), np.asarray(found.rates)
     # Each neutral direction has one rate of zero.
@@ -78,10 +76,6 @@ def _verdict(grasp: Any, state: Any) -> list[str]:
 
 def pinch_facts(grasp: Any, run: Any) -> list[str]:
     """What the chapter plots of Part 1, at the start and the end of a run."""
-    import numpy as np
-
-    from .._analysis import pinch_balance
-
     found = pinch_balance(grasp, run.ts, run.states)
     rows = (
         ("s_i [mm]", found.s, 1e3),
@@ -103,8 +97,6 @@ def pinch_facts(grasp: Any, run: Any) -> list[str]:
 
 def _checks(run: Any) -> list[str]:
     """A line on the energy dissipated, the error of the energy balance, and the largest gaps."""
-    import numpy as np
-
     peak = lambda array: float(np.nanmax(np.abs(np.asarray(array))))  # noqa: E731
     left, energy = run.residuals, run.energy
     return [
@@ -115,8 +107,6 @@ def _checks(run: Any) -> list[str]:
 
 def pinch3d_scene(grasp: Any, state: Any) -> list[str]:
     """Links, object and control of Part 3."""
-    import numpy as np
-
     control, body = grasp.controller, grasp.object
     links = [np.linalg.norm(np.asarray(finger.offsets), axis=1) for finger in grasp.fingers]
     return [
@@ -131,10 +121,6 @@ def pinch3d_scene(grasp: Any, state: Any) -> list[str]:
 
 def pinch3d_facts(grasp: Any, run: Any) -> list[str]:
     """What the chapter plots of Part 3, at the start and the end of a run."""
-    import numpy as np
-
-    from .._analysis import loci
-
     found, f = loci(grasp, run), np.asarray(run.multipliers.f)
     aside = np.linalg.norm(np.asarray(run.multipliers.lam), axis=-1)
     # The last time that the run reached.

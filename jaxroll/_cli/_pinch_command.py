@@ -31,11 +31,11 @@ from ._shape_file import read, ShapeOrder, size_told, smooth_shape, warn
 _BEGINS, _LASTS, _SHARE = 0.1, 0.1, 0.25
 # Radius of the tips of a hand from a file, where the file has none that can be used [m].
 _TIP = 0.01
-# Range of a joint for which a file has none [rad].
+# The largest angle of a joint either way, if its file has none or a larger one [rad].
 _TURNS = 4.0 * np.pi
 # Below this speed [m/s] and this rate [rad/s] an object is said to be at rest.
 _STILL = (1e-4, 1e-2)
-# What a run that held leaves open, by the name of the verdict.
+# By the name of the verdict, why a run that held does not say that the grasp is stable.
 _DOUBTS = {
     "unstable": ", but some small disturbance grows",
     "undamped": ", but some small disturbance never dies out",
@@ -55,9 +55,10 @@ _REMEDIES = {
     "torque_limit": "a smaller --force, or another --hand",
     "unresolved": "a larger --smallest-radius",
 }
-# The animation: pictures a second, and simulated seconds per second shown. In space a picture takes long.
+# The animation: pictures a second, few since in space each takes long to draw, and simulated seconds per
+# second shown.
 _FPS, _SPEED = 12.0, 0.5
-# A film takes no longer than this [s], and no more states are saved.
+# The longest film [s], and the most states that are saved.
 _LONGEST, _MOST = 60.0, 20_001
 
 
@@ -166,7 +167,7 @@ def _fingers(hand: io.Hand) -> list[Any]:
 
 
 def _hand_told(hand: io.Hand, own: bool) -> list[str]:
-    """A line on what of a hand's file its fingers have not, if there is anything."""
+    """A line on what is in the file of a hand and not in the fingers that are used, if there is anything."""
     parts = {
         "largest torques": any(np.isfinite(x).any() for x in hand.torques),
         "damping": any(np.any(x) for x in hand.damping),
@@ -180,7 +181,7 @@ def _hand_told(hand: io.Hand, own: bool) -> list[str]:
 
 
 def _limited(finger: Any, limits: Any) -> Any:
-    """A finger that keeps the ranges of its joints; where the file has none, some turns either way."""
+    """A finger that keeps to the ranges of its joints, which are two turns either way at most."""
     ranges = jnp.clip(limits, -_TURNS, _TURNS)
     return eqx.tree_at(lambda f: f.limits, finger, ranges, is_leaf=lambda x: x is None)
 
@@ -229,7 +230,7 @@ def _pushed(grasp: Grasp, state: State) -> tuple[Grasp, float]:
 def _aside(line: np.ndarray) -> np.ndarray:
     """A direction across a line."""
     line = line / np.linalg.norm(line)
-    # Of the axes without the line's part the two longest, in the plane the longest.
+    # Of the axes, less their parts along the line, the two longest in space and the longest in the plane.
     across = np.eye(len(line)) - np.outer(line, line)
     longest = np.argsort(np.linalg.norm(across, axis=1))[1:]
     direction = across[longest].sum(axis=0)

@@ -18,7 +18,7 @@ from .._saving import load
 from ._replay_order import ReplayOrder
 from ._run_pictures import pace, run_pictures
 
-# What helps a run that ended early is for whoever made it, and made it in Python.
+# What helps a run that ended early must be done in Python, by whoever made it.
 _REMEDIES = {name: f"in Python, where it was made: {text}" for name, text in REMEDIES.items()}
 # A command cannot be given the caller's own classes and functions, which `load` asks for.
 _OWN = (

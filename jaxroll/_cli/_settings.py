@@ -27,9 +27,9 @@ def configure() -> None:
 
 
 def _kept_in() -> str | None:
-    """The folder of compiled programs; None where nothing is to be kept, or no place was named and none is.
+    """The folder of compiled programs; None where nothing is to be kept, or the default place does not serve.
 
-    A home that cannot be written to, as in a container, is no reason to do nothing.
+    A home that cannot be written to, as in a container, is no reason for a command to fail.
     """
     asked = os.environ.get("JAXROLL_CACHE")
     if asked == "off":
@@ -47,7 +47,7 @@ def _kept_in() -> str | None:
 
 
 def tried_folder(folder: Path) -> Path:
-    """The folder, made where there is none and tried; the system's error where it cannot be written to."""
+    """The folder, made if need be; raises the system's error if no file can be written to it."""
     folder.mkdir(parents=True, exist_ok=True)
     tempfile.TemporaryFile(dir=folder).close()
     return folder

@@ -30,7 +30,7 @@ _UNITS = ("m", "mm", "um", "in", "cm")
 _SHARE = 0.1
 # How many columns a table may have.
 _WIDTHS = (2, 3, 6)
-# Points whose least extent is this share of their largest have none; steps as alike as this are even.
+# Points whose least extent is at most this share of their largest are flat; steps as alike as this are even.
 _FLAT, _EVEN = 1e-6, 1e-6
 _AXES = "xyz"
 
@@ -43,9 +43,10 @@ class ShapeOrder:
         file: Its name.
         unit: Of the numbers in it.
         radius: Smallest radius of curvature [m]; None: a tenth of the least extent along its own axes.
-        pixel: Size of a photograph's pixel, or of one unit of an SVG [m]; None: of an SVG the unit.
-        section: Of a mesh, what to cut it across: an axis, and where [m]; None for all of it.
-        which: Of a drawing, a photograph or a section, which outline, counting from the largest; None: 0.
+        pixel: Size of a photograph's pixel, or of one pixel of an SVG [m]; None: an SVG is in `unit`.
+        section: Where to cut a mesh: the axis across which, and the place on it [m]; None for all of the
+            mesh.
+        which: Which outline of a drawing, a photograph or a section, counting from the largest; None: 0.
     """
 
     file: str
@@ -193,7 +194,7 @@ def smooth_shape(asked: ShapeOrder, outline: ShapePoints | None = None) -> Fit |
 
 
 def size_told(asked: ShapeOrder, outline: ShapePoints) -> list[str]:
-    """Lines about what was read: its size, where there are several outlines which, and a unit in doubt."""
+    """Lines about what was read: its size, which of several outlines it is, and a unit that is in doubt."""
     size = " x ".join(f"{1e3 * x:.4g}" for x in outline.extent)
     lines = [f"  size        {size} mm"]
     if outline.outlines > 1:
@@ -214,7 +215,7 @@ def size_told(asked: ShapeOrder, outline: ShapePoints) -> list[str]:
 
 
 def warn(lines: list[str]) -> None:
-    """Say at once, before what takes long, what a report's lines ask to beware of."""
+    """Say the lines after the size at once, before what takes long: the outline taken, a unit in doubt."""
     for line in lines[1:]:
         say(line.strip())
 
@@ -267,7 +268,7 @@ def _image(path: Path) -> np.ndarray:
 
     try:
         with Image.open(path) as file:
-            # Cameras that are held upright or upside down store what they see, and how it is to be turned.
+            # A camera that was held upright or upside down stores what it saw, and how that is to be turned.
             picture = ImageOps.exif_transpose(file)
             # Grey values of more than 8 bits, which "RGB" would cut off.
             if picture.mode.startswith(("I", "F")):

@@ -15,7 +15,7 @@ _FILE = (
     "a drawing (SVG, DXF), a table of points with two, three or six columns (CSV, TXT, DAT, NPY, XYZ), "
     "a mesh (STL, OBJ, PLY, OFF) or a photograph (PNG, JPEG, TIFF, BMP)"
 )
-# Units of files. Those of `geometry` are the same, but help is to be there before JAX is.
+# Units of files: those of `geometry`, which cannot be asked here without importing JAX.
 FILE_UNITS = ("m", "cm", "mm", "um", "in")
 
 

@@ -36,7 +36,7 @@ from ._waiting import say
 
 _RUNS = 1024
 _TIP = "tip_radius"
-# Runs per program call of an adaptive map at most: of each round's last chunk a part is repeated.
+# The most runs per program call of an adaptive map: each round fills its last chunk with repeated runs.
 _CHUNK = 128
 Timed = Callable[[str], AbstractContextManager]
 
@@ -46,7 +46,7 @@ def swept(asked: SweepOrder, folder: Path, timed: Timed) -> list[str]:
     keep = measures(*asked.keep)
     make, parameters = maker(asked.scene, tuple(asked.ranges)), parameters_of(asked)
     options = {"ts": asked.times if keep.timed else 1, "rtol": asked.rtol, "record": keep.record}
-    # A line of its own, for the bar takes the next one.
+    # On a line of its own, for the bar of progress takes the next one.
     over = ", ".join(_with_unit(name) for name in parameters.names)
     say(f"Sweeping {asked.scene} over {over} ...")
     start, done = time.perf_counter(), parameters.rows
@@ -196,7 +196,7 @@ def _known_where_it_can_be(function: Callable) -> Callable[[Parameters], tuple[A
 
 
 def _check_taken(function: Callable, scene: str, names: tuple[str, ...]) -> None:
-    """Refuse names that a caller's own scene does not take, and such as leave out what it needs."""
+    """Refuse names that a caller's own scene does not take, and names without one that it needs."""
     given = inspect.signature(function)
     try:
         given.bind(**dict.fromkeys(names))
@@ -207,7 +207,7 @@ def _check_taken(function: Callable, scene: str, names: tuple[str, ...]) -> None
 
 
 def _check_names(names: list[str], build: Callable, grasp: Any) -> None:
-    """Refuse names that a scene has not, and say which it has."""
+    """Refuse names that a scene does not have, and say which it has."""
     parts = (grasp, grasp.controller, grasp.object)
     fields = [(name, getattr(part, name)) for part in parts for name in _fields(part)]
     unknown = [name for name in names if name not in dict(fields)]
@@ -281,9 +281,10 @@ def _from_file(scene: str) -> Callable[..., Any]:
 
 @contextlib.contextmanager
 def _known_by_name(module: types.ModuleType) -> Iterator[None]:
-    """Context in which a module is found by its name, as dataclasses do that read annotations in words.
+    """Context in which a module is found by its name, as dataclasses need whose annotations are text.
 
-    Afterwards it is not: no other process would find it, and so its functions are sent whole to workers.
+    Afterwards it is not found: no other process would find it, and so its functions are sent whole to
+        workers.
     """
     before = sys.modules.get(module.__name__)
     sys.modules[module.__name__] = module

@@ -29,6 +29,17 @@ _SET = (
     "argument of the scene, a field of its grasp, controller or object, or tip_radius, of round fingertips. "
     "Unlike lengths of other commands, values are in SI units: m, kg, s, N, rad"
 )
+# What a file may say, and of which kind each entry is.
+_FILE: dict[str, type] = {
+    "scene": str, "out": str, "sampling": str, "number": int, "times": int, "chunk": int, "seed": int,
+    "seconds": float, "rtol": float, "keep": list, "set": dict, "store": str, "workers": int,
+}  # fmt: skip
+# The least and the largest that a number may be, on the command line and in a file.
+_ENDS = {
+    "number": (1, 1e9), "times": (3, 1e5), "chunk": (1, 1e6), "seed": (0, 2**31), "seconds": (1e-6, 1e6),
+    "rtol": (1e-13, 1e-2), "workers": (1, 1024),
+}  # fmt: skip
+# Units of parameters that the scenes have.
 _KINDS = {
     "damping": "N m s",
     "beta": "N/m",
@@ -67,7 +78,7 @@ class Range(NamedTuple):
         high: The largest.
         count: How many along a grid; None where that is not said.
         log: Whether steps are even in the logarithm.
-        values: Values one by one, which leave the others without meaning.
+        values: Values one by one; where there are any, the other attributes have no meaning.
     """
 
     low: float = 0.0
@@ -134,7 +145,7 @@ class MapOrder:
 
 
 def sweep_parser(commands: Any, number: Callable[..., Any]) -> None:
-    """Add `jaxroll sweep` and `jaxroll map` to the commands; `number(low, high, kind)` makes a converter."""
+    """Add `jaxroll sweep` and `jaxroll map`; `number(low, high, kind)` makes a converter of text."""
     sweep = commands.add_parser("sweep", help=_SWEEP, description=_SWEEP)
     told = (
         f"{', '.join(SCENES)}, or FILE.py:FUNCTION, a function of the parameters by name that returns a grasp"
@@ -145,16 +156,16 @@ def sweep_parser(commands: Any, number: Callable[..., Any]) -> None:
     about = "the same in TOML: scene, number, ... and a table [set]"
     sweep.add_argument("--file", metavar="FILE", help=about)
     numbers = {
-        "number": (number(1, 1e9, int), "runs in all, where ranges have no COUNT (default: 1024)"),
-        "seconds": (number(1e-6, 1e6), "time to simulate (default: 1)"),
-        "times": (number(3, 100_000, int), "states saved for measures that look at them (default: 101)"),
-        "rtol": (number(1e-13, 1e-2), "relative tolerance of the solver (default: 1e-6)"),
-        "chunk": (number(1, 1e6, int), "runs per program call (default: 512)"),
-        "seed": (number(0, 2**31, int), "of samples (default: 0)"),
-        "workers": (number(1, 1024, int), "processes that compute, by dask (default: none but this one)"),
+        "number": "runs in all, where ranges have no COUNT (default: 1024)",
+        "seconds": "time to simulate (default: 1)",
+        "times": "states saved for measures that look at them (default: 101)",
+        "rtol": "relative tolerance of the solver (default: 1e-6)",
+        "chunk": "runs per program call (default: 512)",
+        "seed": "of samples (default: 0)",
+        "workers": "processes that compute, by dask (default: none but this one)",
     }
-    for name, (kind, about) in numbers.items():
-        sweep.add_argument(f"--{name}", metavar="N", type=kind, help=about)
+    for name, about in numbers.items():
+        sweep.add_argument(f"--{name}", metavar="N", type=number(*_ENDS[name], _FILE[name]), help=about)
     about = "product of the ranges (default), samples of them, or a grid that is run near changes only"
     sweep.add_argument("--sampling", choices=SAMPLINGS, help=about)
     kept = "measures of each run, see `jaxroll.measures` (default: result t_end settling_time)"
@@ -182,7 +193,7 @@ def unit_of(name: str) -> str:
 
 
 def sweep_order(options: argparse.Namespace) -> SweepOrder:
-    """The order that the command line and its file give; what the command line says comes first.
+    """The order that the command line and its file give; where both say something the command line counts.
 
     Raises:
         ValueError: If something in it does not fit.
@@ -316,17 +327,6 @@ def _check_sampling(order: SweepOrder) -> None:
             )
     elif order.number is not None and all(each.count is not None for each in ranges.values()):
         raise ValueError("argument --number must be left out where every range has a COUNT, but was given")
-
-
-_FILE = {
-    "scene": str, "out": str, "sampling": str, "number": int, "times": int, "chunk": int, "seed": int,
-    "seconds": float, "rtol": float, "keep": list, "set": dict, "store": str, "workers": int,
-}  # fmt: skip
-# Ends of what numbers in a file may be, as on the command line.
-_ENDS = {
-    "number": (1, 1e9), "times": (3, 1e5), "chunk": (1, 1e6), "seed": (0, 2**31), "seconds": (1e-6, 1e6),
-    "rtol": (1e-13, 1e-2), "workers": (1, 1024),
-}  # fmt: skip
 
 
 def _read(path: str) -> dict[str, Any]:

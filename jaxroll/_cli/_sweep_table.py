@@ -1,8 +1,8 @@
 """The table of a sweep as files: what the parameters were, and what was kept of each run.
 
-The one place where `jaxroll sweep` writes a table and `jaxroll map` reads it: `table.npz` by `jaxroll.save`,
-every number as it was, and `table.csv` for other programs, codes by their names. A store, which the function
-`sweep` fills, is read likewise.
+Here alone `jaxroll sweep` writes a table and `jaxroll map` reads it: `table.npz` by `jaxroll.save` has every
+number as it was, and `table.csv` is for other programs, with the names of codes. A store, which the function
+`sweep` fills, is read here too.
 """
 
 import csv
@@ -80,14 +80,14 @@ def _stored(folder: Path) -> SweepTable:
 
 
 def flat_columns(table: SweepTable) -> Iterator[tuple[str, Any]]:
-    """Columns of one number or code for each row, by name: parts as NAME.PART, of an array NAME[0], ..."""
+    """Columns of one number or code for each row, by name: NAME.PART of a record, NAME[0] of an array."""
     for name, column in zip(table.parameters.names, table.parameters.columns, strict=True):
         yield from _flat(name, column)
     yield from flat_values(table.values)
 
 
 def flat_values(values: dict[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Columns of what was kept."""
+    """The columns of what was kept, named as by `flat_columns`."""
     for path, leaf in jax.tree.leaves_with_path(values, is_leaf=is_code):
         yield from _flat(jax.tree_util.keystr(path, simple=True, separator="."), leaf)
 

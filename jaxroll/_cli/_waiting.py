@@ -1,8 +1,8 @@
 """What the command line says while it works: what it does, that JAX compiles, and how long either took.
 
 Compiling is most of a first call's time, and none of a second one's, whose programs are read from a cache.
-JAX reports when a program is ready for its compiler and when that is done (`jax.monitoring`), but not which
-of the two it is; so the word is said where the compiler has not answered within half a second.
+JAX reports when a program is ready for its compiler and when the compiled one is there (`jax.monitoring`),
+but not whether it was compiled or read. So "compiling" is said if it is not there within half a second.
 """
 
 import contextlib
@@ -14,7 +14,7 @@ from typing import Any
 
 # Ends of the names of JAX's reports [s].
 _LOWERED, _COMPILED = "/jaxpr_to_mlir_module_duration", "/backend_compile_duration"
-# After this time [s] a compiler is waited for, and not a cache.
+# After this time [s] it must be the compiler that is waited for, since a cache answers sooner.
 _PATIENCE = 0.5
 # Compiling is told at the end where it took this share of the time, and this long [s].
 _SHARE, _LEAST = 0.05, 0.1

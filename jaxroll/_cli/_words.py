@@ -1,13 +1,13 @@
 """The library's sentences as the command line says them: options for arguments, and lengths in their units.
 
-A sentence of the library names the argument of a function, in metres; whoever reads it at a command line has
-options, in millimetres. JAX is not imported here.
+A sentence of the library names an argument of a function, and gives lengths in metres; at the command line
+there are options instead, and millimetres. JAX is not imported here.
 """
 
 import re
 from collections.abc import Iterable, Mapping
 
-# What the arguments of functions are called by the commands that read a file of points.
+# For the commands that read a file of points, the option or words for each argument of a function.
 _OF_SHAPES = {
     "path": "FILE",
     "image": "FILE",
@@ -80,7 +80,8 @@ def in_options(text: str, command: str, set_names: Iterable[str] = ()) -> str:
     text = re.sub(r"argument (\w+)", lambda found: _named(found[1], options), text)
     if "smallest_radius" not in options:
         return text
-    # A sentence about the radius has its lengths in metres; what else a report says is in millimetres.
+    # A line about the radius has its lengths in metres; all other lines of a report are in millimetres
+    # already.
     lines = text.replace("smallest_radius", "--smallest-radius").split("\n")
     return "\n".join(_in_millimetres(line) if "--smallest-radius" in line else line for line in lines)
 

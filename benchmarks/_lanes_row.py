@@ -1,7 +1,7 @@
-"""One row of `lanes`, in a process of its own: a batch of so many lanes, or the steps that slots waste.
+"""One row of `lanes`, in a process of its own: a batch of a number of lanes, or the steps that slots waste.
 
-`python -m benchmarks._lanes_row batch pivoted 1000` prints it as JSON; the last word may also name the
-controller's number that is spread tenfold: `python -m benchmarks._lanes_row waste pivoted 2048 force`.
+`python -m benchmarks._lanes_row batch pivoted 1000` prints a batch as JSON. Of wasted steps, a further word
+names the number of the controller that is spread tenfold: `... _lanes_row waste pivoted 2048 force`.
 """
 
 import json

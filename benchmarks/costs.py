@@ -2,10 +2,10 @@
 
 `python -m benchmarks.costs --write` rewrites its section of README.md; `--quick` measures fewer rounds.
 Operations are those of the traced program after dead code is dropped, before XLA copies or merges any, with
-the barriers against copies, three each, that leave no machine code. Times
-are processor time, medians of interleaved warm runs; what an evaluation takes, and what the rest of a step,
-follows from methods of 3, 6 and 12 evaluations a step. Stages are those of a program without a cache: JAX
-traces it, writes it down in lines, and XLA compiles these; `tests/test_program_size.py` holds the lines.
+the barriers against copies, three each, that leave no machine code. Times are processor time, medians of
+interleaved warm runs. The times of an evaluation and of the rest of a step follow from methods of 3, 6 and 12
+evaluations a step. Stages are those of a program without a cache: JAX traces it and lowers it to lines of
+text, which XLA compiles; `tests/test_program_size.py` limits the number of lines.
 """
 
 import time

@@ -1,4 +1,4 @@
-"""Is a change of the code one of words alone? Fingerprints of the programs that JAX hands to XLA.
+"""Does a change of the code leave all programs as they were? Fingerprints of what JAX hands to XLA.
 
 `python -m benchmarks.lowered --keep before.json` keeps the fingerprints of all scenes' programs: runs, a
 batch, a gradient, starts and what is observed. After a move or a renaming `python -m benchmarks.lowered

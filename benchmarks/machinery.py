@@ -1,9 +1,9 @@
 """What each piece of hot-path machinery costs and gains: the same calls with it and without (ten minutes).
 
-The pieces are those of `jaxroll/_xla`, and the closed forms of the derivatives of a contact.
-
-Each row is a process of its own in which one piece is replaced by the plain thing that it stands for, before
-anything else of jaxroll is imported. Rows are run in turn, round after round; the smallest times count.
+`python -m benchmarks.machinery --write` rewrites its section of README.md; `--quick`: one round. The pieces
+are those of `jaxroll/_xla`, and the closed forms of the derivatives of a contact. Each row is a process of
+its own, in which one piece is replaced by the plain thing that it stands for, before anything else of jaxroll
+is imported. Rows are run in turn, round after round; the least times count.
 """
 
 import argparse

@@ -1,7 +1,7 @@
 """`reach` from 200 random hands and objects, plane and space: closed starts, and why the others are not.
 
 `python -m benchmarks.reaching --write` rewrites its section of README.md; `--quick` takes 10 hands of each.
-A start counts as closed if `residuals` finds its contacts closed to 1e-12 m and tangent to 1e-12.
+A start counts as closed if `residuals` finds all gaps within 1e-12 m and all tangencies within 1e-12.
 """
 
 import collections

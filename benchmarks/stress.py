@@ -1,7 +1,8 @@
 """10^5 random scenes, judged by code that shares nothing with the engine (three quarters of an hour).
 
-`--structure NAME --seed N --lane K` runs one lane's batch again and prints all that was measured of that
-lane; `--structure NAME ...` alone those structures. Each structure runs in a process of its own.
+`python -m benchmarks.stress --write` rewrites its section of README.md; `--quick`: one batch of each of a few
+structures. `--structure NAME ...` runs those structures alone; with `--seed N --lane K` too it runs the batch
+of one lane again, and prints all that was measured of that lane. Each structure runs in a process of its own.
 """
 
 import argparse

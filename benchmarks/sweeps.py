@@ -1,8 +1,9 @@
-"""Sweeps on worker processes and into a store: speed, memory and what is not computing.
+"""Sweeps on worker processes and into a store: speed, memory, and time that is not spent on computing.
 
-`python -m benchmarks.sweeps` prints a table; `--quick` takes 10^5 runs instead of 10^6. Needs the extras
-`cluster` and `data`. Workers are processes of dask with one thread each; runs are those of the pivoted scene
-with 2048 in a chunk, and what is kept of each is its end, its code and its statistics.
+`python -m benchmarks.sweeps --write` rewrites its section of README.md; `--quick` takes 10^5 runs instead of
+10^6. Needs the extras `cluster` and `data`. Workers are processes of dask with one thread each; runs are
+those of the pivoted scene with 2048 in a chunk, and what is kept of each is its end, its code and its
+statistics.
 """
 
 import os

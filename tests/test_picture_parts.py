@@ -57,6 +57,7 @@ from jaxroll.plotting._motion3 import Motion3D
 from jaxroll.plotting._outlines import _backed, _joined, Outline, OutlineSamples, sample
 from tests.measures import programs
 from tests.recorded import runs
+from tests.subjects import stand_in_grasp
 
 NAN = np.nan
 
@@ -1352,6 +1353,18 @@ def test_the_legend_of_a_narrow_picture_in_space_is_within_it(size):
     box = legend.get_window_extent()
     assert box.x0 >= 0.0 and box.x1 <= figure.bbox.width
     assert any("1 N as" in text.get_text() for text in legend.get_texts())
+
+
+@pytest.mark.parametrize("size", [5.0, 5.3])
+def test_the_legend_of_a_narrow_picture_with_a_load_covers_no_label(size):
+    grasp, motion, _ = stand_in_grasp.stand_in(5)
+    forces = _forces3.Pushes(np.ones((2, 5, 3)), np.ones((5, 3)), np.zeros((5, 3)))
+    figure = _poses3.snapshots3(grasp, motion, forces=forces, size=size)
+    figure.draw_without_rendering()
+    (legend,), (ax,) = figure.legends, figure.axes
+    assert legend.get_texts()[-1].get_text() == "load on the object"
+    box = legend.get_window_extent()
+    assert not any(box.overlaps(axis.label.get_window_extent()) for axis in (ax.xaxis, ax.yaxis, ax.zaxis))
 
 
 def test_marks_of_late_times_do_not_meet():

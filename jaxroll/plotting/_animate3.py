@@ -62,7 +62,8 @@ def animate3(
     scene = scene3(grasp, motion, links=view.links)
     elevation, azimuth = facing(scene, view)
     azimuths = azimuth + view.turn * (ts[rows] - ts[0]) / max(ts[-1] - ts[0], 1e-300)
-    figure, (ax,) = stage(scene, (elevation, azimuth), size, azimuths)
+    loaded = forces is not None and forces.load is not None
+    figure, (ax,) = stage(scene, (elevation, azimuth), size, azimuths, loaded=loaded)
     figure.set_dpi(100)
     drawing = Drawing3(ax, scene, arrows=None if forces is None else scaled(scene, forces, reached))
     legend(figure, drawing, rows.tolist())

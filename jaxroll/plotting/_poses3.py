@@ -23,8 +23,8 @@ _LONGEST = 0.14
 _WIDE, _TALL, _LABELS = 0.76, 0.84, 0.16
 # Heights of a row of the legend and of the title [inch].
 _ROW, _TITLE = 0.19, 0.3
-# Room is left for so many entries of a legend, which is in one column in figures narrower than `_NARROW`
-# [inch], in two below `_BROAD`, else in four.
+# Room is left for so many entries of a legend, and one for a load. The legend is in one column in figures
+# narrower than `_NARROW` [inch], in two below `_BROAD`, else in four.
 _ENTRIES, _NARROW, _BROAD = 7, 5.4, 8.0
 # Size of the letters of a legend [pt], or less where it would be wider than this share of the figure.
 _SIZE, _FULL = 8.0, 0.96
@@ -62,8 +62,9 @@ def snapshots3(
     motion, rows = motion.reached()
     instants = [index(at, motion.times) for at in picks]
     scene = scene3(grasp, motion, links=view.links)
-    figure, axes = stage(scene, facing(scene, view), size, columns=len(instants))
     arrows = None if forces is None else scaled(scene, forces, rows)
+    loaded = arrows is not None and arrows.load is not None
+    figure, axes = stage(scene, facing(scene, view), size, columns=len(instants), loaded=loaded)
     for k, (ax, instant, title) in enumerate(zip(axes, instants, titles, strict=True)):
         drawing = Drawing3(ax, scene, arrows=arrows)
         drawing.show(instant)
@@ -107,8 +108,12 @@ def stage(
     azimuths: np.ndarray | None = None,
     *,
     columns: int = 1,
+    loaded: bool = False,
 ) -> tuple[Picture, list[Axes3]]:
-    """A figure and axes of equal scale that hold all of a scene, from all azimuths of the camera."""
+    """A figure and axes of equal scale that hold all of a scene, from all azimuths of the camera.
+
+    The legend has room for one entry more if a load is drawn (`loaded`).
+    """
     low, high = scene.corners
     figure = Picture(columns * size, size)
     # The layout of `Picture` does not know what axes in space take up; all is placed by hand below.
@@ -120,7 +125,7 @@ def stage(
     # Each is square; the figure is as high as what is seen of them.
     seen = size * (zoom * height + _LABELS)
     # -(-a // b) is a / b rounded up.
-    below = _ROW * -(-_ENTRIES // _columns(columns * size))
+    below = _ROW * -(-(_ENTRIES + loaded) // _columns(columns * size))
     whole = below + seen + _TITLE
     figure.set_size_inches(columns * size, whole)
     for k, ax in enumerate(axes):

@@ -416,6 +416,20 @@ def test_what_is_not_found_is_said(scene):
         pinch_statics(grasp, jnp.zeros(2))
 
 
+@pytest.mark.parametrize(("lengths", "held"), [([0.08], 2), ([0.08, 0.05], 4)])
+def test_a_grasp_that_cannot_move_has_no_verdict(lengths, held):
+    """A finger of one joint on a pivoted disc; and two contacts of one finger of two on one with two rims."""
+    rims = (jxr.Circle(0.02), jxr.Circle(0.01))[: held // 2]
+    disc = jxr.PivotedObject(rims, 1e-5, pivot=(0.03, 0.09))
+    finger = jxr.Finger(lengths, [0.05] * len(lengths), jxr.Circle(0.01))
+    contacts = [jxr.Contact(contour=i) for i in range(len(rims))]
+    grasp, n = jxr.Grasp(disc, finger, contacts), 1 + len(lengths)
+    state = jxr.State(jnp.ones(n), jnp.zeros(n), jnp.zeros(len(rims)))
+    words = f"argument grasp must leave a direction free, but its contacts hold {held} and it has {n}"
+    with pytest.raises(ValueError, match=words):
+        jxr.stability.assess(grasp, state)
+
+
 def test_hessian_of_u_where_contacts_begin_elsewhere(pinch):
     """The chapter's s_i count from where both contours were marked: any marks give one Hessian."""
     grasp, _ = pinch

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Complex, Float, Int
 
 from .._closing import constraint_rows
-from .._mechanics import compiled, Grasp, State, to_leaves
+from .._mechanics import check_planar, compiled, Grasp, State, to_leaves
 from .._motion import bodies, generalised_force, mass_matrix
 from .._printing import listed, named
 from .._results import as_floats, check_between
@@ -120,8 +120,8 @@ def assess(grasp: Grasp, state: State, *, t: Given = 0.0, tolerance: float = _TO
         them to be distinct. Second derivatives take long to compile: minutes for a pinch.
 
     Raises:
-        ValueError: If the grasp lives in space, the state is not one of it, `t` is not a finite number, or
-            `tolerance` not a number from 0 to 1.
+        ValueError: If the grasp lives in space, its contacts leave no direction free, the state is not one of
+            it, `t` is not a finite number, or `tolerance` not a number from 0 to 1.
 
     Example:
         >>> import jaxroll as jxr
@@ -132,8 +132,20 @@ def assess(grasp: Grasp, state: State, *, t: Given = 0.0, tolerance: float = _TO
     share = as_floats("tolerance", tolerance, ())
     check_between("tolerance", share, 0.0, 1.0)
     held = as_floats("t", t, ())
+    check_planar(grasp)
+    _check_free(grasp)
     # By the public function: callers that ask for the equilibrium too, as pictures do, share its program.
     return _linearised(grasp, equilibrium(grasp, state, t=held), held, share)
+
+
+def _check_free(grasp: Grasp) -> None:
+    """Raise where the contacts hold as many directions as there are: none is left to be disturbed in."""
+    rows = sum(contact.rows for contact in grasp.contacts)
+    if rows >= grasp.coordinates:
+        raise ValueError(
+            f"argument grasp must leave a direction free, but its contacts hold {rows} and it has "
+            f"{grasp.coordinates}"
+        )
 
 
 @compiled

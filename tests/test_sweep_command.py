@@ -180,7 +180,9 @@ def test_a_name_is_looked_for_in_the_scene():
 
 
 def test_names_are_those_that_ones_own_scene_takes(tmp_path):
-    (tmp_path / "own.py").write_text("def egg(mass, size=1.0): ...\ndef any_of(**given): ...")
+    (tmp_path / "own.py").write_text(
+        "def egg(mass, size=1.0): ...\ndef any_of(**given): ...\ndef fixed(): ..."
+    )
     egg = f"{tmp_path / 'own.py'}:egg"
     with pytest.raises(
         ValueError, match="argument --set must name what .*egg takes, mass, size, but .*'masss'"
@@ -190,6 +192,10 @@ def test_names_are_those_that_ones_own_scene_takes(tmp_path):
         ValueError, match="argument --set must name .* but missing a required argument: 'mass'"
     ):
         maker(egg, ("size",))
+    with pytest.raises(
+        ValueError, match="argument --set must name what .*fixed takes, nothing, but .*'size'"
+    ):
+        maker(f"{tmp_path / 'own.py'}:fixed", ("size",))
     maker(egg, ("size", "mass"))
     maker(f"{tmp_path / 'own.py'}:any_of", ("size",))
 

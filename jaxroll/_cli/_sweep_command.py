@@ -201,9 +201,8 @@ def _check_taken(function: Callable, scene: str, names: tuple[str, ...]) -> None
     try:
         given.bind(**dict.fromkeys(names))
     except TypeError as error:
-        raise ValueError(
-            f"argument --set must name what {scene} takes, {', '.join(given.parameters)}, but {error}"
-        ) from None
+        taken = ", ".join(given.parameters) or "nothing"
+        raise ValueError(f"argument --set must name what {scene} takes, {taken}, but {error}") from None
 
 
 def _check_names(names: list[str], build: Callable, grasp: Any) -> None:

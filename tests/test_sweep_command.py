@@ -200,6 +200,13 @@ def test_names_are_those_that_ones_own_scene_takes(tmp_path):
     maker(f"{tmp_path / 'own.py'}:any_of", ("size",))
 
 
+def test_a_damaged_table_is_one_of_the_folder_that_was_named(tmp_path, capfd):
+    (tmp_path / "table.npz").write_bytes(b"PK")
+    assert main(["map", str(tmp_path)]) == 2
+    told = "argument STORE must name a file that `jaxroll.save` wrote, but table.npz could not be read as one"
+    assert told in capfd.readouterr().err
+
+
 def test_a_map_is_written_beside_a_store_of_zarr_and_into_a_folder(tmp_path):
     for name in ("plain", "array.zarr"):
         (tmp_path / name).mkdir()

@@ -56,7 +56,14 @@ OPTIONS: dict[str, dict[str, str]] = {
         "make": "SCENE",
         "parameters": "--set",
     },
-    "map": {"x": "-x", "y": "-y", "at": "--at", "parameters": "STORE", "values": "--show"},
+    "map": {
+        "x": "-x",
+        "y": "-y",
+        "at": "--at",
+        "parameters": "STORE",
+        "path": "STORE",
+        "values": "--show",
+    },
 }
 # Advice that only Python can follow.
 _IN_PYTHON = (

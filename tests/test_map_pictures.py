@@ -147,7 +147,7 @@ def test_samples_stand_where_they_are_and_what_else_changes_is_told():
     assert map_data(jxr.Parameters(a=t, b=-t, c=np.ones(5)), t).held == ""
     with pytest.raises(ValueError, match="argument at must be left out where samples are shown"):
         map_data(some, t, at={"c": 1.0})
-    with pytest.raises(ValueError, match="argument parameters must have two of one number each that change"):
+    with pytest.raises(ValueError, match="argument parameters must have two parameters of one number each"):
         map_data(jxr.Parameters(a=t, b=np.ones(5)), t, x="a")
 
 

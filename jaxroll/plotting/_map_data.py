@@ -100,7 +100,8 @@ def _sides(parameters: Parameters, x: Any, y: Any) -> tuple[str, str]:
     left = [name for name in free if name not in (x, y)]
     if len(left) + (x is not None) + (y is not None) < 2:
         raise ValueError(
-            f"argument parameters must have two of one number each that change, but those were {shown(free)}"
+            f"argument parameters must have two parameters of one number each that change, "
+            f"but those were {shown(free)}"
         )
     x = left.pop(0) if x is None else x
     return x, left.pop(0) if y is None else y

@@ -50,7 +50,9 @@ def test_arguments_of_any_kind_come_through(kind):
     assert same.dtype == y.dtype and same == 2
 
 
-@pytest.mark.parametrize("y", [np.int64(2**60 + 1), np.int64(-3), np.uint64(2**64 - 1)])
+@pytest.mark.parametrize(
+    "y", [np.int64(2**60 + 1), np.int64(-3), np.int64(0x7FF << 52 | 1), np.int64(1), np.uint64(2**64 - 1)]
+)
 def test_whole_numbers_that_no_double_is_come_through(y):
     def last_digit(x, y):
         return x, y % y.dtype.type(10), y

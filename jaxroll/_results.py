@@ -303,8 +303,13 @@ def check_callable(name: str, value: Any, what: str = "a function", *, takes: in
 
     A class is no function: whoever gives one forgot to make an instance.
     """
-    if not callable(value) or isinstance(value, type) or not (takes is None or _takes(value, takes)):
+    if not callable(value) or isinstance(value, type):
         raise ValueError(f"argument {name} must be {what}, but was {shown(value)}")
+    if takes is not None and not _takes(value, takes):
+        signature, none = inspect.signature(value), inspect.Parameter.empty
+        names = [one.replace(default=none, annotation=none) for one in signature.parameters.values()]
+        taken = signature.replace(parameters=names, return_annotation=none)
+        raise ValueError(f"argument {name} must be {what}, but was callable as f{str(taken):.80}")
     return value
 
 

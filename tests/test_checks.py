@@ -240,6 +240,10 @@ def test_a_function_takes_as_many_arguments_as_it_is_given():
             "argument f must be a law, but was "
         )
     assert said(checks.check_callable, "f", 3) == "argument f must be a function, but was 3"
+    two = lambda x: lambda a, /, b=x, *rest, c: a  # noqa: E731
+    assert said(checks.check_callable, "f", two("\n" * 99), "a law", takes=1) == (
+        "argument f must be a law, but was callable as f(a, /, b, *rest, c)"
+    )
 
 
 def test_orders_of_smoothness_are_numbers_that_floats_hold_or_infinity():

@@ -182,6 +182,12 @@ def test_bad_arguments(make, dampings):
         jxr.sweep(lambda p: make(p[0]), (dampings, dampings[:3]), 0.2)
     with pytest.raises(ValueError, match="argument chunk must be a whole number of at least 1, but was 0"):
         jxr.sweep(make, dampings, 0.2, chunk=0)
+    with pytest.raises(ValueError, match=r"argument make must be a function of one row .* callable as f\(\)"):
+        jxr.sweep(lambda: make(0.004), dampings, 0.2)
+    with pytest.raises(
+        ValueError, match=r"argument keep must be a .*trajectory, .* callable as f\(grasp, run\)"
+    ):
+        jxr.sweep(make, dampings, 0.2, keep=lambda grasp, run: run)
 
 
 def test_slots_waste_little_on_runs_of_unlike_cost(scene, monkeypatch):

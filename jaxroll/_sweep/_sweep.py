@@ -129,9 +129,9 @@ def sweep(
         >>> table.last.q.shape
         (2, 3)
     """
-    check_callable("make", make, "a function of one row of parameters")
+    check_callable("make", make, "a function of one row of parameters", takes=1)
     if keep is not None:
-        check_callable("keep", keep, "a function of a trajectory")
+        check_callable("keep", keep, "a function of a trajectory", takes=1)
     check_flag("progress", progress)
     rows, t1 = _rows_of(parameters), _time(t1)
     count = len(jax.tree.leaves(rows)[0])

@@ -378,7 +378,7 @@ def _verdict(
             f"not to be trusted: its normals are {np.degrees(turned):.3g} degrees rms off those given, which "
             f"do not all point out of one body; without them they are found from the points"
         )
-    signs = [] if closed else ["it encloses no body, as the points are not all round one"]
+    signs = [] if closed else ["it encloses no body"]
     # No wave that smoothing leaves is shorter than its wavelength by much; its sharpest bend has a radius
     # about that over 2 pi.
     sharpest = max(-curvature[0], curvature[1])

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import jaxroll as jxr
+from jaxroll._mechanics import as_grasp_and_state
 from jaxroll.design import (
     _closed_loop_goal,
     _firmness,
@@ -586,7 +587,7 @@ def test_the_cost_of_a_margin_is_its_smooth_least_by_the_size():
 
 
 def test_cases_have_a_leading_axis_also_where_there_are_none(monkeypatch):
-    monkeypatch.setattr(_goals, "_made", lambda given: given)
+    monkeypatch.setattr(_goals, "as_grasp_and_state", lambda given: given)
     found = lambda grasp, state: {"sum": grasp + 10.0 * state}  # noqa: E731
     alone = _goals.each_case(lambda tip: (tip, 2.0), None, jnp.asarray(1.0), found)
     np.testing.assert_array_equal(alone["sum"], [21.0])
@@ -599,10 +600,10 @@ def test_cases_have_a_leading_axis_also_where_there_are_none(monkeypatch):
 @pytest.mark.parametrize("given", [None, 3, (1, 2), [1], ()])
 def test_a_make_returns_a_grasp_and_a_state(given, scene):
     with pytest.raises(ValueError, match="argument make must return a Grasp and a State"):
-        _goals._made(given)
+        as_grasp_and_state(given)
     with pytest.raises(ValueError, match="argument make must return a Grasp and a State"):
-        _goals._made(tuple(reversed(scene)))
-    assert _goals._made(list(scene)) == scene
+        as_grasp_and_state(tuple(reversed(scene)))
+    assert as_grasp_and_state(list(scene)) == scene
 
 
 def test_the_figures_of_closed_loops_are_the_worst_of_all_cases(monkeypatch):

@@ -39,6 +39,24 @@ _LONGEST = (60.0, 5.0)
 # the same text in other lines, in which a test would notice it, the line's text is the fifth.
 EQUIVALENT: dict[tuple[str, ...], str] = {
     (
+        "jaxroll/_fingerprint.py",
+        "Reader.function",
+        "1",
+        "(2)",
+    ): "a count of which nothing is asked but whether it has grown",
+    (
+        "jaxroll/_xla/_primitives.py",
+        "_Way.__call__",
+        "eqx.combine(jax.tree.unflatten(self.at_form, at), self.still)",
+        "(eqx.combine(self.still, jax.tree.unflatten(self.at_form, at)))",
+    ): "either has what the other has not",
+    (
+        "jaxroll/geometry/surfaces/_surface_closed_forms.py",
+        "Superellipsoid.smoothness",
+        "2.0",
+        "(-2.0)",
+    ): "the remainder is zero for the same numbers",
+    (
         "jaxroll/geometry/contours/_table.py",
         "Table._cell",
         "each[:6]",

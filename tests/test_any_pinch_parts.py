@@ -353,3 +353,14 @@ def test_an_object_is_put_at_four_distances_from_its_hand():
         np.testing.assert_allclose(
             middles, np.stack([x + 0 * ahead, ahead, 0 * ahead], 1)[:, :axes], atol=1e-12
         )
+
+
+def test_a_frame_has_its_third_axis_near_a_direction_unless_that_is_the_first():
+    """To a millionth of a radian; from there on any third axis does."""
+    first, across = np.array([0.0, 0.0, 1.0]), np.array([0.6, 0.8, 0.0])
+    np.testing.assert_allclose(_any_pinch._frame(first, first + 1.5e-6 * across)[:, 2], across, atol=1e-9)
+    for near in (first, -first, first + 0.5e-6 * across):
+        frame = _any_pinch._frame(first, near)
+        np.testing.assert_allclose(frame.T @ frame, np.eye(3), atol=1e-12)
+        assert frame[2, 0] == 1.0 and np.linalg.det(frame) == pytest.approx(1.0)
+        assert abs(frame[:, 2] @ across) < 0.9

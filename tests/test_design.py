@@ -224,6 +224,7 @@ def test_a_checkpoint_is_of_one_search_alone(tmp_path):
         (jxr.Ellipse(0.01, 0.02).prepared(), {}, "must not be prepared"),
         ("tip", {}, "one or more contours"),
         (jxr.Ellipse(0.01, 0.02), {"starts": 0}, "starts must be a whole number of at least 1"),
+        (jxr.Ellipse(0.01, 0.02), {"starts": 10_001}, "starts must be .*10000, but was 10001"),
         (jxr.Ellipse(0.01, 0.02), {"mode": "both"}, "mode must be"),
     ],
 )

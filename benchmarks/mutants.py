@@ -39,6 +39,18 @@ _LONGEST = (60.0, 5.0)
 # the same text in other lines, in which a test would notice it, the line's text is the fifth.
 EQUIVALENT: dict[tuple[str, ...], str] = {
     (
+        "jaxroll/_analysis/_rolling_kinematics.py",
+        "_Rolling._tangent",
+        "cosine < -1.0 + limit",
+        "(cosine <= -1.0 + limit)",
+    ): "at the limit itself either turn will do",
+    (
+        "jaxroll/design/_closed_loop_goal.py",
+        "ClosedLoop.run",
+        "True",
+        "(False)",
+    ): "runs side by side are those in turn, and take longer",
+    (
         "jaxroll/_fingerprint.py",
         "Reader.function",
         "1",

@@ -369,6 +369,8 @@ def test_knots_are_no_more_than_memory_holds():
             spline.knot_count(knots, count, 5)
     with pytest.raises(ValueError, match="argument points must be at most 4096 where"):
         spline.knot_count(None, 4097, 5)
+    with pytest.raises(ValueError, match="argument points must be at most 4096 where"):
+        spline.knot_count(6, spline._LARGEST + 1, 5)
     with pytest.raises(ValueError, match="argument knots must be at most 16 for 1048576 points"):
         spline.knot_count(17, 1 << 20, 5)
 

@@ -544,6 +544,11 @@ def test_masses_and_moments_are_not_below_zero_by_more_than_rounding(mass, momen
         check()
 
 
+def test_moments_that_are_refused_are_told():
+    with pytest.raises(ValueError, match=r"has 0.1 kg and moments \[-0.25, 0.5, 1.0\]"):
+        _hand._check_inertia(joint(), 0.1, np.diag([0.5, -0.25, 1.0]))
+
+
 @pytest.mark.parametrize(
     ("mass", "centre", "inertia", "armature", "fine"),
     [

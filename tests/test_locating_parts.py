@@ -104,6 +104,25 @@ def test_shapes_that_touch_do_not_overlap(tip, face):
     assert np.asarray(jax.jit(jax.vmap(overlap))(u, w)).max() <= 1e-14
 
 
+def test_a_foot_counts_if_its_last_step_is_small_beside_the_whole_contour():
+    """A point beside an ellipse, of whose foot one step leaves some millionths of the contour, or far more."""
+    tip, face = jxr.Circle(0.01), jxr.Ellipse(0.02, 0.03)
+    still, aside = pose(0.0, 0.0, 0.0), pose(0.05, 0.01, 0.0)
+    ends = face.domain()
+    middle = -0.5 * (ends[0] + ends[1])
+    point = np.array([0.05, 0.01]) + np.asarray(tip.frame(0.0).point.array())
+    s = np.linspace(*map(float, ends), 200_001)
+    away = np.linalg.norm(np.asarray(face.frame(s).point.array()).T - point[:, None], axis=0)
+    exact, length = s[np.argmin(away)], float(ends[1] - ends[0])
+    for off, found in ((1e-3, True), (0.2, False)):
+        given = (jnp.asarray(0.0), [(face, ends, jnp.asarray(exact + off * length))])
+        apart = float(_clearance._apart((aside, still), tip, given))
+        assert apart == pytest.approx(away.min(), rel=1e-6) if found else np.isinf(apart)
+        symmetric = (ends[0] + middle, ends[1] + middle)
+        given = (given[0], [(face, symmetric, given[1][0][2])])
+        assert float(_clearance._apart((aside, still), tip, given)) == apart
+
+
 def test_a_dip_is_placed_by_its_rates_and_bounded_by_its_tangents():
     """A distance (s - 0.23)^2 over cells of 0.1, of which the foot moves half as far the other way."""
     s = np.linspace(0.0, 0.6, 7)

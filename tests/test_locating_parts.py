@@ -105,7 +105,7 @@ def test_shapes_that_touch_do_not_overlap(tip, face):
 
 
 def test_a_foot_counts_if_its_last_step_is_small_beside_the_whole_contour():
-    """A point beside an ellipse, of whose foot one step leaves some millionths of the contour, or far more."""
+    """A point beside an ellipse, whose foot one step leaves millionths of the contour away, or far more."""
     tip, face = jxr.Circle(0.01), jxr.Ellipse(0.02, 0.03)
     still, aside = pose(0.0, 0.0, 0.0), pose(0.05, 0.01, 0.0)
     ends = face.domain()

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from .. import stability
-from .._analysis import loci, pinch_balance, press_balance
+from .. import _analysis, stability
 
 
 def _row(array: Any) -> str:
@@ -34,7 +33,7 @@ def pivoted_scene(grasp: Any, state: Any) -> list[str]:
 
 def pivoted_facts(grasp: Any, run: Any) -> list[str]:
     """What the chapter plots of Part 2, at the start and the end of a run."""
-    found = press_balance(grasp, run.ts, run.states)
+    found = _analysis.press_balance(grasp, run.ts, run.states)
     rows = (
         ("Delta f [N]", found.delta_f, 1.0),
         ("Delta lambda [N]", found.delta_lam, 1.0),
@@ -76,7 +75,7 @@ def _verdict(grasp: Any, state: Any) -> list[str]:
 
 def pinch_facts(grasp: Any, run: Any) -> list[str]:
     """What the chapter plots of Part 1, at the start and the end of a run."""
-    found = pinch_balance(grasp, run.ts, run.states)
+    found = _analysis.pinch_balance(grasp, run.ts, run.states)
     rows = (
         ("s_i [mm]", found.s, 1e3),
         ("Delta f_i [N]", found.delta_f, 1.0),
@@ -121,7 +120,7 @@ def pinch3d_scene(grasp: Any, state: Any) -> list[str]:
 
 def pinch3d_facts(grasp: Any, run: Any) -> list[str]:
     """What the chapter plots of Part 3, at the start and the end of a run."""
-    found, f = loci(grasp, run), np.asarray(run.multipliers.f)
+    found, f = _analysis.loci(grasp, run), np.asarray(run.multipliers.f)
     aside = np.linalg.norm(np.asarray(run.multipliers.lam), axis=-1)
     # The last time that the run reached.
     last = np.flatnonzero(np.isfinite(f).all(axis=1))[-1]

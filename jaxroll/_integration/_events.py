@@ -87,7 +87,9 @@ _NOT_FINITE, _SINGULAR_CONTACT, _CONTOUR_END, _LOST, _SLIPPING, _PENETRATION, _J
 )
 # A limit's number is its code plus this for each contact or joint (see `_numbered`): above all codes.
 _KINDS = 16
-EVENTS = ("lift", "friction", "penetration")
+# What contact forces tell of themselves, and with it what is looked for in the shapes.
+OF_FORCES = ("lift", "friction")
+EVENTS = (*OF_FORCES, "penetration")
 # Fields of a finger that may hold limits.
 _LIMITS = ("limits", "torque_limits", "link_radius")
 

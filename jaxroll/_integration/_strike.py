@@ -18,7 +18,7 @@ from .._printing import listed
 from .._results import check_instance, RESULTS
 from ..loads import Impulse
 from ._arguments import check_choices
-from ._events import are_redundant, decode, EVENTS, refused_blow
+from ._events import are_redundant, decode, OF_FORCES, refused_blow
 
 
 class Strike(eqx.Module):
@@ -80,7 +80,7 @@ def strike(
     check_states(grasp, state)
     check_instance("blow", blow, Impulse, "a loads.Impulse")
     blow.check("blow", 3 if grasp.spatial else 2)
-    watched = check_choices("events", events, tuple(e for e in EVENTS if e != "penetration"))
+    watched = check_choices("events", events, OF_FORCES)
     return _strike(grasp, state, blow, watched)
 
 

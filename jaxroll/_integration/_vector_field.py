@@ -41,7 +41,7 @@ from .._types import Scalar
 from ..commands import Declared, Steps
 from ..loads import impulses
 from ._arguments import check_choices, SWEEPS, unclosed
-from ._events import EVENTS, regime
+from ._events import OF_FORCES, regime
 from ._methods import check_method, Steady, waits_for_tolerances, with_tolerances
 from ._projected_method import Projected
 from ._state_vector import Layout, layout, slope, states_of, unpack, vector_of
@@ -231,7 +231,7 @@ def vector_field(
 
 def held_field(grasp: Grasp, formulation: Formulation | None, events: Collection[str]) -> VectorField:
     """The same of any grasp: torques of a sampled controller stay as the state has them."""
-    watched = check_choices("events", events, tuple(e for e in EVENTS if e != "penetration"))
+    watched = check_choices("events", events, OF_FORCES)
     way, ready = as_formulation(grasp, formulation), tabled_grasp(grasp).prepared()
     return VectorField(ready, way, watched, layout(grasp, False))
 

@@ -166,11 +166,8 @@ def _filled(scan: Scan, body: Body, reach: float) -> tuple[Scan, int]:
 
     normals, areas = normals_of_net(body.vertices, body.triangles)
     far = KDTree(scan.points).query(body.vertices, workers=-1)[0] > reach
-    points = np.concatenate([scan.points, body.vertices[far]])
-    both = np.concatenate([scan.normals, normals[far]])
-    weights = np.concatenate([scan.areas, _BRIDGE * areas[far]])
-    sure = np.concatenate([scan.sure, np.ones(int(far.sum()))])
-    return Scan(points, both, weights, sure, scan.spacing), int(far.sum())
+    net = Scan(body.vertices, normals, _BRIDGE * areas, np.ones(len(body.vertices)), scan.spacing)
+    return scan.with_others(net.part(far)), int(far.sum())
 
 
 def _bent_less(
@@ -184,11 +181,11 @@ def _bent_less(
     with 3000 points rolling the scan cuts off up to 26 mm, and one of ten such scans is refused; nets cut off
     1 mm. Of a box whose edges are sharp nets move the faces by 2 mm, the scan by 0.2 mm.
     """
-    whole = problem.whole
-    tries = [_in_rounds(problem, first, radius, by_net=False)]
-    if whole.spacing > _SPARSE * radius or radius * tries[0][1].sharpest > 1.0:
-        with contextlib.suppress(ValueError):  # where no ball fits on the way, or no surface is left
-            tries.append(_in_rounds(problem, first, radius, by_net=True))
+    whole, tries = problem.whole, [_in_rounds(problem, first, radius, by_net=False)]
+    if whole.spacing <= _SPARSE * radius and radius * tries[0][1].sharpest <= 1.0:
+        return tries[0]
+    with contextlib.suppress(ValueError):  # where no ball fits on the way, or no surface is left
+        tries.append(_in_rounds(problem, first, radius, by_net=True))
     return min(tries, key=lambda one: (radius * one[1].sharpest > 1.0, _misfit(whole, one[1])))
 
 

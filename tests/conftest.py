@@ -179,6 +179,15 @@ def pytest_configure(config):
         os.environ["XLA_FLAGS"] = QUICKLY
 
 
+def pytest_ignore_collect(collection_path, config):
+    """Leave out files without a test that is marked so, where those marked `optimised` are asked for alone.
+
+    To read all files, with their assertions written anew, takes each process as long as one of these tests.
+    """
+    asked = config.getoption("markexpr") == "optimised" and collection_path.suffix == ".py"
+    return True if asked and "optimised" not in collection_path.read_text() else None
+
+
 def pytest_collection_finish(session):
     """Let Python look for dead cycles seldom: a twentieth of the time that tracing and compilation take."""
     gc.collect()

@@ -26,16 +26,18 @@ def test_a_network_has_the_features_that_its_docstring_tells():
     assert PeriodicNetwork(key=jax.random.key(0)).layers[0].in_features == 8
 
 
-FIELDS = {
-    "support": jxr.SupportFunction(0.01, [1e-3, 5e-4, 3e-4], [-2e-3, 0.0, 2e-4], cells=512),
-    "neural support": jxr.NeuralSupport(network(0.2), 0.01, (1e-3, -2e-3), cells=512),
-    "neural curvature": jxr.NeuralCurvature(network(40.0), 0.06, 0.3, (1e-3, 2e-3), cells=512),
-}
+@functools.cache
+def field_named(name):
+    if name == "support":
+        return jxr.SupportFunction(0.01, [1e-3, 5e-4, 3e-4], [-2e-3, 0.0, 2e-4], cells=512)
+    if name == "neural support":
+        return jxr.NeuralSupport(network(0.2), 0.01, (1e-3, -2e-3), cells=512)
+    return jxr.NeuralCurvature(network(40.0), 0.06, 0.3, (1e-3, 2e-3), cells=512)
 
 
-@pytest.fixture(scope="module", params=FIELDS)
+@pytest.fixture(scope="module", params=["support", "neural support", "neural curvature"])
 def field(request):
-    return FIELDS[request.param]
+    return field_named(request.param)
 
 
 def ellipse(count, a=A, b=B):
@@ -108,7 +110,7 @@ def test_a_constant_support_function_is_the_circle():
 
 def test_first_harmonic_shifts_and_arclength_is_the_integral():
     """Against the definition: h n + h' n' at the arclength that a quadrature of h + h'' gives."""
-    field = FIELDS["support"]
+    field = field_named("support")
     angle = np.linspace(0.0, TURN, 20001)
     a, b = np.asarray(field.cosines), np.asarray(field.sines)
     k = np.arange(1, 4)[:, None]
@@ -130,7 +132,7 @@ def test_first_harmonic_shifts_and_arclength_is_the_integral():
 
 def test_neural_support_is_the_network_s_own():
     """Against derivatives of the network by autodiff, which the field itself doesn't take."""
-    field = FIELDS["neural support"]
+    field = field_named("neural support")
 
     def h(angle):
         across = field.centre[0] * jnp.cos(angle) + field.centre[1] * jnp.sin(angle)
@@ -163,7 +165,7 @@ def test_curvature_is_the_network_where_symmetry_closes_it():
 
 
 def test_closure_is_exact_for_wild_weights():
-    field = FIELDS["neural curvature"]
+    field = field_named("neural curvature")
     values = np.asarray(field.network.values(TURN * np.arange(512) / 512))
     turned = TURN * np.arange(512) / 512 + np.cumsum(values - values.mean()) / 512
     assert abs(np.mean(np.exp(1j * turned))) > 0.01  # a gap of 0.6 mm without the correction
@@ -205,7 +207,7 @@ def test_feet_on_a_circle_lie_in_the_directions_of_the_points(radius):
 
 @pytest.mark.parametrize("name", ["support", "neural support"])
 def test_margin_is_the_smallest_second_derivative(name):
-    field = FIELDS[name]
+    field = field_named(name)
     angle = np.linspace(0.4, 1.9, 1501)
     step = 1e-3
     bend = (field.support(angle + step) - 2 * field.support(angle) + field.support(angle - step)) / step**2
@@ -243,7 +245,7 @@ WHERE = {
 
 @functools.cache
 def probe(name):
-    field, (where, _) = FIELDS[name], WHERE[name]
+    field, (where, _) = field_named(name), WHERE[name]
     coarse = eqx.tree_at(
         lambda f: f.radius if hasattr(f, "radius") else f.length, field, replace_fn=jnp.asarray
     )
@@ -258,7 +260,7 @@ def probe(name):
 @pytest.mark.parametrize("name", WHERE)
 def test_gradient_through_the_table(name):
     where, direct = WHERE[name]
-    x = where(FIELDS[name])
+    x = where(field_named(name))
     direction = direct(jnp.zeros_like(x))
     # One program for the values and the derivative forwards.
     both = jax.jit(lambda x: jax.jvp(probe(name), (x,), (direction,)))

@@ -128,8 +128,12 @@ def _interruptions() -> int:
 
 
 def uncached() -> dict[str, str]:
-    """This process' environment without a cache of compiled programs."""
-    return {key: value for key, value in os.environ.items() if not key.startswith("JAX_COMPILATION_CACHE")}
+    """This process' environment without a cache of compiled programs, but with one of Python's bytecode.
+
+    Users have the latter; some containers switch it off, and then each process compiles all of jaxroll again.
+    """
+    left_out = ("JAX_COMPILATION_CACHE", "PYTHONDONTWRITEBYTECODE")
+    return {key: value for key, value in os.environ.items() if not key.startswith(left_out)}
 
 
 def fresh(module: str, *words: str, cache: str | None = None) -> Any:

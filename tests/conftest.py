@@ -24,6 +24,11 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_compilation_cache_dir", str(pathlib.Path(CACHE)))
 # To write a program down takes a tenth of a second: those that take less than some to compile are not kept.
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 1.0)
+# The command line, which some tests call in this process, sets both for itself: each test begins with these.
+_KEPT = {
+    name: getattr(jax.config, name)
+    for name in ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
+}
 # Nobody reads which line an operation of a program came from: a fortieth of the time.
 jax.config.update("jax_traceback_in_locations_limit", 0)
 
@@ -177,6 +182,12 @@ def pytest_configure(config):
     threadpoolctl.threadpool_limits(limits=1, user_api="blas")
     if compiled_quickly(config) and "XLA_FLAGS" not in os.environ:
         os.environ["XLA_FLAGS"] = QUICKLY
+
+
+def pytest_runtest_setup(item):
+    for name, value in _KEPT.items():
+        if getattr(jax.config, name) != value:
+            jax.config.update(name, value)
 
 
 def pytest_ignore_collect(collection_path, config):

@@ -651,6 +651,15 @@ def test_a_run_that_never_began_has_lost_all_of_its_time(monkeypatch, scene):
         assert measured.shape == (0,) and float(own) == 0.0 and float(lost) == pytest.approx(wanted)
     given.append(whole)
     assert np.isnan(goal.run(None, ())[1]) and float(goal.run(None, ())[2]) == 0.0
+    # Where a program closes over a goal, XLA divides by its `t1` by the inverse, with another rounding.
+    goal = ClosedLoop(pivoted_with_tip, {"peak_force": 1.0}, t1=0.72, ts=13)
+
+    @jax.jit
+    def lost_by(t):
+        given.append(eqx.tree_at(lambda r: r.stats.t_end, whole, t))
+        return goal.run(None, ())[2]
+
+    assert float(lost_by(goal.t1)) == 0.0 and float(lost_by(0.36)) == pytest.approx(0.5)
 
 
 def test_a_measure_is_one_program(scene, caplog):

@@ -221,3 +221,20 @@ def test_an_argument_of_roll_that_does_not_fit_is_named(name):
             "at_object": (0.0, 0.0, 0.0),
         } | {name: value}
         assert sentence(lambda: jxr.roll(**given)).startswith(f"argument {name}")  # noqa: B023
+
+
+@pytest.mark.parametrize("name", ["pivoted", "incline", "roller"])
+def test_what_is_single_stays_single_where_jax_knows_doubles(name):
+    """Bodies at rest have Python's own zeros as velocities, and shapes are sampled at doubles."""
+    single = lambda x: x.astype(jnp.float32)  # noqa: E731
+    grasp, state = jax.tree.map(single, getattr(jxr.scenes, name)())
+    events = ("lift",) if name == "roller" else ("lift", "penetration")  # an endless line is not sampled
+
+    def numbers(grasp, state):
+        options = {"ts": 2, "rtol": 1e-5, "throw": False, "record": ("energy",), "events": events}
+        run = jxr.simulate(grasp, state, 0.1, **options)
+        here = jxr.energies(grasp, state), jxr.equation_terms(grasp, state)
+        return run, here, jxr.torques(grasp, 0.0, state)
+
+    found = jax.tree.leaves(jax.eval_shape(numbers, grasp, state))
+    assert {x.dtype for x in found if jnp.issubdtype(x.dtype, jnp.floating)} == {np.dtype(np.float32)}

@@ -157,7 +157,9 @@ def _audits(grasp: Grasp, leaves: Leaves, events: tuple[str, ...]) -> list[Limit
     if "penetration" in events:
         clear = _clearances(grasp, leaves)
         found = [Limit(margin, _numbered(_PENETRATION, i)) for i, margin in enumerate(clear)]
-    return [*found, *_link_limits(grasp, leaves)]
+    # Samples of a shape are doubles where JAX knows these, in a run of single precision too.
+    kind = jnp.result_type(leaves.q[0][0])
+    return [Limit(jnp.asarray(m, kind), number) for m, number in [*found, *_link_limits(grasp, leaves)]]
 
 
 def _link_limits(grasp: Grasp, leaves: Leaves) -> list[Limit]:

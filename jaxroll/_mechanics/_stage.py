@@ -198,7 +198,7 @@ class Stage(AbstractFinger):
         return Motion(self.pose(q), (), twist, bias), nothing
 
     def gravity_potential(self, q: Scalars, gravity: Vec3) -> Scalar:
-        return jnp.zeros(())
+        return 0.0
 
 
 def _given_by(motion: Callable[[Any], Any], t: Scalar) -> tuple[Any, Any]:

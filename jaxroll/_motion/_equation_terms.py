@@ -91,7 +91,7 @@ def equation_terms(grasp: Grasp, state: State) -> EquationTerms:
     forces = [force for inertia in inertias for force in inertia.force]
     return EquationTerms(
         mass_matrix([i.mass for i in inertias], grasp.coordinates),
-        jnp.stack([jnp.asarray(f) for f in forces]),
+        jnp.stack([jnp.asarray(f, state.q.dtype) for f in forces]),
         jnp.stack(normal),
         jnp.stack(tangential),
         jnp.stack(spin) if any(c.rows > 3 for c in grasp.contacts) else None,

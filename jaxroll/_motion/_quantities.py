@@ -195,7 +195,12 @@ def power(grasp: Grasp, t: Scalar, leaves: Leaves, instant: Instant) -> Scalar:
         [u * w for us, ws in zip(torques, leaves.v[1:], strict=True) for u, w in zip(us, ws, strict=True)]
     )
     tips = [m.pose.origin for m in motions[1:]]
-    moves = [m.twist.velocity for m in motions[1:]]
+    # Velocities of what rests are Python's own zeros, which would be doubles beside single precision.
+    moves = jax.tree.map(
+        lambda rate, at: jnp.asarray(rate, jnp.result_type(at)),
+        [m.twist.velocity for m in motions[1:]],
+        tips,
+    )
     # dP/dt of the controller's potential, as its derivative along the rates of tips and joint angles.
     _, stored = jax.jvp(
         lambda points, angles: controller.potential(points, angles),
@@ -300,7 +305,7 @@ def _torques(grasp: Grasp, ts: Float[Array, "..."], states: State) -> tuple[Arra
         leaves = to_leaves(state, ready.form)
         motions, _ = bodies(ready, leaves)
         each, _ = as_controller(ready.controller).driven(t, sensed(ready, leaves, motions), leaves.memory)
-        return tuple(stacked(us) for us in each)
+        return tuple(stacked(us).astype(state.q.dtype) for us in each)
 
     return over_time(at, states, ts)
 

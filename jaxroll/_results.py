@@ -99,7 +99,8 @@ def traced(value: Any) -> bool:
 def on_host(function: Callable[_P, _R]) -> Callable[_P, _R]:
     """The function, which then refuses an argument that JAX is tracing, and names it.
 
-    For set-up, pictures and files, which no compiled program can hold.
+    For set-up, pictures and files, which no compiled program can hold. Inside a function that JAX traces it
+    computes at once where all that it is given is known.
     """
     names = tuple(inspect.signature(function).parameters)
 
@@ -107,7 +108,8 @@ def on_host(function: Callable[_P, _R]) -> Callable[_P, _R]:
     def known(*args: _P.args, **options: _P.kwargs) -> _R:
         for name, value in (dict(zip(names, args, strict=False)) | options).items():
             check_known(name, value)
-        return function(*args, **options)
+        with jax.ensure_compile_time_eval():
+            return function(*args, **options)
 
     return known
 

@@ -95,6 +95,11 @@ def test_a_function_of_known_numbers_refuses_traced_ones_by_name():
     assert while_traced(lambda x: said(drawn, first=x)).startswith(told.format("first"))
 
 
+def test_a_function_of_known_numbers_computes_at_once_while_others_are_traced():
+    known = checks.on_host(lambda points: float(jnp.sum(jnp.asarray(points) ** 2)))
+    assert while_traced(lambda x: known([3.0, 4.0])) == 25.0
+
+
 class OfTorch:
     """Another library's array, which says how it becomes one of NumPy."""
 

@@ -207,6 +207,8 @@ def test_no_more_errors_than_the_contacts_leave_free(pinch):
     held = grasp.with_(controller=Integral(grasp.controller, {"opening": 0.05}, 1.0))
     with pytest.raises(ValueError, match="hold 'opening' fast"):
         jxr.simulate(held, rest, 0.1)
+    with pytest.raises(ValueError, match="hold 'opening' fast"):  # known, though the end is traced
+        jax.eval_shape(lambda t1: jxr.simulate(held, rest, t1, throw=False), 0.1)
 
 
 @pytest.mark.parametrize(
@@ -606,6 +608,9 @@ def test_a_state_goes_on_at_its_own_time(pinch):
         ValueError, match="t0 must be at most the period of 0.01 s before .* at 0.11 s, but was 0.09"
     ):
         jxr.simulate(sampled, waiting(0.11), 0.2, t0=0.09)
+    # A start that is known is looked at while something else is traced.
+    t0 = jnp.asarray(0.1)
+    assert jax.eval_shape(lambda x: check_due(sampled, waiting(0.11), t0), 0.0) is None
 
 
 def test_other_numbers_of_a_law_inside(pinch):

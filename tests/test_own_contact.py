@@ -266,6 +266,8 @@ def test_teeth_turn_by_their_ratio_and_report_no_friction(teeth: Any) -> None:
     assert np.max(np.abs(run.energy.residual)) < 1e-14
     assert "no contact can only press" in str(run)
     assert float(np.max(np.abs(run.residuals.normal))) < 1e-15
+    # Where its end alone is traced, contact and start are known, and checked.
+    assert jax.eval_shape(lambda t1: jxr.simulate(*teeth, t1, ts=1, throw=False).last.q, 0.1).shape == (2,)
     # Pictures of it have no tangential force or gap either.
     titles = [panel.title for panel in panels(teeth[0], run)]
     assert any("Normal force" in title for title in titles) and not any("angential" in t for t in titles)

@@ -253,3 +253,11 @@ def test_a_start_in_space_is_the_state():
     grasp, state = jxr.scenes.pinch3d()
     y = jxr.vector_field(grasp).start(state)
     np.testing.assert_array_equal(y, np.concatenate([state.q, state.v, state.s]))
+
+
+def test_a_known_start_is_checked_in_a_traced_function_too(scene):
+    grasp, state = scene
+    field, off = jxr.vector_field(grasp), jxr.State(state.q + 0.01, state.v, state.s)
+    assert jax.eval_shape(lambda t: t * field.start(state), 1.0).shape == (7,)
+    with pytest.raises(ValueError, match="argument state must be on the constraints to 1e-09"):
+        jax.eval_shape(lambda t: t * field.start(off), 1.0)

@@ -18,6 +18,7 @@ import equinox as eqx
 import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._mechanics import check_grasp, check_states, Grasp, Leaves, State, tabled_grasp
@@ -90,7 +91,8 @@ class VectorField(eqx.Module):
         """
         check_states(self.grasp, state)
         if isinstance(self.formulation, Index1) and not traced((self.grasp, state)):
-            off = worst(residuals(self.grasp, state))
+            with jax.ensure_compile_time_eval():
+                off = np.asarray(worst(residuals(self.grasp, state)))
             if not off <= closed_within(off.dtype):
                 raise ValueError(unclosed(off))
         if self.grasp.own_contacts:

@@ -5,6 +5,7 @@ if the gap does not change as the place alone moves; a contact that breaks this 
 than its gap says. `simulate` and `vector_field` ask before a run of a grasp that has some.
 """
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -23,7 +24,8 @@ def check_rolling(grasp: Grasp, state: State) -> None:
     """Raise for a contact of a caller's own whose gap changes as its place alone moves, at a closed state."""
     if traced((grasp, state)):
         return
-    shares, off = map(np.asarray, _slips(grasp, state))
+    with jax.ensure_compile_time_eval():
+        shares, off = map(np.asarray, _slips(grasp, state))
     if not off <= closed_within(off.dtype):
         return  # the state is off the constraints, for which the run has its own message
     allowed = _ROLLS if shares.dtype == np.float64 else _ROLLS_SINGLE

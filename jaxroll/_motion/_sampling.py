@@ -55,8 +55,10 @@ def check_due(grasp: Grasp, state: State, t0: Scalar) -> None:
     law = grasp.controller
     if not grasp.form.sampled or state.memory is None or traced((law, state, t0)):
         return
-    due, latest = float(state.memory[-1]), float(t0 + law.period)
-    if due > max(latest, float(law.first)) + float(resolution(t0 + law.period)):
+    with jax.ensure_compile_time_eval():
+        due, latest = float(state.memory[-1]), float(t0 + law.period)
+        rounding = float(resolution(t0 + law.period))
+    if due > max(latest, float(law.first)) + rounding:
         raise ValueError(
             f"argument t0 must be at most the period of {float(law.period):g} s before the next sample of "
             f"the state, at {due:g} s, but was {float(t0):g} s"

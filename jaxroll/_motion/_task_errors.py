@@ -6,6 +6,7 @@ mixture of errors fast: its integral would grow for ever, and with it forces bet
 `simulate` and `vector_field` ask before a run whose controller has a memory.
 """
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -26,7 +27,8 @@ def check_tasks(grasp: Grasp, state: State) -> None:
     names = [name for law in _integrals_of(grasp) for name in law.errors]
     if not names or traced((grasp, state)):
         return
-    moved = np.asarray(_moved(grasp, state))
+    with jax.ensure_compile_time_eval():
+        moved = np.asarray(_moved(grasp, state))
     mixture, sizes, _ = np.linalg.svd(moved)
     if sizes.size != len(names) or not sizes[-1] > _FREE:
         held = names[int(np.argmax(np.abs(mixture[:, -1])))]

@@ -80,8 +80,9 @@ class ShapeTransform(eqx.Module):
         self.symmetric = check_flag("symmetric", symmetric)
         if self.symmetric:
             check_image(tip)
-        self.size = body_radii(*as_batch([tip]))[0][0]
-        self.matrix = _matrix(tip, float(self.size))
+        with jax.ensure_compile_time_eval():  # the tip is known, whatever is traced around this call
+            self.size = body_radii(*as_batch([tip]))[0][0]
+            self.matrix = _matrix(tip, float(self.size))
 
     @property
     def start(self) -> Float[Array, " n"]:

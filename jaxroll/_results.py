@@ -16,6 +16,7 @@ from typing import Any, ParamSpec, TypeVar
 import equinox as eqx
 import jax
 import jax.core
+import jax.extend.core as jec
 import jax.numpy as jnp
 import numpy as np
 
@@ -96,6 +97,21 @@ def traced(value: Any) -> bool:
         return False
 
 
+def computed_at_once() -> contextlib.AbstractContextManager[None]:
+    """A context in which what is known is computed even where JAX traces a function around it.
+
+    Where it traces none this does nothing. Functions that are called in `jax.ensure_compile_time_eval` are
+    others to JAX: it compiles them once more, and each operation on constants in them as a program by itself.
+    """
+    return contextlib.nullcontext() if traces_nothing(()) else jax.ensure_compile_time_eval()
+
+
+def traces_nothing(given: Any) -> bool:
+    """Whether JAX is tracing neither a function around this call nor anything in what it is given."""
+    # The trace that would see an operation on these arguments: without any tracing it is JAX's `EvalTrace`.
+    return type(jec.find_top_trace(jax.tree.leaves(given))).__name__ == "EvalTrace"
+
+
 def on_host(function: Callable[_P, _R]) -> Callable[_P, _R]:
     """The function, which then refuses an argument that JAX is tracing, and names it.
 
@@ -108,7 +124,7 @@ def on_host(function: Callable[_P, _R]) -> Callable[_P, _R]:
     def known(*args: _P.args, **options: _P.kwargs) -> _R:
         for name, value in (dict(zip(names, args, strict=False)) | options).items():
             check_known(name, value)
-        with jax.ensure_compile_time_eval():
+        with computed_at_once():
             return function(*args, **options)
 
     return known
@@ -197,7 +213,7 @@ def as_array(name: str, value: Any) -> jax.Array:
             raise ValueError(wanted.format(shown(value)))
     try:
         # Numbers that are known stay known where something else is being traced: they can be checked there.
-        with contextlib.nullcontext() if traced(value) else jax.ensure_compile_time_eval():
+        with contextlib.nullcontext() if traced(value) else computed_at_once():
             array = _converted(value)
             if jnp.issubdtype(array.dtype, jnp.integer):
                 array = array.astype(jnp.result_type(float))

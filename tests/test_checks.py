@@ -180,6 +180,22 @@ def test_numbers_of_single_precision_stay_so_and_known_ones_stay_known():
         while_traced(lambda x: checks.as_array("x", OfTorch(x)))
 
 
+def test_what_is_computed_at_once_is_compiled_once(caplog):
+    """In `jax.ensure_compile_time_eval` functions are others to JAX: a check would compile what a caller has."""
+    twice = jax.jit(lambda x: jnp.concatenate([x, 2.0 * jnp.ones(3)]))
+
+    def asked(x):
+        with checks.computed_at_once():
+            return np.asarray(twice(x))
+
+    known = np.zeros(5)
+    twice(known)
+    with jax.log_compiles():
+        np.testing.assert_array_equal(asked(known), [0.0] * 5 + [2.0] * 3)
+    assert programs(caplog) == []
+    assert while_traced(lambda x: isinstance(asked(known), np.ndarray)) is True
+
+
 def test_tables_of_numpy_are_copied_and_compile_nothing(caplog):
     given = [np.arange(1000.0 + k)[:, None] for k in range(8)]  # some where JAX would share memory
     with jax.log_compiles():

@@ -93,7 +93,8 @@ def test_notebook_runs_and_is_stored_without_outputs(path, monkeypatch):
     cells = [c for c in stored["cells"] if c["cell_type"] == "code"]
     assert all(not c["outputs"] and c["execution_count"] is None for c in cells)
     book = nbformat.read(path, as_version=4)
-    NotebookClient(book, timeout=300, kernel_name="python3", record_timing=False).execute()
+    # Against hanging alone: a cell takes seconds, on a machine with much else to do twenty times as long.
+    NotebookClient(book, timeout=1200, kernel_name="python3", record_timing=False).execute()
     if folder := os.environ.get("JAXROLL_EXECUTED"):  # for the site, which need not run it again
         pathlib.Path(folder).mkdir(parents=True, exist_ok=True)
         nbformat.write(book, pathlib.Path(folder) / path.name)

@@ -27,7 +27,7 @@ from .. import plotting, scenes
 from .._integration import flag_words, simulate
 from .._maps import adaptive_map, measures, MEASURES_KEPT
 from .._printing import is_code, shown_value
-from .._results import missing_library
+from .._results import computed_at_once, missing_library
 from .._sweep import Parameters, sweep
 from ..geometry import Circle, Sphere
 from ._sweep_order import MapOrder, Range, SweepOrder, unit_of
@@ -189,7 +189,7 @@ def _known_where_it_can_be(function: Callable) -> Callable[[Parameters], tuple[A
     """A caller's own scene, in which JAX traces only what the parameters change."""
 
     def make(p: Parameters) -> tuple[Any, Any]:
-        with jax.ensure_compile_time_eval():
+        with computed_at_once():
             return function(**p)
 
     return make

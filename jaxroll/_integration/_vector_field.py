@@ -37,7 +37,7 @@ from .._motion import (
     worst,
 )
 from .._printing import listed
-from .._results import check_instance, shown, traced
+from .._results import check_instance, computed_at_once, shown, traced
 from .._types import Scalar
 from ..commands import Declared, Steps
 from ..loads import impulses
@@ -91,7 +91,7 @@ class VectorField(eqx.Module):
         """
         check_states(self.grasp, state)
         if isinstance(self.formulation, Index1) and not traced((self.grasp, state)):
-            with jax.ensure_compile_time_eval():
+            with computed_at_once():
                 off = np.asarray(worst(residuals(self.grasp, state)))
             if not off <= closed_within(off.dtype):
                 raise ValueError(unclosed(off))

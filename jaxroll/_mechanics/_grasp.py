@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from .._fields import taken, through
 from .._printing import shown_value
-from .._results import as_array, as_count, as_several, check_finite, shown, traced
+from .._results import as_array, as_count, as_several, check_finite, computed_at_once, shown, traced
 from .._types import Given
 from .._xla import remembered
 from ..contact import AbstractContact, Contact, Contact3
@@ -320,7 +320,7 @@ def _strongly_typed(grasp: Grasp) -> Grasp:
     weak = [_is_weak(leaf) and leaf.dtype in kinds and not traced(leaf) for leaf in leaves]
     if not any(weak):
         return grasp
-    with jax.ensure_compile_time_eval():
+    with computed_at_once():
         typed = iter(_typed([leaf for leaf, is_weak in zip(leaves, weak, strict=True) if is_weak]))
     each = zip(leaves, weak, strict=True)
     return structure.unflatten([next(typed) if is_weak else leaf for leaf, is_weak in each])

@@ -5,13 +5,12 @@ if the gap does not change as the place alone moves; a contact that breaks this 
 than its gap says. `simulate` and `vector_field` ask before a run of a grasp that has some.
 """
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
 from .._mechanics import compiled, Grasp, State, to_leaves
-from .._results import traced
+from .._results import computed_at_once, traced
 from ._equations import world_poses
 from ._quantities import closed_within, residuals_at, worst
 
@@ -24,7 +23,7 @@ def check_rolling(grasp: Grasp, state: State) -> None:
     """Raise for a contact of a caller's own whose gap changes as its place alone moves, at a closed state."""
     if traced((grasp, state)):
         return
-    with jax.ensure_compile_time_eval():
+    with computed_at_once():
         shares, off = map(np.asarray, _slips(grasp, state))
     if not off <= closed_within(off.dtype):
         return  # the state is off the constraints, for which the run has its own message

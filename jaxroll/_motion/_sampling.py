@@ -23,7 +23,7 @@ from jaxtyping import Array
 
 from .._linalg import factorise, inner, minus, solve, stacked, total
 from .._mechanics import Blocks, Grasp, Leaves, State, to_leaves
-from .._results import traced
+from .._results import computed_at_once, traced
 from .._types import resolution, Scalar, Scalars
 from ..control import joint_angles, sense
 from ._equations import bodies
@@ -55,7 +55,7 @@ def check_due(grasp: Grasp, state: State, t0: Scalar) -> None:
     law = grasp.controller
     if not grasp.form.sampled or state.memory is None or traced((law, state, t0)):
         return
-    with jax.ensure_compile_time_eval():
+    with computed_at_once():
         due, latest = float(state.memory[-1]), float(t0 + law.period)
         rounding = float(resolution(t0 + law.period))
     if due > max(latest, float(law.first)) + rounding:

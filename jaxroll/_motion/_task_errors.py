@@ -6,14 +6,13 @@ mixture of errors fast: its integral would grow for ever, and with it forces bet
 `simulate` and `vector_field` ask before a run whose controller has a memory.
 """
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
 from .._linalg import factorise
 from .._mechanics import compiled, Grasp, State, to_leaves
-from .._results import traced
+from .._results import computed_at_once, traced
 from ..control import Integral, laws_of
 from ._equations import bodies, sensed, touches
 from ._linearisation import linearise
@@ -27,7 +26,7 @@ def check_tasks(grasp: Grasp, state: State) -> None:
     names = [name for law in _integrals_of(grasp) for name in law.errors]
     if not names or traced((grasp, state)):
         return
-    with jax.ensure_compile_time_eval():
+    with computed_at_once():
         moved = np.asarray(_moved(grasp, state))
     mixture, sizes, _ = np.linalg.svd(moved)
     if sizes.size != len(names) or not sizes[-1] > _FREE:

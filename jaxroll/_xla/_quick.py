@@ -11,11 +11,10 @@ from typing import Any, cast, Concatenate, ParamSpec, TypeVar
 
 import equinox as eqx
 import jax
-import jax.extend.core as jec
 import jax.numpy as jnp
 import numpy as np
 
-from .._results import traced
+from .._results import computed_at_once, traced, traces_nothing
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
@@ -83,7 +82,7 @@ def at_once(function: Callable[Concatenate[Any, _P], _R]) -> Callable[_P, _R]:
             return compiled(*args, **named)
         # Python's own numbers stay what they are, and have no precision of their own.
         known, options = jax.tree.map(lambda x: np.asarray(x) if eqx.is_array(x) else x, (args, named))
-        with np.errstate(all="ignore"), jax.ensure_compile_time_eval():
+        with np.errstate(all="ignore"), computed_at_once():
             # `device_put` compiles nothing, and keeps to JAX's precision.
             found = function(np, *known, **options)  # pyright: ignore
             return jax.tree.map(jax.device_put, found)
@@ -96,6 +95,4 @@ def takes_options(given: Any) -> bool:
 
     JAX must be tracing neither a program around the call nor what the call is given.
     """
-    # The trace that would see an operation on these arguments: without any tracing it is JAX's `EvalTrace`.
-    outermost = type(jec.find_top_trace(jax.tree.leaves(given))).__name__ == "EvalTrace"
-    return outermost and jax.default_backend() == "cpu"
+    return traces_nothing(given) and jax.default_backend() == "cpu"

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._results import as_floats, check_flag, check_instance, traced
+from .._results import as_floats, check_flag, check_instance, computed_at_once, traced
 from .._types import Given
 from .._xla import quickly
 from ..geometry import AbstractContour, ArclengthTable, check_contour, Table, tabled
@@ -80,7 +80,7 @@ class ShapeTransform(eqx.Module):
         self.symmetric = check_flag("symmetric", symmetric)
         if self.symmetric:
             check_image(tip)
-        with jax.ensure_compile_time_eval():  # the tip is known, whatever is traced around this call
+        with computed_at_once():  # the tip is known, whatever is traced around this call
             self.size = body_radii(*as_batch([tip]))[0][0]
             self.matrix = _matrix(tip, float(self.size))
 

@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Array
 
 from .._linalg import tangents, Vec2, Vec3
-from .._results import as_order, is_foreign, NO_VALUES, shown, traced
+from .._results import as_order, computed_at_once, is_foreign, NO_VALUES, shown, traced
 from .._types import Given, Scalars
 from .._xla import quickly, remembered
 from ._tabled import tabled
@@ -160,7 +160,7 @@ def _fault(contour: AbstractContour) -> str | None:
     """
     if (fault := _members_fault(contour)) is not None:
         return fault
-    with jax.ensure_compile_time_eval():
+    with computed_at_once():
         ready = _ready(tabled(contour))
         domain = ready.domain()
         if domain is None:
@@ -204,7 +204,7 @@ def _about(contour: AbstractContour, start: Given) -> str | None:
 
     Nothing is, where the start lies beyond an end: there the contour need not be defined.
     """
-    with jax.ensure_compile_time_eval():
+    with computed_at_once():
         here, ends = float(np.asarray(start)), contour.domain()
         if ends is not None:
             if not (contour.closed or ends[0] <= here <= ends[1]):
@@ -315,7 +315,7 @@ def _doubled(contour: AbstractContour) -> str | None:
 def _polygon(contour: AbstractContour, parts: int) -> np.ndarray:
     """Points of a closed contour in order, so many to a cell of its table or to one of `_PLACES` parts."""
     share = (np.arange(parts) + 0.5) / parts
-    with jax.ensure_compile_time_eval():
+    with computed_at_once():
         ready = tabled(contour)
         if isinstance(ready, AbstractTabulated):
             # In NumPy, by the polynomials of the cells: there is nothing to compile.
@@ -384,7 +384,7 @@ def _surface_fault(surface: AbstractSurface) -> str | None:
     Places that are not on the surface after all, or where an error is not finite (a pole of a chart), are
     left out, unless none remain.
     """
-    with jax.ensure_compile_time_eval():
+    with computed_at_once():
         off = {name: np.asarray(value) for name, value in _inconsistency(surface).items()}
     # Each entry of `off` has its message for a name, and errors at all places for its value.
     allowed = _SURFACE[off["there"].dtype]

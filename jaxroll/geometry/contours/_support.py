@@ -20,7 +20,16 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._linalg import sincos, Vec2
-from ..._results import as_array, as_count, as_floats, as_length, concrete, told_apart, traced
+from ..._results import (
+    as_array,
+    as_count,
+    as_floats,
+    as_length,
+    computed_at_once,
+    concrete,
+    told_apart,
+    traced,
+)
 from ..._types import Given
 from ._arclength import parameters_reaching
 from ._free_numbers import damping, PERTURBED
@@ -294,7 +303,7 @@ def check_convex(name: str, contour: AbstractSupport) -> None:
     if traced(contour):
         return
     # A constant contour may be made inside a traced function: its check is evaluated there and then.
-    with jax.ensure_compile_time_eval():
+    with computed_at_once():
         worst = float(contour.smallest_radius())
     if not worst > 0:
         raise ValueError(

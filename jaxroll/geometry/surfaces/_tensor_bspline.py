@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._linalg import total
+from ..._results import computed_at_once
 from ..._types import Scalar
 from ..._xla import once
 from ..contours import basis
@@ -86,7 +87,7 @@ def axis(nodes: int, *, closed: bool) -> tuple[Axis, np.ndarray]:
 @functools.cache
 def _axis(nodes: int, closed: bool, dtype: str) -> tuple[Axis, np.ndarray]:
     """`axis` for one floating type, cached, as constants of NumPy even where a caller is being traced."""
-    with jax.ensure_compile_time_eval():
+    with computed_at_once():
         at = jnp.arange(nodes + int(closed), dtype=dtype)
         breaks, polynomials, values = (np.asarray(x) for x in _tables(at, closed))
     return Axis(breaks, polynomials), np.linalg.inv(values)

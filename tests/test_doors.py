@@ -236,5 +236,10 @@ def test_what_is_single_stays_single_where_jax_knows_doubles(name):
         here = jxr.energies(grasp, state), jxr.equation_terms(grasp, state)
         return run, here, jxr.torques(grasp, 0.0, state)
 
+    def ends(damping):
+        return jxr.simulate(grasp.with_(damping=damping), state, 0.1, ts=1, rtol=1e-5).states.q
+
+    if name == "pivoted":  # what a derivative maps to is looked at where it is lowered
+        jax.jit(jax.jacfwd(ends)).lower(np.float32(0.006))
     found = jax.tree.leaves(jax.eval_shape(numbers, grasp, state))
     assert {x.dtype for x in found if jnp.issubdtype(x.dtype, jnp.floating)} == {np.dtype(np.float32)}

@@ -102,6 +102,12 @@ def test_a_ball_that_is_hit_rolls_on_with_five_sevenths():
     # What a blow cannot cause is not watched for: it moves nothing.
     with pytest.raises(ValueError, match="argument events must .*'penetration'"):
         hit_at(0.042, 0.0, 0.0, events=("penetration",))
+    # Along a slope the normal impulse is rounding alone, in single precision too.
+    grasp_on, on_slope = jax.tree.map(lambda x: x.astype(jnp.float32), jxr.scenes.incline(slope=0.3))
+    turns, along = np.linspace(0.0, 2.0 * np.pi, 8), np.array([np.cos(0.3), 0.0, -np.sin(0.3)])
+    blows = 0.03 * (np.outer(np.cos(turns), along) + np.outer(np.sin(turns), [0.0, 1.0, 0.0]))
+    hits = jax.vmap(lambda p: jxr.strike(grasp_on, on_slope, Impulse(p, 0.0)))(blows.astype(np.float32))
+    assert set(hits.result.names) == {"successful"}
     up = hit_at(0.0, 0.0, 0.042)
     assert bool(up.result == jxr.RESULTS.contact_lost)
     assert float(up.multipliers.f[0]) == pytest.approx(-0.042)

@@ -365,7 +365,7 @@ def _pushed(steps: _Steps, start: tuple[Bundle, Flow]) -> tuple[Array, ...]:
     if dense:
         first = with_row(jnp.zeros_like(steps.ys), y_dot, 0)
     else:
-        first = jnp.where((saves <= steps.ts[0])[:, None], y_dot, jnp.zeros((saves.shape[0], y_dot.shape[0])))
+        first = jnp.where((saves <= steps.ts[0])[:, None], y_dot, jnp.zeros_like(y_dot))
     longest = eqxi.unvmap_max(count)
     start_at = first, y_dot, jnp.zeros_like(y_dot)
     if lay.form.sampled:  # and the tangent of the time of the sample with which the last step begins

@@ -29,7 +29,7 @@ from .._linalg import smaller
 from .._mechanics import check_planar, check_spatial, Grasp, Leaves
 from .._motion import Instant, Struck, world_poses
 from .._results import RESULTS
-from .._types import Scalar
+from .._types import ByPrecision, Scalar
 from ..contact import (
     AbstractContact,
     chains_apart,
@@ -50,7 +50,7 @@ SINGULAR, _FIRM = 1e-9, 1e6
 # 1e-10 s are left, enough for a step to end there; at a smaller one it would be less than the shortest step.
 FLAT = 1e-4
 # Share of the largest contact impulse that counts as zero: a blow often leaves a contact alone, to rounding.
-_BALANCED = 1e-9
+_BALANCED = ByPrecision(1e-9, 1e-5)
 # A joint may start at an end of its range, as in a hand that is stretched out, and the first return to the
 # constraints may then move it past that end by rounding. So a range ends this many rounding units of 1 beyond
 # its limits, 6e-14 rad or m.
@@ -320,7 +320,7 @@ def refused_blow(grasp: Grasp, done: Struck, events: tuple[str, ...]) -> tuple[S
     limit = _nearest(limits)
     parts = [x for each in (done.forces, done.momentum) for rows in each for x in rows]
     largest = jnp.max(jnp.abs(jnp.stack(parts)))
-    return limit.margin < -_BALANCED * largest, limit.number
+    return limit.margin < -_BALANCED.of(largest) * largest, limit.number
 
 
 def are_redundant(done: Struck) -> Scalar:

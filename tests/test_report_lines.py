@@ -8,7 +8,7 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll._integration import _report as lines
-from jaxroll._mechanics import Coordinate, Labels
+from jaxroll._mechanics import Coordinate, Labels, QUATERNION
 
 R = jxr.RESULTS
 NAN = math.nan
@@ -275,6 +275,15 @@ CAUSES = [
 @pytest.mark.parametrize(("run", "told"), CAUSES, ids=range(len(CAUSES)))
 def test_why_a_run_ended(run, told):
     assert lines.cause(run) == told.replace("WHEN", "at t = 0.625 s")
+
+
+def test_a_surface_has_an_edge():
+    turning = (*BODY, *(Coordinate(part, "") for part in QUATERNION))
+    told = lambda margin: lines.cause(  # noqa: E731
+        ended(R.contour_end, margin=margin, labels=LABELS._replace(bodies=(("object", turning),)))
+    )
+    assert told(0.0) == "contact 1 (right) ran to the edge of an open surface at t = 0.625 s"
+    assert told(-0.25) == "contact 1 (right) ran past the edge of an open surface at t = 0.625 s: by 0.25 m"
 
 
 def test_a_complaint_is_the_cause_and_the_remedy():

@@ -62,7 +62,7 @@ REMEDIES = {
     "what single precision cannot pass, double may",
     "singular_contact": "shapes whose curvatures add up to more than zero (a hollow flatter than what rolls "
     "in it), joints away from a straight arm, or fewer contacts where two of one finger hold a motion twice",
-    "contour_end": "a longer contour there, or an earlier `t1`",
+    "contour_end": "a longer contour or a wider surface there, or an earlier `t1`",
     "contact_lost": "press harder there, or leave 'lift' out of `events` to let contacts pull",
     "slipping": "a larger `friction` of that contact, or leave 'friction' out of `events`",
     "penetration": "shapes that curve away from each other, or leave 'penetration' out of `events`",
@@ -139,6 +139,8 @@ def cause(run: Any) -> str:
     if abs(margin) <= _ROUNDINGS.get(name, 0.0) * np.finfo(np.asarray(stats.margin).dtype).eps:
         past, at = _AT[name]
         told, by = told.replace(past, at), at if by == past else ""
+    if _in_space(run.labels):
+        told = told.replace("end of an open contour", "edge of an open surface")
     return told.format(who=who, when=when, by=by.format(0.0 - margin, unit=unit))
 
 
@@ -146,6 +148,11 @@ def complaint(run: Any, remedies: Mapping[str, str] = REMEDIES) -> str:
     """The sentence of an error about a run that ended early: cause and remedy."""
     told, remedy = cause(run), remedies.get(code_name(run.result))
     return f"{told[0].upper()}{told[1:]}" + (f"; what helps: {remedy}" if remedy else "")
+
+
+def _in_space(labels: Labels | None) -> bool:
+    """Whether these are names of a grasp in space: something in it turns by a quaternion."""
+    return labels is not None and any(part.name in QUATERNION for _, parts in labels.bodies for part in parts)
 
 
 def contact_name(labels: Labels | None, contact: int) -> str:

@@ -438,7 +438,7 @@ def _force(grasp: Grasp, contact: int, pressing: float, aside: float) -> str:
     has = "no limit was given" if limit is None else f"it has {limit:.3g}"
     if not grasp.contacts[contact].presses:
         return f"{name} holds both ways, with {pressing:z.4g} N and {aside:.4g} N beside"
-    if np.isnan(pressing) or pressing == 0.0 == aside:
+    if np.isnan(pressing) or max(abs(pressing), aside) < 2e-13:  # [N]: rounding alone
         return f"{name} bears {'a force that is no number' if np.isnan(pressing) else 'no force'}"
     if not pressing > 0.0:
         return f"{name} pulls with {abs(pressing):.4g} N: no friction would do"

@@ -181,7 +181,7 @@ def test_numbers_of_single_precision_stay_so_and_known_ones_stay_known():
 
 
 def test_what_is_computed_at_once_is_compiled_once(caplog):
-    """In `jax.ensure_compile_time_eval` functions are others to JAX: a check would compile what a caller has."""
+    """To `jax.ensure_compile_time_eval` functions are others: a check would compile what a caller has."""
     twice = jax.jit(lambda x: jnp.concatenate([x, 2.0 * jnp.ones(3)]))
 
     def asked(x):

@@ -63,7 +63,7 @@ class RESULTS(eqx.Enumeration):
         "The rolling contact became singular: the sum of the two curvatures vanishes beside their size, or "
         "the Schur complement of the constraints is no longer positive."
     )
-    contour_end = "A contact point ran past the end of an open contour."
+    contour_end = "A contact point ran past the end of an open contour, or the edge of an open surface."
     contact_lost = "A contact no longer presses: its normal force fell below zero."
     slipping = "A contact needs more friction than there is: its force left the friction cone."
     penetration = "A fingertip and the object overlap away from their contact."

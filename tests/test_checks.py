@@ -456,9 +456,15 @@ def test_tolerances_that_are_traced_are_not_a_number_where_they_are_not_allowed(
 def test_a_tolerance_must_be_one_that_the_precision_can_meet():
     least = np.float32(1e-5)
     assert run_checks.tolerance("rtol", float(least), SINGLE) == least
-    assert said(run_checks.tolerance, "rtol", 0.9e-5, SINGLE).startswith(
-        "argument rtol must be at least 1e-05 in single precision, but was 9e-06; for double"
-    )
+    for known, remedy in (
+        (True, "give the grasp and its state numbers of it"),
+        (False, "put jax.config.update('jax_enable_x64', True) first"),
+    ):
+        with jax.enable_x64(known):
+            assert said(run_checks.tolerance, "rtol", 0.9e-5, SINGLE) == (
+                "argument rtol must be at least 1e-05 in single precision, but was 9e-06; "
+                f"for double precision {remedy}"
+            )
     assert run_checks.tolerance("rtol", 1e-12, DOUBLE) == 1e-12
     assert run_checks.tolerance("atol", 1e-12, SINGLE) == np.float32(1e-12)
 

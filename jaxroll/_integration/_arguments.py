@@ -225,9 +225,15 @@ def tolerance(name: str, value: Any, dtype: np.dtype) -> Any:
         raise ValueError(f"argument {name} must be below 1, but was {told_apart(1.0, seen)[1]}")
     if dtype == np.float32 and seen < np.float32(_FLOAT32_FLOOR):
         floor, was = told_apart(_FLOAT32_FLOOR, seen)
+        known = jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
+        remedy = (
+            "give the grasp and its state numbers of it"
+            if known
+            else "put jax.config.update('jax_enable_x64', True) first"
+        )
         raise ValueError(
             f"argument {name} must be at least {floor} in single precision, but was {was}; "
-            "for double precision put jax.config.update('jax_enable_x64', True) first"
+            f"for double precision {remedy}"
         )
     return number
 

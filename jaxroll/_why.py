@@ -46,6 +46,8 @@ from .stability import assess, Stability, VERDICTS
 
 # If no coordinate of a run changed by more than this [m or rad], no direction is given.
 _STILL = 1e-9
+# A contact whose forces are smaller than this [N] bears none: where nothing presses, rounding leaves some.
+_NO_FORCE = 2e-13
 # Coordinates that change by less than this share of the largest change are left out of a direction.
 _SLIGHT = 0.02
 # What helps where the failure is not the end of a run: `REMEDIES` has the others, by the code of the run.
@@ -438,7 +440,7 @@ def _force(grasp: Grasp, contact: int, pressing: float, aside: float) -> str:
     has = "no limit was given" if limit is None else f"it has {limit:.3g}"
     if not grasp.contacts[contact].presses:
         return f"{name} holds both ways, with {pressing:z.4g} N and {aside:.4g} N beside"
-    if np.isnan(pressing) or max(abs(pressing), aside) < 2e-13:  # [N]: rounding alone
+    if np.isnan(pressing) or max(abs(pressing), aside) < _NO_FORCE:
         return f"{name} bears {'a force that is no number' if np.isnan(pressing) else 'no force'}"
     if not pressing > 0.0:
         return f"{name} pulls with {abs(pressing):.4g} N: no friction would do"

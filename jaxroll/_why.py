@@ -63,15 +63,9 @@ _MEND = {
     "heavy": "a stronger push against the weight: without `gravity` the same grasp holds",
     "driven": "a controller with a potential, that takes energy out of every motion (`damping` above zero)",
 }
-# Ends of a run that say nothing of where the grasp goes.
-_NOWHERE = (
-    "successful",
-    "max_steps_reached",
-    "step_collapsed",
-    "not_finite",
-    "solver_failed",
-    "unordered_times",
-)
+# Ends of a run that say nothing of where the grasp goes: failures to integrate, and the end asked for.
+_FAILED = ("max_steps_reached", "step_collapsed", "not_finite", "solver_failed", "unordered_times")
+_NOWHERE = ("successful", *_FAILED)
 
 
 @dataclass(frozen=True)

@@ -64,7 +64,8 @@ def fit(fit: Fit | SurfaceFit) -> Figure:
 
 def _shape(ax: Axes, curve: OutlineSamples, points: np.ndarray, *, closed: bool) -> None:
     if closed:
-        ax.fill(*curve.points.T, fc=TIP_FILL, ec="none", alpha=0.5)
+        # The last point is the first again, to rounding: Matplotlib closes the outline by itself.
+        ax.fill(*curve.points[:-1].T, fc=TIP_FILL, ec="none", alpha=0.5)
     peak = max(float(np.abs(curve.curvatures).max()), 1e-12)
     length = 0.18 * float(np.ptp(curve.points, axis=0).max()) / peak
     ends, teeth = comb(curve, length)

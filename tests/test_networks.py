@@ -26,16 +26,19 @@ def test_a_network_has_the_features_that_its_docstring_tells():
     assert PeriodicNetwork(key=jax.random.key(0)).layers[0].in_features == 8
 
 
+MADE = {
+    "support": lambda: jxr.SupportFunction(0.01, [1e-3, 5e-4, 3e-4], [-2e-3, 0.0, 2e-4], cells=512),
+    "neural support": lambda: jxr.NeuralSupport(network(0.2), 0.01, (1e-3, -2e-3), cells=512),
+    "neural curvature": lambda: jxr.NeuralCurvature(network(40.0), 0.06, 0.3, (1e-3, 2e-3), cells=512),
+}
+
+
 @functools.cache
 def field_named(name):
-    if name == "support":
-        return jxr.SupportFunction(0.01, [1e-3, 5e-4, 3e-4], [-2e-3, 0.0, 2e-4], cells=512)
-    if name == "neural support":
-        return jxr.NeuralSupport(network(0.2), 0.01, (1e-3, -2e-3), cells=512)
-    return jxr.NeuralCurvature(network(40.0), 0.06, 0.3, (1e-3, 2e-3), cells=512)
+    return MADE[name]()
 
 
-@pytest.fixture(scope="module", params=["support", "neural support", "neural curvature"])
+@pytest.fixture(scope="module", params=MADE)
 def field(request):
     return field_named(request.param)
 

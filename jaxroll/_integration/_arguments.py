@@ -225,10 +225,9 @@ def tolerance(name: str, value: Any, dtype: np.dtype) -> Any:
         raise ValueError(f"argument {name} must be below 1, but was {told_apart(1.0, seen)[1]}")
     if dtype == np.float32 and seen < np.float32(_FLOAT32_FLOOR):
         floor, was = told_apart(_FLOAT32_FLOOR, seen)
-        known = jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
         remedy = (
             "give the grasp and its state numbers of it"
-            if known
+            if jnp.result_type(float) == np.float64
             else "put jax.config.update('jax_enable_x64', True) first"
         )
         raise ValueError(

@@ -147,9 +147,9 @@ class ClosedLoop(AbstractGoal):
             measured = [PARTIAL[name](run) for name in names]
             own = self.objective(grasp, run) if callable(self.objective) else jnp.zeros_like(self.t1)
             closed = run.result != RESULTS.unreachable
-            # Of a run that lasts exactly zero: by a constant XLA divides with its inverse, which is rounded.
-            left = jnp.where(run.stats.t_end == self.t1, 0.0, 1.0 - run.stats.t_end / self.t1)
-            lost = jnp.where(closed, left, 1.0)
+            # A difference, which is exactly zero of a whole run: XLA divides by a constant with its inverse,
+            # and the quotient of two equal times is then one to rounding alone.
+            lost = jnp.where(closed, (self.t1 - run.stats.t_end) / self.t1, 1.0)
             # The caller's objective need not know of runs that end early; a NaN must not hide their cost.
             own = jnp.where((lost > 0.0) & jnp.isnan(own), 0.0, own)
             return jnp.stack(measured) if measured else jnp.zeros(0), own, lost

@@ -9,6 +9,7 @@ import importlib
 import os
 import pathlib
 import tempfile
+import time
 
 import jax
 import numpy as np
@@ -169,6 +170,9 @@ def pytest_addoption(parser):
     quickly = "with --slow: compile with few optimisations, and leave out the tests marked optimised"
     parser.addoption("--quickly", action="store_true", help=quickly)
 
+    within = "with --slow: begin no slow test later than this [s since 1970], and say how many were left out"
+    parser.addoption("--until", type=float, default=float("inf"), help=within)
+
 
 def compiled_quickly(config):
     return config.getoption("--quickly") or not config.getoption("--slow")
@@ -185,6 +189,8 @@ def pytest_configure(config):
 
 
 def pytest_runtest_setup(item):
+    if "slow" in item.keywords and time.time() > item.config.getoption("--until"):
+        pytest.skip("NOT RUN: the time for slow tests was over")
     for name, value in _KEPT.items():
         if getattr(jax.config, name) != value:
             jax.config.update(name, value)

@@ -177,7 +177,6 @@ def central(cost, axes, way, h):
 
 
 @pytest.mark.slow
-@pytest.mark.optimised
 def test_gradient_in_surface_parameters_of_a_pinch():
     """Semi-axes of both tips and of the object, reverse mode, through close and simulate."""
     axes = jnp.array([0.010, 0.008, 0.009, 0.015, 0.025, 0.020])
@@ -198,6 +197,7 @@ def rocked(scene, axes):
 
 
 @pytest.mark.slow
+@pytest.mark.optimised
 def test_gradient_in_surface_parameters_of_a_rolling_body():
     """In both modes."""
     axes, way = jnp.array([0.05, 0.03, 0.04]), jnp.array([1.0, -0.6, 0.8])

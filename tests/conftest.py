@@ -169,7 +169,6 @@ def pytest_addoption(parser):
     parser.addoption("--slow", action="store_true", help="run the slow tests too, all fully optimised")
     quickly = "with --slow: compile with few optimisations, and leave out the tests marked optimised"
     parser.addoption("--quickly", action="store_true", help=quickly)
-
     within = "with --slow: begin no slow test later than this [s since 1970], and say how many were left out"
     parser.addoption("--until", type=float, default=float("inf"), help=within)
 

@@ -560,11 +560,17 @@ def test_a_search_for_firmness_has_a_floor_of_two_radians_per_metre(monkeypatch)
 @pytest.mark.parametrize("sharpness", [1.0, 0.05])
 def test_the_smooth_worst_of_some_costs(sharpness):
     """Above the largest by the logarithm of how many come near it, within a fiftieth of the largest size."""
-    for costs in (np.array([0.3, -4.0, 0.25]), np.array([-2.0, -2.1]), np.array([5.0])):
+
+    def bound(costs):
         size = np.abs(costs).max() / (50.0 * sharpness)
-        wanted = size * np.log(np.sum(np.exp(costs / size)))
-        found = float(_goals.soft_worst(jnp.asarray(costs), sharpness))
-        assert found == pytest.approx(wanted, rel=1e-9) and found >= costs.max()
+        return size * np.log(np.sum(np.exp(costs / size)))
+
+    both = jax.jit(jax.value_and_grad(_goals.soft_worst))
+    for costs in (np.array([0.3, -4.0, 0.25]), np.array([-2.0, -2.1, -2.11]), np.array([5.0, 5.01, 4.9])):
+        found, slope = both(costs, sharpness)
+        assert float(found) == pytest.approx(bound(costs), rel=1e-9) and found >= costs.max()
+        ends = [[bound(costs + side * 1e-6 * way) for way in np.eye(3)] for side in (1, -1)]
+        np.testing.assert_allclose(slope, (np.array(ends[0]) - ends[1]) / 2e-6, rtol=1e-7, atol=1e-8)
 
 
 def test_the_cost_of_a_margin_is_its_smooth_least_by_the_size():

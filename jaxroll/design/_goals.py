@@ -149,10 +149,10 @@ def soft_worst(costs: Array, sharpness: Scalar) -> Scalar:
     $v$ is the largest cost, $a$ the largest absolute value, and $k$ is 50 times `sharpness`.
     """
     # The exponents are at most zero, and cannot overflow. Whatever v is, the result is the same: it needs no
-    # derivative, and that of a maximum is NaN where rounding has made it none of the values. Nor does a,
-    # which only sets how smooth the bound is.
-    worst = jnp.max(jax.lax.stop_gradient(costs))
-    size = (jnp.max(jnp.abs(jax.lax.stop_gradient(costs))) + 1e-12) / (_WORST * sharpness)
+    # derivative. That of a maximum is NaN where rounding has made it none of the values: a is looked up.
+    values = jax.lax.stop_gradient(costs)
+    worst = jnp.max(values)
+    size = (jnp.abs(costs[jnp.argmax(jnp.abs(values))]) + 1e-12) / (_WORST * sharpness)
     return worst + size * jnp.log(jnp.sum(jnp.exp((costs - worst) / size)))
 
 

@@ -383,7 +383,7 @@ def test_64_objects_in_one_program_that_is_compiled_once(caplog):
     limits = Limits(size=0.02, radius=0.004, ahead=0.006)
     start = jxr.Ellipse(0.012, 0.012)
     with jax.log_compiles():
-        few = optimise_fingertip(start, INTERVAL, goal=goal, limits=limits, steps=10)
+        few = optimise_fingertip(start, INTERVAL, goal=goal, limits=limits, steps=20)
         first = compiled(caplog)
         caplog.clear()
         many = optimise_fingertip(start, INTERVAL, goal=goal, limits=limits, steps=80)

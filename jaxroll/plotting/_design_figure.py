@@ -78,7 +78,11 @@ def design(design: Design, folder: str | Path | None = None) -> Figure:
     pads = [sample(tip, np.linspace(ends[0], ends[1], 257)) for tip in tips]
     peak = max(float(np.abs(curve.curvatures).max()) for curve in curves)
     tooth = 0.25 * max(float(np.ptp(curve.points, axis=0).max()) for curve in curves) / peak
-    for ax, curve, pad, name, colour in zip(shapes, curves, pads, _NAMES, _COLOURS, strict=True):
+    each = zip(shapes, tips, curves, pads, _NAMES, _COLOURS, strict=True)
+    for ax, tip, curve, pad, name, colour in each:
+        # The last point of a closed contour is the first again, to rounding: what fills it closes it by itself.
+        ring = curve.points[:-1] if tip.closed else curve.points
+        ax.fill(*ring.T, fc=TIP_FILL, ec="none", alpha=0.6)
         _shape(ax, curve, pad, tooth, colour)
         tidy(ax, xlabel="X [mm]", ylabel="Y [mm]" if ax is first else "", title=f"Fingertip {name}")
     _scale_of_comb(first, tooth, peak)
@@ -97,7 +101,6 @@ def _curve(tip: AbstractContour) -> OutlineSamples:
 
 def _shape(ax: Axes, curve: OutlineSamples, pad: OutlineSamples, tooth: float, colour: str) -> None:
     ends, teeth = comb(curve, tooth)
-    ax.fill(*curve.points.T, fc=TIP_FILL, ec="none", alpha=0.6)
     ax.plot(*teeth.T, color=colour, lw=0.5, alpha=0.7)
     ax.plot(*ends.T, color=colour, lw=0.8)
     ax.plot(*curve.points.T, color=GUIDE, lw=1.0)

@@ -137,7 +137,8 @@ def _outline(contours: Sequence[AbstractContour], windows: Sequence[Window]) -> 
         face = sample(contour, np.linspace(*window, _SAMPLES))
         faces.append(face.points)
         if contour.closed:
-            rings.append(face.points)
+            # The last point is the first again, to rounding: whatever fills the ring closes it by itself.
+            rings.append(face.points[:-1])
         else:
             open_faces.append((face.points, face.tangents[[0, -1]]))
     if len(open_faces) == 1:

@@ -80,7 +80,7 @@ def design(design: Design, folder: str | Path | None = None) -> Figure:
     tooth = 0.25 * max(float(np.ptp(curve.points, axis=0).max()) for curve in curves) / peak
     each = zip(shapes, tips, curves, pads, _NAMES, _COLOURS, strict=True)
     for ax, tip, curve, pad, name, colour in each:
-        # The last point of a closed contour is the first again, to rounding: what fills it closes it by itself.
+        # The last point of a closed contour is the first again, to rounding: what fills it closes it.
         ring = curve.points[:-1] if tip.closed else curve.points
         ax.fill(*ring.T, fc=TIP_FILL, ec="none", alpha=0.6)
         _shape(ax, curve, pad, tooth, colour)

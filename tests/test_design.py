@@ -107,6 +107,17 @@ def test_limits_look_at_either_side(side):
     assert float(convex.max()) == pytest.approx(-least * 0.04)
 
 
+def test_a_contour_through_the_centre_of_its_finger_has_derivatives_of_its_size():
+    """At its vertex a catenary is as far from $O_i$ as nothing; elsewhere the distance has a derivative."""
+    ends = 0.012 * np.array([-1.0, 1.0])
+    size = lambda a: Limits(size=0.01).excess(sampled(jxr.Catenary(a, ends), 0.5 * ends))["size"]  # noqa: E731
+    # a (cosh u - 1) and a u at the angle of arclength s = a sinh u: the distance squared is their sum.
+    far = lambda a: np.hypot(np.hypot(a, 0.012) - a, a * np.arcsinh(0.012 / a)) / 0.01 - 1.0  # noqa: E731
+    slopes = jax.jacrev(size)(0.02)
+    assert slopes[128] == 0.0 and np.isfinite(slopes).all()
+    assert float(slopes[0]) == pytest.approx((far(0.02 + 1e-6) - far(0.02 - 1e-6)) / 2e-6, rel=1e-6)
+
+
 def test_the_contact_interval_stays_between_the_ends_of_an_open_contour():
     """A catenary shorter than its interval was found within a limit of 15 mm, with its ends exchanged."""
     tip = jxr.Catenary(1.0 / 40.0, (-0.012, 0.012)).moved((0.01, 0.0))

@@ -668,6 +668,26 @@ def test_a_run_that_never_began_has_lost_all_of_its_time(monkeypatch, scene):
     assert float(lost_by(goal.t1)) == 0.0 and float(lost_by(0.36)) == pytest.approx(0.5)
 
 
+def test_an_objective_without_a_value_hides_no_gradient(monkeypatch):
+    """The largest of some angles, some of them NaN, has a derivative of NaN: the time lost has its own."""
+    short = runs.run("pinch", ended="slipping")
+    monkeypatch.setattr(
+        _closed_loop_goal, "each_case", lambda make, cases, tip, found, in_turn: found(tip, None)
+    )
+    moving = lambda r: (r.states.q, r.stats.t_end)  # noqa: E731
+
+    def simulated(size, *args, **options):
+        # As in a run, what was not reached is NaN and does not move.
+        parts = (jnp.where(jnp.isnan(x), x, size * jnp.nan_to_num(x)) for x in moving(short))
+        return eqx.tree_at(moving, short, tuple(parts))
+
+    monkeypatch.setattr(_closed_loop_goal, "simulate", simulated)
+    goal = ClosedLoop(pivoted_with_tip, lambda grasp, run: jnp.max(run.states.q[:, 0]), t1=0.6, ts=13)
+    wanted = -_closed_loop_goal._LOST * float(short.stats.t_end) / 0.6
+    for derivative in (jax.grad, jax.jacfwd):
+        assert float(derivative(goal._costs)(1.0)) == pytest.approx(wanted)
+
+
 def test_a_measure_is_one_program(scene, caplog):
     """By themselves its small operations would be dozens, of 10 ms each."""
     run = jxr.simulate(*scene, 0.1, ts=17, record=("multipliers",))

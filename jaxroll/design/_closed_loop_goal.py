@@ -9,6 +9,7 @@ from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -145,13 +146,11 @@ class ClosedLoop(AbstractGoal):
             told = self.options._replace(record=forced if asked is None else asked)
             run = simulate(grasp, state, self.t1, ts=self.ts, throw=False, **told._asdict())
             measured = [PARTIAL[name](run) for name in names]
-            own = self.objective(grasp, run) if callable(self.objective) else jnp.zeros_like(self.t1)
             closed = run.result != RESULTS.unreachable
             # A difference, which is exactly zero of a whole run: XLA divides by a constant with its inverse,
             # and the quotient of two equal times is then one to rounding alone.
             lost = jnp.where(closed, (self.t1 - run.stats.t_end) / self.t1, 1.0)
-            # The caller's objective need not know of runs that end early; a NaN must not hide their cost.
-            own = jnp.where((lost > 0.0) & jnp.isnan(own), 0.0, own)
+            own = _own(self.objective, grasp, run, lost > 0.0)
             return jnp.stack(measured) if measured else jnp.zeros(0), own, lost
 
         return each_case(self.make, self.cases, tip, found, in_turn=True)
@@ -186,6 +185,22 @@ class ClosedLoop(AbstractGoal):
 
     def reached(self, figures: dict[str, Array]) -> Bool[Array, "..."]:
         return figures[_EARLY] == 0
+
+
+def _own(objective: Any, grasp: Any, run: Trajectory, early: Array) -> Array:
+    """The caller's objective, if there is one; zero where it is NaN for a run that ended early.
+
+    It need not know of such runs, and a NaN must not hide their cost, nor its gradient.
+    """
+    if not callable(objective):
+        return jnp.zeros(())
+    moving, still = eqx.partition((grasp, run), eqx.is_inexact_array)
+    asked = lambda moving: objective(*eqx.combine(moving, still))  # noqa: E731
+    fixed = jax.lax.stop_gradient(moving)
+    lacking = early & jnp.isnan(asked(fixed))
+    # A derivative of NaN times the zero of a branch that is not chosen is NaN: backwards it ends here.
+    held = jax.tree.map(lambda still, moves: jnp.where(lacking, still, moves), fixed, moving)
+    return jnp.where(lacking, 0.0, asked(held))
 
 
 def _as_objective(objective: Any) -> tuple[tuple[str, float], ...] | Callable:

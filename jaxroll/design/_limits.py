@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._fields import real, taken
-from .._linalg import larger, smaller
+from .._linalg import larger, root, smaller
 from .._printing import listed
 from .._results import as_floats, check_positive, traced
 from .._types import Given, Scalar
@@ -129,7 +129,8 @@ class Limits(eqx.Module):
         if seen.beyond is not None:
             found["interval"] = seen.beyond
         if self.size is not None:
-            found["size"] = jnp.sqrt(point.dot(point)) / self.size - 1.0
+            # A contour may pass through $O_i$, where a distance has no derivative: there no limit is near.
+            found["size"] = root(point.dot(point)) / self.size - 1.0
         if self.length is not None:
             found["length"] = jnp.atleast_1d(seen.length / self.length - 1.0)
         # An absolute value is bounded as two limits, each of them smooth.

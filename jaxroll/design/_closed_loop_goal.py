@@ -193,7 +193,7 @@ def _own(objective: Any, grasp: Any, run: Trajectory, early: Array) -> Array:
     It need not know of such runs, and a NaN must not hide their cost, nor its gradient.
     """
     if not callable(objective):
-        return jnp.zeros(())
+        return jnp.zeros((), run.ts.dtype)
     moving, still = eqx.partition((grasp, run), eqx.is_inexact_array)
     asked = lambda moving: objective(*eqx.combine(moving, still))  # noqa: E731
     fixed = jax.lax.stop_gradient(moving)

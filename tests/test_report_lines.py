@@ -358,8 +358,8 @@ def test_lanes_are_told_by_their_codes_and_where_they_end():
     runs = SimpleNamespace(result=result, stats=stats, last=last, labels=LABELS)
     assert lines.batch_report(runs).splitlines() == [
         "Trajectory of 4 lanes, 100 accepted steps",
-        "  1 lanes: successful",
-        "  1 lanes: contact_lost at t = 0.125 s",
+        "  1 lane: successful",
+        "  1 lane: contact_lost at t = 0.125 s",
         "  2 lanes: slipping at t = 0.25 to 0.5 s (contact 0: 1, contact 1: 1)",
         "  at end    object: x 1.000 to 3.000 mm, y 20.000 mm, theta 0.1000 to 0.3000 rad",
         "            finger 0: q[0] 1.0000 to 1.5000 rad, q[1] -2.0000 rad",
@@ -370,6 +370,9 @@ def test_lanes_are_told_by_their_codes_and_where_they_end():
     assert lines._at_the_end(None, grid[..., :1], "at end") == ["  at end    state: q[0] 0.0010 to 0.0046"]
     runs.last.q, runs.labels = np.zeros((4, 2)), LABELS
     assert lines.batch_report(runs).splitlines()[-1] == "  at end    state: q[0] 0.0000, q[1] 0.0000"
+    runs.result, runs.stats.accepted = type(R.successful)(codes[:1], R.successful._enumeration), np.array([1])
+    assert lines.batch_report(runs).splitlines()[0] == "Trajectory of 1 lane, 1 accepted step"
+    assert lines.batch_report(runs).splitlines()[1] == "  1 lane: successful"
 
 
 def test_the_largest_of_some_arrays_whatever_is_missing():

@@ -196,7 +196,7 @@ def test_batches_print_names_units_and_which_contacts(run):
     lanes = jax.tree.map(lambda *x: jnp.stack(x), *both)
     text = str(lanes)
     assert text.splitlines()[0].startswith("Trajectory of 3 lanes")
-    assert "1 lanes: successful" in text
+    assert "1 lane: successful" in text
     assert "2 lanes: contact_lost at t = 0.2 to 0.3 s (contact 0: 2)" in text
     assert "object: theta 0.2841 rad" in text and repr(lanes.result).count("contact_lost") == 2
     assert "traced" in repr(lanes) or "3 x 301 states" in repr(lanes)
@@ -213,7 +213,7 @@ def test_batches_print_names_units_and_which_contacts(run):
 )
 def test_batches_say_what_the_number_of_what_ended_them_counts(run, code, counted):
     lanes = jax.tree.map(lambda *x: jnp.stack(x), ended(run, code, contact=1, t=0.2), run)
-    assert f"1 lanes: {code} at t = 0.2 s ({counted} 1: 1)" in str(lanes)
+    assert f"1 lane: {code} at t = 0.2 s ({counted} 1: 1)" in str(lanes)
 
 
 @pytest.mark.parametrize("code", sorted(RUNNING))
@@ -249,9 +249,9 @@ def test_what_is_rounding_of_the_root_is_not_told_as_an_amount(run, code, past, 
 
 def test_a_run_out_of_steps_tells_how_many_it_was_given(run):
     """The first step, which has no length, is not one of them."""
-    stats = dataclasses.replace(run.stats, steps=jnp.asarray(101))
-    told = cause(dataclasses.replace(ended(run, "max_steps_reached"), stats=stats))
-    assert told.endswith("after 100 steps")
+    for steps, words in ((101, "after 100 steps"), (2, "after 1 step")):
+        stats = dataclasses.replace(run.stats, steps=jnp.asarray(steps))
+        assert cause(dataclasses.replace(ended(run, "max_steps_reached"), stats=stats)).endswith(words)
 
 
 def test_hardly_any_energy_has_no_share_that_is_off(run):
@@ -454,6 +454,8 @@ def test_values_and_units_of_records(run):
     assert repr(state) == "State(q=[-0.487487, 2], v=[0, 0], s=[0.001])"
     assert "f=301 x 1, 1.41138 to 1.5507 N" in repr(run.multipliers)
     assert len(repr(run)) < 60 and "301 states" in repr(run)
+    first = jax.tree.map(lambda x: x[:1], run.states)
+    assert "; 1 state)" in repr(dataclasses.replace(run, states=first))
 
 
 def test_grasps_print_their_parts(scene):

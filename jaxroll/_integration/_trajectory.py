@@ -202,7 +202,8 @@ class Trajectory(eqx.Module):
 
     def __repr__(self) -> str:
         shape = getattr(getattr(self.states, "q", None), "shape", ())
-        return f"Trajectory({code_name(self.result)}; {' x '.join(map(str, shape[:-1])) or 'no'} states)"
+        states = f"{' x '.join(map(str, shape[:-1])) or 'no'} state{'s' * (shape[:-1] != (1,))}"
+        return f"Trajectory({code_name(self.result)}; {states})"
 
 
 def _filled(reached: Array, rows: Array, end: Array) -> Array:

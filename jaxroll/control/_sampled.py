@@ -75,7 +75,8 @@ class Sampled(AbstractController):
     Every sample ends a step: `max_steps` must be above the number of samples in a run.
 
     Raises:
-        ValueError: If an argument is not what it must be, noise has no key, or the law is sampled itself.
+        ValueError: If an argument is not what it must be, or the law is sampled itself. A grasp refuses noise
+            without a key.
 
     Example:
         >>> import jaxroll as jxr

@@ -136,11 +136,12 @@ class Ellipse(AbstractContour):
 
     Args:
         a: Half axis along x, in metres, positive.
-        b: Half axis along y, in metres, positive; at most 100 times `a`, and a hundredth of it at least.
+        b: Half axis along y, in metres, positive; unless `cells` are given, at most 100 times `a`, and a
+            hundredth of it at least.
         cells: Cells of the table. Static: changing it recompiles. Default: as many as keep points within 1e-9
             of the circumference, 1024 for axes of a ratio up to 7 (for 4 they are within 1e-12), and 262144
-            for 100. Own cells are at least 4 times the square of the ratio, where the error is 2e-5; it falls
-            as `cells`$^{-6}$.
+            for 100. Own cells are at least 4 times the square of the ratio, where the error is at most 2e-5;
+            it falls as `cells`$^{-6}$.
 
     Raises:
         ValueError: If an axis is not a length, or the cells are too few. Axes that JAX traces get 1024 cells

@@ -71,6 +71,8 @@ def test_jumps_at_the_ends_at_save_times_and_beyond(scene):
     for time, same in ((0.0, hard), (-1.0, hard), (END, soft), (2.0, soft), (END + 1e-9, soft)):
         run = stepped(scene, time)
         np.testing.assert_allclose(flow(run.states), flow(same.states), rtol=0, atol=1e-12, err_msg=str(time))
+        assert float(run.stats.t_end) == END
+    assert float(stepped(scene, 0.0, before=-0.5, after=-0.5, throw=False).stats.t_end) == 0.0
     run = stepped(scene, 0.5)
     _, second = in_sequence(scene, 0.5, (0.6, END))
     np.testing.assert_allclose(flow(run.states)[0], flow(soft.states)[0], rtol=0, atol=1e-12)

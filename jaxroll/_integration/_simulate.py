@@ -266,6 +266,11 @@ def _run(
         states = states_of(lay, moving_in_time(lay.width, before, blow_times(ready)))
         told = contact_impulses(ready, states, (plan.t0, trajectory.stats.t_end))
         trajectory = eqx.tree_at(lambda run: run.impulses, trajectory, told, is_leaf=lambda x: x is None)
+    if jumps is not None:
+        # A run with a jump at its start or end goes from just before the one to just after the other.
+        t_end = trajectory.stats.t_end
+        off_by = jax.lax.stop_gradient(jnp.clip(t_end, given.t0, given.t1) - t_end)
+        trajectory = eqx.tree_at(lambda run: run.stats.t_end, trajectory, t_end + off_by)
     if path.record is not None:
         dense = Dense(
             bundle(ready), replace(plan.stepper, reverse=True), path.record.ts, path.record.ys, path.steps[1]

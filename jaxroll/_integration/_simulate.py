@@ -269,7 +269,9 @@ def _run(
     if jumps is not None:
         # A run with a jump at its start or end goes from just before the one to just after the other.
         t_end = trajectory.stats.t_end
-        off_by = jax.lax.stop_gradient(jnp.clip(t_end, given.t0, given.t1) - t_end)
+        # In this order a run whose times do not rise ends at t0.
+        within = jnp.maximum(jnp.minimum(t_end, given.t1), given.t0)
+        off_by = jax.lax.stop_gradient(within - t_end)
         trajectory = eqx.tree_at(lambda run: run.stats.t_end, trajectory, t_end + off_by)
     if path.record is not None:
         dense = Dense(

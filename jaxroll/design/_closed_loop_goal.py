@@ -195,7 +195,10 @@ def _own(objective: Any, grasp: Any, run: Trajectory, early: Array) -> Array:
     if not callable(objective):
         return jnp.zeros((), run.ts.dtype)
     moving, still = eqx.partition((grasp, run), eqx.is_inexact_array)
-    asked = lambda moving: objective(*eqx.combine(moving, still))  # noqa: E731
+
+    def asked(moving: Any) -> Array:
+        return objective(*eqx.combine(moving, still))
+
     fixed = jax.lax.stop_gradient(moving)
     lacking = early & jnp.isnan(asked(fixed))
     # A derivative of NaN times the zero of a branch that is not chosen is NaN: backwards it ends here.

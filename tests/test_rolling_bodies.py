@@ -12,7 +12,6 @@ import jaxroll as jxr
 from jaxroll._analysis._loci import _Jet, _locus
 from jaxroll._analysis._rolling_kinematics import _Rolling
 from tests.helpers import in_single
-from tests.measures import both_slopes
 from tests.oracles import closed_forms_space as closed
 
 
@@ -567,9 +566,10 @@ def test_a_circle_of_latitude_has_its_known_curvatures():
     np.testing.assert_allclose(found.arclength[0], across * (angle - angle[0]), rtol=1e-12)
 
 
-def test_numbers_that_a_velocity_or_a_spin_closes_over_have_derivatives_in_both_modes():
+@pytest.mark.parametrize("mode", [jax.jacfwd, jax.jacrev])
+def test_numbers_that_a_velocity_or_a_spin_closes_over_have_their_derivatives(mode):
     """A ball led straight while it spins turns about one axis at one rate, as far as both say."""
-    radius, end, weights = 0.1, 0.8, np.linspace(1.0, 2.0, 8)
+    radius, end = 0.1, 0.8
 
     def reached(given):
         speed, rate = given
@@ -588,8 +588,5 @@ def test_numbers_that_a_velocity_or_a_spin_closes_over_have_derivatives_in_both_
         turn = jnp.concatenate([jnp.cos(half)[None], jnp.sin(half) * spin / size])
         return jnp.concatenate([jnp.array([speed * end, 0.0, radius]), turn, speed[None] * end])
 
-    at, way = jnp.array([0.1, 0.7]), jnp.array([1.0, -0.6])
-    _, along, slope = both_slopes(lambda given: weights @ reached(given))(at, way)
-    wanted = weights @ jax.jacfwd(closed)(at)
-    np.testing.assert_allclose(slope, wanted, rtol=0, atol=1e-8)
-    assert float(along) == pytest.approx(float(wanted @ way), abs=1e-8)
+    at = jnp.array([0.1, 0.7])
+    np.testing.assert_allclose(mode(reached)(at), jax.jacfwd(closed)(at), rtol=0, atol=1e-8)

@@ -323,8 +323,8 @@ def test_a_meter_under_vmap_and_in_derivatives(scene, capfd):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "solver",
-    [diffrax.Kvaerno3(), diffrax.HalfSolver(diffrax.Heun())],
-    ids=["implicit", "explicit, in halves"],
+    [diffrax.Kvaerno3(), diffrax.HalfSolver(diffrax.ImplicitEuler()), diffrax.HalfSolver(diffrax.Heun())],
+    ids=["implicit", "implicit, in halves", "explicit, in halves"],
 )
 def test_methods_that_are_not_run_on_their_tableau_have_derivatives_in_both_modes(scene, solver):
     grasp, state = scene

@@ -69,6 +69,11 @@ def entry(title: str, lines: Sequence[str], *, width: int = 100) -> list[str]:
     return [f"  {title if i == 0 else '':<10}{line}" for i, line in enumerate(broken)]
 
 
+def so_many(count: Any, noun: str) -> str:
+    """A count and what is counted, in the plural unless there is one."""
+    return f"{int(count)} {noun}{'s' * (int(count) != 1)}"
+
+
 def named(codes: Codes) -> Codes:
     """Let the codes of an enumeration, and what `where` makes of them, print as their names."""
     items, make = codes._name_to_item, cast(Any, _Code)  # pyright: ignore

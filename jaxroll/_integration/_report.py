@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from .._mechanics import Coordinate, Labels, QUATERNION
-from .._printing import code_name, entry
+from .._printing import code_name, entry, so_many
 from .._results import concrete, message
 
 # What is said of the contact ("who") whose margin ran out; "by" is filled in from `_BY`.
@@ -107,13 +107,13 @@ def report(run: Any, remedies: Mapping[str, str] = REMEDIES) -> str:
 def batch_report(runs: Any) -> str:
     """What `print` shows of many runs: how many ended with each code, and where they are at the end."""
     codes, stats = np.asarray(runs.result._value), runs.stats
-    steps = _so_many(np.sum(stats.accepted), "accepted step")
-    lines = [f"Trajectory of {_so_many(codes.size, 'lane')}, {steps}"]
+    steps = so_many(np.sum(stats.accepted), "accepted step")
+    lines = [f"Trajectory of {so_many(codes.size, 'lane')}, {steps}"]
     names = {int(code): code_name(type(runs.result)(code, runs.result._enumeration)) for code in codes.flat}
     for code, name in sorted(names.items()):
         here = codes == code
         where = _where(runs, here, name) if code else ""
-        lines.append(f"  {_so_many(here.sum(), 'lane')}: {name}{where}")
+        lines.append(f"  {so_many(here.sum(), 'lane')}: {name}{where}")
     lines += _at_the_end(runs.labels, np.asarray(runs.last.q), "at end")
     return "\n".join(lines)
 
@@ -125,7 +125,7 @@ def cause(run: Any) -> str:
     when = f" at t = {t:.6g} s"
     if name == "max_steps_reached":
         # The first step has no length (`_step_size.StopAt`), and is not among those that are limited.
-        return f"the step limit was reached{when}, after {_so_many(stats.steps - 1, 'step')}"
+        return f"the step limit was reached{when}, after {so_many(stats.steps - 1, 'step')}"
     if name == "unreachable":  # of the start, whatever was run from it
         return _lower(message(run.result))
     if name not in _TOLD or (contact < 0 and name == "singular_contact"):
@@ -191,11 +191,6 @@ def amount(value: float, unit: str, *, signed: bool = False) -> str:
 
 def _code(run: Any) -> int:
     return int(concrete(run.result._value))  # pyright: ignore[reportArgumentType]
-
-
-def _so_many(count: Any, noun: str) -> str:
-    """A count and what is counted, in the plural unless there is one."""
-    return f"{int(count)} {noun}{'s' * (int(count) != 1)}"
 
 
 def _lower(sentence: str) -> str:

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int
 
 from .._mechanics import check_not_cut, Labels, State
 from .._motion import Energy, Multipliers, Residuals
-from .._printing import code_name, listed
+from .._printing import code_name, listed, so_many
 from .._results import as_array, check_instance, is_array_like, RESULTS, shown, traced
 from .._types import Given, Times
 from ._dataset import dataset_of
@@ -202,7 +202,10 @@ class Trajectory(eqx.Module):
 
     def __repr__(self) -> str:
         shape = getattr(getattr(self.states, "q", None), "shape", ())
-        states = f"{' x '.join(map(str, shape[:-1])) or 'no'} state{'s' * (shape[:-1] != (1,))}"
+        rows = shape[:-1]
+        states = (
+            so_many(rows[0], "state") if len(rows) == 1 else f"{' x '.join(map(str, rows)) or 'no'} states"
+        )
         return f"Trajectory({code_name(self.result)}; {states})"
 
 

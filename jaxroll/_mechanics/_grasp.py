@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._fields import taken, through
-from .._printing import shown_value
+from .._printing import shown_value, so_many
 from .._results import as_array, as_count, as_several, check_finite, computed_at_once, shown, traced
 from .._types import Given
 from .._xla import remembered
@@ -203,8 +203,7 @@ class Grasp(AbstractGrasp):
     def __repr__(self) -> str:
         kinds = ", ".join(type(body).__name__ for body in self.bodies)
         control = "no controller" if self.controller is None else type(self.controller).__name__
-        count = len(self.contacts)
-        return f"Grasp({kinds}; {count} contact{'s' * (count != 1)}; {control})"
+        return f"Grasp({kinds}; {so_many(len(self.contacts), 'contact')}; {control})"
 
     def __str__(self) -> str:
         try:

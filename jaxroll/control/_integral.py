@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from .._fields import each, taken, through
 from .._linalg import root, sincos, total
 from .._mechanics import AbstractController, Torques
-from .._printing import listed
+from .._printing import listed, so_many
 from .._results import as_floats, shown
 from .._types import Given, Scalar, Scalars
 from ._sensing import Sensed
@@ -111,7 +111,7 @@ class Integral(AbstractController):
             needed = int(finger) + 1 if finger != name else needed
             if fingers < needed:
                 raise ValueError(
-                    f"argument targets must name what {fingers} finger{'s' * (fingers != 1)} can have, "
+                    f"argument targets must name what {so_many(fingers, 'finger')} can have, "
                     f"but had {shown(name)}"
                 )
             if name == ("z" if axes == 2 else "tilt"):

@@ -183,7 +183,7 @@ def test_redundant_rows_are_solved_in_single_precision():
     metric = np.diag(rng.uniform(0.5, 2.0, 5))
     half = np.sqrt(np.linalg.inv(metric))
     wanted = half @ np.linalg.pinv(rows @ half) @ right
-    _, steps = in_single(_search.solve_schur, rows, metric, right[:, None])
+    _, steps, _ = in_single(_search.solve_schur, rows, metric, right[:, None])
     assert steps.dtype == jnp.float32
     np.testing.assert_allclose(steps[:, 0], wanted, rtol=1e-4, atol=1e-5)
 

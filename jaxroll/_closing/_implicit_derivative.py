@@ -176,7 +176,7 @@ def _response(question: _Question, moving: Any, minimum: _Minimum) -> _Response:
     if size == jacobian.shape[0]:
         return _Response(question, moving, step, jacobian, None, size)
     # The search does not compute multipliers. From M d + A^T p = 0, multiplied by A M^-1: S p = -A d.
-    pressures, _ = solve_schur(jacobian, metric, -(jacobian @ step)[:, None])
+    pressures, _, _ = solve_schur(jacobian, metric, -(jacobian @ step)[:, None])
     z = jnp.concatenate([step, pressures[:, 0]])
     grasp, guess = eqx.combine(moving, question.still)
     problem = ClosingProblem(grasp, guess, metric, question.held)

@@ -33,12 +33,12 @@ from .._xla import one_kernel, shared, sharing
 
 # Most evaluations of the rows.
 _STEPS = 300
-# The contacts count as closed, and steps along the constraints are taken, when the largest row is below this
-# [m or rad] ...
-_NEAR = 1e-6
-# ... or below this share of the length of the remaining part along the constraints. With a larger share the
-# two kinds of step undo each other: the constraints are curved, so that each spoils the other's result.
-_CLOSED = 0.01
+# The contacts count as closed, and steps along the constraints are taken, when each row would be closed by a
+# step shorter than the first share of the whole displacement, or than the second one of its part along the
+# constraints. With a larger share the two kinds of step undo each other: the constraints are curved, so that
+# each spoils the other's result. And when no row is larger than the third [m or rad]: where contacts roll, a
+# short step closes a tangency that is far open.
+_NEAR, _CLOSED, _SMALL = 1e-6, 0.01, 1e-4
 # The search ends with contacts closed to this [m or rad]. In single precision rounding alone makes rows of
 # closed contacts up to 3e-7.
 _DONE = ByPrecision(1e-13, 1e-6)
@@ -101,7 +101,7 @@ class ClosingProblem(eqx.Module):
         return jnp.concatenate([above, jnp.concatenate([jacobian, nothing], axis=1)])
 
 
-def solve_schur(jacobian: Array, metric: Array, right: Array) -> tuple[Array, Array]:
+def solve_schur(jacobian: Array, metric: Array, right: Array) -> tuple[Array, Array, Array]:
     r"""Multipliers and shortest steps that change the linearised rows by given amounts.
 
     Args:
@@ -110,7 +110,8 @@ def solve_schur(jacobian: Array, metric: Array, right: Array) -> tuple[Array, Ar
         right: Wanted changes of the rows, one in each column.
 
     Returns:
-        $p$ with $A M^{-1} A^T p$ = `right`, and the steps $M^{-1} A^T p$, both column by column.
+        $p$ with $A M^{-1} A^T p$ = `right`, and the steps $M^{-1} A^T p$, both column by column; and for each
+        row the length in the metric of the shortest step that changes this row by one.
     """
     weighed = jnp.linalg.solve(metric, jacobian.T)
     schur = jacobian @ weighed
@@ -123,7 +124,7 @@ def solve_schur(jacobian: Array, metric: Array, right: Array) -> tuple[Array, Ar
     scaled = right * scale[:, None]
     first = lu_solve(factors, scaled)
     pressures = scale[:, None] * (first + lu_solve(factors, scaled - unit @ first))
-    return pressures, weighed @ pressures
+    return pressures, weighed @ pressures, scale
 
 
 def added(jacobian: Array, metric: Array) -> Array:
@@ -178,11 +179,9 @@ def searched(problem: ClosingProblem) -> tuple[Array, Array]:
         return ~done & (search.scale > 1e-6) & (search.count < _STEPS)
 
     last = jax.lax.while_loop(more, lambda search: _improved(problem, search), first)
-    if last.step.dtype == np.float64:
-        return last.step, last.jacobian
-    # In single precision `_DONE` lies well above rounding, so that every search comes below it. The step
-    # proposed there takes what is left: its error is of second order, and needs no evaluation.
-    return last.step - jnp.where(last.size < _DONE.single, last.move, 0.0), last.jacobian
+    # `_DONE` lies above rounding. The step proposed there takes what is left, which would otherwise depend on
+    # how the search came there: its error is of second order, and needs no evaluation.
+    return last.step - jnp.where(last.size < _DONE.of(start), last.move, 0.0), last.jacobian
 
 
 def _improved(problem: ClosingProblem, search: _Search) -> _Search:
@@ -192,13 +191,17 @@ def _improved(problem: ClosingProblem, search: _Search) -> _Search:
     size = jnp.max(jnp.abs(left))
     # Two right-hand sides with one factorisation: M^-1 A^T S^-1 c, and M^-1 A^T S^-1 A d = d - P d.
     both = jnp.stack([left, jacobian @ trial], axis=-1)
-    normal, across = solve_schur(jacobian, problem.metric, both)[1].T
+    _, steps, each = solve_schur(jacobian, problem.metric, both)
+    normal, across = steps.T
     along = trial - across
-    length = _length(problem, along)
+    # How far the contacts are open, as a length in the metric: on grasps of every size, gaps in metres and
+    # tangencies in radians cannot be compared with such lengths, nor with each other.
+    length, reach = _length(problem, along), jnp.max(jnp.abs(left) * each)
     # A trial is accepted if it is closed or its largest row is smaller than before. A step along curved
     # constraints opens the contacts to second order in its length; it is accepted while they open by less.
-    closed = (size < _NEAR) | (size < _CLOSED * length)
-    better = closed | (size < search.size) | (search.rolling & (size < search.length))
+    near = jnp.maximum(_NEAR * _length(problem, trial), _CLOSED * length)
+    closed = (size < _DONE.of(size)) | ((reach < near) & (size < _SMALL))
+    better = closed | (size < search.size) | (search.rolling & (reach < search.length))
     # Where the part along the constraints has not become a tenth shorter, its steps are too long: halve them.
     share = jnp.where(closed & (length > 0.9 * search.length), 0.5 * search.share, search.share)
     move = normal + jnp.where(closed, share, 0.0) * along

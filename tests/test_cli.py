@@ -634,5 +634,5 @@ def test_a_design_begins_with_an_ellipse_whose_sharp_end_is_in_front(tmp_path):
         np.stack([10.0 * np.cos(0.4 * u), 10.0 * np.sin(0.4 * u)], axis=-1),
         delimiter=",",
     )
-    with pytest.raises(ValueError):
+    with pytest.raises(ValueError, match="argument points must go all round a closed contour"):
         fingertip(str(tmp_path / "arc.csv"), "mm")

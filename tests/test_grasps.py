@@ -225,5 +225,13 @@ def test_the_rest_of_what_is_held_has_a_derivative_where_it_is_the_nearest_of_ma
 
 @pytest.mark.parametrize("names", ["thumb", "object x", ["finger 0", "object"], 3, None, [0]])
 def test_names_that_are_not_held_are_refused(scene, names):
-    with pytest.raises(ValueError):
+    with pytest.raises(ValueError, match="argument hold must"):
         jxr.close(*scene, hold=names)
+
+
+def test_a_pose_that_cannot_be_closed_names_what_was_held(scene):
+    """A finger of two joints alone cannot close a gap, a tangency and where both contours touch."""
+    grasp, state = scene
+    off = jxr.State(state.q.at[0].add(0.1), state.v, state.s)
+    with pytest.raises(ValueError, match=r"best found while \['object'\] is held leaves the"):
+        jxr.close(grasp, off, hold=["object"])

@@ -272,32 +272,42 @@ def test_uniform_objects_have_their_frame_at_the_centre():
 
 
 REFUSED = {
-    "open contour": lambda: jxr.Line((-0.1, 0.1)),
-    "endless surface": jxr.Plane,
-    "hole": lambda: Hollow(jxr.Sphere(0.01)),
-    "mesh with a hole": lambda: (box()[0], box()[1][1:]),
-    "mesh inside out": lambda: (box()[0], box()[1][:, ::-1]),
-    "one face turned": lambda: (box()[0], np.concatenate([box()[1][:1, ::-1], box()[1][1:]])),
-    "faces beyond": lambda: (box()[0][:-1], box()[1]),
-    "fractions": lambda: (box()[0], box()[1] + 0.5),
-    "chart with an edge": lambda: Chart(bulb, domain=(ROUND[0], (0.0, 3.0)), periodic=(True, False)),
-    "field beyond its bounds": lambda: Implicit(lambda x, y, z: x * x + y * y + z * z - 1e-4, radius=0.005),
-    "nothing": lambda: None,
-    "one of three": lambda: box() + (1,),
+    "open contour": (lambda: jxr.Line((-0.1, 0.1)), "but was an open Line"),
+    "endless surface": (jxr.Plane, "but was a Plane"),
+    "hole": (lambda: Hollow(jxr.Sphere(0.01)), "but was a Hollow"),
+    "mesh with a hole": (lambda: (box()[0], box()[1][1:]), "3 of its 18 edges"),
+    "mesh inside out": (lambda: (box()[0], box()[1][:, ::-1]), "counter-clockwise from outside"),
+    "one face turned": (
+        lambda: (box()[0], np.concatenate([box()[1][:1, ::-1], box()[1][1:]])),
+        "3 of its 18 edges",
+    ),
+    "faces beyond": (lambda: (box()[0][:-1], box()[1]), "from 0 to 6, but one was 7"),
+    "fractions": (lambda: (box()[0], box()[1] + 0.5), "from 0 to 7, but one was 0.5"),
+    "chart with an edge": (
+        lambda: Chart(bulb, domain=(ROUND[0], (0.0, 3.0)), periodic=(True, False)),
+        "has an edge at v = 3",
+    ),
+    "field beyond its bounds": (
+        lambda: Implicit(lambda x, y, z: x * x + y * y + z * z - 1e-4, radius=0.005),
+        "no point of this Implicit",
+    ),
+    "nothing": (lambda: None, "but was None"),
+    "one of three": (lambda: box() + (1,), "a contour, a surface, or vertices and faces"),
 }
 
 
 @pytest.mark.parametrize("name", REFUSED)
 def test_what_encloses_nothing_is_refused(name):
-    with pytest.raises(ValueError):
-        mass_properties(REFUSED[name](), 1.0)
+    shape, words = REFUSED[name]
+    with pytest.raises(ValueError, match=f"argument shape must .*{words}"):
+        mass_properties(shape(), 1.0)
 
 
 def test_numbers_are_checked():
     for bad in (0.0, -1.0, np.nan, "1", None):
-        with pytest.raises(ValueError):
+        with pytest.raises(ValueError, match="argument density must"):
             mass_properties(jxr.Circle(0.01), bad)
-    with pytest.raises(ValueError):
+    with pytest.raises(ValueError, match=r"argument thickness must be positive, but was 0\.0"):
         mass_properties(jxr.Circle(0.01), 1.0, thickness=0.0)
-    with pytest.raises(ValueError):
+    with pytest.raises(ValueError, match="argument thickness must be None in space"):
         mass_properties(jxr.Sphere(0.01), 1.0, thickness=0.01)

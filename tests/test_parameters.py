@@ -43,7 +43,7 @@ def test_rows_are_parameters_too():
     assert some[1:].shape == (2,) and some.names == ("a", "v", "fixed")
     with pytest.raises(AttributeError, match="no column 'q'"):
         _ = some.q
-    with pytest.raises(KeyError):
+    with pytest.raises(KeyError, match="q"):
         _ = some["q"]
     summed = jax.jit(jax.vmap(lambda p: p.a + p["v"].sum() + p.fixed))(some)
     np.testing.assert_allclose(summed, [9.0, 14.0, 19.0])

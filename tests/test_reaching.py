@@ -474,26 +474,40 @@ def test_half_a_turn_is_pi_whatever_its_rounding():
 def test_arguments_that_do_not_fit_are_refused():
     grasp = two_fingers()
     calls = [
-        lambda: jxr.reach(grasp, SIDES[:1]),
-        lambda: jxr.reach(grasp, [(-0.015, 0.0), (0.02, 0.0)]),
-        lambda: jxr.reach(grasp, SIDES, pose=(0.0, 0.0)),
-        lambda: jxr.reach(grasp, SIDES, elbow=2),
-        lambda: jxr.reach(grasp, SIDES, elbow=(1,)),
-        lambda: jxr.reach(grasp, SIDES, hold="finger 0"),
-        lambda: jxr.reach(grasp, SIDES, guess=jxr.State(np.zeros(7), np.zeros(7), np.zeros(2)), hold="thumb"),
-        lambda: jxr.reach(grasp, SIDES, guess=jxr.State(np.zeros(3), np.zeros(3), np.zeros(1))),
-        lambda: jxr.reach(grasp, None),
-        lambda: jxr.reach(None, SIDES),
-        lambda: jxr.grasp_points(3),
-        lambda: jxr.grasp_points([jxr.Circle(0.01), jxr.Sphere(0.01)]),
-        lambda: jxr.grasp_points(jxr.Circle(0.01), 0.0),
-        lambda: jxr.grasp_points(jxr.Circle(0.01), count=0),
-        lambda: jxr.grasp_points(
-            jxr.geometry.Implicit(lambda x, y, z: x * x + y * y + z * z - 1e-4, radius=0.005)
+        ("contacts must have shape", lambda: jxr.reach(grasp, SIDES[:1])),
+        ("contacts must be points of the object", lambda: jxr.reach(grasp, [(-0.015, 0.0), (0.02, 0.0)])),
+        ("pose must have shape", lambda: jxr.reach(grasp, SIDES, pose=(0.0, 0.0))),
+        ("elbow must be 1, -1 or 0", lambda: jxr.reach(grasp, SIDES, elbow=2)),
+        ("elbow must be 1, -1 or 0", lambda: jxr.reach(grasp, SIDES, elbow=(1,))),
+        ("guess must be a state", lambda: jxr.reach(grasp, SIDES, hold="finger 0")),
+        (
+            "hold must name",
+            lambda: jxr.reach(
+                grasp, SIDES, guess=jxr.State(np.zeros(7), np.zeros(7), np.zeros(2)), hold="thumb"
+            ),
+        ),
+        (
+            "guess.q must have shape",
+            lambda: jxr.reach(grasp, SIDES, guess=jxr.State(np.zeros(3), np.zeros(3), np.zeros(1))),
+        ),
+        ("contacts must be a real number", lambda: jxr.reach(grasp, None)),
+        ("grasp must be a Grasp", lambda: jxr.reach(None, SIDES)),
+        ("object must be one or more", lambda: jxr.grasp_points(3)),
+        (
+            "object must be of the plane or of space",
+            lambda: jxr.grasp_points([jxr.Circle(0.01), jxr.Sphere(0.01)]),
+        ),
+        ("friction must be positive", lambda: jxr.grasp_points(jxr.Circle(0.01), 0.0)),
+        ("count must be a whole number", lambda: jxr.grasp_points(jxr.Circle(0.01), count=0)),
+        (
+            "object must have a boundary",
+            lambda: jxr.grasp_points(
+                jxr.geometry.Implicit(lambda x, y, z: x * x + y * y + z * z - 1e-4, radius=0.005)
+            ),
         ),
     ]
-    for call in calls:
-        with pytest.raises(ValueError):
+    for words, call in calls:
+        with pytest.raises(ValueError, match=f"argument {words}"):
             call()
 
 

@@ -99,9 +99,10 @@ def close(
         # A NaN among the rows counts as the worst. The comparison below is negated, so that a NaN fails it.
         worst = int(np.nanargmax(np.where(np.isnan(seen), np.inf, np.abs(seen))))
         if not abs(seen[worst]) <= closed_within(guess.q.dtype):
+            kept = f" while {shown(hold)} is held" if held else ""
             raise ValueError(
-                f"argument guess must be near a pose that closes every contact, but the best "
-                f"found leaves {row_name(grasp, worst)} at {abs(seen[worst]):.3g}"
+                f"argument guess must be near a pose that closes every contact, but the best found{kept} "
+                f"leaves {row_name(grasp, worst)} at {abs(seen[worst]):.3g}"
             )
     return grasp, state
 

@@ -22,8 +22,8 @@ class Stats(eqx.Module):
     """How the run went.
 
     Attributes:
-        steps: Attempted steps.
-        accepted: Accepted steps.
+        steps: Attempted steps, with a first one of no length, which `max_steps` does not count.
+        accepted: Accepted steps, with that first one.
         rejected: Rejected steps.
         t_end: Time that the run reached [s].
         contact: Which contact ended it, in case of 'penetration' and 'links_meet' which finger, of

@@ -52,6 +52,8 @@ _BROKEN = (
     RESULTS.not_finite,
     RESULTS.unreachable,
     RESULTS.solver_failed,
+    RESULTS.inconsistent_shape,
+    RESULTS.not_rolling,
 )
 
 

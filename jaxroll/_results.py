@@ -82,6 +82,14 @@ class RESULTS(eqx.Enumeration):
     links_meet = "A finger's links meet the object or another finger's."
     undetermined = "What was measured tells nothing of the numbers that were sought."
     unordered_times = "The run's save times do not rise from its start to its end."
+    inconsistent_shape = (
+        "A contour of one's own is not given by its arclength, or a frame, normal or shape operator is not "
+        "that of its curve or surface."
+    )
+    not_rolling = (
+        "The gap of a contact of one's own changes as its place alone moves, so that the contact was held to "
+        "other motions than its gap says."
+    )
 
 
 def missing_library(library: str, extra: str) -> ImportError:

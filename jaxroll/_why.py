@@ -64,7 +64,8 @@ _MEND = {
     "driven": "a controller with a potential, that takes energy out of every motion (`damping` above zero)",
 }
 # Ends of a run that say nothing of where the grasp goes: failures to integrate, and the end asked for.
-_FAILED = ("max_steps_reached", "step_collapsed", "not_finite", "solver_failed", "unordered_times")
+_STEPS = ("max_steps_reached", "step_collapsed", "not_finite", "solver_failed")
+_FAILED = (*_STEPS, "unordered_times", "inconsistent_shape", "not_rolling")
 _NOWHERE = ("successful", *_FAILED)
 
 

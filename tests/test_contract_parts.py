@@ -147,11 +147,11 @@ def test_a_contour_with_ends_is_looked_at_between_them(monkeypatch):
 def test_shapes_within_shapes_are_found_but_not_those_in_ones_own():
     circle, own = jxr.Circle(0.01), Bend()
     placed = own.moved().moved((0.1, 0.0))
-    assert [type(x).__name__ for x in contract._members(placed)] == ["Moved", "Moved", "Bend"]
+    assert [type(x).__name__ for x in contract.members(placed)] == ["Moved", "Moved", "Bend"]
     bar = Hollow(Extruded(circle.moved()).moved())
     names = ["Hollow", "MovedSurface", "Extruded", "Moved", "Circle"]
-    assert [type(x).__name__ for x in contract._members(bar)] == names
-    assert [type(x).__name__ for x in contract._members([circle, (own, 3)])] == ["Circle", "Bend"]
+    assert [type(x).__name__ for x in contract.members(bar)] == names
+    assert [type(x).__name__ for x in contract.members([circle, (own, 3)])] == ["Circle", "Bend"]
     assert is_foreign(own) and not is_foreign(circle)
 
 
@@ -168,8 +168,8 @@ def test_tables_are_found_at_any_depth():
         rest: tuple = ()
 
     held = Pair(first=one.moved(), rest=([other], 3.0)).moved()
-    assert [t is c.table for t, c in zip(contract._tables(held), (one, other), strict=True)] == [True, True]
-    assert not list(contract._tables(jxr.Circle(0.01)))
+    assert [t is c.table for t, c in zip(contract.tables(held), (one, other), strict=True)] == [True, True]
+    assert not list(contract.tables(jxr.Circle(0.01)))
 
 
 def faulty(monkeypatch, **errors):
@@ -179,7 +179,7 @@ def faulty(monkeypatch, **errors):
         "seam": jnp.zeros(()),
     }
     found = usual | {name: jnp.asarray(value) for name, value in errors.items()}
-    monkeypatch.setattr(contract, "_inconsistency", lambda surface: found)
+    monkeypatch.setattr(contract, "inconsistency", lambda surface: found)
     return contract._surface_fault(Hollow(jxr.Sphere(0.01)))
 
 
@@ -257,7 +257,7 @@ def test_what_is_let_pass_in_single_precision():
 
 
 def test_errors_of_tables_are_let_pass_four_times_over(monkeypatch):
-    monkeypatch.setattr(contract, "_tables", lambda contour: [0.3e-6, 1e-6])
+    monkeypatch.setattr(contract, "tables", lambda contour: [0.3e-6, 1e-6])
     monkeypatch.setattr(contract, "unevenness", lambda table: table)
     assert contract._along(Bend(fast=3.9e-6), PLACES) is None
     assert contract._along(Bend(fast=4.1e-6), PLACES) is not None

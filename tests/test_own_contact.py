@@ -338,6 +338,25 @@ class Slipping(Teeth):
         return pinion.frame(place), wheel.frame(place)
 
 
+def test_teeth_of_wheels_that_do_not_fit_are_a_code_of_the_run(teeth: Any) -> None:
+    """Rows would be the gap's rate at a frozen place, where the gap changes with the place: wrong by 3 %."""
+    grasp, state = teeth
+
+    def run(radius: Any) -> Any:
+        tip = jxr.Circle(radius).moved((-0.02, 0.0), np.pi)
+        start = jxr.close(grasp.with_tip(0, tip), state, throw=False, hold_contacts=False)
+        return jxr.simulate(*start, 0.3, ts=2, throw=False)
+
+    runs = jax.vmap(run)(_SMALL * jnp.array([0.99, 1.0, 1.01]))
+    assert repr(runs.result) == "[not_rolling, successful, not_rolling]"
+    np.testing.assert_array_equal(runs.stats.contact, [0, -1, 0])
+    # An oval pinion fits at the start, and not later.
+    oval = grasp.with_tip(0, jxr.Ellipse(_SMALL, 1.05 * _SMALL).moved((-0.02, 0.0), np.pi))
+    start = jxr.close(oval, state, hold_contacts=False)
+    with pytest.raises(RuntimeError, match=r"The gap of contact 0 .* changes as its place alone moves"):
+        jxr.simulate(*start, 0.3, ts=2)
+
+
 class TwoRows(Teeth):
     """Teeth that give one gap and claim two."""
 

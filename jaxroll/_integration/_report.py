@@ -23,6 +23,8 @@ _TOLD = {
     "joint_limit": "{who} passed the end of its range{when}{by}",
     "torque_limit": "{who} needs more torque than it has{when}{by}",
     "links_meet": "links of {who} meet the object or those of another finger{when}{by}",
+    "not_rolling": "the gap of {who} changes as its place alone moves: it was held to other motions than its "
+    "gap says",
 }
 # By how much the margin passed zero: by rounding at an event that was located, by more at a start beyond it.
 _BY = {
@@ -34,6 +36,7 @@ _BY = {
     "joint_limit": ": by {:.3g} {unit}",
     "torque_limit": ": by {:.3g} {unit}",
     "links_meet": ": by {:.3g} m",
+    "not_rolling": "",
 }
 # Units of joints whose coordinates are angles, lengths, or not known to be either.
 _JOINT_UNITS = {
@@ -75,6 +78,10 @@ REMEDIES = {
     "unreachable": "`jaxroll.close(grasp, state)` first",
     "unordered_times": "`ts` that rises from `t0` to a later `t1`, and a `dt0` above zero: unknown before a "
     "compiled function runs, they are first looked at there",
+    "inconsistent_shape": "a grasp made once with numbers that JAX does not trace: it is refused by a "
+    "sentence that says what is wrong with the shape, and where",
+    "not_rolling": "a `gap` and a `touch` between which points of both shapes meet without slipping, in all "
+    "closed poses of these shapes",
     "unresolved": "more `cells` for that contour, or points with less noise",
     "solver_failed": "another `solver`, or none: the default",
 }
@@ -126,7 +133,7 @@ def cause(run: Any) -> str:
     if name == "max_steps_reached":
         # The first step has no length (`_step_size.StopAt`), and is not among those that are limited.
         return f"the step limit was reached{when}, after {so_many(stats.steps - 1, 'step')}"
-    if name == "unreachable":  # of the start, whatever was run from it
+    if name in ("unreachable", "inconsistent_shape"):  # of the start or the shapes, whatever was run
         return _lower(message(run.result))
     if name not in _TOLD or (contact < 0 and name == "singular_contact"):
         return f"{_lower(message(run.result))}{when}"

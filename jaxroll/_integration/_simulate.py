@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Array
 
 from .._linalg import total
-from .._mechanics import check_states, Grasp, State, tabled_grasp
+from .._mechanics import check_states, Grasp, has_unchecked_shapes, shapes_hold, State, tabled_grasp
 from .._motion import (
     as_formulation,
     begun,
@@ -34,6 +34,7 @@ from .._motion import (
     Formulation,
     Multipliers,
     multipliers_at,
+    not_rolling,
     of_reached,
     Residuals,
     residuals_at,
@@ -169,6 +170,7 @@ def simulate(
         check_choices("record", record, RECORDS),
         check_choices("events", events, EVENTS),
         sweeps(numbers, own_control=control is not None),
+        not _is_known(grasp) and has_unchecked_shapes(grasp),
     )
     # Asked for here, so that nothing is entered for what a grasp does not have.
     if grasp.own_contacts:
@@ -204,6 +206,7 @@ class Setup(NamedTuple):
     record: tuple[str, ...]
     events: tuple[str, ...]
     sweeps: int
+    unchecked: bool
 
 
 def _is_plain(grasp: Grasp, setup: Setup) -> bool:
@@ -278,10 +281,31 @@ def _run(
             bundle(ready), replace(plan.stepper, reverse=True), path.record.ts, path.record.ys, path.steps[1]
         )
         trajectory = eqx.tree_at(lambda run: run.dense, trajectory, dense, is_leaf=lambda x: x is None)
+    # CSM lets contacts drift off the constraints, where it cannot be said whether they roll.
+    if ready.own_contacts and not isinstance(formulation, CSM):
+        trajectory = _judged_rolling(ready, state, trajectory)
+    if setup.unchecked:
+        trajectory = _coded(trajectory, ~shapes_hold(ready), RESULTS.inconsistent_shape)
     if unresolved is not None:
-        code = RESULTS.where(unresolved, RESULTS.unresolved, trajectory.result)
-        trajectory = eqx.tree_at(lambda run: run.result, trajectory, code)
+        trajectory = _coded(trajectory, unresolved, RESULTS.unresolved)
     return trajectory, off
+
+
+def _coded(run: Trajectory, wrong: Array, code: Any) -> Trajectory:
+    """A run with another code where something is wrong with it."""
+    return eqx.tree_at(lambda run: run.result, run, RESULTS.where(wrong, code, run.result))
+
+
+def _judged_rolling(grasp: Grasp, start: State, run: Trajectory) -> Trajectory:
+    """A run with the code `not_rolling` if a contact of a caller's own does not roll at a state of it."""
+    parts = start, run.states, run.last
+    rows = jax.tree.map(lambda a, b, c: jnp.concatenate([a[None], b, c[None]]), *parts)
+    contact = not_rolling(grasp, rows)
+    wrong = (contact >= 0) & (run.result != RESULTS.unreachable)
+    which = jnp.where(wrong, contact, run.stats.contact)
+    margin = jnp.where(wrong, jnp.inf, run.stats.margin)
+    told = eqx.tree_at(lambda run: (run.stats.contact, run.stats.margin), run, (which, margin))
+    return _coded(told, wrong, RESULTS.not_rolling)
 
 
 def _moving_with(path: Path, lay: Layout, given: Numbers) -> Path:

@@ -30,7 +30,13 @@ from ._entry import (
 )
 from ._finger import Finger as Finger
 from ._finger3 import Finger3 as Finger3
-from ._grasp import Grasp as Grasp, Labels as Labels, tabled_grasp as tabled_grasp
+from ._grasp import (
+    Grasp as Grasp,
+    has_unchecked_shapes as has_unchecked_shapes,
+    Labels as Labels,
+    shapes_hold as shapes_hold,
+    tabled_grasp as tabled_grasp,
+)
 from ._jaw import Jaw as Jaw
 from ._load import AbstractLoad as AbstractLoad, as_loads as as_loads, Moving as Moving, Wrench as Wrench
 from ._object2 import FreeObject as FreeObject, PivotedObject as PivotedObject

@@ -19,7 +19,15 @@ from .._results import as_array, as_count, as_several, check_finite, computed_at
 from .._types import Given
 from .._xla import remembered
 from ..contact import AbstractContact, Contact, Contact3
-from ..geometry import AbstractContour, AbstractSurface, check_once_round, check_shape, tabled
+from ..geometry import (
+    AbstractContour,
+    AbstractSurface,
+    check_once_round,
+    check_shape,
+    keeps_contract,
+    tabled,
+    unchecked,
+)
 from ._assembly import AbstractGrasp
 from ._body import AbstractBody, AbstractFinger, Coordinate
 from ._changes import changed
@@ -279,6 +287,16 @@ def tabled_grasp(grasp: Grasp) -> Grasp:
 
 def _all_shapes(grasp: Grasp) -> list[Any]:
     return [shape for body in grasp.bodies for shape in body.shapes]
+
+
+def has_unchecked_shapes(grasp: Grasp) -> bool:
+    """Whether a caller's own shape has numbers that JAX traces, which `_check_shapes` lets pass."""
+    return unchecked(_all_shapes(grasp))
+
+
+def shapes_hold(grasp: Grasp) -> Array:
+    """Whether the shapes of a prepared grasp are what those of a caller's own class must be."""
+    return keeps_contract(_all_shapes(grasp))
 
 
 @remembered

@@ -31,7 +31,7 @@ from ._formulation import (
 )
 from ._impulse import Struck as Struck, struck as struck
 from ._linearisation import combine as combine, Linearisation as Linearisation, linearise as linearise
-from ._own_contacts import check_rolling as check_rolling
+from ._own_contacts import check_rolling as check_rolling, not_rolling as not_rolling
 from ._projection import (
     Anchor as Anchor,
     anchor_of as anchor_of,

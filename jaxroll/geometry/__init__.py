@@ -2,8 +2,9 @@
 
 `contours` has plane curves, `surfaces` their counterpart in space, `fitting` makes either from points, and
 `mass` integrates over what they bound.
-`_tabled` has what both have in common, `_contract` the check of shapes of a caller's own class. Nothing here
-knows of bodies, time or contact; `contact` reads the frames.
+`_tabled` has what both have in common, `_contract` the check of shapes of a caller's own class, and
+`_traced_contract` that of those whose numbers JAX traces. Nothing here knows of bodies, time or contact;
+`contact` reads the frames.
 """
 
 from .._linalg import Sym3 as Sym3, Vec2 as Vec2, Vec3 as Vec3
@@ -14,6 +15,7 @@ from ._contract import (
     check_surface as check_surface,
 )
 from ._tabled import AbstractShape as AbstractShape, tabled as tabled
+from ._traced_contract import keeps_contract as keeps_contract, unchecked as unchecked
 from .contours import (
     AbstractContour as AbstractContour,
     AbstractSupport as AbstractSupport,

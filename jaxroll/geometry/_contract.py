@@ -7,8 +7,8 @@ shape.
 
 Shapes of the package keep this by construction, but for the periods of a `Chart`, which are the caller's. A
 shape of a caller's own class, at any depth in wrappers, is checked once before a grasp or a search for
-contacts uses it; the verdict is kept by identity (`remembered`). Numbers that JAX traces cannot be checked;
-the next use with concrete ones is.
+contacts uses it; the verdict is kept by identity (`remembered`). Numbers that JAX traces have no values to
+check; a run looks at them itself (`_traced_contract`).
 
 `check_once_round` looks at what no class can promise: that a closed curve, whoever gave its numbers, runs
 once round a body and does not cross itself. Without that it has no inside, and no mass.
@@ -33,20 +33,20 @@ from .fitting import crossings
 from .surfaces import AbstractChart, AbstractImplicit, AbstractSurface, Chart, Gauss3, lattice
 
 _PLACES = 1024  # along a contour
-_TURNS = 9  # places at which a closed one is compared with itself a turn later
+TURNS = 9  # places at which a closed one is compared with itself a turn later
 # An endless contour is looked at within this of the start [m]: about the length of a finger.
-_RANGE = 0.1
+RANGE = 0.1
 # Nearest look about a start [m]; it also keeps the sizes by which errors are divided from being zero.
-_NEAREST = 1e-6
+NEAREST = 1e-6
 _SPREAD = 48  # places on a surface
 # Places to a cell at which a closed contour is looked at for crossings. Where the coarse polygon crosses
 # itself, the fine one decides, whose chords are 64 times as near to the curve.
 _PARTS = (1, 8)
-_APART = 1e-6  # how far a frame's point may be from the curve's, relative to its largest coordinate
+APART = 1e-6  # how far a frame's point may be from the curve's, relative to its largest coordinate
 # Relative errors allowed in double and in single precision: of first derivatives, and of second ones.
-_ALLOWED = {np.dtype(np.float64): (1e-9, 1e-6), np.dtype(np.float32): (1e-4, 1e-2)}
+ALLOWED = {np.dtype(np.float64): (1e-9, 1e-6), np.dtype(np.float32): (1e-4, 1e-2)}
 # The same for surfaces, where every error has this bound.
-_SURFACE = {np.dtype(np.float64): 1e-6, np.dtype(np.float32): 1e-2}
+SURFACE = {np.dtype(np.float64): 1e-6, np.dtype(np.float32): 1e-2}
 
 
 def check_contour(name: str, contour: AbstractContour, *, start: Given | None = None) -> None:
@@ -60,7 +60,7 @@ def check_contour(name: str, contour: AbstractContour, *, start: Given | None = 
     Raises:
         ValueError: If speed, frame, ends or closedness are not those of a contour given by arclength.
     """
-    kind = next((type(c).__name__ for c in _members(contour) if is_foreign(c)), None)
+    kind = next((type(c).__name__ for c in members(contour) if is_foreign(c)), None)
     if kind is None or traced(contour):
         return
     fault = _fault(contour)
@@ -81,7 +81,7 @@ def check_surface(name: str, surface: AbstractSurface) -> None:
     Raises:
         ValueError: If point, rates, normal or shape operator do not belong together.
     """
-    for part in _members(surface):
+    for part in members(surface):
         if isinstance(part, AbstractContour):
             check_contour(name, part)
             continue
@@ -113,7 +113,7 @@ def check_once_round(name: str, shape: Any) -> None:
     Raises:
         ValueError: If there is such a contour, or its cells do not resolve it.
     """
-    for part in _members(shape):
+    for part in members(shape):
         given = is_foreign(part) or isinstance(part, AbstractTabulated)
         if given and isinstance(part, AbstractContour) and part.closed and not traced(part):
             fault = _doubled(part)
@@ -124,14 +124,14 @@ def check_once_round(name: str, shape: Any) -> None:
                 )
 
 
-def _members(value: Any) -> Iterator[Any]:
+def members(value: Any) -> Iterator[Any]:
     """A contour or surface, and those inside it; not those inside a caller's own, which is checked whole."""
     if isinstance(value, AbstractContour | AbstractSurface):
         yield value
         if is_foreign(value):
             return
     for part in _parts(value):
-        yield from _members(part)
+        yield from members(part)
 
 
 def _parts(value: Any) -> list[Any]:
@@ -142,14 +142,14 @@ def _parts(value: Any) -> list[Any]:
     return [getattr(value, field, None) for field in getattr(value, "__dataclass_fields__", {})]
 
 
-def _tables(value: Any) -> Iterator[Table]:
+def tables(value: Any) -> Iterator[Table]:
     """Tables that a contour reads, at any depth. Their speed is one only up to the table's error."""
     if isinstance(value, AbstractTabulated | Table):
         yield value if isinstance(value, Table) else value.read()
         return
     held = value if isinstance(value, tuple | list) else ()
     for part in vars(value).values() if isinstance(value, eqx.Module) else held:
-        yield from _tables(part)
+        yield from tables(part)
 
 
 @remembered
@@ -210,9 +210,9 @@ def _about(contour: AbstractContour, start: Given) -> str | None:
             if not (contour.closed or ends[0] <= here <= ends[1]):
                 return None
             return _along(_ready(tabled(contour)), np.full(_PLACES, here), there=True)
-        # From `_NEAREST` to `_RANGE` on either side. The start comes first, as `_along` wants it, and twice,
+        # From `NEAREST` to `RANGE` on either side. The start comes first, as `_along` wants it, and twice,
         # which makes the number of places the same as in all other calls.
-        steps = np.geomspace(_NEAREST, _RANGE, _PLACES // 2 - 1)
+        steps = np.geomspace(NEAREST, RANGE, _PLACES // 2 - 1)
         places = np.concatenate([[here, here], here + steps, here - steps])
         return _along(_ready(tabled(contour)), places, there=True)
 
@@ -222,11 +222,11 @@ def _along(contour: AbstractContour, places: np.ndarray, *, there: bool = False)
 
     With `there`, the first place is a contact's start: an error at it comes before larger ones elsewhere.
     """
-    found = [np.asarray(x) for x in _measured(contour, jnp.asarray(places))]
+    found = [np.asarray(x) for x in measured_along(contour, jnp.asarray(places))]
     point, tangent, own, place, rate, curvature = found
     # What is read from a table may be off by the table's own error.
-    slack = 4.0 * max((unevenness(table) for table in _tables(contour)), default=0.0)
-    first, second = (allowed + slack for allowed in _ALLOWED[point.dtype])
+    slack = 4.0 * max((unevenness(table) for table in tables(contour)), default=0.0)
+    first, second = (allowed + slack for allowed in ALLOWED[point.dtype])
 
     def at(errors: np.ndarray, allowed: float) -> tuple[int, str]:
         i = 0 if there and not errors[0] <= allowed else int(np.argmax(errors))
@@ -237,9 +237,9 @@ def _along(contour: AbstractContour, places: np.ndarray, *, there: bool = False)
         return (
             f"with finite points and derivatives, but those of {{kind}} {at(1.0 - finite, 0.5)[1]} were not"
         )
-    apart = np.abs(point - place).max(axis=1) / (np.abs(place).max(axis=1) + _NEAREST)
-    if apart.max() > _APART:
-        i, where = at(apart, _APART)
+    apart = np.abs(point - place).max(axis=1) / (np.abs(place).max(axis=1) + NEAREST)
+    if apart.max() > APART:
+        i, where = at(apart, APART)
         return (
             f"whose frame is that of its curve, but the point of {{kind}} {where} was "
             f"{shown(point[i])} where the curve's is {shown(place[i])}"
@@ -255,7 +255,7 @@ def _along(contour: AbstractContour, places: np.ndarray, *, there: bool = False)
             f"{shown(tangent[i])} where the curve's is {shown(rate[i])}"
         )
     # Errors of curvature are relative to the largest one, or to one over the extent of the places.
-    scale = max(np.abs(curvature).max(), np.abs(own).max(), 1.0 / max(np.ptp(places), _NEAREST))
+    scale = max(np.abs(curvature).max(), np.abs(own).max(), 1.0 / max(np.ptp(places), NEAREST))
     if (off := np.abs(own - curvature) / scale).max() > 10.0 * second:
         i, where = at(off, 10.0 * second)
         return (
@@ -272,11 +272,11 @@ def _open(contour: AbstractContour, ends: np.ndarray) -> str | None:
     """
     # Multiples of the golden ratio spread the places over the length without favouring its fractions.
     length = float(ends[1] - ends[0])
-    places = ends[0] + length * ((np.arange(_TURNS) * 0.6180339887498949) % 1.0)
+    places = ends[0] + length * ((np.arange(TURNS) * 0.6180339887498949) % 1.0)
     here, later, before = (
-        np.asarray(_frames(contour, jnp.asarray(places + k * length))) for k in (0.0, 1.0, -1.0)
+        np.asarray(frames_at(contour, jnp.asarray(places + k * length))) for k in (0.0, 1.0, -1.0)
     )
-    first, second = _ALLOWED[here.dtype]
+    first, second = ALLOWED[here.dtype]
     # Rows are x, y [m], the tangent, and the curvature, which has the wider tolerance of second derivatives.
     size = np.abs(here[:2]).max() + length
     allowed = np.array([size, size, 1.0, 1.0, 10.0 * second / first * (np.abs(here[4]).max() + 1.0 / length)])
@@ -327,7 +327,7 @@ def _polygon(contour: AbstractContour, parts: int) -> np.ndarray:
         low, high = (float(np.asarray(end)) for end in ends)
         places = low + (high - low) / _PLACES * (np.arange(_PLACES) + share[:, None])
         # As many places at a time as `_along` takes, whose program this is.
-        found = [np.asarray(_measured(_ready(ready), jnp.asarray(row))[0], float) for row in places]
+        found = [np.asarray(measured_along(_ready(ready), jnp.asarray(row))[0], float) for row in places]
         return np.stack(found, axis=1).reshape(-1, 2)
 
 
@@ -342,7 +342,7 @@ def _prepared(contour: AbstractContour) -> AbstractContour:
 
 
 @quickly
-def _measured(contour: AbstractContour, places: Array) -> tuple[Array, ...]:
+def measured_along(contour: AbstractContour, places: Array) -> tuple[Array, ...]:
     """Points, tangents and curvatures: of the frame, and of the curve, whose tangent is its derivative."""
 
     def one(s: Array) -> tuple[Array, ...]:
@@ -354,7 +354,7 @@ def _measured(contour: AbstractContour, places: Array) -> tuple[Array, ...]:
 
 
 @quickly
-def _frames(contour: AbstractContour, places: Array) -> Array:
+def frames_at(contour: AbstractContour, places: Array) -> Array:
     """Points, tangents and curvatures, shape (5, n)."""
 
     def one(s: Array) -> Array:
@@ -385,9 +385,9 @@ def _surface_fault(surface: AbstractSurface) -> str | None:
     left out, unless none remain.
     """
     with computed_at_once():
-        off = {name: np.asarray(value) for name, value in _inconsistency(surface).items()}
+        off = {name: np.asarray(value) for name, value in inconsistency(surface).items()}
     # Each entry of `off` has its message for a name, and errors at all places for its value.
-    allowed = _SURFACE[off["there"].dtype]
+    allowed = SURFACE[off["there"].dtype]
     seam = float(off.pop("seam"))
     if not seam <= 10.0 * allowed:
         return (
@@ -405,7 +405,7 @@ def _surface_fault(surface: AbstractSurface) -> str | None:
 
 
 @quickly
-def _inconsistency(surface: AbstractSurface) -> dict[str, Array]:
+def inconsistency(surface: AbstractSurface) -> dict[str, Array]:
     """Relative errors of what must belong together, at places all over a surface."""
     ready = surface.prepared()
     at = _all_over(ready)
@@ -418,7 +418,7 @@ def _all_over(surface: AbstractSurface) -> Scalars:
     """Coordinates of `_SPREAD` places: the surface's own, or points of a cube brought to it."""
     at = surface.spread(_SPREAD)
     if at is None:
-        seeds = jnp.asarray((lattice(_SPREAD, 3) - 0.5) * (2.0 * _RANGE))
+        seeds = jnp.asarray((lattice(_SPREAD, 3) - 0.5) * (2.0 * RANGE))
         at = jax.vmap(lambda p: surface.settled(surface.start(Vec3(p[0], p[1], p[2]))))(seeds)
     kind = jnp.result_type(float)
     return tuple(jnp.broadcast_to(jnp.asarray(x, kind), (_SPREAD,)) for x in at)
@@ -435,7 +435,7 @@ def _errors(surface: AbstractSurface, at: Scalars) -> dict[str, Array]:
     # Errors of curvatures are relative to `size`: the curvatures plus one over the distance from the origin.
     normal, length = frame.normal, frame.normal.norm()
     moved, turned = [], []
-    size = jnp.sqrt(frame.shape.squares()) + 1.0 / (frame.point.norm() + _NEAREST)
+    size = jnp.sqrt(frame.shape.squares()) + 1.0 / (frame.point.norm() + NEAREST)
     # For either of two unit tangents t, the coordinates' rates must move the point by t, the normal by L t.
     for way in tangents(normal * (1.0 / length)):
         rates = tuple(jnp.asarray(x, length.dtype) for x in surface.rate(at, way))
@@ -464,8 +464,8 @@ def _field_errors(surface: AbstractImplicit, at: Scalars, normal: Vec3) -> dict[
     # The field's value differentiated automatically, and whether Newton's method arrived at its zero.
     slope = Vec3(*rates)
     steep = slope.norm()
-    size = jnp.sqrt(level.hessian.squares()) + steep / (Vec3(*at).norm() + _NEAREST)
-    arrived = jnp.abs(level.value) <= 1e-6 * steep * (Vec3(*at).norm() + _NEAREST)
+    size = jnp.sqrt(level.hessian.squares()) + steep / (Vec3(*at).norm() + NEAREST)
+    arrived = jnp.abs(level.value) <= 1e-6 * steep * (Vec3(*at).norm() + NEAREST)
     return {
         "gradient is that of its field": (level.gradient - slope).norm() / steep,
         "second derivatives are those of its field": jnp.max(jnp.stack([b.norm() for b in bends])) / size,

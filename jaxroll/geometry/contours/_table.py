@@ -159,10 +159,12 @@ def _unevenness(coefficients: Any, length: Any) -> Any:
     return abs((x * x + y * y) ** 0.5 * (coefficients.shape[0] / length) - 1.0).max()
 
 
-def unevenness(table: Table) -> float:
-    """Largest difference of a table's speed from one; zero while JAX traces it."""
+def unevenness(table: Table) -> Any:
+    """Largest difference of a table's speed from one: a float, or an array while JAX traces the table."""
     seen = concrete(table.coefficients), concrete(table.length)
-    return 0.0 if seen[0] is None or seen[1] is None else float(_unevenness(*seen))
+    if seen[0] is None or seen[1] is None:
+        return _unevenness(table.coefficients, table.length)
+    return float(_unevenness(*seen))
 
 
 def tabulated(jet: JetFunction, shape: Any, parts: int, *, closed: bool, cells: int) -> tuple[Table, Array]:

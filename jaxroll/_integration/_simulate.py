@@ -136,7 +136,8 @@ def simulate(
             returned with its code.
 
     Batching: `vmap` over any array; each lane has its own code, and no lane changes another. Of times that
-    JAX traces and that do not rise from `t0` to `t1` the code is `unordered_times`, and every row NaN.
+    JAX traces and that do not rise from `t0` to `t1` the code is `unordered_times`, and every row NaN; shapes
+    and contacts of your own that break their contract have `inconsistent_shape` and `not_rolling`.
     Events: a run ends where its model does, at the root of the force, distance or angle that runs out, to
     rounding in time; `stats.t_end` and `last` carry the derivative of that time. A limit that is crossed and
     recrossed within one step is seen from the step's stages, as far as the solver sees it: a push of your own
@@ -286,9 +287,7 @@ def _run(
         trajectory = _judged_rolling(ready, state, trajectory)
     if setup.unchecked:
         trajectory = _coded(trajectory, ~shapes_hold(ready), RESULTS.inconsistent_shape)
-    if unresolved is not None:
-        trajectory = _coded(trajectory, unresolved, RESULTS.unresolved)
-    return trajectory, off
+    return (trajectory if unresolved is None else _coded(trajectory, unresolved, RESULTS.unresolved)), off
 
 
 def _coded(run: Trajectory, wrong: Array, code: Any) -> Trajectory:

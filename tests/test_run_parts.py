@@ -129,6 +129,8 @@ def parabola_dips(times, margins):
     place = -0.5 * b / a if a > 0 else NAN
     within = times[i - 1] - times[i] < place < times[i + 1] - times[i]
     least = c - 0.25 * max(margins[i - 1], margins[i + 1]) - (0.25 * b * b / a if within else 0.0)
+    if margins[-1] < 0 and not (within and c < margins[i + 1]):
+        return INF
     if c < 0 or within and least < 0:
         return times[i] + (place if within else 0.0)
     return INF
@@ -139,10 +141,13 @@ def test_dips_are_those_of_the_parabola_through_the_lowest_margin_within():
     rows = np.concatenate([rng.uniform(-0.05, 1.0, (300, 6)), rng.uniform(0.3, 1.0, (300, 6))])
     rows[::3] = np.sort(rows[::3], axis=1)  # lowest at an end, which is judged elsewhere
     rows[1::3, 2] *= 0.3
+    rows[2::3, -1] -= 0.5
     found = jax.jit(lambda m: _events.first_dip(times, list(m)))(jnp.asarray(rows.T))
     wanted = [parabola_dips(times, row) for row in rows]
     np.testing.assert_allclose(found, wanted, rtol=1e-9)
     assert 100 < np.isfinite(wanted).sum() < 500
+    past = rows[:, -1] < 0
+    assert 20 < np.isfinite(wanted)[past].sum() < past.sum() - 20
 
 
 def test_stages_that_are_watched_are_a_fourteenth_of_the_step_apart():
@@ -268,12 +273,17 @@ def test_limits_of_the_geometry_are_ends_sums_of_curvature_and_one_pivot():
     ],
 )
 def test_the_smallest_margin_and_its_number(contact, pivot, fingers, wanted):
-    margin, number = _events.regime(*held(contact, pivot=pivot, fingers=fingers), ("lift",))
+    margin, number, parts = _events.regime(*held(contact, pivot=pivot, fingers=fingers), ("lift",))
     assert float(margin) == pytest.approx(wanted[0], rel=1e-9) and int(number) == wanted[1]
+    shape = contact.margins[0] if contact.margins else min(contact.sum - 1e-4, (pivot - 1e-9) * 1e6)
+    # Dips are looked for in positions, and in forces while the geometry holds. A force that is no number is
+    # passed over.
+    place, force = min(shape, *[-0.1] * len(fingers), INF), contact.force[0]
+    assert float(parts[0]) == pytest.approx(place, rel=1e-9)
+    assert float(parts[1]) == pytest.approx(place if shape < 0 else INF if np.isnan(force) else force)
     if not fingers:
-        margin, _ = _events.regime(*held(contact, pivot=pivot), ())
-        shape = contact.margins[0] if contact.margins else min(contact.sum - 1e-4, (pivot - 1e-9) * 1e6)
-        assert float(margin) == pytest.approx(shape, rel=1e-9)
+        margin, _, parts = _events.regime(*held(contact, pivot=pivot), ())
+        assert [float(x) for x in (margin, *parts)] == pytest.approx([shape] * 3, rel=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -285,7 +285,7 @@ def _step(method: _Method, goal: _Goal, course: _Course) -> tuple[Blocks, Blocks
     grasp, raw = method.grasp(), moved(slopes, method.row(count - 1))
     leaves = _leaves(method.form, raw)
     instant = evaluate(grasp, t1, leaves, Index1())
-    _, number = regime(grasp, leaves, instant, _EVENTS)
+    _, number, _ = regime(grasp, leaves, instant, _EVENTS)
     anchor, rates = anchor_of(instant), _flat(instant.rates)
     for _ in range(SWEEPS):
         leaves = settle(grasp, leaves, anchor)

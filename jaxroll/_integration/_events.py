@@ -8,7 +8,9 @@ are carried in the flow vector (`_state_vector`). The step-size control finds th
 A step is judged at its end. A force that falls below zero and rises again before the end would go unnoticed,
 but the stages of a method evaluate the equations inside the step, and with them the margin. `first_dip` puts
 a parabola through the lowest of these margins and its neighbours; where it falls below zero, `StopAt` rejects
-the step and ends a shorter one there.
+the step and ends a shorter one there. Limits of positions and of forces have a parabola each: in the
+smallest number of all, a distance of some millimetres would hide a force of some hundredths of newtons that
+falls below zero and rises again between two stages.
 
 That costs below 1 % of a batch of the pivoted scene with Tsit5 (`python -m benchmarks.batch`, against a
 `first_dip` that returns infinity), as long as it is computed once per step (`_step.advance_lanes`). Otherwise
@@ -106,8 +108,13 @@ class Limit(NamedTuple):
     number: Any
 
 
-def regime(grasp: Grasp, leaves: Leaves, instant: Instant, events: tuple[str, ...]) -> tuple[Scalar, Scalar]:
+def regime(
+    grasp: Grasp, leaves: Leaves, instant: Instant, events: tuple[str, ...]
+) -> tuple[Scalar, Scalar, tuple[Scalar, Scalar]]:
     """Smallest margin at one state, and the number of its limit, negated unless the margin is below zero.
+
+    The third result is what `first_dip` is to look at: the smallest margin of positions, and that of forces
+    and torques, or the first again where there is none or the geometry does not hold.
 
     Contour ends, singular contacts and limits of joints are always watched, normal forces and friction cones
     if `events` names them; a friction cone only where its contact has a coefficient.
@@ -117,11 +124,15 @@ def regime(grasp: Grasp, leaves: Leaves, instant: Instant, events: tuple[str, ..
     A force that fell below zero is then no cause of its own.
     """
     shape = _nearest(_geometry(grasp, leaves, instant))
-    forces = [*_forces(grasp, instant, events), *_joints(grasp, leaves, instant)]
-    limit = shape if not forces else _nearest([shape, *forces])
-    holds = shape.margin >= 0
+    forces, joints = _forces(grasp, instant, events), _joints(grasp, leaves, instant)
+    ranges = [limit for limit in joints if limit.number % _KINDS == _JOINT]
+    forces += [limit for limit in joints if limit.number % _KINDS != _JOINT]
+    place = shape if not ranges else _nearest([shape, *ranges])
+    force = place if not forces else _nearest(forces)
+    holds, limit = shape.margin >= 0, place if not forces else _nearest([place, force])
     least, number = (jnp.where(holds, a, b) for a, b in zip(limit, shape, strict=True))
-    return least, jnp.where(least < 0, number, -number)
+    parts = place.margin, jnp.where(holds, force.margin, place.margin)
+    return least, jnp.where(least < 0, number, -number), parts
 
 
 def _nearest(limits: Sequence[Limit]) -> Limit:
@@ -375,7 +386,7 @@ def first_dip(times: np.ndarray, margins: Sequence[Array]) -> Array:
     and its two neighbours. It dips below zero if $m < 0$, or if $4 a m < b^2$ and its lowest place $-b / 2a$
     lies between the neighbours. In the second condition m is lowered by `_CLOSE` of the larger neighbour:
     close to zero the parabola may err by more than m, and a shorter step decides. The ends of a step are
-    judged elsewhere.
+    judged elsewhere: where the end is below zero, only a dip before that counts, which rises again.
 
     Args:
         times: Shape (n,), rising shares of the step, the start and the end included.
@@ -397,5 +408,6 @@ def first_dip(times: np.ndarray, margins: Sequence[Array]) -> Array:
     close = here - _CLOSE * jnp.maximum(before, after)
     between = (a > 0) & (b < 2.0 * back * a) & (b > -2.0 * ahead * a)
     dips = (here < 0) | between & (4.0 * a * close * size < b * b)
+    dips = dips & ((margins[-1] >= 0) | between & (here < after))
     lowest = middle + jnp.where(between, -0.5 * b / jnp.where(between, a, 1.0), 0.0)
     return jnp.where(dips, lowest, jnp.inf)

@@ -11,8 +11,9 @@ is worth a factor of two in a run and four in a batch. `_run` and `_batch` take 
 differentiates them.
 """
 
+import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import diffrax
@@ -211,7 +212,7 @@ class RollingStep(eqx.Module):
         raw, error, rates = raw[:width], dt[None] * weighted_sum(weights, slopes)[:width], slopes[-1, :width]
         seen = watched(shares)
         if len(seen) > 2:
-            return raw, rates, error, end, first_dip(shares[seen], [slopes[i, width] for i in seen])
+            return raw, rates, error, end, _earliest_dip(shares[seen], [slopes[i, width:] for i in seen])
         return raw, rates, error, end, self._dip_between(at, (t0, t1), y0, (raw, rates, end))
 
     def stages(
@@ -219,13 +220,14 @@ class RollingStep(eqx.Module):
     ) -> tuple[Array, Array, Array]:
         """The slopes of all stages, the last stage's x, which is the step's end, and what is left of it.
 
-        The slopes have one column more than x, for the margins of the stages; its part of x is not read.
+        The slopes have two columns more than x, for the margins of the stages; their part of x is not read.
         """
         # The length of a step is not differentiated: a step is only moved in time, as a whole.
         dt, width = jax.lax.stop_gradient(times[1] - times[0]), self.lay.width
         rows, shares, _ = tableau_of(self.method, y0.dtype)
         shares, count = jnp.asarray(shares, y0.dtype), len(shares)
-        x0, k0 = y0[: width + 1], y0[width : 2 * width + 1]
+        margin = y0[self.lay.margin]
+        x0, k0 = y0[: width + 2], jnp.concatenate([y0[width : 2 * width], jnp.stack([margin, margin])])
         slopes = jnp.concatenate([k0[None], jnp.zeros((count - 1, *k0.shape), k0.dtype)])
         put = with_row_selected if dt.ndim == 0 else with_row
 
@@ -233,8 +235,8 @@ class RollingStep(eqx.Module):
             slopes, i = carry[0], i + 1
             x = x0 + dt[None] * weighted_sum(scalars(row(rows, i)), slopes)
             rates, end = at(bundle, times[0] + shares[i] * dt, x)
-            margin = jax.lax.stop_gradient(end[_MARGIN])
-            return put(slopes, jnp.concatenate([rates, margin[None]]), i), x, end
+            margins = jax.lax.stop_gradient(end[_MARGINS])
+            return put(slopes, jnp.concatenate([rates, margins]), i), x, end
 
         start = slopes, x0, jnp.zeros((size, *dt.shape), y0.dtype)
         # On accelerators every turn launches all its kernels anew: there the turns are written out, except
@@ -254,7 +256,8 @@ class RollingStep(eqx.Module):
     def _evaluated(self, grasp: Grasp, t: Scalar, x: Array) -> tuple[Array, "Ending"]:
         rates, instant = slope(self.lay, grasp, t, x, formulation=self.formulation)
         leaves, _ = unpack(self.lay, x)
-        return rates, Ending(anchor_of(instant), *regime(grasp, leaves, instant, self.events))
+        margin, number, margins = regime(grasp, leaves, instant, self.events)
+        return rates, Ending(anchor_of(instant), margins, margin, number)
 
     def _other(
         self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow, over: Callable
@@ -283,11 +286,12 @@ class RollingStep(eqx.Module):
         raw, rates, end = after
         y1, inner = jnp.concatenate([raw, rates]), jnp.asarray(_AUDITED[1:-1], y0.dtype)
 
-        def margin(share: Scalar) -> Scalar:
+        def margins(share: Scalar) -> Array:
             x = self._within(*times, y0, y1, share)
-            return at(times[0] + share * (times[1] - times[0]), x)[1][_MARGIN]
+            return at(times[0] + share * (times[1] - times[0]), x)[1][_MARGINS]
 
-        return first_dip(_AUDITED, [y0[self.lay.margin], *jax.lax.map(margin, inner), end[_MARGIN]])
+        start = jnp.stack([y0[self.lay.margin]] * 2)
+        return _earliest_dip(_AUDITED, [start, *jax.lax.map(margins, inner), end[_MARGINS]])
 
     def _rosenbrock(
         self, bundle: Bundle, t0: Scalar, t1: Scalar, y0: Flow, over: Callable
@@ -295,10 +299,9 @@ class RollingStep(eqx.Module):
         at = lambda t, x: over(self.at)(bundle, t, x)  # noqa: E731
         nothing = jnp.zeros((ending_size(bundle), *t0.shape), y0.dtype)
         x0, margin = y0[: self.lay.width], y0[self.lay.margin]
-        kept = slice(_MARGIN, _MARGIN + 1)
-        raw, rates, error, end, inner = advance(at, (t0, t1), x0, nothing, kept=kept)
-        margins, seen = [margin, *inner[:, 0]], watched(STAGE_TIMES)
-        return raw, rates, error, end, first_dip(STAGE_TIMES[seen], [margins[i] for i in seen])
+        raw, rates, error, end, inner = advance(at, (t0, t1), x0, nothing, kept=_MARGINS)
+        margins, seen = [jnp.stack([margin, margin]), *inner], watched(STAGE_TIMES)
+        return raw, rates, error, end, _earliest_dip(STAGE_TIMES[seen], [margins[i] for i in seen])
 
 
 def returned(lay: Layout, grasp: Grasp, raw: Array, anchor: Anchor, *, sweeps: int) -> Array:
@@ -312,17 +315,26 @@ def returned(lay: Layout, grasp: Grasp, raw: Array, anchor: Anchor, *, sweeps: i
     return pack(compatible(grasp, leaves, anchor.line), work)
 
 
+def _earliest_dip(times: np.ndarray, margins: Sequence[Array]) -> Scalar:
+    """Share of a step at which the first of both margins dips: of positions and of forces."""
+    return functools.reduce(jnp.minimum, [first_dip(times, [m[k] for m in margins]) for k in (0, 1)])
+
+
 class Ending(eqx.Module):
-    """What a step's last evaluation leaves for its end: projection, margin and code."""
+    """What a step's last evaluation leaves for its end: projection, margin and code.
+
+    `margins` are those of positions and of forces, of which `margin` is the smaller.
+    """
 
     anchor: Anchor
+    margins: tuple[Scalar, Scalar]
     margin: Scalar
     number: Scalar
 
     @classmethod
     def unknown(cls, grasp: Grasp) -> "Ending":
         """Zeros in the same places."""
-        return cls(unknown_anchor(grasp), 0.0, 0.0)
+        return cls(unknown_anchor(grasp), (0.0, 0.0), 0.0, 0.0)
 
     def packed(self, dtype: Any) -> Array:
         """All numbers as one vector: a loop carries it with one copy."""
@@ -368,8 +380,8 @@ def ending_size(bundle: Bundle) -> int:
 
 # How far the projection may carry a contact in any case [m].
 _NEAR = 1e-4
-# Where the packed `Ending` has the margin: before the number of its limit.
-_MARGIN = -2
+# Where the packed `Ending` has both margins: before the smaller one and the number of its limit.
+_MARGINS = slice(-4, -2)
 # Where a step is audited, or its margin evaluated if its stages cannot be used, as shares of it.
 _AUDITED = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
 

@@ -110,13 +110,14 @@ class StopAt(eqx.Module):
         # error: it is rejected and halved like one that passed an event.
         judged = keep | jnp.isnan(y1[self.margin])
         ends = past & (first | judged & (t1 - t0 <= 2.0 * pace.hunt.grain * resolution(t1)))
-        back = past & judged & ~ends
         near = self.dip * (t1 - t0)
-        # If the margin dips below zero within an accepted step, the next try ends where it is lowest. Steps
-        # far below the usual length are exempt: on them the margin is smooth, and a dip is rounding.
-        # So are dips at the very end of a step: the next try would be the same step again, for ever.
+        # If the margin dips below zero within a step of small error, the next try ends where it is lowest,
+        # whatever was passed later in that step. Steps far below the usual length are exempt: on them the
+        # margin is smooth, and a dip is rounding. So are dips at the very end of a step: the next try would
+        # be the same step again, for ever.
         inside = near + _AT_END * (t1 - t0) + resolution(t1) < t1 - t0
-        dips = keep & ~past & ~first & inside & (near > _FINEST * pace.length)
+        dips = keep & ~ends & ~first & inside & (near > _FINEST * pace.length)
+        back = past & judged & ~ends & ~dips
         keep = first | ends | keep & ~back & ~dips
         # The outcome as one number: `once` has it computed once, where XLA would copy the comparisons into
         # all that depends on them.

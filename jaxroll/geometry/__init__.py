@@ -13,9 +13,10 @@ from ._contract import (
     check_once_round as check_once_round,
     check_shape as check_shape,
     check_surface as check_surface,
+    unchecked as unchecked,
 )
 from ._tabled import AbstractShape as AbstractShape, tabled as tabled
-from ._traced_contract import keeps_contract as keeps_contract, unchecked as unchecked
+from ._traced_contract import keeps_contract as keeps_contract
 from .contours import (
     AbstractContour as AbstractContour,
     AbstractSupport as AbstractSupport,

@@ -124,6 +124,11 @@ def check_once_round(name: str, shape: Any) -> None:
                 )
 
 
+def unchecked(shapes: Any) -> bool:
+    """Whether a shape of a caller's own has numbers that JAX traces: `_traced_contract` looks at these."""
+    return any(is_foreign(part) and traced(part) for part in members(shapes))
+
+
 def members(value: Any) -> Iterator[Any]:
     """A contour or surface, and those inside it; not those inside a caller's own, which is checked whole."""
     if isinstance(value, AbstractContour | AbstractSurface):

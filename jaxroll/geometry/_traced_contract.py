@@ -6,7 +6,6 @@ measured is the same, at fewer places, and the answer is an array, of which a ru
 """
 
 import functools
-from collections.abc import Iterator
 from typing import Any
 
 import equinox as eqx
@@ -15,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from .._results import is_foreign, traced
+from .._results import is_foreign
 from ._contract import (
     ALLOWED,
     APART,
@@ -35,23 +34,13 @@ from .surfaces import AbstractSurface
 _PLACES = 128  # along a contour
 
 
-def unchecked(shapes: Any) -> bool:
-    """Whether one of these shapes is a caller's own, with numbers that JAX traces."""
-    return any(traced(part) for part in _own(shapes))
-
-
 def keeps_contract(shapes: Any) -> Array:
     """Whether all shapes of a caller's own class, prepared, are what contours and surfaces must be."""
     held = [jnp.array(True)]
-    for part in _own(shapes):
+    for part in filter(is_foreign, members(shapes)):
         still = jax.tree.map(lambda x: jax.lax.stop_gradient(x) if eqx.is_inexact_array(x) else x, part)
         held.append(_contour_holds(still) if isinstance(part, AbstractContour) else _surface_holds(still))
     return jnp.all(jnp.stack(held))
-
-
-def _own(shapes: Any) -> Iterator[AbstractContour | AbstractSurface]:
-    """Shapes of a caller's own class, at any depth."""
-    yield from filter(is_foreign, members(shapes))
 
 
 def _contour_holds(contour: AbstractContour) -> Array:

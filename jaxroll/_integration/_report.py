@@ -222,8 +222,9 @@ def _balance(run: Any, saved: np.ndarray) -> str:
     """By how much the energy is off, of a run that saved more than its start."""
     off, stats = peak(run.energy.residual), run.stats
     scale = np.nanmax(np.abs(np.asarray(run.energy.kinetic + run.energy.potential)))
-    # The balance counts from the start, where it is zero but for rounding: alone it says nothing.
-    rounding = 8.0 * np.finfo(np.asarray(run.energy.residual).dtype).eps * scale
+    # The balance counts from the start, where it is zero but for rounding, of positions too, which a run
+    # brings back to the constraints at once: alone it says nothing.
+    rounding = 64.0 * np.finfo(np.asarray(run.energy.residual).dtype).eps * scale
     if saved.sum() == 1 and off <= rounding and not np.asarray(run.energy.work)[saved].any():
         there = float(np.asarray(run.ts)[saved][0])
         if float(stats.t_end) > there or int(stats.accepted) <= 1:

@@ -125,6 +125,21 @@ def test_only_what_is_ones_own_and_traced_is_looked_at():
     assert seen == [False, True, True, False]
 
 
+def test_nothing_is_computed_of_one_that_breaks_it():
+    grasp, state = jxr.scenes.pivoted()
+
+    def found(fast):
+        tip = bend(closed=False, endless=True, fast=fast).moved((-0.01, 0.0), -np.pi / 2)
+        moved, start = jxr.close(grasp.with_tip(0, tip), state, hold_contacts=False)
+        return jxr.multipliers(moved, 0.0, start).f[0], jxr.residuals(moved, start).normal[0]
+
+    force, gap = jax.jit(jax.vmap(found))(jnp.array([0.0, 0.01]))
+    assert abs(gap[0]) < 1e-15 and np.isfinite(force[0]) and np.isnan([gap[1], force[1]]).all()
+    # A derivative outside of `jit` knows the numbers.
+    with pytest.raises(ValueError, match="argument grasp must be made of contours given by their arclength"):
+        jax.grad(lambda fast: found(fast)[0])(0.01)
+
+
 def test_a_lane_whose_contour_is_not_given_by_its_arclength_says_so():
     """It ran `successful` with a loss of energy, and so did derivatives."""
     grasp, state = jxr.scenes.pivoted()

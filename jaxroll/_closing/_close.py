@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array
 
 from .._linalg import Pose3, seven, three
-from .._mechanics import check_states, compiled, FreeObject3, Grasp, split, State
+from .._mechanics import check_states, compiled, FreeObject3, Grasp, has_unchecked_shapes, split, State
 from .._motion import closed_within, world_poses
 from .._results import check_flag, concrete, shown
 from ..contact import Contact, Contact3, locate as locate_contours, locate_surfaces
@@ -96,6 +96,11 @@ def close(
     # While JAX traces, the rows have no values, and nothing can be raised.
     seen = concrete(rows)
     if throw and seen is not None:
+        if np.isnan(seen).all() and has_unchecked_shapes(grasp):
+            raise ValueError(
+                "argument grasp must be made of contours given by their arclength, and have frames that are "
+                "those of its shapes, but a shape of your own, with numbers that JAX traces, was not"
+            )
         # A NaN among the rows counts as the worst. The comparison below is negated, so that a NaN fails it.
         worst = int(np.nanargmax(np.where(np.isnan(seen), np.inf, np.abs(seen))))
         if not abs(seen[worst]) <= closed_within(guess.q.dtype):

@@ -282,16 +282,28 @@ def tabled_grasp(grasp: Grasp) -> Grasp:
     A function, because equinox makes a pytree of a method with each use, which takes 0.08 ms of every call.
     """
     _check_shapes(grasp)
-    return _with_tables(grasp)
+    ready = _with_tables(grasp)
+    return _where_shapes_hold(ready) if has_unchecked_shapes(ready) else ready
 
 
 def _all_shapes(grasp: Grasp) -> list[Any]:
     return [shape for body in grasp.bodies for shape in body.shapes]
 
 
+@remembered
 def has_unchecked_shapes(grasp: Grasp) -> bool:
     """Whether a caller's own shape has numbers that JAX traces, which `_check_shapes` lets pass."""
     return unchecked(_all_shapes(grasp))
+
+
+def _where_shapes_hold(grasp: Grasp) -> Grasp:
+    """The grasp, its shapes of NaN unless those that nobody could check are what they must be.
+
+    So whatever is computed of it is a number only if it is right; a run has a code for it.
+    """
+    fit = keeps_contract([shape.prepared() for shape in _all_shapes(grasp)])
+    held = lambda x: jnp.where(fit, x, jnp.nan) if eqx.is_inexact_array(x) else x  # noqa: E731
+    return eqx.tree_at(_all_shapes, grasp, jax.tree.map(held, _all_shapes(grasp)))
 
 
 def shapes_hold(grasp: Grasp) -> Array:

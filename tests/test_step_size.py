@@ -59,19 +59,15 @@ def decided(case):
     hunting = math.isfinite(case.hunt.beyond) or math.isfinite(case.hunt.leap)
     first = still or bool(case.at_jump)
     near = case.dip * spent if spent else math.nan
-    fate = "kept" if first or case.keep else "left"
-    if case.passed:
-        if (
-            first
-            or (case.keep or math.isnan(case.after))
-            and spent <= 2.0 * case.hunt.grain * rounding(case.t1)
-        ):
-            fate = "ends"
-        elif case.keep or math.isnan(case.after):
-            fate = "back"
-    elif case.keep and not first and near > case.length / 1024.0:
-        # At the very end of a step the next try would be the same one.
-        fate = "dips" if near + 1e-6 * spent + rounding(case.t1) < spent else fate
+    fate, judged = "kept" if first or case.keep else "left", case.keep or math.isnan(case.after)
+    # At the very end of a step the next try would be the same one.
+    inside = near > case.length / 1024.0 and near + 1e-6 * spent + rounding(case.t1) < spent
+    if case.passed and (first or judged and spent <= 2.0 * case.hunt.grain * rounding(case.t1)):
+        fate = "ends"
+    elif case.keep and not first and inside:
+        fate = "dips"  # whatever was passed later
+    elif case.passed and judged:
+        fate = "back"
     keep = fate in ("kept", "ends")
     start = case.t1 if keep else case.t0
     aside = first or fate in ("back", "dips") or hunting and keep

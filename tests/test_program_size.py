@@ -12,11 +12,11 @@ import jaxroll as jxr
 # Lines of the lowered programs with jax 0.10: a change that makes one more than 2 % longer is to say why, and
 # to write down the new number. Fewer lines are to be written down too.
 LINES = {
-    ("pivoted", "run"): 2208,
-    ("pivoted", "gradient"): 5926,
-    ("pinch", "run"): 3805,
-    ("pinch", "gradient"): 11779,
-    ("pinch3d", "run"): 11064,
+    ("pivoted", "run"): 2290,
+    ("pivoted", "gradient"): 6115,
+    ("pinch", "run"): 3888,
+    ("pinch", "gradient"): 11968,
+    ("pinch3d", "run"): 11276,
 }
 _ALLOWED = 1.02
 

@@ -127,11 +127,15 @@ def regime(
     forces, joints = _forces(grasp, instant, events), _joints(grasp, leaves, instant)
     ranges = [limit for limit in joints if limit.number % _KINDS == _JOINT]
     forces += [limit for limit in joints if limit.number % _KINDS != _JOINT]
-    place = shape if not ranges else _nearest([shape, *ranges])
-    force = place if not forces else _nearest(forces)
-    holds, limit = shape.margin >= 0, place if not forces else _nearest([place, force])
+    place, holds = shape if not ranges else _nearest([shape, *ranges]), shape.margin >= 0
+    if not forces:
+        limit, parts = place, (place.margin, place.margin)
+    else:
+        force = _nearest(forces)
+        lower = force.margin < place.margin
+        limit = Limit(*(jnp.where(lower, a, b) for a, b in zip(force, place, strict=True)))
+        parts = place.margin, jnp.where(holds, force.margin, place.margin)
     least, number = (jnp.where(holds, a, b) for a, b in zip(limit, shape, strict=True))
-    parts = place.margin, jnp.where(holds, force.margin, place.margin)
     return least, jnp.where(least < 0, number, -number), parts
 
 

@@ -59,7 +59,7 @@ INNER |= {"chains_apart", "links_apart", "links_clearance", "links_clearance3"}
 INNER |= {"check_unit_speed", "sense", "joint_angles", "UserController", "as_controller", "frenet", "tabled"}
 INNER |= {"approach", "principal", "jet", "differentiated", "level_frame", "spread_in_box", "from_frames"}
 INNER |= {"tabulated", "check_contour", "check_shape", "check_surface", "UserLoad", "as_load", "total_wrench"}
-INNER |= {"impulses", "as_it_is_resolved", "check_once_round"}
+INNER |= {"impulses", "as_it_is_resolved", "check_once_round", "keeps_contract", "unchecked"}
 LEFT_OUT = ABSTRACT | ENUMERATIONS | RECORDS | INNER
 # Calls that compile much, or draw.
 _SLOW = set(

@@ -324,7 +324,7 @@ def _earliest_dip(times: np.ndarray, margins: Sequence[Array]) -> Scalar:
 class Ending(eqx.Module):
     """What a step's last evaluation leaves for its end: projection, margin and code.
 
-    `margins` are those of positions and of forces, of which `margin` is the smaller.
+    `margins` are those of positions and of forces, of which `margin` is the smaller while the geometry holds.
     """
 
     anchor: Anchor

@@ -8,7 +8,7 @@ shape.
 Shapes of the package keep this by construction, but for the periods of a `Chart`, which are the caller's. A
 shape of a caller's own class, at any depth in wrappers, is checked once before a grasp or a search for
 contacts uses it; the verdict is kept by identity (`remembered`). Numbers that JAX traces have no values to
-check; a run looks at them itself (`_traced_contract`).
+check; programs look at them themselves (`_traced_contract`).
 
 `check_once_round` looks at what no class can promise: that a closed curve, whoever gave its numbers, runs
 once round a body and does not cross itself. Without that it has no inside, and no mass.

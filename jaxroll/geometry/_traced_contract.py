@@ -2,7 +2,8 @@
 
 `_contract` refuses a shape that is not what the equations of motion take for granted, by a sentence that
 names what is wrong. Inside `jax.jit`, `jax.vmap` and a derivative its numbers have no values yet: what is
-measured is the same, at fewer places, and the answer is an array, of which a run makes its code.
+measured is the same, at fewer places, and the answer is an array: `_mechanics` puts NaN into a grasp whose
+shapes fail, whatever is computed of it, and a run has a code for it.
 """
 
 import functools

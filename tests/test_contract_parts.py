@@ -7,7 +7,15 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll._results import is_foreign
-from jaxroll.geometry import _contract as contract, Chart, Extruded, Frenet2, Hollow, Vec2
+from jaxroll.geometry import (
+    _contract as contract,
+    _contract_errors as contract_errors,
+    Chart,
+    Extruded,
+    Frenet2,
+    Hollow,
+    Vec2,
+)
 from jaxroll.geometry.contours import Table
 from tests.helpers import in_single
 
@@ -168,18 +176,19 @@ def test_tables_are_found_at_any_depth():
         rest: tuple = ()
 
     held = Pair(first=one.moved(), rest=([other], 3.0)).moved()
-    assert [t is c.table for t, c in zip(contract.tables(held), (one, other), strict=True)] == [True, True]
-    assert not list(contract.tables(jxr.Circle(0.01)))
+    assert [t is c.table for t, c in zip(contract_errors.tables(held), (one, other), strict=True)] == [
+        True,
+        True,
+    ]
+    assert not list(contract_errors.tables(jxr.Circle(0.01)))
 
 
 def faulty(monkeypatch, **errors):
     """What is said of a surface with such errors at four places."""
-    usual = {name: jnp.zeros(4) for name in ("normal", "rates")} | {
-        "there": jnp.ones(4),
-        "seam": jnp.zeros(()),
-    }
-    found = usual | {name: jnp.asarray(value) for name, value in errors.items()}
-    monkeypatch.setattr(contract, "inconsistency", lambda surface: found)
+    seam = jnp.asarray(errors.pop("seam", 0.0))
+    found = {"normal": jnp.zeros(4), "rates": jnp.zeros(4), "there": jnp.ones(4)}
+    found |= {name: jnp.asarray(value) for name, value in errors.items()}
+    monkeypatch.setattr(contract, "surface_off", lambda surface: contract_errors.over_allowed(found, seam))
     return contract._surface_fault(Hollow(jxr.Sphere(0.01)))
 
 
@@ -212,7 +221,7 @@ def test_the_ends_of_periods_are_compared_by_the_largest_gap():
         ((True, True), rise),
         ((False, False), 0.0),
     ):
-        assert float(contract._seam(strip(flags), at)) == pytest.approx(gap / size)
+        assert float(contract_errors._seam(strip(flags), at)) == pytest.approx(gap / size)
 
 
 def test_a_frame_of_another_kind_is_named():
@@ -221,7 +230,7 @@ def test_a_frame_of_another_kind_is_named():
             return self.curve(s)
 
     with pytest.raises(ValueError, match="but Bare gave a Vec2 and a Vec2"):
-        contract._frame(Bare(), jnp.zeros(()))
+        contract_errors._frame(Bare(), jnp.zeros(()))
 
     class Flat(jxr.geometry.AbstractImplicit):
         smoothness = 4.0
@@ -233,7 +242,7 @@ def test_a_frame_of_another_kind_is_named():
             return 3.0
 
     with pytest.raises(ValueError, match="argument surface must give a Gauss3 by `frame`, but Flat gave 3.0"):
-        contract._errors(Flat(), (0.0, 0.0, 0.0))
+        contract_errors._errors(Flat(), (0.0, 0.0, 0.0))
 
 
 def test_what_a_contact_starts_on_is_told_otherwise_than_what_is_given():
@@ -257,8 +266,8 @@ def test_what_is_let_pass_in_single_precision():
 
 
 def test_errors_of_tables_are_let_pass_four_times_over(monkeypatch):
-    monkeypatch.setattr(contract, "tables", lambda contour: [0.3e-6, 1e-6])
-    monkeypatch.setattr(contract, "unevenness", lambda table: table)
+    monkeypatch.setattr(contract_errors, "tables", lambda contour: [0.3e-6, 1e-6])
+    monkeypatch.setattr(contract_errors, "unevenness", lambda table: table)
     assert contract._along(Bend(fast=3.9e-6), PLACES) is None
     assert contract._along(Bend(fast=4.1e-6), PLACES) is not None
 

@@ -31,7 +31,7 @@ from jaxroll.geometry import (
     level_frame,
     tabled,
 )
-from jaxroll.geometry._contract import _field_errors
+from jaxroll.geometry._contract_errors import _field_errors
 
 
 class Curve(jxr.AbstractContour):

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Array
 
 from .._linalg import total
-from .._mechanics import check_states, Grasp, has_unchecked_shapes, shapes_hold, State, tabled_grasp
+from .._mechanics import check_states, Grasp, State, tabled_and_judged
 from .._motion import (
     as_formulation,
     begun,
@@ -171,7 +171,6 @@ def simulate(
         check_choices("record", record, RECORDS),
         check_choices("events", events, EVENTS),
         sweeps(numbers, own_control=control is not None),
-        not _is_known(grasp) and has_unchecked_shapes(grasp),
     )
     # Asked for here, so that nothing is entered for what a grasp does not have.
     if grasp.own_contacts:
@@ -189,7 +188,10 @@ def simulate(
     whole = _is_known(grasp) and takes_options((state, numbers))
     run = _RUNS[_is_plain(grasp, setup), whole]
     with uncollected():
-        trajectory, off = run(tabled_grasp(grasp), state, way, numbers, setup)
+        ready, shapes_hold = tabled_and_judged(grasp)
+        trajectory, off = run(ready, state, way, numbers, setup)
+    if shapes_hold is not None:
+        trajectory = _coded(trajectory, ~shapes_hold, RESULTS.inconsistent_shape)
     if ordered is not None:
         code = RESULTS.where(ordered, trajectory.result, RESULTS.unordered_times)
         end = jnp.where(ordered, trajectory.stats.t_end, begin)
@@ -207,7 +209,6 @@ class Setup(NamedTuple):
     record: tuple[str, ...]
     events: tuple[str, ...]
     sweeps: int
-    unchecked: bool
 
 
 def _is_plain(grasp: Grasp, setup: Setup) -> bool:
@@ -285,8 +286,6 @@ def _run(
     # CSM lets contacts drift off the constraints, where it cannot be said whether they roll.
     if ready.own_contacts and not isinstance(formulation, CSM):
         trajectory = _judged_rolling(ready, state, trajectory)
-    if setup.unchecked:
-        trajectory = _coded(trajectory, ~shapes_hold(ready), RESULTS.inconsistent_shape)
     return (trajectory if unresolved is None else _coded(trajectory, unresolved, RESULTS.unresolved)), off
 
 

@@ -34,7 +34,7 @@ from ._grasp import (
     Grasp as Grasp,
     has_unchecked_shapes as has_unchecked_shapes,
     Labels as Labels,
-    shapes_hold as shapes_hold,
+    tabled_and_judged as tabled_and_judged,
     tabled_grasp as tabled_grasp,
 )
 from ._jaw import Jaw as Jaw

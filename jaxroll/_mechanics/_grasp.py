@@ -281,9 +281,22 @@ def tabled_grasp(grasp: Grasp) -> Grasp:
 
     A function, because equinox makes a pytree of a method with each use, which takes 0.08 ms of every call.
     """
+    return tabled_and_judged(grasp)[0]
+
+
+def tabled_and_judged(grasp: Grasp) -> tuple[Grasp, Array | None]:
+    """`tabled_grasp`, and whether the shapes are what a caller's own must be; None where all are known.
+
+    Shapes that are known to fail raise. Those that nobody could check become NaN if they fail, so that
+    whatever is computed of them is a number only if it is right; a run has a code for it.
+    """
     _check_shapes(grasp)
     ready = _with_tables(grasp)
-    return _where_shapes_hold(ready) if has_unchecked_shapes(ready) else ready
+    if not has_unchecked_shapes(ready):
+        return ready, None
+    hold = keeps_contract([shape.prepared() for shape in _all_shapes(ready)])
+    held = lambda x: jnp.where(hold, x, jnp.nan) if eqx.is_inexact_array(x) else x  # noqa: E731
+    return eqx.tree_at(_all_shapes, ready, jax.tree.map(held, _all_shapes(ready))), hold
 
 
 def _all_shapes(grasp: Grasp) -> list[Any]:
@@ -294,21 +307,6 @@ def _all_shapes(grasp: Grasp) -> list[Any]:
 def has_unchecked_shapes(grasp: Grasp) -> bool:
     """Whether a caller's own shape has numbers that JAX traces, which `_check_shapes` lets pass."""
     return unchecked(_all_shapes(grasp))
-
-
-def _where_shapes_hold(grasp: Grasp) -> Grasp:
-    """The grasp, its shapes of NaN unless those that nobody could check are what they must be.
-
-    So whatever is computed of it is a number only if it is right; a run has a code for it.
-    """
-    fit = keeps_contract([shape.prepared() for shape in _all_shapes(grasp)])
-    held = lambda x: jnp.where(fit, x, jnp.nan) if eqx.is_inexact_array(x) else x  # noqa: E731
-    return eqx.tree_at(_all_shapes, grasp, jax.tree.map(held, _all_shapes(grasp)))
-
-
-def shapes_hold(grasp: Grasp) -> Array:
-    """Whether the shapes of a prepared grasp are what those of a caller's own class must be."""
-    return keeps_contract(_all_shapes(grasp))
 
 
 @remembered

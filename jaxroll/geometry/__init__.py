@@ -2,9 +2,9 @@
 
 `contours` has plane curves, `surfaces` their counterpart in space, `fitting` makes either from points, and
 `mass` integrates over what they bound.
-`_tabled` has what both have in common, `_contract` the check of shapes of a caller's own class, and
-`_traced_contract` that of those whose numbers JAX traces. Nothing here knows of bodies, time or contact;
-`contact` reads the frames.
+`_tabled` has what both have in common, `_contract` the check of shapes of a caller's own class,
+`_traced_contract` that of those whose numbers JAX traces, and `_contract_errors` what both measure. Nothing
+here knows of bodies, time or contact; `contact` reads the frames.
 """
 
 from .._linalg import Sym3 as Sym3, Vec2 as Vec2, Vec3 as Vec3

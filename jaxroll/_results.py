@@ -430,6 +430,22 @@ def as_length(name: str, value: Any) -> jax.Array:
     return length
 
 
+def check_length(name: str, value: Any, most: float) -> None:
+    """Raise unless a length is None or lies between 0 and `most` [m]."""
+    if value is None:
+        return
+    try:
+        seen = float(as_floats(name, value, ()))
+    except ValueError as error:
+        if "finite" in str(error):  # infinity and NaN: the sentence below, with the bounds, says more
+            seen = float(value)
+        else:
+            raise ValueError(f"argument {name} must be a length in metres, but was {shown(value)}") from None
+    if not 0.0 <= seen <= most:
+        limit, was = told_apart(most, seen)
+        raise ValueError(f"argument {name} must lie between 0 and {limit} m here, but was {was}")
+
+
 def told_apart(*values: Any, least: int = 6) -> list[str]:
     """Numbers as texts for one sentence: in `least` digits, or in as many as show that they differ."""
     # A number of single precision keeps its type: as a `float` it would show digits of the conversion.

@@ -12,6 +12,7 @@ from scipy.interpolate import BSpline
 from scipy.sparse import csr_matrix
 
 import jaxroll as jxr
+from jaxroll._results import check_length
 from jaxroll.geometry import tabled
 from jaxroll.geometry.fitting import (
     _bounded_curve,
@@ -881,10 +882,10 @@ def test_lengths_lie_between_nothing_and_their_limit():
         (np.nan, False),
     ):
         with refused("argument noise must lie between 0 and 0.2 m here", not fair):
-            _contour_fit._check_length("noise", value, 0.2)
-    _contour_fit._check_length("noise", None, 0.2)
+            check_length("noise", value, 0.2)
+    check_length("noise", None, 0.2)
     with refused("must be a length in metres, but was"):
-        _contour_fit._check_length("noise", [1.0, 2.0], 0.2)
+        check_length("noise", [1.0, 2.0], 0.2)
     assert _contour_fit._radius(3) == 3.0
 
 

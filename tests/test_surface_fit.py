@@ -131,6 +131,14 @@ def test_banana():
         (lambda: fit_surface(ellipsoid_cloud(200), np.zeros((9, 3))), "argument normals must have"),
         (lambda: fit_surface(ellipsoid_cloud(200), smoothing=-1.0), "argument smoothing must be positive"),
         (lambda: fit_surface(ellipsoid_cloud(200), smoothing=1e-4), "argument smoothing must be larger"),
+        # A hundred times 40 mm; a tenth of it.
+        (lambda: fit_surface(ellipsoid_cloud(200), smoothing=4.01), "argument smoothing must lie between"),
+        (lambda: fit_surface(ellipsoid_cloud(200), noise=0.00401), "argument noise must lie between 0 and"),
+        (lambda: fit_surface(ellipsoid_cloud(200), noise=1e300), "argument noise must lie between 0 and"),
+        (
+            lambda: fit_surface(ellipsoid_cloud(200), noise=1e-4, smoothing=0.02),
+            "argument noise must be None where smoothing is given",
+        ),
     ],
 )
 def test_bad_arguments_say_what_they_must_be(make, words):

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ..._results import as_count, as_floats, check_flag, on_host, shown, told_apart
+from ..._results import as_count, check_flag, check_length, on_host, shown
 from ..._types import Given
 from ..._xla import quickly
 from .._tabled import tabled
@@ -184,8 +184,8 @@ def fit_contour(
         return _bent_at_most(given_points(points, unit), wanted)
     clean = clean_points(points, closed=closed, ordered=ordered, unit=unit, reverse=reverse)
     size = float(np.ptp(clean.points, axis=0).max())
-    _check_length("noise", noise, 0.1 * size)
-    _check_length("smoothing", smoothing, 100.0 * size)
+    check_length("noise", noise, 0.1 * size)
+    check_length("smoothing", smoothing, 100.0 * size)
     contour, wavelength = FIELDS[field](clean.points, _Wish(closed, noise, smoothing, knots))
     known = None if noise is None else float(noise)
     contour = _resolved(contour)
@@ -216,22 +216,6 @@ def _resolved(contour: AbstractTabulated) -> AbstractTabulated:
         "argument points must determine a contour, but the fit to them bends more sharply than its table can "
         "follow: give smallest_radius, state the noise, or thin out the points"
     )
-
-
-def _check_length(name: str, value: Any, most: float) -> None:
-    """Raise unless a length is None or lies between 0 and `most` [m]."""
-    if value is None:
-        return
-    try:
-        seen = float(as_floats(name, value, ()))
-    except ValueError as error:
-        if "finite" in str(error):  # infinity and NaN: the sentence below, with the bounds, says more
-            seen = float(value)
-        else:
-            raise ValueError(f"argument {name} must be a length in metres, but was {shown(value)}") from None
-    if not 0.0 <= seen <= most:
-        limit, was = told_apart(most, seen)
-        raise ValueError(f"argument {name} must lie between 0 and {limit} m here, but was {was}")
 
 
 class Measured(NamedTuple):
@@ -387,7 +371,7 @@ def _wanted(
 
 def _radius(value: Any) -> float:
     """The smallest radius [m], checked; the sentence for what is no length says so."""
-    _check_length("smallest_radius", value, float("inf"))
+    check_length("smallest_radius", value, float("inf"))
     if not float(value) > 0.0:
         raise ValueError("argument smallest_radius must be a positive length in metres, but was 0")
     return float(value)
@@ -400,8 +384,8 @@ def _bent_at_most(points: np.ndarray, wanted: Wanted) -> Fit:
     allowed, until its table nowhere bends more.
     """
     size = float(np.ptp(points, axis=0).max())
-    _check_length("noise", wanted.noise, 0.1 * size)
-    _check_length("smoothing", wanted.smoothing, size)
+    check_length("noise", wanted.noise, 0.1 * size)
+    check_length("smoothing", wanted.smoothing, size)
     ready, share = limited(points, wanted), SHARE
     for _ in range(_TRIES):
         found = ready.solved(share)

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ..._results import as_faces, as_floats, as_length, check_direction, concrete, on_host, shown
+from ..._results import as_faces, as_floats, as_length, check_direction, check_length, on_host, shown
 from ..._types import Given
 from ..contours import check_extent
 from ..surfaces import SplineSurface, surface_values
@@ -79,9 +79,10 @@ def fit_surface(
             alike.
         faces: Triangles of a mesh, shape (m, 3): numbers of its vertices.
         smallest_radius: Of curvature [m]. Best somewhat smaller than that of the parts to be touched.
-        smoothing: Wavelength $\ell$ [m]; None: by generalised cross-validation, or from `noise`. Not with
-            `smallest_radius`, which chooses it.
-        noise: Standard deviation of each coordinate [m], where it is known and `smoothing` is not.
+        smoothing: Wavelength $\ell$ [m], at most 100 times the largest extent of the points; None: by
+            generalised cross-validation, or from `noise`. Not with `smallest_radius`, which chooses it.
+        noise: Standard deviation of each coordinate [m], at most a tenth of the largest extent, where it is
+            known and `smoothing` is not.
 
     Returns:
         `SurfaceFit`, with `surface` and `report`.
@@ -92,7 +93,7 @@ def fit_surface(
 
     Raises:
         ValueError: If the points are not finite, too few or in parts, a normal is zero, the given ones point
-            into the body, `smoothing` is no length, `noise` is negative, or the grid is too fine for the
+            into the body, `smoothing` or `noise` is out of range, or the grid is too fine for the
             memory. With `smallest_radius` also if the points enclose no body or more than one, too much of it
             is thinner than two radii, too little is covered by points, or the curvature cannot be met.
 
@@ -125,7 +126,25 @@ def fit_surface(
     if given is None:
         cloud = np.unique(cloud, axis=0)
     with _one_thread():
-        return _smoothed(cloud, given, smoothing, noise)
+        return _smoothed(cloud, given, *_lengths(cloud, smoothing, noise))
+
+
+def _lengths(
+    cloud: np.ndarray, smoothing: Given | None, noise: Given | None
+) -> tuple[float | None, float | None]:
+    """The wavelength and the noise [m], of which one may be given, if they suit the extent of the points."""
+    size = float(np.ptp(cloud, axis=0).max())
+    if noise is not None:
+        if smoothing is not None:
+            raise ValueError(f"argument noise must be None where smoothing is given, but was {shown(noise)}")
+        check_length("noise", noise, 0.1 * size)
+        return None, float(np.asarray(noise))
+    if smoothing is None:
+        return None, None
+    wavelength = float(as_length("smoothing", smoothing))
+    # In the cells of a much longer one the surface is so small that its curvature is lost in rounding.
+    check_length("smoothing", wavelength, 100.0 * size)
+    return wavelength, None
 
 
 def _one_thread() -> threadpool_limits:
@@ -140,14 +159,12 @@ def _smoothed(
     cloud: np.ndarray, given: np.ndarray | None, smoothing: float | None, noise: float | None
 ) -> SurfaceFit:
     """The fit of one wavelength, or of the one that cross-validation finds."""
-    deviation = None if noise is None else _deviation(noise)
     problem = _many(cloud, given) if len(cloud) > _MANY else _few(cloud, given)
     if smoothing is None:
-        wavelength, surface = _chosen(problem, deviation)
+        smoothing, surface = _chosen(problem, noise)
     else:
-        wavelength = float(as_length("smoothing", smoothing))
-        surface = problem.solved(wavelength, np.zeros((0, len(problem.points))))[0]
-    return _reported(surface, problem, wavelength, cloud, given)
+        surface = problem.solved(smoothing, np.zeros((0, len(problem.points))))[0]
+    return _reported(surface, problem, smoothing, cloud, given)
 
 
 def _few(cloud: np.ndarray, given: np.ndarray | None) -> "_Problem":
@@ -275,14 +292,6 @@ def _chosen(problem: _Problem, noise: float | None) -> tuple[float, SplineSurfac
         best, chosen = score, (float(wavelength), surface)
     assert chosen is not None  # the first score is no larger than infinity
     return chosen
-
-
-def _deviation(noise: Given) -> float:
-    """The noise's standard deviation [m] as a number."""
-    seen = concrete(as_floats("noise", noise, ()))
-    if seen is None or seen < 0.0:
-        raise ValueError(f"argument noise must be a known number from 0 up, but was {shown(noise)}")
-    return float(seen)
 
 
 def _directions(normals: Given, cloud: np.ndarray, triangles: np.ndarray | None) -> np.ndarray:

@@ -859,15 +859,20 @@ def wish(**changes):
     (513, {"noise": 0.0}, 0.0, None, False), (513, {"smoothing": 0.0}, 0.0, None, False),
     (513, {"smoothing": 0.2}, 0.2, 512, False), (513, {"knots": 700}, 0.5, 700, True),
     (40, {"noise": 1e-4, "closed": False, "knots": 20}, 0.5, 20, True),
+    # Twice round a line of a metre: 300 knots to a wavelength, but eight.
+    (513, {"smoothing": 2.01}, 2.01, 299, False), (300, {"smoothing": 2.01}, 2.01, 299, False),
+    (299, {"smoothing": 2.01}, 2.01, None, False), (40, {"smoothing": 1e3}, 1e3, 8, False),
+    (513, {"smoothing": 2.01, "closed": False}, 2.01, 150, False),
 ])  # fmt: skip
-def test_a_spline_has_512_knots_at_most_where_it_is_smoothed(
+def test_a_spline_has_512_knots_at_most_where_it_is_smoothed_and_300_to_a_wavelength(
     count, given, smoothing, knots, asked, monkeypatch
 ):
     seen, made = [], []
     monkeypatch.setattr(_contour_fit, "smoothing_for", lambda points, **options: seen.append(options) or 0.5)
     monkeypatch.setattr(_contour_fit, "Spline", lambda points, **options: made.append(options) or "contour")
     found = wish(**given)
-    assert _contour_fit._spline(np.zeros((count, 2)), found) == ("contour", smoothing)
+    points = np.stack([np.linspace(0.0, 1.0, count), np.zeros(count)], axis=-1)
+    assert _contour_fit._spline(points, found) == ("contour", smoothing)
     assert made == [{"closed": found.closed, "smoothing": smoothing, "knots": knots}]
     assert seen == ([{"closed": found.closed, "noise": found.noise, "knots": knots}] if asked else [])
 
@@ -1048,8 +1053,13 @@ def test_what_is_for_splines_is_refused_for_others(name):
         jxr.fit_contour(on_circle(40), field="support", **{name: options[name]})
 
 
-@pytest.mark.parametrize(("smoothing", "fair"), [(3.99, True), (4.01, False)])
-def test_a_wavelength_is_no_longer_than_a_hundred_extents(smoothing, fair, monkeypatch):
+@pytest.mark.parametrize(
+    ("smoothing", "closed", "fair"),
+    [(3.99, False, True), (4.01, False, False), (0.1255, True, True), (0.1256, True, False)],
+)
+def test_a_wavelength_is_no_longer_than_a_closed_contour_or_a_hundred_extents(
+    smoothing, closed, fair, monkeypatch
+):
     made = []
     monkeypatch.setitem(
         _contour_fit.FIELDS, "spline", lambda points, wish: (made.append(wish), ("c", 0.7))[1]
@@ -1059,10 +1069,14 @@ def test_a_wavelength_is_no_longer_than_a_hundred_extents(smoothing, fair, monke
     monkeypatch.setattr(_contour_fit, "_measured", lambda contour, points: (contour, points))
     monkeypatch.setattr(_contour_fit, "_reported", lambda *args: args)
     points = on_circle(40)
-    with refused("argument smoothing must lie between 0 and 4 m here", not fair):
-        contour, clean, known, (tabled_one, seen) = jxr.fit_contour(points, smoothing=smoothing)
+    # Forty chords of 2 (20 mm) sin(pi / 40) each; a hundred times 40 mm.
+    limit = "0.12553" if closed else "4 m"
+    with refused(f"argument smoothing must lie between 0 and {limit}", not fair):
+        found = jxr.fit_contour(points, smoothing=smoothing, closed=closed, ordered=True)
+        contour, clean, known, (tabled_one, seen) = found
         assert (contour, tabled_one) == ("cr", "crt") and seen is clean.points
-        assert made == [wish(smoothing=smoothing)] and known == _contour_fit._Known("spline", 0.7, None)
+        assert made == [wish(smoothing=smoothing, closed=closed)]
+        assert known == _contour_fit._Known("spline", 0.7, None)
         known = jxr.fit_contour(points, noise=1e-4, knots=13, ordered=True)[2]
         assert made[1] == wish(noise=1e-4, knots=13) and known == _contour_fit._Known("spline", 0.7, 1e-4)
 

@@ -410,7 +410,10 @@ def test_wavelengths_fall_by_a_quarter_while_the_estimate_does(name):
 
 
 def test_a_grid_too_fine_at_first_is_refused_and_no_noise_is_none():
-    assert _surface_fit._deviation(0.0) == 0.0
+    cloud = np.array([[0.0, 0.0, 0.0], [0.01, 0.04, 0.02]])
+    lengths = functools.partial(_surface_fit._lengths, cloud)
+    assert lengths(None, 0) == (None, 0.0) and lengths(4.0, None) == (4.0, None)
+    assert lengths(None, None) == (None, None)
     with pytest.raises(ValueError, match="smoothing must be larger"):
         _surface_fit._chosen(Ladder([]), None)
 
@@ -477,12 +480,12 @@ def test_normals_of_a_meshs_faces_are_turned_outward(monkeypatch):
         assert np.sum(normals * (cloud - (0.3, 0.0, 0.0)), axis=1).min() > 0.019 * 0.9
         assert smoothing is None and noise is None
     given = rng.uniform(0.5, 2.0, (121, 1)) * sphere(121, 1.0)
-    _surface_fit.fit_surface(points, given, faces=faces, smoothing=0.2, noise=0.1)
+    _surface_fit.fit_surface(points, given, faces=faces, smoothing=0.2)
     cloud, normals, smoothing, noise = seen.pop()
     unit = given / np.linalg.norm(given, axis=1, keepdims=True)
     np.testing.assert_allclose(normals, unit[:120], rtol=1e-12)
     np.testing.assert_array_equal(cloud, points[:120])
-    assert (smoothing, noise) == (0.2, 0.1)
+    assert (smoothing, noise) == (0.2, None)
     with pytest.raises(ValueError, match="argument noise must be left out with smallest_radius"):
         _surface_fit.fit_surface(points, smallest_radius=0.01, noise=1e-4)
 

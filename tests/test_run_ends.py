@@ -189,7 +189,7 @@ def test_a_field_and_a_control_choose_the_plan():
     lay = formed()
     stepper = RollingStep(diffrax.Dopri8(), None, lay, ("lift",), 2)
     given = _simulate.Numbers(*map(jnp.asarray, (0.5, 2.0, jnp.array([1.0, 2.0]), 0.125, 1e-6, 1e-9)))
-    setup = _simulate.Setup(diffrax.Tsit5(), None, None, 99, ("dense",), ("lift",), 2, False)
+    setup = _simulate.Setup(diffrax.Tsit5(), None, None, 99, ("dense",), ("lift",), 2)
     y0 = jnp.zeros(2 * lay.width + 2)
     plan = _simulate._plan(stepper, y0, given, setup, jumps=None)
     assert isinstance(plan.controller, diffrax.PIDController) and plan.controller.norm.lay is lay

@@ -24,7 +24,7 @@ from jaxroll.design import _minimise
 from jaxroll.geometry.contours import _network_descent
 from jaxroll.geometry.contours._given_points import numbers, polygon_area
 from jaxroll.geometry.fitting import _surface_fit
-from jaxroll.geometry.fitting._surface_fit import _deviation
+from jaxroll.geometry.fitting._surface_fit import _lengths
 from jaxroll.geometry.mass._moments import checked
 from jaxroll.io import _outline, _svg, _tables
 from jaxroll.plotting import _doors, _meshes, _motion3, _scene3, _style
@@ -71,8 +71,10 @@ REFUSED = {
         lambda: geometry.smoothing_for(ROUND, noise=3e9),
         "noise must be a length in metres, but was 3e\\+09",
     ),
-    "noise of a surface": (lambda: _deviation(-1e-6), "noise must be a known number from 0 up"),
-    "noise that is traced": (traced(_deviation), "noise must be a known number from 0 up"),
+    "noise of a surface": (
+        lambda: _lengths(np.eye(3), None, -1e-6),
+        "noise must lie between 0 and 0.1 m here, but was -1e-06",
+    ),
     "moments that never settle": (lambda: checked(None, 0.5, SEEN), "still change by 5.0e-01 of themselves"),
     "a body without a volume": (
         lambda: checked(SEEN, 0.0, SEEN),

@@ -62,6 +62,66 @@ def test_roughness_is_the_integral():
     np.testing.assert_allclose(coefficients @ roughness @ coefficients, integral, rtol=1e-10)
 
 
+def long_arc(count):
+    """Half an ellipse with 10 um of noise, 54 mm long."""
+    u = np.linspace(0.0, np.pi, count)
+    noise = 1e-5 * np.random.default_rng(7).normal(size=(count, 2))
+    return np.stack([0.02 * np.cos(u), 0.014 * np.sin(u)], axis=1) + noise
+
+
+@pytest.mark.parametrize("wave", [0.01, 0.05, 0.1])
+def test_smoothing_is_exact_however_long_the_wavelength(wave):
+    """Against least squares by rotations, whose condition is the square root of that of normal equations."""
+    points = long_arc(300)
+    contour = jxr.Spline(points, closed=False, smoothing=wave)
+    u = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))]
+    knots = np.r_[[u[0]] * 6, u[3:-3], [u[-1]] * 6]
+    basis_of = BSpline(knots, np.eye(300), 5)
+    nodes, weights = np.polynomial.legendre.leggauss(3)
+    breaks = np.r_[u[0], u[3:-3], u[-1]]
+    half = 0.5 * np.diff(breaks)
+    third = basis_of.derivative(3)((breaks[:-1, None] + half[:, None] * (1.0 + nodes)).ravel())
+    root = (wave / (2.0 * np.pi)) ** 3 / np.sqrt(u[-1]) * np.sqrt(np.outer(half, weights)).reshape(-1, 1)
+    rows = np.concatenate([basis_of(u) / np.sqrt(300), root * third])
+    q, r = np.linalg.qr(rows)
+    exact = np.linalg.solve(r, q[:300].T @ points / np.sqrt(300))
+    pieces = jax.jit(lambda u: contour._fit(u))(jnp.asarray(u))
+    middles = 0.5 * (breaks[1:] + breaks[:-1])
+    found = np.asarray(pieces.curve(jnp.asarray(middles)).array())
+    # The rotations themselves are good to 1e-10 of the size here.
+    np.testing.assert_allclose(found, BSpline(knots, exact, 5)(middles), rtol=0.0, atol=4e-12)
+
+
+def test_derivatives_in_the_points_are_as_exact():
+    """Both modes and differences of fourth order; without refinement the modes are 1e-3 apart."""
+    points = jnp.asarray(long_arc(300))
+    way = jnp.asarray(1e-6 * np.random.default_rng(1).normal(size=(300, 2)))
+
+    def bend(points):
+        return jxr.Spline(points, closed=False, smoothing=0.05).prepared().curvature(0.02)
+
+    one = jax.jit(bend)
+    forward = jax.jit(lambda p: jax.jvp(bend, (p,), (way,))[1])(points)
+    reverse = jnp.sum(jax.jit(jax.grad(bend))(points) * way)
+    near, far = (one(points + k * way) - one(points - k * way) for k in (1.0, 2.0))
+    np.testing.assert_allclose(forward, (8.0 * near - far) / 12.0, rtol=1e-5)
+    np.testing.assert_allclose(reverse, forward, rtol=1e-5)
+
+
+def test_smoothing_too_long_for_its_knots_is_refused_or_unresolved():
+    points = long_arc(300)
+    far = jxr.Spline(points, closed=False, smoothing=1.0)
+    with pytest.raises(ValueError, match="argument smoothing must be shorter for 300 knots .* was 1.0 m"):
+        tabled(far)
+    length = jax.jit(lambda p: jxr.Spline(p, closed=False, smoothing=1.0).read().length)
+    assert np.isnan(length(points))
+    # With fewer knots it is the parabola that every long wavelength gives.
+    ends = [jxr.Spline(points, closed=False, smoothing=wave, knots=20) for wave in (1.0, 1.5)]
+    s = np.linspace(0.0, 0.05, 20)
+    bends = [np.asarray(jax.vmap(tabled(end).curvature)(s)) for end in ends]
+    np.testing.assert_allclose(bends[0], bends[1], rtol=1e-5)
+
+
 @pytest.mark.parametrize("noise", [1e-6, None])
 def test_noisy_circle(noise):
     """200 points with 1 um noise on a 10 mm circle: curvature within 1 %."""

@@ -101,19 +101,29 @@ class Basis(NamedTuple):
         weights = coefficients[self.functions][:, :, None, :]
         return Pieces(self.breaks, jnp.sum(self.polynomials[..., None] * weights, axis=1))
 
+    def bends(self, coefficients: Float[Array, "functions d"]) -> Float[Array, "pieces parts d"]:
+        r"""Third derivatives, so weighted that their squares add up to $\int |P'''(u)|^2\,du$."""
+        return jnp.einsum("iaq,iad->iqd", self._bends(), coefficients[self.functions])
+
     def roughness(self) -> Float[Array, "functions functions"]:
         r"""The quadratic form $\int |P'''(u)|^2\,du$."""
+        local = self._bends()
+        rows, columns = self.functions[:, :, None], self.functions[:, None, :]
+        squares = jnp.einsum("iaq,ibq->iab", local, local)
+        return jnp.zeros((self.count, self.count)).at[rows, columns].add(squares)
+
+    def _bends(self) -> Float[Array, "pieces order parts"]:
+        """`bends` of every function on every interval."""
         order = self.polynomials.shape[-1]
-        # With u = u_i + step x: P'''(u) = p'''(x) / step^3 and du = step dx, so step^-5 in all. The third
+        # With u = u_i + step x: P'''(u) = p'''(x) / step^3 and du = step dx, so step^-5/2 in all. The third
         # derivative of x^p is p (p-1) (p-2) x^(p-3); the integral of x^m over [0, 1] is 1 / (m + 1).
         step = jnp.diff(self.breaks)
         power = np.arange(order)
         third = (self.polynomials * (power * (power - 1.0) * (power - 2.0))[None, None, :])[..., 3:]
         low = np.arange(order - 3.0)
         gram = 1.0 / (low[:, None] + low[None, :] + 1.0)
-        local = jnp.einsum("iap,pq,ibq->iab", third, gram, third) / step[:, None, None] ** 5
-        rows, columns = self.functions[:, :, None], self.functions[:, None, :]
-        return jnp.zeros((self.count, self.count)).at[rows, columns].add(local)
+        root = np.linalg.cholesky(gram).astype(step.dtype)
+        return jnp.einsum("iap,pq->iaq", third, root) / step[:, None, None] ** 2.5
 
 
 def interval_of(breaks: Array, u: Array) -> tuple[Array, Array]:

@@ -216,6 +216,11 @@ class AbstractTabulated(AbstractContour):
     def tabulate(self, cells: int) -> Table:
         """Build a table: pure JAX, differentiable in every array of the field."""
 
+    def _why_not_finite(self) -> str:
+        """What is said of a table whose points are not finite numbers."""
+        kind = type(self).__name__
+        return f"argument contour must have finite points, but the table of this {kind} was not"
+
     def read(self) -> Table:
         """The table that `prepared` stored, or a new one."""
         return _built(self) if self.table is None else self.table
@@ -260,9 +265,9 @@ def _check_table(contour: AbstractTabulated, table: Table) -> None:
     length, coefficients = concrete(table.length), concrete(table.coefficients)
     if length is None or coefficients is None or np.isfinite(length):
         return
-    kind = type(contour).__name__
     if not np.all(np.isfinite(coefficients)):
-        raise ValueError(f"argument contour must have finite points, but the table of this {kind} was not")
+        raise ValueError(contour._why_not_finite())
+    kind = type(contour).__name__
     raise ValueError(
         f"argument cells must be more than {contour.cells} for a contour that bends so sharply (or folds), "
         f"since the speed along the table of this {kind} is more than {_UNEVEN:g} off one"

@@ -7,6 +7,7 @@ a smallest radius of curvature all of this goes another way, from the order of t
 `_fit_report` has what is returned.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -20,7 +21,15 @@ from ..._results import as_count, check_flag, check_length, on_host, shown
 from ..._types import Given
 from ..._xla import quickly
 from .._tabled import tabled
-from ..contours import AbstractTabulated, NeuralCurvature, NeuralSupport, Spline, SupportFunction, Table
+from ..contours import (
+    AbstractTabulated,
+    chords,
+    NeuralCurvature,
+    NeuralSupport,
+    Spline,
+    SupportFunction,
+    Table,
+)
 from ._clean_points import clean_points, CleanPoints, given_points
 from ._crossings import crossings
 from ._departures import departures, inflections, jumps
@@ -32,7 +41,9 @@ from ._smoothing import smoothing_for
 _SAMPLES = 2048  # intervals between the places at which a contour is measured
 # Cells of a spline's table where the default, 1024, is too few; a contour that needs more is refused.
 _CELLS = (4096, 16384)
-_DENSE = 512  # most knots of a smoothing spline, unless told; the cost grows with their cube
+# Most knots of a smoothing spline, unless told, and to a wavelength; the cost grows with their cube.
+_DENSE, _TO_A_WAVE = 512, 300
+_FEWEST = 8  # knots of a smoothing spline, however long the wavelength
 _PLACES = 16385  # at which the curvature is compared with what is allowed
 _AIM = 0.98  # share of the allowed curvature at which every try but the first aims
 _TRIES = 8
@@ -62,6 +73,11 @@ def _spline(points: np.ndarray, wish: _Wish) -> tuple[AbstractTabulated, float]:
         knots = _DENSE
     if smoothing is None:
         smoothing = float(smoothing_for(points, closed=wish.closed, noise=wish.noise, knots=knots))
+    if wish.knots is None and smoothing:
+        # More knots to a wavelength add nothing but rounding.
+        length = float(chords(jnp.asarray(points), wish.closed)[-1])
+        enough = max(_FEWEST, math.ceil(_TO_A_WAVE * length / smoothing))
+        knots = enough if enough < (knots or len(points)) else knots
     contour = Spline(points, closed=wish.closed, smoothing=smoothing, knots=knots)
     return contour, smoothing
 
@@ -138,11 +154,13 @@ def fit_contour(
         ordered: True to believe the given order, False to find one, None to find out which.
         noise: Standard deviation of each coordinate's error [m]: 0 goes through every point; None finds
             the smoothing by cross-validation, with `smallest_radius` the noise itself.
-        smoothing: Wavelength [m] of wiggles to halve, instead of `noise`.
+        smoothing: Wavelength [m] of wiggles to halve, instead of `noise`. At most the length of a closed
+            contour; 100 times the extent of an open one.
         smallest_radius: Smallest radius of curvature [m] that the contour may have.
-        knots: Number of knots. Default: one at every point, at most 512 where smoothing; with
-            `smallest_radius` five to a length of that radius, at most 1024. Given with `smallest_radius` it
-            must be 48 to 1024, and is rounded up to one of the program's sizes (48, 64, 96, ...).
+        knots: Number of knots. Default: one at every point, where smoothing at most 512 and at most 300 to a
+            wavelength; with `smallest_radius` five to a length of that radius, at most 1024. Given with
+            `smallest_radius` it must be 48 to 1024, and is rounded up to one of the program's sizes (48, 64,
+            96, ...).
         unit: Of `points`: "m", "cm", "mm", "um" or "in". All else is in metres.
         reverse: Turn an open contour round, where the points have the body on their right.
 
@@ -185,7 +203,9 @@ def fit_contour(
     clean = clean_points(points, closed=closed, ordered=ordered, unit=unit, reverse=reverse)
     size = float(np.ptp(clean.points, axis=0).max())
     check_length("noise", noise, 0.1 * size)
-    check_length("smoothing", smoothing, 100.0 * size)
+    # A closed contour is itself a wave as long as it is: by longer ones it would shrink to a point.
+    length = float(chords(jnp.asarray(clean.points), closed)[-1])
+    check_length("smoothing", smoothing, length if closed else 100.0 * size)
     contour, wavelength = FIELDS[field](clean.points, _Wish(closed, noise, smoothing, knots))
     known = None if noise is None else float(noise)
     contour = _resolved(contour)

@@ -92,6 +92,12 @@ def test_smoothing_is_exact_however_long_the_wavelength(wave):
     np.testing.assert_allclose(found, BSpline(knots, exact, 5)(middles), rtol=0.0, atol=4e-12)
 
 
+@pytest.mark.parametrize("noise", [1e-5, None])
+def test_how_much_is_smoothed_does_not_depend_on_where_the_origin_is(noise):
+    near, far = (smoothing_for(long_arc(80) + away, closed=False, noise=noise) for away in (0.0, 100.0))
+    assert far == pytest.approx(near, rel=1e-9)
+
+
 def test_derivatives_in_the_points_are_as_exact():
     """Both modes and differences of fourth order; without refinement the modes are 1e-3 apart."""
     points = jnp.asarray(long_arc(300))

@@ -78,7 +78,9 @@ def smoothing_for(
     if level == 0.0:
         return 0.0
     matrix, rough, length = (np.asarray(x) for x in _forms(given, knots, degree, closed))
-    spectrum, energy, lost = _spectrum(matrix, rough, data)
+    # About their mean, since splines have constants: the squares of points far from the origin would leave
+    # nothing of what is `lost`.
+    spectrum, energy, lost = _spectrum(matrix, rough, data - data.mean(axis=0))
     # From half the shortest wavelength that the knots can follow (two knots a wave), which smooths almost
     # nothing, to the length of the contour.
     shortest = 2.0 * length / matrix.shape[1]

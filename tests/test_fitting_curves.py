@@ -1055,9 +1055,9 @@ def test_what_is_for_splines_is_refused_for_others(name):
 
 @pytest.mark.parametrize(
     ("smoothing", "closed", "fair"),
-    [(3.99, False, True), (4.01, False, False), (0.1255, True, True), (0.1256, True, False)],
+    [(3.99, False, True), (4.01, False, False), (0.0627, True, True), (0.0628, True, False)],
 )
-def test_a_wavelength_is_no_longer_than_a_closed_contour_or_a_hundred_extents(
+def test_a_wavelength_is_no_longer_than_half_a_closed_contour_or_a_hundred_extents(
     smoothing, closed, fair, monkeypatch
 ):
     made = []
@@ -1069,8 +1069,8 @@ def test_a_wavelength_is_no_longer_than_a_closed_contour_or_a_hundred_extents(
     monkeypatch.setattr(_contour_fit, "_measured", lambda contour, points: (contour, points))
     monkeypatch.setattr(_contour_fit, "_reported", lambda *args: args)
     points = on_circle(40)
-    # Forty chords of 2 (20 mm) sin(pi / 40) each; a hundred times 40 mm.
-    limit = "0.12553" if closed else "4 m"
+    # Twenty chords of 2 (20 mm) sin(pi / 40) each; a hundred times 40 mm.
+    limit = "0.0627" if closed else "4 m"
     with refused(f"argument smoothing must lie between 0 and {limit}", not fair):
         found = jxr.fit_contour(points, smoothing=smoothing, closed=closed, ordered=True)
         contour, clean, known, (tabled_one, seen) = found

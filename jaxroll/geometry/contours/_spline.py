@@ -64,7 +64,8 @@ class Spline(AbstractTabulated):
             point is not repeated. At least `degree` + 1. `fit_contour` takes points in any state.
         closed: Whether the last point is followed by the first.
         smoothing: Wavelength $\ell$ [m]; 0 interpolates. `smoothing_for` finds it from the noise. At most
-            some 800 distances of knots, 50 in single precision.
+            some 800 distances of knots, 40 in single precision; a closed contour shrinks to a point by one
+            longer than half of it.
         degree: 3, 5, 7 or 9. The contour has `degree` - 1 continuous derivatives; solvers of order 5
             and more want 5 or above.
         knots: How many knots the smoothing spline has, evenly among the points; None: at every point.
@@ -74,7 +75,7 @@ class Spline(AbstractTabulated):
 
     Raises:
         ValueError: If there are too few points, two neighbours are the same, a closed contour runs
-            clockwise, or a number is not finite, far too large or too small for a length. A longer
+            clockwise, or a number is not finite, far too large or too small for a length. Too long a
             `smoothing` is refused with the table; a run whose points are traced is `unresolved`.
 
     Accuracy: an interpolating spline errs by $h^{p+1}$ in the point, $h^p$ in the tangent and $h^{p-1}$ in
@@ -158,10 +159,16 @@ class Spline(AbstractTabulated):
     def _why_not_finite(self) -> str:
         if self.smoothing is None:
             return super()._why_not_finite()
+        was = f"but was {shown(self.smoothing)} m"
+        length = float(chords(jnp.asarray(self.points), self.loop)[-1])
+        if self.loop and float(self.smoothing) > 0.5 * length:
+            return (
+                f"argument smoothing must be at most half the length of a closed contour, {length:.3g} m, "
+                f"which longer ones shrink to a point, {was}"
+            )
         return (
             f"argument smoothing must be shorter for {self.knots or len(self.points)} knots as near to each "
-            f"other, of whose equations it leaves nothing but rounding, but was {shown(self.smoothing)} m: "
-            "fewer `knots` smooth as well"
+            f"other, of whose equations it leaves nothing but rounding, {was}: fewer `knots` smooth as well"
         )
 
     def free_numbers(self) -> list[Any]:

@@ -154,7 +154,7 @@ def fit_contour(
         ordered: True to believe the given order, False to find one, None to find out which.
         noise: Standard deviation of each coordinate's error [m]: 0 goes through every point; None finds
             the smoothing by cross-validation, with `smallest_radius` the noise itself.
-        smoothing: Wavelength [m] of wiggles to halve, instead of `noise`. At most the length of a closed
+        smoothing: Wavelength [m] of wiggles to halve, instead of `noise`. At most half the length of a closed
             contour; 100 times the extent of an open one.
         smallest_radius: Smallest radius of curvature [m] that the contour may have.
         knots: Number of knots. Default: one at every point, where smoothing at most 512 and at most 300 to a
@@ -203,9 +203,10 @@ def fit_contour(
     clean = clean_points(points, closed=closed, ordered=ordered, unit=unit, reverse=reverse)
     size = float(np.ptp(clean.points, axis=0).max())
     check_length("noise", noise, 0.1 * size)
-    # A closed contour is itself a wave as long as it is: by longer ones it would shrink to a point.
+    # A closed contour is itself a wave: longer wavelengths shrink it, round by round, from 0.8 of its length
+    # on to a point.
     length = float(chords(jnp.asarray(clean.points), closed)[-1])
-    check_length("smoothing", smoothing, length if closed else 100.0 * size)
+    check_length("smoothing", smoothing, 0.5 * length if closed else 100.0 * size)
     contour, wavelength = FIELDS[field](clean.points, _Wish(closed, noise, smoothing, knots))
     known = None if noise is None else float(noise)
     contour = _resolved(contour)

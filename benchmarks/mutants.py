@@ -39,6 +39,19 @@ _LONGEST = (60.0, 5.0)
 # the same text in other lines, in which a test would notice it, the line's text is the fifth.
 EQUIVALENT: dict[tuple[str, ...], str] = {
     (
+        "jaxroll/contact/_from_gap.py",
+        "derived_margin",
+        "1.0",
+        "(-1.0)",
+        "scale = 1.0 / jnp.where(length > 0, length, 1.0)",
+    ): "all columns change their sign, their inner products do not",
+    (
+        "jaxroll/_reaching/_grasp_points.py",
+        "_merged",
+        "np.abs(line) > same",
+        "(np.abs(line) >= same)",
+    ): "a coordinate that differs by just the resolution goes either way",
+    (
         "jaxroll/_analysis/_rolling_kinematics.py",
         "_Rolling._tangent",
         "cosine < -1.0 + limit",

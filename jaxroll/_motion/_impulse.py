@@ -62,14 +62,12 @@ class Struck:
 
 
 def struck(grasp: Grasp, leaves: Leaves, blows: Sequence[tuple[Impulse, Scalar]]) -> Struck:
-    """A prepared grasp after some blows on its object at once; the number beside a blow multiplies it."""
+    """A prepared grasp after one or more blows on its object; the number beside a blow multiplies it."""
     motions, inertias = bodies(grasp, leaves)
     touching = touches(grasp, leaves.s)
     masses = [factorise(inertia.mass) for inertia in inertias]
     line = linearise(grasp, motions, masses, touching)
-    push = (0.0,) * grasp.sizes[0]
-    if blows:
-        push = _pushed(grasp, motions[0], blows)
+    push = _pushed(motions[0], blows)
     # The object alone is hit: M^-1 p is zero for the fingers.
     gained = (solve(masses[0], push), *((0.0,) * size for size in grasp.sizes[1:]))
     free = combine(leaves.v, gained)
@@ -85,7 +83,7 @@ def struck(grasp: Grasp, leaves: Leaves, blows: Sequence[tuple[Impulse, Scalar]]
     return Struck(ended, forces, motions, touching, line, momentum, work)
 
 
-def _pushed(grasp: Grasp, motion: Motion, blows: Sequence[tuple[Impulse, Scalar]]) -> Scalars:
+def _pushed(motion: Motion, blows: Sequence[tuple[Impulse, Scalar]]) -> Scalars:
     """Generalised impulse $p$ of some blows."""
     # A blow reads nothing but the pose.
     here = Moving(motion.pose, (), motion.twist)

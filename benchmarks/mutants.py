@@ -39,6 +39,13 @@ _LONGEST = (60.0, 5.0)
 # the same text in other lines, in which a test would notice it, the line's text is the fifth.
 EQUIVALENT: dict[tuple[str, ...], str] = {
     (
+        "jaxroll/plotting/_forces.py",
+        "arrows",
+        "-1",
+        "(1)",
+        "arm = np.stack([force[:, 1], -force[:, 0]], axis=-1) * (torque / square)[:, None]",
+    ): "of a stack of rows the last axis is the second one",
+    (
         "jaxroll/contact/_from_gap.py",
         "derived_margin",
         "1.0",

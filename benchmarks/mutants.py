@@ -39,6 +39,25 @@ _LONGEST = (60.0, 5.0)
 # the same text in other lines, in which a test would notice it, the line's text is the fifth.
 EQUIVALENT: dict[tuple[str, ...], str] = {
     (
+        "jaxroll/geometry/fitting/_bounded_curve.py",
+        "_minimum",
+        "share > 1e-4",
+        "(share >= 0.0001)",
+    ): "no power of two is the limit itself",
+    (
+        "jaxroll/geometry/fitting/_surface_measured.py",
+        "_batch.one",
+        "2",
+        "(3)",
+        "at = jax.lax.fori_loop(0, 2, lambda _, at: surface.settled(at), unstack(point))",
+    ): "one more round for points that two bring to the surface",
+    (
+        "jaxroll/_integration/_events.py",
+        "check_overlaps",
+        "1",
+        "(0)",
+    ): "whether places can be spread over a surface is the same for any number of them",
+    (
         "jaxroll/plotting/_forces.py",
         "arrows",
         "-1",

@@ -25,7 +25,7 @@ import numpy as np
 import pytest
 
 import jaxroll as jxr
-from jaxroll._sweep import _folder, _identity, _sending
+from jaxroll._sweep import _dispatch, _folder, _identity, _sending
 from jaxroll._sweep._program import Job, of_make, Program, program
 from jaxroll._sweep._sending import packed
 
@@ -470,3 +470,23 @@ def _wait_for(condition, child):
         assert child.poll() is None, child.stderr.read()
         assert time.monotonic() < end
         time.sleep(0.01)
+
+
+class Disk(Executor):
+    """Answers at once: that the disk is full."""
+
+    def submit(self, function, /, *args, **kwargs):
+        answer = Future()
+        answer.set_exception(OSError(errno.ENOSPC, "No space left on device"))
+        return answer
+
+
+def test_pauses_between_tries_double_up_to_two_seconds(monkeypatch):
+    pauses = []
+    monkeypatch.setattr(_dispatch.time, "sleep", pauses.append)
+    parcel = _sending.Parcel(b"", {"jax_compilation_cache_dir": None}, 1)
+    with pytest.raises(OSError, match="No space left"):
+        _dispatch.dispatched(
+            _dispatch.Party(Disk(), lambda: 1), parcel, {0: lambda: None}, lambda start, receipt: True
+        )
+    assert pauses == [0.2, 0.4, 0.8, 1.6, 2.0]

@@ -39,6 +39,20 @@ _LONGEST = (60.0, 5.0)
 # the same text in other lines, in which a test would notice it, the line's text is the fifth.
 EQUIVALENT: dict[tuple[str, ...], str] = {
     (
+        "jaxroll/contact/_contact3.py",
+        "Contact3.equations",
+        "one.dot(first) > other.dot(second)",
+        "(one.dot(first) >= other.dot(second))",
+    ): "of two directions that serve as well either one will do",
+    (
+        "jaxroll/_integration/_bundle.py",
+        "bundle",
+        "True",
+        "(False)",
+        "_in_one([leaf for leaf, m in zip(leaves, moves, strict=True) if m is kind]) "
+        "for kind in (True, False)",
+    ): "the two are made of one another, and as long",
+    (
         "jaxroll/geometry/fitting/_bounded_curve.py",
         "_minimum",
         "share > 1e-4",

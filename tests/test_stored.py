@@ -230,3 +230,11 @@ def test_another_process_has_the_same_gradient_without_tracing_it(tmp_path):
     count = len(list((tmp_path / "programs").iterdir()))
     assert printed(True) == first and float(first) != 0.0
     assert len(list((tmp_path / "programs").iterdir())) == count  # nor is it compiled
+
+
+def test_what_is_stored_lies_in_folders_that_are_made_where_they_are_not_there(tmp_path):
+    for name in ("one", "two"):
+        path = tmp_path / "new" / "folder" / name
+        assert _stored._written(path, bytearray(b"data")) == b"data"
+        assert path.read_bytes()[32:] == b"data" and _stored._read(path.with_name("none")) is None
+    assert {path.name for path in path.parent.iterdir()} == {"one", "two"}

@@ -51,7 +51,11 @@ def test_measures_of_signals_in_closed_form(run):
     turn = np.pi - np.arctan(a / w)  # where its derivative vanishes first
     last = np.exp(-4.0 * a) * np.cos(4.0 * w)
     past = (last - np.exp(-a * turn / w) * np.cos(turn)) / (1.0 - last)
-    assert abs(float(overshoot(still, signal=ringing)) - past) < 1e-5
+    # Also of a signal that ends far from zero.
+    for rest in (0.0, 5.0):
+        assert abs(float(overshoot(still, signal=rest + ringing)) - past) < 1e-5
+    assert abs(float(settling_time(still, signal=5.0 + decay)) - 0.2 * np.log(50.0)) < 1e-5
+    assert abs(float(tracking_error(still, signal=5.0 + decay)) - 0.2) < 1e-5
     ts = np.linspace(0.0, 4.0, 400001)
     outside = np.abs(np.exp(-a * ts) * np.cos(w * ts)) > 0.02
     assert abs(float(settling_time(still, signal=ringing)) - ts[outside].max()) < 1e-4

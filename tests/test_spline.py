@@ -119,6 +119,9 @@ def test_smoothing_too_long_for_its_knots_is_refused_or_unresolved():
     far = jxr.Spline(points, closed=False, smoothing=1.0)
     with pytest.raises(ValueError, match="argument smoothing must be shorter for 300 knots .* was 1.0 m"):
         tabled(far)
+    grasp, _ = jxr.scenes.pivoted()
+    with pytest.raises(ValueError, match="argument smoothing must be shorter for 300 knots"):
+        grasp.with_tip(0, far)
     with pytest.raises(ValueError, match="at most half the length of a closed contour, 0.0628 m, .* 0.07 m"):
         tabled(jxr.Spline(circle_points(), smoothing=0.07))
     length = jax.jit(lambda p: jxr.Spline(p, closed=False, smoothing=1.0).read().length)

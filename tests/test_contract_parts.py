@@ -176,10 +176,8 @@ def test_tables_are_found_at_any_depth():
         rest: tuple = ()
 
     held = Pair(first=one.moved(), rest=([other], 3.0)).moved()
-    assert [t is c.table for t, c in zip(contract_errors.tables(held), (one, other), strict=True)] == [
-        True,
-        True,
-    ]
+    found = contract_errors.tables(held)
+    assert [t is c.table for t, c in zip(found, (one, other), strict=True)] == [True, True]
     assert not list(contract_errors.tables(jxr.Circle(0.01)))
 
 

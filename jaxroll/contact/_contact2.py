@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from .._fields import real, taken, through
 from .._results import check_between, check_positive, shown
 from .._types import Given
-from ..geometry import AbstractContour, check_contour, tabled
+from ..geometry import AbstractContour, check_contour
 from ._contact import as_index
 from ._rolling_contact import AbstractRolling, ContourPair
 
@@ -77,8 +77,7 @@ class Contact(AbstractRolling):
                 raise ValueError(f"argument {name} must be between contours, but one was {shown(shape)}")
         self.check_shapes(name, shapes)
         for shape, (kind, s) in zip(shapes, self._starts(), strict=True):
-            # Of a contour with its table, which is refused in its own words if it has no length.
-            domain = None if shape.closed else tabled(shape).domain()
+            domain = None if shape.closed else shape.domain()
             if domain is not None:
                 check_between(f"{name}.{kind}", s, *domain, unit=" m")
 

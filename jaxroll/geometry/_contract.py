@@ -307,7 +307,7 @@ def _surface_fault(surface: AbstractSurface) -> str | None:
     with computed_at_once():
         found = {name: np.asarray(value) for name, value in surface_off(surface).items()}
     seam, unseen = found.pop("seam"), found.pop("unseen")
-    allowed = ON_SURFACE[seam.dtype]
+    allowed = ON_SURFACE.of(seam)
     if not seam <= 1.0:
         return (
             "that comes back to itself where it claims to be periodic, but the ends of {kind}'s period are "

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 
 from .._linalg import tangents, Vec2, Vec3
 from .._results import shown
-from .._types import Scalar, Scalars
+from .._types import ByPrecision, Scalar, Scalars
 from .._xla import quickly
 from .contours import AbstractContour, AbstractTabulated, frenet, Frenet2, Table, unevenness
 from .surfaces import AbstractChart, AbstractImplicit, AbstractSurface, Gauss3, lattice
@@ -29,10 +29,10 @@ RANGE = 0.1
 NEAREST = 1e-6
 _SPREAD = 48  # places on a surface
 _APART = 1e-6  # how far a frame's point may be from the curve's, relative to its largest coordinate
-# Relative errors allowed in double and in single precision: of first derivatives, and of second ones.
-_ALLOWED = {np.dtype(np.float64): (1e-9, 1e-6), np.dtype(np.float32): (1e-4, 1e-2)}
+# Relative errors allowed of first derivatives along a contour, and of second ones.
+_FIRST, _SECOND = ByPrecision(1e-9, 1e-4), ByPrecision(1e-6, 1e-2)
 # The same for surfaces, where every error has this bound.
-ON_SURFACE = {np.dtype(np.float64): 1e-6, np.dtype(np.float32): 1e-2}
+ON_SURFACE = ByPrecision(1e-6, 1e-2)
 
 
 class Along(NamedTuple):
@@ -69,7 +69,7 @@ def contour_along(contour: AbstractContour, places: Float[Array, " n"]) -> Along
     point, tangent, curvature, place, rate, bend = jax.vmap(one)(places)
     # What is read from a table may be off by the table's own error.
     slack = 4.0 * functools.reduce(jnp.maximum, map(unevenness, tables(contour)), 0.0)
-    first, second = (allowed + slack for allowed in _ALLOWED[np.dtype(point.dtype)])
+    first, second = _FIRST.of(point) + slack, _SECOND.of(point) + slack
     # Errors of curvature are relative to the largest one, or to one over the extent of the places.
     largest = jnp.maximum(jnp.max(jnp.abs(curvature)), jnp.max(jnp.abs(bend)))
     scale = jnp.maximum(largest, 1.0 / jnp.maximum(jnp.ptp(places), NEAREST))
@@ -115,7 +115,7 @@ def contour_a_turn_later(contour: AbstractContour, low: Scalar, length: Scalar) 
 
     rounds = places[None] + length * np.array([[0.0], [1.0], [-1.0]])
     here, later, before = jax.vmap(one)(rounds.ravel()).reshape(3, _TURNS, 5)
-    first, second = _ALLOWED[np.dtype(here.dtype)]
+    first, second = _FIRST.of(here), _SECOND.of(here)
     # Columns are x, y [m], the tangent, and the curvature, with the wider tolerance of second derivatives.
     size = jnp.max(jnp.abs(here[:, :2])) + length
     bend = 10.0 * second / first * (jnp.max(jnp.abs(here[:, 4])) + 1.0 / length)
@@ -166,7 +166,7 @@ def over_allowed(errors: dict[str, Array], seam: Scalar) -> dict[str, Scalar]:
     there = errors["there"]
     kinds = {name: values for name, values in errors.items() if name != "there"}
     seen = jnp.all(jnp.isfinite(jnp.stack(list(kinds.values()))), axis=0) & (there > 0)
-    allowed = ON_SURFACE[np.dtype(there.dtype)]
+    allowed = ON_SURFACE.of(there)
     found = {name: jnp.max(jnp.where(seen, values, 0.0)) / allowed for name, values in kinds.items()}
     unseen = jnp.where(jnp.any(seen), 0.0, jnp.inf).astype(there.dtype)
     return found | {"seam": (seam / (10.0 * allowed)).astype(there.dtype), "unseen": unseen}

@@ -22,6 +22,7 @@ from ._given_points import (
     check_extent as check_extent,
     numbers as numbers,
     polygon_area as polygon_area,
+    polygon_length as polygon_length,
 )
 from ._network import NetworkFit as NetworkFit, PeriodicNetwork as PeriodicNetwork
 from ._neural_curvature import NeuralCurvature as NeuralCurvature

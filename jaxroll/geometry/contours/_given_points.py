@@ -49,6 +49,12 @@ def check_extent(name: str, points: np.ndarray) -> None:
         )
 
 
+def polygon_length(points: np.ndarray, *, closed: bool) -> float:
+    """Length [m] of the line through points; closed: with the way back to the first one."""
+    around = np.concatenate([points, points[:1]]) if closed else points
+    return float(np.linalg.norm(np.diff(around, axis=0), axis=1).sum())
+
+
 def polygon_area(points: np.ndarray) -> float:
     """Signed area of a polygon of at least three points; positive where it runs counter-clockwise.
 

@@ -20,12 +20,12 @@ from jaxtyping import Array, Float
 
 from ..._linalg import Vec2
 from ..._results import as_count, as_floats, check_flag, check_positive, concrete, shown
-from ..._types import Given
+from ..._types import ByPrecision, Given
 from ..._xla import at_once
 from ._arclength import arclength_at, in_cells, rising_sums
 from ._bspline import Basis, basis, interval_of, jet_of_pieces, jets, Pieces
 from ._free_numbers import point_waves, wavy_shift
-from ._given_points import check_extent, polygon_area
+from ._given_points import check_extent, polygon_area, polygon_length
 from ._table import AbstractTabulated, FEWEST_CELLS, Table, tabulated
 
 # Exponents b of the curvature in the successive parameters, whose rate is about kappa^b: arclength (b = 0)
@@ -41,7 +41,7 @@ _LARGEST = 1 << 24
 # How often the coefficients of a smoothing spline are refined, and how large the last step may be, relative
 # to them. Each step leaves the same share of the error: after the third one its fourth power, 5e-10 and 1e-3.
 _REFINED = 3
-_LAST_STEP = {np.dtype(np.float64): 1e-7, np.dtype(np.float32): 5e-3}
+_LAST_STEP = ByPrecision(1e-7, 5e-3)
 # Five-point Gauss-Legendre on [-1, 1].
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 
@@ -160,7 +160,7 @@ class Spline(AbstractTabulated):
         if self.smoothing is None:
             return super()._why_not_finite()
         was = f"but was {shown(self.smoothing)} m"
-        length = float(chords(jnp.asarray(self.points), self.loop)[-1])
+        length = polygon_length(np.asarray(self.points), closed=self.loop)
         if self.loop and float(self.smoothing) > 0.5 * length:
             return (
                 f"argument smoothing must be at most half the length of a closed contour, {length:.3g} m, "
@@ -272,7 +272,7 @@ def _smoothed(functions: Basis, values: Array, weight: Array, right: Array) -> A
 
     found, last = jax.lax.custom_linear_solve(applied, right, solved, symmetric=True, has_aux=True)
     # NaN refuses the table.
-    return jnp.where(last <= _LAST_STEP[np.dtype(found.dtype)], found, jnp.nan)
+    return jnp.where(last <= _LAST_STEP.of(found), found, jnp.nan)
 
 
 def spline_basis(u: Array, knots: int | None, degree: int, *, closed: bool) -> Basis:

@@ -238,7 +238,8 @@ class AbstractTabulated(AbstractContour):
         return self if self.table is not None else _prepared(self)
 
     def domain(self) -> tuple[Scalar, Scalar]:
-        table = self.read()
+        # Of a table that is checked: one that cannot be built has NaN for its length.
+        table = self.tabled().read()
         return table.start, table.start + table.length
 
     def table_error(self) -> TableError:

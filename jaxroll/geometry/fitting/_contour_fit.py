@@ -23,9 +23,9 @@ from ..._xla import quickly
 from .._tabled import tabled
 from ..contours import (
     AbstractTabulated,
-    chords,
     NeuralCurvature,
     NeuralSupport,
+    polygon_length,
     Spline,
     SupportFunction,
     Table,
@@ -36,7 +36,7 @@ from ._departures import departures, inflections, jumps
 from ._fit_report import doubts, Fit, FitReport, recommended
 from ._limited_fit import limited, NODES, SHARE, Wanted
 from ._ordering import place_text
-from ._smoothing import smoothing_for
+from ._smoothing import check_alone, smoothing_for
 
 _SAMPLES = 2048  # intervals between the places at which a contour is measured
 # Cells of a spline's table where the default, 1024, is too few; a contour that needs more is refused.
@@ -75,7 +75,7 @@ def _spline(points: np.ndarray, wish: _Wish) -> tuple[AbstractTabulated, float]:
         smoothing = float(smoothing_for(points, closed=wish.closed, noise=wish.noise, knots=knots))
     if wish.knots is None and smoothing:
         # More knots to a wavelength add nothing but rounding.
-        length = float(chords(jnp.asarray(points), wish.closed)[-1])
+        length = polygon_length(points, closed=wish.closed)
         enough = max(_FEWEST, math.ceil(_TO_A_WAVE * length / smoothing))
         knots = enough if enough < (knots or len(points)) else knots
     contour = Spline(points, closed=wish.closed, smoothing=smoothing, knots=knots)
@@ -195,8 +195,7 @@ def fit_contour(
             "arguments smoothing, smallest_radius, knots, closed=False are for splines, but field was "
             f"{shown(field)}"
         )
-    if noise is not None and smoothing is not None:
-        raise ValueError(f"argument noise must be None where smoothing is given, but was {shown(noise)}")
+    check_alone(noise, smoothing)
     if smallest_radius is not None:
         wanted = _wanted(closed, ordered, reverse, noise, smoothing, smallest_radius, knots)
         return _bent_at_most(given_points(points, unit), wanted)
@@ -205,8 +204,8 @@ def fit_contour(
     check_length("noise", noise, 0.1 * size)
     # A closed contour is itself a wave: longer wavelengths shrink it, round by round, from 0.8 of its length
     # on to a point.
-    length = float(chords(jnp.asarray(clean.points), closed)[-1])
-    check_length("smoothing", smoothing, 0.5 * length if closed else 100.0 * size)
+    longest = 0.5 * polygon_length(clean.points, closed=True) if closed else 100.0 * size
+    check_length("smoothing", smoothing, longest)
     contour, wavelength = FIELDS[field](clean.points, _Wish(closed, noise, smoothing, knots))
     known = None if noise is None else float(noise)
     contour = _resolved(contour)

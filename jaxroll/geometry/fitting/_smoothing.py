@@ -16,7 +16,7 @@ import jax
 import numpy as np
 from jaxtyping import Array
 
-from ..._results import as_floats, check_choice, check_flag, on_host
+from ..._results import as_floats, check_choice, check_flag, on_host, shown
 from ..._types import Given
 from ..contours import check_distinct, check_enough, check_extent, chords, knot_count, spline_basis
 
@@ -95,6 +95,12 @@ def smoothing_for(
     # The criterion of the docstring less a constant: -freedom is tr H - n. Both coordinates have noise, so
     # that the factor is 4, not 2.
     return float(waves[np.argmin(squares - 4.0 * level**2 * freedom)])
+
+
+def check_alone(noise: Given | None, smoothing: Given | None) -> None:
+    """Raise where a fit is given both: either of them says how much to smooth."""
+    if noise is not None and smoothing is not None:
+        raise ValueError(f"argument noise must be None where smoothing is given, but was {shown(noise)}")
 
 
 @functools.partial(jax.jit, static_argnums=(1, 2, 3))

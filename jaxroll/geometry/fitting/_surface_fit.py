@@ -26,6 +26,7 @@ from ..surfaces import SplineSurface, surface_values
 from ._field_fit import AXES, DataRows, Grid, grid_around, normal_band, offsets, roughness_band, rows
 from ._scan import normals_of_net, thinned_scan
 from ._scan_verdict import fit_scan
+from ._smoothing import check_alone
 from ._surface_measured import angles, evenly, measured
 from ._surface_normals import estimated, neighbourhoods, outward, volume_within
 from ._surface_report import SurfaceFit, SurfaceReport
@@ -133,18 +134,13 @@ def _lengths(
     cloud: np.ndarray, smoothing: Given | None, noise: Given | None
 ) -> tuple[float | None, float | None]:
     """The wavelength and the noise [m], of which one may be given, if they suit the extent of the points."""
+    check_alone(noise, smoothing)
     size = float(np.ptp(cloud, axis=0).max())
-    if noise is not None:
-        if smoothing is not None:
-            raise ValueError(f"argument noise must be None where smoothing is given, but was {shown(noise)}")
-        check_length("noise", noise, 0.1 * size)
-        return None, float(np.asarray(noise))
-    if smoothing is None:
-        return None, None
-    wavelength = float(as_length("smoothing", smoothing))
+    check_length("noise", noise, 0.1 * size)
+    wavelength = None if smoothing is None else float(as_length("smoothing", smoothing))
     # In the cells of a much longer one the surface is so small that its curvature is lost in rounding.
     check_length("smoothing", wavelength, 100.0 * size)
-    return wavelength, None
+    return wavelength, None if noise is None else float(np.asarray(noise))
 
 
 def _one_thread() -> threadpool_limits:

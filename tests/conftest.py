@@ -65,8 +65,9 @@ np.testing.assert_allclose = assert_allclose
 
 
 # Each program takes some of the maps of memory that Linux lets a process have, 65 530 unless it is told, and
-# about a megabyte of memory: what a process may gather of both before it forgets its programs.
-_MOST_MAPS, _MOST_BYTES = 30_000, 10**9
+# half a megabyte of memory: what a process may gather of both before it forgets its programs. Two processes
+# together keep to a third of the machine's memory; the default tests leave 4 GB in each.
+_MOST_MAPS, _MOST_SHARE = 50_000, 1 / 6
 _PROCESS = pathlib.Path("/proc/self")
 _bytes_before = 0
 
@@ -75,13 +76,13 @@ _bytes_before = 0
 def _forgotten():
     """Forget programs after a file that brings a process near its limits, or after every file elsewhere.
 
-    Files use many of the same programs: to keep them as long as that goes saves a sixteenth of the time.
+    Files use many of the same programs: to keep them as long as that goes saves a seventh of the time.
     """
     global _bytes_before
     yield
     _forget_what_was_compiled()
     full = not _PROCESS.exists() or _PROCESS.joinpath("maps").read_bytes().count(b"\n") > _MOST_MAPS
-    full = full or _bytes_in_memory() - _bytes_before > _MOST_BYTES
+    full = full or _bytes_in_memory() - _bytes_before > _MOST_SHARE * _bytes_of_machine()
     if full:
         jax.clear_caches()
         gc.unfreeze()
@@ -123,15 +124,21 @@ def _bytes_in_memory():
     return int(told.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") if told.exists() else 0
 
 
+def _bytes_of_machine():
+    """All memory of this machine, asked only where `_PROCESS` exists."""
+    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+
+
 # Compilation is most of the time that tests take. The default ones are compiled with fewer optimisations,
 # which took 1143 s of processor time instead of 2077 when it was introduced. With `--slow` everything is
 # compiled as for users. With `--slow --quickly` slow tests are compiled like the default ones, but for those
 # marked `optimised`, which are left out: what is shown to users, long runs, and of every kind of program a
 # run and a derivative.
-# Machine code in one piece for each program instead of 32 is a twentieth less to compile.
+# Machine code in one piece for each program instead of 32 is a twentieth less to compile, XLA's own choice of
+# passes for compiling fast another twenty-fifth.
 QUICKLY = (
     "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
-    " --xla_cpu_parallel_codegen_split_count=1"
+    " --xla_cpu_parallel_codegen_split_count=1 --xla_cpu_opt_preset=fast_compile"
 )
 
 

@@ -49,7 +49,11 @@ def test_the_same_comes_out(given):
     assert other["k"] == 3
 
 
-OPTIMISED = {"xla_backend_optimization_level": 3, "xla_cpu_use_fusion_emitters": True}
+OPTIMISED = {
+    "xla_backend_optimization_level": 3,
+    "xla_cpu_use_fusion_emitters": True,
+    "xla_cpu_opt_preset": "CPU_OPT_PRESET_DEFAULT",
+}
 
 
 @pytest.mark.parametrize("value", [0.0, -0.0, 1e-310, -jnp.inf, jnp.inf])

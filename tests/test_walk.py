@@ -1,4 +1,4 @@
-"""CONTRIBUTING says how many files a reader opens to follow an evaluation, a run, its gradient."""
+"""CONTRIBUTING and the benchmark page say how many files a reader opens to follow a call."""
 
 import pathlib
 import re
@@ -23,3 +23,6 @@ def test_as_many_files_are_entered_as_contributing_says():
     others = re.search(r"in `simulate` \((\d+)\) and in its gradient \((\d+)\)", text)
     assert said is not None and others is not None
     assert tuple(map(int, said.groups() + others.groups())) == (evaluation, MOST_LINES, run, gradient)
+    page = (ROOT / "benchmarks" / "README.md").read_text()
+    conclusion = printed[printed.index("**Conclusion.**") :]
+    assert conclusion.strip() in page, "the page's section is written by `python -m benchmarks.walk --write`"

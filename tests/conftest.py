@@ -66,9 +66,11 @@ np.testing.assert_allclose = assert_allclose
 
 # Each program takes some of the maps of memory that Linux lets a process have, 65 530 unless it is told, and
 # half a megabyte of memory: what a process may gather of both before it forgets its programs. Two processes
-# together keep to a third of the machine's memory; the default tests leave 4 GB in each.
-_MOST_MAPS, _MOST_SHARE = 50_000, 1 / 6
+# together keep to a third of the memory that there is; the default tests gather 4 GB in each.
+_MOST_MAPS, _MOST_BYTES, _MOST_SHARE = 50_000, 4 * 10**9, 1 / 6
 _PROCESS = pathlib.Path("/proc/self")
+# How much memory a container may have, which is less than its machine's: in Linux's second and first way.
+_CONTAINER = [f"/sys/fs/cgroup/{name}" for name in ("memory.max", "memory/memory.limit_in_bytes")]
 _bytes_before = 0
 
 
@@ -82,7 +84,7 @@ def _forgotten():
     yield
     _forget_what_was_compiled()
     full = not _PROCESS.exists() or _PROCESS.joinpath("maps").read_bytes().count(b"\n") > _MOST_MAPS
-    full = full or _bytes_in_memory() - _bytes_before > _MOST_SHARE * _bytes_of_machine()
+    full = full or _bytes_in_memory() - _bytes_before > _most_bytes()
     if full:
         jax.clear_caches()
         gc.unfreeze()
@@ -124,9 +126,14 @@ def _bytes_in_memory():
     return int(told.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") if told.exists() else 0
 
 
-def _bytes_of_machine():
-    """All memory of this machine, asked only where `_PROCESS` exists."""
-    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+@functools.cache
+def _most_bytes():
+    """Memory that a process may gather, where Linux tells how much there is."""
+    there_is = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    for path in map(pathlib.Path, _CONTAINER):
+        told = path.read_text().strip() if path.exists() else ""
+        there_is = min(there_is, int(told)) if told.isdigit() else there_is
+    return min(_MOST_BYTES, _MOST_SHARE * there_is)
 
 
 # Compilation is most of the time that tests take. The default ones are compiled with fewer optimisations,

@@ -16,6 +16,7 @@ from jaxroll.geometry.contours import (
     _table as tables,
 )
 from jaxroll.geometry.contours._given_points import numbers, polygon_area
+from tests.helpers import in_single
 
 TURN = 2.0 * np.pi
 
@@ -557,6 +558,74 @@ def test_a_table_of_frames_has_its_length_where_its_speed_is_one():
         table = made(*arc(8, lean))
         assert float(tables._unevenness(table.coefficients, table.span)) == pytest.approx(worst, rel=0.02)
         np.testing.assert_allclose([table.length, table.span], [length, np.pi], equal_nan=True)
+
+
+def test_quartics_are_those_whose_bends_they_are_given():
+    """Of x^4, whose bend the quadratic beyond the ends goes on with, and round a circle to its eighth order."""
+    x = jnp.arange(7.0)
+    rows = arclength.quartics(x**4, 4.0 * x**3, 12.0 * x**2, closed=False)
+    between = jnp.array([0.25, 0.5, 1.0])
+    found = rows @ between[None, :] ** jnp.arange(6.0)[:, None]
+    np.testing.assert_allclose(found, (x[:-1, None] + between[None, :]) ** 4, rtol=0, atol=1e-11)
+    step = TURN / 64.0
+    angle = step * jnp.arange(65.0)
+    around = jnp.cos(angle), -step * jnp.sin(angle), -(step**2) * jnp.cos(angle)
+    quintics, rows = arclength.hermite(*around), arclength.quartics(*around, closed=True)
+    halves = 0.5 ** jnp.arange(6.0)
+    np.testing.assert_allclose(rows @ halves, quintics @ halves, rtol=0, atol=2e-3 * step**5)
+
+
+def test_a_table_in_single_precision_has_its_length_where_its_cells_meet():
+    frames = lambda *parts: tables.from_frames(*parts, closed=False)  # noqa: E731
+    made = lambda count, lean: in_single(frames, *arc(count, lean))  # noqa: E731
+    assert tables._BY_BENDS.single == 64
+    assert np.any(made(63, 0.0).coefficients[:, [5, 11]]), "quintics"
+    table = made(64, 0.0)
+    assert table.coefficients.dtype == np.float32 and not np.any(table.coefficients[:, [5, 11]])
+    ends = np.stack([table.coefficients[:, :6].sum(1), table.coefficients[:, 6:].sum(1)], axis=-1)
+    np.testing.assert_allclose(ends, arc(64, 0.0)[0][1:], rtol=0, atol=1e-6)
+    # Tangents that lean lead each cell past the beginning of the next.
+    for lean, length in ((0.9e-3, np.pi), (1.1e-3, np.nan)):
+        table = made(64, lean)
+        np.testing.assert_allclose([table.length, table.span], [length, np.pi], rtol=1e-6, equal_nan=True)
+
+
+def circle_of_field(kind, radius):
+    """A circle as each of the fields that make their table in a way of their own, off the origin."""
+    turn = np.linspace(0.0, TURN, 65)[:-1]
+    around = jnp.stack([jnp.cos(turn), jnp.sin(turn)], axis=-1)
+    centre = jnp.array([0.02, -0.01])
+    if kind == "spline":
+        return jxr.Spline(centre[None] + radius * around)
+    if kind == "curve":
+        curve = lambda radius, u: centre + radius * jnp.stack([jnp.cos(u), jnp.sin(u)])  # noqa: E731
+        return jxr.Parametric(jax.tree_util.Partial(curve, radius), (0.0, TURN), closed=True)
+    network = jxr.geometry.PeriodicNetwork(key=jax.random.key(0), amplitude=0.0)
+    return jxr.NeuralCurvature(network, TURN * radius, centre=centre)
+
+
+# A spline passes through points that are rounded themselves.
+@pytest.mark.parametrize(
+    ("kind", "close", "slopes_close"),
+    [("spline", 5e-4, 4e-2), ("curve", 5e-6, 1e-3), ("network", 5e-6, 1e-3)],
+)
+def test_curvatures_of_tables_in_single_precision_and_their_derivatives(kind, close, slopes_close):
+    """1 / r and -1 / r^2; of quintics both drown in the rounding of points, over the square of a step."""
+    places, radius = np.array([0.003, 0.01317, 0.0272, 0.0611]), 0.02
+
+    def curvatures(radius):
+        contour = circle_of_field(kind, radius)
+        return jnp.stack([contour.curvature(s) for s in jnp.asarray(places, radius.dtype)])
+
+    def found(radius):
+        forwards = jax.jit(lambda r: jax.jvp(curvatures, (r,), (jnp.ones_like(r),)))
+        return *forwards(radius), jax.jit(jax.jacrev(curvatures))(radius)
+
+    values, along, back = in_single(found, np.array(radius))
+    assert values.dtype == np.float32
+    np.testing.assert_allclose(values, 1.0 / radius, rtol=close)
+    for slopes in (along, back):
+        np.testing.assert_allclose(slopes, -1.0 / radius**2, rtol=slopes_close)
 
 
 def test_tables_that_do_not_resolve_their_contour_are_read_by_their_span():

@@ -180,6 +180,26 @@ def hermite(value: Array, first: Array, second: Array) -> Array:
     return jnp.stack([p0, v0, 0.5 * a0, c3, c4, c5], axis=-1)
 
 
+def quartics(value: Array, first: Array, second: Array, *, closed: bool) -> Array:
+    r"""`hermite` from what a cell begins with, and bends alone: quartics, whose sixth coefficient is zero.
+
+    With bends $a_0, a_1$ at a cell's ends and $a_{-1}, a_2$ beside it, the bend is
+    $a_0 + (a_1 - a_0) x + 6 e\,(x - x^2)$, where $e = -(a_{-1} - a_0 - a_1 + a_2) / 24$ is what the slope
+    rises by beyond $(a_0 + a_1) / 2$. Nothing is a small difference of large numbers, as rises of values and
+    slopes are; the slope at the end is met to 11/720 of the fourth difference of bends.
+    """
+    if closed:
+        beside = [second[-2], second[1]]
+    else:  # quadratically beyond the ends
+        beside = [3.0 * (z - y) + x for z, y, x in (second[:3], second[-1:-4:-1])]
+    bends = jnp.concatenate([beside[0][None], second, beside[1][None]])
+    a0, a1 = second[:-1], second[1:]
+    e = (a0 + a1 - bends[:-3] - bends[3:]) / 24.0
+    return jnp.stack(
+        [value[:-1], first[:-1], 0.5 * a0, (a1 - a0) / 6.0 + e, -0.5 * e, jnp.zeros_like(e)], axis=-1
+    )
+
+
 def _interpolate(table: ArclengthTable, s: Scalar) -> Scalar:
     """The table's u at any arclength s [m], with u(s + length) = u(s) + period."""
     cells = table.coefficients.shape[0]

@@ -1,8 +1,9 @@
 r"""Any contour as a table over arclength, which the equations of motion read whatever made it.
 
 A `Table` holds one quintic polynomial in $s$ per cell and coordinate, through exact points with exact first
-and second derivatives $c' = b$, $c'' = \kappa n$ at uniform arclengths. Looking a frame up costs the same for
-a spline as for a network. Fields (`_spline`, `_support`, `_parametric`, `_neural_*`) subclass
+and second derivatives $c' = b$, $c'' = \kappa n$ at uniform arclengths; in single precision, whose points are
+too coarse for that, through bends (`_BY_BENDS`). Looking a frame up costs the same for a spline
+as for a network. Fields (`_spline`, `_support`, `_parametric`, `_neural_*`) subclass
 `AbstractTabulated` and give `tabulate`, by `tabulated` (from a curve of any parameter) or `from_frames` (from
 frames by arclength).
 
@@ -14,6 +15,7 @@ went too far gets finite numbers, with which it can turn back.
 
 import abc
 import functools
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -25,9 +27,9 @@ from jaxtyping import Array, Float
 
 from ..._linalg import Vec2
 from ..._results import concrete
-from ..._types import Points, Scalar
+from ..._types import ByPrecision, Points, Scalar
 from ..._xla import quickly, remembered
-from ._arclength import hermite, spaced
+from ._arclength import hermite, quartics, spaced
 from ._contour import AbstractContour
 from ._frenet import Frenet2
 
@@ -35,6 +37,11 @@ JetFunction = Callable[[Any, Array, Array], tuple[Vec2, Vec2, Vec2]]
 # By how much the speed of a table may differ from one; a run that reads it errs by about that much.
 _UNEVEN = 1e-3
 FEWEST_CELLS = 8
+# From how many cells on their polynomials are quartics made of bends (`quartics`). A quintic's bend has the
+# rounding of a point over the square of a step: in single precision, with 1024 cells, a hundredth of the
+# curvature, and all of its derivatives in the shape. What a quartic misses of a cell's rise is
+# (step / R)^4 / 720 of it, which single precision does not resolve.
+_BY_BENDS = ByPrecision(math.inf, 64)
 # At its ends a cell has the exact speed; the quarters are where it is compared with one.
 _BETWEEN = np.array([0.25, 0.5, 0.75])
 
@@ -117,15 +124,33 @@ def from_frames(
     A contour that the cells do not resolve, or whose frames contradict each other, gets a length of NaN: then
     no run that reads the table succeeds. `tabled` says so in words.
     """
-    step = length / (points.shape[0] - 1)
+    cells = points.shape[0] - 1
+    step = length / cells
     # Derivatives in a cell's own coordinate: step b and step^2 kappa n, with n the tangent turned left.
     inward = jnp.stack([-tangents[:, 1], tangents[:, 0]], axis=-1)
-    rows = hermite(points, tangents * step, inward * (curvatures * step**2)[:, None])
+    jets = points, tangents * step, inward * (curvatures * step**2)[:, None]
+    by_bends = cells >= _BY_BENDS.of(points)
+    rows = quartics(*jets, closed=closed) if by_bends else hermite(*jets)
     coefficients = jnp.concatenate([rows[:, 0], rows[:, 1]], axis=-1)
     # The check is a mask and not a branch, since `from_frames` is traced; it must not enter derivatives.
     seen, size = jax.lax.stop_gradient((coefficients, length))
-    told = jnp.where(_unevenness(seen, size) <= _UNEVEN, length, jnp.nan)
+    even = _unevenness(seen, size) <= _UNEVEN
+    if by_bends:
+        even &= _meet(*jax.lax.stop_gradient((rows, points, jets[1], step)))
+    told = jnp.where(even, length, jnp.nan)
     return Table(coefficients, told, length, jnp.zeros_like(length), closed)
+
+
+def _meet(rows: Array, points: Array, slopes: Array, step: Array) -> Array:
+    """Whether each cell ends as the next begins, to the share of a step by which speeds may be uneven.
+
+    Quintics do so whatever the frames are, and are uneven instead where these contradict each other. Rounding
+    of points and of their sums over the contour leaves some ten units of the last digit.
+    """
+    rounding = 16.0 * jnp.finfo(points.dtype).eps * jnp.abs(points).max()
+    apart = jnp.abs(rows.sum(axis=-1) - points[1:]).max()
+    turned = jnp.abs(rows @ np.arange(6, dtype=rows.dtype) - slopes[1:]).max()
+    return (apart <= _UNEVEN * step + rounding) & (turned <= _UNEVEN * step)
 
 
 def as_it_is_resolved(tree: Any) -> tuple[Any, Array | None]:

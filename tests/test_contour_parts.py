@@ -561,7 +561,7 @@ def test_a_table_of_frames_has_its_length_where_its_speed_is_one():
 
 
 def test_quartics_are_those_whose_bends_they_are_given():
-    """Of x^4, whose bend the quadratic beyond the ends goes on with, and round a circle to its eighth order."""
+    """Of x^4, whose bend goes on beyond the ends; of a circle up to fourth differences of bends."""
     x = jnp.arange(7.0)
     rows = arclength.quartics(x**4, 4.0 * x**3, 12.0 * x**2, closed=False)
     between = jnp.array([0.25, 0.5, 1.0])

@@ -2,8 +2,8 @@ r"""Any contour as a table over arclength, which the equations of motion read wh
 
 A `Table` holds one quintic polynomial in $s$ per cell and coordinate, through exact points with exact first
 and second derivatives $c' = b$, $c'' = \kappa n$ at uniform arclengths; in single precision, whose points are
-too coarse for that, through bends (`_BY_BENDS`). Looking a frame up costs the same for a spline
-as for a network. Fields (`_spline`, `_support`, `_parametric`, `_neural_*`) subclass
+too coarse for that, through bends where these suffice (`_by_bends`). Looking a frame up costs the same for a
+spline as for a network. Fields (`_spline`, `_support`, `_parametric`, `_neural_*`) subclass
 `AbstractTabulated` and give `tabulate`, by `tabulated` (from a curve of any parameter) or `from_frames` (from
 frames by arclength).
 
@@ -15,7 +15,6 @@ went too far gets finite numbers, with which it can turn back.
 
 import abc
 import functools
-import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -37,11 +36,10 @@ JetFunction = Callable[[Any, Array, Array], tuple[Vec2, Vec2, Vec2]]
 # By how much the speed of a table may differ from one; a run that reads it errs by about that much.
 _UNEVEN = 1e-3
 FEWEST_CELLS = 8
-# From how many cells on their polynomials are quartics made of bends (`quartics`). A quintic's bend has the
+# Whether polynomials are quartics made of bends where that is as good (`quartics`). A quintic's bend has the
 # rounding of a point over the square of a step: in single precision, with 1024 cells, a hundredth of the
-# curvature, and all of its derivatives in the shape. What a quartic misses of a cell's rise is
-# (step / R)^4 / 720 of it, which single precision does not resolve.
-_BY_BENDS = ByPrecision(math.inf, 64)
+# curvature, and all of its derivatives in the shape.
+_BY_BENDS = ByPrecision(0, 1)
 # At its ends a cell has the exact speed; the quarters are where it is compared with one.
 _BETWEEN = np.array([0.25, 0.5, 0.75])
 
@@ -124,33 +122,32 @@ def from_frames(
     A contour that the cells do not resolve, or whose frames contradict each other, gets a length of NaN: then
     no run that reads the table succeeds. `tabled` says so in words.
     """
-    cells = points.shape[0] - 1
-    step = length / cells
+    step = length / (points.shape[0] - 1)
     # Derivatives in a cell's own coordinate: step b and step^2 kappa n, with n the tangent turned left.
     inward = jnp.stack([-tangents[:, 1], tangents[:, 0]], axis=-1)
     jets = points, tangents * step, inward * (curvatures * step**2)[:, None]
-    by_bends = cells >= _BY_BENDS.of(points)
-    rows = quartics(*jets, closed=closed) if by_bends else hermite(*jets)
+    rows = hermite(*jets)
+    if _BY_BENDS.of(points):
+        rows = _by_bends(rows, jets, closed=closed)
     coefficients = jnp.concatenate([rows[:, 0], rows[:, 1]], axis=-1)
     # The check is a mask and not a branch, since `from_frames` is traced; it must not enter derivatives.
     seen, size = jax.lax.stop_gradient((coefficients, length))
-    even = _unevenness(seen, size) <= _UNEVEN
-    if by_bends:
-        even &= _meet(*jax.lax.stop_gradient((rows, points, jets[1], step)))
-    told = jnp.where(even, length, jnp.nan)
+    told = jnp.where(_unevenness(seen, size) <= _UNEVEN, length, jnp.nan)
     return Table(coefficients, told, length, jnp.zeros_like(length), closed)
 
 
-def _meet(rows: Array, points: Array, slopes: Array, step: Array) -> Array:
-    """Whether each cell ends as the next begins, to the share of a step by which speeds may be uneven.
+def _by_bends(quintics: Array, jets: tuple[Array, Array, Array], *, closed: bool) -> Array:
+    """Quartics for those cells in which they end as the next begins, to rounding; the quintics for others.
 
-    Quintics do so whatever the frames are, and are uneven instead where these contradict each other. Rounding
-    of points and of their sums over the contour leaves some ten units of the last digit.
+    Others are cells in which the curvature jumps, or changes too much for a quartic. Rounding of points, of
+    their sums over the contour and of tangents leaves some ten units of the last digit.
     """
-    rounding = 16.0 * jnp.finfo(points.dtype).eps * jnp.abs(points).max()
-    apart = jnp.abs(rows.sum(axis=-1) - points[1:]).max()
-    turned = jnp.abs(rows @ np.arange(6, dtype=rows.dtype) - slopes[1:]).max()
-    return (apart <= _UNEVEN * step + rounding) & (turned <= _UNEVEN * step)
+    rows, (points, slopes, _) = quartics(*jets, closed=closed), jets
+    eps = jnp.finfo(points.dtype).eps
+    apart = jnp.abs(rows.sum(axis=-1) - points[1:]).max(axis=-1)
+    turned = jnp.abs(rows @ np.arange(6, dtype=rows.dtype) - slopes[1:]).max(axis=-1)
+    meet = (apart <= 16.0 * eps * jnp.abs(points).max()) & (turned <= 32.0 * eps * jnp.abs(slopes).max())
+    return jnp.where(meet[:, None, None], rows, quintics)
 
 
 def as_it_is_resolved(tree: Any) -> tuple[Any, Array | None]:

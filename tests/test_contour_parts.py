@@ -575,12 +575,17 @@ def test_quartics_are_those_whose_bends_they_are_given():
     np.testing.assert_allclose(rows @ halves, quintics @ halves, rtol=0, atol=2e-3 * step**5)
 
 
+def quintic_cells(table):
+    """Which cells of a table have terms of the fifth power, those that are no quartics."""
+    return np.any(table.coefficients[:, [5, 11]], axis=1)
+
+
 def test_a_table_in_single_precision_has_quartics_where_these_meet():
     """All over an arc; not where a straight line begins, nor for tangents that lean, of which all is told."""
     frames = lambda *parts: tables.from_frames(*parts, closed=False)  # noqa: E731
     table = in_single(frames, *arc(64, 0.0))
-    assert table.coefficients.dtype == np.float32 and not np.any(table.coefficients[:, [5, 11]])
-    assert np.all(np.any(frames(*arc(64, 0.0)).coefficients[:, [5, 11]], axis=1)), "quintics"
+    assert table.coefficients.dtype == np.float32 and not quintic_cells(table).any()
+    assert quintic_cells(frames(*arc(64, 0.0))).all()
     points, tangents, bends, length = (np.asarray(part) for part in arc(64, 0.0))
     ahead = np.pi / 64.0 * np.arange(1, 65)[:, None] * tangents[-1:]
     joined = (
@@ -588,13 +593,13 @@ def test_a_table_in_single_precision_has_quartics_where_these_meet():
         np.append(tangents, np.tile(tangents[-1:], (64, 1)), 0),
     )
     table = in_single(frames, *joined, np.append(bends, np.zeros(64)), 2.0 * length)
-    found = np.any(table.coefficients[:, [5, 11]], axis=1)
+    found = quintic_cells(table)
     assert found[64] and not found[:62].any() and not found[67:].any()
     ends = np.stack([table.coefficients[:, :6].sum(1), table.coefficients[:, 6:].sum(1)], axis=-1)
     np.testing.assert_allclose(ends, joined[0][1:], rtol=0, atol=4e-6)
     # Bends that turn the tangent a little too far, though each point is met to rounding.
     table = in_single(frames, points, tangents, 1.001 * bends, length)
-    assert np.all(np.any(table.coefficients[:, [5, 11]], axis=1))
+    assert quintic_cells(table).all()
     for lean, length in ((0.033, np.pi), (0.037, np.nan)):
         table = in_single(frames, *arc(64, lean))
         np.testing.assert_allclose([table.length, table.span], [length, np.pi], rtol=1e-6, equal_nan=True)

@@ -30,13 +30,13 @@ from ..._results import (
     told_apart,
     traceable,
 )
-from ..._types import Given
+from ..._types import ByPrecision, Given
 from ._arclength import arclength_at, in_cells
 from ._given_points import polygon_area
 from ._table import AbstractTabulated, FEWEST_CELLS, Table, tabulated
 
 # How far apart the ends of a closed curve may be, relative to its size, in double and in single precision.
-_CLOSED = {np.dtype(np.float64): 1e-9, np.dtype(np.float32): 1e-5}
+_CLOSED = ByPrecision(1e-9, 1e-5)
 # Places at which a curve is looked at when it is made.
 _LOOKED_AT = 257
 
@@ -197,7 +197,7 @@ def _check(contour: Parametric) -> None:
     if not contour.loop:
         return
     apart, size = np.linalg.norm(points[-1] - points[0]), np.ptp(points, axis=0).max()
-    if apart > _CLOSED.get(points.dtype, _CLOSED[np.dtype(np.float32)]) * size:
+    if apart > _CLOSED.of(points) * size:
         raise ValueError(f"argument function must end where it began if closed, but ends {apart:.3g} m away")
     if not size > 0 or polygon_area(points[:-1]) <= 0:
         raise ValueError("argument function must run counter-clockwise round its body, but runs clockwise")

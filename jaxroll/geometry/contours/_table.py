@@ -112,6 +112,8 @@ def from_frames(
 ) -> Table:
     r"""Quintic Hermite table through exact frames at uniform arclengths, $c'' = \kappa\,n$.
 
+    In single precision cells are quartics where these are as good (`_by_bends`).
+
     Args:
         points: Shape (cells + 1, 2) [m], both ends included.
         tangents: Shape (cells + 1, 2), unit.
@@ -125,10 +127,10 @@ def from_frames(
     step = length / (points.shape[0] - 1)
     # Derivatives in a cell's own coordinate: step b and step^2 kappa n, with n the tangent turned left.
     inward = jnp.stack([-tangents[:, 1], tangents[:, 0]], axis=-1)
-    jets = points, tangents * step, inward * (curvatures * step**2)[:, None]
-    rows = hermite(*jets)
+    slopes, bends = tangents * step, inward * (curvatures * step**2)[:, None]
+    rows = hermite(points, slopes, bends)
     if _BY_BENDS.of(points):
-        rows = _by_bends(rows, jets, closed=closed)
+        rows = _by_bends(rows, points, slopes, bends, closed=closed)
     coefficients = jnp.concatenate([rows[:, 0], rows[:, 1]], axis=-1)
     # The check is a mask and not a branch, since `from_frames` is traced; it must not enter derivatives.
     seen, size = jax.lax.stop_gradient((coefficients, length))
@@ -136,13 +138,13 @@ def from_frames(
     return Table(coefficients, told, length, jnp.zeros_like(length), closed)
 
 
-def _by_bends(quintics: Array, jets: tuple[Array, Array, Array], *, closed: bool) -> Array:
+def _by_bends(quintics: Array, points: Array, slopes: Array, bends: Array, *, closed: bool) -> Array:
     """Quartics for those cells in which they end as the next begins, to rounding; the quintics for others.
 
     Others are cells in which the curvature jumps, or changes too much for a quartic. Rounding of points, of
     their sums over the contour and of tangents leaves some ten units of the last digit.
     """
-    rows, (points, slopes, _) = quartics(*jets, closed=closed), jets
+    rows = quartics(points, slopes, bends, closed=closed)
     eps = jnp.finfo(points.dtype).eps
     apart = jnp.abs(rows.sum(axis=-1) - points[1:]).max(axis=-1)
     turned = jnp.abs(rows @ np.arange(6, dtype=rows.dtype) - slopes[1:]).max(axis=-1)

@@ -66,10 +66,14 @@ REFUSED = {
         lambda: jxr.Spline(ROUND[:9], closed=False, origin=2).symmetrised(),
         "symmetric must be False unless an open spline's origin is its middle point, but that is 2 of 9",
     ),
-    "negative noise": (lambda: geometry.smoothing_for(ROUND, noise=-1.0), "noise must not be negative"),
-    "noise of ten light seconds": (
-        lambda: geometry.smoothing_for(ROUND, noise=3e9),
-        "noise must be a length in metres, but was 3e\\+09",
+    "negative noise": (lambda: geometry.smoothing_for(ROUND, noise=-1.0), "noise must lie between 0 and"),
+    "more noise than shape": (
+        lambda: geometry.smoothing_for(ROUND, noise=0.11 * np.ptp(ROUND, axis=0).max()),
+        "noise must lie between 0 and",
+    ),
+    "two measures of one name": (
+        lambda: jxr.measures("result", "steps", result=lambda run: run.ts),
+        "result must have another name, but a measure 'result' was asked for too",
     ),
     "noise of a surface": (
         lambda: _lengths(np.eye(3), None, -1e-6),

@@ -72,17 +72,16 @@ def measures(*names: str, **own: Callable[[Trajectory], Any]) -> "Measures":
         A function from a trajectory to a dict, in the order given.
 
     Raises:
-        ValueError: If a name is not in the table, or a run has not recorded what a measure needs.
+        ValueError: If a name is not in the table, a function has the name of a measure that is asked for too,
+            or a run has not recorded what a measure needs.
 
     Example:
-        >>> import jax.numpy as jnp
         >>> import jaxroll as jxr
         >>> grasp, state = jxr.scenes.pivoted()
         >>> keep = jxr.measures("result", "final_pose", turned=lambda run: run.last.q[0])
-        >>> make = lambda c: (grasp.with_(damping=c), state)
-        >>> table = jxr.sweep(make, jnp.array([0.004, 0.006]), t1=0.1, keep=keep, record=keep.record)
+        >>> table = keep(jxr.simulate(grasp, state, t1=0.1, record=keep.record))  # as `sweep` does
         >>> table["result"], table["final_pose"].shape, table["turned"].shape
-        ([successful, successful], (2, 3), (2,))
+        (successful, (3,), ())
     """
     known = ", ".join(MEASURES_KEPT)
     for name in names:
@@ -92,6 +91,10 @@ def measures(*names: str, **own: Callable[[Trajectory], Any]) -> "Measures":
             raise ValueError(f"argument names must be among {known}, but one was {shown(name)[:40]}")
     for name, function in own.items():
         check_callable(name, function, "a function of a trajectory", takes=1)
+        if name in names:
+            raise ValueError(
+                f"argument {name} must have another name, but a measure {name!r} was asked for too"
+            )
     if not names and not own:
         raise ValueError(f"argument names must be one or more of {known}, but there was none")
     return Measures(tuple(dict.fromkeys(names)), own)

@@ -16,7 +16,7 @@ import jax
 import numpy as np
 from jaxtyping import Array
 
-from ..._results import as_floats, check_choice, check_flag, on_host, shown
+from ..._results import as_floats, check_choice, check_flag, check_length, on_host, shown
 from ..._types import Given
 from ..contours import check_distinct, check_enough, check_extent, chords, knot_count, spline_basis
 
@@ -46,13 +46,14 @@ def smoothing_for(
     Args:
         points: Shape (n, 2) [m], in order. Not differentiable: this is set-up.
         closed: Whether the last point is followed by the first.
-        noise: Standard deviation of each coordinate [m]; 0 gives 0, an interpolating spline.
+        noise: Standard deviation of each coordinate [m], at most a tenth of the largest extent; 0 gives 0,
+            an interpolating spline.
         knots: As for the spline.
         degree: As for the spline.
 
     Raises:
-        ValueError: If `noise` is negative, the points are fewer than the spline needs, repeat one or are
-            being traced.
+        ValueError: If `noise` is not such a length, the points are fewer than the spline needs, repeat one or
+            are being traced.
 
     Example:
         >>> import jaxroll as jxr, numpy as np
@@ -63,17 +64,15 @@ def smoothing_for(
         >>> bool(abs(disc.curvature(0.0) / 100 - 1) < 0.01)
         True
     """
-    level = None if noise is None else float(as_floats("noise", noise, ()))
-    if level is not None and not level >= 0.0:
-        raise ValueError(f"argument noise must not be negative, but was {level:g}")
-    if level is not None and level > 1e9:
-        raise ValueError(f"argument noise must be a length in metres, but was {level:g}")
     given = as_floats("points", points, (None, 2))
     data = np.asarray(given)
     closed, degree = check_flag("closed", closed), check_choice("degree", degree, (3, 5, 7, 9))
     check_enough(len(data), degree)
     check_distinct(data, closed)
     check_extent("points", data)
+    # More noise than a tenth of the extent leaves nothing of a shape to fit.
+    check_length("noise", noise, 0.1 * float(np.ptp(data, axis=0).max()))
+    level = None if noise is None else float(noise)
     knots = knot_count(knots, len(data), degree)
     if level == 0.0:
         return 0.0

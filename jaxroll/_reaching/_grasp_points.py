@@ -226,22 +226,27 @@ def _thinned(
 
     How far a pair must be from those before it, `apart`, is one number or that of each pair.
     """
-    left = np.ones(len(pairs.points), bool)
-    for points in () if known is None else known:
-        left &= _apart(pairs.points, points) > apart
+    far, rows = np.broadcast_to(apart, len(pairs.points)), np.arange(len(pairs.points))
+    for one in () if known is None else known:
+        rows = rows[_apart(pairs.points[rows], one) > far[rows]]
     kept: list[int] = []
-    while left.any() and len(kept) < count:
-        i = int(np.argmax(left))
-        kept.append(i)
-        left &= _apart(pairs.points, pairs.points[i]) > apart
-        left[i] = False
+    while len(rows) and len(kept) < count:
+        kept.append(int(rows[0]))
+        rows = rows[1:]
+        rows = rows[_apart(pairs.points[rows], pairs.points[kept[-1]]) > far[rows]]
     return np.array(kept, int)
 
 
 def _apart(points: np.ndarray, one: np.ndarray) -> np.ndarray:
     """How far pairs differ from one pair: the larger distance of their ends, in either order."""
-    ways = [np.linalg.norm(points - pair[None], axis=-1).max(axis=1) for pair in (one, one[::-1])]
-    return np.minimum(*ways)
+    # Coordinate by coordinate: NumPy is slow at sums over an axis of two or three numbers.
+    ways = []
+    for pair in (one, one[::-1]):
+        squares = np.zeros(points.shape[:2])
+        for k in range(points.shape[2]):
+            squares += (points[..., k] - pair[:, k]) ** 2
+        ways.append(np.maximum(squares[:, 0], squares[:, 1]))
+    return np.sqrt(np.minimum(*ways))
 
 
 def _refined(sheets: Sequence[Sheet], starts: _Pairs, size: float) -> _Pairs:

@@ -64,7 +64,9 @@ def branch_free_inverse_sinh(x: Scalar) -> Scalar:
     """Inverse hyperbolic sine in double precision: log(1 + t) with t = |x| + x^2/(1 + sqrt(1 + x^2))."""
     size, square = jnp.abs(x), x * x
     t = size + square / (1.0 + jnp.sqrt(1.0 + square))
-    u = 1.0 + t
+    # Of a plain sum XLA would take u - 1 for t, and with it the digits that t has below those of u. It does
+    # not see that t is never negative. (A kernel of a GPU may have no `barrier`.)
+    u = jnp.where(t >= 0.0, 1.0 + t, t)
     lost = jnp.where(t < 1.0, t - (u - 1.0), 1.0 - (u - t))
     bits = jax.lax.bitcast_convert_type(u, jnp.int64)
     exponent = jnp.right_shift(bits, 52) - 1023

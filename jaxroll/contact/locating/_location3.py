@@ -204,9 +204,12 @@ def _refine(pair: Pair3, at: Places, reach: Scalar) -> Places:
 
     def height(at: Places) -> tuple[Places, Scalar]:
         """The pair with its point on `b` brought to the foot, and its signed distance."""
-        point = pair.pose.place(pair.a.frame(at[0]).point)
+        # A long step leaves a point of an implicit surface off it, by little. Inside of the surface it would
+        # be lower than all points of the surface, and no step from there would count as better.
+        on_a = pair.a.settled(at[0])
+        point = pair.pose.place(pair.a.frame(on_a).point)
         foot = footed(pair.b, pair.b.within(at[1]), point, _FOLLOW)
-        return (at[0], foot), distance(pair, point, pair.b.frame(foot), foot)
+        return (on_a, foot), distance(pair, point, pair.b.frame(foot), foot)
 
     def improve(carry: tuple[Places, Scalar, Scalar], _: None) -> tuple[tuple[Places, Scalar, Scalar], None]:
         at, value, trust = carry

@@ -8,6 +8,7 @@ damping and loads the path would be a level line.
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -17,6 +18,7 @@ from .._fields import changes_in_time
 from .._integration import Trajectory, vector_field
 from .._mechanics import Grasp, State
 from .._motion import energies
+from .._xla import quickly
 from ..control import law_of, Press
 from ._phase_parts import draw_path, energy_bar, energy_levels, least_of, on_contour
 from ._style import MM, Picture, tidy
@@ -50,8 +52,12 @@ def phase_of_one(grasp: Grasp, trajectory: Trajectory, rest: State | None) -> Fi
     held = grasp.with_(controller=law_of(grasp.controller), load=None)
     ts, reached = single(trajectory)
     states = jax.tree.map(lambda a: np.asarray(a)[reached], _bare(trajectory.states))
-    path = np.stack([_chapter_s(held, states), _rates(held, states)], axis=-1)
-    goal = np.zeros((0, 2)) if rest is None else np.array([[_chapter_s(held, _bare(rest)), 0.0]])
+    # The state of rest, if there is one, follows those of the path, where it is part of the same program.
+    told = [states] if rest is None else [states, jax.tree.map(lambda a: np.asarray(a)[None], _bare(rest))]
+    places = _chapter_s(held, jax.tree.map(lambda *each: np.concatenate(each), *told))
+    count = len(states.q)
+    path = np.stack([places[:count], _rates(held, states)], axis=-1)
+    goal = np.stack([places[count:], np.zeros(len(places) - count)], axis=-1)
     every = np.concatenate([path, goal])
     middle = 0.5 * (every.min(axis=0) + every.max(axis=0))
     least = [least_of(grasp, each) for each in _LEAST]
@@ -77,16 +83,31 @@ def _bare(states: State) -> State:
 
 
 def _chapter_s(grasp: Grasp, states: State) -> np.ndarray:
-    """The chapter's s [m] of states along a leading axis, or of one."""
+    """The chapter's s [m] of states along a leading axis."""
     return np.asarray(press_balance(grasp, jnp.zeros(states.q.shape[:-1]), states).s)[..., 0]
 
 
 def _rates(grasp: Grasp, states: State) -> np.ndarray:
     """The rate of the chapter's s [m/s]."""
-    field = vector_field(grasp.with_(controller=None, load=None), events=())
-    ys = jnp.concatenate([states.q, states.v, states.s], axis=-1)
-    rolled = field.states(jax.jit(jax.vmap(lambda y: field(0.0, y)))(ys)).s[:, 0]
-    return -grasp.contacts[0].sense * np.asarray(rolled)
+    ys, count = np.concatenate([states.q, states.v, states.s], axis=-1), len(states.q)
+    # As many at a time as the level lines have places: one program serves both, and paths of any length.
+    blocks = [ys[np.minimum(i + np.arange(_PLACES), count - 1)] for i in range(0, count, _PLACES)]
+    free = grasp.with_(controller=None, load=None)
+    rolled = np.concatenate([_rolling_rates(free, jnp.asarray(block)) for block in blocks])[:count]
+    return -grasp.contacts[0].sense * rolled
+
+
+@quickly
+def _rolling_rates(grasp: Grasp, ys: Array) -> Array:
+    """The rate of the contact's coordinate at states given as rows of the field of a run [m/s]."""
+    field = vector_field(grasp, events=())
+    return field.states(jax.vmap(lambda y: field(0.0, y))(ys)).s[:, 0]
+
+
+@quickly
+def _closed(grasp: Grasp, guesses: State) -> State:
+    """States near guesses along a leading axis, with the contact closed."""
+    return jax.vmap(lambda guess: close(grasp, guess, throw=False)[1])(guesses)
 
 
 def _levels(ax: Axes, grasp: Grasp, states: State, middle: np.ndarray, half: np.ndarray) -> None:
@@ -99,7 +120,7 @@ def _levels(ax: Axes, grasp: Grasp, states: State, middle: np.ndarray, half: np.
     fastest = states.v[np.argmax(np.abs(states.v).sum(axis=1))]
     moving = jnp.tile(jnp.asarray(fastest), (_PLACES, 1))
     guesses = State(jnp.asarray(states.q[near]), moving, jnp.asarray(rolled)[:, None])
-    closed = jax.jit(jax.vmap(lambda guess: close(grasp, guess, throw=False)[1]))(guesses)
+    closed = _closed(grasp, guesses)
     kinetic, potential = map(np.asarray, energies(grasp, closed))
     speed = _rates(grasp, jax.tree.map(np.asarray, closed))
     inertia = np.where(speed != 0.0, 2.0 * kinetic / np.where(speed != 0.0, speed, 1.0) ** 2, np.nan)

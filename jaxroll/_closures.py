@@ -152,6 +152,14 @@ class _Frame:
         made.__kwdefaults__ = by_name
         return made
 
+    @property
+    def __wrapped__(self) -> Callable[..., Any]:
+        """The function without what is traced: what a fingerprint takes this for.
+
+        Of the module it then reads what the code does, not all that a notebook has defined by now.
+        """
+        return self.function(dict.fromkeys(range(len(self.cells))), (None, None))
+
     def _others(self) -> list[Any]:
         held = [cell.cell_contents if _full(cell) else None for cell in self.cells if cell is not None]
         by_place, by_name = self.defaults or ((), {})

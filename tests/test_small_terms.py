@@ -12,6 +12,7 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll import plotting
+from jaxroll._closures import opened
 from jaxroll._fingerprint import fingerprint
 from jaxroll._integration._step import RollingStep
 from jaxroll._linalg import pose_at, unstack, Vec3
@@ -126,6 +127,23 @@ def _kind(factor, offset):
             return self.at(x)
 
     return Line
+
+
+def test_a_law_that_holds_a_traced_number_is_told_by_the_globals_that_it_reads():
+    """Those of a notebook grow with every cell: a sweep would be another one after the next."""
+    space = {"gain": 1.0}
+    exec("def law_with(x):\n    return lambda t, *joints: [gain * x]", space)
+
+    def seen():
+        found = []
+        jax.eval_shape(lambda x: found.append(fingerprint(opened(space["law_with"](x)))), 1.0)
+        return found[0]
+
+    first = seen()
+    space["other"] = object()
+    assert seen() == first
+    space["gain"] = 2.0
+    assert seen() != first
 
 
 def test_classes_of_ones_own_are_told_apart_by_their_methods_and_constants():

@@ -148,11 +148,10 @@ def identify(
     guess, not always the least one.
 
     Example:
-        >>> import jax.numpy as jnp
         >>> import jaxroll as jxr
         >>> grasp, state = jxr.scenes.pivoted()
-        >>> ts = jnp.linspace(0.02, 0.2, 10)
-        >>> angles = jxr.simulate(grasp, state, 0.2, ts=ts).states.q[:, 1:]
+        >>> run = jxr.simulate(grasp, state, 0.2)
+        >>> ts, angles = run.ts, run.states.q[:, 1:]
         >>> make = lambda p: (grasp.with_(damping=p["damping"]), state)
         >>> found = jxr.identify(make, {"damping": 0.004}, ts, angles, noise=1e-4)
         >>> round(found.values["damping"], 6)

@@ -90,7 +90,6 @@ class Steps(AbstractSchedule):
         >>> import jaxroll as jxr
         >>> grasp, state = jxr.scenes.pivoted()
         >>> harder = grasp.with_(force=jxr.commands.Steps([0.5], [0.5, 0.8]))
-        >>> run = jxr.simulate(harder, state, t1=1.0)
         >>> float(harder.controller.at(0.7).force)
         0.8
     """

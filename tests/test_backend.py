@@ -32,11 +32,11 @@ def test_a_run_is_one_kernel_and_so_is_a_batch(scene):
 
 def test_the_kernel_changes_no_result(scene, monkeypatch):
     grasp, state = scene
-    marked = jxr.simulate(grasp, state, 0.2, ts=2, rtol=1e-11).states.q
+    marked = jxr.simulate(grasp, state, 0.2, ts=1, rtol=1e-11).states.q
     seen = []
     monkeypatch.setattr(_one_kernel, "misfits", lambda program: seen.append(program) or {"all"})
     # Another number of steps makes it another program: the one with kernels was traced before.
-    plain = jxr.simulate(grasp, state, 0.2, ts=2, rtol=1e-11, max_steps=4093).states.q
+    plain = jxr.simulate(grasp, state, 0.2, ts=1, rtol=1e-11, max_steps=4093).states.q
     assert seen
     np.testing.assert_allclose(marked, plain, rtol=0, atol=1e-11)
 
@@ -116,7 +116,7 @@ def test_a_run_has_options_of_its_own_where_it_is_the_whole_program(scene, monke
 
     monkeypatch.setattr(_simulate, "_RUNS", {key: noted(key) for key in runs})
     grasp, state = scene
-    end = lambda grasp, state: jxr.simulate(grasp, state, 0.1, ts=2).last.q  # noqa: E731
+    end = lambda grasp, state: jxr.simulate(grasp, state, 0.1, ts=1).last.q  # noqa: E731
     alone, within = end(grasp, state), jax.jit(lambda state: end(grasp, state))(state)
     np.testing.assert_allclose(alone, within, rtol=1e-12)
     jax.eval_shape(lambda grasp: end(grasp, state), grasp)

@@ -50,12 +50,17 @@ B = jnp.cos(jnp.arange(20.0)).reshape(4, 5)
 )
 def test_products_and_updates_written_out_are_the_same(function):
     """In value and derivative; nothing is left that calls a library."""
-    found, wanted = in_arithmetic("law", function, A, B), function(A, B)
-    jax.tree.map(lambda x, y: np.testing.assert_allclose(x, y, rtol=1e-13, atol=1e-13), found, wanted)
     assert not operations(function, A, B)
     total = lambda f: lambda a, b: sum(jnp.sum(x**2) for x in jax.tree.leaves(f(a, b)))  # noqa: E731
-    slopes = jax.grad(total(lambda a, b: in_arithmetic("law", function, a, b)), argnums=(0, 1))(A, B)
-    for x, y in zip(slopes, jax.grad(total(function), argnums=(0, 1))(A, B), strict=True):
+
+    @jax.jit
+    def both(a, b):
+        written = lambda a, b: in_arithmetic("law", function, a, b)  # noqa: E731
+        return [(f(a, b), jax.grad(total(f), argnums=(0, 1))(a, b)) for f in (written, function)]
+
+    (found, slopes), (wanted, true) = both(A, B)
+    jax.tree.map(lambda x, y: np.testing.assert_allclose(x, y, rtol=1e-13, atol=1e-13), found, wanted)
+    for x, y in zip(slopes, true, strict=True):
         np.testing.assert_allclose(x, y, rtol=1e-12, atol=1e-12)
 
 
@@ -74,15 +79,15 @@ def test_what_calls_a_library_is_named_and_large_products_stay():
     "given",
     [np.array([object(), 1.0]), np.array(["a", "b"]), np.ma.masked_array([1.0, 2.0], [False, True])],
 )
-def test_arrays_without_numbers_are_refused_by_name(given):
-    grasp, state = jxr.scenes.pivoted()
+def test_arrays_without_numbers_are_refused_by_name(scene, given):
+    grasp, state = scene
     with pytest.raises(ValueError, match="^argument controller, in what it returns, must be a real number"):
         jxr.simulate(grasp.with_(controller=lambda t, angles, rates, tips: [given]), state, 0.1)
 
 
-def test_a_law_of_ones_own_keeps_a_run_in_one_kernel():
+def test_a_law_of_ones_own_keeps_a_run_in_one_kernel(scene):
     """The built-in law written with arrays: its motion, and no operation that would break up the kernel."""
-    grasp, state = jxr.scenes.pivoted()
+    grasp, state = scene
     law = grasp.controller
 
     def own(t, angles, rates, tips):
@@ -94,9 +99,7 @@ def test_a_law_of_ones_own_keeps_a_run_in_one_kernel():
         warnings.simplefilter("error")
         run = jxr.simulate(acted, state, 0.2, ts=3)
     np.testing.assert_allclose(run.last.q, jxr.simulate(grasp, state, 0.2, ts=3).last.q, rtol=0, atol=1e-10)
-    text = jax.jit(lambda c: jxr.simulate(acted.with_(gravity=c), state, 0.2, ts=3).last.q).lower(
-        jnp.zeros(2)
-    )
+    text = jax.jit(lambda c: jxr.simulate(acted.with_(gravity=c), state, 0.2, ts=3).last.q).lower(np.zeros(2))
     assert "dot_general" not in text.as_text() and "xla_cpu_small_call" in text.as_text()
 
 
@@ -112,23 +115,35 @@ def pushing(gain):
     return law
 
 
-def test_what_a_law_closes_over_has_a_derivative_and_lanes():
-    """The number is traced, not known: the same as from a pytree of one's own."""
-    grasp, state = jxr.scenes.pivoted()
+@pytest.fixture(scope="module")
+def pushed_to(scene):
+    """Where the object of the pivoted scene is after a moment under a law, as a function of the law."""
+    grasp, state = scene
 
     def end(law):
         own = jxr.Grasp(grasp.object, grasp.fingers, grasp.contacts, controller=law)
         return jxr.simulate(own, state, 0.02, ts=1, rtol=1e-11, throw=False).last.q[0]
 
+    return end
+
+
+@pytest.fixture(scope="module")
+def pushed(pushed_to):
+    """The same of `pushing`, with its derivative in the gain."""
+    return jax.jit(jax.value_and_grad(lambda gain: pushed_to(pushing(gain))))
+
+
+def test_what_a_law_closes_over_has_a_derivative_and_lanes(pushed_to, pushed):
+    """The number is traced, not known: the same as from a pytree of one's own."""
     law = lambda gain, *given: pushing(gain)(*given)  # noqa: E731
-    wanted = lambda gain: end(jax.tree_util.Partial(law, jnp.asarray(gain)))  # noqa: E731
-    found = lambda gain: end(pushing(gain))  # noqa: E731
-    value, slope = jax.jit(jax.value_and_grad(found))(30.0)
+    wanted = lambda gain: float(pushed_to(jax.tree_util.Partial(law, jnp.asarray(gain))))  # noqa: E731
+    value, slope = map(float, pushed(30.0))
     assert abs(slope) > 1e-6
     np.testing.assert_allclose(value, wanted(30.0), rtol=1e-12)
     # The grasp is an argument of the program that the pytree goes through: it is compiled once.
     np.testing.assert_allclose(slope, (wanted(30.03) - wanted(29.97)) / 0.06, rtol=1e-6)
-    np.testing.assert_allclose(jax.jit(jax.vmap(found))(jnp.array([30.0, 30.0])), value, rtol=1e-12)
+    lanes = jax.jit(jax.vmap(lambda gain: pushed_to(pushing(gain))))(np.array([30.0, 60.0]))
+    np.testing.assert_allclose(lanes, [value, wanted(60.0)], rtol=1e-12)
 
 
 @dataclasses.dataclass
@@ -196,31 +211,28 @@ class Law:
         return pushing(self.gain)(*given)
 
 
-def test_a_law_may_be_an_object_of_python():
+def test_a_law_may_be_an_object_of_python(pushed_to, pushed):
     """Its runs are those of a function with the same number; so is the derivative in it."""
-    grasp, state = jxr.scenes.pivoted()
-
-    def end(law):
-        return jxr.simulate(grasp.with_(controller=law), state, 0.02, ts=1, throw=False).last.q[0]
-
     for gain in (30.0, 60.0):
-        np.testing.assert_allclose(end(Law(gain)), end(pushing(gain)), rtol=1e-12)
-    assert abs(end(Law(30.0)) - end(Law(60.0))) > 1e-6
-    found, wanted = (jax.grad(lambda gain: end(make(gain)))(30.0) for make in (Law, pushing))  # noqa: B023
-    np.testing.assert_allclose(found, wanted, rtol=1e-12)
+        np.testing.assert_allclose(pushed_to(Law(gain)), pushed(gain)[0], rtol=1e-12)
+    assert abs(float(pushed(30.0)[0]) - float(pushed(60.0)[0])) > 1e-6
+    slope = jax.jit(lambda gain: jax.jvp(lambda gain: pushed_to(Law(gain)), (gain,), (1.0,))[1])
+    np.testing.assert_allclose(slope(30.0), pushed(30.0)[1], rtol=1e-12)
 
 
-def test_what_curves_loads_and_commands_close_over_has_a_derivative():
+def test_what_curves_loads_and_commands_close_over_has_a_derivative(scene):
     def ellipse(a):
         return jxr.Parametric(
             lambda u: jnp.stack([a * jnp.cos(u), 0.02 * jnp.sin(u)]), (0.0, 2.0 * np.pi), closed=True
         )
 
     radius = lambda a: 1.0 / ellipse(a).curvature(0.0)  # noqa: E731, b^2 / a at the vertex
-    np.testing.assert_allclose(jax.jit(jax.grad(radius))(0.012), -(0.02**2) / 0.012**2, rtol=1e-6)
-    np.testing.assert_allclose(jax.jit(jax.vmap(radius))(jnp.array([0.01, 0.016])), [0.04, 0.025], rtol=1e-8)
+    a = np.array([0.01, 0.012, 0.016])
+    radii, slopes = jax.jit(jax.vmap(jax.value_and_grad(radius)))(a)
+    np.testing.assert_allclose(radii, 0.02**2 / a, rtol=1e-8)
+    np.testing.assert_allclose(slopes, -(0.02**2) / a**2, rtol=1e-6)
 
-    grasp, state = jxr.scenes.pivoted()
+    grasp, state = scene
 
     def end(x):
         turn, ramp = x

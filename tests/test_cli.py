@@ -183,7 +183,7 @@ def test_a_tip_out_of_the_fingers_reach_is_refused_before_any_search(tmp_path, m
         ValueError, match="tip must be one with which the fingers reach, but the best found leav"
     ):
         designed(asked, tmp_path, None)
-    u = 2.0 * np.pi * np.arange(24) / 24
+    u = 2.0 * np.pi * np.arange(40) / 40  # as many as of the fingertip below: one program fits both
     np.savetxt(tmp_path / "small.csv", np.stack([np.cos(u), np.sin(u)], axis=-1), delimiter=",")
     with pytest.raises(
         ValueError, match="argument --tip must be no shorter than the 12 mm that are judged, but"

@@ -41,9 +41,11 @@ def run_of(scene, ts=(0.5, END), rtol=1e-12, t0=0.0, throw=True, **changes):
     )
 
 
-def stepped(scene, time, ts=(0.5, END), before=0.5, after=AFTER, **told):
-    """A run whose force steps once."""
-    return run_of(scene, ts=ts, force=Steps(jnp.stack([jnp.asarray(time)]), [before, after]), **told)
+def stepped(scene, time, ts=(0.5, END), before=0.5, after=AFTER, damping=(0.006, 0.006), **told):
+    """A run whose force steps once; so does its damping, by nothing unless told."""
+    times = jnp.stack([jnp.asarray(time)])
+    changes = {"force": Steps(times, [before, after]), "damping": Steps(times, damping)}
+    return run_of(scene, ts=ts, **changes, **told)
 
 
 def in_sequence(scene, time, ts):
@@ -82,8 +84,7 @@ def test_jumps_at_the_ends_at_save_times_and_beyond(scene):
 
 
 def test_two_parts_may_jump_at_one_time(scene):
-    damping = Steps([JUMP], [0.006, 0.002])
-    run = run_of(scene, force=Steps([JUMP], [0.5, AFTER]), damping=damping)
+    run = stepped(scene, JUMP, damping=(0.006, 0.002))
     first, _ = in_sequence(scene, JUMP, (0.5, END))
     second = run_of((scene[0], first.last), (0.5, END), t0=JUMP, force=AFTER, damping=0.002)
     np.testing.assert_allclose(flow(run.states), flow(second.states), rtol=0, atol=1e-12)
@@ -128,31 +129,50 @@ def saved(scene, time, **told):
     return flow(stepped(scene, time, **told).states)
 
 
+# Of the run of `jumping`: when its force steps, how long after that its damping's ramp ends, and when its
+# force is zero: it fades to that, here practically not at all.
+STILL = {"time": JUMP, "ramp": 0.2, "zero": 1e9}
+
+
+def fading_force(numbers, t):
+    """A force that steps, and fades the faster the later it is."""
+    time, zero, before, after = numbers
+    return jnp.where(t >= time, after, before) * (1.0 - (t / zero) ** 2)
+
+
 @pytest.fixture(scope="module")
 def jumping(scene):
     """Derivatives in the time of a step and of a ramp of the damping that begins with it.
 
-    Of what a run says, forwards with its values, and of a sum of it with weights backwards; one program each.
+    A function of times other than `STILL`, of both parts before and after, of which times are moved together,
+    and of weights: what a run says, its derivative along these times, and the gradient of a sum with weights
+    in all of them. One program for all tests of derivatives here.
     """
 
-    def told(time, numbers):
+    def told(times, numbers):
         force, damping = numbers
-        changes = {
-            "force": Steps(time[None], force),
-            "damping": Ramps(jnp.stack([time, time + 0.2]), damping),
-        }
+        time, end = times["time"], times["time"] + times["ramp"]
+        fading = jax.tree_util.Partial(fading_force, (time, times["zero"], *force))
+        changes = {"force": Declared(fading, time[None]), "damping": Ramps(jnp.stack([time, end]), damping)}
         run = run_of(scene, (JUMP, END), throw=False, **changes)
         return (flow(run.states), flow(run.last), run.stats.t_end), run.result._value
 
-    def weighed(time, numbers, weights):
-        return sum(jnp.sum(a * b) for a, b in zip(told(time, numbers)[0], weights, strict=True))
+    @jax.jit
+    def both(times, numbers, along, weights):
+        values, push, code = jax.linearize(lambda times: told(times, numbers), times, has_aux=True)
+        (slopes,) = jax.linear_transpose(push, times)(weights)
+        return values, push(along), slopes, code
 
-    def forwards(time, numbers):
-        return jax.jvp(lambda t: told(t, numbers), (time,), (jnp.ones(()),), has_aux=True)
+    size = flow(scene[1]).size
+    nothing = np.zeros((2, size)), np.zeros(size), np.zeros(())
 
-    # Python's numbers are another type to JAX, and so would make another program.
-    as_number = lambda function: lambda time, *rest: function(np.asarray(time, float), *rest)  # noqa: E731
-    return as_number(jax.jit(forwards)), as_number(jax.jit(jax.grad(weighed)))
+    def found(numbers, along=("time",), weights=nothing, **times):
+        along = {name: np.array(float(name in along)) for name in STILL}
+        # Python's numbers are another type to JAX, and so would make another program.
+        given = jax.tree.map(lambda x: np.asarray(x, float), (STILL | times, numbers, along, weights))
+        return jax.tree.map(np.asarray, both(*given))
+
+    return found
 
 
 def test_derivatives_in_the_time_of_a_step_and_of_a_ramp_that_begins_with_it(scene, jumping):
@@ -160,14 +180,13 @@ def test_derivatives_in_the_time_of_a_step_and_of_a_ramp_that_begins_with_it(sce
 
     Two parts that jump at one time are moved together; a ramp's slope jumps at its other end too.
     """
-    forwards, backwards = jumping
-    numbers = jnp.array([0.5, AFTER]), jnp.array([0.006, 0.002])
-    values = lambda time: np.asarray(forwards(time, numbers)[0][0])  # noqa: E731
-    forward = np.asarray(forwards(JUMP, numbers)[1][0])
+    numbers = (0.5, AFTER), (0.006, 0.002)
+    values = lambda time: jumping(numbers, time=time)[0][0]  # noqa: E731
+    forward = jumping(numbers)[1][0]
     slope = differences(lambda time: values(time)[-1], JUMP)
     assert np.abs(forward[-1] - slope).max() <= 1e-8 * np.abs(slope).max()
     weights = np.random.default_rng(0).normal(size=forward.shape)
-    backward = backwards(JUMP, numbers, (weights, np.zeros(forward.shape[1]), np.zeros(())))
+    backward = jumping(numbers, weights=(weights, np.zeros(forward.shape[1]), 0.0))[2]["time"]
     assert float(backward) == pytest.approx(float(np.sum(weights * forward)), rel=1e-11)
     # At the jump itself velocities alone move, by the accelerations before it less those after it.
     count = scene[0].coordinates
@@ -178,7 +197,7 @@ def test_derivatives_in_the_time_of_a_step_and_of_a_ramp_that_begins_with_it(sce
     # At the start it is that of a jump a little later.
     later = [values(n * 1e-3)[-1] for n in range(5)]
     onesided = (-25 * later[0] + 48 * later[1] - 36 * later[2] + 16 * later[3] - 3 * later[4]) / 12e-3
-    found = forwards(0.0, numbers)[1][0][-1]
+    found = jumping(numbers, time=0.0)[1][0][-1]
     np.testing.assert_allclose(found, onesided, rtol=0, atol=1e-6 * np.abs(onesided).max())
 
 
@@ -193,21 +212,17 @@ def test_derivatives_of_a_batch_over_jump_times(scene):
         assert np.abs(slope - wanted).max() <= 1e-8 * np.abs(wanted).max()
 
 
-def lost_to_a_pull(scene, when):
-    """A run whose force falls to zero at a time, beside a damping that steps long before."""
-    fading = jax.tree_util.Partial(lambda when, t: 0.5 * (1.0 - (t / when) ** 2), when)
-    grasp = scene[0].with_(force=fading, damping=Steps([0.07], [0.006, 0.009]))
-    return jxr.simulate(grasp, scene[1], 0.4, ts=1, rtol=1e-10, throw=False)
-
-
-def test_a_limit_that_is_met_long_after_a_jump_has_a_derivative(scene):
+def test_a_limit_that_is_met_long_after_a_jump_has_a_derivative(jumping):
     """The search for it ends with a step as short as those at a jump: a third of these were taken for one."""
-    times = jnp.linspace(0.1, 0.3, 24)
-    end = jax.value_and_grad(lambda time: lost_to_a_pull(scene, time).stats.t_end)
-    values, slopes = jax.jit(jax.vmap(end))(times)
+    numbers = (0.5, 0.5), (0.006, 0.009)
+    times = np.linspace(0.1, 0.3, 24)
+    bar = np.zeros((2, 7)), np.zeros(7), 1.0
+    found = [jumping(numbers, ("zero",), bar, time=0.07, ramp=0.01, zero=zero) for zero in times]
+    values, slopes = (np.array([each[k][2] for each in found]) for k in (0, 1))
     # The joints' damping makes the contact open a little before the force is zero, ever by nearly as much.
     assert (np.abs(values - times) < 1e-3).all()
     np.testing.assert_allclose(slopes, 1.0, rtol=0, atol=1e-2)
+    np.testing.assert_allclose([each[2]["zero"] for each in found], slopes, rtol=1e-9)
 
 
 @pytest.mark.slow
@@ -230,17 +245,16 @@ def test_derivatives_with_rosenbrocks_method(scene):
 
 def test_a_jump_that_ends_a_run_ends_it_at_its_time(scene, jumping):
     """The force turns negative, and pulls the fingertip off: the end moves with the jump and nothing else."""
-    forwards, backwards = jumping
     # The damping's ramp is level.
-    numbers = jnp.array([0.5, -0.5]), jnp.array([0.006, 0.006])
-    (_, last, time), (_, slope, rate), code = forwards(JUMP, numbers)
+    numbers = (0.5, -0.5), (0.006, 0.006)
+    nothing = np.zeros((2, 7)), np.zeros(7)
+    (_, last, time), (_, slope, rate), backward, code = jumping(numbers, weights=(*nothing, 1.0))
     assert int(code) == int(jxr.RESULTS.contact_lost._value) and float(time) == pytest.approx(JUMP, abs=1e-14)
     whole = run_of(scene, (0.5 * JUMP, JUMP), force=0.5)
     np.testing.assert_allclose(last, flow(whole.last), rtol=0, atol=1e-12)
     assert float(rate) == 1.0
-    nothing = np.zeros((2, last.size)), np.zeros(last.size)
-    assert float(backwards(JUMP, numbers, (*nothing, np.ones(())))) == 1.0
-    wanted = differences(lambda time: forwards(time, numbers)[0][1], JUMP)
+    assert float(backward["time"]) == 1.0
+    wanted = differences(lambda time: jumping(numbers, time=time)[0][1], JUMP)
     np.testing.assert_allclose(slope, wanted, rtol=0, atol=1e-8 * np.abs(wanted).max())
 
 

@@ -98,19 +98,14 @@ def test_ellipse_table_converges_at_sixth_order():
     assert abs(np.polyfit(np.log(cells), np.log(errors), 1)[0] + 6.0) < 0.5
 
 
-@pytest.mark.parametrize("name", ["a", "b"])
-def test_ellipse_point_is_differentiable_in_its_axes(name):
-    """Against central differences of SciPy's inverse, in both modes."""
-
-    def point(x):
-        axes = {"a": A, "b": B} | {name: x}
-        return jxr.Ellipse(**axes).point(0.013)[0]
-
-    x = {"a": A, "b": B}[name]
-    h = 1e-6 * x
-    slope = (point(x + h) - point(x - h)) / (2 * h)
-    np.testing.assert_allclose(jax.grad(point)(x), slope, rtol=1e-8)
-    np.testing.assert_allclose(jax.jacfwd(point)(x), slope, rtol=1e-8)
+def test_ellipse_point_is_differentiable_in_its_axes():
+    """Against central differences, in both modes."""
+    point = lambda axes: jxr.Ellipse(*axes).point(0.013)[0]  # noqa: E731
+    axes = np.array([A, B])
+    steps = 1e-6 * np.diag(axes)
+    slopes = [(point(axes + step) - point(axes - step)) / (2 * step.sum()) for step in steps]
+    np.testing.assert_allclose(jax.grad(point)(axes), slopes, rtol=1e-8)
+    np.testing.assert_allclose(jax.jacfwd(point)(axes), slopes, rtol=1e-8)
 
 
 def test_chapter_contours_are_these_catenaries():

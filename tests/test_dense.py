@@ -11,6 +11,7 @@ import pytest
 
 import jaxroll as jxr
 from tests.measures import both_slopes
+from tests.subjects.disc_on_a_hill import disc_on_a_hill
 
 
 def dense_error(scene, tight, loose, **ways):
@@ -24,17 +25,19 @@ def dense_error(scene, tight, loose, **ways):
     true = [jxr.simulate(grasp, state, 0.4, ts=each, rtol=tight).states.q for each in ts.reshape(-1, 3)]
     true = np.concatenate(true)
     saved = np.abs(run.states.q - true[[0, 20, 41]]).max()
-    return np.abs(found.q - true).max(), saved, run
+    return np.abs(found.q - true).max(), saved, run, found
 
 
 def test_dense_output_is_as_accurate_as_saved_states(scene):
-    off, saved, run = dense_error(scene, 1e-12, 1e-6)
+    off, saved, run, found = dense_error(scene, 1e-12, 1e-6)
     assert 1e-13 < off <= 10.0 * saved
     # It meets the states of a step's both ends, and is not known outside the run.
-    there = run(run.ts)
-    np.testing.assert_allclose(there.q, run.states.q, rtol=0, atol=1e-14)
-    assert np.isnan(run(-0.1).q).all() and np.isnan(run([0.1, 0.5]).q[1]).all()
-    assert run(np.array([[0.1, 0.2]])).v.shape == (1, 2, 3) and run([]).v.shape == (0, 3)
+    np.testing.assert_allclose(found.q[np.array([0, 20, 41])], run.states.q, rtol=0, atol=1e-14)
+    within = run(np.array([[0.1, 0.5]]))
+    assert (
+        np.isnan(run(-0.1).q).all() and np.isnan(within.q[0, 1]).all() and np.isfinite(within.q[0, 0]).all()
+    )
+    assert within.v.shape == (1, 2, 3) and run([]).v.shape == (0, 3)
     with pytest.raises(ValueError, match="kept its steps"):
         jxr.simulate(*scene, 0.1, ts=1)(0.05)
     # Copies answer too, those from another process among them: what marks a tree's structure stays itself.
@@ -52,24 +55,22 @@ def test_dense_output_has_the_methods_order(scene):
     assert 2.6 < np.log2(off[0] / off[1]) < 3.6
 
 
-def test_dense_output_is_differentiated(scene):
+def test_dense_output_is_differentiated():
     """With respect to the grasp, the start and the time, in both modes; and mapped over runs."""
-    grasp, state = scene
 
     def value(x):
-        start = jxr.State(state.q, x[1] * jnp.asarray(compatible), state.s)
-        run = jxr.simulate(grasp.with_(damping=x[0]), start, 0.3, ts=1, rtol=1e-11, record=("dense",))
-        return jnp.sum(run(x[2]).q * jnp.arange(1.0, 4.0)) + run.states.q[-1, 0]
+        scene = disc_on_a_hill(mass=x[0], speed=x[1])
+        run = jxr.simulate(*scene, 0.15, ts=1, rtol=1e-11, record=("dense",))
+        return jnp.sum(run(x[2]).q * jnp.array([10.0, 20.0, 0.3])) + run.states.q[-1, 0]
 
-    moving = jxr.close(grasp, jxr.State(state.q, state.v.at[0].set(1.0), state.s))[1]
-    compatible, x, size = moving.v, jnp.array([0.006, 0.1, 0.17]), np.array([1e-5, 1e-3, 1e-4])
-    along, both = np.array([1e-3, 1.0, -1.0]), both_slopes(value)
+    x, size, both = np.array([0.05, 0.02, 0.1]), np.array([1e-4, 1e-4, 1e-4]), both_slopes(value)
     ends = [[both(x + k * h * e)[0] for h, e in zip(size, np.eye(3), strict=True)] for k in (-2, -1, 1, 2)]
     wanted = (8 * (np.array(ends[2]) - ends[1]) - (np.array(ends[3]) - ends[0])) / (12 * size)
+    along = np.array([1.0, 0.1, -0.1])
     here, forwards, backwards = both(x, along)
     np.testing.assert_allclose(backwards, wanted, rtol=1e-6)
     np.testing.assert_allclose(forwards, backwards @ along, rtol=1e-10)
-    each = jax.jit(jax.vmap(value))(jnp.stack([x, 1.1 * x]))
+    each = jax.jit(jax.vmap(value))(np.stack([x, 1.1 * x]))
     np.testing.assert_allclose(each, [here, both(1.1 * x)[0]], rtol=1e-12)
 
 
@@ -89,17 +90,12 @@ def test_dense_output_across_samples_jumps_and_an_early_end(scene):
             np.testing.assert_allclose(getattr(found, part), getattr(true, part), rtol=0, atol=2e-8)
         if true.memory is not None:
             np.testing.assert_allclose(found.memory, true.memory, rtol=0, atol=1e-8)
-    lost = jxr.simulate(
-        grasp.with_(force=jxr.commands.Steps([0.05], [0.5, -0.5])),
-        state,
-        0.3,
-        ts=6,
-        record=("dense",),
-        throw=False,
-    )
+    pulled = grasp.with_(force=jxr.commands.Steps([0.05, 0.07], [0.5, -0.5, -0.5]))
+    lost = jxr.simulate(pulled, state, 0.3, ts=6, record=("dense",), throw=False)
     assert str(lost.result) == "contact_lost"
-    end = lost(lost.stats.t_end)
-    np.testing.assert_allclose(end.q, lost.last.q, rtol=0, atol=1e-13)
-    assert np.isnan(lost(lost.stats.t_end + 1e-6).q).all()
+    # As many times as above: the same program.
+    ends = lost(float(lost.stats.t_end) + np.array([-1e-6, 0.0, 1e-6, 1e-5, 1e-4, 1e-3]))
+    np.testing.assert_allclose(ends.q[1], lost.last.q, rtol=0, atol=1e-13)
+    assert np.isfinite(ends.q[:2]).all() and np.isnan(ends.q[2:]).all()
     with jax.enable_x64(False), pytest.raises(ValueError, match="argument run must be of single precision"):
         lost(0.01)

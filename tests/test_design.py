@@ -21,7 +21,7 @@ from jaxroll.design._minimise import minimise, Search
 from jaxroll.geometry import Frenet2, PeriodicNetwork
 from jaxroll.geometry.contours._free_numbers import wavy_shift
 from tests.measures import programs
-from tests.subjects.fingertips import INTERVAL, violating_points
+from tests.subjects.fingertips import INTERVAL, violating_points, within
 
 
 def half_disc(x, centre, sharpness):
@@ -33,7 +33,8 @@ def half_disc(x, centre, sharpness):
 def test_minimiser_on_a_problem_by_hand(options):
     """Nearest points of a half disc: on its rim, in its corner, inside."""
     centres = jnp.array([[3.0, 4.0], [2.0, -1.0], [0.1, 0.2]])
-    found = minimise(half_disc, jnp.full((3, 2), 0.1), centres, steps=200, **options)
+    # Not `jnp.full`, of a weak type, with which the first chunk would be a program of its own.
+    found = minimise(half_disc, jnp.asarray(np.full((3, 2), 0.1)), centres, steps=200, **options)
     nearest = [[0.6, 0.8], [1.0, 0.0], [0.1, 0.2]]
     np.testing.assert_allclose(found.search.best, nearest, atol=2e-7)
     assert bool(found.search.done.all()) and found.steps <= 200
@@ -58,6 +59,11 @@ def test_a_step_into_nowhere_is_taken_back():
     rates = optax.adam(optax.exponential_decay(0.5, 20, 0.5))
     found = minimise(nowhere, jnp.array([[0.1, 3.0]]), jnp.zeros(1), steps=200, optimiser=rates)
     np.testing.assert_allclose(found.search.best, 1.0, atol=1e-2)
+
+
+@eqx.filter_jit
+def excess(limits, tip, pad):
+    return limits.excess(sampled(tip, pad))
 
 
 class Clothoid(jxr.AbstractContour):
@@ -92,10 +98,10 @@ def test_limits_look_at_either_side(side):
     contour = Clothoid(*map(jnp.asarray, (side * 50.0, side * 2e3, ends)))
     most = max(abs(50.0 + 2e3 * s) for s in ends)
     limits = Limits(size=0.02, length=0.05, radius=0.004, flat=0.05, steepness=500.0)
-    found = limits.excess(sampled(contour, pad))
+    found = excess(limits, contour, pad)
     assert sorted(found) == ["flat", "interval", "length", "radius", "size", "steepness"]
     np.testing.assert_allclose(found["interval"], [-0.5, -0.5])
-    past = limits.excess(sampled(contour, jnp.array([-0.015, 0.035])))
+    past = excess(limits, contour, jnp.array([-0.015, 0.035]))
     np.testing.assert_allclose(past["interval"], [0.1, 0.1])
     assert float(found["size"].max()) == pytest.approx(0.03 / 0.02 - 1.0)
     assert float(found["length"].max()) == pytest.approx(0.04 / 0.05 - 1.0)
@@ -103,7 +109,7 @@ def test_limits_look_at_either_side(side):
     assert float(found["steepness"].max()) == pytest.approx(2e3 / 500.0 - 1.0)
     least = min(side * (50.0 + 2e3 * s) for s in (0.0, 0.02))
     assert float(found["flat"].max()) == pytest.approx(1.0 - least * 0.05)
-    convex = Limits(flat=None).excess(sampled(contour, pad))["convex"]
+    convex = excess(Limits(flat=None), contour, pad)["convex"]
     assert float(convex.max()) == pytest.approx(-least * 0.04)
 
 
@@ -113,7 +119,7 @@ def test_a_contour_through_the_centre_of_its_finger_has_derivatives_of_its_size(
     size = lambda a: Limits(size=0.01).excess(sampled(jxr.Catenary(a, ends), 0.5 * ends))["size"]  # noqa: E731
     # a (cosh u - 1) and a u at the angle of arclength s = a sinh u: the distance squared is their sum.
     far = lambda a: np.hypot(np.hypot(a, 0.012) - a, a * np.arcsinh(0.012 / a)) / 0.01 - 1.0  # noqa: E731
-    slopes = jax.jacrev(size)(0.02)
+    slopes = np.asarray(jax.jit(jax.jacrev(size))(0.02))
     assert slopes[128] == 0.0 and np.isfinite(slopes).all()
     assert float(slopes[0]) == pytest.approx((far(0.02 + 1e-6) - far(0.02 - 1e-6)) / 2e-6, rel=1e-6)
 
@@ -133,7 +139,7 @@ def test_the_contact_interval_stays_between_the_ends_of_an_open_contour():
 def test_ellipse_has_the_analytic_optimum():
     """As long as allowed and as sharp at its ends: both limits fix both half axes."""
     length, radius = 0.1, 0.004
-    limits = Limits(length=length, radius=radius, flat=None)
+    limits = within(length=length, radius=radius)
     design = optimise_fingertip(jxr.Ellipse(0.02, 0.01), INTERVAL, limits=limits, steps=300)
 
     def perimeter(b):
@@ -158,7 +164,7 @@ def test_every_violating_start_comes_to_hold():
 
 def test_limits_that_exclude_it_end_with_a_code():
     """No contour 40 mm long keeps all its radii above 8 mm."""
-    limits = Limits(length=0.04, radius=0.008, flat=None)
+    limits = within(length=0.04, radius=0.008)
     design = optimise_fingertip(jxr.Ellipse(0.01, 0.01), INTERVAL, limits=limits, steps=60)
     assert design.result == jxr.RESULTS.infeasible and not bool(design.holds[0])
     assert 0.1 < float(design.violation[0]) < 1.0 and np.isfinite(design.after[0])
@@ -189,14 +195,14 @@ def test_starts_that_are_not_given_are_variations():
 
 def test_a_pad_stays_ahead_of_the_finger():
     """The best pad is as near to O as it may be, and as flat: both limits are met."""
-    limits = Limits(size=0.03, radius=0.002, ahead=0.008, flat=0.05)
+    limits = within(size=0.03, radius=0.002, ahead=0.008, flat=0.05)
     design = optimise_fingertip(jxr.Ellipse(0.012, 0.012), (-0.001, 0.001), limits=limits, steps=200)
     a, b = float(design.tip.a), float(design.tip.b)
     np.testing.assert_allclose([a, b**2 / a], [0.008, 0.02 / 0.008 * 0.02], rtol=2e-2)
 
 
 def test_goes_on_from_a_checkpoint(tmp_path, caplog):
-    limits = Limits(length=0.1, radius=0.004, flat=None)
+    limits = within(length=0.1, radius=0.004)
     options = {"limits": limits, "checkpoint": tmp_path / "design.eqx"}
     optimise_fingertip(jxr.Ellipse(0.02, 0.01), INTERVAL, steps=20, **options)
     seen = []
@@ -211,13 +217,13 @@ def test_goes_on_from_a_checkpoint(tmp_path, caplog):
 
 def test_a_checkpoint_is_of_one_search_alone(tmp_path):
     """Of another one with arrays of the same shapes it was taken for this one's."""
-    limits = Limits(length=0.1, radius=0.004, flat=None)
+    limits = within(length=0.1, radius=0.004)
     search = functools.partial(optimise_fingertip, steps=10, checkpoint=tmp_path / "design")
     search(jxr.Ellipse(0.02, 0.01), INTERVAL, limits=limits)
     search(jxr.Ellipse(0.02, 0.01), INTERVAL, limits=limits, goal=jxr.design.Margin())
     for tip, options, name in [
         (jxr.Ellipse(0.03, 0.01), {"limits": limits}, "tip"),
-        (jxr.Ellipse(0.02, 0.01), {"limits": Limits(length=0.2, radius=0.004, flat=None)}, "limits"),
+        (jxr.Ellipse(0.02, 0.01), {"limits": within(length=0.2, radius=0.004)}, "limits"),
         (jxr.Ellipse(0.02, 0.01), {"limits": limits, "optimiser": optax.adam(0.1)}, "optimiser"),
         (jxr.Ellipse(0.02, 0.01), {"limits": limits, "goal": Fair(jxr.design.Margin())}, "goal"),
     ]:
@@ -284,7 +290,6 @@ def test_a_class_of_ones_own_is_designed_by_what_it_says_of_itself():
 
 
 TRANSFORMED = {
-    "spline": jxr.Spline(violating_points(1), cells=64),
     "series": jxr.SupportFunction(0.01, [1e-3, 0.0, 5e-4], [0.0, 2e-4, 0.0], cells=64),
     "ellipse": jxr.Ellipse(0.02, 0.014),
     "placed": jxr.Spline(violating_points(1), cells=64).moved((0.001, 0.0), 0.1),

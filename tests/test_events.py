@@ -16,6 +16,7 @@ from jaxroll._integration._events import first_dip, watched
 from jaxroll._integration._step import RollingStep
 from jaxroll._linalg._plane import Vec2
 from jaxroll.geometry import frenet
+from tests.subjects.disc_on_a_hill import disc_on_a_hill
 
 RTOL = 1e-10
 SHIFT = 3.363e-3  # arclength of the object's contour at its vertex (80)-(81)
@@ -145,35 +146,40 @@ def test_contour_ends_to_rounding(scene, face, tip):
     assert min(left) <= 1e-15 and max(left) > 0.01
 
 
-def friction_time(grasp, state, mu, damping):
-    return ends(rubbing(grasp.with_(damping=damping), mu), state)
+def slipping_disc(numbers):
+    """A disc that rolls down until its friction, the first of both numbers, does not suffice."""
+    return ends(*disc_on_a_hill(friction=numbers[0], mass=numbers[1]))
 
 
-def end_time(grasp, state, low, damping):
-    return ends(shortened(grasp.with_(damping=damping), low), state, t1=2.0)
+def finger_at_an_end(numbers):
+    """The pivoted scene, damped by the second number, at the contour's end that the first one is."""
+    grasp, state = jxr.scenes.pivoted()
+    return ends(shortened(grasp.with_(damping=numbers[1]), numbers[0]), state, t1=2.0)
 
 
 @pytest.mark.parametrize(
-    ("time", "first"),
-    [(friction_time, 0.12), pytest.param(end_time, -0.0065, marks=pytest.mark.slow)],
+    ("ended", "point", "sizes"),
+    [
+        (slipping_disc, (0.12, 0.05), (1e-4, 1e-4)),
+        pytest.param(finger_at_an_end, (-0.0065, 0.006), (6.5e-6, 1e-5), marks=pytest.mark.slow),
+    ],
 )
-def test_gradient_of_the_event_time(scene, time, first):
+def test_gradient_of_the_event_time(ended, point, sizes):
     """Both modes, in the limit and in a parameter of the motion, against central differences.
 
     The derivative of the last state is total: the event shifts as well.
     """
-    grasp, state = scene
-    point = jnp.array([first, 0.006])
 
-    def ended(p):
-        run = time(grasp, state, p[0], p[1])
+    def seen(p):
+        run = ended(p)
         return jnp.stack([run.stats.t_end, run.last.q[0]])
 
-    reverse_of = jax.jit(jax.grad(lambda p: ended(p)[0]))
+    point = jnp.asarray(point)
+    reverse_of = jax.jit(jax.grad(lambda p: seen(p)[0]))
     reverse = reverse_of(point)
     # One program for the values and the derivative forwards.
-    along = jax.jit(lambda p, way: jax.jvp(ended, (p,), (way,)))
-    for way, found, step in zip(np.eye(2), reverse, (1e-3 * abs(first), 1e-5), strict=True):
+    along = jax.jit(lambda p, way: jax.jvp(seen, (p,), (way,)))
+    for way, found, step in zip(np.eye(2), reverse, sizes, strict=True):
         slopes = along(point, way)[1]
         np.testing.assert_allclose(slopes[0], found, rtol=1e-9)
         # Fourth-order differences: truncation and rounding both below 1e-7.
@@ -182,63 +188,66 @@ def test_gradient_of_the_event_time(scene, time, first):
         assert abs(slopes[0] / differences[0] - 1) <= 1e-6
         # At a contour's end the damping does not move it at all.
         np.testing.assert_allclose(slopes[1], differences[1], rtol=1e-5, atol=1e-9)
-    if time is friction_time:  # a run that is lost at once ends then whatever its numbers are
-        lost = jnp.array([0.002, 0.006])
+    if ended is slipping_disc:  # a run that is lost at once ends then whatever its numbers are
+        lost = jnp.array([0.002, point[1]])
         for way in np.eye(2):
             values, slopes = along(lost, way)
-            assert values[0] == 0.0 and not slopes.any() and not reverse_of(lost).any()
+            assert values[0] == 0.0 and slopes[0] == 0.0 and not reverse_of(lost).any()
+            assert abs(slopes[1]) <= 1e-16  # the start is closed to rounding, by the mass
 
 
-def test_what_a_run_reached_has_a_gradient_though_the_rest_is_nan(scene):
+def test_what_a_run_reached_has_a_gradient_though_the_rest_is_nan():
     """Forces, energies and residuals of a run that slips on its way: backwards as by differences."""
-    grasp, state = scene
 
-    def reached(x):
+    def reached(mass):
         record = ("multipliers", "energy")
         options = {"ts": 13, "rtol": RTOL, "throw": False, "record": record}
-        run = jxr.simulate(rubbing(grasp.with_(damping=x), 0.12), state, 0.6, **options)
+        run = jxr.simulate(*disc_on_a_hill(mass=mass, friction=0.12), 0.3, **options)
         seen = jnp.isfinite(run.multipliers.f[:, 0])
         rows = [run.multipliers.f[:, 0], run.multipliers.lam[:, 0], 1e3 * run.energy.residual]
         rows += [1e3 * run.energy.kinetic, 1e3 * run.residuals.normal[:, 0]]
         return jnp.sum(jnp.where(seen, jnp.stack(rows), 0.0)), jnp.sum(seen)
 
-    both = jax.jit(jax.value_and_grad(reached, has_aux=True))
-    (_, seen), slope = both(0.006)
-    near = [float(both(0.006 + k * 1e-5)[0][0]) for k in (-2, -1, 1, 2)]
-    expected = (near[0] - 8 * near[1] + 8 * near[2] - near[3]) / (12 * 1e-5)
+    both, size = jax.jit(jax.value_and_grad(reached, has_aux=True)), 1e-4
+    (_, seen), slope = both(0.05)
+    near = [float(both(0.05 + k * size)[0][0]) for k in (-2, -1, 1, 2)]
+    expected = (near[0] - 8 * near[1] + 8 * near[2] - near[3]) / (12 * size)
     assert 1 < seen < 13 and abs(slope / expected - 1) <= 1e-6
 
 
-def test_gradients_of_lanes_are_those_of_single_runs(scene):
+def test_gradients_of_lanes_are_those_of_single_runs():
     """Lanes of lanes, some of which end on a contour's end: in both modes, with one record at a time."""
-    grasp, state = scene
-    dampings, lows = jnp.array([0.005, 0.006]), jnp.array([-0.003, -0.02, -0.004])
+    masses, reaches = jnp.array([0.04, 0.05]), jnp.array([0.01, 0.025, 0.005])
 
-    def found(damping, low):
-        run = ends(shortened(grasp.with_(damping=damping), low), state)
-        return jnp.sum(run.last.q) + run.stats.t_end, run.result._value
+    def found(mass, reach):
+        run = ends(*disc_on_a_hill(mass=mass, reach=reach), t1=0.12)
+        return jnp.sum(run.last.q + 0.1 * run.last.v) + run.stats.t_end, run.result._value
 
     over_both = lambda f, *rest: jax.vmap(jax.vmap(f, (None, 0, *rest)), (0, None, *rest))  # noqa: E731
     reverse = jax.jit(over_both(jax.grad(found, argnums=(0, 1), has_aux=True)))
     # A single lane, which is no batch, and a single one of a single one.
-    each = [[reverse(damping[None], low[None]) for low in lows] for damping in dampings]
+    each = [[reverse(mass[None], reach[None]) for reach in reaches] for mass in masses]
     expected = np.array([[np.ravel(slopes) for slopes, _ in row] for row in each])
     codes = np.array([[int(code[0, 0]) for _, code in row] for row in each])
     assert len(np.unique(codes)) == 2 and (expected[codes > 0][:, 1] != 0).all()
-    program = reverse.lower(dampings, lows).compile()
-    slopes, ended = program(dampings, lows)
-    np.testing.assert_array_equal(ended, codes)
-    np.testing.assert_allclose(np.stack(slopes, axis=-1), expected, rtol=1e-6, atol=1e-12)
-    along = lambda damping, low, way: jax.jvp(found, (damping, low), tuple(way), has_aux=True)[:2]  # noqa: E731
-    forward = jax.jit(over_both(along, None))
+
+    def both_modes(mass, reach, way):
+        value, push, code = jax.linearize(found, mass, reach, has_aux=True)
+        return value, push(*way), jax.linear_transpose(push, mass, reach)(1.0), code
+
+    program = jax.jit(over_both(both_modes, None)).lower(masses, reaches, np.ones(2)).compile()
     for i, way in enumerate(np.eye(2)):
-        # A row of `expected` holds the slopes in the damping and in the end.
-        np.testing.assert_allclose(forward(dampings, lows, way)[1], expected[..., i], rtol=1e-6, atol=1e-12)
-    near = [forward(dampings + k * 1e-5, lows, way)[0] for k in (-2, -1, 1, 2)]
-    differences = np.tensordot([1.0, -8.0, 8.0, -1.0], near, 1) / (12 * 1e-5)
+        _, along, slopes, ended = program(masses, reaches, way)
+        # A row of `expected` holds the slopes in the mass and in the end.
+        np.testing.assert_allclose(along, expected[..., i], rtol=1e-6, atol=1e-12)
+        np.testing.assert_allclose(np.stack(slopes, axis=-1), expected, rtol=1e-6, atol=1e-12)
+        np.testing.assert_array_equal(ended, codes)
+    size = 1e-4
+    near = [program(masses + k * size, reaches, np.ones(2))[0] for k in (-2, -1, 1, 2)]
+    differences = np.tensordot([1.0, -8.0, 8.0, -1.0], near, 1) / (12 * size)
     np.testing.assert_allclose(differences, expected[..., 0], rtol=1e-5)
     # Records of all six runs, of x and its slope alone, would be larger than all that the program works with.
-    records = dampings.size * lows.size * 4096 * 2 * 7 * dampings.itemsize
+    records = masses.size * reaches.size * 4096 * 2 * 7 * masses.dtype.itemsize
     assert program.memory_analysis().temp_size_in_bytes < 0.75 * records
 
 
@@ -518,15 +527,15 @@ def test_a_finger_that_hits_the_object_elsewhere_is_penetration():
     assert swung(base, 0.1, driven, 2.0, events=()).result == jxr.RESULTS.successful
 
 
-def test_limits_that_are_off_leave_the_program_no_larger(scene):
-    grasp, state = scene
+def test_limits_that_are_off_leave_the_program_no_larger():
+    grasp, state = disc_on_a_hill(gravity=None)
 
     def lines(grasp, **options):
         run = jax.make_jaxpr(lambda g, s: jxr.simulate(g, s, 1.0, ts=3, throw=False, **options))
         return len(str(run(grasp, state)).splitlines())
 
     off = lines(grasp, events=())
-    assert off < lines(grasp) < lines(rubbing(grasp, 0.3))
+    assert off < lines(grasp) < lines(disc_on_a_hill(gravity=None, friction=0.3)[0])
     assert off == lines(grasp, events=("friction",))
     assert off < lines(grasp, events=(), record=("multipliers",))
     assert off < lines(grasp, events=(), record=("energy",))

@@ -128,7 +128,7 @@ BAD = {
 @pytest.mark.parametrize("times", [2, 5])
 def test_points_at_the_origin_are_of_no_other_unit(times):
     """An outline that begins and ends there, to rounding: as a drawing whose corner lies at zero."""
-    u = np.linspace(-np.pi, np.pi, 61)
+    u = np.linspace(-np.pi, np.pi, N + 1)
     round_ = np.stack([0.02 + 0.02 * np.cos(u), 0.014 * np.sin(u)], axis=-1)
     fit = jxr.fit_contour(np.concatenate([round_, np.repeat(round_[:1], times - 2, axis=0)]), noise=0.0)
     around = 0.08 * special.ellipe(1.0 - 0.7**2)

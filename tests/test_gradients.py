@@ -9,6 +9,7 @@ from jax.tree_util import Partial
 
 import jaxroll as jxr
 from tests.measures import both_slopes, taylor_remainders
+from tests.subjects.disc_on_a_hill import disc_on_a_hill
 
 # Steps are fixed by the recorded times, so that a perturbed run takes the steps of the base run.
 TS = jnp.linspace(0.0, 0.05, 26)
@@ -169,17 +170,15 @@ def test_second_derivatives_are_refused_not_wrong(scene):
             twice(end)(0.006)
 
 
-def test_second_derivatives_in_times_are_refused_not_zero(scene):
-    grasp, state = scene
+def test_second_derivatives_in_times_are_refused_not_zero():
+    def end(mass, t1):
+        return jxr.simulate(*disc_on_a_hill(mass=mass), t1, ts=1, throw=False).states.q[-1, 0]
 
-    def end(c, t1):
-        return jxr.simulate(grasp.with_(damping=c), state, t1, ts=1, throw=False).states.q[-1, 0]
-
-    run = jxr.simulate(grasp, state, 0.02, ts=1, record=("dense",))
+    run = jxr.simulate(*disc_on_a_hill(), 0.02, ts=1, record=("dense",))
     along = lambda t: run(t).q[0]  # noqa: E731
     for twice in (jax.grad(jax.grad(end, 0), 1), jax.grad(jax.grad(end, 1), 0), jax.hessian(end, 1)):
         with pytest.raises(RuntimeError, match="second derivatives"):
-            twice(0.006, 0.02)
+            twice(0.05, 0.02)
     with pytest.raises(RuntimeError, match="second derivatives"):
         jax.jvp(lambda t: jax.jvp(along, (t,), (1.0,))[1], (0.01,), (1.0,))
 
@@ -189,32 +188,38 @@ def test_derivatives_in_the_start_are_refused_not_zero(scene):
         jax.grad(lambda t0: jxr.simulate(*scene, 0.05, t0=t0, ts=1).states.q[-1, 0])(0.01)
 
 
-def test_derivatives_in_save_times_and_end(scene):
-    """Against differences: of states, forces, energies, the end; rows that were not reached do not move."""
-    grasp, state = scene
+def braking(t, pose, twist):
+    """A torque that grows with the spin: there is work to record besides that of gravity."""
+    return jnp.zeros(2), -3e-5 * twist.spin
 
-    def seen(times, force):
-        acted, records = grasp.with_(force=force), ("multipliers", "energy")
-        run = jxr.simulate(acted, state, times[0], ts=times[1:], rtol=1e-11, record=records, throw=False)
-        forces, work = run.multipliers.f[:, 0], run.energy.work
+
+def test_derivatives_in_save_times_and_end():
+    """Against differences: of states, forces, energies, the end; rows that were not reached do not move."""
+
+    def seen(times, down):
+        scene = disc_on_a_hill(gravity=jnp.stack([jnp.asarray(2.0), down]), load=braking)
+        options = {"rtol": 1e-11, "record": ("multipliers", "energy"), "throw": False}
+        run = jxr.simulate(*scene, times[0], ts=times[1:], **options)
+        forces, work = run.multipliers.f[:, 0], 10.0 * run.energy.work
         parts = [run.states.q[:, 0], run.states.v[:, 1], run.states.s[:, 0], forces, work, run.ts]
         return jnp.concatenate([*parts, run.last.q, run.stats.t_end[None]])
 
-    times, size, force = jnp.array([0.3, 0.1, 0.2]), 1e-4, grasp.controller.force
-
     @jax.jit
-    def all_of(times, force):
+    def all_of(times, down):
         """The values, and their derivatives forwards and backwards: of one linearisation."""
-        values, push = jax.linearize(lambda times: seen(times, force), times)
+        values, push = jax.linearize(lambda times: seen(times, down), times)
         pull = jax.linear_transpose(push, times)
         forwards = jax.vmap(push, out_axes=1)(jnp.eye(3))
         return values, forwards, jax.vmap(lambda bar: pull(bar)[0])(jnp.eye(values.size))
 
-    ends = [[all_of(times + k * size * e, force)[0] for e in np.eye(3)] for k in (-2, -1, 1, 2)]
+    times, size, down = np.array([0.15, 0.05, 0.1]), 1e-4, jnp.asarray(-9.6)
+    ends = [[all_of(times + k * size * e, down)[0] for e in np.eye(3)] for k in (-2, -1, 1, 2)]
     slopes = (8 * (np.array(ends[2]) - ends[1]) - (np.array(ends[3]) - ends[0])) / (12 * size)
-    for found in all_of(times, force)[1:]:
+    assert (abs(slopes).max(axis=0) > 0.01).all()
+    for found in all_of(times, down)[1:]:
         np.testing.assert_allclose(found, slopes.T, rtol=0, atol=2e-7)
-    values, _, reverse = all_of(times, jnp.asarray(-0.5))
+    # Gravity that lifts the disc at once.
+    values, _, reverse = all_of(times, jnp.asarray(9.6))
     assert np.isnan(values[:2]).all() and np.isfinite(reverse).all()
 
 
@@ -237,52 +242,59 @@ def test_close_is_differentiated_by_the_implicit_function_theorem(scene):
         np.testing.assert_allclose(reverse, forward, atol=1e-12)
 
 
-def test_a_run_that_ends_where_nothing_is_finite_has_the_derivative_of_what_it_reached(scene):
-    """Its last step leaves the state as it was; a loss that leaves such a lane out has a gradient."""
-    grasp, state = scene
+def diverging(numbers, t, pose, twist):
+    """A torque that has no value from a moment on."""
+    size, moment = numbers
+    return jnp.zeros(2), 1e-4 * size * jnp.log(moment - t)
 
-    def told(size, when):
-        law = jax.tree_util.Partial(lambda p, t: -0.1 * p[0] * jnp.log(p[1] - t), (size, when))
-        run = jxr.simulate(grasp.with_(force=law), state, 0.1, ts=4, rtol=1e-10, throw=False)
+
+def test_a_run_that_ends_where_nothing_is_finite_has_the_derivative_of_what_it_reached():
+    """Its last step leaves the state as it was; a loss that leaves such a lane out has a gradient."""
+
+    def told(size, moment):
+        scene = disc_on_a_hill(load=Partial(diverging, (size, moment)))
+        run = jxr.simulate(*scene, 0.1, ts=4, rtol=1e-10, throw=False)
         return run.last.q[0] + run.states.v[1, 1], run.result._value
 
-    whens, h = jnp.array([0.05, 0.3]), 1e-4
+    moments, h = jnp.array([0.05, 0.3]), 1e-4
 
     @jax.jit
     def every(size, weights):
         """The values of both lanes, their codes, their derivatives forwards, and that of a weighted sum."""
-        ends, pull, codes = jax.vjp(lambda x: jax.vmap(told, (None, 0))(x, whens), size, has_aux=True)
-        along = jax.jvp(lambda x: jax.vmap(told, (None, 0))(x, whens)[0], (size,), (jnp.ones(()),))[1]
-        return ends, codes, along, pull(weights)[0]
+        ends, push, codes = jax.linearize(lambda x: jax.vmap(told, (None, 0))(x, moments), size, has_aux=True)
+        return ends, codes, push(jnp.ones(())), jax.linear_transpose(push, size)(weights)[0]
 
-    both = [every(jnp.asarray(0.5), weights) for weights in jnp.eye(2)]
+    both = [every(jnp.asarray(0.5), weights) for weights in np.eye(2)]
     _, codes, forwards, _ = both[0]
     np.testing.assert_array_equal(codes, [jxr.RESULTS.not_finite._value, jxr.RESULTS.successful._value])
-    near = [every(jnp.asarray(0.5 + k * h), jnp.ones(2))[0] for k in (-2, -1, 1, 2)]
+    near = [every(jnp.asarray(0.5 + k * h), np.ones(2))[0] for k in (-2, -1, 1, 2)]
     slopes = np.array([1.0, -8.0, 8.0, -1.0]) @ np.array(near) / (12 * h)
     np.testing.assert_allclose(forwards, slopes, rtol=1e-6)
     # The second of them leaves out the lane that failed, by a weight of zero.
     np.testing.assert_allclose([backwards for *_, backwards in both], forwards, rtol=1e-9)
 
 
-def test_runs_with_gains_or_whole_numbers_beside_the_grasp_have_both_derivatives(scene):
+def rocked(table, t, pose, twist):
+    """A torque with a number of a caller's table."""
+    return jnp.zeros(2), 1e-4 * table[1] * jnp.cos(40.0 * t)
+
+
+def test_runs_with_gains_or_whole_numbers_beside_the_grasp_have_both_derivatives():
     """The gains of `CSM` and numbers of a caller's table are arrays without a derivative, in every loop."""
-    grasp, state = scene
 
-    def turned(damping, table, method, formulation, rtol=1e-8):
-        push = lambda table, t, pose, twist: (jnp.zeros(2), 1e-4 * table[1] * jnp.cos(40.0 * t))  # noqa: E731
-        pushed = grasp.with_(damping=damping, load=Partial(push, table))
+    def rolled(mass, table, method, formulation, rtol=1e-8):
+        scene = disc_on_a_hill(mass=mass, load=Partial(rocked, table))
         options = {"solver": method, "formulation": formulation, "rtol": rtol}
-        return jxr.simulate(pushed, state, 0.03, ts=1, **options).last.q[0]
+        return jxr.simulate(*scene, 0.03, ts=1, **options).last.q[0]
 
-    table, whole = jnp.arange(1.0, 4.0), jnp.arange(1, 4)
-    sides = [turned(0.006 + h, table, None, jxr.Index1(), 1e-11) for h in (-1e-5, 1e-5)]
-    exact = (sides[1] - sides[0]) / 2e-5
+    table, whole = np.arange(1.0, 4.0), np.arange(1, 4)
+    ends = [float(rolled(0.05 + k * 1e-4, table, None, jxr.Index1(), 1e-12)) for k in (-2, -1, 1, 2)]
+    exact = (ends[0] - 8 * ends[1] + 8 * ends[2] - ends[3]) / 12e-4
     cases = (
         (jax.jacfwd, None, jxr.Index1(), whole),
         (jax.jacfwd, None, jxr.CSM(), table),
         (jax.grad, jxr.Rosenbrock(), jxr.CSM(), whole),
     )
     for derivative, method, formulation, numbers in cases:
-        along = jax.jit(derivative(lambda d: turned(d, numbers, method, formulation)))  # noqa: B023
-        assert float(along(0.006)) == pytest.approx(float(exact), rel=1e-6)
+        along = jax.jit(derivative(lambda m: rolled(m, numbers, method, formulation)))  # noqa: B023
+        assert float(along(0.05)) == pytest.approx(exact, rel=1e-6)

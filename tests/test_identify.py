@@ -13,6 +13,7 @@ import jaxroll as jxr
 from jaxroll import _identify
 from jaxroll._identify import _at_an_end, _descend, _inverse, _joints
 from tests.oracles.chapter_part2 import Part2
+from tests.subjects import rolling_disc
 
 ELBOW = 1
 TS = np.linspace(0.02, 0.16, 8)
@@ -62,23 +63,19 @@ def test_part_2_from_data_of_another_formulation(scene):
     assert lines[0] == "Identified: successful" and lines[1].startswith("  damping  0.006 +- ")
 
 
-def test_what_a_law_holds_is_seen_as_it_is_now(scene):
-    """The list from which a law has its stiffness; measured is the chapter's law with the same one."""
-    grasp, state = scene
-    stiffness = [0.0]
-
-    def law(t, angles, rates, tips, damping):
-        force = -stiffness[0] * (tips[0].position - grasp.controller.target)
-        return [tips[0].jacobian.T @ force - damping * rates[0]]
+def test_what_a_law_holds_is_seen_as_it_is_now():
+    """The list from which a law has its force; measured is the motion of its plate in closed form."""
+    force, damping = [0.0], 0.6
 
     def make(p):
-        return grasp.with_(controller=lambda *given: law(*given, p["damping"])), state
+        law = lambda t, joints, rates, tips: [force[0] - p["damping"] * rates[0]]  # noqa: E731
+        return rolling_disc.on_driven_plate(law)
 
-    for value in (50.0, 60.0):
-        stiffness[0] = value
-        measured = angles(TRUE["damping"], 0.01 * value)
-        found = jxr.identify(make, {"damping": 0.005}, TS, measured, noise=1e-4)
-        assert found.values["damping"] == pytest.approx(TRUE["damping"], rel=1e-5)
+    span = rolling_disc.MOVED / damping
+    for force[0] in (1.0, 1.2):
+        measured = force[0] / damping * (TS - span * (1.0 - np.exp(-TS / span)))
+        found = jxr.identify(make, {"damping": 0.5}, TS, measured[:, None], noise=1e-4)
+        assert found.values["damping"] == pytest.approx(damping, rel=1e-8)
 
 
 @pytest.mark.parametrize("known", [True, False])

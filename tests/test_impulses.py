@@ -7,9 +7,10 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll.loads import Impulse
-from tests.measures import both_slopes
+from tests.measures import both_slopes, both_ways
 from tests.oracles import reference_space as reference
 from tests.oracles.dense_impacts import dense_strike
+from tests.subjects.disc_on_a_hill import disc_on_a_hill
 from tests.subjects.pinches_in_space import same_in_reference
 
 
@@ -38,8 +39,20 @@ def moving_pinch(grasp, state):
     return moving, jxr.equation_terms(grasp, moving)
 
 
-# It turns the object of the pivoted scene against the fingertip, which presses all the more.
-BLOW = Impulse((0.0, 0.0), 0.3, angular=2e-5)
+def blow(when, share=1.0):
+    """It strikes a disc that rolls down a hill forwards and onto it, which presses all the more."""
+    return Impulse(share * np.array([1e-3, -2e-3]), when, angular=-2e-5 * share)
+
+
+# The same program for every run without a blow.
+EVERY = {"ts": 3, "rtol": 1e-12, "record": ("energy",)}
+
+
+@pytest.fixture(scope="module")
+def disc():
+    """A disc that begins to roll down a hill, and one that has rolled for 0.06 s."""
+    grasp, state = disc_on_a_hill(reach=0.06)
+    return grasp, state, jxr.simulate(grasp, state, 0.06, **EVERY).last
 
 
 def test_a_blow_in_the_plane_against_the_dense_equations(pinch):
@@ -125,42 +138,39 @@ def test_gaps_that_close_are_brought_to_rest(pivoted):
     assert float(jxr.energies(grasp, after)[0]) < float(jxr.energies(grasp, wild)[0])
 
 
-def test_a_run_with_a_blow_is_two_runs(pivoted):
-    grasp, state = pivoted
-    hit = grasp.with_(load=BLOW)
-    run = jxr.simulate(hit, state, 0.6, ts=[0.1, 0.3, 0.6], rtol=1e-11, record=("energy",))
-    first = jxr.simulate(grasp, state, 0.3, ts=1, rtol=1e-11).last
-    struck = jxr.strike(grasp, first, BLOW)
+def test_a_run_with_a_blow_is_two_runs(disc):
+    grasp, state, first = disc
+    hit = grasp.with_(load=blow(0.06))
+    run = jxr.simulate(hit, state, 0.15, **EVERY | {"ts": [0.03, 0.06, 0.15]})
+    struck = jxr.strike(grasp, first, blow(0.06))
     assert bool(struck.result == jxr.RESULTS.successful) and float(struck.multipliers.f[0]) > 0
-    second = jxr.simulate(grasp, struck.state, 0.6, t0=0.3, ts=1, rtol=1e-11).last
+    second = jxr.simulate(grasp, struck.state, 0.15, t0=0.06, **EVERY).last
     np.testing.assert_allclose(run.states.v[1], struck.state.v, rtol=1e-10, atol=1e-12)
     np.testing.assert_allclose(run.last.q, second.q, rtol=0, atol=1e-12)
-    assert abs(np.asarray(run.energy.residual)).max() < 1e-9 * float(run.energy.kinetic.max())
+    assert abs(np.asarray(run.energy.residual)).max() < 1e-9 * float(np.max(run.energy.kinetic))
     assert abs(np.asarray(run.residuals.normal)).max() < 1e-15
     # At the start and at the end of a run it acts too; before it and after it, it does not.
-    same = {"ts": 3, "rtol": 1e-11, "record": ("energy",)}
-    begun = jxr.simulate(hit, first, 0.6, t0=0.3, **same).last
+    begun = jxr.simulate(hit, first, 0.15, t0=0.06, **EVERY).last
     np.testing.assert_allclose(begun.q, second.q, rtol=0, atol=1e-12)
-    ended = jxr.simulate(hit, state, 0.3, **same)
+    ended = jxr.simulate(hit, state, 0.06, **EVERY)
     np.testing.assert_allclose(ended.last.v, struck.state.v, rtol=1e-10, atol=1e-12)
-    assert float(ended.stats.t_end) == pytest.approx(0.3, abs=1e-15)
-    past = jxr.simulate(hit, struck.state, 0.6, t0=0.3001, **same).last
-    plain = jxr.simulate(grasp, struck.state, 0.6, t0=0.3001, **same).last
+    assert float(ended.stats.t_end) == pytest.approx(0.06, abs=1e-15)
+    past = jxr.simulate(hit, struck.state, 0.15, t0=0.0601, **EVERY).last
+    plain = jxr.simulate(grasp, struck.state, 0.15, t0=0.0601, **EVERY).last
     np.testing.assert_allclose(past.q, plain.q, rtol=0, atol=1e-14)
 
 
-def test_derivatives_of_a_blow(pivoted):
+def test_derivatives_of_a_blow():
     """Of the end and the contact impulse, in the blow's time, size and place: in both modes, and a batch."""
-    grasp, state = pivoted
     options = {"ts": 1, "rtol": 1e-12, "events": (), "record": ("multipliers",)}
 
     def parts(x):
         blow = Impulse(x[1:3], x[0], angular=x[3], point=x[4:])
-        run = jxr.simulate(grasp.with_(load=blow), state, 0.5, **options)
+        run = jxr.simulate(*disc_on_a_hill(load=blow), 0.12, **options)
         impulse = run.impulses.f[0, 0] - 0.7 * run.impulses.lam[0, 0]
-        return jnp.stack([run.last.q @ jnp.array([1.0, -0.7, 0.4]), 10.0 * impulse])
+        return jnp.stack([run.last.q @ jnp.array([1.0, -0.7, 0.004]), 3.0 * impulse])
 
-    x = np.array([0.3, 1e-4, 2e-4, 2e-5, 0.003, 0.004])
+    x = np.array([0.06, 1e-3, -2e-3, -2e-5, 0.003, 0.004])
     steps = np.array([1e-5, 1e-6, 1e-6, 1e-7, 1e-5, 1e-5])
     near = np.concatenate([x[None] + np.diag(steps), x[None] - np.diag(steps), x[None]])
     many = jax.jit(jax.vmap(parts))(near)
@@ -181,40 +191,56 @@ def test_a_blow_that_contacts_cannot_answer_ends_the_run(pivoted):
     run = jxr.simulate(hit, state, 0.2, ts=1, throw=False)
     assert bool(run.result == jxr.RESULTS.contact_lost)
     assert float(run.stats.t_end) == pytest.approx(0.1, abs=1e-15)
-    before = jxr.simulate(grasp, state, 0.1, ts=1).last
+    # The same program: of a blow that is still to come.
+    later = grasp.with_(load=Impulse((0.0, 0.0), 0.9, angular=-2e-5))
+    before = jxr.simulate(later, state, 0.1, ts=1).last
     np.testing.assert_allclose(run.last.v, before.v, rtol=0, atol=1e-6)
     assert "no longer presses at t = 0.1 s" in str(run) and "inf" not in str(run)
     held = jxr.simulate(hit, state, 0.2, ts=1, events=())
     assert bool(held.result == jxr.RESULTS.successful)
 
 
+def growing(pull, t, pose, twist):
+    """A torque that turns the object until a contour ends."""
+    return jnp.zeros(2), pull * t
+
+
+def rolled_off(numbers):
+    """Velocity and time of a disc with a torque that grows, and a blow at some time, at its hill's end."""
+    pull, when = numbers
+    hit = Impulse((0.0, 0.0), when, angular=1e-6), jax.tree_util.Partial(growing, pull)
+    run = jxr.simulate(*disc_on_a_hill(load=hit), 1.0, ts=1, throw=False, rtol=1e-10)
+    return jnp.append(run.last.v, run.stats.t_end)
+
+
+ROLLED_OFF = both_ways(rolled_off)
+
+
 @pytest.mark.parametrize("when", [0.02, 0.9], ids=["after a blow", "before a blow"])
-def test_an_end_moves_with_what_brings_it_about_in_runs_with_blows_too(pivoted, when):
-    """A torque that turns the object until a contour ends: time and state of the end, in both modes."""
-    grasp, state = pivoted
-
-    def end(pull):
-        twist = jax.tree_util.Partial(lambda pull, t, pose, twist: (jnp.zeros(2), pull * t), pull)
-        hit = grasp.with_(load=(Impulse((0.0, 0.0), when, angular=1e-6), twist))
-        run = jxr.simulate(hit, state, 1.0, ts=1, throw=False, rtol=1e-10)
-        return jnp.append(run.last.q, run.stats.t_end)
-
-    end, pull, step = jax.jit(end), 0.2, 1e-5
-    assert 0.02 < float(end(pull)[-1]) < 0.9
-    wanted = (end(pull + step) - end(pull - step)) / (2.0 * step)
-    assert abs(wanted[-1]) > 0.1
-    np.testing.assert_allclose(jax.jacfwd(end)(pull), wanted, rtol=1e-5, atol=1e-8)
-    np.testing.assert_allclose(jax.jacrev(end)(pull), wanted, rtol=1e-5, atol=1e-8)
+def test_an_end_moves_with_what_brings_it_about_in_runs_with_blows_too(when):
+    """In a torque and in the time of a blow, in both modes."""
+    at, step, bars = np.array([-0.005, when]), np.array([1e-5, 1e-5]), np.eye(4)
+    assert 0.02 < ROLLED_OFF(at, step, bars[0])[0][-1] < 0.9
+    ends = [[ROLLED_OFF(at + k * way, step, bars[0])[0] for way in np.diag(step)] for k in (-1, 1)]
+    wanted = np.subtract(ends[1], ends[0]).T / (2.0 * step)
+    assert (abs(wanted[:, 0]) > 0.1).all() and (when == 0.9) == (not wanted[:, 1].any())
+    reverse = np.array([ROLLED_OFF(at, step, bar)[2] for bar in bars])
+    np.testing.assert_allclose(reverse, wanted, rtol=1e-5, atol=1e-8)
+    forwards = np.array([ROLLED_OFF(at, way, bars[0])[1] for way in np.eye(2)]).T
+    np.testing.assert_allclose(forwards, reverse, rtol=1e-9, atol=1e-12)
 
 
-def test_blows_at_one_time_add_up(pivoted):
-    grasp, state = pivoted
-    halves = grasp.with_(load=[Impulse((0.0, 0.0), 0.3, angular=1e-5)] * 2)
-    # One of them some rounding units later, as a time that was summed up is.
-    near = grasp.with_(load=[Impulse((0.0, 0.0), when, angular=1e-5) for when in (0.3, 0.3 + 8e-16)])
-    ends = [jxr.simulate(g, state, 0.5, ts=1).last.q for g in (halves, near, grasp.with_(load=BLOW))]
+def test_blows_at_one_time_add_up(disc):
+    grasp, state, _ = disc
+    # One of them some rounding units later, as a time that was summed up is; and one that is still to come.
+    halves = [(blow(0.06, 0.5), blow(when, 0.5)) for when in (0.06, 0.06 + 1e-16)]
+    assert float(halves[1][1].time) > 0.06
+    every = [*halves, (blow(0.06), blow(0.9))]
+    ends = [jxr.simulate(grasp.with_(load=blows), state, 0.15, ts=1).last.q for blows in every]
     np.testing.assert_allclose(ends[0], ends[2], rtol=0, atol=1e-13)
     np.testing.assert_allclose(ends[1], ends[2], rtol=0, atol=1e-13)
+    without = jxr.simulate(grasp, state, 0.15, **EVERY).last.q
+    assert abs(np.asarray(ends[2] - without))[0] > 1e-3
 
 
 def test_torques_and_accelerations_of_states(pivoted, pinch):
@@ -241,24 +267,21 @@ def test_torques_and_accelerations_of_states(pivoted, pinch):
     np.testing.assert_allclose(left, drive, rtol=0, atol=1e-12)
 
 
-def test_a_run_that_records_forces_has_the_contact_impulses(pivoted):
+def test_a_run_that_records_forces_has_the_contact_impulses(disc):
     """Those of `strike` at the state before; of two at once those of both, and none of one still to come."""
-    grasp, state = pivoted
-    time = 0.1
-    blows = [Impulse((0.0, 0.0), when, angular=2e-5 * k) for when, k in ((time, 1), (0.9, 1), (time, 0.5))]
-    hit = grasp.with_(load=blows)
-    ts = np.array([0.05, 0.2])
-    run = jxr.simulate(hit, state, 0.2, ts=ts, rtol=1e-11, record=("multipliers",))
-    before = jxr.simulate(grasp, state, time, ts=1, rtol=1e-11).last
-    struck = jxr.strike(grasp, before, Impulse((0.0, 0.0), 0.0, angular=3e-5))
+    grasp, state, before = disc
+    hit = grasp.with_(load=[blow(0.06), blow(0.9), blow(0.06, 0.5)])
+    ts = np.array([0.03, 0.12])
+    run = jxr.simulate(hit, state, 0.12, ts=ts, rtol=1e-12, record=("multipliers",))
+    struck = jxr.strike(grasp, before, blow(0.06, 1.5))
     wanted = struck.multipliers
     for part in ("f", "lam"):
-        found = getattr(run.impulses, part)
+        found = np.asarray(getattr(run.impulses, part))
         assert found.shape == (3, 1) and np.isnan(found[1]).all()
         np.testing.assert_allclose(found[::2], np.stack([getattr(wanted, part)] * 2), rtol=1e-9)
     # Saved states and forces are those without the record.
-    first = jxr.simulate(grasp, state, ts[0], ts=1, rtol=1e-11).last
-    second = jxr.simulate(grasp, struck.state, ts[1], t0=time, ts=1, rtol=1e-11).last
+    first = jxr.simulate(grasp, state, ts[0], **EVERY).last
+    second = jxr.simulate(grasp, struck.state, ts[1], t0=0.06, **EVERY).last
     np.testing.assert_allclose(run.states.q, [first.q, second.q], rtol=0, atol=1e-12)
     forces = jxr.multipliers(hit, run.ts, run.states)
     np.testing.assert_allclose(run.multipliers.f, forces.f, rtol=1e-12)

@@ -81,7 +81,7 @@ def test_disc_on_an_incline():
 
 def test_jaws_are_drawn():
     grasp, state = jxr.scenes.roller()
-    run = jxr.simulate(grasp, state, 1.0, ts=11)
+    run = jxr.simulate(grasp, state, 1.0, ts=31)
     figure = jxr.plotting.poses(grasp, run, times=(0.0, 0.5, 1.0))
     assert len(figure.axes) >= 3
 

@@ -8,6 +8,7 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll.loads import Drag, Push, Spring
+from tests.measures import both_slopes
 from tests.oracles import reference_space as reference
 from tests.oracles.chapter_part1 import Part1, planar_rotation, turned_left
 from tests.recorded import runs
@@ -270,46 +271,56 @@ def disc_end(p, ts=1):
     return run.last.q[0] + 0.1 * run.last.v[0]
 
 
-# One program for the values and the derivative forwards.
-ALONG = jax.jit(lambda p, way: jax.jvp(disc_end, (p,), (way,)))
+# One program for the values and both derivatives.
+SLOPES = both_slopes(disc_end)
+STEPS = 1e-4 * np.maximum(np.abs(FLAT), 0.01)
 
 
-def test_derivatives_in_all_numbers_of_the_loads():
+@pytest.fixture(scope="module")
+def lanes():
+    """Rows of numbers and their ends as one batch: three unlike ones, and four steps along each number."""
+    unlike = FLAT * np.array([[0.5], [1.0], [1.5]])
+    near = FLAT + np.array([-2, -1, 1, 2])[:, None, None] * np.diag(STEPS)
+    rows = np.concatenate([unlike, near.reshape(-1, FLAT.size)])
+    return rows, np.asarray(jax.jit(jax.vmap(disc_end))(rows))
+
+
+def test_derivatives_in_all_numbers_of_the_loads(lanes):
     """Both modes against central differences, and each other."""
     ways = np.eye(FLAT.size)
-    forward = np.array([ALONG(FLAT, way)[1] for way in ways])
-    backward = jax.jit(jax.grad(disc_end))(FLAT)
+    forward = np.array([SLOPES(FLAT, way)[1] for way in ways])
+    backward = SLOPES(FLAT)[2]
     np.testing.assert_allclose(backward, forward, rtol=1e-12, atol=1e-12 * np.abs(forward).max())
-    steps = 1e-4 * np.maximum(np.abs(FLAT), 0.01)
-    for k, step in enumerate(steps):
-        ends = [ALONG(FLAT + n * step * ways[k], ways[k])[0] for n in (-2, -1, 1, 2)]
-        slope = (ends[0] - 8 * ends[1] + 8 * ends[2] - ends[3]) / (12 * step)
-        assert abs(slope - forward[k]) <= 1e-7 * max(1.0, abs(slope)), (k, slope, forward[k])
+    slopes = np.array([1, -8, 8, -1]) @ lanes[1][3:].reshape(4, -1) / (12 * STEPS)
+    assert (np.abs(slopes - forward) <= 1e-7 * np.maximum(1.0, np.abs(slopes))).all()
     assert np.abs(forward).min() > 1e-6
 
 
-def test_a_batch_over_a_loads_number_is_the_single_runs():
-    many = FLAT[None] * np.array([0.5, 1.0, 1.5])[:, None]
-    together = jax.jit(jax.vmap(disc_end))(many)
-    alone = [ALONG(p, np.zeros(FLAT.size))[0] for p in many]
-    np.testing.assert_allclose(together, alone, rtol=0, atol=1e-13)
+def test_a_batch_over_a_loads_number_is_the_single_runs(lanes):
+    alone = [SLOPES(p)[0] for p in lanes[0][:3]]
+    np.testing.assert_allclose(lanes[1][:3], alone, rtol=0, atol=1e-13)
 
 
 # --- what else reads loads
 
 
-def test_of_a_pivoted_object_the_torque_alone_counts():
-    grasp, state = jxr.scenes.pivoted()
+def test_of_a_pivoted_object_the_torque_alone_counts(scene):
+    grasp, state = scene
     f = lambda load: np.asarray(jxr.multipliers(grasp.with_(load=load), 0.1, state).f)  # noqa: E731
     push = lambda force, point: (Push(force, 0.0, 0.2, point=point), Drag(0.5, 0.0), Spring(9.0, (0, 0)))  # noqa: E731
-    np.testing.assert_allclose(f(push((0.0, 0.0), (0, 0))), f(push((0.7, 0.9), (0, 0))), rtol=0, atol=1e-15)
+    twisted = lambda torque: f(jax.tree_util.Partial(twisting, jnp.asarray(torque)))  # noqa: E731
     bare, turned = f(None), f(push((0.3, -0.2), (0.01, 0.02)))
-    np.testing.assert_allclose(bare, f(push((0.7, 0.9), (0, 0))), rtol=0, atol=1e-15)
+    for none in (f(push((0.0, 0.0), (0, 0))), f(push((0.7, 0.9), (0, 0))), twisted(0.0)):
+        np.testing.assert_allclose(bare, none, rtol=0, atol=1e-15)
     arm = planar_rotation(float(state.q[0])) @ [0.01, 0.02]
-    torque = float(turned_left(arm) @ [0.3, -0.2])
-    wanted = f(lambda t, pose, twist: (jnp.array([5.0, 7.0]), torque))
+    wanted = twisted(turned_left(arm) @ [0.3, -0.2])
     assert np.abs(turned - bare).max() > 1e-3
     np.testing.assert_allclose(turned, wanted, rtol=1e-13)
+
+
+def twisting(torque, t, pose, twist):
+    """A load with a force, which a pivoted object does not feel."""
+    return jnp.array([5.0, 7.0]), torque
 
 
 def test_equilibrium_and_verdict_under_a_spring():

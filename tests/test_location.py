@@ -118,9 +118,13 @@ def test_circle_and_ellipse():
         assert found.result == SUCCESS and bool(found.unique)
 
 
+NODES = np.linspace(0.0, 2 * np.pi, 24, endpoint=False)
+LOBES = 0.02 * (1.0 + 0.25 * np.cos(3 * NODES))[:, None] * np.stack([np.cos(NODES), np.sin(NODES)], axis=-1)
+
+
 def test_circle_in_a_notch_touches_twice():
     """Three lobes; a circle on the axis of a notch is as close to both flanks."""
-    trefoil = Polar(0.02, [0.0, 0.0, 0.25], [0.0, 0.0, 0.0])
+    trefoil = jxr.Spline(LOBES).prepared()
     at = np.pi / 3  # the middle of a notch
     found = locate(jxr.Circle(0.012), trefoil, pose_a=(0.032 * np.cos(at), 0.032 * np.sin(at), 0.0))
     assert found.result == SUCCESS and not bool(found.unique) and int(found.others.count) == 1
@@ -141,6 +145,18 @@ def test_circle_in_a_notch_touches_twice():
 LINE = jxr.Line((-0.01, 0.02))
 
 
+@jax.jit
+def line_and_slope(pose, last):
+    """Where a circle is nearest to a line up to `last`, and the derivative of the gap in that."""
+
+    def met(last):
+        found = locate(jxr.Circle(0.02), jxr.Line(jnp.stack([jnp.asarray(-0.01), last])), pose_b=pose)
+        return found.gap, found
+
+    _, slope, found = jax.jvp(met, (last,), (1.0,), has_aux=True)
+    return found, slope
+
+
 @pytest.mark.parametrize(
     ("pose", "gap", "s"),
     [
@@ -151,10 +167,8 @@ LINE = jxr.Line((-0.01, 0.02))
     ],
 )
 def test_line_with_ends_and_circle(pose, gap, s):
-    for swapped in (False, True):
-        pair = (jxr.Circle(0.02), LINE) if swapped else (LINE, jxr.Circle(0.02))
-        poses = {"pose_b" if swapped else "pose_a": pose}
-        found = locate(*pair, **poses)
+    alone = locate(LINE, jxr.Circle(0.02), pose_a=pose)
+    for swapped, found in ((False, alone), (True, line_and_slope(pose, 0.02)[0])):
         np.testing.assert_allclose(float(found.gap), gap, atol=1e-14)
         np.testing.assert_allclose(float(found.s[int(swapped)]), s, atol=1e-14)
         assert found.result == SUCCESS and bool(found.unique)
@@ -220,12 +234,7 @@ def test_second_derivative_of_the_gap():
 
 def test_derivative_at_an_end():
     """The end follows its line's domain."""
-
-    def gap(last):
-        line = jxr.Line(jnp.stack([jnp.asarray(-0.01), last]))
-        return locate(jxr.Circle(0.02), line, pose_b=(0.05, 0.05, np.pi)).gap
-
-    _, slope = jax.jvp(gap, (jnp.array(0.02),), (jnp.ones(()),))
+    slope = line_and_slope((0.05, 0.05, np.pi), 0.02)[1]
     np.testing.assert_allclose(slope, -0.03 / np.hypot(0.05, 0.03), rtol=1e-12)
 
 
@@ -365,8 +374,6 @@ def test_close_locates_the_contacts():
 AROUND = np.array(
     [[0.05, 0.03, 0.3], [0.012, 0.026, 1.0], [-0.035, 0.014, 2.5], [0.016, 0.016 * 3**0.5, 0.0]]
 )
-NODES = np.linspace(0.0, 2 * np.pi, 24, endpoint=False)
-LOBES = 0.02 * (1.0 + 0.25 * np.cos(3 * NODES))[:, None] * np.stack([np.cos(NODES), np.sin(NODES)], axis=-1)
 ROUNDED = jxr.SupportFunction(0.02, (0.0, 0.002, 0.0004), (0.0, 0.0, 0.0003))
 PAIRS = {
     "circle and ellipse": (jxr.Circle(0.01), jxr.Ellipse(0.03, 0.012, cells=256)),

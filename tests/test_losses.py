@@ -10,6 +10,7 @@ import pytest
 
 import jaxroll as jxr
 from tests.measures import both_slopes
+from tests.subjects.disc_on_a_hill import disc_on_a_hill
 from tests.subjects.pivoted_by_points import catenary_points
 
 
@@ -47,21 +48,29 @@ def test_lanes_are_filled_each_by_itself(ended):
 
 def test_a_run_that_saved_nothing_is_filled_too(ended):
     grasp, state, _ = ended
-    run = jxr.simulate(grasp, state, 0.3, ts=[0.25, 0.3], throw=False, record=("multipliers", "energy"))
+    late = [0.25, 0.27, 0.29, 0.3]  # as many as above: the same program
+    run = jxr.simulate(grasp, state, 0.3, ts=late, throw=False, record=("multipliers", "energy"))
     full = run.filled()
-    np.testing.assert_array_equal(full.states.q, np.stack([run.last.q] * 2))
+    np.testing.assert_array_equal(full.states.q, np.stack([run.last.q] * 4))
     assert not np.any(full.multipliers.f) and not np.any(full.energy.kinetic)
 
 
-def test_the_derivative_of_filled_rows_is_that_of_the_end(ended):
+class Lifted(eqx.Module):
+    """A load that lifts the object from a moment on, which it declares."""
+
+    force: jxr.commands.Steps
+
+    def __call__(self, t, pose, twist):
+        return jnp.stack([jnp.zeros(()), self.force(t)]), -1e-5 * twist.spin
+
+
+def test_the_derivative_of_filled_rows_is_that_of_the_end():
     """Through rows, `last` and `t_end` together, in both modes, against differences."""
-    grasp, state, _ = ended
 
     def loss(late):
-        moved = grasp.with_(
-            force=jxr.commands.Steps(jnp.array([0.11]) + late, [0.5, -0.5]), damping=0.006 + late
-        )
-        run = jxr.simulate(moved, state, 0.3, ts=4, rtol=1e-11, throw=False)
+        lift = Lifted(jxr.commands.Steps(jnp.array([0.11]) + late, [0.0, 1.0]))
+        scene = disc_on_a_hill(mass=0.05 + late, load=lift)
+        run = jxr.simulate(*scene, 0.3, ts=4, rtol=1e-11, throw=False)
         return jnp.mean(run.filled().states.q ** 2) + (0.3 - run.stats.t_end) ** 2
 
     step, both = 1e-6, both_slopes(loss)

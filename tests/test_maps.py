@@ -14,18 +14,25 @@ from jaxroll._maps._cells import between, halved_lines, Spread, wanted_points
 from jaxroll.plotting import _map_figure
 from jaxroll.plotting._map_data import Side
 from jaxroll.plotting._map_figure import _edges
+from tests.subjects import rolling_disc
 
 ALL = jxr.measures(*MEASURES_KEPT, turned=lambda run: run.last.q[0])
 
 
 @pytest.fixture(scope="module")
-def swept(scene):
-    """Two runs of the pivoted scene: whole, and as measures."""
-    grasp, state = scene
-    two = jxr.Parameters(damping=[0.004, 0.006])
-    make = lambda p: (grasp.with_(**p), state)  # noqa: E731
+def swept():
+    """Two runs of a disc on a plate that swings, damped, about where it began: whole, and as measures."""
+
+    def make(p):
+        law = lambda t, joints, rates, tips: [-5.0 * joints[0] - p.damping * rates[0]]  # noqa: E731
+        grasp, state = rolling_disc.on_driven_plate(law)
+        # The disc turns on the spot while the plate moves.
+        return grasp, jxr.State(state.q, [0.0, 0.0, 0.1 / rolling_disc.RADIUS, 0.1], state.s)
+
     settings = {"ts": 31, "record": ALL.record, "rtol": 1e-7}
-    return jxr.sweep(make, two, 2.0, keep=lambda run: (run, ALL(run)), **settings)
+    return jxr.sweep(
+        make, jxr.Parameters(damping=[0.8, 1.2]), 2.0, keep=lambda run: (run, ALL(run)), **settings
+    )
 
 
 def test_values_without_an_order_are_all_run():
@@ -55,7 +62,7 @@ def test_measures_are_those_of_the_trajectory(swept):
     energy = np.asarray(runs.energy.kinetic + runs.energy.potential)
     forces = np.asarray(runs.multipliers.f)
     np.testing.assert_allclose(kept["energy_lost"], energy[:, 0] - energy[:, -1], rtol=1e-12)
-    # Nothing but the controller's damping takes energy away here.
+    # Nothing but the controller takes energy away here.
     np.testing.assert_allclose(kept["energy_lost"], -np.asarray(runs.energy.work)[:, -1], rtol=1e-9)
     assert (kept["energy_lost"] > 1e-4).all()
     np.testing.assert_allclose(kept["energy_residual"], np.abs(runs.energy.residual).max(axis=1), rtol=1e-9)
@@ -225,13 +232,10 @@ def test_a_cell_changes_where_any_number_of_a_point_does():
     assert not Spread(whole, known).exceeds(lines, 2).any()
 
 
-def test_a_map_of_runs_is_their_sweep(scene):
-    """Codes of `simulate`, whose boundary is known from the friction demand of runs that do not slip."""
-    grasp, state = scene
-    grid = jxr.Parameters.grid(friction=np.linspace(0.05, 0.4, 17), damping=[0.004, 0.006, 0.008])
-    at = grasp.contacts[0]
-    contact = lambda mu: jxr.Contact(at.s_tip, at.s_object, friction=mu)  # noqa: E731
-    make = lambda p: (grasp.with_contacts(contact(p.friction)).with_(damping=p.damping), state)  # noqa: E731
+def test_a_map_of_runs_is_their_sweep():
+    """Codes of `simulate`: a disc rolls down a slope where its friction is above a third of the tangent."""
+    grid = jxr.Parameters.grid(friction=np.linspace(0.05, 0.4, 17), slope=[0.2, 0.5, 0.8])
+    make = lambda p: rolling_disc.on_slope(p.slope, p.friction)  # noqa: E731
     options = {"ts": 1, "rtol": 1e-6}
     found = jxr.adaptive_map(
         lambda p: jxr.simulate(*make(p), 0.3, throw=False, **options).result, grid, levels=2, chunk=8
@@ -241,16 +245,8 @@ def test_a_map_of_runs_is_their_sweep(scene):
     assert found.runs < grid.rows and set(np.unique(every._value)) == {
         int(code._value) for code in (jxr.RESULTS.successful, jxr.RESULTS.slipping)
     }
-    demand = [
-        design.friction_demand(
-            jxr.simulate(
-                grasp.with_(damping=c), state, 0.3, ts=301, record=("multipliers",), events=("lift",)
-            )
-        )
-        for c in (0.004, 0.006, 0.008)
-    ]
     slips = np.asarray(found.values._value) != 0
-    np.testing.assert_array_equal(slips, np.linspace(0.05, 0.4, 17)[:, None] < np.array(demand))
+    np.testing.assert_array_equal(slips, grid.shaped(3.0 * grid.friction < np.tan(grid.slope)))
 
 
 BAD = {
@@ -397,24 +393,15 @@ def test_kept_measures_are_in_the_order_given_each_once():
 
 def test_a_map_sees_what_a_law_holds_now():
     """JAX keeps the trace of a run by the law's function, whatever the list that it reads holds since."""
-    grasp, state = jxr.scenes.pivoted()
-    share = [0.0]
-
-    def law(t, angles, rates, tips):
-        force = -share[0] * (tips[0].position - grasp.controller.target)
-        return [tips[0].jacobian.T @ force]
+    force, t1 = [0.0], 0.05
+    grasp, state = rolling_disc.on_driven_plate(lambda t, joints, rates, tips: [jnp.array([force[0]])])
 
     def outcome(p):
         start = eqx.tree_at(lambda s: s.v, state, state.v + 0.0 * p["x"])
-        run = jxr.simulate(grasp.with_(controller=law), start, 0.05, ts=1, events=(), throw=False)
-        return {"moved": run.last.q[0] - state.q[0]}
+        run = jxr.simulate(grasp, start, t1, ts=1, events=(), throw=False)
+        return {"moved": run.last.q[3]}
 
-    def moved():
+    for force[0] in (0.5, 1.0):
         found = jxr.adaptive_map(outcome, jxr.Parameters.grid(x=[0.0, 1.0]), levels=0, tolerance=1.0)
-        return abs(found.values["moved"][0])
-
-    share[0] = 25.0
-    first = moved()
-    share[0] = 50.0
-    second = moved()
-    assert second > 1.5 * first > 1e-6
+        wanted = 0.5 * force[0] / rolling_disc.MOVED * t1**2
+        np.testing.assert_allclose(found.values["moved"], wanted, rtol=1e-9)

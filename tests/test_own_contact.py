@@ -273,22 +273,25 @@ def test_teeth_turn_by_their_ratio_and_report_no_friction(teeth: Any) -> None:
     assert any("Normal force" in title for title in titles) and not any("angential" in t for t in titles)
 
 
-def test_teeth_in_a_gradient_and_in_a_batch(teeth: Any) -> None:
+def _end_of(inertia: Any, t: float) -> Any:
+    """The driver's angle [rad] where the wheel has another inertia."""
+    whole = _MASS * 0.02**2 / 3.0 + inertia / 9.0
+    return _TORQUE * (1.0 - np.cos(3.0 * t)) / 9.0 / whole
+
+
+def test_teeth_in_a_gradient(teeth: Any) -> None:
     grasp, state = teeth
 
     def end(inertia: Any) -> Any:
         return jxr.simulate(grasp.with_(inertia=inertia), state, 1.0, ts=1, max_steps=256).last.q[1]
 
-    def exact(inertia: Any) -> Any:
-        whole = _MASS * 0.02**2 / 3.0 + inertia / 9.0
-        return _TORQUE * (1.0 - np.cos(3.0)) / 9.0 / whole
-
-    given = jnp.linspace(0.5e-4, 2e-4, 4)
-    np.testing.assert_allclose(jax.vmap(end)(given), exact(given), rtol=1e-8)
-    slope = jax.jit(jax.grad(end))
+    given = np.linspace(0.5e-4, 2e-4, 4)
+    both = jax.jit(jax.value_and_grad(end))
+    ends, slopes = np.array([both(inertia) for inertia in given]).T
+    np.testing.assert_allclose(ends, _end_of(given, 1.0), rtol=1e-8)
     # d/dI of K / (a + I / 9) is -(K / (a + I / 9)) / (9 a + I).
-    wanted = -exact(given) / (3.0 * _MASS * 0.02**2 + given)
-    np.testing.assert_allclose([slope(inertia) for inertia in given], wanted, rtol=1e-8)
+    wanted = -_end_of(given, 1.0) / (3.0 * _MASS * 0.02**2 + given)
+    np.testing.assert_allclose(slopes, wanted, rtol=1e-8)
 
 
 def test_a_belt_turns_both_pulleys_alike_and_slackens() -> None:
@@ -338,23 +341,29 @@ class Slipping(Teeth):
         return pinion.frame(place), wheel.frame(place)
 
 
-def test_teeth_of_wheels_that_do_not_fit_are_a_code_of_the_run(teeth: Any) -> None:
+def test_teeth_in_a_batch_and_those_of_wheels_that_do_not_fit_are_a_code_of_the_run(teeth: Any) -> None:
     """Rows would be the gap's rate at a frozen place, where the gap changes with the place: wrong by 3 %."""
     grasp, state = teeth
 
-    def run(radius: Any) -> Any:
+    def run(radius: Any, inertia: Any) -> Any:
         tip = jxr.Circle(radius).moved((-0.02, 0.0), np.pi)
-        start = jxr.close(grasp.with_tip(0, tip), state, throw=False, hold_contacts=False)
-        return jxr.simulate(*start, 0.3, ts=2, throw=False)
+        whole = grasp.with_tip(0, tip).with_(inertia=inertia)
+        start = jxr.close(whole, state, throw=False, hold_contacts=False)
+        return jxr.simulate(*start, 1.0, ts=2, throw=False)
 
-    runs = jax.vmap(run)(_SMALL * jnp.array([0.99, 1.0, 1.01]))
-    assert repr(runs.result) == "[not_rolling, successful, not_rolling]"
-    np.testing.assert_array_equal(runs.stats.contact, [0, -1, 0])
-    # An oval pinion fits at the start, and not later.
-    oval = grasp.with_tip(0, jxr.Ellipse(_SMALL, 1.05 * _SMALL).moved((-0.02, 0.0), np.pi))
-    start = jxr.close(oval, state, hold_contacts=False)
+    radii, inertias = _SMALL * np.array([0.99, 1.0, 1.0, 1.01, 1.0]), np.linspace(0.5e-4, 2e-4, 5)
+    runs, fits = jax.vmap(run)(jnp.asarray(radii), jnp.asarray(inertias)), radii == _SMALL
+    assert repr(runs.result) == "[not_rolling, successful, successful, not_rolling, successful]"
+    np.testing.assert_array_equal(runs.stats.contact, [0, -1, -1, 0, -1])
+    driver = np.asarray(runs.last.q)[:, 1]
+    np.testing.assert_allclose(driver[fits], _end_of(inertias[fits], 1.0), rtol=1e-8)
+    # A pinion whose joint is beside its centre fits at the start, and not later.
+    beside = 0.002
+    lean, radius = np.arctan2(beside, _SMALL + _LARGE), np.hypot(beside, _SMALL + _LARGE) - _LARGE
+    eccentric = grasp.with_tip(0, jxr.Circle(radius).moved((-0.02, beside), np.pi))
+    start = jxr.State([lean + radius * lean / _LARGE, 0.0], [0.0, 0.0], [radius * lean])
     with pytest.raises(RuntimeError, match=r"The gap of contact 0 .* changes as its place alone moves"):
-        jxr.simulate(*start, 0.3, ts=2)
+        jxr.simulate(eccentric, start, 3.0, rtol=1e-9, record=("multipliers", "energy"))
 
 
 class TwoRows(Teeth):

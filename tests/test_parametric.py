@@ -7,6 +7,7 @@ import pytest
 
 import jaxroll as jxr
 from tests.measures import both_slopes, taylor_remainders
+from tests.recorded import runs
 
 A, B = 0.02, 0.014
 TURN = 2.0 * np.pi
@@ -53,31 +54,31 @@ def test_an_open_curve_is_the_catenary_that_it_follows():
     mine = jxr.Parametric(hanging, (-0.03, 0.03), origin=0.0)
     s = jnp.linspace(-0.02, 0.02, 9)
     np.testing.assert_allclose(mine.point(s), jxr.Catenary(c).point(s), rtol=0, atol=1e-15)
-    grasp, state = jxr.scenes.pivoted()
-    tip = grasp.fingers[0].tip
-    chapters = jxr.Catenary(c).moved(*((tip.offset, tip.angle) if hasattr(tip, "offset") else ()))
-    placed = mine.moved(*((tip.offset, tip.angle) if hasattr(tip, "offset") else ()))
-    ends = [
-        jxr.simulate(*jxr.close(grasp.with_tip(0, shape), state), 0.3, ts=1, rtol=1e-10).last.q
-        for shape in (chapters, placed)
-    ]
+    grasp, state = runs.scene("pivoted")
+    placed = grasp.with_tip(0, mine.moved((0.01, 0.0)).moved(angle=-0.5 * np.pi))
+    ends = [jxr.simulate(*jxr.close(held, state), 0.3, ts=1, rtol=1e-10).last.q for held in (grasp, placed)]
     np.testing.assert_allclose(ends[1], ends[0], rtol=0, atol=1e-12)
 
 
 def test_runs_batches_and_gradients_go_through_the_curve():
-    """In its own arrays, through table, closing and run: a Taylor test; a batch is its runs."""
-    grasp, state = jxr.scenes.pivoted()
+    """In its own arrays, through table, closing and run: a Taylor test; a batch is its runs.
+
+    A disc rolls down from beside the top of a fixed hill, which is the curve.
+    """
 
     def turned(b):
-        tip = own(0.012, b, origin=0.0, cells=256)
-        return jxr.simulate(*jxr.close(grasp.with_tip(0, tip), state), 0.05, ts=1).last.q[0]
+        hill = jxr.Jaw(own(0.012, b, origin=0.0, cells=256))
+        disc = jxr.FreeObject(jxr.Circle(0.01), 0.02, 1e-6)
+        grasp = jxr.Grasp(disc, hill, jxr.Contact(0.001, 0.0), gravity=(-9.81, 0.0))
+        aside = jxr.State([0.022, 0.001, np.pi], np.zeros(3), [0.001])
+        return jxr.simulate(*jxr.close(grasp, aside), 0.05, ts=1).last.q[2]
 
     both = both_slopes(turned)
     value, *slopes = both(0.01)
     for slope in slopes:
         left = taylor_remainders(lambda b: both(b)[0], 0.01, 1.0, float(slope), (2e-4, 1e-4, 5e-5))
         np.testing.assert_allclose(np.log2(left[:-1] / left[1:]), 2.0, atol=0.1)
-    many = jax.jit(jax.vmap(turned))(jnp.array([0.009, 0.01, 0.011]))
+    many = np.asarray(jax.jit(jax.vmap(turned))(jnp.array([0.009, 0.01, 0.011])))
     np.testing.assert_allclose(many[1], value, rtol=0, atol=1e-9)
     assert np.ptp(many) > 1e-5
 
@@ -147,10 +148,14 @@ def rolled(surface, r, **options):
 
 
 def test_a_surface_of_ones_own_rolls_as_the_ball_that_it_is():
-    ends = [rolled(surface, 0.02, rtol=1e-12) for surface in (jxr.Sphere(0.02), chart(0.02))]
-    np.testing.assert_allclose(ends[1], ends[0], rtol=0, atol=1e-12)
-    # A solid ball: 5/7 of what slides freely.
-    np.testing.assert_allclose(ends[1][:2], 5 / 14 * 0.3**2 * np.array([0.05, 0.3]), rtol=1e-9)
+    """A solid ball has 5/7 of the acceleration of what slides freely, and turns about one axis."""
+    radius = 0.02
+    end = rolled(chart(radius), radius, rtol=1e-12)
+    x, y = way = 5 / 14 * 0.3**2 * np.array([0.05, 0.3])
+    length = np.hypot(x, y)
+    axis, half = np.array([-y, x, 0.0]) / length, 0.5 * length / radius
+    np.testing.assert_allclose(end[:3], [*way, radius], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(end[3:], [np.cos(half), *np.sin(half) * axis], rtol=0, atol=1e-12)
 
 
 @pytest.mark.slow

@@ -72,7 +72,7 @@ def test_velocities_stay_on_the_constraints(scene, run):
 
 def test_energy_identity(scene):
     """K + potential + dissipated work, constant to 1e-9 of its size at rtol 1e-9."""
-    run = jxr.simulate(*scene, t1=3.0, rtol=1e-9, record=("energy",))
+    run = jxr.simulate(*scene, t1=3.0, rtol=1e-9, record=("multipliers", "energy"))
     size = float(run.energy.kinetic[0] + run.energy.potential[0])
     assert np.abs(run.energy.residual).max() <= 1e-9 * size
     assert float(run.energy.work[-1]) < -0.01 * size  # it does dissipate
@@ -204,9 +204,9 @@ def test_closed_loop_equations_76_and_77_hold_along_the_run(scene, run, aside):
     i = 20
     state = jax.tree.map(lambda x: x[i], run.states)
     h = 1e-4
-    fine = jxr.simulate(grasp, state, h, ts=jnp.array([0.0, h / 2, h]), rtol=1e-12, record=("multipliers",))
-    v_rate = (fine.states.v[2] - fine.states.v[0]) / h
-    middle = jax.tree.map(lambda x: x[1], fine.states)
+    fine = jxr.simulate(grasp, state, h, rtol=1e-12, record=("multipliers", "energy"))
+    v_rate = (fine.states.v[300] - fine.states.v[0]) / h
+    middle = jax.tree.map(lambda x: x[150], fine.states)
     terms = jxr.equation_terms(grasp, middle)
     balance = jxr.press_balance(grasp, 0.0, middle)
     e = np.array([-1.0, 1.0, 1.0])
@@ -250,10 +250,16 @@ def test_observed_order_with_projection(scene, solver, order, band, t1, ladder):
     assert abs(observed - order) <= band
 
 
+def by_csm(grasp, state, t1, gains=None, **options):
+    """A run by the chapter's own method, one program for all of them."""
+    gains = gains or jxr.CSM()
+    return jxr.simulate(grasp, state, t1, ts=31, formulation=gains, max_steps=50_000, **options)
+
+
 @pytest.fixture(scope="module")
 def stabilised(scene):
     """The chapter's own method at tight tolerance."""
-    return jxr.simulate(*scene, t1=3.0, ts=31, formulation=jxr.CSM(), rtol=1e-9, max_steps=50_000)
+    return by_csm(*scene, 3.0, rtol=1e-9)
 
 
 def test_csm_agrees_with_index1(stabilised, reference):
@@ -271,11 +277,11 @@ def test_csm_takes_ten_times_the_steps(scene, stabilised):
 def test_csm_pulls_a_violated_constraint_back(scene):
     grasp, state = scene
     off = jxr.State(state.q + jnp.array([1e-5, 0.0, 0.0]), state.v, state.s)
-    run = jxr.simulate(grasp, off, 0.05, ts=2, formulation=jxr.CSM(), throw=False)
-    before, after = (np.hypot(run.residuals.normal, run.residuals.tangential)[i, 0] for i in (0, 1))
+    run = by_csm(grasp, off, 0.05, throw=False)
+    before, after = np.hypot(run.residuals.normal, run.residuals.tangential)[[0, -1], 0]
     assert before > 1e-8 and after < 1e-3 * before
     tangency = np.asarray(run.residuals.tangency[:, 0])
-    assert abs(tangency[1] / tangency[0] - 1.0) < 1e-3  # integrated by (68), never stabilised
+    assert np.abs(tangency / tangency[0] - 1.0).max() < 1e-3  # integrated by (68), never stabilised
 
 
 @pytest.mark.parametrize("which", [0, 1])
@@ -291,7 +297,7 @@ def test_csm_closes_either_gap_at_its_own_rate(scene, which):
     along = turn @ np.asarray((face.normal, face.tangent)[which](0.003))
     base = grasp.fingers[0].base + 1e-9 * along
     moved = eqx.tree_at(lambda g: g.fingers[0].base, grasp, base)
-    run = jxr.simulate(moved, state, 2e-3, ts=5, formulation=gains, throw=False, rtol=1e-10)
+    run = by_csm(moved, state, 2e-3, gains, throw=False, rtol=1e-10)
     left = np.stack([run.residuals.normal[:, 0], run.residuals.tangential[:, 0]])
     decay = np.exp(-np.outer(rates, run.ts)) * (1.0 + np.outer(rates, run.ts))
     np.testing.assert_allclose(np.abs(left[which]), 1e-9 * decay[which], rtol=1e-3, atol=1e-14)

@@ -53,7 +53,7 @@ def test_lanes_of_x_of_what_the_map_depends_on_or_both(axes):
     for derived in (lambda f: f, lambda f: jax.jacfwd(f, 1), lambda f: jax.jacrev(f, 1)):
         same(*(jax.jit(jax.vmap(derived(f), axes))(*args) for f in (mapped, plain)))
     total = lambda f: lambda x: jnp.sum(jax.vmap(f, axes)(args[0], x))  # noqa: E731
-    same(*(jax.grad(total(f))(args[1]) for f in (mapped, plain)))
+    same(*(jax.jit(jax.grad(total(f)))(args[1]) for f in (mapped, plain)))
 
 
 def test_lanes_along_another_axis():
@@ -102,7 +102,8 @@ def test_rows_in_turn_are_differentiated_in_all_that_is_given():
     for derived in (jax.jacrev, jax.jacfwd):
         same(*(jax.jit(derived(through(way), (0, 1)))(shared, rows) for way in (turn, side)))
     many = jnp.stack([rows, 2.0 * rows])
-    same(*(jax.vmap(jax.grad(through(way), (0, 1)), (None, 0))(shared, many) for way in (turn, side)))
+    lanes = lambda way: jax.jit(jax.vmap(jax.grad(through(way), (0, 1)), (None, 0)))  # noqa: E731
+    same(*(lanes(way)(shared, many) for way in (turn, side)))
 
 
 def test_a_value_and_the_rule_for_its_derivative_are_traced_once():

@@ -173,7 +173,7 @@ def energy_and_drift(pinch, no_spin, ts):
 
 @pytest.mark.parametrize("grasp", GRASPS.values(), ids=GRASPS)
 def test_energy_and_drift(grasp):
-    energy_and_drift(grasp, grasp is ref.pinch3d_ellipsoids, np.linspace(0, 0.2, 3))
+    energy_and_drift(grasp, grasp is ref.pinch3d_ellipsoids, np.linspace(0, 0.1, 3))
 
 
 @pytest.mark.slow
@@ -256,7 +256,7 @@ def test_the_chapters_pinch_with_round_tips():
     second = ref.joints_reaching(fingers[1], np.array([0.0525, 0.098, 0]), np.array([0.9, 1.2]))
     start = [[0.0275, 0.10, 0, np.cos(theta / 2), 0, 0, np.sin(theta / 2)], first, second]
     q = ref.closed_coordinates(scene, np.concatenate(start), np.concatenate([np.zeros(6), np.ones(5)]))
-    ts = np.linspace(0, 0.2, 4)
+    ts = np.linspace(0, 0.1, 3)
     qs, vs = ref.simulate(scene, q, np.zeros(11), ts)
 
     def arclengths(q):

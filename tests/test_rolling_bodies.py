@@ -233,37 +233,33 @@ def test_loci_that_begin_at_rest_have_derivatives_in_both_modes():
     np.testing.assert_allclose(jax.jit(jax.grad(lambda late: length(late)[0]))(1.0), 2.0 * pair[0], rtol=1e-8)
 
 
-def test_spin_about_the_normal_is_counter_clockwise():
-    options = {"at_tip": (0.0, 0.0, -0.1), "at_object": (0.0, 0.0, 0.0), "spin": lambda t: 0.7}
-    rolled = jxr.roll(
-        jxr.Sphere(0.1), jxr.Plane(), lambda t: (0.0, 0.0, 0.0), jnp.array([0.0, 1.0]), **options
-    )
-    half = np.array([np.cos(0.35), 0.0, 0.0, np.sin(0.35)])
-    np.testing.assert_allclose(rolled.pose[-1, 3:], half, atol=1e-12)
-
-
 def test_a_straight_locus_has_no_torsion_and_hinders_no_derivative():
     """Along x over a plane at 0.1 m/s: nothing turns, and nothing that is not finite gets into a gradient."""
     ts, zero = jnp.linspace(0.0, 1.0, 5), jnp.zeros((5, 1, 3))
-    ahead = zero.at[..., 0].set(0.1)
+    ahead, up = (zero.at[..., axis].set(size) for axis, size in ((0, 0.1), (2, 1.0)))
 
-    def length(velocity):
-        jet = _Jet(ahead * ts[:, None, None], velocity, zero, zero, zero.at[..., 2].set(1.0), zero)
-        locus = _locus(ts, jet)
-        return locus.arclength[0, -1] + jnp.where(
-            jnp.isfinite(locus.torsion), locus.torsion, 0.0
-        ).sum(), locus
+    def length(velocity, point):
+        locus = _locus(ts, _Jet(point, velocity, zero, zero, up, zero))
+        bent = jnp.where(jnp.isfinite(locus.torsion), locus.torsion, 0.0)
+        return locus.arclength[0, -1] + bent.sum(), locus
 
-    (found, locus), slope = jax.value_and_grad(length, has_aux=True)(ahead)
+    differentiated = jax.jit(jax.value_and_grad(length, has_aux=True))
+    (found, locus), slope = differentiated(ahead, ahead * ts[:, None, None])
     assert found == pytest.approx(0.1) and np.isnan(locus.torsion).all()
-    np.testing.assert_allclose(slope[:, 0, 0], [0.125, 0.25, 0.25, 0.25, 0.125], atol=1e-12)
+    np.testing.assert_allclose(np.asarray(slope)[:, 0, 0], [0.125, 0.25, 0.25, 0.25, 0.125], atol=1e-12)
     np.testing.assert_allclose(locus.curvature, 0.0)
 
 
-def test_torsion_is_geodesic_torsion_and_the_turning_of_the_normal():
-    r"""$\tau = \tau_g + d\alpha/ds$, with the angle of the principal normal in the Darboux frame."""
+@pytest.fixture(scope="module")
+def rocking_rattleback():
+    """A rattleback of three unlike axes that starts leant over, and its run with 201 times."""
     scene = jxr.scenes.rattleback(spin=2.0, tilt=0.3, axes=(0.05, 0.03, 0.04))
-    run = run_of(scene, 0.25, ts=201, rtol=1e-11, record=("energy",))
+    return scene, run_of(scene, 0.25, ts=201, rtol=1e-11, record=("energy",))
+
+
+def test_torsion_is_geodesic_torsion_and_the_turning_of_the_normal(rocking_rattleback):
+    r"""$\tau = \tau_g + d\alpha/ds$, with the angle of the principal normal in the Darboux frame."""
+    scene, run = rocking_rattleback
     locus = jxr.loci(scene[0], run).object
     angle = np.unwrap(np.arctan2(-locus.normal_curvature[0], locus.geodesic_curvature[0]))
     rate = make_interp_spline(run.ts, angle, k=7)(run.ts, 1) / np.asarray(locus.speed[0])
@@ -273,9 +269,10 @@ def test_torsion_is_geodesic_torsion_and_the_turning_of_the_normal():
     np.testing.assert_allclose(np.asarray(locus.torsion[0])[middle], twist, rtol=1e-4, atol=1e-3)
 
 
-def test_a_locus_on_a_table_has_no_torsion_in_single_precision():
-    scene = jxr.scenes.rattleback(spin=2.0, tilt=0.3, axes=(0.05, 0.03, 0.04))
-    locus = in_single(jxr.loci, scene[0], run_of(scene, 0.25, ts=9, rtol=1e-8)).tip
+def test_a_locus_on_a_table_has_no_torsion_in_single_precision(rocking_rattleback):
+    scene, run = rocking_rattleback
+    ts, states = jax.tree.map(lambda x: x[::25], (run.ts, run.states))
+    locus = in_single(jxr.loci, scene[0], dataclasses.replace(run, ts=ts, states=states)).tip
     assert locus.torsion.dtype == np.float32
     assert np.abs(locus.curvature).max() > 300.0
     np.testing.assert_allclose(locus.torsion, 0.0, atol=0.01)
@@ -345,7 +342,7 @@ def test_a_finger_has_joints_or_a_prescribed_motion():
     jxr.Grasp(grasp.object, Swinging(jxr.Plane()), grasp.contacts)  # it does not move by itself
 
 
-def test_bad_input_is_told_in_one_sentence():
+def test_bad_input_is_told_in_one_sentence(scene):
     grasp, state = jxr.scenes.incline()
     with pytest.raises(ValueError, match="argument spin must be 'free' or 'prevented', but was 'fixed'"):
         jxr.Contact3(spin="fixed")
@@ -366,22 +363,31 @@ def test_bad_input_is_told_in_one_sentence():
     with pytest.raises(ValueError, match=r"argument state.q must have shape \(7,\)"):
         jxr.simulate(grasp, jxr.State(state.q[:6], state.v, state.s), t1=1.0)
     with pytest.raises(ValueError, match="argument grasp must live in space"):
-        planar = jxr.scenes.roller()
-        jxr.loci(planar[0], None)
+        jxr.loci(scene[0], None)
+
+
+def ahead(way, t):
+    return way, 0.0, 0.0
+
+
+def flat(half):
+    """A sheet so far to both sides [m], whose middle has the coordinates (3.5, 3.5)."""
+    x = np.linspace(-half, half, 8)
+    return jxr.geometry.Patch(np.stack([*np.meshgrid(x, x, indexing="ij"), np.zeros((8, 8))], axis=-1))
 
 
 @pytest.mark.parametrize("on_tip", [False, True])
 def test_rolling_past_an_end_is_told(on_tip):
-    """Of a sheet of 0.1 m, from its middle on: nothing is known of it beyond."""
-    x = np.linspace(-0.05, 0.05, 8)
-    sheet = jxr.geometry.Patch(np.stack([*np.meshgrid(x, x, indexing="ij"), np.zeros((8, 8))], axis=-1))
-    pair, places = (jxr.Sphere(0.01), sheet), ((0.0, 0.0, -0.01), (3.5, 3.5))
-    if on_tip:  # two planes, over which the contact moves all the same
-        pair, places = (sheet, jxr.Plane()), ((3.5, 3.5), (0.0, 0.0, 0.0))
+    """Of a sheet of 0.1 m, from its middle on, over a larger one: nothing is known of it beyond.
+
+    Of two planes the contact moves all the same.
+    """
+    pair = (flat(0.05), flat(0.5)) if on_tip else (flat(0.5), flat(0.05))
 
     def ended(way):
-        ts, given = np.linspace(0.0, 1.0, 3), {"at_tip": places[0], "at_object": places[1]}
-        found = jxr.roll(*pair, jax.tree_util.Partial(lambda way, t: (way, 0.0, 0.0), way), ts, **given)
+        # An array, since a number of Python's is a constant of the program.
+        led, middle = jax.tree_util.Partial(ahead, jnp.asarray(way)), (3.5, 3.5)
+        found = jxr.roll(*pair, led, np.linspace(0.0, 1.0, 3), at_tip=middle, at_object=middle)
         assert found.arclength[-1] == pytest.approx(way)
         return found.result
 
@@ -462,40 +468,84 @@ def test_returns_to_the_constraints_leave_rounding(scene, rtol):
     assert off(run_of(getattr(jxr.scenes, scene)(), 2.0, ts=300, rtol=rtol)) <= 1e-14
 
 
-def rolled_sum(numbers, fixed):
-    """A sum with weights of pose, place and arclength of an ellipsoid at the end of a path."""
-    (half, start, hastening), (halves, ahead, sway, t1, weights) = numbers, fixed
-    still, numbers = jnp.zeros(2), (ahead, hastening, sway)
-    led = jax.tree_util.Partial(lambda a, t: (a[0] + a[1] * t, a[2] * jnp.sin(5.0 * t), 0.0), numbers)
+def rolled(x, fixed):
+    """Pose, place and arclength of an ellipsoid at the end of a path, in 11 numbers.
+
+    It is led and spun by functions that close over `x`: a half axis, where it starts, and how its velocity
+    rises, begins, and how fast it spins.
+    """
+    (half, start, hastening, begins, rate), (halves, sway, t1) = x, fixed
+    still = jnp.zeros(2)
+    led = lambda t: (begins + hastening * t, sway * jnp.sin(5.0 * t), 0.0)  # noqa: E731
     places = {"at_tip": jnp.append(still, -halves[1]), "at_object": jnp.append(start, still)}
     ball = jxr.Ellipsoid(half, halves[0], halves[1])
-    path = jxr.roll(ball, jxr.Plane(), led, jnp.stack([0.0 * t1, t1]), **places)
-    return weights @ jnp.concatenate([path.pose[-1], path.at_tip[-1], path.arclength[-1:]])
+    path = jxr.roll(ball, jxr.Plane(), led, jnp.stack([0.0 * t1, t1]), spin=lambda t: rate, **places)
+    return jnp.concatenate([path.pose[-1], path.at_tip[-1], path.arclength[-1:]])
 
 
-backwards = jax.jit(jax.grad(rolled_sum))
-along = jax.jit(lambda x, way, fixed: jax.jvp(lambda x: rolled_sum(x, fixed), (x,), (way,)))
+# One program each for all paths: of all numbers along one way, and of a sum of the numbers with weights.
+along = jax.jit(lambda x, way, fixed: jax.jvp(lambda x: rolled(x, fixed), (x,), (way,)))
+backwards = jax.jit(jax.grad(lambda x, weights, fixed: weights @ rolled(x, fixed)))
+
+
+def forwards(x, way, fixed):
+    """The numbers of `rolled`, and their derivatives."""
+    return map(np.asarray, along(x, way, fixed))
 
 
 def test_a_path_has_derivatives_in_both_modes():
     """In a half axis of the rolling ellipsoid and in where it starts: both modes, and differences."""
-    weights = jnp.array([1.0] * 7 + [10.0] * 3 + [3.0])
-    fixed = (jnp.array([0.02, 0.015]), 0.1, 0.05, 0.3, weights)
-    x, h = jnp.array([0.02, 0.001, 0.02]), 1e-5
-    for way, found in zip(jnp.eye(3)[:2], backwards(x, fixed)[:2], strict=True):
-        assert float(along(x, way, fixed)[1]) == pytest.approx(float(found), rel=1e-10)
-        near = [float(along(x + k * h * way, way, fixed)[0]) for k in (-2, -1, 1, 2)]
+    weights = np.array([1.0] * 7 + [10.0] * 3 + [3.0])
+    fixed = (jnp.array([0.02, 0.015]), 0.05, 0.3)
+    x, h = np.array([0.02, 0.001, 0.02, 0.1, 0.4]), 1e-5
+    for way, found in zip(np.eye(5)[:2], np.asarray(backwards(x, weights, fixed))[:2], strict=True):
+        _, slopes = forwards(x, way, fixed)
+        assert weights @ slopes == pytest.approx(found, rel=1e-10)
+        ends = [next(forwards(x + k * h * way, way, fixed)) for k in (-2, -1, 1, 2)]
+        near = np.stack(ends) @ weights
         wanted = np.dot(near, [1.0, -8.0, 8.0, -1.0]) / (12.0 * h)
-        assert float(found) == pytest.approx(wanted, rel=1e-8)
+        assert found == pytest.approx(wanted, rel=1e-8)
 
 
 def test_gradients_of_a_path_that_begins_at_rest():
     """A ball led by k t from rest is k / 2 away at t = 1, and so is its path long."""
+    x, fixed = np.array([0.1, 0.0, 0.3, 0.0, 0.0]), (jnp.array([0.1, 0.1]), 0.0, 1.0)
+    _, ahead = forwards(x, np.eye(5)[2], fixed)
     for row in (0, -1):
-        fixed = (jnp.array([0.1, 0.1]), 0.0, 0.0, 1.0, jnp.zeros(11).at[row].set(1.0))
-        x = jnp.array([0.1, 0.0, 0.3])
-        slopes = backwards(x, fixed)[2], along(x, jnp.array([0.0, 0.0, 1.0]), fixed)[1]
+        slopes = ahead[row], backwards(x, np.eye(11)[row], fixed)[2]
         np.testing.assert_allclose(slopes, 0.5, atol=1e-9)
+
+
+def test_spin_about_the_normal_is_counter_clockwise():
+    x, fixed = np.array([0.1, 0.0, 0.0, 0.0, 0.7]), (jnp.array([0.1, 0.1]), 0.0, 1.0)
+    half = np.array([np.cos(0.35), 0.0, 0.0, np.sin(0.35)])
+    end, _ = forwards(x, np.eye(5)[4], fixed)
+    np.testing.assert_allclose(end[3:7], half, atol=1e-12)
+
+
+def test_numbers_that_a_velocity_or_a_spin_closes_over_have_their_derivatives():
+    """A ball led straight while it spins turns about one axis at one rate, as far as both say."""
+    radius, t1 = 0.1, 0.8
+
+    @jax.jit
+    def known(given):
+        """Rolling by x turns the ball by x / r about y, spinning by its rate about z: a constant vector."""
+        speed, rate = given
+        spin = jnp.array([0.0, speed / radius, rate])
+        size = jnp.linalg.norm(spin)
+        half = 0.5 * t1 * size
+        turn = jnp.concatenate([jnp.cos(half)[None], jnp.sin(half) * spin / size])
+        return jnp.concatenate([jnp.array([speed * t1, 0.0, radius]), turn, speed[None] * t1])
+
+    there = [*range(7), 10]  # all but the place on the ball
+    x, fixed = np.array([radius, 0.0, 0.0, 0.1, 0.7]), (jnp.array([radius, radius]), 0.0, t1)
+    wanted = np.asarray(jax.jacfwd(known)(x[3:]))
+    for way, column in zip(np.eye(5)[3:], wanted.T, strict=True):
+        end, slopes = forwards(x, way, fixed)
+        np.testing.assert_allclose(end[there], known(x[3:]), rtol=0, atol=1e-8)
+        np.testing.assert_allclose(slopes[there], column, rtol=0, atol=1e-8)
+    slopes = np.stack([backwards(x, weights, fixed) for weights in np.eye(11)[there]])
+    np.testing.assert_allclose(slopes[:, 3:], wanted, rtol=0, atol=1e-8)
 
 
 locus_of = jax.jit(_locus)
@@ -564,29 +614,3 @@ def test_a_circle_of_latitude_has_its_known_curvatures():
     for none in (found.geodesic_torsion, found.torsion):
         np.testing.assert_allclose(none[0], 0.0, atol=1e-10)
     np.testing.assert_allclose(found.arclength[0], across * (angle - angle[0]), rtol=1e-12)
-
-
-@pytest.mark.parametrize("mode", [jax.jacfwd, jax.jacrev])
-def test_numbers_that_a_velocity_or_a_spin_closes_over_have_their_derivatives(mode):
-    """A ball led straight while it spins turns about one axis at one rate, as far as both say."""
-    radius, end = 0.1, 0.8
-
-    def reached(given):
-        speed, rate = given
-        places = {"at_tip": (0.0, 0.0, -radius), "at_object": (0.0, 0.0, 0.0)}
-        ball, table, ts = jxr.Sphere(radius), jxr.Plane(), jnp.array([0.0, end])
-        led = lambda t: (speed, 0.0, 0.0)  # noqa: E731
-        run = jxr.roll(ball, table, led, ts, spin=lambda t: rate, **places)
-        return jnp.concatenate([run.pose[-1], run.arclength[-1:]])
-
-    def closed(given):
-        """Rolling by x turns the ball by x / r about y, spinning by its rate about z: a constant vector."""
-        speed, rate = given
-        spin = jnp.array([0.0, speed / radius, rate])
-        size = jnp.linalg.norm(spin)
-        half = 0.5 * end * size
-        turn = jnp.concatenate([jnp.cos(half)[None], jnp.sin(half) * spin / size])
-        return jnp.concatenate([jnp.array([speed * end, 0.0, radius]), turn, speed[None] * end])
-
-    at = jnp.array([0.1, 0.7])
-    np.testing.assert_allclose(mode(reached)(at), jax.jacfwd(closed)(at), rtol=0, atol=1e-8)

@@ -415,7 +415,7 @@ def of_traced_times():
 def test_times_that_only_a_program_sees_and_that_do_not_rise_are_no_run(of_traced_times, changed):
     """Known ones are refused; these were said to have collapsed the steps, with states beyond the end."""
     given = {"t0": 0.0, "t1": 0.03, "ts": [0.01, 0.02, 0.03], "dt0": 1e-4}
-    asked = lambda given: of_traced_times(*(jnp.asarray(x) for x in given.values()))  # noqa: E731
+    asked = lambda given: of_traced_times(*map(np.asarray, given.values()))  # noqa: E731
     assert asked(given).result == jxr.RESULTS.successful
     run = asked(given | changed)
     assert run.result == jxr.RESULTS.unordered_times and int(run.stats.steps) <= 1
@@ -423,11 +423,12 @@ def test_times_that_only_a_program_sees_and_that_do_not_rise_are_no_run(of_trace
     assert np.isnan(run.states.q).all() and np.isnan(run.last.q).all()
 
 
-def test_one_lane_whose_times_do_not_rise_leaves_the_others_theirs():
-    grasp, state = runs.scene("pivoted")
-    run = jax.vmap(lambda t1: jxr.simulate(grasp, state, t1, ts=2, throw=False))(jnp.array([0.02, -0.02]))
+def test_one_lane_whose_times_do_not_rise_leaves_the_others_theirs(of_traced_times):
+    t1, dt0 = np.array([0.03, -0.03]), np.array(1e-4)
+    times = lambda t1: (np.zeros_like(t1), t1, np.linspace(t1 / 3.0, t1, 3, axis=-1), dt0)  # noqa: E731
+    run = jax.vmap(of_traced_times, (0, 0, 0, None))(*times(t1))
     assert repr(run.result) == "[successful, unordered_times]"
-    alone = jxr.simulate(grasp, state, 0.02, ts=2)
+    alone = of_traced_times(*times(t1[0]))
     np.testing.assert_allclose(run.states.q[0], alone.states.q, rtol=0, atol=1e-10)
     assert np.isnan(run.states.q[1]).all()
 
@@ -444,12 +445,15 @@ def test_a_limit_that_is_met_just_where_a_run_ends_or_saves_uses_up_no_steps(sce
         run = jxr.simulate(grasp.with_(force=lets_go), state, ts[1], ts=ts, throw=False)
         return run.result._value, run.stats.steps, run.stats.t_end
 
-    whole = jxr.simulate(grasp.with_(force=lets_go), state, 1.0, ts=1, throw=False)
-    assert whole.result == jxr.RESULTS.contact_lost
     beyond = np.concatenate([[0.0], np.geomspace(1e-15, 1e-9, 40)])
+    asked = lambda t1, more: map(np.asarray, run(t1, np.full(beyond.size, more)))  # noqa: E731
+    code = int(jxr.RESULTS.contact_lost._value)
+    codes, _, ends = asked(np.full(beyond.size, 1.0), 0.01)
+    assert np.all(codes == code) and np.ptp(ends) == 0.0 and 0.0 < ends[0] < 0.2
+    whole = ends[0]
     for more in (1e-12, 0.01):  # at the end of the run, at a save time within it
-        codes, steps, ends = run(jnp.asarray(whole.stats.t_end + beyond), jnp.full(beyond.size, more))
-        lost = np.asarray(codes) == int(jxr.RESULTS.contact_lost._value)
-        assert np.all(lost | (np.asarray(codes) == 0)) and lost[beyond > 1e-11].all()
+        codes, steps, ends = asked(whole + beyond, more)
+        lost = codes == code
+        assert np.all(lost | (codes == 0)) and lost[beyond > 1e-11].all()
         assert np.max(steps) < 60
-        np.testing.assert_allclose(ends, whole.stats.t_end, rtol=0, atol=1e-11)
+        np.testing.assert_allclose(ends, whole, rtol=0, atol=1e-11)

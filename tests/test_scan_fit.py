@@ -11,6 +11,7 @@ from tests.oracles.spline_fields import principal_curvatures, SplineField
 
 DATA = pathlib.Path(__file__).parents[2] / "shared" / "data"
 NOISE = 1e-4
+TORUS = 0.008  # smallest radius of the fit to a torus [m]
 
 
 def torus_cloud(count, seed=0):
@@ -50,7 +51,7 @@ def test_a_net_of_a_torus_is_closed_and_has_its_volume():
 
 @pytest.fixture(scope="module")
 def torus():
-    return fit_surface(torus_cloud(8000), smallest_radius=0.005)
+    return fit_surface(torus_cloud(8000), smallest_radius=TORUS)
 
 
 def test_noisy_torus(torus):
@@ -65,7 +66,7 @@ def test_noisy_torus(torus):
         for s, p in ((torus.surface, at), (exact, true))
     )
     assert np.sqrt(np.mean((found - expected) ** 2)) / np.abs(expected).max() < 0.03
-    assert max(np.abs(torus.report.curvature)) <= 1.0 / 0.005
+    assert max(np.abs(torus.report.curvature)) <= 1.0 / TORUS
     assert torus.report.reversed == 0.0 and torus.report.uncovered == 0.0
     assert "one smooth surface" in str(torus.report)
 
@@ -75,7 +76,7 @@ def test_the_whole_zero_set_is_one_torus(torus):
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     assert len(vertices) - len(edges) // 2 + len(faces) == 0
     curvatures = np.asarray(torus.surface.principal_curvatures(vertices)[0])
-    assert np.abs(curvatures).max() <= 1.0 / 0.005
+    assert np.abs(curvatures).max() <= 1.0 / TORUS
     assert torus.trusted(vertices).all()
     # The report's extremes are those of a finer net, by SciPy's splines.
     surface = torus.surface
@@ -128,7 +129,7 @@ def test_large_clouds_are_thinned_without_a_bias():
     """60 000 points, of which the fit takes means, which lie below the surface."""
     rng = np.random.default_rng(1)
     cloud = ball_cloud(60_000, 0.02) + NOISE * rng.normal(size=(60_000, 3))
-    for options in ({"smallest_radius": 0.01}, {"smoothing": 0.03}):
+    for options in ({"smallest_radius": 0.0106}, {"smoothing": 0.025}):
         fit = fit_surface(cloud, **options)
         assert abs(np.mean(np.asarray(Sphere(0.02).near(fit.feet)) ** 2) - np.mean(fit.feet**2)) < 1e-8
         assert abs(np.linalg.norm(fit.feet, axis=1).mean() - 0.02) < 2e-5

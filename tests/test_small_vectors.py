@@ -220,8 +220,9 @@ def test_large_systems_are_solved_by_their_factors_in_a_loop():
     matrix = RNG.normal(size=(7, 7))
     matrix = jnp.asarray(matrix @ matrix.T + np.diag(np.arange(1.0, 8.0)))
     right, ways = jnp.asarray(RNG.normal(size=7)), jnp.asarray(RNG.normal(size=(2, 7, 7)))
-    written = la.factorise([[matrix[i, j] for j in range(i + 1)] for i in range(7)])
+    written = jax.jit(lambda a: la.factorise([[a[i, j] for j in range(i + 1)] for i in range(7)]))(matrix)
 
+    @jax.jit
     def solved(t):
         changed = matrix + t * (ways[0] + ways[0].T)
         factor = la.factorise_in_loop(changed)

@@ -24,6 +24,7 @@ from jaxroll.stability._verdict import _bent_down, _verdict
 from tests.helpers import in_single, slow_among
 from tests.oracles.chapter_part1 import Part1
 from tests.recorded import runs
+from tests.subjects.rolling_disc import on_driven_plate, on_slope
 
 VIOLATING = jxr.Circle(0.005).moved((0.005, 0.0))  # centre ahead of O_i: h = 10 mm, 1/kappa = 5 mm
 BLUNT = jxr.Circle(0.015).moved((-0.005, 0.0))  # centre behind: h = 10 mm, 1/kappa = 15 mm
@@ -33,7 +34,8 @@ SHARP = jxr.Circle(0.0098).moved((0.0002, 0.0))  # just violates (41)
 @pytest.fixture(scope="module")
 def pinch():
     """The pinch whose equilibria are those of U alone."""
-    return jxr.scenes.pinch(alpha=0.0)
+    grasp, state = runs.scene("pinch")
+    return grasp.with_(alpha=0.0), state
 
 
 def collinear(grasp, guess):
@@ -45,7 +47,14 @@ def collinear(grasp, guess):
     return s
 
 
-@pytest.mark.parametrize("tips", [(BLUNT, VIOLATING), None, (jxr.Ellipse(0.012, 0.009), BLUNT)])
+@pytest.mark.parametrize(
+    "tips",
+    [
+        (jxr.Ellipse(0.015, 0.015).moved((-0.005, 0.0)), VIOLATING),
+        None,
+        (jxr.Ellipse(0.012, 0.009).moved((0.0, 0.0)), BLUNT),
+    ],
+)
 def test_hessian_of_u_is_the_corrected_39_and_40(tips):
     """(39)-(40) where Fig. 3 comes to rest, on one line; the chapter's own form lacks the rank-one term."""
     with runs.not_closed():
@@ -201,7 +210,7 @@ def rolled(grasp, state, dq):
 @pytest.mark.parametrize("scene", ["pinch", pytest.param("pinch_ellipse", marks=pytest.mark.slow)])
 def test_reduced_hessian_against_second_differences(scene):
     """Of P along the constraint manifold, at an equilibrium, in every tangent direction and one mixed."""
-    grasp, state = getattr(jxr.scenes, scene)()
+    grasp, state = runs.scene(scene)
     found = assess(grasp, state)
     rest, p0 = found.equilibrium.state, potential(grasp, np.asarray(found.equilibrium.state.q))
     directions = [*np.eye(4), np.array([0.3, -0.5, 0.7, 0.4])]
@@ -353,7 +362,8 @@ def test_slowest_rate_is_the_decay_of_a_run(pinch):
     run = jxr.simulate(grasp, state, 10.0, rtol=1e-10)
     at = np.array([180, 270])  # 6 s and 9 s
     np.testing.assert_allclose(run.ts[at], [6.0, 9.0], rtol=1e-14)
-    lean = np.abs(jxr.pinch_balance(grasp, run.ts, run.states).lean[at, 0])
+    each = [jax.tree.map(lambda x, i=i: np.asarray(x)[i], (run.ts, run.states)) for i in at]
+    lean = [np.abs(jxr.pinch_balance(grasp, *then).lean[0]) for then in each]
     rates = np.sort(assess(grasp, run.last).rates.real)
     slowest = rates[:-2][-1]  # two neutral directions
     assert abs(np.log(lean[1] / lean[0]) / 3.0 / slowest - 1) <= 1e-3
@@ -400,18 +410,19 @@ def test_gradient_and_batch():
     assert abs(many[1] - value) <= 1e-9 * many[1]
 
 
-def test_what_is_not_found_is_said(scene):
-    grasp, state = scene
+def test_what_is_not_found_is_said():
+    grasp, state = on_slope(0.0)
     with pytest.raises(ValueError, match="argument state.q must be finite"):
         assess(grasp, jxr.State(state.q * jnp.nan, state.v, state.s))
 
     @jax.jit
     def looked_for(q):
-        lost = jxr.State(q, state.v, state.s)
-        return assess(grasp, lost).verdict == VERDICTS.not_found, equilibrium(grasp, lost).found
+        looked = assess(grasp, jxr.State(q, state.v, state.s))
+        return looked.verdict == VERDICTS.not_found, looked.equilibrium.found
 
     said, found = looked_for(state.q * jnp.nan)
     assert said and not found
+    assert looked_for(state.q)[1]
     with pytest.raises(ValueError, match="argument grasp must be two fingers with one contact each"):
         pinch_statics(grasp, jnp.zeros(2))
 
@@ -458,24 +469,51 @@ def test_rates_are_slow_beside_the_fastest():
             assert grows == VERDICTS.unstable
 
 
-def test_equilibrium_moves_with_the_time_at_which_a_controller_is_held():
+class Growing(eqx.Module):
+    """Springs in the joints, and a torque on the first of them that changes with time."""
+
+    stiffness: jax.Array
+    angles: jax.Array
+
+    def __call__(self, t, angles, rates, tips):
+        return [-self.stiffness * (angles[0] - self.angles) + jnp.array([0.01, 0.0]) * self.stiffness * t**2]
+
+
+@pytest.fixture(scope="module")
+def rest_of(scene):
+    """Where the pivoted scene rests, in three numbers, and the derivative of that along a direction.
+
+    These are how far the start is off contact [m], the time at which the controller is held [s], and the
+    stiffness of its springs, with which all of its torques vanish [N m/rad].
+    """
+    grasp, state = scene
+
+    def rest(numbers):
+        far, t, stiffness = numbers
+        held = grasp.with_(controller=Growing(stiffness, state.q[1:]))
+        return equilibrium(held, jxr.State(state.q.at[0].add(far), state.v, state.s), t=t).state.q
+
+    both = jax.jit(lambda numbers, way: jax.jvp(rest, (numbers,), (way,)))
+    return lambda *given: tuple(map(np.asarray, both(*map(np.asarray, given))))
+
+
+def test_equilibrium_moves_with_the_time_at_which_a_controller_is_held(rest_of):
     """A torque that grows with time: the derivative in t against central differences."""
-    grasp, state = jxr.scenes.pivoted()
-    here = state.q[1:]
-
-    class Growing(eqx.Module):
-        """Springs in the joints, and a torque on the first of them that changes with time."""
-
-        def __call__(self, t, angles, rates, tips):
-            return [-0.5 * (angles[0] - here) + jnp.array([0.01, 0.0]) * t**2]
-
-    rest = lambda t: equilibrium(grasp.with_(controller=Growing()), state, t=t).state.q  # noqa: E731
-    # One program for the values and the derivative forwards.
-    both = jax.jit(lambda t: jax.jvp(rest, (t,), (1.0,)))
-    h, t = 1e-3, 0.5
-    wanted = (both(t + h)[0] - both(t - h)[0]) / (2 * h)
+    here, way, h = np.array([0.0, 0.5, 0.5]), np.array([0.0, 1.0, 0.0]), 1e-3
+    wanted = (rest_of(here + h * way, way)[0] - rest_of(here - h * way, way)[0]) / (2 * h)
     assert np.abs(wanted).max() >= 1e-3
-    np.testing.assert_allclose(both(t)[1], wanted, rtol=1e-5, atol=1e-9)
+    np.testing.assert_allclose(rest_of(here, way)[1], wanted, rtol=1e-5, atol=1e-9)
+
+
+def test_derivative_of_the_nearest_equilibrium_of_a_family(rest_of):
+    """Of a controller without torques every state in contact is one: forwards against central differences.
+
+    The start is off contact by so much that the bend of the family counts: of its two terms in the
+    derivative the smaller one is a fortieth.
+    """
+    here, way, h = np.array([0.1, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]), 1e-4
+    wanted = (rest_of(here + h * way, way)[0] - rest_of(here - h * way, way)[0]) / (2 * h)
+    np.testing.assert_allclose(rest_of(here, way)[1], wanted, rtol=1e-7)
 
 
 @pytest.mark.parametrize("name", slow_among(("pivoted", "pinch_ellipse"), "pinch_ellipse"))
@@ -508,9 +546,9 @@ def test_single_precision_finds_the_equilibria_of_a_batch(scene):
     np.testing.assert_allclose(single.state.q, found.state.q, rtol=0, atol=1e-5)
 
 
-def pinched_alone(**given):
+def pinched_alone(name="pinch", **given):
     """A pinch of which the potential U alone says where it rests, but for what is given."""
-    grasp, state = runs.scene("pinch_ellipse")
+    grasp, state = runs.scene(name)
     return grasp.with_(**{"alpha": 0.0} | given), state
 
 
@@ -548,7 +586,7 @@ def test_numbers_that_jax_traces_leave_no_place_of_rest_where_they_are_not_zero(
 @pytest.mark.parametrize("ways", [1, 2])
 def test_jaws_that_keep_their_angles_do_not_rest_where_their_potential_is_least(ways):
     """Rolling on one jaw turns the object, and so rolls it on the other: U is least along one line only."""
-    held, state = pinched_alone()
+    held, state = pinched_alone("pinch_ellipse")
     middle, tip = np.asarray(state.q[:2]), jxr.Ellipse(0.012, 0.02).moved((0.002, 0.001))
     jaws = [
         jxr.Jaw(tip, 0.1, [0.0, np.pi / 2][:ways], base=middle + np.array(base), angle=angle)
@@ -575,7 +613,7 @@ def test_a_grasp_that_no_force_holds_is_neutral():
 
 def test_a_grasp_rests_where_it_does_however_weak_its_forces_are():
     """All forces and masses times a power of two: rounding is the same, in places and in rates."""
-    grasp, state = jxr.scenes.pinch_ellipse()
+    grasp, state = runs.scene("pinch")
     weights = lambda g: (  # noqa: E731
         [g.object.mass, g.object.inertia, g.controller.beta, g.controller.alpha, g.controller.damping]
         + [x for f in g.fingers for x in (f.masses, f.inertias)]
@@ -590,7 +628,8 @@ def test_a_grasp_rests_where_it_does_however_weak_its_forces_are():
 @pytest.mark.parametrize(("first", "there"), [(0.003, False), (-0.001, True), (0.0, True)])
 def test_no_grasp_rests_beyond_the_ends_of_its_contours(first, there):
     """Held from above on faces that begin so far above the middle, where the pinch would come to rest."""
-    grasp, state = jxr.scenes.pinch(alpha=0.0, s=(0.008, 0.004))
+    with runs.not_closed():
+        grasp, state = jxr.scenes.pinch(alpha=0.0, s=(0.008, 0.004))
     faces = (
         jxr.Line((first, 0.025)).moved((-0.015, 0.0), np.pi),
         jxr.Line((-0.025, -first)).moved((0.015, 0.0)),
@@ -607,7 +646,7 @@ def test_no_grasp_rests_beyond_the_ends_of_its_contours(first, there):
 
 def test_single_precision_finds_where_a_pinch_rests():
     """In a batch of starts, at a distance of the centres of some centimetres."""
-    grasp, state = pinched_alone()
+    grasp, state = pinched_alone("pinch_ellipse")
     away = np.array([[0.0, 0.0], [1e-3, -2e-3], [-3e-3, -1e-3]])
 
     def rests(grasp, state, away):
@@ -628,41 +667,26 @@ def test_single_precision_finds_where_a_pinch_rests():
         np.testing.assert_allclose(near.hessian[i], statics.hessian, rtol=1e-5)
 
 
-def test_derivative_of_the_nearest_equilibrium_of_a_family(scene):
-    """Without a controller every state in contact is one: forwards against central differences.
-
-    The start is off contact by so much that the bend of the family counts: of its two terms in the
-    derivative the smaller one is a fortieth.
-    """
-    grasp, state = scene
-    slack = grasp.with_(controller=None)
-    rest = lambda d: equilibrium(slack, jxr.State(state.q.at[0].add(d), state.v, state.s)).state.q  # noqa: E731
-    both = jax.jit(lambda d: jax.jvp(rest, (d,), (1.0,)))
-    h, far = 1e-4, 0.1
-    wanted = (both(far + h)[0] - both(far - h)[0]) / (2 * h)
-    np.testing.assert_allclose(both(far)[1], wanted, rtol=1e-7)
+@jax.jit
+def root_of_two(start):
+    equations = lambda z: jnp.stack([z[0] - 1.0, z[1] + 2.0 * z[0]])  # noqa: E731
+    return _equilibrium._newton(equations, start, 1, jnp.zeros(2))
 
 
 @pytest.mark.parametrize(("far", "reached"), [(8.95, True), (11.0, False)])
 def test_newtons_method_goes_a_tenth_of_a_radian_at_once_and_a_hundred_times(far, reached):
     """To the root of two linear equations, of one angle and one force: at first the force alone moves."""
-    find = jax.jit(
-        lambda start: _equilibrium._newton(
-            lambda z: jnp.stack([z[0] - 1.0, z[1] + 2.0 * z[0]]), start, 1, jnp.zeros(2)
-        )
-    )
-    found = find(jnp.array([1.0 - far, 0.5]))
+    found = root_of_two(np.array([1.0 - far, 0.5]))
     if reached:
         np.testing.assert_allclose(found, [1.0, -2.0], rtol=1e-13)
     else:
         np.testing.assert_allclose(found[0], 1.0 - far + 0.1 * 99, rtol=1e-12)
 
 
-def test_a_plain_function_as_controller_has_no_precision(scene):
+def test_a_plain_function_as_controller_has_no_precision():
     """Its place among a grasp's leaves is no array, and no reason to fail."""
-    grasp, state = scene
-    slack = grasp.with_(controller=lambda t, angles, rates, tips: [jnp.zeros(2)])
-    assert bool(jxr.stability.assess(slack, state).equilibrium.found)  # nothing pushes anywhere
+    slack, state = on_driven_plate(lambda t, joints, rates, tips: [jnp.zeros(1)])
+    assert bool(assess(slack, state).equilibrium.found)  # nothing pushes anywhere
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 1.0])
@@ -675,18 +699,25 @@ def test_a_damped_solution_is_bounded_where_an_eigenvalue_is_small(share):
     np.testing.assert_allclose(_damped(jnp.asarray(matrix), jnp.asarray(right), share), wanted, rtol=1e-9)
 
 
+@jax.jit
+def rate_and_derivatives(k, c):
+    """A root x of x^2 + c x + k, and of Re x - 2 Im x the derivative in k, and the second one in two ways."""
+    rate = lambda k: eigenvalues(jnp.array([[0.0, 1.0], [-k, -c]]))[0]  # noqa: E731
+    part = lambda k: rate(k).real - 2.0 * rate(k).imag  # noqa: E731
+    return rate(k), jax.grad(part)(k), [jax.hessian(part)(k), jax.grad(jax.grad(part))(k)]
+
+
 @pytest.mark.skipif(not _TWICE, reason="this version of JAX cannot be told")
 @pytest.mark.parametrize("c", [3.0, 1.0])
 def test_second_derivatives_of_rates_are_those_of_a_quadratic_equation(c):
     """The roots of x^2 + c x + k, real and complex: x_k = -1/r, x_kk = -2/r^3 with r = 2 x + c."""
-    rate = lambda k: eigenvalues(jnp.array([[0.0, 1.0], [-k, -c]]))[0]  # noqa: E731
-    part = lambda k: rate(k).real - 2.0 * rate(k).imag  # noqa: E731
-    r = 2.0 * rate(1.1) + c
+    rate, slope, bends = rate_and_derivatives(1.1, c)
+    r = 2.0 * np.asarray(rate) + c
+    np.testing.assert_allclose(rate**2 + c * rate + 1.1, 0.0, atol=1e-14)
     first, second = -1.0 / r, -2.0 / r**3
     assert abs(r.imag if c < 2.0 else r.real) > 0.5
-    np.testing.assert_allclose(jax.grad(part)(1.1), first.real - 2.0 * first.imag, rtol=1e-13)
-    for way in (jax.hessian, lambda f: jax.grad(jax.grad(f))):
-        np.testing.assert_allclose(way(part)(1.1), second.real - 2.0 * second.imag, rtol=1e-12)
+    np.testing.assert_allclose(slope, first.real - 2.0 * first.imag, rtol=1e-13)
+    np.testing.assert_allclose(bends, [second.real - 2.0 * second.imag] * 2, rtol=1e-12)
 
 
 def test_two_equations_by_hand():
@@ -721,22 +752,28 @@ class Coupled(eqx.Module):
     """Springs and dampers at all joints; one angle pulls at another joint besides, which has no potential."""
 
     angles: jax.Array
-    torques: jax.Array
     stiffness: jax.Array
 
     def __call__(self, t, angles, rates, tips):
-        away, turning = jnp.concatenate(angles) - self.angles, jnp.concatenate(rates)
-        torques = self.torques - self.stiffness @ away - 0.05 * turning
-        return [torques[:3], torques[3:]]
+        return [-self.stiffness @ (angles[0] - self.angles) - 0.05 * rates[0]]
 
 
-def test_without_a_potential_the_rates_alone_decide(pinch):
-    """The symmetric part of the Hessian has a negative eigenvalue, and every disturbance dies out."""
-    grasp, state = pinch
-    rest = equilibrium(grasp, state).state
-    torques = jnp.concatenate(jxr.torques(grasp, jnp.zeros(()), rest))
-    law = Coupled(rest.q[3:], torques, jnp.eye(5).at[0, 2].set(4.0))
-    found = assess(grasp.with_(controller=law), state)
+def test_without_a_potential_the_rates_alone_decide(scene):
+    """The symmetric part of the Hessian has a negative eigenvalue, and every disturbance dies out.
+
+    The finger of the pivoted scene has a third joint here, in whose axis the first link begins.
+    """
+    grasp, state = scene
+    old, (turned, *angles) = grasp.fingers[0], np.asarray(state.q)
+    finger = jxr.Finger(
+        (0.05, *np.asarray(old.lengths)),
+        (0.05, *np.asarray(old.masses)),
+        old.tip,
+        base=np.asarray(old.base) - [0.05, 0.0],
+    )
+    law = Coupled(jnp.array([0.0, *angles]), jnp.eye(3).at[1, 2].set(3.0))
+    held = jxr.Grasp(grasp.object, finger, grasp.contacts, controller=law)
+    found = assess(held, jxr.State(np.array([turned, 0.0, *angles]), np.zeros(4), state.s))
     assert found.verdict == VERDICTS.asymptotically_stable and found.rates.real.max() < -5.0
     assert found.curvatures[0] < -0.1 * found.curvatures[-1] and not found.bends_down
 
@@ -778,9 +815,9 @@ def test_a_potential_bends_down_where_there_is_one(least, skew, bent):
 
 def test_forces_that_vanish_at_the_start_are_sized_by_their_stiffness():
     """Of a spring that is at rest: a millionth of its stiffness times the mean length of a link."""
-    grasp, state = jxr.scenes.pinch()
+    grasp, state = runs.scene("pinch")
     spring = jxr.loads.Spring(80.0, anchor=state.q[:2])
     held = grasp.with_(controller=None, load=spring)
-    size = float(_force_size(held, state, jnp.zeros(0), t=0.0))
+    size = float(eqx.filter_jit(_force_size)(held, state, jnp.zeros(0), t=0.0))
     mean = sum(float(finger.lengths.mean()) for finger in grasp.fingers) / 2.0
     np.testing.assert_allclose(size, 1e-6 * 80.0 * mean, rtol=1e-12)

@@ -196,33 +196,29 @@ def test_where_the_next_step_ends(hunt, length, ahead):
     assert abs(float(control.ahead(jnp.asarray(2.0))) - 2.0 - ahead) <= 3.0 * SMALLEST
 
 
-def shaken(t, *, along=0.00437, up=-0.0217):
-    """A plate that swings sideways and up and down."""
-    return (along * jnp.cos(28.5 * t + 2.53), 0.0, up * jnp.cos(18.5 * t)), (1.0, 0.0, 0.0, 0.0)
+def pulled(t):
+    """How a plate that swings sideways and up and down pulls at what lies on it [m/s^2]."""
+    return 0.00437 * 28.5**2 * jnp.cos(28.5 * t + 2.53), -0.0217 * 18.5**2 * jnp.cos(18.5 * t)
 
 
 def test_a_margin_that_is_lowest_where_a_step_ends_uses_up_no_steps():
-    """Of a ball that nearly slips on a shaken plate: tries that ended at the dip were all the same step."""
-    ball, _ = jxr.scenes.incline()
-    stage = jxr.Stage(jxr.Plane(), shaken)
-    (x, _, z), _ = shaken(0.0)
-    _, (speed, _, _) = jax.jvp(lambda t: jnp.stack(shaken(t)[0]), (0.0,), (1.0,))
-    q = jnp.array([x, 0.0, z + 0.05, 1.0, 0.0, 0.0, 0.0, 0.0])
-    places = jnp.array([0.0, 0.0, 0.0, 0.0, 0.0, -0.05])
-    start = jxr.State(q, jnp.zeros(6).at[0].set(speed), places)
+    """Of a disc that nearly slips on a shaken plate: tries that ended at the dip were all the same step."""
+    disc = jxr.FreeObject(jxr.Circle(0.01), 0.05, 2.5e-6)
+    plate = jxr.Jaw(jxr.Line(), angle=0.5 * np.pi)
+    start = jxr.State(jnp.array([0.0, 0.01, 0.0]), jnp.zeros(3), jnp.zeros(1))
 
     @jax.jit
     @jax.vmap
     def steps(friction):
-        contact = jxr.Contact3(friction=friction)
-        grasp = jxr.Grasp(ball.object, stage, contact, gravity=(0.0, 0.0, -9.81))
+        contact = jxr.Contact(0.0, -0.005 * np.pi, friction=friction)
+        load = lambda t, pose, twist: (0.05 * jnp.stack(pulled(t)), 0.0)  # noqa: E731
+        grasp = jxr.Grasp(disc, plate, contact, gravity=(0.0, -9.81), load=load)
         run = jxr.simulate(grasp, start, 0.3, ts=1, rtol=1e-6, throw=False)
         return run.result._value, run.stats.steps
 
-    # The force along the plate is 2/7 of the mass times its acceleration. One in fifty used up its steps.
-    ts = np.linspace(0.0, 0.3, 100_001)
-    pulled = np.abs(2 / 7 * 0.00437 * 28.5**2 * np.cos(28.5 * ts + 2.53))
-    needed = np.max(pulled / (9.81 + 0.0217 * 18.5**2 * np.cos(18.5 * ts)))
+    # The force along the plate is a third of the pull along it. One in fifty used up its steps.
+    along, up = map(np.asarray, pulled(np.linspace(0.0, 0.3, 100_001)))
+    needed = np.max(np.abs(along) / 3.0 / (9.81 - up))
     excess = np.geomspace(1e-5, 1e-2, 512)
     for sign, code in ((1.0, jxr.RESULTS.successful), (-1.0, jxr.RESULTS.slipping)):
         codes, count = steps(jnp.asarray(needed * (1.0 + sign * excess)))

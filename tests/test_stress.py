@@ -5,7 +5,6 @@ import dataclasses
 import types
 from pathlib import Path
 
-import jax
 import numpy as np
 import pytest
 
@@ -17,6 +16,7 @@ from benchmarks.stress_test.judge_plane import Motion, Plane
 from benchmarks.stress_test.judge_space import Space
 from benchmarks.stress_test.planar_scenes import _contour, draw, Structure
 from benchmarks.stress_test.spatial_scenes import draw_space, Spatial
+from tests.subjects.dipping_force import dipping, T1, TOLERANCE
 
 SCENES = Structure(
     "test",
@@ -262,18 +262,9 @@ def test_grazing_scenes_roll_and_graze(kind, friction):
 
 
 def test_a_force_that_dips_between_two_stages_is_not_hidden_by_a_small_pivot():
-    """Lane 1956 of seed 5: a contact pulls from 0.3223 to 0.3303 s, within one step of 0.04 s."""
-    from benchmarks.stress_test import engine_runs
-    from benchmarks.stress_test.one_batch import _NOT_GRASP, scene_of
-    from benchmarks.stress_test.structures import STRUCTURES
-
-    structure = STRUCTURES["tolerance-pinch"]
-    chunk, lane = divmod(1956, structure.lanes)
-    scene = picked(scene_of(structure, 5, chunk)[0], [lane])
-    one = jax.tree.map(lambda x: x[0] if engine_runs.is_number(x) else x, scene)
-    hand = engine_runs.grasp({name: x for name, x in one.items() if name not in _NOT_GRASP})
-    _, start = jxr.close(hand, jxr.State(one["q"], one["v"], one["s"]), throw=False, hold_contacts=False)
-    run = jxr.simulate(hand, start, one["t1"], ts=1, rtol=one["rtol"], throw=False)
+    """A contact pulls from 0.3223 to 0.3303 s, within one step of 0.04 s."""
+    hand, start = dipping()
+    run = jxr.simulate(hand, start, T1, ts=1, rtol=TOLERANCE, throw=False)
     assert run.result == jxr.RESULTS.contact_lost and int(run.stats.contact) == 1
     assert abs(float(run.stats.t_end) - 0.3223009) < 1e-6
 

@@ -25,7 +25,7 @@ from jaxroll.geometry import (
 from jaxroll.geometry.contours._bspline import basis
 from jaxroll.geometry.surfaces._tensor_bspline import UNIFORM
 from tests.helpers import slow_among
-from tests.measures import observed_order, taylor_remainders
+from tests.measures import both_slopes, observed_order, taylor_remainders
 
 A, B, C = 0.03, 0.02, 0.012
 MAJOR, MINOR = 0.03, 0.011
@@ -81,6 +81,8 @@ SURFACES = {
     "moved chart": RING_CHART.moved((0.01, -0.02, 0.03), TURN),
 }
 IMPLICIT = [name for name in SURFACES if SURFACES[name].coordinates == 3 and name != "moved"]
+# From a guess the search is that from a start of its own, after which it is the same for all of a kind.
+GUESSED = [SURFACES[name] for name in ("torus", "chart", "moved")]
 CLOUD = RNG.normal(size=(40, 3)) * np.array([0.02, 0.015, 0.008]) + np.array([0.02, 0.0, 0.003])
 
 
@@ -111,14 +113,19 @@ def levels(surface, at):
     return jax.vmap(one)(at)
 
 
+STAY = np.float64(0.0)  # of the type that steps have, for which there is a program
+
+
 @jax.jit
 def walked(surface, at, velocity, h):
-    """Coordinates a step of `h` along a tangent velocity, settled; and the coordinates' rates."""
+    """Coordinates a step of `h` along a tangent velocity, settled; and how fast the point moves with them."""
+    surface = surface.prepared()
 
     def one(row, v):
         rate = surface.rate(tuple(row), sp.Vec3(*v))
         moved = tuple(x + h * r for x, r in zip(row, rate, strict=True))
-        return jnp.stack(surface.settled(moved)), jnp.stack(rate)
+        _, pace = jax.jvp(lambda at: surface.frame(at).point.array(), (tuple(row),), (rate,))
+        return jnp.stack(surface.settled(moved)), pace
 
     return jax.vmap(one)(at, velocity)
 
@@ -213,12 +220,10 @@ def test_coordinates_follow_the_velocity_and_settle(case):
     surface, at = case
     frame = np.asarray(surface.tangents(at))
     velocity = 0.3 * frame[:, 0] + 0.4 * frame[:, 1]
-    rate = walked(surface, at, velocity, 0.0)[1]
-    _, moved = jax.jvp(surface.point, (jnp.asarray(at),), (rate,))
-    np.testing.assert_allclose(moved, velocity, atol=1e-13)
+    np.testing.assert_allclose(walked(surface, at, velocity, STAY)[1], velocity, atol=1e-13)
     if surface.coordinates == 3:
         off = at + 1e-7 * np.asarray(RNG.normal(size=at.shape))
-        settled = walked(surface, off, np.zeros_like(at), 0.0)[0]
+        settled = walked(surface, off, np.zeros_like(at), STAY)[0]
         inner = getattr(surface, "surface", surface)
         level = levels(inner, settled)[0]
         slope = np.linalg.norm(np.broadcast_arrays(*level.gradient), axis=0)
@@ -236,8 +241,9 @@ def test_near_finds_the_closest_point(case):
         n = np.asarray(surface.normal(at))
     for sign in (1.0, -1.0):
         target = np.asarray(surface.point(at)) + sign * height * n
-        found = surface.point(surface.near(target, at + 1e-4))
-        np.testing.assert_allclose(found, surface.point(at), atol=1e-12)
+        if any(surface is each for each in GUESSED):
+            found = surface.point(surface.near(target, at + 1e-4))
+            np.testing.assert_allclose(found, surface.point(at), atol=1e-12)
         np.testing.assert_allclose(surface.point(surface.near(target)), surface.point(at), atol=1e-12)
 
 
@@ -384,13 +390,11 @@ def test_curvature_is_differentiable_in_the_shape(name):
         values, directions = make(x).principal_curvatures(at)
         return values[0] / 40.0 + values[1] / 80.0 + directions[0, 1]
 
-    x = jnp.asarray(1.1)
-    both = jax.jit(jax.value_and_grad(measure))
-    slope = float(both(x)[1])
-    forward = jax.jit(lambda x: jax.jvp(measure, (x,), (jnp.ones(()),))[1])
-    np.testing.assert_allclose(forward(x), slope, rtol=1e-10)
+    both, x = both_slopes(measure), jnp.asarray(1.1)
+    _, forward, slope = map(float, both(x))
+    np.testing.assert_allclose(forward, slope, rtol=1e-10)
     steps = np.array([1e-2, 1e-3, 1e-4])
-    remainder = taylor_remainders(lambda y: both(y)[0], x, 1.0, slope, steps)
+    remainder = taylor_remainders(lambda y: float(both(y)[0]), x, 1.0, slope, steps)
     assert abs(slope) > 1e-3
     assert np.all(np.abs(np.log10(remainder[:-1] / remainder[1:]) - 2.0) < 0.15), remainder
 
@@ -412,7 +416,7 @@ def test_vmap_over_shapes_is_a_loop():
 
 
 @pytest.mark.parametrize(
-    ("name", "shape"), [("ellipsoid", ()), ("ellipsoid", (2, 4)), ("patch", (3,)), ("moved", (2, 4))]
+    ("name", "shape"), [("ellipsoid", ()), ("ellipsoid", (2, 4)), ("chart", (3,)), ("moved", (2, 4))]
 )
 def test_public_shapes(name, shape):
     surface = SURFACES[name]
@@ -513,7 +517,10 @@ def test_bad_arguments_say_what_they_must_be(make, words):
 
 @jax.jit
 def moves_of_the_foot(surface, point):
-    return jax.jacfwd(surface.near)(point), jax.jacrev(surface.near)(point)
+    """Forwards and backwards, of one linearisation."""
+    _, push = jax.linearize(surface.near, point)
+    pull = jax.linear_transpose(push, point)
+    return jax.vmap(push, out_axes=1)(jnp.eye(3)), jax.vmap(lambda row: pull(row)[0])(jnp.eye(3))
 
 
 @pytest.mark.parametrize("exponent", [2.5, 3.0, 4.0])

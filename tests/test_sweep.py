@@ -30,25 +30,27 @@ def dampings():
 
 @pytest.fixture(scope="module")
 def whole(make, dampings):
-    return jxr.sweep(make, dampings, 0.2, rtol=1e-7)
+    """More runs than slots, each saved at four times."""
+    return jxr.sweep(make, dampings, 0.2, ts=4, rtol=1e-7)
 
 
 def test_a_sweep_is_the_mapped_run(make, dampings, whole):
     """To the last bit, if compiled for the same vectors."""
-    mapped = jax.vmap(lambda c: jxr.simulate(*make(c), 0.2, ts=1, rtol=1e-7))
+    mapped = jax.vmap(lambda c: jxr.simulate(*make(c), 0.2, ts=4, rtol=1e-7))
     same = jax.jit(mapped, compiler_options=WIDE)(dampings)
     np.testing.assert_array_equal(whole.last.q, same.last.q)
+    np.testing.assert_array_equal(whole.states.q, same.states.q)
     assert isinstance(whole, jxr.Trajectory) and str(RUNS) in str(whole)
 
 
-def test_more_runs_than_slots_with_several_save_times(make, dampings):
+def test_more_runs_than_slots_with_several_save_times(make, dampings, whole):
     """Every run is served, and every row is its own."""
-    table = jxr.sweep(make, dampings, 0.2, ts=4, rtol=1e-7)
+    ts, q = np.asarray(whole.ts), np.asarray(whole.states.q)
     for i in (0, 70, RUNS - 1):
         alone = jxr.simulate(*make(dampings[i]), 0.2, ts=4, rtol=1e-7)
-        np.testing.assert_allclose(table.states.q[i], alone.states.q, rtol=0, atol=1e-8)
-        np.testing.assert_allclose(table.ts[i], alone.ts)
-    assert (np.asarray(table.result._value) == 0).all()
+        np.testing.assert_allclose(q[i], alone.states.q, rtol=0, atol=1e-8)
+        np.testing.assert_allclose(ts[i], alone.ts)
+    assert (np.asarray(whole.result._value) == 0).all()
 
 
 def test_chunks_change_nothing_and_compile_once(make, dampings, whole, capsys):
@@ -58,14 +60,15 @@ def test_chunks_change_nothing_and_compile_once(make, dampings, whole, capsys):
         traces.append(1)
         return make(c)
 
-    ends = jxr.sweep(counted, dampings, 0.2, rtol=1e-7, chunk=64, keep=lambda run: run.last.q, progress=True)
+    told = {"ts": 4, "rtol": 1e-7, "chunk": 64, "keep": lambda run: run.last.q, "progress": True}
+    ends = jxr.sweep(counted, dampings, 0.2, **told)
     np.testing.assert_allclose(ends, whole.last.q, rtol=0, atol=1e-12)
     assert len(traces) == 1
     assert f"{RUNS} of {RUNS} runs" in capsys.readouterr().err
 
 
 def test_a_cut_off_sweep_goes_on_where_it_was(make, dampings, whole, tmp_path):
-    settings = {"rtol": 1e-7, "chunk": 64, "keep": eqx.Partial(_last), "resume": tmp_path}
+    settings = {"ts": 4, "rtol": 1e-7, "chunk": 64, "keep": eqx.Partial(_last), "resume": tmp_path}
     first = jxr.sweep(make, dampings, 0.2, **settings)
     np.testing.assert_allclose(first, whole.last.q, rtol=0, atol=1e-12)
     files = sorted(tmp_path.glob("*.npz"))
@@ -128,13 +131,13 @@ def test_what_functions_in_the_grasp_hold_is_seen_as_it_is_now(scene):
         make = lambda v: (grasp.with_(controller=law), eqx.tree_at(lambda s: s.v, state, v))  # noqa: E731
         return jxr.sweep(make, np.zeros((1, 3)), 0.05, keep=_last, events=())
 
+    wanted = ends(lambda t, angles, rates, tips: pull(0.7, tips, rates))
     for law in laws:
         own[0] = module.gain = 0.5
         first = ends(law)
         own[0] = module.gain = 0.7
         second = ends(law)
-        fresh = lambda t, angles, rates, tips: pull(0.7, tips, rates)  # noqa: E731
-        np.testing.assert_allclose(second, ends(fresh), rtol=0, atol=1e-12)
+        np.testing.assert_allclose(second, wanted, rtol=0, atol=1e-12)
         assert np.abs(second - first).max() > 1e-4
         own[0] = module.gain = 0.5
         np.testing.assert_array_equal(ends(law), first)
@@ -171,7 +174,7 @@ def test_runs_that_fail_keep_their_codes(scene, dampings):
     def make(c):
         return grasp.with_(damping=c), state
 
-    table = jxr.sweep(make, dampings.at[70].set(jnp.nan), 0.2, rtol=1e-7)
+    table = jxr.sweep(make, dampings.at[70].set(jnp.nan), 0.2, ts=4, rtol=1e-7)
     failed = np.asarray(table.result._value) != 0
     assert failed[70] and failed.sum() == 1
     assert np.isfinite(np.delete(table.last.q, 70, axis=0)).all()
@@ -213,7 +216,7 @@ def test_slots_served_all_at_once_give_the_same(make, dampings, whole, monkeypat
     """The way of accelerators, on this machine."""
     monkeypatch.setattr(_batch.Ensemble, "_one_by_one", _batch.Ensemble._together)
     # A number of steps of its own, so that nothing is taken from what was traced before, nor left for others.
-    other = jxr.sweep(lambda c: make(c), dampings, 0.2, rtol=1e-7, max_steps=4095)
+    other = jxr.sweep(lambda c: make(c), dampings, 0.2, ts=4, rtol=1e-7, max_steps=4095)
     # Another program rounds otherwise, and a step more or less is an error of the tolerance's order.
     np.testing.assert_allclose(other.last.q, whole.last.q, rtol=0, atol=1e-9)
     np.testing.assert_allclose(other.stats.steps, whole.stats.steps, atol=2)

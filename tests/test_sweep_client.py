@@ -28,6 +28,7 @@ import jaxroll as jxr
 from jaxroll._sweep import _dispatch, _folder, _identity, _sending
 from jaxroll._sweep._program import Job, of_make, Program, program
 from jaxroll._sweep._sending import packed
+from tests.recorded import runs
 
 ROWS = np.linspace(0.004, 0.008, 10)
 REAL = np.linspace(0.004, 0.008, 60)
@@ -54,13 +55,14 @@ def calls(monkeypatch):
 
 
 @pytest.fixture
-def threads():
+def threads(calls):
+    """Ended before `calls` is: a chunk that is still under way would be compiled."""
     with ThreadPoolExecutor(2) as executor:
         yield executor
 
 
 def swept(client, rows=ROWS, **changes):
-    grasp, state = jxr.scenes.pivoted()
+    grasp, state = runs.scene("pivoted")
     factor = changes.pop("factor", 1.0)
     make = changes.pop("make", lambda c: (grasp.with_(damping=factor * c), state))
     given = {"chunk": 2, "keep": _ends, "rtol": 1e-7} | changes
@@ -204,7 +206,7 @@ def test_another_program_on_a_worker_is_refused(threads, calls, monkeypatch):
     """A module of the caller's is another one there."""
 
     def other(job, rows):
-        grasp, state = jxr.scenes.pivoted()
+        grasp, state = runs.scene("pivoted")
         changed = lambda c: (grasp.with_(damping=3.0 * c), state)  # noqa: E731
         return program(Job(changed, job.keep, job.t1, job.options), rows)
 
@@ -219,11 +221,16 @@ def test_a_forked_process_is_refused(threads, calls, monkeypatch):
         swept(threads)
 
 
+def in_single_precision(leaf):
+    return leaf.astype(np.float32) if eqx.is_inexact_array(leaf) else leaf
+
+
 def test_settings_of_jax_go_along(threads, calls):
     """A thread has the settings of its own; afterwards it has them again."""
     threads.submit(lambda: None).result()
+    grasp, state = jax.tree.map(in_single_precision, runs.scene("pivoted"))
     with jax.enable_x64(False), jax.numpy_rank_promotion("allow"):
-        found = swept(threads, rtol=1e-4)
+        found = swept(threads, rtol=1e-4, make=lambda c: (grasp.with_(damping=c), state))
         assert found[0].dtype == np.float32
     assert threads.submit(lambda: jax.config.jax_enable_x64).result()
     assert swept(threads)[0].dtype == np.float64
@@ -240,7 +247,7 @@ class Counter(eqx.Module):
 
 def _pivoted(make):
     """A `make` of the pivoted scene, from its grasp and state."""
-    return lambda: make(*jxr.scenes.pivoted())
+    return lambda: make(*runs.scene("pivoted"))
 
 
 def _with_a_table(grasp, state):
@@ -265,12 +272,12 @@ def _with_points(grasp, state):
 
 
 def _with_two_fingers():
-    grasp, state = jxr.scenes.pinch()
+    grasp, state = runs.scene("pinch")
     return lambda c: (grasp.with_(damping=c), state)
 
 
 def _in_space():
-    grasp, state = jxr.scenes.pinch3d()
+    grasp, state = runs.scene("pinch3d")
     return lambda c: (grasp, state)
 
 
@@ -309,7 +316,7 @@ STUBBORN = {
 def test_what_cannot_be_sent_is_named(name, threads, calls):
     pytest.importorskip("cloudpickle")
     stubborn, argument, said = STUBBORN[name]
-    grasp, state = jxr.scenes.pivoted()
+    grasp, state = runs.scene("pivoted")
 
     def make(c):
         _ = stubborn
@@ -332,7 +339,7 @@ def test_without_cloudpickle_functions_must_be_named(threads, calls, monkeypatch
 
 
 def named(c):
-    grasp, state = jxr.scenes.pivoted()
+    grasp, state = runs.scene("pivoted")
     return grasp.with_(damping=c), state
 
 

@@ -243,7 +243,7 @@ def test_a_sweep_and_its_map(tmp_path, monkeypatch, capfd):
     table = read_table(tmp_path / "jaxroll-sweep")
     assert table.parameters.shape == (3, 2) and table.values["final_pose"].shape == (6, 3)
     grasp, state = scenes.pivoted()
-    last = jxr.simulate(grasp.with_(damping=0.008, force=0.4), state, 0.2, ts=1, rtol=1e-6).last.q
+    last = jxr.simulate(grasp.with_(damping=0.008, force=0.4), state, 0.2, rtol=1e-6).last.q
     np.testing.assert_allclose(table.values["final_pose"][4], last, rtol=0, atol=1e-7)
     with (tmp_path / "jaxroll-sweep" / "table.csv").open() as file:
         lines = list(csv.DictReader(file))
@@ -263,14 +263,14 @@ def test_a_sweep_and_its_map(tmp_path, monkeypatch, capfd):
 
 def test_what_a_scene_of_ones_own_makes_without_its_parameters_is_known_to_it(tmp_path):
     """The scene of the how-to was refused: `pinch_object` takes no numbers that JAX is tracing."""
-    (tmp_path / "egg.py").write_text(
+    (tmp_path / "disc.py").write_text(
         "import jaxroll as jxr\n"
-        "def egg(force, damping):\n"
-        "    body = jxr.FreeObject.uniform(jxr.Ellipse(0.015, 0.02), density=50.0)\n"
+        "def disc(force, damping):\n"
+        "    body = jxr.FreeObject.uniform(jxr.Circle(0.015), density=20.0)\n"
         "    grasp, state = jxr.scenes.pinch_object(body)\n"
-        "    return jxr.close(grasp.with_(damping=damping * force), state)\n"
+        "    return grasp.with_(damping=damping * force), state\n"
     )
-    make = maker(f"{tmp_path}/egg.py:egg", ("damping", "force"))
+    make = maker(f"{tmp_path}/disc.py:disc", ("damping", "force"))
     given = jxr.Parameters(damping=np.array([0.002, 0.02]), force=np.array([2.0, 3.0]))
     grasp, state = jax.jit(jax.vmap(make))(given)
     np.testing.assert_allclose(grasp.controller.damping[:, 0], [0.004, 0.06], rtol=1e-12)

@@ -21,8 +21,9 @@ import pytest
 import jaxroll as jxr
 from jaxroll import _fingerprint
 from jaxroll._sweep import _folder, _identity
-from jaxroll._sweep._program import of_make, Program
+from jaxroll._sweep._program import of_keep, of_make, Program
 from tests.helpers import slow_among
+from tests.recorded import runs
 
 ROWS = np.linspace(0.004, 0.008, 10)
 REAL = np.linspace(0.004, 0.008, 40)
@@ -34,6 +35,12 @@ def of_first(program, rows):
     """In place of a program: everything is the first number of the first row."""
     first = float(jax.tree.leaves(rows)[0][0])
     return jax.tree.map(lambda form: np.full(form.shape, first).astype(form.dtype), program.results)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """The pivoted scene, closed as recorded: it need not be the state that is found on this machine."""
+    return runs.scene("pivoted")
 
 
 @pytest.fixture
@@ -87,9 +94,6 @@ CHANGES = {
     "closed-over array": ({"table": changed(TABLE)}, "make"),
     "closed-over kind": ({"table": TABLE.astype(np.float32)}, "make"),
     "keep": ({"keep": lambda run: run.last.q * 1.5000000001}, "keep"),
-    "keep of another array": ({"keep": lambda run: run.last.v * 1.5}, "keep"),
-    "keep's tree": ({"keep": lambda run: [run.last.q * 1.5]}, "keep"),
-    "nothing kept": ({"keep": None}, "keep"),
     "rtol": ({"rtol": 1e-8}, "option rtol (1e-07 there, not given here)"),
     "atol": ({"atol": 1e-8}, "option atol (not given there, 1e-08 here)"),
     "events": ({"events": ("lift",)}, "option events (not given there, ('lift',) here)"),
@@ -110,6 +114,22 @@ CHANGES = {
     "kind of rows": ({"rows": ROWS.astype("f4")}, "parameters (float64[10] there, float32[10] here)"),
     "several": ({"factor": 2.0, "t1": 0.21}, "t1 (0.2 there, 0.21 here), make"),
 }  # fmt: skip
+
+
+KEPT_OTHERWISE = {
+    "a factor": lambda run: run.last.q * 1.5000000001,
+    "another array": lambda run: run.last.v * 1.5,
+    "another tree": lambda run: [run.last.q * 1.5],
+    "everything": None,
+}
+
+
+@pytest.mark.parametrize("name", KEPT_OTHERWISE)
+def test_what_is_kept_counts(name):
+    """Without the program of the runs, which would be traced for each."""
+    trajectory = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), runs.run("pivoted"))
+    usual, same = (of_keep(lambda run: run.last.q * 1.5, trajectory) for _ in range(2))
+    assert usual == same != of_keep(KEPT_OTHERWISE[name], trajectory)
 
 
 @pytest.fixture(scope="module")
@@ -368,9 +388,9 @@ import jax
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_compilation_cache_dir", cache or None)
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)  # each process compiles the same
-import jaxroll as jxr
 from jaxroll._sweep import _folder
 from jaxroll._sweep._program import Program
+from tests.recorded import runs
 from tests.test_sweep_folder import of_first, REAL, swept
 
 def killed(*_):
@@ -398,7 +418,7 @@ elif not cache:
 os.fsync = half if moment == "write" else flush
 _folder.Folder.store = counted
 changes = {"rows": REAL} if cache else {}
-sys.stdout.buffer.write(swept(jxr.scenes.pivoted(), changes, pathlib.Path(folder)).tobytes())
+sys.stdout.buffer.write(swept(runs.scene("pivoted"), changes, pathlib.Path(folder)).tobytes())
 """
 # What is in the folder afterwards; the lock may have gone or not.
 LEFT = {"compilation": [".json"], "write": [".json", ".npz", ".part"], "between chunks": [".json", ".npz"]}

@@ -8,6 +8,7 @@ import pytest
 import jaxroll as jxr
 from jaxroll.geometry import tabled
 from jaxroll.geometry.contours._arclength import parameters_reaching, rising_sums
+from tests.measures import both_ways
 from tests.oracles.known_curves import ellipse_points
 
 RING = ellipse_points(16) * (1.0 + 0.03 * np.random.default_rng(0).normal(size=(16, 1)))
@@ -25,16 +26,14 @@ def test_table_is_differentiated_in_both_modes(name):
     make, numbers = SHAPES[name]
     build = lambda x: jnp.ravel(tabled(make(x)).table.coefficients)  # noqa: E731
     way = 1e-2 * np.abs(numbers).max() * np.random.default_rng(1).normal(size=numbers.shape)
-    # One program for the values and the derivative forwards.
-    both = jax.jit(lambda x: jax.jvp(build, (x,), (way,)))
-    pushed = both(numbers)[1]
-    weights = np.random.default_rng(2).normal(size=pushed.shape)
-    at = lambda t: np.asarray(both(numbers + t * way)[0])  # noqa: E731
+    weights = np.random.default_rng(2).normal(size=jax.eval_shape(build, numbers).shape)
+    both = both_ways(build)
+    _, pushed, pulled = both(numbers, way, weights)
+    at = lambda t: np.asarray(both(numbers + t * way, way, weights)[0])  # noqa: E731
     h = 1e-2
     steps = [(45.0, 1), (-9.0, 2), (1.0, 3)]
     slope = sum(c * (at(k * h) - at(-k * h)) for c, k in steps) / (60.0 * h)
     np.testing.assert_allclose(pushed, slope, rtol=0, atol=1e-8 * np.abs(slope).max())
-    pulled = jax.jit(jax.grad(lambda x: weights @ build(x)))(numbers)
     np.testing.assert_allclose(np.sum(pulled * way), weights @ pushed, rtol=1e-10)
 
 

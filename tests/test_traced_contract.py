@@ -125,30 +125,36 @@ def test_only_what_is_ones_own_and_traced_is_looked_at():
     assert seen == [False, True, True, False]
 
 
-def test_nothing_is_computed_of_one_that_breaks_it():
-    grasp, state = jxr.scenes.pivoted()
+def closed(scene, fast):
+    """The pivoted scene with a fingertip that may be too fast."""
+    grasp, state = scene
+    tip = bend(closed=False, endless=True, fast=fast).moved((-0.01, 0.0), -np.pi / 2)
+    return jxr.close(grasp.with_tip(0, tip), state, hold_contacts=False)
 
-    def found(fast):
-        tip = bend(closed=False, endless=True, fast=fast).moved((-0.01, 0.0), -np.pi / 2)
-        moved, start = jxr.close(grasp.with_tip(0, tip), state, hold_contacts=False)
-        return jxr.multipliers(moved, 0.0, start).f[0], jxr.residuals(moved, start).normal[0]
 
-    force, gap = jax.jit(jax.vmap(found))(jnp.array([0.0, 0.01]))
+@pytest.fixture(scope="module")
+def lanes(scene):
+    """Two grasps and their states, of which the second breaks the contract."""
+    return jax.jit(jax.vmap(lambda fast: closed(scene, fast)))(jnp.array([0.0, 0.01]))
+
+
+def test_nothing_is_computed_of_one_that_breaks_it(scene, lanes):
+    def told(grasp, state):
+        return (
+            jxr.multipliers(grasp, 0.0, state).f[0],
+            jxr.residuals(grasp, state).normal[0],
+        )
+
+    force, gap = jax.jit(jax.vmap(told))(*lanes)
     assert abs(gap[0]) < 1e-15 and np.isfinite(force[0]) and np.isnan([gap[1], force[1]]).all()
     # A derivative outside of `jit` knows the numbers.
     with pytest.raises(ValueError, match="argument grasp must be made of contours given by their arclength"):
-        jax.grad(lambda fast: found(fast)[0])(0.01)
+        jax.grad(lambda fast: closed(scene, fast)[1].q[0])(0.01)
 
 
-def test_a_lane_whose_contour_is_not_given_by_its_arclength_says_so():
+def test_a_lane_whose_contour_is_not_given_by_its_arclength_says_so(lanes):
     """It ran `successful` with a loss of energy, and so did derivatives."""
-    grasp, state = jxr.scenes.pivoted()
-
-    def run(fast):
-        tip = bend(closed=False, endless=True, fast=fast).moved((-0.01, 0.0), -np.pi / 2)
-        start = jxr.close(grasp.with_tip(0, tip), state, throw=False, hold_contacts=False)
-        return jxr.simulate(*start, 0.01, ts=1, throw=False)
-
-    runs = jax.jit(jax.vmap(run))(jnp.array([0.0, 0.01]))
+    run = lambda grasp, state: jxr.simulate(grasp, state, 0.01, ts=1, throw=False)  # noqa: E731
+    runs = jax.jit(jax.vmap(run))(*lanes)
     assert repr(runs.result) == "[successful, inconsistent_shape]"
     assert "a contour of one's own is not given by its arclength" in str(jax.tree.map(lambda x: x[1], runs))

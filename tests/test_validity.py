@@ -162,7 +162,7 @@ def test_one_return_to_the_constraints_up_to_the_default_tolerance_and_two_beyon
     assert traced == [2]
     grasp, state = jxr.scenes.pivoted()  # where most is left is `tests/test_rolling_bodies.py`
     for rtol in (1e-8, 1e-4):
-        run = jxr.simulate(grasp, state, 2.0, ts=3, rtol=rtol)
+        run = jxr.simulate(grasp, state, 2.0, ts=31, rtol=rtol)
         left = run.residuals
         assert max(float(jnp.abs(x).max()) for x in (left.normal, left.tangential, left.tangency)) <= 1e-14
 
@@ -173,8 +173,8 @@ def test_single_precision_stays_single_where_double_is_allowed(scene):
     grasp, state = getattr(jxr.scenes, scene)()
     single = lambda tree: jax.tree.map(lambda x: x.astype(jnp.float32), tree)  # noqa: E731
     small, start = jxr.close(single(grasp), single(state))
-    run = jxr.simulate(small, start, 0.2, ts=3, rtol=1e-4)
+    run = jxr.simulate(small, start, 0.2, ts=31, rtol=1e-4)
     kinds = {leaf.dtype for leaf in jax.tree.leaves((start, run.states, run.residuals))}
     assert kinds == {jnp.dtype("float32")}
-    wanted = jxr.simulate(grasp, state, 0.2, ts=3).states.q
+    wanted = jxr.simulate(grasp, state, 0.2, ts=31).states.q
     np.testing.assert_allclose(run.states.q, wanted, atol=1e-5)

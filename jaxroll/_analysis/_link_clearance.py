@@ -78,7 +78,7 @@ def link_clearance(grasp: Grasp, trajectory: Trajectory) -> LinkClearance:
     Example:
         >>> import jaxroll as jxr
         >>> grasp, state = jxr.scenes.pinch()
-        >>> run = jxr.simulate(grasp, state, 1.0, ts=11)
+        >>> run = jxr.simulate(grasp, state, 1.0)
         >>> found = jxr.link_clearance(grasp, run)
         >>> found.pairs, found.least > 0.0
         (((0, 1),), True)

@@ -46,15 +46,13 @@ class Parameters(eqx.Module):
         ValueError: If a column holds anything but finite numbers, lengths differ, or a name is taken.
 
     Example:
-        >>> import jax.numpy as jnp
         >>> import jaxroll as jxr
         >>> some = jxr.Parameters.grid(damping=[0.004, 0.006], force=[0.4, 0.5, 0.6])
         >>> some = some.with_units(damping="N m s", force="N")
-        >>> grasp, state = jxr.scenes.pivoted()
-        >>> keep = lambda run: run.last.q[0]
-        >>> ends = jxr.sweep(lambda p: (grasp.with_(**p), state), some, t1=0.1, keep=keep)
-        >>> some.rows, some.shape, some.shaped(ends).shape
-        (6, (2, 3), (2, 3))
+        >>> some.rows, some.shape
+        (6, (2, 3))
+        >>> some.shaped(some.damping * some.force).shape  # as of what a sweep returns, row by row
+        (2, 3)
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
@@ -164,8 +162,9 @@ class Parameters(eqx.Module):
             >>> import jaxroll as jxr
             >>> grasp, state = jxr.scenes.pivoted()
             >>> some = jxr.Parameters.grid(damping=[0.004, 0.006], force=[0.4, 0.5])
-            >>> options = {"keep": jxr.measures("result"), "store": tempfile.mkdtemp() + "/some.zarr"}
-            >>> table = jxr.sweep(lambda p: (grasp.with_(**p), state), some, t1=0.1, **options)
+            >>> path = tempfile.mkdtemp() + "/some.zarr"
+            >>> keep = lambda run: run.last.q
+            >>> table = jxr.sweep(lambda p: (grasp.with_(**p), state), some, t1=0.1, keep=keep, store=path)
             >>> jxr.Parameters.of_table(table).shape
             (2, 2)
         """

@@ -122,12 +122,13 @@ def sweep(
     this process, to the last bit, if the processors have the same instructions.
 
     Example:
-        >>> import jax.numpy as jnp
         >>> import jaxroll as jxr
         >>> grasp, state = jxr.scenes.pivoted()
-        >>> table = jxr.sweep(lambda c: (grasp.with_(damping=c), state), jnp.array([0.004, 0.006]), t1=0.1)
-        >>> table.last.q.shape
-        (2, 3)
+        >>> some = jxr.Parameters.grid(damping=[0.004, 0.006], force=[0.4, 0.5])
+        >>> keep = lambda run: run.last.q  # where each comes to
+        >>> ends = jxr.sweep(lambda p: (grasp.with_(**p), state), some, t1=0.1, keep=keep)
+        >>> ends.shape, some.shaped(ends).shape
+        ((4, 3), (2, 2, 3))
     """
     check_callable("make", make, "a function of one row of parameters", takes=1)
     if keep is not None:

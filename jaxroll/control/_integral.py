@@ -74,8 +74,8 @@ class Integral(AbstractController):
 
     Example:
         >>> import jaxroll as jxr
-        >>> grasp, state = jxr.scenes.pinch()
-        >>> law = jxr.control.Integral(grasp.controller, {"y": 0.11}, 300.0)
+        >>> grasp, state = jxr.scenes.pivoted()
+        >>> law = jxr.control.Integral(grasp.controller, {"y": 0.11}, 3.0)  # of its fingertip's height
         >>> run = jxr.simulate(grasp.with_(controller=law), state, 0.5)
         >>> run.states.memory.shape
         (301, 1)

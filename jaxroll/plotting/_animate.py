@@ -73,7 +73,7 @@ def animate(
         >>> import jaxroll as jxr
         >>> from jaxroll import plotting
         >>> grasp, state = jxr.scenes.pivoted()
-        >>> run = jxr.simulate(grasp, state, t1=0.1, ts=3)
+        >>> run = jxr.simulate(grasp, state, t1=0.1)
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     path = plotting.animate(grasp, run, f"{folder}/motion.gif", fps=20, size=3)
         ...     path.name

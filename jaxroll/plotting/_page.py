@@ -99,8 +99,8 @@ def page(
     Example:
         >>> import jaxroll as jxr
         >>> from jaxroll import plotting
-        >>> grasp, state = jxr.scenes.turntable()
-        >>> run = jxr.simulate(grasp, state, t1=0.2, ts=5)
+        >>> grasp, state = jxr.scenes.pivoted()
+        >>> run = jxr.simulate(grasp, state, t1=3.0)
         >>> plotting.page(grasp, run, "grasp.html").name
         'grasp.html'
     """

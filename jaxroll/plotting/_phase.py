@@ -50,7 +50,7 @@ def phase(grasp: Grasp, trajectory: Trajectory, *, rest: State | None = None) ->
         >>> import jaxroll as jxr
         >>> from jaxroll import plotting
         >>> grasp, state = jxr.scenes.pinch()
-        >>> run = jxr.simulate(grasp, state, t1=0.02)
+        >>> run = jxr.simulate(grasp, state, t1=1.0)
         >>> plotting.phase(grasp, run, rest=state).axes[0].get_xlabel()
         '$s_1$ [mm]'
     """

@@ -98,7 +98,7 @@ def poses(
         >>> import jaxroll as jxr
         >>> from jaxroll import plotting
         >>> grasp, state = jxr.scenes.pivoted()
-        >>> run = jxr.simulate(grasp, state, t1=0.1, ts=3)
+        >>> run = jxr.simulate(grasp, state, t1=0.1)
         >>> [ax.get_title(loc="left") for ax in plotting.poses(grasp, run).axes]
         ['(a)  t = 0 s', '(b)  t = 0.1 s']
     """

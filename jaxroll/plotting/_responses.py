@@ -70,7 +70,7 @@ def responses(grasp: Grasp, trajectory: Trajectory, folder: str | Path | None = 
         >>> import jaxroll as jxr
         >>> from jaxroll import plotting
         >>> grasp, state = jxr.scenes.pivoted()
-        >>> run = jxr.simulate(grasp, state, t1=0.1, ts=3)
+        >>> run = jxr.simulate(grasp, state, t1=0.1)
         >>> plotting.responses(grasp, run).axes[0].get_ylabel()
         '$\\Delta f$ [N]'
     """

@@ -71,11 +71,13 @@ def _arc(count: int) -> np.ndarray:
     return np.stack([x, 0.01 * np.sin(80.0 * x)], axis=-1) + _noise(4, (count, 2), 5e-5)
 
 
-def _cloud(
-    count: int, half: tuple[float, float, float] = (0.02, 0.016, 0.014), power: float = 2.5
-) -> np.ndarray:
+# Of one body, so that fits to clouds of it have grids of as many cells and share programs.
+_HALF, _POWER = np.array([0.02, 0.016, 0.014]), 2.5
+
+
+def _cloud(count: int) -> np.ndarray:
     rng = np.random.default_rng(count)
-    cloud = superellipsoid_cloud(rng, half, power, count)
+    cloud = superellipsoid_cloud(rng, tuple(_HALF), _POWER, count)
     return cloud + 1e-4 * rng.normal(size=cloud.shape)
 
 
@@ -100,7 +102,7 @@ def _brick() -> tuple[np.ndarray, np.ndarray]:
 
 def _hollow() -> np.ndarray:
     """A cloud without its lower part, and with a patch missing at its side."""
-    cloud = _cloud(3000, (0.02, 0.016, 0.013))
+    cloud = _cloud(3000)
     return cloud[(cloud[:, 2] > -0.011) & ~((cloud[:, 0] > 0.012) & (np.abs(cloud[:, 1]) < 0.005))]
 
 
@@ -112,10 +114,11 @@ def _stray_cloud() -> np.ndarray:
 
 def _turned() -> SurfaceFit:
     """A twentieth of the normals point inwards."""
-    points, normals = _torus(1500)
-    return fit_surface(
-        points, np.where((np.arange(1500) % 20 == 0)[:, None], -normals, normals), smallest_radius=0.006
-    )
+    points = _cloud(700)
+    slopes = np.sign(points) * np.abs(points / _HALF) ** (_POWER - 1.0) / _HALF
+    signs = np.where(np.arange(700) % 20 == 0, -1.0, 1.0)
+    normals = (signs / np.linalg.norm(slopes, axis=1))[:, None] * slopes
+    return fit_surface(points, normals, smallest_radius=0.008)
 
 
 def _meshed() -> SurfaceFit:
@@ -134,22 +137,22 @@ FITS: dict[str, Callable[[], Fit | SurfaceFit]] = {
     # Cross-validation of exact points would choose between smoothings that differ by rounding.
     "contour_exact": lambda: fit_contour(_ring(120, size=0.0), noise=0.0),
     "contour_open": lambda: fit_contour(_arc(120), closed=False),
-    "contour_corners": lambda: fit_contour(_polygon(_QUADRANGLE)),
+    "contour_corners": lambda: fit_contour(_polygon(_QUADRANGLE, 1.138e-3)),
     "contour_support": lambda: fit_contour(_ring(120, 0.0, size=1e-5), field="support"),
     "contour_radius": lambda: fit_contour(_ring(120), smallest_radius=0.008),
     "contour_radius_corners": lambda: fit_contour(_polygon(_QUADRANGLE), smallest_radius=0.006),
     "contour_radius_finned": lambda: fit_contour(_polygon(_FINNED, 5e-4), smallest_radius=0.003),
-    "contour_radius_strays": lambda: fit_contour(_strays(_ring(120)), smallest_radius=0.004),
+    "contour_radius_strays": lambda: fit_contour(_strays(_ring(120)), smallest_radius=0.008),
     "contour_radius_open": lambda: fit_contour(
         _polygon(_BENT, closed=False), closed=False, smallest_radius=0.004
     ),
-    "contour_radius_noise": lambda: fit_contour(_ring(120), smallest_radius=0.005, noise=2e-4),
+    "contour_radius_noise": lambda: fit_contour(_ring(120), smallest_radius=0.008, noise=2e-4),
     "surface": lambda: fit_surface(_cloud(500)),
     "surface_normals": lambda: fit_surface(*_torus(500)),
-    "surface_smoothing": lambda: fit_surface(_cloud(500), smoothing=1e-2),
+    "surface_smoothing": lambda: fit_surface(_cloud(500), smoothing=0.0115),
     "surface_noise": lambda: fit_surface(_cloud(500), noise=3e-4),
     "scan": lambda: fit_surface(_cloud(700), smallest_radius=0.008),
-    "scan_holes": lambda: fit_surface(_hollow(), smallest_radius=0.006),
+    "scan_holes": lambda: fit_surface(_hollow(), smallest_radius=0.008),
     "scan_strays": lambda: fit_surface(_stray_cloud(), smallest_radius=0.008),
     "scan_normals": _turned,
     "scan_mesh": _meshed,

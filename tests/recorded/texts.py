@@ -218,7 +218,7 @@ def ordered(goal: str) -> dict[str, Any]:
 def fingertips() -> dict[str, Any]:
     """A fingertip from a file, and measures of two runs."""
     with tempfile.TemporaryDirectory() as folder:
-        u = 0.7 + 2.0 * np.pi * np.arange(40) / 40
+        u = 0.7 + 2.0 * np.pi * np.arange(120) / 120
         file = Path(folder) / "tip.csv"
         np.savetxt(file, np.stack([15.0 * np.cos(u) - 2.0, 9.0 * np.sin(u)], axis=-1), delimiter=",")
         tip = _cli.fingertip(str(file), "mm")

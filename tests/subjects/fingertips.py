@@ -21,6 +21,13 @@ def violating_points(seed, count=24):
     return np.stack([0.004 + radius * np.cos(u), radius * np.sin(u)], -1)
 
 
+def within(**given):
+    """Limits of all sizes, those that are not given far beyond any fingertip: one program serves them all."""
+    return jxr.design.Limits(
+        **{"size": 1.0, "length": 3.0, "radius": 1e-5, "ahead": 1e-5, "flat": 10.0} | given
+    )
+
+
 def pivoted_with_tip(tip):
     """Part 2 of the chapter with another fingertip."""
     grasp, state = jxr.scenes.pivoted()

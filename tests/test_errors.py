@@ -11,6 +11,7 @@ import pytest
 import jaxroll as jxr
 from jaxroll._linalg._plane import Vec2
 from jaxroll.geometry import frenet
+from tests.subjects import rolling_disc
 
 CIRCLE = jxr.Circle(0.01)
 
@@ -210,18 +211,10 @@ def test_step_limit_keeps_what_was_computed(scene):
     assert few(1.001 * limit, throw=False).result == jxr.RESULTS.max_steps_reached
 
 
-@pytest.fixture(scope="module")
-def rolling():
-    """A disc on an incline, whose runs are the shortest programs, and its state."""
-    wall, disc = jxr.Jaw(jxr.Line(), angle=0.5 * np.pi), jxr.FreeObject(CIRCLE, 0.05, 2.5e-6)
-    grasp = jxr.Grasp(disc, wall, jxr.Contact(0.0, -0.005 * np.pi), gravity=(1.0, -9.81))
-    return grasp, jxr.State(jnp.array([0.0, 0.01, 0.0]), jnp.zeros(3), jnp.zeros(1))
-
-
 @pytest.mark.parametrize("derivative", [jax.grad, jax.jacfwd])
-def test_runs_that_fail_in_a_derivative_say_why(rolling, derivative):
+def test_runs_that_fail_in_a_derivative_say_why(derivative):
     """Outside of `jit` the code is known there, though what is differentiated is traced."""
-    grasp, state = rolling
+    grasp, state = rolling_disc.on_slope(0.1)
 
     def travelled(mass, **options):
         options |= {"ts": 1, "max_steps": 4, "events": ()}

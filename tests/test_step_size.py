@@ -11,6 +11,7 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll._integration._step_size import at_rest, Hunt, Pace, StopAt
+from tests.subjects import rolling_disc
 
 CODES = diffrax.RESULTS
 FAILED = CODES.nonlinear_divergence
@@ -203,22 +204,18 @@ def pulled(t):
 
 def test_a_margin_that_is_lowest_where_a_step_ends_uses_up_no_steps():
     """Of a disc that nearly slips on a shaken plate: tries that ended at the dip were all the same step."""
-    disc = jxr.FreeObject(jxr.Circle(0.01), 0.05, 2.5e-6)
-    plate = jxr.Jaw(jxr.Line(), angle=0.5 * np.pi)
-    start = jxr.State(jnp.array([0.0, 0.01, 0.0]), jnp.zeros(3), jnp.zeros(1))
+    load = lambda t, pose, twist: (rolling_disc.MASS * jnp.stack(pulled(t)), 0.0)  # noqa: E731
 
     @jax.jit
     @jax.vmap
     def steps(friction):
-        contact = jxr.Contact(0.0, -0.005 * np.pi, friction=friction)
-        load = lambda t, pose, twist: (0.05 * jnp.stack(pulled(t)), 0.0)  # noqa: E731
-        grasp = jxr.Grasp(disc, plate, contact, gravity=(0.0, -9.81), load=load)
-        run = jxr.simulate(grasp, start, 0.3, ts=1, rtol=1e-6, throw=False)
+        disc = rolling_disc.on_slope(0.0, friction, load)
+        run = jxr.simulate(*disc, 0.3, ts=1, rtol=1e-6, throw=False)
         return run.result._value, run.stats.steps
 
     # The force along the plate is a third of the pull along it. One in fifty used up its steps.
     along, up = map(np.asarray, pulled(np.linspace(0.0, 0.3, 100_001)))
-    needed = np.max(np.abs(along) / 3.0 / (9.81 - up))
+    needed = np.max(np.abs(along) / 3.0 / (rolling_disc.GRAVITY - up))
     excess = np.geomspace(1e-5, 1e-2, 512)
     for sign, code in ((1.0, jxr.RESULTS.successful), (-1.0, jxr.RESULTS.slipping)):
         codes, count = steps(jnp.asarray(needed * (1.0 + sign * excess)))

@@ -361,9 +361,6 @@ def test_processes_give_the_same_bits():
 
 
 # What happens to a worker is asked for by files, each of which serves once: 'compiling.0' and so on.
-MOMENTS = ("compiling", "running", "writing")
-
-
 class Killer:
     """A plugin of dask's workers: when a file asks for it, the worker is killed, or its disk full."""
 

@@ -21,7 +21,6 @@ from jaxroll._cli._sweep_order import _ENDS, _FILE, _fits, map_order, Range, SCE
 from jaxroll._cli._sweep_table import read_table
 from jaxroll.plotting import map_page, parameter_map
 
-ARGUMENTS = ["sweep", "pivoted", "--set", "damping=0.004:0.008"]
 FILE = """
 scene = "pivoted"
 number = 12

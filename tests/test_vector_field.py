@@ -8,6 +8,7 @@ import optimistix
 import pytest
 
 import jaxroll as jxr
+from tests.subjects import rolling_disc
 from tests.subjects.disc_on_a_hill import disc_on_a_hill
 
 TIGHT = diffrax.PIDController(rtol=1e-10, atol=1e-10)
@@ -153,15 +154,13 @@ def test_steps_end_at_declared_jumps_where_diffrax_is_given_them():
 
     Left to itself, diffrax passes over such a push.
     """
-    floor, contact = jxr.Jaw(jxr.Line(), angle=0.5 * np.pi), jxr.Contact(0.0, -0.005 * np.pi)
-    disc = jxr.Grasp(jxr.FreeObject(jxr.Circle(0.01), 0.05, 2.5e-6), floor, contact, gravity=(0.0, -9.81))
-    state = jxr.State([0.0, 0.01, 0.0], np.zeros(3), [0.0])
+    disc, state = rolling_disc.on_slope(0.0)
     pushed = disc.with_(load=jxr.loads.Push((0.2, 0.0), 1.0, 0.01))
     jumps = jxr.vector_field(pushed).jumps
     np.testing.assert_array_equal(jumps, [1.0, 1.01])
     control = diffrax.ClipStepSizeController(TIGHT, jump_ts=jumps)
     field, found = solved(pushed, state, t1=1.5, stepsize_controller=control)
-    speed = 2.0 / 3.0 * 0.5 * 0.2 * 0.01 / 0.05
+    speed = 2.0 / 3.0 * 0.5 * 0.2 * 0.01 / rolling_disc.MASS
     moved = float(field.states(found.ys[0]).q[0])
     np.testing.assert_allclose(moved, speed * (1.5 - 1.005), rtol=1e-9)
     assert jxr.vector_field(disc).jumps.shape == (0,)

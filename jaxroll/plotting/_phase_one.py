@@ -53,8 +53,8 @@ def phase_of_one(grasp: Grasp, trajectory: Trajectory, rest: State | None) -> Fi
     ts, reached = single(trajectory)
     states = jax.tree.map(lambda a: np.asarray(a)[reached], _bare(trajectory.states))
     # The state of rest, if there is one, follows those of the path, where it is part of the same program.
-    told = [states] if rest is None else [states, jax.tree.map(lambda a: np.asarray(a)[None], _bare(rest))]
-    places = _chapter_s(held, jax.tree.map(lambda *each: np.concatenate(each), *told))
+    told = [states] if rest is None else [states, _bare(rest)]
+    places = _chapter_s(held, jax.tree.map(lambda *each: np.vstack(each), *told))
     count = len(states.q)
     path = np.stack([places[:count], _rates(held, states)], axis=-1)
     goal = np.stack([places[count:], np.zeros(len(places) - count)], axis=-1)

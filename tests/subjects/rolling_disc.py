@@ -11,10 +11,10 @@ GRAVITY = 9.81
 MOVED = PLATE + MASS / 3.0
 
 
-def on_slope(slope, friction=None):
+def on_slope(slope, friction=None, load=None):
     """On a fixed plate that falls off to the right at an angle; it slips if tan(slope) > 3 friction."""
     down = GRAVITY * jnp.stack([jnp.sin(slope), -jnp.cos(slope)])
-    return _rolling(jxr.Jaw(jxr.Line(), angle=0.5 * np.pi), friction=friction, gravity=down)
+    return _rolling(jxr.Jaw(jxr.Line(), angle=0.5 * np.pi), friction=friction, gravity=down, load=load)
 
 
 def on_driven_plate(controller):

@@ -263,7 +263,7 @@ def _run(options: argparse.Namespace, demo: Demo, folder: Path) -> None:
 
         from . import __version__, plotting, scenes
         from ._integration import complaint, simulate
-        from ._results import RESULTS
+        from ._printing import code_name
         from ._saving import save
     seconds = options.seconds or demo.seconds
     with _cli.timed("Closing the contacts"):
@@ -274,7 +274,7 @@ def _run(options: argparse.Namespace, demo: Demo, folder: Path) -> None:
     settings = {"t1": seconds, "ts": ts, "rtol": options.rtol, "record": record, "throw": False}
     with _cli.timed(f"Simulating {seconds:g} s") as first:
         run = jax.block_until_ready(simulate(grasp, state, **settings))
-        if run.result != RESULTS.successful:
+        if code_name(run.result) != "successful":
             raise RuntimeError(complaint(run, _REMEDIES))
     with _cli.timed("Simulating it again") as again:
         jax.block_until_ready(simulate(grasp, state, **settings))

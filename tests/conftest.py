@@ -87,6 +87,7 @@ def _forgotten():
     full = full or _bytes_in_memory() - _bytes_before > _most_bytes()
     if full:
         jax.clear_caches()
+        _programs.clear()
         gc.unfreeze()
     gc.collect()
     if full:
@@ -118,6 +119,31 @@ def share_context():
         at_work = importlib.import_module("jaxlib.mlir.ir").Context
         new, shared = lowering.make_ir_context, functools.cache(lowering.make_ir_context)
         lowering.make_ir_context = lambda: shared() if at_work.current is None else new()
+
+
+# Programs that this process compiled, by the key under which JAX would find them on disk.
+_programs = {}
+
+
+def share_programs():
+    """Let a program whose text was compiled before be the one that is there, where JAX has these functions.
+
+    JAX compiles a program for each function object, and for each kind of argument: one in four of those that
+    tests compile was there, letter for letter. Its key is computed anyway, for the files of the cache.
+    """
+    with contextlib.suppress(ImportError, AttributeError):
+        compiler = importlib.import_module("jax._src.compiler")
+        read, compile_and_write = compiler._cache_read, compiler._compile_and_write_cache
+
+        def found(name, key, *rest):
+            return (_programs[key], 0) if key in _programs else read(name, key, *rest)
+
+        def compiled(*given):
+            key = given[-1]
+            _programs[key] = compile_and_write(*given)
+            return _programs[key]
+
+        compiler._cache_read, compiler._compile_and_write_cache = found, compiled
 
 
 def _bytes_in_memory():
@@ -195,6 +221,7 @@ def pytest_configure(config):
     """Choose how programs are compiled, before anything makes XLA read it."""
     keep_memory()
     share_context()
+    share_programs()
     # Two test processes share the cores: threads of BLAS would only wait for each other.
     threadpoolctl.threadpool_limits(limits=1, user_api="blas")
     if compiled_quickly(config) and "XLA_FLAGS" not in os.environ:

@@ -12,7 +12,7 @@ from .. import _analysis, stability
 
 def _row(array: Any) -> str:
     """Lengths in mm or masses in g, from metres or kilograms, as text."""
-    return ", ".join(f"{1e3 * float(x):g}" for x in array)
+    return ", ".join(f"{1e3 * float(x):g}" for x in np.asarray(array))
 
 
 def _finger(finger: Any) -> str:
@@ -43,7 +43,7 @@ def pivoted_facts(grasp: Any, run: Any) -> list[str]:
     )
     lines = [f"{'Chapter, Figs. 9-18':22}{'start':>14}{'end':>14}"]
     for name, values, scale in rows:
-        start, end = scale * float(values[0, 0]), scale * float(values[-1, 0])
+        start, end = scale * np.asarray(values)[[0, -1], 0]
         lines.append(f"  {name:20}{start:14.5g}{end:14.5g}")
     return lines + _checks(run)
 
@@ -51,11 +51,11 @@ def pivoted_facts(grasp: Any, run: Any) -> list[str]:
 def pinch_scene(grasp: Any, state: Any) -> list[str]:
     """Links, object and control of Part 1."""
     control, body = grasp.controller, grasp.object
+    alpha, damping = float(np.asarray(control.alpha)[0]), float(np.asarray(control.damping)[0])
     return [
         *(f"  finger {i}    {_finger(finger)}" for i, finger in enumerate(grasp.fingers, 1)),
         f"  object      {1e3 * float(body.mass):g} g, {float(body.inertia):.4g} kg m^2",
-        f"  control     beta = {float(control.beta):g} N/m, alpha = {float(control.alpha[0]):g} N m/rad, "
-        f"c = {float(control.damping[0]):g} N m s",
+        f"  control     beta = {float(control.beta):g} N/m, alpha = {alpha:g} N m/rad, c = {damping:g} N m s",
         *_verdict(grasp, state),
     ]
 
@@ -99,7 +99,7 @@ def _checks(run: Any) -> list[str]:
     peak = lambda array: float(np.nanmax(np.abs(np.asarray(array))))  # noqa: E731
     left, energy = run.residuals, run.energy
     return [
-        f"  energy      {1e3 * -float(energy.work[-1]):.4g} mJ dissipated; balance off by "
+        f"  energy      {1e3 * -float(np.asarray(energy.work)[-1]):.4g} mJ dissipated; balance off by "
         f"{peak(energy.residual):.1e} J; |Q| {peak(left.normal):.1e} m, |R| {peak(left.tangential):.1e} m",
     ]
 
@@ -107,6 +107,7 @@ def _checks(run: Any) -> list[str]:
 def pinch3d_scene(grasp: Any, state: Any) -> list[str]:
     """Links, object and control of Part 3."""
     control, body = grasp.controller, grasp.object
+    damping = float(np.asarray(control.damping)[0])
     links = [np.linalg.norm(np.asarray(finger.offsets), axis=1) for finger in grasp.fingers]
     return [
         *(
@@ -114,7 +115,7 @@ def pinch3d_scene(grasp: Any, state: Any) -> list[str]:
             for i, (lengths, finger) in enumerate(zip(links, grasp.fingers, strict=True), 1)
         ),
         f"  object      {_row(body.outline)} mm, {1e3 * float(body.mass):g} g",
-        f"  control     beta = {float(control.beta):g} N/m, c = {float(control.damping[0]):g} N m s",
+        f"  control     beta = {float(control.beta):g} N/m, c = {damping:g} N m s",
     ]
 
 
@@ -122,18 +123,19 @@ def pinch3d_facts(grasp: Any, run: Any) -> list[str]:
     """What the chapter plots of Part 3, at the start and the end of a run."""
     found, f = _analysis.loci(grasp, run), np.asarray(run.multipliers.f)
     aside = np.linalg.norm(np.asarray(run.multipliers.lam), axis=-1)
+    on_tip, on_object = np.asarray(found.tip.arclength), np.asarray(found.object.arclength)
     # The last time that the run reached.
     last = np.flatnonzero(np.isfinite(f).all(axis=1))[-1]
     rows = (
         ("f_i [N]", f),
         ("|lambda_i| [N]", aside),
         ("|lambda_i| / f_i", aside / f),
-        ("s_i on the tip [mm]", 1e3 * np.asarray(found.tip.arclength).T),
-        ("s_i on the object [mm]", 1e3 * np.asarray(found.object.arclength).T),
+        ("s_i on the tip [mm]", 1e3 * on_tip.T),
+        ("s_i on the object [mm]", 1e3 * on_object.T),
     )
     lines = [f"{'Chapter, Part 3':24}{'start: i = 1':>15}{'2':>12}{'end: i = 1':>15}{'2':>12}"]
     for name, values in rows:
         cells = [f"{end[0]:15.5g}{end[1]:12.5g}" for end in values[[0, last]]]
         lines.append(f"  {name:22}" + "".join(cells))
-    off = np.nanmax(np.abs(np.asarray(found.tip.arclength - found.object.arclength)))
+    off = np.nanmax(np.abs(on_tip - on_object))
     return [*lines, f"  A-2         arclengths of both loci differ by {off:.1e} m", *_checks(run)]

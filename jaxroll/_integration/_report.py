@@ -221,7 +221,7 @@ def _left(left: Any) -> str:
 def _balance(run: Any, saved: np.ndarray) -> str:
     """By how much the energy is off, of a run that saved more than its start."""
     off, stats = peak(run.energy.residual), run.stats
-    scale = np.nanmax(np.abs(np.asarray(run.energy.kinetic + run.energy.potential)))
+    scale = np.nanmax(np.abs(np.asarray(run.energy.kinetic) + np.asarray(run.energy.potential)))
     # The balance counts from the start, where it is zero but for rounding, of positions too, which a run
     # brings back to the constraints at once: alone it says nothing.
     rounding = 64.0 * np.finfo(np.asarray(run.energy.residual).dtype).eps * scale

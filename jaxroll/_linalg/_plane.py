@@ -171,12 +171,17 @@ def unstack(array: Any) -> Any:
     # A tuple has been taken apart before: `prepared` may be called twice. A scalar is a leaf already.
     if isinstance(array, tuple) or array is None or jnp.ndim(array) == 0:
         return array
-    rest = iter(scalars(jnp.ravel(array)))
+    rest = iter(_entries(array))
 
     def nested(shape: tuple[int, ...]) -> Any:
         return tuple(nested(shape[1:]) for _ in range(shape[0])) if shape else next(rest)
 
     return nested(jnp.shape(array))
+
+
+@functools.partial(jax.jit, inline=True)  # where nothing is traced, one program instead of three
+def _entries(array: jax.Array) -> list[jax.Array]:
+    return scalars(array.ravel())
 
 
 def scalars(vector: jax.Array) -> list[jax.Array]:

@@ -62,7 +62,7 @@ def sample(contour: AbstractContour, s: np.ndarray) -> OutlineSamples:
     # In blocks of one length, the last filled up: figures ask for many lengths, and one program serves all.
     ready, count = tabled(contour), len(s)
     blocks = np.resize(np.asarray(s, float), (max(-(-count // _BLOCK), 1), _BLOCK))
-    parts = zip(*(map(np.asarray, _sampled(ready, jnp.asarray(block))) for block in blocks), strict=True)
+    parts = zip(*(map(np.asarray, _sampled(ready, jax.device_put(block))) for block in blocks), strict=True)
     points, tangents, curvatures = (np.concatenate(each)[:count] for each in parts)
     return OutlineSamples(MM * points, tangents, curvatures)
 

@@ -300,7 +300,7 @@ def _last(run: Trajectory, contacts: tuple[str, ...]) -> Panel:
 
 def balance_panel(energy: Energy) -> Panel:
     """The energy balance."""
-    size = float(np.nanmax(np.abs(np.asarray(energy.kinetic + energy.potential))))
+    size = float(np.nanmax(np.abs(np.asarray(energy.kinetic) + np.asarray(energy.potential))))
     return residual_panel("energy balance", r"$\Delta(K + P - W)$ [J]", energy.residual, size=size)
 
 

@@ -1,7 +1,8 @@
 """Where everything of a grasp in the plane is at every time, in millimetres; checks of runs to be drawn."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -16,6 +17,9 @@ from .._printing import code_name
 from ..control import law_of, Press
 from ._outlines import Outline, outlines, rolling_contacts, rolling_coordinates, sample
 from ._style import MM
+
+# How many states a program places at once.
+_BLOCK = 64
 
 
 @dataclass(frozen=True)
@@ -97,7 +101,7 @@ def along_time(states: State) -> State:
 
 def views(grasp: Grasp, states: State) -> Views:
     """Everything to draw, for states with a leading time axis."""
-    frames, joints, points, tangents = jax.tree.map(np.asarray, _placed(grasp, states))
+    frames, joints, points, tangents = in_blocks(_placed, grasp, states)
     sigmas, contacts = rolling_coordinates(grasp, np.asarray(states.s)), rolling_contacts(grasp)
     body, *tips = outlines(grasp, sigmas)
     rolled = []
@@ -121,6 +125,19 @@ def views(grasp: Grasp, states: State) -> Views:
         tuple(contact.finger for contact in contacts.values()),
         link_radii(grasp),
     )
+
+
+def in_blocks(placed: Callable[[Grasp, State], Any], grasp: Grasp, states: State) -> Any:
+    """What a compiled function says of each of many states; all that it returns has their leading axis.
+
+    In blocks of one length, the last filled up: figures ask for many numbers of states, and one program
+    serves all.
+    """
+    count = len(states.q)
+    blocks = np.resize(np.arange(count), (-(-count // _BLOCK), _BLOCK))
+    known = jax.tree.map(np.asarray, states)
+    parts = [placed(grasp, jax.tree.map(lambda a: a[block], known)) for block in blocks]  # noqa: B023
+    return jax.tree.map(lambda *each: np.concatenate(each)[:count], *parts)
 
 
 def link_radii(grasp: Grasp) -> tuple[float | None, ...]:

@@ -11,7 +11,7 @@ from .._mechanics import check_spatial, compiled, Grasp, State, to_leaves
 from .._motion import touches, world_poses
 from .._results import as_floats, check_flag, shown
 from ._motion3 import Motion3D, turned
-from ._views import along_time
+from ._views import along_time, in_blocks
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,9 @@ class View:
 def scene_motion(grasp: Grasp, states: State) -> Motion3D:
     """Motion of a spatial grasp at states with a leading time axis, or at one state."""
     check_spatial(grasp)
-    return Motion3D(*jax.tree.map(np.array, _placed(grasp, along_time(states))))
+    body, tips, skeletons, *at_contacts = in_blocks(_placed, grasp, along_time(states))
+    # Time comes first; `Motion3D` wants it second.
+    return Motion3D(body, tips.swapaxes(0, 1), skeletons, *(a.swapaxes(0, 1) for a in at_contacts))
 
 
 @compiled
@@ -74,9 +76,8 @@ def _placed(grasp: Grasp, states: State):
         at_contacts = [jnp.stack([vector.array() for vector in vectors]) for vectors in pairs]
         return body, jnp.stack(tips), skeletons, *at_contacts
 
-    # Row by row, which compiles sooner than all at once. Time comes first; `Motion3D` wants it second.
-    body, tips, skeletons, *at_contacts = jax.lax.map(at, states)
-    return body, jnp.swapaxes(tips, 0, 1), skeletons, *(jnp.swapaxes(a, 0, 1) for a in at_contacts)
+    # Row by row, which compiles sooner than all at once.
+    return jax.lax.map(at, states)
 
 
 def turned_each(poses: np.ndarray, vectors: np.ndarray) -> np.ndarray:

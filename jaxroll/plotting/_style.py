@@ -54,9 +54,23 @@ def save_figure(figure: Figure, folder: str | Path, name: str) -> Path:
     path = Path(folder) / name
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=DPI)
+        _write(figure, path)
     except OSError as error:
         raise ValueError(
             f"argument folder must be one that can be written to, but was {told(folder, error)}"
         ) from None
     return path
+
+
+def _write(figure: Figure, path: Path) -> None:
+    """Save as a PNG. `savefig` alone would lay out and draw twice, for the same picture bit by bit."""
+    layout, dpi = figure.get_layout_engine(), figure.dpi
+    try:
+        figure.dpi = DPI
+        if layout is not None:
+            layout.execute(figure)
+        figure.set_layout_engine(None)
+        figure.savefig(path, format="png", dpi=DPI)
+    finally:
+        figure.dpi = dpi
+        figure.set_layout_engine(layout)

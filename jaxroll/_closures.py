@@ -27,6 +27,10 @@ from ._results import shown, traced
 _JITTED = type(jax.jit(abs))
 # At most so many objects and functions are looked into for one function: what refers to more is no mere law.
 _MOST = 256
+# What callers' functions hold, as fingerprints (`_sweep.as_now`): JAX traces a function anew where this is
+# another. It is made here, in a module that everything loads: once there is one more such context, JAX finds
+# none of the programs again that it compiled before.
+HELD: Any = jax.make_user_context(default_value=None)
 
 
 def as_tree(name: str, function: Any) -> Callable[..., Any]:

@@ -443,3 +443,18 @@ def test_import_is_quick_quiet_and_without_matplotlib():
     fields = [r.stdout.split(maxsplit=2) for r in runs]
     assert all(f[1] == "False" and f[2].strip() == "[]" for f in fields)
     assert min(float(f[0]) for f in fields) <= 0.4
+
+
+COMPILED_BEFORE = """
+import jax, jaxroll as jxr
+traced = []
+plus_one = jax.jit(lambda x: traced.append(1) or x + 1.0)
+jxr.State, plus_one(1.0), [getattr(jxr, name) for name in jxr.__all__], plus_one(1.0)
+print(len(traced))
+"""
+
+
+def test_no_module_that_is_loaded_late_makes_jax_compile_everything_anew():
+    """As it would once a module made another context of JAX's: whatever was compiled before counts no more."""
+    call = [sys.executable, "-c", COMPILED_BEFORE]
+    assert subprocess.run(call, capture_output=True, text=True, check=True).stdout.strip() == "1"

@@ -5,7 +5,7 @@ JAX would look for the compiled program under the identity of the Python functio
 that closes over a variable keeps its identity when the variable changes, so that the old numbers would be
 computed again. Therefore the function is traced anew every time, and the compiled program is looked for under
 the fingerprint of the jaxpr, its constants included. Functions in the grasp, such as a law, are the same
-trap: JAX keeps the trace of a run by their identity. So a run is traced in a context (`_AS_NOW`) that names
+trap: JAX keeps the trace of a run by their identity. So a run is traced in a context (`HELD`) that names
 what these functions hold now.
 
 `_sweep` and `_sending` call the `Program`. By `of_make` and `of_keep` `_sweep` marks the caller's functions,
@@ -23,6 +23,7 @@ import jax.extend.core as jec
 import jax.numpy as jnp
 import numpy as np
 
+from .._closures import HELD
 from .._fingerprint import fingerprint, of_lowered
 from .._integration import simulate
 from .._mechanics import Grasp, State
@@ -36,10 +37,6 @@ _MOST = 64
 # Operations whose numbers come from Python code, which no fingerprint of a program can tell.
 _CALLBACKS = frozenset(("pure_callback", "io_callback"))
 _FACTORISATIONS = frozenset(("lu", "cholesky", "triangular_solve", "eigh", "eig", "svd", "geqrf", "schur"))
-
-
-# What callers' functions hold, as fingerprints: JAX traces a function anew where the context is another.
-_AS_NOW: Any = jax.make_user_context(default_value=None)
 
 
 class Job(eqx.Module):
@@ -70,7 +67,7 @@ class Job(eqx.Module):
 
 def as_now(still: Any) -> AbstractContextManager[Any]:
     """A context in which JAX traces what these functions, and all that they refer to, hold now."""
-    return _AS_NOW(_held(still))
+    return HELD(_held(still))
 
 
 def _held(still: Any) -> Any:

@@ -455,6 +455,6 @@ print(len(traced))
 
 
 def test_no_module_that_is_loaded_late_makes_jax_compile_everything_anew():
-    """As it would once a module made another context of JAX's: whatever was compiled before counts no more."""
+    """As it would once a module made another context of JAX: whatever was compiled before counts no more."""
     call = [sys.executable, "-c", COMPILED_BEFORE]
     assert subprocess.run(call, capture_output=True, text=True, check=True).stdout.strip() == "1"

@@ -29,6 +29,7 @@ from jaxroll._sweep import _dispatch, _folder, _identity, _sending
 from jaxroll._sweep._program import Job, of_make, Program, program
 from jaxroll._sweep._sending import packed
 from tests.recorded import runs
+from tests.subjects.swinging_plate import swinging
 
 ROWS = np.linspace(0.004, 0.008, 10)
 REAL = np.linspace(0.004, 0.008, 60)
@@ -62,7 +63,7 @@ def threads(calls):
 
 
 def swept(client, rows=ROWS, **changes):
-    grasp, state = runs.scene("pivoted")
+    grasp, state = swinging()
     factor = changes.pop("factor", 1.0)
     make = changes.pop("make", lambda c: (grasp.with_(damping=factor * c), state))
     given = {"chunk": 2, "keep": _ends, "rtol": 1e-7} | changes
@@ -206,7 +207,7 @@ def test_another_program_on_a_worker_is_refused(threads, calls, monkeypatch):
     """A module of the caller's is another one there."""
 
     def other(job, rows):
-        grasp, state = runs.scene("pivoted")
+        grasp, state = swinging()
         changed = lambda c: (grasp.with_(damping=3.0 * c), state)  # noqa: E731
         return program(Job(changed, job.keep, job.t1, job.options), rows)
 
@@ -228,7 +229,7 @@ def in_single_precision(leaf):
 def test_settings_of_jax_go_along(threads, calls):
     """A thread has the settings of its own; afterwards it has them again."""
     threads.submit(lambda: None).result()
-    grasp, state = jax.tree.map(in_single_precision, runs.scene("pivoted"))
+    grasp, state = jax.tree.map(in_single_precision, swinging())
     with jax.enable_x64(False), jax.numpy_rank_promotion("allow"):
         found = swept(threads, rtol=1e-4, make=lambda c: (grasp.with_(damping=c), state))
         assert found[0].dtype == np.float32
@@ -316,7 +317,7 @@ STUBBORN = {
 def test_what_cannot_be_sent_is_named(name, threads, calls):
     pytest.importorskip("cloudpickle")
     stubborn, argument, said = STUBBORN[name]
-    grasp, state = runs.scene("pivoted")
+    grasp, state = swinging()
 
     def make(c):
         _ = stubborn
@@ -339,7 +340,7 @@ def test_without_cloudpickle_functions_must_be_named(threads, calls, monkeypatch
 
 
 def named(c):
-    grasp, state = runs.scene("pivoted")
+    grasp, state = swinging()
     return grasp.with_(damping=c), state
 
 

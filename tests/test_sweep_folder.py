@@ -24,10 +24,11 @@ from jaxroll._sweep import _folder, _identity
 from jaxroll._sweep._program import of_keep, of_make, Program
 from tests.helpers import slow_among
 from tests.recorded import runs
+from tests.subjects.swinging_plate import swinging
 
 ROWS = np.linspace(0.004, 0.008, 10)
 REAL = np.linspace(0.004, 0.008, 40)
-ENDS = np.repeat(ROWS[::2], 2)[:, None] * np.ones(3)
+ENDS = np.repeat(ROWS[::2], 2)[:, None] * np.ones(4)
 TABLE = np.linspace(1.0, 2.0, 20_000)
 
 
@@ -39,8 +40,8 @@ def of_first(program, rows):
 
 @pytest.fixture(scope="module")
 def scene():
-    """The pivoted scene, closed as recorded: it need not be the state that is found on this machine."""
-    return runs.scene("pivoted")
+    """A disc on a plate that swings: there is little to trace."""
+    return swinging()
 
 
 @pytest.fixture
@@ -268,7 +269,7 @@ def _other(path):
 
 
 def _bare(path):
-    np.savez(path, np.full((2, 3), 7.0))
+    np.savez(path, np.full((2, 4), 7.0))
 
 
 def _longer(path):
@@ -307,7 +308,7 @@ def test_damaged_chunks_are_worked_out_again(names, scene, calls, tmp_path):
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         ends = swept(scene, {"chunk": 1}, tmp_path)
-    np.testing.assert_array_equal(ends, ROWS[:, None] * np.ones(3))
+    np.testing.assert_array_equal(ends, ROWS[:, None] * np.ones(4))
     assert sorted(calls) == list(ROWS[: len(names)])
     for name, path in paths.items():
         assert sum(str(path) in str(w.message) for w in said) == (name != "gone"), name
@@ -366,7 +367,7 @@ def test_several_at_once_share_the_work(scene, tmp_path, monkeypatch):
         if next(turns) < 2:
             meet.wait()  # both have a chunk of their own under way
         done.append(float(rows[0]))
-        return np.zeros((5, 3)) + np.asarray(rows)[:, None]
+        return np.zeros((5, 4)) + np.asarray(rows)[:, None]
 
     monkeypatch.setattr(Program, "__call__", call)
     found, rows = [], np.linspace(1e-3, 9e-3, 40)
@@ -390,7 +391,7 @@ jax.config.update("jax_compilation_cache_dir", cache or None)
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)  # each process compiles the same
 from jaxroll._sweep import _folder
 from jaxroll._sweep._program import Program
-from tests.recorded import runs
+from tests.subjects.swinging_plate import swinging
 from tests.test_sweep_folder import of_first, REAL, swept
 
 def killed(*_):
@@ -418,7 +419,7 @@ elif not cache:
 os.fsync = half if moment == "write" else flush
 _folder.Folder.store = counted
 changes = {"rows": REAL} if cache else {}
-sys.stdout.buffer.write(swept(runs.scene("pivoted"), changes, pathlib.Path(folder)).tobytes())
+sys.stdout.buffer.write(swept(swinging(), changes, pathlib.Path(folder)).tobytes())
 """
 # What is in the folder afterwards; the lock may have gone or not.
 LEFT = {"compilation": [".json"], "write": [".json", ".npz", ".part"], "between chunks": [".json", ".npz"]}

@@ -27,6 +27,7 @@ from jaxroll._sweep import _store
 from jaxroll._sweep._program import Program
 from jaxroll.plotting import parameter_map
 from tests.recorded import runs
+from tests.subjects.swinging_plate import swinging
 
 xr = pytest.importorskip("xarray")
 zarr = pytest.importorskip("zarr")
@@ -60,7 +61,7 @@ def calls(monkeypatch):
 
 
 def swept(path, rows=ROWS, **changes):
-    grasp, state = runs.scene("pivoted")
+    grasp, state = swinging()
     make = changes.pop("make", lambda p: (grasp.with_(damping=p["damping"]), state))
     given = {"chunk": 4, "store": path, "keep": eqx.Partial(_ends)} | changes
     rows = rows if isinstance(rows, dict | jxr.Parameters) else {"damping": rows}
@@ -155,9 +156,9 @@ def test_a_process_without_jaxroll_reads_names_and_units(finished):
     )
     assert read.returncode == 0, read.stderr
     told = json.loads(read.stdout)
-    assert told["sizes"] == {"run": 10, "position": 3, "velocity": 3, "place": 1, "twice_0": 3}
-    assert told["names"] == ["object theta", "finger 0 q[0]", "finger 0 q[1]"]
-    assert told["units"] == ["rad"] * 3 + ["rad/s"] * 3
+    assert told["sizes"] == {"run": 10, "position": 4, "velocity": 4, "place": 1, "twice_0": 4}
+    assert told["names"] == ["object x", "object y", "object theta", "finger 0 q[0]"]
+    assert told["units"] == ["m", "m", "rad", "m", "m/s", "m/s", "rad/s", "m/s"]
     assert told["theta"] == told["damping"] == ROWS.tolist()
     assert told["long"] == "velocity" and all(told["stored"])
     meanings = told["result"]["flag_meanings"].split()
@@ -206,7 +207,7 @@ def test_more_parameters_are_appended(copied, calls):
         table = swept(copied, more)
     assert sorted(calls) == [more[8], more[12]]
     np.testing.assert_array_equal(table.damping, more)
-    np.testing.assert_array_equal(table.end_q, more[:, None] * np.ones(3))
+    np.testing.assert_array_equal(table.end_q, more[:, None] * np.ones(4))
     assert table.attrs["runs"] == 15 and bool(table.stored.all())
     for other in (ROWS, np.r_[ROWS[:3], more[:12]]):
         with pytest.raises(ValueError, match="argument store must be a folder of the same sweep, or of its"):
@@ -451,7 +452,7 @@ def twice_of_rows(program, rows):
 def test_parameters_have_names_of_their_own_beside_results_and_others(more, kept, tmp_path, monkeypatch):
     """What is kept may be called as a parameter, and as the name that the parameter would have then."""
     monkeypatch.setattr(Program, "__call__", twice_of_rows)
-    grasp, state = runs.scene("pivoted")
+    grasp, state = swinging()
     some = jxr.Parameters(damping=[0.004, 0.005], **{name: [1.0, 2.0] for name in more})
     keep = lambda run: {name: run.last.q[0] for name in kept}  # noqa: E731
     make = lambda p: (grasp.with_(damping=p.damping), state)  # noqa: E731

@@ -1,7 +1,8 @@
 """Sweeps on other processes: what is sent there, what comes back, and what becomes of those that are killed.
 
 But for the slow tests nothing is compiled: threads stand for processes, for what they are sent is pickled all
-the same, and a chunk's program is replaced by numbers that say which run they are of.
+the same, and a chunk's program is replaced by numbers that say which run they are of; it is known by what was
+traced, for to write it down as it is compiled takes long.
 """
 
 import contextlib
@@ -51,6 +52,7 @@ def calls(monkeypatch):
         return of_first(self, rows)
 
     monkeypatch.setattr(Program, "__call__", call)
+    monkeypatch.setattr(Program, "fingerprint", Program.key)
     monkeypatch.setattr(_sending, "_AT_HAND", type(_sending._AT_HAND)())
     return found
 

@@ -1,6 +1,7 @@
 """Folders of sweeps: only this sweep's numbers come out, whatever became of the folder.
 
-But for the slow test nothing is compiled: a chunk's program is replaced by a count of its calls.
+But for the slow test nothing is compiled: a chunk's program is replaced by a count of its calls, and is known
+by what was traced, for to write it down as it is compiled takes long (`tests/test_sweep.py` does).
 """
 
 import pathlib
@@ -54,6 +55,7 @@ def calls(monkeypatch):
         return of_first(self, rows)
 
     monkeypatch.setattr(Program, "__call__", call)
+    monkeypatch.setattr(Program, "fingerprint", Program.key)
     return found
 
 
@@ -139,6 +141,7 @@ def folder(scene, tmp_path_factory):
     path = tmp_path_factory.mktemp("finished") / "sweep"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Program, "__call__", of_first)
+        patch.setattr(Program, "fingerprint", Program.key)
         swept(scene, {}, path)
     return path
 
@@ -370,6 +373,7 @@ def test_several_at_once_share_the_work(scene, tmp_path, monkeypatch):
         return np.zeros((5, 4)) + np.asarray(rows)[:, None]
 
     monkeypatch.setattr(Program, "__call__", call)
+    monkeypatch.setattr(Program, "fingerprint", Program.key)
     found, rows = [], np.linspace(1e-3, 9e-3, 40)
     task = lambda: found.append(swept(scene, {"rows": rows, "chunk": 5}, tmp_path))  # noqa: E731
     threads = [threading.Thread(target=task) for _ in range(2)]
@@ -416,6 +420,8 @@ if moment == "compilation":
     Program.__call__ = killed
 elif not cache:
     Program.__call__ = of_first
+if not cache:
+    Program.fingerprint = Program.key
 os.fsync = half if moment == "write" else flush
 _folder.Folder.store = counted
 changes = {"rows": REAL} if cache else {}

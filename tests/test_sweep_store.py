@@ -1,6 +1,7 @@
 """Stores of sweeps, and runs as tables: names, units, what they are while they fill, grow or are damaged.
 
-Nothing is compiled: a chunk's program is replaced by numbers that say which run they are of.
+Nothing is compiled: a chunk's program is replaced by numbers that say which run they are of, and is known by
+what was traced, for to write it down as it is compiled takes long (`tests/test_sweep.py` does).
 """
 
 import collections
@@ -45,6 +46,13 @@ def of_rows(program, rows):
         return np.broadcast_to(column, form.shape).astype(form.dtype)
 
     return jax.tree.map(filled, program.results)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _known_by_its_trace():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Program, "fingerprint", Program.key)
+        yield
 
 
 @pytest.fixture
@@ -313,7 +321,7 @@ def half(self, name, *given):
         os.kill(os.getpid(), signal.SIGKILL)
     put(self, name, *given)
 
-Program.__call__, _store.Store._put = of_rows, half
+Program.__call__, Program.fingerprint, _store.Store._put = of_rows, Program.key, half
 swept(pathlib.Path(sys.argv[1]))
 """
 

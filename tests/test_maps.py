@@ -15,6 +15,7 @@ from jaxroll.plotting import _map_figure
 from jaxroll.plotting._map_data import Side
 from jaxroll.plotting._map_figure import _edges
 from tests.subjects import rolling_disc
+from tests.subjects.swinging_plate import swinging
 
 ALL = jxr.measures(*MEASURES_KEPT, turned=lambda run: run.last.q[0])
 
@@ -22,17 +23,9 @@ ALL = jxr.measures(*MEASURES_KEPT, turned=lambda run: run.last.q[0])
 @pytest.fixture(scope="module")
 def swept():
     """Two runs of a disc on a plate that swings, damped, about where it began: whole, and as measures."""
-
-    def make(p):
-        law = lambda t, joints, rates, tips: [-5.0 * joints[0] - p.damping * rates[0]]  # noqa: E731
-        grasp, state = rolling_disc.on_driven_plate(law)
-        # The disc turns on the spot while the plate moves.
-        return grasp, jxr.State(state.q, [0.0, 0.0, 0.1 / rolling_disc.RADIUS, 0.1], state.s)
-
     settings = {"ts": 31, "record": ALL.record, "rtol": 1e-7}
-    return jxr.sweep(
-        make, jxr.Parameters(damping=[0.8, 1.2]), 2.0, keep=lambda run: (run, ALL(run)), **settings
-    )
+    make, some = lambda p: swinging(p.damping), jxr.Parameters(damping=[0.8, 1.2])
+    return jxr.sweep(make, some, 2.0, keep=lambda run: (run, ALL(run)), **settings)
 
 
 def test_values_without_an_order_are_all_run():
@@ -232,21 +225,17 @@ def test_a_cell_changes_where_any_number_of_a_point_does():
     assert not Spread(whole, known).exceeds(lines, 2).any()
 
 
-def test_a_map_of_runs_is_their_sweep():
-    """Codes of `simulate`: a disc rolls down a slope where its friction is above a third of the tangent."""
+def test_a_map_of_runs_has_their_codes():
+    """A disc rolls down a slope where its friction is above a third of the tangent, and slips elsewhere."""
     grid = jxr.Parameters.grid(friction=np.linspace(0.05, 0.4, 17), slope=[0.2, 0.5, 0.8])
-    make = lambda p: rolling_disc.on_slope(p.slope, p.friction)  # noqa: E731
-    options = {"ts": 1, "rtol": 1e-6}
-    found = jxr.adaptive_map(
-        lambda p: jxr.simulate(*make(p), 0.3, throw=False, **options).result, grid, levels=2, chunk=8
+    run = lambda p: jxr.simulate(  # noqa: E731
+        *rolling_disc.on_slope(p.slope, p.friction), 0.3, ts=1, rtol=1e-6, throw=False
     )
-    every = jxr.sweep(make, grid, 0.3, keep=jxr.measures("result"), **options)["result"]
-    np.testing.assert_array_equal(found.values._value, grid.shaped(every._value))
-    assert found.runs < grid.rows and set(np.unique(every._value)) == {
-        int(code._value) for code in (jxr.RESULTS.successful, jxr.RESULTS.slipping)
-    }
-    slips = np.asarray(found.values._value) != 0
-    np.testing.assert_array_equal(slips, grid.shaped(3.0 * grid.friction < np.tan(grid.slope)))
+    found = jxr.adaptive_map(lambda p: run(p).result, grid, levels=2, chunk=8)
+    slips = grid.shaped(3.0 * grid.friction < np.tan(grid.slope))
+    codes = [int(code) for code in (jxr.RESULTS.successful, jxr.RESULTS.slipping)]
+    np.testing.assert_array_equal(found.values, np.where(slips, codes[1], codes[0]))
+    assert found.runs < grid.rows and slips.any() and not slips.all()
 
 
 BAD = {

@@ -20,6 +20,7 @@ from jaxroll._cli._sweep_command import maker, parameters_of
 from jaxroll._cli._sweep_order import _ENDS, _FILE, _fits, map_order, Range, SCENES, sweep_order, unit_of
 from jaxroll._cli._sweep_table import read_table
 from jaxroll.plotting import map_page, parameter_map
+from tests.subjects.swinging_plate import swinging
 
 FILE = """
 scene = "pivoted"
@@ -225,10 +226,11 @@ def test_a_sweep_and_its_map(tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("JAXROLL_CACHE", "off")
     (tmp_path / "own.py").write_text(
-        "import jaxroll as jxr\nGRASP, STATE = jxr.scenes.pivoted()\n"
-        "def make(damping, force):\n    return GRASP.with_(damping=damping, force=force), STATE\n"
+        "from tests.subjects.swinging_plate import swinging\nGRASP, STATE = swinging()\n"
+        "def make(damping, stiffness):\n"
+        "    return GRASP.with_(damping=damping, stiffness=stiffness), STATE\n"
     )
-    ranges = ["--set", "damping=0.004:0.008:3", "--set", "force=0.4,0.5"]
+    ranges = ["--set", "damping=0.4:0.8:3", "--set", "stiffness=4,5"]
     order = ["sweep", "own.py:make", *ranges, "--seconds", "0.2", "--keep", "result", "final_pose", "t_end"]
     assert main(order) == 0, capfd.readouterr().err
     out, err = capfd.readouterr()
@@ -240,9 +242,8 @@ def test_a_sweep_and_its_map(tmp_path, monkeypatch, capfd):
         "table.csv",
     }
     table = read_table(tmp_path / "jaxroll-sweep")
-    assert table.parameters.shape == (3, 2) and table.values["final_pose"].shape == (6, 3)
-    grasp, state = scenes.pivoted()
-    last = jxr.simulate(grasp.with_(damping=0.008, force=0.4), state, 0.2, rtol=1e-6).last.q
+    assert table.parameters.shape == (3, 2) and table.values["final_pose"].shape == (6, 4)
+    last = jxr.simulate(*swinging(damping=0.8, stiffness=4.0), 0.2, rtol=1e-6).last.q
     np.testing.assert_allclose(table.values["final_pose"][4], last, rtol=0, atol=1e-7)
     with (tmp_path / "jaxroll-sweep" / "table.csv").open() as file:
         lines = list(csv.DictReader(file))

@@ -11,6 +11,7 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll import plotting
+from tests.recorded import runs
 
 INF, NAN = float("inf"), float("nan")
 NO_NUMBERS = ("1", None, True, 1j, [None], np.array(["a"]), [[1.0], [1.0, 2.0]])
@@ -144,7 +145,7 @@ def test_all_doors_are_found():
 def worlds(scene):
     """Grasps with states of unlike sizes, and a run of the first."""
     run = jxr.simulate(*scene, 0.01, ts=2)
-    return {"press": scene, "pinch": jxr.scenes.pinch(), "space": jxr.scenes.incline()}, run
+    return {"press": scene, "pinch": runs.scene("pinch"), "space": jxr.scenes.incline()}, run
 
 
 def called(function, names, takes, grasp, given):
@@ -227,7 +228,7 @@ def test_an_argument_of_roll_that_does_not_fit_is_named(name):
 def test_what_is_single_stays_single_where_jax_knows_doubles(name):
     """Bodies at rest have Python's own zeros as velocities, and shapes are sampled at doubles."""
     single = lambda x: x.astype(jnp.float32)  # noqa: E731
-    grasp, state = jax.tree.map(single, getattr(jxr.scenes, name)())
+    grasp, state = jax.tree.map(single, runs.scene(name))
     events = ("lift",) if name == "roller" else ("lift", "penetration")  # an endless line is not sampled
 
     def numbers(grasp, state):

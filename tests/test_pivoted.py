@@ -289,7 +289,7 @@ def test_csm_closes_either_gap_at_its_own_rate(scene, which):
     """A small gap dies out as its gains say, critically damped: g(t) = g(0) (1 + w t) exp(-w t)."""
     grasp, state = scene
     rates = np.array([900.0, 1400.0])  # of the normal and of the tangential gap [1/s]
-    gains = jxr.CSM(2 * rates[0], rates[0] ** 2, 2 * rates[1], rates[1] ** 2)
+    gains = jxr.CSM(*map(float, (2 * rates[0], rates[0] ** 2, 2 * rates[1], rates[1] ** 2)))
     # The finger moves off by 1 nm along the normal or the tangent; its velocity is zero.
     face = grasp.object.contours[0]
     angle = float(state.q[0])

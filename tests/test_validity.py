@@ -10,6 +10,7 @@ import jaxroll as jxr
 from jaxroll._integration._arguments import Numbers, sweeps
 from jaxroll._xla._trigonometry import branch_free, inverse_sinh
 from jaxroll.geometry import Ellipsoid, Superellipsoid, tabled
+from tests.recorded import runs
 
 
 @pytest.mark.parametrize(("a", "b", "cells"), [(0.07, 0.01, 1024), (0.01, 0.16, 8192), (1.0, 0.01, 262144)])
@@ -160,7 +161,7 @@ def test_one_return_to_the_constraints_up_to_the_default_tolerance_and_two_beyon
     traced = []
     jax.jit(lambda rtol: traced.append(sweeps(Numbers(0.0, 1.0, None, 1e-3, rtol, rtol), False)))(1e-8)
     assert traced == [2]
-    grasp, state = jxr.scenes.pivoted()  # where most is left is `tests/test_rolling_bodies.py`
+    grasp, state = runs.scene("pivoted")  # where most is left is `tests/test_rolling_bodies.py`
     for rtol in (1e-8, 1e-4):
         run = jxr.simulate(grasp, state, 2.0, ts=31, rtol=rtol)
         left = run.residuals
@@ -170,7 +171,7 @@ def test_one_return_to_the_constraints_up_to_the_default_tolerance_and_two_beyon
 @pytest.mark.parametrize("scene", ["pivoted", "roller", pytest.param("turntable", marks=pytest.mark.slow)])
 def test_single_precision_stays_single_where_double_is_allowed(scene):
     """Closed and run in its own precision, to its rounding where the double one is."""
-    grasp, state = getattr(jxr.scenes, scene)()
+    grasp, state = runs.scene(scene)
     single = lambda tree: jax.tree.map(lambda x: x.astype(jnp.float32), tree)  # noqa: E731
     small, start = jxr.close(single(grasp), single(state))
     run = jxr.simulate(small, start, 0.2, ts=31, rtol=1e-4)

@@ -158,15 +158,16 @@ def test_responses_are_figs_9_to_18(scene, run):
 def test_balance_is_the_chapters_own_quantities(scene, run):
     """(76)-(79) with (60)-(63) from the printed contours."""
     grasp, _ = scene
-    chapter = Part2()
     balance = jxr.press_balance(grasp, run.ts, run.states)
-    for i in (0, 10, 40):
-        l_b0, l_b1, l_n0, l_n1 = chapter.lengths(float(balance.s[i, 0]))
-        q1, r1 = -l_n0 - l_n1, -(l_b0 + l_b1)
-        assert float(balance.n1[i, 0]) == pytest.approx(float(-l_b0 * l_n1 + l_n0 * l_b1), rel=1e-10)
-        f, lam = run.multipliers.f[i, 0], run.multipliers.lam[i, 0]
-        assert float(balance.delta_f[i, 0]) == pytest.approx(float(f + 50 * q1), abs=1e-12)
-        assert float(balance.delta_lam[i, 0]) == pytest.approx(float(lam + 50 * r1), abs=1e-12)
+    forces, lengths, at = run.multipliers, jax.jit(jax.vmap(Part2().lengths)), np.array([0, 10, 40])
+    s, n1, delta_f, delta_lam, f, lam = (
+        np.asarray(series)[at, 0]
+        for series in (balance.s, balance.n1, balance.delta_f, balance.delta_lam, forces.f, forces.lam)
+    )
+    l_b0, l_b1, l_n0, l_n1 = map(np.asarray, lengths(s))
+    np.testing.assert_allclose(n1, -l_b0 * l_n1 + l_n0 * l_b1, rtol=1e-10)
+    np.testing.assert_allclose(delta_f, f - 50.0 * (l_n0 + l_n1), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(delta_lam, lam - 50.0 * (l_b0 + l_b1), rtol=0, atol=1e-12)
 
 
 def test_n1_falls_at_the_slowest_rate(scene):
@@ -313,7 +314,7 @@ def test_gravity_holds_energy(scene):
     assert np.ptp(np.asarray(run.energy.potential)) > 1e-3 * size
 
 
-def test_gradients_of_a_run_that_ended_early_are_those_of_what_it_reached():
+def test_gradients_of_a_run_that_ended_early_are_those_of_what_it_reached(scene):
     """The rows that were not reached are NaN, and leave the derivatives of the others alone."""
-    wanted, found = gradients_with_and_without_an_end(jxr.press_balance, *jxr.scenes.pivoted())
+    wanted, found = gradients_with_and_without_an_end(jxr.press_balance, *scene)
     np.testing.assert_allclose(found, wanted, rtol=1e-12)

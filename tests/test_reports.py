@@ -28,6 +28,7 @@ from jaxroll.design import ClosedLoop, Design, overshoot, settling_time, trackin
 from jaxroll.design._measures import MEASURES, PARTIAL
 from jaxroll.plotting._panels import _is_part_2, panels
 from tests.recorded import runs
+from tests.subjects import rolling_disc
 
 RUNNING = set(REMEDIES)  # codes that a run can end with
 TURNED = np.array([np.cos(0.2), 0.0, 0.0, np.sin(0.2)])  # a quaternion: 0.4 rad about z
@@ -283,18 +284,18 @@ def test_pictures_want_saved_times(scene, run, missing, tmp_path):
             draw(scene[0], times, *file)
 
 
-def test_runs_print_in_a_derivative(scene):
+def test_runs_print_in_a_derivative():
     """Where their counts are known and all else is traced."""
-    grasp, state = scene
     seen = []
 
-    def turned(force):
-        run = jxr.simulate(grasp.with_(force=force), state, 0.1, ts=3, throw=False)
+    def rolled(slope):
+        grasp, state = rolling_disc.on_slope(slope, friction=0.3)
+        run = jxr.simulate(grasp, state, 0.1, ts=3, throw=False)
         seen.append(str(run))
         return run.last.q[0]
 
-    # The second one ends at its start. What would lead back is not asked for, and not compiled.
-    jax.vjp(turned, 0.5), jax.vjp(turned, -0.5)
+    # The second one slips at its start. What would lead back is not asked for, and not compiled.
+    jax.vjp(rolled, 0.5), jax.vjp(rolled, 1.0)
     assert seen == 2 * ["Trajectory (being traced)"]
 
 
@@ -649,7 +650,9 @@ def test_why_a_grasp_holds(scene, run):
 
 def test_why_names_the_contact_that_slips_and_by_how_much(scene, run, monkeypatch):
     """The scene's run with a friction that it needs more than: judged where it stands."""
-    monkeypatch.setattr("jaxroll._why.assess", lambda grasp, state, t: jxr.stability.assess(scene[0], state))
+    monkeypatch.setattr(
+        "jaxroll._why.assess", lambda grasp, state, t: jxr.stability.assess(scene[0], state, t=t)
+    )
     contact = jxr.Contact(-0.003, 0.003, friction=0.1)
     grasp = scene[0].with_contacts(contact)
     demand = np.abs(np.asarray(run.multipliers.lam / run.multipliers.f))[:, 0]

@@ -256,7 +256,8 @@ def test_sphere_everywhere():
 
 
 def ellipsoid_places():
-    u = RNG.normal(size=(60, 3))
+    """As many as those of `places`, as elsewhere: programs of 40 places are there."""
+    u = RNG.normal(size=(34, 3))
     u = np.concatenate([u / np.linalg.norm(u, axis=-1)[:, None], np.eye(3), -np.eye(3)])
     return u * np.array([A, B, C])
 
@@ -293,7 +294,7 @@ def quadric(axes, step=0.007):
 
 def test_torus_three_ways():
     """Closed form, quartic field and chart agree with the textbook: 1/r and cos v / (R + r cos v)."""
-    at = np.concatenate([RNG.uniform(0, 2 * np.pi, size=(30, 2)), [[0, 0], [0, np.pi], [1, np.pi / 2]]])
+    at = np.concatenate([RNG.uniform(0, 2 * np.pi, size=(37, 2)), [[0, 0], [0, np.pi], [1, np.pi / 2]]])
     points = np.asarray(RING_CHART.point(at))
     cos = np.cos(at[:, 1])
     expected = np.stack([cos / (MAJOR + MINOR * cos), np.full(len(at), 1 / MINOR)], -1)
@@ -332,7 +333,7 @@ def test_gauss_bonnet(name, total):
 
 def test_patch_orders_on_a_sphere():
     """Point h^6, normal h^5 or better, curvature h^4, in a chart with slanted axes; and at the edge."""
-    share = np.concatenate([RNG.uniform(0, 1, size=(50, 2)), [[0, 0], [1, 0.5]]])
+    share = np.concatenate([RNG.uniform(0, 1, size=(38, 2)), [[0, 0], [1, 0.5]]])
     sizes, errors = np.array([12, 17, 24]), []
     for n in sizes:
         patch, at = Patch(sphere_piece(int(n))), share * (n - 1)
@@ -358,7 +359,8 @@ def test_patch_goes_through_its_points_and_round():
     at = np.stack([i, j], -1).astype(float)
     np.testing.assert_allclose(patch.point(at), points[i, j], atol=1e-16)
     np.testing.assert_allclose(patch.point(at + np.array([20.0, -40.0])), points[i, j], atol=1e-16)
-    np.testing.assert_allclose(patch.normal(at), RING_CHART.normal(grid[i, j]), atol=1e-5)
+    normal = np.stack([np.cos(u[i]) * np.cos(u[j]), np.sin(u[i]) * np.cos(u[j]), np.sin(u[j])], -1)
+    np.testing.assert_allclose(patch.normal(at), normal, atol=1e-5)
 
 
 def test_uniform_functions_are_the_basis_functions():
@@ -400,16 +402,15 @@ def test_curvature_is_differentiable_in_the_shape(name):
 
 
 def test_derivatives_at_an_umbilic_are_finite():
-    slope = jax.grad(lambda r: Sphere(r).principal_curvatures(jnp.stack([r, 0.0 * r, 0.0 * r]))[0].sum())(
-        0.01
-    )
+    total = lambda r: Sphere(r).principal_curvatures(jnp.stack([r, 0.0 * r, 0.0 * r]))[0].sum()  # noqa: E731
+    slope = jax.jit(jax.grad(total))(0.01)
     np.testing.assert_allclose(slope, -2.0 / 0.01**2, rtol=1e-12)
 
 
 def test_vmap_over_shapes_is_a_loop():
     axes = np.array([0.02, 0.03, 0.05])
     at = np.array([0.0, 0.0, C])
-    many = jax.vmap(lambda a: Ellipsoid(a, B, C).principal_curvatures(at)[0])(axes)
+    many = jax.jit(jax.vmap(lambda a: Ellipsoid(a, B, C).principal_curvatures(at)[0]))(axes)
     np.testing.assert_allclose(
         many, np.stack([C / np.maximum(axes, B) ** 2, C / np.minimum(axes, B) ** 2], -1)
     )
@@ -537,7 +538,7 @@ def test_derivatives_of_near_where_the_surface_is_flat(exponent, height):
     "kind", [jxr.Ellipsoid, pytest.param(jxr.geometry.Superellipsoid, marks=pytest.mark.slow)]
 )
 def test_derivatives_of_near_in_the_shape_of_the_surface(kind):
-    """The foot of a fixed point moves with the half axes: by differences, both modes, once and twice."""
+    """The foot of a fixed point moves with the half axes: both modes, and one after the other."""
     point, axes, way = (
         np.array([0.02, 0.013, 0.004]),
         np.array([0.012, 0.01, 0.011]),
@@ -545,12 +546,14 @@ def test_derivatives_of_near_in_the_shape_of_the_surface(kind):
     )
     more = {} if kind is jxr.Ellipsoid else {"exponent": 2.5}
     foot = lambda x: kind(*(axes + 1e-3 * x * way), **more).near(point)  # noqa: E731
-    # One program for the values and what is forwards once and twice.
-    first = lambda x: jax.jvp(foot, (x,), (1.0,))  # noqa: E731
-    twice = jax.jit(lambda x: jax.jvp(first, (x,), (1.0,)))
+
+    once = lambda x, row: jax.value_and_grad(lambda x: row @ foot(x))(x)  # noqa: E731
+    # One program: a coordinate and its derivative backwards, and how both change forwards.
+    twice = jax.jit(lambda x, row: jax.jvp(lambda x: once(x, row), (x,), (1.0,)))
     step = 1e-3
-    (ahead, behind), ((_, slope), (_, second)) = (twice(0.1 + k * step)[0] for k in (1, -1)), twice(0.1)
-    np.testing.assert_allclose(slope, (ahead[0] - behind[0]) / (2.0 * step), atol=1e-9)
-    np.testing.assert_allclose(second, (ahead[1] - behind[1]) / (2.0 * step), atol=1e-9)
-    backwards = jax.jit(jax.grad(lambda x, weights: weights @ foot(x)))
-    np.testing.assert_allclose([backwards(0.1, row) for row in np.eye(3)], slope, rtol=1e-10)
+    for row in np.eye(3):
+        (ahead, behind), here = (twice(0.1 + k * step, row)[0] for k in (1, -1)), twice(0.1, row)
+        (_, backwards), (forwards, second) = here
+        np.testing.assert_allclose(forwards, (ahead[0] - behind[0]) / (2.0 * step), atol=1e-9)
+        np.testing.assert_allclose(second, (ahead[1] - behind[1]) / (2.0 * step), atol=1e-9)
+        np.testing.assert_allclose(backwards, forwards, rtol=1e-10)

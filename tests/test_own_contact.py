@@ -18,6 +18,7 @@ from jaxroll._motion import bodies, check_rolling
 from jaxroll.contact import AbstractContact
 from jaxroll.contact._from_gap import derived_bias, derived_margin
 from jaxroll.plotting._panels import _rolled, panels
+from tests.recorded import runs
 
 # What `Contact` and `Contact3` give in closed form, and the base class derives.
 _DERIVED = ("gap_rate", "pfaffian", "rolling", "place_rate", "bias", "bend", "unknown_bend", "settled")
@@ -97,7 +98,8 @@ def test_a_margin_is_the_sine_between_the_directions_of_the_place() -> None:
         tangency=lambda poses, touch: times(tangency, touch),
         gap=lambda poses, touch: times(gap, touch),
     )
-    found = derived_margin(contact, (None, None), (0.3, -0.7), (None, None))
+    margin = jax.jit(lambda place: derived_margin(contact, (None, None), place, (None, None)))
+    found = margin((0.3, -0.7))
     # A direction's length if none of its terms cancelled: of the tangencies all sizes together, the largest
     # of which is one, and of the gap as it is. Its part across the others is what determines the place.
     sizes = (np.abs(tangency) @ np.abs(touch)).sum(axis=0)
@@ -111,7 +113,7 @@ def test_a_margin_is_the_sine_between_the_directions_of_the_place() -> None:
 
 @pytest.mark.parametrize("name", ["pivoted", "pinch", "pinch3d"])
 def test_derivatives_from_the_gap_are_the_closed_forms(name: str) -> None:
-    grasp, state = getattr(jxr.scenes, name)()
+    grasp, state = runs.scene(name)
     thrown = jxr.State(state.q, np.random.default_rng(3).normal(size=state.v.shape), state.s)
     each = zip(_derived(grasp).contacts, grasp.contacts, _moving(grasp, thrown), strict=True)
     for derived, closed, at in each:
@@ -126,27 +128,35 @@ def test_derivatives_from_the_gap_are_the_closed_forms(name: str) -> None:
 
 def test_the_bias_of_prevented_spin_is_the_rate_of_its_row() -> None:
     """All four rows of a contact that holds the spin too: their rates, differentiated along the motion."""
-    grasp, state = jxr.scenes.pinch3d()
+    grasp, state = runs.scene("pinch3d")
     ready = grasp.with_contacts(*(jxr.Contact3(i, i, spin="prevented") for i in range(2))).prepared()
     thrown = np.random.default_rng(3).normal(size=state.v.shape)
     leaves = to_leaves(jxr.State(state.q, thrown, state.s), ready.form)
     motions, _ = bodies(ready, leaves)
-    for contact, place in zip(ready.contacts, leaves.s, strict=True):
-        pair, shapes = (motions[1 + contact.finger], motions[0]), ready.shapes(contact)
+    contact = _anywhere(ready.contacts[0])
+
+    @jax.jit
+    def both(shapes: Any, place: Any, pair: Any) -> Any:
         touch = contact.touch(shapes, place)
         bend = contact.bend(shapes, place, (pair[0].pose, pair[1].pose), touch)
         rolling = contact.rolling(shapes, place, pair, touch=touch, bend=bend)
-        bias = _numbers(contact.bias(shapes, place, pair, touch=touch, rolling=rolling))
-        wanted = _numbers(derived_bias(contact, shapes, place, pair, touch=touch, rolling=rolling))
+        derived = derived_bias(contact, shapes, place, pair, touch=touch, rolling=rolling)
+        return contact.bias(shapes, place, pair, touch=touch, rolling=rolling), derived
+
+    for at, place in zip(ready.contacts, leaves.s, strict=True):
+        found = both(ready.shapes(at), place, (motions[1 + at.finger], motions[0]))
+        bias, wanted = map(_numbers, found)
         assert len(bias) == 4 and np.all(wanted != 0.0)
         np.testing.assert_allclose(bias, wanted, rtol=0, atol=1e-13 * np.abs(wanted).max())
 
 
 def test_a_run_from_the_gap_alone_is_the_same() -> None:
-    grasp, state = jxr.scenes.pivoted()
-    runs = [jxr.simulate(each, state, 1.0, rtol=1e-9) for each in (grasp, _derived(grasp))]
-    np.testing.assert_allclose(runs[1].states.q, runs[0].states.q, rtol=0, atol=1e-13)
-    np.testing.assert_allclose(runs[1].states.s, runs[0].states.s, rtol=0, atol=1e-15)
+    grasp, state = runs.scene("pivoted")
+    # Recorded as most runs of this scene are: for these there is a program.
+    closed = jxr.simulate(grasp, state, 1.0, rtol=1e-9, record=("multipliers", "energy"))
+    derived = jxr.simulate(_derived(grasp), state, 1.0, rtol=1e-9)
+    np.testing.assert_allclose(derived.states.q, closed.states.q, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(derived.states.s, closed.states.s, rtol=0, atol=1e-15)
 
 
 class Teeth(jxr.AbstractContact):
@@ -252,8 +262,13 @@ def teeth() -> tuple[jxr.Grasp, jxr.State]:
     return _two_wheels(Teeth(), _SMALL + _LARGE, np.pi)
 
 
-def test_teeth_turn_by_their_ratio_and_report_no_friction(teeth: Any) -> None:
-    run = jxr.simulate(*teeth, 3.0, rtol=1e-9, record=("multipliers", "energy"))
+@pytest.fixture(scope="module")
+def turning(teeth: Any) -> jxr.Trajectory:
+    return jxr.simulate(*teeth, 3.0, rtol=1e-9, record=("multipliers", "energy"))
+
+
+def test_teeth_turn_by_their_ratio_and_report_no_friction(teeth: Any, turning: Any) -> None:
+    run = turning
     driver = _driver_angle(run.ts, _SMALL / _LARGE)
     np.testing.assert_allclose(run.states.q[:, 1], driver, atol=1e-11)
     np.testing.assert_allclose(run.states.q[:, 0], -driver / 3.0, atol=1e-11)
@@ -352,10 +367,10 @@ def test_teeth_in_a_batch_and_those_of_wheels_that_do_not_fit_are_a_code_of_the_
         return jxr.simulate(*start, 1.0, ts=2, throw=False)
 
     radii, inertias = _SMALL * np.array([0.99, 1.0, 1.0, 1.01, 1.0]), np.linspace(0.5e-4, 2e-4, 5)
-    runs, fits = jax.vmap(run)(jnp.asarray(radii), jnp.asarray(inertias)), radii == _SMALL
-    assert repr(runs.result) == "[not_rolling, successful, successful, not_rolling, successful]"
-    np.testing.assert_array_equal(runs.stats.contact, [0, -1, -1, 0, -1])
-    driver = np.asarray(runs.last.q)[:, 1]
+    found, fits = jax.vmap(run)(jnp.asarray(radii), jnp.asarray(inertias)), radii == _SMALL
+    assert repr(found.result) == "[not_rolling, successful, successful, not_rolling, successful]"
+    np.testing.assert_array_equal(found.stats.contact, [0, -1, -1, 0, -1])
+    driver = np.asarray(found.last.q)[:, 1]
     np.testing.assert_allclose(driver[fits], _end_of(inertias[fits], 1.0), rtol=1e-8)
     # A pinion whose joint is beside its centre fits at the start, and not later.
     beside = 0.002
@@ -394,7 +409,7 @@ def test_an_own_contact_of_surfaces_rolls_though_its_gap_takes_part_in_that() ->
     """Its place has four numbers and its tangency three: the gap changes as either point alone moves."""
     fields = {"__annotations__": {"finger": int, "surface": int, "friction": Any}, "friction": None}
     kind = type("Surfaces", (jxr.AbstractContact,), {**_BARE, **fields, "spin": "free", "line": False})
-    grasp, state = jxr.scenes.pinch3d()
+    grasp, state = runs.scene("pinch3d")
     own = grasp.with_contacts(*(kind(c.finger, c.surface) for c in grasp.contacts))
     assert own.own_contacts == (0, 1)
     check_rolling(own, state)
@@ -461,11 +476,10 @@ def test_places_of_own_contacts_stand_apart_under_their_own_names() -> None:
     np.testing.assert_array_equal(others.values, [[1.0, 2.0, 3.0], [5.0, 6.0, 7.0]])
 
 
-def test_own_contacts_are_drawn_and_explained(teeth: Any, tmp_path: Path) -> None:
-    grasp, state = teeth
-    run = jxr.simulate(grasp, state, 3.0, rtol=1e-9, record=("multipliers", "energy"))
+def test_own_contacts_are_drawn_and_explained(teeth: Any, turning: Any, tmp_path: Path) -> None:
+    grasp, run = teeth[0], turning
     jxr.plotting.poses(grasp, run)
     jxr.plotting.animate(grasp, run, tmp_path / "teeth.gif", fps=5.0, until=1.0, size=3.0)
-    told = str(jxr.why(grasp, state))
+    told = str(jxr.why(grasp, run))
     assert "holds both ways" in told
     assert "rest      not assessed: verdicts are of contacts of class Contact, in the plane" in told

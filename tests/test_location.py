@@ -1,5 +1,6 @@
 """Closest points of two contours: closed forms, brute force, derivatives, ends, second contacts."""
 
+import functools
 from types import SimpleNamespace
 
 import jax
@@ -262,11 +263,12 @@ def test_derivatives_of_the_lowest_sample_where_no_pair_is_the_answer():
 def test_feet_beyond_an_open_contour_are_its_ends():
     """Of a line from -1 to 2 along y: whichever sample is nearest, and however few there are."""
     line = jxr.Line((-1.0, 2.0)).prepared()
-    points = Vec2(jnp.array([0.3, 0.3, -0.3, 0.4]), jnp.array([-5.0, 1.2, 1.9, 6.0]))
+    points = Vec2(np.array([0.3, 0.3, -0.3, 0.4]), np.array([-5.0, 1.2, 1.9, 6.0]))
+    search = jax.jit(lambda s, near: feet(line, s, points, near))
     for count in (2, 3, 7):
-        s = jnp.linspace(-1.0, 2.0, count)
+        s = np.linspace(-1.0, 2.0, count)
         for near in (0, count - 1):
-            found = feet(line, s, points, jnp.full(4, near))
+            found = search(s, np.full(4, near))
             np.testing.assert_allclose(found.s, [-1.0, 1.2, 1.9, 2.0], atol=1e-15)
             assert found.ended.tolist() == [True, False, False, True]
             ends = np.hypot([0.3, 0.4], 4.0)
@@ -287,21 +289,24 @@ def test_bad_arguments_raise_one_sentence():
 
 def test_few_candidates_are_the_minima_and_not_what_lies_beside_them():
     """A distance with two dips that falls towards both ends of an open contour has these four minima."""
-    s, number = jnp.linspace(0.0, 0.027, 28), 2.0 * jnp.pi / 0.012
-    distance, rate = 1e-3 * jnp.cos(number * s) + 0.01 * s, 0.01 - 1e-3 * number * jnp.sin(number * s)
-    feet = Feet(0.0 * s, distance, Vec2(0.0 * s, 0.0 * s + 1.0), jnp.zeros(s.shape, bool))
-    found = minima(s, feet, rate, turn=jnp.inf, closed=False, count=4)
+    s, number = np.linspace(0.0, 0.027, 28), 2.0 * np.pi / 0.012
+    distance, rate = 1e-3 * np.cos(number * s) + 0.01 * s, 0.01 - 1e-3 * number * np.sin(number * s)
+    feet = Feet(0.0 * s, distance, Vec2(0.0 * s, 0.0 * s + 1.0), np.zeros(s.shape, bool))
+    found = jax.jit(lambda feet: minima(s, feet, rate, turn=np.inf, closed=False, count=4))(feet)
     dip = 0.006 - np.arcsin(0.01 / (1e-3 * number)) / number
     np.testing.assert_allclose(found.s[0], [dip, dip + 0.012, 0.027, 0.0], atol=2e-5)
+
+
+lone = jax.jit(_lone, static_argnums=3)
 
 
 @pytest.mark.parametrize("way", [1, -1])
 def test_a_sample_is_a_minimum_beside_two_higher_ones_unless_its_cell_is_one(way):
     """Round a closed contour, whose last sample is the first again, and along an open one."""
-    value, none = jnp.array([3.0, 1.0, 2.0, 4.0, 2.5, 3.0])[::way], jnp.zeros(5, bool)
-    rate = jnp.array([-1.0, 1.0, 1.0, 0.0, 1.0, 1.0])
-    where = lambda *args: np.flatnonzero(_lone(value, rate, *args)).tolist()  # noqa: E731
-    dips = none.at[0 if way > 0 else 4].set(True)
+    value, none = np.array([3.0, 1.0, 2.0, 4.0, 2.5, 3.0])[::way], np.zeros(5, bool)
+    rate = np.array([-1.0, 1.0, 1.0, 0.0, 1.0, 1.0])
+    where = lambda *args: np.flatnonzero(lone(value, rate, *args)).tolist()  # noqa: E731
+    dips = np.arange(5) == (0 if way > 0 else 4)
     assert where(none, True) == [1, 4] == where(none, False)
     assert where(dips, True) == ([4] if way > 0 else [1]) == where(dips, False)
     rate = -rate  # at the ends of an open contour: now the distance falls towards them
@@ -382,13 +387,18 @@ PAIRS = {
 }
 
 
+@jax.jit
+@functools.partial(jax.vmap, in_axes=(None, None, 0))
+def many_poses(a, b, pose):
+    return locate(a, b, pose_a=pose)
+
+
 @pytest.mark.parametrize("name", slow_among(PAIRS, "circle and spline", "line and support function"))
 def test_single_precision_finds_what_double_precision_finds(name):
     """A batch of poses; in the last one the circle is as close to both flanks of a notch."""
-    many = jax.jit(jax.vmap(lambda a, b, pose: locate(a, b, pose_a=pose), (None, None, 0)))
     alone = [locate(*PAIRS[name], pose_a=pose) for pose in AROUND]
     found = jax.tree.map(lambda *rows: np.stack(rows), *alone)
-    single = in_single(many, *PAIRS[name], AROUND)
+    single = in_single(many_poses, *PAIRS[name], AROUND)
     assert single.gap.dtype == jnp.float32 and np.all(np.asarray(found.result == SUCCESS))
     assert np.all(np.asarray(single.result == SUCCESS))
     np.testing.assert_allclose(single.gap, found.gap, rtol=0, atol=3e-8)
@@ -401,7 +411,8 @@ def test_single_precision_finds_what_double_precision_finds(name):
 
 
 def test_concentric_circles_are_not_unique_in_single_precision():
-    """Curvatures that cancel but for rounding."""
-    found = in_single(circles, (np.array(0.01), np.array(0.02)), np.zeros(3), np.array([0.0, 0.0, 0.7]))
-    assert found.result == SUCCESS and not bool(found.unique)
-    assert abs(float(found.gap) + 0.01) <= 1e-8
+    """Curvatures that cancel but for rounding; one of the circles is an ellipse of equal half axes."""
+    turns = np.array([[0.0, 0.0, angle] for angle in (-0.7, 0.0, 0.3, 2.0)])
+    found = in_single(many_poses, jxr.Circle(0.01), jxr.Ellipse(0.02, 0.02, cells=256), turns)
+    assert np.all(found.result == SUCCESS) and not np.any(found.unique)
+    np.testing.assert_allclose(found.gap, -0.01, rtol=0, atol=1e-8)

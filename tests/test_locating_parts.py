@@ -43,10 +43,10 @@ def test_the_nearest_sample_is_found_however_many_there_are(count):
     samples, points = rng.normal(size=(count, 2)), rng.normal(size=(50, 2))
     points[:2] = samples[[0, -1]] + 1e-3
     wanted = np.argmin(np.linalg.norm(points[:, None] - samples, axis=2), axis=1)
-    given = Vec2(*jnp.asarray(samples.T)), Vec2(*jnp.asarray(points.T))
+    both = jax.jit(lambda *given: (_candidates.nearest_dense(*given), _candidates.nearest_blocked(*given)))
     assert wanted[:2].tolist() == [0, count - 1]
-    np.testing.assert_array_equal(_candidates.nearest_dense(*given), wanted)
-    np.testing.assert_array_equal(_candidates.nearest_blocked(*given), wanted)
+    for found in both(Vec2(*samples.T), Vec2(*points.T)):
+        np.testing.assert_array_equal(found, wanted)
 
 
 def test_feet_on_an_arc_are_to_second_order_and_beyond_its_ends_the_ends():
@@ -77,6 +77,20 @@ def test_feet_on_an_arc_are_to_second_order_and_beyond_its_ends_the_ends():
     np.testing.assert_allclose(np.stack([*found.slope], 1)[:2], [[0.6, -0.8], [-0.8, 0.6]])
 
 
+@jax.jit
+@functools.partial(jax.vmap, in_axes=(None, None, 0, 0))
+def overlap(tip, face, u, w):
+    """How deep a fingertip is in a face against which it is laid from outside, at shares of both lengths."""
+    s, z = (ends[0] + (ends[1] - ends[0]) * x for ends, x in ((tip.domain(), u), (face.domain(), w)))
+    at, on = tip.frame(s), face.frame(z)
+    # The tangents are opposite, the points the same.
+    cos, sin = -at.tangent.dot(on.tangent), -at.tangent.cross(on.tangent)
+    turned = Pose2(Vec2(0.0, 0.0), cos, sin)
+    place = Pose2(on.point - turned.turn(at.point), cos, sin)
+    still = Pose2(Vec2(jnp.zeros(()), jnp.zeros(())), jnp.ones(()), jnp.zeros(()))
+    return -_clearance.clearance((place, still), tip, [face], samples=64)
+
+
 @pytest.mark.parametrize(
     ("tip", "face"),
     [
@@ -84,46 +98,35 @@ def test_feet_on_an_arc_are_to_second_order_and_beyond_its_ends_the_ends():
         (jxr.Circle(0.01), jxr.Ellipse(0.015, 0.025)),
         (jxr.Ellipse(0.01, 0.05), jxr.Circle(0.01)),
         (jxr.Catenary(1 / 40, (-0.03, 0.03)), jxr.Ellipse(1.5, 2.5)),
-        (jxr.Circle(1.0), jxr.Circle(0.01)),  # its samples are further apart than the face is wide
+        (jxr.Ellipse(1.0, 1.0), jxr.Circle(0.01)),  # its samples are further apart than the face is wide
     ],
 )
 def test_shapes_that_touch_do_not_overlap(tip, face):
     """A fingertip laid against a face from outside, wherever both are touched: to rounding."""
-    # With their tables as they are in a run, made before.
-    tip, face = tip.prepared(), face.prepared()
-
-    def overlap(tip, face, u, w):
-        s, z = (ends[0] + (ends[1] - ends[0]) * x for ends, x in ((tip.domain(), u), (face.domain(), w)))
-        at, on = tip.frame(s), face.frame(z)
-        # The tangents are opposite, the points the same.
-        cos, sin = -at.tangent.dot(on.tangent), -at.tangent.cross(on.tangent)
-        turned = Pose2(Vec2(0.0, 0.0), cos, sin)
-        place = Pose2(on.point - turned.turn(at.point), cos, sin)
-        still = Pose2(Vec2(jnp.zeros(()), jnp.zeros(())), jnp.ones(()), jnp.zeros(()))
-        return -_clearance.clearance((place, still), tip, [face], samples=64)
-
     u, w = np.random.default_rng(0).uniform(0.1, 0.9, (2, 200))
-    lanes = jax.jit(jax.vmap(overlap, (None, None, 0, 0)))
-    assert np.asarray(lanes(tip, face, u, w)).max() <= 1e-14
+    # With their tables as they are in a run, made before.
+    assert np.asarray(overlap(tip.prepared(), face.prepared(), u, w)).max() <= 1e-14
 
 
 def test_a_foot_counts_if_its_last_step_is_small_beside_the_whole_contour():
     """A point beside an ellipse, whose foot one step leaves millionths of the contour away, or far more."""
     tip, face = jxr.Circle(0.01), jxr.Ellipse(0.02, 0.03)
-    still, aside = pose(0.0, 0.0, 0.0), pose(0.05, 0.01, 0.0)
-    ends = face.domain()
-    middle = -0.5 * (ends[0] + ends[1])
-    point = np.array([0.05, 0.01]) + np.asarray(tip.frame(0.0).point.array())
-    s = np.linspace(*map(float, ends), 200_001)
-    away = np.linalg.norm(np.asarray(face.frame(s).point.array()).T - point[:, None], axis=0)
-    exact, length = s[np.argmin(away)], float(ends[1] - ends[0])
+    low, high = map(float, face.domain())
+    s, length, middle = np.linspace(low, high, 200_001), high - low, -0.5 * (low + high)
+    there = jax.jit(lambda s: (tip.frame(0.0).point.array(), face.frame(s).point.array()))
+    own, points = map(np.asarray, there(s))
+    away = np.linalg.norm(points - own - np.array([0.05, 0.01]), axis=1)
+    exact = s[np.argmin(away)]
+
+    @jax.jit
+    def apart(ends, start):
+        poses = pose(0.05, 0.01, 0.0), pose(0.0, 0.0, 0.0)
+        return _clearance._apart(poses, tip, (jnp.zeros(()), [(face, ends, start)]))
+
     for off, found in ((1e-3, True), (0.2, False)):
-        given = (jnp.asarray(0.0), [(face, ends, jnp.asarray(exact + off * length))])
-        apart = float(_clearance._apart((aside, still), tip, given))
-        assert apart == pytest.approx(away.min(), rel=1e-6) if found else np.isinf(apart)
-        symmetric = (ends[0] + middle, ends[1] + middle)
-        given = (given[0], [(face, symmetric, given[1][0][2])])
-        assert float(_clearance._apart((aside, still), tip, given)) == apart
+        told = float(apart((low, high), exact + off * length))
+        assert told == pytest.approx(away.min(), rel=1e-6) if found else np.isinf(told)
+        assert float(apart((low + middle, high + middle), exact + off * length)) == told
 
 
 def test_a_dip_is_placed_by_its_rates_and_bounded_by_its_tangents():
@@ -205,28 +208,33 @@ def test_from_an_end_the_distance_is_that_of_its_point():
 def test_a_place_is_held_at_an_end_that_it_would_go_past():
     line, disc = jxr.Line((-1.0, 2.0)), jxr.Circle(1.0)
     s, push = (
-        jnp.array([-1.0, -1.0, -0.9, 2.0, 2.0, 1.9, -1.1, 2.1]),
-        jnp.array([-1.0, 1, -1, 1, -1, 1, -1, 1]),
+        np.array([-1.0, -1.0, -0.9, 2.0, 2.0, 1.9, -1.1, 2.1]),
+        np.array([-1.0, 1, -1, 1, -1, 1, -1, 1]),
     )
     held = [True, False, False, True, False, False, True, True]
-    assert _location._pressing(line, s, push).tolist() == held
-    assert not _location._pressing(line, s, 0.0 * push).any()
-    assert not _location._pressing(disc, s, push).any()
-    np.testing.assert_array_equal(
-        _location._nearer_end(line, jnp.array([-3.0, 0.4, 0.6, 9.0])), [-1, -1, 2, 2]
-    )
-    np.testing.assert_array_equal(_location._inside(line, jnp.array([-3.0, 0.4, 9.0])), [-1.0, 0.4, 2.0])
-    np.testing.assert_array_equal(_location._inside(disc, jnp.array([-3.0, 99.0])), [-3.0, 99.0])
-    length = 2.0 * np.pi
-    np.testing.assert_allclose(
-        _location._around(disc, jnp.array([0.3, 4.0, -4.0, 13.0])),
-        [0.3, 4 - length, length - 4, 13 - 2 * length],
-    )
-    np.testing.assert_array_equal(_location._around(line, jnp.array([0.3, 4.0])), [0.3, 4.0])
-    first = float(disc.domain()[0])
-    wrapped = _location._wrapped(disc, first + jnp.array([0.3, -0.3, 13.0]))
-    np.testing.assert_allclose(wrapped, first + np.array([0.3, length - 0.3, 13.0 - 2 * length]))
-    np.testing.assert_array_equal(_location._wrapped(line, jnp.array([-3.0, 9.0])), [-3.0, 9.0])
+    pressing = lambda *given: [_location._pressing(*one) for one in given]  # noqa: E731
+    found = jax.jit(lambda: pressing((line, s, push), (line, s, 0.0 * push), (disc, s, push)))()
+    assert found[0].tolist() == held and not found[1].any() and not found[2].any()
+    first, length, apart = float(disc.domain()[0]), 2.0 * np.pi, np.array([-3.0, 0.4, 0.6, 9.0])
+
+    @jax.jit
+    def placed():
+        ends = (
+            _location._nearer_end(line, apart),
+            _location._inside(line, apart),
+            _location._inside(disc, apart),
+        )
+        way = np.array([0.3, 4.0, -4.0, 13.0])
+        around = [_location._around(shape, way) for shape in (line, disc)]
+        return ends, around, [_location._wrapped(shape, first + way) for shape in (line, disc)]
+
+    ends, around, wrapped = placed()
+    for found, wanted in zip(ends, ([-1, -1, 2, 2], [-1.0, 0.4, 0.6, 2.0], apart), strict=True):
+        np.testing.assert_array_equal(found, wanted)
+    np.testing.assert_array_equal(around[0], [0.3, 4.0, -4.0, 13.0])
+    np.testing.assert_allclose(around[1], [0.3, 4 - length, length - 4, 13 - 2 * length])
+    np.testing.assert_array_equal(wrapped[0], first + np.array([0.3, 4.0, -4.0, 13.0]))
+    np.testing.assert_allclose(wrapped[1], first + np.array([0.3, 4.0, length - 4.0, 13.0 - 2 * length]))
 
 
 def found_pairs(**given):
@@ -643,8 +651,9 @@ def test_equal_gaps_and_missed_minima_are_not_unique():
 
 def test_quotients_are_kept_between_bounds_and_where_nothing_is_divided():
     above, below = np.array([0.3, -1.0, 3.0, 1.0, 0.5]), np.array([0.6, 2.0, 2.0, 0.0, -1.0])
-    np.testing.assert_allclose(_links._between(above, below), [0.5, 0.0, 1.0, 0.0, 0.0])
-    np.testing.assert_allclose(_links._over(above, below), [0.5, -0.5, 1.5, 0.0, -0.5])
+    between, over = jax.jit(lambda *given: (_links._between(*given), _links._over(*given)))(above, below)
+    np.testing.assert_allclose(between, [0.5, 0.0, 1.0, 0.0, 0.0])
+    np.testing.assert_allclose(over, [0.5, -0.5, 1.5, 0.0, -0.5])
     # Over the farther face where it is over one, else past the nearer of the ends that it is past.
     flags = lambda *values: jnp.array(values)  # noqa: E731
     heights = [(jnp.array([1.0, 5.0, 3.0, -1.0, -2.0]), flags(False, False, True, False, False))]
@@ -654,12 +663,13 @@ def test_quotients_are_kept_between_bounds_and_where_nothing_is_divided():
     height, slope = _links._from_body(found)
     assert height.tolist() == [2.0, 5.0, 2.0, 7.0, -1.0]
     assert slope.x.tolist() == [2.0, 1.0, 2.0, 2.0, 2.0] and slope.y.tolist() == [6.0, 3.0, 6.0, 6.0, 6.0]
-    crossed = _links._crossing(np.zeros(3), np.array([-1.0, 1.0, 0.0]), np.ones(3), np.array([3.0, 2.0, 0.0]))
+    ends = np.zeros(3), np.array([-1.0, 1.0, 0.0]), np.ones(3), np.array([3.0, 2.0, 0.0])
+    crossed = jax.jit(_links._crossing)(*ends)
     np.testing.assert_allclose(crossed, [0.25, 0.0, 0.0])
     # Of chains the closest links: parallel ones 0.3 apart, which begin 0.1 apart along them.
     chain = [Vec2(0.0, 5.0), Vec2(0.0, 0.0), Vec2(1.0, 0.0)]
     other = [Vec2(1.1, 0.4), Vec2(2.0, 0.4), Vec2(2.0, -9.0)]
-    assert float(_links.chains_apart(chain, other)) == pytest.approx(np.hypot(0.1, 0.4))
+    assert float(jax.jit(_links.chains_apart)(chain, other)) == pytest.approx(np.hypot(0.1, 0.4))
 
 
 def plate_heights(points, width, height):

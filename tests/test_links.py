@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 
 import jaxroll as jxr
+from jaxroll._integration import _events
 from jaxroll._linalg import Pose3, Vec2, Vec3
+from jaxroll._mechanics import to_leaves
 from jaxroll.contact import links_apart, links_clearance3
+from tests.recorded import runs
 
-CENTRE, RADIUS, THICK = np.array([0.03, 0.1]), 0.02, 0.004
+CENTRE, RADIUS, THICK, HOLDER = np.array([0.03, 0.1]), 0.02, 0.004, 0.006
 RATE, LENGTH = 3.0, 0.12
 
 
@@ -20,11 +23,11 @@ def resting(t, angles, rates, tips):
     return (-0.05 * rates[0], 0.0 * rates[1])
 
 
-def swept(base, angle, holder_radius=None, link_radius=THICK):
-    """A disc that a finger touches, and a straight link that swings at it or at the finger."""
+def swept(base, angle):
+    """A disc that a finger touches, and a straight link that swings at it or at the finger: one program."""
     disc = jxr.PivotedObject(jxr.Circle(RADIUS), inertia=1e-3, pivot=CENTRE)
-    first = jxr.Finger([0.065, 0.065], [0.045, 0.040], jxr.Circle(0.01), link_radius=holder_radius)
-    other = jxr.Finger([LENGTH], [0.045], jxr.Circle(0.002), base=base, link_radius=link_radius)
+    first = jxr.Finger([0.065, 0.065], [0.045, 0.040], jxr.Circle(0.01), link_radius=HOLDER)
+    other = jxr.Finger([LENGTH], [0.045], jxr.Circle(0.002), base=base, link_radius=THICK)
     grasp = jxr.Grasp(disc, [first, other], jxr.Contact(0.0, 0.06), controller=resting)
     guess = jxr.State(jnp.array([0.0, 1.9, -0.7, angle]), jnp.zeros(4).at[3].set(RATE), jnp.zeros(1))
     return jxr.close(grasp, guess, hold=["finger 1"])
@@ -59,37 +62,52 @@ def test_a_link_that_swings_into_the_object_ends_the_run():
 
     # The audit tells the same of the motion that goes on, and when it was closest: the link turns evenly, and
     # all else rests.
-    slim = [jxr.Finger(f.lengths, f.masses, f.tip, base=f.base) for f in grasp.fingers]
     ts = np.linspace(0.0, seconds, 41)
     q, v, s = (np.tile(x, (41, 1)) for x in (state.q, state.v, state.s))
     q[:, 3] += RATE * ts
     states = jxr.State(q, v, s)
     run = dataclasses.replace(run, ts=jnp.asarray(ts), states=states)
-    told = jxr.link_clearance(grasp.with_(fingers=slim), run)
+    told = jxr.link_clearance(grasp, run)
     angles = np.asarray(run.states.q)[:, 3]
     links = [along(chain(base, [angle], [LENGTH])) for angle in angles]
-    away = np.array([np.linalg.norm(link - CENTRE, axis=1).min() - RADIUS for link in links])
+    away = np.array([np.linalg.norm(link - CENTRE, axis=1).min() - RADIUS - THICK for link in links])
     np.testing.assert_allclose(told.object[away > 0.0, 1], away[away > 0.0], atol=2e-5)
     assert told.where == "finger 1 and the object" and told.pairs == ((0, 1),)
     held = [chain(np.zeros(2), q, [0.065, 0.065]) for q in np.asarray(run.states.q)[:, 1:3]]
     for i in (0, 20, 40):
         points = np.concatenate([along(held[i][:2], 1001), along(held[i][1:], 1001)])
-        apart = np.linalg.norm(points[:, None] - links[i][None, ::8], axis=2).min()
+        apart = np.linalg.norm(points[:, None] - links[i][None, ::8], axis=2).min() - HOLDER - THICK
         assert abs(float(told.links[i, 0]) - apart) <= 2e-4 and told.links[i, 0] <= apart + 1e-12
 
 
 def test_links_of_two_fingers_that_meet_end_the_run():
     base = np.array([-0.12, -0.03])
-    grasp, state = swept(base, -0.3, holder_radius=0.006)
-    run = jxr.simulate(grasp, state, 0.5, ts=11, events=(), throw=False)
+    grasp, state = swept(base, -0.3)
+    run = jxr.simulate(grasp, state, 0.5, ts=41, events=(), throw=False)
     assert run.result == jxr.RESULTS.links_meet and int(run.stats.contact) == 0
     q = np.asarray(run.last.q)
     held, link = chain(np.zeros(2), q[1:3], [0.065, 0.065]), chain(base, q[3:], [LENGTH])
     points = np.concatenate([along(held[:2]), along(held[1:])])
     gaps = np.linalg.norm(points[:, None] - along(link, 401)[None], axis=2)
-    assert abs(gaps.min() - 0.006 - THICK) <= 1e-5
+    assert abs(gaps.min() - HOLDER - THICK) <= 1e-5
     told = jxr.link_clearance(grasp, run)
     assert float(told.links[0, 0]) > 1e-3 and np.isnan(float(told.links[-1, 0]))
+
+
+def test_links_without_a_radius_are_not_watched():
+    """Of three fingers the last two: from the object, and from each other, under their own numbers."""
+    finger = lambda radius: jxr.Finger([LENGTH], [0.045], jxr.Circle(0.002), link_radius=radius)  # noqa: E731
+    disc = jxr.PivotedObject(jxr.Circle(RADIUS), inertia=1e-3, pivot=CENTRE)
+    grasp = jxr.Grasp(disc, [finger(None), finger(HOLDER), finger(THICK)], jxr.Contact())
+    numbers = []
+
+    def watched(state):
+        limits = _events._link_limits(grasp, to_leaves(state, grasp.form))
+        numbers.extend(int(limit.number) for limit in limits)
+        return [limit.margin for limit in limits]
+
+    jax.eval_shape(watched, jxr.State(np.zeros(4), np.zeros(4), np.zeros(1)))
+    assert numbers == [int(_events._numbered(_events._LINKS, i)) for i in (1, 2, 1)]
 
 
 @pytest.mark.parametrize("kind", [Vec2, Vec3])
@@ -126,7 +144,7 @@ def test_links_in_space_keep_away_from_an_ellipsoid_as_all_their_points_do():
     chains = 0.06 * rng.normal(size=(3, 4, 3)) + np.array([0.0, 0.0, 0.1])
     given = [[Vec3(*point) for point in points] for points in chains]
     found = jax.jit(lambda: jnp.stack(links_clearance3(pose, given, [jxr.Ellipsoid(*axes)])))()
-    u = rng.normal(size=(200_000, 3))
+    u = rng.normal(size=(50_000, 3))
     surface = axes * u / np.linalg.norm(u, axis=1)[:, None]
     from scipy.spatial import KDTree
 
@@ -186,10 +204,12 @@ def test_the_lowest_place_of_a_link_is_found_to_rounding(height):
 
 def test_links_beside_the_ends_of_faces_keep_away_as_all_their_points_do():
     """Of the pinch's rectangle: past the ends of both faces the one on the other side counted."""
-    grasp, state = jxr.scenes.pinch()
-    run = jxr.simulate(grasp, state, 0.2)
-    ts, states = jax.tree.map(lambda x: x[::75], (run.ts, run.states))
-    run = dataclasses.replace(run, ts=ts, states=states)
+    (grasp, state), run = runs.scene("pinch"), runs.run("pinch", times=5)
+    # Swung a fifth as far as in pictures, so that no link is inside of it.
+    states = jax.tree.map(
+        lambda start, x: np.asarray(start) + 0.2 * (np.asarray(x) - np.asarray(start)), state, run.states
+    )
+    run = dataclasses.replace(run, states=states)
     found = np.asarray(jxr.link_clearance(grasp, run).object)
     for q, row in zip(np.asarray(run.states.q), found, strict=True):
         sin, cos = np.sin(q[2]), np.cos(q[2])

@@ -10,6 +10,7 @@ import pytest
 
 import jaxroll as jxr
 from tests.oracles.chapter_part2 import Part2
+from tests.recorded import runs
 from tests.subjects.mirror_images import MIRROR, mirrored
 
 LENGTHS = ("l_b0", "l_b1", "l_n0", "l_n1")
@@ -27,20 +28,19 @@ def dot(a, b):
 
 def ellipse_between_fingers():
     """The fingers of the pinch about an ellipse, with a contact of each sense; the state closes neither."""
-    grasp, state = jxr.scenes.pinch()
+    grasp, state = runs.scene("pinch")
     body = jxr.FreeObject(jxr.Ellipse(0.015, 0.025), mass=0.02, inertia=4e-6)
     contacts = (jxr.Contact(0.001, 0.06, finger=0), jxr.Contact(-0.002, 0.003, finger=1, sense=-1))
     return jxr.Grasp(body, grasp.fingers, contacts, controller=grasp.controller), state
 
 
-GRASPS = {"pivoted": jxr.scenes.pivoted, "ellipse": ellipse_between_fingers}
+GRASPS = {"pivoted": lambda: runs.scene("pivoted"), "ellipse": ellipse_between_fingers}
 
 
 @pytest.fixture(scope="module")
-def moving(scene):
+def moving(scene, run):
     """The pivoted scene at five times of a run, and its contact geometry."""
-    grasp, state = scene
-    run = jxr.simulate(grasp, state, 0.3)
+    grasp, _ = scene
     ts, states = jax.tree.map(lambda x: x[::75], (run.ts, run.states))
     run = dataclasses.replace(run, ts=ts, states=states)
     return grasp, run, jxr.contact_geometry(grasp, run.states)
@@ -139,7 +139,7 @@ def test_what_is_left_over_is_residuals(moving):
 
 def test_misalignment_is_the_angle_whose_sine_is_tangency():
     """In the sense of the contact: the fingers turned against the object by a tenth of a radian."""
-    grasp, state = jxr.scenes.pinch()
+    grasp, state = runs.scene("pinch")
     turned = jxr.State(state.q.at[2].add(0.1), state.v, state.s)
     found, left = jxr.contact_geometry(grasp, turned), jxr.residuals(grasp, turned)
     senses = np.array([contact.sense for contact in grasp.contacts])
@@ -201,7 +201,8 @@ def test_68_holds_along_a_run(moving):
     grasp, run, found = moving
     i, h = 2, 1e-5
     here = jax.tree.map(lambda x: x[i], run.states)
-    near = jxr.simulate(grasp, here, h, rtol=1e-12)
+    # With the options of the run of `moving`: the same program.
+    near = jxr.simulate(grasp, here, h, rtol=1e-12, record=("multipliers", "energy"))
     ends = [jax.tree.map(lambda x: np.asarray(x)[end], near.states) for end in (0, -1)]  # noqa: B023
     before, after = (float(jxr.contact_geometry(grasp, state).s[0]) for state in ends)
     rolled, v = (after - before) / h, 0.5 * (ends[0].v + ends[1].v)
@@ -211,7 +212,7 @@ def test_68_holds_along_a_run(moving):
 
 def test_fig_7_is_drawn_in_the_axes_of_the_frames():
     """Fig. 7, (80)-(83): X_0 = -y, Y_0 = -x on the fingertip, X = x, Y = -y on the object, with `sense` 1."""
-    grasp, _ = jxr.scenes.pivoted()
+    grasp, _ = runs.scene("pivoted")
     tip, face = grasp.shapes(grasp.contacts[0])
     for s in (-0.004, 0.0, 0.007):
         (x0, y0), (x, y) = tip.point(-s), face.point(s)
@@ -223,7 +224,7 @@ def test_fig_7_is_drawn_in_the_axes_of_the_frames():
 
 def test_7_has_the_sign_of_the_sense_and_the_rolled_arclength_none():
     """(7) for both fingers: (kappa_i + kappa_0i) s_i' = (-1)^i (theta' - p_i'); sigma' has one."""
-    grasp, state = jxr.scenes.pinch()
+    grasp, state = runs.scene("pinch")
     # Three times that lie close together, and not one more than the runs of other tests have.
     ts = np.append(np.linspace(0.0, 0.0499, 298), [0.05, 0.0501, 0.0502])
     run = jxr.simulate(grasp, state, 0.0502, ts=ts, rtol=1e-11)
@@ -287,14 +288,14 @@ def test_along_time_it_is_state_by_state(moving):
 
 def test_any_controller_and_fingers_that_do_not_turn():
     """A disc under a plate: no controller, and both contacts beside the centre."""
-    grasp, state = jxr.scenes.roller()
+    grasp, state = runs.scene("roller")
     found = jxr.contact_geometry(grasp, state)
     np.testing.assert_allclose(found.l_n1, 1.0 / np.asarray(found.kappa_1), rtol=1e-12)
     np.testing.assert_allclose(found.l_b1, 0.0, atol=1e-15)
 
 
 def test_a_grasp_in_space_is_refused():
-    grasp, state = jxr.scenes.turntable()
+    grasp, state = runs.scene("turntable")
     with pytest.raises(ValueError, match="argument grasp must live in the plane"):
         jxr.contact_geometry(grasp, state)
 
@@ -306,7 +307,7 @@ LABELS += ["$X$", "$Y$", "$X_0$", "$Y_0$", "$O_m$"]
 @pytest.mark.parametrize(("name", "contact"), [("pivoted", 0), ("pinch", 0), ("pinch", 1)])
 def test_the_figure_has_every_label_once_and_none_hides_another(name, contact):
     """Figs. 2, 5 and 6: within the axes, for poses turned by any angle."""
-    grasp, state = getattr(jxr.scenes, name)()
+    grasp, state = runs.scene(name)
     for turn in (0.0, 2.0, 4.0) if name == "pivoted" else (0.0,):
         # Turned as a whole about the origin of the world.
         c, s = np.cos(turn), np.sin(turn)
@@ -334,7 +335,7 @@ def test_the_figure_has_every_label_once_and_none_hides_another(name, contact):
 
 def test_the_figure_of_an_open_contact_has_both_tangents():
     """On an axes of the caller's, without the values."""
-    grasp, state = jxr.scenes.pivoted()
+    grasp, state = runs.scene("pivoted")
     figure = jxr.plotting.contact_geometry(grasp, state)
     values = [text.get_text() for text in figure.axes[1].texts]
     at = jxr.contact_geometry(grasp, state)
@@ -348,4 +349,4 @@ def test_the_figure_of_an_open_contact_has_both_tangents():
 
 def test_a_contact_that_there_is_not_is_refused():
     with pytest.raises(ValueError, match="argument contact must be below 1, but was 1"):
-        jxr.plotting.contact_geometry(*jxr.scenes.pivoted(), contact=1)
+        jxr.plotting.contact_geometry(*runs.scene("pivoted"), contact=1)

@@ -48,8 +48,13 @@ def wall():
     return SplineSurface(slope, (-0.01, -0.02, -0.03), 0.01)
 
 
+@jax.jit
+def margins_at(surface, at):
+    return surface.prepared().margins(at)
+
+
 def margins(surface, at):
-    return np.array([float(m) for m in surface.prepared().margins(tuple(jnp.asarray(float(x)) for x in at))])
+    return np.array(margins_at(surface, tuple(map(float, at))))
 
 
 def test_margins_of_a_chart_are_metres():
@@ -119,7 +124,17 @@ SPREAD = {
 def test_places_spread_evenly(name):
     """On the surface, the nearest as far as on a lattice, and none much farther than others."""
     surface, area = SPREAD[name]
-    at = jax.jit(lambda s: jnp.stack(s.prepared().spread(200), axis=-1))(surface)
+
+    @jax.jit
+    def told(surface):
+        """Places; of surfaces that are a level set their levels there, and of those with ends the margins."""
+        at = jnp.stack(surface.prepared().spread(200), axis=-1)
+        inner = getattr(surface, "surface", surface)
+        level = lambda p: inner.derivatives(Vec3(*p)).value  # noqa: E731
+        off = jax.vmap(level)(at) if surface.coordinates == 3 else jnp.zeros(200)
+        return at, off, jax.vmap(lambda p: inner.prepared().margins(tuple(p)))(at)
+
+    at, off, room = told(surface)
     assert at.shape == (200, surface.coordinates)
     points = np.asarray(surface.point(at))
     apart = np.linalg.norm(points[:, None] - points[None], axis=-1) + np.eye(200)
@@ -127,11 +142,7 @@ def test_places_spread_evenly(name):
     assert nearest.max() / nearest.min() < 2.5
     if area is not None:
         assert 0.7 < np.median(nearest) / np.sqrt(area / 200) < 1.1
-    inner = getattr(surface, "surface", surface)
-    if surface.coordinates == 3:
-        off = jax.jit(jax.vmap(lambda p: inner.derivatives(Vec3(*p)).value))(at)
-        assert np.abs(off).max() < 1e-9
-    room = jax.jit(jax.vmap(lambda p: inner.prepared().margins(tuple(p))))(at)
+    assert np.abs(off).max() < 1e-9
     assert all(np.all(np.asarray(m) >= 0) for m in room)
 
 

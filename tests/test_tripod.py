@@ -15,7 +15,7 @@ WEIGHT = 0.05 * 9.81  # of the object [N]
 
 
 def vectors(rows):
-    return [Vec3(*map(jnp.asarray, row)) for row in rows]
+    return [Vec3(*row) for row in rows]
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-5, 0.7])
@@ -34,14 +34,15 @@ def test_the_law_is_opposition_springs_and_a_share_of_the_load(angle):
     places = position + Rotation.from_rotvec(angle * axis).apply(home)
     pulls = beta * (3 * tips - tips.sum(axis=0)) + stiffness * (tips - places) - force / 3
     wanted = -damping[:, None] * rates - np.einsum("ijk,ik->ij", jacobians, pulls)
-    np.testing.assert_allclose(np.array(control.torques(0.0, fingers)), wanted, rtol=1e-13)
-    slopes = jax.grad(lambda rows: control.potential([Vec3(*row) for row in rows], angles))(jnp.asarray(tips))
+    stored = lambda rows: control.potential([Vec3(*row) for row in rows], angles)  # noqa: E731
+    found, slopes = jax.jit(lambda rows: (control.torques(0.0, fingers), jax.grad(stored)(rows)))(tips)
+    np.testing.assert_allclose(found, wanted, rtol=1e-13)
     np.testing.assert_allclose(slopes, pulls, rtol=1e-13)
     # As functions of time they are the same numbers at each time, and no potential.
     moving = Carry(beta, lambda t: t, stiffness, home=home, position=lambda t: t * position, force=force)
     held = Carry(beta, 2.0, stiffness, home=home, position=2.0 * position, force=force)
-    found, wanted = (np.array(c.torques(2.0, fingers)) for c in (moving, held))
-    np.testing.assert_allclose(found, wanted, rtol=1e-15)
+    at = jax.jit(lambda t: [c.torques(t, fingers) for c in (moving, held)])
+    np.testing.assert_allclose(*map(np.array, at(2.0)), rtol=1e-15)
     assert float(moving.potential(vectors(tips), angles)) == 0.0
 
 
@@ -51,7 +52,7 @@ def test_the_potential_has_a_slope_where_nothing_is_turned():
     tips, home = rng.normal(size=(2, 2, 3))
     stored = lambda turn: Carry(0.0, 0.0, 5.0, home=home, turn=turn).potential(vectors(tips), ())  # noqa: E731
     wanted = -5.0 * np.cross(home, tips).sum(axis=0)
-    np.testing.assert_allclose(jax.grad(stored)(jnp.zeros(3)), wanted, rtol=1e-13)
+    np.testing.assert_allclose(jax.jit(jax.grad(stored))(np.zeros(3)), wanted, rtol=1e-13)
 
 
 def test_what_does_not_fit_the_grasp_is_refused():
@@ -88,9 +89,9 @@ def test_the_scene_is_closed_and_its_frames_begin_at_the_contacts(fingers):
     left = jxr.residuals(grasp, state)
     for part in (left.normal, left.tangential, left.tangency):
         assert np.abs(part).max() <= 1e-13
+    placed = jax.jit(lambda finger, q: finger.pose(tuple(q)).origin.array())
     for i, finger in enumerate(grasp.fingers):
-        q = tuple(state.q[7 + 3 * i : 10 + 3 * i])
-        origin = np.asarray(finger.pose(q).origin.array())
+        origin = np.asarray(placed(finger, np.asarray(state.q)[7 + 3 * i : 10 + 3 * i]))
         way = 2 * np.pi * i / fingers
         np.testing.assert_allclose(origin, (0.02 * np.cos(way), 0.02 * np.sin(way), -0.115), atol=1e-13)
         np.testing.assert_allclose(grasp.controller.home[i] + grasp.controller.position, origin, atol=1e-15)

@@ -7,6 +7,8 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll._linalg import unstack
+from tests.measures import both_ways
+from tests.recorded import runs
 
 
 def gripper(gravity=None):
@@ -80,8 +82,7 @@ def test_disc_on_an_incline():
 
 
 def test_jaws_are_drawn():
-    grasp, state = jxr.scenes.roller()
-    run = jxr.simulate(grasp, state, 1.0, ts=31)
+    grasp, run = runs.scene("roller")[0], runs.run("roller", times=31, t1=1.0)
     figure = jxr.plotting.poses(grasp, run, times=(0.0, 0.5, 1.0))
     assert len(figure.axes) >= 3
 
@@ -99,27 +100,34 @@ def test_bad_jaws(arguments, message):
         jxr.Jaw(*arguments)
 
 
+def roller_between_plates(p):
+    """Where a roller lies on a fixed plate and below another one that are turned by an angle.
+
+    In the other numbers, the roller's radius and where the upper plate's joints begin.
+    """
+    angle, radius, base, quarter = p[0], p[1], p[2:], 0.5 * np.pi
+    across = jnp.stack([-jnp.sin(angle), jnp.cos(angle)])
+    directions = jnp.stack([angle, angle + quarter])
+    upper = jxr.Jaw(jxr.Line(), 0.2, directions, base=0.02 * across + base, angle=angle - quarter)
+    plates = (upper, jxr.Jaw(jxr.Line(), angle=angle + quarter))
+    contacts = [jxr.Contact(0.0, radius * (angle + way * quarter), finger=i) for i, way in enumerate((1, -1))]
+    grasp = jxr.Grasp(jxr.FreeObject(jxr.Circle(radius), 0.02, 1e-6), plates, contacts)
+    guess = jxr.State(jnp.zeros(5).at[:2].set(0.01 * across), jnp.zeros(5), jnp.zeros(2))
+    return jxr.close(grasp, guess)[1].q
+
+
+lies = both_ways(roller_between_plates)
+
+
 @pytest.mark.parametrize("angle", [0.0, 0.3, 2.0])
 def test_held_contacts_of_parallel_plates_have_derivatives(angle):
     """Both tangencies ask the same of the roller's angle: their multipliers are open, the pose is not."""
     along, across = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
-
-    def closed(p):
-        radius, quarter = p[0], 0.5 * np.pi
-        upper = jxr.Jaw(
-            jxr.Line(), 0.2, (angle, angle + quarter), base=0.02 * across + p[1:], angle=angle - quarter
-        )
-        plates = (upper, jxr.Jaw(jxr.Line(), angle=angle + quarter))
-        contacts = [
-            jxr.Contact(0.0, radius * (angle + way * quarter), finger=i) for i, way in enumerate((1, -1))
-        ]
-        grasp = jxr.Grasp(jxr.FreeObject(jxr.Circle(radius), 0.02, 1e-6), plates, contacts)
-        guess = jxr.State(jnp.zeros(5).at[:2].set(0.01 * across), jnp.zeros(5), jnp.zeros(2))
-        return jxr.close(grasp, guess)[1].q
-
-    given = jnp.array([0.01, 0.0, 0.0])
+    given = np.array([angle, 0.01, 0.0, 0.0])
     # The lower plate stays, the roller's centre is a radius above it, the upper plate two.
     wanted = np.zeros((5, 3))
     wanted[:2, 0], wanted[4, 0], wanted[3, 1:], wanted[4, 1:] = across, 2.0, -along, -across
-    for derivative in (jax.jacfwd, jax.jacrev):
-        np.testing.assert_allclose(derivative(closed)(given), wanted, rtol=0, atol=1e-10)
+    forwards = np.stack([lies(given, way, np.zeros(5))[1] for way in np.eye(4)[1:]], axis=1)
+    backwards = np.stack([lies(given, np.zeros(4), bar)[2] for bar in np.eye(5)])[:, 1:]
+    for found in (forwards, backwards):
+        np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-10)

@@ -10,12 +10,20 @@ import jaxroll as jxr
 from jaxroll._linalg import Twist3, Vec3
 from jaxroll.control import Carry, Sensed
 from tests.measures import both_ways
+from tests.recorded import runs
 
 WEIGHT = 0.05 * 9.81  # of the object [N]
 
 
 def vectors(rows):
     return [Vec3(*row) for row in rows]
+
+
+@jax.jit
+def told(control, fingers, tips, angles):
+    """Torques at t = 0, and the potential's gradient in the tips: one program for all numbers."""
+    stored = lambda rows: control.potential([Vec3(*row) for row in rows], angles)  # noqa: E731
+    return control.torques(0.0, fingers), jax.grad(stored)(tips)
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-5, 0.7])
@@ -25,20 +33,30 @@ def test_the_law_is_opposition_springs_and_a_share_of_the_load(angle):
     tips, home, jacobians = rng.normal(size=(3, 3)), rng.normal(size=(3, 3)), rng.normal(size=(3, 2, 3))
     rates, angles = rng.normal(size=(2, 3, 2))
     beta, damping, stiffness, position, force = 3.0, np.array([0.1, 0.2, 0.3]), 7.0, *rng.normal(size=(2, 3))
-    axis = np.array([0.6, 0.0, 0.8])
-    control = Carry(beta, damping, stiffness, home=home, position=position, turn=angle * axis, force=force)
-    fingers = [
+    turn = angle * np.array([0.6, 0.0, 0.8])
+    control = Carry(beta, damping, stiffness, home=home, position=position, turn=turn, force=force)
+    places = position + Rotation.from_rotvec(turn).apply(home)
+    pulls = beta * (3 * tips - tips.sum(axis=0)) + stiffness * (tips - places) - force / 3
+    wanted = -damping[:, None] * rates - np.einsum("ijk,ik->ij", jacobians, pulls)
+    found, slopes = told(control, sensed(angles, rates, tips, jacobians), tips, angles)
+    np.testing.assert_allclose(found, wanted, rtol=1e-13)
+    np.testing.assert_allclose(slopes, pulls, rtol=1e-13)
+
+
+def sensed(angles, rates, tips, jacobians):
+    """What three fingers of two joints say."""
+    return [
         Sensed(tuple(a), tuple(w), tip, tuple(Twist3(column, column) for column in vectors(j)))
         for a, w, tip, j in zip(angles, rates, vectors(tips), jacobians, strict=True)
     ]
-    places = position + Rotation.from_rotvec(angle * axis).apply(home)
-    pulls = beta * (3 * tips - tips.sum(axis=0)) + stiffness * (tips - places) - force / 3
-    wanted = -damping[:, None] * rates - np.einsum("ijk,ik->ij", jacobians, pulls)
-    stored = lambda rows: control.potential([Vec3(*row) for row in rows], angles)  # noqa: E731
-    found, slopes = jax.jit(lambda rows: (control.torques(0.0, fingers), jax.grad(stored)(rows)))(tips)
-    np.testing.assert_allclose(found, wanted, rtol=1e-13)
-    np.testing.assert_allclose(slopes, pulls, rtol=1e-13)
-    # As functions of time they are the same numbers at each time, and no potential.
+
+
+def test_functions_of_time_are_numbers_at_each_time_and_have_no_potential():
+    rng = np.random.default_rng(3)
+    tips, home, jacobians = rng.normal(size=(3, 3)), rng.normal(size=(3, 3)), rng.normal(size=(3, 2, 3))
+    rates, angles = rng.normal(size=(2, 3, 2))
+    beta, stiffness, position, force = 3.0, 7.0, *rng.normal(size=(2, 3))
+    fingers = sensed(angles, rates, tips, jacobians)
     moving = Carry(beta, lambda t: t, stiffness, home=home, position=lambda t: t * position, force=force)
     held = Carry(beta, 2.0, stiffness, home=home, position=2.0 * position, force=force)
     at = jax.jit(lambda t: [c.torques(t, fingers) for c in (moving, held)])
@@ -62,7 +80,7 @@ def test_what_does_not_fit_the_grasp_is_refused():
     control = Carry(1.0, 0.1, 10.0, home=home)
     with pytest.raises(ValueError, match="argument home must have a place for each of 1 fingers"):
         jxr.Grasp(body, finger, jxr.Contact3(), controller=control)
-    planar, _ = jxr.scenes.pivoted()
+    planar, _ = runs.scene("pivoted")
     with pytest.raises(ValueError, match="argument controller must be one for the plane"):
         planar.with_(controller=control)
     with pytest.raises(ValueError, match="argument object must have one surface"):

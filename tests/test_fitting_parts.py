@@ -239,18 +239,19 @@ def test_chords_of_a_circle_have_its_normals():
 def test_ways_out_of_a_box_are_free_where_nothing_stands_in_them():
     cells = np.random.default_rng(4).integers(4, 9, (12, 3))
     found = _visibility._free_ways(cells)
-    taken = {tuple(cell) for cell in cells}
+    taken = set(map(tuple, cells.tolist()))
     shape = cells.max(axis=0) + 1 + 4
     assert found.shape == tuple(shape)
-    for start in itertools.product(*map(range, shape)):
+    inside = set(itertools.product(*map(range, shape.tolist())))
+    for start in inside:
         free = 0
         for way in itertools.product((-1, 0, 1), repeat=3):
             if way == (0, 0, 0):
                 continue
-            place = np.add(start, way)
-            while np.all((place >= 0) & (place < shape)) and tuple(place) not in taken:
-                place = place + way
-            free += tuple(place) not in taken
+            place = tuple(map(sum, zip(start, way, strict=True)))
+            while place in inside and place not in taken:
+                place = tuple(map(sum, zip(place, way, strict=True)))
+            free += place not in taken
         assert found[start] == free
 
 
@@ -401,8 +402,12 @@ def test_feet_are_the_nearest_points(closed):
     spline = _even_spline.EvenSpline(wavy(60, closed), closed)
     points = np.random.default_rng(10).normal(0.0, 0.025, (200, 2))
     points = points[np.linalg.norm(points, axis=1) > 0.012]
-    fine = np.linspace(0.0, spline.pieces, 60_001)
-    away = np.linalg.norm(spline.frames(fine).point[:, None] - points[None], axis=2).min(axis=0)
+    # By brute force in two rounds: of the whole curve, then of what is beside the nearest place.
+    coarse = np.linspace(0.0, spline.pieces, 1201)
+    far = np.linalg.norm(spline.frames(coarse).point[:, None] - points[None], axis=2)
+    fine = coarse[far.argmin(axis=0)][:, None] + np.linspace(-0.06, 0.06, 121)
+    near = spline.frames(fine.ravel()).point.reshape(*fine.shape, 2)
+    away = np.linalg.norm(near - points[:, None], axis=2).min(axis=1)
     found = np.linalg.norm(spline.frames(spline.feet(points)).point - points, axis=1)
     np.testing.assert_allclose(found, away, atol=2e-8)
 
@@ -564,10 +569,14 @@ def test_the_body_that_most_of_a_scan_lies_on_is_taken_and_its_cavities_filled()
         _indicator._alone(np.ones((3, 3, 3)), scan, np.zeros(3), 1.0)
 
 
-def test_a_mesh_has_a_million_samples_or_two_at_most():
+def test_a_mesh_has_a_million_samples_or_two_at_most(monkeypatch):
+    """Each of two triangles is cut into so many parts along its sides; a square of that many are sampled."""
+    asked = []
+    one = np.full((1, 3), 1.0 / 3.0)
+    monkeypatch.setattr(_scan, "_middles", lambda parts: asked.append(parts) or one)
     corners = np.array([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 1.0, 0.0), (0.0, 1.0, 0.0)])
     points, normals = _scan.sampled_mesh(corners, np.array([(0, 1, 2), (0, 2, 3)]), 1e-9)
-    assert 1e6 < len(points) < 5e6 and len(normals) == len(points)
+    assert 1e6 < 2 * asked[0] ** 2 < 5e6 and len(asked) == 1 and len(normals) == len(points) == 2
 
 
 def test_an_open_order_begins_after_its_cut():

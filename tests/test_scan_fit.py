@@ -5,7 +5,8 @@ import pathlib
 import numpy as np
 import pytest
 
-from jaxroll.geometry import fit_surface, Sphere, Superellipsoid, Torus
+from jaxroll.geometry import fit_surface, Superellipsoid, Torus
+from jaxroll.geometry.fitting import _surface_fit
 from jaxroll.geometry.surfaces import net, surface_net
 from tests.oracles.spline_fields import principal_curvatures, SplineField
 
@@ -51,11 +52,11 @@ def test_a_net_of_a_torus_is_closed_and_has_its_volume():
 
 @pytest.fixture(scope="module")
 def torus():
-    return fit_surface(torus_cloud(8000), smallest_radius=TORUS)
+    return fit_surface(torus_cloud(4000), smallest_radius=TORUS)
 
 
 def test_noisy_torus(torus):
-    """8000 points 0.1 mm off a torus: no poles, a handle, normals and curvatures of the closed form."""
+    """4000 points 0.1 mm off a torus: no poles, a handle, normals and curvatures of the closed form."""
     exact, at = Torus(0.03, 0.011), np.asarray(torus.feet)
     true = np.asarray(exact.near(at))
     assert np.sqrt(np.mean(np.sum((at - true) ** 2, axis=1))) < 5e-5
@@ -89,14 +90,15 @@ def test_the_whole_zero_set_is_one_torus(torus):
 
 def test_a_missing_bottom_is_closed_and_not_trusted():
     cloud = ball_cloud(4000, 0.02)
-    fit = fit_surface(cloud[cloud[:, 2] > -0.014], smallest_radius=0.012)
+    # Still so high that the grid has as many cells as that of a whole ball: they share programs.
+    fit = fit_surface(cloud[cloud[:, 2] > -0.015], smallest_radius=0.012)
     vertices, faces = surface_net(fit.surface, 2)
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     assert len(vertices) - len(edges) // 2 + len(faces) == 2
     trusted = fit.trusted(vertices)
     assert trusted[vertices[:, 2] > -0.010].all()
     assert not trusted[np.argmin(vertices[:, 2])]
-    assert 0.02 < fit.report.uncovered < 0.15  # of the ball 15 % are missing
+    assert 0.02 < fit.report.uncovered < 0.15  # of the ball an eighth is missing
     region = fit.report.regions[0]
     assert region.reason == "no data" and region.centre[2] < -0.01
     assert np.abs(fit.report.curvature).max() <= 1.0 / 0.012
@@ -125,14 +127,14 @@ def test_points_far_away_are_rejected():
     assert fit.report.largest < 1e-4
 
 
-def test_large_clouds_are_thinned_without_a_bias():
-    """60 000 points, of which the fit takes means, which lie below the surface."""
-    rng = np.random.default_rng(1)
-    cloud = ball_cloud(60_000, 0.02) + NOISE * rng.normal(size=(60_000, 3))
+def test_large_clouds_are_thinned_without_a_bias(monkeypatch):
+    """The fit takes means of points, which lie below the surface: in cells of 2.7 and of 0.3 mm."""
+    monkeypatch.setattr(_surface_fit, "_MANY", 10_000)
+    cloud = ball_cloud(12_000, 0.02) + NOISE * np.random.default_rng(1).normal(size=(12_000, 3))
     for options in ({"smallest_radius": 0.0106}, {"smoothing": 0.025}):
-        fit = fit_surface(cloud, **options)
-        assert abs(np.mean(np.asarray(Sphere(0.02).near(fit.feet)) ** 2) - np.mean(fit.feet**2)) < 1e-8
-        assert abs(np.linalg.norm(fit.feet, axis=1).mean() - 0.02) < 2e-5
+        away = np.linalg.norm(fit_surface(cloud, **options).feet, axis=1)
+        assert abs(np.mean(away**2) - 0.02**2) < 3e-8
+        assert abs(away.mean() - 0.02) < 2e-5
 
 
 @pytest.mark.slow
@@ -180,7 +182,11 @@ def test_scans(name, mesh):
     assert fit.report.reversed < 1e-3
 
 
-THIN = box_mesh(0.02, 0.014, 0.002)
+# A wedge into which no ball of 5 mm fits.
+THIN = (
+    np.array([(x, y, z) for y in (0.0, 0.0185) for x, z in ((0.0, 0.0), (0.0185, 0.0), (0.0185, 0.015))]),
+    np.array([(0, 1, 2), (3, 5, 4), (0, 3, 4), (0, 4, 1), (1, 4, 5), (1, 5, 2), (0, 2, 5), (0, 5, 3)]),
+)
 
 
 @pytest.mark.parametrize(

@@ -35,7 +35,7 @@ def test_an_ellipse_is_held_across_its_narrow_side_and_stays():
     points = [grasp.object.contours[0].point(c.s_object) for c in grasp.contacts]
     np.testing.assert_allclose(np.sort(np.array(points)[:, 0]), [-0.02, 0.02], atol=1e-9)
     np.testing.assert_allclose(np.array(points)[:, 1], 0.0, atol=1e-9)
-    # Three weights of pressing, along the line between both contacts, where it comes to rest beside the start.
+    # Three weights of pressing, along the line between both contacts, where it rests beside the start.
     found = stability.assess(grasp, state)
     np.testing.assert_allclose(found.equilibrium.state.q, state.q, atol=2e-3)
     force = found.equilibrium.multipliers.f

@@ -137,11 +137,11 @@ def test_phase_draws_the_path_and_the_equilibrium(pinch, short):
         np.testing.assert_allclose(mark.get_xydata()[0], point, atol=1e-9)
 
 
-def test_phase_refuses_other_grasps(scene, short):
+def test_phase_refuses_other_grasps(scene, short, run):
     with pytest.raises(ValueError, match=r"argument trajectory.states.q must have shape \(3,\)"):
         jxr.plotting.phase(scene[0], short)
     with pytest.raises(ValueError, match=r"control\.Opposition"):
-        jxr.plotting.phase(scene[0].with_(controller=None), run := jxr.simulate(*scene, 0.1, ts=3))
+        jxr.plotting.phase(scene[0].with_(controller=None), run)
     for number in ({"force": lambda t: 0.5 + t}, {"target": jxr.commands.Steps([1.0], np.zeros((2, 2)))}):
         with pytest.raises(ValueError, match="of which there is no potential; .* holds it"):
             jxr.plotting.phase(scene[0].with_(**number), run)
@@ -154,14 +154,15 @@ def test_phase_of_one_direction_draws_the_path_downhill(scene):
     figure = jxr.plotting.phase(grasp, run, rest=state)
     ax = figure.axes[0]
     path, start, end = ax.lines[:3]
-    s = 1e3 * np.asarray(jxr.press_balance(grasp, run.ts, run.states).s)[:, 0]
+    contact = grasp.contacts[0]
+    s = 1e3 * contact.sense * (float(contact.s_object) - np.asarray(run.states.s)[:, 0])
     found = path.get_xydata()
     np.testing.assert_allclose(found[:, 0], s, atol=1e-12)
     np.testing.assert_allclose(np.gradient(s, np.asarray(run.ts))[120:-1], found[120:-1, 1], atol=0.05)
     np.testing.assert_allclose(start.get_xydata()[0], found[0])
     # Free space of a fifth either way, round the equilibrium too; it is at rest.
     goal = ax.lines[3].get_xydata()
-    at_rest = 1e3 * float(jxr.press_balance(grasp, 0.0, state).s[0])
+    at_rest = 1e3 * contact.sense * float(contact.s_object - state.s[0])
     np.testing.assert_allclose(goal, [[at_rest, 0.0]], atol=1e-9)
     every = np.concatenate([found, goal])
     middle, half = 0.5 * (every.min(axis=0) + every.max(axis=0)), 0.7 * np.ptp(every, axis=0)
@@ -182,7 +183,10 @@ def test_phase_of_one_direction_draws_the_path_downhill(scene):
     assert has_one_direction(sampled)
     check_potential(sampled)
     # What hardly moves is not magnified without end: half a millimetre, a millimetre per second either way.
-    still = jxr.simulate(sampled, state, 1e-6)
+    # As many states as above, the one of rest among them.
+    start = (state.q, 1e-6 * run.states.v[60], state.s, np.zeros(2))
+    rows = [np.tile(x, (len(s) + 1, 1)) for x in start]
+    still = dataclasses.replace(run, ts=np.linspace(0.0, 1e-6, len(s) + 1), states=jxr.State(*rows))
     resting = phase_of_one(sampled, still, None).axes[0]
     np.testing.assert_allclose([np.ptp(resting.get_xlim()), np.ptp(resting.get_ylim())], [1.0, 2.0])
     # Where no equilibrium is known none is drawn.

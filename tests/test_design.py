@@ -312,20 +312,21 @@ def test_transform_is_the_mathematics_that_it_tells(kind):
     free = [np.ravel(leaf) for leaf in inner.free_numbers()]
     found = transform.size * transform.matrix @ transform.start / 20.0
     np.testing.assert_allclose(found, np.concatenate(free), rtol=1e-11, atol=1e-16)
-    whole = np.asarray(tip.point(jnp.linspace(*tip.domain(), 257)))
+    whole = np.asarray(tip.point(np.linspace(*tip.domain(), 257)))
     np.testing.assert_allclose(transform.size, np.sqrt(np.mean(np.sum(whole**2, axis=1))), rtol=1e-9)
-    x = transform.start + 0.05 * jnp.sin(jnp.arange(transform.start.size) + 1.0)
+    x = np.asarray(transform.start) + 0.05 * np.sin(np.arange(transform.start.size) + 1.0)
     np.testing.assert_allclose(transform.unknowns(transform.contour(x)), x, rtol=1e-9)
     assert jax.tree.structure(transform.contour(x)) == jax.tree.structure(tip)
 
-    @jax.jit
-    @jax.value_and_grad
-    def radius(x):
-        return 1.0 / transform.contour(x).curvature(0.002)
+    way = np.cos(np.arange(x.size))
 
-    way = jnp.cos(jnp.arange(x.size))
+    @jax.jit
+    def radius(x):
+        """And its derivative along the way."""
+        return jax.jvp(lambda x: 1.0 / transform.contour(x).curvature(0.002), (x,), (jnp.asarray(way),))
+
     central = (radius(x + 1e-3 * way)[0] - radius(x - 1e-3 * way)[0]) / 2e-3
-    np.testing.assert_allclose(jnp.vdot(radius(x)[1], way), central, rtol=1e-4, atol=1e-12)
+    np.testing.assert_allclose(radius(x)[1], central, rtol=1e-4, atol=1e-12)
 
 
 def test_transform_keeps_the_mirror_image():

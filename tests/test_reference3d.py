@@ -205,7 +205,7 @@ def test_forces_move_the_object(pinch, no_spin):
 def test_no_direction_is_special(pinch):
     """Everything turned as one moves turned."""
     scene, q = pinch()
-    v, T, ts = moving(scene, q), cf.exponential(np.array([0.3, -0.5, 0.8])), np.array([0.0, 0.1])
+    v, T, ts = moving(scene, q), cf.exponential(np.array([0.3, -0.5, 0.8])), np.array([0.0, 0.04])
     other = replace(scene, fingers=tuple(ref.turned_finger(f, T) for f in scene.fingers))
     half = np.array([0.3, -0.5, 0.8]) / 2
     angle = np.linalg.norm(half)

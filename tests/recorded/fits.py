@@ -5,6 +5,7 @@ Records tell what no bound notices: a smoothing a tenth stronger, a cell fewer, 
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -180,9 +181,15 @@ def of_network(name: str) -> Any:
     return described(told | {"points": fit.field.point(s), "curvatures": fit.field.curvature(s)})
 
 
+@functools.cache
+def made(name: str) -> Fit | SurfaceFit:
+    """A fit, made once for its numbers and its picture."""
+    return FITS[name]()
+
+
 def numbers(name: str) -> Any:
     """A fit's report, its text, its feet and the numbers of its shape."""
-    fit = FITS[name]()
+    fit = made(name)
     found: dict[str, Any] = {"report": fit.report, "text": str(fit.report)}
     if isinstance(fit, SurfaceFit):
         shape = fit.surface

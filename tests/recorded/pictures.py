@@ -256,14 +256,8 @@ def rays() -> dict[str, Any]:
     centre = _rays.inside(bean)
     found = {"inside": centre, "radii": _rays.radii(bean, centre, directions)}
     # A field of splines is asked on its grid.
-    fitted = _surface().surface
+    fitted = fits.made("surface").surface
     return described(found | {"inside a fit": _rays.inside(fitted)})
-
-
-@functools.cache
-def _surface() -> Any:
-    """The fit to a cloud, as `fits` has it."""
-    return fits.FITS["surface"]()
 
 
 def _loaded(name: str) -> dict[str, Any]:
@@ -358,7 +352,7 @@ PICTURES: dict[str, Callable[[], dict[str, Any]]] = {
     ),
     "fit_closed": lambda: drawn(plotting.fit(runs.fitted())),
     "fit_open": lambda: drawn(plotting.fit(runs.fitted(closed=False))),
-    "fit_surface": lambda: drawn(plotting.fit(_surface())),
+    "fit_surface": lambda: drawn(plotting.fit(fits.made("surface"))),
     "poses_loaded": lambda: _loaded("turntable"),
     "loci_turntable": _loci(1),
     "loci_pinch3d": _loci(2, whole=3e-5),

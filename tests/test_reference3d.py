@@ -318,7 +318,7 @@ def test_ball_on_an_incline_and_on_a_ball():
 
 def test_rattleback():
     body, p, w = cf.rattleback()
-    ts = np.linspace(0, 0.5, 5)
+    ts = np.linspace(0, 0.25, 3)
     P, x, W = body.simulate(p, w, ts)
     shape = ref.Ellipsoid((0.20, 0.03, 0.02), (0, 0, 0.01))
     plane = table(ref.Plane((0, 0, 0), (0, 0, 1.0)))

@@ -326,11 +326,11 @@ def test_costs_of_closed_loops_are_weighed_measures_and_what_was_lost(monkeypatc
     each = lambda make, cases, tip, found, in_turn: stacked([found(None, None) for _ in range(2)])  # noqa: E731
     monkeypatch.setattr(_closed_loop_goal, "each_case", each)
     goal = ClosedLoop(pivoted_with_tip, {"peak_force": 2.0, "friction_demand": 0.5}, t1=0.6, ts=13)
-    forces = [
-        2.0 * PARTIAL["peak_force"](run) + 0.5 * PARTIAL["friction_demand"](run) for run in (whole, short)
-    ]
+    force = jax.jit(lambda run: 2.0 * PARTIAL["peak_force"](run) + 0.5 * PARTIAL["friction_demand"](run))
+    forces = [force(run) for run in (whole, short)]
     lost = 1.0 - float(short.stats.t_end) / 0.6
-    np.testing.assert_allclose(goal._costs(None), [forces[0], forces[1] + _closed_loop_goal._LOST * lost])
+    costs = jax.jit(lambda: goal._costs(None))()
+    np.testing.assert_allclose(costs, [forces[0], forces[1] + _closed_loop_goal._LOST * lost])
     assert [each[3] for each in asked] == [("multipliers",)] * 2 and asked[0][2] is False
     own = ClosedLoop(pivoted_with_tip, lambda grasp, run: run.states.q[-1, 0] + 1.0, t1=0.6, ts=13)
     first = float(whole.states.q[-1, 0]) + 1.0
@@ -581,20 +581,24 @@ def test_the_smooth_worst_of_some_costs(sharpness):
 
 def test_the_cost_of_a_margin_is_its_smooth_least_by_the_size():
     """Of a circle about (1, 2) mm of 10 mm the margin is minus the part of that along the normal."""
-    tip, interval = jxr.Circle(0.01).moved((0.001, 0.002)), jnp.array([-0.004, 0.009])
-    seen = eqx.filter_jit(sampled)(tip, interval)
+    tip, unit, sharpness = jxr.Circle(0.01).moved((0.001, 0.002)), 0.02, 0.3
+
+    @jax.jit
+    def told(interval):
+        seen = sampled(tip, interval)
+        return seen, Margin().cost(tip, seen, unit, sharpness), Margin().figures(tip, seen)
+
+    seen, cost, figures = told(np.array([-0.004, 0.009]))
     angle = np.linspace(-0.4, 0.9, 65)
     margins = -(0.001 * np.cos(angle) + 0.002 * np.sin(angle))
-    unit, sharpness = 0.02, 0.3
     k = 200.0 * sharpness
     wanted = np.log(np.sum(np.exp(-k * margins / unit))) / k
-    assert float(Margin().cost(tip, seen, unit, sharpness)) == pytest.approx(wanted, rel=1e-9)
-    figures = Margin().figures(tip, seen)
+    assert float(cost) == pytest.approx(wanted, rel=1e-9)
     assert figures == {"worst margin [m]": pytest.approx(margins.min(), rel=1e-9)}
     assert not Margin().reached(figures) and Margin().reached({"worst margin [m]": 1e-9})
     assert not Margin().reached({"worst margin [m]": 0.0}) and Margin().aimed(tip) is not None
     # A quarter of the way round from end to end.
-    np.testing.assert_allclose(seen.whole.point.array()[64], [0.001, 0.012], atol=1e-12)
+    np.testing.assert_allclose(np.stack([*seen.whole.point])[:, 64], [0.001, 0.012], atol=1e-12)
     np.testing.assert_allclose([seen.step, seen.length], [2e-2 * np.pi / 256, 2e-2 * np.pi], rtol=1e-12)
 
 

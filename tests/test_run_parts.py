@@ -99,7 +99,7 @@ def test_short_steps_and_the_one_that_a_blow_acts_in():
 
 def test_the_state_at_a_jump_moves_with_its_time_and_back():
     """The second of three steps has the slope in it, the third less it; two that jump at once share it."""
-    x, rates = jnp.array([0.5, -1.0]), jnp.array([3.0, 7.0])
+    x, rates = np.array([0.5, -1.0]), np.array([3.0, 7.0])
 
     def start(first, second, t0, t1):
         grasp = SimpleNamespace(jumps=(first[None], jnp.stack([second, second + 1.0])))
@@ -108,18 +108,19 @@ def test_the_state_at_a_jump_moves_with_its_time_and_back():
     def late(first, second, t):
         return _jumps.lateness(SimpleNamespace(jumps=(first[None], jnp.stack([second, second + 1.0]))), t)
 
-    one, two = jnp.asarray(1.0), jnp.asarray(2.0)
-    slopes, start, late, slope = map(jax.jit, (jax.jacfwd(start, (0, 1)), start, late, jax.grad(late)))
+    one, two = np.array(1.0), np.array(2.0)
+    moved = jax.jit(lambda *given: (start(*given), jax.jacfwd(start, (0, 1))(*given)))
+    late = jax.jit(jax.value_and_grad(late))
     turns = [(1 - 4 * EPS, 1.0, 1.0), (1.0, 1 + 4 * EPS, -1.0), (0.5, 1.0, 0.0), (1.0, 1.5, 0.0)]
     for t0, t1, way in turns:
-        same(start(one, two, jnp.asarray(t0), jnp.asarray(t1)), x)
-        for found, share in zip(slopes(one, two, jnp.asarray(t0), jnp.asarray(t1)), (1.0, 0.0), strict=True):
+        now, slopes = moved(one, two, t0, t1)
+        same(now, x)
+        for found, share in zip(slopes, (1.0, 0.0), strict=True):
             same(found, way * share * rates)
-        for found in slopes(one, one, jnp.asarray(t0), jnp.asarray(t1)):
+        for found in moved(one, one, t0, t1)[1]:
             same(found, 0.5 * way * rates)
     for t, share in ((1.0, 1.0), (1 + 2 * EPS, 1.0), (1 - 2 * EPS, 1.0), (1 + 3 * EPS, 0.0), (2.0, 0.0)):
-        same(late(one, two, jnp.asarray(t)), 0.0)
-        same(slope(one, two, jnp.asarray(t)), share)
+        same(late(one, two, t), (0.0, share))
 
 
 def parabola_dips(times, margins):

@@ -40,6 +40,12 @@ def test_minimiser_on_a_problem_by_hand(options):
     assert bool(found.search.done.all()) and found.steps <= 200
 
 
+def test_the_memory_of_a_method_begins_with_the_types_that_its_steps_return():
+    """Of weak types, as it comes from optax, JAX would compile the steps once more after the first."""
+    memory = Optax(optax.lbfgs()).fresh(jnp.ones(2))
+    assert not any(leaf.weak_type for leaf in jax.tree.leaves(memory))
+
+
 def valley(x, data, sharpness):
     """Rosenbrock's function: a bent valley, with places that bend downwards."""
     return 100.0 * (x[1] - x[0] ** 2) ** 2 + (1.0 - x[0]) ** 2, -jnp.ones(1)

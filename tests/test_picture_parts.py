@@ -47,6 +47,7 @@ from jaxroll.plotting import (
     _rays,
     _responses,
     _scene3,
+    _style,
     _surface_fit_figure,
     _tags,
     _tubes,
@@ -163,8 +164,8 @@ def test_a_page_stands_at_the_least_round_step_that_leaves_few_enough(span, fram
     assert _page_parts.page_times(np.array([4.0, 4.0]), 5).tolist() == [0]
 
 
-def test_paths_of_pages_end_in_html_and_pages_have_not_too_many_frames():
-    assert _page_parts.checked_page("a/b.HTM", 5000) == (_page_parts.Path("a/b.HTM"), 5000)
+def test_paths_of_pages_end_in_html_and_pages_have_not_too_many_frames(tmp_path):
+    assert _page_parts.checked_page(f"{tmp_path}/a/b.HTM", 5000) == (tmp_path / "a" / "b.HTM", 5000)
     with pytest.raises(ValueError, match="argument frames must leave at most 5000 frames"):
         _page_parts.checked_page("b.html", 5001)
 
@@ -452,6 +453,34 @@ def test_there_is_room_around_what_is_small_or_large(size, share):
         share = max(share, 1.6 * 0.045 * 65.0 / 80.0)
     low, high = _artists.limits(seen)
     np.testing.assert_allclose([-40.0 * size - low[0], high[0] - 40.0 * size], 80.0 * size * share)
+
+
+@pytest.mark.parametrize("count", [1, 64, 130])
+def test_states_are_placed_in_blocks_of_one_length(count):
+    """So that pictures and films of any number of states share a program."""
+    states = jax.tree.map(lambda a: np.resize(a, (count, *a.shape[1:])), runs.run("pinch").states)
+    lengths = []
+
+    def placed(grasp, some):
+        lengths.append(len(some.s))
+        return grasp * some.q, some.s
+
+    q, s = _views.in_blocks(placed, 2.0, states)
+    np.testing.assert_array_equal(q, 2.0 * np.asarray(states.q))
+    np.testing.assert_array_equal(s, states.s)
+    assert lengths == [64] * -(-count // 64)
+
+
+def test_a_picture_is_written_as_matplotlib_would_and_stays_as_it_was(tmp_path):
+    figure = _style.Picture(3.0, 2.0)
+    for ax in figure.subplots(1, 2):
+        _style.tidy(ax, xlabel="place [mm]", ylabel="force [N]", title="A title")
+    layout, dpi = figure.get_layout_engine(), figure.dpi
+    written = _style.save_figure(figure, tmp_path, "once.png")
+    assert figure.get_layout_engine() is layout and figure.dpi == dpi != _style.DPI
+    figure.savefig(tmp_path / "plain.png", dpi=_style.DPI)
+    once, plain = (np.asarray(Image.open(path)) for path in (written, tmp_path / "plain.png"))
+    np.testing.assert_array_equal(once, plain)
 
 
 def test_links_that_have_a_radius_are_drawn_with_it():

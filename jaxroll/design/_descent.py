@@ -170,7 +170,8 @@ class Optax(AbstractDescent):
     method: optax.GradientTransformationExtraArgs
 
     def fresh(self, x: Array) -> Any:
-        return self.method.init(x)
+        # Of types that are not weak, as what comes of a step: JAX would compile the steps twice.
+        return jax.tree.map(lambda a: jnp.asarray(a, jnp.result_type(a)), self.method.init(x))
 
     def ahead(
         self, walk: Walk, cost: Array, slope: Array, function: Callable[[Array], Array]

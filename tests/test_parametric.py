@@ -56,29 +56,30 @@ def test_an_open_curve_is_the_catenary_that_it_follows():
     np.testing.assert_allclose(mine.point(s), jxr.Catenary(c).point(s), rtol=0, atol=1e-15)
     grasp, state = runs.scene("pivoted")
     placed = grasp.with_tip(0, mine.moved((0.01, 0.0)).moved(angle=-0.5 * np.pi))
-    ends = [jxr.simulate(*jxr.close(held, state), 0.3, ts=1, rtol=1e-10).last.q for held in (grasp, placed)]
+    scenes = (grasp, state), jxr.close(placed, state)
+    ends = [jxr.simulate(*scene, 0.3, ts=1, rtol=1e-10).last.q for scene in scenes]
     np.testing.assert_allclose(ends[1], ends[0], rtol=0, atol=1e-12)
 
 
 def test_runs_batches_and_gradients_go_through_the_curve():
-    """In its own arrays, through table, closing and run: a Taylor test; a batch is its runs.
+    """In its own arrays, through table and run: a Taylor test; a batch is its runs.
 
-    A disc rolls down from beside the top of a fixed hill, which is the curve.
+    A disc rolls down from the top of a fixed hill, which is the curve.
     """
 
     def turned(b):
         hill = jxr.Jaw(own(0.012, b, origin=0.0, cells=256))
         disc = jxr.FreeObject(jxr.Circle(0.01), 0.02, 1e-6)
-        grasp = jxr.Grasp(disc, hill, jxr.Contact(0.001, 0.0), gravity=(-9.81, 0.0))
-        aside = jxr.State([0.022, 0.001, np.pi], np.zeros(3), [0.001])
-        return jxr.simulate(*jxr.close(grasp, aside), 0.05, ts=1).last.q[2]
+        grasp = jxr.Grasp(disc, hill, jxr.Contact(0.0, 0.0), gravity=(-9.81, 0.0))
+        start = jxr.State([0.022, 0.0, np.pi], np.array([0.0, 0.1, 10.0]), [0.0])
+        return jxr.simulate(grasp, start, 0.05, ts=1).last.q[2]
 
     both = both_slopes(turned)
     value, *slopes = both(0.01)
     for slope in slopes:
         left = taylor_remainders(lambda b: both(b)[0], 0.01, 1.0, float(slope), (2e-4, 1e-4, 5e-5))
         np.testing.assert_allclose(np.log2(left[:-1] / left[1:]), 2.0, atol=0.1)
-    many = np.asarray(jax.jit(jax.vmap(turned))(jnp.array([0.009, 0.01, 0.011])))
+    many = np.asarray(jax.jit(jax.vmap(turned))(np.array([0.009, 0.01, 0.011])))
     np.testing.assert_allclose(many[1], value, rtol=0, atol=1e-9)
     assert np.ptp(many) > 1e-5
 
@@ -144,7 +145,7 @@ def rolled(surface, r, **options):
     below = jnp.array([0.0, 0.0, -1.0]) * r
     q = jnp.concatenate([-below, jnp.array([1.0, 0.0, 0.0, 0.0])])
     state = jxr.State(q, jnp.zeros(6), jnp.concatenate([jnp.zeros(3), surface.near(below)]))
-    return jxr.simulate(*jxr.close(grasp, state), 0.3, ts=1, **options).last.q
+    return jxr.simulate(grasp, state, 0.3, ts=1, **options).last.q
 
 
 def test_a_surface_of_ones_own_rolls_as_the_ball_that_it_is():

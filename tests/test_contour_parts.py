@@ -583,7 +583,7 @@ def quintic_cells(table):
 
 def test_a_table_in_single_precision_has_quartics_where_these_meet():
     """All over an arc; not where a straight line begins, nor for tangents that lean, of which all is told."""
-    frames = lambda *parts: tables.from_frames(*parts, closed=False)  # noqa: E731
+    frames = jax.jit(lambda *parts: tables.from_frames(*parts, closed=False))
     table = in_single(frames, *arc(64, 0.0))
     assert table.coefficients.dtype == np.float32 and not quintic_cells(table).any()
     assert quintic_cells(frames(*arc(64, 0.0))).all()

@@ -122,7 +122,7 @@ def test_demo_writes_its_figures_and_a_report(tmp_path, monkeypatch, capsys):
     """Figs. 4, 7 and 8, and Figs. 9-18 on one page."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("JAXROLL_CACHE", "off")
-    assert main(["demo", "--seconds", "0.5"]) == 0
+    assert main(["demo", "--seconds", "0.2"]) == 0
     told = capsys.readouterr().out
     folder = tmp_path / "jaxroll-pivoted"
     files = {p.name: p.stat().st_size for p in folder.iterdir()}

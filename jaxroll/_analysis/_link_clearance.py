@@ -77,11 +77,11 @@ def link_clearance(grasp: Grasp, trajectory: Trajectory) -> LinkClearance:
 
     Example:
         >>> import jaxroll as jxr
-        >>> grasp, state = jxr.scenes.pinch()
+        >>> grasp, state = jxr.scenes.pivoted()
         >>> run = jxr.simulate(grasp, state, 1.0)
         >>> found = jxr.link_clearance(grasp, run)
-        >>> found.pairs, found.least > 0.0
-        (((0, 1),), True)
+        >>> f"{1e3 * found.least:.1f} mm between {found.where}"
+        '9.7 mm between finger 0 and the object'
     """
     check_run(grasp, trajectory)
     chains = _with_links(grasp)

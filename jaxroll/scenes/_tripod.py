@@ -102,9 +102,9 @@ def tripod(
 
     Example:
         >>> import jaxroll as jxr
-        >>> grasp, state = jxr.scenes.tripod()
-        >>> grasp.sizes  # object, three fingers
-        (6, 3, 3, 3)
+        >>> grasp, state = jxr.scenes.tripod(fingers=2)  # each more takes longer to compile
+        >>> grasp.sizes  # object, two fingers
+        (6, 3, 3)
     """
     count = as_count("fingers", fingers, least=2, most=100)
     body = spheroid() if object is None else check_instance("object", object, FreeObject3, "a FreeObject3")

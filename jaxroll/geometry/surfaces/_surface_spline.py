@@ -37,8 +37,8 @@ class SplineSurface(AbstractImplicit):
         >>> x = 0.01 * (np.arange(8) - 3.0)  # where the functions have their centres: the field is x itself
         >>> slope = np.broadcast_to(x[:, None, None], (8, 8, 8))
         >>> wall = jxr.geometry.SplineSurface(slope, (-0.01, -0.01, -0.01), 0.01)
-        >>> wall.near((0.003, 0.004, 0.007)).round(12).tolist()
-        [0.0, 0.004, 0.007]
+        >>> abs(wall.normal((0.0, 0.004, 0.007))).round(12).tolist()
+        [1.0, 0.0, 0.0]
     """
 
     coefficients: Float[Array, "l m n"]

@@ -10,6 +10,7 @@ import jaxroll as jxr
 from jaxroll.geometry import frenet
 from jaxroll.geometry.contours._support import smallest
 from tests.measures import both_slopes
+from tests.recorded import runs
 
 A, B = 0.02, 0.01
 CONTOURS = {
@@ -114,12 +115,12 @@ def test_chapter_contours_are_these_catenaries():
     """(80)-(83) as corrected, point by point, in the mirrored frame."""
     from tests.oracles.chapter_part2 import Part2
 
-    grasp, _ = jxr.scenes.pivoted()
+    grasp, _ = runs.scene("pivoted")
     mirror = np.array([1.0, -1.0])
     s = np.linspace(-0.01, 0.01, 41)
-    printed = np.asarray(jax.vmap(Part2.object_contour)(jnp.asarray(s)))
+    printed = np.asarray(jax.jit(jax.vmap(Part2.object_contour))(s))
     np.testing.assert_allclose(grasp.object.contours[0].point(s), printed * mirror, atol=1e-15)
-    printed = np.asarray(jax.vmap(Part2.tip_contour)(jnp.asarray(s)))
+    printed = np.asarray(jax.jit(jax.vmap(Part2.tip_contour))(s))
     # The chapter's fingertip frame is left-handed after the mirror, and runs against our arclength.
     tip = grasp.fingers[0].tip
     turned = np.stack([-printed[:, 1], -printed[:, 0]], -1)

@@ -283,17 +283,20 @@ def test_gradient_through_the_table(name):
     np.testing.assert_allclose(slope, central, rtol=1e-6, atol=1e-9)
 
 
+def widened(field, size):
+    """The field with its radius or its length times a number."""
+    name = "length" if hasattr(field, "length") else "radius"
+    return eqx.tree_at(lambda f: getattr(f, name), field, size * getattr(field, name))
+
+
 def test_vmap_and_jit_without_wrappers(field):
-    """Fields of other sizes, a batch of them in one program: of its own size, the field itself."""
-
-    def point(size, field):
-        name = "length" if hasattr(field, "length") else "radius"
-        wide = eqx.tree_at(lambda f: getattr(f, name), field, size * getattr(field, name))
-        return wide.tabulate(512).frame(size * 0.01).point.array()
-
-    many = np.asarray(jax.jit(jax.vmap(point, (0, None)))(np.array([0.9, 1.0, 2.0]), field))
-    np.testing.assert_allclose(many[1], field.point(0.01), atol=1e-15)
-    assert many.shape == (3, 2) and np.linalg.norm(many - many[1], axis=1)[[0, 2]].min() > 1e-4
+    """Tables of other sizes, made and read in one program for a batch, against fields of these sizes."""
+    sizes = np.array([0.9, 1.0, 2.0])
+    point = lambda size: widened(field, size).tabulate(512).frame(size * 0.01).point.array()  # noqa: E731
+    many = np.asarray(jax.jit(jax.vmap(point))(sizes))
+    alone = [widened(field, size).point(size * 0.01) for size in sizes.tolist()]
+    np.testing.assert_allclose(many, alone, rtol=0, atol=1e-15)
+    assert many.shape == (3, 2) and np.ptp(many, axis=0).max() > 1e-4
 
 
 @pytest.mark.parametrize(

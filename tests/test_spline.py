@@ -12,6 +12,7 @@ from jaxroll.geometry import frenet, smoothing_for, tabled
 from jaxroll.geometry.contours._bspline import basis
 from tests.measures import both_ways, observed_order
 from tests.oracles.known_curves import circle_points, ellipse_errors, ellipse_points, RADIUS
+from tests.recorded import runs
 
 
 def test_ellipse_from_64_points():
@@ -150,13 +151,13 @@ def test_gradient_with_respect_to_points():
     np.testing.assert_allclose(along, central, rtol=1e-7)
 
 
-def test_smoothing_too_long_for_its_knots_is_refused_or_unresolved(scene):
+def test_smoothing_too_long_for_its_knots_is_refused_or_unresolved():
     points = long_arc(300)
     far = jxr.Spline(points, closed=False, smoothing=1.0)
     with pytest.raises(ValueError, match="argument smoothing must be shorter for 300 knots .* was 1.0 m"):
         tabled(far)
     with pytest.raises(ValueError, match="argument smoothing must be shorter for 300 knots"):
-        scene[0].with_tip(0, far)
+        runs.scene("pivoted")[0].with_tip(0, far)
     with pytest.raises(ValueError, match="at most half the length of a closed contour, 0.0628 m, .* 0.07 m"):
         tabled(jxr.Spline(circle_points(), smoothing=0.07))
     # Within a program nothing can be refused: its numbers are lost.

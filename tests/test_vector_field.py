@@ -20,7 +20,7 @@ SLOPE = 0.002
 
 @pytest.fixture(scope="module")
 def scene():
-    return jxr.scenes.pivoted()
+    return runs.scene("pivoted")
 
 
 @pytest.fixture(scope="module")

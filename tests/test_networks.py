@@ -337,7 +337,7 @@ def test_folded_support_function_is_reported_while_tracing():
 def test_neural_support_fits_an_ellipse():
     seen = []
     fit = jxr.NeuralSupport.fit(
-        ellipse(100) + (0.03, 0.01), key=jax.random.key(0), steps=75, progress=lambda *at: seen.append(at)
+        ellipse(60) + (0.03, 0.01), key=jax.random.key(0), steps=75, progress=lambda *at: seen.append(at)
     )
     assert fit.rms < 1e-7
     assert fit.rms <= fit.largest < 5e-7

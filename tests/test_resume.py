@@ -1,4 +1,4 @@
-"""Runs that go on with other contacts: a finger lifts off and returns, three hand over to two, and back."""
+"""Runs that go on with other contacts: a jaw lifts off and returns, three fingers hand over to two."""
 
 import dataclasses
 
@@ -16,6 +16,7 @@ from jaxroll.loads import Impulse, Push
 from tests.oracles import reference_space as reference
 from tests.oracles.dense_impacts import dense_strike
 from tests.recorded import runs
+from tests.subjects.disc_between_jaws import disc_between_jaws
 from tests.subjects.pinches_in_space import same_in_reference
 
 EVENTS = ("lift", "friction", "penetration")
@@ -39,17 +40,11 @@ def pieces(grasp, state, t1):
 
 @pytest.fixture(scope="module")
 def pushed():
-    """A pinch whose object is pushed off one finger, which follows it.
+    """A disc that is pushed off one of two jaws, which follows it.
 
-    Its contacts have the order and the `sense` in which they are there again after the touch, so that the
-    program of the first piece runs the last one too.
+    The program of the first piece, before the loss, runs the last one too, after the touch.
     """
-    grasp, state = runs.scene("pinch")
-    numbers = ("s_tip", "s_object", "finger", "contour")
-    contacts = [jxr.Contact(**{name: getattr(c, name) for name in numbers}) for c in grasp.contacts]
-    grasp = grasp.with_contacts(*contacts[::-1])
-    state = jxr.State(state.q, state.v, state.s[::-1])
-    return pieces(grasp.with_(load=Push((8.0, 0.0), 0.1, 0.01)), state, 0.4)
+    return pieces(*disc_between_jaws(Push((8.0, -0.5), 0.0, 0.01)), 0.1)
 
 
 def until_the_touch(pushed):
@@ -58,10 +53,11 @@ def until_the_touch(pushed):
     return jxr.simulate(grasp, state, t1, t0=t0, ts=3, events=EVENTS, rtol=1e-12).last
 
 
-def test_a_finger_lifts_off_and_returns(pushed):
+def test_a_jaw_lifts_off_and_returns(pushed):
     """Gaps stay closed to rounding, velocities pass through a loss, energy is never gained at a touch."""
     first, second, third = pushed
-    assert [len(piece[0].contacts) for piece in (first, second, third)] == [2, 1, 2]
+    fingers = [[c.finger for c in piece[0].contacts] for piece in (first, second, third)]
+    assert fingers == [[1, 0], [1], [1, 0]]
     lost, found = first[3], second[3]
     assert bool(lost.result == jxr.RESULTS.contact_lost)
     assert bool(found.result == jxr.RESULTS.penetration)
@@ -100,7 +96,7 @@ def test_samples_are_those_of_the_time_of_the_touch(pushed):
 def test_a_contact_that_a_blow_knocks_off_is_dropped_before_the_blow(pushed):
     """It presses until then; the run that goes on deals the blow to the grasp without it."""
     grasp, state, _, _ = pushed[0]
-    hit = grasp.with_(load=Impulse((0.01, 0.0), 0.0))
+    hit = grasp.with_(load=Impulse((0.01, -0.001), 0.0))
     lost = jxr.simulate(hit, state, 0.1, ts=1, throw=False)
     assert bool(lost.result == jxr.RESULTS.contact_lost)
     left, start, t = jxr.resume(hit, lost)
@@ -128,7 +124,7 @@ def test_a_touch_is_an_inelastic_impact(pushed):
     before = until_the_touch(pushed)
     terms = jxr.equation_terms(third[0], third[1])
     rows = np.concatenate([terms.normal, terms.tangential])
-    v, _ = dense_strike(np.asarray(terms.mass), rows, np.asarray(before.v), np.zeros(8))
+    v, _ = dense_strike(np.asarray(terms.mass), rows, np.asarray(before.v), np.zeros(5))
     np.testing.assert_allclose(third[1].v, v, rtol=0, atol=1e-10)
     assert np.abs(rows @ np.asarray(third[1].v)).max() < 1e-12
 
@@ -213,11 +209,8 @@ def test_what_cannot_go_on_is_said(pushed):
     alone, _ = runs.scene("pivoted")
     with pytest.raises(ValueError, match="must leave the grasp a contact, but lost its only one"):
         jxr.resume(alone, runs.run("pivoted", ended="contact_lost"))
-    ring, start = runs.scene("ring")
-    ring = ring.with_(load=Push((3.0, -6.0), 0.0, 0.03))
-    rubbing = jxr.simulate(ring, start, 0.1, ts=3, throw=False)
     with pytest.raises(ValueError, match="must lose a contact that then opens"):
-        jxr.resume(ring, rubbing)
+        pieces(*disc_between_jaws(Push((8.0, 2.0), 0.0, 0.01)), 0.1)
 
 
 def test_what_jax_traces_cannot_be_resumed(pushed):

@@ -250,51 +250,48 @@ def diverging(numbers, t, pose, twist):
 
 def test_a_run_that_ends_where_nothing_is_finite_has_the_derivative_of_what_it_reached():
     """Its last step leaves the state as it was; a loss that leaves such a lane out has a gradient."""
+    h = 1e-4
 
     def told(size, moment):
         scene = disc_on_a_hill(load=Partial(diverging, (size, moment)))
         run = jxr.simulate(*scene, 0.1, ts=4, rtol=1e-10, throw=False)
         return run.last.q[0] + run.states.v[1, 1], run.result._value
 
-    moments, h = jnp.array([0.05, 0.3]), 1e-4
-
     @jax.jit
-    def every(size, weights):
-        """The values of both lanes, their codes, their derivatives forwards, and that of a weighted sum."""
-        ends, push, codes = jax.linearize(lambda x: jax.vmap(told, (None, 0))(x, moments), size, has_aux=True)
-        return ends, codes, push(jnp.ones(())), jax.linear_transpose(push, size)(weights)[0]
+    def both(size, moment, weight):
+        """The value, its code, its derivative forwards, and backwards that of a weighted value."""
+        end, push, code = jax.linearize(lambda x: told(x, moment), size, has_aux=True)
+        return end, code, push(1.0), jax.linear_transpose(push, size)(weight)[0]
 
-    both = [every(jnp.asarray(0.5), weights) for weights in np.eye(2)]
-    _, codes, forwards, _ = both[0]
-    np.testing.assert_array_equal(codes, [jxr.RESULTS.not_finite._value, jxr.RESULTS.successful._value])
-    near = [every(jnp.asarray(0.5 + k * h), np.ones(2))[0] for k in (-2, -1, 1, 2)]
-    slopes = np.array([1.0, -8.0, 8.0, -1.0]) @ np.array(near) / (12 * h)
-    np.testing.assert_allclose(forwards, slopes, rtol=1e-6)
-    # The second of them leaves out the lane that failed, by a weight of zero.
-    np.testing.assert_allclose([backwards for *_, backwards in both], forwards, rtol=1e-9)
+    given = lambda *numbers: both(*map(jnp.asarray, numbers))  # noqa: E731
+    for moment, wanted in ((0.05, jxr.RESULTS.not_finite), (0.3, jxr.RESULTS.successful)):
+        _, code, forwards, backwards = given(0.5, moment, 1.0)
+        assert int(code) == int(wanted._value)
+        near = [given(0.5 + k * h, moment, 1.0)[0] for k in (-2, -1, 1, 2)]
+        np.testing.assert_allclose(forwards, np.array([1.0, -8.0, 8.0, -1.0]) @ near / (12 * h), rtol=1e-6)
+        np.testing.assert_allclose(backwards, forwards, rtol=1e-9)
+        # By a weight of zero a loss leaves out a lane.
+        assert given(0.5, moment, 0.0)[3] == 0.0
 
 
-def rocked(table, t, pose, twist):
-    """A torque with a number of a caller's table."""
-    return jnp.zeros(2), 1e-4 * table[1] * jnp.cos(40.0 * t)
+def rocked(tables, t, pose, twist):
+    """A torque with numbers of a caller's tables."""
+    real, whole = tables
+    return jnp.zeros(2), 5e-5 * (real[1] + whole[1]) * jnp.cos(40.0 * t)
 
 
 def test_runs_with_gains_or_whole_numbers_beside_the_grasp_have_both_derivatives():
     """The gains of `CSM` and numbers of a caller's table are arrays without a derivative, in every loop."""
 
-    def rolled(mass, table, method, formulation, rtol=1e-8):
-        scene = disc_on_a_hill(mass=mass, load=Partial(rocked, table))
+    tables = np.arange(1.0, 4.0), np.arange(1, 4)
+
+    def rolled(mass, method, formulation, rtol=1e-8):
+        scene = disc_on_a_hill(mass=mass, load=Partial(rocked, tables))
         options = {"solver": method, "formulation": formulation, "rtol": rtol}
         return jxr.simulate(*scene, 0.03, ts=1, **options).last.q[0]
 
-    table, whole = np.arange(1.0, 4.0), np.arange(1, 4)
-    ends = [float(rolled(0.05 + k * 1e-4, table, None, jxr.Index1(), 1e-12)) for k in (-2, -1, 1, 2)]
+    ends = [float(rolled(0.05 + k * 1e-4, None, jxr.Index1(), 1e-12)) for k in (-2, -1, 1, 2)]
     exact = (ends[0] - 8 * ends[1] + 8 * ends[2] - ends[3]) / 12e-4
-    cases = (
-        (jax.jacfwd, None, jxr.Index1(), whole),
-        (jax.jacfwd, None, jxr.CSM(), table),
-        (jax.grad, jxr.Rosenbrock(), jxr.CSM(), whole),
-    )
-    for derivative, method, formulation, numbers in cases:
-        along = jax.jit(derivative(lambda m: rolled(m, numbers, method, formulation)))  # noqa: B023
+    for derivative, method in ((jax.jacfwd, None), (jax.grad, jxr.Rosenbrock())):
+        along = jax.jit(derivative(lambda m: rolled(m, method, jxr.CSM())))  # noqa: B023
         assert float(along(0.05)) == pytest.approx(exact, rel=1e-6)

@@ -7,21 +7,22 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll.loads import Impulse
-from tests.measures import both_slopes, both_ways
 from tests.oracles import reference_space as reference
 from tests.oracles.dense_impacts import dense_strike
+from tests.recorded import runs
 from tests.subjects.disc_on_a_hill import disc_on_a_hill
+from tests.subjects.driven_plate import driven_plate
 from tests.subjects.pinches_in_space import same_in_reference
 
 
 @pytest.fixture(scope="module")
 def pinch():
-    return jxr.scenes.pinch()
+    return runs.scene("pinch")
 
 
 @pytest.fixture(scope="module")
 def pivoted():
-    return jxr.scenes.pivoted()
+    return runs.scene("pivoted")
 
 
 def compatible(rows, v):
@@ -76,7 +77,7 @@ def test_a_blow_in_the_plane_against_the_dense_equations(pinch):
 
 
 def test_a_blow_in_space_against_the_dense_equations():
-    grasp, state = jxr.scenes.pinch3d()
+    grasp, state = runs.scene("pinch3d")
     plain, q = same_in_reference(grasp), np.asarray(state.q)
     v = np.asarray(state.v) + np.linspace(-0.4, 0.5, 12)
     v = compatible(reference.equations(plain, q, v)[3], v)
@@ -160,74 +161,80 @@ def test_a_run_with_a_blow_is_two_runs(disc):
     np.testing.assert_allclose(past.q, plain.q, rtol=0, atol=1e-14)
 
 
-def test_derivatives_of_a_blow():
-    """Of the end and the contact impulse, in the blow's time, size and place: in both modes, and a batch."""
-    options = {"ts": 1, "rtol": 1e-12, "events": (), "record": ("multipliers",)}
-
-    def parts(x):
-        blow = Impulse(x[1:3], x[0], angular=x[3], point=x[4:])
-        run = jxr.simulate(*disc_on_a_hill(load=blow), 0.12, **options)
-        impulse = run.impulses.f[0, 0] - 0.7 * run.impulses.lam[0, 0]
-        return jnp.stack([run.last.q @ jnp.array([1.0, -0.7, 0.004]), 3.0 * impulse])
-
-    x = np.array([0.06, 1e-3, -2e-3, -2e-5, 0.003, 0.004])
-    steps = np.array([1e-5, 1e-6, 1e-6, 1e-7, 1e-5, 1e-5])
-    near = np.concatenate([x[None] + np.diag(steps), x[None] - np.diag(steps), x[None]])
-    many = jax.jit(jax.vmap(parts))(near)
-    wanted = (many[:6] - many[6:12]) / (2 * steps[:, None])
-    along = np.cos(np.arange(6.0)) * steps
-    value, forward, reverse = both_slopes(lambda x: parts(x).sum())(x, along)
-    np.testing.assert_allclose(reverse, wanted.sum(axis=1), rtol=1e-7)
-    np.testing.assert_allclose(forward, reverse @ along, rtol=1e-9)
-    np.testing.assert_allclose(many[12].sum(), value, rtol=1e-11)
-    sizes = np.abs(wanted)
-    assert (sizes.min(axis=1) > 0.1 * sizes.max(axis=1)).all()  # neither is lost in the sum
-
-
-def test_a_blow_that_contacts_cannot_answer_ends_the_run(pivoted):
-    """With the state before it, to go on from; away from the fingertip, which would have to pull."""
-    grasp, state = pivoted
-    hit = grasp.with_(load=Impulse((0.0, 0.0), 0.1, angular=-2e-5))
-    run = jxr.simulate(hit, state, 0.2, ts=1, throw=False)
-    assert bool(run.result == jxr.RESULTS.contact_lost)
-    assert float(run.stats.t_end) == pytest.approx(0.1, abs=1e-15)
-    # The same program: of a blow that is still to come.
-    later = grasp.with_(load=Impulse((0.0, 0.0), 0.9, angular=-2e-5))
-    before = jxr.simulate(later, state, 0.1, ts=1).last
-    np.testing.assert_allclose(run.last.v, before.v, rtol=0, atol=1e-6)
-    assert "no longer presses at t = 0.1 s" in str(run) and "inf" not in str(run)
-    held = jxr.simulate(hit, state, 0.2, ts=1, events=())
-    assert bool(held.result == jxr.RESULTS.successful)
-
-
 def growing(pull, t, pose, twist):
     """A torque that turns the object until a contour ends."""
     return jnp.zeros(2), pull * t
 
 
-def rolled_off(numbers):
-    """Velocity and time of a disc with a torque that grows, and a blow at some time, at its hill's end."""
-    pull, when = numbers
-    hit = Impulse((0.0, 0.0), when, angular=1e-6), jax.tree_util.Partial(growing, pull)
-    run = jxr.simulate(*disc_on_a_hill(load=hit), 1.0, ts=1, throw=False, rtol=1e-10)
-    return jnp.append(run.last.v, run.stats.t_end)
+def rolled(x, t1):
+    """Of a struck disc on its hill: where it is, its velocity, the time, and the blow's contact impulses.
+
+    By a blow's time, impulse, angular impulse and place, and by what grows: a vector of 7 numbers.
+    """
+    blow = Impulse(x[1:3], x[0], angular=x[3], point=x[4:6])
+    scene = disc_on_a_hill(load=(blow, jax.tree_util.Partial(growing, x[6])))
+    run = jxr.simulate(*scene, t1, ts=1, throw=False, rtol=1e-12, record=("multipliers",))
+    forces = jnp.stack([run.impulses.f[0, 0], run.impulses.lam[0, 0]])
+    return jnp.concatenate([run.last.q, run.last.v, run.stats.t_end[None], forces])
 
 
-ROLLED_OFF = both_ways(rolled_off)
+@jax.jit
+def both(x, t1, along, bar):
+    """What `rolled` says, its derivative along a direction, and the gradient of a weighted sum."""
+    values, push = jax.linearize(lambda x: rolled(x, t1), x)
+    return values, push(along), jax.linear_transpose(push, x)(bar)[0]
+
+
+ROLLED = lambda *given: both(*(jnp.asarray(x, float) for x in given))  # noqa: E731
+
+
+def test_derivatives_of_a_blow():
+    """Of the end and the contact impulse, in the blow's time, size and place: in both modes, and a batch."""
+    x = np.array([0.06, 1e-3, -2e-3, -2e-5, 0.003, 0.004, 0.0])
+    steps = np.array([1e-5, 1e-6, 1e-6, 1e-7, 1e-5, 1e-5])
+    weights = np.array([[1.0, -0.7, 0.004, *np.zeros(6)], [*np.zeros(7), 3.0, -2.1]])
+    moves = np.eye(6, 7) * steps[:, None]
+    near = np.concatenate([x + moves, x - moves, x[None]])
+    many = np.asarray(jax.jit(jax.vmap(rolled, (0, None)))(near, 0.12))
+    wanted = (many[:6] - many[6:12]) @ weights.T / (2 * steps[:, None])
+    along = np.cos(np.arange(6.0)) @ moves
+    value, forward, reverse = ROLLED(x, 0.12, along, weights.sum(axis=0))
+    np.testing.assert_allclose(reverse[:6], wanted.sum(axis=1), rtol=1e-7)
+    np.testing.assert_allclose(weights.sum(axis=0) @ forward, reverse @ along, rtol=1e-9)
+    np.testing.assert_allclose(many[12] @ weights.T, value @ weights.T, rtol=1e-11)
+    sizes = np.abs(wanted)
+    assert (sizes.min(axis=1) > 0.1 * sizes.max(axis=1)).all()  # neither is lost in the sum
 
 
 @pytest.mark.parametrize("when", [0.02, 0.9], ids=["after a blow", "before a blow"])
 def test_an_end_moves_with_what_brings_it_about_in_runs_with_blows_too(when):
     """In a torque and in the time of a blow, in both modes."""
-    at, step, bars = np.array([-0.005, when]), np.array([1e-5, 1e-5]), np.eye(4)
-    assert 0.02 < ROLLED_OFF(at, step, bars[0])[0][-1] < 0.9
-    ends = [[ROLLED_OFF(at + k * way, step, bars[0])[0] for way in np.diag(step)] for k in (-1, 1)]
-    wanted = np.subtract(ends[1], ends[0]).T / (2.0 * step)
+    at, ways = np.array([when, 0.0, 0.0, 1e-6, 0.0, 0.0, -0.005]), np.eye(7)[[6, 0]]
+    bars, step = np.eye(9)[3:7], 1e-5
+    seen = lambda x: np.asarray(ROLLED(x, 1.0, ways[0], bars[0])[0])[3:7]  # noqa: E731
+    assert 0.02 < seen(at)[-1] < 0.9
+    wanted = np.array([(seen(at + step * way) - seen(at - step * way)) / (2.0 * step) for way in ways]).T
     assert (abs(wanted[:, 0]) > 0.1).all() and (when == 0.9) == (not wanted[:, 1].any())
-    reverse = np.array([ROLLED_OFF(at, step, bar)[2] for bar in bars])
+    reverse = np.array([ROLLED(at, 1.0, ways[0], bar)[2] for bar in bars])[:, [6, 0]]
     np.testing.assert_allclose(reverse, wanted, rtol=1e-5, atol=1e-8)
-    forwards = np.array([ROLLED_OFF(at, way, bars[0])[1] for way in np.eye(2)]).T
+    forwards = np.array([ROLLED(at, 1.0, way, bars[0])[1] for way in ways]).T[3:7]
     np.testing.assert_allclose(forwards, reverse, rtol=1e-9, atol=1e-12)
+
+
+def test_a_blow_that_contacts_cannot_answer_ends_the_run():
+    """With the state before it, to go on from; away from the plate, which would have to pull."""
+    grasp, state = driven_plate()
+    hit = grasp.with_(load=Impulse((0.0, 1e-3), 0.1))
+    run = jxr.simulate(hit, state, 0.2, ts=1, throw=False)
+    assert bool(run.result == jxr.RESULTS.contact_lost)
+    assert float(run.stats.t_end) == pytest.approx(0.1, abs=1e-15)
+    # The same program: of a blow that is still to come.
+    later = grasp.with_(load=Impulse((0.0, 1e-3), 0.9))
+    before = jxr.simulate(later, state, 0.1, ts=1).last
+    np.testing.assert_allclose(run.last.v, before.v, rtol=0, atol=1e-6)
+    assert "no longer presses at t = 0.1 s" in str(run) and "inf" not in str(run)
+    held = jxr.simulate(hit, state, 0.2, ts=1, events=())
+    assert bool(held.result == jxr.RESULTS.successful)
 
 
 def test_blows_at_one_time_add_up(disc):

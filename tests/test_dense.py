@@ -12,6 +12,13 @@ import pytest
 import jaxroll as jxr
 from tests.measures import both_slopes
 from tests.subjects.disc_on_a_hill import disc_on_a_hill
+from tests.subjects.driven_plate import driven_plate
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """A disc that rolls on a plate, which rises."""
+    return driven_plate()
 
 
 def dense_error(scene, tight, loose, **ways):
@@ -37,7 +44,7 @@ def test_dense_output_is_as_accurate_as_saved_states(scene):
     assert (
         np.isnan(run(-0.1).q).all() and np.isnan(within.q[0, 1]).all() and np.isfinite(within.q[0, 0]).all()
     )
-    assert within.v.shape == (1, 2, 3) and run([]).v.shape == (0, 3)
+    assert within.v.shape == (1, 2, 4) and run([]).v.shape == (0, 4)
     with pytest.raises(ValueError, match="kept its steps"):
         jxr.simulate(*scene, 0.1, ts=1)(0.05)
     # Copies answer too, those from another process among them: what marks a tree's structure stays itself.

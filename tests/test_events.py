@@ -350,30 +350,30 @@ def test_every_end_is_at_the_limit_that_its_code_names(scene):
 
 
 class Tug(eqx.Module):
-    """A force on the driven plate that is pulled back for a moment."""
+    """Control (75) whose force is pulled back for a moment."""
 
     depth: jax.Array
     when: jax.Array
 
     def __call__(self, t, angles, rates, tips):
+        arm = tips[0].position - jnp.array([0.03, 0.105])
         left = 1.0 - self.depth * jnp.exp(-(((t - self.when) / 0.01) ** 2))
-        return (0.24 * left - 1e-4 * rates[0],)
+        return (-0.006 * rates[0] - 50.0 * left * tips[0].jacobian.T @ arm,)
 
 
-def pulled(depth, when, **options):
+def pulled(scene, depth, when, **options):
     """A run under one pull."""
-    grasp, state = driven_plate()
-    return jxr.simulate(grasp.with_(controller=Tug(depth, when)), state, 0.4, throw=False, **options)
+    return jxr.simulate(scene[0].with_(controller=Tug(depth, when)), scene[1], 0.4, throw=False, **options)
 
 
 @pytest.fixture(scope="module")
-def pulls():
+def pulls(scene):
     """48 pulls, some deep enough to lose the contact, some not, and the lowest of 500 forces of each."""
     draw = np.random.default_rng(1).uniform
     given = jnp.asarray(draw(0.9, 1.1, 48)), jnp.asarray(draw(0.1, 0.35, 48))
     options = {"ts": 500, "events": (), "record": ("multipliers",)}
     # One by one: a batch takes twice as long to compile.
-    runs = [pulled(*pull, **options) for pull in zip(*given, strict=True)]
+    runs = [pulled(scene, *pull, **options) for pull in zip(*given, strict=True)]
     return given, np.array([np.min(run.multipliers.f) for run in runs])
 
 
@@ -386,12 +386,12 @@ def pulls():
         pytest.param(diffrax.Tsit5(), 1e-6, marks=pytest.mark.slow),
     ],
 )
-def test_a_force_that_falls_below_zero_and_rises_within_a_step_is_seen(pulls, solver, rtol):
+def test_a_force_that_falls_below_zero_and_rises_within_a_step_is_seen(scene, pulls, solver, rtol):
     """Against forces at many times of runs that nothing ends."""
     given, force = pulls
-    run = lambda *pull: pulled(*pull, ts=1, solver=solver, rtol=rtol).result._value  # noqa: E731
+    run = lambda *pull: pulled(scene, *pull, ts=1, solver=solver, rtol=rtol).result._value  # noqa: E731
     lost = np.asarray(jax.jit(jax.vmap(run))(*given)) == jxr.RESULTS.contact_lost._value
-    sure = abs(force) > 1e-4
+    sure = abs(force) > 1e-3
     assert 10 <= lost.sum() <= 38 and sure.sum() >= 40
     np.testing.assert_array_equal(lost[sure], force[sure] < 0)
 

@@ -20,6 +20,7 @@ from jaxroll._integration._rosenbrock import (
     STAGE_TIMES,
 )
 from tests.measures import observed_order
+from tests.subjects.disc_on_a_hill import disc_on_a_hill
 
 STIFF = jxr.Rosenbrock()
 
@@ -175,35 +176,32 @@ def test_a_run_is_one_kernel(scene):
     assert run.lower(0.006).as_text().count('xla_cpu_small_call = "true"') == 1
 
 
-@pytest.fixture(scope="module")
-def rubbing(scene):
-    """The scene, to whose contact one can give a coefficient of friction."""
-    grasp, state = scene
-    contact = grasp.contacts[0]
-    given = lambda mu: jxr.Contact(contact.s_tip, contact.s_object, friction=mu)  # noqa: E731
-    return lambda mu: grasp.with_contacts(given(mu)), state
+def test_lanes_are_single_runs_with_codes_of_their_own():
+    """Of discs on a hill: two that roll on, one whose plate ends, and one that takes too many steps."""
 
+    def run(speed, pull):
+        load = jax.tree_util.Partial(shaking, pull)
+        scene = disc_on_a_hill(speed=speed, friction=10.0, load=load)
+        return jxr.simulate(*scene, 0.12, ts=1, solver=STIFF, throw=False, max_steps=60)
 
-def test_lanes_are_single_runs_with_codes_of_their_own(rubbing):
-    grasp, state = rubbing[0](10.0), rubbing[1]
-
-    def run(damping):
-        moved = grasp.with_(damping=damping)
-        return jxr.simulate(moved, state, 1.0, ts=1, solver=STIFF, throw=False, max_steps=150)
-
-    rates = jnp.array([0.006, 0.004, 1e-5])
-    lanes = jax.jit(jax.vmap(run))(rates)
-    codes = [jxr.RESULTS.successful, jxr.RESULTS.successful, jxr.RESULTS.max_steps_reached]
+    speeds, pulls = jnp.array([0.02, 0.01, 0.5, 0.02]), jnp.array([0.0, 0.0, 0.0, 1e-3])
+    lanes = jax.jit(jax.vmap(run))(speeds, pulls)
+    codes = [jxr.RESULTS.successful, jxr.RESULTS.successful]
+    codes += [jxr.RESULTS.contour_end, jxr.RESULTS.max_steps_reached]
     assert lanes.result._value.tolist() == [int(code._value) for code in codes]
     for i in range(2):
-        alone = run(rates[i])
+        alone = run(speeds[i], pulls[i])
         np.testing.assert_allclose(lanes.last.q[i], alone.last.q, rtol=0, atol=1e-8)
 
 
-def test_events_are_found_as_by_the_explicit_default(rubbing):
-    grasp, state = rubbing[0](0.12), rubbing[1]
+def shaking(pull, t, pose, twist):
+    """A torque that changes its sign so often that steps are short."""
+    return jnp.zeros(2), pull * jnp.sin(5000.0 * t)
+
+
+def test_events_are_found_as_by_the_explicit_default():
     ends = [
-        jxr.simulate(grasp, state, 0.6, ts=1, rtol=1e-9, throw=False, **options)
+        jxr.simulate(*disc_on_a_hill(friction=0.12), 0.2, ts=1, rtol=1e-9, throw=False, **options)
         for options in ({}, {"solver": STIFF, "max_steps": 150})
     ]
     assert ends[0].result == ends[1].result == jxr.RESULTS.slipping

@@ -20,6 +20,7 @@ from jaxroll._integration._rosenbrock import (
     STAGE_TIMES,
 )
 from tests.measures import observed_order
+from tests.recorded import runs
 from tests.subjects.disc_on_a_hill import disc_on_a_hill
 
 STIFF = jxr.Rosenbrock()
@@ -52,10 +53,14 @@ def test_observed_order_on_a_closed_form():
     assert abs(-observed_order(sizes, errors) - 5.0) < 0.3
 
 
+def drawn(rate, t, y):
+    """Towards cos(t), at a rate."""
+    return -rate * (y - jnp.cos(t)) - jnp.sin(t)
+
+
 @pytest.mark.parametrize("rate", [1e3, 1e6, 1e9])
 def test_fast_rates_do_not_set_the_step(rate):
     """Prothero and Robinson: y' = -rate (y - cos t) - sin t, whose solution from 1 is cos t."""
-    drawn = lambda rate, t, y: -rate * (y - jnp.cos(t)) - jnp.sin(t)  # noqa: E731
     end = solved(jax.tree_util.Partial(drawn, jnp.array(rate)), jnp.ones(1), 2.0, jnp.array(40))
     assert abs(float(end[0]) - np.cos(2.0)) < 1e-7
 
@@ -157,7 +162,7 @@ def test_a_singular_matrix_shortens_the_step():
 
 @pytest.fixture(scope="module")
 def pinch():
-    return jxr.scenes.pinch()
+    return runs.scene("pinch")
 
 
 def test_a_long_run_of_the_pinch(pinch):
@@ -176,34 +181,38 @@ def test_a_run_is_one_kernel(scene):
     assert run.lower(0.006).as_text().count('xla_cpu_small_call = "true"') == 1
 
 
-def test_lanes_are_single_runs_with_codes_of_their_own():
-    """Of discs on a hill: two that roll on, one whose plate ends, and one that takes too many steps."""
-
-    def run(speed, pull):
-        load = jax.tree_util.Partial(shaking, pull)
-        scene = disc_on_a_hill(speed=speed, friction=10.0, load=load)
-        return jxr.simulate(*scene, 0.12, ts=1, solver=STIFF, throw=False, max_steps=60)
-
-    speeds, pulls = jnp.array([0.02, 0.01, 0.5, 0.02]), jnp.array([0.0, 0.0, 0.0, 1e-3])
-    lanes = jax.jit(jax.vmap(run))(speeds, pulls)
-    codes = [jxr.RESULTS.successful, jxr.RESULTS.successful]
-    codes += [jxr.RESULTS.contour_end, jxr.RESULTS.max_steps_reached]
-    assert lanes.result._value.tolist() == [int(code._value) for code in codes]
-    for i in range(2):
-        alone = run(speeds[i], pulls[i])
-        np.testing.assert_allclose(lanes.last.q[i], alone.last.q, rtol=0, atol=1e-8)
-
-
 def shaking(pull, t, pose, twist):
     """A torque that changes its sign so often that steps are short."""
     return jnp.zeros(2), pull * jnp.sin(5000.0 * t)
 
 
+def rolled(numbers, t1, **options):
+    """A run down a hill by its speed, its friction and the torque that shakes it."""
+    speed, friction, pull = jnp.asarray(numbers)
+    load = jax.tree_util.Partial(shaking, pull)
+    scene = disc_on_a_hill(speed=speed, friction=friction, load=load)
+    return jxr.simulate(*scene, t1, ts=1, rtol=1e-9, throw=False, **options)
+
+
+# One program for all single runs.
+BY_STEPS = {"solver": STIFF, "max_steps": 60}
+
+
+def test_lanes_are_single_runs_with_codes_of_their_own():
+    """Of discs on a hill: two that roll on, one whose hill ends, and one that takes too many steps."""
+    rows = np.array([[0.02, 10.0, 0.0], [0.01, 10.0, 0.0], [0.5, 10.0, 0.0], [0.02, 10.0, 1e-3]])
+    lanes = jax.jit(jax.vmap(lambda row: rolled(row, 0.12, **BY_STEPS)))(rows)
+    codes = [jxr.RESULTS.successful, jxr.RESULTS.successful]
+    codes += [jxr.RESULTS.contour_end, jxr.RESULTS.max_steps_reached]
+    assert lanes.result._value.tolist() == [int(code._value) for code in codes]
+    for i in range(2):
+        alone = rolled(rows[i], 0.12, **BY_STEPS)
+        np.testing.assert_allclose(lanes.last.q[i], alone.last.q, rtol=0, atol=1e-8)
+
+
 def test_events_are_found_as_by_the_explicit_default():
-    ends = [
-        jxr.simulate(*disc_on_a_hill(friction=0.12), 0.2, ts=1, rtol=1e-9, throw=False, **options)
-        for options in ({}, {"solver": STIFF, "max_steps": 150})
-    ]
+    numbers = np.array([0.02, 0.12, 0.0])
+    ends = [rolled(numbers, 0.2, **options) for options in ({}, BY_STEPS)]
     assert ends[0].result == ends[1].result == jxr.RESULTS.slipping
     assert abs(float(ends[1].stats.t_end - ends[0].stats.t_end)) < 1e-7
 

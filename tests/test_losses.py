@@ -11,13 +11,14 @@ import pytest
 import jaxroll as jxr
 from tests.measures import both_slopes
 from tests.subjects.disc_on_a_hill import disc_on_a_hill
+from tests.subjects.driven_plate import driven_plate
 from tests.subjects.pivoted_by_points import catenary_points
 
 
 @pytest.fixture(scope="module")
 def ended():
     """A run that ends early, with rows that it did not reach; forces and energy recorded."""
-    grasp, state = jxr.scenes.pivoted()
+    grasp, state = driven_plate()
     soft = grasp.with_(force=jxr.commands.Steps([0.11], [0.5, -0.5]))
     run = jxr.simulate(soft, state, 0.3, ts=4, throw=False, record=("multipliers", "energy"))
     assert bool(run.result == jxr.RESULTS.contact_lost) and float(run.stats.t_end) < 0.2

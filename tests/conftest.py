@@ -222,7 +222,9 @@ def pytest_configure(config):
     keep_memory()
     share_context()
     share_programs()
-    # Two test processes share the cores: threads of BLAS would only wait for each other.
+    # Two test processes share the cores: threads of BLAS would only wait for each other. JAX calls SciPy's,
+    # which gets no limit before it is loaded.
+    importlib.import_module("scipy.linalg")
     threadpoolctl.threadpool_limits(limits=1, user_api="blas")
     if compiled_quickly(config) and "XLA_FLAGS" not in os.environ:
         os.environ["XLA_FLAGS"] = QUICKLY

@@ -265,7 +265,6 @@ def _run(options: argparse.Namespace, demo: Demo, folder: Path) -> None:
         from ._integration import complaint, simulate
         from ._printing import code_name
         from ._saving import save
-        from .plotting._style import save_figure
     seconds = options.seconds or demo.seconds
     with _cli.timed("Closing the contacts"):
         grasp, state = getattr(scenes, options.scene)()
@@ -283,7 +282,7 @@ def _run(options: argparse.Namespace, demo: Demo, folder: Path) -> None:
     with _cli.timed("Drawing"):
         facts = getattr(_cli, demo.facts)(grasp, run)
         for name, draw in demo.figures.items():
-            save_figure(draw(plotting, grasp, run), folder, name)
+            draw(plotting, grasp, run).savefig(folder / name, dpi=150)
     if not options.no_animation:
         names.append("motion.gif")
         until = min(seconds, demo.shown)

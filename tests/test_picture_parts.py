@@ -476,11 +476,12 @@ def test_a_picture_is_written_as_matplotlib_would_and_stays_as_it_was(tmp_path):
     for ax in figure.subplots(1, 2):
         _style.tidy(ax, xlabel="place [mm]", ylabel="force [N]", title="A title")
     layout, dpi = figure.get_layout_engine(), figure.dpi
-    written = _style.save_figure(figure, tmp_path, "once.png")
-    assert figure.get_layout_engine() is layout and figure.dpi == dpi != _style.DPI
-    figure.savefig(tmp_path / "plain.png", dpi=_style.DPI)
-    once, plain = (np.asarray(Image.open(path)) for path in (written, tmp_path / "plain.png"))
-    np.testing.assert_array_equal(once, plain)
+    for options in ({"dpi": 150}, {}, {"dpi": 90, "transparent": True}, {"bbox_inches": "tight"}):
+        figure.savefig(tmp_path / "once.png", **options)
+        assert figure.get_layout_engine() is layout and figure.dpi == dpi
+        Figure.savefig(figure, tmp_path / "plain.png", **options)
+        once, plain = (np.asarray(Image.open(tmp_path / f"{name}.png")) for name in ("once", "plain"))
+        np.testing.assert_array_equal(once, plain)
 
 
 def test_links_that_have_a_radius_are_drawn_with_it():

@@ -7,7 +7,6 @@ from pathlib import Path
 from .. import io, plotting
 from .._saving import save
 from ..geometry import Fit
-from ..plotting._style import save_figure
 from ._shape_file import read, ShapeOrder, size_told, smooth_shape, warn
 
 _OUTLINES = ("contour.csv", "contour.svg", "contour.dxf")
@@ -28,7 +27,7 @@ def fitted(asked: ShapeOrder, folder: Path, timed: Callable[[str], AbstractConte
     with timed("Fitting"):
         found = smooth_shape(asked, outline)
     with timed("Drawing"):
-        save_figure(plotting.fit(found), folder, "fit.png")
+        plotting.fit(found).savefig(folder / "fit.png", dpi=150)
     names, missing = ["fit.png"], []
     if isinstance(found, Fit):
         names.append(save(folder / "contour.npz", found.contour).name)

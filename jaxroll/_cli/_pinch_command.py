@@ -24,7 +24,6 @@ from .._reaching import tip_origins
 from .._results import RESULTS
 from .._saving import save
 from ..geometry import Fit, Sphere, SurfaceFit
-from ..plotting._style import save_figure
 from ._run_pictures import pace, run_pictures
 from ._shape_file import read, ShapeOrder, size_told, smooth_shape, warn
 
@@ -273,7 +272,7 @@ def _written(
     with timed("Drawing"):
         pictures = {"fit.png": plotting.fit(made["found"])} | run_pictures(grasp, run)
         for name, picture in pictures.items():
-            save_figure(picture, folder, name)
+            picture.savefig(folder / name, dpi=150)
     names = list(pictures)
     if asked.animated:
         with timed("Animating"):

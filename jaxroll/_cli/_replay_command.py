@@ -15,7 +15,6 @@ from .._integration import REMEDIES, report, Trajectory
 from .._mechanics import Grasp
 from .._results import told_apart
 from .._saving import load
-from ..plotting._style import save_figure
 from ._replay_order import ReplayOrder
 from ._run_pictures import pace, run_pictures
 
@@ -46,7 +45,7 @@ def replayed(asked: ReplayOrder, folder: Path, timed: Callable[[str], AbstractCo
     names, missing = [], []
     with timed("Drawing"):
         for name, picture in run_pictures(grasp, run).items():
-            save_figure(picture, folder, name)
+            picture.savefig(folder / name, dpi=150)
             names.append(name)
     if asked.film is not None:
         speed = asked.speed or pace(run, 1.0, _LONGEST)

@@ -30,7 +30,6 @@ from .._printing import is_code, shown_value
 from .._results import computed_at_once, missing_library
 from .._sweep import Parameters, sweep
 from ..geometry import Circle, Sphere
-from ..plotting._style import save_figure
 from ._sweep_order import MapOrder, Range, SweepOrder, unit_of
 from ._sweep_table import entries_of, flat_values, read_table, SweepTable, write_table
 from ._waiting import say
@@ -111,7 +110,7 @@ def mapped(asked: MapOrder, folder: Path, timed: Timed) -> list[str]:
     names, missing = [f"map_{show}.png"], []
     with timed("Drawing"):
         figure = plotting.parameter_map(table.parameters, columns[show], title=table.scene, **look)
-        save_figure(figure, folder, names[0])
+        figure.savefig(folder / names[0], dpi=150)
     try:
         with timed("Writing the page"):
             page = folder / f"map_{show}.html"

@@ -2,7 +2,9 @@
 
 import io
 from pathlib import Path
+from typing import Any
 
+from matplotlib import rcParams
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -38,6 +40,23 @@ class Picture(Figure):
         self.savefig(buffer, format="png", dpi=100)
         return buffer.getvalue()
 
+    def savefig(self, fname: Any, **options: Any) -> None:
+        """As matplotlib's, which lays out and draws a PNG twice: once, for the same picture bit by bit."""
+        kind = options.get("format") or (Path(fname).suffix[1:] if isinstance(fname, str | Path) else None)
+        if kind != "png" or options.get("bbox_inches") or rcParams["savefig.bbox"]:
+            super().savefig(fname, **options)
+            return
+        layout, dpi, asked = self.get_layout_engine(), self.dpi, options.get("dpi") or rcParams["savefig.dpi"]
+        try:
+            self.dpi = dpi if asked == "figure" else asked
+            if layout is not None:
+                layout.execute(self)
+            self.set_layout_engine(None)
+            super().savefig(fname, **options)
+        finally:
+            self.dpi = dpi
+            self.set_layout_engine(layout)
+
 
 def tidy(ax: Axes, *, xlabel: str = "", ylabel: str = "", title: str = "") -> None:
     """Labels, and light ticks and frame, set here rather than in matplotlib's global settings."""
@@ -54,23 +73,9 @@ def save_figure(figure: Figure, folder: str | Path, name: str) -> Path:
     path = Path(folder) / name
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        _write(figure, path)
+        figure.savefig(path, dpi=DPI)
     except OSError as error:
         raise ValueError(
             f"argument folder must be one that can be written to, but was {told(folder, error)}"
         ) from None
     return path
-
-
-def _write(figure: Figure, path: Path) -> None:
-    """Save as a PNG. `savefig` alone would lay out and draw twice, for the same picture bit by bit."""
-    layout, dpi = figure.get_layout_engine(), figure.dpi
-    try:
-        figure.dpi = DPI
-        if layout is not None:
-            layout.execute(figure)
-        figure.set_layout_engine(None)
-        figure.savefig(path, format="png", dpi=DPI)
-    finally:
-        figure.dpi = dpi
-        figure.set_layout_engine(layout)

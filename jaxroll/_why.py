@@ -243,7 +243,9 @@ def _judged(grasp: Grasp, state: State, t0: Scalar, run: Trajectory) -> Why:
 
     A failure at the start comes before one of the run, and that before an equilibrium that would not hold.
     """
-    start, t = bearing(grasp, t0, state), run.stats.t_end
+    # Not a number of Python, of JAX's weak type: what follows would be compiled once more for the run's end.
+    t0, t = np.asarray(t0, run.last.q.dtype), run.stats.t_end
+    start = bearing(grasp, t0, state)
     end = bearing(grasp, t, run.last) if np.isfinite(run.last.q).all() else None
     failed = (code := code_name(run.result)) != "successful"
     # An equilibrium is sought from where the run came to its end; a run that failed may have ended anywhere.

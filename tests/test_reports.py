@@ -693,11 +693,15 @@ def test_why_a_guess_does_not_close(scene):
     assert "hold_contacts" in found.remedy and str(found).count("\n") < 10
 
 
-def test_why_of_a_grasp_without_forces_is_what_its_run_says(scene):
+def test_why_of_a_grasp_without_forces_is_what_its_run_says(scene, monkeypatch):
     """It rests: nothing pulls, and nothing ends the run. Forces that are no numbers are named as such."""
     grasp, state = scene
+    times = []
+    monkeypatch.setattr(_why, "bearing", lambda *given: times.append(given[1]) or _analysis.bearing(*given))
     idle = jxr.why(with_force(grasp, 0.0, 9.0, 0.0), state, t1=0.1)
     assert idle.summary == "holds" and "bears no force" in str(idle) and "pulls" not in str(idle)
+    # Of a weak type one would be a program more.
+    assert [(t.dtype, getattr(t, "weak_type", False)) for t in times] == [(np.float64, False)] * 2
     lost = jxr.why(with_force(grasp, np.nan, 9.0, np.nan), state, t1=0.1)
     assert lost.summary.endswith("bears a force that is no number") and "NaN" in lost.remedy
 

@@ -461,11 +461,11 @@ def test_states_are_placed_in_blocks_of_one_length(count):
     states = jax.tree.map(lambda a: np.resize(a, (count, *a.shape[1:])), runs.run("pinch").states)
     lengths = []
 
-    def placed(grasp, some):
+    def placed(some):
         lengths.append(len(some.s))
-        return grasp * some.q, some.s
+        return 2.0 * some.q, some.s
 
-    q, s = _views.in_blocks(placed, 2.0, states)
+    q, s = _outlines.in_blocks(placed, states, length=64)
     np.testing.assert_array_equal(q, 2.0 * np.asarray(states.q))
     np.testing.assert_array_equal(s, states.s)
     assert lengths == [64] * -(-count // 64)

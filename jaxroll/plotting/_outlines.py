@@ -1,8 +1,8 @@
 """Contours as points to draw, in millimetres, and bodies made of them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -59,12 +59,23 @@ def comb(curve: OutlineSamples, tooth: float, count: int = 150) -> tuple[np.ndar
 
 def sample(contour: AbstractContour, s: np.ndarray) -> OutlineSamples:
     """A contour at arclengths [m] of shape (n,)."""
-    # In blocks of one length, the last filled up: figures ask for many lengths, and one program serves all.
-    ready, count = tabled(contour), len(s)
-    blocks = np.resize(np.asarray(s, float), (max(-(-count // _BLOCK), 1), _BLOCK))
-    parts = zip(*(map(np.asarray, _sampled(ready, jax.device_put(block))) for block in blocks), strict=True)
-    points, tangents, curvatures = (np.concatenate(each)[:count] for each in parts)
+    ready = tabled(contour)
+    sampled = lambda some: _sampled(ready, some)  # noqa: E731
+    points, tangents, curvatures = in_blocks(sampled, np.asarray(s, float), length=_BLOCK)
     return OutlineSamples(MM * points, tangents, curvatures)
+
+
+def in_blocks(function: Callable[[Any], Any], rows: Any, *, length: int) -> Any:
+    """What a compiled function says of each of many rows; all that it returns has their leading axis.
+
+    In blocks of one length, the last filled up: figures ask for many numbers of rows, and one program serves
+    all.
+    """
+    count = len(jax.tree.leaves(rows)[0])
+    shape = max(-(-count // length), 1), length
+    blocks = jax.tree.map(lambda a: np.resize(a, (*shape, *np.shape(a)[1:])), rows)
+    parts = [function(jax.tree.map(lambda a: a[i], blocks)) for i in range(shape[0])]  # noqa: B023
+    return jax.tree.map(lambda *each: np.concatenate(each)[:count], *parts)
 
 
 @quickly

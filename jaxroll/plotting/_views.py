@@ -1,8 +1,7 @@
 """Where everything of a grasp in the plane is at every time, in millimetres; checks of runs to be drawn."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -15,11 +14,11 @@ from .._mechanics import compiled, Grasp, State, to_leaves
 from .._motion import multipliers, residuals, touches, world_poses
 from .._printing import code_name
 from ..control import law_of, Press
-from ._outlines import Outline, outlines, rolling_contacts, rolling_coordinates, sample
+from ._outlines import in_blocks, Outline, outlines, rolling_contacts, rolling_coordinates, sample
 from ._style import MM
 
 # How many states a program places at once.
-_BLOCK = 64
+STATES = 64
 
 
 @dataclass(frozen=True)
@@ -101,7 +100,8 @@ def along_time(states: State) -> State:
 
 def views(grasp: Grasp, states: State) -> Views:
     """Everything to draw, for states with a leading time axis."""
-    frames, joints, points, tangents = in_blocks(_placed, grasp, states)
+    placed = lambda some: _placed(grasp, some)  # noqa: E731
+    frames, joints, points, tangents = in_blocks(placed, states, length=STATES)
     sigmas, contacts = rolling_coordinates(grasp, np.asarray(states.s)), rolling_contacts(grasp)
     body, *tips = outlines(grasp, sigmas)
     rolled = []
@@ -125,19 +125,6 @@ def views(grasp: Grasp, states: State) -> Views:
         tuple(contact.finger for contact in contacts.values()),
         link_radii(grasp),
     )
-
-
-def in_blocks(placed: Callable[[Grasp, State], Any], grasp: Grasp, states: State) -> Any:
-    """What a compiled function says of each of many states; all that it returns has their leading axis.
-
-    In blocks of one length, the last filled up: figures ask for many numbers of states, and one program
-    serves all.
-    """
-    count = len(states.q)
-    blocks = np.resize(np.arange(count), (-(-count // _BLOCK), _BLOCK))
-    known = jax.tree.map(np.asarray, states)
-    parts = [placed(grasp, jax.tree.map(lambda a: a[block], known)) for block in blocks]  # noqa: B023
-    return jax.tree.map(lambda *each: np.concatenate(each)[:count], *parts)
 
 
 def link_radii(grasp: Grasp) -> tuple[float | None, ...]:

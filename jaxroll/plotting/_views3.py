@@ -11,7 +11,8 @@ from .._mechanics import check_spatial, compiled, Grasp, State, to_leaves
 from .._motion import touches, world_poses
 from .._results import as_floats, check_flag, shown
 from ._motion3 import Motion3D, turned
-from ._views import along_time, in_blocks
+from ._outlines import in_blocks
+from ._views import along_time, STATES
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,8 @@ class View:
 def scene_motion(grasp: Grasp, states: State) -> Motion3D:
     """Motion of a spatial grasp at states with a leading time axis, or at one state."""
     check_spatial(grasp)
-    body, tips, skeletons, *at_contacts = in_blocks(_placed, grasp, along_time(states))
+    placed = lambda some: _placed(grasp, some)  # noqa: E731
+    body, tips, skeletons, *at_contacts = in_blocks(placed, along_time(states), length=STATES)
     # Time comes first; `Motion3D` wants it second.
     return Motion3D(body, tips.swapaxes(0, 1), skeletons, *(a.swapaxes(0, 1) for a in at_contacts))
 

@@ -38,6 +38,7 @@ NAMES = (
     "stress",
     "reaching",
     "scans",
+    "suite",
 )
 
 

@@ -1,12 +1,14 @@
 """The first call of one function in a fresh process, phase by phase.
 
 `python -m benchmarks._first_call forward pinch` prints JSON: seconds of wall and of processor for every
-phase, and how the run ended. A scene is named with its argument, as in `ring(5)`.
+phase, lines of the lowered program, and how the run ended. A scene is named with its argument, as in
+`ring(5)`.
 """
 
 import time
 
-_PHASES, _LAST = {}, [(time.perf_counter(), time.process_time())]
+_PHASES: dict = {}
+_LAST = [(time.perf_counter(), time.process_time())]
 
 
 def _mark(name: str) -> None:
@@ -75,6 +77,7 @@ def compiled(function: Callable, *args: Any) -> Any:
     _mark("call")
     jax.block_until_ready(program(*args))
     _mark("again")
+    _PHASES["lines"] = lowered.as_text().count("\n")
     return out
 
 

@@ -41,7 +41,10 @@ COMMANDS = {"demo": 7.0, "demo pinch": 12.0, "demo pinch3d": 20.0, "design": 18.
 
 
 class Call(NamedTuple):
-    """What was called first, with which cache, and the phases: seconds of wall and processor by name."""
+    """What was called first, with which cache, and the phases: seconds of wall and processor by name.
+
+    Among the phases are the code of the result, and of gradients the lines of the lowered program.
+    """
 
     scene: str
     way: str
@@ -92,11 +95,10 @@ def both(seconds: list[float]) -> str:
 def lines(found: list[Call]) -> list[list[str]]:
     rows = []
     for call in found:
-        parts = [call.spent(*names) for names in (("trace",), ("lower", "compile"), ("call",), ("again",))]
-        if call.way in ("call", "stiff"):
-            parts[2] = [0, 0]  # a public call does all at once
+        parts = [call.spent(name) for name in ("trace", "lower", "compile")]
         result = "successful" if call.phases["code"] == 0 else f"code {call.phases['code']}"
-        cells = [both(x) for x in (call.total, *parts[:3])] + [f"{1e3 * parts[3][1]:.1f}"]
+        cells = [both(x) for x in (call.total, *parts)]
+        cells += [str(call.phases.get("lines", "")), f"{1e3 * call.spent('again')[1]:.1f}"]
         asked = judged(call.total[1], call.asked)
         rows.append([call.scene, WAYS[call.way], call.cache, *cells, asked, result])
     return rows
@@ -159,15 +161,33 @@ def conclusion(found: list[Call], others: list[list[str]]) -> str:
     return f"{met} of {len(rows) + len(wanted)} limits are met. Import takes {imports:.1f} s."
 
 
+def rates(found: list[Call]) -> str:
+    """What a thousand lines of a program take, by phase; the figure that bounds how long one may be."""
+    said = []
+    for phase, cache, what in (
+        ("trace", "none", "to trace"),
+        ("lower", "none", "to lower"),
+        ("compile", "none", "to compile"),
+        ("compile", "full", "to load from a full cache"),
+    ):
+        each = [
+            1e3 * call.spent(phase)[1] / call.phases["lines"]
+            for call in found
+            if call.cache == cache and "lines" in call.phases
+        ]
+        said.append(f"{min(each):.3f} to {max(each):.3f} s {what}")
+    return f"Of what is under `jax.jit`, a thousand lines of a program take {', '.join(said)}."
+
+
 def report(quick: bool = False) -> str:
     before = yardstick()
     found = measure(quick)
     others = scene_rows(found) + ([] if quick else [*ring_rows(), *command_rows()])
     after = yardstick()
-    header = ["scene", "first call of", "cache", "total [s]", "tracing", "lowering, compiling", "first run"]
-    header += ["again [ms]", "asked, processor [s]", "result"]
+    header = ["scene", "first call of", "cache", "total [s]", "tracing", "lowering", "compiling or loading"]
+    header += ["lines", "again [ms]", "asked, processor [s]", "result"]
     text = [
-        f"**Conclusion.** {conclusion(found, others)}",
+        f"**Conclusion.** {conclusion(found, others)} {rates(found)}",
         table(header, lines(found)),
         table(["first call of, without a cache", "total [s]", "asked"], others),
         "Seconds are wall / processor; the second run is processor time. The loop of ten million additions "

@@ -12,6 +12,7 @@ v is what a contact calls its `rolling` in space; a is its derivative along the 
 `plotting` draws the loci.
 """
 
+import functools
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -185,6 +186,9 @@ def _jets(grasp: Grasp, t: Scalar, state: State) -> tuple[_Jet, _Jet]:
     # The states lie on the straight line x + step dx/dt, not on the motion itself: at step 0 both have the
     # same derivative, and on either the error of the difference quotient is of fourth order in the step.
     # Step 0 comes first and gives dx/dt to the others, so that the program has the equations of motion once.
+    # With `checkpoint` a gradient works a step out again; to store what happened in all steps, in hundreds of
+    # arrays, takes longer to compile.
+    @functools.partial(jax.checkpoint, prevent_cse=False)
     def later(line: Array, step: Scalar) -> tuple[Array, tuple[Array, Array]]:
         velocities, changes, rates = moving(t + step, x + step * line)
         return jnp.where(step == 0.0, rates, line), (velocities, changes)

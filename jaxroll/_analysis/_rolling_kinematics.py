@@ -162,6 +162,8 @@ class _Rolling(eqx.Module):
         axes = pose_at(Vec3(0.0, 0.0, 0.0), normalised(flat[:4]))
         return axes, places, (self.tip.frame(places[0]), self.object.frame(places[1]))
 
+    # JAX then traces and differentiates them once for all loops of diffrax in which they are.
+    @eqx.filter_jit
     def rates(self, t: Scalar, y: Array, args: Any) -> Array:
         """Rates of everything in `y`."""
         axes, (at_tip, at_object), (tip, face) = self.frames(y)

@@ -195,9 +195,9 @@ class Roller:
         moving = self.contact(G + 1j * STEP * (cross_matrix(G) @ w))
         return G, moving.real, moving.imag / STEP
 
-    def spin_up(self, p, w):
-        """W' in body axes, and V' + w x V + g G."""
-        G, d, rate = self.parts(p, w)
+    def spin_up(self, p, w, parts=None):
+        """W' in body axes, and V' + w x V + g G; `parts` where they are known already."""
+        G, d, rate = self.parts(p, w) if parts is None else parts
         D, turning = cross_matrix(d), cross_matrix(w)
         known = cross_matrix(rate) @ w + turning @ (D @ w) + self.gravity * G
         right = self.mass * D @ known - turning @ (self.inertia @ w)
@@ -207,9 +207,10 @@ class Roller:
     def rates(self, y):
         """Of y = (quaternion, centre of mass, w)."""
         p, w = y[:4] / np.linalg.norm(y[:4]), y[7:]
-        _, d, _ = self.parts(p, w)
+        parts = self.parts(p, w)
         turning = np.concatenate([[-p[1:] @ w], p[0] * w + cross_matrix(p[1:]) @ w]) / 2
-        return np.concatenate([turning, quaternion_matrix(p) @ (cross_matrix(d) @ w), self.spin_up(p, w)[0]])
+        velocity = quaternion_matrix(p) @ (cross_matrix(parts[1]) @ w)
+        return np.concatenate([turning, velocity, self.spin_up(p, w, parts)[0]])
 
     def simulate(self, p, w, ts, place=(0.0, 0.0)):
         """Quaternions, centres of mass and w (body axes) at `ts`, from a quaternion and w."""
